@@ -1,0 +1,142 @@
+//! [`Estimate`]: the one record of a frame that is logged, published, drawn and exported.
+//!
+//! All quantities are in the camera frame, metres, radians, pixels; sinks convert with [`crate::rig::Base`]. Lists are in
+//! the order of the rig's markers and views.
+
+use crate::source::Timestamp;
+use nalgebra::{Matrix2, Matrix3, Point2, Point3, Vector2, Vector3};
+
+/// What was measured in one camera frame.
+#[derive(Debug, Clone)]
+pub struct Estimate {
+    /// Number of the frame among those received.
+    pub seq: u64,
+    /// Camera time of the frame.
+    pub stamp: Timestamp,
+    /// Camera frames lost before this one.
+    pub gap: u32,
+    /// One entry a marker, in the rig's order.
+    pub markers: Vec<MarkerEstimate>,
+    /// Direction of the coil, base to tip.
+    pub tangent: Result<Tangent, Miss>,
+    /// Deflection of the coil; a miss also when the rig has no base frame.
+    pub deflection: Result<Deflection, Miss>,
+}
+
+/// One marker in one frame.
+#[derive(Debug, Clone)]
+pub struct MarkerEstimate {
+    /// Middle of the band on the tube's centre line, or why it is not known.
+    pub position: Result<Position, Miss>,
+    /// What each view shows of it, in the rig's order of views.
+    pub views: Vec<Result<BandObservation, Miss>>,
+}
+
+/// A place in space.
+#[derive(Debug, Clone, Copy)]
+pub struct Position {
+    /// Camera frame, metres.
+    pub point: Point3<f64>,
+    /// Covariance, m².
+    pub covariance: Matrix3<f64>,
+}
+
+impl Position {
+    /// Root of the mean variance over the three axes, metres: the σ of one coordinate on average.
+    pub fn sd_m(&self) -> f64 {
+        (self.covariance.trace() / 3.0).sqrt()
+    }
+}
+
+/// A band as seen in one view, sub-pixel.
+#[derive(Debug, Clone)]
+pub struct BandObservation {
+    /// Image of the middle of the band on the centre line, pixels: measured in this view alone.
+    pub centre_px: Point2<f64>,
+    /// Covariance of the centre, px².
+    pub covariance_px2: Matrix2<f64>,
+    /// Unit direction of the band's axis in the picture (sign: towards the tip once the markers are known).
+    pub axis: Vector2<f64>,
+    /// Standard deviation of the axis' direction, radians.
+    pub axis_sd_rad: f64,
+    /// Measured minus projected position of the estimate, pixels: does this view fit the others?
+    pub residual_px: Vector2<f64>,
+    /// RMS difference between picture and band model, in units of the stored samples (0..255).
+    pub fit_rms: f64,
+    /// Separation of the band's colour from what surrounds it: 1 as learned, 0 indistinguishable.
+    pub separation: f64,
+    /// Outline of the band as fitted, pixels, closed polygon.
+    pub outline_px: Vec<Point2<f64>>,
+}
+
+/// Direction of the coil.
+#[derive(Debug, Clone, Copy)]
+pub struct Tangent {
+    /// Unit vector in the camera frame, base to tip.
+    pub direction: Vector3<f64>,
+    /// Covariance of the unit vector (rank 2, across it), rad².
+    pub covariance: Matrix3<f64>,
+}
+
+impl Tangent {
+    /// Root of the mean variance over the two directions across, radians.
+    pub fn sd_rad(&self) -> f64 {
+        (self.covariance.trace() / 2.0).sqrt()
+    }
+}
+
+/// How far the coil is deflected from rest, in the base frame.
+#[derive(Debug, Clone, Copy)]
+pub struct Deflection {
+    /// θ = atan2(t·x, t·z), signed, radians.
+    pub theta_rad: f64,
+    /// Its standard deviation, radians.
+    pub theta_sd_rad: f64,
+    /// acos(t·z), radians.
+    pub polar_rad: f64,
+    /// atan2(t·y, t·x), radians.
+    pub azimuth_rad: f64,
+}
+
+/// Why a frame has no measurement: data, not an error.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Miss {
+    /// No band of this marker's colour was found in this view (index into the rig's views).
+    NotSeen {
+        /// The view.
+        view: usize,
+    },
+    /// More than one way to assign the candidates fits as well.
+    Ambiguous {
+        /// How many.
+        candidates: usize,
+    },
+    /// The views' rays pass each other too far away to be one band.
+    RaysDiverge {
+        /// Distance, metres.
+        distance_m: f64,
+    },
+    /// The picture does not look like a band of the known size there.
+    PoorFit {
+        /// χ² per degree of freedom.
+        chi2_per_dof: f64,
+    },
+    /// The marker that this depends on is missing.
+    MarkerMissing,
+    /// The rig has no base frame to measure deflection in.
+    NoBaseFrame,
+}
+
+impl Miss {
+    /// The word used in tables and logs; `views` are the rig's view names.
+    pub fn word(&self, views: &[&str]) -> String {
+        match self {
+            Self::NotSeen { view } => format!("not_seen_{}", views.get(*view).unwrap_or(&"view")),
+            Self::Ambiguous { .. } => "ambiguous".into(),
+            Self::RaysDiverge { .. } => "rays_diverge".into(),
+            Self::PoorFit { .. } => "poor_fit".into(),
+            Self::MarkerMissing => "marker_missing".into(),
+            Self::NoBaseFrame => "no_base_frame".into(),
+        }
+    }
+}

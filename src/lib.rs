@@ -1,0 +1,6 @@
+//! # Catoptra
+pub mod estimate;
+pub mod optics;
+pub mod rig;
+pub mod sink;
+pub mod source;

@@ -1,0 +1,3 @@
+//! The command `catoptra`.
+
+fn main() {}

@@ -1,0 +1,186 @@
+//! Pinhole and Brown-Conrady distortion with OpenCV's five parameters.
+//!
+//! x = X/Z, y = Y/Z; r² = x² + y²; radial factor c = 1 + k1 r² + k2 r⁴ + k3 r⁶;
+//! x_d = x c + 2 p1 x y + p2 (r² + 2 x²), y_d = y c + p1 (r² + 2 y²) + 2 p2 x y; u = fx x_d + cx, v = fy y_d + cy.
+//! Source: Brown, "Close-range camera calibration" (1971); parameter order k1, k2, p1, p2, k3 of OpenCV's calib3d.
+
+use nalgebra::{Matrix2, Point2, Vector2};
+
+/// Intrinsics of the one camera; the same for all views.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Lens {
+    /// Focal length along x and y, pixels.
+    pub focal_px: Vector2<f64>,
+    /// Principal point, pixels (pixel centres at integers).
+    pub principal_point_px: Point2<f64>,
+    /// k1, k2, p1, p2, k3 (dimensionless, OpenCV's order).
+    pub distortion: [f64; 5],
+}
+
+/// Why intrinsics are not usable.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum LensError {
+    /// A focal length that is not a positive number.
+    #[error("focal length is {0} px, expected a positive number")]
+    Focal(f64),
+    /// A parameter that is not a finite number.
+    #[error("{name} is {value}, expected a finite number")]
+    NotFinite {
+        /// Which parameter.
+        name: &'static str,
+        /// Its value.
+        value: f64,
+    },
+}
+
+/// Newton steps after which undistortion is given up; five are enough within a usable field of view.
+const MAX_STEPS: usize = 30;
+
+impl Lens {
+    /// Checks that the numbers describe a lens.
+    ///
+    /// # Errors
+    /// [`LensError`] with the offending value.
+    pub fn validate(&self) -> Result<(), LensError> {
+        for f in self.focal_px.iter().copied() {
+            if !(f.is_finite() && f > 0.0) {
+                return Err(LensError::Focal(f));
+            }
+        }
+        let named = [
+            ("principal point x", self.principal_point_px.x),
+            ("principal point y", self.principal_point_px.y),
+            ("distortion k1", self.distortion[0]),
+            ("distortion k2", self.distortion[1]),
+            ("distortion p1", self.distortion[2]),
+            ("distortion p2", self.distortion[3]),
+            ("distortion k3", self.distortion[4]),
+        ];
+        match named.into_iter().find(|(_, value)| !value.is_finite()) {
+            Some((name, value)) => Err(LensError::NotFinite { name, value }),
+            None => Ok(()),
+        }
+    }
+
+    /// Normalised coordinates (X/Z, Y/Z) to a pixel.
+    pub fn distort(&self, normalised: &Point2<f64>) -> Point2<f64> {
+        self.distort_with_jacobian(normalised).0
+    }
+
+    /// As [`Lens::distort`], with d pixel / d normalised.
+    pub fn distort_with_jacobian(&self, normalised: &Point2<f64>) -> (Point2<f64>, Matrix2<f64>) {
+        let [k1, k2, p1, p2, k3] = self.distortion;
+        let (x, y) = (normalised.x, normalised.y);
+        let r2 = x * x + y * y;
+        let radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));
+        let d_radial = k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3); // d radial / d r²
+        let xd = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x);
+        let yd = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y;
+        let cross = 2.0 * x * y * d_radial + 2.0 * p1 * x + 2.0 * p2 * y;
+        let j = Matrix2::new(
+            radial + 2.0 * x * x * d_radial + 2.0 * p1 * y + 6.0 * p2 * x,
+            cross,
+            cross,
+            radial + 2.0 * y * y * d_radial + 6.0 * p1 * y + 2.0 * p2 * x,
+        );
+        let f = self.focal_px;
+        (
+            Point2::new(f.x * xd + self.principal_point_px.x, f.y * yd + self.principal_point_px.y),
+            Matrix2::from_diagonal(&f) * j,
+        )
+    }
+
+    /// Pixel to normalised coordinates: the inverse of [`Lens::distort`] by Newton.
+    ///
+    /// `None` where the distortion polynomial folds over (the pixel has no unique direction).
+    pub fn undistort(&self, pixel: &Point2<f64>) -> Option<Point2<f64>> {
+        let f = self.focal_px;
+        let c = self.principal_point_px;
+        let mut guess = Point2::new((pixel.x - c.x) / f.x, (pixel.y - c.y) / f.y);
+        if self.distortion == [0.0; 5] {
+            return Some(guess);
+        }
+        // Pixels are compared at 1e-11 of the focal length: 1e-8 px and better, near the precision of f64.
+        let tolerance = 1e-13 * f.amax().max(1.0);
+        for _ in 0..MAX_STEPS {
+            let (at, j) = self.distort_with_jacobian(&guess);
+            let error = at - pixel;
+            if j.determinant() <= 0.0 {
+                return None; // beyond the fold
+            }
+            let step = j.try_inverse()? * error;
+            guess -= step;
+            if error.amax() <= tolerance || step.amax() < 1e-16 {
+                return guess.coords.iter().all(|v| v.is_finite()).then_some(guess);
+            }
+        }
+        // f64 may not reach the tolerance: accept what is far below any pixel noise, refuse divergence.
+        let rest = (self.distort(&guess) - pixel).amax();
+        (rest < 1e-9).then_some(guess)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn dev_lens() -> Lens {
+        Lens {
+            focal_px: Vector2::new(2712.4, 2706.9),
+            principal_point_px: Point2::new(643.7, 508.2),
+            distortion: [-0.11, 0.14, 0.0006, -0.0004, 0.0],
+        }
+    }
+
+    #[test]
+    fn a_point_distorted_by_hand() {
+        // x = 0.2, y = -0.1, r² = 0.05: c = 1 - 0.0055 + 0.00035 = 0.99485
+        // xd = 0.19897 + 2·0.0006·(-0.02) - 0.0004·(0.05 + 0.08) = 0.198894
+        // yd = -0.099485 + 0.0006·(0.05 + 0.02) + 2·(-0.0004)·(-0.02) = -0.099427
+        let pixel = dev_lens().distort(&Point2::new(0.2, -0.1));
+        assert!((pixel.x - (2712.4 * 0.198894 + 643.7)).abs() < 1e-9);
+        assert!((pixel.y - (2706.9 * -0.099427 + 508.2)).abs() < 1e-9);
+    }
+
+    #[test]
+    fn undistort_inverts_distort_to_1e_9_px_over_the_picture() {
+        let lens = dev_lens();
+        for i in 0..=16 {
+            for j in 0..=16 {
+                let pixel = Point2::new(f64::from(i) * 80.0, f64::from(j) * 64.0);
+                let back = lens.distort(&lens.undistort(&pixel).unwrap());
+                assert!((back - pixel).amax() < 1e-9, "{pixel} came back as {back}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_folded_polynomial_has_no_direction() {
+        let lens = Lens { distortion: [-0.5, 0.0, 0.0, 0.0, 0.0], ..dev_lens() };
+        // x(1 - x²/2) peaks at x = 0.816 with 0.544: no direction maps further out.
+        assert!(lens.undistort(&Point2::new(643.7 + 2712.4 * 0.6, 508.2)).is_none());
+    }
+
+    #[test]
+    fn jacobian_equals_differences() {
+        let lens = dev_lens();
+        let p = Point2::new(0.17, -0.21);
+        let (_, j) = lens.distort_with_jacobian(&p);
+        for k in 0..2 {
+            let mut step = Vector2::zeros();
+            step[k] = 1e-6;
+            let diff = (lens.distort(&(p + step)) - lens.distort(&(p - step))) / 2e-6;
+            assert!((j.column(k) - diff).amax() < 1e-5);
+        }
+    }
+
+    #[test]
+    fn nonsense_is_refused_with_its_value() {
+        let mut lens = dev_lens();
+        lens.focal_px.y = -3.0;
+        assert_eq!(lens.validate(), Err(LensError::Focal(-3.0)));
+        let mut lens = dev_lens();
+        lens.distortion[1] = f64::NAN;
+        assert!(lens.validate().unwrap_err().to_string().contains("k2"));
+    }
+}

@@ -1,0 +1,49 @@
+//! Where a marker is seen, and where a pixel looks: the lens, the surfaces, and the path through them.
+//!
+//! - [`Lens`]: pinhole and Brown-Conrady distortion, pixel <-> direction.
+//! - [`Surface`]: a plane mirror or a flat glass wall; what happens to a ray there.
+//! - [`OpticalPath`]: lens and an ordered list of surfaces; [`OpticalPath::trace`] and its inverse
+//!   [`OpticalPath::project`], both with Jacobians. Everything else in the project stands on these two.
+//!
+//! # Conventions
+//! Everything is in the `camera` frame (OpenCV: x right, y down, z forward), metres. Pixel (0, 0) is the centre of the
+//! top-left pixel. A plane is `n·X = d`.
+
+mod lens;
+mod path;
+mod surface;
+
+pub use lens::{Lens, LensError};
+pub use path::{NoRay, OpticalPath, Projection, Tracing};
+pub use surface::{Mirror, Plane, PlaneError, Surface, Wall};
+
+use nalgebra::{Matrix3x2, Point3, Vector3};
+
+/// A half-line in the camera frame: `origin + s·direction`, s ≥ 0, metres; `direction` has unit length.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Ray {
+    /// Where the ray enters the last medium (camera centre when no surface is met), metres.
+    pub origin: Point3<f64>,
+    /// Unit direction of travel, away from the camera.
+    pub direction: Vector3<f64>,
+}
+
+impl Ray {
+    /// The point `distance_m` along the ray.
+    pub fn at(&self, distance_m: f64) -> Point3<f64> {
+        self.origin + self.direction * distance_m
+    }
+
+    /// Distance along the ray of the point nearest to `point`, metres (negative: behind the origin).
+    pub fn nearest(&self, point: &Point3<f64>) -> f64 {
+        (point - self.origin).dot(&self.direction)
+    }
+}
+
+/// A ray with its derivative with respect to two parameters (normalised image coordinates, or pixels).
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct RayWithJacobian {
+    pub ray: Ray,
+    pub d_origin: Matrix3x2<f64>,
+    pub d_direction: Matrix3x2<f64>,
+}

@@ -1,0 +1,98 @@
+//! [`Rig`]: everything known about camera, mirror, tank, catheter and base frame.
+//!
+//! Inside: SI units, camera frame. `rig.toml` (read and written by this module, documented in `calibration/README.md`)
+//! holds the same in mm and pixels.
+
+use crate::optics::{Lens, OpticalPath, Surface};
+use nalgebra::{Isometry3, Point2, Vector3};
+use std::collections::BTreeMap;
+
+/// A checked rig.
+#[derive(Debug, Clone)]
+pub struct Rig {
+    /// Picture size and lens.
+    pub camera: Camera,
+    /// Named surfaces, as the views' paths refer to them.
+    pub surfaces: BTreeMap<String, Surface>,
+    /// Views, in the file's order.
+    pub views: Vec<View>,
+    /// Markers, in the file's order (= along the tube from the base).
+    pub markers: Vec<Marker>,
+    /// The tube.
+    pub catheter: Catheter,
+    /// The base frame, once known.
+    pub base: Option<Base>,
+    /// Where the numbers come from: kept as written.
+    pub provenance: toml::Table,
+}
+
+/// The camera.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Camera {
+    /// Width and height of its pictures, pixels.
+    pub size_px: [u32; 2],
+    /// The lens.
+    pub lens: Lens,
+    /// Blur of lens and sensor: standard deviation of the point spread, pixels, once measured.
+    pub blur_px: Option<f64>,
+}
+
+/// One way the camera sees the markers.
+#[derive(Debug, Clone)]
+pub struct View {
+    /// Its name, e.g. `direct`, `mirror`.
+    pub name: String,
+    /// Names of the surfaces, in the order a camera ray meets them.
+    pub path: Vec<String>,
+    /// The same with the surfaces themselves.
+    pub optics: OpticalPath,
+    /// Where in the picture this view is, pixels, polygon; empty: anywhere.
+    pub region_px: Vec<Point2<f64>>,
+}
+
+/// A coloured band.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Marker {
+    /// Its name, e.g. `base`, `coil`, `tip`.
+    pub name: String,
+    /// Length along the tube, metres.
+    pub length_m: f64,
+    /// Place of its middle along the tube, metres from the clamp, once known.
+    pub centre_m: Option<f64>,
+    /// How to tell it by its colour, once learned.
+    pub colour: Option<ColourModel>,
+}
+
+/// How a band's colour is told from everything else: a linear discriminant of R'G'B' (0..255, full range).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ColourModel {
+    /// Weights of R', G', B'.
+    pub weights: Vector3<f64>,
+    /// score = weights·rgb + bias; 1 on the band, 0 elsewhere, both on average.
+    pub bias: f64,
+    /// Mean colour of the band, R'G'B' 0..255.
+    pub rgb: Vector3<f64>,
+}
+
+/// The tube and the roles of its bands.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Catheter {
+    /// Outer diameter, metres.
+    pub diameter_m: f64,
+    /// Index of the marker whose tangent is wanted (the coil).
+    pub coil: usize,
+    /// Index of the marker that ends the tube, if one does.
+    pub end: Option<usize>,
+}
+
+/// The base frame S: origin at the base marker at rest, z along the tangent at rest (base to tip), x along B0 made
+/// orthogonal to z, y = z × x.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Base {
+    /// Transform of points from the camera frame to the base frame, metres.
+    pub base_from_camera: Isometry3<f64>,
+    /// Unit direction of the main magnetic field B0, camera frame.
+    pub b0: Vector3<f64>,
+    /// Unit direction of gravity, camera frame, if known.
+    pub gravity: Option<Vector3<f64>>,
+}

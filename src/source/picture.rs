@@ -1,0 +1,366 @@
+//! A picture as the camera or decoder delivered it, and how its samples map to places and colours.
+
+/// How samples are stored, 8 bits each.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum PixelFormat {
+    /// Planar Y, U, V; chroma subsampled by 2^log2 in x and y (4:2:0 is [1, 1], 4:4:4 is [0, 0]).
+    Yuv {
+        /// log2 of the chroma subsampling in x and y.
+        chroma_log2: [u8; 2],
+    },
+    /// Y plane, then U and V interleaved, subsampled by 2 in x and y (NV12).
+    Nv12,
+    /// R, G, B as three planes.
+    RgbPlanar,
+    /// Interleaved R, G, B with `step` bytes a pixel (3 or 4) and the place of each channel in it.
+    RgbPacked {
+        /// Bytes a pixel.
+        step: u8,
+        /// Byte of R, G and B within the pixel.
+        order: [u8; 3],
+    },
+    /// One plane of grey.
+    Grey,
+}
+
+/// Luma weights of the YUV matrix.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Matrix {
+    /// ITU-R BT.601.
+    Bt601,
+    /// ITU-R BT.709.
+    Bt709,
+    /// ITU-R BT.2020, non-constant luminance.
+    Bt2020,
+}
+
+impl Matrix {
+    /// Weights of R and B in luma (that of G is what is left to 1).
+    pub fn luma_weights(self) -> (f64, f64) {
+        match self {
+            Self::Bt601 => (0.299, 0.114),
+            Self::Bt709 => (0.2126, 0.0722),
+            Self::Bt2020 => (0.2627, 0.0593),
+        }
+    }
+}
+
+/// Range of the stored numbers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Range {
+    /// 16..235 for luma, 16..240 for chroma ("tv").
+    Limited,
+    /// 0..255 ("pc").
+    Full,
+}
+
+/// Transfer function from linear light to the stored R'G'B'.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Transfer {
+    /// ITU-R BT.709 (and BT.601, BT.2020).
+    Bt709,
+    /// IEC 61966-2-1 (sRGB).
+    Srgb,
+    /// Samples are proportional to light.
+    Linear,
+}
+
+/// Where a chroma sample sits relative to the luma samples it belongs to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ChromaSiting {
+    /// Horizontally on the left luma column, vertically between two rows (MPEG-2, H.264 default).
+    Left,
+    /// In the middle of its luma samples (JPEG, MPEG-1).
+    Center,
+    /// On the top left luma sample.
+    TopLeft,
+}
+
+/// How stored numbers relate to colours, from the stream's own tags.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Colour {
+    /// YUV matrix.
+    pub matrix: Matrix,
+    /// Range.
+    pub range: Range,
+    /// Transfer function.
+    pub transfer: Transfer,
+    /// Chroma siting.
+    pub siting: ChromaSiting,
+}
+
+/// One channel of a picture. Sample (i, j) lies at byte `j·stride + i·step` of `data` and stands for the place
+/// `(i·scale_x + offset_x, j·scale_y + offset_y)` in pixels.
+#[derive(Debug, Clone, Copy)]
+pub struct Plane<'a> {
+    /// Bytes, starting at sample (0, 0).
+    pub data: &'a [u8],
+    /// Bytes from row to row.
+    pub stride: usize,
+    /// Bytes from sample to sample.
+    pub step: usize,
+    /// Samples in a row.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// Pixels a sample, in x and y (1, 2 or 4).
+    pub scale: [u32; 2],
+    /// Place of sample (0, 0) in pixels.
+    pub offset: [f64; 2],
+}
+
+impl Plane<'_> {
+    /// The bytes of row `j` (`None` outside), sample (0, j) first.
+    pub fn row(&self, j: usize) -> Option<&[u8]> {
+        if j >= self.height {
+            return None;
+        }
+        let start = j * self.stride;
+        self.data.get(start..start + (self.width.checked_sub(1)?) * self.step + 1)
+    }
+}
+
+/// One picture, as it was decoded.
+pub struct Picture {
+    width: u32,
+    height: u32,
+    format: PixelFormat,
+    colour: Colour,
+    storage: Storage,
+}
+
+impl std::fmt::Debug for Picture {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "Picture({}x{} {:?} {:?})", self.width, self.height, self.format, self.colour)
+    }
+}
+
+/// Who owns the samples: no copy is made of what libav decoded.
+enum Storage {
+    /// Byte planes without padding between rows.
+    Bytes(Vec<Vec<u8>>),
+    Decoded(ffmpeg_the_third::frame::Video),
+}
+
+/// Why samples are not a picture.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum PictureError {
+    /// A plane is missing or has the wrong number of bytes.
+    #[error("plane {plane} has {found} bytes, expected {expected} for {width}x{height}")]
+    PlaneSize {
+        /// Which plane.
+        plane: usize,
+        /// Bytes found (0: plane missing).
+        found: usize,
+        /// Bytes expected.
+        expected: usize,
+        /// Width of the picture.
+        width: u32,
+        /// Height of the picture.
+        height: u32,
+    },
+    /// A pixel format that is not read without conversion.
+    #[error("pixel format {0} is not supported")]
+    Format(String),
+    /// Width or height is zero.
+    #[error("picture of {0}x{1} pixels")]
+    Empty(u32, u32),
+}
+
+impl PixelFormat {
+    /// How many channels: 3 for colour, 1 for grey.
+    pub fn channels(self) -> usize {
+        if self == Self::Grey { 1 } else { 3 }
+    }
+
+    /// Whether channels are Y, U, V (else R, G, B, or grey).
+    pub fn is_yuv(self) -> bool {
+        matches!(self, Self::Yuv { .. } | Self::Nv12)
+    }
+
+    fn chroma_log2(self) -> [u8; 2] {
+        match self {
+            Self::Yuv { chroma_log2 } => chroma_log2,
+            Self::Nv12 => [1, 1],
+            _ => [0, 0],
+        }
+    }
+
+    /// Of channel `i`: storage plane, first byte in it, bytes a sample, subsampling as log2.
+    fn layout(self, i: usize) -> (usize, usize, usize, [u8; 2]) {
+        let sub = if i == 0 { [0, 0] } else { self.chroma_log2() };
+        match self {
+            Self::Yuv { .. } | Self::RgbPlanar => (i, 0, 1, sub),
+            Self::Nv12 if i == 0 => (0, 0, 1, sub),
+            Self::Nv12 => (1, i - 1, 2, sub),
+            Self::RgbPacked { step, order } => (0, usize::from(order[i]), usize::from(step), sub),
+            Self::Grey => (0, 0, 1, sub),
+        }
+    }
+}
+
+impl Colour {
+    /// sRGB pictures, as files of pictures hold them.
+    pub const SRGB: Self =
+        Self { matrix: Matrix::Bt709, range: Range::Full, transfer: Transfer::Srgb, siting: ChromaSiting::Center };
+
+    /// Channel `i` of a picture in `format` as weights of R', G', B' (0..255 each) and a constant:
+    /// stored = weights·rgb + constant. ITU-R BT.709-6 §3, BT.601-7 §2.5.
+    pub fn channel_from_rgb(&self, format: PixelFormat, i: usize) -> ([f64; 3], f64) {
+        if !format.is_yuv() && format != PixelFormat::Grey {
+            let mut w = [0.0; 3];
+            w[i] = 1.0;
+            return (w, 0.0);
+        }
+        let (kr, kb) = self.matrix.luma_weights();
+        let luma = [kr, 1.0 - kr - kb, kb];
+        let (luma_scale, chroma_scale, black) = match self.range {
+            Range::Limited => (219.0 / 255.0, 224.0 / 255.0, 16.0),
+            Range::Full => (1.0, 1.0, 0.0),
+        };
+        let difference = |channel: usize, k: f64| {
+            let scale = chroma_scale * 0.5 / (1.0 - k);
+            let mut w = luma.map(|l| -l * scale);
+            w[channel] += scale;
+            (w, 128.0)
+        };
+        match i {
+            0 => (luma.map(|l| l * luma_scale), black),
+            1 => difference(2, kb),
+            _ => difference(0, kr),
+        }
+    }
+}
+
+impl Picture {
+    /// A picture from byte planes without padding: one a stored plane of `format`.
+    ///
+    /// # Errors
+    /// When a plane is missing or has the wrong size.
+    pub fn from_planes(
+        width: u32,
+        height: u32,
+        format: PixelFormat,
+        colour: Colour,
+        planes: Vec<Vec<u8>>,
+    ) -> Result<Self, PictureError> {
+        if width == 0 || height == 0 {
+            return Err(PictureError::Empty(width, height));
+        }
+        let picture = Self { width, height, format, colour, storage: Storage::Bytes(planes) };
+        for channel in 0..format.channels() {
+            let (plane, _, step, _) = format.layout(channel);
+            let [w, h] = picture.samples(channel);
+            let expected = w * h * step;
+            let found = match &picture.storage {
+                Storage::Bytes(planes) => planes.get(plane).map_or(0, Vec::len),
+                Storage::Decoded(_) => expected,
+            };
+            if found != expected {
+                return Err(PictureError::PlaneSize { plane, found, expected, width, height });
+            }
+        }
+        Ok(picture)
+    }
+
+    /// A decoded frame, without a copy. `format` must be the layout of the frame's own pixel format.
+    pub(crate) fn from_decoded(frame: ffmpeg_the_third::frame::Video, format: PixelFormat, colour: Colour) -> Self {
+        Self { width: frame.width(), height: frame.height(), format, colour, storage: Storage::Decoded(frame) }
+    }
+
+    /// Width and height, pixels.
+    pub fn size_px(&self) -> [u32; 2] {
+        [self.width, self.height]
+    }
+
+    /// How samples are stored.
+    pub fn format(&self) -> PixelFormat {
+        self.format
+    }
+
+    /// How stored numbers relate to colours.
+    pub fn colour(&self) -> Colour {
+        self.colour
+    }
+
+    /// Samples in a row and rows of channel `i`.
+    fn samples(&self, i: usize) -> [usize; 2] {
+        let (_, _, _, sub) = self.format.layout(i);
+        let up = |n: u32, log2: u8| (n as usize + (1 << log2) - 1) >> log2;
+        [up(self.width, sub[0]), up(self.height, sub[1])]
+    }
+
+    /// Channel `i`: Y, U, V or R, G, B or grey; `None` when the format has no such channel.
+    pub fn plane(&self, i: usize) -> Option<Plane<'_>> {
+        if i >= self.format.channels() {
+            return None;
+        }
+        let (plane, first, step, sub) = self.format.layout(i);
+        let [width, height] = self.samples(i);
+        let (bytes, stride) = match &self.storage {
+            Storage::Bytes(planes) => (planes.get(plane)?.as_slice(), width * step),
+            Storage::Decoded(frame) => (frame.data(plane), frame.stride(plane)),
+        };
+        let middle = |log2: u8| (f64::from(1_u32 << log2) - 1.0) / 2.0;
+        let offset = match self.colour.siting {
+            ChromaSiting::Left => [0.0, middle(sub[1])],
+            ChromaSiting::Center => [middle(sub[0]), middle(sub[1])],
+            ChromaSiting::TopLeft => [0.0, 0.0],
+        };
+        Some(Plane {
+            data: bytes.get(first..)?,
+            stride,
+            step,
+            width,
+            height,
+            scale: [1 << sub[0], 1 << sub[1]],
+            offset,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const YUV420: PixelFormat = PixelFormat::Yuv { chroma_log2: [1, 1] };
+
+    #[test]
+    fn bt709_limited_white_black_and_blue() {
+        let colour = Colour { matrix: Matrix::Bt709, range: Range::Limited, ..Colour::SRGB };
+        let value = |rgb: [f64; 3]| {
+            [0, 1, 2].map(|i| {
+                let (w, c) = colour.channel_from_rgb(YUV420, i);
+                w[0] * rgb[0] + w[1] * rgb[1] + w[2] * rgb[2] + c
+            })
+        };
+        let near = |a: [f64; 3], b: [f64; 3]| a.iter().zip(b).all(|(x, y)| (x - y).abs() < 0.01);
+        assert!(near(value([255.0; 3]), [235.0, 128.0, 128.0]));
+        assert!(near(value([0.0; 3]), [16.0, 128.0, 128.0]));
+        // BT.709: Y = 16 + 219·0.0722, U = 240, V = 128 - 224·0.0722/(2·(1-0.2126))
+        assert!(near(value([0.0, 0.0, 255.0]), [31.81, 240.0, 117.73]));
+    }
+
+    #[test]
+    fn chroma_planes_of_odd_sizes_round_up_and_know_their_place() {
+        let picture = Picture::from_planes(
+            5,
+            3,
+            YUV420,
+            Colour { siting: ChromaSiting::Left, ..Colour::SRGB },
+            vec![vec![0; 15], vec![0; 6], vec![0; 6]],
+        )
+        .unwrap();
+        let u = picture.plane(1).unwrap();
+        assert_eq!((u.width, u.height, u.scale, u.offset), (3, 2, [2, 2], [0.0, 0.5]));
+        assert!(picture.plane(3).is_none());
+        assert_eq!(u.row(1).unwrap().len(), 3);
+        assert!(u.row(2).is_none());
+    }
+
+    #[test]
+    fn a_plane_of_the_wrong_size_is_named() {
+        let error = Picture::from_planes(4, 4, PixelFormat::Grey, Colour::SRGB, vec![vec![0; 15]]).unwrap_err();
+        assert_eq!(error.to_string(), "plane 0 has 15 bytes, expected 16 for 4x4");
+    }
+}
