@@ -4,3 +4,4 @@ pub mod optics;
 pub mod rig;
 pub mod sink;
 pub mod source;
+pub mod track;

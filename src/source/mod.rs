@@ -6,7 +6,7 @@
 
 mod picture;
 
-pub use picture::{ChromaSiting, Colour, Matrix, Picture, PictureError, PixelFormat, Plane, Range, Transfer};
+pub use picture::{ChromaSiting, Colour, Matrix, Picture, PictureError, PixelFormat, Plane, Range, RgbFromStored, Transfer};
 
 /// Which clock a time stamp was read from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

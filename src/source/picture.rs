@@ -1,5 +1,7 @@
 //! A picture as the camera or decoder delivered it, and how its samples map to places and colours.
 
+use nalgebra::{Matrix3, Vector3};
+
 /// How samples are stored, 8 bits each.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum PixelFormat {
@@ -117,6 +119,22 @@ impl Plane<'_> {
         }
         let start = j * self.stride;
         self.data.get(start..start + (self.width.checked_sub(1)?) * self.step + 1)
+    }
+}
+
+/// Affine map from stored channels (Y, U, V or R, G, B) to R', G', B' (0..255): linear·(stored − black).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RgbFromStored {
+    /// Linear part.
+    pub linear: Matrix3<f64>,
+    /// Stored values of black.
+    pub black: Vector3<f64>,
+}
+
+impl RgbFromStored {
+    /// R', G', B' of stored values; not clamped.
+    pub fn apply(&self, stored: &Vector3<f64>) -> Vector3<f64> {
+        self.linear * (stored - self.black)
     }
 }
 
@@ -281,6 +299,19 @@ impl Picture {
     /// How stored numbers relate to colours.
     pub fn colour(&self) -> Colour {
         self.colour
+    }
+
+    /// The affine map from stored channels to R', G', B' (0..255); `None` for grey.
+    pub fn rgb_from_stored(&self) -> Option<RgbFromStored> {
+        if self.format == PixelFormat::Grey {
+            return None;
+        }
+        let rows: [([f64; 3], f64); 3] = [0, 1, 2].map(|i| self.colour.channel_from_rgb(self.format, i));
+        let stored_from_rgb = Matrix3::from_fn(|i, j| rows[i].0[j]);
+        Some(RgbFromStored {
+            linear: stored_from_rgb.try_inverse()?,
+            black: Vector3::new(rows[0].1, rows[1].1, rows[2].1),
+        })
     }
 
     /// Samples in a row and rows of channel `i`.

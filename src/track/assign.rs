@@ -1,0 +1,294 @@
+//! Which blob is which marker in which view. Holds ALL memory of earlier frames.
+//!
+//! For each marker every combination of one blob a view is triangulated; what remains are candidates whose rays meet and
+//! whose blobs have the size of the band at that distance. The markers are then chosen together, along the tube, by
+//! dynamic programming: reprojection error, size, distance from where the marker was, and whether neighbours on the tube
+//! are as far apart as the tube allows. A second choice nearly as good somewhere else makes a marker ambiguous.
+//!
+//! Cannot detect: a distractor of the same colour, size and place along the tube, seen in all views.
+
+use super::triangulate::{Sighting, triangulate};
+use crate::estimate::Miss;
+use crate::rig::{Rig, View};
+use crate::segment::{Blob, Window};
+use crate::source::Timestamp;
+use nalgebra::{Matrix2, Point2, Point3, Vector2};
+
+/// A blob's centre is that of the visible surface, not of the band: up to about this far off, pixels.
+const CENTRE_SD_PX: f64 = 1.0;
+/// χ² per degree of freedom beyond which rays do not meet.
+const MEET_CHI2: f64 = 16.0;
+/// A blob may show this much less or more than the band's outline (foreshortening, shading, partial cover).
+const SIZE_RATIO: (f64, f64) = (0.2, 3.0);
+/// Blobs considered for a marker in a view, largest first.
+const MOST_BLOBS: usize = 8;
+/// How fast a marker may move, and the uncertainty of where it was.
+const FASTEST_M_S: f64 = 0.8;
+const PLACE_SD_M: f64 = 5e-3;
+/// A place older than this is forgotten.
+const MEMORY_S: f64 = 0.25;
+/// Cost of leaving a marker out, and of leaving a view out of one.
+const MISSING_COST: f64 = 40.0;
+const MISSING_VIEW_COST: f64 = 10.0;
+/// Two choices further apart than this are different places; the second must cost this much more.
+const DIFFERENT_M: f64 = 3e-3;
+const CLEAR_COST: f64 = 4.0;
+/// Longest plausible distance of neighbouring bands whose places along the tube are unknown, metres.
+const LONGEST_GAP_M: f64 = 0.3;
+
+/// A marker found.
+#[derive(Debug, Clone)]
+pub(crate) struct Assigned {
+    /// Triangulated from the blobs' centres, camera frame, metres.
+    pub point: Point3<f64>,
+    /// The blob in each view, by index.
+    pub blobs: Vec<Option<usize>>,
+}
+
+/// Assignment with memory.
+#[derive(Debug)]
+pub(crate) struct Assigner {
+    last: Vec<Option<(Point3<f64>, Timestamp)>>,
+}
+
+struct Candidate {
+    assigned: Assigned,
+    cost: f64,
+}
+
+impl Assigner {
+    pub(crate) fn new(rig: &Rig) -> Self {
+        Self { last: vec![None; rig.markers.len()] }
+    }
+
+    /// Remembers where a marker is.
+    pub(crate) fn remember(&mut self, marker: usize, point: Point3<f64>, stamp: Timestamp) {
+        if let Some(last) = self.last.get_mut(marker) {
+            *last = Some((point, stamp));
+        }
+    }
+
+    fn recent(&self, marker: usize, stamp: Timestamp) -> Option<(Point3<f64>, f64)> {
+        let (point, seen) = (*self.last.get(marker)?)?;
+        let age = (stamp.ns - seen.ns) as f64 * 1e-9;
+        (0.0..MEMORY_S).contains(&age).then_some((point, age))
+    }
+
+    /// Where to look for each marker in each view; `None` when a marker's place is not known well enough.
+    pub(crate) fn windows(&self, rig: &Rig, stamp: Timestamp) -> Option<Vec<(usize, Window)>> {
+        let mut windows = Vec::with_capacity(rig.markers.len() * rig.views.len());
+        for (m, marker) in rig.markers.iter().enumerate() {
+            let (point, age) = self.recent(m, stamp)?;
+            let reach_m = PLACE_SD_M + FASTEST_M_S * age + marker.length_m;
+            for view in &rig.views {
+                let seen = view.optics.project_with_jacobian(&point).ok()?;
+                let reach_px = reach_m * seen.d_pixel.norm() / std::f64::consts::SQRT_2;
+                windows.push((m, Window::around(seen.pixel, reach_px, rig.camera.size_px)?));
+            }
+        }
+        Some(windows)
+    }
+
+    /// Chooses a blob a view for every marker, or says why not.
+    pub(crate) fn assign(&self, rig: &Rig, blobs: &[Blob], stamp: Timestamp) -> Vec<Result<Assigned, Miss>> {
+        let mut rejected = vec![None; rig.markers.len()];
+        let candidates: Vec<Vec<Candidate>> =
+            (0..rig.markers.len()).map(|m| self.candidates(rig, m, blobs, stamp, &mut rejected[m])).collect();
+        let best = choose(rig, &candidates, None);
+        (0..rig.markers.len())
+            .map(|m| {
+                let Some(chosen) = best.choice[m] else {
+                    return Err(rejected[m].clone().unwrap_or(Miss::NotSeen { view: unseen(rig, m, blobs) }));
+                };
+                let here = &candidates[m][chosen].assigned;
+                let elsewhere = choose(rig, &candidates, Some((m, here.point)));
+                if elsewhere.choice[m].is_some() && elsewhere.cost < best.cost + CLEAR_COST {
+                    let close = candidates[m].iter().filter(|c| c.cost < candidates[m][chosen].cost + CLEAR_COST).count();
+                    return Err(Miss::Ambiguous { candidates: close.max(2) });
+                }
+                Ok(here.clone())
+            })
+            .collect()
+    }
+
+    /// Combinations of blobs whose rays meet where a band of the marker's size would look like them.
+    fn candidates(
+        &self,
+        rig: &Rig,
+        marker: usize,
+        blobs: &[Blob],
+        stamp: Timestamp,
+        rejected: &mut Option<Miss>,
+    ) -> Vec<Candidate> {
+        let per_view: Vec<Vec<usize>> = rig.views.iter().map(|view| in_view(marker, view, blobs)).collect();
+        let mut found = Vec::new();
+        let mut choice = vec![0; per_view.len()]; // 0: none, i: blob i−1
+        loop {
+            let picked: Vec<Option<usize>> =
+                choice.iter().zip(&per_view).map(|(&i, list)| i.checked_sub(1).map(|i| list[i])).collect();
+            if picked.iter().flatten().count() >= 2 && distinct(&picked) {
+                match self.weigh(rig, marker, blobs, &picked, stamp) {
+                    Ok(candidate) => found.push(candidate),
+                    Err(Some(miss)) if rejected.is_none() => *rejected = Some(miss),
+                    Err(_) => {}
+                }
+            }
+            // Next combination, as on an odometer.
+            let Some(turn) = (0..choice.len()).find(|&v| choice[v] < per_view[v].len()) else { break };
+            choice[turn] += 1;
+            choice[..turn].fill(0);
+        }
+        found
+    }
+
+    fn weigh(
+        &self,
+        rig: &Rig,
+        marker: usize,
+        blobs: &[Blob],
+        picked: &[Option<usize>],
+        stamp: Timestamp,
+    ) -> Result<Candidate, Option<Miss>> {
+        let used = || picked.iter().enumerate().filter_map(|(v, blob)| blob.map(|b| (&rig.views[v], &blobs[b])));
+        let sightings: Vec<Sighting<'_>> = used()
+            .map(|(view, blob)| Sighting {
+                optics: &view.optics,
+                pixel: blob.centre_px,
+                covariance_px2: blob.covariance_px2 + Matrix2::identity() * CENTRE_SD_PX.powi(2),
+            })
+            .collect();
+        let met = triangulate(&sightings).ok_or(None)?;
+        let freedom = (2 * sightings.len() - 3) as f64;
+        if met.chi2 > MEET_CHI2 * freedom {
+            return Err(Some(Miss::RaysDiverge { distance_m: met.ray_distance_m }));
+        }
+        let mut cost = met.chi2 + MISSING_VIEW_COST * (picked.len() - sightings.len()) as f64;
+        for (view, blob) in used() {
+            let seen = view.optics.project_with_jacobian(&met.point).map_err(|_| None)?;
+            let px_per_m = seen.d_pixel.norm() / std::f64::consts::SQRT_2;
+            let expected = px_per_m.powi(2) * rig.markers[marker].length_m * rig.catheter.diameter_m;
+            let ratio = blob.area_px2 / expected;
+            if !(SIZE_RATIO.0..SIZE_RATIO.1).contains(&ratio) {
+                return Err(None);
+            }
+            cost += (ratio.ln() / 0.5).powi(2);
+        }
+        if let Some((place, age)) = self.recent(marker, stamp) {
+            cost += ((met.point - place).norm() / (PLACE_SD_M + FASTEST_M_S * age)).powi(2);
+        }
+        Ok(Candidate { assigned: Assigned { point: met.point, blobs: picked.to_vec() }, cost })
+    }
+}
+
+/// One blob cannot be two views of a marker (views without a region share the picture).
+fn distinct(picked: &[Option<usize>]) -> bool {
+    picked.iter().enumerate().all(|(i, blob)| blob.is_none() || !picked[..i].contains(blob))
+}
+
+/// Blobs of a marker inside a view's region, largest first.
+fn in_view(marker: usize, view: &View, blobs: &[Blob]) -> Vec<usize> {
+    let mut list: Vec<usize> =
+        (0..blobs.len()).filter(|&b| blobs[b].marker == marker && view.shows(&blobs[b].centre_px)).collect();
+    list.sort_by(|&a, &b| blobs[b].area_px2.total_cmp(&blobs[a].area_px2));
+    list.truncate(MOST_BLOBS);
+    list
+}
+
+/// The first view in which a marker has no blob (the last one if all have).
+fn unseen(rig: &Rig, marker: usize, blobs: &[Blob]) -> usize {
+    (0..rig.views.len()).find(|&v| in_view(marker, &rig.views[v], blobs).is_empty()).unwrap_or(rig.views.len() - 1)
+}
+
+struct Choice {
+    choice: Vec<Option<usize>>,
+    cost: f64,
+}
+
+/// The cheapest choice of one candidate, or none, a marker; neighbours on the tube must be as far apart as it allows.
+/// `except`: a marker that must not be near a place.
+fn choose(rig: &Rig, candidates: &[Vec<Candidate>], except: Option<(usize, Point3<f64>)>) -> Choice {
+    // States of marker m: its candidates, then "none". A "none" hands the last chosen neighbour on unchecked.
+    let mut costs: Vec<Vec<f64>> = Vec::with_capacity(candidates.len());
+    let mut from: Vec<Vec<usize>> = Vec::with_capacity(candidates.len());
+    for (m, list) in candidates.iter().enumerate() {
+        let own = |k: usize| match list.get(k) {
+            None => MISSING_COST,
+            Some(c) => match except {
+                Some((marker, place)) if marker == m && (c.assigned.point - place).norm() < DIFFERENT_M => f64::INFINITY,
+                _ => c.cost,
+            },
+        };
+        let (mut row, mut back) = (Vec::new(), Vec::new());
+        for k in 0..=list.len() {
+            let before = m.checked_sub(1).map(|p| (p, &costs[p]));
+            let (cost, previous) = match before {
+                None => (0.0, 0),
+                Some((p, costs)) => (0..costs.len())
+                    .map(|j| (costs[j] + apart(rig, p, &candidates[p], j, list, k), j))
+                    .min_by(|a, b| a.0.total_cmp(&b.0))
+                    .unwrap_or((0.0, 0)),
+            };
+            row.push(cost + own(k));
+            back.push(previous);
+        }
+        costs.push(row);
+        from.push(back);
+    }
+    let mut choice = vec![None; candidates.len()];
+    let last = costs.last().map_or(&[][..], Vec::as_slice);
+    let Some((mut state, cost)) = last.iter().copied().enumerate().min_by(|a, b| a.1.total_cmp(&b.1)) else {
+        return Choice { choice, cost: 0.0 };
+    };
+    for m in (0..candidates.len()).rev() {
+        choice[m] = (state < candidates[m].len()).then_some(state);
+        state = from[m][state];
+    }
+    Choice { choice, cost }
+}
+
+/// Cost of marker `p` at candidate `j` and the next marker on the tube at `k`: infinite where the tube cannot reach.
+fn apart(rig: &Rig, p: usize, before: &[Candidate], j: usize, list: &[Candidate], k: usize) -> f64 {
+    let (Some(a), Some(b)) = (before.get(j), list.get(k)) else { return 0.0 };
+    let distance = (a.assigned.point - b.assigned.point).norm();
+    let longest = match (rig.markers[p].centre_m, rig.markers[p + 1].centre_m) {
+        (Some(a), Some(b)) => (b - a).abs() * 1.05 + 2e-3,
+        _ => LONGEST_GAP_M,
+    };
+    let shortest = (rig.markers[p].length_m + rig.markers[p + 1].length_m) / 2.0 * 0.5;
+    if (shortest..longest).contains(&distance) { 0.0 } else { f64::INFINITY }
+}
+
+/// Direction in space whose image runs along `axes[v]` in each view, up to sign; `None` when the views leave it open.
+pub(crate) fn direction_of_axes(views: &[(&View, Vector2<f64>)], point: &Point3<f64>) -> Option<nalgebra::Vector3<f64>> {
+    let mut normal = nalgebra::Matrix3::zeros();
+    for (view, axis) in views {
+        let seen = view.optics.project_with_jacobian(point).ok()?;
+        let plane = seen.d_pixel.transpose() * Vector2::new(-axis.y, axis.x);
+        let plane = plane.normalize();
+        normal += plane * plane.transpose();
+    }
+    let eigen = normal.symmetric_eigen();
+    let smallest = eigen.eigenvalues.imin();
+    let mut sorted: Vec<f64> = eigen.eigenvalues.iter().copied().collect();
+    sorted.sort_by(f64::total_cmp);
+    (sorted[1] > 0.02).then(|| eigen.eigenvectors.column(smallest).into())
+}
+
+impl View {
+    /// Whether a pixel belongs to this view's region (even-odd rule; no region: everywhere).
+    pub fn shows(&self, pixel: &Point2<f64>) -> bool {
+        if self.region_px.is_empty() {
+            return true;
+        }
+        let mut inside = false;
+        let mut previous = self.region_px[self.region_px.len() - 1];
+        for corner in &self.region_px {
+            if (corner.y > pixel.y) != (previous.y > pixel.y) {
+                let x = corner.x + (pixel.y - corner.y) / (previous.y - corner.y) * (previous.x - corner.x);
+                inside ^= pixel.x < x;
+            }
+            previous = *corner;
+        }
+        inside
+    }
+}

@@ -1,0 +1,329 @@
+//! Least squares of a stretch of tube against the pictures of all views at once.
+//!
+//! In: where the bands are to a few tenths of a pixel. Out: centre line with covariance, and what each view says.
+//! Unknown are the shape (tube.rs, common to all views) and the colours of each view (appearance.rs); all samples of all
+//! views are compared with the model in one Levenberg-Marquardt iteration, so that what one view cannot see another
+//! decides, through the refracted rays. Two rounds: the first settles the shape with a stated noise, the second selects
+//! the samples anew and weighs them by the noise that the first one left.
+//!
+//! Covariance: H⁻¹ M H⁻¹ with M from the residuals themselves, because errors of a decoder are correlated between
+//! neighbours and stronger near edges.
+//!
+//! Assumptions, each a weak prior that enters the covariance: curvature below 30 /m, changing by less than 200 /m per
+//! metre below the coil; light changes by less than 30 % over a centimetre of tube.
+
+use super::appearance::{CAP, FIXED, GRADIENT, Layout, PER_SEGMENT, SHADING};
+use super::patch::{ImageModel, Noise, Normal, Patch};
+use super::tube::{SHAPE, ShapeStep, TubeImage, TubeShape};
+use crate::optics::OpticalPath;
+use crate::source::Picture;
+use nalgebra::{DMatrix, DVector, Matrix2, SMatrix, Vector2};
+
+/// What is fitted: a stretch of tube with one or more bands.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Stretch {
+    pub layout: Layout,
+    /// Arc lengths between which samples are used, metres.
+    pub range_m: (f64, f64),
+    pub radius_m: f64,
+}
+
+/// Background taken into account on either side of the tube, pixels.
+const MARGIN_PX: f64 = 5.0;
+/// Distance of the knots along the tube, metres.
+const KNOT_M: f64 = 2e-3;
+/// Prior σ of the shape's parameters: centre and tangent free, curvatures in 1/m, their change in 1/m².
+const CURVATURE_SD: f64 = 30.0;
+const CURVATURE_RATE_SD: f64 = 200.0;
+/// Prior σ of colours (linear light, 1 = white), of the background's gradient per pixel, of shading, slope and cap.
+const COLOUR_SD: f64 = 1.0;
+const GRADIENT_SD: f64 = 0.02;
+const SHADING_SD: f64 = 0.2;
+const SLOPE_SD: f64 = 0.3;
+const CAP_SD: f64 = 0.5;
+/// Noise assumed in the first round, stored units; and the least ever assumed (rounding to integers and little more).
+const START_NOISE: f64 = 2.5;
+const LEAST_NOISE: f64 = 0.5;
+const MAX_EVALUATIONS: usize = 15;
+/// A round ends when a step lowers the cost (a χ²) by less than this.
+const ENOUGH: [f64; 2] = [2.0, 0.02];
+
+/// Why there is no fit.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum NoFit {
+    /// The stretch is not, or not wholly enough, inside a view's picture.
+    OutOfPicture,
+    /// The equations are singular, or the iteration does not settle.
+    NotConverged,
+}
+
+/// What one view says about the stretch.
+#[derive(Debug, Clone)]
+pub(crate) struct ViewFit {
+    pub image: TubeImage,
+    pub colours: Vec<f64>,
+    /// By how much this view alone would move the image of the reference band, pixels (measured − projected).
+    pub residual_px: Vector2<f64>,
+    pub residual_covariance_px2: Matrix2<f64>,
+    /// RMS of the samples' residuals, stored units.
+    pub rms: f64,
+}
+
+/// The fitted stretch.
+#[derive(Debug, Clone)]
+pub(crate) struct TubeFit {
+    pub shape: TubeShape,
+    pub covariance: SMatrix<f64, SHAPE, SHAPE>,
+    pub views: Vec<ViewFit>,
+    /// Sum of robust squared residuals in units of their noise; comparable between fits of the same samples only.
+    pub cost: f64,
+    /// Samples compared.
+    pub samples: usize,
+}
+
+/// Working state of one round.
+struct State {
+    shape: TubeShape,
+    colours: Vec<Vec<f64>>,
+    images: Vec<TubeImage>,
+    normals: Vec<Normal>,
+    hessian: DMatrix<f64>,
+    gradient: DVector<f64>,
+    cost: f64,
+}
+
+/// Fits `stretch`, starting from `start`, to `picture` as seen through `paths`.
+pub(crate) fn fit(
+    stretch: &Stretch,
+    start: &TubeShape,
+    picture: &Picture,
+    paths: &[&OpticalPath],
+    model: &ImageModel,
+) -> Result<TubeFit, NoFit> {
+    let mut noise: Vec<Noise> = paths.iter().map(|_| start_noise(picture)).collect();
+    let mut shape = start.clone();
+    let mut colours: Vec<Vec<f64>> = Vec::new();
+    for enough in ENOUGH {
+        let images = project(stretch, &shape, paths)?;
+        let mut patches = images
+            .iter()
+            .map(|image| Patch::select(picture, image, MARGIN_PX, stretch.range_m, model.chroma_offset_px))
+            .collect::<Option<Vec<_>>>()
+            .ok_or(NoFit::OutOfPicture)?;
+        if colours.is_empty() {
+            colours = patches
+                .iter()
+                .zip(&images)
+                .map(|(patch, image)| patch.start_colours(picture, image, &stretch.layout, &model.encoding))
+                .collect::<Option<_>>()
+                .ok_or(NoFit::OutOfPicture)?;
+        }
+        let mut round = Round { stretch, paths, model, patches: &mut patches, noise: &noise };
+        let state = round.minimise(shape, colours, enough)?;
+        if enough == ENOUGH[1] {
+            return round.conclude(state);
+        }
+        for (noise, normal) in noise.iter_mut().zip(&state.normals) {
+            update_noise(noise, normal, picture);
+        }
+        (shape, colours) = (state.shape, state.colours);
+    }
+    Err(NoFit::NotConverged)
+}
+
+/// A subsampled channel's errors are common to about as many samples as it has pixels a sample: a codec quantises them in
+/// the same small blocks. Measured sums of their autocorrelation are 4 to 6 for 4:2:0, 1.5 for luma.
+fn correlated(picture: &Picture, channel: usize) -> f64 {
+    picture.plane(channel).map_or(1.0, |plane| f64::from(plane.scale[0] * plane.scale[1]).sqrt())
+}
+
+fn start_noise(picture: &Picture) -> Noise {
+    [0, 1, 2].map(|c| [START_NOISE * correlated(picture, c).sqrt(); 2])
+}
+
+fn update_noise(noise: &mut Noise, normal: &Normal, picture: &Picture) {
+    for (c, (sigma, squares)) in noise.iter_mut().zip(&normal.squares).enumerate() {
+        for (sigma, (sum, count)) in sigma.iter_mut().zip(squares) {
+            if *count > 0 {
+                *sigma = (sum / *count as f64).sqrt().max(LEAST_NOISE) * correlated(picture, c);
+            }
+        }
+    }
+}
+
+fn project(stretch: &Stretch, shape: &TubeShape, paths: &[&OpticalPath]) -> Result<Vec<TubeImage>, NoFit> {
+    // Pixels beside the ends need an axis a little longer than the samples' range.
+    let range = (stretch.range_m.0 - KNOT_M, stretch.range_m.1 + KNOT_M);
+    paths
+        .iter()
+        .map(|path| TubeImage::of(shape, stretch.radius_m, path, range, KNOT_M).map_err(|_| NoFit::OutOfPicture))
+        .collect()
+}
+
+/// One minimisation over fixed samples and noise.
+struct Round<'a> {
+    stretch: &'a Stretch,
+    paths: &'a [&'a OpticalPath],
+    model: &'a ImageModel,
+    patches: &'a mut [Patch],
+    noise: &'a [Noise],
+}
+
+impl Round<'_> {
+    fn minimise(&mut self, shape: TubeShape, colours: Vec<Vec<f64>>, enough: f64) -> Result<State, NoFit> {
+        let mut state = self.evaluate(shape, colours)?;
+        let mut damping = 1e-4;
+        for _ in 0..MAX_EVALUATIONS {
+            let mut damped = state.hessian.clone();
+            for i in 0..damped.nrows() {
+                damped[(i, i)] *= 1.0 + damping;
+            }
+            let step = damped.cholesky().ok_or(NoFit::NotConverged)?.solve(&state.gradient);
+            let shape = state.shape.moved(&ShapeStep::from_iterator(step.iter().take(SHAPE).copied()));
+            let own = self.stretch.layout.colours();
+            let colours = state
+                .colours
+                .iter()
+                .enumerate()
+                .map(|(v, c)| c.iter().zip(step.iter().skip(SHAPE + v * own)).map(|(c, d)| c + d).collect())
+                .collect();
+            match self.evaluate(shape, colours) {
+                Ok(next) if next.cost <= state.cost => {
+                    let gain = state.cost - next.cost;
+                    state = next;
+                    damping *= 0.1;
+                    if gain < enough {
+                        return Ok(state);
+                    }
+                }
+                _ if damping > 1e4 => return Ok(state),
+                _ => damping *= 30.0,
+            }
+        }
+        Err(NoFit::NotConverged)
+    }
+
+    /// Renders all views and sums their normal equations, priors included.
+    fn evaluate(&mut self, shape: TubeShape, colours: Vec<Vec<f64>>) -> Result<State, NoFit> {
+        let images = project(self.stretch, &shape, self.paths)?;
+        let layout = &self.stretch.layout;
+        let own = layout.colours();
+        let n = SHAPE + own * self.paths.len();
+        let mut hessian = DMatrix::zeros(n, n);
+        let mut gradient = DVector::zeros(n);
+        let mut cost = 0.0;
+        let mut normals = Vec::with_capacity(self.paths.len());
+        for (v, patch) in self.patches.iter_mut().enumerate() {
+            patch.render(&images[v], layout, &colours[v], self.model);
+            let normal = patch.normal(&images[v], layout, &self.noise[v]);
+            let start = SHAPE + v * own;
+            let mut add = |to: (usize, usize), from: (usize, usize), size: (usize, usize)| {
+                let mut block = hessian.view_mut(to, size);
+                block += normal.hessian.view(from, size);
+            };
+            add((0, 0), (0, 0), (SHAPE, SHAPE));
+            add((0, start), (0, SHAPE), (SHAPE, own));
+            add((start, 0), (SHAPE, 0), (own, SHAPE));
+            add((start, start), (SHAPE, SHAPE), (own, own));
+            let mut block = gradient.rows_mut(0, SHAPE);
+            block += normal.gradient.rows(0, SHAPE);
+            let mut block = gradient.rows_mut(start, own);
+            block += normal.gradient.rows(SHAPE, own);
+            cost += normal.cost;
+            normals.push(normal);
+        }
+        let mut prior = |at: usize, offset: f64, sd: f64| {
+            let weight = sd.powi(-2);
+            hessian[(at, at)] += weight;
+            gradient[at] -= weight * offset;
+            cost += weight * offset * offset;
+        };
+        let curved = [shape.curvature_up, shape.curvature_down].into_iter().flat_map(|k| [k.x, k.y]);
+        curved.enumerate().for_each(|(i, k)| prior(5 + i, k, CURVATURE_SD));
+        [shape.curvature_down_rate.x, shape.curvature_down_rate.y]
+            .into_iter()
+            .enumerate()
+            .for_each(|(i, k)| prior(9 + i, k, CURVATURE_RATE_SD));
+        for (v, colours) in colours.iter().enumerate() {
+            let start = SHAPE + v * own;
+            for (i, value) in colours.iter().enumerate() {
+                match i {
+                    GRADIENT..SHADING => prior(start + i, *value, GRADIENT_SD),
+                    SHADING..CAP => prior(start + i, *value, SHADING_SD),
+                    CAP => prior(start + i, value - 1.0, CAP_SD),
+                    _ if i >= FIXED && (i - FIXED) % PER_SEGMENT == 3 => prior(start + i, *value, SLOPE_SD),
+                    // Keeps a colour determined of which no sample shows anything.
+                    _ => prior(start + i, 0.0, COLOUR_SD),
+                }
+            }
+        }
+        Ok(State { shape, colours, images, normals, hessian, gradient, cost })
+    }
+
+    /// Covariance of the shape, and what each view alone would say.
+    fn conclude(&self, state: State) -> Result<TubeFit, NoFit> {
+        let layout = &self.stretch.layout;
+        let own = layout.colours();
+        let inverse = state.hessian.clone().cholesky().ok_or(NoFit::NotConverged)?.inverse();
+        let shape_rows = inverse.rows(0, SHAPE);
+        let plain: SMatrix<f64, SHAPE, SHAPE> = inverse.fixed_view::<SHAPE, SHAPE>(0, 0).into();
+        // The priors' own share of the information is not in the residuals.
+        let mut covariance = self.prior_scatter(&plain);
+        for (v, patch) in self.patches.iter().enumerate() {
+            let mut influence = DMatrix::zeros(SHAPE, SHAPE + own);
+            influence.columns_mut(0, SHAPE).copy_from(&shape_rows.columns(0, SHAPE));
+            influence.columns_mut(SHAPE, own).copy_from(&shape_rows.columns(SHAPE + v * own, own));
+            covariance += patch.scatter(&state.images[v], layout, &self.noise[v], &influence);
+        }
+        let inflation = (covariance.fixed_view::<3, 3>(0, 0).trace() / plain.fixed_view::<3, 3>(0, 0).trace()).max(1.0);
+        let views = state
+            .images
+            .into_iter()
+            .zip(state.colours)
+            .zip(&state.normals)
+            .map(|((image, colours), normal)| view_fit(image, colours, normal, inflation))
+            .collect();
+        let samples = self.patches.iter().map(Patch::len).sum();
+        Ok(TubeFit { shape: state.shape, covariance, views, cost: state.cost, samples })
+    }
+
+    fn prior_scatter(&self, plain: &SMatrix<f64, SHAPE, SHAPE>) -> SMatrix<f64, SHAPE, SHAPE> {
+        let sd = [CURVATURE_SD, CURVATURE_SD, CURVATURE_SD, CURVATURE_SD, CURVATURE_RATE_SD, CURVATURE_RATE_SD];
+        let mut weight = SMatrix::<f64, SHAPE, SHAPE>::zeros();
+        for (i, sd) in sd.into_iter().enumerate() {
+            weight[(5 + i, 5 + i)] = sd.powi(-2);
+        }
+        plain * weight * plain
+    }
+}
+
+/// What one view alone says about a shift of the reference band in its picture, colours left free.
+fn view_fit(image: TubeImage, colours: Vec<f64>, normal: &Normal, inflation: f64) -> ViewFit {
+    let own = colours.len();
+    let h = &normal.hessian;
+    let mut colour_block: DMatrix<f64> = h.view((SHAPE, SHAPE), (own, own)).into();
+    for i in 0..own {
+        colour_block[(i, i)] += COLOUR_SD.powi(-2);
+    }
+    let cross: DMatrix<f64> = h.view((SHAPE, 0), (own, SHAPE)).into();
+    let mut shape_block: DMatrix<f64> = h.view((0, 0), (SHAPE, SHAPE)).into();
+    if let Some(factor) = colour_block.cholesky() {
+        shape_block -= cross.transpose() * factor.solve(&cross);
+    }
+    let centre = image.at_arc(0.0);
+    let (residual_px, residual_covariance_px2) = centre
+        .d_point
+        .pseudo_inverse(1e-12)
+        .ok()
+        .and_then(|point_from_pixel| {
+            let information =
+                point_from_pixel.transpose() * shape_block.fixed_view::<3, 3>(0, 0) * point_from_pixel;
+            let covariance = information.try_inverse()?;
+            let pull = point_from_pixel.transpose() * normal.gradient.fixed_rows::<3>(0);
+            Some((covariance * pull, covariance * inflation))
+        })
+        .unwrap_or((Vector2::repeat(f64::NAN), Matrix2::repeat(f64::NAN)));
+    let (sum, count) =
+        normal.squares.iter().flatten().fold((0.0, 0), |(sum, count), (s, n)| (sum + s, count + n));
+    ViewFit { image, colours, residual_px, residual_covariance_px2, rms: (sum / count.max(1) as f64).sqrt() }
+}

@@ -1,0 +1,137 @@
+//! Tables for the image model: the Gaussian integral, and the transfer function from linear light to stored R'G'B'.
+
+use crate::source::Transfer;
+use std::sync::LazyLock;
+
+/// Nodes per unit, and largest argument, of the Gaussian's table.
+const NODES: f64 = 32.0;
+const REACH: f64 = 5.0;
+
+/// (Φ(z), φ(z)) at the nodes from −REACH to REACH.
+static GAUSS: LazyLock<Vec<(f64, f64)>> = LazyLock::new(|| {
+    let count = (2.0 * REACH * NODES) as usize + 2;
+    (0..count)
+        .map(|i| {
+            let z = i as f64 / NODES - REACH;
+            let density = (-0.5 * z * z).exp() / (2.0 * std::f64::consts::PI).sqrt();
+            (0.5 * libm::erfc(-z * std::f64::consts::FRAC_1_SQRT_2), density)
+        })
+        .collect()
+});
+
+/// Standard normal distribution and density at `z`, to 1e-7 (cubic Hermite between tabulated nodes).
+#[inline]
+pub(crate) fn gauss(z: f64) -> (f64, f64) {
+    let at = (z + REACH) * NODES;
+    if at <= 0.0 {
+        return (0.0, 0.0);
+    }
+    let i = at as usize;
+    let table = &*GAUSS;
+    let (Some(&(p0, d0)), Some(&(p1, d1))) = (table.get(i), table.get(i + 1)) else {
+        return (1.0, 0.0);
+    };
+    let f = at - i as f64;
+    let z0 = i as f64 / NODES - REACH;
+    let z1 = z0 + 1.0 / NODES;
+    (hermite(p0, d0 / NODES, p1, d1 / NODES, f), hermite(d0, -z0 * d0 / NODES, d1, -z1 * d1 / NODES, f))
+}
+
+#[inline]
+fn hermite(v0: f64, t0: f64, v1: f64, t1: f64, f: f64) -> f64 {
+    let g = 1.0 - f;
+    let rise = v1 - v0;
+    g * v0 + f * v1 + f * g * (g * (t0 - rise) - f * (t1 - rise))
+}
+
+/// Linear light (0 black, 1 white) to stored R'G'B' (0..255) and back.
+#[derive(Debug)]
+pub(crate) struct Encoding {
+    transfer: Transfer,
+    /// (value, slope per unit of light) at multiples of 1/STEPS.
+    table: Vec<(f64, f64)>,
+}
+
+/// Table nodes per unit of light, and the brightest light tabulated.
+const STEPS: f64 = 2048.0;
+const BRIGHTEST: f64 = 1.5;
+
+impl Encoding {
+    pub(crate) fn new(transfer: Transfer) -> Self {
+        let table = (0..=(STEPS * BRIGHTEST) as usize).map(|i| encode(transfer, i as f64 / STEPS)).collect();
+        Self { transfer, table }
+    }
+
+    /// Stored value and its slope per unit of light.
+    #[inline]
+    pub(crate) fn encode(&self, light: f64) -> (f64, f64) {
+        let at = light.max(0.0) * STEPS;
+        let i = at as usize;
+        match (self.table.get(i), self.table.get(i + 1)) {
+            (Some(&(v0, s0)), Some(&(v1, s1))) => {
+                let f = at - i as f64;
+                (hermite(v0, s0 / STEPS, v1, s1 / STEPS, f), s0 + (s1 - s0) * f)
+            }
+            _ => encode(self.transfer, light),
+        }
+    }
+
+    /// Light of a stored value.
+    pub(crate) fn decode(&self, stored: f64) -> f64 {
+        let v = (stored / 255.0).max(0.0);
+        match self.transfer {
+            Transfer::Bt709 if v < 0.081 => v / 4.5,
+            Transfer::Bt709 => ((v + 0.099) / 1.099).powf(1.0 / 0.45),
+            Transfer::Srgb if v < 0.04045 => v / 12.92,
+            Transfer::Srgb => ((v + 0.055) / 1.055).powf(2.4),
+            Transfer::Linear => v,
+        }
+    }
+}
+
+/// ITU-R BT.709-6 item 1.2 and IEC 61966-2-1.
+fn encode(transfer: Transfer, light: f64) -> (f64, f64) {
+    let power = |scale: f64, exponent: f64, toe: f64| {
+        let p = light.powf(exponent);
+        (255.0 * (scale * p - toe), 255.0 * scale * exponent * p / light)
+    };
+    match transfer {
+        Transfer::Bt709 if light < 0.018 => (255.0 * 4.5 * light, 255.0 * 4.5),
+        Transfer::Bt709 => power(1.099, 0.45, 0.099),
+        Transfer::Srgb if light < 0.003_130_8 => (255.0 * 12.92 * light, 255.0 * 12.92),
+        Transfer::Srgb => power(1.055, 1.0 / 2.4, 0.055),
+        Transfer::Linear => (255.0 * light, 255.0),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn gauss_agrees_with_erfc_and_exp() {
+        for i in -700..700 {
+            let z = f64::from(i) * 0.0101;
+            let (p, d) = gauss(z);
+            let exact = 0.5 * libm::erfc(-z / std::f64::consts::SQRT_2);
+            let density = (-0.5 * z * z).exp() / (2.0 * std::f64::consts::PI).sqrt();
+            assert!((p - exact).abs() < 1e-6, "Φ({z}) = {p}, not {exact}");
+            assert!((d - density).abs() < 2e-6, "φ({z}) = {d}, not {density}");
+        }
+    }
+
+    #[test]
+    fn half_grey_of_each_transfer_and_back() {
+        // BT.709: 1.099·0.5^0.45 − 0.099 = 0.70551; sRGB: 1.055·0.5^(1/2.4) − 0.055 = 0.73536.
+        for (transfer, expected) in [(Transfer::Bt709, 0.70551), (Transfer::Srgb, 0.73536), (Transfer::Linear, 0.5)] {
+            let encoding = Encoding::new(transfer);
+            assert!((encoding.encode(0.5).0 / 255.0 - expected).abs() < 1e-4);
+            for light in [0.001, 0.01, 0.0179, 0.05, 0.3, 0.99, 2.0] {
+                let (value, slope) = encoding.encode(light);
+                assert!((encoding.decode(value) - light).abs() < 2e-5 * (1.0 + light), "{transfer:?} {light}");
+                let step = encoding.encode(light + 1e-4).0 - value;
+                assert!((step / 1e-4 - slope).abs() < 0.03 * slope + 1.0, "{transfer:?} {light}: {step} {slope}");
+            }
+        }
+    }
+}

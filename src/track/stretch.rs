@@ -1,0 +1,105 @@
+//! Which bands are fitted together, and where along the tube.
+//!
+//! The coil and the bands close to it on the tube make one stretch: the tube between them ties them together. Any other
+//! band is a stretch of its own. A band further than [`JOINED_DIAMETERS`] from the coil, or at an unknown place, is not
+//! joined: over such a length one curvature is no fair description of a tube.
+
+use super::appearance::Layout;
+use super::fit::Stretch;
+use crate::rig::Rig;
+
+/// Longest tube between two bands that are fitted together, in diameters.
+const JOINED_DIAMETERS: f64 = 6.0;
+/// Tube beside the bands that is fitted too, in diameters.
+const BESIDE_DIAMETERS: f64 = 4.0;
+/// The same above the first band, where a clamp may be near, and beside a band whose neighbour's place is unknown.
+const CAUTIOUS_DIAMETERS: (f64, f64) = (0.5, 2.0);
+/// Background beyond the end of the tube, in diameters.
+const BEYOND_DIAMETERS: f64 = 0.8;
+
+/// Bands fitted together.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Group {
+    /// The markers, along the tube, each with the arc length of its middle from that of the first reference, metres.
+    pub members: Vec<(usize, f64)>,
+    /// The one whose tangent is a parameter.
+    pub reference: usize,
+    /// Half of the straight part around the reference, metres.
+    pub straight_half_m: f64,
+    pub stretch: Stretch,
+}
+
+/// Groups the markers in `present`.
+pub(crate) fn groups(rig: &Rig, present: &[bool]) -> Vec<Group> {
+    let coil = rig.catheter.coil;
+    let mut joined = vec![false; rig.markers.len()];
+    let mut groups = Vec::new();
+    if present.get(coil).copied().unwrap_or(false) {
+        let mut members = vec![(coil, 0.0)];
+        for neighbour in [coil.checked_sub(1), Some(coil + 1)].into_iter().flatten() {
+            let here = present.get(neighbour).copied().unwrap_or(false);
+            if let Some(distance) = here.then(|| gap(rig, coil, neighbour)).flatten()
+                && distance.gap_m <= JOINED_DIAMETERS * rig.catheter.diameter_m
+            {
+                members.push((neighbour, distance.arc_m));
+            }
+        }
+        members.sort_by(|a, b| a.1.total_cmp(&b.1));
+        members.iter().for_each(|m| joined[m.0] = true);
+        groups.push(group(rig, members, coil));
+    }
+    for (m, present) in present.iter().enumerate() {
+        if *present && !joined[m] {
+            groups.push(group(rig, vec![(m, 0.0)], m));
+        }
+    }
+    groups
+}
+
+struct Gap {
+    /// From middle to middle along the tube, positive towards the tip.
+    arc_m: f64,
+    /// Tube between the bands.
+    gap_m: f64,
+}
+
+fn gap(rig: &Rig, from: usize, to: usize) -> Option<Gap> {
+    let (a, b) = (rig.markers.get(from)?, rig.markers.get(to)?);
+    let arc_m = b.centre_m? - a.centre_m?;
+    Some(Gap { arc_m, gap_m: arc_m.abs() - (a.length_m + b.length_m) / 2.0 })
+}
+
+fn group(rig: &Rig, members: Vec<(usize, f64)>, reference: usize) -> Group {
+    let diameter = rig.catheter.diameter_m;
+    let half = |marker: usize| rig.markers[marker].length_m / 2.0;
+    let rings_m: Vec<f64> = members.iter().flat_map(|&(m, s)| [s - half(m), s + half(m)]).collect();
+    let (first, last) = (members[0].0, members[members.len() - 1].0);
+    // Beside the outermost bands, up to the next band's edge.
+    let beside = |band: usize, neighbour: Option<usize>| match neighbour.filter(|n| *n < rig.markers.len()) {
+        None => CAUTIOUS_DIAMETERS.0 * diameter,
+        Some(neighbour) => match gap(rig, band, neighbour) {
+            None => CAUTIOUS_DIAMETERS.1 * diameter,
+            Some(gap) => (BESIDE_DIAMETERS * diameter).min((gap.gap_m - diameter / 2.0).max(0.0)),
+        },
+    };
+    let ends = rig.catheter.end == Some(last);
+    let below = if ends {
+        BEYOND_DIAMETERS * diameter
+    } else if last + 1 == rig.markers.len() {
+        CAUTIOUS_DIAMETERS.1 * diameter
+    } else {
+        beside(last, Some(last + 1))
+    };
+    let range_m = (rings_m[0] - beside(first, first.checked_sub(1)), rings_m[rings_m.len() - 1] + below);
+    let straight_half_m = if reference == rig.catheter.coil {
+        half(reference).max(rig.catheter.rigid_m.unwrap_or(0.0) / 2.0)
+    } else {
+        0.0
+    };
+    Group {
+        members,
+        reference,
+        straight_half_m,
+        stretch: Stretch { layout: Layout { rings_m, ends }, range_m, radius_m: diameter / 2.0 },
+    }
+}

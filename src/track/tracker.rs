@@ -1,0 +1,351 @@
+//! [`Tracker`]: one frame in, one estimate out. Composes segment, assign, and the fit of the tube.
+//!
+//! Blobs are looked for in windows around the places of the last frames; when not all markers are found there, in the
+//! whole picture. Which of the two happened never changes a result: a blob counts only when it lies wholly inside its
+//! window, and then it is the same one that a search of the whole picture finds.
+
+use super::appearance::{FIXED, PER_SEGMENT};
+use super::assign::{Assigned, Assigner, direction_of_axes};
+use super::coil::deflection;
+use super::fit::{TubeFit, fit};
+use super::light::Encoding;
+use super::patch::ImageModel;
+use super::stretch::{Group, groups};
+use super::tube::{TubeImage, TubeShape};
+use crate::estimate::{BandObservation, Estimate, MarkerEstimate, Miss, Position, Tangent};
+use crate::optics::OpticalPath;
+use crate::rig::Rig;
+use crate::segment::{Blob, Search, SegmentError, Segmenter, Window};
+use crate::source::{Frame, Picture, Transfer};
+use nalgebra::{Matrix3, Point2, SMatrix, Vector3};
+use rayon::prelude::*;
+
+/// Blur assumed for a rig whose blur has not been measured: a sharp lens and square pixels.
+const DEFAULT_BLUR_PX: f64 = 0.6;
+/// A fit that ends this far from where it started has left its band, pixels.
+const MOST_MOVED_PX: f64 = 4.0;
+/// Least separation of the fitted colour of a band from its surroundings (1: as learned).
+const LEAST_SEPARATION: f64 = 0.3;
+/// Views disagree when their own shifts exceed this χ² and this many pixels.
+const DISAGREE: (f64, f64) = (36.0, 0.7);
+
+/// How to track.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct TrackOptions {
+    /// Search every picture whole instead of in windows: slower, same numbers.
+    pub full_frame: bool,
+}
+
+/// Why a frame cannot be tracked at all.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum TrackError {
+    /// The pictures do not belong to this rig.
+    #[error("the picture has {found:?} pixels, but the rig was calibrated for {expected:?}")]
+    Size {
+        /// Of the picture.
+        found: [u32; 2],
+        /// Of the rig.
+        expected: [u32; 2],
+    },
+    /// The picture cannot be segmented, or the rig has no colours.
+    #[error(transparent)]
+    Segment(#[from] SegmentError),
+}
+
+/// Follows the markers from frame to frame.
+pub struct Tracker {
+    rig: Rig,
+    options: TrackOptions,
+    segmenter: Segmenter,
+    assigner: Assigner,
+    model: ImageModel,
+    transfer: Transfer,
+}
+
+/// A fitted group with the views it was fitted in.
+struct Fitted {
+    group: Group,
+    views: Vec<usize>,
+    result: Result<TubeFit, Miss>,
+}
+
+impl Tracker {
+    /// A tracker for a rig whose markers' colours have been learned.
+    ///
+    /// # Errors
+    /// When a marker has no colour model.
+    pub fn new(rig: &Rig, options: TrackOptions) -> Result<Self, TrackError> {
+        let transfer = Transfer::Bt709;
+        Ok(Self {
+            segmenter: Segmenter::for_rig(rig)?,
+            assigner: Assigner::new(rig),
+            model: ImageModel {
+                encoding: Encoding::new(transfer),
+                blur_px: rig.camera.blur_px.unwrap_or(DEFAULT_BLUR_PX),
+                chroma_offset_px: rig.camera.chroma_offset_px,
+            },
+            transfer,
+            rig: rig.clone(),
+            options,
+        })
+    }
+
+    /// The rig.
+    pub fn rig(&self) -> &Rig {
+        &self.rig
+    }
+
+    /// Measures one frame. A marker that cannot be measured is a [`Miss`] in the estimate, not an error.
+    ///
+    /// # Errors
+    /// When the picture does not fit the rig.
+    pub fn step(&mut self, frame: &Frame) -> Result<Estimate, TrackError> {
+        let picture = &frame.picture;
+        if picture.size_px() != self.rig.camera.size_px {
+            return Err(TrackError::Size { found: picture.size_px(), expected: self.rig.camera.size_px });
+        }
+        if picture.colour().transfer != self.transfer {
+            self.transfer = picture.colour().transfer;
+            self.model.encoding = Encoding::new(self.transfer);
+        }
+        // 1. blobs and their assignment to markers and views
+        let (blobs, assigned) = self.find(frame)?;
+        // 2. the tube around them, fitted to the pictures of all views
+        let fitted = self.fit_groups(picture, &blobs, &assigned);
+        // 3. positions, tangent, deflection
+        let mut estimate = self.estimate(frame, &assigned, &fitted);
+        if let (Ok(tangent), Some(base)) = (&estimate.tangent, &self.rig.base) {
+            estimate.deflection = Ok(deflection(tangent, base));
+        }
+        for (m, marker) in estimate.markers.iter().enumerate() {
+            if let Ok(position) = &marker.position {
+                self.assigner.remember(m, position.point, frame.stamp);
+            }
+        }
+        Ok(estimate)
+    }
+
+    fn find(&mut self, frame: &Frame) -> Result<(Vec<Blob>, Vec<Result<Assigned, Miss>>), SegmentError> {
+        let picture = &frame.picture;
+        let windows = self.assigner.windows(&self.rig, frame.stamp);
+        if let Some(windows) = &windows {
+            let mut blobs = if self.options.full_frame {
+                let all = self.segmenter.all_blobs(picture)?.to_vec();
+                all.into_iter().filter(|blob| windows.iter().any(|w| inside(blob, w, picture))).collect()
+            } else {
+                self.segmenter.blobs(picture, windows)?.to_vec()
+            };
+            blobs.retain(|blob| !blob.touches_border);
+            let assigned = self.assigner.assign(&self.rig, &blobs, frame.stamp);
+            if assigned.iter().all(Result::is_ok) {
+                return Ok((blobs, assigned));
+            }
+        }
+        let blobs = self.segmenter.all_blobs(picture)?.to_vec();
+        let assigned = self.assigner.assign(&self.rig, &blobs, frame.stamp);
+        Ok((blobs, assigned))
+    }
+
+    fn fit_groups(&self, picture: &Picture, blobs: &[Blob], assigned: &[Result<Assigned, Miss>]) -> Vec<Fitted> {
+        let present: Vec<bool> = assigned.iter().map(Result::is_ok).collect();
+        groups(&self.rig, &present)
+            .into_par_iter()
+            .map(|group| {
+                let views: Vec<usize> = (0..self.rig.views.len())
+                    .filter(|&v| {
+                        group.members.iter().all(|&(m, _)| assigned[m].as_ref().is_ok_and(|a| a.blobs[v].is_some()))
+                    })
+                    .collect();
+                let result = self.fit_group(picture, blobs, assigned, &group, &views);
+                Fitted { group, views, result }
+            })
+            .collect()
+    }
+
+    fn fit_group(
+        &self,
+        picture: &Picture,
+        blobs: &[Blob],
+        assigned: &[Result<Assigned, Miss>],
+        group: &Group,
+        views: &[usize],
+    ) -> Result<TubeFit, Miss> {
+        let reference = assigned[group.reference].as_ref().map_err(Clone::clone)?;
+        let direction = self.start_direction(blobs, assigned, group).ok_or(Miss::NotConverged)?;
+        let start = TubeShape::straight(reference.point, &direction, group.straight_half_m);
+        let paths: Vec<&OpticalPath> = views.iter().map(|&v| &self.rig.views[v].optics).collect();
+        let fit = fit(&group.stretch, &start, picture, &paths, &self.model).map_err(|_| Miss::NotConverged)?;
+        self.accept(group, views, reference, &fit)?;
+        Ok(fit)
+    }
+
+    /// Direction of the tube at the reference, base to tip: from its blobs' axes, or along the chord to its neighbours.
+    fn start_direction(
+        &self,
+        blobs: &[Blob],
+        assigned: &[Result<Assigned, Miss>],
+        group: &Group,
+    ) -> Option<Vector3<f64>> {
+        let m = group.reference;
+        let here = assigned[m].as_ref().ok()?;
+        let place = |i: usize| assigned.get(i).and_then(|a| a.as_ref().ok()).map(|a| a.point);
+        let before = m.checked_sub(1).and_then(place);
+        let chord = match (before, place(m + 1)) {
+            (_, Some(next)) => Some(next - here.point),
+            (Some(previous), None) => Some(here.point - previous),
+            (None, None) => None,
+        };
+        let axes: Vec<_> = here
+            .blobs
+            .iter()
+            .enumerate()
+            .filter_map(|(v, blob)| blob.map(|b| (&self.rig.views[v], blobs[b].axis)))
+            .collect();
+        match (direction_of_axes(&axes, &here.point), chord) {
+            (Some(axis), Some(chord)) => Some(if axis.dot(&chord) < 0.0 { -axis } else { axis }),
+            // Without a neighbour the sign is open: along gravity or, failing that, down in the picture.
+            (Some(axis), None) => {
+                let down = self.rig.base.as_ref().map_or(Vector3::y(), |base| base.base_from_camera.inverse() * Vector3::z());
+                Some(if axis.dot(&down) < 0.0 { -axis } else { axis })
+            }
+            (None, chord) => chord,
+        }
+    }
+
+    /// Whether the fit is one of the band it started from, and all views agree on it.
+    fn accept(&self, group: &Group, views: &[usize], start: &Assigned, fit: &TubeFit) -> Result<(), Miss> {
+        for (&v, view) in views.iter().zip(&fit.views) {
+            let before = self.rig.views[v].optics.project(&start.point).map_err(|_| Miss::NotConverged)?;
+            let moved = (view.image.at_arc(0.0).pixel - before).norm();
+            let separation = (0..group.members.len())
+                .map(|i| self.separation(group, i, &view.colours))
+                .fold(f64::INFINITY, f64::min);
+            if !(moved <= MOST_MOVED_PX && separation >= LEAST_SEPARATION) {
+                return Err(Miss::PoorFit { moved_px: moved, separation });
+            }
+        }
+        let chi2: f64 = fit
+            .views
+            .iter()
+            .filter_map(|v| Some((v.residual_px.transpose() * v.residual_covariance_px2.try_inverse()? * v.residual_px)[0]))
+            .sum();
+        let shift = fit.views.iter().map(|v| v.residual_px.norm()).fold(0.0, f64::max);
+        if chi2 > DISAGREE.0 && shift > DISAGREE.1 {
+            let px_per_m = fit.views.iter().map(|v| v.image.at_arc(0.0).scale).fold(f64::INFINITY, f64::min);
+            return Err(Miss::RaysDiverge { distance_m: shift / px_per_m });
+        }
+        Ok(())
+    }
+
+    /// Score of a band's fitted colour above that of the most similar of its neighbours and background.
+    fn separation(&self, group: &Group, member: usize, colours: &[f64]) -> f64 {
+        let Some(model) = self.rig.markers[group.members[member].0].colour else { return 0.0 };
+        let score = |at: usize| {
+            let rgb = Vector3::from_fn(|c, _| self.model.encoding.encode(colours[at + c]).0);
+            model.weights.dot(&rgb) + model.bias
+        };
+        let segment = |j: usize| FIXED + PER_SEGMENT * j;
+        let band = 2 * member + 1;
+        let last = group.stretch.layout.segments() - 1;
+        let neighbours = [Some(segment(band - 1)), (band < last).then(|| segment(band + 1)), Some(0)];
+        let most_similar = neighbours.into_iter().flatten().map(score).fold(f64::NEG_INFINITY, f64::max);
+        score(segment(band)) - most_similar
+    }
+
+    fn estimate(&self, frame: &Frame, assigned: &[Result<Assigned, Miss>], fitted: &[Fitted]) -> Estimate {
+        let mut markers: Vec<MarkerEstimate> = assigned
+            .iter()
+            .map(|a| {
+                let miss = a.as_ref().err().cloned().unwrap_or(Miss::NotConverged);
+                MarkerEstimate { position: Err(miss.clone()), views: vec![Err(miss); self.rig.views.len()] }
+            })
+            .collect();
+        let mut tangent = Err(Miss::MarkerMissing);
+        for Fitted { group, views, result } in fitted {
+            for (i, &(m, s)) in group.members.iter().enumerate() {
+                markers[m] = match result {
+                    Ok(fit) => self.marker(group, i, s, views, fit),
+                    Err(miss) => MarkerEstimate {
+                        position: Err(miss.clone()),
+                        views: vec![Err(miss.clone()); self.rig.views.len()],
+                    },
+                };
+            }
+            if group.reference == self.rig.catheter.coil
+                && let Ok(fit) = result
+            {
+                let across = fit.shape.across();
+                let covariance = across * fit.covariance.fixed_view::<2, 2>(3, 3) * across.transpose();
+                tangent = Ok(Tangent { direction: fit.shape.tangent(), covariance });
+            }
+        }
+        let deflection = match &tangent {
+            Ok(_) => Err(Miss::NoBaseFrame),
+            Err(miss) => Err(miss.clone()),
+        };
+        Estimate { seq: frame.seq, stamp: frame.stamp, gap: frame.gap, markers, tangent, deflection }
+    }
+
+    fn marker(&self, group: &Group, member: usize, s: f64, views: &[usize], fit: &TubeFit) -> MarkerEstimate {
+        let (point, _, d) = fit.shape.at(s);
+        let covariance: Matrix3<f64> = d * fit.covariance * d.transpose();
+        let half = self.rig.markers[group.members[member].0].length_m / 2.0;
+        let observed = (0..self.rig.views.len())
+            .map(|v| {
+                let Some(i) = views.iter().position(|used| *used == v) else {
+                    return Err(Miss::NotSeen { view: v });
+                };
+                let view = &fit.views[i];
+                let knot = view.image.at_arc(s);
+                let centre = self.rig.views[v].optics.project(&point).map_err(|_| Miss::NotSeen { view: v })?;
+                Ok(BandObservation {
+                    centre_px: centre + view.residual_px,
+                    covariance_px2: view.residual_covariance_px2,
+                    axis: knot.along / knot.scale,
+                    axis_sd_rad: axis_sd_rad(&view.image, s, &fit.covariance),
+                    residual_px: view.residual_px,
+                    fit_rms: view.rms,
+                    separation: self.separation(group, member, &view.colours),
+                    outline_px: outline(&view.image, s - half, s + half),
+                })
+            })
+            .collect();
+        MarkerEstimate { position: Ok(Position { point, covariance }), views: observed }
+    }
+}
+
+/// Whether a blob lies wholly inside a search's window, no cell of it on the window's outermost ring of cells unless that
+/// is the picture's own edge: what [`Blob::touches_border`] says of a windowed search.
+fn inside(blob: &Blob, search: &Search, picture: &Picture) -> bool {
+    if search.marker.is_some_and(|marker| marker != blob.marker) {
+        return false;
+    }
+    let [width, height] = picture.size_px();
+    let within = |low: u32, high: u32, w0: u32, w1: u32, size: u32| {
+        let (w0, w1) = (w0 & !1, (w1.min(size) + 1) & !1);
+        (w0 == 0 || low >= w0 + 2) && (w1 >= size || high + 2 <= w1)
+    };
+    let (b, w): (&Window, &Window) = (&blob.bounds, &search.window);
+    within(b.x0, b.x1, w.x0, w.x1, width) && within(b.y0, b.y1, w.y0, w.y1, height)
+}
+
+/// Standard deviation of the direction of the axis in the picture, from the covariance of the shape.
+fn axis_sd_rad(image: &TubeImage, s: f64, covariance: &SMatrix<f64, 11, 11>) -> f64 {
+    // The direction turns by the difference of two neighbouring knots' displacement across, over their distance.
+    let i = (image.knot_of(s).floor().max(0.0) as usize).min(image.knots.len().saturating_sub(2));
+    let (a, b) = (&image.knots[i], &image.knots[i + 1]);
+    let along = b.pixel - a.pixel;
+    let across = nalgebra::RowVector2::new(-along.y, along.x) / along.norm_squared();
+    let d = across * (b.d_pixel - a.d_pixel);
+    (d * covariance * d.transpose())[0].max(0.0).sqrt()
+}
+
+/// Outline of the tube between two arc lengths: down one side, up the other.
+fn outline(image: &TubeImage, from_m: f64, to_m: f64) -> Vec<Point2<f64>> {
+    const POINTS: usize = 5;
+    let side = |sign: f64, i: usize| {
+        let s = from_m + (to_m - from_m) * i as f64 / (POINTS - 1) as f64;
+        image.beside(image.knot_of(s), sign)
+    };
+    (0..POINTS).map(|i| side(-1.0, i)).chain((0..POINTS).rev().map(|i| side(1.0, i))).collect()
+}

@@ -1,0 +1,290 @@
+//! The centre line of a stretch of tube around one or more bands, and its image in a view.
+//!
+//! s is the arc length from the middle of the reference band, metres, positive towards the tip. The reference band is
+//! straight over |s| ≤ h (a coil is rigid; h = 0 for a soft band); beyond it the direction turns by the angles
+//! φ(s) = κ_down σ + ½ κ'_down σ² (σ = s − h > 0) or κ_up σ (σ = s + h < 0), two components across the tangent t:
+//!
+//! T(s) = t (1 − ½|φ|²) + N φ, X(s) = c + t (s − ½∫|φ|²) + N ∫φ.
+//!
+//! Good to |φ|⁴/24: 2 µm over 15 mm at 0.3 rad.
+
+use crate::optics::{NoRay, OpticalPath};
+use nalgebra::{Matrix2x3, Matrix3, Matrix3x2, Point2, Point3, SMatrix, SVector, Vector2, Vector3};
+
+/// Number of shape parameters: centre (3), tangent (2), curvature above (2), below (2), and its change below (2).
+pub const SHAPE: usize = 11;
+
+/// A vector of shape parameters' increments.
+pub type ShapeStep = SVector<f64, SHAPE>;
+
+/// A stretch of tube.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TubeShape {
+    /// Middle of the reference band on the centre line, camera frame, metres.
+    pub centre: Point3<f64>,
+    /// Orthonormal: columns n1, n2 (across) and t (tangent of the reference band, base to tip).
+    pub frame: Matrix3<f64>,
+    /// Curvature above the reference band, 1/m, components along n1, n2.
+    pub curvature_up: Vector2<f64>,
+    /// Curvature just below it, 1/m.
+    pub curvature_down: Vector2<f64>,
+    /// Change of curvature with arc length below it, 1/m².
+    pub curvature_down_rate: Vector2<f64>,
+    /// Half length of the straight part, metres.
+    pub straight_half_m: f64,
+}
+
+impl TubeShape {
+    /// A straight tube through `centre` along `direction`.
+    pub fn straight(centre: Point3<f64>, direction: &Vector3<f64>, straight_half_m: f64) -> Self {
+        let t = direction.normalize();
+        let helper = if t.x.abs() < 0.6 { Vector3::x() } else { Vector3::z() };
+        let n1 = t.cross(&helper).normalize();
+        let n2 = t.cross(&n1);
+        Self {
+            centre,
+            frame: Matrix3::from_columns(&[n1, n2, t]),
+            curvature_up: Vector2::zeros(),
+            curvature_down: Vector2::zeros(),
+            curvature_down_rate: Vector2::zeros(),
+            straight_half_m,
+        }
+    }
+
+    /// Tangent of the reference band.
+    pub fn tangent(&self) -> Vector3<f64> {
+        self.frame.column(2).into()
+    }
+
+    /// The two unit vectors across the tangent.
+    pub fn across(&self) -> Matrix3x2<f64> {
+        self.frame.fixed_columns::<2>(0).into()
+    }
+
+    /// Point of the centre line at arc length `s`, its direction, and d point / d parameters.
+    pub fn at(&self, s: f64) -> (Point3<f64>, Vector3<f64>, SMatrix<f64, 3, SHAPE>) {
+        let n = self.across();
+        let t = self.tangent();
+        let h = self.straight_half_m;
+        let sigma = if s > h {
+            s - h
+        } else if s < -h {
+            s + h
+        } else {
+            0.0
+        };
+        let (k, rate) =
+            if s > h { (self.curvature_down, self.curvature_down_rate) } else { (self.curvature_up, Vector2::zeros()) };
+        let (s2, s3, s4, s5) = (sigma.powi(2), sigma.powi(3), sigma.powi(4), sigma.powi(5));
+        let turn = k * sigma + rate * (s2 / 2.0);
+        let aside = k * (s2 / 2.0) + rate * (s3 / 6.0);
+        let shortening = k.norm_squared() * s3 / 6.0 + k.dot(&rate) * s4 / 8.0 + rate.norm_squared() * s5 / 40.0;
+        let along = s - shortening;
+        let point = self.centre + t * along + n * aside;
+        let direction = t * (1.0 - turn.norm_squared() / 2.0) + n * turn;
+
+        let mut d = SMatrix::<f64, 3, SHAPE>::zeros();
+        d.fixed_view_mut::<3, 3>(0, 0).copy_from(&Matrix3::identity());
+        d.fixed_view_mut::<3, 2>(0, 3).copy_from(&(n * along - t * aside.transpose()));
+        let d_k = n * (s2 / 2.0) - t * (k * (s3 / 3.0) + rate * (s4 / 8.0)).transpose();
+        if s > h {
+            let d_rate = n * (s3 / 6.0) - t * (k * (s4 / 8.0) + rate * (s5 / 20.0)).transpose();
+            d.fixed_view_mut::<3, 2>(0, 7).copy_from(&d_k);
+            d.fixed_view_mut::<3, 2>(0, 9).copy_from(&d_rate);
+        } else {
+            d.fixed_view_mut::<3, 2>(0, 5).copy_from(&d_k);
+        }
+        (point, direction, d)
+    }
+
+    /// The shape moved by a step of its parameters.
+    pub fn moved(&self, step: &ShapeStep) -> Self {
+        let tilt = Vector2::new(step[3], step[4]);
+        // Rotation that takes t to t + N·tilt (to first order) without turning about t, so that curvatures keep their axes.
+        let axis = self.across() * Vector2::new(-tilt.y, tilt.x);
+        let rotation = nalgebra::Rotation3::new(axis);
+        Self {
+            centre: self.centre + Vector3::new(step[0], step[1], step[2]),
+            frame: rotation * self.frame,
+            curvature_up: self.curvature_up + Vector2::new(step[5], step[6]),
+            curvature_down: self.curvature_down + Vector2::new(step[7], step[8]),
+            curvature_down_rate: self.curvature_down_rate + Vector2::new(step[9], step[10]),
+            straight_half_m: self.straight_half_m,
+        }
+    }
+}
+
+/// Image of one point of the centre line.
+#[derive(Debug, Clone)]
+pub struct Knot {
+    /// Pixel.
+    pub pixel: Point2<f64>,
+    /// d pixel / d s, pixels per metre.
+    pub along: Vector2<f64>,
+    /// Length of `along`, pixels per metre.
+    pub scale: f64,
+    /// Half width of the tube across its axis, pixels.
+    pub half_width: f64,
+    /// How far the near side of a ring is displaced along the axis against its centre, pixels (signed, along `along`).
+    pub bulge: f64,
+    /// d pixel / d shape parameters.
+    pub d_pixel: SMatrix<f64, 2, SHAPE>,
+    /// d pixel / d point, pixels per metre.
+    pub d_point: Matrix2x3<f64>,
+}
+
+/// Image of the centre line between two arc lengths, as equidistant knots.
+#[derive(Debug, Clone)]
+pub struct TubeImage {
+    /// Arc length of the first knot, metres.
+    pub first_m: f64,
+    /// Distance of the knots, metres.
+    pub spacing_m: f64,
+    /// Knots.
+    pub knots: Vec<Knot>,
+}
+
+impl TubeImage {
+    /// Projects the centre line from `range.0` to `range.1` (metres of arc) at about `spacing_m`.
+    ///
+    /// # Errors
+    /// [`NoRay`] when a part of it cannot be seen in this view.
+    pub fn of(
+        shape: &TubeShape,
+        radius_m: f64,
+        optics: &OpticalPath,
+        range: (f64, f64),
+        spacing_m: f64,
+    ) -> Result<Self, NoRay> {
+        let steps = ((range.1 - range.0) / spacing_m).ceil().max(1.0);
+        let spacing_m = (range.1 - range.0) / steps;
+        let knots = (0..=steps as usize)
+            .map(|i| {
+                let (point, direction, d) = shape.at(range.0 + i as f64 * spacing_m);
+                let seen = optics.project_with_jacobian(&point)?;
+                let along: Vector2<f64> = seen.d_pixel * direction;
+                let unit = along.normalize();
+                // The outline is where the line of sight grazes the tube: across both. The nearest side faces the camera.
+                let sight = seen.ray.direction;
+                let side = direction.cross(&sight).normalize();
+                let near = side.cross(&direction).normalize();
+                let near = if near.dot(&sight) > 0.0 { -near } else { near };
+                let half = seen.d_pixel * side * radius_m;
+                let half_width = (half.x * unit.y - half.y * unit.x).abs();
+                let bulge = (seen.d_pixel * near * radius_m).dot(&unit);
+                Ok(Knot {
+                    pixel: seen.pixel,
+                    along,
+                    scale: along.norm(),
+                    half_width,
+                    bulge,
+                    d_pixel: seen.d_pixel * d,
+                    d_point: seen.d_pixel,
+                })
+            })
+            .collect::<Result<_, NoRay>>()?;
+        Ok(Self { first_m: range.0, spacing_m, knots })
+    }
+}
+
+/// The image of the tube at a knot coordinate.
+#[derive(Debug, Clone, Copy)]
+pub struct Local {
+    /// Half width, pixels.
+    pub half_width: f64,
+    /// Displacement of a ring's near side along the axis, pixels.
+    pub bulge: f64,
+    /// Pixels per metre along the axis.
+    pub scale: f64,
+}
+
+impl TubeImage {
+    /// Index of the knot before `knot`, and the fraction of the way to the next (0..1, held at both ends).
+    fn between(&self, knot: f64) -> (usize, f64) {
+        let last = self.knots.len() - 2;
+        let i = (knot.max(0.0) as usize).min(last);
+        (i, (knot - i as f64).clamp(0.0, 1.0))
+    }
+
+    /// Width, bulge and scale at a knot coordinate.
+    pub(crate) fn local(&self, knot: f64) -> Local {
+        let (i, f) = self.between(knot);
+        let (a, b) = (&self.knots[i], &self.knots[i + 1]);
+        let mix = |p: f64, q: f64| p + (q - p) * f;
+        Local {
+            half_width: mix(a.half_width, b.half_width),
+            bulge: mix(a.bulge, b.bulge),
+            scale: mix(a.scale, b.scale),
+        }
+    }
+
+    /// d pixel / d shape at a knot coordinate.
+    pub(crate) fn d_pixel(&self, knot: f64) -> SMatrix<f64, 2, SHAPE> {
+        let (i, f) = self.between(knot);
+        self.knots[i].d_pixel * (1.0 - f) + self.knots[i + 1].d_pixel * f
+    }
+
+    /// Pixel and derivative per knot at a knot coordinate: cubic Hermite between knots, straight beyond the ends.
+    fn axis(&self, knot: f64) -> (Point2<f64>, Vector2<f64>) {
+        let last = (self.knots.len() - 1) as f64;
+        if knot < 0.0 || knot > last {
+            let (end, beyond) =
+                if knot < 0.0 { (&self.knots[0], knot) } else { (&self.knots[self.knots.len() - 1], knot - last) };
+            let d = end.along * self.spacing_m;
+            return (end.pixel + d * beyond, d);
+        }
+        let (i, f) = self.between(knot);
+        let (a, b) = (&self.knots[i], &self.knots[i + 1]);
+        let (ta, tb) = (a.along * self.spacing_m, b.along * self.spacing_m);
+        let rise = b.pixel - a.pixel;
+        let g = 1.0 - f;
+        let (p, q) = (ta - rise, tb - rise);
+        (
+            a.pixel + rise * f + (p * g - q * f) * (f * g),
+            rise + (p * g - q * f) * (1.0 - 2.0 * f) - (p + q) * (f * g),
+        )
+    }
+
+    /// Knot coordinate on the straight line between the first and the last knot: a start for [`TubeImage::foot`].
+    pub(crate) fn chord_knot(&self, pixel: &Point2<f64>) -> f64 {
+        let (a, b) = (&self.knots[0], &self.knots[self.knots.len() - 1]);
+        let chord = b.pixel - a.pixel;
+        (pixel - a.pixel).dot(&chord) / chord.norm_squared() * (self.knots.len() - 1) as f64
+    }
+
+    /// The nearest point of the axis to a pixel: knot coordinate, signed distance across, unit vector along.
+    /// `steps` Newton steps from `start`; one is enough when the tube has moved by less than a pixel since.
+    pub(crate) fn foot(&self, pixel: &Point2<f64>, start: f64, steps: usize) -> (f64, f64, Vector2<f64>) {
+        let mut knot = start;
+        let (mut at, mut d) = self.axis(knot);
+        for _ in 0..steps {
+            knot += (pixel - at).dot(&d) / d.norm_squared();
+            (at, d) = self.axis(knot);
+        }
+        let along = d / d.norm();
+        let off = pixel - at;
+        (knot, along.x * off.y - along.y * off.x, along)
+    }
+
+    /// Knot coordinate of an arc length.
+    pub(crate) fn knot_of(&self, s_m: f64) -> f64 {
+        (s_m - self.first_m) / self.spacing_m
+    }
+}
+
+impl TubeImage {
+    /// The knot nearest to an arc length.
+    pub(crate) fn at_arc(&self, s_m: f64) -> &Knot {
+        let i = self.knot_of(s_m).round().clamp(0.0, (self.knots.len() - 1) as f64);
+        &self.knots[i as usize]
+    }
+}
+
+impl TubeImage {
+    /// The point of the tube's outline at a knot coordinate: `side` 1 or −1 half widths across.
+    pub(crate) fn beside(&self, knot: f64, side: f64) -> Point2<f64> {
+        let (at, d) = self.axis(knot);
+        let along = d / d.norm();
+        at + Vector2::new(-along.y, along.x) * (side * self.local(knot).half_width)
+    }
+}
