@@ -335,7 +335,7 @@ impl Check<'_> {
             return Err(self.value(key, format!("{rows:?}"), "a right-handed rotation, its determinant is -1"));
         }
         self.finite("base.base_from_camera.translation_mm", &raw.base_from_camera.translation_mm)?;
-        let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(matrix));
+        let rotation = rotation_of(&matrix);
         let translation = Translation3::from(Vector3::from(raw.base_from_camera.translation_mm.map(|x| x / 1e3)));
         Ok(Base {
             base_from_camera: Isometry3::from_parts(translation, rotation),
@@ -343,6 +343,14 @@ impl Check<'_> {
             gravity: raw.gravity.map(|g| self.unit("base.gravity", g)).transpose()?,
         })
     }
+}
+
+/// The rotation nearest to a rounded matrix: the orthogonal factor of its polar decomposition.
+pub(super) fn rotation_of(matrix: &Matrix3<f64>) -> UnitQuaternion<f64> {
+    let svd = matrix.svd(true, true);
+    let nearest = svd.u.zip(svd.v_t).map_or(*matrix, |(u, v_t)| u * v_t);
+    let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(nearest));
+    UnitQuaternion::new_normalize(rotation.into_inner())
 }
 
 /// "a surface of this file, did you mean ...?"

@@ -1,8 +1,9 @@
 //! A [`Rig`] as the text of `rig.toml`, and that text onto the disk in one step.
 
+use super::validate::rotation_of;
 use super::{Base, Camera, Marker, Rig, RigError, View};
 use crate::optics::Surface;
-use nalgebra::{Rotation3, UnitQuaternion, Vector3};
+use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use std::fmt::Write as _;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
@@ -176,7 +177,11 @@ fn decimal(value: f64, decimals: usize) -> String {
         whole if whole.ends_with('.') => format!("{whole}0"),
         short => short.to_owned(),
     };
-    if short == "-0.0" { "0.0".to_owned() } else { short }
+    match short.as_str() {
+        "-0.0" => "0.0".to_owned(),
+        "NaN" => "nan".to_owned(), // as TOML spells it, so that reading it back can say where it is
+        _ => short,
+    }
 }
 
 fn list(items: impl Iterator<Item = String>) -> String {
@@ -194,14 +199,12 @@ fn rotation_rows(rotation: &UnitQuaternion<f64>) -> [f64; 9] {
         let m = q.to_rotation_matrix().into_inner();
         [m.m11, m.m12, m.m13, m.m21, m.m22, m.m23, m.m31, m.m32, m.m33]
     };
-    settle(rows(rotation), |read| {
-        let matrix = nalgebra::Matrix3::from_row_slice(&read);
-        rows(&UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(matrix)))
-    })
+    settle(rows(rotation), |read| rows(&rotation_of(&Matrix3::from_row_slice(&read))))
 }
 
 /// Rounds to the decimals of a direction such that reading (which makes it exactly unit or orthonormal again) and
-/// writing gives the same digits: a file that is only passed through must not change.
+/// writing gives the same digits: a file that is only passed through must not change. Rounding takes the nearest
+/// rounded value, reading the nearest unit or orthonormal one: the distance between the two only shrinks.
 fn settle<const N: usize>(values: [f64; N], read: impl Fn([f64; N]) -> [f64; N]) -> [f64; N] {
     let round = |values: [f64; N]| values.map(|v| (v * 1e12).round() / 1e12);
     let mut at = round(values);
