@@ -17,8 +17,9 @@ demo: deps
 	@ls -1 $(DEMO) | sed 's/^/  /'
 
 # With CATOPTRA_PYTHON set, the tests that read logs with other people's code must run; without it they may be left out.
-test: deps $(if $(shell command -v python3),$(VENV)/ready)
-	$(if $(shell command -v python3),CATOPTRA_PYTHON=$(CURDIR)/$(VENV)/bin/python) $(CARGO) test
+test: deps
+	@if command -v python3 >/dev/null; then $(MAKE) --no-print-directory $(VENV)/ready; fi
+	@if [ -e $(VENV)/ready ]; then export CATOPTRA_PYTHON=$(CURDIR)/$(VENV)/bin/python; fi; set -x; $(CARGO) test
 
 lint: deps
 	$(CARGO) fmt --check

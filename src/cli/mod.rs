@@ -39,6 +39,7 @@ struct Cli {
 #[derive(Debug, Subcommand)]
 enum Command {
     /// Look at rig files
+    #[command(after_help = "Example:\n  catoptra rig check calibration/dev_tank/rig.toml")]
     Rig(rig::Args),
 }
 
@@ -81,7 +82,7 @@ mod tests {
     use clap::CommandFactory as _;
 
     #[test]
-    fn the_command_line_is_consistent_and_its_help_fits_a_screen() {
+    fn every_help_fits_a_screen_and_ends_with_an_example() {
         let mut command = super::Cli::command();
         command.clone().debug_assert();
         command.build();
@@ -89,6 +90,8 @@ mod tests {
         while let Some(mut command) = pending.pop() {
             let help = command.render_long_help().to_string();
             assert!(help.lines().count() <= 40, "{} has {} lines", command.get_name(), help.lines().count());
+            let last = help.lines().last().unwrap_or_default();
+            assert!(last.starts_with("  catoptra "), "{} ends with {last:?}", command.get_name());
             pending.extend(command.get_subcommands().filter(|c| c.get_name() != "help").cloned());
         }
     }

@@ -123,7 +123,7 @@ pub fn check(rig: &Rig) -> Result<Check, NoRay> {
             let distances_m = met_m.map_or(DISTANCES_M, |met| [0.5 * met, met, 1.5 * met]);
             let working_distance_m = met_m.unwrap_or(DISTANCES_M[1]);
             ViewCheck {
-                refraction: refraction(view, &centre_px, &ray, working_distance_m),
+                refraction: refraction(view, &centre_px, &crossings, &ray.at(working_distance_m)),
                 round_trip: round_trip(&rig.camera, view, &distances_m),
                 centre_px,
                 crossings,
@@ -150,25 +150,22 @@ fn meet(a: &Ray, b: &Ray) -> Option<Meeting> {
     })
 }
 
-fn refraction(view: &View, pixel: &Point2<f64>, ray: &Ray, distance_m: f64) -> Option<Refraction> {
-    let is_wall = |s: &&Surface| matches!(s, Surface::Wall(_));
-    let Some(Surface::Wall(last)) = view.optics.surfaces.iter().rfind(is_wall) else { return None };
+fn refraction(view: &View, pixel: &Point2<f64>, crossings: &[Crossing], point: &Point3<f64>) -> Option<Refraction> {
+    let last = crossings.iter().rposition(|c| c.media.is_some())?;
+    let (before, after) = crossings.get(last)?.media?;
+    let Some(Surface::Wall(wall)) = view.optics.surfaces.get(last) else { return None };
     let without_walls = OpticalPath {
         lens: view.optics.lens,
-        surfaces: view.optics.surfaces.iter().filter(|s| !is_wall(s)).copied().collect(),
+        surfaces: view.optics.surfaces.iter().filter(|s| matches!(s, Surface::Mirror(_))).copied().collect(),
     };
     let straight = without_walls.trace(pixel).ok()?;
-    let point = ray.at(distance_m);
+    // From the last wall on, by way of the mirrors behind it.
+    let stations: Vec<Point3<f64>> = crossings.iter().skip(last).map(|c| c.point).chain([*point]).collect();
+    let depth_m: f64 = stations.iter().zip(stations.iter().skip(1)).map(|(a, b)| (b - a).norm()).sum();
     // Near the normal a layer of thickness t and index n seen from index 1 appears t/n thick.
-    let (_, before, after) = if last.outer.normal().dot(&ray.direction) < 0.0 {
-        ((), last.index_outside, last.index_inside)
-    } else {
-        ((), last.index_inside, last.index_outside)
-    };
-    let depth_m = last.inner().signed_distance(&point).abs();
     Some(Refraction {
-        nearer_m: depth_m * (1.0 - before / after) + last.thickness_m * (1.0 - before / last.index_wall),
-        beside_m: (straight.at(straight.nearest(&point)) - point).norm(),
+        nearer_m: depth_m * (1.0 - before / after) + wall.thickness_m * (1.0 - before / wall.index_wall),
+        beside_m: (straight.at(straight.nearest(point)) - point).norm(),
     })
 }
 
