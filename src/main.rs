@@ -1,3 +1,7 @@
-//! The command `catoptra`.
+//! The command `catoptra`: arguments in, exit code out.
 
-fn main() {}
+mod cli;
+
+fn main() -> std::process::ExitCode {
+    cli::run()
+}

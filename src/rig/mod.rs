@@ -3,12 +3,28 @@
 //! Inside: SI units, camera frame. `rig.toml` (read and written by this module, documented in `calibration/README.md`)
 //! holds the same in mm and pixels.
 
+//!
+//! - [`Rig::load`], [`Rig::save`] and their text forms; [`RigError`] names file, key, value and what would be right.
+//! - [`check::check`]: what the rig means in words and numbers, and whether its views work both ways.
+
+pub mod check;
+mod error;
+mod file;
+mod polygon;
+mod validate;
+mod walk;
+mod warnings;
+mod write;
+
+pub use error::RigError;
+
 use crate::optics::{Lens, OpticalPath, Surface};
 use nalgebra::{Isometry3, Point2, Vector3};
 use std::collections::BTreeMap;
+use std::path::Path;
 
 /// A checked rig.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Rig {
     /// Picture size and lens.
     pub camera: Camera,
@@ -26,6 +42,58 @@ pub struct Rig {
     pub provenance: toml::Table,
 }
 
+impl Rig {
+    /// Reads and checks a `rig.toml`.
+    ///
+    /// # Errors
+    /// [`RigError`] with the file, the key, its value and what would be right.
+    pub fn load(path: &Path) -> Result<Self, RigError> {
+        let text =
+            std::fs::read_to_string(path).map_err(|source| RigError::Read { file: path.to_path_buf(), source })?;
+        Self::from_toml_str(&text, path)
+    }
+
+    /// As [`Rig::load`] from text; `name` stands for the file in error messages.
+    ///
+    /// # Errors
+    /// [`RigError`], as [`Rig::load`].
+    pub fn from_toml_str(text: &str, name: &Path) -> Result<Self, RigError> {
+        validate::validate(file::parse(text, name)?, name)
+    }
+
+    /// Writes `rig.toml`: into a new file beside `path`, which then takes its place, so that a reader finds the old
+    /// or the new file, never half of one. Comments of the old file are not kept.
+    ///
+    /// # Errors
+    /// [`RigError`] when this rig would not be accepted by [`Rig::load`], or the file system refuses.
+    pub fn save(&self, path: &Path) -> Result<(), RigError> {
+        write::save(self, path)
+    }
+
+    /// The text of `rig.toml`: lengths to 1e-9 mm, directions to 1e-12. What was read from such a text gives the
+    /// same text again.
+    pub fn to_toml_string(&self) -> String {
+        write::to_text(self)
+    }
+
+    /// Index of a marker by its name.
+    pub fn marker(&self, name: &str) -> Option<usize> {
+        self.markers.iter().position(|m| m.name == name)
+    }
+
+    /// Index of a view by its name.
+    pub fn view(&self, name: &str) -> Option<usize> {
+        self.views.iter().position(|v| v.name == name)
+    }
+}
+
+impl View {
+    /// Whether a pixel belongs to this view: inside its region, or anywhere when it has none.
+    pub fn contains(&self, pixel: &Point2<f64>) -> bool {
+        self.region_px.is_empty() || polygon::contains(&self.region_px, pixel)
+    }
+}
+
 /// The camera.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Camera {
@@ -38,7 +106,7 @@ pub struct Camera {
 }
 
 /// One way the camera sees the markers.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct View {
     /// Its name, e.g. `direct`, `mirror`.
     pub name: String,

@@ -1,0 +1,37 @@
+# make demo    track the sample recording, and say where to look
+# make test    all tests
+# make lint    formatting and lints, as CI checks them
+# make bench   measure speed beside OpenCV and the bare decoder
+
+CARGO ?= cargo
+DEMO := out/demo
+VENV := target/venv
+
+.PHONY: demo test lint bench deps
+
+demo: deps
+	$(CARGO) build --release --bin catoptra
+	target/release/catoptra track sample_frames/planar.mkv --rig calibration/dev_tank/rig.toml -o $(DEMO) --overlay
+	@echo
+	@echo "The results are in $(DEMO):"
+	@ls -1 $(DEMO) | sed 's/^/  /'
+
+# With CATOPTRA_PYTHON set, the tests that read logs with other people's code must run; without it they may be left out.
+test: deps
+	@if command -v python3 >/dev/null; then $(MAKE) --no-print-directory $(VENV)/ready; fi
+	@if [ -e $(VENV)/ready ]; then export CATOPTRA_PYTHON=$(CURDIR)/$(VENV)/bin/python; fi; set -x; $(CARGO) test
+
+lint: deps
+	$(CARGO) fmt --check
+	$(CARGO) clippy --all-targets -- -D warnings
+
+bench: deps
+	$(CARGO) bench
+
+deps:
+	@scripts/install-deps
+
+$(VENV)/ready:
+	python3 -m venv $(VENV)
+	$(VENV)/bin/pip install --quiet --disable-pip-version-check mcap mcap-protobuf-support
+	@touch $@

@@ -1,0 +1,64 @@
+//! How a run ends when it does not end well.
+
+use catoptra::rig::RigError;
+use std::error::Error;
+use std::fmt;
+use std::process::ExitCode;
+
+/// The program's exit code.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Exit {
+    /// It failed on the way.
+    Failed,
+    /// Wrong usage, or an input file that is not valid.
+    Usage,
+    /// The calibration or measurement did not reach a usable result.
+    Unusable,
+}
+
+impl From<Exit> for ExitCode {
+    fn from(exit: Exit) -> Self {
+        Self::from(match exit {
+            Exit::Failed => 1,
+            Exit::Usage => 2,
+            Exit::Unusable => 3,
+        })
+    }
+}
+
+/// An error with the exit code it leads to.
+#[derive(Debug)]
+pub(crate) struct Failure {
+    exit: Exit,
+    error: Box<dyn Error + Send + Sync>,
+}
+
+impl Failure {
+    pub(crate) fn new(exit: Exit, error: impl Into<Box<dyn Error + Send + Sync>>) -> Self {
+        Self { exit, error: error.into() }
+    }
+
+    pub(crate) fn exit(&self) -> Exit {
+        self.exit
+    }
+}
+
+/// The error and what caused it, a line each.
+impl fmt::Display for Failure {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(f, "error: {}", self.error)?;
+        let mut cause = self.error.source();
+        while let Some(error) = cause {
+            writeln!(f, "  because: {error}")?;
+            cause = error.source();
+        }
+        Ok(())
+    }
+}
+
+impl From<RigError> for Failure {
+    fn from(error: RigError) -> Self {
+        let exit = if matches!(error, RigError::Write { .. }) { Exit::Failed } else { Exit::Usage };
+        Self::new(exit, error)
+    }
+}

@@ -1,0 +1,98 @@
+//! The command line: one file a verb, each turning raw arguments into a library call and its result into text.
+//!
+//! Results go to stdout, everything else to stderr. Exit codes: 0 good, 1 failed, 2 wrong usage or invalid input file,
+//! 3 the calibration or measurement is not usable, 130 interrupted.
+
+mod failure;
+mod output;
+mod rig;
+
+pub(crate) use failure::{Exit, Failure};
+
+use clap::{ArgAction, Parser, Subcommand};
+use std::io::{IsTerminal as _, Write as _};
+use std::process::ExitCode;
+use tracing_subscriber::EnvFilter;
+
+/// One camera and a mirror made into a 3D instrument: tracks a steerable catheter through glass and water.
+#[derive(Debug, Parser)]
+#[command(
+    name = "catoptra",
+    version,
+    max_term_width = 100,
+    after_help = "\
+Exit codes: 0 good, 1 failed, 2 wrong usage or invalid input file, 3 no usable result, 130 interrupted.
+Example:
+  catoptra rig check calibration/dev_tank/rig.toml"
+)]
+struct Cli {
+    /// Tell more on stderr; -vv for details
+    #[arg(short, long, global = true, action = ArgAction::Count)]
+    verbose: u8,
+    /// Tell errors only
+    #[arg(short, long, global = true, conflicts_with = "verbose")]
+    quiet: bool,
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Look at rig files
+    #[command(after_help = "Example:\n  catoptra rig check calibration/dev_tank/rig.toml")]
+    Rig(rig::Args),
+}
+
+/// Runs the program.
+pub(crate) fn run() -> ExitCode {
+    let cli = Cli::parse();
+    log_to_stderr(cli.verbose, cli.quiet);
+    let result = match &cli.command {
+        Command::Rig(args) => rig::run(args),
+    };
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => {
+            // Nothing can be told when stderr is gone; the exit code still can.
+            let _ = write!(std::io::stderr().lock(), "{failure}");
+            failure.exit().into()
+        }
+    }
+}
+
+fn log_to_stderr(verbose: u8, quiet: bool) {
+    let level = match (quiet, verbose) {
+        (true, _) => "error",
+        (false, 0) => "warn",
+        (false, 1) => "info",
+        (false, _) => "debug",
+    };
+    let libraries = if level == "error" { "error" } else { "warn" };
+    tracing_subscriber::fmt()
+        .with_env_filter(EnvFilter::new(format!("{libraries},catoptra={level}")))
+        .with_writer(std::io::stderr)
+        .with_ansi(std::io::stderr().is_terminal())
+        .with_target(false)
+        .without_time()
+        .init();
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory as _;
+
+    #[test]
+    fn every_help_fits_a_screen_and_ends_with_an_example() {
+        let mut command = super::Cli::command();
+        command.clone().debug_assert();
+        command.build();
+        let mut pending = vec![command];
+        while let Some(mut command) = pending.pop() {
+            let help = command.render_long_help().to_string();
+            assert!(help.lines().count() <= 40, "{} has {} lines", command.get_name(), help.lines().count());
+            let last = help.lines().last().unwrap_or_default();
+            assert!(last.starts_with("  catoptra "), "{} ends with {last:?}", command.get_name());
+            pending.extend(command.get_subcommands().filter(|c| c.get_name() != "help").cloned());
+        }
+    }
+}

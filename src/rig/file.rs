@@ -1,0 +1,168 @@
+//! `rig.toml` as it is written: mm, pixels, degrees. Here the text becomes these structs and nothing is judged but its
+//! form: TOML, types, and keys that are not known.
+
+use super::RigError;
+use super::error::nearest;
+use serde::Deserialize;
+use std::collections::BTreeMap;
+use std::path::Path;
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct RigFile {
+    pub camera: CameraFile,
+    #[serde(default)]
+    pub surfaces: BTreeMap<String, SurfaceFile>,
+    #[serde(default, rename = "view")]
+    pub views: Vec<ViewFile>,
+    #[serde(default, rename = "marker")]
+    pub markers: Vec<MarkerFile>,
+    pub catheter: CatheterFile,
+    pub base: Option<BaseFile>,
+    #[serde(default)]
+    pub provenance: toml::Table,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct CameraFile {
+    pub width_px: u32,
+    pub height_px: u32,
+    pub focal_px: [f64; 2],
+    pub principal_point_px: [f64; 2],
+    pub distortion: [f64; 5],
+    pub blur_px: Option<f64>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum SurfaceKind {
+    Mirror,
+    Wall,
+}
+
+/// Flat, with the wall's keys optional: the message about a missing one can then name surface and kind.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct SurfaceFile {
+    pub kind: SurfaceKind,
+    pub normal: [f64; 3],
+    pub offset_mm: f64,
+    pub thickness_mm: Option<f64>,
+    pub index_outside: Option<f64>,
+    pub index_wall: Option<f64>,
+    pub index_inside: Option<f64>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct ViewFile {
+    pub name: String,
+    pub path: Vec<String>,
+    pub region_px: Option<Vec<[f64; 2]>>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct MarkerFile {
+    pub name: String,
+    pub length_mm: f64,
+    pub centre_mm: Option<f64>,
+    pub colour: Option<ColourFile>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct ColourFile {
+    pub discriminant_rgb: [f64; 3],
+    pub bias: f64,
+    pub rgb: [f64; 3],
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct CatheterFile {
+    pub diameter_mm: f64,
+    pub coil: String,
+    pub end: Option<String>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct BaseFile {
+    pub base_from_camera: TransformFile,
+    pub b0: [f64; 3],
+    pub gravity: Option<[f64; 3]>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct TransformFile {
+    pub rotation: [[f64; 3]; 3],
+    pub translation_mm: [f64; 3],
+}
+
+/// Text to structs.
+///
+/// # Errors
+/// [`RigError::Syntax`] or [`RigError::UnknownKey`], with the line.
+pub(super) fn parse(text: &str, name: &Path) -> Result<RigFile, RigError> {
+    toml::from_str(text).map_err(|e| {
+        let start = e.span().map_or(0, |span| span.start);
+        let line = 1 + text.bytes().take(start).filter(|b| *b == b'\n').count();
+        let file = name.to_path_buf();
+        match unknown_key(e.message()) {
+            Some((key, advice)) => RigError::UnknownKey { file, line, key, advice },
+            None => RigError::Syntax { file, line, message: e.message().trim_end().replace('\n', ", ") },
+        }
+    })
+}
+
+/// Takes serde's "unknown field `a`, expected one of `b`, `c`" apart: the key, and advice. Serde knows the keys of
+/// every struct above, so they need not be listed a second time.
+fn unknown_key(message: &str) -> Option<(String, String)> {
+    let mut quoted = message.strip_prefix("unknown field ")?.split('`').skip(1).step_by(2);
+    let key = quoted.next()?;
+    let known: Vec<&str> = quoted.collect();
+    let advice = match nearest(key, known.iter().copied()) {
+        Some(near) => format!("did you mean `{near}`?"),
+        None => format!("known here: {}", known.join(", ")),
+    };
+    Some((key.to_owned(), advice))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn error(text: &str) -> String {
+        parse(text, Path::new("rig.toml")).unwrap_err().to_string()
+    }
+
+    const CAMERA: &str = "[camera]\nwidth_px = 640\nheight_px = 480\nfocal_px = [800.0, 800.0]\n\
+                          principal_point_px = [320.0, 240.0]\n";
+
+    #[test]
+    fn an_unknown_key_is_named_with_its_line_and_the_nearest_known_one() {
+        let text = format!("{CAMERA}distorsion = [0.0, 0.0, 0.0, 0.0, 0.0]\n");
+        assert_eq!(error(&text), "rig.toml:6: unknown key `distorsion`, did you mean `distortion`?");
+    }
+
+    #[test]
+    fn a_key_like_no_other_gets_the_list() {
+        assert_eq!(
+            error("[catheter]\nbanana = 1\n"),
+            "rig.toml:2: unknown key `banana`, known here: diameter_mm, coil, end"
+        );
+    }
+
+    #[test]
+    fn a_wrong_type_a_missing_key_and_broken_toml_name_their_line() {
+        assert!(error("[camera]\nwidth_px = \"wide\"\n").starts_with("rig.toml:2: invalid type: string \"wide\""));
+        assert!(error("[camera]\nwidth_px = -3\n").starts_with("rig.toml:2: invalid value: integer `-3`"));
+        assert!(error(CAMERA).contains("missing field `distortion`"), "{}", error(CAMERA));
+        assert!(error("[camera\n").starts_with("rig.toml:1: "));
+        let four = format!("{CAMERA}distortion = [0.0, 0.0, 0.0, 0.0]\n");
+        assert!(error(&four).starts_with("rig.toml:6: invalid length 4"), "{}", error(&four));
+    }
+}

@@ -1,0 +1,362 @@
+//! From the file's numbers to a [`Rig`]: every value is judged here, with its key, and turned into metres.
+
+use super::error::nearest;
+use super::file::{BaseFile, CameraFile, CatheterFile, MarkerFile, RigFile, SurfaceFile, SurfaceKind, ViewFile};
+use super::walk::{central_pixel, walk};
+use super::write::millimetres as written_mm;
+use super::{Base, Camera, Catheter, ColourModel, Marker, Rig, RigError, View, polygon};
+use crate::optics::{Lens, Mirror, OpticalPath, Plane, Surface, Wall};
+use nalgebra::{Isometry3, Matrix3, Point2, Rotation3, Translation3, UnitQuaternion, Vector2, Vector3};
+use std::collections::BTreeMap;
+use std::fmt::Display;
+use std::path::Path;
+
+/// How far unit vectors and rotations may be off: six printed decimals.
+const UNIT_TOLERANCE: f64 = 2e-6;
+
+/// Judges and converts a whole file; `file` stands in the messages.
+pub(super) fn validate(raw: RigFile, file: &Path) -> Result<Rig, RigError> {
+    let check = Check { file };
+    let camera = check.camera(&raw.camera)?;
+    let mut surfaces = BTreeMap::new();
+    for (name, surface) in &raw.surfaces {
+        surfaces.insert(name.clone(), check.surface(name, surface)?);
+    }
+    check.names("view", raw.views.iter().map(|v| v.name.as_str()))?;
+    check.names("marker", raw.markers.iter().map(|m| m.name.as_str()))?;
+    let views = raw.views.into_iter().map(|v| check.view(v, &camera, &surfaces)).collect::<Result<Vec<_>, _>>()?;
+    let markers = raw.markers.into_iter().map(|m| check.marker(m)).collect::<Result<Vec<_>, _>>()?;
+    check.bands_apart(&markers)?;
+    let catheter = check.catheter(&raw.catheter, &markers)?;
+    let base = raw.base.map(|base| check.base(&base)).transpose()?;
+    Ok(Rig { camera, surfaces, views, markers, catheter, base, provenance: raw.provenance })
+}
+
+/// Judges values on behalf of one file.
+struct Check<'a> {
+    file: &'a Path,
+}
+
+impl Check<'_> {
+    fn value(&self, key: impl Display, value: impl Display, expected: impl Display) -> RigError {
+        RigError::Value {
+            file: self.file.to_path_buf(),
+            key: key.to_string(),
+            value: value.to_string(),
+            expected: expected.to_string(),
+        }
+    }
+
+    fn key(&self, key: impl Display, problem: impl Display) -> RigError {
+        RigError::Key { file: self.file.to_path_buf(), key: key.to_string(), problem: problem.to_string() }
+    }
+
+    fn finite(&self, key: impl Display, values: &[f64]) -> Result<(), RigError> {
+        match values {
+            _ if values.iter().all(|v| v.is_finite()) => Ok(()),
+            [value] => Err(self.value(key, value, "a finite number")),
+            _ => Err(self.value(key, format!("{values:?}"), "finite numbers")),
+        }
+    }
+
+    fn positive(&self, key: impl Display, value: f64) -> Result<(), RigError> {
+        if value.is_finite() && value > 0.0 { Ok(()) } else { Err(self.value(key, value, "a positive number")) }
+    }
+
+    /// A unit vector; what rounding in the file has made longer or shorter is put right.
+    fn unit(&self, key: impl Display, v: [f64; 3]) -> Result<Vector3<f64>, RigError> {
+        self.finite(&key, &v)?;
+        let length = Vector3::from(v).norm();
+        if (length - 1.0).abs() > UNIT_TOLERANCE {
+            let unit = v.map(|x| (x / length * 1e6).round() / 1e6);
+            let hint = if length > 0.0 { format!(", for this direction {unit:?}") } else { String::new() };
+            return Err(self.value(key, format!("{v:?}"), format!("length 1, it is {length:.6}{hint}")));
+        }
+        Ok(Vector3::from(v) / length)
+    }
+
+    /// At least one entry; names that fit into tables and messages; each only once.
+    fn names<'n>(&self, section: &str, names: impl Iterator<Item = &'n str>) -> Result<(), RigError> {
+        let mut seen: Vec<&str> = Vec::new();
+        for name in names {
+            self.name(format_args!("{section}.name"), name)?;
+            if seen.contains(&name) {
+                return Err(self.value(
+                    format_args!("{section}.name"),
+                    format_args!("{name:?}"),
+                    "a different name for each",
+                ));
+            }
+            seen.push(name);
+        }
+        if seen.is_empty() {
+            Err(self.key(section, format_args!("expected at least one [[{section}]]")))
+        } else {
+            Ok(())
+        }
+    }
+
+    fn name(&self, key: impl Display, name: &str) -> Result<(), RigError> {
+        let plain = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';
+        if !name.is_empty() && name.chars().all(plain) {
+            return Ok(());
+        }
+        Err(self.value(key, format_args!("{name:?}"), "letters, digits, `_` and `-` (it names columns and topics)"))
+    }
+
+    fn camera(&self, raw: &CameraFile) -> Result<Camera, RigError> {
+        for (key, size) in [("camera.width_px", raw.width_px), ("camera.height_px", raw.height_px)] {
+            if !(1..=65_535).contains(&size) {
+                return Err(self.value(key, size, "1 to 65535"));
+            }
+        }
+        for f in raw.focal_px {
+            self.positive("camera.focal_px", f)?;
+        }
+        self.finite("camera.principal_point_px", &raw.principal_point_px)?;
+        self.finite("camera.distortion", &raw.distortion)?;
+        if let Some(blur) = raw.blur_px {
+            self.positive("camera.blur_px", blur)?;
+        }
+        let lens = Lens {
+            focal_px: Vector2::from(raw.focal_px),
+            principal_point_px: Point2::from(raw.principal_point_px),
+            distortion: raw.distortion,
+        };
+        Ok(Camera { size_px: [raw.width_px, raw.height_px], lens, blur_px: raw.blur_px })
+    }
+
+    fn surface(&self, name: &str, raw: &SurfaceFile) -> Result<Surface, RigError> {
+        self.name("surfaces", name)?;
+        let key = |field: &str| format!("surfaces.{name}.{field}");
+        let normal = self.unit(key("normal"), raw.normal)?;
+        self.finite(key("offset_mm"), &[raw.offset_mm])?;
+        let plane = Plane::new(normal, raw.offset_mm / 1e3)
+            .map_err(|e| self.value(key("normal"), format!("{:?}", raw.normal), e))?;
+        let of_walls = [
+            ("thickness_mm", raw.thickness_mm),
+            ("index_outside", raw.index_outside),
+            ("index_wall", raw.index_wall),
+            ("index_inside", raw.index_inside),
+        ];
+        if raw.kind == SurfaceKind::Mirror {
+            return match of_walls.iter().find(|(_, value)| value.is_some()) {
+                Some((field, _)) => Err(self.key(key(field), "only a wall has this, and this is a mirror")),
+                None => Ok(Surface::Mirror(Mirror { plane })),
+            };
+        }
+        let needed =
+            |(field, value): (&str, Option<f64>)| value.ok_or_else(|| self.key(key(field), "missing, a wall needs it"));
+        let [thickness_mm, index_outside, index_wall, index_inside] = of_walls.map(needed);
+        let wall = Wall {
+            outer: plane,
+            thickness_m: thickness_mm? / 1e3,
+            index_outside: index_outside?,
+            index_wall: index_wall?,
+            index_inside: index_inside?,
+        };
+        self.positive(key("thickness_mm"), wall.thickness_m * 1e3)?;
+        for (field, index) in [
+            ("index_outside", wall.index_outside),
+            ("index_wall", wall.index_wall),
+            ("index_inside", wall.index_inside),
+        ] {
+            if !(1.0..=3.0).contains(&index) {
+                return Err(self.value(key(field), index, "1 to 3 (air 1, water 1.333, glass 1.52, acrylic 1.49)"));
+            }
+        }
+        Ok(Surface::Wall(wall))
+    }
+
+    fn view(&self, raw: ViewFile, camera: &Camera, surfaces: &BTreeMap<String, Surface>) -> Result<View, RigError> {
+        let name = raw.name;
+        let key = |field: &str| format!("view.{name}.{field}");
+        let mut optics = OpticalPath { lens: camera.lens, surfaces: Vec::with_capacity(raw.path.len()) };
+        for surface in &raw.path {
+            let found = surfaces.get(surface).ok_or_else(|| {
+                let known = surfaces.keys().map(String::as_str);
+                self.value(key("path"), format_args!("{surface:?}"), unknown_name("a surface", surface, known))
+            })?;
+            optics.surfaces.push(*found);
+        }
+        // What lies before the first mirror only bends the ray: the camera must be on that mirror's reflecting side.
+        let first_mirror = raw.path.iter().zip(&optics.surfaces).find(|(_, s)| matches!(s, Surface::Mirror(_)));
+        if let Some((surface, mirror)) = first_mirror
+            && mirror.plane().offset_m() >= 0.0
+        {
+            return Err(self.value(
+                format_args!("surfaces.{surface}.offset_mm"),
+                written_mm(mirror.plane().offset_m()),
+                "a negative number: a mirror's normal points to the side it reflects on, where the camera is \
+                 (change the signs of normal and offset_mm)",
+            ));
+        }
+        let region_px = raw.region_px.map(|corners| self.region(key("region_px"), &corners, camera)).transpose()?;
+        let view = View { path: raw.path, optics, region_px: region_px.unwrap_or_default(), name: name.clone() };
+        self.path_leads_somewhere(&view, camera)?;
+        Ok(view)
+    }
+
+    fn region(&self, key: String, corners: &[[f64; 2]], camera: &Camera) -> Result<Vec<Point2<f64>>, RigError> {
+        if corners.len() < 3 {
+            return Err(self.value(key, format!("{corners:?}"), "at least 3 corners, or no such key"));
+        }
+        let [right, bottom] = camera.size_px.map(|size| f64::from(size) - 0.5);
+        for corner in corners {
+            self.finite(&key, corner)?;
+            if !((-0.5..=right).contains(&corner[0]) && (-0.5..=bottom).contains(&corner[1])) {
+                let expected = format!("corners inside the picture, x -0.5 to {right}, y -0.5 to {bottom}");
+                return Err(self.value(key, format!("{corner:?}"), expected));
+            }
+        }
+        let region: Vec<_> = corners.iter().map(|c| Point2::from(*c)).collect();
+        if polygon::area_and_centre(&region).0 < 1.0 {
+            return Err(self.value(key, format!("{corners:?}"), "corners in order around an area"));
+        }
+        Ok(region)
+    }
+
+    /// The view's central ray arrives, and leaves every surface into the medium that the next one begins in.
+    fn path_leads_somewhere(&self, view: &View, camera: &Camera) -> Result<(), RigError> {
+        let key = format!("view.{}.path", view.name);
+        let path = format!("{:?}", view.path);
+        let (crossings, _) =
+            central_pixel(camera, view).and_then(|pixel| walk(&view.optics, &pixel)).map_err(|no_ray| {
+                let whose = if view.region_px.is_empty() {
+                    "some ray of the picture"
+                } else {
+                    "the ray of the region's centre"
+                };
+                self.value(&key, &path, format_args!("{whose} to pass these surfaces in this order, but: {no_ray}"))
+            })?;
+        let mut medium: Option<f64> = None;
+        for (surface, crossing) in view.path.iter().zip(&crossings) {
+            let Some((before, after)) = crossing.media else { continue };
+            if let Some(medium) = medium.filter(|medium| (medium - before).abs() > 1e-9) {
+                let expected = format!(
+                    "one medium between surfaces, but `{surface}` is met from index {before} while the ray is in {medium}"
+                );
+                return Err(self.value(&key, &path, expected));
+            }
+            medium = Some(after);
+        }
+        Ok(())
+    }
+
+    fn marker(&self, raw: MarkerFile) -> Result<Marker, RigError> {
+        let key = |field: &str| format!("marker.{}.{field}", raw.name);
+        self.positive(key("length_mm"), raw.length_mm)?;
+        if let Some(centre) = raw.centre_mm {
+            self.finite(key("centre_mm"), &[centre])?;
+            if centre < raw.length_mm / 2.0 {
+                let expected = format!("at least {}, half the band's length from the clamp", raw.length_mm / 2.0);
+                return Err(self.value(key("centre_mm"), centre, expected));
+            }
+        }
+        if let Some(colour) = &raw.colour {
+            self.finite(key("colour.discriminant_rgb"), &colour.discriminant_rgb)?;
+            self.finite(key("colour.bias"), &[colour.bias])?;
+            self.finite(key("colour.rgb"), &colour.rgb)?;
+            if colour.discriminant_rgb == [0.0; 3] {
+                return Err(self.value(key("colour.discriminant_rgb"), "[0, 0, 0]", "weights that are not all zero"));
+            }
+            if !colour.rgb.iter().all(|c| (0.0..=255.0).contains(c)) {
+                return Err(self.value(key("colour.rgb"), format!("{:?}", colour.rgb), "0 to 255 each"));
+            }
+        }
+        Ok(Marker {
+            length_m: raw.length_mm / 1e3,
+            centre_m: raw.centre_mm.map(|centre| centre / 1e3),
+            colour: raw.colour.map(|c| ColourModel {
+                weights: Vector3::from(c.discriminant_rgb),
+                bias: c.bias,
+                rgb: Vector3::from(c.rgb),
+            }),
+            name: raw.name,
+        })
+    }
+
+    /// Bands whose place is known follow each other along the tube in the file's order, and do not overlap.
+    fn bands_apart(&self, markers: &[Marker]) -> Result<(), RigError> {
+        let mut before: Option<(&str, f64)> = None;
+        for marker in markers {
+            let Some(centre_m) = marker.centre_m else { continue };
+            if let Some((other, end_m)) = before
+                && centre_m - marker.length_m / 2.0 < end_m - 1e-9
+            {
+                return Err(self.value(
+                    format_args!("marker.{}.centre_mm", marker.name),
+                    written_mm(centre_m),
+                    format_args!(
+                        "bands in their order along the tube: `{other}` reaches to {} mm, so a band of {} mm has its \
+                         middle at {} or more",
+                        written_mm(end_m),
+                        written_mm(marker.length_m),
+                        written_mm(end_m + marker.length_m / 2.0)
+                    ),
+                ));
+            }
+            before = Some((&marker.name, centre_m + marker.length_m / 2.0));
+        }
+        Ok(())
+    }
+
+    fn catheter(&self, raw: &CatheterFile, markers: &[Marker]) -> Result<Catheter, RigError> {
+        self.positive("catheter.diameter_mm", raw.diameter_mm)?;
+        let index = |key: &str, name: &str| {
+            markers.iter().position(|m| m.name == name).ok_or_else(|| {
+                let known = markers.iter().map(|m| m.name.as_str());
+                self.value(key, format_args!("{name:?}"), unknown_name("a marker", name, known))
+            })
+        };
+        let coil = index("catheter.coil", &raw.coil)?;
+        let end = raw.end.as_deref().map(|name| index("catheter.end", name)).transpose()?;
+        if let Some(end) = end
+            && let Some(last) = markers.last()
+            && end + 1 != markers.len()
+        {
+            let expected = format!("the last marker along the tube, {:?}", last.name);
+            return Err(self.value("catheter.end", format_args!("{:?}", raw.end.as_deref().unwrap_or("")), expected));
+        }
+        Ok(Catheter { diameter_m: raw.diameter_mm / 1e3, coil, end })
+    }
+
+    fn base(&self, raw: &BaseFile) -> Result<Base, RigError> {
+        let key = "base.base_from_camera.rotation";
+        let rows = raw.base_from_camera.rotation;
+        self.finite(key, rows.as_flattened())?;
+        let matrix = Matrix3::from_row_slice(rows.as_flattened());
+        let off = (matrix * matrix.transpose() - Matrix3::identity()).amax();
+        if off > 2.0 * UNIT_TOLERANCE {
+            let expected = format!("a rotation: unit rows at right angles, they are off by {off:.2e}");
+            return Err(self.value(key, format!("{rows:?}"), expected));
+        }
+        if matrix.determinant() < 0.0 {
+            return Err(self.value(key, format!("{rows:?}"), "a right-handed rotation, its determinant is -1"));
+        }
+        self.finite("base.base_from_camera.translation_mm", &raw.base_from_camera.translation_mm)?;
+        let rotation = rotation_of(&matrix);
+        let translation = Translation3::from(Vector3::from(raw.base_from_camera.translation_mm.map(|x| x / 1e3)));
+        Ok(Base {
+            base_from_camera: Isometry3::from_parts(translation, rotation),
+            b0: self.unit("base.b0", raw.b0)?,
+            gravity: raw.gravity.map(|g| self.unit("base.gravity", g)).transpose()?,
+        })
+    }
+}
+
+/// The rotation nearest to a rounded matrix: the orthogonal factor of its polar decomposition.
+pub(super) fn rotation_of(matrix: &Matrix3<f64>) -> UnitQuaternion<f64> {
+    let svd = matrix.svd(true, true);
+    let nearest = svd.u.zip(svd.v_t).map_or(*matrix, |(u, v_t)| u * v_t);
+    let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(nearest));
+    UnitQuaternion::new_normalize(rotation.into_inner())
+}
+
+/// "a surface of this file, did you mean ...?"
+fn unknown_name<'n>(what: &str, name: &str, known: impl Iterator<Item = &'n str> + Clone) -> String {
+    match nearest(name, known.clone()) {
+        Some(near) => format!("the name of {what}, did you mean {near:?}?"),
+        None => format!("the name of {what}: {}", known.collect::<Vec<_>>().join(", ")),
+    }
+}

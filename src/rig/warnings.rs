@@ -1,0 +1,247 @@
+//! What a user should know about a rig before measuring with it.
+
+use super::check::{Meeting, ViewCheck};
+use super::walk::grid;
+use super::{Base, Marker, Rig, polygon};
+use nalgebra::Point2;
+use std::fmt;
+
+/// Beyond this angle a mirror shows little, and a wall reflects more than it lets through.
+const EDGE_ON_RAD: f64 = 75.0 * std::f64::consts::PI / 180.0;
+/// Views nearer in direction than this measure depth badly.
+const NARROW_RAD: f64 = 20.0 * std::f64::consts::PI / 180.0;
+
+/// Something a user should know.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Warning {
+    /// Tracing and projecting disagree.
+    RoundTrip {
+        /// The view.
+        view: String,
+        /// Points without a way back.
+        lost: usize,
+        /// Largest error, pixels.
+        max_error_px: f64,
+    },
+    /// Some pixels of a view have no ray.
+    PartlyBlind {
+        /// The view.
+        view: String,
+        /// Pixels of the grid without a ray.
+        without_ray: usize,
+        /// Pixels of the grid.
+        pixels: usize,
+    },
+    /// One view gives no depth.
+    SingleView,
+    /// The first two views look along nearly the same direction.
+    NarrowAngle {
+        /// Angle between the central rays, radians.
+        angle_rad: f64,
+    },
+    /// The views end in different media: the marker cannot be in both.
+    MediaDiffer {
+        /// Index of refraction at the end of the views' paths.
+        indices: Vec<f64>,
+    },
+    /// A surface is met at a grazing angle.
+    EdgeOn {
+        /// The view.
+        view: String,
+        /// The surface.
+        surface: String,
+        /// Angle between ray and normal, radians.
+        incidence_rad: f64,
+    },
+    /// A view without a region, where there are several.
+    NoRegion {
+        /// The view.
+        view: String,
+    },
+    /// Two views claim the same pixels.
+    RegionsOverlap {
+        /// The views.
+        views: [String; 2],
+        /// Area of the overlap on the test grid, px².
+        area_px2: f64,
+    },
+    /// A surface that no view meets.
+    UnusedSurface {
+        /// The surface.
+        surface: String,
+    },
+    /// The principal point lies far from the picture's middle.
+    PrincipalPoint {
+        /// Distance from the middle, pixels.
+        distance_px: f64,
+    },
+    /// Markers whose colour has not been learned.
+    NoColour {
+        /// Their names.
+        markers: Vec<String>,
+    },
+    /// Markers whose place along the tube is not known.
+    NoPlace {
+        /// Their names.
+        markers: Vec<String>,
+    },
+    /// No base frame.
+    NoBase,
+    /// B0 is not where the base frame's definition puts it.
+    B0OffPlane {
+        /// Angle between B0 and the base's x-z plane, on the side of +x, radians.
+        angle_rad: f64,
+    },
+    /// The lens blur has not been measured.
+    NoBlur,
+}
+
+impl fmt::Display for Warning {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::RoundTrip { view, lost, max_error_px } => write!(
+                f,
+                "view {view}: pixels do not come back to themselves ({lost} points lost, largest error {max_error_px:.1e} \
+                 px): do not measure with this rig"
+            ),
+            Self::PartlyBlind { view, without_ray, pixels } => {
+                write!(f, "view {view}: {without_ray} of {pixels} grid pixels have no ray; check surfaces and region")
+            }
+            Self::SingleView => write!(f, "one view only: no position in space can be measured"),
+            Self::NarrowAngle { angle_rad } => {
+                write!(
+                    f,
+                    "the views look along nearly the same direction ({:.1}°): depth will be weak",
+                    angle_rad.to_degrees()
+                )
+            }
+            Self::MediaDiffer { indices } => {
+                write!(f, "the views end in media of different index {indices:?}: a marker cannot be in both")
+            }
+            Self::EdgeOn { view, surface, incidence_rad } => {
+                write!(
+                    f,
+                    "view {view}: {surface} is met nearly edge-on ({:.1}° from its normal)",
+                    incidence_rad.to_degrees()
+                )
+            }
+            Self::NoRegion { view } => {
+                write!(f, "view {view} has no region_px: any pixel may be taken for this view")
+            }
+            Self::RegionsOverlap { views: [a, b], area_px2 } => {
+                write!(f, "the regions of {a} and {b} overlap by about {area_px2:.0} px²: a band there is ambiguous")
+            }
+            Self::UnusedSurface { surface } => write!(f, "surface {surface} is on no view's path"),
+            Self::PrincipalPoint { distance_px } => {
+                write!(
+                    f,
+                    "the principal point is {distance_px:.0} px from the picture's middle: cropped pictures, or a poor calibration?"
+                )
+            }
+            Self::NoColour { markers } => {
+                write!(f, "no colour learned for {}: run `catoptra calibrate markers`", markers.join(", "))
+            }
+            Self::NoPlace { markers } => {
+                write!(
+                    f,
+                    "centre_mm not given for {}: where the band sits along the tube is unknown",
+                    markers.join(", ")
+                )
+            }
+            Self::NoBase => write!(f, "no [base]: positions in the camera frame only, and no deflection angle"),
+            Self::B0OffPlane { angle_rad } => write!(
+                f,
+                "b0 is {:.1}° off the base frame's x-z plane (towards +x), where it belongs by definition",
+                angle_rad.to_degrees()
+            ),
+            Self::NoBlur => write!(f, "camera.blur_px is not given: the blur of the lens will be assumed"),
+        }
+    }
+}
+
+/// All that is found, the gravest first.
+pub(super) fn warnings(rig: &Rig, views: &[ViewCheck], meeting: Option<&Meeting>) -> Vec<Warning> {
+    let mut found = Vec::new();
+    for (view, checked) in rig.views.iter().zip(views) {
+        let trip = &checked.round_trip;
+        if !trip.faithful() {
+            let (lost, max_error_px) = (trip.lost, trip.max_error_px);
+            found.push(Warning::RoundTrip { view: view.name.clone(), lost, max_error_px });
+        }
+        if trip.with_ray < trip.pixels {
+            let without_ray = trip.pixels - trip.with_ray;
+            found.push(Warning::PartlyBlind { view: view.name.clone(), without_ray, pixels: trip.pixels });
+        }
+        for (surface, crossing) in view.path.iter().zip(&checked.crossings) {
+            if crossing.incidence_rad > EDGE_ON_RAD {
+                let (surface, incidence_rad) = (surface.clone(), crossing.incidence_rad);
+                found.push(Warning::EdgeOn { view: view.name.clone(), surface, incidence_rad });
+            }
+        }
+    }
+    found.extend((views.len() == 1).then_some(Warning::SingleView));
+    if let Some(Meeting { angle_rad, .. }) = meeting
+        && *angle_rad < NARROW_RAD
+    {
+        found.push(Warning::NarrowAngle { angle_rad: *angle_rad });
+    }
+    let indices: Vec<f64> =
+        views.iter().map(|v| v.crossings.iter().rev().find_map(|c| c.media).map_or(1.0, |(_, after)| after)).collect();
+    if indices.windows(2).any(|pair| matches!(pair, [a, b] if (a - b).abs() > 1e-9)) {
+        found.push(Warning::MediaDiffer { indices });
+    }
+    found.extend(regions(rig));
+    found.extend(
+        rig.surfaces
+            .keys()
+            .filter(|name| !rig.views.iter().any(|v| v.path.contains(name)))
+            .map(|name| Warning::UnusedSurface { surface: name.clone() }),
+    );
+    let middle = Point2::from(rig.camera.size_px.map(|size| f64::from(size - 1) / 2.0));
+    let distance_px = (rig.camera.lens.principal_point_px - middle).norm();
+    if distance_px > 0.1 * f64::from(rig.camera.size_px[0]) {
+        found.push(Warning::PrincipalPoint { distance_px });
+    }
+    let named = |lacks: fn(&Marker) -> bool| -> Option<Vec<String>> {
+        let markers: Vec<_> = rig.markers.iter().filter(|m| lacks(m)).map(|m| m.name.clone()).collect();
+        (!markers.is_empty()).then_some(markers)
+    };
+    found.extend(named(|m| m.colour.is_none()).map(|markers| Warning::NoColour { markers }));
+    found.extend(named(|m| m.centre_m.is_none()).map(|markers| Warning::NoPlace { markers }));
+    match &rig.base {
+        None => found.push(Warning::NoBase),
+        Some(base) => found.extend(b0_off_plane(base)),
+    }
+    found.extend(rig.camera.blur_px.is_none().then_some(Warning::NoBlur));
+    found
+}
+
+fn regions(rig: &Rig) -> Vec<Warning> {
+    let mut found = Vec::new();
+    for (i, view) in rig.views.iter().enumerate() {
+        if view.region_px.is_empty() {
+            if rig.views.len() > 1 {
+                found.push(Warning::NoRegion { view: view.name.clone() });
+            }
+            continue;
+        }
+        for other in rig.views.iter().skip(i + 1).filter(|other| !other.region_px.is_empty()) {
+            let step_px = 4.0;
+            let shared = grid(&rig.camera, step_px)
+                .filter(|p| polygon::contains(&view.region_px, p) && polygon::contains(&other.region_px, p))
+                .count();
+            if shared > 0 {
+                let views = [view.name.clone(), other.name.clone()];
+                found.push(Warning::RegionsOverlap { views, area_px2: shared as f64 * step_px * step_px });
+            }
+        }
+    }
+    found
+}
+
+/// B0 has no component along the base's y, and a positive one along x.
+fn b0_off_plane(base: &Base) -> Option<Warning> {
+    let b0 = base.base_from_camera.rotation * base.b0;
+    let angle_rad = b0.y.abs().atan2(b0.x);
+    (angle_rad > 0.5_f64.to_radians()).then_some(Warning::B0OffPlane { angle_rad })
+}

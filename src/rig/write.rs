@@ -1,0 +1,219 @@
+//! A [`Rig`] as the text of `rig.toml`, and that text onto the disk in one step.
+
+use super::validate::rotation_of;
+use super::{Base, Camera, Marker, Rig, RigError, View};
+use crate::optics::Surface;
+use nalgebra::{Matrix3, UnitQuaternion, Vector3};
+use std::fmt::Write as _;
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+
+/// Decimals of a direction: 1e-12 turns a point at 2 m by 2e-12 m.
+const DIRECTION_DECIMALS: usize = 12;
+
+/// The whole file.
+pub(super) fn to_text(rig: &Rig) -> String {
+    let mut sections = vec![
+        "# A Catoptra rig. Lengths are mm, pixels count from the centre of the top-left one, directions are unit\n\
+         # vectors in the camera frame (x right, y down, z forward). Every key: calibration/README.md.\n"
+            .to_owned(),
+        camera(&rig.camera),
+    ];
+    sections.extend(rig.surfaces.iter().enumerate().map(|(i, (name, s))| surface(i == 0, name, s)));
+    sections.extend(rig.views.iter().enumerate().map(|(i, v)| view(i == 0, v)));
+    sections.extend(rig.markers.iter().enumerate().map(|(i, m)| marker(i == 0, m)));
+    sections.push(catheter(rig));
+    sections.extend(rig.base.iter().map(base));
+    if !rig.provenance.is_empty() {
+        let wrapped = toml::Table::from_iter([("provenance".to_owned(), rig.provenance.clone().into())]);
+        sections.push(format!("# Where the numbers come from.\n{wrapped}"));
+    }
+    sections.join("\n")
+}
+
+/// See [`Rig::save`].
+pub(super) fn save(rig: &Rig, path: &Path) -> Result<(), RigError> {
+    let text = rig.to_toml_string();
+    Rig::from_toml_str(&text, path)?; // never replace a good file by one that cannot be read
+    let fail = |source| RigError::Write { file: path.to_path_buf(), source };
+    let mut new_name = path.as_os_str().to_owned();
+    new_name.push(format!(".{}.new", std::process::id()));
+    let new = PathBuf::from(new_name);
+    let written = std::fs::File::create(&new)
+        .and_then(|mut file| file.write_all(text.as_bytes()).and_then(|()| file.sync_all()))
+        .and_then(|()| std::fs::rename(&new, path));
+    if written.is_err() {
+        // The first failure is the one to report; a new file that was never made cannot be removed either.
+        let _ = std::fs::remove_file(&new);
+    }
+    written.map_err(fail)
+}
+
+fn camera(camera: &Camera) -> String {
+    let lens = &camera.lens;
+    let mut text = format!(
+        "# The camera and its lens: one for all views. distortion = k1, k2, p1, p2, k3 as OpenCV orders them.\n\
+         [camera]\nwidth_px = {}\nheight_px = {}\nfocal_px = {}\nprincipal_point_px = {}\ndistortion = {}\n",
+        camera.size_px[0],
+        camera.size_px[1],
+        list(lens.focal_px.iter().map(|v| decimal(*v, 9))),
+        list(lens.principal_point_px.iter().map(|v| decimal(*v, 9))),
+        list(lens.distortion.iter().map(|v| decimal(*v, DIRECTION_DECIMALS))),
+    );
+    if let Some(blur) = camera.blur_px {
+        let _ = writeln!(text, "blur_px = {}", decimal(blur, 9));
+    }
+    text
+}
+
+fn surface(first: bool, name: &str, surface: &Surface) -> String {
+    let head = "# Planes normal·X = offset_mm. A mirror's normal points to the side it reflects on, a wall's outwards;\n\
+                # a wall's plane is its outer face.\n";
+    let plane = surface.plane();
+    let (kind, wall) = match surface {
+        Surface::Mirror(_) => ("mirror", None),
+        Surface::Wall(wall) => ("wall", Some(wall)),
+    };
+    let mut text = format!(
+        "{}[surfaces.{name}]\nkind = \"{kind}\"\nnormal = {}\noffset_mm = {}\n",
+        if first { head } else { "" },
+        direction(&plane.normal()),
+        millimetres(plane.offset_m()),
+    );
+    if let Some(wall) = wall {
+        let _ = write!(
+            text,
+            "thickness_mm = {}\nindex_outside = {}\nindex_wall = {}\nindex_inside = {}\n",
+            millimetres(wall.thickness_m),
+            decimal(wall.index_outside, 9),
+            decimal(wall.index_wall, 9),
+            decimal(wall.index_inside, 9),
+        );
+    }
+    text
+}
+
+fn view(first: bool, view: &View) -> String {
+    let head = "# Views: the surfaces a camera ray meets, in order, and where in the picture.\n";
+    let path = list(view.path.iter().map(|name| format!("\"{name}\"")));
+    let mut text = format!("{}[[view]]\nname = \"{}\"\npath = {path}\n", if first { head } else { "" }, view.name);
+    if !view.region_px.is_empty() {
+        let corners = view.region_px.iter().map(|c| list(c.iter().map(|v| decimal(*v, 9))));
+        let _ = writeln!(text, "region_px = {}", list(corners));
+    }
+    text
+}
+
+fn marker(first: bool, marker: &Marker) -> String {
+    let head =
+        "# Bands, from the clamp to the tip; centre_mm is the middle of the band along the tube from the clamp.\n";
+    let mut text = format!(
+        "{}[[marker]]\nname = \"{}\"\nlength_mm = {}\n",
+        if first { head } else { "" },
+        marker.name,
+        millimetres(marker.length_m)
+    );
+    if let Some(centre_m) = marker.centre_m {
+        let _ = writeln!(text, "centre_mm = {}", millimetres(centre_m));
+    }
+    if let Some(colour) = &marker.colour {
+        let _ = write!(
+            text,
+            "\n# score = discriminant_rgb·rgb + bias: 1 on the band, 0 elsewhere; rgb is its mean colour, 0 to 255.\n\
+             [marker.colour]\ndiscriminant_rgb = {}\nbias = {}\nrgb = {}\n",
+            list(colour.weights.iter().map(|v| decimal(*v, DIRECTION_DECIMALS))),
+            decimal(colour.bias, DIRECTION_DECIMALS),
+            list(colour.rgb.iter().map(|v| decimal(*v, 9))),
+        );
+    }
+    text
+}
+
+fn catheter(rig: &Rig) -> String {
+    let name = |index: usize| rig.markers.get(index).map_or("", |m| m.name.as_str());
+    let mut text = format!(
+        "# The tube: which band is the coil, and which one ends the tube.\n\
+         [catheter]\ndiameter_mm = {}\ncoil = \"{}\"\n",
+        millimetres(rig.catheter.diameter_m),
+        name(rig.catheter.coil)
+    );
+    if let Some(end) = rig.catheter.end {
+        let _ = writeln!(text, "end = \"{}\"", name(end));
+    }
+    text
+}
+
+fn base(base: &Base) -> String {
+    let rows = rotation_rows(&base.base_from_camera.rotation);
+    let mut text = format!(
+        "# The base frame: origin at the base marker at rest, z along the tube at rest, x along b0, y = z × x.\n\
+         [base]\nb0 = {}\n",
+        direction(&base.b0)
+    );
+    if let Some(gravity) = &base.gravity {
+        let _ = writeln!(text, "gravity = {}", direction(gravity));
+    }
+    let _ = write!(
+        text,
+        "\n# X_base = rotation · X_camera + translation; the rows are the axes x, y, z of the base in the camera frame.\n\
+         [base.base_from_camera]\nrotation = [\n{}]\ntranslation_mm = {}\n",
+        rows.chunks(3)
+            .map(|row| format!("    {},\n", list(row.iter().map(|v| decimal(*v, DIRECTION_DECIMALS)))))
+            .collect::<String>(),
+        list(base.base_from_camera.translation.vector.iter().map(|v| millimetres(*v))),
+    );
+    text
+}
+
+/// Metres as mm with the decimals needed, at most nine (1e-12 m).
+pub(super) fn millimetres(length_m: f64) -> String {
+    decimal(length_m * 1e3, 9)
+}
+
+/// A number with at most so many decimals, no trailing zeros, always with a point: `3.2`, `5.0`, `-0.11`.
+fn decimal(value: f64, decimals: usize) -> String {
+    let fixed = format!("{value:.decimals$}");
+    let short = match fixed.trim_end_matches('0') {
+        whole if whole.ends_with('.') => format!("{whole}0"),
+        short => short.to_owned(),
+    };
+    match short.as_str() {
+        "-0.0" => "0.0".to_owned(),
+        "NaN" => "nan".to_owned(), // as TOML spells it, so that reading it back can say where it is
+        _ => short,
+    }
+}
+
+fn list(items: impl Iterator<Item = String>) -> String {
+    format!("[{}]", items.collect::<Vec<_>>().join(", "))
+}
+
+fn direction(v: &Vector3<f64>) -> String {
+    let settled = settle([v.x, v.y, v.z], |v| Vector3::from(v).normalize().into());
+    list(settled.iter().map(|v| decimal(*v, DIRECTION_DECIMALS)))
+}
+
+/// The rotation's matrix, row after row.
+fn rotation_rows(rotation: &UnitQuaternion<f64>) -> [f64; 9] {
+    let rows = |q: &UnitQuaternion<f64>| {
+        let m = q.to_rotation_matrix().into_inner();
+        [m.m11, m.m12, m.m13, m.m21, m.m22, m.m23, m.m31, m.m32, m.m33]
+    };
+    settle(rows(rotation), |read| rows(&rotation_of(&Matrix3::from_row_slice(&read))))
+}
+
+/// Rounds to the decimals of a direction such that reading (which makes it exactly unit or orthonormal again) and
+/// writing gives the same digits: a file that is only passed through must not change. Rounding takes the nearest
+/// rounded value, reading the nearest unit or orthonormal one: the distance between the two only shrinks.
+fn settle<const N: usize>(values: [f64; N], read: impl Fn([f64; N]) -> [f64; N]) -> [f64; N] {
+    let round = |values: [f64; N]| values.map(|v| (v * 1e12).round() / 1e12);
+    let mut at = round(values);
+    for _ in 0..20 {
+        let again = round(read(at));
+        if again == at {
+            break;
+        }
+        at = again;
+    }
+    at
+}
