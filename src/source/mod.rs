@@ -4,9 +4,23 @@
 //! on as they were decoded: planar YUV stays planar YUV, no colour is converted ([`Picture::plane`] tells how samples
 //! map to places in the picture, [`Picture::colour`] how they map to colours).
 
+mod damage;
+mod decoded;
+mod error;
+mod extent;
+pub mod file;
+pub mod gaps;
+pub mod images;
 mod picture;
+pub mod times;
 
+use std::path::Path;
+
+pub use error::SourceError;
+pub use file::{VideoFile, VideoOptions};
+pub use images::{ImageFolder, ImageTiming};
 pub use picture::{ChromaSiting, Colour, Matrix, Picture, PictureError, PixelFormat, Plane, Range, RgbFromStored, Transfer};
+pub use times::{FrameRate, FrameRateError};
 
 /// Which clock a time stamp was read from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -56,7 +70,8 @@ pub struct Frame {
     pub picture: Picture,
 }
 
-/// A stream of frames in the order of their time stamps.
+/// A stream of frames in the order they were taken. Stamps rise, except where the recording itself has them wrong; the
+/// source warns then and hands on what is there.
 pub trait FrameSource {
     /// The next frame; `None` at the end of the stream.
     ///
@@ -69,8 +84,104 @@ pub trait FrameSource {
 
     /// How many frames there will be, if the source knows (for a progress bar).
     fn frame_count_hint(&self) -> Option<u64>;
+
+    /// What has been wrong with the stream so far.
+    fn tally(&self) -> Tally {
+        Tally::default()
+    }
 }
 
-/// Why frames cannot be had.
-#[derive(Debug, thiserror::Error)]
-pub enum SourceError {}
+/// Counts of what is wrong with a stream but does not end it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Tally {
+    /// Packets that could not be read or decoded.
+    pub damaged_packets: u64,
+    /// Pictures left out because they are damaged or built on damaged ones.
+    pub pictures_left_out: u64,
+    /// Frames with the stamp of the one before.
+    pub repeated_stamps: u64,
+    /// Frames with a stamp earlier than one before.
+    pub backward_stamps: u64,
+    /// Frames without a presentation time, where the decoder's best estimate is taken.
+    pub guessed_stamps: u64,
+}
+
+impl Tally {
+    /// Warns of what there is more than one of: the first of each was named when it came.
+    fn report(&self, path: &Path) {
+        let counts = [
+            (self.damaged_packets, "damaged packets"),
+            (self.pictures_left_out, "damaged pictures left out"),
+            (self.repeated_stamps, "repeated time stamps"),
+            (self.backward_stamps, "time stamps that go back"),
+            (self.guessed_stamps, "estimated time stamps"),
+        ];
+        let found: Vec<String> = counts.iter().filter(|(n, _)| *n > 1).map(|(n, what)| format!("{n} {what}")).collect();
+        if !found.is_empty() {
+            tracing::warn!("{}: {} in all", path.display(), found.join(", "));
+        }
+    }
+}
+
+/// Part of a recording: frames with `from_ns ≤ stamp ≤ to_ns`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Span {
+    /// First time, nanoseconds of the frames' clock; the start if `None`.
+    pub from_ns: Option<i64>,
+    /// Last time, nanoseconds of the frames' clock; the end if `None`.
+    pub to_ns: Option<i64>,
+}
+
+impl Span {
+    /// Whether `ns` lies in it.
+    pub fn contains(self, ns: i64) -> bool {
+        self.from_ns.is_none_or(|from| ns >= from) && self.to_ns.is_none_or(|to| ns <= to)
+    }
+
+    /// # Errors
+    /// When it ends before it starts.
+    fn check(self) -> Result<(), SourceError> {
+        match (self.from_ns, self.to_ns) {
+            (Some(from), Some(to)) if to < from => {
+                Err(SourceError::Span { from_s: from as f64 * 1e-9, to_s: to as f64 * 1e-9 })
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+/// How frames are read, whatever they come from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct SourceOptions {
+    /// Part that is read.
+    pub span: Span,
+    /// Frame rate the user states for a folder of pictures without times.
+    pub stated_rate: Option<FrameRate>,
+    /// Threads of the video decoder; 0 for one a core.
+    pub decoder_threads: usize,
+}
+
+impl Default for SourceOptions {
+    fn default() -> Self {
+        let VideoOptions { decoder_threads, span } = VideoOptions::default();
+        Self { span, stated_rate: None, decoder_threads }
+    }
+}
+
+/// Opens a recorded video (a file) or a folder of pictures.
+///
+/// # Errors
+/// [`SourceError`] when it cannot be opened, or is none.
+pub fn open(path: impl AsRef<Path>, options: SourceOptions) -> Result<Box<dyn FrameSource + Send>, SourceError> {
+    let path = path.as_ref();
+    if path.is_dir() {
+        let timing = options.stated_rate.map_or(ImageTiming::Table, ImageTiming::StatedRate);
+        return Ok(Box::new(ImageFolder::open(path, timing, options.span)?));
+    }
+    let video = VideoOptions { decoder_threads: options.decoder_threads, span: options.span };
+    let source = VideoFile::open(path, video)?;
+    match options.stated_rate {
+        Some(_) => Err(SourceError::RateOfVideo { path: path.to_path_buf() }),
+        None => Ok(Box::new(source)),
+    }
+}

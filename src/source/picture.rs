@@ -330,7 +330,11 @@ impl Picture {
         let [width, height] = self.samples(i);
         let (bytes, stride) = match &self.storage {
             Storage::Bytes(planes) => (planes.get(plane)?.as_slice(), width * step),
-            Storage::Decoded(frame) => (frame.data(plane), frame.stride(plane)),
+            Storage::Decoded(frame) => {
+                // libav stores planar RGB as G, B, R.
+                let plane = if self.format == PixelFormat::RgbPlanar { (plane + 2) % 3 } else { plane };
+                (frame.data(plane), frame.stride(plane))
+            }
         };
         let middle = |log2: u8| (f64::from(1_u32 << log2) - 1.0) / 2.0;
         let offset = match self.colour.siting {

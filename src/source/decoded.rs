@@ -1,0 +1,320 @@
+//! From libav's decoded frames to pictures: pixel formats, colour tags, and the reduction to 8 bits.
+
+use std::path::PathBuf;
+
+use ffmpeg_the_third::codec::Id;
+use ffmpeg_the_third::format::Pixel;
+use ffmpeg_the_third::frame::Video;
+use ffmpeg_the_third::software::scaling;
+use ffmpeg_the_third::{chroma, color};
+
+use super::{ChromaSiting, Colour, Matrix, Picture, PixelFormat, Range, SourceError, Transfer};
+
+/// Makes pictures of one stream's frames. Frames of the formats of [`Picture`] are kept as they are, without a copy.
+pub(crate) struct PictureMaker {
+    path: PathBuf,
+    codec: Id,
+    converter: Option<Converter>,
+    warned: Vec<&'static str>,
+}
+
+/// swscale from one format and size to another.
+struct Converter(scaling::Context);
+
+#[allow(unsafe_code, reason = "libswscale keeps no thread-local state; a context is used by one thread at a time here")]
+// SAFETY: the context is owned by the converter alone and reached through `&mut` only.
+unsafe impl Send for Converter {}
+
+impl PictureMaker {
+    pub(crate) fn new(path: PathBuf, codec: Id) -> Self {
+        Self { path, codec, converter: None, warned: Vec::new() }
+    }
+
+    /// The picture in `frame`.
+    ///
+    /// # Errors
+    /// [`SourceError::PixelFormat`], [`SourceError::Matrix`].
+    pub(crate) fn picture(&mut self, frame: Video) -> Result<Picture, SourceError> {
+        let pixel = frame.format();
+        let colour = self.colour(&frame)?;
+        if let Some(format) = native(pixel) {
+            // Formats stored bottom row first have a negative stride: turned over by swscale.
+            let upright = (0..frame.planes()).all(|i| frame.stride(i).cast_signed() > 0);
+            let frame = if upright { frame } else { self.convert(&frame, pixel)? };
+            return Ok(Picture::from_decoded(frame, format, colour));
+        }
+        let Some((reduced, format)) = convertible(pixel) else {
+            return Err(self.unsupported(pixel));
+        };
+        if is_deep(pixel) && self.first("depth") {
+            tracing::warn!(
+                "{}: pixel format {} is reduced to 8 bits ({}) by swscale",
+                self.path.display(),
+                name(pixel),
+                name(reduced)
+            );
+        }
+        let frame = self.convert(&frame, reduced)?;
+        Ok(Picture::from_decoded(frame, format, colour))
+    }
+
+    fn convert(&mut self, frame: &Video, to: Pixel) -> Result<Video, SourceError> {
+        let (from, w, h) = (frame.format(), frame.width(), frame.height());
+        let fits = self.converter.as_ref().is_some_and(|Converter(c)| {
+            let (i, o) = (c.input(), c.output());
+            (i.format, i.width, i.height, o.format) == (from, w, h, to)
+        });
+        if !fits {
+            let flags = scaling::Flags::POINT | scaling::Flags::ACCURATE_RND | scaling::Flags::BITEXACT;
+            let context =
+                scaling::Context::get(from, w, h, to, w, h, flags).map_err(|_no_converter| self.unsupported(from))?;
+            self.converter = Some(Converter(context));
+        }
+        let mut converted = Video::empty();
+        match self.converter.as_mut().map(|Converter(c)| c.run(frame, &mut converted)) {
+            Some(Ok(())) => Ok(converted),
+            _ => Err(self.unsupported(from)),
+        }
+    }
+
+    fn unsupported(&self, pixel: Pixel) -> SourceError {
+        SourceError::PixelFormat { path: self.path.clone(), format: name(pixel) }
+    }
+
+    /// Whether this is the first time.
+    fn first(&mut self, what: &'static str) -> bool {
+        let first = !self.warned.contains(&what);
+        if first {
+            self.warned.push(what);
+        }
+        first
+    }
+
+    fn colour(&mut self, frame: &Video) -> Result<Colour, SourceError> {
+        let pixel = name(frame.format());
+        let is_yuv =
+            pixel.starts_with("yuv") || pixel.starts_with("nv") || pixel.starts_with("p0") || pixel == "uyvy422";
+        Ok(Colour {
+            matrix: if is_yuv { self.matrix(frame)? } else { Matrix::Bt709 },
+            range: match frame.color_range() {
+                color::Range::JPEG => Range::Full,
+                color::Range::MPEG => Range::Limited,
+                color::Range::Unspecified if is_yuv && !pixel.starts_with("yuvj") => Range::Limited,
+                color::Range::Unspecified => Range::Full,
+            },
+            transfer: self.transfer(frame),
+            siting: self.siting(frame),
+        })
+    }
+
+    fn matrix(&mut self, frame: &Video) -> Result<Matrix, SourceError> {
+        Ok(match frame.color_space() {
+            color::Space::BT709 => Matrix::Bt709,
+            // FCC's weights differ from BT.601's by a thousandth.
+            color::Space::BT470BG | color::Space::SMPTE170M | color::Space::FCC => Matrix::Bt601,
+            color::Space::BT2020NCL => Matrix::Bt2020,
+            color::Space::Unspecified | color::Space::Reserved => {
+                let (matrix, number) =
+                    if frame.height() >= 720 { (Matrix::Bt709, "BT.709") } else { (Matrix::Bt601, "BT.601") };
+                if self.first("matrix") {
+                    tracing::warn!(
+                        "{}: the recording does not say its YUV matrix; {number} is taken, as is usual for {} rows",
+                        self.path.display(),
+                        frame.height()
+                    );
+                }
+                matrix
+            }
+            other => return Err(SourceError::Matrix { path: self.path.clone(), matrix: format!("{other:?}") }),
+        })
+    }
+
+    fn transfer(&mut self, frame: &Video) -> Transfer {
+        use color::TransferCharacteristic as T;
+        match frame.color_transfer_characteristic() {
+            T::BT709 | T::SMPTE170M | T::BT2020_10 | T::BT2020_12 | T::Unspecified => Transfer::Bt709,
+            T::IEC61966_2_1 => Transfer::Srgb,
+            T::Linear => Transfer::Linear,
+            other => {
+                if self.first("transfer") {
+                    tracing::warn!("{}: transfer function {other:?} is taken for BT.709's", self.path.display());
+                }
+                Transfer::Bt709
+            }
+        }
+    }
+
+    fn siting(&mut self, frame: &Video) -> ChromaSiting {
+        match frame.chroma_location() {
+            chroma::Location::Left => ChromaSiting::Left,
+            chroma::Location::Center => ChromaSiting::Center,
+            chroma::Location::TopLeft => ChromaSiting::TopLeft,
+            chroma::Location::Unspecified if matches!(self.codec, Id::MJPEG | Id::MPEG1VIDEO) => ChromaSiting::Center,
+            chroma::Location::Unspecified => ChromaSiting::Left,
+            other => {
+                if self.first("siting") {
+                    tracing::warn!("{}: chroma siting {other:?} is taken for left", self.path.display());
+                }
+                ChromaSiting::Left
+            }
+        }
+    }
+}
+
+/// Whether the decoder marked this frame as damaged.
+#[allow(unsafe_code, reason = "the binding does not offer this field")]
+pub(crate) fn is_damaged(frame: &Video) -> bool {
+    // SAFETY: a frame owns a valid AVFrame as long as it lives; an integer is read.
+    frame.is_corrupt() || unsafe { (*frame.as_ptr()).decode_error_flags } != 0
+}
+
+/// libav's name.
+pub(crate) fn name(pixel: Pixel) -> String {
+    pixel.descriptor().map_or_else(|| "none".to_owned(), |d| d.name().to_owned())
+}
+
+/// Formats that are read as they are.
+fn native(pixel: Pixel) -> Option<PixelFormat> {
+    let yuv = |x, y| PixelFormat::Yuv { chroma_log2: [x, y] };
+    let packed = |step, order| PixelFormat::RgbPacked { step, order };
+    Some(match pixel {
+        Pixel::YUV420P | Pixel::YUVJ420P | Pixel::YUVA420P => yuv(1, 1),
+        Pixel::YUV422P | Pixel::YUVJ422P | Pixel::YUVA422P => yuv(1, 0),
+        Pixel::YUV444P | Pixel::YUVJ444P | Pixel::YUVA444P => yuv(0, 0),
+        Pixel::YUV440P | Pixel::YUVJ440P => yuv(0, 1),
+        Pixel::YUV411P | Pixel::YUVJ411P => yuv(2, 0),
+        Pixel::YUV410P => yuv(2, 2),
+        Pixel::NV12 => PixelFormat::Nv12,
+        Pixel::GRAY8 => PixelFormat::Grey,
+        Pixel::GBRP | Pixel::GBRAP => PixelFormat::RgbPlanar,
+        Pixel::RGB24 => packed(3, [0, 1, 2]),
+        Pixel::BGR24 => packed(3, [2, 1, 0]),
+        Pixel::RGBA | Pixel::RGBZ => packed(4, [0, 1, 2]),
+        Pixel::BGRA | Pixel::BGRZ => packed(4, [2, 1, 0]),
+        Pixel::ARGB | Pixel::ZRGB => packed(4, [1, 2, 3]),
+        Pixel::ABGR | Pixel::ZBGR => packed(4, [3, 2, 1]),
+        _ => return None,
+    })
+}
+
+/// More than 8 bits a sample: the 8-bit format of the same layout. Packed 4:2:2: the same samples in planes.
+fn convertible(pixel: Pixel) -> Option<(Pixel, PixelFormat)> {
+    let name = name(pixel);
+    let layout = name.trim_end_matches("le").trim_end_matches("be").trim_end_matches(|c: char| c.is_ascii_digit());
+    let to = match (name.as_str(), layout) {
+        ("yuyv422" | "uyvy422" | "yvyu422", _) => Pixel::YUV422P,
+        (_, "yuv420p" | "yuva420p") => Pixel::YUV420P,
+        (_, "yuv422p" | "yuva422p") => Pixel::YUV422P,
+        (_, "yuv444p" | "yuva444p") => Pixel::YUV444P,
+        (_, "yuv440p") => Pixel::YUV440P,
+        (_, "gbrp" | "gbrap") => Pixel::GBRP,
+        (_, "gray") => Pixel::GRAY8,
+        ("p010le" | "p010be" | "p012le" | "p012be" | "p016le" | "p016be", _) => Pixel::NV12,
+        ("rgb48le" | "rgb48be", _) => Pixel::RGB24,
+        ("bgr48le" | "bgr48be", _) => Pixel::BGR24,
+        ("rgba64le" | "rgba64be", _) => Pixel::RGBA,
+        ("bgra64le" | "bgra64be", _) => Pixel::BGRA,
+        _ => return None,
+    };
+    native(to).map(|format| (to, format))
+}
+
+/// Whether samples have more than 8 bits, among the convertible formats.
+fn is_deep(pixel: Pixel) -> bool {
+    !matches!(pixel, Pixel::YUYV422 | Pixel::UYVY422 | Pixel::YVYU422)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn deep_formats_become_the_8_bit_format_of_the_same_layout_and_others_are_refused() {
+        let to = |pixel| convertible(pixel).map(|(to, _)| to);
+        assert_eq!(to(Pixel::YUV420P10LE), Some(Pixel::YUV420P));
+        assert_eq!(to(Pixel::YUV444P12BE), Some(Pixel::YUV444P));
+        assert_eq!(to(Pixel::GBRP10LE), Some(Pixel::GBRP));
+        assert_eq!(to(Pixel::GRAY16LE), Some(Pixel::GRAY8));
+        assert_eq!(to(Pixel::P010LE), Some(Pixel::NV12));
+        assert_eq!(to(Pixel::RGB48BE), Some(Pixel::RGB24));
+        for other in [Pixel::PAL8, Pixel::MonoBlack, Pixel::RGB565LE, Pixel::NV16, Pixel::None, Pixel::VAAPI] {
+            assert_eq!(to(other), None, "{other:?}");
+            assert_eq!(native(other), None, "{other:?}");
+        }
+    }
+
+    fn maker() -> PictureMaker {
+        PictureMaker::new("test.mkv".into(), Id::H264)
+    }
+
+    #[test]
+    fn ten_bits_are_reduced_to_eight() {
+        let mut frame = Video::new(Pixel::YUV420P10LE, 16, 8);
+        for plane in 0..3 {
+            for sample in frame.data_mut(plane).chunks_exact_mut(2) {
+                sample.copy_from_slice(&(4 * (50 + 40 * plane as u16)).to_le_bytes());
+            }
+        }
+        let picture = maker().picture(frame).unwrap();
+        assert_eq!(picture.format(), PixelFormat::Yuv { chroma_log2: [1, 1] });
+        for (i, value) in [50, 90, 130].into_iter().enumerate() {
+            let plane = picture.plane(i).unwrap();
+            assert!(plane.row(plane.height - 1).unwrap().iter().all(|&v| v == value), "{i}");
+        }
+    }
+
+    #[test]
+    fn packed_yuyv_is_taken_apart_without_a_change() {
+        let mut frame = Video::new(Pixel::YUYV422, 16, 4);
+        for (i, pair) in frame.data_mut(0).chunks_exact_mut(4).enumerate() {
+            pair.copy_from_slice(&[i as u8, 100, i as u8 + 1, 200]);
+        }
+        let picture = maker().picture(frame).unwrap();
+        assert_eq!(picture.plane(0).unwrap().row(0).unwrap()[..4], [0, 1, 1, 2]);
+        assert_eq!(picture.plane(1).unwrap().row(3).unwrap()[..8], [100; 8]);
+        assert_eq!(picture.plane(2).unwrap().row(3).unwrap()[..8], [200; 8]);
+    }
+
+    #[test]
+    fn planar_rgb_gives_red_green_and_blue_in_that_order() {
+        let mut frame = Video::new(Pixel::GBRP, 8, 8);
+        for (plane, value) in [20, 30, 10].into_iter().enumerate() {
+            frame.data_mut(plane).fill(value);
+        }
+        let picture = maker().picture(frame).unwrap();
+        assert_eq!([0, 1, 2].map(|i| picture.plane(i).unwrap().data[0]), [10, 20, 30]);
+    }
+
+    #[test]
+    fn colour_tags_are_read_and_missing_ones_follow_convention() {
+        let tags = |frame: Video| maker().picture(frame).unwrap().colour();
+        let plain = tags(Video::new(Pixel::YUV420P, 64, 48));
+        let convention = Colour {
+            matrix: Matrix::Bt601,
+            range: Range::Limited,
+            transfer: Transfer::Bt709,
+            siting: ChromaSiting::Left,
+        };
+        assert_eq!(plain, convention);
+        assert_eq!(tags(Video::new(Pixel::YUV420P, 64, 720)).matrix, Matrix::Bt709);
+        assert_eq!(tags(Video::new(Pixel::YUVJ420P, 64, 48)).range, Range::Full);
+        assert_eq!(tags(Video::new(Pixel::RGB24, 64, 48)).range, Range::Full);
+        let mut tagged = Video::new(Pixel::YUV420P, 64, 48);
+        tagged.set_color_space(color::Space::BT2020NCL);
+        tagged.set_color_range(color::Range::JPEG);
+        tagged.set_color_transfer_characteristic(color::TransferCharacteristic::Linear);
+        let expected = Colour {
+            matrix: Matrix::Bt2020,
+            range: Range::Full,
+            transfer: Transfer::Linear,
+            siting: ChromaSiting::Left,
+        };
+        assert_eq!(tags(tagged), expected);
+        let mut other = Video::new(Pixel::YUV420P, 64, 48);
+        other.set_color_space(color::Space::YCGCO);
+        assert!(matches!(maker().picture(other), Err(SourceError::Matrix { .. })));
+        let jpeg =
+            PictureMaker::new("test.avi".into(), Id::MJPEG).picture(Video::new(Pixel::YUVJ420P, 64, 48)).unwrap();
+        assert_eq!(jpeg.colour().siting, ChromaSiting::Center);
+    }
+}

@@ -1,0 +1,247 @@
+//! Why frames cannot be had.
+
+use std::io;
+use std::path::PathBuf;
+
+use super::times::FrameRateError;
+
+/// Why frames cannot be had.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum SourceError {
+    /// No such file or folder.
+    #[error("{}: no such file or folder", path.display())]
+    NotFound {
+        /// What was asked for.
+        path: PathBuf,
+    },
+    /// A folder where a video file is wanted.
+    #[error("{}: is a folder, a video file is wanted here", path.display())]
+    IsFolder {
+        /// What was asked for.
+        path: PathBuf,
+    },
+    /// A file where a folder of pictures is wanted.
+    #[error("{}: is a file, a folder of pictures is wanted here", path.display())]
+    IsFile {
+        /// What was asked for.
+        path: PathBuf,
+    },
+    /// The operating system refuses.
+    #[error("{}: cannot be read: {error}", path.display())]
+    Io {
+        /// What was asked for.
+        path: PathBuf,
+        /// Its reason.
+        #[source]
+        error: io::Error,
+    },
+    /// No container that libav knows.
+    #[error("{}: is not a video that can be read ({reason}); recordings may be Matroska (.mkv), MP4, AVI and others that \
+        FFmpeg reads", path.display())]
+    NotAVideo {
+        /// The file.
+        path: PathBuf,
+        /// libav's reason.
+        reason: String,
+    },
+    /// An MP4 whose index was never written or is cut off.
+    #[error("{}: the recording's index (\"moov\") is missing: it was not finished, or the file is cut off. Copy the file \
+        again; if the recorder was interrupted, a repair tool needs a whole recording of the same camera", path.display())]
+    NoIndex {
+        /// The file.
+        path: PathBuf,
+    },
+    /// A recording without pictures.
+    #[error("{}: has no video stream, only {found}", path.display())]
+    NoVideoStream {
+        /// The file.
+        path: PathBuf,
+        /// Streams there are.
+        found: String,
+    },
+    /// The stream cannot be decoded here.
+    #[error("{}: video of codec {codec} cannot be decoded: {reason}", path.display())]
+    Decoder {
+        /// The file.
+        path: PathBuf,
+        /// Name of the codec.
+        codec: String,
+        /// libav's reason.
+        reason: String,
+    },
+    /// A pixel format that is not read.
+    #[error("{}: pixel format {format} is not supported; planar YUV, NV12, packed or planar RGB and grey are: convert it, for \
+        example with ffmpeg -pix_fmt yuv444p", path.display())]
+    PixelFormat {
+        /// The file.
+        path: PathBuf,
+        /// libav's name of it.
+        format: String,
+    },
+    /// A YUV matrix that is not read.
+    #[error("{}: colours in {matrix} are not supported; BT.601, BT.709 and BT.2020 (non-constant luminance) are", path.display())]
+    Matrix {
+        /// The file.
+        path: PathBuf,
+        /// Its name.
+        matrix: String,
+    },
+    /// Pictures of two sizes.
+    #[error("{}: the picture size changes from {}x{} to {}x{} pixels at frame {seq} ({at}); all must have one size",
+        path.display(), before[0], before[1], after[0], after[1])]
+    SizeChange {
+        /// The recording or folder.
+        path: PathBuf,
+        /// Where: its time or file.
+        at: String,
+        /// Number of the frame.
+        seq: u64,
+        /// Width and height of those before, pixels.
+        before: [u32; 2],
+        /// Width and height of this one, pixels.
+        after: [u32; 2],
+    },
+    /// A frame without a time.
+    #[error("{}: frame {seq} has no time stamp; catoptra never makes one up from the frame number. Raw streams have none: \
+        put the stream into a container that has, or save pictures and state their rate", path.display())]
+    NoTime {
+        /// The file.
+        path: PathBuf,
+        /// Number of the frame.
+        seq: u64,
+    },
+    /// The recording ends early; all that could be read was handed out before.
+    #[error("{}: the recording ends early ({why}); {}", path.display(), last_good(*frames, *last_good_s))]
+    Truncated {
+        /// The file.
+        path: PathBuf,
+        /// Frames that were handed out.
+        frames: u64,
+        /// Time of the last frame handed out, seconds.
+        last_good_s: Option<f64>,
+        /// How that is known.
+        why: String,
+    },
+    /// The stream has ended without a frame.
+    #[error("{}: has no frame that can be decoded", path.display())]
+    NoFrames {
+        /// The recording or folder.
+        path: PathBuf,
+    },
+    /// A span of time without a frame.
+    #[error("{}: no frame between {} and {}; the nearest {}", path.display(), bound(*from_s, "the start"),
+        bound(*to_s, "the end"), nearest(*before_s, *after_s))]
+    EmptySpan {
+        /// The recording or folder.
+        path: PathBuf,
+        /// Start asked for, seconds.
+        from_s: Option<f64>,
+        /// End asked for, seconds.
+        to_s: Option<f64>,
+        /// Time of the last frame before it, seconds.
+        before_s: Option<f64>,
+        /// Time of the first frame after it, seconds.
+        after_s: Option<f64>,
+    },
+    /// A span that ends before it starts.
+    #[error("the span of time from {from_s} s to {to_s} s ends before it starts")]
+    Span {
+        /// Start asked for, seconds.
+        from_s: f64,
+        /// End asked for, seconds.
+        to_s: f64,
+    },
+    /// A frame rate stated for a recording.
+    #[error("{}: a recording has its own time stamps; a frame rate may be stated for a folder of pictures only", path.display())]
+    RateOfVideo {
+        /// The file.
+        path: PathBuf,
+    },
+    /// A frame rate that is none.
+    #[error(transparent)]
+    Rate(#[from] FrameRateError),
+    /// A folder without pictures.
+    #[error("{}: no picture in this folder (files ending in {})", path.display(), super::images::ENDINGS.join(", "))]
+    NoPictures {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// A folder of pictures without times.
+    #[error("{}: when were these pictures taken? Put a table times.csv beside them (header \"file,t_s\", or \"file,stamp_ns\"; \
+        a row for each picture), or state their rate with --fps", path.display())]
+    NoTimes {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// A table of times and a stated rate.
+    #[error("{}: has times.csv, and {rate} frames a second are stated: leave out --fps, or move the table away", path.display())]
+    TwoTimes {
+        /// The folder.
+        path: PathBuf,
+        /// Rate stated.
+        rate: String,
+    },
+    /// A table of times that cannot be understood.
+    #[error("{}:{line}: {reason}", path.display())]
+    Times {
+        /// The table.
+        path: PathBuf,
+        /// Line in it, from 1.
+        line: u64,
+        /// What is wrong and what would be right.
+        reason: String,
+    },
+    /// A picture that the table of times leaves out.
+    #[error("{}: picture {picture} has no row in this table", path.display())]
+    NotInTimes {
+        /// The table.
+        path: PathBuf,
+        /// Name of the picture.
+        picture: String,
+    },
+    /// A picture that cannot be decoded.
+    #[error("{}: is not a picture that can be read: {reason}", path.display())]
+    Picture {
+        /// The picture.
+        path: PathBuf,
+        /// Why.
+        reason: String,
+    },
+    /// A time outside of what 64 bits of nanoseconds hold.
+    #[error("{}: the time of frame {seq} is beyond 292 years", path.display())]
+    TimeRange {
+        /// The recording or folder.
+        path: PathBuf,
+        /// Number of the frame.
+        seq: u64,
+    },
+}
+
+impl SourceError {
+    /// Whether the frames handed out before this error are the readable part of a recording that ends early: what was
+    /// made of them is worth keeping.
+    pub fn is_early_end(&self) -> bool {
+        matches!(self, Self::Truncated { .. })
+    }
+}
+
+fn last_good(frames: u64, last_good_s: Option<f64>) -> String {
+    match last_good_s {
+        Some(s) => format!("{frames} frames could be read, the last one at {s} s"),
+        None => "no frame could be read".to_owned(),
+    }
+}
+
+fn bound(s: Option<f64>, open: &str) -> String {
+    s.map_or_else(|| open.to_owned(), |s| format!("{s} s"))
+}
+
+fn nearest(before_s: Option<f64>, after_s: Option<f64>) -> String {
+    match (before_s, after_s) {
+        (Some(before), Some(after)) => format!("are at {before} s and {after} s"),
+        (Some(last), None) => format!("is the last, at {last} s"),
+        (None, Some(first)) => format!("is the first, at {first} s"),
+        (None, None) => "is none: there are no frames".to_owned(),
+    }
+}

@@ -1,0 +1,460 @@
+//! Recorded video through libav.
+//!
+//! In: a file in any container that libav reads. Out: every frame that can be decoded, in the order of presentation, as the
+//! decoder stored it (no copy, no colour conversion), with the container's own time stamp to the nanosecond: the
+//! presentation time stamp times the stream's time base, never frame number ÷ rate.
+//!
+//! A stamp that is not later than those before is handed on as it is and named in a warning. Damaged pictures are left
+//! out (see [`super::damage`]), counted in the gap of the next frame and named. A recording that ends early gives all its
+//! readable frames, then [`SourceError::Truncated`].
+
+use std::fs::File;
+use std::path::{Path, PathBuf};
+
+use ffmpeg_the_third as av;
+
+use super::damage::DamageLog;
+use super::decoded::{PictureMaker, is_damaged};
+use super::extent::{Extent, extent};
+use super::gaps::{GapCounter, Order, Rhythm, WINDOW, plausible_period_ns};
+use super::times::ticks_to_ns;
+use super::{Clock, Frame, FrameSource, SourceError, Span, Tally, Timestamp};
+
+/// How a recording is read.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct VideoOptions {
+    /// Threads of the decoder; 0 for one a core. Pictures are the same with any number.
+    pub decoder_threads: usize,
+    /// Part of the recording that is read.
+    pub span: Span,
+}
+
+impl Default for VideoOptions {
+    fn default() -> Self {
+        Self { decoder_threads: 1, span: Span::default() }
+    }
+}
+
+/// A recorded video.
+pub struct VideoFile {
+    path: PathBuf,
+    input: av::format::context::Input,
+    stream: usize,
+    time_base: av::Rational,
+    decoder: av::decoder::Video,
+    pictures: PictureMaker,
+    damage: DamageLog,
+    gaps: GapCounter,
+    span: Span,
+    size_px: [u32; 2],
+    frame_count_hint: Option<u64>,
+    /// A frame decoded while looking for the start of the span.
+    ahead: Option<av::frame::Video>,
+    state: State,
+    /// Why the recording is known to end early.
+    ends_early: Option<String>,
+    tally: Tally,
+    varying_named: bool,
+    seq: u64,
+    /// Latest stamps decoded: of all, before the span, and the first after it.
+    seen_ns: Option<i64>,
+    before_ns: Option<i64>,
+    after_ns: Option<i64>,
+    last_good_ns: Option<i64>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum State {
+    Reading,
+    /// No more packets: the decoder hands out what it holds.
+    Draining,
+    Ended,
+}
+
+/// Packets in a row that cannot be read before the rest is given up.
+const UNREADABLE: u32 = 1000;
+
+impl std::fmt::Debug for VideoFile {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "VideoFile({}, {:?} px, {:?})", self.path.display(), self.size_px, self.state)
+    }
+}
+
+impl VideoFile {
+    /// Opens the best video stream of the recording at `path`.
+    ///
+    /// # Errors
+    /// When there is no such file, it is no video or its video cannot be decoded; when the span ends before it starts.
+    pub fn open(path: impl AsRef<Path>, options: VideoOptions) -> Result<Self, SourceError> {
+        let path = path.as_ref().to_path_buf();
+        options.span.check()?;
+        quiet_libav();
+        let ends_early = match measure(&path)? {
+            Extent::NoIndex => return Err(SourceError::NoIndex { path }),
+            Extent::Short { found_bytes, declared_bytes } => {
+                Some(format!("the file has {found_bytes} of at least {declared_bytes} bytes"))
+            }
+            Extent::Whole | Extent::Undeclared => None,
+        };
+        let input = open_input(&path)?;
+        let (index, decoder, time_base, declared_ns, hint) = {
+            let stream = best_video(&path, &input)?;
+            let (rate, average) = (stream.rate(), stream.avg_frame_rate());
+            let declared_ns = plausible_period_ns((rate.0, rate.1), (average.0, average.1));
+            let decoder = open_decoder(&path, &stream, options.decoder_threads)?;
+            (stream.index(), decoder, stream.time_base(), declared_ns, count_hint(&input, &stream, options.span))
+        };
+        let tick_ns = 1e9 * f64::from(time_base.0) / f64::from(time_base.1.max(1));
+        let mut source = Self {
+            pictures: PictureMaker::new(path.clone(), decoder.id()),
+            size_px: [decoder.width(), decoder.height()],
+            path,
+            input,
+            stream: index,
+            time_base,
+            decoder,
+            damage: DamageLog::default(),
+            gaps: GapCounter::new(declared_ns, tick_ns),
+            span: options.span,
+            frame_count_hint: hint,
+            ahead: None,
+            state: State::Reading,
+            ends_early,
+            tally: Tally::default(),
+            varying_named: false,
+            seq: 0,
+            seen_ns: None,
+            before_ns: None,
+            after_ns: None,
+            last_good_ns: None,
+        };
+        if let Some(from_ns) = options.span.from_ns {
+            source.seek(from_ns, options.decoder_threads)?;
+        }
+        Ok(source)
+    }
+
+    /// Goes to a key frame from which the frame at `from_ns` can be decoded: libav's index may lead to one that is shown
+    /// later, so the first frame that comes out decides.
+    fn seek(&mut self, from_ns: i64, threads: usize) -> Result<(), SourceError> {
+        for margin_s in [0, 2, 10, 60] {
+            let to_us = from_ns / 1000 - margin_s * 1_000_000;
+            if self.input.seek(to_us, ..=to_us).is_err() {
+                break;
+            }
+            self.decoder.flush();
+            self.damage = DamageLog::default();
+            self.state = State::Reading;
+            if let Some(frame) = self.decode() {
+                let starts_ns = self.stamp(&frame)?.ns;
+                self.ahead = Some(frame);
+                if starts_ns <= from_ns {
+                    return Ok(());
+                }
+            }
+        }
+        // Not to be searched, or the span starts before the first frame: read from the start.
+        self.input = open_input(&self.path)?;
+        let stream = best_video(&self.path, &self.input)?;
+        self.decoder = open_decoder(&self.path, &stream, threads)?;
+        (self.damage, self.ahead, self.state) = (DamageLog::default(), None, State::Reading);
+        Ok(())
+    }
+
+    /// The next frame out of the decoder; `None` when it has no more.
+    fn decode(&mut self) -> Option<av::frame::Video> {
+        if let Some(frame) = self.ahead.take() {
+            return Some(frame);
+        }
+        let mut frame = av::frame::Video::empty();
+        loop {
+            match self.decoder.receive_frame(&mut frame) {
+                Ok(()) => return Some(frame),
+                Err(av::Error::Eof) => return None,
+                Err(av::Error::Other { .. }) if self.state == State::Reading => self.feed(),
+                // Draining, a decoder that wants more input has nothing more to give.
+                Err(av::Error::Other { .. }) => return None,
+                Err(error) => self.damaged_packet(error),
+            }
+        }
+    }
+
+    /// Gives the decoder the stream's next packet.
+    fn feed(&mut self) {
+        let mut unreadable = 0;
+        loop {
+            let mut packet = av::Packet::empty();
+            match packet.read(&mut self.input) {
+                Ok(()) if packet.stream() != self.stream => continue,
+                Ok(()) => {
+                    self.damage.packet(packet.pts(), packet.is_key());
+                    if packet.is_corrupt() {
+                        self.damaged_packet(av::Error::InvalidData);
+                        continue;
+                    }
+                    if let Err(error) = self.decoder.send_packet(&packet) {
+                        self.damaged_packet(error);
+                    }
+                    return;
+                }
+                Err(av::Error::InvalidData) if self.ends_early.is_none() && unreadable < UNREADABLE => {
+                    unreadable += 1;
+                    self.damaged_packet(av::Error::InvalidData);
+                    continue;
+                }
+                Err(av::Error::Eof) => {}
+                Err(error) => {
+                    self.ends_early.get_or_insert_with(|| format!("reading failed: {error}"));
+                }
+            }
+            // What fails here shows as a decoder without frames.
+            let _ = self.decoder.send_eof();
+            self.state = State::Draining;
+            return;
+        }
+    }
+
+    fn damaged_packet(&mut self, error: av::Error) {
+        self.damage.packet_is_damaged();
+        self.tally.damaged_packets += 1;
+        // At a cut the last packet is expected to be broken, and the end is reported.
+        if self.tally.damaged_packets == 1 && self.ends_early.is_none() {
+            tracing::warn!(
+                "{}: a damaged packet after {} is left out ({error}); more are counted",
+                self.path.display(),
+                self.at()
+            );
+        }
+    }
+
+    /// Where reading has come to, for a person.
+    fn at(&self) -> String {
+        self.seen_ns.map_or_else(|| "the start".to_owned(), |ns| format!("{} s", ns as f64 * 1e-9))
+    }
+
+    /// The container's time of `frame`.
+    fn stamp(&mut self, frame: &av::frame::Video) -> Result<Timestamp, SourceError> {
+        let ticks = match (frame.pts(), frame.timestamp()) {
+            (Some(pts), _) => pts,
+            (None, Some(guess)) => {
+                self.tally.guessed_stamps += 1;
+                if self.tally.guessed_stamps == 1 {
+                    tracing::warn!(
+                        "{}: frames after {} have no presentation time; libav's best estimate is taken",
+                        self.path.display(),
+                        self.at()
+                    );
+                }
+                guess
+            }
+            (None, None) => return Err(SourceError::NoTime { path: self.path.clone(), seq: self.seq }),
+        };
+        let ns = ticks_to_ns(ticks, self.time_base.0.into(), self.time_base.1.into())
+            .ok_or_else(|| SourceError::TimeRange { path: self.path.clone(), seq: self.seq })?;
+        self.seen_ns = Some(ns);
+        Ok(Timestamp { ns, clock: Clock::Container })
+    }
+
+    /// Camera frames lost before the frame at `ns`, with a word on stamps that are not in order.
+    fn gap(&mut self, ns: i64) -> u32 {
+        let step = self.gaps.step(ns);
+        let at_s = ns as f64 * 1e-9;
+        match step.order {
+            Order::First | Order::Later => {}
+            Order::Same => {
+                self.tally.repeated_stamps += 1;
+                if self.tally.repeated_stamps == 1 {
+                    tracing::warn!(
+                        "{}: frame {} repeats the time stamp {at_s} s; it is kept, more are counted",
+                        self.path.display(),
+                        self.seq
+                    );
+                }
+            }
+            Order::Earlier { by_ns } => {
+                self.tally.backward_stamps += 1;
+                if self.tally.backward_stamps == 1 {
+                    tracing::warn!(
+                        "{}: frame {} at {at_s} s is {} s earlier than one before it; it is kept, more are counted",
+                        self.path.display(),
+                        self.seq,
+                        by_ns as f64 * 1e-9
+                    );
+                }
+            }
+        }
+        if let Rhythm::Varying { median_ns } = self.gaps.rhythm()
+            && !self.varying_named
+            && self.gaps.steps_seen() == WINDOW
+        {
+            self.varying_named = true;
+            tracing::warn!(
+                "{}: the time from frame to frame varies (median {:.3} ms): single lost frames cannot be told from long steps \
+                 and are not counted",
+                self.path.display(),
+                median_ns * 1e-6
+            );
+        }
+        step.gap
+    }
+
+    /// The stream has ended: whole, early, or with nothing in it.
+    fn end(&mut self) -> Result<Option<Frame>, SourceError> {
+        self.state = State::Ended;
+        self.tally.report(&self.path);
+        let path = self.path.clone();
+        let seconds = |ns: i64| ns as f64 * 1e-9;
+        if let Some(why) = self.ends_early.take() {
+            let last_good_s = self.last_good_ns.map(seconds);
+            return Err(SourceError::Truncated { path, frames: self.seq, last_good_s, why });
+        }
+        if self.seq > 0 {
+            return Ok(None);
+        }
+        if self.seen_ns.is_none() || self.span == Span::default() {
+            return Err(SourceError::NoFrames { path });
+        }
+        let (from_s, to_s) = (self.span.from_ns.map(seconds), self.span.to_ns.map(seconds));
+        let (before_s, after_s) = (self.before_ns.map(seconds), self.after_ns.map(seconds));
+        Err(SourceError::EmptySpan { path, from_s, to_s, before_s, after_s })
+    }
+}
+
+impl FrameSource for VideoFile {
+    fn next_frame(&mut self) -> Result<Option<Frame>, SourceError> {
+        while self.state != State::Ended {
+            let Some(decoded) = self.decode() else {
+                return self.end();
+            };
+            let sound = self.damage.is_sound(decoded.pts().or(decoded.timestamp()), is_damaged(&decoded));
+            let stamp = self.stamp(&decoded)?;
+            if self.span.from_ns.is_some_and(|from| stamp.ns < from) {
+                self.before_ns = Some(stamp.ns);
+                continue;
+            }
+            if self.span.to_ns.is_some_and(|to| stamp.ns > to) {
+                self.ends_early = None;
+                self.after_ns = Some(stamp.ns);
+                return self.end();
+            }
+            if !sound {
+                self.tally.pictures_left_out += 1;
+                if self.tally.pictures_left_out == 1 && self.ends_early.is_none() {
+                    tracing::warn!(
+                        "{}: the picture at {} s is damaged and left out, as are those built on it; more are counted",
+                        self.path.display(),
+                        stamp.seconds()
+                    );
+                }
+                continue;
+            }
+            let after = [decoded.width(), decoded.height()];
+            if after != self.size_px {
+                self.state = State::Ended;
+                return Err(SourceError::SizeChange {
+                    path: self.path.clone(),
+                    at: format!("{} s", stamp.seconds()),
+                    seq: self.seq,
+                    before: self.size_px,
+                    after,
+                });
+            }
+            let picture = self.pictures.picture(decoded)?;
+            let frame = Frame { seq: self.seq, stamp, gap: self.gap(stamp.ns), picture };
+            self.seq += 1;
+            self.last_good_ns = Some(stamp.ns);
+            return Ok(Some(frame));
+        }
+        Ok(None)
+    }
+
+    fn size_px(&self) -> [u32; 2] {
+        self.size_px
+    }
+
+    fn frame_count_hint(&self) -> Option<u64> {
+        self.frame_count_hint
+    }
+
+    fn tally(&self) -> Tally {
+        self.tally
+    }
+}
+
+/// libav writes to stderr by itself. What matters of it is in this module's errors and warnings; the rest is shown to who
+/// asks for debugging.
+fn quiet_libav() {
+    let debugging = tracing::enabled!(tracing::Level::DEBUG);
+    av::log::set_level(if debugging { av::log::Level::Warning } else { av::log::Level::Quiet });
+}
+
+/// Looks at the file itself: what the operating system says is clearer than what libav makes of it.
+fn measure(path: &Path) -> Result<Extent, SourceError> {
+    let io = |error: std::io::Error| match error.kind() {
+        std::io::ErrorKind::NotFound => SourceError::NotFound { path: path.to_path_buf() },
+        _ => SourceError::Io { path: path.to_path_buf(), error },
+    };
+    let file = File::open(path).map_err(io)?;
+    if file.metadata().map_err(io)?.is_dir() {
+        return Err(SourceError::IsFolder { path: path.to_path_buf() });
+    }
+    extent(file).map_err(io)
+}
+
+fn open_input(path: &Path) -> Result<av::format::context::Input, SourceError> {
+    let not_a_video = |reason: String| SourceError::NotAVideo { path: path.to_path_buf(), reason };
+    // Without the protocol's name a colon in the path would be taken for one.
+    let mut url = std::ffi::OsString::from("file:");
+    url.push(path);
+    let input = av::format::input(&url).map_err(|error| not_a_video(error.to_string()))?;
+    // libav plays plain text as a terminal would show it.
+    if input.format().name() == "tty" {
+        return Err(not_a_video("it is a text file".to_owned()));
+    }
+    Ok(input)
+}
+
+/// The video stream, cover pictures of sound files left out.
+fn best_video<'a>(
+    path: &Path,
+    input: &'a av::format::context::Input,
+) -> Result<av::format::stream::Stream<'a>, SourceError> {
+    let stream = input.streams().best(av::media::Type::Video);
+    stream.filter(|s| !s.disposition().contains(av::format::stream::Disposition::ATTACHED_PIC)).ok_or_else(|| {
+        let kinds: Vec<String> =
+            input.streams().map(|s| format!("{:?}", s.parameters().medium()).to_lowercase()).collect();
+        let found = if kinds.is_empty() { "nothing".to_owned() } else { kinds.join(", ") };
+        SourceError::NoVideoStream { path: path.to_path_buf(), found }
+    })
+}
+
+fn open_decoder(
+    path: &Path,
+    stream: &av::format::stream::Stream<'_>,
+    threads: usize,
+) -> Result<av::decoder::Video, SourceError> {
+    let refused = |error: av::Error| SourceError::Decoder {
+        path: path.to_path_buf(),
+        codec: stream.parameters().id().name().to_owned(),
+        reason: error.to_string(),
+    };
+    let mut context = av::codec::Context::from_parameters(stream.parameters()).map_err(refused)?;
+    let mut threading = av::threading::Config::kind(av::threading::Type::Frame);
+    threading.count = threads;
+    context.set_threading(threading);
+    context.decoder().video().map_err(refused)
+}
+
+/// How many frames to expect: from the index, else from length and rate; exact or a guess, for a progress bar.
+fn count_hint(input: &av::format::context::Input, stream: &av::format::stream::Stream<'_>, span: Span) -> Option<u64> {
+    let counted = u64::try_from(stream.frames()).ok().filter(|&n| n > 0);
+    let length_s = (input.duration() > 0).then(|| input.duration() as f64 / f64::from(av::ffi::AV_TIME_BASE));
+    let rate = stream.avg_frame_rate();
+    let rate = (rate.0 > 0 && rate.1 > 0).then(|| f64::from(rate.0) / f64::from(rate.1));
+    if span == Span::default() {
+        return counted.or_else(|| Some((length_s? * rate?).round() as u64));
+    }
+    let from_s = span.from_ns.map_or(0.0, |ns| ns as f64 * 1e-9);
+    let to_s = span.to_ns.map_or(f64::INFINITY, |ns| ns as f64 * 1e-9).min(length_s?);
+    Some(((to_s - from_s).max(0.0) * rate?).round() as u64)
+}

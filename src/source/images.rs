@@ -1,0 +1,327 @@
+//! Folders of pictures.
+//!
+//! In: a folder of PNG, JPEG, TIFF, BMP or PNM pictures, and their times: a table `times.csv` beside them, or a stated frame
+//! rate. Out: the pictures as frames, in the order of the table, or of their names as people count (`img2` before `img10`).
+//!
+//! Grey and RGB of 8 bits are taken as they are, 16 bits are reduced to 8 (a warning says so), transparency is ignored. They
+//! are taken for sRGB. A JPEG comes as the RGB its decoder makes of it. A rotation asked for in EXIF data is not done:
+//! calibration holds for the sensor's own rows and columns.
+//!
+//! `times.csv`: a header line with `file` (the picture's name in this folder) and `t_s` (seconds, decimal, read exactly) or
+//! `stamp_ns` (whole nanoseconds; it counts if both are there); further columns are ignored. One row a picture, times rising.
+
+use std::cmp::Ordering;
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+
+use image::DynamicImage;
+
+use super::gaps::GapCounter;
+use super::times::{FrameRate, parse_seconds_ns};
+use super::{Clock, Colour, Frame, FrameSource, Picture, PictureError, PixelFormat, SourceError, Span, Timestamp};
+
+/// Endings of the names of files that are taken for pictures.
+pub(crate) const ENDINGS: [&str; 9] = ["png", "jpg", "jpeg", "tif", "tiff", "bmp", "pgm", "ppm", "pnm"];
+
+/// Name of the table of times.
+const TABLE: &str = "times.csv";
+
+/// Where the times of pictures come from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ImageTiming {
+    /// The table `times.csv` in the folder.
+    Table,
+    /// No clock: frame i was taken at i / rate.
+    StatedRate(FrameRate),
+}
+
+/// A folder of pictures.
+#[derive(Debug)]
+pub struct ImageFolder {
+    folder: PathBuf,
+    /// Names and times, nanoseconds.
+    rows: Vec<(String, i64)>,
+    next: usize,
+    clock: Clock,
+    gaps: Option<GapCounter>,
+    size_px: [u32; 2],
+    depth_named: bool,
+}
+
+impl ImageFolder {
+    /// Lists the pictures of the folder and their times; `span` leaves out those before and after it.
+    ///
+    /// # Errors
+    /// When the folder, its pictures or their times cannot be read or do not fit together.
+    pub fn open(folder: impl AsRef<Path>, timing: ImageTiming, span: Span) -> Result<Self, SourceError> {
+        let folder = folder.as_ref().to_path_buf();
+        span.check()?;
+        let names = picture_names(&folder)?;
+        let table = folder.join(TABLE);
+        let (mut rows, clock) = match (timing, table.is_file()) {
+            (ImageTiming::Table, true) => (read_table(&table, &names)?, Clock::Container),
+            (ImageTiming::Table, false) => return Err(SourceError::NoTimes { path: folder }),
+            (ImageTiming::StatedRate(rate), true) => {
+                return Err(SourceError::TwoTimes { path: folder, rate: rate.to_string() });
+            }
+            (ImageTiming::StatedRate(rate), false) => {
+                warn_of_missing_numbers(&folder, &names);
+                let row = |(i, name): (u64, String)| {
+                    let late = || SourceError::TimeRange { path: folder.clone(), seq: i };
+                    Ok((name, rate.stamp_ns(i).ok_or_else(late)?))
+                };
+                ((0..).zip(names).map(row).collect::<Result<Vec<_>, SourceError>>()?, Clock::StatedRate)
+            }
+        };
+        let gaps = (clock == Clock::Container).then(|| GapCounter::new(None, resolution_ns(&rows)));
+        let seconds = |ns: i64| ns as f64 * 1e-9;
+        let before_s =
+            rows.iter().rev().find(|(_, ns)| span.from_ns.is_some_and(|from| *ns < from)).map(|r| seconds(r.1));
+        let after_s = rows.iter().find(|(_, ns)| span.to_ns.is_some_and(|to| *ns > to)).map(|r| seconds(r.1));
+        rows.retain(|(_, ns)| span.contains(*ns));
+        let Some((name, _)) = rows.first() else {
+            let (from_s, to_s) = (span.from_ns.map(seconds), span.to_ns.map(seconds));
+            return Err(SourceError::EmptySpan { path: folder, from_s, to_s, before_s, after_s });
+        };
+        let path = folder.join(name);
+        let (width, height) = image::ImageReader::open(&path)
+            .and_then(|r| r.with_guessed_format())
+            .map_err(|error| SourceError::Io { path: path.clone(), error })?
+            .into_dimensions()
+            .map_err(|error| SourceError::Picture { path, reason: error.to_string() })?;
+        Ok(Self { folder, rows, next: 0, clock, gaps, size_px: [width, height], depth_named: false })
+    }
+
+    fn read(&mut self, path: &Path) -> Result<Picture, SourceError> {
+        let unreadable = |reason: String| SourceError::Picture { path: path.to_path_buf(), reason };
+        let decoded = image::ImageReader::open(path)
+            .and_then(|r| r.with_guessed_format())
+            .map_err(|error| SourceError::Io { path: path.to_path_buf(), error })?
+            .decode()
+            .map_err(|error| unreadable(error.to_string()))?;
+        if decoded.color().bytes_per_pixel() > decoded.color().channel_count() && !self.depth_named {
+            self.depth_named = true;
+            tracing::warn!(
+                "{}: samples of 16 bits are reduced to 8 (65535 becomes 255), here and in the pictures after it",
+                path.display()
+            );
+        }
+        match picture(decoded) {
+            Some(picture) => picture.map_err(|error| unreadable(error.to_string())),
+            None => Err(unreadable("its samples are not whole numbers of 8 or 16 bits".to_owned())),
+        }
+    }
+}
+
+impl FrameSource for ImageFolder {
+    fn next_frame(&mut self) -> Result<Option<Frame>, SourceError> {
+        let Some((name, ns)) = self.rows.get(self.next).cloned() else {
+            return Ok(None);
+        };
+        let seq = self.next as u64;
+        let path = self.folder.join(&name);
+        let picture = self.read(&path)?;
+        if picture.size_px() != self.size_px {
+            let (before, after) = (self.size_px, picture.size_px());
+            return Err(SourceError::SizeChange { path: self.folder.clone(), at: name, seq, before, after });
+        }
+        let gap = self.gaps.as_mut().map_or(0, |g| g.step(ns).gap);
+        self.next += 1;
+        Ok(Some(Frame { seq, stamp: Timestamp { ns, clock: self.clock }, gap, picture }))
+    }
+
+    fn size_px(&self) -> [u32; 2] {
+        self.size_px
+    }
+
+    fn frame_count_hint(&self) -> Option<u64> {
+        Some(self.rows.len() as u64)
+    }
+}
+
+/// `None` for samples that are no whole numbers.
+fn picture(decoded: DynamicImage) -> Option<Result<Picture, PictureError>> {
+    let (width, height) = (decoded.width(), decoded.height());
+    let rgb = |step| PixelFormat::RgbPacked { step, order: [0, 1, 2] };
+    let grey_of_pairs = |samples: Vec<u8>| samples.chunks_exact(2).filter_map(|p| p.first().copied()).collect();
+    let (format, samples) = match decoded {
+        DynamicImage::ImageLuma8(p) => (PixelFormat::Grey, p.into_raw()),
+        DynamicImage::ImageLumaA8(p) => (PixelFormat::Grey, grey_of_pairs(p.into_raw())),
+        DynamicImage::ImageRgb8(p) => (rgb(3), p.into_raw()),
+        DynamicImage::ImageRgba8(p) => (rgb(4), p.into_raw()),
+        DynamicImage::ImageLuma16(p) => (PixelFormat::Grey, eight_bits(&p.into_raw())),
+        DynamicImage::ImageLumaA16(p) => (PixelFormat::Grey, grey_of_pairs(eight_bits(&p.into_raw()))),
+        DynamicImage::ImageRgb16(p) => (rgb(3), eight_bits(&p.into_raw())),
+        DynamicImage::ImageRgba16(p) => (rgb(4), eight_bits(&p.into_raw())),
+        _ => return None,
+    };
+    Some(Picture::from_planes(width, height, format, Colour::SRGB, vec![samples]))
+}
+
+/// To the nearest of v / 257.
+fn eight_bits(samples: &[u16]) -> Vec<u8> {
+    samples.iter().map(|&v| ((u32::from(v) + 128) / 257) as u8).collect()
+}
+
+/// Names of the pictures, in natural order.
+fn picture_names(folder: &Path) -> Result<Vec<String>, SourceError> {
+    let io = |error: std::io::Error| match error.kind() {
+        std::io::ErrorKind::NotFound => SourceError::NotFound { path: folder.to_path_buf() },
+        std::io::ErrorKind::NotADirectory => SourceError::IsFile { path: folder.to_path_buf() },
+        _ => SourceError::Io { path: folder.to_path_buf(), error },
+    };
+    let mut names = Vec::new();
+    for entry in std::fs::read_dir(folder).map_err(io)? {
+        let path = entry.map_err(io)?.path();
+        let ending = path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase);
+        let Some(name) = path.file_name().and_then(|n| n.to_str()) else { continue };
+        if ending.is_some_and(|e| ENDINGS.contains(&e.as_str())) && !name.starts_with('.') && path.is_file() {
+            names.push(name.to_owned());
+        }
+    }
+    if names.is_empty() {
+        return Err(SourceError::NoPictures { path: folder.to_path_buf() });
+    }
+    names.sort_by(|a, b| natural_order(a, b));
+    Ok(names)
+}
+
+/// As people count: runs of digits are compared as numbers.
+fn natural_order(a: &str, b: &str) -> Ordering {
+    let (mut x, mut y) = (a, b);
+    loop {
+        let (Some(cx), Some(cy)) = (x.chars().next(), y.chars().next()) else {
+            return x.len().cmp(&y.len()).then_with(|| a.cmp(b));
+        };
+        if cx.is_ascii_digit() && cy.is_ascii_digit() {
+            let (nx, rest_x) = leading_number(x);
+            let (ny, rest_y) = leading_number(y);
+            match nx.len().cmp(&ny.len()).then_with(|| nx.cmp(ny)) {
+                Ordering::Equal => (x, y) = (rest_x, rest_y),
+                unequal => return unequal,
+            }
+        } else if cx == cy {
+            (x, y) = (x.strip_prefix(cx).unwrap_or(""), y.strip_prefix(cy).unwrap_or(""));
+        } else {
+            return cx.cmp(&cy);
+        }
+    }
+}
+
+/// The digits `text` starts with, without leading zeros, and what follows.
+fn leading_number(text: &str) -> (&str, &str) {
+    let end = text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len());
+    let (digits, rest) = text.split_at(end);
+    (digits.trim_start_matches('0'), rest)
+}
+
+/// A missing number may be a missing picture, and at a stated rate all later times would be wrong.
+fn warn_of_missing_numbers(folder: &Path, names: &[String]) {
+    let number = |name: &String| -> Option<u64> {
+        let stem = Path::new(name).file_stem()?.to_str()?;
+        let start = stem.trim_end_matches(|c: char| c.is_ascii_digit()).len();
+        stem.get(start..)?.parse().ok()
+    };
+    let Some(numbers) = names.iter().map(number).collect::<Option<Vec<_>>>() else { return };
+    let steps = || numbers.iter().zip(numbers.iter().skip(1)).map(|(a, b)| b.saturating_sub(*a));
+    let usual = steps().min();
+    let jump = names.iter().zip(names.iter().skip(1)).zip(steps()).find(|(_, step)| Some(*step) != usual);
+    if let Some(((before, after), _)) = jump {
+        tracing::warn!(
+            "{}: {before} is followed by {after}; at a stated frame rate no picture may be missing, or all later times are wrong",
+            folder.display()
+        );
+    }
+}
+
+/// The table's rows, checked against the pictures there are.
+fn read_table(table: &Path, names: &[String]) -> Result<Vec<(String, i64)>, SourceError> {
+    let wrong = |line: u64, reason: String| SourceError::Times { path: table.to_path_buf(), line, reason };
+    let csv_error = |error: csv::Error| {
+        wrong(error.position().map_or(1, csv::Position::line), format!("is no row of a table: {error}"))
+    };
+    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_path(table).map_err(csv_error)?;
+    let header = reader.headers().map_err(csv_error)?.clone();
+    // Spreadsheets put a byte order mark in front.
+    let column = |name: &str| header.iter().position(|h| h.trim_start_matches('\u{feff}') == name);
+    let time_column = column("stamp_ns").map(|c| (c, true)).or_else(|| column("t_s").map(|c| (c, false)));
+    let (Some(file_column), Some((time_column, in_ns))) = (column("file"), time_column) else {
+        let found = header.iter().collect::<Vec<_>>().join(",");
+        return Err(wrong(
+            1,
+            format!("the header is \"{found}\", expected the columns file and t_s, or file and stamp_ns"),
+        ));
+    };
+    let mut missing: BTreeSet<&str> = names.iter().map(String::as_str).collect();
+    let mut rows: Vec<(String, i64)> = Vec::with_capacity(names.len());
+    for record in reader.records() {
+        let record = record.map_err(csv_error)?;
+        let line = record.position().map_or(0, csv::Position::line);
+        let (file, time) = (record.get(file_column).unwrap_or(""), record.get(time_column).unwrap_or(""));
+        if !missing.remove(file) {
+            let reason = if names.iter().any(|n| n == file) {
+                format!("picture {file} has a row above already")
+            } else {
+                format!("there is no picture \"{file}\" in this folder")
+            };
+            return Err(wrong(line, reason));
+        }
+        let ns = if in_ns { time.parse().ok() } else { parse_seconds_ns(time) }.ok_or_else(|| {
+            let what = if in_ns { "whole number of nanoseconds" } else { "number of seconds" };
+            wrong(line, format!("\"{time}\" is no {what} (picture {file})"))
+        })?;
+        if let Some((before, before_ns)) = rows.last()
+            && *before_ns >= ns
+        {
+            let reason = format!("picture {file} at {ns} ns is not later than {before} at {before_ns} ns");
+            return Err(wrong(line, reason));
+        }
+        rows.push((file.to_owned(), ns));
+    }
+    match names.iter().find(|n| missing.contains(n.as_str())) {
+        Some(picture) => Err(SourceError::NotInTimes { path: table.to_path_buf(), picture: picture.clone() }),
+        None => Ok(rows),
+    }
+}
+
+/// The coarsest power of ten that all times are multiples of: the resolution they were written with.
+fn resolution_ns(rows: &[(String, i64)]) -> f64 {
+    let mut tick = 1_000_000_000;
+    while tick > 1 && rows.iter().any(|(_, ns)| ns % tick != 0) {
+        tick /= 10;
+    }
+    tick as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_ordered_as_people_count() {
+        let mut names = ["img10.png", "img2.png", "img1.png", "img010.png", "a.png", "img2b.png", "img2.1.png", "img"];
+        names.sort_by(|a, b| natural_order(a, b));
+        assert_eq!(
+            names,
+            ["a.png", "img", "img1.png", "img2.1.png", "img2.png", "img2b.png", "img010.png", "img10.png"]
+        );
+        let long = ["f99999999999999999999999.png", "f100000000000000000000000.png"];
+        assert_eq!(natural_order(long[0], long[1]), Ordering::Less);
+    }
+
+    #[test]
+    fn sixteen_bits_are_rounded_to_eight() {
+        assert_eq!(
+            eight_bits(&[0, 128, 129, 257, 32_767, 32_768, 65_406, 65_407, 65_535]),
+            [0, 0, 1, 1, 127, 128, 254, 255, 255]
+        );
+    }
+
+    #[test]
+    fn the_resolution_of_times_is_that_of_their_decimals() {
+        let rows = |ns: &[i64]| ns.iter().map(|&ns| (String::new(), ns)).collect::<Vec<_>>();
+        assert_eq!(resolution_ns(&rows(&[0, 17_000_000, 33_000_000])), 1e6);
+        assert_eq!(resolution_ns(&rows(&[0, 16_666_667])), 1.0);
+        assert_eq!(resolution_ns(&rows(&[0, 2_000_000_000])), 1e9);
+    }
+}

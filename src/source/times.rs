@@ -1,0 +1,146 @@
+//! Times as people and containers write them, to whole nanoseconds without going through floating point.
+
+use std::fmt;
+use std::str::FromStr;
+
+/// `count` units of `numerator / denominator` seconds in nanoseconds, to the nearest (a half away from zero);
+/// `None` when the denominator is not positive or the time does not fit 292 years.
+pub fn ticks_to_ns(count: i64, numerator: i64, denominator: i64) -> Option<i64> {
+    if denominator <= 0 {
+        return None;
+    }
+    let exact = i128::from(count).checked_mul(i128::from(numerator))?.checked_mul(1_000_000_000)?;
+    divide_to_nearest(exact, i128::from(denominator))
+}
+
+/// Seconds in decimal notation (`12`, `0.0166667`, `-1.5e-3`) in nanoseconds: exact, digits below a nanosecond rounded to
+/// the nearest; `None` when it is no such number.
+pub fn parse_seconds_ns(text: &str) -> Option<i64> {
+    let text = text.trim();
+    let (number, exponent) = match text.split_once(['e', 'E']) {
+        Some((number, exponent)) => (number, exponent.parse::<i32>().ok().filter(|e| e.abs() <= 40)?),
+        None => (text, 0),
+    };
+    let (negative, number) = match number.strip_prefix('-') {
+        Some(rest) => (true, rest),
+        None => (false, number.strip_prefix('+').unwrap_or(number)),
+    };
+    let (whole, fraction) = number.split_once('.').unwrap_or((number, ""));
+    if whole.len() + fraction.len() == 0 || whole.len() + fraction.len() > 36 {
+        return None;
+    }
+    let mut digits = 0_i128;
+    for c in whole.chars().chain(fraction.chars()) {
+        digits = digits * 10 + i128::from(c.to_digit(10)?);
+    }
+    if negative {
+        digits = -digits;
+    }
+    let power = 9 + exponent - i32::try_from(fraction.len()).ok()?;
+    let scale = 10_i128.checked_pow(power.unsigned_abs());
+    match (power >= 0, scale) {
+        _ if digits == 0 => Some(0),
+        (true, scale) => i64::try_from(digits.checked_mul(scale?)?).ok(),
+        (false, Some(scale)) => divide_to_nearest(digits, scale),
+        // Smaller than 10^-38 of its own digits.
+        (false, None) => Some(0),
+    }
+}
+
+fn divide_to_nearest(value: i128, divisor: i128) -> Option<i64> {
+    let (quotient, rest) = (value / divisor, value % divisor);
+    let up = rest.abs() >= divisor - rest.abs();
+    i64::try_from(if up { quotient + value.signum() } else { quotient }).ok()
+}
+
+/// Frames a second as an exact fraction: `60`, `59.94` or `60000/1001`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct FrameRate {
+    frames: i64,
+    seconds: i64,
+}
+
+/// Text that is no frame rate.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("\"{0}\" is not a frame rate: give frames a second above 0 and up to 1000000, such as 60, 59.94 or 60000/1001")]
+pub struct FrameRateError(String);
+
+impl FrameRate {
+    /// Time of frame number `index`, nanoseconds; frame 0 is at 0. `None` beyond 292 years.
+    pub fn stamp_ns(self, index: u64) -> Option<i64> {
+        ticks_to_ns(i64::try_from(index).ok()?, self.seconds, self.frames)
+    }
+}
+
+impl FromStr for FrameRate {
+    type Err = FrameRateError;
+
+    fn from_str(text: &str) -> Result<Self, FrameRateError> {
+        let fraction = || match text.split_once('/') {
+            Some((n, d)) => Some((n.trim().parse().ok()?, d.trim().parse().ok()?)),
+            // A decimal number of frames a second has the form of one of seconds: in billionths.
+            None => Some((parse_seconds_ns(text)?, 1_000_000_000)),
+        };
+        match fraction() {
+            Some((frames, seconds)) if frames > 0 && seconds > 0 && frames / seconds <= 1_000_000 => {
+                Ok(Self { frames, seconds })
+            }
+            _ => Err(FrameRateError(text.to_owned())),
+        }
+    }
+}
+
+impl fmt::Display for FrameRate {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}", self.frames as f64 / self.seconds as f64)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ticks_are_rounded_to_the_nearest_nanosecond() {
+        assert_eq!(ticks_to_ns(256, 1, 15360), Some(16_666_667));
+        assert_eq!(ticks_to_ns(1, 1, 15360), Some(65_104));
+        assert_eq!(ticks_to_ns(-1, 1, 15360), Some(-65_104));
+        assert_eq!(ticks_to_ns(17, 1, 1000), Some(17_000_000));
+        assert_eq!(ticks_to_ns(1, 1001, 60000), Some(16_683_333));
+        assert_eq!(ticks_to_ns(2, 1001, 60000), Some(33_366_667));
+        // A day at 90 kHz, where a double would still be right and a float long wrong.
+        assert_eq!(ticks_to_ns(86_400 * 90_000 + 1, 1, 90_000), Some(86_400_000_011_111));
+        assert_eq!(ticks_to_ns(1, 1, 2_000_000_000), Some(1));
+        assert_eq!(ticks_to_ns(i64::MAX, 1, 1), None);
+        assert_eq!(ticks_to_ns(1, 1, 0), None);
+    }
+
+    #[test]
+    fn decimal_seconds_are_exact() {
+        assert_eq!(parse_seconds_ns("0.017"), Some(17_000_000));
+        assert_eq!(parse_seconds_ns(" 1700000000.123456789 "), Some(1_700_000_000_123_456_789));
+        assert_eq!(parse_seconds_ns("0.016666666666666666"), Some(16_666_667));
+        assert_eq!(parse_seconds_ns("-.5"), Some(-500_000_000));
+        assert_eq!(parse_seconds_ns("3."), Some(3_000_000_000));
+        assert_eq!(parse_seconds_ns("1e-05"), Some(10_000));
+        assert_eq!(parse_seconds_ns("1.25E2"), Some(125_000_000_000));
+        assert_eq!(parse_seconds_ns("0.0000000005"), Some(1));
+        assert_eq!(parse_seconds_ns("0.00000000049"), Some(0));
+        for wrong in ["", ".", "-", "1,5", "0x10", "1 s", "nan", "inf", "1e400", "9999999999999", "--1", "1.2.3"] {
+            assert_eq!(parse_seconds_ns(wrong), None, "{wrong}");
+        }
+    }
+
+    #[test]
+    fn frame_rates_give_times_without_drift() {
+        let ntsc: FrameRate = "60000/1001".parse().unwrap();
+        assert_eq!(ntsc.stamp_ns(60_000), Some(1_001_000_000_000));
+        let decimal: FrameRate = "59.94".parse().unwrap();
+        assert_eq!(decimal.stamp_ns(5994), Some(100_000_000_000));
+        let sixty: FrameRate = "60".parse().unwrap();
+        assert_eq!([1, 2, 3].map(|i| sixty.stamp_ns(i)), [Some(16_666_667), Some(33_333_333), Some(50_000_000)]);
+        for wrong in ["0", "-60", "60/0", "fast", "1e9", "60 Hz"] {
+            assert!(wrong.parse::<FrameRate>().is_err(), "{wrong}");
+        }
+    }
+}
