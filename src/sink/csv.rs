@@ -18,16 +18,17 @@
 //! the [`OutputFrame`] asked for; θ, polar and azimuth always are in the base frame. What is not known is an empty cell.
 //! mm are given to 1e-6, degrees to 1e-6, the unit vector to 1e-7: below what the numbers mean, above what would be lost.
 //!
-//! Every row is handed to the system before the next frame is looked at: a killed run keeps all rows written.
+//! Every row is handed to the system before the next frame is looked at: a killed run keeps all rows written. When the disk
+//! is full the table ends with its last complete row.
 
-use super::{OutputFrame, Sink, SinkError, settle};
+use super::{OutputFrame, Sink, SinkError, same_error, settle};
 use crate::estimate::{Estimate, MarkerEstimate};
 use crate::rig::Rig;
 use crate::source::Picture;
 use csv::{ErrorKind, Terminator, Writer, WriterBuilder};
 use nalgebra::Isometry3;
 use std::fs::File;
-use std::io;
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 const MM_PER_M: f64 = 1e3;
@@ -36,7 +37,7 @@ const MM_PER_M: f64 = 1e3;
 #[derive(Debug)]
 pub struct CsvSink {
     path: PathBuf,
-    writer: Writer<File>,
+    writer: Writer<WholeRows>,
     output_from_camera: Isometry3<f64>,
     views: Vec<String>,
 }
@@ -53,7 +54,7 @@ impl CsvSink {
         let file = File::create(path).map_err(|source| SinkError::io(path, source))?;
         let mut sink = Self {
             path: path.to_owned(),
-            writer: WriterBuilder::new().terminator(Terminator::CRLF).from_writer(file),
+            writer: WriterBuilder::new().terminator(Terminator::CRLF).from_writer(WholeRows::new(file)),
             output_from_camera,
             views: rig.views.iter().map(|view| view.name.clone()).collect(),
         };
@@ -74,8 +75,48 @@ impl Sink for CsvSink {
     }
 
     fn finish(&mut self) -> Result<(), SinkError> {
-        let settled = self.writer.flush().and_then(|()| settle(self.writer.get_ref()));
+        let settled = self.writer.flush().and_then(|()| settle(&self.writer.get_ref().file));
         settled.map_err(|source| SinkError::io(&self.path, source))
+    }
+}
+
+/// A file of rows, a `flush` behind each: none is left half written, none is tried again after a failure.
+#[derive(Debug)]
+struct WholeRows {
+    file: File,
+    written: u64,
+    complete: u64,
+    failure: Option<io::Error>,
+}
+
+impl WholeRows {
+    fn new(file: File) -> Self {
+        Self { file, written: 0, complete: 0, failure: None }
+    }
+}
+
+impl Write for WholeRows {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        if let Some(failure) = &self.failure {
+            return Err(same_error(failure));
+        }
+        match self.file.write_all(bytes) {
+            Ok(()) => {
+                self.written += bytes.len() as u64;
+                Ok(bytes.len())
+            }
+            Err(error) => {
+                // Where this fails too (a pipe, a disk that is gone) there is nothing left to tidy.
+                let _ = self.file.set_len(self.complete);
+                self.failure = Some(same_error(&error));
+                Err(error)
+            }
+        }
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.complete = self.written;
+        self.file.flush()
     }
 }
 

@@ -8,7 +8,7 @@
 //! Chunks are not compressed: the numbers are measurement noise in their lower half, and a compressor would be the only
 //! C library here that is not there for the pictures.
 
-use crate::sink::{SinkError, settle};
+use crate::sink::{SinkError, same_error, settle};
 use foxglove::Encode;
 use mcap::records::{MessageHeader, Metadata};
 use mcap::write::NoSeek;
@@ -238,13 +238,5 @@ fn system_error(error: McapError) -> io::Error {
     match error {
         McapError::Io(source) => source,
         other => io::Error::other(other),
-    }
-}
-
-/// A copy ([`io::Error`] is not `Clone`).
-fn same_error(error: &io::Error) -> io::Error {
-    match error.raw_os_error() {
-        Some(code) => io::Error::from_raw_os_error(code),
-        None => io::Error::new(error.kind(), error.to_string()),
     }
 }
