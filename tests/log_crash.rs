@@ -1,5 +1,7 @@
 //! What is left of a log when the run ends badly: killed, out of disk, never started.
 
+#![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test fails by panicking")]
+
 use catoptra::sink::{CsvSink, McapSink, OutputFrame, Sink, SinkError};
 use catoptra::{estimate, optics, rig, source};
 use mcap::MessageStream;

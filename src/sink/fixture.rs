@@ -123,6 +123,7 @@ fn band(seq: u64, along_m: f64, view: f64) -> BandObservation {
 }
 
 /// A picture for [`Sink::write`](crate::sink::Sink::write), to which the log and the table pay no attention.
+#[allow(clippy::expect_used, reason = "a test fails by panicking; the lint does not see that this is one")]
 pub(crate) fn picture() -> Picture {
     Picture::from_planes(1, 1, PixelFormat::Grey, Colour::SRGB, vec![vec![0]]).expect("a grey pixel")
 }

@@ -5,8 +5,8 @@
 //! caller's part, see [`LogFile::message`]) and when its first message has waited that long by the clock on the wall,
 //! which a small thread watches: a camera that stalls must not keep its last frames in memory.
 //!
-//! Chunks are not compressed: the numbers are measurement noise in their lower half, and a compressor would be the only
-//! C library here that is not there for the pictures.
+//! Chunks are not compressed. At 60 Hz with three markers in two views a log grows by 25 MB a minute, and zstd would save
+//! two fifths of it (the lower half of the numbers is noise): not worth a C library that nothing else here needs.
 
 use crate::sink::{SinkError, same_error, settle};
 use foxglove::Encode;
