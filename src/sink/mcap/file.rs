@@ -1,0 +1,242 @@
+//! [`LogFile`]: an MCAP file of which everything older than [`FLUSH_AFTER`] survives a kill at any instant.
+//!
+//! Messages gather in a chunk in memory and reach the file as whole chunks, so an unfinished file is a series of complete
+//! records (at worst with one torn at its end). A chunk is closed when [`FLUSH_AFTER`] of camera time is in it (the
+//! caller's part, see [`LogFile::message`]) and when its first message has waited that long by the clock on the wall,
+//! which a small thread watches: a camera that stalls must not keep its last frames in memory.
+//!
+//! Chunks are not compressed. At 60 Hz with three markers in two views a log grows by 25 MB a minute, and zstd would save
+//! two fifths of it (the lower half of the numbers is noise): not worth a C library that nothing else here needs.
+
+use crate::sink::{SinkError, same_error, settle};
+use foxglove::Encode;
+use mcap::records::{MessageHeader, Metadata};
+use mcap::write::NoSeek;
+use mcap::{Attachment, McapError, McapResult, WriteOptions};
+use std::borrow::Cow;
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::{self, BufWriter};
+use std::marker::PhantomData;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+/// How long a message may stay in memory: half of the second that is promised.
+pub(super) const FLUSH_AFTER: Duration = Duration::from_millis(500);
+
+/// Largest chunk, bytes. More than [`FLUSH_AFTER`] of 60 Hz tracking.
+const CHUNK_BYTES: u64 = 1 << 20;
+
+type Writer = mcap::Writer<NoSeek<BufWriter<File>>>;
+
+/// A topic of the file, for messages of type `M`.
+#[derive(Debug)]
+pub(super) struct Topic<M> {
+    id: u16,
+    message: PhantomData<fn(&M)>,
+}
+
+/// An open log.
+#[derive(Debug)]
+pub(super) struct LogFile {
+    path: PathBuf,
+    shared: Arc<Shared>,
+    flusher: Option<JoinHandle<()>>,
+    scratch: Vec<u8>,
+}
+
+#[derive(Debug)]
+struct Shared {
+    state: Mutex<State>,
+    changed: Condvar,
+}
+
+struct State {
+    /// Gone once the file is finished or lost.
+    writer: Option<Writer>,
+    /// When the oldest message in memory was written.
+    waiting_since: Option<Instant>,
+    /// Why the file was lost.
+    failure: Option<io::Error>,
+    closed: bool,
+}
+
+impl std::fmt::Debug for State {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("State")
+            .field("waiting_since", &self.waiting_since)
+            .field("failure", &self.failure)
+            .field("closed", &self.closed)
+            .finish_non_exhaustive()
+    }
+}
+
+impl LogFile {
+    /// Creates the file (an existing one is replaced).
+    ///
+    /// # Errors
+    /// [`SinkError::Io`] when it cannot be created.
+    pub(super) fn create(path: &Path) -> Result<Self, SinkError> {
+        let lost = |source| SinkError::io(path, source);
+        let file = File::create(path).map_err(lost)?;
+        let writer = WriteOptions::new()
+            .library(format!("catoptra/{} {}", env!("CARGO_PKG_VERSION"), mcap::LIBRARY_IDENTIFIER))
+            .compression(None)
+            .chunk_size(Some(CHUNK_BYTES))
+            .disable_seeking(true)
+            .create(NoSeek::new(BufWriter::new(file)))
+            .map_err(|e| lost(system_error(e)))?;
+        let state = State { writer: Some(writer), waiting_since: None, failure: None, closed: false };
+        let shared = Arc::new(Shared { state: Mutex::new(state), changed: Condvar::new() });
+        let watched = Arc::clone(&shared);
+        let flusher = std::thread::Builder::new()
+            .name("log flusher".to_owned())
+            .spawn(move || watched.flush_what_waits())
+            .map_err(lost)?;
+        Ok(Self { path: path.to_owned(), shared, flusher: Some(flusher), scratch: Vec::new() })
+    }
+
+    /// Adds a topic; its schema travels in the file.
+    pub(super) fn topic<M: Encode>(&mut self, name: &str) -> Result<Topic<M>, SinkError> {
+        let id = self.with_writer(|writer| {
+            let schema = match M::get_schema() {
+                Some(schema) => writer.add_schema(&schema.name, &schema.encoding, &schema.data)?,
+                None => 0,
+            };
+            writer.add_channel(schema, name, &M::get_message_encoding(), &BTreeMap::new())
+        })?;
+        Ok(Topic { id, message: PhantomData })
+    }
+
+    /// Writes a message, its log and publish time both `time_ns`. Call [`LogFile::flush`] by camera time.
+    pub(super) fn message<M: Encode>(
+        &mut self,
+        topic: &Topic<M>,
+        sequence: u32,
+        time_ns: u64,
+        message: &M,
+    ) -> Result<(), SinkError> {
+        let mut bytes = std::mem::take(&mut self.scratch);
+        bytes.clear();
+        let encoded =
+            message.encode(&mut bytes).map_err(|e| SinkError::io(&self.path, io::Error::other(e.to_string())));
+        let header = MessageHeader { channel_id: topic.id, sequence, log_time: time_ns, publish_time: time_ns };
+        let written = encoded.and_then(|()| self.with_writer(|writer| writer.write_to_known_channel(&header, &bytes)));
+        self.scratch = bytes;
+        written?;
+        let mut state = self.shared.lock();
+        if state.waiting_since.is_none() {
+            state.waiting_since = Some(Instant::now());
+            self.shared.changed.notify_one();
+        }
+        Ok(())
+    }
+
+    /// Attaches a text file.
+    pub(super) fn attach(&mut self, name: &str, media_type: &str, text: &str) -> Result<(), SinkError> {
+        let attachment = Attachment {
+            log_time: 1,    // the beginning of every clock; 0 is never written
+            create_time: 0, // "not available", as the format's specification has it: the same run gives the same log
+            name: name.to_owned(),
+            media_type: media_type.to_owned(),
+            data: Cow::Borrowed(text.as_bytes()),
+        };
+        self.with_writer(|writer| writer.attach(&attachment))
+    }
+
+    /// Writes a metadata record.
+    pub(super) fn metadata(&mut self, name: &str, metadata: BTreeMap<String, String>) -> Result<(), SinkError> {
+        self.with_writer(|writer| writer.write_metadata(&Metadata { name: name.to_owned(), metadata }))
+    }
+
+    /// Hands everything written so far to the system.
+    pub(super) fn flush(&mut self) -> Result<(), SinkError> {
+        self.shared.lock().waiting_since = None;
+        self.with_writer(Writer::flush)
+    }
+
+    /// Completes the file: index, summary, end.
+    pub(super) fn finish(&mut self) -> Result<(), SinkError> {
+        self.stop_flusher();
+        self.with_writer(|writer| writer.finish().map(drop))?;
+        // A second call would find the writer gone: it is taken so that nothing can be written behind the end.
+        let Some(writer) = self.shared.lock().writer.take() else { return Ok(()) };
+        let settled =
+            writer.into_inner().into_inner().into_inner().map_err(|e| e.into_error()).and_then(|file| settle(&file));
+        settled.map_err(|source| SinkError::io(&self.path, source))
+    }
+
+    /// Runs `action` unless the file is lost; an error loses it for good, and is given again to every later call.
+    fn with_writer<T>(&self, action: impl FnOnce(&mut Writer) -> McapResult<T>) -> Result<T, SinkError> {
+        self.shared.lock().run(action).map_err(|source| SinkError::io(&self.path, source))
+    }
+
+    fn stop_flusher(&mut self) {
+        self.shared.lock().closed = true;
+        self.shared.changed.notify_one();
+        if let Some(flusher) = self.flusher.take()
+            && flusher.join().is_err()
+        {
+            tracing::warn!("the thread that flushes {} ended early", self.path.display());
+        }
+    }
+}
+
+impl Drop for LogFile {
+    /// An unfinished file gets its end too (the writer's own `drop` does it); errors can no longer be told to anyone.
+    fn drop(&mut self) {
+        self.stop_flusher();
+    }
+}
+
+impl Shared {
+    /// The state; a thread that panicked with it leaves it as it was, which is no reason to lose the log.
+    fn lock(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn flush_what_waits(&self) {
+        let mut state = self.lock();
+        while !state.closed {
+            let rest = state.waiting_since.map(|since| FLUSH_AFTER.saturating_sub(since.elapsed()));
+            state = match rest {
+                None => self.changed.wait(state).unwrap_or_else(PoisonError::into_inner),
+                Some(Duration::ZERO) => {
+                    state.waiting_since = None;
+                    // The failure is kept in the state: the next call from outside reports it.
+                    let _ = state.run(Writer::flush);
+                    state
+                }
+                Some(rest) => self.changed.wait_timeout(state, rest).unwrap_or_else(PoisonError::into_inner).0,
+            };
+        }
+    }
+}
+
+impl State {
+    fn run<T>(&mut self, action: impl FnOnce(&mut Writer) -> McapResult<T>) -> io::Result<T> {
+        if let Some(failure) = &self.failure {
+            return Err(same_error(failure));
+        }
+        let Some(writer) = &mut self.writer else {
+            return Err(io::Error::other("the log is finished already"));
+        };
+        action(writer).map_err(|e| {
+            let failure = system_error(e);
+            let told = same_error(&failure);
+            self.failure = Some(failure);
+            self.writer = None;
+            told
+        })
+    }
+}
+
+/// What the system said, without the wrapping that hides it.
+fn system_error(error: McapError) -> io::Error {
+    match error {
+        McapError::Io(source) => source,
+        other => io::Error::other(other),
+    }
+}

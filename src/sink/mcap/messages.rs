@@ -1,0 +1,175 @@
+//! The project's own messages, `catoptra.Estimate`, `catoptra.Deflection` and `catoptra.Health` in Protobuf.
+//!
+//! The schema is made from the Rust types and travels in every log: read messages by field name. Field numbers are the
+//! order of the fields and may differ between versions of the program. Places and directions are Foxglove's types
+//! (`foxglove.Point3`, `Vector3`, `Point2`, `Vector2`), matrices are lists by rows. What is not known is absent, and its
+//! status says why.
+
+use foxglove::Encode;
+use foxglove::messages::{Point2, Point3, Vector2, Vector3};
+
+/// Everything measured in one camera frame: the [estimate](crate::estimate::Estimate) but for the outlines, which are in
+/// `/camera/annotations`.
+#[derive(Debug, Clone, PartialEq, Encode)]
+pub struct Estimate {
+    /// Number of the frame among those received, from 0.
+    pub seq: u64,
+    /// Camera time, nanoseconds since the clock's zero: exact, negative too.
+    pub stamp_ns: i64,
+    /// Which clock.
+    pub clock: String,
+    /// Camera frames lost before this one.
+    pub gap: u32,
+    /// One entry a marker, in the rig's order.
+    pub markers: Vec<Marker>,
+    /// Whether the direction of the coil is known.
+    pub tangent_status: Status,
+    /// Direction of the coil.
+    pub tangent: Option<Tangent>,
+    /// Whether the deflection is known.
+    pub deflection_status: Status,
+    /// Deflection of the coil in the base frame.
+    pub deflection: Option<Angles>,
+}
+
+/// `ok`, or why something was not measured, with the number that explains it.
+#[derive(Debug, Clone, PartialEq, Default, Encode)]
+pub struct Status {
+    /// `ok` or the word of the miss, as in the table.
+    pub word: String,
+    /// For `ambiguous`: how many ways fit as well.
+    pub candidates: Option<u64>,
+    /// For `rays_diverge`: how far the rays pass each other, metres.
+    pub distance_m: Option<f64>,
+    /// For `poor_fit`: χ² per degree of freedom.
+    pub chi2_per_dof: Option<f64>,
+}
+
+/// One marker.
+#[derive(Debug, Clone, PartialEq, Encode)]
+pub struct Marker {
+    /// Its name in the rig.
+    pub name: String,
+    /// Whether its place is known.
+    pub status: Status,
+    /// Middle of the band on the tube's centre line.
+    pub position: Option<Position>,
+    /// What each view shows of it, in the rig's order.
+    pub views: Vec<View>,
+}
+
+/// A place.
+#[derive(Debug, Clone, PartialEq, Encode)]
+pub struct Position {
+    /// Camera frame, metres.
+    pub in_camera_m: Point3,
+    /// 3x3 covariance in the camera frame, m², by rows.
+    pub covariance_in_camera_m2: Vec<f64>,
+    /// Base frame, metres; absent when the rig has none.
+    pub in_base_m: Option<Point3>,
+    /// 3x3 covariance in the base frame, m², by rows; empty when the rig has none.
+    pub covariance_in_base_m2: Vec<f64>,
+    /// Standard deviation of one coordinate on average, metres.
+    pub sd_m: f64,
+}
+
+/// A marker in one view.
+#[derive(Debug, Clone, PartialEq, Encode)]
+pub struct View {
+    /// The view's name in the rig.
+    pub name: String,
+    /// Whether the band was measured in it.
+    pub status: Status,
+    /// The band.
+    pub band: Option<Band>,
+}
+
+/// A band in a picture; pixel (0, 0) is the centre of the top-left pixel.
+#[derive(Debug, Clone, PartialEq, Encode)]
+pub struct Band {
+    /// Image of its middle on the centre line, pixels, measured in this view alone.
+    pub centre_px: Point2,
+    /// 2x2 covariance of the centre, px², by rows.
+    pub covariance_px2: Vec<f64>,
+    /// Unit direction of its axis in the picture.
+    pub axis: Vector2,
+    /// Standard deviation of that direction, radians.
+    pub axis_sd_rad: f64,
+    /// Measured minus projected, pixels.
+    pub residual_px: Vector2,
+    /// RMS difference between picture and band model, stored samples (0..255).
+    pub fit_rms: f64,
+    /// Separation of colours: 1 as learned, 0 indistinguishable.
+    pub separation: f64,
+}
+
+/// Direction of the coil, base to tip.
+#[derive(Debug, Clone, PartialEq, Encode)]
+pub struct Tangent {
+    /// Unit vector, camera frame.
+    pub in_camera: Vector3,
+    /// 3x3 covariance in the camera frame, rad², by rows.
+    pub covariance_in_camera_rad2: Vec<f64>,
+    /// Unit vector, base frame; absent when the rig has none.
+    pub in_base: Option<Vector3>,
+    /// 3x3 covariance in the base frame, rad², by rows; empty when the rig has none.
+    pub covariance_in_base_rad2: Vec<f64>,
+    /// Standard deviation on average over the two directions across, radians.
+    pub sd_rad: f64,
+}
+
+/// Deflection in the base frame.
+#[derive(Debug, Clone, PartialEq, Encode)]
+pub struct Angles {
+    /// θ = atan2(t·x, t·z), signed, radians.
+    pub theta_rad: f64,
+    /// Its standard deviation, radians.
+    pub theta_sd_rad: f64,
+    /// acos(t·z), radians.
+    pub polar_rad: f64,
+    /// atan2(t·y, t·x), radians.
+    pub azimuth_rad: f64,
+}
+
+/// The deflection alone, small, for plots and controllers: one a frame.
+#[derive(Debug, Clone, PartialEq, Encode)]
+pub struct Deflection {
+    /// Number of the frame.
+    pub seq: u64,
+    /// Camera time, nanoseconds since the clock's zero.
+    pub stamp_ns: i64,
+    /// θ, radians. NaN when not measured: an absent number would read as 0 in most languages, and look like rest.
+    pub theta_rad: f64,
+    /// Its standard deviation, radians; NaN when not measured.
+    pub theta_sd_rad: f64,
+    /// `ok`, or why not.
+    pub status: String,
+}
+
+/// How the run goes: totals from its beginning.
+#[derive(Debug, Clone, PartialEq, Default, Encode)]
+pub struct Health {
+    /// Camera time of the last frame counted, nanoseconds.
+    pub stamp_ns: i64,
+    /// Frames received.
+    pub frames: u64,
+    /// Camera frames lost, the sum of all gaps.
+    pub lost_frames: u64,
+    /// How often frames were lost.
+    pub gaps: u64,
+    /// Frames with a deflection.
+    pub deflections: u64,
+    /// What was not measured, how often and why.
+    pub misses: Vec<MissCount>,
+}
+
+/// How often one thing was missed for one reason.
+#[derive(Debug, Clone, PartialEq, Encode)]
+pub struct MissCount {
+    /// A marker's name, `tangent` or `deflection`.
+    pub what: String,
+    /// The word of the reason.
+    pub reason: String,
+    /// How many frames.
+    pub frames: u64,
+}

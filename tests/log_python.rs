@@ -1,0 +1,110 @@
+//! The log read by someone else's code: Python's `mcap` with `mcap-protobuf-support` decodes every message and finds the
+//! numbers of the table.
+//!
+//! Needs `pip install mcap mcap-protobuf-support`, in the interpreter named by `CATOPTRA_PYTHON` or `python3`. Skipped,
+//! and said so, where they are missing; a failure there when `CI=true`.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test fails by panicking")]
+
+use catoptra::sink::{CsvSink, McapSink, OutputFrame, Sink};
+use catoptra::{estimate, optics, rig, source};
+use std::io::Write;
+use std::path::Path;
+use std::process::{Command, Output};
+
+#[path = "../src/sink/fixture.rs"]
+mod fixture;
+
+const FRAMES: u64 = 200;
+
+/// The interpreter, if it has what the script needs.
+fn python() -> Option<String> {
+    let python = std::env::var("CATOPTRA_PYTHON").unwrap_or_else(|_| "python3".to_owned());
+    let probe = Command::new(&python).args(["-c", "import mcap, mcap_protobuf"]).output();
+    let missing = match probe {
+        Ok(output) if output.status.success() => return Some(python),
+        Ok(output) => String::from_utf8_lossy(&output.stderr).lines().last().unwrap_or("").to_owned(),
+        Err(error) => error.to_string(),
+    };
+    let told = format!("{python} cannot read logs ({missing}): pip install mcap mcap-protobuf-support");
+    assert!(std::env::var("CI").as_deref() != Ok("true"), "{told}");
+    // Past the test harness, which keeps what a passing test prints to itself.
+    std::io::stderr().write_all(format!("SKIPPED: {told}\n").as_bytes()).unwrap();
+    None
+}
+
+fn write(folder: &Path, rig: &rig::Rig, frame: OutputFrame) {
+    let mut log = McapSink::create(&folder.join("run.mcap"), rig, "# the rig\n", "frame = \"base\"\n").unwrap();
+    let mut table = CsvSink::create(&folder.join("run.csv"), rig, frame).unwrap();
+    for seq in 0..FRAMES {
+        // From a negative stamp through 0, as containers have them.
+        let estimate = fixture::eventful(seq, -3 * 16_666_667);
+        log.write(&estimate, &fixture::picture()).unwrap();
+        table.write(&estimate, &fixture::picture()).unwrap();
+    }
+    log.finish().unwrap();
+    table.finish().unwrap();
+}
+
+fn compare(python: &str, folder: &Path, frame: &str) -> Output {
+    Command::new(python)
+        .arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/python/read_log.py"))
+        .args([folder.join("run.mcap"), folder.join("run.csv")])
+        .args(["--frame", frame])
+        .output()
+        .unwrap()
+}
+
+fn agreed(output: &Output) -> String {
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8_lossy(&output.stdout).into_owned()
+}
+
+#[test]
+fn python_decodes_every_message_and_finds_the_numbers_of_the_table() {
+    let Some(python) = python() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    write(folder.path(), &fixture::rig(), OutputFrame::Base);
+    let told = agreed(&compare(&python, folder.path(), "base"));
+    for part in [
+        "\"frames\": 200",
+        "\"/camera/annotations\": 200, \"/camera/calibration\": 1",
+        "\"/catheter/deflection\": 200, \"/catheter/estimate\": 200",
+        "\"/health\": 4, \"/scene\": 200, \"/tf\": 1",
+        "\"attachments\": [\"options.toml\", \"rig.toml\"]",
+        "\"clock\": \"container\"",
+    ] {
+        assert!(told.contains(part), "{part} is not in {told}");
+    }
+}
+
+#[test]
+fn in_the_camera_frame_and_without_a_base() {
+    let Some(python) = python() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    write(folder.path(), &fixture::rig(), OutputFrame::Camera);
+    agreed(&compare(&python, folder.path(), "camera"));
+    let mut rig = fixture::rig();
+    rig.base = None;
+    write(folder.path(), &rig, OutputFrame::Camera);
+    let told = agreed(&compare(&python, folder.path(), "camera"));
+    assert!(!told.contains("/tf"), "{told}");
+}
+
+/// The comparison can fail: one digit of one number of the table is changed.
+#[test]
+fn a_changed_digit_is_found() {
+    let Some(python) = python() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    write(folder.path(), &fixture::rig(), OutputFrame::Base);
+    let path = folder.path().join("run.csv");
+    let mut lines: Vec<String> = std::fs::read_to_string(&path).unwrap().lines().map(str::to_owned).collect();
+    let mut cells: Vec<String> = lines[101].split(',').map(str::to_owned).collect();
+    let digit = cells[18].pop().unwrap().to_digit(10).unwrap();
+    cells[18].push(char::from_digit((digit + 2) % 10, 10).unwrap());
+    lines[101] = cells.join(",");
+    std::fs::write(&path, lines.join("\r\n")).unwrap();
+    let output = compare(&python, folder.path(), "base");
+    let told = String::from_utf8_lossy(&output.stderr);
+    assert!(!output.status.success() && told.contains("frame 100, tip_y_mm"), "{told}");
+}
