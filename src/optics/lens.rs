@@ -36,6 +36,12 @@ pub enum LensError {
 /// Newton steps after which undistortion is given up; five are enough within a usable field of view.
 const MAX_STEPS: usize = 30;
 
+/// How often a step is halved to stay in the field; beyond that the pixel lies outside it.
+const MAX_HALVINGS: i32 = 20;
+
+/// A Newton step (normalised coordinates) after which the next would be below rounding.
+const LAST_STEP: f64 = 1e-9;
+
 impl Lens {
     /// Checks that the numbers describe a lens.
     ///
@@ -90,33 +96,49 @@ impl Lens {
         )
     }
 
-    /// Pixel to normalised coordinates: the inverse of [`Lens::distort`] by Newton.
+    /// Pixel to normalised coordinates: the inverse of [`Lens::distort`] by Newton, within the field where it has one.
     ///
-    /// `None` where the distortion polynomial folds over (the pixel has no unique direction).
+    /// `None` for a pixel outside that field, where the distortion polynomial folds over.
     pub fn undistort(&self, pixel: &Point2<f64>) -> Option<Point2<f64>> {
         let f = self.focal_px;
         let c = self.principal_point_px;
         let mut guess = Point2::new((pixel.x - c.x) / f.x, (pixel.y - c.y) / f.y);
+        if !guess.coords.iter().all(|v| v.is_finite()) {
+            return None;
+        }
         if self.distortion == [0.0; 5] {
             return Some(guess);
         }
-        // Pixels are compared at 1e-11 of the focal length: 1e-8 px and better, near the precision of f64.
-        let tolerance = 1e-13 * f.amax().max(1.0);
+        if !self.is_one_to_one(&guess) {
+            guess = Point2::origin(); // a pincushion's pixels may lie outside the field of their directions
+        }
         for _ in 0..MAX_STEPS {
             let (at, j) = self.distort_with_jacobian(&guess);
-            let error = at - pixel;
-            if j.determinant() <= 0.0 {
-                return None; // beyond the fold
-            }
-            let step = j.try_inverse()? * error;
-            guess -= step;
-            if error.amax() <= tolerance || step.amax() < 1e-16 {
-                return guess.coords.iter().all(|v| v.is_finite()).then_some(guess);
+            let step = j.try_inverse()? * (at - pixel);
+            // Convergence is quadratic: what remains after a step this small is below rounding.
+            let last = step.norm() < LAST_STEP;
+            guess = (0..MAX_HALVINGS).map(|k| guess - step * 0.5_f64.powi(k)).find(|p| self.is_one_to_one(p))?;
+            if last {
+                return Some(guess);
             }
         }
-        // f64 may not reach the tolerance: accept what is far below any pixel noise, refuse divergence.
-        let rest = (self.distort(&guess) - pixel).amax();
-        (rest < 1e-9).then_some(guess)
+        None
+    }
+
+    /// Whether the distortion is one-to-one from the centre out to this normalised point. Further out the model brings
+    /// directions back into the picture that no camera sees there.
+    ///
+    /// The radial part must grow all the way, 1 + 3 k1 s + 5 k2 s² + 7 k3 s³ > 0 for s = 0..r²; the tangential part is
+    /// small and looked at in the point alone.
+    pub fn is_one_to_one(&self, normalised: &Point2<f64>) -> bool {
+        let [k1, k2, _, _, k3] = self.distortion;
+        let growth = |s: f64| 1.0 + s * (3.0 * k1 + s * (5.0 * k2 + s * 7.0 * k3));
+        let r2 = normalised.coords.norm_squared();
+        // The least growth is at the end or at a root of 3 k1 + 10 k2 s + 21 k3 s². NaN and infinity mean: no such root.
+        let (a, b, c) = (21.0 * k3, 10.0 * k2, 3.0 * k1);
+        let q = -0.5 * (b + (b * b - 4.0 * a * c).sqrt().copysign(b));
+        let grows = |s: f64| !(s > 0.0 && s < r2) || growth(s) > 0.0;
+        growth(r2) > 0.0 && grows(q / a) && grows(c / q) && self.distort_with_jacobian(normalised).1.determinant() > 0.0
     }
 }
 

@@ -7,7 +7,7 @@
 
 use super::path::NoRay;
 use super::{Ray, RayWithJacobian};
-use nalgebra::{Matrix3x2, Point3, RowVector2, Vector3};
+use nalgebra::{Point3, RowVector2, Vector3};
 
 /// A plane `normal·X = offset_m`, camera frame, metres.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -29,6 +29,9 @@ pub enum PlaneError {
 
 /// How far a normal read from a file may be from unit length: six printed decimals.
 const UNIT_TOLERANCE: f64 = 2e-6;
+
+/// How far behind the start of a ray a plane may be met and still count as met, metres: rounding.
+const ON_PLANE_M: f64 = 1e-12;
 
 impl Plane {
     /// A plane from a unit normal and its distance from the camera along that normal.
@@ -71,14 +74,13 @@ impl Plane {
         Self { normal: self.normal, offset_m: self.offset_m + distance_m }
     }
 
-    /// Moves the ray's origin to where it meets the plane.
+    /// Moves the ray's origin to where its line meets the plane; a plane met backwards is recorded in `lost`.
     fn meet(&self, r: &RayWithJacobian) -> Result<RayWithJacobian, NoRay> {
         let Ray { origin, direction } = r.ray;
         let along = self.normal.dot(&direction);
         let distance = -self.signed_distance(&origin) / along;
-        // Not `<=`: NaN (a ray parallel to the plane) must be caught too. A ray may start on the plane to rounding.
-        if !(distance > -1e-12 && distance.is_finite()) {
-            return Err(NoRay::MissesSurface);
+        if !distance.is_finite() {
+            return Err(NoRay::MissesSurface); // parallel, or a number that is none
         }
         let n = self.normal.transpose();
         let d_distance: RowVector2<f64> = -(n * r.d_origin + n * r.d_direction * distance) / along;
@@ -86,6 +88,8 @@ impl Plane {
             ray: Ray { origin: origin + direction * distance, direction },
             d_origin: r.d_origin + r.d_direction * distance + direction * d_distance,
             d_direction: r.d_direction,
+            // A ray may start on the plane to rounding (a pane of no thickness).
+            lost: r.lost.or((distance < -ON_PLANE_M).then_some(NoRay::MissesSurface)),
         })
     }
 }
@@ -129,11 +133,12 @@ pub enum Surface {
 }
 
 impl Surface {
-    /// The ray after this surface.
+    /// The ray after this surface. Where it meets the surface backwards, or a mirror's back, the line is continued all
+    /// the same and `lost` says so: a search may pass through such rays on its way to a real one.
     ///
     /// # Errors
-    /// [`NoRay`] when the ray misses it, meets a mirror's back, or is totally reflected.
-    pub(crate) fn apply(&self, ray: &RayWithJacobian) -> Result<RayWithJacobian, NoRay> {
+    /// [`NoRay`] when there is no line to continue: the ray is parallel to the surface, or totally reflected.
+    pub(super) fn apply(&self, ray: &RayWithJacobian) -> Result<RayWithJacobian, NoRay> {
         match self {
             Self::Mirror(mirror) => reflect(&mirror.plane, ray),
             Self::Wall(wall) => {
@@ -149,8 +154,27 @@ impl Surface {
         }
     }
 
-    /// Signed distance of a point from the face that a marker beyond this surface must be in front of: inside of a
-    /// mirror's reflecting side, or off the wall.
+    /// What it makes of a point without refraction: a mirror's image, through a wall the point itself.
+    pub(super) fn mirrored(&self, point: &Point3<f64>) -> Point3<f64> {
+        match self {
+            Self::Mirror(mirror) => mirror.plane.reflect(point),
+            Self::Wall(_) => *point,
+        }
+    }
+
+    /// The same surface with only a part of its refraction: 0 none, 1 all.
+    pub(super) fn with_refraction(&self, part: f64) -> Self {
+        match self {
+            Self::Mirror(_) => *self,
+            Self::Wall(wall) => {
+                let eased = |index: f64| wall.index_outside + (index - wall.index_outside) * part;
+                let (index_wall, index_inside) = (eased(wall.index_wall), eased(wall.index_inside));
+                Self::Wall(Wall { index_wall, index_inside, ..*wall })
+            }
+        }
+    }
+
+    /// The plane that defines it: a mirror's reflecting face, a wall's outer face.
     pub fn plane(&self) -> Plane {
         match self {
             Self::Mirror(mirror) => mirror.plane,
@@ -160,14 +184,16 @@ impl Surface {
 }
 
 fn reflect(plane: &Plane, ray: &RayWithJacobian) -> Result<RayWithJacobian, NoRay> {
-    let n = plane.normal();
-    if n.dot(&ray.ray.direction) >= 0.0 {
-        return Err(NoRay::BehindMirror);
-    }
     let at = plane.meet(ray)?;
+    let n = plane.normal();
     let d = at.ray.direction;
-    let d_direction: Matrix3x2<f64> = at.d_direction - n * (n.transpose() * at.d_direction) * 2.0;
-    Ok(RayWithJacobian { ray: Ray { direction: d - n * (2.0 * n.dot(&d)), ..at.ray }, d_direction, ..at })
+    let along = n.dot(&d);
+    Ok(RayWithJacobian {
+        ray: Ray { direction: d - n * (2.0 * along), ..at.ray },
+        d_direction: at.d_direction - n * (n.transpose() * at.d_direction) * 2.0,
+        lost: at.lost.or((along > 0.0).then_some(NoRay::BehindMirror)),
+        ..at
+    })
 }
 
 /// Refraction at one interface; `eta` = index before / index behind. The normal may point either way.
