@@ -184,6 +184,39 @@ mod tests {
     }
 
     #[test]
+    fn one_to_one_ends_where_the_radial_part_turns_back() {
+        let at = |distortion: [f64; 5], x: f64| Lens { distortion, ..dev_lens() }.is_one_to_one(&Point2::new(x, 0.0));
+        // 1 - 0.9 x² > 0 up to x = 1.0541.
+        assert!(at([-0.3, 0.0, 0.0, 0.0, 0.0], 1.054) && !at([-0.3, 0.0, 0.0, 0.0, 0.0], 1.055));
+        // 1 - 1.5 s + 0.5 s² = (1 - s)(1 - s/2): turns back at s = 1 and forth again at s = 2; x = 2 is beyond both.
+        let twice = [-0.5, 0.1, 0.0, 0.0, 0.0];
+        assert!(at(twice, 0.999) && !at(twice, 1.2) && !at(twice, 2.0));
+        // With k3: 1 + s - 7 k3' s³ for k1 = 1/3, k3 = -2/7: 1 + s - 2 s³ = 0 at s = 1.
+        let third = [1.0 / 3.0, 0.0, 0.0, 0.0, -2.0 / 7.0];
+        assert!(at(third, 0.9999) && !at(third, 1.0001));
+        // No distortion, and the sample's lens: everywhere.
+        assert!(at([0.0; 5], 100.0) && dev_lens().is_one_to_one(&Point2::new(0.9, -0.9)));
+    }
+
+    #[test]
+    fn a_pincushion_s_edge_is_undistorted_though_it_lies_beyond_the_field_of_directions() {
+        // x (1 + 0.5 x² - 0.3 x⁴) grows up to x = 1.2072 (1 + 1.5 s - 1.5 s² = 0) and reaches 1.3177 there; the pixel of
+        // x = 1.1 lies at 1.1 · 1.16577 = 1.282347, outside the field of directions.
+        let lens = Lens { distortion: [0.5, -0.3, 0.0, 0.0, 0.0], ..dev_lens() };
+        let pixel = Point2::new(643.7 + 2712.4 * 1.282347, 508.2);
+        let back = lens.undistort(&pixel).unwrap();
+        assert!((back - Point2::new(1.1, 0.0)).norm() < 1e-5, "{back}");
+    }
+
+    #[test]
+    fn numbers_that_are_none_have_no_direction() {
+        assert_eq!(dev_lens().undistort(&Point2::new(f64::NAN, 0.0)), None);
+        assert_eq!(dev_lens().undistort(&Point2::new(0.0, f64::INFINITY)), None);
+        let broken = Lens { distortion: [f64::NAN, 0.0, 0.0, 0.0, 0.0], ..dev_lens() };
+        assert_eq!(broken.undistort(&Point2::new(10.0, 10.0)), None);
+    }
+
+    #[test]
     fn jacobian_equals_differences() {
         let lens = dev_lens();
         let p = Point2::new(0.17, -0.21);

@@ -215,3 +215,133 @@ fn refract(plane: &Plane, eta: f64, ray: &RayWithJacobian) -> Result<RayWithJaco
         ..at
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::Matrix3x2;
+
+    fn plane(x: f64, y: f64, z: f64, offset_m: f64) -> Plane {
+        Plane::new(Vector3::new(x, y, z), offset_m).unwrap()
+    }
+
+    /// A ray in the x-z plane at an angle to the z axis.
+    fn ray(origin: Point3<f64>, angle_deg: f64) -> RayWithJacobian {
+        let (sin, cos) = angle_deg.to_radians().sin_cos();
+        RayWithJacobian {
+            ray: Ray { origin, direction: Vector3::new(sin, 0.0, cos) },
+            d_origin: Matrix3x2::zeros(),
+            d_direction: Matrix3x2::zeros(),
+            lost: None,
+        }
+    }
+
+    /// A wall met along z at z = 1 m, its outside towards the camera.
+    fn wall(thickness_m: f64, index_outside: f64, index_wall: f64, index_inside: f64) -> Surface {
+        Surface::Wall(Wall { outer: plane(0.0, 0.0, -1.0, -1.0), thickness_m, index_outside, index_wall, index_inside })
+    }
+
+    #[test]
+    fn planes_are_checked_and_say_what_is_wrong() {
+        let length = Plane::new(Vector3::new(0.0, 0.6, 0.7), 1.0).unwrap_err();
+        assert!(length.to_string().contains("0.92195"), "{length}"); // √(0.36 + 0.49) = 0.921954
+        assert!(matches!(Plane::new(Vector3::new(0.0, f64::NAN, 1.0), 1.0), Err(PlaneError::NotFinite(..))));
+        assert!(matches!(Plane::new(Vector3::z(), f64::INFINITY), Err(PlaneError::NotFinite(..))));
+        // Six printed decimals of (1, 1, 1)/√3 are accepted and brought to unit length.
+        let read = plane(0.577350, 0.577350, 0.577350, 0.0);
+        assert!((read.normal().norm() - 1.0).abs() < 1e-15);
+    }
+
+    #[test]
+    fn a_point_is_mirrored_in_a_plane() {
+        // In x = 0.5, the point (1, 2, 3) lies 0.5 in front; its image as far behind.
+        let mirror = plane(1.0, 0.0, 0.0, 0.5);
+        assert_eq!(mirror.signed_distance(&Point3::new(1.0, 2.0, 3.0)), 0.5);
+        assert_eq!(mirror.reflect(&Point3::new(1.0, 2.0, 3.0)), Point3::new(0.0, 2.0, 3.0));
+        // In x + z = √2·d tilted by 45°, d = 1/√2: (x, y, z) becomes (1 - z, y, 1 - x).
+        let s = std::f64::consts::FRAC_1_SQRT_2;
+        let image = plane(s, 0.0, s, s).reflect(&Point3::new(0.2, 0.7, -0.3));
+        assert!((image - Point3::new(1.3, 0.7, 0.8)).norm() < 1e-15);
+    }
+
+    #[test]
+    fn a_mirror_turns_a_ray() {
+        // (0.6, 0, 0.8) from the origin meets z = 2 after 2.5 m at x = 1.5 and comes back as (0.6, 0, -0.8).
+        let mirror = Surface::Mirror(Mirror { plane: plane(0.0, 0.0, -1.0, -2.0) });
+        let out = mirror.apply(&ray(Point3::origin(), 0.6_f64.asin().to_degrees())).unwrap();
+        assert!((out.ray.origin - Point3::new(1.5, 0.0, 2.0)).norm() < 1e-15);
+        assert!((out.ray.direction - Vector3::new(0.6, 0.0, -0.8)).norm() < 1e-15);
+        assert_eq!(out.lost, None);
+    }
+
+    #[test]
+    fn snell_at_45_degrees_from_air_through_glass_into_water() {
+        // sin 45° / 1.52 = 0.465202, cos = 0.885205: 27.7233° in the glass, 5 mm · tan = 2.627651 mm aside.
+        // sin 45° / 1.333 = 0.530463, cos = 0.847708: 32.0367° in the water, whatever the glass.
+        let out = wall(0.005, 1.0, 1.52, 1.333).apply(&ray(Point3::origin(), 45.0)).unwrap();
+        assert!((out.ray.origin - Point3::new(1.002627651, 0.0, 1.005)).norm() < 1e-9);
+        assert!((out.ray.direction - Vector3::new(0.530463, 0.0, 0.847708)).norm() < 1e-6);
+        assert!((out.ray.direction.x.asin().to_degrees() - 32.0367).abs() < 1e-4);
+    }
+
+    #[test]
+    fn a_ray_along_the_normal_goes_straight_on() {
+        let out = wall(0.005, 1.0, 1.52, 1.333).apply(&ray(Point3::new(0.2, -0.1, 0.0), 0.0)).unwrap();
+        assert_eq!(out.ray.direction, Vector3::z());
+        assert!((out.ray.origin - Point3::new(0.2, -0.1, 1.005)).norm() < 1e-15);
+    }
+
+    #[test]
+    fn a_pane_in_air_shifts_a_ray_sideways() {
+        // t sin i (1 - cos i / (n cos r)) for t = 10 mm, i = 60°, n = 1.5: sin² r = (3/4)/(9/4) = 1/3, cos r = 0.816497;
+        // 8.660254 mm · (1 - 0.5/1.224745) = 5.124720 mm.
+        let before = ray(Point3::origin(), 60.0);
+        let after = wall(0.010, 1.0, 1.5, 1.0).apply(&before).unwrap().ray;
+        assert!((after.direction - before.ray.direction).norm() < 1e-15);
+        let aside = (Point3::origin() - after.at(after.nearest(&Point3::origin()))).norm();
+        assert!((aside - 5.124720e-3).abs() < 1e-9, "{aside}");
+    }
+
+    #[test]
+    fn a_wall_met_from_inside_undoes_it_met_from_outside() {
+        // The other way round through the wall of the test above: from 32.0367° in the water to 45° in the air.
+        let Surface::Wall(outside) = wall(0.005, 1.0, 1.52, 1.333) else { unreachable!() };
+        let turned = Surface::Wall(Wall { outer: plane(0.0, 0.0, 1.0, 1.0), ..outside });
+        let angle_deg = (0.5_f64.sqrt() / 1.333).asin().to_degrees();
+        let out = turned.apply(&ray(Point3::origin(), angle_deg)).unwrap();
+        let (sin, cos) = 45_f64.to_radians().sin_cos();
+        assert!((out.ray.direction - Vector3::new(sin, 0.0, cos)).norm() < 1e-12);
+        // It meets the inner face at z = 0.995 and leaves at z = 1: 0.995 · tan 32.0367° + 0.005 · tan 27.7233° =
+        // 0.995 · 0.625761 + 0.005 · 0.525530 = 0.625260.
+        assert!((out.ray.origin - Point3::new(0.625260, 0.0, 1.0)).norm() < 1e-6, "{}", out.ray.origin);
+    }
+
+    #[test]
+    fn beyond_the_critical_angle_nothing_leaves_the_water() {
+        // asin(1 / 1.333) = 48.6066°, with or without glass in between.
+        for index_wall in [1.333, 1.52] {
+            let Surface::Wall(pane) = wall(0.005, 1.0, index_wall, 1.333) else { unreachable!() };
+            let surface = Surface::Wall(Wall { outer: plane(0.0, 0.0, 1.0, 1.0), ..pane });
+            let out = surface.apply(&ray(Point3::origin(), 48.606)).unwrap();
+            assert!(out.ray.direction.x > 0.9999, "almost along the wall");
+            assert_eq!(surface.apply(&ray(Point3::origin(), 48.607)).unwrap_err(), NoRay::TotalReflection);
+        }
+    }
+
+    #[test]
+    fn lines_that_no_light_takes_are_marked() {
+        let mirror = |z: f64| Surface::Mirror(Mirror { plane: plane(0.0, 0.0, z, z) });
+        let lost = |surface: Surface, ray: &RayWithJacobian| surface.apply(ray).unwrap().lost;
+        // From behind; a mirror that lies behind the start; a wall that does.
+        assert_eq!(lost(mirror(1.0), &ray(Point3::origin(), 10.0)), Some(NoRay::BehindMirror));
+        assert_eq!(lost(mirror(-1.0), &ray(Point3::new(0.0, 0.0, 1.1), 10.0)), Some(NoRay::MissesSurface));
+        let glass = wall(0.005, 1.0, 1.52, 1.333);
+        assert_eq!(lost(glass, &ray(Point3::new(0.0, 0.0, 1.1), 10.0)), Some(NoRay::MissesSurface));
+        // On the wall to rounding, and a pane of no thickness: met.
+        assert_eq!(lost(glass, &ray(Point3::new(0.0, 0.0, 1.0 + 1e-15), 10.0)), None);
+        assert_eq!(lost(wall(0.0, 1.0, 1.52, 1.333), &ray(Point3::origin(), 10.0)), None);
+        // Parallel: there is no line to go on with.
+        let aside = Surface::Mirror(Mirror { plane: plane(1.0, 0.0, 0.0, -1.0) });
+        assert_eq!(aside.apply(&ray(Point3::origin(), 0.0)).unwrap_err(), NoRay::MissesSurface);
+    }
+}
