@@ -1,5 +1,7 @@
 //! What a ray costs: `trace` and `project`, directly and through the mirror, of a rig like the sample's. One call each.
 
+#![expect(clippy::expect_used, reason = "a bench whose rig is wrong should stop")]
+
 use catoptra::optics::{Lens, Mirror, OpticalPath, Plane, Surface, Wall};
 use criterion::{Criterion, criterion_group, criterion_main};
 use nalgebra::{Point2, Point3, Vector2, Vector3};

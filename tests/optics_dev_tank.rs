@@ -1,6 +1,13 @@
 //! The optics against pictures made by someone else's: corners of a board, path-traced through air, glass, water and a
 //! mirror, found by OpenCV in the picture and projected by us from where they exactly are.
 
+#![expect(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::print_stdout,
+    reason = "a test reports by panicking and printing"
+)]
+
 use catoptra::optics::{Lens, Mirror, OpticalPath, Plane, Surface, Wall};
 use nalgebra::{Point2, Point3, Vector2, Vector3};
 use opencv::core::{Mat, Point2f, Size, TermCriteria, TermCriteria_COUNT, TermCriteria_EPS, Vector};

@@ -1,5 +1,7 @@
 //! What must hold for every rig: over random lenses, mirrors, walls, pixels and points. Draws are keyed by the test's name.
 
+#![expect(clippy::expect_used, clippy::panic, reason = "a test reports by panicking")]
+
 mod optics_common;
 
 use catoptra::optics::{Mirror, OpticalPath, Plane, Surface, Wall};

@@ -191,9 +191,12 @@ mod tests {
         // 1 - 1.5 s + 0.5 s² = (1 - s)(1 - s/2): turns back at s = 1 and forth again at s = 2; x = 2 is beyond both.
         let twice = [-0.5, 0.1, 0.0, 0.0, 0.0];
         assert!(at(twice, 0.999) && !at(twice, 1.2) && !at(twice, 2.0));
-        // With k3: 1 + s - 7 k3' s³ for k1 = 1/3, k3 = -2/7: 1 + s - 2 s³ = 0 at s = 1.
+        // With k1 = 1/3, k3 = -2/7: 1 + s - 2 s³ = 0 at s = 1.
         let third = [1.0 / 3.0, 0.0, 0.0, 0.0, -2.0 / 7.0];
         assert!(at(third, 0.9999) && !at(third, 1.0001));
+        // (1 - s²)(1 - s/2) = 1 - s/2 - s² + s³/2: turns back at s = 1, and forth again at s = 2.
+        let both = [-1.0 / 6.0, -0.2, 0.0, 0.0, 1.0 / 14.0];
+        assert!(at(both, 0.999) && !at(both, 1.001) && !at(both, 2.0));
         // No distortion, and the sample's lens: everywhere.
         assert!(at([0.0; 5], 100.0) && dev_lens().is_one_to_one(&Point2::new(0.9, -0.9)));
     }

@@ -1,18 +1,18 @@
 //! The ray that connects camera and point: which normalised image point's ray passes through a given point.
 //!
 //! In: surfaces in the order of travel, a point. Out: a [`Connection`]. Method: Newton on the two components of the miss
-//! across the ray, started from the mirrored pinhole, steps halved until they come nearer. The search may pass through
-//! lines that no light takes (a surface met backwards); only its end must be a real ray. By Fermat's principle the optical
-//! path between two points through flat interfaces is the minimum of a convex function, so there is one answer at most.
+//! across the ray, started from the mirrored pinhole. The search may pass through lines that no light takes (a surface met
+//! backwards); only its end must be a real ray. By Fermat's principle the optical path between two points through flat
+//! interfaces is the minimum of a convex function, so there is one answer at most.
 //!
-//! Where Newton fails from there (the straight line to the point is totally reflected where the bent one is not), the
-//! indices are eased in from none to the true ones, each answer starting the next.
+//! Where Newton fails from there (the straight line to the point is totally reflected where the bent one is not, or the
+//! rays are steep), the indices are eased in from none to the true ones, each answer starting the next.
 
 use super::{NoRay, Ray, RayWithJacobian, Surface};
-use nalgebra::{Matrix2, Matrix3x2, Point2, Point3, Vector2, Vector3};
+use nalgebra::{Matrix2, Matrix2x3, Matrix3x2, Point2, Point3, Vector2, Vector3};
 
-/// Newton steps after which a start is given up; two to four are usual, ten a lot.
-const MAX_STEPS: usize = 30;
+/// Newton steps after which a start is given up; two to four are usual.
+const MAX_STEPS: usize = 20;
 
 /// A Newton step (normalised image coordinates) after which the next would be below rounding: convergence is quadratic.
 const LAST_STEP: f64 = 1e-9;
@@ -20,10 +20,7 @@ const LAST_STEP: f64 = 1e-9;
 /// What may remain of the error in normalised image coordinates: 1e-9 px at 10,000 px focal length.
 const TOLERANCE: f64 = 1e-13;
 
-/// A step is halved down to this fraction before the search is given up.
-const MIN_FRACTION: f64 = 1e-3;
-
-/// The indices are eased in by at least this part at a time: rays that leave at up to 89° are found.
+/// The indices are eased in by at least this part at a time: fine enough for rays that leave a wall at up to 85°.
 const MIN_EASE: f64 = 1e-3;
 
 /// A line from the camera through all surfaces, and by how much it misses a point.
@@ -107,7 +104,7 @@ fn is_beyond_last_wall(surfaces: &[Surface], point: &Point3<f64>) -> bool {
     }
 }
 
-/// Newton from one start.
+/// Newton from one start; gives up when a step does not come nearer.
 fn newton(surfaces: &[Surface], start: Point2<f64>, point: &Point3<f64>) -> Result<Connection, NoRay> {
     let mut here = Connection::at(surfaces, start, point)?;
     for _ in 0..MAX_STEPS {
@@ -118,15 +115,11 @@ fn newton(surfaces: &[Surface], start: Point2<f64>, point: &Point3<f64>) -> Resu
             let end = Connection::at(surfaces, here.normalised - step, point)?;
             return if end.step().norm() < TOLERANCE * scale { Ok(end) } else { Err(NoRay::NotConverged) };
         }
-        let mut fraction = 1.0;
-        here = loop {
-            match Connection::at(surfaces, here.normalised - step * fraction, point) {
-                Ok(next) if next.miss.norm() < here.miss.norm() => break next,
-                Err(why) if fraction < MIN_FRACTION => return Err(why),
-                _ if fraction < MIN_FRACTION => return Err(NoRay::NotConverged),
-                _ => fraction *= 0.5,
-            }
-        };
+        let next = Connection::at(surfaces, here.normalised - step, point)?;
+        if next.miss.norm() >= here.miss.norm() {
+            return Err(NoRay::NotConverged);
+        }
+        here = next;
     }
     Err(NoRay::NotConverged)
 }
@@ -173,7 +166,7 @@ impl Connection {
     }
 
     /// d normalised image point / d point, where the miss is nil: the implicit function theorem.
-    pub(super) fn d_point(&self) -> nalgebra::Matrix2x3<f64> {
+    pub(super) fn d_point(&self) -> Matrix2x3<f64> {
         -self.d_normalised * self.across.transpose()
     }
 }

@@ -2,7 +2,7 @@
 //!
 //! Reflection: d' = d − 2(n·d)n. Refraction (Snell in vector form), n against the ray, η = n₁/n₂, c = −n·d:
 //! d' = η d + (η c − √(1 − η²(1 − c²))) n; no real root means total reflection.
-//! Source: Glassner (ed.), "An Introduction to Ray Tracing" (1989), ch. 2; for the flat layers of a tank: Agrawal et al.,
+//! Source: Glassner (ed.), "An Introduction to Ray Tracing" (1989), ch. 4; for the flat layers of a tank: Agrawal et al.,
 //! "A theory of multi-layer flat refractive geometry", CVPR 2012, doi:10.1109/CVPR.2012.6248073.
 
 use super::path::NoRay;

@@ -1,13 +1,13 @@
 //! Random but valid rigs for the tests of the optics: each surface is put in the way of one pixel's ray.
 
-pub mod reference;
+pub(crate) mod reference;
 
 use catoptra::optics::{Lens, Mirror, OpticalPath, Plane, Surface, Wall};
 use nalgebra::{Point2, Point3, Vector2, Vector3};
 
 /// What a path is made of, in the order of travel.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Element {
+pub(crate) enum Element {
     Mirror,
     /// A wall met from outside.
     In,
@@ -17,26 +17,26 @@ pub enum Element {
 use Element::{In, Mirror as M, Out};
 
 /// The paths under test.
-pub const PATHS: [&[Element]; 10] =
+pub(crate) const PATHS: [&[Element]; 10] =
     [&[], &[In], &[M], &[M, In], &[In, M], &[M, M, In], &[M, M], &[Out], &[In, Out], &[M, In, M]];
 
 /// A path, a pixel whose ray goes through it, and a point on that ray.
 #[derive(Debug, Clone)]
-pub struct Case {
-    pub path: OpticalPath,
-    pub pixel: Point2<f64>,
-    pub point: Point3<f64>,
+pub(crate) struct Case {
+    pub(crate) path: OpticalPath,
+    pub(crate) pixel: Point2<f64>,
+    pub(crate) point: Point3<f64>,
 }
 
 /// Numbers that make a case: all between 0 and 1.
-pub const DICE: usize = 32;
+pub(crate) const DICE: usize = 32;
 
 /// Builds a case from dice; `None` when they describe no valid one (lens folded over, total reflection, or a ray that
 /// leaves a wall at more than 85°).
 ///
 /// Lens: 800 to 3500 px, distortion up to a quarter. Mirrors are met at up to 70° from their normal, walls at up to 75°;
 /// panes are up to 15 mm thick, indices 1.4 to 1.8 (pane) and 1 to 1.5 (inside).
-pub fn build(elements: &[Element], dice: &[f64; DICE]) -> Option<Case> {
+pub(crate) fn build(elements: &[Element], dice: &[f64; DICE]) -> Option<Case> {
     let mut dice = dice.iter();
     let mut draw = |low: f64, high: f64| low + (high - low) * dice.next().expect("enough dice");
     let focal = draw(800.0, 3500.0);

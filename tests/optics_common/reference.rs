@@ -23,7 +23,7 @@ fn add(a: &Vec3, s: C, b: &Vec3) -> Vec3 {
 }
 
 /// Brown-Conrady, written out as OpenCV's documentation does.
-pub fn distort(lens: &Lens, x: C, y: C) -> [C; 2] {
+pub(crate) fn distort(lens: &Lens, x: C, y: C) -> [C; 2] {
     let [k1, k2, p1, p2, k3] = lens.distortion;
     let r2 = x * x + y * y;
     let radial = C::from(1.0) + r2 * k1 + r2 * r2 * k2 + r2 * r2 * r2 * k3;
@@ -45,7 +45,7 @@ fn faces(element: Element, surface: &Surface) -> Vec<(Vector3<f64>, f64, f64, f6
 }
 
 /// Origin and direction after all surfaces, of the ray of a normalised image point.
-pub fn trace(elements: &[Element], case: &Case, x: C, y: C) -> (Vec3, Vec3) {
+pub(crate) fn trace(elements: &[Element], case: &Case, x: C, y: C) -> (Vec3, Vec3) {
     let length = (x * x + y * y + 1.0).sqrt();
     let (mut o, mut d) = ([C::from(0.0); 3], [x / length, y / length, C::from(1.0) / length]);
     for (element, surface) in elements.iter().zip(&case.path.surfaces) {
@@ -72,7 +72,7 @@ pub fn trace(elements: &[Element], case: &Case, x: C, y: C) -> (Vec3, Vec3) {
 
 /// Where a point is seen, by the least optical length over the points where the path crosses the interfaces. Mirrors are
 /// unfolded: everything behind one is replaced by its image, and the path goes straight on.
-pub fn project(elements: &[Element], case: &Case) -> Point2<f64> {
+pub(crate) fn project(elements: &[Element], case: &Case) -> Point2<f64> {
     let mut end = case.point;
     let mut later: Vec<(Vector3<f64>, f64, f64, f64)> = Vec::new();
     for (element, surface) in elements.iter().zip(&case.path.surfaces).rev() {
