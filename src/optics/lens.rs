@@ -36,6 +36,12 @@ pub enum LensError {
 /// Newton steps after which undistortion is given up; five are enough within a usable field of view.
 const MAX_STEPS: usize = 30;
 
+/// How often a step is halved to stay in the field; beyond that the pixel lies outside it.
+const MAX_HALVINGS: i32 = 20;
+
+/// A Newton step (normalised coordinates) after which the next would be below rounding.
+const LAST_STEP: f64 = 1e-9;
+
 impl Lens {
     /// Checks that the numbers describe a lens.
     ///
@@ -90,33 +96,49 @@ impl Lens {
         )
     }
 
-    /// Pixel to normalised coordinates: the inverse of [`Lens::distort`] by Newton.
+    /// Pixel to normalised coordinates: the inverse of [`Lens::distort`] by Newton, within the field where it has one.
     ///
-    /// `None` where the distortion polynomial folds over (the pixel has no unique direction).
+    /// `None` for a pixel outside that field, where the distortion polynomial folds over.
     pub fn undistort(&self, pixel: &Point2<f64>) -> Option<Point2<f64>> {
         let f = self.focal_px;
         let c = self.principal_point_px;
         let mut guess = Point2::new((pixel.x - c.x) / f.x, (pixel.y - c.y) / f.y);
+        if !guess.coords.iter().all(|v| v.is_finite()) {
+            return None;
+        }
         if self.distortion == [0.0; 5] {
             return Some(guess);
         }
-        // Pixels are compared at 1e-11 of the focal length: 1e-8 px and better, near the precision of f64.
-        let tolerance = 1e-13 * f.amax().max(1.0);
+        if !self.is_one_to_one(&guess) {
+            guess = Point2::origin(); // a pincushion's pixels may lie outside the field of their directions
+        }
         for _ in 0..MAX_STEPS {
             let (at, j) = self.distort_with_jacobian(&guess);
-            let error = at - pixel;
-            if j.determinant() <= 0.0 {
-                return None; // beyond the fold
-            }
-            let step = j.try_inverse()? * error;
-            guess -= step;
-            if error.amax() <= tolerance || step.amax() < 1e-16 {
-                return guess.coords.iter().all(|v| v.is_finite()).then_some(guess);
+            let step = j.try_inverse()? * (at - pixel);
+            // Convergence is quadratic: what remains after a step this small is below rounding.
+            let last = step.norm() < LAST_STEP;
+            guess = (0..MAX_HALVINGS).map(|k| guess - step * 0.5_f64.powi(k)).find(|p| self.is_one_to_one(p))?;
+            if last {
+                return Some(guess);
             }
         }
-        // f64 may not reach the tolerance: accept what is far below any pixel noise, refuse divergence.
-        let rest = (self.distort(&guess) - pixel).amax();
-        (rest < 1e-9).then_some(guess)
+        None
+    }
+
+    /// Whether the distortion is one-to-one from the centre out to this normalised point. Further out the model brings
+    /// directions back into the picture that no camera sees there.
+    ///
+    /// The radial part must grow all the way, 1 + 3 k1 s + 5 k2 s² + 7 k3 s³ > 0 for s = 0..r²; the tangential part is
+    /// small and looked at in the point alone.
+    pub fn is_one_to_one(&self, normalised: &Point2<f64>) -> bool {
+        let [k1, k2, _, _, k3] = self.distortion;
+        let growth = |s: f64| 1.0 + s * (3.0 * k1 + s * (5.0 * k2 + s * 7.0 * k3));
+        let r2 = normalised.coords.norm_squared();
+        // The least growth is at the end or at a root of 3 k1 + 10 k2 s + 21 k3 s². NaN and infinity mean: no such root.
+        let (a, b, c) = (21.0 * k3, 10.0 * k2, 3.0 * k1);
+        let q = -0.5 * (b + (b * b - 4.0 * a * c).sqrt().copysign(b));
+        let grows = |s: f64| !(s > 0.0 && s < r2) || growth(s) > 0.0;
+        growth(r2) > 0.0 && grows(q / a) && grows(c / q) && self.distort_with_jacobian(normalised).1.determinant() > 0.0
     }
 }
 
@@ -159,6 +181,42 @@ mod tests {
         let lens = Lens { distortion: [-0.5, 0.0, 0.0, 0.0, 0.0], ..dev_lens() };
         // x(1 - x²/2) peaks at x = 0.816 with 0.544: no direction maps further out.
         assert!(lens.undistort(&Point2::new(643.7 + 2712.4 * 0.6, 508.2)).is_none());
+    }
+
+    #[test]
+    fn one_to_one_ends_where_the_radial_part_turns_back() {
+        let at = |distortion: [f64; 5], x: f64| Lens { distortion, ..dev_lens() }.is_one_to_one(&Point2::new(x, 0.0));
+        // 1 - 0.9 x² > 0 up to x = 1.0541.
+        assert!(at([-0.3, 0.0, 0.0, 0.0, 0.0], 1.054) && !at([-0.3, 0.0, 0.0, 0.0, 0.0], 1.055));
+        // 1 - 1.5 s + 0.5 s² = (1 - s)(1 - s/2): turns back at s = 1 and forth again at s = 2; x = 2 is beyond both.
+        let twice = [-0.5, 0.1, 0.0, 0.0, 0.0];
+        assert!(at(twice, 0.999) && !at(twice, 1.2) && !at(twice, 2.0));
+        // With k1 = 1/3, k3 = -2/7: 1 + s - 2 s³ = 0 at s = 1.
+        let third = [1.0 / 3.0, 0.0, 0.0, 0.0, -2.0 / 7.0];
+        assert!(at(third, 0.9999) && !at(third, 1.0001));
+        // (1 - s²)(1 - s/2) = 1 - s/2 - s² + s³/2: turns back at s = 1, and forth again at s = 2.
+        let both = [-1.0 / 6.0, -0.2, 0.0, 0.0, 1.0 / 14.0];
+        assert!(at(both, 0.999) && !at(both, 1.001) && !at(both, 2.0));
+        // No distortion, and the sample's lens: everywhere.
+        assert!(at([0.0; 5], 100.0) && dev_lens().is_one_to_one(&Point2::new(0.9, -0.9)));
+    }
+
+    #[test]
+    fn a_pincushion_s_edge_is_undistorted_though_it_lies_beyond_the_field_of_directions() {
+        // x (1 + 0.5 x² - 0.3 x⁴) grows up to x = 1.2072 (1 + 1.5 s - 1.5 s² = 0) and reaches 1.3177 there; the pixel of
+        // x = 1.1 lies at 1.1 · 1.16577 = 1.282347, outside the field of directions.
+        let lens = Lens { distortion: [0.5, -0.3, 0.0, 0.0, 0.0], ..dev_lens() };
+        let pixel = Point2::new(643.7 + 2712.4 * 1.282347, 508.2);
+        let back = lens.undistort(&pixel).unwrap();
+        assert!((back - Point2::new(1.1, 0.0)).norm() < 1e-5, "{back}");
+    }
+
+    #[test]
+    fn numbers_that_are_none_have_no_direction() {
+        assert_eq!(dev_lens().undistort(&Point2::new(f64::NAN, 0.0)), None);
+        assert_eq!(dev_lens().undistort(&Point2::new(0.0, f64::INFINITY)), None);
+        let broken = Lens { distortion: [f64::NAN, 0.0, 0.0, 0.0, 0.0], ..dev_lens() };
+        assert_eq!(broken.undistort(&Point2::new(10.0, 10.0)), None);
     }
 
     #[test]

@@ -11,6 +11,7 @@
 
 mod lens;
 mod path;
+mod solve;
 mod surface;
 
 pub use lens::{Lens, LensError};
@@ -22,7 +23,7 @@ use nalgebra::{Matrix3x2, Point3, Vector3};
 /// A half-line in the camera frame: `origin + s·direction`, s ≥ 0, metres; `direction` has unit length.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Ray {
-    /// Where the ray enters the last medium (camera centre when no surface is met), metres.
+    /// Where the ray leaves the last surface (the camera's centre when none is met), metres.
     pub origin: Point3<f64>,
     /// Unit direction of travel, away from the camera.
     pub direction: Vector3<f64>,
@@ -40,10 +41,12 @@ impl Ray {
     }
 }
 
-/// A ray with its derivative with respect to two parameters (normalised image coordinates, or pixels).
+/// A ray on its way, with its derivative with respect to the normalised image point it started at.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct RayWithJacobian {
-    pub ray: Ray,
-    pub d_origin: Matrix3x2<f64>,
-    pub d_direction: Matrix3x2<f64>,
+struct RayWithJacobian {
+    ray: Ray,
+    d_origin: Matrix3x2<f64>,
+    d_direction: Matrix3x2<f64>,
+    /// Why no light takes this line, where it was continued all the same.
+    lost: Option<NoRay>,
 }

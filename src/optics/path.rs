@@ -1,12 +1,12 @@
 //! The optical path: a lens and an ordered list of surfaces. `trace` folds a pixel's ray through the list, `project`
 //! inverts it.
 //!
-//! `project` looks for the normalised image point whose traced ray passes through the given point: Newton on the two
-//! components of the miss across the ray, started from the mirrored pinhole. A refracted view has no single centre, so
-//! there is no closed form; two to four steps reach rounding. The derivative follows from the implicit function.
+//! A refracted view has no single centre, so there is no closed form for `project`: it searches the ray (`solve.rs`), two
+//! to four steps to rounding.
 
+use super::solve::{self, Connection};
 use super::{Lens, Ray, RayWithJacobian, Surface};
-use nalgebra::{Matrix2, Matrix2x3, Matrix3x2, Point2, Point3, Vector3};
+use nalgebra::{Matrix2x3, Matrix3x2, Point2, Point3};
 
 /// A lens and the surfaces a camera ray meets, in the order of travel.
 ///
@@ -23,22 +23,23 @@ pub struct OpticalPath {
 /// Why no ray connects a pixel and a place.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum NoRay {
-    /// The lens model folds over there.
-    #[error("the lens model gives this pixel no direction")]
+    /// The lens model folds over there: pixel and direction do not belong to each other one to one.
+    #[error("outside the field where the lens model is one-to-one")]
     Lens,
-    /// The ray runs parallel to a surface or away from it.
+    /// The ray runs parallel to a surface or away from it: the path does not lead this way.
     #[error("the ray does not meet a surface of the path")]
     MissesSurface,
-    /// The mirror is met from behind, or the point lies behind it.
+    /// A mirror is met from behind, or the point lies behind the last one.
     #[error("behind the mirror")]
     BehindMirror,
     /// The angle is beyond the critical one.
     #[error("total reflection")]
     TotalReflection,
-    /// The point lies in front of the last surface, where the path has not ended yet, or behind the camera.
-    #[error("the point is not beyond the last surface of the path")]
+    /// The point lies in front of the last surface, where the path has not ended yet, or (mirrored back, where there are
+    /// mirrors) behind the camera.
+    #[error("the point is not in front of the camera and beyond the last surface of the path")]
     BeforeLastSurface,
-    /// Newton did not converge.
+    /// No ray was found, or the point is not a finite number.
     #[error("no ray found to this point")]
     NotConverged,
 }
@@ -64,9 +65,6 @@ pub struct Projection {
     /// The ray that connects them, in the medium of the marker.
     pub ray: Ray,
 }
-
-/// Newton steps after which a point is given up.
-const MAX_STEPS: usize = 25;
 
 impl OpticalPath {
     /// The ray, in the medium of the marker, that a pixel sees along.
@@ -95,7 +93,7 @@ impl OpticalPath {
     /// # Errors
     /// [`NoRay`] where no ray of this path arrives.
     pub fn project(&self, point: &Point3<f64>) -> Result<Point2<f64>, NoRay> {
-        Ok(self.lens.distort(&self.solve(point)?.0))
+        Ok(self.lens.distort(&self.connect(point)?.normalised))
     }
 
     /// As [`OpticalPath::project`], with derivatives and the connecting ray.
@@ -103,116 +101,173 @@ impl OpticalPath {
     /// # Errors
     /// [`NoRay`] where no ray of this path arrives.
     pub fn project_with_jacobian(&self, point: &Point3<f64>) -> Result<Projection, NoRay> {
-        let (normalised, folded, miss) = self.solve(point)?;
-        let (pixel, d_pixel) = self.lens.distort_with_jacobian(&normalised);
-        let d_normalised = -miss.d_parameters.try_inverse().ok_or(NoRay::NotConverged)? * miss.across.transpose();
-        Ok(Projection { pixel, d_pixel: d_pixel * d_normalised, ray: folded.ray })
+        let connection = self.connect(point)?;
+        let (pixel, d_pixel) = self.lens.distort_with_jacobian(&connection.normalised);
+        Ok(Projection { pixel, d_pixel: d_pixel * connection.d_point(), ray: connection.folded.ray })
     }
 
-    /// Folds the ray of a normalised image point through all surfaces; derivatives are with respect to that point.
+    /// Folds the ray of a normalised image point through all surfaces and refuses one that no light takes.
     fn fold(&self, normalised: &Point2<f64>) -> Result<RayWithJacobian, NoRay> {
-        let v = Vector3::new(normalised.x, normalised.y, 1.0);
-        let length = v.norm();
-        let direction = v / length;
-        let d_v = Matrix3x2::new(1.0, 0.0, 0.0, 1.0, 0.0, 0.0);
-        let mut ray = RayWithJacobian {
-            ray: Ray { origin: Point3::origin(), direction },
-            d_origin: Matrix3x2::zeros(),
-            d_direction: (d_v - direction * (direction.transpose() * d_v)) / length,
+        let folded = solve::fold(&self.surfaces, normalised)?;
+        match folded.lost {
+            Some(why) => Err(why),
+            None => Ok(folded),
+        }
+    }
+
+    /// The ray to a point, refused where the lens model does not hold.
+    fn connect(&self, point: &Point3<f64>) -> Result<Connection, NoRay> {
+        let connection = solve::connect(&self.surfaces, point)?;
+        if self.lens.is_one_to_one(&connection.normalised) { Ok(connection) } else { Err(NoRay::Lens) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::optics::{Mirror, Plane, Wall};
+    use nalgebra::{Vector2, Vector3};
+
+    /// A lens without distortion, 1000 px, principal point (500, 400).
+    fn path(surfaces: Vec<Surface>) -> OpticalPath {
+        let lens = Lens {
+            focal_px: Vector2::new(1000.0, 1000.0),
+            principal_point_px: Point2::new(500.0, 400.0),
+            distortion: [0.0; 5],
         };
-        for surface in &self.surfaces {
-            ray = surface.apply(&ray)?;
-        }
-        Ok(ray)
+        OpticalPath { lens, surfaces }
     }
 
-    /// The point as it would appear without refraction: mirrored through all mirrors, last one first.
-    fn unfold(&self, point: &Point3<f64>) -> Point3<f64> {
-        self.surfaces.iter().rev().fold(*point, |p, surface| match surface {
-            Surface::Mirror(mirror) => mirror.plane.reflect(&p),
-            Surface::Wall(_) => p,
-        })
+    fn mirror(normal: Vector3<f64>, offset_m: f64) -> Surface {
+        Surface::Mirror(Mirror { plane: Plane::new(normal, offset_m).unwrap() })
     }
 
-    fn solve(&self, point: &Point3<f64>) -> Result<(Point2<f64>, RayWithJacobian, Miss), NoRay> {
-        if let Some(Surface::Mirror(mirror)) = self.surfaces.last()
-            && mirror.plane.signed_distance(point) <= 0.0
-        {
-            return Err(NoRay::BehindMirror);
-        }
-        let virtual_point = self.unfold(point);
-        if virtual_point.z <= 0.0 {
-            return Err(NoRay::BeforeLastSurface);
-        }
-        let mut at = Point2::new(virtual_point.x / virtual_point.z, virtual_point.y / virtual_point.z);
-        let mut folded = self.fold(&at)?;
-        let mut miss = Miss::of(&folded, point);
-        for _ in 0..MAX_STEPS {
-            let step = miss.d_parameters.try_inverse().ok_or(NoRay::NotConverged)? * miss.value;
-            // Halve a step that leaves the field where rays arrive, or that does not come nearer.
-            let mut fraction = 1.0;
-            let (next, next_folded, next_miss) = loop {
-                let next = at - step * fraction;
-                let tried = self.fold(&next).map(|f| (f, Miss::of(&f, point)));
-                match tried {
-                    Ok((f, m)) if m.value.norm() < miss.value.norm() => break (next, f, m),
-                    _ if step.norm() * fraction < 1e-15 => {
-                        // No step brings it nearer: either rounding is reached, or there is no ray.
-                        return miss.converged(point, at, folded);
-                    }
-                    _ => fraction *= 0.5,
-                }
-            };
-            let moved = (next - at).norm();
-            (at, folded, miss) = (next, next_folded, next_miss);
-            if moved < 1e-15 {
-                break;
-            }
-        }
-        miss.converged(point, at, folded)
-    }
-}
-
-/// By how much a ray misses a point: two components across the ray.
-struct Miss {
-    value: nalgebra::Vector2<f64>,
-    /// d value / d normalised image point.
-    d_parameters: Matrix2<f64>,
-    /// The two unit vectors across the ray, as columns; d value / d point is its transpose.
-    across: Matrix3x2<f64>,
-}
-
-impl Miss {
-    fn of(r: &RayWithJacobian, point: &Point3<f64>) -> Self {
-        let d = r.ray.direction;
-        let helper = if d.x.abs() < 0.6 { Vector3::x() } else { Vector3::y() };
-        let e1 = d.cross(&helper).normalize();
-        let e2 = d.cross(&e1);
-        let across = Matrix3x2::from_columns(&[e1, e2]);
-        let to_point = point - r.ray.origin;
-        let along = to_point.dot(&d);
-        // The frame across the ray turns with it; at a miss of zero its turning does not matter, and near it hardly.
-        Self {
-            value: across.transpose() * to_point,
-            d_parameters: -(across.transpose() * (r.d_origin + r.d_direction * along)),
-            across,
-        }
+    /// A wall at z = 1 m that faces the camera.
+    fn wall(thickness_m: f64, index_wall: f64, index_inside: f64) -> Surface {
+        let outer = Plane::new(-Vector3::z(), -1.0).unwrap();
+        Surface::Wall(Wall { outer, thickness_m, index_outside: 1.0, index_wall, index_inside })
     }
 
-    fn converged(
-        self,
-        point: &Point3<f64>,
-        at: Point2<f64>,
-        folded: RayWithJacobian,
-    ) -> Result<(Point2<f64>, RayWithJacobian, Self), NoRay> {
-        let along = folded.ray.nearest(point);
-        // 1e-12 of the distance is far below 1e-9 px at any usable focal length.
-        if self.value.norm() > 1e-12 * (point.coords.norm() + folded.ray.origin.coords.norm()).max(1e-3) {
-            return Err(NoRay::NotConverged);
+    /// Distance at which a point on the axis seems to lie: where two rays close to the axis that come from it meet.
+    fn apparent_distance(path: &OpticalPath, distance_m: f64) -> f64 {
+        let aside_m = 1e-6;
+        let pixel = path.project(&Point3::new(aside_m, 0.0, distance_m)).unwrap();
+        1000.0 * aside_m / (pixel.x - 500.0)
+    }
+
+    #[test]
+    fn in_air_it_is_the_pinhole() {
+        // 1000 · 0.1/2 + 500, 1000 · (-0.2)/2 + 400.
+        let pixel = path(vec![]).project(&Point3::new(0.1, -0.2, 2.0)).unwrap();
+        assert!((pixel - Point2::new(550.0, 300.0)).norm() < 1e-12);
+    }
+
+    #[test]
+    fn a_mirror_shows_the_image() {
+        // In x = 1, the point (0.6, 0.1, 2) has its image at (1.4, 0.1, 2): 1000 · 0.7 + 500, 1000 · 0.05 + 400.
+        let seen = path(vec![mirror(-Vector3::x(), -1.0)]).project_with_jacobian(&Point3::new(0.6, 0.1, 2.0)).unwrap();
+        assert!((seen.pixel - Point2::new(1200.0, 450.0)).norm() < 1e-12);
+        // Moving to the right, it is seen to move to the left: 1000 px / 2 m.
+        assert!((seen.d_pixel.m11 + 500.0).abs() < 1e-9 && (seen.d_pixel.m22 - 500.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn water_lifts_to_the_apparent_depth() {
+        // 0.15 m of water look like 0.15 / 1.333 = 0.112528 m.
+        let seems = apparent_distance(&path(vec![wall(0.0, 1.333, 1.333)]), 1.15);
+        assert!((seems - 1.112528).abs() < 1e-6, "{seems}");
+    }
+
+    #[test]
+    fn what_ignoring_the_water_and_the_pane_costs() {
+        // Ignoring 150 mm of water: 150 · (1 - 1/1.333) = 37.47 mm.
+        let water = path(vec![wall(0.0, 1.333, 1.333)]);
+        assert!((1.15 - apparent_distance(&water, 1.15) - 37.472e-3).abs() < 1e-6);
+        // A pane of 6 mm taken for water: 6/1.333 - 6/1.52 = 0.554 mm of apparent distance...
+        let pane = path(vec![wall(0.006, 1.52, 1.333)]);
+        let seems = apparent_distance(&pane, 1.15);
+        assert!((apparent_distance(&water, 1.15) - seems - 0.5538e-3).abs() < 1e-7);
+        // ...which the water stretches to 6 · (1 - 1.333/1.52) = 0.738 mm of true depth.
+        assert!((apparent_distance(&water, 1.15 - 0.73816e-3) - seems).abs() < 1e-7);
+    }
+
+    #[test]
+    fn an_immersed_mirror_by_hand() {
+        // Index 4/3 from z = 0.6 on. (0.8, 0, 0.6) meets the water in (0.8, 0, 0.6) and goes on as (0.6, 0, 0.8): sines 0.8
+        // and 0.8/(4/3) = 0.6. After 0.5 m it meets the mirror x = 1.1 in (1.1, 0, 1), turns to (-0.6, 0, 0.8) and is
+        // after another 0.5 m in (0.8, 0, 1.4). Pixel: 1000 · 0.8/0.6 + 500.
+        let outer = Plane::new(-Vector3::z(), -0.6).unwrap();
+        let index = 4.0 / 3.0;
+        let water =
+            Surface::Wall(Wall { outer, thickness_m: 0.0, index_outside: 1.0, index_wall: index, index_inside: index });
+        let path = path(vec![water, mirror(-Vector3::x(), -1.1)]);
+        let pixel = Point2::new(1000.0 * 4.0 / 3.0 + 500.0, 400.0);
+        let ray = path.trace(&pixel).unwrap();
+        assert!((ray.origin - Point3::new(1.1, 0.0, 1.0)).norm() < 1e-14);
+        assert!((ray.direction - Vector3::new(-0.6, 0.0, 0.8)).norm() < 1e-14);
+        assert!((path.project(&Point3::new(0.8, 0.0, 1.4)).unwrap() - pixel).norm() < 1e-10);
+    }
+
+    #[test]
+    fn steep_and_thick_is_found() {
+        // 80° in air, a pane of 100 mm, 1 m of water. Glass: sin 80°/1.52 = 0.64790, tan = 0.85052; water: sin = 0.73879,
+        // cos = 0.67395. The point is at (5.6713 + 0.0851 + 0.7388, 1.1 + 0.6740), in a straight direction of 74.7°.
+        let path = path(vec![wall(0.1, 1.52, 1.333)]);
+        let pixel = Point2::new(500.0 + 1000.0 * 80_f64.to_radians().tan(), 400.0);
+        let point = path.trace(&pixel).unwrap().at(1.0);
+        assert!((path.project(&point).unwrap() - pixel).norm() < 1e-8);
+    }
+
+    #[test]
+    fn out_of_the_water_points_aside_are_found_where_the_straight_line_is_totally_reflected() {
+        // Camera 1 m under the surface; sin 45° · 1.333 = 0.942574 leaves at 70.49°. A point 5 m on lies in a direction of
+        // 65.0°, far beyond the critical 48.6°.
+        let outer = Plane::new(Vector3::z(), 1.0).unwrap();
+        let surface =
+            Surface::Wall(Wall { outer, thickness_m: 0.0, index_outside: 1.0, index_wall: 1.333, index_inside: 1.333 });
+        let path = path(vec![surface]);
+        let ray = path.trace(&Point2::new(1500.0, 400.0)).unwrap();
+        assert!((ray.direction.x - 0.942574).abs() < 1e-6);
+        assert!((path.project(&ray.at(5.0)).unwrap() - Point2::new(1500.0, 400.0)).norm() < 1e-9);
+        // The same pixel row further out: 1000 · tan 48.6066° = 1134.5 px is the last that sees the air.
+        assert!(path.trace(&Point2::new(500.0 + 1134.0, 400.0)).is_ok());
+        assert_eq!(path.trace(&Point2::new(500.0 + 1135.0, 400.0)), Err(NoRay::TotalReflection));
+    }
+
+    #[test]
+    fn where_no_ray_arrives_the_reason_is_given() {
+        let reason =
+            |surfaces: Vec<Surface>, x: f64, y: f64, z: f64| path(surfaces).project(&Point3::new(x, y, z)).unwrap_err();
+        let side_mirror = mirror(-Vector3::x(), -1.0);
+        let tank = wall(0.005, 1.52, 1.333);
+        assert_eq!(reason(vec![], 0.0, 0.1, -1.0), NoRay::BeforeLastSurface);
+        assert_eq!(reason(vec![], 0.0, 0.0, 0.0), NoRay::BeforeLastSurface);
+        assert_eq!(reason(vec![side_mirror], 1.2, 0.0, 2.0), NoRay::BehindMirror);
+        assert_eq!(reason(vec![side_mirror], 1.0, 0.0, 2.0), NoRay::BehindMirror);
+        assert_eq!(reason(vec![side_mirror], 0.5, 0.0, -2.0), NoRay::BeforeLastSurface);
+        // A mirror that turns its back to the camera.
+        assert_eq!(reason(vec![mirror(Vector3::x(), 1.0)], 1.2, 0.0, 2.0), NoRay::BehindMirror);
+        // In front of the tank, within its wall, and on its inner face.
+        assert_eq!(reason(vec![tank], 0.1, 0.0, 0.5), NoRay::BeforeLastSurface);
+        assert_eq!(reason(vec![tank], 0.1, 0.0, 1.003), NoRay::BeforeLastSurface);
+        assert_eq!(reason(vec![tank], 0.1, 0.0, 1.0), NoRay::BeforeLastSurface);
+        // By way of the mirror a tank whose wall looks away from it is not reached.
+        assert_eq!(reason(vec![side_mirror, tank], 0.5, 0.0, 0.5), NoRay::BeforeLastSurface);
+        // Not numbers: an answer, and at once.
+        for surfaces in [vec![], vec![side_mirror], vec![tank], vec![side_mirror, tank]] {
+            assert_eq!(reason(surfaces.clone(), f64::NAN, 0.0, 2.0), NoRay::NotConverged);
+            assert_eq!(reason(surfaces.clone(), 0.0, f64::INFINITY, 2.0), NoRay::NotConverged);
+            assert_eq!(path(surfaces).trace(&Point2::new(f64::NAN, 0.0)), Err(NoRay::Lens));
         }
-        if along <= 0.0 {
-            return Err(NoRay::BeforeLastSurface);
-        }
-        Ok((at, folded, self))
+    }
+
+    #[test]
+    fn a_lens_that_folds_does_not_show_points_from_far_outside() {
+        // x (1 - 0.3 x²) peaks at x = √(1/0.9) = 1.054. The direction x = 1.7 would be drawn at 1.7 · 0.133 = 0.226.
+        let mut folded = path(vec![]);
+        folded.lens.distortion = [-0.3, 0.0, 0.0, 0.0, 0.0];
+        assert!(folded.project(&Point3::new(1.05, 0.0, 1.0)).is_ok());
+        assert_eq!(folded.project(&Point3::new(1.06, 0.0, 1.0)), Err(NoRay::Lens));
+        assert_eq!(folded.project(&Point3::new(1.7, 0.0, 1.0)), Err(NoRay::Lens));
     }
 }
