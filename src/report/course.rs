@@ -47,9 +47,15 @@ pub(super) enum Channel {
     Polar,
     Azimuth,
     /// Length of the residual, pixels.
-    Residual { marker: usize, view: usize },
+    Residual {
+        marker: usize,
+        view: usize,
+    },
     /// Colour separation.
-    Separation { marker: usize, view: usize },
+    Separation {
+        marker: usize,
+        view: usize,
+    },
 }
 
 const ANGLES: usize = 6;
@@ -164,7 +170,7 @@ impl Course {
     }
 
     fn add_to_path(&mut self, estimate: &Estimate) {
-        if (self.tally.frames - 1) % self.path.every != 0 {
+        if !(self.tally.frames - 1).is_multiple_of(self.path.every) {
             return;
         }
         let place = |marker: &crate::estimate::MarkerEstimate| {

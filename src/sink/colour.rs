@@ -42,7 +42,8 @@ impl ToBgr {
                     Range::Full => (0.0, 1.0),
                     Range::Limited => (16.0, 255.0 / 219.0),
                 };
-                let table: Vec<u8> = (0..=255_u8).map(|v| ((f64::from(v) - stretch.0) * stretch.1).round() as u8).collect();
+                let table: Vec<u8> =
+                    (0..=255_u8).map(|v| ((f64::from(v) - stretch.0) * stretch.1).round() as u8).collect();
                 for channel in 0..3 {
                     interleave(&plane, bgr, stride, channel, |v| table.get(usize::from(v)).copied().unwrap_or(v));
                 }
@@ -202,5 +203,100 @@ fn interleave_step(
 fn copy_start(to: &mut [u8], from: &[u8], n: usize) {
     for (to, from) in to.iter_mut().zip(from.iter().take(n)) {
         *to = *from;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::source::{ChromaSiting, Colour};
+
+    const SIZE: [u32; 2] = [32, 16];
+
+    /// A picture of one colour, its samples computed by the definition of the format.
+    fn uniform(format: PixelFormat, colour: Colour, rgb: [f64; 3]) -> Picture {
+        let value = |channel: usize| {
+            let (w, c) = colour.channel_from_rgb(format, channel);
+            (w[0] * rgb[0] + w[1] * rgb[1] + w[2] * rgb[2] + c).round() as u8
+        };
+        let n = (SIZE[0] * SIZE[1]) as usize;
+        let planes = match format {
+            PixelFormat::Grey => vec![vec![value(0); n]],
+            PixelFormat::RgbPlanar => (0..3).map(|i| vec![value(i); n]).collect(),
+            PixelFormat::RgbPacked { step, order } => {
+                let mut pixel = vec![0; usize::from(step)];
+                (0..3).for_each(|i| pixel[usize::from(order[i])] = value(i));
+                vec![pixel.repeat(n)]
+            }
+            PixelFormat::Nv12 => vec![vec![value(0); n], [value(1), value(2)].repeat(n / 4)],
+            PixelFormat::Yuv { chroma_log2: [x, y] } => {
+                vec![vec![value(0); n], vec![value(1); n >> (x + y)], vec![value(2); n >> (x + y)]]
+            }
+        };
+        Picture::from_planes(SIZE[0], SIZE[1], format, colour, planes).unwrap()
+    }
+
+    #[test]
+    fn every_storage_matrix_and_range_gives_the_colour_back() {
+        let yuv = |x, y| PixelFormat::Yuv { chroma_log2: [x, y] };
+        let formats = [
+            yuv(1, 1),
+            yuv(1, 0),
+            yuv(0, 0),
+            yuv(0, 1),
+            yuv(2, 0),
+            PixelFormat::Nv12,
+            PixelFormat::RgbPlanar,
+            PixelFormat::RgbPacked { step: 3, order: [0, 1, 2] },
+            PixelFormat::RgbPacked { step: 4, order: [2, 1, 0] },
+        ];
+        let mut to_bgr = ToBgr::default();
+        let stride = 3 * SIZE[0] as usize;
+        let mut bgr = vec![0; stride * SIZE[1] as usize];
+        for format in formats {
+            for matrix in [Matrix::Bt601, Matrix::Bt709, Matrix::Bt2020] {
+                for range in [Range::Limited, Range::Full] {
+                    let colour = Colour { matrix, range, siting: ChromaSiting::Left, ..Colour::SRGB };
+                    for rgb in [[200.0, 40.0, 90.0], [30.0, 160.0, 60.0], [20.0, 60.0, 220.0], [250.0; 3]] {
+                        to_bgr.convert(&uniform(format, colour, rgb), &mut bgr, stride).unwrap();
+                        for pixel in bgr.chunks(3) {
+                            let off = [0, 1, 2].map(|i| (f64::from(pixel[2 - i]) - rgb[i]).abs());
+                            assert!(off.iter().all(|o| *o <= 3.0), "{format:?} {colour:?}: {rgb:?} became {pixel:?}");
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn grey_is_stretched_by_its_range() {
+        let mut bgr = vec![0; 3 * 512];
+        let colour = Colour { range: Range::Limited, ..Colour::SRGB };
+        let picture = Picture::from_planes(32, 16, PixelFormat::Grey, colour, vec![vec![235; 512]]).unwrap();
+        ToBgr::default().convert(&picture, &mut bgr, 96).unwrap();
+        assert!(bgr.iter().all(|v| *v == 255));
+    }
+
+    #[test]
+    fn drawings_become_bt709_limited() {
+        let rgb = [200.0, 40.0, 90.0];
+        let bgr = [90, 40, 200].repeat(512);
+        let frame = ToYuv420::new(SIZE).unwrap().convert(&bgr, 96).unwrap();
+        let colour = Colour { range: Range::Limited, ..Colour::SRGB };
+        for channel in 0..3 {
+            let (w, c) = colour.channel_from_rgb(PixelFormat::Yuv { chroma_log2: [1, 1] }, channel);
+            let expected = w[0] * rgb[0] + w[1] * rgb[1] + w[2] * rgb[2] + c;
+            let found = f64::from(frame.data(channel)[5]);
+            assert!((found - expected).abs() <= 1.5, "channel {channel}: {found}, expected {expected}");
+        }
+    }
+
+    #[test]
+    fn a_subsampling_without_a_name_is_refused() {
+        let format = PixelFormat::Yuv { chroma_log2: [0, 2] };
+        let picture = uniform(format, Colour::SRGB, [1.0, 2.0, 3.0]);
+        let refused = ToBgr::default().convert(&picture, &mut vec![0; 3 * 512], 96);
+        assert!(matches!(refused, Err(ConvertError::Unsupported(f)) if f == format));
     }
 }

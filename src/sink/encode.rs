@@ -3,9 +3,9 @@
 //! Times are rounded to whole microseconds (1/60 000 s with the MPEG-4 part 2 encoder, which cannot count finer): at most
 //! 0.5 µs (8.4 µs) from the stamp given, never accumulating. Frame intervals may vary; a gap stays a gap.
 
+use super::SinkError;
 use super::clock::Origin;
 use super::colour::ToYuv420;
-use super::SinkError;
 use ffmpeg_the_third as av;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
@@ -136,7 +136,7 @@ impl VideoFile {
         }
         let mut options = av::Dictionary::new();
         // The time of the first frame is stored in this unit; MP4's own default would round it to milliseconds.
-        options.set("movie_timescale", &self.ticks_per_s.to_string());
+        options.set("movie_timescale", self.ticks_per_s.to_string());
         self.output.write_header_with(options).map_err(self.failed("writing the header"))?;
         self.state = State::Running { origin, last_tick: -1, interval: self.ticks_per_s / 60 };
         Ok(())
@@ -185,7 +185,10 @@ fn find_encoder(path: &Path) -> Result<(av::Codec, &'static Encoder), SinkError>
     for choice in &ENCODERS {
         if let Some(codec) = av::encoder::find_by_name(choice.name) {
             if choice.name != "libx264" {
-                tracing::warn!(encoder = choice.name, "libav is built without libx264: the overlay will be larger or poorer");
+                tracing::warn!(
+                    encoder = choice.name,
+                    "libav is built without libx264: the overlay will be larger or poorer"
+                );
             }
             return Ok((codec, choice));
         }

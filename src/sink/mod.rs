@@ -6,12 +6,18 @@ mod encode;
 mod overlay;
 mod palette;
 
+pub(crate) use clock::Origin;
 pub use overlay::OverlaySink;
-pub(crate) use {clock::Origin, palette::Palette};
+pub(crate) use palette::{Palette, Rgb};
 
 use crate::estimate::Estimate;
 use crate::source::Picture;
 use std::path::PathBuf;
+
+/// The word of a miss ([`crate::estimate::Miss::word`]) as people say it.
+pub(crate) fn spoken(word: &str) -> String {
+    word.replace("not_seen_", "not seen in ").replace('_', " ")
+}
 
 /// Takes the estimates of a run, one camera frame after the other.
 pub trait Sink {

@@ -1,18 +1,21 @@
 //! A made-up run for tests of what is drawn and reported: a rig with a tank and a mirror, and estimates whose
 //! pixels are exact projections of a swinging catheter.
+#![allow(clippy::unwrap_used, reason = "a test fails by panicking, its own functions too")]
 #![allow(dead_code, reason = "each test file that includes this module uses a part of it")]
 
 use catoptra::estimate::{BandObservation, Deflection, Estimate, MarkerEstimate, Miss, Position, Tangent};
 use catoptra::optics::{Lens, Mirror, OpticalPath, Plane, Surface, Wall};
 use catoptra::rig::{Base, Camera, Catheter, Marker, Rig, View};
 use catoptra::source::{Clock, Timestamp};
-use nalgebra::{Isometry3, Matrix2, Matrix3, Point2, Point3, Rotation3, Translation3, UnitQuaternion, Vector2, Vector3};
+use nalgebra::{
+    Isometry3, Matrix2, Matrix3, Point2, Point3, Rotation3, Translation3, UnitQuaternion, Vector2, Vector3,
+};
 use std::collections::BTreeMap;
 
 /// σ of a coordinate, metres, and of the tangent, radians, of every synthetic estimate.
-pub const POSITION_SD_M: f64 = 0.04e-3;
-pub const TANGENT_SD_RAD: f64 = 0.004;
-pub const RESIDUAL_PX: [f64; 2] = [0.03, -0.04];
+pub(crate) const POSITION_SD_M: f64 = 0.04e-3;
+pub(crate) const TANGENT_SD_RAD: f64 = 0.004;
+pub(crate) const RESIDUAL_PX: [f64; 2] = [0.03, -0.04];
 const RADIUS_M: f64 = 1.6e-3;
 
 fn mm(x: f64, y: f64, z: f64) -> Vector3<f64> {
@@ -20,7 +23,7 @@ fn mm(x: f64, y: f64, z: f64) -> Vector3<f64> {
 }
 
 /// A rig like the one of the sample recordings: 1280x1024, a water tank behind 5 mm of glass, a mirror at its side.
-pub fn rig() -> Rig {
+pub(crate) fn rig() -> Rig {
     let lens = Lens {
         focal_px: Vector2::new(2712.4, 2706.9),
         principal_point_px: Point2::new(643.7, 508.2),
@@ -82,12 +85,13 @@ fn rest_base() -> Vector3<f64> {
 }
 
 /// Frame `seq` of a swing of ±40° at 0.8 Hz in the plane of B0: an arc, the part beyond the coil straight.
-pub fn swing(rig: &Rig, seq: u64, stamp_ns: i64) -> Estimate {
+pub(crate) fn swing(rig: &Rig, seq: u64, stamp_ns: i64) -> Estimate {
     let theta = 40_f64.to_radians() * (std::f64::consts::TAU * 0.8 * stamp_ns as f64 * 1e-9).sin();
     let place = |along_m: f64| {
         let bend = theta / 79e-3; // curvature of the arc from base to coil
         let s = along_m.min(79e-3);
-        let (x, z) = if bend.abs() < 1e-9 { (0.0, s) } else { ((1.0 - (bend * s).cos()) / bend, (bend * s).sin() / bend) };
+        let (x, z) =
+            if bend.abs() < 1e-9 { (0.0, s) } else { ((1.0 - (bend * s).cos()) / bend, (bend * s).sin() / bend) };
         let rest = along_m - s;
         Point3::new(x + rest * theta.sin(), 0.0, z + rest * theta.cos())
     };
@@ -99,7 +103,13 @@ pub fn swing(rig: &Rig, seq: u64, stamp_ns: i64) -> Estimate {
 
 /// An estimate with the given markers (camera frame, metres) and directions of the tube there; every band as its exact
 /// projection.
-pub fn estimate(rig: &Rig, seq: u64, stamp_ns: i64, points: [Point3<f64>; 3], tangents: [Vector3<f64>; 3]) -> Estimate {
+pub(crate) fn estimate(
+    rig: &Rig,
+    seq: u64,
+    stamp_ns: i64,
+    points: [Point3<f64>; 3],
+    tangents: [Vector3<f64>; 3],
+) -> Estimate {
     let markers = (0..3)
         .map(|i| MarkerEstimate {
             position: Ok(Position { point: points[i], covariance: Matrix3::identity() * POSITION_SD_M.powi(2) }),
@@ -132,7 +142,8 @@ fn band(view: &View, point: Point3<f64>, tangent: Vector3<f64>, length_m: f64) -
     let centre_px = see(point);
     let ends = [-0.5, 0.5].map(|s| see(point + tangent * (s * length_m)));
     let axis = (ends[1] - ends[0]).normalize();
-    let across = tangent.cross(&Vector3::z()).normalize() * RADIUS_M;
+    let sight = view.optics.project_with_jacobian(&point).unwrap().ray.direction;
+    let across = tangent.cross(&sight).normalize() * RADIUS_M;
     let half_width = (see(point + across) - see(point - across)).norm() / 2.0;
     let side = Vector2::new(-axis.y, axis.x) * half_width;
     BandObservation {
@@ -148,7 +159,7 @@ fn band(view: &View, point: Point3<f64>, tangent: Vector3<f64>, length_m: f64) -
 }
 
 /// The same frame with marker `i` missing: its position, and what depends on it.
-pub fn without_marker(mut estimate: Estimate, i: usize, miss: Miss) -> Estimate {
+pub(crate) fn without_marker(mut estimate: Estimate, i: usize, miss: Miss) -> Estimate {
     if let Miss::NotSeen { view } = miss {
         estimate.markers[i].views[view] = Err(miss.clone());
     }

@@ -101,11 +101,13 @@ impl OverlaySink {
     /// What is missing in this frame, in words.
     fn missing(&self, estimate: &Estimate) -> Vec<String> {
         let views = self.scene.view_names();
-        let say = |what: &str, miss: &crate::estimate::Miss| format!("{what}: {}", miss.word(&views).replace('_', " "));
+        let say = |what: &str, miss: &crate::estimate::Miss| {
+            let why = super::spoken(&miss.word(&views));
+            format!("{what}: {why}")
+        };
         let markers = estimate.markers.iter().enumerate();
-        let mut said: Vec<_> = markers
-            .filter_map(|(i, m)| Some(say(self.scene.marker_name(i), m.position.as_ref().err()?)))
-            .collect();
+        let mut said: Vec<_> =
+            markers.filter_map(|(i, m)| Some(say(self.scene.marker_name(i), m.position.as_ref().err()?))).collect();
         if let (Err(miss), true) = (&estimate.deflection, said.is_empty()) {
             said.push(say("angle", miss));
         }
@@ -131,7 +133,8 @@ impl Sink for OverlaySink {
         self.history.push(t_s, estimate);
         self.compose(t_s, estimate).map_err(|source| SinkError::Draw { path: self.path.clone(), source })?;
         let stride = 3 * self.canvas.bgr.cols().unsigned_abs() as usize;
-        let bytes = self.canvas.bgr.data_bytes().map_err(|source| SinkError::Draw { path: self.path.clone(), source })?;
+        let bytes =
+            self.canvas.bgr.data_bytes().map_err(|source| SinkError::Draw { path: self.path.clone(), source })?;
         self.video.write(bytes, stride, estimate.stamp.ns)
     }
 
@@ -152,12 +155,13 @@ impl Layout {
             .map(|k| Rect::new(inner.x + inner.width - side * k as i32 - margin * (k as i32 - 1), inner.y, side, side))
             .collect();
         let numbers = Rect::new(inner.x, inner.y, (inner.width / 4).min((250.0 * unit) as i32), inner.height);
-        let left = numbers.x + numbers.width + margin;
+        let left = numbers.x + numbers.width + 2 * margin;
         let right = insets.first().map_or(inner.x + inner.width, |r| r.x - margin);
         Self { strip, numbers, graph: Rect::new(left, inner.y, right - left, inner.height), insets }
     }
 }
 
+/// Pixels as OpenCV counts them. Beyond 2^24 no encoder goes: kept there, so that sums cannot overflow.
 fn whole(pixels: u32) -> i32 {
-    i32::try_from(pixels).unwrap_or(i32::MAX)
+    pixels.min(1 << 24) as i32
 }

@@ -127,7 +127,8 @@ impl Scene {
             *seen = Some(band.centre_px);
         }
         let piece = Size::new(place.width / ZOOM, place.height / ZOOM);
-        let fits = piece.width > 0 && piece.height > 0 && piece.width <= picture.cols() && piece.height <= picture.rows();
+        let fits =
+            piece.width > 0 && piece.height > 0 && piece.width <= picture.cols() && piece.height <= picture.rows();
         if let (Some(centre), true) = (*seen, fits) {
             let corner = |c: f64, piece: i32, whole: i32| {
                 ((c - f64::from(piece - 1) / 2.0).round() as i32).clamp(0, whole - piece)
@@ -151,9 +152,8 @@ impl Scene {
                     Point2::new(at.x + f64::from(place.x), at.y + f64::from(place.y))
                 };
                 let outline: Vec<_> = band.outline_px.iter().map(enlarge).collect();
-                let inside = |p: &Point2<f64>| {
-                    place.contains(opencv::core::Point::new(p.x.round() as i32, p.y.round() as i32))
-                };
+                let inside =
+                    |p: &Point2<f64>| place.contains(opencv::core::Point::new(p.x.round() as i32, p.y.round() as i32));
                 if outline.iter().all(inside) {
                     let colour = PALETTE.marker(self.coil);
                     canvas.path(&outline, true, colour, 1.0)?;
@@ -167,8 +167,14 @@ impl Scene {
         }
         let name = self.views.get(view).map_or("view", |(name, _)| name.as_str());
         let caption = format!("{} {name} x{ZOOM}", self.marker_name(self.coil));
-        let at = Point2::new(f64::from(place.x) + 5.0 * canvas.unit, f64::from(place.y) + 14.0 * canvas.unit);
-        canvas.text(at, &caption, 9.0, [235, 235, 235], Anchor::Left)
+        let line =
+            |units: f64| Point2::new(f64::from(place.x) + 5.0 * canvas.unit, f64::from(place.y) + units * canvas.unit);
+        let (first, second) = (line(14.0), line(30.0));
+        canvas.text(first, &caption, 9.0, [235, 235, 235], Anchor::Left)?;
+        if band.is_none() {
+            canvas.text(second, "not seen", 9.0, PALETTE.miss, Anchor::Left)?;
+        }
+        Ok(())
     }
 }
 

@@ -40,7 +40,8 @@ struct Moment {
 
 impl History {
     pub(super) fn push(&mut self, t_s: f64, estimate: &Estimate) {
-        let theta_deg = estimate.deflection.as_ref().ok().map(|d| (d.theta_rad.to_degrees(), d.theta_sd_rad.to_degrees()));
+        let theta_deg =
+            estimate.deflection.as_ref().ok().map(|d| (d.theta_rad.to_degrees(), d.theta_sd_rad.to_degrees()));
         let theta_deg = theta_deg.filter(|(theta, sd)| theta.is_finite() && sd.is_finite());
         if let Some((theta, sd)) = theta_deg {
             self.largest_deg = self.largest_deg.max(theta.abs() + sd);
@@ -82,7 +83,7 @@ pub(super) fn numbers(
         let shrink = (width / canvas.text_width(text, units)?.max(1.0)).min(1.0);
         canvas.text(at, text, units * shrink, colour, Anchor::Left)
     };
-    fit(row(32.0), &angle, 21.0, colour)?;
+    fit(row(30.0), &angle, 19.0, colour)?;
     fit(row(60.0), &format!("t {t_s:.4} s   frame {}", estimate.seq), 12.0, QUIET)?;
     let mut notes = Vec::new();
     if estimate.gap > 0 {
@@ -124,7 +125,8 @@ pub(super) fn graph(canvas: &mut Canvas, place: Rect, history: &History) -> Resu
             canvas.text(at, &format!("{sign}{deg}°"), 9.0, QUIET, Anchor::Right)?;
         }
     }
-    for second in (now_s - WINDOW_S).ceil() as i64..=now_s.floor() as i64 {
+    let first_s = history.moments.front().map_or(now_s, |m| m.t_s);
+    for second in first_s.max(now_s - WINDOW_S).ceil() as i64..=now_s.floor() as i64 {
         let at = x(second as f64);
         canvas.path(&[Point2::new(at, bottom), Point2::new(at, bottom + 4.0 * u)], false, ZERO, 1.0)?;
         let half = canvas.text_width(&second.to_string(), 9.0)? / 2.0;
@@ -142,9 +144,16 @@ pub(super) fn graph(canvas: &mut Canvas, place: Rect, history: &History) -> Resu
         let line: Vec<_> = piece.iter().map(|(t, theta, _)| Point2::new(x(*t), y(*theta))).collect();
         canvas.path(&line, false, CURVE, 2.0)?;
     }
+    let mut named_until = f64::NEG_INFINITY;
     for moment in history.moments.iter().filter(|m| m.missed && m.t_s >= now_s - WINDOW_S) {
         let at = x(moment.t_s);
         canvas.path(&[Point2::new(at, bottom), Point2::new(at, bottom - 10.0 * u)], false, PALETTE.miss, 2.0)?;
+        let word = "missed";
+        let width = canvas.text_width(word, 9.0)?;
+        if at - width > named_until {
+            canvas.text(Point2::new(at, bottom - 14.0 * u), word, 9.0, PALETTE.miss, Anchor::Right)?;
+            named_until = at + width;
+        }
     }
     Ok(())
 }
