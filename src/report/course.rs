@@ -1,0 +1,192 @@
+//! What a report keeps of every frame: totals, values over time, and the paths of the markers.
+
+use super::tally::Tally;
+use super::timeline::{Extremes, Timeline};
+use crate::estimate::{Estimate, Miss};
+use crate::rig::{Base, Rig};
+use crate::sink::Origin;
+use nalgebra::Point3;
+
+/// Positions kept for the 3D paths; beyond, every second one is dropped.
+const MAX_PATH: usize = 4096;
+
+/// Everything a report draws.
+pub(super) struct Course {
+    pub marker_names: Vec<String>,
+    pub view_names: Vec<String>,
+    /// Transform into the base frame; `None`: positions are in the camera frame.
+    base: Option<Base>,
+    has_base: bool,
+    origin: Option<Origin>,
+    pub tally: Tally,
+    pub timeline: Timeline,
+    /// What is missing and why, by the number used in the timeline.
+    pub reasons: Vec<(String, String)>,
+    pub path: Path,
+}
+
+/// Places of the markers in some frames, evenly spread: mm, `None` where a marker is missing.
+#[derive(Default)]
+pub(super) struct Path {
+    pub places_mm: Vec<Vec<Option<Point3<f64>>>>,
+    /// One frame in this many is kept.
+    pub every: u64,
+}
+
+/// A value over time.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Channel {
+    /// Degrees.
+    Theta,
+    /// θ − σ and θ + σ, degrees.
+    ThetaLow,
+    ThetaHigh,
+    /// σ of θ, degrees.
+    ThetaSd,
+    /// Degrees.
+    Polar,
+    Azimuth,
+    /// Length of the residual, pixels.
+    Residual {
+        marker: usize,
+        view: usize,
+    },
+    /// Colour separation.
+    Separation {
+        marker: usize,
+        view: usize,
+    },
+}
+
+const ANGLES: usize = 6;
+
+impl Course {
+    pub(super) fn new(rig: &Rig, camera_frame: bool) -> Self {
+        Self {
+            marker_names: rig.markers.iter().map(|m| m.name.clone()).collect(),
+            view_names: rig.views.iter().map(|v| v.name.clone()).collect(),
+            base: rig.base.clone().filter(|_| !camera_frame),
+            has_base: rig.base.is_some(),
+            origin: None,
+            tally: Tally::new(rig.markers.len(), rig.views.len()),
+            timeline: Timeline::default(),
+            reasons: Vec::new(),
+            path: Path { every: 1, ..Path::default() },
+        }
+    }
+
+    /// Whether the rig has a base frame, so that angles exist.
+    pub(super) fn has_base(&self) -> bool {
+        self.has_base
+    }
+
+    /// Whether positions are given in the base frame (else in the camera frame).
+    pub(super) fn in_base_frame(&self) -> bool {
+        self.base.is_some()
+    }
+
+    /// Where the time axis starts; `None` before the first frame.
+    pub(super) fn origin(&self) -> Option<Origin> {
+        self.origin
+    }
+
+    pub(super) fn add(&mut self, estimate: &Estimate) {
+        let origin = *self.origin.get_or_insert(Origin::of_first(estimate.stamp.ns));
+        let named = self.named_misses(estimate);
+        self.tally.add(estimate, &named);
+        let numbers: Vec<usize> = named.into_iter().map(|name| self.reason_number(name)).collect();
+        let values = self.values(estimate);
+        self.timeline.push(origin.elapsed_s(estimate.stamp.ns), u64::from(estimate.gap), &values, &numbers);
+        self.add_to_path(estimate);
+    }
+
+    /// The course of one channel, bin by bin.
+    pub(super) fn extremes(&self, channel: Channel) -> impl Iterator<Item = Option<Extremes>> {
+        let index = self.index(channel);
+        self.timeline.bins().iter().map(move |bin| bin.channels.get(index).copied().flatten())
+    }
+
+    fn index(&self, channel: Channel) -> usize {
+        let views = self.view_names.len();
+        match channel {
+            Channel::Theta => 0,
+            Channel::ThetaLow => 1,
+            Channel::ThetaHigh => 2,
+            Channel::ThetaSd => 3,
+            Channel::Polar => 4,
+            Channel::Azimuth => 5,
+            Channel::Residual { marker, view } => ANGLES + marker * views + view,
+            Channel::Separation { marker, view } => ANGLES + (self.marker_names.len() + marker) * views + view,
+        }
+    }
+
+    /// The value of every channel, in the order of [`Course::index`].
+    fn values(&self, estimate: &Estimate) -> Vec<Option<f64>> {
+        let angle = estimate.deflection.as_ref().ok().map(|d| {
+            let (theta, sd) = (d.theta_rad.to_degrees(), d.theta_sd_rad.to_degrees());
+            [theta, theta - sd, theta + sd, sd, d.polar_rad.to_degrees(), d.azimuth_rad.to_degrees()]
+        });
+        let mut values: Vec<Option<f64>> = match angle {
+            Some(angles) => angles.into_iter().map(Some).collect(),
+            None => vec![None; ANGLES],
+        };
+        let bands = || {
+            (0..self.marker_names.len()).flat_map(|m| (0..self.view_names.len()).map(move |v| (m, v))).map(|(m, v)| {
+                let marker = estimate.markers.get(m)?;
+                Some((marker, marker.views.get(v)?.as_ref().ok()?))
+            })
+        };
+        values.extend(bands().map(|found| {
+            let (marker, band) = found?;
+            marker.position.is_ok().then(|| band.residual_px.norm())
+        }));
+        values.extend(bands().map(|found| found.map(|(_, band)| band.separation)));
+        values
+    }
+
+    /// What is missing in a frame, as (what, reason). That the rig has no base frame is said once, not in every frame.
+    fn named_misses(&self, estimate: &Estimate) -> Vec<(String, String)> {
+        let views: Vec<&str> = self.view_names.iter().map(String::as_str).collect();
+        let markers = estimate.markers.iter().zip(&self.marker_names);
+        let positions = markers.filter_map(|(m, name)| Some((name.as_str(), m.position.as_ref().err()?)));
+        let tangent = estimate.tangent.as_ref().err().map(|miss| ("tangent", miss));
+        let angle = estimate.deflection.as_ref().err().map(|miss| ("deflection", miss));
+        positions
+            .chain(tangent)
+            .chain(angle)
+            .filter(|(_, miss)| **miss != Miss::NoBaseFrame)
+            .map(|(what, miss)| (what.to_owned(), miss.word(&views)))
+            .collect()
+    }
+
+    fn reason_number(&mut self, name: (String, String)) -> usize {
+        match self.reasons.iter().position(|known| *known == name) {
+            Some(number) => number,
+            None => {
+                self.reasons.push(name);
+                self.reasons.len() - 1
+            }
+        }
+    }
+
+    fn add_to_path(&mut self, estimate: &Estimate) {
+        if !(self.tally.frames - 1).is_multiple_of(self.path.every) {
+            return;
+        }
+        let place = |marker: &crate::estimate::MarkerEstimate| {
+            let point = marker.position.as_ref().ok()?.point;
+            let point = self.base.as_ref().map_or(point, |b| b.base_from_camera * point) * 1e3;
+            point.iter().all(|v| v.is_finite()).then_some(point)
+        };
+        let places = estimate.markers.iter().map(place).collect();
+        if self.path.places_mm.len() >= MAX_PATH {
+            let mut keep = false;
+            self.path.places_mm.retain(|_| {
+                keep = !keep;
+                keep
+            });
+            self.path.every *= 2;
+        }
+        self.path.places_mm.push(places);
+    }
+}

@@ -1,0 +1,87 @@
+//! One HTML file that needs nothing else: style, script and data are inside.
+
+use plotly::Plot;
+
+/// Style of all pages.
+const STYLE: &str = include_str!("page.css");
+/// Plots side by side in time show the same piece of it: zooming one zooms all.
+const LINK: &str = include_str!("link.js");
+
+/// The browser loads nothing, from anywhere: what the page needs is in it. (3D plots compile their drawing code.)
+const POLICY: &str = "default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval'; style-src 'unsafe-inline'; \
+                      img-src data: blob:";
+
+/// Text as HTML.
+pub(super) fn escape(text: &str) -> String {
+    let mut out = String::with_capacity(text.len());
+    for c in text.chars() {
+        match c {
+            '&' => out.push_str("&amp;"),
+            '<' => out.push_str("&lt;"),
+            '>' => out.push_str("&gt;"),
+            '"' => out.push_str("&quot;"),
+            _ => out.push(c),
+        }
+    }
+    out
+}
+
+/// A table; cells are HTML. The first `words` columns are text, the others are numbers.
+pub(super) fn table(words: usize, heads: &[&str], rows: &[Vec<String>]) -> String {
+    let cells = |tag: &str, cells: &mut dyn Iterator<Item = &str>| -> String {
+        let class = |k: usize| if k < words { " class=\"text\"" } else { "" };
+        cells.enumerate().map(|(k, c)| format!("<{tag}{}>{c}</{tag}>", class(k))).collect()
+    };
+    let body: String =
+        rows.iter().map(|row| format!("<tr>{}</tr>\n", cells("td", &mut row.iter().map(String::as_str)))).collect();
+    let head = cells("th", &mut heads.iter().copied());
+    format!("<div class=\"scroll\"><table>\n<thead><tr>{head}</tr></thead>\n<tbody>\n{body}</tbody></table></div>\n")
+}
+
+/// A plot, `height` pixels high. Linked ones share their time axis with all others on the page.
+pub(super) fn figure(id: &str, plot: &Plot, height: u32, linked: bool) -> String {
+    let class = if linked { "plot linked" } else { "plot" };
+    format!("<div class=\"{class}\" style=\"height:{height}px\">{}</div>\n", plot.to_inline_html(Some(id)))
+}
+
+/// A page around `body`. `title` is text, `body` HTML.
+pub(super) fn page(title: &str, body: &str) -> String {
+    let (title, script) = (escape(title), plotly_script());
+    format!(
+        "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
+         <meta http-equiv=\"Content-Security-Policy\" content=\"{POLICY}\">\n\
+         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
+         <title>{title}</title>\n<style>\n{STYLE}</style>\n{script}\n</head>\n<body>\n<main>\n{body}\
+         <noscript><p class=\"note\">The plots of this page are drawn by its own script; scripts are switched off here.</p></noscript>\n\
+         </main>\n<script>\n{LINK}</script>\n</body>\n</html>\n"
+    )
+}
+
+/// The plotting library as a script element. The crate hands it out together with MathJax, which nothing here uses and
+/// which would load more from elsewhere: the first element alone is taken.
+fn plotly_script() -> String {
+    const END: &str = "</script>";
+    let mut both = Plot::offline_js_sources();
+    if let Some(end) = both.find(END) {
+        both.truncate(end + END.len());
+    }
+    both
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_script_is_plotly_alone() {
+        let script = plotly_script();
+        assert!(script.contains("plotly.js v"));
+        assert_eq!((script.matches("<script").count(), script.matches("</script>").count()), (1, 1));
+        assert!(!script.contains("MathJax.loader"));
+    }
+
+    #[test]
+    fn markup_in_text_stays_text() {
+        assert_eq!(escape("<b>\"a\" & b</b>"), "&lt;b&gt;&quot;a&quot; &amp; b&lt;/b&gt;");
+    }
+}

@@ -1,0 +1,319 @@
+//! The words, numbers and plots of a tracking report.
+
+use super::RunInfo;
+use super::absences::absences;
+use super::course::{Channel, Course};
+use super::figures;
+use super::page::{escape, figure, page, table};
+use super::tally::Tally;
+use crate::sink::spoken;
+
+/// The whole page.
+pub(super) fn render(info: &RunInfo, course: &Course) -> String {
+    let tally = &course.tally;
+    let mut body = header(info, course);
+    body += &key_figures(course);
+    body += &facts(info, course);
+    body += &accuracy(course);
+    body += &missing(course);
+    if tally.frames > 0 {
+        body += &plots(course);
+    }
+    body += &format!(
+        "<footer>Catoptra {}. Lengths in mm, angles in degrees, times in seconds of the camera's clock. \
+         This file needs no network.</footer>\n",
+        env!("CARGO_PKG_VERSION")
+    );
+    page(&format!("Tracking of {}", info.source), &body)
+}
+
+fn header(info: &RunInfo, course: &Course) -> String {
+    let tally = &course.tally;
+    let verdict = if tally.frames == 0 {
+        "The source gave no frame.".to_owned()
+    } else {
+        let answered = match tally.complete {
+            1 if tally.frames == 1 => "The only frame is answered".to_owned(),
+            all if all == tally.frames => format!("All {} are answered", plural(all, "frame")),
+            0 => format!("None of {} is answered completely", plural(tally.frames, "frame")),
+            some => format!("{some} of {} are answered completely", plural(tally.frames, "frame")),
+        };
+        let lost = match tally.lost {
+            0 => "the camera lost none".to_owned(),
+            n => format!("the camera lost {} more in {}", plural(n, "frame"), plural(tally.gaps, "gap")),
+        };
+        let angle = match (tally.theta.range_deg, tally.theta.median_sd_deg()) {
+            (Some((low, high)), Some(sd)) => {
+                format!(
+                    " The deflection θ goes from {} to {}, with a median σ of {sd:.2}°.",
+                    degrees(low),
+                    degrees(high)
+                )
+            }
+            _ => String::new(),
+        };
+        format!("{answered}; {lost}.{angle}")
+    };
+    format!(
+        "<header>\n<p class=\"kind\">Catoptra tracking report</p>\n<h1>{}</h1>\n<p class=\"verdict\">{verdict}</p>\n</header>\n",
+        escape(&info.source)
+    )
+}
+
+fn key_figures(course: &Course) -> String {
+    let tally = &course.tally;
+    let mut cards = String::new();
+    let mut card = |name: &str, value: String, unit: &str, warn: bool| {
+        let class = if warn { " class=\"warn\"" } else { "" };
+        cards += &format!("<div{class}><dt>{name}</dt><dd>{value} <small>{unit}</small></dd></div>\n");
+    };
+    card("Frames", tally.frames.to_string(), "", false);
+    card(
+        "Answered completely",
+        tally.complete.to_string(),
+        &share(tally.complete, tally.frames),
+        tally.complete < tally.frames,
+    );
+    card("Lost by the camera", tally.lost.to_string(), &format!("in {}", plural(tally.gaps, "gap")), tally.lost > 0);
+    if course.has_base() {
+        let sd = tally.theta.median_sd_deg().map_or("–".to_owned(), |sd| format!("{sd:.3}°"));
+        card("Median σ of θ", sd, "", false);
+    }
+    format!("<dl class=\"key\">\n{cards}</dl>\n")
+}
+
+fn facts(info: &RunInfo, course: &Course) -> String {
+    let tally = &course.tally;
+    let mut rows = vec![("Source".to_owned(), escape(&info.source)), ("Rig".to_owned(), escape(&info.rig))];
+    if tally.frames > 0 {
+        let span_s = tally.last_ns.saturating_sub(tally.first_ns) as f64 * 1e-9;
+        let rate =
+            tally.rate_hz().map_or(String::new(), |hz| format!(", {hz:.2} frames a second with those lost counted"));
+        rows.push(("Duration".to_owned(), format!("{span_s:.3} s{rate}")));
+        let origin = course.origin().filter(|o| o.ns != 0);
+        let zero = origin.map_or(String::new(), |o| format!("; 0 s on this page is {} ns of it", o.ns));
+        rows.push(("Clock".to_owned(), format!("{}{zero}", escape(tally.clock))));
+    }
+    rows.push(("Positions in".to_owned(), format!("the {} frame", frame_name(course))));
+    rows.extend(info.settings.iter().map(|(name, value)| (escape(name), escape(value))));
+    rows.push(("Version".to_owned(), format!("Catoptra {}", env!("CARGO_PKG_VERSION"))));
+    let rows: String = rows.iter().map(|(name, value)| format!("<tr><td>{name}</td><td>{value}</td></tr>\n")).collect();
+    format!(
+        "<h2>What was tracked</h2>\n<div class=\"scroll\"><table class=\"facts\"><tbody>\n{rows}</tbody></table></div>\n"
+    )
+}
+
+fn accuracy(course: &Course) -> String {
+    let tally = &course.tally;
+    let markers = course.marker_names.iter().zip(&tally.markers);
+    let mut quantities: Vec<Vec<String>> =
+        markers.map(|(name, m)| row(name, " mm", m.answered, tally, m.median_sd_mm())).collect();
+    quantities.push(row("coil tangent", "°", tally.tangent.answered, tally, tally.tangent.median_sd_deg()));
+    if course.has_base() {
+        quantities.push(row("θ", "°", tally.theta.answered, tally, tally.theta.median_sd_deg()));
+    }
+    let mut views = Vec::new();
+    for (name, marker) in course.marker_names.iter().zip(&tally.markers) {
+        for (view_name, view) in course.view_names.iter().zip(&marker.views) {
+            let mean = view.mean_px().map_or("–".to_owned(), |[u, v]| format!("{}, {}", signed(u, 3), signed(v, 3)));
+            views.push(vec![
+                format!("{} in {}", escape(name), escape(view_name)),
+                view.seen.to_string(),
+                share(view.seen, tally.frames),
+                number(view.rms_px(), 3),
+                mean,
+                number(view.mean_separation(), 2),
+                number(view.least_separation, 2),
+            ]);
+        }
+    }
+    format!(
+        "<h2>How well</h2>\n\
+         <p>σ is the standard deviation that the tracker predicts for its own answer: of one coordinate for a marker, of one \
+         direction across for the tangent.</p>\n{}\
+         <p>Each view on its own: the residual is where the band is seen minus where the common answer of all views projects to. \
+         The RMS is of one pixel coordinate. <span class=\"bad\"><strong>Bad:</strong> a mean far from zero beside a small RMS; \
+         then the views contradict each other, and the rig or the refraction is off, not the noise.</span></p>\n{}",
+        table(1, &["Quantity", "Frames answered", "Share", "Median σ"], &quantities),
+        table(
+            1,
+            &[
+                "Marker in view",
+                "Frames seen",
+                "Share",
+                "Residual RMS (px)",
+                "Mean u, v (px)",
+                "Separation, mean",
+                "smallest"
+            ],
+            &views
+        ),
+    )
+}
+
+fn row(name: &str, unit: &str, answered: u64, tally: &Tally, sd: Option<f64>) -> Vec<String> {
+    let sd = sd.map_or("–".to_owned(), |sd| format!("{sd:.4}{unit}"));
+    vec![escape(name), answered.to_string(), share(answered, tally.frames), sd]
+}
+
+fn missing(course: &Course) -> String {
+    let tally = &course.tally;
+    let mut text = "<h2>What is missing</h2>\n".to_owned();
+    if !course.has_base() {
+        text += "<p>The rig has no base frame yet, so there is no deflection angle in this run: positions and the tangent are \
+                 in the camera frame.</p>\n";
+    }
+    if tally.misses.is_empty() && tally.lost == 0 {
+        return match tally.frames {
+            0 => text + "<p>No frame arrived: nothing to answer.</p>\n",
+            _ => text + "<p>Nothing: every frame of the camera arrived and every one is answered.</p>\n",
+        };
+    }
+    let mut rows: Vec<Vec<String>> = tally
+        .misses
+        .iter()
+        .map(|((what, why), n)| vec![escape(what), escape(&spoken(why)), n.to_string(), share(*n, tally.frames)])
+        .collect();
+    if tally.lost > 0 {
+        let share = share(tally.lost, tally.frames + tally.lost);
+        rows.push(vec!["whole frames".into(), "lost by the camera".into(), tally.lost.to_string(), share]);
+    }
+    text + &table(2, &["What", "Why", "Frames", "Share"], &rows)
+}
+
+fn plots(course: &Course) -> String {
+    let time =
+        if course.origin().is_some_and(|o| o.ns != 0) { "time since the first frame (s)" } else { "camera time (s)" };
+    let mut out = String::new();
+    let mut section = |title: &str, words: &str, bad: &str, plots: &str| {
+        out += &format!("<h2>{title}</h2>\n<p>{words}</p>\n{plots}<p class=\"bad\"><strong>Bad:</strong> {bad}</p>\n");
+    };
+    let any = |channel| course.extremes(channel).any(|e| e.is_some());
+    let drawn = drawing_note(course);
+
+    if course.has_base() {
+        let plot = match any(Channel::Theta) {
+            true => figure("plot-theta", &figures::deflection(course, time), 430, true),
+            false => nothing(),
+        };
+        section(
+            "Deflection",
+            &format!(
+                "θ is the angle of the coil's tangent from rest, in the plane of B0, positive towards B0. The shaded band is \
+                 θ ± σ; where it is thinner than the line, read σ below. Drag to zoom, double-click to go back: all plots \
+                 over time follow. {drawn}"
+            ),
+            "steps between neighbouring frames much larger than σ; σ that grows with the angle more than a little; breaks in the line.",
+            &plot,
+        );
+    }
+    let tally = &course.tally;
+    if tally.lost > 0 || !tally.misses.is_empty() {
+        let height = 90 + 30 * (course.reasons.len() as u32 + 1);
+        section(
+            "Misses and gaps",
+            "When something is missing, one row for each reason. Grey bars are frames that the camera never delivered, from \
+             the last frame before to the first after.",
+            "misses in rows one below the other at the same angle of every swing: the catheter then leaves a view or is covered there. \
+             Grey bars at regular intervals: the recording computer cannot keep up.",
+            &figure("plot-misses", &absences(course, time), height, true),
+        );
+    }
+    if course.has_base() {
+        let plot = match any(Channel::Polar) {
+            true => figure("plot-polar", &figures::polar(course, time), 400, true),
+            false => nothing(),
+        };
+        section(
+            "Polar and azimuth",
+            "The same tangent as a direction in space: polar is its angle from rest, azimuth the direction it leans to, 0° along \
+             B0 and 90° along y. Near rest the azimuth has no meaning and jumps.",
+            "in a planar motion, an azimuth that strays from 0° and ±180° while the polar angle is large: the catheter leaves the plane, \
+             or B0 is not where the rig says.",
+            &plot,
+        );
+    }
+    let plot = match course.path.places_mm.iter().any(|p| p.iter().any(Option::is_some)) {
+        true => figure("plot-paths", &figures::paths(course), 620, false),
+        false => nothing(),
+    };
+    let kept = match course.path.every {
+        0 | 1 => "Every frame is drawn.".to_owned(),
+        n => format!("One frame in {n} is drawn."),
+    };
+    section(
+        "Paths in space",
+        &format!(
+            "Where the markers went, in the {} frame, all axes to the same scale. Drag to turn, scroll to come nearer; a click on a \
+             name hides it. Thin grey lines join the markers at some moments; they are chords, the tube itself is curved. {kept}",
+            frame_name(course)
+        ),
+        "single points far from the path; a base marker that moves with the others by more than its σ: the clamp is loose, or the rig is off.",
+        &plot,
+    );
+    let each_view = |kind: &str, draw: &dyn Fn(usize) -> plotly::Plot| -> String {
+        let views = course.view_names.iter().enumerate();
+        views
+            .map(|(v, name)| {
+                format!("<h3>{} view</h3>\n{}", escape(name), figure(&format!("plot-{kind}-{v}"), &draw(v), 250, true))
+            })
+            .collect()
+    };
+    section(
+        "Residuals",
+        "By how many pixels each view disagrees with the common answer of all views (length of the residual).",
+        "one marker standing above the others in one view, or residuals that follow the motion: an error of the rig, of the tube's \
+         measures or of the refraction. A few high frames are noise or a reflection.",
+        &each_view("residual", &|v| figures::residuals(course, v, time)),
+    );
+    section(
+        "Colour separation",
+        "How well a band's colour stands out from what surrounds it: 1 as when its colour was learned, 0 indistinguishable.",
+        "a slow fall: the light changes or the water clouds. Dips at some angles: shadow or glare. Below about 0.5 misses begin.",
+        &each_view("separation", &|v| figures::separation(course, v, time)),
+    );
+    out
+}
+
+/// How much of the data the curves show.
+fn drawing_note(course: &Course) -> String {
+    match course.timeline.frames_per_bin() {
+        1 => "Every frame is drawn.".to_owned(),
+        n => format!(
+            "The run is long: curves pass through the smallest and the largest value of every {n} frames, so that no peak is lost. \
+             Every single frame is in the log and the table."
+        ),
+    }
+}
+
+fn nothing() -> String {
+    "<p class=\"note\">Nothing to draw: no frame has this answer.</p>\n".to_owned()
+}
+
+fn frame_name(course: &Course) -> &'static str {
+    if course.in_base_frame() { "base" } else { "camera" }
+}
+
+fn share(part: u64, whole: u64) -> String {
+    if whole == 0 { "–".to_owned() } else { format!("{:.1} %", 100.0 * part as f64 / whole as f64) }
+}
+
+fn number(value: Option<f64>, digits: usize) -> String {
+    value.filter(|v| v.is_finite()).map_or("–".to_owned(), |v| format!("{v:.digits$}"))
+}
+
+/// With a sign, the minus as it is printed.
+fn signed(value: f64, digits: usize) -> String {
+    let text = format!("{value:+.digits$}");
+    // What rounds to zero has no sign.
+    let zero = text.chars().all(|c| !c.is_ascii_digit() || c == '0');
+    if zero { text.trim_start_matches(['+', '-']).to_owned() } else { text.replace('-', "−") }
+}
+
+fn degrees(value: f64) -> String {
+    format!("{}°", signed(value, 1))
+}
+
+fn plural(n: u64, word: &str) -> String {
+    if n == 1 { format!("1 {word}") } else { format!("{n} {word}s") }
+}

@@ -1,0 +1,44 @@
+//! Where zero is on the time axis of files made to be looked at.
+
+/// Start of the time axis of an overlay video or a report, nanoseconds of the camera's clock.
+///
+/// Recordings count from near zero and are shown with their own times. Clocks that count from the start of the computer
+/// or from 1970 would put hours or decades before the first frame: there the axis starts at the first frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Origin {
+    /// Camera time of zero.
+    pub ns: i64,
+}
+
+/// First stamps up to here are shown as they are: one hour.
+const LATEST_OWN_ZERO_NS: i64 = 3_600_000_000_000;
+
+impl Origin {
+    /// From the stamp of the first frame.
+    pub(crate) fn of_first(stamp_ns: i64) -> Self {
+        Self { ns: if (0..=LATEST_OWN_ZERO_NS).contains(&stamp_ns) { 0 } else { stamp_ns } }
+    }
+
+    /// Nanoseconds on the axis.
+    pub(crate) fn elapsed_ns(self, stamp_ns: i64) -> i64 {
+        stamp_ns.saturating_sub(self.ns)
+    }
+
+    /// Seconds on the axis; the difference is taken in whole nanoseconds first.
+    pub(crate) fn elapsed_s(self, stamp_ns: i64) -> f64 {
+        self.elapsed_ns(stamp_ns) as f64 * 1e-9
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn recordings_keep_their_time_and_clocks_since_1970_start_at_the_first_frame() {
+        assert_eq!(Origin::of_first(33_000_000).elapsed_ns(50_000_000), 50_000_000);
+        let unix = 1_700_000_000_123_456_789;
+        assert_eq!(Origin::of_first(unix).elapsed_ns(unix + 16_666_667), 16_666_667);
+        assert_eq!(Origin::of_first(-5).elapsed_ns(-5), 0);
+    }
+}

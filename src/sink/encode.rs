@@ -1,0 +1,210 @@
+//! A video file of drawings: H.264 in MP4 through libav, every frame at its camera time.
+//!
+//! Times are rounded to whole microseconds (1/60 000 s with the MPEG-4 part 2 encoder, which cannot count finer): at most
+//! 0.5 µs (8.4 µs) from the stamp given, never accumulating. Frame intervals may vary; a gap stays a gap.
+
+use super::SinkError;
+use super::clock::Origin;
+use super::colour::ToYuv420;
+use ffmpeg_the_third as av;
+use std::ffi::OsString;
+use std::path::{Path, PathBuf};
+
+/// Tried in this order.
+const ENCODERS: [Encoder; 3] = [
+    Encoder { name: "libx264", ticks_per_s: 1_000_000, options: &[("preset", "veryfast"), ("crf", "20")] },
+    Encoder { name: "libopenh264", ticks_per_s: 1_000_000, options: &[("rc_mode", "quality")] },
+    Encoder { name: "mpeg4", ticks_per_s: 60_000, options: &[("q", "3")] },
+];
+
+/// Frames from key frame to key frame: jumps in a player land within two seconds at 60 Hz.
+const KEY_FRAME_EVERY: u32 = 120;
+
+struct Encoder {
+    name: &'static str,
+    ticks_per_s: i64,
+    options: &'static [(&'static str, &'static str)],
+}
+
+/// Writes one video file.
+pub(crate) struct VideoFile {
+    path: PathBuf,
+    output: av::format::context::Output,
+    encoder: av::encoder::video::Encoder,
+    to_yuv: ToYuv420,
+    ticks_per_s: i64,
+    state: State,
+}
+
+enum State {
+    /// No frame yet; the header waits for the time of the first.
+    Fresh,
+    Running {
+        origin: Origin,
+        last_tick: i64,
+        /// Last interval, ticks: also the time the last frame is shown for.
+        interval: i64,
+    },
+    Finished,
+}
+
+impl VideoFile {
+    /// Opens the file and the encoder for BGR pictures of an even width and height.
+    pub(crate) fn create(path: &Path, size_px: [u32; 2]) -> Result<Self, SinkError> {
+        // The standard library's error for a folder that is missing says more than libav's; libav then overwrites.
+        std::fs::File::create(path).map_err(|source| SinkError::Io { path: path.into(), source })?;
+        let fail = |doing| move |source| SinkError::Video { path: path.into(), doing, source };
+        av::log::set_level(av::log::Level::Warning);
+        let mut url = OsString::from("file:"); // else a colon in the name would be taken for a protocol
+        url.push(path);
+        let mut output = av::format::output_as(&url, "mp4").map_err(fail("opening"))?;
+        let (codec, choice) = find_encoder(path)?;
+
+        let mut settings = av::codec::Context::new_with_codec(codec).encoder().video().map_err(fail("encoder"))?;
+        let [width, height] = size_px;
+        settings.set_width(width);
+        settings.set_height(height);
+        settings.set_format(av::format::Pixel::YUV420P);
+        settings.set_colorspace(av::color::Space::BT709);
+        settings.set_color_range(av::color::Range::MPEG);
+        settings.set_time_base(av::Rational(1, choice.ticks_per_s as i32));
+        // Rate control only: without it x264 would take the time base for the frame rate.
+        settings.set_frame_rate(Some(av::Rational(60, 1)));
+        settings.set_gop(KEY_FRAME_EVERY);
+        // Frames leave in the order they came: decoding times are the stamps themselves, the file needs no offset.
+        settings.set_max_b_frames(0);
+        if output.format().flags().contains(av::format::Flags::GLOBAL_HEADER) {
+            settings.set_flags(av::codec::Flags::GLOBAL_HEADER);
+        }
+        let mut options = av::Dictionary::new();
+        for (key, value) in choice.options {
+            options.set(key, value);
+        }
+        let encoder = settings.open_with(options).map_err(fail("opening the encoder"))?;
+
+        let mut stream = output.add_stream(codec).map_err(fail("adding the stream"))?;
+        stream.set_time_base(av::Rational(1, choice.ticks_per_s as i32));
+        stream.copy_parameters_from_context(&encoder);
+        let to_yuv = ToYuv420::new(size_px).map_err(fail("colour conversion"))?;
+        Ok(Self { path: path.into(), output, encoder, to_yuv, ticks_per_s: choice.ticks_per_s, state: State::Fresh })
+    }
+
+    /// Adds a picture, rows of B'G'R' with `stride` bytes each, shown from `stamp_ns` on.
+    pub(crate) fn write(&mut self, bgr: &[u8], stride: usize, stamp_ns: i64) -> Result<(), SinkError> {
+        if let State::Fresh = self.state {
+            self.start(Origin::of_first(stamp_ns))?;
+        }
+        let State::Running { origin, last_tick, interval } = &mut self.state else {
+            return Err(self.failed("writing after the end")(av::Error::Eof));
+        };
+        let mut tick = ticks(origin.elapsed_ns(stamp_ns), self.ticks_per_s);
+        if tick <= *last_tick {
+            // Two frames cannot be shown at once: the later one moves by the smallest time the file knows.
+            tracing::warn!(stamp_ns, "frame is not later than the one before; shown one tick after it in the overlay");
+            tick = *last_tick + 1;
+        }
+        if *last_tick >= 0 {
+            *interval = tick - *last_tick;
+        }
+        *last_tick = tick;
+        let mut frame = self.to_yuv.convert(bgr, stride).map_err(self.failed("colour conversion"))?;
+        frame.set_pts(Some(tick));
+        frame.set_color_space(av::color::Space::BT709);
+        frame.set_color_range(av::color::Range::MPEG);
+        self.encoder.send_frame(&frame).map_err(self.failed("encoding"))?;
+        self.drain()
+    }
+
+    /// Encodes what is left and completes the file; a second call does nothing.
+    pub(crate) fn finish(&mut self) -> Result<(), SinkError> {
+        match self.state {
+            State::Finished => return Ok(()),
+            State::Fresh => self.start(Origin::of_first(0))?,
+            State::Running { .. } => {}
+        }
+        let flushed = self.encoder.send_eof().map_err(self.failed("encoding")).and_then(|()| self.drain());
+        self.state = State::Finished;
+        // The trailer makes what is there playable, whatever the encoder said.
+        let ended = self.output.write_trailer().map_err(self.failed("completing"));
+        flushed.and(ended)
+    }
+
+    fn start(&mut self, origin: Origin) -> Result<(), SinkError> {
+        if origin.ns != 0 {
+            let note = format!("time 0 of this file is {} ns of the camera's clock", origin.ns);
+            self.output.metadata_mut().set("comment", &note);
+        }
+        let mut options = av::Dictionary::new();
+        // The time of the first frame is stored in this unit; MP4's own default would round it to milliseconds.
+        options.set("movie_timescale", self.ticks_per_s.to_string());
+        self.output.write_header_with(options).map_err(self.failed("writing the header"))?;
+        self.state = State::Running { origin, last_tick: -1, interval: self.ticks_per_s / 60 };
+        Ok(())
+    }
+
+    /// Moves what the encoder has ready into the file.
+    fn drain(&mut self) -> Result<(), SinkError> {
+        let interval = if let State::Running { interval, .. } = self.state { interval } else { 0 };
+        let codec_base = av::Rational(1, self.ticks_per_s as i32);
+        let stream_base = self.output.stream(0).map_or(codec_base, |s| s.time_base());
+        let mut packet = av::Packet::empty();
+        loop {
+            match self.encoder.receive_packet(&mut packet) {
+                Ok(()) => {}
+                Err(av::Error::Eof) => return Ok(()),
+                // The encoder wants more frames first.
+                Err(av::Error::Other { errno }) if would_block(errno) => return Ok(()),
+                Err(source) => return Err(self.failed("encoding")(source)),
+            }
+            packet.set_stream(0);
+            packet.set_duration(interval);
+            packet.rescale_ts(codec_base, stream_base);
+            packet.write_interleaved(&mut self.output).map_err(self.failed("writing"))?;
+        }
+    }
+
+    fn failed(&self, doing: &'static str) -> impl Fn(av::Error) -> SinkError + use<> {
+        let path = self.path.clone();
+        move |source| SinkError::Video { path: path.clone(), doing, source }
+    }
+}
+
+/// Whether a system error number is EAGAIN, whatever its value here.
+fn would_block(errno: i32) -> bool {
+    std::io::Error::from_raw_os_error(errno).kind() == std::io::ErrorKind::WouldBlock
+}
+
+/// Nanoseconds in whole ticks, to the nearest.
+fn ticks(ns: i64, ticks_per_s: i64) -> i64 {
+    let product = i128::from(ns) * i128::from(ticks_per_s);
+    let rounded = (product + 500_000_000).div_euclid(1_000_000_000);
+    i64::try_from(rounded).unwrap_or(i64::MAX)
+}
+
+fn find_encoder(path: &Path) -> Result<(av::Codec, &'static Encoder), SinkError> {
+    for choice in &ENCODERS {
+        if let Some(codec) = av::encoder::find_by_name(choice.name) {
+            if choice.name != "libx264" {
+                tracing::warn!(
+                    encoder = choice.name,
+                    "libav is built without libx264: the overlay will be larger or poorer"
+                );
+            }
+            return Ok((codec, choice));
+        }
+    }
+    Err(SinkError::NoEncoder { path: path.into(), tried: ENCODERS.map(|e| e.name).join(", ") })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn stamps_round_to_the_nearest_tick() {
+        assert_eq!(ticks(16_666_667, 1_000_000), 16_667);
+        assert_eq!(ticks(16_666_499, 1_000_000), 16_666);
+        assert_eq!(ticks(16_666_667, 60_000), 1_000);
+        assert_eq!(ticks(i64::MAX, 1_000_000), 9_223_372_036_854_776);
+    }
+}
