@@ -117,6 +117,9 @@ def markers(rig):
     )
     if math.isclose(last_end, tube["length"], abs_tol=1e-6):
         catheter += f'end = "{last_name}"\n'
+    if "straight_coil" in tube:
+        start, end = tube["straight_coil"]
+        catheter += f"rigid_mm = {number(end - start, 9)}\n"
     return sections + [catheter]
 
 

@@ -116,11 +116,15 @@ pub enum Miss {
         /// Distance, metres.
         distance_m: f64,
     },
-    /// The picture does not look like a band of the known size there.
+    /// What was found there is not this band: the fit left its start, or the colour is not the marker's.
     PoorFit {
-        /// χ² per degree of freedom.
-        chi2_per_dof: f64,
+        /// How far the fit moved from where the blob was, pixels.
+        moved_px: f64,
+        /// Separation of the fitted colour from its surroundings: 1 as learned, 0 none.
+        separation: f64,
     },
+    /// The fit did not settle, or reaches out of the picture.
+    NotConverged,
     /// The marker that this depends on is missing.
     MarkerMissing,
     /// The rig has no base frame to measure deflection in.
@@ -135,6 +139,7 @@ impl Miss {
             Self::Ambiguous { .. } => "ambiguous".into(),
             Self::RaysDiverge { .. } => "rays_diverge".into(),
             Self::PoorFit { .. } => "poor_fit".into(),
+            Self::NotConverged => "not_converged".into(),
             Self::MarkerMissing => "marker_missing".into(),
             Self::NoBaseFrame => "no_base_frame".into(),
         }

@@ -3,6 +3,7 @@ pub mod estimate;
 pub mod optics;
 pub mod report;
 pub mod rig;
+pub mod segment;
 pub mod sink;
 pub mod source;
 pub mod track;

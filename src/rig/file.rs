@@ -32,6 +32,7 @@ pub(super) struct CameraFile {
     pub principal_point_px: [f64; 2],
     pub distortion: [f64; 5],
     pub blur_px: Option<f64>,
+    pub chroma_offset_px: Option<[f64; 2]>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
@@ -85,6 +86,7 @@ pub(super) struct CatheterFile {
     pub diameter_mm: f64,
     pub coil: String,
     pub end: Option<String>,
+    pub rigid_mm: Option<f64>,
 }
 
 #[derive(Debug, Deserialize)]

@@ -103,6 +103,9 @@ pub struct Camera {
     pub lens: Lens,
     /// Blur of lens and sensor: standard deviation of the point spread, pixels, once measured.
     pub blur_px: Option<f64>,
+    /// Where chroma samples sit beyond what the stream's siting says, pixels (right, down): recorders often tag one
+    /// siting and sample at another. Zero unless measured.
+    pub chroma_offset_px: [f64; 2],
 }
 
 /// One way the camera sees the markers.
@@ -151,6 +154,8 @@ pub struct Catheter {
     pub coil: usize,
     /// Index of the marker that ends the tube, if one does.
     pub end: Option<usize>,
+    /// Length of the stiff part around the coil's middle, metres, if it is longer than the coil's band.
+    pub rigid_m: Option<f64>,
 }
 
 /// The base frame S: origin at the base marker at rest, z along the tangent at rest (base to tip), x along B0 made

@@ -37,6 +37,9 @@ struct Check<'a> {
     file: &'a Path,
 }
 
+/// A chroma sample further from its place than this belongs to another luma sample.
+const LARGEST_CHROMA_OFFSET_PX: f64 = 2.0;
+
 impl Check<'_> {
     fn value(&self, key: impl Display, value: impl Display, expected: impl Display) -> RigError {
         RigError::Value {
@@ -118,12 +121,18 @@ impl Check<'_> {
         if let Some(blur) = raw.blur_px {
             self.positive("camera.blur_px", blur)?;
         }
+        let chroma_offset_px = raw.chroma_offset_px.unwrap_or_default();
+        self.finite("camera.chroma_offset_px", &chroma_offset_px)?;
+        if let Some(offset) = chroma_offset_px.iter().find(|v| v.abs() > LARGEST_CHROMA_OFFSET_PX) {
+            let expected = format!("{LARGEST_CHROMA_OFFSET_PX} px or less either way");
+            return Err(self.value("camera.chroma_offset_px", offset, expected));
+        }
         let lens = Lens {
             focal_px: Vector2::from(raw.focal_px),
             principal_point_px: Point2::from(raw.principal_point_px),
             distortion: raw.distortion,
         };
-        Ok(Camera { size_px: [raw.width_px, raw.height_px], lens, blur_px: raw.blur_px })
+        Ok(Camera { size_px: [raw.width_px, raw.height_px], lens, blur_px: raw.blur_px, chroma_offset_px })
     }
 
     fn surface(&self, name: &str, raw: &SurfaceFile) -> Result<Surface, RigError> {
@@ -318,7 +327,10 @@ impl Check<'_> {
             let expected = format!("the last marker along the tube, {:?}", last.name);
             return Err(self.value("catheter.end", format_args!("{:?}", raw.end.as_deref().unwrap_or("")), expected));
         }
-        Ok(Catheter { diameter_m: raw.diameter_mm / 1e3, coil, end })
+        if let Some(rigid) = raw.rigid_mm {
+            self.positive("catheter.rigid_mm", rigid)?;
+        }
+        Ok(Catheter { diameter_m: raw.diameter_mm / 1e3, coil, end, rigid_m: raw.rigid_mm.map(|v| v / 1e3) })
     }
 
     fn base(&self, raw: &BaseFile) -> Result<Base, RigError> {

@@ -63,6 +63,10 @@ fn camera(camera: &Camera) -> String {
     if let Some(blur) = camera.blur_px {
         let _ = writeln!(text, "blur_px = {}", decimal(blur, 9));
     }
+    if camera.chroma_offset_px != [0.0; 2] {
+        let offset = list(camera.chroma_offset_px.iter().map(|v| decimal(*v, 9)));
+        let _ = writeln!(text, "chroma_offset_px = {offset}");
+    }
     text
 }
 
@@ -139,6 +143,9 @@ fn catheter(rig: &Rig) -> String {
     );
     if let Some(end) = rig.catheter.end {
         let _ = writeln!(text, "end = \"{}\"", name(end));
+    }
+    if let Some(rigid_m) = rig.catheter.rigid_m {
+        let _ = writeln!(text, "rigid_mm = {}", millimetres(rigid_m));
     }
     text
 }

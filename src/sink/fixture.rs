@@ -26,7 +26,7 @@ pub(crate) fn rig() -> Rig {
         colour: rgb.map(|rgb| ColourModel { weights: Vector3::zeros(), bias: 0.0, rgb: rgb.into() }),
     };
     Rig {
-        camera: Camera { size_px: [1280, 1024], lens, blur_px: None },
+        camera: Camera { size_px: [1280, 1024], lens, blur_px: None, chroma_offset_px: [0.0; 2] },
         surfaces: Default::default(),
         views: vec![view("direct"), view("mirror")],
         markers: vec![
@@ -34,7 +34,7 @@ pub(crate) fn rig() -> Rig {
             marker("coil", 0.012, None),
             marker("tip", 0.006, Some([0.0, 51.0, 255.0])),
         ],
-        catheter: Catheter { diameter_m: 0.0032, coil: 1, end: Some(2) },
+        catheter: Catheter { diameter_m: 0.0032, coil: 1, end: Some(2), rigid_m: None },
         base: Some(Base {
             base_from_camera: Isometry3::from_parts(
                 Translation3::new(0.11, -0.02, -0.93),
@@ -100,7 +100,7 @@ pub(crate) fn eventful(seq: u64, first_ns: i64) -> Estimate {
         }
         6 => base.position = Err(Miss::RaysDiverge { distance_m: 0.0042 }),
         8 => {
-            estimate.tangent = Err(Miss::PoorFit { chi2_per_dof: 17.5 });
+            estimate.tangent = Err(Miss::PoorFit { moved_px: 17.5, separation: 0.1 });
             estimate.deflection = Err(Miss::MarkerMissing);
         }
         _ => {}

@@ -19,7 +19,9 @@ use std::path::Path;
 pub use error::SourceError;
 pub use file::{VideoFile, VideoOptions};
 pub use images::{ImageFolder, ImageTiming};
-pub use picture::{ChromaSiting, Colour, Matrix, Picture, PictureError, PixelFormat, Plane, Range, RgbFromStored, Transfer};
+pub use picture::{
+    ChromaSiting, Colour, Matrix, Picture, PictureError, PixelFormat, Plane, Range, RgbFromStored, Transfer,
+};
 pub use times::{FrameRate, FrameRateError};
 
 /// Which clock a time stamp was read from.

@@ -300,12 +300,14 @@ mod tests {
 
     #[test]
     fn the_polynomial_is_the_half_circle_on_average() {
-        let mean: f64 = (0..2000).map(|i| {
-            let x = -1.0 + (f64::from(i) + 0.5) / 1000.0;
-            (Q0 + Q2 * x.powi(2) + Q4 * x.powi(4) + Q6 * x.powi(6) + std::f64::consts::FRAC_PI_4
-                - (1.0 - x * x).sqrt())
-                / 2000.0
-        }).sum();
+        let mean: f64 = (0..2000)
+            .map(|i| {
+                let x = -1.0 + (f64::from(i) + 0.5) / 1000.0;
+                (Q0 + Q2 * x.powi(2) + Q4 * x.powi(4) + Q6 * x.powi(6) + std::f64::consts::FRAC_PI_4
+                    - (1.0 - x * x).sqrt())
+                    / 2000.0
+            })
+            .sum();
         assert!(mean.abs() < 1e-4);
     }
 }

@@ -10,9 +10,9 @@
 use super::triangulate::{Sighting, triangulate};
 use crate::estimate::Miss;
 use crate::rig::{Rig, View};
-use crate::segment::{Blob, Window};
+use crate::segment::{Blob, Search, Window};
 use crate::source::Timestamp;
-use nalgebra::{Matrix2, Point2, Point3, Vector2};
+use nalgebra::{Matrix2, Point3, Vector2};
 
 /// A blob's centre is that of the visible surface, not of the band: up to about this far off, pixels.
 const CENTRE_SD_PX: f64 = 1.0;
@@ -75,7 +75,7 @@ impl Assigner {
     }
 
     /// Where to look for each marker in each view; `None` when a marker's place is not known well enough.
-    pub(crate) fn windows(&self, rig: &Rig, stamp: Timestamp) -> Option<Vec<(usize, Window)>> {
+    pub(crate) fn windows(&self, rig: &Rig, stamp: Timestamp) -> Option<Vec<Search>> {
         let mut windows = Vec::with_capacity(rig.markers.len() * rig.views.len());
         for (m, marker) in rig.markers.iter().enumerate() {
             let (point, age) = self.recent(m, stamp)?;
@@ -83,7 +83,7 @@ impl Assigner {
             for view in &rig.views {
                 let seen = view.optics.project_with_jacobian(&point).ok()?;
                 let reach_px = reach_m * seen.d_pixel.norm() / std::f64::consts::SQRT_2;
-                windows.push((m, Window::around(seen.pixel, reach_px, rig.camera.size_px)?));
+                windows.push(Search { marker: Some(m), window: Window::around(&seen.pixel, reach_px) });
             }
         }
         Some(windows)
@@ -103,7 +103,8 @@ impl Assigner {
                 let here = &candidates[m][chosen].assigned;
                 let elsewhere = choose(rig, &candidates, Some((m, here.point)));
                 if elsewhere.choice[m].is_some() && elsewhere.cost < best.cost + CLEAR_COST {
-                    let close = candidates[m].iter().filter(|c| c.cost < candidates[m][chosen].cost + CLEAR_COST).count();
+                    let close =
+                        candidates[m].iter().filter(|c| c.cost < candidates[m][chosen].cost + CLEAR_COST).count();
                     return Err(Miss::Ambiguous { candidates: close.max(2) });
                 }
                 Ok(here.clone())
@@ -122,7 +123,7 @@ impl Assigner {
     ) -> Vec<Candidate> {
         let per_view: Vec<Vec<usize>> = rig.views.iter().map(|view| in_view(marker, view, blobs)).collect();
         let mut found = Vec::new();
-        let mut choice = vec![0; per_view.len()]; // 0: none, i: blob i−1
+        let mut choice = vec![0_usize; per_view.len()]; // 0: none, i: blob i−1
         loop {
             let picked: Vec<Option<usize>> =
                 choice.iter().zip(&per_view).map(|(&i, list)| i.checked_sub(1).map(|i| list[i])).collect();
@@ -188,7 +189,7 @@ fn distinct(picked: &[Option<usize>]) -> bool {
 /// Blobs of a marker inside a view's region, largest first.
 fn in_view(marker: usize, view: &View, blobs: &[Blob]) -> Vec<usize> {
     let mut list: Vec<usize> =
-        (0..blobs.len()).filter(|&b| blobs[b].marker == marker && view.shows(&blobs[b].centre_px)).collect();
+        (0..blobs.len()).filter(|&b| blobs[b].marker == marker && view.contains(&blobs[b].centre_px)).collect();
     list.sort_by(|&a, &b| blobs[b].area_px2.total_cmp(&blobs[a].area_px2));
     list.truncate(MOST_BLOBS);
     list
@@ -214,7 +215,9 @@ fn choose(rig: &Rig, candidates: &[Vec<Candidate>], except: Option<(usize, Point
         let own = |k: usize| match list.get(k) {
             None => MISSING_COST,
             Some(c) => match except {
-                Some((marker, place)) if marker == m && (c.assigned.point - place).norm() < DIFFERENT_M => f64::INFINITY,
+                Some((marker, place)) if marker == m && (c.assigned.point - place).norm() < DIFFERENT_M => {
+                    f64::INFINITY
+                }
                 _ => c.cost,
             },
         };
@@ -259,7 +262,10 @@ fn apart(rig: &Rig, p: usize, before: &[Candidate], j: usize, list: &[Candidate]
 }
 
 /// Direction in space whose image runs along `axes[v]` in each view, up to sign; `None` when the views leave it open.
-pub(crate) fn direction_of_axes(views: &[(&View, Vector2<f64>)], point: &Point3<f64>) -> Option<nalgebra::Vector3<f64>> {
+pub(crate) fn direction_of_axes(
+    views: &[(&View, Vector2<f64>)],
+    point: &Point3<f64>,
+) -> Option<nalgebra::Vector3<f64>> {
     let mut normal = nalgebra::Matrix3::zeros();
     for (view, axis) in views {
         let seen = view.optics.project_with_jacobian(point).ok()?;
@@ -272,23 +278,4 @@ pub(crate) fn direction_of_axes(views: &[(&View, Vector2<f64>)], point: &Point3<
     let mut sorted: Vec<f64> = eigen.eigenvalues.iter().copied().collect();
     sorted.sort_by(f64::total_cmp);
     (sorted[1] > 0.02).then(|| eigen.eigenvectors.column(smallest).into())
-}
-
-impl View {
-    /// Whether a pixel belongs to this view's region (even-odd rule; no region: everywhere).
-    pub fn shows(&self, pixel: &Point2<f64>) -> bool {
-        if self.region_px.is_empty() {
-            return true;
-        }
-        let mut inside = false;
-        let mut previous = self.region_px[self.region_px.len() - 1];
-        for corner in &self.region_px {
-            if (corner.y > pixel.y) != (previous.y > pixel.y) {
-                let x = corner.x + (pixel.y - corner.y) / (previous.y - corner.y) * (previous.x - corner.x);
-                inside ^= pixel.x < x;
-            }
-            previous = *corner;
-        }
-        inside
-    }
 }

@@ -316,14 +316,12 @@ fn view_fit(image: TubeImage, colours: Vec<f64>, normal: &Normal, inflation: f64
         .pseudo_inverse(1e-12)
         .ok()
         .and_then(|point_from_pixel| {
-            let information =
-                point_from_pixel.transpose() * shape_block.fixed_view::<3, 3>(0, 0) * point_from_pixel;
+            let information = point_from_pixel.transpose() * shape_block.fixed_view::<3, 3>(0, 0) * point_from_pixel;
             let covariance = information.try_inverse()?;
             let pull = point_from_pixel.transpose() * normal.gradient.fixed_rows::<3>(0);
             Some((covariance * pull, covariance * inflation))
         })
         .unwrap_or((Vector2::repeat(f64::NAN), Matrix2::repeat(f64::NAN)));
-    let (sum, count) =
-        normal.squares.iter().flatten().fold((0.0, 0), |(sum, count), (s, n)| (sum + s, count + n));
+    let (sum, count) = normal.squares.iter().flatten().fold((0.0, 0), |(sum, count), (s, n)| (sum + s, count + n));
     ViewFit { image, colours, residual_px, residual_covariance_px2, rms: (sum / count.max(1) as f64).sqrt() }
 }

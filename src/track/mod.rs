@@ -1,7 +1,16 @@
-//! From pictures to places.
+//! From pictures to places: assignment of blobs, triangulation, the fit of the tube to all views, the coil's tangent.
+
 mod appearance;
+mod assign;
+mod coil;
 mod fit;
 mod light;
 mod patch;
+mod stretch;
+mod tracker;
+mod triangulate;
 mod tube;
-pub mod dev;
+
+pub use coil::deflection;
+pub use tracker::{TrackError, TrackOptions, Tracker};
+pub use triangulate::{Sighting, Triangulated, triangulate};

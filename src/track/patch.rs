@@ -5,9 +5,7 @@
 //! wide as the sampling. A sample's row of derivatives is short: shape, background, shading, and the two segments at its
 //! nearest ring; rows are summed in one small dense block for each ring and scattered once at the end.
 
-use super::appearance::{
-    BACKGROUND, CAP, FIXED, GRADIENT, Layout, PER_SEGMENT, PixelModel, SHADING, pixel_model,
-};
+use super::appearance::{BACKGROUND, CAP, FIXED, GRADIENT, Layout, PER_SEGMENT, PixelModel, SHADING, pixel_model};
 use super::light::Encoding;
 use super::tube::{SHAPE, TubeImage};
 use crate::source::Picture;
@@ -92,7 +90,8 @@ impl Patch {
     ) -> Option<Self> {
         let [w, h] = picture.size_px();
         let (first, last) = (image.knot_of(range_m.0), image.knot_of(range_m.1));
-        let inside = image.knots.iter().enumerate().filter(|(i, _)| *i as f64 >= first - 1.0 && *i as f64 <= last + 1.0);
+        let inside =
+            image.knots.iter().enumerate().filter(|(i, _)| *i as f64 >= first - 1.0 && *i as f64 <= last + 1.0);
         let (mut low, mut high) = (Vector2::repeat(f64::INFINITY), Vector2::repeat(f64::NEG_INFINITY));
         for (_, knot) in inside {
             let reach = Vector2::repeat(knot.half_width + margin_px + 1.0);
@@ -156,7 +155,9 @@ impl Patch {
             for i in (self.corner[0] / sx)..=((self.corner[0] + width - 1) / sx) {
                 let (px, py) = (i * sx - self.corner[0], j * sy - self.corner[1]);
                 let evaluated = |x: i64, y: i64| {
-                    (0..width).contains(&x) && (0..height).contains(&y) && !self.knots[(y * width + x) as usize].is_nan()
+                    (0..width).contains(&x)
+                        && (0..height).contains(&y)
+                        && !self.knots[(y * width + x) as usize].is_nan()
                 };
                 let whole = down.iter().all(|&(dy, _)| across.iter().all(|&(dx, _)| evaluated(px + dx, py + dy)));
                 let Some(&value) = row.get(i as usize * plane.step) else { continue };
@@ -340,7 +341,9 @@ impl Patch {
         let mut colours = vec![0.0; layout.colours()];
         let mean = |sum: &[(f64, usize); 3]| -> Option<Vector3<f64>> {
             let stored = Vector3::from_fn(|c, _| sum[c].0 / sum[c].1 as f64);
-            sum.iter().all(|s| s.1 > 0).then(|| rgb_from_stored.apply(&stored).map(|v| encoding.decode(v.clamp(1.0, 255.0))))
+            sum.iter()
+                .all(|s| s.1 > 0)
+                .then(|| rgb_from_stored.apply(&stored).map(|v| encoding.decode(v.clamp(1.0, 255.0))))
         };
         let background = mean(sums.last()?)?;
         for (class, sum) in sums.iter().enumerate() {

@@ -205,7 +205,8 @@ impl Tracker {
             (Some(axis), Some(chord)) => Some(if axis.dot(&chord) < 0.0 { -axis } else { axis }),
             // Without a neighbour the sign is open: along gravity or, failing that, down in the picture.
             (Some(axis), None) => {
-                let down = self.rig.base.as_ref().map_or(Vector3::y(), |base| base.base_from_camera.inverse() * Vector3::z());
+                let down =
+                    self.rig.base.as_ref().map_or(Vector3::y(), |base| base.base_from_camera.inverse() * Vector3::z());
                 Some(if axis.dot(&down) < 0.0 { -axis } else { axis })
             }
             (None, chord) => chord,
@@ -227,7 +228,9 @@ impl Tracker {
         let chi2: f64 = fit
             .views
             .iter()
-            .filter_map(|v| Some((v.residual_px.transpose() * v.residual_covariance_px2.try_inverse()? * v.residual_px)[0]))
+            .filter_map(|v| {
+                Some((v.residual_px.transpose() * v.residual_covariance_px2.try_inverse()? * v.residual_px)[0])
+            })
             .sum();
         let shift = fit.views.iter().map(|v| v.residual_px.norm()).fold(0.0, f64::max);
         if chi2 > DISAGREE.0 && shift > DISAGREE.1 {

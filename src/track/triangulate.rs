@@ -51,10 +51,7 @@ pub fn triangulate(sightings: &[Sighting<'_>]) -> Option<Triangulated> {
         return None;
     }
     let mut point = Point3::from(across_sum.try_inverse()? * target);
-    let ray_distance_m = rays
-        .iter()
-        .map(|ray| (point - ray.at(ray.nearest(&point))).norm())
-        .fold(0.0, f64::max);
+    let ray_distance_m = rays.iter().map(|ray| (point - ray.at(ray.nearest(&point))).norm()).fold(0.0, f64::max);
     let information = sightings.iter().map(|s| s.covariance_px2.try_inverse()).collect::<Option<Vec<_>>>()?;
     for _ in 0..STEPS {
         let (normal, pull, _) = equations(sightings, &information, &point)?;

@@ -12,14 +12,14 @@ use crate::optics::{NoRay, OpticalPath};
 use nalgebra::{Matrix2x3, Matrix3, Matrix3x2, Point2, Point3, SMatrix, SVector, Vector2, Vector3};
 
 /// Number of shape parameters: centre (3), tangent (2), curvature above (2), below (2), and its change below (2).
-pub const SHAPE: usize = 11;
+pub(crate) const SHAPE: usize = 11;
 
 /// A vector of shape parameters' increments.
-pub type ShapeStep = SVector<f64, SHAPE>;
+pub(crate) type ShapeStep = SVector<f64, SHAPE>;
 
 /// A stretch of tube.
 #[derive(Debug, Clone, PartialEq)]
-pub struct TubeShape {
+pub(crate) struct TubeShape {
     /// Middle of the reference band on the centre line, camera frame, metres.
     pub centre: Point3<f64>,
     /// Orthonormal: columns n1, n2 (across) and t (tangent of the reference band, base to tip).
@@ -36,7 +36,7 @@ pub struct TubeShape {
 
 impl TubeShape {
     /// A straight tube through `centre` along `direction`.
-    pub fn straight(centre: Point3<f64>, direction: &Vector3<f64>, straight_half_m: f64) -> Self {
+    pub(crate) fn straight(centre: Point3<f64>, direction: &Vector3<f64>, straight_half_m: f64) -> Self {
         let t = direction.normalize();
         let helper = if t.x.abs() < 0.6 { Vector3::x() } else { Vector3::z() };
         let n1 = t.cross(&helper).normalize();
@@ -52,17 +52,17 @@ impl TubeShape {
     }
 
     /// Tangent of the reference band.
-    pub fn tangent(&self) -> Vector3<f64> {
+    pub(crate) fn tangent(&self) -> Vector3<f64> {
         self.frame.column(2).into()
     }
 
     /// The two unit vectors across the tangent.
-    pub fn across(&self) -> Matrix3x2<f64> {
+    pub(crate) fn across(&self) -> Matrix3x2<f64> {
         self.frame.fixed_columns::<2>(0).into()
     }
 
     /// Point of the centre line at arc length `s`, its direction, and d point / d parameters.
-    pub fn at(&self, s: f64) -> (Point3<f64>, Vector3<f64>, SMatrix<f64, 3, SHAPE>) {
+    pub(crate) fn at(&self, s: f64) -> (Point3<f64>, Vector3<f64>, SMatrix<f64, 3, SHAPE>) {
         let n = self.across();
         let t = self.tangent();
         let h = self.straight_half_m;
@@ -98,7 +98,7 @@ impl TubeShape {
     }
 
     /// The shape moved by a step of its parameters.
-    pub fn moved(&self, step: &ShapeStep) -> Self {
+    pub(crate) fn moved(&self, step: &ShapeStep) -> Self {
         let tilt = Vector2::new(step[3], step[4]);
         // Rotation that takes t to t + N·tilt (to first order) without turning about t, so that curvatures keep their axes.
         let axis = self.across() * Vector2::new(-tilt.y, tilt.x);
@@ -116,7 +116,7 @@ impl TubeShape {
 
 /// Image of one point of the centre line.
 #[derive(Debug, Clone)]
-pub struct Knot {
+pub(crate) struct Knot {
     /// Pixel.
     pub pixel: Point2<f64>,
     /// d pixel / d s, pixels per metre.
@@ -135,7 +135,7 @@ pub struct Knot {
 
 /// Image of the centre line between two arc lengths, as equidistant knots.
 #[derive(Debug, Clone)]
-pub struct TubeImage {
+pub(crate) struct TubeImage {
     /// Arc length of the first knot, metres.
     pub first_m: f64,
     /// Distance of the knots, metres.
@@ -149,7 +149,7 @@ impl TubeImage {
     ///
     /// # Errors
     /// [`NoRay`] when a part of it cannot be seen in this view.
-    pub fn of(
+    pub(crate) fn of(
         shape: &TubeShape,
         radius_m: f64,
         optics: &OpticalPath,
@@ -189,7 +189,7 @@ impl TubeImage {
 
 /// The image of the tube at a knot coordinate.
 #[derive(Debug, Clone, Copy)]
-pub struct Local {
+pub(crate) struct Local {
     /// Half width, pixels.
     pub half_width: f64,
     /// Displacement of a ring's near side along the axis, pixels.
@@ -239,10 +239,7 @@ impl TubeImage {
         let rise = b.pixel - a.pixel;
         let g = 1.0 - f;
         let (p, q) = (ta - rise, tb - rise);
-        (
-            a.pixel + rise * f + (p * g - q * f) * (f * g),
-            rise + (p * g - q * f) * (1.0 - 2.0 * f) - (p + q) * (f * g),
-        )
+        (a.pixel + rise * f + (p * g - q * f) * (f * g), rise + (p * g - q * f) * (1.0 - 2.0 * f) - (p + q) * (f * g))
     }
 
     /// Knot coordinate on the straight line between the first and the last knot: a start for [`TubeImage::foot`].

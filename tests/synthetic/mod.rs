@@ -62,11 +62,11 @@ pub(crate) fn rig() -> Rig {
     let turn = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes));
     let origin = turn * Point3::from(rest_base());
     Rig {
-        camera: Camera { size_px: [1280, 1024], lens, blur_px: None },
+        camera: Camera { size_px: [1280, 1024], lens, blur_px: None, chroma_offset_px: [0.0; 2] },
         surfaces,
         views,
         markers: vec![marker("base", 6.0, 6.0), marker("coil", 12.0, 85.0), marker("tip", 6.0, 107.0)],
-        catheter: Catheter { diameter_m: 2.0 * RADIUS_M, coil: 1, end: Some(2) },
+        catheter: Catheter { diameter_m: 2.0 * RADIUS_M, coil: 1, end: Some(2), rigid_m: None },
         base: Some(Base {
             base_from_camera: Isometry3::from_parts(Translation3::from(-origin.coords), turn),
             b0,

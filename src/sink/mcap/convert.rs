@@ -49,7 +49,9 @@ impl Names {
         match result {
             Err(Miss::Ambiguous { candidates }) => Status { candidates: Some(*candidates as u64), ..status },
             Err(Miss::RaysDiverge { distance_m }) => Status { distance_m: Some(*distance_m), ..status },
-            Err(Miss::PoorFit { chi2_per_dof }) => Status { chi2_per_dof: Some(*chi2_per_dof), ..status },
+            Err(Miss::PoorFit { moved_px, separation }) => {
+                Status { moved_px: Some(*moved_px), separation: Some(*separation), ..status }
+            }
             Ok(_) | Err(_) => status,
         }
     }
@@ -212,7 +214,8 @@ mod tests {
         assert_eq!(status(Miss::NotSeen { view: 1 }), Status { word: "not_seen_mirror".into(), ..Status::default() });
         assert_eq!(status(Miss::Ambiguous { candidates: 3 }).candidates, Some(3));
         assert_eq!(status(Miss::RaysDiverge { distance_m: 0.25 }).distance_m, Some(0.25));
-        assert_eq!(status(Miss::PoorFit { chi2_per_dof: 8.0 }).chi2_per_dof, Some(8.0));
+        let poor = status(Miss::PoorFit { moved_px: 8.0, separation: 0.25 });
+        assert_eq!((poor.moved_px, poor.separation), (Some(8.0), Some(0.25)));
         assert_eq!(names.status(&Ok(())), Status { word: "ok".into(), ..Status::default() });
     }
 

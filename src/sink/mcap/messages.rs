@@ -41,8 +41,10 @@ pub struct Status {
     pub candidates: Option<u64>,
     /// For `rays_diverge`: how far the rays pass each other, metres.
     pub distance_m: Option<f64>,
-    /// For `poor_fit`: χ² per degree of freedom.
-    pub chi2_per_dof: Option<f64>,
+    /// For `poor_fit`: how far the fit moved from where the blob was, pixels.
+    pub moved_px: Option<f64>,
+    /// For `poor_fit`: separation of the fitted colour from its surroundings, 1 as learned.
+    pub separation: Option<f64>,
 }
 
 /// One marker.
