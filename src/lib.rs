@@ -1,4 +1,5 @@
 //! # Catoptra
+pub mod calibrate;
 pub mod estimate;
 pub mod optics;
 pub mod report;

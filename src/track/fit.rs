@@ -75,10 +75,9 @@ pub(crate) struct TubeFit {
     pub shape: TubeShape,
     pub covariance: SMatrix<f64, SHAPE, SHAPE>,
     pub views: Vec<ViewFit>,
-    /// Sum of robust squared residuals in units of their noise; comparable between fits of the same samples only.
-    pub cost: f64,
-    /// Samples compared.
-    pub samples: usize,
+    /// Mean over the samples of ln σ², σ the RMS residual of their channel and view: −2 log likelihood a sample, up to a
+    /// constant. Smaller explains the pictures better.
+    pub misfit: f64,
 }
 
 /// Working state of one round.
@@ -283,8 +282,8 @@ impl Round<'_> {
             .zip(&state.normals)
             .map(|((image, colours), normal)| view_fit(image, colours, normal, inflation))
             .collect();
-        let samples = self.patches.iter().map(Patch::len).sum();
-        Ok(TubeFit { shape: state.shape, covariance, views, cost: state.cost, samples })
+        let misfit = misfit(&state.normals);
+        Ok(TubeFit { shape: state.shape, covariance, views, misfit })
     }
 
     fn prior_scatter(&self, plain: &SMatrix<f64, SHAPE, SHAPE>) -> SMatrix<f64, SHAPE, SHAPE> {
@@ -295,6 +294,15 @@ impl Round<'_> {
         }
         plain * weight * plain
     }
+}
+
+fn misfit(normals: &[Normal]) -> f64 {
+    let classes = normals.iter().flat_map(|n| n.squares.iter().flatten()).filter(|(_, count)| *count > 0);
+    let (sum, samples) = classes.fold((0.0, 0.0), |(sum, samples), (squares, count)| {
+        let count = *count as f64;
+        (sum + count * (squares / count).max(LEAST_NOISE.powi(2)).ln(), samples + count)
+    });
+    sum / samples.max(1.0)
 }
 
 /// What one view alone says about a shift of the reference band in its picture, colours left free.

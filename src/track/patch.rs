@@ -356,10 +356,6 @@ impl Patch {
         Some(colours)
     }
 
-    /// Samples compared.
-    pub(crate) fn len(&self) -> usize {
-        self.channels.iter().map(|c| c.samples.len()).sum()
-    }
 }
 
 /// Parameter that element `i` of a row at `ring` belongs to.

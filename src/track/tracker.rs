@@ -125,6 +125,17 @@ impl Tracker {
         Ok(estimate)
     }
 
+    /// How badly the tube's model explains the picture around the bands (mean ln σ² of the residuals, all groups of equal
+    /// weight); `None` when not all could be fitted. Memory is neither used nor changed.
+    pub(crate) fn misfit(&mut self, frame: &Frame) -> Option<f64> {
+        let blobs = self.segmenter.all_blobs(&frame.picture).ok()?.to_vec();
+        let assigned = Assigner::new(&self.rig).assign(&self.rig, &blobs, frame.stamp);
+        let fitted = self.fit_groups(&frame.picture, &blobs, &assigned);
+        let misfits = fitted.iter().map(|f| f.result.as_ref().map(|fit| fit.misfit).ok()).collect::<Option<Vec<_>>>()?;
+        (!misfits.is_empty() && assigned.iter().all(Result::is_ok))
+            .then(|| misfits.iter().sum::<f64>() / misfits.len() as f64)
+    }
+
     fn find(&mut self, frame: &Frame) -> Result<(Vec<Blob>, Vec<Result<Assigned, Miss>>), SegmentError> {
         let picture = &frame.picture;
         let windows = self.assigner.windows(&self.rig, frame.stamp);

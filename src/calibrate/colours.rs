@@ -1,0 +1,137 @@
+//! Colour samples of bands, of what lies beside them, and of the rest of the picture.
+
+use crate::estimate::BandObservation;
+use crate::segment::{Blob, ClassSamples};
+use crate::source::{Picture, RgbFromStored};
+use nalgebra::{Point2, Vector2, Vector3};
+
+/// Pixels nearer than this to an edge of a band are mixed from both sides.
+const EDGE_PX: f64 = 1.2;
+/// How far beside a band its surroundings are sampled, pixels.
+const BESIDE_PX: f64 = 14.0;
+/// Grid over the whole picture, pixels.
+const GRID_PX: usize = 8;
+
+/// Colour samples by class: each marker, what is beside each marker, elsewhere.
+pub(super) struct Samples {
+    names: Vec<String>,
+    bands: Vec<Vec<Vector3<f64>>>,
+    beside: Vec<Vec<Vector3<f64>>>,
+    elsewhere: Vec<Vector3<f64>>,
+}
+
+/// A rectangle along an axis: where a band is taken to be.
+pub(super) struct Place {
+    marker: usize,
+    centre: Point2<f64>,
+    axis: Vector2<f64>,
+    half_length: f64,
+    half_width: f64,
+}
+
+impl Place {
+    /// A disc around a click, known to lie on the band, of unknown surroundings.
+    pub(super) fn click(marker: usize, centre: Point2<f64>) -> Self {
+        let reach = CLICK_RADIUS_PX + EDGE_PX;
+        Self { marker, centre, axis: Vector2::x(), half_length: reach, half_width: reach }
+    }
+
+    pub(super) fn blob(blob: &Blob) -> Self {
+        Self {
+            marker: blob.marker,
+            centre: blob.centre_px,
+            axis: blob.axis,
+            half_length: blob.length_px / 2.0,
+            half_width: blob.width_px / 2.0,
+        }
+    }
+
+    pub(super) fn band(marker: usize, band: &BandObservation) -> Self {
+        let extent = |axis: Vector2<f64>| {
+            band.outline_px.iter().map(|p| (p - band.centre_px).dot(&axis).abs()).fold(0.0, f64::max)
+        };
+        Self {
+            marker,
+            centre: band.centre_px,
+            axis: band.axis,
+            half_length: extent(band.axis),
+            half_width: extent(Vector2::new(-band.axis.y, band.axis.x)),
+        }
+    }
+
+    /// Distance outside the rectangle (negative inside), pixels.
+    fn outside(&self, pixel: &Point2<f64>) -> f64 {
+        let off = pixel - self.centre;
+        let along = off.dot(&self.axis).abs() - self.half_length;
+        let across = (self.axis.x * off.y - self.axis.y * off.x).abs() - self.half_width;
+        along.max(across)
+    }
+}
+
+/// Radius of what is taken to be the band around a click.
+const CLICK_RADIUS_PX: f64 = 1.6;
+
+impl Samples {
+    pub(super) fn new(names: Vec<String>) -> Self {
+        let empty = || vec![Vec::new(); names.len()];
+        Self { bands: empty(), beside: empty(), elsewhere: Vec::new(), names }
+    }
+
+    /// Adds a picture in which bands are at `places`. With `surroundings` false, only the bands themselves and the rest of
+    /// the picture are sampled.
+    pub(super) fn add(&mut self, picture: &Picture, places: &[Place], surroundings: bool) {
+        let Some(rgb) = picture.rgb_from_stored() else { return };
+        let [width, height] = picture.size_px();
+        let clear = |pixel: &Point2<f64>| places.iter().all(|p| p.outside(pixel) > 2.0 * EDGE_PX);
+        for place in places {
+            let reach = place.half_length.max(place.half_width) + BESIDE_PX;
+            let low = |c: f64| (c - reach).floor().max(0.0) as u32;
+            let high = |c: f64, size: u32| ((c + reach).ceil().max(0.0) as u32).min(size.saturating_sub(1));
+            for y in low(place.centre.y)..=high(place.centre.y, height) {
+                for x in low(place.centre.x)..=high(place.centre.x, width) {
+                    let pixel = Point2::new(f64::from(x), f64::from(y));
+                    let outside = place.outside(&pixel);
+                    let list = if outside < -EDGE_PX {
+                        &mut self.bands[place.marker]
+                    } else if surroundings && outside < BESIDE_PX && clear(&pixel) {
+                        &mut self.beside[place.marker]
+                    } else {
+                        continue;
+                    };
+                    list.extend(colour(picture, &rgb, x, y));
+                }
+            }
+        }
+        for y in (0..height).step_by(GRID_PX) {
+            for x in (0..width).step_by(GRID_PX) {
+                let pixel = Point2::new(f64::from(x), f64::from(y));
+                if places.iter().all(|p| p.outside(&pixel) > BESIDE_PX) {
+                    self.elsewhere.extend(colour(picture, &rgb, x, y));
+                }
+            }
+        }
+    }
+
+    /// The classes to learn from: markers first, in their order.
+    pub(super) fn classes(&self) -> Vec<ClassSamples> {
+        let class = |name: String, is_marker, rgb: &Vec<_>| ClassSamples { name, is_marker, rgb: rgb.clone() };
+        let bands = self.names.iter().zip(&self.bands).map(|(name, rgb)| class(name.clone(), true, rgb));
+        let beside = self
+            .names
+            .iter()
+            .zip(&self.beside)
+            .filter(|(_, rgb)| !rgb.is_empty())
+            .map(|(name, rgb)| class(format!("beside {name}"), false, rgb));
+        bands.chain(beside).chain([class("elsewhere".into(), false, &self.elsewhere)]).collect()
+    }
+}
+
+/// R'G'B' at a pixel: the nearest sample of each channel.
+fn colour(picture: &Picture, rgb: &RgbFromStored, x: u32, y: u32) -> Option<Vector3<f64>> {
+    let sample = |channel: usize| {
+        let plane = picture.plane(channel)?;
+        let row = plane.row((y / plane.scale[1]) as usize)?;
+        row.get((x / plane.scale[0]) as usize * plane.step).map(|v| f64::from(*v))
+    };
+    Some(rgb.apply(&Vector3::new(sample(0)?, sample(1)?, sample(2)?)))
+}

@@ -1,0 +1,406 @@
+//! `catoptra calibrate markers`: what the tracker must know of the bands, from one click a band in one view.
+//!
+//! In: a recording, a rig with its optics, for each band a click in the first frame and its length. Out: the rig with
+//! colour models, places of the bands along the tube, blur and chroma offset of the camera.
+//!
+//! 1. The colour around each click against the rest of the picture gives a first discriminant; the blob under the click
+//!    against what lies beside it a better one.
+//! 2. The tracker finds the same bands in the other views of the first frame: rays must meet, sizes must fit.
+//! 3. Frames from the whole recording are tracked, and the colours learned again from all bands in all views.
+//! 4. Blur of the lens, offset of the chroma samples, and unknown distances between bands close to the coil are those that
+//!    explain the pictures best.
+//!
+//! Cannot detect: a wrong length or diameter given by the user, other than by a poor fit.
+
+use super::colours::{Place, Samples};
+use super::tune::minimise;
+use crate::estimate::{Estimate, Miss};
+use crate::rig::Rig;
+use crate::segment::{LearnError, Learned, SegmentError, Segmenter, learn};
+use crate::source::{Frame, FrameSource, SourceError};
+use crate::track::{TrackError, TrackOptions, Tracker};
+use nalgebra::Point2;
+
+/// One click.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Pick {
+    /// Name of the marker.
+    pub name: String,
+    /// A place on the band in the first frame, pixels.
+    pub pixel: Point2<f64>,
+    /// Length of the band along the tube, metres.
+    pub length_m: f64,
+}
+
+/// What was learned, and how well.
+#[derive(Debug, Clone)]
+pub struct MarkersCalibration {
+    /// The rig with everything learned.
+    pub rig: Rig,
+    /// Names of the classes that the separations refer to.
+    pub classes: Vec<String>,
+    /// Colour models' separations.
+    pub learned: Learned,
+    /// Frames used.
+    pub frames: usize,
+    /// For each marker, frames in which it was measured.
+    pub answered: Vec<usize>,
+    /// For each marker that was missed, the first reason.
+    pub first_miss: Vec<Option<Miss>>,
+}
+
+/// Why the markers cannot be calibrated.
+#[derive(Debug, thiserror::Error)]
+pub enum MarkersError {
+    /// The recording broke.
+    #[error(transparent)]
+    Source(#[from] SourceError),
+    /// No frame at all.
+    #[error("the recording has no frame")]
+    NoFrame,
+    /// A click for a marker that the rig does not have.
+    #[error("no pick for marker `{0}` of the rig: every marker needs one")]
+    NoPick(String),
+    /// A click outside the picture.
+    #[error("pick {name}@{x},{y} lies outside the picture of {width}x{height} pixels")]
+    Outside {
+        /// Marker.
+        name: String,
+        /// Pixel.
+        x: f64,
+        /// Pixel.
+        y: f64,
+        /// Of the picture.
+        width: u32,
+        /// Of the picture.
+        height: u32,
+    },
+    /// The colours cannot be learned.
+    #[error("the colours cannot be told apart: {0}")]
+    Learn(#[from] LearnError),
+    /// No blob under the click.
+    #[error("nothing of a colour of its own at {x},{y}, where `{name}` was picked: click on the middle of the band")]
+    NoBlob {
+        /// Marker.
+        name: String,
+        /// Pixel.
+        x: f64,
+        /// Pixel.
+        y: f64,
+    },
+    /// The band is not found in another view, or found elsewhere.
+    #[error("`{name}` was picked at {x},{y} but cannot be measured in the first frame: {reason}")]
+    NotMeasured {
+        /// Marker.
+        name: String,
+        /// Pixel.
+        x: f64,
+        /// Pixel.
+        y: f64,
+        /// Why.
+        reason: String,
+    },
+    /// The picture does not belong to the rig.
+    #[error(transparent)]
+    Track(#[from] TrackError),
+    /// The picture cannot be segmented.
+    #[error(transparent)]
+    Segment(#[from] SegmentError),
+}
+
+/// Frames looked at, spread over the recording, and the memory they may take together.
+const MOST_FRAMES: usize = 48;
+const FRAME_BYTES: u64 = 400_000_000;
+/// Frames that decide blur, chroma offset and distances.
+const TUNING_FRAMES: usize = 12;
+
+/// Learns the markers of `rig`, whose colours may be missing; `picks` has one click a marker, in view `view`.
+///
+/// # Errors
+/// [`MarkersError`]. Poor separation of the colours is no error here: see [`MarkersCalibration::weak_pairs`].
+pub fn calibrate_markers(
+    rig: &Rig,
+    picks: &[Pick],
+    view: usize,
+    source: &mut dyn FrameSource,
+) -> Result<MarkersCalibration, MarkersError> {
+    let picks = in_rig_order(rig, picks)?;
+    let frames = spread(source)?;
+    let first = frames.first().ok_or(MarkersError::NoFrame)?;
+    let mut rig = learn_first(rig, &picks, first)?;
+    confirm(&rig, &picks, view, first)?;
+    let mut learned = learn_everywhere(&mut rig, &frames)?;
+    place_bands(&mut rig, &frames)?;
+    tune(&mut rig, &frames)?;
+    learned = learn_everywhere(&mut rig, &frames).unwrap_or(learned);
+    let estimates = track(&rig, &frames)?;
+    let answered = |m: usize| estimates.iter().filter(|e| e.markers[m].position.is_ok()).count();
+    let first_miss = |m: usize| estimates.iter().find_map(|e| e.markers[m].position.as_ref().err().cloned());
+    Ok(MarkersCalibration {
+        frames: frames.len(),
+        answered: (0..rig.markers.len()).map(answered).collect(),
+        first_miss: (0..rig.markers.len()).map(first_miss).collect(),
+        classes: learned.0,
+        learned: learned.1,
+        rig,
+    })
+}
+
+impl MarkersCalibration {
+    /// Pairs of classes, by index, that the segmentation's threshold does not lie between.
+    pub fn weak_pairs(&self) -> impl Iterator<Item = &crate::segment::Separation> {
+        self.learned.separations.iter().filter(|s| !s.is_separate())
+    }
+}
+
+fn in_rig_order(rig: &Rig, picks: &[Pick]) -> Result<Vec<Pick>, MarkersError> {
+    let [width, height] = rig.camera.size_px;
+    rig.markers
+        .iter()
+        .map(|marker| {
+            let pick = picks.iter().find(|p| p.name == marker.name);
+            let pick = pick.ok_or_else(|| MarkersError::NoPick(marker.name.clone()))?;
+            let Point2 { coords } = pick.pixel;
+            let within = |v: f64, size: u32| (0.0..f64::from(size)).contains(&v);
+            if within(coords.x, width) && within(coords.y, height) {
+                return Ok(pick.clone());
+            }
+            Err(MarkersError::Outside { name: pick.name.clone(), x: coords.x, y: coords.y, width, height })
+        })
+        .collect()
+}
+
+/// Frames spread evenly over the recording, the first one among them.
+fn spread(source: &mut dyn FrameSource) -> Result<Vec<Frame>, MarkersError> {
+    let [width, height] = source.size_px();
+    let fitting = FRAME_BYTES / (u64::from(width) * u64::from(height) * 2).max(1);
+    let most = MOST_FRAMES.min(fitting.max(4) as usize);
+    let mut stride = 1;
+    let mut frames: Vec<Frame> = Vec::new();
+    let mut number = 0;
+    while let Some(frame) = source.next_frame()? {
+        if number % stride == 0 {
+            frames.push(frame);
+        }
+        number += 1;
+        // Too many: keep every second one. Works for any length, known beforehand or not.
+        if frames.len() > most {
+            let mut even = false;
+            frames.retain(|_| {
+                even = !even;
+                even
+            });
+            stride *= 2;
+        }
+    }
+    Ok(frames)
+}
+
+/// Colours from the clicks, then from the blobs under them.
+fn learn_first(rig: &Rig, picks: &[Pick], first: &Frame) -> Result<Rig, MarkersError> {
+    let names = || picks.iter().map(|p| p.name.clone()).collect();
+    let mut rig = rig.clone();
+    for (marker, pick) in rig.markers.iter_mut().zip(picks) {
+        marker.length_m = pick.length_m;
+    }
+    let clicks: Vec<Place> = picks.iter().enumerate().map(|(m, p)| Place::click(m, p.pixel)).collect();
+    let mut samples = Samples::new(names());
+    samples.add(&first.picture, &clicks, false);
+    set_models(&mut rig, &learn(&samples.classes())?);
+    // The first discriminant knows nothing of the tube's own colour; what lies beside the blob teaches it.
+    for _ in 0..2 {
+        let places = blobs_under(&rig, picks, first)?;
+        let mut samples = Samples::new(names());
+        samples.add(&first.picture, &places, true);
+        set_models(&mut rig, &learn(&samples.classes())?);
+    }
+    Ok(rig)
+}
+
+fn blobs_under(rig: &Rig, picks: &[Pick], frame: &Frame) -> Result<Vec<Place>, MarkersError> {
+    let mut segmenter = Segmenter::for_rig(rig)?;
+    let blobs = segmenter.all_blobs(&frame.picture)?;
+    picks
+        .iter()
+        .enumerate()
+        .map(|(m, pick)| {
+            let (x, y) = (pick.pixel.x, pick.pixel.y);
+            let holds = |low: u32, high: u32, v: f64| (f64::from(low)..f64::from(high)).contains(&v);
+            blobs
+                .iter()
+                .find(|b| b.marker == m && holds(b.bounds.x0, b.bounds.x1, x) && holds(b.bounds.y0, b.bounds.y1, y))
+                .map(Place::blob)
+                .ok_or_else(|| MarkersError::NoBlob { name: pick.name.clone(), x, y })
+        })
+        .collect()
+}
+
+fn set_models(rig: &mut Rig, learned: &Learned) {
+    for (marker, model) in rig.markers.iter_mut().zip(&learned.models) {
+        marker.colour = Some(*model);
+    }
+}
+
+/// The tracker must measure, in the first frame, the very bands that were clicked.
+fn confirm(rig: &Rig, picks: &[Pick], view: usize, first: &Frame) -> Result<(), MarkersError> {
+    let estimate = Tracker::new(rig, TrackOptions::default())?.step(first)?;
+    let names: Vec<&str> = rig.views.iter().map(|v| v.name.as_str()).collect();
+    for ((pick, marker), info) in picks.iter().zip(&estimate.markers).zip(&rig.markers) {
+        let not_measured = |reason: String| MarkersError::NotMeasured {
+            name: pick.name.clone(),
+            x: pick.pixel.x,
+            y: pick.pixel.y,
+            reason,
+        };
+        if let Err(miss) = &marker.position {
+            return Err(not_measured(miss.word(&names).replace('_', " ")));
+        }
+        if let Some(Ok(seen)) = marker.views.get(view) {
+            let away = (seen.centre_px - pick.pixel).norm();
+            let longest = seen.outline_px.iter().map(|p| (p - seen.centre_px).norm()).fold(0.0, f64::max);
+            if away > longest + 2.0 {
+                return Err(not_measured(format!(
+                    "the band of this colour that fits a length of {} mm is seen at {:.0},{:.0} in view `{}`",
+                    info.length_m * 1e3,
+                    seen.centre_px.x,
+                    seen.centre_px.y,
+                    names[view]
+                )));
+            }
+        }
+    }
+    Ok(())
+}
+
+fn track(rig: &Rig, frames: &[Frame]) -> Result<Vec<Estimate>, MarkersError> {
+    let mut tracker = Tracker::new(rig, TrackOptions::default())?;
+    Ok(frames.iter().map(|frame| tracker.step(frame)).collect::<Result<_, _>>()?)
+}
+
+/// Colours of all bands in all views of all frames.
+fn learn_everywhere(rig: &mut Rig, frames: &[Frame]) -> Result<(Vec<String>, Learned), MarkersError> {
+    let mut samples = Samples::new(rig.markers.iter().map(|m| m.name.clone()).collect());
+    for (estimate, frame) in track(rig, frames)?.iter().zip(frames) {
+        let places: Vec<Place> = estimate
+            .markers
+            .iter()
+            .enumerate()
+            .flat_map(|(m, marker)| marker.views.iter().flatten().map(move |band| Place::band(m, band)))
+            .collect();
+        // A frame with a marker missing would teach that its band is background.
+        if estimate.markers.iter().all(|m| m.views.iter().all(Result::is_ok)) {
+            samples.add(&frame.picture, &places, true);
+        }
+    }
+    let classes = samples.classes();
+    let learned = learn(&classes)?;
+    set_models(rig, &learned);
+    Ok((classes.into_iter().map(|c| c.name).collect(), learned))
+}
+
+/// Places along the tube that the rig does not know: the median arc between neighbours, from the chord and the angle it
+/// makes with the coil's tangent, as if the tube were an arc of a circle.
+fn place_bands(rig: &mut Rig, frames: &[Frame]) -> Result<(), MarkersError> {
+    if rig.markers.iter().all(|m| m.centre_m.is_some()) {
+        return Ok(());
+    }
+    let estimates = track(rig, frames)?;
+    let coil = rig.catheter.coil;
+    let mut at = rig.markers.first().map_or(0.0, |m| m.length_m / 2.0);
+    for m in 0..rig.markers.len() {
+        if m > 0 {
+            let mut arcs: Vec<f64> = estimates
+                .iter()
+                .filter_map(|e| {
+                    let place = |m: usize| Some(e.markers.get(m)?.position.as_ref().ok()?.point);
+                    let chord = place(m)? - place(m - 1)?;
+                    // Only beside the coil is a tangent known; elsewhere the chord has to do.
+                    let angle = match e.tangent.as_ref().ok().filter(|_| m == coil || m == coil + 1) {
+                        Some(tangent) => tangent.direction.angle(&chord),
+                        None => 0.0,
+                    };
+                    Some(chord.norm() * if angle > 1e-6 { angle / angle.sin() } else { 1.0 })
+                })
+                .collect();
+            if arcs.is_empty() {
+                return Ok(());
+            }
+            arcs.sort_by(f64::total_cmp);
+            at += arcs[arcs.len() / 2];
+        }
+        rig.markers[m].centre_m = Some(at);
+    }
+    // The arcs are refined by what the pictures show where bands are fitted together.
+    let free: Vec<usize> = (1..rig.markers.len()).filter(|&m| m == coil || m == coil + 1).collect();
+    let some = every(frames, TUNING_FRAMES);
+    for m in free {
+        let start = rig.markers[m].centre_m.unwrap_or(at) - rig.markers[m - 1].centre_m.unwrap_or(0.0);
+        let shifted = |arc: f64| {
+            let mut shifted = rig.clone();
+            for later in &mut shifted.markers[m..] {
+                later.centre_m = later.centre_m.map(|c| c + arc - start);
+            }
+            shifted
+        };
+        if let Some(best) = minimise(start, 0.2e-3, (start * 0.9, start * 1.1), |arc| misfit(&shifted(arc), &some)) {
+            // No curvature: the two are not fitted together, so that the pictures say nothing about it.
+            if best.curvature > 0.0 {
+                *rig = shifted(best.at);
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Blur and chroma offset.
+fn tune(rig: &mut Rig, frames: &[Frame]) -> Result<(), MarkersError> {
+    let some = every(frames, TUNING_FRAMES);
+    let subsampled = some
+        .first()
+        .is_some_and(|f| f.picture.plane(1).is_some_and(|plane| plane.scale != [1, 1]));
+    let mut blur = rig.camera.blur_px.unwrap_or(0.6);
+    // Blur and offsets hardly depend on each other: a second pass only polishes.
+    for pass in 0..2 {
+        let finer = if pass == 0 { 1.0 } else { 0.5 };
+        let with_blur = |blur: f64| {
+            let mut changed = rig.clone();
+            changed.camera.blur_px = Some(blur);
+            changed
+        };
+        if let Some(best) = minimise(blur, 0.1 * finer, (0.3, 3.0), |b| misfit(&with_blur(b), &some)) {
+            blur = best.at;
+        }
+        *rig = with_blur(blur);
+        for axis in 0..2 {
+            let with_offset = |offset: f64| {
+                let mut changed = rig.clone();
+                changed.camera.chroma_offset_px[axis] = offset;
+                changed
+            };
+            let start = rig.camera.chroma_offset_px[axis];
+            let best = subsampled.then(|| {
+                minimise(start, 0.3 * finer, (-1.5, 1.5), |offset| misfit(&with_offset(offset), &some))
+            });
+            if let Some(best) = best.flatten() {
+                *rig = with_offset(best.at);
+            }
+        }
+    }
+    // Three decimals are more than the pictures can tell.
+    let round = |v: f64| (v * 1e3).round() / 1e3;
+    rig.camera.blur_px = rig.camera.blur_px.map(round);
+    rig.camera.chroma_offset_px = rig.camera.chroma_offset_px.map(round);
+    Ok(())
+}
+
+/// At most `count` of the frames, spread evenly.
+fn every(frames: &[Frame], count: usize) -> Vec<&Frame> {
+    frames.iter().step_by(frames.len().div_ceil(count).max(1)).collect()
+}
+
+/// How badly the rig explains the pictures: the mean of the fits' misfits; `None` when a frame cannot be fitted.
+fn misfit(rig: &Rig, frames: &[&Frame]) -> Option<f64> {
+    let mut tracker = Tracker::new(rig, TrackOptions::default()).ok()?;
+    let misfits: Vec<f64> = frames.iter().filter_map(|frame| tracker.misfit(frame)).collect();
+    (misfits.len() * 2 > frames.len()).then(|| misfits.iter().sum::<f64>() / misfits.len() as f64)
+}

@@ -1,0 +1,7 @@
+//! What a rig file needs and a recording can tell: so far, the markers.
+//!
+//! - [`markers`]: colour models, places along the tube and how the camera draws a band, from one click a marker.
+
+mod colours;
+pub mod markers;
+mod tune;
