@@ -65,6 +65,13 @@ pub(super) fn open_decoder(
         codec: stream.parameters().id().name().to_owned(),
         reason: error.to_string(),
     };
+    if !matches!(stream.parameters().field_order(), av::FieldOrder::Progressive | av::FieldOrder::Unknown) {
+        tracing::warn!(
+            "{}: the recording is interlaced: odd and even rows were taken at different times, and what moves is not where it \
+             seems to be",
+            path.display()
+        );
+    }
     let mut context = av::codec::Context::from_parameters(stream.parameters()).map_err(refused)?;
     let mut threading = av::threading::Config::kind(av::threading::Type::Frame);
     threading.count = threads;

@@ -2,7 +2,8 @@
 //!
 //! In: a file in any container that libav reads. Out: every frame that can be decoded, in the order of presentation, as the
 //! decoder stored it (no copy, no colour conversion), with the container's own time stamp to the nanosecond: the
-//! presentation time stamp times the stream's time base, never frame number ÷ rate.
+//! presentation time stamp times the stream's time base, never frame number ÷ rate. A rotation the container asks for is
+//! not done: calibration holds for the sensor's own rows and columns.
 //!
 //! A stamp that is not later than those before is handed on as it is and named in a warning. Damaged pictures are left
 //! out (see [`super::damage`]), counted in the gap of the next frame and named. A recording that ends early gives all its
