@@ -25,7 +25,7 @@ use super::{Clock, Frame, FrameSource, SourceError, Span, Tally, Timestamp};
 /// How a recording is read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct VideoOptions {
-    /// Threads of the decoder; 0 for one a core. Pictures are the same with any number, but FFmpeg before 6.1 notices less
+    /// Threads of the decoder; 0 for one a core. Pictures are the same with any number, but FFmpeg (5.1 at least) reports less
     /// damage with more than one.
     pub decoder_threads: usize,
     /// Part of the recording that is read.
