@@ -4,11 +4,16 @@
 //! on, up to the next key frame. A marker would be measured where it was earlier, with nothing to show for it. So a damaged
 //! picture is left out, and with it those decoded after it before the next key frame.
 //!
-//! What this cannot detect: a B picture shown before the damaged picture it was predicted from is gone by the time the
-//! damage is known.
+//! A B picture may be shown before the damaged picture it was predicted from. So pictures of a stream that has them are
+//! held back by [`REORDER`] others before they are judged.
+//!
+//! What this cannot detect: damage that happens to be a valid stream, packets that the container lost, both if the decoder
+//! does not notice; and with several decoder threads FFmpeg (5.1 at least) reports less of what it noticed.
 
 use std::collections::{BTreeMap, BTreeSet};
 
+/// Pictures to be held back where a stream shows them in another order than it stores them (H.264 allows 16).
+pub(crate) const REORDER: usize = 16;
 /// Packets stay known for this many others: no decoder holds back more pictures.
 const HELD_BACK: u64 = 256;
 
@@ -16,7 +21,8 @@ const HELD_BACK: u64 = 256;
 #[derive(Debug, Default)]
 pub(crate) struct DamageLog {
     count: u64,
-    keys: BTreeSet<u64>,
+    /// Key frames: number and time.
+    keys: BTreeMap<u64, Option<i64>>,
     damaged: BTreeSet<u64>,
     number_of: BTreeMap<i64, u64>,
 }
@@ -25,7 +31,7 @@ impl DamageLog {
     /// A packet is next to be decoded.
     pub(crate) fn packet(&mut self, pts: Option<i64>, is_key: bool) {
         if is_key {
-            self.keys.insert(self.count);
+            self.keys.insert(self.count, pts);
         }
         if let Some(pts) = pts {
             self.number_of.insert(pts, self.count);
@@ -36,25 +42,32 @@ impl DamageLog {
         }
     }
 
-    /// That packet is damaged.
-    pub(crate) fn packet_is_damaged(&mut self) {
-        self.damaged.insert(self.count.saturating_sub(1));
+    /// That packet is damaged, or one of the `before` ones before it.
+    pub(crate) fn packet_is_damaged(&mut self, before: u64) {
+        self.damaged.insert(self.count.saturating_sub(1 + before));
     }
 
-    /// Whether a picture that comes out of the decoder is sound; `damaged`: what the decoder itself says.
-    pub(crate) fn is_sound(&mut self, pts: Option<i64>, damaged: bool) -> bool {
+    /// A picture comes out of the decoder, which may say that it is damaged. Its number.
+    pub(crate) fn picture(&mut self, pts: Option<i64>, damaged: bool) -> u64 {
         // Without its time the picture may be the latest packet's.
         let latest = self.count.saturating_sub(1);
         let number = pts.and_then(|pts| self.number_of.remove(&pts)).unwrap_or(latest);
         if damaged {
             self.damaged.insert(number);
         }
-        let key = self.keys.range(..=number).next_back().copied().unwrap_or(0);
+        number
+    }
+
+    /// Whether picture `number`, shown at `pts`, is sound, as far as is known by now.
+    pub(crate) fn is_sound(&self, number: u64, pts: Option<i64>) -> bool {
+        // Pictures decoded after a key frame but shown before it build on the ones before it, too.
+        let restarts = |key: Option<i64>| key.zip(pts).is_none_or(|(key, pts)| key <= pts);
+        let key = self.keys.range(..=number).rev().find(|(_, key)| restarts(**key)).map_or(0, |(key, _)| *key);
         self.damaged.range(key..=number).next().is_none()
     }
 
     fn forget_before(&mut self, number: u64) {
-        let key = self.keys.range(..=number).next_back().copied().unwrap_or(0);
+        let key = self.keys.range(..=number).rev().nth(1).map_or(0, |(key, _)| *key);
         self.keys = self.keys.split_off(&key);
         self.damaged = self.damaged.split_off(&key);
         self.number_of.retain(|_, n| *n >= number);
@@ -72,11 +85,14 @@ mod tests {
         for pts in 0..count + 2 {
             log.packet(Some(pts), pts % 8 == 0);
             if lost_packets.contains(&pts) {
-                log.packet_is_damaged();
+                log.packet_is_damaged(0);
             }
             let out = pts - 2;
-            if out >= 0 && !lost_packets.contains(&out) && log.is_sound(Some(out), marked.contains(&out)) {
-                sound.push(out);
+            if out >= 0 && !lost_packets.contains(&out) {
+                let number = log.picture(Some(out), marked.contains(&out));
+                if log.is_sound(number, Some(out)) {
+                    sound.push(out);
+                }
             }
         }
         sound
@@ -94,12 +110,41 @@ mod tests {
     }
 
     #[test]
-    fn a_picture_decoded_before_the_damage_but_shown_after_it_is_sound() {
+    fn the_order_of_decoding_counts_not_that_of_showing() {
         let mut log = DamageLog::default();
-        for (pts, key) in [(0, true), (3, false), (1, false), (2, false)] {
+        for (pts, key) in [(0, true), (3, false), (1, false), (6, false), (4, false), (9, true)] {
             log.packet(Some(pts), key);
         }
-        log.packet_is_damaged();
-        assert!(log.is_sound(Some(0), false) && log.is_sound(Some(1), false) && log.is_sound(Some(3), false));
+        let shown = [0, 1, 3, 4];
+        let numbers = shown.map(|pts| log.picture(Some(pts), false));
+        let sound = |log: &DamageLog| [0, 1, 2, 3].map(|i: usize| log.is_sound(numbers[i], Some(shown[i])));
+        assert_eq!(sound(&log), [true; 4]);
+        // Picture 6 was decoded before 4 and after 3.
+        log.picture(Some(6), true);
+        assert_eq!(sound(&log), [true, true, true, false]);
+        let next = log.picture(Some(9), false);
+        assert!(log.is_sound(next, Some(9)));
+    }
+
+    #[test]
+    fn pictures_shown_before_the_key_frame_they_follow_build_on_the_group_before() {
+        let mut log = DamageLog::default();
+        for (pts, key) in [(0, true), (1, false), (4, true), (2, false), (3, false), (5, false)] {
+            log.packet(Some(pts), key);
+        }
+        let numbers = [0, 1, 2, 3, 4, 5].map(|pts| (log.picture(Some(pts), pts == 1), pts));
+        let sound = numbers.map(|(n, pts)| log.is_sound(n, Some(pts)));
+        assert_eq!(sound, [true, false, false, false, true, true]);
+    }
+
+    #[test]
+    fn an_error_that_comes_late_is_taken_for_the_earliest_packet_it_may_mean() {
+        let mut log = DamageLog::default();
+        for pts in 0..6 {
+            log.packet(Some(pts), pts == 0);
+        }
+        log.packet_is_damaged(3);
+        let numbers = [1, 2].map(|pts| log.picture(Some(pts), false));
+        assert_eq!(numbers.map(|n| log.is_sound(n, None)), [true, false]);
     }
 }

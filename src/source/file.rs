@@ -2,20 +2,22 @@
 //!
 //! In: a file in any container that libav reads. Out: every frame that can be decoded, in the order of presentation, as the
 //! decoder stored it (no copy, no colour conversion), with the container's own time stamp to the nanosecond: the
-//! presentation time stamp times the stream's time base, never frame number ÷ rate.
+//! presentation time stamp times the stream's time base, never frame number ÷ rate. A rotation the container asks for is
+//! not done: calibration holds for the sensor's own rows and columns.
 //!
 //! A stamp that is not later than those before is handed on as it is and named in a warning. Damaged pictures are left
 //! out (see [`super::damage`]), counted in the gap of the next frame and named. A recording that ends early gives all its
 //! readable frames, then [`SourceError::Truncated`].
 
-use std::fs::File;
+use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
 
 use ffmpeg_the_third as av;
 
-use super::damage::DamageLog;
+use super::container::{best_video, count_hint, measure, open_decoder, open_input, quiet_libav};
+use super::damage::{DamageLog, REORDER};
 use super::decoded::{PictureMaker, is_damaged};
-use super::extent::{Extent, extent};
+use super::extent::Extent;
 use super::gaps::{GapCounter, Order, Rhythm, WINDOW, plausible_period_ns};
 use super::times::ticks_to_ns;
 use super::{Clock, Frame, FrameSource, SourceError, Span, Tally, Timestamp};
@@ -23,7 +25,8 @@ use super::{Clock, Frame, FrameSource, SourceError, Span, Tally, Timestamp};
 /// How a recording is read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct VideoOptions {
-    /// Threads of the decoder; 0 for one a core. Pictures are the same with any number.
+    /// Threads of the decoder; 0 for one a core. Pictures are the same with any number, but FFmpeg (5.1 at least) reports less
+    /// damage with more than one.
     pub decoder_threads: usize,
     /// Part of the recording that is read.
     pub span: Span,
@@ -41,10 +44,15 @@ pub struct VideoFile {
     input: av::format::context::Input,
     stream: usize,
     time_base: av::Rational,
+    start_pts: i64,
     decoder: av::decoder::Video,
     pictures: PictureMaker,
     damage: DamageLog,
+    /// Decoded frames and their numbers in the log of damage, before they are judged.
+    held: VecDeque<(av::frame::Video, u64)>,
     gaps: GapCounter,
+    /// Camera frames lost or left out since the last frame handed on.
+    missing: u32,
     span: Span,
     size_px: [u32; 2],
     frame_count_hint: Option<u64>,
@@ -97,12 +105,13 @@ impl VideoFile {
             Extent::Whole | Extent::Undeclared => None,
         };
         let input = open_input(&path)?;
-        let (index, decoder, time_base, declared_ns, hint) = {
+        let (index, decoder, time_base, start_pts, declared_ns, hint) = {
             let stream = best_video(&path, &input)?;
             let (rate, average) = (stream.rate(), stream.avg_frame_rate());
             let declared_ns = plausible_period_ns((rate.0, rate.1), (average.0, average.1));
             let decoder = open_decoder(&path, &stream, options.decoder_threads)?;
-            (stream.index(), decoder, stream.time_base(), declared_ns, count_hint(&input, &stream, options.span))
+            let hint = count_hint(&input, &stream, options.span);
+            (stream.index(), decoder, stream.time_base(), stream.start_time(), declared_ns, hint)
         };
         let tick_ns = 1e9 * f64::from(time_base.0) / f64::from(time_base.1.max(1));
         let mut source = Self {
@@ -112,9 +121,12 @@ impl VideoFile {
             input,
             stream: index,
             time_base,
+            start_pts,
             decoder,
             damage: DamageLog::default(),
+            held: VecDeque::new(),
             gaps: GapCounter::new(declared_ns, tick_ns),
+            missing: 0,
             span: options.span,
             frame_count_hint: hint,
             ahead: None,
@@ -143,6 +155,7 @@ impl VideoFile {
                 break;
             }
             self.decoder.flush();
+            self.ahead = None;
             self.damage = DamageLog::default();
             self.state = State::Reading;
             if let Some(frame) = self.decode() {
@@ -174,8 +187,29 @@ impl VideoFile {
                 Err(av::Error::Other { .. }) if self.state == State::Reading => self.feed(),
                 // Draining, a decoder that wants more input has nothing more to give.
                 Err(av::Error::Other { .. }) => return None,
-                Err(error) => self.damaged_packet(error),
+                Err(error) => self.damaged_packet(error, true),
             }
+        }
+    }
+
+    /// The next frame in order of showing, when all that may damage it is decoded.
+    fn next_held(&mut self) -> Option<(av::frame::Video, u64)> {
+        while self.held.len() <= if self.decoder.has_b_frames() { REORDER } else { 0 } {
+            let Some(frame) = self.decode() else { break };
+            let number = self.damage.picture(frame.pts().or(frame.timestamp()), is_damaged(&frame));
+            self.held.push_back((frame, number));
+        }
+        self.held.pop_front()
+    }
+
+    fn leave_out(&mut self, stamp: Timestamp) {
+        self.tally.pictures_left_out += 1;
+        if self.tally.pictures_left_out == 1 && self.ends_early.is_none() {
+            tracing::warn!(
+                "{}: the picture at {} s is damaged and left out, as are those built on it; more are counted",
+                self.path.display(),
+                stamp.seconds()
+            );
         }
     }
 
@@ -187,19 +221,25 @@ impl VideoFile {
             match packet.read(&mut self.input) {
                 Ok(()) if packet.stream() != self.stream => continue,
                 Ok(()) => {
-                    self.damage.packet(packet.pts(), packet.is_key());
+                    // An MP4's edit list often ends at the last frame's start instead of its end, and libav would throw
+                    // the frame away. Setting the flags that the binding knows clears the one that says so; frames before
+                    // the recording's start stay out.
+                    if packet.pts().is_some_and(|pts| pts >= self.start_pts) {
+                        packet.set_flags(packet.flags());
+                    }
+                    self.damage.packet(packet.pts().or(packet.dts()), packet.is_key());
                     if packet.is_corrupt() {
-                        self.damaged_packet(av::Error::InvalidData);
+                        self.damaged_packet(av::Error::InvalidData, false);
                         continue;
                     }
                     if let Err(error) = self.decoder.send_packet(&packet) {
-                        self.damaged_packet(error);
+                        self.damaged_packet(error, true);
                     }
                     return;
                 }
                 Err(av::Error::InvalidData) if self.ends_early.is_none() && unreadable < UNREADABLE => {
                     unreadable += 1;
-                    self.damaged_packet(av::Error::InvalidData);
+                    self.damaged_packet(av::Error::InvalidData, false);
                     continue;
                 }
                 Err(av::Error::Eof) => {}
@@ -214,8 +254,10 @@ impl VideoFile {
         }
     }
 
-    fn damaged_packet(&mut self, error: av::Error) {
-        self.damage.packet_is_damaged();
+    /// A packet is lost: the latest, or with `by_decoder` one that a thread of the decoder was still at.
+    fn damaged_packet(&mut self, error: av::Error, by_decoder: bool) {
+        let threads = if by_decoder { self.decoder.threading().count as u64 } else { 1 };
+        self.damage.packet_is_damaged(threads.saturating_sub(1));
         self.tally.damaged_packets += 1;
         // At a cut the last packet is expected to be broken, and the end is reported.
         if self.tally.damaged_packets == 1 && self.ends_early.is_none() {
@@ -322,50 +364,11 @@ impl VideoFile {
 
 impl FrameSource for VideoFile {
     fn next_frame(&mut self) -> Result<Option<Frame>, SourceError> {
-        while self.state != State::Ended {
-            let Some(decoded) = self.decode() else {
-                return self.end();
-            };
-            let sound = self.damage.is_sound(decoded.pts().or(decoded.timestamp()), is_damaged(&decoded));
-            let stamp = self.stamp(&decoded)?;
-            if self.span.from_ns.is_some_and(|from| stamp.ns < from) {
-                self.before_ns = Some(stamp.ns);
-                continue;
-            }
-            if self.span.to_ns.is_some_and(|to| stamp.ns > to) {
-                self.ends_early = None;
-                self.after_ns = Some(stamp.ns);
-                return self.end();
-            }
-            if !sound {
-                self.tally.pictures_left_out += 1;
-                if self.tally.pictures_left_out == 1 && self.ends_early.is_none() {
-                    tracing::warn!(
-                        "{}: the picture at {} s is damaged and left out, as are those built on it; more are counted",
-                        self.path.display(),
-                        stamp.seconds()
-                    );
-                }
-                continue;
-            }
-            let after = [decoded.width(), decoded.height()];
-            if after != self.size_px {
-                self.state = State::Ended;
-                return Err(SourceError::SizeChange {
-                    path: self.path.clone(),
-                    at: format!("{} s", stamp.seconds()),
-                    seq: self.seq,
-                    before: self.size_px,
-                    after,
-                });
-            }
-            let picture = self.pictures.picture(decoded)?;
-            let frame = Frame { seq: self.seq, stamp, gap: self.gap(stamp.ns), picture };
-            self.seq += 1;
-            self.last_good_ns = Some(stamp.ns);
-            return Ok(Some(frame));
+        let next = self.next_sound();
+        if next.is_err() {
+            self.state = State::Ended;
         }
-        Ok(None)
+        next
     }
 
     fn size_px(&self) -> [u32; 2] {
@@ -381,80 +384,45 @@ impl FrameSource for VideoFile {
     }
 }
 
-/// libav writes to stderr by itself. What matters of it is in this module's errors and warnings; the rest is shown to who
-/// asks for debugging.
-fn quiet_libav() {
-    let debugging = tracing::enabled!(tracing::Level::DEBUG);
-    av::log::set_level(if debugging { av::log::Level::Warning } else { av::log::Level::Quiet });
-}
-
-/// Looks at the file itself: what the operating system says is clearer than what libav makes of it.
-fn measure(path: &Path) -> Result<Extent, SourceError> {
-    let io = |error: std::io::Error| match error.kind() {
-        std::io::ErrorKind::NotFound => SourceError::NotFound { path: path.to_path_buf() },
-        _ => SourceError::Io { path: path.to_path_buf(), error },
-    };
-    let file = File::open(path).map_err(io)?;
-    if file.metadata().map_err(io)?.is_dir() {
-        return Err(SourceError::IsFolder { path: path.to_path_buf() });
+impl VideoFile {
+    /// The next frame of the span that is not damaged.
+    fn next_sound(&mut self) -> Result<Option<Frame>, SourceError> {
+        while self.state != State::Ended {
+            let Some((decoded, number)) = self.next_held() else {
+                return self.end();
+            };
+            let stamp = self.stamp(&decoded)?;
+            if self.span.from_ns.is_some_and(|from| stamp.ns < from) {
+                self.before_ns = Some(stamp.ns);
+                continue;
+            }
+            if self.span.to_ns.is_some_and(|to| stamp.ns > to) {
+                self.ends_early = None;
+                self.after_ns = Some(stamp.ns);
+                return self.end();
+            }
+            self.missing = self.missing.saturating_add(self.gap(stamp.ns));
+            if !self.damage.is_sound(number, decoded.pts().or(decoded.timestamp())) {
+                self.missing = self.missing.saturating_add(1);
+                self.leave_out(stamp);
+                continue;
+            }
+            let after = [decoded.width(), decoded.height()];
+            if after != self.size_px {
+                return Err(SourceError::SizeChange {
+                    path: self.path.clone(),
+                    at: format!("{} s", stamp.seconds()),
+                    seq: self.seq,
+                    before: self.size_px,
+                    after,
+                });
+            }
+            let picture = self.pictures.picture(decoded)?;
+            let frame = Frame { seq: self.seq, stamp, gap: std::mem::take(&mut self.missing), picture };
+            self.seq += 1;
+            self.last_good_ns = Some(stamp.ns);
+            return Ok(Some(frame));
+        }
+        Ok(None)
     }
-    extent(file).map_err(io)
-}
-
-fn open_input(path: &Path) -> Result<av::format::context::Input, SourceError> {
-    let not_a_video = |reason: String| SourceError::NotAVideo { path: path.to_path_buf(), reason };
-    // Without the protocol's name a colon in the path would be taken for one.
-    let mut url = std::ffi::OsString::from("file:");
-    url.push(path);
-    let input = av::format::input(&url).map_err(|error| not_a_video(error.to_string()))?;
-    // libav plays plain text as a terminal would show it.
-    if input.format().name() == "tty" {
-        return Err(not_a_video("it is a text file".to_owned()));
-    }
-    Ok(input)
-}
-
-/// The video stream, cover pictures of sound files left out.
-fn best_video<'a>(
-    path: &Path,
-    input: &'a av::format::context::Input,
-) -> Result<av::format::stream::Stream<'a>, SourceError> {
-    let stream = input.streams().best(av::media::Type::Video);
-    stream.filter(|s| !s.disposition().contains(av::format::stream::Disposition::ATTACHED_PIC)).ok_or_else(|| {
-        let kinds: Vec<String> =
-            input.streams().map(|s| format!("{:?}", s.parameters().medium()).to_lowercase()).collect();
-        let found = if kinds.is_empty() { "nothing".to_owned() } else { kinds.join(", ") };
-        SourceError::NoVideoStream { path: path.to_path_buf(), found }
-    })
-}
-
-fn open_decoder(
-    path: &Path,
-    stream: &av::format::stream::Stream<'_>,
-    threads: usize,
-) -> Result<av::decoder::Video, SourceError> {
-    let refused = |error: av::Error| SourceError::Decoder {
-        path: path.to_path_buf(),
-        codec: stream.parameters().id().name().to_owned(),
-        reason: error.to_string(),
-    };
-    let mut context = av::codec::Context::from_parameters(stream.parameters()).map_err(refused)?;
-    let mut threading = av::threading::Config::kind(av::threading::Type::Frame);
-    threading.count = threads;
-    context.set_threading(threading);
-    context.decoder().video().map_err(refused)
-}
-
-/// How many frames to expect: from the index, else from length and rate; exact or a guess, for a progress bar.
-fn count_hint(input: &av::format::context::Input, stream: &av::format::stream::Stream<'_>, span: Span) -> Option<u64> {
-    let counted = u64::try_from(stream.frames()).ok().filter(|&n| n > 0);
-    let length_s = (input.duration() > 0).then(|| input.duration() as f64 / f64::from(av::ffi::AV_TIME_BASE));
-    let rate = stream.avg_frame_rate();
-    let rate = (rate.0 > 0 && rate.1 > 0).then(|| f64::from(rate.0) / f64::from(rate.1));
-    if span == Span::default() {
-        return counted.or_else(|| Some((length_s? * rate?).round() as u64));
-    }
-    let from_s = span.from_ns.map_or(0.0, |ns| ns as f64 * 1e-9);
-    let to_s = span.to_ns.map_or(f64::INFINITY, |ns| ns as f64 * 1e-9).min(length_s?);
-    Some(((to_s - from_s).max(0.0) * rate?).round() as u64)
 }

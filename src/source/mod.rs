@@ -4,6 +4,7 @@
 //! on as they were decoded: planar YUV stays planar YUV, no colour is converted ([`Picture::plane`] tells how samples
 //! map to places in the picture, [`Picture::colour`] how they map to colours).
 
+mod container;
 mod damage;
 mod decoded;
 mod error;

@@ -1,0 +1,98 @@
+//! Opens a recording's container and decoder, with errors for people.
+
+use std::fs::File;
+use std::path::Path;
+
+use ffmpeg_the_third as av;
+
+use super::extent::{Extent, extent};
+use super::{SourceError, Span};
+
+/// libav writes to stderr by itself. What matters of it is in this module's errors and warnings; the rest is shown to who
+/// asks for debugging.
+pub(super) fn quiet_libav() {
+    let debugging = tracing::enabled!(tracing::Level::DEBUG);
+    av::log::set_level(if debugging { av::log::Level::Warning } else { av::log::Level::Quiet });
+}
+
+/// Looks at the file itself: what the operating system says is clearer than what libav makes of it.
+pub(super) fn measure(path: &Path) -> Result<Extent, SourceError> {
+    let io = |error: std::io::Error| match error.kind() {
+        std::io::ErrorKind::NotFound => SourceError::NotFound { path: path.to_path_buf() },
+        _ => SourceError::Io { path: path.to_path_buf(), error },
+    };
+    let file = File::open(path).map_err(io)?;
+    if file.metadata().map_err(io)?.is_dir() {
+        return Err(SourceError::IsFolder { path: path.to_path_buf() });
+    }
+    extent(file).map_err(io)
+}
+
+pub(super) fn open_input(path: &Path) -> Result<av::format::context::Input, SourceError> {
+    let not_a_video = |reason: String| SourceError::NotAVideo { path: path.to_path_buf(), reason };
+    // Without the protocol's name a colon in the path would be taken for one.
+    let mut url = std::ffi::OsString::from("file:");
+    url.push(path);
+    let input = av::format::input(&url).map_err(|error| not_a_video(error.to_string()))?;
+    // libav plays plain text as a terminal would show it.
+    if input.format().name() == "tty" {
+        return Err(not_a_video("it is a text file".to_owned()));
+    }
+    Ok(input)
+}
+
+/// The video stream, cover pictures of sound files left out.
+pub(super) fn best_video<'a>(
+    path: &Path,
+    input: &'a av::format::context::Input,
+) -> Result<av::format::stream::Stream<'a>, SourceError> {
+    let stream = input.streams().best(av::media::Type::Video);
+    stream.filter(|s| !s.disposition().contains(av::format::stream::Disposition::ATTACHED_PIC)).ok_or_else(|| {
+        let kinds: Vec<String> =
+            input.streams().map(|s| format!("{:?}", s.parameters().medium()).to_lowercase()).collect();
+        let found = if kinds.is_empty() { "nothing".to_owned() } else { kinds.join(", ") };
+        SourceError::NoVideoStream { path: path.to_path_buf(), found }
+    })
+}
+
+pub(super) fn open_decoder(
+    path: &Path,
+    stream: &av::format::stream::Stream<'_>,
+    threads: usize,
+) -> Result<av::decoder::Video, SourceError> {
+    let refused = |error: av::Error| SourceError::Decoder {
+        path: path.to_path_buf(),
+        codec: stream.parameters().id().name().to_owned(),
+        reason: error.to_string(),
+    };
+    if !matches!(stream.parameters().field_order(), av::FieldOrder::Progressive | av::FieldOrder::Unknown) {
+        tracing::warn!(
+            "{}: the recording is interlaced: odd and even rows were taken at different times, and what moves is not where it \
+             seems to be",
+            path.display()
+        );
+    }
+    let mut context = av::codec::Context::from_parameters(stream.parameters()).map_err(refused)?;
+    let mut threading = av::threading::Config::kind(av::threading::Type::Frame);
+    threading.count = threads;
+    context.set_threading(threading);
+    context.decoder().video().map_err(refused)
+}
+
+/// How many frames to expect: from the index, else from length and rate; exact or a guess, for a progress bar.
+pub(super) fn count_hint(
+    input: &av::format::context::Input,
+    stream: &av::format::stream::Stream<'_>,
+    span: Span,
+) -> Option<u64> {
+    let counted = u64::try_from(stream.frames()).ok().filter(|&n| n > 0);
+    let length_s = (input.duration() > 0).then(|| input.duration() as f64 / f64::from(av::ffi::AV_TIME_BASE));
+    let rate = stream.avg_frame_rate();
+    let rate = (rate.0 > 0 && rate.1 > 0).then(|| f64::from(rate.0) / f64::from(rate.1));
+    if span == Span::default() {
+        return counted.or_else(|| Some((length_s? * rate?).round() as u64));
+    }
+    let from_s = span.from_ns.map_or(0.0, |ns| ns as f64 * 1e-9);
+    let to_s = span.to_ns.map_or(f64::INFINITY, |ns| ns as f64 * 1e-9).min(length_s?);
+    Some(((to_s - from_s).max(0.0) * rate?).round() as u64)
+}
