@@ -1,0 +1,195 @@
+//! The picture as cells of 2x2 pixels: the sum of four samples of each channel, whatever their format.
+//!
+//! Channels that are subsampled count each sample as often as it stands for a pixel of the cell, so that a cell's sums mean
+//! the same in all formats. At the right and lower edge of a picture of odd size the last pixel counts twice.
+
+use super::{LARGEST_PX, SegmentError};
+use crate::source::{Picture, Plane};
+use nalgebra::Vector2;
+
+/// Cells handled together.
+pub(super) const BLOCK: usize = 32;
+
+/// Sums of one channel over the cells of a block, 0..=1020.
+pub(super) type Sums = [i16; BLOCK];
+
+/// A picture in cells.
+pub(super) struct Grid<'a> {
+    planes: [Plane<'a>; 3],
+    size_px: [u32; 2],
+    chroma_offset_px: Vector2<f64>,
+    /// Each cell has one sample of channels 1 and 2.
+    chroma_per_cell: bool,
+}
+
+impl<'a> Grid<'a> {
+    pub(super) fn new(picture: &'a Picture, chroma_offset_px: Vector2<f64>) -> Result<Self, SegmentError> {
+        let size_px = picture.size_px();
+        if size_px.iter().any(|&n| n > LARGEST_PX) {
+            return Err(SegmentError::TooLarge(size_px[0], size_px[1]));
+        }
+        match (picture.plane(0), picture.plane(1), picture.plane(2)) {
+            (Some(a), Some(b), Some(c)) => Ok(Self {
+                planes: [a, b, c],
+                size_px,
+                chroma_offset_px,
+                chroma_per_cell: b.scale == [2, 2] && c.scale == [2, 2] && b.step == c.step,
+            }),
+            _ => Err(SegmentError::Grey),
+        }
+    }
+
+    /// Cells in a row.
+    pub(super) fn width(&self) -> usize {
+        self.size_px[0].div_ceil(2) as usize
+    }
+
+    /// Rows of cells.
+    pub(super) fn height(&self) -> usize {
+        self.size_px[1].div_ceil(2) as usize
+    }
+
+    /// Width and height, pixels.
+    pub(super) fn size_px(&self) -> [u32; 2] {
+        self.size_px
+    }
+
+    /// Where the samples of channels 1 and 2 sit relative to the middle of their cell, pixels.
+    pub(super) fn chroma_shift_px(&self) -> Vector2<f64> {
+        let p = &self.planes[1];
+        let shift = |scale: u32, offset: f64| offset - (f64::from(scale) - 1.0) / 2.0;
+        if p.scale == [1, 1] {
+            return Vector2::zeros();
+        }
+        Vector2::new(shift(p.scale[0], p.offset[0]), shift(p.scale[1], p.offset[1])) + self.chroma_offset_px
+    }
+
+    /// One row of cells.
+    pub(super) fn row(&self, j: usize) -> CellRow<'a> {
+        let width = self.width();
+        let [a, b, c] = &self.planes;
+        CellRow {
+            channels: [RowPair::new(a, j, width), RowPair::new(b, j, width), RowPair::new(c, j, width)],
+            chroma_per_cell: self.chroma_per_cell,
+        }
+    }
+}
+
+/// One row of cells.
+pub(super) struct CellRow<'a> {
+    channels: [RowPair<'a>; 3],
+    chroma_per_cell: bool,
+}
+
+impl CellRow<'_> {
+    /// Sums of all channels over the cells from `first` on; cells outside the picture repeat the last one.
+    #[inline]
+    pub(super) fn sums(&self, first: usize) -> [Sums; 3] {
+        let [a, b, c] = &self.channels;
+        [a.sums(first), b.sums(first), c.sums(first)]
+    }
+
+    /// For cells x0..x1, appends the samples of channels 1 and 2 less 128, when each cell has one of both: otherwise appends
+    /// nothing and returns false.
+    pub(super) fn chroma(&self, x0: usize, x1: usize, channels: &mut [Vec<i16>; 3]) -> bool {
+        if !self.chroma_per_cell {
+            return false;
+        }
+        for (pair, values) in self.channels.iter().zip(channels).skip(1) {
+            match pair.step {
+                1 => pair.samples::<1>(x0, x1, values),
+                _ => pair.samples::<2>(x0, x1, values),
+            }
+        }
+        true
+    }
+
+    /// For cells x0..x1, appends the mean samples of all channels, rounded, less 128.
+    pub(super) fn means(&self, x0: usize, x1: usize, channels: &mut [Vec<i16>; 3]) {
+        for (pair, values) in self.channels.iter().zip(channels) {
+            for first in (x0..x1).step_by(BLOCK) {
+                values.extend(pair.sums(first).iter().take(x1 - first).map(|sum| ((sum + 2) >> 2) - 128));
+            }
+        }
+    }
+}
+
+/// The two rows of samples of one channel that a row of cells covers.
+struct RowPair<'a> {
+    top: &'a [u8],
+    bottom: &'a [u8],
+    step: usize,
+    scale_x: usize,
+    /// Samples in a row.
+    samples: usize,
+    /// Cells in a row.
+    cells: usize,
+}
+
+impl<'a> RowPair<'a> {
+    fn new(plane: &Plane<'a>, j: usize, cells: usize) -> Self {
+        let last = plane.height.saturating_sub(1);
+        let scale = plane.scale[1].max(1) as usize;
+        let row = |y: usize| {
+            let start = (y / scale).min(last) * plane.stride;
+            let length = plane.width.saturating_sub(1) * plane.step + 1;
+            plane.data.get(start..start + length).unwrap_or_default()
+        };
+        Self {
+            top: row(2 * j),
+            bottom: row(2 * j + 1),
+            step: plane.step,
+            scale_x: plane.scale[0].max(1) as usize,
+            samples: plane.width,
+            cells,
+        }
+    }
+
+    #[inline]
+    fn sums(&self, first: usize) -> Sums {
+        let fast = match (self.scale_x, self.step) {
+            (1, 1) => self.whole_block::<2, 1>(first),
+            (1, 3) => self.whole_block::<6, 3>(first),
+            (1, 4) => self.whole_block::<8, 4>(first),
+            (2, 1) => self.whole_block::<1, 0>(first),
+            (2, 2) => self.whole_block::<2, 0>(first),
+            _ => None,
+        };
+        fast.unwrap_or_else(|| self.any_block(first))
+    }
+
+    /// Sums where a cell takes `BYTES` of a row and has its samples at bytes 0 and `SECOND`; `None` near the edge.
+    #[inline(always)]
+    fn whole_block<const BYTES: usize, const SECOND: usize>(&self, first: usize) -> Option<Sums> {
+        let range = first * BYTES..(first + BLOCK) * BYTES;
+        let (top, _) = self.top.get(range.clone())?.as_chunks::<BYTES>();
+        let (bottom, _) = self.bottom.get(range)?.as_chunks::<BYTES>();
+        let mut sums = [0; BLOCK];
+        for (sum, (t, b)) in sums.iter_mut().zip(top.iter().zip(bottom)) {
+            *sum = i16::from(t[0]) + i16::from(t[SECOND]) + i16::from(b[0]) + i16::from(b[SECOND]);
+        }
+        Some(sums)
+    }
+
+    fn any_block(&self, first: usize) -> Sums {
+        let at = |row: &[u8], x: usize| {
+            let sample = (x / self.scale_x).min(self.samples.saturating_sub(1));
+            row.get(sample * self.step).map_or(0, |&v| i16::from(v))
+        };
+        let mut sums = [0; BLOCK];
+        for (k, sum) in sums.iter_mut().enumerate() {
+            let x = 2 * (first + k).min(self.cells.saturating_sub(1));
+            *sum = at(self.top, x) + at(self.top, x + 1) + at(self.bottom, x) + at(self.bottom, x + 1);
+        }
+        sums
+    }
+
+    /// Appends one sample a cell, `STEP` bytes apart, less 128.
+    #[inline]
+    fn samples<const STEP: usize>(&self, x0: usize, x1: usize, values: &mut Vec<i16>) {
+        let (samples, rest) = self.top.get(x0 * STEP..).unwrap_or_default().as_chunks::<STEP>();
+        values.extend(samples.iter().take(x1 - x0).map(|sample| i16::from(sample[0]) - 128));
+        // The last sample of a row may be followed by nothing.
+        values.extend(rest.first().filter(|_| samples.len() < x1 - x0).map(|&sample| i16::from(sample) - 128));
+    }
+}

@@ -1,0 +1,146 @@
+//! A colour model as a linear function of the stored channels, and a bound of it in 16-bit integers.
+
+use super::THRESHOLD;
+use crate::rig::ColourModel;
+use crate::source::Picture;
+use nalgebra::{Matrix3, Vector3};
+
+/// score = weights·sums + bias, for the sums of a cell's four samples of each channel.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Discriminant {
+    pub weights: [f32; 3],
+    pub bias: f32,
+    pub screen: Screen,
+}
+
+/// The same in 16 bits, for the cell's mean samples less 128: Σ weight·value + offset is ≥ 0 wherever the score exceeds the
+/// threshold, and where it is a little below. No partial sum overflows.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Screen {
+    pub weights: [i16; 3],
+    /// For the rounded means of all channels.
+    pub offset: i16,
+    /// For exact means of channels 1 and 2, and whatever the first channel is.
+    pub offset_without_first: i16,
+}
+
+impl Discriminant {
+    /// `None` when the picture has no three channels.
+    pub(super) fn new(model: &ColourModel, picture: &Picture) -> Option<Self> {
+        let format = picture.format();
+        if format.channels() != 3 {
+            return None;
+        }
+        let mut stored_from_rgb = Matrix3::zeros();
+        let mut offset = Vector3::zeros();
+        for i in 0..3 {
+            let (weights, constant) = picture.colour().channel_from_rgb(format, i);
+            stored_from_rgb.set_row(i, &Vector3::from(weights).transpose());
+            offset[i] = constant;
+        }
+        let weights = stored_from_rgb.try_inverse()?.transpose() * model.weights;
+        let bias = model.bias - weights.dot(&offset);
+        Some(Self {
+            weights: [weights.x, weights.y, weights.z].map(|w| (w / 4.0) as f32),
+            bias: bias as f32,
+            screen: Screen::new(&weights, bias),
+        })
+    }
+
+    /// The score of one cell. The order of the operations is part of the result: all scores come from here.
+    #[inline(always)]
+    pub(super) fn score(&self, a: f32, b: f32, c: f32) -> f32 {
+        (self.weights[0] * a + self.weights[1] * b) + self.weights[2] * c + self.bias
+    }
+}
+
+impl Screen {
+    fn new(weights: &Vector3<f64>, bias: f64) -> Self {
+        let zero = bias - f64::from(THRESHOLD);
+        let sizes = weights.abs();
+        // Σ w·(value + 128) + zero, with the first channel's values or what they contribute at most (they end at 255).
+        let offset = zero + 128.0 * weights.sum();
+        let without_first = zero + 128.0 * (weights.y + weights.z) + 255.0 * weights.x.max(0.0);
+        // The unit of the score, as fine as 16 bits allow; 1500 are left for the slacks below.
+        let unit = (31_000.0 / (offset.abs().max(without_first.abs()) + 128.0 * sizes.sum())).min(8192.0);
+        let scaled = weights * unit;
+        let rounded = scaled.map(f64::round);
+        // What rounding the weights can take away, and rounding the means; one for rounding the offset.
+        let by_weights = (scaled - rounded).abs() * 128.0;
+        let by_means = sizes.sum() * unit * 0.5;
+        let stored = |v: f64| v as i16;
+        Self {
+            weights: [rounded.x, rounded.y, rounded.z].map(stored),
+            offset: stored((offset * unit + by_weights.sum() + by_means).ceil() + 1.0),
+            offset_without_first: stored((without_first * unit + by_weights.y + by_weights.z).ceil() + 1.0),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::source::{Colour, Matrix, PixelFormat, Range};
+    use proptest::prelude::*;
+
+    fn picture(format: PixelFormat, matrix: Matrix, range: Range) -> Picture {
+        let planes = match format {
+            PixelFormat::Yuv { .. } => vec![vec![0; 4], vec![0; 1], vec![0; 1]],
+            _ => vec![vec![0; 12]],
+        };
+        Picture::from_planes(2, 2, format, Colour { matrix, range, ..Colour::SRGB }, planes).unwrap()
+    }
+
+    proptest! {
+        #[test]
+        fn scores_stored_samples_as_the_model_scores_their_colour(
+            w in prop::array::uniform3(-0.03..0.03), bias in -2.0..2.0, rgb in prop::array::uniform3(0.0..255.0),
+            limited: bool, packed: bool,
+        ) {
+            let range = if limited { Range::Limited } else { Range::Full };
+            let format = if packed { PixelFormat::RgbPacked { step: 3, order: [2, 1, 0] } }
+                else { PixelFormat::Yuv { chroma_log2: [1, 1] } };
+            let picture = picture(format, Matrix::Bt709, range);
+            let model = ColourModel { weights: Vector3::from(w), bias, rgb: Vector3::zeros() };
+            let d = Discriminant::new(&model, &picture).unwrap();
+            let stored = [0, 1, 2].map(|i| {
+                let (cw, c) = picture.colour().channel_from_rgb(format, i);
+                (4.0 * (cw[0] * rgb[0] + cw[1] * rgb[1] + cw[2] * rgb[2] + c)) as f32
+            });
+            let expected = model.weights.dot(&Vector3::from(rgb)) + bias;
+            prop_assert!((f64::from(d.score(stored[0], stored[1], stored[2])) - expected).abs() < 1e-4);
+        }
+
+        #[test]
+        fn the_screen_misses_nothing_and_lets_little_through(
+            w in prop::array::uniform3(-0.02..0.02), scale in prop::sample::select(vec![1e-6, 0.1, 1.0, 1e4]),
+            bias in -1.5..1.5, sums in prop::array::uniform3(0_i16..=1020),
+        ) {
+            let picture = picture(PixelFormat::RgbPacked { step: 3, order: [0, 1, 2] }, Matrix::Bt601, Range::Full);
+            let weights = Vector3::from(w) * scale;
+            let model = ColourModel { weights, bias, rgb: Vector3::zeros() };
+            let d = Discriminant::new(&model, &picture).unwrap();
+            let s = d.screen;
+            let sum = |values: &[i16; 3], channels: std::ops::Range<usize>, offset: i16| {
+                channels.fold(i32::from(offset), |sum, i| sum + i32::from(values[i]) * i32::from(s.weights[i]))
+            };
+            let means = sums.map(|v| (v + 2) / 4 - 128);
+            let full = sum(&means, 0..3, s.offset);
+            prop_assert!(i16::try_from(full).is_ok());
+            let score = d.score(sums[0].into(), sums[1].into(), sums[2].into());
+            if score > THRESHOLD {
+                prop_assert!(full >= 0);
+            }
+            if scale == 1.0 && score < THRESHOLD - 0.3 {
+                prop_assert!(full < 0, "score {score}");
+            }
+            // One sample a cell: sums are multiples of 4.
+            let exact = [sums[0], sums[1] / 4 * 4, sums[2] / 4 * 4];
+            let without = sum(&exact.map(|v| v / 4 - 128), 1..3, s.offset_without_first);
+            prop_assert!(i16::try_from(without).is_ok());
+            if d.score(exact[0].into(), exact[1].into(), exact[2].into()) > THRESHOLD {
+                prop_assert!(without >= 0);
+            }
+        }
+    }
+}

@@ -1,0 +1,310 @@
+//! Samples of colours -> a linear discriminant for each marker, and how well it separates.
+//!
+//! Ridge regression of 1 on the marker's samples and 0 on all others, with both halves of equal weight and, among the
+//! others, each class of a weight that does not depend on the number of its samples: 1, and 0.1 if it is another marker. What is not the marker may be lit otherwise
+//! than where it was sampled (a shadow, a dark clamp, a glare): its classes are given an additional spread in brightness, so
+//! that the models tell colours apart, not lights from darks. The regression's scores are then
+//! stretched so that they are 1 and 0 on average as [`ColourModel`] says: regression alone shrinks both towards their middle.
+//! Source: Hastie, Tibshirani, Friedman, "The Elements of Statistical Learning" (2009), sections 3.4.1 and 4.2.
+
+use crate::rig::ColourModel;
+use nalgebra::{Matrix3, Vector3};
+
+/// Samples of one class: a marker, or something that must not be taken for one (tube, background).
+#[derive(Debug, Clone, PartialEq)]
+pub struct ClassSamples {
+    /// Its name, for messages.
+    pub name: String,
+    /// Whether a model is to be learned for it.
+    pub is_marker: bool,
+    /// R'G'B' 0..255, full range.
+    pub rgb: Vec<Vector3<f64>>,
+}
+
+/// What was learned.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Learned {
+    /// One model for each marker class, in the order of the classes.
+    pub models: Vec<ColourModel>,
+    /// For each marker class, how far each other class is from it, in the order of the classes.
+    pub separations: Vec<Separation>,
+}
+
+impl Learned {
+    /// The pair that is separated least: that of the smallest gap.
+    pub fn worst(&self) -> Option<&Separation> {
+        self.separations.iter().min_by(|a, b| a.gap().total_cmp(&b.gap()))
+    }
+}
+
+/// How a marker's model scores its own samples and those of another class.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Separation {
+    /// Index of the marker's class among the samples.
+    pub marker: usize,
+    /// Index of the other class.
+    pub other: usize,
+    /// Difference of the mean scores over the root of the mean variance (infinite when neither varies).
+    pub d_prime: f64,
+    /// Score that 99 % of the marker's samples exceed.
+    pub marker_low: f64,
+    /// Score that 99 % of the other class' samples stay below.
+    pub other_high: f64,
+}
+
+impl Separation {
+    /// Distance between the low end of the marker's scores and the high end of the other's; positive when the
+    /// two do not overlap.
+    pub fn gap(&self) -> f64 {
+        self.marker_low - self.other_high
+    }
+
+    /// Whether the threshold of the segmentation, half way from 0 to 1, lies between the two.
+    pub fn is_separate(&self) -> bool {
+        self.marker_low > 0.5 && self.other_high < 0.5
+    }
+}
+
+/// Why no model can be learned.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum LearnError {
+    /// Not enough samples of a class.
+    #[error("class `{name}` has {found} samples, expected at least {LEAST_SAMPLES}")]
+    TooFew {
+        /// The class.
+        name: String,
+        /// How many it has.
+        found: usize,
+    },
+    /// A sample that is no colour.
+    #[error("class `{name}` has a sample of R'G'B' ({r}, {g}, {b}), expected finite numbers")]
+    NotFinite {
+        /// The class.
+        name: String,
+        /// R'.
+        r: f64,
+        /// G'.
+        g: f64,
+        /// B'.
+        b: f64,
+    },
+    /// Nothing to learn, or nothing to tell it from.
+    #[error("{markers} marker classes among {classes}, expected at least one marker and one other class")]
+    NoContrast {
+        /// Marker classes.
+        markers: usize,
+        /// All classes.
+        classes: usize,
+    },
+    /// A marker whose mean score is that of everything else.
+    #[error("the colour of `{0}` (mean of its samples) cannot be told from the other classes by any linear function")]
+    SameColour(String),
+}
+
+/// Fewer samples say nothing about a class.
+const LEAST_SAMPLES: usize = 8;
+
+/// Ridge, as a share of the mean variance of a channel: enough to keep weights small where colours do not vary, too little
+/// to matter where they do.
+const RIDGE: f64 = 1e-3;
+
+/// Relative standard deviation of the brightness at which an other class may be met, beyond what its samples show.
+const SHADING: f64 = 0.4;
+
+/// Weight of a class that is another marker, where tube and background weigh 1: those are what borders on the marker and is
+/// to score 0, of other markers it is enough that they score less than the threshold.
+const OTHER_MARKER: f64 = 0.1;
+
+/// A contrast of the regression's mean scores (of 1) below this is rounding.
+const LEAST_CONTRAST: f64 = 1e-6;
+
+/// Learns a model for each marker class.
+///
+/// # Errors
+/// [`LearnError`] when samples are missing or useless, or a marker has the very colour of the rest. Poor separation is no
+/// error here: it is reported in [`Learned::separations`].
+pub fn learn(classes: &[ClassSamples]) -> Result<Learned, LearnError> {
+    check(classes)?;
+    let mut learned = Learned { models: Vec::new(), separations: Vec::new() };
+    for (marker, class) in classes.iter().enumerate().filter(|(_, c)| c.is_marker) {
+        let model = discriminant(classes, marker).ok_or_else(|| LearnError::SameColour(class.name.clone()))?;
+        let own = Scores::of(&model, class);
+        for (other, class) in classes.iter().enumerate().filter(|&(other, _)| other != marker) {
+            let theirs = Scores::of(&model, class);
+            let sd = ((own.variance + theirs.variance) / 2.0).sqrt();
+            learned.separations.push(Separation {
+                marker,
+                other,
+                d_prime: (own.mean - theirs.mean) / sd,
+                marker_low: own.quantile(0.01),
+                other_high: theirs.quantile(0.99),
+            });
+        }
+        learned.models.push(model);
+    }
+    Ok(learned)
+}
+
+fn check(classes: &[ClassSamples]) -> Result<(), LearnError> {
+    let markers = classes.iter().filter(|c| c.is_marker).count();
+    if markers == 0 || classes.len() < 2 {
+        return Err(LearnError::NoContrast { markers, classes: classes.len() });
+    }
+    for class in classes {
+        let name = || class.name.clone();
+        if class.rgb.len() < LEAST_SAMPLES {
+            return Err(LearnError::TooFew { name: name(), found: class.rgb.len() });
+        }
+        if let Some(v) = class.rgb.iter().find(|v| !v.iter().all(|c| c.is_finite())) {
+            return Err(LearnError::NotFinite { name: name(), r: v.x, g: v.y, b: v.z });
+        }
+    }
+    Ok(())
+}
+
+/// Mean and covariance of a class.
+fn statistics(class: &ClassSamples) -> (Vector3<f64>, Matrix3<f64>) {
+    let n = class.rgb.len() as f64;
+    let mean = class.rgb.iter().sum::<Vector3<f64>>() / n;
+    let covariance = class.rgb.iter().map(|v| (v - mean) * (v - mean).transpose()).sum::<Matrix3<f64>>() / n;
+    (mean, covariance)
+}
+
+fn discriminant(classes: &[ClassSamples], marker: usize) -> Option<ColourModel> {
+    let statistics: Vec<_> = classes.iter().map(statistics).collect();
+    let weight = |i: usize| match classes.get(i) {
+        _ if i == marker => 0.0,
+        Some(class) if class.is_marker => OTHER_MARKER,
+        _ => 1.0,
+    };
+    let total: f64 = (0..classes.len()).map(weight).sum();
+    let share = |i: usize| weight(i) / total;
+    let (own, _) = *statistics.get(marker)?;
+    let others: Vector3<f64> = statistics.iter().enumerate().map(|(i, (mean, _))| mean * share(i)).sum();
+    // Least squares over two halves of equal weight: (scatter + ridge)·w = covariance of colour and target.
+    let middle = (own + others) / 2.0;
+    let scatter: Matrix3<f64> = statistics
+        .iter()
+        .enumerate()
+        .map(|(i, (mean, covariance))| {
+            let (weight, shading) = if i == marker { (0.5, 0.0) } else { (0.5 * share(i), SHADING) };
+            let lit = mean * shading;
+            (covariance + lit * lit.transpose() + (mean - middle) * (mean - middle).transpose()) * weight
+        })
+        .sum();
+    let ridge = Matrix3::identity() * (scatter.trace() / 3.0 * RIDGE);
+    let raw = (scatter + ridge).try_inverse()? * (own - others) / 4.0;
+    let contrast = raw.dot(&(own - others));
+    if contrast.is_nan() || contrast <= LEAST_CONTRAST {
+        return None;
+    }
+    let weights = raw / contrast;
+    Some(ColourModel { weights, bias: -weights.dot(&others), rgb: own })
+}
+
+/// The scores of a class, sorted.
+struct Scores {
+    sorted: Vec<f64>,
+    mean: f64,
+    variance: f64,
+}
+
+impl Scores {
+    fn of(model: &ColourModel, class: &ClassSamples) -> Self {
+        let mut sorted: Vec<f64> = class.rgb.iter().map(|v| model.weights.dot(v) + model.bias).collect();
+        sorted.sort_by(f64::total_cmp);
+        let n = sorted.len() as f64;
+        let mean = sorted.iter().sum::<f64>() / n;
+        let variance = sorted.iter().map(|s| (s - mean).powi(2)).sum::<f64>() / n;
+        Self { sorted, mean, variance }
+    }
+
+    /// The nearest sample to this rank (NaN of an empty class, which [`check`] has refused).
+    fn quantile(&self, q: f64) -> f64 {
+        let rank = (q * (self.sorted.len().saturating_sub(1)) as f64).round() as usize;
+        self.sorted.get(rank).copied().unwrap_or(f64::NAN)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::segment::synthetic::samples;
+
+    #[test]
+    fn scores_are_one_on_the_marker_and_nought_elsewhere_on_average() {
+        let classes = samples();
+        let learned = learn(&classes).unwrap();
+        assert_eq!(learned.models.len(), 3);
+        for (marker, model) in learned.models.iter().enumerate() {
+            let mean = |class: &ClassSamples| Scores::of(model, class).mean;
+            assert!((mean(&classes[marker]) - 1.0).abs() < 1e-9);
+            let weight = |c: usize| if c < 3 { OTHER_MARKER } else { 1.0 };
+            let others: f64 = (0..5).filter(|&c| c != marker).map(|c| weight(c) * mean(&classes[c])).sum();
+            assert!(others.abs() < 1e-9);
+            // What borders on it scores about nought by itself.
+            assert!(mean(&classes[3]).abs() < 0.15 && mean(&classes[4]).abs() < 0.15);
+            assert_eq!(model.rgb, statistics(&classes[marker]).0);
+        }
+        assert_eq!(learned.separations.len(), 12);
+        assert!(learned.separations.iter().all(|s| s.is_separate() && s.gap() > 0.2 && s.d_prime > 5.0));
+        let worst = learned.worst().unwrap().gap();
+        assert!(learned.separations.iter().all(|s| s.gap() >= worst));
+    }
+
+    #[test]
+    fn a_class_counts_the_same_however_many_samples_it_has() {
+        let mut classes = samples();
+        let once = learn(&classes).unwrap();
+        let background = classes[4].rgb.clone();
+        classes[4].rgb.extend(background.iter().cycle().take(1800).copied());
+        for (a, b) in once.models.iter().zip(learn(&classes).unwrap().models) {
+            assert!((a.weights - b.weights).norm() < 1e-9 && (a.bias - b.bias).abs() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn a_shadow_on_the_background_is_no_marker() {
+        let learned = learn(&samples()).unwrap();
+        for model in &learned.models {
+            for shade in [0.1, 0.4, 1.5] {
+                let score = model.weights.dot(&(Vector3::new(110.0, 110.0, 112.0) * shade)) + model.bias;
+                assert!(score < 0.4, "{score} at {shade}");
+            }
+        }
+    }
+
+    #[test]
+    fn similar_colours_are_learned_but_not_separate() {
+        let mut classes = samples();
+        let shift = Vector3::new(6.0, -6.0, 0.0);
+        classes[2].rgb = classes[1].rgb.iter().map(|v| v + shift).collect();
+        let learned = learn(&classes).unwrap();
+        let pair = learned.separations.iter().find(|s| s.marker == 1 && s.other == 2).unwrap();
+        assert!(!pair.is_separate() && pair.gap() < 0.1, "{pair:?}");
+        assert_eq!(
+            {
+                let w = learned.worst().unwrap();
+                w.marker.min(w.other)
+            },
+            1
+        );
+    }
+
+    #[test]
+    fn useless_samples_are_refused_by_name() {
+        let message = |classes: &[ClassSamples]| learn(classes).unwrap_err().to_string();
+        let mut classes = samples();
+        classes[3].rgb.truncate(7);
+        assert_eq!(message(&classes), "class `tube` has 7 samples, expected at least 8");
+        classes[3].rgb = vec![Vector3::new(1.0, f64::NAN, 2.0); 9];
+        assert_eq!(message(&classes), "class `tube` has a sample of R'G'B' (1, NaN, 2), expected finite numbers");
+        assert_eq!(
+            message(&classes[..1]),
+            "1 marker classes among 1, expected at least one marker and one other class"
+        );
+        let same = ClassSamples { name: "tip".into(), is_marker: true, rgb: vec![Vector3::repeat(9.0); 20] };
+        let other = ClassSamples { name: "wall".into(), is_marker: false, ..same.clone() };
+        assert_eq!(learn(&[same, other]), Err(LearnError::SameColour("tip".into())));
+    }
+}

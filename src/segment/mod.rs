@@ -1,0 +1,272 @@
+//! Picture -> blobs of each marker's colour: centre to a few tenths of a pixel, its covariance, principal axis, size.
+//!
+//! - In: a [`Picture`] in the samples it was decoded to, the markers' [`ColourModel`]s, windows to search.
+//! - Out: [`Blob`]s, in the order of searches, markers and the raster.
+//! - Method, per call and without memory of other frames:
+//!   1. `discriminant`: the colour models become linear functions of the stored channels. No colour is converted.
+//!   2. `cells`: the picture is seen as cells of 2x2 pixels (4:2:0: one chroma sample and its four luma samples).
+//!   3. `scan`: blocks of cells that cannot reach the threshold are left out in 16-bit integers (from chroma alone in
+//!      4:2:0); what remains is classified cell by cell into runs.
+//!   4. `components`: 8-connected runs become components.
+//!   5. `moments`: the cells of a component and one ring of cells around it, weighted by how far each is covered, give
+//!      centre, second moments and their uncertainty.
+//!   6. [`mod@learn`]: where the colour models come from.
+//! - Assumes that a marker is told from all else by a linear function of R'G'B', and that its image is two cells wide
+//!   or more. Time and memory are linear in the number of cells searched, whatever the picture shows.
+//! - Cannot tell a marker from a distractor of the same colour, nor two bands whose images touch; the centre is that of the
+//!   visible surface, not of the tube's centre line, and leans to the side that scores higher. The stages after it do.
+
+mod cells;
+mod components;
+mod discriminant;
+pub mod learn;
+mod moments;
+mod scan;
+#[cfg(test)]
+mod synthetic;
+#[cfg(test)]
+mod tests;
+
+pub use learn::{ClassSamples, LearnError, Learned, Separation, learn};
+
+use crate::rig::{ColourModel, Rig};
+use crate::source::Picture;
+use cells::Grid;
+use components::Components;
+use discriminant::Discriminant;
+use nalgebra::{Matrix2, Point2, Vector2};
+use scan::Scanner;
+use std::collections::HashSet;
+
+/// A score above this counts as the marker: models score 1 on their band and 0 elsewhere on average, so that a cell
+/// counts when more than half of it is covered.
+const THRESHOLD: f32 = 0.5;
+
+/// Components of fewer cells are specks: compression noise, not bands, which are to be two cells wide or more.
+const LEAST_CELLS: usize = 3;
+
+/// Largest width and height, pixels: with it all moments are exact in 64-bit integers.
+const LARGEST_PX: u32 = 16_384;
+
+/// A rectangle of pixels, half-open: x0 ≤ x < x1, y0 ≤ y < y1.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub struct Window {
+    /// First column.
+    pub x0: u32,
+    /// First row.
+    pub y0: u32,
+    /// Column after the last.
+    pub x1: u32,
+    /// Row after the last.
+    pub y1: u32,
+}
+
+impl Window {
+    /// All of a picture.
+    pub fn whole(picture: &Picture) -> Self {
+        let [x1, y1] = picture.size_px();
+        Self { x0: 0, y0: 0, x1, y1 }
+    }
+
+    /// The window of `radius_px` around a place (pixels that reach outside a picture do not matter; a place that is not
+    /// finite gives an empty one).
+    pub fn around(centre: &Point2<f64>, radius_px: f64) -> Self {
+        // `as` saturates: what lies left of the picture becomes 0, NaN too.
+        Self {
+            x0: (centre.x - radius_px).floor() as u32,
+            y0: (centre.y - radius_px).floor() as u32,
+            x1: (centre.x + radius_px).ceil() as u32,
+            y1: (centre.y + radius_px).ceil() as u32,
+        }
+    }
+
+    /// The cells it touches: columns and rows, half-open, within the grid.
+    fn cells(&self, grid: &Grid<'_>) -> CellWindow {
+        let clip = |v: u32, end: usize| (v as usize).min(end);
+        CellWindow {
+            x0: clip(self.x0 / 2, grid.width()),
+            y0: clip(self.y0 / 2, grid.height()),
+            x1: clip(self.x1.div_ceil(2), grid.width()),
+            y1: clip(self.y1.div_ceil(2), grid.height()),
+        }
+    }
+}
+
+/// A rectangle of cells, half-open.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct CellWindow {
+    x0: usize,
+    y0: usize,
+    x1: usize,
+    y1: usize,
+}
+
+/// Where to look for what.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Search {
+    /// Index of the marker; `None` for all.
+    pub marker: Option<usize>,
+    /// Where; clipped to the picture and widened to whole cells.
+    pub window: Window,
+}
+
+/// A connected patch of one marker's colour.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Blob {
+    /// Index of the marker.
+    pub marker: usize,
+    /// Centre of its visible surface, pixels, weighted by coverage.
+    pub centre_px: Point2<f64>,
+    /// Covariance of the centre, px²: from noise in partly covered cells; biases of shading and tilt are not in it.
+    pub covariance_px2: Matrix2<f64>,
+    /// Principal direction, unit; its sign (x > 0, or x = 0 and y > 0) means nothing.
+    pub axis: Vector2<f64>,
+    /// Length along the axis of the uniform rectangle with the same second moments, pixels.
+    pub length_px: f64,
+    /// Width across the axis of that rectangle, pixels.
+    pub width_px: f64,
+    /// Covered area, px².
+    pub area_px2: f64,
+    /// Mean score of its cells: 1 as learned, just above 0.5 hardly the marker.
+    pub mean_score: f64,
+    /// The pixels of its cells, tight.
+    pub bounds: Window,
+    /// Whether it has a cell on the outermost ring of the window it was found in, where that is not the picture's own
+    /// edge: then it may go on outside. A blob that does not is, bit by bit, the one that a search of the whole picture finds.
+    pub touches_border: bool,
+}
+
+/// Why a picture cannot be segmented.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum SegmentError {
+    /// The rig lacks a colour model.
+    #[error("marker `{0}` has no colour model: learn it with `catoptra calibrate markers`")]
+    NoColour(String),
+    /// A colour model with a number that is not usable.
+    #[error(
+        "colour model of marker {marker} has weights ({weights}) and bias {bias}, expected finite numbers below 1e6"
+    )]
+    Model {
+        /// Index of the marker.
+        marker: usize,
+        /// Its weights, as text.
+        weights: String,
+        /// Its bias.
+        bias: f64,
+    },
+    /// A search for a marker that does not exist.
+    #[error("search for marker {marker}, but there are {markers}")]
+    NoSuchMarker {
+        /// Index asked for.
+        marker: usize,
+        /// How many there are.
+        markers: usize,
+    },
+    /// A grey picture.
+    #[error("grey pictures have no colour")]
+    Grey,
+    /// A picture too large for exact moments.
+    #[error("picture of {0}x{1} pixels, expected at most {LARGEST_PX} a side")]
+    TooLarge(u32, u32),
+}
+
+/// Finds blobs; owns all scratch memory, so that frames of one size allocate nothing after the first.
+#[derive(Debug)]
+pub struct Segmenter {
+    models: Vec<ColourModel>,
+    chroma_offset_px: Vector2<f64>,
+    discriminants: Vec<Discriminant>,
+    scanner: Scanner,
+    components: Components,
+    measure: moments::Measure,
+    blobs: Vec<Blob>,
+    found: HashSet<(usize, Window, u64, u64)>,
+}
+
+impl Segmenter {
+    /// For markers with these colour models, in this order.
+    ///
+    /// # Errors
+    /// When a model holds a number that is not finite or absurdly large.
+    pub fn new(models: &[ColourModel]) -> Result<Self, SegmentError> {
+        for (marker, model) in models.iter().enumerate() {
+            let usable = |v: f64| v.is_finite() && v.abs() < 1e6;
+            if !(model.weights.iter().copied().all(usable) && usable(model.bias)) {
+                let [r, g, b] = model.weights.into();
+                return Err(SegmentError::Model { marker, weights: format!("{r}, {g}, {b}"), bias: model.bias });
+            }
+        }
+        Ok(Self {
+            models: models.to_vec(),
+            chroma_offset_px: Vector2::zeros(),
+            discriminants: Vec::with_capacity(models.len()),
+            scanner: Scanner::new(models.len()),
+            components: Components::default(),
+            measure: moments::Measure::default(),
+            blobs: Vec::new(),
+            found: HashSet::new(),
+        })
+    }
+
+    /// With subsampled chroma taken to sit this far (right, down; pixels) from where the pictures' siting says: recorders
+    /// often tag one siting and sample at another.
+    pub fn with_chroma_offset_px(self, offset: [f64; 2]) -> Self {
+        Self { chroma_offset_px: offset.into(), ..self }
+    }
+
+    /// For the markers of a rig.
+    ///
+    /// # Errors
+    /// When a marker has no colour model yet, or an unusable one.
+    pub fn for_rig(rig: &Rig) -> Result<Self, SegmentError> {
+        let models: Result<Vec<_>, _> =
+            rig.markers.iter().map(|m| m.colour.ok_or_else(|| SegmentError::NoColour(m.name.clone()))).collect();
+        Ok(Self::new(&models?)?.with_chroma_offset_px(rig.camera.chroma_offset_px))
+    }
+
+    /// All blobs of all markers in the whole picture.
+    ///
+    /// # Errors
+    /// When the picture is grey or too large.
+    pub fn all_blobs(&mut self, picture: &Picture) -> Result<&[Blob], SegmentError> {
+        self.blobs(picture, &[Search { marker: None, window: Window::whole(picture) }])
+    }
+
+    /// The blobs in some windows, in the order of searches, then markers, then the raster. One that lies whole in several
+    /// windows is given once.
+    ///
+    /// # Errors
+    /// When the picture is grey or too large, or a search names a marker that does not exist.
+    pub fn blobs(&mut self, picture: &Picture, searches: &[Search]) -> Result<&[Blob], SegmentError> {
+        let markers = self.models.len();
+        if let Some(marker) = searches.iter().filter_map(|s| s.marker).find(|&m| m >= markers) {
+            return Err(SegmentError::NoSuchMarker { marker, markers });
+        }
+        let grid = Grid::new(picture, self.chroma_offset_px)?;
+        self.discriminants.clear();
+        for model in &self.models {
+            self.discriminants.push(Discriminant::new(model, picture).ok_or(SegmentError::Grey)?);
+        }
+        self.blobs.clear();
+        self.found.clear();
+        for search in searches {
+            let window = search.window.cells(&grid);
+            self.scanner.scan(&grid, &self.discriminants, window, search.marker);
+            for (marker, (discriminant, runs)) in self.discriminants.iter().zip(self.scanner.runs()).enumerate() {
+                for component in self.components.group(runs) {
+                    let cells: usize = component.iter().map(scan::Run::cells).sum();
+                    if cells < LEAST_CELLS {
+                        continue;
+                    }
+                    let blob = self.measure.blob(&grid, marker, discriminant, component, &window);
+                    // Its place names a blob: two of one marker have no cell in common.
+                    let name = (marker, blob.bounds, blob.centre_px.x.to_bits(), blob.centre_px.y.to_bits());
+                    if searches.len() == 1 || self.found.insert(name) {
+                        self.blobs.push(blob);
+                    }
+                }
+            }
+        }
+        Ok(&self.blobs)
+    }
+}
