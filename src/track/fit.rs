@@ -35,8 +35,8 @@ const KNOT_M: f64 = 2e-3;
 /// Prior σ of the shape's parameters: centre and tangent free, curvatures in 1/m, their change in 1/m².
 const CURVATURE_SD: f64 = 30.0;
 const CURVATURE_RATE_SD: f64 = 200.0;
-/// Prior σ of colours (linear light, 1 = white), of the background's gradient per pixel, of shading and cap.
-const COLOUR_SD: f64 = 1.0;
+/// Prior σ of colours about their start (linear light, 1 = white), of the background's gradient per pixel, of shading, cap.
+const COLOUR_SD: f64 = 0.15;
 const GRADIENT_SD: f64 = 0.02;
 const SHADING_SD: f64 = 0.2;
 const CAP_SD: f64 = 0.5;
@@ -104,6 +104,7 @@ pub(crate) fn fit(
     let mut noise: Vec<Noise> = paths.iter().map(|_| start_noise(picture)).collect();
     let mut shape = start.clone();
     let mut colours: Vec<Vec<f64>> = Vec::new();
+    let mut start_colours = Vec::new();
     for enough in ENOUGH {
         let images = project(stretch, &shape, paths)?;
         let mut patches = images
@@ -118,8 +119,9 @@ pub(crate) fn fit(
                 .map(|(patch, image)| patch.start_colours(picture, image, &stretch.layout, &model.encoding))
                 .collect::<Option<_>>()
                 .ok_or(NoFit::OutOfPicture)?;
+            start_colours.clone_from(&colours);
         }
-        let mut round = Round { stretch, paths, model, patches: &mut patches, noise: &noise };
+        let mut round = Round { stretch, paths, model, patches: &mut patches, noise: &noise, start_colours: &start_colours };
         let state = round.minimise(shape, colours, enough)?;
         if enough == ENOUGH[1] {
             return round.conclude(state);
@@ -168,6 +170,7 @@ struct Round<'a> {
     model: &'a ImageModel,
     patches: &'a mut [Patch],
     noise: &'a [Noise],
+    start_colours: &'a [Vec<f64>],
 }
 
 impl Round<'_> {
@@ -257,8 +260,8 @@ impl Round<'_> {
                     GRADIENT..SHADING => prior(start + i, *value, GRADIENT_SD),
                     SHADING..CAP => prior(start + i, *value, SHADING_SD),
                     CAP => prior(start + i, value - 1.0, CAP_SD),
-                    // Keeps a colour determined of which no sample shows anything.
-                    _ => prior(start + i, 0.0, COLOUR_SD),
+                    // Keeps a colour near its start when hardly a sample shows it.
+                    _ => prior(start + i, value - self.start_colours[v][i], COLOUR_SD),
                 }
             }
         }

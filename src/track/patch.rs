@@ -345,8 +345,9 @@ impl Patch {
         };
         let background = mean(sums.last()?)?;
         for (class, sum) in sums.iter().enumerate() {
-            // A segment too short to show its own colour starts from the background's.
-            let light = mean(sum).unwrap_or(background);
+            // A segment too short to show its own colour starts from the next but one: bands and bare tube alternate.
+            let alike = [class.wrapping_sub(2), class + 2].into_iter().find_map(|j| mean(sums[..segments].get(j)?));
+            let light = mean(sum).or(alike).unwrap_or(background);
             let at = if class == segments { BACKGROUND } else { FIXED + PER_SEGMENT * class };
             colours[at..at + 3].copy_from_slice(light.as_slice());
         }
