@@ -24,8 +24,10 @@ enum Command {
     /// Learns each band's colour, finds the bands in the other views, measures their distances along the tube, the blur of
     /// the lens and the offset of the colour samples, and writes all of it into the rig file (the old one is kept as
     /// RIG.toml.bak). Exit code 3 when a band's colour cannot be told from another's or from what surrounds it.
-    #[command(after_help = "Example:\n  catoptra calibrate markers sample_frames/planar.mkv --rig calibration/dev_tank/rig.toml \
-        --tube 3.2mm \\\n    --pick base@431,408:6mm --pick coil@431,565:12mm --pick tip@430,607:6mm --out my_rig.toml")]
+    #[command(
+        after_help = "Example:\n  catoptra calibrate markers sample_frames/planar.mkv --rig calibration/dev_tank/rig.toml \
+        --tube 3.2mm \\\n    --pick base@431,408:6mm --pick coil@431,565:12mm --pick tip@430,607:6mm --out my_rig.toml"
+    )]
     Markers(MarkersArgs),
 }
 
@@ -115,10 +117,8 @@ fn markers(args: &MarkersArgs) -> Result<(), Failure> {
     let mut done = calibrate_markers(&rig, &picks, view, frames.as_mut()).map_err(failure)?;
     done.rig.provenance.insert("markers".into(), provenance(args, &done).into());
     output::print(&describe(&done))?;
-    let weak: Vec<String> = done
-        .weak_pairs()
-        .map(|s| format!("`{}` and `{}`", done.classes[s.marker], done.classes[s.other]))
-        .collect();
+    let weak: Vec<String> =
+        done.weak_pairs().map(|s| format!("`{}` and `{}`", done.classes[s.marker], done.classes[s.other])).collect();
     if !weak.is_empty() {
         let text = format!(
             "colours that cannot be told apart: {}; nothing was written. Choose bands of purer or other colours, more even \
@@ -142,8 +142,8 @@ fn markers(args: &MarkersArgs) -> Result<(), Failure> {
 /// The rig file with the markers as picked. Places along the tube and roles that it has already are kept.
 fn rig_with_picks(args: &MarkersArgs) -> Result<Rig, Failure> {
     let path = &args.rig;
-    let text = std::fs::read_to_string(path)
-        .map_err(|source| Failure::from(RigError::Read { file: path.clone(), source }))?;
+    let text =
+        std::fs::read_to_string(path).map_err(|source| Failure::from(RigError::Read { file: path.clone(), source }))?;
     // A rig from the calibration of camera and mirrors has no markers yet; they must be there before it can be checked.
     let Ok(mut table) = text.parse::<toml::Table>() else {
         return Ok(Rig::load(path)?); // says what is wrong and where
@@ -221,7 +221,11 @@ fn provenance(args: &MarkersArgs, done: &MarkersCalibration) -> toml::Table {
 
 fn describe(done: &MarkersCalibration) -> String {
     let mut text = String::new();
-    let _ = writeln!(text, "{} frames looked at\n\nmarker     measured   colour R'G'B'   centre along the tube", done.frames);
+    let _ = writeln!(
+        text,
+        "{} frames looked at\n\nmarker     measured   colour R'G'B'   centre along the tube",
+        done.frames
+    );
     for (m, marker) in done.rig.markers.iter().enumerate() {
         let rgb = marker.colour.map(|c| c.rgb).unwrap_or_default();
         let centre = marker.centre_m.map_or("unknown".into(), |c| format!("{:.2} mm", c * 1e3));
@@ -238,7 +242,9 @@ fn describe(done: &MarkersCalibration) -> String {
             None => text.push('\n'),
         }
     }
-    text.push_str("\nseparation: score of the band (99 % above) against the other (99 % below); the threshold is 0.5\n");
+    text.push_str(
+        "\nseparation: score of the band (99 % above) against the other (99 % below); the threshold is 0.5\n",
+    );
     for s in &done.learned.separations {
         let _ = writeln!(
             text,

@@ -26,6 +26,8 @@ pub(crate) struct Stretch {
     /// Arc lengths between which samples are used, metres.
     pub range_m: (f64, f64),
     pub radius_m: f64,
+    /// A clamp may be close to the first band.
+    pub at_clamp: bool,
 }
 
 /// Background taken into account on either side of the tube, pixels.
@@ -44,9 +46,14 @@ const CAP_SD: f64 = 0.5;
 const START_NOISE: f64 = 2.5;
 const LEAST_NOISE: f64 = 0.5;
 const MAX_EVALUATIONS: usize = 15;
-/// How well the image model is trusted, pixels: light, blur and coding shift edges by a few hundredths of a pixel in ways
-/// that no residual shows. Enters the covariance for each view on its own.
-const MODEL_ERROR_PX: f64 = 0.05;
+/// How well the image model is trusted: light, blur and coding shift edges by a few hundredths of a pixel in ways that no
+/// residual shows. Shift across the tube and along it, and turn (off at half the stretch's length), pixels; enters the
+/// covariance for each view on its own.
+const ACROSS_ERROR_PX: f64 = 0.04;
+const ALONG_ERROR_PX: f64 = 0.04;
+const TURN_ERROR_PX: f64 = 0.06;
+/// Along a band beside a clamp, where light and colour change within a few pixels of the band's edge.
+const ALONG_ERROR_AT_CLAMP_PX: f64 = 0.12;
 /// A round ends when a step lowers the cost (a χ²) by less than this.
 const ENOUGH: [f64; 2] = [2.0, 0.02];
 
@@ -121,7 +128,8 @@ pub(crate) fn fit(
                 .ok_or(NoFit::OutOfPicture)?;
             start_colours.clone_from(&colours);
         }
-        let mut round = Round { stretch, paths, model, patches: &mut patches, noise: &noise, start_colours: &start_colours };
+        let mut round =
+            Round { stretch, paths, model, patches: &mut patches, noise: &noise, start_colours: &start_colours };
         let state = round.minimise(shape, colours, enough)?;
         if enough == ENOUGH[1] {
             return round.conclude(state);
@@ -286,7 +294,7 @@ impl Round<'_> {
         let seen: Vec<ViewInformation> =
             state.images.iter().zip(&state.normals).map(|(image, normal)| ViewInformation::of(image, normal)).collect();
         for view in &seen {
-            let moved = plain * view.shape * view.unmodelled(self.stretch) * MODEL_ERROR_PX;
+            let moved = plain * view.shape * view.unmodelled(self.stretch);
             covariance += moved * moved.transpose();
         }
         let inflation = (covariance.fixed_view::<3, 3>(0, 0).trace() / plain.fixed_view::<3, 3>(0, 0).trace()).max(1.0);
@@ -352,8 +360,7 @@ impl ViewInformation {
         if let Some(factor) = colours.cholesky() {
             shape -= cross.transpose() * factor.solve(&cross);
         }
-        let point_from_pixel =
-            image.at_arc(0.0).d_point.pseudo_inverse(1e-12).unwrap_or_else(|_| Matrix3x2::zeros());
+        let point_from_pixel = image.at_arc(0.0).d_point.pseudo_inverse(1e-12).unwrap_or_else(|_| Matrix3x2::zeros());
         Self { shape: shape.fixed_view::<SHAPE, SHAPE>(0, 0).into(), point_from_pixel, image: image.clone() }
     }
 
@@ -367,19 +374,22 @@ impl ViewInformation {
         }
     }
 
-    /// What the image model may get wrong by one pixel, as changes of shape: the band shifted along and across, and the
-    /// stretch turned in the picture so that its ends are off by one.
+    /// What the image model may get wrong, as changes of shape, one standard deviation each: the band shifted along and
+    /// across, and the stretch turned in the picture.
     fn unmodelled(&self, stretch: &Stretch) -> SMatrix<f64, SHAPE, 3> {
         let mut modes = SMatrix::<f64, SHAPE, 3>::zeros();
-        modes.fixed_view_mut::<3, 2>(0, 0).copy_from(&self.point_from_pixel);
         let reach = (stretch.range_m.1 - stretch.range_m.0) / 2.0;
         let knot = self.image.at_arc(0.0);
-        let across = Vector2::new(-knot.along.y, knot.along.x) / knot.scale;
+        let along = knot.along / knot.scale;
+        let across = Vector2::new(-along.y, along.x);
+        let along_error_px = if stretch.at_clamp { ALONG_ERROR_AT_CLAMP_PX } else { ALONG_ERROR_PX };
+        modes.fixed_view_mut::<3, 1>(0, 0).copy_from(&(self.point_from_pixel * along * along_error_px));
+        modes.fixed_view_mut::<3, 1>(0, 1).copy_from(&(self.point_from_pixel * across * ACROSS_ERROR_PX));
         // d pixel / d tangent at the distance `reach` is that of a point moved by `reach` times the change of tangent.
         let turned = self.image.at_arc(reach.min(stretch.range_m.1));
         let d_turn = turned.d_pixel.fixed_view::<2, 2>(0, 3).into_owned();
         if let Ok(inverse) = d_turn.pseudo_inverse(1e-9) {
-            modes.fixed_view_mut::<2, 1>(3, 2).copy_from(&(inverse * across));
+            modes.fixed_view_mut::<2, 1>(3, 2).copy_from(&(inverse * across * TURN_ERROR_PX));
         }
         modes
     }
