@@ -334,11 +334,8 @@ mod tests {
 
     #[test]
     fn a_failure_at_the_very_end_is_told() {
-        let summary = tracked(
-            Source::of(3),
-            vec![Notes { fails_at: Some(99), ..Notes::default() }],
-            &AtomicBool::new(false),
-        );
+        let summary =
+            tracked(Source::of(3), vec![Notes { fails_at: Some(99), ..Notes::default() }], &AtomicBool::new(false));
         assert!(matches!(summary.end, End::Complete));
         assert_eq!(summary.sink_failures.len(), 1);
     }

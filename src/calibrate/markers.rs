@@ -355,9 +355,7 @@ fn place_bands(rig: &mut Rig, frames: &[Frame]) -> Result<(), MarkersError> {
 /// Blur and chroma offset.
 fn tune(rig: &mut Rig, frames: &[Frame]) -> Result<(), MarkersError> {
     let some = every(frames, TUNING_FRAMES);
-    let subsampled = some
-        .first()
-        .is_some_and(|f| f.picture.plane(1).is_some_and(|plane| plane.scale != [1, 1]));
+    let subsampled = some.first().is_some_and(|f| f.picture.plane(1).is_some_and(|plane| plane.scale != [1, 1]));
     let mut blur = rig.camera.blur_px.unwrap_or(0.6);
     // Blur and offsets hardly depend on each other: a second pass only polishes.
     for pass in 0..2 {
@@ -378,9 +376,8 @@ fn tune(rig: &mut Rig, frames: &[Frame]) -> Result<(), MarkersError> {
                 changed
             };
             let start = rig.camera.chroma_offset_px[axis];
-            let best = subsampled.then(|| {
-                minimise(start, 0.3 * finer, (-1.5, 1.5), |offset| misfit(&with_offset(offset), &some))
-            });
+            let best = subsampled
+                .then(|| minimise(start, 0.3 * finer, (-1.5, 1.5), |offset| misfit(&with_offset(offset), &some)));
             if let Some(best) = best.flatten() {
                 *rig = with_offset(best.at);
             }

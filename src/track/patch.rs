@@ -355,7 +355,6 @@ impl Patch {
         colours[CAP] = 1.0;
         Some(colours)
     }
-
 }
 
 /// Parameter that element `i` of a row at `ring` belongs to.

@@ -131,7 +131,8 @@ impl Tracker {
         let blobs = self.segmenter.all_blobs(&frame.picture).ok()?.to_vec();
         let assigned = Assigner::new(&self.rig).assign(&self.rig, &blobs, frame.stamp);
         let fitted = self.fit_groups(&frame.picture, &blobs, &assigned);
-        let misfits = fitted.iter().map(|f| f.result.as_ref().map(|fit| fit.misfit).ok()).collect::<Option<Vec<_>>>()?;
+        let misfits =
+            fitted.iter().map(|f| f.result.as_ref().map(|fit| fit.misfit).ok()).collect::<Option<Vec<_>>>()?;
         (!misfits.is_empty() && assigned.iter().all(Result::is_ok))
             .then(|| misfits.iter().sum::<f64>() / misfits.len() as f64)
     }
