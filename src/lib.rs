@@ -2,9 +2,11 @@
 pub mod calibrate;
 pub mod estimate;
 pub mod optics;
+pub mod pipeline;
 pub mod report;
 pub mod rig;
 pub mod segment;
 pub mod sink;
 pub mod source;
+pub mod tally;
 pub mod track;

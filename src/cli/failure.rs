@@ -14,6 +14,8 @@ pub(crate) enum Exit {
     Usage,
     /// The calibration or measurement did not reach a usable result.
     Unusable,
+    /// The user, or the system, asked it to end.
+    Interrupted,
 }
 
 impl From<Exit> for ExitCode {
@@ -22,6 +24,7 @@ impl From<Exit> for ExitCode {
             Exit::Failed => 1,
             Exit::Usage => 2,
             Exit::Unusable => 3,
+            Exit::Interrupted => 130,
         })
     }
 }
@@ -46,7 +49,8 @@ impl Failure {
 /// The error and what caused it, a line each.
 impl fmt::Display for Failure {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        writeln!(f, "error: {}", self.error)?;
+        let kind = if self.exit == Exit::Interrupted { "interrupted" } else { "error" };
+        writeln!(f, "{kind}: {}", self.error)?;
         let mut cause = self.error.source();
         while let Some(error) = cause {
             writeln!(f, "  because: {error}")?;

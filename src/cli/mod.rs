@@ -5,8 +5,11 @@
 
 mod calibrate;
 mod failure;
+mod interrupt;
 mod output;
+mod progress;
 mod rig;
+mod track;
 
 pub(crate) use failure::{Exit, Failure};
 
@@ -24,7 +27,7 @@ use tracing_subscriber::EnvFilter;
     after_help = "\
 Exit codes: 0 good, 1 failed, 2 wrong usage or invalid input file, 3 no usable result, 130 interrupted.
 Example:
-  catoptra rig check calibration/dev_tank/rig.toml"
+  catoptra track sample_frames/planar.mkv --rig calibration/dev_tank/rig.toml -o out"
 )]
 struct Cli {
     /// Tell more on stderr; -vv for details
@@ -45,6 +48,13 @@ enum Command {
     /// Look at rig files
     #[command(after_help = "Example:\n  catoptra rig check calibration/dev_tank/rig.toml")]
     Rig(rig::Args),
+    /// Track a recording: where the bands are, where the coil points, by how much it is deflected
+    #[command(after_help = "\
+OUT gets log.mcap, track.csv, report.html, run.toml and, if wanted, overlay.mp4. Earlier results
+of the same recording are replaced, those of another are not. Ctrl-C keeps what is done.
+Example:
+  catoptra track sample_frames/planar.mkv --rig calibration/dev_tank/rig.toml -o out")]
+    Track(track::Args),
 }
 
 /// Runs the program.
@@ -54,6 +64,7 @@ pub(crate) fn run() -> ExitCode {
     let result = match &cli.command {
         Command::Calibrate(args) => calibrate::run(args),
         Command::Rig(args) => rig::run(args),
+        Command::Track(args) => track::run(args, cli.quiet),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,
@@ -75,7 +86,7 @@ fn log_to_stderr(verbose: u8, quiet: bool) {
     let libraries = if level == "error" { "error" } else { "warn" };
     tracing_subscriber::fmt()
         .with_env_filter(EnvFilter::new(format!("{libraries},catoptra={level}")))
-        .with_writer(std::io::stderr)
+        .with_writer(progress::stderr)
         .with_ansi(std::io::stderr().is_terminal())
         .with_target(false)
         .without_time()

@@ -1,10 +1,10 @@
 //! What a report keeps of every frame: totals, values over time, and the paths of the markers.
 
-use super::tally::Tally;
 use super::timeline::{Extremes, Timeline};
-use crate::estimate::{Estimate, Miss};
+use crate::estimate::Estimate;
 use crate::rig::{Base, Rig};
 use crate::sink::Origin;
+use crate::tally::Tally;
 use nalgebra::Point3;
 
 /// Positions kept for the 3D paths; beyond, every second one is dropped.
@@ -68,7 +68,7 @@ impl Course {
             base: rig.base.clone().filter(|_| !camera_frame),
             has_base: rig.base.is_some(),
             origin: None,
-            tally: Tally::new(rig.markers.len(), rig.views.len()),
+            tally: Tally::new(rig),
             timeline: Timeline::default(),
             reasons: Vec::new(),
             path: Path { every: 1, ..Path::default() },
@@ -92,8 +92,7 @@ impl Course {
 
     pub(super) fn add(&mut self, estimate: &Estimate) {
         let origin = *self.origin.get_or_insert(Origin::of_first(estimate.stamp.ns));
-        let named = self.named_misses(estimate);
-        self.tally.add(estimate, &named);
+        let named = self.tally.add(estimate);
         let numbers: Vec<usize> = named.into_iter().map(|name| self.reason_number(name)).collect();
         let values = self.values(estimate);
         self.timeline.push(origin.elapsed_s(estimate.stamp.ns), u64::from(estimate.gap), &values, &numbers);
@@ -142,21 +141,6 @@ impl Course {
         }));
         values.extend(bands().map(|found| found.map(|(_, band)| band.separation)));
         values
-    }
-
-    /// What is missing in a frame, as (what, reason). That the rig has no base frame is said once, not in every frame.
-    fn named_misses(&self, estimate: &Estimate) -> Vec<(String, String)> {
-        let views: Vec<&str> = self.view_names.iter().map(String::as_str).collect();
-        let markers = estimate.markers.iter().zip(&self.marker_names);
-        let positions = markers.filter_map(|(m, name)| Some((name.as_str(), m.position.as_ref().err()?)));
-        let tangent = estimate.tangent.as_ref().err().map(|miss| ("tangent", miss));
-        let angle = estimate.deflection.as_ref().err().map(|miss| ("deflection", miss));
-        positions
-            .chain(tangent)
-            .chain(angle)
-            .filter(|(_, miss)| **miss != Miss::NoBaseFrame)
-            .map(|(what, miss)| (what.to_owned(), miss.word(&views)))
-            .collect()
     }
 
     fn reason_number(&mut self, name: (String, String)) -> usize {

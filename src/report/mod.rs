@@ -11,7 +11,6 @@ mod chart;
 mod course;
 mod figures;
 mod page;
-mod tally;
 mod timeline;
 mod tracking;
 

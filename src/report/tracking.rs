@@ -5,8 +5,8 @@ use super::absences::absences;
 use super::course::{Channel, Course};
 use super::figures;
 use super::page::{escape, figure, page, table};
-use super::tally::Tally;
 use crate::sink::spoken;
+use crate::tally::Tally;
 
 /// The whole page.
 pub(super) fn render(info: &RunInfo, course: &Course) -> String {

@@ -125,6 +125,10 @@ struct Scaler {
     to: frame::Video,
 }
 
+#[allow(unsafe_code, reason = "libswscale keeps no thread-local state; a context is used by one thread at a time here")]
+// SAFETY: the context has one owner and is used through `&mut` only.
+unsafe impl Send for Scaler {}
+
 impl Scaler {
     fn new(from: (Pixel, Matrix, Range), to: (Pixel, Matrix, Range), size: [u32; 2]) -> Result<Self, Error> {
         let [w, h] = size;

@@ -5,7 +5,7 @@
 
 mod csv;
 #[cfg(test)]
-mod fixture;
+pub(crate) mod fixture;
 mod mcap;
 
 pub use self::csv::CsvSink;

@@ -1,50 +1,72 @@
 //! The totals of a run: how many frames were answered, how well, and why the others were not.
+//!
+//! One [`Tally`] serves the summary of a run and its report. Counts and ranges are exact; medians need 4 bytes a frame and
+//! quantity, so that an hour at 60 Hz with three markers takes 4 MB.
 
 use crate::estimate::{Estimate, Miss};
+use crate::rig::Rig;
 use std::collections::BTreeMap;
 
 /// Totals over all frames.
-#[derive(Debug, Default)]
-pub(super) struct Tally {
+#[derive(Debug, Clone, Default)]
+pub struct Tally {
+    /// Frames received.
     pub frames: u64,
     /// Frames in which every marker has a position, and the angle is known if the rig has a base frame.
     pub complete: u64,
+    /// Places where camera frames were lost.
     pub gaps: u64,
+    /// Camera frames lost there.
     pub lost: u64,
+    /// Camera time of the first frame, nanoseconds.
     pub first_ns: i64,
+    /// Camera time of the last frame, nanoseconds.
     pub last_ns: i64,
+    /// Name of the camera's clock.
     pub clock: &'static str,
+    /// One entry a marker, in the rig's order.
     pub markers: Vec<MarkerTally>,
+    /// Deflection θ.
     pub theta: AngleTally,
+    /// Direction of the coil; its range is not kept.
     pub tangent: AngleTally,
-    /// Frames by what is missing and the word for the reason.
+    /// Frames by what is missing (a marker's name, `tangent`, `deflection`) and the word for the reason. That a rig has no
+    /// base frame is no miss of a frame and is not counted.
     pub misses: BTreeMap<(String, String), u64>,
+    views: Vec<String>,
 }
 
 /// One marker.
 #[derive(Debug, Default, Clone)]
-pub(super) struct MarkerTally {
+pub struct MarkerTally {
+    /// Its name.
+    pub name: String,
+    /// Frames with a position.
     pub answered: u64,
     /// σ of a coordinate in every answered frame, mm: f32 keeps an hour of 60 Hz below 1 MB.
     sd_mm: Vec<f32>,
+    /// One entry a view, in the rig's order.
     pub views: Vec<ViewTally>,
 }
 
 /// One marker in one view.
 #[derive(Debug, Default, Clone)]
-pub(super) struct ViewTally {
+pub struct ViewTally {
+    /// Frames in which it was seen.
     pub seen: u64,
     /// Frames with a residual: the marker was seen here and has a position.
     fitted: u64,
     sum_px: [f64; 2],
     sum_squares_px2: f64,
     sum_separation: f64,
+    /// Smallest colour separation.
     pub least_separation: Option<f64>,
 }
 
 /// An angle.
 #[derive(Debug, Default, Clone)]
-pub(super) struct AngleTally {
+pub struct AngleTally {
+    /// Frames in which it is known.
     pub answered: u64,
     sd_deg: Vec<f32>,
     /// Smallest and largest, degrees.
@@ -52,13 +74,19 @@ pub(super) struct AngleTally {
 }
 
 impl Tally {
-    pub(super) fn new(markers: usize, views: usize) -> Self {
-        let marker = MarkerTally { views: vec![ViewTally::default(); views], ..MarkerTally::default() };
-        Self { markers: vec![marker; markers], ..Self::default() }
+    /// For runs with this rig.
+    pub fn new(rig: &Rig) -> Self {
+        let views = vec![ViewTally::default(); rig.views.len()];
+        let marker = |name: &str| MarkerTally { name: name.to_owned(), views: views.clone(), ..MarkerTally::default() };
+        Self {
+            markers: rig.markers.iter().map(|m| marker(&m.name)).collect(),
+            views: rig.views.iter().map(|v| v.name.clone()).collect(),
+            ..Self::default()
+        }
     }
 
-    /// Adds a frame; `named` are its misses as (what, reason).
-    pub(super) fn add(&mut self, estimate: &Estimate, named: &[(String, String)]) {
+    /// Adds a frame; gives what is missing in it as (what, reason), in the terms of [`Tally::misses`].
+    pub fn add(&mut self, estimate: &Estimate) -> Vec<(String, String)> {
         if self.frames == 0 {
             self.first_ns = estimate.stamp.ns;
             self.clock = estimate.stamp.clock.name();
@@ -103,13 +131,37 @@ impl Tally {
         }
         let angle_known = matches!(estimate.deflection, Ok(_) | Err(Miss::NoBaseFrame));
         self.complete += u64::from(angle_known && estimate.markers.iter().all(|m| m.position.is_ok()));
-        for name in named {
+        let named = self.named_misses(estimate);
+        for name in &named {
             *self.misses.entry(name.clone()).or_default() += 1;
         }
+        named
+    }
+
+    fn named_misses(&self, estimate: &Estimate) -> Vec<(String, String)> {
+        let views: Vec<&str> = self.views.iter().map(String::as_str).collect();
+        let markers = estimate.markers.iter().zip(&self.markers);
+        let positions = markers.filter_map(|(m, total)| Some((total.name.as_str(), m.position.as_ref().err()?)));
+        let tangent = estimate.tangent.as_ref().err().map(|miss| ("tangent", miss));
+        let angle = estimate.deflection.as_ref().err().map(|miss| ("deflection", miss));
+        positions
+            .chain(tangent)
+            .chain(angle)
+            .filter(|(_, miss)| **miss != Miss::NoBaseFrame)
+            .map(|(what, miss)| (what.to_owned(), miss.word(&views)))
+            .collect()
+    }
+
+    /// Reasons why `what` is missing, with the number of frames, the most frequent first.
+    pub fn reasons(&self, what: &str) -> Vec<(&str, u64)> {
+        let of_it = self.misses.iter().filter(|((missing, _), _)| missing == what);
+        let mut reasons: Vec<_> = of_it.map(|((_, reason), frames)| (reason.as_str(), *frames)).collect();
+        reasons.sort_by_key(|(_, frames)| std::cmp::Reverse(*frames));
+        reasons
     }
 
     /// Frames a second over the whole run, those lost by the camera counted too.
-    pub(super) fn rate_hz(&self) -> Option<f64> {
+    pub fn rate_hz(&self) -> Option<f64> {
         let span_s = (self.last_ns.saturating_sub(self.first_ns)) as f64 * 1e-9;
         (self.frames > 1 && span_s > 0.0).then(|| (self.frames - 1 + self.lost) as f64 / span_s)
     }
@@ -117,31 +169,31 @@ impl Tally {
 
 impl MarkerTally {
     /// Median σ of a coordinate, mm.
-    pub(super) fn median_sd_mm(&self) -> Option<f64> {
+    pub fn median_sd_mm(&self) -> Option<f64> {
         median(&self.sd_mm)
     }
 }
 
 impl AngleTally {
     /// Median σ, degrees.
-    pub(super) fn median_sd_deg(&self) -> Option<f64> {
+    pub fn median_sd_deg(&self) -> Option<f64> {
         median(&self.sd_deg)
     }
 }
 
 impl ViewTally {
     /// RMS residual of one pixel coordinate.
-    pub(super) fn rms_px(&self) -> Option<f64> {
+    pub fn rms_px(&self) -> Option<f64> {
         (self.fitted > 0).then(|| (self.sum_squares_px2 / (2 * self.fitted) as f64).sqrt())
     }
 
     /// Mean residual in u and v, pixels: what does not average out.
-    pub(super) fn mean_px(&self) -> Option<[f64; 2]> {
+    pub fn mean_px(&self) -> Option<[f64; 2]> {
         (self.fitted > 0).then(|| self.sum_px.map(|s| s / self.fitted as f64))
     }
 
     /// Mean colour separation.
-    pub(super) fn mean_separation(&self) -> Option<f64> {
+    pub fn mean_separation(&self) -> Option<f64> {
         self.least_separation.map(|_| self.sum_separation / self.seen as f64)
     }
 }

@@ -1,0 +1,94 @@
+//! A progress bar on stderr, and a stderr whose lines do not run into it.
+
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use std::io::{self, IsTerminal as _, Write};
+use std::sync::{Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+/// Work that is done sooner shows no bar.
+const PATIENCE: Duration = Duration::from_secs(1);
+
+/// The bar that is on the screen.
+static SHOWN: Mutex<Option<ProgressBar>> = Mutex::new(None);
+
+/// A count of frames on its way. The bar is gone when it is dropped.
+pub(super) struct Progress {
+    bar: ProgressBar,
+    began: Instant,
+    state: State,
+}
+
+#[derive(PartialEq, Eq)]
+enum State {
+    Never,
+    Waiting,
+    Shown,
+}
+
+impl Progress {
+    /// Of `total` frames, if that is known. Shown on a terminal only, and not when `quiet`.
+    pub(super) fn of_frames(total: Option<u64>, quiet: bool) -> Self {
+        let bar = ProgressBar::with_draw_target(total, ProgressDrawTarget::hidden());
+        let template = match total {
+            Some(_) => "{bar:30} {pos} of {len} frames, {per_sec} a second, {eta} to go",
+            None => "{spinner} {pos} frames, {per_sec} a second",
+        };
+        if let Ok(style) = ProgressStyle::with_template(template) {
+            let per_second = |state: &indicatif::ProgressState, out: &mut dyn std::fmt::Write| {
+                // A bar that cannot be drawn is not worth an error.
+                let _ = write!(out, "{:.0}", state.per_sec());
+            };
+            bar.set_style(style.with_key("per_sec", per_second));
+        }
+        let state = if quiet || !io::stderr().is_terminal() { State::Never } else { State::Waiting };
+        Self { bar, began: Instant::now(), state }
+    }
+
+    /// So many are done.
+    pub(super) fn at(&mut self, frames: u64) {
+        // Containers' lengths are guesses at times.
+        if self.bar.length().is_some_and(|total| frames > total) {
+            self.bar.set_length(frames);
+        }
+        self.bar.set_position(frames);
+        if self.state == State::Waiting && self.began.elapsed() > PATIENCE {
+            self.state = State::Shown;
+            self.bar.set_draw_target(ProgressDrawTarget::stderr());
+            *lock() = Some(self.bar.clone());
+        }
+    }
+}
+
+impl Drop for Progress {
+    fn drop(&mut self) {
+        self.bar.finish_and_clear();
+        if self.state == State::Shown {
+            *lock() = None;
+        }
+    }
+}
+
+fn lock() -> std::sync::MutexGuard<'static, Option<ProgressBar>> {
+    SHOWN.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Stderr that takes a bar away while it writes, and puts it back.
+pub(super) fn stderr() -> impl Write {
+    Stderr
+}
+
+struct Stderr;
+
+impl Write for Stderr {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let write = || io::stderr().lock().write_all(bytes).map(|()| bytes.len());
+        match &*lock() {
+            Some(bar) => bar.suspend(write),
+            None => write(),
+        }
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        io::stderr().flush()
+    }
+}

@@ -1,0 +1,225 @@
+//! The output folder of a run, and what may be replaced in it.
+//!
+//! A folder that this command wrote is known by its `run.toml`: which recording, which rig, which options. Results of the
+//! same recording are replaced, files of an earlier run that the new one does not write are removed (an old overlay beside a
+//! new log would tell lies). Results of another recording, and files that are not of this command, are never touched: the
+//! run is refused before any work.
+
+use super::super::{Exit, Failure};
+use catoptra::sink::OutputFrame;
+use serde::{Deserialize, Serialize};
+use std::ffi::OsStr;
+use std::fs;
+use std::io::{self, ErrorKind};
+use std::path::{Path, PathBuf};
+
+const RUN: &str = "run.toml";
+const LOG: &str = "log.mcap";
+const TABLE: &str = "track.csv";
+const REPORT: &str = "report.html";
+const OVERLAY: &str = "overlay.mp4";
+
+/// The files of a run.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct Files {
+    pub(super) folder: PathBuf,
+    pub(super) log: PathBuf,
+    /// In the folder, or where the user wants it.
+    pub(super) table: PathBuf,
+    pub(super) report: PathBuf,
+    /// If an overlay is wanted.
+    pub(super) overlay: Option<PathBuf>,
+}
+
+/// What was run: `run.toml`, and the options attached to the log. Options that do not change results are not in it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(super) struct Run {
+    /// Which command wrote it.
+    pub(super) command: String,
+    pub(super) version: String,
+    /// Whole path of the recording.
+    pub(super) recording: String,
+    /// Whole path of the rig file.
+    pub(super) rig: String,
+    /// Frame of reference of the table and the report.
+    pub(super) frame: String,
+    pub(super) from_s: Option<f64>,
+    pub(super) to_s: Option<f64>,
+    /// Frames a second as stated by the user.
+    pub(super) fps: Option<String>,
+    pub(super) full_frame: bool,
+}
+
+impl Run {
+    /// As text.
+    pub(super) fn to_toml(&self) -> Result<String, Failure> {
+        toml::to_string(self).map_err(|e| Failure::new(Exit::Failed, format!("cannot write the run's options: {e}")))
+    }
+}
+
+/// The word for a frame of reference.
+pub(super) fn frame_word(frame: OutputFrame) -> &'static str {
+    match frame {
+        OutputFrame::Base => "base",
+        OutputFrame::Camera => "camera",
+    }
+}
+
+/// The whole path of something that exists; as given when the system cannot say.
+pub(super) fn whole_path(path: &Path) -> PathBuf {
+    path.canonicalize().unwrap_or_else(|_| path.to_owned())
+}
+
+/// Where results go when the user does not say: a folder here, named after the recording.
+pub(super) fn default_folder(recording: &Path) -> PathBuf {
+    let whole = whole_path(recording);
+    let name = if recording.is_dir() { whole.file_name() } else { whole.file_stem() };
+    let mut folder = name.unwrap_or(OsStr::new("recording")).to_owned();
+    folder.push("-track");
+    folder.into()
+}
+
+impl Files {
+    /// In `folder`; the table at `table` if that is given.
+    pub(super) fn new(folder: &Path, table: Option<&Path>, overlay: bool) -> Self {
+        let file = |name: &str| folder.join(name);
+        Self {
+            log: file(LOG),
+            table: table.map_or_else(|| file(TABLE), Path::to_owned),
+            report: file(REPORT),
+            overlay: overlay.then(|| file(OVERLAY)),
+            folder: folder.to_owned(),
+        }
+    }
+
+    fn all(&self) -> impl Iterator<Item = &PathBuf> {
+        [&self.log, &self.table, &self.report].into_iter().chain(&self.overlay)
+    }
+
+    /// Makes the folder ready for `run`, whose `inputs` no file may take the place of.
+    ///
+    /// # Errors
+    /// [`Exit::Usage`] when something is there that must not be replaced, [`Exit::Failed`] when the folder cannot be written.
+    pub(super) fn prepare(&self, run: &Run, inputs: &[&Path]) -> Result<(), Failure> {
+        let taken = |path: &&PathBuf| inputs.iter().any(|input| path.exists() && whole_path(path) == whole_path(input));
+        if let Some(input) = self.all().find(taken) {
+            let refused = format!("{}: would be written over, and is read by this run", input.display());
+            return Err(Failure::new(Exit::Usage, refused));
+        }
+        let earlier = self.earlier_run(run)?;
+        let cannot = |path: &Path, e: io::Error| {
+            Failure::new(Exit::Failed, format!("cannot write to the output folder {}: {e}", path.display()))
+        };
+        fs::create_dir_all(&self.folder).map_err(|e| cannot(&self.folder, e))?;
+        if let Some(earlier) = earlier {
+            if earlier != *run {
+                tracing::warn!(
+                    "{}: results of an earlier run of this recording, with other options, are replaced",
+                    self.folder.display()
+                );
+            }
+            for name in [LOG, TABLE, REPORT, OVERLAY] {
+                let path = self.folder.join(name);
+                match fs::remove_file(&path) {
+                    Err(e) if e.kind() != ErrorKind::NotFound => return Err(cannot(&path, e)),
+                    _ => {}
+                }
+            }
+        }
+        let path = self.folder.join(RUN);
+        fs::write(&path, format!("# What these results are of.\n{}", run.to_toml()?)).map_err(|e| cannot(&path, e))
+    }
+
+    /// The run whose results are in the folder, if there is one and it may be replaced by `run`.
+    fn earlier_run(&self, run: &Run) -> Result<Option<Run>, Failure> {
+        let refused = |what: String| {
+            let advice = "choose another folder with -o, or move them away";
+            Err(Failure::new(Exit::Usage, format!("{}: {what}: {advice}", self.folder.display())))
+        };
+        let text = fs::read_to_string(self.folder.join(RUN)).ok();
+        let Some(earlier) = text.and_then(|text| toml::from_str::<Run>(&text).ok()) else {
+            return match [RUN, LOG, TABLE, REPORT, OVERLAY].iter().find(|name| self.folder.join(name).exists()) {
+                Some(name) => refused(format!("has a {name} and more that this command did not write")),
+                None => Ok(None),
+            };
+        };
+        if earlier.command != run.command || earlier.recording != run.recording {
+            return refused(format!("has the results of `catoptra {} {}`", earlier.command, earlier.recording));
+        }
+        Ok(Some(earlier))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn run(recording: &str) -> Run {
+        Run {
+            command: "track".into(),
+            version: "0.1.0".into(),
+            recording: recording.into(),
+            rig: "/rig.toml".into(),
+            frame: "base".into(),
+            from_s: None,
+            to_s: Some(1.5),
+            fps: Some("60000/1001".into()),
+            full_frame: false,
+        }
+    }
+
+    #[test]
+    fn results_of_the_same_recording_are_replaced_and_no_others() {
+        let place = tempfile::tempdir().unwrap();
+        let folder = place.path().join("a/b");
+        let files = Files::new(&folder, None, false);
+        files.prepare(&run("/a.mkv"), &[]).unwrap();
+        fs::write(&files.log, "log").unwrap();
+        fs::write(folder.join(OVERLAY), "overlay").unwrap();
+        fs::write(folder.join("notes.txt"), "mine").unwrap();
+
+        let refused = files.prepare(&run("/b.mkv"), &[]).unwrap_err();
+        assert_eq!(refused.exit(), Exit::Usage);
+        assert!(refused.to_string().contains("the results of `catoptra track /a.mkv`"), "{refused}");
+        assert_eq!(fs::read_to_string(&files.log).unwrap(), "log");
+
+        let other_options = Run { full_frame: true, ..run("/a.mkv") };
+        files.prepare(&other_options, &[]).unwrap();
+        assert!(!files.log.exists() && !folder.join(OVERLAY).exists());
+        assert!(folder.join("notes.txt").exists());
+        let read: Run = toml::from_str(&fs::read_to_string(folder.join(RUN)).unwrap()).unwrap();
+        assert_eq!(read, other_options);
+    }
+
+    #[test]
+    fn files_of_others_are_not_touched() {
+        let place = tempfile::tempdir().unwrap();
+        let files = Files::new(place.path(), None, true);
+        fs::write(place.path().join("notes.txt"), "mine").unwrap();
+        fs::write(&files.table, "mine").unwrap();
+        let refused = files.prepare(&run("/a.mkv"), &[]).unwrap_err();
+        assert!(refused.to_string().contains("track.csv"), "{refused}");
+        fs::remove_file(&files.table).unwrap();
+        files.prepare(&run("/a.mkv"), &[]).unwrap();
+    }
+
+    #[test]
+    fn what_is_read_is_not_written_over() {
+        let place = tempfile::tempdir().unwrap();
+        let video = place.path().join("a.mkv");
+        fs::write(&video, "video").unwrap();
+        let files = Files::new(&place.path().join("out"), Some(&video), false);
+        let refused = files.prepare(&run("/a.mkv"), &[&video]).unwrap_err();
+        assert_eq!(refused.exit(), Exit::Usage);
+        assert!(!files.folder.exists());
+    }
+
+    #[test]
+    fn the_folder_is_named_after_the_recording() {
+        assert_eq!(default_folder(Path::new("/data/day 1/swing.2.mkv")), Path::new("swing.2-track"));
+        let place = tempfile::tempdir().unwrap();
+        let pictures = place.path().join("pictures.old");
+        fs::create_dir(&pictures).unwrap();
+        assert_eq!(default_folder(&pictures), Path::new("pictures.old-track"));
+    }
+}

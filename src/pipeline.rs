@@ -1,0 +1,382 @@
+//! [`run`]: source -> tracker -> sinks, each in a thread of its own.
+//!
+//! In: a source, a tracker, sinks. Out: every frame of the source in every sink, in order, and a [`Summary`].
+//!
+//! - Frames are decoded ahead of the tracker and written behind it; the channels between them are short, so that a fixed
+//!   number of pictures is in memory however long the run ([`MOST_PICTURES`]). Who is faster waits: nothing is dropped.
+//! - Results depend on the frames alone: not on the number of threads, nor on who waits for whom.
+//! - However a run ends, all sinks have the same frames and are finished; only a sink that failed itself may have fewer.
+//! - What it cannot do: wake up a source that waits for a camera. An interrupt is seen when the next frame arrives, or when
+//!   the source gives up.
+
+use crate::estimate::Estimate;
+use crate::sink::{Sink, SinkError};
+use crate::source::{self, Frame, FrameSource, SourceError, Timestamp};
+use crate::tally::Tally;
+use crate::track::{TrackError, Tracker};
+use std::io;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::thread::{Builder, ScopedJoinHandle};
+use std::time::{Duration, Instant};
+
+/// Frames that may wait between two threads.
+const WAITING: usize = 4;
+
+/// Pictures in memory at most, beside those that the decoder itself keeps: two channels full, and one frame in the hands of
+/// each of the three threads.
+pub const MOST_PICTURES: usize = 2 * WAITING + 3;
+
+/// What a run came to.
+#[derive(Debug)]
+pub struct Summary {
+    /// Totals of the frames tracked.
+    pub tally: Tally,
+    /// What was wrong with the stream without ending it.
+    pub source: source::Tally,
+    /// How long it took, by the clock on the wall.
+    pub elapsed: Duration,
+    /// Why it ended.
+    pub end: End,
+    /// Why results could not be written, an entry for each sink that failed.
+    pub sink_failures: Vec<SinkError>,
+}
+
+/// Why a run ended.
+#[derive(Debug)]
+pub enum End {
+    /// There are no more frames.
+    Complete,
+    /// The recording ends early: all of it that can be read is tracked.
+    Early(SourceError),
+    /// It was asked to.
+    Interrupted,
+    /// The source broke.
+    Source(SourceError),
+    /// A frame cannot be tracked at all.
+    Track {
+        /// Number of the frame.
+        seq: u64,
+        /// Its camera time.
+        stamp: Timestamp,
+        /// Why.
+        error: TrackError,
+    },
+    /// A sink failed, see [`Summary::sink_failures`].
+    Sink,
+}
+
+/// Tracks `source` to its end, or until `interrupt` is set (which is looked at before every frame).
+///
+/// `progress` is called in the caller's thread after every frame. Fits run in parallel in the [`rayon`] pool of the caller.
+/// Troubles of source, tracker and sinks are in the [`Summary`]: what was tracked before them is written and stays valid.
+///
+/// # Errors
+/// When the system gives no thread; nothing is tracked then.
+pub fn run(
+    source: Box<dyn FrameSource + Send>,
+    tracker: &mut Tracker,
+    sinks: Vec<Box<dyn Sink + Send>>,
+    interrupt: &AtomicBool,
+    mut progress: impl FnMut(&Tally),
+) -> io::Result<Summary> {
+    let began = Instant::now();
+    let sink_failed = AtomicBool::new(false);
+    let (frame_in, frames) = sync_channel(WAITING);
+    let (result_in, results) = sync_channel(WAITING);
+    std::thread::scope(|scope| {
+        let sink_failed = &sink_failed;
+        let writer = Builder::new()
+            .name("sinks".to_owned())
+            .spawn_scoped(scope, move || write_all(sinks, &results, sink_failed))?;
+        let reader =
+            Builder::new().name("source".to_owned()).spawn_scoped(scope, move || read_all(source, &frame_in))?;
+
+        let mut tally = Tally::new(tracker.rig());
+        let stopped = loop {
+            if sink_failed.load(Ordering::Relaxed) {
+                break Some(End::Sink);
+            }
+            if interrupt.load(Ordering::Relaxed) {
+                break Some(End::Interrupted);
+            }
+            let Ok(frame) = frames.recv() else { break None };
+            let estimate = match tracker.step(&frame) {
+                Ok(estimate) => estimate,
+                Err(error) => break Some(End::Track { seq: frame.seq, stamp: frame.stamp, error }),
+            };
+            tally.add(&estimate);
+            if result_in.send((estimate, frame)).is_err() {
+                break Some(End::Sink);
+            }
+            progress(&tally);
+        };
+
+        // Without a receiver the source stops at its next frame; without a sender the sinks write what waits and finish.
+        drop((frames, result_in));
+        let (source, source_end) = joined(reader);
+        let sink_failures = joined(writer);
+        let end = match (stopped, source_end) {
+            (Some(end), _) => end,
+            (None, Ok(())) => End::Complete,
+            (None, Err(error)) if error.is_early_end() => End::Early(error),
+            (None, Err(error)) => End::Source(error),
+        };
+        Ok(Summary { tally, source, elapsed: began.elapsed(), end, sink_failures })
+    })
+}
+
+/// Hands on all frames, as long as somebody takes them.
+fn read_all(
+    mut source: Box<dyn FrameSource + Send>,
+    out: &SyncSender<Frame>,
+) -> (source::Tally, Result<(), SourceError>) {
+    let end = loop {
+        match source.next_frame() {
+            Ok(Some(frame)) => {
+                if out.send(frame).is_err() {
+                    break Ok(());
+                }
+            }
+            Ok(None) => break Ok(()),
+            Err(error) => break Err(error),
+        }
+    };
+    (source.tally(), end)
+}
+
+/// Gives all results to all sinks and finishes them. A sink that fails gets no more; the others get all there is.
+fn write_all(
+    sinks: Vec<Box<dyn Sink + Send>>,
+    results: &Receiver<(Estimate, Frame)>,
+    failed: &AtomicBool,
+) -> Vec<SinkError> {
+    let mut failures = Vec::new();
+    let mut sinks: Vec<_> = sinks.into_iter().map(|sink| (sink, true)).collect();
+    for (estimate, frame) in results {
+        for (sink, works) in sinks.iter_mut().filter(|(_, works)| *works) {
+            if let Err(error) = sink.write(&estimate, &frame.picture) {
+                *works = false;
+                failures.push(error);
+                failed.store(true, Ordering::Relaxed);
+            }
+        }
+    }
+    for (mut sink, works) in sinks {
+        match sink.finish() {
+            // What a failed sink says at its end is the same once more, or follows from it.
+            Err(error) if works => failures.push(error),
+            _ => {}
+        }
+    }
+    failures
+}
+
+/// What a thread returned; its panic goes on in this thread.
+fn joined<T>(thread: ScopedJoinHandle<'_, T>) -> T {
+    thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rig::{ColourModel, Rig};
+    use crate::sink::fixture;
+    use crate::source::{Clock, Colour, Picture, PixelFormat};
+    use crate::track::TrackOptions;
+    use nalgebra::Vector3;
+    use std::sync::atomic::AtomicU64;
+    use std::sync::{Arc, Mutex};
+
+    const SIZE_PX: [u32; 2] = [64, 48];
+
+    fn rig() -> Rig {
+        let mut rig = fixture::rig();
+        rig.camera.size_px = SIZE_PX;
+        for marker in &mut rig.markers {
+            marker.colour = Some(ColourModel { weights: Vector3::x() / 255.0, bias: 0.0, rgb: Vector3::x() * 255.0 });
+        }
+        rig
+    }
+
+    /// Black pictures, then an end.
+    struct Source {
+        frames: u64,
+        given: Arc<AtomicU64>,
+        end: Option<SourceError>,
+        grey_at: Option<u64>,
+    }
+
+    impl Source {
+        fn of(frames: u64) -> Self {
+            Self { frames, given: Arc::default(), end: None, grey_at: None }
+        }
+    }
+
+    impl FrameSource for Source {
+        fn next_frame(&mut self) -> Result<Option<Frame>, SourceError> {
+            let seq = self.given.load(Ordering::SeqCst);
+            if seq == self.frames {
+                return self.end.take().map_or(Ok(None), Err);
+            }
+            self.given.fetch_add(1, Ordering::SeqCst);
+            let bytes = (SIZE_PX[0] * SIZE_PX[1]) as usize;
+            let (format, planes) = match self.grey_at {
+                Some(at) if at == seq => (PixelFormat::Grey, 1),
+                _ => (PixelFormat::RgbPlanar, 3),
+            };
+            let picture =
+                Picture::from_planes(SIZE_PX[0], SIZE_PX[1], format, Colour::SRGB, vec![vec![0; bytes]; planes]);
+            let stamp = Timestamp { ns: seq as i64 * 16_666_667, clock: Clock::Container };
+            Ok(Some(Frame { seq, stamp, gap: 0, picture: picture.unwrap() }))
+        }
+
+        fn size_px(&self) -> [u32; 2] {
+            SIZE_PX
+        }
+
+        fn frame_count_hint(&self) -> Option<u64> {
+            Some(self.frames)
+        }
+    }
+
+    /// What a sink was given, and how often it was finished.
+    #[derive(Clone, Default)]
+    struct Seen(Arc<Mutex<(Vec<u64>, u32)>>);
+
+    impl Seen {
+        fn get(&self) -> (Vec<u64>, u32) {
+            self.0.lock().unwrap().clone()
+        }
+    }
+
+    #[derive(Default)]
+    struct Notes {
+        seen: Seen,
+        fails_at: Option<u64>,
+        given: Option<Arc<AtomicU64>>,
+        sets_at: Option<(u64, Arc<AtomicBool>)>,
+    }
+
+    fn full() -> SinkError {
+        SinkError::Io { path: "notes".into(), source: io::Error::from(io::ErrorKind::StorageFull) }
+    }
+
+    impl Sink for Notes {
+        fn write(&mut self, estimate: &Estimate, _: &Picture) -> Result<(), SinkError> {
+            if let Some(given) = &self.given {
+                std::thread::sleep(Duration::from_millis(2));
+                let alive = given.load(Ordering::SeqCst) - estimate.seq;
+                assert!(alive <= MOST_PICTURES as u64, "{alive} pictures at frame {}", estimate.seq);
+            }
+            if let Some((at, flag)) = &self.sets_at
+                && estimate.seq == *at
+            {
+                flag.store(true, Ordering::SeqCst);
+            }
+            if self.fails_at == Some(estimate.seq) {
+                return Err(full());
+            }
+            self.seen.0.lock().unwrap().0.push(estimate.seq);
+            Ok(())
+        }
+
+        fn finish(&mut self) -> Result<(), SinkError> {
+            self.seen.0.lock().unwrap().1 += 1;
+            if self.fails_at.is_some() { Err(full()) } else { Ok(()) }
+        }
+    }
+
+    fn tracked(source: Source, sinks: Vec<Notes>, interrupt: &AtomicBool) -> Summary {
+        let mut tracker = Tracker::new(&rig(), TrackOptions::default()).unwrap();
+        let sinks = sinks.into_iter().map(|sink| Box::new(sink) as Box<dyn Sink + Send>).collect();
+        let mut told = 0;
+        let summary = run(Box::new(source), &mut tracker, sinks, interrupt, |tally| {
+            told += 1;
+            assert_eq!(tally.frames, told);
+        });
+        summary.unwrap()
+    }
+
+    #[test]
+    fn a_slow_sink_gets_every_frame_in_order_and_few_pictures_are_alive() {
+        let source = Source::of(60);
+        let (slow, quick) = (Seen::default(), Seen::default());
+        let sinks = vec![
+            Notes { seen: slow.clone(), given: Some(source.given.clone()), ..Notes::default() },
+            Notes { seen: quick.clone(), ..Notes::default() },
+        ];
+        let summary = tracked(source, sinks, &AtomicBool::new(false));
+        assert!(matches!(summary.end, End::Complete), "{:?}", summary.end);
+        assert_eq!(slow.get(), ((0..60).collect(), 1));
+        assert_eq!(quick.get(), slow.get());
+        assert_eq!((summary.tally.frames, summary.tally.complete), (60, 0));
+        assert_eq!(summary.tally.reasons("coil"), [("not_seen_direct", 60)]);
+        assert!(summary.sink_failures.is_empty());
+    }
+
+    #[test]
+    fn a_sink_that_fails_ends_the_run_and_the_others_have_all_that_was_tracked() {
+        let (bad, good) = (Seen::default(), Seen::default());
+        let sinks = vec![
+            Notes { seen: bad.clone(), fails_at: Some(5), ..Notes::default() },
+            Notes { seen: good.clone(), ..Notes::default() },
+        ];
+        let summary = tracked(Source::of(500), sinks, &AtomicBool::new(false));
+        assert!(matches!(summary.end, End::Sink), "{:?}", summary.end);
+        // Told once, though its end failed too.
+        assert_eq!(summary.sink_failures.len(), 1);
+        assert_eq!(bad.get(), ((0..5).collect(), 1));
+        let frames = summary.tally.frames;
+        assert!((6..=5 + MOST_PICTURES as u64).contains(&frames), "{frames} frames");
+        assert_eq!(good.get(), ((0..frames).collect(), 1));
+    }
+
+    #[test]
+    fn a_failure_at_the_very_end_is_told() {
+        let summary =
+            tracked(Source::of(3), vec![Notes { fails_at: Some(99), ..Notes::default() }], &AtomicBool::new(false));
+        assert!(matches!(summary.end, End::Complete));
+        assert_eq!(summary.sink_failures.len(), 1);
+    }
+
+    #[test]
+    fn an_interrupt_stops_at_the_next_frame_and_finishes_the_sinks() {
+        let flag = Arc::new(AtomicBool::new(false));
+        let seen = Seen::default();
+        let sink = Notes { seen: seen.clone(), sets_at: Some((7, flag.clone())), ..Notes::default() };
+        let summary = tracked(Source::of(500), vec![sink], &flag);
+        assert!(matches!(summary.end, End::Interrupted), "{:?}", summary.end);
+        let frames = summary.tally.frames;
+        assert!((8..=7 + MOST_PICTURES as u64).contains(&frames), "{frames} frames");
+        assert_eq!(seen.get(), ((0..frames).collect(), 1));
+
+        let before_all = tracked(Source::of(500), vec![Notes::default()], &flag);
+        assert!(matches!(before_all.end, End::Interrupted));
+        assert_eq!(before_all.tally.frames, 0);
+    }
+
+    #[test]
+    fn a_recording_that_ends_early_is_told_from_a_source_that_breaks() {
+        let cut = SourceError::Truncated { path: "a".into(), frames: 4, last_good_s: Some(0.05), why: "cut".into() };
+        let lost = SourceError::NoTime { path: "a".into(), seq: 4 };
+        for (error, early) in [(cut, true), (lost, false)] {
+            let seen = Seen::default();
+            let source = Source { end: Some(error), ..Source::of(4) };
+            let summary =
+                tracked(source, vec![Notes { seen: seen.clone(), ..Notes::default() }], &AtomicBool::new(false));
+            assert_eq!(matches!(summary.end, End::Early(_)), early, "{:?}", summary.end);
+            assert_eq!(matches!(summary.end, End::Source(_)), !early, "{:?}", summary.end);
+            assert_eq!(seen.get(), ((0..4).collect(), 1));
+        }
+    }
+
+    #[test]
+    fn a_frame_that_cannot_be_tracked_is_named() {
+        let seen = Seen::default();
+        let source = Source { grey_at: Some(2), ..Source::of(9) };
+        let summary = tracked(source, vec![Notes { seen: seen.clone(), ..Notes::default() }], &AtomicBool::new(false));
+        assert!(matches!(summary.end, End::Track { seq: 2, .. }), "{:?}", summary.end);
+        assert_eq!(seen.get(), (vec![0, 1], 1));
+    }
+}
