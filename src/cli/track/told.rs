@@ -3,6 +3,7 @@
 use super::folder::Files;
 use catoptra::pipeline::Summary;
 use catoptra::rig::Rig;
+use catoptra::source::times::seconds;
 use catoptra::tally::Tally;
 use std::fmt::{self, Write as _};
 
@@ -43,7 +44,6 @@ pub(super) fn summary(out: &mut String, recording: &str, run: &Summary, files: &
 }
 
 fn received(tally: &Tally) -> String {
-    let seconds = |ns: i64| ns as f64 * 1e-9;
     let frames = match tally.frames {
         0 => return "no frame".to_owned(),
         1 => format!("1 frame, at {:.3} s", seconds(tally.first_ns)),
