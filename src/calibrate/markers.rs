@@ -16,7 +16,7 @@ use super::colours::{Place, Samples};
 use super::tune::minimise;
 use crate::estimate::{Estimate, Miss};
 use crate::rig::Rig;
-use crate::segment::{LearnError, Learned, SegmentError, Segmenter, learn};
+use crate::segment::{LearnError, Learned, SegmentError, Segmenter, Separation, learn};
 use crate::source::{Frame, FrameSource, SourceError};
 use crate::track::{TrackError, TrackOptions, Tracker};
 use nalgebra::Point2;
@@ -147,10 +147,18 @@ pub fn calibrate_markers(
 }
 
 impl MarkersCalibration {
-    /// Pairs of classes, by index, that the segmentation's threshold does not lie between.
-    pub fn weak_pairs(&self) -> impl Iterator<Item = &crate::segment::Separation> {
-        self.learned.separations.iter().filter(|s| !s.is_separate())
+    /// Pairs of classes that are too alike to find the band by its colour.
+    pub fn weak_pairs(&self) -> impl Iterator<Item = &Separation> {
+        self.learned.separations.iter().filter(|s| !is_apart(s))
     }
+}
+
+/// Single samples may be mistaken, a band may not: it has a dozen samples or more, of which half must be right.
+const LEAST_D_PRIME: f64 = 3.0;
+
+/// Whether a band's colour is far enough from another class.
+pub fn is_apart(separation: &Separation) -> bool {
+    separation.d_prime >= LEAST_D_PRIME
 }
 
 fn in_rig_order(rig: &Rig, picks: &[Pick]) -> Result<Vec<Pick>, MarkersError> {
@@ -253,7 +261,7 @@ fn confirm(rig: &Rig, picks: &[Pick], view: usize, first: &Frame) -> Result<(), 
             reason,
         };
         if let Err(miss) = &marker.position {
-            return Err(not_measured(miss.word(&names).replace('_', " ")));
+            return Err(not_measured(format!("{} ({miss:?})", miss.word(&names).replace('_', " "))));
         }
         if let Some(Ok(seen)) = marker.views.get(view) {
             let away = (seen.centre_px - pick.pixel).norm();

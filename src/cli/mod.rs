@@ -3,6 +3,7 @@
 //! Results go to stdout, everything else to stderr. Exit codes: 0 good, 1 failed, 2 wrong usage or invalid input file,
 //! 3 the calibration or measurement is not usable, 130 interrupted.
 
+mod calibrate;
 mod failure;
 mod interrupt;
 mod output;
@@ -41,6 +42,9 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    /// Make a rig file from recordings
+    #[command(after_help = "Example:\n  catoptra calibrate markers --help")]
+    Calibrate(calibrate::Args),
     /// Look at rig files
     #[command(after_help = "Example:\n  catoptra rig check calibration/dev_tank/rig.toml")]
     Rig(rig::Args),
@@ -58,6 +62,7 @@ pub(crate) fn run() -> ExitCode {
     let cli = Cli::parse();
     log_to_stderr(cli.verbose, cli.quiet);
     let result = match &cli.command {
+        Command::Calibrate(args) => calibrate::run(args),
         Command::Rig(args) => rig::run(args),
         Command::Track(args) => track::run(args, cli.quiet),
     };

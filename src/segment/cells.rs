@@ -13,22 +13,17 @@ pub(super) const BLOCK: usize = 32;
 /// Sums of one channel over the cells of a block, 0..=1020.
 pub(super) type Sums = [i16; BLOCK];
 
-/// Shift of the sums for [`super::discriminant::Screen`].
-pub(super) const SHIFT: u32 = 5;
-
-/// Largest sum, shifted.
-pub(super) const SHIFTED_MAX: i16 = (4 * 255) << SHIFT;
-
 /// A picture in cells.
 pub(super) struct Grid<'a> {
     planes: [Plane<'a>; 3],
     size_px: [u32; 2],
+    chroma_offset_px: Vector2<f64>,
     /// Each cell has one sample of channels 1 and 2.
     chroma_per_cell: bool,
 }
 
 impl<'a> Grid<'a> {
-    pub(super) fn new(picture: &'a Picture) -> Result<Self, SegmentError> {
+    pub(super) fn new(picture: &'a Picture, chroma_offset_px: Vector2<f64>) -> Result<Self, SegmentError> {
         let size_px = picture.size_px();
         if size_px.iter().any(|&n| n > LARGEST_PX) {
             return Err(SegmentError::TooLarge(size_px[0], size_px[1]));
@@ -37,6 +32,7 @@ impl<'a> Grid<'a> {
             (Some(a), Some(b), Some(c)) => Ok(Self {
                 planes: [a, b, c],
                 size_px,
+                chroma_offset_px,
                 chroma_per_cell: b.scale == [2, 2] && c.scale == [2, 2] && b.step == c.step,
             }),
             _ => Err(SegmentError::Grey),
@@ -62,14 +58,18 @@ impl<'a> Grid<'a> {
     pub(super) fn chroma_shift_px(&self) -> Vector2<f64> {
         let p = &self.planes[1];
         let shift = |scale: u32, offset: f64| offset - (f64::from(scale) - 1.0) / 2.0;
-        Vector2::new(shift(p.scale[0], p.offset[0]), shift(p.scale[1], p.offset[1]))
+        if p.scale == [1, 1] {
+            return Vector2::zeros();
+        }
+        Vector2::new(shift(p.scale[0], p.offset[0]), shift(p.scale[1], p.offset[1])) + self.chroma_offset_px
     }
 
     /// One row of cells.
     pub(super) fn row(&self, j: usize) -> CellRow<'a> {
         let width = self.width();
+        let [a, b, c] = &self.planes;
         CellRow {
-            channels: self.planes.map(|plane| RowPair::new(plane, j, width)),
+            channels: [RowPair::new(a, j, width), RowPair::new(b, j, width), RowPair::new(c, j, width)],
             chroma_per_cell: self.chroma_per_cell,
         }
     }
@@ -89,17 +89,27 @@ impl CellRow<'_> {
         [a.sums(first), b.sums(first), c.sums(first)]
     }
 
-    /// As [`CellRow::sums`], channels 1 and 2 only; `None` when they are as expensive as channel 0, and near the edge.
-    #[inline(always)]
-    pub(super) fn chroma_sums(&self, first: usize) -> Option<[Sums; 2]> {
+    /// For cells x0..x1, appends the samples of channels 1 and 2 less 128, when each cell has one of both: otherwise appends
+    /// nothing and returns false.
+    pub(super) fn chroma(&self, x0: usize, x1: usize, channels: &mut [Vec<i16>; 3]) -> bool {
         if !self.chroma_per_cell {
-            return None;
+            return false;
         }
-        let [_, u, v] = &self.channels;
-        if u.step == 1 {
-            Some([once::<1>(u.top, first)?, once::<1>(v.top, first)?])
-        } else {
-            Some([once::<2>(u.top, first)?, once::<2>(v.top, first)?])
+        for (pair, values) in self.channels.iter().zip(channels).skip(1) {
+            match pair.step {
+                1 => pair.samples::<1>(x0, x1, values),
+                _ => pair.samples::<2>(x0, x1, values),
+            }
+        }
+        true
+    }
+
+    /// For cells x0..x1, appends the mean samples of all channels, rounded, less 128.
+    pub(super) fn means(&self, x0: usize, x1: usize, channels: &mut [Vec<i16>; 3]) {
+        for (pair, values) in self.channels.iter().zip(channels) {
+            for first in (x0..x1).step_by(BLOCK) {
+                values.extend(pair.sums(first).iter().take(x1 - first).map(|sum| ((sum + 2) >> 2) - 128));
+            }
         }
     }
 }
@@ -117,7 +127,7 @@ struct RowPair<'a> {
 }
 
 impl<'a> RowPair<'a> {
-    fn new(plane: Plane<'a>, j: usize, cells: usize) -> Self {
+    fn new(plane: &Plane<'a>, j: usize, cells: usize) -> Self {
         let last = plane.height.saturating_sub(1);
         let scale = plane.scale[1].max(1) as usize;
         let row = |y: usize| {
@@ -166,20 +176,20 @@ impl<'a> RowPair<'a> {
             let sample = (x / self.scale_x).min(self.samples.saturating_sub(1));
             row.get(sample * self.step).map_or(0, |&v| i16::from(v))
         };
-        std::array::from_fn(|k| {
+        let mut sums = [0; BLOCK];
+        for (k, sum) in sums.iter_mut().enumerate() {
             let x = 2 * (first + k).min(self.cells.saturating_sub(1));
-            at(self.top, x) + at(self.top, x + 1) + at(self.bottom, x) + at(self.bottom, x + 1)
-        })
+            *sum = at(self.top, x) + at(self.top, x + 1) + at(self.bottom, x) + at(self.bottom, x + 1);
+        }
+        sums
     }
-}
 
-/// Four times one sample of each cell, `STEP` bytes apart.
-#[inline(always)]
-fn once<const STEP: usize>(row: &[u8], first: usize) -> Option<Sums> {
-    let (samples, _) = row.get(first * STEP..(first + BLOCK) * STEP)?.as_chunks::<STEP>();
-    let mut sums = [0; BLOCK];
-    for (sum, sample) in sums.iter_mut().zip(samples) {
-        *sum = i16::from(sample[0]) << 2;
+    /// Appends one sample a cell, `STEP` bytes apart, less 128.
+    #[inline]
+    fn samples<const STEP: usize>(&self, x0: usize, x1: usize, values: &mut Vec<i16>) {
+        let (samples, rest) = self.top.get(x0 * STEP..).unwrap_or_default().as_chunks::<STEP>();
+        values.extend(samples.iter().take(x1 - x0).map(|sample| i16::from(sample[0]) - 128));
+        // The last sample of a row may be followed by nothing.
+        values.extend(rest.first().filter(|_| samples.len() < x1 - x0).map(|&sample| i16::from(sample) - 128));
     }
-    Some(sums)
 }

@@ -131,7 +131,7 @@ mod tests {
         assert_eq!(sizes(&["#.#", "#.#", "###"]), [7]);
         assert_eq!(sizes(&["#.#.#", ".....", "#.#.#"]), [1; 6]);
         // A spiral and a comb that join late.
-        assert_eq!(sizes(&["#####", "....#", "###.#", "#...#", "#####"]), [16]);
+        assert_eq!(sizes(&["#####", "....#", "###.#", "#...#", "#####"]), [17]);
         assert_eq!(sizes(&["#.#.#.#", "#.#.#.#", "#######", "", "#"]), [15, 1]);
         assert!(sizes(&[]).is_empty());
     }

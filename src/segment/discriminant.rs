@@ -1,7 +1,6 @@
 //! A colour model as a linear function of the stored channels, and a bound of it in 16-bit integers.
 
 use super::THRESHOLD;
-use super::cells::SHIFTED_MAX;
 use crate::rig::ColourModel;
 use crate::source::Picture;
 use nalgebra::{Matrix3, Vector3};
@@ -14,13 +13,14 @@ pub(super) struct Discriminant {
     pub screen: Screen,
 }
 
-/// The same in 16 bits: Σ (weights·shifted sums >> 16) + offset is ≥ 0 wherever the score exceeds the threshold (and
-/// slightly below it).
+/// The same in 16 bits, for the cell's mean samples less 128: Σ weight·value + offset is ≥ 0 wherever the score exceeds the
+/// threshold, and where it is a little below. No partial sum overflows.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Screen {
     pub weights: [i16; 3],
+    /// For the rounded means of all channels.
     pub offset: i16,
-    /// Instead of the first channel's term and `offset`: what they are at most.
+    /// For exact means of channels 1 and 2, and whatever the first channel is.
     pub offset_without_first: i16,
 }
 
@@ -55,29 +55,26 @@ impl Discriminant {
 }
 
 impl Screen {
-    /// Rounding of three weights (0.25 each), of the products (down by less than 1 each) and of the offset, rounded up.
-    const SLACK: f64 = 6.0;
-
     fn new(weights: &Vector3<f64>, bias: f64) -> Self {
-        let offset = bias - f64::from(THRESHOLD);
-        // The unit of the score: as fine as the weights and all partial sums allow in 16 bits.
-        let range = weights.abs().sum() * 255.0 + offset.abs();
-        let unit = (60.0 / weights.amax()).min(30_000.0 / range).min(8192.0);
-        // sum << 5 times a weight of 512·unit·w, >> 16, is w·sum/4 in that unit.
+        let zero = bias - f64::from(THRESHOLD);
+        let sizes = weights.abs();
+        // Σ w·(value + 128) + zero, with the first channel's values or what they contribute at most (they end at 255).
+        let offset = zero + 128.0 * weights.sum();
+        let without_first = zero + 128.0 * (weights.y + weights.z) + 255.0 * weights.x.max(0.0);
+        // The unit of the score, as fine as 16 bits allow; 1500 are left for the slacks below.
+        let unit = (31_000.0 / (offset.abs().max(without_first.abs()) + 128.0 * sizes.sum())).min(8192.0);
+        let scaled = weights * unit;
+        let rounded = scaled.map(f64::round);
+        // What rounding the weights can take away, and rounding the means; one for rounding the offset.
+        let by_weights = (scaled - rounded).abs() * 128.0;
+        let by_means = sizes.sum() * unit * 0.5;
         let stored = |v: f64| v as i16;
-        let first_at_most = weights.x.max(0.0) * f64::from(SHIFTED_MAX) / 128.0;
         Self {
-            weights: [weights.x, weights.y, weights.z].map(|w| stored((w * unit * 512.0).round())),
-            offset: stored((offset * unit + Self::SLACK).floor()),
-            offset_without_first: stored(((offset + first_at_most) * unit + Self::SLACK).ceil()),
+            weights: [rounded.x, rounded.y, rounded.z].map(stored),
+            offset: stored((offset * unit + by_weights.sum() + by_means).ceil() + 1.0),
+            offset_without_first: stored((without_first * unit + by_weights.y + by_weights.z).ceil() + 1.0),
         }
     }
-}
-
-/// The high half of a product.
-#[inline(always)]
-pub(super) fn high(a: i16, b: i16) -> i16 {
-    ((i32::from(a) * i32::from(b)) >> 16) as i16
 }
 
 #[cfg(test)]
@@ -104,37 +101,45 @@ mod tests {
             let format = if packed { PixelFormat::RgbPacked { step: 3, order: [2, 1, 0] } }
                 else { PixelFormat::Yuv { chroma_log2: [1, 1] } };
             let picture = picture(format, Matrix::Bt709, range);
-            let model = ColourModel { weights: w.into(), bias, rgb: Vector3::zeros() };
+            let model = ColourModel { weights: Vector3::from(w), bias, rgb: Vector3::zeros() };
             let d = Discriminant::new(&model, &picture).unwrap();
             let stored = [0, 1, 2].map(|i| {
                 let (cw, c) = picture.colour().channel_from_rgb(format, i);
                 (4.0 * (cw[0] * rgb[0] + cw[1] * rgb[1] + cw[2] * rgb[2] + c)) as f32
             });
-            let expected = model.weights.dot(&rgb.into()) + bias;
+            let expected = model.weights.dot(&Vector3::from(rgb)) + bias;
             prop_assert!((f64::from(d.score(stored[0], stored[1], stored[2])) - expected).abs() < 1e-4);
         }
 
         #[test]
         fn the_screen_misses_nothing_and_lets_little_through(
-            w in prop::array::uniform3(-0.1..0.1), bias in -5.0..5.0, sums in prop::array::uniform3(0_i16..=1020),
+            w in prop::array::uniform3(-0.02..0.02), scale in prop::sample::select(vec![1e-6, 0.1, 1.0, 1e4]),
+            bias in -1.5..1.5, sums in prop::array::uniform3(0_i16..=1020),
         ) {
-            let picture = picture(PixelFormat::Yuv { chroma_log2: [1, 1] }, Matrix::Bt601, Range::Full);
-            let d = Discriminant::new(&ColourModel { weights: w.into(), bias, rgb: Vector3::zeros() }, &picture).unwrap();
-            let [a, b, c] = sums.map(f32::from);
-            let score = d.score(a, b, c);
-            let [a, b, c] = sums.map(|v| v << 5);
+            let picture = picture(PixelFormat::RgbPacked { step: 3, order: [0, 1, 2] }, Matrix::Bt601, Range::Full);
+            let weights = Vector3::from(w) * scale;
+            let model = ColourModel { weights, bias, rgb: Vector3::zeros() };
+            let d = Discriminant::new(&model, &picture).unwrap();
             let s = d.screen;
-            let chroma = i32::from(high(b, s.weights[1])) + i32::from(high(c, s.weights[2]));
-            let full = chroma + i32::from(high(a, s.weights[0])) + i32::from(s.offset);
-            let without = chroma + i32::from(s.offset_without_first);
-            prop_assert!(full.abs() < 32_000 && without.abs() < 32_000);
-            prop_assert!(without >= full);
+            let sum = |values: &[i16; 3], channels: std::ops::Range<usize>, offset: i16| {
+                channels.fold(i32::from(offset), |sum, i| sum + i32::from(values[i]) * i32::from(s.weights[i]))
+            };
+            let means = sums.map(|v| (v + 2) / 4 - 128);
+            let full = sum(&means, 0..3, s.offset);
+            prop_assert!(i16::try_from(full).is_ok());
+            let score = d.score(sums[0].into(), sums[1].into(), sums[2].into());
             if score > THRESHOLD {
                 prop_assert!(full >= 0);
             }
-            let unit = 30_000.0 / 160.0;
-            if score < THRESHOLD - 10.0 / unit {
+            if scale == 1.0 && score < THRESHOLD - 0.3 {
                 prop_assert!(full < 0, "score {score}");
+            }
+            // One sample a cell: sums are multiples of 4.
+            let exact = [sums[0], sums[1] / 4 * 4, sums[2] / 4 * 4];
+            let without = sum(&exact.map(|v| v / 4 - 128), 1..3, s.offset_without_first);
+            prop_assert!(i16::try_from(without).is_ok());
+            if d.score(exact[0].into(), exact[1].into(), exact[2].into()) > THRESHOLD {
+                prop_assert!(without >= 0);
             }
         }
     }

@@ -1,7 +1,9 @@
 //! Samples of colours -> a linear discriminant for each marker, and how well it separates.
 //!
 //! Ridge regression of 1 on the marker's samples and 0 on all others, with both halves of equal weight and, among the
-//! others, all classes of equal weight, whatever the number of their samples. The regression's scores are then
+//! others, each class of a weight that does not depend on the number of its samples: 1, and 0.1 if it is another marker. What is not the marker may be lit otherwise
+//! than where it was sampled (a shadow, a dark clamp, a glare): its classes are given an additional spread in brightness, so
+//! that the models tell colours apart, not lights from darks. The regression's scores are then
 //! stretched so that they are 1 and 0 on average as [`ColourModel`] says: regression alone shrinks both towards their middle.
 //! Source: Hastie, Tibshirani, Friedman, "The Elements of Statistical Learning" (2009), sections 3.4.1 and 4.2.
 
@@ -106,6 +108,13 @@ const LEAST_SAMPLES: usize = 8;
 /// to matter where they do.
 const RIDGE: f64 = 1e-3;
 
+/// Relative standard deviation of the brightness at which an other class may be met, beyond what its samples show.
+const SHADING: f64 = 0.4;
+
+/// Weight of a class that is another marker, where tube and background weigh 1: those are what borders on the marker and is
+/// to score 0, of other markers it is enough that they score less than the threshold.
+const OTHER_MARKER: f64 = 0.1;
+
 /// A contrast of the regression's mean scores (of 1) below this is rounding.
 const LEAST_CONTRAST: f64 = 1e-6;
 
@@ -163,24 +172,30 @@ fn statistics(class: &ClassSamples) -> (Vector3<f64>, Matrix3<f64>) {
 
 fn discriminant(classes: &[ClassSamples], marker: usize) -> Option<ColourModel> {
     let statistics: Vec<_> = classes.iter().map(statistics).collect();
-    let share = 1.0 / (classes.len() - 1) as f64;
+    let weight = |i: usize| match classes.get(i) {
+        _ if i == marker => 0.0,
+        Some(class) if class.is_marker => OTHER_MARKER,
+        _ => 1.0,
+    };
+    let total: f64 = (0..classes.len()).map(weight).sum();
+    let share = |i: usize| weight(i) / total;
     let (own, _) = *statistics.get(marker)?;
-    let others: Vector3<f64> =
-        statistics.iter().enumerate().filter(|&(i, _)| i != marker).map(|(_, (mean, _))| mean * share).sum();
+    let others: Vector3<f64> = statistics.iter().enumerate().map(|(i, (mean, _))| mean * share(i)).sum();
     // Least squares over two halves of equal weight: (scatter + ridge)·w = covariance of colour and target.
     let middle = (own + others) / 2.0;
     let scatter: Matrix3<f64> = statistics
         .iter()
         .enumerate()
         .map(|(i, (mean, covariance))| {
-            let weight = if i == marker { 0.5 } else { 0.5 * share };
-            (covariance + (mean - middle) * (mean - middle).transpose()) * weight
+            let (weight, shading) = if i == marker { (0.5, 0.0) } else { (0.5 * share(i), SHADING) };
+            let lit = mean * shading;
+            (covariance + lit * lit.transpose() + (mean - middle) * (mean - middle).transpose()) * weight
         })
         .sum();
     let ridge = Matrix3::identity() * (scatter.trace() / 3.0 * RIDGE);
     let raw = (scatter + ridge).try_inverse()? * (own - others) / 4.0;
     let contrast = raw.dot(&(own - others));
-    if !(contrast > LEAST_CONTRAST) {
+    if contrast.is_nan() || contrast <= LEAST_CONTRAST {
         return None;
     }
     let weights = raw / contrast;
@@ -208,5 +223,88 @@ impl Scores {
     fn quantile(&self, q: f64) -> f64 {
         let rank = (q * (self.sorted.len().saturating_sub(1)) as f64).round() as usize;
         self.sorted.get(rank).copied().unwrap_or(f64::NAN)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::segment::synthetic::samples;
+
+    #[test]
+    fn scores_are_one_on_the_marker_and_nought_elsewhere_on_average() {
+        let classes = samples();
+        let learned = learn(&classes).unwrap();
+        assert_eq!(learned.models.len(), 3);
+        for (marker, model) in learned.models.iter().enumerate() {
+            let mean = |class: &ClassSamples| Scores::of(model, class).mean;
+            assert!((mean(&classes[marker]) - 1.0).abs() < 1e-9);
+            let weight = |c: usize| if c < 3 { OTHER_MARKER } else { 1.0 };
+            let others: f64 = (0..5).filter(|&c| c != marker).map(|c| weight(c) * mean(&classes[c])).sum();
+            assert!(others.abs() < 1e-9);
+            // What borders on it scores about nought by itself.
+            assert!(mean(&classes[3]).abs() < 0.15 && mean(&classes[4]).abs() < 0.15);
+            assert_eq!(model.rgb, statistics(&classes[marker]).0);
+        }
+        assert_eq!(learned.separations.len(), 12);
+        assert!(learned.separations.iter().all(|s| s.is_separate() && s.gap() > 0.2 && s.d_prime > 5.0));
+        let worst = learned.worst().unwrap().gap();
+        assert!(learned.separations.iter().all(|s| s.gap() >= worst));
+    }
+
+    #[test]
+    fn a_class_counts_the_same_however_many_samples_it_has() {
+        let mut classes = samples();
+        let once = learn(&classes).unwrap();
+        let background = classes[4].rgb.clone();
+        classes[4].rgb.extend(background.iter().cycle().take(1800).copied());
+        for (a, b) in once.models.iter().zip(learn(&classes).unwrap().models) {
+            assert!((a.weights - b.weights).norm() < 1e-9 && (a.bias - b.bias).abs() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn a_shadow_on_the_background_is_no_marker() {
+        let learned = learn(&samples()).unwrap();
+        for model in &learned.models {
+            for shade in [0.1, 0.4, 1.5] {
+                let score = model.weights.dot(&(Vector3::new(110.0, 110.0, 112.0) * shade)) + model.bias;
+                assert!(score < 0.4, "{score} at {shade}");
+            }
+        }
+    }
+
+    #[test]
+    fn similar_colours_are_learned_but_not_separate() {
+        let mut classes = samples();
+        let shift = Vector3::new(6.0, -6.0, 0.0);
+        classes[2].rgb = classes[1].rgb.iter().map(|v| v + shift).collect();
+        let learned = learn(&classes).unwrap();
+        let pair = learned.separations.iter().find(|s| s.marker == 1 && s.other == 2).unwrap();
+        assert!(!pair.is_separate() && pair.gap() < 0.1, "{pair:?}");
+        assert_eq!(
+            {
+                let w = learned.worst().unwrap();
+                w.marker.min(w.other)
+            },
+            1
+        );
+    }
+
+    #[test]
+    fn useless_samples_are_refused_by_name() {
+        let message = |classes: &[ClassSamples]| learn(classes).unwrap_err().to_string();
+        let mut classes = samples();
+        classes[3].rgb.truncate(7);
+        assert_eq!(message(&classes), "class `tube` has 7 samples, expected at least 8");
+        classes[3].rgb = vec![Vector3::new(1.0, f64::NAN, 2.0); 9];
+        assert_eq!(message(&classes), "class `tube` has a sample of R'G'B' (1, NaN, 2), expected finite numbers");
+        assert_eq!(
+            message(&classes[..1]),
+            "1 marker classes among 1, expected at least one marker and one other class"
+        );
+        let same = ClassSamples { name: "tip".into(), is_marker: true, rgb: vec![Vector3::repeat(9.0); 20] };
+        let other = ClassSamples { name: "wall".into(), is_marker: false, ..same.clone() };
+        assert_eq!(learn(&[same, other]), Err(LearnError::SameColour("tip".into())));
     }
 }

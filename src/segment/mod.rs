@@ -3,14 +3,14 @@
 //! - In: a [`Picture`] in the samples it was decoded to, the markers' [`ColourModel`]s, windows to search.
 //! - Out: [`Blob`]s, in the order of searches, markers and the raster.
 //! - Method, per call and without memory of other frames:
-//!   1. [`discriminant`]: the colour models become linear functions of the stored channels. No colour is converted.
-//!   2. [`cells`]: the picture is seen as cells of 2x2 pixels (4:2:0: one chroma sample and its four luma samples).
-//!   3. [`scan`]: blocks of cells that cannot reach the threshold are left out in 16-bit integers (chroma first, luma only
-//!      where that is not enough); what remains is classified cell by cell into runs.
-//!   4. [`components`]: 8-connected runs become components.
-//!   5. [`moments`]: the cells of a component and one ring of cells around it, weighted by how far each is covered, give
+//!   1. `discriminant`: the colour models become linear functions of the stored channels. No colour is converted.
+//!   2. `cells`: the picture is seen as cells of 2x2 pixels (4:2:0: one chroma sample and its four luma samples).
+//!   3. `scan`: blocks of cells that cannot reach the threshold are left out in 16-bit integers (from chroma alone in
+//!      4:2:0); what remains is classified cell by cell into runs.
+//!   4. `components`: 8-connected runs become components.
+//!   5. `moments`: the cells of a component and one ring of cells around it, weighted by how far each is covered, give
 //!      centre, second moments and their uncertainty.
-//!   6. [`learn()`]: where the colour models come from.
+//!   6. [`mod@learn`]: where the colour models come from.
 //! - Assumes that a marker is told from all else by a linear function of R'G'B', and that its image is two cells wide
 //!   or more. Time and memory are linear in the number of cells searched, whatever the picture shows.
 //! - Cannot tell a marker from a distractor of the same colour, nor two bands whose images touch; the centre is that of the
@@ -127,7 +127,7 @@ pub struct Blob {
     pub width_px: f64,
     /// Covered area, px².
     pub area_px2: f64,
-    /// Mean score of its cells: 1 as learned, [just above 0.5](ColourModel) hardly the marker.
+    /// Mean score of its cells: 1 as learned, just above 0.5 hardly the marker.
     pub mean_score: f64,
     /// The pixels of its cells, tight.
     pub bounds: Window,
@@ -174,6 +174,7 @@ pub enum SegmentError {
 #[derive(Debug)]
 pub struct Segmenter {
     models: Vec<ColourModel>,
+    chroma_offset_px: Vector2<f64>,
     discriminants: Vec<Discriminant>,
     scanner: Scanner,
     components: Components,
@@ -197,6 +198,7 @@ impl Segmenter {
         }
         Ok(Self {
             models: models.to_vec(),
+            chroma_offset_px: Vector2::zeros(),
             discriminants: Vec::with_capacity(models.len()),
             scanner: Scanner::new(models.len()),
             components: Components::default(),
@@ -206,6 +208,12 @@ impl Segmenter {
         })
     }
 
+    /// With subsampled chroma taken to sit this far (right, down; pixels) from where the pictures' siting says: recorders
+    /// often tag one siting and sample at another.
+    pub fn with_chroma_offset_px(self, offset: [f64; 2]) -> Self {
+        Self { chroma_offset_px: offset.into(), ..self }
+    }
+
     /// For the markers of a rig.
     ///
     /// # Errors
@@ -213,7 +221,7 @@ impl Segmenter {
     pub fn for_rig(rig: &Rig) -> Result<Self, SegmentError> {
         let models: Result<Vec<_>, _> =
             rig.markers.iter().map(|m| m.colour.ok_or_else(|| SegmentError::NoColour(m.name.clone()))).collect();
-        Self::new(&models?)
+        Ok(Self::new(&models?)?.with_chroma_offset_px(rig.camera.chroma_offset_px))
     }
 
     /// All blobs of all markers in the whole picture.
@@ -234,7 +242,7 @@ impl Segmenter {
         if let Some(marker) = searches.iter().filter_map(|s| s.marker).find(|&m| m >= markers) {
             return Err(SegmentError::NoSuchMarker { marker, markers });
         }
-        let grid = Grid::new(picture)?;
+        let grid = Grid::new(picture, self.chroma_offset_px)?;
         self.discriminants.clear();
         for model in &self.models {
             self.discriminants.push(Discriminant::new(model, picture).ok_or(SegmentError::Grey)?);

@@ -9,7 +9,7 @@ use super::cells::{BLOCK, Grid};
 use super::discriminant::Discriminant;
 use super::scan::{Run, scores};
 use super::{Blob, CellWindow, Window};
-use nalgebra::{Matrix2, Point2, Vector2};
+use nalgebra::{Matrix2, Matrix3, Point2, Vector2, Vector3};
 
 /// See the head of this file. Symmetric about one half, so that a straight edge stays in its place.
 const FLOOR: f32 = 0.2;
@@ -87,7 +87,8 @@ impl Measure {
         let mut covered = Moments::default();
         let mut edge = Moments::default();
         let mut all = ScoreSums::default();
-        let mut whole = (0_u32, 0.0_f64);
+        let mut whole = PlaneFit::default();
+        let origin = component.first().map_or((0, 0), |r| (i64::from(r.x0), i64::from(r.y)));
         self.each_dilated_block(grid, component, |y, x, cells, sums| {
             let scores = scores(sums, discriminant);
             let mut weights = [0_i32; BLOCK];
@@ -103,8 +104,7 @@ impl Measure {
                 let partly = i64::from(weight > 0 && weight < FULL as i64);
                 row_edge = [row_edge[0] + partly, row_edge[1] + partly * at, row_edge[2] + partly * at * at];
                 if weight == FULL as i64 {
-                    let off = f64::from(score / level) - 1.0;
-                    whole = (whole.0 + 1, whole.1 + off * off);
+                    whole.add(at - origin.0, y as i64 - origin.1, f64::from(score / level));
                 }
                 let chroma = f64::from(
                     discriminant.weights[1] * f32::from(sums[1][k]) + discriminant.weights[2] * f32::from(sums[2][k]),
@@ -122,7 +122,7 @@ impl Measure {
         let (axis, along, across) = principal(&spread);
         let centre = mean * 2.0 + Vector2::repeat(0.5) + grid.chroma_shift_px() * all.chroma_share();
         // A cell's coverage is off by the noise of its score; cells that are full or empty were clamped and add nothing.
-        let noise = (whole.1 / f64::from(whole.0.max(1))).max(LEAST_NOISE) * f64::from(FULL * FULL);
+        let noise = whole.residual_variance().unwrap_or(UNKNOWN_NOISE).max(LEAST_NOISE) * f64::from(FULL * FULL);
         let gain = 1.0 / f64::from(1.0 - 2.0 * FLOOR);
         let covariance_px2 = edge.about(&mean) * (4.0 * noise * gain * gain / (mass * mass));
         Blob {
@@ -175,6 +175,35 @@ impl Measure {
 
 /// Variance of a score that is always there: rounding to 8 bits and coding.
 const LEAST_NOISE: f64 = 0.05 * 0.05;
+
+/// Variance of a score where a component has too few whole cells to tell.
+const UNKNOWN_NOISE: f64 = 0.15 * 0.15;
+
+/// Scores of the whole cells against a plane: what is left is noise, the plane is shading.
+#[derive(Debug, Default)]
+struct PlaneFit {
+    normal: Matrix3<f64>,
+    right: Vector3<f64>,
+    squares: f64,
+    cells: u32,
+}
+
+impl PlaneFit {
+    fn add(&mut self, x: i64, y: i64, score: f64) {
+        let row = Vector3::new(1.0, x as f64, y as f64);
+        self.normal += row * row.transpose();
+        self.right += row * score;
+        self.squares += score * score;
+        self.cells += 1;
+    }
+
+    /// `None` when the cells do not span a plane or hardly more than that.
+    fn residual_variance(&self) -> Option<f64> {
+        let freedom = self.cells.checked_sub(3).filter(|&n| n >= 3)?;
+        let plane = self.normal.cholesky()?.solve(&self.right);
+        Some((self.squares - plane.dot(&self.right)).max(0.0) / f64::from(freedom))
+    }
+}
 
 impl ScoreSums {
     fn add(&mut self, score: f64, chroma: f64) {

@@ -1,11 +1,11 @@
 //! Cells -> runs of cells of one marker in one row.
 //!
-//! Three tests, each dearer and met by fewer blocks than the one before: a bound from chroma alone, the score with luma in
-//! 16-bit integers, the score itself. The first two only ever leave out what the third would, so that the outcome of a cell
-//! depends on that cell alone.
+//! Two tests: a bound of the score in 16-bit integers, from chroma alone where that is one sample a cell, for all cells;
+//! the score itself for the blocks of cells that are left. The first only ever leaves out what the second would, so that
+//! the outcome of a cell depends on that cell alone.
 
-use super::cells::{BLOCK, CellRow, Grid, SHIFT, Sums};
-use super::discriminant::{Discriminant, high};
+use super::cells::{BLOCK, CellRow, Grid, Sums};
+use super::discriminant::Discriminant;
 use super::{CellWindow, THRESHOLD};
 
 /// Cells x0..x1 of row y.
@@ -26,11 +26,12 @@ impl Run {
 #[derive(Debug)]
 pub(super) struct Scanner {
     runs: Vec<Vec<Run>>,
+    screen: RowScreen,
 }
 
 impl Scanner {
     pub(super) fn new(markers: usize) -> Self {
-        Self { runs: vec![Vec::new(); markers] }
+        Self { runs: vec![Vec::new(); markers], screen: RowScreen::default() }
     }
 
     /// The runs of the last scan, one list a marker.
@@ -53,10 +54,11 @@ impl Scanner {
         };
         for y in window.y0..window.y1 {
             let row = grid.row(y);
+            self.screen.row(&row, window.x0, window.x1, wanted);
             for x in (window.x0..window.x1).step_by(BLOCK) {
-                if let Some(sums) = screen(&row, x, wanted) {
-                    let cells = BLOCK.min(window.x1 - x);
-                    self.classify(&sums, discriminants, only, y, x, cells);
+                let cells = BLOCK.min(window.x1 - x);
+                if self.screen.may_reach(x - window.x0, cells) {
+                    self.classify(&row.sums(x), discriminants, only, y, x, cells);
                 }
             }
         }
@@ -97,41 +99,55 @@ impl Scanner {
     }
 }
 
+/// Leaves out the cells of a row that cannot reach the threshold.
+#[derive(Debug, Default)]
+struct RowScreen {
+    /// Mean samples, less 128, of the channels that are looked at.
+    channels: [Vec<i16>; 3],
+    /// Negative where no wanted marker can be. Only the signs mean something.
+    below: Vec<i16>,
+}
+
+impl RowScreen {
+    // Plain loops over whole rows, one marker after the other: these are what the compiler makes vectors of.
+    fn row(&mut self, row: &CellRow<'_>, x0: usize, x1: usize, wanted: &[Discriminant]) {
+        self.channels.iter_mut().for_each(Vec::clear);
+        self.below.clear();
+        self.below.resize(x1.saturating_sub(x0), -1);
+        let chroma_only = row.chroma(x0, x1, &mut self.channels);
+        if !chroma_only {
+            row.means(x0, x1, &mut self.channels);
+        }
+        let [a, b, c] = &self.channels;
+        for Discriminant { screen, .. } in wanted {
+            let [wa, wb, wc] = screen.weights;
+            if chroma_only {
+                for ((below, &b), &c) in self.below.iter_mut().zip(b).zip(c) {
+                    let sum = b.wrapping_mul(wb).wrapping_add(c.wrapping_mul(wc));
+                    *below &= sum.wrapping_add(screen.offset_without_first);
+                }
+            } else {
+                for (((below, &a), &b), &c) in self.below.iter_mut().zip(a).zip(b).zip(c) {
+                    let sum = a.wrapping_mul(wa).wrapping_add(b.wrapping_mul(wb)).wrapping_add(c.wrapping_mul(wc));
+                    *below &= sum.wrapping_add(screen.offset);
+                }
+            }
+        }
+    }
+
+    /// Whether one of some cells, counted from the first one screened, may be a marker.
+    fn may_reach(&self, first: usize, cells: usize) -> bool {
+        let below = self.below.get(first..first + cells).unwrap_or_default();
+        below.iter().fold(-1, |all, &b| all & b) >= 0
+    }
+}
+
 /// The scores of a block.
 #[inline(always)]
 pub(super) fn scores(sums: &[Sums; 3], discriminant: &Discriminant) -> [f32; BLOCK] {
-    std::array::from_fn(|i| discriminant.score(f32::from(sums[0][i]), f32::from(sums[1][i]), f32::from(sums[2][i])))
-}
-
-/// The sums of a block in which some cell may be one of the wanted markers; `None` when none can be.
-#[inline(always)]
-fn screen(row: &CellRow<'_>, x: usize, wanted: &[Discriminant]) -> Option<[Sums; 3]> {
-    if let Some([u, v]) = row.chroma_sums(x) {
-        let mut most = [i16::MIN; BLOCK];
-        for Discriminant { screen, .. } in wanted {
-            let [_, wu, wv] = screen.weights;
-            for i in 0..BLOCK {
-                let bound = high(u[i] << SHIFT, wu)
-                    .wrapping_add(high(v[i] << SHIFT, wv))
-                    .wrapping_add(screen.offset_without_first);
-                most[i] = most[i].max(bound);
-            }
-        }
-        if most.iter().all(|&bound| bound < 0) {
-            return None;
-        }
+    let mut scores = [0.0; BLOCK];
+    for (i, score) in scores.iter_mut().enumerate() {
+        *score = discriminant.score(f32::from(sums[0][i]), f32::from(sums[1][i]), f32::from(sums[2][i]));
     }
-    let sums = row.sums(x);
-    let mut most = [i16::MIN; BLOCK];
-    for Discriminant { screen, .. } in wanted {
-        let [wa, wb, wc] = screen.weights;
-        for i in 0..BLOCK {
-            let bound = high(sums[0][i] << SHIFT, wa)
-                .wrapping_add(high(sums[1][i] << SHIFT, wb))
-                .wrapping_add(high(sums[2][i] << SHIFT, wc))
-                .wrapping_add(screen.offset);
-            most[i] = most[i].max(bound);
-        }
-    }
-    if most.iter().all(|&bound| bound < 0) { None } else { Some(sums) }
+    scores
 }

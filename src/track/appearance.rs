@@ -46,31 +46,16 @@ impl Layout {
         }
         best
     }
-
-    /// Middle of segment `j`; open segments are taken to be as long as `OPEN_SEGMENT_M`.
-    fn middle(&self, j: usize) -> f64 {
-        let first = if j == 0 { None } else { self.rings_m.get(j - 1) };
-        match (first, self.rings_m.get(j)) {
-            (Some(a), Some(b)) => (a + b) / 2.0,
-            (None, Some(b)) => b - OPEN_SEGMENT_M / 2.0,
-            (Some(a), None) => a + OPEN_SEGMENT_M / 2.0,
-            (None, None) => 0.0,
-        }
-    }
 }
 
 /// Colour parameters of a view: background R, G, B; its gradient in x, y; m₁, m₂; brightness of the cap; then for each
-/// segment R, G, B and the change of its brightness along the tube. All in linear light, 0..1.
+/// segment R, G, B. All in linear light, 0..1.
 pub(crate) const BACKGROUND: usize = 0;
 pub(crate) const GRADIENT: usize = 3;
 pub(crate) const SHADING: usize = 5;
 pub(crate) const CAP: usize = 7;
 pub(crate) const FIXED: usize = 8;
-pub(crate) const PER_SEGMENT: usize = 4;
-
-/// Brightness slopes are per this length along the tube, and hold no further than that from a segment's middle.
-const SLOPE_LENGTH_M: f64 = 0.01;
-const OPEN_SEGMENT_M: f64 = 0.01;
+pub(crate) const PER_SEGMENT: usize = 3;
 
 /// √(1−x²) − π/4 ≈ Q0 + Q2 x² + Q4 x⁴ + Q6 x⁶ (least squares over [−1, 1]).
 const Q0: f64 = 0.219_600;
@@ -111,8 +96,6 @@ pub(crate) struct PixelModel {
     pub segment: usize,
     /// d/d colour of the two segments.
     pub albedo: [[f64; 3]; 2],
-    /// d/d brightness slope of the two segments.
-    pub slope: [[f64; 3]; 2],
 }
 
 /// Weight beyond an edge and its derivatives along u and v (pixels).
@@ -188,27 +171,24 @@ pub(crate) fn pixel_model(
     let tube_d_v = -across.cover * outline.d_v;
 
     let segments = layout.segments();
-    let along_segment = |j: usize| ((s - layout.middle(j)) / SLOPE_LENGTH_M).clamp(-1.0, 1.0);
-    let tau = [along_segment(ring), along_segment((ring + 1).min(segments - 1))];
     let cap = colours[CAP];
     let normal = Vector2::new(-foot.along.y, foot.along.x);
     for c in 0..3 {
         let segment = |k: usize| {
             let at = FIXED + PER_SEGMENT * (ring + k);
-            if ring + k < segments { (colours[at + c], colours[at + 3]) } else { (0.0, 0.0) }
+            if ring + k < segments { colours[at + c] } else { 0.0 }
         };
-        let ((a0, g0), (a1, g1)) = (segment(0), segment(1));
-        let (b0, b1) = (a0 * (1.0 + g0 * tau[0]), a1 * (1.0 + g1 * tau[1]));
-        let albedo = in_front.weight * b0 + behind.weight * b1;
+        let (a0, a1) = (segment(0), segment(1));
+        let albedo = in_front.weight * a0 + behind.weight * a1;
         let cap_light = cap_edge.weight * a0 * cap;
         let light = background[c] * (1.0 - tube) + shade * albedo + across.cover * cap_light;
         let d_u = -background[c] * tube_d_u
             + d_shade * albedo
-            + shade * (in_front.d_u * b0 + behind.d_u * b1)
+            + shade * (in_front.d_u * a0 + behind.d_u * a1)
             + across.d_cover * cap_light
             + across.cover * cap_edge.d_u * a0 * cap;
         let d_v = -background[c] * tube_d_v
-            + shade * (in_front.d_v * b0 + behind.d_v * b1)
+            + shade * (in_front.d_v * a0 + behind.d_v * a1)
             + across.cover * cap_edge.d_v * a0 * cap;
         let (value, slope) = encoding.encode(light);
         out.rgb[c] = value;
@@ -217,11 +197,8 @@ pub(crate) fn pixel_model(
         out.shading[0][c] = across.tilt * albedo * slope;
         out.shading[1][c] = across.round * albedo * slope;
         out.cap[c] = across.cover * cap_edge.weight * a0 * slope;
-        out.albedo[0][c] =
-            (shade * in_front.weight * (1.0 + g0 * tau[0]) + across.cover * cap_edge.weight * cap) * slope;
-        out.albedo[1][c] = shade * behind.weight * (1.0 + g1 * tau[1]) * slope;
-        out.slope[0][c] = shade * in_front.weight * a0 * tau[0] * slope;
-        out.slope[1][c] = shade * behind.weight * a1 * tau[1] * slope;
+        out.albedo[0][c] = (shade * in_front.weight + across.cover * cap_edge.weight * cap) * slope;
+        out.albedo[1][c] = shade * behind.weight * slope;
     }
     out
 }

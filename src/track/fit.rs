@@ -10,14 +10,14 @@
 //! neighbours and stronger near edges.
 //!
 //! Assumptions, each a weak prior that enters the covariance: curvature below 30 /m, changing by less than 200 /m per
-//! metre below the coil; light changes by less than 30 % over a centimetre of tube.
+//! metre below the coil.
 
-use super::appearance::{CAP, FIXED, GRADIENT, Layout, PER_SEGMENT, SHADING};
+use super::appearance::{CAP, GRADIENT, Layout, SHADING};
 use super::patch::{ImageModel, Noise, Normal, Patch};
 use super::tube::{SHAPE, ShapeStep, TubeImage, TubeShape};
 use crate::optics::OpticalPath;
 use crate::source::Picture;
-use nalgebra::{DMatrix, DVector, Matrix2, SMatrix, Vector2};
+use nalgebra::{DMatrix, DVector, Matrix2, Matrix3x2, SMatrix, Vector2};
 
 /// What is fitted: a stretch of tube with one or more bands.
 #[derive(Debug, Clone, PartialEq)]
@@ -26,6 +26,8 @@ pub(crate) struct Stretch {
     /// Arc lengths between which samples are used, metres.
     pub range_m: (f64, f64),
     pub radius_m: f64,
+    /// A clamp may be close to the first band.
+    pub at_clamp: bool,
 }
 
 /// Background taken into account on either side of the tube, pixels.
@@ -35,16 +37,23 @@ const KNOT_M: f64 = 2e-3;
 /// Prior σ of the shape's parameters: centre and tangent free, curvatures in 1/m, their change in 1/m².
 const CURVATURE_SD: f64 = 30.0;
 const CURVATURE_RATE_SD: f64 = 200.0;
-/// Prior σ of colours (linear light, 1 = white), of the background's gradient per pixel, of shading, slope and cap.
-const COLOUR_SD: f64 = 1.0;
+/// Prior σ of colours about their start (linear light, 1 = white), of the background's gradient per pixel, of shading, cap.
+const COLOUR_SD: f64 = 0.15;
 const GRADIENT_SD: f64 = 0.02;
 const SHADING_SD: f64 = 0.2;
-const SLOPE_SD: f64 = 0.3;
 const CAP_SD: f64 = 0.5;
 /// Noise assumed in the first round, stored units; and the least ever assumed (rounding to integers and little more).
 const START_NOISE: f64 = 2.5;
 const LEAST_NOISE: f64 = 0.5;
 const MAX_EVALUATIONS: usize = 15;
+/// How well the image model is trusted: light, blur and coding shift edges by a few hundredths of a pixel in ways that no
+/// residual shows. Shift across the tube and along it, and turn (off at half the stretch's length), pixels; enters the
+/// covariance for each view on its own.
+const ACROSS_ERROR_PX: f64 = 0.04;
+const ALONG_ERROR_PX: f64 = 0.04;
+const TURN_ERROR_PX: f64 = 0.06;
+/// Along a band beside a clamp, where light and colour change within a few pixels of the band's edge.
+const ALONG_ERROR_AT_CLAMP_PX: f64 = 0.12;
 /// A round ends when a step lowers the cost (a χ²) by less than this.
 const ENOUGH: [f64; 2] = [2.0, 0.02];
 
@@ -102,6 +111,7 @@ pub(crate) fn fit(
     let mut noise: Vec<Noise> = paths.iter().map(|_| start_noise(picture)).collect();
     let mut shape = start.clone();
     let mut colours: Vec<Vec<f64>> = Vec::new();
+    let mut start_colours = Vec::new();
     for enough in ENOUGH {
         let images = project(stretch, &shape, paths)?;
         let mut patches = images
@@ -116,8 +126,10 @@ pub(crate) fn fit(
                 .map(|(patch, image)| patch.start_colours(picture, image, &stretch.layout, &model.encoding))
                 .collect::<Option<_>>()
                 .ok_or(NoFit::OutOfPicture)?;
+            start_colours.clone_from(&colours);
         }
-        let mut round = Round { stretch, paths, model, patches: &mut patches, noise: &noise };
+        let mut round =
+            Round { stretch, paths, model, patches: &mut patches, noise: &noise, start_colours: &start_colours };
         let state = round.minimise(shape, colours, enough)?;
         if enough == ENOUGH[1] {
             return round.conclude(state);
@@ -166,18 +178,25 @@ struct Round<'a> {
     model: &'a ImageModel,
     patches: &'a mut [Patch],
     noise: &'a [Noise],
+    start_colours: &'a [Vec<f64>],
 }
 
 impl Round<'_> {
     fn minimise(&mut self, shape: TubeShape, colours: Vec<Vec<f64>>, enough: f64) -> Result<State, NoFit> {
         let mut state = self.evaluate(shape, colours)?;
         let mut damping = 1e-4;
+        let mut rejected = false;
         for _ in 0..MAX_EVALUATIONS {
             let mut damped = state.hessian.clone();
             for i in 0..damped.nrows() {
                 damped[(i, i)] *= 1.0 + damping;
             }
             let step = damped.cholesky().ok_or(NoFit::NotConverged)?.solve(&state.gradient);
+            // What the step promises; near the minimum, where rounding and Huber's kink rule, it need not be tried.
+            if step.dot(&state.gradient) < enough {
+                // The patches must hold the model of the state that is returned.
+                return if rejected { self.evaluate(state.shape, state.colours) } else { Ok(state) };
+            }
             let shape = state.shape.moved(&ShapeStep::from_iterator(step.iter().take(SHAPE).copied()));
             let own = self.stretch.layout.colours();
             let colours = state
@@ -188,15 +207,14 @@ impl Round<'_> {
                 .collect();
             match self.evaluate(shape, colours) {
                 Ok(next) if next.cost <= state.cost => {
-                    let gain = state.cost - next.cost;
                     state = next;
                     damping *= 0.1;
-                    if gain < enough {
-                        return Ok(state);
-                    }
+                    rejected = false;
                 }
-                _ if damping > 1e4 => return Ok(state),
-                _ => damping *= 30.0,
+                _ => {
+                    damping *= 30.0;
+                    rejected = true;
+                }
             }
         }
         Err(NoFit::NotConverged)
@@ -250,9 +268,8 @@ impl Round<'_> {
                     GRADIENT..SHADING => prior(start + i, *value, GRADIENT_SD),
                     SHADING..CAP => prior(start + i, *value, SHADING_SD),
                     CAP => prior(start + i, value - 1.0, CAP_SD),
-                    _ if i >= FIXED && (i - FIXED) % PER_SEGMENT == 3 => prior(start + i, *value, SLOPE_SD),
-                    // Keeps a colour determined of which no sample shows anything.
-                    _ => prior(start + i, 0.0, COLOUR_SD),
+                    // Keeps a colour near its start when hardly a sample shows it.
+                    _ => prior(start + i, value - self.start_colours[v][i], COLOUR_SD),
                 }
             }
         }
@@ -274,13 +291,23 @@ impl Round<'_> {
             influence.columns_mut(SHAPE, own).copy_from(&shape_rows.columns(SHAPE + v * own, own));
             covariance += patch.scatter(&state.images[v], layout, &self.noise[v], &influence);
         }
+        let seen: Vec<ViewInformation> =
+            state.images.iter().zip(&state.normals).map(|(image, normal)| ViewInformation::of(image, normal)).collect();
+        for view in &seen {
+            let moved = plain * view.shape * view.unmodelled(self.stretch);
+            covariance += moved * moved.transpose();
+        }
         let inflation = (covariance.fixed_view::<3, 3>(0, 0).trace() / plain.fixed_view::<3, 3>(0, 0).trace()).max(1.0);
-        let views = state
-            .images
-            .into_iter()
-            .zip(state.colours)
+        let views = seen
+            .iter()
             .zip(&state.normals)
-            .map(|((image, colours), normal)| view_fit(image, colours, normal, inflation))
+            .zip(state.images.iter().zip(state.colours))
+            .map(|((seen, normal), (image, colours))| {
+                let (residual_px, covariance) = seen.own_shift(normal);
+                let rms = rms(normal);
+                let residual_covariance_px2 = covariance * inflation;
+                ViewFit { image: image.clone(), colours, residual_px, residual_covariance_px2, rms }
+            })
             .collect();
         let misfit = misfit(&state.normals);
         Ok(TubeFit { shape: state.shape, covariance, views, misfit })
@@ -305,31 +332,65 @@ fn misfit(normals: &[Normal]) -> f64 {
     sum / samples.max(1.0)
 }
 
-/// What one view alone says about a shift of the reference band in its picture, colours left free.
-fn view_fit(image: TubeImage, colours: Vec<f64>, normal: &Normal, inflation: f64) -> ViewFit {
-    let own = colours.len();
-    let h = &normal.hessian;
-    let mut colour_block: DMatrix<f64> = h.view((SHAPE, SHAPE), (own, own)).into();
-    for i in 0..own {
-        colour_block[(i, i)] += COLOUR_SD.powi(-2);
+/// RMS of all residuals of a view, stored units.
+fn rms(normal: &Normal) -> f64 {
+    let classes = normal.squares.iter().flatten();
+    let (sum, count) = classes.fold((0.0, 0), |(sum, count), (squares, n)| (sum + squares, count + n));
+    (sum / count.max(1) as f64).sqrt()
+}
+
+/// What one view says about the shape, its colours left free.
+struct ViewInformation {
+    /// J'WJ of the shape with the colours eliminated.
+    shape: SMatrix<f64, SHAPE, SHAPE>,
+    /// Shift of the reference band in space, across the line of sight, for a shift of its image.
+    point_from_pixel: Matrix3x2<f64>,
+    image: TubeImage,
+}
+
+impl ViewInformation {
+    fn of(image: &TubeImage, normal: &Normal) -> Self {
+        let own = normal.hessian.nrows() - SHAPE;
+        let mut colours: DMatrix<f64> = normal.hessian.view((SHAPE, SHAPE), (own, own)).into();
+        for i in 0..own {
+            colours[(i, i)] += COLOUR_SD.powi(-2);
+        }
+        let cross: DMatrix<f64> = normal.hessian.view((SHAPE, 0), (own, SHAPE)).into();
+        let mut shape: DMatrix<f64> = normal.hessian.view((0, 0), (SHAPE, SHAPE)).into();
+        if let Some(factor) = colours.cholesky() {
+            shape -= cross.transpose() * factor.solve(&cross);
+        }
+        let point_from_pixel = image.at_arc(0.0).d_point.pseudo_inverse(1e-12).unwrap_or_else(|_| Matrix3x2::zeros());
+        Self { shape: shape.fixed_view::<SHAPE, SHAPE>(0, 0).into(), point_from_pixel, image: image.clone() }
     }
-    let cross: DMatrix<f64> = h.view((SHAPE, 0), (own, SHAPE)).into();
-    let mut shape_block: DMatrix<f64> = h.view((0, 0), (SHAPE, SHAPE)).into();
-    if let Some(factor) = colour_block.cholesky() {
-        shape_block -= cross.transpose() * factor.solve(&cross);
+
+    /// By how much this view alone would shift the image of the reference band, and the covariance of that.
+    fn own_shift(&self, normal: &Normal) -> (Vector2<f64>, Matrix2<f64>) {
+        let pixel = self.point_from_pixel.transpose();
+        let information = pixel * self.shape.fixed_view::<3, 3>(0, 0) * self.point_from_pixel;
+        match information.try_inverse() {
+            Some(covariance) => (covariance * pixel * normal.gradient.fixed_rows::<3>(0), covariance),
+            None => (Vector2::repeat(f64::NAN), Matrix2::repeat(f64::NAN)),
+        }
     }
-    let centre = image.at_arc(0.0);
-    let (residual_px, residual_covariance_px2) = centre
-        .d_point
-        .pseudo_inverse(1e-12)
-        .ok()
-        .and_then(|point_from_pixel| {
-            let information = point_from_pixel.transpose() * shape_block.fixed_view::<3, 3>(0, 0) * point_from_pixel;
-            let covariance = information.try_inverse()?;
-            let pull = point_from_pixel.transpose() * normal.gradient.fixed_rows::<3>(0);
-            Some((covariance * pull, covariance * inflation))
-        })
-        .unwrap_or((Vector2::repeat(f64::NAN), Matrix2::repeat(f64::NAN)));
-    let (sum, count) = normal.squares.iter().flatten().fold((0.0, 0), |(sum, count), (s, n)| (sum + s, count + n));
-    ViewFit { image, colours, residual_px, residual_covariance_px2, rms: (sum / count.max(1) as f64).sqrt() }
+
+    /// What the image model may get wrong, as changes of shape, one standard deviation each: the band shifted along and
+    /// across, and the stretch turned in the picture.
+    fn unmodelled(&self, stretch: &Stretch) -> SMatrix<f64, SHAPE, 3> {
+        let mut modes = SMatrix::<f64, SHAPE, 3>::zeros();
+        let reach = (stretch.range_m.1 - stretch.range_m.0) / 2.0;
+        let knot = self.image.at_arc(0.0);
+        let along = knot.along / knot.scale;
+        let across = Vector2::new(-along.y, along.x);
+        let along_error_px = if stretch.at_clamp { ALONG_ERROR_AT_CLAMP_PX } else { ALONG_ERROR_PX };
+        modes.fixed_view_mut::<3, 1>(0, 0).copy_from(&(self.point_from_pixel * along * along_error_px));
+        modes.fixed_view_mut::<3, 1>(0, 1).copy_from(&(self.point_from_pixel * across * ACROSS_ERROR_PX));
+        // d pixel / d tangent at the distance `reach` is that of a point moved by `reach` times the change of tangent.
+        let turned = self.image.at_arc(reach.min(stretch.range_m.1));
+        let d_turn = turned.d_pixel.fixed_view::<2, 2>(0, 3).into_owned();
+        if let Ok(inverse) = d_turn.pseudo_inverse(1e-9) {
+            modes.fixed_view_mut::<2, 1>(3, 2).copy_from(&(inverse * across * TURN_ERROR_PX));
+        }
+        modes
+    }
 }

@@ -11,8 +11,8 @@ use super::tube::{SHAPE, TubeImage};
 use crate::source::Picture;
 use nalgebra::{DMatrix, DVector, Point2, SMatrix, SVector, Vector2, Vector3};
 
-/// Length of a row: shape, fixed colour parameters, two segments, one unused for even length.
-const ROW: usize = SHAPE + FIXED + 2 * PER_SEGMENT + 1;
+/// Length of a row: shape, fixed colour parameters, two segments; filled up to whole vectors of four.
+const ROW: usize = (SHAPE + FIXED + 2 * PER_SEGMENT).next_multiple_of(4);
 type Row = [f64; ROW];
 
 /// Side of the square over which the errors of neighbouring samples are taken to be correlated, pixels: the smallest
@@ -218,11 +218,9 @@ impl Patch {
                         row[SHAPE + SHADING] += w * p.shading[0][k];
                         row[SHAPE + SHADING + 1] += w * p.shading[1][k];
                         row[SHAPE + CAP] += w * p.cap[k];
-                        for (j, (albedo, slope)) in p.albedo.iter().zip(&p.slope).enumerate() {
+                        for (j, albedo) in p.albedo.iter().enumerate() {
                             if let Some(place) = slot.checked_add_unsigned(j).filter(|s| (0..2).contains(s)) {
-                                let at = SHAPE + FIXED + PER_SEGMENT * place as usize;
-                                row[at + k] += w * albedo[k];
-                                row[at + 3] += w * slope[k];
+                                row[SHAPE + FIXED + PER_SEGMENT * place as usize + k] += w * albedo[k];
                             }
                         }
                     }
@@ -347,8 +345,9 @@ impl Patch {
         };
         let background = mean(sums.last()?)?;
         for (class, sum) in sums.iter().enumerate() {
-            // A segment too short to show its own colour starts from the background's.
-            let light = mean(sum).unwrap_or(background);
+            // A segment too short to show its own colour starts from the next but one: bands and bare tube alternate.
+            let alike = [class.wrapping_sub(2), class + 2].into_iter().find_map(|j| mean(sums[..segments].get(j)?));
+            let light = mean(sum).or(alike).unwrap_or(background);
             let at = if class == segments { BACKGROUND } else { FIXED + PER_SEGMENT * class };
             colours[at..at + 3].copy_from_slice(light.as_slice());
         }
@@ -363,5 +362,5 @@ fn place(i: usize, ring: usize, layout: &Layout) -> Option<usize> {
         return Some(i);
     }
     let at = i + PER_SEGMENT * ring;
-    (i + 1 < ROW && at < SHAPE + layout.colours()).then_some(at)
+    (i < SHAPE + FIXED + 2 * PER_SEGMENT && at < SHAPE + layout.colours()).then_some(at)
 }

@@ -100,6 +100,6 @@ fn group(rig: &Rig, members: Vec<(usize, f64)>, reference: usize) -> Group {
         members,
         reference,
         straight_half_m,
-        stretch: Stretch { layout: Layout { rings_m, ends }, range_m, radius_m: diameter / 2.0 },
+        stretch: Stretch { layout: Layout { rings_m, ends }, range_m, radius_m: diameter / 2.0, at_clamp: first == 0 },
     }
 }

@@ -1,0 +1,302 @@
+//! `catoptra calibrate`: from recordings to a rig file.
+
+use super::{Exit, Failure, output};
+use catoptra::calibrate::markers::{MarkersCalibration, MarkersError, Pick, calibrate_markers, is_apart};
+use catoptra::rig::{Rig, RigError};
+use catoptra::source::{self, SourceOptions};
+use clap::Subcommand;
+use nalgebra::Point2;
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+
+/// Arguments of `catoptra calibrate`.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Learn the marker bands from a recording and one click a band
+    ///
+    /// Learns each band's colour, finds the bands in the other views, measures their distances along the tube, the blur of
+    /// the lens and the offset of the colour samples, and writes all of it into the rig file (the old one is kept as
+    /// RIG.toml.bak). Exit code 3 when a band's colour cannot be told from another's or from what surrounds it.
+    #[command(
+        after_help = "Example:\n  catoptra calibrate markers sample_frames/planar.mkv --rig calibration/dev_tank/rig.toml \
+        --tube 3.2mm \\\n    --pick base@431,408:6mm --pick coil@431,565:12mm --pick tip@430,607:6mm --out my_rig.toml"
+    )]
+    Markers(MarkersArgs),
+}
+
+#[derive(Debug, clap::Args)]
+struct MarkersArgs {
+    /// A recording, or a folder of pictures
+    #[arg(value_name = "VIDEO|DIR")]
+    source: PathBuf,
+    /// The rig file with camera, surfaces and views
+    #[arg(long, value_name = "RIG.toml")]
+    rig: PathBuf,
+    /// Outer diameter of the tube
+    #[arg(long, value_name = "3.2mm", value_parser = Length::from_str)]
+    tube: Length,
+    /// A band in the first frame: name, a pixel on it, its length; once a band, from the base to the tip
+    #[arg(long = "pick", value_name = "NAME@X,Y:LENGTH", required = true, value_parser = PickArg::from_str)]
+    picks: Vec<PickArg>,
+    /// View in which the bands were picked [default: the first one]
+    #[arg(long, value_name = "NAME")]
+    view: Option<String>,
+    /// Band whose direction is wanted [default: that of the rig, `coil`, or the second one]
+    #[arg(long, value_name = "NAME")]
+    coil: Option<String>,
+    /// Band that ends the tube, or `none` [default: that of the rig, or the last one]
+    #[arg(long, value_name = "NAME")]
+    end: Option<String>,
+    /// Frames per second of a folder of pictures without times.csv
+    #[arg(long, value_name = "F")]
+    fps: Option<source::FrameRate>,
+    /// Rig file to write [default: the one given by --rig]
+    #[arg(long, short, value_name = "RIG.toml")]
+    out: Option<PathBuf>,
+}
+
+/// A length as people write it, in metres.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Length(f64);
+
+impl FromStr for Length {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let wrong = || format!("`{text}` is not a length: write for example 3.2mm, 0.32cm or 0.0032m");
+        let (number, unit_m) = [("mm", 1e-3), ("cm", 1e-2), ("m", 1.0)]
+            .into_iter()
+            .find_map(|(unit, metres)| Some((text.trim().strip_suffix(unit)?, metres)))
+            .ok_or_else(wrong)?;
+        let value: f64 = number.trim().parse().map_err(|_| wrong())?;
+        if value.is_finite() && value > 0.0 { Ok(Self(value * unit_m)) } else { Err(wrong()) }
+    }
+}
+
+#[derive(Debug, Clone, PartialEq)]
+struct PickArg(Pick);
+
+impl FromStr for PickArg {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let wrong = || format!("`{text}` is not a pick: write NAME@X,Y:LENGTH, for example coil@433,565:12mm");
+        let (name, rest) = text.split_once('@').ok_or_else(wrong)?;
+        let (place, length) = rest.split_once(':').ok_or_else(wrong)?;
+        let (x, y) = place.split_once(',').ok_or_else(wrong)?;
+        let coordinate = |v: &str| v.trim().parse::<f64>().ok().filter(|v| v.is_finite()).ok_or_else(wrong);
+        let pixel = Point2::new(coordinate(x)?, coordinate(y)?);
+        Ok(Self(Pick { name: name.trim().to_owned(), pixel, length_m: length.parse::<Length>()?.0 }))
+    }
+}
+
+pub(crate) fn run(args: &Args) -> Result<(), Failure> {
+    let Command::Markers(args) = &args.command;
+    markers(args)
+}
+
+fn markers(args: &MarkersArgs) -> Result<(), Failure> {
+    let rig = rig_with_picks(args)?;
+    let view = match &args.view {
+        None => 0,
+        Some(name) => rig.view(name).ok_or_else(|| {
+            let known: Vec<&str> = rig.views.iter().map(|v| v.name.as_str()).collect();
+            usage(format!("--view {name}: no such view in {}; it has {}", args.rig.display(), known.join(", ")))
+        })?,
+    };
+    let options = SourceOptions { stated_rate: args.fps, ..SourceOptions::default() };
+    let mut frames = source::open(&args.source, options).map_err(|e| Failure::new(Exit::Usage, e))?;
+    let picks: Vec<Pick> = args.picks.iter().map(|p| p.0.clone()).collect();
+    let mut done = calibrate_markers(&rig, &picks, view, frames.as_mut()).map_err(failure)?;
+    done.rig.provenance.insert("markers".into(), provenance(args, &done).into());
+    output::print(&describe(&done))?;
+    let weak: Vec<String> =
+        done.weak_pairs().map(|s| format!("`{}` and `{}`", done.classes[s.marker], done.classes[s.other])).collect();
+    if !weak.is_empty() {
+        let text = format!(
+            "colours that cannot be told apart: {}; nothing was written. Choose bands of purer or other colours, more even \
+             light, or take the other thing of that colour out of the picture",
+            weak.join(", ")
+        );
+        return Err(Failure::new(Exit::Unusable, text));
+    }
+    if let Some(m) = done.answered.iter().position(|n| n * 2 < done.frames) {
+        let text = format!(
+            "`{}` was measured in only {} of {} frames; nothing was written",
+            done.rig.markers[m].name, done.answered[m], done.frames
+        );
+        return Err(Failure::new(Exit::Unusable, text));
+    }
+    let out = args.out.as_ref().unwrap_or(&args.rig);
+    save(&done.rig, out)?;
+    output::print(&format!("\nwritten: {}\n", out.display()))
+}
+
+/// The rig file with the markers as picked. Places along the tube and roles that it has already are kept.
+fn rig_with_picks(args: &MarkersArgs) -> Result<Rig, Failure> {
+    let path = &args.rig;
+    let text =
+        std::fs::read_to_string(path).map_err(|source| Failure::from(RigError::Read { file: path.clone(), source }))?;
+    // A rig from the calibration of camera and mirrors has no markers yet; they must be there before it can be checked.
+    let Ok(mut table) = text.parse::<toml::Table>() else {
+        return Ok(Rig::load(path)?); // says what is wrong and where
+    };
+    let known = |name: &str| {
+        let list = table.get("marker")?.as_array()?;
+        list.iter().filter_map(|m| m.as_table()).find(|m| m.get("name").and_then(|n| n.as_str()) == Some(name)).cloned()
+    };
+    let markers: Vec<toml::Value> = args
+        .picks
+        .iter()
+        .map(|PickArg(pick)| {
+            let mut marker = known(&pick.name).unwrap_or_default();
+            marker.insert("name".into(), pick.name.clone().into());
+            marker.insert("length_mm".into(), (pick.length_m * 1e3).into());
+            marker.remove("colour");
+            marker.into()
+        })
+        .collect();
+    let mut catheter = table.get("catheter").and_then(|c| c.as_table()).cloned().unwrap_or_default();
+    let picked = |name: &str| args.picks.iter().any(|p| p.0.name == name);
+    catheter.insert("diameter_mm".into(), (args.tube.0 * 1e3).into());
+    if let Some(coil) = &args.coil {
+        catheter.insert("coil".into(), coil.clone().into());
+    } else if !catheter.contains_key("coil") {
+        let second = args.picks.get(1).or(args.picks.first()).map(|p| p.0.name.clone()).unwrap_or_default();
+        let coil = if picked("coil") { "coil".to_owned() } else { second };
+        catheter.insert("coil".into(), coil.into());
+    }
+    match args.end.as_deref() {
+        Some("none") => {
+            catheter.remove("end");
+        }
+        Some(end) => {
+            catheter.insert("end".into(), end.into());
+        }
+        None if !table.contains_key("catheter") => {
+            let last = args.picks.last().map(|p| p.0.name.clone()).unwrap_or_default();
+            catheter.insert("end".into(), last.into());
+        }
+        None => {}
+    }
+    table.insert("marker".into(), markers.into());
+    table.insert("catheter".into(), catheter.into());
+    Ok(Rig::from_toml_str(&table.to_string(), path)?)
+}
+
+fn usage(text: String) -> Failure {
+    Failure::new(Exit::Usage, text)
+}
+
+fn failure(error: MarkersError) -> Failure {
+    let exit = match error {
+        MarkersError::NoPick(_) | MarkersError::Outside { .. } | MarkersError::Track(_) => Exit::Usage,
+        MarkersError::Source(_) | MarkersError::NoFrame => Exit::Failed,
+        MarkersError::Learn(_)
+        | MarkersError::NoBlob { .. }
+        | MarkersError::NotMeasured { .. }
+        | MarkersError::Segment(_) => Exit::Unusable,
+    };
+    Failure::new(exit, error)
+}
+
+fn provenance(args: &MarkersArgs, done: &MarkersCalibration) -> toml::Table {
+    let mut table = toml::Table::new();
+    let file = args.source.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    table.insert("made_by".into(), format!("catoptra {} calibrate markers", env!("CARGO_PKG_VERSION")).into());
+    table.insert("recording".into(), file.into());
+    table.insert("frames".into(), (done.frames as i64).into());
+    if let Some(worst) = done.learned.worst() {
+        table.insert("smallest_colour_gap".into(), ((worst.gap() * 1e3).round() / 1e3).into());
+    }
+    table
+}
+
+fn describe(done: &MarkersCalibration) -> String {
+    let mut text = String::new();
+    let _ = writeln!(
+        text,
+        "{} frames looked at\n\nmarker     measured   colour R'G'B'   centre along the tube",
+        done.frames
+    );
+    for (m, marker) in done.rig.markers.iter().enumerate() {
+        let rgb = marker.colour.map(|c| c.rgb).unwrap_or_default();
+        let centre = marker.centre_m.map_or("unknown".into(), |c| format!("{:.2} mm", c * 1e3));
+        let _ = write!(
+            text,
+            "{:<10} {:>4}/{:<4}   {:>3.0} {:>3.0} {:>3.0}     {centre}",
+            marker.name, done.answered[m], done.frames, rgb.x, rgb.y, rgb.z
+        );
+        let names: Vec<&str> = done.rig.views.iter().map(|v| v.name.as_str()).collect();
+        match &done.first_miss[m] {
+            Some(miss) => {
+                let _ = writeln!(text, "   (missed: {})", miss.word(&names).replace('_', " "));
+            }
+            None => text.push('\n'),
+        }
+    }
+    text.push_str(
+        "\nseparation: score of the band (99 % above) against the other (99 % below); the threshold is 0.5\n",
+    );
+    for s in &done.learned.separations {
+        let _ = writeln!(
+            text,
+            "{:<10} {:>5.2}   against {:<12} {:>5.2}   d' {:>5.1}{}",
+            done.classes[s.marker],
+            s.marker_low,
+            done.classes[s.other],
+            s.other_high,
+            s.d_prime,
+            if is_apart(s) { "" } else { "   TOO ALIKE" }
+        );
+    }
+    let camera = &done.rig.camera;
+    let [x, y] = camera.chroma_offset_px;
+    let _ = writeln!(
+        text,
+        "\nblur of lens and sensor {:.2} px; chroma samples sit {x:+.2}, {y:+.2} px beside where the recording says",
+        camera.blur_px.unwrap_or(f64::NAN)
+    );
+    text
+}
+
+/// Writes the rig; what was there before is kept beside it as .bak.
+fn save(rig: &Rig, path: &Path) -> Result<(), Failure> {
+    if path.exists() {
+        let mut backup = path.as_os_str().to_owned();
+        backup.push(".bak");
+        std::fs::copy(path, &backup).map_err(|source| RigError::Write { file: backup.into(), source })?;
+    }
+    Ok(rig.save(path)?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lengths_and_picks_as_people_write_them() {
+        assert!((("3.2mm".parse::<Length>().unwrap().0) - 0.0032).abs() < 1e-15);
+        assert!((("0.32 cm".parse::<Length>().unwrap().0) - 0.0032).abs() < 1e-15);
+        let pick = "coil@433.5,565:12mm".parse::<PickArg>().unwrap().0;
+        assert_eq!((pick.name.as_str(), pick.pixel), ("coil", Point2::new(433.5, 565.0)));
+        assert!((pick.length_m - 0.012).abs() < 1e-15);
+    }
+
+    #[test]
+    fn nonsense_is_named_with_what_would_be_right() {
+        for text in ["3.2", "mm", "-1mm", "NaNmm", "3.2in"] {
+            assert!(text.parse::<Length>().unwrap_err().contains("3.2mm"), "{text}");
+        }
+        for text in ["coil", "coil@1:6mm", "coil@1,x:6mm", "coil@1,2:6", "coil@1,inf:6mm"] {
+            assert!(text.parse::<PickArg>().is_err(), "{text}");
+        }
+    }
+}
