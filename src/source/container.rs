@@ -93,7 +93,7 @@ pub(super) fn count_hint(
     if span == Span::default() {
         return counted.or_else(|| Some((length_s? * rate?).round() as u64));
     }
-    let from_s = span.from_ns.map_or(0.0, |ns| seconds(ns));
-    let to_s = span.to_ns.map_or(f64::INFINITY, |ns| seconds(ns)).min(length_s?);
+    let from_s = span.from_ns.map_or(0.0, seconds);
+    let to_s = span.to_ns.map_or(f64::INFINITY, seconds).min(length_s?);
     Some(((to_s - from_s).max(0.0) * rate?).round() as u64)
 }
