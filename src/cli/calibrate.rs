@@ -26,7 +26,8 @@ samples, and writes them into the rig file (the old one is kept as RIG.toml.bak)
 band's colour cannot be told from another's or from what surrounds it.
 Example:
   catoptra calibrate markers sample_frames/planar.mkv --rig calibration/dev_tank/rig.toml \\
-    --tube 3.2mm --pick base@431,408:6mm --pick coil@431,565:12mm --pick tip@430,607:6mm --out my.toml")]
+    --tube 3.2mm --pick base@431,408:6mm --pick coil@431,565:12mm --pick tip@430,607:6mm \\
+    --out my.toml")]
     Markers(MarkersArgs),
 }
 

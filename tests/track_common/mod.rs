@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking, its own functions too")]
 #![allow(dead_code, reason = "each test file that includes this module uses a part of it")]
 
-use catoptra::rig::{ColourModel, Rig};
+use catoptra::rig::Rig;
 use catoptra::source::{Frame, SourceOptions};
 use nalgebra::Vector3;
 use std::collections::HashMap;
@@ -15,20 +15,9 @@ pub(crate) fn sample(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("sample_frames").join(name)
 }
 
-/// The rig of the sample, with colours.
+/// The rig of the sample.
 pub(crate) fn rig() -> Rig {
-    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("calibration/dev_tank/rig.toml");
-    let mut rig = Rig::load(&file).unwrap();
-    // Least squares on the bands in four frames of planar.mkv.
-    let colours = [
-        ([0.012132, -0.005398, -0.009757], 0.501837, [134.5, 117.0, 51.5]),
-        ([-0.015828, 0.019345, -0.005785], 0.204440, [53.7, 104.7, 65.5]),
-        ([-0.001347, -0.016421, 0.009247], 1.124257, [51.9, 70.0, 118.4]),
-    ];
-    for (marker, (weights, bias, rgb)) in rig.markers.iter_mut().zip(colours) {
-        marker.colour.get_or_insert(ColourModel { weights: weights.into(), bias, rgb: Vector3::from(rgb) });
-    }
-    rig
+    Rig::load(&Path::new(env!("CARGO_MANIFEST_DIR")).join("calibration/dev_tank/rig.toml")).unwrap()
 }
 
 /// A folder of its own, with the sample's rig in it.
