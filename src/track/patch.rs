@@ -322,24 +322,12 @@ impl Patch {
 
     /// Normal equations of the rendered model.
     pub(crate) fn normal(&self, image: &TubeImage, layout: &Layout, noise: &Noise) -> Normal {
-        let rings = layout.rings_m.len();
-        let mut blocks = vec![[[0.0; ROW]; ROW]; rings];
-        let mut sums = vec![[0.0; ROW]; rings];
+        let mut blocks: Vec<Block> = (0..layout.rings_m.len()).map(|_| Block::default()).collect();
         let mut cost = 0.0;
         let mut squares = [[(0.0, 0); 2]; 3];
         self.residuals(image, noise, |r| {
-            let (block, sum) = (&mut blocks[r.ring], &mut sums[r.ring]);
-            // Background has but a few parameters; elsewhere four columns at a time beyond the diagonal: whole vectors,
-            // half the work.
-            let (first, last) = if r.far { (SHAPE, SHAPE + SHADING) } else { (0, ROW) };
-            for i in first..last {
-                let wi = r.weight * r.row[i];
-                sum[i] += wi * r.value;
-                let start = if r.far { i } else { i & !3 };
-                for (block, value) in block[i][start..last].iter_mut().zip(&r.row[start..last]) {
-                    *block += wi * value;
-                }
-            }
+            let block = &mut blocks[r.ring];
+            if r.far { block.add_background(r) } else { block.add(r) }
             let z = (r.value / r.sigma).abs();
             cost += if z <= HUBER { z * z } else { HUBER * (2.0 * z - HUBER) };
             let (total, count) = &mut squares[r.channel][r.class];
@@ -350,15 +338,16 @@ impl Patch {
         let n = SHAPE + layout.colours();
         let mut hessian = DMatrix::zeros(n, n);
         let mut gradient = DVector::zeros(n);
-        for ring in 0..rings {
+        for (ring, block) in blocks.iter_mut().enumerate() {
+            block.flush();
             for i in 0..ROW {
                 let Some(gi) = place(i, ring, layout) else { continue };
-                gradient[gi] += sums[ring][i];
+                gradient[gi] += block.gradient[i];
                 for j in i..ROW {
                     let Some(gj) = place(j, ring, layout) else { continue };
-                    hessian[(gi, gj)] += blocks[ring][i][j];
+                    hessian[(gi, gj)] += block.hessian[i][j];
                     if gi != gj {
-                        hessian[(gj, gi)] += blocks[ring][i][j];
+                        hessian[(gj, gi)] += block.hessian[i][j];
                     }
                 }
             }
@@ -442,6 +431,70 @@ impl Patch {
         }
         colours[CAP] = 1.0;
         Some(colours)
+    }
+}
+
+/// Sums of the samples at one ring. Rows wait until there are four, so that each sum is loaded and stored once for all of them.
+struct Block {
+    hessian: [Row; ROW],
+    gradient: Row,
+    /// Rows and residuals times the root of the weight.
+    waiting: [Row; BATCH],
+    residuals: [f64; BATCH],
+    count: usize,
+}
+
+const BATCH: usize = 4;
+
+impl Default for Block {
+    fn default() -> Self {
+        Self {
+            hessian: [[0.0; ROW]; ROW],
+            gradient: [0.0; ROW],
+            waiting: [[0.0; ROW]; BATCH],
+            residuals: [0.0; BATCH],
+            count: 0,
+        }
+    }
+}
+
+impl Block {
+    fn add(&mut self, r: &Residual) {
+        let root = r.weight.sqrt();
+        self.waiting[self.count] = r.row.map(|v| v * root);
+        self.residuals[self.count] = r.value * root;
+        self.count += 1;
+        if self.count == BATCH {
+            self.flush();
+        }
+    }
+
+    /// A background sample touches but a few parameters.
+    fn add_background(&mut self, r: &Residual) {
+        for i in SHAPE..SHAPE + SHADING {
+            let wi = r.weight * r.row[i];
+            self.gradient[i] += wi * r.value;
+            for j in i..SHAPE + SHADING {
+                self.hessian[i][j] += wi * r.row[j];
+            }
+        }
+    }
+
+    fn flush(&mut self) {
+        self.waiting[self.count..].fill([0.0; ROW]);
+        self.residuals[self.count..].fill(0.0);
+        self.count = 0;
+        let [a, b, c, d] = &self.waiting;
+        let [ra, rb, rc, rd] = self.residuals;
+        for i in 0..ROW {
+            let (ai, bi, ci, di) = (a[i], b[i], c[i], d[i]);
+            self.gradient[i] += ai * ra + bi * rb + ci * rc + di * rd;
+            // From the diagonal on, in whole vectors.
+            let sums = &mut self.hessian[i];
+            for j in (i & !3)..ROW {
+                sums[j] += ai * a[j] + bi * b[j] + ci * c[j] + di * d[j];
+            }
+        }
     }
 }
 
