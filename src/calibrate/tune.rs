@@ -59,7 +59,7 @@ mod tests {
 
     #[test]
     fn the_limit_of_the_range_holds() {
-        let found = minimise(0.5, 0.25, (0.0, 1.0), |x| Some(x)).unwrap();
+        let found = minimise(0.5, 0.25, (0.0, 1.0), Some).unwrap();
         assert!(found.at.abs() < 1e-12);
     }
 

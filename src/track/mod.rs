@@ -3,8 +3,11 @@
 mod appearance;
 mod assign;
 mod coil;
+#[cfg(test)]
+mod drawn;
 mod fit;
 mod light;
+mod normal;
 mod patch;
 mod stretch;
 mod tracker;

@@ -9,14 +9,12 @@ use super::appearance::{
     BACKGROUND, CAP, D_ALBEDO, D_BACKGROUND, D_CAP, D_GRADIENT, D_SHADING, D_X, D_Y, FIXED, Foot, GRADIENT, Layout,
     PER_SEGMENT, PixelModel, SHADING, TERMS, VALUE, pixel_model,
 };
+use super::fit::ModelError;
 use super::light::Encoding;
+use super::normal::{Block, Normal, ROW, Row, assemble, place};
 use super::tube::{SHAPE, TubeImage};
 use crate::source::Picture;
-use nalgebra::{DMatrix, DVector, Point2, SMatrix, SVector, Vector2, Vector3};
-
-/// Length of a row: shape, fixed colour parameters, two segments; filled up to whole vectors of four.
-const ROW: usize = (SHAPE + FIXED + 2 * PER_SEGMENT).next_multiple_of(4);
-type Row = [f64; ROW];
+use nalgebra::{DMatrix, Point2, SMatrix, SVector, Vector2, Vector3};
 
 /// Side of the square over which the errors of neighbouring samples are taken to be correlated, pixels: the smallest
 /// transform block of H.264 and JPEG's chroma.
@@ -40,6 +38,7 @@ pub(crate) struct ImageModel {
     pub blur_px: f64,
     /// Where chroma samples sit beyond what the stream says, pixels.
     pub chroma_offset_px: [f64; 2],
+    pub error: ModelError,
 }
 
 struct Sample {
@@ -91,15 +90,6 @@ struct Residual {
     weight: f64,
 }
 
-/// Sums over a patch's samples: J'WJ, J'Wr and the robust cost, parameters in the order shape, colours.
-pub(crate) struct Normal {
-    pub hessian: DMatrix<f64>,
-    pub gradient: DVector<f64>,
-    pub cost: f64,
-    /// Sum of squares and count per channel, near and far.
-    pub squares: [[(f64, usize); 2]; 3],
-}
-
 impl Patch {
     /// Selects the samples within `margin_px` of the tube's outline between the arc lengths `range_m`.
     ///
@@ -140,7 +130,7 @@ impl Patch {
         };
         let mut near = vec![false; width * height];
         let reach = image.greatest_half_width() + margin_px + image.sagitta();
-        for at in 0..width * height {
+        for (at, near) in near.iter_mut().enumerate() {
             let pixel = patch.pixel(at);
             let (start, aside) = image.chord_foot(&pixel);
             if aside.abs() > reach {
@@ -151,7 +141,7 @@ impl Patch {
             if knot >= first && knot <= last && outside <= margin_px {
                 patch.pixels.push(at);
                 patch.knots[at] = knot;
-                near[at] = outside <= NEAR_PX;
+                *near = outside <= NEAR_PX;
             }
         }
         let channels: Vec<usize> = (0..picture.format().channels()).collect();
@@ -328,9 +318,9 @@ impl Patch {
         self.residuals(image, noise, |r| {
             let block = &mut blocks[r.ring];
             if r.far {
-                block.add_background(r)
+                block.add_background(&r.row, r.value, r.weight)
             } else {
-                block.add(r)
+                block.add(&r.row, r.value, r.weight)
             }
             let z = (r.value / r.sigma).abs();
             cost += if z <= HUBER { z * z } else { HUBER * (2.0 * z - HUBER) };
@@ -339,23 +329,7 @@ impl Patch {
             *total += if z <= HUBER { r.value * r.value } else { (HUBER * r.sigma).powi(2) };
             *count += 1;
         });
-        let n = SHAPE + layout.colours();
-        let mut hessian = DMatrix::zeros(n, n);
-        let mut gradient = DVector::zeros(n);
-        for (ring, block) in blocks.iter_mut().enumerate() {
-            block.flush();
-            for i in 0..ROW {
-                let Some(gi) = place(i, ring, layout) else { continue };
-                gradient[gi] += block.gradient[i];
-                for j in i..ROW {
-                    let Some(gj) = place(j, ring, layout) else { continue };
-                    hessian[(gi, gj)] += block.hessian[i][j];
-                    if gi != gj {
-                        hessian[(gj, gi)] += block.hessian[i][j];
-                    }
-                }
-            }
-        }
+        let (hessian, gradient) = assemble(&mut blocks, layout);
         Normal { hessian, gradient, cost, squares }
     }
 
@@ -436,77 +410,4 @@ impl Patch {
         colours[CAP] = 1.0;
         Some(colours)
     }
-}
-
-/// Sums of the samples at one ring. Rows wait until there are four, so that each sum is loaded and stored once for all of them.
-struct Block {
-    hessian: [Row; ROW],
-    gradient: Row,
-    /// Rows and residuals times the root of the weight.
-    waiting: [Row; BATCH],
-    residuals: [f64; BATCH],
-    count: usize,
-}
-
-const BATCH: usize = 4;
-
-impl Default for Block {
-    fn default() -> Self {
-        Self {
-            hessian: [[0.0; ROW]; ROW],
-            gradient: [0.0; ROW],
-            waiting: [[0.0; ROW]; BATCH],
-            residuals: [0.0; BATCH],
-            count: 0,
-        }
-    }
-}
-
-impl Block {
-    fn add(&mut self, r: &Residual) {
-        let root = r.weight.sqrt();
-        self.waiting[self.count] = r.row.map(|v| v * root);
-        self.residuals[self.count] = r.value * root;
-        self.count += 1;
-        if self.count == BATCH {
-            self.flush();
-        }
-    }
-
-    /// A background sample touches but a few parameters.
-    fn add_background(&mut self, r: &Residual) {
-        for i in SHAPE..SHAPE + SHADING {
-            let wi = r.weight * r.row[i];
-            self.gradient[i] += wi * r.value;
-            for j in i..SHAPE + SHADING {
-                self.hessian[i][j] += wi * r.row[j];
-            }
-        }
-    }
-
-    fn flush(&mut self) {
-        self.waiting[self.count..].fill([0.0; ROW]);
-        self.residuals[self.count..].fill(0.0);
-        self.count = 0;
-        let [a, b, c, d] = &self.waiting;
-        let [ra, rb, rc, rd] = self.residuals;
-        for i in 0..ROW {
-            let (ai, bi, ci, di) = (a[i], b[i], c[i], d[i]);
-            self.gradient[i] += ai * ra + bi * rb + ci * rc + di * rd;
-            // From the diagonal on, in whole vectors.
-            let sums = &mut self.hessian[i];
-            for j in (i & !3)..ROW {
-                sums[j] += ai * a[j] + bi * b[j] + ci * c[j] + di * d[j];
-            }
-        }
-    }
-}
-
-/// Parameter that element `i` of a row at `ring` belongs to.
-fn place(i: usize, ring: usize, layout: &Layout) -> Option<usize> {
-    if i < SHAPE + FIXED {
-        return Some(i);
-    }
-    let at = i + PER_SEGMENT * ring;
-    (i < SHAPE + FIXED + 2 * PER_SEGMENT && at < SHAPE + layout.colours()).then_some(at)
 }

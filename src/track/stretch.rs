@@ -103,3 +103,63 @@ fn group(rig: &Rig, members: Vec<(usize, f64)>, reference: usize) -> Group {
         stretch: Stretch { layout: Layout { rings_m, ends }, range_m, radius_m: diameter / 2.0, at_clamp: first == 0 },
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sink::fixture;
+
+    /// Base, coil and tip of 6, 12 and 6 mm at 6, 85 and 107 mm on a tube of 3.2 mm that ends with the tip.
+    fn rig() -> Rig {
+        let mut rig = fixture::rig();
+        for (marker, (length_m, centre_m)) in rig.markers.iter_mut().zip([(6e-3, 6e-3), (12e-3, 85e-3), (6e-3, 107e-3)])
+        {
+            (marker.length_m, marker.centre_m) = (length_m, Some(centre_m));
+        }
+        rig
+    }
+
+    fn members(groups: &[Group]) -> Vec<Vec<usize>> {
+        groups.iter().map(|g| g.members.iter().map(|m| m.0).collect()).collect()
+    }
+
+    #[test]
+    fn the_tip_joins_the_coil_and_the_far_base_does_not() {
+        let groups = groups(&rig(), &[true; 3]);
+        assert_eq!(members(&groups), [vec![1, 2], vec![0]]);
+        let rings: Vec<f64> = groups[0].stretch.layout.rings_m.iter().map(|r| (r * 1e6).round() / 1e3).collect();
+        assert_eq!(rings, [-6.0, 6.0, 19.0, 25.0], "mm from the middle of the coil");
+        assert!(groups[0].stretch.layout.ends && !groups[1].stretch.layout.ends);
+        assert!(groups[1].stretch.at_clamp && !groups[0].stretch.at_clamp);
+    }
+
+    #[test]
+    fn a_band_at_an_unknown_place_is_fitted_by_itself() {
+        let mut rig = rig();
+        rig.markers[2].centre_m = None;
+        assert_eq!(members(&groups(&rig, &[true; 3])), [vec![1], vec![0], vec![2]]);
+    }
+
+    #[test]
+    fn a_missing_marker_leaves_the_others() {
+        assert_eq!(members(&groups(&rig(), &[true, false, true])), [vec![0], vec![2]]);
+        assert_eq!(members(&groups(&rig(), &[false, true, false])), [vec![1]]);
+    }
+
+    #[test]
+    fn the_stiff_part_is_the_longer_of_band_and_rig() {
+        let mut rig = rig();
+        assert!((groups(&rig, &[true; 3])[0].straight_half_m - 6e-3).abs() < 1e-12);
+        rig.catheter.rigid_m = Some(14e-3);
+        assert!((groups(&rig, &[true; 3])[0].straight_half_m - 7e-3).abs() < 1e-12);
+    }
+
+    #[test]
+    fn samples_keep_clear_of_the_next_band_and_of_the_clamp() {
+        let groups = groups(&rig(), &[true; 3]);
+        // 4 diameters above the coil; 0.8 beyond the end of the tube; half a diameter above the base.
+        assert!((groups[0].stretch.range_m.0 + 6e-3 + 4.0 * 3.2e-3).abs() < 1e-9);
+        assert!((groups[0].stretch.range_m.1 - 25e-3 - 0.8 * 3.2e-3).abs() < 1e-9);
+        assert!((groups[1].stretch.range_m.0 + 3e-3 + 0.5 * 3.2e-3).abs() < 1e-9);
+    }
+}

@@ -7,7 +7,7 @@
 use super::appearance::{FIXED, PER_SEGMENT};
 use super::assign::{Assigned, Assigner, direction_of_axes};
 use super::coil::deflection;
-use super::fit::{TubeFit, fit};
+use super::fit::{ModelError, TubeFit, fit};
 use super::light::Encoding;
 use super::patch::ImageModel;
 use super::stretch::{Group, groups};
@@ -62,6 +62,12 @@ pub struct Tracker {
     transfer: Transfer,
 }
 
+/// Blobs of a picture, and which of them each marker is.
+struct Found {
+    blobs: Vec<Blob>,
+    assigned: Vec<Result<Assigned, Miss>>,
+}
+
 /// A fitted group with the views it was fitted in.
 struct Fitted {
     group: Group,
@@ -83,6 +89,7 @@ impl Tracker {
                 encoding: Encoding::new(transfer),
                 blur_px: rig.camera.blur_px.unwrap_or(DEFAULT_BLUR_PX),
                 chroma_offset_px: rig.camera.chroma_offset_px,
+                error: ModelError::CODED,
             },
             transfer,
             rig: rig.clone(),
@@ -108,8 +115,9 @@ impl Tracker {
             self.transfer = picture.colour().transfer;
             self.model.encoding = Encoding::new(self.transfer);
         }
+        self.model.error = ModelError::of(picture);
         // 1. blobs and their assignment to markers and views
-        let (blobs, assigned) = self.find(frame)?;
+        let Found { blobs, assigned } = self.find(frame)?;
         // 2. the tube around them, fitted to the pictures of all views
         let fitted = self.fit_groups(picture, &blobs, &assigned);
         // 3. positions, tangent, deflection
@@ -137,7 +145,7 @@ impl Tracker {
             .then(|| misfits.iter().sum::<f64>() / misfits.len() as f64)
     }
 
-    fn find(&mut self, frame: &Frame) -> Result<(Vec<Blob>, Vec<Result<Assigned, Miss>>), SegmentError> {
+    fn find(&mut self, frame: &Frame) -> Result<Found, SegmentError> {
         let picture = &frame.picture;
         let windows = self.assigner.windows(&self.rig, frame.stamp);
         if let Some(windows) = &windows {
@@ -150,12 +158,12 @@ impl Tracker {
             blobs.retain(|blob| !blob.touches_border);
             let assigned = self.assigner.assign(&self.rig, &blobs, frame.stamp);
             if assigned.iter().all(Result::is_ok) {
-                return Ok((blobs, assigned));
+                return Ok(Found { blobs, assigned });
             }
         }
         let blobs = self.segmenter.all_blobs(picture)?.to_vec();
         let assigned = self.assigner.assign(&self.rig, &blobs, frame.stamp);
-        Ok((blobs, assigned))
+        Ok(Found { blobs, assigned })
     }
 
     fn fit_groups(&self, picture: &Picture, blobs: &[Blob], assigned: &[Result<Assigned, Miss>]) -> Vec<Fitted> {

@@ -302,3 +302,60 @@ impl TubeImage {
         at + Vector2::new(-along.y, along.x) * (side * self.local(knot).half_width)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn bent() -> TubeShape {
+        TubeShape {
+            curvature_up: Vector2::new(5.0, -8.0),
+            curvature_down: Vector2::new(-12.0, 4.0),
+            curvature_down_rate: Vector2::new(150.0, -60.0),
+            ..TubeShape::straight(Point3::new(-0.1, 0.02, 1.4), &Vector3::new(0.3, 0.9, -0.2), 6e-3)
+        }
+    }
+
+    #[test]
+    fn a_constant_curvature_is_an_arc_of_a_circle() {
+        let shape = TubeShape {
+            curvature_down: Vector2::new(20.0, 0.0),
+            ..TubeShape::straight(Point3::origin(), &Vector3::z(), 6e-3)
+        };
+        // 10 mm of an arc of radius 50 mm after 6 mm of straight: 0.2 rad.
+        let (point, direction, _) = shape.at(16e-3);
+        let n = shape.across();
+        assert!((point.coords.dot(&n.column(0)) - 0.05 * (1.0 - 0.2_f64.cos())).abs() < 4e-6);
+        assert!((point.z - (6e-3 + 0.05 * 0.2_f64.sin())).abs() < 1e-6);
+        assert!((direction.angle(&Vector3::z()) - 0.2).abs() < 2e-3);
+        assert!((direction.norm() - 1.0).abs() < 1e-3);
+    }
+
+    #[test]
+    fn derivatives_equal_differences_of_moved_shapes() {
+        let shape = bent();
+        for s in [-15e-3, -3e-3, 0.0, 5e-3, 12e-3, 25e-3] {
+            let (_, _, d) = shape.at(s);
+            for k in 0..SHAPE {
+                let h = [1e-6, 1e-6, 1e-6, 1e-5, 1e-5, 1e-2, 1e-2, 1e-2, 1e-2, 1.0, 1.0][k];
+                let mut step = ShapeStep::zeros();
+                step[k] = h;
+                let difference = (shape.moved(&step).at(s).0 - shape.moved(&(-step)).at(s).0) / (2.0 * h);
+                let error = (difference - d.column(k)).norm();
+                assert!(error < 1e-4 * difference.norm() + 1e-9, "s {s} parameter {k}: {difference} {}", d.column(k));
+            }
+        }
+    }
+
+    #[test]
+    fn moving_keeps_the_frame_orthonormal_and_turns_the_tangent_as_told() {
+        let mut step = ShapeStep::zeros();
+        step[3] = 0.01;
+        step[4] = -0.02;
+        let shape = bent();
+        let moved = shape.moved(&step);
+        assert!((moved.frame.transpose() * moved.frame - Matrix3::identity()).norm() < 1e-12);
+        let expected = shape.tangent() + shape.across() * Vector2::new(0.01, -0.02);
+        assert!(moved.tangent().angle(&expected) < 1e-5);
+    }
+}
