@@ -1,37 +1,20 @@
 //! The log read by someone else's code: Python's `mcap` with `mcap-protobuf-support` decodes every message and finds the
-//! numbers of the table.
-//!
-//! Needs `pip install mcap mcap-protobuf-support`, in the interpreter named by `CATOPTRA_PYTHON` or `python3`. Skipped,
-//! and said so, where they are missing; a failure there when `CI=true`.
+//! numbers of the table. What was logged is made up, with everything in it that a log can hold; track_python.rs has a real one.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test fails by panicking")]
 
 use catoptra::sink::{CsvSink, McapSink, OutputFrame, Sink};
 use catoptra::{estimate, optics, rig, source};
-use std::io::Write;
 use std::path::Path;
-use std::process::{Command, Output};
+use std::process::Output;
 
 #[path = "../src/sink/fixture.rs"]
 mod fixture;
+mod python;
+
+use python::{agreed, interpreter};
 
 const FRAMES: u64 = 200;
-
-/// The interpreter, if it has what the script needs.
-fn python() -> Option<String> {
-    let python = std::env::var("CATOPTRA_PYTHON").unwrap_or_else(|_| "python3".to_owned());
-    let probe = Command::new(&python).args(["-c", "import mcap, mcap_protobuf"]).output();
-    let missing = match probe {
-        Ok(output) if output.status.success() => return Some(python),
-        Ok(output) => String::from_utf8_lossy(&output.stderr).lines().last().unwrap_or("").to_owned(),
-        Err(error) => error.to_string(),
-    };
-    let told = format!("{python} cannot read logs ({missing}): pip install mcap mcap-protobuf-support");
-    assert!(std::env::var("CI").as_deref() != Ok("true"), "{told}");
-    // Past the test harness, which keeps what a passing test prints to itself.
-    std::io::stderr().write_all(format!("SKIPPED: {told}\n").as_bytes()).unwrap();
-    None
-}
 
 fn write(folder: &Path, rig: &rig::Rig, frame: OutputFrame) {
     let mut log = McapSink::create(&folder.join("run.mcap"), rig, "# the rig\n", "frame = \"base\"\n").unwrap();
@@ -47,22 +30,12 @@ fn write(folder: &Path, rig: &rig::Rig, frame: OutputFrame) {
 }
 
 fn compare(python: &str, folder: &Path, frame: &str) -> Output {
-    Command::new(python)
-        .arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/python/read_log.py"))
-        .args([folder.join("run.mcap"), folder.join("run.csv")])
-        .args(["--frame", frame])
-        .output()
-        .unwrap()
-}
-
-fn agreed(output: &Output) -> String {
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    String::from_utf8_lossy(&output.stdout).into_owned()
+    python::compare(python, &folder.join("run.mcap"), &folder.join("run.csv"), frame)
 }
 
 #[test]
 fn python_decodes_every_message_and_finds_the_numbers_of_the_table() {
-    let Some(python) = python() else { return };
+    let Some(python) = interpreter() else { return };
     let folder = tempfile::tempdir().unwrap();
     write(folder.path(), &fixture::rig(), OutputFrame::Base);
     let told = agreed(&compare(&python, folder.path(), "base"));
@@ -80,7 +53,7 @@ fn python_decodes_every_message_and_finds_the_numbers_of_the_table() {
 
 #[test]
 fn in_the_camera_frame_and_without_a_base() {
-    let Some(python) = python() else { return };
+    let Some(python) = interpreter() else { return };
     let folder = tempfile::tempdir().unwrap();
     write(folder.path(), &fixture::rig(), OutputFrame::Camera);
     agreed(&compare(&python, folder.path(), "camera"));
@@ -94,7 +67,7 @@ fn in_the_camera_frame_and_without_a_base() {
 /// The comparison can fail: one digit of one number of the table is changed.
 #[test]
 fn a_changed_digit_is_found() {
-    let Some(python) = python() else { return };
+    let Some(python) = interpreter() else { return };
     let folder = tempfile::tempdir().unwrap();
     write(folder.path(), &fixture::rig(), OutputFrame::Base);
     let path = folder.path().join("run.csv");

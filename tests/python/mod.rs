@@ -1,0 +1,38 @@
+//! Logs read by someone else's code: Python's `mcap` with `mcap-protobuf-support`, by `read_log.py` beside this file.
+//!
+//! Needs `pip install mcap mcap-protobuf-support`, in the interpreter named by `CATOPTRA_PYTHON` or `python3`. Skipped,
+//! and said so, where they are missing; a failure there when `CI=true`.
+
+#![allow(clippy::unwrap_used, reason = "a test fails by panicking, its own functions too")]
+
+use std::io::Write;
+use std::path::Path;
+use std::process::{Command, Output};
+
+/// The interpreter, if it has what the script needs.
+pub(crate) fn interpreter() -> Option<String> {
+    let python = std::env::var("CATOPTRA_PYTHON").unwrap_or_else(|_| "python3".to_owned());
+    let probe = Command::new(&python).args(["-c", "import mcap, mcap_protobuf"]).output();
+    let missing = match probe {
+        Ok(output) if output.status.success() => return Some(python),
+        Ok(output) => String::from_utf8_lossy(&output.stderr).lines().last().unwrap_or("").to_owned(),
+        Err(error) => error.to_string(),
+    };
+    let told = format!("{python} cannot read logs ({missing}): pip install mcap mcap-protobuf-support");
+    assert!(std::env::var("CI").as_deref() != Ok("true"), "{told}");
+    // Past the test harness, which keeps what a passing test prints to itself.
+    std::io::stderr().write_all(format!("SKIPPED: {told}\n").as_bytes()).unwrap();
+    None
+}
+
+/// Decodes every message of a log and compares it with the table, whose frame of reference is `base` or `camera`.
+pub(crate) fn compare(python: &str, log: &Path, table: &Path, frame: &str) -> Output {
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/python/read_log.py");
+    Command::new(python).arg(script).args([log, table]).args(["--frame", frame]).output().unwrap()
+}
+
+/// Fails unless log and table agree; gives what was found.
+pub(crate) fn agreed(output: &Output) -> String {
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8_lossy(&output.stdout).into_owned()
+}
