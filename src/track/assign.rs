@@ -95,10 +95,12 @@ impl Assigner {
         let candidates: Vec<Vec<Candidate>> =
             (0..rig.markers.len()).map(|m| self.candidates(rig, m, blobs, stamp, &mut rejected[m])).collect();
         let best = choose(rig, &candidates, None);
+        let place = |m: usize| best.choice[m].map(|chosen| candidates[m][chosen].assigned.point);
         (0..rig.markers.len())
             .map(|m| {
                 let Some(chosen) = best.choice[m] else {
-                    return Err(rejected[m].clone().unwrap_or(Miss::NotSeen { view: unseen(rig, m, blobs) }));
+                    let expected = self.expected(rig, m, stamp, place);
+                    return Err(rejected[m].clone().unwrap_or(Miss::NotSeen { view: unseen(rig, m, blobs, expected) }));
                 };
                 let here = &candidates[m][chosen].assigned;
                 let elsewhere = choose(rig, &candidates, Some((m, here.point)));
@@ -110,6 +112,22 @@ impl Assigner {
                 Ok(here.clone())
             })
             .collect()
+    }
+
+    /// About where a marker is, and how far from there it may be: where it was, or else near its neighbour on the tube.
+    fn expected(
+        &self,
+        rig: &Rig,
+        marker: usize,
+        stamp: Timestamp,
+        place: impl Fn(usize) -> Option<Point3<f64>>,
+    ) -> Option<(Point3<f64>, f64)> {
+        if let Some((point, age)) = self.recent(marker, stamp) {
+            return Some((point, PLACE_SD_M + FASTEST_M_S * age + rig.markers[marker].length_m));
+        }
+        let neighbours = [marker.checked_sub(1), Some(marker + 1).filter(|&n| n < rig.markers.len())];
+        let reached = |n: usize| Some((place(n)?, longest(rig, n.min(marker))));
+        neighbours.into_iter().flatten().filter_map(reached).min_by(|a, b| a.1.total_cmp(&b.1))
     }
 
     /// Combinations of blobs whose rays meet where a band of the marker's size would look like them.
@@ -195,9 +213,19 @@ fn in_view(marker: usize, view: &View, blobs: &[Blob]) -> Vec<usize> {
     list
 }
 
-/// The first view in which a marker has no blob (the last one if all have).
-fn unseen(rig: &Rig, marker: usize, blobs: &[Blob]) -> usize {
-    (0..rig.views.len()).find(|&v| in_view(marker, &rig.views[v], blobs).is_empty()).unwrap_or(rig.views.len() - 1)
+/// The first view in which a marker has no blob, near the place where it is expected if there is one (the last view if
+/// all have). Views without a region share the picture: there only the place says in which one a blob is missing.
+fn unseen(rig: &Rig, marker: usize, blobs: &[Blob], expected: Option<(Point3<f64>, f64)>) -> usize {
+    let sees = |view: &View| {
+        let near = expected.and_then(|(point, reach_m)| {
+            let seen = view.optics.project_with_jacobian(&point).ok()?;
+            Some((seen.pixel, reach_m * seen.d_pixel.norm() / std::f64::consts::SQRT_2))
+        });
+        let is_near =
+            |b: &usize| near.is_none_or(|(pixel, reach_px)| (blobs[*b].centre_px - pixel).norm() <= reach_px);
+        in_view(marker, view, blobs).iter().any(is_near)
+    };
+    (0..rig.views.len()).find(|&v| !sees(&rig.views[v])).unwrap_or(rig.views.len() - 1)
 }
 
 struct Choice {
@@ -253,12 +281,16 @@ fn choose(rig: &Rig, candidates: &[Vec<Candidate>], except: Option<(usize, Point
 fn apart(rig: &Rig, p: usize, before: &[Candidate], j: usize, list: &[Candidate], k: usize) -> f64 {
     let (Some(a), Some(b)) = (before.get(j), list.get(k)) else { return 0.0 };
     let distance = (a.assigned.point - b.assigned.point).norm();
-    let longest = match (rig.markers[p].centre_m, rig.markers[p + 1].centre_m) {
+    let shortest = (rig.markers[p].length_m + rig.markers[p + 1].length_m) / 2.0 * 0.5;
+    if (shortest..longest(rig, p)).contains(&distance) { 0.0 } else { f64::INFINITY }
+}
+
+/// The largest distance of marker `p` from the next one that the tube between them allows, metres.
+fn longest(rig: &Rig, p: usize) -> f64 {
+    match (rig.markers[p].centre_m, rig.markers[p + 1].centre_m) {
         (Some(a), Some(b)) => (b - a).abs() * 1.05 + 2e-3,
         _ => LONGEST_GAP_M,
-    };
-    let shortest = (rig.markers[p].length_m + rig.markers[p + 1].length_m) / 2.0 * 0.5;
-    if (shortest..longest).contains(&distance) { 0.0 } else { f64::INFINITY }
+    }
 }
 
 /// Direction in space whose image runs along `axes[v]` in each view, up to sign; `None` when the views leave it open.
