@@ -25,9 +25,9 @@ pub(super) struct Samples {
     elsewhere: Vec<Vector3<f64>>,
 }
 
-/// A rectangle along an axis: where a band is taken to be.
+/// A rectangle along an axis: where a band is taken to be, or where one may be that is not measured (no marker).
 pub(super) struct Place {
-    marker: usize,
+    marker: Option<usize>,
     centre: Point2<f64>,
     axis: Vector2<f64>,
     half_length: f64,
@@ -38,12 +38,12 @@ impl Place {
     /// A disc around a click, known to lie on the band, of unknown surroundings.
     fn click(marker: usize, centre: Point2<f64>) -> Self {
         let reach = CLICK_RADIUS_PX + EDGE_PX;
-        Self { marker, centre, axis: Vector2::x(), half_length: reach, half_width: reach }
+        Self { marker: Some(marker), centre, axis: Vector2::x(), half_length: reach, half_width: reach }
     }
 
     pub(super) fn blob(blob: &Blob) -> Self {
         Self {
-            marker: blob.marker,
+            marker: Some(blob.marker),
             centre: blob.centre_px,
             axis: blob.axis,
             half_length: blob.length_px / 2.0,
@@ -56,12 +56,17 @@ impl Place {
             band.outline_px.iter().map(|p| (p - band.centre_px).dot(&axis).abs()).fold(0.0, f64::max)
         };
         Self {
-            marker,
+            marker: Some(marker),
             centre: band.centre_px,
             axis: band.axis,
             half_length: extent(band.axis),
             half_width: extent(Vector2::new(-band.axis.y, band.axis.x)),
         }
+    }
+
+    /// Where a band is expected that was not measured there: no sample of anything.
+    pub(super) fn hidden(centre: Point2<f64>, reach: f64) -> Self {
+        Self { marker: None, centre, axis: Vector2::x(), half_length: reach, half_width: reach }
     }
 
     /// Distance outside the rectangle (negative inside), pixels.
@@ -88,7 +93,7 @@ impl Samples {
         let Some(rgb) = picture.rgb_from_stored() else { return };
         let [width, height] = picture.size_px();
         let clear = |pixel: &Point2<f64>| places.iter().all(|p| p.outside(pixel) > 2.0 * EDGE_PX);
-        for place in places {
+        for (place, marker) in places.iter().filter_map(|place| Some((place, place.marker?))) {
             let reach = place.half_length.max(place.half_width) + BESIDE_PX;
             let low = |c: f64| (c - reach).floor().max(0.0) as u32;
             let high = |c: f64, size: u32| ((c + reach).ceil().max(0.0) as u32).min(size.saturating_sub(1));
@@ -97,9 +102,9 @@ impl Samples {
                     let pixel = Point2::new(f64::from(x), f64::from(y));
                     let outside = place.outside(&pixel);
                     let list = if outside < -EDGE_PX {
-                        &mut self.bands[place.marker]
+                        &mut self.bands[marker]
                     } else if surroundings && outside < BESIDE_PX && clear(&pixel) {
-                        &mut self.beside[place.marker]
+                        &mut self.beside[marker]
                     } else {
                         continue;
                     };

@@ -14,8 +14,8 @@
 
 use super::colours::{Place, Samples};
 use super::tune::minimise;
-use crate::estimate::{Estimate, Miss};
-use crate::rig::{Marker, Rig};
+use crate::estimate::{BandObservation, Estimate, MarkerEstimate, Miss};
+use crate::rig::{Marker, Rig, View};
 use crate::segment::{LearnError, Learned, SegmentError, Segmenter, Separation, learn};
 use crate::source::{Frame, FrameSource, SourceError};
 use crate::track::{TrackError, TrackOptions, Tracker};
@@ -318,21 +318,29 @@ fn track(rig: &Rig, frames: &[Frame]) -> Result<Vec<Estimate>, MarkersError> {
 fn learn_everywhere(rig: &mut Rig, frames: &[Frame]) -> Result<(Vec<String>, Learned), MarkersError> {
     let mut samples = Samples::new(rig.markers.iter().map(|m| m.name.clone()).collect());
     for (estimate, frame) in track(rig, frames)?.iter().zip(frames) {
-        let places: Vec<Place> = estimate
-            .markers
-            .iter()
-            .enumerate()
-            .flat_map(|(m, marker)| marker.views.iter().flatten().map(move |band| Place::band(m, band)))
-            .collect();
-        // A frame with a marker missing would teach that its band is background.
-        if estimate.markers.iter().all(|m| m.views.iter().all(Result::is_ok)) {
-            samples.add(&frame.picture, &places, true);
+        // A marker that is somewhere unknown would teach that its band is background.
+        let places: Option<Vec<_>> = estimate.markers.iter().enumerate().map(|(m, e)| places(rig, m, e)).collect();
+        if let Some(places) = places {
+            samples.add(&frame.picture, &places.into_iter().flatten().collect::<Vec<_>>(), true);
         }
     }
     let classes = samples.classes();
     let learned = learn(&classes)?;
     set_models(rig, &learned);
     Ok((classes.into_iter().map(|c| c.name).collect(), learned))
+}
+
+/// Where a marker is in each view: measured, or where the other views say; `None` when its position is not known.
+fn places(rig: &Rig, m: usize, estimate: &MarkerEstimate) -> Option<Vec<Place>> {
+    let point = estimate.position.as_ref().ok()?.point;
+    let place = |(view, seen): (&View, &Result<BandObservation, Miss>)| match seen {
+        Ok(band) => Some(Place::band(m, band)),
+        Err(_) => {
+            let expected = view.optics.project_with_jacobian(&point).ok()?;
+            Some(Place::hidden(expected.pixel, expected.d_pixel.norm() * rig.markers[m].length_m))
+        }
+    };
+    Some(rig.views.iter().zip(&estimate.views).filter_map(place).collect())
 }
 
 /// Places along the tube that the rig does not know: the median arc between neighbours, from the chord and the angle it
