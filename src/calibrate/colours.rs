@@ -1,5 +1,6 @@
 //! Colour samples of bands, of what lies beside them, and of the rest of the picture.
 
+use super::around::clusters;
 use crate::estimate::BandObservation;
 use crate::segment::{Blob, ClassSamples};
 use crate::source::{Picture, RgbFromStored};
@@ -12,17 +13,21 @@ const BESIDE_PX: f64 = 14.0;
 /// Grid over the whole picture, pixels.
 const GRID_PX: usize = 8;
 
-/// Colour samples by class: each marker, what is beside each marker, elsewhere.
+/// Fewer samples of a colour are no class.
+const LEAST_SAMPLES: usize = 12;
+
+/// Colour samples by class: each marker, what is beside each marker (as one class or several), elsewhere.
 pub(super) struct Samples {
     names: Vec<String>,
     bands: Vec<Vec<Vector3<f64>>>,
     beside: Vec<Vec<Vector3<f64>>>,
+    around: Vec<(usize, Vec<Vector3<f64>>)>,
     elsewhere: Vec<Vector3<f64>>,
 }
 
-/// A rectangle along an axis: where a band is taken to be.
+/// A rectangle along an axis: where a band is taken to be, or where one may be that is not measured (no marker).
 pub(super) struct Place {
-    marker: usize,
+    marker: Option<usize>,
     centre: Point2<f64>,
     axis: Vector2<f64>,
     half_length: f64,
@@ -31,14 +36,14 @@ pub(super) struct Place {
 
 impl Place {
     /// A disc around a click, known to lie on the band, of unknown surroundings.
-    pub(super) fn click(marker: usize, centre: Point2<f64>) -> Self {
+    fn click(marker: usize, centre: Point2<f64>) -> Self {
         let reach = CLICK_RADIUS_PX + EDGE_PX;
-        Self { marker, centre, axis: Vector2::x(), half_length: reach, half_width: reach }
+        Self { marker: Some(marker), centre, axis: Vector2::x(), half_length: reach, half_width: reach }
     }
 
     pub(super) fn blob(blob: &Blob) -> Self {
         Self {
-            marker: blob.marker,
+            marker: Some(blob.marker),
             centre: blob.centre_px,
             axis: blob.axis,
             half_length: blob.length_px / 2.0,
@@ -51,12 +56,17 @@ impl Place {
             band.outline_px.iter().map(|p| (p - band.centre_px).dot(&axis).abs()).fold(0.0, f64::max)
         };
         Self {
-            marker,
+            marker: Some(marker),
             centre: band.centre_px,
             axis: band.axis,
             half_length: extent(band.axis),
             half_width: extent(Vector2::new(-band.axis.y, band.axis.x)),
         }
+    }
+
+    /// Where a band is expected that was not measured there: no sample of anything.
+    pub(super) fn hidden(centre: Point2<f64>, reach: f64) -> Self {
+        Self { marker: None, centre, axis: Vector2::x(), half_length: reach, half_width: reach }
     }
 
     /// Distance outside the rectangle (negative inside), pixels.
@@ -74,7 +84,7 @@ const CLICK_RADIUS_PX: f64 = 1.6;
 impl Samples {
     pub(super) fn new(names: Vec<String>) -> Self {
         let empty = || vec![Vec::new(); names.len()];
-        Self { bands: empty(), beside: empty(), elsewhere: Vec::new(), names }
+        Self { bands: empty(), beside: empty(), around: Vec::new(), elsewhere: Vec::new(), names }
     }
 
     /// Adds a picture in which bands are at `places`. With `surroundings` false, only the bands themselves and the rest of
@@ -83,7 +93,7 @@ impl Samples {
         let Some(rgb) = picture.rgb_from_stored() else { return };
         let [width, height] = picture.size_px();
         let clear = |pixel: &Point2<f64>| places.iter().all(|p| p.outside(pixel) > 2.0 * EDGE_PX);
-        for place in places {
+        for (place, marker) in places.iter().filter_map(|place| Some((place, place.marker?))) {
             let reach = place.half_length.max(place.half_width) + BESIDE_PX;
             let low = |c: f64| (c - reach).floor().max(0.0) as u32;
             let high = |c: f64, size: u32| ((c + reach).ceil().max(0.0) as u32).min(size.saturating_sub(1));
@@ -92,9 +102,9 @@ impl Samples {
                     let pixel = Point2::new(f64::from(x), f64::from(y));
                     let outside = place.outside(&pixel);
                     let list = if outside < -EDGE_PX {
-                        &mut self.bands[place.marker]
+                        &mut self.bands[marker]
                     } else if surroundings && outside < BESIDE_PX && clear(&pixel) {
-                        &mut self.beside[place.marker]
+                        &mut self.beside[marker]
                     } else {
                         continue;
                     };
@@ -112,6 +122,19 @@ impl Samples {
         }
     }
 
+    /// Adds a picture in which bands were clicked and nothing else is known.
+    pub(super) fn add_clicks(&mut self, picture: &Picture, clicks: &[Point2<f64>]) {
+        let places: Vec<Place> = clicks.iter().enumerate().map(|(m, click)| Place::click(m, *click)).collect();
+        self.add(picture, &places, false);
+        let Some(rgb) = picture.rgb_from_stored() else { return };
+        let own: Vec<Vector3<f64>> =
+            self.bands.iter().map(|band| band.iter().sum::<Vector3<f64>>() / band.len().max(1) as f64).collect();
+        let at = |x: i64, y: i64| colour(picture, &rgb, u32::try_from(x).ok()?, u32::try_from(y).ok()?);
+        let found = clusters(clicks, &own, at);
+        let classes = found.into_iter().enumerate().flat_map(|(m, lists)| lists.into_iter().map(move |list| (m, list)));
+        self.around.extend(classes.filter(|(_, list)| list.len() >= LEAST_SAMPLES));
+    }
+
     /// The classes to learn from: markers first, in their order.
     pub(super) fn classes(&self) -> Vec<ClassSamples> {
         let class = |name: String, is_marker, rgb: &Vec<_>| ClassSamples { name, is_marker, rgb: rgb.clone() };
@@ -122,7 +145,8 @@ impl Samples {
             .zip(&self.beside)
             .filter(|(_, rgb)| !rgb.is_empty())
             .map(|(name, rgb)| class(format!("beside {name}"), false, rgb));
-        bands.chain(beside).chain([class("elsewhere".into(), false, &self.elsewhere)]).collect()
+        let around = self.around.iter().map(|(m, rgb)| class(format!("around {}", self.names[*m]), false, rgb));
+        bands.chain(beside).chain(around).chain([class("elsewhere".into(), false, &self.elsewhere)]).collect()
     }
 }
 

@@ -3,8 +3,8 @@
 //! In: a recording, a rig with its optics, for each band a click in the first frame and its length. Out: the rig with
 //! colour models, places of the bands along the tube, blur and chroma offset of the camera.
 //!
-//! 1. The colour around each click against the rest of the picture gives a first discriminant; the blob under the click
-//!    against what lies beside it a better one.
+//! 1. The colour at each click against the colours around it and the rest of the picture gives a first discriminant; the
+//!    blob under the click against what lies beside it a better one.
 //! 2. The tracker finds the same bands in the other views of the first frame: rays must meet, sizes must fit.
 //! 3. Frames from the whole recording are tracked, and the colours learned again from all bands in all views.
 //! 4. Blur of the lens, offset of the chroma samples, and unknown distances between bands close to the coil are those that
@@ -14,8 +14,8 @@
 
 use super::colours::{Place, Samples};
 use super::tune::minimise;
-use crate::estimate::{Estimate, Miss};
-use crate::rig::Rig;
+use crate::estimate::{BandObservation, Estimate, MarkerEstimate, Miss};
+use crate::rig::{Marker, Rig, View};
 use crate::segment::{LearnError, Learned, SegmentError, Segmenter, Separation, learn};
 use crate::source::{Frame, FrameSource, SourceError};
 use crate::track::{TrackError, TrackOptions, Tracker};
@@ -211,11 +211,11 @@ fn learn_first(rig: &Rig, picks: &[Pick], first: &Frame) -> Result<Rig, MarkersE
     for (marker, pick) in rig.markers.iter_mut().zip(picks) {
         marker.length_m = pick.length_m;
     }
-    let clicks: Vec<Place> = picks.iter().enumerate().map(|(m, p)| Place::click(m, p.pixel)).collect();
+    let clicks: Vec<Point2<f64>> = picks.iter().map(|p| p.pixel).collect();
     let mut samples = Samples::new(names());
-    samples.add(&first.picture, &clicks, false);
+    samples.add_clicks(&first.picture, &clicks);
     set_models(&mut rig, &learn(&samples.classes())?);
-    // The first discriminant knows nothing of the tube's own colour; what lies beside the blob teaches it.
+    // The whole band shows more of its shading than the click, and what lies beside it matters most.
     for _ in 0..2 {
         let places = blobs_under(&rig, picks, first)?;
         let mut samples = Samples::new(names());
@@ -261,7 +261,15 @@ fn confirm(rig: &Rig, picks: &[Pick], view: usize, first: &Frame) -> Result<(), 
             reason,
         };
         if let Err(miss) = &marker.position {
-            return Err(not_measured(format!("{} ({miss:?})", miss.word(&names).replace('_', " "))));
+            let also: Vec<String> = estimate
+                .markers
+                .iter()
+                .zip(&rig.markers)
+                .filter(|(m, other)| m.position.as_ref().is_err_and(|e| e == miss) && other.name != info.name)
+                .map(|(_, other)| format!("`{}`", other.name))
+                .collect();
+            let also = if also.is_empty() { String::new() } else { format!(" (nor can {})", also.join(", ")) };
+            return Err(not_measured(format!("{}{also}", why(rig, info, miss))));
         }
         if let Some(Ok(seen)) = marker.views.get(view) {
             let away = (seen.centre_px - pick.pixel).norm();
@@ -280,6 +288,27 @@ fn confirm(rig: &Rig, picks: &[Pick], view: usize, first: &Frame) -> Result<(), 
     Ok(())
 }
 
+/// A miss as the one who clicked should hear it.
+fn why(rig: &Rig, marker: &Marker, miss: &Miss) -> String {
+    let band =
+        format!("a band of {:.1} mm on a tube of {:.1} mm", marker.length_m * 1e3, rig.catheter.diameter_m * 1e3);
+    match miss {
+        Miss::NotSeen { view } => {
+            let view = rig.views.get(*view).map_or("another view", |v| v.name.as_str());
+            format!("nothing of its colour that could be {band} is seen in `{view}`")
+        }
+        Miss::Ambiguous { candidates } => format!(
+            "{candidates} things of its colour are where it could be: cover the others, or draw the views' region_px tighter"
+        ),
+        Miss::RaysDiverge { distance_m } => format!(
+            "what has its colour in the views is not in one place, lines of sight pass {:.1} mm apart: click on the band \
+             itself, and see whether mirror and walls in the rig are where they were",
+            distance_m * 1e3
+        ),
+        _ => format!("what is there does not look like {band}: are click, length and diameter right?"),
+    }
+}
+
 fn track(rig: &Rig, frames: &[Frame]) -> Result<Vec<Estimate>, MarkersError> {
     let mut tracker = Tracker::new(rig, TrackOptions::default())?;
     Ok(frames.iter().map(|frame| tracker.step(frame)).collect::<Result<_, _>>()?)
@@ -289,21 +318,29 @@ fn track(rig: &Rig, frames: &[Frame]) -> Result<Vec<Estimate>, MarkersError> {
 fn learn_everywhere(rig: &mut Rig, frames: &[Frame]) -> Result<(Vec<String>, Learned), MarkersError> {
     let mut samples = Samples::new(rig.markers.iter().map(|m| m.name.clone()).collect());
     for (estimate, frame) in track(rig, frames)?.iter().zip(frames) {
-        let places: Vec<Place> = estimate
-            .markers
-            .iter()
-            .enumerate()
-            .flat_map(|(m, marker)| marker.views.iter().flatten().map(move |band| Place::band(m, band)))
-            .collect();
-        // A frame with a marker missing would teach that its band is background.
-        if estimate.markers.iter().all(|m| m.views.iter().all(Result::is_ok)) {
-            samples.add(&frame.picture, &places, true);
+        // A marker that is somewhere unknown would teach that its band is background.
+        let places: Option<Vec<_>> = estimate.markers.iter().enumerate().map(|(m, e)| places(rig, m, e)).collect();
+        if let Some(places) = places {
+            samples.add(&frame.picture, &places.into_iter().flatten().collect::<Vec<_>>(), true);
         }
     }
     let classes = samples.classes();
     let learned = learn(&classes)?;
     set_models(rig, &learned);
     Ok((classes.into_iter().map(|c| c.name).collect(), learned))
+}
+
+/// Where a marker is in each view: measured, or where the other views say; `None` when its position is not known.
+fn places(rig: &Rig, m: usize, estimate: &MarkerEstimate) -> Option<Vec<Place>> {
+    let point = estimate.position.as_ref().ok()?.point;
+    let place = |(view, seen): (&View, &Result<BandObservation, Miss>)| match seen {
+        Ok(band) => Some(Place::band(m, band)),
+        Err(_) => {
+            let expected = view.optics.project_with_jacobian(&point).ok()?;
+            Some(Place::hidden(expected.pixel, expected.d_pixel.norm() * rig.markers[m].length_m))
+        }
+    };
+    Some(rig.views.iter().zip(&estimate.views).filter_map(place).collect())
 }
 
 /// Places along the tube that the rig does not know: the median arc between neighbours, from the chord and the angle it

@@ -2,6 +2,7 @@
 //!
 //! - [`markers`]: colour models, places along the tube and how the camera draws a band, from one click a marker.
 
+mod around;
 mod colours;
 pub mod markers;
 mod tune;

@@ -12,10 +12,12 @@ use crate::estimate::Miss;
 use crate::rig::{Rig, View};
 use crate::segment::{Blob, Search, Window};
 use crate::source::Timestamp;
-use nalgebra::{Matrix2, Point3, Vector2};
+use nalgebra::{Matrix2, Matrix2x3, Point3, Vector2};
 
-/// A blob's centre is that of the visible surface, not of the band: up to about this far off, pixels.
+/// A blob's centre is that of the visible surface, not of the band: about this far off, pixels, and for tubes that are wide
+/// in the picture this many half widths.
 const CENTRE_SD_PX: f64 = 1.0;
+const CENTRE_SD_HALF_WIDTHS: f64 = 0.3;
 /// χ² per degree of freedom beyond which rays do not meet.
 const MEET_CHI2: f64 = 16.0;
 /// A blob may show this much less or more than the band's outline (foreshortening, shading, partial cover).
@@ -82,7 +84,7 @@ impl Assigner {
             let reach_m = PLACE_SD_M + FASTEST_M_S * age + marker.length_m;
             for view in &rig.views {
                 let seen = view.optics.project_with_jacobian(&point).ok()?;
-                let reach_px = reach_m * seen.d_pixel.norm() / std::f64::consts::SQRT_2;
+                let reach_px = reach_m * px_per_m(&seen.d_pixel);
                 windows.push(Search { marker: Some(m), window: Window::around(&seen.pixel, reach_px) });
             }
         }
@@ -95,10 +97,12 @@ impl Assigner {
         let candidates: Vec<Vec<Candidate>> =
             (0..rig.markers.len()).map(|m| self.candidates(rig, m, blobs, stamp, &mut rejected[m])).collect();
         let best = choose(rig, &candidates, None);
+        let place = |m: usize| best.choice[m].map(|chosen| candidates[m][chosen].assigned.point);
         (0..rig.markers.len())
             .map(|m| {
                 let Some(chosen) = best.choice[m] else {
-                    return Err(rejected[m].clone().unwrap_or(Miss::NotSeen { view: unseen(rig, m, blobs) }));
+                    let expected = self.expected(rig, m, stamp, place);
+                    return Err(rejected[m].clone().unwrap_or(Miss::NotSeen { view: unseen(rig, m, blobs, expected) }));
                 };
                 let here = &candidates[m][chosen].assigned;
                 let elsewhere = choose(rig, &candidates, Some((m, here.point)));
@@ -110,6 +114,22 @@ impl Assigner {
                 Ok(here.clone())
             })
             .collect()
+    }
+
+    /// About where a marker is, and how far from there it may be: where it was, or else near its neighbour on the tube.
+    fn expected(
+        &self,
+        rig: &Rig,
+        marker: usize,
+        stamp: Timestamp,
+        place: impl Fn(usize) -> Option<Point3<f64>>,
+    ) -> Option<(Point3<f64>, f64)> {
+        if let Some((point, age)) = self.recent(marker, stamp) {
+            return Some((point, PLACE_SD_M + FASTEST_M_S * age + rig.markers[marker].length_m));
+        }
+        let neighbours = [marker.checked_sub(1), Some(marker + 1).filter(|&n| n < rig.markers.len())];
+        let reached = |n: usize| Some((place(n)?, longest(rig, n.min(marker))));
+        neighbours.into_iter().flatten().filter_map(reached).min_by(|a, b| a.1.total_cmp(&b.1))
     }
 
     /// Combinations of blobs whose rays meet where a band of the marker's size would look like them.
@@ -160,13 +180,17 @@ impl Assigner {
             .collect();
         let met = triangulate(&sightings).ok_or(None)?;
         let freedom = (2 * sightings.len() - 3) as f64;
-        if met.chi2 > MEET_CHI2 * freedom {
+        let scales = used()
+            .map(|(view, _)| view.optics.project_with_jacobian(&met.point).map(|seen| px_per_m(&seen.d_pixel)))
+            .collect::<Result<Vec<_>, _>>()
+            .map_err(|_| None)?;
+        let half_width_px = scales.iter().copied().fold(0.0, f64::max) * rig.catheter.diameter_m / 2.0;
+        let chi2 = met.chi2 / (half_width_px * CENTRE_SD_HALF_WIDTHS / CENTRE_SD_PX).max(1.0).powi(2);
+        if chi2 > MEET_CHI2 * freedom {
             return Err(Some(Miss::RaysDiverge { distance_m: met.ray_distance_m }));
         }
-        let mut cost = met.chi2 + MISSING_VIEW_COST * (picked.len() - sightings.len()) as f64;
-        for (view, blob) in used() {
-            let seen = view.optics.project_with_jacobian(&met.point).map_err(|_| None)?;
-            let px_per_m = seen.d_pixel.norm() / std::f64::consts::SQRT_2;
+        let mut cost = chi2 + MISSING_VIEW_COST * (picked.len() - sightings.len()) as f64;
+        for ((_, blob), px_per_m) in used().zip(scales) {
             let expected = px_per_m.powi(2) * rig.markers[marker].length_m * rig.catheter.diameter_m;
             let ratio = blob.area_px2 / expected;
             if !(SIZE_RATIO.0..SIZE_RATIO.1).contains(&ratio) {
@@ -179,6 +203,11 @@ impl Assigner {
         }
         Ok(Candidate { assigned: Assigned { point: met.point, blobs: picked.to_vec() }, cost })
     }
+}
+
+/// Scale of the picture at a point, across the line of sight, from d pixel / d point.
+fn px_per_m(d_pixel: &Matrix2x3<f64>) -> f64 {
+    d_pixel.norm() / std::f64::consts::SQRT_2
 }
 
 /// One blob cannot be two views of a marker (views without a region share the picture).
@@ -195,9 +224,18 @@ fn in_view(marker: usize, view: &View, blobs: &[Blob]) -> Vec<usize> {
     list
 }
 
-/// The first view in which a marker has no blob (the last one if all have).
-fn unseen(rig: &Rig, marker: usize, blobs: &[Blob]) -> usize {
-    (0..rig.views.len()).find(|&v| in_view(marker, &rig.views[v], blobs).is_empty()).unwrap_or(rig.views.len() - 1)
+/// The first view in which a marker has no blob, near the place where it is expected if there is one (the last view if
+/// all have). Views without a region share the picture: there only the place says in which one a blob is missing.
+fn unseen(rig: &Rig, marker: usize, blobs: &[Blob], expected: Option<(Point3<f64>, f64)>) -> usize {
+    let sees = |view: &View| {
+        let near = expected.and_then(|(point, reach_m)| {
+            let seen = view.optics.project_with_jacobian(&point).ok()?;
+            Some((seen.pixel, reach_m * px_per_m(&seen.d_pixel)))
+        });
+        let is_near = |b: &usize| near.is_none_or(|(pixel, reach_px)| (blobs[*b].centre_px - pixel).norm() <= reach_px);
+        in_view(marker, view, blobs).iter().any(is_near)
+    };
+    (0..rig.views.len()).find(|&v| !sees(&rig.views[v])).unwrap_or(rig.views.len() - 1)
 }
 
 struct Choice {
@@ -253,12 +291,16 @@ fn choose(rig: &Rig, candidates: &[Vec<Candidate>], except: Option<(usize, Point
 fn apart(rig: &Rig, p: usize, before: &[Candidate], j: usize, list: &[Candidate], k: usize) -> f64 {
     let (Some(a), Some(b)) = (before.get(j), list.get(k)) else { return 0.0 };
     let distance = (a.assigned.point - b.assigned.point).norm();
-    let longest = match (rig.markers[p].centre_m, rig.markers[p + 1].centre_m) {
+    let shortest = (rig.markers[p].length_m + rig.markers[p + 1].length_m) / 2.0 * 0.5;
+    if (shortest..longest(rig, p)).contains(&distance) { 0.0 } else { f64::INFINITY }
+}
+
+/// The largest distance of marker `p` from the next one that the tube between them allows, metres.
+fn longest(rig: &Rig, p: usize) -> f64 {
+    match (rig.markers[p].centre_m, rig.markers[p + 1].centre_m) {
         (Some(a), Some(b)) => (b - a).abs() * 1.05 + 2e-3,
         _ => LONGEST_GAP_M,
-    };
-    let shortest = (rig.markers[p].length_m + rig.markers[p + 1].length_m) / 2.0 * 0.5;
-    if (shortest..longest).contains(&distance) { 0.0 } else { f64::INFINITY }
+    }
 }
 
 /// Direction in space whose image runs along `axes[v]` in each view, up to sign; `None` when the views leave it open.

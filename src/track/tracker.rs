@@ -22,8 +22,9 @@ use rayon::prelude::*;
 
 /// Blur assumed for a rig whose blur has not been measured: a sharp lens and square pixels.
 const DEFAULT_BLUR_PX: f64 = 0.6;
-/// A fit that ends this far from where it started has left its band, pixels.
-const MOST_MOVED_PX: f64 = 4.0;
+/// A fit that ends this far from where it started has left its band: pixels, and half widths of a tube that is wide in the
+/// picture, because the start is the middle of the visible surface, which lies up to π/4 half widths from that of the band.
+const MOST_MOVED: (f64, f64) = (4.0, 1.2);
 /// Least separation of the fitted colour of a band from its surroundings (1: as learned).
 const LEAST_SEPARATION: f64 = 0.3;
 /// Views disagree when their own shifts exceed this χ² and this many pixels.
@@ -237,11 +238,12 @@ impl Tracker {
     fn accept(&self, group: &Group, views: &[usize], start: &Assigned, fit: &TubeFit) -> Result<(), Miss> {
         for (&v, view) in views.iter().zip(&fit.views) {
             let before = self.rig.views[v].optics.project(&start.point).map_err(|_| Miss::NotConverged)?;
-            let moved = (view.image.at_arc(0.0).pixel - before).norm();
+            let knot = view.image.at_arc(0.0);
+            let moved = (knot.pixel - before).norm();
             let separation = (0..group.members.len())
                 .map(|i| self.separation(group, i, &view.colours))
                 .fold(f64::INFINITY, f64::min);
-            if !(moved <= MOST_MOVED_PX && separation >= LEAST_SEPARATION) {
+            if !(moved <= MOST_MOVED.0.max(MOST_MOVED.1 * knot.half_width) && separation >= LEAST_SEPARATION) {
                 return Err(Miss::PoorFit { moved_px: moved, separation });
             }
         }
