@@ -20,14 +20,14 @@ pub(crate) struct Args {
 #[derive(Debug, Subcommand)]
 enum Command {
     /// Learn the marker bands from a recording and one click a band
-    ///
-    /// Learns each band's colour, finds the bands in the other views, measures their distances along the tube, the blur of
-    /// the lens and the offset of the colour samples, and writes all of it into the rig file (the old one is kept as
-    /// RIG.toml.bak). Exit code 3 when a band's colour cannot be told from another's or from what surrounds it.
-    #[command(
-        after_help = "Example:\n  catoptra calibrate markers sample_frames/planar.mkv --rig calibration/dev_tank/rig.toml \
-        --tube 3.2mm \\\n    --pick base@431,408:6mm --pick coil@431,565:12mm --pick tip@430,607:6mm --out my_rig.toml"
-    )]
+    #[command(after_help = "\
+Measures each band's colour and place on the tube, the blur of the lens and the offset of the colour
+samples, and writes them into the rig file (the old one is kept as RIG.toml.bak). Exit code 3: a
+band's colour cannot be told from another's or from what surrounds it.
+Example:
+  catoptra calibrate markers sample_frames/planar.mkv --rig calibration/dev_tank/rig.toml \\
+    --tube 3.2mm --pick base@431,408:6mm --pick coil@431,565:12mm --pick tip@430,607:6mm \\
+    --out my.toml")]
     Markers(MarkersArgs),
 }
 

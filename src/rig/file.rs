@@ -154,7 +154,7 @@ mod tests {
     fn a_key_like_no_other_gets_the_list() {
         assert_eq!(
             error("[catheter]\nbanana = 1\n"),
-            "rig.toml:2: unknown key `banana`, known here: diameter_mm, coil, end"
+            "rig.toml:2: unknown key `banana`, known here: diameter_mm, coil, end, rigid_mm"
         );
     }
 

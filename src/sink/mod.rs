@@ -31,7 +31,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 /// The word of a miss ([`crate::estimate::Miss::word`]) as people say it.
-pub(crate) fn spoken(word: &str) -> String {
+pub fn spoken(word: &str) -> String {
     word.replace("not_seen_", "not seen in ").replace('_', " ")
 }
 

@@ -6,6 +6,7 @@ use std::path::Path;
 use ffmpeg_the_third as av;
 
 use super::extent::{Extent, extent};
+use super::times::seconds;
 use super::{SourceError, Span};
 
 /// libav writes to stderr by itself. What matters of it is in this module's errors and warnings; the rest is shown to who
@@ -92,7 +93,7 @@ pub(super) fn count_hint(
     if span == Span::default() {
         return counted.or_else(|| Some((length_s? * rate?).round() as u64));
     }
-    let from_s = span.from_ns.map_or(0.0, |ns| ns as f64 * 1e-9);
-    let to_s = span.to_ns.map_or(f64::INFINITY, |ns| ns as f64 * 1e-9).min(length_s?);
+    let from_s = span.from_ns.map_or(0.0, seconds);
+    let to_s = span.to_ns.map_or(f64::INFINITY, seconds).min(length_s?);
     Some(((to_s - from_s).max(0.0) * rate?).round() as u64)
 }

@@ -19,7 +19,7 @@ use super::damage::{DamageLog, REORDER};
 use super::decoded::{PictureMaker, is_damaged};
 use super::extent::Extent;
 use super::gaps::{GapCounter, Order, Rhythm, WINDOW, plausible_period_ns};
-use super::times::ticks_to_ns;
+use super::times::{seconds, ticks_to_ns};
 use super::{Clock, Frame, FrameSource, SourceError, Span, Tally, Timestamp};
 
 /// How a recording is read.
@@ -271,7 +271,7 @@ impl VideoFile {
 
     /// Where reading has come to, for a person.
     fn at(&self) -> String {
-        self.seen_ns.map_or_else(|| "the start".to_owned(), |ns| format!("{} s", ns as f64 * 1e-9))
+        self.seen_ns.map_or_else(|| "the start".to_owned(), |ns| format!("{} s", seconds(ns)))
     }
 
     /// The container's time of `frame`.
@@ -300,7 +300,7 @@ impl VideoFile {
     /// Camera frames lost before the frame at `ns`, with a word on stamps that are not in order.
     fn gap(&mut self, ns: i64) -> u32 {
         let step = self.gaps.step(ns);
-        let at_s = ns as f64 * 1e-9;
+        let at_s = seconds(ns);
         match step.order {
             Order::First | Order::Later => {}
             Order::Same => {
@@ -320,7 +320,7 @@ impl VideoFile {
                         "{}: frame {} at {at_s} s is {} s earlier than one before it; it is kept, more are counted",
                         self.path.display(),
                         self.seq,
-                        by_ns as f64 * 1e-9
+                        seconds(by_ns)
                     );
                 }
             }
@@ -345,7 +345,6 @@ impl VideoFile {
         self.state = State::Ended;
         self.tally.report(&self.path);
         let path = self.path.clone();
-        let seconds = |ns: i64| ns as f64 * 1e-9;
         if let Some(why) = self.ends_early.take() {
             let last_good_s = self.last_good_ns.map(seconds);
             return Err(SourceError::Truncated { path, frames: self.seq, last_good_s, why });

@@ -17,7 +17,7 @@ use std::path::{Path, PathBuf};
 use image::DynamicImage;
 
 use super::gaps::GapCounter;
-use super::times::{FrameRate, parse_seconds_ns};
+use super::times::{FrameRate, parse_seconds_ns, seconds};
 use super::{Clock, Colour, Frame, FrameSource, Picture, PictureError, PixelFormat, SourceError, Span, Timestamp};
 
 /// Endings of the names of files that are taken for pictures.
@@ -74,7 +74,6 @@ impl ImageFolder {
             }
         };
         let gaps = (clock == Clock::Container).then(|| GapCounter::new(None, resolution_ns(&rows)));
-        let seconds = |ns: i64| ns as f64 * 1e-9;
         let before_s =
             rows.iter().rev().find(|(_, ns)| span.from_ns.is_some_and(|from| *ns < from)).map(|r| seconds(r.1));
         let after_s = rows.iter().find(|(_, ns)| span.to_ns.is_some_and(|to| *ns > to)).map(|r| seconds(r.1));

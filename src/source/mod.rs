@@ -56,7 +56,7 @@ pub struct Timestamp {
 impl Timestamp {
     /// Seconds since the clock's zero.
     pub fn seconds(self) -> f64 {
-        self.ns as f64 * 1e-9
+        times::seconds(self.ns)
     }
 }
 
@@ -146,7 +146,7 @@ impl Span {
     fn check(self) -> Result<(), SourceError> {
         match (self.from_ns, self.to_ns) {
             (Some(from), Some(to)) if to < from => {
-                Err(SourceError::Span { from_s: from as f64 * 1e-9, to_s: to as f64 * 1e-9 })
+                Err(SourceError::Span { from_s: times::seconds(from), to_s: times::seconds(to) })
             }
             _ => Ok(()),
         }

@@ -3,6 +3,11 @@
 use std::fmt;
 use std::str::FromStr;
 
+/// Seconds of nanoseconds: the double nearest to their decimal, so that 150 ms are printed as 0.15.
+pub fn seconds(ns: i64) -> f64 {
+    ns as f64 / 1e9
+}
+
 /// `count` units of `numerator / denominator` seconds in nanoseconds, to the nearest (a half away from zero);
 /// `None` when the denominator is not positive or the time does not fit 292 years.
 pub fn ticks_to_ns(count: i64, numerator: i64, denominator: i64) -> Option<i64> {
@@ -113,6 +118,14 @@ mod tests {
         assert_eq!(ticks_to_ns(1, 1, 2_000_000_000), Some(1));
         assert_eq!(ticks_to_ns(i64::MAX, 1, 1), None);
         assert_eq!(ticks_to_ns(1, 1, 0), None);
+    }
+
+    #[test]
+    fn seconds_are_printed_with_the_digits_they_came_with() {
+        for ms in 0..10_000 {
+            assert_eq!(format!("{:.3}", seconds(ms * 1_000_000)).parse::<f64>(), Ok(seconds(ms * 1_000_000)));
+        }
+        assert_eq!(seconds(150_000_000).to_string(), "0.15");
     }
 
     #[test]

@@ -77,25 +77,32 @@ pub(crate) struct Foot {
     pub along: Vector2<f64>,
 }
 
-/// Stored R'G'B' that the model predicts at a pixel, and its derivatives (each already multiplied by the slope of the
-/// transfer function, per channel R, G, B).
+/// What the model predicts of one channel (R, G or B) at a pixel, and its derivatives: all multiplied by the slope of the
+/// transfer function, so that sums with a stored channel's weights are derivatives of stored values.
+pub(crate) const TERMS: usize = 11;
+pub(crate) const VALUE: usize = 0;
+/// Image gradient in x and y, per pixel.
+pub(crate) const D_X: usize = 1;
+pub(crate) const D_Y: usize = 2;
+/// d/d background, and the same times the pixel's place relative to the patch's middle.
+pub(crate) const D_BACKGROUND: usize = 3;
+pub(crate) const D_GRADIENT: usize = 4;
+/// d/d m₁, d/d m₂.
+pub(crate) const D_SHADING: usize = 6;
+pub(crate) const D_CAP: usize = 8;
+/// d/d colour of the segment before the nearest ring, and of the one behind it.
+pub(crate) const D_ALBEDO: usize = 9;
+
+/// The model at one pixel.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct PixelModel {
-    pub foot: Foot,
-    pub rgb: [f64; 3],
-    /// Image gradient, per pixel.
-    pub gradient: [Vector2<f64>; 3],
-    /// d/d background.
-    pub background: [f64; 3],
-    /// Place relative to the patch's middle, pixels: d/d gradient = background × this.
-    pub offset: Vector2<f64>,
-    /// d/d m₁, d/d m₂, d/d cap.
-    pub shading: [[f64; 3]; 2],
-    pub cap: [f64; 3],
-    /// Segment before the nearest ring; the one behind it is the next.
-    pub segment: usize,
-    /// d/d colour of the two segments.
-    pub albedo: [[f64; 3]; 2],
+    pub terms: [[f64; TERMS]; 3],
+    /// Knot coordinate of the nearest point of the axis.
+    pub knot: f64,
+    /// The nearest ring; the segment before it has the same number.
+    pub ring: usize,
+    /// Only background is seen: all terms but value and those of the background are zero.
+    pub far: bool,
 }
 
 /// Weight beyond an edge and its derivatives along u and v (pixels).
@@ -116,12 +123,12 @@ pub(crate) fn pixel_model(
     blur_px: f64,
     encoding: &Encoding,
 ) -> PixelModel {
-    let mut out = PixelModel { foot, offset, ..PixelModel::default() };
+    let mut out = PixelModel { knot: foot.knot, ..PixelModel::default() };
     let local = image.local(foot.knot);
     let (half, u) = (local.half_width, foot.u);
     let s = image.first_m + foot.knot * image.spacing_m;
     let ring = layout.nearest_ring(s);
-    out.segment = ring;
+    out.ring = ring;
     let background: [f64; 3] = std::array::from_fn(|c| {
         colours[BACKGROUND + c] + colours[GRADIENT] * offset.x + colours[GRADIENT + 1] * offset.y
     });
@@ -129,11 +136,13 @@ pub(crate) fn pixel_model(
     let ends_here = layout.ends && ring + 1 == layout.rings_m.len();
     let beyond_end = ends_here && from_ring - local.bulge.abs() > FAR_SIGMAS * blur_px;
     if u.abs() > half + FAR_SIGMAS * blur_px || beyond_end {
-        for c in 0..3 {
-            let (value, slope) = encoding.encode(background[c]);
-            out.rgb[c] = value;
-            out.background[c] = slope;
-            out.gradient[c] = Vector2::new(colours[GRADIENT], colours[GRADIENT + 1]) * slope;
+        out.far = true;
+        for (terms, light) in out.terms.iter_mut().zip(background) {
+            let (value, slope) = encoding.encode(light);
+            terms[VALUE] = value;
+            terms[D_BACKGROUND] = slope;
+            terms[D_GRADIENT] = slope * offset.x;
+            terms[D_GRADIENT + 1] = slope * offset.y;
         }
         return out;
     }
@@ -191,14 +200,21 @@ pub(crate) fn pixel_model(
             + shade * (in_front.d_v * a0 + behind.d_v * a1)
             + across.cover * cap_edge.d_v * a0 * cap;
         let (value, slope) = encoding.encode(light);
-        out.rgb[c] = value;
-        out.gradient[c] = (normal * d_u + foot.along * d_v) * slope;
-        out.background[c] = (1.0 - tube) * slope;
-        out.shading[0][c] = across.tilt * albedo * slope;
-        out.shading[1][c] = across.round * albedo * slope;
-        out.cap[c] = across.cover * cap_edge.weight * a0 * slope;
-        out.albedo[0][c] = (shade * in_front.weight + across.cover * cap_edge.weight * cap) * slope;
-        out.albedo[1][c] = shade * behind.weight * slope;
+        let moved = (normal * d_u + foot.along * d_v) * slope;
+        let uncovered = (1.0 - tube) * slope;
+        out.terms[c] = [
+            value,
+            moved.x,
+            moved.y,
+            uncovered,
+            uncovered * offset.x,
+            uncovered * offset.y,
+            across.tilt * albedo * slope,
+            across.round * albedo * slope,
+            across.cover * cap_edge.weight * a0 * slope,
+            (shade * in_front.weight + across.cover * cap_edge.weight * cap) * slope,
+            shade * behind.weight * slope,
+        ];
     }
     out
 }

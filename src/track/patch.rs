@@ -5,7 +5,10 @@
 //! wide as the sampling. A sample's row of derivatives is short: shape, background, shading, and the two segments at its
 //! nearest ring; rows are summed in one small dense block for each ring and scattered once at the end.
 
-use super::appearance::{BACKGROUND, CAP, FIXED, GRADIENT, Layout, PER_SEGMENT, PixelModel, SHADING, pixel_model};
+use super::appearance::{
+    BACKGROUND, CAP, D_ALBEDO, D_BACKGROUND, D_CAP, D_GRADIENT, D_SHADING, D_X, D_Y, FIXED, Foot, GRADIENT, Layout,
+    PER_SEGMENT, PixelModel, SHADING, TERMS, VALUE, pixel_model,
+};
 use super::light::Encoding;
 use super::tube::{SHAPE, TubeImage};
 use crate::source::Picture;
@@ -40,15 +43,17 @@ pub(crate) struct ImageModel {
 }
 
 struct Sample {
-    value: f64,
+    /// Stored values, one a channel of the group.
+    values: [f64; 3],
     /// Pixel of the patch that the taps are relative to.
     at: usize,
     near: bool,
 }
 
-struct Channel {
-    weights: [f64; 3],
-    constant: f64,
+/// Channels sampled at the same places: Y; U and V; R, G and B.
+struct Group {
+    /// Number of the channel, weights of R'G'B', constant.
+    channels: Vec<(usize, [f64; 3], f64)>,
     /// Offset in the patch's pixels, weight.
     taps: Vec<(isize, f64)>,
     samples: Vec<Sample>,
@@ -65,7 +70,25 @@ pub(crate) struct Patch {
     /// Last knot coordinate of each pixel (NaN: never evaluated).
     knots: Vec<f64>,
     models: Vec<PixelModel>,
-    channels: Vec<Channel>,
+    groups: Vec<Group>,
+}
+
+/// One stored sample against the model.
+struct Residual {
+    channel: usize,
+    /// 0 near the tube, 1 in the background.
+    class: usize,
+    /// Pixel of the patch.
+    at: usize,
+    ring: usize,
+    /// Only background is seen.
+    far: bool,
+    /// Derivatives of the prediction.
+    row: Row,
+    /// Stored minus predicted.
+    value: f64,
+    sigma: f64,
+    weight: f64,
 }
 
 /// Sums over a patch's samples: J'WJ, J'Wr and the robust cost, parameters in the order shape, colours.
@@ -113,12 +136,17 @@ impl Patch {
             pixels: Vec::new(),
             knots: vec![f64::NAN; width * height],
             models: vec![PixelModel::default(); width * height],
-            channels: Vec::new(),
+            groups: Vec::new(),
         };
         let mut near = vec![false; width * height];
+        let reach = image.greatest_half_width() + margin_px + image.sagitta();
         for at in 0..width * height {
             let pixel = patch.pixel(at);
-            let (knot, u, _) = image.foot(&pixel, image.chord_knot(&pixel), 3);
+            let (start, aside) = image.chord_foot(&pixel);
+            if aside.abs() > reach {
+                continue;
+            }
+            let (knot, u, _) = image.foot(&pixel, start, 3);
             let outside = u.abs() - image.local(knot).half_width;
             if knot >= first && knot <= last && outside <= margin_px {
                 patch.pixels.push(at);
@@ -126,15 +154,24 @@ impl Patch {
                 near[at] = outside <= NEAR_PX;
             }
         }
-        for c in 0..picture.format().channels() {
-            patch.add_channel(picture, c, chroma_offset_px, &near)?;
+        let channels: Vec<usize> = (0..picture.format().channels()).collect();
+        // Channels of one sampling make a group.
+        let scale = |c: &usize| picture.plane(*c).map(|plane| plane.scale);
+        for alike in channels.chunk_by(|a, b| scale(a) == scale(b)) {
+            patch.add_group(picture, alike, chroma_offset_px, &near)?;
         }
         Some(patch)
     }
 
-    fn add_channel(&mut self, picture: &Picture, c: usize, chroma_offset_px: [f64; 2], near: &[bool]) -> Option<()> {
-        let plane = picture.plane(c)?;
-        let (weights, constant) = picture.colour().channel_from_rgb(picture.format(), c);
+    fn add_group(
+        &mut self,
+        picture: &Picture,
+        channels: &[usize],
+        chroma_offset_px: [f64; 2],
+        near: &[bool],
+    ) -> Option<()> {
+        let planes = channels.iter().map(|&c| picture.plane(c)).collect::<Option<Vec<_>>>()?;
+        let plane = planes.first()?;
         let axis_taps = |axis: usize| -> Vec<(i64, f64)> {
             let scale = f64::from(plane.scale[axis]);
             if plane.scale[axis] == 1 {
@@ -151,7 +188,6 @@ impl Patch {
         let [sx, sy] = plane.scale.map(i64::from);
         let mut samples = Vec::new();
         for j in (self.corner[1] / sy)..=((self.corner[1] + height - 1) / sy) {
-            let Some(row) = plane.row(j as usize) else { continue };
             for i in (self.corner[0] / sx)..=((self.corner[0] + width - 1) / sx) {
                 let (px, py) = (i * sx - self.corner[0], j * sy - self.corner[1]);
                 let evaluated = |x: i64, y: i64| {
@@ -159,11 +195,20 @@ impl Patch {
                         && (0..height).contains(&y)
                         && !self.knots[(y * width + x) as usize].is_nan()
                 };
-                let whole = down.iter().all(|&(dy, _)| across.iter().all(|&(dx, _)| evaluated(px + dx, py + dy)));
-                let Some(&value) = row.get(i as usize * plane.step) else { continue };
-                if whole {
+                if !down.iter().all(|&(dy, _)| across.iter().all(|&(dx, _)| evaluated(px + dx, py + dy))) {
+                    continue;
+                }
+                let mut values = [0.0; 3];
+                let mut complete = true;
+                for (value, plane) in values.iter_mut().zip(&planes) {
+                    match plane.row(j as usize).and_then(|row| row.get(i as usize * plane.step)) {
+                        Some(stored) => *value = f64::from(*stored),
+                        None => complete = false,
+                    }
+                }
+                if complete {
                     let at = (py * width + px) as usize;
-                    samples.push(Sample { value: f64::from(value), at, near: near[at] });
+                    samples.push(Sample { values, at, near: near[at] });
                 }
             }
         }
@@ -171,7 +216,14 @@ impl Patch {
             .iter()
             .flat_map(|&(dy, wy)| across.iter().map(move |&(dx, wx)| ((dy * width + dx) as isize, wx * wy)))
             .collect();
-        self.channels.push(Channel { weights, constant, taps, samples });
+        let channels = channels
+            .iter()
+            .map(|&c| {
+                let (weights, constant) = picture.colour().channel_from_rgb(picture.format(), c);
+                (c, weights, constant)
+            })
+            .collect();
+        self.groups.push(Group { channels, taps, samples });
         Some(())
     }
 
@@ -189,89 +241,113 @@ impl Patch {
             let pixel = self.pixel(at);
             let (knot, u, along) = image.foot(&pixel, self.knots[at], 1);
             self.knots[at] = knot;
-            let foot = super::appearance::Foot { knot, u, along };
+            let foot = Foot { knot, u, along };
             let offset = pixel.coords - self.middle;
             self.models[at] = pixel_model(foot, offset, image, layout, colours, model.blur_px, &model.encoding);
         }
     }
 
-    /// Calls `visit(channel, sample, segment, row, residual, weight)` for all samples of the rendered model.
-    fn rows(&self, image: &TubeImage, noise: &Noise, mut visit: impl FnMut(usize, &Sample, usize, &Row, f64, f64)) {
-        for (c, channel) in self.channels.iter().enumerate() {
-            for sample in &channel.samples {
-                let mut row = [0.0; ROW];
-                let mut value = channel.constant;
-                let mut gradient = Vector2::zeros();
+    /// Calls `visit` for every stored sample of the rendered model.
+    fn residuals(&self, image: &TubeImage, noise: &Noise, mut visit: impl FnMut(&Residual)) {
+        for group in &self.groups {
+            for sample in &group.samples {
                 let centre = &self.models[sample.at];
-                for &(offset, weight) in &channel.taps {
-                    let p = &self.models[sample.at.wrapping_add_signed(offset)];
-                    // Segments are those of the sample's own ring; a tap beyond the middle between two rings sees one of them.
-                    let slot = p.segment as isize - centre.segment as isize;
+                let (terms, far) = self.blend(group, sample.at, centre);
+                let class = usize::from(!sample.near);
+                // d pixel / d shape is wanted only where the tube is seen.
+                let d_pixel = if far { SMatrix::zeros() } else { image.d_pixel(centre.knot) };
+                for ((channel, weights, constant), stored) in group.channels.iter().zip(sample.values) {
+                    let sum = |term: usize| (0..3).map(|k| weights[k] * terms[k][term]).sum::<f64>();
+                    let value = stored - sum(VALUE) - constant;
+                    let sigma = noise[*channel][class];
+                    let weight = (HUBER * sigma / value.abs().max(1e-9)).min(1.0) / (sigma * sigma);
+                    let mut row = [0.0; ROW];
                     for k in 0..3 {
-                        let w = channel.weights[k] * weight;
-                        value += w * p.rgb[k];
-                        gradient += p.gradient[k] * w;
-                        let background = w * p.background[k];
-                        row[SHAPE + BACKGROUND + k] += background;
-                        row[SHAPE + GRADIENT] += background * p.offset.x;
-                        row[SHAPE + GRADIENT + 1] += background * p.offset.y;
-                        row[SHAPE + SHADING] += w * p.shading[0][k];
-                        row[SHAPE + SHADING + 1] += w * p.shading[1][k];
-                        row[SHAPE + CAP] += w * p.cap[k];
-                        for (j, albedo) in p.albedo.iter().enumerate() {
-                            if let Some(place) = slot.checked_add_unsigned(j).filter(|s| (0..2).contains(s)) {
-                                row[SHAPE + FIXED + PER_SEGMENT * place as usize + k] += w * albedo[k];
-                            }
+                        row[SHAPE + BACKGROUND + k] = weights[k] * terms[k][D_BACKGROUND];
+                    }
+                    row[SHAPE + GRADIENT] = sum(D_GRADIENT);
+                    row[SHAPE + GRADIENT + 1] = sum(D_GRADIENT + 1);
+                    if !far {
+                        let gradient = Vector2::new(sum(D_X), sum(D_Y));
+                        row[..SHAPE].copy_from_slice((-(gradient.transpose() * d_pixel)).as_slice());
+                        row[SHAPE + SHADING] = sum(D_SHADING);
+                        row[SHAPE + SHADING + 1] = sum(D_SHADING + 1);
+                        row[SHAPE + CAP] = sum(D_CAP);
+                        for k in 0..3 {
+                            row[SHAPE + FIXED + k] = weights[k] * terms[k][D_ALBEDO];
+                            row[SHAPE + FIXED + PER_SEGMENT + k] = weights[k] * terms[k][D_ALBEDO + 1];
                         }
                     }
+                    visit(&Residual {
+                        channel: *channel,
+                        class,
+                        at: sample.at,
+                        ring: centre.ring,
+                        far,
+                        row,
+                        value,
+                        sigma,
+                        weight,
+                    });
                 }
-                let shape = -(gradient.transpose() * image.d_pixel(centre.foot.knot));
-                row[..SHAPE].copy_from_slice(shape.as_slice());
-                let sigma = noise[c][usize::from(!sample.near)];
-                let residual = sample.value - value;
-                let weight = (HUBER * sigma / residual.abs().max(1e-9)).min(1.0) / (sigma * sigma);
-                visit(c, sample, centre.segment, &row, residual, weight);
             }
         }
     }
 
-    /// Normal equations of the rendered model.
-    pub(crate) fn normal(&self, image: &TubeImage, layout: &Layout, noise: &Noise) -> Normal {
-        let rings = layout.rings_m.len();
-        let mut blocks = vec![[[0.0; ROW]; ROW]; rings];
-        let mut sums = vec![[0.0; ROW]; rings];
-        let mut cost = 0.0;
-        let mut squares = [[(0.0, 0); 2]; 3];
-        self.rows(image, noise, |c, sample, ring, row, residual, weight| {
-            let (block, sum) = (&mut blocks[ring], &mut sums[ring]);
-            for i in 0..ROW {
-                let wi = weight * row[i];
-                sum[i] += wi * residual;
-                // Four columns at a time beyond the diagonal: whole vectors, half the work.
-                for j in (i & !3)..ROW {
-                    block[i][j] += wi * row[j];
+    /// The models of a sample's pixels, weighted by its taps, and whether all of them see background only.
+    fn blend(&self, group: &Group, at: usize, centre: &PixelModel) -> ([[f64; TERMS]; 3], bool) {
+        if let [(0, _)] = group.taps[..] {
+            return (centre.terms, centre.far);
+        }
+        let mut sum = [[0.0; TERMS]; 3];
+        let mut far = true;
+        for &(offset, weight) in &group.taps {
+            let pixel = &self.models[at.wrapping_add_signed(offset)];
+            far &= pixel.far;
+            for (sum, terms) in sum.iter_mut().zip(&pixel.terms) {
+                for (sum, term) in sum.iter_mut().zip(terms) {
+                    *sum += weight * term;
+                }
+                // Beyond the middle between two rings the same segment is the other one of the pair.
+                if pixel.ring != centre.ring {
+                    let (before, behind) = (terms[D_ALBEDO], terms[D_ALBEDO + 1]);
+                    let (first, second) = if pixel.ring > centre.ring { (0.0, before) } else { (behind, 0.0) };
+                    sum[D_ALBEDO] += weight * (first - before);
+                    sum[D_ALBEDO + 1] += weight * (second - behind);
                 }
             }
-            let sigma = noise[c][usize::from(!sample.near)];
-            let z = (residual / sigma).abs();
+        }
+        (sum, far)
+    }
+
+    /// Normal equations of the rendered model.
+    pub(crate) fn normal(&self, image: &TubeImage, layout: &Layout, noise: &Noise) -> Normal {
+        let mut blocks: Vec<Block> = (0..layout.rings_m.len()).map(|_| Block::default()).collect();
+        let mut cost = 0.0;
+        let mut squares = [[(0.0, 0); 2]; 3];
+        self.residuals(image, noise, |r| {
+            let block = &mut blocks[r.ring];
+            if r.far { block.add_background(r) } else { block.add(r) }
+            let z = (r.value / r.sigma).abs();
             cost += if z <= HUBER { z * z } else { HUBER * (2.0 * z - HUBER) };
-            let (total, count) = &mut squares[c][usize::from(!sample.near)];
+            let (total, count) = &mut squares[r.channel][r.class];
             // Outliers must not raise the noise that they are judged by.
-            *total += if z <= HUBER { residual * residual } else { (HUBER * sigma).powi(2) };
+            *total += if z <= HUBER { r.value * r.value } else { (HUBER * r.sigma).powi(2) };
             *count += 1;
         });
         let n = SHAPE + layout.colours();
         let mut hessian = DMatrix::zeros(n, n);
         let mut gradient = DVector::zeros(n);
-        for ring in 0..rings {
+        for (ring, block) in blocks.iter_mut().enumerate() {
+            block.flush();
             for i in 0..ROW {
                 let Some(gi) = place(i, ring, layout) else { continue };
-                gradient[gi] += sums[ring][i];
+                gradient[gi] += block.gradient[i];
                 for j in i..ROW {
                     let Some(gj) = place(j, ring, layout) else { continue };
-                    hessian[(gi, gj)] += blocks[ring][i][j];
+                    hessian[(gi, gj)] += block.hessian[i][j];
                     if gi != gj {
-                        hessian[(gj, gi)] += blocks[ring][i][j];
+                        hessian[(gj, gi)] += block.hessian[i][j];
                     }
                 }
             }
@@ -291,11 +367,11 @@ impl Patch {
     ) -> SMatrix<f64, SHAPE, SHAPE> {
         let across = self.width / CELL_PX + 1;
         let mut cells = vec![SVector::<f64, SHAPE>::zeros(); across * (self.height / CELL_PX + 1)];
-        self.rows(image, noise, |_, sample, ring, row, residual, weight| {
-            let cell = sample.at / self.width / CELL_PX * across + sample.at % self.width / CELL_PX;
-            for (i, value) in row.iter().enumerate() {
-                if let Some(column) = place(i, ring, layout) {
-                    cells[cell] += influence.fixed_view::<SHAPE, 1>(0, column) * (value * weight * residual);
+        self.residuals(image, noise, |r| {
+            let cell = r.at / self.width / CELL_PX * across + r.at % self.width / CELL_PX;
+            for (i, value) in r.row.iter().enumerate().filter(|(_, value)| **value != 0.0) {
+                if let Some(column) = place(i, r.ring, layout) {
+                    cells[cell] += influence.fixed_view::<SHAPE, 1>(0, column) * (value * r.weight * r.value);
                 }
             }
         });
@@ -312,8 +388,8 @@ impl Patch {
     ) -> Option<Vec<f64>> {
         let segments = layout.segments();
         let mut sums = vec![[(0.0, 0_usize); 3]; segments + 1];
-        for (c, channel) in self.channels.iter().enumerate() {
-            for sample in &channel.samples {
+        for group in &self.groups {
+            for sample in &group.samples {
                 let pixel = self.pixel(sample.at);
                 let (knot, u, _) = image.foot(&pixel, self.knots[sample.at], 1);
                 let local = image.local(knot);
@@ -330,8 +406,10 @@ impl Patch {
                     continue;
                 };
                 if let Some(sum) = sums.get_mut(class) {
-                    sum[c].0 += sample.value;
-                    sum[c].1 += 1;
+                    for ((channel, _, _), value) in group.channels.iter().zip(sample.values) {
+                        sum[*channel].0 += value;
+                        sum[*channel].1 += 1;
+                    }
                 }
             }
         }
@@ -353,6 +431,70 @@ impl Patch {
         }
         colours[CAP] = 1.0;
         Some(colours)
+    }
+}
+
+/// Sums of the samples at one ring. Rows wait until there are four, so that each sum is loaded and stored once for all of them.
+struct Block {
+    hessian: [Row; ROW],
+    gradient: Row,
+    /// Rows and residuals times the root of the weight.
+    waiting: [Row; BATCH],
+    residuals: [f64; BATCH],
+    count: usize,
+}
+
+const BATCH: usize = 4;
+
+impl Default for Block {
+    fn default() -> Self {
+        Self {
+            hessian: [[0.0; ROW]; ROW],
+            gradient: [0.0; ROW],
+            waiting: [[0.0; ROW]; BATCH],
+            residuals: [0.0; BATCH],
+            count: 0,
+        }
+    }
+}
+
+impl Block {
+    fn add(&mut self, r: &Residual) {
+        let root = r.weight.sqrt();
+        self.waiting[self.count] = r.row.map(|v| v * root);
+        self.residuals[self.count] = r.value * root;
+        self.count += 1;
+        if self.count == BATCH {
+            self.flush();
+        }
+    }
+
+    /// A background sample touches but a few parameters.
+    fn add_background(&mut self, r: &Residual) {
+        for i in SHAPE..SHAPE + SHADING {
+            let wi = r.weight * r.row[i];
+            self.gradient[i] += wi * r.value;
+            for j in i..SHAPE + SHADING {
+                self.hessian[i][j] += wi * r.row[j];
+            }
+        }
+    }
+
+    fn flush(&mut self) {
+        self.waiting[self.count..].fill([0.0; ROW]);
+        self.residuals[self.count..].fill(0.0);
+        self.count = 0;
+        let [a, b, c, d] = &self.waiting;
+        let [ra, rb, rc, rd] = self.residuals;
+        for i in 0..ROW {
+            let (ai, bi, ci, di) = (a[i], b[i], c[i], d[i]);
+            self.gradient[i] += ai * ra + bi * rb + ci * rc + di * rd;
+            // From the diagonal on, in whole vectors.
+            let sums = &mut self.hessian[i];
+            for j in (i & !3)..ROW {
+                sums[j] += ai * a[j] + bi * b[j] + ci * c[j] + di * d[j];
+            }
+        }
     }
 }
 

@@ -242,25 +242,42 @@ impl TubeImage {
         (a.pixel + rise * f + (p * g - q * f) * (f * g), rise + (p * g - q * f) * (1.0 - 2.0 * f) - (p + q) * (f * g))
     }
 
-    /// Knot coordinate on the straight line between the first and the last knot: a start for [`TubeImage::foot`].
-    pub(crate) fn chord_knot(&self, pixel: &Point2<f64>) -> f64 {
+    /// Knot coordinate and distance aside, pixels, from the straight line between the first and the last knot.
+    pub(crate) fn chord_foot(&self, pixel: &Point2<f64>) -> (f64, f64) {
         let (a, b) = (&self.knots[0], &self.knots[self.knots.len() - 1]);
         let chord = b.pixel - a.pixel;
-        (pixel - a.pixel).dot(&chord) / chord.norm_squared() * (self.knots.len() - 1) as f64
+        let off = pixel - a.pixel;
+        let knot = off.dot(&chord) / chord.norm_squared() * (self.knots.len() - 1) as f64;
+        (knot, (chord.x * off.y - chord.y * off.x) / chord.norm())
+    }
+
+    /// Greatest distance of the axis from the straight line between its ends, pixels.
+    pub(crate) fn sagitta(&self) -> f64 {
+        self.knots.iter().map(|k| self.chord_foot(&k.pixel).1.abs()).fold(0.0, f64::max)
+    }
+
+    /// Greatest half width, pixels.
+    pub(crate) fn greatest_half_width(&self) -> f64 {
+        self.knots.iter().map(|k| k.half_width).fold(0.0, f64::max)
     }
 
     /// The nearest point of the axis to a pixel: knot coordinate, signed distance across, unit vector along.
-    /// `steps` Newton steps from `start`; one is enough when the tube has moved by less than a pixel since.
+    /// `steps` Newton steps from `start`; one is enough when the tube has moved by less than a pixel since. The last step
+    /// follows the tangent: over less than a knot the axis bends by nothing that matters.
     pub(crate) fn foot(&self, pixel: &Point2<f64>, start: f64, steps: usize) -> (f64, f64, Vector2<f64>) {
         let mut knot = start;
+        let mut step = 0.0;
         let (mut at, mut d) = self.axis(knot);
-        for _ in 0..steps {
-            knot += (pixel - at).dot(&d) / d.norm_squared();
-            (at, d) = self.axis(knot);
+        for i in 0..steps {
+            if i > 0 {
+                knot += step;
+                (at, d) = self.axis(knot);
+            }
+            step = (pixel - at).dot(&d) / d.norm_squared();
         }
         let along = d / d.norm();
-        let off = pixel - at;
-        (knot, along.x * off.y - along.y * off.x, along)
+        let off = pixel - (at + d * step);
+        (knot + step, along.x * off.y - along.y * off.x, along)
     }
 
     /// Knot coordinate of an arc length.

@@ -10,7 +10,7 @@ use catoptra::pipeline::{self, End, Summary};
 use catoptra::report::{ReportSink, RunInfo};
 use catoptra::rig::{Rig, RigError};
 use catoptra::sink::{CsvSink, McapSink, OutputFrame, OverlaySink, Sink, SinkError};
-use catoptra::source::times::parse_seconds_ns;
+use catoptra::source::times::{parse_seconds_ns, seconds};
 use catoptra::source::{self, FrameRate, FrameSource as _, PixelFormat, SourceError, SourceOptions, Span};
 use catoptra::track::{TrackOptions, Tracker};
 use clap::builder::RangedU64ValueParser;
@@ -114,7 +114,6 @@ impl Args {
     }
 
     fn described(&self) -> Run {
-        let seconds = |ns: i64| ns as f64 * 1e-9;
         let whole = |path: &Path| whole_path(path).display().to_string();
         Run {
             command: "track".to_owned(),
@@ -179,10 +178,9 @@ fn open_sinks(
     [rig_toml, run_toml]: [&str; 2],
     files: &Files,
 ) -> Result<Vec<Box<dyn Sink + Send>>, SinkError> {
-    let seconds = |ns: i64| format!("{} s", ns as f64 * 1e-9);
     let settings = [
-        args.from.map(|ns| ("From".to_owned(), seconds(ns))),
-        args.to.map(|ns| ("To".to_owned(), seconds(ns))),
+        args.from.map(|ns| ("From".to_owned(), format!("{} s", seconds(ns)))),
+        args.to.map(|ns| ("To".to_owned(), format!("{} s", seconds(ns)))),
         args.fps.map(|rate| ("Stated frame rate".to_owned(), format!("{rate} a second"))),
         args.full_frame.then(|| ("Search".to_owned(), "every picture whole".to_owned())),
     ];
@@ -209,7 +207,7 @@ fn verdict(source: &Path, rig: &Rig, summary: Summary) -> Result<(), Failure> {
     let source = source.display();
     let so_far = match tally.frames {
         0 => "nothing is tracked".to_owned(),
-        n => format!("{n} frames are tracked and written, the last one at {} s", tally.last_ns as f64 * 1e-9),
+        n => format!("{n} frames are tracked and written, the last one at {} s", seconds(tally.last_ns)),
     };
     // Disks come first: an interrupted run that could not be written is a failed one.
     if !summary.sink_failures.is_empty() {

@@ -3,6 +3,8 @@
 use super::folder::Files;
 use catoptra::pipeline::Summary;
 use catoptra::rig::Rig;
+use catoptra::sink::spoken;
+use catoptra::source::times::seconds;
 use catoptra::tally::Tally;
 use std::fmt::{self, Write as _};
 
@@ -43,7 +45,6 @@ pub(super) fn summary(out: &mut String, recording: &str, run: &Summary, files: &
 }
 
 fn received(tally: &Tally) -> String {
-    let seconds = |ns: i64| ns as f64 * 1e-9;
     let frames = match tally.frames {
         0 => return "no frame".to_owned(),
         1 => format!("1 frame, at {:.3} s", seconds(tally.first_ns)),
@@ -68,11 +69,6 @@ fn share(part: u64, whole: u64) -> String {
 fn reasons(tally: &Tally, what: &str) -> String {
     let said: Vec<_> = tally.reasons(what).iter().map(|(word, frames)| format!("{frames} {}", spoken(word))).collect();
     said.join(", ")
-}
-
-/// A status as people say it.
-fn spoken(word: &str) -> String {
-    word.replace("not_seen_", "not seen in ").replace('_', " ")
 }
 
 /// Why the run is of no use, if it is of none: a marker was never located, or the direction of the coil never known.
