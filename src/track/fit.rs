@@ -55,7 +55,7 @@ const TURN_ERROR_PX: f64 = 0.06;
 /// Along a band beside a clamp, where light and colour change within a few pixels of the band's edge.
 const ALONG_ERROR_AT_CLAMP_PX: f64 = 0.12;
 /// A round ends when a step lowers the cost (a χ²) by less than this.
-const ENOUGH: [f64; 2] = [2.0, 0.02];
+const ENOUGH: [f64; 2] = [20.0, 0.05];
 
 /// Why there is no fit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

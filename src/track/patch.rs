@@ -327,7 +327,11 @@ impl Patch {
         let mut squares = [[(0.0, 0); 2]; 3];
         self.residuals(image, noise, |r| {
             let block = &mut blocks[r.ring];
-            if r.far { block.add_background(r) } else { block.add(r) }
+            if r.far {
+                block.add_background(r)
+            } else {
+                block.add(r)
+            }
             let z = (r.value / r.sigma).abs();
             cost += if z <= HUBER { z * z } else { HUBER * (2.0 * z - HUBER) };
             let (total, count) = &mut squares[r.channel][r.class];
