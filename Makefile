@@ -9,24 +9,27 @@ VENV := target/venv
 
 .PHONY: demo test lint bench deps
 
+# Cargo finds the program it has built, wherever the user's settings put it.
 demo: deps
-	$(CARGO) build --release --bin catoptra
-	target/release/catoptra track sample_frames/planar.mkv --rig calibration/dev_tank/rig.toml -o $(DEMO) --overlay
+	$(CARGO) build --locked --release --bin catoptra
 	@echo
-	@echo "The results are in $(DEMO):"
-	@ls -1 $(DEMO) | sed 's/^/  /'
+	@$(CARGO) run --quiet --locked --release --bin catoptra -- track sample_frames/planar.mkv --rig calibration/dev_tank/rig.toml -o $(DEMO) --overlay
+	@echo
+	@echo "Open these:"
+	@echo "  $(CURDIR)/$(DEMO)/report.html"
+	@echo "  $(CURDIR)/$(DEMO)/overlay.mp4"
 
 # With CATOPTRA_PYTHON set, the tests that read logs with other people's code must run; without it they may be left out.
 test: deps
 	@if command -v python3 >/dev/null; then $(MAKE) --no-print-directory $(VENV)/ready; fi
-	@if [ -e $(VENV)/ready ]; then export CATOPTRA_PYTHON=$(CURDIR)/$(VENV)/bin/python; fi; set -x; $(CARGO) test
+	@if [ -e $(VENV)/ready ]; then export CATOPTRA_PYTHON="$(CURDIR)/$(VENV)/bin/python"; fi; set -x; $(CARGO) test --locked
 
 lint: deps
 	$(CARGO) fmt --check
-	$(CARGO) clippy --all-targets -- -D warnings
+	$(CARGO) clippy --locked --all-targets -- -D warnings
 
 bench: deps
-	$(CARGO) bench
+	$(CARGO) bench --locked
 
 deps:
 	@scripts/install-deps

@@ -66,9 +66,9 @@ pub(super) fn polar(course: &Course, time: &str) -> Plot {
 pub(super) fn paths(course: &Course) -> Plot {
     // The eye is chosen so that the catheter hangs as it does in the picture.
     let (titles, up, eye) = if course.in_base_frame() {
-        (["x, along B0 (mm)", "y (mm)", "z, base to tip (mm)"], (0.0, 0.0, -1.0), (0.4, 1.6, -0.4))
+        (["x, along B0 (mm)", "y (mm)", "z, base to tip (mm)"], (0.0, 0.0, -1.0), (0.34, 1.36, -0.34))
     } else {
-        (["x, right (mm)", "y, down (mm)", "z, forward (mm)"], (0.0, -1.0, 0.0), (-0.55, -0.4, -1.55))
+        (["x, right (mm)", "y, down (mm)", "z, forward (mm)"], (0.0, -1.0, 0.0), (-0.47, -0.34, -1.32))
     };
     let places = &course.path.places_mm;
     // All axes to one scale, the longest side of the box being 1; a flat motion still gets a box with some depth.

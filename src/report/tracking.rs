@@ -11,14 +11,22 @@ use crate::tally::Tally;
 /// The whole page.
 pub(super) fn render(info: &RunInfo, course: &Course) -> String {
     let tally = &course.tally;
+    let any = tally.frames > 0;
+    // The answer comes first, then what is missing, then how far to trust it, then where it came from.
     let mut body = header(info, course);
     body += &key_figures(course);
-    body += &facts(info, course);
-    body += &accuracy(course);
-    body += &missing(course);
-    if tally.frames > 0 {
-        body += &plots(course);
+    if any && course.has_base() {
+        body += &deflection(course);
     }
+    body += &missing(course);
+    if any {
+        body += &motion(course);
+    }
+    body += &accuracy(course);
+    if any {
+        body += &views(course);
+    }
+    body += &facts(info, course);
     body += &format!(
         "<footer>Catoptra {}. Lengths in mm, angles in degrees, times in seconds of the camera's clock. \
          This file needs no network.</footer>\n",
@@ -74,7 +82,8 @@ fn key_figures(course: &Course) -> String {
         &share(tally.complete, tally.frames),
         tally.complete < tally.frames,
     );
-    card("Lost by the camera", tally.lost.to_string(), &format!("in {}", plural(tally.gaps, "gap")), tally.lost > 0);
+    let gaps = if tally.lost > 0 { format!("in {}", plural(tally.gaps, "gap")) } else { String::new() };
+    card("Lost by the camera", tally.lost.to_string(), &gaps, tally.lost > 0);
     if course.has_base() {
         let sd = tally.theta.median_sd_deg().map_or("–".to_owned(), |sd| format!("{sd:.3}°"));
         card("Median σ of θ", sd, "", false);
@@ -87,8 +96,8 @@ fn facts(info: &RunInfo, course: &Course) -> String {
     let mut rows = vec![("Source".to_owned(), escape(&info.source)), ("Rig".to_owned(), escape(&info.rig))];
     if tally.frames > 0 {
         let span_s = tally.last_ns.saturating_sub(tally.first_ns) as f64 * 1e-9;
-        let rate =
-            tally.rate_hz().map_or(String::new(), |hz| format!(", {hz:.2} frames a second with those lost counted"));
+        let counted = if tally.lost > 0 { " with those lost counted" } else { "" };
+        let rate = tally.rate_hz().map_or(String::new(), |hz| format!(", {hz:.2} frames a second{counted}"));
         rows.push(("Duration".to_owned(), format!("{span_s:.3} s{rate}")));
         let origin = course.origin().filter(|o| o.ns != 0);
         let zero = origin.map_or(String::new(), |o| format!("; 0 s on this page is {} ns of it", o.ns));
@@ -132,7 +141,8 @@ fn accuracy(course: &Course) -> String {
          <p>σ is the standard deviation that the tracker predicts for its own answer: of one coordinate for a marker, of one \
          direction across for the tangent.</p>\n{}\
          <p>Each view on its own: the residual is where the band is seen minus where the common answer of all views projects to. \
-         The RMS is of one pixel coordinate. <span class=\"bad\"><strong>Bad:</strong> a mean far from zero beside a small RMS; \
+         The RMS is of one pixel coordinate. Bands that stand close together are fitted as one piece of tube and have one residual \
+         between them. <span class=\"bad\"><strong>Bad:</strong> a mean far from zero beside a small RMS; \
          then the views contradict each other, and the rig or the refraction is off, not the noise.</span></p>\n{}",
         table(1, &["Quantity", "Frames answered", "Share", "Median σ"], &quantities),
         table(
@@ -178,61 +188,39 @@ fn missing(course: &Course) -> String {
         let share = share(tally.lost, tally.frames + tally.lost);
         rows.push(vec!["whole frames".into(), "lost by the camera".into(), tally.lost.to_string(), share]);
     }
-    text + &table(2, &["What", "Why", "Frames", "Share"], &rows)
+    text += &table(2, &["What", "Why", "Frames", "Share"], &rows);
+    if tally.frames == 0 {
+        return text;
+    }
+    let height = 90 + 30 * (course.reasons.len() as u32 + 1);
+    text += "<p>When: one row for each reason. Grey bars are frames that the camera never delivered, from the last frame before \
+             to the first after.</p>\n";
+    text += &figure("plot-misses", &absences(course, time_title(course)), height, true);
+    text + &bad(
+        "misses in rows one below the other at the same angle of every swing: the catheter then leaves a view or is covered there. \
+         Grey bars at regular intervals: the recording computer cannot keep up.",
+    )
 }
 
-fn plots(course: &Course) -> String {
-    let time =
-        if course.origin().is_some_and(|o| o.ns != 0) { "time since the first frame (s)" } else { "camera time (s)" };
-    let mut out = String::new();
-    let mut section = |title: &str, words: &str, bad: &str, plots: &str| {
-        out += &format!("<h2>{title}</h2>\n<p>{words}</p>\n{plots}<p class=\"bad\"><strong>Bad:</strong> {bad}</p>\n");
-    };
-    let any = |channel| course.extremes(channel).any(|e| e.is_some());
-    let drawn = drawing_note(course);
+/// θ over time.
+fn deflection(course: &Course) -> String {
+    let words = format!(
+        "θ is the angle of the coil's tangent from rest, in the plane of B0, positive towards B0. The shaded band is θ ± σ; \
+         where it is thinner than the line, read σ below. Drag to zoom, double-click to go back: all plots over time \
+         follow. {}",
+        drawing_note(course)
+    );
+    let plot = drawn(course, Channel::Theta, "plot-theta", 430, figures::deflection);
+    section(
+        "Deflection",
+        &words,
+        &plot,
+        "steps between neighbouring frames much larger than σ; σ that grows with the angle more than a little; breaks in the line.",
+    )
+}
 
-    if course.has_base() {
-        let plot = match any(Channel::Theta) {
-            true => figure("plot-theta", &figures::deflection(course, time), 430, true),
-            false => nothing(),
-        };
-        section(
-            "Deflection",
-            &format!(
-                "θ is the angle of the coil's tangent from rest, in the plane of B0, positive towards B0. The shaded band is \
-                 θ ± σ; where it is thinner than the line, read σ below. Drag to zoom, double-click to go back: all plots \
-                 over time follow. {drawn}"
-            ),
-            "steps between neighbouring frames much larger than σ; σ that grows with the angle more than a little; breaks in the line.",
-            &plot,
-        );
-    }
-    let tally = &course.tally;
-    if tally.lost > 0 || !tally.misses.is_empty() {
-        let height = 90 + 30 * (course.reasons.len() as u32 + 1);
-        section(
-            "Misses and gaps",
-            "When something is missing, one row for each reason. Grey bars are frames that the camera never delivered, from \
-             the last frame before to the first after.",
-            "misses in rows one below the other at the same angle of every swing: the catheter then leaves a view or is covered there. \
-             Grey bars at regular intervals: the recording computer cannot keep up.",
-            &figure("plot-misses", &absences(course, time), height, true),
-        );
-    }
-    if course.has_base() {
-        let plot = match any(Channel::Polar) {
-            true => figure("plot-polar", &figures::polar(course, time), 400, true),
-            false => nothing(),
-        };
-        section(
-            "Polar and azimuth",
-            "The same tangent as a direction in space: polar is its angle from rest, azimuth the direction it leans to, 0° along \
-             B0 and 90° along y. Near rest the azimuth has no meaning and jumps.",
-            "in a planar motion, an azimuth that strays from 0° and ±180° while the polar angle is large: the catheter leaves the plane, \
-             or B0 is not where the rig says.",
-            &plot,
-        );
-    }
+/// Where markers and tangent went.
+fn motion(course: &Course) -> String {
     let plot = match course.path.places_mm.iter().any(|p| p.iter().any(Option::is_some)) {
         true => figure("plot-paths", &figures::paths(course), 620, false),
         false => nothing(),
@@ -241,17 +229,35 @@ fn plots(course: &Course) -> String {
         0 | 1 => "Every frame is drawn.".to_owned(),
         n => format!("One frame in {n} is drawn."),
     };
-    section(
-        "Paths in space",
-        &format!(
-            "Where the markers went, in the {} frame, all axes to the same scale. Drag to turn, scroll to come nearer; a click on a \
-             name hides it. Thin grey lines join the markers at some moments; they are chords, the tube itself is curved. {kept}",
-            frame_name(course)
-        ),
-        "single points far from the path; a base marker that moves with the others by more than its σ: the clamp is loose, or the rig is off.",
-        &plot,
+    let words = format!(
+        "Where the markers went, in the {} frame, all axes to the same scale. Drag to turn, scroll to come nearer; a click on a \
+         name hides it. Thin grey lines join the markers at some moments; they are chords, the tube itself is curved. {kept}",
+        frame_name(course)
     );
-    let each_view = |kind: &str, draw: &dyn Fn(usize) -> plotly::Plot| -> String {
+    let mut out = section(
+        "Paths in space",
+        &words,
+        &plot,
+        "single points far from the path; a base marker that moves with the others by more than its σ: the clamp is loose, or the rig is off.",
+    );
+    if course.has_base() {
+        let plot = drawn(course, Channel::Polar, "plot-polar", 400, figures::polar);
+        out += &section(
+            "Polar and azimuth",
+            "The same tangent as a direction in space: polar is its angle from rest, azimuth the direction it leans to, 0° along \
+             B0 and 90° along y. Near rest the azimuth has no meaning and jumps; −180° and 180° are the same.",
+            &plot,
+            "in a planar motion, an azimuth that strays from 0° and ±180° while the polar angle is large: the catheter leaves the plane, \
+             or B0 is not where the rig says.",
+        );
+    }
+    out
+}
+
+/// What each view says, over time.
+fn views(course: &Course) -> String {
+    let time = time_title(course);
+    let each = |kind: &str, draw: &dyn Fn(usize) -> plotly::Plot| -> String {
         let views = course.view_names.iter().enumerate();
         views
             .map(|(v, name)| {
@@ -262,17 +268,42 @@ fn plots(course: &Course) -> String {
     section(
         "Residuals",
         "By how many pixels each view disagrees with the common answer of all views (length of the residual).",
+        &each("residual", &|v| figures::residuals(course, v, time)),
         "one marker standing above the others in one view, or residuals that follow the motion: an error of the rig, of the tube's \
          measures or of the refraction. A few high frames are noise or a reflection.",
-        &each_view("residual", &|v| figures::residuals(course, v, time)),
-    );
-    section(
+    ) + &section(
         "Colour separation",
         "How well a band's colour stands out from what surrounds it: 1 as when its colour was learned, 0 indistinguishable.",
+        &each("separation", &|v| figures::separation(course, v, time)),
         "a slow fall: the light changes or the water clouds. Dips at some angles: shadow or glare. Below about 0.5 misses begin.",
-        &each_view("separation", &|v| figures::separation(course, v, time)),
-    );
-    out
+    )
+}
+
+fn section(title: &str, words: &str, plots: &str, bad_signs: &str) -> String {
+    format!("<h2>{title}</h2>\n<p>{words}</p>\n{plots}{}", bad(bad_signs))
+}
+
+fn bad(signs: &str) -> String {
+    format!("<p class=\"bad\"><strong>Bad:</strong> {signs}</p>\n")
+}
+
+/// A plot over time, if there is anything of its channel.
+fn drawn(
+    course: &Course,
+    channel: Channel,
+    id: &str,
+    height: u32,
+    draw: impl Fn(&Course, &str) -> plotly::Plot,
+) -> String {
+    match course.extremes(channel).any(|e| e.is_some()) {
+        true => figure(id, &draw(course, time_title(course)), height, true),
+        false => nothing(),
+    }
+}
+
+/// The name of the time axis.
+fn time_title(course: &Course) -> &'static str {
+    if course.origin().is_some_and(|o| o.ns != 0) { "time since the first frame (s)" } else { "camera time (s)" }
 }
 
 /// How much of the data the curves show.

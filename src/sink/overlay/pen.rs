@@ -143,7 +143,7 @@ impl Canvas {
                 level(self, size * 0.30, centre.y)
             }
             '°' => {
-                let radius = size * 0.15;
+                let radius = size * 0.19;
                 self.path(&ellipse(Point2::new(middle, at.y - size + radius), radius, radius), true, colour, units)
             }
             _ => {
@@ -174,7 +174,7 @@ fn runs(text: &str) -> impl Iterator<Item = Run<'_>> {
 }
 
 fn glyph_width(glyph: char, size: f64) -> f64 {
-    size * if glyph == '°' { 0.45 } else { 0.85 }
+    size * if glyph == '°' { 0.55 } else { 0.85 }
 }
 
 fn plain_width(text: &str, size: f64) -> Result<f64> {
