@@ -144,7 +144,7 @@ fn any_number_of_threads_gives_the_same_estimates() {
 #[test]
 fn alignment_takes_out_a_rigid_motion() {
     let points: Vec<Vector3<f64>> =
-        (0..20).map(|i| f64::from(i)).map(|i| Vector3::new(i.sin(), 0.3 * i, (2.0 * i).cos())).collect();
+        (0..20).map(f64::from).map(|i| Vector3::new(i.sin(), 0.3 * i, (2.0 * i).cos())).collect();
     let motion = nalgebra::Isometry3::new(Vector3::new(5.0, -2.0, 1.0), Vector3::new(0.3, -0.2, 1.1));
     let moved: Vec<_> = points.iter().map(|p| motion * nalgebra::Point3::from(*p)).map(|p| p.coords).collect();
     let [rms, aligned] = rms_and_aligned(&moved, &points);
