@@ -1,13 +1,14 @@
-# make demo    track the sample recording, and say where to look
-# make test    all tests
-# make lint    formatting and lints, as CI checks them
-# make bench   measure speed beside OpenCV and the bare decoder
+# make demo      track the sample recording, and say where to look
+# make test      all tests
+# make lint      formatting and lints, as CI checks them
+# make bench     measure speed beside OpenCV and the bare decoder
+# make accuracy  errors against the truth of the sample recordings, in tables
 
 CARGO ?= cargo
 DEMO := out/demo
 VENV := target/venv
 
-.PHONY: demo test lint bench deps
+.PHONY: demo test lint bench accuracy deps
 
 # Cargo finds the program it has built, wherever the user's settings put it.
 demo: deps
@@ -30,6 +31,9 @@ lint: deps
 
 bench: deps
 	$(CARGO) bench --locked
+
+accuracy: deps
+	$(CARGO) test --locked --test accuracy -- --nocapture --test-threads 1
 
 deps:
 	@scripts/install-deps
