@@ -80,14 +80,16 @@ impl Window {
         }
     }
 
-    /// The cells it touches: columns and rows, half-open, within the grid.
-    fn cells(&self, grid: &Grid<'_>) -> CellWindow {
-        let clip = |v: u32, end: usize| (v as usize).min(end);
+    /// The cells it touches: columns and rows, half-open, within a picture of `size_px`.
+    fn cells(&self, size_px: [u32; 2]) -> CellWindow {
+        let [width, height] = size_px;
+        let cell = |v: u32, size: u32| (v / 2).min(size.div_ceil(2)) as usize;
+        let end = |v: u32, size: u32| v.min(size).div_ceil(2) as usize;
         CellWindow {
-            x0: clip(self.x0 / 2, grid.width()),
-            y0: clip(self.y0 / 2, grid.height()),
-            x1: clip(self.x1.div_ceil(2), grid.width()),
-            y1: clip(self.y1.div_ceil(2), grid.height()),
+            x0: cell(self.x0, width),
+            y0: cell(self.y0, height),
+            x1: end(self.x1, width),
+            y1: end(self.y1, height),
         }
     }
 }
@@ -101,6 +103,17 @@ struct CellWindow {
     y1: usize,
 }
 
+impl CellWindow {
+    /// Whether `inner` reaches the outermost ring of this window anywhere but at the edge of a picture of `size_px`.
+    fn is_touched_by(&self, inner: &Self, size_px: [u32; 2]) -> bool {
+        let [width, height] = size_px.map(|size| size.div_ceil(2) as usize);
+        (inner.x0 <= self.x0 && inner.x0 > 0)
+            || (inner.y0 <= self.y0 && inner.y0 > 0)
+            || (inner.x1 >= self.x1 && inner.x1 < width)
+            || (inner.y1 >= self.y1 && inner.y1 < height)
+    }
+}
+
 /// Where to look for what.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Search {
@@ -108,6 +121,14 @@ pub struct Search {
     pub marker: Option<usize>,
     /// Where; clipped to the picture and widened to whole cells.
     pub window: Window,
+}
+
+impl Search {
+    /// Whether this search finds a blob of the whole picture, of `size_px`, without touching the window's border.
+    pub fn finds_whole(&self, blob: &Blob, size_px: [u32; 2]) -> bool {
+        self.marker.is_none_or(|marker| marker == blob.marker)
+            && !self.window.cells(size_px).is_touched_by(&blob.bounds.cells(size_px), size_px)
+    }
 }
 
 /// A connected patch of one marker's colour.
@@ -250,7 +271,7 @@ impl Segmenter {
         self.blobs.clear();
         self.found.clear();
         for search in searches {
-            let window = search.window.cells(&grid);
+            let window = search.window.cells(picture.size_px());
             self.scanner.scan(&grid, &self.discriminants, window, search.marker);
             for (marker, (discriminant, runs)) in self.discriminants.iter().zip(self.scanner.runs()).enumerate() {
                 for component in self.components.group(runs) {

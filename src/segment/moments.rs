@@ -135,7 +135,7 @@ impl Measure {
             area_px2: mass / f64::from(FULL) * 4.0,
             mean_score: own.score / own.cells,
             bounds: bounds(grid, component),
-            touches_border: touches_border(grid, component, window),
+            touches_border: window.is_touched_by(&extent(component), grid.size_px()),
         }
     }
 
@@ -258,12 +258,4 @@ fn bounds(grid: &Grid<'_>, component: &[Run]) -> Window {
     let [width, height] = grid.size_px();
     let px = |cell: usize, end: u32| (2 * cell as u32).min(end);
     Window { x0: px(e.x0, width), y0: px(e.y0, height), x1: px(e.x1, width), y1: px(e.y1, height) }
-}
-
-fn touches_border(grid: &Grid<'_>, component: &[Run], window: &CellWindow) -> bool {
-    let e = extent(component);
-    (e.x0 == window.x0 && e.x0 > 0)
-        || (e.y0 == window.y0 && e.y0 > 0)
-        || (e.x1 == window.x1 && e.x1 < grid.width())
-        || (e.y1 == window.y1 && e.y1 < grid.height())
 }

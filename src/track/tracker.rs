@@ -15,7 +15,7 @@ use super::tube::{TubeImage, TubeShape};
 use crate::estimate::{BandObservation, Estimate, MarkerEstimate, Miss, Position, Tangent};
 use crate::optics::OpticalPath;
 use crate::rig::Rig;
-use crate::segment::{Blob, Search, SegmentError, Segmenter, Window};
+use crate::segment::{Blob, SegmentError, Segmenter};
 use crate::source::{Frame, Picture, Transfer};
 use nalgebra::{Matrix3, Point2, SMatrix, Vector3};
 use rayon::prelude::*;
@@ -152,7 +152,8 @@ impl Tracker {
         if let Some(windows) = &windows {
             let mut blobs = if self.options.full_frame {
                 let all = self.segmenter.all_blobs(picture)?.to_vec();
-                all.into_iter().filter(|blob| windows.iter().any(|w| inside(blob, w, picture))).collect()
+                let size_px = picture.size_px();
+                all.into_iter().filter(|blob| windows.iter().any(|w| w.finds_whole(blob, size_px))).collect()
             } else {
                 self.segmenter.blobs(picture, windows)?.to_vec()
             };
@@ -337,21 +338,6 @@ impl Tracker {
             .collect();
         MarkerEstimate { position: Ok(Position { point, covariance }), views: observed }
     }
-}
-
-/// Whether a blob lies wholly inside a search's window, no cell of it on the window's outermost ring of cells unless that
-/// is the picture's own edge: what [`Blob::touches_border`] says of a windowed search.
-fn inside(blob: &Blob, search: &Search, picture: &Picture) -> bool {
-    if search.marker.is_some_and(|marker| marker != blob.marker) {
-        return false;
-    }
-    let [width, height] = picture.size_px();
-    let within = |low: u32, high: u32, w0: u32, w1: u32, size: u32| {
-        let (w0, w1) = (w0 & !1, (w1.min(size) + 1) & !1);
-        (w0 == 0 || low >= w0 + 2) && (w1 >= size || high + 2 <= w1)
-    };
-    let (b, w): (&Window, &Window) = (&blob.bounds, &search.window);
-    within(b.x0, b.x1, w.x0, w.x1, width) && within(b.y0, b.y1, w.y0, w.y1, height)
 }
 
 /// Standard deviation of the direction of the axis in the picture, from the covariance of the shape.
