@@ -8,7 +8,7 @@ use mcap::MessageStream;
 use mcap::read::Options;
 use mcap::records::Record;
 use std::collections::BTreeSet;
-use std::io::{BufRead, BufReader, Read};
+use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::Duration;
@@ -183,16 +183,17 @@ fn a_disk_lost_in_the_middle_is_told_by_every_call() {
     for name in ["run.mcap", "run.csv"] {
         let path = folder.path().join(name);
         assert!(Command::new("mkfifo").arg(&path).status().unwrap().success());
+        // Opening waits for the writer; what the writer begins with fits into the pipe.
         let reader = std::thread::spawn({
             let path = path.clone();
-            move || std::fs::File::open(path).unwrap().read_exact(&mut [0; 100]).unwrap()
+            move || std::fs::File::open(path).unwrap()
         });
         let rig = fixture::rig();
         let mut sink: Box<dyn Sink> = match name {
             "run.mcap" => Box::new(log(&path)),
             _ => Box::new(CsvSink::create(&path, &rig, OutputFrame::Base).unwrap()),
         };
-        reader.join().unwrap();
+        drop(reader.join().unwrap());
         let mut write = |seq: u64| sink.write(&fixture::complete(seq, seq as i64 * FRAME_NS), &fixture::picture());
         let error = (0..1000).find_map(|seq| write(seq).err()).expect("the loss was never noticed").to_string();
         assert_eq!(error, format!("cannot write {}: Broken pipe (os error 32)", path.display()));
