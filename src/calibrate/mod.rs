@@ -3,6 +3,9 @@
 //! - [`markers`]: colour models, places along the tube and how the camera draws a band, from one click a marker.
 
 mod around;
+pub mod bundle;
 mod colours;
+pub mod geometry;
+pub mod known;
 pub mod markers;
 mod tune;
