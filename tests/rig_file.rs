@@ -2,7 +2,7 @@
 
 use catoptra::optics::{Mirror, Plane, Surface};
 use catoptra::rig::check::{Warning, check};
-use catoptra::rig::{Rig, RigError};
+use catoptra::rig::{Draft, Rig, RigError};
 use nalgebra::{Isometry3, Point2, Point3, UnitQuaternion, Vector3};
 use proptest::prelude::*;
 use std::path::{Path, PathBuf};
@@ -219,8 +219,24 @@ fn a_rig_needs_views_and_markers() {
         }
         read(&kept).unwrap_err().to_string()
     };
-    assert_eq!(without("[[view"), "rig.toml: view: expected at least one [[view]]");
-    assert_eq!(without("[[marker"), "rig.toml: marker: expected at least one [[marker]]");
+    assert_eq!(without("[[view"), "rig.toml: view: expected at least one [[view]]: `catoptra calibrate rig` adds them");
+    assert_eq!(
+        without("[[marker"),
+        "rig.toml: marker: expected at least one [[marker]]: `catoptra calibrate markers` adds them"
+    );
+}
+
+#[test]
+fn a_draft_has_what_is_known_so_far_and_is_read_as_it_was_written() {
+    let whole = Draft::from_toml_str(RIG, Path::new("rig.toml")).unwrap();
+    let mut draft = Draft::of_camera(whole.camera.clone());
+    let again = |draft: &Draft| Draft::from_toml_str(&draft.to_toml_string(), Path::new("rig.toml")).unwrap();
+    assert_eq!(again(&draft), draft);
+    assert!(draft.clone().complete(Path::new("a.toml")).unwrap_err().to_string().starts_with("a.toml: view: expected"));
+    (draft.surfaces, draft.views) = (whole.surfaces.clone(), whole.views.clone());
+    assert_eq!(again(&draft).views, draft.views);
+    assert!(draft.complete(Path::new("a.toml")).unwrap_err().to_string().starts_with("a.toml: marker: expected"));
+    assert_eq!(Draft::from(read(RIG).unwrap()), whole);
 }
 
 #[test]

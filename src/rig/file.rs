@@ -17,7 +17,7 @@ pub(super) struct RigFile {
     pub views: Vec<ViewFile>,
     #[serde(default, rename = "marker")]
     pub markers: Vec<MarkerFile>,
-    pub catheter: CatheterFile,
+    pub catheter: Option<CatheterFile>,
     pub base: Option<BaseFile>,
     #[serde(default)]
     pub provenance: toml::Table,

@@ -2,12 +2,13 @@
 //!
 //! Inside: SI units, camera frame. `rig.toml` (read and written by this module, documented in `calibration/README.md`)
 //! holds the same in mm and pixels.
-
 //!
 //! - [`Rig::load`], [`Rig::save`] and their text forms; [`RigError`] names file, key, value and what would be right.
+//! - [`Draft`]: a rig file as far as it has got. Each calibration reads one and adds its part.
 //! - [`check::check`]: what the rig means in words and numbers, and whether its views work both ways.
 
 pub mod check;
+mod draft;
 mod error;
 mod file;
 mod polygon;
@@ -16,6 +17,7 @@ mod walk;
 mod warnings;
 mod write;
 
+pub use draft::Draft;
 pub use error::RigError;
 
 use crate::optics::{Lens, OpticalPath, Surface};
@@ -48,9 +50,7 @@ impl Rig {
     /// # Errors
     /// [`RigError`] with the file, the key, its value and what would be right.
     pub fn load(path: &Path) -> Result<Self, RigError> {
-        let text =
-            std::fs::read_to_string(path).map_err(|source| RigError::Read { file: path.to_path_buf(), source })?;
-        Self::from_toml_str(&text, path)
+        Draft::load(path)?.complete(path)
     }
 
     /// As [`Rig::load`] from text; `name` stands for the file in error messages.
@@ -58,22 +58,20 @@ impl Rig {
     /// # Errors
     /// [`RigError`], as [`Rig::load`].
     pub fn from_toml_str(text: &str, name: &Path) -> Result<Self, RigError> {
-        validate::validate(file::parse(text, name)?, name)
+        Draft::from_toml_str(text, name)?.complete(name)
     }
 
-    /// Writes `rig.toml`: into a new file beside `path`, which then takes its place, so that a reader finds the old
-    /// or the new file, never half of one. Comments of the old file are not kept.
+    /// Writes `rig.toml`, see [`Draft::save`].
     ///
     /// # Errors
     /// [`RigError`] when this rig would not be accepted by [`Rig::load`], or the file system refuses.
     pub fn save(&self, path: &Path) -> Result<(), RigError> {
-        write::save(self, path)
+        Draft::from(self.clone()).save(path)
     }
 
-    /// The text of `rig.toml`: lengths to 1e-9 mm, directions to 1e-12. What was read from such a text gives the
-    /// same text again.
+    /// The text of `rig.toml`, see [`Draft::to_toml_string`].
     pub fn to_toml_string(&self) -> String {
-        write::to_text(self)
+        Draft::from(self.clone()).to_toml_string()
     }
 
     /// Index of a marker by its name.

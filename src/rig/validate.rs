@@ -1,10 +1,11 @@
-//! From the file's numbers to a [`Rig`]: every value is judged here, with its key, and turned into metres.
+//! From the file's numbers to a [`Draft`]: every value is judged here, with its key, and turned into metres. What a draft
+//! must have to be a [`Rig`] is judged here too.
 
 use super::error::nearest;
 use super::file::{BaseFile, CameraFile, CatheterFile, MarkerFile, RigFile, SurfaceFile, SurfaceKind, ViewFile};
 use super::walk::{central_pixel, walk};
 use super::write::millimetres as written_mm;
-use super::{Base, Camera, Catheter, ColourModel, Marker, Rig, RigError, View, polygon};
+use super::{Base, Camera, Catheter, ColourModel, Draft, Marker, Rig, RigError, View, polygon};
 use crate::optics::{Lens, Mirror, OpticalPath, Plane, Surface, Wall};
 use nalgebra::{Isometry3, Matrix3, Point2, Rotation3, Translation3, UnitQuaternion, Vector2, Vector3};
 use std::collections::BTreeMap;
@@ -15,7 +16,7 @@ use std::path::Path;
 const UNIT_TOLERANCE: f64 = 2e-6;
 
 /// Judges and converts a whole file; `file` stands in the messages.
-pub(super) fn validate(raw: RigFile, file: &Path) -> Result<Rig, RigError> {
+pub(super) fn validate(raw: RigFile, file: &Path) -> Result<Draft, RigError> {
     let check = Check { file };
     let camera = check.camera(&raw.camera)?;
     let mut surfaces = BTreeMap::new();
@@ -27,9 +28,25 @@ pub(super) fn validate(raw: RigFile, file: &Path) -> Result<Rig, RigError> {
     let views = raw.views.into_iter().map(|v| check.view(v, &camera, &surfaces)).collect::<Result<Vec<_>, _>>()?;
     let markers = raw.markers.into_iter().map(|m| check.marker(m)).collect::<Result<Vec<_>, _>>()?;
     check.bands_apart(&markers)?;
-    let catheter = check.catheter(&raw.catheter, &markers)?;
+    let catheter = raw.catheter.map(|catheter| check.catheter(&catheter, &markers)).transpose()?;
     let base = raw.base.map(|base| check.base(&base)).transpose()?;
-    Ok(Rig { camera, surfaces, views, markers, catheter, base, provenance: raw.provenance })
+    Ok(Draft { camera, surfaces, views, markers, catheter, base, provenance: raw.provenance })
+}
+
+/// A draft that has all parts is a rig; `file` stands in the message about one that is missing.
+pub(super) fn complete(draft: Draft, file: &Path) -> Result<Rig, RigError> {
+    let Draft { camera, surfaces, views, markers, catheter, base, provenance } = draft;
+    let check = Check { file };
+    if views.is_empty() {
+        return Err(check.key("view", "expected at least one [[view]]: `catoptra calibrate rig` adds them"));
+    }
+    if markers.is_empty() {
+        return Err(check.no_marker());
+    }
+    let Some(catheter) = catheter else {
+        return Err(check.key("catheter", "missing: `catoptra calibrate markers` adds it"));
+    };
+    Ok(Rig { camera, surfaces, views, markers, catheter, base, provenance })
 }
 
 /// Judges values on behalf of one file.
@@ -52,6 +69,10 @@ impl Check<'_> {
 
     fn key(&self, key: impl Display, problem: impl Display) -> RigError {
         RigError::Key { file: self.file.to_path_buf(), key: key.to_string(), problem: problem.to_string() }
+    }
+
+    fn no_marker(&self) -> RigError {
+        self.key("marker", "expected at least one [[marker]]: `catoptra calibrate markers` adds them")
     }
 
     fn finite(&self, key: impl Display, values: &[f64]) -> Result<(), RigError> {
@@ -78,7 +99,7 @@ impl Check<'_> {
         Ok(Vector3::from(v) / length)
     }
 
-    /// At least one entry; names that fit into tables and messages; each only once.
+    /// Names that fit into tables and messages; each only once.
     fn names<'n>(&self, section: &str, names: impl Iterator<Item = &'n str>) -> Result<(), RigError> {
         let mut seen: Vec<&str> = Vec::new();
         for name in names {
@@ -92,11 +113,7 @@ impl Check<'_> {
             }
             seen.push(name);
         }
-        if seen.is_empty() {
-            Err(self.key(section, format_args!("expected at least one [[{section}]]")))
-        } else {
-            Ok(())
-        }
+        Ok(())
     }
 
     fn name(&self, key: impl Display, name: &str) -> Result<(), RigError> {
@@ -311,6 +328,9 @@ impl Check<'_> {
     }
 
     fn catheter(&self, raw: &CatheterFile, markers: &[Marker]) -> Result<Catheter, RigError> {
+        if markers.is_empty() {
+            return Err(self.no_marker());
+        }
         self.positive("catheter.diameter_mm", raw.diameter_mm)?;
         let index = |key: &str, name: &str| {
             markers.iter().position(|m| m.name == name).ok_or_else(|| {

@@ -1,7 +1,7 @@
-//! A [`Rig`] as the text of `rig.toml`, and that text onto the disk in one step.
+//! A [`Draft`] as the text of `rig.toml`, and that text onto the disk in one step.
 
 use super::validate::rotation_of;
-use super::{Base, Camera, Marker, Rig, RigError, View};
+use super::{Base, Camera, Catheter, Draft, Marker, RigError, View};
 use crate::optics::Surface;
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use std::fmt::Write as _;
@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 const DIRECTION_DECIMALS: usize = 12;
 
 /// The whole file.
-pub(super) fn to_text(rig: &Rig) -> String {
+pub(super) fn to_text(rig: &Draft) -> String {
     let mut sections = vec![
         "# A Catoptra rig. Lengths are mm, pixels count from the centre of the top-left one, directions are unit\n\
          # vectors in the camera frame (x right, y down, z forward). Every key: calibration/README.md.\n"
@@ -22,7 +22,7 @@ pub(super) fn to_text(rig: &Rig) -> String {
     sections.extend(rig.surfaces.iter().enumerate().map(|(i, (name, s))| surface(i == 0, name, s)));
     sections.extend(rig.views.iter().enumerate().map(|(i, v)| view(i == 0, v)));
     sections.extend(rig.markers.iter().enumerate().map(|(i, m)| marker(i == 0, m)));
-    sections.push(catheter(rig));
+    sections.extend(rig.catheter.iter().map(|c| catheter(c, &rig.markers)));
     sections.extend(rig.base.iter().map(base));
     if !rig.provenance.is_empty() {
         let wrapped = toml::Table::from_iter([("provenance".to_owned(), rig.provenance.clone().into())]);
@@ -31,10 +31,10 @@ pub(super) fn to_text(rig: &Rig) -> String {
     sections.join("\n")
 }
 
-/// See [`Rig::save`].
-pub(super) fn save(rig: &Rig, path: &Path) -> Result<(), RigError> {
+/// See [`Draft::save`].
+pub(super) fn save(rig: &Draft, path: &Path) -> Result<(), RigError> {
     let text = rig.to_toml_string();
-    Rig::from_toml_str(&text, path)?; // never replace a good file by one that cannot be read
+    Draft::from_toml_str(&text, path)?; // never replace a good file by one that cannot be read
     let fail = |source| RigError::Write { file: path.to_path_buf(), source };
     let mut new_name = path.as_os_str().to_owned();
     new_name.push(format!(".{}.new", std::process::id()));
@@ -133,18 +133,18 @@ fn marker(first: bool, marker: &Marker) -> String {
     text
 }
 
-fn catheter(rig: &Rig) -> String {
-    let name = |index: usize| rig.markers.get(index).map_or("", |m| m.name.as_str());
+fn catheter(catheter: &Catheter, markers: &[Marker]) -> String {
+    let name = |index: usize| markers.get(index).map_or("", |m| m.name.as_str());
     let mut text = format!(
         "# The tube: which band is the coil, and which one ends the tube.\n\
          [catheter]\ndiameter_mm = {}\ncoil = \"{}\"\n",
-        millimetres(rig.catheter.diameter_m),
-        name(rig.catheter.coil)
+        millimetres(catheter.diameter_m),
+        name(catheter.coil)
     );
-    if let Some(end) = rig.catheter.end {
+    if let Some(end) = catheter.end {
         let _ = writeln!(text, "end = \"{}\"", name(end));
     }
-    if let Some(rigid_m) = rig.catheter.rigid_m {
+    if let Some(rigid_m) = catheter.rigid_m {
         let _ = writeln!(text, "rigid_mm = {}", millimetres(rigid_m));
     }
     text

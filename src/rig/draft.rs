@@ -1,0 +1,89 @@
+//! [`Draft`]: a rig file as far as it has got.
+
+use super::{Base, Camera, Catheter, Marker, Rig, RigError, View, file, validate, write};
+use crate::optics::Surface;
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// A checked rig file of which parts may be missing: `calibrate camera` begins it, each calibration after it reads it and
+/// adds its part. With views, markers and catheter it is a [`Rig`].
+#[derive(Debug, Clone, PartialEq)]
+pub struct Draft {
+    /// Picture size and lens.
+    pub camera: Camera,
+    /// Named surfaces.
+    pub surfaces: BTreeMap<String, Surface>,
+    /// Views, in the file's order; none before the mirror is calibrated.
+    pub views: Vec<View>,
+    /// Markers, in their order along the tube; none before they were picked.
+    pub markers: Vec<Marker>,
+    /// The tube, known with the markers.
+    pub catheter: Option<Catheter>,
+    /// The base frame, once known.
+    pub base: Option<Base>,
+    /// Where the numbers come from: kept as written.
+    pub provenance: toml::Table,
+}
+
+impl Draft {
+    /// Of a camera alone.
+    pub fn of_camera(camera: Camera) -> Self {
+        Self {
+            camera,
+            surfaces: BTreeMap::new(),
+            views: Vec::new(),
+            markers: Vec::new(),
+            catheter: None,
+            base: None,
+            provenance: toml::Table::new(),
+        }
+    }
+
+    /// Reads and checks a `rig.toml` that need not be complete.
+    ///
+    /// # Errors
+    /// [`RigError`] with the file, the key, its value and what would be right.
+    pub fn load(path: &Path) -> Result<Self, RigError> {
+        let text =
+            std::fs::read_to_string(path).map_err(|source| RigError::Read { file: path.to_path_buf(), source })?;
+        Self::from_toml_str(&text, path)
+    }
+
+    /// As [`Draft::load`] from text; `name` stands for the file in error messages.
+    ///
+    /// # Errors
+    /// [`RigError`], as [`Draft::load`].
+    pub fn from_toml_str(text: &str, name: &Path) -> Result<Self, RigError> {
+        validate::validate(file::parse(text, name)?, name)
+    }
+
+    /// The rig, when all its parts are there; `name` stands for the file in error messages.
+    ///
+    /// # Errors
+    /// [`RigError::Key`] with the part that is missing.
+    pub fn complete(self, name: &Path) -> Result<Rig, RigError> {
+        validate::complete(self, name)
+    }
+
+    /// Writes `rig.toml`: into a new file beside `path`, which then takes its place, so that a reader finds the old
+    /// or the new file, never half of one. Comments of the old file are not kept.
+    ///
+    /// # Errors
+    /// [`RigError`] when this draft would not be accepted by [`Draft::load`], or the file system refuses.
+    pub fn save(&self, path: &Path) -> Result<(), RigError> {
+        write::save(self, path)
+    }
+
+    /// The text of `rig.toml`: lengths to 1e-9 mm, directions to 1e-12. What was read from such a text gives the
+    /// same text again.
+    pub fn to_toml_string(&self) -> String {
+        write::to_text(self)
+    }
+}
+
+impl From<Rig> for Draft {
+    fn from(rig: Rig) -> Self {
+        let Rig { camera, surfaces, views, markers, catheter, base, provenance } = rig;
+        Self { camera, surfaces, views, markers, catheter: Some(catheter), base, provenance }
+    }
+}
