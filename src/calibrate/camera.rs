@@ -1,0 +1,309 @@
+//! `catoptra calibrate camera`: the lens from pictures of a board in air.
+//!
+//! In: the corners of a board in pictures without mirror and water. Out: the lens with its covariance, and what each picture
+//! says of it.
+//!
+//! OpenCV's `calibrateCamera` gives the start; the answer and its covariance are those of our own bundle adjustment (OpenCV's
+//! standard deviations are wrong in older versions). A picture whose corners lie much further off than those of the others is
+//! left out, with its reason. Refused are sets that leave the lens open: too few pictures, all boards parallel.
+//!
+//! Cannot detect: a board that is not flat, or whose squares are not as large as said (the lens does not depend on their
+//! size, distances do).
+
+use super::board::{Board, BoardImage};
+use super::bundle::{Bundle, Corner, NoSolution, Solution};
+use super::geometry::{Geometry, Parameter};
+use crate::optics::Lens;
+use nalgebra::{DMatrix, Isometry3, Point2, Point3, Rotation3, Translation3, UnitQuaternion, Vector2, Vector3};
+use opencv::calib3d;
+use opencv::core::{Mat, MatTraitConst, Point2f, Point3f, Size, Vector};
+
+/// Fewest pictures: three boards at different tilts determine a lens without distortion; with it, five is a beginning.
+const FEWEST_PICTURES: usize = 5;
+/// Boards that are all closer in direction than this leave the focal length open.
+const LEAST_TILT_RAD: f64 = 10.0 * std::f64::consts::PI / 180.0;
+/// A picture whose RMS residual is this many times that of the median picture is left out, if it is also so many pixels.
+const OUTLIER: (f64, f64) = (4.0, 0.3);
+/// Two pictures whose corners differ by less than this, RMS in pixels, are the same picture.
+const SAME_PX: f64 = 0.05;
+/// A focal length known less well than this part of it is not known.
+const LEAST_KNOWN: f64 = 0.02;
+
+/// A board found in a picture.
+#[derive(Debug, Clone)]
+pub struct BoardPicture {
+    /// The picture's name in messages.
+    pub name: String,
+    /// Its size, pixels.
+    pub size_px: [u32; 2],
+    /// The board's corners.
+    pub image: BoardImage,
+}
+
+/// The lens and how well it is known.
+#[derive(Debug, Clone)]
+pub struct CameraCalibration {
+    /// Size of the pictures, pixels.
+    pub size_px: [u32; 2],
+    /// The lens.
+    pub lens: Lens,
+    /// Covariance of fx, fy, cx, cy, k1, k2, p1, p2, k3.
+    pub covariance: DMatrix<f64>,
+    /// Noise of one coordinate of a corner, pixels.
+    pub corner_sd_px: f64,
+    /// For each picture that was used: its name, the board's pose (camera_from_board, origin in the board's middle), each
+    /// corner's place in the picture and its residual, pixels.
+    pub used: Vec<UsedPicture>,
+    /// Pictures left out, and why.
+    pub left_out: Vec<(String, LeftOut)>,
+}
+
+/// What a picture says of the solution.
+#[derive(Debug, Clone)]
+pub struct UsedPicture {
+    /// Its name.
+    pub name: String,
+    /// camera_from_board, origin in the board's middle, metres.
+    pub pose: Isometry3<f64>,
+    /// For each corner: where it was found, and found − projected, pixels.
+    pub corners: Vec<(Point2<f64>, Vector2<f64>)>,
+}
+
+impl UsedPicture {
+    /// RMS of one coordinate of the residuals, pixels.
+    pub fn rms_px(&self) -> f64 {
+        rms(self.corners.iter().map(|(_, residual)| *residual))
+    }
+}
+
+/// Why a picture was left out.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum LeftOut {
+    /// Its corners fit badly.
+    #[error("its corners are {rms_px:.2} px off, those of the median picture {median_px:.2} px: moved, blurred or bent?")]
+    Off {
+        /// RMS of its residuals.
+        rms_px: f64,
+        /// Of the median picture.
+        median_px: f64,
+    },
+    /// It was given before.
+    #[error("it is the same picture as {0}")]
+    Duplicate(String),
+}
+
+/// Why there is no calibration.
+#[derive(Debug, thiserror::Error)]
+pub enum CameraError {
+    /// Pictures of several sizes.
+    #[error(
+        "{name} has {found:?} pixels, {first} has {expected:?}: all pictures must come from the camera as it will be used"
+    )]
+    Sizes {
+        /// A picture.
+        name: String,
+        /// Its size.
+        found: [u32; 2],
+        /// The first picture.
+        first: String,
+        /// Its size.
+        expected: [u32; 2],
+    },
+    /// Too few pictures with a board.
+    #[error("the board was found in {found} different pictures, at least {FEWEST_PICTURES} are needed, 10 to 20 are good")]
+    TooFew {
+        /// How many.
+        found: usize,
+    },
+    /// All boards are parallel.
+    #[error(
+        "all boards are within {spread_deg:.0}° of parallel: the focal length cannot be told from the distance; tilt the \
+         board by 30° and more, to all sides"
+    )]
+    Parallel {
+        /// Largest angle between two boards.
+        spread_deg: f64,
+    },
+    /// The pictures do not determine the lens.
+    #[error(
+        "the pictures leave the focal length open by {sd_px:.0} px of {focal_px:.0}: tilt the board more, fill the picture"
+    )]
+    Open {
+        /// Standard deviation.
+        sd_px: f64,
+        /// Value.
+        focal_px: f64,
+    },
+    /// OpenCV refused.
+    #[error("no first guess of the lens: {0}")]
+    Start(#[from] opencv::Error),
+    /// The adjustment failed.
+    #[error("the lens cannot be determined: {0}")]
+    Solve(#[from] NoSolution),
+}
+
+/// Calibrates the lens.
+///
+/// # Errors
+/// [`CameraError`] when the pictures do not belong together or leave the lens open.
+pub fn calibrate_camera(board: &Board, pictures: &[BoardPicture]) -> Result<CameraCalibration, CameraError> {
+    let first = pictures.first().ok_or(CameraError::TooFew { found: 0 })?;
+    if let Some(other) = pictures.iter().find(|p| p.size_px != first.size_px) {
+        return Err(CameraError::Sizes {
+            name: other.name.clone(),
+            found: other.size_px,
+            first: first.name.clone(),
+            expected: first.size_px,
+        });
+    }
+    let (mut used, mut left_out) = without_duplicates(pictures);
+    loop {
+        if used.len() < FEWEST_PICTURES {
+            return Err(CameraError::TooFew { found: used.len() });
+        }
+        let solved = adjust(board, &used, first.size_px)?;
+        let spread = spread_rad(&solved.poses);
+        if spread < LEAST_TILT_RAD {
+            return Err(CameraError::Parallel { spread_deg: spread.to_degrees() });
+        }
+        let of_pictures = by_picture(&solved, &used);
+        let Some((worst, off)) = worst(&of_pictures) else {
+            return conclude(&solved, of_pictures, left_out, first.size_px);
+        };
+        left_out.push((used.remove(worst).name.clone(), off));
+    }
+}
+
+/// All pictures but those that show the same as an earlier one.
+fn without_duplicates(pictures: &[BoardPicture]) -> (Vec<&BoardPicture>, Vec<(String, LeftOut)>) {
+    let (mut used, mut left_out): (Vec<&BoardPicture>, _) = (Vec::new(), Vec::new());
+    for picture in pictures {
+        match used.iter().find(|other| same(&other.image, &picture.image)) {
+            Some(other) => left_out.push((picture.name.clone(), LeftOut::Duplicate(other.name.clone()))),
+            None => used.push(picture),
+        }
+    }
+    (used, left_out)
+}
+
+/// Whether two pictures show their corners at the same places.
+pub(super) fn same(a: &BoardImage, b: &BoardImage) -> bool {
+    a.corners.len() == b.corners.len()
+        && a.corners.iter().zip(&b.corners).all(|(a, b)| a.0 == b.0)
+        && rms(a.corners.iter().zip(&b.corners).map(|(a, b)| a.1 - b.1)) < SAME_PX
+}
+
+pub(super) fn rms(residuals: impl Iterator<Item = Vector2<f64>>) -> f64 {
+    let (sum, count) = residuals.fold((0.0, 0_usize), |(sum, count), r| (sum + r.norm_squared(), count + 2));
+    (sum / count.max(1) as f64).sqrt()
+}
+
+/// Corners of the board about its middle, where a turn of the pose moves them least.
+pub(super) fn centred(board: &Board) -> Vec<Point3<f64>> {
+    let points = board.points();
+    let middle = points.iter().map(|p| p.coords).sum::<Vector3<f64>>() / points.len().max(1) as f64;
+    points.into_iter().map(|p| p - middle).collect()
+}
+
+fn adjust(board: &Board, used: &[&BoardPicture], size_px: [u32; 2]) -> Result<Solution, CameraError> {
+    let places = centred(board);
+    let (lens, poses) = start(&places, used, size_px)?;
+    let corners = used
+        .iter()
+        .enumerate()
+        .flat_map(|(picture, p)| p.image.corners.iter().map(move |(i, pixel)| (picture, *i, *pixel)))
+        .filter_map(|(picture, i, pixel)| Some(Corner { picture, view: 0, place: *places.get(i)?, pixel }))
+        .collect();
+    let geometry = Geometry { lens, surfaces: Vec::new(), views: vec![("air".to_owned(), Vec::new())] };
+    Ok(Bundle { geometry, free: Parameter::LENS.to_vec(), poses, corners, known: Vec::new() }.solve()?)
+}
+
+/// OpenCV's answer.
+fn start(
+    places: &[Point3<f64>],
+    used: &[&BoardPicture],
+    size_px: [u32; 2],
+) -> Result<(Lens, Vec<Isometry3<f64>>), CameraError> {
+    let (mut objects, mut images) = (Vector::<Vector<Point3f>>::new(), Vector::<Vector<Point2f>>::new());
+    for picture in used {
+        let seen = || picture.image.corners.iter().filter_map(|(i, pixel)| Some((places.get(*i)?, pixel)));
+        objects.push(seen().map(|(p, _)| Point3f::new(p.x as f32, p.y as f32, p.z as f32)).collect());
+        images.push(seen().map(|(_, p)| Point2f::new(p.x as f32, p.y as f32)).collect());
+    }
+    let (mut matrix, mut distortion) = (Mat::default(), Mat::default());
+    let (mut turns, mut shifts) = (Vector::<Mat>::new(), Vector::<Mat>::new());
+    let size = Size::new(size_px[0] as i32, size_px[1] as i32);
+    calib3d::calibrate_camera_def(&objects, &images, size, &mut matrix, &mut distortion, &mut turns, &mut shifts)?;
+    let at = |row, column| matrix.at_2d::<f64>(row, column).copied();
+    let mut lens = Lens {
+        focal_px: Vector2::new(at(0, 0)?, at(1, 1)?),
+        principal_point_px: Point2::new(at(0, 2)?, at(1, 2)?),
+        distortion: [0.0; 5],
+    };
+    for (i, to) in lens.distortion.iter_mut().enumerate() {
+        *to = *distortion.at::<f64>(i as i32)?;
+    }
+    let vector = |mat: &Mat| -> opencv::Result<Vector3<f64>> {
+        Ok(Vector3::new(*mat.at::<f64>(0)?, *mat.at::<f64>(1)?, *mat.at::<f64>(2)?))
+    };
+    let poses = turns
+        .iter()
+        .zip(&shifts)
+        .map(|(turn, shift)| {
+            let turn = UnitQuaternion::from(Rotation3::new(vector(&turn)?));
+            Ok(Isometry3::from_parts(Translation3::from(vector(&shift)?), turn))
+        })
+        .collect::<opencv::Result<_>>()?;
+    Ok((lens, poses))
+}
+
+/// The largest angle between the normals of two boards.
+pub(super) fn spread_rad(poses: &[Isometry3<f64>]) -> f64 {
+    let normals: Vec<Vector3<f64>> = poses.iter().map(|pose| pose.rotation * Vector3::z()).collect();
+    let angles = normals.iter().enumerate().flat_map(|(i, a)| normals[..i].iter().map(move |b| a.angle(b)));
+    angles.fold(0.0, f64::max)
+}
+
+fn by_picture(solved: &Solution, used: &[&BoardPicture]) -> Vec<UsedPicture> {
+    let mut residuals = solved.residuals_px.iter();
+    used.iter()
+        .zip(&solved.poses)
+        .map(|(picture, pose)| {
+            let corners = picture.image.corners.iter().zip(residuals.by_ref()).map(|(c, r)| (c.1, *r)).collect();
+            UsedPicture { name: picture.name.clone(), pose: *pose, corners }
+        })
+        .collect()
+}
+
+/// The picture that is much further off than the others.
+fn worst(pictures: &[UsedPicture]) -> Option<(usize, LeftOut)> {
+    let mut sorted: Vec<f64> = pictures.iter().map(UsedPicture::rms_px).collect();
+    sorted.sort_by(f64::total_cmp);
+    let median_px = *sorted.get(sorted.len() / 2)?;
+    let (index, rms_px) =
+        pictures.iter().map(UsedPicture::rms_px).enumerate().max_by(|a, b| a.1.total_cmp(&b.1))?;
+    let off = rms_px > OUTLIER.0 * median_px && rms_px > OUTLIER.1;
+    off.then_some((index, LeftOut::Off { rms_px, median_px }))
+}
+
+fn conclude(
+    solved: &Solution,
+    used: Vec<UsedPicture>,
+    left_out: Vec<(String, LeftOut)>,
+    size_px: [u32; 2],
+) -> Result<CameraCalibration, CameraError> {
+    for axis in 0..2 {
+        let (sd_px, focal_px) = (solved.covariance[(axis, axis)].sqrt(), solved.geometry.lens.focal_px[axis]);
+        if sd_px.is_nan() || sd_px > LEAST_KNOWN * focal_px {
+            return Err(CameraError::Open { sd_px, focal_px });
+        }
+    }
+    Ok(CameraCalibration {
+        size_px,
+        lens: solved.geometry.lens,
+        covariance: solved.covariance.clone(),
+        corner_sd_px: solved.corner_sd_px,
+        used,
+        left_out,
+    })
+}
