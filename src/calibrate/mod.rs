@@ -1,8 +1,11 @@
-//! What a rig file needs and a recording can tell: so far, the markers.
+//! What a rig file needs and a recording or pictures of a board can tell.
 //!
+//! - [`board`]: calibration boards, found in a picture ([`grey`]).
 //! - [`markers`]: colour models, places along the tube and how the camera draws a band, from one click a marker.
 
 mod around;
+pub mod board;
 mod colours;
+pub mod grey;
 pub mod markers;
 mod tune;
