@@ -1,0 +1,185 @@
+//! Looks for boards: OpenCV's detector on the picture at several sizes and on parts of it, then refinement at full size.
+//!
+//! The detector's time goes with the pixels it sees, four times as many with its ACCURACY flag, and it finds squares of 6
+//! pixels (4 with the flag). What it finds in a picture made smaller is as good: corners are refined in the full one. So
+//! small comes first, and the costly looks only where boards are missing.
+
+use nalgebra::Point2;
+use opencv::core::{
+    Mat, Point, Point2f, Rect, Scalar, Size, TermCriteria, TermCriteria_COUNT, TermCriteria_EPS, Vector,
+};
+use opencv::prelude::*;
+use opencv::{Result, calib3d, imgproc};
+
+use super::super::grey::Grey;
+use super::judge::{Flaw, Grid};
+use super::{Board, BoardError, BoardImage};
+
+/// Long sides that the detector sees the whole picture at, pixels.
+const SEEN_PX: [i32; 4] = [640, 1280, 2560, 5120];
+/// Long side of what it sees with more effort.
+const CLOSE_PX: i32 = 1280;
+/// Half the window of refinement, as a share of the distance of the nearest corner: it must not reach that one.
+const WINDOW: f64 = 0.35;
+/// Half the window, least and most, pixels.
+const WINDOW_PX: (i32, i32) = (2, 11);
+/// False grids in one look before it is given up.
+const FALSE_GRIDS: usize = 3;
+
+/// Finds images of the board, `most` of them at most, in the order they are found in; at least one.
+///
+/// # Errors
+/// When there is none (with what is there instead, if that can be told), the board is none that can be found, or OpenCV fails.
+pub fn find_boards(picture: &Grey, board: &Board, most: usize) -> std::result::Result<Vec<BoardImage>, BoardError> {
+    board.check()?;
+    let [width, height] = picture.size_px().map(|n| n as i32);
+    let pixels = Mat::new_rows_cols_with_data(height, width, picture.samples())?.try_clone()?;
+    let mut without_found = pixels.try_clone()?;
+    let (mut found, mut flaws) = (Vec::new(), Vec::new());
+    for look in looks(width, height) {
+        if found.len() >= most || (look.only_if_none && !found.is_empty()) {
+            break;
+        }
+        let mut painted = without_found.try_clone()?;
+        let mut false_grids = 0;
+        while found.len() < most && false_grids < FALSE_GRIDS {
+            let Some(seeds) = look.detect(&painted, board)? else { break };
+            let Some(rough) = Grid::new(picture, board.columns, board.rows, seeds) else { break };
+            paint_over(&mut painted, &rough)?;
+            let Some(mut grid) = Grid::new(picture, board.columns, board.rows, refine(&pixels, &rough)?) else { break };
+            grid.put_in_order();
+            match grid.judge() {
+                Ok(contrast) => {
+                    paint_over(&mut without_found, &grid)?;
+                    found.push(BoardImage {
+                        mirrored: None,
+                        square_px: grid.square_px(),
+                        edge_px: grid.edge_px(),
+                        contrast: contrast.abs(),
+                        corners: grid.into_corners().into_iter().enumerate().collect(),
+                    });
+                }
+                Err(flaw) => {
+                    false_grids += 1;
+                    flaws.push(flaw);
+                }
+            }
+        }
+    }
+    if !found.is_empty() {
+        return Ok(found);
+    }
+    let larger = flaws.iter().find_map(|flaw| match flaw {
+        Flaw::Larger { columns, rows } => Some([*columns, *rows]),
+        _ => None,
+    });
+    let seen = if larger.is_none() { other_grid(&pixels, picture)? } else { larger };
+    Err(BoardError::NotFound { columns: board.columns, rows: board.rows, seen, flaw: flaws.into_iter().next() })
+}
+
+/// A part of the picture, made smaller.
+struct Look {
+    part: Rect,
+    /// At most 1.
+    scale: f64,
+    flags: i32,
+    /// Only where no board was found at all.
+    only_if_none: bool,
+}
+
+fn looks(width: i32, height: i32) -> Vec<Look> {
+    const EQUAL: i32 = calib3d::CALIB_CB_NORMALIZE_IMAGE;
+    let look = |part: Rect, seen_px: i32, flags: i32| {
+        let scale = (f64::from(seen_px) / f64::from(part.width.max(part.height))).min(1.0);
+        Look { part, scale, flags, only_if_none: false }
+    };
+    let whole = Rect::new(0, 0, width, height);
+    let smaller = SEEN_PX.iter().take_while(|seen| **seen < width.max(height));
+    let first = *SEEN_PX.iter().find(|seen| **seen >= width.max(height)).unwrap_or(&SEEN_PX[3]);
+    let mut looks: Vec<Look> = smaller.chain([&first]).map(|seen| look(whole, *seen, 0)).collect();
+    let efforts = [EQUAL, EQUAL | calib3d::CALIB_CB_ACCURACY, EQUAL | calib3d::CALIB_CB_EXHAUSTIVE];
+    looks.extend(efforts.map(|flags| look(whole, CLOSE_PX, flags)));
+    // Halves of width and height, overlapping by half: other things do not count there.
+    for (i, j) in (0..3).flat_map(|j| (0..3).map(move |i| (i, j))) {
+        let part = Rect::new(i * width / 4, j * height / 4, width / 2, height / 2);
+        if part.width > 32 && part.height > 32 {
+            looks.push(Look { only_if_none: true, ..look(part, CLOSE_PX, EQUAL) });
+        }
+    }
+    looks
+}
+
+impl Look {
+    /// Corners in pixels of the whole picture.
+    fn detect(&self, picture: &Mat, board: &Board) -> Result<Option<Vec<Point2<f64>>>> {
+        let (seen, scale) = self.seen(picture)?;
+        let mut corners = Vector::<Point2f>::new();
+        let size = Size::new(board.columns as i32, board.rows as i32);
+        let found = calib3d::find_chessboard_corners_sb(&seen, size, &mut corners, self.flags)?;
+        Ok(found.then(|| self.in_whole(&corners, scale)))
+    }
+
+    /// What the detector sees, and its true scales along x and y.
+    fn seen(&self, picture: &Mat) -> Result<(Mat, [f64; 2])> {
+        let part = Mat::roi(picture, self.part)?;
+        let size = [self.part.width, self.part.height].map(|n| (f64::from(n) * self.scale).round().max(1.0) as i32);
+        let mut seen = Mat::default();
+        imgproc::resize(&part, &mut seen, Size::new(size[0], size[1]), 0.0, 0.0, imgproc::INTER_AREA)?;
+        let scale = [f64::from(size[0]) / f64::from(self.part.width), f64::from(size[1]) / f64::from(self.part.height)];
+        Ok((seen, scale))
+    }
+
+    fn in_whole(&self, corners: &Vector<Point2f>, [sx, sy]: [f64; 2]) -> Vec<Point2<f64>> {
+        // Pixel centres are at whole numbers: their edges, at halves, coincide.
+        let place = |c: Point2f| {
+            let x = (f64::from(c.x) + 0.5) / sx - 0.5 + f64::from(self.part.x);
+            let y = (f64::from(c.y) + 0.5) / sy - 0.5 + f64::from(self.part.y);
+            Point2::new(x, y)
+        };
+        corners.iter().map(place).collect()
+    }
+}
+
+/// The corners, each by OpenCV's classic refinement in a window fitted to the squares around it: the detector's own is three
+/// times worse.
+fn refine(pixels: &Mat, grid: &Grid) -> Result<Vec<Point2<f64>>> {
+    let until = TermCriteria::new(TermCriteria_COUNT + TermCriteria_EPS, 60, 1e-4)?;
+    let window = |nearest_px: f64| ((WINDOW * nearest_px) as i32).clamp(WINDOW_PX.0, WINDOW_PX.1);
+    grid.corners()
+        .iter()
+        .zip(grid.nearest_px())
+        .map(|(corner, nearest_px)| {
+            let mut one = Vector::from_slice(&[Point2f::new(corner.x as f32, corner.y as f32)]);
+            let half = window(nearest_px);
+            imgproc::corner_sub_pix(pixels, &mut one, Size::new(half, half), Size::new(-1, -1), until)?;
+            Ok(one.get(0).map(|c| Point2::new(f64::from(c.x), f64::from(c.y)))?)
+        })
+        .collect()
+}
+
+/// Hides a board that was found: its hull, and its outer squares, in its mean grey.
+fn paint_over(picture: &mut Mat, grid: &Grid) -> Result<()> {
+    let outline: Vector<Point> = grid.outline().iter().map(|p| Point::new(p.x.round() as i32, p.y.round() as i32)).collect();
+    imgproc::fill_convex_poly_def(picture, &outline, Scalar::all(grid.mean_grey()))
+}
+
+/// Columns and rows of whatever board there is.
+fn other_grid(pixels: &Mat, picture: &Grey) -> Result<Option<[usize; 2]>> {
+    let [width, height] = picture.size_px().map(|n| n as i32);
+    let flags = calib3d::CALIB_CB_NORMALIZE_IMAGE | calib3d::CALIB_CB_LARGER;
+    for look in looks(width, height).into_iter().take_while(|look| look.flags == 0) {
+        let (seen, scale) = look.seen(pixels)?;
+        let (mut corners, mut meta) = (Vector::<Point2f>::new(), Mat::default());
+        let found =
+            calib3d::find_chessboard_corners_sb_with_meta(&seen, Size::new(3, 3), &mut corners, flags, &mut meta)?;
+        let (columns, rows) = (meta.cols().max(0) as usize, meta.rows().max(0) as usize);
+        let grid = || Grid::new(picture, columns, rows, look.in_whole(&corners, scale));
+        if found && let Some(mut grid) = grid() {
+            grid.put_in_order();
+            if grid.judge().is_ok() {
+                return Ok(Some([columns.max(rows), columns.min(rows)]));
+            }
+        }
+    }
+    Ok(None)
+}
