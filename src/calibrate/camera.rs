@@ -80,7 +80,9 @@ impl UsedPicture {
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum LeftOut {
     /// Its corners fit badly.
-    #[error("its corners are {rms_px:.2} px off, those of the median picture {median_px:.2} px: moved, blurred or bent?")]
+    #[error(
+        "its corners are {rms_px:.2} px off, those of the median picture {median_px:.2} px: moved, blurred or bent?"
+    )]
     Off {
         /// RMS of its residuals.
         rms_px: f64,
@@ -110,7 +112,9 @@ pub enum CameraError {
         expected: [u32; 2],
     },
     /// Too few pictures with a board.
-    #[error("the board was found in {found} different pictures, at least {FEWEST_PICTURES} are needed, 10 to 20 are good")]
+    #[error(
+        "the board was found in {found} different pictures, at least {FEWEST_PICTURES} are needed, 10 to 20 are good"
+    )]
     TooFew {
         /// How many.
         found: usize,
@@ -276,12 +280,11 @@ fn by_picture(solved: &Solution, used: &[&BoardPicture]) -> Vec<UsedPicture> {
 }
 
 /// The picture that is much further off than the others.
-fn worst(pictures: &[UsedPicture]) -> Option<(usize, LeftOut)> {
+pub(super) fn worst(pictures: &[UsedPicture]) -> Option<(usize, LeftOut)> {
     let mut sorted: Vec<f64> = pictures.iter().map(UsedPicture::rms_px).collect();
     sorted.sort_by(f64::total_cmp);
     let median_px = *sorted.get(sorted.len() / 2)?;
-    let (index, rms_px) =
-        pictures.iter().map(UsedPicture::rms_px).enumerate().max_by(|a, b| a.1.total_cmp(&b.1))?;
+    let (index, rms_px) = pictures.iter().map(UsedPicture::rms_px).enumerate().max_by(|a, b| a.1.total_cmp(&b.1))?;
     let off = rms_px > OUTLIER.0 * median_px && rms_px > OUTLIER.1;
     off.then_some((index, LeftOut::Off { rms_px, median_px }))
 }

@@ -12,4 +12,6 @@ pub mod geometry;
 pub mod grey;
 pub mod known;
 pub mod markers;
+pub mod mirrors;
+pub mod start;
 mod tune;

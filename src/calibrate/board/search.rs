@@ -159,7 +159,8 @@ fn refine(pixels: &Mat, grid: &Grid) -> Result<Vec<Point2<f64>>> {
 
 /// Hides a board that was found: its hull, and its outer squares, in its mean grey.
 fn paint_over(picture: &mut Mat, grid: &Grid) -> Result<()> {
-    let outline: Vector<Point> = grid.outline().iter().map(|p| Point::new(p.x.round() as i32, p.y.round() as i32)).collect();
+    let outline: Vector<Point> =
+        grid.outline().iter().map(|p| Point::new(p.x.round() as i32, p.y.round() as i32)).collect();
     imgproc::fill_convex_poly_def(picture, &outline, Scalar::all(grid.mean_grey()))
 }
 

@@ -1,0 +1,352 @@
+//! `catoptra calibrate rig`: mirrors and walls from pictures that show a board directly and in the mirrors.
+//!
+//! In: images of the board in each picture ([`BoardsPicture`]), the lens with its covariance, what else is known of the tank.
+//! Out: surfaces and views of the rig, their covariance, and what each picture leaves.
+//!
+//! 1. `start`: which image is which view, about where the mirrors are, as if in air.
+//! 2. Where there is a tank, walls are put between camera and boards: the front wall across the line of sight, and for each
+//!    mirror beside the tank the wall through which it looks. Several distances are tried.
+//! 3. [`super::bundle`]: all at once. The best of the tries counts; a picture that fits much worse than the others is left out.
+//!
+//! Assumes that a board is either in the medium behind the walls in all pictures, or in air in all of them.
+//! Cannot detect: a wrong refractive index or glass thickness (they trade off against distances), a wrong size of the
+//! squares (everything scales with it).
+
+use super::board::Board;
+use super::bundle::{Bundle, Corner, NoSolution, Solution};
+use super::camera::{UsedPicture, rms, worst};
+use super::geometry::{Geometry, Parameter};
+use super::known::Known;
+use super::start::{BoardsPicture, Start, Unusable, start};
+use crate::optics::{Lens, Mirror, Plane, PlaneError, Surface, Wall};
+use nalgebra::{DMatrix, Isometry3, Point3, Translation3, Vector3};
+
+/// Fewest pictures with two images of the board.
+const FEWEST_PICTURES: usize = 3;
+/// Walls are first put this far in front of the nearest corner, metres.
+const MARGINS_M: [f64; 3] = [0.03, 0.08, 0.15];
+/// While searching, walls are held to where they were put, metres, and to right angles, radians; the answer knows nothing
+/// of it.
+const HELD: (f64, f64) = (0.05, 3e-3);
+
+/// A tank of flat walls.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Tank {
+    /// Thickness of its glass, metres.
+    pub glass_m: f64,
+    /// Index of the glass.
+    pub index_glass: f64,
+    /// Index of what is in it.
+    pub index_inside: f64,
+    /// Outer width, depth and height as the camera faces it, metres, when it is a box.
+    pub size_m: Option<[f64; 3]>,
+    /// How square a box is, radians: standard deviation of the angle between two walls.
+    pub square_sd_rad: f64,
+    /// How well its size is known, metres.
+    pub size_sd_m: f64,
+    /// The mirrors stand in the water, behind the front wall, instead of beside the tank.
+    pub mirrors_inside: bool,
+}
+
+/// How to calibrate.
+#[derive(Debug, Clone, Default)]
+pub struct RigOptions {
+    /// How many mirrors.
+    pub mirrors: usize,
+    /// The tank, if the board was in one.
+    pub tank: Option<Tank>,
+    /// Covariance of the lens (fx, fy, cx, cy, k1, k2, p1, p2, k3); without it the lens is taken for exact.
+    pub lens_covariance: Option<DMatrix<f64>>,
+    /// Distances of surfaces from the camera that were measured: name, distance, standard deviation, metres.
+    pub distances_m: Vec<(String, f64, f64)>,
+    /// Standard deviation of the index inside, to let it be fitted; `None` holds it.
+    pub index_sd: Option<f64>,
+}
+
+/// The rig's optics and how well they are known.
+#[derive(Debug, Clone)]
+pub struct RigCalibration {
+    /// The solution.
+    pub solution: Solution,
+    /// For each view and picture that was used, what it leaves.
+    pub used: Vec<(usize, UsedPicture)>,
+    /// Pictures left out, and why.
+    pub left_out: Vec<(String, String)>,
+}
+
+/// Why there is no calibration.
+#[derive(Debug, thiserror::Error)]
+pub enum RigCalibrationError {
+    /// Too few usable pictures.
+    #[error("{found} pictures show the board directly and in a mirror, at least {FEWEST_PICTURES} are needed, 10 to 20 are good{}", list(.left_out))]
+    TooFew {
+        /// How many.
+        found: usize,
+        /// Those that do not, and why.
+        left_out: Vec<(String, String)>,
+    },
+    /// Fewer mirrors than asked for.
+    #[error("{found} mirrors are seen in the pictures, {expected} were asked for")]
+    Mirrors {
+        /// How many.
+        found: usize,
+        /// How many there should be.
+        expected: usize,
+    },
+    /// A distance of a surface that does not exist.
+    #[error("there is no surface `{name}` to be at a distance; there are {known}")]
+    NoSurface {
+        /// As asked for.
+        name: String,
+        /// Those there are.
+        known: String,
+    },
+    /// OpenCV refused.
+    #[error("no first guess: {0}")]
+    OpenCv(#[from] opencv::Error),
+    /// No plane.
+    #[error("no first guess: {0}")]
+    Plane(#[from] PlaneError),
+    /// The covariance of the lens is none.
+    #[error("the covariance of the lens is not positive")]
+    LensCovariance,
+    /// The adjustment failed.
+    #[error("the rig cannot be determined: {0}")]
+    Solve(#[from] NoSolution),
+}
+
+fn list(left_out: &[(String, String)]) -> String {
+    left_out.iter().map(|(name, why)| format!("\n  {name}: {why}")).collect()
+}
+
+/// Calibrates mirrors and walls.
+///
+/// # Errors
+/// [`RigCalibrationError`] when the pictures do not show enough, or do not belong together.
+pub fn calibrate_rig(
+    board: &Board,
+    lens: &Lens,
+    pictures: &[BoardsPicture],
+    options: &RigOptions,
+) -> Result<RigCalibration, RigCalibrationError> {
+    let mut start = start(board, lens, pictures, options.mirrors)?;
+    let name = |picture: usize| pictures.get(picture).map_or_else(String::new, |p| p.name.clone());
+    let reason = |(picture, why): &(usize, Unusable)| (name(*picture), why.to_string());
+    let mut left_out: Vec<(String, String)> = start.left_out.iter().map(reason).collect();
+    loop {
+        if start.pictures.len() < FEWEST_PICTURES {
+            return Err(RigCalibrationError::TooFew { found: start.pictures.len(), left_out });
+        }
+        if start.mirrors.len() < options.mirrors {
+            return Err(RigCalibrationError::Mirrors { found: start.mirrors.len(), expected: options.mirrors });
+        }
+        let (solution, corners) = best(lens, &start, options)?;
+        let used: Vec<UsedPicture> = (0..start.pictures.len())
+            .map(|picture| UsedPicture {
+                name: name(start.pictures[picture].picture),
+                pose: solution.poses[picture],
+                corners: by_picture(&corners, &solution, picture),
+            })
+            .collect();
+        let Some((index, off)) = worst(&used) else {
+            let used = start.pictures.iter().map(|s| s.picture).zip(used).collect();
+            return Ok(RigCalibration { solution, used, left_out });
+        };
+        let sorted = start.pictures.remove(index);
+        left_out.push((name(sorted.picture), off.to_string()));
+    }
+}
+
+fn by_picture(
+    corners: &[Corner],
+    solution: &Solution,
+    picture: usize,
+) -> Vec<(nalgebra::Point2<f64>, nalgebra::Vector2<f64>)> {
+    let all = corners.iter().zip(&solution.residuals_px);
+    all.filter(|(corner, _)| corner.picture == picture).map(|(corner, residual)| (corner.pixel, *residual)).collect()
+}
+
+/// The best of the adjustments that start from walls at several distances.
+fn best(lens: &Lens, start: &Start, options: &RigOptions) -> Result<(Solution, Vec<Corner>), RigCalibrationError> {
+    let corners: Vec<Corner> = start
+        .pictures
+        .iter()
+        .enumerate()
+        .flat_map(|(picture, sorted)| {
+            let views = sorted.views.iter().enumerate();
+            views.flat_map(move |(view, corners)| {
+                corners.iter().flatten().map(move |(place, pixel)| Corner {
+                    picture,
+                    view,
+                    place: *place,
+                    pixel: *pixel,
+                })
+            })
+        })
+        .collect();
+    let margins: &[f64] = if options.tank.is_some() { &MARGINS_M } else { &[0.0] };
+    let mut best: Result<Solution, RigCalibrationError> = Err(NoSolution::NotConverged.into());
+    for margin_m in margins {
+        let (geometry, poses) = first_geometry(lens, start, options, *margin_m)?;
+        let known = known(&geometry, options)?;
+        let mut free: Vec<Parameter> = (0..geometry.surfaces.len()).flat_map(Parameter::of_surface).collect();
+        let held = held(&geometry).into_iter().chain(known.iter().cloned()).collect();
+        let rough = Bundle { geometry, free: free.clone(), poses, corners: corners.clone(), known: held }.solve();
+        if options.lens_covariance.is_some() {
+            free.extend(Parameter::LENS);
+        }
+        if options.tank.is_some() && options.index_sd.is_some() {
+            free.push(Parameter::IndexInside);
+        }
+        let solved = rough.and_then(|rough| {
+            Bundle { geometry: rough.geometry, free, poses: rough.poses, corners: corners.clone(), known }.solve()
+        });
+        let cost = |s: &Solution| rms(s.residuals_px.iter().copied());
+        match (solved, &best) {
+            (Ok(solved), Ok(found)) if cost(&solved) >= cost(found) => {}
+            (Ok(solved), _) => best = Ok(solved),
+            (Err(why), Err(_)) => best = Err(why.into()),
+            (Err(_), Ok(_)) => {}
+        }
+    }
+    Ok((best?, corners))
+}
+
+/// Names of the mirrors and of their views: without a number where there is only one.
+fn numbered(name: &str, index: usize, count: usize) -> String {
+    if count == 1 { name.to_owned() } else { format!("{name}_{}", index + 1) }
+}
+
+/// Surfaces, views and poses to start from; walls `margin_m` in front of the nearest corner.
+fn first_geometry(
+    lens: &Lens,
+    start: &Start,
+    options: &RigOptions,
+    margin_m: f64,
+) -> Result<(Geometry, Vec<Isometry3<f64>>), RigCalibrationError> {
+    let count = start.mirrors.len();
+    let mut surfaces: Vec<(String, Surface)> = Vec::new();
+    let mut views = vec![("direct".to_owned(), Vec::new())];
+    let mut poses: Vec<Isometry3<f64>> = start.pictures.iter().map(|p| p.pose).collect();
+    if let Some(tank) = &options.tank {
+        let middle = poses.iter().map(|p| p.translation.vector).sum::<Vector3<f64>>() / poses.len().max(1) as f64;
+        let normal = -middle.normalize();
+        let measured = options.distances_m.iter().find(|(name, ..)| name == "front_wall").map(|(_, d, _)| -d);
+        let offset_m = measured.unwrap_or_else(|| outermost(start, &poses, &normal) + margin_m);
+        let front = tank.wall(Plane::new(normal, offset_m)?);
+        // What is behind the wall seems nearer than it is, by the index.
+        for pose in &mut poses {
+            let behind = -front.outer.signed_distance(&Point3::from(pose.translation.vector));
+            let further = pose.translation.vector.normalize() * (behind * (tank.index_inside - 1.0)).max(0.0);
+            *pose = Translation3::from(further) * *pose;
+        }
+        surfaces.push(("front_wall".to_owned(), Surface::Wall(front)));
+        views[0].1.push(0);
+    }
+    for (index, (normal, offset_m)) in start.mirrors.iter().enumerate() {
+        let mirror = surfaces.len();
+        let plane = Plane::new(*normal, *offset_m)?;
+        surfaces.push((numbered("mirror", index, count), Surface::Mirror(Mirror { plane })));
+        let path = match &options.tank {
+            None => vec![mirror],
+            Some(tank) if tank.mirrors_inside => vec![0, mirror],
+            Some(tank) => {
+                let front = surfaces[0].1.plane().normal();
+                let middle = poses.iter().map(|p| p.translation.vector).sum::<Vector3<f64>>() / poses.len() as f64;
+                // Towards the boards, from the mirror image of the camera.
+                let camera = plane.reflect(&Point3::origin());
+                let inward = (Point3::from(middle) - camera).normalize();
+                if -inward.dot(&front) > std::f64::consts::FRAC_1_SQRT_2 {
+                    vec![mirror, 0]
+                } else {
+                    let normal = -(inward - front * front.dot(&inward)).normalize();
+                    let offset_m = outermost(start, &poses, &normal) + margin_m;
+                    surfaces.push((
+                        numbered("side_wall", index, count),
+                        Surface::Wall(tank.wall(Plane::new(normal, offset_m)?)),
+                    ));
+                    vec![mirror, mirror + 1]
+                }
+            }
+        };
+        views.push((numbered("mirror", index, count), path));
+    }
+    Ok((Geometry { lens: *lens, surfaces, views }, poses))
+}
+
+/// How far the corners of all boards reach along a direction.
+fn outermost(start: &Start, poses: &[Isometry3<f64>], direction: &Vector3<f64>) -> f64 {
+    let corners = start.pictures.iter().zip(poses).flat_map(|(sorted, pose)| {
+        sorted.views.iter().flatten().flatten().map(move |(place, _)| (pose * place).coords)
+    });
+    corners.map(|corner| corner.dot(direction)).fold(f64::NEG_INFINITY, f64::max)
+}
+
+impl Tank {
+    fn wall(&self, outer: Plane) -> Wall {
+        Wall {
+            outer,
+            thickness_m: self.glass_m,
+            index_outside: 1.0,
+            index_wall: self.index_glass,
+            index_inside: self.index_inside,
+        }
+    }
+}
+
+/// What is known beside the pictures.
+fn known(geometry: &Geometry, options: &RigOptions) -> Result<Vec<Known>, RigCalibrationError> {
+    let mut known = Vec::new();
+    if let Some(covariance) = &options.lens_covariance {
+        let factor = covariance.clone().cholesky().ok_or(RigCalibrationError::LensCovariance)?;
+        let whitening = factor.l().try_inverse().ok_or(RigCalibrationError::LensCovariance)?;
+        let values = Parameter::LENS.map(|parameter| geometry.value(parameter));
+        known.push(Known::Lens { values, whitening });
+    }
+    for (name, distance_m, sd_m) in &options.distances_m {
+        let surface = geometry.surfaces.iter().position(|(own, _)| own == name).ok_or_else(|| {
+            let names: Vec<&str> = geometry.surfaces.iter().map(|(name, _)| name.as_str()).collect();
+            RigCalibrationError::NoSurface { name: name.clone(), known: names.join(", ") }
+        })?;
+        known.push(Known::Distance { surface, distance_m: *distance_m, sd_m: *sd_m });
+    }
+    let Some(tank) = &options.tank else { return Ok(known) };
+    if let Some(sd) = options.index_sd {
+        known.push(Known::IndexInside { index: tank.index_inside, sd });
+    }
+    let Some([width_m, depth_m, _]) = tank.size_m else { return Ok(known) };
+    known.extend(pairs_of_walls(geometry).map(|(surfaces, across)| {
+        if across {
+            return Known::Square { surfaces, sd_rad: tank.square_sd_rad };
+        }
+        // The front wall is the first one; what is opposite to it is the depth away.
+        let distance_m = if surfaces[0] == 0 { depth_m } else { width_m };
+        Known::Apart { surfaces, distance_m, sd_m: tank.size_sd_m }
+    }));
+    Ok(known)
+}
+
+fn walls(geometry: &Geometry) -> impl Iterator<Item = usize> {
+    let surfaces = geometry.surfaces.iter().enumerate();
+    surfaces.filter(|(_, (_, surface))| matches!(surface, Surface::Wall(_))).map(|(index, _)| index)
+}
+
+/// All pairs of walls, and whether they stand across each other (else they are opposite).
+fn pairs_of_walls(geometry: &Geometry) -> impl Iterator<Item = ([usize; 2], bool)> {
+    let normal = |surface: usize| geometry.surfaces[surface].1.plane().normal();
+    let pairs = walls(geometry).flat_map(|a| walls(geometry).filter(move |b| *b > a).map(move |b| [a, b]));
+    pairs.map(move |[a, b]| ([a, b], normal(a).dot(&normal(b)).abs() < std::f64::consts::FRAC_1_SQRT_2))
+}
+
+/// What keeps the search near its start.
+fn held(geometry: &Geometry) -> Vec<Known> {
+    let distance_m = |surface: usize| geometry.surfaces[surface].1.plane().offset_m().abs();
+    walls(geometry)
+        .map(|surface| Known::Distance { surface, distance_m: distance_m(surface), sd_m: HELD.0 })
+        .chain(
+            pairs_of_walls(geometry)
+                .filter(|(_, across)| *across)
+                .map(|(surfaces, _)| Known::Square { surfaces, sd_rad: HELD.1 }),
+        )
+        .collect()
+}
