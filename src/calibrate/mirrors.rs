@@ -68,7 +68,9 @@ pub struct RigOptions {
 pub struct RigCalibration {
     /// The solution.
     pub solution: Solution,
-    /// For each view and picture that was used, what it leaves.
+    /// The corners it explains.
+    pub corners: Vec<Corner>,
+    /// For each picture that was used, its index among those given and what it leaves.
     pub used: Vec<(usize, UsedPicture)>,
     /// Pictures left out, and why.
     pub left_out: Vec<(String, String)>,
@@ -150,7 +152,7 @@ pub fn calibrate_rig(
             .collect();
         let Some((index, off)) = worst(&used) else {
             let used = start.pictures.iter().map(|s| s.picture).zip(used).collect();
-            return Ok(RigCalibration { solution, used, left_out });
+            return Ok(RigCalibration { solution, corners, used, left_out });
         };
         let sorted = start.pictures.remove(index);
         left_out.push((name(sorted.picture), off.to_string()));

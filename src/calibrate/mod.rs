@@ -15,3 +15,4 @@ pub mod markers;
 pub mod mirrors;
 pub mod start;
 mod tune;
+pub mod verdict;

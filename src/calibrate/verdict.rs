@@ -1,0 +1,280 @@
+//! The verdict on a calibration: how far off in space what is measured with it will be, and what would make it better.
+//!
+//! In: a solved geometry with covariance. Out: for places all over the working volume, the expected error, in parts:
+//!
+//! - *systematic, absolute*: errors of the geometry move the triangulated place by δX = −(AᵀA)⁻¹AᵀB δp, A and B the
+//!   derivatives of all views' pixels by place and parameters; so its covariance is K Σ Kᵀ.
+//! - *systematic, relative*: the same after the rigid motion of the whole volume that explains most of it is taken out. It is
+//!   what remains in the base frame, which is measured with the same geometry: of displacements, of angles.
+//! - *random*: corner noise in each frame, σ²(AᵀA)⁻¹.
+//!
+//! Errors are 1σ of the distance in space (root of the trace). Weak directions of a calibration behind water mostly move
+//! everything together: large absolute, tiny relative errors are the rule, and the relative ones matter to angles.
+//!
+//! Cannot tell: what the model leaves out (bent mirrors and walls, dispersion, a moved tank, a wrong index).
+
+use super::bundle::{Corner, Solution, by_pose};
+use super::geometry::{Geometry, Parameter, Projector};
+use super::known::Known;
+use nalgebra::{
+    DMatrix, Isometry3, Matrix3, Matrix3xX, Matrix6, Point3, RowVector3, Translation3, UnitQuaternion, Vector3,
+};
+
+/// Places along each side of the working volume.
+const PLACES: usize = 5;
+
+/// Expected errors at one place.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Expected {
+    /// Where, camera frame, metres.
+    pub place: Point3<f64>,
+    /// Systematic error in the camera frame, metres.
+    pub absolute_m: f64,
+    /// Systematic error that no rigid motion of the volume takes out, metres.
+    pub relative_m: f64,
+    /// Error by the noise of one frame, metres.
+    pub random_m: f64,
+}
+
+/// The verdict.
+#[derive(Debug, Clone)]
+pub struct Verdict {
+    /// Errors all over the working volume.
+    pub expected: Vec<Expected>,
+    /// Noise of a pixel coordinate that [`Expected::random_m`] is for.
+    pub pixel_sd_px: f64,
+    /// The direction in which the whole volume is least well placed, camera frame, unit, and how well, metres.
+    pub weakest: (Vector3<f64>, f64),
+    /// What would help most, best first: what to add, and the median errors (absolute, relative) then.
+    pub helpful: Vec<(String, f64, f64)>,
+}
+
+impl Verdict {
+    /// Median and largest of one kind of error over the volume.
+    pub fn median_and_worst(&self, of: impl Fn(&Expected) -> f64) -> (f64, f64) {
+        let mut sorted: Vec<f64> = self.expected.iter().map(of).collect();
+        sorted.sort_by(f64::total_cmp);
+        let at = |i: usize| sorted.get(i).copied().unwrap_or(f64::NAN);
+        (at(sorted.len() / 2), at(sorted.len().saturating_sub(1)))
+    }
+}
+
+/// How places answer to errors of the parameters.
+struct Volume {
+    places: Vec<Point3<f64>>,
+    /// d place / d parameters, three rows a place; after rigid motions are taken out in `relative`.
+    absolute: DMatrix<f64>,
+    relative: DMatrix<f64>,
+    /// (AᵀA)⁻¹ of each place, m²/px².
+    random: Vec<Matrix3<f64>>,
+}
+
+/// Judges a solution over the volume that the boards filled. `places`: the corners of all boards, camera frame.
+///
+/// `None` when fewer than four places of the volume are seen by two views.
+pub fn verdict(solution: &Solution, corners: &[Corner], board: &[Point3<f64>]) -> Option<Verdict> {
+    let filled: Vec<Point3<f64>> = corners.iter().map(|c| solution.poses[c.picture] * c.place).collect();
+    let volume = Volume::of(&solution.geometry, &solution.free, &grid(&filled))?;
+    let medians = |covariance: &DMatrix<f64>| {
+        let median = |k: &DMatrix<f64>| {
+            let mut sds = spreads(k, covariance);
+            sds.sort_by(f64::total_cmp);
+            sds.get(sds.len() / 2).copied().unwrap_or(f64::NAN)
+        };
+        (median(&volume.absolute), median(&volume.relative))
+    };
+    let expected = volume
+        .places
+        .iter()
+        .zip(&volume.random)
+        .zip(spreads(&volume.absolute, &solution.covariance))
+        .zip(spreads(&volume.relative, &solution.covariance))
+        .map(|(((place, random), absolute_m), relative_m)| Expected {
+            place: *place,
+            absolute_m,
+            relative_m,
+            random_m: random.trace().sqrt() * solution.corner_sd_px,
+        })
+        .collect();
+    let mut helpful: Vec<(String, f64, f64)> = candidates(solution, &volume.places, board)
+        .into_iter()
+        .filter_map(|(what, information)| {
+            let with = (solution.covariance.clone().cholesky()?.inverse() + information).cholesky()?.inverse();
+            let (absolute, relative) = medians(&with);
+            Some((what, absolute, relative))
+        })
+        .collect();
+    helpful.sort_by(|a, b| a.1.total_cmp(&b.1));
+    Some(Verdict {
+        expected,
+        pixel_sd_px: solution.corner_sd_px,
+        weakest: volume.weakest(&solution.covariance),
+        helpful,
+    })
+}
+
+/// A grid over the box that some places fill, each side cut a little short: its corners were never filled.
+fn grid(filled: &[Point3<f64>]) -> Vec<Point3<f64>> {
+    let bound = |pick: fn(f64, f64) -> f64, start: f64| {
+        filled.iter().fold(Vector3::repeat(start), |b, p| b.zip_map(&p.coords, pick))
+    };
+    let (low, high) = (bound(f64::min, f64::INFINITY), bound(f64::max, f64::NEG_INFINITY));
+    let part = |i: usize| 0.1 + 0.8 * i as f64 / (PLACES - 1) as f64;
+    let axis = 0..PLACES;
+    axis.clone()
+        .flat_map(|x| {
+            axis.clone().flat_map({
+                let axis = axis.clone();
+                move |y| axis.clone().map(move |z| (x, y, z))
+            })
+        })
+        .map(|(x, y, z)| Point3::from(low + (high - low).component_mul(&Vector3::new(part(x), part(y), part(z)))))
+        .collect()
+}
+
+impl Volume {
+    fn of(geometry: &Geometry, free: &[Parameter], places: &[Point3<f64>]) -> Option<Self> {
+        let projector = Projector::new(geometry, free);
+        let (mut seen_places, mut random) = (Vec::new(), Vec::new());
+        let mut rows: Vec<Matrix3xX<f64>> = Vec::new();
+        for place in places {
+            let seen: Vec<_> = (0..geometry.views.len()).filter_map(|v| projector.seen(v, place).ok()).collect();
+            if seen.len() < 2 {
+                continue;
+            }
+            let mut information = Matrix3::zeros();
+            let mut pull = Matrix3xX::zeros(free.len());
+            for view in &seen {
+                information += view.d_point.transpose() * view.d_point;
+                for (column, d) in view.d_parameters.iter().enumerate() {
+                    let mut to = pull.column_mut(column);
+                    to += view.d_point.transpose() * d;
+                }
+            }
+            let Some(inverse) = information.try_inverse() else { continue };
+            rows.push(-(inverse * pull));
+            seen_places.push(*place);
+            random.push(inverse);
+        }
+        if seen_places.len() < 4 {
+            return None;
+        }
+        let mut absolute = DMatrix::zeros(3 * rows.len(), free.len());
+        for (i, own) in rows.iter().enumerate() {
+            absolute.rows_mut(3 * i, 3).copy_from(own);
+        }
+        let relative = without_rigid_motion(&absolute, &seen_places)?;
+        Some(Self { places: seen_places, absolute, relative, random })
+    }
+
+    /// Principal direction of the volume's common displacement.
+    fn weakest(&self, covariance: &DMatrix<f64>) -> (Vector3<f64>, f64) {
+        let mut mean = DMatrix::zeros(3, self.absolute.ncols());
+        for i in 0..self.places.len() {
+            mean += self.absolute.rows(3 * i, 3) / self.places.len() as f64;
+        }
+        let common = &mean * covariance * mean.transpose();
+        let eigen = Matrix3::from_iterator(common.iter().copied()).symmetric_eigen();
+        let largest = eigen.eigenvalues.imax();
+        let direction: Vector3<f64> = eigen.eigenvectors.column(largest).into();
+        let towards = if direction.z < 0.0 { -direction } else { direction };
+        (towards, eigen.eigenvalues[largest].max(0.0).sqrt())
+    }
+}
+
+/// Displacements of places with their best common rigid motion taken out, column by column: K − G(GᵀG)⁻¹GᵀK.
+fn without_rigid_motion(displacements: &DMatrix<f64>, places: &[Point3<f64>]) -> Option<DMatrix<f64>> {
+    let middle = places.iter().map(|p| p.coords).sum::<Vector3<f64>>() / places.len() as f64;
+    let mut rigid = DMatrix::zeros(3 * places.len(), 6);
+    for (i, place) in places.iter().enumerate() {
+        rigid.view_mut((3 * i, 0), (3, 3)).copy_from(&Matrix3::identity());
+        rigid.view_mut((3 * i, 3), (3, 3)).copy_from(&-(place.coords - middle).cross_matrix());
+    }
+    let inverse = (rigid.tr_mul(&rigid)).try_inverse()?;
+    Some(displacements - &rigid * (inverse * rigid.tr_mul(displacements)))
+}
+
+/// For each place, the root of the trace of its covariance, metres.
+fn spreads(by_parameters: &DMatrix<f64>, covariance: &DMatrix<f64>) -> Vec<f64> {
+    let through = by_parameters * covariance;
+    let variance = |row: usize| through.row(row).dot(&by_parameters.row(row));
+    (0..by_parameters.nrows() / 3)
+        .map(|i| (variance(3 * i) + variance(3 * i + 1) + variance(3 * i + 2)).max(0.0).sqrt())
+        .collect()
+}
+
+/// What could be added, and the information it would bring.
+fn candidates(solution: &Solution, places: &[Point3<f64>], board: &[Point3<f64>]) -> Vec<(String, DMatrix<f64>)> {
+    let mut list = Vec::new();
+    for (surface, (name, _)) in solution.geometry.surfaces.iter().enumerate() {
+        let distance_m = solution.geometry.value(Parameter::Offset { surface }).abs();
+        let known = Known::Distance { surface, distance_m, sd_m: 2e-3 };
+        let rows = known.rows(&solution.geometry, &solution.poses, &solution.free);
+        let information = rows.iter().map(|row| &row.by_geometry * row.by_geometry.transpose());
+        let none = DMatrix::zeros(solution.free.len(), solution.free.len());
+        list.push((
+            format!("the distance of {name} from the camera, measured to 2 mm"),
+            information.fold(none, |a, b| a + b),
+        ));
+    }
+    let middle = places.iter().map(|p| p.coords).sum::<Vector3<f64>>() / places.len().max(1) as f64;
+    let reach = places
+        .iter()
+        .map(|p| p.coords - middle)
+        .fold(Vector3::<f64>::zeros(), |b, p| b.zip_map(&p, |b, p| b.max(p.abs())));
+    let shifts = [
+        ("in the middle", Vector3::zeros()),
+        ("to the left", Vector3::x() * -reach.x),
+        ("to the right", Vector3::x() * reach.x),
+        ("high", Vector3::y() * -reach.y),
+        ("low", Vector3::y() * reach.y),
+        ("near", Vector3::z() * -reach.z),
+        ("far", Vector3::z() * reach.z),
+    ];
+    let tilts = [
+        ("facing the camera", Vector3::zeros()),
+        ("turned right by 35°", Vector3::y() * 0.61),
+        ("turned left by 35°", Vector3::y() * -0.61),
+        ("tilted back by 35°", Vector3::x() * 0.61),
+        ("tilted forwards by 35°", Vector3::x() * -0.61),
+    ];
+    let projector = Projector::new(&solution.geometry, &solution.free);
+    let mut pictures: Vec<(String, DMatrix<f64>)> = Vec::new();
+    for (where_, shift) in shifts {
+        for (how, turn) in tilts {
+            let pose =
+                Isometry3::from_parts(Translation3::from(middle + shift), UnitQuaternion::from_scaled_axis(turn));
+            if let Some(information) = information(&projector, solution, &pose, board) {
+                pictures.push((format!("a picture of the board {where_}, {how}"), information));
+            }
+        }
+    }
+    list.extend(pictures);
+    list
+}
+
+/// What a picture of the board in a pose tells of the geometry, its pose unknown. `None` when not all views show all of it.
+fn information(
+    projector: &Projector,
+    solution: &Solution,
+    pose: &Isometry3<f64>,
+    board: &[Point3<f64>],
+) -> Option<DMatrix<f64>> {
+    let n = solution.free.len();
+    let (mut geometry, mut coupling, mut own) = (DMatrix::zeros(n, n), DMatrix::zeros(n, 6), Matrix6::zeros());
+    for view in 0..solution.geometry.views.len() {
+        for place in board {
+            let seen = projector.seen(view, &(pose * place)).ok()?;
+            for axis in 0..2 {
+                let by_geometry = nalgebra::DVector::from_iterator(n, seen.d_parameters.iter().map(|d| d[axis]));
+                let row: RowVector3<f64> = seen.d_point.row(axis).into();
+                let by_pose = by_pose(pose, place, &row.transpose());
+                geometry.ger(1.0, &by_geometry, &by_geometry, 1.0);
+                coupling.ger(1.0, &by_geometry, &by_pose, 1.0);
+                own.ger(1.0, &by_pose, &by_pose, 1.0);
+            }
+        }
+    }
+    let inverse = own.cholesky()?.inverse();
+    Some((geometry - &coupling * inverse * coupling.transpose()) / solution.corner_sd_px.powi(2))
+}
