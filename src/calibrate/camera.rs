@@ -203,7 +203,7 @@ pub(super) fn rms(residuals: impl Iterator<Item = Vector2<f64>>) -> f64 {
 }
 
 /// Corners of the board about its middle, where a turn of the pose moves them least.
-pub(super) fn centred(board: &Board) -> Vec<Point3<f64>> {
+pub fn centred(board: &Board) -> Vec<Point3<f64>> {
     let points = board.points();
     let middle = points.iter().map(|p| p.coords).sum::<Vector3<f64>>() / points.len().max(1) as f64;
     points.into_iter().map(|p| p - middle).collect()

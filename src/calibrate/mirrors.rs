@@ -19,7 +19,8 @@ use super::geometry::{Geometry, Parameter};
 use super::known::Known;
 use super::start::{BoardsPicture, Start, Unusable, start};
 use crate::optics::{Lens, Mirror, Plane, PlaneError, Surface, Wall};
-use nalgebra::{DMatrix, Isometry3, Point3, Translation3, Vector3};
+use crate::rig::{Draft, View};
+use nalgebra::{DMatrix, Isometry3, Point2, Point3, Translation3, Vector2, Vector3};
 
 /// Fewest pictures with two images of the board.
 const FEWEST_PICTURES: usize = 3;
@@ -28,6 +29,11 @@ const MARGINS_M: [f64; 3] = [0.03, 0.08, 0.15];
 /// While searching, walls are held to where they were put, metres, and to right angles, radians; the answer knows nothing
 /// of it.
 const HELD: (f64, f64) = (0.05, 3e-3);
+/// How square a glass box is, radians, and how true to size, metres: what its makers keep.
+const SQUARE_SD_RAD: f64 = 3e-3;
+const SIZE_SD_M: f64 = 1e-3;
+/// Refractive index of water at 589 nm from 0 to 50 °C in steps of 10 °C (CRC Handbook of Chemistry and Physics).
+const WATER: [f64; 6] = [1.33395, 1.33369, 1.33299, 1.33192, 1.33051, 1.32894];
 
 /// A tank of flat walls.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -40,10 +46,6 @@ pub struct Tank {
     pub index_inside: f64,
     /// Outer width, depth and height as the camera faces it, metres, when it is a box.
     pub size_m: Option<[f64; 3]>,
-    /// How square a box is, radians: standard deviation of the angle between two walls.
-    pub square_sd_rad: f64,
-    /// How well its size is known, metres.
-    pub size_sd_m: f64,
     /// The mirrors stand in the water, behind the front wall, instead of beside the tank.
     pub mirrors_inside: bool,
 }
@@ -159,11 +161,7 @@ pub fn calibrate_rig(
     }
 }
 
-fn by_picture(
-    corners: &[Corner],
-    solution: &Solution,
-    picture: usize,
-) -> Vec<(nalgebra::Point2<f64>, nalgebra::Vector2<f64>)> {
+fn by_picture(corners: &[Corner], solution: &Solution, picture: usize) -> Vec<(Point2<f64>, Vector2<f64>)> {
     let all = corners.iter().zip(&solution.residuals_px);
     all.filter(|(corner, _)| corner.picture == picture).map(|(corner, residual)| (corner.pixel, *residual)).collect()
 }
@@ -319,11 +317,11 @@ fn known(geometry: &Geometry, options: &RigOptions) -> Result<Vec<Known>, RigCal
     let Some([width_m, depth_m, _]) = tank.size_m else { return Ok(known) };
     known.extend(pairs_of_walls(geometry).map(|(surfaces, across)| {
         if across {
-            return Known::Square { surfaces, sd_rad: tank.square_sd_rad };
+            return Known::Square { surfaces, sd_rad: SQUARE_SD_RAD };
         }
         // The front wall is the first one; what is opposite to it is the depth away.
         let distance_m = if surfaces[0] == 0 { depth_m } else { width_m };
-        Known::Apart { surfaces, distance_m, sd_m: tank.size_sd_m }
+        Known::Apart { surfaces, distance_m, sd_m: SIZE_SD_M }
     }));
     Ok(known)
 }
@@ -351,4 +349,97 @@ fn held(geometry: &Geometry) -> Vec<Known> {
                 .map(|(surfaces, _)| Known::Square { surfaces, sd_rad: HELD.1 }),
         )
         .collect()
+}
+
+/// Refractive index of water; `None` outside 0 to 50 °C.
+pub fn water_index(celsius: f64) -> Option<f64> {
+    let at = celsius / 10.0;
+    let below = (at.floor() as usize).min(WATER.len() - 2);
+    let between = at - below as f64;
+    (0.0..=5.0).contains(&at).then(|| WATER[below] + (WATER[below + 1] - WATER[below]) * between)
+}
+
+/// The rig file with the mirrors, walls and views found in place of those it had. Its base frame was found with the old
+/// ones and is left out.
+pub fn into_draft(mut draft: Draft, done: &RigCalibration) -> Draft {
+    let geometry = &done.solution.geometry;
+    draft.camera.lens = geometry.lens;
+    draft.surfaces = geometry.surfaces.iter().cloned().collect();
+    let regions = regions(done, draft.camera.size_px);
+    draft.views = geometry
+        .views
+        .iter()
+        .zip(regions)
+        .enumerate()
+        .map(|(view, ((name, path), region_px))| View {
+            name: name.clone(),
+            path: path.iter().map(|&surface| geometry.surfaces[surface].0.clone()).collect(),
+            optics: geometry.path(view),
+            region_px,
+        })
+        .collect();
+    draft.base = None;
+    draft
+}
+
+/// Where each view is in the picture: the picture cut along lines halfway between the boards of two views. Two views whose
+/// boards no line across their centres parts are not cut.
+fn regions(done: &RigCalibration, size_px: [u32; 2]) -> Vec<Vec<Point2<f64>>> {
+    let views = done.solution.geometry.views.len();
+    let of_view = |view: usize| done.corners.iter().filter(move |c| c.view == view).map(|c| c.pixel.coords);
+    let centre = |view: usize| of_view(view).sum::<Vector2<f64>>() / of_view(view).count().max(1) as f64;
+    let [right, bottom] = size_px.map(|size| f64::from(size) - 0.5);
+    (0..views)
+        .map(|view| {
+            let whole = [(-0.5, -0.5), (right, -0.5), (right, bottom), (-0.5, bottom)];
+            let mut region: Vec<Point2<f64>> = whole.map(|(x, y)| Point2::new(x, y)).to_vec();
+            for other in (0..views).filter(|other| *other != view) {
+                let away = (centre(other) - centre(view)).normalize();
+                let last = of_view(view).map(|p| p.dot(&away)).fold(f64::NEG_INFINITY, f64::max);
+                let first = of_view(other).map(|p| p.dot(&away)).fold(f64::INFINITY, f64::min);
+                if last < first {
+                    region = cut(&region, &away, (last + first) / 2.0);
+                }
+            }
+            region
+        })
+        .collect()
+}
+
+/// The part of a convex polygon where direction·p ≤ limit.
+fn cut(polygon: &[Point2<f64>], direction: &Vector2<f64>, limit: f64) -> Vec<Point2<f64>> {
+    let beyond = |p: &Point2<f64>| direction.dot(&p.coords) - limit;
+    let next = polygon.iter().cycle().skip(1);
+    let mut kept = Vec::new();
+    for (a, b) in polygon.iter().zip(next) {
+        let (from, to) = (beyond(a), beyond(b));
+        if from <= 0.0 {
+            kept.push(*a);
+        }
+        if (from < 0.0 && to > 0.0) || (from > 0.0 && to < 0.0) {
+            kept.push(a + (b - a) * (from / (from - to)));
+        }
+    }
+    kept
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn water_as_the_handbook_has_it() {
+        assert_eq!(water_index(20.0), Some(1.33299));
+        assert!((water_index(25.0).unwrap() - 1.33245).abs() < 1e-5);
+        assert_eq!((water_index(50.0), water_index(-1.0), water_index(51.0)), (Some(1.32894), None, None));
+        assert_eq!(water_index(f64::NAN), None);
+    }
+
+    #[test]
+    fn a_square_cut_in_half() {
+        let square = [(0.0, 0.0), (4.0, 0.0), (4.0, 2.0), (0.0, 2.0)].map(|(x, y)| Point2::new(x, y));
+        let left = cut(&square, &Vector2::x(), 1.0);
+        assert_eq!(left, [(0.0, 0.0), (1.0, 0.0), (1.0, 2.0), (0.0, 2.0)].map(|(x, y)| Point2::new(x, y)));
+        assert_eq!(cut(&square, &Vector2::x(), 9.0), square);
+    }
 }

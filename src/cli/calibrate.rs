@@ -1,11 +1,17 @@
 //! `catoptra calibrate`: from recordings to a rig file.
 
+mod camera;
+mod pictures;
+mod rig;
+
 use super::{Exit, Failure, output};
+use catoptra::calibrate::board::Board;
 use catoptra::calibrate::markers::{MarkersCalibration, MarkersError, Pick, calibrate_markers, is_apart};
-use catoptra::rig::{Rig, RigError};
+use catoptra::rig::{Draft, Rig, RigError};
 use catoptra::source::{self, SourceOptions};
 use clap::Subcommand;
 use nalgebra::Point2;
+use sha2::{Digest as _, Sha256};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
@@ -19,6 +25,21 @@ pub(crate) struct Args {
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    /// Find the lens from pictures of a chessboard in air
+    #[command(after_help = "\
+Ten to twenty pictures, the board tilted to all sides and all over the picture. Prints each lens
+parameter with its σ, and why a picture was left out. Exit code 3: the pictures leave the lens open.
+Example:
+  catoptra calibrate camera calibration/dev_tank/intrinsics --board 9x6:12mm --out my_rig.toml")]
+    Camera(camera::CameraArgs),
+    /// Find mirrors and walls of the tank from pictures that show a chessboard twice
+    #[command(after_help = "\
+Ten to twenty pictures of the board where the catheter will be, each whole in all views, tilted to
+all sides. The old rig file is kept as RIG.toml.bak. Exit code 3: the pictures leave the rig open.
+Example:
+  catoptra calibrate rig calibration/dev_tank/mirror --board 9x6:12mm --rig my_rig.toml \\
+    --tank 254x254x267mm --glass 5mm")]
+    Rig(rig::RigArgs),
     /// Learn the marker bands from a recording and one click a band
     #[command(after_help = "\
 Measures each band's colour and place on the tube, the blur of the lens and the offset of the colour
@@ -98,8 +119,27 @@ impl FromStr for PickArg {
 }
 
 pub(crate) fn run(args: &Args) -> Result<(), Failure> {
-    let Command::Markers(args) = &args.command;
-    markers(args)
+    match &args.command {
+        Command::Camera(args) => camera::run(args),
+        Command::Rig(args) => rig::run(args),
+        Command::Markers(args) => markers(args),
+    }
+}
+
+/// What a calibration from pictures of a board says of its inputs.
+fn provenance_of(step: &str, board: &Board, searched: &[pictures::Searched]) -> Result<toml::Table, Failure> {
+    let mut hashes = toml::Table::new();
+    for picture in searched {
+        let bytes = std::fs::read(&picture.path)
+            .map_err(|e| Failure::new(Exit::Failed, format!("cannot read {}: {e}", picture.path.display())))?;
+        let hash: String = Sha256::digest(&bytes).iter().map(|byte| format!("{byte:02x}")).collect();
+        hashes.insert(picture.name(), hash.into());
+    }
+    let mut table = toml::Table::new();
+    table.insert("made_by".into(), format!("catoptra {} calibrate {step}", env!("CARGO_PKG_VERSION")).into());
+    table.insert("board".into(), board.to_string().into());
+    table.insert("inputs_sha256".into(), hashes.into());
+    Ok(table)
 }
 
 fn markers(args: &MarkersArgs) -> Result<(), Failure> {
@@ -135,7 +175,7 @@ fn markers(args: &MarkersArgs) -> Result<(), Failure> {
         return Err(Failure::new(Exit::Unusable, text));
     }
     let out = args.out.as_ref().unwrap_or(&args.rig);
-    save(&done.rig, out)?;
+    save(&done.rig.into(), out)?;
     output::print(&format!("\nwritten: {}\n", out.display()))
 }
 
@@ -268,7 +308,7 @@ fn describe(done: &MarkersCalibration) -> String {
 }
 
 /// Writes the rig; what was there before is kept beside it as .bak.
-fn save(rig: &Rig, path: &Path) -> Result<(), Failure> {
+fn save(rig: &Draft, path: &Path) -> Result<(), Failure> {
     if path.exists() {
         let mut backup = path.as_os_str().to_owned();
         backup.push(".bak");

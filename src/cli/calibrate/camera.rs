@@ -1,0 +1,105 @@
+//! `catoptra calibrate camera`: pictures of a board to the lens.
+
+use super::super::{Exit, Failure, output};
+use super::pictures::{self, Searched};
+use super::{provenance_of, save};
+use catoptra::calibrate::board::Board;
+use catoptra::calibrate::camera::{BoardPicture, CameraCalibration, CameraError, calibrate_camera};
+use catoptra::rig::{Camera, Draft};
+use std::fmt::Write as _;
+use std::path::PathBuf;
+
+#[derive(Debug, clap::Args)]
+pub(super) struct CameraArgs {
+    /// Pictures of the board in air, without mirror and glass, or a folder of them
+    #[arg(value_name = "PICTURES", required = true)]
+    pictures: Vec<PathBuf>,
+    /// The board: inner corners in a row and in a column, size of a square
+    #[arg(long, value_name = "9x6:12mm")]
+    board: Board,
+    /// Rig file to write; what an existing one says beside the camera is kept
+    #[arg(long, short, value_name = "RIG.toml")]
+    out: PathBuf,
+}
+
+pub(super) fn run(args: &CameraArgs) -> Result<(), Failure> {
+    // An old file that cannot be read is told before the work, not after.
+    let old = args.out.exists().then(|| Draft::load(&args.out)).transpose()?;
+    let searched = pictures::search(&args.pictures, &args.board, 1)?;
+    let found: Vec<BoardPicture> = searched
+        .iter()
+        .filter_map(|s| {
+            let image = s.images.as_ref().ok()?.first()?.clone();
+            Some(BoardPicture { name: s.name(), size_px: s.size_px, image })
+        })
+        .collect();
+    let done = calibrate_camera(&args.board, &found).map_err(|error| {
+        output::print(&not_found(&searched)).err().unwrap_or_else(|| {
+            let exit = if matches!(error, CameraError::Sizes { .. }) { Exit::Usage } else { Exit::Unusable };
+            Failure::new(exit, error)
+        })
+    })?;
+    output::print(&describe(&searched, &done))?;
+    let camera =
+        |blur_px, chroma_offset_px| Camera { size_px: done.size_px, lens: done.lens, blur_px, chroma_offset_px };
+    let mut draft = Draft::of_camera(camera(None, [0.0; 2]));
+    if let Some(old) = old {
+        // Mirror and walls were found with the old lens: they do not belong to the new one.
+        if !old.surfaces.is_empty() || old.base.is_some() {
+            output::print(
+                "\nmirror, walls, views and base frame of the old file were found with the old lens and are left out\n",
+            )?;
+        }
+        draft.camera = camera(old.camera.blur_px, old.camera.chroma_offset_px);
+        (draft.markers, draft.catheter) = (old.markers, old.catheter);
+    }
+    let mut provenance = provenance_of("camera", &args.board, &searched)?;
+    provenance.insert("corner_sd_px".into(), done.corner_sd_px.into());
+    let rows = done.covariance.row_iter().map(|row| row.iter().copied().collect::<Vec<f64>>().into());
+    provenance.insert("lens_covariance".into(), rows.collect::<Vec<toml::Value>>().into());
+    draft.provenance.insert("camera".into(), provenance.into());
+    save(&draft, &args.out)?;
+    output::print(&format!("\nwritten: {}\n", args.out.display()))
+}
+
+/// Pictures without a board, a line each.
+pub(super) fn not_found(searched: &[Searched]) -> String {
+    let line = |s: &Searched| s.images.as_ref().err().map(|why| format!("{:<24} left out: {why}\n", s.name()));
+    searched.iter().filter_map(line).collect()
+}
+
+fn describe(searched: &[Searched], done: &CameraCalibration) -> String {
+    let mut text = String::from("picture                  corners   RMS px   largest px\n");
+    for picture in &done.used {
+        let largest = picture.corners.iter().map(|(_, r)| r.norm()).fold(0.0, f64::max);
+        let _ = writeln!(
+            text,
+            "{:<24} {:>7} {:>8.3} {:>12.3}",
+            picture.name,
+            picture.corners.len(),
+            picture.rms_px(),
+            largest
+        );
+    }
+    text += &not_found(searched);
+    for (name, why) in &done.left_out {
+        let _ = writeln!(text, "{name:<24} left out: {why}");
+    }
+    let _ = writeln!(
+        text,
+        "\n{} of {} pictures used, corners good to {:.3} px\n\nlens                   value          σ",
+        done.used.len(),
+        searched.len(),
+        done.corner_sd_px
+    );
+    let lens = &done.lens;
+    let names = ["focal length x, px", "focal length y, px", "principal point x", "principal point y"];
+    let (f, c) = (lens.focal_px, lens.principal_point_px);
+    for (i, (name, value)) in names.into_iter().zip([f.x, f.y, c.x, c.y]).enumerate() {
+        let _ = writeln!(text, "{name:<18} {value:>9.2}  {:>9.2}", done.covariance[(i, i)].sqrt());
+    }
+    for (i, (name, value)) in ["k1", "k2", "p1", "p2", "k3"].into_iter().zip(lens.distortion).enumerate() {
+        let _ = writeln!(text, "{name:<18} {value:>9.5}  {:>9.5}", done.covariance[(i + 4, i + 4)].sqrt());
+    }
+    text
+}

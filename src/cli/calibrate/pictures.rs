@@ -1,0 +1,62 @@
+//! Pictures of boards, as the command line names them: read, searched, told about.
+
+use super::super::{Exit, Failure};
+use catoptra::calibrate::board::{Board, BoardImage, find_boards};
+use catoptra::calibrate::grey::{Grey, Rows};
+use rayon::prelude::*;
+use std::path::{Path, PathBuf};
+
+/// Endings of files that a folder's pictures have.
+const ENDINGS: [&str; 10] = ["png", "jpg", "jpeg", "tif", "tiff", "bmp", "pgm", "ppm", "pbm", "pnm"];
+
+/// A picture in which boards were looked for.
+pub(super) struct Searched {
+    pub(super) path: PathBuf,
+    pub(super) size_px: [u32; 2],
+    /// Images of the board, or why there is none.
+    pub(super) images: Result<Vec<BoardImage>, String>,
+}
+
+impl Searched {
+    /// Its name in tables: the file's.
+    pub(super) fn name(&self) -> String {
+        self.path.file_name().unwrap_or(self.path.as_os_str()).to_string_lossy().into_owned()
+    }
+}
+
+/// Looks for the board, at most `most` times in a picture. A folder stands for the pictures in it.
+///
+/// # Errors
+/// A file that is no picture, a folder without one.
+pub(super) fn search(paths: &[PathBuf], board: &Board, most: usize) -> Result<Vec<Searched>, Failure> {
+    let mut files = Vec::new();
+    for path in paths {
+        if path.is_dir() { files.extend(in_folder(path)?) } else { files.push(path.clone()) }
+    }
+    files
+        .into_par_iter()
+        .map(|path| {
+            let grey = Grey::load(&path, Rows::AsStored).map_err(|e| Failure::new(Exit::Usage, e))?;
+            let images = find_boards(&grey, board, most).map_err(|e| e.to_string());
+            Ok(Searched { size_px: grey.size_px(), path, images })
+        })
+        .collect()
+}
+
+fn in_folder(folder: &Path) -> Result<Vec<PathBuf>, Failure> {
+    let fail = |e: std::io::Error| Failure::new(Exit::Usage, format!("cannot read folder {}: {e}", folder.display()));
+    let mut files = Vec::new();
+    for entry in folder.read_dir().map_err(fail)? {
+        let path = entry.map_err(fail)?.path();
+        let ending = path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
+        if ENDINGS.contains(&ending.as_str()) {
+            files.push(path);
+        }
+    }
+    files.sort();
+    if files.is_empty() {
+        let text = format!("{}: no pictures in this folder ({})", folder.display(), ENDINGS.join(", "));
+        return Err(Failure::new(Exit::Usage, text));
+    }
+    Ok(files)
+}

@@ -1,0 +1,304 @@
+//! `catoptra calibrate rig`: pictures of a board in a mirror to mirrors, walls and views.
+
+use super::super::{Exit, Failure, output};
+use super::camera::not_found;
+use super::pictures::{self, Searched};
+use super::{Length, provenance_of, save, usage};
+use catoptra::calibrate::board::Board;
+use catoptra::calibrate::camera::centred;
+use catoptra::calibrate::geometry::Parameter;
+use catoptra::calibrate::mirrors::{
+    RigCalibration, RigCalibrationError, RigOptions, Tank, calibrate_rig, into_draft, water_index,
+};
+use catoptra::calibrate::start::BoardsPicture;
+use catoptra::calibrate::verdict::{Verdict, verdict};
+use catoptra::rig::Draft;
+use nalgebra::DMatrix;
+use std::fmt::Write as _;
+use std::path::PathBuf;
+use std::str::FromStr;
+
+/// A lens without covariance in the rig file is taken for exact, and the user is told.
+const INDEX_SD: f64 = 5e-3;
+
+#[derive(Debug, clap::Args)]
+pub(super) struct RigArgs {
+    /// Pictures that show the board directly and in the mirror, or a folder of them
+    #[arg(value_name = "PICTURES", required = true)]
+    pictures: Vec<PathBuf>,
+    /// The board: inner corners in a row and in a column, size of a square
+    #[arg(long, value_name = "9x6:12mm")]
+    board: Board,
+    /// The rig file with the camera, from `catoptra calibrate camera`
+    #[arg(long, value_name = "RIG.toml")]
+    rig: PathBuf,
+    /// How many mirrors
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    mirrors: usize,
+    /// Thickness of the tank's glass; without it, the board was in air
+    #[arg(long, value_name = "5mm", value_parser = Length::from_str)]
+    glass: Option<Length>,
+    /// The tank is a box: outer width, depth and height as the camera faces it
+    #[arg(long, value_name = "WxDxHmm", requires = "glass")]
+    tank: Option<BoxSize>,
+    /// The mirrors stand in the tank
+    #[arg(long, requires = "glass")]
+    mirrors_inside: bool,
+    /// Refractive index of the glass (acrylic: 1.49)
+    #[arg(long, value_name = "N", default_value_t = 1.52, requires = "glass")]
+    index_glass: f64,
+    /// Temperature of the water, °C, from which its index follows
+    #[arg(long, value_name = "°C", default_value_t = 20.0, requires = "glass")]
+    temperature: f64,
+    /// Let the index of the water be fitted: it trades off against distances
+    #[arg(long, requires = "glass")]
+    fit_index: bool,
+    /// Measured distance of a surface's plane from the lens, and its σ; may be repeated
+    #[arg(long = "distance", value_name = "NAME=1265mm:2mm")]
+    distances: Vec<Distance>,
+    /// Rig file to write [default: the one given by --rig]
+    #[arg(long, short, value_name = "RIG.toml")]
+    out: Option<PathBuf>,
+}
+
+/// Outer size of a box, metres.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct BoxSize([f64; 3]);
+
+impl FromStr for BoxSize {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let wrong =
+            || format!("`{text}` is not a box: write WIDTHxDEPTHxHEIGHT with a unit, for example 254x254x267mm");
+        let unit = text.trim().trim_start_matches(|c: char| c.is_ascii_digit() || c == '.' || c == 'x');
+        let numbers = text.trim().strip_suffix(unit).unwrap_or_default();
+        let sides: Vec<f64> = numbers
+            .split('x')
+            .map(|side| format!("{side}{unit}").parse::<Length>().map(|length| length.0).map_err(|_| wrong()))
+            .collect::<Result<_, _>>()?;
+        sides.try_into().map(Self).map_err(|_| wrong())
+    }
+}
+
+#[derive(Debug, Clone, PartialEq)]
+struct Distance {
+    name: String,
+    distance_m: f64,
+    sd_m: f64,
+}
+
+impl FromStr for Distance {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let wrong = || format!("`{text}` is not a distance: write NAME=DISTANCE:σ, for example front_wall=1265mm:2mm");
+        let (name, rest) = text.split_once('=').ok_or_else(wrong)?;
+        let (distance, sd) = rest.split_once(':').ok_or_else(wrong)?;
+        let length = |text: &str| text.parse::<Length>().map(|l| l.0).map_err(|_| wrong());
+        Ok(Self { name: name.trim().to_owned(), distance_m: length(distance)?, sd_m: length(sd)? })
+    }
+}
+
+pub(super) fn run(args: &RigArgs) -> Result<(), Failure> {
+    let draft = Draft::load(&args.rig)?;
+    let options = options(args, &draft)?;
+    let searched = pictures::search(&args.pictures, &args.board, args.mirrors + 1)?;
+    for picture in &searched {
+        if picture.size_px != draft.camera.size_px {
+            let (found, expected) = (picture.size_px, draft.camera.size_px);
+            return Err(usage(format!(
+                "{} has {found:?} pixels, but {} was calibrated for {expected:?}",
+                picture.path.display(),
+                args.rig.display()
+            )));
+        }
+    }
+    let found: Vec<BoardsPicture> = searched
+        .iter()
+        .filter_map(|s| {
+            Some(BoardsPicture { name: s.name(), size_px: s.size_px, images: s.images.as_ref().ok()?.clone() })
+        })
+        .collect();
+    let done = calibrate_rig(&args.board, &draft.camera.lens, &found, &options)
+        .map_err(|error| output::print(&not_found(&searched)).err().unwrap_or_else(|| failure(error)))?;
+    let judged = verdict(&done.solution, &done.corners, &centred(&args.board));
+    output::print(&describe(&searched, &done, judged.as_ref(), &options))?;
+    let mut rig = into_draft(draft, &done);
+    rig.provenance.insert("rig".into(), provenance(args, &searched, &done)?.into());
+    let out = args.out.as_ref().unwrap_or(&args.rig);
+    save(&rig, out)?;
+    output::print(&format!("\nwritten: {}\n", out.display()))
+}
+
+fn options(args: &RigArgs, draft: &Draft) -> Result<RigOptions, Failure> {
+    if args.mirrors == 0 {
+        return Err(usage("--mirrors 0: a rig needs a mirror, one or more".into()));
+    }
+    let tank = args
+        .glass
+        .map(|glass| {
+            if !(1.0..=3.0).contains(&args.index_glass) {
+                return Err(usage(format!("--index-glass {}: expected 1 to 3", args.index_glass)));
+            }
+            let index_inside = water_index(args.temperature)
+                .ok_or_else(|| usage(format!("--temperature {}: expected 0 to 50 °C", args.temperature)))?;
+            Ok(Tank {
+                glass_m: glass.0,
+                index_glass: args.index_glass,
+                index_inside,
+                size_m: args.tank.map(|size| size.0),
+                mirrors_inside: args.mirrors_inside,
+            })
+        })
+        .transpose()?;
+    Ok(RigOptions {
+        mirrors: args.mirrors,
+        tank,
+        lens_covariance: lens_covariance(draft),
+        distances_m: args.distances.iter().map(|d| (d.name.clone(), d.distance_m, d.sd_m)).collect(),
+        index_sd: args.fit_index.then_some(INDEX_SD),
+    })
+}
+
+/// As `calibrate camera` wrote it.
+fn lens_covariance(draft: &Draft) -> Option<DMatrix<f64>> {
+    let rows = draft.provenance.get("camera")?.get("lens_covariance")?.as_array()?;
+    let numbers: Vec<f64> =
+        rows.iter().filter_map(|row| row.as_array()).flatten().filter_map(toml::Value::as_float).collect();
+    (numbers.len() == 81).then(|| DMatrix::from_row_slice(9, 9, &numbers))
+}
+
+fn failure(error: RigCalibrationError) -> Failure {
+    let exit = if matches!(error, RigCalibrationError::NoSurface { .. }) { Exit::Usage } else { Exit::Unusable };
+    Failure::new(exit, error)
+}
+
+fn provenance(args: &RigArgs, searched: &[Searched], done: &RigCalibration) -> Result<toml::Table, Failure> {
+    let mut table = provenance_of("rig", &args.board, searched)?;
+    let solution = &done.solution;
+    table.insert("corner_sd_px".into(), solution.corner_sd_px.into());
+    let names = solution.free.iter().map(|p| toml::Value::from(parameter_name(done, *p)));
+    table.insert("parameters".into(), names.collect::<Vec<_>>().into());
+    let rows = solution.covariance.row_iter().map(|row| row.iter().copied().collect::<Vec<f64>>().into());
+    table.insert("covariance".into(), rows.collect::<Vec<toml::Value>>().into());
+    Ok(table)
+}
+
+/// Units of the covariance are SI: radians, metres; pixels for the lens.
+fn parameter_name(done: &RigCalibration, parameter: Parameter) -> String {
+    let surface = |index: usize| done.solution.geometry.surfaces.get(index).map_or("", |(name, _)| name.as_str());
+    match parameter {
+        Parameter::Focal(axis) => format!("focal_{}_px", ["x", "y"][axis.min(1)]),
+        Parameter::Principal(axis) => format!("principal_point_{}_px", ["x", "y"][axis.min(1)]),
+        Parameter::Distortion(i) => ["k1", "k2", "p1", "p2", "k3"][i.min(4)].to_owned(),
+        Parameter::Tilt { surface: index, axis } => format!("{}_tilt_{axis}_rad", surface(index)),
+        Parameter::Offset { surface: index } => format!("{}_offset_m", surface(index)),
+        Parameter::IndexInside => "index_inside".to_owned(),
+    }
+}
+
+fn describe(searched: &[Searched], done: &RigCalibration, judged: Option<&Verdict>, options: &RigOptions) -> String {
+    let mut text = String::from("picture                  corners   RMS px   largest px\n");
+    for (_, picture) in &done.used {
+        let largest = picture.corners.iter().map(|(_, r)| r.norm()).fold(0.0, f64::max);
+        let (name, count, rms) = (&picture.name, picture.corners.len(), picture.rms_px());
+        let _ = writeln!(text, "{name:<24} {count:>7} {rms:>8.3} {largest:>12.3}");
+    }
+    text += &not_found(searched);
+    for (name, why) in &done.left_out {
+        let _ = writeln!(text, "{name:<24} left out: {why}");
+    }
+    let solution = &done.solution;
+    let _ = writeln!(
+        text,
+        "\n{} of {} pictures used, corners good to {:.3} px\n\nsurface      normal                          σ          offset mm       σ",
+        done.used.len(),
+        searched.len(),
+        solution.corner_sd_px
+    );
+    let sd = |parameter: Parameter| {
+        let at = solution.free.iter().position(|p| *p == parameter);
+        at.map_or(0.0, |i| solution.covariance[(i, i)].sqrt())
+    };
+    for (surface, (name, optics)) in solution.geometry.surfaces.iter().enumerate() {
+        let plane = optics.plane();
+        let n = plane.normal();
+        let tilt = (0..2).map(|axis| sd(Parameter::Tilt { surface, axis })).fold(0.0, f64::max).to_degrees();
+        let _ = writeln!(
+            text,
+            "{name:<12} {:+.5} {:+.5} {:+.5}   {tilt:>6.3}°   {:>12.2}  {:>6.2}",
+            n.x,
+            n.y,
+            n.z,
+            plane.offset_m() * 1e3,
+            sd(Parameter::Offset { surface }) * 1e3
+        );
+    }
+    if options.lens_covariance.is_none() {
+        text +=
+            "\nthe rig file has no covariance of the lens (calibrate camera writes it): the lens is taken for exact\n";
+    }
+    if options.index_sd.is_some() {
+        let _ = writeln!(
+            text,
+            "\nindex of the water {:.4} ± {:.4}: it trades off against distances, a thermometer knows it better",
+            solution.geometry.value(Parameter::IndexInside),
+            sd(Parameter::IndexInside)
+        );
+    }
+    match judged {
+        Some(judged) => text += &describe_verdict(judged),
+        None => text += "\nno verdict: the boards fill no volume that two views see\n",
+    }
+    text
+}
+
+fn describe_verdict(judged: &Verdict) -> String {
+    let line = |what: &str, (median_m, worst_m): (f64, f64)| {
+        format!("{what:<34} {:>8.3}   {:>8.3}\n", median_m * 1e3, worst_m * 1e3)
+    };
+    let mut text = String::from("\nexpected error in space, mm (1σ)     median      worst place\n");
+    text += &line("of the camera frame (all together)", judged.median_and_worst(|e| e.absolute_m));
+    text += &line("of the base frame, displacements", judged.median_and_worst(|e| e.relative_m));
+    text += &line("of a single corner, random", judged.median_and_worst(|e| e.random_m));
+    let (direction, sd_m) = judged.weakest;
+    let _ = writeln!(
+        text,
+        "weakest: everything together along ({:+.2}, {:+.2}, {:+.2}), by {:.2} mm; positions in the base frame and angles \
+         do not see it",
+        direction.x,
+        direction.y,
+        direction.z,
+        sd_m * 1e3
+    );
+    if let Some((what, absolute_m, relative_m)) = judged.helpful.first() {
+        let _ = writeln!(
+            text,
+            "what would help most: {what} ({:.2} mm in the camera frame, {:.4} mm in the base frame)",
+            absolute_m * 1e3,
+            relative_m * 1e3
+        );
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn boxes_and_distances_as_people_write_them() {
+        let size = "254x250.5x267mm".parse::<BoxSize>().unwrap().0;
+        assert!((size[0] - 0.254).abs() < 1e-12 && (size[1] - 0.2505).abs() < 1e-12 && (size[2] - 0.267).abs() < 1e-12);
+        let distance = "front_wall=1265mm:2mm".parse::<Distance>().unwrap();
+        assert_eq!(distance.name, "front_wall");
+        assert!((distance.distance_m - 1.265).abs() < 1e-12 && (distance.sd_m - 2e-3).abs() < 1e-12);
+        for text in ["254x254mm", "254x254x267", "254x254x267x1mm", "axbxcmm", "254x-1x2mm"] {
+            assert!(text.parse::<BoxSize>().unwrap_err().contains("254x254x267mm"), "{text}");
+        }
+        for text in ["front_wall", "front_wall=12mm", "front_wall=12:2mm", "front_wall=12mm:0mm"] {
+            assert!(text.parse::<Distance>().unwrap_err().contains("1265mm:2mm"), "{text}");
+        }
+    }
+}
