@@ -1,9 +1,9 @@
 //! `catoptra calibrate`: from recordings to a rig file.
 
-use super::{Exit, Failure, output};
+use super::{Exit, Failure, fitting, output};
 use catoptra::calibrate::markers::{MarkersCalibration, MarkersError, Pick, calibrate_markers, is_apart};
 use catoptra::rig::{Rig, RigError};
-use catoptra::source::{self, SourceOptions};
+use catoptra::source::{FrameRate, SourceOptions};
 use clap::Subcommand;
 use nalgebra::Point2;
 use std::fmt::Write as _;
@@ -40,7 +40,7 @@ struct MarkersArgs {
     #[arg(long, value_name = "RIG.toml")]
     rig: PathBuf,
     /// Outer diameter of the tube
-    #[arg(long, value_name = "3.2mm", value_parser = Length::from_str)]
+    #[arg(long, value_name = "3.2mm", allow_hyphen_values = true, value_parser = Length::from_str)]
     tube: Length,
     /// A band in the first frame: name, a pixel on it, its length; once a band, from the base to the tip
     #[arg(long = "pick", value_name = "NAME@X,Y:LENGTH", required = true, value_parser = PickArg::from_str)]
@@ -55,8 +55,8 @@ struct MarkersArgs {
     #[arg(long, value_name = "NAME")]
     end: Option<String>,
     /// Frames per second of a folder of pictures without times.csv
-    #[arg(long, value_name = "F")]
-    fps: Option<source::FrameRate>,
+    #[arg(long, value_name = "F", allow_hyphen_values = true)]
+    fps: Option<FrameRate>,
     /// Rig file to write [default: the one given by --rig]
     #[arg(long, short, value_name = "RIG.toml")]
     out: Option<PathBuf>,
@@ -97,13 +97,16 @@ impl FromStr for PickArg {
     }
 }
 
-pub(crate) fn run(args: &Args) -> Result<(), Failure> {
+pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     let Command::Markers(args) = &args.command;
-    markers(args)
+    let print = |text: &str| if quiet { Ok(()) } else { output::print(text) };
+    markers(args, print)
 }
 
-fn markers(args: &MarkersArgs) -> Result<(), Failure> {
+fn markers(args: &MarkersArgs, print: impl Fn(&str) -> Result<(), Failure>) -> Result<(), Failure> {
+    let out = args.out.as_ref().unwrap_or(&args.rig);
     let rig = rig_with_picks(args)?;
+    can_be_written(out)?;
     let view = match &args.view {
         None => 0,
         Some(name) => rig.view(name).ok_or_else(|| {
@@ -112,11 +115,11 @@ fn markers(args: &MarkersArgs) -> Result<(), Failure> {
         })?,
     };
     let options = SourceOptions { stated_rate: args.fps, ..SourceOptions::default() };
-    let mut frames = source::open(&args.source, options).map_err(|e| Failure::new(Exit::Usage, e))?;
+    let mut frames = fitting::open((&args.source, options), (&args.rig, &rig))?;
     let picks: Vec<Pick> = args.picks.iter().map(|p| p.0.clone()).collect();
-    let mut done = calibrate_markers(&rig, &picks, view, frames.as_mut()).map_err(failure)?;
+    let mut done = calibrate_markers(&rig, &picks, view, &mut frames).map_err(|e| failure(args, e))?;
     done.rig.provenance.insert("markers".into(), provenance(args, &done).into());
-    output::print(&describe(&done))?;
+    print(&describe(&done))?;
     let weak: Vec<String> =
         done.weak_pairs().map(|s| format!("`{}` and `{}`", done.classes[s.marker], done.classes[s.other])).collect();
     if !weak.is_empty() {
@@ -134,9 +137,8 @@ fn markers(args: &MarkersArgs) -> Result<(), Failure> {
         );
         return Err(Failure::new(Exit::Unusable, text));
     }
-    let out = args.out.as_ref().unwrap_or(&args.rig);
     save(&done.rig, out)?;
-    output::print(&format!("\nwritten: {}\n", out.display()))
+    print(&format!("\nwritten: {}\n", out.display()))
 }
 
 /// The rig file with the markers as picked. Places along the tube and roles that it has already are kept.
@@ -188,23 +190,59 @@ fn rig_with_picks(args: &MarkersArgs) -> Result<Rig, Failure> {
     }
     table.insert("marker".into(), markers.into());
     table.insert("catheter".into(), catheter.into());
-    Ok(Rig::from_toml_str(&table.to_string(), path)?)
+    match Rig::from_toml_str(&table.to_string(), path) {
+        Ok(rig) => Ok(rig),
+        // The picks have a form of their own: this is the file's, and only the file itself has its lines.
+        Err(RigError::Syntax { .. } | RigError::UnknownKey { .. }) => Ok(Rig::load(path)?),
+        Err(error) if is_about_picks(&error) => {
+            Err(usage(format!("{error} (with the bands, tube, coil and end of this command)")))
+        }
+        Err(error) => Err(error.into()),
+    }
+}
+
+/// Whether the key in question is one that the command's options have their say in.
+fn is_about_picks(error: &RigError) -> bool {
+    let (RigError::Value { key, .. } | RigError::Key { key, .. }) = error else { return false };
+    key.starts_with("marker") || key.starts_with("catheter")
+}
+
+/// Refuses, before any work, to write where nothing can be written, or over what is no rig.
+fn can_be_written(out: &Path) -> Result<(), Failure> {
+    let refused = |what: &str| Err(usage(format!("{}: {what}", out.display())));
+    let folder = out.parent().filter(|folder| *folder != Path::new(""));
+    if folder.is_some_and(|folder| !folder.is_dir()) {
+        return refused("there is no such folder to write the rig to");
+    }
+    if out.is_dir() {
+        return refused("is a folder; give the name of the rig file to write");
+    }
+    let is_rig = |text: String| text.parse::<toml::Table>().is_ok_and(|t| t.is_empty() || t.contains_key("camera"));
+    if out.exists() && !std::fs::read_to_string(out).is_ok_and(is_rig) {
+        return refused("is there and no rig file; give another name with --out");
+    }
+    Ok(())
 }
 
 fn usage(text: String) -> Failure {
     Failure::new(Exit::Usage, text)
 }
 
-fn failure(error: MarkersError) -> Failure {
+fn failure(args: &MarkersArgs, error: MarkersError) -> Failure {
     let exit = match error {
-        MarkersError::NoPick(_) | MarkersError::Outside { .. } | MarkersError::Track(_) => Exit::Usage,
-        MarkersError::Source(_) | MarkersError::NoFrame => Exit::Failed,
+        MarkersError::NoPick(_)
+        | MarkersError::Outside { .. }
+        | MarkersError::OutsideView { .. }
+        | MarkersError::Track(_) => Exit::Usage,
+        // It names its file.
+        MarkersError::Source(_) => return Failure::new(Exit::Failed, error),
+        MarkersError::NoFrame => Exit::Failed,
         MarkersError::Learn(_)
         | MarkersError::NoBlob { .. }
         | MarkersError::NotMeasured { .. }
         | MarkersError::Segment(_) => Exit::Unusable,
     };
-    Failure::new(exit, error)
+    Failure::new(exit, format!("{}: {error}", args.source.display()))
 }
 
 fn provenance(args: &MarkersArgs, done: &MarkersCalibration) -> toml::Table {
@@ -223,8 +261,9 @@ fn describe(done: &MarkersCalibration) -> String {
     let mut text = String::new();
     let _ = writeln!(
         text,
-        "{} frames looked at\n\nmarker     measured   colour R'G'B'   centre along the tube",
-        done.frames
+        "{} frame{} looked at\n\nmarker     measured   colour R'G'B'   centre along the tube",
+        done.frames,
+        if done.frames == 1 { "" } else { "s" }
     );
     for (m, marker) in done.rig.markers.iter().enumerate() {
         let rgb = marker.colour.map(|c| c.rgb).unwrap_or_default();
