@@ -111,11 +111,14 @@ fn bands_that_are_none_or_not_to_be_told_apart_are_refused_and_nothing_is_writte
 #[test]
 fn wrong_arguments_are_named() {
     let bench = Bench::new();
+    let large = std::fs::read_to_string(bench.folder.path().join("bare.toml")).unwrap();
+    let large = large.replace("width_px = 1280", "width_px = 1920").replace("height_px = 1024", "height_px = 1200");
+    std::fs::write(bench.folder.path().join("large.toml"), large).unwrap();
     let video = recording("rest");
     let video = video.to_str().unwrap();
     let (rig, tube) = (["--rig", "bare.toml"], ["--tube", "3.2mm"]);
     let picks = ["--pick", BASE, "--pick", COIL, "--pick", TIP];
-    let cases: [(&[&[&str]], &str); 8] = [
+    let cases: [(&[&[&str]], &str); 12] = [
         (&[&[video], &rig, &picks], "--tube"),
         (&[&[video], &rig, &["--tube", "3.2"], &picks], "3.2mm"),
         (&[&[video], &rig, &tube], "--pick"),
@@ -124,9 +127,42 @@ fn wrong_arguments_are_named() {
         (&[&[video], &rig, &tube, &picks, &["--view", "left"]], "direct, mirror"),
         (&[&[video], &["--rig", "none.toml"], &tube, &picks], "none.toml"),
         (&[&["none.mkv"], &rig, &tube, &picks], "none.mkv"),
+        (&[&[video], &rig, &tube, &picks[..5], &["tip@880,600:6mm"]], "view `direct`; it lies in that of `mirror`"),
+        (&[&[video], &rig, &tube, &picks, &["--coil", "coils"]], "of this command"),
+        (&[&[video], &rig, &tube, &picks, &["--out", "none/rig.toml"]], "none/rig.toml: there is no such folder"),
+        (
+            &[&[video], &["--rig", "large.toml"], &tube, &picks],
+            "1280x1024 pixels, but the camera in large.toml has 1920x1200",
+        ),
     ];
     for (args, word) in cases {
         let said = ended_with(&bench.calibrate(&args.concat()), 2);
         assert!(said.contains(word), "{word} is not in {said}");
     }
+}
+
+#[test]
+fn a_recording_that_ends_early_is_learned_from_as_far_as_it_goes() {
+    let bench = Bench::new();
+    let whole = std::fs::read(recording("planar")).unwrap();
+    std::fs::write(bench.folder.path().join("cut.mkv"), &whole[..200_000]).unwrap();
+    let args = ["cut.mkv", "--rig", "bare.toml", "--out", "learned.toml", "--tube", "3.2mm"];
+    let picks = ["--pick", BASE, "--pick", COIL, "--pick", TIP];
+    let said = ended_with(&bench.calibrate(&[&args[..], &picks].concat()), 0);
+    assert!(said.contains("cut.mkv: the recording ends early"), "{said}");
+    assert!(Rig::load(&bench.learned()).unwrap().markers.iter().all(|m| m.colour.is_some()));
+}
+
+#[test]
+fn the_recording_and_other_files_are_not_taken_for_a_rig_to_replace() {
+    let bench = Bench::new();
+    let video = bench.folder.path().join("rest.mkv");
+    std::fs::copy(recording("rest"), &video).unwrap();
+    let before = std::fs::read(&video).unwrap();
+    let args = ["rest.mkv", "--rig", "bare.toml", "--tube", "3.2mm", "--out", "rest.mkv"];
+    let picks = ["--pick", BASE, "--pick", COIL, "--pick", TIP];
+    let said = ended_with(&bench.calibrate(&[&args[..], &picks].concat()), 2);
+    assert!(said.contains("rest.mkv: is there and no rig file"), "{said}");
+    assert_eq!(std::fs::read(&video).unwrap(), before);
+    assert!(!bench.folder.path().join("rest.mkv.bak").exists());
 }

@@ -128,3 +128,20 @@ fn a_missing_number_at_a_stated_rate_and_sixteen_bits_are_named() {
     assert!(found[0].contains("img02.png is followed by img04.png; at a stated frame rate"), "{found:?}");
     assert!(found[1].contains("samples of 16 bits are reduced to 8"), "{found:?}");
 }
+
+#[test]
+fn a_recording_that_asks_to_be_turned_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("turned.mp4");
+    write(&path, &Recording { pts: &[0, 20, 40], ..Recording::default() });
+    assert_eq!(warnings(&path, SourceOptions::default()), [""; 0]);
+    // Half a turn, in the header of the track: its matrix begins 40 bytes behind its name.
+    let mut bytes = std::fs::read(&path).unwrap();
+    let matrix = bytes.windows(4).position(|name| name == b"tkhd").unwrap() + 44;
+    for (place, value) in [(0, -1_i32 << 16), (4, -1 << 16)] {
+        bytes[matrix + 4 * place..][..4].copy_from_slice(&value.to_be_bytes());
+    }
+    std::fs::write(&path, bytes).unwrap();
+    let told = warnings(&path, SourceOptions::default());
+    assert!(matches!(told.as_slice(), [only] if only.contains("turn or mirror its pictures")), "{told:?}");
+}

@@ -4,6 +4,7 @@
 
 mod track_common;
 
+use catoptra::optics::Surface;
 use catoptra::rig::Rig;
 use std::path::Path;
 use std::process::Command;
@@ -122,6 +123,7 @@ fn options_that_mean_nothing() {
     refused(&place, &video, &["--from", "0.2", "--to", "0.1"], &["0.2 s to 0.1 s"]);
     refused(&place, &video, &["--from", "7"], &["7 s", "0.317 s"]);
     refused(&place, &video, &["--from", "late"], &["expected seconds"]);
+    refused(&place, &video, &["--to", "-1"], &["-1 s", "the first, at 0 s"]);
     refused(&place, &video, &["--fps", "60"], &["has its own time stamps"]);
     refused(&place, &video, &["--threads", "0"], &["1..=256"]);
 }
@@ -149,8 +151,12 @@ fn a_marker_that_is_never_seen() {
 fn an_output_folder_that_cannot_be_written() {
     let place = Place::new();
     std::fs::write(place.path("out"), "in the way").unwrap();
-    let said = ended_with(&place.track(&sample("rest.mkv"), &[]), 1);
-    assert!(said.contains("cannot write to the output folder out"), "{said}");
+    let said = ended_with(&place.track(&sample("rest.mkv"), &[]), 2);
+    assert!(said.contains("out: is a file"), "{said}");
+    let mut below = Command::new(env!("CARGO_BIN_EXE_catoptra"));
+    below.current_dir(place.folder.path()).arg("track").arg(sample("rest.mkv"));
+    let said = ended_with(&below.args(["--rig", "rig.toml", "-o", "out/below"]).output().unwrap(), 1);
+    assert!(said.contains("cannot write to the output folder out/below"), "{said}");
     assert_eq!(std::fs::read_to_string(place.path("out")).unwrap(), "in the way");
 
     std::fs::remove_file(place.path("out")).unwrap();
@@ -171,6 +177,21 @@ fn files_of_others_and_inputs_are_not_written_over() {
     let said = ended_with(&place.track(&sample("rest.mkv"), &["--csv=rig.toml"]), 2);
     assert!(said.contains("would be written over"), "{said}");
     assert_eq!(std::fs::read(&place.rig).unwrap(), rig);
+}
+
+#[test]
+fn what_a_rig_check_warns_of_is_told_by_a_run() {
+    let mut rig = rig();
+    if let Some(Surface::Wall(wall)) = rig.surfaces.get_mut("front_wall") {
+        wall.thickness_m = 5e-6;
+    }
+    rig.base = None;
+    let place = Place::with(&rig);
+    let said = stderr(&place.track(&sample("rest.mkv"), &["--frame", "camera", "--to", "0.05"]));
+    assert!(said.contains("rig.toml: the thickness of wall front_wall is 0.005 mm"), "{said}");
+    assert!(!said.contains("[base]"), "{said}");
+    let place = Place::new();
+    assert_eq!(stderr(&place.track(&sample("rest.mkv"), &["--to", "0.05"])), "");
 }
 
 /// A limit on the size of files stands for a full disk: the log meets it on the way, the report at its end.

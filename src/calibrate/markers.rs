@@ -75,6 +75,20 @@ pub enum MarkersError {
         /// Of the picture.
         height: u32,
     },
+    /// A click beside the view that it should be in.
+    #[error("pick {name}@{x},{y} lies outside region_px of view `{view}`{}", also_in(other.as_deref()))]
+    OutsideView {
+        /// Marker.
+        name: String,
+        /// Pixel.
+        x: f64,
+        /// Pixel.
+        y: f64,
+        /// The view it should be in.
+        view: String,
+        /// The view it is in.
+        other: Option<String>,
+    },
     /// The colours cannot be learned.
     #[error("the colours cannot be told apart: {0}")]
     Learn(#[from] LearnError),
@@ -124,7 +138,7 @@ pub fn calibrate_markers(
     view: usize,
     source: &mut dyn FrameSource,
 ) -> Result<MarkersCalibration, MarkersError> {
-    let picks = in_rig_order(rig, picks)?;
+    let picks = in_rig_order(rig, picks, view)?;
     let frames = spread(source)?;
     let first = frames.first().ok_or(MarkersError::NoFrame)?;
     let mut rig = learn_first(rig, &picks, first)?;
@@ -161,7 +175,11 @@ pub fn is_apart(separation: &Separation) -> bool {
     separation.d_prime >= LEAST_D_PRIME
 }
 
-fn in_rig_order(rig: &Rig, picks: &[Pick]) -> Result<Vec<Pick>, MarkersError> {
+fn also_in(other: Option<&str>) -> String {
+    other.map_or(String::new(), |other| format!("; it lies in that of `{other}`, say so with --view if all picks do"))
+}
+
+fn in_rig_order(rig: &Rig, picks: &[Pick], view: usize) -> Result<Vec<Pick>, MarkersError> {
     let [width, height] = rig.camera.size_px;
     rig.markers
         .iter()
@@ -170,10 +188,17 @@ fn in_rig_order(rig: &Rig, picks: &[Pick]) -> Result<Vec<Pick>, MarkersError> {
             let pick = pick.ok_or_else(|| MarkersError::NoPick(marker.name.clone()))?;
             let Point2 { coords } = pick.pixel;
             let within = |v: f64, size: u32| (0.0..f64::from(size)).contains(&v);
-            if within(coords.x, width) && within(coords.y, height) {
-                return Ok(pick.clone());
+            let (name, x, y) = (pick.name.clone(), coords.x, coords.y);
+            if !(within(x, width) && within(y, height)) {
+                return Err(MarkersError::Outside { name, x, y, width, height });
             }
-            Err(MarkersError::Outside { name: pick.name.clone(), x: coords.x, y: coords.y, width, height })
+            match rig.views.get(view) {
+                Some(missed) if !missed.contains(&pick.pixel) => {
+                    let other = rig.views.iter().find(|v| v.contains(&pick.pixel)).map(|v| v.name.clone());
+                    Err(MarkersError::OutsideView { name, x, y, view: missed.name.clone(), other })
+                }
+                _ => Ok(pick.clone()),
+            }
         })
         .collect()
 }
@@ -186,7 +211,17 @@ fn spread(source: &mut dyn FrameSource) -> Result<Vec<Frame>, MarkersError> {
     let mut stride = 1;
     let mut frames: Vec<Frame> = Vec::new();
     let mut number = 0;
-    while let Some(frame) = source.next_frame()? {
+    loop {
+        let frame = match source.next_frame() {
+            Ok(Some(frame)) => frame,
+            Ok(None) => break,
+            // Colours are learned as well from the part that can be read.
+            Err(error) if error.is_early_end() && !frames.is_empty() => {
+                tracing::warn!("{error}");
+                break;
+            }
+            Err(error) => return Err(error.into()),
+        };
         if number % stride == 0 {
             frames.push(frame);
         }

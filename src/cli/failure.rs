@@ -46,14 +46,19 @@ impl Failure {
     }
 }
 
-/// The error and what caused it, a line each.
+/// The error and what caused it, a line each; a cause that the line above has told already is left out.
 impl fmt::Display for Failure {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let kind = if self.exit == Exit::Interrupted { "interrupted" } else { "error" };
-        writeln!(f, "{kind}: {}", self.error)?;
+        let mut said = self.error.to_string();
+        writeln!(f, "{kind}: {said}")?;
         let mut cause = self.error.source();
         while let Some(error) = cause {
-            writeln!(f, "  because: {error}")?;
+            let because = error.to_string();
+            if !said.contains(&because) {
+                writeln!(f, "  because: {because}")?;
+            }
+            said = because;
             cause = error.source();
         }
         Ok(())
@@ -64,5 +69,25 @@ impl From<RigError> for Failure {
     fn from(error: RigError) -> Self {
         let exit = if matches!(error, RigError::Write { .. }) { Exit::Failed } else { Exit::Usage };
         Self::new(exit, error)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[derive(Debug, thiserror::Error)]
+    #[error("{text}")]
+    struct Layer {
+        text: &'static str,
+        source: std::io::Error,
+    }
+
+    #[test]
+    fn a_cause_is_told_once() {
+        let told =
+            |text| Failure::new(Exit::Failed, Layer { text, source: std::io::Error::other("disk full") }).to_string();
+        assert_eq!(told("cannot write a.csv: disk full"), "error: cannot write a.csv: disk full\n");
+        assert_eq!(told("cannot write a.csv"), "error: cannot write a.csv\n  because: disk full\n");
     }
 }

@@ -5,6 +5,7 @@
 
 mod calibrate;
 mod failure;
+mod fitting;
 mod interrupt;
 mod output;
 mod progress;
@@ -14,6 +15,7 @@ mod track;
 pub(crate) use failure::{Exit, Failure};
 
 use clap::{ArgAction, Parser, Subcommand};
+use std::ffi::OsStr;
 use std::io::{IsTerminal as _, Write as _};
 use std::process::ExitCode;
 use tracing_subscriber::EnvFilter;
@@ -62,7 +64,7 @@ pub(crate) fn run() -> ExitCode {
     let cli = Cli::parse();
     log_to_stderr(cli.verbose, cli.quiet);
     let result = match &cli.command {
-        Command::Calibrate(args) => calibrate::run(args),
+        Command::Calibrate(args) => calibrate::run(args, cli.quiet),
         Command::Rig(args) => rig::run(args),
         Command::Track(args) => track::run(args, cli.quiet),
     };
@@ -87,10 +89,16 @@ fn log_to_stderr(verbose: u8, quiet: bool) {
     tracing_subscriber::fmt()
         .with_env_filter(EnvFilter::new(format!("{libraries},catoptra={level}")))
         .with_writer(progress::stderr)
-        .with_ansi(std::io::stderr().is_terminal())
+        .with_ansi(std::io::stderr().is_terminal() && wants_colour())
         .with_target(false)
         .without_time()
         .init();
+}
+
+/// As <https://no-color.org> has it, and not on a terminal that knows no colours.
+fn wants_colour() -> bool {
+    let is = |name: &str, unwanted: fn(&OsStr) -> bool| std::env::var_os(name).is_some_and(|v| unwanted(&v));
+    !is("NO_COLOR", |v| !v.is_empty()) && !is("TERM", |v| v == "dumb")
 }
 
 #[cfg(test)]

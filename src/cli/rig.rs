@@ -108,9 +108,11 @@ fn camera(out: &mut String, camera: &Camera, checked: &Check) -> fmt::Result {
     writeln!(out, "  principal point  {:.2}, {:.2} px", lens.principal_point_px.x, lens.principal_point_px.y)?;
     writeln!(out, "  distortion       k1, k2, p1, p2, k3 = {:?}", lens.distortion)?;
     match camera.blur_px {
-        Some(blur) => writeln!(out, "  blur             {blur:.2} px"),
-        None => writeln!(out, "  blur             not known"),
+        Some(blur) => writeln!(out, "  blur             {blur:.2} px")?,
+        None => writeln!(out, "  blur             not known")?,
     }
+    let [right, down] = camera.chroma_offset_px;
+    writeln!(out, "  chroma samples   {right:+.2}, {down:+.2} px beside where recordings say")
 }
 
 fn surfaces(out: &mut String, rig: &Rig) -> fmt::Result {

@@ -115,9 +115,33 @@ pub(super) fn parse(text: &str, name: &Path) -> Result<RigFile, RigError> {
         let file = name.to_path_buf();
         match unknown_key(e.message()) {
             Some((key, advice)) => RigError::UnknownKey { file, line, key, advice },
-            None => RigError::Syntax { file, line, message: e.message().trim_end().replace('\n', ", ") },
+            None => {
+                let key = text.lines().nth(line - 1).and_then(key_of).map_or(String::new(), |key| format!("{key}: "));
+                RigError::Syntax { file, line, message: format!("{key}{}", in_words_of_the_file(e.message())) }
+            }
         }
     })
+}
+
+/// The key that a line gives a value to.
+fn key_of(line: &str) -> Option<&str> {
+    let key = line.split_once('=')?.0.trim();
+    let bare = |c: char| c.is_ascii_alphanumeric() || matches!(c, '_' | '-' | '.');
+    (!key.is_empty() && key.chars().all(bare)).then_some(key)
+}
+
+/// The parser speaks of Rust's types, users know those of TOML.
+fn in_words_of_the_file(message: &str) -> String {
+    let words = [
+        ("expected u32", "expected a whole number from 0 on"),
+        ("expected f64", "expected a number"),
+        ("expected a sequence", "expected a list in [ ]"),
+        ("expected an array of length", "expected a list of length"),
+        ("missing field", "missing key"),
+        ("unknown variant", "unknown word"),
+        (" as i128", ""),
+    ];
+    words.iter().fold(message.trim_end().replace('\n', ", "), |text, (rust, plain)| text.replace(rust, plain))
 }
 
 /// Takes serde's "unknown field `a`, expected one of `b`, `c`" apart: the key, and advice. Serde knows the keys of
@@ -160,11 +184,14 @@ mod tests {
 
     #[test]
     fn a_wrong_type_a_missing_key_and_broken_toml_name_their_line() {
-        assert!(error("[camera]\nwidth_px = \"wide\"\n").starts_with("rig.toml:2: invalid type: string \"wide\""));
-        assert!(error("[camera]\nwidth_px = -3\n").starts_with("rig.toml:2: invalid value: integer `-3`"));
-        assert!(error(CAMERA).contains("missing field `distortion`"), "{}", error(CAMERA));
+        let expected = "expected a whole number from 0 on";
+        let wide = format!("rig.toml:2: width_px: invalid type: string \"wide\", {expected}");
+        assert_eq!(error("[camera]\nwidth_px = \"wide\"\n"), wide);
+        let negative = format!("rig.toml:2: width_px: invalid value: integer `-3`, {expected}");
+        assert_eq!(error("[camera]\nwidth_px = -3\n"), negative);
+        assert!(error(CAMERA).contains("missing key `distortion`"), "{}", error(CAMERA));
         assert!(error("[camera\n").starts_with("rig.toml:1: "));
         let four = format!("{CAMERA}distortion = [0.0, 0.0, 0.0, 0.0]\n");
-        assert!(error(&four).starts_with("rig.toml:6: invalid length 4"), "{}", error(&four));
+        assert_eq!(error(&four), "rig.toml:6: distortion: invalid length 4, expected a list of length 5");
     }
 }

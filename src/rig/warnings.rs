@@ -3,6 +3,7 @@
 use super::check::{Meeting, ViewCheck};
 use super::walk::grid;
 use super::{Base, Marker, Rig, polygon};
+use crate::optics::Surface;
 use nalgebra::Point2;
 use std::fmt;
 
@@ -34,6 +35,13 @@ pub enum Warning {
     },
     /// One view gives no depth.
     SingleView,
+    /// A length that hardly is one in millimetres.
+    Scale {
+        /// What is so long or short, in words.
+        what: String,
+        /// The length, metres.
+        length_m: f64,
+    },
     /// The first two views look along nearly the same direction.
     NarrowAngle {
         /// Angle between the central rays, radians.
@@ -108,6 +116,9 @@ impl fmt::Display for Warning {
                 write!(f, "view {view}: {without_ray} of {pixels} grid pixels have no ray; check surfaces and region")
             }
             Self::SingleView => write!(f, "one view only: no position in space can be measured"),
+            Self::Scale { what, length_m } => {
+                write!(f, "{what} {} mm: are all lengths in the file millimetres?", (length_m * 1e6).round() / 1e3)
+            }
             Self::NarrowAngle { angle_rad } => {
                 write!(
                     f,
@@ -179,6 +190,7 @@ pub(super) fn warnings(rig: &Rig, views: &[ViewCheck], meeting: Option<&Meeting>
             }
         }
     }
+    found.extend(scales(rig, views));
     found.extend((views.len() == 1).then_some(Warning::SingleView));
     if let Some(Meeting { angle_rad, .. }) = meeting
         && *angle_rad < NARROW_RAD
@@ -213,6 +225,32 @@ pub(super) fn warnings(rig: &Rig, views: &[ViewCheck], meeting: Option<&Meeting>
         Some(base) => found.extend(b0_off_plane(base)),
     }
     found.extend(rig.camera.blur_px.is_none().then_some(Warning::NoBlur));
+    found
+}
+
+/// Lengths that no rig has, most often metres or centimetres written where millimetres are meant.
+fn scales(rig: &Rig, views: &[ViewCheck]) -> Vec<Warning> {
+    let mut found = Vec::new();
+    let mut judge = |what: String, length_m: f64, likely_m: std::ops::RangeInclusive<f64>| {
+        if !likely_m.contains(&length_m) {
+            found.push(Warning::Scale { what, length_m });
+        }
+    };
+    for (name, surface) in &rig.surfaces {
+        if let Surface::Wall(wall) = surface {
+            judge(format!("the thickness of wall {name} is"), wall.thickness_m, 0.1e-3..=0.1);
+        }
+    }
+    for (view, checked) in rig.views.iter().zip(views) {
+        if let Some((name, crossing)) = view.path.iter().zip(&checked.crossings).next() {
+            let what = format!("view {}: the distance from the lens to where light leaves {name} is", view.name);
+            judge(what, crossing.point.coords.norm(), 0.01..=20.0);
+        }
+    }
+    judge("the diameter of the tube is".to_owned(), rig.catheter.diameter_m, 0.1e-3..=0.05);
+    for marker in &rig.markers {
+        judge(format!("the length of band {} is", marker.name), marker.length_m, 0.2e-3..=0.5);
+    }
     found
 }
 

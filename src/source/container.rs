@@ -56,6 +56,12 @@ pub(super) fn best_video<'a>(
     })
 }
 
+/// The display matrix of pictures shown as they are stored: 3 x 3, in 16.16 fixed point, the last column in 2.30.
+fn upright() -> Vec<u8> {
+    let one = 1 << 16;
+    [one, 0, 0, 0, one, 0, 0, 0, 1 << 30].into_iter().flat_map(i32::to_ne_bytes).collect()
+}
+
 pub(super) fn open_decoder(
     path: &Path,
     stream: &av::format::stream::Stream<'_>,
@@ -70,6 +76,16 @@ pub(super) fn open_decoder(
         tracing::warn!(
             "{}: the recording is interlaced: odd and even rows were taken at different times, and what moves is not where it \
              seems to be",
+            path.display()
+        );
+    }
+    let turned = |data: av::packet::side_data::SideData<'_>| {
+        data.kind() == av::packet::side_data::Type::DisplayMatrix && data.data() != upright()
+    };
+    if stream.side_data().any(turned) {
+        tracing::warn!(
+            "{}: the recording asks players to turn or mirror its pictures; they are taken as the camera stored them, and \
+             pixels of a player that turns them are others",
             path.display()
         );
     }

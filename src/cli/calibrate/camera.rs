@@ -1,8 +1,8 @@
 //! `catoptra calibrate camera`: pictures of a board to the lens.
 
-use super::super::{Exit, Failure, output};
+use super::super::{Exit, Failure};
 use super::pictures::{self, Searched};
-use super::{provenance_of, save};
+use super::{can_be_written, save};
 use catoptra::calibrate::board::Board;
 use catoptra::calibrate::camera::{BoardPicture, CameraCalibration, CameraError, calibrate_camera};
 use catoptra::rig::{Camera, Draft};
@@ -22,7 +22,9 @@ pub(super) struct CameraArgs {
     out: PathBuf,
 }
 
-pub(super) fn run(args: &CameraArgs) -> Result<(), Failure> {
+pub(super) fn run(args: &CameraArgs, print: impl Fn(&str) -> Result<(), Failure>) -> Result<(), Failure> {
+    can_be_written(&args.out)?;
+
     // An old file that cannot be read is told before the work, not after.
     let old = args.out.exists().then(|| Draft::load(&args.out)).transpose()?;
     let searched = pictures::search(&args.pictures, &args.board, 1)?;
@@ -34,32 +36,32 @@ pub(super) fn run(args: &CameraArgs) -> Result<(), Failure> {
         })
         .collect();
     let done = calibrate_camera(&args.board, &found).map_err(|error| {
-        output::print(&not_found(&searched)).err().unwrap_or_else(|| {
+        print(&not_found(&searched)).err().unwrap_or_else(|| {
             let exit = if matches!(error, CameraError::Sizes { .. }) { Exit::Usage } else { Exit::Unusable };
             Failure::new(exit, error)
         })
     })?;
-    output::print(&describe(&searched, &done))?;
+    print(&describe(&searched, &done))?;
     let camera =
         |blur_px, chroma_offset_px| Camera { size_px: done.size_px, lens: done.lens, blur_px, chroma_offset_px };
     let mut draft = Draft::of_camera(camera(None, [0.0; 2]));
     if let Some(old) = old {
         // Mirror and walls were found with the old lens: they do not belong to the new one.
         if !old.surfaces.is_empty() || old.base.is_some() {
-            output::print(
+            print(
                 "\nmirror, walls, views and base frame of the old file were found with the old lens and are left out\n",
             )?;
         }
         draft.camera = camera(old.camera.blur_px, old.camera.chroma_offset_px);
         (draft.markers, draft.catheter) = (old.markers, old.catheter);
     }
-    let mut provenance = provenance_of("camera", &args.board, &searched)?;
+    let mut provenance = pictures::provenance("camera", &args.board, &searched)?;
     provenance.insert("corner_sd_px".into(), done.corner_sd_px.into());
     let rows = done.covariance.row_iter().map(|row| row.iter().copied().collect::<Vec<f64>>().into());
     provenance.insert("lens_covariance".into(), rows.collect::<Vec<toml::Value>>().into());
     draft.provenance.insert("camera".into(), provenance.into());
     save(&draft, &args.out)?;
-    output::print(&format!("\nwritten: {}\n", args.out.display()))
+    print(&format!("\nwritten: {}\n", args.out.display()))
 }
 
 /// Pictures without a board, a line each.

@@ -4,6 +4,7 @@ use super::super::{Exit, Failure};
 use catoptra::calibrate::board::{Board, BoardImage, find_boards};
 use catoptra::calibrate::grey::{Grey, Rows};
 use rayon::prelude::*;
+use sha2::{Digest as _, Sha256};
 use std::path::{Path, PathBuf};
 
 /// Endings of files that a folder's pictures have.
@@ -22,6 +23,22 @@ impl Searched {
     pub(super) fn name(&self) -> String {
         self.path.file_name().unwrap_or(self.path.as_os_str()).to_string_lossy().into_owned()
     }
+}
+
+/// What a calibration from pictures of a board says of its inputs.
+pub(super) fn provenance(step: &str, board: &Board, searched: &[Searched]) -> Result<toml::Table, Failure> {
+    let mut hashes = toml::Table::new();
+    for picture in searched {
+        let bytes = std::fs::read(&picture.path)
+            .map_err(|e| Failure::new(Exit::Failed, format!("cannot read {}: {e}", picture.path.display())))?;
+        let hash: String = Sha256::digest(&bytes).iter().map(|byte| format!("{byte:02x}")).collect();
+        hashes.insert(picture.name(), hash.into());
+    }
+    let mut table = toml::Table::new();
+    table.insert("made_by".into(), format!("catoptra {} calibrate {step}", env!("CARGO_PKG_VERSION")).into());
+    table.insert("board".into(), board.to_string().into());
+    table.insert("inputs_sha256".into(), hashes.into());
+    Ok(table)
 }
 
 /// Looks for the board, at most `most` times in a picture. A folder stands for the pictures in it.

@@ -1,9 +1,9 @@
 //! `catoptra calibrate rig`: pictures of a board in a mirror to mirrors, walls and views.
 
-use super::super::{Exit, Failure, output};
+use super::super::{Exit, Failure};
 use super::camera::not_found;
 use super::pictures::{self, Searched};
-use super::{Length, provenance_of, save, usage};
+use super::{Length, can_be_written, save, usage};
 use catoptra::calibrate::board::Board;
 use catoptra::calibrate::camera::centred;
 use catoptra::calibrate::geometry::Parameter;
@@ -100,7 +100,10 @@ impl FromStr for Distance {
     }
 }
 
-pub(super) fn run(args: &RigArgs) -> Result<(), Failure> {
+pub(super) fn run(args: &RigArgs, print: impl Fn(&str) -> Result<(), Failure>) -> Result<(), Failure> {
+    let out = args.out.as_ref().unwrap_or(&args.rig);
+    can_be_written(out)?;
+
     let draft = Draft::load(&args.rig)?;
     let options = options(args, &draft)?;
     let searched = pictures::search(&args.pictures, &args.board, args.mirrors + 1)?;
@@ -121,14 +124,13 @@ pub(super) fn run(args: &RigArgs) -> Result<(), Failure> {
         })
         .collect();
     let done = calibrate_rig(&args.board, &draft.camera.lens, &found, &options)
-        .map_err(|error| output::print(&not_found(&searched)).err().unwrap_or_else(|| failure(error)))?;
+        .map_err(|error| print(&not_found(&searched)).err().unwrap_or_else(|| failure(error)))?;
     let judged = verdict(&done.solution, &done.corners, &centred(&args.board));
-    output::print(&describe(&searched, &done, judged.as_ref(), &options))?;
+    print(&describe(&searched, &done, judged.as_ref(), &options))?;
     let mut rig = into_draft(draft, &done);
     rig.provenance.insert("rig".into(), provenance(args, &searched, &done)?.into());
-    let out = args.out.as_ref().unwrap_or(&args.rig);
     save(&rig, out)?;
-    output::print(&format!("\nwritten: {}\n", out.display()))
+    print(&format!("\nwritten: {}\n", out.display()))
 }
 
 fn options(args: &RigArgs, draft: &Draft) -> Result<RigOptions, Failure> {
@@ -175,7 +177,7 @@ fn failure(error: RigCalibrationError) -> Failure {
 }
 
 fn provenance(args: &RigArgs, searched: &[Searched], done: &RigCalibration) -> Result<toml::Table, Failure> {
-    let mut table = provenance_of("rig", &args.board, searched)?;
+    let mut table = pictures::provenance("rig", &args.board, searched)?;
     let solution = &done.solution;
     table.insert("corner_sd_px".into(), solution.corner_sd_px.into());
     let names = solution.free.iter().map(|p| toml::Value::from(parameter_name(done, *p)));

@@ -10,7 +10,7 @@ use catoptra::sink::OutputFrame;
 use serde::{Deserialize, Serialize};
 use std::ffi::OsStr;
 use std::fs;
-use std::io::{self, ErrorKind};
+use std::io::{self, ErrorKind, Read as _};
 use std::path::{Path, PathBuf};
 
 const RUN: &str = "run.toml";
@@ -70,6 +70,19 @@ pub(super) fn whole_path(path: &Path) -> PathBuf {
     path.canonicalize().unwrap_or_else(|_| path.to_owned())
 }
 
+/// Whether a file is empty or begins as our tables do.
+fn is_table(path: &Path) -> bool {
+    let begin = b"seq,t_s,";
+    let mut found = Vec::new();
+    let read = fs::File::open(path).and_then(|file| file.take(begin.len() as u64).read_to_end(&mut found));
+    read.is_ok() && (found.is_empty() || found == begin)
+}
+
+/// A path as text that no other path has: bytes that are no text are spelled out.
+pub(super) fn unlike_others(path: &Path) -> String {
+    path.to_str().map_or_else(|| format!("{path:?}"), str::to_owned)
+}
+
 /// Where results go when the user does not say: a folder here, named after the recording.
 pub(super) fn default_folder(recording: &Path) -> PathBuf {
     let whole = whole_path(recording);
@@ -106,6 +119,7 @@ impl Files {
             let refused = format!("{}: would be written over, and is read by this run", input.display());
             return Err(Failure::new(Exit::Usage, refused));
         }
+        self.places_are_free()?;
         let earlier = self.earlier_run(run)?;
         let cannot = |path: &Path, e: io::Error| {
             Failure::new(Exit::Failed, format!("cannot write to the output folder {}: {e}", path.display()))
@@ -128,6 +142,26 @@ impl Files {
         }
         let path = self.folder.join(RUN);
         fs::write(&path, format!("# What these results are of.\n{}", run.to_toml()?)).map_err(|e| cannot(&path, e))
+    }
+
+    /// Refuses a folder that is a file, and a table that would take the place of another file.
+    fn places_are_free(&self) -> Result<(), Failure> {
+        let refused = |text: String| Err(Failure::new(Exit::Usage, text));
+        if self.folder.exists() && !self.folder.is_dir() {
+            return refused(format!("{}: is a file; choose a folder with -o", self.folder.display()));
+        }
+        let table = self.table.display();
+        if [Some(&self.log), Some(&self.report), self.overlay.as_ref()].contains(&Some(&self.table)) {
+            return refused(format!("{table}: is another file of this run; choose another with --csv"));
+        }
+        if self.table.is_dir() {
+            return refused(format!("{table}: is a folder; give the name of a file with --csv"));
+        }
+        // What is no ordinary file, /dev/stdout say, cannot be lost.
+        if self.table != self.folder.join(TABLE) && self.table.is_file() && !is_table(&self.table) {
+            return refused(format!("{table}: is there and no table of this command; choose another with --csv"));
+        }
+        Ok(())
     }
 
     /// The run whose results are in the folder, if there is one and it may be replaced by `run`.
@@ -212,6 +246,30 @@ mod tests {
         let refused = files.prepare(&run("/a.mkv"), &[&video]).unwrap_err();
         assert_eq!(refused.exit(), Exit::Usage);
         assert!(!files.folder.exists());
+    }
+
+    #[test]
+    fn a_table_elsewhere_replaces_tables_only() {
+        let place = tempfile::tempdir().unwrap();
+        let table = place.path().join("table.csv");
+        let files = Files::new(&place.path().join("out"), Some(&table), false);
+        fs::write(&table, "notes").unwrap();
+        let refused = files.prepare(&run("/a.mkv"), &[]).unwrap_err();
+        assert_eq!(refused.exit(), Exit::Usage);
+        assert!(refused.to_string().contains("table.csv") && !files.folder.exists(), "{refused}");
+        fs::write(&table, "seq,t_s,stamp_ns\r\n").unwrap();
+        files.prepare(&run("/a.mkv"), &[]).unwrap();
+        let log_twice = Files::new(place.path(), Some(&place.path().join(LOG)), false);
+        assert_eq!(log_twice.prepare(&run("/a.mkv"), &[]).unwrap_err().exit(), Exit::Usage);
+    }
+
+    #[test]
+    #[cfg(unix)]
+    fn names_that_are_no_text_stay_apart() {
+        use std::os::unix::ffi::OsStrExt as _;
+        let [e, è] = [b"/caf\xe9", b"/caf\xe8"].map(|name| unlike_others(Path::new(OsStr::from_bytes(name))));
+        assert_ne!(e, è);
+        assert_eq!(unlike_others(Path::new("/café")), "/café");
     }
 
     #[test]

@@ -1,21 +1,20 @@
 //! `catoptra track`: a recording, or a folder of pictures, to log, table, report and overlay.
 
 mod folder;
-mod peek;
 mod told;
 
 use super::progress::Progress;
-use super::{Exit, Failure, interrupt, output};
+use super::{Exit, Failure, fitting, interrupt, output};
 use catoptra::pipeline::{self, End, Summary};
 use catoptra::report::{ReportSink, RunInfo};
+use catoptra::rig::check::{Warning, check};
 use catoptra::rig::{Rig, RigError};
 use catoptra::sink::{CsvSink, McapSink, OutputFrame, OverlaySink, Sink, SinkError};
 use catoptra::source::times::{parse_seconds_ns, seconds};
-use catoptra::source::{self, FrameRate, FrameSource as _, PixelFormat, SourceError, SourceOptions, Span};
+use catoptra::source::{FrameRate, FrameSource as _, SourceOptions, Span};
 use catoptra::track::{TrackOptions, Tracker};
 use clap::builder::RangedU64ValueParser;
-use folder::{Files, Run, frame_word, whole_path};
-use peek::Peeked;
+use folder::{Files, Run, frame_word, unlike_others, whole_path};
 use std::path::{Path, PathBuf};
 
 /// Arguments of `catoptra track`.
@@ -40,16 +39,16 @@ pub(crate) struct Args {
     #[arg(long, value_enum, default_value_t = Reference::Base)]
     frame: Reference,
     /// Leave out what is before T, seconds of the recording's clock
-    #[arg(long, value_name = "T", value_parser = seconds_ns)]
+    #[arg(long, value_name = "T", value_parser = seconds_ns, allow_hyphen_values = true)]
     from: Option<i64>,
     /// Leave out what is after T
-    #[arg(long, value_name = "T", value_parser = seconds_ns)]
+    #[arg(long, value_name = "T", value_parser = seconds_ns, allow_hyphen_values = true)]
     to: Option<i64>,
     /// Frames a second of a folder of pictures without times.csv
-    #[arg(long, value_name = "F")]
+    #[arg(long, value_name = "F", allow_hyphen_values = true)]
     fps: Option<FrameRate>,
     /// Threads of decoder and tracker; results are the same with any [default: one a core]
-    #[arg(long, value_name = "N", value_parser = RangedU64ValueParser::<usize>::new().range(1..=256))]
+    #[arg(long, value_name = "N", allow_hyphen_values = true, value_parser = RangedU64ValueParser::<usize>::new().range(1..=256))]
     threads: Option<usize>,
     /// Search every picture whole: slower, same results
     #[arg(long)]
@@ -72,7 +71,10 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     let (rig, rig_toml) = load_rig(args)?;
     let mut tracker = Tracker::new(&rig, TrackOptions { full_frame: args.full_frame })
         .map_err(|e| Failure::new(Exit::Usage, format!("{}: {e}", args.rig.display())))?;
-    let source = open_source(args, &rig)?;
+    let span = Span { from_ns: args.from, to_ns: args.to };
+    let options = SourceOptions { span, stated_rate: args.fps, decoder_threads: args.threads() };
+    let source = fitting::open((&args.source, options), (&args.rig, &rig))?;
+    tell_warnings(args, &rig)?;
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(args.threads())
         .build()
@@ -114,7 +116,7 @@ impl Args {
     }
 
     fn described(&self) -> Run {
-        let whole = |path: &Path| whole_path(path).display().to_string();
+        let whole = |path: &Path| unlike_others(&whole_path(path));
         Run {
             command: "track".to_owned(),
             version: env!("CARGO_PKG_VERSION").to_owned(),
@@ -142,34 +144,15 @@ fn load_rig(args: &Args) -> Result<(Rig, String), Failure> {
     Ok((rig, text))
 }
 
-/// The source at its first frame, which fits the rig.
-fn open_source(args: &Args, rig: &Rig) -> Result<Peeked, Failure> {
-    let invalid = |e: SourceError| Failure::new(Exit::Usage, e);
-    let options = SourceOptions {
-        span: Span { from_ns: args.from, to_ns: args.to },
-        stated_rate: args.fps,
-        decoder_threads: args.threads(),
-    };
-    let source = source::open(&args.source, options).map_err(invalid)?;
-    let (found, expected) = (source.size_px(), rig.camera.size_px);
-    if found != expected {
-        let text = format!(
-            "{}: pictures of {}x{} pixels, but the camera in {} has {}x{}; a calibration holds for one size only",
-            args.source.display(),
-            found[0],
-            found[1],
-            args.rig.display(),
-            expected[0],
-            expected[1]
-        );
-        return Err(Failure::new(Exit::Usage, text));
+/// What `catoptra rig check` would warn of: who never asked must not learn it from the results.
+fn tell_warnings(args: &Args, rig: &Rig) -> Result<(), Failure> {
+    let rig_file = args.rig.display();
+    let checked = check(rig).map_err(|e| Failure::new(Exit::Usage, format!("{rig_file}: {e}")))?;
+    // Without a base the user has asked for the camera's frame.
+    for warning in checked.warnings.iter().filter(|warning| **warning != Warning::NoBase) {
+        tracing::warn!("{rig_file}: {warning}");
     }
-    let source = Peeked::new(source).map_err(invalid)?;
-    if source.first().is_some_and(|frame| frame.picture.format() == PixelFormat::Grey) {
-        let text = format!("{}: pictures are grey; markers are told by their colour", args.source.display());
-        return Err(Failure::new(Exit::Usage, text));
-    }
-    Ok(source)
+    Ok(())
 }
 
 fn open_sinks(

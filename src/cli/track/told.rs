@@ -47,7 +47,7 @@ pub(super) fn summary(out: &mut String, recording: &str, run: &Summary, files: &
 fn received(tally: &Tally) -> String {
     let frames = match tally.frames {
         0 => return "no frame".to_owned(),
-        1 => format!("1 frame, at {:.3} s", seconds(tally.first_ns)),
+        1 => return format!("1 frame, at {:.3} s", seconds(tally.first_ns)),
         n => format!("{n} frames, {:.3} s to {:.3} s", seconds(tally.first_ns), seconds(tally.last_ns)),
     };
     let lost = match (tally.lost, tally.gaps) {

@@ -1,59 +1,17 @@
-//! `catoptra calibrate`: from recordings to a rig file.
+//! `catoptra calibrate markers`: a recording and one click a band to colours and places of the bands.
 
-mod camera;
-mod pictures;
-mod rig;
-
-use super::{Exit, Failure, output};
-use catoptra::calibrate::board::Board;
+use super::super::{Exit, Failure, fitting};
+use super::{Length, can_be_written, save, usage};
 use catoptra::calibrate::markers::{MarkersCalibration, MarkersError, Pick, calibrate_markers, is_apart};
-use catoptra::rig::{Draft, Rig, RigError};
-use catoptra::source::{self, SourceOptions};
-use clap::Subcommand;
+use catoptra::rig::{Rig, RigError};
+use catoptra::source::{FrameRate, SourceOptions};
 use nalgebra::Point2;
-use sha2::{Digest as _, Sha256};
 use std::fmt::Write as _;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::str::FromStr;
 
-/// Arguments of `catoptra calibrate`.
 #[derive(Debug, clap::Args)]
-pub(crate) struct Args {
-    #[command(subcommand)]
-    command: Command,
-}
-
-#[derive(Debug, Subcommand)]
-enum Command {
-    /// Find the lens from pictures of a chessboard in air
-    #[command(after_help = "\
-Ten to twenty pictures, the board tilted to all sides and all over the picture. Prints each lens
-parameter with its σ, and why a picture was left out. Exit code 3: the pictures leave the lens open.
-Example:
-  catoptra calibrate camera calibration/dev_tank/intrinsics --board 9x6:12mm --out my_rig.toml")]
-    Camera(camera::CameraArgs),
-    /// Find mirrors and walls of the tank from pictures that show a chessboard twice
-    #[command(after_help = "\
-Ten to twenty pictures of the board where the catheter will be, each whole in all views, tilted to
-all sides. The old rig file is kept as RIG.toml.bak. Exit code 3: the pictures leave the rig open.
-Example:
-  catoptra calibrate rig calibration/dev_tank/mirror --board 9x6:12mm --rig my_rig.toml \\
-    --tank 254x254x267mm --glass 5mm")]
-    Rig(rig::RigArgs),
-    /// Learn the marker bands from a recording and one click a band
-    #[command(after_help = "\
-Measures each band's colour and place on the tube, the blur of the lens and the offset of the colour
-samples, and writes them into the rig file (the old one is kept as RIG.toml.bak). Exit code 3: a
-band's colour cannot be told from another's or from what surrounds it.
-Example:
-  catoptra calibrate markers sample_frames/planar.mkv --rig calibration/dev_tank/rig.toml \\
-    --tube 3.2mm --pick base@431,408:6mm --pick coil@431,565:12mm --pick tip@430,607:6mm \\
-    --out my.toml")]
-    Markers(MarkersArgs),
-}
-
-#[derive(Debug, clap::Args)]
-struct MarkersArgs {
+pub(super) struct MarkersArgs {
     /// A recording, or a folder of pictures
     #[arg(value_name = "VIDEO|DIR")]
     source: PathBuf,
@@ -61,7 +19,7 @@ struct MarkersArgs {
     #[arg(long, value_name = "RIG.toml")]
     rig: PathBuf,
     /// Outer diameter of the tube
-    #[arg(long, value_name = "3.2mm", value_parser = Length::from_str)]
+    #[arg(long, value_name = "3.2mm", allow_hyphen_values = true, value_parser = Length::from_str)]
     tube: Length,
     /// A band in the first frame: name, a pixel on it, its length; once a band, from the base to the tip
     #[arg(long = "pick", value_name = "NAME@X,Y:LENGTH", required = true, value_parser = PickArg::from_str)]
@@ -76,29 +34,11 @@ struct MarkersArgs {
     #[arg(long, value_name = "NAME")]
     end: Option<String>,
     /// Frames per second of a folder of pictures without times.csv
-    #[arg(long, value_name = "F")]
-    fps: Option<source::FrameRate>,
+    #[arg(long, value_name = "F", allow_hyphen_values = true)]
+    fps: Option<FrameRate>,
     /// Rig file to write [default: the one given by --rig]
     #[arg(long, short, value_name = "RIG.toml")]
     out: Option<PathBuf>,
-}
-
-/// A length as people write it, in metres.
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct Length(f64);
-
-impl FromStr for Length {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        let wrong = || format!("`{text}` is not a length: write for example 3.2mm, 0.32cm or 0.0032m");
-        let (number, unit_m) = [("mm", 1e-3), ("cm", 1e-2), ("m", 1.0)]
-            .into_iter()
-            .find_map(|(unit, metres)| Some((text.trim().strip_suffix(unit)?, metres)))
-            .ok_or_else(wrong)?;
-        let value: f64 = number.trim().parse().map_err(|_| wrong())?;
-        if value.is_finite() && value > 0.0 { Ok(Self(value * unit_m)) } else { Err(wrong()) }
-    }
 }
 
 #[derive(Debug, Clone, PartialEq)]
@@ -118,32 +58,10 @@ impl FromStr for PickArg {
     }
 }
 
-pub(crate) fn run(args: &Args) -> Result<(), Failure> {
-    match &args.command {
-        Command::Camera(args) => camera::run(args),
-        Command::Rig(args) => rig::run(args),
-        Command::Markers(args) => markers(args),
-    }
-}
-
-/// What a calibration from pictures of a board says of its inputs.
-fn provenance_of(step: &str, board: &Board, searched: &[pictures::Searched]) -> Result<toml::Table, Failure> {
-    let mut hashes = toml::Table::new();
-    for picture in searched {
-        let bytes = std::fs::read(&picture.path)
-            .map_err(|e| Failure::new(Exit::Failed, format!("cannot read {}: {e}", picture.path.display())))?;
-        let hash: String = Sha256::digest(&bytes).iter().map(|byte| format!("{byte:02x}")).collect();
-        hashes.insert(picture.name(), hash.into());
-    }
-    let mut table = toml::Table::new();
-    table.insert("made_by".into(), format!("catoptra {} calibrate {step}", env!("CARGO_PKG_VERSION")).into());
-    table.insert("board".into(), board.to_string().into());
-    table.insert("inputs_sha256".into(), hashes.into());
-    Ok(table)
-}
-
-fn markers(args: &MarkersArgs) -> Result<(), Failure> {
+pub(super) fn run(args: &MarkersArgs, print: impl Fn(&str) -> Result<(), Failure>) -> Result<(), Failure> {
+    let out = args.out.as_ref().unwrap_or(&args.rig);
     let rig = rig_with_picks(args)?;
+    can_be_written(out)?;
     let view = match &args.view {
         None => 0,
         Some(name) => rig.view(name).ok_or_else(|| {
@@ -152,11 +70,11 @@ fn markers(args: &MarkersArgs) -> Result<(), Failure> {
         })?,
     };
     let options = SourceOptions { stated_rate: args.fps, ..SourceOptions::default() };
-    let mut frames = source::open(&args.source, options).map_err(|e| Failure::new(Exit::Usage, e))?;
+    let mut frames = fitting::open((&args.source, options), (&args.rig, &rig))?;
     let picks: Vec<Pick> = args.picks.iter().map(|p| p.0.clone()).collect();
-    let mut done = calibrate_markers(&rig, &picks, view, frames.as_mut()).map_err(failure)?;
+    let mut done = calibrate_markers(&rig, &picks, view, &mut frames).map_err(|e| failure(args, e))?;
     done.rig.provenance.insert("markers".into(), provenance(args, &done).into());
-    output::print(&describe(&done))?;
+    print(&describe(&done))?;
     let weak: Vec<String> =
         done.weak_pairs().map(|s| format!("`{}` and `{}`", done.classes[s.marker], done.classes[s.other])).collect();
     if !weak.is_empty() {
@@ -174,9 +92,8 @@ fn markers(args: &MarkersArgs) -> Result<(), Failure> {
         );
         return Err(Failure::new(Exit::Unusable, text));
     }
-    let out = args.out.as_ref().unwrap_or(&args.rig);
     save(&done.rig.into(), out)?;
-    output::print(&format!("\nwritten: {}\n", out.display()))
+    print(&format!("\nwritten: {}\n", out.display()))
 }
 
 /// The rig file with the markers as picked. Places along the tube and roles that it has already are kept.
@@ -228,23 +145,38 @@ fn rig_with_picks(args: &MarkersArgs) -> Result<Rig, Failure> {
     }
     table.insert("marker".into(), markers.into());
     table.insert("catheter".into(), catheter.into());
-    Ok(Rig::from_toml_str(&table.to_string(), path)?)
+    match Rig::from_toml_str(&table.to_string(), path) {
+        Ok(rig) => Ok(rig),
+        // The picks have a form of their own: this is the file's, and only the file itself has its lines.
+        Err(RigError::Syntax { .. } | RigError::UnknownKey { .. }) => Ok(Rig::load(path)?),
+        Err(error) if is_about_picks(&error) => {
+            Err(usage(format!("{error} (with the bands, tube, coil and end of this command)")))
+        }
+        Err(error) => Err(error.into()),
+    }
 }
 
-fn usage(text: String) -> Failure {
-    Failure::new(Exit::Usage, text)
+/// Whether the key in question is one that the command's options have their say in.
+fn is_about_picks(error: &RigError) -> bool {
+    let (RigError::Value { key, .. } | RigError::Key { key, .. }) = error else { return false };
+    key.starts_with("marker") || key.starts_with("catheter")
 }
 
-fn failure(error: MarkersError) -> Failure {
+fn failure(args: &MarkersArgs, error: MarkersError) -> Failure {
     let exit = match error {
-        MarkersError::NoPick(_) | MarkersError::Outside { .. } | MarkersError::Track(_) => Exit::Usage,
-        MarkersError::Source(_) | MarkersError::NoFrame => Exit::Failed,
+        MarkersError::NoPick(_)
+        | MarkersError::Outside { .. }
+        | MarkersError::OutsideView { .. }
+        | MarkersError::Track(_) => Exit::Usage,
+        // It names its file.
+        MarkersError::Source(_) => return Failure::new(Exit::Failed, error),
+        MarkersError::NoFrame => Exit::Failed,
         MarkersError::Learn(_)
         | MarkersError::NoBlob { .. }
         | MarkersError::NotMeasured { .. }
         | MarkersError::Segment(_) => Exit::Unusable,
     };
-    Failure::new(exit, error)
+    Failure::new(exit, format!("{}: {error}", args.source.display()))
 }
 
 fn provenance(args: &MarkersArgs, done: &MarkersCalibration) -> toml::Table {
@@ -263,8 +195,9 @@ fn describe(done: &MarkersCalibration) -> String {
     let mut text = String::new();
     let _ = writeln!(
         text,
-        "{} frames looked at\n\nmarker     measured   colour R'G'B'   centre along the tube",
-        done.frames
+        "{} frame{} looked at\n\nmarker     measured   colour R'G'B'   centre along the tube",
+        done.frames,
+        if done.frames == 1 { "" } else { "s" }
     );
     for (m, marker) in done.rig.markers.iter().enumerate() {
         let rgb = marker.colour.map(|c| c.rgb).unwrap_or_default();
@@ -307,24 +240,12 @@ fn describe(done: &MarkersCalibration) -> String {
     text
 }
 
-/// Writes the rig; what was there before is kept beside it as .bak.
-fn save(rig: &Draft, path: &Path) -> Result<(), Failure> {
-    if path.exists() {
-        let mut backup = path.as_os_str().to_owned();
-        backup.push(".bak");
-        std::fs::copy(path, &backup).map_err(|source| RigError::Write { file: backup.into(), source })?;
-    }
-    Ok(rig.save(path)?)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
-    fn lengths_and_picks_as_people_write_them() {
-        assert!((("3.2mm".parse::<Length>().unwrap().0) - 0.0032).abs() < 1e-15);
-        assert!((("0.32 cm".parse::<Length>().unwrap().0) - 0.0032).abs() < 1e-15);
+    fn picks_as_people_write_them() {
         let pick = "coil@433.5,565:12mm".parse::<PickArg>().unwrap().0;
         assert_eq!((pick.name.as_str(), pick.pixel), ("coil", Point2::new(433.5, 565.0)));
         assert!((pick.length_m - 0.012).abs() < 1e-15);
@@ -332,9 +253,6 @@ mod tests {
 
     #[test]
     fn nonsense_is_named_with_what_would_be_right() {
-        for text in ["3.2", "mm", "-1mm", "NaNmm", "3.2in"] {
-            assert!(text.parse::<Length>().unwrap_err().contains("3.2mm"), "{text}");
-        }
         for text in ["coil", "coil@1:6mm", "coil@1,x:6mm", "coil@1,2:6", "coil@1,inf:6mm"] {
             assert!(text.parse::<PickArg>().is_err(), "{text}");
         }

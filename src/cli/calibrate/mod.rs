@@ -1,0 +1,120 @@
+//! `catoptra calibrate`: from pictures and recordings to a rig file, a file a step.
+
+mod camera;
+mod markers;
+mod pictures;
+mod rig;
+
+use super::{Exit, Failure, output};
+use catoptra::rig::{Draft, RigError};
+use clap::Subcommand;
+use std::path::Path;
+use std::str::FromStr;
+
+/// Arguments of `catoptra calibrate`.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Find the lens from pictures of a chessboard in air
+    #[command(after_help = "\
+Ten to twenty pictures, the board tilted to all sides and all over the picture. Prints each lens
+parameter with its σ, and why a picture was left out. Exit code 3: the pictures leave the lens open.
+Example:
+  catoptra calibrate camera calibration/dev_tank/intrinsics --board 9x6:12mm --out my_rig.toml")]
+    Camera(camera::CameraArgs),
+    /// Find mirrors and walls of the tank from pictures that show a chessboard twice
+    #[command(after_help = "\
+Ten to twenty pictures of the board where the catheter will be, each whole in all views, tilted to
+all sides. The old rig file is kept as RIG.toml.bak. Exit code 3: the pictures leave the rig open.
+Example:
+  catoptra calibrate rig calibration/dev_tank/mirror --board 9x6:12mm --rig my_rig.toml \\
+    --tank 254x254x267mm --glass 5mm")]
+    Rig(rig::RigArgs),
+    /// Learn the marker bands from a recording and one click a band
+    #[command(after_help = "\
+Measures each band's colour and place on the tube, the blur of the lens and the offset of the colour
+samples, and writes them into the rig file (the old one is kept as RIG.toml.bak). Exit code 3: a
+band's colour cannot be told from another's or from what surrounds it.
+Example:
+  catoptra calibrate markers sample_frames/planar.mkv --rig calibration/dev_tank/rig.toml \\
+    --tube 3.2mm --pick base@431,408:6mm --pick coil@431,565:12mm --pick tip@430,607:6mm \\
+    --out my.toml")]
+    Markers(markers::MarkersArgs),
+}
+
+pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
+    let print = |text: &str| if quiet { Ok(()) } else { output::print(text) };
+    match &args.command {
+        Command::Camera(args) => camera::run(args, print),
+        Command::Rig(args) => rig::run(args, print),
+        Command::Markers(args) => markers::run(args, print),
+    }
+}
+
+/// A length as people write it, in metres.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Length(f64);
+
+impl FromStr for Length {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let wrong = || format!("`{text}` is not a length: write for example 3.2mm, 0.32cm or 0.0032m");
+        let (number, unit_m) = [("mm", 1e-3), ("cm", 1e-2), ("m", 1.0)]
+            .into_iter()
+            .find_map(|(unit, metres)| Some((text.trim().strip_suffix(unit)?, metres)))
+            .ok_or_else(wrong)?;
+        let value: f64 = number.trim().parse().map_err(|_| wrong())?;
+        if value.is_finite() && value > 0.0 { Ok(Self(value * unit_m)) } else { Err(wrong()) }
+    }
+}
+
+/// Refuses, before any work, to write where nothing can be written, or over what is no rig.
+fn can_be_written(out: &Path) -> Result<(), Failure> {
+    let refused = |what: &str| Err(usage(format!("{}: {what}", out.display())));
+    let folder = out.parent().filter(|folder| *folder != Path::new(""));
+    if folder.is_some_and(|folder| !folder.is_dir()) {
+        return refused("there is no such folder to write the rig to");
+    }
+    if out.is_dir() {
+        return refused("is a folder; give the name of the rig file to write");
+    }
+    let is_rig = |text: String| text.parse::<toml::Table>().is_ok_and(|t| t.is_empty() || t.contains_key("camera"));
+    if out.exists() && !std::fs::read_to_string(out).is_ok_and(is_rig) {
+        return refused("is there and no rig file; give another name with --out");
+    }
+    Ok(())
+}
+
+/// Writes the rig; what was there before is kept beside it as .bak.
+fn save(rig: &Draft, path: &Path) -> Result<(), Failure> {
+    if path.exists() {
+        let mut backup = path.as_os_str().to_owned();
+        backup.push(".bak");
+        std::fs::copy(path, &backup).map_err(|source| RigError::Write { file: backup.into(), source })?;
+    }
+    Ok(rig.save(path)?)
+}
+
+fn usage(text: String) -> Failure {
+    Failure::new(Exit::Usage, text)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lengths_as_people_write_them() {
+        assert!((("3.2mm".parse::<Length>().unwrap().0) - 0.0032).abs() < 1e-15);
+        assert!((("0.32 cm".parse::<Length>().unwrap().0) - 0.0032).abs() < 1e-15);
+        for text in ["3.2", "mm", "-1mm", "NaNmm", "3.2in"] {
+            assert!(text.parse::<Length>().unwrap_err().contains("3.2mm"), "{text}");
+        }
+    }
+}

@@ -1,0 +1,73 @@
+//! Sources that fit a rig: of its size, in colour, with a first frame.
+
+use super::{Exit, Failure};
+use catoptra::rig::Rig;
+use catoptra::source::{self, Frame, FrameSource, PixelFormat, SourceError, SourceOptions, Tally};
+use std::path::Path;
+
+/// The recording or folder `source`, at its first frame; `rig` with the file it is from.
+///
+/// # Errors
+/// [`Exit::Usage`] when it cannot be read, or does not fit.
+pub(super) fn open(
+    (source, options): (&Path, SourceOptions),
+    (rig_file, rig): (&Path, &Rig),
+) -> Result<Peeked, Failure> {
+    let invalid = |e: SourceError| Failure::new(Exit::Usage, e);
+    let name = source.display();
+    let opened = source::open(source, options).map_err(invalid)?;
+    let ([width, height], expected) = (opened.size_px(), rig.camera.size_px);
+    if [width, height] != expected {
+        let text = format!(
+            "{name}: pictures of {width}x{height} pixels, but the camera in {} has {}x{}; a calibration holds for one size \
+             only",
+            rig_file.display(),
+            expected[0],
+            expected[1]
+        );
+        return Err(Failure::new(Exit::Usage, text));
+    }
+    let peeked = Peeked::new(opened).map_err(invalid)?;
+    if peeked.first.as_ref().is_some_and(|frame| frame.picture.format() == PixelFormat::Grey) {
+        let text = format!("{name}: pictures are grey; markers are told by their colour");
+        return Err(Failure::new(Exit::Usage, text));
+    }
+    Ok(peeked)
+}
+
+/// A source whose first frame has been looked at.
+pub(super) struct Peeked {
+    first: Option<Frame>,
+    source: Box<dyn FrameSource + Send>,
+}
+
+impl Peeked {
+    /// Takes the first frame out of `source`.
+    ///
+    /// # Errors
+    /// When there is none.
+    fn new(mut source: Box<dyn FrameSource + Send>) -> Result<Self, SourceError> {
+        Ok(Self { first: source.next_frame()?, source })
+    }
+}
+
+impl FrameSource for Peeked {
+    fn next_frame(&mut self) -> Result<Option<Frame>, SourceError> {
+        match self.first.take() {
+            Some(frame) => Ok(Some(frame)),
+            None => self.source.next_frame(),
+        }
+    }
+
+    fn size_px(&self) -> [u32; 2] {
+        self.source.size_px()
+    }
+
+    fn frame_count_hint(&self) -> Option<u64> {
+        self.source.frame_count_hint()
+    }
+
+    fn tally(&self) -> Tally {
+        self.source.tally()
+    }
+}
