@@ -441,7 +441,7 @@ mod tests {
     /// The spread of every parameter over many calibrations is its predicted σ, and nothing is biased.
     #[test]
     fn predicted_deviations_are_those_of_many_calibrations() {
-        const RUNS: u64 = 60;
+        const RUNS: u64 = 150;
         let truth = geometry();
         let solved: Vec<Solution> = (0..RUNS)
             .map(|seed| bundle(&truth, 0.1, 1.0, 100 + seed).solve().unwrap_or_else(|e| panic!("{seed}: {e}")))
