@@ -83,8 +83,12 @@ impl<'a> Grid<'a> {
     /// `None` when the number of corners is not columns times rows, or there are fewer than three in a line.
     pub(super) fn new(picture: &'a Grey, columns: usize, rows: usize, corners: Vec<Point2<f64>>) -> Option<Self> {
         let whole = columns > 2 && rows > 2 && corners.len() == columns * rows;
-        (whole && corners.iter().all(|c| c.x.is_finite() && c.y.is_finite()))
-            .then_some(Self { picture, columns, rows, corners })
+        (whole && corners.iter().all(|c| c.x.is_finite() && c.y.is_finite())).then_some(Self {
+            picture,
+            columns,
+            rows,
+            corners,
+        })
     }
 
     pub(super) fn corners(&self) -> &[Point2<f64>] {
@@ -110,7 +114,8 @@ impl<'a> Grid<'a> {
     pub(super) fn nearest_px(&self) -> Vec<f64> {
         let nearest = |i: usize| {
             let (c, r) = (i % self.columns, i / self.columns);
-            let aside = [c.checked_sub(1), (c + 1 < self.columns).then_some(c + 1)].into_iter().flatten().map(|c| (c, r));
+            let aside =
+                [c.checked_sub(1), (c + 1 < self.columns).then_some(c + 1)].into_iter().flatten().map(|c| (c, r));
             let above = [r.checked_sub(1), (r + 1 < self.rows).then_some(r + 1)].into_iter().flatten().map(|r| (c, r));
             aside.chain(above).map(|(c, r)| (self.at(c, r) - self.corners[i]).norm()).fold(f64::INFINITY, f64::min)
         };
@@ -162,8 +167,7 @@ impl<'a> Grid<'a> {
     /// The mean of a few places around the middle of a square.
     fn square_grey(&self, c: usize, r: usize) -> Option<f64> {
         let places = [(0.0, 0.0), (-0.2, 0.0), (0.2, 0.0), (0.0, -0.2), (0.0, 0.2)];
-        let sum: Option<f64> =
-            places.iter().map(|(u, v)| self.grey(c as f64 + 0.5 + u, r as f64 + 0.5 + v)).sum();
+        let sum: Option<f64> = places.iter().map(|(u, v)| self.grey(c as f64 + 0.5 + u, r as f64 + 0.5 + v)).sum();
         Some(sum? / places.len() as f64)
     }
 
@@ -188,8 +192,9 @@ impl<'a> Grid<'a> {
     /// Whether this is a board; its contrast. Corners must be in order ([`Grid::put_in_order`]).
     pub(super) fn judge(&self) -> Result<f64, Flaw> {
         self.check_order()?;
-        let board_in_picture = self.check_shape()?;
+        let (board_in_picture, off) = self.check_flatness()?;
         let contrast = self.check_colours()?;
+        self.check_smoothness(&off)?;
         self.check_end(&board_in_picture, contrast)?;
         Ok(contrast)
     }
@@ -209,13 +214,14 @@ impl<'a> Grid<'a> {
         }
     }
 
-    /// A homography explains the corners up to distortion, and what it leaves is smooth. Columns and rows to pixels.
-    fn check_shape(&self) -> Result<Matrix3<f64>, Flaw> {
+    /// A homography explains the corners up to distortion: it (columns and rows to pixels), and what it leaves, pixels.
+    fn check_flatness(&self) -> Result<(Matrix3<f64>, Vec<Vector2<f64>>), Flaw> {
         let square_px = self.square_px();
         let flat = self.homography();
         let place = |c: usize, r: usize| flat.and_then(|h| map(&h, c as f64, r as f64));
-        let off: Option<Vec<Vector2<f64>>> =
-            (0..self.corners.len()).map(|i| Some(self.corners[i] - place(i % self.columns, i / self.columns)?)).collect();
+        let off: Option<Vec<Vector2<f64>>> = (0..self.corners.len())
+            .map(|i| Some(self.corners[i] - place(i % self.columns, i / self.columns)?))
+            .collect();
         let (Some(flat), Some(off)) = (flat, off) else {
             return Err(Flaw::Bent { rms_px: f64::INFINITY, square_px });
         };
@@ -223,6 +229,11 @@ impl<'a> Grid<'a> {
         if rms_px > BENT * square_px {
             return Err(Flaw::Bent { rms_px, square_px });
         }
+        Ok((flat, off))
+    }
+
+    /// Distortion leaves each corner where its neighbours have it.
+    fn check_smoothness(&self, off: &[Vector2<f64>]) -> Result<(), Flaw> {
         let nearest = self.nearest_px();
         // What a line of corners, row or column, expects of the one at `pos` in it.
         let expected = |i: usize, pos: usize, step: usize, len: usize| match pos {
@@ -240,7 +251,7 @@ impl<'a> Grid<'a> {
         let worst = (0..off.len()).filter_map(astray).max_by(|a, b| a.1.total_cmp(&b.1));
         match worst {
             Some((i, off_px)) => Err(Flaw::Astray { column: i % self.columns, row: i / self.columns, off_px }),
-            None => Ok(flat),
+            None => Ok(()),
         }
     }
 
@@ -267,12 +278,11 @@ impl<'a> Grid<'a> {
 
     /// The board ends with the squares around the outermost corners. `contrast`: positive where (0, 0) is dark.
     fn check_end(&self, board_in_picture: &Matrix3<f64>, contrast: f64) -> Result<(), Flaw> {
-        let grey = |c: i64, r: i64| {
-            self.picture.at(map(board_in_picture, c as f64 + 0.5, r as f64 + 0.5)?)
-        };
+        let grey = |c: i64, r: i64| self.picture.at(map(board_in_picture, c as f64 + 0.5, r as f64 + 0.5)?);
         // Squares side by side beyond the board, from (c, r) on: whether each step from one to the next has the right sign and size.
         let alternate = |line: &mut dyn Iterator<Item = (i64, i64)>| {
-            let squares: Vec<_> = line.map(|(c, r)| grey(c, r).map(|g| (g, if (c + r) % 2 == 0 { 1.0 } else { -1.0 }))).collect();
+            let squares: Vec<_> =
+                line.map(|(c, r)| grey(c, r).map(|g| (g, if (c + r) % 2 == 0 { 1.0 } else { -1.0 }))).collect();
             squares.windows(2).all(|pair| match pair {
                 [Some((here, sign)), Some((next, _))] => sign * (next - here) / contrast > GOES_ON,
                 _ => false,

@@ -150,7 +150,9 @@ pub struct BoardImage {
 #[non_exhaustive]
 pub enum BoardError {
     /// Words that do not describe a board.
-    #[error("`{text}` is not a board: {problem}. Write COLUMNSxROWS:SQUARE, counting inner corners, for example 9x6:12mm")]
+    #[error(
+        "`{text}` is not a board: {problem}. Write COLUMNSxROWS:SQUARE, counting inner corners, for example 9x6:12mm"
+    )]
     Text {
         /// What was given.
         text: String,
@@ -167,8 +169,10 @@ pub enum BoardError {
         rows: usize,
     },
     /// A board that looks the same turned by 90°.
-    #[error("a board of {columns}x{columns} inner corners cannot be used: turned by a quarter it looks the same, so that one \
-        cannot tell which corner is which; take one with more columns than rows, for example 9x6")]
+    #[error(
+        "a board of {columns}x{columns} inner corners cannot be used: turned by a quarter it looks the same, so that one \
+        cannot tell which corner is which; take one with more columns than rows, for example 9x6"
+    )]
     Square {
         /// In a row and in a column.
         columns: usize,

@@ -159,7 +159,8 @@ fn refine(pixels: &Mat, grid: &Grid) -> Result<Vec<Point2<f64>>> {
 
 /// Hides a board that was found: its hull, and its outer squares, in its mean grey.
 fn paint_over(picture: &mut Mat, grid: &Grid) -> Result<()> {
-    let outline: Vector<Point> = grid.outline().iter().map(|p| Point::new(p.x.round() as i32, p.y.round() as i32)).collect();
+    let outline: Vector<Point> =
+        grid.outline().iter().map(|p| Point::new(p.x.round() as i32, p.y.round() as i32)).collect();
     imgproc::fill_convex_poly_def(picture, &outline, Scalar::all(grid.mean_grey()))
 }
 
@@ -176,9 +177,13 @@ fn other_grid(pixels: &Mat, picture: &Grey) -> Result<Option<[usize; 2]>> {
         let grid = || Grid::new(picture, columns, rows, look.in_whole(&corners, scale));
         if found && let Some(mut grid) = grid() {
             grid.put_in_order();
-            if grid.judge().is_ok() {
-                return Ok(Some([columns.max(rows), columns.min(rows)]));
-            }
+            let [columns, rows] = match grid.judge() {
+                // Where a part is hidden, corners beside it are often astray.
+                Ok(_) | Err(Flaw::Astray { .. }) => [columns, rows],
+                Err(Flaw::Larger { columns, rows }) => [columns, rows],
+                Err(_) => continue,
+            };
+            return Ok(Some([columns.max(rows), columns.min(rows)]));
         }
     }
     Ok(None)
