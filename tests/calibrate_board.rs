@@ -186,6 +186,11 @@ fn the_width_of_edges_tells_blur() {
         println!("blur {sigma_px} px: edge {:.2} px, expected {expected:.2}; corners {rms:.3} px RMS", found.edge_px);
         assert!((found.edge_px / expected - 1.0).abs() < 0.1, "edge {} px, expected {expected}", found.edge_px);
     }
+    // A picture that moved is sharp in one direction: the other counts. A ramp of 12 px has 80 % of that.
+    let moved = Canvas::with(800, 600, std::slice::from_ref(&placed)).moved(12).blurred(0.8).noisy(2.0).grey();
+    let found = one(&moved, &placed.board);
+    println!("moved by 12 px: edge {:.2} px", found.edge_px);
+    assert!((8.7..10.6).contains(&found.edge_px), "edge {} px", found.edge_px);
 }
 
 #[test]

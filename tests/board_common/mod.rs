@@ -132,6 +132,17 @@ impl Canvas {
         self
     }
 
+    /// Moved to the right by a number of pixels while it was taken.
+    pub(crate) fn moved(mut self, pixels: usize) -> Self {
+        for row in self.samples.chunks_mut(self.width) {
+            let old = row.to_vec();
+            for (x, value) in row.iter_mut().enumerate() {
+                *value = (0..pixels).map(|i| old[x.saturating_sub(i)]).sum::<f64>() / pixels as f64;
+            }
+        }
+        self
+    }
+
     /// Grey values from a rule: column, row and value to a new value.
     pub(crate) fn changed(mut self, rule: impl Fn(f64, f64, f64) -> f64) -> Self {
         for (i, value) in self.samples.iter_mut().enumerate() {

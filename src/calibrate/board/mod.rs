@@ -139,7 +139,8 @@ pub struct BoardImage {
     pub mirrored: Option<bool>,
     /// Side of a square in the picture: median over the board, pixels.
     pub square_px: f64,
-    /// From 10 to 90 % of the way from dark to light, across the edges of squares: median over the board, pixels.
+    /// From 10 to 90 % of the way from dark to light, across the edges of squares, pixels: median over the board, of columns
+    /// or rows, whichever is blurred more. A sharp picture has 1.5 to 2.5; corners get worse from a third of a square on.
     pub edge_px: f64,
     /// From dark to light squares: median over the board, grey values of 0 to 255.
     pub contrast: f64,
