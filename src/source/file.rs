@@ -6,7 +6,7 @@
 //! not done: calibration holds for the sensor's own rows and columns.
 //!
 //! A stamp that is not later than those before is handed on as it is and named in a warning. Damaged pictures are left
-//! out (see [`super::damage`]), counted in the gap of the next frame and named. A recording that ends early gives all its
+//! out (see `damage`), counted in the gap of the next frame and named. A recording that ends early gives all its
 //! readable frames, then [`SourceError::Truncated`].
 
 use std::collections::VecDeque;

@@ -80,15 +80,27 @@ pub(super) struct Grid<'a> {
 }
 
 impl<'a> Grid<'a> {
-    /// `None` when the number of corners is not columns times rows, or there are fewer than three in a line.
+    /// `None` when the number of corners is not columns times rows, there are fewer than three in a line, or one is not in
+    /// the picture.
     pub(super) fn new(picture: &'a Grey, columns: usize, rows: usize, corners: Vec<Point2<f64>>) -> Option<Self> {
         let whole = columns > 2 && rows > 2 && corners.len() == columns * rows;
-        (whole && corners.iter().all(|c| c.x.is_finite() && c.y.is_finite())).then_some(Self {
-            picture,
-            columns,
-            rows,
-            corners,
-        })
+        (whole && corners.iter().all(|c| picture.at(*c).is_some())).then_some(Self { picture, columns, rows, corners })
+    }
+
+    /// The same grid with its corners elsewhere, one for one; `None` as in [`Grid::new`].
+    pub(super) fn with_corners(&self, corners: Vec<Point2<f64>>) -> Option<Self> {
+        Self::new(self.picture, self.columns, self.rows, corners)
+    }
+
+    /// Columns for rows.
+    pub(super) fn transposed(self) -> Self {
+        let corners = (0..self.columns).flat_map(|c| (0..self.rows).map(move |r| (c, r))).map(|(c, r)| self.at(c, r));
+        Self { picture: self.picture, columns: self.rows, rows: self.columns, corners: corners.collect() }
+    }
+
+    /// Columns and rows.
+    pub(super) fn size(&self) -> [usize; 2] {
+        [self.columns, self.rows]
     }
 
     pub(super) fn corners(&self) -> &[Point2<f64>] {
@@ -192,8 +204,9 @@ impl<'a> Grid<'a> {
     /// Whether this is a board; its contrast. Corners must be in order ([`Grid::put_in_order`]).
     pub(super) fn judge(&self) -> Result<f64, Flaw> {
         self.check_order()?;
-        let board_in_picture = self.check_shape()?;
+        let (board_in_picture, off) = self.check_flatness()?;
         let contrast = self.check_colours()?;
+        self.check_smoothness(&off)?;
         self.check_end(&board_in_picture, contrast)?;
         Ok(contrast)
     }
@@ -213,8 +226,8 @@ impl<'a> Grid<'a> {
         }
     }
 
-    /// A homography explains the corners up to distortion, and what it leaves is smooth. Columns and rows to pixels.
-    fn check_shape(&self) -> Result<Matrix3<f64>, Flaw> {
+    /// A homography explains the corners up to distortion: it (columns and rows to pixels), and what it leaves, pixels.
+    fn check_flatness(&self) -> Result<(Matrix3<f64>, Vec<Vector2<f64>>), Flaw> {
         let square_px = self.square_px();
         let flat = self.homography();
         let place = |c: usize, r: usize| flat.and_then(|h| map(&h, c as f64, r as f64));
@@ -228,6 +241,11 @@ impl<'a> Grid<'a> {
         if rms_px > BENT * square_px {
             return Err(Flaw::Bent { rms_px, square_px });
         }
+        Ok((flat, off))
+    }
+
+    /// Distortion leaves each corner where its neighbours have it.
+    fn check_smoothness(&self, off: &[Vector2<f64>]) -> Result<(), Flaw> {
         let nearest = self.nearest_px();
         // What a line of corners, row or column, expects of the one at `pos` in it.
         let expected = |i: usize, pos: usize, step: usize, len: usize| match pos {
@@ -245,7 +263,7 @@ impl<'a> Grid<'a> {
         let worst = (0..off.len()).filter_map(astray).max_by(|a, b| a.1.total_cmp(&b.1));
         match worst {
             Some((i, off_px)) => Err(Flaw::Astray { column: i % self.columns, row: i / self.columns, off_px }),
-            None => Ok(flat),
+            None => Ok(()),
         }
     }
 
@@ -294,17 +312,19 @@ impl<'a> Grid<'a> {
         Ok(())
     }
 
-    /// From 10 to 90 % across the edges of squares: median, pixels.
+    /// From 10 to 90 % across the edges of squares, pixels: median of those along columns, and of those along rows, the
+    /// wider of the two (a picture that moved is blurred in one direction).
     pub(super) fn edge_px(&self) -> f64 {
-        let aside = self.squares().filter(|(c, _)| c + 2 < self.columns).map(|(c, r)| {
-            let edge = self.at(c + 1, r + 1) - self.at(c + 1, r);
-            (Point2::new(c as f64 + 0.5, r as f64 + 0.5), Vector2::new(1.0, 0.0), edge)
-        });
-        let below = self.squares().filter(|(_, r)| r + 2 < self.rows).map(|(c, r)| {
-            let edge = self.at(c + 1, r + 1) - self.at(c, r + 1);
-            (Point2::new(c as f64 + 0.5, r as f64 + 0.5), Vector2::new(0.0, 1.0), edge)
-        });
-        median(aside.chain(below).filter_map(|(from, step, edge)| self.width_px(from, step, edge)).collect())
+        let middle = |c: usize, r: usize| Point2::new(c as f64 + 0.5, r as f64 + 0.5);
+        let aside = self
+            .squares()
+            .filter(|(c, _)| c + 2 < self.columns)
+            .filter_map(|(c, r)| self.width_px(middle(c, r), Vector2::x(), self.at(c + 1, r + 1) - self.at(c + 1, r)));
+        let below = self
+            .squares()
+            .filter(|(_, r)| r + 2 < self.rows)
+            .filter_map(|(c, r)| self.width_px(middle(c, r), Vector2::y(), self.at(c + 1, r + 1) - self.at(c, r + 1)));
+        median(aside.collect()).max(median(below.collect()))
     }
 
     /// Width of one edge, at right angles to it: `from` and `step` (to the middle of the next square) in columns and rows.
@@ -354,7 +374,9 @@ impl<'a> Grid<'a> {
         let eigen = (equations.transpose() * &equations).symmetric_eigen();
         let least = eigen.eigenvectors.column(eigen.eigenvalues.imin());
         let normalised = Matrix3::from_row_iterator(least.iter().copied());
-        Some(from_picture.try_inverse()? * normalised * from_board)
+        let homography = from_picture.try_inverse()? * normalised * from_board;
+        // Its sign is open: positive where corner 0 is, so that it is negative behind the camera.
+        Some(homography * homography[(2, 2)].signum())
     }
 }
 
@@ -364,12 +386,113 @@ fn sign(c: usize, r: usize) -> f64 {
 }
 
 /// A place in columns and rows to pixels; `None` behind the camera.
-pub(super) fn map(board_in_picture: &Matrix3<f64>, column: f64, row: f64) -> Option<Point2<f64>> {
-    // The sign of a homography is open: all of a board is on one side.
-    Point2::from_homogeneous(board_in_picture * Vector3::new(column, row, 1.0))
+fn map(board_in_picture: &Matrix3<f64>, column: f64, row: f64) -> Option<Point2<f64>> {
+    let p = board_in_picture * Vector3::new(column, row, 1.0);
+    (p.z > 0.0).then(|| Point2::new(p.x / p.z, p.y / p.z))
 }
 
 fn median(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SQUARE: f64 = 20.0;
+
+    /// A chequer over the whole picture but for a white rim around 6x5 squares from (40, 40) on, in slight perspective.
+    fn place(c: f64, r: f64) -> Point2<f64> {
+        Point2::new(60.0 + SQUARE * c, 60.0 + SQUARE * r) / (1.0 + 0.004 * c + 0.002 * r)
+    }
+
+    fn picture(grey: impl Fn(f64, f64) -> u8) -> Grey {
+        let samples = (0..240 * 240).map(|i| {
+            let (x, y) = (f64::from(i % 240), f64::from(i / 240));
+            // place() solved for (c, r).
+            let (a, b, d, e) = (SQUARE - 0.004 * x, -0.002 * x, -0.004 * y, SQUARE - 0.002 * y);
+            let (c, r) = (
+                ((x - 60.0) * e - b * (y - 60.0)) / (a * e - b * d),
+                (a * (y - 60.0) - d * (x - 60.0)) / (a * e - b * d),
+            );
+            grey(c, r)
+        });
+        Grey::from_samples(240, 240, samples.collect()).unwrap()
+    }
+
+    /// A board of 5x4 inner corners.
+    fn board(c: f64, r: f64) -> u8 {
+        let inside = (-1.0..5.0).contains(&c) && (-1.0..4.0).contains(&r);
+        if inside && (c.floor() + r.floor()).rem_euclid(2.0) == 0.0 { 40 } else { 200 }
+    }
+
+    fn corners(columns: usize, rows: usize) -> Vec<Point2<f64>> {
+        (0..rows).flat_map(|r| (0..columns).map(move |c| place(c as f64, r as f64))).collect()
+    }
+
+    fn judged(picture: &Grey, columns: usize, rows: usize, corners: Vec<Point2<f64>>) -> Result<f64, Flaw> {
+        Grid::new(picture, columns, rows, corners).unwrap().judge()
+    }
+
+    #[test]
+    fn a_board_is_one() {
+        let contrast = judged(&picture(board), 5, 4, corners(5, 4)).unwrap();
+        assert!((contrast - 160.0).abs() < 1.0, "{contrast}");
+    }
+
+    #[test]
+    fn one_corner_beside_its_place_is_told_by_name() {
+        let picture = picture(board);
+        for i in 0..20 {
+            let mut corners = corners(5, 4);
+            corners[i] += Vector2::new(2.5, -2.0);
+            match judged(&picture, 5, 4, corners) {
+                Err(Flaw::Astray { column, row, off_px }) => {
+                    assert_eq!((column, row), (i % 5, i / 5));
+                    assert!((1.6..4.0).contains(&off_px), "corner {i}: {off_px} px");
+                }
+                other => panic!("corner {i}: {other:?}"),
+            }
+        }
+        let mut corners = corners(5, 4);
+        corners[7] += Vector2::new(0.5, -0.5);
+        assert!(judged(&picture, 5, 4, corners).is_ok(), "noise is no flaw");
+    }
+
+    #[test]
+    fn corners_out_of_order_a_plane_that_is_none_and_wrong_colours_are_refused() {
+        let picture = picture(board);
+        let mut swapped = corners(5, 4);
+        swapped.swap(6, 7);
+        assert!(matches!(judged(&picture, 5, 4, swapped), Err(Flaw::Folded { .. })));
+
+        // Folded along the middle, as a sheet is: every square still convex.
+        let mut folded = corners(5, 4);
+        folded.iter_mut().for_each(|c| c.x += 0.9 * (c.y - 90.0).abs());
+        assert!(matches!(judged(&picture, 5, 4, folded), Err(Flaw::Bent { .. })));
+
+        let shifted: Vec<_> = (0..20).map(|i| place((i % 5) as f64 + 0.5, (i / 5) as f64)).collect();
+        assert!(matches!(judged(&picture, 5, 4, shifted), Err(Flaw::Colours { .. })));
+
+        let faint = self::picture(|c, r| 100 + board(c, r) / 32);
+        assert!(matches!(judged(&faint, 5, 4, corners(5, 4)), Err(Flaw::Faint { .. })));
+
+        // One square painted over.
+        let spot =
+            self::picture(|c, r| if (1.0..2.0).contains(&c) && (1.0..2.0).contains(&r) { 200 } else { board(c, r) });
+        assert!(matches!(judged(&spot, 5, 4, corners(5, 4)), Err(Flaw::Colours { .. })));
+    }
+
+    #[test]
+    fn a_part_of_a_board_is_told_with_the_size_of_the_whole() {
+        let picture = picture(board);
+        let whole = Err(Flaw::Larger { columns: 5, rows: 4 });
+        assert_eq!(judged(&picture, 3, 4, corners(3, 4)), whole);
+        assert_eq!(judged(&picture, 5, 3, corners(5, 3)), whole);
+        let middle = (0..9).map(|i| place((i % 3 + 1) as f64, (i / 3 + 1) as f64)).collect();
+        let mut grid = Grid::new(&picture, 3, 3, middle).unwrap();
+        grid.put_in_order();
+        assert_eq!(grid.judge(), whole);
+    }
 }

@@ -23,6 +23,8 @@ const CLOSE_PX: i32 = 1280;
 const WINDOW: f64 = 0.35;
 /// Half the window, least and most, pixels.
 const WINDOW_PX: (i32, i32) = (2, 11);
+/// Corners a side of the least grid the detector knows.
+const LEAST: i32 = 3;
 /// False grids in one look before it is given up.
 const FALSE_GRIDS: usize = 3;
 
@@ -35,7 +37,7 @@ pub fn find_boards(picture: &Grey, board: &Board, most: usize) -> std::result::R
     let [width, height] = picture.size_px().map(|n| n as i32);
     let pixels = Mat::new_rows_cols_with_data(height, width, picture.samples())?.try_clone()?;
     let mut without_found = pixels.try_clone()?;
-    let (mut found, mut flaws) = (Vec::new(), Vec::new());
+    let (mut found, mut seen, mut flaw) = (Vec::new(), None, None);
     for look in looks(width, height) {
         if found.len() >= most || (look.only_if_none && !found.is_empty()) {
             break;
@@ -43,13 +45,13 @@ pub fn find_boards(picture: &Grey, board: &Board, most: usize) -> std::result::R
         let mut painted = without_found.try_clone()?;
         let mut false_grids = 0;
         while found.len() < most && false_grids < FALSE_GRIDS {
-            let Some(seeds) = look.detect(&painted, board)? else { break };
-            let Some(rough) = Grid::new(picture, board.columns, board.rows, seeds) else { break };
+            let Some(rough) = look.detect(&painted, picture, board)? else { break };
             paint_over(&mut painted, &rough)?;
-            let Some(mut grid) = Grid::new(picture, board.columns, board.rows, refine(&pixels, &rough)?) else { break };
+            let Some(mut grid) = rough.with_corners(refine(&pixels, &rough)?) else { break };
             grid.put_in_order();
-            match grid.judge() {
-                Ok(contrast) => {
+            let as_asked = grid.size() == [board.columns, board.rows];
+            match (grid.judge(), as_asked) {
+                (Ok(contrast), true) => {
                     paint_over(&mut without_found, &grid)?;
                     found.push(BoardImage {
                         mirrored: None,
@@ -58,23 +60,24 @@ pub fn find_boards(picture: &Grey, board: &Board, most: usize) -> std::result::R
                         contrast: contrast.abs(),
                         corners: grid.into_corners().into_iter().enumerate().collect(),
                     });
+                    continue;
                 }
-                Err(flaw) => {
-                    false_grids += 1;
-                    flaws.push(flaw);
-                }
+                // Where a part is hidden, corners beside it are often astray.
+                (Ok(_) | Err(Flaw::Astray { .. }), false) => seen = seen.or(Some(grid.size())),
+                (Err(Flaw::Larger { columns, rows }), _) => seen = seen.or(Some([columns, rows])),
+                (Err(other), true) => flaw = flaw.or(Some(other)),
+                (Err(_), false) => {}
             }
+            false_grids += 1;
         }
     }
-    if !found.is_empty() {
-        return Ok(found);
+    if found.is_empty() {
+        let long_side_first = |[a, b]: [usize; 2]| [a.max(b), a.min(b)];
+        let asked = long_side_first([board.columns, board.rows]);
+        let seen = seen.map(long_side_first).filter(|seen| *seen != asked);
+        return Err(BoardError::NotFound { columns: board.columns, rows: board.rows, seen, flaw });
     }
-    let larger = flaws.iter().find_map(|flaw| match flaw {
-        Flaw::Larger { columns, rows } => Some([*columns, *rows]),
-        _ => None,
-    });
-    let seen = if larger.is_none() { other_grid(&pixels, picture)? } else { larger };
-    Err(BoardError::NotFound { columns: board.columns, rows: board.rows, seen, flaw: flaws.into_iter().next() })
+    Ok(found)
 }
 
 /// A part of the picture, made smaller.
@@ -97,8 +100,8 @@ fn looks(width: i32, height: i32) -> Vec<Look> {
     let smaller = SEEN_PX.iter().take_while(|seen| **seen < width.max(height));
     let first = *SEEN_PX.iter().find(|seen| **seen >= width.max(height)).unwrap_or(&SEEN_PX[3]);
     let mut looks: Vec<Look> = smaller.chain([&first]).map(|seen| look(whole, *seen, 0)).collect();
-    let efforts = [EQUAL, EQUAL | calib3d::CALIB_CB_ACCURACY, EQUAL | calib3d::CALIB_CB_EXHAUSTIVE];
-    looks.extend(efforts.map(|flags| look(whole, CLOSE_PX, flags)));
+    let more = [calib3d::CALIB_CB_LARGER, 0, calib3d::CALIB_CB_ACCURACY, calib3d::CALIB_CB_EXHAUSTIVE];
+    looks.extend(more.map(|flags| look(whole, CLOSE_PX, EQUAL | flags)));
     // Halves of width and height, overlapping by half: other things do not count there.
     for (i, j) in (0..3).flat_map(|j| (0..3).map(move |i| (i, j))) {
         let part = Rect::new(i * width / 4, j * height / 4, width / 2, height / 2);
@@ -110,13 +113,25 @@ fn looks(width: i32, height: i32) -> Vec<Look> {
 }
 
 impl Look {
-    /// Corners in pixels of the whole picture.
-    fn detect(&self, picture: &Mat, board: &Board) -> Result<Option<Vec<Point2<f64>>>> {
-        let (seen, scale) = self.seen(picture)?;
-        let mut corners = Vector::<Point2f>::new();
-        let size = Size::new(board.columns as i32, board.rows as i32);
-        let found = calib3d::find_chessboard_corners_sb(&seen, size, &mut corners, self.flags)?;
-        Ok(found.then(|| self.in_whole(&corners, scale)))
+    /// A grid in pixels of the whole picture: of the board's size, or with the flag LARGER of whatever size there is.
+    fn detect<'a>(&self, pixels: &Mat, picture: &'a Grey, board: &Board) -> Result<Option<Grid<'a>>> {
+        let (image, scale) = self.seen(pixels)?;
+        let (mut corners, mut meta) = (Vector::<Point2f>::new(), Mat::default());
+        let (size, flags) = (Size::new(board.columns as i32, board.rows as i32), self.flags);
+        let ([columns, rows], found) = if flags & calib3d::CALIB_CB_LARGER == 0 {
+            let found = calib3d::find_chessboard_corners_sb(&image, size, &mut corners, flags)?;
+            ([size.width, size.height], found)
+        } else {
+            let least = Size::new(LEAST, LEAST);
+            let found = calib3d::find_chessboard_corners_sb_with_meta(&image, least, &mut corners, flags, &mut meta)?;
+            ([meta.cols(), meta.rows()], found)
+        };
+        if !found {
+            return Ok(None);
+        }
+        let corners = self.in_whole(&corners, scale);
+        let grid = Grid::new(picture, columns.max(0) as usize, rows.max(0) as usize, corners);
+        Ok(grid.map(|grid| if [rows, columns] == [size.width, size.height] { grid.transposed() } else { grid }))
     }
 
     /// What the detector sees, and its true scales along x and y.
@@ -152,35 +167,17 @@ fn refine(pixels: &Mat, grid: &Grid) -> Result<Vec<Point2<f64>>> {
             let mut one = Vector::from_slice(&[Point2f::new(corner.x as f32, corner.y as f32)]);
             let half = window(nearest_px);
             imgproc::corner_sub_pix(pixels, &mut one, Size::new(half, half), Size::new(-1, -1), until)?;
-            Ok(one.get(0).map(|c| Point2::new(f64::from(c.x), f64::from(c.y)))?)
+            one.get(0).map(|c| Point2::new(f64::from(c.x), f64::from(c.y)))
         })
         .collect()
 }
 
 /// Hides a board that was found: its hull, and its outer squares, in its mean grey.
 fn paint_over(picture: &mut Mat, grid: &Grid) -> Result<()> {
+    // A board seen nearly edge on may have an outline that ends far away.
+    let near = |x: f64, size: i32| (x.round() as i32).clamp(-size, 2 * size);
+    let (width, height) = (picture.cols(), picture.rows());
     let outline: Vector<Point> =
-        grid.outline().iter().map(|p| Point::new(p.x.round() as i32, p.y.round() as i32)).collect();
+        grid.outline().iter().map(|p| Point::new(near(p.x, width), near(p.y, height))).collect();
     imgproc::fill_convex_poly_def(picture, &outline, Scalar::all(grid.mean_grey()))
-}
-
-/// Columns and rows of whatever board there is.
-fn other_grid(pixels: &Mat, picture: &Grey) -> Result<Option<[usize; 2]>> {
-    let [width, height] = picture.size_px().map(|n| n as i32);
-    let flags = calib3d::CALIB_CB_NORMALIZE_IMAGE | calib3d::CALIB_CB_LARGER;
-    for look in looks(width, height).into_iter().take_while(|look| look.flags == 0) {
-        let (seen, scale) = look.seen(pixels)?;
-        let (mut corners, mut meta) = (Vector::<Point2f>::new(), Mat::default());
-        let found =
-            calib3d::find_chessboard_corners_sb_with_meta(&seen, Size::new(3, 3), &mut corners, flags, &mut meta)?;
-        let (columns, rows) = (meta.cols().max(0) as usize, meta.rows().max(0) as usize);
-        let grid = || Grid::new(picture, columns, rows, look.in_whole(&corners, scale));
-        if found && let Some(mut grid) = grid() {
-            grid.put_in_order();
-            if grid.judge().is_ok() {
-                return Ok(Some([columns.max(rows), columns.min(rows)]));
-            }
-        }
-    }
-    Ok(None)
 }

@@ -6,6 +6,7 @@ mod pictures;
 mod rig;
 
 use super::{Exit, Failure, output};
+use catoptra::calibrate::length_m;
 use catoptra::rig::{Draft, RigError};
 use clap::Subcommand;
 use std::path::Path;
@@ -64,13 +65,9 @@ impl FromStr for Length {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let wrong = || format!("`{text}` is not a length: write for example 3.2mm, 0.32cm or 0.0032m");
-        let (number, unit_m) = [("mm", 1e-3), ("cm", 1e-2), ("m", 1.0)]
-            .into_iter()
-            .find_map(|(unit, metres)| Some((text.trim().strip_suffix(unit)?, metres)))
-            .ok_or_else(wrong)?;
-        let value: f64 = number.trim().parse().map_err(|_| wrong())?;
-        if value.is_finite() && value > 0.0 { Ok(Self(value * unit_m)) } else { Err(wrong()) }
+        length_m(text)
+            .map(Self)
+            .ok_or_else(|| format!("`{text}` is not a length: write for example 3.2mm, 0.32cm or 0.0032m"))
     }
 }
 
