@@ -1,7 +1,12 @@
-//! What a rig file needs and a recording or pictures of a board can tell.
+//! What a rig file needs and pictures of a board or a recording can tell. Each step reads a rig file and adds its part.
 //!
-//! - [`board`]: calibration boards, found in a picture ([`grey`]).
+//! - [`camera`]: the lens, from boards in air.
+//! - [`mirrors`]: mirrors, walls and views, from boards seen directly and in mirrors.
 //! - [`markers`]: colour models, places along the tube and how the camera draws a band, from one click a marker.
+//!
+//! The first two stand on [`board`] (corners in a picture, [`grey`]), [`geometry`] (lens and surfaces as parameters),
+//! [`bundle`] (the adjustment, with what is [`known`] beside the pictures) and [`mod@start`] (its first guess);
+//! [`mod@verdict`] says how well the result will measure.
 
 mod around;
 pub mod board;
