@@ -29,7 +29,7 @@ lint: deps
 	$(CARGO) clippy --locked --all-targets -- -D warnings
 
 bench: deps
-	$(CARGO) bench --locked
+	$(CARGO) bench --locked --bench '*'
 
 deps:
 	@scripts/install-deps
