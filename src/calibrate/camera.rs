@@ -166,10 +166,6 @@ pub fn calibrate_camera(board: &Board, pictures: &[BoardPicture]) -> Result<Came
             return Err(CameraError::TooFew { found: used.len() });
         }
         let solved = adjust(board, &used, first.size_px)?;
-        let spread = spread_rad(&solved.poses);
-        if spread < LEAST_TILT_RAD {
-            return Err(CameraError::Parallel { spread_deg: spread.to_degrees() });
-        }
         let of_pictures = by_picture(&solved, &used);
         let Some((worst, off)) = worst(&of_pictures) else {
             return conclude(&solved, of_pictures, left_out, first.size_px);
@@ -212,6 +208,10 @@ pub fn centred(board: &Board) -> Vec<Point3<f64>> {
 fn adjust(board: &Board, used: &[&BoardPicture], size_px: [u32; 2]) -> Result<Solution, CameraError> {
     let places = centred(board);
     let (lens, poses) = start(&places, used, size_px)?;
+    let spread = spread_rad(&poses);
+    if spread < LEAST_TILT_RAD {
+        return Err(CameraError::Parallel { spread_deg: spread.to_degrees() });
+    }
     let corners = used
         .iter()
         .enumerate()

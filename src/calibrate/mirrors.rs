@@ -174,8 +174,8 @@ fn best(lens: &Lens, start: &Start, options: &RigOptions) -> Result<(Solution, V
         .enumerate()
         .flat_map(|(picture, sorted)| {
             let views = sorted.views.iter().enumerate();
-            views.flat_map(move |(view, corners)| {
-                corners.iter().flatten().map(move |(place, pixel)| Corner {
+            views.flat_map(move |(view, image)| {
+                image.iter().flat_map(|image| &image.corners).map(move |(place, pixel)| Corner {
                     picture,
                     view,
                     place: *place,
@@ -227,25 +227,29 @@ fn first_geometry(
     let count = start.mirrors.len();
     let mut surfaces: Vec<(String, Surface)> = Vec::new();
     let mut views = vec![("direct".to_owned(), Vec::new())];
-    let mut poses: Vec<Isometry3<f64>> = start.pictures.iter().map(|p| p.pose).collect();
+    let seen: Vec<_> = start.pictures.iter().map(|p| &p.views).collect();
+    let mut poses: Vec<Isometry3<f64>> = seen.iter().filter_map(|views| Some(views.first()?.as_ref()?.pose)).collect();
     if let Some(tank) = &options.tank {
         let middle = poses.iter().map(|p| p.translation.vector).sum::<Vector3<f64>>() / poses.len().max(1) as f64;
         let normal = -middle.normalize();
         let measured = options.distances_m.iter().find(|(name, ..)| name == "front_wall").map(|(_, d, _)| -d);
         let offset_m = measured.unwrap_or_else(|| outermost(start, &poses, &normal) + margin_m);
         let front = tank.wall(Plane::new(normal, offset_m)?);
-        // What is behind the wall seems nearer than it is, by the index.
         for pose in &mut poses {
-            let behind = -front.outer.signed_distance(&Point3::from(pose.translation.vector));
-            let further = pose.translation.vector.normalize() * (behind * (tank.index_inside - 1.0)).max(0.0);
-            *pose = Translation3::from(further) * *pose;
+            let middle = Point3::from(pose.translation.vector);
+            *pose = Translation3::from(front.lengthened(&middle) - middle) * *pose;
         }
         surfaces.push(("front_wall".to_owned(), Surface::Wall(front)));
         views[0].1.push(0);
     }
     for (index, (normal, offset_m)) in start.mirrors.iter().enumerate() {
         let mirror = surfaces.len();
-        let plane = Plane::new(*normal, *offset_m)?;
+        let mut plane = Plane::new(*normal, *offset_m)?;
+        if options.tank.is_some_and(|tank| tank.mirrors_inside)
+            && let Some((_, Surface::Wall(front))) = surfaces.first()
+        {
+            plane = plane_in_water(start, index + 1, front)?;
+        }
         surfaces.push((numbered("mirror", index, count), Surface::Mirror(Mirror { plane })));
         let path = match &options.tank {
             None => vec![mirror],
@@ -274,10 +278,34 @@ fn first_geometry(
     Ok((Geometry { lens: *lens, surfaces, views }, poses))
 }
 
+/// The plane halfway between what a board and its reflection behind a wall are when refraction is made good.
+fn plane_in_water(start: &Start, view: usize, front: &Wall) -> Result<Plane, PlaneError> {
+    let (mut across, mut middles) = (Vector3::zeros(), Vec::new());
+    for sorted in &start.pictures {
+        let (Some(Some(direct)), Some(Some(image))) = (sorted.views.first(), sorted.views.get(view)) else { continue };
+        for (place, _) in &direct.corners {
+            let (here, there) = (front.lengthened(&(direct.pose * place)), front.lengthened(&(image.pose * place)));
+            across += here - there;
+            middles.push((here.coords + there.coords) / 2.0);
+        }
+    }
+    let normal = across.normalize();
+    let offset = middles.iter().map(|middle| normal.dot(middle)).sum::<f64>() / middles.len().max(1) as f64;
+    Plane::new(normal, offset)
+}
+
+impl Wall {
+    /// About where a point is that seems to be at `apparent` through this wall: what is behind it seems nearer, by the index.
+    fn lengthened(&self, apparent: &Point3<f64>) -> Point3<f64> {
+        let behind = (-self.outer.signed_distance(apparent)).max(0.0);
+        apparent + apparent.coords.normalize() * (behind * (self.index_inside - 1.0))
+    }
+}
+
 /// How far the corners of all boards reach along a direction.
 fn outermost(start: &Start, poses: &[Isometry3<f64>], direction: &Vector3<f64>) -> f64 {
     let corners = start.pictures.iter().zip(poses).flat_map(|(sorted, pose)| {
-        sorted.views.iter().flatten().flatten().map(move |(place, _)| (pose * place).coords)
+        sorted.views.iter().flatten().flat_map(|image| &image.corners).map(move |(place, _)| (pose * place).coords)
     });
     corners.map(|corner| corner.dot(direction)).fold(f64::NEG_INFINITY, f64::max)
 }

@@ -19,6 +19,8 @@ pub mod known;
 pub mod markers;
 pub mod mirrors;
 pub mod start;
+#[cfg(test)]
+mod tests;
 mod tune;
 pub mod verdict;
 

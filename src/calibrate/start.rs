@@ -37,10 +37,17 @@ pub struct BoardsPicture {
 pub(super) struct Sorted {
     /// Index of the picture.
     pub(super) picture: usize,
-    /// Pose of the board by its direct image, camera_from_board, origin in the board's middle.
+    /// For each view (0 direct, then the mirrors) the image there; the direct one is always there.
+    pub(super) views: Vec<Option<Image>>,
+}
+
+/// An image of the board.
+#[derive(Debug, Clone)]
+pub(super) struct Image {
+    /// Corners of the board, in the direct image's order, and where they are in the picture.
+    pub(super) corners: Vec<(Point3<f64>, Point2<f64>)>,
+    /// Pose of the (virtual) board as if in air, camera_from_board, origin in the board's middle.
     pub(super) pose: Isometry3<f64>,
-    /// For each view (0 direct, then the mirrors): corners of the board, in the direct image's order.
-    pub(super) views: Vec<Option<Vec<(Point3<f64>, Point2<f64>)>>>,
 }
 
 /// The first guess.
@@ -78,14 +85,14 @@ struct Reflection {
     picture: usize,
     normal: Vector3<f64>,
     offset_m: f64,
-    corners: Vec<(Point3<f64>, Point2<f64>)>,
+    image: Image,
 }
 
 /// Tells views and mirrors apart; `mirrors` is how many there are.
 pub(super) fn start(board: &Board, lens: &Lens, pictures: &[BoardsPicture], mirrors: usize) -> opencv::Result<Start> {
     let places = centred(board);
     let mut left_out = Vec::new();
-    let mut direct: Vec<(usize, Isometry3<f64>, Vec<(Point3<f64>, Point2<f64>)>)> = Vec::new();
+    let mut direct: Vec<(usize, Image)> = Vec::new();
     let mut reflections: Vec<Reflection> = Vec::new();
     for (picture, images) in pictures.iter().enumerate() {
         let mut posed = Vec::new();
@@ -107,7 +114,8 @@ pub(super) fn start(board: &Board, lens: &Lens, pictures: &[BoardsPicture], mirr
                 let there = pose(lens, &corners_there)?;
                 let (spread, normal, offset_m) = mirror_between(&places, nearest, &there);
                 if best.as_ref().is_none_or(|(least, _)| spread < *least) {
-                    best = Some((spread, Reflection { picture, normal, offset_m, corners: corners_there }));
+                    let image = Image { corners: corners_there, pose: there };
+                    best = Some((spread, Reflection { picture, normal, offset_m, image }));
                 }
             }
             match best {
@@ -121,21 +129,21 @@ pub(super) fn start(board: &Board, lens: &Lens, pictures: &[BoardsPicture], mirr
             left_out.push((picture, Unusable::NoReflection { spread }));
             continue;
         }
-        direct.push((picture, *nearest, corners.clone()));
+        direct.push((picture, Image { corners: corners.clone(), pose: *nearest }));
     }
     let groups = group(&reflections, mirrors);
     let mut sorted: Vec<Sorted> = direct
         .into_iter()
-        .map(|(picture, pose, corners)| {
+        .map(|(picture, image)| {
             let mut views = vec![None; groups.len() + 1];
-            views[0] = Some(corners);
-            Sorted { picture, pose, views }
+            views[0] = Some(image);
+            Sorted { picture, views }
         })
         .collect();
     for (mirror, members) in groups.iter().enumerate() {
         for reflection in members {
             if let Some(own) = sorted.iter_mut().find(|s| s.picture == reflection.picture) {
-                own.views[mirror + 1] = Some(reflection.corners.clone());
+                own.views[mirror + 1] = Some(reflection.image.clone());
             }
         }
     }
@@ -205,7 +213,7 @@ fn group(reflections: &[Reflection], mirrors: usize) -> Vec<Vec<&Reflection>> {
         left = others;
     }
     let across = |group: &Vec<&Reflection>| {
-        let x = group.iter().flat_map(|r| r.corners.iter().map(|(_, pixel)| pixel.x));
+        let x = group.iter().flat_map(|r| r.image.corners.iter().map(|(_, pixel)| pixel.x));
         x.clone().sum::<f64>() / x.count().max(1) as f64
     };
     groups.sort_by(|a, b| across(a).total_cmp(&across(b)));
