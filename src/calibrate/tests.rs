@@ -229,21 +229,6 @@ fn predicted_errors_in_space_are_those_really_made() {
         let (mut made, mut predicted) = ([0.0; 2], [0.0; 2]);
         for seed in 0..RUNS {
             let found = calibrated(&rig, 1000 + seed);
-            println!(
-                "DBG {name} {seed} sd {:.4} {:?}",
-                found.solution.corner_sd_px,
-                found
-                    .solution
-                    .geometry
-                    .surfaces
-                    .iter()
-                    .zip(&rig.geometry.surfaces)
-                    .map(|(a, b)| (
-                        a.1.plane().normal().angle(&b.1.plane().normal()).to_degrees(),
-                        (a.1.plane().offset_m() - b.1.plane().offset_m()) * 1e3
-                    ))
-                    .collect::<Vec<_>>()
-            );
             let judged = verdict(&found.solution, &found.corners, &centred(&board())).unwrap();
             // At the edge of the volume a view may end between the true and the found place.
             let shown = |place: &Point3<f64>| {
