@@ -168,15 +168,14 @@ impl Tracker {
     }
 
     fn fit_groups(&self, picture: &Picture, blobs: &[Blob], assigned: &[Result<Assigned, Miss>]) -> Vec<Fitted> {
-        let present: Vec<bool> = assigned.iter().map(Result::is_ok).collect();
-        groups(&self.rig, &present)
+        let sees = |m: usize, v: usize| assigned[m].as_ref().is_ok_and(|a| a.blobs[v].is_some());
+        let views = 0..self.rig.views.len();
+        let together = |a: usize, b: usize| views.clone().filter(|&v| sees(a, v) && sees(b, v)).count() >= 2;
+        groups(&self.rig, together)
             .into_par_iter()
             .map(|group| {
-                let views: Vec<usize> = (0..self.rig.views.len())
-                    .filter(|&v| {
-                        group.members.iter().all(|&(m, _)| assigned[m].as_ref().is_ok_and(|a| a.blobs[v].is_some()))
-                    })
-                    .collect();
+                let views: Vec<usize> =
+                    views.clone().filter(|&v| group.members.iter().all(|&(m, _)| sees(m, v))).collect();
                 let result = self.fit_group(picture, blobs, assigned, &group, &views);
                 Fitted { group, views, result }
             })
