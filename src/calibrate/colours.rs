@@ -131,6 +131,11 @@ impl Samples {
     pub(super) fn add_clicks(&mut self, picture: &Picture, clicks: &[Point2<f64>]) {
         let places: Vec<Place> = clicks.iter().enumerate().map(|(m, click)| Place::click(m, *click)).collect();
         self.add(picture, &places, false);
+        self.add_around(picture, clicks);
+    }
+
+    /// Adds what lies around clicks in a picture, as classes of their own, but for the colours that the bands have by now.
+    pub(super) fn add_around(&mut self, picture: &Picture, clicks: &[Point2<f64>]) {
         let Some(rgb) = picture.rgb_from_stored() else { return };
         let own: Vec<Vector3<f64>> =
             self.bands.iter().map(|band| band.iter().sum::<Vector3<f64>>() / band.len().max(1) as f64).collect();
