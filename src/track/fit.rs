@@ -46,7 +46,11 @@ const CAP_SD: f64 = 0.5;
 /// Noise assumed in the first round, stored units; and the least ever assumed (rounding to integers and little more).
 const START_NOISE: f64 = 2.5;
 const LEAST_NOISE: f64 = 0.5;
-const MAX_EVALUATIONS: usize = 15;
+/// Most need five; a wide tube whose start is some pixels off needs thirty.
+const MAX_EVALUATIONS: usize = 40;
+/// Levenberg's damping: at the start, and the least: lower ones make no difference to a step, but take long to come back from.
+const DAMPING: f64 = 1e-4;
+const LEAST_DAMPING: f64 = 1e-6;
 /// A round ends when a step lowers the cost (a χ²) by less than this.
 const ENOUGH: [f64; 2] = [20.0, 0.05];
 
@@ -203,7 +207,7 @@ struct Round<'a> {
 impl Round<'_> {
     fn minimise(&mut self, shape: TubeShape, colours: Vec<Vec<f64>>, enough: f64) -> Result<State, NoFit> {
         let mut state = self.evaluate(shape, colours)?;
-        let mut damping = 1e-4;
+        let mut damping = DAMPING;
         let mut rejected = false;
         for _ in 0..MAX_EVALUATIONS {
             let mut damped = state.hessian.clone();
@@ -227,7 +231,7 @@ impl Round<'_> {
             match self.evaluate(shape, colours) {
                 Ok(next) if next.cost <= state.cost => {
                     state = next;
-                    damping *= 0.1;
+                    damping = (damping * 0.1).max(LEAST_DAMPING);
                     rejected = false;
                 }
                 _ => {

@@ -7,7 +7,7 @@
 
 use super::appearance::{
     BACKGROUND, CAP, D_ALBEDO, D_BACKGROUND, D_CAP, D_GRADIENT, D_SHADING, D_X, D_Y, FIXED, Foot, GRADIENT, Layout,
-    PER_SEGMENT, PixelModel, SHADING, TERMS, VALUE, pixel_model,
+    PER_SEGMENT, PixelModel, SHADES, SHADING, TERMS, VALUE, pixel_model,
 };
 use super::fit::ModelError;
 use super::light::Encoding;
@@ -260,8 +260,9 @@ impl Patch {
                     if !far {
                         let gradient = Vector2::new(sum(D_X), sum(D_Y));
                         row[..SHAPE].copy_from_slice((-(gradient.transpose() * d_pixel)).as_slice());
-                        row[SHAPE + SHADING] = sum(D_SHADING);
-                        row[SHAPE + SHADING + 1] = sum(D_SHADING + 1);
+                        for k in 0..SHADES {
+                            row[SHAPE + SHADING + k] = sum(D_SHADING + k);
+                        }
                         row[SHAPE + CAP] = sum(D_CAP);
                         for k in 0..3 {
                             row[SHAPE + FIXED + k] = weights[k] * terms[k][D_ALBEDO];

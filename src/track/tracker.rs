@@ -17,7 +17,7 @@ use crate::optics::OpticalPath;
 use crate::rig::Rig;
 use crate::segment::{Blob, SegmentError, Segmenter};
 use crate::source::{Frame, Picture, Transfer};
-use nalgebra::{Matrix3, Point2, SMatrix, Vector3};
+use nalgebra::{Matrix3, Point2, Point3, SMatrix, Vector3};
 use rayon::prelude::*;
 
 /// Blur assumed for a rig whose blur has not been measured: a sharp lens and square pixels.
@@ -169,15 +169,14 @@ impl Tracker {
     }
 
     fn fit_groups(&self, picture: &Picture, blobs: &[Blob], assigned: &[Result<Assigned, Miss>]) -> Vec<Fitted> {
-        let present: Vec<bool> = assigned.iter().map(Result::is_ok).collect();
-        groups(&self.rig, &present)
+        let sees = |m: usize, v: usize| assigned[m].as_ref().is_ok_and(|a| a.blobs[v].is_some());
+        let views = 0..self.rig.views.len();
+        let together = |a: usize, b: usize| views.clone().filter(|&v| sees(a, v) && sees(b, v)).count() >= 2;
+        groups(&self.rig, together)
             .into_par_iter()
             .map(|group| {
-                let views: Vec<usize> = (0..self.rig.views.len())
-                    .filter(|&v| {
-                        group.members.iter().all(|&(m, _)| assigned[m].as_ref().is_ok_and(|a| a.blobs[v].is_some()))
-                    })
-                    .collect();
+                let views: Vec<usize> =
+                    views.clone().filter(|&v| group.members.iter().all(|&(m, _)| sees(m, v))).collect();
                 let result = self.fit_group(picture, blobs, assigned, &group, &views);
                 Fitted { group, views, result }
             })
@@ -193,11 +192,13 @@ impl Tracker {
         views: &[usize],
     ) -> Result<TubeFit, Miss> {
         let reference = assigned[group.reference].as_ref().map_err(Clone::clone)?;
+        let starts = group.members.iter().map(|&(m, s)| Ok((s, assigned[m].as_ref().map_err(Clone::clone)?.point)));
+        let starts = starts.collect::<Result<Vec<_>, Miss>>()?;
         let direction = self.start_direction(blobs, assigned, group).ok_or(Miss::NotConverged)?;
         let start = TubeShape::straight(reference.point, &direction, group.straight_half_m);
         let paths: Vec<&OpticalPath> = views.iter().map(|&v| &self.rig.views[v].optics).collect();
         let fit = fit(&group.stretch, &start, picture, &paths, &self.model).map_err(|_| Miss::NotConverged)?;
-        self.accept(group, views, reference, &fit)?;
+        self.accept(group, views, &starts, &fit)?;
         Ok(fit)
     }
 
@@ -235,12 +236,15 @@ impl Tracker {
         }
     }
 
-    /// Whether the fit is one of the band it started from, and all views agree on it.
-    fn accept(&self, group: &Group, views: &[usize], start: &Assigned, fit: &TubeFit) -> Result<(), Miss> {
+    /// Whether the fit is one of the bands it started from, given as arc lengths and places, and all views agree on it.
+    fn accept(&self, group: &Group, views: &[usize], starts: &[(f64, Point3<f64>)], fit: &TubeFit) -> Result<(), Miss> {
         for (&v, view) in views.iter().zip(&fit.views) {
-            let before = self.rig.views[v].optics.project(&start.point).map_err(|_| Miss::NotConverged)?;
+            let pixel = |point| self.rig.views[v].optics.project(&point).map_err(|_| Miss::NotConverged);
+            let mut moved: f64 = 0.0;
+            for &(s, start) in starts {
+                moved = moved.max((pixel(fit.shape.at(s).0)? - pixel(start)?).norm());
+            }
             let knot = view.image.at_arc(0.0);
-            let moved = (knot.pixel - before).norm();
             let separation = (0..group.members.len())
                 .map(|i| self.separation(group, i, &view.colours))
                 .fold(f64::INFINITY, f64::min);
