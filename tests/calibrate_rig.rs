@@ -241,10 +241,11 @@ fn bad_input_is_named() {
         let common = ["calibrate", "rig", "--board", "9x6:12mm", "--rig", "lens.toml", "--out", "rig.toml"];
         catoptra(folder.path(), &[&common, args].concat())
     };
-    // Boards that no mirror shows.
-    refused(3, "it shows the board only once", &rig(&[&sample("intrinsics"), "--glass", "5mm"]));
+    // Boards that no mirror shows, mirrors that no picture shows.
+    refused(3, "it shows the board only once", &rig(&[&picture("00.png"), "--glass", "5mm"]));
+    let [a, b, c] = ["00.png", "04.png", "08.png"].map(|name| format!("{}/{name}", sample("mirror")));
+    refused(3, "1 mirrors are seen", &rig(&[&a, &b, &c, "--glass", "5mm", "--mirrors", "2"]));
     refused(2, "--glass <5mm>", &rig(&[&sample("mirror"), "--tank", "254x254x267mm"]));
     refused(2, "expected 0 to 50", &rig(&[&sample("mirror"), "--glass", "5mm", "--temperature", "99"]));
-    refused(2, "no surface `wall`", &rig(&[&sample("mirror"), "--glass", "5mm", "--distance", "wall=1264mm:2mm"]));
-    refused(3, "1 mirrors are seen", &rig(&[&sample("mirror"), "--glass", "5mm", "--mirrors", "2"]));
+    refused(2, "no surface `wall`", &rig(&[&a, &b, &c, "--glass", "5mm", "--distance", "wall=1264mm:2mm"]));
 }
