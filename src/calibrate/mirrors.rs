@@ -14,7 +14,7 @@
 
 use super::board::Board;
 use super::bundle::{Bundle, Corner, NoSolution, Solution};
-use super::camera::{UsedPicture, rms, worst};
+use super::camera::{UsedPicture, list, rms, worst};
 use super::geometry::{Geometry, Parameter};
 use super::known::Known;
 use super::start::{BoardsPicture, Start, Unusable, start};
@@ -117,10 +117,6 @@ pub enum RigCalibrationError {
     /// The adjustment failed.
     #[error("the rig cannot be determined: {0}")]
     Solve(#[from] NoSolution),
-}
-
-fn list(left_out: &[(String, String)]) -> String {
-    left_out.iter().map(|(name, why)| format!("\n  {name}: {why}")).collect()
 }
 
 /// Calibrates mirrors and walls.

@@ -66,6 +66,16 @@ pub enum Unusable {
     /// One image only.
     #[error("it shows the board only once, and a mirror needs it twice")]
     Once,
+    /// Images that are not sharp.
+    #[error(
+        "it is blurred: edges {edge_px:.0} px wide on squares of {square_px:.0} px; hold the board still, focus, more light"
+    )]
+    Blurred {
+        /// From dark to light.
+        edge_px: f64,
+        /// Side of a square.
+        square_px: f64,
+    },
     /// Two images that are no reflections of each other.
     #[error(
         "its images of the board are no reflections of one another (lines between their corners are {:.0}° from \
@@ -95,6 +105,10 @@ pub(super) fn start(board: &Board, lens: &Lens, pictures: &[BoardsPicture], mirr
     let mut direct: Vec<(usize, Image)> = Vec::new();
     let mut reflections: Vec<Reflection> = Vec::new();
     for (picture, images) in pictures.iter().enumerate() {
+        if let Some(&BoardImage { edge_px, square_px, .. }) = images.images.iter().find(|image| image.is_blurred()) {
+            left_out.push((picture, Unusable::Blurred { edge_px, square_px }));
+            continue;
+        }
         let mut posed = Vec::new();
         for image in &images.images {
             let corners = ordered(&places, image, None);

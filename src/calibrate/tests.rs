@@ -352,8 +352,16 @@ fn a_lens_is_found_and_pictures_that_mislead_are_left_out_by_name() {
         pixel.x += 2.0 * (*i as f64).sin();
     }
     pictures.push(bent);
-    let found = calibrate_camera(&board(), &pictures).unwrap();
+    let mut shaken = air(&[[-0.3, 0.2, 0.0]], 0.05).remove(0);
+    shaken.name = "shaken.png".into();
+    shaken.image.edge_px = 16.0;
+    pictures.insert(0, shaken);
+    let mut found = calibrate_camera(&board(), &pictures).unwrap();
     assert_eq!(found.used.len(), 8);
+    assert_eq!(
+        found.left_out.remove(0).1.to_string(),
+        "it is blurred: edges 16 px wide on squares of 40 px; hold the board still, focus, more light"
+    );
     assert_eq!(found.left_out[0], ("again.png".into(), LeftOut::Duplicate("3.png".into())));
     assert!(matches!(&found.left_out[1], (name, LeftOut::Off { .. }) if name == "bent.png"), "{:?}", found.left_out);
     for (axis, truth) in lens().focal_px.iter().enumerate() {
@@ -370,10 +378,10 @@ fn a_lens_is_found_and_pictures_that_mislead_are_left_out_by_name() {
 #[test]
 fn sets_that_leave_the_lens_open_are_refused_with_the_reason() {
     let error = |pictures: &[BoardPicture]| calibrate_camera(&board(), pictures).unwrap_err();
-    assert!(matches!(error(&air(&TILTS[..3], 0.05)), CameraError::TooFew { found: 3 }));
-    assert!(matches!(error(&[]), CameraError::TooFew { found: 0 }));
+    assert!(matches!(error(&air(&TILTS[..3], 0.05)), CameraError::TooFew { found: 3, .. }));
+    assert!(matches!(error(&[]), CameraError::TooFew { found: 0, .. }));
     let same = vec![air(&TILTS[..1], 0.0).remove(0); 9];
-    assert!(matches!(error(&same), CameraError::TooFew { found: 1 }));
+    assert!(matches!(error(&same), CameraError::TooFew { found: 1, .. }));
     let parallel = error(&air(&[[0.05, 0.03, 0.0]; 8], 0.05));
     assert!(matches!(parallel, CameraError::Parallel { .. } | CameraError::Open { .. }), "{parallel}");
     let mut mixed = air(&TILTS, 0.05);
