@@ -18,7 +18,9 @@ pub mod grey;
 pub mod known;
 pub mod markers;
 pub mod mirrors;
+mod regions;
 pub mod start;
+mod taped;
 #[cfg(test)]
 mod tests;
 mod tune;

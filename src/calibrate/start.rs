@@ -172,13 +172,17 @@ pub(super) fn start(board: &Board, lens: &Lens, pictures: &[BoardsPicture], mirr
 }
 
 /// Places and pixels of an image's corners; `order` says which corner stands at each index.
-fn ordered(places: &[Point3<f64>], image: &BoardImage, order: Option<&[usize]>) -> Vec<(Point3<f64>, Point2<f64>)> {
+pub(super) fn ordered(
+    places: &[Point3<f64>],
+    image: &BoardImage,
+    order: Option<&[usize]>,
+) -> Vec<(Point3<f64>, Point2<f64>)> {
     let corner = |i: usize| order.map_or(Some(i), |order| order.get(i).copied());
     image.corners.iter().filter_map(|(i, pixel)| Some((*places.get(corner(*i)?)?, *pixel))).collect()
 }
 
 /// Pose of a board from one image, as if in air: OpenCV's `solvePnP` on undistorted corners.
-fn pose(lens: &Lens, corners: &[(Point3<f64>, Point2<f64>)]) -> opencv::Result<Isometry3<f64>> {
+pub(super) fn pose(lens: &Lens, corners: &[(Point3<f64>, Point2<f64>)]) -> opencv::Result<Isometry3<f64>> {
     let seen = || corners.iter().filter_map(|(place, pixel)| Some((place, lens.undistort(pixel)?)));
     let objects: Vector<Point3f> = seen().map(|(p, _)| Point3f::new(p.x as f32, p.y as f32, p.z as f32)).collect();
     let images: Vector<Point2f> = seen().map(|(_, n)| Point2f::new(n.x as f32, n.y as f32)).collect();
