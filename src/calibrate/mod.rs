@@ -7,7 +7,7 @@
 //!
 //! The first two stand on [`board`] (corners in a picture, [`grey`]), [`geometry`] (lens and surfaces as parameters),
 //! [`bundle`] (the adjustment, with what is [`known`] beside the pictures) and [`mod@start`] (its first guess);
-//! [`mod@verdict`] says how well the result will measure.
+//! [`mod@verdict`] says how well the result will measure, [`mod@held_out`] checks it on lengths.
 
 mod around;
 pub mod base;
@@ -17,6 +17,7 @@ pub mod camera;
 mod colours;
 pub mod geometry;
 pub mod grey;
+pub mod held_out;
 pub mod known;
 pub mod markers;
 pub mod mirrors;
