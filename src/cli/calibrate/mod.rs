@@ -83,7 +83,7 @@ impl FromStr for Length {
 }
 
 /// Refuses, before any work, to write where nothing can be written, or over what is no rig.
-fn can_be_written(out: &Path) -> Result<(), Failure> {
+pub(super) fn can_be_written(out: &Path) -> Result<(), Failure> {
     let refused = |what: &str| Err(usage(format!("{}: {what}", out.display())));
     let folder = out.parent().filter(|folder| *folder != Path::new(""));
     if folder.is_some_and(|folder| !folder.is_dir()) {
@@ -100,13 +100,19 @@ fn can_be_written(out: &Path) -> Result<(), Failure> {
 }
 
 /// Writes the rig; what was there before is kept beside it as .bak.
-fn save(rig: &Draft, path: &Path) -> Result<(), Failure> {
+pub(super) fn save(rig: &Draft, path: &Path) -> Result<(), Failure> {
     if path.exists() {
         let mut backup = path.as_os_str().to_owned();
         backup.push(".bak");
         std::fs::copy(path, &backup).map_err(|source| RigError::Write { file: backup.into(), source })?;
     }
     Ok(rig.save(path)?)
+}
+
+/// What a new lens takes from a rig, in words.
+pub(super) fn left_out(old: &Draft) -> Option<&'static str> {
+    let something = !old.surfaces.is_empty() || !old.views.is_empty() || old.base.is_some();
+    something.then_some("mirror, walls, views and base frame of the old file were found with the old lens and are left out")
 }
 
 fn usage(text: String) -> Failure {
