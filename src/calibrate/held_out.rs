@@ -176,7 +176,10 @@ mod tests {
             let (edges, diagonals) = (Off::of(&held.edges).unwrap(), Off::of(&held.diagonals).unwrap());
             assert_eq!((edges.count, diagonals.count, held.rays_m.len()), (4 * 4 + 5 * 3, 2, 20));
             assert!((edges.nominal_m - 0.016).abs() < 1e-12 && (diagonals.nominal_m - 0.080).abs() < 1e-12);
-            assert!(edges.largest_m < 1e-8 && diagonals.largest_m < 1e-8 && held.scale.unwrap().abs() < 1e-7, "{edges:?}");
+            assert!(
+                edges.largest_m < 1e-8 && diagonals.largest_m < 1e-8 && held.scale.unwrap().abs() < 1e-7,
+                "{edges:?}"
+            );
             assert!(held.rays_m.iter().all(|d| *d < 1e-8));
         }
     }

@@ -117,11 +117,8 @@ fn cards(verdict: Option<&Verdict>, held: &[Result<HeldOut, NoSolution>]) -> Str
 }
 
 fn which_matters(verdict: &Verdict) -> String {
-    let [(relative, _), (absolute, _), (random, _)] = [
-        verdict.median_and_worst(relative),
-        verdict.median_and_worst(absolute),
-        verdict.median_and_worst(random),
-    ];
+    let [(relative, _), (absolute, _), (random, _)] =
+        [verdict.median_and_worst(relative), verdict.median_and_worst(absolute), verdict.median_and_worst(random)];
     let (direction, weakest_m) = verdict.weakest;
     let why = if absolute > 5.0 * relative {
         format!(
@@ -200,8 +197,10 @@ fn over_the_volume(done: &RigCalibration, verdict: &Verdict) -> String {
         plot("plot-relative", "Base frame (relative)", relative),
         plot("plot-absolute", "Camera frame (absolute)", absolute),
         table(1, &["Expected error (1σ)", "Median (mm)", "Worst (mm)", "Worst place (mm)"], &rows),
-        bad("in the base frame, an end of the volume where the catheter will be much worse than the middle: no board was there. \
-             The volume reaches as far as the boards; outside it nothing is promised."),
+        bad(
+            "in the base frame, an end of the volume where the catheter will be much worse than the middle: no board was there. \
+             The volume reaches as far as the boards; outside it nothing is promised."
+        ),
     )
 }
 
@@ -225,7 +224,8 @@ fn held_out(done: &RigCalibration, held: &[Result<HeldOut, NoSolution>]) -> Stri
          with that rig as the tracker would. The lengths on the board are known: this check needs no model of the errors.</p>\n"
         .to_owned();
     let (Some(edges), Some(diagonals)) = (edges, diagonals) else {
-        return text + "<p class=\"note\">Without any one of its pictures the rig is open: there is nothing to check it with.</p>\n";
+        return text
+            + "<p class=\"note\">Without any one of its pictures the rig is open: there is nothing to check it with.</p>\n";
     };
     let times = (edges.rms_m / edges.noise_m).max(diagonals.rms_m / diagonals.noise_m);
     let judged = if times < BEYOND_NOISE.0 {
@@ -283,16 +283,8 @@ fn better(verdict: &Verdict) -> String {
          <code>--distance NAME=…:…</code>.</p>\n",
         in_words(&direction),
         mm(sd_m),
-        table(
-            1,
-            &["With", "Base frame (mm)", "Camera frame (mm)"],
-            &rows(verdict.helpful_relative(), false)
-        ),
-        table(
-            1,
-            &["With", "Camera frame (mm)", "Base frame (mm)"],
-            &rows(verdict.helpful_absolute(), true)
-        )
+        table(1, &["With", "Base frame (mm)", "Camera frame (mm)"], &rows(verdict.helpful_relative(), false)),
+        table(1, &["With", "Camera frame (mm)", "Base frame (mm)"], &rows(verdict.helpful_absolute(), true))
     )
 }
 
@@ -322,8 +314,10 @@ fn residuals(done: &RigCalibration) -> String {
          times</strong> too long. Bold: means of neighbouring corners, as many times too long. Hover for the picture.</p>\n\
          <div class=\"pair\">\n{plots}</div>\n{}\
          <h3>Picture by picture</h3>\n{}",
-        bad("bold arrows that follow one another, around the middle or towards an edge: the lens, a mirror or a wall is not what the \
-             rig takes it for. Noise has short bold arrows in all directions."),
+        bad(
+            "bold arrows that follow one another, around the middle or towards an edge: the lens, a mirror or a wall is not what the \
+             rig takes it for. Noise has short bold arrows in all directions."
+        ),
         figure("plot-pictures", &figures::by_picture(done, &views), 330, false)
     ) + &bad("one picture or one view standing above the others.")
 }
@@ -341,7 +335,9 @@ fn parameters(done: &RigCalibration) -> String {
     let told: Vec<String> = strong
         .iter()
         .take(STRONG.1)
-        .filter_map(|(r, j, i)| Some(format!("{} and {} ({})", escape(names.get(*j)?), escape(names.get(*i)?), signed(*r, 2))))
+        .filter_map(|(r, j, i)| {
+            Some(format!("{} and {} ({})", escape(names.get(*j)?), escape(names.get(*i)?), signed(*r, 2)))
+        })
         .collect();
     let told = if told.is_empty() {
         "No two are tied closely.".to_owned()

@@ -91,9 +91,9 @@ pub(super) fn lens(solution: &Solution) -> String {
         .zip(Parameter::LENS)
         .enumerate()
         .map(|(i, ((name, digits), parameter))| {
-            let was = before.as_ref().and_then(|(values, covariance)| {
-                Some((*values.get(i)?, covariance.get((i, i))?.sqrt()))
-            });
+            let was = before
+                .as_ref()
+                .and_then(|(values, covariance)| Some((*values.get(i)?, covariance.get((i, i))?.sqrt())));
             let cell = |value: Option<f64>| value.map_or("–".to_owned(), |v| signless(v, *digits));
             vec![
                 (*name).to_owned(),
@@ -128,9 +128,7 @@ pub(super) fn known(done: &RigCalibration) -> String {
         .map(|(known, chi2)| {
             let mm = |value_m: f64, sd_m: f64| format!("{:.2} ± {:.2} mm", value_m * 1e3, sd_m * 1e3);
             let (what, given, found, values) = match known {
-                Known::Lens { .. } => {
-                    ("the lens, all of it".to_owned(), "above".to_owned(), "above".to_owned(), 9.0)
-                }
+                Known::Lens { .. } => ("the lens, all of it".to_owned(), "above".to_owned(), "above".to_owned(), 9.0),
                 Known::Distance { surface, distance_m, sd_m } => (
                     format!("distance of {} from the camera", name(*surface)),
                     mm(*distance_m, *sd_m),
@@ -161,12 +159,7 @@ pub(super) fn known(done: &RigCalibration) -> String {
                 ),
                 Known::Taped { picture, surface, sd_m, .. } => {
                     let board = done.used.get(*picture).map_or(String::new(), |(_, used)| escape(&used.name));
-                    (
-                        format!("board of {board} flat on {}", name(*surface)),
-                        mm(0.0, *sd_m),
-                        "–".to_owned(),
-                        3.0,
-                    )
+                    (format!("board of {board} flat on {}", name(*surface)), mm(0.0, *sd_m), "–".to_owned(), 3.0)
                 }
             };
             let off = (chi2 / values).sqrt();

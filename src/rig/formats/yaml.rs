@@ -122,7 +122,10 @@ impl<'a> Node<'a> {
         }
         let items = self.value.as_vec().ok_or_else(|| self.wrong("numbers in [ ]"))?;
         let finite = |item| number(item).filter(|v| v.is_finite());
-        items.iter().map(|item| finite(item).ok_or_else(|| self.wrong(format!("numbers, {} is none", show(item))))).collect()
+        items
+            .iter()
+            .map(|item| finite(item).ok_or_else(|| self.wrong(format!("numbers, {} is none", show(item)))))
+            .collect()
     }
 }
 
