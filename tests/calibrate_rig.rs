@@ -129,7 +129,7 @@ fn the_sample_rig_is_found_within_its_predicted_deviations() {
     let printed = text(&output.stdout);
     assert!(printed.contains("12 of 12 pictures used"), "{printed}");
     assert!(printed.contains("weakest: everything together along"), "{printed}");
-    assert!(printed.contains("what would help most: the distance of front_wall"), "{printed}");
+    assert!(printed.contains("help most in the camera frame: the distance of front_wall"), "{printed}");
 
     // The lens of `calibrate camera` was not lost, and the old file is kept.
     assert_eq!(std::fs::read_to_string(folder.path().join("rig.toml.bak")).unwrap(), lens());
