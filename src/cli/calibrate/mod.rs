@@ -101,7 +101,8 @@ pub(super) fn save(rig: &Draft, path: &Path) -> Result<(), Failure> {
 /// What a new lens takes from a rig, in words.
 pub(super) fn left_out(old: &Draft) -> Option<&'static str> {
     let something = !old.surfaces.is_empty() || !old.views.is_empty() || old.base.is_some();
-    something.then_some("mirror, walls, views and base frame of the old file were found with the old lens and are left out")
+    something
+        .then_some("mirror, walls, views and base frame of the old file were found with the old lens and are left out")
 }
 
 fn usage(text: String) -> Failure {

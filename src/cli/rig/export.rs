@@ -89,7 +89,9 @@ fn frame(rig: &Draft, view: Option<&str>, first: u8) -> String {
             dlt::ORIGIN_M * 1e3
         ),
     };
-    format!("columns: {views}; mm in {frame}; pixels right and down, ({first}, {first}) in the centre of the top-left one")
+    format!(
+        "columns: {views}; mm in {frame}; pixels right and down, ({first}, {first}) in the centre of the top-left one"
+    )
 }
 
 fn same(a: &std::path::Path, b: &std::path::Path) -> bool {

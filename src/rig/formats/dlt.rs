@@ -53,9 +53,10 @@ fn coefficients(rig: &Draft, view: &View, first_pixel: f64, name: &Path) -> Resu
     };
     let lens = &rig.camera.lens;
     if lens.distortion != [0.0; 5] {
-        let expected = "zeros: DLT coefficients hold no distortion. Undistort the pictures with this lens, and export a rig \
+        let expected =
+            "zeros: DLT coefficients hold no distortion. Undistort the pictures with this lens, and export a rig \
                         whose distortion is zero"
-            .to_owned();
+                .to_owned();
         return wrong("camera.distortion".to_owned(), format!("{:?}", lens.distortion), expected);
     }
     let mut image_from_camera = Matrix4::identity();
@@ -85,7 +86,8 @@ fn coefficients(rig: &Draft, view: &View, first_pixel: f64, name: &Path) -> Resu
     let p = projection * image_from_camera * camera_from_world * millimetres;
     let depth_m = p.m34;
     if depth_m.abs() < LEAST_DEPTH_M {
-        let expected = format!("an origin of the frame before or behind the lens: it lies {depth_m:.1e} m from its plane");
+        let expected =
+            format!("an origin of the frame before or behind the lens: it lies {depth_m:.1e} m from its plane");
         return wrong(format!("view.{}", view.name), format!("{:?}", view.path), expected);
     }
     let p = p / depth_m;

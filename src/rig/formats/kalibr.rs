@@ -7,9 +7,8 @@ use std::path::Path;
 
 /// The cameras of a chain: `cam0`, `cam1`, …
 pub(super) fn cameras<'a>(root: &Node<'a>) -> Vec<(&'a str, Node<'a>)> {
-    let numbered = |name: &str| {
-        name.strip_prefix("cam").is_some_and(|n| !n.is_empty() && n.bytes().all(|b| b.is_ascii_digit()))
-    };
+    let numbered =
+        |name: &str| name.strip_prefix("cam").is_some_and(|n| !n.is_empty() && n.bytes().all(|b| b.is_ascii_digit()));
     root.entries().into_iter().filter(|(name, _)| numbered(name)).collect()
 }
 
