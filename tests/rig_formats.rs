@@ -1,5 +1,7 @@
 //! Cameras and views from and for other tools: as those write them, there and back, and what is refused.
 
+#![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test fails by panicking")]
+
 use catoptra::optics::Lens;
 use catoptra::rig::formats::{Format, dlt};
 use catoptra::rig::{Camera, Draft};
@@ -254,9 +256,9 @@ fn seen(l: &[f64], p: &Point3<f64>) -> Point2<f64> {
 }
 
 proptest! {
-    // From pixels on, so that every view sees the point; further left the second mirror of `twice` is missed.
+    // From pixels on, so that every view sees the point; further left and down the second mirror of `twice` is missed.
     #[test]
-    fn a_dlt_sees_what_the_view_sees(u in 640.0..1280.0, v in 0.0..1024.0, distance_m in 0.05..1.0) {
+    fn a_dlt_sees_what_the_view_sees(u in 640.0..1280.0, v in 0.0..512.0, distance_m in 0.05..1.0) {
         let name = Path::new("rig.toml");
         for text in [RIG.to_owned(), RIG.to_owned() + BASE] {
             let rig = rig(&text);
