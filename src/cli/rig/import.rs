@@ -61,6 +61,10 @@ pub(super) fn run(args: &ImportArgs, note: impl Fn(&str)) -> Result<(), Failure>
     ]);
     draft.provenance.insert("camera".into(), provenance.into());
     save(&draft, &args.out)?;
-    note(&format!("written: {}", args.out.display()));
+    note(&format!(
+        "written: {}; the lens came without uncertainties: `calibrate rig` takes it for exact, and its verdict knows \
+         nothing of the lens's errors",
+        args.out.display()
+    ));
     Ok(())
 }

@@ -29,8 +29,8 @@ enum Command {
     },
     /// Write the camera for OpenCV, ROS or Kalibr, or views as DLT coefficients
     #[command(after_help = "\
-opencv, ros and kalibr hold the camera alone: no mirror, no wall. dlt holds views with their mirrors, in
-millimetres, a column a view; neither walls nor distortion. What does not fit is refused (exit code 2).
+opencv, ros and kalibr hold the camera alone: no mirror, no wall. dlt holds views with their
+mirrors, in mm, a column a view, but no wall and no distortion. Exit code 2: it does not fit.
 Example:
   catoptra rig export calibration/dev_tank/rig.toml --format opencv -o camera.yml")]
     Export(export::ExportArgs),

@@ -116,9 +116,7 @@ fn from_matrices(root: &Node<'_>) -> Result<Camera, RigError> {
         return Err(matrix.wrong("a matrix of 3 x 3 numbers"));
     };
     if [skew, zero, a, b, one] != [0.0, 0.0, 0.0, 0.0, 1.0] {
-        return Err(matrix.wrong(format!(
-            "the form [fx, 0, cx, 0, fy, cy, 0, 0, 1], it is [{fx}, {skew}, {cx}, {zero}, {fy}, {cy}, {a}, {b}, {one}]"
-        )));
+        return Err(matrix.wrong("the form [fx, 0, cx, 0, fy, cy, 0, 0, 1]"));
     }
     let size = |names: &[&str]| root.need(names, "the size of the pictures in pixels")?.pixels();
     let size_px = [size(&["image_width", "width"])?, size(&["image_height", "height"])?];

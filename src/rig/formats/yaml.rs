@@ -143,6 +143,8 @@ fn show(value: &Yaml) -> String {
         Yaml::Integer(whole) => whole.to_string(),
         Yaml::Boolean(yes) => yes.to_string(),
         Yaml::Array(items) => format!("[{}]", items.iter().map(show).collect::<Vec<_>>().join(", ")),
+        // Of a matrix its numbers.
+        Yaml::Hash(_) if !value["data"].is_badvalue() => show(&value["data"]),
         Yaml::Hash(_) => "{…}".to_owned(),
         Yaml::Null | Yaml::BadValue | Yaml::Alias(_) => "nothing".to_owned(),
     }
