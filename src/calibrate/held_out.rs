@@ -17,6 +17,8 @@ use rayon::prelude::*;
 
 /// Lengths within this part of the shortest or the longest are edges of squares, or diagonals of the board.
 const SAME_LENGTH: f64 = 0.01;
+/// Lengths further off than so many times what noise explains are off by more; few lengths must be further off yet.
+const BEYOND_NOISE: f64 = 1.3;
 
 /// A length on the board.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -74,6 +76,11 @@ impl Off {
             mean_m: mean(&error),
             noise_m: mean(&|l| l.noise_sd_m.powi(2)).sqrt(),
         })
+    }
+
+    /// Whether they are off by more than noise, which makes an RMS scatter by 1/√(2·count) of itself.
+    pub fn beyond_noise(&self) -> bool {
+        self.rms_m > self.noise_m * BEYOND_NOISE.max(1.0 + 3.0 / (2.0 * self.count as f64).sqrt())
     }
 }
 
@@ -190,6 +197,7 @@ mod tests {
         let edges = Off::of(pictures.iter().flat_map(|p| &p.edges)).unwrap();
         assert_eq!(edges.count, 12 * 31);
         assert!((0.85..1.2).contains(&(edges.rms_m / edges.noise_m)), "{edges:?}");
+        assert!(!edges.beyond_noise());
         assert!(edges.noise_m > 2e-5 && edges.largest_m < 5.0 * edges.noise_m && edges.largest_m > 2.0 * edges.noise_m);
     }
 
@@ -207,6 +215,7 @@ mod tests {
         let scale = held.scale.unwrap();
         assert!((scale - 0.005).abs() < 1e-6, "{scale}");
         let edges = Off::of(&held.edges).unwrap();
+        assert!(edges.beyond_noise());
         assert!((edges.mean_m - 0.005 * edges.nominal_m).abs() < 1e-8);
     }
 

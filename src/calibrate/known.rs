@@ -103,6 +103,19 @@ impl Known {
         self.values(geometry, poses).iter().map(|v| v * v).sum()
     }
 
+    /// What it is, in words.
+    pub fn what(&self, geometry: &Geometry) -> String {
+        let name = |surface: &usize| geometry.surfaces.get(*surface).map_or("", |(name, _)| name.as_str());
+        match self {
+            Self::Lens { .. } => "the lens".to_owned(),
+            Self::Distance { surface, .. } => format!("the distance of {} from the camera", name(surface)),
+            Self::Square { surfaces: [a, b], .. } => format!("the angle between {} and {}", name(a), name(b)),
+            Self::Apart { surfaces: [a, b], .. } => format!("the distance from {} to {}", name(a), name(b)),
+            Self::IndexInside { .. } => "the index inside the walls".to_owned(),
+            Self::Taped { surface, .. } => format!("a board flat on {}", name(surface)),
+        }
+    }
+
     fn picture(&self) -> Option<usize> {
         match self {
             Self::Taped { picture, .. } => Some(*picture),

@@ -224,6 +224,7 @@ fn best(
     solution.geometry.views.truncate(1 + start.mirrors.len());
     solution.poses.truncate(start.pictures.len());
     solution.residuals_px.truncate(seen.len());
+    solution.known.retain(|known| !matches!(known, Known::Taped { .. }));
     Ok((solution, seen))
 }
 

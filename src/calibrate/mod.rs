@@ -7,7 +7,8 @@
 //!
 //! The first two stand on [`board`] (corners in a picture, [`grey`]), [`geometry`] (lens and surfaces as parameters),
 //! [`bundle`] (the adjustment, with what is [`known`] beside the pictures) and [`mod@start`] (its first guess);
-//! [`mod@verdict`] says how well the result will measure, [`mod@held_out`] checks it on lengths.
+//! [`mod@verdict`] says how well the result will measure, [`mod@held_out`] checks it on lengths,
+//! [`mod@doubts`] says what speaks against it.
 
 mod around;
 pub mod base;
@@ -15,6 +16,7 @@ pub mod board;
 pub mod bundle;
 pub mod camera;
 mod colours;
+pub mod doubts;
 pub mod geometry;
 pub mod grey;
 pub mod held_out;

@@ -346,3 +346,46 @@ fn information(
     let inverse = own.cholesky()?.inverse();
     Some((geometry - &coupling * inverse * coupling.transpose()) / solution.corner_sd_px.powi(2))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_twist_turns_neighbours_by_its_angle_times_their_distance() {
+        // A cube of 3 x 3 x 3 places 20 mm apart; one parameter twists it about z: by p radians for each metre along z.
+        let at = |i: usize| Point3::new((i % 3) as f64 - 1.0, (i / 3 % 3) as f64 - 1.0, (i / 9) as f64 - 1.0) * 0.02;
+        let places: Vec<Point3<f64>> = (0..27).map(at).collect();
+        let mut twist = DMatrix::zeros(81, 1);
+        for (i, place) in places.iter().enumerate() {
+            twist.fixed_view_mut::<3, 1>(3 * i, 0).copy_from(&(Vector3::z() * place.z).cross(&place.coords));
+        }
+        let relative = without_rigid_motion(&twist, &places).unwrap();
+        assert!((&relative - &twist).norm() < 1e-12, "a twist about the middle has no rigid motion in it");
+        let volume = Volume { places, absolute: twist.clone(), relative, random: Vec::new() };
+        let turns = volume.turns(&DMatrix::from_element(1, 1, 4.0));
+        assert_eq!(turns.len(), 3 * 18, "lines between neighbours along each axis");
+        // Along x or y at z = ±20 mm: turned by 2 x 0.02 about z, that is 0.04/√2 about one of two axes; in the middle, 0.
+        // Along z at a corner, 28 mm from the axis: sheared by 2 x 0.028.
+        let worst = turns.iter().copied().fold(0.0, f64::max);
+        assert!((worst - 2.0 * 0.02).abs() < 1e-12, "{worst}");
+        let count = |angle: f64| turns.iter().filter(|t| (**t - angle).abs() < 1e-12).count();
+        assert_eq!((count(0.0), count(0.04 / 2_f64.sqrt()), count(0.04)), (12 + 2, 24 + 8, 8));
+    }
+
+    #[test]
+    fn of_suggestions_that_do_much_the_same_the_best_is_told() {
+        let suggestion = |kind: &str, absolute_m, relative_m| Suggestion {
+            what: format!("{kind} {absolute_m}"),
+            kind: kind.into(),
+            absolute_m,
+            relative_m,
+        };
+        let all = [suggestion("a", 1.0, 9.0), suggestion("b", 2.0, 8.0), suggestion("a", 3.0, 7.0)];
+        let told = |error: fn(&Suggestion) -> f64| {
+            best_of_each(&all, error).into_iter().map(|s| s.what.clone()).collect::<Vec<_>>()
+        };
+        assert_eq!(told(|s| s.absolute_m), ["a 1", "b 2"]);
+        assert_eq!(told(|s| s.relative_m), ["a 3", "b 2"]);
+    }
+}

@@ -6,6 +6,7 @@ use super::pictures::{self, Searched};
 use super::{Length, can_be_written, save, usage};
 use catoptra::calibrate::board::Board;
 use catoptra::calibrate::camera::{BoardPicture, centred};
+use catoptra::calibrate::doubts::doubts;
 use catoptra::calibrate::geometry::Parameter;
 use catoptra::calibrate::held_out::{HeldOut, Off, held_out};
 use catoptra::calibrate::mirrors::{
@@ -142,6 +143,9 @@ pub(super) fn run(args: &RigArgs, print: impl Fn(&str) -> Result<(), Failure>) -
     let held = held_out(&done.solution, &done.corners);
     print(&describe(&searched, &done, judged.as_ref(), &options))?;
     print(&describe_held_out(held.iter().flatten()))?;
+    for doubt in doubts(&done, &held) {
+        print(&format!("doubt: {doubt}\n"))?;
+    }
     let page = calibration::page(&info(args, out, &searched), &done, judged.as_ref(), &held);
     let mut rig = into_draft(draft, &done);
     rig.provenance.insert("rig".into(), provenance(args, &searched, &done)?.into());

@@ -2,6 +2,7 @@
 
 use super::super::chart::{self, CURVE, INK, PALETTE, QUIET, css, css_faint, rounded};
 use super::super::page::escape;
+use crate::calibrate::doubts::{Neighbourhood, neighbourhoods};
 use crate::calibrate::mirrors::RigCalibration;
 use nalgebra::{DMatrix, Point2, Point3, Vector2};
 use plotly::common::{
@@ -10,9 +11,6 @@ use plotly::common::{
 use plotly::layout::{Annotation, AxisConstrain, BarMode, HoverMode, Margin, RangeMode};
 use plotly::{Bar, HeatMap, Plot, Scatter, Scatter3D};
 
-/// Neighbourhoods along the longer side of a view, and fewest corners for their mean to say something.
-const NEIGHBOURHOODS: f64 = 7.0;
-const FEWEST: usize = 6;
 /// A long residual is drawn this part of the view's longer side long.
 const DRAWN: f64 = 0.1;
 
@@ -76,25 +74,24 @@ pub(super) fn errors(errors_m: &[(Point3<f64>, f64)], boards: &[Vec<Point3<f64>>
     plot
 }
 
-/// A corner and its residual, pixels, with its picture's index.
-type Arrow = (usize, Point2<f64>, Vector2<f64>);
+/// A corner and its residual, pixels.
+pub(super) type Arrow = (Point2<f64>, Vector2<f64>);
 
-/// Corners of a view with their residuals.
-pub(super) fn arrows(done: &RigCalibration, view: usize) -> Vec<Arrow> {
-    let all = done.corners.iter().zip(&done.solution.residuals_px);
-    all.filter(|(c, _)| c.view == view).map(|(c, residual)| (c.picture, c.pixel, *residual)).collect()
+/// Indices of the pictures of a view's corners, in the order of [`residuals`](crate::calibrate::doubts::residuals).
+fn pictures(done: &RigCalibration, view: usize) -> impl Iterator<Item = usize> {
+    done.corners.iter().filter(move |c| c.view == view).map(|c| c.picture)
 }
 
 fn bounds(arrows: &[Arrow]) -> (Vector2<f64>, Vector2<f64>) {
     let bound = |pick: fn(f64, f64) -> f64, start: f64| {
-        arrows.iter().fold(Vector2::repeat(start), |b, (_, p, _)| b.zip_map(&p.coords, pick))
+        arrows.iter().fold(Vector2::repeat(start), |b, (p, _)| b.zip_map(&p.coords, pick))
     };
     (bound(f64::min, f64::INFINITY), bound(f64::max, f64::NEG_INFINITY))
 }
 
 /// How many times too long residuals are drawn, in all views: 1, 2 or 5 times a power of ten.
 pub(super) fn magnification(views: &[Vec<Arrow>]) -> f64 {
-    let mut lengths: Vec<f64> = views.iter().flatten().map(|(_, _, r)| r.norm()).collect();
+    let mut lengths: Vec<f64> = views.iter().flatten().map(|(_, r)| r.norm()).collect();
     lengths.sort_by(f64::total_cmp);
     let long = lengths.get(lengths.len() * 19 / 20).copied().unwrap_or_default().max(1e-9);
     let side = views.iter().map(|arrows| {
@@ -113,34 +110,8 @@ fn round_down(value: f64) -> f64 {
     [5.0, 2.0].into_iter().find(|step| value >= step * power).unwrap_or(1.0) * power
 }
 
-/// Means over neighbourhoods: middle, mean residual, number of corners.
-fn means(arrows: &[Arrow]) -> Vec<(Point2<f64>, Vector2<f64>, usize)> {
-    let (low, high) = bounds(arrows);
-    let side = ((high - low).max() / NEIGHBOURHOODS).max(1.0);
-    let mut cells = std::collections::BTreeMap::new();
-    for (_, place, residual) in arrows {
-        let at = (place.coords - low) / side;
-        let (sum, residuals, count) =
-            cells.entry((at.x as i64, at.y as i64)).or_insert((Vector2::zeros(), Vector2::zeros(), 0_usize));
-        *sum += place.coords;
-        *residuals += residual;
-        *count += 1;
-    }
-    let enough = cells.into_values().filter(|(.., count)| *count >= FEWEST);
-    enough.map(|(sum, residuals, n)| (Point2::from(sum / n as f64), residuals / n as f64, n)).collect()
-}
-
-/// How many times longer the means of neighbourhoods are than independent residuals of the same RMS would make them; `None`
-/// without neighbourhoods.
-pub(super) fn systematic(arrows: &[Arrow]) -> Option<f64> {
-    let means = means(arrows);
-    let mean_square = arrows.iter().map(|(_, _, r)| r.norm_squared()).sum::<f64>() / arrows.len().max(1) as f64;
-    let sum = means.iter().map(|(_, mean, n)| mean.norm_squared() * *n as f64).sum::<f64>();
-    (!means.is_empty() && mean_square > 0.0).then(|| (sum / means.len() as f64 / mean_square).sqrt())
-}
-
 /// Residuals of a view where they are in the picture, `times` too long; means of neighbourhoods in bold.
-pub(super) fn residuals(done: &RigCalibration, arrows: &[Arrow], times: f64) -> Plot {
+pub(super) fn residuals(done: &RigCalibration, view: usize, arrows: &[Arrow], times: f64) -> Plot {
     let (low, high) = bounds(arrows);
     let margin = (high - low).max() * 0.07;
     let range = |from: f64, to: f64| vec![rounded(from, 1).unwrap_or(0.0), rounded(to, 1).unwrap_or(1.0)];
@@ -176,7 +147,7 @@ pub(super) fn residuals(done: &RigCalibration, arrows: &[Arrow], times: f64) -> 
     let mut plot = chart::plot(layout);
     for (picture, (_, used)) in done.used.iter().enumerate() {
         let (mut x, mut y, mut texts) = (Vec::new(), Vec::new(), Vec::new());
-        for (_, from, residual) in arrows.iter().filter(|(own, ..)| *own == picture) {
+        for (_, (from, residual)) in pictures(done, view).zip(arrows).filter(|(own, _)| *own == picture) {
             let to = from + residual * times;
             x.extend([rounded(from.x, 1), rounded(to.x, 1), None]);
             y.extend([rounded(from.y, 1), rounded(to.y, 1), None]);
@@ -192,7 +163,7 @@ pub(super) fn residuals(done: &RigCalibration, arrows: &[Arrow], times: f64) -> 
                 .hover_template("%{fullData.name}: %{text}<extra></extra>"),
         );
     }
-    let coordinate = |k: usize| arrows.iter().map(|(_, p, _)| rounded(p[k], 1)).collect::<Vec<_>>();
+    let coordinate = |k: usize| arrows.iter().map(|(p, _)| rounded(p[k], 1)).collect::<Vec<_>>();
     plot.add_trace(
         Scatter::new(coordinate(0), coordinate(1))
             .mode(Mode::Markers)
@@ -201,8 +172,8 @@ pub(super) fn residuals(done: &RigCalibration, arrows: &[Arrow], times: f64) -> 
     );
     let (mut x, mut y) = (vec![rounded(left, 1), rounded(left + sample_px * times, 1), None], Vec::new());
     y.extend([rounded(below, 1), rounded(below, 1), None]);
-    for (middle, mean, _) in means(arrows) {
-        let to = middle + mean * times;
+    for Neighbourhood { middle, mean_px, .. } in neighbourhoods(arrows) {
+        let to = middle + mean_px * times;
         x.extend([rounded(middle.x, 1), rounded(to.x, 1), None]);
         y.extend([rounded(middle.y, 1), rounded(to.y, 1), None]);
     }
@@ -221,17 +192,20 @@ pub(super) fn by_picture(done: &RigCalibration, views: &[(String, Vec<Arrow>)]) 
     let names: Vec<String> = done.used.iter().map(|(_, used)| escape(&used.name)).collect();
     let axis = chart::value_axis("RMS of a coordinate (px)").range_mode(RangeMode::ToZero);
     // Names are no numbers, whatever they look like.
-    let pictures = chart::value_axis("").type_(plotly::layout::AxisType::Category).tick_angle(-40.0);
+    let each = chart::value_axis("").type_(plotly::layout::AxisType::Category).tick_angle(-40.0);
     let layout = chart::layout()
         .bar_mode(BarMode::Group)
-        .x_axis(pictures)
+        .x_axis(each)
         .y_axis(axis)
         .margin(Margin::new().left(64).right(16).top(28).bottom(80));
     let mut plot = chart::plot(layout);
     for (view, (name, arrows)) in views.iter().enumerate() {
         let rms = |picture: usize| {
-            let own: Vec<f64> =
-                arrows.iter().filter(|(of, ..)| *of == picture).map(|(_, _, r)| r.norm_squared()).collect();
+            let own: Vec<f64> = pictures(done, view)
+                .zip(arrows)
+                .filter(|(of, _)| *of == picture)
+                .map(|(_, (_, r))| r.norm_squared())
+                .collect();
             // A picture that this view does not show has no bar.
             rounded((own.iter().sum::<f64>() / (2 * own.len()) as f64).sqrt(), 4)
         };
@@ -293,22 +267,5 @@ mod tests {
             assert!((round_down(value) / round - 1.0).abs() < 1e-12, "{value}: {}", round_down(value));
         }
         assert_eq!((round_down(f64::NAN), round_down(0.0)), (1.0, 1.0));
-    }
-
-    #[test]
-    fn what_neighbours_have_in_common_is_told_from_noise() {
-        let mut state = 1_u64;
-        let mut noise = move || {
-            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-            ((state >> 33) as f64 / (1_u64 << 31) as f64 - 0.5) * 0.2
-        };
-        let mut field = |common: f64| -> Vec<Arrow> {
-            let at = |i: usize| Point2::new(100.0 + (i % 30) as f64 * 10.0, 50.0 + (i / 30) as f64 * 10.0);
-            let bent = |p: &Point2<f64>| Vector2::new((p.x / 60.0).sin(), 0.0) * common;
-            (0..900).map(|i| (0, at(i), bent(&at(i)) + Vector2::new(noise(), noise()))).collect()
-        };
-        let (even, bent) = (systematic(&field(0.0)).unwrap(), systematic(&field(0.1)).unwrap());
-        assert!((0.75..1.3).contains(&even) && bent > 2.0, "{even}, {bent}");
-        assert!(systematic(&field(0.0)[..3]).is_none());
     }
 }

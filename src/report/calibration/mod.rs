@@ -7,6 +7,7 @@ mod tables;
 
 use super::page::{self, bad, card, escape, facts_table, figure, plural, signed, table};
 use crate::calibrate::bundle::NoSolution;
+use crate::calibrate::doubts::{self, Doubt, doubts};
 use crate::calibrate::held_out::{HeldOut, Off};
 use crate::calibrate::mirrors::RigCalibration;
 use crate::calibrate::verdict::{Expected, Suggestion, Verdict};
@@ -14,8 +15,6 @@ use nalgebra::{Point3, Vector3};
 
 /// Suggestions shown of each kind.
 const SUGGESTIONS: usize = 5;
-/// Lengths further off than so many times what noise explains, and neighbours that have so much in common, are no noise.
-const BEYOND_NOISE: (f64, f64) = (1.3, 2.0);
 /// Correlations told in words: those at least so strong, at most so many.
 const STRONG: (f64, usize) = (0.9, 6);
 
@@ -38,7 +37,7 @@ pub fn page(
     held: &[Result<HeldOut, NoSolution>],
 ) -> String {
     // The answer comes first, then what it rests on, then what would make it better, then where it came from.
-    let mut body = header(info, verdict);
+    let mut body = header(info, verdict, &doubts(done, held));
     body += &cards(verdict, held);
     if let Some(verdict) = verdict {
         body += &which_matters(verdict);
@@ -72,7 +71,7 @@ fn random(e: &Expected) -> f64 {
     e.random_m
 }
 
-fn header(info: &CalibrationInfo, verdict: Option<&Verdict>) -> String {
+fn header(info: &CalibrationInfo, verdict: Option<&Verdict>, doubts: &[Doubt]) -> String {
     let answer = verdict.map_or_else(
         || "The boards fill no volume that two views see: how well positions will be known cannot be said.".to_owned(),
         |v| {
@@ -88,8 +87,17 @@ fn header(info: &CalibrationInfo, verdict: Option<&Verdict>) -> String {
             )
         },
     );
+    let doubted: String = doubts.iter().map(|doubt| format!("<li>{}</li>\n", escape(&doubt.to_string()))).collect();
+    let doubted = if doubts.is_empty() {
+        String::new()
+    } else {
+        format!(
+            "<div class=\"doubts\"><p><strong>Do not rely on these numbers yet.</strong> They suppose that only noise is wrong \
+             with the corners, and here more is:</p>\n<ul>\n{doubted}</ul></div>\n"
+        )
+    };
     format!(
-        "<header>\n<p class=\"kind\">Catoptra calibration of a rig</p>\n<h1>{}</h1>\n<p class=\"verdict\">{answer}</p>\n</header>\n",
+        "<header>\n<p class=\"kind\">Catoptra calibration of a rig</p>\n<h1>{}</h1>\n<p class=\"verdict\">{answer}</p>\n{doubted}</header>\n",
         escape(&info.rig)
     )
 }
@@ -105,12 +113,11 @@ fn cards(verdict: Option<&Verdict>, held: &[Result<HeldOut, NoSolution>]) -> Str
         cards += &card("Angles", &degrees(median), &format!("worst {}", degrees(worst)), false);
     }
     if let Some(edges) = Off::of(held.iter().flatten().flat_map(|h| &h.edges)) {
-        let beyond = edges.rms_m > BEYOND_NOISE.0 * edges.noise_m;
         cards += &card(
             &format!("Held-out {:.1} mm lengths", edges.nominal_m * 1e3),
             &mm(edges.rms_m),
             &format!("noise {}", mm(edges.noise_m)),
-            beyond,
+            edges.beyond_noise(),
         );
     }
     format!("<dl class=\"key\">\n{cards}</dl>\n")
@@ -124,7 +131,7 @@ fn which_matters(verdict: &Verdict) -> String {
         format!(
             " It is so much larger because the pictures tell least where the volume as a whole is {}: that direction alone \
              is open by {}. All places shift by it together; no displacement and no angle sees it.",
-            in_words(&direction),
+            in_words(&direction).map_or_else(|| along(&direction), str::to_owned),
             mm(weakest_m)
         )
     } else {
@@ -158,15 +165,20 @@ fn which_matters(verdict: &Verdict) -> String {
     )
 }
 
-/// A direction of the camera frame in words, with its numbers where it is none of the axes.
-fn in_words(direction: &Vector3<f64>) -> String {
+/// A direction of the camera frame in words, where it is one of the axes.
+fn in_words(direction: &Vector3<f64>) -> Option<&'static str> {
     let names = ["to the left or right", "up or down", "along the line of sight"];
     let axis = direction.iamax();
-    if let (Some(name), true) = (names.get(axis), direction[axis].abs() > 0.9) {
-        return (*name).to_owned();
-    }
+    names.get(axis).copied().filter(|_| direction[axis].abs() > 0.9)
+}
+
+/// The same, with its numbers.
+fn along(direction: &Vector3<f64>) -> String {
     let [x, y, z] = [direction.x, direction.y, direction.z].map(|c| signed(c, 2));
-    format!("along ({x}, {y}, {z}) of the camera frame")
+    match in_words(direction) {
+        Some(words) => format!("{words}, ({x}, {y}, {z})"),
+        None => format!("along ({x}, {y}, {z}) of the camera frame"),
+    }
 }
 
 fn over_the_volume(done: &RigCalibration, verdict: &Verdict) -> String {
@@ -227,14 +239,10 @@ fn held_out(done: &RigCalibration, held: &[Result<HeldOut, NoSolution>]) -> Stri
         return text
             + "<p class=\"note\">Without any one of its pictures the rig is open: there is nothing to check it with.</p>\n";
     };
-    let times = (edges.rms_m / edges.noise_m).max(diagonals.rms_m / diagonals.noise_m);
-    let judged = if times < BEYOND_NOISE.0 {
-        "That is what the noise of the corners explains: nothing else is wrong that lengths could show.".to_owned()
+    let judged = if edges.beyond_noise() || diagonals.beyond_noise() {
+        "That is more than the noise of the corners explains."
     } else {
-        format!(
-            "That is up to {times:.1} times what the noise of the corners explains: a board, a mirror or a wall that is not \
-             flat, an object in the water that the rig does not know, or corners that are off together."
-        )
+        "Nothing but the noise of the corners shows in them."
     };
     let scales: Vec<f64> = good().filter_map(|h| h.scale).collect();
     let scale = scales.iter().sum::<f64>() / scales.len().max(1) as f64;
@@ -262,7 +270,6 @@ fn held_out(done: &RigCalibration, held: &[Result<HeldOut, NoSolution>]) -> Stri
 
 fn better(verdict: &Verdict) -> String {
     let (direction, sd_m) = verdict.weakest;
-    let [x, y, z] = [direction.x, direction.y, direction.z].map(|c| signed(c, 2));
     let (now_absolute, now_relative) = (verdict.median_and_worst(absolute).0, verdict.median_and_worst(relative).0);
     let rows = |list: Vec<&Suggestion>, absolute_first: bool| -> Vec<Vec<String>> {
         let row = |name: String, absolute_m: f64, relative_m: f64| {
@@ -275,13 +282,13 @@ fn better(verdict: &Verdict) -> String {
     };
     format!(
         "<h2>What would make it better</h2>\n\
-         <p>Least known is where everything together is along ({x}, {y}, {z}) of the camera frame, that is {}: by {}. Below, \
-         what the median errors would be with one thing more, best first: a measured distance, or one picture more. Of pictures \
+         <p>Least known is where everything together is {}: open by {}. Below, what the median errors \
+         would be with one thing more, best first: a measured distance, or one picture more. Of pictures \
          with the board tilted alike, only the best is named.</p>\n\
          <h3>For the base frame</h3>\n{}<h3>For the camera frame</h3>\n{}\
          <p class=\"note\">Distances are those of a surface’s plane from the lens’s centre, along the plane’s normal; give them with \
          <code>--distance NAME=…:…</code>.</p>\n",
-        in_words(&direction),
+        along(&direction),
         mm(sd_m),
         table(1, &["With", "Base frame (mm)", "Camera frame (mm)"], &rows(verdict.helpful_relative(), false)),
         table(1, &["With", "Camera frame (mm)", "Base frame (mm)"], &rows(verdict.helpful_absolute(), true))
@@ -290,17 +297,16 @@ fn better(verdict: &Verdict) -> String {
 
 fn residuals(done: &RigCalibration) -> String {
     let names = done.solution.geometry.views.iter().map(|(name, _)| name.clone());
-    let views: Vec<_> = names.enumerate().map(|(view, name)| (name, figures::arrows(done, view))).collect();
+    let views: Vec<_> = names.enumerate().map(|(view, name)| (name, doubts::residuals(done, view))).collect();
     let times = figures::magnification(&views.iter().map(|(_, arrows)| arrows.clone()).collect::<Vec<_>>());
     let plots: String = views
         .iter()
         .enumerate()
         .map(|(view, (name, arrows))| {
-            let common = figures::systematic(arrows).map_or("too few corners for means".to_owned(), |times| {
-                let loud = if times > BEYOND_NOISE.1 { ": more than noise" } else { "" };
-                format!("means {times:.1} times as long as noise makes them{loud}")
+            let common = doubts::together(arrows).map_or("too few corners for means".to_owned(), |times| {
+                format!("means {times:.1} times as long as noise makes them")
             });
-            let plot = figures::residuals(done, arrows, times);
+            let plot = figures::residuals(done, view, arrows, times);
             format!(
                 "<div><h3>{}: {common}</h3>\n{}</div>\n",
                 escape(name),
@@ -353,7 +359,7 @@ fn parameters(done: &RigCalibration) -> String {
          matters of both together well. {told}</p>\n{}",
         tables::surfaces(solution),
         tables::lens(solution),
-        tables::known(done),
+        tables::known(solution),
         figure("plot-correlations", &figures::correlations(&names, &correlations), height, false)
     )
 }
@@ -417,8 +423,8 @@ mod tests {
 
     #[test]
     fn directions_in_words() {
-        assert_eq!(in_words(&Vector3::new(0.05, -0.04, 0.99)), "along the line of sight");
-        assert_eq!(in_words(&Vector3::new(-0.95, 0.2, 0.1)), "to the left or right");
-        assert_eq!(in_words(&Vector3::new(0.6, -0.5, 0.62)), "along (+0.60, −0.50, +0.62) of the camera frame");
+        assert_eq!(along(&Vector3::new(0.05, -0.04, 0.99)), "along the line of sight, (+0.05, −0.04, +0.99)");
+        assert_eq!(in_words(&Vector3::new(-0.95, 0.2, 0.1)), Some("to the left or right"));
+        assert_eq!(along(&Vector3::new(0.6, -0.5, 0.62)), "along (+0.60, −0.50, +0.62) of the camera frame");
     }
 }

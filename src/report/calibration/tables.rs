@@ -2,14 +2,12 @@
 
 use super::super::page::{escape, signed, table};
 use crate::calibrate::bundle::{NoSolution, Solution};
+use crate::calibrate::doubts::{CONTRADICTS, contradiction};
 use crate::calibrate::geometry::{Geometry, Parameter};
 use crate::calibrate::held_out::{HeldOut, Length, Off};
 use crate::calibrate::known::Known;
 use crate::calibrate::mirrors::RigCalibration;
 use nalgebra::DMatrix;
-
-/// What is known and what came out differ by more than so many σ: the two contradict each other.
-const CONTRADICTS: f64 = 3.0;
 
 fn surface_name(geometry: &Geometry, surface: usize) -> &str {
     geometry.surfaces.get(surface).map_or("", |(name, _)| name.as_str())
@@ -117,62 +115,46 @@ fn signless(value: f64, digits: usize) -> String {
 }
 
 /// What was known beside the pictures, and whether they agree.
-pub(super) fn known(done: &RigCalibration) -> String {
-    let solution = &done.solution;
-    let (geometry, name) = (&solution.geometry, |surface: usize| escape(surface_name(&solution.geometry, surface)));
+pub(super) fn known(solution: &Solution) -> String {
+    let geometry = &solution.geometry;
     let offset_m = |surface: usize| geometry.value(Parameter::Offset { surface });
+    let normal = |surface: usize| geometry.surfaces.get(surface).map(|(_, s)| s.plane().normal());
+    let mm = |value_m: f64, sd_m: f64| format!("{:.2} ± {:.2} mm", value_m * 1e3, sd_m * 1e3);
     let rows: Vec<Vec<String>> = solution
         .known
         .iter()
-        .zip(&solution.known_chi2)
-        .map(|(known, chi2)| {
-            let mm = |value_m: f64, sd_m: f64| format!("{:.2} ± {:.2} mm", value_m * 1e3, sd_m * 1e3);
-            let (what, given, found, values) = match known {
-                Known::Lens { .. } => ("the lens, all of it".to_owned(), "above".to_owned(), "above".to_owned(), 9.0),
-                Known::Distance { surface, distance_m, sd_m } => (
-                    format!("distance of {} from the camera", name(*surface)),
-                    mm(*distance_m, *sd_m),
-                    format!("{:.2} mm", offset_m(*surface).abs() * 1e3),
-                    1.0,
-                ),
+        .map(|known| {
+            let (given, found) = match known {
+                Known::Lens { .. } => ("see above".to_owned(), "see above".to_owned()),
+                Known::Distance { surface, distance_m, sd_m } => {
+                    (mm(*distance_m, *sd_m), format!("{:.2} mm", offset_m(*surface).abs() * 1e3))
+                }
                 Known::Square { surfaces: [a, b], sd_rad } => {
-                    let normal = |surface: usize| geometry.surfaces.get(surface).map(|(_, s)| s.plane().normal());
                     let angle = normal(*a).zip(normal(*b)).map(|(a, b)| a.angle(&b).to_degrees());
-                    (
-                        format!("angle between {} and {}", name(*a), name(*b)),
-                        format!("90 ± {:.2}°", sd_rad.to_degrees()),
-                        angle.map_or("–".to_owned(), |angle| format!("{angle:.3}°")),
-                        1.0,
-                    )
+                    let found = angle.map_or("–".to_owned(), |angle| format!("{angle:.3}°"));
+                    (format!("90 ± {:.2}°", sd_rad.to_degrees()), found)
                 }
-                Known::Apart { surfaces: [a, b], distance_m, sd_m } => (
-                    format!("from {} to {}", name(*a), name(*b)),
-                    mm(*distance_m, *sd_m),
-                    format!("{:.2} mm", (offset_m(*a) + offset_m(*b)) * 1e3),
-                    1.0,
-                ),
-                Known::IndexInside { index, sd } => (
-                    "index of the water".to_owned(),
-                    format!("{index:.4} ± {sd:.4}"),
-                    format!("{:.4}", geometry.value(Parameter::IndexInside)),
-                    1.0,
-                ),
-                Known::Taped { picture, surface, sd_m, .. } => {
-                    let board = done.used.get(*picture).map_or(String::new(), |(_, used)| escape(&used.name));
-                    (format!("board of {board} flat on {}", name(*surface)), mm(0.0, *sd_m), "–".to_owned(), 3.0)
+                Known::Apart { surfaces: [a, b], distance_m, sd_m } => {
+                    (mm(*distance_m, *sd_m), format!("{:.2} mm", (offset_m(*a) + offset_m(*b)) * 1e3))
                 }
+                Known::IndexInside { index, sd } => {
+                    (format!("{index:.4} ± {sd:.4}"), format!("{:.4}", geometry.value(Parameter::IndexInside)))
+                }
+                Known::Taped { sd_m, .. } => (mm(0.0, *sd_m), "–".to_owned()),
             };
-            let off = (chi2 / values).sqrt();
-            let class = if off > CONTRADICTS { " class=\"miss\"" } else { "" };
-            vec![what, given, found, format!("<span{class}>{off:.2}</span>")]
+            let off = contradiction(solution, known).map_or("–".to_owned(), |off| {
+                let class = if off > CONTRADICTS { " class=\"miss\"" } else { "" };
+                format!("<span{class}>{off:.1}</span>")
+            });
+            vec![escape(&known.what(geometry)), given, found, off]
         })
         .collect();
     if rows.is_empty() {
         return String::new();
     }
     format!(
-        "<h3>What else was known</h3>\n<p>Off: how far what came out is from what was given, in σ of what was given (of several \
-         values, RMS). Above {CONTRADICTS} the pictures contradict it: measure again.</p>\n{}",
+        "<h3>What else was known</h3>\n<p>Off: how far what was given is from what everything else says, in σ of the two \
+         together. Above {CONTRADICTS} the pictures contradict it: measure again.</p>\n{}",
         table(1, &["What", "Given", "Came out", "Off (σ)"], &rows)
     )
 }
