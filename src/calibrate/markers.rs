@@ -492,8 +492,9 @@ mod tests {
     use crate::sink::fixture;
     use crate::source::{Clock, Colour, Picture, PixelFormat, Timestamp};
 
-    /// A white tube with three bands, 7 px wide, its edges blurred in linear light and stored as sRGB.
+    /// A white tube with three bands, 7 px wide, in 4:2:0; its edges are as soft as a lens makes them.
     fn hanging_on(ground: [f64; 3]) -> Frame {
+        const SIZE: [usize; 2] = [120, 280];
         let albedo = |y: f64| match y {
             30.0..43.0 => [0.45, 0.33, 0.04],
             190.0..215.0 => [0.04, 0.22, 0.06],
@@ -501,20 +502,32 @@ mod tests {
             _ => [0.62, 0.62, 0.63],
         };
         let encode = |light: f64| (1.055 * light.powf(1.0 / 2.4) - 0.055) * 255.0;
-        let pixel = |x: u32, y: u32| {
-            const FINE: u32 = 8;
+        let rgb = |x: usize, y: usize| {
             let mut light = [0.0; 3];
-            for k in 0..FINE * FINE {
-                let at = |k: u32| (f64::from(k) + 0.5) / f64::from(FINE) * 2.0 - 0.5;
-                let (px, py) = (f64::from(x) + at(k % FINE), f64::from(y) + at(k / FINE));
-                let seen = if (px - 60.0).abs() < 3.5 && (20.0..255.0).contains(&py) { albedo(py) } else { ground };
-                light.iter_mut().zip(seen).for_each(|(sum, v)| *sum += v / f64::from(FINE * FINE));
+            for k in 0..64 {
+                let at = |i: usize, k: usize| i as f64 + (k as f64 + 0.5) / 4.0 - 1.0;
+                let (px, py) = (at(x, k % 8), at(y, k / 8));
+                let seen = if (px - 60.2).abs() < 3.5 && (20.0..255.0).contains(&py) { albedo(py) } else { ground };
+                light.iter_mut().zip(seen).for_each(|(sum, v)| *sum += 0.6 * v / 64.0);
             }
-            light.map(|v| (encode(v) * 0.7) as u8)
+            light.map(encode)
         };
-        let bytes = (0..280).flat_map(|y| (0..120).flat_map(move |x| pixel(x, y))).collect();
-        let format = PixelFormat::RgbPacked { step: 3, order: [0, 1, 2] };
-        let picture = Picture::from_planes(120, 280, format, Colour::SRGB, vec![bytes]).unwrap();
+        let format = PixelFormat::Yuv { chroma_log2: [1, 1] };
+        let plane = |channel: usize| {
+            let step = if channel == 0 { 1 } else { 2 };
+            let (weights, constant) = Colour::SRGB.channel_from_rgb(format, channel);
+            let stored = |x, y| rgb(x, y).iter().zip(weights).map(|(v, w)| v * w).sum::<f64>() + constant;
+            let mean = |x: usize, y: usize| {
+                let near = (0..step * step).map(|k| stored(x * step + k % step, y * step + k / step));
+                (near.sum::<f64>() / (step * step) as f64).round() as u8
+            };
+            (0..SIZE[1] / step)
+                .flat_map(|y| (0..SIZE[0] / step).map(move |x| (x, y)))
+                .map(|(x, y)| mean(x, y))
+                .collect()
+        };
+        let planes = (0..3).map(plane).collect();
+        let picture = Picture::from_planes(SIZE[0] as u32, SIZE[1] as u32, format, Colour::SRGB, planes).unwrap();
         Frame { seq: 0, stamp: Timestamp { ns: 0, clock: Clock::Container }, gap: 0, picture }
     }
 
@@ -526,6 +539,11 @@ mod tests {
             let pick = |name: &str, y, length_m| Pick { name: name.into(), pixel: Point2::new(60.0, y), length_m };
             let picks = [pick("base", 36.0, 6e-3), pick("coil", 202.0, 12e-3), pick("tip", 248.0, 6e-3)];
             let rig = learn_first(&fixture::rig(), &picks, &frame).unwrap();
+            for marker in &rig.markers {
+                let model = marker.colour.unwrap();
+                let white = model.weights.sum() * 190.0 + model.bias;
+                assert!(white < 0.15, "{ground:?}: the tube scores {white:.2} as `{}`", marker.name);
+            }
             let mut segmenter = Segmenter::for_rig(&rig).unwrap();
             let blobs = segmenter.all_blobs(&frame.picture).unwrap();
             let found: Vec<(usize, u32, u32)> = blobs.iter().map(|b| (b.marker, b.bounds.y0, b.bounds.y1)).collect();

@@ -488,14 +488,15 @@ mod tests {
         }
     }
 
-    /// One view sees the lit side, the other one where light and dark meet.
+    /// Each view sees where light and dark meet. With the first harmonics of the light alone the tube is off by 15 to 20 µm.
     #[test]
     fn a_lamp_at_the_side_does_not_pull_the_tube() {
-        for lamp in [Vector3::new(-1.0, -0.3, 0.0), Vector3::new(0.9, 0.0, 0.5)] {
-            let tube = Tube { lamp, ..tube(Vector3::new(0.1, 1.0, 0.05)) };
+        for degrees in [30.0_f64, 120.0, 210.0, 240.0, 330.0] {
+            let (z, x) = degrees.to_radians().sin_cos();
+            let tube = Tube { lamp: Vector3::new(x, -0.3, z), ..tube(Vector3::new(0.1, 1.0, 0.05)) };
             let found = fit_drawn(&tube, &tube.draw(&views()), 0.0, 1).unwrap();
             let error = (found.shape.centre - tube.centre).norm();
-            assert!(error < 20e-6, "lamp {lamp:?}: {} mm", error * 1e3);
+            assert!(error < 10e-6, "lamp at {degrees}°: {:.1} µm", error * 1e6);
         }
     }
 
