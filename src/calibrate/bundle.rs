@@ -74,7 +74,9 @@ pub struct Solution {
     pub residuals_px: Vec<Vector2<f64>>,
     /// Noise of one coordinate of a corner, pixels.
     pub corner_sd_px: f64,
-    /// χ² of prior knowledge: each entry's deviation in its own standard deviations, squared.
+    /// What else was known.
+    pub known: Vec<Known>,
+    /// χ² of each entry of `known`: its deviation in its own standard deviations, squared.
     pub known_chi2: Vec<f64>,
 }
 
@@ -143,6 +145,7 @@ impl Bundle {
             poses: self.poses,
             residuals_px,
             corner_sd_px: sd_px,
+            known: self.known,
             known_chi2,
         })
     }
@@ -328,7 +331,7 @@ fn inverse(own: &Matrix6<f64>, damping: f64) -> Option<Matrix6<f64>> {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::super::geometry::tests::geometry;
     use super::*;
 
@@ -379,7 +382,7 @@ mod tests {
         vec![Known::Lens { values, whitening }, Known::Distance { surface: 0, distance_m, sd_m: 2e-3 }]
     }
 
-    fn bundle(truth: &Geometry, sd_px: f64, errors: f64, seed: u64) -> Bundle {
+    pub(in crate::calibrate) fn bundle(truth: &Geometry, sd_px: f64, errors: f64, seed: u64) -> Bundle {
         let mut random = gaussian(seed);
         let (poses, corners) = pictures(truth, sd_px, &mut random);
         let free: Vec<Parameter> = Parameter::LENS.into_iter().chain((0..3).flat_map(Parameter::of_surface)).collect();

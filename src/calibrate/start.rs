@@ -66,6 +66,16 @@ pub enum Unusable {
     /// One image only.
     #[error("it shows the board only once, and a mirror needs it twice")]
     Once,
+    /// Images that are not sharp.
+    #[error(
+        "it is blurred: edges {edge_px:.0} px wide on squares of {square_px:.0} px; hold the board still, focus, more light"
+    )]
+    Blurred {
+        /// From dark to light.
+        edge_px: f64,
+        /// Side of a square.
+        square_px: f64,
+    },
     /// Two images that are no reflections of each other.
     #[error(
         "its images of the board are no reflections of one another (lines between their corners are {:.0}° from \
@@ -95,6 +105,10 @@ pub(super) fn start(board: &Board, lens: &Lens, pictures: &[BoardsPicture], mirr
     let mut direct: Vec<(usize, Image)> = Vec::new();
     let mut reflections: Vec<Reflection> = Vec::new();
     for (picture, images) in pictures.iter().enumerate() {
+        if let Some(&BoardImage { edge_px, square_px, .. }) = images.images.iter().find(|image| image.is_blurred()) {
+            left_out.push((picture, Unusable::Blurred { edge_px, square_px }));
+            continue;
+        }
         let mut posed = Vec::new();
         for image in &images.images {
             let corners = ordered(&places, image, None);
@@ -158,13 +172,17 @@ pub(super) fn start(board: &Board, lens: &Lens, pictures: &[BoardsPicture], mirr
 }
 
 /// Places and pixels of an image's corners; `order` says which corner stands at each index.
-fn ordered(places: &[Point3<f64>], image: &BoardImage, order: Option<&[usize]>) -> Vec<(Point3<f64>, Point2<f64>)> {
+pub(super) fn ordered(
+    places: &[Point3<f64>],
+    image: &BoardImage,
+    order: Option<&[usize]>,
+) -> Vec<(Point3<f64>, Point2<f64>)> {
     let corner = |i: usize| order.map_or(Some(i), |order| order.get(i).copied());
     image.corners.iter().filter_map(|(i, pixel)| Some((*places.get(corner(*i)?)?, *pixel))).collect()
 }
 
 /// Pose of a board from one image, as if in air: OpenCV's `solvePnP` on undistorted corners.
-fn pose(lens: &Lens, corners: &[(Point3<f64>, Point2<f64>)]) -> opencv::Result<Isometry3<f64>> {
+pub(super) fn pose(lens: &Lens, corners: &[(Point3<f64>, Point2<f64>)]) -> opencv::Result<Isometry3<f64>> {
     let seen = || corners.iter().filter_map(|(place, pixel)| Some((place, lens.undistort(pixel)?)));
     let objects: Vector<Point3f> = seen().map(|(p, _)| Point3f::new(p.x as f32, p.y as f32, p.z as f32)).collect();
     let images: Vector<Point2f> = seen().map(|(_, n)| Point2f::new(n.x as f32, n.y as f32)).collect();

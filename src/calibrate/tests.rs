@@ -260,6 +260,53 @@ fn predicted_errors_in_space_are_those_really_made() {
     }
 }
 
+/// A board taped to each wall of the tank, the side wall's seen in the mirror: the front wall's distance is known as well as
+/// that of any board in air then, the side wall's as well as the mirror's, and rightly so.
+#[test]
+fn a_board_taped_to_a_wall_pins_it() {
+    let rig = beside_the_tank();
+    let mut random = gaussian(77);
+    let pictures = pictures(&rig, 10, 0.05, &mut random);
+    let (lens, covariance) = calibrated_lens(&mut random);
+    let taped = |wall: usize, path: Vec<usize>, turned: f64, random: &mut dyn FnMut() -> f64| {
+        let Surface::Wall(Wall { outer, .. }) = rig.geometry.surfaces[wall].1 else { panic!("no wall") };
+        // Its back lies on the wall: z of the board runs into it.
+        let about = UnitQuaternion::rotation_between(&Vector3::z(), &-outer.normal()).unwrap();
+        let near = Point3::from(rig.middle);
+        let middle = near - outer.normal() * outer.signed_distance(&near);
+        let turn = about * UnitQuaternion::from_scaled_axis(Vector3::z() * turned);
+        let pose = Isometry3::from_parts(Translation3::from(middle.coords), turn);
+        let mirrored = path.len() == 1;
+        let mut geometry = rig.geometry.clone();
+        geometry.views = vec![("taped".into(), path)];
+        let (places, order) = (centred(&board()), board().orders().remove(0));
+        let mut corner = |i: usize| {
+            let place = places[if mirrored { order[i] } else { i }];
+            let pixel = Projector::new(&geometry, &[]).pixel(0, &(pose * place)).unwrap();
+            (i, pixel + Vector2::new(random(), random()) * 0.05)
+        };
+        let corners = (0..places.len()).map(&mut corner).collect();
+        let image = BoardImage { corners, mirrored: None, square_px: 20.0, edge_px: 2.0, contrast: 100.0 };
+        BoardPicture { name: "taped.png".into(), size_px: SIZE_PX, image }
+    };
+    let taped = vec![
+        ("front_wall".to_owned(), taped(0, vec![], 0.2, &mut random)),
+        ("side_wall".to_owned(), taped(2, vec![1], -0.3, &mut random)),
+    ];
+    let options = RigOptions { lens_covariance: Some(covariance), taped, ..rig.options.clone() };
+    let found = calibrate_rig(&board(), &lens, &pictures, &options).unwrap();
+    assert_eq!(found.solution.geometry.views, rig.geometry.views);
+    assert_eq!(found.solution.residuals_px.len(), found.corners.len());
+    for (surface, limit_m) in [(0, 1.5e-3), (2, 5e-3)] {
+        let parameter = super::geometry::Parameter::Offset { surface };
+        let at = found.solution.free.iter().position(|p| *p == parameter).unwrap();
+        let sd = found.solution.covariance[(at, at)].sqrt();
+        let error = found.solution.geometry.value(parameter) - rig.geometry.value(parameter);
+        println!("{surface}: {:.3} mm off, σ {:.3} mm", error * 1e3, sd * 1e3);
+        assert!(sd < limit_m && error.abs() < 3.5 * sd, "surface {surface}: {error} m off, σ {sd} m");
+    }
+}
+
 #[test]
 fn images_are_sorted_into_views_whatever_their_order_and_number() {
     let rig = two_mirrors_in_air();
@@ -305,7 +352,7 @@ fn what_is_no_reflection_is_refused_by_name() {
     assert!(matches!(error(&two), RigCalibrationError::Mirrors { found: 1, expected: 2 }), "{}", error(&two));
     let nowhere = RigOptions { distances_m: vec![("front".into(), 1.0, 1e-3)], ..rig.options.clone() };
     let unknown = calibrate_rig(&board(), &lens(), &good, &nowhere).unwrap_err().to_string();
-    assert_eq!(unknown, "there is no surface `front` to be at a distance; there are mirror_1, mirror_2");
+    assert_eq!(unknown, "there is no surface `front`; there are mirror_1, mirror_2");
 }
 
 /// Boards in air at the given turns, each at its own place.
@@ -352,8 +399,16 @@ fn a_lens_is_found_and_pictures_that_mislead_are_left_out_by_name() {
         pixel.x += 2.0 * (*i as f64).sin();
     }
     pictures.push(bent);
-    let found = calibrate_camera(&board(), &pictures).unwrap();
+    let mut shaken = air(&[[-0.3, 0.2, 0.0]], 0.05).remove(0);
+    shaken.name = "shaken.png".into();
+    shaken.image.edge_px = 16.0;
+    pictures.insert(0, shaken);
+    let mut found = calibrate_camera(&board(), &pictures).unwrap();
     assert_eq!(found.used.len(), 8);
+    assert_eq!(
+        found.left_out.remove(0).1.to_string(),
+        "it is blurred: edges 16 px wide on squares of 40 px; hold the board still, focus, more light"
+    );
     assert_eq!(found.left_out[0], ("again.png".into(), LeftOut::Duplicate("3.png".into())));
     assert!(matches!(&found.left_out[1], (name, LeftOut::Off { .. }) if name == "bent.png"), "{:?}", found.left_out);
     for (axis, truth) in lens().focal_px.iter().enumerate() {
@@ -370,10 +425,10 @@ fn a_lens_is_found_and_pictures_that_mislead_are_left_out_by_name() {
 #[test]
 fn sets_that_leave_the_lens_open_are_refused_with_the_reason() {
     let error = |pictures: &[BoardPicture]| calibrate_camera(&board(), pictures).unwrap_err();
-    assert!(matches!(error(&air(&TILTS[..3], 0.05)), CameraError::TooFew { found: 3 }));
-    assert!(matches!(error(&[]), CameraError::TooFew { found: 0 }));
+    assert!(matches!(error(&air(&TILTS[..3], 0.05)), CameraError::TooFew { found: 3, .. }));
+    assert!(matches!(error(&[]), CameraError::TooFew { found: 0, .. }));
     let same = vec![air(&TILTS[..1], 0.0).remove(0); 9];
-    assert!(matches!(error(&same), CameraError::TooFew { found: 1 }));
+    assert!(matches!(error(&same), CameraError::TooFew { found: 1, .. }));
     let parallel = error(&air(&[[0.05, 0.03, 0.0]; 8], 0.05));
     assert!(matches!(parallel, CameraError::Parallel { .. } | CameraError::Open { .. }), "{parallel}");
     let mut mixed = air(&TILTS, 0.05);

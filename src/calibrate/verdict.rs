@@ -36,6 +36,19 @@ pub struct Expected {
     pub random_m: f64,
 }
 
+/// Something to add to a calibration, and the median errors over the volume then.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Suggestion {
+    /// What to add, in words.
+    pub what: String,
+    /// What it has in common with others that help much the same: the tilt of a board, or a surface.
+    pub kind: String,
+    /// Systematic error in the camera frame, metres.
+    pub absolute_m: f64,
+    /// Systematic error that no rigid motion of the volume takes out, metres.
+    pub relative_m: f64,
+}
+
 /// The verdict.
 #[derive(Debug, Clone)]
 pub struct Verdict {
@@ -45,18 +58,46 @@ pub struct Verdict {
     pub pixel_sd_px: f64,
     /// The direction in which the whole volume is least well placed, camera frame, unit, and how well, metres.
     pub weakest: (Vector3<f64>, f64),
-    /// What would help most, best first: what to add, and the median errors (absolute, relative) then.
-    pub helpful: Vec<(String, f64, f64)>,
+    /// Systematic errors of the angle between directions in different places, radians, median and worst: how differently the
+    /// geometry turns what lies between neighbouring places, about one axis across it.
+    pub angle_rad: (f64, f64),
+    /// What would help, the most for the camera frame first.
+    pub helpful: Vec<Suggestion>,
 }
 
 impl Verdict {
     /// Median and largest of one kind of error over the volume.
     pub fn median_and_worst(&self, of: impl Fn(&Expected) -> f64) -> (f64, f64) {
-        let mut sorted: Vec<f64> = self.expected.iter().map(of).collect();
-        sorted.sort_by(f64::total_cmp);
-        let at = |i: usize| sorted.get(i).copied().unwrap_or(f64::NAN);
-        (at(sorted.len() / 2), at(sorted.len().saturating_sub(1)))
+        median_and_worst(self.expected.iter().map(of).collect())
     }
+
+    /// The best of each kind for the base frame, best first.
+    pub fn helpful_relative(&self) -> Vec<&Suggestion> {
+        best_of_each(&self.helpful, |s| s.relative_m)
+    }
+
+    /// The best of each kind for the camera frame, best first.
+    pub fn helpful_absolute(&self) -> Vec<&Suggestion> {
+        best_of_each(&self.helpful, |s| s.absolute_m)
+    }
+}
+
+fn best_of_each(all: &[Suggestion], error: impl Fn(&Suggestion) -> f64) -> Vec<&Suggestion> {
+    let mut sorted: Vec<&Suggestion> = all.iter().collect();
+    sorted.sort_by(|a, b| error(a).total_cmp(&error(b)));
+    let mut kept: Vec<&Suggestion> = Vec::new();
+    for suggestion in sorted {
+        if kept.iter().all(|k| k.kind != suggestion.kind) {
+            kept.push(suggestion);
+        }
+    }
+    kept
+}
+
+fn median_and_worst(mut values: Vec<f64>) -> (f64, f64) {
+    values.sort_by(f64::total_cmp);
+    let at = |i: usize| values.get(i).copied().unwrap_or(f64::NAN);
+    (at(values.len() / 2), at(values.len().saturating_sub(1)))
 }
 
 /// How places answer to errors of the parameters.
@@ -76,11 +117,7 @@ pub fn verdict(solution: &Solution, corners: &[Corner], board: &[Point3<f64>]) -
     let filled: Vec<Point3<f64>> = corners.iter().map(|c| solution.poses[c.picture] * c.place).collect();
     let volume = Volume::of(&solution.geometry, &solution.free, &grid(&filled))?;
     let medians = |covariance: &DMatrix<f64>| {
-        let median = |k: &DMatrix<f64>| {
-            let mut sds = spreads(k, covariance);
-            sds.sort_by(f64::total_cmp);
-            sds.get(sds.len() / 2).copied().unwrap_or(f64::NAN)
-        };
+        let median = |k: &DMatrix<f64>| median_and_worst(spreads(k, covariance)).0;
         (median(&volume.absolute), median(&volume.relative))
     };
     let expected = volume
@@ -96,19 +133,20 @@ pub fn verdict(solution: &Solution, corners: &[Corner], board: &[Point3<f64>]) -
             random_m: random.trace().sqrt() * solution.corner_sd_px,
         })
         .collect();
-    let mut helpful: Vec<(String, f64, f64)> = candidates(solution, &volume.places, board)
+    let mut helpful: Vec<Suggestion> = candidates(solution, &volume.places, board)
         .into_iter()
-        .filter_map(|(what, information)| {
+        .filter_map(|Candidate { what, kind, information }| {
             let with = (solution.covariance.clone().cholesky()?.inverse() + information).cholesky()?.inverse();
-            let (absolute, relative) = medians(&with);
-            Some((what, absolute, relative))
+            let (absolute_m, relative_m) = medians(&with);
+            Some(Suggestion { what, kind, absolute_m, relative_m })
         })
         .collect();
-    helpful.sort_by(|a, b| a.1.total_cmp(&b.1));
+    helpful.sort_by(|a, b| a.absolute_m.total_cmp(&b.absolute_m));
     Some(Verdict {
         expected,
         pixel_sd_px: solution.corner_sd_px,
         weakest: volume.weakest(&solution.covariance),
+        angle_rad: median_and_worst(volume.turns(&solution.covariance)),
         helpful,
     })
 }
@@ -167,6 +205,30 @@ impl Volume {
         Some(Self { places: seen_places, absolute, relative, random })
     }
 
+    /// σ of the angle by which the line from each place to the next one of the grid is turned, without the common motion,
+    /// about one axis across it, radians.
+    fn turns(&self, covariance: &DMatrix<f64>) -> Vec<f64> {
+        let pairs = (0..self.places.len()).flat_map(|a| (a + 1..self.places.len()).map(move |b| (a, b)));
+        let apart = |(a, b): (usize, usize)| self.places[b] - self.places[a];
+        // Neighbours differ in one coordinate of the grid; of each axis, the nearest.
+        let along = |way: &Vector3<f64>| (0..3).find(|k| way.norm() - way[*k].abs() < 1e-9 * way.norm());
+        let mut step = [f64::INFINITY; 3];
+        for way in pairs.clone().map(apart) {
+            if let Some(axis) = along(&way) {
+                step[axis] = step[axis].min(way.norm());
+            }
+        }
+        pairs
+            .filter(|pair| along(&apart(*pair)).is_some_and(|k| apart(*pair).norm() < 1.5 * step[k]))
+            .map(|(a, b)| {
+                let way = apart((a, b));
+                let across = Matrix3::identity() - way.normalize() * way.normalize().transpose();
+                let turn = across * (self.relative.rows(3 * b, 3) - self.relative.rows(3 * a, 3)) / way.norm();
+                ((&turn * covariance).component_mul(&turn).sum().max(0.0) / 2.0).sqrt()
+            })
+            .collect()
+    }
+
     /// Principal direction of the volume's common displacement.
     fn weakest(&self, covariance: &DMatrix<f64>) -> (Vector3<f64>, f64) {
         let mut mean = DMatrix::zeros(3, self.absolute.ncols());
@@ -204,7 +266,13 @@ fn spreads(by_parameters: &DMatrix<f64>, covariance: &DMatrix<f64>) -> Vec<f64> 
 }
 
 /// What could be added, and the information it would bring.
-fn candidates(solution: &Solution, places: &[Point3<f64>], board: &[Point3<f64>]) -> Vec<(String, DMatrix<f64>)> {
+struct Candidate {
+    what: String,
+    kind: String,
+    information: DMatrix<f64>,
+}
+
+fn candidates(solution: &Solution, places: &[Point3<f64>], board: &[Point3<f64>]) -> Vec<Candidate> {
     let mut list = Vec::new();
     for (surface, (name, _)) in solution.geometry.surfaces.iter().enumerate() {
         let distance_m = solution.geometry.value(Parameter::Offset { surface }).abs();
@@ -212,10 +280,11 @@ fn candidates(solution: &Solution, places: &[Point3<f64>], board: &[Point3<f64>]
         let rows = known.rows(&solution.geometry, &solution.poses, &solution.free);
         let information = rows.iter().map(|row| &row.by_geometry * row.by_geometry.transpose());
         let none = DMatrix::zeros(solution.free.len(), solution.free.len());
-        list.push((
-            format!("the distance of {name} from the camera, measured to 2 mm"),
-            information.fold(none, |a, b| a + b),
-        ));
+        list.push(Candidate {
+            what: format!("the distance of {name} from the camera, measured to 2 mm"),
+            kind: name.clone(),
+            information: information.fold(none, |a, b| a + b),
+        });
     }
     let middle = places.iter().map(|p| p.coords).sum::<Vector3<f64>>() / places.len().max(1) as f64;
     let reach = places
@@ -239,17 +308,16 @@ fn candidates(solution: &Solution, places: &[Point3<f64>], board: &[Point3<f64>]
         ("tilted forwards by 35°", Vector3::x() * -0.61),
     ];
     let projector = Projector::new(&solution.geometry, &solution.free);
-    let mut pictures: Vec<(String, DMatrix<f64>)> = Vec::new();
     for (where_, shift) in shifts {
         for (how, turn) in tilts {
             let pose =
                 Isometry3::from_parts(Translation3::from(middle + shift), UnitQuaternion::from_scaled_axis(turn));
             if let Some(information) = information(&projector, solution, &pose, board) {
-                pictures.push((format!("a picture of the board {where_}, {how}"), information));
+                let what = format!("a picture of the board {where_}, {how}");
+                list.push(Candidate { what, kind: how.to_owned(), information });
             }
         }
     }
-    list.extend(pictures);
     list
 }
 

@@ -4,7 +4,9 @@ use super::timeline::{Bin, Extremes};
 use crate::sink::{Palette, Rgb};
 use plotly::common::{Anchor, Font, Line, Mode, Orientation, Title};
 use plotly::configuration::{DisplayModeBar, ModeBarButtonName};
-use plotly::layout::{Axis, HoverMode, Legend, Margin};
+use plotly::layout::{
+    AspectMode, AspectRatio, Axis, Camera, CameraCenter, DragMode3D, Eye, HoverMode, LayoutScene, Legend, Margin, Up,
+};
 use plotly::{Configuration, Layout, Plot, Scatter};
 
 pub(super) const PALETTE: Palette = Palette::ON_WHITE;
@@ -153,6 +155,37 @@ pub(super) fn layout() -> Layout {
         .margin(Margin::new().left(64).right(16).top(28).bottom(44))
         .hover_mode(HoverMode::XUnified)
         .legend(Legend::new().orientation(Orientation::Horizontal).x(0.0).y(1.02).y_anchor(Anchor::Bottom))
+}
+
+/// The axes of a 3D plot around values from smallest to largest, all to one scale: the longest side of the box is 1, and a
+/// flat one still gets some depth.
+pub(super) fn scene(spans: [(f64, f64); 3], titles: [&str; 3]) -> LayoutScene {
+    let longest = spans.iter().map(|(low, high)| high - low).fold(1e-3, f64::max);
+    let ranges = spans.map(|(low, high)| {
+        let (middle, half) = ((low + high) / 2.0, ((high - low) * 0.53).max(longest * 0.15));
+        [middle - half, middle + half]
+    });
+    let [side_x, side_y, side_z] = ranges.map(|[low, high]| (high - low) / longest);
+    let axis = |title: &str, [low, high]: [f64; 2]| -> Axis {
+        let axis = value_axis(title).show_line(true).line_color(GRID).n_ticks(6);
+        match (rounded(low, 4), rounded(high, 4)) {
+            (Some(low), Some(high)) => axis.range(vec![low, high]),
+            _ => axis,
+        }
+    };
+    let ([title_x, title_y, title_z], [x, y, z]) = (titles, ranges);
+    LayoutScene::new()
+        .drag_mode(DragMode3D::Orbit) // the turntable knows no other upright than +z
+        .aspect_mode(AspectMode::Manual)
+        .aspect_ratio(AspectRatio::from((side_x, side_y, side_z)))
+        .x_axis(axis(title_x, x))
+        .y_axis(axis(title_y, y))
+        .z_axis(axis(title_z, z))
+}
+
+/// Where a 3D plot is looked at from.
+pub(super) fn eye(up: (f64, f64, f64), eye: (f64, f64, f64)) -> Camera {
+    Camera::new().up(Up::from(up)).eye(Eye::from(eye)).center(CameraCenter::from((0.0, 0.0, 0.0)))
 }
 
 /// A plot without logo and with the few buttons that help.

@@ -1,13 +1,11 @@
 //! The plots of a tracking report.
 
-use super::chart::{self, CURVE, GRID, PALETTE, Points, css, css_faint, rounded};
+use super::chart::{self, CURVE, PALETTE, Points, css, css_faint, rounded};
 use super::course::{Channel, Course};
 use super::page::escape;
 use nalgebra::Point3;
 use plotly::common::{Fill, HoverInfo, Line, Marker, Mode, Visible};
-use plotly::layout::{
-    AspectMode, AspectRatio, Axis, AxisRange, Camera, CameraCenter, DragMode3D, Eye, HoverMode, LayoutScene, Margin, Up,
-};
+use plotly::layout::{Axis, AxisRange, HoverMode, Margin};
 use plotly::{Plot, Scatter, Scatter3D};
 
 /// Moments in which the markers are joined by a line in the 3D plot.
@@ -71,31 +69,7 @@ pub(super) fn paths(course: &Course) -> Plot {
         (["x, right (mm)", "y, down (mm)", "z, forward (mm)"], (0.0, -1.0, 0.0), (-0.47, -0.34, -1.32))
     };
     let places = &course.path.places_mm;
-    // All axes to one scale, the longest side of the box being 1; a flat motion still gets a box with some depth.
-    let spans = [0, 1, 2].map(|k| span_mm(places, k));
-    let longest = spans.iter().map(|(low, high)| high - low).fold(1e-3, f64::max);
-    let ranges = spans.map(|(low, high)| {
-        let (middle, half) = ((low + high) / 2.0, ((high - low) * 0.53).max(longest * 0.15));
-        [middle - half, middle + half]
-    });
-    let sides = ranges.map(|[low, high]| (high - low) / longest);
-    let axis = |k: usize| -> Axis {
-        let (title, [low, high]) = (titles.get(k).copied().unwrap_or(""), ranges.get(k).copied().unwrap_or([0.0, 1.0]));
-        let axis = chart::value_axis(title).show_line(true).line_color(GRID).n_ticks(6);
-        match (rounded(low, 4), rounded(high, 4)) {
-            (Some(low), Some(high)) => axis.range(vec![low, high]),
-            _ => axis,
-        }
-    };
-    let [side_x, side_y, side_z] = sides;
-    let scene = LayoutScene::new()
-        .drag_mode(DragMode3D::Orbit) // the turntable knows no other upright than +z
-        .aspect_mode(AspectMode::Manual)
-        .aspect_ratio(AspectRatio::from((side_x, side_y, side_z)))
-        .x_axis(axis(0))
-        .y_axis(axis(1))
-        .z_axis(axis(2))
-        .camera(Camera::new().up(Up::from(up)).eye(Eye::from(eye)).center(CameraCenter::from((0.0, 0.0, 0.0))));
+    let scene = chart::scene([0, 1, 2].map(|k| span_mm(places, k)), titles).camera(chart::eye(up, eye));
     let layout = chart::layout()
         .scene(scene)
         .hover_mode(HoverMode::Closest)

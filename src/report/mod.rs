@@ -5,8 +5,11 @@
 //! values over time are kept in 4096 bins at most, with the smallest and largest value of each; totals are exact
 //! (medians need 4 bytes a frame and quantity). What it cannot show: frames between the extremes of a long run; they are in
 //! the log.
+//!
+//! [`calibration::page`] is that of a rig's calibration.
 
 mod absences;
+pub mod calibration;
 mod chart;
 mod course;
 mod figures;

@@ -44,6 +44,35 @@ pub(super) fn figure(id: &str, plot: &Plot, height: u32, linked: bool) -> String
     format!("<div class=\"{class}\" style=\"height:{height}px\">{}</div>\n", plot.to_inline_html(Some(id)))
 }
 
+/// A figure among those that lead a page; all are HTML. `warn` colours it.
+pub(super) fn card(name: &str, value: &str, unit: &str, warn: bool) -> String {
+    let class = if warn { " class=\"warn\"" } else { "" };
+    format!("<div{class}><dt>{name}</dt><dd>{value} <small>{unit}</small></dd></div>\n")
+}
+
+/// Names and values, as HTML.
+pub(super) fn facts_table(rows: &[(String, String)]) -> String {
+    let rows: String = rows.iter().map(|(name, value)| format!("<tr><td>{name}</td><td>{value}</td></tr>\n")).collect();
+    format!("<div class=\"scroll\"><table class=\"facts\"><tbody>\n{rows}</tbody></table></div>\n")
+}
+
+/// How a plot looks when something is wrong.
+pub(super) fn bad(signs: &str) -> String {
+    format!("<p class=\"bad\"><strong>Bad:</strong> {signs}</p>\n")
+}
+
+/// With a sign, the minus as it is printed.
+pub(super) fn signed(value: f64, digits: usize) -> String {
+    let text = format!("{value:+.digits$}");
+    // What rounds to zero has no sign.
+    let zero = text.chars().all(|c| !c.is_ascii_digit() || c == '0');
+    if zero { text.trim_start_matches(['+', '-']).to_owned() } else { text.replace('-', "−") }
+}
+
+pub(super) fn plural(n: u64, word: &str) -> String {
+    if n == 1 { format!("1 {word}") } else { format!("{n} {word}s") }
+}
+
 /// A page around `body`. `title` is text, `body` HTML.
 pub(super) fn page(title: &str, body: &str) -> String {
     let (title, script) = (escape(title), plotly_script());

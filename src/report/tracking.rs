@@ -4,7 +4,7 @@ use super::RunInfo;
 use super::absences::absences;
 use super::course::{Channel, Course};
 use super::figures;
-use super::page::{escape, figure, page, table};
+use super::page::{self, bad, escape, facts_table, figure, page, plural, signed, table};
 use crate::sink::spoken;
 use crate::tally::Tally;
 
@@ -71,10 +71,7 @@ fn header(info: &RunInfo, course: &Course) -> String {
 fn key_figures(course: &Course) -> String {
     let tally = &course.tally;
     let mut cards = String::new();
-    let mut card = |name: &str, value: String, unit: &str, warn: bool| {
-        let class = if warn { " class=\"warn\"" } else { "" };
-        cards += &format!("<div{class}><dt>{name}</dt><dd>{value} <small>{unit}</small></dd></div>\n");
-    };
+    let mut card = |name: &str, value: String, unit: &str, warn: bool| cards += &page::card(name, &value, unit, warn);
     card("Frames", tally.frames.to_string(), "", false);
     card(
         "Answered completely",
@@ -106,10 +103,7 @@ fn facts(info: &RunInfo, course: &Course) -> String {
     rows.push(("Positions in".to_owned(), format!("the {} frame", frame_name(course))));
     rows.extend(info.settings.iter().map(|(name, value)| (escape(name), escape(value))));
     rows.push(("Version".to_owned(), format!("Catoptra {}", env!("CARGO_PKG_VERSION"))));
-    let rows: String = rows.iter().map(|(name, value)| format!("<tr><td>{name}</td><td>{value}</td></tr>\n")).collect();
-    format!(
-        "<h2>What was tracked</h2>\n<div class=\"scroll\"><table class=\"facts\"><tbody>\n{rows}</tbody></table></div>\n"
-    )
+    format!("<h2>What was tracked</h2>\n{}", facts_table(&rows))
 }
 
 fn accuracy(course: &Course) -> String {
@@ -283,10 +277,6 @@ fn section(title: &str, words: &str, plots: &str, bad_signs: &str) -> String {
     format!("<h2>{title}</h2>\n<p>{words}</p>\n{plots}{}", bad(bad_signs))
 }
 
-fn bad(signs: &str) -> String {
-    format!("<p class=\"bad\"><strong>Bad:</strong> {signs}</p>\n")
-}
-
 /// A plot over time, if there is anything of its channel.
 fn drawn(
     course: &Course,
@@ -333,18 +323,6 @@ fn number(value: Option<f64>, digits: usize) -> String {
     value.filter(|v| v.is_finite()).map_or("–".to_owned(), |v| format!("{v:.digits$}"))
 }
 
-/// With a sign, the minus as it is printed.
-fn signed(value: f64, digits: usize) -> String {
-    let text = format!("{value:+.digits$}");
-    // What rounds to zero has no sign.
-    let zero = text.chars().all(|c| !c.is_ascii_digit() || c == '0');
-    if zero { text.trim_start_matches(['+', '-']).to_owned() } else { text.replace('-', "−") }
-}
-
 fn degrees(value: f64) -> String {
     format!("{}°", signed(value, 1))
-}
-
-fn plural(n: u64, word: &str) -> String {
-    if n == 1 { format!("1 {word}") } else { format!("{n} {word}s") }
 }

@@ -86,7 +86,7 @@ pub(crate) struct Foot {
 
 /// What the model predicts of one channel (R, G or B) at a pixel, and its derivatives: all multiplied by the slope of the
 /// transfer function, so that sums with a stored channel's weights are derivatives of stored values.
-pub(crate) const TERMS: usize = 13;
+pub(crate) const TERMS: usize = 14;
 pub(crate) const VALUE: usize = 0;
 /// Image gradient in x and y, per pixel.
 pub(crate) const D_X: usize = 1;
@@ -99,6 +99,8 @@ pub(crate) const D_SHADING: usize = 6;
 pub(crate) const D_CAP: usize = D_SHADING + SHADES;
 /// d/d colour of the segment before the nearest ring, and of the one behind it.
 pub(crate) const D_ALBEDO: usize = D_CAP + 1;
+/// d/d bulge of the rings, per pixel.
+pub(crate) const D_BULGE: usize = D_ALBEDO + 2;
 
 /// The model at one pixel.
 #[derive(Debug, Clone, Copy, Default)]
@@ -112,12 +114,13 @@ pub(crate) struct PixelModel {
     pub far: bool,
 }
 
-/// Weight beyond an edge and its derivatives along u and v (pixels).
+/// Weight beyond an edge and its derivatives along u and v (pixels), and with the ring's bulge.
 #[derive(Clone, Copy, Default)]
 struct Edge {
     weight: f64,
     d_u: f64,
     d_v: f64,
+    d_bulge: f64,
 }
 
 /// Evaluates the model at one pixel. `offset` is the pixel's place relative to the patch's middle.
@@ -163,22 +166,28 @@ pub(crate) fn pixel_model(
     let x = u / half;
     let root = (1.0 - x * x).max(0.0).sqrt();
     let d_root = if x.abs() < 1.0 { -x / half / root.max(0.3) } else { 0.0 };
-    let edge_at = |bulge: f64| {
+    let edge_at = |sign: f64| {
+        let bulge = sign * local.bulge;
         let (weight, density) = gauss((from_ring - bulge * root) / blur_px);
         let density = density / blur_px;
-        Edge { weight, d_u: -density * bulge * d_root, d_v: density }
+        Edge { weight, d_u: -density * bulge * d_root, d_v: density, d_bulge: -density * sign * root }
     };
-    let near = edge_at(local.bulge);
+    let near = edge_at(1.0);
     // The tube's silhouette always bulges outwards; where the near edge lies inside it, the cap shows.
     let outline = match (ends_here, local.bulge < 0.0) {
         (false, _) => Edge::default(),
         (true, false) => near,
-        (true, true) => edge_at(-local.bulge),
+        (true, true) => edge_at(-1.0),
     };
     let behind = if ends_here { Edge::default() } else { near };
-    let in_front = Edge { weight: 1.0 - near.weight, d_u: -near.d_u, d_v: -near.d_v };
+    let in_front = Edge { weight: 1.0 - near.weight, d_u: -near.d_u, d_v: -near.d_v, d_bulge: -near.d_bulge };
     let cap_edge = if ends_here {
-        Edge { weight: near.weight - outline.weight, d_u: near.d_u - outline.d_u, d_v: near.d_v - outline.d_v }
+        Edge {
+            weight: near.weight - outline.weight,
+            d_u: near.d_u - outline.d_u,
+            d_v: near.d_v - outline.d_v,
+            d_bulge: near.d_bulge - outline.d_bulge,
+        }
     } else {
         Edge::default()
     };
@@ -206,6 +215,9 @@ pub(crate) fn pixel_model(
         let d_v = -background[c] * tube_d_v
             + shade * (in_front.d_v * a0 + behind.d_v * a1)
             + across.cover * cap_edge.d_v * a0 * cap;
+        let d_bulge = background[c] * across.cover * outline.d_bulge
+            + shade * (in_front.d_bulge * a0 + behind.d_bulge * a1)
+            + across.cover * cap_edge.d_bulge * a0 * cap;
         let (value, slope) = encoding.encode(light);
         let moved = (normal * d_u + foot.along * d_v) * slope;
         let uncovered = (1.0 - tube) * slope;
@@ -223,6 +235,7 @@ pub(crate) fn pixel_model(
             across.cover * cap_edge.weight * a0 * slope,
             (shade * in_front.weight + across.cover * cap_edge.weight * cap) * slope,
             shade * behind.weight * slope,
+            d_bulge * slope,
         ];
     }
     out

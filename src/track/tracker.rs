@@ -364,3 +364,50 @@ fn outline(image: &TubeImage, from_m: f64, to_m: f64) -> Vec<Point2<f64>> {
     };
     (0..POINTS).map(|i| side(-1.0, i)).chain((0..POINTS).rev().map(|i| side(1.0, i))).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::drawn::{BLUR_PX, Tube, picture, views};
+    use super::*;
+    use crate::rig::ColourModel;
+    use crate::sink::fixture;
+
+    /// Coil and tip are fitted together, but each must stay where it was found.
+    #[test]
+    fn a_fit_that_leaves_one_of_its_bands_is_refused() {
+        let mut rig = fixture::rig();
+        rig.camera.blur_px = Some(BLUR_PX);
+        rig.views.iter_mut().zip(views()).for_each(|(view, optics)| view.optics = optics);
+        let colours = [[0.02, -0.02, 0.0], [-0.01, 0.02, -0.01], [-0.01, -0.01, 0.02]];
+        for ((marker, (length_m, centre_m)), weights) in
+            rig.markers.iter_mut().zip([(6e-3, 6e-3), (12e-3, 85e-3), (6e-3, 107e-3)]).zip(colours)
+        {
+            (marker.length_m, marker.centre_m) = (length_m, Some(centre_m));
+            marker.colour = Some(ColourModel { weights: weights.into(), bias: 0.0, rgb: Vector3::zeros() });
+        }
+        let tube = Tube {
+            centre: Point3::new(0.001, -0.004, 1.35),
+            direction: Vector3::new(0.1, 1.0, 0.05).normalize(),
+            radius_m: 1.6e-3,
+            bands: vec![(-6e-3, 6e-3, [0.05, 0.3, 0.1]), (19e-3, 25e-3, [0.04, 0.08, 0.35])],
+            end_m: 25e-3,
+            lamp: Vector3::new(-0.4, -0.5, -0.8),
+        };
+        let picture = picture(&tube.draw(&views()), 1.0, 5);
+        let mut tracker = Tracker::new(&rig, TrackOptions::default()).unwrap();
+        tracker.model.encoding = Encoding::new(picture.colour().transfer);
+        let fit_with_tip_at = |tip: Point3<f64>| {
+            let at = |point| Ok(Assigned { point, blobs: vec![None, None] });
+            let assigned = [Err(Miss::NotSeen { view: 0 }), at(tube.centre), at(tip)];
+            let group = groups(&rig, |a, b| a > 0 && b > 0).remove(0);
+            tracker.fit_group(&picture, &[], &assigned, &group, &[0, 1])
+        };
+        let tip = tube.centre + tube.direction * 22e-3;
+        assert!(fit_with_tip_at(tip).is_ok());
+        let miss = fit_with_tip_at(tip + Vector3::new(2.5e-3, 0.0, 0.0)).unwrap_err();
+        assert!(
+            matches!(miss, Miss::PoorFit { moved_px, separation } if moved_px > 4.0 && separation > 0.3),
+            "{miss:?}"
+        );
+    }
+}

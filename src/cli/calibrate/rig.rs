@@ -5,20 +5,22 @@ use super::camera::not_found;
 use super::pictures::{self, Searched};
 use super::{Length, can_be_written, save, usage};
 use catoptra::calibrate::board::Board;
-use catoptra::calibrate::camera::centred;
+use catoptra::calibrate::camera::{BoardPicture, centred};
 use catoptra::calibrate::geometry::Parameter;
+use catoptra::calibrate::held_out::{HeldOut, Off, held_out};
 use catoptra::calibrate::mirrors::{
     RigCalibration, RigCalibrationError, RigOptions, Tank, calibrate_rig, into_draft, water_index,
 };
 use catoptra::calibrate::start::BoardsPicture;
 use catoptra::calibrate::verdict::{Verdict, verdict};
+use catoptra::report::calibration::{self, CalibrationInfo};
 use catoptra::rig::Draft;
 use nalgebra::DMatrix;
 use std::fmt::Write as _;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
-/// A lens without covariance in the rig file is taken for exact, and the user is told.
+/// How well the index is known beforehand when it is to be fitted.
 const INDEX_SD: f64 = 5e-3;
 
 #[derive(Debug, clap::Args)]
@@ -56,6 +58,9 @@ pub(super) struct RigArgs {
     /// Measured distance of a surface's plane from the lens, and its σ; may be repeated
     #[arg(long = "distance", value_name = "NAME=1265mm:2mm")]
     distances: Vec<Distance>,
+    /// A picture of the board taped flat to the outer face of a wall; may be repeated
+    #[arg(long = "wall", value_name = "NAME=PICTURE", value_parser = wall_arg)]
+    walls: Vec<(String, PathBuf)>,
     /// Rig file to write [default: the one given by --rig]
     #[arg(long, short, value_name = "RIG.toml")]
     out: Option<PathBuf>,
@@ -100,22 +105,30 @@ impl FromStr for Distance {
     }
 }
 
+fn wall_arg(text: &str) -> Result<(String, PathBuf), String> {
+    let wrong = || format!("`{text}` is not a wall: write NAME=PICTURE, for example front_wall=taped.png");
+    let (name, picture) = text.split_once('=').ok_or_else(wrong)?;
+    Ok((name.trim().to_owned(), picture.into()))
+}
+
 pub(super) fn run(args: &RigArgs, print: impl Fn(&str) -> Result<(), Failure>) -> Result<(), Failure> {
     let out = args.out.as_ref().unwrap_or(&args.rig);
     can_be_written(out)?;
 
     let draft = Draft::load(&args.rig)?;
-    let options = options(args, &draft)?;
+    let mut options = options(args, &draft)?;
+    for (name, path) in &args.walls {
+        for found in pictures::search(std::slice::from_ref(path), &args.board, 1)? {
+            fits(&found, args, &draft)?;
+            let unseen = |why: &String| Failure::new(Exit::Unusable, format!("{}: {why}", found.path.display()));
+            let image = found.images.as_ref().map_err(unseen)?.first().cloned();
+            let picture = image.map(|image| BoardPicture { name: found.name(), size_px: found.size_px, image });
+            options.taped.extend(picture.map(|picture| (name.clone(), picture)));
+        }
+    }
     let searched = pictures::search(&args.pictures, &args.board, args.mirrors + 1)?;
     for picture in &searched {
-        if picture.size_px != draft.camera.size_px {
-            let (found, expected) = (picture.size_px, draft.camera.size_px);
-            return Err(usage(format!(
-                "{} has {found:?} pixels, but {} was calibrated for {expected:?}",
-                picture.path.display(),
-                args.rig.display()
-            )));
-        }
+        fits(picture, args, &draft)?;
     }
     let found: Vec<BoardsPicture> = searched
         .iter()
@@ -126,11 +139,43 @@ pub(super) fn run(args: &RigArgs, print: impl Fn(&str) -> Result<(), Failure>) -
     let done = calibrate_rig(&args.board, &draft.camera.lens, &found, &options)
         .map_err(|error| print(&not_found(&searched)).err().unwrap_or_else(|| failure(error)))?;
     let judged = verdict(&done.solution, &done.corners, &centred(&args.board));
+    let held = held_out(&done.solution, &done.corners);
     print(&describe(&searched, &done, judged.as_ref(), &options))?;
+    print(&describe_held_out(held.iter().flatten()))?;
+    let page = calibration::page(&info(args, out, &searched), &done, judged.as_ref(), &held);
     let mut rig = into_draft(draft, &done);
     rig.provenance.insert("rig".into(), provenance(args, &searched, &done)?.into());
     save(&rig, out)?;
-    print(&format!("\nwritten: {}\n", out.display()))
+    let page_path = out.with_extension("calibration.html");
+    std::fs::write(&page_path, page)
+        .map_err(|e| Failure::new(Exit::Failed, format!("cannot write {}: {e}", page_path.display())))?;
+    print(&format!("\nwritten: {}\n         {} (how good it is, for a browser)\n", out.display(), page_path.display()))
+}
+
+/// What the page says of the run.
+fn info(args: &RigArgs, out: &Path, searched: &[Searched]) -> CalibrationInfo {
+    let mm = |length_m: f64| format!("{:.2} mm", length_m * 1e3);
+    let mut settings = vec![("Board".to_owned(), args.board.to_string())];
+    if let Some(glass) = args.glass {
+        let size = args.tank.map_or(String::new(), |BoxSize(sides)| format!("{}, ", sides.map(mm).join(" x ")));
+        settings.push(("Tank".to_owned(), format!("{size}glass {} of index {}", mm(glass.0), args.index_glass)));
+        settings.push(("Water".to_owned(), format!("{} °C", args.temperature)));
+    }
+    for Distance { name, distance_m, sd_m } in &args.distances {
+        settings.push((format!("Distance of {name}"), format!("{} ± {}", mm(*distance_m), mm(*sd_m))));
+    }
+    let not_found = searched.iter().filter_map(|s| Some((s.name(), s.images.as_ref().err()?.clone()))).collect();
+    CalibrationInfo { rig: out.display().to_string(), settings, not_found }
+}
+
+/// Pictures must be of the size that the lens was calibrated for.
+fn fits(picture: &Searched, args: &RigArgs, draft: &Draft) -> Result<(), Failure> {
+    let (found, expected) = (picture.size_px, draft.camera.size_px);
+    if found == expected {
+        return Ok(());
+    }
+    let (path, rig) = (picture.path.display(), args.rig.display());
+    Err(usage(format!("{path} has {found:?} pixels, but {rig} was calibrated for {expected:?}")))
 }
 
 fn options(args: &RigArgs, draft: &Draft) -> Result<RigOptions, Failure> {
@@ -159,6 +204,7 @@ fn options(args: &RigArgs, draft: &Draft) -> Result<RigOptions, Failure> {
         tank,
         lens_covariance: lens_covariance(draft),
         distances_m: args.distances.iter().map(|d| (d.name.clone(), d.distance_m, d.sd_m)).collect(),
+        taped: Vec::new(),
         index_sd: args.fit_index.then_some(INDEX_SD),
     })
 }
@@ -263,6 +309,8 @@ fn describe_verdict(judged: &Verdict) -> String {
     let mut text = String::from("\nexpected error in space, mm (1σ)     median      worst place\n");
     text += &line("of the camera frame (all together)", judged.median_and_worst(|e| e.absolute_m));
     text += &line("of the base frame, displacements", judged.median_and_worst(|e| e.relative_m));
+    let (median_rad, worst_rad) = judged.angle_rad;
+    let _ = writeln!(text, "{:<34} {:>8.4}°  {:>8.4}°", "of angles", median_rad.to_degrees(), worst_rad.to_degrees());
     text += &line("of a single corner, random", judged.median_and_worst(|e| e.random_m));
     let (direction, sd_m) = judged.weakest;
     let _ = writeln!(
@@ -274,15 +322,35 @@ fn describe_verdict(judged: &Verdict) -> String {
         direction.z,
         sd_m * 1e3
     );
-    if let Some((what, absolute_m, relative_m)) = judged.helpful.first() {
-        let _ = writeln!(
-            text,
-            "what would help most: {what} ({:.2} mm in the camera frame, {:.4} mm in the base frame)",
-            absolute_m * 1e3,
-            relative_m * 1e3
-        );
+    for (frame, best) in [("base", judged.helpful_relative()), ("camera", judged.helpful_absolute())] {
+        if let Some(best) = best.first() {
+            let (what, relative_mm, absolute_mm) = (&best.what, best.relative_m * 1e3, best.absolute_m * 1e3);
+            let _ = writeln!(
+                text,
+                "what would help most in the {frame} frame: {what} (base frame {relative_mm:.4} mm, camera frame {absolute_mm:.2} mm)"
+            );
+        }
     }
     text
+}
+
+/// A line of the check on pictures that were left out in turn.
+fn describe_held_out<'a>(held: impl Iterator<Item = &'a HeldOut> + Clone) -> String {
+    let edges = Off::of(held.clone().flat_map(|h| &h.edges));
+    let diagonals = Off::of(held.clone().flat_map(|h| &h.diagonals));
+    let (Some(edges), Some(diagonals)) = (edges, diagonals) else { return String::new() };
+    format!(
+        "held out in turn, {} edges of {:.1} mm are off by {:.3} mm RMS (corner noise explains {:.3}), {} diagonals of \
+         {:.1} mm by {:.3} mm ({:.3})\n",
+        edges.count,
+        edges.nominal_m * 1e3,
+        edges.rms_m * 1e3,
+        edges.noise_m * 1e3,
+        diagonals.count,
+        diagonals.nominal_m * 1e3,
+        diagonals.rms_m * 1e3,
+        diagonals.noise_m * 1e3
+    )
 }
 
 #[cfg(test)]

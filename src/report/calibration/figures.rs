@@ -1,0 +1,314 @@
+//! The plots of a calibration's page.
+
+use super::super::chart::{self, CURVE, INK, PALETTE, QUIET, css, css_faint, rounded};
+use super::super::page::escape;
+use crate::calibrate::mirrors::RigCalibration;
+use nalgebra::{DMatrix, Point2, Point3, Vector2};
+use plotly::common::{
+    ColorBar, ColorScale, ColorScaleElement, ColorScalePalette, HoverInfo, Line, Marker, Mode, Title,
+};
+use plotly::layout::{Annotation, AxisConstrain, BarMode, HoverMode, Margin, RangeMode};
+use plotly::{Bar, HeatMap, Plot, Scatter, Scatter3D};
+
+/// Neighbourhoods along the longer side of a view, and fewest corners for their mean to say something.
+const NEIGHBOURHOODS: f64 = 7.0;
+const FEWEST: usize = 6;
+/// A long residual is drawn this part of the view's longer side long.
+const DRAWN: f64 = 0.1;
+
+/// Errors at places (metres) in the camera frame, over the outlines of the boards.
+pub(super) fn errors(errors_m: &[(Point3<f64>, f64)], boards: &[Vec<Point3<f64>>]) -> Plot {
+    let titles = ["x, right (mm)", "y, down (mm)", "z, forward (mm)"];
+    let all = || errors_m.iter().map(|(place, _)| place).chain(boards.iter().flatten());
+    let spans = [0, 1, 2].map(|k| {
+        all().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), p| (low.min(p[k] * 1e3), high.max(p[k] * 1e3)))
+    });
+    // Looked at as the camera does, from its upper right.
+    let scene = chart::scene(spans, titles).camera(chart::eye((0.0, -1.0, 0.0), (1.2, -1.0, -1.75)));
+    let layout = chart::layout()
+        .scene(scene)
+        .show_legend(false)
+        .hover_mode(HoverMode::Closest)
+        .margin(Margin::new().left(0).right(0).top(34).bottom(0));
+    let mut plot = chart::plot(layout);
+    let mut outlines = [const { Vec::<Option<f64>>::new() }; 3];
+    for board in boards {
+        for (k, coordinate) in outlines.iter_mut().enumerate() {
+            coordinate.extend(board.iter().chain(board.first()).map(|p| rounded(p[k] * 1e3, 2)));
+            coordinate.push(None);
+        }
+    }
+    let [x, y, z] = outlines;
+    plot.add_trace(
+        Scatter3D::new(x, y, z)
+            .mode(Mode::Lines)
+            .line(Line::new().width(1.5).color("#b6bbc2"))
+            .connect_gaps(false)
+            .hover_info(HoverInfo::Skip),
+    );
+    let [x, y, z] = [0, 1, 2].map(|k| errors_m.iter().map(|(p, _)| rounded(p[k] * 1e3, 2)).collect::<Vec<_>>());
+    let errors_mm: Vec<f64> = errors_m.iter().map(|(_, error)| rounded(error * 1e3, 5).unwrap_or(0.0)).collect();
+    let texts = errors_mm.iter().map(|mm| format!("{mm:.4} mm")).collect::<Vec<_>>();
+    // From 0: a volume that is equally good everywhere has one colour.
+    let worst = errors_mm.iter().copied().fold(0.0, f64::max);
+    plot.add_trace(
+        Scatter3D::new(x, y, z)
+            .mode(Mode::Markers)
+            .marker(
+                Marker::new()
+                    .size(5)
+                    .color_array(errors_mm)
+                    .cmin(0.0)
+                    .cmax(worst)
+                    .color_scale(ColorScale::Palette(ColorScalePalette::Viridis))
+                    .show_scale(true)
+                    .color_bar(
+                        ColorBar::new()
+                            .thickness(12)
+                            .outline_width(0)
+                            .tick_font(chart::font(12, QUIET))
+                            .title(Title::with_text("mm").font(chart::font(12, QUIET))),
+                    ),
+            )
+            .text_array(texts)
+            .hover_template("%{text} at (%{x:.0f}, %{y:.0f}, %{z:.0f}) mm<extra></extra>"),
+    );
+    plot
+}
+
+/// A corner and its residual, pixels, with its picture's index.
+type Arrow = (usize, Point2<f64>, Vector2<f64>);
+
+/// Corners of a view with their residuals.
+pub(super) fn arrows(done: &RigCalibration, view: usize) -> Vec<Arrow> {
+    let all = done.corners.iter().zip(&done.solution.residuals_px);
+    all.filter(|(c, _)| c.view == view).map(|(c, residual)| (c.picture, c.pixel, *residual)).collect()
+}
+
+fn bounds(arrows: &[Arrow]) -> (Vector2<f64>, Vector2<f64>) {
+    let bound = |pick: fn(f64, f64) -> f64, start: f64| {
+        arrows.iter().fold(Vector2::repeat(start), |b, (_, p, _)| b.zip_map(&p.coords, pick))
+    };
+    (bound(f64::min, f64::INFINITY), bound(f64::max, f64::NEG_INFINITY))
+}
+
+/// How many times too long residuals are drawn, in all views: 1, 2 or 5 times a power of ten.
+pub(super) fn magnification(views: &[Vec<Arrow>]) -> f64 {
+    let mut lengths: Vec<f64> = views.iter().flatten().map(|(_, _, r)| r.norm()).collect();
+    lengths.sort_by(f64::total_cmp);
+    let long = lengths.get(lengths.len() * 19 / 20).copied().unwrap_or_default().max(1e-9);
+    let side = views.iter().map(|arrows| {
+        let (low, high) = bounds(arrows);
+        (high - low).max()
+    });
+    round_down(side.fold(f64::INFINITY, f64::min).max(1.0) * DRAWN / long).max(1.0)
+}
+
+/// The next 1, 2 or 5 times a power of ten below.
+fn round_down(value: f64) -> f64 {
+    if !(value.is_finite() && value > 0.0) {
+        return 1.0;
+    }
+    let power = 10_f64.powf(value.log10().floor());
+    [5.0, 2.0].into_iter().find(|step| value >= step * power).unwrap_or(1.0) * power
+}
+
+/// Means over neighbourhoods: middle, mean residual, number of corners.
+fn means(arrows: &[Arrow]) -> Vec<(Point2<f64>, Vector2<f64>, usize)> {
+    let (low, high) = bounds(arrows);
+    let side = ((high - low).max() / NEIGHBOURHOODS).max(1.0);
+    let mut cells = std::collections::BTreeMap::new();
+    for (_, place, residual) in arrows {
+        let at = (place.coords - low) / side;
+        let (sum, residuals, count) =
+            cells.entry((at.x as i64, at.y as i64)).or_insert((Vector2::zeros(), Vector2::zeros(), 0_usize));
+        *sum += place.coords;
+        *residuals += residual;
+        *count += 1;
+    }
+    let enough = cells.into_values().filter(|(.., count)| *count >= FEWEST);
+    enough.map(|(sum, residuals, n)| (Point2::from(sum / n as f64), residuals / n as f64, n)).collect()
+}
+
+/// How many times longer the means of neighbourhoods are than independent residuals of the same RMS would make them; `None`
+/// without neighbourhoods.
+pub(super) fn systematic(arrows: &[Arrow]) -> Option<f64> {
+    let means = means(arrows);
+    let mean_square = arrows.iter().map(|(_, _, r)| r.norm_squared()).sum::<f64>() / arrows.len().max(1) as f64;
+    let sum = means.iter().map(|(_, mean, n)| mean.norm_squared() * *n as f64).sum::<f64>();
+    (!means.is_empty() && mean_square > 0.0).then(|| (sum / means.len() as f64 / mean_square).sqrt())
+}
+
+/// Residuals of a view where they are in the picture, `times` too long; means of neighbourhoods in bold.
+pub(super) fn residuals(done: &RigCalibration, arrows: &[Arrow], times: f64) -> Plot {
+    let (low, high) = bounds(arrows);
+    let margin = (high - low).max() * 0.07;
+    let range = |from: f64, to: f64| vec![rounded(from, 1).unwrap_or(0.0), rounded(to, 1).unwrap_or(1.0)];
+    // A bar of the size of a usual residual, below the corners.
+    let sample_px = round_down((high - low).max() * 0.12 / times);
+    let (left, below) = (low.x, high.y + margin * 0.9);
+    let layout = chart::layout()
+        .x_axis(
+            chart::value_axis("x in the picture (px)")
+                .zero_line(false)
+                .constrain(AxisConstrain::Domain)
+                .range(range(low.x - margin, high.x + margin)),
+        )
+        .y_axis(
+            chart::value_axis("y (px)")
+                .zero_line(false)
+                .constrain(AxisConstrain::Domain)
+                .scale_anchor("x")
+                .range(range(high.y + 2.0 * margin, low.y - margin)),
+        )
+        .annotations(vec![
+            Annotation::new()
+                .text(format!("{sample_px} px"))
+                .x(left + sample_px * times)
+                .y(below)
+                .x_shift(22.0)
+                .show_arrow(false)
+                .font(chart::font(12, INK)),
+        ])
+        .show_legend(false)
+        .hover_mode(HoverMode::Closest)
+        .margin(Margin::new().left(56).right(10).top(12).bottom(44));
+    let mut plot = chart::plot(layout);
+    for (picture, (_, used)) in done.used.iter().enumerate() {
+        let (mut x, mut y, mut texts) = (Vec::new(), Vec::new(), Vec::new());
+        for (_, from, residual) in arrows.iter().filter(|(own, ..)| *own == picture) {
+            let to = from + residual * times;
+            x.extend([rounded(from.x, 1), rounded(to.x, 1), None]);
+            y.extend([rounded(from.y, 1), rounded(to.y, 1), None]);
+            texts.extend([format!("{:.3} px", residual.norm()), format!("{:.3} px", residual.norm()), String::new()]);
+        }
+        plot.add_trace(
+            Scatter::new(x, y)
+                .name(escape(&used.name))
+                .mode(Mode::Lines)
+                .line(Line::new().width(1.1).color(css_faint(CURVE, 0.55)))
+                .connect_gaps(false)
+                .text_array(texts)
+                .hover_template("%{fullData.name}: %{text}<extra></extra>"),
+        );
+    }
+    let coordinate = |k: usize| arrows.iter().map(|(_, p, _)| rounded(p[k], 1)).collect::<Vec<_>>();
+    plot.add_trace(
+        Scatter::new(coordinate(0), coordinate(1))
+            .mode(Mode::Markers)
+            .marker(Marker::new().size(2).color(css(CURVE)))
+            .hover_info(HoverInfo::Skip),
+    );
+    let (mut x, mut y) = (vec![rounded(left, 1), rounded(left + sample_px * times, 1), None], Vec::new());
+    y.extend([rounded(below, 1), rounded(below, 1), None]);
+    for (middle, mean, _) in means(arrows) {
+        let to = middle + mean * times;
+        x.extend([rounded(middle.x, 1), rounded(to.x, 1), None]);
+        y.extend([rounded(middle.y, 1), rounded(to.y, 1), None]);
+    }
+    plot.add_trace(
+        Scatter::new(x, y)
+            .mode(Mode::Lines)
+            .line(Line::new().width(3.0).color(css(PALETTE.miss)))
+            .connect_gaps(false)
+            .hover_info(HoverInfo::Skip),
+    );
+    plot
+}
+
+/// RMS residual of each picture in each view, and the noise of all.
+pub(super) fn by_picture(done: &RigCalibration, views: &[(String, Vec<Arrow>)]) -> Plot {
+    let names: Vec<String> = done.used.iter().map(|(_, used)| escape(&used.name)).collect();
+    let axis = chart::value_axis("RMS of a coordinate (px)").range_mode(RangeMode::ToZero);
+    // Names are no numbers, whatever they look like.
+    let pictures = chart::value_axis("").type_(plotly::layout::AxisType::Category).tick_angle(-40.0);
+    let layout = chart::layout()
+        .bar_mode(BarMode::Group)
+        .x_axis(pictures)
+        .y_axis(axis)
+        .margin(Margin::new().left(64).right(16).top(28).bottom(80));
+    let mut plot = chart::plot(layout);
+    for (view, (name, arrows)) in views.iter().enumerate() {
+        let rms = |picture: usize| {
+            let own: Vec<f64> =
+                arrows.iter().filter(|(of, ..)| *of == picture).map(|(_, _, r)| r.norm_squared()).collect();
+            // A picture that this view does not show has no bar.
+            rounded((own.iter().sum::<f64>() / (2 * own.len()) as f64).sqrt(), 4)
+        };
+        plot.add_trace(
+            Bar::new(names.clone(), (0..names.len()).map(rms).collect::<Vec<_>>())
+                .name(escape(name))
+                .marker(Marker::new().color(css(if view == 0 { CURVE } else { PALETTE.marker(view - 1) })))
+                .hover_template("%{y:.3f} px"),
+        );
+    }
+    let noise = rounded(done.solution.corner_sd_px, 4);
+    plot.add_trace(
+        Scatter::new(names.clone(), vec![noise; names.len()])
+            .name("noise of a corner")
+            .mode(Mode::Lines)
+            .line(Line::new().width(1.4).color(INK).dash(plotly::common::DashType::Dot))
+            .hover_template("%{y:.3f} px"),
+    );
+    plot
+}
+
+/// Correlations of the parameters.
+pub(super) fn correlations(names: &[String], correlations: &DMatrix<f64>) -> Plot {
+    let labels: Vec<String> = names.iter().map(|name| escape(name)).collect();
+    let rows = correlations.row_iter().map(|row| row.iter().map(|r| rounded(*r, 3)).collect::<Vec<_>>()).collect();
+    let element = |at: f64, colour: &str| ColorScaleElement(at, colour.to_owned());
+    let axis = || chart::value_axis("").zero_line(false).show_grid(false).type_(plotly::layout::AxisType::Category);
+    let layout = chart::layout()
+        .x_axis(axis().tick_angle(-50.0).constrain(AxisConstrain::Domain))
+        // The first on top, as in a table.
+        .y_axis(axis().range(vec![names.len() as f64 - 0.5, -0.5]).scale_anchor("x").constrain(AxisConstrain::Domain))
+        .hover_mode(HoverMode::Closest)
+        .margin(Margin::new().left(170).right(10).top(12).bottom(150));
+    let mut plot = chart::plot(layout);
+    plot.add_trace(
+        HeatMap::new(labels.clone(), labels, rows)
+            .color_scale(ColorScale::Vector(vec![
+                element(0.0, "#b2182b"),
+                element(0.25, "#f4a582"),
+                element(0.5, "#ffffff"),
+                element(0.75, "#92c5de"),
+                element(1.0, "#2166ac"),
+            ]))
+            .zmin(-1.0)
+            .zmax(1.0)
+            .color_bar(ColorBar::new().thickness(12).outline_width(0).tick_font(chart::font(12, QUIET)))
+            .hover_template("%{y}, %{x}: %{z:.2f}<extra></extra>"),
+    );
+    plot
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn magnifications_are_round() {
+        for (value, round) in [(1.0, 1.0), (4.9, 2.0), (5.0, 5.0), (73.0, 50.0), (999.0, 500.0), (0.034, 0.02)] {
+            assert!((round_down(value) / round - 1.0).abs() < 1e-12, "{value}: {}", round_down(value));
+        }
+        assert_eq!((round_down(f64::NAN), round_down(0.0)), (1.0, 1.0));
+    }
+
+    #[test]
+    fn what_neighbours_have_in_common_is_told_from_noise() {
+        let mut state = 1_u64;
+        let mut noise = move || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            ((state >> 33) as f64 / (1_u64 << 31) as f64 - 0.5) * 0.2
+        };
+        let mut field = |common: f64| -> Vec<Arrow> {
+            let at = |i: usize| Point2::new(100.0 + (i % 30) as f64 * 10.0, 50.0 + (i / 30) as f64 * 10.0);
+            let bent = |p: &Point2<f64>| Vector2::new((p.x / 60.0).sin(), 0.0) * common;
+            (0..900).map(|i| (0, at(i), bent(&at(i)) + Vector2::new(noise(), noise()))).collect()
+        };
+        let (even, bent) = (systematic(&field(0.0)).unwrap(), systematic(&field(0.1)).unwrap());
+        assert!((0.75..1.3).contains(&even) && bent > 2.0, "{even}, {bent}");
+        assert!(systematic(&field(0.0)[..3]).is_none());
+    }
+}

@@ -1,0 +1,247 @@
+//! The tables of a calibration's page, in mm, degrees and pixels.
+
+use super::super::page::{escape, signed, table};
+use crate::calibrate::bundle::{NoSolution, Solution};
+use crate::calibrate::geometry::{Geometry, Parameter};
+use crate::calibrate::held_out::{HeldOut, Length, Off};
+use crate::calibrate::known::Known;
+use crate::calibrate::mirrors::RigCalibration;
+use nalgebra::DMatrix;
+
+/// What is known and what came out differ by more than so many σ: the two contradict each other.
+const CONTRADICTS: f64 = 3.0;
+
+fn surface_name(geometry: &Geometry, surface: usize) -> &str {
+    geometry.surfaces.get(surface).map_or("", |(name, _)| name.as_str())
+}
+
+/// A name that fits beside a plot.
+pub(super) fn short_name(geometry: &Geometry, parameter: Parameter) -> String {
+    let of = |names: &[&str], i: usize| names.get(i).copied().unwrap_or("").to_owned();
+    match parameter {
+        Parameter::Focal(axis) => of(&["fx", "fy"], axis),
+        Parameter::Principal(axis) => of(&["cx", "cy"], axis),
+        Parameter::Distortion(i) => of(&["k1", "k2", "p1", "p2", "k3"], i),
+        Parameter::Tilt { surface, axis } => {
+            format!("{} {}", surface_name(geometry, surface), of(&["up-down", "left-right"], axis))
+        }
+        Parameter::Offset { surface } => format!("{} distance", surface_name(geometry, surface)),
+        Parameter::IndexInside => "index of the water".to_owned(),
+    }
+}
+
+/// σ of a parameter; `None` where it was held.
+fn sd(solution: &Solution, parameter: Parameter) -> Option<f64> {
+    let at = solution.free.iter().position(|p| *p == parameter)?;
+    Some(solution.covariance.get((at, at))?.sqrt())
+}
+
+fn number(value: Option<f64>, digits: usize) -> String {
+    value.filter(|v| v.is_finite()).map_or("held".to_owned(), |v| format!("{v:.digits$}"))
+}
+
+/// Mirrors and walls.
+pub(super) fn surfaces(solution: &Solution) -> String {
+    let geometry = &solution.geometry;
+    let rows: Vec<Vec<String>> = geometry
+        .surfaces
+        .iter()
+        .enumerate()
+        .map(|(surface, (name, optics))| {
+            let plane = optics.plane();
+            let [x, y, z] = [plane.normal().x, plane.normal().y, plane.normal().z].map(|c| signed(c, 5));
+            let tilt = |axis| number(sd(solution, Parameter::Tilt { surface, axis }).map(f64::to_degrees), 3);
+            vec![
+                escape(name),
+                format!("({x}, {y}, {z})"),
+                tilt(0),
+                tilt(1),
+                format!("{:.2}", plane.offset_m().abs() * 1e3),
+                number(sd(solution, Parameter::Offset { surface }).map(|sd| sd * 1e3), 2),
+            ]
+        })
+        .collect();
+    let index = sd(solution, Parameter::IndexInside).map_or(String::new(), |sd| {
+        let value = geometry.value(Parameter::IndexInside);
+        format!("<p>The index of the water was fitted: {value:.4}, σ {sd:.4}. It trades off against distances.</p>\n")
+    });
+    let heads = ["Surface", "Normal", "σ up-down (°)", "σ left-right (°)", "Distance (mm)", "σ (mm)"];
+    format!("<h3>Mirrors and walls</h3>\n{}{index}", table(1, &heads, &rows))
+}
+
+/// The lens now, and as it was before the mirrors' pictures.
+pub(super) fn lens(solution: &Solution) -> String {
+    const ROWS: [(&str, usize); 9] = [
+        ("focal length x, fx (px)", 2),
+        ("focal length y, fy (px)", 2),
+        ("principal point x, cx (px)", 2),
+        ("principal point y, cy (px)", 2),
+        ("k1", 4),
+        ("k2", 4),
+        ("p1", 5),
+        ("p2", 5),
+        ("k3", 3),
+    ];
+    let before = solution.known.iter().find_map(|known| match known {
+        Known::Lens { values, whitening } => Some((values, (whitening.tr_mul(whitening)).try_inverse()?)),
+        _ => None,
+    });
+    let rows: Vec<Vec<String>> = ROWS
+        .iter()
+        .zip(Parameter::LENS)
+        .enumerate()
+        .map(|(i, ((name, digits), parameter))| {
+            let was = before
+                .as_ref()
+                .and_then(|(values, covariance)| Some((*values.get(i)?, covariance.get((i, i))?.sqrt())));
+            let cell = |value: Option<f64>| value.map_or("–".to_owned(), |v| signless(v, *digits));
+            vec![
+                (*name).to_owned(),
+                signless(solution.geometry.value(parameter), *digits),
+                number(sd(solution, parameter), *digits),
+                cell(was.map(|w| w.0)),
+                cell(was.map(|w| w.1)),
+            ]
+        })
+        .collect();
+    let heads = ["Parameter", "Value", "σ", "Before", "σ before"];
+    format!(
+        "<h3>Lens</h3>\n<p>Before: as <code>catoptra calibrate camera</code> found it, without mirror and water.</p>\n{}",
+        table(1, &heads, &rows)
+    )
+}
+
+/// Without plus; the minus as it is printed.
+fn signless(value: f64, digits: usize) -> String {
+    signed(value, digits).trim_start_matches('+').to_owned()
+}
+
+/// What was known beside the pictures, and whether they agree.
+pub(super) fn known(done: &RigCalibration) -> String {
+    let solution = &done.solution;
+    let (geometry, name) = (&solution.geometry, |surface: usize| escape(surface_name(&solution.geometry, surface)));
+    let offset_m = |surface: usize| geometry.value(Parameter::Offset { surface });
+    let rows: Vec<Vec<String>> = solution
+        .known
+        .iter()
+        .zip(&solution.known_chi2)
+        .map(|(known, chi2)| {
+            let mm = |value_m: f64, sd_m: f64| format!("{:.2} ± {:.2} mm", value_m * 1e3, sd_m * 1e3);
+            let (what, given, found, values) = match known {
+                Known::Lens { .. } => ("the lens, all of it".to_owned(), "above".to_owned(), "above".to_owned(), 9.0),
+                Known::Distance { surface, distance_m, sd_m } => (
+                    format!("distance of {} from the camera", name(*surface)),
+                    mm(*distance_m, *sd_m),
+                    format!("{:.2} mm", offset_m(*surface).abs() * 1e3),
+                    1.0,
+                ),
+                Known::Square { surfaces: [a, b], sd_rad } => {
+                    let normal = |surface: usize| geometry.surfaces.get(surface).map(|(_, s)| s.plane().normal());
+                    let angle = normal(*a).zip(normal(*b)).map(|(a, b)| a.angle(&b).to_degrees());
+                    (
+                        format!("angle between {} and {}", name(*a), name(*b)),
+                        format!("90 ± {:.2}°", sd_rad.to_degrees()),
+                        angle.map_or("–".to_owned(), |angle| format!("{angle:.3}°")),
+                        1.0,
+                    )
+                }
+                Known::Apart { surfaces: [a, b], distance_m, sd_m } => (
+                    format!("from {} to {}", name(*a), name(*b)),
+                    mm(*distance_m, *sd_m),
+                    format!("{:.2} mm", (offset_m(*a) + offset_m(*b)) * 1e3),
+                    1.0,
+                ),
+                Known::IndexInside { index, sd } => (
+                    "index of the water".to_owned(),
+                    format!("{index:.4} ± {sd:.4}"),
+                    format!("{:.4}", geometry.value(Parameter::IndexInside)),
+                    1.0,
+                ),
+                Known::Taped { picture, surface, sd_m, .. } => {
+                    let board = done.used.get(*picture).map_or(String::new(), |(_, used)| escape(&used.name));
+                    (format!("board of {board} flat on {}", name(*surface)), mm(0.0, *sd_m), "–".to_owned(), 3.0)
+                }
+            };
+            let off = (chi2 / values).sqrt();
+            let class = if off > CONTRADICTS { " class=\"miss\"" } else { "" };
+            vec![what, given, found, format!("<span{class}>{off:.2}</span>")]
+        })
+        .collect();
+    if rows.is_empty() {
+        return String::new();
+    }
+    format!(
+        "<h3>What else was known</h3>\n<p>Off: how far what came out is from what was given, in σ of what was given (of several \
+         values, RMS). Above {CONTRADICTS} the pictures contradict it: measure again.</p>\n{}",
+        table(1, &["What", "Given", "Came out", "Off (σ)"], &rows)
+    )
+}
+
+/// Correlations from a covariance.
+pub(super) fn correlations(covariance: &DMatrix<f64>) -> DMatrix<f64> {
+    let sd = covariance.diagonal().map(f64::sqrt);
+    covariance.component_div(&(&sd * sd.transpose()))
+}
+
+/// The check on held-out pictures, a row a picture.
+pub(super) fn held_out(done: &RigCalibration, held: &[Result<HeldOut, NoSolution>]) -> String {
+    let mut rows: Vec<Vec<String>> = done
+        .used
+        .iter()
+        .zip(held)
+        .map(|((_, used), held)| match held {
+            Ok(held) => row(&used.name, &held.edges, &held.diagonals, held.scale, &held.rays_m),
+            Err(why) => {
+                let mut row = vec![escape(&used.name), format!("without it, {why}")];
+                row.resize(9, String::new());
+                row
+            }
+        })
+        .collect();
+    let (mut edges, mut diagonals, mut rays_m, mut scales) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+    for held in held.iter().flatten() {
+        edges.extend(held.edges.iter().copied());
+        diagonals.extend(held.diagonals.iter().copied());
+        rays_m.extend(held.rays_m.iter().copied());
+        scales.extend(held.scale);
+    }
+    let scale = (!scales.is_empty()).then(|| scales.iter().sum::<f64>() / scales.len() as f64);
+    let all = row("all", &edges, &diagonals, scale, &rays_m);
+    rows.push(all.into_iter().map(|cell| format!("<strong>{cell}</strong>")).collect());
+    let heads = [
+        "Picture<br>left out",
+        "Edges: RMS<br>off (mm)",
+        "noise<br>explains",
+        "largest",
+        "Diagonals: RMS<br>off (mm)",
+        "noise<br>explains",
+        "Scale: off in<br>100 mm (mm)",
+        "Rays pass by<br>(median, mm)",
+        "largest",
+    ];
+    format!(
+        "{}<p class=\"note\">Rays pass by: how far the rays of the views pass the place nearest to them all, the number by which \
+         the tracker tells that two views show the same band.</p>\n",
+        table(1, &heads, &rows)
+    )
+}
+
+fn row(name: &str, edges: &[Length], diagonals: &[Length], scale: Option<f64>, rays_m: &[f64]) -> Vec<String> {
+    let mm = |value_m: Option<f64>| {
+        value_m.filter(|v| v.is_finite()).map_or("–".to_owned(), |v| format!("{:.3}", v * 1e3))
+    };
+    let (edges, diagonals) = (Off::of(edges), Off::of(diagonals));
+    let mut sorted = rays_m.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    vec![
+        escape(name),
+        mm(edges.map(|o| o.rms_m)),
+        mm(edges.map(|o| o.noise_m)),
+        mm(edges.map(|o| o.largest_m)),
+        mm(diagonals.map(|o| o.rms_m)),
+        mm(diagonals.map(|o| o.noise_m)),
+        scale.map_or("–".to_owned(), |scale| signed(scale * 100.0, 3)),
+        mm(sorted.get(sorted.len() / 2).copied()),
+        mm(sorted.last().copied()),
+    ]
+}
