@@ -30,7 +30,7 @@ lint: deps
 	$(CARGO) clippy --locked --all-targets -- -D warnings
 
 bench: deps
-	$(CARGO) bench --locked
+	$(CARGO) bench --locked --bench '*'
 
 accuracy: deps
 	$(CARGO) test --locked --test accuracy -- --nocapture --test-threads 1

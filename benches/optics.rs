@@ -6,6 +6,7 @@ use catoptra::optics::{Lens, Mirror, OpticalPath, Plane, Surface, Wall};
 use criterion::{Criterion, criterion_group, criterion_main};
 use nalgebra::{Point2, Point3, Vector2, Vector3};
 use std::hint::black_box;
+use std::time::Duration;
 
 fn rays(criterion: &mut Criterion) {
     let lens = Lens {
@@ -38,5 +39,10 @@ fn rays(criterion: &mut Criterion) {
     }
 }
 
-criterion_group!(benches, rays);
+// Two seconds each: calls of microseconds need no more.
+criterion_group! {
+    name = benches;
+    config = Criterion::default().warm_up_time(Duration::from_millis(500)).measurement_time(Duration::from_millis(1500));
+    targets = rays
+}
 criterion_main!(benches);

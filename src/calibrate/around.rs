@@ -13,7 +13,7 @@ const REACH_PX: (f64, f64) = (16.0, 150.0);
 const SIDE: f64 = 120.0;
 /// A colour may be the band's at this many times the light of the click...
 const LIGHT: (f64, f64) = (0.35, 1.6);
-/// ...when it is no further from that than this share of the click's own.
+/// ...when it is no further from that than this share of it: a cone, so that what is dark is not like everything.
 const ALIKE: f64 = 0.2;
 /// Clusters around a click, and rounds to find them.
 const CLUSTERS: usize = 4;
@@ -40,7 +40,7 @@ pub(super) fn clusters(
 /// Whether a colour may be `own` in another light.
 fn may_be(colour: &Vector3<f64>, own: &Vector3<f64>) -> bool {
     let light = (colour.dot(own) / own.norm_squared().max(1.0)).clamp(LIGHT.0, LIGHT.1);
-    (colour - own * light).norm() < ALIKE * own.norm()
+    (colour - own * light).norm() < ALIKE * light * own.norm()
 }
 
 fn cluster(colours: &[Vector3<f64>]) -> Vec<Vec<Vector3<f64>>> {
@@ -99,6 +99,20 @@ mod tests {
         let near = |colour: [f64; 3]| means.iter().any(|m| (m - Vector3::from(colour)).norm() < 8.0);
         assert!(near([180.0, 179.0, 182.0]) && near([63.0, 62.0, 69.0]), "{means:?}");
         assert!(found[0].iter().flatten().all(|c| c.z < 1.5 * c.x), "the band itself in another light is left out");
+    }
+
+    /// Were the ground taken for the band in the shade, nothing would say that it is none.
+    #[test]
+    fn a_dark_ground_is_not_the_band_in_the_shade() {
+        let blue = Vector3::new(34.0, 54.0, 131.0);
+        let ground = Vector3::new(21.0, 23.0, 23.0);
+        let scene = |x: i64, y: i64| {
+            let on_band = (97..103).contains(&x) && (88..112).contains(&y);
+            ((0..200).contains(&x) && (0..200).contains(&y)).then_some(if on_band { blue } else { ground })
+        };
+        let found = clusters(&[Point2::new(100.0, 100.0)], &[blue], scene);
+        assert!(found[0].iter().any(|list| list.len() > 1000 && list.iter().all(|c| *c == ground)));
+        assert!(may_be(&(blue * 0.5), &blue) && !may_be(&(blue * 0.1), &blue));
     }
 
     #[test]

@@ -76,8 +76,6 @@ pub struct Solution {
     pub corner_sd_px: f64,
     /// What else was known.
     pub known: Vec<Known>,
-    /// χ² of each entry of `known`: its deviation in its own standard deviations, squared.
-    pub known_chi2: Vec<f64>,
 }
 
 /// Why there is no answer.
@@ -137,7 +135,6 @@ impl Bundle {
         let residuals_px = self.residuals_px()?;
         let (covariance, _) = self.normal(sd_px)?.reduced(0.0).ok_or(NoSolution::Singular)?;
         let covariance = covariance.cholesky().ok_or(NoSolution::Singular)?.inverse();
-        let known_chi2 = self.known.iter().map(|known| known.deviation(&self.geometry, &self.poses)).collect();
         Ok(Solution {
             geometry: self.geometry,
             free: self.free,
@@ -146,7 +143,6 @@ impl Bundle {
             residuals_px,
             corner_sd_px: sd_px,
             known: self.known,
-            known_chi2,
         })
     }
 

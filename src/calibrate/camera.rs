@@ -89,6 +89,16 @@ pub enum LeftOut {
         /// Of the median picture.
         median_px: f64,
     },
+    /// It is not sharp.
+    #[error(
+        "it is blurred: edges {edge_px:.0} px wide on squares of {square_px:.0} px; hold the board still, focus, more light"
+    )]
+    Blurred {
+        /// From dark to light.
+        edge_px: f64,
+        /// Side of a square.
+        square_px: f64,
+    },
     /// It was given before.
     #[error("it is the same picture as {0}")]
     Duplicate(String),
@@ -113,11 +123,14 @@ pub enum CameraError {
     },
     /// Too few pictures with a board.
     #[error(
-        "the board was found in {found} different pictures, at least {FEWEST_PICTURES} are needed, 10 to 20 are good"
+        "the board was found in {found} different pictures, at least {FEWEST_PICTURES} are needed, 10 to 20 are good{}",
+        list(.left_out)
     )]
     TooFew {
         /// How many.
         found: usize,
+        /// Those left out, and why.
+        left_out: Vec<(String, LeftOut)>,
     },
     /// All boards are parallel.
     #[error(
@@ -146,12 +159,17 @@ pub enum CameraError {
     Solve(#[from] NoSolution),
 }
 
+/// Pictures left out, a line each.
+pub(super) fn list<T: std::fmt::Display>(left_out: &[(String, T)]) -> String {
+    left_out.iter().map(|(name, why)| format!("\n  {name}: {why}")).collect()
+}
+
 /// Calibrates the lens.
 ///
 /// # Errors
 /// [`CameraError`] when the pictures do not belong together or leave the lens open.
 pub fn calibrate_camera(board: &Board, pictures: &[BoardPicture]) -> Result<CameraCalibration, CameraError> {
-    let first = pictures.first().ok_or(CameraError::TooFew { found: 0 })?;
+    let first = pictures.first().ok_or(CameraError::TooFew { found: 0, left_out: Vec::new() })?;
     if let Some(other) = pictures.iter().find(|p| p.size_px != first.size_px) {
         return Err(CameraError::Sizes {
             name: other.name.clone(),
@@ -160,16 +178,12 @@ pub fn calibrate_camera(board: &Board, pictures: &[BoardPicture]) -> Result<Came
             expected: first.size_px,
         });
     }
-    let (mut used, mut left_out) = without_duplicates(pictures);
+    let (mut used, mut left_out) = usable(pictures);
     loop {
         if used.len() < FEWEST_PICTURES {
-            return Err(CameraError::TooFew { found: used.len() });
+            return Err(CameraError::TooFew { found: used.len(), left_out });
         }
         let solved = adjust(board, &used, first.size_px)?;
-        let spread = spread_rad(&solved.poses);
-        if spread < LEAST_TILT_RAD {
-            return Err(CameraError::Parallel { spread_deg: spread.to_degrees() });
-        }
         let of_pictures = by_picture(&solved, &used);
         let Some((worst, off)) = worst(&of_pictures) else {
             return conclude(&solved, of_pictures, left_out, first.size_px);
@@ -178,12 +192,17 @@ pub fn calibrate_camera(board: &Board, pictures: &[BoardPicture]) -> Result<Came
     }
 }
 
-/// All pictures but those that show the same as an earlier one.
-fn without_duplicates(pictures: &[BoardPicture]) -> (Vec<&BoardPicture>, Vec<(String, LeftOut)>) {
+/// All pictures but those that are blurred or show the same as an earlier one.
+fn usable(pictures: &[BoardPicture]) -> (Vec<&BoardPicture>, Vec<(String, LeftOut)>) {
     let (mut used, mut left_out): (Vec<&BoardPicture>, _) = (Vec::new(), Vec::new());
     for picture in pictures {
-        match used.iter().find(|other| same(&other.image, &picture.image)) {
-            Some(other) => left_out.push((picture.name.clone(), LeftOut::Duplicate(other.name.clone()))),
+        let BoardImage { edge_px, square_px, .. } = picture.image;
+        let same = used.iter().find(|other| same(&other.image, &picture.image)).map(|other| other.name.clone());
+        match same {
+            _ if picture.image.is_blurred() => {
+                left_out.push((picture.name.clone(), LeftOut::Blurred { edge_px, square_px }))
+            }
+            Some(other) => left_out.push((picture.name.clone(), LeftOut::Duplicate(other))),
             None => used.push(picture),
         }
     }
@@ -212,6 +231,10 @@ pub fn centred(board: &Board) -> Vec<Point3<f64>> {
 fn adjust(board: &Board, used: &[&BoardPicture], size_px: [u32; 2]) -> Result<Solution, CameraError> {
     let places = centred(board);
     let (lens, poses) = start(&places, used, size_px)?;
+    let spread = spread_rad(&poses);
+    if spread < LEAST_TILT_RAD {
+        return Err(CameraError::Parallel { spread_deg: spread.to_degrees() });
+    }
     let corners = used
         .iter()
         .enumerate()

@@ -6,7 +6,7 @@ use crate::segment::{Blob, ClassSamples};
 use crate::source::{Picture, RgbFromStored};
 use nalgebra::{Point2, Vector2, Vector3};
 
-/// Pixels nearer than this to an edge of a band are mixed from both sides.
+/// Pixels nearer than this to an edge of a band are mixed from both sides; of a narrow one its inner half has to do.
 const EDGE_PX: f64 = 1.2;
 /// How far beside a band its surroundings are sampled, pixels.
 const BESIDE_PX: f64 = 14.0;
@@ -69,6 +69,11 @@ impl Place {
         Self { marker: None, centre, axis: Vector2::x(), half_length: reach, half_width: reach }
     }
 
+    /// How far inside the rectangle only the band is seen, pixels.
+    fn edge(&self) -> f64 {
+        EDGE_PX.min(0.5 * self.half_length.min(self.half_width))
+    }
+
     /// Distance outside the rectangle (negative inside), pixels.
     fn outside(&self, pixel: &Point2<f64>) -> f64 {
         let off = pixel - self.centre;
@@ -101,7 +106,7 @@ impl Samples {
                 for x in low(place.centre.x)..=high(place.centre.x, width) {
                     let pixel = Point2::new(f64::from(x), f64::from(y));
                     let outside = place.outside(&pixel);
-                    let list = if outside < -EDGE_PX {
+                    let list = if outside < -place.edge() {
                         &mut self.bands[marker]
                     } else if surroundings && outside < BESIDE_PX && clear(&pixel) {
                         &mut self.beside[marker]
@@ -126,6 +131,11 @@ impl Samples {
     pub(super) fn add_clicks(&mut self, picture: &Picture, clicks: &[Point2<f64>]) {
         let places: Vec<Place> = clicks.iter().enumerate().map(|(m, click)| Place::click(m, *click)).collect();
         self.add(picture, &places, false);
+        self.add_around(picture, clicks);
+    }
+
+    /// Adds what lies around clicks in a picture, as classes of their own, but for the colours that the bands have by now.
+    pub(super) fn add_around(&mut self, picture: &Picture, clicks: &[Point2<f64>]) {
         let Some(rgb) = picture.rgb_from_stored() else { return };
         let own: Vec<Vector3<f64>> =
             self.bands.iter().map(|band| band.iter().sum::<Vector3<f64>>() / band.len().max(1) as f64).collect();

@@ -98,11 +98,6 @@ impl Known {
         }
     }
 
-    /// Sum of the squares of all deviations.
-    pub(super) fn deviation(&self, geometry: &Geometry, poses: &[Isometry3<f64>]) -> f64 {
-        self.values(geometry, poses).iter().map(|v| v * v).sum()
-    }
-
     /// What it is, in words.
     pub fn what(&self, geometry: &Geometry) -> String {
         let name = |surface: &usize| geometry.surfaces.get(*surface).map_or("", |(name, _)| name.as_str());

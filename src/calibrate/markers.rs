@@ -250,11 +250,13 @@ fn learn_first(rig: &Rig, picks: &[Pick], first: &Frame) -> Result<Rig, MarkersE
     let mut samples = Samples::new(names());
     samples.add_clicks(&first.picture, &clicks);
     set_models(&mut rig, &learn(&samples.classes())?);
-    // The whole band shows more of its shading than the click, and what lies beside it matters most.
+    // The whole band shows more of its shading than the click, and what lies beside it matters most. The tube stays a class of
+    // its own: blobs reach a little into it, and would grow into it further each time.
     for _ in 0..2 {
         let places = blobs_under(&rig, picks, first)?;
         let mut samples = Samples::new(names());
         samples.add(&first.picture, &places, true);
+        samples.add_around(&first.picture, &clicks);
         set_models(&mut rig, &learn(&samples.classes())?);
     }
     Ok(rig)
@@ -269,9 +271,11 @@ fn blobs_under(rig: &Rig, picks: &[Pick], frame: &Frame) -> Result<Vec<Place>, M
         .map(|(m, pick)| {
             let (x, y) = (pick.pixel.x, pick.pixel.y);
             let holds = |low: u32, high: u32, v: f64| (f64::from(low)..f64::from(high)).contains(&v);
+            // A scattered one may reach around the band.
             blobs
                 .iter()
-                .find(|b| b.marker == m && holds(b.bounds.x0, b.bounds.x1, x) && holds(b.bounds.y0, b.bounds.y1, y))
+                .filter(|b| b.marker == m && holds(b.bounds.x0, b.bounds.x1, x) && holds(b.bounds.y0, b.bounds.y1, y))
+                .min_by(|a, b| a.area_px2.total_cmp(&b.area_px2))
                 .map(Place::blob)
                 .ok_or_else(|| MarkersError::NoBlob { name: pick.name.clone(), x, y })
         })
@@ -480,4 +484,73 @@ fn misfit(rig: &Rig, frames: &[&Frame]) -> Option<f64> {
     let mut tracker = Tracker::new(rig, TrackOptions::default()).ok()?;
     let misfits: Vec<f64> = frames.iter().filter_map(|frame| tracker.misfit(frame)).collect();
     (misfits.len() * 2 > frames.len()).then(|| misfits.iter().sum::<f64>() / misfits.len() as f64)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sink::fixture;
+    use crate::source::{Clock, Colour, Picture, PixelFormat, Timestamp};
+
+    /// A white tube with three bands, 7 px wide, in 4:2:0; its edges are as soft as a lens makes them.
+    fn hanging_on(ground: [f64; 3]) -> Frame {
+        const SIZE: [usize; 2] = [120, 280];
+        let albedo = |y: f64| match y {
+            30.0..43.0 => [0.45, 0.33, 0.04],
+            190.0..215.0 => [0.04, 0.22, 0.06],
+            242.0..255.0 => [0.04, 0.08, 0.35],
+            _ => [0.62, 0.62, 0.63],
+        };
+        let encode = |light: f64| (1.055 * light.powf(1.0 / 2.4) - 0.055) * 255.0;
+        let rgb = |x: usize, y: usize| {
+            let mut light = [0.0; 3];
+            for k in 0..64 {
+                let at = |i: usize, k: usize| i as f64 + (k as f64 + 0.5) / 4.0 - 1.0;
+                let (px, py) = (at(x, k % 8), at(y, k / 8));
+                let seen = if (px - 60.2).abs() < 3.5 && (20.0..255.0).contains(&py) { albedo(py) } else { ground };
+                light.iter_mut().zip(seen).for_each(|(sum, v)| *sum += 0.6 * v / 64.0);
+            }
+            light.map(encode)
+        };
+        let format = PixelFormat::Yuv { chroma_log2: [1, 1] };
+        let plane = |channel: usize| {
+            let step = if channel == 0 { 1 } else { 2 };
+            let (weights, constant) = Colour::SRGB.channel_from_rgb(format, channel);
+            let stored = |x, y| rgb(x, y).iter().zip(weights).map(|(v, w)| v * w).sum::<f64>() + constant;
+            let mean = |x: usize, y: usize| {
+                let near = (0..step * step).map(|k| stored(x * step + k % step, y * step + k / step));
+                (near.sum::<f64>() / (step * step) as f64).round() as u8
+            };
+            (0..SIZE[1] / step)
+                .flat_map(|y| (0..SIZE[0] / step).map(move |x| (x, y)))
+                .map(|(x, y)| mean(x, y))
+                .collect()
+        };
+        let planes = (0..3).map(plane).collect();
+        let picture = Picture::from_planes(SIZE[0] as u32, SIZE[1] as u32, format, Colour::SRGB, planes).unwrap();
+        Frame { seq: 0, stamp: Timestamp { ns: 0, clock: Clock::Container }, gap: 0, picture }
+    }
+
+    /// On a dark ground a band's blob reaches into the tube beside it; learning from it must not draw the tube in.
+    #[test]
+    fn bands_stay_bands_whatever_they_hang_before() {
+        for ground in [[0.02, 0.02, 0.018], [0.13, 0.13, 0.12], [0.4, 0.39, 0.36]] {
+            let frame = hanging_on(ground);
+            let pick = |name: &str, y, length_m| Pick { name: name.into(), pixel: Point2::new(60.0, y), length_m };
+            let picks = [pick("base", 36.0, 6e-3), pick("coil", 202.0, 12e-3), pick("tip", 248.0, 6e-3)];
+            let rig = learn_first(&fixture::rig(), &picks, &frame).unwrap();
+            for marker in &rig.markers {
+                let model = marker.colour.unwrap();
+                let white = model.weights.sum() * 190.0 + model.bias;
+                assert!(white < 0.15, "{ground:?}: the tube scores {white:.2} as `{}`", marker.name);
+            }
+            let mut segmenter = Segmenter::for_rig(&rig).unwrap();
+            let blobs = segmenter.all_blobs(&frame.picture).unwrap();
+            let found: Vec<(usize, u32, u32)> = blobs.iter().map(|b| (b.marker, b.bounds.y0, b.bounds.y1)).collect();
+            assert_eq!(found.len(), 3, "{ground:?}: {found:?}");
+            for ((m, low, high), (from, to)) in found.into_iter().zip([(30, 43), (190, 215), (242, 255)]) {
+                assert!(low + 4 >= from && high <= to + 4, "{ground:?}: marker {m} from {low} to {high}");
+            }
+        }
+    }
 }

@@ -14,10 +14,12 @@
 
 use super::board::Board;
 use super::bundle::{Bundle, Corner, NoSolution, Solution};
-use super::camera::{UsedPicture, rms, worst};
+use super::camera::{BoardPicture, UsedPicture, list, rms, worst};
 use super::geometry::{Geometry, Parameter};
 use super::known::Known;
+use super::regions::regions;
 use super::start::{BoardsPicture, Start, Unusable, start};
+use super::taped::Taped;
 use crate::optics::{Lens, Mirror, Plane, PlaneError, Surface, Wall};
 use crate::rig::{Draft, View};
 use nalgebra::{DMatrix, Isometry3, Point2, Point3, Translation3, Vector2, Vector3};
@@ -61,6 +63,8 @@ pub struct RigOptions {
     pub lens_covariance: Option<DMatrix<f64>>,
     /// Distances of surfaces from the camera that were measured: name, distance, standard deviation, metres.
     pub distances_m: Vec<(String, f64, f64)>,
+    /// Pictures of the board taped flat to the outer face of a wall: the wall's name, the board's image.
+    pub taped: Vec<(String, BoardPicture)>,
     /// Standard deviation of the index inside, to let it be fitted; `None` holds it.
     pub index_sd: Option<f64>,
 }
@@ -97,8 +101,8 @@ pub enum RigCalibrationError {
         /// How many there should be.
         expected: usize,
     },
-    /// A distance of a surface that does not exist.
-    #[error("there is no surface `{name}` to be at a distance; there are {known}")]
+    /// A distance, or a board, of a surface that does not exist.
+    #[error("there is no surface `{name}`; there are {known}")]
     NoSurface {
         /// As asked for.
         name: String,
@@ -117,10 +121,6 @@ pub enum RigCalibrationError {
     /// The adjustment failed.
     #[error("the rig cannot be determined: {0}")]
     Solve(#[from] NoSolution),
-}
-
-fn list(left_out: &[(String, String)]) -> String {
-    left_out.iter().map(|(name, why)| format!("\n  {name}: {why}")).collect()
 }
 
 /// Calibrates mirrors and walls.
@@ -144,7 +144,7 @@ pub fn calibrate_rig(
         if start.mirrors.len() < options.mirrors {
             return Err(RigCalibrationError::Mirrors { found: start.mirrors.len(), expected: options.mirrors });
         }
-        let (solution, corners) = best(lens, &start, options)?;
+        let (solution, corners) = best(board, lens, &start, options)?;
         let used: Vec<UsedPicture> = (0..start.pictures.len())
             .map(|picture| UsedPicture {
                 name: name(start.pictures[picture].picture),
@@ -167,15 +167,20 @@ fn by_picture(corners: &[Corner], solution: &Solution, picture: usize) -> Vec<(P
 }
 
 /// The best of the adjustments that start from walls at several distances.
-fn best(lens: &Lens, start: &Start, options: &RigOptions) -> Result<(Solution, Vec<Corner>), RigCalibrationError> {
-    let corners: Vec<Corner> = start
+fn best(
+    board: &Board,
+    lens: &Lens,
+    start: &Start,
+    options: &RigOptions,
+) -> Result<(Solution, Vec<Corner>), RigCalibrationError> {
+    let seen: Vec<Corner> = start
         .pictures
         .iter()
         .enumerate()
         .flat_map(|(picture, sorted)| {
             let views = sorted.views.iter().enumerate();
-            views.flat_map(move |(view, corners)| {
-                corners.iter().flatten().map(move |(place, pixel)| Corner {
+            views.flat_map(move |(view, image)| {
+                image.iter().flat_map(|image| &image.corners).map(move |(place, pixel)| Corner {
                     picture,
                     view,
                     place: *place,
@@ -187,8 +192,13 @@ fn best(lens: &Lens, start: &Start, options: &RigOptions) -> Result<(Solution, V
     let margins: &[f64] = if options.tank.is_some() { &MARGINS_M } else { &[0.0] };
     let mut best: Result<Solution, RigCalibrationError> = Err(NoSolution::NotConverged.into());
     for margin_m in margins {
-        let (geometry, poses) = first_geometry(lens, start, options, *margin_m)?;
-        let known = known(&geometry, options)?;
+        let (mut geometry, mut poses) = first_geometry(lens, start, options, *margin_m)?;
+        let mut known = known(&geometry, options)?;
+        let mut corners = seen.clone();
+        for (wall, picture) in &options.taped {
+            let taped = Taped::new(board, lens, &geometry, wall, picture)?;
+            taped.add(&mut geometry, &mut poses, &mut corners, &mut known);
+        }
         let mut free: Vec<Parameter> = (0..geometry.surfaces.len()).flat_map(Parameter::of_surface).collect();
         let held = held(&geometry).into_iter().chain(known.iter().cloned()).collect();
         let rough = Bundle { geometry, free: free.clone(), poses, corners: corners.clone(), known: held }.solve();
@@ -209,7 +219,21 @@ fn best(lens: &Lens, start: &Start, options: &RigOptions) -> Result<(Solution, V
             (Err(_), Ok(_)) => {}
         }
     }
-    Ok((best?, corners))
+    // Taped boards and the views that show them have done their work: they are no part of the rig.
+    let mut solution = best?;
+    solution.geometry.views.truncate(1 + start.mirrors.len());
+    solution.poses.truncate(start.pictures.len());
+    solution.residuals_px.truncate(seen.len());
+    solution.known.retain(|known| !matches!(known, Known::Taped { .. }));
+    Ok((solution, seen))
+}
+
+/// Index of a surface by its name.
+pub(super) fn surface(geometry: &Geometry, name: &str) -> Result<usize, RigCalibrationError> {
+    geometry.surfaces.iter().position(|(own, _)| own == name).ok_or_else(|| {
+        let names: Vec<&str> = geometry.surfaces.iter().map(|(name, _)| name.as_str()).collect();
+        RigCalibrationError::NoSurface { name: name.to_owned(), known: names.join(", ") }
+    })
 }
 
 /// Names of the mirrors and of their views: without a number where there is only one.
@@ -227,25 +251,29 @@ fn first_geometry(
     let count = start.mirrors.len();
     let mut surfaces: Vec<(String, Surface)> = Vec::new();
     let mut views = vec![("direct".to_owned(), Vec::new())];
-    let mut poses: Vec<Isometry3<f64>> = start.pictures.iter().map(|p| p.pose).collect();
+    let seen: Vec<_> = start.pictures.iter().map(|p| &p.views).collect();
+    let mut poses: Vec<Isometry3<f64>> = seen.iter().filter_map(|views| Some(views.first()?.as_ref()?.pose)).collect();
     if let Some(tank) = &options.tank {
         let middle = poses.iter().map(|p| p.translation.vector).sum::<Vector3<f64>>() / poses.len().max(1) as f64;
         let normal = -middle.normalize();
         let measured = options.distances_m.iter().find(|(name, ..)| name == "front_wall").map(|(_, d, _)| -d);
         let offset_m = measured.unwrap_or_else(|| outermost(start, &poses, &normal) + margin_m);
         let front = tank.wall(Plane::new(normal, offset_m)?);
-        // What is behind the wall seems nearer than it is, by the index.
         for pose in &mut poses {
-            let behind = -front.outer.signed_distance(&Point3::from(pose.translation.vector));
-            let further = pose.translation.vector.normalize() * (behind * (tank.index_inside - 1.0)).max(0.0);
-            *pose = Translation3::from(further) * *pose;
+            let middle = Point3::from(pose.translation.vector);
+            *pose = Translation3::from(front.lengthened(&middle) - middle) * *pose;
         }
         surfaces.push(("front_wall".to_owned(), Surface::Wall(front)));
         views[0].1.push(0);
     }
     for (index, (normal, offset_m)) in start.mirrors.iter().enumerate() {
         let mirror = surfaces.len();
-        let plane = Plane::new(*normal, *offset_m)?;
+        let mut plane = Plane::new(*normal, *offset_m)?;
+        if options.tank.is_some_and(|tank| tank.mirrors_inside)
+            && let Some((_, Surface::Wall(front))) = surfaces.first()
+        {
+            plane = plane_in_water(start, index + 1, front)?;
+        }
         surfaces.push((numbered("mirror", index, count), Surface::Mirror(Mirror { plane })));
         let path = match &options.tank {
             None => vec![mirror],
@@ -274,10 +302,34 @@ fn first_geometry(
     Ok((Geometry { lens: *lens, surfaces, views }, poses))
 }
 
+/// The plane halfway between what a board and its reflection behind a wall are when refraction is made good.
+fn plane_in_water(start: &Start, view: usize, front: &Wall) -> Result<Plane, PlaneError> {
+    let (mut across, mut middles) = (Vector3::zeros(), Vec::new());
+    for sorted in &start.pictures {
+        let (Some(Some(direct)), Some(Some(image))) = (sorted.views.first(), sorted.views.get(view)) else { continue };
+        for (place, _) in &direct.corners {
+            let (here, there) = (front.lengthened(&(direct.pose * place)), front.lengthened(&(image.pose * place)));
+            across += here - there;
+            middles.push((here.coords + there.coords) / 2.0);
+        }
+    }
+    let normal = across.normalize();
+    let offset = middles.iter().map(|middle| normal.dot(middle)).sum::<f64>() / middles.len().max(1) as f64;
+    Plane::new(normal, offset)
+}
+
+impl Wall {
+    /// About where a point is that seems to be at `apparent` through this wall: what is behind it seems nearer, by the index.
+    fn lengthened(&self, apparent: &Point3<f64>) -> Point3<f64> {
+        let behind = (-self.outer.signed_distance(apparent)).max(0.0);
+        apparent + apparent.coords.normalize() * (behind * (self.index_inside - 1.0))
+    }
+}
+
 /// How far the corners of all boards reach along a direction.
 fn outermost(start: &Start, poses: &[Isometry3<f64>], direction: &Vector3<f64>) -> f64 {
     let corners = start.pictures.iter().zip(poses).flat_map(|(sorted, pose)| {
-        sorted.views.iter().flatten().flatten().map(move |(place, _)| (pose * place).coords)
+        sorted.views.iter().flatten().flat_map(|image| &image.corners).map(move |(place, _)| (pose * place).coords)
     });
     corners.map(|corner| corner.dot(direction)).fold(f64::NEG_INFINITY, f64::max)
 }
@@ -304,10 +356,7 @@ fn known(geometry: &Geometry, options: &RigOptions) -> Result<Vec<Known>, RigCal
         known.push(Known::Lens { values, whitening });
     }
     for (name, distance_m, sd_m) in &options.distances_m {
-        let surface = geometry.surfaces.iter().position(|(own, _)| own == name).ok_or_else(|| {
-            let names: Vec<&str> = geometry.surfaces.iter().map(|(name, _)| name.as_str()).collect();
-            RigCalibrationError::NoSurface { name: name.clone(), known: names.join(", ") }
-        })?;
+        let surface = surface(geometry, name)?;
         known.push(Known::Distance { surface, distance_m: *distance_m, sd_m: *sd_m });
     }
     let Some(tank) = &options.tank else { return Ok(known) };
@@ -365,7 +414,7 @@ pub fn into_draft(mut draft: Draft, done: &RigCalibration) -> Draft {
     let geometry = &done.solution.geometry;
     draft.camera.lens = geometry.lens;
     draft.surfaces = geometry.surfaces.iter().cloned().collect();
-    let regions = regions(done, draft.camera.size_px);
+    let regions = regions(&done.corners, geometry.views.len(), draft.camera.size_px);
     draft.views = geometry
         .views
         .iter()
@@ -382,47 +431,6 @@ pub fn into_draft(mut draft: Draft, done: &RigCalibration) -> Draft {
     draft
 }
 
-/// Where each view is in the picture: the picture cut along lines halfway between the boards of two views. Two views whose
-/// boards no line across their centres parts are not cut.
-fn regions(done: &RigCalibration, size_px: [u32; 2]) -> Vec<Vec<Point2<f64>>> {
-    let views = done.solution.geometry.views.len();
-    let of_view = |view: usize| done.corners.iter().filter(move |c| c.view == view).map(|c| c.pixel.coords);
-    let centre = |view: usize| of_view(view).sum::<Vector2<f64>>() / of_view(view).count().max(1) as f64;
-    let [right, bottom] = size_px.map(|size| f64::from(size) - 0.5);
-    (0..views)
-        .map(|view| {
-            let whole = [(-0.5, -0.5), (right, -0.5), (right, bottom), (-0.5, bottom)];
-            let mut region: Vec<Point2<f64>> = whole.map(|(x, y)| Point2::new(x, y)).to_vec();
-            for other in (0..views).filter(|other| *other != view) {
-                let away = (centre(other) - centre(view)).normalize();
-                let last = of_view(view).map(|p| p.dot(&away)).fold(f64::NEG_INFINITY, f64::max);
-                let first = of_view(other).map(|p| p.dot(&away)).fold(f64::INFINITY, f64::min);
-                if last < first {
-                    region = cut(&region, &away, (last + first) / 2.0);
-                }
-            }
-            region
-        })
-        .collect()
-}
-
-/// The part of a convex polygon where direction·p ≤ limit.
-fn cut(polygon: &[Point2<f64>], direction: &Vector2<f64>, limit: f64) -> Vec<Point2<f64>> {
-    let beyond = |p: &Point2<f64>| direction.dot(&p.coords) - limit;
-    let next = polygon.iter().cycle().skip(1);
-    let mut kept = Vec::new();
-    for (a, b) in polygon.iter().zip(next) {
-        let (from, to) = (beyond(a), beyond(b));
-        if from <= 0.0 {
-            kept.push(*a);
-        }
-        if (from < 0.0 && to > 0.0) || (from > 0.0 && to < 0.0) {
-            kept.push(a + (b - a) * (from / (from - to)));
-        }
-    }
-    kept
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -433,13 +441,5 @@ mod tests {
         assert!((water_index(25.0).unwrap() - 1.33245).abs() < 1e-5);
         assert_eq!((water_index(50.0), water_index(-1.0), water_index(51.0)), (Some(1.32894), None, None));
         assert_eq!(water_index(f64::NAN), None);
-    }
-
-    #[test]
-    fn a_square_cut_in_half() {
-        let square = [(0.0, 0.0), (4.0, 0.0), (4.0, 2.0), (0.0, 2.0)].map(|(x, y)| Point2::new(x, y));
-        let left = cut(&square, &Vector2::x(), 1.0);
-        assert_eq!(left, [(0.0, 0.0), (1.0, 0.0), (1.0, 2.0), (0.0, 2.0)].map(|(x, y)| Point2::new(x, y)));
-        assert_eq!(cut(&square, &Vector2::x(), 9.0), square);
     }
 }

@@ -3,6 +3,7 @@
 //! - [`camera`]: the lens, from boards in air.
 //! - [`mirrors`]: mirrors, walls and views, from boards seen directly and in mirrors.
 //! - [`markers`]: colour models, places along the tube and how the camera draws a band, from one click a marker.
+//! - [`base`]: the frame of the catheter at rest and B0, from a recording at rest and one of a planar swing.
 //!
 //! The first two stand on [`board`] (corners in a picture, [`grey`]), [`geometry`] (lens and surfaces as parameters),
 //! [`bundle`] (the adjustment, with what is [`known`] beside the pictures) and [`mod@start`] (its first guess);
@@ -10,6 +11,7 @@
 //! [`mod@doubts`] says what speaks against it.
 
 mod around;
+pub mod base;
 pub mod board;
 pub mod bundle;
 pub mod camera;
@@ -21,7 +23,11 @@ pub mod held_out;
 pub mod known;
 pub mod markers;
 pub mod mirrors;
+mod regions;
 pub mod start;
+mod taped;
+#[cfg(test)]
+mod tests;
 mod tune;
 pub mod verdict;
 

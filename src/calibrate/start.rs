@@ -37,10 +37,17 @@ pub struct BoardsPicture {
 pub(super) struct Sorted {
     /// Index of the picture.
     pub(super) picture: usize,
-    /// Pose of the board by its direct image, camera_from_board, origin in the board's middle.
+    /// For each view (0 direct, then the mirrors) the image there; the direct one is always there.
+    pub(super) views: Vec<Option<Image>>,
+}
+
+/// An image of the board.
+#[derive(Debug, Clone)]
+pub(super) struct Image {
+    /// Corners of the board, in the direct image's order, and where they are in the picture.
+    pub(super) corners: Vec<(Point3<f64>, Point2<f64>)>,
+    /// Pose of the (virtual) board as if in air, camera_from_board, origin in the board's middle.
     pub(super) pose: Isometry3<f64>,
-    /// For each view (0 direct, then the mirrors): corners of the board, in the direct image's order.
-    pub(super) views: Vec<Option<Vec<(Point3<f64>, Point2<f64>)>>>,
 }
 
 /// The first guess.
@@ -59,6 +66,16 @@ pub enum Unusable {
     /// One image only.
     #[error("it shows the board only once, and a mirror needs it twice")]
     Once,
+    /// Images that are not sharp.
+    #[error(
+        "it is blurred: edges {edge_px:.0} px wide on squares of {square_px:.0} px; hold the board still, focus, more light"
+    )]
+    Blurred {
+        /// From dark to light.
+        edge_px: f64,
+        /// Side of a square.
+        square_px: f64,
+    },
     /// Two images that are no reflections of each other.
     #[error(
         "its images of the board are no reflections of one another (lines between their corners are {:.0}° from \
@@ -78,16 +95,20 @@ struct Reflection {
     picture: usize,
     normal: Vector3<f64>,
     offset_m: f64,
-    corners: Vec<(Point3<f64>, Point2<f64>)>,
+    image: Image,
 }
 
 /// Tells views and mirrors apart; `mirrors` is how many there are.
 pub(super) fn start(board: &Board, lens: &Lens, pictures: &[BoardsPicture], mirrors: usize) -> opencv::Result<Start> {
     let places = centred(board);
     let mut left_out = Vec::new();
-    let mut direct: Vec<(usize, Isometry3<f64>, Vec<(Point3<f64>, Point2<f64>)>)> = Vec::new();
+    let mut direct: Vec<(usize, Image)> = Vec::new();
     let mut reflections: Vec<Reflection> = Vec::new();
     for (picture, images) in pictures.iter().enumerate() {
+        if let Some(&BoardImage { edge_px, square_px, .. }) = images.images.iter().find(|image| image.is_blurred()) {
+            left_out.push((picture, Unusable::Blurred { edge_px, square_px }));
+            continue;
+        }
         let mut posed = Vec::new();
         for image in &images.images {
             let corners = ordered(&places, image, None);
@@ -107,7 +128,8 @@ pub(super) fn start(board: &Board, lens: &Lens, pictures: &[BoardsPicture], mirr
                 let there = pose(lens, &corners_there)?;
                 let (spread, normal, offset_m) = mirror_between(&places, nearest, &there);
                 if best.as_ref().is_none_or(|(least, _)| spread < *least) {
-                    best = Some((spread, Reflection { picture, normal, offset_m, corners: corners_there }));
+                    let image = Image { corners: corners_there, pose: there };
+                    best = Some((spread, Reflection { picture, normal, offset_m, image }));
                 }
             }
             match best {
@@ -121,21 +143,21 @@ pub(super) fn start(board: &Board, lens: &Lens, pictures: &[BoardsPicture], mirr
             left_out.push((picture, Unusable::NoReflection { spread }));
             continue;
         }
-        direct.push((picture, *nearest, corners.clone()));
+        direct.push((picture, Image { corners: corners.clone(), pose: *nearest }));
     }
     let groups = group(&reflections, mirrors);
     let mut sorted: Vec<Sorted> = direct
         .into_iter()
-        .map(|(picture, pose, corners)| {
+        .map(|(picture, image)| {
             let mut views = vec![None; groups.len() + 1];
-            views[0] = Some(corners);
-            Sorted { picture, pose, views }
+            views[0] = Some(image);
+            Sorted { picture, views }
         })
         .collect();
     for (mirror, members) in groups.iter().enumerate() {
         for reflection in members {
             if let Some(own) = sorted.iter_mut().find(|s| s.picture == reflection.picture) {
-                own.views[mirror + 1] = Some(reflection.corners.clone());
+                own.views[mirror + 1] = Some(reflection.image.clone());
             }
         }
     }
@@ -150,13 +172,17 @@ pub(super) fn start(board: &Board, lens: &Lens, pictures: &[BoardsPicture], mirr
 }
 
 /// Places and pixels of an image's corners; `order` says which corner stands at each index.
-fn ordered(places: &[Point3<f64>], image: &BoardImage, order: Option<&[usize]>) -> Vec<(Point3<f64>, Point2<f64>)> {
+pub(super) fn ordered(
+    places: &[Point3<f64>],
+    image: &BoardImage,
+    order: Option<&[usize]>,
+) -> Vec<(Point3<f64>, Point2<f64>)> {
     let corner = |i: usize| order.map_or(Some(i), |order| order.get(i).copied());
     image.corners.iter().filter_map(|(i, pixel)| Some((*places.get(corner(*i)?)?, *pixel))).collect()
 }
 
 /// Pose of a board from one image, as if in air: OpenCV's `solvePnP` on undistorted corners.
-fn pose(lens: &Lens, corners: &[(Point3<f64>, Point2<f64>)]) -> opencv::Result<Isometry3<f64>> {
+pub(super) fn pose(lens: &Lens, corners: &[(Point3<f64>, Point2<f64>)]) -> opencv::Result<Isometry3<f64>> {
     let seen = || corners.iter().filter_map(|(place, pixel)| Some((place, lens.undistort(pixel)?)));
     let objects: Vector<Point3f> = seen().map(|(p, _)| Point3f::new(p.x as f32, p.y as f32, p.z as f32)).collect();
     let images: Vector<Point2f> = seen().map(|(_, n)| Point2f::new(n.x as f32, n.y as f32)).collect();
@@ -205,7 +231,7 @@ fn group(reflections: &[Reflection], mirrors: usize) -> Vec<Vec<&Reflection>> {
         left = others;
     }
     let across = |group: &Vec<&Reflection>| {
-        let x = group.iter().flat_map(|r| r.corners.iter().map(|(_, pixel)| pixel.x));
+        let x = group.iter().flat_map(|r| r.image.corners.iter().map(|(_, pixel)| pixel.x));
         x.clone().sum::<f64>() / x.count().max(1) as f64
     };
     groups.sort_by(|a, b| across(a).total_cmp(&across(b)));

@@ -47,7 +47,7 @@ enum Command {
     /// Make a rig file from recordings
     #[command(after_help = "Example:\n  catoptra calibrate markers --help")]
     Calibrate(calibrate::Args),
-    /// Look at rig files
+    /// Look at rig files, and exchange cameras and views with other tools
     #[command(after_help = "Example:\n  catoptra rig check calibration/dev_tank/rig.toml")]
     Rig(rig::Args),
     /// Track a recording: where the bands are, where the coil points, by how much it is deflected
@@ -65,7 +65,7 @@ pub(crate) fn run() -> ExitCode {
     log_to_stderr(cli.verbose, cli.quiet);
     let result = match &cli.command {
         Command::Calibrate(args) => calibrate::run(args, cli.quiet),
-        Command::Rig(args) => rig::run(args),
+        Command::Rig(args) => rig::run(args, cli.quiet),
         Command::Track(args) => track::run(args, cli.quiet),
     };
     match result {

@@ -1,7 +1,7 @@
 //! [`Draft`]: a rig file as far as it has got.
 
 use super::{Base, Camera, Catheter, Marker, Rig, RigError, View, file, validate, write};
-use crate::optics::Surface;
+use crate::optics::{Lens, Surface};
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -37,6 +37,30 @@ impl Draft {
             base: None,
             provenance: toml::Table::new(),
         }
+    }
+
+    /// The same with another lens. Surfaces, views and base frame were found with the old one and do not belong to the new
+    /// one: they are left out, and where the numbers came from with them. Bands and tube stay.
+    pub fn with_lens(self, size_px: [u32; 2], lens: Lens) -> Self {
+        let camera = Camera { size_px, lens, ..self.camera };
+        Self { markers: self.markers, catheter: self.catheter, ..Self::of_camera(camera) }
+    }
+
+    /// The view of this name; `file` stands in the message when there is none.
+    ///
+    /// # Errors
+    /// [`RigError::Value`] with the nearest name.
+    pub fn view(&self, name: &str, file: &Path) -> Result<&View, RigError> {
+        let expected = || match self.views.is_empty() {
+            true => "no view: this rig has none yet".to_owned(),
+            false => validate::unknown_name("a view of this rig", name, self.views.iter().map(|v| v.name.as_str())),
+        };
+        self.views.iter().find(|view| view.name == name).ok_or_else(|| RigError::Value {
+            file: file.to_path_buf(),
+            key: "view".to_owned(),
+            value: format!("{name:?}"),
+            expected: expected(),
+        })
     }
 
     /// Reads and checks a `rig.toml` that need not be complete.

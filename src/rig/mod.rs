@@ -6,11 +6,13 @@
 //! - [`Rig::load`], [`Rig::save`] and their text forms; [`RigError`] names file, key, value and what would be right.
 //! - [`Draft`]: a rig file as far as it has got. Each calibration reads one and adds its part.
 //! - [`check::check`]: what the rig means in words and numbers, and whether its views work both ways.
+//! - [`formats`]: cameras from and for OpenCV, ROS and Kalibr; views as DLT coefficients.
 
 pub mod check;
 mod draft;
 mod error;
 mod file;
+pub mod formats;
 mod polygon;
 mod validate;
 mod walk;

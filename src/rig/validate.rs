@@ -386,7 +386,7 @@ pub(super) fn rotation_of(matrix: &Matrix3<f64>) -> UnitQuaternion<f64> {
 }
 
 /// "a surface of this file, did you mean ...?"
-fn unknown_name<'n>(what: &str, name: &str, known: impl Iterator<Item = &'n str> + Clone) -> String {
+pub(super) fn unknown_name<'n>(what: &str, name: &str, known: impl Iterator<Item = &'n str> + Clone) -> String {
     match nearest(name, known.clone()) {
         Some(near) => format!("the name of {what}, did you mean {near:?}?"),
         None => format!("the name of {what}: {}", known.collect::<Vec<_>>().join(", ")),

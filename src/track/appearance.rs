@@ -1,8 +1,10 @@
 //! What one pixel sees of a banded tube: a small model in linear light.
 //!
 //! Across the tube, u is the signed distance from the image of the axis and w the half width, both in pixels. A lit
-//! cylinder shows S(x) = 1 + m₁ x + m₂ (√(1−x²) − π/4), x = u/w: a uniform part, a tilt towards the light and the
-//! roundness of a Lambertian cylinder; blurred by the lens (Gaussian of σ pixels) through the moments
+//! Lambertian cylinder shows S(x) = 1 + m₁ x + m₂ (√(1−x²) − π/4) + m₃ x√(1−x²) + m₄ (x² − 1/3), x = u/w: with x = sin φ
+//! these are the harmonics of the angle φ around it up to the second, which is all that light from afar, however it is
+//! spread and whatever of the tube it leaves in the dark, shows to a few per cent (Ramamoorthi and Hanrahan 2001,
+//! doi:10.1364/JOSAA.18.002448). It is blurred by the lens (Gaussian of σ pixels) through the moments
 //!
 //! Mₙ = ∫ xⁿ G(u − wx) w dx over [−1, 1]; Mₙ = (u/w) Mₙ₋₁ + (n−1)(σ/w)² Mₙ₋₂ − (σ²/w)(g₊ − (−1)ⁿ⁻¹ g₋), g± = G(w ∓ u).
 //!
@@ -48,13 +50,14 @@ impl Layout {
     }
 }
 
-/// Colour parameters of a view: background R, G, B; its gradient in x, y; m₁, m₂; brightness of the cap; then for each
+/// Colour parameters of a view: background R, G, B; its gradient in x, y; m₁ to m₄; brightness of the cap; then for each
 /// segment R, G, B. All in linear light, 0..1.
 pub(crate) const BACKGROUND: usize = 0;
 pub(crate) const GRADIENT: usize = 3;
 pub(crate) const SHADING: usize = 5;
-pub(crate) const CAP: usize = 7;
-pub(crate) const FIXED: usize = 8;
+pub(crate) const SHADES: usize = 4;
+pub(crate) const CAP: usize = SHADING + SHADES;
+pub(crate) const FIXED: usize = CAP + 1;
 pub(crate) const PER_SEGMENT: usize = 3;
 
 /// √(1−x²) − π/4 ≈ Q0 + Q2 x² + Q4 x⁴ + Q6 x⁶ (least squares over [−1, 1]).
@@ -62,6 +65,10 @@ const Q0: f64 = 0.219_600;
 const Q2: f64 = -0.649_345;
 const Q4: f64 = 0.498_451;
 const Q6: f64 = -0.719_900;
+/// x√(1−x²) ≈ P1 x + P3 x³ + P5 x⁵, likewise.
+const P1: f64 = 0.946_274;
+const P3: f64 = -0.120_801;
+const P5: f64 = -0.664_405;
 
 /// Beyond this many σ from the tube only background is seen.
 const FAR_SIGMAS: f64 = 4.5;
@@ -79,7 +86,7 @@ pub(crate) struct Foot {
 
 /// What the model predicts of one channel (R, G or B) at a pixel, and its derivatives: all multiplied by the slope of the
 /// transfer function, so that sums with a stored channel's weights are derivatives of stored values.
-pub(crate) const TERMS: usize = 11;
+pub(crate) const TERMS: usize = 14;
 pub(crate) const VALUE: usize = 0;
 /// Image gradient in x and y, per pixel.
 pub(crate) const D_X: usize = 1;
@@ -87,11 +94,13 @@ pub(crate) const D_Y: usize = 2;
 /// d/d background, and the same times the pixel's place relative to the patch's middle.
 pub(crate) const D_BACKGROUND: usize = 3;
 pub(crate) const D_GRADIENT: usize = 4;
-/// d/d m₁, d/d m₂.
+/// d/d m₁ to m₄.
 pub(crate) const D_SHADING: usize = 6;
-pub(crate) const D_CAP: usize = 8;
+pub(crate) const D_CAP: usize = D_SHADING + SHADES;
 /// d/d colour of the segment before the nearest ring, and of the one behind it.
-pub(crate) const D_ALBEDO: usize = 9;
+pub(crate) const D_ALBEDO: usize = D_CAP + 1;
+/// d/d bulge of the rings, per pixel.
+pub(crate) const D_BULGE: usize = D_ALBEDO + 2;
 
 /// The model at one pixel.
 #[derive(Debug, Clone, Copy, Default)]
@@ -105,12 +114,13 @@ pub(crate) struct PixelModel {
     pub far: bool,
 }
 
-/// Weight beyond an edge and its derivatives along u and v (pixels).
+/// Weight beyond an edge and its derivatives along u and v (pixels), and with the ring's bulge.
 #[derive(Clone, Copy, Default)]
 struct Edge {
     weight: f64,
     d_u: f64,
     d_v: f64,
+    d_bulge: f64,
 }
 
 /// Evaluates the model at one pixel. `offset` is the pixel's place relative to the patch's middle.
@@ -148,30 +158,36 @@ pub(crate) fn pixel_model(
     }
 
     let across = Across::new(u, half, blur_px);
-    let (m1, m2) = (colours[SHADING], colours[SHADING + 1]);
-    let shade = across.cover + m1 * across.tilt + m2 * across.round;
-    let d_shade = across.d_cover + m1 * across.d_tilt + m2 * across.d_round;
+    let lit = |shades: &[f64; SHADES]| shades.iter().zip(&colours[SHADING..CAP]).map(|(s, m)| s * m).sum::<f64>();
+    let shade = across.cover + lit(&across.shades);
+    let d_shade = across.d_cover + lit(&across.d_shades);
 
     // The ring's near side is displaced by `bulge·root`; root is kept off its infinite slope at the outline.
     let x = u / half;
     let root = (1.0 - x * x).max(0.0).sqrt();
     let d_root = if x.abs() < 1.0 { -x / half / root.max(0.3) } else { 0.0 };
-    let edge_at = |bulge: f64| {
+    let edge_at = |sign: f64| {
+        let bulge = sign * local.bulge;
         let (weight, density) = gauss((from_ring - bulge * root) / blur_px);
         let density = density / blur_px;
-        Edge { weight, d_u: -density * bulge * d_root, d_v: density }
+        Edge { weight, d_u: -density * bulge * d_root, d_v: density, d_bulge: -density * sign * root }
     };
-    let near = edge_at(local.bulge);
+    let near = edge_at(1.0);
     // The tube's silhouette always bulges outwards; where the near edge lies inside it, the cap shows.
     let outline = match (ends_here, local.bulge < 0.0) {
         (false, _) => Edge::default(),
         (true, false) => near,
-        (true, true) => edge_at(-local.bulge),
+        (true, true) => edge_at(-1.0),
     };
     let behind = if ends_here { Edge::default() } else { near };
-    let in_front = Edge { weight: 1.0 - near.weight, d_u: -near.d_u, d_v: -near.d_v };
+    let in_front = Edge { weight: 1.0 - near.weight, d_u: -near.d_u, d_v: -near.d_v, d_bulge: -near.d_bulge };
     let cap_edge = if ends_here {
-        Edge { weight: near.weight - outline.weight, d_u: near.d_u - outline.d_u, d_v: near.d_v - outline.d_v }
+        Edge {
+            weight: near.weight - outline.weight,
+            d_u: near.d_u - outline.d_u,
+            d_v: near.d_v - outline.d_v,
+            d_bulge: near.d_bulge - outline.d_bulge,
+        }
     } else {
         Edge::default()
     };
@@ -199,6 +215,9 @@ pub(crate) fn pixel_model(
         let d_v = -background[c] * tube_d_v
             + shade * (in_front.d_v * a0 + behind.d_v * a1)
             + across.cover * cap_edge.d_v * a0 * cap;
+        let d_bulge = background[c] * across.cover * outline.d_bulge
+            + shade * (in_front.d_bulge * a0 + behind.d_bulge * a1)
+            + across.cover * cap_edge.d_bulge * a0 * cap;
         let (value, slope) = encoding.encode(light);
         let moved = (normal * d_u + foot.along * d_v) * slope;
         let uncovered = (1.0 - tube) * slope;
@@ -209,24 +228,25 @@ pub(crate) fn pixel_model(
             uncovered,
             uncovered * offset.x,
             uncovered * offset.y,
-            across.tilt * albedo * slope,
-            across.round * albedo * slope,
+            across.shades[0] * albedo * slope,
+            across.shades[1] * albedo * slope,
+            across.shades[2] * albedo * slope,
+            across.shades[3] * albedo * slope,
             across.cover * cap_edge.weight * a0 * slope,
             (shade * in_front.weight + across.cover * cap_edge.weight * cap) * slope,
             shade * behind.weight * slope,
+            d_bulge * slope,
         ];
     }
     out
 }
 
-/// The blurred profile across the tube: coverage, tilt and roundness, with derivatives along u.
+/// The blurred profile across the tube: coverage, and what m₁ to m₄ multiply, with derivatives along u.
 struct Across {
     cover: f64,
-    tilt: f64,
-    round: f64,
+    shades: [f64; SHADES],
     d_cover: f64,
-    d_tilt: f64,
-    d_round: f64,
+    d_shades: [f64; SHADES],
 }
 
 impl Across {
@@ -245,14 +265,23 @@ impl Across {
         }
         // d Mₙ/du = n Mₙ₋₁/w + (−1)ⁿ g₋ − g₊.
         let even = |n: usize| n as f64 / half * m[n - 1] + g_left - g_right;
+        let odd = |n: usize| n as f64 / half * m[n - 1] - g_left - g_right;
         let d_cover = g_left - g_right;
         Self {
             cover: m[0],
-            tilt: m[1],
-            round: Q0 * m[0] + Q2 * m[2] + Q4 * m[4] + Q6 * m[6],
+            shades: [
+                m[1],
+                Q0 * m[0] + Q2 * m[2] + Q4 * m[4] + Q6 * m[6],
+                P1 * m[1] + P3 * m[3] + P5 * m[5],
+                m[2] - m[0] / 3.0,
+            ],
             d_cover,
-            d_tilt: m[0] / half - g_left - g_right,
-            d_round: Q0 * d_cover + Q2 * even(2) + Q4 * even(4) + Q6 * even(6),
+            d_shades: [
+                odd(1),
+                Q0 * d_cover + Q2 * even(2) + Q4 * even(4) + Q6 * even(6),
+                P1 * odd(1) + P3 * odd(3) + P5 * odd(5),
+                even(2) - d_cover / 3.0,
+            ],
         }
     }
 }
@@ -280,15 +309,40 @@ mod tests {
         for i in -16..=16 {
             let u = f64::from(i) * 0.31;
             let a = Across::new(u, half, sigma);
-            let poly = |x: f64| Q0 + Q2 * x.powi(2) + Q4 * x.powi(4) + Q6 * x.powi(6);
+            let shades: [&dyn Fn(f64) -> f64; SHADES] = [
+                &|x| x,
+                &|x| Q0 + Q2 * x.powi(2) + Q4 * x.powi(4) + Q6 * x.powi(6),
+                &|x| P1 * x + P3 * x.powi(3) + P5 * x.powi(5),
+                &|x| x * x - 1.0 / 3.0,
+            ];
             assert!((a.cover - quadrature(u, half, sigma, |_| 1.0)).abs() < 1e-5);
-            assert!((a.tilt - quadrature(u, half, sigma, |x| x)).abs() < 1e-5);
-            assert!((a.round - quadrature(u, half, sigma, poly)).abs() < 1e-5);
             let (lo, hi) = (Across::new(u - 1e-4, half, sigma), Across::new(u + 1e-4, half, sigma));
             assert!((a.d_cover - (hi.cover - lo.cover) / 2e-4).abs() < 1e-3);
-            assert!((a.d_tilt - (hi.tilt - lo.tilt) / 2e-4).abs() < 1e-3);
-            assert!((a.d_round - (hi.round - lo.round) / 2e-4).abs() < 1e-3);
+            for (i, shade) in shades.into_iter().enumerate() {
+                assert!((a.shades[i] - quadrature(u, half, sigma, shade)).abs() < 1e-5);
+                assert!((a.d_shades[i] - (hi.shades[i] - lo.shades[i]) / 2e-4).abs() < 1e-3);
+            }
         }
+    }
+
+    /// A lamp from the side lights part of what is seen; the rest has the room's light only.
+    #[test]
+    fn a_tube_half_in_the_dark_is_shaded_to_a_few_per_cent() {
+        let lit = |x: f64, from: f64| 0.5 + 0.5 * (x * from.sin() + (1.0 - x * x).sqrt() * from.cos()).max(0.0);
+        let shades = |x: f64| [1.0, x, (1.0 - x * x).sqrt(), x * (1.0 - x * x).sqrt(), x * x];
+        let places = || (0..400).map(|i| -1.0 + (f64::from(i) + 0.5) / 200.0);
+        let off = |from: f64, harmonics: usize| {
+            let rows = nalgebra::DMatrix::from_fn(400, harmonics, |i, j| shades(places().nth(i).unwrap())[j]);
+            let light = nalgebra::DVector::from_iterator(400, places().map(|x| lit(x, from)));
+            let fitted = &rows * rows.clone().svd(true, true).solve(&light, 1e-12).unwrap();
+            ((fitted - &light).norm_squared() / light.norm_squared()).sqrt()
+        };
+        for degrees in [60.0_f64, 90.0, 120.0, 150.0] {
+            let from = degrees.to_radians();
+            assert!(off(from, 5) < 0.03, "{degrees}°: {}", off(from, 5));
+        }
+        // The first harmonics alone do not do.
+        assert!(off(90_f64.to_radians(), 3) > 0.04, "{}", off(90_f64.to_radians(), 3));
     }
 
     #[test]

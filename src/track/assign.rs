@@ -101,8 +101,14 @@ impl Assigner {
         (0..rig.markers.len())
             .map(|m| {
                 let Some(chosen) = best.choice[m] else {
-                    let expected = self.expected(rig, m, stamp, place);
-                    return Err(rejected[m].clone().unwrap_or(Miss::NotSeen { view: unseen(rig, m, blobs, expected) }));
+                    // A thing of its colour elsewhere may be on a ray that passes another: first, is the band hidden?
+                    let hidden = unseen(rig, m, blobs, self.expected(rig, m, stamp, place));
+                    let last = rig.views.len().saturating_sub(1);
+                    return Err(match (hidden, rejected[m].take()) {
+                        (Some(view), _) => Miss::NotSeen { view },
+                        (None, Some(miss)) => miss,
+                        (None, None) => Miss::NotSeen { view: last },
+                    });
                 };
                 let here = &candidates[m][chosen].assigned;
                 let elsewhere = choose(rig, &candidates, Some((m, here.point)));
@@ -224,9 +230,9 @@ fn in_view(marker: usize, view: &View, blobs: &[Blob]) -> Vec<usize> {
     list
 }
 
-/// The first view in which a marker has no blob, near the place where it is expected if there is one (the last view if
-/// all have). Views without a region share the picture: there only the place says in which one a blob is missing.
-fn unseen(rig: &Rig, marker: usize, blobs: &[Blob], expected: Option<(Point3<f64>, f64)>) -> usize {
+/// The first view in which a marker has no blob, near the place where it is expected if there is one; `None` if all have.
+/// Views without a region share the picture: there only the place says in which one a blob is missing.
+fn unseen(rig: &Rig, marker: usize, blobs: &[Blob], expected: Option<(Point3<f64>, f64)>) -> Option<usize> {
     let sees = |view: &View| {
         let near = expected.and_then(|(point, reach_m)| {
             let seen = view.optics.project_with_jacobian(&point).ok()?;
@@ -235,7 +241,7 @@ fn unseen(rig: &Rig, marker: usize, blobs: &[Blob], expected: Option<(Point3<f64
         let is_near = |b: &usize| near.is_none_or(|(pixel, reach_px)| (blobs[*b].centre_px - pixel).norm() <= reach_px);
         in_view(marker, view, blobs).iter().any(is_near)
     };
-    (0..rig.views.len()).find(|&v| !sees(&rig.views[v])).unwrap_or(rig.views.len() - 1)
+    (0..rig.views.len()).find(|&v| !sees(&rig.views[v]))
 }
 
 struct Choice {

@@ -13,6 +13,8 @@ pub(super) struct Tube {
     pub radius_m: f64,
     pub bands: Vec<(f64, f64, [f64; 3])>,
     pub end_m: f64,
+    /// Towards a lamp far away.
+    pub lamp: Vector3<f64>,
 }
 
 const BACKGROUND: [f64; 3] = [0.2, 0.19, 0.18];
@@ -70,8 +72,7 @@ impl Tube {
             (s, normal) = (self.end_m - 1e-9, t);
         }
         let albedo = self.bands.iter().find(|b| (b.0..b.1).contains(&s)).map_or(WHITE, |b| b.2);
-        let lamp = Vector3::new(-0.4, -0.5, -0.8).normalize();
-        let shade = 0.55 + 0.45 * normal.dot(&lamp).max(0.0);
+        let shade = 0.55 + 0.45 * normal.dot(&self.lamp.normalize()).max(0.0);
         albedo.map(|a| a * shade)
     }
 

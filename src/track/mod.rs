@@ -2,6 +2,8 @@
 
 mod appearance;
 mod assign;
+#[cfg(test)]
+mod assign_tests;
 mod coil;
 #[cfg(test)]
 mod drawn;

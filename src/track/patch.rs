@@ -6,8 +6,8 @@
 //! nearest ring; rows are summed in one small dense block for each ring and scattered once at the end.
 
 use super::appearance::{
-    BACKGROUND, CAP, D_ALBEDO, D_BACKGROUND, D_CAP, D_GRADIENT, D_SHADING, D_X, D_Y, FIXED, Foot, GRADIENT, Layout,
-    PER_SEGMENT, PixelModel, SHADING, TERMS, VALUE, pixel_model,
+    BACKGROUND, CAP, D_ALBEDO, D_BACKGROUND, D_BULGE, D_CAP, D_GRADIENT, D_SHADING, D_X, D_Y, FIXED, Foot, GRADIENT,
+    Layout, PER_SEGMENT, PixelModel, SHADES, SHADING, TERMS, VALUE, pixel_model,
 };
 use super::fit::ModelError;
 use super::light::Encoding;
@@ -246,6 +246,7 @@ impl Patch {
                 let class = usize::from(!sample.near);
                 // d pixel / d shape is wanted only where the tube is seen.
                 let d_pixel = if far { SMatrix::zeros() } else { image.d_pixel(centre.knot) };
+                let d_bulge = if far { SMatrix::zeros() } else { image.d_bulge(centre.knot) };
                 for ((channel, weights, constant), stored) in group.channels.iter().zip(sample.values) {
                     let sum = |term: usize| (0..3).map(|k| weights[k] * terms[k][term]).sum::<f64>();
                     let value = stored - sum(VALUE) - constant;
@@ -259,9 +260,11 @@ impl Patch {
                     row[SHAPE + GRADIENT + 1] = sum(D_GRADIENT + 1);
                     if !far {
                         let gradient = Vector2::new(sum(D_X), sum(D_Y));
-                        row[..SHAPE].copy_from_slice((-(gradient.transpose() * d_pixel)).as_slice());
-                        row[SHAPE + SHADING] = sum(D_SHADING);
-                        row[SHAPE + SHADING + 1] = sum(D_SHADING + 1);
+                        let d_shape = d_bulge * sum(D_BULGE) - gradient.transpose() * d_pixel;
+                        row[..SHAPE].copy_from_slice(d_shape.as_slice());
+                        for k in 0..SHADES {
+                            row[SHAPE + SHADING + k] = sum(D_SHADING + k);
+                        }
                         row[SHAPE + CAP] = sum(D_CAP);
                         for k in 0..3 {
                             row[SHAPE + FIXED + k] = weights[k] * terms[k][D_ALBEDO];

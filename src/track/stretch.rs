@@ -29,15 +29,16 @@ pub(crate) struct Group {
     pub stretch: Stretch,
 }
 
-/// Groups the markers in `present`.
-pub(crate) fn groups(rig: &Rig, present: &[bool]) -> Vec<Group> {
+/// Groups the markers that were found. `together` says of two markers whether both are seen in two views at least, and of one
+/// and the same whether it was found at all: what is fitted together needs two views in which all of it is seen.
+pub(crate) fn groups(rig: &Rig, together: impl Fn(usize, usize) -> bool) -> Vec<Group> {
     let coil = rig.catheter.coil;
     let mut joined = vec![false; rig.markers.len()];
     let mut groups = Vec::new();
-    if present.get(coil).copied().unwrap_or(false) {
+    if together(coil, coil) {
         let mut members = vec![(coil, 0.0)];
         for neighbour in [coil.checked_sub(1), Some(coil + 1)].into_iter().flatten() {
-            let here = present.get(neighbour).copied().unwrap_or(false);
+            let here = neighbour < rig.markers.len() && together(coil, neighbour);
             if let Some(distance) = here.then(|| gap(rig, coil, neighbour)).flatten()
                 && distance.gap_m <= JOINED_DIAMETERS * rig.catheter.diameter_m
             {
@@ -48,8 +49,8 @@ pub(crate) fn groups(rig: &Rig, present: &[bool]) -> Vec<Group> {
         members.iter().for_each(|m| joined[m.0] = true);
         groups.push(group(rig, members, coil));
     }
-    for (m, present) in present.iter().enumerate() {
-        if *present && !joined[m] {
+    for (m, joined) in joined.into_iter().enumerate() {
+        if together(m, m) && !joined {
             groups.push(group(rig, vec![(m, 0.0)], m));
         }
     }
@@ -119,13 +120,18 @@ mod tests {
         rig
     }
 
+    /// Markers seen in all views, or not at all.
+    fn found(seen: [bool; 3]) -> impl Fn(usize, usize) -> bool {
+        move |a, b| seen[a] && seen[b]
+    }
+
     fn members(groups: &[Group]) -> Vec<Vec<usize>> {
         groups.iter().map(|g| g.members.iter().map(|m| m.0).collect()).collect()
     }
 
     #[test]
     fn the_tip_joins_the_coil_and_the_far_base_does_not() {
-        let groups = groups(&rig(), &[true; 3]);
+        let groups = groups(&rig(), found([true; 3]));
         assert_eq!(members(&groups), [vec![1, 2], vec![0]]);
         let rings: Vec<f64> = groups[0].stretch.layout.rings_m.iter().map(|r| (r * 1e6).round() / 1e3).collect();
         assert_eq!(rings, [-6.0, 6.0, 19.0, 25.0], "mm from the middle of the coil");
@@ -137,26 +143,32 @@ mod tests {
     fn a_band_at_an_unknown_place_is_fitted_by_itself() {
         let mut rig = rig();
         rig.markers[2].centre_m = None;
-        assert_eq!(members(&groups(&rig, &[true; 3])), [vec![1], vec![0], vec![2]]);
+        assert_eq!(members(&groups(&rig, found([true; 3]))), [vec![1], vec![0], vec![2]]);
     }
 
     #[test]
     fn a_missing_marker_leaves_the_others() {
-        assert_eq!(members(&groups(&rig(), &[true, false, true])), [vec![0], vec![2]]);
-        assert_eq!(members(&groups(&rig(), &[false, true, false])), [vec![1]]);
+        assert_eq!(members(&groups(&rig(), found([true, false, true]))), [vec![0], vec![2]]);
+        assert_eq!(members(&groups(&rig(), found([false, true, false]))), [vec![1]]);
+    }
+
+    /// With three views, coil and tip may be seen in two each and only one of them be the same.
+    #[test]
+    fn bands_without_two_views_in_common_are_fitted_apart() {
+        assert_eq!(members(&groups(&rig(), |a, b| a == b)), [vec![1], vec![0], vec![2]]);
     }
 
     #[test]
     fn the_stiff_part_is_the_longer_of_band_and_rig() {
         let mut rig = rig();
-        assert!((groups(&rig, &[true; 3])[0].straight_half_m - 6e-3).abs() < 1e-12);
+        assert!((groups(&rig, found([true; 3]))[0].straight_half_m - 6e-3).abs() < 1e-12);
         rig.catheter.rigid_m = Some(14e-3);
-        assert!((groups(&rig, &[true; 3])[0].straight_half_m - 7e-3).abs() < 1e-12);
+        assert!((groups(&rig, found([true; 3]))[0].straight_half_m - 7e-3).abs() < 1e-12);
     }
 
     #[test]
     fn samples_keep_clear_of_the_next_band_and_of_the_clamp() {
-        let groups = groups(&rig(), &[true; 3]);
+        let groups = groups(&rig(), found([true; 3]));
         // 4 diameters above the coil; 0.8 beyond the end of the tube; half a diameter above the base.
         assert!((groups[0].stretch.range_m.0 + 6e-3 + 4.0 * 3.2e-3).abs() < 1e-9);
         assert!((groups[0].stretch.range_m.1 - 25e-3 - 0.8 * 3.2e-3).abs() < 1e-9);

@@ -17,7 +17,7 @@ use crate::optics::OpticalPath;
 use crate::rig::Rig;
 use crate::segment::{Blob, SegmentError, Segmenter};
 use crate::source::{Frame, Picture, Transfer};
-use nalgebra::{Matrix3, Point2, SMatrix, Vector3};
+use nalgebra::{Matrix3, Point2, Point3, SMatrix, Vector3};
 use rayon::prelude::*;
 
 /// Blur assumed for a rig whose blur has not been measured: a sharp lens and square pixels.
@@ -169,15 +169,14 @@ impl Tracker {
     }
 
     fn fit_groups(&self, picture: &Picture, blobs: &[Blob], assigned: &[Result<Assigned, Miss>]) -> Vec<Fitted> {
-        let present: Vec<bool> = assigned.iter().map(Result::is_ok).collect();
-        groups(&self.rig, &present)
+        let sees = |m: usize, v: usize| assigned[m].as_ref().is_ok_and(|a| a.blobs[v].is_some());
+        let views = 0..self.rig.views.len();
+        let together = |a: usize, b: usize| views.clone().filter(|&v| sees(a, v) && sees(b, v)).count() >= 2;
+        groups(&self.rig, together)
             .into_par_iter()
             .map(|group| {
-                let views: Vec<usize> = (0..self.rig.views.len())
-                    .filter(|&v| {
-                        group.members.iter().all(|&(m, _)| assigned[m].as_ref().is_ok_and(|a| a.blobs[v].is_some()))
-                    })
-                    .collect();
+                let views: Vec<usize> =
+                    views.clone().filter(|&v| group.members.iter().all(|&(m, _)| sees(m, v))).collect();
                 let result = self.fit_group(picture, blobs, assigned, &group, &views);
                 Fitted { group, views, result }
             })
@@ -193,11 +192,13 @@ impl Tracker {
         views: &[usize],
     ) -> Result<TubeFit, Miss> {
         let reference = assigned[group.reference].as_ref().map_err(Clone::clone)?;
+        let starts = group.members.iter().map(|&(m, s)| Ok((s, assigned[m].as_ref().map_err(Clone::clone)?.point)));
+        let starts = starts.collect::<Result<Vec<_>, Miss>>()?;
         let direction = self.start_direction(blobs, assigned, group).ok_or(Miss::NotConverged)?;
         let start = TubeShape::straight(reference.point, &direction, group.straight_half_m);
         let paths: Vec<&OpticalPath> = views.iter().map(|&v| &self.rig.views[v].optics).collect();
         let fit = fit(&group.stretch, &start, picture, &paths, &self.model).map_err(|_| Miss::NotConverged)?;
-        self.accept(group, views, reference, &fit)?;
+        self.accept(group, views, &starts, &fit)?;
         Ok(fit)
     }
 
@@ -235,12 +236,15 @@ impl Tracker {
         }
     }
 
-    /// Whether the fit is one of the band it started from, and all views agree on it.
-    fn accept(&self, group: &Group, views: &[usize], start: &Assigned, fit: &TubeFit) -> Result<(), Miss> {
+    /// Whether the fit is one of the bands it started from, given as arc lengths and places, and all views agree on it.
+    fn accept(&self, group: &Group, views: &[usize], starts: &[(f64, Point3<f64>)], fit: &TubeFit) -> Result<(), Miss> {
         for (&v, view) in views.iter().zip(&fit.views) {
-            let before = self.rig.views[v].optics.project(&start.point).map_err(|_| Miss::NotConverged)?;
+            let pixel = |point| self.rig.views[v].optics.project(&point).map_err(|_| Miss::NotConverged);
+            let mut moved: f64 = 0.0;
+            for &(s, start) in starts {
+                moved = moved.max((pixel(fit.shape.at(s).0)? - pixel(start)?).norm());
+            }
             let knot = view.image.at_arc(0.0);
-            let moved = (knot.pixel - before).norm();
             let separation = (0..group.members.len())
                 .map(|i| self.separation(group, i, &view.colours))
                 .fold(f64::INFINITY, f64::min);
@@ -359,4 +363,51 @@ fn outline(image: &TubeImage, from_m: f64, to_m: f64) -> Vec<Point2<f64>> {
         image.beside(image.knot_of(s), sign)
     };
     (0..POINTS).map(|i| side(-1.0, i)).chain((0..POINTS).rev().map(|i| side(1.0, i))).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::drawn::{BLUR_PX, Tube, picture, views};
+    use super::*;
+    use crate::rig::ColourModel;
+    use crate::sink::fixture;
+
+    /// Coil and tip are fitted together, but each must stay where it was found.
+    #[test]
+    fn a_fit_that_leaves_one_of_its_bands_is_refused() {
+        let mut rig = fixture::rig();
+        rig.camera.blur_px = Some(BLUR_PX);
+        rig.views.iter_mut().zip(views()).for_each(|(view, optics)| view.optics = optics);
+        let colours = [[0.02, -0.02, 0.0], [-0.01, 0.02, -0.01], [-0.01, -0.01, 0.02]];
+        for ((marker, (length_m, centre_m)), weights) in
+            rig.markers.iter_mut().zip([(6e-3, 6e-3), (12e-3, 85e-3), (6e-3, 107e-3)]).zip(colours)
+        {
+            (marker.length_m, marker.centre_m) = (length_m, Some(centre_m));
+            marker.colour = Some(ColourModel { weights: weights.into(), bias: 0.0, rgb: Vector3::zeros() });
+        }
+        let tube = Tube {
+            centre: Point3::new(0.001, -0.004, 1.35),
+            direction: Vector3::new(0.1, 1.0, 0.05).normalize(),
+            radius_m: 1.6e-3,
+            bands: vec![(-6e-3, 6e-3, [0.05, 0.3, 0.1]), (19e-3, 25e-3, [0.04, 0.08, 0.35])],
+            end_m: 25e-3,
+            lamp: Vector3::new(-0.4, -0.5, -0.8),
+        };
+        let picture = picture(&tube.draw(&views()), 1.0, 5);
+        let mut tracker = Tracker::new(&rig, TrackOptions::default()).unwrap();
+        tracker.model.encoding = Encoding::new(picture.colour().transfer);
+        let fit_with_tip_at = |tip: Point3<f64>| {
+            let at = |point| Ok(Assigned { point, blobs: vec![None, None] });
+            let assigned = [Err(Miss::NotSeen { view: 0 }), at(tube.centre), at(tip)];
+            let group = groups(&rig, |a, b| a > 0 && b > 0).remove(0);
+            tracker.fit_group(&picture, &[], &assigned, &group, &[0, 1])
+        };
+        let tip = tube.centre + tube.direction * 22e-3;
+        assert!(fit_with_tip_at(tip).is_ok());
+        let miss = fit_with_tip_at(tip + Vector3::new(2.5e-3, 0.0, 0.0)).unwrap_err();
+        assert!(
+            matches!(miss, Miss::PoorFit { moved_px, separation } if moved_px > 4.0 && separation > 0.3),
+            "{miss:?}"
+        );
+    }
 }

@@ -97,6 +97,24 @@ impl TubeShape {
         (point, direction, d)
     }
 
+    /// d direction / d parameters at arc length `s`, to first order in the angle φ that the tube has turned by.
+    fn d_direction(&self, s: f64) -> SMatrix<f64, 3, SHAPE> {
+        let sigma = s - s.clamp(-self.straight_half_m, self.straight_half_m);
+        let down = sigma > 0.0;
+        let bent = self.curvature_down * sigma + self.curvature_down_rate * (sigma * sigma / 2.0);
+        let turn = if down { bent } else { self.curvature_up * sigma };
+        let d_turn = self.across() - self.tangent() * turn.transpose();
+        let mut d = SMatrix::<f64, 3, SHAPE>::zeros();
+        d.fixed_view_mut::<3, 2>(0, 3).copy_from(&d_turn);
+        if down {
+            d.fixed_view_mut::<3, 2>(0, 7).copy_from(&(d_turn * sigma));
+            d.fixed_view_mut::<3, 2>(0, 9).copy_from(&(d_turn * (sigma * sigma / 2.0)));
+        } else {
+            d.fixed_view_mut::<3, 2>(0, 5).copy_from(&(d_turn * sigma));
+        }
+        d
+    }
+
     /// The shape moved by a step of its parameters.
     pub(crate) fn moved(&self, step: &ShapeStep) -> Self {
         let tilt = Vector2::new(step[3], step[4]);
@@ -129,6 +147,8 @@ pub(crate) struct Knot {
     pub bulge: f64,
     /// d pixel / d shape parameters.
     pub d_pixel: SMatrix<f64, 2, SHAPE>,
+    /// d bulge / d shape parameters: a tube that turns towards the camera shows its rings rounder.
+    pub d_bulge: SMatrix<f64, 1, SHAPE>,
     /// d pixel / d point, pixels per metre.
     pub d_point: Matrix2x3<f64>,
 }
@@ -172,6 +192,12 @@ impl TubeImage {
                 let half = seen.d_pixel * side * radius_m;
                 let half_width = (half.x * unit.y - half.y * unit.x).abs();
                 let bulge = (seen.d_pixel * near * radius_m).dot(&unit);
+                // Moving along the line of sight moves no pixel: bulge = radius · |along| · cos / sin of the angle between.
+                let d_direction = shape.d_direction(range.0 + i as f64 * spacing_m);
+                let (cos, sin) = (direction.dot(&sight), direction.cross(&sight).norm());
+                let d_bulge = (sight.transpose() * d_direction * (along.norm() / sin.powi(3))
+                    + unit.transpose() * seen.d_pixel * d_direction * (cos / sin))
+                    * radius_m;
                 Ok(Knot {
                     pixel: seen.pixel,
                     along,
@@ -179,6 +205,7 @@ impl TubeImage {
                     half_width,
                     bulge,
                     d_pixel: seen.d_pixel * d,
+                    d_bulge,
                     d_point: seen.d_pixel,
                 })
             })
@@ -222,6 +249,12 @@ impl TubeImage {
     pub(crate) fn d_pixel(&self, knot: f64) -> SMatrix<f64, 2, SHAPE> {
         let (i, f) = self.between(knot);
         self.knots[i].d_pixel * (1.0 - f) + self.knots[i + 1].d_pixel * f
+    }
+
+    /// d bulge / d shape at a knot coordinate.
+    pub(crate) fn d_bulge(&self, knot: f64) -> SMatrix<f64, 1, SHAPE> {
+        let (i, f) = self.between(knot);
+        self.knots[i].d_bulge * (1.0 - f) + self.knots[i + 1].d_bulge * f
     }
 
     /// Pixel and derivative per knot at a knot coordinate: cubic Hermite between knots, straight beyond the ends.
@@ -313,6 +346,34 @@ mod tests {
             curvature_down: Vector2::new(-12.0, 4.0),
             curvature_down_rate: Vector2::new(150.0, -60.0),
             ..TubeShape::straight(Point3::new(-0.1, 0.02, 1.4), &Vector3::new(0.3, 0.9, -0.2), 6e-3)
+        }
+    }
+
+    /// Its own sight of a moved tube would change it too, but by a thousandth of what a turn does.
+    #[test]
+    fn the_rings_bulge_turns_with_the_tube() {
+        let [path, _] = super::super::drawn::views();
+        let shape = TubeShape {
+            centre: Point3::new(0.001, -0.004, 1.35),
+            ..TubeShape {
+                frame: TubeShape::straight(Point3::origin(), &Vector3::new(0.2, 1.0, 0.4), 6e-3).frame,
+                ..bent()
+            }
+        };
+        let image = |shape: &TubeShape| TubeImage::of(shape, 6e-3, &path, (-20e-3, 25e-3), 2e-3).unwrap().knots;
+        let knots = image(&shape);
+        for (parameter, step) in (3..11).zip([1e-4, 1e-4, 1e-2, 1e-2, 1e-2, 1e-2, 1.0, 1.0]) {
+            let mut by = ShapeStep::zeros();
+            by[parameter] = step;
+            for ((high, low), knot) in image(&shape.moved(&by)).iter().zip(&image(&shape.moved(&-by))).zip(&knots) {
+                let found = (high.bulge - low.bulge) / 2.0;
+                let error = (found - knot.d_bulge[parameter] * step).abs();
+                assert!(
+                    error < 0.1 * 12.0 * 1e-4,
+                    "parameter {parameter}: {found}, not {}",
+                    knot.d_bulge[parameter] * step
+                );
+            }
         }
     }
 

@@ -138,6 +138,16 @@ pub struct BoardImage {
     pub contrast: f64,
 }
 
+/// Edges wider than this part of a square are blurred: corners of such a board are good to tenths of a pixel at best.
+const BLURRED: f64 = 0.35;
+
+impl BoardImage {
+    /// Whether the board is too blurred to calibrate with: its edges, compared with its squares.
+    pub fn is_blurred(&self) -> bool {
+        self.edge_px > BLURRED * self.square_px
+    }
+}
+
 /// Why no board is found.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]

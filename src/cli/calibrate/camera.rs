@@ -2,7 +2,7 @@
 
 use super::super::{Exit, Failure};
 use super::pictures::{self, Searched};
-use super::{can_be_written, save};
+use super::{can_be_written, left_out, save};
 use catoptra::calibrate::board::Board;
 use catoptra::calibrate::camera::{BoardPicture, CameraCalibration, CameraError, calibrate_camera};
 use catoptra::rig::{Camera, Draft};
@@ -42,19 +42,20 @@ pub(super) fn run(args: &CameraArgs, print: impl Fn(&str) -> Result<(), Failure>
         })
     })?;
     print(&describe(&searched, &done))?;
-    let camera =
-        |blur_px, chroma_offset_px| Camera { size_px: done.size_px, lens: done.lens, blur_px, chroma_offset_px };
-    let mut draft = Draft::of_camera(camera(None, [0.0; 2]));
-    if let Some(old) = old {
-        // Mirror and walls were found with the old lens: they do not belong to the new one.
-        if !old.surfaces.is_empty() || old.base.is_some() {
-            print(
-                "\nmirror, walls, views and base frame of the old file were found with the old lens and are left out\n",
-            )?;
+    let mut draft = match old {
+        Some(old) => {
+            if let Some(said) = left_out(&old) {
+                print(&format!("\n{said}\n"))?;
+            }
+            old.with_lens(done.size_px, done.lens)
         }
-        draft.camera = camera(old.camera.blur_px, old.camera.chroma_offset_px);
-        (draft.markers, draft.catheter) = (old.markers, old.catheter);
-    }
+        None => Draft::of_camera(Camera {
+            size_px: done.size_px,
+            lens: done.lens,
+            blur_px: None,
+            chroma_offset_px: [0.0; 2],
+        }),
+    };
     let mut provenance = pictures::provenance("camera", &args.board, &searched)?;
     provenance.insert("corner_sd_px".into(), done.corner_sd_px.into());
     let rows = done.covariance.row_iter().map(|row| row.iter().copied().collect::<Vec<f64>>().into());

@@ -1,5 +1,6 @@
 //! `catoptra calibrate`: from pictures and recordings to a rig file, a file a step.
 
+mod base;
 mod camera;
 mod markers;
 mod pictures;
@@ -46,6 +47,15 @@ Example:
     --tube 3.2mm --pick base@431,408:6mm --pick coil@431,565:12mm --pick tip@430,607:6mm \\
     --out my.toml")]
     Markers(markers::MarkersArgs),
+    /// Find the frame of the catheter at rest, in which positions and θ are given, and the direction of B0
+    #[command(after_help = "\
+VIDEO shows the catheter hanging still, without current; the one of --planar a swing in the plane of
+B0, begun towards B0. Writes [base] with its σ into the rig file (the old one is kept as RIG.toml.bak).
+Exit code 3: it was not at rest, not planar, hardly moved, or too little of it could be measured.
+Example:
+  catoptra calibrate base sample_frames/rest.mkv --rig calibration/dev_tank/rig.toml \\
+    --planar sample_frames/planar.mkv --out my.toml")]
+    Base(base::BaseArgs),
 }
 
 pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
@@ -54,6 +64,7 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
         Command::Camera(args) => camera::run(args, print),
         Command::Rig(args) => rig::run(args, print),
         Command::Markers(args) => markers::run(args, print),
+        Command::Base(args) => base::run(args, quiet, print),
     }
 }
 
@@ -72,7 +83,7 @@ impl FromStr for Length {
 }
 
 /// Refuses, before any work, to write where nothing can be written, or over what is no rig.
-fn can_be_written(out: &Path) -> Result<(), Failure> {
+pub(super) fn can_be_written(out: &Path) -> Result<(), Failure> {
     let refused = |what: &str| Err(usage(format!("{}: {what}", out.display())));
     let folder = out.parent().filter(|folder| *folder != Path::new(""));
     if folder.is_some_and(|folder| !folder.is_dir()) {
@@ -89,13 +100,20 @@ fn can_be_written(out: &Path) -> Result<(), Failure> {
 }
 
 /// Writes the rig; what was there before is kept beside it as .bak.
-fn save(rig: &Draft, path: &Path) -> Result<(), Failure> {
+pub(super) fn save(rig: &Draft, path: &Path) -> Result<(), Failure> {
     if path.exists() {
         let mut backup = path.as_os_str().to_owned();
         backup.push(".bak");
         std::fs::copy(path, &backup).map_err(|source| RigError::Write { file: backup.into(), source })?;
     }
     Ok(rig.save(path)?)
+}
+
+/// What a new lens takes from a rig, in words.
+pub(super) fn left_out(old: &Draft) -> Option<&'static str> {
+    let something = !old.surfaces.is_empty() || !old.views.is_empty() || old.base.is_some();
+    something
+        .then_some("mirror, walls, views and base frame of the old file were found with the old lens and are left out")
 }
 
 fn usage(text: String) -> Failure {

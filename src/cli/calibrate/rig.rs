@@ -5,7 +5,7 @@ use super::camera::not_found;
 use super::pictures::{self, Searched};
 use super::{Length, can_be_written, save, usage};
 use catoptra::calibrate::board::Board;
-use catoptra::calibrate::camera::centred;
+use catoptra::calibrate::camera::{BoardPicture, centred};
 use catoptra::calibrate::doubts::doubts;
 use catoptra::calibrate::geometry::Parameter;
 use catoptra::calibrate::held_out::{HeldOut, Off, held_out};
@@ -21,7 +21,7 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
-/// A lens without covariance in the rig file is taken for exact, and the user is told.
+/// How well the index is known beforehand when it is to be fitted.
 const INDEX_SD: f64 = 5e-3;
 
 #[derive(Debug, clap::Args)]
@@ -59,6 +59,9 @@ pub(super) struct RigArgs {
     /// Measured distance of a surface's plane from the lens, and its σ; may be repeated
     #[arg(long = "distance", value_name = "NAME=1265mm:2mm")]
     distances: Vec<Distance>,
+    /// A picture of the board taped flat to the outer face of a wall; may be repeated
+    #[arg(long = "wall", value_name = "NAME=PICTURE", value_parser = wall_arg)]
+    walls: Vec<(String, PathBuf)>,
     /// Rig file to write [default: the one given by --rig]
     #[arg(long, short, value_name = "RIG.toml")]
     out: Option<PathBuf>,
@@ -103,22 +106,30 @@ impl FromStr for Distance {
     }
 }
 
+fn wall_arg(text: &str) -> Result<(String, PathBuf), String> {
+    let wrong = || format!("`{text}` is not a wall: write NAME=PICTURE, for example front_wall=taped.png");
+    let (name, picture) = text.split_once('=').ok_or_else(wrong)?;
+    Ok((name.trim().to_owned(), picture.into()))
+}
+
 pub(super) fn run(args: &RigArgs, print: impl Fn(&str) -> Result<(), Failure>) -> Result<(), Failure> {
     let out = args.out.as_ref().unwrap_or(&args.rig);
     can_be_written(out)?;
 
     let draft = Draft::load(&args.rig)?;
-    let options = options(args, &draft)?;
+    let mut options = options(args, &draft)?;
+    for (name, path) in &args.walls {
+        for found in pictures::search(std::slice::from_ref(path), &args.board, 1)? {
+            fits(&found, args, &draft)?;
+            let unseen = |why: &String| Failure::new(Exit::Unusable, format!("{}: {why}", found.path.display()));
+            let image = found.images.as_ref().map_err(unseen)?.first().cloned();
+            let picture = image.map(|image| BoardPicture { name: found.name(), size_px: found.size_px, image });
+            options.taped.extend(picture.map(|picture| (name.clone(), picture)));
+        }
+    }
     let searched = pictures::search(&args.pictures, &args.board, args.mirrors + 1)?;
     for picture in &searched {
-        if picture.size_px != draft.camera.size_px {
-            let (found, expected) = (picture.size_px, draft.camera.size_px);
-            return Err(usage(format!(
-                "{} has {found:?} pixels, but {} was calibrated for {expected:?}",
-                picture.path.display(),
-                args.rig.display()
-            )));
-        }
+        fits(picture, args, &draft)?;
     }
     let found: Vec<BoardsPicture> = searched
         .iter()
@@ -161,6 +172,16 @@ fn info(args: &RigArgs, out: &Path, searched: &[Searched]) -> CalibrationInfo {
     CalibrationInfo { rig: out.display().to_string(), settings, not_found }
 }
 
+/// Pictures must be of the size that the lens was calibrated for.
+fn fits(picture: &Searched, args: &RigArgs, draft: &Draft) -> Result<(), Failure> {
+    let (found, expected) = (picture.size_px, draft.camera.size_px);
+    if found == expected {
+        return Ok(());
+    }
+    let (path, rig) = (picture.path.display(), args.rig.display());
+    Err(usage(format!("{path} has {found:?} pixels, but {rig} was calibrated for {expected:?}")))
+}
+
 fn options(args: &RigArgs, draft: &Draft) -> Result<RigOptions, Failure> {
     if args.mirrors == 0 {
         return Err(usage("--mirrors 0: a rig needs a mirror, one or more".into()));
@@ -187,6 +208,7 @@ fn options(args: &RigArgs, draft: &Draft) -> Result<RigOptions, Failure> {
         tank,
         lens_covariance: lens_covariance(draft),
         distances_m: args.distances.iter().map(|d| (d.name.clone(), d.distance_m, d.sd_m)).collect(),
+        taped: Vec::new(),
         index_sd: args.fit_index.then_some(INDEX_SD),
     })
 }

@@ -1,36 +1,14 @@
 //! `catoptra rig check`: a rig file in words and numbers.
 
-use super::{Exit, Failure, output};
+use super::super::{Exit, Failure, output};
 use catoptra::optics::{Surface, Wall};
 use catoptra::rig::check::{Check, ROUND_TRIP_LIMIT_PX, ViewCheck, check};
 use catoptra::rig::{Base, Camera, Rig, View};
 use nalgebra::Vector3;
 use std::fmt::{self, Write as _};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-/// Arguments of `catoptra rig`.
-#[derive(Debug, clap::Args)]
-pub(crate) struct Args {
-    #[command(subcommand)]
-    command: Command,
-}
-
-#[derive(Debug, clap::Subcommand)]
-enum Command {
-    /// Print what a rig file means: views and their light paths, tank, mirror, catheter, base frame, warnings
-    ///
-    /// Every view's pixels are traced to points and projected back. Exit code 3 when that does not lead back to the
-    /// same pixels, 2 when the file is not valid.
-    #[command(after_help = "Example:\n  catoptra rig check calibration/dev_tank/rig.toml")]
-    Check {
-        /// The rig file
-        #[arg(value_name = "RIG.toml")]
-        file: PathBuf,
-    },
-}
-
-pub(crate) fn run(args: &Args) -> Result<(), Failure> {
-    let Command::Check { file } = &args.command;
+pub(super) fn run(file: &Path) -> Result<(), Failure> {
     let rig = Rig::load(file)?;
     let checked = check(&rig).map_err(|e| Failure::new(Exit::Unusable, format!("{}: {e}", file.display())))?;
     let mut text = String::new();

@@ -1,0 +1,48 @@
+//! How fast tracking is: each stage beside OpenCV's usual script, then whole runs beside bare decoding of the same file.
+//!
+//! All that is compared runs in this process on the same frames, in turns; what counts are the ratios. Stages are timed by the
+//! clock of their thread, which stands still while another program has the core. Whole runs are timed by the clock on the
+//! wall, for threads wait for each other: give them an idle machine, or look at their CPU time, which is printed too.
+
+#![allow(clippy::print_stdout, reason = "a bench prints its result")]
+
+mod opencv_script;
+mod stages;
+mod whole_runs;
+
+use catoptra::rig::Rig;
+use cpu_time::ThreadTime;
+use std::error::Error;
+use std::path::Path;
+use std::time::Duration;
+
+fn main() -> Result<(), Box<dyn Error + Send + Sync>> {
+    let repository = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let recording = repository.join("sample_frames/planar.mkv");
+    let rig = Rig::load(&repository.join("calibration/dev_tank/rig.toml"))?;
+    stages::print(&recording, &rig)?;
+    whole_runs::print(&recording, &rig)
+}
+
+/// How long the runs of one thing took, CPU time of the calling thread.
+#[derive(Default)]
+struct Stopwatch(Vec<Duration>);
+
+impl Stopwatch {
+    fn time<T>(&mut self, run: impl FnOnce() -> T) -> T {
+        let start = ThreadTime::now();
+        let result = std::hint::black_box(run());
+        self.0.push(start.elapsed());
+        result
+    }
+
+    fn median_ms(&self) -> f64 {
+        median(self.0.iter().map(|time| time.as_secs_f64() * 1e3))
+    }
+}
+
+fn median(values: impl Iterator<Item = f64>) -> f64 {
+    let mut sorted: Vec<f64> = values.collect();
+    sorted.sort_by(f64::total_cmp);
+    sorted.get(sorted.len() / 2).copied().unwrap_or(f64::NAN)
+}

@@ -1,0 +1,125 @@
+//! Each stage of a frame beside OpenCV's script on the same frame, one thread each, in turns frame by frame.
+
+use super::Stopwatch;
+use super::opencv_script::{Script, i420};
+use catoptra::estimate::Estimate;
+use catoptra::rig::Rig;
+use catoptra::segment::{Search, Segmenter, Window};
+use catoptra::source::{self, Picture, SourceOptions};
+use catoptra::track::{TrackOptions, Tracker};
+use nalgebra::Vector3;
+use std::error::Error;
+use std::path::Path;
+
+/// Half the side of the windows that segmentation is timed in: about the tracker's own, at 60 frames a second and half a
+/// millimetre a pixel.
+const WINDOW_PX: f64 = 60.0;
+/// Runs on a picture that is the worst case.
+const RUNS: usize = 15;
+
+#[derive(Default)]
+struct Times {
+    script: Stopwatch,
+    decode: Stopwatch,
+    segment: Stopwatch,
+    segment_windows: Stopwatch,
+    step: Stopwatch,
+    step_full_frame: Stopwatch,
+}
+
+/// Measures and prints.
+pub(crate) fn print(recording: &Path, rig: &Rig) -> Result<(), Box<dyn Error + Send + Sync>> {
+    let one_thread = rayon::ThreadPoolBuilder::new().num_threads(1).build()?;
+    let mut source = source::open(recording, SourceOptions { decoder_threads: 1, ..SourceOptions::default() })?;
+    let mut script = Script::new()?;
+    let mut segmenter = Segmenter::for_rig(rig)?;
+    let mut windowed = Tracker::new(rig, TrackOptions::default())?;
+    let mut full_frame = Tracker::new(rig, TrackOptions { full_frame: true })?;
+
+    let mut times = Times::default();
+    let (mut frames, mut components, mut blobs) = (0, 0, 0);
+    let mut last: Option<(Estimate, Picture)> = None;
+    while let Some(frame) = times.decode.time(|| source.next_frame())? {
+        let picture = &frame.picture;
+        components += times.script(&mut script, picture)?;
+        blobs += times.segment.time(|| segmenter.all_blobs(picture).map(<[_]>::len))?;
+        if let Some((estimate, _)) = &last {
+            let windows = windows_around(estimate);
+            times.segment_windows.time(|| segmenter.blobs(picture, &windows).map(<[_]>::len))?;
+        }
+        let estimate = one_thread.install(|| times.step.time(|| windowed.step(&frame)))?;
+        one_thread.install(|| times.step_full_frame.time(|| full_frame.step(&frame)))?;
+        frames += 1;
+        last = Some((estimate, frame.picture));
+    }
+    let (_, picture) = last.ok_or("the recording has no frames")?;
+
+    let [width, height] = picture.size_px();
+    println!("{frames} frames of {width}x{height} in turns, one thread each, medians of its CPU time. A frame has");
+    println!(
+        "{:.2} components in the masks of OpenCV's script and {:.2} blobs in the segmentation.\n",
+        f64::from(components) / f64::from(frames),
+        blobs as f64 / f64::from(frames)
+    );
+    println!("{:42}{:>12}{:>18}{:>14}", "a frame", "Catoptra", "OpenCV's script", "ratio");
+    let (step, segment_windows) = (times.step.median_ms(), times.segment_windows.median_ms());
+    times.row("decoding", times.decode.median_ms());
+    times.row("segmentation, whole frame", times.segment.median_ms());
+    times.row(&format!("segmentation, windows of {} px", 2.0 * WINDOW_PX), segment_windows);
+    times.row("assignment, fit, tangent: the rest of step", step - segment_windows);
+    times.row("Tracker::step", step);
+    times.row("Tracker::step, whole frames searched", times.step_full_frame.median_ms());
+    for (name, picture) in worst_cases(rig, &picture)? {
+        let mut times = Times::default();
+        for _ in 0..RUNS {
+            times.script(&mut script, &picture)?;
+            times.segment.time(|| segmenter.all_blobs(&picture).map(<[_]>::len))?;
+        }
+        times.row(&format!("segmentation, {name}"), times.segment.median_ms());
+    }
+    Ok(())
+}
+
+impl Times {
+    /// Times OpenCV's script, the copy of the planes to where it wants them left out; how many components it finds.
+    fn script(&mut self, script: &mut Script, picture: &Picture) -> Result<i32, Box<dyn Error + Send + Sync>> {
+        let planes = i420(picture)?;
+        Ok(self.script.time(|| script.components(&planes))?)
+    }
+
+    fn row(&self, name: &str, ms: f64) {
+        let script = self.script.median_ms();
+        println!("{name:42}{ms:>9.3} ms{script:>15.3} ms{:>12.1} x", script / ms);
+    }
+}
+
+/// Windows around the bands' places in a frame.
+fn windows_around(estimate: &Estimate) -> Vec<Search> {
+    let bands = estimate
+        .markers
+        .iter()
+        .enumerate()
+        .flat_map(|(m, found)| found.views.iter().flatten().map(move |band| (m, band)));
+    bands.map(|(m, band)| Search { marker: Some(m), window: Window::around(&band.centre_px, WINDOW_PX) }).collect()
+}
+
+/// Pictures like `like` of which no part can be left out: what they cost bounds what any picture does.
+fn worst_cases(rig: &Rig, like: &Picture) -> Result<[(&'static str, Picture); 2], Box<dyn Error + Send + Sync>> {
+    let coil = rig.markers.get(rig.catheter.coil).and_then(|marker| marker.colour).ok_or("the coil has no colour")?;
+    let ([width, height], format, colour) = (like.size_px(), like.format(), like.colour());
+    let samples = |i: usize| like.plane(i).map_or(0, |plane| plane.width * plane.height);
+    let full = (0..3).map(|i| {
+        let (weights, constant) = colour.channel_from_rgb(format, i);
+        let stored = coil.rgb.dot(&Vector3::from(weights)) + constant;
+        vec![stored.round() as u8; samples(i)]
+    });
+    let mut state = 1_u64;
+    let mut random = || {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (state >> 56) as u8
+    };
+    let noise = (0..3).map(|i| (0..samples(i)).map(|_| random()).collect());
+    let (full, noise) = (full.collect(), noise.collect());
+    let picture = |planes| Picture::from_planes(width, height, format, colour, planes);
+    Ok([("all of the coil's colour", picture(full)?), ("random samples", picture(noise)?)])
+}

@@ -1,0 +1,83 @@
+//! Boards taped flat to a wall: pictures that pin the wall.
+
+use super::board::Board;
+use super::bundle::Corner;
+use super::camera::{BoardPicture, centred};
+use super::geometry::Geometry;
+use super::known::Known;
+use super::mirrors::{RigCalibrationError, surface};
+use super::start::{ordered, pose};
+use crate::optics::{Lens, Plane, Surface};
+use nalgebra::{Isometry3, Point2, Point3, Translation3, Unit, UnitQuaternion, Vector3};
+use std::f64::consts::PI;
+
+/// How flat a board is taped to a wall, metres.
+const TAPED_SD_M: f64 = 2e-4;
+
+/// A board taped to a wall, as a picture more.
+pub(super) struct Taped {
+    surface: usize,
+    path: Vec<usize>,
+    pose: Isometry3<f64>,
+    corners: Vec<(Point3<f64>, Point2<f64>)>,
+    half_m: f64,
+}
+
+impl Taped {
+    /// The board is seen by the way that leads to the wall: past the surfaces in front of it in the first view through it.
+    pub(super) fn new(
+        board: &Board,
+        lens: &Lens,
+        geometry: &Geometry,
+        wall: &str,
+        picture: &BoardPicture,
+    ) -> Result<Self, RigCalibrationError> {
+        let surface = surface(geometry, wall)?;
+        let path: Vec<usize> = geometry
+            .views
+            .iter()
+            .find_map(|(_, path)| Some(path[..path.iter().position(|s| *s == surface)?].to_vec()))
+            .unwrap_or_default();
+        let mirrors: Vec<Plane> = path
+            .iter()
+            .filter_map(|s| match geometry.surfaces[*s].1 {
+                Surface::Mirror(mirror) => Some(mirror.plane),
+                Surface::Wall(_) => None,
+            })
+            .collect();
+        let places = centred(board);
+        let order = if mirrors.len() % 2 == 1 { board.orders().into_iter().next() } else { None };
+        let corners = ordered(&places, &picture.image, order.as_deref());
+        let mut seen = pose(lens, &corners)?;
+        // The board itself, not its reflection. I − 2nnᵀ is minus half a turn about n, and what a flat board's mirror image
+        // lacks to a rotation, diag(1, 1, −1), is minus half a turn about z.
+        for plane in &mirrors {
+            let over = UnitQuaternion::from_axis_angle(&Unit::new_normalize(plane.normal()), PI);
+            let half_turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), PI);
+            let middle = plane.reflect(&Point3::from(seen.translation.vector));
+            seen = Isometry3::from_parts(Translation3::from(middle.coords), over * seen.rotation * half_turn);
+        }
+        let half_m = places.iter().map(|p| p.coords.norm()).fold(0.0, f64::max);
+        Ok(Self { surface, path, pose: seen, corners, half_m })
+    }
+
+    pub(super) fn add(
+        self,
+        geometry: &mut Geometry,
+        poses: &mut Vec<Isometry3<f64>>,
+        corners: &mut Vec<Corner>,
+        known: &mut Vec<Known>,
+    ) {
+        let (picture, view) = (poses.len(), geometry.views.len());
+        geometry.views.push(("taped".to_owned(), self.path));
+        poses.push(self.pose);
+        corners.extend(self.corners.iter().map(|(place, pixel)| Corner {
+            picture,
+            view,
+            place: *place,
+            pixel: *pixel,
+        }));
+        let Self { surface, half_m, .. } = self;
+        known.push(Known::Taped { picture, surface, sd_m: TAPED_SD_M, half_m });
+    }
+}

@@ -1,0 +1,438 @@
+//! Whole calibrations of simulated rigs of three kinds, from corners with known noise: what is found, what is predicted of
+//! it, and what is refused.
+
+use super::board::{Board, BoardImage};
+use super::camera::{BoardPicture, CameraError, LeftOut, calibrate_camera, centred};
+use super::geometry::{Geometry, Projector};
+use super::mirrors::{RigCalibration, RigCalibrationError, RigOptions, Tank, calibrate_rig};
+use super::start::BoardsPicture;
+use super::verdict::verdict;
+use crate::optics::{Lens, Mirror, Plane, Surface, Wall};
+use nalgebra::{DMatrix, DVector, Isometry3, Point2, Point3, Translation3, UnitQuaternion, Vector2, Vector3};
+
+const SIZE_PX: [u32; 2] = [1280, 1024];
+
+/// Gaussian numbers, the same for the same seed.
+pub(super) fn gaussian(seed: u64) -> impl FnMut() -> f64 {
+    let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
+    let mut uniform = move || {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        ((state >> 11) as f64 + 0.5) / (1_u64 << 53) as f64
+    };
+    move || (-2.0 * uniform().ln()).sqrt() * (std::f64::consts::TAU * uniform()).cos()
+}
+
+fn lens() -> Lens {
+    Lens {
+        focal_px: Vector2::new(1900.0, 1904.0),
+        principal_point_px: Point2::new(645.0, 507.0),
+        distortion: [-0.12, 0.1, 4e-4, -3e-4, 0.0],
+    }
+}
+
+fn board() -> Board {
+    "7x4:12mm".parse().unwrap()
+}
+
+fn plane(normal: [f64; 3], point: [f64; 3]) -> Plane {
+    let normal = Vector3::from(normal).normalize();
+    Plane::new(normal, normal.dot(&Vector3::from(point))).unwrap()
+}
+
+fn wall(normal: [f64; 3], point: [f64; 3]) -> Surface {
+    Surface::Wall(Wall {
+        outer: plane(normal, point),
+        thickness_m: 5e-3,
+        index_outside: 1.0,
+        index_wall: 1.52,
+        index_inside: 1.333,
+    })
+}
+
+fn mirror(normal: [f64; 3], point: [f64; 3]) -> Surface {
+    Surface::Mirror(Mirror { plane: plane(normal, point) })
+}
+
+/// A rig and where its boards are.
+struct Simulated {
+    geometry: Geometry,
+    middle: Vector3<f64>,
+    options: RigOptions,
+}
+
+fn tank(mirrors_inside: bool) -> Tank {
+    Tank { glass_m: 5e-3, index_glass: 1.52, index_inside: 1.333, size_m: Some([0.25, 0.25, 0.25]), mirrors_inside }
+}
+
+fn simulated(
+    surfaces: Vec<(&str, Surface)>,
+    views: Vec<(&str, Vec<usize>)>,
+    middle: [f64; 3],
+    options: RigOptions,
+) -> Simulated {
+    let named = |(name, surface): (&str, Surface)| (name.to_owned(), surface);
+    let geometry = Geometry {
+        lens: lens(),
+        surfaces: surfaces.into_iter().map(named).collect(),
+        views: views.into_iter().map(|(name, path)| (name.to_owned(), path)).collect(),
+    };
+    Simulated { geometry, middle: Vector3::from(middle), options }
+}
+
+fn beside_the_tank() -> Simulated {
+    simulated(
+        vec![
+            ("front_wall", wall([-0.05, 0.04, -1.0], [-0.05, 0.0, 0.90])),
+            ("mirror", mirror([-0.70, 0.02, -0.71], [0.18, 0.0, 1.02])),
+            ("side_wall", wall([1.0, 0.002, -0.05], [0.055, 0.0, 1.0])),
+        ],
+        vec![("direct", vec![0]), ("mirror", vec![1, 2])],
+        [-0.02, 0.0, 1.02],
+        RigOptions { mirrors: 1, tank: Some(tank(false)), ..RigOptions::default() },
+    )
+}
+
+fn in_the_tank() -> Simulated {
+    simulated(
+        vec![
+            ("front_wall", wall([0.03, -0.02, -1.0], [0.0, 0.0, 0.85])),
+            ("mirror", mirror([-0.72, 0.01, -0.69], [0.10, 0.0, 1.0])),
+        ],
+        vec![("direct", vec![0]), ("mirror", vec![0, 1])],
+        [-0.06, 0.0, 0.96],
+        RigOptions { mirrors: 1, tank: Some(tank(true)), ..RigOptions::default() },
+    )
+}
+
+fn two_mirrors_in_air() -> Simulated {
+    simulated(
+        vec![
+            ("mirror_1", mirror([0.72, 0.0, -0.69], [-0.16, 0.0, 1.02])),
+            ("mirror_2", mirror([-0.68, 0.03, -0.73], [0.17, 0.0, 1.02])),
+        ],
+        vec![("direct", vec![]), ("mirror_1", vec![0]), ("mirror_2", vec![1])],
+        [0.0, 0.0, 0.95],
+        RigOptions { mirrors: 2, ..RigOptions::default() },
+    )
+}
+
+/// Pictures of the board in random poses, all images of a picture in random order; a mirrored one in the order in which a
+/// detector that takes it for direct finds its corners.
+fn pictures(rig: &Simulated, count: usize, sd_px: f64, random: &mut impl FnMut() -> f64) -> Vec<BoardsPicture> {
+    let (places, projector) = (centred(&board()), Projector::new(&rig.geometry, &[]));
+    let order = board().orders().remove(0);
+    let mut pictures = Vec::new();
+    for _ in 0..1000 * count {
+        if pictures.len() == count {
+            break;
+        }
+        let mut around = |half: f64| half * random().clamp(-2.0, 2.0);
+        let turn = Vector3::new(around(0.3), around(0.3), around(0.15));
+        let middle = rig.middle + Vector3::new(around(8e-3), around(0.02), around(0.015));
+        let pose = Isometry3::from_parts(Translation3::from(middle), UnitQuaternion::from_scaled_axis(turn));
+        let mut images = Vec::new();
+        for (view, (_, path)) in rig.geometry.views.iter().enumerate() {
+            let mirrored = path.iter().any(|s| matches!(rig.geometry.surfaces[*s].1, Surface::Mirror(_)));
+            let corner = |i: usize| {
+                let place = places[if mirrored { order[i] } else { i }];
+                let pixel = projector.pixel(view, &(pose * place)).ok()?;
+                let inside = (0.0..1280.0).contains(&pixel.x) && (0.0..1024.0).contains(&pixel.y);
+                inside.then_some((i, pixel))
+            };
+            let corners: Vec<_> = (0..places.len()).filter_map(corner).collect();
+            if corners.len() == places.len() {
+                images.push(BoardImage { corners, mirrored: None, square_px: 20.0, edge_px: 2.0, contrast: 100.0 });
+            }
+        }
+        if images.len() == rig.geometry.views.len() {
+            for (_, pixel) in images.iter_mut().flat_map(|image| &mut image.corners) {
+                *pixel += Vector2::new(random(), random()) * sd_px;
+            }
+            if random() > 0.0 {
+                images.reverse();
+            }
+            pictures.push(BoardsPicture { name: format!("{:02}.png", pictures.len()), size_px: SIZE_PX, images });
+        }
+    }
+    assert_eq!(pictures.len(), count, "the rig shows too few boards whole");
+    pictures
+}
+
+/// The lens as a calibration would give it: off by its own covariance.
+fn calibrated_lens(random: &mut impl FnMut() -> f64) -> (Lens, DMatrix<f64>) {
+    let sd = [1.5, 1.5, 1.5, 1.5, 4e-3, 0.1, 1.5e-4, 1.5e-4, 1e-6];
+    let mut lens = lens();
+    for axis in 0..2 {
+        lens.focal_px[axis] += sd[axis] * random();
+        lens.principal_point_px[axis] += sd[axis + 2] * random();
+    }
+    for (d, sd) in lens.distortion.iter_mut().zip(&sd[4..]) {
+        *d += sd * random();
+    }
+    (lens, DMatrix::from_diagonal(&DVector::from_iterator(9, sd.iter().map(|s| s * s))))
+}
+
+fn calibrated(rig: &Simulated, seed: u64) -> RigCalibration {
+    let mut random = gaussian(seed);
+    let pictures = pictures(rig, 12, 0.05, &mut random);
+    let (lens, covariance) = calibrated_lens(&mut random);
+    let mut options = RigOptions { lens_covariance: Some(covariance), ..rig.options.clone() };
+    if options.tank.is_some() {
+        let distance_m = rig.geometry.surfaces[0].1.plane().offset_m().abs() + 2e-3 * random();
+        options.distances_m.push(("front_wall".into(), distance_m, 2e-3));
+    }
+    calibrate_rig(&board(), &lens, &pictures, &options).unwrap_or_else(|e| panic!("seed {seed}: {e}"))
+}
+
+/// Errors really made at places, absolute and after the best rigid motion, metres.
+fn errors(truth: &Geometry, found: &Geometry, places: &[Point3<f64>]) -> (Vec<f64>, Vec<f64>) {
+    let (seen, here) = (Projector::new(truth, &[]), Projector::new(found, &[]));
+    let located: Vec<Vector3<f64>> = places
+        .iter()
+        .map(|place| {
+            // Gauss-Newton on the pixels that the true rig shows.
+            let mut at = *place;
+            for _ in 0..10 {
+                let (mut matrix, mut pull) = (nalgebra::Matrix3::zeros(), Vector3::zeros());
+                for view in 0..truth.views.len() {
+                    let Ok(pixel) = seen.pixel(view, place) else { continue };
+                    let model = here.seen(view, &at).unwrap();
+                    matrix += model.d_point.transpose() * model.d_point;
+                    pull += model.d_point.transpose() * (pixel - model.pixel);
+                }
+                at += matrix.try_inverse().unwrap() * pull;
+            }
+            at - place
+        })
+        .collect();
+    let middle = places.iter().map(|p| p.coords).sum::<Vector3<f64>>() / places.len() as f64;
+    let mut rigid = DMatrix::zeros(3 * places.len(), 6);
+    for (i, place) in places.iter().enumerate() {
+        rigid.view_mut((3 * i, 0), (3, 3)).copy_from(&nalgebra::Matrix3::identity());
+        rigid.view_mut((3 * i, 3), (3, 3)).copy_from(&-(place.coords - middle).cross_matrix());
+    }
+    let all =
+        DVector::from_iterator(3 * places.len(), located.iter().flat_map(|d| d.iter().copied().collect::<Vec<_>>()));
+    let motion = rigid.clone().svd(true, true).solve(&all, 1e-12).unwrap();
+    let rest = &all - rigid * motion;
+    let norms = |v: &DVector<f64>| (0..places.len()).map(|i| v.rows(3 * i, 3).norm()).collect();
+    (norms(&all), norms(&rest))
+}
+
+/// The verdict's promise: over many calibrations of each rig, the errors made are those predicted.
+#[test]
+fn predicted_errors_in_space_are_those_really_made() {
+    const RUNS: u64 = 24;
+    let rigs =
+        [("beside the tank", beside_the_tank()), ("in the tank", in_the_tank()), ("in air", two_mirrors_in_air())];
+    for (name, rig) in rigs {
+        let (mut made, mut predicted) = ([0.0; 2], [0.0; 2]);
+        for seed in 0..RUNS {
+            let found = calibrated(&rig, 1000 + seed);
+            let judged = verdict(&found.solution, &found.corners, &centred(&board())).unwrap();
+            // At the edge of the volume a view may end between the true and the found place.
+            let shown = |place: &Point3<f64>| {
+                let near = |d: f64| Point3::from(place.coords + Vector3::new(0.0, 0.0, d));
+                let views = 0..rig.geometry.views.len();
+                views.clone().all(|v| rig.geometry.path(v).project(place).is_ok())
+                    && views
+                        .flat_map(|v| [-8e-3, 8e-3].map(|d| (v, d)))
+                        .all(|(v, d)| found.solution.geometry.path(v).project(&near(d)).is_ok())
+            };
+            let places: Vec<Point3<f64>> = judged.expected.iter().map(|e| e.place).filter(shown).collect();
+            assert!(places.len() > 60, "only {} places are shown", places.len());
+            let (absolute, relative) = errors(&rig.geometry, &found.solution.geometry, &places);
+            let mean_square = |v: &[f64]| v.iter().map(|e| e * e).sum::<f64>() / v.len() as f64;
+            made[0] += mean_square(&absolute);
+            made[1] += mean_square(&relative);
+            let expected = |of: fn(&super::verdict::Expected) -> f64| -> f64 {
+                judged.expected.iter().map(|e| of(e).powi(2)).sum::<f64>() / judged.expected.len() as f64
+            };
+            predicted[0] += expected(|e| e.absolute_m);
+            predicted[1] += expected(|e| e.relative_m);
+        }
+        for (what, made, predicted) in [("absolute", made[0], predicted[0]), ("relative", made[1], predicted[1])] {
+            let rms_mm = |sum: f64| (sum / RUNS as f64).sqrt() * 1e3;
+            let ratio = rms_mm(made) / rms_mm(predicted);
+            println!("{name}, {what}: {:.4} mm made, {:.4} mm predicted", rms_mm(made), rms_mm(predicted));
+            assert!((0.7..1.4).contains(&ratio), "{name}: {what} errors are {ratio:.2} of those predicted");
+        }
+    }
+}
+
+/// A board taped to each wall of the tank, the side wall's seen in the mirror: the front wall's distance is known as well as
+/// that of any board in air then, the side wall's as well as the mirror's, and rightly so.
+#[test]
+fn a_board_taped_to_a_wall_pins_it() {
+    let rig = beside_the_tank();
+    let mut random = gaussian(77);
+    let pictures = pictures(&rig, 10, 0.05, &mut random);
+    let (lens, covariance) = calibrated_lens(&mut random);
+    let taped = |wall: usize, path: Vec<usize>, turned: f64, random: &mut dyn FnMut() -> f64| {
+        let Surface::Wall(Wall { outer, .. }) = rig.geometry.surfaces[wall].1 else { panic!("no wall") };
+        // Its back lies on the wall: z of the board runs into it.
+        let about = UnitQuaternion::rotation_between(&Vector3::z(), &-outer.normal()).unwrap();
+        let near = Point3::from(rig.middle);
+        let middle = near - outer.normal() * outer.signed_distance(&near);
+        let turn = about * UnitQuaternion::from_scaled_axis(Vector3::z() * turned);
+        let pose = Isometry3::from_parts(Translation3::from(middle.coords), turn);
+        let mirrored = path.len() == 1;
+        let mut geometry = rig.geometry.clone();
+        geometry.views = vec![("taped".into(), path)];
+        let (places, order) = (centred(&board()), board().orders().remove(0));
+        let mut corner = |i: usize| {
+            let place = places[if mirrored { order[i] } else { i }];
+            let pixel = Projector::new(&geometry, &[]).pixel(0, &(pose * place)).unwrap();
+            (i, pixel + Vector2::new(random(), random()) * 0.05)
+        };
+        let corners = (0..places.len()).map(&mut corner).collect();
+        let image = BoardImage { corners, mirrored: None, square_px: 20.0, edge_px: 2.0, contrast: 100.0 };
+        BoardPicture { name: "taped.png".into(), size_px: SIZE_PX, image }
+    };
+    let taped = vec![
+        ("front_wall".to_owned(), taped(0, vec![], 0.2, &mut random)),
+        ("side_wall".to_owned(), taped(2, vec![1], -0.3, &mut random)),
+    ];
+    let options = RigOptions { lens_covariance: Some(covariance), taped, ..rig.options.clone() };
+    let found = calibrate_rig(&board(), &lens, &pictures, &options).unwrap();
+    assert_eq!(found.solution.geometry.views, rig.geometry.views);
+    assert_eq!(found.solution.residuals_px.len(), found.corners.len());
+    for (surface, limit_m) in [(0, 1.5e-3), (2, 5e-3)] {
+        let parameter = super::geometry::Parameter::Offset { surface };
+        let at = found.solution.free.iter().position(|p| *p == parameter).unwrap();
+        let sd = found.solution.covariance[(at, at)].sqrt();
+        let error = found.solution.geometry.value(parameter) - rig.geometry.value(parameter);
+        println!("{surface}: {:.3} mm off, σ {:.3} mm", error * 1e3, sd * 1e3);
+        assert!(sd < limit_m && error.abs() < 3.5 * sd, "surface {surface}: {error} m off, σ {sd} m");
+    }
+}
+
+#[test]
+fn images_are_sorted_into_views_whatever_their_order_and_number() {
+    let rig = two_mirrors_in_air();
+    let mut pictures = pictures(&rig, 8, 0.02, &mut gaussian(5));
+    // A picture without one of the mirrored boards, and one with the direct image alone.
+    // The direct image is the one between the other two.
+    for picture in &mut pictures[1..3] {
+        picture.images.sort_by(|a, b| a.corners[0].1.x.total_cmp(&b.corners[0].1.x));
+    }
+    pictures[1].images.remove(2);
+    pictures[2].images = vec![pictures[2].images[1].clone()];
+    let found = calibrate_rig(&board(), &lens(), &pictures, &rig.options).unwrap();
+    assert_eq!(found.left_out.len(), 1, "{:?}", found.left_out);
+    assert!(found.left_out[0].0 == "02.png" && found.left_out[0].1.contains("only once"), "{:?}", found.left_out);
+    assert_eq!(found.used.len(), 7);
+    for ((name, surface), (expected, truth)) in found.solution.geometry.surfaces.iter().zip(&rig.geometry.surfaces) {
+        assert_eq!(name, expected);
+        let (plane, truth) = (surface.plane(), truth.plane());
+        assert!(plane.normal().angle(&truth.normal()).to_degrees() < 0.05);
+        assert!((plane.offset_m() - truth.offset_m()).abs() < 2e-3);
+    }
+}
+
+#[test]
+fn what_is_no_reflection_is_refused_by_name() {
+    let rig = two_mirrors_in_air();
+    let good = pictures(&rig, 6, 0.02, &mut gaussian(9));
+    let error = |pictures: &[BoardsPicture]| calibrate_rig(&board(), &lens(), pictures, &rig.options).unwrap_err();
+    assert!(matches!(error(&good[..2]), RigCalibrationError::TooFew { found: 2, .. }));
+    assert!(matches!(error(&[]), RigCalibrationError::TooFew { found: 0, .. }));
+    let once: Vec<BoardsPicture> =
+        good.iter().cloned().map(|p| BoardsPicture { images: p.images[..1].to_vec(), ..p }).collect();
+    assert!(error(&once).to_string().contains("00.png: it shows the board only once"), "{}", error(&once));
+    let two: Vec<BoardsPicture> = good
+        .iter()
+        .cloned()
+        .map(|mut p| {
+            p.images.sort_by(|a, b| a.corners[0].1.x.total_cmp(&b.corners[0].1.x));
+            p.images.pop();
+            p
+        })
+        .collect();
+    assert!(matches!(error(&two), RigCalibrationError::Mirrors { found: 1, expected: 2 }), "{}", error(&two));
+    let nowhere = RigOptions { distances_m: vec![("front".into(), 1.0, 1e-3)], ..rig.options.clone() };
+    let unknown = calibrate_rig(&board(), &lens(), &good, &nowhere).unwrap_err().to_string();
+    assert_eq!(unknown, "there is no surface `front`; there are mirror_1, mirror_2");
+}
+
+/// Boards in air at the given turns, each at its own place.
+fn air(turns: &[[f64; 3]], sd_px: f64) -> Vec<BoardPicture> {
+    let (places, mut random) = (centred(&board()), gaussian(3));
+    let geometry = Geometry { lens: lens(), surfaces: Vec::new(), views: vec![("air".into(), Vec::new())] };
+    let projector = Projector::new(&geometry, &[]);
+    turns
+        .iter()
+        .enumerate()
+        .map(|(i, turn)| {
+            let at = |k: usize, half: f64| half * f64::from(i32::try_from((i * k) % 5).unwrap() - 2) / 2.0;
+            let middle = Translation3::new(at(1, 0.06), at(2, 0.05), 0.45 + at(3, 0.05));
+            let pose = Isometry3::from_parts(middle, UnitQuaternion::from_scaled_axis(Vector3::from(*turn)));
+            let mut noisy = |i: usize| {
+                (i, projector.pixel(0, &(pose * places[i])).unwrap() + Vector2::new(random(), random()) * sd_px)
+            };
+            let corners = (0..places.len()).map(&mut noisy).collect();
+            let image = BoardImage { corners, mirrored: None, square_px: 40.0, edge_px: 2.0, contrast: 100.0 };
+            BoardPicture { name: format!("{i}.png"), size_px: SIZE_PX, image }
+        })
+        .collect()
+}
+
+const TILTS: [[f64; 3]; 8] = [
+    [0.5, 0.0, 0.0],
+    [-0.5, 0.1, 0.3],
+    [0.0, 0.5, 0.0],
+    [0.1, -0.5, 0.2],
+    [0.4, 0.4, 1.5],
+    [-0.4, 0.4, 0.0],
+    [0.4, -0.4, 0.1],
+    [0.0, 0.1, 0.0],
+];
+
+#[test]
+fn a_lens_is_found_and_pictures_that_mislead_are_left_out_by_name() {
+    let mut pictures = air(&TILTS, 0.05);
+    pictures.push(BoardPicture { name: "again.png".into(), ..pictures[3].clone() });
+    // A board that was bent: its corners off by a pixel here and there.
+    let mut bent = air(&[[0.3, 0.2, 0.0]], 0.05).remove(0);
+    bent.name = "bent.png".into();
+    for (i, pixel) in &mut bent.image.corners {
+        pixel.x += 2.0 * (*i as f64).sin();
+    }
+    pictures.push(bent);
+    let mut shaken = air(&[[-0.3, 0.2, 0.0]], 0.05).remove(0);
+    shaken.name = "shaken.png".into();
+    shaken.image.edge_px = 16.0;
+    pictures.insert(0, shaken);
+    let mut found = calibrate_camera(&board(), &pictures).unwrap();
+    assert_eq!(found.used.len(), 8);
+    assert_eq!(
+        found.left_out.remove(0).1.to_string(),
+        "it is blurred: edges 16 px wide on squares of 40 px; hold the board still, focus, more light"
+    );
+    assert_eq!(found.left_out[0], ("again.png".into(), LeftOut::Duplicate("3.png".into())));
+    assert!(matches!(&found.left_out[1], (name, LeftOut::Off { .. }) if name == "bent.png"), "{:?}", found.left_out);
+    for (axis, truth) in lens().focal_px.iter().enumerate() {
+        let sd = found.covariance[(axis, axis)].sqrt();
+        assert!(
+            (found.lens.focal_px[axis] - truth).abs() < 3.5 * sd && sd < 10.0,
+            "{} ± {sd}",
+            found.lens.focal_px[axis]
+        );
+    }
+    assert!((0.04..0.06).contains(&found.corner_sd_px), "{}", found.corner_sd_px);
+}
+
+#[test]
+fn sets_that_leave_the_lens_open_are_refused_with_the_reason() {
+    let error = |pictures: &[BoardPicture]| calibrate_camera(&board(), pictures).unwrap_err();
+    assert!(matches!(error(&air(&TILTS[..3], 0.05)), CameraError::TooFew { found: 3, .. }));
+    assert!(matches!(error(&[]), CameraError::TooFew { found: 0, .. }));
+    let same = vec![air(&TILTS[..1], 0.0).remove(0); 9];
+    assert!(matches!(error(&same), CameraError::TooFew { found: 1, .. }));
+    let parallel = error(&air(&[[0.05, 0.03, 0.0]; 8], 0.05));
+    assert!(matches!(parallel, CameraError::Parallel { .. } | CameraError::Open { .. }), "{parallel}");
+    let mut mixed = air(&TILTS, 0.05);
+    mixed[4].size_px = [1024, 1280];
+    let text = error(&mixed).to_string();
+    assert!(text.starts_with("4.png has [1024, 1280] pixels, 0.png has [1280, 1024]"), "{text}");
+}

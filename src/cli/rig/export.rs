@@ -1,0 +1,99 @@
+//! `catoptra rig export`: the camera, or views, for other tools.
+
+use super::{Exit, Failure, output};
+use catoptra::rig::Draft;
+use catoptra::rig::formats::{Format, dlt};
+use std::path::PathBuf;
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+enum To {
+    Opencv,
+    Ros,
+    Kalibr,
+    Dlt,
+}
+
+#[derive(Debug, clap::Args)]
+pub(super) struct ExportArgs {
+    /// The rig file
+    #[arg(value_name = "RIG.toml")]
+    rig: PathBuf,
+    /// What to write
+    #[arg(long)]
+    format: To,
+    /// dlt: this view alone, not all of them
+    #[arg(long, value_name = "NAME")]
+    view: Option<String>,
+    /// dlt: number of the picture's first pixel, 0 as here and in OpenCV, 1 as in MATLAB and DLTdv
+    #[arg(long, value_name = "0|1", value_parser = clap::value_parser!(u8).range(0..=1))]
+    first_pixel: Option<u8>,
+    /// File to write instead of stdout
+    #[arg(long, short, value_name = "FILE")]
+    out: Option<PathBuf>,
+}
+
+pub(super) fn run(args: &ExportArgs, note: impl Fn(&str)) -> Result<(), Failure> {
+    let rig = Draft::load(&args.rig)?;
+    let view = args.view.as_deref();
+    let format = match args.format {
+        To::Opencv => Some(Format::OpenCv),
+        To::Ros => Some(Format::Ros),
+        To::Kalibr => Some(Format::Kalibr),
+        To::Dlt => None,
+    };
+    let (text, said) = match format {
+        Some(format) => {
+            if args.first_pixel.is_some() {
+                return Err(Failure::new(Exit::Usage, format!("--first-pixel is for dlt: {format} counts from 0")));
+            }
+            let names: Vec<&str> = rig.surfaces.keys().map(String::as_str).collect();
+            let missing = format!(
+                "{format} holds the camera alone: {} not in it, and rays through them are not what it says",
+                if names.len() == 1 { format!("{} is", names.concat()) } else { format!("{} are", names.join(", ")) }
+            );
+            (format.write(&rig, view, &args.rig)?, (!names.is_empty()).then_some(missing))
+        }
+        None => {
+            let first = args.first_pixel.unwrap_or(0);
+            let text = dlt::write(&rig, view, f64::from(first), &args.rig)?;
+            (text, Some(frame(&rig, view, first)))
+        }
+    };
+    match &args.out {
+        Some(out) => {
+            if same(out, &args.rig) {
+                return Err(Failure::new(Exit::Usage, format!("{} is the rig itself; give another -o", out.display())));
+            }
+            std::fs::write(out, &text)
+                .map_err(|e| Failure::new(Exit::Failed, format!("cannot write {}: {e}", out.display())))?;
+        }
+        None => output::print(&text)?,
+    }
+    if let Some(said) = said {
+        note(&said);
+    }
+    Ok(())
+}
+
+/// What the numbers of a DLT mean: the file has no place for it.
+fn frame(rig: &Draft, view: Option<&str>, first: u8) -> String {
+    let views = match view {
+        Some(view) => view.to_owned(),
+        None => rig.views.iter().map(|v| v.name.as_str()).collect::<Vec<_>>().join(", "),
+    };
+    let frame = match rig.base {
+        Some(_) => "the base frame".to_owned(),
+        None => format!(
+            "the camera frame with its origin moved {:.0} mm forward: the rig has no base frame, and in the lens an origin \
+             has no DLT",
+            dlt::ORIGIN_M * 1e3
+        ),
+    };
+    format!(
+        "columns: {views}; mm in {frame}; pixels right and down, ({first}, {first}) in the centre of the top-left one"
+    )
+}
+
+fn same(a: &std::path::Path, b: &std::path::Path) -> bool {
+    a.canonicalize().ok().zip(b.canonicalize().ok()).is_some_and(|(a, b)| a == b)
+}

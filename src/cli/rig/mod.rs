@@ -1,0 +1,58 @@
+//! `catoptra rig`: what a rig file means, and its way to and from other tools.
+
+mod check;
+mod export;
+mod import;
+
+use super::{Exit, Failure, output};
+use std::io::Write as _;
+use std::path::PathBuf;
+
+/// Arguments of `catoptra rig`.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum Command {
+    /// Print what a rig file means: views and their light paths, tank, mirror, catheter, base frame, warnings
+    ///
+    /// Every view's pixels are traced to points and projected back. Exit code 3 when that does not lead back to the
+    /// same pixels, 2 when the file is not valid.
+    #[command(after_help = "Example:\n  catoptra rig check calibration/dev_tank/rig.toml")]
+    Check {
+        /// The rig file
+        #[arg(value_name = "RIG.toml")]
+        file: PathBuf,
+    },
+    /// Write the camera for OpenCV, ROS or Kalibr, or views as DLT coefficients
+    #[command(after_help = "\
+opencv, ros and kalibr hold the camera alone: no mirror, no wall. dlt holds views with their
+mirrors, in mm, a column a view, but no wall and no distortion. Exit code 2: it does not fit.
+Example:
+  catoptra rig export calibration/dev_tank/rig.toml --format opencv -o camera.yml")]
+    Export(export::ExportArgs),
+    /// Begin a rig file with a camera calibrated elsewhere
+    #[command(after_help = "\
+Reads YAML of OpenCV's FileStorage, ROS camera_info and Kalibr camchains of one camera. An existing
+RIG.toml keeps its bands; what was found with its old lens is left out; it is kept as RIG.toml.bak.
+Example:
+  catoptra rig import tests/data/cameras/ros.yaml --out my_rig.toml")]
+    Import(import::ImportArgs),
+}
+
+pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
+    let note = |text: &str| {
+        if !quiet {
+            // Nobody to tell when stderr is gone; the result still counts.
+            let _ = writeln!(super::progress::stderr(), "{text}");
+        }
+    };
+    match &args.command {
+        Command::Check { file } => check::run(file),
+        Command::Export(args) => export::run(args, note),
+        Command::Import(args) => import::run(args, note),
+    }
+}

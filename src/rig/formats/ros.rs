@@ -1,0 +1,34 @@
+//! ROS's camera_info: the file that `camera_calibration` saves, or a message as `topic echo` shows it (`K`, `D`, `width`).
+
+use super::yaml::Node;
+use super::{from_matrices, list, matrix};
+use crate::rig::{Camera, RigError};
+
+pub(super) fn read(root: &Node<'_>) -> Result<Camera, RigError> {
+    // Older files say no model and mean plumb_bob; rational_polynomial with zeros is the same, which `brown` sees to.
+    if let Some(model) = root.get(&["distortion_model"])
+        && !matches!(model.word()?, "plumb_bob" | "rational_polynomial")
+    {
+        return Err(model.wrong("plumb_bob: a rig holds k1, k2, p1, p2, k3 of that model"));
+    }
+    from_matrices(root)
+}
+
+/// Rectification is none, and the projection matrix the camera's own.
+pub(super) fn write(camera: &Camera) -> String {
+    let [width, height] = camera.size_px;
+    let lens = &camera.lens;
+    let (f, c) = (lens.focal_px, lens.principal_point_px);
+    let block = |name: &str, rows: usize, values: &[f64]| {
+        format!("{name}:\n  rows: {rows}\n  cols: {}\n  data: [{}]\n", values.len() / rows, list(values))
+    };
+    [
+        format!("image_width: {width}\nimage_height: {height}\ncamera_name: camera\n"),
+        block("camera_matrix", 3, &matrix(lens)),
+        "distortion_model: plumb_bob\n".to_owned(),
+        block("distortion_coefficients", 1, &lens.distortion),
+        block("rectification_matrix", 3, &[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]),
+        block("projection_matrix", 3, &[f.x, 0.0, c.x, 0.0, 0.0, f.y, c.y, 0.0, 0.0, 0.0, 1.0, 0.0]),
+    ]
+    .concat()
+}
