@@ -52,7 +52,7 @@ pub enum Doubt {
         times: f64,
     },
     /// Something known that is far from what the pictures say.
-    #[error("the pictures contradict by {off:.1} σ what was given as {what}: measure again")]
+    #[error("the pictures contradict {what} as it was given, by {off:.1} σ: measure it again")]
     Known {
         /// What.
         what: String,

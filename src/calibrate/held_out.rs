@@ -19,6 +19,8 @@ use rayon::prelude::*;
 const SAME_LENGTH: f64 = 0.01;
 /// Lengths further off than so many times what noise explains are off by more; few lengths must be further off yet.
 const BEYOND_NOISE: f64 = 1.3;
+/// Lengths that are off by less than this part of what noise explains have ends that are off together.
+const TOGETHER: f64 = 0.7;
 
 /// A length on the board.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -76,6 +78,11 @@ impl Off {
             mean_m: mean(&error),
             noise_m: mean(&|l| l.noise_sd_m.powi(2)).sqrt(),
         })
+    }
+
+    /// Whether they are off by so much less than noise explains that what is wrong with their ends is no noise.
+    pub fn below_noise(&self) -> bool {
+        self.rms_m < self.noise_m * TOGETHER.min(1.0 - 3.0 / (2.0 * self.count as f64).sqrt())
     }
 
     /// Whether they are off by more than noise, which makes an RMS scatter by 1/√(2·count) of itself.
@@ -197,7 +204,7 @@ mod tests {
         let edges = Off::of(pictures.iter().flat_map(|p| &p.edges)).unwrap();
         assert_eq!(edges.count, 12 * 31);
         assert!((0.85..1.2).contains(&(edges.rms_m / edges.noise_m)), "{edges:?}");
-        assert!(!edges.beyond_noise());
+        assert!(!edges.beyond_noise() && !edges.below_noise());
         assert!(edges.noise_m > 2e-5 && edges.largest_m < 5.0 * edges.noise_m && edges.largest_m > 2.0 * edges.noise_m);
     }
 

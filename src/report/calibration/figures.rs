@@ -22,7 +22,7 @@ pub(super) fn errors(errors_m: &[(Point3<f64>, f64)], boards: &[Vec<Point3<f64>>
         all().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), p| (low.min(p[k] * 1e3), high.max(p[k] * 1e3)))
     });
     // Looked at as the camera does, from its upper right.
-    let scene = chart::scene(spans, titles).camera(chart::eye((0.0, -1.0, 0.0), (1.2, -1.0, -1.75)));
+    let scene = chart::scene(spans, titles).camera(chart::eye((0.0, -1.0, 0.0), (1.35, -1.1, -1.95)));
     let layout = chart::layout()
         .scene(scene)
         .show_legend(false)

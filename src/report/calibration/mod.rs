@@ -4,6 +4,7 @@
 
 mod figures;
 mod tables;
+mod words;
 
 use super::page::{self, bad, card, escape, facts_table, figure, plural, signed, table};
 use crate::calibrate::bundle::NoSolution;
@@ -12,6 +13,7 @@ use crate::calibrate::held_out::{HeldOut, Off};
 use crate::calibrate::mirrors::RigCalibration;
 use crate::calibrate::verdict::{Expected, Suggestion, Verdict};
 use nalgebra::{Point3, Vector3};
+use words::{along, degrees, exact_mm, in_words, mm};
 
 /// Suggestions shown of each kind.
 const SUGGESTIONS: usize = 5;
@@ -92,8 +94,8 @@ fn header(info: &CalibrationInfo, verdict: Option<&Verdict>, doubts: &[Doubt]) -
         String::new()
     } else {
         format!(
-            "<div class=\"doubts\"><p><strong>Do not rely on these numbers yet.</strong> They suppose that only noise is wrong \
-             with the corners, and here more is:</p>\n<ul>\n{doubted}</ul></div>\n"
+            "<div class=\"doubts\"><p><strong>Do not rely on these numbers yet.</strong> They suppose that nothing but noise is \
+             wrong, and more is:</p>\n<ul>\n{doubted}</ul></div>\n"
         )
     };
     format!(
@@ -165,22 +167,6 @@ fn which_matters(verdict: &Verdict) -> String {
     )
 }
 
-/// A direction of the camera frame in words, where it is one of the axes.
-fn in_words(direction: &Vector3<f64>) -> Option<&'static str> {
-    let names = ["to the left or right", "up or down", "along the line of sight"];
-    let axis = direction.iamax();
-    names.get(axis).copied().filter(|_| direction[axis].abs() > 0.9)
-}
-
-/// The same, with its numbers.
-fn along(direction: &Vector3<f64>) -> String {
-    let [x, y, z] = [direction.x, direction.y, direction.z].map(|c| signed(c, 2));
-    match in_words(direction) {
-        Some(words) => format!("{words}, ({x}, {y}, {z})"),
-        None => format!("along ({x}, {y}, {z}) of the camera frame"),
-    }
-}
-
 fn over_the_volume(done: &RigCalibration, verdict: &Verdict) -> String {
     let boards = outlines(done);
     let errors = |of: fn(&Expected) -> f64| verdict.expected.iter().map(|e| (e.place, of(e))).collect::<Vec<_>>();
@@ -241,6 +227,8 @@ fn held_out(done: &RigCalibration, held: &[Result<HeldOut, NoSolution>]) -> Stri
     };
     let judged = if edges.beyond_noise() || diagonals.beyond_noise() {
         "That is more than the noise of the corners explains."
+    } else if edges.below_noise() {
+        "Neighbouring corners are off together: what is wrong with them is no noise."
     } else {
         "Nothing but the noise of the corners shows in them."
     };
@@ -248,7 +236,7 @@ fn held_out(done: &RigCalibration, held: &[Result<HeldOut, NoSolution>]) -> Stri
     let scale = scales.iter().sum::<f64>() / scales.len().max(1) as f64;
     text += &format!(
         "<p>{} of {:.1} mm are off by {} RMS, {} of {:.1} mm by {}; noise alone explains {} and {}. {judged} All boards together \
-         come out too {} by {:.3} mm in 100 mm.</p>\n",
+         come out {} in 100 mm.</p>\n",
         plural(edges.count as u64, "edge"),
         edges.nominal_m * 1e3,
         mm(edges.rms_m),
@@ -257,8 +245,10 @@ fn held_out(done: &RigCalibration, held: &[Result<HeldOut, NoSolution>]) -> Stri
         mm(diagonals.rms_m),
         mm(edges.noise_m),
         mm(diagonals.noise_m),
-        if scale < 0.0 { "short" } else { "long" },
-        scale.abs() * 100.0
+        match format!("{:.3} mm", scale.abs() * 100.0) {
+            nothing if nothing == "0.000 mm" => "true to 0.001 mm".to_owned(),
+            off => format!("{off} too {}", if scale < 0.0 { "short" } else { "long" }),
+        }
     );
     text += &tables::held_out(done, held);
     text + &bad(
@@ -355,8 +345,8 @@ fn parameters(done: &RigCalibration) -> String {
         "<h2>The rig, and how well each part is known</h2>\n{}{}{}\
          <h3>Correlations</h3>\n\
          <p>How errors of two parameters go together: +1 always alike, −1 always opposite, 0 independent. Strong ones are the rule: \
-         the distance of a wall and the lens’s focal length change the picture much alike. Each alone is then known badly, what \
-         matters of both together well. {told}</p>\n{}",
+         distances of walls and mirrors change the pictures much alike, and so do the terms of the distortion. Each alone is then \
+         known badly, what matters of both together well. {told}</p>\n{}",
         tables::surfaces(solution),
         tables::lens(solution),
         tables::known(solution),
@@ -386,45 +376,4 @@ fn facts(info: &CalibrationInfo, done: &RigCalibration) -> String {
     rows.push(("Corners".to_owned(), done.corners.len().to_string()));
     rows.push(("Version".to_owned(), format!("Catoptra {}", env!("CARGO_PKG_VERSION"))));
     format!("<h2>What was calibrated</h2>\n{}", facts_table(&rows))
-}
-
-/// Metres as millimetres with two digits that count, and the unit.
-fn mm(value_m: f64) -> String {
-    two_digits(value_m * 1e3, " mm")
-}
-
-/// Radians as degrees, likewise.
-fn degrees(value_rad: f64) -> String {
-    two_digits(value_rad.to_degrees(), "°")
-}
-
-fn two_digits(value: f64, unit: &str) -> String {
-    if !value.is_finite() {
-        return "–".to_owned();
-    }
-    let digits = if value > 0.0 { (1.0 - value.log10().floor()).clamp(0.0, 5.0) as usize } else { 0 };
-    format!("{value:.digits$}{unit}")
-}
-
-/// Metres as millimetres in a column.
-fn exact_mm(value_m: f64) -> String {
-    if value_m.is_finite() { format!("{:.4}", value_m * 1e3) } else { "–".to_owned() }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn lengths_have_two_digits_that_count() {
-        let all = [4.8193e-3, 12e-6, 0.13e-3, 2.4e-6, 31.7e-3, 0.0, f64::NAN].map(mm);
-        assert_eq!(all, ["4.8 mm", "0.012 mm", "0.13 mm", "0.0024 mm", "32 mm", "0 mm", "–"]);
-    }
-
-    #[test]
-    fn directions_in_words() {
-        assert_eq!(along(&Vector3::new(0.05, -0.04, 0.99)), "along the line of sight, (+0.05, −0.04, +0.99)");
-        assert_eq!(in_words(&Vector3::new(-0.95, 0.2, 0.1)), Some("to the left or right"));
-        assert_eq!(along(&Vector3::new(0.6, -0.5, 0.62)), "along (+0.60, −0.50, +0.62) of the camera frame");
-    }
 }
