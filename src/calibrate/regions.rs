@@ -3,16 +3,27 @@
 use super::bundle::Corner;
 use nalgebra::{Point2, Vector2};
 
-/// Where each view is in the picture: the picture cut along lines halfway between the boards of two views. Two views whose
-/// boards no line across their centres parts are not cut.
+/// A view reaches beyond its boards by this part of their extent, to every side: further out nothing is known of its rays.
+const BEYOND: f64 = 0.5;
+
+/// Where each view is in the picture: around its boards, and cut along lines halfway to the boards of the other views. Two
+/// views whose boards no line across their centres parts are not cut.
 pub(super) fn regions(corners: &[Corner], views: usize, size_px: [u32; 2]) -> Vec<Vec<Point2<f64>>> {
     let of_view = |view: usize| corners.iter().filter(move |c| c.view == view).map(|c| c.pixel.coords);
     let centre = |view: usize| of_view(view).sum::<Vector2<f64>>() / of_view(view).count().max(1) as f64;
     let [right, bottom] = size_px.map(|size| f64::from(size) - 0.5);
     (0..views)
         .map(|view| {
-            let whole = [(-0.5, -0.5), (right, -0.5), (right, bottom), (-0.5, bottom)];
-            let mut region: Vec<Point2<f64>> = whole.map(|(x, y)| Point2::new(x, y)).to_vec();
+            let bound = |pick: fn(f64, f64) -> f64, start: f64| {
+                of_view(view).fold(Vector2::repeat(start), |b, p| b.zip_map(&p, pick))
+            };
+            let (low, high) = (bound(f64::min, f64::INFINITY), bound(f64::max, f64::NEG_INFINITY));
+            let beyond = (high - low) * BEYOND;
+            let (low, high) = (low - beyond, high + beyond);
+            let (x0, y0) = (low.x.max(-0.5), low.y.max(-0.5));
+            let (x1, y1) = (high.x.min(right), high.y.min(bottom));
+            let around = [(x0, y0), (x1, y0), (x1, y1), (x0, y1)];
+            let mut region: Vec<Point2<f64>> = around.map(|(x, y)| Point2::new(x, y)).to_vec();
             for other in (0..views).filter(|other| *other != view) {
                 let away = (centre(other) - centre(view)).normalize();
                 let last = of_view(view).map(|p| p.dot(&away)).fold(f64::NEG_INFINITY, f64::max);
@@ -46,6 +57,27 @@ fn cut(polygon: &[Point2<f64>], direction: &Vector2<f64>, limit: f64) -> Vec<Poi
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn views_reach_around_their_boards_and_to_each_other() {
+        let corner = |view: usize, x: f64, y: f64| Corner {
+            picture: 0,
+            view,
+            place: nalgebra::Point3::origin(),
+            pixel: Point2::new(x, y),
+        };
+        let corners =
+            [corner(0, 100.0, 100.0), corner(0, 200.0, 300.0), corner(1, 240.0, 100.0), corner(1, 340.0, 300.0)];
+        let found = regions(&corners, 2, [360, 360]);
+        let expected = [[50.0, 0.0, 220.0, 359.5], [220.0, 0.0, 359.5, 359.5]];
+        for (region, [x0, y0, x1, y1]) in found.iter().zip(expected) {
+            let bounds = |of: fn(&Point2<f64>) -> f64| {
+                let values = || region.iter().map(of);
+                (values().fold(f64::INFINITY, f64::min), values().fold(f64::NEG_INFINITY, f64::max))
+            };
+            assert_eq!((bounds(|p| p.x), bounds(|p| p.y)), ((x0, x1), (y0, y1)));
+        }
+    }
 
     #[test]
     fn a_square_cut_in_half() {

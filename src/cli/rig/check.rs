@@ -24,6 +24,19 @@ pub(super) fn run(file: &Path) -> Result<(), Failure> {
     ))
 }
 
+/// Provenance without its long lists: matrices and hashes are for programs.
+fn brief(table: &toml::Table) -> toml::Table {
+    const SHORT: usize = 9;
+    let shorter = |value: &toml::Value| match value {
+        toml::Value::Table(inner) if inner.len() > SHORT => format!("{} entries", inner.len()).into(),
+        toml::Value::Table(inner) => brief(inner).into(),
+        toml::Value::Array(list) if list.iter().any(toml::Value::is_array) => format!("{} rows", list.len()).into(),
+        toml::Value::Array(list) if list.len() > SHORT => format!("{} values", list.len()).into(),
+        other => other.clone(),
+    };
+    table.iter().map(|(key, value)| (key.clone(), shorter(value))).collect()
+}
+
 fn describe(out: &mut String, file: &Path, rig: &Rig, checked: &Check) -> fmt::Result {
     writeln!(out, "{}\n", file.display())?;
     camera(out, &rig.camera, checked)?;
@@ -62,7 +75,7 @@ fn describe(out: &mut String, file: &Path, rig: &Rig, checked: &Check) -> fmt::R
     }
     if !rig.provenance.is_empty() {
         writeln!(out, "\nprovenance")?;
-        for line in rig.provenance.to_string().lines().filter(|line| !line.is_empty()) {
+        for line in brief(&rig.provenance).to_string().lines().filter(|line| !line.is_empty()) {
             writeln!(out, "  {line}")?;
         }
     }
