@@ -157,7 +157,7 @@ fn which_matters(verdict: &Verdict) -> String {
          <p><strong>Noise, {}.</strong> What the noise of a corner, {:.3} px here, adds to its place in a single frame. {limit} Noise \
          averages out over frames, what the calibration adds does not. Bands are no corners: their own σ is in the report of \
          each tracking.</p>\n\
-         <p class=\"note\">All three suppose that mirrors and walls are flat, that squares, glass and refractive indices are \
+         <p class=\"note\">All are 1σ: twice as much is no surprise. And all suppose that mirrors and walls are flat, that squares, glass and refractive indices are \
          what was given, and that camera, mirror and tank stay where they were: who moves one of them calibrates again.</p>\n",
         mm(relative),
         degrees(verdict.angle_rad.0),
