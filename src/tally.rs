@@ -5,6 +5,7 @@
 
 use crate::estimate::{Estimate, Miss};
 use crate::rig::Rig;
+use crate::track::Drift;
 use std::collections::BTreeMap;
 
 /// Totals over all frames.
@@ -33,6 +34,8 @@ pub struct Tally {
     /// Frames by what is missing (a marker's name, `tangent`, `deflection`) and the word for the reason. That a rig has no
     /// base frame is no miss of a frame and is not counted.
     pub misses: BTreeMap<(String, String), u64>,
+    /// Whether the views fit together all the time.
+    pub drift: Drift,
     views: Vec<String>,
 }
 
@@ -81,6 +84,7 @@ impl Tally {
         Self {
             markers: rig.markers.iter().map(|m| marker(&m.name)).collect(),
             views: rig.views.iter().map(|v| v.name.clone()).collect(),
+            drift: Drift::new(rig),
             ..Self::default()
         }
     }
@@ -129,6 +133,7 @@ impl Tally {
                 self.theta.range_deg = Some((low.min(theta), high.max(theta)));
             }
         }
+        self.drift.add(estimate);
         let angle_known = matches!(estimate.deflection, Ok(_) | Err(Miss::NoBaseFrame));
         self.complete += u64::from(angle_known && estimate.markers.iter().all(|m| m.position.is_ok()));
         let named = self.named_misses(estimate);
@@ -136,6 +141,12 @@ impl Tally {
             *self.misses.entry(name.clone()).or_default() += 1;
         }
         named
+    }
+
+    /// The alarms of [`Tally::drift`] in words: camera time in nanoseconds, and what happened.
+    pub fn alarms(&self) -> impl Iterator<Item = (i64, String)> {
+        let views: Vec<&str> = self.views.iter().map(String::as_str).collect();
+        self.drift.alarms().iter().map(move |alarm| (alarm.stamp.ns, alarm.words(&views)))
     }
 
     fn named_misses(&self, estimate: &Estimate) -> Vec<(String, String)> {

@@ -60,7 +60,11 @@ fn header(info: &RunInfo, course: &Course) -> String {
             }
             _ => String::new(),
         };
-        format!("{answered}; {lost}.{angle}")
+        let apart = match tally.drift.alarms() {
+            [] => "",
+            _ => " <strong>The views do not fit together: see Residuals.</strong>",
+        };
+        format!("{answered}; {lost}.{angle}{apart}")
     };
     format!(
         "<header>\n<p class=\"kind\">Catoptra tracking report</p>\n<h1>{}</h1>\n<p class=\"verdict\">{verdict}</p>\n</header>\n",
@@ -262,7 +266,7 @@ fn views(course: &Course) -> String {
     section(
         "Residuals",
         "By how many pixels each view disagrees with the common answer of all views (length of the residual).",
-        &each("residual", &|v| figures::residuals(course, v, time)),
+        &(alarms(course) + &each("residual", &|v| figures::residuals(course, v, time))),
         "one marker standing above the others in one view, or residuals that follow the motion: an error of the rig, of the tube's \
          measures or of the refraction. A few high frames are noise or a reflection.",
     ) + &section(
@@ -270,6 +274,29 @@ fn views(course: &Course) -> String {
         "How well a band's colour stands out from what surrounds it: 1 as when its colour was learned, 0 indistinguishable.",
         &each("separation", &|v| figures::separation(course, v, time)),
         "a slow fall: the light changes or the water clouds. Dips at some angles: shadow or glare. Below about 0.5 misses begin.",
+    )
+}
+
+/// When the views began to disagree, and what to do.
+fn alarms(course: &Course) -> String {
+    let rows: Vec<Vec<String>> = course
+        .tally
+        .alarms()
+        .map(|(ns, what)| {
+            let at_s = course.origin().map_or(0.0, |origin| origin.elapsed_s(ns));
+            vec![format!("{at_s:.3} s"), escape(&what)]
+        })
+        .collect();
+    if rows.is_empty() {
+        return "<p>The views fit together all the time: no disagreement of more than 0.3 px in the mean over seconds. (A mirror that was \
+                shifted along its normal can go unnoticed here: it moves the answer, not the residual.)</p>\n"
+            .to_owned();
+    }
+    format!(
+        "{}<p class=\"bad\"><strong>Bad:</strong> mirror, camera or tank have moved since the calibration, or the rig is another one: \
+         places are off by more than their σ. Put the rig right with <code>catoptra calibrate rig</code> and track \
+         again.</p>\n",
+        table(2, &["From", "What"], &rows)
     )
 }
 

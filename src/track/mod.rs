@@ -7,6 +7,7 @@ mod assign_tests;
 mod coil;
 #[cfg(test)]
 mod drawn;
+mod drift;
 mod fit;
 mod light;
 mod normal;
@@ -17,5 +18,6 @@ mod triangulate;
 mod tube;
 
 pub use coil::deflection;
+pub use drift::{Drift, DriftAlarm};
 pub use tracker::{TrackError, TrackOptions, Tracker};
 pub use triangulate::{Sighting, Triangulated, triangulate};

@@ -12,6 +12,7 @@ use catoptra::rig::{Rig, RigError};
 use catoptra::sink::{CsvSink, McapSink, OutputFrame, OverlaySink, Sink, SinkError};
 use catoptra::source::times::{parse_seconds_ns, seconds};
 use catoptra::source::{FrameRate, FrameSource as _, SourceOptions, Span};
+use catoptra::tally::Tally;
 use catoptra::track::{TrackOptions, Tracker};
 use clap::builder::RangedU64ValueParser;
 use folder::{Files, Run, frame_word, unlike_others, whole_path};
@@ -88,14 +89,21 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     let sinks = open_sinks(args, &rig, [&rig_toml, &run_toml], &files).map_err(|e| Failure::new(Exit::Failed, e))?;
     // 3. the run
     let mut progress = Progress::of_frames(source.frame_count_hint(), quiet);
+    let recording = args.source.display().to_string();
+    let mut told = 0;
+    let watch = |tally: &Tally| {
+        progress.at(tally.frames);
+        // At once: a run may be long, and be live.
+        told = told::new_alarms(tally, &recording, told);
+    };
     let summary = pool
-        .install(|| pipeline::run(Box::new(source), &mut tracker, sinks, interrupt, |tally| progress.at(tally.frames)))
+        .install(|| pipeline::run(Box::new(source), &mut tracker, sinks, interrupt, watch))
         .map_err(|e| Failure::new(Exit::Failed, format!("cannot start a thread: {e}")))?;
     drop(progress);
     // 4. what came of it
     if !quiet {
         let mut text = String::new();
-        told::summary(&mut text, &args.source.display().to_string(), &summary, &files, &rig)
+        told::summary(&mut text, &recording, &summary, &files, &rig)
             .map_err(|e| Failure::new(Exit::Failed, format!("cannot describe the run: {e}")))?;
         output::print(&text)?;
     }

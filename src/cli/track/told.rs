@@ -8,6 +8,18 @@ use catoptra::source::times::seconds;
 use catoptra::tally::Tally;
 use std::fmt::{self, Write as _};
 
+/// What to do when the views no longer fit together.
+const DRIFT_ADVICE: &str = "mirror, camera or tank have moved since the calibration. Put the rig right with \
+                            `catoptra calibrate rig`, and track again";
+
+/// A warning for every alarm beyond the first `told` ones; how many there are now.
+pub(super) fn new_alarms(tally: &Tally, recording: &str, told: usize) -> usize {
+    for (ns, what) in tally.alarms().skip(told) {
+        tracing::warn!("{recording}: at {:.3} s: {what}: {DRIFT_ADVICE}", seconds(ns));
+    }
+    tally.drift.alarms().len()
+}
+
 /// The summary of a run of `recording`.
 pub(super) fn summary(out: &mut String, recording: &str, run: &Summary, files: &Files, rig: &Rig) -> fmt::Result {
     let tally = &run.tally;
@@ -27,6 +39,9 @@ pub(super) fn summary(out: &mut String, recording: &str, run: &Summary, files: &
     if rig.base.is_some() {
         let range = tally.theta.range_deg.map(|(low, high)| format!("from {low:.1}° to {high:.1}°"));
         row("deflection", tally.theta.answered, tally.theta.median_sd_deg(), "°", range.unwrap_or_default())?;
+    }
+    for (ns, what) in tally.alarms() {
+        writeln!(out, "\nfrom {:.3} s on {what}: {DRIFT_ADVICE}", seconds(ns))?;
     }
     let took_s = run.elapsed.as_secs_f64();
     writeln!(out, "\ntracked in {took_s:.1} s, {:.0} frames a second", tally.frames as f64 / took_s.max(1e-9))?;

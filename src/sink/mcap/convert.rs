@@ -1,8 +1,9 @@
 //! From what the tracker says to what the log says: frames of reference, names and words.
 
-use super::messages::{Angles, Band, Deflection, Estimate, Marker, Position, Status, Tangent, View};
+use super::messages::{Angles, Band, Deflection, DriftAlarm, Estimate, Marker, Position, Status, Tangent, View};
 use crate::estimate::{self, Miss};
 use crate::rig::Rig;
+use crate::track;
 use foxglove::messages::{Point2, Point3, Timestamp, Vector2, Vector3};
 use nalgebra::{Isometry3, Matrix3};
 
@@ -72,6 +73,18 @@ impl Names {
                 polar_rad: d.polar_rad,
                 azimuth_rad: d.azimuth_rad,
             }),
+        }
+    }
+
+    pub(super) fn drift(&self, alarm: &track::DriftAlarm) -> DriftAlarm {
+        DriftAlarm {
+            seq: alarm.seq,
+            stamp_ns: alarm.stamp.ns,
+            what: alarm.words(&self.views.iter().map(String::as_str).collect::<Vec<_>>()),
+            view: alarm.view.map_or(String::new(), |view| self.view(view)),
+            size_px: alarm.size_px,
+            sd_px: alarm.sd_px,
+            size_m: alarm.size_m,
         }
     }
 

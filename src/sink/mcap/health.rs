@@ -1,8 +1,10 @@
-//! Totals of a run: frames, losses, and misses by reason, told once a second of camera time.
+//! Totals of a run: frames, losses, misses by reason and whether the views fit together, told once a second of camera time.
 
 use super::convert::Names;
 use super::messages::{Health, MissCount};
 use crate::estimate::{Estimate, Miss};
+use crate::rig::Rig;
+use crate::track::Drift;
 
 /// Camera time between two reports.
 const EVERY_NS: u64 = 1_000_000_000;
@@ -12,10 +14,16 @@ const EVERY_NS: u64 = 1_000_000_000;
 pub(super) struct Tally {
     totals: Health,
     reported_ns: Option<i64>,
+    drift: Drift,
 }
 
 impl Tally {
-    /// Counts a frame; the totals when a second has passed since they were told.
+    /// For runs with this rig.
+    pub(super) fn new(rig: &Rig) -> Self {
+        Self { drift: Drift::new(rig), ..Self::default() }
+    }
+
+    /// Counts a frame; the totals when a second has passed since they were told, or when the views have begun to disagree.
     pub(super) fn count(&mut self, names: &Names, estimate: &Estimate) -> Option<&Health> {
         let stamp_ns = estimate.stamp.ns;
         self.totals.stamp_ns = stamp_ns;
@@ -29,8 +37,11 @@ impl Tally {
         self.miss("tangent", names, &estimate.tangent);
         self.miss("deflection", names, &estimate.deflection);
 
+        let alarmed = self.drift.add(estimate).is_some();
+        self.totals.drifts = self.drift.alarms().iter().map(|alarm| names.drift(alarm)).collect();
+
         let since = *self.reported_ns.get_or_insert(stamp_ns);
-        (stamp_ns.abs_diff(since) >= EVERY_NS).then(|| {
+        (alarmed || stamp_ns.abs_diff(since) >= EVERY_NS).then(|| {
             self.reported_ns = Some(stamp_ns);
             &self.totals
         })
@@ -61,7 +72,7 @@ mod tests {
     #[test]
     fn totals_are_told_every_second_and_count_everything() {
         let names = Names::new(&fixture::rig());
-        let mut tally = Tally::default();
+        let mut tally = Tally::new(&fixture::rig());
         let told: Vec<u64> = (0..150)
             .filter_map(|seq| tally.count(&names, &fixture::eventful(seq, -500_000_000)).map(|h| h.frames))
             .collect();
@@ -79,5 +90,25 @@ mod tests {
         assert_eq!(count("tangent", "marker_missing"), 15);
         assert_eq!(count("deflection", "marker_missing"), 30);
         assert_eq!(totals.misses.len(), 6);
+        assert_eq!(totals.drifts, []);
+    }
+
+    #[test]
+    fn views_that_part_are_told_at_once() {
+        let names = Names::new(&fixture::rig());
+        let mut tally = Tally::new(&fixture::rig());
+        let mut told = (0..80).filter_map(|seq| {
+            let mut estimate = fixture::complete(seq, seq as i64 * 8_333_333);
+            for band in estimate.markers.iter_mut().flat_map(|m| &mut m.views).flatten() {
+                band.residual_px.x = 1.0;
+            }
+            tally.count(&names, &estimate).cloned()
+        });
+        // Half a second into the run.
+        let health = told.next().unwrap();
+        assert_eq!((health.frames, health.drifts.len(), health.drifts[0].view.as_str()), (60, 1, "direct"));
+        assert!((health.drifts[0].size_px.unwrap() - 2.0).abs() < 0.01, "{:?}", health.drifts);
+        assert_eq!(health.drifts[0].stamp_ns, 59 * 8_333_333);
+        assert_eq!(told.next(), None);
     }
 }

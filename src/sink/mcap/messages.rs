@@ -163,6 +163,27 @@ pub struct Health {
     pub deflections: u64,
     /// What was not measured, how often and why.
     pub misses: Vec<MissCount>,
+    /// When the views began to disagree by more than noise and models explain; none in a good run.
+    pub drifts: Vec<DriftAlarm>,
+}
+
+/// The views have begun to disagree: mirror, camera or tank have moved since the calibration.
+#[derive(Debug, Clone, PartialEq, Encode)]
+pub struct DriftAlarm {
+    /// Number of the frame at which it was noticed.
+    pub seq: u64,
+    /// Camera time of that frame, nanoseconds.
+    pub stamp_ns: i64,
+    /// In words.
+    pub what: String,
+    /// The view with the largest mean residual; empty when rays do not meet at all. Of two views either may be the wrong one.
+    pub view: String,
+    /// By how much the views disagree in the mean, pixels: the largest so far. Absent when rays do not meet at all.
+    pub size_px: Option<f64>,
+    /// Its standard deviation.
+    pub sd_px: Option<f64>,
+    /// By how much they disagree in space at the bands, metres; a lower bound when rays do not meet at all.
+    pub size_m: f64,
 }
 
 /// How often one thing was missed for one reason.

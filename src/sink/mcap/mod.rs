@@ -8,7 +8,7 @@
 //! | `/camera/annotations` | `foxglove.ImageAnnotations` | every frame | outline, centre and label of every band in every view |
 //! | `/camera/calibration` | `foxglove.CameraCalibration` | once | intrinsics, `plumb_bob` |
 //! | `/tf` | `foxglove.FrameTransform` | once, if the rig has a base | place of frame `camera` in frame `base` |
-//! | `/health` | `catoptra.Health` ([`messages::Health`]) | every second of camera time, and at the end | frames, losses, misses by reason |
+//! | `/health` | `catoptra.Health` ([`messages::Health`]) | every second of camera time, and at the end | frames, losses, misses by reason, drift alarms (and when one is raised) |
 //!
 //! Attached are `rig.toml` and `options.toml`, the rig and the options of the run. The metadata record `catoptra` has the
 //! program's `version` and the `clock` of the time stamps.
@@ -100,7 +100,7 @@ impl McapSink {
             camera: rig.camera.clone(),
             colours: camera::colours(rig),
             scene: Scene::new(rig),
-            tally: Tally::default(),
+            tally: Tally::new(rig),
             last: None,
             flushed_ns: 0,
         })

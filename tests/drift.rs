@@ -1,0 +1,100 @@
+//! The drift alarm on the sample recordings: raised when the mirror is not where the rig says, not raised when it is.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test fails by panicking, its own functions too"
+)]
+
+mod moved_mirror;
+mod track_common;
+mod truth;
+
+use catoptra::estimate::Estimate;
+use catoptra::rig::Rig;
+use catoptra::track::{Drift, DriftAlarm, TrackOptions};
+use moved_mirror::moved;
+use track_common::{Place, ended_with, sample, stdout};
+use truth::score::rms_and_aligned;
+use truth::{frames, rig, track, truth};
+
+fn alarms(rig: &Rig, run: &str) -> (Vec<Estimate>, Vec<DriftAlarm>) {
+    let estimates = track(rig, TrackOptions::default(), frames(run).take(150));
+    let mut drift = Drift::new(rig);
+    let told = estimates.iter().filter_map(|estimate| drift.add(estimate)).collect();
+    (estimates, told)
+}
+
+#[test]
+fn the_true_rig_raises_no_alarm() {
+    for run in ["planar", "circle", "rest"] {
+        assert_eq!(alarms(&rig(), run).1, [], "{run}");
+    }
+}
+
+#[test]
+fn a_mirror_turned_or_shifted_enough_is_noticed_within_two_seconds() {
+    // Up by 0.05°: the views disagree by what the geometry says. To the left by 2.5°, back by 15 mm: hardly seen.
+    for (turn_deg, shift_mm, size_px) in [([0.05, 0.0], 0.0, 0.46), ([0.0, 2.5], 0.0, 0.30), ([0.0, 0.0], 15.0, 0.38)] {
+        let (_, told) = alarms(&moved(&rig(), turn_deg, shift_mm), "planar");
+        let [alarm] = told[..] else { panic!("{turn_deg:?} {shift_mm}: {told:?}") };
+        assert!(alarm.seq < 120, "{alarm:?}");
+        let size = alarm.size_px.unwrap();
+        assert!((size - size_px).abs() < 0.04, "{turn_deg:?} {shift_mm}: {alarm:?}");
+        // 1.67 px are about a millimetre.
+        assert!((alarm.size_m * 1e3 * 1.67 / size - 1.0).abs() < 0.1, "{alarm:?}");
+    }
+    // So far that the tracker refuses to take the two images for one band.
+    let (estimates, told) = alarms(&moved(&rig(), [0.3, 0.0], 0.0), "planar");
+    assert!(estimates.iter().all(|estimate| estimate.markers[1].position.is_err()));
+    let [alarm] = told[..] else { panic!("{told:?}") };
+    assert_eq!((alarm.seq, alarm.view, alarm.size_px), (59, None, None));
+    assert!(alarm.size_m > 0.4e-3, "{alarm:?}");
+}
+
+/// Two views cannot contradict each other in the plane of camera, mirrored camera and band. What is not noticed moves the
+/// answer as a whole.
+#[test]
+fn what_is_not_noticed_moves_all_places_together() {
+    for (turn_deg, shift_mm, expected_mm) in [([0.0, 0.3], 0.0, 8.2), ([0.0, 0.0], 3.0, 3.83), ([0.0, 0.0], 1.0, 1.28)]
+    {
+        let (estimates, told) = alarms(&moved(&rig(), turn_deg, shift_mm), "planar");
+        assert_eq!(told, []);
+        let (mut found, mut expected) = (Vec::new(), Vec::new());
+        for (estimate, truth) in estimates.iter().zip(truth("planar")) {
+            for (marker, point) in estimate.markers.iter().zip(truth.points) {
+                found.push(marker.position.as_ref().unwrap().point.coords * 1e3);
+                expected.push(point.coords * 1e3);
+            }
+        }
+        let [rms_mm, aligned_mm] = rms_and_aligned(&found, &expected);
+        let what = format!("{turn_deg:?} {shift_mm} mm: {rms_mm} mm off, {aligned_mm} mm after alignment");
+        assert!((rms_mm / expected_mm - 1.0).abs() < 0.15 && aligned_mm < 0.2, "{what}");
+    }
+}
+
+#[test]
+fn the_command_tells_it_on_the_terminal_in_the_report_and_in_the_log() {
+    let place = Place::with(&moved(&rig(), [0.06, 0.0], 0.0));
+    let output = place.track(&sample("planar.mkv"), &["--to", "1.1"]);
+    let said = ended_with(&output, 0);
+    for part in ["at 0.983 s: views direct and mirror disagree by 0.5", "catoptra calibrate rig"] {
+        assert!(said.contains(part), "{part} is not in {said}");
+    }
+    assert!(stdout(&output).contains("from 0.983 s on views direct and mirror disagree by 0.5"), "{}", stdout(&output));
+    let report = std::fs::read_to_string(place.path("out/report.html")).unwrap();
+    assert!(report.contains("<strong>The views do not fit together: see Residuals.</strong>"));
+    assert!(
+        report.contains("<td class=\"text\">0.983 s</td><td class=\"text\">views direct and mirror disagree by 0.5")
+    );
+    let log = std::fs::read(place.path("out/log.mcap")).unwrap();
+    let health: Vec<_> = mcap::MessageStream::new(&log)
+        .unwrap()
+        .map(Result::unwrap)
+        .filter(|m| m.channel.topic == "/health")
+        .map(|m| (m.log_time, String::from_utf8_lossy(&m.data).contains("views direct and mirror disagree by 0.5")))
+        .collect();
+    // When it is noticed, and at the end.
+    assert_eq!(health, [(983_000_000, true), (1_100_000_000, true)]);
+}
