@@ -1,6 +1,11 @@
 //! The drift alarm on the sample recordings: raised when the mirror is not where the rig says, not raised when it is.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test fails by panicking, its own functions too")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test fails by panicking, its own functions too"
+)]
 
 mod moved_mirror;
 mod track_common;

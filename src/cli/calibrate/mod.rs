@@ -2,6 +2,7 @@
 
 mod camera;
 mod markers;
+mod mirror;
 mod pictures;
 mod rig;
 
@@ -46,6 +47,15 @@ Example:
     --tube 3.2mm --pick base@431,408:6mm --pick coil@431,565:12mm --pick tip@430,607:6mm \\
     --out my.toml")]
     Markers(markers::MarkersArgs),
+    /// Find where a bumped mirror stands now, from a recording of the moving catheter
+    #[command(after_help = "\
+No board is needed: the rays of both views must meet on the bands, and one length is known. Lens and
+walls are those of the rig file, and must not have moved. Prints by how much the mirror moved, with
+σ; the old rig file is kept as RIG.toml.bak. Exit code 3: the recording leaves the mirror open.
+Example:
+  catoptra calibrate mirror --from-markers sample_frames/planar.mkv \\
+    --rig calibration/dev_tank/rig.toml --out my_rig.toml")]
+    Mirror(mirror::MirrorArgs),
 }
 
 pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
@@ -54,6 +64,7 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
         Command::Camera(args) => camera::run(args, print),
         Command::Rig(args) => rig::run(args, print),
         Command::Markers(args) => markers::run(args, print),
+        Command::Mirror(args) => mirror::run(args, print),
     }
 }
 
