@@ -79,7 +79,7 @@ fn the_command_tells_it_on_the_terminal_in_the_report_and_in_the_log() {
     let place = Place::with(&moved(&rig(), [0.06, 0.0], 0.0));
     let output = place.track(&sample("planar.mkv"), &["--to", "1.1"]);
     let said = ended_with(&output, 0);
-    for part in ["at 0.983 s: views direct and mirror disagree by 0.5", "catoptra calibrate rig"] {
+    for part in ["at 0.983 s: views direct and mirror disagree by 0.5", "catoptra calibrate mirror --from-markers"] {
         assert!(said.contains(part), "{part} is not in {said}");
     }
     assert!(stdout(&output).contains("from 0.983 s on views direct and mirror disagree by 0.5"), "{}", stdout(&output));

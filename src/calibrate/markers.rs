@@ -139,7 +139,7 @@ pub fn calibrate_markers(
     source: &mut dyn FrameSource,
 ) -> Result<MarkersCalibration, MarkersError> {
     let picks = in_rig_order(rig, picks, view)?;
-    let frames = spread(source)?;
+    let frames = spread(source, MOST_FRAMES)?;
     let first = frames.first().ok_or(MarkersError::NoFrame)?;
     let mut rig = learn_first(rig, &picks, first)?;
     confirm(&rig, &picks, view, first)?;
@@ -203,11 +203,11 @@ fn in_rig_order(rig: &Rig, picks: &[Pick], view: usize) -> Result<Vec<Pick>, Mar
         .collect()
 }
 
-/// Frames spread evenly over the recording, the first one among them.
-fn spread(source: &mut dyn FrameSource) -> Result<Vec<Frame>, MarkersError> {
+/// At most so many frames, spread evenly over the recording, the first one among them.
+pub(super) fn spread(source: &mut dyn FrameSource, most: usize) -> Result<Vec<Frame>, SourceError> {
     let [width, height] = source.size_px();
     let fitting = FRAME_BYTES / (u64::from(width) * u64::from(height) * 2).max(1);
-    let most = MOST_FRAMES.min(fitting.max(4) as usize);
+    let most = most.min(fitting.max(4) as usize);
     let mut stride = 1;
     let mut frames: Vec<Frame> = Vec::new();
     let mut number = 0;
@@ -220,7 +220,7 @@ fn spread(source: &mut dyn FrameSource) -> Result<Vec<Frame>, MarkersError> {
                 tracing::warn!("{error}");
                 break;
             }
-            Err(error) => return Err(error.into()),
+            Err(error) => return Err(error),
         };
         if number % stride == 0 {
             frames.push(frame);

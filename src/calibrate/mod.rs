@@ -2,6 +2,7 @@
 //!
 //! - [`camera`]: the lens, from boards in air.
 //! - [`mirrors`]: mirrors, walls and views, from boards seen directly and in mirrors.
+//! - [`mirror`]: where a mirror is that was bumped, from bands seen in an ordinary recording, without a board.
 //! - [`markers`]: colour models, places along the tube and how the camera draws a band, from one click a marker.
 //! - [`base`]: the frame of the catheter at rest and B0, from a recording at rest and one of a planar swing.
 //!
@@ -22,6 +23,8 @@ pub mod grey;
 pub mod held_out;
 pub mod known;
 pub mod markers;
+mod meeting;
+pub mod mirror;
 pub mod mirrors;
 mod regions;
 pub mod start;
@@ -30,6 +33,8 @@ mod taped;
 mod tests;
 mod tune;
 pub mod verdict;
+
+pub use meeting::KnownLength;
 
 /// A positive length as people write it, `12mm`, `1.2 cm` or `0.012m`, in metres; `None` when it is none, or has no unit.
 pub fn length_m(text: &str) -> Option<f64> {

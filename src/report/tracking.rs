@@ -294,7 +294,7 @@ fn alarms(course: &Course) -> String {
     }
     format!(
         "{}<p class=\"bad\"><strong>Bad:</strong> mirror, camera or tank have moved since the calibration, or the rig is another one: \
-         places are off by more than their σ. Put the rig right with <code>catoptra calibrate rig</code> and track \
+         places are off by more than their σ. Put the rig right with <code>catoptra calibrate mirror --from-markers</code> and track \
          again.</p>\n",
         table(2, &["From", "What"], &rows)
     )

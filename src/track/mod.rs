@@ -19,5 +19,6 @@ mod tube;
 
 pub use coil::deflection;
 pub use drift::{Drift, DriftAlarm};
+pub(crate) use fit::ModelError;
 pub use tracker::{TrackError, TrackOptions, Tracker};
 pub use triangulate::{Sighting, Triangulated, triangulate};

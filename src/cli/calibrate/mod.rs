@@ -3,6 +3,7 @@
 mod base;
 mod camera;
 mod markers;
+mod mirror;
 mod pictures;
 mod rig;
 
@@ -56,6 +57,15 @@ Example:
   catoptra calibrate base sample_frames/rest.mkv --rig calibration/dev_tank/rig.toml \\
     --planar sample_frames/planar.mkv --out my.toml")]
     Base(base::BaseArgs),
+    /// Find where a bumped mirror stands now, from a recording of the moving catheter
+    #[command(after_help = "\
+No board is needed: the rays of both views must meet on the bands, and one length is known. Lens and
+walls are those of the rig file, and must not have moved. Prints by how much the mirror moved, with
+σ; the old rig file is kept as RIG.toml.bak. Exit code 3: the recording leaves the mirror open.
+Example:
+  catoptra calibrate mirror --from-markers sample_frames/planar.mkv \\
+    --rig calibration/dev_tank/rig.toml --out my_rig.toml")]
+    Mirror(mirror::MirrorArgs),
 }
 
 pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
@@ -65,6 +75,7 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
         Command::Rig(args) => rig::run(args, print),
         Command::Markers(args) => markers::run(args, print),
         Command::Base(args) => base::run(args, quiet, print),
+        Command::Mirror(args) => mirror::run(args, print),
     }
 }
 

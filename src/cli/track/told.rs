@@ -10,7 +10,7 @@ use std::fmt::{self, Write as _};
 
 /// What to do when the views no longer fit together.
 const DRIFT_ADVICE: &str = "mirror, camera or tank have moved since the calibration. Put the rig right with \
-                            `catoptra calibrate rig`, and track again";
+                            `catoptra calibrate mirror --from-markers VIDEO --rig RIG.toml`, and track again";
 
 /// A warning for every alarm beyond the first `told` ones; how many there are now.
 pub(super) fn new_alarms(tally: &Tally, recording: &str, told: usize) -> usize {
