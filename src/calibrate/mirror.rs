@@ -6,7 +6,7 @@
 //! 1. In every view's region the largest blob of each marker's colour is its band: good to a pixel, and no rays need meet. The
 //!    mirror nearest to the old one for which they do is the start.
 //! 2. With it the tracker measures the bands to hundredths of a pixel, each by itself: a rig that knows the distances of bands
-//!    would make its own errors fit. The adjustment of [`super::meeting`] follows, and both are repeated until the mirror stays.
+//!    would make its own errors fit. The adjustment of `meeting` follows, and both are repeated until the mirror stays.
 //!
 //! What determines the answer: rays of two views meet or miss each other in one direction only. That gives the mirror's turn across this
 //! direction to a few hundredths of a degree; its other turn and its distance follow from how the miss changes over the picture,
