@@ -329,6 +329,7 @@ fn inverse(own: &Matrix6<f64>, damping: f64) -> Option<Matrix6<f64>> {
 #[cfg(test)]
 pub(super) mod tests {
     use super::super::geometry::tests::geometry;
+    use super::super::tests::gaussian;
     use super::*;
 
     /// Twelve small boards in the water, seen directly and in the mirror, and a start that is off.
@@ -357,15 +358,6 @@ pub(super) mod tests {
             }
         }
         (poses, corners)
-    }
-
-    fn gaussian(seed: u64) -> impl FnMut() -> f64 {
-        let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
-        let mut uniform = move || {
-            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-            ((state >> 11) as f64 + 0.5) / (1_u64 << 53) as f64
-        };
-        move || (-2.0 * uniform().ln()).sqrt() * (std::f64::consts::TAU * uniform()).cos()
     }
 
     /// What a laboratory has, a calibrated lens and a tape measure, each `errors` times its standard deviation off.

@@ -270,18 +270,21 @@ fn start(
     for (i, to) in lens.distortion.iter_mut().enumerate() {
         *to = *distortion.at::<f64>(i as i32)?;
     }
-    let vector = |mat: &Mat| -> opencv::Result<Vector3<f64>> {
-        Ok(Vector3::new(*mat.at::<f64>(0)?, *mat.at::<f64>(1)?, *mat.at::<f64>(2)?))
-    };
     let poses = turns
         .iter()
         .zip(&shifts)
-        .map(|(turn, shift)| {
-            let turn = UnitQuaternion::from(Rotation3::new(vector(&turn)?));
-            Ok(Isometry3::from_parts(Translation3::from(vector(&shift)?), turn))
-        })
+        .map(|(turn, shift)| pose_from_opencv(&turn, &shift))
         .collect::<opencv::Result<_>>()?;
     Ok((lens, poses))
+}
+
+/// A pose as OpenCV gives it: rotation vector and translation, three numbers each.
+pub(super) fn pose_from_opencv(turn: &Mat, shift: &Mat) -> opencv::Result<Isometry3<f64>> {
+    let vector = |mat: &Mat| -> opencv::Result<Vector3<f64>> {
+        Ok(Vector3::new(*mat.at::<f64>(0)?, *mat.at::<f64>(1)?, *mat.at::<f64>(2)?))
+    };
+    let turn = UnitQuaternion::from(Rotation3::new(vector(turn)?));
+    Ok(Isometry3::from_parts(Translation3::from(vector(shift)?), turn))
 }
 
 /// The largest angle between the normals of two boards.

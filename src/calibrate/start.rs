@@ -9,11 +9,11 @@
 //! Planes that agree are the same mirror. Behind water distances come out a quarter short: good enough for a start.
 
 use super::board::{Board, BoardImage};
-use super::camera::centred;
+use super::camera::{centred, pose_from_opencv};
 use crate::optics::Lens;
-use nalgebra::{Isometry3, Point2, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Point2, Point3, Vector3};
 use opencv::calib3d;
-use opencv::core::{Mat, MatExprTraitConst, MatTraitConst, Point2f, Point3f, Vector};
+use opencv::core::{Mat, MatExprTraitConst, Point2f, Point3f, Vector};
 
 /// Lines between the corners of an image and of its reflection may be this far from parallel (tangent of the angle, RMS):
 /// refraction that is not known yet bends them; a wrong order of corners is far beyond.
@@ -198,11 +198,7 @@ pub(super) fn pose(lens: &Lens, corners: &[(Point3<f64>, Point2<f64>)]) -> openc
         false,
         calib3d::SOLVEPNP_IPPE,
     )?;
-    let vector = |mat: &Mat| -> opencv::Result<Vector3<f64>> {
-        Ok(Vector3::new(*mat.at::<f64>(0)?, *mat.at::<f64>(1)?, *mat.at::<f64>(2)?))
-    };
-    let turn = UnitQuaternion::from(Rotation3::new(vector(&turn)?));
-    Ok(Isometry3::from_parts(Translation3::from(vector(&shift)?), turn))
+    pose_from_opencv(&turn, &shift)
 }
 
 /// The plane halfway between a board and its reflection: how far the lines between corners are from parallel, the normal to

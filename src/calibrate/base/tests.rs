@@ -1,6 +1,7 @@
 //! Made-up recordings of a known frame, with known noise.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
 
+use super::super::tests::gaussian;
 use super::*;
 use crate::source::Clock;
 use std::collections::BTreeMap;
@@ -17,15 +18,6 @@ fn axes() -> Matrix3<f64> {
 
 fn origin() -> Vector3<f64> {
     Vector3::new(-0.1, -0.05, 1.4)
-}
-
-fn gaussian(seed: u64) -> impl FnMut() -> f64 {
-    let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
-    let mut uniform = move || {
-        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        ((state >> 11) as f64 + 0.5) / (1_u64 << 53) as f64
-    };
-    move || (-2.0 * uniform().ln()).sqrt() * (std::f64::consts::TAU * uniform()).cos()
 }
 
 /// Deflected by `theta` in the plane and by `across` out of it, and measured with an error of so many σ.

@@ -36,7 +36,7 @@ pub(super) fn run(args: &CameraArgs, print: impl Fn(&str) -> Result<(), Failure>
         })
         .collect();
     let done = calibrate_camera(&args.board, &found).map_err(|error| {
-        print(&not_found(&searched)).err().unwrap_or_else(|| {
+        print(&pictures::not_found(&searched)).err().unwrap_or_else(|| {
             let exit = if matches!(error, CameraError::Sizes { .. }) { Exit::Usage } else { Exit::Unusable };
             Failure::new(exit, error)
         })
@@ -65,29 +65,8 @@ pub(super) fn run(args: &CameraArgs, print: impl Fn(&str) -> Result<(), Failure>
     print(&format!("\nwritten: {}\n", args.out.display()))
 }
 
-/// Pictures without a board, a line each.
-pub(super) fn not_found(searched: &[Searched]) -> String {
-    let line = |s: &Searched| s.images.as_ref().err().map(|why| format!("{:<24} left out: {why}\n", s.name()));
-    searched.iter().filter_map(line).collect()
-}
-
 fn describe(searched: &[Searched], done: &CameraCalibration) -> String {
-    let mut text = String::from("picture                  corners   RMS px   largest px\n");
-    for picture in &done.used {
-        let largest = picture.corners.iter().map(|(_, r)| r.norm()).fold(0.0, f64::max);
-        let _ = writeln!(
-            text,
-            "{:<24} {:>7} {:>8.3} {:>12.3}",
-            picture.name,
-            picture.corners.len(),
-            picture.rms_px(),
-            largest
-        );
-    }
-    text += &not_found(searched);
-    for (name, why) in &done.left_out {
-        let _ = writeln!(text, "{name:<24} left out: {why}");
-    }
+    let mut text = pictures::table(searched, done.used.iter(), &done.left_out);
     let _ = writeln!(
         text,
         "\n{} of {} pictures used, corners good to {:.3} px\n\nlens                   value          σ",

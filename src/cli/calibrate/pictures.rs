@@ -2,9 +2,11 @@
 
 use super::super::{Exit, Failure};
 use catoptra::calibrate::board::{Board, BoardImage, find_boards};
+use catoptra::calibrate::camera::UsedPicture;
 use catoptra::calibrate::grey::{Grey, Rows};
 use rayon::prelude::*;
 use sha2::{Digest as _, Sha256};
+use std::fmt::{Display, Write as _};
 use std::path::{Path, PathBuf};
 
 /// Endings of files that a folder's pictures have.
@@ -39,6 +41,31 @@ pub(super) fn provenance(step: &str, board: &Board, searched: &[Searched]) -> Re
     table.insert("board".into(), board.to_string().into());
     table.insert("inputs_sha256".into(), hashes.into());
     Ok(table)
+}
+
+/// Pictures without a board, a line each.
+pub(super) fn not_found(searched: &[Searched]) -> String {
+    let line = |s: &Searched| s.images.as_ref().err().map(|why| format!("{:<24} left out: {why}\n", s.name()));
+    searched.iter().filter_map(line).collect()
+}
+
+/// What became of every picture: what a calibration left in it, or why it was left out.
+pub(super) fn table<'a>(
+    searched: &[Searched],
+    used: impl Iterator<Item = &'a UsedPicture>,
+    left_out: &[(String, impl Display)],
+) -> String {
+    let mut text = String::from("picture                  corners   RMS px   largest px\n");
+    for picture in used {
+        let largest = picture.corners.iter().map(|(_, r)| r.norm()).fold(0.0, f64::max);
+        let (name, count, rms) = (&picture.name, picture.corners.len(), picture.rms_px());
+        let _ = writeln!(text, "{name:<24} {count:>7} {rms:>8.3} {largest:>12.3}");
+    }
+    text += &not_found(searched);
+    for (name, why) in left_out {
+        let _ = writeln!(text, "{name:<24} left out: {why}");
+    }
+    text
 }
 
 /// Looks for the board, at most `most` times in a picture. A folder stands for the pictures in it.

@@ -1,7 +1,6 @@
 //! `catoptra calibrate rig`: pictures of a board in a mirror to mirrors, walls and views.
 
 use super::super::{Exit, Failure};
-use super::camera::not_found;
 use super::pictures::{self, Searched};
 use super::{Length, can_be_written, save, usage};
 use catoptra::calibrate::board::Board;
@@ -138,7 +137,7 @@ pub(super) fn run(args: &RigArgs, print: impl Fn(&str) -> Result<(), Failure>) -
         })
         .collect();
     let done = calibrate_rig(&args.board, &draft.camera.lens, &found, &options)
-        .map_err(|error| print(&not_found(&searched)).err().unwrap_or_else(|| failure(error)))?;
+        .map_err(|error| print(&pictures::not_found(&searched)).err().unwrap_or_else(|| failure(error)))?;
     let judged = verdict(&done.solution, &done.corners, &centred(&args.board));
     let held = held_out(&done.solution, &done.corners);
     print(&describe(&searched, &done, judged.as_ref(), &options))?;
@@ -251,16 +250,7 @@ fn parameter_name(done: &RigCalibration, parameter: Parameter) -> String {
 }
 
 fn describe(searched: &[Searched], done: &RigCalibration, judged: Option<&Verdict>, options: &RigOptions) -> String {
-    let mut text = String::from("picture                  corners   RMS px   largest px\n");
-    for (_, picture) in &done.used {
-        let largest = picture.corners.iter().map(|(_, r)| r.norm()).fold(0.0, f64::max);
-        let (name, count, rms) = (&picture.name, picture.corners.len(), picture.rms_px());
-        let _ = writeln!(text, "{name:<24} {count:>7} {rms:>8.3} {largest:>12.3}");
-    }
-    text += &not_found(searched);
-    for (name, why) in &done.left_out {
-        let _ = writeln!(text, "{name:<24} left out: {why}");
-    }
+    let mut text = pictures::table(searched, done.used.iter().map(|(_, picture)| picture), &done.left_out);
     let solution = &done.solution;
     let _ = writeln!(
         text,
