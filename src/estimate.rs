@@ -3,7 +3,8 @@
 //! All quantities are in the camera frame, metres, radians, pixels; sinks convert with [`crate::rig::Base`]. Lists are in
 //! the order of the rig's markers and views.
 
-use crate::source::Timestamp;
+use crate::rig::Rig;
+use crate::source::{Frame, HostTime, Timestamp};
 use nalgebra::{Matrix2, Matrix3, Point2, Point3, Vector2, Vector3};
 
 /// What was measured in one camera frame.
@@ -15,12 +16,29 @@ pub struct Estimate {
     pub stamp: Timestamp,
     /// Camera frames lost before this one.
     pub gap: u32,
+    /// When it was exposed and when it arrived by the host's clock; only known live.
+    pub host: Option<HostTime>,
     /// One entry a marker, in the rig's order.
     pub markers: Vec<MarkerEstimate>,
     /// Direction of the coil, base to tip.
     pub tangent: Result<Tangent, Miss>,
     /// Deflection of the coil; a miss also when the rig has no base frame.
     pub deflection: Result<Deflection, Miss>,
+}
+
+impl Estimate {
+    /// The row of a frame that was not tracked at all.
+    pub fn missed(frame: &Frame, rig: &Rig, miss: &Miss) -> Self {
+        Self {
+            seq: frame.seq,
+            stamp: frame.stamp,
+            gap: frame.gap,
+            host: frame.host,
+            markers: vec![MarkerEstimate::missed(miss, rig.views.len()); rig.markers.len()],
+            tangent: Err(miss.clone()),
+            deflection: Err(miss.clone()),
+        }
+    }
 }
 
 /// One marker in one frame.
@@ -30,6 +48,13 @@ pub struct MarkerEstimate {
     pub position: Result<Position, Miss>,
     /// What each view shows of it, in the rig's order of views.
     pub views: Vec<Result<BandObservation, Miss>>,
+}
+
+impl MarkerEstimate {
+    /// Not measured in any of so many views.
+    pub fn missed(miss: &Miss, views: usize) -> Self {
+        Self { position: Err(miss.clone()), views: vec![Err(miss.clone()); views] }
+    }
 }
 
 /// A place in space.
@@ -129,6 +154,13 @@ pub enum Miss {
     MarkerMissing,
     /// The rig has no base frame to measure deflection in.
     NoBaseFrame,
+    /// The tracker was still busy and took a newer frame.
+    SkippedOverload,
+    /// The picture is not of the size the rig was calibrated for.
+    WrongSize {
+        /// Its width and height, pixels.
+        found: [u32; 2],
+    },
 }
 
 impl Miss {
@@ -142,6 +174,8 @@ impl Miss {
             Self::NotConverged => "not_converged".into(),
             Self::MarkerMissing => "marker_missing".into(),
             Self::NoBaseFrame => "no_base_frame".into(),
+            Self::SkippedOverload => "skipped_overload".into(),
+            Self::WrongSize { .. } => "wrong_size".into(),
         }
     }
 }

@@ -155,7 +155,7 @@ fn write_all(
     let mut sinks: Vec<_> = sinks.into_iter().map(|sink| (sink, true)).collect();
     for (estimate, frame) in results {
         for (sink, works) in sinks.iter_mut().filter(|(_, works)| *works) {
-            if let Err(error) = sink.write(&estimate, &frame.picture) {
+            if let Err(error) = sink.write(&estimate, Some(&frame.picture)) {
                 *works = false;
                 failures.push(error);
                 failed.store(true, Ordering::Relaxed);
@@ -228,7 +228,7 @@ mod tests {
             let picture =
                 Picture::from_planes(SIZE_PX[0], SIZE_PX[1], format, Colour::SRGB, vec![vec![0; bytes]; planes]);
             let stamp = Timestamp { ns: seq as i64 * 16_666_667, clock: Clock::Container };
-            Ok(Some(Frame { seq, stamp, gap: 0, picture: picture.unwrap() }))
+            Ok(Some(Frame { seq, stamp, gap: 0, host: None, picture: picture.unwrap() }))
         }
 
         fn size_px(&self) -> [u32; 2] {
@@ -263,7 +263,7 @@ mod tests {
     }
 
     impl Sink for Notes {
-        fn write(&mut self, estimate: &Estimate, _: &Picture) -> Result<(), SinkError> {
+        fn write(&mut self, estimate: &Estimate, _: Option<&Picture>) -> Result<(), SinkError> {
             if let Some(given) = &self.given {
                 std::thread::sleep(Duration::from_millis(2));
                 let alive = given.load(Ordering::SeqCst) - estimate.seq;

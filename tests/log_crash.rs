@@ -35,7 +35,7 @@ fn a_log_copied_in_the_middle_has_all_but_the_last_second() {
     let mut sink = log(&path);
     let mut unread = 0;
     for seq in 0..300_u64 {
-        sink.write(&fixture::complete(seq, seq as i64 * FRAME_NS), &fixture::picture()).unwrap();
+        sink.write(&fixture::complete(seq, seq as i64 * FRAME_NS), None).unwrap();
         if seq % 7 == 0 {
             let found = frames(&std::fs::read(&path).unwrap());
             let count = found.len() as u64;
@@ -56,7 +56,7 @@ fn a_log_torn_at_any_byte_is_readable_up_to_there() {
     let path = folder.path().join("run.mcap");
     let mut sink = log(&path);
     for seq in 0..200_u64 {
-        sink.write(&fixture::complete(seq, seq as i64 * FRAME_NS), &fixture::picture()).unwrap();
+        sink.write(&fixture::complete(seq, seq as i64 * FRAME_NS), None).unwrap();
     }
     let unfinished = std::fs::read(&path).unwrap();
     let mut before = 0;
@@ -79,8 +79,8 @@ fn program_that_stalls() {
     let mut table = CsvSink::create(&folder.join("run.csv"), &rig, OutputFrame::Base).unwrap();
     for seq in 0..20_u64 {
         let estimate = fixture::complete(seq, seq as i64 * FRAME_NS);
-        sink.write(&estimate, &fixture::picture()).unwrap();
-        table.write(&estimate, &fixture::picture()).unwrap();
+        sink.write(&estimate, None).unwrap();
+        table.write(&estimate, None).unwrap();
     }
     println!("written");
     std::thread::sleep(Duration::from_secs(60));
@@ -113,7 +113,7 @@ fn a_finished_log_has_index_attachments_and_metadata() {
     let path = folder.path().join("run.mcap");
     let mut sink = log(&path);
     for seq in 0..100 {
-        sink.write(&fixture::eventful(seq, -50_000_000), &fixture::picture()).unwrap();
+        sink.write(&fixture::eventful(seq, -50_000_000), None).unwrap();
     }
     sink.finish().unwrap();
     let bytes = std::fs::read(&path).unwrap();
@@ -154,7 +154,7 @@ fn a_log_that_is_only_dropped_is_complete_too() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("run.mcap");
     let mut sink = log(&path);
-    sink.write(&fixture::complete(0, 0), &fixture::picture()).unwrap();
+    sink.write(&fixture::complete(0, 0), None).unwrap();
     drop(sink);
     let bytes = std::fs::read(&path).unwrap();
     let last = mcap::read::LinearReader::new(&bytes).unwrap().last().unwrap().unwrap();
@@ -194,7 +194,7 @@ fn a_disk_lost_in_the_middle_is_told_by_every_call() {
             _ => Box::new(CsvSink::create(&path, &rig, OutputFrame::Base).unwrap()),
         };
         drop(reader.join().unwrap());
-        let mut write = |seq: u64| sink.write(&fixture::complete(seq, seq as i64 * FRAME_NS), &fixture::picture());
+        let mut write = |seq: u64| sink.write(&fixture::complete(seq, seq as i64 * FRAME_NS), None);
         let error = (0..1000).find_map(|seq| write(seq).err()).expect("the loss was never noticed").to_string();
         assert_eq!(error, format!("cannot write {}: Broken pipe (os error 32)", path.display()));
         assert_eq!(write(1000).unwrap_err().to_string(), error);
@@ -215,8 +215,8 @@ fn program_that_fills_the_disk() {
         Box::new(CsvSink::create(&table, &fixture::rig(), OutputFrame::Base).unwrap()),
     ];
     for mut sink in sinks {
-        let written = (0..9000_u64)
-            .find(|&seq| sink.write(&fixture::complete(seq, seq as i64 * FRAME_NS), &fixture::picture()).is_err());
+        let written =
+            (0..9000_u64).find(|&seq| sink.write(&fixture::complete(seq, seq as i64 * FRAME_NS), None).is_err());
         println!("written {} {}", written.expect("no limit"), sink.finish().unwrap_err());
     }
 }

@@ -22,8 +22,8 @@ fn write(folder: &Path, rig: &rig::Rig, frame: OutputFrame) {
     for seq in 0..FRAMES {
         // From a negative stamp through 0, as containers have them.
         let estimate = fixture::eventful(seq, -3 * 16_666_667);
-        log.write(&estimate, &fixture::picture()).unwrap();
-        table.write(&estimate, &fixture::picture()).unwrap();
+        log.write(&estimate, None).unwrap();
+        table.write(&estimate, None).unwrap();
     }
     log.finish().unwrap();
     table.finish().unwrap();

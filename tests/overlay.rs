@@ -80,7 +80,7 @@ fn write(path: &Path, rig: &Rig, stamps_ns: &[i64]) {
         let mut estimate = synthetic::swing(rig, k as u64, *stamp);
         let step_ns = if k > 0 { stamp - stamps_ns[k - 1] } else { 0 };
         estimate.gap = ((step_ns as f64 / 16_666_667.0).round() as u32).saturating_sub(1);
-        sink.write(&estimate, &grey_picture(rig.camera.size_px)).unwrap();
+        sink.write(&estimate, Some(&grey_picture(rig.camera.size_px))).unwrap();
     }
     sink.finish().unwrap();
 }
@@ -172,7 +172,7 @@ fn what_is_missing_is_not_drawn_and_said() {
     let arrow = estimate.tangent.as_ref().unwrap().direction * 0.035
         + estimate.markers[1].position.as_ref().unwrap().point.coords;
     let missing = synthetic::without_marker(estimate, 1, Miss::NotSeen { view: 1 });
-    sink.write(&missing, &grey_picture(rig.camera.size_px)).unwrap();
+    sink.write(&missing, Some(&grey_picture(rig.camera.size_px))).unwrap();
     sink.finish().unwrap();
     let decoded = decode(&path);
     let frame = &decoded.frames[0];
@@ -202,7 +202,7 @@ fn a_run_that_ends_at_once_or_after_an_interrupt_leaves_a_valid_file() {
     let mut sink = OverlaySink::create(&dir.path().join("twice.mp4"), &rig).unwrap();
     sink.finish().unwrap();
     sink.finish().unwrap();
-    assert!(sink.write(&synthetic::swing(&rig, 0, 0), &grey_picture([320, 240])).is_err());
+    assert!(sink.write(&synthetic::swing(&rig, 0, 0), Some(&grey_picture([320, 240]))).is_err());
 }
 
 #[test]
@@ -217,7 +217,7 @@ fn odd_and_tiny_pictures_and_nonsense_numbers_are_survived() {
         band.centre_px.x = f64::NAN;
         band.outline_px[2].y = f64::INFINITY;
         estimate.deflection.as_mut().unwrap().theta_rad = f64::NAN;
-        sink.write(&estimate, &grey_picture(size)).unwrap();
+        sink.write(&estimate, Some(&grey_picture(size))).unwrap();
         sink.finish().unwrap();
         let decoded = decode(&path);
         assert_eq!(decoded.frames.len(), 1);
@@ -235,6 +235,6 @@ fn what_cannot_be_written_is_named() {
 
     let path = dir.path().join("overlay.mp4");
     let mut sink = OverlaySink::create(&path, &rig).unwrap();
-    let error = sink.write(&synthetic::swing(&rig, 0, 0), &grey_picture([640, 480])).unwrap_err();
+    let error = sink.write(&synthetic::swing(&rig, 0, 0), Some(&grey_picture([640, 480]))).unwrap_err();
     assert!(error.to_string().contains("640x480") && error.to_string().contains("1280x1024"), "{error}");
 }

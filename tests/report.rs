@@ -8,7 +8,6 @@ use catoptra::estimate::{Estimate, Miss};
 use catoptra::report::{ReportSink, RunInfo};
 use catoptra::rig::Rig;
 use catoptra::sink::{Sink, SinkError};
-use catoptra::source::{Colour, Picture, PixelFormat};
 
 fn info() -> RunInfo {
     RunInfo {
@@ -31,9 +30,8 @@ fn whole_page(rig: &Rig, info: RunInfo, estimates: impl IntoIterator<Item = Esti
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("report.html");
     let mut sink = ReportSink::create(&path, rig, info).unwrap();
-    let picture = Picture::from_planes(1, 1, PixelFormat::Grey, Colour::SRGB, vec![vec![0]]).unwrap();
     for estimate in estimates {
-        sink.write(&estimate, &picture).unwrap();
+        sink.write(&estimate, None).unwrap();
     }
     sink.finish().unwrap();
     sink.finish().unwrap();

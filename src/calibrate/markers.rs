@@ -528,7 +528,7 @@ mod tests {
         };
         let planes = (0..3).map(plane).collect();
         let picture = Picture::from_planes(SIZE[0] as u32, SIZE[1] as u32, format, Colour::SRGB, planes).unwrap();
-        Frame { seq: 0, stamp: Timestamp { ns: 0, clock: Clock::Container }, gap: 0, picture }
+        Frame { seq: 0, stamp: Timestamp { ns: 0, clock: Clock::Container }, gap: 0, host: None, picture }
     }
 
     /// On a dark ground a band's blob reaches into the tube beside it; learning from it must not draw the tube in.

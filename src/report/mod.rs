@@ -61,7 +61,7 @@ impl ReportSink {
 }
 
 impl Sink for ReportSink {
-    fn write(&mut self, estimate: &Estimate, _picture: &Picture) -> Result<(), SinkError> {
+    fn write(&mut self, estimate: &Estimate, _: Option<&Picture>) -> Result<(), SinkError> {
         self.course.add(estimate);
         Ok(())
     }

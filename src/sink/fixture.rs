@@ -3,7 +3,7 @@
 use crate::estimate::{BandObservation, Deflection, Estimate, MarkerEstimate, Miss, Position, Tangent};
 use crate::optics::{Lens, OpticalPath};
 use crate::rig::{Base, Camera, Catheter, ColourModel, Marker, Rig, View};
-use crate::source::{Clock, Colour, Picture, PixelFormat, Timestamp};
+use crate::source::{Clock, Timestamp};
 use nalgebra::{Isometry3, Matrix2, Matrix3, Point2, Point3, Translation3, UnitQuaternion, Vector2, Vector3};
 
 /// Markers base, coil (no colour learned) and tip, views direct and mirror, a base frame that is turned and moved.
@@ -69,6 +69,7 @@ pub(crate) fn complete(seq: u64, stamp_ns: i64) -> Estimate {
         seq,
         stamp: Timestamp { ns: stamp_ns, clock: Clock::Container },
         gap: 0,
+        host: None,
         markers: vec![marker(0.0, 0.0), marker(0.035, 0.8), marker(0.05, 1.0)],
         tangent: Ok(Tangent { direction: camera_from_base * direction_in_base, covariance: in_camera(across * 4e-6) }),
         deflection: Ok(Deflection {
@@ -120,10 +121,4 @@ fn band(seq: u64, along_m: f64, view: f64) -> BandObservation {
         separation: 0.9,
         outline_px: (0..20).map(|i| centre_px + Vector2::new(f64::from(i).cos(), f64::from(i).sin()) * 8.0).collect(),
     }
-}
-
-/// A picture for [`Sink::write`](crate::sink::Sink::write), to which the log and the table pay no attention.
-#[allow(clippy::expect_used, reason = "a test fails by panicking; the lint does not see that this is one")]
-pub(crate) fn picture() -> Picture {
-    Picture::from_planes(1, 1, PixelFormat::Grey, Colour::SRGB, vec![vec![0]]).expect("a grey pixel")
 }

@@ -10,13 +10,14 @@ mod mcap;
 
 pub use self::csv::CsvSink;
 pub use self::mcap::McapSink;
-pub use self::mcap::messages;
+pub use self::topics::messages;
 
 mod clock;
 mod colour;
 mod encode;
 mod overlay;
 mod palette;
+mod topics;
 
 pub(crate) use clock::Origin;
 pub use overlay::OverlaySink;
@@ -37,11 +38,11 @@ pub fn spoken(word: &str) -> String {
 
 /// Takes the estimates of a run, one camera frame after the other.
 pub trait Sink {
-    /// Writes one frame.
+    /// Writes one frame. Live runs do not keep the picture: a sink that draws into it cannot be used there.
     ///
     /// # Errors
     /// [`SinkError`] when it cannot be written; what was written before stays readable after [`Sink::finish`].
-    fn write(&mut self, estimate: &Estimate, picture: &Picture) -> Result<(), SinkError>;
+    fn write(&mut self, estimate: &Estimate, picture: Option<&Picture>) -> Result<(), SinkError>;
 
     /// Completes the file. Called exactly once, after an interrupt or an error too.
     ///
@@ -125,6 +126,20 @@ pub enum SinkError {
         found: [u32; 2],
         /// Width and height in the rig.
         expected: [u32; 2],
+    },
+    /// A message that cannot be encoded.
+    #[error("cannot encode a message of {topic}: {reason}")]
+    Encode {
+        /// Its topic.
+        topic: &'static str,
+        /// Why.
+        reason: String,
+    },
+    /// A sink that draws into pictures was given none.
+    #[error("cannot write {path}: the run does not keep its pictures")]
+    NoPicture {
+        /// Which file.
+        path: PathBuf,
     },
     /// A picture whose samples cannot be turned into colours.
     #[error("cannot write {path}: no conversion to RGB from {format}")]

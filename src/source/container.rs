@@ -42,6 +42,24 @@ pub(super) fn open_input(path: &Path) -> Result<av::format::context::Input, Sour
     Ok(input)
 }
 
+/// A stream in a network, or `-` for standard input. Little is read ahead, and who sends nothing for [`PATIENCE_US`] is given up.
+pub(super) fn open_stream(url: &str) -> Result<av::format::context::Input, SourceError> {
+    let patience = PATIENCE_US.to_string();
+    let options = [
+        ("timeout", patience.as_str()),
+        ("rw_timeout", patience.as_str()),
+        ("rtsp_flags", "prefer_tcp"),
+        ("fflags", "nobuffer"),
+        ("analyzeduration", "500000"),
+    ];
+    let address = if url == "-" { "pipe:0" } else { url };
+    av::format::input_with_dictionary(address, options.into_iter().collect::<av::Dictionary>())
+        .map_err(|error| SourceError::Stream { url: url.to_owned(), reason: error.to_string() })
+}
+
+/// Microseconds.
+const PATIENCE_US: u32 = 3_000_000;
+
 /// The video stream, cover pictures of sound files left out.
 pub(super) fn best_video<'a>(
     path: &Path,
@@ -66,6 +84,7 @@ pub(super) fn open_decoder(
     path: &Path,
     stream: &av::format::stream::Stream<'_>,
     threads: usize,
+    low_delay: bool,
 ) -> Result<av::decoder::Video, SourceError> {
     let refused = |error: av::Error| SourceError::Decoder {
         path: path.to_path_buf(),
@@ -93,6 +112,9 @@ pub(super) fn open_decoder(
     let mut threading = av::threading::Config::kind(av::threading::Type::Frame);
     threading.count = threads;
     context.set_threading(threading);
+    if low_delay {
+        context.set_flags(av::codec::Flags::LOW_DELAY);
+    }
     context.decoder().video().map_err(refused)
 }
 

@@ -210,6 +210,7 @@ fn convertible(pixel: Pixel) -> Option<(Pixel, PixelFormat)> {
         (_, "gbrp" | "gbrap") => Pixel::GBRP,
         (_, "gray") => Pixel::GRAY8,
         ("p010le" | "p010be" | "p012le" | "p012be" | "p016le" | "p016be", _) => Pixel::NV12,
+        ("bayer_rggb8" | "bayer_bggr8" | "bayer_grbg8" | "bayer_gbrg8", _) => Pixel::RGB24,
         ("rgb48le" | "rgb48be", _) => Pixel::RGB24,
         ("bgr48le" | "bgr48be", _) => Pixel::BGR24,
         ("rgba64le" | "rgba64be", _) => Pixel::RGBA,
@@ -221,7 +222,8 @@ fn convertible(pixel: Pixel) -> Option<(Pixel, PixelFormat)> {
 
 /// Whether samples have more than 8 bits, among the convertible formats.
 fn is_deep(pixel: Pixel) -> bool {
-    !matches!(pixel, Pixel::YUYV422 | Pixel::UYVY422 | Pixel::YVYU422)
+    use Pixel::{BAYER_BGGR8, BAYER_GBRG8, BAYER_GRBG8, BAYER_RGGB8, UYVY422, YUYV422, YVYU422};
+    !matches!(pixel, YUYV422 | UYVY422 | YVYU422 | BAYER_RGGB8 | BAYER_BGGR8 | BAYER_GRBG8 | BAYER_GBRG8)
 }
 
 #[cfg(test)]

@@ -36,6 +36,22 @@ pub enum SourceError {
         #[source]
         error: io::Error,
     },
+    /// A stream that cannot be had.
+    #[error("{url}: no stream that can be read ({reason})")]
+    Stream {
+        /// Its address.
+        url: String,
+        /// libav's reason.
+        reason: String,
+    },
+    /// A recorded or piped stream of raw pictures that is not what was stated.
+    #[error("{name}: {reason}")]
+    Raw {
+        /// Where it comes from.
+        name: String,
+        /// What is wrong and what would be right.
+        reason: String,
+    },
     /// No container that libav knows.
     #[error("{}: is not a video that can be read ({reason}); recordings may be Matroska (.mkv), MP4, AVI and others that \
         FFmpeg reads", path.display())]

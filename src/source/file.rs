@@ -11,14 +11,16 @@
 
 use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
+use std::time::Instant;
 
 use ffmpeg_the_third as av;
 
-use super::container::{best_video, count_hint, measure, open_decoder, open_input, quiet_libav};
+use super::container::{best_video, count_hint, measure, open_decoder, open_input, open_stream, quiet_libav};
 use super::damage::{DamageLog, REORDER};
 use super::decoded::{PictureMaker, is_damaged};
 use super::extent::Extent;
-use super::gaps::{GapCounter, Order, Rhythm, WINDOW, plausible_period_ns};
+use super::gaps::plausible_period_ns;
+use super::stamps::StampWatch;
 use super::times::{seconds, ticks_to_ns};
 use super::{Clock, Frame, FrameSource, SourceError, Span, Tally, Timestamp};
 
@@ -41,6 +43,7 @@ impl Default for VideoOptions {
 /// A recorded video.
 pub struct VideoFile {
     path: PathBuf,
+    clock: Clock,
     input: av::format::context::Input,
     stream: usize,
     time_base: av::Rational,
@@ -50,7 +53,7 @@ pub struct VideoFile {
     damage: DamageLog,
     /// Decoded frames and their numbers in the log of damage, before they are judged.
     held: VecDeque<(av::frame::Video, u64)>,
-    gaps: GapCounter,
+    stamps: StampWatch,
     /// Camera frames lost or left out since the last frame handed on.
     missing: u32,
     span: Span,
@@ -62,8 +65,8 @@ pub struct VideoFile {
     /// Why the recording is known to end early.
     ends_early: Option<String>,
     tally: Tally,
-    varying_named: bool,
     seq: u64,
+    arrival: Option<Instant>,
     /// Latest stamps decoded: of all, before the span, and the first after it.
     seen_ns: Option<i64>,
     before_ns: Option<i64>,
@@ -105,19 +108,44 @@ impl VideoFile {
             Extent::Whole | Extent::Undeclared => None,
         };
         let input = open_input(&path)?;
+        let mut source = Self::of_input(path, input, options, Clock::Container)?;
+        source.ends_early = ends_early;
+        if let Some(from_ns) = options.span.from_ns {
+            source.seek(from_ns, options.decoder_threads)?;
+        }
+        Ok(source)
+    }
+
+    /// Opens the live stream at `url`: frames leave the decoder at once, and may change their size.
+    ///
+    /// # Errors
+    /// When nobody answers there, or what comes is no video that can be decoded.
+    pub(super) fn stream(url: &str) -> Result<Self, SourceError> {
+        quiet_libav();
+        Self::of_input(url.into(), open_stream(url)?, VideoOptions::default(), Clock::Stream)
+    }
+
+    fn of_input(
+        path: PathBuf,
+        input: av::format::context::Input,
+        options: VideoOptions,
+        clock: Clock,
+    ) -> Result<Self, SourceError> {
         let (index, decoder, time_base, start_pts, declared_ns, hint) = {
             let stream = best_video(&path, &input)?;
             let (rate, average) = (stream.rate(), stream.avg_frame_rate());
             let declared_ns = plausible_period_ns((rate.0, rate.1), (average.0, average.1));
-            let decoder = open_decoder(&path, &stream, options.decoder_threads)?;
+            let decoder = open_decoder(&path, &stream, options.decoder_threads, clock == Clock::Stream)?;
             let hint = count_hint(&input, &stream, options.span);
             (stream.index(), decoder, stream.time_base(), stream.start_time(), declared_ns, hint)
         };
         let tick_ns = 1e9 * f64::from(time_base.0) / f64::from(time_base.1.max(1));
-        let mut source = Self {
+        Ok(Self {
             pictures: PictureMaker::new(path.clone(), decoder.id()),
             size_px: [decoder.width(), decoder.height()],
+            stamps: StampWatch::new(path.display().to_string(), declared_ns, tick_ns),
             path,
+            clock,
             input,
             stream: index,
             time_base,
@@ -125,25 +153,25 @@ impl VideoFile {
             decoder,
             damage: DamageLog::default(),
             held: VecDeque::new(),
-            gaps: GapCounter::new(declared_ns, tick_ns),
             missing: 0,
             span: options.span,
             frame_count_hint: hint,
             ahead: None,
             state: State::Reading,
-            ends_early,
+            ends_early: None,
             tally: Tally::default(),
-            varying_named: false,
             seq: 0,
+            arrival: None,
             seen_ns: None,
             before_ns: None,
             after_ns: None,
             last_good_ns: None,
-        };
-        if let Some(from_ns) = options.span.from_ns {
-            source.seek(from_ns, options.decoder_threads)?;
-        }
-        Ok(source)
+        })
+    }
+
+    /// When the last packet was read.
+    pub(super) fn arrival(&self) -> Option<Instant> {
+        self.arrival
     }
 
     /// Goes to a key frame from which the frame at `from_ns` can be decoded: libav's index may lead to one that is shown
@@ -169,7 +197,7 @@ impl VideoFile {
         // Not to be searched, or the span starts before the first frame: read from the start.
         self.input = open_input(&self.path)?;
         let stream = best_video(&self.path, &self.input)?;
-        self.decoder = open_decoder(&self.path, &stream, threads)?;
+        self.decoder = open_decoder(&self.path, &stream, threads, false)?;
         (self.damage, self.ahead, self.state) = (DamageLog::default(), None, State::Reading);
         Ok(())
     }
@@ -221,6 +249,7 @@ impl VideoFile {
             match packet.read(&mut self.input) {
                 Ok(()) if packet.stream() != self.stream => continue,
                 Ok(()) => {
+                    self.arrival = Some(Instant::now());
                     // An MP4's edit list often ends at the last frame's start instead of its end, and libav would throw
                     // the frame away. Setting the flags that the binding knows clears the one that says so; frames before
                     // the recording's start stay out.
@@ -294,50 +323,7 @@ impl VideoFile {
         let ns = ticks_to_ns(ticks, self.time_base.0.into(), self.time_base.1.into())
             .ok_or_else(|| SourceError::TimeRange { path: self.path.clone(), seq: self.seq })?;
         self.seen_ns = Some(ns);
-        Ok(Timestamp { ns, clock: Clock::Container })
-    }
-
-    /// Camera frames lost before the frame at `ns`, with a word on stamps that are not in order.
-    fn gap(&mut self, ns: i64) -> u32 {
-        let step = self.gaps.step(ns);
-        let at_s = seconds(ns);
-        match step.order {
-            Order::First | Order::Later => {}
-            Order::Same => {
-                self.tally.repeated_stamps += 1;
-                if self.tally.repeated_stamps == 1 {
-                    tracing::warn!(
-                        "{}: frame {} repeats the time stamp {at_s} s; it is kept, more are counted",
-                        self.path.display(),
-                        self.seq
-                    );
-                }
-            }
-            Order::Earlier { by_ns } => {
-                self.tally.backward_stamps += 1;
-                if self.tally.backward_stamps == 1 {
-                    tracing::warn!(
-                        "{}: frame {} at {at_s} s is {} s earlier than one before it; it is kept, more are counted",
-                        self.path.display(),
-                        self.seq,
-                        seconds(by_ns)
-                    );
-                }
-            }
-        }
-        if let Rhythm::Varying { median_ns } = self.gaps.rhythm()
-            && !self.varying_named
-            && self.gaps.steps_seen() == WINDOW
-        {
-            self.varying_named = true;
-            tracing::warn!(
-                "{}: the time from frame to frame varies (median {:.3} ms): single lost frames cannot be told from long steps \
-                 and are not counted",
-                self.path.display(),
-                median_ns * 1e-6
-            );
-        }
-        step.gap
+        Ok(Timestamp { ns, clock: self.clock })
     }
 
     /// The stream has ended: whole, early, or with nothing in it.
@@ -400,14 +386,14 @@ impl VideoFile {
                 self.after_ns = Some(stamp.ns);
                 return self.end();
             }
-            self.missing = self.missing.saturating_add(self.gap(stamp.ns));
+            self.missing = self.missing.saturating_add(self.stamps.gap(stamp.ns, self.seq, &mut self.tally));
             if !self.damage.is_sound(number, decoded.pts().or(decoded.timestamp())) {
                 self.missing = self.missing.saturating_add(1);
                 self.leave_out(stamp);
                 continue;
             }
             let after = [decoded.width(), decoded.height()];
-            if after != self.size_px {
+            if after != self.size_px && self.clock == Clock::Container {
                 return Err(SourceError::SizeChange {
                     path: self.path.clone(),
                     at: format!("{} s", stamp.seconds()),
@@ -417,7 +403,8 @@ impl VideoFile {
                 });
             }
             let picture = self.pictures.picture(decoded)?;
-            let frame = Frame { seq: self.seq, stamp, gap: std::mem::take(&mut self.missing), picture };
+            let gap = std::mem::take(&mut self.missing);
+            let frame = Frame { seq: self.seq, stamp, gap, host: None, picture };
             self.seq += 1;
             self.last_good_ns = Some(stamp.ns);
             return Ok(Some(frame));

@@ -126,7 +126,7 @@ impl FrameSource for ImageFolder {
         }
         let gap = self.gaps.as_mut().map_or(0, |g| g.step(ns).gap);
         self.next += 1;
-        Ok(Some(Frame { seq, stamp: Timestamp { ns, clock: self.clock }, gap, picture }))
+        Ok(Some(Frame { seq, stamp: Timestamp { ns, clock: self.clock }, gap, host: None, picture }))
     }
 
     fn size_px(&self) -> [u32; 2] {

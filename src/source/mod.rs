@@ -11,14 +11,18 @@ mod error;
 mod extent;
 pub mod file;
 pub mod gaps;
+pub mod host;
 pub mod images;
+pub mod live;
 mod picture;
+mod stamps;
 pub mod times;
 
 use std::path::Path;
 
 pub use error::SourceError;
 pub use file::{VideoFile, VideoOptions};
+pub use host::HostTime;
 pub use images::{ImageFolder, ImageTiming};
 pub use picture::{
     ChromaSiting, Colour, Matrix, Picture, PictureError, PixelFormat, Plane, Range, RgbFromStored, Transfer,
@@ -32,6 +36,15 @@ pub enum Clock {
     Container,
     /// No clock at all: the user stated a frame rate (`--fps`) for a folder of pictures.
     StatedRate,
+    /// Presentation time in a live stream, since the stream's own zero.
+    Stream,
+    /// The kernel's monotonic clock as the driver of a V4L2 camera stamped the buffer: start of the exposure or end of the
+    /// transfer, as the driver says.
+    V4l2Monotonic,
+    /// The camera's own clock.
+    Device,
+    /// None but that of the arrival here: the last resort, with all the delays of the way.
+    HostArrival,
 }
 
 impl Clock {
@@ -40,6 +53,10 @@ impl Clock {
         match self {
             Self::Container => "container",
             Self::StatedRate => "stated_rate",
+            Self::Stream => "stream",
+            Self::V4l2Monotonic => "v4l2_monotonic",
+            Self::Device => "device",
+            Self::HostArrival => "host_arrival",
         }
     }
 }
@@ -69,6 +86,8 @@ pub struct Frame {
     pub stamp: Timestamp,
     /// Camera frames lost between the frame before and this one.
     pub gap: u32,
+    /// When it was taken by the clock of this computer; `None` for recordings.
+    pub host: Option<HostTime>,
     /// What the camera saw.
     pub picture: Picture,
 }
@@ -107,9 +126,21 @@ pub struct Tally {
     pub backward_stamps: u64,
     /// Frames without a presentation time, where the decoder's best estimate is taken.
     pub guessed_stamps: u64,
+    /// How often a live stream was away.
+    pub interruptions: u64,
 }
 
 impl Tally {
+    /// Adds the counts of another part of the stream.
+    fn add(&mut self, other: Self) {
+        self.damaged_packets += other.damaged_packets;
+        self.pictures_left_out += other.pictures_left_out;
+        self.repeated_stamps += other.repeated_stamps;
+        self.backward_stamps += other.backward_stamps;
+        self.guessed_stamps += other.guessed_stamps;
+        self.interruptions += other.interruptions;
+    }
+
     /// Warns of what there is more than one of: the first of each was named when it came.
     fn report(&self, path: &Path) {
         let counts = [

@@ -287,7 +287,7 @@ impl Tracker {
             .iter()
             .map(|a| {
                 let miss = a.as_ref().err().cloned().unwrap_or(Miss::NotConverged);
-                MarkerEstimate { position: Err(miss.clone()), views: vec![Err(miss); self.rig.views.len()] }
+                MarkerEstimate::missed(&miss, self.rig.views.len())
             })
             .collect();
         let mut tangent = Err(Miss::MarkerMissing);
@@ -295,10 +295,7 @@ impl Tracker {
             for (i, &(m, s)) in group.members.iter().enumerate() {
                 markers[m] = match result {
                     Ok(fit) => self.marker(group, i, s, views, fit),
-                    Err(miss) => MarkerEstimate {
-                        position: Err(miss.clone()),
-                        views: vec![Err(miss.clone()); self.rig.views.len()],
-                    },
+                    Err(miss) => MarkerEstimate::missed(miss, self.rig.views.len()),
                 };
             }
             if group.reference == self.rig.catheter.coil
@@ -313,7 +310,7 @@ impl Tracker {
             Ok(_) => Err(Miss::NoBaseFrame),
             Err(miss) => Err(miss.clone()),
         };
-        Estimate { seq: frame.seq, stamp: frame.stamp, gap: frame.gap, markers, tangent, deflection }
+        Estimate { seq: frame.seq, stamp: frame.stamp, gap: frame.gap, host: frame.host, markers, tangent, deflection }
     }
 
     fn marker(&self, group: &Group, member: usize, s: f64, views: &[usize], fit: &TubeFit) -> MarkerEstimate {

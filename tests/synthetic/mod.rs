@@ -131,6 +131,7 @@ pub(crate) fn estimate(
         seq,
         stamp: Timestamp { ns: stamp_ns, clock: Clock::Container },
         gap: 0,
+        host: None,
         markers,
         tangent: Ok(Tangent { direction, covariance: across * TANGENT_SD_RAD.powi(2) }),
         deflection,

@@ -8,8 +8,8 @@
 //! Chunks are not compressed. At 60 Hz with three markers in two views a log grows by 25 MB a minute, and zstd would save
 //! two fifths of it (the lower half of the numbers is noise): not worth a C library that nothing else here needs.
 
+use crate::sink::topics::{ENCODING, Message, Topic};
 use crate::sink::{SinkError, same_error, settle};
-use foxglove::Encode;
 use mcap::records::{MessageHeader, Metadata};
 use mcap::write::NoSeek;
 use mcap::{Attachment, McapError, McapResult, WriteOptions};
@@ -17,7 +17,6 @@ use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{self, BufWriter};
-use std::marker::PhantomData;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
@@ -31,11 +30,11 @@ const CHUNK_BYTES: u64 = 1 << 20;
 
 type Writer = mcap::Writer<NoSeek<BufWriter<File>>>;
 
-/// A topic of the file, for messages of type `M`.
-#[derive(Debug)]
-pub(super) struct Topic<M> {
-    id: u16,
-    message: PhantomData<fn(&M)>,
+/// The two times of a message.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Times {
+    pub(super) log_ns: u64,
+    pub(super) publish_ns: u64,
 }
 
 /// An open log.
@@ -44,7 +43,8 @@ pub(super) struct LogFile {
     path: PathBuf,
     shared: Arc<Shared>,
     flusher: Option<JoinHandle<()>>,
-    scratch: Vec<u8>,
+    /// Channel of each of [`Topic::ALL`].
+    channels: Vec<u16>,
 }
 
 #[derive(Debug)]
@@ -95,37 +95,34 @@ impl LogFile {
             .name("log flusher".to_owned())
             .spawn(move || watched.flush_what_waits())
             .map_err(lost)?;
-        Ok(Self { path: path.to_owned(), shared, flusher: Some(flusher), scratch: Vec::new() })
+        Ok(Self { path: path.to_owned(), shared, flusher: Some(flusher), channels: Vec::new() })
     }
 
-    /// Adds a topic; its schema travels in the file.
-    pub(super) fn topic<M: Encode>(&mut self, name: &str) -> Result<Topic<M>, SinkError> {
-        let id = self.with_writer(|writer| {
-            let schema = match M::get_schema() {
+    /// Adds all topics; their schemas travel in the file.
+    pub(super) fn announce(&mut self) -> Result<(), SinkError> {
+        self.channels = Topic::ALL.into_iter().map(|topic| self.announced(topic)).collect::<Result<_, _>>()?;
+        Ok(())
+    }
+
+    fn announced(&self, topic: Topic) -> Result<u16, SinkError> {
+        self.with_writer(|writer| {
+            let schema = match topic.schema() {
                 Some(schema) => writer.add_schema(&schema.name, &schema.encoding, &schema.data)?,
                 None => 0,
             };
-            writer.add_channel(schema, name, &M::get_message_encoding(), &BTreeMap::new())
-        })?;
-        Ok(Topic { id, message: PhantomData })
+            writer.add_channel(schema, topic.name(), ENCODING, &BTreeMap::new())
+        })
     }
 
-    /// Writes a message, its log and publish time both `time_ns`. Call [`LogFile::flush`] by camera time.
-    pub(super) fn message<M: Encode>(
-        &mut self,
-        topic: &Topic<M>,
-        sequence: u32,
-        time_ns: u64,
-        message: &M,
-    ) -> Result<(), SinkError> {
-        let mut bytes = std::mem::take(&mut self.scratch);
-        bytes.clear();
-        let encoded =
-            message.encode(&mut bytes).map_err(|e| SinkError::io(&self.path, io::Error::other(e.to_string())));
-        let header = MessageHeader { channel_id: topic.id, sequence, log_time: time_ns, publish_time: time_ns };
-        let written = encoded.and_then(|()| self.with_writer(|writer| writer.write_to_known_channel(&header, &bytes)));
-        self.scratch = bytes;
-        written?;
+    /// Writes a message. Call [`LogFile::flush`] by camera time.
+    pub(super) fn message(&mut self, message: &Message, sequence: u32, times: Times) -> Result<(), SinkError> {
+        let channel = Topic::ALL.iter().position(|topic| *topic == message.topic);
+        let Some(&channel_id) = channel.and_then(|i| self.channels.get(i)) else {
+            let unknown = io::Error::other(format!("topic {} was not announced", message.topic.name()));
+            return Err(SinkError::io(&self.path, unknown));
+        };
+        let header = MessageHeader { channel_id, sequence, log_time: times.log_ns, publish_time: times.publish_ns };
+        self.with_writer(|writer| writer.write_to_known_channel(&header, &message.bytes))?;
         let mut state = self.shared.lock();
         if state.waiting_since.is_none() {
             state.waiting_since = Some(Instant::now());

@@ -116,7 +116,8 @@ impl OverlaySink {
 }
 
 impl Sink for OverlaySink {
-    fn write(&mut self, estimate: &Estimate, picture: &Picture) -> Result<(), SinkError> {
+    fn write(&mut self, estimate: &Estimate, picture: Option<&Picture>) -> Result<(), SinkError> {
+        let picture = picture.ok_or_else(|| SinkError::NoPicture { path: self.path.clone() })?;
         let path = || self.path.clone();
         if picture.size_px() != self.size_px {
             return Err(SinkError::PictureSize { path: path(), found: picture.size_px(), expected: self.size_px });

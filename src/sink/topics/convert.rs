@@ -163,7 +163,7 @@ pub(super) fn vector3(v: &nalgebra::Vector3<f64>) -> Vector3 {
 
 /// Camera time as the time of an MCAP message, which has no place for a negative one, and some readers and writers take
 /// 0 for "no time": frames at or before the clock's zero are filed at 1 ns, in their order.
-pub(super) fn file_time_ns(stamp_ns: i64) -> u64 {
+pub(in crate::sink) fn file_time_ns(stamp_ns: i64) -> u64 {
     u64::try_from(stamp_ns).unwrap_or(0).max(1)
 }
 

@@ -1,0 +1,215 @@
+//! The clock of this computer, and the camera's time on it.
+//!
+//! [`HostClock`] counts nanoseconds since 1970 and cannot be set back: the computer's time of day at the start of the run, and
+//! from there its monotonic clock. A step of the time of day (NTP, a user) does not show.
+//!
+//! [`ClockFit`] maps the stamps of another clock to it. In: (stamp, arrival) of every frame, as they come. Out: the host's
+//! time at which that frame was stamped, up to the least delay there is between stamp and arrival, which no clock that is
+//! not wired to the camera can know.
+//!
+//! Method. Offset = arrival − stamp = constant + drift + delay, and a delay is never less than its least value: the truth lies
+//! on the lower envelope. The least offset of each second is kept for two minutes; the line is the edge of their lower convex
+//! hull that spans the middle of them (it lies below all points at the least sum of distances: Moon, Skelly and Towsley, IEEE
+//! INFOCOM 1999, doi:10.1109/INFCOM.1999.749287). In the first seconds the drift is taken as zero. What arrives before the
+//! line says (a clock that stepped) begins a new fit.
+
+use std::collections::VecDeque;
+use std::time::{Instant, SystemTime, UNIX_EPOCH};
+
+/// A frame on the clock of this computer, nanoseconds since 1970.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct HostTime {
+    /// When the frame was here, whole, before it was decoded.
+    pub arrival_ns: i64,
+    /// The frame's own stamp, mapped to this clock: rises from frame to frame.
+    pub stamp_ns: i64,
+}
+
+/// The clock of this computer.
+#[derive(Debug, Clone, Copy)]
+pub struct HostClock {
+    started: Instant,
+    started_ns: i64,
+}
+
+impl HostClock {
+    /// Set by the computer's time of day, now.
+    pub fn start() -> Self {
+        let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+        Self { started: Instant::now(), started_ns: i64::try_from(since_1970.as_nanos()).unwrap_or(i64::MAX) }
+    }
+
+    /// Nanoseconds since 1970.
+    pub fn now_ns(&self) -> i64 {
+        self.at_ns(Instant::now())
+    }
+
+    /// The same, of a moment that was kept.
+    pub fn at_ns(&self, moment: Instant) -> i64 {
+        let elapsed = moment.saturating_duration_since(self.started);
+        self.started_ns.saturating_add(i64::try_from(elapsed.as_nanos()).unwrap_or(i64::MAX))
+    }
+}
+
+/// Stamps are gathered in bins of this length.
+const BIN_NS: i64 = 1_000_000_000;
+/// So many bins are remembered.
+const BINS: usize = 120;
+/// Drift is not told from delay before so much of the stamps' time has passed.
+const SETTLED_NS: i64 = 10 * BIN_NS;
+/// No crystal drifts by more.
+const MOST_DRIFT: f64 = 500e-6;
+/// A stamp this far from what the fit says was not made by the same clock, or the clock was set.
+const STEP_NS: i64 = 2_000_000_000;
+
+/// The mapping of another clock to the host's.
+#[derive(Debug, Clone, Default)]
+pub struct ClockFit {
+    /// (stamp, least offset at it) of each bin, oldest first.
+    least: VecDeque<(i64, i64)>,
+    last: Option<HostTime>,
+    restarts: u64,
+}
+
+impl ClockFit {
+    /// Takes the next frame: its stamp by its own clock and its arrival by the host's.
+    pub fn map(&mut self, stamp_ns: i64, arrival_ns: i64) -> HostTime {
+        let offset = arrival_ns.saturating_sub(stamp_ns);
+        if let Some(expected) = self.offset_at(stamp_ns)
+            && offset.abs_diff(expected) > STEP_NS.unsigned_abs()
+        {
+            self.least.clear();
+            self.restarts += 1;
+        }
+        self.add(stamp_ns, offset);
+        let mapped = stamp_ns.saturating_add(self.offset_at(stamp_ns).unwrap_or(offset)).min(arrival_ns);
+        // A better fit may say an earlier time than the frame before was given.
+        let stamp_ns = self.last.map_or(mapped, |last| mapped.max(last.stamp_ns.saturating_add(1)));
+        let time = HostTime { arrival_ns, stamp_ns };
+        self.last = Some(time);
+        time
+    }
+
+    /// How often the other clock was found to have been set, or to have begun anew.
+    pub fn restarts(&self) -> u64 {
+        self.restarts
+    }
+
+    /// How much faster than the host's clock the other one runs, parts in one; `None` in the first seconds.
+    pub fn drift(&self) -> Option<f64> {
+        let (from, to) = self.edge()?;
+        (from != to).then(|| -slope(from, to))
+    }
+
+    fn add(&mut self, stamp_ns: i64, offset: i64) {
+        match self.least.back_mut() {
+            Some((at, least)) if stamp_ns.div_euclid(BIN_NS) == at.div_euclid(BIN_NS) => {
+                if offset < *least {
+                    (*at, *least) = (stamp_ns, offset);
+                }
+            }
+            // A frame out of order says nothing new.
+            Some((at, _)) if stamp_ns < *at => {}
+            _ => {
+                if self.least.len() == BINS {
+                    self.least.pop_front();
+                }
+                self.least.push_back((stamp_ns, offset));
+            }
+        }
+    }
+
+    fn offset_at(&self, stamp_ns: i64) -> Option<i64> {
+        let (from, to) = self.edge()?;
+        let beyond = (slope(from, to) * stamp_ns.saturating_sub(from.0) as f64).round();
+        Some(from.1.saturating_add(beyond as i64))
+    }
+
+    /// Two points of the line; the same one twice while the drift is not known.
+    fn edge(&self) -> Option<((i64, i64), (i64, i64))> {
+        let (first, last) = (*self.least.front()?, *self.least.back()?);
+        if last.0.saturating_sub(first.0) < SETTLED_NS {
+            let least = *self.least.iter().min_by_key(|(_, offset)| *offset)?;
+            return Some((least, least));
+        }
+        let middle = first.0 + (last.0 - first.0) / 2;
+        let mut hull: Vec<(i64, i64)> = Vec::new();
+        for &point in &self.least {
+            while let [.., a, b] = hull.as_slice() {
+                if slope(*a, *b) < slope(*b, point) {
+                    break;
+                }
+                hull.pop();
+            }
+            hull.push(point);
+        }
+        let edge = hull.windows(2).find_map(|edge| match edge {
+            [from, to] if to.0 >= middle => Some((*from, *to)),
+            _ => None,
+        })?;
+        (slope(edge.0, edge.1).abs() <= MOST_DRIFT).then_some(edge).or(Some((last, last)))
+    }
+}
+
+fn slope(from: (i64, i64), to: (i64, i64)) -> f64 {
+    let length = to.0.saturating_sub(from.0);
+    if length == 0 { 0.0 } else { to.1.saturating_sub(from.1) as f64 / length as f64 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Frames of a camera that runs `drift` fast, that arrive at least 5 ms late, mostly more.
+    fn frames(drift: f64, seconds: i64) -> impl Iterator<Item = (i64, i64, i64)> {
+        (0..60 * seconds).map(move |k| {
+            let taken_ns = 1_700_000_000_000_000_000 + k * 16_666_667;
+            let stamp_ns = 77_000_000_000 + ((k * 16_666_667) as f64 * (1.0 + drift)) as i64;
+            // A delay that is least once in 17 frames, with a burst now and then.
+            let late_ns = 5_000_000 + (k * 7 % 17) * 400_000 + if k % 211 == 100 { 90_000_000 } else { 0 };
+            (stamp_ns, taken_ns + late_ns, taken_ns)
+        })
+    }
+
+    #[test]
+    fn drift_and_least_delay_are_found_under_jitter() {
+        for drift in [0.0, 80e-6, -150e-6] {
+            let mut fit = ClockFit::default();
+            let mut last = i64::MIN;
+            for (stamp_ns, arrival_ns, taken_ns) in frames(drift, 300) {
+                let time = fit.map(stamp_ns, arrival_ns);
+                assert!(time.stamp_ns > last && time.stamp_ns <= arrival_ns.max(last + 1));
+                last = time.stamp_ns;
+                if stamp_ns > 77_000_000_000 + 30 * BIN_NS {
+                    let error_us = (time.stamp_ns - taken_ns - 5_000_000) as f64 * 1e-3;
+                    assert!(error_us.abs() < 100.0, "drift {drift}: {error_us} µs");
+                }
+            }
+            let found = fit.drift().unwrap();
+            assert!((found - drift).abs() < 2e-6, "{found} instead of {drift}");
+            assert_eq!(fit.restarts(), 0);
+        }
+    }
+
+    #[test]
+    fn a_clock_that_is_set_begins_anew_and_the_host_s_time_goes_on() {
+        let mut fit = ClockFit::default();
+        let mut last = i64::MIN;
+        for (k, (stamp_ns, arrival_ns, taken_ns)) in frames(20e-6, 60).enumerate() {
+            let set_back = if k >= 1800 { 50_000_000_000 } else { 0 };
+            let time = fit.map(stamp_ns - set_back, arrival_ns);
+            assert!(time.stamp_ns > last);
+            last = time.stamp_ns;
+            assert!((time.stamp_ns - taken_ns).abs() < 20_000_000, "frame {k}");
+        }
+        assert_eq!(fit.restarts(), 1);
+    }
+
+    #[test]
+    fn the_first_frame_is_not_later_than_its_arrival() {
+        let mut fit = ClockFit::default();
+        let time = fit.map(5, 1_000);
+        assert_eq!(time, HostTime { arrival_ns: 1_000, stamp_ns: 1_000 });
+        assert_eq!(fit.drift(), None);
+    }
+}

@@ -1,0 +1,220 @@
+//! Raw pictures on a pipe, one behind the other without any head: `1280x1024:bayer_rg8@60`.
+//!
+//! Such a pipe has no clock: frames are stamped as they arrive ([`Clock::HostArrival`]), with all the delays of the way, and
+//! lost frames show only as long steps. A camera program that knows the times should write a container instead (`-`).
+
+use super::super::decoded::PictureMaker;
+use super::super::host::HostClock;
+use super::super::stamps::StampWatch;
+use super::super::{Clock, Frame, FrameRate, FrameSource, HostTime, SourceError, Tally, Timestamp};
+use ffmpeg_the_third::codec::Id;
+use ffmpeg_the_third::format::Pixel;
+use ffmpeg_the_third::frame::Video;
+use std::io::{ErrorKind, Read};
+use std::str::FromStr;
+
+/// Names of pixel formats as GenICam and FFmpeg have them.
+const FORMATS: [(&str, Pixel); 16] = [
+    ("bayer_rg8", Pixel::BAYER_RGGB8),
+    ("bayer_bg8", Pixel::BAYER_BGGR8),
+    ("bayer_gr8", Pixel::BAYER_GRBG8),
+    ("bayer_gb8", Pixel::BAYER_GBRG8),
+    ("rgb24", Pixel::RGB24),
+    ("rgb8", Pixel::RGB24),
+    ("bgr24", Pixel::BGR24),
+    ("bgr8", Pixel::BGR24),
+    ("rgba", Pixel::RGBA),
+    ("bgra", Pixel::BGRA),
+    ("yuv420p", Pixel::YUV420P),
+    ("yuv422p", Pixel::YUV422P),
+    ("yuv444p", Pixel::YUV444P),
+    ("nv12", Pixel::NV12),
+    ("yuyv422", Pixel::YUYV422),
+    ("uyvy422", Pixel::UYVY422),
+];
+
+/// What is on the pipe, written `WIDTHxHEIGHT:FORMAT@RATE`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RawFormat {
+    /// Width and height, pixels.
+    pub size_px: [u32; 2],
+    pixel: Pixel,
+    /// Frames a second.
+    pub rate: FrameRate,
+}
+
+impl FromStr for RawFormat {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let wrong = |what: String| format!("`{text}`: {what}; write for example 1280x1024:bayer_rg8@60");
+        let (size, rest) = text.split_once(':').ok_or_else(|| wrong("the pixel format is missing".to_owned()))?;
+        let (format, rate) = rest.split_once('@').ok_or_else(|| wrong("the frame rate is missing".to_owned()))?;
+        let side = |text: &str| text.parse::<u32>().ok().filter(|n| (1..=16_384).contains(n));
+        let (width, height) = size
+            .split_once('x')
+            .and_then(|(w, h)| Some((side(w)?, side(h)?)))
+            .ok_or_else(|| wrong(format!("{size} is not a size in pixels, 1x1 to 16384x16384")))?;
+        let name = format.to_ascii_lowercase();
+        let (_, pixel) = FORMATS.iter().find(|(known, _)| *known == name).ok_or_else(|| {
+            let known: Vec<&str> = FORMATS.iter().map(|(name, _)| *name).collect();
+            wrong(format!("pixel format {format} is not one of {}", known.join(", ")))
+        })?;
+        let rate = rate.parse::<FrameRate>().map_err(|e| wrong(e.to_string()))?;
+        Ok(Self { size_px: [width, height], pixel: *pixel, rate })
+    }
+}
+
+/// Raw pictures out of a pipe.
+pub struct RawPictures {
+    name: String,
+    pipe: Box<dyn Read + Send>,
+    format: RawFormat,
+    pictures: PictureMaker,
+    clock: HostClock,
+    stamps: StampWatch,
+    tally: Tally,
+    seq: u64,
+}
+
+impl RawPictures {
+    /// Reads from `pipe`, called `name` in messages.
+    pub fn new(name: &str, pipe: Box<dyn Read + Send>, format: RawFormat, clock: HostClock) -> Self {
+        let stamps = StampWatch::new(name.to_owned(), format.rate.stamp_ns(1).map(|ns| ns as f64), 0.0);
+        let pictures = PictureMaker::new(name.into(), Id::RAWVIDEO);
+        Self { name: name.to_owned(), pipe, format, pictures, clock, stamps, tally: Tally::default(), seq: 0 }
+    }
+
+    /// Fills the planes of `frame`; false at the end of the pipe.
+    fn fill(&mut self, frame: &mut Video) -> Result<bool, SourceError> {
+        let mut begun = false;
+        for plane in 0..frame.planes() {
+            let (stride, rows) = (frame.stride(plane), frame.plane_height(plane) as usize);
+            let bytes = self.row_bytes(plane);
+            for row in 0..rows {
+                let Some(row) = frame.data_mut(plane).get_mut(row * stride..row * stride + bytes) else { continue };
+                match self.pipe.read_exact(row) {
+                    Ok(()) => begun = true,
+                    // A row may be begun too; a picture that is cut is worth a word, the end is not.
+                    Err(error) if error.kind() == ErrorKind::UnexpectedEof && !begun => return Ok(false),
+                    Err(error) if error.kind() == ErrorKind::UnexpectedEof => {
+                        let [width, height] = self.format.size_px;
+                        let reason = format!(
+                            "ends within picture {}: is it really {width}x{height} pixels of the format stated?",
+                            self.seq
+                        );
+                        return Err(SourceError::Raw { name: self.name.clone(), reason });
+                    }
+                    Err(error) => {
+                        return Err(SourceError::Raw { name: self.name.clone(), reason: error.to_string() });
+                    }
+                }
+            }
+        }
+        Ok(true)
+    }
+
+    /// Bytes of a row without padding.
+    fn row_bytes(&self, plane: usize) -> usize {
+        let width = self.format.size_px[0] as usize;
+        let half = width.div_ceil(2);
+        match (self.format.pixel, plane) {
+            (Pixel::RGB24 | Pixel::BGR24, _) => 3 * width,
+            (Pixel::RGBA | Pixel::BGRA, _) => 4 * width,
+            (Pixel::YUYV422 | Pixel::UYVY422, _) => 4 * half,
+            (Pixel::NV12, 1) => 2 * half,
+            (Pixel::YUV420P | Pixel::YUV422P, 1 | 2) => half,
+            _ => width,
+        }
+    }
+}
+
+impl FrameSource for RawPictures {
+    fn next_frame(&mut self) -> Result<Option<Frame>, SourceError> {
+        let [width, height] = self.format.size_px;
+        let mut frame = Video::new(self.format.pixel, width, height);
+        if !self.fill(&mut frame)? {
+            return Ok(None);
+        }
+        let ns = self.clock.now_ns();
+        let gap = self.stamps.gap(ns, self.seq, &mut self.tally);
+        let picture = self.pictures.picture(frame)?;
+        let stamp = Timestamp { ns, clock: Clock::HostArrival };
+        let host = Some(HostTime { arrival_ns: ns, stamp_ns: ns });
+        let seq = self.seq;
+        self.seq += 1;
+        Ok(Some(Frame { seq, stamp, gap, host, picture }))
+    }
+
+    fn size_px(&self) -> [u32; 2] {
+        self.format.size_px
+    }
+
+    fn frame_count_hint(&self) -> Option<u64> {
+        None
+    }
+
+    fn tally(&self) -> Tally {
+        self.tally
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read(bytes: Vec<u8>, format: &str) -> Vec<Result<Option<Frame>, SourceError>> {
+        let format = format.parse().unwrap();
+        let mut source = RawPictures::new("stdin", Box::new(std::io::Cursor::new(bytes)), format, HostClock::start());
+        let mut all = Vec::new();
+        while all.last().is_none_or(|last| matches!(last, Ok(Some(_)))) {
+            all.push(source.next_frame());
+        }
+        all
+    }
+
+    #[test]
+    fn pictures_follow_each_other_without_padding() {
+        // 6 x 4 pixels of 4:2:0: rows of 6 and 3 bytes, which libav pads.
+        let picture: Vec<u8> = (0..36).collect();
+        let frames = read([picture.clone(), picture].concat(), "6x4:yuv420p@60");
+        assert_eq!(frames.len(), 3);
+        let Ok(Some(second)) = &frames[1] else { panic!("{:?}", frames[1]) };
+        assert_eq!((second.seq, second.stamp.clock), (1, Clock::HostArrival));
+        assert_eq!(second.picture.plane(0).unwrap().row(1).unwrap(), [6, 7, 8, 9, 10, 11]);
+        assert_eq!(second.picture.plane(1).unwrap().row(1).unwrap(), [27, 28, 29]);
+        assert_eq!(second.picture.plane(2).unwrap().row(1).unwrap(), [33, 34, 35]);
+        assert!(matches!(frames[2], Ok(None)));
+    }
+
+    #[test]
+    fn a_bayer_mosaic_becomes_colours() {
+        // Red light alone: red samples bright, the others dark.
+        let mosaic = (0..16 * 16).map(|i| if i % 2 == 0 && (i / 16) % 2 == 0 { 200 } else { 10 }).collect();
+        let frames = read(mosaic, "16x16:bayer_rg8@60");
+        let Ok(Some(frame)) = &frames[0] else { panic!("{:?}", frames[0]) };
+        let at = |channel: usize| {
+            let plane = frame.picture.plane(channel).unwrap();
+            plane.row(8).unwrap()[8 * plane.step]
+        };
+        assert_eq!((at(0), at(1), at(2)), (200, 10, 10));
+    }
+
+    #[test]
+    fn a_picture_that_is_cut_is_named() {
+        let frames = read(vec![0; 100], "6x4:rgb24@60");
+        let error = frames[1].as_ref().unwrap_err().to_string();
+        assert!(error.contains("picture 1") && error.contains("6x4"), "{error}");
+    }
+
+    #[test]
+    fn what_is_wrong_with_a_format_is_said() {
+        let error = |text: &str| text.parse::<RawFormat>().unwrap_err();
+        assert!(error("1280x1024").contains("pixel format is missing"));
+        assert!(error("1280x1024:rgb24").contains("frame rate is missing"));
+        assert!(error("1280:rgb24@60").contains("1280 is not a size"));
+        assert!(error("0x4:rgb24@60").contains("0x4 is not a size"));
+        assert!(error("1280x1024:mono8@60").contains("bayer_rg8"));
+        assert!(error("1280x1024:rgb24@-3").contains("1280x1024:rgb24@-3"));
+    }
+}

@@ -1,0 +1,108 @@
+//! Live streams through libav: `rtsp://`, `http://`, `udp://`, `tcp://`, `srt://`, or a container on standard input (`-`).
+//!
+//! A stream in a network that ends or falls silent is opened again, once a second, until it is back or the run is stopped.
+//! Its stamps may begin anew then: the gap before its first frame is not known and counts as none, the interruption is
+//! counted ([`Tally::interruptions`]). Standard input ends for good.
+
+use super::super::host::{ClockFit, HostClock};
+use super::super::{Frame, FrameSource, SourceError, Tally, VideoFile};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+/// Time between two tries to open a stream again.
+const RETRY: Duration = Duration::from_secs(1);
+
+/// A live stream.
+pub struct Stream {
+    url: String,
+    /// `None` while it is away.
+    input: Option<VideoFile>,
+    size_px: [u32; 2],
+    clock: HostClock,
+    fit: ClockFit,
+    stop: Arc<AtomicBool>,
+    seq: u64,
+    /// Of the inputs that have ended.
+    past: Tally,
+}
+
+impl Stream {
+    /// Opens the stream at `url`, `-` for standard input.
+    ///
+    /// # Errors
+    /// When nobody answers, or there is no video in it.
+    pub fn open(url: &str, clock: HostClock, stop: Arc<AtomicBool>) -> Result<Self, SourceError> {
+        let input = VideoFile::stream(url)?;
+        let size_px = input.size_px();
+        let (fit, past) = (ClockFit::default(), Tally::default());
+        Ok(Self { url: url.to_owned(), input: Some(input), size_px, clock, fit, stop, seq: 0, past })
+    }
+
+    /// Waits until the stream can be opened again; `None` when asked to stop.
+    fn reopened(&self) -> Option<VideoFile> {
+        let lost = Instant::now();
+        loop {
+            let next_try = Instant::now() + RETRY;
+            while Instant::now() < next_try {
+                if self.stop.load(Ordering::Relaxed) {
+                    return None;
+                }
+                std::thread::sleep(Duration::from_millis(20));
+            }
+            match VideoFile::stream(&self.url) {
+                Ok(input) => {
+                    tracing::warn!("{}: the stream is back after {:.0} s", self.url, lost.elapsed().as_secs_f64());
+                    return Some(input);
+                }
+                Err(error) => tracing::debug!("{error}"),
+            }
+        }
+    }
+}
+
+impl FrameSource for Stream {
+    fn next_frame(&mut self) -> Result<Option<Frame>, SourceError> {
+        let comes_back = self.url != "-";
+        while !self.stop.load(Ordering::Relaxed) {
+            let Some(input) = &mut self.input else {
+                self.input = self.reopened();
+                continue;
+            };
+            let reason = match input.next_frame() {
+                Ok(Some(mut frame)) => {
+                    let arrival_ns = self.clock.at_ns(input.arrival().unwrap_or_else(Instant::now));
+                    frame.host = Some(self.fit.map(frame.stamp.ns, arrival_ns));
+                    frame.seq = self.seq;
+                    self.seq += 1;
+                    return Ok(Some(frame));
+                }
+                Ok(None) if !comes_back => return Ok(None),
+                Err(error) if !comes_back => return Err(error),
+                Ok(None) => "it has ended".to_owned(),
+                Err(error) => error.to_string(),
+            };
+            tracing::warn!("{}: the stream is interrupted ({reason}); waiting for it to come back", self.url);
+            self.past.add(input.tally());
+            self.past.interruptions += 1;
+            self.input = None;
+        }
+        Ok(None)
+    }
+
+    fn size_px(&self) -> [u32; 2] {
+        self.size_px
+    }
+
+    fn frame_count_hint(&self) -> Option<u64> {
+        None
+    }
+
+    fn tally(&self) -> Tally {
+        let mut all = self.past;
+        if let Some(input) = &self.input {
+            all.add(input.tally());
+        }
+        all
+    }
+}

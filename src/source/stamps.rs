@@ -1,0 +1,55 @@
+//! Camera frames lost between stamps, with a word to the user on stamps that are not in order.
+
+use super::Tally;
+use super::gaps::{GapCounter, Order, Rhythm, WINDOW};
+use super::times::seconds;
+
+/// A [`GapCounter`] that counts in a [`Tally`] what is odd, and warns of the first of each kind.
+pub(super) struct StampWatch {
+    name: String,
+    gaps: GapCounter,
+    varying_named: bool,
+}
+
+impl StampWatch {
+    /// `name` of the source; `declared_ns` and `tick_ns` as for [`GapCounter::new`].
+    pub(super) fn new(name: String, declared_ns: Option<f64>, tick_ns: f64) -> Self {
+        Self { name, gaps: GapCounter::new(declared_ns, tick_ns), varying_named: false }
+    }
+
+    /// Camera frames lost before frame `seq`, stamped `ns`.
+    pub(super) fn gap(&mut self, ns: i64, seq: u64, tally: &mut Tally) -> u32 {
+        let step = self.gaps.step(ns);
+        let (name, at_s) = (&self.name, seconds(ns));
+        match step.order {
+            Order::First | Order::Later => {}
+            Order::Same => {
+                tally.repeated_stamps += 1;
+                if tally.repeated_stamps == 1 {
+                    tracing::warn!("{name}: frame {seq} repeats the time stamp {at_s} s; it is kept, more are counted");
+                }
+            }
+            Order::Earlier { by_ns } => {
+                tally.backward_stamps += 1;
+                if tally.backward_stamps == 1 {
+                    tracing::warn!(
+                        "{name}: frame {seq} at {at_s} s is {} s earlier than one before it; it is kept, more are counted",
+                        seconds(by_ns)
+                    );
+                }
+            }
+        }
+        if let Rhythm::Varying { median_ns } = self.gaps.rhythm()
+            && !self.varying_named
+            && self.gaps.steps_seen() == WINDOW
+        {
+            self.varying_named = true;
+            tracing::warn!(
+                "{name}: the time from frame to frame varies (median {:.3} ms): single lost frames cannot be told from long \
+                 steps and are not counted",
+                median_ns * 1e-6
+            );
+        }
+        step.gap
+    }
+}
