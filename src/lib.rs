@@ -88,6 +88,10 @@ pub mod report;
 
 pub mod tally;
 
+pub mod live;
+
+pub mod log;
+
 pub mod pipeline;
 
 pub mod calibrate;

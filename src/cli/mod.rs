@@ -7,9 +7,12 @@ mod calibrate;
 mod failure;
 mod fitting;
 mod interrupt;
+mod live;
+mod log;
 mod output;
 mod progress;
 mod rig;
+mod run;
 mod track;
 
 pub(crate) use failure::{Exit, Failure};
@@ -57,6 +60,17 @@ of the same recording are replaced, those of another are not. Ctrl-C keeps what 
 Example:
   catoptra track sample_frames/planar.mkv --rig calibration/dev_tank/rig.toml -o out")]
     Track(track::Args),
+    /// Look into logs, and mend those that were cut off
+    #[command(after_help = "Example:\n  catoptra log info out/log.mcap")]
+    Log(log::Args),
+    /// Track a camera while it runs: θ to controllers within milliseconds, and a log that loses nothing
+    #[command(after_help = "\
+DIR gets log.mcap, track.csv, report.html and run.toml; every camera frame has its row, also when it
+was not tracked. Ctrl-C ends the run and completes the files. A killed run keeps all but its last second.
+Example:
+  catoptra live sample_frames/planar.mkv --realtime --rig calibration/dev_tank/rig.toml \\
+    --udp 127.0.0.1:5005 -o out")]
+    Live(live::Args),
 }
 
 /// Runs the program.
@@ -66,6 +80,8 @@ pub(crate) fn run() -> ExitCode {
     let result = match &cli.command {
         Command::Calibrate(args) => calibrate::run(args, cli.quiet),
         Command::Rig(args) => rig::run(args, cli.quiet),
+        Command::Live(args) => live::run(args, cli.quiet),
+        Command::Log(args) => log::run(args),
         Command::Track(args) => track::run(args, cli.quiet),
     };
     match result {

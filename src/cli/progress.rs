@@ -59,6 +59,40 @@ impl Progress {
     }
 }
 
+/// A line of text that changes in place, on a terminal only. It is gone when it is dropped.
+pub(super) struct Line(Option<ProgressBar>);
+
+impl Line {
+    /// None when `quiet`.
+    pub(super) fn new(quiet: bool) -> Self {
+        if quiet || !io::stderr().is_terminal() {
+            return Self(None);
+        }
+        let bar = ProgressBar::with_draw_target(None, ProgressDrawTarget::stderr());
+        if let Ok(style) = ProgressStyle::with_template("{msg}") {
+            bar.set_style(style);
+        }
+        *lock() = Some(bar.clone());
+        Self(Some(bar))
+    }
+
+    /// Shows `text`.
+    pub(super) fn set(&self, text: String) {
+        if let Some(bar) = &self.0 {
+            bar.set_message(text);
+        }
+    }
+}
+
+impl Drop for Line {
+    fn drop(&mut self) {
+        if let Some(bar) = &self.0 {
+            bar.finish_and_clear();
+            *lock() = None;
+        }
+    }
+}
+
 impl Drop for Progress {
     fn drop(&mut self) {
         self.bar.finish_and_clear();

@@ -1,6 +1,7 @@
 //! Where estimates go: each sink writes one file and can be closed at any moment.
 //!
 //! - [`McapSink`]: the log, everything there is, for Foxglove and for programs.
+//! - [`PublishSink`]: the topics of the log to live subscribers; [`UdpSink`]: θ to controllers.
 //! - [`CsvSink`]: the table, one row a camera frame, for people and spreadsheets.
 
 mod csv;
@@ -17,11 +18,15 @@ mod colour;
 mod encode;
 mod overlay;
 mod palette;
+mod publish;
 mod topics;
+mod udp;
 
 pub(crate) use clock::Origin;
 pub use overlay::OverlaySink;
 pub(crate) use palette::{Palette, Rgb};
+pub use publish::PublishSink;
+pub use udp::UdpSink;
 
 use crate::estimate::Estimate;
 use crate::rig::Rig;
@@ -44,11 +49,32 @@ pub trait Sink {
     /// [`SinkError`] when it cannot be written; what was written before stays readable after [`Sink::finish`].
     fn write(&mut self, estimate: &Estimate, picture: Option<&Picture>) -> Result<(), SinkError>;
 
+    /// Writes a coil current; only the log has a place for them.
+    ///
+    /// # Errors
+    /// As [`Sink::write`].
+    fn write_current(&mut self, _: &CurrentSample) -> Result<(), SinkError> {
+        Ok(())
+    }
+
     /// Completes the file. Called exactly once, after an interrupt or an error too.
     ///
     /// # Errors
     /// [`SinkError`] when the end cannot be written.
     fn finish(&mut self) -> Result<(), SinkError>;
+}
+
+/// Currents of the coils at one moment.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CurrentSample {
+    /// When they flowed, as well as it is known, by the host's clock: nanoseconds since 1970.
+    pub host_ns: i64,
+    /// When this computer had them, by the same clock.
+    pub arrival_ns: i64,
+    /// The sender's own count, if it has one.
+    pub seq: Option<u64>,
+    /// One entry a coil, amperes.
+    pub current_a: Vec<f64>,
 }
 
 /// The frame of reference that positions and directions are written in.
@@ -126,6 +152,14 @@ pub enum SinkError {
         found: [u32; 2],
         /// Width and height in the rig.
         expected: [u32; 2],
+    },
+    /// Nobody can subscribe.
+    #[error("cannot publish at {address}: {reason}; choose another address or port with --publish")]
+    Publish {
+        /// Where.
+        address: std::net::SocketAddr,
+        /// What the system said.
+        reason: String,
     },
     /// A message that cannot be encoded.
     #[error("cannot encode a message of {topic}: {reason}")]

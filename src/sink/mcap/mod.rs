@@ -8,6 +8,7 @@
 //! | `/camera/annotations` | `foxglove.ImageAnnotations` | every frame | outline, centre and label of every band in every view |
 //! | `/camera/calibration` | `foxglove.CameraCalibration` | once | intrinsics, `plumb_bob` |
 //! | `/tf` | `foxglove.FrameTransform` | once, if the rig has a base | place of frame `camera` in frame `base` |
+//! | `/coil/current` | `catoptra.Current` ([`messages::Current`]) | live, when given | currents of the coils, on the host's clock |
 //! | `/health` | `catoptra.Health` ([`messages::Health`]) | every second of camera time, and at the end | frames, losses, misses by reason, drift alarms (and when one is raised) |
 //!
 //! Attached are `rig.toml` and `options.toml`, the rig and the options of the run. The metadata record `catoptra` has the
@@ -26,7 +27,7 @@
 mod file;
 
 use super::topics::{Teller, file_time_ns};
-use super::{Sink, SinkError};
+use super::{CurrentSample, Sink, SinkError};
 use crate::estimate::Estimate;
 use crate::rig::Rig;
 use crate::source::Picture;
@@ -84,7 +85,7 @@ impl Sink for McapSink {
             self.begin(estimate, seq, times)?;
         }
         self.last = Some((seq, times));
-        for message in self.teller.frame(estimate, |_| true)? {
+        for message in self.teller.frame(estimate)? {
             self.file.message(&message, seq, times)?;
         }
         if u128::from(stamp_ns.abs_diff(self.flushed_ns)) >= FLUSH_AFTER.as_nanos() {
@@ -92,6 +93,12 @@ impl Sink for McapSink {
             self.file.flush()?;
         }
         Ok(())
+    }
+
+    fn write_current(&mut self, sample: &CurrentSample) -> Result<(), SinkError> {
+        let times = Times { log_ns: file_time_ns(sample.arrival_ns), publish_ns: file_time_ns(sample.host_ns) };
+        let seq = sample.seq.map_or(0, |seq| (seq & u64::from(u32::MAX)) as u32);
+        self.file.message(&Teller::current(sample)?, seq, times)
     }
 
     fn finish(&mut self) -> Result<(), SinkError> {

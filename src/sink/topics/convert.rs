@@ -63,6 +63,8 @@ impl Names {
             stamp_ns: estimate.stamp.ns,
             clock: estimate.stamp.clock.name().to_owned(),
             gap: estimate.gap,
+            host_stamp_ns: estimate.host.map(|host| host.stamp_ns),
+            arrival_ns: estimate.host.map(|host| host.arrival_ns),
             markers: estimate.markers.iter().enumerate().map(|(i, m)| self.one_marker(i, m)).collect(),
             tangent_status: self.status(&estimate.tangent),
             tangent: estimate.tangent.as_ref().ok().map(|t| self.tangent(t)),

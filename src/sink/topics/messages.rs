@@ -20,6 +20,10 @@ pub struct Estimate {
     pub clock: String,
     /// Camera frames lost before this one.
     pub gap: u32,
+    /// Live: the camera time on the clock of the host, nanoseconds since 1970, up to the least delay of the way here.
+    pub host_stamp_ns: Option<i64>,
+    /// Live: when the frame had arrived, on the same clock.
+    pub arrival_ns: Option<i64>,
     /// One entry a marker, in the rig's order.
     pub markers: Vec<Marker>,
     /// Whether the direction of the coil is known.
@@ -30,6 +34,19 @@ pub struct Estimate {
     pub deflection_status: Status,
     /// Deflection of the coil in the base frame.
     pub deflection: Option<Angles>,
+}
+
+/// Currents of the coils at one moment of the host's clock: that of `host_stamp_ns` in [`Estimate`].
+#[derive(Debug, Clone, PartialEq, Encode)]
+pub struct Current {
+    /// When they flowed, as well as it is known, nanoseconds since 1970.
+    pub host_ns: i64,
+    /// When the computer that tracks had them, nanoseconds since 1970.
+    pub arrival_ns: i64,
+    /// The sender's own count.
+    pub seq: Option<u64>,
+    /// One entry a coil, amperes.
+    pub current_a: Vec<f64>,
 }
 
 /// `ok`, or why something was not measured, with the number that explains it.

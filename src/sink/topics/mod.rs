@@ -10,14 +10,14 @@ pub mod messages;
 mod scene;
 mod schema;
 
-use super::SinkError;
+use super::{CurrentSample, SinkError};
 use crate::estimate::Estimate;
 use crate::rig::{Camera, Rig};
 use convert::Names;
 use foxglove::messages::{CameraCalibration, Color, FrameTransform, ImageAnnotations, SceneUpdate};
 use foxglove::{Encode, Schema};
 use health::Tally;
-use messages::{Deflection, Health};
+use messages::{Current, Deflection, Health};
 use scene::Scene;
 use schema::Catoptra;
 
@@ -36,10 +36,11 @@ pub(super) enum Topic {
     Calibration,
     Transform,
     Health,
+    Current,
 }
 
 impl Topic {
-    pub(super) const ALL: [Self; 7] = [
+    pub(super) const ALL: [Self; 8] = [
         Self::Estimate,
         Self::Deflection,
         Self::Scene,
@@ -47,6 +48,7 @@ impl Topic {
         Self::Calibration,
         Self::Transform,
         Self::Health,
+        Self::Current,
     ];
 
     pub(super) fn name(self) -> &'static str {
@@ -58,6 +60,7 @@ impl Topic {
             Self::Calibration => "/camera/calibration",
             Self::Transform => "/tf",
             Self::Health => "/health",
+            Self::Current => "/coil/current",
         }
     }
 
@@ -70,6 +73,7 @@ impl Topic {
             Self::Calibration => CameraCalibration::get_schema(),
             Self::Transform => FrameTransform::get_schema(),
             Self::Health => Catoptra::<Health>::get_schema(),
+            Self::Current => Catoptra::<Current>::get_schema(),
         }
     }
 }
@@ -120,32 +124,30 @@ impl Teller {
         Ok(std::iter::once(calibration).chain(transform).collect())
     }
 
-    /// What is told of a frame, on the topics that are `wanted`; the totals follow every frame, and are told once a second.
-    pub(super) fn frame(
-        &mut self,
-        estimate: &Estimate,
-        wanted: impl Fn(Topic) -> bool,
-    ) -> Result<Vec<Message>, SinkError> {
-        let mut messages = Vec::with_capacity(Topic::ALL.len());
-        if wanted(Topic::Estimate) {
-            messages.push(Message::of(Topic::Estimate, &Catoptra(self.names.estimate(estimate)))?);
-        }
-        if wanted(Topic::Deflection) {
-            messages.push(Message::of(Topic::Deflection, &Catoptra(self.names.deflection(estimate)))?);
-        }
-        if wanted(Topic::Scene) {
-            messages.push(Message::of(Topic::Scene, &self.scene.update(estimate))?);
-        }
-        if wanted(Topic::Annotations) {
-            let annotations = camera::annotations(&self.names, &self.colours, estimate);
-            messages.push(Message::of(Topic::Annotations, &annotations)?);
-        }
-        if let Some(totals) = self.tally.count(&self.names, estimate)
-            && wanted(Topic::Health)
-        {
+    /// What is told of a frame; totals once a second.
+    pub(super) fn frame(&mut self, estimate: &Estimate) -> Result<Vec<Message>, SinkError> {
+        let annotations = camera::annotations(&self.names, &self.colours, estimate);
+        let mut messages = vec![
+            Message::of(Topic::Estimate, &Catoptra(self.names.estimate(estimate)))?,
+            Message::of(Topic::Deflection, &Catoptra(self.names.deflection(estimate)))?,
+            Message::of(Topic::Scene, &self.scene.update(estimate))?,
+            Message::of(Topic::Annotations, &annotations)?,
+        ];
+        if let Some(totals) = self.tally.count(&self.names, estimate) {
             messages.push(Message::of(Topic::Health, &Catoptra(totals.clone()))?);
         }
         Ok(messages)
+    }
+
+    /// Currents of the coils.
+    pub(super) fn current(sample: &CurrentSample) -> Result<Message, SinkError> {
+        let current = Current {
+            host_ns: sample.host_ns,
+            arrival_ns: sample.arrival_ns,
+            seq: sample.seq,
+            current_a: sample.current_a.clone(),
+        };
+        Message::of(Topic::Current, &Catoptra(current))
     }
 
     /// The totals so far.

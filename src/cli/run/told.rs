@@ -12,8 +12,13 @@ use std::fmt::{self, Write as _};
 const DRIFT_ADVICE: &str = "mirror, camera or tank have moved since the calibration. Put the rig right with \
                             `catoptra calibrate mirror --from-markers VIDEO --rig RIG.toml`, and track again";
 
+/// What to do about a drift alarm.
+pub(in crate::cli) fn advice() -> &'static str {
+    DRIFT_ADVICE
+}
+
 /// A warning for every alarm beyond the first `told` ones; how many there are now.
-pub(super) fn new_alarms(tally: &Tally, recording: &str, told: usize) -> usize {
+pub(in crate::cli) fn new_alarms(tally: &Tally, recording: &str, told: usize) -> usize {
     for (ns, what) in tally.alarms().skip(told) {
         tracing::warn!("{recording}: at {:.3} s: {what}: {DRIFT_ADVICE}", seconds(ns));
     }
@@ -21,7 +26,13 @@ pub(super) fn new_alarms(tally: &Tally, recording: &str, told: usize) -> usize {
 }
 
 /// The summary of a run of `recording`.
-pub(super) fn summary(out: &mut String, recording: &str, run: &Summary, files: &Files, rig: &Rig) -> fmt::Result {
+pub(in crate::cli) fn summary(
+    out: &mut String,
+    recording: &str,
+    run: &Summary,
+    files: &Files,
+    rig: &Rig,
+) -> fmt::Result {
     let tally = &run.tally;
     writeln!(out, "{recording}: {}", received(tally))?;
     let name_width = tally.markers.iter().map(|m| m.name.chars().count()).max().unwrap_or(0).max(10);
@@ -87,7 +98,7 @@ fn reasons(tally: &Tally, what: &str) -> String {
 }
 
 /// Why the run is of no use, if it is of none: a marker was never located, or the direction of the coil never known.
-pub(super) fn unusable(rig: &Rig, tally: &Tally) -> Option<String> {
+pub(in crate::cli) fn unusable(rig: &Rig, tally: &Tally) -> Option<String> {
     let never: Vec<_> = tally.markers.iter().filter(|m| m.answered == 0).map(|m| m.name.as_str()).collect();
     let frames = match tally.frames {
         0 => return None,

@@ -6,7 +6,6 @@
 //! run is refused before any work.
 
 use super::super::{Exit, Failure};
-use catoptra::sink::OutputFrame;
 use serde::{Deserialize, Serialize};
 use std::ffi::OsStr;
 use std::fs;
@@ -21,52 +20,44 @@ const OVERLAY: &str = "overlay.mp4";
 
 /// The files of a run.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct Files {
-    pub(super) folder: PathBuf,
-    pub(super) log: PathBuf,
+pub(in crate::cli) struct Files {
+    pub(in crate::cli) folder: PathBuf,
+    pub(in crate::cli) log: PathBuf,
     /// In the folder, or where the user wants it.
-    pub(super) table: PathBuf,
-    pub(super) report: PathBuf,
+    pub(in crate::cli) table: PathBuf,
+    pub(in crate::cli) report: PathBuf,
     /// If an overlay is wanted.
-    pub(super) overlay: Option<PathBuf>,
+    pub(in crate::cli) overlay: Option<PathBuf>,
 }
 
 /// What was run: `run.toml`, and the options attached to the log. Options that do not change results are not in it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub(super) struct Run {
+pub(in crate::cli) struct Run {
     /// Which command wrote it.
-    pub(super) command: String,
-    pub(super) version: String,
+    pub(in crate::cli) command: String,
+    pub(in crate::cli) version: String,
     /// Whole path of the recording.
-    pub(super) recording: String,
+    pub(in crate::cli) recording: String,
     /// Whole path of the rig file.
-    pub(super) rig: String,
+    pub(in crate::cli) rig: String,
     /// Frame of reference of the table and the report.
-    pub(super) frame: String,
-    pub(super) from_s: Option<f64>,
-    pub(super) to_s: Option<f64>,
+    pub(in crate::cli) frame: String,
+    pub(in crate::cli) from_s: Option<f64>,
+    pub(in crate::cli) to_s: Option<f64>,
     /// Frames a second as stated by the user.
-    pub(super) fps: Option<String>,
-    pub(super) full_frame: bool,
+    pub(in crate::cli) fps: Option<String>,
+    pub(in crate::cli) full_frame: bool,
 }
 
 impl Run {
     /// As text.
-    pub(super) fn to_toml(&self) -> Result<String, Failure> {
+    pub(in crate::cli) fn to_toml(&self) -> Result<String, Failure> {
         toml::to_string(self).map_err(|e| Failure::new(Exit::Failed, format!("cannot write the run's options: {e}")))
     }
 }
 
-/// The word for a frame of reference.
-pub(super) fn frame_word(frame: OutputFrame) -> &'static str {
-    match frame {
-        OutputFrame::Base => "base",
-        OutputFrame::Camera => "camera",
-    }
-}
-
 /// The whole path of something that exists; as given when the system cannot say.
-pub(super) fn whole_path(path: &Path) -> PathBuf {
+pub(in crate::cli) fn whole_path(path: &Path) -> PathBuf {
     path.canonicalize().unwrap_or_else(|_| path.to_owned())
 }
 
@@ -79,12 +70,12 @@ fn is_table(path: &Path) -> bool {
 }
 
 /// A path as text that no other path has: bytes that are no text are spelled out.
-pub(super) fn unlike_others(path: &Path) -> String {
+pub(in crate::cli) fn unlike_others(path: &Path) -> String {
     path.to_str().map_or_else(|| format!("{path:?}"), str::to_owned)
 }
 
 /// Where results go when the user does not say: a folder here, named after the recording.
-pub(super) fn default_folder(recording: &Path) -> PathBuf {
+pub(in crate::cli) fn default_folder(recording: &Path) -> PathBuf {
     let whole = whole_path(recording);
     let name = if recording.is_dir() { whole.file_name() } else { whole.file_stem() };
     let mut folder = name.unwrap_or(OsStr::new("recording")).to_owned();
@@ -94,7 +85,7 @@ pub(super) fn default_folder(recording: &Path) -> PathBuf {
 
 impl Files {
     /// In `folder`; the table at `table` if that is given.
-    pub(super) fn new(folder: &Path, table: Option<&Path>, overlay: bool) -> Self {
+    pub(in crate::cli) fn new(folder: &Path, table: Option<&Path>, overlay: bool) -> Self {
         let file = |name: &str| folder.join(name);
         Self {
             log: file(LOG),
@@ -113,7 +104,7 @@ impl Files {
     ///
     /// # Errors
     /// [`Exit::Usage`] when something is there that must not be replaced, [`Exit::Failed`] when the folder cannot be written.
-    pub(super) fn prepare(&self, run: &Run, inputs: &[&Path]) -> Result<(), Failure> {
+    pub(in crate::cli) fn prepare(&self, run: &Run, inputs: &[&Path]) -> Result<(), Failure> {
         let taken = |path: &&PathBuf| inputs.iter().any(|input| path.exists() && whole_path(path) == whole_path(input));
         if let Some(input) = self.all().find(taken) {
             let refused = format!("{}: would be written over, and is read by this run", input.display());
@@ -142,6 +133,19 @@ impl Files {
         }
         let path = self.folder.join(RUN);
         fs::write(&path, format!("# What these results are of.\n{}", run.to_toml()?)).map_err(|e| cannot(&path, e))
+    }
+
+    /// Makes the folder ready for a run that cannot be repeated: nothing there is replaced.
+    ///
+    /// # Errors
+    /// As [`Files::prepare`].
+    pub(in crate::cli) fn prepare_new(&self, run: &Run, inputs: &[&Path]) -> Result<(), Failure> {
+        if let Some(there) = [RUN, LOG, TABLE, REPORT, OVERLAY].iter().find(|name| self.folder.join(name).exists()) {
+            let text =
+                format!("{}: has a {there} of an earlier run; choose another folder with -o", self.folder.display());
+            return Err(Failure::new(Exit::Usage, text));
+        }
+        self.prepare(run, inputs)
     }
 
     /// Refuses a folder that is a file, and a table that would take the place of another file.

@@ -1,0 +1,213 @@
+//! `catoptra live`: a camera, tracked while it runs; θ to controllers and subscribers, everything to the log.
+
+mod status;
+
+use super::run::folder::{Files, Run, unlike_others, whole_path};
+use super::run::{Reference, load_rig, open_sinks, pool, tell_warnings, told, verdict};
+use super::{Exit, Failure, interrupt, output};
+use catoptra::live::{self, LiveSummary, Outputs, Until};
+use catoptra::report::RunInfo;
+use catoptra::rig::Rig;
+use catoptra::sink::{PublishSink, Sink, UdpSink};
+use catoptra::source::host::HostClock;
+use catoptra::source::live::{Paced, RawFormat, RawPictures, Stream};
+use catoptra::source::times::parse_seconds_ns;
+use catoptra::source::{self, FrameSource, SourceOptions};
+use catoptra::track::{TrackOptions, Tracker};
+use clap::builder::RangedU64ValueParser;
+use status::StatusLine;
+use std::fmt::Write as _;
+use std::net::{SocketAddr, ToSocketAddrs as _};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+use std::time::Duration;
+
+/// Arguments of `catoptra live`.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// rtsp://…, http://…, udp://… or another stream, - for standard input, a recording with --realtime
+    #[arg(value_name = "SOURCE")]
+    source: String,
+    /// The rig, with colours and base frame
+    #[arg(long, value_name = "RIG.toml")]
+    rig: PathBuf,
+    /// Folder for the results, a new one for every run [default: live-1, live-2, …]
+    #[arg(short, long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// Play a recording at its own pace
+    #[arg(long, conflicts_with = "raw")]
+    realtime: bool,
+    /// Standard input has raw pictures: size, pixel format and rate, as 1280x1024:bayer_rg8@60
+    #[arg(long, value_name = "FORMAT")]
+    raw: Option<RawFormat>,
+    /// Send θ to a controller, a JSON datagram a frame
+    #[arg(long, value_name = "HOST:PORT", value_parser = address)]
+    udp: Option<SocketAddr>,
+    /// Serve the log's topics to Foxglove and programs [default address: ws://127.0.0.1:8765]
+    #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = "127.0.0.1:8765", value_parser = listening)]
+    publish: Option<SocketAddr>,
+    /// Stop after T seconds
+    #[arg(long, value_name = "T", value_parser = duration)]
+    duration: Option<Duration>,
+    /// Frame of reference of table and report
+    #[arg(long, value_enum, default_value_t = Reference::Base)]
+    frame: Reference,
+    /// Threads of the tracker [default: one a core]
+    #[arg(long, value_name = "N", value_parser = RangedU64ValueParser::<usize>::new().range(1..=256))]
+    threads: Option<usize>,
+}
+
+fn address(text: &str) -> Result<SocketAddr, String> {
+    let mut found = text.to_socket_addrs().map_err(|e| format!("{e}; write HOST:PORT, as 192.168.1.20:5005"))?;
+    found.next().ok_or_else(|| "no such host".to_owned())
+}
+
+/// `ws://HOST:PORT`, `HOST:PORT`, `:PORT` or `PORT`; this computer alone when no host is named.
+fn listening(text: &str) -> Result<SocketAddr, String> {
+    let place = text.strip_prefix("ws://").unwrap_or(text).trim_end_matches('/');
+    let port = place.strip_prefix(':').unwrap_or(place);
+    if let Ok(port) = port.parse::<u16>() {
+        return Ok(SocketAddr::from(([127, 0, 0, 1], port)));
+    }
+    address(place)
+}
+
+fn duration(text: &str) -> Result<Duration, String> {
+    let ns = parse_seconds_ns(text).and_then(|ns| u64::try_from(ns).ok()).filter(|ns| *ns > 0);
+    ns.map(Duration::from_nanos).ok_or_else(|| "expected seconds above 0, such as 600".to_owned())
+}
+
+pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
+    let until = Until { stop: interrupt::watch()?, duration: args.duration };
+    // 1. everything is judged before anything is written
+    let (rig, rig_toml) = load_rig(&args.rig, args.frame)?;
+    let tracker = Tracker::new(&rig, TrackOptions::default())
+        .map_err(|e| Failure::new(Exit::Usage, format!("{}: {e}", args.rig.display())))?;
+    tell_warnings(&args.rig, &rig)?;
+    let controllers = args.udp.map(|to| UdpSink::to(to, &rig)).transpose();
+    let controllers = controllers.map_err(|e| Failure::new(Exit::Failed, format!("cannot send datagrams: {e}")))?;
+    let publisher = args.publish.map(|at| PublishSink::listen(at, &rig)).transpose();
+    let publisher = publisher.map_err(|e| Failure::new(Exit::Failed, e))?;
+    if let Some(publisher) = &publisher {
+        tracing::info!("subscribers find the topics at ws://{}", publisher.address());
+    }
+    let clock = HostClock::start();
+    let source = args.open(clock, &until.stop)?;
+    fits(&args.source, source.as_ref(), &args.rig, &rig)?;
+    // 2. the files
+    let run = args.described();
+    let run_toml = run.to_toml()?;
+    let files = Files::new(&args.folder(), None, false);
+    files.prepare_new(&run, &[&args.rig])?;
+    let files_open = open_sinks(&files, &rig, [&rig_toml, &run_toml], args.frame, args.info())?;
+    // 3. the run
+    let subscribers = publisher.map(|sink| Box::new(sink) as Box<dyn Sink + Send>);
+    let outputs = Outputs { files: files_open, controllers, subscribers, currents: None };
+    let mut line = StatusLine::new(&args.source, &files.folder, quiet);
+    let pool = pool(args.threads.unwrap_or(0))?;
+    let show = |status: &live::Status| line.show(status);
+    let summary = live::run(source, tracker, pool, outputs, clock, &until, show)
+        .map_err(|e| Failure::new(Exit::Failed, format!("cannot start a thread: {e}")))?;
+    drop(line);
+    // 4. what came of it
+    if !quiet {
+        let mut text = String::new();
+        told::summary(&mut text, &args.source, &summary.run, &files, &rig)
+            .and_then(|()| text.write_str(&lines(&summary)))
+            .map_err(|e| Failure::new(Exit::Failed, format!("cannot describe the run: {e}")))?;
+        output::print(&text)?;
+    }
+    if summary.unlogged > 0 {
+        let text = format!("{} frames are missing in the files: the disk was too slow", summary.unlogged);
+        return Err(Failure::new(Exit::Failed, text));
+    }
+    verdict(&args.source, &rig, summary.run)
+}
+
+/// What only a live run has to tell.
+fn lines(summary: &LiveSummary) -> String {
+    let latency = summary.latency;
+    let ms = |us: u64| us as f64 * 1e-3;
+    let mut text = format!(
+        "from a frame's arrival to its θ: median {:.2} ms, 99 of 100 within {:.2} ms, longest {:.2} ms\n",
+        ms(latency.p50_us),
+        ms(latency.p99_us),
+        ms(latency.max_us)
+    );
+    let interruptions = summary.run.source.interruptions;
+    if interruptions > 0 {
+        text += &format!("the stream was away {interruptions} times\n");
+    }
+    if summary.unpublished > 0 {
+        text += &format!("subscribers missed {} frames; the log has them\n", summary.unpublished);
+    }
+    text
+}
+
+/// Refuses a camera that is not the rig's.
+fn fits(name: &str, source: &dyn FrameSource, rig_file: &Path, rig: &Rig) -> Result<(), Failure> {
+    let ([width, height], [w, h]) = (source.size_px(), rig.camera.size_px);
+    if [width, height] == [w, h] {
+        return Ok(());
+    }
+    let text = format!(
+        "{name}: pictures of {width}x{height} pixels, but the camera in {} has {w}x{h}; a calibration holds for one size only",
+        rig_file.display()
+    );
+    Err(Failure::new(Exit::Usage, text))
+}
+
+impl Args {
+    fn open(&self, clock: HostClock, stop: &Arc<AtomicBool>) -> Result<Box<dyn FrameSource + Send>, Failure> {
+        let usage = |text: String| Failure::new(Exit::Usage, text);
+        let invalid = |e: source::SourceError| Failure::new(Exit::Usage, e);
+        if let Some(format) = self.raw {
+            if self.source != "-" {
+                return Err(usage(format!(
+                    "{}: --raw describes what is on standard input: give - as the source",
+                    self.source
+                )));
+            }
+            return Ok(Box::new(RawPictures::new("standard input", Box::new(std::io::stdin()), format, clock)));
+        }
+        if self.realtime {
+            let recording = source::open(&self.source, SourceOptions::default()).map_err(invalid)?;
+            return Ok(Box::new(Paced::new(recording, clock, Arc::clone(stop))));
+        }
+        if Path::new(&self.source).exists() {
+            let advice = "is a file or folder: play it at its own pace with --realtime, or use `catoptra track`";
+            return Err(usage(format!("{}: {advice}", self.source)));
+        }
+        Ok(Box::new(Stream::open(&self.source, clock, Arc::clone(stop)).map_err(invalid)?))
+    }
+
+    /// The folder asked for, or the first free one.
+    fn folder(&self) -> PathBuf {
+        let free = || (1..).map(|n| PathBuf::from(format!("live-{n}"))).find(|folder| !folder.exists());
+        self.out.clone().or_else(free).unwrap_or_else(|| "live".into())
+    }
+
+    fn described(&self) -> Run {
+        Run {
+            command: "live".to_owned(),
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+            recording: self.source.clone(),
+            rig: unlike_others(&whole_path(&self.rig)),
+            frame: self.frame.word().to_owned(),
+            from_s: None,
+            to_s: None,
+            fps: self.raw.map(|format| format.rate.to_string()),
+            full_frame: false,
+        }
+    }
+
+    fn info(&self) -> RunInfo {
+        RunInfo {
+            source: self.source.clone(),
+            rig: self.rig.display().to_string(),
+            settings: Vec::new(),
+            camera_frame: self.frame == Reference::Camera,
+        }
+    }
+}

@@ -1,0 +1,100 @@
+//! The status line of a live run, and warnings that cannot wait for its end.
+
+use super::super::progress::Line;
+use super::super::run::told::advice;
+use catoptra::live::Status;
+use catoptra::source::times::seconds;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// Left on the disk, seconds of this run at its present rate: worth a word, each once.
+const SHORT_S: [f64; 3] = [1800.0, 300.0, 60.0];
+
+/// One line that says how it goes, on a terminal only.
+pub(super) struct StatusLine {
+    source: String,
+    folder: PathBuf,
+    line: Line,
+    began: (Instant, u64),
+    told_alarms: usize,
+    told_short: usize,
+    told_skipped: bool,
+    last: Instant,
+}
+
+impl StatusLine {
+    pub(super) fn new(source: &str, folder: &Path, quiet: bool) -> Self {
+        let began = (Instant::now(), free_bytes(folder).unwrap_or(0));
+        Self {
+            source: source.to_owned(),
+            folder: folder.to_owned(),
+            line: Line::new(quiet),
+            began,
+            told_alarms: 0,
+            told_short: 0,
+            told_skipped: false,
+            last: Instant::now(),
+        }
+    }
+
+    pub(super) fn show(&mut self, status: &Status) {
+        let source = &self.source;
+        for (ns, what) in status.alarms.iter().skip(self.told_alarms) {
+            tracing::warn!("{source}: at {:.3} s: {what}: {}", seconds(*ns), advice());
+        }
+        self.told_alarms = status.alarms.len();
+        if status.skipped > 0 && !self.told_skipped {
+            self.told_skipped = true;
+            tracing::warn!("{source}: the tracker does not keep up: frames are passed over, each has its row");
+        }
+        let elapsed_s = self.last.elapsed().as_secs_f64().max(1e-3);
+        self.last = Instant::now();
+        let rate = status.new_frames as f64 / elapsed_s;
+        let angle = status.theta_rad.map_or("θ –".to_owned(), |(theta, sd)| {
+            format!("θ {:+.2}° ± {:.2}", theta.to_degrees(), sd.to_degrees())
+        });
+        let (seen, markers) = status.markers;
+        let ms = |us: u64| us as f64 * 1e-3;
+        let (p50, p99) = (ms(status.latency.p50_us), ms(status.latency.p99_us));
+        let mut text = format!(
+            "{rate:5.1} Hz · {} lost · {} skipped · {p50:.1}/{p99:.1} ms · {angle} · {seen} of {markers} markers",
+            status.lost, status.skipped
+        );
+        if let Some(free) = free_bytes(&self.folder) {
+            text += &format!(" · disk {:.1} GB", free as f64 * 1e-9);
+            self.warn_of_short_disk(free);
+        }
+        if status.backlog > 60 {
+            text += &format!(" · {} rows wait for it", status.backlog);
+        }
+        if !status.alarms.is_empty() {
+            text += " · DRIFT";
+        }
+        self.line.set(text);
+    }
+
+    fn warn_of_short_disk(&mut self, free: u64) {
+        let (began, free_then) = self.began;
+        let per_second = free_then.saturating_sub(free) as f64 / began.elapsed().as_secs_f64().max(1.0);
+        let left_s = free as f64 / per_second.max(1.0);
+        let short = SHORT_S.iter().filter(|limit| left_s < **limit).count();
+        if short > self.told_short {
+            self.told_short = short;
+            tracing::warn!("{}: the disk is full in {:.0} minutes at this rate", self.folder.display(), left_s / 60.0);
+        }
+    }
+}
+
+/// Bytes that may still be written there.
+fn free_bytes(folder: &Path) -> Option<u64> {
+    #[cfg(unix)]
+    {
+        let stat = rustix::fs::statvfs(folder).ok()?;
+        Some(stat.f_bavail.saturating_mul(stat.f_frsize))
+    }
+    #[cfg(not(unix))]
+    {
+        let _ = folder;
+        None
+    }
+}

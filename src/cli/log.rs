@@ -1,0 +1,107 @@
+//! `catoptra log`: what is in a log, and one that was cut off made whole.
+
+use super::{Exit, Failure, output};
+use catoptra::log::{Info, LogError, Repaired, repair};
+use catoptra::sink::spoken;
+use catoptra::source::times::seconds;
+use clap::Subcommand;
+use std::fmt::{self, Write as _};
+use std::path::PathBuf;
+
+/// Arguments of `catoptra log`.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Tell what is in a log: frames, gaps, clocks, what was missed and why
+    #[command(after_help = "Example:\n  catoptra log info out/log.mcap")]
+    Info {
+        /// The log
+        #[arg(value_name = "LOG.mcap")]
+        file: PathBuf,
+    },
+    /// Give a log that was cut off its end and index again
+    #[command(after_help = "\
+Everything that is whole is kept; the broken file stays beside the new one as LOG.mcap.bak.
+Example:
+  catoptra log repair out/log.mcap")]
+    Repair {
+        /// The log
+        #[arg(value_name = "LOG.mcap")]
+        file: PathBuf,
+    },
+}
+
+pub(crate) fn run(args: &Args) -> Result<(), Failure> {
+    match &args.command {
+        Command::Info { file } => {
+            let info = Info::read(file).map_err(failure)?;
+            let mut text = String::new();
+            told(&mut text, &file.display().to_string(), &info)
+                .map_err(|e| Failure::new(Exit::Failed, format!("cannot describe the log: {e}")))?;
+            output::print(&text)
+        }
+        Command::Repair { file } => match repair(file).map_err(failure)? {
+            Repaired::WasWhole => output::print(&format!("{}: is whole, nothing to repair\n", file.display())),
+            Repaired::Mended { messages, why, kept_as } => output::print(&format!(
+                "{}: is whole again, {messages} messages saved ({why}); as it was: {}\n",
+                file.display(),
+                kept_as.display()
+            )),
+        },
+    }
+}
+
+fn failure(error: LogError) -> Failure {
+    let exit = match error {
+        LogError::NotMcap { .. } | LogError::NotOurs { .. } => Exit::Usage,
+        LogError::Io { .. } | LogError::Repair { .. } => Exit::Failed,
+    };
+    Failure::new(exit, error)
+}
+
+fn told(out: &mut String, name: &str, info: &Info) -> fmt::Result {
+    writeln!(out, "{name}: written by {}", info.library)?;
+    match &info.cut {
+        None => writeln!(out, "  whole, with index")?,
+        Some(why) => writeln!(out, "  cut off ({why}); `catoptra log repair` makes it whole")?,
+    }
+    if let Some((first, last)) = info.span_ns {
+        let clock = info.clock.as_deref().unwrap_or("unknown");
+        writeln!(out, "\n  {} frames, {:.3} s to {:.3} s, clock {clock}", info.frames, seconds(first), seconds(last))?;
+    } else {
+        writeln!(out, "\n  no frame")?;
+    }
+    if let Some((first, last)) = info.host_span_ns {
+        writeln!(
+            out,
+            "  by the host's clock {:.3} s, from {:.3} s after 1970 on",
+            seconds(last - first),
+            seconds(first)
+        )?;
+    }
+    let (gaps, lost) = info.gaps;
+    writeln!(out, "  {lost} camera frames lost in {gaps} gaps")?;
+    for (count, what) in
+        [(info.rows_missing, "rows are missing"), (info.not_later, "stamps are not later than the one before")]
+    {
+        if count > 0 {
+            writeln!(out, "  {count} {what}")?;
+        }
+    }
+    for ((what, word), frames) in &info.misses {
+        writeln!(out, "  {what}: {frames} {}", spoken(word))?;
+    }
+    writeln!(out)?;
+    for topic in &info.topics {
+        writeln!(out, "  {:<22} {:>8}  {}", topic.name, topic.messages, topic.schema)?;
+    }
+    for (name, bytes) in &info.attachments {
+        writeln!(out, "  attached: {name}, {bytes} bytes")?;
+    }
+    Ok(())
+}

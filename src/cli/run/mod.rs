@@ -1,0 +1,122 @@
+//! What tracking of a recording and tracking live have in common: the rig, the files, the last words.
+
+pub(super) mod folder;
+pub(super) mod told;
+
+use super::{Exit, Failure};
+use catoptra::pipeline::{End, Summary};
+use catoptra::report::{ReportSink, RunInfo};
+use catoptra::rig::check::{Warning, check};
+use catoptra::rig::{Rig, RigError};
+use catoptra::sink::{CsvSink, McapSink, OutputFrame, OverlaySink, Sink, SinkError};
+use catoptra::source::times::seconds;
+use folder::Files;
+use std::path::Path;
+
+/// The frame of reference of table and report.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub(super) enum Reference {
+    Base,
+    Camera,
+}
+
+impl From<Reference> for OutputFrame {
+    fn from(reference: Reference) -> Self {
+        match reference {
+            Reference::Base => Self::Base,
+            Reference::Camera => Self::Camera,
+        }
+    }
+}
+
+impl Reference {
+    /// The word for it.
+    pub(super) fn word(self) -> &'static str {
+        match self {
+            Self::Base => "base",
+            Self::Camera => "camera",
+        }
+    }
+}
+
+/// The threads that fit, for `threads` of them; 0 for one a core.
+pub(super) fn pool(threads: usize) -> Result<rayon::ThreadPool, Failure> {
+    rayon::ThreadPoolBuilder::new()
+        .num_threads(threads)
+        .build()
+        .map_err(|e| Failure::new(Exit::Failed, format!("cannot start the tracker's threads: {e}")))
+}
+
+/// The rig in `file`, and its text.
+pub(super) fn load_rig(file: &Path, reference: Reference) -> Result<(Rig, String), Failure> {
+    let text = std::fs::read_to_string(file).map_err(|source| RigError::Read { file: file.to_owned(), source })?;
+    let rig = Rig::from_toml_str(&text, file)?;
+    if OutputFrame::from(reference).output_from_camera(&rig).is_none() {
+        let missing = "has no [base]: measure it with `catoptra calibrate base`, or track in the camera's frame with \
+                       --frame camera";
+        return Err(Failure::new(Exit::Usage, format!("{}: {missing}", file.display())));
+    }
+    Ok((rig, text))
+}
+
+/// What `catoptra rig check` would warn of: who never asked must not learn it from the results.
+pub(super) fn tell_warnings(file: &Path, rig: &Rig) -> Result<(), Failure> {
+    let rig_file = file.display();
+    let checked = check(rig).map_err(|e| Failure::new(Exit::Usage, format!("{rig_file}: {e}")))?;
+    // Without a base the user has asked for the camera's frame.
+    for warning in checked.warnings.iter().filter(|warning| **warning != Warning::NoBase) {
+        tracing::warn!("{rig_file}: {warning}");
+    }
+    Ok(())
+}
+
+/// The files of a run, open.
+pub(super) fn open_sinks(
+    files: &Files,
+    rig: &Rig,
+    [rig_toml, run_toml]: [&str; 2],
+    reference: Reference,
+    info: RunInfo,
+) -> Result<Vec<Box<dyn Sink + Send>>, Failure> {
+    let open = || -> Result<Vec<Box<dyn Sink + Send>>, SinkError> {
+        let mut sinks: Vec<Box<dyn Sink + Send>> = vec![
+            Box::new(McapSink::create(&files.log, rig, rig_toml, run_toml)?),
+            Box::new(CsvSink::create(&files.table, rig, reference.into())?),
+            Box::new(ReportSink::create(&files.report, rig, info.clone())?),
+        ];
+        if let Some(overlay) = &files.overlay {
+            sinks.push(Box::new(OverlaySink::create(overlay, rig)?));
+        }
+        Ok(sinks)
+    };
+    open().map_err(|e| Failure::new(Exit::Failed, e))
+}
+
+/// How the run ended: exit code and last words.
+pub(super) fn verdict(source: &str, rig: &Rig, summary: Summary) -> Result<(), Failure> {
+    let tally = &summary.tally;
+    let so_far = match tally.frames {
+        0 => "nothing is tracked".to_owned(),
+        n => format!("{n} frames are tracked and written, the last one at {} s", seconds(tally.last_ns)),
+    };
+    // Disks come first: an interrupted run that could not be written is a failed one.
+    if !summary.sink_failures.is_empty() {
+        let errors: Vec<_> = summary.sink_failures.iter().map(SinkError::to_string).collect();
+        let text = format!("{}; the other files are complete: {so_far}", errors.join("; "));
+        return Err(Failure::new(Exit::Failed, text));
+    }
+    match summary.end {
+        End::Complete | End::Sink => {}
+        End::Early(error) => tracing::warn!("{error}"),
+        End::Interrupted => return Err(Failure::new(Exit::Interrupted, format!("{source}: {so_far}"))),
+        End::Source(error) => return Err(Failure::new(Exit::Failed, format!("{error}; {so_far}"))),
+        End::Track { stamp, error, .. } => {
+            let text = format!("{source}: at {} s: {error}; {so_far}", stamp.seconds());
+            return Err(Failure::new(Exit::Failed, text));
+        }
+    }
+    match told::unusable(rig, tally) {
+        Some(why) => Err(Failure::new(Exit::Unusable, why)),
+        None => Ok(()),
+    }
+}

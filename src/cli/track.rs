@@ -1,0 +1,135 @@
+//! `catoptra track`: a recording, or a folder of pictures, to log, table, report and overlay.
+
+use super::progress::Progress;
+use super::run::folder::{self, Files, Run, unlike_others, whole_path};
+use super::run::{Reference, load_rig, open_sinks, pool, tell_warnings, told, verdict};
+use super::{Exit, Failure, fitting, interrupt, output};
+use catoptra::pipeline;
+use catoptra::report::RunInfo;
+use catoptra::source::times::{parse_seconds_ns, seconds};
+use catoptra::source::{FrameRate, FrameSource as _, SourceOptions, Span};
+use catoptra::tally::Tally;
+use catoptra::track::{TrackOptions, Tracker};
+use clap::builder::RangedU64ValueParser;
+use std::path::{Path, PathBuf};
+
+/// Arguments of `catoptra track`.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// A recorded video, or a folder of pictures with their times in times.csv
+    #[arg(value_name = "VIDEO|DIR")]
+    source: PathBuf,
+    /// The rig, with colours and base frame
+    #[arg(long, value_name = "RIG.toml")]
+    rig: PathBuf,
+    /// Folder for the results [default: NAME-track, here]
+    #[arg(short, long, value_name = "OUT")]
+    out: Option<PathBuf>,
+    /// Write the table to FILE instead of OUT/track.csv
+    #[arg(long, value_name = "FILE", num_args = 0..=1, require_equals = true)]
+    csv: Option<Option<PathBuf>>,
+    /// Also write a video with what was found drawn into it
+    #[arg(long)]
+    overlay: bool,
+    /// Frame of reference of table and report
+    #[arg(long, value_enum, default_value_t = Reference::Base)]
+    frame: Reference,
+    /// Leave out what is before T, seconds of the recording's clock
+    #[arg(long, value_name = "T", value_parser = seconds_ns, allow_hyphen_values = true)]
+    from: Option<i64>,
+    /// Leave out what is after T
+    #[arg(long, value_name = "T", value_parser = seconds_ns, allow_hyphen_values = true)]
+    to: Option<i64>,
+    /// Frames a second of a folder of pictures without times.csv
+    #[arg(long, value_name = "F", allow_hyphen_values = true)]
+    fps: Option<FrameRate>,
+    /// Threads of decoder and tracker; results are the same with any [default: one a core]
+    #[arg(long, value_name = "N", allow_hyphen_values = true, value_parser = RangedU64ValueParser::<usize>::new().range(1..=256))]
+    threads: Option<usize>,
+    /// Search every picture whole: slower, same results
+    #[arg(long)]
+    full_frame: bool,
+}
+
+fn seconds_ns(text: &str) -> Result<i64, String> {
+    parse_seconds_ns(text).ok_or_else(|| "expected seconds, such as 12 or 3.25".to_owned())
+}
+
+pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
+    let interrupt = interrupt::watch()?;
+    // 1. everything is judged before anything is written
+    let (rig, rig_toml) = load_rig(&args.rig, args.frame)?;
+    let mut tracker = Tracker::new(&rig, TrackOptions { full_frame: args.full_frame })
+        .map_err(|e| Failure::new(Exit::Usage, format!("{}: {e}", args.rig.display())))?;
+    let span = Span { from_ns: args.from, to_ns: args.to };
+    let options = SourceOptions { span, stated_rate: args.fps, decoder_threads: args.threads() };
+    let source = fitting::open((&args.source, options), (&args.rig, &rig))?;
+    tell_warnings(&args.rig, &rig)?;
+    let pool = pool(args.threads())?;
+    // 2. the files
+    let run = args.described();
+    let run_toml = run.to_toml()?;
+    let folder = args.out.clone().unwrap_or_else(|| folder::default_folder(&args.source));
+    let files = Files::new(&folder, args.csv.as_ref().and_then(Option::as_deref), args.overlay);
+    files.prepare(&run, &[&args.source, &args.rig])?;
+    let sinks = open_sinks(&files, &rig, [&rig_toml, &run_toml], args.frame, args.info())?;
+    // 3. the run
+    let mut progress = Progress::of_frames(source.frame_count_hint(), quiet);
+    let recording = args.source.display().to_string();
+    let mut told = 0;
+    let watch = |tally: &Tally| {
+        progress.at(tally.frames);
+        // At once: a run may be long, and be live.
+        told = told::new_alarms(tally, &recording, told);
+    };
+    let summary = pool
+        .install(|| pipeline::run(Box::new(source), &mut tracker, sinks, &interrupt, watch))
+        .map_err(|e| Failure::new(Exit::Failed, format!("cannot start a thread: {e}")))?;
+    drop(progress);
+    // 4. what came of it
+    if !quiet {
+        let mut text = String::new();
+        told::summary(&mut text, &recording, &summary, &files, &rig)
+            .map_err(|e| Failure::new(Exit::Failed, format!("cannot describe the run: {e}")))?;
+        output::print(&text)?;
+    }
+    verdict(&recording, &rig, summary)
+}
+
+impl Args {
+    /// 0: one a core.
+    fn threads(&self) -> usize {
+        self.threads.unwrap_or(0)
+    }
+
+    /// What the report says of the run.
+    fn info(&self) -> RunInfo {
+        let settings = [
+            self.from.map(|ns| ("From".to_owned(), format!("{} s", seconds(ns)))),
+            self.to.map(|ns| ("To".to_owned(), format!("{} s", seconds(ns)))),
+            self.fps.map(|rate| ("Stated frame rate".to_owned(), format!("{rate} a second"))),
+            self.full_frame.then(|| ("Search".to_owned(), "every picture whole".to_owned())),
+        ];
+        RunInfo {
+            source: self.source.display().to_string(),
+            rig: self.rig.display().to_string(),
+            settings: settings.into_iter().flatten().collect(),
+            camera_frame: self.frame == Reference::Camera,
+        }
+    }
+
+    fn described(&self) -> Run {
+        let whole = |path: &Path| unlike_others(&whole_path(path));
+        Run {
+            command: "track".to_owned(),
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+            recording: whole(&self.source),
+            rig: whole(&self.rig),
+            frame: self.frame.word().to_owned(),
+            from_s: self.from.map(seconds),
+            to_s: self.to.map(seconds),
+            fps: self.fps.map(|rate| rate.to_string()),
+            full_frame: self.full_frame,
+        }
+    }
+}

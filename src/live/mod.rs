@@ -1,0 +1,304 @@
+//! [`run`]: the tracker while the camera runs.
+//!
+//! | thread | does | waits for |
+//! |---|---|---|
+//! | `camera` | takes frames out of the source | the camera |
+//! | `tracker` | tracks them, sends θ to controllers at once | frames |
+//! | `log` | writes log, table, report | rows |
+//! | `publisher` | serves subscribers | rows |
+//! | the caller's | watches, tells once a second how it goes | the clock |
+//!
+//! Frames are tracked by the same [`Tracker`] as recordings: the same pictures give the same rows. Between camera and tracker
+//! few pictures wait; a tracker that falls behind goes to the newest frame, and those passed over keep their rows
+//! (`skipped_overload`). A frame of another size than the rig's has its row too (`wrong_size`). Nothing that writes or
+//! publishes can hold up the tracker: its lines are bounded, what does not fit is counted, and a sink that fails is told at
+//! once while everything else goes on.
+
+mod queue;
+mod status;
+mod writer;
+
+pub use queue::MOST_WAITING;
+pub use status::{Latency, Status};
+pub use writer::MOST_ROWS;
+
+use crate::estimate::{Estimate, Miss};
+use crate::pipeline::{End, Summary};
+use crate::sink::{CurrentSample, Sink, UdpSink};
+use crate::source::host::HostClock;
+use crate::source::{self, FrameSource, SourceError, Timestamp};
+use crate::tally::Tally;
+use crate::track::{TrackError, Tracker};
+use queue::{Next, Queue};
+use status::Counters;
+use std::io;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel};
+use std::thread::{Builder, JoinHandle};
+use std::time::{Duration, Instant};
+use writer::{Entry, Log};
+
+/// How long a camera that was asked to stop may take.
+const PATIENCE: Duration = Duration::from_secs(4);
+/// How often the caller's thread looks around.
+const LOOK: Duration = Duration::from_millis(50);
+/// How often it tells how it goes.
+const TELL: Duration = Duration::from_secs(1);
+/// Rows that may wait for subscribers.
+const MOST_PUBLISHED: usize = 64;
+
+/// Where the rows of a live run go.
+#[derive(Default)]
+pub struct Outputs {
+    /// Files. When all of them have failed and nobody else listens, the run ends.
+    pub files: Vec<Box<dyn Sink + Send>>,
+    /// Controllers, served by the tracker's own thread.
+    pub controllers: Option<UdpSink>,
+    /// Subscribers, served by a thread of their own that may miss rows.
+    pub subscribers: Option<Box<dyn Sink + Send>>,
+    /// Coil currents, as they come.
+    pub currents: Option<Receiver<CurrentSample>>,
+}
+
+/// When a run ends, if the source does not end before.
+#[derive(Debug, Clone, Default)]
+pub struct Until {
+    /// When somebody sets this. It must be the flag that the source watches.
+    pub stop: Arc<AtomicBool>,
+    /// When this is over.
+    pub duration: Option<Duration>,
+}
+
+/// What a live run came to.
+#[derive(Debug)]
+pub struct LiveSummary {
+    /// As of a recording.
+    pub run: Summary,
+    /// From arrival to θ sent, all tracked frames.
+    pub latency: Latency,
+    /// Rows that were not logged because the disk was too slow for minutes.
+    pub unlogged: u64,
+    /// Rows that subscribers were not given because they would have waited.
+    pub unpublished: u64,
+}
+
+/// Tracks what `source` gives; `watch` is called once a second.
+///
+/// Fits run in `pool`. The tracker is returned to nobody: a run begins with a new one.
+///
+/// # Errors
+/// When the system gives no thread, or no memory for counters; nothing is tracked then.
+pub fn run(
+    source: Box<dyn FrameSource + Send>,
+    mut tracker: Tracker,
+    pool: rayon::ThreadPool,
+    outputs: Outputs,
+    clock: HostClock,
+    until: &Until,
+    mut watch: impl FnMut(&Status),
+) -> io::Result<LiveSummary> {
+    let began = Instant::now();
+    let stop = &until.stop;
+    let tally = Tally::new(tracker.rig());
+    let queue = Arc::new(Queue::new(tracker.rig()));
+    let counters = Arc::new(Counters::new(tally, clock).map_err(io::Error::other)?);
+    let listened_to = outputs.controllers.is_some() || outputs.subscribers.is_some();
+    let (log, writer) = Log::start(outputs.files)?;
+    let backlog = log.backlog();
+    let (subscribers, publisher) = match outputs.subscribers {
+        Some(sink) => {
+            let (line, thread) = Subscribers::start(sink)?;
+            (Some(line), Some(thread))
+        }
+        None => (None, None),
+    };
+    let unpublished = subscribers.as_ref().map(|s| Arc::clone(&s.missed));
+
+    let camera = {
+        let (queue, stop) = (Arc::clone(&queue), Arc::clone(stop));
+        Builder::new().name("camera".to_owned()).spawn(move || take_all(source, &queue, &stop))?
+    };
+    let currents = outputs.currents.map(|samples| {
+        let (log, stop) = (log.clone(), Arc::clone(stop));
+        Builder::new().name("currents".to_owned()).spawn(move || log_currents(&samples, &log, &stop))
+    });
+    let currents = currents.transpose()?;
+    let tracking = {
+        let (queue, counters) = (Arc::clone(&queue), Arc::clone(&counters));
+        let mut out = Out { controllers: outputs.controllers, subscribers, log, counters };
+        Builder::new()
+            .name("tracker".to_owned())
+            .spawn(move || pool.install(|| track_all(&mut tracker, &queue, &mut out)))?
+    };
+
+    let mut interrupted = None;
+    let mut told = Instant::now();
+    while !tracking.is_finished() {
+        std::thread::sleep(LOOK);
+        if told.elapsed() >= TELL {
+            told += TELL;
+            watch(&Status { backlog: backlog.waiting(), unlogged: backlog.unlogged(), ..counters.status() });
+        }
+        let over = until.duration.is_some_and(|duration| began.elapsed() >= duration);
+        let deaf = backlog.sinks_alive() == 0 && !listened_to;
+        if interrupted.is_none() && (stop.load(Ordering::Relaxed) || over || deaf) {
+            interrupted = Some((
+                Instant::now(),
+                if deaf {
+                    End::Sink
+                } else if over {
+                    End::Complete
+                } else {
+                    End::Interrupted
+                },
+            ));
+            stop.store(true, Ordering::Relaxed);
+        }
+        if camera.is_finished() || interrupted.as_ref().is_some_and(|(since, _)| since.elapsed() > PATIENCE) {
+            queue.close();
+        }
+    }
+    // What is asleep in a driver is not waited for: the process ends soon.
+    stop.store(true, Ordering::Relaxed);
+    let taken = camera.is_finished().then(|| joined(camera));
+    let (source_tally, source_end) = taken.unwrap_or_default();
+    let tracked = joined(tracking);
+    currents.into_iter().for_each(joined);
+    let sink_failures = joined(writer);
+    if let Some(publisher) = publisher {
+        joined(publisher);
+    }
+    let (tally, latency) = counters.totals();
+    let end = match (tracked, interrupted, source_end) {
+        (Some(end), _, _) | (None, Some((_, end)), _) => end,
+        (None, None, Some(error)) if error.is_early_end() => End::Early(error),
+        (None, None, Some(error)) => End::Source(error),
+        (None, None, None) => End::Complete,
+    };
+    Ok(LiveSummary {
+        run: Summary { tally, source: source_tally, elapsed: began.elapsed(), end, sink_failures },
+        latency,
+        unlogged: backlog.unlogged(),
+        unpublished: unpublished.map_or(0, |missed| missed.load(Ordering::Relaxed)),
+    })
+}
+
+/// Takes frames until there are no more.
+fn take_all(
+    mut source: Box<dyn FrameSource + Send>,
+    queue: &Queue,
+    stop: &AtomicBool,
+) -> (source::Tally, Option<SourceError>) {
+    hurry();
+    let end = loop {
+        if stop.load(Ordering::Relaxed) {
+            break None;
+        }
+        match source.next_frame() {
+            Ok(Some(frame)) => queue.push(frame),
+            Ok(None) => break None,
+            Err(error) => break Some(error),
+        }
+    };
+    queue.close();
+    (source.tally(), end)
+}
+
+/// Hands on currents until there are no more, or the run stops.
+fn log_currents(samples: &Receiver<CurrentSample>, log: &Log, stop: &AtomicBool) {
+    loop {
+        match samples.recv_timeout(LOOK) {
+            Ok(sample) => log.put(Entry::Current(sample)),
+            Err(RecvTimeoutError::Timeout) if !stop.load(Ordering::Relaxed) => {}
+            Err(_) => return,
+        }
+    }
+}
+
+/// Puts this thread before others, where the system lets us: a frame that is not taken in time is lost.
+fn hurry() {
+    #[cfg(target_os = "linux")]
+    {
+        let refused = rustix::process::setpriority_process(Some(rustix::thread::gettid()), -15).is_err();
+        if refused {
+            tracing::debug!("the camera's thread runs at ordinary priority: the system allows no higher one");
+        }
+    }
+}
+
+/// Where the tracker's rows go.
+struct Out {
+    controllers: Option<UdpSink>,
+    subscribers: Option<Subscribers>,
+    log: Log,
+    counters: Arc<Counters>,
+}
+
+impl Out {
+    /// Controllers first: they wait for it.
+    fn put(&mut self, estimate: Estimate, tracked: bool) {
+        if let Some(controllers) = &mut self.controllers {
+            controllers.send(&estimate);
+        }
+        self.counters.add(&estimate, tracked);
+        let estimate = Arc::new(estimate);
+        if let Some(subscribers) = &self.subscribers {
+            subscribers.put(&estimate);
+        }
+        self.log.put(Entry::Frame(estimate));
+    }
+}
+
+/// Tracks all frames; why it ended early, if it did.
+fn track_all(tracker: &mut Tracker, queue: &Queue, out: &mut Out) -> Option<End> {
+    loop {
+        let (skipped, frame) = match queue.next(TELL) {
+            Next::Frames(skipped, frame) => (skipped, frame),
+            Next::Silence => continue,
+            Next::Closed => return None,
+        };
+        skipped.into_iter().for_each(|row| out.put(row, false));
+        let Some(frame) = frame else { continue };
+        match tracker.step(&frame) {
+            Ok(estimate) => out.put(estimate, true),
+            Err(TrackError::Size { found, .. }) => {
+                out.put(Estimate::missed(&frame, tracker.rig(), &Miss::WrongSize { found }), false);
+            }
+            Err(error) => {
+                let (seq, stamp): (u64, Timestamp) = (frame.seq, frame.stamp);
+                return Some(End::Track { seq, stamp, error });
+            }
+        }
+    }
+}
+
+/// The line to subscribers.
+struct Subscribers {
+    line: SyncSender<Arc<Estimate>>,
+    missed: Arc<AtomicU64>,
+}
+
+impl Subscribers {
+    fn start(mut sink: Box<dyn Sink + Send>) -> io::Result<(Self, JoinHandle<()>)> {
+        let (line, rows) = sync_channel::<Arc<Estimate>>(MOST_PUBLISHED);
+        let thread = Builder::new().name("publisher".to_owned()).spawn(move || {
+            let failed = rows.iter().find_map(|row| sink.write(&row, None).err());
+            if let Some(error) = failed.or_else(|| sink.finish().err()) {
+                tracing::error!("{error}; subscribers get nothing any more, the log goes on");
+            }
+        })?;
+        Ok((Self { line, missed: Arc::default() }, thread))
+    }
+
+    fn put(&self, estimate: &Arc<Estimate>) {
+        if let Err(TrySendError::Full(_)) = self.line.try_send(Arc::clone(estimate)) {
+            self.missed.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+}
+
+/// What a thread returned; its panic goes on in this thread.
+fn joined<T>(thread: JoinHandle<T>) -> T {
+    thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+}

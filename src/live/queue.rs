@@ -1,0 +1,131 @@
+//! What waits between the camera and the tracker: few pictures, the newest first in line when the tracker falls behind.
+//!
+//! The camera never waits and no frame is lost without a trace: a frame that is passed over keeps its row, which says
+//! `skipped_overload`. Rows leave in the order of the frames.
+
+use crate::estimate::{Estimate, Miss};
+use crate::rig::Rig;
+use crate::source::Frame;
+use std::collections::VecDeque;
+use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+/// Pictures that may wait. The tracker catches up with so many (a decoder hands on in bursts); with more, it goes to the newest.
+pub const MOST_WAITING: usize = 3;
+
+/// The line between camera and tracker.
+#[derive(Debug)]
+pub(super) struct Queue {
+    rig: Rig,
+    state: Mutex<State>,
+    changed: Condvar,
+}
+
+#[derive(Debug, Default)]
+struct State {
+    skipped: Vec<Estimate>,
+    waiting: VecDeque<Frame>,
+    closed: bool,
+}
+
+/// What the tracker takes.
+#[derive(Debug)]
+pub(super) enum Next {
+    /// Rows of frames that were passed over, then the frame to track, if there is one.
+    Frames(Vec<Estimate>, Option<Frame>),
+    /// Nothing came in time.
+    Silence,
+    /// Nothing will come any more.
+    Closed,
+}
+
+impl Queue {
+    pub(super) fn new(rig: &Rig) -> Self {
+        Self { rig: rig.clone(), state: Mutex::default(), changed: Condvar::new() }
+    }
+
+    /// Adds a frame. When too many wait, all but this one are passed over.
+    pub(super) fn push(&self, frame: Frame) {
+        let mut state = self.lock();
+        if state.waiting.len() >= MOST_WAITING {
+            let State { skipped, waiting, .. } = &mut *state;
+            skipped.extend(waiting.drain(..).map(|f| Estimate::missed(&f, &self.rig, &Miss::SkippedOverload)));
+        }
+        state.waiting.push_back(frame);
+        drop(state);
+        self.changed.notify_one();
+    }
+
+    /// No more frames will come.
+    pub(super) fn close(&self) {
+        self.lock().closed = true;
+        self.changed.notify_all();
+    }
+
+    /// The next frame, and the rows before it; waits up to `patience`.
+    pub(super) fn next(&self, patience: Duration) -> Next {
+        let mut state = self.lock();
+        if state.waiting.is_empty() && state.skipped.is_empty() && !state.closed {
+            let waits = |s: &mut State| s.waiting.is_empty() && !s.closed;
+            state = self.changed.wait_timeout_while(state, patience, waits).unwrap_or_else(PoisonError::into_inner).0;
+        }
+        let skipped = std::mem::take(&mut state.skipped);
+        let frame = state.waiting.pop_front();
+        match (skipped.is_empty() && frame.is_none(), state.closed) {
+            (true, true) => Next::Closed,
+            (true, false) => Next::Silence,
+            (false, _) => Next::Frames(skipped, frame),
+        }
+    }
+
+    /// The lock; a thread that panicked with it leaves a whole line behind.
+    fn lock(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sink::fixture;
+    use crate::source::{Clock, Colour, Picture, PixelFormat, Timestamp};
+
+    fn frame(seq: u64) -> Frame {
+        let picture = Picture::from_planes(1, 1, PixelFormat::Grey, Colour::SRGB, vec![vec![0]]).unwrap();
+        let stamp = Timestamp { ns: seq as i64 * 1000, clock: Clock::Device };
+        Frame { seq, stamp, gap: 0, host: None, picture }
+    }
+
+    fn taken(queue: &Queue) -> (Vec<u64>, Option<u64>) {
+        match queue.next(Duration::ZERO) {
+            Next::Frames(skipped, frame) => (skipped.iter().map(|e| e.seq).collect(), frame.map(|f| f.seq)),
+            other => panic!("{other:?}"),
+        }
+    }
+
+    #[test]
+    fn few_frames_are_caught_up_with_and_of_many_the_newest_is_taken() {
+        let queue = Queue::new(&fixture::rig());
+        assert!(matches!(queue.next(Duration::ZERO), Next::Silence));
+        (0..3).for_each(|seq| queue.push(frame(seq)));
+        assert_eq!(taken(&queue), (vec![], Some(0)));
+        (3..9).for_each(|seq| queue.push(frame(seq)));
+        // 1, 2, 3 were passed over at 4, and 4, 5, 6 at 7.
+        assert_eq!(taken(&queue), ((1..7).collect(), Some(7)));
+        assert_eq!(taken(&queue), (vec![], Some(8)));
+        assert!(matches!(queue.next(Duration::ZERO), Next::Silence));
+        queue.push(frame(9));
+        queue.close();
+        assert_eq!(taken(&queue), (vec![], Some(9)));
+        assert!(matches!(queue.next(Duration::ZERO), Next::Closed));
+    }
+
+    #[test]
+    fn a_frame_passed_over_keeps_its_row() {
+        let queue = Queue::new(&fixture::rig());
+        (0..4).for_each(|seq| queue.push(frame(seq)));
+        let Next::Frames(skipped, _) = queue.next(Duration::ZERO) else { panic!("frames wait") };
+        assert_eq!((skipped[1].seq, skipped[1].stamp.ns, skipped[1].markers.len()), (1, 1000, 3));
+        assert!(skipped.iter().all(|e| matches!(e.deflection, Err(Miss::SkippedOverload))));
+    }
+}

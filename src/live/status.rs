@@ -1,0 +1,124 @@
+//! How a live run goes: counted by the tracker's thread, looked at by who shows it.
+
+use crate::estimate::Estimate;
+use crate::source::host::HostClock;
+use crate::tally::Tally;
+use hdrhistogram::Histogram;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+/// Latencies up to ten seconds are told apart.
+const LONGEST_US: u64 = 10_000_000;
+
+/// Time from a frame's arrival until its θ was sent, microseconds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Latency {
+    /// Half of the frames took less.
+    pub p50_us: u64,
+    /// 99 of 100 took less.
+    pub p99_us: u64,
+    /// The longest.
+    pub max_us: u64,
+}
+
+/// How a run goes, at one moment.
+#[derive(Debug, Clone, Default)]
+pub struct Status {
+    /// Frames received, tracked or not.
+    pub frames: u64,
+    /// Frames received since the last status.
+    pub new_frames: u64,
+    /// Camera frames lost.
+    pub lost: u64,
+    /// Frames passed over because the tracker was busy.
+    pub skipped: u64,
+    /// Latency of the frames since the last status.
+    pub latency: Latency,
+    /// θ of the last frame and its σ, radians, if it was measured.
+    pub theta_rad: Option<(f64, f64)>,
+    /// Markers located in the last frame, and how many there are.
+    pub markers: (usize, usize),
+    /// Rows that wait to be written.
+    pub backlog: usize,
+    /// Rows that could not be written because too many waited.
+    pub unlogged: u64,
+    /// All drift alarms so far: camera time in nanoseconds, and what happened.
+    pub alarms: Vec<(i64, String)>,
+}
+
+/// The counters of a run.
+#[derive(Debug)]
+pub(super) struct Counters {
+    clock: HostClock,
+    state: Mutex<State>,
+}
+
+#[derive(Debug)]
+struct State {
+    tally: Tally,
+    latest: Option<Estimate>,
+    told_frames: u64,
+    recent: Histogram<u64>,
+    whole: Histogram<u64>,
+}
+
+impl Counters {
+    /// # Errors
+    /// When the histograms cannot be made.
+    pub(super) fn new(tally: Tally, clock: HostClock) -> Result<Self, hdrhistogram::CreationError> {
+        let histogram = || Histogram::new_with_bounds(1, LONGEST_US, 3);
+        let state = State { tally, latest: None, told_frames: 0, recent: histogram()?, whole: histogram()? };
+        Ok(Self { clock, state: Mutex::new(state) })
+    }
+
+    /// Counts a frame, when it has been sent to who waits for it.
+    pub(super) fn add(&self, estimate: &Estimate, tracked: bool) {
+        let now_ns = self.clock.now_ns();
+        let mut state = self.lock();
+        state.tally.add(estimate);
+        if let (Some(host), true) = (estimate.host, tracked) {
+            let took_us = u64::try_from(now_ns.saturating_sub(host.arrival_ns) / 1000).unwrap_or(0);
+            state.recent.saturating_record(took_us);
+            state.whole.saturating_record(took_us);
+        }
+        state.latest = Some(estimate.clone());
+    }
+
+    /// How it goes; the counts of new frames begin again.
+    pub(super) fn status(&self) -> Status {
+        let mut state = self.lock();
+        let latest = state.latest.as_ref();
+        let located = latest.map_or(0, |e| e.markers.iter().filter(|m| m.position.is_ok()).count());
+        let angle = latest.and_then(|e| e.deflection.as_ref().ok());
+        let skipped =
+            state.tally.reasons("tangent").iter().find(|(word, _)| *word == "skipped_overload").map(|(_, n)| *n);
+        let status = Status {
+            frames: state.tally.frames,
+            new_frames: state.tally.frames - state.told_frames,
+            lost: state.tally.lost,
+            skipped: skipped.unwrap_or(0),
+            latency: latency(&state.recent),
+            theta_rad: angle.map(|d| (d.theta_rad, d.theta_sd_rad)),
+            markers: (located, state.tally.markers.len()),
+            alarms: state.tally.alarms().collect(),
+            ..Status::default()
+        };
+        state.told_frames = state.tally.frames;
+        state.recent.reset();
+        status
+    }
+
+    /// Totals, and the latency of all frames.
+    pub(super) fn totals(&self) -> (Tally, Latency) {
+        let state = self.lock();
+        (state.tally.clone(), latency(&state.whole))
+    }
+
+    fn lock(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+fn latency(of: &Histogram<u64>) -> Latency {
+    let at = |quantile: f64| if of.is_empty() { 0 } else { of.value_at_quantile(quantile) };
+    Latency { p50_us: at(0.5), p99_us: at(0.99), max_us: at(1.0) }
+}

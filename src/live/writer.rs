@@ -1,0 +1,114 @@
+//! The thread that writes the log, the table and the report, behind a line of its own that publishers have no part in.
+//!
+//! The line holds rows without pictures, minutes of them. That it grows is told long before it is full; when it is, rows
+//! are lost to the files (never to publishers) and counted. A sink that fails is told at once; the others go on.
+
+use crate::estimate::Estimate;
+use crate::sink::{CurrentSample, Sink, SinkError};
+use std::io;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::thread::{Builder, JoinHandle};
+
+/// Rows that may wait: more than two minutes at 60 Hz, some 50 MB.
+pub const MOST_ROWS: usize = 8192;
+/// So many that wait are worth a word.
+const WORTH_A_WORD: usize = MOST_ROWS / 16;
+
+/// What is logged.
+#[derive(Debug)]
+pub(super) enum Entry {
+    Frame(Arc<Estimate>),
+    Current(CurrentSample),
+}
+
+/// Counts that both ends of the line know.
+#[derive(Debug, Default)]
+pub(super) struct Backlog {
+    waiting: AtomicUsize,
+    unlogged: AtomicU64,
+    sinks_alive: AtomicUsize,
+}
+
+impl Backlog {
+    /// Rows that wait for the disk.
+    pub(super) fn waiting(&self) -> usize {
+        self.waiting.load(Ordering::Relaxed)
+    }
+
+    /// Rows that were not logged because the line was full.
+    pub(super) fn unlogged(&self) -> u64 {
+        self.unlogged.load(Ordering::Relaxed)
+    }
+
+    /// Sinks that still write.
+    pub(super) fn sinks_alive(&self) -> usize {
+        self.sinks_alive.load(Ordering::Relaxed)
+    }
+}
+
+/// The near end of the line.
+#[derive(Debug, Clone)]
+pub(super) struct Log {
+    entries: SyncSender<Entry>,
+    backlog: Arc<Backlog>,
+}
+
+impl Log {
+    /// Starts the thread; it ends, with what went wrong, when the last near end is gone.
+    pub(super) fn start(sinks: Vec<Box<dyn Sink + Send>>) -> io::Result<(Self, JoinHandle<Vec<SinkError>>)> {
+        let (entries, line) = sync_channel(MOST_ROWS);
+        let backlog = Arc::new(Backlog { sinks_alive: AtomicUsize::new(sinks.len()), ..Backlog::default() });
+        let shared = Arc::clone(&backlog);
+        let thread = Builder::new().name("log".to_owned()).spawn(move || write_all(sinks, &line, &shared))?;
+        Ok((Self { entries, backlog }, thread))
+    }
+
+    /// Puts an entry into the line; never waits.
+    pub(super) fn put(&self, entry: Entry) {
+        let waiting = self.backlog.waiting.fetch_add(1, Ordering::Relaxed) + 1;
+        if self.entries.try_send(entry).is_err() {
+            self.backlog.waiting.fetch_sub(1, Ordering::Relaxed);
+            if self.backlog.unlogged.fetch_add(1, Ordering::Relaxed) == 0 {
+                tracing::error!("the disk has been too slow for minutes: rows are not logged any more, and counted");
+            }
+        } else if waiting == WORTH_A_WORD {
+            tracing::warn!(
+                "the disk falls behind: {waiting} rows wait to be written, {MOST_ROWS} can; nothing is lost yet"
+            );
+        }
+    }
+
+    pub(super) fn backlog(&self) -> Arc<Backlog> {
+        Arc::clone(&self.backlog)
+    }
+}
+
+fn write_all(sinks: Vec<Box<dyn Sink + Send>>, line: &Receiver<Entry>, backlog: &Backlog) -> Vec<SinkError> {
+    let mut failures = Vec::new();
+    let mut sinks: Vec<_> = sinks.into_iter().map(|sink| (sink, true)).collect();
+    for entry in line {
+        for (sink, works) in sinks.iter_mut().filter(|(_, works)| *works) {
+            let written = match &entry {
+                Entry::Frame(estimate) => sink.write(estimate, None),
+                Entry::Current(sample) => sink.write_current(sample),
+            };
+            if let Err(error) = written {
+                *works = false;
+                backlog.sinks_alive.fetch_sub(1, Ordering::Relaxed);
+                tracing::error!("{error}; what was written before is kept, the rest of the run goes on");
+                failures.push(error);
+            }
+        }
+        backlog.waiting.fetch_sub(1, Ordering::Relaxed);
+    }
+    for (mut sink, works) in sinks {
+        match sink.finish() {
+            // What a failed sink says at its end is the same once more, or follows from it.
+            Err(error) if works => failures.push(error),
+            _ => {}
+        }
+    }
+    failures
+}

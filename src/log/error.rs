@@ -1,0 +1,37 @@
+//! Why a log cannot be read or repaired.
+
+use std::io;
+use std::path::PathBuf;
+
+/// Why a log cannot be read or repaired.
+#[derive(Debug, thiserror::Error)]
+pub enum LogError {
+    /// The file system refuses.
+    #[error("{}: {source}", path.display())]
+    Io {
+        /// Which file.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// Another kind of file.
+    #[error("{}: is no log: an MCAP file begins with the bytes 89 4D 43 41 50 30 0D 0A", path.display())]
+    NotMcap {
+        /// Which file.
+        path: PathBuf,
+    },
+    /// A log of something else.
+    #[error("{}: is an MCAP file, but has no topic /catheter/estimate: no log of this program", path.display())]
+    NotOurs {
+        /// Which file.
+        path: PathBuf,
+    },
+    /// What is read cannot be written again.
+    #[error("{}: cannot be repaired: {reason}", path.display())]
+    Repair {
+        /// Which file.
+        path: PathBuf,
+        /// Why.
+        reason: String,
+    },
+}

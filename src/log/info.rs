@@ -1,0 +1,157 @@
+//! What is in a log: frames, gaps, clocks, what is missing and why.
+
+use super::LogError;
+use super::records::{self, Extent};
+use mcap::records::Record;
+use prost_reflect::{DescriptorPool, DynamicMessage, MessageDescriptor, Value};
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// A topic of a log.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct TopicInfo {
+    /// Its name.
+    pub name: String,
+    /// Name of its schema.
+    pub schema: String,
+    /// Messages on it.
+    pub messages: u64,
+}
+
+/// What is in a log.
+#[derive(Debug, Clone, Default)]
+pub struct Info {
+    /// Program and version that wrote it.
+    pub library: String,
+    /// Whether it is whole; why not, if it is not.
+    pub cut: Option<String>,
+    /// Its topics in the order of their names.
+    pub topics: Vec<TopicInfo>,
+    /// Names and sizes in bytes of the files attached to it.
+    pub attachments: Vec<(String, u64)>,
+    /// Name of the camera's clock.
+    pub clock: Option<String>,
+    /// Camera frames it has a row for.
+    pub frames: u64,
+    /// Camera time of the first and the last frame, nanoseconds of that clock.
+    pub span_ns: Option<(i64, i64)>,
+    /// Live: the host's time of the first and the last frame, nanoseconds since 1970.
+    pub host_span_ns: Option<(i64, i64)>,
+    /// Places where camera frames were lost, and how many in all.
+    pub gaps: (u64, u64),
+    /// Frames whose number does not follow that of the frame before: rows that are missing in the log.
+    pub rows_missing: u64,
+    /// Frames whose stamp is not later than that of the frame before.
+    pub not_later: u64,
+    /// Frames by what is missing (a marker, `tangent`, `deflection`) and why.
+    pub misses: BTreeMap<(String, String), u64>,
+}
+
+/// Schemas and channels met so far.
+#[derive(Default)]
+struct Known {
+    schemas: BTreeMap<u16, (String, Option<MessageDescriptor>)>,
+    channels: BTreeMap<u16, (TopicInfo, Option<MessageDescriptor>)>,
+}
+
+impl Info {
+    /// Reads the log at `path`, whole.
+    ///
+    /// # Errors
+    /// When it cannot be read, is no MCAP file, or a log of something else.
+    pub fn read(path: &Path) -> Result<Self, LogError> {
+        let mut info = Self::default();
+        let mut known = Known::default();
+        let mut last: Option<(u64, i64)> = None;
+        let extent = records::each(path, |record| {
+            match record {
+                Record::Header(header) => info.library.clone_from(&header.library),
+                Record::Schema { header, data } => {
+                    known.schemas.entry(header.id).or_insert_with(|| {
+                        let pool = DescriptorPool::decode(data.as_ref()).ok();
+                        (header.name.clone(), pool.and_then(|pool| pool.get_message_by_name(&header.name)))
+                    });
+                }
+                Record::Channel(channel) => {
+                    let (schema, descriptor) = known.schemas.get(&channel.schema_id).cloned().unwrap_or_default();
+                    let topic = TopicInfo { name: channel.topic.clone(), schema, messages: 0 };
+                    known.channels.entry(channel.id).or_insert((topic, descriptor));
+                }
+                Record::Message { header, data } => {
+                    if let Some((topic, descriptor)) = known.channels.get_mut(&header.channel_id) {
+                        topic.messages += 1;
+                        if topic.name == "/catheter/estimate"
+                            && let Some(descriptor) = descriptor
+                            && let Ok(estimate) = DynamicMessage::decode(descriptor.clone(), data.as_ref())
+                        {
+                            info.add(&estimate, &mut last);
+                        }
+                    }
+                }
+                Record::Attachment { header, data, .. } => {
+                    info.attachments.push((header.name.clone(), data.len() as u64));
+                }
+                _ => {}
+            }
+            Ok(())
+        })?;
+        info.cut = match extent {
+            Extent::Whole => None,
+            Extent::Cut { why } => Some(why),
+        };
+        info.topics = known.channels.into_values().map(|(topic, _)| topic).collect();
+        info.topics.sort_by(|a, b| a.name.cmp(&b.name));
+        let ours = info.topics.iter().any(|topic| topic.name == "/catheter/estimate");
+        if ours { Ok(info) } else { Err(LogError::NotOurs { path: path.to_owned() }) }
+    }
+
+    fn add(&mut self, estimate: &DynamicMessage, last: &mut Option<(u64, i64)>) {
+        let seq = number(estimate, "seq").and_then(|n| u64::try_from(n).ok()).unwrap_or(0);
+        let stamp_ns = number(estimate, "stamp_ns").unwrap_or(0);
+        let gap = number(estimate, "gap").and_then(|n| u64::try_from(n).ok()).unwrap_or(0);
+        if self.frames == 0 {
+            self.clock = text(estimate, "clock");
+        }
+        self.frames += 1;
+        self.span_ns = Some((self.span_ns.map_or(stamp_ns, |(first, _)| first), stamp_ns));
+        if let Some(host_ns) = number(estimate, "host_stamp_ns").filter(|ns| *ns != 0) {
+            self.host_span_ns = Some((self.host_span_ns.map_or(host_ns, |(first, _)| first), host_ns));
+        }
+        self.gaps = (self.gaps.0 + u64::from(gap > 0), self.gaps.1 + gap);
+        if let Some((last_seq, last_ns)) = *last {
+            self.rows_missing += seq.saturating_sub(last_seq + 1);
+            self.not_later += u64::from(stamp_ns <= last_ns);
+        }
+        *last = Some((seq, stamp_ns));
+        if let Some(markers) = estimate.get_field_by_name("markers").as_deref().and_then(Value::as_list) {
+            for marker in markers.iter().filter_map(Value::as_message) {
+                let name = text(marker, "name").unwrap_or_default();
+                self.miss(name, marker, "status");
+            }
+        }
+        self.miss("tangent".to_owned(), estimate, "tangent_status");
+        self.miss("deflection".to_owned(), estimate, "deflection_status");
+    }
+
+    fn miss(&mut self, what: String, message: &DynamicMessage, field: &str) {
+        let status = message.get_field_by_name(field);
+        let word = status.as_deref().and_then(Value::as_message).and_then(|status| text(status, "word"));
+        if let Some(word) = word.filter(|word| word != "ok") {
+            *self.misses.entry((what, word)).or_default() += 1;
+        }
+    }
+}
+
+fn number(message: &DynamicMessage, field: &str) -> Option<i64> {
+    match message.get_field_by_name(field)?.as_ref() {
+        Value::I64(n) => Some(*n),
+        Value::U64(n) => i64::try_from(*n).ok(),
+        Value::U32(n) => Some(i64::from(*n)),
+        Value::I32(n) => Some(i64::from(*n)),
+        _ => None,
+    }
+}
+
+fn text(message: &DynamicMessage, field: &str) -> Option<String> {
+    message.get_field_by_name(field)?.as_str().map(str::to_owned)
+}

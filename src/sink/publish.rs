@@ -1,0 +1,119 @@
+//! [`PublishSink`]: the topics of the log over a WebSocket, for Foxglove and for programs (protocol `foxglove.sdk.v1`).
+//!
+//! Who joins late gets at once what was said last on every topic it subscribes to: the rig, and the last frame. Every client
+//! has a line of its own; one that does not read loses its oldest messages there, and costs nobody else anything.
+//! Message times are the host's, as in the log.
+
+use super::topics::{ENCODING, Message, Teller, Topic, file_time_ns};
+use super::{Sink, SinkError};
+use crate::estimate::Estimate;
+use crate::rig::Rig;
+use crate::source::Picture;
+use foxglove::websocket::{ChannelView, Client, ServerListener};
+use foxglove::{
+    ChannelBuilder, Context, FoxgloveError, PartialMetadata, RawChannel, WebSocketServer, WebSocketServerHandle,
+};
+use std::net::SocketAddr;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+/// Messages that may wait for one client: two seconds of 60 Hz on all topics.
+const MOST_WAITING: usize = 600;
+
+/// Serves subscribers.
+pub struct PublishSink {
+    /// `None` when finished.
+    server: Option<WebSocketServerHandle>,
+    address: SocketAddr,
+    /// Keeps the channels alive.
+    _context: Arc<Context>,
+    board: Arc<Board>,
+    teller: Teller,
+    begun: bool,
+}
+
+/// A message and its time, nanoseconds since 1970.
+type Said = (u64, Vec<u8>);
+
+/// What was said last on each topic, in the order of [`Topic::ALL`].
+struct Board {
+    channels: Vec<Arc<RawChannel>>,
+    last: Mutex<Vec<Option<Said>>>,
+}
+
+impl PublishSink {
+    /// Begins to listen at `address`.
+    ///
+    /// # Errors
+    /// [`SinkError::Publish`] when the address is taken or is not this computer's.
+    pub fn listen(address: SocketAddr, rig: &Rig) -> Result<Self, SinkError> {
+        let refused = |reason: FoxgloveError| SinkError::Publish { address, reason: reason.to_string() };
+        let context = Context::new();
+        let channel = |topic: Topic| {
+            let builder = ChannelBuilder::new(topic.name()).message_encoding(ENCODING).schema(topic.schema());
+            builder.context(&context).build_raw().map_err(refused)
+        };
+        let channels: Vec<_> = Topic::ALL.into_iter().map(channel).collect::<Result<_, _>>()?;
+        let board = Arc::new(Board { last: Mutex::new(vec![None; channels.len()]), channels });
+        let server = WebSocketServer::new()
+            .name(concat!("catoptra ", env!("CARGO_PKG_VERSION")))
+            .bind(address.ip().to_string(), address.port())
+            .message_backlog_size(MOST_WAITING)
+            .listener(Arc::clone(&board) as Arc<dyn ServerListener>)
+            .context(&context)
+            .start_blocking()
+            .map_err(refused)?;
+        let address = SocketAddr::new(address.ip(), server.port());
+        Ok(Self { server: Some(server), address, _context: context, board, teller: Teller::new(rig), begun: false })
+    }
+
+    /// Where it listens: with the port that the system gave, if port 0 was asked for.
+    pub fn address(&self) -> SocketAddr {
+        self.address
+    }
+}
+
+impl Board {
+    fn say(&self, message: Message, time_ns: u64) {
+        let Some(at) = Topic::ALL.iter().position(|topic| *topic == message.topic) else { return };
+        // The lock is held while it is said: who subscribes in between gets it once, and not twice.
+        let mut last = self.lock();
+        if let (Some(channel), Some(slot)) = (self.channels.get(at), last.get_mut(at)) {
+            channel.log_with_meta(&message.bytes, PartialMetadata::with_log_time(time_ns));
+            *slot = Some((time_ns, message.bytes));
+        }
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Vec<Option<Said>>> {
+        self.last.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl ServerListener for Board {
+    fn on_subscribe(&self, client: Client, channel: ChannelView) {
+        let last = self.lock();
+        let Some(at) = self.channels.iter().position(|known| known.topic() == channel.topic()) else { return };
+        if let (Some(channel), Some(Some((time_ns, bytes)))) = (self.channels.get(at), last.get(at)) {
+            let time = PartialMetadata::with_log_time(*time_ns);
+            channel.log_with_meta_to_sink(bytes, time, client.sink_id());
+        }
+    }
+}
+
+impl Sink for PublishSink {
+    fn write(&mut self, estimate: &Estimate, _: Option<&Picture>) -> Result<(), SinkError> {
+        let time_ns = file_time_ns(estimate.host.map_or(estimate.stamp.ns, |host| host.arrival_ns));
+        if !self.begun {
+            self.begun = true;
+            self.teller.rig(estimate.stamp.ns)?.into_iter().for_each(|message| self.board.say(message, time_ns));
+        }
+        self.teller.frame(estimate)?.into_iter().for_each(|message| self.board.say(message, time_ns));
+        Ok(())
+    }
+
+    fn finish(&mut self) -> Result<(), SinkError> {
+        if let Some(server) = self.server.take() {
+            server.stop().wait_blocking();
+        }
+        Ok(())
+    }
+}
