@@ -42,14 +42,14 @@ pub(super) fn open_input(path: &Path) -> Result<av::format::context::Input, Sour
     Ok(input)
 }
 
-/// A stream in a network, or `-` for standard input. Little is read ahead, and who sends nothing for [`PATIENCE_US`] is given up.
+/// A stream in a network, or `-` for standard input. Little is read ahead (and kept: no frame is lost
+/// to the look at the stream), and who sends nothing for [`PATIENCE_US`] is given up.
 pub(super) fn open_stream(url: &str) -> Result<av::format::context::Input, SourceError> {
     let patience = PATIENCE_US.to_string();
     let options = [
         ("timeout", patience.as_str()),
         ("rw_timeout", patience.as_str()),
         ("rtsp_flags", "prefer_tcp"),
-        ("fflags", "nobuffer"),
         ("analyzeduration", "500000"),
     ];
     let address = if url == "-" { "pipe:0" } else { url };

@@ -10,6 +10,9 @@ use std::time::Instant;
 /// Left on the disk, seconds of this run at its present rate: worth a word, each once.
 const SHORT_S: [f64; 3] = [1800.0, 300.0, 60.0];
 
+/// Bytes: hardly enough for what an operating system does by itself.
+const LITTLE: u64 = 500_000_000;
+
 /// One line that says how it goes, on a terminal only.
 pub(super) struct StatusLine {
     source: String,
@@ -75,6 +78,10 @@ impl StatusLine {
 
     fn warn_of_short_disk(&mut self, free: u64) {
         let (began, free_then) = self.began;
+        // Of the first seconds no rate can be told.
+        if began.elapsed().as_secs() < 30 && free > LITTLE {
+            return;
+        }
         let per_second = free_then.saturating_sub(free) as f64 / began.elapsed().as_secs_f64().max(1.0);
         let left_s = free as f64 / per_second.max(1.0);
         let short = SHORT_S.iter().filter(|limit| left_s < **limit).count();
