@@ -6,6 +6,7 @@
 //! | `tracker` | tracks them, sends θ to controllers at once | frames |
 //! | `log` | writes log, table, report | rows |
 //! | `publisher` | serves subscribers | rows |
+//! | `currents`, `currents in` | take coil currents to the log | samples |
 //! | the caller's | watches, tells once a second how it goes | the clock |
 //!
 //! Frames are tracked by the same [`Tracker`] as recordings: the same pictures give the same rows. Between camera and tracker
@@ -14,10 +15,12 @@
 //! publishes can hold up the tracker: its lines are bounded, what does not fit is counted, and a sink that fails is told at
 //! once while everything else goes on.
 
+mod currents;
 mod queue;
 mod status;
 mod writer;
 
+pub use currents::CurrentSource;
 pub use queue::MOST_WAITING;
 pub use status::{Latency, Status};
 pub use writer::MOST_ROWS;

@@ -5,7 +5,7 @@ mod status;
 use super::run::folder::{Files, Run, unlike_others, whole_path};
 use super::run::{Reference, load_rig, open_sinks, pool, tell_warnings, told, verdict};
 use super::{Exit, Failure, interrupt, output};
-use catoptra::live::{self, LiveSummary, Outputs, Until};
+use catoptra::live::{self, CurrentSource, LiveSummary, Outputs, Until};
 use catoptra::report::RunInfo;
 use catoptra::rig::Rig;
 use catoptra::sink::{PublishSink, Sink, UdpSink};
@@ -47,6 +47,9 @@ pub(crate) struct Args {
     /// Serve the log's topics to Foxglove and programs [default address: ws://127.0.0.1:8765]
     #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = "127.0.0.1:8765", value_parser = listening)]
     publish: Option<SocketAddr>,
+    /// Log coil currents: udp:PORT, serial:DEVICE@BAUD or file:TABLE.csv
+    #[arg(long, value_name = "FROM")]
+    currents: Option<CurrentSource>,
     /// Stop after T seconds
     #[arg(long, value_name = "T", value_parser = duration)]
     duration: Option<Duration>,
@@ -93,6 +96,11 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
         tracing::info!("subscribers find the topics at ws://{}", publisher.address());
     }
     let clock = HostClock::start();
+    let currents = args.currents.as_ref().map(|from| {
+        let refused = |e: std::io::Error| Failure::new(Exit::Failed, format!("{from}: no currents can be had: {e}"));
+        from.open(clock, &until.stop).map_err(refused)
+    });
+    let currents = currents.transpose()?;
     let source = args.open(clock, &until.stop)?;
     fits(&args.source, source.as_ref(), &args.rig, &rig)?;
     // 2. the files
@@ -103,7 +111,7 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     let files_open = open_sinks(&files, &rig, [&rig_toml, &run_toml], args.frame, args.info())?;
     // 3. the run
     let subscribers = publisher.map(|sink| Box::new(sink) as Box<dyn Sink + Send>);
-    let outputs = Outputs { files: files_open, controllers, subscribers, currents: None };
+    let outputs = Outputs { files: files_open, controllers, subscribers, currents };
     let mut line = StatusLine::new(&args.source, &files.folder, quiet);
     let pool = pool(args.threads.unwrap_or(0))?;
     let show = |status: &live::Status| line.show(status);
