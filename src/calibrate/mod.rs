@@ -12,6 +12,7 @@
 //! [`mod@doubts`] says what speaks against it.
 
 mod around;
+mod arrow;
 pub mod base;
 pub mod board;
 pub mod bundle;
