@@ -118,7 +118,7 @@ fn wrong_arguments_are_named() {
     let video = video.to_str().unwrap();
     let (rig, tube) = (["--rig", "bare.toml"], ["--tube", "3.2mm"]);
     let picks = ["--pick", BASE, "--pick", COIL, "--pick", TIP];
-    let cases: [(&[&[&str]], &str); 12] = [
+    let cases: [(&[&[&str]], &str); 14] = [
         (&[&[video], &rig, &picks], "--tube"),
         (&[&[video], &rig, &["--tube", "3.2"], &picks], "3.2mm"),
         (&[&[video], &rig, &tube], "--pick"),
@@ -128,7 +128,15 @@ fn wrong_arguments_are_named() {
         (&[&[video], &["--rig", "none.toml"], &tube, &picks], "none.toml"),
         (&[&["none.mkv"], &rig, &tube, &picks], "none.mkv"),
         (&[&[video], &rig, &tube, &picks[..5], &["tip@880,600:6mm"]], "view `direct`; it lies in that of `mirror`"),
-        (&[&[video], &rig, &tube, &picks, &["--coil", "coils"]], "of this command"),
+        (
+            &[&[video], &rig, &tube, &picks, &["--coil", "coils"]],
+            "coils: no such band of this command; picked are base, coil, tip",
+        ),
+        (
+            &[&[video], &rig, &tube, &picks, &["--end", "coil"]],
+            "the last marker along the tube, \"tip\" (with the bands",
+        ),
+        (&[&[video], &rig, &tube, &picks, &["--pick", TIP]], "a different name for each (with the bands"),
         (&[&[video], &rig, &tube, &picks, &["--out", "none/rig.toml"]], "none/rig.toml: there is no such folder"),
         (
             &[&[video], &["--rig", "large.toml"], &tube, &picks],

@@ -19,6 +19,7 @@ pub mod bundle;
 pub mod camera;
 mod colours;
 pub mod doubts;
+mod frames;
 pub mod geometry;
 pub mod grey;
 pub mod held_out;
