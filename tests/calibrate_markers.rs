@@ -26,7 +26,7 @@ struct Bench {
 impl Bench {
     fn new() -> Self {
         let mut table: toml::Table =
-            std::fs::read_to_string(file("calibration/dev_tank/rig.toml")).unwrap().parse().unwrap();
+            std::fs::read_to_string(file("sample_frames/truth/rig.toml")).unwrap().parse().unwrap();
         let camera = table["camera"].as_table_mut().unwrap();
         assert!(camera.remove("blur_px").is_some() && camera.remove("chroma_offset_px").is_some());
         for marker in table["marker"].as_array_mut().unwrap() {
@@ -147,6 +147,16 @@ fn wrong_arguments_are_named() {
         let said = ended_with(&bench.calibrate(&args.concat()), 2);
         assert!(said.contains(word), "{word} is not in {said}");
     }
+}
+
+#[test]
+fn the_stiff_part_that_was_given_is_in_the_rig() {
+    let bench = Bench::new();
+    let video = recording("rest");
+    let args = [video.to_str().unwrap(), "--rig", "bare.toml", "--out", "learned.toml", "--tube", "3.2mm"];
+    let picks = ["--rigid", "15mm", "--pick", BASE, "--pick", COIL, "--pick", TIP];
+    ended_with(&bench.calibrate(&[&args[..], &picks].concat()), 0);
+    assert_eq!(Rig::load(&bench.learned()).unwrap().catheter.rigid_m, Some(0.015));
 }
 
 #[test]

@@ -20,7 +20,7 @@ use super::known::Known;
 use super::regions::regions;
 use super::start::{BoardsPicture, Start, Unusable, start};
 use super::taped::Taped;
-use crate::optics::{Lens, Mirror, Plane, PlaneError, Surface, Wall};
+use crate::optics::{Lens, Mirror, OpticalPath, Plane, PlaneError, Surface, Wall};
 use crate::rig::{Draft, View};
 use nalgebra::{DMatrix, Isometry3, Point2, Point3, Translation3, Vector2, Vector3};
 
@@ -421,16 +421,16 @@ pub fn into_draft(mut draft: Draft, done: &RigCalibration) -> Draft {
     let geometry = &done.solution.geometry;
     draft.camera.lens = geometry.lens;
     draft.surfaces = geometry.surfaces.iter().cloned().collect();
-    let regions = regions(&done.corners, geometry.views.len(), draft.camera.size_px);
+    let optics: Vec<OpticalPath> = (0..geometry.views.len()).map(|view| geometry.path(view)).collect();
+    let regions = regions(&done.corners, &optics, draft.camera.size_px);
     draft.views = geometry
         .views
         .iter()
-        .zip(regions)
-        .enumerate()
-        .map(|(view, ((name, path), region_px))| View {
+        .zip(optics.into_iter().zip(regions))
+        .map(|((name, path), (optics, region_px))| View {
             name: name.clone(),
             path: path.iter().map(|&surface| geometry.surfaces[surface].0.clone()).collect(),
-            optics: geometry.path(view),
+            optics,
             region_px,
         })
         .collect();

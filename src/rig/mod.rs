@@ -13,7 +13,7 @@ mod draft;
 mod error;
 mod file;
 pub mod formats;
-mod polygon;
+pub(crate) mod polygon;
 mod validate;
 mod walk;
 mod warnings;

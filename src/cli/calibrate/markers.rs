@@ -33,6 +33,9 @@ pub(super) struct MarkersArgs {
     /// Band that ends the tube, or `none` [default: that of the rig, or the last one]
     #[arg(long, value_name = "NAME")]
     end: Option<String>,
+    /// Length of the stiff part around the coil's middle, if longer than its band [default: that of the rig]
+    #[arg(long, value_name = "14mm", allow_hyphen_values = true, value_parser = Length::from_str)]
+    rigid: Option<Length>,
     /// Frames per second of a folder of pictures without times.csv
     #[arg(long, value_name = "F", allow_hyphen_values = true)]
     fps: Option<FrameRate>,
@@ -136,7 +139,8 @@ fn catheter(args: &MarkersArgs, draft: &Draft) -> Result<Catheter, Failure> {
         (None, Some(old)) => old.end.and_then(old_name).map(|name| picked("--end", name)).transpose()?,
         (None, None) => names.len().checked_sub(1),
     };
-    Ok(Catheter { diameter_m: args.tube.0, coil, end, rigid_m: old.and_then(|old| old.rigid_m) })
+    let rigid_m = args.rigid.map(|rigid| rigid.0).or(old.and_then(|old| old.rigid_m));
+    Ok(Catheter { diameter_m: args.tube.0, coil, end, rigid_m })
 }
 
 fn failure(args: &MarkersArgs, error: MarkersError) -> Failure {
