@@ -2,7 +2,7 @@
 //!
 //! In: a start, corners seen, prior knowledge. Out: [`Solution`] with the geometry's covariance and what every corner left.
 //!
-//! Minimised is Σ ρ(|corner − projection| / σ) + Σ ((known − value)/sd)², ρ Huber's ([`super::arrow`]): the geometry is shared
+//! Minimised is Σ ρ(|corner − projection| / σ) + Σ ((known − value)/sd)², ρ Huber's (`arrow.rs`): the geometry is shared
 //! by all pictures, the six parameters of its pose are each picture's own. σ, the noise of a corner, is taken from the corners
 //! themselves and the whole repeated.
 //!

@@ -3,7 +3,7 @@
 //! In: a start, where each view saw bands at some moments, known lengths. Out: [`Met`] with the free parameters' covariance.
 //!
 //! Minimised is Σ ρ(|seen − projection − error of the band model|) + Σ ((known length − distance)/σ)², ρ Huber's
-//! ([`super::arrow`]): surfaces and errors are shared by all moments, the places of its bands are each moment's own.
+//! (`arrow.rs`): surfaces and errors are shared by all moments, the places of its bands are each moment's own.
 //!
 //! What the image model gets wrong about a band in a view is the same in every frame and does not average out: it is a parameter
 //! of its own, along and across the band, known to be 0 within its σ. So is the error of a known length. The covariance holds
