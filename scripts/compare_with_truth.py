@@ -7,8 +7,8 @@ per coordinate (for the tangent: per direction across; for θ: θ itself), to be
 standard deviations that Catoptra itself gave.
 
 Example:
-  catoptra track sample_frames/planar.mkv --rig calibration/dev_tank/rig.toml --frame camera -o planar
-  scripts/compare_with_truth.py sample_frames/truth/planar.csv planar/track.csv --rig calibration/dev_tank/rig.toml
+  catoptra track sample_frames/planar.mkv --rig sample_frames/truth/rig.toml --frame camera -o planar
+  scripts/compare_with_truth.py sample_frames/truth/planar.csv planar/track.csv --rig sample_frames/truth/rig.toml
 """
 
 import argparse

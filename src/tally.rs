@@ -34,9 +34,20 @@ pub struct Tally {
     /// Frames by what is missing (a marker's name, `tangent`, `deflection`) and the word for the reason. That a rig has no
     /// base frame is no miss of a frame and is not counted.
     pub misses: BTreeMap<(String, String), u64>,
-    /// Whether the views fit together all the time.
+    /// Whether the rig is as it was calibrated.
     pub drift: Drift,
     views: Vec<String>,
+}
+
+/// A drift alarm for people.
+#[derive(Debug, Clone, PartialEq)]
+pub struct AlarmInWords {
+    /// Camera time, nanoseconds.
+    pub ns: i64,
+    /// What is wrong.
+    pub what: String,
+    /// What it means and what to do.
+    pub advice: &'static str,
 }
 
 /// One marker.
@@ -143,10 +154,14 @@ impl Tally {
         named
     }
 
-    /// The alarms of [`Tally::drift`] in words: camera time in nanoseconds, and what happened.
-    pub fn alarms(&self) -> impl Iterator<Item = (i64, String)> {
+    /// The alarms of [`Tally::drift`] in words.
+    pub fn alarms(&self) -> impl Iterator<Item = AlarmInWords> {
         let views: Vec<&str> = self.views.iter().map(String::as_str).collect();
-        self.drift.alarms().iter().map(move |alarm| (alarm.stamp.ns, alarm.words(&views)))
+        self.drift.alarms().iter().map(move |alarm| AlarmInWords {
+            ns: alarm.stamp.ns,
+            what: alarm.words(&views),
+            advice: alarm.advice(),
+        })
     }
 
     fn named_misses(&self, estimate: &Estimate) -> Vec<(String, String)> {

@@ -26,7 +26,7 @@ struct Bench {
 impl Bench {
     fn new() -> Self {
         let mut table: toml::Table =
-            std::fs::read_to_string(file("calibration/dev_tank/rig.toml")).unwrap().parse().unwrap();
+            std::fs::read_to_string(file("sample_frames/truth/rig.toml")).unwrap().parse().unwrap();
         let camera = table["camera"].as_table_mut().unwrap();
         assert!(camera.remove("blur_px").is_some() && camera.remove("chroma_offset_px").is_some());
         for marker in table["marker"].as_array_mut().unwrap() {
@@ -118,7 +118,7 @@ fn wrong_arguments_are_named() {
     let video = video.to_str().unwrap();
     let (rig, tube) = (["--rig", "bare.toml"], ["--tube", "3.2mm"]);
     let picks = ["--pick", BASE, "--pick", COIL, "--pick", TIP];
-    let cases: [(&[&[&str]], &str); 12] = [
+    let cases: [(&[&[&str]], &str); 14] = [
         (&[&[video], &rig, &picks], "--tube"),
         (&[&[video], &rig, &["--tube", "3.2"], &picks], "3.2mm"),
         (&[&[video], &rig, &tube], "--pick"),
@@ -128,7 +128,15 @@ fn wrong_arguments_are_named() {
         (&[&[video], &["--rig", "none.toml"], &tube, &picks], "none.toml"),
         (&[&["none.mkv"], &rig, &tube, &picks], "none.mkv"),
         (&[&[video], &rig, &tube, &picks[..5], &["tip@880,600:6mm"]], "view `direct`; it lies in that of `mirror`"),
-        (&[&[video], &rig, &tube, &picks, &["--coil", "coils"]], "of this command"),
+        (
+            &[&[video], &rig, &tube, &picks, &["--coil", "coils"]],
+            "coils: no such band of this command; picked are base, coil, tip",
+        ),
+        (
+            &[&[video], &rig, &tube, &picks, &["--end", "coil"]],
+            "the last marker along the tube, \"tip\" (with the bands",
+        ),
+        (&[&[video], &rig, &tube, &picks, &["--pick", TIP]], "a different name for each (with the bands"),
         (&[&[video], &rig, &tube, &picks, &["--out", "none/rig.toml"]], "none/rig.toml: there is no such folder"),
         (
             &[&[video], &["--rig", "large.toml"], &tube, &picks],
@@ -139,6 +147,16 @@ fn wrong_arguments_are_named() {
         let said = ended_with(&bench.calibrate(&args.concat()), 2);
         assert!(said.contains(word), "{word} is not in {said}");
     }
+}
+
+#[test]
+fn the_stiff_part_that_was_given_is_in_the_rig() {
+    let bench = Bench::new();
+    let video = recording("rest");
+    let args = [video.to_str().unwrap(), "--rig", "bare.toml", "--out", "learned.toml", "--tube", "3.2mm"];
+    let picks = ["--rigid", "15mm", "--pick", BASE, "--pick", COIL, "--pick", TIP];
+    ended_with(&bench.calibrate(&[&args[..], &picks].concat()), 0);
+    assert_eq!(Rig::load(&bench.learned()).unwrap().catheter.rigid_m, Some(0.015));
 }
 
 #[test]

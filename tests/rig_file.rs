@@ -101,7 +101,7 @@ fn changed(from: &str, to: &str) -> String {
 }
 
 fn dev_tank() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("calibration/dev_tank/rig.toml")
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("sample_frames/truth/rig.toml")
 }
 
 #[test]
@@ -404,7 +404,7 @@ fn catoptra(arguments: &[&str]) -> Output {
 
 #[test]
 fn the_command_explains_the_sample_rig() {
-    let out = catoptra(&["rig", "check", "calibration/dev_tank/rig.toml"]);
+    let out = catoptra(&["rig", "check", "sample_frames/truth/rig.toml"]);
     let text = String::from_utf8(out.stdout).unwrap();
     assert_eq!(out.status.code(), Some(0), "{}", String::from_utf8_lossy(&out.stderr));
     for part in [

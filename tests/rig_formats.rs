@@ -331,7 +331,7 @@ fn said(output: &Output) -> (Option<i32>, String, String) {
     (output.status.code(), text(&output.stdout), text(&output.stderr))
 }
 
-const DEV_TANK: &str = "calibration/dev_tank/rig.toml";
+const DEV_TANK: &str = "sample_frames/truth/rig.toml";
 
 #[test]
 fn a_camera_goes_out_and_comes_in_again() {

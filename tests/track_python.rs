@@ -18,7 +18,7 @@ fn python_finds_the_numbers_of_the_table_in_the_log_of_a_recording() {
             .arg("track")
             .arg(repository.join("sample_frames/planar.mkv"))
             .arg("--rig")
-            .arg(repository.join("calibration/dev_tank/rig.toml"))
+            .arg(repository.join("sample_frames/truth/rig.toml"))
             .args(["--frame", frame, "--from", from, "--to", to])
             .arg("-o")
             .arg(folder.path())

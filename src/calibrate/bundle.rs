@@ -2,34 +2,27 @@
 //!
 //! In: a start, corners seen, prior knowledge. Out: [`Solution`] with the geometry's covariance and what every corner left.
 //!
-//! Minimised is Σ ρ(|corner − projection| / σ) + Σ ((known − value)/sd)², ρ Huber's, by Levenberg-Marquardt. A picture's six
-//! pose parameters meet only the geometry's: they are eliminated (Schur complement), so that the time grows linearly with
-//! the number of pictures. σ, the noise of a corner, is taken from the corners themselves and the whole repeated.
+//! Minimised is Σ ρ(|corner − projection| / σ) + Σ ((known − value)/sd)², ρ Huber's (`arrow.rs`): the geometry is shared
+//! by all pictures, the six parameters of its pose are each picture's own. σ, the noise of a corner, is taken from the corners
+//! themselves and the whole repeated.
 //!
-//! Covariance of the geometry: the inverse of the reduced normal matrix, all poses free, times σ². It supposes independent
-//! errors of the corners, flat mirrors and walls, and a flat board.
-//!
-//! Source of the method: Triggs et al., "Bundle adjustment: a modern synthesis" (2000), doi:10.1007/3-540-44480-7_21.
+//! The covariance of the geometry has all poses free. It supposes independent errors of the corners, flat mirrors and walls,
+//! and a flat board.
 
+use super::arrow::{End, Equations, Loss, Row, Step, Stuck, minimise};
 use super::geometry::{Geometry, Parameter, Projector};
-use super::known::Known;
+use super::known::{Equation, Known};
 use crate::optics::NoRay;
-use nalgebra::{
-    DMatrix, DVector, Isometry3, Matrix6, OMatrix, Point2, Point3, Translation3, U6, UnitQuaternion, Vector2, Vector3,
-    Vector6,
-};
+use nalgebra::{DMatrix, DVector, Isometry3, Point2, Point3, Translation3, UnitQuaternion, Vector2, Vector3, Vector6};
 
-/// Beyond this many σ a corner's weight falls (Huber); a corner further off than [`OUTLIER`] says nothing about σ.
-const HUBER: f64 = 2.5;
-/// See [`HUBER`].
+/// A corner further off than so many σ says nothing about σ.
 const OUTLIER: f64 = 4.0;
 /// Noise assumed at first, pixels; the least ever assumed (corners made by a program have none).
 const START_SD_PX: f64 = 0.5;
 const LEAST_SD_PX: f64 = 1e-6;
 const MOST_ROUNDS: usize = 6;
-const MOST_STEPS: usize = 200;
-/// A round ends when the next step promises to lower the cost by less than this part of it, or this.
-const ENOUGH: (f64, f64) = (1e-9, 1e-9);
+/// Of a round.
+const END: End = End { enough: (1e-9, 1e-9), most_steps: 200 };
 
 /// A corner of the board in a view of a picture.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -53,6 +46,8 @@ pub struct Bundle {
     pub free: Vec<Parameter>,
     /// For each picture, camera_from_board.
     pub poses: Vec<Isometry3<f64>>,
+    /// For each picture, its name in messages.
+    pub names: Vec<String>,
     /// All corners.
     pub corners: Vec<Corner>,
     /// What else is known.
@@ -70,6 +65,8 @@ pub struct Solution {
     pub covariance: DMatrix<f64>,
     /// For each picture, camera_from_board.
     pub poses: Vec<Isometry3<f64>>,
+    /// For each picture, its name in messages.
+    pub names: Vec<String>,
     /// For each corner, found − projected, pixels.
     pub residuals_px: Vec<Vector2<f64>>,
     /// Noise of one coordinate of a corner, pixels.
@@ -82,10 +79,10 @@ pub struct Solution {
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum NoSolution {
     /// The start does not show a corner.
-    #[error("picture {picture} cannot show the board there: {why}")]
+    #[error("{picture} cannot show the board there: {why}")]
     NotSeen {
-        /// Index of the picture.
-        picture: usize,
+        /// The picture's name.
+        picture: String,
         /// Why.
         why: NoRay,
     },
@@ -93,26 +90,14 @@ pub enum NoSolution {
     #[error("the pictures leave the solution open")]
     Singular,
     /// The search did not settle.
-    #[error("the search did not settle after {MOST_STEPS} steps")]
+    #[error("the search did not settle after {} steps", END.most_steps)]
     NotConverged,
 }
 
-type Coupling = OMatrix<f64, nalgebra::Dyn, U6>;
-
-/// Normal equations in the shape of an arrow: the geometry's block, each picture's own, and what couples them.
-struct Normal {
-    geometry: DMatrix<f64>,
-    geometry_gradient: DVector<f64>,
-    pictures: Vec<(Coupling, Matrix6<f64>, Vector6<f64>)>,
-    cost: f64,
-}
-
-/// A step of all parameters.
-struct Step {
-    geometry: DVector<f64>,
-    poses: Vec<Vector6<f64>>,
-    /// By how much it lowers the cost if the problem is linear.
-    promised: f64,
+/// Where the search is.
+struct State {
+    geometry: Geometry,
+    poses: Vec<Isometry3<f64>>,
 }
 
 impl Bundle {
@@ -120,78 +105,52 @@ impl Bundle {
     ///
     /// # Errors
     /// [`NoSolution`] when the start does not show the board, or the pictures do not determine the geometry.
-    pub fn solve(mut self) -> Result<Solution, NoSolution> {
+    pub fn solve(self) -> Result<Solution, NoSolution> {
+        let mut at = State { geometry: self.geometry.clone(), poses: self.poses.clone() };
         let mut sd_px = START_SD_PX;
         for round in 0.. {
-            self.minimise(sd_px)?;
-            let residuals_px = self.residuals_px()?;
-            let found = self.noise(&residuals_px);
+            (at, _) = minimise(END, at, |at| self.equations(at, sd_px), |at, step| Ok(self.stepped(at, step)))?;
+            let found = self.noise(&self.residuals_px(&at)?);
             let settled = (found / sd_px - 1.0).abs() < 0.01 || found == LEAST_SD_PX;
             sd_px = found;
             if settled || round == MOST_ROUNDS {
                 break;
             }
         }
-        let residuals_px = self.residuals_px()?;
-        let (covariance, _) = self.normal(sd_px)?.reduced(0.0).ok_or(NoSolution::Singular)?;
-        let covariance = covariance.cholesky().ok_or(NoSolution::Singular)?.inverse();
         Ok(Solution {
-            geometry: self.geometry,
-            free: self.free,
-            covariance,
-            poses: self.poses,
-            residuals_px,
+            covariance: self.equations(&at, sd_px)?.covariance().ok_or(NoSolution::Singular)?,
+            residuals_px: self.residuals_px(&at)?,
             corner_sd_px: sd_px,
+            geometry: at.geometry,
+            poses: at.poses,
+            free: self.free,
+            names: self.names,
             known: self.known,
         })
     }
 
-    fn minimise(&mut self, sd_px: f64) -> Result<(), NoSolution> {
-        let mut normal = self.normal(sd_px)?;
-        let mut damping = 1e-4;
-        for _ in 0..MOST_STEPS {
-            let Some(step) = normal.step(damping) else {
-                // A damped matrix that is not positive is so because of rounding: more damping mends it.
-                if damping > 1e6 {
-                    return Err(NoSolution::Singular);
-                }
-                damping *= 10.0;
-                continue;
-            };
-            let small = step.promised < ENOUGH.0 * normal.cost + ENOUGH.1;
-            let moved = self.stepped(&step);
-            match moved.normal(sd_px) {
-                Ok(next) if next.cost <= normal.cost => {
-                    *self = moved;
-                    normal = next;
-                    damping = f64::max(damping * 0.1, 1e-12);
-                }
-                _ if small => return Ok(()),
-                _ => damping *= 10.0,
-            }
-            if small {
-                return Ok(());
-            }
+    fn stepped(&self, at: &State, step: &Step) -> State {
+        let pose = |(pose, own): (&Isometry3<f64>, &DVector<f64>)| turned(pose, &own.fixed_rows::<6>(0).into_owned());
+        State {
+            geometry: at.geometry.stepped(&self.free, step.shared.as_slice()),
+            poses: at.poses.iter().zip(&step.own).map(pose).collect(),
         }
-        Err(NoSolution::NotConverged)
     }
 
-    fn stepped(&self, step: &Step) -> Self {
-        let poses = self.poses.iter().zip(&step.poses).map(|(pose, step)| turned(pose, step)).collect();
-        let geometry = self.geometry.stepped(&self.free, step.geometry.as_slice());
-        Self { geometry, poses, free: self.free.clone(), corners: self.corners.clone(), known: self.known.clone() }
-    }
-
-    fn residuals_px(&self) -> Result<Vec<Vector2<f64>>, NoSolution> {
-        let projector = Projector::new(&self.geometry, &[]);
+    fn residuals_px(&self, at: &State) -> Result<Vec<Vector2<f64>>, NoSolution> {
+        let projector = Projector::new(&at.geometry, &[]);
         self.corners
             .iter()
             .map(|corner| {
-                let place = self.poses[corner.picture] * corner.place;
-                let pixel = projector.pixel(corner.view, &place).map_err(|why| corner.unseen(why))?;
+                let place = at.poses[corner.picture] * corner.place;
+                let pixel = projector.pixel(corner.view, &place).map_err(|why| self.unseen(corner, why))?;
                 Ok(corner.pixel - pixel)
             })
             .collect()
+    }
+
+    fn unseen(&self, corner: &Corner, why: NoRay) -> NoSolution {
+        NoSolution::NotSeen { picture: self.names.get(corner.picture).cloned().unwrap_or_default(), why }
     }
 
     /// σ of a corner's coordinate: first from the median of the residuals, then from all that are no outliers by that one.
@@ -209,50 +168,43 @@ impl Bundle {
         (mean / 2.0 / freedom).sqrt().max(LEAST_SD_PX)
     }
 
-    fn normal(&self, sd_px: f64) -> Result<Normal, NoSolution> {
-        let n = self.free.len();
-        let none = || (Coupling::zeros(n), Matrix6::zeros(), Vector6::zeros());
-        let mut normal = Normal {
-            geometry: DMatrix::zeros(n, n),
-            geometry_gradient: DVector::zeros(n),
-            pictures: self.poses.iter().map(|_| none()).collect(),
-            cost: 0.0,
-        };
-        let projector = Projector::new(&self.geometry, &self.free);
-        let mut by_geometry = DVector::zeros(n);
+    fn equations(&self, at: &State, sd_px: f64) -> Result<Equations, NoSolution> {
+        let mut equations = Equations::new(self.free.len(), at.poses.iter().map(|_| 6));
+        let projector = Projector::new(&at.geometry, &self.free);
         for corner in &self.corners {
-            let pose = &self.poses[corner.picture];
-            let seen = projector.seen(corner.view, &(pose * corner.place)).map_err(|why| corner.unseen(why))?;
+            let pose = &at.poses[corner.picture];
+            let seen = projector.seen(corner.view, &(pose * corner.place)).map_err(|why| self.unseen(corner, why))?;
             let residual = (corner.pixel - seen.pixel) / sd_px;
-            let length = residual.norm();
-            let weight = if length > HUBER { HUBER / length } else { 1.0 };
-            normal.cost += if length > HUBER { HUBER * (2.0 * length - HUBER) } else { length * length };
-            for axis in 0..2 {
-                for (to, d) in by_geometry.iter_mut().zip(&seen.d_parameters) {
-                    *to = d[axis] / sd_px;
-                }
+            let by_geometry = [0, 1].map(|axis| seen.d_parameters.iter().map(|d| d[axis] / sd_px).collect::<Vec<_>>());
+            let by_pose = [0, 1].map(|axis| {
                 let d_place = Vector3::from(seen.d_point.row(axis).transpose()) / sd_px;
-                normal.add(
-                    &by_geometry,
-                    Some((corner.picture, by_pose(pose, &corner.place, &d_place))),
-                    residual[axis],
-                    weight,
-                );
-            }
+                by_pose(pose, &corner.place, &d_place)
+            });
+            let row = |axis: usize| Row {
+                residual: residual[axis],
+                shared: &by_geometry[axis],
+                own: by_pose[axis].as_slice(),
+            };
+            equations.add(Some(corner.picture), &[row(0), row(1)], Loss::Robust);
         }
         for known in &self.known {
-            for row in known.rows(&self.geometry, &self.poses, &self.free) {
-                normal.cost += row.residual * row.residual;
-                normal.add(&row.by_geometry, row.by_pose, row.residual, 1.0);
+            for Equation { residual, by_geometry, by_pose } in known.rows(&at.geometry, &at.poses, &self.free) {
+                let own = by_pose.as_ref().map_or(&[][..], |(_, by_pose)| by_pose.as_slice());
+                let row = Row { residual, shared: by_geometry.as_slice(), own };
+                equations.add(by_pose.map(|(picture, _)| picture), &[row], Loss::Squared);
             }
         }
-        Ok(normal)
+        Ok(equations)
     }
 }
 
-impl Corner {
-    fn unseen(&self, why: NoRay) -> NoSolution {
-        NoSolution::NotSeen { picture: self.picture, why }
+impl From<Stuck<Self>> for NoSolution {
+    fn from(stuck: Stuck<Self>) -> Self {
+        match stuck {
+            Stuck::Start(why) => why,
+            Stuck::Singular => Self::Singular,
+            Stuck::NotSettled => Self::NotConverged,
+        }
     }
 }
 
@@ -269,61 +221,6 @@ pub(super) fn by_pose(pose: &Isometry3<f64>, place: &Point3<f64>, d_place: &Vect
     // d(R exp(ω) p)/dω = −R [p]ₓ, and gᵀ(−R [p]ₓ) = (p × Rᵀg)ᵀ.
     let turn = place.coords.cross(&in_board);
     Vector6::new(d_place.x, d_place.y, d_place.z, turn.x, turn.y, turn.z)
-}
-
-impl Normal {
-    /// Adds one equation: its derivatives, residual and weight.
-    fn add(&mut self, by_geometry: &DVector<f64>, pose: Option<(usize, Vector6<f64>)>, residual: f64, weight: f64) {
-        self.geometry.syger(weight, by_geometry, by_geometry, 1.0);
-        self.geometry_gradient.axpy(weight * residual, by_geometry, 1.0);
-        if let Some((picture, by_pose)) = pose {
-            let (coupling, own, gradient) = &mut self.pictures[picture];
-            coupling.ger(weight, by_geometry, &by_pose, 1.0);
-            own.ger(weight, &by_pose, &by_pose, 1.0);
-            *gradient += by_pose * (weight * residual);
-        }
-    }
-
-    /// The geometry's matrix and gradient after all poses are eliminated, the diagonal raised by `damping`.
-    fn reduced(&self, damping: f64) -> Option<(DMatrix<f64>, DVector<f64>)> {
-        let mut matrix = self.geometry.clone();
-        matrix.fill_upper_triangle_with_lower_triangle();
-        for i in 0..matrix.nrows() {
-            matrix[(i, i)] *= 1.0 + damping;
-        }
-        let mut gradient = self.geometry_gradient.clone();
-        for (coupling, own, own_gradient) in &self.pictures {
-            let inverse = inverse(own, damping)?;
-            let through = coupling * inverse;
-            matrix.gemm(-1.0, &through, &coupling.transpose(), 1.0);
-            gradient.gemv(-1.0, &through, own_gradient, 1.0);
-        }
-        Some((matrix, gradient))
-    }
-
-    fn step(&self, damping: f64) -> Option<Step> {
-        let (matrix, gradient) = self.reduced(damping)?;
-        let geometry = matrix.cholesky()?.solve(&gradient);
-        let mut promised = geometry.dot(&self.geometry_gradient);
-        let poses = self
-            .pictures
-            .iter()
-            .map(|(coupling, own, gradient)| {
-                let step = inverse(own, damping)? * (gradient - coupling.tr_mul(&geometry));
-                promised += step.dot(gradient);
-                Some(step)
-            })
-            .collect::<Option<_>>()?;
-        Some(Step { geometry, poses, promised })
-    }
-}
-
-fn inverse(own: &Matrix6<f64>, damping: f64) -> Option<Matrix6<f64>> {
-    let mut damped = *own;
-    for i in 0..6 {
-        damped[(i, i)] *= 1.0 + damping;
-    }
-    Some(damped.cholesky()?.inverse())
 }
 
 #[cfg(test)]
@@ -383,11 +280,12 @@ pub(super) mod tests {
                 _ => 3e-3 * random(),
             })
             .collect();
-        let poses = poses
+        let poses: Vec<_> = poses
             .iter()
             .map(|pose| turned(pose, &Vector6::from_fn(|i, _| if i < 3 { 4e-3 } else { 0.04 } * random())))
             .collect();
-        Bundle { geometry: truth.stepped(&free, &off), free, poses, corners, known: known(errors, &mut random) }
+        let names = (0..poses.len()).map(|i| format!("{i:02}.png")).collect();
+        Bundle { geometry: truth.stepped(&free, &off), free, poses, names, corners, known: known(errors, &mut random) }
     }
 
     fn error(solved: &Solution, truth: &Geometry) -> DVector<f64> {
@@ -411,6 +309,14 @@ pub(super) mod tests {
             let limit = if matches!(parameter, Parameter::Focal(_) | Parameter::Principal(_)) { 1e-3 } else { 1e-4 };
             assert!(error.abs() < limit, "{parameter:?} is off by {error}");
         }
+    }
+
+    #[test]
+    fn a_picture_that_cannot_show_the_board_is_named() {
+        let mut behind = bundle(&geometry(), 0.0, 0.0, 1);
+        behind.poses[3].translation.vector.z = -1.0;
+        let error = behind.solve().unwrap_err().to_string();
+        assert!(error.starts_with("03.png cannot show the board there: "), "{error}");
     }
 
     #[test]

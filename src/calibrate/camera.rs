@@ -242,7 +242,8 @@ fn adjust(board: &Board, used: &[&BoardPicture], size_px: [u32; 2]) -> Result<So
         .filter_map(|(picture, i, pixel)| Some(Corner { picture, view: 0, place: *places.get(i)?, pixel }))
         .collect();
     let geometry = Geometry { lens, surfaces: Vec::new(), views: vec![("air".to_owned(), Vec::new())] };
-    Ok(Bundle { geometry, free: Parameter::LENS.to_vec(), poses, corners, known: Vec::new() }.solve()?)
+    let names = used.iter().map(|picture| picture.name.clone()).collect();
+    Ok(Bundle { geometry, free: Parameter::LENS.to_vec(), poses, names, corners, known: Vec::new() }.solve()?)
 }
 
 /// OpenCV's answer.

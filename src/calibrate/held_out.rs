@@ -108,7 +108,9 @@ pub fn held_out(solution: &Solution, corners: &[Corner]) -> Vec<Result<HeldOut, 
 /// The problem without a picture; those after it move up.
 fn without(picture: usize, solution: &Solution, corners: &[Corner]) -> Bundle {
     let now = |other: usize| (other != picture).then(|| other - usize::from(other > picture));
-    let poses = solution.poses.iter().enumerate().filter(|(i, _)| *i != picture).map(|(_, pose)| *pose).collect();
+    let (mut poses, mut names) = (solution.poses.clone(), solution.names.clone());
+    poses.remove(picture);
+    names.remove(picture);
     let corners = corners.iter().filter_map(|c| Some(Corner { picture: now(c.picture)?, ..*c })).collect();
     let known = solution
         .known
@@ -120,7 +122,7 @@ fn without(picture: usize, solution: &Solution, corners: &[Corner]) -> Bundle {
             _ => Some(known.clone()),
         })
         .collect();
-    Bundle { geometry: solution.geometry.clone(), free: solution.free.clone(), poses, corners, known }
+    Bundle { geometry: solution.geometry.clone(), free: solution.free.clone(), poses, names, corners, known }
 }
 
 /// Triangulates the corners of a picture and takes the lengths between them.
@@ -230,6 +232,7 @@ mod tests {
     fn what_leaves_the_rig_open_without_one_picture_is_said() {
         let mut bundle = bundle(&geometry(), 0.0, 0.0, 3);
         bundle.poses.truncate(2);
+        bundle.names.truncate(2);
         // One square: 4 corners in 2 views, 16 equations a picture for 6 unknowns of its pose.
         bundle.corners.retain(|c| c.picture < 2 && c.place.x < -0.01 && c.place.y < 0.0);
         let corners = bundle.corners.clone();

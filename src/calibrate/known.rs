@@ -60,7 +60,7 @@ pub enum Known {
 }
 
 /// One equation: residual in standard deviations and the derivatives of the prediction.
-pub(super) struct Row {
+pub(super) struct Equation {
     pub(super) residual: f64,
     pub(super) by_geometry: DVector<f64>,
     pub(super) by_pose: Option<(usize, Vector6<f64>)>,
@@ -119,7 +119,7 @@ impl Known {
     }
 
     /// Its equations, differentiated numerically.
-    pub(super) fn rows(&self, geometry: &Geometry, poses: &[Isometry3<f64>], free: &[Parameter]) -> Vec<Row> {
+    pub(super) fn rows(&self, geometry: &Geometry, poses: &[Isometry3<f64>], free: &[Parameter]) -> Vec<Equation> {
         let here = self.values(geometry, poses);
         let difference = |plus: Vec<f64>, minus: Vec<f64>| -> Vec<f64> {
             plus.iter().zip(minus).map(|(p, m)| (p - m) / (2.0 * STEP)).collect()
@@ -146,7 +146,7 @@ impl Known {
         });
         here.iter()
             .enumerate()
-            .map(|(i, value)| Row {
+            .map(|(i, value)| Equation {
                 residual: -value,
                 by_geometry: DVector::from_iterator(free.len(), by_geometry.iter().map(|d| d[i])),
                 by_pose: by_pose.as_ref().map(|(picture, columns)| (*picture, Vector6::from_fn(|c, _| columns[c][i]))),

@@ -15,8 +15,9 @@
 //! Cannot detect: a camera, wall or tank that moved as well, other than by views that go on disagreeing.
 
 use super::KnownLength;
+use super::frames::spread;
 use super::geometry::{Geometry, Parameter, tilt_axes};
-use super::markers::spread;
+
 use super::meeting::{Meeting, Met, Moment, Sight, disagreement_px};
 use crate::estimate::Estimate;
 use crate::optics::{Mirror, Plane, Surface};

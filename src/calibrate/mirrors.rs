@@ -20,7 +20,7 @@ use super::known::Known;
 use super::regions::regions;
 use super::start::{BoardsPicture, Start, Unusable, start};
 use super::taped::Taped;
-use crate::optics::{Lens, Mirror, Plane, PlaneError, Surface, Wall};
+use crate::optics::{Lens, Mirror, OpticalPath, Plane, PlaneError, Surface, Wall};
 use crate::rig::{Draft, View};
 use nalgebra::{DMatrix, Isometry3, Point2, Point3, Translation3, Vector2, Vector3};
 
@@ -144,10 +144,13 @@ pub fn calibrate_rig(
         if start.mirrors.len() < options.mirrors {
             return Err(RigCalibrationError::Mirrors { found: start.mirrors.len(), expected: options.mirrors });
         }
-        let (solution, corners) = best(board, lens, &start, options)?;
-        let used: Vec<UsedPicture> = (0..start.pictures.len())
-            .map(|picture| UsedPicture {
-                name: name(start.pictures[picture].picture),
+        let names: Vec<String> = start.pictures.iter().map(|sorted| name(sorted.picture)).collect();
+        let (solution, corners) = best(board, lens, &start, &names, options)?;
+        let used: Vec<UsedPicture> = names
+            .into_iter()
+            .enumerate()
+            .map(|(picture, name)| UsedPicture {
+                name,
                 pose: solution.poses[picture],
                 corners: by_picture(&corners, &solution, picture),
             })
@@ -171,6 +174,7 @@ fn best(
     board: &Board,
     lens: &Lens,
     start: &Start,
+    names: &[String],
     options: &RigOptions,
 ) -> Result<(Solution, Vec<Corner>), RigCalibrationError> {
     let seen: Vec<Corner> = start
@@ -192,16 +196,17 @@ fn best(
     let margins: &[f64] = if options.tank.is_some() { &MARGINS_M } else { &[0.0] };
     let mut best: Result<Solution, RigCalibrationError> = Err(NoSolution::NotConverged.into());
     for margin_m in margins {
-        let (mut geometry, mut poses) = first_geometry(lens, start, options, *margin_m)?;
-        let mut known = known(&geometry, options)?;
-        let mut corners = seen.clone();
-        for (wall, picture) in &options.taped {
-            let taped = Taped::new(board, lens, &geometry, wall, picture)?;
-            taped.add(&mut geometry, &mut poses, &mut corners, &mut known);
-        }
+        let (geometry, poses) = first_geometry(lens, start, options, *margin_m)?;
+        let known = known(&geometry, options)?;
         let mut free: Vec<Parameter> = (0..geometry.surfaces.len()).flat_map(Parameter::of_surface).collect();
-        let held = held(&geometry).into_iter().chain(known.iter().cloned()).collect();
-        let rough = Bundle { geometry, free: free.clone(), poses, corners: corners.clone(), known: held }.solve();
+        let (names, corners) = (names.to_vec(), seen.clone());
+        let mut bundle = Bundle { geometry, free: free.clone(), poses, names, corners, known };
+        for (wall, picture) in &options.taped {
+            Taped::new(board, lens, &bundle.geometry, wall, picture)?.add(&mut bundle);
+        }
+        let (corners, known) = (bundle.corners.clone(), bundle.known.clone());
+        bundle.known.extend(held(&bundle.geometry));
+        let rough = bundle.solve();
         if options.lens_covariance.is_some() {
             free.extend(Parameter::LENS);
         }
@@ -209,7 +214,8 @@ fn best(
             free.push(Parameter::IndexInside);
         }
         let solved = rough.and_then(|rough| {
-            Bundle { geometry: rough.geometry, free, poses: rough.poses, corners: corners.clone(), known }.solve()
+            let Solution { geometry, poses, names, .. } = rough;
+            Bundle { geometry, free, poses, names, corners, known }.solve()
         });
         let cost = |s: &Solution| rms(s.residuals_px.iter().copied());
         match (solved, &best) {
@@ -223,6 +229,7 @@ fn best(
     let mut solution = best?;
     solution.geometry.views.truncate(1 + start.mirrors.len());
     solution.poses.truncate(start.pictures.len());
+    solution.names.truncate(start.pictures.len());
     solution.residuals_px.truncate(seen.len());
     solution.known.retain(|known| !matches!(known, Known::Taped { .. }));
     Ok((solution, seen))
@@ -414,16 +421,16 @@ pub fn into_draft(mut draft: Draft, done: &RigCalibration) -> Draft {
     let geometry = &done.solution.geometry;
     draft.camera.lens = geometry.lens;
     draft.surfaces = geometry.surfaces.iter().cloned().collect();
-    let regions = regions(&done.corners, geometry.views.len(), draft.camera.size_px);
+    let optics: Vec<OpticalPath> = (0..geometry.views.len()).map(|view| geometry.path(view)).collect();
+    let regions = regions(&done.corners, &optics, draft.camera.size_px);
     draft.views = geometry
         .views
         .iter()
-        .zip(regions)
-        .enumerate()
-        .map(|(view, ((name, path), region_px))| View {
+        .zip(optics.into_iter().zip(regions))
+        .map(|((name, path), (optics, region_px))| View {
             name: name.clone(),
             path: path.iter().map(|&surface| geometry.surfaces[surface].0.clone()).collect(),
-            optics: geometry.path(view),
+            optics,
             region_px,
         })
         .collect();

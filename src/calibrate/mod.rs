@@ -12,12 +12,14 @@
 //! [`mod@doubts`] says what speaks against it.
 
 mod around;
+mod arrow;
 pub mod base;
 pub mod board;
 pub mod bundle;
 pub mod camera;
 mod colours;
 pub mod doubts;
+mod frames;
 pub mod geometry;
 pub mod grey;
 pub mod held_out;

@@ -1,7 +1,7 @@
 //! Boards taped flat to a wall: pictures that pin the wall.
 
 use super::board::Board;
-use super::bundle::Corner;
+use super::bundle::{Bundle, Corner};
 use super::camera::{BoardPicture, centred};
 use super::geometry::Geometry;
 use super::known::Known;
@@ -16,6 +16,7 @@ const TAPED_SD_M: f64 = 2e-4;
 
 /// A board taped to a wall, as a picture more.
 pub(super) struct Taped {
+    name: String,
     surface: usize,
     path: Vec<usize>,
     pose: Isometry3<f64>,
@@ -58,26 +59,16 @@ impl Taped {
             seen = Isometry3::from_parts(Translation3::from(middle.coords), over * seen.rotation * half_turn);
         }
         let half_m = places.iter().map(|p| p.coords.norm()).fold(0.0, f64::max);
-        Ok(Self { surface, path, pose: seen, corners, half_m })
+        Ok(Self { name: picture.name.clone(), surface, path, pose: seen, corners, half_m })
     }
 
-    pub(super) fn add(
-        self,
-        geometry: &mut Geometry,
-        poses: &mut Vec<Isometry3<f64>>,
-        corners: &mut Vec<Corner>,
-        known: &mut Vec<Known>,
-    ) {
-        let (picture, view) = (poses.len(), geometry.views.len());
-        geometry.views.push(("taped".to_owned(), self.path));
-        poses.push(self.pose);
-        corners.extend(self.corners.iter().map(|(place, pixel)| Corner {
-            picture,
-            view,
-            place: *place,
-            pixel: *pixel,
-        }));
+    pub(super) fn add(self, to: &mut Bundle) {
+        let (picture, view) = (to.poses.len(), to.geometry.views.len());
+        to.geometry.views.push(("taped".to_owned(), self.path));
+        to.poses.push(self.pose);
+        to.names.push(self.name);
+        to.corners.extend(self.corners.into_iter().map(|(place, pixel)| Corner { picture, view, place, pixel }));
         let Self { surface, half_m, .. } = self;
-        known.push(Known::Taped { picture, surface, sd_m: TAPED_SD_M, half_m });
+        to.known.push(Known::Taped { picture, surface, sd_m: TAPED_SD_M, half_m });
     }
 }

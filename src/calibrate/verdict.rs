@@ -13,12 +13,11 @@
 //!
 //! Cannot tell: what the model leaves out (bent mirrors and walls, dispersion, a moved tank, a wrong index).
 
+use super::arrow::{Equations, Loss, Row};
 use super::bundle::{Corner, Solution, by_pose};
 use super::geometry::{Geometry, Parameter, Projector};
 use super::known::Known;
-use nalgebra::{
-    DMatrix, Isometry3, Matrix3, Matrix3xX, Matrix6, Point3, RowVector3, Translation3, UnitQuaternion, Vector3,
-};
+use nalgebra::{DMatrix, Isometry3, Matrix3, Matrix3xX, Point3, Translation3, UnitQuaternion, Vector3};
 
 /// Places along each side of the working volume.
 const PLACES: usize = 5;
@@ -328,23 +327,19 @@ fn information(
     pose: &Isometry3<f64>,
     board: &[Point3<f64>],
 ) -> Option<DMatrix<f64>> {
-    let n = solution.free.len();
-    let (mut geometry, mut coupling, mut own) = (DMatrix::zeros(n, n), DMatrix::zeros(n, 6), Matrix6::zeros());
+    let mut equations = Equations::new(solution.free.len(), [6]);
     for view in 0..solution.geometry.views.len() {
         for place in board {
             let seen = projector.seen(view, &(pose * place)).ok()?;
             for axis in 0..2 {
-                let by_geometry = nalgebra::DVector::from_iterator(n, seen.d_parameters.iter().map(|d| d[axis]));
-                let row: RowVector3<f64> = seen.d_point.row(axis).into();
-                let by_pose = by_pose(pose, place, &row.transpose());
-                geometry.ger(1.0, &by_geometry, &by_geometry, 1.0);
-                coupling.ger(1.0, &by_geometry, &by_pose, 1.0);
-                own.ger(1.0, &by_pose, &by_pose, 1.0);
+                let by_geometry: Vec<f64> = seen.d_parameters.iter().map(|d| d[axis]).collect();
+                let by_pose = by_pose(pose, place, &Vector3::from(seen.d_point.row(axis).transpose()));
+                let row = Row { residual: 0.0, shared: &by_geometry, own: by_pose.as_slice() };
+                equations.add(Some(0), &[row], Loss::Squared);
             }
         }
     }
-    let inverse = own.cholesky()?.inverse();
-    Some((geometry - &coupling * inverse * coupling.transpose()) / solution.corner_sd_px.powi(2))
+    Some(equations.information()? / solution.corner_sd_px.powi(2))
 }
 
 #[cfg(test)]

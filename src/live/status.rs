@@ -2,7 +2,7 @@
 
 use crate::estimate::Estimate;
 use crate::source::host::HostClock;
-use crate::tally::Tally;
+use crate::tally::{AlarmInWords, Tally};
 use hdrhistogram::Histogram;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -41,8 +41,8 @@ pub struct Status {
     pub backlog: usize,
     /// Rows that could not be written because too many waited.
     pub unlogged: u64,
-    /// All drift alarms so far: camera time in nanoseconds, and what happened.
-    pub alarms: Vec<(i64, String)>,
+    /// All drift alarms so far.
+    pub alarms: Vec<AlarmInWords>,
 }
 
 /// The counters of a run.

@@ -26,6 +26,12 @@ pub(super) fn escape(text: &str) -> String {
     out
 }
 
+/// Text for the page in which what stands between backticks is code.
+pub(super) fn with_code(text: &str) -> String {
+    let parts = text.split('`').enumerate();
+    parts.map(|(i, part)| if i % 2 == 1 { format!("<code>{}</code>", escape(part)) } else { escape(part) }).collect()
+}
+
 /// A table; cells are HTML. The first `words` columns are text, the others are numbers.
 pub(super) fn table(words: usize, heads: &[&str], rows: &[Vec<String>]) -> String {
     let cells = |tag: &str, cells: &mut dyn Iterator<Item = &str>| -> String {

@@ -4,9 +4,11 @@ use super::RunInfo;
 use super::absences::absences;
 use super::course::{Channel, Course};
 use super::figures;
-use super::page::{self, bad, escape, facts_table, figure, page, plural, signed, table};
+use super::page::{self, bad, escape, facts_table, figure, page, plural, signed, table, with_code};
 use crate::sink::spoken;
-use crate::tally::Tally;
+use crate::tally::{AlarmInWords, Tally};
+use crate::track::Drifted;
+use std::collections::BTreeSet;
 
 /// The whole page.
 pub(super) fn render(info: &RunInfo, course: &Course) -> String {
@@ -60,11 +62,15 @@ fn header(info: &RunInfo, course: &Course) -> String {
             }
             _ => String::new(),
         };
-        let apart = match tally.drift.alarms() {
-            [] => "",
-            _ => " <strong>The views do not fit together: see Residuals.</strong>",
-        };
-        format!("{answered}; {lost}.{angle}{apart}")
+        let mut moved = String::new();
+        let alarmed = |base: bool| tally.drift.alarms().iter().any(|a| matches!(a.what, Drifted::Base { .. }) == base);
+        if alarmed(false) {
+            moved += " <strong>The views do not fit together: see Residuals.</strong>";
+        }
+        if alarmed(true) {
+            moved += " <strong>The base band is not where it was: see Residuals.</strong>";
+        }
+        format!("{answered}; {lost}.{angle}{moved}")
     };
     format!(
         "<header>\n<p class=\"kind\">Catoptra tracking report</p>\n<h1>{}</h1>\n<p class=\"verdict\">{verdict}</p>\n</header>\n",
@@ -277,27 +283,31 @@ fn views(course: &Course) -> String {
     )
 }
 
-/// When the views began to disagree, and what to do.
+/// When the rig was found to be no longer as it was calibrated, and what to do.
 fn alarms(course: &Course) -> String {
-    let rows: Vec<Vec<String>> = course
-        .tally
-        .alarms()
-        .map(|(ns, what)| {
-            let at_s = course.origin().map_or(0.0, |origin| origin.elapsed_s(ns));
-            vec![format!("{at_s:.3} s"), escape(&what)]
-        })
-        .collect();
-    if rows.is_empty() {
-        return "<p>The views fit together all the time: no disagreement of more than 0.3 px in the mean over seconds. (A mirror that was \
-                shifted along its normal can go unnoticed here: it moves the answer, not the residual.)</p>\n"
-            .to_owned();
+    let alarms: Vec<AlarmInWords> = course.tally.alarms().collect();
+    if alarms.is_empty() {
+        let base = if course.has_base() {
+            "The base band rests where the base frame has its origin, within 0.3 mm in the mean over seconds."
+        } else {
+            "(A mirror that was shifted along its normal can go unnoticed here: it moves the answer, not the residual. With a base \
+             frame in the rig the place of the base band shows it.)"
+        };
+        return format!(
+            "<p>The views fit together all the time: no disagreement of more than 0.3 px in the mean over seconds. {base}</p>\n"
+        );
     }
-    format!(
-        "{}<p class=\"bad\"><strong>Bad:</strong> mirror, camera or tank have moved since the calibration, or the rig is another one: \
-         places are off by more than their σ. Put the rig right with <code>catoptra calibrate mirror --from-markers</code> and track \
-         again.</p>\n",
-        table(2, &["From", "What"], &rows)
-    )
+    let row = |alarm: &AlarmInWords| {
+        let at_s = course.origin().map_or(0.0, |origin| origin.elapsed_s(alarm.ns));
+        vec![format!("{at_s:.3} s"), with_code(&alarm.what)]
+    };
+    let rows: Vec<Vec<String>> = alarms.iter().map(row).collect();
+    let advice: BTreeSet<&str> = alarms.iter().map(|alarm| alarm.advice).collect();
+    let advice = advice.into_iter().map(|advice| {
+        let words = with_code(advice);
+        format!("<p class=\"bad\"><strong>Bad:</strong> places are off by more than their σ: {words}.</p>\n")
+    });
+    table(2, &["From", "What"], &rows) + &advice.collect::<String>()
 }
 
 fn section(title: &str, words: &str, plots: &str, bad_signs: &str) -> String {

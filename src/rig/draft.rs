@@ -81,6 +81,14 @@ impl Draft {
         validate::validate(file::parse(text, name)?, name)
     }
 
+    /// The same, judged as if it had been read from a file; `name` stands for the file in error messages.
+    ///
+    /// # Errors
+    /// [`RigError`], as [`Draft::load`].
+    pub fn checked(&self, name: &Path) -> Result<Self, RigError> {
+        Self::from_toml_str(&self.to_toml_string(), name)
+    }
+
     /// The rig, when all its parts are there; `name` stands for the file in error messages.
     ///
     /// # Errors

@@ -13,7 +13,7 @@ mod draft;
 mod error;
 mod file;
 pub mod formats;
-mod polygon;
+pub(crate) mod polygon;
 mod validate;
 mod walk;
 mod warnings;
@@ -74,6 +74,14 @@ impl Rig {
     /// The text of `rig.toml`, see [`Draft::to_toml_string`].
     pub fn to_toml_string(&self) -> String {
         Draft::from(self.clone()).to_toml_string()
+    }
+
+    /// σ of the base frame's origin along the camera's axes, metres, as `calibrate base` noted it; `None` when it did not.
+    pub fn origin_sd_m(&self) -> Option<Vector3<f64>> {
+        let noted = self.provenance.get("base")?.get("origin_sd_mm")?.as_array()?;
+        let sd_mm: Vec<f64> = noted.iter().filter_map(toml::Value::as_float).collect();
+        let sd_mm = <[f64; 3]>::try_from(sd_mm).ok()?;
+        sd_mm.iter().all(|sd| sd.is_finite() && *sd > 0.0).then(|| Vector3::from(sd_mm) * 1e-3)
     }
 
     /// Index of a marker by its name.

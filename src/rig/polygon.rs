@@ -8,7 +8,7 @@ fn edges(polygon: &[Point2<f64>]) -> impl Iterator<Item = (&Point2<f64>, &Point2
 }
 
 /// Whether a point lies inside (even-odd rule).
-pub(super) fn contains(polygon: &[Point2<f64>], point: &Point2<f64>) -> bool {
+pub(crate) fn contains(polygon: &[Point2<f64>], point: &Point2<f64>) -> bool {
     edges(polygon)
         .filter(|(a, b)| {
             (a.y > point.y) != (b.y > point.y) && point.x < a.x + (b.x - a.x) * (point.y - a.y) / (b.y - a.y)
@@ -19,7 +19,7 @@ pub(super) fn contains(polygon: &[Point2<f64>], point: &Point2<f64>) -> bool {
 }
 
 /// Area and centre of area; the centre is not a number when the area is zero.
-pub(super) fn area_and_centre(polygon: &[Point2<f64>]) -> (f64, Point2<f64>) {
+pub(crate) fn area_and_centre(polygon: &[Point2<f64>]) -> (f64, Point2<f64>) {
     let (mut twice, mut sum) = (0.0, nalgebra::Vector2::zeros());
     for (a, b) in edges(polygon) {
         let cross = a.x * b.y - b.x * a.y;

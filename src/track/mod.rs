@@ -18,7 +18,7 @@ mod triangulate;
 mod tube;
 
 pub use coil::deflection;
-pub use drift::{Drift, DriftAlarm};
+pub use drift::{Drift, DriftAlarm, Drifted};
 pub(crate) use fit::ModelError;
 pub use tracker::{TrackError, TrackOptions, Tracker};
 pub use triangulate::{Sighting, Triangulated, triangulate};

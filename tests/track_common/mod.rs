@@ -15,9 +15,9 @@ pub(crate) fn sample(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("sample_frames").join(name)
 }
 
-/// The rig of the sample.
+/// The rig of the sample, from the renderer's truth.
 pub(crate) fn rig() -> Rig {
-    Rig::load(&Path::new(env!("CARGO_MANIFEST_DIR")).join("calibration/dev_tank/rig.toml")).unwrap()
+    Rig::load(&Path::new(env!("CARGO_MANIFEST_DIR")).join("sample_frames/truth/rig.toml")).unwrap()
 }
 
 /// A folder of its own, with the sample's rig in it.

@@ -38,7 +38,7 @@ pub(crate) fn recording(run: &str) -> PathBuf {
 
 /// The rig of the sample: geometry from the renderer, colours and blur learned on planar.mkv.
 pub(crate) fn rig() -> Rig {
-    Rig::load(&file("calibration/dev_tank/rig.toml")).unwrap()
+    Rig::load(&file("sample_frames/truth/rig.toml")).unwrap()
 }
 
 pub(crate) fn truth(run: &str) -> Vec<Truth> {

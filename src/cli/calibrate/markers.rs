@@ -3,7 +3,7 @@
 use super::super::{Exit, Failure, fitting};
 use super::{Length, can_be_written, save, usage};
 use catoptra::calibrate::markers::{MarkersCalibration, MarkersError, Pick, calibrate_markers, is_apart};
-use catoptra::rig::{Rig, RigError};
+use catoptra::rig::{Catheter, Draft, Marker, Rig};
 use catoptra::source::{FrameRate, SourceOptions};
 use nalgebra::Point2;
 use std::fmt::Write as _;
@@ -33,6 +33,9 @@ pub(super) struct MarkersArgs {
     /// Band that ends the tube, or `none` [default: that of the rig, or the last one]
     #[arg(long, value_name = "NAME")]
     end: Option<String>,
+    /// Length of the stiff part around the coil's middle, if longer than its band [default: that of the rig]
+    #[arg(long, value_name = "14mm", allow_hyphen_values = true, value_parser = Length::from_str)]
+    rigid: Option<Length>,
     /// Frames per second of a folder of pictures without times.csv
     #[arg(long, value_name = "F", allow_hyphen_values = true)]
     fps: Option<FrameRate>,
@@ -98,68 +101,46 @@ pub(super) fn run(args: &MarkersArgs, print: impl Fn(&str) -> Result<(), Failure
 
 /// The rig file with the markers as picked. Places along the tube and roles that it has already are kept.
 fn rig_with_picks(args: &MarkersArgs) -> Result<Rig, Failure> {
-    let path = &args.rig;
-    let text =
-        std::fs::read_to_string(path).map_err(|source| Failure::from(RigError::Read { file: path.clone(), source }))?;
-    // A rig from the calibration of camera and mirrors has no markers yet; they must be there before it can be checked.
-    let Ok(mut table) = text.parse::<toml::Table>() else {
-        return Ok(Rig::load(path)?); // says what is wrong and where
+    let mut draft = Draft::load(&args.rig)?;
+    let catheter = catheter(args, &draft)?;
+    let old = std::mem::take(&mut draft.markers);
+    let marker = |PickArg(pick): &PickArg| Marker {
+        name: pick.name.clone(),
+        length_m: pick.length_m,
+        centre_m: old.iter().find(|m| m.name == pick.name).and_then(|m| m.centre_m),
+        colour: None,
     };
-    let known = |name: &str| {
-        let list = table.get("marker")?.as_array()?;
-        list.iter().filter_map(|m| m.as_table()).find(|m| m.get("name").and_then(|n| n.as_str()) == Some(name)).cloned()
-    };
-    let markers: Vec<toml::Value> = args
-        .picks
-        .iter()
-        .map(|PickArg(pick)| {
-            let mut marker = known(&pick.name).unwrap_or_default();
-            marker.insert("name".into(), pick.name.clone().into());
-            marker.insert("length_mm".into(), (pick.length_m * 1e3).into());
-            marker.remove("colour");
-            marker.into()
-        })
-        .collect();
-    let mut catheter = table.get("catheter").and_then(|c| c.as_table()).cloned().unwrap_or_default();
-    let picked = |name: &str| args.picks.iter().any(|p| p.0.name == name);
-    catheter.insert("diameter_mm".into(), (args.tube.0 * 1e3).into());
-    if let Some(coil) = &args.coil {
-        catheter.insert("coil".into(), coil.clone().into());
-    } else if !catheter.contains_key("coil") {
-        let second = args.picks.get(1).or(args.picks.first()).map(|p| p.0.name.clone()).unwrap_or_default();
-        let coil = if picked("coil") { "coil".to_owned() } else { second };
-        catheter.insert("coil".into(), coil.into());
-    }
-    match args.end.as_deref() {
-        Some("none") => {
-            catheter.remove("end");
-        }
-        Some(end) => {
-            catheter.insert("end".into(), end.into());
-        }
-        None if !table.contains_key("catheter") => {
-            let last = args.picks.last().map(|p| p.0.name.clone()).unwrap_or_default();
-            catheter.insert("end".into(), last.into());
-        }
-        None => {}
-    }
-    table.insert("marker".into(), markers.into());
-    table.insert("catheter".into(), catheter.into());
-    match Rig::from_toml_str(&table.to_string(), path) {
-        Ok(rig) => Ok(rig),
-        // The picks have a form of their own: this is the file's, and only the file itself has its lines.
-        Err(RigError::Syntax { .. } | RigError::UnknownKey { .. }) => Ok(Rig::load(path)?),
-        Err(error) if is_about_picks(&error) => {
-            Err(usage(format!("{error} (with the bands, tube, coil and end of this command)")))
-        }
-        Err(error) => Err(error.into()),
-    }
+    draft.markers = args.picks.iter().map(marker).collect();
+    draft.catheter = Some(catheter);
+    let checked = draft.checked(&args.rig);
+    Ok(checked
+        .map_err(|error| usage(format!("{error} (with the bands, tube, coil and end of this command)")))?
+        .complete(&args.rig)?)
 }
 
-/// Whether the key in question is one that the command's options have their say in.
-fn is_about_picks(error: &RigError) -> bool {
-    let (RigError::Value { key, .. } | RigError::Key { key, .. }) = error else { return false };
-    key.starts_with("marker") || key.starts_with("catheter")
+/// The tube and the roles of its bands: as asked for, else those of the rig, else the usual ones.
+fn catheter(args: &MarkersArgs, draft: &Draft) -> Result<Catheter, Failure> {
+    let names: Vec<&str> = args.picks.iter().map(|p| p.0.name.as_str()).collect();
+    let picked = |option: &str, name: &str| {
+        let index = names.iter().position(|n| *n == name);
+        index.ok_or_else(|| {
+            usage(format!("{option} {name}: no such band of this command; picked are {}", names.join(", ")))
+        })
+    };
+    let old = draft.catheter.as_ref();
+    let old_name = |marker: usize| draft.markers.get(marker).map(|m| m.name.as_str());
+    let coil = match args.coil.as_deref().or(old.and_then(|old| old_name(old.coil))) {
+        Some(name) => picked("--coil", name)?,
+        None => names.iter().position(|n| *n == "coil").unwrap_or(usize::from(names.len() > 1)),
+    };
+    let end = match (args.end.as_deref(), old) {
+        (Some("none"), _) => None,
+        (Some(name), _) => Some(picked("--end", name)?),
+        (None, Some(old)) => old.end.and_then(old_name).map(|name| picked("--end", name)).transpose()?,
+        (None, None) => names.len().checked_sub(1),
+    };
+    let rigid_m = args.rigid.map(|rigid| rigid.0).or(old.and_then(|old| old.rigid_m));
+    Ok(Catheter { diameter_m: args.tube.0, coil, end, rigid_m })
 }
 
 fn failure(args: &MarkersArgs, error: MarkersError) -> Failure {

@@ -1,9 +1,9 @@
 //! The status line of a live run, and warnings that cannot wait for its end.
 
 use super::super::progress::Line;
-use super::super::run::told::advice;
 use catoptra::live::Status;
 use catoptra::source::times::seconds;
+use catoptra::tally::AlarmInWords;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -42,8 +42,8 @@ impl StatusLine {
 
     pub(super) fn show(&mut self, status: &Status) {
         let source = &self.source;
-        for (ns, what) in status.alarms.iter().skip(self.told_alarms) {
-            tracing::warn!("{source}: at {:.3} s: {what}: {}", seconds(*ns), advice());
+        for AlarmInWords { ns, what, advice } in status.alarms.iter().skip(self.told_alarms) {
+            tracing::warn!("{source}: at {:.3} s: {what}: {advice}", seconds(*ns));
         }
         self.told_alarms = status.alarms.len();
         if status.skipped > 0 && !self.told_skipped {

@@ -5,22 +5,13 @@ use catoptra::pipeline::Summary;
 use catoptra::rig::Rig;
 use catoptra::sink::spoken;
 use catoptra::source::times::seconds;
-use catoptra::tally::Tally;
+use catoptra::tally::{AlarmInWords, Tally};
 use std::fmt::{self, Write as _};
-
-/// What to do when the views no longer fit together.
-const DRIFT_ADVICE: &str = "mirror, camera or tank have moved since the calibration. Put the rig right with \
-                            `catoptra calibrate mirror --from-markers VIDEO --rig RIG.toml`, and track again";
-
-/// What to do about a drift alarm.
-pub(in crate::cli) fn advice() -> &'static str {
-    DRIFT_ADVICE
-}
 
 /// A warning for every alarm beyond the first `told` ones; how many there are now.
 pub(in crate::cli) fn new_alarms(tally: &Tally, recording: &str, told: usize) -> usize {
-    for (ns, what) in tally.alarms().skip(told) {
-        tracing::warn!("{recording}: at {:.3} s: {what}: {DRIFT_ADVICE}", seconds(ns));
+    for AlarmInWords { ns, what, advice } in tally.alarms().skip(told) {
+        tracing::warn!("{recording}: at {:.3} s: {what}: {advice}", seconds(ns));
     }
     tally.drift.alarms().len()
 }
@@ -51,8 +42,8 @@ pub(in crate::cli) fn summary(
         let range = tally.theta.range_deg.map(|(low, high)| format!("from {low:.1}° to {high:.1}°"));
         row("deflection", tally.theta.answered, tally.theta.median_sd_deg(), "°", range.unwrap_or_default())?;
     }
-    for (ns, what) in tally.alarms() {
-        writeln!(out, "\nfrom {:.3} s on {what}: {DRIFT_ADVICE}", seconds(ns))?;
+    for AlarmInWords { ns, what, advice } in tally.alarms() {
+        writeln!(out, "\nfrom {:.3} s on {what}: {advice}", seconds(ns))?;
     }
     let took_s = run.elapsed.as_secs_f64();
     writeln!(out, "\ntracked in {took_s:.1} s, {:.0} frames a second", tally.frames as f64 / took_s.max(1e-9))?;

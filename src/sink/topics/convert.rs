@@ -3,7 +3,7 @@
 use super::messages::{Angles, Band, Deflection, DriftAlarm, Estimate, Marker, Position, Status, Tangent, View};
 use crate::estimate::{self, Miss};
 use crate::rig::Rig;
-use crate::track;
+use crate::track::{self, Drifted};
 use foxglove::messages::{Point2, Point3, Timestamp, Vector2, Vector3};
 use nalgebra::{Isometry3, Matrix3};
 
@@ -79,14 +79,21 @@ impl Names {
     }
 
     pub(super) fn drift(&self, alarm: &track::DriftAlarm) -> DriftAlarm {
+        let (view, size_px, sd_px, sd_m) = match alarm.what {
+            Drifted::Views { view, size_px, sd_px } => (self.view(view), Some(size_px), Some(sd_px), None),
+            Drifted::Apart => (String::new(), None, None, None),
+            Drifted::Base { sd_m } => (String::new(), None, None, Some(sd_m)),
+        };
         DriftAlarm {
             seq: alarm.seq,
             stamp_ns: alarm.stamp.ns,
+            kind: alarm.word().to_owned(),
             what: alarm.words(&self.views.iter().map(String::as_str).collect::<Vec<_>>()),
-            view: alarm.view.map_or(String::new(), |view| self.view(view)),
-            size_px: alarm.size_px,
-            sd_px: alarm.sd_px,
+            view,
+            size_px,
+            sd_px,
             size_m: alarm.size_m,
+            sd_m,
         }
     }
 

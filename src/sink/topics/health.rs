@@ -1,4 +1,4 @@
-//! Totals of a run: frames, losses, misses by reason and whether the views fit together, told once a second of camera time.
+//! Totals of a run: frames, losses, misses by reason and whether the rig is still as it was calibrated, told once a second of camera time.
 
 use super::convert::Names;
 use super::messages::{Health, MissCount};
@@ -23,7 +23,7 @@ impl Tally {
         Self { drift: Drift::new(rig), ..Self::default() }
     }
 
-    /// Counts a frame; the totals when a second has passed since they were told, or when the views have begun to disagree.
+    /// Counts a frame; the totals when a second has passed since they were told, or when a drift alarm is raised.
     pub(super) fn count(&mut self, names: &Names, estimate: &Estimate) -> Option<&Health> {
         let stamp_ns = estimate.stamp.ns;
         self.totals.stamp_ns = stamp_ns;
@@ -37,7 +37,7 @@ impl Tally {
         self.miss("tangent", names, &estimate.tangent);
         self.miss("deflection", names, &estimate.deflection);
 
-        let alarmed = self.drift.add(estimate).is_some();
+        let alarmed = !self.drift.add(estimate).is_empty();
         self.totals.drifts = self.drift.alarms().iter().map(|alarm| names.drift(alarm)).collect();
 
         let since = *self.reported_ns.get_or_insert(stamp_ns);

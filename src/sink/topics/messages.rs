@@ -184,23 +184,28 @@ pub struct Health {
     pub drifts: Vec<DriftAlarm>,
 }
 
-/// The views have begun to disagree: mirror, camera or tank have moved since the calibration.
+/// Something has begun to be wrong: mirror, camera, tank or clamp have moved since the calibration.
 #[derive(Debug, Clone, PartialEq, Encode)]
 pub struct DriftAlarm {
     /// Number of the frame at which it was noticed.
     pub seq: u64,
     /// Camera time of that frame, nanoseconds.
     pub stamp_ns: i64,
+    /// `views_disagree`, `rays_apart` (they disagree so much that rays do not meet at all) or `base_moved` (the base band is not in
+    /// the origin of the base frame).
+    pub kind: String,
     /// In words.
     pub what: String,
-    /// The view with the largest mean residual; empty when rays do not meet at all. Of two views either may be the wrong one.
+    /// The view with the largest mean residual, for `views_disagree`, else empty. Of two views either may be the wrong one.
     pub view: String,
-    /// By how much the views disagree in the mean, pixels: the largest so far. Absent when rays do not meet at all.
+    /// By how much the views disagree in the mean, pixels: the largest so far. For `views_disagree` only.
     pub size_px: Option<f64>,
     /// Its standard deviation.
     pub sd_px: Option<f64>,
-    /// By how much they disagree in space at the bands, metres; a lower bound when rays do not meet at all.
+    /// By how much in space, metres: the views at the bands (a lower bound for `rays_apart`), or the base band from the origin.
     pub size_m: f64,
+    /// Standard deviation of the base band's distance, metres. For `base_moved` only.
+    pub sd_m: Option<f64>,
 }
 
 /// How often one thing was missed for one reason.
