@@ -1,6 +1,6 @@
 //! `catoptra calibrate rig`: pictures of a board in a mirror to mirrors, walls and views.
 
-use super::super::{Exit, Failure};
+use super::super::{Exit, Failure, interrupt};
 use super::pictures::{self, Searched};
 use super::{Length, can_be_written, save, usage};
 use catoptra::calibrate::board::Board;
@@ -15,6 +15,7 @@ use catoptra::calibrate::start::BoardsPicture;
 use catoptra::calibrate::verdict::{Verdict, verdict};
 use catoptra::report::calibration::{self, CalibrationInfo};
 use catoptra::rig::Draft;
+use catoptra::whole_file::NewFile;
 use nalgebra::DMatrix;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -150,9 +151,15 @@ pub(super) fn run(args: &RigArgs, print: impl Fn(&str) -> Result<(), Failure>) -
     rig.provenance.insert("rig".into(), provenance(args, &searched, &done)?.into());
     save(&rig, out)?;
     let page_path = out.with_extension("calibration.html");
-    std::fs::write(&page_path, page)
-        .map_err(|e| Failure::new(Exit::Failed, format!("cannot write {}: {e}", page_path.display())))?;
+    save_page(&page, &page_path)?;
     print(&format!("\nwritten: {}\n         {} (how good it is, for a browser)\n", out.display(), page_path.display()))
+}
+
+fn save_page(page: &str, path: &Path) -> Result<(), Failure> {
+    let _whole = interrupt::wait();
+    NewFile::write(path, page.as_bytes())
+        .and_then(NewFile::put_in_place)
+        .map_err(|e| Failure::new(Exit::Failed, format!("the rig is written, {} cannot be: {e}", path.display())))
 }
 
 /// What the page says of the run.
