@@ -102,6 +102,12 @@ pub enum LeftOut {
     /// It was given before.
     #[error("it is the same picture as {0}")]
     Duplicate(String),
+    /// Its board is a mirror image.
+    #[error(
+        "it shows the board mirrored: switch the flipping of pictures in the camera's software off, or leave out what a \
+         mirror shows"
+    )]
+    Mirrored,
 }
 
 /// Why there is no calibration.
@@ -109,7 +115,8 @@ pub enum LeftOut {
 pub enum CameraError {
     /// Pictures of several sizes.
     #[error(
-        "{name} has {found:?} pixels, {first} has {expected:?}: all pictures must come from the camera as it will be used"
+        "{name} has {}x{} pixels, {first} has {}x{}: all pictures must come from the camera as it will be used, and as it \
+         stored them, neither resized nor turned", found[0], found[1], expected[0], expected[1]
     )]
     Sizes {
         /// A picture.
@@ -155,7 +162,9 @@ pub enum CameraError {
     #[error("no first guess of the lens: {0}")]
     Start(#[from] opencv::Error),
     /// The adjustment failed.
-    #[error("the lens cannot be determined: {0}")]
+    #[error(
+        "the pictures do not determine the lens ({0}): tilt the board more, to all sides, and fill the picture with it"
+    )]
     Solve(#[from] NoSolution),
 }
 
@@ -192,13 +201,14 @@ pub fn calibrate_camera(board: &Board, pictures: &[BoardPicture]) -> Result<Came
     }
 }
 
-/// All pictures but those that are blurred or show the same as an earlier one.
+/// All pictures but those that are mirrored, blurred or show the same as an earlier one.
 fn usable(pictures: &[BoardPicture]) -> (Vec<&BoardPicture>, Vec<(String, LeftOut)>) {
     let (mut used, mut left_out): (Vec<&BoardPicture>, _) = (Vec::new(), Vec::new());
     for picture in pictures {
         let BoardImage { edge_px, square_px, .. } = picture.image;
         let same = used.iter().find(|other| same(&other.image, &picture.image)).map(|other| other.name.clone());
         match same {
+            _ if picture.image.mirrored == Some(true) => left_out.push((picture.name.clone(), LeftOut::Mirrored)),
             _ if picture.image.is_blurred() => {
                 left_out.push((picture.name.clone(), LeftOut::Blurred { edge_px, square_px }))
             }

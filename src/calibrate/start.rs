@@ -9,7 +9,7 @@
 //! Planes that agree are the same mirror. Behind water distances come out a quarter short: good enough for a start.
 
 use super::board::{Board, BoardImage};
-use super::camera::{centred, pose_from_opencv};
+use super::camera::{centred, pose_from_opencv, same};
 use crate::optics::Lens;
 use nalgebra::{Isometry3, Point2, Point3, Vector3};
 use opencv::calib3d;
@@ -64,8 +64,14 @@ pub(super) struct Start {
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum Unusable {
     /// One image only.
-    #[error("it shows the board only once, and a mirror needs it twice")]
+    #[error(
+        "it shows the board only once, and a mirror needs it twice, directly and mirrored: is the other image whole, sharp and \
+         not hidden?"
+    )]
     Once,
+    /// It was given before.
+    #[error("it is the same picture as {0}")]
+    Duplicate(String),
     /// Images that are not sharp.
     #[error(
         "it is blurred: edges {edge_px:.0} px wide on squares of {square_px:.0} px; hold the board still, focus, more light"
@@ -86,7 +92,10 @@ pub enum Unusable {
         spread: f64,
     },
     /// A reflection in a mirror that no other picture shows.
-    #[error("it shows the board in a mirror that stands otherwise than in the other pictures: was the mirror moved?")]
+    #[error(
+        "it shows the board in a mirror that stands otherwise than in the other pictures: was the mirror moved, was the \
+         picture flipped by the camera's software, or are there more mirrors (--mirrors)?"
+    )]
     OtherMirror,
 }
 
@@ -107,6 +116,10 @@ pub(super) fn start(board: &Board, lens: &Lens, pictures: &[BoardsPicture], mirr
     for (picture, images) in pictures.iter().enumerate() {
         if let Some(&BoardImage { edge_px, square_px, .. }) = images.images.iter().find(|image| image.is_blurred()) {
             left_out.push((picture, Unusable::Blurred { edge_px, square_px }));
+            continue;
+        }
+        if let Some(other) = pictures.iter().take(picture).find(|other| same_images(other, images)) {
+            left_out.push((picture, Unusable::Duplicate(other.name.clone())));
             continue;
         }
         let mut posed = Vec::new();
@@ -169,6 +182,10 @@ pub(super) fn start(board: &Board, lens: &Lens, pictures: &[BoardsPicture], mirr
         used
     });
     Ok(Start { mirrors: groups.iter().map(|members| plane(members)).collect(), pictures: sorted, left_out })
+}
+
+fn same_images(a: &BoardsPicture, b: &BoardsPicture) -> bool {
+    a.images.len() == b.images.len() && a.images.iter().zip(&b.images).all(|(a, b)| same(a, b))
 }
 
 /// Places and pixels of an image's corners; `order` says which corner stands at each index.

@@ -4,9 +4,16 @@
 
 use super::{Exit, Failure};
 use std::io::Write as _;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+#[allow(unsafe_code, reason = "a declaration of C's function, which is safe to call: it ends the process and nothing else")]
+mod c {
+    unsafe extern "C" {
+        /// Ends the process with what it holds: destructors, run by `exit` while OpenCV's threads still work, crash.
+        pub(super) safe fn _exit(code: std::ffi::c_int) -> !;
+    }
+}
 
 /// Held while results are written.
 static WRITING: Mutex<()> = Mutex::new(());
@@ -21,7 +28,7 @@ pub(super) fn watch() -> Result<Arc<AtomicBool>, Failure> {
     let mut already = false;
     ctrlc::set_handler(move || {
         if std::mem::replace(&mut already, true) {
-            std::process::exit(130);
+            c::_exit(130);
         }
         flag.store(true, Ordering::Relaxed);
         // Nothing can be told when stderr is gone; the run ends all the same.
@@ -40,7 +47,7 @@ pub(super) fn end_at_once() -> Result<(), Failure> {
         let _whole = wait();
         // Nothing can be told when stderr is gone; the run ends all the same.
         let _ = writeln!(super::progress::stderr(), "interrupted");
-        std::process::exit(130);
+        c::_exit(130);
     })
     .map_err(cannot_watch)
 }
