@@ -161,9 +161,9 @@ fn boards_that_leave_something_open_are_refused_with_what_and_how_much() {
     });
     let air = Set::drawn(&noisy(scene("9x6:12mm").in_air(), 12.0), &far.collect::<Vec<_>>());
     air.refused(&air.camera(&["set"], &[]), 3, &["the pictures leave the focal length open by", "tilt the board more"]);
-    let tank = Set::drawn(&noisy(scene("9x6:12mm"), 9.0), &in_tank(3, 9.0, 0.0));
-    let parts = ["the pictures leave front_wall open: by", "They are 3, with boards within", "--distance"];
-    tank.refused(&tank.rig(&["set"], &[]), 3, &parts);
+    let tank = Set::drawn(&noisy(scene("9x6:8mm"), 9.0), &in_tank(3, 4.0, 0.0));
+    let output = tank.run(&["calibrate", "rig", "set", "--board", "9x6:8mm"], &RIG[2..]);
+    tank.refused(&output, 3, &["wall open: by", "° and ", "They are 3, with boards within", "--distance"]);
 }
 
 #[test]

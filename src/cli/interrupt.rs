@@ -7,7 +7,10 @@ use std::io::Write as _;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-#[allow(unsafe_code, reason = "a declaration of C's function, which is safe to call: it ends the process and nothing else")]
+#[allow(
+    unsafe_code,
+    reason = "a declaration of C's function, which is safe to call: it ends the process and nothing else"
+)]
 mod c {
     unsafe extern "C" {
         /// Ends the process with what it holds: destructors, run by `exit` while OpenCV's threads still work, crash.

@@ -69,18 +69,18 @@ impl Scene {
         corners.map(|(c, r)| self.place(&path, pose, c as f64, r as f64)).collect()
     }
 
+    /// Whether a view shows the front of all of the board.
+    pub(crate) fn shows(&self, view: usize, pose: &Isometry3<f64>) -> bool {
+        let Some(corners) = self.corners(view, pose) else { return false };
+        let (along, down) = (corners[1] - corners[0], corners[self.board.columns] - corners[0]);
+        let region = &self.regions[view];
+        (along.perp(&down) > 0.0) != self.is_mirrored(view)
+            && corners.iter().all(|c| region.is_empty() || inside(region, c.x, c.y))
+    }
+
     /// The picture, grey values row by row; `seed` is that of its noise.
     pub(crate) fn picture(&self, pose: &Isometry3<f64>, seed: u64) -> image::GrayImage {
-        let [width, height] = self.size_px.map(f64::from);
-        let ground = |x: u32, y: u32| {
-            let (x, y) = (f64::from(x) / width, f64::from(y) / height);
-            let seen_in_mirror = self.regions.iter().skip(1).any(|r| inside(r, x * width, y * height));
-            90.0 + 40.0 * x + 15.0 * (9.0 * x + 5.0 * y).sin() - if seen_in_mirror { 30.0 } else { 0.0 }
-        };
-        let mut samples: Vec<f32> = (0..self.size_px[1])
-            .flat_map(|y| (0..self.size_px[0]).map(move |x| (x, y)))
-            .map(|(x, y)| ground(x, y) as f32)
-            .collect();
+        let mut samples = self.ground();
         // The board itself stands before its images.
         for view in (0..self.geometry.views.len()).rev() {
             self.draw(&mut samples, view, pose);
@@ -98,6 +98,23 @@ impl Scene {
         image::GrayImage::from_raw(self.size_px[0], self.size_px[1], bytes.collect()).unwrap()
     }
 
+    /// A wall in uneven light, mirrors darker.
+    fn ground(&self) -> Vec<f32> {
+        let [width, height] = self.size_px;
+        let waves: Vec<(f64, f64)> = (0..width).map(|x| (9.0 * f64::from(x) / f64::from(width)).sin_cos()).collect();
+        let mut samples = Vec::with_capacity((width * height) as usize);
+        for y in 0..height {
+            let (sin, cos) = (5.0 * f64::from(y) / f64::from(height)).sin_cos();
+            let panes: Vec<_> = self.regions.iter().skip(1).filter_map(|r| crossing(r, f64::from(y))).collect();
+            samples.extend(waves.iter().enumerate().map(|(x, wave)| {
+                let in_pane = panes.iter().any(|pane| pane.contains(&(x as f64)));
+                let pane = if in_pane { 30.0 } else { 0.0 };
+                (90.0 + 40.0 * x as f64 / f64::from(width) + 15.0 * (wave.0 * cos + wave.1 * sin) - pane) as f32
+            }));
+        }
+        samples
+    }
+
     fn draw(&self, samples: &mut [f32], view: usize, pose: &Isometry3<f64>) {
         let path = self.geometry.path(view);
         let (columns, rows) = (self.board.columns as f64, self.board.rows as f64);
@@ -112,7 +129,7 @@ impl Scene {
             low.floor().clamp(0.0, most) as usize..(high.ceil() + 1.0).clamp(0.0, most) as usize
         };
         let (xs, ys) = (bound(|p| p.x, width), bound(|p| p.y, height));
-        let mirrored = self.geometry.views[view].1.iter().filter(|s| self.is_mirror(**s)).count() % 2 == 1;
+        let mirrored = self.is_mirrored(view);
         let offsets = offsets(self.blur_px);
         // Places on the board at the corners of pixels: between them it is as good as flat.
         let line = |y: usize| -> Vec<Option<Vector2<f64>>> {
@@ -147,8 +164,9 @@ impl Scene {
         }
     }
 
-    fn is_mirror(&self, surface: usize) -> bool {
-        matches!(self.geometry.surfaces[surface].1, Surface::Mirror(_))
+    fn is_mirrored(&self, view: usize) -> bool {
+        let is_mirror = |surface: usize| matches!(self.geometry.surfaces[surface].1, Surface::Mirror(_));
+        self.geometry.views[view].1.iter().filter(|s| is_mirror(**s)).count() % 2 == 1
     }
 
     /// Column and row on the board that a pixel looks at.
@@ -208,11 +226,15 @@ fn offsets(blur_px: f64) -> Vec<Vector2<f64>> {
     offsets
 }
 
-/// Whether a place is inside of a polygon.
-fn inside(corners: &[[f64; 2]], x: f64, y: f64) -> bool {
-    let crossed = |(i, a): (usize, &[f64; 2])| {
-        let b = corners[(i + 1) % corners.len()];
-        (a[1] > y) != (b[1] > y) && x < a[0] + (b[0] - a[0]) * (y - a[1]) / (b[1] - a[1])
-    };
-    corners.iter().enumerate().filter(|c| crossed(*c)).count() % 2 == 1
+/// Where a row crosses a convex polygon.
+fn crossing(corners: &[[f64; 2]], y: f64) -> Option<std::ops::Range<f64>> {
+    let sides = corners.iter().zip(corners.iter().cycle().skip(1)).filter(|(a, b)| (a[1] > y) != (b[1] > y));
+    let xs: Vec<f64> = sides.map(|(a, b)| a[0] + (b[0] - a[0]) * (y - a[1]) / (b[1] - a[1])).collect();
+    let [a, b] = xs[..] else { return None };
+    Some(a.min(b)..a.max(b))
+}
+
+/// Whether a place is inside of a convex polygon.
+pub(crate) fn inside(corners: &[[f64; 2]], x: f64, y: f64) -> bool {
+    crossing(corners, y).is_some_and(|row| row.contains(&x))
 }
