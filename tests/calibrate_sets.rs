@@ -2,6 +2,7 @@
 //! and leave what there was as it was.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
+#![allow(clippy::print_stdout, reason = "what is said is worth a look")]
 
 mod rendered;
 
@@ -273,7 +274,7 @@ fn a_picture_that_was_given_before_counts_once_whatever_its_name() {
 
 #[test]
 fn flipped_pictures_are_told_where_they_contradict_others() {
-    let flip = |i: usize, p: DynamicImage| if i % 2 == 0 { p.fliph() } else { p };
+    let flip = |i: usize, p: DynamicImage| if i.is_multiple_of(2) { p.fliph() } else { p };
     let set = Set::changed("mirror", &[0, 1, 2, 3, 4, 5], flip);
     let parts = ["in 3 of 6 pictures the mirror stands otherwise than in the rest", "flipped by the camera's software"];
     set.refused(&set.rig(&["set"], &[]), 3, &parts);
@@ -284,6 +285,23 @@ fn flipped_pictures_are_told_where_they_contradict_others() {
         0,
         &["01.png                   left out: it shows the board in a mirror that stands otherwise"],
     );
+}
+
+/// A chessboard looks the same in a mirror; a lens whose axis is off the middle does not.
+#[test]
+fn pictures_that_are_all_flipped_contradict_a_lens_that_is_off_the_middle() {
+    let mut scene = scene("9x6:12mm");
+    scene.geometry.lens.principal_point_px.x += 30.0;
+    let set = Set::drawn(&scene.in_air(), &in_air(8, 30.0, 0.1));
+    holds(&set.camera(&["set"], &[]), 0, &["8 of 8 pictures used"]);
+    std::fs::create_dir(set.path("flipped")).unwrap();
+    for (i, pose) in in_tank(6, 22.0, 0.03).iter().enumerate() {
+        let picture = DynamicImage::from(scene.picture(pose, i as u64 + 1));
+        picture.fliph().save(set.path(&format!("flipped/{i}.png"))).unwrap();
+    }
+    let doubt = "doubt: the pictures contradict the lens as it was given";
+    let tank = ["--tank", "254x254x267mm"];
+    holds(&set.rig(&["flipped"], &tank), 0, &[doubt, "Were pictures flipped or turned, or taken with another lens?"]);
 }
 
 #[test]

@@ -102,12 +102,6 @@ pub enum LeftOut {
     /// It was given before.
     #[error("it is the same picture as {0}")]
     Duplicate(String),
-    /// Its board is a mirror image.
-    #[error(
-        "it shows the board mirrored: switch the flipping of pictures in the camera's software off, or leave out what a \
-         mirror shows"
-    )]
-    Mirrored,
 }
 
 /// Why there is no calibration.
@@ -201,14 +195,13 @@ pub fn calibrate_camera(board: &Board, pictures: &[BoardPicture]) -> Result<Came
     }
 }
 
-/// All pictures but those that are mirrored, blurred or show the same as an earlier one.
+/// All pictures but those that are blurred or show the same as an earlier one.
 fn usable(pictures: &[BoardPicture]) -> (Vec<&BoardPicture>, Vec<(String, LeftOut)>) {
     let (mut used, mut left_out): (Vec<&BoardPicture>, _) = (Vec::new(), Vec::new());
     for picture in pictures {
         let BoardImage { edge_px, square_px, .. } = picture.image;
         let same = used.iter().find(|other| same(&other.image, &picture.image)).map(|other| other.name.clone());
         match same {
-            _ if picture.image.mirrored == Some(true) => left_out.push((picture.name.clone(), LeftOut::Mirrored)),
             _ if picture.image.is_blurred() => {
                 left_out.push((picture.name.clone(), LeftOut::Blurred { edge_px, square_px }))
             }

@@ -54,7 +54,7 @@ pub enum Doubt {
     },
     /// Something known that is far from what the pictures say.
     #[error(
-        "the pictures contradict {what} as it was given, by {off:.1} σ: measure it and the board's squares again; were pictures \
+        "the pictures contradict {what} as it was given, by {off:.1} σ: is it right, and the size of the squares? Were pictures \
          flipped or turned, or taken with another lens?"
     )]
     Known {

@@ -21,6 +21,9 @@ const PARALLEL: f64 = 0.2;
 /// Planes whose normals differ by more than this are different mirrors.
 const SAME_MIRROR_RAD: f64 = 20.0 * std::f64::consts::PI / 180.0;
 
+/// Places of corners on the board, and where they are in the picture.
+type Corners = Vec<(Point3<f64>, Point2<f64>)>;
+
 /// A picture with all images of the board in it.
 #[derive(Debug, Clone)]
 pub struct BoardsPicture {
@@ -69,6 +72,12 @@ pub enum Unusable {
          not hidden?"
     )]
     Once,
+    /// Images that are the wrong way round.
+    #[error(
+        "its direct image of the board is mirrored and the one in a mirror is not: the picture was flipped, by the camera's \
+         software or afterwards; take it unflipped"
+    )]
+    Flipped,
     /// It was given before.
     #[error("it is the same picture as {0}")]
     Duplicate(String),
@@ -127,6 +136,10 @@ pub(super) fn start(board: &Board, lens: &Lens, pictures: &[BoardsPicture], mirr
             let corners = ordered(&places, image, None);
             posed.push((pose(lens, &corners)?, corners, image));
         }
+        if flipped(&posed) {
+            left_out.push((picture, Unusable::Flipped));
+            continue;
+        }
         posed.sort_by(|a, b| a.0.translation.vector.norm().total_cmp(&b.0.translation.vector.norm()));
         let Some(((nearest, corners, _), others)) = posed.split_first() else { continue };
         if others.is_empty() {
@@ -182,6 +195,14 @@ pub(super) fn start(board: &Board, lens: &Lens, pictures: &[BoardsPicture], mirr
         used
     });
     Ok(Start { mirrors: groups.iter().map(|members| plane(members)).collect(), pictures: sorted, left_out })
+}
+
+/// Whether the nearest image, which is the direct one, is mirrored and another is not.
+fn flipped(posed: &[(Isometry3<f64>, Corners, &BoardImage)]) -> bool {
+    let distance = |pose: &Isometry3<f64>| pose.translation.vector.norm();
+    let nearest = posed.iter().min_by(|a, b| distance(&a.0).total_cmp(&distance(&b.0)));
+    let mirrored = |way: bool| move |(_, _, image): &(_, _, &BoardImage)| image.mirrored == Some(way);
+    nearest.is_some_and(mirrored(true)) && posed.iter().any(mirrored(false))
 }
 
 fn same_images(a: &BoardsPicture, b: &BoardsPicture) -> bool {
