@@ -95,3 +95,5 @@ pub mod log;
 pub mod pipeline;
 
 pub mod calibrate;
+
+pub mod whole_file;

@@ -79,7 +79,7 @@ pub struct Solution {
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum NoSolution {
     /// The start does not show a corner.
-    #[error("{picture} cannot show the board there: {why}")]
+    #[error("{picture} cannot show the board there, {why}: are tank, distances and mirrors as they were given?")]
     NotSeen {
         /// The picture's name.
         picture: String,
@@ -316,7 +316,7 @@ pub(super) mod tests {
         let mut behind = bundle(&geometry(), 0.0, 0.0, 1);
         behind.poses[3].translation.vector.z = -1.0;
         let error = behind.solve().unwrap_err().to_string();
-        assert!(error.starts_with("03.png cannot show the board there: "), "{error}");
+        assert!(error.starts_with("03.png cannot show the board there, "), "{error}");
     }
 
     #[test]

@@ -109,7 +109,8 @@ pub enum LeftOut {
 pub enum CameraError {
     /// Pictures of several sizes.
     #[error(
-        "{name} has {found:?} pixels, {first} has {expected:?}: all pictures must come from the camera as it will be used"
+        "{name} has {}x{} pixels, {first} has {}x{}: all pictures must come from the camera as it will be used, and as it \
+         stored them, neither resized nor turned", found[0], found[1], expected[0], expected[1]
     )]
     Sizes {
         /// A picture.
@@ -155,7 +156,9 @@ pub enum CameraError {
     #[error("no first guess of the lens: {0}")]
     Start(#[from] opencv::Error),
     /// The adjustment failed.
-    #[error("the lens cannot be determined: {0}")]
+    #[error(
+        "the pictures do not determine the lens ({0}): tilt the board more, to all sides, and fill the picture with it"
+    )]
     Solve(#[from] NoSolution),
 }
 

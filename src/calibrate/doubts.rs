@@ -32,7 +32,8 @@ pub enum Doubt {
     /// Residuals that follow one another.
     #[error(
         "corners of the {view} view that are neighbours are off together, {times:.1} times as much as noise explains: is there \
-         water or glass that was not given, a mirror that is not flat, another lens or focus than calibrated?"
+         water or glass that was not given, a mirror that is not flat, another lens or focus than calibrated, squares of another \
+         size?"
     )]
     Together {
         /// Name of the view.
@@ -52,7 +53,10 @@ pub enum Doubt {
         times: f64,
     },
     /// Something known that is far from what the pictures say.
-    #[error("the pictures contradict {what} as it was given, by {off:.1} σ: measure it again")]
+    #[error(
+        "the pictures contradict {what} as it was given, by {off:.1} σ: is it right, and the size of the squares? Were pictures \
+         flipped or turned, or taken with another lens?"
+    )]
     Known {
         /// What.
         what: String,

@@ -1,10 +1,12 @@
 //! A grey picture from a file, for finding boards in.
 
-use std::io::ErrorKind;
+use std::io::{Cursor, ErrorKind};
 use std::path::{Path, PathBuf};
 
 use image::{DynamicImage, ImageDecoder, ImageReader};
 use nalgebra::Point2;
+
+use crate::source::jpeg;
 
 /// Why a picture cannot be had.
 #[derive(Debug, thiserror::Error)]
@@ -25,12 +27,18 @@ pub enum GreyError {
         source: std::io::Error,
     },
     /// Not a picture that can be decoded.
-    #[error("{}: is no picture that can be read ({source}); PNG, JPEG, TIFF, BMP and PNM are", path.display())]
+    #[error("{}: is no picture that can be read, or not all of it is there ({source}); PNG, JPEG, TIFF, BMP and PNM are", path.display())]
     Undecodable {
         /// The file.
         path: PathBuf,
         /// The decoder's reason.
         source: image::ImageError,
+    },
+    /// A file that was not copied to its end.
+    #[error("{}: the file ends before the picture does: copy it again, or leave it out", path.display())]
+    CutOff {
+        /// The file.
+        path: PathBuf,
     },
 }
 
@@ -71,7 +79,11 @@ impl Grey {
             ErrorKind::NotFound => GreyError::NotFound { path: path.to_path_buf() },
             _ => GreyError::Io { path: path.to_path_buf(), source },
         };
-        let reader = ImageReader::open(path).and_then(ImageReader::with_guessed_format).map_err(io)?;
+        let bytes = std::fs::read(path).map_err(io)?;
+        if jpeg::is_cut_off(&bytes) {
+            return Err(GreyError::CutOff { path: path.to_path_buf() });
+        }
+        let reader = ImageReader::new(Cursor::new(bytes)).with_guessed_format().map_err(io)?;
         let mut decoder = reader.into_decoder().map_err(undecodable)?;
         let orientation = decoder.orientation().map_err(undecodable)?;
         let mut decoded = DynamicImage::from_decoder(decoder).map_err(undecodable)?;

@@ -15,10 +15,11 @@
 use super::board::Board;
 use super::bundle::{Bundle, Corner, NoSolution, Solution};
 use super::camera::{BoardPicture, UsedPicture, list, rms, worst};
+use super::enough::{Lacking, determined, shown};
 use super::geometry::{Geometry, Parameter};
 use super::known::Known;
 use super::regions::regions;
-use super::start::{BoardsPicture, Start, Unusable, start};
+use super::start::{BoardsPicture, Sorted, Start, Unusable, start};
 use super::taped::Taped;
 use crate::optics::{Lens, Mirror, OpticalPath, Plane, PlaneError, Surface, Wall};
 use crate::rig::{Draft, View};
@@ -34,6 +35,8 @@ const HELD: (f64, f64) = (0.05, 3e-3);
 /// How square a glass box is, radians, and how true to size, metres: what its makers keep.
 const SQUARE_SD_RAD: f64 = 3e-3;
 const SIZE_SD_M: f64 = 1e-3;
+/// How far off the distance of a board from a single view may be.
+const POSE_ERROR: f64 = 0.02;
 /// Refractive index of water at 589 nm from 0 to 50 °C in steps of 10 °C (CRC Handbook of Chemistry and Physics).
 const WATER: [f64; 6] = [1.33395, 1.33369, 1.33299, 1.33192, 1.33051, 1.32894];
 
@@ -94,12 +97,30 @@ pub enum RigCalibrationError {
         left_out: Vec<(String, String)>,
     },
     /// Fewer mirrors than asked for.
-    #[error("{found} mirrors are seen in the pictures, {expected} were asked for")]
+    #[error("mirrors that show the board in the pictures: {found}, asked for were {expected} (--mirrors)")]
     Mirrors {
         /// How many.
         found: usize,
         /// How many there should be.
         expected: usize,
+    },
+    /// Pictures that are not enough.
+    #[error(transparent)]
+    Lacking(#[from] Lacking),
+    /// Boards before the wall behind which they are.
+    #[error(
+        "by the size of its squares the board ({board}) of {name} is {nearest_mm:.0} mm from the camera, before front_wall at \
+         {distance_mm:.0} mm: is one of the two wrong?"
+    )]
+    BeforeWall {
+        /// The picture.
+        name: String,
+        /// As given.
+        board: String,
+        /// Distance of the nearest corner.
+        nearest_mm: f64,
+        /// Distance of the wall, as given.
+        distance_mm: f64,
     },
     /// A distance, or a board, of a surface that does not exist.
     #[error("there is no surface `{name}`; there are {known}")]
@@ -119,7 +140,10 @@ pub enum RigCalibrationError {
     #[error("the covariance of the lens is not positive")]
     LensCovariance,
     /// The adjustment failed.
-    #[error("the rig cannot be determined: {0}")]
+    #[error(
+        "the pictures do not determine the rig ({0}): are tank, distances and mirrors as they were given? If so, take more \
+         pictures, tilted to all sides, near and far"
+    )]
     Solve(#[from] NoSolution),
 }
 
@@ -144,6 +168,8 @@ pub fn calibrate_rig(
         if start.mirrors.len() < options.mirrors {
             return Err(RigCalibrationError::Mirrors { found: start.mirrors.len(), expected: options.mirrors });
         }
+        shown(&start)?;
+        before_wall(board, &start, options, &name)?;
         let names: Vec<String> = start.pictures.iter().map(|sorted| name(sorted.picture)).collect();
         let (solution, corners) = best(board, lens, &start, &names, options)?;
         let used: Vec<UsedPicture> = names
@@ -156,11 +182,40 @@ pub fn calibrate_rig(
             })
             .collect();
         let Some((index, off)) = worst(&used) else {
+            determined(&solution)?;
             let used = start.pictures.iter().map(|s| s.picture).zip(used).collect();
             return Ok(RigCalibration { solution, corners, used, left_out });
         };
         let sorted = start.pictures.remove(index);
         left_out.push((name(sorted.picture), off.to_string()));
+    }
+}
+
+/// A wall at a measured distance, and boards that by their size are nearer: light goes straight to the wall, so that a board
+/// behind it never seems to be before it, whatever its tilt.
+fn before_wall(
+    board: &Board,
+    start: &Start,
+    options: &RigOptions,
+    name: &impl Fn(usize) -> String,
+) -> Result<(), RigCalibrationError> {
+    let measured = options.distances_m.iter().find(|(name, ..)| name == "front_wall");
+    let Some((_, distance_m, sd_m)) = measured.filter(|_| options.tank.is_some()) else { return Ok(()) };
+    let nearest = |sorted: &Sorted| {
+        let image = sorted.views.first()?.as_ref()?;
+        image.corners.iter().map(|(place, _)| (image.pose * place).coords.norm()).reduce(f64::min)
+    };
+    let all = start.pictures.iter().filter_map(|sorted| Some((name(sorted.picture), nearest(sorted)?)));
+    match all.min_by(|a, b| a.1.total_cmp(&b.1)) {
+        Some((name, nearest_m)) if nearest_m < distance_m * (1.0 - POSE_ERROR) - 3.0 * sd_m => {
+            Err(RigCalibrationError::BeforeWall {
+                name,
+                board: board.to_string(),
+                nearest_mm: nearest_m * 1e3,
+                distance_mm: distance_m * 1e3,
+            })
+        }
+        _ => Ok(()),
     }
 }
 

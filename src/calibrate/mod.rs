@@ -9,7 +9,7 @@
 //! The first two stand on [`board`] (corners in a picture, [`grey`]), [`geometry`] (lens and surfaces as parameters),
 //! [`bundle`] (the adjustment, with what is [`known`] beside the pictures) and [`mod@start`] (its first guess);
 //! [`mod@verdict`] says how well the result will measure, [`mod@held_out`] checks it on lengths,
-//! [`mod@doubts`] says what speaks against it.
+//! [`mod@doubts`] says what speaks against it; [`mod@enough`] refuses what no verdict is to be had of.
 
 mod around;
 mod arrow;
@@ -19,6 +19,7 @@ pub mod bundle;
 pub mod camera;
 mod colours;
 pub mod doubts;
+pub mod enough;
 mod frames;
 pub mod geometry;
 pub mod grey;

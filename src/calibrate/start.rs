@@ -9,7 +9,7 @@
 //! Planes that agree are the same mirror. Behind water distances come out a quarter short: good enough for a start.
 
 use super::board::{Board, BoardImage};
-use super::camera::{centred, pose_from_opencv};
+use super::camera::{centred, pose_from_opencv, same};
 use crate::optics::Lens;
 use nalgebra::{Isometry3, Point2, Point3, Vector3};
 use opencv::calib3d;
@@ -20,6 +20,9 @@ use opencv::core::{Mat, MatExprTraitConst, Point2f, Point3f, Vector};
 const PARALLEL: f64 = 0.2;
 /// Planes whose normals differ by more than this are different mirrors.
 const SAME_MIRROR_RAD: f64 = 20.0 * std::f64::consts::PI / 180.0;
+
+/// Places of corners on the board, and where they are in the picture.
+type Corners = Vec<(Point3<f64>, Point2<f64>)>;
 
 /// A picture with all images of the board in it.
 #[derive(Debug, Clone)]
@@ -64,8 +67,20 @@ pub(super) struct Start {
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum Unusable {
     /// One image only.
-    #[error("it shows the board only once, and a mirror needs it twice")]
+    #[error(
+        "it shows the board only once, and a mirror needs it twice, directly and mirrored: is the other image whole, sharp and \
+         not hidden?"
+    )]
     Once,
+    /// Images that are the wrong way round.
+    #[error(
+        "its direct image of the board is mirrored and the one in a mirror is not: the picture was flipped, by the camera's \
+         software or afterwards; take it unflipped"
+    )]
+    Flipped,
+    /// It was given before.
+    #[error("it is the same picture as {0}")]
+    Duplicate(String),
     /// Images that are not sharp.
     #[error(
         "it is blurred: edges {edge_px:.0} px wide on squares of {square_px:.0} px; hold the board still, focus, more light"
@@ -86,7 +101,10 @@ pub enum Unusable {
         spread: f64,
     },
     /// A reflection in a mirror that no other picture shows.
-    #[error("it shows the board in a mirror that stands otherwise than in the other pictures: was the mirror moved?")]
+    #[error(
+        "it shows the board in a mirror that stands otherwise than in the other pictures: was the mirror moved, was the \
+         picture flipped by the camera's software, or are there more mirrors (--mirrors)?"
+    )]
     OtherMirror,
 }
 
@@ -109,10 +127,18 @@ pub(super) fn start(board: &Board, lens: &Lens, pictures: &[BoardsPicture], mirr
             left_out.push((picture, Unusable::Blurred { edge_px, square_px }));
             continue;
         }
+        if let Some(other) = pictures.iter().take(picture).find(|other| same_images(other, images)) {
+            left_out.push((picture, Unusable::Duplicate(other.name.clone())));
+            continue;
+        }
         let mut posed = Vec::new();
         for image in &images.images {
             let corners = ordered(&places, image, None);
             posed.push((pose(lens, &corners)?, corners, image));
+        }
+        if flipped(&posed) {
+            left_out.push((picture, Unusable::Flipped));
+            continue;
         }
         posed.sort_by(|a, b| a.0.translation.vector.norm().total_cmp(&b.0.translation.vector.norm()));
         let Some(((nearest, corners, _), others)) = posed.split_first() else { continue };
@@ -169,6 +195,18 @@ pub(super) fn start(board: &Board, lens: &Lens, pictures: &[BoardsPicture], mirr
         used
     });
     Ok(Start { mirrors: groups.iter().map(|members| plane(members)).collect(), pictures: sorted, left_out })
+}
+
+/// Whether the nearest image, which is the direct one, is mirrored and another is not.
+fn flipped(posed: &[(Isometry3<f64>, Corners, &BoardImage)]) -> bool {
+    let distance = |pose: &Isometry3<f64>| pose.translation.vector.norm();
+    let nearest = posed.iter().min_by(|a, b| distance(&a.0).total_cmp(&distance(&b.0)));
+    let mirrored = |way: bool| move |(_, _, image): &(_, _, &BoardImage)| image.mirrored == Some(way);
+    nearest.is_some_and(mirrored(true)) && posed.iter().any(mirrored(false))
+}
+
+fn same_images(a: &BoardsPicture, b: &BoardsPicture) -> bool {
+    a.images.len() == b.images.len() && a.images.iter().zip(&b.images).all(|(a, b)| same(a, b))
 }
 
 /// Places and pixels of an image's corners; `order` says which corner stands at each index.

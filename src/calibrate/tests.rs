@@ -330,6 +330,30 @@ fn images_are_sorted_into_views_whatever_their_order_and_number() {
     }
 }
 
+/// A board that shows which way round it is: the direct image is mirrored and the others are not.
+#[test]
+fn flipped_pictures_are_told_when_the_board_shows_it() {
+    let rig = two_mirrors_in_air();
+    let mut pictures = pictures(&rig, 6, 0.02, &mut gaussian(5));
+    let seen = |pictures: &mut [BoardsPicture], flipped: bool| {
+        for picture in pictures {
+            // The direct image is the one between the other two.
+            picture.images.sort_by(|a, b| a.corners[0].1.x.total_cmp(&b.corners[0].1.x));
+            for (i, image) in picture.images.iter_mut().enumerate() {
+                image.mirrored = Some((i != 1) != flipped);
+            }
+        }
+    };
+    seen(&mut pictures, false);
+    assert_eq!(calibrate_rig(&board(), &lens(), &pictures, &rig.options).unwrap().used.len(), 6);
+    seen(&mut pictures, true);
+    let error = calibrate_rig(&board(), &lens(), &pictures, &rig.options).unwrap_err().to_string();
+    assert!(
+        error.contains("05.png: its direct image of the board is mirrored") && error.contains("flipped"),
+        "{error}"
+    );
+}
+
 #[test]
 fn what_is_no_reflection_is_refused_by_name() {
     let rig = two_mirrors_in_air();

@@ -103,7 +103,15 @@ impl Draft {
     /// # Errors
     /// [`RigError`] when this draft would not be accepted by [`Draft::load`], or the file system refuses.
     pub fn save(&self, path: &Path) -> Result<(), RigError> {
-        write::save(self, path)
+        write::save(self, path, None)
+    }
+
+    /// As [`Draft::save`]; what was at `path` before is then at `backup`, in place of what was there.
+    ///
+    /// # Errors
+    /// As [`Draft::save`]. When the disk is full, neither file has changed.
+    pub fn save_with_backup(&self, path: &Path, backup: &Path) -> Result<(), RigError> {
+        write::save(self, path, Some(backup))
     }
 
     /// The text of `rig.toml`: lengths to 1e-9 mm, directions to 1e-12. What was read from such a text gives the

@@ -3,10 +3,10 @@
 use super::validate::rotation_of;
 use super::{Base, Camera, Catheter, Draft, Marker, RigError, View};
 use crate::optics::Surface;
+use crate::whole_file::NewFile;
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use std::fmt::Write as _;
-use std::io::Write as _;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Decimals of a direction: 1e-12 turns a point at 2 m by 2e-12 m.
 const DIRECTION_DECIMALS: usize = 12;
@@ -31,22 +31,21 @@ pub(super) fn to_text(rig: &Draft) -> String {
     sections.join("\n")
 }
 
-/// See [`Draft::save`].
-pub(super) fn save(rig: &Draft, path: &Path) -> Result<(), RigError> {
+/// See [`Draft::save`] and [`Draft::save_with_backup`].
+pub(super) fn save(rig: &Draft, path: &Path, backup: Option<&Path>) -> Result<(), RigError> {
     let text = rig.to_toml_string();
     Draft::from_toml_str(&text, path)?; // never replace a good file by one that cannot be read
-    let fail = |source| RigError::Write { file: path.to_path_buf(), source };
-    let mut new_name = path.as_os_str().to_owned();
-    new_name.push(format!(".{}.new", std::process::id()));
-    let new = PathBuf::from(new_name);
-    let written = std::fs::File::create(&new)
-        .and_then(|mut file| file.write_all(text.as_bytes()).and_then(|()| file.sync_all()))
-        .and_then(|()| std::fs::rename(&new, path));
-    if written.is_err() {
-        // The first failure is the one to report; a new file that was never made cannot be removed either.
-        let _ = std::fs::remove_file(&new);
+    let fail = |file: &Path| {
+        let file = file.to_path_buf();
+        move |source| RigError::Write { file, source }
+    };
+    // All that can fill the disk comes before anything is replaced.
+    let new = NewFile::write(path, text.as_bytes()).map_err(fail(path))?;
+    if let Some(backup) = backup.filter(|_| path.exists()) {
+        let old = std::fs::read(path).map_err(|source| RigError::Read { file: path.to_path_buf(), source })?;
+        NewFile::write(backup, &old).and_then(NewFile::put_in_place).map_err(fail(backup))?;
     }
-    written.map_err(fail)
+    new.put_in_place().map_err(fail(path))
 }
 
 fn camera(camera: &Camera) -> String {

@@ -12,11 +12,13 @@
 
 use std::cmp::Ordering;
 use std::collections::BTreeSet;
+use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
 use image::DynamicImage;
 
 use super::gaps::GapCounter;
+use super::jpeg;
 use super::times::{FrameRate, parse_seconds_ns, seconds};
 use super::{Clock, Colour, Frame, FrameSource, Picture, PictureError, PixelFormat, SourceError, Span, Timestamp};
 
@@ -93,9 +95,14 @@ impl ImageFolder {
 
     fn read(&mut self, path: &Path) -> Result<Picture, SourceError> {
         let unreadable = |reason: String| SourceError::Picture { path: path.to_path_buf(), reason };
-        let decoded = image::ImageReader::open(path)
-            .and_then(|r| r.with_guessed_format())
-            .map_err(|error| SourceError::Io { path: path.to_path_buf(), error })?
+        let unread = |error| SourceError::Io { path: path.to_path_buf(), error };
+        let bytes = std::fs::read(path).map_err(unread)?;
+        if jpeg::is_cut_off(&bytes) {
+            return Err(unreadable("the file ends before the picture does".to_owned()));
+        }
+        let decoded = image::ImageReader::new(Cursor::new(bytes))
+            .with_guessed_format()
+            .map_err(unread)?
             .decode()
             .map_err(|error| unreadable(error.to_string()))?;
         if decoded.color().bytes_per_pixel() > decoded.color().channel_count() && !self.depth_named {

@@ -13,6 +13,7 @@ pub mod file;
 pub mod gaps;
 pub mod host;
 pub mod images;
+pub(crate) mod jpeg;
 pub mod live;
 mod picture;
 mod stamps;

@@ -32,7 +32,7 @@ pub(super) fn run(args: &CameraArgs, print: impl Fn(&str) -> Result<(), Failure>
         .iter()
         .filter_map(|s| {
             let image = s.images.as_ref().ok()?.first()?.clone();
-            Some(BoardPicture { name: s.name(), size_px: s.size_px, image })
+            Some(BoardPicture { name: s.name.clone(), size_px: s.size_px, image })
         })
         .collect();
     let done = calibrate_camera(&args.board, &found).map_err(|error| {

@@ -7,9 +7,9 @@ mod mirror;
 mod pictures;
 mod rig;
 
-use super::{Exit, Failure, output};
+use super::{Exit, Failure, interrupt, output};
 use catoptra::calibrate::length_m;
-use catoptra::rig::{Draft, RigError};
+use catoptra::rig::Draft;
 use clap::Subcommand;
 use std::path::Path;
 use std::str::FromStr;
@@ -69,6 +69,7 @@ Example:
 }
 
 pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
+    interrupt::end_at_once()?;
     let print = |text: &str| if quiet { Ok(()) } else { output::print(text) };
     match &args.command {
         Command::Camera(args) => camera::run(args, print),
@@ -112,12 +113,10 @@ pub(super) fn can_be_written(out: &Path) -> Result<(), Failure> {
 
 /// Writes the rig; what was there before is kept beside it as .bak.
 pub(super) fn save(rig: &Draft, path: &Path) -> Result<(), Failure> {
-    if path.exists() {
-        let mut backup = path.as_os_str().to_owned();
-        backup.push(".bak");
-        std::fs::copy(path, &backup).map_err(|source| RigError::Write { file: backup.into(), source })?;
-    }
-    Ok(rig.save(path)?)
+    let _whole = interrupt::wait();
+    let mut backup = path.as_os_str().to_owned();
+    backup.push(".bak");
+    Ok(rig.save_with_backup(path, backup.as_ref())?)
 }
 
 /// What a new lens takes from a rig, in words.

@@ -6,6 +6,7 @@ use catoptra::calibrate::camera::UsedPicture;
 use catoptra::calibrate::grey::{Grey, Rows};
 use rayon::prelude::*;
 use sha2::{Digest as _, Sha256};
+use std::collections::BTreeMap;
 use std::fmt::{Display, Write as _};
 use std::path::{Path, PathBuf};
 
@@ -15,16 +16,11 @@ const ENDINGS: [&str; 10] = ["png", "jpg", "jpeg", "tif", "tiff", "bmp", "pgm", 
 /// A picture in which boards were looked for.
 pub(super) struct Searched {
     pub(super) path: PathBuf,
+    /// Its name in tables: the file's, or the whole path where two files have the same.
+    pub(super) name: String,
     pub(super) size_px: [u32; 2],
     /// Images of the board, or why there is none.
     pub(super) images: Result<Vec<BoardImage>, String>,
-}
-
-impl Searched {
-    /// Its name in tables: the file's.
-    pub(super) fn name(&self) -> String {
-        self.path.file_name().unwrap_or(self.path.as_os_str()).to_string_lossy().into_owned()
-    }
 }
 
 /// What a calibration from pictures of a board says of its inputs.
@@ -34,7 +30,7 @@ pub(super) fn provenance(step: &str, board: &Board, searched: &[Searched]) -> Re
         let bytes = std::fs::read(&picture.path)
             .map_err(|e| Failure::new(Exit::Failed, format!("cannot read {}: {e}", picture.path.display())))?;
         let hash: String = Sha256::digest(&bytes).iter().map(|byte| format!("{byte:02x}")).collect();
-        hashes.insert(picture.name(), hash.into());
+        hashes.insert(picture.name.clone(), hash.into());
     }
     let mut table = toml::Table::new();
     table.insert("made_by".into(), format!("catoptra {} calibrate {step}", env!("CARGO_PKG_VERSION")).into());
@@ -45,7 +41,7 @@ pub(super) fn provenance(step: &str, board: &Board, searched: &[Searched]) -> Re
 
 /// Pictures without a board, a line each.
 pub(super) fn not_found(searched: &[Searched]) -> String {
-    let line = |s: &Searched| s.images.as_ref().err().map(|why| format!("{:<24} left out: {why}\n", s.name()));
+    let line = |s: &Searched| s.images.as_ref().err().map(|why| format!("{:<24} left out: {why}\n", s.name.clone()));
     searched.iter().filter_map(line).collect()
 }
 
@@ -77,14 +73,26 @@ pub(super) fn search(paths: &[PathBuf], board: &Board, most: usize) -> Result<Ve
     for path in paths {
         if path.is_dir() { files.extend(in_folder(path)?) } else { files.push(path.clone()) }
     }
+    let names = names(&files);
     files
         .into_par_iter()
-        .map(|path| {
+        .zip(names)
+        .map(|(path, name)| {
             let grey = Grey::load(&path, Rows::AsStored).map_err(|e| Failure::new(Exit::Usage, e))?;
             let images = find_boards(&grey, board, most).map_err(|e| e.to_string());
-            Ok(Searched { size_px: grey.size_px(), path, images })
+            Ok(Searched { size_px: grey.size_px(), path, name, images })
         })
         .collect()
+}
+
+fn names(files: &[PathBuf]) -> Vec<String> {
+    let of_file = |path: &PathBuf| path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned();
+    let mut count = BTreeMap::new();
+    for name in files.iter().map(of_file) {
+        *count.entry(name).or_insert(0) += 1;
+    }
+    let name = |path: &PathBuf| Some(of_file(path)).filter(|name| count.get(name) == Some(&1));
+    files.iter().map(|path| name(path).unwrap_or_else(|| path.display().to_string())).collect()
 }
 
 fn in_folder(folder: &Path) -> Result<Vec<PathBuf>, Failure> {

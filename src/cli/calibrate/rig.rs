@@ -1,6 +1,6 @@
 //! `catoptra calibrate rig`: pictures of a board in a mirror to mirrors, walls and views.
 
-use super::super::{Exit, Failure};
+use super::super::{Exit, Failure, interrupt};
 use super::pictures::{self, Searched};
 use super::{Length, can_be_written, save, usage};
 use catoptra::calibrate::board::Board;
@@ -15,6 +15,7 @@ use catoptra::calibrate::start::BoardsPicture;
 use catoptra::calibrate::verdict::{Verdict, verdict};
 use catoptra::report::calibration::{self, CalibrationInfo};
 use catoptra::rig::Draft;
+use catoptra::whole_file::NewFile;
 use nalgebra::DMatrix;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -122,7 +123,7 @@ pub(super) fn run(args: &RigArgs, print: impl Fn(&str) -> Result<(), Failure>) -
             fits(&found, args, &draft)?;
             let unseen = |why: &String| Failure::new(Exit::Unusable, format!("{}: {why}", found.path.display()));
             let image = found.images.as_ref().map_err(unseen)?.first().cloned();
-            let picture = image.map(|image| BoardPicture { name: found.name(), size_px: found.size_px, image });
+            let picture = image.map(|image| BoardPicture { name: found.name.clone(), size_px: found.size_px, image });
             options.taped.extend(picture.map(|picture| (name.clone(), picture)));
         }
     }
@@ -133,7 +134,7 @@ pub(super) fn run(args: &RigArgs, print: impl Fn(&str) -> Result<(), Failure>) -
     let found: Vec<BoardsPicture> = searched
         .iter()
         .filter_map(|s| {
-            Some(BoardsPicture { name: s.name(), size_px: s.size_px, images: s.images.as_ref().ok()?.clone() })
+            Some(BoardsPicture { name: s.name.clone(), size_px: s.size_px, images: s.images.as_ref().ok()?.clone() })
         })
         .collect();
     let done = calibrate_rig(&args.board, &draft.camera.lens, &found, &options)
@@ -150,9 +151,15 @@ pub(super) fn run(args: &RigArgs, print: impl Fn(&str) -> Result<(), Failure>) -
     rig.provenance.insert("rig".into(), provenance(args, &searched, &done)?.into());
     save(&rig, out)?;
     let page_path = out.with_extension("calibration.html");
-    std::fs::write(&page_path, page)
-        .map_err(|e| Failure::new(Exit::Failed, format!("cannot write {}: {e}", page_path.display())))?;
+    save_page(&page, &page_path)?;
     print(&format!("\nwritten: {}\n         {} (how good it is, for a browser)\n", out.display(), page_path.display()))
+}
+
+fn save_page(page: &str, path: &Path) -> Result<(), Failure> {
+    let _whole = interrupt::wait();
+    NewFile::write(path, page.as_bytes())
+        .and_then(NewFile::put_in_place)
+        .map_err(|e| Failure::new(Exit::Failed, format!("the rig is written, {} cannot be: {e}", path.display())))
 }
 
 /// What the page says of the run.
@@ -167,7 +174,7 @@ fn info(args: &RigArgs, out: &Path, searched: &[Searched]) -> CalibrationInfo {
     for Distance { name, distance_m, sd_m } in &args.distances {
         settings.push((format!("Distance of {name}"), format!("{} ± {}", mm(*distance_m), mm(*sd_m))));
     }
-    let not_found = searched.iter().filter_map(|s| Some((s.name(), s.images.as_ref().err()?.clone()))).collect();
+    let not_found = searched.iter().filter_map(|s| Some((s.name.clone(), s.images.as_ref().err()?.clone()))).collect();
     CalibrationInfo { rig: out.display().to_string(), settings, not_found }
 }
 
@@ -178,7 +185,11 @@ fn fits(picture: &Searched, args: &RigArgs, draft: &Draft) -> Result<(), Failure
         return Ok(());
     }
     let (path, rig) = (picture.path.display(), args.rig.display());
-    Err(usage(format!("{path} has {found:?} pixels, but {rig} was calibrated for {expected:?}")))
+    let [found, expected] = [found, expected].map(|[width, height]| format!("{width}x{height}"));
+    Err(usage(format!(
+        "{path} has {found} pixels, but {rig} was calibrated for {expected}: pictures must be as the camera stored them, neither \
+         resized nor turned"
+    )))
 }
 
 fn options(args: &RigArgs, draft: &Draft) -> Result<RigOptions, Failure> {
