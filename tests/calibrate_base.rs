@@ -235,13 +235,16 @@ fn wrong_arguments_are_named() {
 #[cfg(unix)]
 #[test]
 fn ctrl_c_leaves_the_old_rig_as_it_was() {
+    use std::os::unix::process::ExitStatusExt as _;
     let place = place();
     let before = std::fs::read(&place.rig).unwrap();
     let mut child = command(&place, &sample("rest.mkv"), &["--planar", &planar()]).spawn().unwrap();
     std::thread::sleep(std::time::Duration::from_millis(500));
     let kill = format!("kill -INT {}", child.id());
     assert!(Command::new("sh").args(["-c", &kill]).status().unwrap().success());
-    assert_eq!(child.wait().unwrap().code(), Some(130), "it was to be interrupted before it was done");
+    let status = child.wait().unwrap();
+    // By itself, or by the system when a busy machine had not begun yet.
+    assert!(status.code() == Some(130) || status.signal() == Some(2), "it was to be interrupted before it was done");
     assert_eq!(std::fs::read(&place.rig).unwrap(), before);
     assert_eq!(names(place.folder.path()), ["rig.toml"]);
 }

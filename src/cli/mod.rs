@@ -69,7 +69,7 @@ DIR gets log.mcap, track.csv, report.html and run.toml; every camera frame has i
 was not tracked. Ctrl-C ends the run and completes the files. A killed run keeps all but its last second.
 Example:
   catoptra live sample_frames/planar.mkv --realtime --rig calibration/dev_tank/rig.toml \\
-    --udp 127.0.0.1:5005 -o out")]
+    --udp 127.0.0.1:5005 -o live")]
     Live(live::Args),
 }
 
