@@ -38,7 +38,8 @@ accuracy: deps
 deps:
 	@scripts/install-deps
 
-$(VENV)/ready:
+# Made again when what it needs has changed.
+$(VENV)/ready: Makefile
 	python3 -m venv $(VENV)
-	$(VENV)/bin/pip install --quiet --disable-pip-version-check mcap mcap-protobuf-support
+	$(VENV)/bin/pip install --quiet --disable-pip-version-check mcap mcap-protobuf-support websockets
 	@touch $@

@@ -1,6 +1,6 @@
 //! Logs read by someone else's code: Python's `mcap` with `mcap-protobuf-support`, by `read_log.py` beside this file.
 //!
-//! Needs `pip install mcap mcap-protobuf-support`, in the interpreter named by `CATOPTRA_PYTHON` or `python3`. Skipped,
+//! Needs `pip install mcap mcap-protobuf-support websockets`, in the interpreter named by `CATOPTRA_PYTHON` or `python3`. Skipped,
 //! and said so, where they are missing; a failure there when `CI=true`.
 
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking, its own functions too")]
@@ -12,13 +12,13 @@ use std::process::{Command, Output};
 /// The interpreter, if it has what the script needs.
 pub(crate) fn interpreter() -> Option<String> {
     let python = std::env::var("CATOPTRA_PYTHON").unwrap_or_else(|_| "python3".to_owned());
-    let probe = Command::new(&python).args(["-c", "import mcap, mcap_protobuf"]).output();
+    let probe = Command::new(&python).args(["-c", "import mcap, mcap_protobuf, websockets"]).output();
     let missing = match probe {
         Ok(output) if output.status.success() => return Some(python),
         Ok(output) => String::from_utf8_lossy(&output.stderr).lines().last().unwrap_or("").to_owned(),
         Err(error) => error.to_string(),
     };
-    let told = format!("{python} cannot read logs ({missing}): pip install mcap mcap-protobuf-support");
+    let told = format!("{python} cannot read logs ({missing}): pip install mcap mcap-protobuf-support websockets");
     assert!(std::env::var("CI").as_deref() != Ok("true"), "{told}");
     // Past the test harness, which keeps what a passing test prints to itself.
     std::io::stderr().write_all(format!("SKIPPED: {told}\n").as_bytes()).unwrap();
