@@ -7,6 +7,7 @@
 //! - Assumes that all inner corners are in the picture. Lens distortion may bend the board, but smoothly.
 //! - Cannot tell a chessboard from its mirror image (the pattern is mirror symmetric): [`Board::orders`].
 
+mod flat;
 mod judge;
 mod search;
 
