@@ -18,7 +18,7 @@ SIZES = [50, 100, 250]
 HEAD = f"""\
 # Code words of ArUco markers, from the predefined dictionaries of OpenCV (modules/objdetect/src/aruco), here as
 # cv2 {cv2.__version__} has them. Copyright (C) OpenCV Foundation and contributors, Apache License 2.0.
-# Made by scripts/marker_dictionaries.py, which says what the words mean. Each family: name, cells a side, words.
+# Made by scripts/marker_dictionaries.py, which says what the words mean. A family: its name, cells a side, words.
 """
 
 
@@ -42,7 +42,7 @@ def main():
         if family != name:
             for size in SIZES:
                 assert own[:size] == list(words(dictionary(f"{family}_{size}"))), f"{family}_{size} is no part of {name}"
-        print(f"\n{family} {largest.markerSize} {len(own)}")
+        print(f"\nfamily {family} {largest.markerSize}")
         digits = (largest.markerSize**2 + 3) // 4
         print(textwrap.fill(" ".join(f"{int(word, 2):0{digits}x}" for word in own), 120))
 

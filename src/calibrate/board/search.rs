@@ -16,7 +16,7 @@ use super::judge::{Flaw, Grid};
 use super::{Board, BoardError, BoardImage};
 
 /// Long sides that the detector sees the whole picture at, pixels.
-const SEEN_PX: [i32; 4] = [640, 1280, 2560, 5120];
+pub(super) const SEEN_PX: [i32; 4] = [640, 1280, 2560, 5120];
 /// Long side of what it sees with more effort.
 const CLOSE_PX: i32 = 1280;
 /// Half the window of refinement, as a share of the distance of the nearest corner: it must not reach that one.
@@ -28,12 +28,11 @@ const LEAST: i32 = 3;
 /// False grids in one look before it is given up.
 const FALSE_GRIDS: usize = 3;
 
-/// Finds images of the board, `most` of them at most, in the order they are found in; at least one.
+/// Finds images of a chessboard, `most` of them at most, in the order they are found in; at least one.
 ///
 /// # Errors
-/// When there is none (with what is there instead, if that can be told), the board is none that can be found, or OpenCV fails.
-pub fn find_boards(picture: &Grey, board: &Board, most: usize) -> std::result::Result<Vec<BoardImage>, BoardError> {
-    board.check()?;
+/// When there is none (with what is there instead, if that can be told), or OpenCV fails.
+pub(super) fn find(picture: &Grey, board: &Board, most: usize) -> std::result::Result<Vec<BoardImage>, BoardError> {
     let [width, height] = picture.size_px().map(|n| n as i32);
     let pixels = pixels(picture)?;
     let mut without_found = pixels.try_clone()?;
