@@ -47,7 +47,7 @@ fn assert_near(what: &str, found: &BoardImage, truth: &[Point2<f64>]) {
         found.edge_px,
         found.contrast
     );
-    assert!(rms < 0.2 && greatest < 0.9, "{what}: RMS {rms} px, greatest {greatest} px");
+    assert!(rms < 0.12 && greatest < 0.5, "{what}: RMS {rms} px, greatest {greatest} px");
 }
 
 fn photograph(name: &str) -> Grey {
@@ -110,7 +110,14 @@ const PRINTS: [(&str, &str); 5] = [
 ];
 
 /// One of [`PRINTS`] drawn into a picture: where its middle is, the size of its squares, how it is turned, mirrored or not.
-fn drawn(canvas: &mut Canvas, print: usize, at: [f64; 2], square_px: f64, turn_deg: [f64; 3], mirrored: bool) -> Placed {
+fn drawn(
+    canvas: &mut Canvas,
+    print: usize,
+    at: [f64; 2],
+    square_px: f64,
+    turn_deg: [f64; 3],
+    mirrored: bool,
+) -> Placed {
     let (name, text) = PRINTS[print];
     let placed = Placed::new(text, at, square_px, turn_deg, mirrored);
     let printed = Printed::load(name, placed.board.columns as u32 + 1);
@@ -160,28 +167,126 @@ fn small_squares_blur_and_poor_light() {
         let found = one(&canvas.blurred(blur_px).changed(light).noisy(noise).grey(), &placed.board);
         let what = format!("squares of {square_px} px, blur {blur_px} px, dim {dim}");
         let (rms, greatest) = compare(&found, &placed.corners());
-        let expected = 2.563 * (blur_px * blur_px + 1.0 / 4.0_f64).sqrt();
-        println!("{what}: {} corners, {rms:.3} px, {greatest:.3}; edge {:.2}, expected {expected:.2}", found.corners.len(), found.edge_px);
-        assert!(rms < 0.15 && greatest < 0.6, "{what}: RMS {rms} px, greatest {greatest} px");
-        assert!(found.corners.len() >= 20, "{what}");
+        // Blur, the pixel's own width and that of interpolation; 10 to 90 % are 2.563 standard deviations.
+        let expected = 2.563 * (blur_px * blur_px + 1.0 / 12.0 + 1.0 / 6.0_f64).sqrt();
+        println!(
+            "{what}: RMS {rms:.3} px, greatest {greatest:.3} px; edge {:.2}, expected {expected:.2}",
+            found.edge_px
+        );
+        assert!(rms < 0.12 && greatest < 0.5, "{what}: RMS {rms} px, greatest {greatest} px");
+        assert_eq!(found.corners.len(), 24, "{what}");
+        assert!(
+            (found.edge_px / expected - 1.0).abs() < 0.15,
+            "{what}: edge {} px, {expected} expected",
+            found.edge_px
+        );
+    }
+}
+
+/// Print 0 to 4, large in the middle.
+fn large(print: usize, mirrored: bool) -> Grey {
+    let mut canvas = Canvas::new(800, 600);
+    drawn(&mut canvas, print, [410.0, 290.0], 50.0, [15.0, -20.0, 30.0], mirrored);
+    canvas.blurred(0.7).noisy(2.0).grey()
+}
+
+#[test]
+fn what_was_said_wrongly_of_a_board_is_told() {
+    for mirrored in [false, true] {
+        let five = large(0, mirrored);
+        for (text, says) in [
+            // Inner corners counted in place of squares; rows and columns exchanged.
+            ("charuco:4x6:32mm:24mm:DICT_4X4_50", "those of a board 5 squares wide, not 4"),
+            ("charuco:7x5:32mm:24mm:DICT_4X4_50", "those of a board 5 squares wide, not 7"),
+            ("charuco:5x5:32mm:24mm:DICT_4X4_50", "markers up to number 16, on a board of 5x5 squares they end at 11"),
+            ("charuco:5x7:32mm:24mm:DICT_5X5_50", "its markers are of DICT_4X4_50, not of DICT_5X5_50"),
+            ("charuco:5x7:32mm:24mm:DICT_ARUCO_ORIGINAL", "its markers are of DICT_4X4_50, not"),
+            ("charuco:5x7:32mm:16mm:DICT_4X4_50", "of a square wide, 0.50 by what was said"),
+            ("charuco:5x7:32mm:20mm:DICT_4X4_50", "of a square wide, 0.62 by what was said"),
+            ("charuco:5x7:32mm:28mm:DICT_4X4_50", "of a square wide, 0.88 by what was said"),
+        ] {
+            let (_, message) = unread(&five, text);
+            assert!(message.contains(says), "{message}");
+        }
+        // A larger dictionary of the same family has the same markers; a board may be cut.
+        assert_eq!(one(&five, &board("charuco:5x7:32mm:24mm:DICT_4X4_1000")).corners.len(), 24);
+        assert_eq!(one(&five, &board("charuco:5x9:32mm:24mm:DICT_4X4_50")).corners.len(), 24);
     }
 }
 
 #[test]
-fn what_is_wrong_with_what_was_said_is_told() {
-    let picture = |print: usize, mirrored: bool| {
-        let mut canvas = Canvas::new(800, 600);
-        drawn(&mut canvas, print, [410.0, 290.0], 50.0, [15.0, -20.0, 30.0], mirrored);
-        canvas.blurred(0.7).noisy(2.0).grey()
-    };
+fn opencvs_legacy_pattern_is_told_and_never_guessed() {
     for mirrored in [false, true] {
-        let five = picture(0, mirrored);
-        for text in ["charuco:4x6:32mm:24mm:DICT_4X4_50", "charuco:7x5:32mm:24mm:DICT_4X4_50", FIVE, "charuco:5x5:32mm:24mm:DICT_4X4_50", "charuco:5x9:32mm:24mm:DICT_4X4_50",
-            "charuco:5x7:32mm:24mm:DICT_5X5_50", "charuco:5x7:32mm:24mm:DICT_4X4_1000","charuco:5x7:32mm:16mm:DICT_4X4_50", "charuco:5x7:32mm:28mm:DICT_4X4_50",  "charuco:5x7:32mm:20mm:DICT_4X4_50",] {
-            println!("{text}: {:?}", find_boards(&five, &board(text), 2).map(|f| f[0].corners.len()).map_err(|e| e.to_string()));
-        }
-        for (print, text) in [(1, PRINTS[2].1), (2, PRINTS[1].1)] {
-            println!("{text}: {:?}", find_boards(&picture(print, mirrored), &board(text), 2).map(|f| f[0].corners.len()).map_err(|e| e.to_string()));
-        }
+        let (why, message) = unread(&large(1, mirrored), PRINTS[2].1);
+        assert_eq!(why, Unread::Layout { legacy: false });
+        assert!(message.contains("leave out `:legacy`"), "{message}");
+        let (why, message) = unread(&large(2, mirrored), PRINTS[1].1);
+        assert_eq!(why, Unread::Layout { legacy: true });
+        assert!(message.contains("add `:legacy` to the board"), "{message}");
+    }
+    // With an odd number of rows there is no difference.
+    assert_eq!(one(&large(0, false), &board(&format!("{FIVE}:legacy"))).corners.len(), 24);
+}
+
+#[test]
+fn part_of_a_board_is_enough_unless_it_is_too_little() {
+    let whole = |changed: fn(f64, f64, f64) -> f64| {
+        let mut canvas = Canvas::new(800, 600);
+        let placed = drawn(&mut canvas, 0, [410.0, 290.0], 60.0, [15.0, -20.0, 10.0], true);
+        (canvas.changed(changed).blurred(0.7).noisy(2.0).grey(), placed)
+    };
+    // A thumb in the middle, half of it covered, all but a strip.
+    let covers: [(fn(f64, f64, f64) -> f64, _); 3] = [
+        (|x, y, v| if (x - 400.0).hypot(y - 280.0) < 60.0 { 150.0 } else { v }, 14..22),
+        (|_, y, v| if y > 300.0 { 90.0 } else { v }, 8..14),
+        (|x, _, v| if x > 430.0 { 90.0 } else { v }, 6..14),
+    ];
+    for (i, (cover, expected)) in covers.into_iter().enumerate() {
+        let (picture, placed) = whole(cover);
+        let found = one(&picture, &placed.board);
+        assert_eq!(found.mirrored, Some(true));
+        assert_near(&format!("cover {i}"), &found, &placed.corners());
+        assert!(expected.contains(&found.corners.len()), "cover {i}: {} corners", found.corners.len());
+    }
+    let (picture, _) = whole(|x, y, v| if x > 400.0 || y > 250.0 { 90.0 } else { v });
+    let (why, message) = unread(&picture, FIVE);
+    assert!(matches!(why, Unread::FewCorners { .. }), "{message}");
+    let (why, _) = unread(&Canvas::new(640, 480).noisy(3.0).grey(), FIVE);
+    assert!(matches!(why, Unread::NoMarkers { .. }));
+    // A chessboard has no markers.
+    let chessboard = Placed::new("9x6:12mm", [400.0, 300.0], 40.0, [15.0, -20.0, 10.0], false);
+    let (why, _) = unread(&Canvas::with(800, 600, &[chessboard]).blurred(0.7).noisy(2.0).grey(), FIVE);
+    assert!(matches!(why, Unread::NoMarkers { .. }), "{why:?}");
+}
+
+#[test]
+fn charuco_boards_as_people_write_them() {
+    for (text, written) in [
+        ("charuco:5x7:30mm:22mm:DICT_4X4_50", "charuco:5x7:30mm:22mm:DICT_4X4_50"),
+        ("ChArUco: 8X5 : 4cm : 0.03m : 6x6_250 : legacy", "charuco:8x5:40mm:30mm:DICT_6X6_250:legacy"),
+        ("charuco:6x6:12mm:9mm:dict_aruco_original", "charuco:6x6:12mm:9mm:DICT_ARUCO_ORIGINAL"),
+    ] {
+        let board: Board = text.parse().unwrap();
+        assert_eq!(board.to_string(), written);
+        assert_eq!(board.to_string().parse::<Board>().unwrap(), board);
+    }
+    // Squares are written, inner corners are what there is.
+    let five = board(FIVE);
+    assert_eq!((five.columns, five.rows, five.points().len(), five.orders().len()), (4, 6, 24, 1));
+    for (text, says) in [
+        ("charuco:5x7:30mm:22mm", "five parts"),
+        ("charuco:5x7", "five parts"),
+        ("charuco:5x7:30:22mm:DICT_4X4_50", "lengths with unit"),
+        ("charuco:5:30mm:22mm:DICT_4X4_50", "two whole numbers"),
+        ("charuco:0x7:30mm:22mm:DICT_4X4_50", "must have squares"),
+        ("charuco:5x7:30mm:22mm:DICT_4X4_60", "dictionary is not known"),
+        ("charuco:5x7:30mm:22mm:DICT_4X4_50:new", "nothing but `:legacy`"),
+        ("charuco:3x3:30mm:22mm:DICT_4X4_50", "from 3x4 to 100x100"),
+        ("charuco:5x7:22mm:30mm:DICT_4X4_50", "the square comes first"),
+        ("charuco:12x9:30mm:22mm:DICT_4X4_50", "the board has 54 markers, DICT_4X4_50 has 50 only"),
+        ("charuco:5x7:30mm", "counting squares (not inner corners)"),
+    ] {
+        let message = text.parse::<Board>().unwrap_err().to_string();
+        assert!(message.contains(says), "{text}: {message}");
     }
 }

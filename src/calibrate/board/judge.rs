@@ -255,6 +255,9 @@ impl<'a> Grid<'a> {
 
     /// Whether this is a board or a part of one: columns and rows to pixels, its contrast (positive where (0, 0) is dark).
     pub(super) fn judge_corners(&self) -> Result<(Matrix3<f64>, f64), Flaw> {
+        if self.squares().next().is_none() {
+            return Err(Flaw::Scattered);
+        }
         self.check_order()?;
         let (board_in_picture, off) = self.check_flatness()?;
         let contrast = self.check_colours()?;

@@ -172,8 +172,10 @@ pub enum BoardError {
         problem: &'static str,
     },
     /// Too few squares, or too many.
-    #[error("a ChArUco board of {columns}x{rows} squares cannot be used: from 3x4 to 100x100 can (squares, not inner \
-        corners, are counted for these boards)")]
+    #[error(
+        "a ChArUco board of {columns}x{rows} squares cannot be used: from 3x4 to 100x100 can (squares, not inner \
+        corners, are counted for these boards)"
+    )]
     Squares {
         /// In a row.
         columns: usize,

@@ -53,7 +53,8 @@ fn charuco(text: &str) -> Result<Board, &'static str> {
         [_, _, _, _, _, _] => return Err("after the dictionary nothing but `:legacy` may follow"),
         _ => return Err("it has five parts, with colons between them"),
     };
-    let (columns, rows) = two_numbers(size).ok_or("its second part must be two whole numbers with an x between them")?;
+    let (columns, rows) =
+        two_numbers(size).ok_or("its second part must be two whole numbers with an x between them")?;
     let (Some(columns), Some(rows)) = (columns.checked_sub(1), rows.checked_sub(1)) else {
         return Err("it must have squares");
     };

@@ -6,7 +6,7 @@ use opencv::Result;
 use opencv::core::Mat;
 
 use super::super::super::grey::Grey;
-use super::super::flat::{homography, map};
+use super::super::flat::{homography, map, median};
 use super::super::search::{WINDOW, WINDOW_PX, refined};
 use super::layout::Layout;
 use super::markers::Marker;
@@ -17,6 +17,9 @@ const NEAR: f64 = 2.1;
 const MOVED: f64 = 0.25;
 /// The squares around a corner must differ by this part of what the markers have.
 const ALTERNATE: f64 = 0.3;
+/// Half a turn may change what is around a corner by this part of what the markers have (RMS): noise, small squares and their
+/// perspective make up to 0.15, a thumb's edge 0.3.
+const ASYMMETRIC: f64 = 0.2;
 /// Where the grey of a dark square is taken, from its corner on, squares.
 const INSIDE: f64 = 0.25;
 
@@ -55,10 +58,9 @@ impl Search<'_> {
     /// The corner near where a homography has it; `None` when there is none.
     fn corner(&self, place: Point2<f64>, flat: &Matrix3<f64>) -> Result<Option<Point2<f64>>> {
         let beside = [(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)].map(|(x, y)| place + Vector2::new(x, y));
-        let (Some(expected), Some(beside)) = (
-            map(flat, place.x, place.y),
-            beside.into_iter().map(|p| map(flat, p.x, p.y)).collect::<Option<Vec<_>>>(),
-        ) else {
+        let (Some(expected), Some(beside)) =
+            (map(flat, place.x, place.y), beside.into_iter().map(|p| map(flat, p.x, p.y)).collect::<Option<Vec<_>>>())
+        else {
             return Ok(None);
         };
         let square_px = beside.iter().map(|p| (p - expected).norm()).fold(f64::INFINITY, f64::min);
@@ -70,8 +72,31 @@ impl Search<'_> {
             return Ok(None);
         }
         let corner = refined(self.pixels, expected, half_px)?;
-        let here = (corner - expected).norm() < MOVED * square_px && self.alternates(place, flat, corner - expected);
+        let here = (corner - expected).norm() < MOVED * square_px
+            && self.alternates(place, flat, corner - expected)
+            && self.is_symmetric(corner, half_px);
         Ok(here.then_some(corner))
+    }
+
+    /// Whether half a turn leaves a corner's surroundings the same: not where something covers a part of them, and draws the
+    /// corner aside.
+    fn is_symmetric(&self, corner: Point2<f64>, half_px: f64) -> bool {
+        let reach = half_px.clamp(f64::from(WINDOW_PX.0), f64::from(WINDOW_PX.1)) as i32;
+        let (mut sum, mut count) = (0.0, 0);
+        for (x, y) in (-reach..=reach).flat_map(|y| (-reach..=reach).map(move |x| (x, y))) {
+            let off = Vector2::new(f64::from(x), f64::from(y));
+            let (Some(here), Some(there)) = (self.picture.at(corner + off), self.picture.at(corner - off)) else {
+                return false;
+            };
+            sum += (here - there).powi(2);
+            count += 1;
+        }
+        (sum / f64::from(count)).sqrt() < ASYMMETRIC * self.contrast()
+    }
+
+    /// Of the markers: their median.
+    fn contrast(&self) -> f64 {
+        median(self.markers.iter().map(|marker| marker.contrast).collect())
     }
 
     /// Whether the squares around a corner are dark and light in turn, as the board has them. `moved`: how far it is from
@@ -85,8 +110,7 @@ impl Search<'_> {
             let side = |towards: usize| if towards == 0 { -1.0 } else { 1.0 };
             let (x, y) = (side(right), side(below));
             let middle = self.layout.plain() / 2.0;
-            let places: &[(f64, f64)] =
-                if light { &[(INSIDE, middle), (middle, INSIDE)] } else { &[(INSIDE, INSIDE)] };
+            let places: &[(f64, f64)] = if light { &[(INSIDE, middle), (middle, INSIDE)] } else { &[(INSIDE, INSIDE)] };
             for (u, v) in places {
                 let Some(grey) = grey(x * u, y * v) else { return false };
                 if light {
@@ -96,9 +120,6 @@ impl Search<'_> {
                 }
             }
         }
-        let mut contrasts: Vec<f64> = self.markers.iter().map(|marker| marker.contrast).collect();
-        contrasts.sort_by(f64::total_cmp);
-        let contrast = contrasts.get(contrasts.len() / 2).copied().unwrap_or(f64::INFINITY);
-        darkest - lightest > ALTERNATE * contrast
+        darkest - lightest > ALTERNATE * self.contrast()
     }
 }

@@ -88,8 +88,7 @@ pub(super) fn quads(pixels: &Mat) -> Result<Vec<Quad>> {
         );
         let (mut seen, mut dark) = (Mat::default(), Mat::default());
         imgproc::resize(pixels, &mut seen, size, 0.0, 0.0, imgproc::INTER_AREA)?;
-        let scale =
-            Vector2::new(f64::from(size.width) / f64::from(width), f64::from(size.height) / f64::from(height));
+        let scale = Vector2::new(f64::from(size.width) / f64::from(width), f64::from(size.height) / f64::from(height));
         for (window, below) in WINDOWS {
             let (mean, inverse) = (imgproc::ADAPTIVE_THRESH_MEAN_C, imgproc::THRESH_BINARY_INV);
             imgproc::adaptive_threshold(&seen, &mut dark, 255.0, mean, inverse, window, below)?;
@@ -233,8 +232,8 @@ impl Reading {
     fn permuted(&self, word: u64, from: impl Fn(usize, usize) -> (usize, usize)) -> u64 {
         let n = self.cells;
         let places = (0..n).flat_map(|row| (0..n).map(move |column| (row, column)));
-        places.map(|(row, column)| from(row, column)).fold(0, |to, (row, column)| {
-            to << 1 | word >> (n * n - 1 - (row * n + column)) & 1
-        })
+        places
+            .map(|(row, column)| from(row, column))
+            .fold(0, |to, (row, column)| to << 1 | word >> (n * n - 1 - (row * n + column)) & 1)
     }
 }

@@ -106,7 +106,8 @@ fn read(picture: &Grey, quads: &[Quad], around: f64, dictionary: Dictionary) -> 
     let mut markers: Vec<Marker> = Vec::new();
     for reading in quads.iter().filter_map(|quad| quad.read(picture, dictionary.cells(), around)) {
         for marker in reading.markers(dictionary, most_wrong) {
-            let alike = |own: &&mut Marker| own.id == marker.id && own.mirrored == marker.mirrored && own.is_at(&marker);
+            let alike =
+                |own: &&mut Marker| own.id == marker.id && own.mirrored == marker.mirrored && own.is_at(&marker);
             match markers.iter_mut().find(alike) {
                 // Later ones are from larger pictures.
                 Some(own) if own.wrong >= marker.wrong => *own = marker,

@@ -16,6 +16,8 @@ const RATIOS: [f64; 7] = [0.35, 0.45, 0.55, 0.65, 0.75, 0.85, 0.95];
 const COLUMNS: std::ops::RangeInclusive<usize> = 3..=30;
 /// So many markers are no accident.
 const ENOUGH: usize = 3;
+/// Fewer than so many within a board may be.
+const ACCIDENTS: usize = 2;
 
 /// Why a ChArUco board is not found.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -57,8 +59,10 @@ pub enum Unread {
         squares: [usize; 2],
     },
     /// Another number of squares.
-    #[error("; its markers are those of a board {found} squares wide, not {asked}: are columns and rows those of SQUARES \
-        (not of corners)?")]
+    #[error(
+        "; its markers are those of a board {found} squares wide, not {asked}: are columns and rows those of SQUARES \
+        (not of corners)?"
+    )]
     OtherWidth {
         /// Squares in a row.
         found: usize,
@@ -66,7 +70,9 @@ pub enum Unread {
         asked: usize,
     },
     /// Markers that are larger or smaller.
-    #[error("; its markers are {found:.2} of a square wide, {asked:.2} by what was said: one of the two lengths is wrong")]
+    #[error(
+        "; its markers are {found:.2} of a square wide, {asked:.2} by what was said: one of the two lengths is wrong"
+    )]
     Ratio {
         /// Marker to square, as seen.
         found: f64,
@@ -82,8 +88,10 @@ pub enum Unread {
         elsewhere: usize,
     },
     /// Too little of it.
-    #[error("; {corners} of its corners are seen beside {markers} markers, at least {FEWEST} that are not in a line are \
-        needed, and two whole squares side by side")]
+    #[error(
+        "; {corners} of its corners are seen beside {markers} markers, at least {FEWEST} that are not in a line are \
+        needed, and two whole squares side by side"
+    )]
     FewCorners {
         /// Corners.
         corners: usize,
@@ -109,46 +117,42 @@ impl Clues<'_> {
     /// What shows that another board is seen than the one asked for; `images` are those of that one.
     pub(super) fn other_board(&self, images: &[Vec<Marker>]) -> Option<Unread> {
         let own = images.first().map_or(0, Vec::len);
-        let most = |layout: &Layout, markers: &[Marker]| layout.images(markers).first().map_or(0, Vec::len);
         let [columns, rows] = self.layout.squares;
-        if rows.is_multiple_of(2) {
-            let other = Layout { light_first: !self.layout.light_first, ..self.layout.clone() };
-            if most(&other, self.markers) > own.max(ENOUGH - 1) {
-                return Some(Unread::Layout { legacy: other.light_first });
-            }
-        }
+        let squares = |columns: usize, rows: usize| Layout { squares: [columns, rows], ..self.layout.clone() };
+        let most = |layout: &Layout, markers: &[Marker]| layout.images(markers).first().map_or(0, Vec::len);
         if let Some(found) = images.iter().find_map(|image| self.ratio(image)) {
             return Some(Unread::Ratio { found, asked: self.layout.marker });
         }
-        // Wider or higher than was said: its markers have other places, or are none of the board's.
+        // Higher than was said: some of its markers are none of the board's, and may be beyond the dictionary.
         let family = Dictionary::families().find(|family| family.is_akin(self.dictionary))?;
         let markers = self.exact(family);
-        let high = |columns: usize| Layout {
-            squares: [columns, 2 * family.size() / columns],
-            ..self.layout.clone()
-        };
+        let high = |columns: usize| squares(columns, 2 * family.size() / columns);
         let last = self.layout.count().saturating_sub(1);
         let beyond = |image: &Vec<Marker>| image.iter().map(|marker| marker.id).filter(|id| *id > last).collect();
         let beyond: Vec<usize> = high(columns).images(&markers).first().map_or_else(Vec::new, beyond);
         if let (true, Some(most)) = (beyond.len() > 1, beyond.into_iter().max()) {
             return Some(Unread::OtherMarkers { most, last, squares: self.layout.squares });
         }
+        let flipped = Layout { light_first: !self.layout.light_first, ..self.layout.clone() };
+        let of_flipped = if rows.is_multiple_of(2) { most(&flipped, self.markers) } else { 0 };
         let elsewhere = images.first().map_or(0, |image| self.strangers(image));
-        if own >= ENOUGH && elsewhere < own {
+        if own >= ENOUGH && elsewhere < ACCIDENTS.max(own / 4) && of_flipped <= own {
             return None;
         }
-        let wide = COLUMNS.map(|columns| (most(&high(columns), &markers), columns)).max();
-        if let Some((count, found)) = wide
-            && (found != columns && count > own.max(ENOUGH - 1))
-        {
-            return Some(Unread::OtherWidth { found, asked: columns });
-        }
-        let ratio = RATIOS.into_iter().find_map(|marker| {
+        // Of all that may have been said wrongly, what explains most markers.
+        let mut told = vec![(of_flipped, Unread::Layout { legacy: flipped.light_first })];
+        for marker in RATIOS {
             let images = Layout { marker, ..self.layout.clone() }.images(self.markers);
-            let image = images.first().filter(|image| image.len() > own.max(ENOUGH - 1))?;
-            Some(Unread::Ratio { found: self.ratio(image)?, asked: self.layout.marker })
-        });
-        ratio.or_else(|| (own > 0 && elsewhere >= own).then_some(Unread::Elsewhere { here: own, elsewhere }))
+            if let Some((count, found)) = images.first().and_then(|image| Some((image.len(), self.ratio(image)?))) {
+                told.push((count, Unread::Ratio { found, asked: self.layout.marker }));
+            }
+        }
+        for found in COLUMNS.filter(|found| *found != columns) {
+            told.push((most(&high(found), &markers), Unread::OtherWidth { found, asked: columns }));
+        }
+        let contradiction = (own > 0 && elsewhere >= own).then_some(Unread::Elsewhere { here: own, elsewhere });
+        let best = told.into_iter().rev().max_by_key(|(count, _)| *count);
+        best.filter(|(count, _)| *count > own.max(ENOUGH - 1)).map(|(_, why)| why).or(contradiction)
     }
 
     /// Markers of a dictionary without a cell that is read wrong.
@@ -205,9 +209,8 @@ impl Clues<'_> {
             let place = map(&back, marker.middle().x, marker.middle().y);
             place.is_some_and(|p| (-1.0..columns).contains(&p.x) && (-1.0..rows).contains(&p.y))
         };
-        let stranger = |marker: &&Marker| {
-            marker.wrong == 0 && within(marker) && !image.iter().any(|own| own.is_at(marker))
-        };
+        let stranger =
+            |marker: &&Marker| marker.wrong == 0 && within(marker) && !image.iter().any(|own| own.is_at(marker));
         self.markers.iter().filter(stranger).count()
     }
 }
