@@ -4,18 +4,15 @@
 #![allow(clippy::print_stdout, reason = "the figures are worth a look")]
 
 mod board_common;
+mod charuco_common;
 
 use board_common::{Canvas, Placed};
 use catoptra::calibrate::board::{Board, BoardError, BoardImage, Unread, find_boards};
 use catoptra::calibrate::grey::{Grey, Rows};
+use charuco_common::{Printed, data};
 use nalgebra::Point2;
-use std::path::{Path, PathBuf};
 
 const FIVE: &str = "charuco:5x7:32mm:24mm:DICT_4X4_50";
-
-fn data(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/charuco").join(name)
-}
 
 fn board(text: &str) -> Board {
     text.parse().unwrap()
@@ -72,32 +69,6 @@ fn opencvs_boards_photographed_by_opencvs_camera() {
             let least = if name == "part.jpg" { 10 } else { truth.len() };
             assert!((least..=most).contains(&found.corners.len()), "{name}: {}", found.corners.len());
         }
-    }
-}
-
-/// A board that OpenCV has drawn, a cell of a marker a pixel.
-struct Printed {
-    cells: image::GrayImage,
-    /// Cells in a square.
-    square: u32,
-}
-
-impl Printed {
-    fn load(name: &str, columns: u32) -> Self {
-        let cells = image::open(data(name)).unwrap().into_luma8();
-        let square = cells.width() / columns;
-        Self { cells, square }
-    }
-
-    /// The grey value at a place in columns and rows of inner corners; `None` beyond the paper.
-    fn grey(&self, column: f64, row: f64) -> Option<f64> {
-        let [x, y] = [column, row].map(|p| (p + 1.0) * f64::from(self.square));
-        let (width, height) = (f64::from(self.cells.width()), f64::from(self.cells.height()));
-        let rim = 0.5 * f64::from(self.square);
-        if (0.0..width).contains(&x) && (0.0..height).contains(&y) {
-            return Some(if self.cells.get_pixel(x as u32, y as u32).0[0] > 0 { 205.0 } else { 45.0 });
-        }
-        ((-rim..width + rim).contains(&x) && (-rim..height + rim).contains(&y)).then_some(205.0)
     }
 }
 
