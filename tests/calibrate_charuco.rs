@@ -116,14 +116,14 @@ fn unread(picture: &Grey, text: &str) -> (Unread, String) {
 
 #[test]
 fn all_kinds_of_markers_however_turned_direct_and_mirrored() {
-    for print in 0..PRINTS.len() {
+    for (print, (_, text)) in PRINTS.into_iter().enumerate() {
         for (turn, mirrored) in [0.0, 40.0, 95.0, 180.0, 250.0].into_iter().flat_map(|t| [(t, false), (t, true)]) {
             let mut canvas = Canvas::new(800, 600);
             let placed = drawn(&mut canvas, print, [410.0, 290.0], 44.0, [25.0, -30.0, turn], mirrored);
             let found = one(&canvas.blurred(0.7).noisy(2.0).grey(), &placed.board);
             assert_eq!(found.mirrored, Some(mirrored));
             assert_eq!(found.corners.len(), placed.corners().len());
-            assert_near(&format!("{}, {turn}°, mirrored {mirrored}", PRINTS[print].1), &found, &placed.corners());
+            assert_near(&format!("{text}, {turn}°, mirrored {mirrored}"), &found, &placed.corners());
         }
     }
 }
@@ -201,13 +201,14 @@ fn opencvs_legacy_pattern_is_told_and_never_guessed() {
 
 #[test]
 fn part_of_a_board_is_enough_unless_it_is_too_little() {
-    let whole = |changed: fn(f64, f64, f64) -> f64| {
+    type Cover = fn(f64, f64, f64) -> f64;
+    let whole = |changed: Cover| {
         let mut canvas = Canvas::new(800, 600);
         let placed = drawn(&mut canvas, 0, [410.0, 290.0], 60.0, [15.0, -20.0, 10.0], true);
         (canvas.changed(changed).blurred(0.7).noisy(2.0).grey(), placed)
     };
     // A thumb in the middle, half of it covered, all but a strip.
-    let covers: [(fn(f64, f64, f64) -> f64, _); 3] = [
+    let covers: [(Cover, _); 3] = [
         (|x, y, v| if (x - 400.0).hypot(y - 280.0) < 60.0 { 150.0 } else { v }, 14..22),
         (|_, y, v| if y > 300.0 { 90.0 } else { v }, 8..14),
         (|x, _, v| if x > 430.0 { 90.0 } else { v }, 6..14),

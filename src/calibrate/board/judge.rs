@@ -75,6 +75,9 @@ pub enum Flaw {
     },
 }
 
+/// What a homography leaves of each corner, pixels; `None` where none is seen.
+type Left = Vec<Option<Vector2<f64>>>;
+
 /// Corners of a grid, row by row, and the picture they are in.
 pub(super) struct Grid<'a> {
     picture: &'a Grey,
@@ -282,7 +285,7 @@ impl<'a> Grid<'a> {
     }
 
     /// A homography explains the corners up to distortion: it (columns and rows to pixels), and what it leaves, pixels.
-    fn check_flatness(&self) -> Result<(Matrix3<f64>, Vec<Option<Vector2<f64>>>), Flaw> {
+    fn check_flatness(&self) -> Result<(Matrix3<f64>, Left), Flaw> {
         let square_px = self.square_px();
         let bent = |rms_px: f64| Flaw::Bent { rms_px, square_px };
         let flat = self.homography().ok_or(bent(f64::INFINITY))?;

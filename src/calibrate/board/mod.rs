@@ -1,6 +1,6 @@
 //! Calibration boards, and where their corners are in a picture.
 //!
-//! - In: a [`Grey`](super::grey::Grey) picture, a [`Board`], how many images of it there may be (direct and by way of mirrors).
+//! - In: a [`Grey`] picture, a [`Board`], how many images of it there may be (direct and by way of mirrors).
 //! - Out: a [`BoardImage`] for each that was found: its inner corners to a few hundredths of a pixel, in the board's order.
 //! - Method: chessboards by OpenCV's sector-based detector on the picture at several sizes and on parts of it (`search`),
 //!   ChArUco boards by their markers (`charuco`); each corner is then refined in the picture itself, and what is no regular grid
