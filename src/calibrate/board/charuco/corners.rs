@@ -64,24 +64,30 @@ impl Search<'_> {
             return Ok(None);
         };
         let square_px = beside.iter().map(|p| (p - expected).norm()).fold(f64::INFINITY, f64::min);
-        // The window must not reach the markers.
-        let half_px = WINDOW.min(self.layout.plain()) * square_px;
-        let reach = half_px.clamp(f64::from(WINDOW_PX.0), f64::from(WINDOW_PX.1)) + MOVED * square_px + 1.0;
-        let ends = [(-reach, -reach), (reach, reach)].map(|(x, y)| expected + Vector2::new(x, y));
-        if ends.into_iter().any(|end| self.picture.at(end).is_none()) {
-            return Ok(None);
+        // The window should not reach the markers; of few and blurred pixels, a larger one.
+        let half_px = (WINDOW.min(self.layout.plain()) * square_px).max(f64::from(WINDOW_PX.0));
+        for half_px in [half_px, half_px + 1.0, half_px + 2.0] {
+            let reach = half_px.min(f64::from(WINDOW_PX.1)) + MOVED * square_px + 1.0;
+            let ends = [(-reach, -reach), (reach, reach)].map(|(x, y)| expected + Vector2::new(x, y));
+            if ends.into_iter().any(|end| self.picture.at(end).is_none()) {
+                return Ok(None);
+            }
+            let corner = refined(self.pixels, expected, half_px)?;
+            let moved = corner - expected;
+            if moved.norm() < MOVED * square_px
+                && self.alternates(place, flat, moved)
+                && self.is_symmetric(corner, half_px)
+            {
+                return Ok(Some(corner));
+            }
         }
-        let corner = refined(self.pixels, expected, half_px)?;
-        let here = (corner - expected).norm() < MOVED * square_px
-            && self.alternates(place, flat, corner - expected)
-            && self.is_symmetric(corner, half_px);
-        Ok(here.then_some(corner))
+        Ok(None)
     }
 
     /// Whether half a turn leaves a corner's surroundings the same: not where something covers a part of them, and draws the
     /// corner aside.
     fn is_symmetric(&self, corner: Point2<f64>, half_px: f64) -> bool {
-        let reach = half_px.clamp(f64::from(WINDOW_PX.0), f64::from(WINDOW_PX.1)) as i32;
+        let reach = half_px.min(f64::from(WINDOW_PX.1)) as i32;
         let (mut sum, mut count) = (0.0, 0);
         for (x, y) in (-reach..=reach).flat_map(|y| (-reach..=reach).map(move |x| (x, y))) {
             let off = Vector2::new(f64::from(x), f64::from(y));
