@@ -266,7 +266,6 @@ fn boards_as_people_write_them() {
         ("2x6:12mm", "from 3 to 99"),
         ("9x100000000000:12mm", "from 3 to 99"),
         ("6x6:12mm", "turned by a quarter"),
-        ("charuco:10x7:12mm:9mm:4x4_50", "ChArUco"),
     ] {
         let message = text.parse::<Board>().unwrap_err().to_string();
         assert!(message.contains(says), "{text}: {message}");

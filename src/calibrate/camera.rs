@@ -99,6 +99,9 @@ pub enum LeftOut {
         /// Side of a square.
         square_px: f64,
     },
+    /// The board is seen in a mirror.
+    #[error("its board is mirrored: pictures must be taken without a mirror, and by a camera that does not flip them")]
+    Mirrored,
     /// It was given before.
     #[error("it is the same picture as {0}")]
     Duplicate(String),
@@ -205,6 +208,7 @@ fn usable(pictures: &[BoardPicture]) -> (Vec<&BoardPicture>, Vec<(String, LeftOu
             _ if picture.image.is_blurred() => {
                 left_out.push((picture.name.clone(), LeftOut::Blurred { edge_px, square_px }))
             }
+            _ if picture.image.mirrored == Some(true) => left_out.push((picture.name.clone(), LeftOut::Mirrored)),
             Some(other) => left_out.push((picture.name.clone(), LeftOut::Duplicate(other))),
             None => used.push(picture),
         }

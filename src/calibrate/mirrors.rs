@@ -130,6 +130,17 @@ pub enum RigCalibrationError {
         /// Those there are.
         known: String,
     },
+    /// A taped board that is not seen as its wall is.
+    #[error("{name}: the board on {wall} is {}", if *.mirrored { "seen directly, that wall in the mirror" } else { "seen in a \
+        mirror, that wall directly" })]
+    Taped {
+        /// The picture.
+        name: String,
+        /// The wall.
+        wall: String,
+        /// Whether it should be mirrored.
+        mirrored: bool,
+    },
     /// OpenCV refused.
     #[error("no first guess: {0}")]
     OpenCv(#[from] opencv::Error),

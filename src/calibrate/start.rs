@@ -4,7 +4,7 @@
 //! where the mirrors are and the boards.
 //!
 //! Every image gives a pose of the (virtual) board. Light takes a longer way by a mirror than straight, so the nearest image
-//! of a picture is the direct one. Each other image is a reflection of it: corresponding corners are joined by lines that
+//! of a picture is the direct one, of those that are not seen to be mirrored. Each other image is a reflection of it: corresponding corners are joined by lines that
 //! are all parallel to the mirror's normal and halved by its plane; only the right order of corners makes them parallel.
 //! Planes that agree are the same mirror. Behind water distances come out a quarter short: good enough for a start.
 
@@ -66,6 +66,9 @@ pub(super) struct Start {
 /// Why a picture says nothing about mirrors.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum Unusable {
+    /// No direct image.
+    #[error("it shows the board only in a mirror, and not directly")]
+    OnlyMirrored,
     /// One image only.
     #[error(
         "it shows the board only once, and a mirror needs it twice, directly and mirrored: is the other image whole, sharp and \
@@ -140,8 +143,14 @@ pub(super) fn start(board: &Board, lens: &Lens, pictures: &[BoardsPicture], mirr
             left_out.push((picture, Unusable::Flipped));
             continue;
         }
-        posed.sort_by(|a, b| a.0.translation.vector.norm().total_cmp(&b.0.translation.vector.norm()));
-        let Some(((nearest, corners, _), others)) = posed.split_first() else { continue };
+        let mirrored = |image: &BoardImage| image.mirrored == Some(true);
+        let distance = |pose: &Isometry3<f64>| pose.translation.vector.norm();
+        posed.sort_by(|a, b| mirrored(a.2).cmp(&mirrored(b.2)).then(distance(&a.0).total_cmp(&distance(&b.0))));
+        let Some(((nearest, corners, first), others)) = posed.split_first() else { continue };
+        if mirrored(first) {
+            left_out.push((picture, Unusable::OnlyMirrored));
+            continue;
+        }
         if others.is_empty() {
             left_out.push((picture, Unusable::Once));
             continue;

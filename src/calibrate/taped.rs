@@ -47,7 +47,15 @@ impl Taped {
             })
             .collect();
         let places = centred(board);
-        let order = if mirrors.len() % 2 == 1 { board.orders().into_iter().next() } else { None };
+        let odd = mirrors.len() % 2 == 1;
+        if picture.image.mirrored.is_some_and(|mirrored| mirrored != odd) {
+            return Err(RigCalibrationError::Taped {
+                name: picture.name.clone(),
+                wall: wall.to_owned(),
+                mirrored: odd,
+            });
+        }
+        let order = if odd { board.orders().into_iter().next() } else { None };
         let corners = ordered(&places, &picture.image, order.as_deref());
         let mut seen = pose(lens, &corners)?;
         // The board itself, not its reflection. I − 2nnᵀ is minus half a turn about n, and what a flat board's mirror image

@@ -305,6 +305,13 @@ fn a_board_taped_to_a_wall_pins_it() {
         println!("{surface}: {:.3} mm off, σ {:.3} mm", error * 1e3, sd * 1e3);
         assert!(sd < limit_m && error.abs() < 3.5 * sd, "surface {surface}: {error} m off, σ {sd} m");
     }
+    // Boards that tell whether they are mirrored must be as their wall is seen.
+    for (taped, says) in [(0, "seen in a mirror, that wall directly"), (1, "seen directly, that wall in the mirror")] {
+        let mut options = options.clone();
+        options.taped[taped].1.image.mirrored = Some(taped == 0);
+        let error = calibrate_rig(&board(), &lens, &pictures, &options).unwrap_err().to_string();
+        assert!(error.starts_with("taped.png: the board on") && error.contains(says), "{error}");
+    }
 }
 
 #[test]

@@ -90,6 +90,11 @@ impl Canvas {
     }
 
     pub(crate) fn draw(&mut self, board: &Placed) {
+        self.draw_as(board, |column, row| board.grey(column, row));
+    }
+
+    /// Draws what has the given grey at columns and rows of the board's inner corners, `None` beside it.
+    pub(crate) fn draw_as(&mut self, board: &Placed, grey: impl Fn(f64, f64) -> Option<f64>) {
         let back = board.picture_from_board.try_inverse().unwrap();
         let (c, r) = (board.board.columns as f64 + 0.5, board.board.rows as f64 + 0.5);
         let ends = [board.place(-1.5, -1.5), board.place(c, -1.5), board.place(c, r), board.place(-1.5, r)];
@@ -106,7 +111,7 @@ impl Canvas {
                     let fine = |n: usize| (n as f64 + 0.5) / FINE as f64 - 0.5;
                     let pixel = Point2::new(x as f64 + fine(i), y as f64 + fine(5 * i % FINE));
                     let at = back * (self.straight)(pixel).to_homogeneous();
-                    sum += board.grey(at.x / at.z, at.y / at.z).unwrap_or(ground);
+                    sum += grey(at.x / at.z, at.y / at.z).unwrap_or(ground);
                 }
                 self.samples[y * self.width + x] = sum / FINE as f64;
             }

@@ -1,8 +1,11 @@
 //! Whether corners that were found are those of a board, and how well it can be seen.
 
-use nalgebra::{DMatrix, Matrix3, Point2, Vector2, Vector3};
+mod edge;
+
+use nalgebra::{Matrix3, Point2, Vector2};
 
 use super::super::grey::Grey;
+use super::flat::{homography, map, median};
 
 /// A homography must explain the corners to this share of a square (RMS): distortion bends a board, but not more.
 const BENT: f64 = 0.25;
@@ -14,8 +17,6 @@ const LEAST_CONTRAST: f64 = 8.0;
 const GOES_ON: f64 = 0.5;
 /// How far its outline is from the corners, in squares: the outer squares and a little of the rim.
 const RIM: f64 = 1.2;
-/// Steps of a profile across an edge.
-const PROFILE: usize = 64;
 
 /// Why a grid of corners is refused.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -61,6 +62,9 @@ pub enum Flaw {
         /// Median difference of dark and light squares.
         contrast: f64,
     },
+    /// No two whole squares side by side.
+    #[error("no two neighbouring squares are seen whole")]
+    Scattered,
     /// A part of a larger board.
     #[error("the board goes on beyond it")]
     Larger {
@@ -71,20 +75,48 @@ pub enum Flaw {
     },
 }
 
+/// What a homography leaves of each corner, pixels; `None` where none is seen.
+type Left = Vec<Option<Vector2<f64>>>;
+
 /// Corners of a grid, row by row, and the picture they are in.
 pub(super) struct Grid<'a> {
     picture: &'a Grey,
     columns: usize,
     rows: usize,
-    corners: Vec<Point2<f64>>,
+    /// `None` where a corner is not seen.
+    corners: Vec<Option<Point2<f64>>>,
+    /// How far from its sides a square is of one grey at least, in squares.
+    plain: f64,
+    /// In the picture, the way from columns to rows turns against that from x to y.
+    mirrored: bool,
 }
 
 impl<'a> Grid<'a> {
-    /// `None` when the number of corners is not columns times rows, there are fewer than three in a line, or one is not in
-    /// the picture.
+    /// A whole grid of plain squares. `None` when the number of corners is not columns times rows, there are fewer than
+    /// three in a line, or one is not in the picture.
     pub(super) fn new(picture: &'a Grey, columns: usize, rows: usize, corners: Vec<Point2<f64>>) -> Option<Self> {
         let whole = columns > 2 && rows > 2 && corners.len() == columns * rows;
-        (whole && corners.iter().all(|c| picture.at(*c).is_some())).then_some(Self { picture, columns, rows, corners })
+        let corners: Vec<_> = corners.into_iter().map(Some).collect();
+        (whole && corners.iter().flatten().all(|c| picture.at(*c).is_some())).then_some(Self {
+            picture,
+            columns,
+            rows,
+            corners,
+            plain: 0.5,
+            mirrored: false,
+        })
+    }
+
+    /// A grid of which some corners are seen, in a mirror maybe, and whose squares are printed on but for `plain` (in squares)
+    /// along their sides. `None` when the number of corners, seen or not, is not columns times rows.
+    pub(super) fn part(
+        picture: &'a Grey,
+        [columns, rows]: [usize; 2],
+        corners: Vec<Option<Point2<f64>>>,
+        plain: f64,
+        mirrored: bool,
+    ) -> Option<Self> {
+        (corners.len() == columns * rows).then_some(Self { picture, columns, rows, corners, plain, mirrored })
     }
 
     /// The same grid with its corners elsewhere, one for one; `None` as in [`Grid::new`].
@@ -95,7 +127,7 @@ impl<'a> Grid<'a> {
     /// Columns for rows.
     pub(super) fn transposed(self) -> Self {
         let corners = (0..self.columns).flat_map(|c| (0..self.rows).map(move |r| (c, r))).map(|(c, r)| self.at(c, r));
-        Self { picture: self.picture, columns: self.rows, rows: self.columns, corners: corners.collect() }
+        Self { columns: self.rows, rows: self.columns, corners: corners.collect(), ..self }
     }
 
     /// Columns and rows.
@@ -103,49 +135,66 @@ impl<'a> Grid<'a> {
         [self.columns, self.rows]
     }
 
-    pub(super) fn corners(&self) -> &[Point2<f64>] {
-        &self.corners
+    /// Corners that are seen: column and row, pixels.
+    pub(super) fn seen(&self) -> impl Iterator<Item = ((usize, usize), Point2<f64>)> + Clone + '_ {
+        let columns = self.columns;
+        self.corners.iter().enumerate().filter_map(move |(i, corner)| Some(((i % columns, i / columns), (*corner)?)))
     }
 
-    pub(super) fn into_corners(self) -> Vec<Point2<f64>> {
-        self.corners
+    /// Corners that are seen, with their indices.
+    pub(super) fn into_corners(self) -> Vec<(usize, Point2<f64>)> {
+        self.corners.into_iter().enumerate().filter_map(|(i, corner)| Some((i, corner?))).collect()
     }
 
-    /// Corner in column c, row r; both must be in the grid.
-    fn at(&self, c: usize, r: usize) -> Point2<f64> {
-        self.corners[r * self.columns + c]
+    /// Forgets a corner.
+    pub(super) fn without(&mut self, column: usize, row: usize) {
+        if let Some(corner) = self.corners.get_mut(row * self.columns + column) {
+            *corner = None;
+        }
     }
 
-    /// Columns and rows of all squares between corners.
-    fn squares(&self) -> impl Iterator<Item = (usize, usize)> + use<> {
+    /// Corner in column c, row r; `None` where none is seen.
+    fn at(&self, c: usize, r: usize) -> Option<Point2<f64>> {
+        let inside = c < self.columns && r < self.rows;
+        if inside { self.corners.get(r * self.columns + c).copied().flatten() } else { None }
+    }
+
+    /// The corners of a square, around it from the upper left.
+    fn square(&self, c: usize, r: usize) -> Option<[Point2<f64>; 4]> {
+        Some([self.at(c, r)?, self.at(c + 1, r)?, self.at(c + 1, r + 1)?, self.at(c, r + 1)?])
+    }
+
+    /// Columns and rows of all squares all of whose corners are seen.
+    fn squares(&self) -> impl Iterator<Item = (usize, usize)> + '_ {
         let columns = self.columns - 1;
-        (0..self.rows - 1).flat_map(move |r| (0..columns).map(move |c| (c, r)))
+        (0..self.rows - 1)
+            .flat_map(move |r| (0..columns).map(move |c| (c, r)))
+            .filter(|(c, r)| self.square(*c, *r).is_some())
     }
 
-    /// Distance of the nearest neighbours of each corner, pixels.
-    pub(super) fn nearest_px(&self) -> Vec<f64> {
-        let nearest = |i: usize| {
-            let (c, r) = (i % self.columns, i / self.columns);
-            let aside =
-                [c.checked_sub(1), (c + 1 < self.columns).then_some(c + 1)].into_iter().flatten().map(|c| (c, r));
-            let above = [r.checked_sub(1), (r + 1 < self.rows).then_some(r + 1)].into_iter().flatten().map(|r| (c, r));
-            aside.chain(above).map(|(c, r)| (self.at(c, r) - self.corners[i]).norm()).fold(f64::INFINITY, f64::min)
-        };
-        (0..self.corners.len()).map(nearest).collect()
+    /// Distance of the nearest neighbour of a corner, pixels; infinite where none is seen.
+    fn nearest_px(&self, c: usize, r: usize, corner: Point2<f64>) -> f64 {
+        let around = [(c.wrapping_sub(1), r), (c + 1, r), (c, r.wrapping_sub(1)), (c, r + 1)];
+        let distance = |(c, r): (usize, usize)| Some((self.at(c, r)? - corner).norm());
+        around.into_iter().filter_map(distance).fold(f64::INFINITY, f64::min)
+    }
+
+    /// Corners that are seen, each with the distance of its nearest neighbour, pixels.
+    pub(super) fn with_nearest_px(&self) -> impl Iterator<Item = (Point2<f64>, f64)> + '_ {
+        self.seen().map(|((c, r), corner)| (corner, self.nearest_px(c, r, corner)))
     }
 
     /// Side of a square: median of all sides, pixels.
     pub(super) fn square_px(&self) -> f64 {
-        let sides = self.squares().flat_map(|(c, r)| {
-            let corner = self.at(c, r);
-            [(self.at(c + 1, r) - corner).norm(), (self.at(c, r + 1) - corner).norm()]
-        });
-        median(sides.collect())
+        let sides = self.squares().filter_map(|(c, r)| self.square(c, r));
+        median(sides.flat_map(|[corner, aside, _, below]| [(aside - corner).norm(), (below - corner).norm()]).collect())
     }
 
     /// Puts the corners in the order that [`super::BoardImage`] describes.
     pub(super) fn put_in_order(&mut self) {
-        let across: f64 = self.squares().map(|(c, r)| self.turn(c, r)).sum();
+        // Twice the area of a square's upper left half, negative where it is left-handed.
+        let turn = |[corner, aside, _, below]: [Point2<f64>; 4]| (aside - corner).perp(&(below - corner));
+        let across: f64 = self.squares().filter_map(|(c, r)| self.square(c, r)).map(turn).sum();
         if across < 0.0 {
             self.corners.chunks_mut(self.columns).for_each(<[_]>::reverse);
         }
@@ -154,7 +203,8 @@ impl<'a> Grid<'a> {
             let light = |(c, r): (usize, usize)| Some(sign(c, r) * self.grey(c as f64 + 0.5, r as f64 + 0.5)?);
             self.squares().filter_map(light).sum::<f64>() > 0.0
         } else {
-            let along: Vector2<f64> = (0..self.rows).map(|r| self.at(self.columns - 1, r) - self.at(0, r)).sum();
+            let row = |r: usize| Some(self.at(self.columns - 1, r)? - self.at(0, r)?);
+            let along: Vector2<f64> = (0..self.rows).filter_map(row).sum();
             along.x < -along.y.abs() * 1e-9 || (along.x.abs() <= along.y.abs() * 1e-9 && along.y < 0.0)
         };
         if backwards {
@@ -162,23 +212,20 @@ impl<'a> Grid<'a> {
         }
     }
 
-    /// Twice the area of a square's upper left half, negative where it is left-handed.
-    fn turn(&self, c: usize, r: usize) -> f64 {
-        (self.at(c + 1, r) - self.at(c, r)).perp(&(self.at(c, r + 1) - self.at(c, r)))
-    }
-
     /// The grey value at a place given in columns and rows within the grid, bilinear from the corners around it.
     fn grey(&self, column: f64, row: f64) -> Option<f64> {
         let c = (column.max(0.0) as usize).min(self.columns - 2);
         let r = (row.max(0.0) as usize).min(self.rows - 2);
         let (u, v) = (column - c as f64, row - r as f64);
-        let along = |r: usize| self.at(c, r) + u * (self.at(c + 1, r) - self.at(c, r));
-        self.picture.at(along(r) + v * (along(r + 1) - along(r)))
+        let [corner, aside, across, below] = self.square(c, r)?;
+        let (above, beneath) = (corner + u * (aside - corner), below + u * (across - below));
+        self.picture.at(above + v * (beneath - above))
     }
 
-    /// The mean of a few places around the middle of a square.
+    /// The mean of a few places in the plain part of a square.
     fn square_grey(&self, c: usize, r: usize) -> Option<f64> {
-        let places = [(0.0, 0.0), (-0.2, 0.0), (0.2, 0.0), (0.0, -0.2), (0.0, 0.2)];
+        let off = 0.5 - self.plain / 2.0;
+        let places = [(-off, 0.0), (off, 0.0), (0.0, -off), (0.0, off)];
         let sum: Option<f64> = places.iter().map(|(u, v)| self.grey(c as f64 + 0.5 + u, r as f64 + 0.5 + v)).sum();
         Some(sum? / places.len() as f64)
     }
@@ -191,7 +238,8 @@ impl<'a> Grid<'a> {
         let outline: Option<Vec<_>> = ends.iter().map(|(c, r)| map(&flat?, *c, *r)).collect();
         let (last_column, last_row) = (self.columns - 1, self.rows - 1);
         outline.unwrap_or_else(|| {
-            vec![self.at(0, 0), self.at(last_column, 0), self.at(last_column, last_row), self.at(0, last_row)]
+            let ends = [(0, 0), (last_column, 0), (last_column, last_row), (0, last_row)];
+            ends.into_iter().filter_map(|(c, r)| self.at(c, r)).collect()
         })
     }
 
@@ -203,21 +251,31 @@ impl<'a> Grid<'a> {
 
     /// Whether this is a board; its contrast. Corners must be in order ([`Grid::put_in_order`]).
     pub(super) fn judge(&self) -> Result<f64, Flaw> {
-        self.check_order()?;
-        let (board_in_picture, off) = self.check_flatness()?;
-        let contrast = self.check_colours()?;
-        self.check_smoothness(&off)?;
+        let (board_in_picture, contrast) = self.judge_corners()?;
         self.check_end(&board_in_picture, contrast)?;
         Ok(contrast)
     }
 
+    /// Whether this is a board or a part of one: columns and rows to pixels, its contrast (positive where (0, 0) is dark).
+    pub(super) fn judge_corners(&self) -> Result<(Matrix3<f64>, f64), Flaw> {
+        if self.squares().next().is_none() {
+            return Err(Flaw::Scattered);
+        }
+        self.check_order()?;
+        let (board_in_picture, off) = self.check_flatness()?;
+        let contrast = self.check_colours()?;
+        self.check_smoothness(&off)?;
+        Ok((board_in_picture, contrast))
+    }
+
     /// All squares convex and of one orientation.
     fn check_order(&self) -> Result<(), Flaw> {
+        let sense = if self.mirrored { -1.0 } else { 1.0 };
         let handed = |(c, r): &(usize, usize)| {
-            let around = [self.at(*c, *r), self.at(c + 1, *r), self.at(c + 1, r + 1), self.at(*c, r + 1)];
+            let Some(around) = self.square(*c, *r) else { return true };
             (0..4).all(|i| {
                 let (before, here, after) = (around[(i + 3) % 4], around[i], around[(i + 1) % 4]);
-                (here - before).perp(&(after - here)) > 0.0
+                sense * (here - before).perp(&(after - here)) > 0.0
             })
         };
         match self.squares().find(|square| !handed(square)) {
@@ -227,44 +285,44 @@ impl<'a> Grid<'a> {
     }
 
     /// A homography explains the corners up to distortion: it (columns and rows to pixels), and what it leaves, pixels.
-    fn check_flatness(&self) -> Result<(Matrix3<f64>, Vec<Vector2<f64>>), Flaw> {
+    fn check_flatness(&self) -> Result<(Matrix3<f64>, Left), Flaw> {
         let square_px = self.square_px();
-        let flat = self.homography();
-        let place = |c: usize, r: usize| flat.and_then(|h| map(&h, c as f64, r as f64));
-        let off: Option<Vec<Vector2<f64>>> = (0..self.corners.len())
-            .map(|i| Some(self.corners[i] - place(i % self.columns, i / self.columns)?))
-            .collect();
-        let (Some(flat), Some(off)) = (flat, off) else {
-            return Err(Flaw::Bent { rms_px: f64::INFINITY, square_px });
-        };
-        let rms_px = (off.iter().map(Vector2::norm_squared).sum::<f64>() / off.len() as f64).sqrt();
-        if rms_px > BENT * square_px {
-            return Err(Flaw::Bent { rms_px, square_px });
+        let bent = |rms_px: f64| Flaw::Bent { rms_px, square_px };
+        let flat = self.homography().ok_or(bent(f64::INFINITY))?;
+        let mut off = vec![None; self.corners.len()];
+        for ((c, r), corner) in self.seen() {
+            let place = map(&flat, c as f64, r as f64).ok_or(bent(f64::INFINITY))?;
+            off[r * self.columns + c] = Some(corner - place);
         }
-        Ok((flat, off))
+        let squares = off.iter().flatten().map(Vector2::norm_squared);
+        let rms_px = (squares.clone().sum::<f64>() / squares.count() as f64).sqrt();
+        if rms_px > BENT * square_px { Err(bent(rms_px)) } else { Ok((flat, off)) }
     }
 
     /// Distortion leaves each corner where its neighbours have it.
-    fn check_smoothness(&self, off: &[Vector2<f64>]) -> Result<(), Flaw> {
-        let nearest = self.nearest_px();
+    fn check_smoothness(&self, off: &[Option<Vector2<f64>>]) -> Result<(), Flaw> {
         // What a line of corners, row or column, expects of the one at `pos` in it.
-        let expected = |i: usize, pos: usize, step: usize, len: usize| match pos {
-            0 => 2.0 * off[i + step] - off[i + 2 * step],
-            _ if pos + 1 == len => 2.0 * off[i - step] - off[i - 2 * step],
-            _ => (off[i - step] + off[i + step]) / 2.0,
+        let expected = |i: usize, pos: usize, step: usize, len: usize| {
+            let at = |steps: isize| {
+                let inside = pos.checked_add_signed(steps).is_some_and(|pos| pos < len);
+                if inside { off.get(i.checked_add_signed(steps * step as isize)?).copied().flatten() } else { None }
+            };
+            let between = at(-1).zip(at(1)).map(|(a, b)| (a + b) / 2.0);
+            let beyond = |way: isize| Some(2.0 * at(way)? - at(2 * way)?);
+            between.or_else(|| beyond(1)).or_else(|| beyond(-1))
         };
-        // Both must find it astray: beside a corner that is, one does.
-        let astray = |i: usize| {
-            let in_row = expected(i, i % self.columns, 1, self.columns);
-            let in_column = expected(i, i / self.columns, self.columns, self.rows);
-            let off_px = (off[i] - in_row).norm().min((off[i] - in_column).norm());
-            (off_px > (ASTRAY.0 * nearest[i]).max(ASTRAY.1)).then_some((i, off_px))
+        // All that can tell must find it astray: beside a corner that is, one does.
+        let astray = |((column, row), corner): ((usize, usize), Point2<f64>)| {
+            let i = row * self.columns + column;
+            let here = off.get(i).copied().flatten()?;
+            let lines = [expected(i, column, 1, self.columns), expected(i, row, self.columns, self.rows)];
+            let off_px = lines.into_iter().flatten().map(|there| (here - there).norm()).reduce(f64::min)?;
+            let most = (ASTRAY.0 * self.nearest_px(column, row, corner)).max(ASTRAY.1);
+            (off_px > most).then_some(Flaw::Astray { column, row, off_px })
         };
-        let worst = (0..off.len()).filter_map(astray).max_by(|a, b| a.1.total_cmp(&b.1));
-        match worst {
-            Some((i, off_px)) => Err(Flaw::Astray { column: i % self.columns, row: i / self.columns, off_px }),
-            None => Ok(()),
-        }
+        let off_px = |flaw: &Flaw| if let Flaw::Astray { off_px, .. } = flaw { *off_px } else { 0.0 };
+        let worst = self.seen().filter_map(astray).max_by(|a, b| off_px(a).total_cmp(&off_px(b)));
+        worst.map_or(Ok(()), Err)
     }
 
     /// Neighbouring squares differ, always the same way round; the median difference.
@@ -273,12 +331,15 @@ impl<'a> Grid<'a> {
         let mut steps = Vec::new();
         for (c, r) in self.squares() {
             let here = grey(c, r)?;
-            if c + 2 < self.columns {
+            if self.square(c + 1, r).is_some() {
                 steps.push((sign(c, r) * (grey(c + 1, r)? - here), c, r));
             }
-            if r + 2 < self.rows {
+            if self.square(c, r + 1).is_some() {
                 steps.push((sign(c, r) * (grey(c, r + 1)? - here), c, r));
             }
+        }
+        if steps.is_empty() {
+            return Err(Flaw::Scattered);
         }
         let middle = median(steps.iter().map(|s| s.0).collect());
         match steps.iter().find(|s| s.0 * middle <= 0.0) {
@@ -312,88 +373,16 @@ impl<'a> Grid<'a> {
         Ok(())
     }
 
-    /// From 10 to 90 % across the edges of squares, pixels: median of those along columns, and of those along rows, the
-    /// wider of the two (a picture that moved is blurred in one direction).
-    pub(super) fn edge_px(&self) -> f64 {
-        let middle = |c: usize, r: usize| Point2::new(c as f64 + 0.5, r as f64 + 0.5);
-        let aside = self
-            .squares()
-            .filter(|(c, _)| c + 2 < self.columns)
-            .filter_map(|(c, r)| self.width_px(middle(c, r), Vector2::x(), self.at(c + 1, r + 1) - self.at(c + 1, r)));
-        let below = self
-            .squares()
-            .filter(|(_, r)| r + 2 < self.rows)
-            .filter_map(|(c, r)| self.width_px(middle(c, r), Vector2::y(), self.at(c + 1, r + 1) - self.at(c, r + 1)));
-        median(aside.collect()).max(median(below.collect()))
-    }
-
-    /// Width of one edge, at right angles to it: `from` and `step` (to the middle of the next square) in columns and rows.
-    fn width_px(&self, from: Point2<f64>, step: Vector2<f64>, edge: Vector2<f64>) -> Option<f64> {
-        let at = |i: usize| from + step * (i as f64 / PROFILE as f64);
-        let profile: Option<Vec<f64>> = (0..=PROFILE).map(|i| self.grey(at(i).x, at(i).y)).collect();
-        let profile = profile?;
-        let (first, last) = (*profile.first()?, *profile.last()?);
-        let crossing = |share: f64| {
-            let level = |g: f64| (g - first) / (last - first) - share;
-            let i = profile.iter().position(|g| level(*g) >= 0.0)?.checked_sub(1)?;
-            let (a, b) = (level(*profile.get(i)?), level(*profile.get(i + 1)?));
-            Some((i as f64 - a / (b - a)) / PROFILE as f64)
-        };
-        let cell = |p: Point2<f64>| ((p.x as usize).min(self.columns - 1), (p.y as usize).min(self.rows - 1));
-        let ((c, r), (next_c, next_r)) = (cell(from), cell(from + step));
-        let middle = |c: usize, r: usize| self.at(c, r).coords.lerp(&self.at(c + 1, r + 1).coords, 0.5);
-        let way = middle(next_c, next_r) - middle(c, r);
-        Some((crossing(0.9)? - crossing(0.1)?) * way.perp(&edge).abs() / edge.norm())
-    }
-
-    /// Columns and rows to pixels, by least squares of the linear equations in normalised coordinates.
+    /// Columns and rows to pixels, lens distortion ignored.
     fn homography(&self) -> Option<Matrix3<f64>> {
-        let n = self.corners.len() as f64;
-        let normal = |mean: Vector2<f64>, spread: f64| {
-            Matrix3::new(1.0 / spread, 0.0, -mean.x / spread, 0.0, 1.0 / spread, -mean.y / spread, 0.0, 0.0, 1.0)
-        };
-        let mean = self.corners.iter().map(|c| c.coords).sum::<Vector2<f64>>() / n;
-        let spread = (self.corners.iter().map(|c| (c.coords - mean).norm_squared()).sum::<f64>() / n).sqrt();
-        let from_picture = normal(mean, spread);
-        let from_board = normal(
-            Vector2::new((self.columns - 1) as f64 / 2.0, (self.rows - 1) as f64 / 2.0),
-            self.columns.max(self.rows) as f64 / 2.0,
-        );
-        let mut equations = DMatrix::zeros(2 * self.corners.len(), 9);
-        for (i, corner) in self.corners.iter().enumerate() {
-            let b = from_board * Vector3::new((i % self.columns) as f64, (i / self.columns) as f64, 1.0);
-            let p = from_picture * corner.to_homogeneous();
-            for k in 0..3 {
-                equations[(2 * i, k)] = b[k];
-                equations[(2 * i, 6 + k)] = -p.x * b[k];
-                equations[(2 * i + 1, 3 + k)] = b[k];
-                equations[(2 * i + 1, 6 + k)] = -p.y * b[k];
-            }
-        }
-        // The eigenvector of the least eigenvalue of the 9x9 normal equations.
-        let eigen = (equations.transpose() * &equations).symmetric_eigen();
-        let least = eigen.eigenvectors.column(eigen.eigenvalues.imin());
-        let normalised = Matrix3::from_row_iterator(least.iter().copied());
-        let homography = from_picture.try_inverse()? * normalised * from_board;
-        // Its sign is open: positive where corner 0 is, so that it is negative behind the camera.
-        Some(homography * homography[(2, 2)].signum())
+        let pairs: Vec<_> = self.seen().map(|((c, r), corner)| (Point2::new(c as f64, r as f64), corner)).collect();
+        homography(&pairs)
     }
 }
 
 /// The sign of a square's turn in the chequer.
 fn sign(c: usize, r: usize) -> f64 {
     if (c + r).is_multiple_of(2) { 1.0 } else { -1.0 }
-}
-
-/// A place in columns and rows to pixels; `None` behind the camera.
-fn map(board_in_picture: &Matrix3<f64>, column: f64, row: f64) -> Option<Point2<f64>> {
-    let p = board_in_picture * Vector3::new(column, row, 1.0);
-    (p.z > 0.0).then(|| Point2::new(p.x / p.z, p.y / p.z))
-}
-
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
 }
 
 #[cfg(test)]

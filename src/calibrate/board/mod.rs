@@ -1,36 +1,41 @@
 //! Calibration boards, and where their corners are in a picture.
 //!
-//! - In: a [`Grey`](super::grey::Grey) picture, a [`Board`], how many images of it there may be (direct and by way of mirrors).
+//! - In: a [`Grey`] picture, a [`Board`], how many images of it there may be (direct and by way of mirrors).
 //! - Out: a [`BoardImage`] for each that was found: its inner corners to a few hundredths of a pixel, in the board's order.
-//! - Method: OpenCV's sector-based detector on the picture at several sizes and on parts of it (`search`), each corner then
-//!   refined in the picture itself; what is no regular grid of squares alternating dark and light is refused (`judge`).
-//! - Assumes that all inner corners are in the picture. Lens distortion may bend the board, but smoothly.
+//! - Method: chessboards by OpenCV's sector-based detector on the picture at several sizes and on parts of it (`search`),
+//!   ChArUco boards by their markers (`charuco`); each corner is then refined in the picture itself, and what is no regular grid
+//!   of squares alternating dark and light is refused (`judge`).
+//! - Assumes that all inner corners of a chessboard are in the picture; of a ChArUco board a part is enough. Lens distortion may
+//!   bend the board, but smoothly.
 //! - Cannot tell a chessboard from its mirror image (the pattern is mirror symmetric): [`Board::orders`].
 
+mod charuco;
+mod flat;
 mod judge;
 mod search;
+mod text;
 
+pub use charuco::{Charuco, Dictionary, Unread};
 pub use judge::Flaw;
-pub use search::find_boards;
 
-use super::length_m;
-use std::fmt;
-use std::str::FromStr;
-
+use super::grey::Grey;
 use nalgebra::{Point2, Point3};
 
 /// Inner corners along one side, fewest and most. OpenCV's detector wants three.
 const CORNERS: std::ops::RangeInclusive<usize> = 3..=99;
 
 /// What is printed on a board.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub enum Pattern {
     /// Dark and light squares.
     Chessboard,
+    /// Markers in the light squares.
+    Charuco(Charuco),
 }
 
-/// A flat calibration board: inner corners and size of a square. Written `9x6:12mm` (columns x rows : square).
+/// A flat calibration board: inner corners and size of a square. Written `9x6:12mm` (inner corners in a row x in a column :
+/// square), or `charuco:5x7:30mm:22mm:DICT_4X4_50` (SQUARES in a row x in a column : square : marker : dictionary).
 #[derive(Debug, Clone, PartialEq)]
 pub struct Board {
     /// Inner corners in a row.
@@ -54,8 +59,12 @@ impl Board {
     /// What the corners of a mirror image may be: for each possible order, the corner of [`Board::points`] that stands at
     /// each index, when the direct image of the same board is taken as it was found. Columns run backwards, or rows do; both
     /// together would be half a turn. The colours leave one of the two when one of columns and rows is odd, the other even.
+    /// Markers tell for certain which corner is which: there is the order of the board only.
     pub fn orders(&self) -> Vec<Vec<usize>> {
         let (columns, rows) = (self.columns, self.rows);
+        if matches!(self.kind, Pattern::Charuco(_)) {
+            return vec![(0..columns * rows).collect()];
+        }
         let backwards = |columns_too: bool| {
             let corner = |i: usize| {
                 let (c, r) = (i % columns, i / columns);
@@ -74,52 +83,54 @@ impl Board {
     /// # Errors
     /// When it is no board that can be found and told which way round it is.
     fn check(&self) -> Result<(), BoardError> {
-        let (columns, rows) = (self.columns, self.rows);
-        if !CORNERS.contains(&columns) || !CORNERS.contains(&rows) {
-            return Err(BoardError::Corners { columns, rows });
+        let (columns, rows, square_m) = (self.columns, self.rows, self.square_m);
+        if !(square_m > 0.0 && square_m.is_finite()) {
+            return Err(BoardError::SquareSize { square_m });
         }
-        if columns == rows {
-            return Err(BoardError::Square { columns });
-        }
-        if !(self.square_m > 0.0 && self.square_m.is_finite()) {
-            return Err(BoardError::SquareSize { square_m: self.square_m });
+        match self.kind {
+            Pattern::Charuco(own @ Charuco { marker_m, dictionary, .. }) => {
+                let few = columns.min(rows) < 2 || columns * rows < charuco::FEWEST;
+                if few || columns.max(rows) > *CORNERS.end() {
+                    return Err(BoardError::Squares { columns: columns + 1, rows: rows + 1 });
+                }
+                if !(marker_m > 0.0 && marker_m < square_m) {
+                    return Err(BoardError::MarkerSize { marker_m, square_m });
+                }
+                let markers = own.count(self);
+                if markers > dictionary.size() {
+                    return Err(BoardError::Markers { markers, dictionary });
+                }
+            }
+            Pattern::Chessboard => {
+                if !CORNERS.contains(&columns) || !CORNERS.contains(&rows) {
+                    return Err(BoardError::Corners { columns, rows });
+                }
+                if columns == rows {
+                    return Err(BoardError::Square { columns });
+                }
+            }
         }
         Ok(())
     }
 }
 
-impl fmt::Display for Board {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        // Twelve digits: 12 mm are not written 12.000000000000002.
-        let millimetres = (self.square_m * 1e12).round() / 1e9;
-        write!(f, "{}x{}:{millimetres}mm", self.columns, self.rows)
-    }
-}
-
-impl FromStr for Board {
-    type Err = BoardError;
-
-    fn from_str(text: &str) -> Result<Self, BoardError> {
-        let wrong = |problem: &'static str| BoardError::Text { text: text.to_owned(), problem };
-        if text.to_ascii_lowercase().starts_with("charuco") {
-            return Err(wrong("ChArUco boards are not found by this version, chessboards are"));
-        }
-        let (corners, square) = text.split_once(':').ok_or_else(|| wrong("the size of a square is missing"))?;
-        let number = |text: &str| text.trim().parse::<usize>().ok();
-        let (columns, rows) = corners
-            .split_once(['x', 'X', '×'])
-            .and_then(|(c, r)| Some((number(c)?, number(r)?)))
-            .ok_or_else(|| wrong("before the colon there must be two whole numbers with an x between them"))?;
-        let square_m = length_m(square)
-            .ok_or_else(|| wrong("after the colon there must be a length with its unit: mm, cm or m"))?;
-        let board = Self { columns, rows, square_m, kind: Pattern::Chessboard };
-        board.check().map(|()| board)
+/// Finds images of the board, `most` of them at most, at least one. Those of a chessboard are in the order they are found in, and
+/// whole. Of a ChArUco board at most one that is not mirrored comes first, the nearest, then mirrored ones, the fullest first.
+///
+/// # Errors
+/// When there is none (with what is there instead, if that can be told), the board is none that can be found, or OpenCV fails.
+pub fn find_boards(picture: &Grey, board: &Board, most: usize) -> Result<Vec<BoardImage>, BoardError> {
+    board.check()?;
+    match &board.kind {
+        Pattern::Chessboard => search::find(picture, board, most),
+        Pattern::Charuco(own) => charuco::find(picture, board, own, most)?
+            .map_err(|why| BoardError::NoCharuco { board: board.to_string(), why }),
     }
 }
 
 /// One image of the board in a picture.
 ///
-/// The corners of a chessboard are in the order a direct image has: in the picture, the way from columns to rows turns like
+/// Those of a ChArUco board are the corners that are seen. The corners of a chessboard are in the order a direct image has: in the picture, the way from columns to rows turns like
 /// the way from x (right) to y (down). Where columns and rows are not both odd or both even, the square between the first
 /// two columns and rows is dark, and so is the outer one diagonal to corner 0; else rows run to the right (straight up and down:
 /// downwards), and which end comes first means nothing.
@@ -127,7 +138,7 @@ impl FromStr for Board {
 pub struct BoardImage {
     /// Index into [`Board::points`], and the place in the picture: pixel (0, 0) is the centre of the top-left one.
     pub corners: Vec<(usize, Point2<f64>)>,
-    /// Whether it is a mirror image, where the picture alone tells. A chessboard's does not.
+    /// Whether it is a mirror image, where the picture alone tells: a ChArUco board's does, a chessboard's does not.
     pub mirrored: Option<bool>,
     /// Side of a square in the picture: median over the board, pixels.
     pub square_px: f64,
@@ -153,14 +164,48 @@ impl BoardImage {
 #[non_exhaustive]
 pub enum BoardError {
     /// Words that do not describe a board.
-    #[error(
-        "`{text}` is not a board: {problem}. Write COLUMNSxROWS:SQUARE, counting inner corners, for example 9x6:12mm"
-    )]
+    #[error("`{text}` is not a board: {problem}. Write {}", text::form(.text))]
     Text {
         /// What was given.
         text: String,
         /// What is wrong with it.
         problem: &'static str,
+    },
+    /// Too few squares, or too many.
+    #[error(
+        "a ChArUco board of {columns}x{rows} squares cannot be used: from 3x4 to 100x100 can (squares, not inner \
+        corners, are counted for these boards)"
+    )]
+    Squares {
+        /// In a row.
+        columns: usize,
+        /// In a column.
+        rows: usize,
+    },
+    /// Markers that do not fit into squares.
+    #[error("markers of {0} mm in squares of {1} mm: they must be smaller than the squares; the square comes first",
+        .marker_m * 1e3, .square_m * 1e3)]
+    MarkerSize {
+        /// Side of a marker.
+        marker_m: f64,
+        /// Side of a square.
+        square_m: f64,
+    },
+    /// More markers than the dictionary has.
+    #[error("the board has {markers} markers, {dictionary} has {} only: is the dictionary right?", .dictionary.size())]
+    Markers {
+        /// On the board.
+        markers: usize,
+        /// What they should be from.
+        dictionary: Dictionary,
+    },
+    /// No such ChArUco board in the picture.
+    #[error("no board {board} found{why}")]
+    NoCharuco {
+        /// As asked for.
+        board: String,
+        /// What is there instead.
+        why: Unread,
     },
     /// Too few corners, or too many.
     #[error("a board of {columns}x{rows} inner corners cannot be found: from {} to {} a side can (inner corners, where four \

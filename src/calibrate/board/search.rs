@@ -16,26 +16,25 @@ use super::judge::{Flaw, Grid};
 use super::{Board, BoardError, BoardImage};
 
 /// Long sides that the detector sees the whole picture at, pixels.
-const SEEN_PX: [i32; 4] = [640, 1280, 2560, 5120];
+pub(super) const SEEN_PX: [i32; 4] = [640, 1280, 2560, 5120];
 /// Long side of what it sees with more effort.
 const CLOSE_PX: i32 = 1280;
 /// Half the window of refinement, as a share of the distance of the nearest corner: it must not reach that one.
-const WINDOW: f64 = 0.35;
+pub(super) const WINDOW: f64 = 0.35;
 /// Half the window, least and most, pixels.
-const WINDOW_PX: (i32, i32) = (2, 11);
+pub(super) const WINDOW_PX: (i32, i32) = (2, 11);
 /// Corners a side of the least grid the detector knows.
 const LEAST: i32 = 3;
 /// False grids in one look before it is given up.
 const FALSE_GRIDS: usize = 3;
 
-/// Finds images of the board, `most` of them at most, in the order they are found in; at least one.
+/// Finds images of a chessboard, `most` of them at most, in the order they are found in; at least one.
 ///
 /// # Errors
-/// When there is none (with what is there instead, if that can be told), the board is none that can be found, or OpenCV fails.
-pub fn find_boards(picture: &Grey, board: &Board, most: usize) -> std::result::Result<Vec<BoardImage>, BoardError> {
-    board.check()?;
+/// When there is none (with what is there instead, if that can be told), or OpenCV fails.
+pub(super) fn find(picture: &Grey, board: &Board, most: usize) -> std::result::Result<Vec<BoardImage>, BoardError> {
     let [width, height] = picture.size_px().map(|n| n as i32);
-    let pixels = Mat::new_rows_cols_with_data(height, width, picture.samples())?.try_clone()?;
+    let pixels = pixels(picture)?;
     let mut without_found = pixels.try_clone()?;
     let (mut found, mut seen, mut flaw) = (Vec::new(), None, None);
     for look in looks(width, height) {
@@ -58,7 +57,7 @@ pub fn find_boards(picture: &Grey, board: &Board, most: usize) -> std::result::R
                         square_px: grid.square_px(),
                         edge_px: grid.edge_px(),
                         contrast: contrast.abs(),
-                        corners: grid.into_corners().into_iter().enumerate().collect(),
+                        corners: grid.into_corners(),
                     });
                     continue;
                 }
@@ -155,21 +154,24 @@ impl Look {
     }
 }
 
-/// The corners, each by OpenCV's classic refinement in a window fitted to the squares around it: the detector's own is three
-/// times worse.
+/// The corners, each refined in a window fitted to the squares around it: the detector's own are three times worse.
 fn refine(pixels: &Mat, grid: &Grid) -> Result<Vec<Point2<f64>>> {
+    grid.with_nearest_px().map(|(corner, nearest_px)| refined(pixels, corner, WINDOW * nearest_px)).collect()
+}
+
+/// A corner by OpenCV's classic refinement in a window of this half width, pixels.
+pub(super) fn refined(pixels: &Mat, corner: Point2<f64>, half_px: f64) -> Result<Point2<f64>> {
     let until = TermCriteria::new(TermCriteria_COUNT + TermCriteria_EPS, 60, 1e-4)?;
-    let window = |nearest_px: f64| ((WINDOW * nearest_px) as i32).clamp(WINDOW_PX.0, WINDOW_PX.1);
-    grid.corners()
-        .iter()
-        .zip(grid.nearest_px())
-        .map(|(corner, nearest_px)| {
-            let mut one = Vector::from_slice(&[Point2f::new(corner.x as f32, corner.y as f32)]);
-            let half = window(nearest_px);
-            imgproc::corner_sub_pix(pixels, &mut one, Size::new(half, half), Size::new(-1, -1), until)?;
-            one.get(0).map(|c| Point2::new(f64::from(c.x), f64::from(c.y)))
-        })
-        .collect()
+    let half = (half_px as i32).clamp(WINDOW_PX.0, WINDOW_PX.1);
+    let mut one = Vector::from_slice(&[Point2f::new(corner.x as f32, corner.y as f32)]);
+    imgproc::corner_sub_pix(pixels, &mut one, Size::new(half, half), Size::new(-1, -1), until)?;
+    one.get(0).map(|c| Point2::new(f64::from(c.x), f64::from(c.y)))
+}
+
+/// The picture as OpenCV has it.
+pub(super) fn pixels(picture: &Grey) -> Result<Mat> {
+    let [width, height] = picture.size_px().map(|n| n as i32);
+    Mat::new_rows_cols_with_data(height, width, picture.samples())?.try_clone()
 }
 
 /// Hides a board that was found: its hull, and its outer squares, in its mean grey.

@@ -14,7 +14,8 @@ pub(super) struct CameraArgs {
     /// Pictures of the board in air, without mirror and glass, or a folder of them
     #[arg(value_name = "PICTURES", required = true)]
     pictures: Vec<PathBuf>,
-    /// The board: inner corners in a row and in a column, size of a square
+    /// The board: inner corners in a row and in a column, size of a square; or, counting SQUARES, a ChArUco board:
+    /// charuco:5x7:30mm:22mm:DICT_4X4_50 (square, marker, dictionary; `:legacy` after it for OpenCV's old pattern)
     #[arg(long, value_name = "9x6:12mm")]
     board: Board,
     /// Rig file to write; what an existing one says beside the camera is kept

@@ -23,17 +23,18 @@ pub(crate) struct Args {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Find the lens from pictures of a chessboard in air
+    /// Find the lens from pictures of a chessboard or ChArUco board in air
     #[command(after_help = "\
 Ten to twenty pictures, the board tilted to all sides and all over the picture. Prints each lens
 parameter with its σ, and why a picture was left out. Exit code 3: the pictures leave the lens open.
 Example:
   catoptra calibrate camera calibration/dev_tank/intrinsics --board 9x6:12mm --out my_rig.toml")]
     Camera(camera::CameraArgs),
-    /// Find mirrors and walls of the tank from pictures that show a chessboard twice
+    /// Find mirrors and walls of the tank from pictures that show a chessboard or ChArUco board twice
     #[command(after_help = "\
-Ten to twenty pictures of the board where the catheter will be, each whole in all views, tilted to
-all sides. The old rig file is kept as RIG.toml.bak. Exit code 3: the pictures leave the rig open.
+Ten to twenty pictures of the board where the catheter will be, each whole in all views (a ChArUco board
+may be hidden in part), tilted to all sides. The old rig file is kept as RIG.toml.bak. Exit code 3: the
+pictures leave the rig open.
 Example:
   catoptra calibrate rig calibration/dev_tank/mirror --board 9x6:12mm --rig my_rig.toml \\
     --tank 254x254x267mm --glass 5mm")]

@@ -1,0 +1,83 @@
+//! Boards as people write them, and back.
+
+use std::fmt;
+use std::str::FromStr;
+
+use super::super::length_m;
+use super::{Board, BoardError, Charuco, Pattern};
+
+/// What a text should be that is no board.
+pub(super) fn form(text: &str) -> &'static str {
+    if is_charuco(text) {
+        "charuco:COLUMNSxROWS:SQUARE:MARKER:DICTIONARY, counting squares (not inner corners), for example \
+         charuco:5x7:30mm:22mm:DICT_4X4_50"
+    } else {
+        "COLUMNSxROWS:SQUARE, counting inner corners, for example 9x6:12mm, or \
+         charuco:COLUMNSxROWS:SQUARE:MARKER:DICTIONARY, counting squares"
+    }
+}
+
+fn is_charuco(text: &str) -> bool {
+    text.trim_start().to_ascii_lowercase().starts_with("charuco")
+}
+
+/// `9x6`.
+fn two_numbers(text: &str) -> Option<(usize, usize)> {
+    let number = |text: &str| text.trim().parse::<usize>().ok();
+    text.split_once(['x', 'X', '×']).and_then(|(c, r)| Some((number(c)?, number(r)?)))
+}
+
+impl FromStr for Board {
+    type Err = BoardError;
+
+    fn from_str(text: &str) -> Result<Self, BoardError> {
+        let board = if is_charuco(text) { charuco(text) } else { chessboard(text) };
+        let board = board.map_err(|problem| BoardError::Text { text: text.to_owned(), problem })?;
+        board.check().map(|()| board)
+    }
+}
+
+fn chessboard(text: &str) -> Result<Board, &'static str> {
+    let (corners, square) = text.split_once(':').ok_or("the size of a square is missing")?;
+    let (columns, rows) =
+        two_numbers(corners).ok_or("before the colon there must be two whole numbers with an x between them")?;
+    let square_m = length_m(square).ok_or("after the colon there must be a length with its unit: mm, cm or m")?;
+    Ok(Board { columns, rows, square_m, kind: Pattern::Chessboard })
+}
+
+fn charuco(text: &str) -> Result<Board, &'static str> {
+    let fields: Vec<&str> = text.split(':').map(str::trim).collect();
+    let (size, square, marker, dictionary, legacy) = match fields[..] {
+        [_, size, square, marker, dictionary] => (size, square, marker, dictionary, false),
+        [_, size, square, marker, dictionary, "legacy"] => (size, square, marker, dictionary, true),
+        [_, _, _, _, _, _] => return Err("after the dictionary nothing but `:legacy` may follow"),
+        _ => return Err("it has five parts, with colons between them"),
+    };
+    let (columns, rows) =
+        two_numbers(size).ok_or("its second part must be two whole numbers with an x between them")?;
+    let (Some(columns), Some(rows)) = (columns.checked_sub(1), rows.checked_sub(1)) else {
+        return Err("it must have squares");
+    };
+    let length = |text: &str| length_m(text).ok_or("sizes of square and marker must be lengths with unit: mm, cm or m");
+    let (square_m, marker_m) = (length(square)?, length(marker)?);
+    let unknown = "its dictionary is not known; OpenCV's DICT_4X4_50, DICT_5X5_100, DICT_6X6_250, DICT_7X7_1000 and so on \
+                   are, DICT_ARUCO_ORIGINAL and DICT_ARUCO_MIP_36h12";
+    let dictionary = dictionary.parse().map_err(|()| unknown)?;
+    Ok(Board { columns, rows, square_m, kind: Pattern::Charuco(Charuco { marker_m, dictionary, legacy }) })
+}
+
+impl fmt::Display for Board {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        // Twelve digits: 12 mm are not written 12.000000000000002.
+        let mm = |length_m: f64| (length_m * 1e12).round() / 1e9;
+        let Self { columns, rows, square_m, kind } = self;
+        match kind {
+            Pattern::Chessboard => write!(f, "{columns}x{rows}:{}mm", mm(*square_m)),
+            Pattern::Charuco(Charuco { marker_m, dictionary, legacy }) => {
+                let (columns, rows) = (columns + 1, rows + 1);
+                write!(f, "charuco:{columns}x{rows}:{}mm:{}mm:{dictionary}", mm(*square_m), mm(*marker_m))?;
+                if *legacy { write!(f, ":legacy") } else { Ok(()) }
+            }
+        }
+    }
+}
