@@ -157,10 +157,10 @@ fn boards_at_one_depth_are_refused_when_they_are_parallel_too_and_used_when_they
 fn boards_that_leave_something_open_are_refused_with_what_and_how_much() {
     let noisy = |scene: Scene, noise: f64| Scene { noise, blur_px: 0.8, ..scene };
     let far = in_air(5, 5.5, 0.0).into_iter().map(|mut p| {
-        p.translation.z *= 1.5;
+        p.translation.z *= 2.0;
         p
     });
-    let air = Set::drawn(&noisy(scene("9x6:12mm").in_air(), 12.0), &far.collect::<Vec<_>>());
+    let air = Set::drawn(&noisy(scene("9x6:12mm").in_air(), 7.0), &far.collect::<Vec<_>>());
     air.refused(&air.camera(&["set"], &[]), 3, &["the pictures leave the focal length open by", "tilt the board more"]);
     let tank = Set::drawn(&noisy(scene("9x6:8mm"), 9.0), &in_tank(3, 4.0, 0.0));
     let output = tank.run(&["calibrate", "rig", "set", "--board", "9x6:8mm"], &RIG[2..]);

@@ -465,5 +465,5 @@ fn sets_that_leave_the_lens_open_are_refused_with_the_reason() {
     let mut mixed = air(&TILTS, 0.05);
     mixed[4].size_px = [1024, 1280];
     let text = error(&mixed).to_string();
-    assert!(text.starts_with("4.png has [1024, 1280] pixels, 0.png has [1280, 1024]"), "{text}");
+    assert!(text.starts_with("4.png has 1024x1280 pixels, 0.png has 1280x1024"), "{text}");
 }
