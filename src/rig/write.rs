@@ -5,6 +5,7 @@ use super::{Base, Camera, Catheter, Draft, Marker, RigError, View};
 use crate::optics::Surface;
 use crate::whole_file::NewFile;
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
+use std::cmp::Ordering;
 use std::fmt::Write as _;
 use std::path::Path;
 
@@ -214,12 +215,30 @@ fn rotation_rows(rotation: &UnitQuaternion<f64>) -> [f64; 9] {
 fn settle<const N: usize>(values: [f64; N], read: impl Fn([f64; N]) -> [f64; N]) -> [f64; N] {
     let round = |values: [f64; N]| values.map(|v| (v * 1e12).round() / 1e12);
     let mut at = round(values);
+    let mut seen = Vec::new();
     for _ in 0..20 {
-        let again = round(read(at));
-        if again == at {
-            break;
+        seen.push(at);
+        at = round(read(at));
+        // Where ties of rounding lead in a circle, every place in it must give the same one.
+        if let Some(first) = seen.iter().position(|earlier| *earlier == at) {
+            let circle = seen.into_iter().skip(first);
+            return circle.min_by(|a, b| a.partial_cmp(b).unwrap_or(Ordering::Equal)).unwrap_or(at);
         }
-        at = again;
     }
     at
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_rounding_leads_in_a_circle_settles_to_one_place_from_everywhere() {
+        // Reading turns 1e-12 into 2e-12 and back, everything else into one of them.
+        let read = |[v]: [f64; 1]| [if v == 1e-12 { 2e-12 } else { 1e-12 }];
+        for start in [0.0, 1e-12, 2e-12, 7e-12] {
+            assert_eq!(settle([start], read), [1e-12]);
+        }
+        assert_eq!(settle([0.3], |v| v), [0.3]);
+    }
 }
