@@ -15,7 +15,7 @@
 //! Cannot represent: specular highlights that move along the tube, shadows with edges across a band, objects in front.
 
 use super::light::{Encoding, gauss};
-use super::tube::TubeImage;
+use super::tube_image::TubeImage;
 use nalgebra::Vector2;
 
 /// Where colours change along the tube.
@@ -39,7 +39,7 @@ impl Layout {
     }
 
     /// The ring nearest to `s_m`.
-    fn nearest_ring(&self, s_m: f64) -> usize {
+    pub(crate) fn nearest_ring(&self, s_m: f64) -> usize {
         let mut best = 0;
         for (i, ring) in self.rings_m.iter().enumerate() {
             if (ring - s_m).abs() < (self.rings_m[best] - s_m).abs() {
@@ -80,38 +80,40 @@ pub(crate) struct Foot {
     pub knot: f64,
     /// Signed distance from the axis, pixels.
     pub u: f64,
-    /// Unit vector along the axis; across is (−y, x).
-    pub along: Vector2<f64>,
 }
 
 /// What the model predicts of one channel (R, G or B) at a pixel, and its derivatives: all multiplied by the slope of the
-/// transfer function, so that sums with a stored channel's weights are derivatives of stored values.
-pub(crate) const TERMS: usize = 14;
+/// transfer function, so that sums with a stored channel's weights are derivatives of stored values. Single precision is a
+/// hundred thousandth of a stored unit; the last two are there to fill whole vectors.
+pub(crate) type Terms = [f32; 16];
 pub(crate) const VALUE: usize = 0;
-/// Image gradient in x and y, per pixel.
-pub(crate) const D_X: usize = 1;
-pub(crate) const D_Y: usize = 2;
+/// Along u (across the tube) and v (along it), per pixel.
+pub(crate) const D_U: usize = 1;
+pub(crate) const D_V: usize = 2;
+/// d/d bulge of the rings, per pixel.
+pub(crate) const D_BULGE: usize = 3;
 /// d/d background, and the same times the pixel's place relative to the patch's middle.
-pub(crate) const D_BACKGROUND: usize = 3;
-pub(crate) const D_GRADIENT: usize = 4;
+pub(crate) const D_BACKGROUND: usize = 4;
+pub(crate) const D_GRADIENT: usize = 5;
 /// d/d m₁ to m₄.
-pub(crate) const D_SHADING: usize = 6;
+pub(crate) const D_SHADING: usize = 7;
 pub(crate) const D_CAP: usize = D_SHADING + SHADES;
 /// d/d colour of the segment before the nearest ring, and of the one behind it.
 pub(crate) const D_ALBEDO: usize = D_CAP + 1;
-/// d/d bulge of the rings, per pixel.
-pub(crate) const D_BULGE: usize = D_ALBEDO + 2;
+
+/// What of the tube is seen: nothing, the segment before the nearest ring, the one behind it, or both and the ring.
+pub(crate) const BEFORE: u8 = 1;
+pub(crate) const BEHIND: u8 = 2;
+pub(crate) const RING: u8 = BEFORE | BEHIND;
 
 /// The model at one pixel.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct PixelModel {
-    pub terms: [[f64; TERMS]; 3],
-    /// Knot coordinate of the nearest point of the axis.
-    pub knot: f64,
+    pub terms: [Terms; 3],
     /// The nearest ring; the segment before it has the same number.
     pub ring: usize,
-    /// Only background is seen: all terms but value and those of the background are zero.
-    pub far: bool,
+    /// What of the tube is seen; the other terms are zero, or as good as zero.
+    pub seen: u8,
 }
 
 /// Weight beyond an edge and its derivatives along u and v (pixels), and with the ring's bulge.
@@ -123,122 +125,150 @@ struct Edge {
     d_bulge: f64,
 }
 
-/// Evaluates the model at one pixel. `offset` is the pixel's place relative to the patch's middle.
-pub(crate) fn pixel_model(
-    foot: Foot,
-    offset: Vector2<f64>,
-    image: &TubeImage,
-    layout: &Layout,
-    colours: &[f64],
-    blur_px: f64,
-    encoding: &Encoding,
-) -> PixelModel {
-    let mut out = PixelModel { knot: foot.knot, ..PixelModel::default() };
-    let local = image.local(foot.knot);
-    let (half, u) = (local.half_width, foot.u);
-    let s = image.first_m + foot.knot * image.spacing_m;
-    let ring = layout.nearest_ring(s);
-    out.ring = ring;
-    let background: [f64; 3] = std::array::from_fn(|c| {
-        colours[BACKGROUND + c] + colours[GRADIENT] * offset.x + colours[GRADIENT + 1] * offset.y
-    });
-    let from_ring = (s - layout.rings_m[ring]) * local.scale;
-    let ends_here = layout.ends && ring + 1 == layout.rings_m.len();
-    let beyond_end = ends_here && from_ring - local.bulge.abs() > FAR_SIGMAS * blur_px;
-    if u.abs() > half + FAR_SIGMAS * blur_px || beyond_end {
-        out.far = true;
-        for (terms, light) in out.terms.iter_mut().zip(background) {
-            let (value, slope) = encoding.encode(light);
-            terms[VALUE] = value;
-            terms[D_BACKGROUND] = slope;
-            terms[D_GRADIENT] = slope * offset.x;
-            terms[D_GRADIENT + 1] = slope * offset.y;
+impl Edge {
+    fn minus(&self, other: &Self) -> Self {
+        Self {
+            weight: self.weight - other.weight,
+            d_u: self.d_u - other.d_u,
+            d_v: self.d_v - other.d_v,
+            d_bulge: self.d_bulge - other.d_bulge,
         }
-        return out;
     }
+}
 
-    let across = Across::new(u, half, blur_px);
-    let lit = |shades: &[f64; SHADES]| shades.iter().zip(&colours[SHADING..CAP]).map(|(s, m)| s * m).sum::<f64>();
-    let shade = across.cover + lit(&across.shades);
-    let d_shade = across.d_cover + lit(&across.d_shades);
+/// What a view's pixels are predicted from.
+pub(crate) struct Scene<'a> {
+    pub image: &'a TubeImage,
+    pub layout: &'a Layout,
+    pub colours: &'a [f64],
+    pub blur_px: f64,
+    pub encoding: &'a Encoding,
+}
 
-    // The ring's near side is displaced by `bulge·root`; root is kept off its infinite slope at the outline.
-    let x = u / half;
-    let root = (1.0 - x * x).max(0.0).sqrt();
-    let d_root = if x.abs() < 1.0 { -x / half / root.max(0.3) } else { 0.0 };
-    let edge_at = |sign: f64| {
-        let bulge = sign * local.bulge;
-        let (weight, density) = gauss((from_ring - bulge * root) / blur_px);
-        let density = density / blur_px;
-        Edge { weight, d_u: -density * bulge * d_root, d_v: density, d_bulge: -density * sign * root }
-    };
-    let near = edge_at(1.0);
-    // The tube's silhouette always bulges outwards; where the near edge lies inside it, the cap shows.
-    let outline = match (ends_here, local.bulge < 0.0) {
-        (false, _) => Edge::default(),
-        (true, false) => near,
-        (true, true) => edge_at(-1.0),
-    };
-    let behind = if ends_here { Edge::default() } else { near };
-    let in_front = Edge { weight: 1.0 - near.weight, d_u: -near.d_u, d_v: -near.d_v, d_bulge: -near.d_bulge };
-    let cap_edge = if ends_here {
-        Edge {
-            weight: near.weight - outline.weight,
-            d_u: near.d_u - outline.d_u,
-            d_v: near.d_v - outline.d_v,
-            d_bulge: near.d_bulge - outline.d_bulge,
-        }
-    } else {
-        Edge::default()
-    };
-    let tube = across.cover * (1.0 - outline.weight);
-    let tube_d_u = across.d_cover * (1.0 - outline.weight) - across.cover * outline.d_u;
-    let tube_d_v = -across.cover * outline.d_v;
-
-    let segments = layout.segments();
-    let cap = colours[CAP];
-    let normal = Vector2::new(-foot.along.y, foot.along.x);
-    for c in 0..3 {
-        let segment = |k: usize| {
-            let at = FIXED + PER_SEGMENT * (ring + k);
-            if ring + k < segments { colours[at + c] } else { 0.0 }
+impl Scene<'_> {
+    /// Evaluates the model at one pixel. `offset` is the pixel's place relative to the patch's middle.
+    pub(crate) fn at(&self, foot: Foot, offset: Vector2<f64>) -> PixelModel {
+        let Self { image, layout, colours, blur_px, encoding } = self;
+        let local = image.local(foot.knot);
+        let (half, u) = (local.half_width, foot.u);
+        let s = image.first_m + foot.knot * image.spacing_m;
+        let ring = layout.nearest_ring(s);
+        let background: [f64; 3] = std::array::from_fn(|c| {
+            colours[BACKGROUND + c] + colours[GRADIENT] * offset.x + colours[GRADIENT + 1] * offset.y
+        });
+        let from_ring = (s - layout.rings_m[ring]) * local.scale;
+        let ends_here = layout.ends && ring + 1 == layout.rings_m.len();
+        let far = FAR_SIGMAS * blur_px;
+        let seen = match (from_ring.abs() - local.bulge.abs() > far, from_ring < 0.0) {
+            (false, _) => RING,
+            (true, true) => BEFORE,
+            (true, false) => BEHIND,
         };
-        let (a0, a1) = (segment(0), segment(1));
-        let albedo = in_front.weight * a0 + behind.weight * a1;
-        let cap_light = cap_edge.weight * a0 * cap;
-        let light = background[c] * (1.0 - tube) + shade * albedo + across.cover * cap_light;
-        let d_u = -background[c] * tube_d_u
-            + d_shade * albedo
-            + shade * (in_front.d_u * a0 + behind.d_u * a1)
-            + across.d_cover * cap_light
-            + across.cover * cap_edge.d_u * a0 * cap;
-        let d_v = -background[c] * tube_d_v
-            + shade * (in_front.d_v * a0 + behind.d_v * a1)
-            + across.cover * cap_edge.d_v * a0 * cap;
-        let d_bulge = background[c] * across.cover * outline.d_bulge
-            + shade * (in_front.d_bulge * a0 + behind.d_bulge * a1)
-            + across.cover * cap_edge.d_bulge * a0 * cap;
-        let (value, slope) = encoding.encode(light);
-        let moved = (normal * d_u + foot.along * d_v) * slope;
-        let uncovered = (1.0 - tube) * slope;
-        out.terms[c] = [
-            value,
-            moved.x,
-            moved.y,
-            uncovered,
-            uncovered * offset.x,
-            uncovered * offset.y,
-            across.shades[0] * albedo * slope,
-            across.shades[1] * albedo * slope,
-            across.shades[2] * albedo * slope,
-            across.shades[3] * albedo * slope,
-            across.cover * cap_edge.weight * a0 * slope,
-            (shade * in_front.weight + across.cover * cap_edge.weight * cap) * slope,
-            shade * behind.weight * slope,
-            d_bulge * slope,
-        ];
+        // Each term is a number of its own plus one times the background's light, one times that of the segment before the
+        // ring, and one times that of the one behind.
+        let mut own = Terms::default();
+        if u.abs() > half + far || (ends_here && seen == BEHIND) {
+            set_background(&mut own, 1.0, offset);
+            let terms = background.map(|light| {
+                let (value, slope) = encoding.encode(light);
+                scaled(own, value, slope)
+            });
+            return PixelModel { terms, ring, seen: 0 };
+        }
+
+        let across = Across::new(u, half, *blur_px);
+        let lit = |shades: &[f64; SHADES]| shades.iter().zip(&colours[SHADING..CAP]).map(|(s, m)| s * m).sum::<f64>();
+        let (shade, d_shade) = (across.cover + lit(&across.shades), across.d_cover + lit(&across.d_shades));
+        let Edges { before, behind, outline, cap: cap_edge } =
+            Edges::new(u / half, half, from_ring, local.bulge, *blur_px, ends_here);
+        let cap = colours[CAP];
+        let uncovered = 1.0 - across.cover * (1.0 - outline.weight);
+        let first = shade * before.weight + across.cover * cap_edge.weight * cap;
+        let second = shade * behind.weight;
+
+        set_background(&mut own, uncovered, offset);
+        own[D_ALBEDO] = first as f32;
+        own[D_ALBEDO + 1] = second as f32;
+        let (mut of_background, mut of_before, mut of_behind) = (Terms::default(), Terms::default(), Terms::default());
+        of_background[D_U] = (across.cover * outline.d_u - across.d_cover * (1.0 - outline.weight)) as f32;
+        of_background[D_V] = (across.cover * outline.d_v) as f32;
+        of_background[D_BULGE] = (across.cover * outline.d_bulge) as f32;
+        let capped = across.cover * cap;
+        let d_capped = across.d_cover * cap;
+        of_before[D_U] =
+            (d_shade * before.weight + shade * before.d_u + d_capped * cap_edge.weight + capped * cap_edge.d_u) as f32;
+        of_before[D_V] = (shade * before.d_v + capped * cap_edge.d_v) as f32;
+        of_before[D_BULGE] = (shade * before.d_bulge + capped * cap_edge.d_bulge) as f32;
+        of_before[D_CAP] = (across.cover * cap_edge.weight) as f32;
+        of_behind[D_U] = (d_shade * behind.weight + shade * behind.d_u) as f32;
+        of_behind[D_V] = (shade * behind.d_v) as f32;
+        of_behind[D_BULGE] = (shade * behind.d_bulge) as f32;
+        for (i, shade) in across.shades.iter().enumerate() {
+            of_before[D_SHADING + i] = (shade * before.weight) as f32;
+            of_behind[D_SHADING + i] = (shade * behind.weight) as f32;
+        }
+
+        let segments = layout.segments();
+        let colour = |segment: usize, c: usize| {
+            if segment < segments { colours[FIXED + PER_SEGMENT * segment + c] } else { 0.0 }
+        };
+        let terms = std::array::from_fn(|c| {
+            let (a0, a1) = (colour(ring, c), colour(ring + 1, c));
+            let (value, slope) = encoding.encode(background[c] * uncovered + a0 * first + a1 * second);
+            let lights = [background[c] as f32, a0 as f32, a1 as f32];
+            let sums = std::array::from_fn(|i| {
+                own[i] + of_background[i] * lights[0] + of_before[i] * lights[1] + of_behind[i] * lights[2]
+            });
+            scaled(sums, value, slope)
+        });
+        PixelModel { terms, ring, seen }
     }
-    out
+}
+
+/// What the background's own parameters change where `uncovered` of it is seen.
+fn set_background(terms: &mut Terms, uncovered: f64, offset: Vector2<f64>) {
+    terms[D_BACKGROUND] = uncovered as f32;
+    terms[D_GRADIENT] = (uncovered * offset.x) as f32;
+    terms[D_GRADIENT + 1] = (uncovered * offset.y) as f32;
+}
+
+/// From light to stored units.
+fn scaled(terms: Terms, value: f64, slope: f64) -> Terms {
+    let mut terms = terms.map(|term| term * slope as f32);
+    terms[VALUE] = value as f32;
+    terms
+}
+
+/// How much of each part is seen along the tube.
+struct Edges {
+    /// The segment before the ring, the one behind it, the tube's end, and its cap.
+    before: Edge,
+    behind: Edge,
+    outline: Edge,
+    cap: Edge,
+}
+
+impl Edges {
+    /// At x half widths aside of the axis, `from_ring` pixels behind the ring.
+    fn new(x: f64, half: f64, from_ring: f64, bulge: f64, blur_px: f64, ends_here: bool) -> Self {
+        // The ring's near side is displaced by `bulge·root`; root is kept off its infinite slope at the outline.
+        let root = (1.0 - x * x).max(0.0).sqrt();
+        let d_root = if x.abs() < 1.0 { -x / half / root.max(0.3) } else { 0.0 };
+        let edge_at = |sign: f64| {
+            let bulge = sign * bulge;
+            let (weight, density) = gauss((from_ring - bulge * root) / blur_px);
+            let density = density / blur_px;
+            Edge { weight, d_u: -density * bulge * d_root, d_v: density, d_bulge: -density * sign * root }
+        };
+        let near = edge_at(1.0);
+        let before = Edge { weight: 1.0, ..Edge::default() }.minus(&near);
+        if !ends_here {
+            return Self { before, behind: near, outline: Edge::default(), cap: Edge::default() };
+        }
+        // The tube's silhouette always bulges outwards; where the near edge lies inside it, the cap shows.
+        let outline = if bulge < 0.0 { edge_at(-1.0) } else { near };
+        Self { before, behind: Edge::default(), outline, cap: near.minus(&outline) }
+    }
 }
 
 /// The blurred profile across the tube: coverage, and what m₁ to m₄ multiply, with derivatives along u.

@@ -7,11 +7,12 @@
 use super::appearance::{FIXED, PER_SEGMENT};
 use super::assign::{Assigned, Assigner, direction_of_axes};
 use super::coil::deflection;
-use super::fit::{ModelError, TubeFit, fit};
+use super::fit::{TubeFit, fit};
+use super::image_model::{ImageModel, ModelError};
 use super::light::Encoding;
-use super::patch::ImageModel;
 use super::stretch::{Group, groups};
-use super::tube::{TubeImage, TubeShape};
+use super::tube::TubeShape;
+use super::tube_image::TubeImage;
 use crate::estimate::{BandObservation, Estimate, MarkerEstimate, Miss, Position, Tangent};
 use crate::optics::OpticalPath;
 use crate::rig::Rig;
