@@ -2,7 +2,7 @@
 //! themselves scatter.
 
 use super::appearance::{BEFORE, BEHIND, D_ALBEDO, Layout, PixelModel, RING, Scene};
-use super::normal::{Collector, Normal, ROW, Row, Slot, Squares, influence, row};
+use super::normal::{Bin, Collector, Normal, ROW, Row, Slot, Squares, influence, row};
 use super::patch::{Group, Patch};
 use super::tube::{SHAPE, ShapeBy, ShapeStep};
 use super::tube_image::TubeImage;
@@ -42,11 +42,14 @@ pub(crate) struct Comparison {
     patch: Patch,
     models: Vec<PixelModel>,
     residuals: Vec<Residual>,
+    bins: Vec<Bin>,
 }
 
 impl Comparison {
     pub(crate) fn new(patch: Patch) -> Self {
-        Self { patch, models: Vec::new(), residuals: Vec::new() }
+        let values = patch.groups.iter().map(|group| group.samples.len() * group.channels.len()).sum();
+        let models = Vec::with_capacity(patch.pixels.len());
+        Self { patch, models, residuals: Vec::with_capacity(values), bins: Vec::new() }
     }
 
     /// Evaluates the model at all pixels, and compares it with all samples.
@@ -131,15 +134,16 @@ impl Comparison {
     }
 
     /// Normal equations of the rendered model.
-    pub(crate) fn normal(&self, image: &TubeImage, layout: &Layout, noise: &Noise) -> Normal {
-        let mut sums = Collector::new(image, layout);
+    pub(crate) fn normal(&mut self, image: &TubeImage, layout: &Layout, noise: &Noise) -> Normal {
+        let mut sums = Collector::new(image, layout, &mut self.bins);
         let mut cost = 0.0;
         for residual in &self.residuals {
             let (z, weight) = residual.weighed(noise);
             sums.add(residual.slot, &residual.row, residual.value, weight);
             cost += if z <= HUBER { z * z } else { HUBER * (2.0 * z - HUBER) };
         }
-        Normal { cost, squares: self.squares(noise), ..sums.finish() }
+        let normal = sums.finish();
+        Normal { cost, squares: self.squares(noise), ..normal }
     }
 
     /// Covariance of J'Wr as the residuals themselves show it: products of the sums over cells, which keeps what
@@ -155,15 +159,22 @@ impl Comparison {
     ) -> SMatrix<f64, SHAPE, SHAPE> {
         let mut cells = vec![ShapeStep::zeros(); self.patch.cells];
         let mut maps: Vec<Option<(usize, SMatrix<f64, SHAPE, ROW>)>> = vec![None; image.knots.len()];
-        for residual in &self.residuals {
-            let Slot { bin, ring, .. } = residual.slot;
+        // What follows each other in a cell is summed before it is mapped.
+        let together =
+            |a: &Residual, b: &Residual| (a.cell, a.slot.bin, a.slot.ring) == (b.cell, b.slot.bin, b.slot.ring);
+        for run in self.residuals.chunk_by(together) {
+            let (cell, Slot { bin, ring, .. }) = (run[0].cell, run[0].slot);
             let map = match &mut maps[bin] {
                 Some((of, map)) if *of == ring => map,
                 map => &mut map.insert((ring, influence(image, (bin, ring), layout, of_shape, of_colours))).1,
             };
-            let (_, weight) = residual.weighed(noise);
-            let row = SVector::<f64, ROW>::from_fn(|i, _| f64::from(residual.row[i]));
-            cells[residual.cell] += &*map * row * (weight * residual.value);
+            let mut sum = [0.0; ROW];
+            for residual in run {
+                let (_, weight) = residual.weighed(noise);
+                let by = (weight * residual.value) as f32;
+                sum.iter_mut().zip(&residual.row).for_each(|(sum, value)| *sum += by * value);
+            }
+            cells[cell] += &*map * SVector::from(sum.map(f64::from));
         }
         cells.iter().fold(SMatrix::zeros(), |sum, cell| sum + cell * cell.transpose())
     }

@@ -7,7 +7,7 @@ use super::equations::Eliminated;
 use super::fit::{NoFit, TubeFit, ViewFit};
 use super::image_model::ModelError;
 use super::normal::{Normal, Squares};
-use super::round::{LEAST_NOISE, Minimum, Round, project, shape_prior};
+use super::round::{Guess, LEAST_NOISE, Minimum, Round, shape_prior};
 use super::stretch::Stretch;
 use super::tube::{SHAPE, ShapeStep};
 use super::tube_image::TubeImage;
@@ -16,7 +16,7 @@ use nalgebra::{Matrix2, Matrix3x2, SMatrix, Vector2};
 impl Round<'_> {
     /// Covariance of the shape, and what each view alone would say.
     pub(crate) fn conclude(&self, minimum: Minimum) -> Result<TubeFit, NoFit> {
-        let Minimum { state, step, shape, colours } = minimum;
+        let Minimum { state, step, end } = minimum;
         let normals = &state.equations.views;
         let seen = normals.iter().map(|normal| normal.eliminate(0.0)).collect::<Option<Vec<_>>>();
         let seen = seen.ok_or(NoFit::NotConverged)?;
@@ -25,11 +25,13 @@ impl Round<'_> {
         // The priors' own share of the information is not in the residuals.
         let mut covariance = plain * shape_prior() * plain;
         let noise = self.noise.as_deref().unwrap_or_default();
-        for (((comparison, noise), image), view) in self.comparisons.iter().zip(noise).zip(&state.images).zip(&seen) {
+        for (((comparison, noise), image), view) in
+            self.comparisons.iter().zip(noise).zip(&state.guess.images).zip(&seen)
+        {
             let of_colours = -plain * &view.following;
             covariance += comparison.scatter(image, &self.stretch.layout, noise, &plain, &of_colours);
         }
-        let images = project(self.stretch, &shape, self.paths)?;
+        let Guess { shape, colours, images } = end;
         let points: Vec<_> = images.iter().map(point_from_pixel).collect();
         for (((image, point), view), normal) in images.iter().zip(&points).zip(&seen).zip(normals) {
             let error = self.model.error.growth(rms(&normal.squares));

@@ -12,7 +12,7 @@
 use super::compare::Comparison;
 use super::image_model::ImageModel;
 use super::patch::{Density, Patch};
-use super::round::{Round, project, start_noise};
+use super::round::{Guess, Round, start_noise};
 use super::stretch::Stretch;
 use super::tube::{SHAPE, TubeShape};
 use super::tube_image::TubeImage;
@@ -72,13 +72,14 @@ pub(crate) fn fit(
         patches.collect::<Option<Vec<_>>>().ok_or(NoFit::OutOfPicture)
     };
     // 1. settle
-    let images = project(stretch, start, paths)?;
-    let patches = select(&images, Density::Chessboard)?;
-    let seen = patches.iter().zip(&images);
+    let mut guess = Guess::new(stretch, paths, start.clone(), Vec::new())?;
+    let patches = select(&guess.images, Density::Chessboard)?;
+    let seen = patches.iter().zip(&guess.images);
     let start_colours = seen
         .map(|(patch, image)| patch.start_colours(picture, image, &stretch.layout, &model.encoding))
         .collect::<Option<Vec<_>>>()
         .ok_or(NoFit::OutOfPicture)?;
+    guess.colours.clone_from(&start_colours);
     let round = |patches: Vec<Patch>, noise| Round {
         stretch,
         paths,
@@ -89,11 +90,10 @@ pub(crate) fn fit(
         noise,
     };
     let noise = vec![start_noise(picture); paths.len()];
-    let settled = round(patches, Some(noise)).minimise(start.clone(), start_colours.clone(), SETTLED)?;
+    let settled = round(patches, Some(noise)).minimise(guess, SETTLED)?.end;
     // 2. measure
-    let patches = select(&project(stretch, &settled.shape, paths)?, Density::All)?;
-    let mut round = round(patches, None);
-    let minimum = round.minimise(settled.shape, settled.colours, ENOUGH)?;
+    let mut round = round(select(&settled.images, Density::All)?, None);
+    let minimum = round.minimise(settled, ENOUGH)?;
     round.conclude(minimum)
 }
 

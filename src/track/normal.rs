@@ -12,7 +12,7 @@ use super::appearance::{
 };
 use super::tube::{SHAPE, ShapeBy, ShapeStep};
 use super::tube_image::TubeImage;
-use nalgebra::{DMatrix, DVector, SMatrix};
+use nalgebra::{DMatrix, DVector, SMatrix, SVector};
 
 /// Length of a row, filled up to whole vectors, and of the part that a sample away from rings touches.
 pub(crate) const ROW: usize = 24;
@@ -51,35 +51,29 @@ pub(crate) fn row(terms: &[Terms; 3], weights: &[f32; 3], f: f32) -> (Row, f32) 
     (row, sum[VALUE])
 }
 
-/// The parameter of an element of a row.
-#[derive(Clone, Copy)]
-enum Parameter<'a> {
-    /// All of them, by the way that the shape moves one knot.
-    Shape(&'a ShapeStep),
-    /// A colour of the view.
-    Colour(usize),
-    /// None: it fills up the row, or there is no such segment.
-    None,
-}
+/// The elements of a row that move the shape: all of them, and those of a plain sample.
+const MOVES: [usize; 6] = [ROW_ACROSS, ROW_ACROSS + 1, ROW_ALONG, ROW_ALONG + 1, ROW_BULGE, ROW_BULGE + 1];
+const PLAIN_MOVES: [usize; 2] = [ROW_ACROSS, ROW_ACROSS + 1];
 
-/// Of element `i` of a row between knot `bin` and the next, at `ring`.
-fn parameter<'a>(i: usize, image: &'a TubeImage, bin: usize, ring: usize, layout: &Layout) -> Parameter<'a> {
-    let knot = |local: usize, first: usize| Parameter::Shape(&image.knots[bin + i - first].d_local[local]);
-    let segment = |j: usize, c: usize| {
-        if j < layout.segments() { Parameter::Colour(FIXED + PER_SEGMENT * j + c) } else { Parameter::None }
-    };
+/// The colour that element `i` of a row at `ring` belongs to; `None` for the shape, for what fills up the row, and for a
+/// segment that there is not.
+fn colour(i: usize, ring: usize, layout: &Layout) -> Option<usize> {
+    let segment = |j: usize, c: usize| (j < layout.segments()).then_some(FIXED + PER_SEGMENT * j + c);
     match i {
-        ROW_ACROSS..ROW_BACKGROUND => knot(0, ROW_ACROSS),
-        ROW_BACKGROUND..ROW_GRADIENT => Parameter::Colour(BACKGROUND + i - ROW_BACKGROUND),
-        ROW_GRADIENT..ROW_SHADING => Parameter::Colour(GRADIENT + i - ROW_GRADIENT),
-        ROW_SHADING..ROW_BEFORE => Parameter::Colour(SHADING + i - ROW_SHADING),
+        ROW_BACKGROUND..ROW_GRADIENT => Some(BACKGROUND + i - ROW_BACKGROUND),
+        ROW_GRADIENT..ROW_SHADING => Some(GRADIENT + i - ROW_GRADIENT),
+        ROW_SHADING..ROW_BEFORE => Some(SHADING + i - ROW_SHADING),
         ROW_BEFORE..ROW_BEHIND => segment(ring, i - ROW_BEFORE),
         ROW_BEHIND..ROW_CAP => segment(ring + 1, i - ROW_BEHIND),
-        ROW_CAP => Parameter::Colour(CAP),
-        ROW_ALONG..ROW_BULGE => knot(1, ROW_ALONG),
-        _ if i < ROW_BULGE + 2 => knot(2, ROW_BULGE),
-        _ => Parameter::None,
+        ROW_CAP => Some(CAP),
+        _ => None,
     }
+}
+
+/// How the shape moves the knots `bin` and the next: columns in the order of [`MOVES`].
+fn moves(image: &TubeImage, bin: usize) -> SMatrix<f64, SHAPE, { MOVES.len() }> {
+    let knots = [&image.knots[bin], &image.knots[bin + 1]];
+    SMatrix::from_fn(|parameter, i| knots[i % 2].d_local[i / 2][parameter])
 }
 
 /// What an error of the prediction moves the shape by, for each element of a row between knot `bin` and the next:
@@ -93,11 +87,13 @@ pub(crate) fn influence(
 ) -> SMatrix<f64, SHAPE, ROW> {
     let mut influence = SMatrix::<f64, SHAPE, ROW>::zeros();
     for (i, mut column) in influence.column_iter_mut().enumerate() {
-        match parameter(i, image, bin, ring, layout) {
-            Parameter::Shape(moves) => column.copy_from(&(of_shape * moves)),
-            Parameter::Colour(at) => column.copy_from(&of_colours.column(at)),
-            Parameter::None => {}
+        if let Some(at) = colour(i, ring, layout) {
+            column.copy_from(&of_colours.column(at));
         }
+    }
+    let of_moves = of_shape * moves(image, bin);
+    for (i, from) in MOVES.iter().zip(of_moves.column_iter()) {
+        influence.column_mut(*i).copy_from(&from);
     }
     influence
 }
@@ -132,34 +128,26 @@ impl Normal {
         }
     }
 
-    /// Adds a block, given the parameters of its rows' elements, and empties it.
-    fn take<const N: usize>(&mut self, block: &mut Block<N>, parameters: &[Parameter<'_>]) {
+    /// Adds a block and empties it. `at` are the elements of its rows that move the shape, and `moves` how; `colours` are
+    /// the others that count, with the colours they belong to.
+    fn take<const N: usize, const S: usize>(
+        &mut self,
+        block: &mut Block<N>,
+        at: [usize; S],
+        moves: &SMatrix<f64, SHAPE, S>,
+        colours: &[(usize, usize)],
+    ) {
         block.flush();
-        for (i, a) in parameters.iter().enumerate() {
-            let gradient = f64::from(block.gradient[i]);
-            match *a {
-                Parameter::Shape(moves) => self.shape_gradient += moves * gradient,
-                Parameter::Colour(at) => self.colour_gradient[at] += gradient,
-                Parameter::None => continue,
-            }
-            for (b, sum) in parameters.iter().zip(&block.hessian[i]).skip(i) {
-                let sum = f64::from(*sum);
-                match (*a, *b) {
-                    (Parameter::Shape(a), Parameter::Shape(b)) if std::ptr::eq(a, b) => {
-                        self.shape += a * sum * a.transpose()
-                    }
-                    (Parameter::Shape(a), Parameter::Shape(b)) => {
-                        let product = a * sum * b.transpose();
-                        self.shape += product + product.transpose();
-                    }
-                    (Parameter::Shape(moves), Parameter::Colour(at))
-                    | (Parameter::Colour(at), Parameter::Shape(moves)) => {
-                        let mut column = self.cross.column_mut(at);
-                        column += moves * sum;
-                    }
-                    (Parameter::Colour(a), Parameter::Colour(b)) => self.colours[(a.max(b), a.min(b))] += sum,
-                    (_, Parameter::None) | (Parameter::None, _) => {}
-                }
+        let sum = |i: usize, j: usize| f64::from(block.hessian[i.min(j)][i.max(j)]);
+        let gradient = |i: usize| f64::from(block.gradient[i]);
+        self.shape += moves * SMatrix::<f64, S, S>::from_fn(|i, j| sum(at[i], at[j])) * moves.transpose();
+        self.shape_gradient += moves * SVector::<f64, S>::from_fn(|i, _| gradient(at[i]));
+        for (n, &(i, colour)) in colours.iter().enumerate() {
+            self.colour_gradient[colour] += gradient(i);
+            let mut column = self.cross.column_mut(colour);
+            column += moves * SVector::<f64, S>::from_fn(|k, _| sum(at[k], i));
+            for &(j, other) in &colours[n..] {
+                self.colours[(colour.max(other), colour.min(other))] += sum(i, j);
             }
         }
         *block = Block::default();
@@ -167,7 +155,6 @@ impl Normal {
 }
 
 /// Sums of rows. They wait until there are four, so that each sum is loaded and stored once for all of them.
-#[derive(Clone)]
 struct Block<const N: usize> {
     hessian: [[f32; N]; N],
     gradient: [f32; N],
@@ -223,11 +210,27 @@ impl<const N: usize> Block<N> {
 }
 
 /// Sums of the samples between two knots: before and behind the ring that is nearest to them, and at it.
-#[derive(Clone, Default)]
-struct Bin {
+#[derive(Default)]
+pub(crate) struct Bin {
     ring: usize,
     plain: [Block<PLAIN>; 2],
     at_ring: Block<ROW>,
+}
+
+impl Bin {
+    fn empty_into(&mut self, normal: &mut Normal, image: &TubeImage, at: usize, layout: &Layout) {
+        let moves = moves(image, at);
+        let colours = |ring: usize, end: usize| -> Vec<(usize, usize)> {
+            (0..end).filter_map(|i| Some((i, colour(i, ring, layout)?))).collect()
+        };
+        if self.at_ring.used {
+            normal.take(&mut self.at_ring, MOVES, &moves, &colours(self.ring, ROW));
+        }
+        for (side, block) in self.plain.iter_mut().enumerate().filter(|(_, block)| block.used) {
+            let moves = moves.fixed_columns::<{ PLAIN_MOVES.len() }>(0).into_owned();
+            normal.take(block, PLAIN_MOVES, &moves, &colours(self.ring + side, ROW_BEHIND));
+        }
+    }
 }
 
 /// Where a sample's row belongs.
@@ -244,15 +247,17 @@ pub(crate) struct Slot {
 pub(crate) struct Collector<'a> {
     image: &'a TubeImage,
     layout: &'a Layout,
-    bins: Vec<Bin>,
+    bins: &'a mut [Bin],
     normal: Normal,
 }
 
 impl<'a> Collector<'a> {
-    pub(crate) fn new(image: &'a TubeImage, layout: &'a Layout) -> Self {
-        let middle = |bin: usize| image.first_m + (bin as f64 + 0.5) * image.spacing_m;
-        let bins = 0..image.knots.len() - 1;
-        let bins = bins.map(|bin| Bin { ring: layout.nearest_ring(middle(bin)), ..Bin::default() }).collect();
+    /// `bins` is scratch memory.
+    pub(crate) fn new(image: &'a TubeImage, layout: &'a Layout, bins: &'a mut Vec<Bin>) -> Self {
+        bins.resize_with(image.knots.len() - 1, Bin::default);
+        for (at, bin) in bins.iter_mut().enumerate() {
+            bin.ring = layout.nearest_ring(image.first_m + (at as f64 + 0.5) * image.spacing_m);
+        }
         Self { image, layout, bins, normal: Normal::zeros(layout.colours()) }
     }
 
@@ -270,7 +275,7 @@ impl<'a> Collector<'a> {
                 // Rings so close to each other that one bin has samples of two.
                 let mut alone = Bin { ring: slot.ring, ..Bin::default() };
                 alone.at_ring.add(row, residual, root);
-                self.take(slot.bin, &mut alone);
+                alone.empty_into(&mut self.normal, self.image, slot.bin, self.layout);
             }
             return;
         }
@@ -283,7 +288,7 @@ impl<'a> Collector<'a> {
             _ => {
                 let mut alone = Bin { ring: segment, ..Bin::default() };
                 alone.plain[0].add(&plain, residual, root);
-                self.take(slot.bin, &mut alone);
+                alone.empty_into(&mut self.normal, self.image, slot.bin, self.layout);
             }
         }
     }
@@ -301,26 +306,12 @@ impl<'a> Collector<'a> {
         }
     }
 
-    fn take(&mut self, at: usize, bin: &mut Bin) {
-        let parameters: [Parameter<'_>; ROW] =
-            std::array::from_fn(|i| parameter(i, self.image, at, bin.ring, self.layout));
-        if bin.at_ring.used {
-            self.normal.take(&mut bin.at_ring, &parameters);
-        }
-        for (side, block) in bin.plain.iter_mut().enumerate().filter(|(_, block)| block.used) {
-            let mut parameters = parameters;
-            if side == 1 {
-                parameters.copy_within(ROW_BEHIND..ROW_CAP, ROW_BEFORE);
-            }
-            self.normal.take(block, &parameters[..ROW_BEHIND]);
-        }
-    }
-
     /// All of it; the cost and squares are the caller's to add.
-    pub(crate) fn finish(mut self) -> Normal {
-        for (at, mut bin) in std::mem::take(&mut self.bins).into_iter().enumerate() {
-            self.take(at, &mut bin);
+    pub(crate) fn finish(self) -> Normal {
+        let Self { image, layout, bins, mut normal } = self;
+        for (at, bin) in bins.iter_mut().enumerate() {
+            bin.empty_into(&mut normal, image, at, layout);
         }
-        self.normal
+        normal
     }
 }

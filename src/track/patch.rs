@@ -148,6 +148,7 @@ impl Patch {
         let mut patch = Self { middle, pixels: Vec::with_capacity(field.index.len() / 2), groups: Vec::new(), cells };
         let reach = image.greatest_half_width() + MARGIN_PX + image.sagitta();
         let last_bin = image.knots.len() - 2;
+        let mut left: Option<f64> = None;
         for at in 0..field.index.len() {
             let (i, j) = (at % field.width, at / field.width);
             let (x, y) = (field.corner[0] + i as i64, field.corner[1] + j as i64);
@@ -157,9 +158,12 @@ impl Patch {
             let place = Point2::new(x as f64, y as f64);
             let (start, aside) = image.chord_foot(&place);
             if aside.abs() > reach {
+                left = None;
                 continue;
             }
-            let foot = image.foot(&place, start, 3);
+            // One step from its neighbour's foot is enough.
+            let foot = left.map_or_else(|| image.foot(&place, start, 3), |left| image.foot(&place, left, 1));
+            left = Some(foot.knot);
             let outside = foot.u.abs() - image.local(foot.knot).half_width;
             if foot.knot >= range.0 && foot.knot <= range.1 && outside <= MARGIN_PX {
                 field.index[at] = Some(patch.pixels.len() as u32);

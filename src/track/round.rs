@@ -11,7 +11,7 @@ use super::tube::{SHAPE, TubeShape};
 use super::tube_image::TubeImage;
 use crate::optics::OpticalPath;
 use crate::source::Picture;
-use nalgebra::SMatrix;
+use nalgebra::{DVector, SMatrix};
 
 /// Distance of the knots along the tube, metres.
 const KNOT_M: f64 = 2e-3;
@@ -45,42 +45,42 @@ pub(crate) struct Round<'a> {
     pub noise: Option<Vec<Noise>>,
 }
 
-/// Shape and colours, and what the samples say about them.
-pub(crate) struct State {
+/// Shape and colours, and what they look like.
+pub(crate) struct Guess {
     pub shape: TubeShape,
+    /// Of each view.
     pub colours: Vec<Vec<f64>>,
     pub images: Vec<TubeImage>,
+}
+
+/// A guess, and what the samples say about it.
+pub(crate) struct State {
+    pub guess: Guess,
     pub equations: Equations,
 }
 
-impl State {
-    fn moved(&self, step: &Step) -> (TubeShape, Vec<Vec<f64>>) {
-        let add = |(colours, step): (&Vec<f64>, &nalgebra::DVector<f64>)| {
-            colours.iter().zip(step.iter()).map(|(colour, step)| colour + step).collect()
-        };
-        (self.shape.moved(&step.shape), self.colours.iter().zip(&step.colours).map(add).collect())
-    }
-}
-
-/// Where a round ended: the last state that was compared with the samples, and the small step from there to the minimum.
+/// Where a round ended: the last guess that was compared with the samples, and the small step from there to the minimum.
 pub(crate) struct Minimum {
     pub state: State,
     pub step: Step,
-    pub shape: TubeShape,
-    pub colours: Vec<Vec<f64>>,
+    pub end: Guess,
 }
 
-/// Images of a shape in all views.
-///
-/// # Errors
-/// When a part of it cannot be seen.
-pub(crate) fn project(stretch: &Stretch, shape: &TubeShape, paths: &[&OpticalPath]) -> Result<Vec<TubeImage>, NoFit> {
-    // Pixels beside the ends need an axis a little longer than the samples' range.
-    let range = (stretch.range_m.0 - KNOT_M, stretch.range_m.1 + KNOT_M);
-    paths
-        .iter()
-        .map(|path| TubeImage::of(shape, stretch.radius_m, path, range, KNOT_M).map_err(|_| NoFit::OutOfPicture))
-        .collect()
+impl Guess {
+    /// # Errors
+    /// When a part of it cannot be seen.
+    pub(crate) fn new(
+        stretch: &Stretch,
+        paths: &[&OpticalPath],
+        shape: TubeShape,
+        colours: Vec<Vec<f64>>,
+    ) -> Result<Self, NoFit> {
+        // Pixels beside the ends need an axis a little longer than the samples' range.
+        let range = (stretch.range_m.0 - KNOT_M, stretch.range_m.1 + KNOT_M);
+        let image = |path: &&OpticalPath| TubeImage::of(&shape, stretch.radius_m, path, range, KNOT_M);
+        let images = paths.iter().map(image).collect::<Result<_, _>>().map_err(|_| NoFit::OutOfPicture)?;
+        Ok(Self { shape, colours, images })
+    }
 }
 
 /// A subsampled channel's errors are common to about as many samples as it has pixels a sample: a codec quantises them in
@@ -118,21 +118,21 @@ pub(crate) fn shape_prior() -> SMatrix<f64, SHAPE, SHAPE> {
 
 impl Round<'_> {
     /// Goes on until a step promises to lower the cost (a χ²) by less than `enough`. That one is taken untried.
-    pub(crate) fn minimise(&mut self, shape: TubeShape, colours: Vec<Vec<f64>>, enough: f64) -> Result<Minimum, NoFit> {
-        let mut state = self.evaluate(shape, colours)?;
+    pub(crate) fn minimise(&mut self, start: Guess, enough: f64) -> Result<Minimum, NoFit> {
+        let mut state = self.evaluate(start);
         let mut damping = DAMPING;
         let mut rejected = false;
         for _ in 0..MAX_EVALUATIONS {
             let step = state.equations.step(damping).ok_or(NoFit::NotConverged)?;
-            let (shape, colours) = state.moved(&step);
+            let next = self.moved(&state.guess, &step);
             if step.promise < enough {
                 // The comparisons must be those of the state that is returned.
                 if rejected {
-                    state = self.evaluate(state.shape, state.colours)?;
+                    state = self.evaluate(state.guess);
                 }
-                return Ok(Minimum { state, step, shape, colours });
+                return Ok(Minimum { state, step, end: next? });
             }
-            match self.evaluate(shape, colours) {
+            match next.map(|guess| self.evaluate(guess)) {
                 Ok(next) if next.equations.cost <= state.equations.cost => {
                     state = next;
                     damping = (damping * 0.1).max(LEAST_DAMPING);
@@ -147,12 +147,20 @@ impl Round<'_> {
         Err(NoFit::NotConverged)
     }
 
+    fn moved(&self, guess: &Guess, step: &Step) -> Result<Guess, NoFit> {
+        let add = |(colours, step): (&Vec<f64>, &DVector<f64>)| {
+            colours.iter().zip(step.iter()).map(|(colour, step)| colour + step).collect()
+        };
+        let colours = guess.colours.iter().zip(&step.colours).map(add).collect();
+        Guess::new(self.stretch, self.paths, guess.shape.moved(&step.shape), colours)
+    }
+
     /// Renders all views and sums their normal equations, priors included.
-    fn evaluate(&mut self, shape: TubeShape, colours: Vec<Vec<f64>>) -> Result<State, NoFit> {
+    fn evaluate(&mut self, guess: Guess) -> State {
         let Self { stretch, picture, model, .. } = *self;
-        let images = project(stretch, &shape, self.paths)?;
+        let Guess { shape, colours, images } = &guess;
         let layout = &stretch.layout;
-        for (comparison, (image, colours)) in self.comparisons.iter_mut().zip(images.iter().zip(&colours)) {
+        for (comparison, (image, colours)) in self.comparisons.iter_mut().zip(images.iter().zip(colours)) {
             let ImageModel { encoding, blur_px, .. } = model;
             comparison.render(&Scene { image, layout, colours, blur_px: *blur_px, encoding });
         }
@@ -160,7 +168,7 @@ impl Round<'_> {
             let judge = start_noise(picture);
             self.comparisons.iter().map(|comparison| noise_of(&comparison.squares(&judge), picture)).collect()
         });
-        let compared = self.comparisons.iter().zip(&images).zip(noise.iter());
+        let compared = self.comparisons.iter_mut().zip(images).zip(noise.iter());
         let mut views: Vec<_> =
             compared.map(|((comparison, image), noise)| comparison.normal(image, layout, noise)).collect();
 
@@ -168,7 +176,7 @@ impl Round<'_> {
         let offset = shape.curvatures();
         let prior_gradient = -(prior * offset);
         let mut cost = -offset.dot(&prior_gradient);
-        for ((view, colours), start) in views.iter_mut().zip(&colours).zip(self.start_colours) {
+        for ((view, colours), start) in views.iter_mut().zip(colours).zip(self.start_colours) {
             for (i, (value, start)) in colours.iter().zip(start).enumerate() {
                 // The start keeps a colour near it when hardly a sample shows it.
                 let (expected, sd) = match i {
@@ -184,6 +192,6 @@ impl Round<'_> {
             }
             cost += view.cost;
         }
-        Ok(State { shape, colours, images, equations: Equations { prior, prior_gradient, views, cost } })
+        State { guess, equations: Equations { prior, prior_gradient, views, cost } }
     }
 }
