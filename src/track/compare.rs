@@ -57,9 +57,8 @@ impl Comparison {
         self.models.clear();
         let middle = self.patch.middle;
         self.models.extend(self.patch.pixels.iter_mut().map(|pixel| {
-            let foot = scene.image.foot(&pixel.place, pixel.knot, 1);
-            pixel.knot = foot.knot;
-            scene.at(foot, pixel.place.coords - middle)
+            pixel.foot = scene.image.foot(&pixel.place, pixel.foot.knot, 1);
+            scene.at(pixel.foot, pixel.place.coords - middle)
         }));
         self.residuals.clear();
         for group in &self.patch.groups {
@@ -75,7 +74,8 @@ impl Comparison {
                 };
                 let slot = Slot { bin: pixel.bin, ring: model.ring, seen: model.seen };
                 for (channel, stored) in group.channels.iter().zip(sample.values) {
-                    let (row, predicted) = row(&model.terms, &channel.weights, (pixel.knot - pixel.bin as f64) as f32);
+                    let (row, predicted) =
+                        row(&model.terms, &channel.weights, (pixel.foot.knot - pixel.bin as f64) as f32);
                     self.residuals.push(Residual {
                         channel: channel.number,
                         class: sample.class,

@@ -66,35 +66,25 @@ pub(crate) fn fit(
     paths: &[&OpticalPath],
     model: &ImageModel,
 ) -> Result<TubeFit, NoFit> {
-    let select = |images: &[TubeImage], density: Density| {
-        let patches =
-            images.iter().map(|image| Patch::select(picture, image, stretch.range_m, model.chroma_offset_px, density));
-        patches.collect::<Option<Vec<_>>>().ok_or(NoFit::OutOfPicture)
+    let round = |guess: &Guess, density: Density| {
+        let patch = |image| Patch::select(picture, image, stretch.range_m, model.chroma_offset_px, density);
+        let patches = guess.images.iter().map(patch).collect::<Option<Vec<_>>>()?;
+        let seen = patches.iter().zip(&guess.images);
+        let colours = seen.map(|(patch, image)| patch.colours(picture, image, &stretch.layout, &model.encoding));
+        let expected_colours = colours.collect::<Option<Vec<_>>>()?;
+        let comparisons = patches.into_iter().map(Comparison::new).collect();
+        Some(Round { stretch, paths, picture, model, comparisons, expected_colours, noise: None })
     };
     // 1. settle
     let mut guess = Guess::new(stretch, paths, start.clone(), Vec::new())?;
-    let patches = select(&guess.images, Density::Chessboard)?;
-    let seen = patches.iter().zip(&guess.images);
-    let start_colours = seen
-        .map(|(patch, image)| patch.start_colours(picture, image, &stretch.layout, &model.encoding))
-        .collect::<Option<Vec<_>>>()
-        .ok_or(NoFit::OutOfPicture)?;
-    guess.colours.clone_from(&start_colours);
-    let round = |patches: Vec<Patch>, noise| Round {
-        stretch,
-        paths,
-        picture,
-        model,
-        comparisons: patches.into_iter().map(Comparison::new).collect(),
-        start_colours: &start_colours,
-        noise,
-    };
-    let noise = vec![start_noise(picture); paths.len()];
-    let settled = round(patches, Some(noise)).minimise(guess, SETTLED)?.end;
+    let mut settling = round(&guess, Density::Fifth).ok_or(NoFit::OutOfPicture)?;
+    settling.noise = Some(vec![start_noise(picture); paths.len()]);
+    guess.colours.clone_from(&settling.expected_colours);
+    let settled = settling.minimise(guess, SETTLED)?.end;
     // 2. measure
-    let mut round = round(select(&settled.images, Density::All)?, None);
-    let minimum = round.minimise(settled, ENOUGH)?;
-    round.conclude(minimum)
+    let mut measuring = round(&settled, Density::All).ok_or(NoFit::OutOfPicture)?;
+    let minimum = measuring.minimise(settled, ENOUGH)?;
+    measuring.conclude(minimum)
 }
 
 #[cfg(test)]

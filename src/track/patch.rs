@@ -4,7 +4,7 @@
 //! in stored R'G'B', and a subsampled chroma sample is the mean of its neighbourhood with triangular weights as wide as the
 //! sampling.
 
-use super::appearance::{BACKGROUND, CAP, FIXED, Layout, PER_SEGMENT};
+use super::appearance::{BACKGROUND, CAP, FIXED, Foot, Layout, PER_SEGMENT};
 use super::light::Encoding;
 use super::tube_image::TubeImage;
 use crate::source::Picture;
@@ -24,22 +24,31 @@ const NEAR_PX: f64 = 1.0;
 /// Which pixels are taken.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Density {
-    /// Every second one, like the white fields of a chessboard: half the work, and no edge is missed.
-    Chessboard,
+    /// Every fifth, a knight's move from the next: a fifth of the work, and every row and column has its share.
+    Fifth,
     All,
 }
 
 impl Density {
-    fn takes(self, x: i64, y: i64) -> bool {
-        self == Self::All || (x + y) % 2 == 0
+    /// How many pixels there are to one that is taken.
+    fn period(self) -> i64 {
+        match self {
+            Self::Fifth => 5,
+            Self::All => 1,
+        }
+    }
+
+    /// Where in the pattern a pixel is: 0 for the ones that are taken.
+    fn phase(self, x: i64, y: i64) -> usize {
+        (x + 2 * y).rem_euclid(self.period()) as usize
     }
 }
 
 /// A pixel that the model is evaluated at.
 pub(crate) struct Pixel {
     pub place: Point2<f64>,
-    /// Knot coordinate of the nearest point of the axis, when last evaluated.
-    pub knot: f64,
+    /// The nearest point of the axis, when last evaluated.
+    pub foot: Foot,
     /// The knot before it, when selected.
     pub bin: usize,
     /// Its square among those that share errors.
@@ -152,7 +161,7 @@ impl Patch {
         for at in 0..field.index.len() {
             let (i, j) = (at % field.width, at / field.width);
             let (x, y) = (field.corner[0] + i as i64, field.corner[1] + j as i64);
-            if !density.takes(x, y) {
+            if density.phase(x, y) != 0 {
                 continue;
             }
             let place = Point2::new(x as f64, y as f64);
@@ -169,7 +178,7 @@ impl Patch {
                 field.index[at] = Some(patch.pixels.len() as u32);
                 patch.pixels.push(Pixel {
                     place,
-                    knot: foot.knot,
+                    foot,
                     bin: (foot.knot.max(0.0) as usize).min(last_bin),
                     cell: j / CELL_PX * across + i / CELL_PX,
                     near: outside <= NEAR_PX,
@@ -206,15 +215,16 @@ impl Patch {
             span.filter(|&d| weight(d) > 0.0).map(|d| (d, weight(d))).collect()
         };
         let (across, down) = (axis_taps(0), axis_taps(1));
-        // Of a sample whose own pixel is taken, and of one whose own is not; the middle pixel first.
-        let neighbourhoods = [0, 1].map(|odd| {
+        // Of a sample in each phase of the pattern; the middle pixel first.
+        let neighbourhood = |phase: i64| {
             let all = down.iter().flat_map(|&(dy, wy)| across.iter().map(move |&(dx, wx)| (dx, dy, wx * wy)));
-            let mut taken: Vec<_> = all.filter(|&(dx, dy, _)| density.takes(dx + odd, dy)).collect();
+            let mut taken: Vec<_> = all.filter(|&(dx, dy, _)| density.phase(dx + phase, dy) == 0).collect();
             taken.sort_by(|a, b| b.2.total_cmp(&a.2));
             let sum: f64 = taken.iter().map(|tap| tap.2).sum();
             taken.iter_mut().for_each(|tap| tap.2 /= sum);
             taken
-        });
+        };
+        let neighbourhoods: Vec<_> = (0..density.period()).map(neighbourhood).collect();
         let channel = |&number: &usize| {
             let (weights, constant) = picture.colour().channel_from_rgb(picture.format(), number);
             Channel { number, weights: weights.map(|w| w as f32), constant }
@@ -230,7 +240,7 @@ impl Patch {
             }
             for i in (x0 / sx)..=((x0 + field.width as i64 - 1) / sx) {
                 let (x, y) = (i * sx - x0, j * sy - y0);
-                let taps = &neighbourhoods[usize::from(!density.takes(i * sx, j * sy))];
+                let taps = &neighbourhoods[density.phase(i * sx, j * sy)];
                 let Some(pixel) = taps.first().and_then(|(dx, dy, _)| field.at(x + dx, y + dy)) else { continue };
                 let first_tap = group.taps.len();
                 let places = taps.iter().map_while(|&(dx, dy, w)| Some((field.at(x + dx, y + dy)?, w as f32)));
@@ -254,8 +264,8 @@ impl Patch {
         Some(())
     }
 
-    /// Colours to start from: means over what lies well inside each segment, and well outside the tube.
-    pub(crate) fn start_colours(
+    /// What colours look like: means over what lies well inside each segment, and well outside the tube.
+    pub(crate) fn colours(
         &self,
         picture: &Picture,
         image: &TubeImage,
@@ -267,7 +277,7 @@ impl Patch {
         for group in &self.groups {
             for sample in &group.samples {
                 let pixel = &self.pixels[sample.pixel];
-                let foot = image.foot(&pixel.place, pixel.knot, 1);
+                let foot = pixel.foot;
                 let local = image.local(foot.knot);
                 let s = image.first_m + foot.knot * image.spacing_m;
                 let from = |ring: &f64| (s - ring) * local.scale;

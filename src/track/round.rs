@@ -18,7 +18,7 @@ const KNOT_M: f64 = 2e-3;
 /// Prior σ of the shape's parameters: centre and tangent free, curvatures in 1/m, their change in 1/m².
 const CURVATURE_SD: f64 = 30.0;
 const CURVATURE_RATE_SD: f64 = 200.0;
-/// Prior σ of colours about their start (linear light, 1 = white), of the background's gradient per pixel, of shading, cap.
+/// Prior σ of colours about what they look like (linear light, 1 = white), of the background's gradient per pixel, of shading, cap.
 const COLOUR_SD: f64 = 0.15;
 const GRADIENT_SD: f64 = 0.02;
 const SHADING_SD: f64 = 0.2;
@@ -40,7 +40,8 @@ pub(crate) struct Round<'a> {
     pub model: &'a ImageModel,
     /// One a view.
     pub comparisons: Vec<Comparison>,
-    pub start_colours: &'a [Vec<f64>],
+    /// Of each view, by their looks.
+    pub expected_colours: Vec<Vec<f64>>,
     /// Of each view's samples; `None`: as the residuals of the first evaluation have it.
     pub noise: Option<Vec<Noise>>,
 }
@@ -176,14 +177,14 @@ impl Round<'_> {
         let offset = shape.curvatures();
         let prior_gradient = -(prior * offset);
         let mut cost = -offset.dot(&prior_gradient);
-        for ((view, colours), start) in views.iter_mut().zip(colours).zip(self.start_colours) {
-            for (i, (value, start)) in colours.iter().zip(start).enumerate() {
-                // The start keeps a colour near it when hardly a sample shows it.
+        for ((view, colours), expected) in views.iter_mut().zip(colours).zip(&self.expected_colours) {
+            for (i, (value, expected)) in colours.iter().zip(expected).enumerate() {
+                // That keeps a colour in bounds when hardly a sample shows it.
                 let (expected, sd) = match i {
                     GRADIENT..SHADING => (0.0, GRADIENT_SD),
                     SHADING..CAP => (0.0, SHADING_SD),
                     CAP => (1.0, CAP_SD),
-                    _ => (*start, COLOUR_SD),
+                    _ => (*expected, COLOUR_SD),
                 };
                 let (offset, weight) = (value - expected, sd.powi(-2));
                 view.colours[(i, i)] += weight;
