@@ -17,6 +17,7 @@
 use super::light::{Encoding, gauss};
 use super::tube_image::TubeImage;
 use nalgebra::Vector2;
+use wide::{CmpGt, CmpLt, f32x4};
 
 /// Where colours change along the tube.
 #[derive(Debug, Clone, PartialEq)]
@@ -61,14 +62,14 @@ pub(crate) const FIXED: usize = CAP + 1;
 pub(crate) const PER_SEGMENT: usize = 3;
 
 /// √(1−x²) − π/4 ≈ Q0 + Q2 x² + Q4 x⁴ + Q6 x⁶ (least squares over [−1, 1]).
-const Q0: f64 = 0.219_600;
-const Q2: f64 = -0.649_345;
-const Q4: f64 = 0.498_451;
-const Q6: f64 = -0.719_900;
+const Q0: f32 = 0.219_600;
+const Q2: f32 = -0.649_345;
+const Q4: f32 = 0.498_451;
+const Q6: f32 = -0.719_900;
 /// x√(1−x²) ≈ P1 x + P3 x³ + P5 x⁵, likewise.
-const P1: f64 = 0.946_274;
-const P3: f64 = -0.120_801;
-const P5: f64 = -0.664_405;
+const P1: f32 = 0.946_274;
+const P3: f32 = -0.120_801;
+const P5: f32 = -0.664_405;
 
 /// Beyond this many σ from the tube only background is seen.
 const FAR_SIGMAS: f64 = 4.5;
@@ -119,10 +120,10 @@ pub(crate) struct PixelModel {
 /// Weight beyond an edge and its derivatives along u and v (pixels), and with the ring's bulge.
 #[derive(Clone, Copy, Default)]
 struct Edge {
-    weight: f64,
-    d_u: f64,
-    d_v: f64,
-    d_bulge: f64,
+    weight: Lanes,
+    d_u: Lanes,
+    d_v: Lanes,
+    d_bulge: Lanes,
 }
 
 impl Edge {
@@ -133,6 +134,10 @@ impl Edge {
             d_v: self.d_v - other.d_v,
             d_bulge: self.d_bulge - other.d_bulge,
         }
+    }
+
+    fn times(&self, by: Lanes) -> Self {
+        Self { weight: self.weight * by, d_u: self.d_u * by, d_v: self.d_v * by, d_bulge: self.d_bulge * by }
     }
 }
 
@@ -145,98 +150,149 @@ pub(crate) struct Scene<'a> {
     pub encoding: &'a Encoding,
 }
 
+/// Pixels that are evaluated together, one in each lane of a vector.
+pub(crate) const LANES: usize = 4;
+type Lanes = f32x4;
+
+fn lanes(of: impl FnMut(usize) -> f64) -> Lanes {
+    Lanes::new(std::array::from_fn(of).map(|value| value as f32))
+}
+
+/// A pixel's place relative to its nearest ring.
+struct Place {
+    ring: usize,
+    seen: u8,
+    /// The nearest ring is the end of the tube.
+    ends: bool,
+    half: f64,
+    bulge: f64,
+    from_ring: f64,
+}
+
 impl Scene<'_> {
-    /// Evaluates the model at one pixel. `offset` is the pixel's place relative to the patch's middle.
-    pub(crate) fn at(&self, foot: Foot, offset: Vector2<f64>) -> PixelModel {
-        let Self { image, layout, colours, blur_px, encoding } = self;
-        let local = image.local(foot.knot);
-        let (half, u) = (local.half_width, foot.u);
-        let s = image.first_m + foot.knot * image.spacing_m;
-        let ring = layout.nearest_ring(s);
-        let background: [f64; 3] = std::array::from_fn(|c| {
-            colours[BACKGROUND + c] + colours[GRADIENT] * offset.x + colours[GRADIENT + 1] * offset.y
-        });
-        let from_ring = (s - layout.rings_m[ring]) * local.scale;
-        let ends_here = layout.ends && ring + 1 == layout.rings_m.len();
-        let far = FAR_SIGMAS * blur_px;
-        let seen = match (from_ring.abs() - local.bulge.abs() > far, from_ring < 0.0) {
+    fn place(&self, foot: &Foot) -> Place {
+        let local = self.image.local(foot.knot);
+        let (half, bulge) = (local.half_width, local.bulge);
+        let s = self.image.first_m + foot.knot * self.image.spacing_m;
+        let ring = self.layout.nearest_ring(s);
+        let from_ring = (s - self.layout.rings_m[ring]) * local.scale;
+        let ends = self.layout.ends && ring + 1 == self.layout.rings_m.len();
+        let far = FAR_SIGMAS * self.blur_px;
+        let seen = match (from_ring.abs() - bulge.abs() > far, from_ring < 0.0) {
+            _ if foot.u.abs() > half + far => 0,
             (false, _) => RING,
             (true, true) => BEFORE,
-            (true, false) => BEHIND,
+            (true, false) => {
+                if ends {
+                    0
+                } else {
+                    BEHIND
+                }
+            }
         };
-        // Each term is a number of its own plus one times the background's light, one times that of the segment before the
-        // ring, and one times that of the one behind.
-        let mut own = Terms::default();
-        if u.abs() > half + far || (ends_here && seen == BEHIND) {
-            set_background(&mut own, 1.0, offset);
-            let terms = background.map(|light| {
-                let (value, slope) = encoding.encode(light);
-                scaled(own, value, slope)
-            });
-            return PixelModel { terms, ring, seen: 0 };
+        Place { ring, seen, ends, half, bulge, from_ring }
+    }
+
+    /// Evaluates the model at some pixels. `offsets` are their places relative to the patch's middle.
+    pub(crate) fn at(&self, feet: &[Foot; LANES], offsets: &[Vector2<f64>; LANES]) -> [PixelModel; LANES] {
+        let Self { layout, colours, .. } = self;
+        let places = feet.each_ref().map(|foot| self.place(foot));
+        let mut models = places.each_ref().map(|p| PixelModel { ring: p.ring, seen: p.seen, ..PixelModel::default() });
+        let offset = [lanes(|i| offsets[i].x), lanes(|i| offsets[i].y)];
+        let background: [Lanes; 3] = std::array::from_fn(|c| {
+            offset[0] * colours[GRADIENT] as f32
+                + offset[1] * colours[GRADIENT + 1] as f32
+                + colours[BACKGROUND + c] as f32
+        });
+        if places.iter().all(|place| place.seen == 0) {
+            for (c, light) in background.into_iter().enumerate() {
+                let (value, slope) = self.encode(light);
+                let mut terms = [Lanes::ZERO; 16];
+                terms[VALUE] = value;
+                set_background(&mut terms, slope, &offset);
+                store(&mut models, c, &terms);
+            }
+            return models;
         }
 
-        let across = Across::new(u, half, *blur_px);
-        let lit = |shades: &[f64; SHADES]| shades.iter().zip(&colours[SHADING..CAP]).map(|(s, m)| s * m).sum::<f64>();
+        let seen = lanes(|i| f64::from(u8::from(places[i].seen != 0))).cmp_gt(Lanes::ZERO);
+        let (u, half) = (lanes(|i| feet[i].u), lanes(|i| places[i].half));
+        let across = Across::new(u, half, self.blur_px as f32).where_seen(seen);
+        let shades: [f32; SHADES] = std::array::from_fn(|i| colours[SHADING + i] as f32);
+        let lit = |shape: &[Lanes; SHADES]| {
+            shape[0] * shades[0] + shape[1] * shades[1] + shape[2] * shades[2] + shape[3] * shades[3]
+        };
         let (shade, d_shade) = (across.cover + lit(&across.shades), across.d_cover + lit(&across.d_shades));
-        let Edges { before, behind, outline, cap: cap_edge } =
-            Edges::new(u / half, half, from_ring, local.bulge, *blur_px, ends_here);
-        let cap = colours[CAP];
-        let uncovered = 1.0 - across.cover * (1.0 - outline.weight);
-        let first = shade * before.weight + across.cover * cap_edge.weight * cap;
+        let edges = Edges::new(&places, u / half, half, self.blur_px as f32);
+        let Edges { before, behind, outline, cap: cap_edge } = edges;
+        let cap = colours[CAP] as f32;
+        let (capped, d_capped) = (across.cover * cap, across.d_cover * cap);
+        let uncovered = Lanes::ONE - across.cover * (Lanes::ONE - outline.weight);
+        let first = shade * before.weight + capped * cap_edge.weight;
         let second = shade * behind.weight;
-
-        set_background(&mut own, uncovered, offset);
-        own[D_ALBEDO] = first as f32;
-        own[D_ALBEDO + 1] = second as f32;
-        let (mut of_background, mut of_before, mut of_behind) = (Terms::default(), Terms::default(), Terms::default());
-        of_background[D_U] = (across.cover * outline.d_u - across.d_cover * (1.0 - outline.weight)) as f32;
-        of_background[D_V] = (across.cover * outline.d_v) as f32;
-        of_background[D_BULGE] = (across.cover * outline.d_bulge) as f32;
-        let capped = across.cover * cap;
-        let d_capped = across.d_cover * cap;
-        of_before[D_U] =
-            (d_shade * before.weight + shade * before.d_u + d_capped * cap_edge.weight + capped * cap_edge.d_u) as f32;
-        of_before[D_V] = (shade * before.d_v + capped * cap_edge.d_v) as f32;
-        of_before[D_BULGE] = (shade * before.d_bulge + capped * cap_edge.d_bulge) as f32;
-        of_before[D_CAP] = (across.cover * cap_edge.weight) as f32;
-        of_behind[D_U] = (d_shade * behind.weight + shade * behind.d_u) as f32;
-        of_behind[D_V] = (shade * behind.d_v) as f32;
-        of_behind[D_BULGE] = (shade * behind.d_bulge) as f32;
-        for (i, shade) in across.shades.iter().enumerate() {
-            of_before[D_SHADING + i] = (shade * before.weight) as f32;
-            of_behind[D_SHADING + i] = (shade * behind.weight) as f32;
-        }
+        // What light of the background, of the segment before the ring and of the one behind it are multiplied by.
+        let d_u = [
+            across.cover * outline.d_u - across.d_cover * (Lanes::ONE - outline.weight),
+            d_shade * before.weight + shade * before.d_u + d_capped * cap_edge.weight + capped * cap_edge.d_u,
+            d_shade * behind.weight + shade * behind.d_u,
+        ];
+        let d_v = [across.cover * outline.d_v, shade * before.d_v + capped * cap_edge.d_v, shade * behind.d_v];
+        let d_bulge = [
+            across.cover * outline.d_bulge,
+            shade * before.d_bulge + capped * cap_edge.d_bulge,
+            shade * behind.d_bulge,
+        ];
 
         let segments = layout.segments();
-        let colour = |segment: usize, c: usize| {
-            if segment < segments { colours[FIXED + PER_SEGMENT * segment + c] } else { 0.0 }
+        let colour = |k: usize, c: usize| {
+            lanes(|i| {
+                let segment = places[i].ring + k;
+                if segment < segments { colours[FIXED + PER_SEGMENT * segment + c] } else { 0.0 }
+            })
         };
-        let terms = std::array::from_fn(|c| {
-            let (a0, a1) = (colour(ring, c), colour(ring + 1, c));
-            let (value, slope) = encoding.encode(background[c] * uncovered + a0 * first + a1 * second);
-            let lights = [background[c] as f32, a0 as f32, a1 as f32];
-            let sums = std::array::from_fn(|i| {
-                own[i] + of_background[i] * lights[0] + of_before[i] * lights[1] + of_behind[i] * lights[2]
-            });
-            scaled(sums, value, slope)
-        });
-        PixelModel { terms, ring, seen }
+        for c in 0..3 {
+            let lights = [background[c], colour(0, c), colour(1, c)];
+            let sum = |by: &[Lanes; 3]| lights[0] * by[0] + lights[1] * by[1] + lights[2] * by[2];
+            let (value, slope) = self.encode(sum(&[uncovered, first, second]));
+            let mut terms = [Lanes::ZERO; 16];
+            terms[VALUE] = value;
+            terms[D_U] = sum(&d_u) * slope;
+            terms[D_V] = sum(&d_v) * slope;
+            terms[D_BULGE] = sum(&d_bulge) * slope;
+            set_background(&mut terms, uncovered * slope, &offset);
+            let albedo = (lights[1] * before.weight + lights[2] * behind.weight) * slope;
+            for (term, shade) in terms[D_SHADING..].iter_mut().zip(&across.shades) {
+                *term = *shade * albedo;
+            }
+            terms[D_CAP] = across.cover * cap_edge.weight * lights[1] * slope;
+            terms[D_ALBEDO] = first * slope;
+            terms[D_ALBEDO + 1] = second * slope;
+            store(&mut models, c, &terms);
+        }
+        models
+    }
+
+    /// Stored value of light, and its slope.
+    fn encode(&self, light: Lanes) -> (Lanes, Lanes) {
+        let encoded = light.to_array().map(|light| self.encoding.encode(f64::from(light)));
+        (lanes(|i| encoded[i].0), lanes(|i| encoded[i].1))
     }
 }
 
 /// What the background's own parameters change where `uncovered` of it is seen.
-fn set_background(terms: &mut Terms, uncovered: f64, offset: Vector2<f64>) {
-    terms[D_BACKGROUND] = uncovered as f32;
-    terms[D_GRADIENT] = (uncovered * offset.x) as f32;
-    terms[D_GRADIENT + 1] = (uncovered * offset.y) as f32;
+fn set_background(terms: &mut [Lanes; 16], uncovered: Lanes, offset: &[Lanes; 2]) {
+    terms[D_BACKGROUND] = uncovered;
+    terms[D_GRADIENT] = uncovered * offset[0];
+    terms[D_GRADIENT + 1] = uncovered * offset[1];
 }
 
-/// From light to stored units.
-fn scaled(terms: Terms, value: f64, slope: f64) -> Terms {
-    let mut terms = terms.map(|term| term * slope as f32);
-    terms[VALUE] = value as f32;
-    terms
+/// From a vector a term to a row a pixel.
+fn store(models: &mut [PixelModel; LANES], channel: usize, terms: &[Lanes; 16]) {
+    for (k, four) in terms.as_chunks::<4>().0.iter().enumerate() {
+        for (model, row) in models.iter_mut().zip(Lanes::transpose(*four)) {
+            model.terms[channel][4 * k..4 * k + 4].copy_from_slice(row.as_array_ref());
+        }
+    }
 }
 
 /// How much of each part is seen along the tube.
@@ -249,69 +305,91 @@ struct Edges {
 }
 
 impl Edges {
-    /// At x half widths aside of the axis, `from_ring` pixels behind the ring.
-    fn new(x: f64, half: f64, from_ring: f64, bulge: f64, blur_px: f64, ends_here: bool) -> Self {
+    /// At x half widths aside of the axis.
+    fn new(places: &[Place; LANES], x: Lanes, half: Lanes, blur_px: f32) -> Self {
+        let whole = |weight: Lanes| Edge { weight, ..Edge::default() };
+        if places.iter().all(|place| place.seen != RING) {
+            let behind = lanes(|i| f64::from(u8::from(places[i].from_ring > 0.0 && !places[i].ends)));
+            let end = lanes(|i| f64::from(u8::from(places[i].from_ring > 0.0 && places[i].ends)));
+            let before = Lanes::ONE - behind - end;
+            return Self { before: whole(before), behind: whole(behind), outline: whole(end), cap: Edge::default() };
+        }
         // The ring's near side is displaced by `bulge·root`; root is kept off its infinite slope at the outline.
-        let root = (1.0 - x * x).max(0.0).sqrt();
-        let d_root = if x.abs() < 1.0 { -x / half / root.max(0.3) } else { 0.0 };
-        let edge_at = |sign: f64| {
-            let bulge = sign * bulge;
+        let root = (Lanes::ONE - x * x).max(Lanes::ZERO).sqrt();
+        let d_root = x.abs().cmp_lt(Lanes::ONE).blend(-x / (half * root.max(Lanes::splat(0.3))), Lanes::ZERO);
+        let (from_ring, bulge) = (lanes(|i| places[i].from_ring), lanes(|i| places[i].bulge));
+        let edge_at = |bulge: Lanes, sign: Lanes| {
             let (weight, density) = gauss((from_ring - bulge * root) / blur_px);
             let density = density / blur_px;
             Edge { weight, d_u: -density * bulge * d_root, d_v: density, d_bulge: -density * sign * root }
         };
-        let near = edge_at(1.0);
-        let before = Edge { weight: 1.0, ..Edge::default() }.minus(&near);
-        if !ends_here {
+        let near = edge_at(bulge, Lanes::ONE);
+        let before = whole(Lanes::ONE).minus(&near);
+        if places.iter().all(|place| !place.ends) {
             return Self { before, behind: near, outline: Edge::default(), cap: Edge::default() };
         }
         // The tube's silhouette always bulges outwards; where the near edge lies inside it, the cap shows.
-        let outline = if bulge < 0.0 { edge_at(-1.0) } else { near };
-        Self { before, behind: Edge::default(), outline, cap: near.minus(&outline) }
+        let outward = bulge.cmp_lt(Lanes::ZERO).blend(-Lanes::ONE, Lanes::ONE);
+        let end = lanes(|i| f64::from(u8::from(places[i].ends)));
+        let outline = edge_at(bulge.abs(), outward).times(end);
+        let cap = near.times(end).minus(&outline);
+        Self { before, behind: near.times(Lanes::ONE - end), outline, cap }
     }
 }
 
 /// The blurred profile across the tube: coverage, and what m₁ to m₄ multiply, with derivatives along u.
 struct Across {
-    cover: f64,
-    shades: [f64; SHADES],
-    d_cover: f64,
-    d_shades: [f64; SHADES],
+    cover: Lanes,
+    shades: [Lanes; SHADES],
+    d_cover: Lanes,
+    d_shades: [Lanes; SHADES],
 }
 
 impl Across {
-    fn new(u: f64, half: f64, sigma: f64) -> Self {
+    fn new(u: Lanes, half: Lanes, sigma: f32) -> Self {
         let (phi_left, g_left) = gauss((u + half) / sigma);
         let (phi_right, g_right) = gauss((u - half) / sigma);
         let (g_left, g_right) = (g_left / sigma, g_right / sigma);
-        let ratio = (sigma / half).powi(2);
-        let x = u / half;
-        let mut m = [0.0; 7];
+        let per_half = Lanes::ONE / half;
+        let ratio = per_half * per_half * (sigma * sigma);
+        let x = u * per_half;
+        // (σ²/w) of the sum and of the difference of both edges.
+        let (odd_edge, even_edge) = (ratio * half * (g_right - g_left), ratio * half * (g_right + g_left));
+        let mut m = [Lanes::ZERO; 7];
         m[0] = phi_left - phi_right;
-        m[1] = x * m[0] - ratio * half * (g_right - g_left);
+        m[1] = x * m[0] - odd_edge;
         for n in 2..7 {
-            let left = if n % 2 == 1 { g_left } else { -g_left };
-            m[n] = x * m[n - 1] + (n as f64 - 1.0) * ratio * m[n - 2] - ratio * half * (g_right - left);
+            m[n] = x * m[n - 1] + ratio * m[n - 2] * (n as f32 - 1.0) - if n % 2 == 1 { odd_edge } else { even_edge };
         }
         // d Mₙ/du = n Mₙ₋₁/w + (−1)ⁿ g₋ − g₊.
-        let even = |n: usize| n as f64 / half * m[n - 1] + g_left - g_right;
-        let odd = |n: usize| n as f64 / half * m[n - 1] - g_left - g_right;
-        let d_cover = g_left - g_right;
+        let (d_cover, both) = (g_left - g_right, g_left + g_right);
+        let even = |n: usize| per_half * m[n - 1] * n as f32 + d_cover;
+        let odd = |n: usize| per_half * m[n - 1] * n as f32 - both;
         Self {
             cover: m[0],
             shades: [
                 m[1],
-                Q0 * m[0] + Q2 * m[2] + Q4 * m[4] + Q6 * m[6],
-                P1 * m[1] + P3 * m[3] + P5 * m[5],
-                m[2] - m[0] / 3.0,
+                m[0] * Q0 + m[2] * Q2 + m[4] * Q4 + m[6] * Q6,
+                m[1] * P1 + m[3] * P3 + m[5] * P5,
+                m[2] - m[0] * (1.0 / 3.0),
             ],
             d_cover,
             d_shades: [
                 odd(1),
-                Q0 * d_cover + Q2 * even(2) + Q4 * even(4) + Q6 * even(6),
-                P1 * odd(1) + P3 * odd(3) + P5 * odd(5),
-                even(2) - d_cover / 3.0,
+                d_cover * Q0 + even(2) * Q2 + even(4) * Q4 + even(6) * Q6,
+                odd(1) * P1 + odd(3) * P3 + odd(5) * P5,
+                even(2) - d_cover * (1.0 / 3.0),
             ],
+        }
+    }
+
+    /// Nothing of the tube in the other lanes.
+    fn where_seen(self, seen: Lanes) -> Self {
+        Self {
+            cover: self.cover & seen,
+            shades: self.shades.map(|shade| shade & seen),
+            d_cover: self.d_cover & seen,
+            d_shades: self.d_shades.map(|shade| shade & seen),
         }
     }
 }
@@ -336,21 +414,24 @@ mod tests {
     #[test]
     fn the_profile_across_equals_quadrature() {
         let (half, sigma) = (3.1, 0.55);
+        let across = |u: f64| Across::new(lanes(|_| u), lanes(|_| half), sigma as f32);
+        let of = |lanes: Lanes| f64::from(lanes.to_array()[0]);
+        let [q0, q2, q4, q6, p1, p3, p5] = [Q0, Q2, Q4, Q6, P1, P3, P5].map(f64::from);
         for i in -16..=16 {
             let u = f64::from(i) * 0.31;
-            let a = Across::new(u, half, sigma);
+            let a = across(u);
             let shades: [&dyn Fn(f64) -> f64; SHADES] = [
                 &|x| x,
-                &|x| Q0 + Q2 * x.powi(2) + Q4 * x.powi(4) + Q6 * x.powi(6),
-                &|x| P1 * x + P3 * x.powi(3) + P5 * x.powi(5),
+                &|x| q0 + q2 * x.powi(2) + q4 * x.powi(4) + q6 * x.powi(6),
+                &|x| p1 * x + p3 * x.powi(3) + p5 * x.powi(5),
                 &|x| x * x - 1.0 / 3.0,
             ];
-            assert!((a.cover - quadrature(u, half, sigma, |_| 1.0)).abs() < 1e-5);
-            let (lo, hi) = (Across::new(u - 1e-4, half, sigma), Across::new(u + 1e-4, half, sigma));
-            assert!((a.d_cover - (hi.cover - lo.cover) / 2e-4).abs() < 1e-3);
+            assert!((of(a.cover) - quadrature(u, half, sigma, |_| 1.0)).abs() < 1e-5);
+            let (lo, hi) = (across(u - 3e-3), across(u + 3e-3));
+            assert!((of(a.d_cover) - (of(hi.cover) - of(lo.cover)) / 6e-3).abs() < 1e-3);
             for (i, shade) in shades.into_iter().enumerate() {
-                assert!((a.shades[i] - quadrature(u, half, sigma, shade)).abs() < 1e-5);
-                assert!((a.d_shades[i] - (hi.shades[i] - lo.shades[i]) / 2e-4).abs() < 1e-3);
+                assert!((of(a.shades[i]) - quadrature(u, half, sigma, shade)).abs() < 1e-5);
+                assert!((of(a.d_shades[i]) - (of(hi.shades[i]) - of(lo.shades[i])) / 6e-3).abs() < 1e-3);
             }
         }
     }
@@ -377,10 +458,11 @@ mod tests {
 
     #[test]
     fn the_polynomial_is_the_half_circle_on_average() {
+        let [q0, q2, q4, q6] = [Q0, Q2, Q4, Q6].map(f64::from);
         let mean: f64 = (0..2000)
             .map(|i| {
                 let x = -1.0 + (f64::from(i) + 0.5) / 1000.0;
-                (Q0 + Q2 * x.powi(2) + Q4 * x.powi(4) + Q6 * x.powi(6) + std::f64::consts::FRAC_PI_4
+                (q0 + q2 * x.powi(2) + q4 * x.powi(4) + q6 * x.powi(6) + std::f64::consts::FRAC_PI_4
                     - (1.0 - x * x).sqrt())
                     / 2000.0
             })

@@ -1,7 +1,7 @@
 //! The samples of a patch against the image model: residuals and derivatives, their normal equations, and how the residuals
 //! themselves scatter.
 
-use super::appearance::{BEFORE, BEHIND, D_ALBEDO, Layout, PixelModel, RING, Scene};
+use super::appearance::{BEFORE, BEHIND, D_ALBEDO, LANES, Layout, PixelModel, RING, Scene};
 use super::normal::{Bin, Collector, Normal, ROW, Row, Slot, Squares, influence, row};
 use super::patch::{Group, Patch};
 use super::tube::{SHAPE, ShapeBy, ShapeStep};
@@ -56,10 +56,14 @@ impl Comparison {
     pub(crate) fn render(&mut self, scene: &Scene<'_>) {
         self.models.clear();
         let middle = self.patch.middle;
-        self.models.extend(self.patch.pixels.iter_mut().map(|pixel| {
-            pixel.foot = scene.image.foot(&pixel.place, pixel.foot.knot, 1);
-            scene.at(pixel.foot, pixel.place.coords - middle)
-        }));
+        for pixels in self.patch.pixels.chunks_mut(LANES) {
+            pixels.iter_mut().for_each(|pixel| pixel.foot = scene.image.foot(&pixel.place, pixel.foot.knot, 1));
+            // The last lanes may be one pixel's several times.
+            let pixel = |lane: usize| &pixels[lane.min(pixels.len() - 1)];
+            let feet = std::array::from_fn(|lane| pixel(lane).foot);
+            let offsets = std::array::from_fn(|lane| pixel(lane).place.coords - middle);
+            self.models.extend_from_slice(&scene.at(&feet, &offsets)[..pixels.len()]);
+        }
         self.residuals.clear();
         for group in &self.patch.groups {
             for (i, sample) in group.samples.iter().enumerate() {

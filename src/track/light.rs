@@ -1,41 +1,20 @@
-//! Tables for the image model: the Gaussian integral, and the transfer function from linear light to stored R'G'B'.
+//! Functions of the image model: the Gaussian integral, and the transfer function from linear light to stored R'G'B'.
 
 use crate::source::Transfer;
-use std::sync::LazyLock;
+use wide::{CmpLt, f32x4};
 
-/// Nodes per unit, and largest argument, of the Gaussian's table.
-const NODES: f64 = 32.0;
-const REACH: f64 = 5.0;
-
-/// (Φ(z), φ(z)) at the nodes from −REACH to REACH.
-static GAUSS: LazyLock<Vec<(f64, f64)>> = LazyLock::new(|| {
-    let count = (2.0 * REACH * NODES) as usize + 2;
-    (0..count)
-        .map(|i| {
-            let z = i as f64 / NODES - REACH;
-            let density = (-0.5 * z * z).exp() / (2.0 * std::f64::consts::PI).sqrt();
-            (0.5 * libm::erfc(-z * std::f64::consts::FRAC_1_SQRT_2), density)
-        })
-        .collect()
-});
-
-/// Standard normal distribution and density at `z`, to 1e-7 (cubic Hermite between tabulated nodes).
+/// Standard normal distribution and density at `z`, to 3e-7: Abramowitz and Stegun (1964), 7.1.26.
 #[inline]
-pub(crate) fn gauss(z: f64) -> (f64, f64) {
-    let at = (z + REACH) * NODES;
-    if at <= 0.0 {
-        return (0.0, 0.0);
-    }
-    let i = at as usize;
-    let table = &*GAUSS;
-    let (Some(&(p0, d0)), Some(&(p1, d1))) = (table.get(i), table.get(i + 1)) else {
-        return (1.0, 0.0);
-    };
-    let f = at - i as f64;
-    let z0 = i as f64 / NODES - REACH;
-    let z1 = z0 + 1.0 / NODES;
-    (hermite(p0, d0 / NODES, p1, d1 / NODES, f), hermite(d0, -z0 * d0 / NODES, d1, -z1 * d1 / NODES, f))
+pub(crate) fn gauss(z: f32x4) -> (f32x4, f32x4) {
+    let exp = (z * z * -0.5).exp();
+    let t = f32x4::ONE / (z.abs() * (0.327_591_1 * std::f32::consts::FRAC_1_SQRT_2) + 1.0);
+    let polynomial = t * (t * (t * (t * (t * 1.061_405_4 - 1.453_152) + 1.421_413_7) - 0.284_496_74) + 0.254_829_6);
+    let tail = polynomial * exp * 0.5;
+    (z.cmp_lt(f32x4::ZERO).blend(tail, f32x4::ONE - tail), exp * (0.5 * FRAC_2_SQRT_TAU))
 }
+
+/// 2/√(2π).
+const FRAC_2_SQRT_TAU: f32 = std::f32::consts::FRAC_2_SQRT_PI * std::f32::consts::FRAC_1_SQRT_2;
 
 #[inline]
 fn hermite(v0: f64, t0: f64, v1: f64, t1: f64, f: f64) -> f64 {
@@ -112,7 +91,9 @@ mod tests {
     fn gauss_agrees_with_erfc_and_exp() {
         for i in -700..700 {
             let z = f64::from(i) * 0.0101;
-            let (p, d) = gauss(z);
+            let (p, d) = gauss(f32x4::splat(z as f32));
+            let (p, d) = (f64::from(p.to_array()[0]), f64::from(d.to_array()[0]));
+            let z = f64::from(z as f32);
             let exact = 0.5 * libm::erfc(-z / std::f64::consts::SQRT_2);
             let density = (-0.5 * z * z).exp() / (2.0 * std::f64::consts::PI).sqrt();
             assert!((p - exact).abs() < 1e-6, "Φ({z}) = {p}, not {exact}");
