@@ -9,6 +9,7 @@ use super::light::Encoding;
 use super::tube_image::TubeImage;
 use crate::source::Picture;
 use nalgebra::{Point2, Vector2, Vector3};
+use std::ops::Range;
 
 /// Background taken into account on either side of the tube, pixels.
 const MARGIN_PX: f64 = 5.0;
@@ -132,6 +133,12 @@ impl Field {
         Some((Self { corner, width, height, index: vec![None; width * height] }, (low + high) / 2.0))
     }
 
+    /// The columns between two places in the picture.
+    fn columns(&self, (from, to): (f64, f64)) -> Range<usize> {
+        let column = |x: f64| (x - self.corner[0] as f64).clamp(0.0, self.width as f64) as usize;
+        column(from.ceil())..column(to.floor() + 1.0)
+    }
+
     /// The pixel taken at a place relative to the corner.
     fn at(&self, x: i64, y: i64) -> Option<u32> {
         let inside = (0..self.width as i64).contains(&x) && (0..self.height as i64).contains(&y);
@@ -157,32 +164,32 @@ impl Patch {
         let mut patch = Self { middle, pixels: Vec::with_capacity(field.index.len() / 2), groups: Vec::new(), cells };
         let reach = image.greatest_half_width() + MARGIN_PX + image.sagitta();
         let last_bin = image.knots.len() - 2;
-        let mut left: Option<f64> = None;
-        for at in 0..field.index.len() {
-            let (i, j) = (at % field.width, at / field.width);
-            let (x, y) = (field.corner[0] + i as i64, field.corner[1] + j as i64);
-            if density.phase(x, y) != 0 {
-                continue;
-            }
-            let place = Point2::new(x as f64, y as f64);
-            let (start, aside) = image.chord_foot(&place);
-            if aside.abs() > reach {
-                left = None;
-                continue;
-            }
-            // One step from its neighbour's foot is enough.
-            let foot = left.map_or_else(|| image.foot(&place, start, 3), |left| image.foot(&place, left, 1));
-            left = Some(foot.knot);
-            let outside = foot.u.abs() - image.local(foot.knot).half_width;
-            if foot.knot >= range.0 && foot.knot <= range.1 && outside <= MARGIN_PX {
-                field.index[at] = Some(patch.pixels.len() as u32);
-                patch.pixels.push(Pixel {
-                    place,
-                    foot,
-                    bin: (foot.knot.max(0.0) as usize).min(last_bin),
-                    cell: j / CELL_PX * across + i / CELL_PX,
-                    near: outside <= NEAR_PX,
-                });
+        for j in 0..field.height {
+            let y = field.corner[1] + j as i64;
+            // One step from the neighbour's foot is enough.
+            let mut left = None;
+            for i in field.columns(image.strip(y as f64, reach)) {
+                let x = field.corner[0] + i as i64;
+                if density.phase(x, y) != 0 {
+                    continue;
+                }
+                let place = Point2::new(x as f64, y as f64);
+                let foot = match left {
+                    Some(knot) => image.foot(&place, knot, 1),
+                    None => image.foot(&place, image.chord_foot(&place).0, 3),
+                };
+                left = Some(foot.knot);
+                let outside = foot.u.abs() - image.local(foot.knot).half_width;
+                if foot.knot >= range.0 && foot.knot <= range.1 && outside <= MARGIN_PX {
+                    field.index[j * field.width + i] = Some(patch.pixels.len() as u32);
+                    patch.pixels.push(Pixel {
+                        place,
+                        foot,
+                        bin: (foot.knot.max(0.0) as usize).min(last_bin),
+                        cell: j / CELL_PX * across + i / CELL_PX,
+                        near: outside <= NEAR_PX,
+                    });
+                }
             }
         }
         let channels: Vec<usize> = (0..picture.format().channels()).collect();

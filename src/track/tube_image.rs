@@ -59,10 +59,15 @@ impl TubeImage {
     ) -> Result<Self, NoRay> {
         let steps = ((range.1 - range.0) / spacing_m).ceil().max(1.0);
         let spacing_m = (range.1 - range.0) / steps;
+        let mut beside = None;
         let knots: Vec<Knot> = (0..=steps as usize)
             .map(|i| {
                 let (point, direction, d) = shape.at(range.0 + i as f64 * spacing_m);
-                let seen = optics.project_with_jacobian(&point)?;
+                let seen = match &beside {
+                    Some(beside) => optics.project_beside(&point, beside)?,
+                    None => optics.project_with_jacobian(&point)?,
+                };
+                beside = Some(seen);
                 let along: Vector2<f64> = seen.d_pixel * direction;
                 let unit = along.normalize();
                 // The outline is where the line of sight grazes the tube: across both. The nearest side faces the camera.
@@ -153,6 +158,14 @@ impl TubeImage {
         let off = pixel - a.pixel;
         let knot = off.dot(&chord) / chord.norm_squared() * (self.knots.len() - 1) as f64;
         (knot, (chord.x * off.y - chord.y * off.x) / chord.norm())
+    }
+
+    /// From where to where a row of the picture is within `reach` pixels of that line.
+    pub(crate) fn strip(&self, y: f64, reach: f64) -> (f64, f64) {
+        let (a, b) = (&self.knots[0], &self.knots[self.knots.len() - 1]);
+        let chord = b.pixel - a.pixel;
+        let (middle, half) = (a.pixel.x + chord.x / chord.y * (y - a.pixel.y), (chord.norm() * reach / chord.y).abs());
+        if middle.is_finite() && half.is_finite() { (middle - half, middle + half) } else { (f64::MIN, f64::MAX) }
     }
 
     /// Greatest distance of the axis from the straight line between its ends, pixels.
