@@ -94,19 +94,21 @@ fn unmodelled(
     error: &ModelError,
 ) -> SMatrix<f64, SHAPE, 3> {
     let mut modes = SMatrix::<f64, SHAPE, 3>::zeros();
-    let reach = (stretch.range_m.1 - stretch.range_m.0) / 2.0;
     let knot = image.at_arc(0.0);
     let along = knot.along / knot.scale;
     let across = Vector2::new(-along.y, along.x);
     let along_error_px = if stretch.at_clamp { error.along_at_clamp_px } else { error.along_px };
     modes.fixed_view_mut::<3, 1>(0, 0).copy_from(&(point_from_pixel * along * along_error_px));
     modes.fixed_view_mut::<3, 1>(0, 1).copy_from(&(point_from_pixel * across * error.across_px));
-    // d pixel / d tangent at the distance `reach` is that of a point moved by `reach` times the change of tangent. Of all
+    // d pixel / d tangent some way along the tube is that of a point moved by so much times the change of tangent. Of all
     // changes that turn the image this far, the least: the tube need not lean towards the camera for it.
-    let turned = image.at_arc(reach.min(stretch.range_m.1));
+    let half = (stretch.range_m.1 - stretch.range_m.0) / 2.0;
+    let reach = half.min(stretch.range_m.1);
+    let turned = image.at_arc(reach);
+    let turn_px = error.turn_px * turned.arc_m / reach;
     let turns = turned.d_pixel.fixed_view::<2, 2>(0, 3).transpose() * across;
     if turns.norm_squared() > 0.0 {
-        modes.fixed_view_mut::<2, 1>(3, 2).copy_from(&(turns * (error.turn_px / turns.norm_squared())));
+        modes.fixed_view_mut::<2, 1>(3, 2).copy_from(&(turns * (turn_px / turns.norm_squared())));
     }
     modes
 }

@@ -23,8 +23,8 @@ use nalgebra::{Matrix2, SMatrix, Vector2};
 /// The first round ends when a step lowers the cost (a χ²) by less than this: the next would lower it by less than what the
 /// other half of the samples moves.
 const SETTLED: f64 = 300.0;
-/// So does the second: what remains after it is less than a thousandth.
-const ENOUGH: f64 = 2.0;
+/// So does the second: what remains after that step is a hundredth.
+const ENOUGH: f64 = 10.0;
 
 /// Why there is no fit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

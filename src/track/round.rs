@@ -14,7 +14,7 @@ use crate::source::Picture;
 use nalgebra::{DVector, SMatrix};
 
 /// Distance of the knots along the tube, metres.
-const KNOT_M: f64 = 2e-3;
+const KNOT_M: f64 = 3e-3;
 /// Prior σ of the shape's parameters: centre and tangent free, curvatures in 1/m, their change in 1/m².
 const CURVATURE_SD: f64 = 30.0;
 const CURVATURE_RATE_SD: f64 = 200.0;

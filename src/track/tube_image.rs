@@ -13,6 +13,8 @@ pub(crate) const LOCAL: usize = 3;
 /// Image of one point of the centre line.
 #[derive(Debug, Clone)]
 pub(crate) struct Knot {
+    /// Arc length, metres.
+    pub arc_m: f64,
     /// Pixel.
     pub pixel: Point2<f64>,
     /// d pixel / d s, pixels per metre.
@@ -62,7 +64,8 @@ impl TubeImage {
         let mut beside = None;
         let knots: Vec<Knot> = (0..=steps as usize)
             .map(|i| {
-                let (point, direction, d) = shape.at(range.0 + i as f64 * spacing_m);
+                let arc_m = range.0 + i as f64 * spacing_m;
+                let (point, direction, d) = shape.at(arc_m);
                 let seen = match &beside {
                     Some(beside) => optics.project_beside(&point, beside)?,
                     None => optics.project_with_jacobian(&point)?,
@@ -79,7 +82,7 @@ impl TubeImage {
                 let half_width = (half.x * unit.y - half.y * unit.x).abs();
                 let bulge = (seen.d_pixel * near * radius_m).dot(&unit);
                 // Moving along the line of sight moves no pixel: bulge = radius · |along| · cos / sin of the angle between.
-                let d_direction = shape.d_direction(range.0 + i as f64 * spacing_m);
+                let d_direction = shape.d_direction(arc_m);
                 let (cos, sin) = (direction.dot(&sight), direction.cross(&sight).norm());
                 let d_bulge = (sight.transpose() * d_direction * (along.norm() / sin.powi(3))
                     + unit.transpose() * seen.d_pixel * d_direction * (cos / sin))
@@ -87,6 +90,7 @@ impl TubeImage {
                 let d_pixel = seen.d_pixel * d;
                 let across = Vector2::new(-unit.y, unit.x);
                 Ok(Knot {
+                    arc_m,
                     pixel: seen.pixel,
                     along,
                     scale: along.norm(),
