@@ -7,11 +7,13 @@ use super::equations::Eliminated;
 use super::fit::{NoFit, TubeFit, ViewFit};
 use super::image_model::ModelError;
 use super::normal::{Normal, Squares};
-use super::round::{Guess, LEAST_NOISE, Minimum, Round, shape_prior};
+use super::round::{Guess, Minimum, Round, shape_prior};
 use super::stretch::Stretch;
 use super::tube::{SHAPE, ShapeStep};
 use super::tube_image::TubeImage;
+use super::view::LEAST_NOISE;
 use nalgebra::{Matrix2, Matrix3x2, SMatrix, Vector2};
+use rayon::prelude::*;
 
 impl Round<'_> {
     /// Covariance of the shape, and what each view alone would say.
@@ -24,13 +26,12 @@ impl Round<'_> {
         let plain = information.cholesky().ok_or(NoFit::NotConverged)?.inverse();
         // The priors' own share of the information is not in the residuals.
         let mut covariance = plain * shape_prior() * plain;
-        let noise = self.noise.as_deref().unwrap_or_default();
-        for (((comparison, noise), image), view) in
-            self.comparisons.iter().zip(noise).zip(&state.guess.images).zip(&seen)
-        {
-            let of_colours = -plain * &view.following;
-            covariance += comparison.scatter(image, &self.stretch.layout, noise, &plain, &of_colours);
-        }
+        let compared = self.views.par_iter().zip(&state.guess.images).zip(&seen);
+        let scatter = compared.map(|((view, image), eliminated)| {
+            let of_colours = -plain * &eliminated.following;
+            view.comparison.scatter(image, &self.stretch.layout, &view.noise, &plain, &of_colours)
+        });
+        covariance += scatter.collect::<Vec<_>>().into_iter().sum::<SMatrix<f64, SHAPE, SHAPE>>();
         let Guess { shape, colours, images } = end;
         let points: Vec<_> = images.iter().map(point_from_pixel).collect();
         for (((image, point), view), normal) in images.iter().zip(&points).zip(&seen).zip(normals) {

@@ -3,25 +3,26 @@
 //! In: where the bands are to a few tenths of a pixel. Out: centre line with covariance, and what each view says.
 //! Unknown are the shape (tube.rs, common to all views) and the colours of each view (appearance.rs); all samples of all
 //! views are compared with the model in one minimisation (round.rs), so that what one view cannot see another
-//! decides, through the refracted rays. Two rounds: the first settles the shape on every second pixel with a stated noise,
+//! decides, through the refracted rays. Two rounds: the first settles the shape on every fifth pixel with a stated noise,
 //! the second selects all samples anew and weighs them by the noise that they show.
 //!
 //! Assumptions, each a weak prior that enters the covariance (covariance.rs): curvature below 30 /m, changing by less than
 //! 200 /m per metre below the coil.
 
-use super::compare::Comparison;
 use super::image_model::ImageModel;
-use super::patch::{Density, Patch};
-use super::round::{Guess, Round, start_noise};
+use super::patch::Density;
+use super::round::{Guess, Round};
 use super::stretch::Stretch;
 use super::tube::{SHAPE, TubeShape};
 use super::tube_image::TubeImage;
+use super::view::{View, Weighing};
 use crate::optics::OpticalPath;
 use crate::source::Picture;
 use nalgebra::{Matrix2, SMatrix, Vector2};
+use rayon::prelude::*;
 
 /// The first round ends when a step lowers the cost (a χ²) by less than this: the next would lower it by less than what the
-/// other half of the samples moves.
+/// other samples move.
 const SETTLED: f64 = 300.0;
 /// So does the second: what remains after that step is a hundredth.
 const ENOUGH: f64 = 10.0;
@@ -66,23 +67,18 @@ pub(crate) fn fit(
     paths: &[&OpticalPath],
     model: &ImageModel,
 ) -> Result<TubeFit, NoFit> {
-    let round = |guess: &Guess, density: Density| {
-        let patch = |image| Patch::select(picture, image, stretch.range_m, model.chroma_offset_px, density);
-        let patches = guess.images.iter().map(patch).collect::<Option<Vec<_>>>()?;
-        let seen = patches.iter().zip(&guess.images);
-        let colours = seen.map(|(patch, image)| patch.colours(picture, image, &stretch.layout, &model.encoding));
-        let expected_colours = colours.collect::<Option<Vec<_>>>()?;
-        let comparisons = patches.into_iter().map(Comparison::new).collect();
-        Some(Round { stretch, paths, picture, model, comparisons, expected_colours, noise: None })
+    let round = |guess: &Guess, how: (Density, Weighing)| {
+        let select = |image| View::select(stretch, image, picture, model, how).ok_or(NoFit::OutOfPicture);
+        let views = guess.images.par_iter().map(select).collect::<Result<Vec<_>, _>>()?;
+        Ok(Round { stretch, paths, picture, model, views })
     };
     // 1. settle
     let mut guess = Guess::new(stretch, paths, start.clone(), Vec::new())?;
-    let mut settling = round(&guess, Density::Fifth).ok_or(NoFit::OutOfPicture)?;
-    settling.noise = Some(vec![start_noise(picture); paths.len()]);
-    guess.colours.clone_from(&settling.expected_colours);
+    let mut settling = round(&guess, (Density::Fifth, Weighing::Stated))?;
+    guess.colours = settling.views.iter().map(|view| view.expected_colours.clone()).collect();
     let settled = settling.minimise(guess, SETTLED)?.end;
     // 2. measure
-    let mut measuring = round(&settled, Density::All).ok_or(NoFit::OutOfPicture)?;
+    let mut measuring = round(&settled, (Density::All, Weighing::Own))?;
     let minimum = measuring.minimise(settled, ENOUGH)?;
     measuring.conclude(minimum)
 }

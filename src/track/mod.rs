@@ -22,6 +22,7 @@ mod tracker;
 mod triangulate;
 mod tube;
 mod tube_image;
+mod view;
 
 pub use coil::deflection;
 pub use drift::{Drift, DriftAlarm, Drifted};
