@@ -86,7 +86,8 @@ pub(crate) struct Foot {
 /// What the model predicts of one channel (R, G or B) at a pixel, and its derivatives: all multiplied by the slope of the
 /// transfer function, so that sums with a stored channel's weights are derivatives of stored values. Single precision is a
 /// hundred thousandth of a stored unit; the last two are there to fill whole vectors.
-pub(crate) type Terms = [f32; 16];
+pub(crate) type Terms = [f32; TERMS];
+pub(crate) const TERMS: usize = 16;
 pub(crate) const VALUE: usize = 0;
 /// Along u (across the tube) and v (along it), per pixel.
 pub(crate) const D_U: usize = 1;
@@ -207,7 +208,7 @@ impl Scene<'_> {
         if places.iter().all(|place| place.seen == 0) {
             for (c, light) in background.into_iter().enumerate() {
                 let (value, slope) = self.encode(light);
-                let mut terms = [Lanes::ZERO; 16];
+                let mut terms = [Lanes::ZERO; TERMS];
                 terms[VALUE] = value;
                 set_background(&mut terms, slope, &offset);
                 store(&mut models, c, &terms);
@@ -254,7 +255,7 @@ impl Scene<'_> {
             let lights = [background[c], colour(0, c), colour(1, c)];
             let sum = |by: &[Lanes; 3]| lights[0] * by[0] + lights[1] * by[1] + lights[2] * by[2];
             let (value, slope) = self.encode(sum(&[uncovered, first, second]));
-            let mut terms = [Lanes::ZERO; 16];
+            let mut terms = [Lanes::ZERO; TERMS];
             terms[VALUE] = value;
             terms[D_U] = sum(&d_u) * slope;
             terms[D_V] = sum(&d_v) * slope;
@@ -274,20 +275,20 @@ impl Scene<'_> {
 
     /// Stored value of light, and its slope.
     fn encode(&self, light: Lanes) -> (Lanes, Lanes) {
-        let encoded = light.to_array().map(|light| self.encoding.encode(f64::from(light)));
-        (lanes(|i| encoded[i].0), lanes(|i| encoded[i].1))
+        let encoded = light.to_array().map(|light| self.encoding.encode(light));
+        (Lanes::new(encoded.map(|e| e.0)), Lanes::new(encoded.map(|e| e.1)))
     }
 }
 
 /// What the background's own parameters change where `uncovered` of it is seen.
-fn set_background(terms: &mut [Lanes; 16], uncovered: Lanes, offset: &[Lanes; 2]) {
+fn set_background(terms: &mut [Lanes; TERMS], uncovered: Lanes, offset: &[Lanes; 2]) {
     terms[D_BACKGROUND] = uncovered;
     terms[D_GRADIENT] = uncovered * offset[0];
     terms[D_GRADIENT + 1] = uncovered * offset[1];
 }
 
 /// From a vector a term to a row a pixel.
-fn store(models: &mut [PixelModel; LANES], channel: usize, terms: &[Lanes; 16]) {
+fn store(models: &mut [PixelModel; LANES], channel: usize, terms: &[Lanes; TERMS]) {
     for (k, four) in terms.as_chunks::<4>().0.iter().enumerate() {
         for (model, row) in models.iter_mut().zip(Lanes::transpose(*four)) {
             model.terms[channel][4 * k..4 * k + 4].copy_from_slice(row.as_array_ref());

@@ -35,6 +35,13 @@ impl Residual {
         let z = self.value.abs() / sigma;
         (z, (HUBER / z.max(HUBER)) / (sigma * sigma))
     }
+
+    fn add_square(&self, noise: &Noise, squares: &mut Squares) {
+        let (total, count) = &mut squares[self.channel][self.class];
+        let most = HUBER * noise[self.channel][self.class];
+        *total += self.value.powi(2).min(most * most);
+        *count += 1;
+    }
 }
 
 /// A patch compared with the model.
@@ -128,26 +135,21 @@ impl Comparison {
     /// Sums of squares of the residuals; outliers, judged by `noise`, must not raise the noise that they are judged by.
     pub(crate) fn squares(&self, noise: &Noise) -> Squares {
         let mut squares = Squares::default();
-        for residual in &self.residuals {
-            let (total, count) = &mut squares[residual.channel][residual.class];
-            let most = HUBER * noise[residual.channel][residual.class];
-            *total += residual.value.powi(2).min(most * most);
-            *count += 1;
-        }
+        self.residuals.iter().for_each(|residual| residual.add_square(noise, &mut squares));
         squares
     }
 
     /// Normal equations of the rendered model.
     pub(crate) fn normal(&mut self, image: &TubeImage, layout: &Layout, noise: &Noise) -> Normal {
         let mut sums = Collector::new(image, layout, &mut self.bins);
-        let mut cost = 0.0;
+        let (mut cost, mut squares) = (0.0, Squares::default());
         for residual in &self.residuals {
             let (z, weight) = residual.weighed(noise);
             sums.add(residual.slot, &residual.row, residual.value, weight);
+            residual.add_square(noise, &mut squares);
             cost += if z <= HUBER { z * z } else { HUBER * (2.0 * z - HUBER) };
         }
-        let normal = sums.finish();
-        Normal { cost, squares: self.squares(noise), ..normal }
+        Normal { cost, squares, ..sums.finish() }
     }
 
     /// Covariance of J'Wr as the residuals themselves show it: products of the sums over cells, which keeps what

@@ -16,42 +16,40 @@ pub(crate) fn gauss(z: f32x4) -> (f32x4, f32x4) {
 /// 2/√(2π).
 const FRAC_2_SQRT_TAU: f32 = std::f32::consts::FRAC_2_SQRT_PI * std::f32::consts::FRAC_1_SQRT_2;
 
-#[inline]
-fn hermite(v0: f64, t0: f64, v1: f64, t1: f64, f: f64) -> f64 {
-    let g = 1.0 - f;
-    let rise = v1 - v0;
-    g * v0 + f * v1 + f * g * (g * (t0 - rise) - f * (t1 - rise))
-}
-
 /// Linear light (0 black, 1 white) to stored R'G'B' (0..255) and back.
 #[derive(Debug)]
 pub(crate) struct Encoding {
     transfer: Transfer,
     /// (value, slope per unit of light) at multiples of 1/STEPS.
-    table: Vec<(f64, f64)>,
+    table: Vec<(f32, f32)>,
 }
 
 /// Table nodes per unit of light, and the brightest light tabulated.
-const STEPS: f64 = 2048.0;
-const BRIGHTEST: f64 = 1.5;
+const STEPS: f32 = 2048.0;
+const BRIGHTEST: f32 = 1.5;
 
 impl Encoding {
     pub(crate) fn new(transfer: Transfer) -> Self {
-        let table = (0..=(STEPS * BRIGHTEST) as usize).map(|i| encode(transfer, i as f64 / STEPS)).collect();
-        Self { transfer, table }
+        let node = |i: usize| encode(transfer, i as f64 / f64::from(STEPS));
+        let single = |(value, slope): (f64, f64)| (value as f32, slope as f32);
+        Self { transfer, table: (0..=(STEPS * BRIGHTEST) as usize).map(|i| single(node(i))).collect() }
     }
 
-    /// Stored value and its slope per unit of light.
+    /// Stored value and its slope per unit of light. Between nodes the slope changes linearly.
     #[inline]
-    pub(crate) fn encode(&self, light: f64) -> (f64, f64) {
+    pub(crate) fn encode(&self, light: f32) -> (f32, f32) {
         let at = light.max(0.0) * STEPS;
         let i = at as usize;
         match (self.table.get(i), self.table.get(i + 1)) {
-            (Some(&(v0, s0)), Some(&(v1, s1))) => {
-                let f = at - i as f64;
-                (hermite(v0, s0 / STEPS, v1, s1 / STEPS, f), s0 + (s1 - s0) * f)
+            (Some(&(value, slope)), Some(&(_, next))) => {
+                let f = at - i as f32;
+                let change = (next - slope) * f;
+                (value + (slope + 0.5 * change) * f * (1.0 / STEPS), slope + change)
             }
-            _ => encode(self.transfer, light),
+            _ => {
+                let (value, slope) = encode(self.transfer, f64::from(light));
+                (value as f32, slope as f32)
+            }
         }
     }
 
@@ -106,11 +104,15 @@ mod tests {
         // BT.709: 1.099·0.5^0.45 − 0.099 = 0.70551; sRGB: 1.055·0.5^(1/2.4) − 0.055 = 0.73536.
         for (transfer, expected) in [(Transfer::Bt709, 0.70551), (Transfer::Srgb, 0.73536), (Transfer::Linear, 0.5)] {
             let encoding = Encoding::new(transfer);
-            assert!((encoding.encode(0.5).0 / 255.0 - expected).abs() < 1e-4);
+            assert!((f64::from(encoding.encode(0.5).0) / 255.0 - expected).abs() < 1e-4);
             for light in [0.001, 0.01, 0.0175, 0.05, 0.3, 0.99, 2.0] {
-                let (value, slope) = encoding.encode(light);
+                let encode = |light: f64| {
+                    let (value, slope) = encoding.encode(light as f32);
+                    (f64::from(value), f64::from(slope))
+                };
+                let (value, slope) = encode(light);
                 assert!((encoding.decode(value) - light).abs() < 2e-5 * (1.0 + light), "{transfer:?} {light}");
-                let step = encoding.encode(light + 1e-4).0 - value;
+                let step = encode(light + 1e-4).0 - value;
                 assert!((step / 1e-4 - slope).abs() < 0.03 * slope + 1.0, "{transfer:?} {light}: {step} {slope}");
             }
         }

@@ -8,7 +8,7 @@
 
 use super::appearance::{
     BACKGROUND, BEFORE, CAP, D_ALBEDO, D_BACKGROUND, D_BULGE, D_CAP, D_GRADIENT, D_SHADING, D_U, D_V, FIXED, GRADIENT,
-    Layout, PER_SEGMENT, RING, SHADES, SHADING, Terms, VALUE,
+    Layout, PER_SEGMENT, RING, SHADES, SHADING, TERMS, Terms, VALUE,
 };
 use super::tube::{SHAPE, ShapeBy, ShapeStep};
 use super::tube_image::TubeImage;
@@ -34,7 +34,10 @@ const ROW_BULGE: usize = ROW_ALONG + 2;
 /// The row of a stored channel, a sum of R'G'B' with `weights`, and that sum; `f` is the fraction of the way from the first
 /// knot to the second.
 pub(crate) fn row(terms: &[Terms; 3], weights: &[f32; 3], f: f32) -> (Row, f32) {
-    let sum: Terms = std::array::from_fn(|i| (0..3).map(|c| weights[c] * terms[c][i]).sum());
+    let mut sum = [0.0; TERMS];
+    for (terms, weight) in terms.iter().zip(weights) {
+        sum.iter_mut().zip(terms).for_each(|(sum, term)| *sum += weight * term);
+    }
     let mut row = [0.0; ROW];
     for (at, term, sign) in [(ROW_ACROSS, D_U, -1.0), (ROW_ALONG, D_V, -1.0), (ROW_BULGE, D_BULGE, 1.0)] {
         row[at] = sign * sum[term] * (1.0 - f);
@@ -135,18 +138,20 @@ impl Normal {
         block: &mut Block<N>,
         at: [usize; S],
         moves: &SMatrix<f64, SHAPE, S>,
-        colours: &[(usize, usize)],
+        colours: impl Iterator<Item = (usize, usize)> + Clone,
     ) {
         block.flush();
         let sum = |i: usize, j: usize| f64::from(block.hessian[i.min(j)][i.max(j)]);
         let gradient = |i: usize| f64::from(block.gradient[i]);
         self.shape += moves * SMatrix::<f64, S, S>::from_fn(|i, j| sum(at[i], at[j])) * moves.transpose();
         self.shape_gradient += moves * SVector::<f64, S>::from_fn(|i, _| gradient(at[i]));
-        for (n, &(i, colour)) in colours.iter().enumerate() {
+        let mut rest = colours;
+        while let Some((i, colour)) = rest.next() {
+            self.colours[(colour, colour)] += sum(i, i);
             self.colour_gradient[colour] += gradient(i);
             let mut column = self.cross.column_mut(colour);
             column += moves * SVector::<f64, S>::from_fn(|k, _| sum(at[k], i));
-            for &(j, other) in &colours[n..] {
+            for (j, other) in rest.clone() {
                 self.colours[(colour.max(other), colour.min(other))] += sum(i, j);
             }
         }
@@ -220,15 +225,13 @@ pub(crate) struct Bin {
 impl Bin {
     fn empty_into(&mut self, normal: &mut Normal, image: &TubeImage, at: usize, layout: &Layout) {
         let moves = moves(image, at);
-        let colours = |ring: usize, end: usize| -> Vec<(usize, usize)> {
-            (0..end).filter_map(|i| Some((i, colour(i, ring, layout)?))).collect()
-        };
+        let colours = |ring: usize, end: usize| (0..end).filter_map(move |i| Some((i, colour(i, ring, layout)?)));
         if self.at_ring.used {
-            normal.take(&mut self.at_ring, MOVES, &moves, &colours(self.ring, ROW));
+            normal.take(&mut self.at_ring, MOVES, &moves, colours(self.ring, ROW));
         }
         for (side, block) in self.plain.iter_mut().enumerate().filter(|(_, block)| block.used) {
             let moves = moves.fixed_columns::<{ PLAIN_MOVES.len() }>(0).into_owned();
-            normal.take(block, PLAIN_MOVES, &moves, &colours(self.ring + side, ROW_BEHIND));
+            normal.take(block, PLAIN_MOVES, &moves, colours(self.ring + side, ROW_BEHIND));
         }
     }
 }

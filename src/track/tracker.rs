@@ -272,7 +272,7 @@ impl Tracker {
     fn separation(&self, group: &Group, member: usize, colours: &[f64]) -> f64 {
         let Some(model) = self.rig.markers[group.members[member].0].colour else { return 0.0 };
         let score = |at: usize| {
-            let rgb = Vector3::from_fn(|c, _| self.model.encoding.encode(colours[at + c]).0);
+            let rgb = Vector3::from_fn(|c, _| f64::from(self.model.encoding.encode(colours[at + c] as f32).0));
             model.weights.dot(&rgb) + model.bias
         };
         let segment = |j: usize| FIXED + PER_SEGMENT * j;

@@ -192,8 +192,8 @@ impl TubeImage {
             knot += (pixel - at).dot(&d) / d.norm_squared();
         }
         let (at, d) = self.axis(knot);
-        let (off, squared) = (pixel - at, d.norm_squared());
-        Foot { knot: knot + off.dot(&d) / squared, u: (d.x * off.y - d.y * off.x) / squared.sqrt() }
+        let (off, per_length) = (pixel - at, 1.0 / d.norm());
+        Foot { knot: knot + off.dot(&d) * per_length * per_length, u: (d.x * off.y - d.y * off.x) * per_length }
     }
 
     /// Knot coordinate of an arc length.
