@@ -50,27 +50,32 @@ pub(crate) struct Comparison {
     models: Vec<PixelModel>,
     residuals: Vec<Residual>,
     bins: Vec<Bin>,
+    /// The pixels' feet are those on the image that they were selected by.
+    fresh: bool,
 }
 
 impl Comparison {
     pub(crate) fn new(patch: Patch) -> Self {
         let values = patch.groups.iter().map(|group| group.samples.len() * group.channels.len()).sum();
         let models = Vec::with_capacity(patch.pixels.len());
-        Self { patch, models, residuals: Vec::with_capacity(values), bins: Vec::new() }
+        Self { patch, models, residuals: Vec::with_capacity(values), bins: Vec::new(), fresh: true }
     }
 
-    /// Evaluates the model at all pixels, and compares it with all samples.
+    /// Evaluates the model at all pixels, and compares it with all samples. The first image is that of the selection.
     pub(crate) fn render(&mut self, scene: &Scene<'_>) {
         self.models.clear();
         let middle = self.patch.middle;
         for pixels in self.patch.pixels.chunks_mut(LANES) {
-            pixels.iter_mut().for_each(|pixel| pixel.foot = scene.image.foot(&pixel.place, pixel.foot.knot, 1));
+            if !self.fresh {
+                pixels.iter_mut().for_each(|pixel| pixel.foot = scene.image.foot(&pixel.place, pixel.foot.knot, 1));
+            }
             // The last lanes may be one pixel's several times.
             let pixel = |lane: usize| &pixels[lane.min(pixels.len() - 1)];
             let feet = std::array::from_fn(|lane| pixel(lane).foot);
             let offsets = std::array::from_fn(|lane| pixel(lane).place.coords - middle);
             self.models.extend_from_slice(&scene.at(&feet, &offsets)[..pixels.len()]);
         }
+        self.fresh = false;
         self.residuals.clear();
         for group in &self.patch.groups {
             for (i, sample) in group.samples.iter().enumerate() {

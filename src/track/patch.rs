@@ -7,7 +7,7 @@
 use super::appearance::{BACKGROUND, CAP, FIXED, Foot, Layout, PER_SEGMENT};
 use super::light::Encoding;
 use super::tube_image::TubeImage;
-use crate::source::Picture;
+use crate::source::{Picture, Plane};
 use nalgebra::{Point2, Vector2, Vector3};
 use std::ops::Range;
 
@@ -146,6 +146,30 @@ impl Field {
     }
 }
 
+/// Which pixels around a subsampled channel's sample it is made of: offsets and weights, the middle pixel first. One list for
+/// each phase that the sample may have in the pattern of the pixels that are taken.
+fn neighbourhoods(plane: &Plane<'_>, chroma_offset_px: [f64; 2], density: Density) -> Vec<Vec<(i64, i64, f32)>> {
+    let axis_taps = |axis: usize| -> Vec<(i64, f64)> {
+        let scale = f64::from(plane.scale[axis]);
+        if plane.scale[axis] == 1 {
+            return vec![(0, 1.0)];
+        }
+        let place = plane.offset[axis] + chroma_offset_px[axis];
+        let weight = |d: i64| (1.0 - (d as f64 - place).abs() / scale).max(0.0);
+        let span = ((place - scale).floor() as i64)..=((place + scale).ceil() as i64);
+        span.filter(|&d| weight(d) > 0.0).map(|d| (d, weight(d))).collect()
+    };
+    let (across, down) = (axis_taps(0), axis_taps(1));
+    let neighbourhood = |phase: i64| {
+        let all = down.iter().flat_map(|&(dy, wy)| across.iter().map(move |&(dx, wx)| (dx, dy, wx * wy)));
+        let mut taken: Vec<_> = all.filter(|&(dx, dy, _)| density.phase(dx + phase, dy) == 0).collect();
+        taken.sort_by(|a, b| b.2.total_cmp(&a.2));
+        let sum: f64 = taken.iter().map(|tap| tap.2).sum();
+        taken.into_iter().map(|(dx, dy, weight)| (dx, dy, (weight / sum) as f32)).collect()
+    };
+    (0..density.period()).map(neighbourhood).collect()
+}
+
 impl Patch {
     /// Selects the samples beside the tube and on it between the arc lengths `range_m`.
     ///
@@ -211,63 +235,53 @@ impl Patch {
     ) -> Option<()> {
         let planes = channels.iter().map(|&c| picture.plane(c)).collect::<Option<Vec<_>>>()?;
         let plane = planes.first()?;
-        let axis_taps = |axis: usize| -> Vec<(i64, f64)> {
-            let scale = f64::from(plane.scale[axis]);
-            if plane.scale[axis] == 1 {
-                return vec![(0, 1.0)];
-            }
-            let place = plane.offset[axis] + chroma_offset_px[axis];
-            let weight = |d: i64| (1.0 - (d as f64 - place).abs() / scale).max(0.0);
-            let span = ((place - scale).floor() as i64)..=((place + scale).ceil() as i64);
-            span.filter(|&d| weight(d) > 0.0).map(|d| (d, weight(d))).collect()
-        };
-        let (across, down) = (axis_taps(0), axis_taps(1));
-        // Of a sample in each phase of the pattern; the middle pixel first.
-        let neighbourhood = |phase: i64| {
-            let all = down.iter().flat_map(|&(dy, wy)| across.iter().map(move |&(dx, wx)| (dx, dy, wx * wy)));
-            let mut taken: Vec<_> = all.filter(|&(dx, dy, _)| density.phase(dx + phase, dy) == 0).collect();
-            taken.sort_by(|a, b| b.2.total_cmp(&a.2));
-            let sum: f64 = taken.iter().map(|tap| tap.2).sum();
-            taken.iter_mut().for_each(|tap| tap.2 /= sum);
-            taken
-        };
-        let neighbourhoods: Vec<_> = (0..density.period()).map(neighbourhood).collect();
         let channel = |&number: &usize| {
             let (weights, constant) = picture.colour().channel_from_rgb(picture.format(), number);
             Channel { number, weights: weights.map(|w| w as f32), constant }
         };
-        let mut group =
-            Group { channels: channels.iter().map(channel).collect(), samples: Vec::new(), taps: Vec::new() };
-        let [sx, sy] = plane.scale.map(i64::from);
-        let [x0, y0] = field.corner;
-        for j in (y0 / sy)..=((y0 + field.height as i64 - 1) / sy) {
-            let rows: Vec<&[u8]> = planes.iter().filter_map(|plane| plane.row(j as usize)).collect();
-            if rows.len() < planes.len() {
-                continue;
+        let channels = channels.iter().map(channel).collect();
+        // Stored values in a column and row of the planes.
+        let stored = |column: usize, row: usize| {
+            let mut values = [0.0; 3];
+            for (value, plane) in values.iter_mut().zip(&planes) {
+                *value = f64::from(*plane.row(row)?.get(column * plane.step)?);
             }
-            for i in (x0 / sx)..=((x0 + field.width as i64 - 1) / sx) {
-                let (x, y) = (i * sx - x0, j * sy - y0);
-                let taps = &neighbourhoods[density.phase(i * sx, j * sy)];
-                let Some(pixel) = taps.first().and_then(|(dx, dy, _)| field.at(x + dx, y + dy)) else { continue };
-                let first_tap = group.taps.len();
-                let places = taps.iter().map_while(|&(dx, dy, w)| Some((field.at(x + dx, y + dy)?, w as f32)));
-                group.taps.extend(places);
-                let mut values = [0.0; 3];
-                let stored = values.iter_mut().zip(rows.iter().zip(&planes)).all(|(value, (row, plane))| {
-                    row.get(i as usize * plane.step).is_some_and(|stored| {
-                        *value = f64::from(*stored);
-                        true
-                    })
-                });
-                if group.taps.len() - first_tap < taps.len() || !stored {
-                    group.taps.truncate(first_tap);
-                    continue;
+            Some(values)
+        };
+        let mut samples = Vec::with_capacity(self.pixels.len());
+        let mut taps = Vec::with_capacity(self.pixels.len());
+        let mut add = |values: [f64; 3], neighbourhood: &mut dyn Iterator<Item = (u32, f32)>| {
+            let first_tap = taps.len();
+            taps.extend(neighbourhood);
+            let pixel = taps[first_tap].0 as usize;
+            samples.push(Sample { values, pixel, first_tap, class: usize::from(!self.pixels[pixel].near) });
+        };
+        if plane.scale == [1, 1] {
+            for (i, pixel) in self.pixels.iter().enumerate() {
+                if let Some(values) = stored(pixel.place.x as usize, pixel.place.y as usize) {
+                    add(values, &mut std::iter::once((i as u32, 1.0)));
                 }
-                let pixel = pixel as usize;
-                group.samples.push(Sample { values, pixel, first_tap, class: usize::from(!self.pixels[pixel].near) });
+            }
+        } else {
+            let neighbourhoods = neighbourhoods(plane, chroma_offset_px, density);
+            let [sx, sy] = plane.scale.map(i64::from);
+            let [x0, y0] = field.corner;
+            for j in (y0 / sy)..=((y0 + field.height as i64 - 1) / sy) {
+                for i in (x0 / sx)..=((x0 + field.width as i64 - 1) / sx) {
+                    let taps = &neighbourhoods[density.phase(i * sx, j * sy)];
+                    let tap = |&(dx, dy, weight): &(i64, i64, f32)| {
+                        Some((field.at(i * sx - x0 + dx, j * sy - y0 + dy)?, weight))
+                    };
+                    if taps.is_empty() || !taps.iter().all(|place| tap(place).is_some()) {
+                        continue;
+                    }
+                    if let Some(values) = stored(i as usize, j as usize) {
+                        add(values, &mut taps.iter().filter_map(tap));
+                    }
+                }
             }
         }
-        self.groups.push(group);
+        self.groups.push(Group { channels, samples, taps });
         Some(())
     }
 
