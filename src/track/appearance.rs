@@ -251,8 +251,8 @@ impl Scene<'_> {
                 if segment < segments { colours[FIXED + PER_SEGMENT * segment + c] } else { 0.0 }
             })
         };
-        for c in 0..3 {
-            let lights = [background[c], colour(0, c), colour(1, c)];
+        for (c, background) in background.into_iter().enumerate() {
+            let lights = [background, colour(0, c), colour(1, c)];
             let sum = |by: &[Lanes; 3]| lights[0] * by[0] + lights[1] * by[1] + lights[2] * by[2];
             let (value, slope) = self.encode(sum(&[uncovered, first, second]));
             let mut terms = [Lanes::ZERO; TERMS];

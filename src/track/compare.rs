@@ -185,7 +185,7 @@ impl Comparison {
                 let by = (weight * residual.value) as f32;
                 sum.iter_mut().zip(&residual.row).for_each(|(sum, value)| *sum += by * value);
             }
-            cells[cell] += &*map * SVector::from(sum.map(f64::from));
+            cells[cell] += *map * SVector::from(sum.map(f64::from));
         }
         cells.iter().fold(SMatrix::zeros(), |sum, cell| sum + cell * cell.transpose())
     }

@@ -303,8 +303,8 @@ impl<'a> Collector<'a> {
         for i in 0..PARTS {
             let wi = weight * row[i];
             self.normal.colour_gradient[BACKGROUND + i] += wi * residual;
-            for j in 0..=i {
-                self.normal.colours[(BACKGROUND + i, BACKGROUND + j)] += wi * row[j];
+            for (j, value) in row.iter().enumerate().take(i + 1) {
+                self.normal.colours[(BACKGROUND + i, BACKGROUND + j)] += wi * value;
             }
         }
     }
