@@ -64,6 +64,9 @@ pub struct Projection {
     pub d_pixel: Matrix2x3<f64>,
     /// The ray that connects them, in the medium of the marker.
     pub ray: Ray,
+    /// The point, and what to start from for another one beside it.
+    point: Point3<f64>,
+    connection: Connection,
 }
 
 impl OpticalPath {
@@ -101,9 +104,25 @@ impl OpticalPath {
     /// # Errors
     /// [`NoRay`] where no ray of this path arrives.
     pub fn project_with_jacobian(&self, point: &Point3<f64>) -> Result<Projection, NoRay> {
-        let connection = self.connect(point)?;
+        self.seen(point, solve::connect(&self.surfaces, point)?)
+    }
+
+    /// As [`OpticalPath::project_with_jacobian`], in half the time for a point close to one that has been projected.
+    ///
+    /// # Errors
+    /// [`NoRay`] where no ray of this path arrives.
+    pub fn project_beside(&self, point: &Point3<f64>, beside: &Projection) -> Result<Projection, NoRay> {
+        let beside = (&beside.connection, &beside.point);
+        self.seen(point, solve::connect_beside(&self.surfaces, point, beside)?)
+    }
+
+    fn seen(&self, point: &Point3<f64>, connection: Connection) -> Result<Projection, NoRay> {
+        if !self.lens.is_one_to_one(&connection.normalised) {
+            return Err(NoRay::Lens);
+        }
         let (pixel, d_pixel) = self.lens.distort_with_jacobian(&connection.normalised);
-        Ok(Projection { pixel, d_pixel: d_pixel * connection.d_point(), ray: connection.folded.ray })
+        let d_pixel = d_pixel * connection.d_point();
+        Ok(Projection { pixel, d_pixel, ray: connection.folded.ray, point: *point, connection })
     }
 
     /// Folds the ray of a normalised image point through all surfaces and refuses one that no light takes.

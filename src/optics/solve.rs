@@ -14,9 +14,6 @@ use nalgebra::{Matrix2, Matrix2x3, Matrix3x2, Point2, Point3, Vector2, Vector3};
 /// Newton steps after which a start is given up; two to four are usual.
 const MAX_STEPS: usize = 20;
 
-/// A Newton step (normalised image coordinates) after which the next would be below rounding: convergence is quadratic.
-const LAST_STEP: f64 = 1e-9;
-
 /// What may remain of the error in normalised image coordinates: 1e-9 px at 10,000 px focal length.
 const TOLERANCE: f64 = 1e-13;
 
@@ -56,11 +53,7 @@ pub(super) fn connect(surfaces: &[Surface], point: &Point3<f64>) -> Result<Conne
         return Err(NoRay::BeforeLastSurface);
     }
     let start = Point2::new(apparent.x / apparent.z, apparent.y / apparent.z);
-    let real = |found: Connection| match found.folded.lost {
-        Some(why) => Err(why),
-        None if found.folded.ray.nearest(point) <= 0.0 => Err(NoRay::BeforeLastSurface),
-        None => Ok(found),
-    };
+    let real = |found: Connection| found.real(point);
     newton(surfaces, start, point).and_then(real).or_else(|why| {
         if is_beyond_last_wall(surfaces, point) {
             ease_in(surfaces, start, point).and_then(real).map_err(|_| why)
@@ -68,6 +61,19 @@ pub(super) fn connect(surfaces: &[Surface], point: &Point3<f64>) -> Result<Conne
             Err(NoRay::BeforeLastSurface)
         }
     })
+}
+
+/// As [`connect`], from the ray that reaches another point close by: sooner found, and the same one.
+///
+/// # Errors
+/// [`NoRay`] where none does.
+pub(super) fn connect_beside(
+    surfaces: &[Surface],
+    point: &Point3<f64>,
+    (beside, its_point): (&Connection, &Point3<f64>),
+) -> Result<Connection, NoRay> {
+    let start = beside.normalised + beside.d_point() * (point - its_point);
+    newton(surfaces, start, point).and_then(|found| found.real(point)).or_else(|_| connect(surfaces, point))
 }
 
 /// Folds the line of a normalised image point through all surfaces; derivatives are with respect to that point.
@@ -108,14 +114,12 @@ fn is_beyond_last_wall(surfaces: &[Surface], point: &Point3<f64>) -> bool {
 fn newton(surfaces: &[Surface], start: Point2<f64>, point: &Point3<f64>) -> Result<Connection, NoRay> {
     let mut here = Connection::at(surfaces, start, point)?;
     for _ in 0..MAX_STEPS {
-        let step = here.step();
+        let next = Connection::at(surfaces, here.normalised - here.step(), point)?;
         // Far off the axis a direction is coarser in normalised coordinates: by 1/cos² of its angle.
-        let scale = 1.0 + here.normalised.coords.norm_squared();
-        if step.norm() < LAST_STEP * scale {
-            let end = Connection::at(surfaces, here.normalised - step, point)?;
-            return if end.step().norm() < TOLERANCE * scale { Ok(end) } else { Err(NoRay::NotConverged) };
+        let scale = 1.0 + next.normalised.coords.norm_squared();
+        if next.step().norm() < TOLERANCE * scale {
+            return Ok(next);
         }
-        let next = Connection::at(surfaces, here.normalised - step, point)?;
         if next.miss.norm() >= here.miss.norm() {
             return Err(NoRay::NotConverged);
         }
@@ -158,6 +162,15 @@ impl Connection {
             miss: across.transpose() * to_point,
             d_normalised: d_miss.try_inverse().ok_or(NoRay::NotConverged)?,
         })
+    }
+
+    /// Itself, if light takes this way to the point.
+    fn real(self, point: &Point3<f64>) -> Result<Self, NoRay> {
+        match self.folded.lost {
+            Some(why) => Err(why),
+            None if self.folded.ray.nearest(point) <= 0.0 => Err(NoRay::BeforeLastSurface),
+            None => Ok(self),
+        }
     }
 
     /// The Newton step, to be subtracted.

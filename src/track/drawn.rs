@@ -105,7 +105,7 @@ impl Tube {
             (0..fine * columns).map(|i| blur(&lights, 1, width, i / columns * width, i % columns)).collect();
         (0..SIZE as usize * columns)
             .flat_map(|i| blur(&rows, columns, fine, i % columns, i / columns))
-            .map(|light| encoding.encode(light).0)
+            .map(|light| f64::from(encoding.encode(light as f32).0))
             .collect()
     }
 }

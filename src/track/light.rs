@@ -1,78 +1,55 @@
-//! Tables for the image model: the Gaussian integral, and the transfer function from linear light to stored R'G'B'.
+//! Functions of the image model: the Gaussian integral, and the transfer function from linear light to stored R'G'B'.
 
 use crate::source::Transfer;
-use std::sync::LazyLock;
+use wide::{CmpLt, f32x4};
 
-/// Nodes per unit, and largest argument, of the Gaussian's table.
-const NODES: f64 = 32.0;
-const REACH: f64 = 5.0;
-
-/// (Φ(z), φ(z)) at the nodes from −REACH to REACH.
-static GAUSS: LazyLock<Vec<(f64, f64)>> = LazyLock::new(|| {
-    let count = (2.0 * REACH * NODES) as usize + 2;
-    (0..count)
-        .map(|i| {
-            let z = i as f64 / NODES - REACH;
-            let density = (-0.5 * z * z).exp() / (2.0 * std::f64::consts::PI).sqrt();
-            (0.5 * libm::erfc(-z * std::f64::consts::FRAC_1_SQRT_2), density)
-        })
-        .collect()
-});
-
-/// Standard normal distribution and density at `z`, to 1e-7 (cubic Hermite between tabulated nodes).
+/// Standard normal distribution and density at `z`, to 3e-7: Abramowitz and Stegun (1964), 7.1.26.
 #[inline]
-pub(crate) fn gauss(z: f64) -> (f64, f64) {
-    let at = (z + REACH) * NODES;
-    if at <= 0.0 {
-        return (0.0, 0.0);
-    }
-    let i = at as usize;
-    let table = &*GAUSS;
-    let (Some(&(p0, d0)), Some(&(p1, d1))) = (table.get(i), table.get(i + 1)) else {
-        return (1.0, 0.0);
-    };
-    let f = at - i as f64;
-    let z0 = i as f64 / NODES - REACH;
-    let z1 = z0 + 1.0 / NODES;
-    (hermite(p0, d0 / NODES, p1, d1 / NODES, f), hermite(d0, -z0 * d0 / NODES, d1, -z1 * d1 / NODES, f))
+pub(crate) fn gauss(z: f32x4) -> (f32x4, f32x4) {
+    let exp = (z * z * -0.5).exp();
+    let t = f32x4::ONE / (z.abs() * (0.327_591_1 * std::f32::consts::FRAC_1_SQRT_2) + 1.0);
+    let polynomial = t * (t * (t * (t * (t * 1.061_405_4 - 1.453_152) + 1.421_413_7) - 0.284_496_74) + 0.254_829_6);
+    let tail = polynomial * exp * 0.5;
+    (z.cmp_lt(f32x4::ZERO).blend(tail, f32x4::ONE - tail), exp * (0.5 * FRAC_2_SQRT_TAU))
 }
 
-#[inline]
-fn hermite(v0: f64, t0: f64, v1: f64, t1: f64, f: f64) -> f64 {
-    let g = 1.0 - f;
-    let rise = v1 - v0;
-    g * v0 + f * v1 + f * g * (g * (t0 - rise) - f * (t1 - rise))
-}
+/// 2/√(2π).
+const FRAC_2_SQRT_TAU: f32 = std::f32::consts::FRAC_2_SQRT_PI * std::f32::consts::FRAC_1_SQRT_2;
 
 /// Linear light (0 black, 1 white) to stored R'G'B' (0..255) and back.
 #[derive(Debug)]
 pub(crate) struct Encoding {
     transfer: Transfer,
     /// (value, slope per unit of light) at multiples of 1/STEPS.
-    table: Vec<(f64, f64)>,
+    table: Vec<(f32, f32)>,
 }
 
 /// Table nodes per unit of light, and the brightest light tabulated.
-const STEPS: f64 = 2048.0;
-const BRIGHTEST: f64 = 1.5;
+const STEPS: f32 = 2048.0;
+const BRIGHTEST: f32 = 1.5;
 
 impl Encoding {
     pub(crate) fn new(transfer: Transfer) -> Self {
-        let table = (0..=(STEPS * BRIGHTEST) as usize).map(|i| encode(transfer, i as f64 / STEPS)).collect();
-        Self { transfer, table }
+        let node = |i: usize| encode(transfer, i as f64 / f64::from(STEPS));
+        let single = |(value, slope): (f64, f64)| (value as f32, slope as f32);
+        Self { transfer, table: (0..=(STEPS * BRIGHTEST) as usize).map(|i| single(node(i))).collect() }
     }
 
-    /// Stored value and its slope per unit of light.
+    /// Stored value and its slope per unit of light. Between nodes the slope changes linearly.
     #[inline]
-    pub(crate) fn encode(&self, light: f64) -> (f64, f64) {
+    pub(crate) fn encode(&self, light: f32) -> (f32, f32) {
         let at = light.max(0.0) * STEPS;
         let i = at as usize;
         match (self.table.get(i), self.table.get(i + 1)) {
-            (Some(&(v0, s0)), Some(&(v1, s1))) => {
-                let f = at - i as f64;
-                (hermite(v0, s0 / STEPS, v1, s1 / STEPS, f), s0 + (s1 - s0) * f)
+            (Some(&(value, slope)), Some(&(_, next))) => {
+                let f = at - i as f32;
+                let change = (next - slope) * f;
+                (value + (slope + 0.5 * change) * f * (1.0 / STEPS), slope + change)
             }
-            _ => encode(self.transfer, light),
+            _ => {
+                let (value, slope) = encode(self.transfer, f64::from(light));
+                (value as f32, slope as f32)
+            }
         }
     }
 
@@ -112,7 +89,9 @@ mod tests {
     fn gauss_agrees_with_erfc_and_exp() {
         for i in -700..700 {
             let z = f64::from(i) * 0.0101;
-            let (p, d) = gauss(z);
+            let (p, d) = gauss(f32x4::splat(z as f32));
+            let (p, d) = (f64::from(p.to_array()[0]), f64::from(d.to_array()[0]));
+            let z = f64::from(z as f32);
             let exact = 0.5 * libm::erfc(-z / std::f64::consts::SQRT_2);
             let density = (-0.5 * z * z).exp() / (2.0 * std::f64::consts::PI).sqrt();
             assert!((p - exact).abs() < 1e-6, "Φ({z}) = {p}, not {exact}");
@@ -125,11 +104,15 @@ mod tests {
         // BT.709: 1.099·0.5^0.45 − 0.099 = 0.70551; sRGB: 1.055·0.5^(1/2.4) − 0.055 = 0.73536.
         for (transfer, expected) in [(Transfer::Bt709, 0.70551), (Transfer::Srgb, 0.73536), (Transfer::Linear, 0.5)] {
             let encoding = Encoding::new(transfer);
-            assert!((encoding.encode(0.5).0 / 255.0 - expected).abs() < 1e-4);
+            assert!((f64::from(encoding.encode(0.5).0) / 255.0 - expected).abs() < 1e-4);
             for light in [0.001, 0.01, 0.0175, 0.05, 0.3, 0.99, 2.0] {
-                let (value, slope) = encoding.encode(light);
+                let encode = |light: f64| {
+                    let (value, slope) = encoding.encode(light as f32);
+                    (f64::from(value), f64::from(slope))
+                };
+                let (value, slope) = encode(light);
                 assert!((encoding.decode(value) - light).abs() < 2e-5 * (1.0 + light), "{transfer:?} {light}");
-                let step = encoding.encode(light + 1e-4).0 - value;
+                let step = encode(light + 1e-4).0 - value;
                 assert!((step / 1e-4 - slope).abs() < 0.03 * slope + 1.0, "{transfer:?} {light}: {step} {slope}");
             }
         }

@@ -1,20 +1,18 @@
-//! The samples of one view that the image model is compared with, and what they say about its parameters.
+//! The part of a view's picture that the image model is compared with: pixels, and the stored samples made of them.
 //!
-//! Stored samples (Y, U, V at their own sampling, or R, G, B) are compared as they are: the model is evaluated at every
-//! pixel, in stored R'G'B', and a subsampled chroma sample is the mean of its neighbourhood with triangular weights as
-//! wide as the sampling. A sample's row of derivatives is short: shape, background, shading, and the two segments at its
-//! nearest ring; rows are summed in one small dense block for each ring and scattered once at the end.
+//! Stored samples (Y, U, V at their own sampling, or R, G, B) are taken as they are: the model is evaluated at every pixel,
+//! in stored R'G'B', and a subsampled chroma sample is the mean of its neighbourhood with triangular weights as wide as the
+//! sampling.
 
-use super::appearance::{
-    BACKGROUND, CAP, D_ALBEDO, D_BACKGROUND, D_BULGE, D_CAP, D_GRADIENT, D_SHADING, D_X, D_Y, FIXED, Foot, GRADIENT,
-    Layout, PER_SEGMENT, PixelModel, SHADES, SHADING, TERMS, VALUE, pixel_model,
-};
-use super::fit::ModelError;
+use super::appearance::{BACKGROUND, CAP, FIXED, Foot, Layout, PER_SEGMENT};
 use super::light::Encoding;
-use super::normal::{Block, Normal, ROW, Row, assemble, place};
-use super::tube::{SHAPE, TubeImage};
-use crate::source::Picture;
-use nalgebra::{DMatrix, Point2, SMatrix, SVector, Vector2, Vector3};
+use super::tube_image::TubeImage;
+use crate::source::{Picture, Plane};
+use nalgebra::{Point2, Vector2, Vector3};
+use std::ops::Range;
+
+/// Background taken into account on either side of the tube, pixels.
+const MARGIN_PX: f64 = 5.0;
 
 /// Side of the square over which the errors of neighbouring samples are taken to be correlated, pixels: the smallest
 /// transform block of H.264 and JPEG's chroma.
@@ -24,90 +22,104 @@ const CELL_PX: usize = 4;
 /// the coding error.
 const NEAR_PX: f64 = 1.0;
 
-/// Residuals beyond this many σ count linearly (Huber).
-const HUBER: f64 = 3.5;
-
-/// Standard deviation of a sample, per channel: near the tube, and in the background.
-pub(crate) type Noise = [[f64; 2]; 3];
-
-/// How pictures are modelled, the same for all views.
-#[derive(Debug)]
-pub(crate) struct ImageModel {
-    pub encoding: Encoding,
-    /// Lens and sensor blur, σ in pixels.
-    pub blur_px: f64,
-    /// Where chroma samples sit beyond what the stream says, pixels.
-    pub chroma_offset_px: [f64; 2],
-    pub error: ModelError,
+/// Which pixels are taken.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Density {
+    /// Every fifth, a knight's move from the next: a fifth of the work, and every row and column has its share.
+    Fifth,
+    All,
 }
 
-struct Sample {
-    /// Stored values, one a channel of the group.
-    values: [f64; 3],
-    /// Pixel of the patch that the taps are relative to.
-    at: usize,
+impl Density {
+    /// How many pixels there are to one that is taken.
+    fn period(self) -> i64 {
+        match self {
+            Self::Fifth => 5,
+            Self::All => 1,
+        }
+    }
+
+    /// Where in the pattern a pixel is: 0 for the ones that are taken.
+    fn phase(self, x: i64, y: i64) -> usize {
+        (x + 2 * y).rem_euclid(self.period()) as usize
+    }
+}
+
+/// A pixel that the model is evaluated at.
+pub(crate) struct Pixel {
+    pub place: Point2<f64>,
+    /// The nearest point of the axis, when last evaluated.
+    pub foot: Foot,
+    /// The knot before it, when selected.
+    pub bin: usize,
+    /// Its square among those that share errors.
+    pub cell: usize,
     near: bool,
 }
 
+/// A place where channels are stored.
+pub(crate) struct Sample {
+    /// Stored values, one a channel of the group.
+    pub values: [f64; 3],
+    /// Index of the pixel, or of the middle one of its neighbourhood.
+    pub pixel: usize,
+    /// Where its neighbourhood starts in the group's list.
+    pub first_tap: usize,
+    /// 0 near the tube, 1 in the background.
+    pub class: usize,
+}
+
+/// A stored channel: number, weights of R'G'B', constant.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Channel {
+    pub number: usize,
+    pub weights: [f32; 3],
+    pub constant: f64,
+}
+
 /// Channels sampled at the same places: Y; U and V; R, G and B.
-struct Group {
-    /// Number of the channel, weights of R'G'B', constant.
-    channels: Vec<(usize, [f64; 3], f64)>,
-    /// Offset in the patch's pixels, weight.
-    taps: Vec<(isize, f64)>,
-    samples: Vec<Sample>,
+pub(crate) struct Group {
+    pub channels: Vec<Channel>,
+    pub samples: Vec<Sample>,
+    /// Pixels (indices) and weights of the samples' neighbourhoods, one after the other.
+    pub taps: Vec<(u32, f32)>,
+}
+
+impl Group {
+    /// A sample's neighbourhood; the next sample's starts where it ends.
+    pub(crate) fn taps(&self, sample: usize) -> &[(u32, f32)] {
+        let end = self.samples.get(sample + 1).map_or(self.taps.len(), |next| next.first_tap);
+        &self.taps[self.samples[sample].first_tap..end]
+    }
 }
 
 /// The part of a view's picture around a stretch of tube.
 pub(crate) struct Patch {
+    pub middle: Vector2<f64>,
+    pub pixels: Vec<Pixel>,
+    pub groups: Vec<Group>,
+    /// How many squares there are.
+    pub cells: usize,
+}
+
+/// The rectangle that holds a patch, and which of its pixels are taken.
+struct Field {
     corner: [i64; 2],
     width: usize,
     height: usize,
-    middle: Vector2<f64>,
-    /// Indices of the pixels the model is evaluated at.
-    pixels: Vec<usize>,
-    /// Last knot coordinate of each pixel (NaN: never evaluated).
-    knots: Vec<f64>,
-    models: Vec<PixelModel>,
-    groups: Vec<Group>,
+    /// Index of the pixel that is taken at each place.
+    index: Vec<Option<u32>>,
 }
 
-/// One stored sample against the model.
-struct Residual {
-    channel: usize,
-    /// 0 near the tube, 1 in the background.
-    class: usize,
-    /// Pixel of the patch.
-    at: usize,
-    ring: usize,
-    /// Only background is seen.
-    far: bool,
-    /// Derivatives of the prediction.
-    row: Row,
-    /// Stored minus predicted.
-    value: f64,
-    sigma: f64,
-    weight: f64,
-}
-
-impl Patch {
-    /// Selects the samples within `margin_px` of the tube's outline between the arc lengths `range_m`.
-    ///
-    /// `None` when nothing of it lies in the picture.
-    pub(crate) fn select(
-        picture: &Picture,
-        image: &TubeImage,
-        margin_px: f64,
-        range_m: (f64, f64),
-        chroma_offset_px: [f64; 2],
-    ) -> Option<Self> {
-        let [w, h] = picture.size_px();
-        let (first, last) = (image.knot_of(range_m.0), image.knot_of(range_m.1));
+impl Field {
+    /// Around the knots of `image` between the knot coordinates `first` and `last`; `None` when nothing of it lies in the
+    /// picture.
+    fn around(image: &TubeImage, (first, last): (f64, f64), [w, h]: [u32; 2]) -> Option<(Self, Vector2<f64>)> {
         let inside =
             image.knots.iter().enumerate().filter(|(i, _)| *i as f64 >= first - 1.0 && *i as f64 <= last + 1.0);
         let (mut low, mut high) = (Vector2::repeat(f64::INFINITY), Vector2::repeat(f64::NEG_INFINITY));
         for (_, knot) in inside {
-            let reach = Vector2::repeat(knot.half_width + margin_px + 1.0);
+            let reach = Vector2::repeat(knot.half_width + MARGIN_PX + 1.0);
             low = low.inf(&(knot.pixel.coords - reach));
             high = high.sup(&(knot.pixel.coords + reach));
         }
@@ -118,37 +130,97 @@ impl Patch {
             return None;
         }
         let (width, height) = ((x1 - corner[0] + 1) as usize, (y1 - corner[1] + 1) as usize);
-        let mut patch = Self {
-            corner,
-            width,
-            height,
-            middle: (low + high) / 2.0,
-            pixels: Vec::new(),
-            knots: vec![f64::NAN; width * height],
-            models: vec![PixelModel::default(); width * height],
-            groups: Vec::new(),
-        };
-        let mut near = vec![false; width * height];
-        let reach = image.greatest_half_width() + margin_px + image.sagitta();
-        for (at, near) in near.iter_mut().enumerate() {
-            let pixel = patch.pixel(at);
-            let (start, aside) = image.chord_foot(&pixel);
-            if aside.abs() > reach {
-                continue;
-            }
-            let (knot, u, _) = image.foot(&pixel, start, 3);
-            let outside = u.abs() - image.local(knot).half_width;
-            if knot >= first && knot <= last && outside <= margin_px {
-                patch.pixels.push(at);
-                patch.knots[at] = knot;
-                *near = outside <= NEAR_PX;
+        Some((Self { corner, width, height, index: vec![None; width * height] }, (low + high) / 2.0))
+    }
+
+    /// The columns between two places in the picture.
+    fn columns(&self, (from, to): (f64, f64)) -> Range<usize> {
+        let column = |x: f64| (x - self.corner[0] as f64).clamp(0.0, self.width as f64) as usize;
+        column(from.ceil())..column(to.floor() + 1.0)
+    }
+
+    /// The pixel taken at a place relative to the corner.
+    fn at(&self, x: i64, y: i64) -> Option<u32> {
+        let inside = (0..self.width as i64).contains(&x) && (0..self.height as i64).contains(&y);
+        if inside { self.index[y as usize * self.width + x as usize] } else { None }
+    }
+}
+
+/// Which pixels around a subsampled channel's sample it is made of: offsets and weights, the middle pixel first. One list for
+/// each phase that the sample may have in the pattern of the pixels that are taken.
+fn neighbourhoods(plane: &Plane<'_>, chroma_offset_px: [f64; 2], density: Density) -> Vec<Vec<(i64, i64, f32)>> {
+    let axis_taps = |axis: usize| -> Vec<(i64, f64)> {
+        let scale = f64::from(plane.scale[axis]);
+        if plane.scale[axis] == 1 {
+            return vec![(0, 1.0)];
+        }
+        let place = plane.offset[axis] + chroma_offset_px[axis];
+        let weight = |d: i64| (1.0 - (d as f64 - place).abs() / scale).max(0.0);
+        let span = ((place - scale).floor() as i64)..=((place + scale).ceil() as i64);
+        span.filter(|&d| weight(d) > 0.0).map(|d| (d, weight(d))).collect()
+    };
+    let (across, down) = (axis_taps(0), axis_taps(1));
+    let neighbourhood = |phase: i64| {
+        let all = down.iter().flat_map(|&(dy, wy)| across.iter().map(move |&(dx, wx)| (dx, dy, wx * wy)));
+        let mut taken: Vec<_> = all.filter(|&(dx, dy, _)| density.phase(dx + phase, dy) == 0).collect();
+        taken.sort_by(|a, b| b.2.total_cmp(&a.2));
+        let sum: f64 = taken.iter().map(|tap| tap.2).sum();
+        taken.into_iter().map(|(dx, dy, weight)| (dx, dy, (weight / sum) as f32)).collect()
+    };
+    (0..density.period()).map(neighbourhood).collect()
+}
+
+impl Patch {
+    /// Selects the samples beside the tube and on it between the arc lengths `range_m`.
+    ///
+    /// `None` when nothing of it lies in the picture.
+    pub(crate) fn select(
+        picture: &Picture,
+        image: &TubeImage,
+        range_m: (f64, f64),
+        chroma_offset_px: [f64; 2],
+        density: Density,
+    ) -> Option<Self> {
+        let range = (image.knot_of(range_m.0), image.knot_of(range_m.1));
+        let (mut field, middle) = Field::around(image, range, picture.size_px())?;
+        let across = field.width / CELL_PX + 1;
+        let cells = across * (field.height / CELL_PX + 1);
+        let mut patch = Self { middle, pixels: Vec::with_capacity(field.index.len() / 2), groups: Vec::new(), cells };
+        let reach = image.greatest_half_width() + MARGIN_PX + image.sagitta();
+        let last_bin = image.knots.len() - 2;
+        for j in 0..field.height {
+            let y = field.corner[1] + j as i64;
+            // One step from the neighbour's foot is enough.
+            let mut left = None;
+            for i in field.columns(image.strip(y as f64, reach)) {
+                let x = field.corner[0] + i as i64;
+                if density.phase(x, y) != 0 {
+                    continue;
+                }
+                let place = Point2::new(x as f64, y as f64);
+                let foot = match left {
+                    Some(knot) => image.foot(&place, knot, 1),
+                    None => image.foot(&place, image.chord_foot(&place).0, 3),
+                };
+                left = Some(foot.knot);
+                let outside = foot.u.abs() - image.local(foot.knot).half_width;
+                if foot.knot >= range.0 && foot.knot <= range.1 && outside <= MARGIN_PX {
+                    field.index[j * field.width + i] = Some(patch.pixels.len() as u32);
+                    patch.pixels.push(Pixel {
+                        place,
+                        foot,
+                        bin: (foot.knot.max(0.0) as usize).min(last_bin),
+                        cell: j / CELL_PX * across + i / CELL_PX,
+                        near: outside <= NEAR_PX,
+                    });
+                }
             }
         }
         let channels: Vec<usize> = (0..picture.format().channels()).collect();
         // Channels of one sampling make a group.
         let scale = |c: &usize| picture.plane(*c).map(|plane| plane.scale);
         for alike in channels.chunk_by(|a, b| scale(a) == scale(b)) {
-            patch.add_group(picture, alike, chroma_offset_px, &near)?;
+            patch.add_group(picture, alike, chroma_offset_px, &field, density)?;
         }
         Some(patch)
     }
@@ -158,209 +230,63 @@ impl Patch {
         picture: &Picture,
         channels: &[usize],
         chroma_offset_px: [f64; 2],
-        near: &[bool],
+        field: &Field,
+        density: Density,
     ) -> Option<()> {
         let planes = channels.iter().map(|&c| picture.plane(c)).collect::<Option<Vec<_>>>()?;
         let plane = planes.first()?;
-        let axis_taps = |axis: usize| -> Vec<(i64, f64)> {
-            let scale = f64::from(plane.scale[axis]);
-            if plane.scale[axis] == 1 {
-                return vec![(0, 1.0)];
-            }
-            let place = plane.offset[axis] + chroma_offset_px[axis];
-            let weight = |d: i64| (1.0 - (d as f64 - place).abs() / scale).max(0.0);
-            let span = ((place - scale).floor() as i64)..=((place + scale).ceil() as i64);
-            let sum: f64 = span.clone().map(weight).sum();
-            span.filter(|&d| weight(d) > 0.0).map(|d| (d, weight(d) / sum)).collect()
+        let channel = |&number: &usize| {
+            let (weights, constant) = picture.colour().channel_from_rgb(picture.format(), number);
+            Channel { number, weights: weights.map(|w| w as f32), constant }
         };
-        let (across, down) = (axis_taps(0), axis_taps(1));
-        let (width, height) = (self.width as i64, self.height as i64);
-        let [sx, sy] = plane.scale.map(i64::from);
-        let mut samples = Vec::new();
-        for j in (self.corner[1] / sy)..=((self.corner[1] + height - 1) / sy) {
-            for i in (self.corner[0] / sx)..=((self.corner[0] + width - 1) / sx) {
-                let (px, py) = (i * sx - self.corner[0], j * sy - self.corner[1]);
-                let evaluated = |x: i64, y: i64| {
-                    (0..width).contains(&x)
-                        && (0..height).contains(&y)
-                        && !self.knots[(y * width + x) as usize].is_nan()
-                };
-                if !down.iter().all(|&(dy, _)| across.iter().all(|&(dx, _)| evaluated(px + dx, py + dy))) {
-                    continue;
+        let channels = channels.iter().map(channel).collect();
+        // Stored values in a column and row of the planes.
+        let stored = |column: usize, row: usize| {
+            let mut values = [0.0; 3];
+            for (value, plane) in values.iter_mut().zip(&planes) {
+                *value = f64::from(*plane.row(row)?.get(column * plane.step)?);
+            }
+            Some(values)
+        };
+        let mut samples = Vec::with_capacity(self.pixels.len());
+        let mut taps = Vec::with_capacity(self.pixels.len());
+        let mut add = |values: [f64; 3], neighbourhood: &mut dyn Iterator<Item = (u32, f32)>| {
+            let first_tap = taps.len();
+            taps.extend(neighbourhood);
+            let pixel = taps[first_tap].0 as usize;
+            samples.push(Sample { values, pixel, first_tap, class: usize::from(!self.pixels[pixel].near) });
+        };
+        if plane.scale == [1, 1] {
+            for (i, pixel) in self.pixels.iter().enumerate() {
+                if let Some(values) = stored(pixel.place.x as usize, pixel.place.y as usize) {
+                    add(values, &mut std::iter::once((i as u32, 1.0)));
                 }
-                let mut values = [0.0; 3];
-                let mut complete = true;
-                for (value, plane) in values.iter_mut().zip(&planes) {
-                    match plane.row(j as usize).and_then(|row| row.get(i as usize * plane.step)) {
-                        Some(stored) => *value = f64::from(*stored),
-                        None => complete = false,
+            }
+        } else {
+            let neighbourhoods = neighbourhoods(plane, chroma_offset_px, density);
+            let [sx, sy] = plane.scale.map(i64::from);
+            let [x0, y0] = field.corner;
+            for j in (y0 / sy)..=((y0 + field.height as i64 - 1) / sy) {
+                for i in (x0 / sx)..=((x0 + field.width as i64 - 1) / sx) {
+                    let taps = &neighbourhoods[density.phase(i * sx, j * sy)];
+                    let tap = |&(dx, dy, weight): &(i64, i64, f32)| {
+                        Some((field.at(i * sx - x0 + dx, j * sy - y0 + dy)?, weight))
+                    };
+                    if taps.is_empty() || !taps.iter().all(|place| tap(place).is_some()) {
+                        continue;
                     }
-                }
-                if complete {
-                    let at = (py * width + px) as usize;
-                    samples.push(Sample { values, at, near: near[at] });
+                    if let Some(values) = stored(i as usize, j as usize) {
+                        add(values, &mut taps.iter().filter_map(tap));
+                    }
                 }
             }
         }
-        let taps = down
-            .iter()
-            .flat_map(|&(dy, wy)| across.iter().map(move |&(dx, wx)| ((dy * width + dx) as isize, wx * wy)))
-            .collect();
-        let channels = channels
-            .iter()
-            .map(|&c| {
-                let (weights, constant) = picture.colour().channel_from_rgb(picture.format(), c);
-                (c, weights, constant)
-            })
-            .collect();
-        self.groups.push(Group { channels, taps, samples });
+        self.groups.push(Group { channels, samples, taps });
         Some(())
     }
 
-    fn pixel(&self, at: usize) -> Point2<f64> {
-        Point2::new(
-            (self.corner[0] + (at % self.width) as i64) as f64,
-            (self.corner[1] + (at / self.width) as i64) as f64,
-        )
-    }
-
-    /// Evaluates the model at all pixels.
-    pub(crate) fn render(&mut self, image: &TubeImage, layout: &Layout, colours: &[f64], model: &ImageModel) {
-        for k in 0..self.pixels.len() {
-            let at = self.pixels[k];
-            let pixel = self.pixel(at);
-            let (knot, u, along) = image.foot(&pixel, self.knots[at], 1);
-            self.knots[at] = knot;
-            let foot = Foot { knot, u, along };
-            let offset = pixel.coords - self.middle;
-            self.models[at] = pixel_model(foot, offset, image, layout, colours, model.blur_px, &model.encoding);
-        }
-    }
-
-    /// Calls `visit` for every stored sample of the rendered model.
-    fn residuals(&self, image: &TubeImage, noise: &Noise, mut visit: impl FnMut(&Residual)) {
-        for group in &self.groups {
-            for sample in &group.samples {
-                let centre = &self.models[sample.at];
-                let (terms, far) = self.blend(group, sample.at, centre);
-                let class = usize::from(!sample.near);
-                // d pixel / d shape is wanted only where the tube is seen.
-                let d_pixel = if far { SMatrix::zeros() } else { image.d_pixel(centre.knot) };
-                let d_bulge = if far { SMatrix::zeros() } else { image.d_bulge(centre.knot) };
-                for ((channel, weights, constant), stored) in group.channels.iter().zip(sample.values) {
-                    let sum = |term: usize| (0..3).map(|k| weights[k] * terms[k][term]).sum::<f64>();
-                    let value = stored - sum(VALUE) - constant;
-                    let sigma = noise[*channel][class];
-                    let weight = (HUBER * sigma / value.abs().max(1e-9)).min(1.0) / (sigma * sigma);
-                    let mut row = [0.0; ROW];
-                    for k in 0..3 {
-                        row[SHAPE + BACKGROUND + k] = weights[k] * terms[k][D_BACKGROUND];
-                    }
-                    row[SHAPE + GRADIENT] = sum(D_GRADIENT);
-                    row[SHAPE + GRADIENT + 1] = sum(D_GRADIENT + 1);
-                    if !far {
-                        let gradient = Vector2::new(sum(D_X), sum(D_Y));
-                        let d_shape = d_bulge * sum(D_BULGE) - gradient.transpose() * d_pixel;
-                        row[..SHAPE].copy_from_slice(d_shape.as_slice());
-                        for k in 0..SHADES {
-                            row[SHAPE + SHADING + k] = sum(D_SHADING + k);
-                        }
-                        row[SHAPE + CAP] = sum(D_CAP);
-                        for k in 0..3 {
-                            row[SHAPE + FIXED + k] = weights[k] * terms[k][D_ALBEDO];
-                            row[SHAPE + FIXED + PER_SEGMENT + k] = weights[k] * terms[k][D_ALBEDO + 1];
-                        }
-                    }
-                    visit(&Residual {
-                        channel: *channel,
-                        class,
-                        at: sample.at,
-                        ring: centre.ring,
-                        far,
-                        row,
-                        value,
-                        sigma,
-                        weight,
-                    });
-                }
-            }
-        }
-    }
-
-    /// The models of a sample's pixels, weighted by its taps, and whether all of them see background only.
-    fn blend(&self, group: &Group, at: usize, centre: &PixelModel) -> ([[f64; TERMS]; 3], bool) {
-        if let [(0, _)] = group.taps[..] {
-            return (centre.terms, centre.far);
-        }
-        let mut sum = [[0.0; TERMS]; 3];
-        let mut far = true;
-        for &(offset, weight) in &group.taps {
-            let pixel = &self.models[at.wrapping_add_signed(offset)];
-            far &= pixel.far;
-            for (sum, terms) in sum.iter_mut().zip(&pixel.terms) {
-                for (sum, term) in sum.iter_mut().zip(terms) {
-                    *sum += weight * term;
-                }
-                // Beyond the middle between two rings the same segment is the other one of the pair.
-                if pixel.ring != centre.ring {
-                    let (before, behind) = (terms[D_ALBEDO], terms[D_ALBEDO + 1]);
-                    let (first, second) = if pixel.ring > centre.ring { (0.0, before) } else { (behind, 0.0) };
-                    sum[D_ALBEDO] += weight * (first - before);
-                    sum[D_ALBEDO + 1] += weight * (second - behind);
-                }
-            }
-        }
-        (sum, far)
-    }
-
-    /// Normal equations of the rendered model.
-    pub(crate) fn normal(&self, image: &TubeImage, layout: &Layout, noise: &Noise) -> Normal {
-        let mut blocks: Vec<Block> = (0..layout.rings_m.len()).map(|_| Block::default()).collect();
-        let mut cost = 0.0;
-        let mut squares = [[(0.0, 0); 2]; 3];
-        self.residuals(image, noise, |r| {
-            let block = &mut blocks[r.ring];
-            if r.far {
-                block.add_background(&r.row, r.value, r.weight)
-            } else {
-                block.add(&r.row, r.value, r.weight)
-            }
-            let z = (r.value / r.sigma).abs();
-            cost += if z <= HUBER { z * z } else { HUBER * (2.0 * z - HUBER) };
-            let (total, count) = &mut squares[r.channel][r.class];
-            // Outliers must not raise the noise that they are judged by.
-            *total += if z <= HUBER { r.value * r.value } else { (HUBER * r.sigma).powi(2) };
-            *count += 1;
-        });
-        let (hessian, gradient) = assemble(&mut blocks, layout);
-        Normal { hessian, gradient, cost, squares }
-    }
-
-    /// Covariance of J'Wr as the residuals themselves show it: products of the sums over cells, which keeps what
-    /// neighbouring samples and channels have in common (a cluster-robust "sandwich"; White 1980, doi:10.2307/1912934,
-    /// Liang and Zeger 1986, doi:10.1093/biomet/73.1.13). `influence` maps parameters to shape.
-    pub(crate) fn scatter(
-        &self,
-        image: &TubeImage,
-        layout: &Layout,
-        noise: &Noise,
-        influence: &DMatrix<f64>,
-    ) -> SMatrix<f64, SHAPE, SHAPE> {
-        let across = self.width / CELL_PX + 1;
-        let mut cells = vec![SVector::<f64, SHAPE>::zeros(); across * (self.height / CELL_PX + 1)];
-        self.residuals(image, noise, |r| {
-            let cell = r.at / self.width / CELL_PX * across + r.at % self.width / CELL_PX;
-            for (i, value) in r.row.iter().enumerate().filter(|(_, value)| **value != 0.0) {
-                if let Some(column) = place(i, r.ring, layout) {
-                    cells[cell] += influence.fixed_view::<SHAPE, 1>(0, column) * (value * r.weight * r.value);
-                }
-            }
-        });
-        cells.iter().fold(SMatrix::zeros(), |sum, cell| sum + cell * cell.transpose())
-    }
-
-    /// Colours to start from: means over what lies well inside each segment, and well outside the tube.
-    pub(crate) fn start_colours(
+    /// What colours look like: means over what lies well inside each segment, and well outside the tube.
+    pub(crate) fn colours(
         &self,
         picture: &Picture,
         image: &TubeImage,
@@ -371,15 +297,15 @@ impl Patch {
         let mut sums = vec![[(0.0, 0_usize); 3]; segments + 1];
         for group in &self.groups {
             for sample in &group.samples {
-                let pixel = self.pixel(sample.at);
-                let (knot, u, _) = image.foot(&pixel, self.knots[sample.at], 1);
-                let local = image.local(knot);
-                let s = image.first_m + knot * image.spacing_m;
+                let pixel = &self.pixels[sample.pixel];
+                let foot = pixel.foot;
+                let local = image.local(foot.knot);
+                let s = image.first_m + foot.knot * image.spacing_m;
                 let from = |ring: &f64| (s - ring) * local.scale;
                 let ends_before = layout.ends && layout.rings_m.last().is_some_and(|end| from(end) > 2.0);
-                let class = if u.abs() > local.half_width + 1.5 || ends_before {
+                let class = if foot.u.abs() > local.half_width + 1.5 || ends_before {
                     segments
-                } else if u.abs() < (local.half_width - 1.0).max(0.5)
+                } else if foot.u.abs() < (local.half_width - 1.0).max(0.5)
                     && layout.rings_m.iter().all(|ring| from(ring).abs() > 1.5)
                 {
                     layout.rings_m.iter().filter(|ring| from(ring) > 0.0).count()
@@ -387,9 +313,9 @@ impl Patch {
                     continue;
                 };
                 if let Some(sum) = sums.get_mut(class) {
-                    for ((channel, _, _), value) in group.channels.iter().zip(sample.values) {
-                        sum[*channel].0 += value;
-                        sum[*channel].1 += 1;
+                    for (channel, value) in group.channels.iter().zip(sample.values) {
+                        sum[channel.number].0 += value;
+                        sum[channel.number].1 += 1;
                     }
                 }
             }

@@ -5,7 +5,6 @@
 //! joined: over such a length one curvature is no fair description of a tube.
 
 use super::appearance::Layout;
-use super::fit::Stretch;
 use crate::rig::Rig;
 
 /// Longest tube between two bands that are fitted together, in diameters.
@@ -16,6 +15,17 @@ const BESIDE_DIAMETERS: f64 = 4.0;
 const CAUTIOUS_DIAMETERS: (f64, f64) = (0.5, 2.0);
 /// Background beyond the end of the tube, in diameters.
 const BEYOND_DIAMETERS: f64 = 0.8;
+
+/// What is fitted: a stretch of tube with one or more bands.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Stretch {
+    pub layout: Layout,
+    /// Arc lengths between which samples are used, metres.
+    pub range_m: (f64, f64),
+    pub radius_m: f64,
+    /// A clamp may be close to the first band.
+    pub at_clamp: bool,
+}
 
 /// Bands fitted together.
 #[derive(Debug, Clone, PartialEq)]

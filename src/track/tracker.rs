@@ -7,11 +7,12 @@
 use super::appearance::{FIXED, PER_SEGMENT};
 use super::assign::{Assigned, Assigner, direction_of_axes};
 use super::coil::deflection;
-use super::fit::{ModelError, TubeFit, fit};
+use super::fit::{TubeFit, fit};
+use super::image_model::{ImageModel, ModelError};
 use super::light::Encoding;
-use super::patch::ImageModel;
 use super::stretch::{Group, groups};
-use super::tube::{TubeImage, TubeShape};
+use super::tube::TubeShape;
+use super::tube_image::TubeImage;
 use crate::estimate::{BandObservation, Estimate, MarkerEstimate, Miss, Position, Tangent};
 use crate::optics::OpticalPath;
 use crate::rig::Rig;
@@ -271,7 +272,7 @@ impl Tracker {
     fn separation(&self, group: &Group, member: usize, colours: &[f64]) -> f64 {
         let Some(model) = self.rig.markers[group.members[member].0].colour else { return 0.0 };
         let score = |at: usize| {
-            let rgb = Vector3::from_fn(|c, _| self.model.encoding.encode(colours[at + c]).0);
+            let rgb = Vector3::from_fn(|c, _| f64::from(self.model.encoding.encode(colours[at + c] as f32).0));
             model.weights.dot(&rgb) + model.bias
         };
         let segment = |j: usize| FIXED + PER_SEGMENT * j;

@@ -1,0 +1,115 @@
+//! What a finished minimisation is worth: covariance of the shape, and what each view alone would say.
+//!
+//! Covariance: H⁻¹ M H⁻¹ with M from the residuals themselves, because errors of a decoder are correlated between
+//! neighbours and stronger near edges; and what the image model gets wrong without any residual showing it.
+
+use super::equations::Eliminated;
+use super::fit::{NoFit, TubeFit, ViewFit};
+use super::image_model::ModelError;
+use super::normal::{Normal, Squares};
+use super::round::{Guess, Minimum, Round, shape_prior};
+use super::stretch::Stretch;
+use super::tube::{SHAPE, ShapeStep};
+use super::tube_image::TubeImage;
+use super::view::LEAST_NOISE;
+use nalgebra::{Matrix2, Matrix3x2, SMatrix, Vector2};
+use rayon::prelude::*;
+
+impl Round<'_> {
+    /// Covariance of the shape, and what each view alone would say.
+    pub(crate) fn conclude(&self, minimum: Minimum) -> Result<TubeFit, NoFit> {
+        let Minimum { state, step, end } = minimum;
+        let normals = &state.equations.views;
+        let seen = normals.iter().map(|normal| normal.eliminate(0.0)).collect::<Option<Vec<_>>>();
+        let seen = seen.ok_or(NoFit::NotConverged)?;
+        let information = seen.iter().fold(shape_prior(), |sum, view| sum + view.shape);
+        let plain = information.cholesky().ok_or(NoFit::NotConverged)?.inverse();
+        // The priors' own share of the information is not in the residuals.
+        let mut covariance = plain * shape_prior() * plain;
+        let compared = self.views.par_iter().zip(&state.guess.images).zip(&seen);
+        let scatter = compared.map(|((view, image), eliminated)| {
+            let of_colours = -plain * &eliminated.following;
+            view.comparison.scatter(image, &self.stretch.layout, &view.noise, &plain, &of_colours)
+        });
+        covariance += scatter.collect::<Vec<_>>().into_iter().sum::<SMatrix<f64, SHAPE, SHAPE>>();
+        let Guess { shape, colours, images } = end;
+        let points: Vec<_> = images.iter().map(point_from_pixel).collect();
+        for (((image, point), view), normal) in images.iter().zip(&points).zip(&seen).zip(normals) {
+            let error = self.model.error.growth(rms(&normal.squares));
+            let moved = plain * view.shape * unmodelled(image, point, self.stretch, &self.model.error) * error;
+            covariance += moved * moved.transpose();
+        }
+        let inflation = (covariance.fixed_view::<3, 3>(0, 0).trace() / plain.fixed_view::<3, 3>(0, 0).trace()).max(1.0);
+        let own = points.iter().zip(&seen).zip(normals).zip(&step.colours).map(|(((point, view), normal), colours)| {
+            own_shift(point, view, &normal.shape_gradient_after(&step.shape, colours))
+        });
+        let views = own.zip(normals).zip(images.into_iter().zip(colours)).map(|((own, normal), (image, colours))| {
+            let (residual_px, covariance) = own;
+            let residual_covariance_px2 = covariance * inflation;
+            ViewFit { image, colours, residual_px, residual_covariance_px2, rms: rms(&normal.squares) }
+        });
+        Ok(TubeFit { shape, covariance, views: views.collect(), misfit: misfit(normals) })
+    }
+}
+
+fn misfit(normals: &[Normal]) -> f64 {
+    let classes = normals.iter().flat_map(|n| n.squares.iter().flatten()).filter(|(_, count)| *count > 0);
+    let (sum, samples) = classes.fold((0.0, 0.0), |(sum, samples), (squares, count)| {
+        let count = *count as f64;
+        (sum + count * (squares / count).max(LEAST_NOISE.powi(2)).ln(), samples + count)
+    });
+    sum / samples.max(1.0)
+}
+
+/// RMS of all residuals of a view, stored units.
+fn rms(squares: &Squares) -> f64 {
+    let (sum, count) = squares.iter().flatten().fold((0.0, 0), |(sum, count), (squares, n)| (sum + squares, count + n));
+    (sum / count.max(1) as f64).sqrt()
+}
+
+/// Shift of the reference band in space, across the line of sight, for a shift of its image.
+fn point_from_pixel(image: &TubeImage) -> Matrix3x2<f64> {
+    image.at_arc(0.0).d_point.pseudo_inverse(1e-12).unwrap_or_else(|_| Matrix3x2::zeros())
+}
+
+/// By how much a view alone would shift the image of the reference band, and the covariance of that.
+fn own_shift(
+    point_from_pixel: &Matrix3x2<f64>,
+    view: &Eliminated,
+    gradient: &ShapeStep,
+) -> (Vector2<f64>, Matrix2<f64>) {
+    let pixel = point_from_pixel.transpose();
+    let information = pixel * view.shape.fixed_view::<3, 3>(0, 0) * point_from_pixel;
+    match information.try_inverse() {
+        Some(covariance) => (covariance * pixel * gradient.fixed_rows::<3>(0), covariance),
+        None => (Vector2::repeat(f64::NAN), Matrix2::repeat(f64::NAN)),
+    }
+}
+
+/// What the image model may get wrong in a view, as changes of shape, one standard deviation each: the band shifted along
+/// and across, and the stretch turned in the picture.
+fn unmodelled(
+    image: &TubeImage,
+    point_from_pixel: &Matrix3x2<f64>,
+    stretch: &Stretch,
+    error: &ModelError,
+) -> SMatrix<f64, SHAPE, 3> {
+    let mut modes = SMatrix::<f64, SHAPE, 3>::zeros();
+    let knot = image.at_arc(0.0);
+    let along = knot.along / knot.scale;
+    let across = Vector2::new(-along.y, along.x);
+    let along_error_px = if stretch.at_clamp { error.along_at_clamp_px } else { error.along_px };
+    modes.fixed_view_mut::<3, 1>(0, 0).copy_from(&(point_from_pixel * along * along_error_px));
+    modes.fixed_view_mut::<3, 1>(0, 1).copy_from(&(point_from_pixel * across * error.across_px));
+    // d pixel / d tangent some way along the tube is that of a point moved by so much times the change of tangent. Of all
+    // changes that turn the image this far, the least: the tube need not lean towards the camera for it.
+    let half = (stretch.range_m.1 - stretch.range_m.0) / 2.0;
+    let reach = half.min(stretch.range_m.1);
+    let turned = image.at_arc(reach);
+    let turn_px = error.turn_px * turned.arc_m / reach;
+    let turns = turned.d_pixel.fixed_view::<2, 2>(0, 3).transpose() * across;
+    if turns.norm_squared() > 0.0 {
+        modes.fixed_view_mut::<2, 1>(3, 2).copy_from(&(turns * (turn_px / turns.norm_squared())));
+    }
+    modes
+}

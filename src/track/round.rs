@@ -1,0 +1,134 @@
+//! One least-squares minimisation over fixed samples (Levenberg-Marquardt): shape and colours that explain the pictures.
+
+use super::equations::{Equations, Step};
+use super::fit::NoFit;
+use super::image_model::ImageModel;
+use super::stretch::Stretch;
+use super::tube::{SHAPE, TubeShape};
+use super::tube_image::TubeImage;
+use super::view::View;
+use crate::optics::OpticalPath;
+use crate::source::Picture;
+use nalgebra::{DVector, SMatrix};
+use rayon::prelude::*;
+
+/// Distance of the knots along the tube, metres.
+const KNOT_M: f64 = 3e-3;
+/// Prior σ of the shape's parameters: centre and tangent free, curvatures in 1/m, their change in 1/m².
+const CURVATURE_SD: f64 = 30.0;
+const CURVATURE_RATE_SD: f64 = 200.0;
+/// Most need three; a wide tube whose start is some pixels off needs thirty.
+const MAX_EVALUATIONS: usize = 40;
+/// Levenberg's damping: at the start, and the least: lower ones make no difference to a step, but take long to come back from.
+const DAMPING: f64 = 1e-4;
+const LEAST_DAMPING: f64 = 1e-6;
+
+/// What is compared.
+pub(crate) struct Round<'a> {
+    pub stretch: &'a Stretch,
+    pub paths: &'a [&'a OpticalPath],
+    pub picture: &'a Picture,
+    pub model: &'a ImageModel,
+    pub views: Vec<View>,
+}
+
+/// Shape and colours, and what they look like.
+pub(crate) struct Guess {
+    pub shape: TubeShape,
+    /// Of each view.
+    pub colours: Vec<Vec<f64>>,
+    pub images: Vec<TubeImage>,
+}
+
+/// A guess, and what the samples say about it.
+pub(crate) struct State {
+    pub guess: Guess,
+    pub equations: Equations,
+}
+
+/// Where a round ended: the last guess that was compared with the samples, and the small step from there to the minimum.
+pub(crate) struct Minimum {
+    pub state: State,
+    pub step: Step,
+    pub end: Guess,
+}
+
+impl Guess {
+    /// # Errors
+    /// When a part of it cannot be seen.
+    pub(crate) fn new(
+        stretch: &Stretch,
+        paths: &[&OpticalPath],
+        shape: TubeShape,
+        colours: Vec<Vec<f64>>,
+    ) -> Result<Self, NoFit> {
+        // Pixels beside the ends need an axis a little longer than the samples' range.
+        let range = (stretch.range_m.0 - KNOT_M, stretch.range_m.1 + KNOT_M);
+        let image = |path: &&OpticalPath| TubeImage::of(&shape, stretch.radius_m, path, range, KNOT_M);
+        let images = paths.iter().map(image).collect::<Result<_, _>>().map_err(|_| NoFit::OutOfPicture)?;
+        Ok(Self { shape, colours, images })
+    }
+}
+
+/// Information of the shape's prior.
+pub(crate) fn shape_prior() -> SMatrix<f64, SHAPE, SHAPE> {
+    let mut information = SMatrix::zeros();
+    for i in 5..SHAPE {
+        information[(i, i)] = if i < 9 { CURVATURE_SD } else { CURVATURE_RATE_SD }.powi(-2);
+    }
+    information
+}
+
+impl Round<'_> {
+    /// Goes on until a step promises to lower the cost (a χ²) by less than `enough`. That one is taken untried.
+    pub(crate) fn minimise(&mut self, start: Guess, enough: f64) -> Result<Minimum, NoFit> {
+        let mut state = self.evaluate(start);
+        let mut damping = DAMPING;
+        let mut rejected = false;
+        for _ in 0..MAX_EVALUATIONS {
+            let step = state.equations.step(damping).ok_or(NoFit::NotConverged)?;
+            let next = self.moved(&state.guess, &step);
+            if step.promise < enough {
+                // The comparisons must be those of the state that is returned.
+                if rejected {
+                    state = self.evaluate(state.guess);
+                }
+                return Ok(Minimum { state, step, end: next? });
+            }
+            match next.map(|guess| self.evaluate(guess)) {
+                Ok(next) if next.equations.cost <= state.equations.cost => {
+                    state = next;
+                    damping = (damping * 0.1).max(LEAST_DAMPING);
+                    rejected = false;
+                }
+                _ => {
+                    damping *= 30.0;
+                    rejected = true;
+                }
+            }
+        }
+        Err(NoFit::NotConverged)
+    }
+
+    fn moved(&self, guess: &Guess, step: &Step) -> Result<Guess, NoFit> {
+        let add = |(colours, step): (&Vec<f64>, &DVector<f64>)| {
+            colours.iter().zip(step.iter()).map(|(colour, step)| colour + step).collect()
+        };
+        let colours = guess.colours.iter().zip(&step.colours).map(add).collect();
+        Guess::new(self.stretch, self.paths, guess.shape.moved(&step.shape), colours)
+    }
+
+    /// Compares all views, and adds the prior of the shape.
+    fn evaluate(&mut self, guess: Guess) -> State {
+        let Self { stretch, picture, model, .. } = *self;
+        let seen = self.views.par_iter_mut().zip(&guess.images).zip(&guess.colours);
+        let views: Vec<_> = seen
+            .map(|((view, image), colours)| view.compare(image, colours, &stretch.layout, picture, model))
+            .collect();
+        let prior = shape_prior();
+        let offset = guess.shape.curvatures();
+        let prior_gradient = -(prior * offset);
+        let cost = views.iter().map(|view| view.cost).sum::<f64>() - offset.dot(&prior_gradient);
+        State { guess, equations: Equations { prior, prior_gradient, views, cost } }
+    }
+}

@@ -1,0 +1,249 @@
+//! The image of a stretch of tube in a view: the centre line as equidistant knots, each projected with its derivatives.
+//!
+//! Between knots the axis is a cubic (Hermite); widths and derivatives change linearly.
+
+use super::appearance::Foot;
+use super::tube::{SHAPE, ShapeStep, TubeShape};
+use crate::optics::{NoRay, OpticalPath};
+use nalgebra::{Matrix2x3, Point2, SMatrix, Vector2};
+
+/// What of the image moves with the shape: place across the axis, place along it, bulge of the rings.
+pub(crate) const LOCAL: usize = 3;
+
+/// Image of one point of the centre line.
+#[derive(Debug, Clone)]
+pub(crate) struct Knot {
+    /// Arc length, metres.
+    pub arc_m: f64,
+    /// Pixel.
+    pub pixel: Point2<f64>,
+    /// d pixel / d s, pixels per metre.
+    pub along: Vector2<f64>,
+    /// Length of `along`, pixels per metre.
+    pub scale: f64,
+    /// Half width of the tube across its axis, pixels.
+    pub half_width: f64,
+    /// How far the near side of a ring is displaced along the axis against its centre, pixels (signed, along `along`).
+    pub bulge: f64,
+    /// d pixel / d shape parameters.
+    pub d_pixel: SMatrix<f64, 2, SHAPE>,
+    /// By how much the place across and along the axis, and the bulge, change with the shape parameters, pixels. A tube that
+    /// turns towards the camera shows its rings rounder.
+    pub d_local: [ShapeStep; LOCAL],
+    /// d pixel / d point, pixels per metre.
+    pub d_point: Matrix2x3<f64>,
+}
+
+/// Image of the centre line between two arc lengths, as equidistant knots.
+#[derive(Debug, Clone)]
+pub(crate) struct TubeImage {
+    /// Arc length of the first knot, metres.
+    pub first_m: f64,
+    /// Distance of the knots, metres.
+    pub spacing_m: f64,
+    /// Knots.
+    pub knots: Vec<Knot>,
+    /// The axis after each knot but the last: the powers' coefficients in the fraction of the way to the next, pixels.
+    pieces: Vec<[Vector2<f64>; 4]>,
+}
+
+impl TubeImage {
+    /// Projects the centre line from `range.0` to `range.1` (metres of arc) at about `spacing_m`.
+    ///
+    /// # Errors
+    /// [`NoRay`] when a part of it cannot be seen in this view.
+    pub(crate) fn of(
+        shape: &TubeShape,
+        radius_m: f64,
+        optics: &OpticalPath,
+        range: (f64, f64),
+        spacing_m: f64,
+    ) -> Result<Self, NoRay> {
+        let steps = ((range.1 - range.0) / spacing_m).ceil().max(1.0);
+        let spacing_m = (range.1 - range.0) / steps;
+        let mut beside = None;
+        let knots: Vec<Knot> = (0..=steps as usize)
+            .map(|i| {
+                let arc_m = range.0 + i as f64 * spacing_m;
+                let (point, direction, d) = shape.at(arc_m);
+                let seen = match &beside {
+                    Some(beside) => optics.project_beside(&point, beside)?,
+                    None => optics.project_with_jacobian(&point)?,
+                };
+                beside = Some(seen);
+                let along: Vector2<f64> = seen.d_pixel * direction;
+                let unit = along.normalize();
+                // The outline is where the line of sight grazes the tube: across both. The nearest side faces the camera.
+                let sight = seen.ray.direction;
+                let side = direction.cross(&sight).normalize();
+                let near = side.cross(&direction).normalize();
+                let near = if near.dot(&sight) > 0.0 { -near } else { near };
+                let half = seen.d_pixel * side * radius_m;
+                let half_width = (half.x * unit.y - half.y * unit.x).abs();
+                let bulge = (seen.d_pixel * near * radius_m).dot(&unit);
+                // Moving along the line of sight moves no pixel: bulge = radius · |along| · cos / sin of the angle between.
+                let d_direction = shape.d_direction(arc_m);
+                let (cos, sin) = (direction.dot(&sight), direction.cross(&sight).norm());
+                let d_bulge = (sight.transpose() * d_direction * (along.norm() / sin.powi(3))
+                    + unit.transpose() * seen.d_pixel * d_direction * (cos / sin))
+                    * radius_m;
+                let d_pixel = seen.d_pixel * d;
+                let across = Vector2::new(-unit.y, unit.x);
+                Ok(Knot {
+                    arc_m,
+                    pixel: seen.pixel,
+                    along,
+                    scale: along.norm(),
+                    half_width,
+                    bulge,
+                    d_local: [d_pixel.tr_mul(&across), d_pixel.tr_mul(&unit), d_bulge.transpose()],
+                    d_pixel,
+                    d_point: seen.d_pixel,
+                })
+            })
+            .collect::<Result<_, NoRay>>()?;
+        let pieces = knots.windows(2).map(|pair| hermite(&pair[0], &pair[1], spacing_m)).collect();
+        Ok(Self { first_m: range.0, spacing_m, knots, pieces })
+    }
+}
+
+/// The cubic between two knots that meets both with their directions.
+fn hermite(a: &Knot, b: &Knot, spacing_m: f64) -> [Vector2<f64>; 4] {
+    let (ta, tb) = (a.along * spacing_m, b.along * spacing_m);
+    let rise = b.pixel - a.pixel;
+    [a.pixel.coords, ta, rise * 3.0 - ta * 2.0 - tb, ta + tb - rise * 2.0]
+}
+
+/// The image of the tube at a knot coordinate.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Local {
+    /// Half width, pixels.
+    pub half_width: f64,
+    /// Displacement of a ring's near side along the axis, pixels.
+    pub bulge: f64,
+    /// Pixels per metre along the axis.
+    pub scale: f64,
+}
+
+impl TubeImage {
+    /// Index of the knot before `knot`, and the fraction of the way to the next (0..1, held at both ends).
+    fn between(&self, knot: f64) -> (usize, f64) {
+        let last = self.knots.len() - 2;
+        let i = (knot.max(0.0) as usize).min(last);
+        (i, (knot - i as f64).clamp(0.0, 1.0))
+    }
+
+    /// Width, bulge and scale at a knot coordinate.
+    pub(crate) fn local(&self, knot: f64) -> Local {
+        let (i, f) = self.between(knot);
+        let (a, b) = (&self.knots[i], &self.knots[i + 1]);
+        let mix = |p: f64, q: f64| p + (q - p) * f;
+        Local {
+            half_width: mix(a.half_width, b.half_width),
+            bulge: mix(a.bulge, b.bulge),
+            scale: mix(a.scale, b.scale),
+        }
+    }
+
+    /// Pixel and derivative per knot at a knot coordinate, straight beyond the ends.
+    fn axis(&self, knot: f64) -> (Point2<f64>, Vector2<f64>) {
+        let held = knot.clamp(0.0, self.pieces.len() as f64);
+        let i = (held as usize).min(self.pieces.len() - 1);
+        let f = held - i as f64;
+        let [a, b, c, d] = &self.pieces[i];
+        let slope = b + (c * 2.0 + d * (3.0 * f)) * f;
+        (Point2::from(a + (b + (c + d * f) * f) * f + slope * (knot - held)), slope)
+    }
+
+    /// Knot coordinate and distance aside, pixels, from the straight line between the first and the last knot.
+    pub(crate) fn chord_foot(&self, pixel: &Point2<f64>) -> (f64, f64) {
+        let (a, b) = (&self.knots[0], &self.knots[self.knots.len() - 1]);
+        let chord = b.pixel - a.pixel;
+        let off = pixel - a.pixel;
+        let knot = off.dot(&chord) / chord.norm_squared() * (self.knots.len() - 1) as f64;
+        (knot, (chord.x * off.y - chord.y * off.x) / chord.norm())
+    }
+
+    /// From where to where a row of the picture is within `reach` pixels of that line.
+    pub(crate) fn strip(&self, y: f64, reach: f64) -> (f64, f64) {
+        let (a, b) = (&self.knots[0], &self.knots[self.knots.len() - 1]);
+        let chord = b.pixel - a.pixel;
+        let (middle, half) = (a.pixel.x + chord.x / chord.y * (y - a.pixel.y), (chord.norm() * reach / chord.y).abs());
+        if middle.is_finite() && half.is_finite() { (middle - half, middle + half) } else { (f64::MIN, f64::MAX) }
+    }
+
+    /// Greatest distance of the axis from the straight line between its ends, pixels.
+    pub(crate) fn sagitta(&self) -> f64 {
+        self.knots.iter().map(|k| self.chord_foot(&k.pixel).1.abs()).fold(0.0, f64::max)
+    }
+
+    /// Greatest half width, pixels.
+    pub(crate) fn greatest_half_width(&self) -> f64 {
+        self.knots.iter().map(|k| k.half_width).fold(0.0, f64::max)
+    }
+
+    /// The nearest point of the axis to a pixel. `steps` Newton steps from the knot coordinate `start`; one is enough when the
+    /// tube has moved by less than a pixel since. The last step follows the tangent: over less than a knot the axis bends by
+    /// nothing that matters.
+    pub(crate) fn foot(&self, pixel: &Point2<f64>, start: f64, steps: usize) -> Foot {
+        let mut knot = start;
+        for _ in 1..steps {
+            let (at, d) = self.axis(knot);
+            knot += (pixel - at).dot(&d) / d.norm_squared();
+        }
+        let (at, d) = self.axis(knot);
+        let (off, per_length) = (pixel - at, 1.0 / d.norm());
+        Foot { knot: knot + off.dot(&d) * per_length * per_length, u: (d.x * off.y - d.y * off.x) * per_length }
+    }
+
+    /// Knot coordinate of an arc length.
+    pub(crate) fn knot_of(&self, s_m: f64) -> f64 {
+        (s_m - self.first_m) / self.spacing_m
+    }
+
+    /// The knot nearest to an arc length.
+    pub(crate) fn at_arc(&self, s_m: f64) -> &Knot {
+        let i = self.knot_of(s_m).round().clamp(0.0, (self.knots.len() - 1) as f64);
+        &self.knots[i as usize]
+    }
+
+    /// The point of the tube's outline at a knot coordinate: `side` 1 or −1 half widths across.
+    pub(crate) fn beside(&self, knot: f64, side: f64) -> Point2<f64> {
+        let (at, d) = self.axis(knot);
+        let along = d / d.norm();
+        at + Vector2::new(-along.y, along.x) * (side * self.local(knot).half_width)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::{Point3, Vector3};
+
+    /// Its own sight of a moved tube would change it too, but by a thousandth of what a turn does.
+    #[test]
+    fn the_rings_bulge_turns_with_the_tube() {
+        let [path, _] = super::super::drawn::views();
+        let shape = TubeShape {
+            curvature_up: Vector2::new(5.0, -8.0),
+            curvature_down: Vector2::new(-12.0, 4.0),
+            curvature_down_rate: Vector2::new(150.0, -60.0),
+            ..TubeShape::straight(Point3::new(0.001, -0.004, 1.35), &Vector3::new(0.2, 1.0, 0.4), 6e-3)
+        };
+        let image = |shape: &TubeShape| TubeImage::of(shape, 6e-3, &path, (-20e-3, 25e-3), 2e-3).unwrap().knots;
+        let knots = image(&shape);
+        for (parameter, step) in (3..11).zip([1e-4, 1e-4, 1e-2, 1e-2, 1e-2, 1e-2, 1.0, 1.0]) {
+            let mut by = ShapeStep::zeros();
+            by[parameter] = step;
+            for ((high, low), knot) in image(&shape.moved(&by)).iter().zip(&image(&shape.moved(&-by))).zip(&knots) {
+                let found = (high.bulge - low.bulge) / 2.0;
+                let error = (found - knot.d_local[2][parameter] * step).abs();
+                assert!(
+                    error < 0.1 * 12.0 * 1e-4,
+                    "parameter {parameter}: {found}, not {}",
+                    knot.d_local[2][parameter] * step
+                );
+            }
+        }
+    }
+}
