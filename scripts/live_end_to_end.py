@@ -63,14 +63,20 @@ def main():
     receiver.start()
 
     sent = round(arguments.seconds * arguments.speed * 60)
+    place = tempfile.TemporaryDirectory()
+    # As a camera encodes it, each frame on its own or from earlier ones: a recording's order of coding costs two frames.
+    encoded = pathlib.Path(place.name) / "camera.mkv"
+    subprocess.run(
+        ["ffmpeg", "-v", "error", "-i", arguments.recording, "-c:v", "libx264", "-preset", "veryfast", "-crf", "14"]
+        + ["-tune", "zerolatency", "-x264-params", "slices=1", str(encoded)], check=True)
     # In MPEG-TS, at its own pace, over and over; where it begins anew the stamps jump by some frames.
     sender = subprocess.Popen(
-        ["ffmpeg", "-v", "error", "-readrate", str(arguments.speed), "-stream_loop", "-1", "-i", arguments.recording]
+        ["ffmpeg", "-v", "error", "-readrate", str(arguments.speed), "-stream_loop", "-1", "-i", str(encoded)]
         + ["-frames:v", str(sent), "-c:v", "copy", "-f", "mpegts"]
         + [f"tcp://127.0.0.1:{port}?listen=1"], stderr=subprocess.PIPE)
     time.sleep(1)
-    with tempfile.TemporaryDirectory() as place:
-        out = pathlib.Path(place) / "out"
+    with place:
+        out = pathlib.Path(place.name) / "out"
         live = subprocess.Popen(
             [arguments.catoptra, "live", f"tcp://127.0.0.1:{port}", "--rig", arguments.rig, "-o", str(out)]
             + ["--udp", f"127.0.0.1:{controller.getsockname()[1]}"])

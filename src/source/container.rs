@@ -50,7 +50,8 @@ pub(super) fn open_stream(url: &str) -> Result<av::format::context::Input, Sourc
         ("timeout", patience.as_str()),
         ("rw_timeout", patience.as_str()),
         ("rtsp_flags", "prefer_tcp"),
-        ("analyzeduration", "500000"),
+        ("analyzeduration", "100000"),
+        ("fpsprobesize", "0"),
     ];
     let address = if url == "-" { "pipe:0" } else { url };
     av::format::input_with_dictionary(address, options.into_iter().collect::<av::Dictionary>())

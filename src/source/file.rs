@@ -66,6 +66,8 @@ pub struct VideoFile {
     ends_early: Option<String>,
     tally: Tally,
     seq: u64,
+    /// Live: when the latest packets were read, by their presentation time; and that of the last frame handed on.
+    read_at: VecDeque<(i64, Instant)>,
     arrival: Option<Instant>,
     /// Latest stamps decoded: of all, before the span, and the first after it.
     seen_ns: Option<i64>,
@@ -82,6 +84,8 @@ enum State {
     Ended,
 }
 
+/// Packets of a stream whose arrival is remembered: more than any encoder reorders.
+const MOST_ARRIVALS: usize = 64;
 /// Packets in a row that cannot be read before the rest is given up.
 const UNREADABLE: u32 = 1000;
 
@@ -161,6 +165,7 @@ impl VideoFile {
             ends_early: None,
             tally: Tally::default(),
             seq: 0,
+            read_at: VecDeque::new(),
             arrival: None,
             seen_ns: None,
             before_ns: None,
@@ -169,7 +174,7 @@ impl VideoFile {
         })
     }
 
-    /// When the last packet was read.
+    /// When the packet of the last frame handed on was read, in a stream.
     pub(super) fn arrival(&self) -> Option<Instant> {
         self.arrival
     }
@@ -222,7 +227,9 @@ impl VideoFile {
 
     /// The next frame in order of showing, when all that may damage it is decoded.
     fn next_held(&mut self) -> Option<(av::frame::Video, u64)> {
-        while self.held.len() <= if self.decoder.has_b_frames() { REORDER } else { 0 } {
+        // Live, what will turn out damaged later is not waited for.
+        let ahead = if self.decoder.has_b_frames() && self.clock == Clock::Container { REORDER } else { 0 };
+        while self.held.len() <= ahead {
             let Some(frame) = self.decode() else { break };
             let number = self.damage.picture(frame.pts().or(frame.timestamp()), is_damaged(&frame));
             self.held.push_back((frame, number));
@@ -249,7 +256,7 @@ impl VideoFile {
             match packet.read(&mut self.input) {
                 Ok(()) if packet.stream() != self.stream => continue,
                 Ok(()) => {
-                    self.arrival = Some(Instant::now());
+                    self.note_arrival(&packet);
                     // An MP4's edit list often ends at the last frame's start instead of its end, and libav would throw
                     // the frame away. Setting the flags that the binding knows clears the one that says so; frames before
                     // the recording's start stay out.
@@ -280,6 +287,17 @@ impl VideoFile {
             let _ = self.decoder.send_eof();
             self.state = State::Draining;
             return;
+        }
+    }
+
+    fn note_arrival(&mut self, packet: &av::Packet) {
+        if self.clock == Clock::Stream
+            && let Some(pts) = packet.pts()
+        {
+            if self.read_at.len() == MOST_ARRIVALS {
+                self.read_at.pop_front();
+            }
+            self.read_at.push_back((pts, Instant::now()));
         }
     }
 
@@ -402,6 +420,8 @@ impl VideoFile {
                     after,
                 });
             }
+            self.arrival =
+                decoded.pts().and_then(|pts| self.read_at.iter().rev().find(|(of, _)| *of == pts)).map(|(_, at)| *at);
             let picture = self.pictures.picture(decoded)?;
             let gap = std::mem::take(&mut self.missing);
             let frame = Frame { seq: self.seq, stamp, gap, host: None, picture };
