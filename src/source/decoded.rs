@@ -92,8 +92,7 @@ impl PictureMaker {
 
     fn colour(&mut self, frame: &Video) -> Result<Colour, SourceError> {
         let pixel = name(frame.format());
-        let is_yuv =
-            pixel.starts_with("yuv") || pixel.starts_with("nv") || pixel.starts_with("p0") || pixel == "uyvy422";
+        let is_yuv = ["yuv", "yuyv", "yvyu", "uyvy", "nv", "p0"].iter().any(|start| pixel.starts_with(start));
         Ok(Colour {
             matrix: if is_yuv { self.matrix(frame)? } else { Matrix::Bt709 },
             range: match frame.color_range() {
@@ -301,6 +300,10 @@ mod tests {
         assert_eq!(tags(Video::new(Pixel::YUV420P, 64, 720)).matrix, Matrix::Bt709);
         assert_eq!(tags(Video::new(Pixel::YUVJ420P, 64, 48)).range, Range::Full);
         assert_eq!(tags(Video::new(Pixel::RGB24, 64, 48)).range, Range::Full);
+        assert_eq!(
+            [Pixel::YUYV422, Pixel::UYVY422, Pixel::YVYU422].map(|p| tags(Video::new(p, 64, 48))),
+            [convention; 3]
+        );
         let mut tagged = Video::new(Pixel::YUV420P, 64, 48);
         tagged.set_color_space(color::Space::BT2020NCL);
         tagged.set_color_range(color::Range::JPEG);

@@ -52,6 +52,14 @@ pub enum SourceError {
         /// What is wrong and what would be right.
         reason: String,
     },
+    /// A camera that cannot be had, or is lost.
+    #[error("{name}: {reason}")]
+    Camera {
+        /// Its name as the user gave it.
+        name: String,
+        /// What is wrong and what would be right.
+        reason: String,
+    },
     /// No container that libav knows.
     #[error("{}: is not a video that can be read ({reason}); recordings may be Matroska (.mkv), MP4, AVI and others that \
         FFmpeg reads", path.display())]

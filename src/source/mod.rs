@@ -5,6 +5,7 @@
 //! map to places in the picture, [`Picture::colour`] how they map to colours).
 
 mod container;
+pub mod counter;
 mod damage;
 mod decoded;
 mod error;

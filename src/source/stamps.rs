@@ -1,7 +1,7 @@
 //! Camera frames lost between stamps, with a word to the user on stamps that are not in order.
 
 use super::Tally;
-use super::gaps::{GapCounter, Order, Rhythm, WINDOW};
+use super::gaps::{GapCounter, Order, Rhythm, Step, WINDOW};
 use super::times::seconds;
 
 /// A [`GapCounter`] that counts in a [`Tally`] what is odd, and warns of the first of each kind.
@@ -19,6 +19,30 @@ impl StampWatch {
 
     /// Camera frames lost before frame `seq`, stamped `ns`.
     pub(super) fn gap(&mut self, ns: i64, seq: u64, tally: &mut Tally) -> u32 {
+        let step = self.step(ns, seq, tally);
+        if let Rhythm::Varying { median_ns } = self.gaps.rhythm()
+            && !self.varying_named
+            && self.gaps.steps_seen() == WINDOW
+        {
+            self.varying_named = true;
+            tracing::warn!(
+                "{}: the time from frame to frame varies (median {:.3} ms): single lost frames cannot be told from long \
+                 steps and are not counted",
+                self.name,
+                median_ns * 1e-6
+            );
+        }
+        step.gap
+    }
+
+    /// The same as a second opinion beside a frame counter: none are lost where the stamps do not tell clearly.
+    pub(super) fn clear_gap(&mut self, ns: i64, seq: u64, tally: &mut Tally) -> u32 {
+        let steady = matches!(self.gaps.rhythm(), Rhythm::Steady { .. });
+        let step = self.step(ns, seq, tally);
+        if steady { step.gap } else { 0 }
+    }
+
+    fn step(&mut self, ns: i64, seq: u64, tally: &mut Tally) -> Step {
         let step = self.gaps.step(ns);
         let (name, at_s) = (&self.name, seconds(ns));
         match step.order {
@@ -39,17 +63,6 @@ impl StampWatch {
                 }
             }
         }
-        if let Rhythm::Varying { median_ns } = self.gaps.rhythm()
-            && !self.varying_named
-            && self.gaps.steps_seen() == WINDOW
-        {
-            self.varying_named = true;
-            tracing::warn!(
-                "{name}: the time from frame to frame varies (median {:.3} ms): single lost frames cannot be told from long \
-                 steps and are not counted",
-                median_ns * 1e-6
-            );
-        }
-        step.gap
+        step
     }
 }

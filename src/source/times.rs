@@ -71,6 +71,16 @@ pub struct FrameRate {
 pub struct FrameRateError(String);
 
 impl FrameRate {
+    /// Frames a second.
+    pub fn hz(self) -> f64 {
+        self.frames as f64 / self.seconds as f64
+    }
+
+    /// Frames, and the seconds they take.
+    pub fn fraction(self) -> (i64, i64) {
+        (self.frames, self.seconds)
+    }
+
     /// Time of frame number `index`, nanoseconds; frame 0 is at 0. `None` beyond 292 years.
     pub fn stamp_ns(self, index: u64) -> Option<i64> {
         ticks_to_ns(i64::try_from(index).ok()?, self.seconds, self.frames)
@@ -97,7 +107,7 @@ impl FromStr for FrameRate {
 
 impl fmt::Display for FrameRate {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}", self.frames as f64 / self.seconds as f64)
+        write!(f, "{}", self.hz())
     }
 }
 

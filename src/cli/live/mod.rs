@@ -10,9 +10,9 @@ use catoptra::report::RunInfo;
 use catoptra::rig::Rig;
 use catoptra::sink::{PublishSink, Sink, UdpSink};
 use catoptra::source::host::HostClock;
-use catoptra::source::live::{Paced, RawFormat, RawPictures, Stream};
+use catoptra::source::live::{Camera, CameraSettings, Paced, RawFormat, RawPictures, Stream};
 use catoptra::source::times::parse_seconds_ns;
-use catoptra::source::{self, FrameSource, SourceOptions};
+use catoptra::source::{self, FrameRate, FrameSource, SourceOptions};
 use catoptra::track::{TrackOptions, Tracker};
 use clap::builder::RangedU64ValueParser;
 use status::StatusLine;
@@ -26,7 +26,8 @@ use std::time::Duration;
 /// Arguments of `catoptra live`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// rtsp://…, http://…, udp://… or another stream, - for standard input, a recording with --realtime
+    /// /dev/video0, genicam: or genicam:NAME, rtsp://…, http://…, udp://… or another stream, - for standard input, a
+    /// recording with --realtime
     #[arg(value_name = "SOURCE")]
     source: String,
     /// The rig, with colours and base frame
@@ -41,6 +42,18 @@ pub(crate) struct Args {
     /// Standard input has raw pictures: size, pixel format and rate, as 1280x1024:bayer_rg8@60
     #[arg(long, value_name = "FORMAT")]
     raw: Option<RawFormat>,
+    /// Camera: frames a second
+    #[arg(long, value_name = "RATE")]
+    fps: Option<FrameRate>,
+    /// Camera: exposure time, milliseconds
+    #[arg(long, value_name = "MS", value_parser = positive)]
+    exposure: Option<f64>,
+    /// Camera: gain, in its own unit
+    #[arg(long, value_name = "G", value_parser = finite, allow_negative_numbers = true)]
+    gain: Option<f64>,
+    /// Camera: pixel format, as bayer_rg8 or MJPG
+    #[arg(long, value_name = "FORMAT")]
+    format: Option<String>,
     /// Send θ to a controller, a JSON datagram a frame
     #[arg(long, value_name = "HOST:PORT", value_parser = address)]
     udp: Option<SocketAddr>,
@@ -76,6 +89,14 @@ fn listening(text: &str) -> Result<SocketAddr, String> {
     address(place)
 }
 
+fn finite(text: &str) -> Result<f64, String> {
+    text.parse().ok().filter(|x: &f64| x.is_finite()).ok_or_else(|| "expected a number".to_owned())
+}
+
+fn positive(text: &str) -> Result<f64, String> {
+    finite(text).ok().filter(|x| *x > 0.0).ok_or_else(|| "expected a number above 0, such as 8.5".to_owned())
+}
+
 fn duration(text: &str) -> Result<Duration, String> {
     let ns = parse_seconds_ns(text).and_then(|ns| u64::try_from(ns).ok()).filter(|ns| *ns > 0);
     ns.map(Duration::from_nanos).ok_or_else(|| "expected seconds above 0, such as 600".to_owned())
@@ -101,7 +122,7 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
         from.open(clock, &until.stop).map_err(refused)
     });
     let currents = currents.transpose()?;
-    let source = args.open(clock, &until.stop)?;
+    let source = args.open(rig.camera.size_px, clock, &until.stop)?;
     fits(&args.source, source.as_ref(), &args.rig, &rig)?;
     // 2. the files
     let run = args.described();
@@ -167,9 +188,36 @@ fn fits(name: &str, source: &dyn FrameSource, rig_file: &Path, rig: &Rig) -> Res
 }
 
 impl Args {
-    fn open(&self, clock: HostClock, stop: &Arc<AtomicBool>) -> Result<Box<dyn FrameSource + Send>, Failure> {
+    fn open(
+        &self,
+        size_px: [u32; 2],
+        clock: HostClock,
+        stop: &Arc<AtomicBool>,
+    ) -> Result<Box<dyn FrameSource + Send>, Failure> {
         let usage = |text: String| Failure::new(Exit::Usage, text);
         let invalid = |e: source::SourceError| Failure::new(Exit::Usage, e);
+        if !self.realtime && self.raw.is_none() {
+            let settings = || CameraSettings {
+                size_px,
+                rate: self.fps,
+                exposure_s: self.exposure.map(|ms| ms * 1e-3),
+                gain: self.gain,
+                format: self.format.clone(),
+            };
+            if let Some(id) = self.source.strip_prefix("genicam:") {
+                return Ok(Box::new(Camera::genicam(id, settings(), clock, Arc::clone(stop)).map_err(invalid)?));
+            }
+            if self.source.starts_with("/dev/") {
+                let path = Path::new(&self.source);
+                return Ok(Box::new(Camera::v4l2(path, settings(), clock, Arc::clone(stop)).map_err(invalid)?));
+            }
+        }
+        if let Some((option, _)) = self.camera_options().first() {
+            return Err(usage(format!(
+                "{}: --{option} is for cameras, /dev/video0 or genicam:; this source is as it comes",
+                self.source
+            )));
+        }
         if let Some(format) = self.raw {
             if self.source != "-" {
                 return Err(usage(format!(
@@ -190,6 +238,17 @@ impl Args {
         Ok(Box::new(Stream::open(&self.source, clock, Arc::clone(stop)).map_err(invalid)?))
     }
 
+    /// What was asked of a camera.
+    fn camera_options(&self) -> Vec<(&'static str, String)> {
+        let options = [
+            ("fps", self.fps.map(|rate| rate.to_string())),
+            ("exposure", self.exposure.map(|ms| format!("{ms} ms"))),
+            ("gain", self.gain.map(|gain| gain.to_string())),
+            ("format", self.format.clone()),
+        ];
+        options.into_iter().filter_map(|(name, value)| Some((name, value?))).collect()
+    }
+
     /// The folder asked for, or the first free one.
     fn folder(&self) -> PathBuf {
         let free = || (1..).map(|n| PathBuf::from(format!("live-{n}"))).find(|folder| !folder.exists());
@@ -205,7 +264,7 @@ impl Args {
             frame: self.frame.word().to_owned(),
             from_s: None,
             to_s: None,
-            fps: self.raw.map(|format| format.rate.to_string()),
+            fps: self.raw.map(|format| format.rate).or(self.fps).map(|rate| rate.to_string()),
             full_frame: false,
         }
     }
@@ -214,7 +273,7 @@ impl Args {
         RunInfo {
             source: self.source.clone(),
             rig: self.rig.display().to_string(),
-            settings: Vec::new(),
+            settings: self.camera_options().into_iter().map(|(name, value)| (name.to_owned(), value)).collect(),
             camera_frame: self.frame == Reference::Camera,
         }
     }

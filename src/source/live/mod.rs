@@ -1,13 +1,26 @@
-//! Where frames come from while they are taken: streams, raw pictures on a pipe, recordings played at their own pace.
+//! Where frames come from while they are taken: cameras, streams, raw pictures on a pipe, recordings played at their own pace.
 //!
 //! A live source waits for its frames. It gives them the host's time ([`super::HostTime`]) beside the camera's, and goes on after
 //! an interruption that a camera or a network survives. Set its `stop` flag, and it ends at the next frame or within some
 //! seconds of silence.
 
+#[cfg(not(all(target_os = "linux", feature = "genicam")))]
+mod absent;
+mod camera;
+#[cfg(feature = "genicam")]
+mod genicam;
 mod paced;
 mod raw;
+mod retry;
+mod samples;
+mod settings;
 mod stream;
+#[cfg(target_os = "linux")]
+mod v4l2;
+mod v4l2_setup;
 
+pub use camera::Camera;
 pub use paced::Paced;
 pub use raw::{RawFormat, RawPictures};
+pub use settings::CameraSettings;
 pub use stream::Stream;

@@ -7,31 +7,12 @@ use super::super::decoded::PictureMaker;
 use super::super::host::HostClock;
 use super::super::stamps::StampWatch;
 use super::super::{Clock, Frame, FrameRate, FrameSource, HostTime, SourceError, Tally, Timestamp};
+use super::samples;
 use ffmpeg_the_third::codec::Id;
 use ffmpeg_the_third::format::Pixel;
 use ffmpeg_the_third::frame::Video;
 use std::io::{ErrorKind, Read};
 use std::str::FromStr;
-
-/// Names of pixel formats as GenICam and FFmpeg have them.
-const FORMATS: [(&str, Pixel); 16] = [
-    ("bayer_rg8", Pixel::BAYER_RGGB8),
-    ("bayer_bg8", Pixel::BAYER_BGGR8),
-    ("bayer_gr8", Pixel::BAYER_GRBG8),
-    ("bayer_gb8", Pixel::BAYER_GBRG8),
-    ("rgb24", Pixel::RGB24),
-    ("rgb8", Pixel::RGB24),
-    ("bgr24", Pixel::BGR24),
-    ("bgr8", Pixel::BGR24),
-    ("rgba", Pixel::RGBA),
-    ("bgra", Pixel::BGRA),
-    ("yuv420p", Pixel::YUV420P),
-    ("yuv422p", Pixel::YUV422P),
-    ("yuv444p", Pixel::YUV444P),
-    ("nv12", Pixel::NV12),
-    ("yuyv422", Pixel::YUYV422),
-    ("uyvy422", Pixel::UYVY422),
-];
 
 /// What is on the pipe, written `WIDTHxHEIGHT:FORMAT@RATE`.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -55,13 +36,9 @@ impl FromStr for RawFormat {
             .split_once('x')
             .and_then(|(w, h)| Some((side(w)?, side(h)?)))
             .ok_or_else(|| wrong(format!("{size} is not a size in pixels, 1x1 to 16384x16384")))?;
-        let name = format.to_ascii_lowercase();
-        let (_, pixel) = FORMATS.iter().find(|(known, _)| *known == name).ok_or_else(|| {
-            let known: Vec<&str> = FORMATS.iter().map(|(name, _)| *name).collect();
-            wrong(format!("pixel format {format} is not one of {}", known.join(", ")))
-        })?;
+        let pixel = samples::by_name(format).map_err(wrong)?;
         let rate = rate.parse::<FrameRate>().map_err(|e| wrong(e.to_string()))?;
-        Ok(Self { size_px: [width, height], pixel: *pixel, rate })
+        Ok(Self { size_px: [width, height], pixel, rate })
     }
 }
 
@@ -90,7 +67,7 @@ impl RawPictures {
         let mut begun = false;
         for plane in 0..frame.planes() {
             let (stride, rows) = (frame.stride(plane), frame.plane_height(plane) as usize);
-            let bytes = self.row_bytes(plane);
+            let bytes = samples::row_bytes(self.format.pixel, plane, self.format.size_px[0] as usize);
             for row in 0..rows {
                 let Some(row) = frame.data_mut(plane).get_mut(row * stride..row * stride + bytes) else { continue };
                 match self.pipe.read_exact(row) {
@@ -112,20 +89,6 @@ impl RawPictures {
             }
         }
         Ok(true)
-    }
-
-    /// Bytes of a row without padding.
-    fn row_bytes(&self, plane: usize) -> usize {
-        let width = self.format.size_px[0] as usize;
-        let half = width.div_ceil(2);
-        match (self.format.pixel, plane) {
-            (Pixel::RGB24 | Pixel::BGR24, _) => 3 * width,
-            (Pixel::RGBA | Pixel::BGRA, _) => 4 * width,
-            (Pixel::YUYV422 | Pixel::UYVY422, _) => 4 * half,
-            (Pixel::NV12, 1) => 2 * half,
-            (Pixel::YUV420P | Pixel::YUV422P, 1 | 2) => half,
-            _ => width,
-        }
     }
 }
 

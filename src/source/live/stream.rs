@@ -6,12 +6,10 @@
 
 use super::super::host::{ClockFit, HostClock};
 use super::super::{Frame, FrameSource, SourceError, Tally, VideoFile};
+use super::retry::until_back;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::{Duration, Instant};
-
-/// Time between two tries to open a stream again.
-const RETRY: Duration = Duration::from_secs(1);
+use std::time::Instant;
 
 /// A live stream.
 pub struct Stream {
@@ -38,27 +36,6 @@ impl Stream {
         let (fit, past) = (ClockFit::default(), Tally::default());
         Ok(Self { url: url.to_owned(), input: Some(input), size_px, clock, fit, stop, seq: 0, past })
     }
-
-    /// Waits until the stream can be opened again; `None` when asked to stop.
-    fn reopened(&self) -> Option<VideoFile> {
-        let lost = Instant::now();
-        loop {
-            let next_try = Instant::now() + RETRY;
-            while Instant::now() < next_try {
-                if self.stop.load(Ordering::Relaxed) {
-                    return None;
-                }
-                std::thread::sleep(Duration::from_millis(20));
-            }
-            match VideoFile::stream(&self.url) {
-                Ok(input) => {
-                    tracing::warn!("{}: the stream is back after {:.0} s", self.url, lost.elapsed().as_secs_f64());
-                    return Some(input);
-                }
-                Err(error) => tracing::debug!("{error}"),
-            }
-        }
-    }
 }
 
 impl FrameSource for Stream {
@@ -66,7 +43,7 @@ impl FrameSource for Stream {
         let comes_back = self.url != "-";
         while !self.stop.load(Ordering::Relaxed) {
             let Some(input) = &mut self.input else {
-                self.input = self.reopened();
+                self.input = until_back(&self.url, "stream", &self.stop, || VideoFile::stream(&self.url));
                 continue;
             };
             let reason = match input.next_frame() {

@@ -1,0 +1,353 @@
+//! A camera on this computer or its network: what all of them have in common.
+//!
+//! In: buffers of one connection to a camera, each with a frame counter, a stamp and a picture or the reason why there is
+//! none. Out: frames. Lost frames are what the counter leaves out; a picture that is no good is left out and counted as
+//! lost too. A counter that the driver makes, not the camera, sees only what reaches the driver: there the stamps have a
+//! say where they tell clearly. A counter that begins anew says nothing of what is missing.
+//!
+//! A camera that is lost, or silent for [`SILENCE`], is opened again, once a second, and set up as at first; the interruption
+//! is counted, what was lost in it is not known.
+
+use super::super::counter::{Count, FrameCounter, Wrap};
+use super::super::host::{ClockFit, HostClock};
+use super::super::stamps::StampWatch;
+use super::super::{Clock, Frame, FrameSource, HostTime, Picture, SourceError, Tally, Timestamp};
+use super::retry::until_back;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+/// How long a connection may wait before it looks whether it shall stop.
+const WAIT: Duration = Duration::from_millis(100);
+/// A camera that sends nothing for so long is lost.
+const SILENCE: Duration = Duration::from_secs(5);
+
+/// What came of one exposure.
+pub(super) struct Taken {
+    /// The frame counter.
+    pub(super) number: u64,
+    /// When it was exposed; `None` when nobody says.
+    pub(super) stamp: Option<Timestamp>,
+    /// When the whole buffer was here.
+    pub(super) arrival: Instant,
+    /// Time from stamp to arrival, where both are of one clock.
+    pub(super) age: Option<Duration>,
+    /// The picture, or what is wrong with it.
+    pub(super) picture: Result<Picture, String>,
+}
+
+/// A camera that is open, until it is lost.
+pub(super) trait Connection: Send {
+    /// The next buffer; `None` when there is none within `wait`.
+    ///
+    /// # Errors
+    /// When the camera is lost.
+    fn next(&mut self, wait: Duration) -> Result<Option<Taken>, SourceError>;
+
+    /// Width and height of its pictures, pixels.
+    fn size_px(&self) -> [u32; 2];
+
+    /// Where the frame counter begins anew.
+    fn wrap(&self) -> Wrap;
+
+    /// Whether the driver counts, not the camera.
+    fn driver_counts(&self) -> bool;
+}
+
+/// Opens the camera, and sets it up.
+pub(super) type Open = Box<dyn FnMut() -> Result<Box<dyn Connection>, SourceError> + Send>;
+
+/// A camera.
+pub struct Camera {
+    name: String,
+    open: Open,
+    /// `None` while it is away.
+    session: Option<Session>,
+    size_px: [u32; 2],
+    clock: HostClock,
+    fit: ClockFit,
+    stop: Arc<AtomicBool>,
+    last_host_ns: i64,
+    seq: u64,
+    tally: Tally,
+    unstamped_named: bool,
+}
+
+/// What begins anew with each connection.
+struct Session {
+    connection: Box<dyn Connection>,
+    counter: FrameCounter,
+    stamps: StampWatch,
+    /// When the last buffer came.
+    heard: Instant,
+    /// Frames lost or left out since the last one handed on.
+    missing: u32,
+}
+
+impl Session {
+    fn new(name: &str, connection: Box<dyn Connection>) -> Self {
+        let counter = FrameCounter::new(connection.wrap());
+        let stamps = StampWatch::new(name.to_owned(), None, 0.0);
+        Self { connection, counter, stamps, heard: Instant::now(), missing: 0 }
+    }
+}
+
+impl std::fmt::Debug for Camera {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "Camera({}, {:?} px)", self.name, self.size_px)
+    }
+}
+
+impl Camera {
+    /// The camera that `open` opens, called `name`.
+    pub(super) fn start(
+        name: &str,
+        mut open: Open,
+        clock: HostClock,
+        stop: Arc<AtomicBool>,
+    ) -> Result<Self, SourceError> {
+        let connection = open()?;
+        let size_px = connection.size_px();
+        Ok(Self {
+            name: name.to_owned(),
+            open,
+            session: Some(Session::new(name, connection)),
+            size_px,
+            clock,
+            fit: ClockFit::default(),
+            stop,
+            last_host_ns: i64::MIN,
+            seq: 0,
+            tally: Tally::default(),
+            unstamped_named: false,
+        })
+    }
+
+    /// The next buffer with a good picture; the reason when the camera is lost.
+    fn taken(&mut self) -> Result<Option<(Taken, Picture)>, String> {
+        let Some(session) = &mut self.session else { return Ok(None) };
+        let mut taken = match session.connection.next(WAIT) {
+            Ok(Some(taken)) => taken,
+            Ok(None) if session.heard.elapsed() < SILENCE => return Ok(None),
+            Ok(None) => return Err(format!("it has sent nothing for {} s", SILENCE.as_secs())),
+            Err(error) => return Err(error.to_string()),
+        };
+        session.heard = Instant::now();
+        match session.counter.step(taken.number) {
+            Count::First => {}
+            Count::After(lost) => session.missing = session.missing.saturating_add(lost),
+            Count::Restart => {
+                tracing::warn!(
+                    "{}: the camera's frame counter began anew at {}: what was lost there is not known",
+                    self.name,
+                    taken.number
+                );
+            }
+        }
+        match std::mem::replace(&mut taken.picture, Err(String::new())) {
+            Ok(picture) => Ok(Some((taken, picture))),
+            Err(reason) => {
+                session.missing = session.missing.saturating_add(1);
+                self.tally.pictures_left_out += 1;
+                if self.tally.pictures_left_out == 1 {
+                    let number = taken.number;
+                    tracing::warn!("{}: picture {number} is left out ({reason}); more are counted", self.name);
+                }
+                Ok(None)
+            }
+        }
+    }
+
+    fn frame(&mut self, taken: &Taken, picture: Picture) -> Frame {
+        let arrival_ns = self.clock.at_ns(taken.arrival);
+        let stamp = taken.stamp.unwrap_or_else(|| {
+            if !self.unstamped_named {
+                self.unstamped_named = true;
+                tracing::warn!("{}: the camera stamps no time: frames are stamped as they arrive", self.name);
+            }
+            Timestamp { ns: arrival_ns, clock: Clock::HostArrival }
+        });
+        let mut gap = 0;
+        if let Some(session) = &mut self.session {
+            let by_stamps = session.stamps.clear_gap(stamp.ns, self.seq, &mut self.tally);
+            gap = std::mem::take(&mut session.missing);
+            if session.connection.driver_counts() {
+                gap = gap.max(by_stamps);
+            }
+        }
+        let host = match (stamp.clock, taken.age) {
+            (Clock::HostArrival, _) => HostTime { arrival_ns, stamp_ns: arrival_ns },
+            (_, Some(age)) => {
+                let stamp_ns = arrival_ns.saturating_sub(i64::try_from(age.as_nanos()).unwrap_or(i64::MAX));
+                HostTime { arrival_ns, stamp_ns }
+            }
+            (_, None) => self.fit.map(stamp.ns, arrival_ns),
+        };
+        let host = HostTime { stamp_ns: host.stamp_ns.max(self.last_host_ns.saturating_add(1)), ..host };
+        self.last_host_ns = host.stamp_ns;
+        let seq = self.seq;
+        self.seq += 1;
+        Frame { seq, stamp, gap, host: Some(host), picture }
+    }
+}
+
+impl FrameSource for Camera {
+    fn next_frame(&mut self) -> Result<Option<Frame>, SourceError> {
+        while !self.stop.load(Ordering::Relaxed) {
+            if self.session.is_none() {
+                let back = until_back(&self.name, "camera", &self.stop, &mut self.open);
+                self.session = back.map(|connection| Session::new(&self.name, connection));
+                continue;
+            }
+            match self.taken() {
+                Ok(Some((taken, picture))) => return Ok(Some(self.frame(&taken, picture))),
+                Ok(None) => {}
+                Err(reason) => {
+                    tracing::warn!("{}: the camera is lost ({reason}); waiting for it to come back", self.name);
+                    self.tally.interruptions += 1;
+                    self.session = None;
+                }
+            }
+        }
+        Ok(None)
+    }
+
+    fn size_px(&self) -> [u32; 2] {
+        self.size_px
+    }
+
+    fn frame_count_hint(&self) -> Option<u64> {
+        None
+    }
+
+    fn tally(&self) -> Tally {
+        self.tally
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::super::{Colour, PixelFormat};
+    use super::*;
+    use std::collections::VecDeque;
+    use std::sync::Mutex;
+
+    fn picture() -> Picture {
+        Picture::from_planes(2, 2, PixelFormat::Grey, Colour::SRGB, vec![vec![0; 4]]).unwrap()
+    }
+
+    /// Frame `number` of a camera of 60 Hz.
+    fn good(number: u64) -> Taken {
+        let stamp = Some(Timestamp { ns: number as i64 * 16_666_667, clock: Clock::Device });
+        Taken { number, stamp, arrival: Instant::now(), age: None, picture: Ok(picture()) }
+    }
+
+    fn bad(number: u64) -> Taken {
+        Taken { picture: Err("half of it is missing".to_owned()), ..good(number) }
+    }
+
+    /// Gives what it holds, then is lost.
+    struct Script {
+        buffers: VecDeque<Taken>,
+        driver_counts: bool,
+    }
+
+    impl Connection for Script {
+        fn next(&mut self, _wait: Duration) -> Result<Option<Taken>, SourceError> {
+            let lost = || SourceError::Camera { name: "script".to_owned(), reason: "unplugged".to_owned() };
+            self.buffers.pop_front().map(Some).ok_or_else(lost)
+        }
+
+        fn size_px(&self) -> [u32; 2] {
+            [2, 2]
+        }
+
+        fn wrap(&self) -> Wrap {
+            Wrap::Bits32
+        }
+
+        fn driver_counts(&self) -> bool {
+            self.driver_counts
+        }
+    }
+
+    /// A camera of these connections, one after the other, and its stop flag.
+    fn camera(connections: Vec<Vec<Taken>>, driver_counts: bool) -> (Camera, Arc<AtomicBool>) {
+        let stop = Arc::new(AtomicBool::new(false));
+        let left = Mutex::new(VecDeque::from(connections));
+        let open: Open = Box::new(move || {
+            let buffers = left.lock().unwrap().pop_front();
+            let gone = || SourceError::Camera { name: "script".to_owned(), reason: "not there".to_owned() };
+            let buffers = buffers.ok_or_else(gone)?.into();
+            Ok(Box::new(Script { buffers, driver_counts }) as Box<dyn Connection>)
+        });
+        (Camera::start("script", open, HostClock::start(), Arc::clone(&stop)).unwrap(), stop)
+    }
+
+    fn next(camera: &mut Camera) -> Frame {
+        camera.next_frame().unwrap().unwrap()
+    }
+
+    #[test]
+    fn the_counter_says_what_is_lost_and_a_bad_picture_counts_too() {
+        let buffers = [good(10), good(11), good(14), bad(15), bad(17), good(18), good(19)];
+        let (mut camera, _) = camera(vec![buffers.into()], false);
+        let gaps: Vec<(u64, u32)> = (0..5).map(|_| next(&mut camera)).map(|frame| (frame.seq, frame.gap)).collect();
+        assert_eq!(gaps, [(0, 0), (1, 0), (2, 2), (3, 3), (4, 0)]);
+        assert_eq!(camera.tally().pictures_left_out, 2);
+    }
+
+    #[test]
+    fn a_counter_that_begins_anew_counts_nothing_as_lost() {
+        let (mut camera, _) = camera(vec![vec![good(100), good(101), good(3), good(4)]], false);
+        let frames: Vec<Frame> = (0..4).map(|_| next(&mut camera)).collect();
+        assert_eq!(frames.iter().map(|f| f.gap).collect::<Vec<_>>(), [0; 4]);
+        assert_eq!(camera.tally().backward_stamps, 1);
+        assert!(frames.windows(2).all(|two| two[0].host.unwrap().stamp_ns < two[1].host.unwrap().stamp_ns));
+    }
+
+    #[test]
+    fn stamps_tell_what_never_reached_a_driver_that_counts_by_itself() {
+        // The driver counts on without a gap; four exposures are missing before the last.
+        let taken = |k: u64| Taken { number: k, ..good(if k < 20 { k } else { k + 4 }) };
+        for (driver_counts, expected) in [(true, 4), (false, 0)] {
+            let (mut camera, _) = camera(vec![(0..21).map(taken).collect()], driver_counts);
+            let gaps: Vec<u32> = (0..21).map(|_| next(&mut camera).gap).collect();
+            assert_eq!((gaps[..20].iter().sum::<u32>(), gaps[20]), (0, expected));
+        }
+    }
+
+    #[test]
+    fn a_lost_camera_is_opened_again_and_its_frames_are_counted_on() {
+        let (mut camera, stop) = camera(vec![vec![good(5), good(6)], vec![good(1), good(2)]], false);
+        let frames: Vec<(u64, u32)> = (0..4).map(|_| next(&mut camera)).map(|f| (f.seq, f.gap)).collect();
+        assert_eq!(frames, [(0, 0), (1, 0), (2, 0), (3, 0)]);
+        assert_eq!((camera.tally().interruptions, camera.tally().backward_stamps), (1, 0));
+        let setter = std::thread::spawn(move || {
+            std::thread::sleep(Duration::from_millis(200));
+            stop.store(true, Ordering::Relaxed);
+        });
+        assert!(camera.next_frame().unwrap().is_none());
+        assert_eq!(camera.tally().interruptions, 2);
+        setter.join().unwrap();
+    }
+
+    #[test]
+    fn a_stamp_of_this_computer_s_own_clock_is_as_old_as_it_says() {
+        let old = Taken { age: Some(Duration::from_millis(30)), ..good(1) };
+        let (mut camera, _) = camera(vec![vec![old]], true);
+        let host = next(&mut camera).host.unwrap();
+        assert_eq!(host.arrival_ns - host.stamp_ns, 30_000_000);
+    }
+
+    #[test]
+    fn a_camera_without_a_clock_is_stamped_on_arrival() {
+        let (mut camera, _) = camera(vec![vec![Taken { stamp: None, ..good(1) }]], false);
+        let frame = next(&mut camera);
+        let host = frame.host.unwrap();
+        assert_eq!(
+            (frame.stamp.clock, frame.stamp.ns, host.stamp_ns),
+            (Clock::HostArrival, host.arrival_ns, host.arrival_ns)
+        );
+    }
+}
