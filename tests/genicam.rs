@@ -1,6 +1,7 @@
 //! A GigE Vision camera with frames of the sample in it: Aravis' own fake one, on the loopback interface.
 #![cfg(feature = "genicam")]
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
+#![allow(unsafe_code, reason = "the binding does not offer the fake camera's own pictures")]
 
 mod track_common;
 
@@ -50,17 +51,18 @@ unsafe extern "C" {
         fill: Option<unsafe extern "C" fn(*mut c_void, *mut c_void, u32, u32, u32)>,
         data: *mut c_void,
     );
+    fn arv_fake_camera_get_payload(camera: *mut c_void) -> usize;
     fn arv_buffer_get_data(buffer: *mut c_void, size: *mut usize) -> *mut u8;
 }
 
-/// Called by the fake camera for each picture.
-unsafe extern "C" fn fill(buffer: *mut c_void, _data: *mut c_void, _exposure_us: u32, _gain: u32, _format: u32) {
+/// Called by the fake camera for each picture; its buffer is as long as its payload, though it does not say so yet.
+unsafe extern "C" fn fill(buffer: *mut c_void, camera: *mut c_void, _exposure_us: u32, _gain: u32, _format: u32) {
     let picture = &MOSAICS[FILLED.fetch_add(1, Ordering::Relaxed) % MOSAICS.len()];
-    let mut size = 0;
-    // SAFETY: the buffer is Aravis' own and lives while this function runs; no more is written than it holds.
+    // SAFETY: buffer and camera are Aravis' own and live while this function runs; no more is written than the buffer holds.
     unsafe {
-        let data = arv_buffer_get_data(buffer, &raw mut size);
-        std::ptr::copy_nonoverlapping(picture.as_ptr(), data, size.min(picture.len()));
+        let size = arv_fake_camera_get_payload(camera).min(picture.len());
+        let data = arv_buffer_get_data(buffer, std::ptr::null_mut());
+        std::ptr::copy_nonoverlapping(picture.as_ptr(), data, size);
     }
 }
 
@@ -70,8 +72,8 @@ fn fake() -> aravis::GvFakeCamera {
     assert!(camera.is_running());
     let inner = camera.fake_camera().unwrap();
     let pointer: *mut c_void = inner.as_ptr().cast::<c_void>();
-    // SAFETY: the camera lives as long as it may call the function, which uses no data.
-    unsafe { arv_fake_camera_set_fill_pattern(pointer, Some(fill), std::ptr::null_mut()) };
+    // SAFETY: the camera lives as long as it may call the function.
+    unsafe { arv_fake_camera_set_fill_pattern(pointer, Some(fill), pointer) };
     camera
 }
 
@@ -198,7 +200,7 @@ fn the_command_tracks_a_gige_camera_and_warns_of_what_it_does_otherwise() {
     let place = Place::new();
     let mut command = Command::new(env!("CARGO_BIN_EXE_catoptra"));
     command.current_dir(place.folder.path()).args(["live", "genicam:", "-o", "out", "--duration", "3", "--rig"]);
-    command.arg(&place.rig).args(["--fps", "30", "--format", "BayerRG8", "--exposure", "8", "--gain", "1e9"]);
+    command.arg(&place.rig).args(["--fps", "30", "--format", "BayerRG8", "--exposure", "8", "--gain", "1e12"]);
     let output = command.output().unwrap();
     let told = String::from_utf8_lossy(&output.stderr).into_owned();
     assert!(output.status.success(), "{told}");
