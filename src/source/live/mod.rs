@@ -6,17 +6,30 @@
 
 #[cfg(not(all(target_os = "linux", feature = "genicam")))]
 mod absent;
+#[cfg_attr(
+    not(any(target_os = "linux", feature = "genicam")),
+    allow(dead_code, reason = "this build has no camera that needs it")
+)]
 mod camera;
 #[cfg(feature = "genicam")]
 mod genicam;
 mod paced;
 mod raw;
 mod retry;
+#[cfg_attr(
+    not(any(target_os = "linux", feature = "genicam")),
+    allow(dead_code, reason = "this build has no camera that needs it")
+)]
 mod samples;
+#[cfg_attr(
+    not(any(target_os = "linux", feature = "genicam")),
+    allow(dead_code, reason = "this build has no camera that needs it")
+)]
 mod settings;
 mod stream;
 #[cfg(target_os = "linux")]
 mod v4l2;
+#[cfg(target_os = "linux")]
 mod v4l2_setup;
 
 pub use camera::Camera;
