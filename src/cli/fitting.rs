@@ -16,23 +16,31 @@ pub(super) fn open(
     let invalid = |e: SourceError| Failure::new(Exit::Usage, e);
     let name = source.display();
     let opened = source::open(source, options).map_err(invalid)?;
-    let ([width, height], expected) = (opened.size_px(), rig.camera.size_px);
-    if [width, height] != expected {
-        let text = format!(
-            "{name}: pictures of {width}x{height} pixels, but the camera in {} has {}x{}; a calibration holds for one size \
-             only",
-            rig_file.display(),
-            expected[0],
-            expected[1]
-        );
-        return Err(Failure::new(Exit::Usage, text));
-    }
+    check_size(&name.to_string(), opened.size_px(), (rig_file, rig))?;
     let peeked = Peeked::new(opened).map_err(invalid)?;
     if peeked.first.as_ref().is_some_and(|frame| frame.picture.format() == PixelFormat::Grey) {
         let text = format!("{name}: pictures are grey; markers are told by their colour");
         return Err(Failure::new(Exit::Usage, text));
     }
     Ok(peeked)
+}
+
+/// Refuses pictures, of the source called `name`, that have not the size of those of the rig's camera.
+///
+/// # Errors
+/// [`Exit::Usage`].
+pub(super) fn check_size(name: &str, size_px: [u32; 2], (rig_file, rig): (&Path, &Rig)) -> Result<(), Failure> {
+    let ([width, height], expected) = (size_px, rig.camera.size_px);
+    if size_px == expected {
+        return Ok(());
+    }
+    let text = format!(
+        "{name}: pictures of {width}x{height} pixels, but the camera in {} has {}x{}; a calibration holds for one size only",
+        rig_file.display(),
+        expected[0],
+        expected[1]
+    );
+    Err(Failure::new(Exit::Usage, text))
 }
 
 /// A source whose first frame has been looked at.

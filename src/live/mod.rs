@@ -244,8 +244,8 @@ impl Out {
         if let Some(controllers) = &mut self.controllers {
             controllers.send(&estimate);
         }
-        self.counters.add(&estimate, tracked);
         let estimate = Arc::new(estimate);
+        self.counters.add(&estimate, tracked);
         if let Some(subscribers) = &self.subscribers {
             subscribers.put(&estimate);
         }

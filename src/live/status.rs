@@ -4,7 +4,7 @@ use crate::estimate::Estimate;
 use crate::source::host::HostClock;
 use crate::tally::{AlarmInWords, Tally};
 use hdrhistogram::Histogram;
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// Latencies up to ten seconds are told apart.
 const LONGEST_US: u64 = 10_000_000;
@@ -55,7 +55,7 @@ pub(super) struct Counters {
 #[derive(Debug)]
 struct State {
     tally: Tally,
-    latest: Option<Estimate>,
+    latest: Option<Arc<Estimate>>,
     told_frames: u64,
     recent: Histogram<u64>,
     whole: Histogram<u64>,
@@ -71,7 +71,7 @@ impl Counters {
     }
 
     /// Counts a frame, when it has been sent to who waits for it.
-    pub(super) fn add(&self, estimate: &Estimate, tracked: bool) {
+    pub(super) fn add(&self, estimate: &Arc<Estimate>, tracked: bool) {
         let now_ns = self.clock.now_ns();
         let mut state = self.lock();
         state.tally.add(estimate);
@@ -80,7 +80,7 @@ impl Counters {
             state.recent.saturating_record(took_us);
             state.whole.saturating_record(took_us);
         }
-        state.latest = Some(estimate.clone());
+        state.latest = Some(Arc::clone(estimate));
     }
 
     /// How it goes; the counts of new frames begin again.

@@ -4,10 +4,9 @@ mod status;
 
 use super::run::folder::{Files, Run, unlike_others, whole_path};
 use super::run::{Reference, load_rig, open_sinks, pool, tell_warnings, told, verdict};
-use super::{Exit, Failure, interrupt, output};
+use super::{Exit, Failure, fitting, interrupt, output};
 use catoptra::live::{self, CurrentSource, LiveSummary, Outputs, Until};
 use catoptra::report::RunInfo;
-use catoptra::rig::Rig;
 use catoptra::sink::{PublishSink, Sink, UdpSink};
 use catoptra::source::host::HostClock;
 use catoptra::source::live::{Camera, CameraSettings, Paced, RawFormat, RawPictures, Stream};
@@ -123,7 +122,7 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     });
     let currents = currents.transpose()?;
     let source = args.open(rig.camera.size_px, clock, &until.stop)?;
-    fits(&args.source, source.as_ref(), &args.rig, &rig)?;
+    fitting::check_size(&args.source, source.size_px(), (&args.rig, &rig))?;
     // 2. the files
     let run = args.described();
     let run_toml = run.to_toml()?;
@@ -172,19 +171,6 @@ fn lines(summary: &LiveSummary) -> String {
         text += &format!("subscribers missed {} frames; the log has them\n", summary.unpublished);
     }
     text
-}
-
-/// Refuses a camera that is not the rig's.
-fn fits(name: &str, source: &dyn FrameSource, rig_file: &Path, rig: &Rig) -> Result<(), Failure> {
-    let ([width, height], [w, h]) = (source.size_px(), rig.camera.size_px);
-    if [width, height] == [w, h] {
-        return Ok(());
-    }
-    let text = format!(
-        "{name}: pictures of {width}x{height} pixels, but the camera in {} has {w}x{h}; a calibration holds for one size only",
-        rig_file.display()
-    );
-    Err(Failure::new(Exit::Usage, text))
 }
 
 impl Args {

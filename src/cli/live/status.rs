@@ -1,9 +1,8 @@
 //! The status line of a live run, and warnings that cannot wait for its end.
 
 use super::super::progress::Line;
+use super::super::run::told::warn_of;
 use catoptra::live::Status;
-use catoptra::source::times::seconds;
-use catoptra::tally::AlarmInWords;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -42,9 +41,7 @@ impl StatusLine {
 
     pub(super) fn show(&mut self, status: &Status) {
         let source = &self.source;
-        for AlarmInWords { ns, what, advice } in status.alarms.iter().skip(self.told_alarms) {
-            tracing::warn!("{source}: at {:.3} s: {what}: {advice}", seconds(*ns));
-        }
+        status.alarms.iter().skip(self.told_alarms).for_each(|alarm| warn_of(alarm, source));
         self.told_alarms = status.alarms.len();
         if status.skipped > 0 && !self.told_skipped {
             self.told_skipped = true;

@@ -10,10 +10,14 @@ use std::fmt::{self, Write as _};
 
 /// A warning for every alarm beyond the first `told` ones; how many there are now.
 pub(in crate::cli) fn new_alarms(tally: &Tally, recording: &str, told: usize) -> usize {
-    for AlarmInWords { ns, what, advice } in tally.alarms().skip(told) {
-        tracing::warn!("{recording}: at {:.3} s: {what}: {advice}", seconds(ns));
-    }
+    tally.alarms().skip(told).for_each(|alarm| warn_of(&alarm, recording));
     tally.drift.alarms().len()
+}
+
+/// A warning for one alarm of `source`.
+pub(in crate::cli) fn warn_of(alarm: &AlarmInWords, source: &str) {
+    let AlarmInWords { ns, what, advice } = alarm;
+    tracing::warn!("{source}: at {:.3} s: {what}: {advice}", seconds(*ns));
 }
 
 /// The summary of a run of `recording`.
