@@ -96,4 +96,6 @@ pub mod pipeline;
 
 pub mod calibrate;
 
+pub mod identify;
+
 pub mod whole_file;

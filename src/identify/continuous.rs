@@ -1,0 +1,217 @@
+//! From samples to seconds: H(s) of a discrete model.
+//!
+//! The input is held between samples, so the states obey exp([[A_c, b_c], [0, 0]] T) = [[A, b], [0, 1]]: the logarithm gives
+//! the continuous system exactly. A pole on the negative real axis or at zero has no such logarithm; then Tustin's rule is
+//! used, s = 2/T (z−1)/(z+1), and that is said: it is right at low frequencies only.
+
+use super::model::Polynomials;
+use super::state_space::{StateSpace, characteristic};
+use nalgebra::{Complex, DMatrix, RowDVector, DVector};
+
+/// How it was converted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Conversion {
+    /// Zero-order hold, exact.
+    Hold,
+    /// Tustin's rule: a real pole is not positive.
+    Tustin,
+}
+
+/// H(s) = e^(−delay s) num(s)/den(s).
+#[derive(Debug, Clone, PartialEq)]
+pub struct Continuous {
+    /// Highest power of s first, as many as `den` or fewer.
+    pub num: Vec<f64>,
+    /// Highest power of s first, the first 1.
+    pub den: Vec<f64>,
+    /// Delay beyond the sample that the hold itself takes, seconds.
+    pub delay_s: f64,
+    /// How it was converted.
+    pub conversion: Conversion,
+}
+
+impl Continuous {
+    /// Converts a discrete model of period `period_s`. Nothing when neither way exists: a pole at −1.
+    pub fn of(model: &Polynomials, period_s: f64) -> Option<Self> {
+        // Whole samples of pure delay beyond the first are a delay in seconds too, not states.
+        let extra = model.nk.saturating_sub(1);
+        let undelayed = Polynomials { nk: model.nk - extra, ..model.clone() };
+        let system = StateSpace::of(&undelayed);
+        let (system, conversion) = match held(&system, period_s) {
+            Some(held) => (held, Conversion::Hold),
+            None => (tustin(&system, period_s)?, Conversion::Tustin),
+        };
+        let (num, den) = rational(&system);
+        Some(Self { num, den, delay_s: extra as f64 * period_s, conversion })
+    }
+
+    /// Response at a frequency.
+    pub fn response(&self, frequency_hz: f64) -> Complex<f64> {
+        let s = Complex::new(0.0, std::f64::consts::TAU * frequency_hz);
+        let value = |c: &[f64]| c.iter().fold(Complex::new(0.0, 0.0), |sum, c| sum * s + c);
+        value(&self.num) / value(&self.den) * (-s * self.delay_s).exp()
+    }
+
+    /// Roots of the denominator, radians a second.
+    pub fn poles(&self) -> Vec<Complex<f64>> {
+        super::model::roots(&self.den)
+    }
+
+    /// num, then den without its leading 1.
+    pub fn parameters(&self) -> Vec<f64> {
+        self.num.iter().chain(self.den.iter().skip(1)).copied().collect()
+    }
+
+    /// The discrete model whose input is held between samples of `period_s`. A delay is rounded to whole samples.
+    pub fn sampled(&self, period_s: f64) -> Polynomials {
+        let n = self.den.len() - 1;
+        let padded = [vec![0.0; n + 1 - self.num.len()], self.num.clone()].concat();
+        // The companion form of s is that of z.
+        let system = StateSpace::of(&Polynomials { a: self.den.clone(), b: padded, nk: 0 });
+        let mut generator = DMatrix::zeros(n + 1, n + 1);
+        generator.view_mut((0, 0), (n, n)).copy_from(&system.a);
+        generator.view_mut((0, n), (n, 1)).copy_from(&system.b);
+        let step = (generator * period_s).exp();
+        let sampled = StateSpace {
+            a: step.view((0, 0), (n, n)).into_owned(),
+            b: step.view((0, n), (n, 1)).column(0).into_owned(),
+            ..system
+        };
+        let model = sampled.polynomials();
+        Polynomials { nk: model.nk + (self.delay_s / period_s).round() as usize, ..model }
+    }
+}
+
+fn held(system: &StateSpace, period_s: f64) -> Option<StateSpace> {
+    let n = system.order();
+    let poles = system.a.complex_eigenvalues();
+    if poles.iter().any(|p| p.im == 0.0 && p.re <= 0.0) {
+        return None;
+    }
+    let mut step = DMatrix::identity(n + 1, n + 1);
+    step.view_mut((0, 0), (n, n)).copy_from(&system.a);
+    step.view_mut((0, n), (n, 1)).copy_from(&system.b);
+    let generator = logarithm(step)? / period_s;
+    Some(StateSpace {
+        a: generator.view((0, 0), (n, n)).into_owned(),
+        b: generator.view((0, n), (n, 1)).column(0).into_owned(),
+        c: system.c.clone(),
+        d: system.d,
+    })
+}
+
+/// Principal logarithm by square roots until the matrix is near the identity, then the Padé approximant as a sum of Gauss
+/// quadrature terms (Higham, Functions of Matrices, 2008, chapter 11).
+fn logarithm(mut matrix: DMatrix<f64>) -> Option<DMatrix<f64>> {
+    // Abscissae and weights of Gauss and Legendre on [0, 1], 8 points.
+    const HALF: [(f64, f64); 4] = [
+        (0.960_289_856_497_536_2, 0.101_228_536_290_376_26),
+        (0.796_666_477_413_626_7, 0.222_381_034_453_374_48),
+        (0.525_532_409_916_329, 0.313_706_645_877_887_27),
+        (0.183_434_642_495_649_8, 0.362_683_783_378_361_96),
+    ];
+    let n = matrix.nrows();
+    let identity = DMatrix::identity(n, n);
+    let mut scale = 1.0;
+    while (&matrix - &identity).norm() > 0.1 {
+        if scale > 1e12 {
+            return None;
+        }
+        matrix = square_root(matrix)?;
+        scale *= 2.0;
+    }
+    let offset = &matrix - &identity;
+    let nodes = HALF.iter().flat_map(|(x, w)| [((1.0 - x) / 2.0, w / 2.0), ((1.0 + x) / 2.0, w / 2.0)]);
+    let mut sum = DMatrix::zeros(n, n);
+    for (node, weight) in nodes {
+        sum += (&identity + &offset * node).lu().solve(&offset)? * weight;
+    }
+    Some(sum * scale)
+}
+
+/// Denman and Beavers' iteration, until it is at rest within the rounding of its inverses.
+fn square_root(matrix: DMatrix<f64>) -> Option<DMatrix<f64>> {
+    let n = matrix.nrows();
+    let (mut root, mut inverse) = (matrix, DMatrix::identity(n, n));
+    let mut before = f64::INFINITY;
+    for _ in 0..100 {
+        let next = (&root + inverse.clone().try_inverse()?) * 0.5;
+        inverse = (&inverse + root.clone().try_inverse()?) * 0.5;
+        let change = (&next - &root).norm();
+        root = next;
+        let size = root.norm();
+        // It converges quadratically: small steps that no longer shrink are rounding.
+        if change <= 4.0 * f64::EPSILON * size || (change < 1e-9 * size && change >= before) {
+            return Some(root);
+        }
+        before = change;
+    }
+    None
+}
+
+fn tustin(system: &StateSpace, period_s: f64) -> Option<StateSpace> {
+    let n = system.order();
+    let identity = DMatrix::identity(n, n);
+    let plus = (&system.a + &identity).lu();
+    let a = plus.solve(&(&system.a - &identity))? * (2.0 / period_s);
+    let b: DVector<f64> = plus.solve(&system.b)?;
+    let c: RowDVector<f64> = plus.solve(&identity).map(|inverse| &system.c * inverse)?;
+    let d = system.d - (&system.c * &b)[0];
+    Some(StateSpace { a, b: b * (2.0 / period_s.sqrt()), c: c * (2.0 / period_s.sqrt()), d })
+}
+
+/// Numerator and denominator in s.
+fn rational(system: &StateSpace) -> (Vec<f64>, Vec<f64>) {
+    let den = characteristic(&system.a);
+    // The same rule as for z: the first Markov parameters determine the numerator.
+    let model = system.polynomials();
+    let num = [vec![0.0; model.nk], model.b].concat();
+    let lead = num.iter().position(|c| *c != 0.0).unwrap_or(num.len().saturating_sub(1));
+    (num[lead..].to_vec(), den)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Eq. 7 of the paper.
+    pub(crate) fn eq_7() -> Continuous {
+        Continuous { num: vec![1.761e4, 6344.0], den: vec![1.0, 4.59, 1.136], delay_s: 0.0, conversion: Conversion::Hold }
+    }
+
+    #[test]
+    fn eq_7_there_and_back() {
+        let back = Continuous::of(&eq_7().sampled(1.0 / 60.0), 1.0 / 60.0).unwrap();
+        assert_eq!(back.conversion, Conversion::Hold);
+        for (found, true_value) in back.parameters().iter().zip(eq_7().parameters()) {
+            assert!((found / true_value - 1.0).abs() < 1e-9, "{back:?}");
+        }
+    }
+
+    #[test]
+    fn an_integrator_by_hand() {
+        // y(t) = y(t−1) + T u(t−1) is 1/s.
+        let model = Polynomials { a: vec![1.0, -1.0], b: vec![0.1], nk: 1 };
+        let found = Continuous::of(&model, 0.1).unwrap();
+        assert!((found.num[0] - 1.0).abs() < 1e-12 && found.den[1].abs() < 1e-12, "{found:?}");
+    }
+
+    #[test]
+    fn a_negative_pole_is_converted_by_tustin() {
+        let model = Polynomials { a: vec![1.0, 0.5], b: vec![1.5], nk: 1 };
+        let found = Continuous::of(&model, 0.1).unwrap();
+        assert_eq!(found.conversion, Conversion::Tustin);
+        // Pole 2/T (z−1)/(z+1) = 20·(−1.5)/0.5, gain kept.
+        assert!((found.poles()[0].re + 60.0).abs() < 1e-9, "{found:?}");
+        assert!((found.response(0.0) - model.gain()).norm() < 1e-12);
+    }
+
+    #[test]
+    fn a_delay_beyond_the_hold_stays_a_delay() {
+        let model = Polynomials { nk: 3, ..eq_7().sampled(0.02) };
+        let found = Continuous::of(&model, 0.02).unwrap();
+        assert!((found.delay_s - 0.04).abs() < 1e-15);
+        assert_eq!(found.den.len(), 3);
+        assert_eq!(found.sampled(0.02).nk, 3);
+    }
+}

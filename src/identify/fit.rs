@@ -1,0 +1,186 @@
+//! How well a model reproduces a record: simulated from the input alone, and predicted one step ahead.
+//!
+//! Error as the paper has it: energy of the difference in percent of the energy of the observed signal, 100 Σ(y−ŷ)²/Σy².
+//! Fit as it is common elsewhere: 100 (1 − ‖y−ŷ‖/‖y−ȳ‖). Both of the signals as they were identified, trend taken off.
+
+use super::data::Segment;
+use super::model::Polynomials;
+use nalgebra::DMatrix;
+
+/// Samples from which the state at the beginning of a stretch is estimated, at most.
+const START: usize = 4096;
+
+/// Where a simulation begins.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Start {
+    /// At rest; where a stretch begins after a hole, as [`Start::Estimated`].
+    #[default]
+    Rest,
+    /// In the state that fits the stretch best, by least squares.
+    Estimated,
+}
+
+/// What was compared.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Kind {
+    /// Output from input alone.
+    Simulation(Start),
+    /// Output one step ahead, from what was observed before.
+    Prediction,
+}
+
+/// How large the difference is.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FitError {
+    /// 100 Σ(y−ŷ)²/Σy².
+    pub error_percent: f64,
+    /// 100 (1 − ‖y−ŷ‖/‖y−ȳ‖).
+    pub fit_percent: f64,
+    /// Root mean square of the difference, unit of the output.
+    pub rms: f64,
+    /// Samples compared.
+    pub samples: usize,
+}
+
+/// Compares all stretches. NaN where there is nothing to compare, or the observed signal is zero; infinite where an unstable
+/// model left the numbers.
+pub fn compare(model: &Polynomials, segments: &[Segment], kind: Kind) -> FitError {
+    let mut sums = Sums::default();
+    for segment in segments {
+        let modelled = output(model, segment, kind);
+        let observed = &segment.output[segment.len() - modelled.len()..segment.len()];
+        sums.add(observed, &modelled);
+    }
+    sums.error()
+}
+
+/// Output of the model for one stretch. A prediction is shorter than the stretch by the model's memory, at its beginning.
+pub fn output(model: &Polynomials, segment: &Segment, kind: Kind) -> Vec<f64> {
+    match kind {
+        Kind::Prediction => model.predict(&segment.input, &segment.output),
+        Kind::Simulation(Start::Rest) if segment.from_rest => model.simulate(&segment.input),
+        Kind::Simulation(_) => from_fitted_start(model, segment),
+    }
+}
+
+fn from_fitted_start(model: &Polynomials, segment: &Segment) -> Vec<f64> {
+    let mut output = model.simulate(&segment.input);
+    if let Some(free) = free_part(model, segment, &output) {
+        output.iter_mut().zip(&free).for_each(|(y, free)| *y += free);
+    }
+    output
+}
+
+/// What the state at the beginning of a stretch adds to the output from rest, `simulated`, by least squares. Every state of
+/// B/A shows as the response of 1/A to one of the first [`Polynomials::memory`] samples. Nothing when the numbers overflow
+/// or the stretch is shorter than the memory.
+pub(super) fn free_part(model: &Polynomials, segment: &Segment, simulated: &[f64]) -> Option<Vec<f64>> {
+    let states = model.memory();
+    let response = model.free_response(segment.len());
+    let reach = segment.len().min(START);
+    let at = |t: usize, state: usize| t.checked_sub(state).map_or(0.0, |t| response[t]);
+    // The last column is what is left over.
+    let columns = DMatrix::from_fn(reach, states + 1, |t, column| match column {
+        last if last == states => segment.output[t] - simulated[t],
+        state => at(t, state),
+    });
+    if reach < states || columns.iter().any(|v| !v.is_finite()) {
+        return None;
+    }
+    let r = columns.qr().r();
+    let svd = r.view((0, 0), (states, states)).into_owned().svd(true, true);
+    // Slow poles make neighbouring responses nearly the same: what the data do not determine is set to zero.
+    let tolerance = svd.singular_values.max() * 1e-12;
+    let start = svd.solve(&r.view((0, states), (states, 1)), tolerance).ok()?;
+    let free = |t: usize| start.iter().enumerate().map(|(state, s)| s * at(t, state)).sum();
+    Some((0..segment.len()).map(free).collect())
+}
+
+/// Sums over pairs of observed and modelled values.
+#[derive(Debug, Default)]
+struct Sums {
+    difference: f64,
+    energy: f64,
+    total: f64,
+    samples: usize,
+}
+
+impl Sums {
+    fn add(&mut self, observed: &[f64], modelled: &[f64]) {
+        for (y, m) in observed.iter().zip(modelled) {
+            self.difference += (y - m) * (y - m);
+            self.energy += y * y;
+            self.total += y;
+            self.samples += 1;
+        }
+    }
+
+    fn error(&self) -> FitError {
+        let n = self.samples as f64;
+        let difference = if self.difference.is_nan() { f64::INFINITY } else { self.difference };
+        let about_mean = self.energy - self.total * self.total / n;
+        FitError {
+            error_percent: 100.0 * difference / self.energy,
+            fit_percent: 100.0 * (1.0 - (difference / about_mean).sqrt()),
+            rms: (difference / n).sqrt(),
+            samples: self.samples,
+        }
+    }
+}
+
+/// The error between two signals of the same length.
+pub fn between(observed: &[f64], modelled: &[f64]) -> FitError {
+    let mut sums = Sums::default();
+    sums.add(observed, modelled);
+    sums.error()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn model() -> Polynomials {
+        Polynomials { a: vec![1.0, -1.6, 0.68], b: vec![0.3, 0.1], nk: 2 }
+    }
+
+    fn segment(from: usize) -> Segment {
+        let input: Vec<f64> = (0..400).map(|t| f64::from(t * t % 11) - 5.0).collect();
+        let output = model().simulate(&input);
+        Segment { input, output, from_rest: true, ..Segment::default() }.part(from, 400, 1.0)
+    }
+
+    #[test]
+    fn errors_by_hand() {
+        let error = between(&[1.0, 2.0, 3.0], &[1.0, 2.0, 4.0]);
+        assert!((error.error_percent - 100.0 / 14.0).abs() < 1e-12);
+        assert!((error.fit_percent - 100.0 * (1.0 - (1.0_f64 / 2.0).sqrt())).abs() < 1e-12);
+        assert!((error.rms - (1.0_f64 / 3.0).sqrt()).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_stretch_from_the_middle_needs_its_state_and_finds_it() {
+        let part = segment(100);
+        assert!(!part.from_rest);
+        let rest = between(&part.output, &model().simulate(&part.input));
+        let fitted = compare(&model(), &[part], Kind::Simulation(Start::Rest));
+        assert!(rest.error_percent > 0.1, "{rest:?}");
+        assert!(fitted.error_percent < 1e-20, "{fitted:?}");
+    }
+
+    #[test]
+    fn from_rest_nothing_is_fitted() {
+        let mut whole = segment(0);
+        whole.output[0] += 1.0;
+        let rest = output(&model(), &whole, Kind::Simulation(Start::Rest));
+        assert_eq!(rest, model().simulate(&whole.input));
+        let fitted = output(&model(), &whole, Kind::Simulation(Start::Estimated));
+        assert!((fitted[0] - rest[0]).abs() > 0.1);
+    }
+
+    #[test]
+    fn an_unstable_model_is_infinitely_wrong_not_a_number() {
+        let model = Polynomials { a: vec![1.0, -9.0], b: vec![1.0], nk: 1 };
+        let error = compare(&model, &[segment(0)], Kind::Simulation(Start::Rest));
+        assert_eq!(error.error_percent, f64::INFINITY);
+    }
+}

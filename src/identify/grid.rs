@@ -1,0 +1,331 @@
+//! Frame times as an even grid, and a record cut where samples are missing.
+//!
+//! In: times as the camera gave them, outputs, some missing. Out: stretches without a hole. Times are never moved: a sample
+//! that comes up to a quarter of a period early or late counts as the grid's, since the input was integrated up to its real
+//! time ([`hold`](super::hold)). Uneven times are refused, or resampled where that is asked.
+
+use super::data::{Record, Segment};
+
+/// Intervals may differ from whole periods by this part of one.
+const TOLERANCE: f64 = 0.25;
+/// Resampling bridges intervals up to so many periods.
+const LONGEST_BRIDGED: f64 = 2.5;
+
+/// A record as it came: one entry a sample.
+#[derive(Debug, Clone, Default)]
+pub struct Series {
+    /// How the user knows it.
+    pub name: String,
+    /// Seconds, rising.
+    pub time_s: Vec<f64>,
+    /// Input from each time to the next.
+    pub input: Vec<Option<f64>>,
+    /// Output at each time.
+    pub output: Vec<Option<f64>>,
+    /// As [`Segment::instrument`], if there is one.
+    pub instrument: Option<Vec<f64>>,
+}
+
+/// Why times are no grid.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum GridError {
+    /// Nothing to make a grid of.
+    #[error("{name}: has {samples} samples; at least 2 are needed")]
+    TooFew {
+        /// The record.
+        name: String,
+        /// How many there are.
+        samples: usize,
+    },
+    /// Time stands still or runs back.
+    #[error("{name}: time goes from {before_s} s to {after_s} s at sample {sample}; it must rise")]
+    NotRising {
+        /// The record.
+        name: String,
+        /// Index of the later sample.
+        sample: usize,
+        /// Seconds.
+        before_s: f64,
+        /// Seconds.
+        after_s: f64,
+    },
+    /// Intervals are no multiples of one period.
+    #[error(
+        "{name}: samples are not evenly spaced: {interval_s:.6} s between {at_s:.3} s and the next, where a period is \
+         {period_s:.6} s ({uneven} of {intervals} intervals are off by more than a quarter of it); resample with --resample"
+    )]
+    Uneven {
+        /// The record.
+        name: String,
+        /// The worst interval.
+        interval_s: f64,
+        /// Where it begins.
+        at_s: f64,
+        /// The usual interval.
+        period_s: f64,
+        /// Intervals that are off.
+        uneven: usize,
+        /// All of them.
+        intervals: usize,
+    },
+}
+
+/// How times lie on their grid.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Grid {
+    /// Period, seconds, by least squares over the whole record.
+    pub period_s: f64,
+    /// Place of each sample on the grid, from 0.
+    pub places: Vec<usize>,
+    /// Root mean square of the samples' distance from their places, seconds.
+    pub jitter_s: f64,
+    /// Places without a sample.
+    pub lost: usize,
+}
+
+impl Grid {
+    /// Finds the grid of a record.
+    ///
+    /// # Errors
+    /// [`GridError`].
+    pub fn of(name: &str, time_s: &[f64]) -> Result<Self, GridError> {
+        let usual = usual_interval(name, time_s)?;
+        let mut places = vec![0];
+        let (mut place, mut uneven, mut worst) = (0, 0, (0.0, 0));
+        for (k, pair) in time_s.windows(2).enumerate() {
+            let periods = (pair[1] - pair[0]) / usual;
+            let whole = periods.round().max(1.0);
+            let off = (periods - whole).abs();
+            uneven += usize::from(off > TOLERANCE);
+            if off > worst.0 {
+                worst = (off, k);
+            }
+            place += whole as usize;
+            places.push(place);
+        }
+        if uneven > 0 {
+            let (_, k) = worst;
+            return Err(GridError::Uneven {
+                name: name.to_owned(),
+                interval_s: time_s[k + 1] - time_s[k],
+                at_s: time_s[k],
+                period_s: usual,
+                uneven,
+                intervals: places.len() - 1,
+            });
+        }
+        // Least squares of time over place, about the means.
+        let n = time_s.len() as f64;
+        let mean_t = time_s.iter().sum::<f64>() / n;
+        let mean_k = places.iter().map(|k| *k as f64).sum::<f64>() / n;
+        let pairs = || time_s.iter().zip(&places).map(|(t, k)| (t - mean_t, *k as f64 - mean_k));
+        let period_s = pairs().map(|(t, k)| t * k).sum::<f64>() / pairs().map(|(_, k)| k * k).sum::<f64>();
+        let jitter_s = (pairs().map(|(t, k)| (t - period_s * k).powi(2)).sum::<f64>() / n).sqrt();
+        Ok(Self { period_s, lost: place + 1 - places.len(), places, jitter_s })
+    }
+}
+
+/// The median interval; its times must rise.
+fn usual_interval(name: &str, time_s: &[f64]) -> Result<f64, GridError> {
+    if time_s.len() < 2 {
+        return Err(GridError::TooFew { name: name.to_owned(), samples: time_s.len() });
+    }
+    if let Some(k) = time_s.windows(2).position(|pair| pair[1] <= pair[0] || !(pair[1] - pair[0]).is_finite()) {
+        let (before_s, after_s) = (time_s[k], time_s[k + 1]);
+        return Err(GridError::NotRising { name: name.to_owned(), sample: k + 1, before_s, after_s });
+    }
+    let mut intervals: Vec<f64> = time_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    intervals.sort_by(f64::total_cmp);
+    Ok(intervals[intervals.len() / 2])
+}
+
+/// Cuts a record at every hole. Up to `bridge` missing outputs in a row are put in by a cubic through their neighbours, and
+/// counted: `(record, bridged)`. A missing input is a hole always.
+pub fn cut(series: &Series, grid: &Grid, bridge: usize) -> (Record, usize) {
+    let length = grid.places.last().map_or(0, |last| last + 1);
+    let mut output = vec![None; length];
+    let mut input = vec![None; length];
+    let mut instrument = series.instrument.as_ref().map(|_| vec![0.0; length]);
+    for (k, place) in grid.places.iter().enumerate() {
+        output[*place] = series.output[k];
+        input[*place] = series.input[k];
+        if let (Some(all), Some(given)) = (&mut instrument, &series.instrument) {
+            all[*place] = given[k];
+        }
+    }
+    let first_s = series.time_s.first().copied().unwrap_or(0.0);
+    let mut bridged = 0;
+    if bridge > 0 {
+        bridged = fill(&mut output, &input, bridge);
+    }
+    let known: Vec<bool> = output.iter().zip(&input).map(|(y, u)| y.is_some() && u.is_some()).collect();
+    let mut segments: Vec<Segment> = Vec::new();
+    let mut begin = 0;
+    while let Some(from) = known[begin..].iter().position(|k| *k).map(|k| begin + k) {
+        let to = known[from..].iter().position(|k| !k).map_or(length, |k| from + k);
+        segments.push(Segment {
+            start_s: first_s + from as f64 * grid.period_s,
+            input: input[from..to].iter().flatten().copied().collect(),
+            output: output[from..to].iter().flatten().copied().collect(),
+            instrument: instrument.as_ref().map(|i| i[from..to].to_vec()),
+            from_rest: from == 0,
+        });
+        begin = to;
+    }
+    (Record { name: series.name.clone(), segments }, bridged)
+}
+
+/// Fills holes of up to `most` outputs whose inputs are known, by Lagrange's cubic through two samples on each side, or by a
+/// line where there is one only. Says how many.
+fn fill(output: &mut [Option<f64>], input: &[Option<f64>], most: usize) -> usize {
+    let given = output.to_vec();
+    let at = |k: i64| usize::try_from(k).ok().and_then(|k| given.get(k).copied().flatten()).map(|y| (k as f64, y));
+    let mut filled = 0;
+    let mut k = 0;
+    while k < given.len() {
+        let to = given[k..].iter().position(Option::is_some).map_or(given.len(), |n| k + n);
+        let hole = k..to;
+        k = to + 1;
+        if hole.is_empty() || hole.len() > most || hole.start == 0 || to == given.len() {
+            continue;
+        }
+        if input[hole.clone()].iter().any(Option::is_none) {
+            continue;
+        }
+        let (before, after) = (hole.start as i64, to as i64);
+        let mut through: Vec<(f64, f64)> = [before - 2, before - 1, after, after + 1].into_iter().filter_map(at).collect();
+        if through.len() < 4 {
+            through = [before - 1, after].into_iter().filter_map(at).collect();
+        }
+        for place in hole {
+            output[place] = Some(lagrange(&through, place as f64));
+            filled += 1;
+        }
+    }
+    filled
+}
+
+fn lagrange(points: &[(f64, f64)], x: f64) -> f64 {
+    let term = |(i, (xi, yi)): (usize, &(f64, f64))| {
+        let others = points.iter().enumerate().filter(|(j, _)| *j != i);
+        yi * others.map(|(_, (xj, _))| (x - xj) / (xi - xj)).product::<f64>()
+    };
+    points.iter().enumerate().map(term).sum()
+}
+
+/// A record on even times, `period_s` apart or by default its usual interval: outputs by linear interpolation between samples at most
+/// 2.5 periods apart, inputs as they were held, averaged over the new intervals.
+///
+/// # Errors
+/// [`GridError::TooFew`] and [`GridError::NotRising`].
+pub fn resample(series: &Series, period_s: Option<f64>) -> Result<Series, GridError> {
+    let usual = usual_interval(&series.name, &series.time_s)?;
+    let period = period_s.unwrap_or(usual);
+    let (first, last) = (series.time_s[0], series.time_s[series.time_s.len() - 1]);
+    let count = ((last - first) / period + 1e-9).floor() as usize + 1;
+    let time_s: Vec<f64> = (0..count).map(|k| first + k as f64 * period).collect();
+    let after = |t: f64| series.time_s.partition_point(|s| *s <= t + 1e-9 * period);
+    let output = |t: &f64| {
+        let next = after(*t);
+        let (k, known) = (next - 1, |k: usize| series.output.get(k).copied().flatten());
+        let t0 = series.time_s[k];
+        if (t - t0).abs() <= 1e-9 * period {
+            return known(k);
+        }
+        let t1 = *series.time_s.get(next)?;
+        let near = t1 - t0 <= LONGEST_BRIDGED * usual;
+        known(k).zip(known(next)).filter(|_| near).map(|(y0, y1)| y0 + (y1 - y0) * (t - t0) / (t1 - t0))
+    };
+    let held = |values: &dyn Fn(usize) -> Option<f64>, from: f64, to: f64| -> Option<f64> {
+        let (mut sum, mut t, mut k) = (0.0, from, after(from) - 1);
+        while t < to {
+            let until = series.time_s.get(k + 1).copied().unwrap_or(f64::INFINITY).min(to);
+            sum += values(k)? * (until - t);
+            (t, k) = (until, k + 1);
+        }
+        Some(sum / (to - from))
+    };
+    let intervals = || time_s.iter().map(|t| (*t, t + period));
+    Ok(Series {
+        name: series.name.clone(),
+        output: time_s.iter().map(output).collect(),
+        input: intervals().map(|(from, to)| held(&|k| series.input.get(k).copied().flatten(), from, to)).collect(),
+        instrument: series
+            .instrument
+            .as_ref()
+            .map(|i| intervals().map(|(from, to)| held(&|k| i.get(k).copied(), from, to).unwrap_or(0.0)).collect()),
+        time_s,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn series(time_s: &[f64], of: impl Fn(f64) -> f64) -> Series {
+        Series {
+            name: "a.csv".into(),
+            time_s: time_s.to_vec(),
+            input: time_s.iter().map(|t| Some(10.0 * t)).collect(),
+            output: time_s.iter().map(|t| Some(of(*t))).collect(),
+            instrument: None,
+        }
+    }
+
+    #[test]
+    fn whole_milliseconds_of_60_hz_are_a_grid_with_their_lost_frames() {
+        let time_s: Vec<f64> =
+            (0..600).filter(|k| k % 100 != 50).map(|k| (f64::from(k) * 1000.0 / 60.0).round() / 1000.0).collect();
+        let grid = Grid::of("a", &time_s).unwrap();
+        assert!((grid.period_s - 1.0 / 60.0).abs() < 1e-7, "{}", grid.period_s);
+        assert_eq!((grid.lost, grid.places.last()), (6, Some(&599)));
+        assert!((grid.jitter_s - 1e-3 / 12.0_f64.sqrt()).abs() < 5e-5, "{}", grid.jitter_s);
+    }
+
+    #[test]
+    fn uneven_times_and_times_that_run_back_are_refused() {
+        let uneven = Grid::of("a.csv", &[0.0, 1.0, 2.0, 3.4, 4.4, 5.4]).unwrap_err();
+        assert_eq!(
+            uneven.to_string(),
+            "a.csv: samples are not evenly spaced: 1.400000 s between 2.000 s and the next, where a period is 1.000000 s \
+             (1 of 5 intervals are off by more than a quarter of it); resample with --resample"
+        );
+        let back = Grid::of("a.csv", &[0.0, 1.0, 1.0]).unwrap_err();
+        assert_eq!(back.to_string(), "a.csv: time goes from 1 s to 1 s at sample 2; it must rise");
+        assert!(matches!(Grid::of("a", &[1.0]), Err(GridError::TooFew { .. })));
+        assert!(matches!(Grid::of("a", &[0.0, f64::NAN]), Err(GridError::NotRising { .. })));
+    }
+
+    #[test]
+    fn holes_cut_and_small_ones_are_bridged_when_asked() {
+        let times = [0.0, 1.0, 2.0, 3.0, 5.0, 6.0, 7.0, 10.0, 11.0];
+        let cubic = |t: f64| t * t * t - 2.0 * t;
+        let series = series(&times, cubic);
+        let grid = Grid::of("a", &times).unwrap();
+        let (record, bridged) = cut(&series, &grid, 0);
+        assert_eq!(record.segments.iter().map(Segment::len).collect::<Vec<_>>(), [4, 3, 2]);
+        assert_eq!((bridged, record.segments[1].start_s), (0, 5.0));
+        assert_eq!(record.segments.iter().map(|s| s.from_rest).collect::<Vec<_>>(), [true, false, false]);
+        // The input of a lost frame is not known here, so nothing is bridged.
+        assert_eq!(cut(&series, &grid, 2).1, 0);
+        let mut missed = self::series(&[0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0], cubic);
+        missed.output[4] = None;
+        missed.output[7] = None;
+        missed.output[8] = None;
+        let grid = Grid::of("a", &missed.time_s).unwrap();
+        let (record, bridged) = cut(&missed, &grid, 1);
+        assert_eq!((bridged, record.segments.len()), (1, 2));
+        assert!((record.segments[0].output[4] - cubic(4.0)).abs() < 1e-12);
+    }
+
+    #[test]
+    fn resampled_outputs_lie_between_and_inputs_keep_their_integral() {
+        let source = series(&[0.0, 1.0, 2.0, 2.5, 4.0], |t| 3.0 * t);
+        let even = resample(&source, None).unwrap();
+        assert_eq!(even.time_s, [0.0, 1.0, 2.0, 3.0, 4.0]);
+        assert_eq!(even.output.iter().flatten().copied().collect::<Vec<_>>(), [0.0, 3.0, 6.0, 9.0, 12.0]);
+        // From 2 to 3: 20 for half a second, then 25.
+        assert_eq!(even.input[2], Some(22.5));
+        assert_eq!(even.input[4], Some(40.0));
+    }
+}

@@ -1,0 +1,66 @@
+//! What an amplifier that holds its last command put out on average between two times.
+
+/// Commands and when they came, on any clock; each acts until the next.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Held {
+    /// Seconds, rising.
+    time_s: Vec<f64>,
+    value: Vec<f64>,
+    /// Integral from the first command to each.
+    integral: Vec<f64>,
+}
+
+impl Held {
+    /// From commands in any order; of two at the same time the last counts.
+    pub fn new(mut commands: Vec<(f64, f64)>) -> Self {
+        commands.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let mut held = Self::default();
+        for (t, value) in commands {
+            if let (Some(last), Some(before)) = (held.time_s.last(), held.value.last_mut())
+                && *last == t
+            {
+                *before = value;
+                continue;
+            }
+            let integral = match (held.integral.last(), held.time_s.last(), held.value.last()) {
+                (Some(sum), Some(last), Some(before)) => sum + before * (t - last),
+                _ => 0.0,
+            };
+            held.time_s.push(t);
+            held.value.push(value);
+            held.integral.push(integral);
+        }
+        held
+    }
+
+    /// First and last command, seconds.
+    pub fn span_s(&self) -> Option<(f64, f64)> {
+        self.time_s.first().copied().zip(self.time_s.last().copied())
+    }
+
+    /// Average from `from_s` to the later `to_s`. Nothing before the first command: what was put out then is not known.
+    pub fn mean(&self, from_s: f64, to_s: f64) -> Option<f64> {
+        Some((self.integral_to(to_s)? - self.integral_to(from_s)?) / (to_s - from_s))
+    }
+
+    fn integral_to(&self, t: f64) -> Option<f64> {
+        let k = self.time_s.partition_point(|s| *s <= t).checked_sub(1)?;
+        Some(self.integral[k] + self.value[k] * (t - self.time_s[k]))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn averages_by_hand() {
+        let held = Held::new(vec![(1.0, 4.0), (0.0, 2.0), (2.0, 0.0), (1.0, 6.0)]);
+        assert_eq!(held.mean(0.0, 1.0), Some(2.0));
+        assert_eq!(held.mean(0.5, 1.5), Some(4.0));
+        assert_eq!(held.mean(1.5, 3.5), Some(1.5));
+        assert_eq!(held.mean(-0.5, 0.5), None);
+        assert_eq!(held.span_s(), Some((0.0, 2.0)));
+        assert_eq!(Held::new(Vec::new()).mean(0.0, 1.0), None);
+    }
+}

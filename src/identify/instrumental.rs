@@ -1,0 +1,117 @@
+//! Instrumental variables: ARX's equation solved by correlation with signals that know nothing of the noise.
+//!
+//! Eq. 6 computes the torque from the measured θ, so the input carries the output's noise and ARX is biased. The instruments
+//! here are made from the coil current alone (or from the input, where nothing is fed back): its own past in place of the
+//! input's, and in place of the output's the output simulated from it. All signals are filtered by 1/A of the model before,
+//! which makes the estimate nearly as good as output error for white noise on the output (simplified refined instrumental
+//! variables; Young, Recursive Estimation and Time-Series Analysis, 2nd ed., chapter 7).
+//!
+//! In: stretches with `instrument`, a stable model to start from. Out: a model of the same orders with covariance.
+
+use super::IdentifyError;
+use super::arx::{self, Estimated, Orders};
+use super::data::Segment;
+use super::fit::free_part;
+use super::model::{Polynomials, all_pole};
+use super::output_error::Refined;
+use super::regression::{Triangle, row};
+
+const MOST_STEPS: usize = 50;
+/// Parameters that change by less than this part of their standard errors are settled.
+const SETTLED: f64 = 1e-6;
+
+/// Refines `start`, keeping its orders and delay.
+///
+/// # Errors
+/// [`IdentifyError::Unstable`] when `start` is or becomes unstable, [`IdentifyError::Dependent`] when the instruments do not
+/// determine the parameters, [`IdentifyError::TooShort`] as for ARX.
+pub fn refine(segments: &[Segment], start: &Polynomials) -> Result<Refined, IdentifyError> {
+    let orders = Orders { na: start.na(), nb: start.nb(), nk: start.nk };
+    let drivers: Vec<Segment> = segments.iter().map(driven_by_instrument).collect();
+    // How the instrument moves the output: linear here, whatever is fed back in truth. An instrument needs no more.
+    let auxiliary = arx::fit(&drivers, orders)?.model;
+    let auxiliary = if auxiliary.is_stable() { auxiliary } else { start.clone() };
+    let mut current: Option<Estimated> = None;
+    let mut model = start.clone();
+    for steps in 1..=MOST_STEPS {
+        if !model.is_stable() {
+            return Err(IdentifyError::Unstable { orders, largest_pole: model.largest_pole() });
+        }
+        let next = step(segments, &drivers, &model, &auxiliary, orders)?;
+        let change = (next.model.parameters() - model.parameters()).abs();
+        let settled = change.iter().zip(next.standard_errors()).all(|(change, sd)| *change <= SETTLED * sd);
+        model = next.model.clone();
+        if settled {
+            return Ok(Refined { estimated: next, steps, settled });
+        }
+        current = Some(next);
+    }
+    match current {
+        Some(estimated) if model.is_stable() => Ok(Refined { estimated, steps: MOST_STEPS, settled: false }),
+        _ => Err(IdentifyError::Unstable { orders, largest_pole: model.largest_pole() }),
+    }
+}
+
+fn driven_by_instrument(segment: &Segment) -> Segment {
+    let input = segment.instrument.clone().unwrap_or_else(|| segment.input.clone());
+    Segment { input, ..segment.clone() }
+}
+
+/// One solution with filters and instruments from `model`.
+fn step(
+    segments: &[Segment],
+    drivers: &[Segment],
+    model: &Polynomials,
+    auxiliary: &Polynomials,
+    orders: Orders,
+) -> Result<Estimated, IdentifyError> {
+    let Orders { na, nb, nk } = orders;
+    let p = orders.parameters();
+    // Instruments, regressors, output, triangularised together: with Z = Q R the first rows of the rest are QᵀΦ and Qᵀy.
+    let mut triangle = Triangle::new(2 * p + 1);
+    let filtered = |segment: &Segment, output: Vec<f64>| Segment {
+        input: all_pole(&model.a, segment.input.clone()),
+        output: all_pole(&model.a, output),
+        ..Segment::default()
+    };
+    for (segment, driver) in segments.iter().zip(drivers) {
+        let instruments = filtered(driver, auxiliary.simulate(&driver.input));
+        let mut output = segment.output.clone();
+        if !segment.from_rest
+            && let Some(free) = free_part(model, segment, &model.simulate(&segment.input))
+        {
+            output.iter_mut().zip(free).for_each(|(y, free)| *y -= free);
+        }
+        let regressors = filtered(segment, output);
+        for t in orders.memory()..segment.len() {
+            let instruments = row(&instruments, t, (na, nb, nk)).take(p);
+            triangle.push(instruments.chain(row(&regressors, t, (na, nb, nk))));
+        }
+    }
+    let samples = triangle.rows();
+    if samples <= p {
+        let longest = segments.iter().map(Segment::len).max().unwrap_or(0);
+        return Err(IdentifyError::TooShort { orders, rows: samples, longest });
+    }
+    let r = triangle.finish();
+    let dependent = || IdentifyError::Dependent { orders };
+    let correlation = r.view((0, p), (p, p)).into_owned();
+    let mut scaled = correlation.clone();
+    scaled.column_iter_mut().for_each(|mut column| column /= column.norm());
+    let singular = scaled.singular_values();
+    let inverse = correlation.try_inverse().ok_or_else(dependent)?;
+    let parameters = &inverse * r.view((0, 2 * p), (p, 1));
+    if parameters.iter().any(|v| !v.is_finite()) {
+        return Err(dependent());
+    }
+    // The residual is what the solution leaves of all rows, not of the instruments' alone.
+    let left = r.view((0, 2 * p), (2 * p + 1, 1)) - r.view((0, p), (2 * p + 1, p)) * &parameters;
+    let noise_variance = left.norm_squared() / (samples - p) as f64;
+    Ok(Estimated {
+        model: Polynomials::of(parameters.as_slice(), na, nk),
+        covariance: &inverse * inverse.transpose() * noise_variance,
+        noise_variance,
+        samples,
+        condition: singular.max() / singular.min(),
+    })
+}

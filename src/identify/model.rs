@@ -1,0 +1,196 @@
+//! A discrete transfer function B(q)/A(q): simulated, one step predicted, its response and its poles.
+//!
+//! Convention: `y(t) + a₁ y(t−1) + … + a_na y(t−na) = b₀ u(t−nk) + … + b_{nb−1} u(t−nk−nb+1)`. `a` holds the leading 1,
+//! `b` does not hold the zeros of the delay. What happened before the first sample is zero: the system was at rest.
+
+use nalgebra::{Complex, DMatrix, DVector};
+use std::f64::consts::TAU;
+
+/// B(q)/A(q) with `nk` samples of delay.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Polynomials {
+    /// 1, a₁ … a_na.
+    pub a: Vec<f64>,
+    /// b₀ … b_{nb−1}; the first multiplies u(t−nk).
+    pub b: Vec<f64>,
+    /// Delay, samples.
+    pub nk: usize,
+}
+
+impl Polynomials {
+    /// Number of past outputs.
+    pub fn na(&self) -> usize {
+        self.a.len().saturating_sub(1)
+    }
+
+    /// Number of inputs.
+    pub fn nb(&self) -> usize {
+        self.b.len()
+    }
+
+    /// Samples that must lie before one that is predicted: also the number of states.
+    pub fn memory(&self) -> usize {
+        memory(self.na(), self.nb(), self.nk)
+    }
+
+    /// a₁ … a_na, then b₀ … b_{nb−1}: the order of every parameter vector and covariance.
+    pub fn parameters(&self) -> DVector<f64> {
+        DVector::from_iterator(self.na() + self.nb(), self.a.iter().skip(1).chain(&self.b).copied())
+    }
+
+    /// The same orders and delay with these parameters, as [`Polynomials::parameters`] gives them.
+    pub fn with_parameters(&self, parameters: &[f64]) -> Self {
+        Self::of(parameters, self.na(), self.nk)
+    }
+
+    /// From a parameter vector whose first `na` are those of A.
+    pub fn of(parameters: &[f64], na: usize, nk: usize) -> Self {
+        let (a, b) = parameters.split_at(na.min(parameters.len()));
+        Self { a: [&[1.0], a].concat(), b: b.to_vec(), nk }
+    }
+
+    /// Output for this input from rest, as long as the input.
+    pub fn simulate(&self, input: &[f64]) -> Vec<f64> {
+        let driven = moving_sum(&self.b, self.nk, input);
+        all_pole(&self.a, driven)
+    }
+
+    /// Output one step ahead, from inputs and outputs before it. The first [`Polynomials::memory`] have no full past and are
+    /// left out: the result is that much shorter than the data.
+    pub fn predict(&self, input: &[f64], output: &[f64]) -> Vec<f64> {
+        let driven = moving_sum(&self.b, self.nk, input);
+        let past = |t: usize| -> f64 { self.a.iter().skip(1).zip(output[..t].iter().rev()).map(|(a, y)| a * y).sum() };
+        (self.memory()..output.len().min(driven.len())).map(|t| driven[t] - past(t)).collect()
+    }
+
+    /// Response to one unit at the first sample through 1/A alone, `length` samples.
+    pub fn free_response(&self, length: usize) -> Vec<f64> {
+        let mut impulse = vec![0.0; length];
+        if let Some(first) = impulse.first_mut() {
+            *first = 1.0;
+        }
+        all_pole(&self.a, impulse)
+    }
+
+    /// Value at `angle` radians a sample: 2π f T.
+    pub fn response(&self, angle: f64) -> Complex<f64> {
+        let backward = Complex::from_polar(1.0, -angle);
+        polynomial(&self.b, backward) * backward.powu(self.nk as u32) / polynomial(&self.a, backward)
+    }
+
+    /// Gain at zero frequency; infinite for an integrator.
+    pub fn gain(&self) -> f64 {
+        self.b.iter().sum::<f64>() / self.a.iter().sum::<f64>()
+    }
+
+    /// Roots of A in z. A delay's poles at zero are not among them.
+    pub fn poles(&self) -> Vec<Complex<f64>> {
+        roots(&self.a)
+    }
+
+    /// Modulus of the largest pole; zero without poles.
+    pub fn largest_pole(&self) -> f64 {
+        self.poles().iter().map(|p| p.norm()).fold(0.0, f64::max)
+    }
+
+    /// Whether all poles are inside the unit circle.
+    pub fn is_stable(&self) -> bool {
+        self.largest_pole() < 1.0
+    }
+}
+
+/// Samples that must lie before one that is predicted.
+pub fn memory(na: usize, nb: usize, nk: usize) -> usize {
+    na.max((nb + nk).saturating_sub(1))
+}
+
+/// Radians a sample at `frequency_hz`.
+pub fn angle(frequency_hz: f64, period_s: f64) -> f64 {
+    TAU * frequency_hz * period_s
+}
+
+/// c₀ + c₁ x + c₂ x² + …
+fn polynomial(ascending: &[f64], x: Complex<f64>) -> Complex<f64> {
+    ascending.iter().rev().fold(Complex::new(0.0, 0.0), |sum, c| sum * x + c)
+}
+
+/// Roots of c₀ xⁿ + c₁ xⁿ⁻¹ + … + cₙ, as eigenvalues of its companion matrix; zeros at the end of `descending` are roots at 0
+/// and left out, a leading zero is no degree.
+pub(super) fn roots(descending: &[f64]) -> Vec<Complex<f64>> {
+    let first = descending.iter().position(|c| *c != 0.0).unwrap_or(descending.len());
+    let end = descending.iter().rposition(|c| *c != 0.0).map_or(0, |last| last + 1);
+    let Some((lead, rest)) = descending.get(first..end).and_then(<[f64]>::split_first) else { return Vec::new() };
+    let n = rest.len();
+    if n == 0 || rest.iter().chain([lead]).any(|c| !c.is_finite()) {
+        return Vec::new();
+    }
+    let companion = DMatrix::from_fn(n, n, |row, column| match row {
+        0 => -rest[column] / lead,
+        _ => f64::from(u8::from(row == column + 1)),
+    });
+    companion.complex_eigenvalues().iter().copied().collect()
+}
+
+/// Σ b_j u(t − delay − j), zero before the first sample.
+fn moving_sum(b: &[f64], delay: usize, input: &[f64]) -> Vec<f64> {
+    let at = |t: usize| -> f64 {
+        t.checked_sub(delay).map_or(0.0, |t| b.iter().zip(input[..=t].iter().rev()).map(|(b, u)| b * u).sum())
+    };
+    (0..input.len()).map(at).collect()
+}
+
+/// y(t) = x(t) − a₁ y(t−1) − …, in place.
+pub(super) fn all_pole(a: &[f64], mut signal: Vec<f64>) -> Vec<f64> {
+    for t in 0..signal.len() {
+        let (past, now) = signal.split_at_mut(t);
+        if let Some(now) = now.first_mut() {
+            *now -= a.iter().skip(1).zip(past.iter().rev()).map(|(a, y)| a * y).sum::<f64>();
+        }
+    }
+    signal
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn second_order() -> Polynomials {
+        Polynomials { a: vec![1.0, -1.5, 0.7], b: vec![1.0, 0.5], nk: 1 }
+    }
+
+    #[test]
+    fn an_impulse_by_hand() {
+        // y0 = 0, y1 = 1, y2 = 1.5 + 0.5, y3 = 1.5·2 − 0.7·1
+        let y = second_order().simulate(&[1.0, 0.0, 0.0, 0.0]);
+        assert_eq!(y, [0.0, 1.0, 2.0, 2.3]);
+    }
+
+    #[test]
+    fn prediction_of_its_own_output_is_exact() {
+        let model = second_order();
+        let u: Vec<f64> = (0..50).map(|t| f64::from(t * t % 7) - 3.0).collect();
+        let y = model.simulate(&u);
+        let predicted = model.predict(&u, &y);
+        assert_eq!(predicted.len(), 48);
+        assert!(predicted.iter().zip(&y[2..]).all(|(p, y)| (p - y).abs() < 1e-12));
+    }
+
+    #[test]
+    fn poles_gain_and_response_by_hand() {
+        let model = second_order();
+        // z² − 1.5 z + 0.7: 0.75 ± i √(0.7 − 0.5625)
+        let poles = model.poles();
+        assert!(poles.iter().all(|p| (p.re - 0.75).abs() < 1e-12 && (p.im.abs() - 0.1375_f64.sqrt()).abs() < 1e-12));
+        assert!((model.largest_pole() - 0.7_f64.sqrt()).abs() < 1e-12);
+        assert!((model.gain() - 7.5).abs() < 1e-12);
+        assert!((model.response(0.0) - 7.5).norm() < 1e-12);
+        // At the Nyquist frequency q⁻¹ = −1: B = −(1 − 0.5), A = 1 + 1.5 + 0.7.
+        assert!((model.response(std::f64::consts::PI) + 0.5 / 3.2).norm() < 1e-12);
+    }
+
+    #[test]
+    fn a_leading_zero_is_no_degree_and_a_last_one_a_root_at_zero() {
+        assert!(roots(&[]).is_empty() && roots(&[2.0]).is_empty() && roots(&[0.0, 0.0]).is_empty());
+        assert_eq!(roots(&[0.0, 1.0, -0.5, 0.0]), [Complex::new(0.5, 0.0)]);
+    }
+}

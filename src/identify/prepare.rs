@@ -1,0 +1,158 @@
+//! What is done to the signals before they are identified: trends taken off, fewer samples.
+
+use super::data::{Record, Segment};
+use std::f64::consts::PI;
+
+/// Half length of the filter before decimation, in samples of the result.
+const HALF_TAPS: usize = 5;
+/// Its corner, as a part of the new Nyquist frequency.
+const CORNER: f64 = 0.8;
+
+/// What is taken off input and output.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Detrend {
+    /// Nothing.
+    #[default]
+    None,
+    /// The mean of the data that are fitted, from all data.
+    Mean,
+    /// A line through the data that are fitted, each record its own; other records lose the mean of the data fitted.
+    Linear,
+}
+
+/// A line over time.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Line {
+    /// Value at `about_s`.
+    pub offset: f64,
+    /// Change in a second.
+    pub slope: f64,
+    /// Seconds of the record's clock.
+    pub about_s: f64,
+}
+
+impl Line {
+    fn at(&self, t: f64) -> f64 {
+        self.offset + self.slope * (t - self.about_s)
+    }
+}
+
+/// What was taken off one record: from input and output.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Trend {
+    /// From the input.
+    pub input: Line,
+    /// From the output.
+    pub output: Line,
+}
+
+impl Trend {
+    /// The trend of one record's stretches, or of several records' where `slope` is not asked.
+    pub fn of(segments: &[Segment], period_s: f64, slope: bool) -> Self {
+        let line = |signal: fn(&Segment) -> &[f64]| {
+            let points = || {
+                segments.iter().flat_map(move |s| {
+                    signal(s).iter().enumerate().map(move |(k, v)| (s.start_s + k as f64 * period_s, *v))
+                })
+            };
+            let n = points().count().max(1) as f64;
+            let about_s = points().map(|(t, _)| t).sum::<f64>() / n;
+            let offset = points().map(|(_, v)| v).sum::<f64>() / n;
+            let spread = points().map(|(t, _)| (t - about_s).powi(2)).sum::<f64>();
+            let slope = if slope && spread > 0.0 {
+                points().map(|(t, v)| (t - about_s) * v).sum::<f64>() / spread
+            } else {
+                0.0
+            };
+            Line { offset, slope, about_s }
+        };
+        Self { input: line(|s| &s.input), output: line(|s| &s.output) }
+    }
+
+    /// The same without slope.
+    pub fn level(self) -> Self {
+        let flat = |line: Line| Line { slope: 0.0, ..line };
+        Self { input: flat(self.input), output: flat(self.output) }
+    }
+
+    /// Takes it off.
+    pub fn remove(&self, segment: &mut Segment, period_s: f64) {
+        let start_s = segment.start_s;
+        let off = |signal: &mut [f64], line: Line| {
+            signal.iter_mut().enumerate().for_each(|(k, v)| *v -= line.at(start_s + k as f64 * period_s));
+        };
+        off(&mut segment.input, self.input);
+        off(&mut segment.output, self.output);
+    }
+}
+
+/// Every `factor`-th sample behind a low-pass filter (windowed sinc, Hamming, without phase), the same for all signals, so that
+/// what relates them stays the same. The input, which is held from sample to sample, is averaged over the new, longer hold. Five
+/// samples of the result are lost at both ends of every stretch.
+pub fn decimate(record: &Record, factor: usize, period_s: f64) -> Record {
+    let half = HALF_TAPS * factor;
+    let corner = CORNER / factor as f64;
+    let tap = |k: usize| {
+        let x = k as f64 - half as f64;
+        let sinc = if x == 0.0 { corner } else { (PI * corner * x).sin() / (PI * x) };
+        sinc * (0.54 + 0.46 * (PI * x / half as f64).cos())
+    };
+    let taps: Vec<f64> = (0..=2 * half).map(tap).collect();
+    let sum: f64 = taps.iter().sum();
+    let filtered = |signal: &[f64]| -> Vec<f64> {
+        signal.windows(taps.len()).map(|w| w.iter().zip(&taps).map(|(v, tap)| v * tap).sum::<f64>() / sum).collect()
+    };
+    let held = |signal: &[f64]| -> Vec<f64> {
+        filtered(signal).chunks_exact(factor).map(|hold| hold.iter().sum::<f64>() / factor as f64).collect()
+    };
+    let thinned = |segment: &Segment| {
+        let input = held(&segment.input);
+        Segment {
+            start_s: segment.start_s + half as f64 * period_s,
+            output: filtered(&segment.output).into_iter().step_by(factor).take(input.len()).collect(),
+            instrument: segment.instrument.as_deref().map(held),
+            input,
+            from_rest: false,
+        }
+    };
+    let segments = record.segments.iter().map(thinned).filter(|s| !s.is_empty()).collect();
+    Record { name: record.name.clone(), segments }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn segment(of: impl Fn(f64) -> f64) -> Segment {
+        let signal: Vec<f64> = (0..400).map(|k| of(f64::from(k) * 0.1)).collect();
+        Segment { input: signal.clone(), output: signal, from_rest: true, ..Segment::default() }
+    }
+
+    #[test]
+    fn a_line_is_taken_off_whole() {
+        let mut s = segment(|t| 3.0 - 0.5 * t);
+        let trend = Trend::of(&[s.clone()], 0.1, true);
+        assert!((trend.output.slope + 0.5).abs() < 1e-12);
+        trend.remove(&mut s, 0.1);
+        assert!(s.output.iter().all(|v| v.abs() < 1e-12));
+        let mut s = segment(|t| 3.0 - 0.5 * t);
+        Trend::of(&[s.clone()], 0.1, false).remove(&mut s, 0.1);
+        assert!(s.output.iter().sum::<f64>().abs() < 1e-9 && s.output[0] > 1.0);
+    }
+
+    #[test]
+    fn slow_waves_pass_decimation_and_fast_ones_do_not() {
+        // 10 Hz to 2.5 Hz: Nyquist at 1.25 Hz.
+        let wave = |f: f64| Record { name: "w".into(), segments: vec![segment(move |t| (2.0 * PI * f * t).sin())] };
+        let slow = decimate(&wave(0.3), 4, 0.1);
+        let s = &slow.segments[0];
+        let at = |t: f64| (2.0 * PI * 0.3 * t).sin();
+        let time = |k: usize| s.start_s + k as f64 * 0.4;
+        assert!(s.output.iter().enumerate().all(|(k, v)| (v - at(time(k))).abs() < 0.01));
+        // Averaged over four samples from there on: the middle is 0.15 s later.
+        assert!(s.input.iter().enumerate().all(|(k, v)| (v - at(time(k) + 0.15)).abs() < 0.03));
+        assert_eq!((s.len(), s.input.len()), ((400 - 40) / 4, s.output.len()));
+        let fast = decimate(&wave(2.0), 4, 0.1);
+        assert!(fast.segments[0].output.iter().all(|v| v.abs() < 0.01));
+    }
+}

@@ -1,0 +1,279 @@
+//! Fewer states with nearly the same response: balanced truncation of the discrete model.
+//!
+//! In: a model, how many states to keep. Out: the reduced model and all Hankel singular values. States are brought to the
+//! coordinates in which they are driven and seen equally strongly; those of small singular value are cut off (Moore, IEEE TAC
+//! 26, 1981, doi:10.1109/TAC.1981.1102568). The error of the response is nowhere larger than twice the sum of those cut off.
+//! What is unstable has no Gramian: it is split off first, kept whole, and added again.
+
+use super::IdentifyError;
+use super::gramian::{band_factors, factor};
+use super::model::{Polynomials, roots};
+use super::state_space::StateSpace;
+use nalgebra::{Complex, DMatrix, DVector, RowDVector};
+
+/// Singular values below this part of the largest are noise of the arithmetic.
+const RANK: f64 = 1e-14;
+/// `auto`: the bound on the error of the response, as a part of its largest value.
+const AUTO_ERROR: f64 = 0.05;
+
+/// How states are removed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Removal {
+    /// Cut off: best at high frequencies, and as the paper does it.
+    #[default]
+    Truncate,
+    /// Held at their steady state: the gain at zero frequency is kept (Liu and Anderson, Int. J. Control 50, 1989,
+    /// doi:10.1080/00207178908953437).
+    MatchDc,
+}
+
+/// How far to reduce.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Target {
+    /// So many states, unstable ones included.
+    Order(usize),
+    /// As few as keep the bound on the error below 5 % of the largest response.
+    Auto,
+}
+
+/// How to reduce.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Reduction {
+    /// How far.
+    pub target: Target,
+    /// How states are removed.
+    pub removal: Removal,
+    /// Balance for these frequencies alone, radians a sample. The bound on the error, and stability, are then not promised.
+    pub band: Option<(f64, f64)>,
+}
+
+/// A reduced model.
+#[derive(Debug, Clone)]
+pub struct Reduced {
+    /// The model.
+    pub model: Polynomials,
+    /// Hankel singular values of the stable part, largest first.
+    pub hankel: Vec<f64>,
+    /// Unstable states, all kept.
+    pub unstable: usize,
+    /// The response differs nowhere by more; infinite when balanced for a band.
+    pub error_bound: f64,
+}
+
+/// Reduces `model`.
+///
+/// # Errors
+/// [`IdentifyError::NotReduced`] when more is asked than can be kept or less than is unstable, or poles lie on the unit circle.
+pub fn reduce(model: &Polynomials, how: Reduction) -> Result<Reduced, IdentifyError> {
+    let not_reduced = |problem: String| IdentifyError::NotReduced { problem };
+    let on_circle = || not_reduced("a pole lies on the unit circle, where balancing does not end".to_owned());
+    let (stable, unstable) = split(model).ok_or_else(on_circle)?;
+    // 1. factors of the Gramians, and the singular values of their product
+    let [driven, seen] = match how.band {
+        Some(band) => band_factors(&stable, band),
+        None => factor(&stable.a, &stable.b).zip(factor(&stable.a.transpose(), &stable.c.transpose())).map(<[_; 2]>::from),
+    }
+    .ok_or_else(on_circle)?;
+    let svd = (seen.transpose() * &driven).svd(true, true);
+    let (Some(left), Some(right)) = (&svd.u, &svd.v_t) else { return Err(on_circle()) };
+    let hankel: Vec<f64> = svd.singular_values.iter().copied().collect();
+    let rank = hankel.iter().filter(|s| **s > RANK * hankel[0]).count();
+    let tail = |kept: usize| 2.0 * hankel.iter().skip(kept).sum::<f64>();
+    // 2. how many to keep
+    let fixed = unstable.order();
+    let keep = match how.target {
+        Target::Auto => {
+            let peak = peak(model);
+            (1..rank).find(|kept| tail(*kept) <= AUTO_ERROR * peak).unwrap_or(rank)
+        }
+        Target::Order(order) if order > rank + fixed => {
+            let has = rank + fixed;
+            return Err(not_reduced(format!("order {order} asked, and the model has {has} states that matter: ask for fewer")));
+        }
+        Target::Order(order) => match order.checked_sub(fixed) {
+            Some(keep) if order > 0 => keep,
+            _ => return Err(not_reduced(format!("order {order} asked, and {fixed} states are unstable and must be kept"))),
+        },
+    };
+    // 3. balanced coordinates of all states that matter, then the removal
+    let scale = |columns: DMatrix<f64>| {
+        DMatrix::from_fn(columns.nrows(), rank, |i, j| columns[(i, j)] / hankel[j].sqrt())
+    };
+    let into = scale(&driven * right.transpose());
+    let from = scale(&seen * left).transpose();
+    let balanced = StateSpace { a: &from * &stable.a * &into, b: &from * &stable.b, c: &stable.c * &into, d: stable.d };
+    let reduced = match how.removal {
+        Removal::Truncate => first(&balanced, keep),
+        Removal::MatchDc => residual(&balanced, keep).ok_or_else(on_circle)?,
+    };
+    Ok(Reduced {
+        model: reduced.sum(&unstable).polynomials(),
+        unstable: fixed,
+        error_bound: if how.band.is_some() { f64::INFINITY } else { tail(keep) },
+        hankel,
+    })
+}
+
+fn first(system: &StateSpace, keep: usize) -> StateSpace {
+    StateSpace {
+        a: system.a.view((0, 0), (keep, keep)).into_owned(),
+        b: system.b.rows(0, keep).into_owned(),
+        c: system.c.columns(0, keep).into_owned(),
+        d: system.d,
+    }
+}
+
+/// The other states follow at once: x₂ = (I − A₂₂)⁻¹ (A₂₁ x₁ + b₂ u).
+fn residual(system: &StateSpace, keep: usize) -> Option<StateSpace> {
+    let n = system.order();
+    let gone = n - keep;
+    if gone == 0 {
+        return Some(system.clone());
+    }
+    let part = |i, j, rows, columns| system.a.view((i, j), (rows, columns)).into_owned();
+    let (a12, a21, a22) = (part(0, keep, keep, gone), part(keep, 0, gone, keep), part(keep, keep, gone, gone));
+    let (b2, c2) = (system.b.rows(keep, gone).into_owned(), system.c.columns(keep, gone).into_owned());
+    let settled = (DMatrix::identity(gone, gone) - a22).lu();
+    let (by_state, by_input) = (settled.solve(&a21)?, settled.solve(&b2)?);
+    let kept = first(system, keep);
+    Some(StateSpace {
+        a: kept.a + &a12 * &by_state,
+        b: kept.b + &a12 * &by_input,
+        c: kept.c + &c2 * &by_state,
+        d: kept.d + (&c2 * &by_input)[0],
+    })
+}
+
+/// Largest response on a fine grid up to half the sampling rate.
+fn peak(model: &Polynomials) -> f64 {
+    const GRID: usize = 4096;
+    let at = |k: usize| model.response(std::f64::consts::PI * k as f64 / GRID as f64).norm();
+    (0..=GRID).map(at).filter(|v| v.is_finite()).fold(0.0, f64::max)
+}
+
+/// The stable and the unstable part, whose sum is the model. Nothing when a pole lies on the unit circle.
+fn split(model: &Polynomials) -> Option<(StateSpace, StateSpace)> {
+    let whole = StateSpace::of(model);
+    let none = || StateSpace { a: DMatrix::zeros(0, 0), b: DVector::zeros(0), c: RowDVector::zeros(0), d: 0.0 };
+    let poles = model.poles();
+    if poles.iter().any(|p| (p.norm() - 1.0).abs() < 1e-9) {
+        return None;
+    }
+    let (inside, outside): (Vec<_>, Vec<_>) = poles.iter().partition(|p| p.norm() < 1.0);
+    if outside.is_empty() {
+        return Some((whole, none()));
+    }
+    // B/A = N₁/A₁ + N₂/A₂ + d, strictly proper both: one linear equation a power of z.
+    let n = model.memory();
+    let zeros = n - inside.len() - outside.len();
+    let stable = monic(inside.iter().copied().chain(std::iter::repeat_n(Complex::new(0.0, 0.0), zeros)));
+    let unstable = monic(outside.iter().copied());
+    let (m, k) = (stable.len() - 1, unstable.len() - 1);
+    let column = |factor: &[f64], shift: usize| -> DVector<f64> {
+        DVector::from_fn(n, |row, _| row.checked_sub(shift).and_then(|i| factor.get(i)).copied().unwrap_or(0.0))
+    };
+    // Powers z^(n−1) … z^0 of N₁ A₂ + N₂ A₁; N₁ begins at z^(m−1), so its product at z^(n−1).
+    let columns: Vec<DVector<f64>> =
+        (0..m).map(|s| column(&unstable, s)).chain((0..k).map(|s| column(&stable, s))).collect();
+    let system = DMatrix::from_columns(&columns);
+    let solution = system.lu().solve(&whole.c.transpose())?;
+    let part = |denominator: &[f64], numerator: &[f64], d: f64| {
+        let b: Vec<f64> = numerator.iter().zip(&denominator[1..]).map(|(n, a)| n + d * a).collect();
+        StateSpace::of(&Polynomials { a: denominator.to_vec(), b: [&[d], b.as_slice()].concat(), nk: 0 })
+    };
+    let (numerator, rest) = solution.as_slice().split_at(m);
+    Some((part(&stable, numerator, whole.d), part(&unstable, rest, 0.0)))
+}
+
+/// Coefficients of Π(z − root), highest power first; roots come with their conjugates.
+fn monic(of: impl Iterator<Item = Complex<f64>>) -> Vec<f64> {
+    let mut product = vec![Complex::new(1.0, 0.0)];
+    for root in of {
+        product.push(Complex::new(0.0, 0.0));
+        for k in (1..product.len()).rev() {
+            let lower = product[k - 1];
+            product[k] -= lower * root;
+        }
+    }
+    product.iter().map(|c| c.re).collect()
+}
+
+/// Zeros of the model in z.
+pub fn zeros(model: &Polynomials) -> Vec<Complex<f64>> {
+    roots(&model.b)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const TWO: Reduction = Reduction { target: Target::Order(2), removal: Removal::Truncate, band: None };
+
+    fn fourth_order() -> Polynomials {
+        // Poles 0.9, 0.8 ± 0.3i, 0.1.
+        let a = monic([0.9, 0.1].map(|r| Complex::new(r, 0.0)).into_iter().chain([Complex::new(0.8, 0.3), Complex::new(0.8, -0.3)]));
+        Polynomials { a, b: vec![0.2, 0.1, -0.05, 0.01], nk: 1 }
+    }
+
+    #[test]
+    fn a_first_order_system_by_hand() {
+        // P = b²/(1−p²), Q = c²/(1−p²): σ = |bc|/(1−p²).
+        let model = Polynomials { a: vec![1.0, -0.5], b: vec![3.0], nk: 1 };
+        let reduced = reduce(&model, Reduction { target: Target::Order(1), ..TWO }).unwrap();
+        assert!((reduced.hankel[0] - 3.0 / 0.75).abs() < 1e-12);
+        assert!((reduced.model.parameters() - model.parameters()).amax() < 1e-12);
+    }
+
+    #[test]
+    fn the_error_is_within_its_bound_and_dc_is_matched_when_asked() {
+        let model = fourth_order();
+        for removal in [Removal::Truncate, Removal::MatchDc] {
+            let reduced = reduce(&model, Reduction { removal, ..TWO }).unwrap();
+            let difference = |k: usize| {
+                let angle = std::f64::consts::PI * k as f64 / 500.0;
+                (model.response(angle) - reduced.model.response(angle)).norm()
+            };
+            let worst = (0..=500).map(difference).fold(0.0, f64::max);
+            assert!(worst <= reduced.error_bound && worst > 0.1 * reduced.error_bound, "{removal:?} {worst} {reduced:?}");
+            assert_eq!(difference(0) < 1e-12, removal == Removal::MatchDc);
+        }
+    }
+
+    #[test]
+    fn in_its_band_the_weighted_reduction_is_better() {
+        let model = fourth_order();
+        let band = (1.5, 2.5);
+        let worst = |how: Reduction| {
+            let reduced = reduce(&model, how).unwrap().model;
+            let off = |k: usize| {
+                let angle = band.0 + (band.1 - band.0) * k as f64 / 100.0;
+                (model.response(angle) - reduced.response(angle)).norm()
+            };
+            (0..=100).map(off).fold(0.0, f64::max)
+        };
+        assert!(worst(Reduction { band: Some(band), ..TWO }) < 0.5 * worst(TWO));
+    }
+
+    #[test]
+    fn what_is_unstable_is_kept() {
+        let unstable = Polynomials { a: vec![1.0, -1.2], b: vec![0.3], nk: 1 };
+        let sum = StateSpace::of(&fourth_order()).sum(&StateSpace::of(&unstable)).polynomials();
+        let reduced = reduce(&sum, Reduction { target: Target::Order(3), ..TWO }).unwrap();
+        assert_eq!((reduced.unstable, reduced.hankel.len()), (1, 4));
+        assert!(reduced.model.poles().iter().any(|p| (p - 1.2).norm() < 1e-8));
+        let alone = reduce(&fourth_order(), TWO).unwrap();
+        assert!(alone.hankel.iter().zip(&reduced.hankel).all(|(a, b)| (a / b - 1.0).abs() < 1e-8));
+        assert!(reduce(&unstable, Reduction { target: Target::Order(0), ..TWO }).is_err());
+        assert!(reduce(&fourth_order(), Reduction { target: Target::Order(5), ..TWO }).is_err());
+    }
+
+    #[test]
+    fn auto_keeps_what_can_be_seen() {
+        // A fast mode of hardly any gain beside a slow one.
+        let slow = Polynomials { a: vec![1.0, -0.95], b: vec![0.05], nk: 1 };
+        let fast = Polynomials { a: vec![1.0, 0.2], b: vec![0.001], nk: 1 };
+        let sum = StateSpace::of(&slow).sum(&StateSpace::of(&fast)).polynomials();
+        let reduced = reduce(&sum, Reduction { target: Target::Auto, ..TWO }).unwrap();
+        assert_eq!(reduced.model.na(), 1);
+    }
+}

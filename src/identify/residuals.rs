@@ -1,0 +1,136 @@
+//! Whether a model left nothing to explain: its residuals against themselves and against the input.
+//!
+//! White residuals have no correlation at any lag but 0; residuals that a better model could explain correlate with the input at
+//! lags 0 and above. Below lag 0 they do where the input was computed from the output, as by Eq. 6. Bounds are those that 99 %
+//! of the values keep when there is no correlation (Ljung, 2nd ed., section 16.6).
+
+use super::data::Segment;
+use super::model::Polynomials;
+
+/// Lags looked at.
+const LAGS: usize = 25;
+/// 99 % of a normal distribution lie within so many σ.
+const WITHIN: f64 = 2.576;
+
+/// Correlations of one-step residuals.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Residuals {
+    /// With themselves, lags 0 to 25, 1 at lag 0.
+    pub auto: Vec<f64>,
+    /// 99 % of [`Residuals::auto`] keep within it, when white.
+    pub auto_bound: f64,
+    /// With the input, lags −25 to 25, as correlation coefficients.
+    pub cross: Vec<f64>,
+    /// 99 % of [`Residuals::cross`] keep within it, when nothing is left to explain.
+    pub cross_bound: f64,
+    /// Root mean square, unit of the output.
+    pub rms: f64,
+    /// Samples.
+    pub samples: usize,
+}
+
+impl Residuals {
+    /// Of a model's one-step predictions. Nothing when there are not many more samples than lags.
+    pub fn of(model: &Polynomials, segments: &[Segment]) -> Option<Self> {
+        let memory = model.memory();
+        // Of each stretch, residuals and the inputs at their times.
+        let pairs: Vec<(Vec<f64>, &[f64])> = segments
+            .iter()
+            .filter(|s| s.len() > memory)
+            .map(|s| {
+                let predicted = model.predict(&s.input, &s.output);
+                (s.output[memory..].iter().zip(&predicted).map(|(y, p)| y - p).collect(), &s.input[memory..s.len()])
+            })
+            .collect();
+        let samples: usize = pairs.iter().map(|(e, _)| e.len()).sum();
+        if samples < 4 * LAGS {
+            return None;
+        }
+        let n = samples as f64;
+        let mean = pairs.iter().flat_map(|(_, u)| u.iter()).sum::<f64>() / n;
+        // Σ x(t) y(t+lag) over all stretches.
+        let sum = |lag: usize, of: &dyn Fn(&(Vec<f64>, &[f64]), usize) -> f64| -> f64 {
+            pairs.iter().map(|p| (lag..p.0.len()).map(|t| of(p, t)).sum::<f64>()).sum()
+        };
+        let (ee, uu) = (sum(0, &|p, t| p.0[t] * p.0[t]), sum(0, &|p, t| (p.1[t] - mean).powi(2)));
+        let auto: Vec<f64> = (0..=LAGS).map(|lag| sum(lag, &|p, t| p.0[t] * p.0[t - lag]) / ee).collect();
+        let input: Vec<f64> =
+            (0..=LAGS).map(|lag| sum(lag, &|p, t| (p.1[t] - mean) * (p.1[t - lag] - mean)) / uu).collect();
+        let scale = (ee * uu).sqrt();
+        let later = |lag: usize| sum(lag, &|p, t| p.0[t] * (p.1[t - lag] - mean)) / scale;
+        let earlier = |lag: usize| sum(lag, &|p, t| p.0[t - lag] * (p.1[t] - mean)) / scale;
+        let cross = (1..=LAGS).rev().map(earlier).chain((0..=LAGS).map(later)).collect();
+        // Variance of the estimate when the two have nothing to do with each other: Σ ρ_e ρ_u / N over all lags.
+        let both: f64 = 1.0 + 2.0 * auto.iter().zip(&input).skip(1).map(|(a, u)| a * u).sum::<f64>();
+        Some(Self {
+            auto,
+            auto_bound: WITHIN / n.sqrt(),
+            cross,
+            cross_bound: WITHIN * (both.max(1e-12) / n).sqrt(),
+            rms: (ee / n).sqrt(),
+            samples,
+        })
+    }
+
+    /// The lag of an element of [`Residuals::cross`].
+    pub fn cross_lag(index: usize) -> i64 {
+        index as i64 - LAGS as i64
+    }
+
+    /// How many of lags 1 to 25 are out of the bound, and of how many.
+    pub fn auto_outside(&self) -> (usize, usize) {
+        (self.auto.iter().skip(1).filter(|r| r.abs() > self.auto_bound).count(), LAGS)
+    }
+
+    /// How many of lags 0 to 25 are out of the bound: what the model did not explain. And of how many.
+    pub fn cross_outside(&self) -> (usize, usize) {
+        (self.cross.iter().skip(LAGS).filter(|r| r.abs() > self.cross_bound).count(), LAGS + 1)
+    }
+
+    /// How many of lags −25 to −1 are out of the bound: what was fed back into the input. And of how many.
+    pub fn fed_back(&self) -> (usize, usize) {
+        (self.cross.iter().take(LAGS).filter(|r| r.abs() > self.cross_bound).count(), LAGS)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::arx::tests::noise;
+    use super::super::arx::{Orders, fit};
+    use super::super::model::all_pole;
+    use super::*;
+
+    fn data(through: &[f64]) -> Segment {
+        let truth = Polynomials { a: vec![1.0, -1.5, 0.7], b: vec![1.0, 0.5], nk: 1 };
+        let input = noise(11, 5000);
+        let disturbance = all_pole(through, noise(12, 5000));
+        let output = truth.simulate(&input).iter().zip(disturbance).map(|(y, e)| y + 0.3 * e).collect();
+        Segment { input, output, from_rest: true, ..Segment::default() }
+    }
+
+    #[test]
+    fn the_right_model_leaves_white_residuals_and_a_smaller_one_does_not() {
+        let segments = [data(&[1.0, -1.5, 0.7])];
+        let of = |na, nb| {
+            let model = fit(&segments, Orders { na, nb, nk: 1 }).unwrap().model;
+            Residuals::of(&model, &segments).unwrap()
+        };
+        let right = of(2, 2);
+        assert!(right.auto_outside().0 <= 1 && right.cross_outside().0 <= 1, "{right:?}");
+        assert!((right.rms - 0.3).abs() < 0.01 && right.auto[0] == 1.0);
+        let small = of(1, 1);
+        assert!(small.auto_outside().0 > 5 && small.cross_outside().0 >= 1, "{small:?}");
+    }
+
+    #[test]
+    fn feedback_shows_below_lag_0() {
+        let mut segment = data(&[1.0, -1.5, 0.7]);
+        let noisy: Vec<f64> = noise(12, 5000);
+        segment.input.iter_mut().zip([0.0].iter().chain(&noisy)).for_each(|(u, e)| *u += e);
+        let truth = Polynomials { a: vec![1.0, -1.5, 0.7], b: vec![1.0, 0.5], nk: 1 };
+        let disturbance = all_pole(&truth.a, noisy);
+        segment.output = truth.simulate(&segment.input).iter().zip(disturbance).map(|(y, e)| y + 0.3 * e).collect();
+        let found = Residuals::of(&truth, &[segment]).unwrap();
+        assert!(found.fed_back().0 >= 1 && found.cross[LAGS - 1].abs() > 0.3, "{found:?}");
+    }
+}

@@ -1,0 +1,129 @@
+//! Which orders and which delay: every candidate fitted from one factorisation, and judged.
+//!
+//! In: stretches to fit, stretches to judge by, candidates. Out: one row a candidate. All candidates are fitted to the same
+//! samples, those that the largest of them can use, so that their losses compare. Order and delay are searched together: a
+//! delay taken from a scan at low order can make every higher order unstable.
+
+use super::arx::Orders;
+use super::data::Segment;
+use super::fit::{FitError, Kind, Start, compare};
+use super::model::Polynomials;
+use super::regression::{Triangle, row, solve};
+use super::IdentifyError;
+use nalgebra::DMatrix;
+
+/// Of the candidates within this factor of the smallest error on other data, the one with the fewest coefficients is best.
+const AS_GOOD: f64 = 1.05;
+
+/// A model among those searched, and how it did.
+#[derive(Debug, Clone)]
+pub struct Candidate {
+    /// Orders and delay.
+    pub orders: Orders,
+    /// The model.
+    pub model: Polynomials,
+    /// Mean squared residual of the fit.
+    pub loss: f64,
+    /// Akaike's criterion, ln V + 2p/N.
+    pub aic: f64,
+    /// Rissanen's minimum description length, ln V + p ln N / N.
+    pub mdl: f64,
+    /// One step ahead on the data to judge by.
+    pub prediction: Option<FitError>,
+    /// From the input alone on the data to judge by.
+    pub simulation: Option<FitError>,
+    /// Modulus of the largest pole.
+    pub largest_pole: f64,
+}
+
+/// By what the best candidate is chosen. Unstable ones never are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Criterion {
+    /// Akaike's criterion on the data fitted.
+    Aic,
+    /// Minimum description length on the data fitted.
+    Mdl,
+    /// Prediction error on the other data.
+    Prediction,
+    /// Simulation error on the other data.
+    Simulation,
+}
+
+/// All candidates that `train` determines, in the order given.
+///
+/// # Errors
+/// [`IdentifyError::TooShort`] when `train` has not enough samples for the largest of them.
+pub fn search(
+    train: &[Segment],
+    test: &[Segment],
+    start: Start,
+    candidates: &[Orders],
+) -> Result<Vec<Candidate>, IdentifyError> {
+    let most = |of: fn(&Orders) -> usize| candidates.iter().map(of).max().unwrap_or(0);
+    let first_lag = candidates.iter().map(|o| o.nk).min().unwrap_or(0);
+    let lags = most(|o| o.nk + o.nb).saturating_sub(first_lag);
+    let largest = Orders { na: most(|o| o.na), nb: lags, nk: first_lag };
+    // 1. the triangle of the model that holds them all
+    let mut triangle = Triangle::new(largest.parameters() + 1);
+    for segment in train {
+        for t in largest.memory()..segment.len() {
+            triangle.push(row(segment, t, (largest.na, largest.nb, largest.nk)));
+        }
+    }
+    let samples = triangle.rows();
+    let widest = most(Orders::parameters);
+    if samples <= widest {
+        let longest = train.iter().map(Segment::len).max().unwrap_or(0);
+        return Err(IdentifyError::TooShort { orders: largest, rows: samples, longest });
+    }
+    let all = triangle.finish();
+    // 2. each candidate from its columns
+    let judged = |orders: &Orders| {
+        let columns = columns(&all, largest, *orders);
+        let solution = solve(columns)?;
+        let model = Polynomials::of(solution.parameters.as_slice(), orders.na, orders.nk);
+        let (n, p) = (samples as f64, orders.parameters() as f64);
+        let loss = solution.residual / n;
+        let on_test = |kind| (!test.is_empty()).then(|| compare(&model, test, kind));
+        Some(Candidate {
+            orders: *orders,
+            loss,
+            aic: loss.ln() + 2.0 * p / n,
+            mdl: loss.ln() + p * n.ln() / n,
+            prediction: on_test(Kind::Prediction),
+            simulation: on_test(Kind::Simulation(start)),
+            largest_pole: model.largest_pole(),
+            model,
+        })
+    };
+    Ok(candidates.iter().filter_map(judged).collect())
+}
+
+/// The columns of one candidate in the triangle of the largest.
+fn columns(all: &DMatrix<f64>, largest: Orders, orders: Orders) -> DMatrix<f64> {
+    let inputs = largest.na + orders.nk - largest.nk;
+    let chosen: Vec<usize> =
+        (0..orders.na).chain(inputs..inputs + orders.nb).chain([largest.parameters()]).collect();
+    all.select_columns(&chosen)
+}
+
+/// The best stable candidate. Nothing when all are unstable, or there were no data to judge by.
+pub fn best(candidates: &[Candidate], criterion: Criterion) -> Option<&Candidate> {
+    let stable = || candidates.iter().filter(|c| c.largest_pole < 1.0);
+    let value = |c: &Candidate| match criterion {
+        Criterion::Aic => Some(c.aic),
+        Criterion::Mdl => Some(c.mdl),
+        Criterion::Prediction => c.prediction.map(|e| e.error_percent),
+        Criterion::Simulation => c.simulation.map(|e| e.error_percent),
+    };
+    let smallest = stable().filter_map(value).filter(|v| v.is_finite()).min_by(f64::total_cmp)?;
+    let enough = match criterion {
+        Criterion::Aic | Criterion::Mdl => smallest,
+        Criterion::Prediction | Criterion::Simulation => smallest * AS_GOOD,
+    };
+    let good = stable().filter(|c| value(c).is_some_and(|v| v <= enough));
+    good.min_by(|x, y| {
+        let by = |c: &Candidate| (c.orders.parameters(), c.orders.nk);
+        by(x).cmp(&by(y)).then(f64::total_cmp(&value(x).unwrap_or(f64::MAX), &value(y).unwrap_or(f64::MAX)))
+    })
+}

@@ -1,0 +1,114 @@
+//! The same model as states: x(t+1) = A x(t) + b u(t), y(t) = c x(t) + d u(t).
+
+use super::model::Polynomials;
+use nalgebra::{DMatrix, DVector, RowDVector};
+
+/// One input, one output, `n` states.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StateSpace {
+    /// n × n.
+    pub a: DMatrix<f64>,
+    /// n.
+    pub b: DVector<f64>,
+    /// n.
+    pub c: RowDVector<f64>,
+    /// From input to output without delay.
+    pub d: f64,
+}
+
+impl StateSpace {
+    /// Controllable companion form, with as many states as [`Polynomials::memory`] says.
+    pub fn of(model: &Polynomials) -> Self {
+        let n = model.memory();
+        let a = |lag: usize| model.a.get(lag).copied().unwrap_or(0.0);
+        let b = |lag: usize| lag.checked_sub(model.nk).and_then(|j| model.b.get(j)).copied().unwrap_or(0.0);
+        let d = b(0);
+        Self {
+            a: DMatrix::from_fn(n, n, |row, column| match row {
+                0 => -a(column + 1),
+                _ => f64::from(u8::from(row == column + 1)),
+            }),
+            b: DVector::from_fn(n, |row, _| f64::from(u8::from(row == 0))),
+            c: RowDVector::from_fn(n, |_, column| b(column + 1) - d * a(column + 1)),
+            d,
+        }
+    }
+
+    /// Number of states.
+    pub fn order(&self) -> usize {
+        self.a.nrows()
+    }
+
+    /// Side by side: the sum of both outputs for the same input.
+    pub fn sum(&self, other: &Self) -> Self {
+        let (n, m) = (self.order(), other.order());
+        let mut a = DMatrix::zeros(n + m, n + m);
+        a.view_mut((0, 0), (n, n)).copy_from(&self.a);
+        a.view_mut((n, n), (m, m)).copy_from(&other.a);
+        let joined = |first: &[f64], second: &[f64]| [first, second].concat();
+        Self {
+            a,
+            b: DVector::from_vec(joined(self.b.as_slice(), other.b.as_slice())),
+            c: RowDVector::from_vec(joined(self.c.as_slice(), other.c.as_slice())),
+            d: self.d + other.d,
+        }
+    }
+
+    /// As polynomials: A is the characteristic polynomial, B its product with the impulse response (whose first n + 1 values
+    /// determine it; no difference of large numbers is taken).
+    pub fn polynomials(&self) -> Polynomials {
+        let n = self.order();
+        let a = characteristic(&self.a);
+        let mut impulse = vec![self.d];
+        let mut state = self.b.clone();
+        for _ in 0..n {
+            impulse.push((&self.c * &state)[0]);
+            state = &self.a * state;
+        }
+        let coefficient = |j: usize| (0..=j).map(|i| a[i] * impulse[j - i]).sum::<f64>();
+        let all: Vec<f64> = (0..=n).map(coefficient).collect();
+        let nk = all.iter().position(|b| *b != 0.0).unwrap_or(n);
+        Polynomials { a, b: all[nk..].to_vec(), nk }
+    }
+}
+
+/// Coefficients of det(zI − A), highest power first, from the eigenvalues.
+pub(super) fn characteristic(a: &DMatrix<f64>) -> Vec<f64> {
+    let mut product = vec![nalgebra::Complex::new(1.0, 0.0)];
+    let eigenvalues = if a.nrows() > 0 { a.complex_eigenvalues() } else { DVector::zeros(0) };
+    for eigenvalue in eigenvalues.iter() {
+        product.push(nalgebra::Complex::new(0.0, 0.0));
+        for k in (1..product.len()).rev() {
+            let lower = product[k - 1];
+            product[k] -= lower * eigenvalue;
+        }
+    }
+    product.iter().map(|c| c.re).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn to_states_and_back() {
+        for nk in 0..4 {
+            let model = Polynomials { a: vec![1.0, -1.5, 0.7], b: vec![1.0, 0.5], nk };
+            let back = StateSpace::of(&model).polynomials();
+            // A delay beyond the order of A adds states at zero.
+            let steps: Vec<f64> = (0..30).map(|t| f64::from(t % 5)).collect();
+            let (one, other) = (model.simulate(&steps), back.simulate(&steps));
+            assert!(one.iter().zip(&other).all(|(a, b)| (a - b).abs() < 1e-9), "nk {nk}: {back:?}");
+        }
+    }
+
+    #[test]
+    fn a_sum_answers_as_both() {
+        let of = |pole: f64| StateSpace::of(&Polynomials { a: vec![1.0, -pole], b: vec![1.0], nk: 1 });
+        let sum = of(0.5).sum(&of(-0.3)).polynomials();
+        assert_eq!(sum.na(), 2);
+        let response = |m: &Polynomials| m.response(1.0);
+        let both = response(&of(0.5).polynomials()) + response(&of(-0.3).polynomials());
+        assert!((response(&sum) - both).norm() < 1e-12);
+    }
+}
