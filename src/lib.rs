@@ -92,6 +92,8 @@ pub mod live;
 
 pub mod log;
 
+pub mod series;
+
 pub mod pipeline;
 
 pub mod calibrate;

@@ -1,6 +1,7 @@
 //! What is in a log: frames, gaps, clocks, what is missing and why.
 
 use super::LogError;
+use super::fields::{number, text};
 use super::records::{self, Extent};
 use mcap::records::Record;
 use prost_reflect::{DescriptorPool, DynamicMessage, MessageDescriptor, Value};
@@ -140,18 +141,4 @@ impl Info {
             *self.misses.entry((what, word)).or_default() += 1;
         }
     }
-}
-
-fn number(message: &DynamicMessage, field: &str) -> Option<i64> {
-    match message.get_field_by_name(field)?.as_ref() {
-        Value::I64(n) => Some(*n),
-        Value::U64(n) => i64::try_from(*n).ok(),
-        Value::U32(n) => Some(i64::from(*n)),
-        Value::I32(n) => Some(i64::from(*n)),
-        _ => None,
-    }
-}
-
-fn text(message: &DynamicMessage, field: &str) -> Option<String> {
-    message.get_field_by_name(field)?.as_str().map(str::to_owned)
 }

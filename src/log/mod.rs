@@ -4,8 +4,9 @@
 //! by name: logs of other versions are understood as far as the names are the same.
 
 mod error;
+pub(crate) mod fields;
 mod info;
-mod records;
+pub(crate) mod records;
 mod repair;
 
 pub use error::LogError;

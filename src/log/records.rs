@@ -27,7 +27,7 @@ pub enum Extent {
 ///
 /// # Errors
 /// When the file cannot be read, is no MCAP file, or `take` fails.
-pub(super) fn each(path: &Path, mut take: impl FnMut(&Record<'_>) -> Result<(), LogError>) -> Result<Extent, LogError> {
+pub(crate) fn each(path: &Path, mut take: impl FnMut(&Record<'_>) -> Result<(), LogError>) -> Result<Extent, LogError> {
     let lost = |source| LogError::Io { path: path.to_owned(), source };
     let mut file = BufReader::with_capacity(1 << 16, File::open(path).map_err(lost)?);
     let options = LinearReaderOptions::default().with_record_length_limit(LONGEST_RECORD);

@@ -68,7 +68,7 @@ pub enum RigError {
 }
 
 /// The candidate nearest to a mistyped word: fewest single-letter edits, and fewer than half its letters.
-pub(super) fn nearest<'a>(word: &str, candidates: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
+pub(crate) fn nearest<'a>(word: &str, candidates: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
     candidates
         .into_iter()
         .map(|candidate| (edits(word, candidate), candidate))

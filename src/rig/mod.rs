@@ -21,6 +21,7 @@ mod write;
 
 pub use draft::Draft;
 pub use error::RigError;
+pub(crate) use error::nearest;
 
 use crate::optics::{Lens, OpticalPath, Surface};
 use nalgebra::{Isometry3, Point2, Vector3};

@@ -1,0 +1,89 @@
+//! Columns of any table of numbers.
+
+use super::SeriesError;
+use super::sheet::Sheet;
+use std::path::Path;
+
+/// Columns of the table at `path`, in the order asked for, one entry a row; `None` where a cell is empty or `nan`.
+///
+/// The table has a header or none. A column is asked for by its name in the header or by its number, from 1 (a name goes before a
+/// number). Cells are separated by comma, semicolon, tab or white space; lines that begin with `#` or `%` are left out.
+///
+/// # Errors
+/// When the file cannot be read, a column is not there (the nearest name is told), rows have different widths, or a cell is no
+/// number; with the line.
+pub fn columns(path: &Path, names: &[&str]) -> Result<Vec<Vec<Option<f64>>>, SeriesError> {
+    let sheet = Sheet::read(path)?;
+    sheet.rows_are_even()?;
+    let wanted = names.iter().map(|name| sheet.column(name)).collect::<Result<Vec<_>, _>>()?;
+    wanted.into_iter().map(|column| sheet.rows.iter().map(|row| sheet.number(row, column)).collect()).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::fs;
+
+    fn read(text: &str, names: &[&str]) -> Result<Vec<Vec<Option<f64>>>, String> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("data.csv");
+        fs::write(&path, text).unwrap();
+        columns(&path, names).map_err(|error| error.to_string().replace(&path.display().to_string(), "data.csv"))
+    }
+
+    #[test]
+    fn by_name_with_what_is_missing() {
+        let found = read("t,u, y\r\n0,1.5,\r\n1,nan,-2e-3\r\n\r\n2, NaN ,7\r\n", &["y", "u"]).unwrap();
+        assert_eq!(found, [vec![None, Some(-2e-3), Some(7.0)], vec![Some(1.5), None, None]]);
+    }
+
+    #[test]
+    fn without_a_header_by_number_however_cells_are_separated() {
+        for text in [
+            "1 2 3\n4 5 6\n",
+            "  1\t2\t3\n 4\t5\t6",
+            "1,2,3\n4,5,6",
+            "1;2;3\n4;5;6\n",
+            "% heater\n1 2 3\n# more\n4 5 6",
+        ] {
+            assert_eq!(read(text, &["3", "1"]).unwrap(), [[Some(3.0), Some(6.0)], [Some(1.0), Some(4.0)]], "{text}");
+        }
+        assert_eq!(read("u;y\n0.1;0.2\n", &["y", "1"]).unwrap(), [[Some(0.2)], [Some(0.1)]]);
+        assert_eq!(read("  1.0e+00   2\n", &["1"]).unwrap(), [[Some(1.0)]]);
+        assert_eq!(read("\u{feff}u,y\n1,2\n", &["u"]).unwrap(), [[Some(1.0)]]);
+    }
+
+    #[test]
+    fn what_is_wrong_is_told_with_its_place() {
+        let told = |text: &str, name: &str| read(text, &[name]).unwrap_err();
+        assert_eq!(told("time,input\n0,1\n", "inpt"), "data.csv: has no column `inpt`; did you mean `input`?");
+        assert_eq!(told("time,input\n0,1\n", "voltage"), "data.csv: has no column `voltage`; it has time, input");
+        assert_eq!(told("0 1\n1 2\n", "3"), "data.csv: has no column 3; columns are numbered from 1 to 2");
+        assert_eq!(told("0 1\n", "0"), "data.csv: has no column 0; columns are numbered from 1 to 2");
+        assert_eq!(
+            told("0 1\n", "u"),
+            "data.csv: has no header, and so no column `u`; give the column's number, 1 to 2"
+        );
+        assert_eq!(told("t,u\n0,1\n1\n", "u"), "data.csv, line 3: has 1 cells, the first line has 2");
+        let no_number = "is no number; numbers have a decimal point, what is missing is empty or `nan`";
+        assert_eq!(told("t,u\n0,1\n\n1,a\n", "u"), format!("data.csv, line 4: `a` in column `u` {no_number}"));
+        assert_eq!(told("0 1\n1 inf\n", "2"), format!("data.csv, line 2: `inf` in column 2 {no_number}"));
+        assert_eq!(told("t;u\n0;1,5\n", "u"), format!("data.csv, line 2: `1,5` in column `u` {no_number}"));
+        assert_eq!(told("u,u\n1,2\n", "u"), "data.csv: the header has the column `u` twice");
+        assert_eq!(told("\n\n", "u"), "data.csv: is empty; expected a table of numbers (CSV)");
+    }
+
+    #[test]
+    fn what_is_no_text_or_not_there_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("data.csv");
+        assert!(columns(&path, &["u"]).unwrap_err().is_io());
+        fs::write(&path, [0x89, 0x4d, 0xff, 0x00]).unwrap();
+        assert!(
+            columns(&path, &["u"])
+                .unwrap_err()
+                .to_string()
+                .ends_with("data.csv: is no text; expected a table of numbers (CSV)")
+        );
+    }
+}

@@ -1,0 +1,150 @@
+//! Tables of coil currents: those that `catoptra live --currents file:` follows, and those that `catoptra excite` writes.
+//!
+//! One column is the time, all others are coils, amperes:
+//!
+//! | column | time |
+//! |---|---|
+//! | `host_ns`, `unix_s` | the host's clock, since 1970: mapped to the camera's by the frames of a live run |
+//! | `stamp_ns` | the camera's clock, nanoseconds |
+//! | `t_s` | seconds since a start that the table does not tell. Without a start it is taken for the camera's clock, and said so |
+
+use super::sheet::Sheet;
+use super::{Current, Recording, SeriesError};
+use crate::source::times::seconds;
+use std::path::{Path, PathBuf};
+
+/// What the times of a table of currents are counted on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum CurrentClock {
+    /// The host's clock, since 1970.
+    Host,
+    /// The camera's clock.
+    Camera,
+    /// Since a start that the table does not tell.
+    Start,
+}
+
+/// Currents of all coils from one moment on.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CurrentRow {
+    /// When, nanoseconds on the table's clock.
+    pub time_ns: i64,
+    /// One entry a coil, amperes.
+    pub values_a: Vec<f64>,
+}
+
+/// A table of coil currents.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CurrentTable {
+    /// The file it was read from.
+    pub path: PathBuf,
+    /// Whose times.
+    pub clock: CurrentClock,
+    /// Names of the coils' columns, in the order of [`CurrentRow::values_a`].
+    pub coils: Vec<String>,
+    /// The rows; their times rise.
+    pub rows: Vec<CurrentRow>,
+}
+
+const TIMES: [(&str, CurrentClock); 4] = [
+    ("host_ns", CurrentClock::Host),
+    ("unix_s", CurrentClock::Host),
+    ("stamp_ns", CurrentClock::Camera),
+    ("t_s", CurrentClock::Start),
+];
+
+impl CurrentTable {
+    /// Reads a table of coil currents.
+    ///
+    /// # Errors
+    /// When it cannot be read, has no column of times or none of a coil, a value is missing or no number, or times do not rise.
+    pub fn read(path: &Path) -> Result<Self, SeriesError> {
+        let sheet = Sheet::read(path)?;
+        sheet.rows_are_even()?;
+        let found = TIMES.iter().find_map(|(name, clock)| Some((sheet.find(name)?, *name, *clock)));
+        let Some((time, name, clock)) = found else {
+            return Err(sheet.wrong(
+                "has no times of currents: expected a header with host_ns, unix_s, stamp_ns or t_s, and a column a coil"
+                    .to_owned(),
+            ));
+        };
+        let columns: Vec<usize> = (0..sheet.width).filter(|column| *column != time).collect();
+        let coils: Vec<String> = sheet
+            .header
+            .iter()
+            .flatten()
+            .enumerate()
+            .filter(|(k, _)| *k != time)
+            .map(|(_, name)| name.clone())
+            .collect();
+        if coils.is_empty() {
+            return Err(sheet.wrong(format!("has no column beside {name}; expected one a coil, amperes")));
+        }
+        if let Some(milli) = coils.iter().find(|coil| coil.to_ascii_lowercase().ends_with("_ma")) {
+            return Err(sheet.wrong(format!("column `{milli}` is in milliamperes; currents are given in amperes")));
+        }
+        let mut rows: Vec<CurrentRow> = Vec::with_capacity(sheet.rows.len());
+        for row in &sheet.rows {
+            let time_ns =
+                if name.ends_with("_ns") { sheet.integer(row, time)? } else { sheet.seconds_ns(row, time)? };
+            if let Some(before) = rows.last().filter(|before| before.time_ns >= time_ns) {
+                let (now, then) = (seconds(time_ns), seconds(before.time_ns));
+                return Err(
+                    sheet.wrong_at(row, format!("its time, {now} s, is not later than the one before, {then} s"))
+                );
+            }
+            let value = |column: &usize| {
+                sheet.number(row, *column)?.ok_or_else(|| {
+                    sheet.wrong_at(row, format!("the current in column {} is missing", sheet.name_of(*column)))
+                })
+            };
+            rows.push(CurrentRow { time_ns, values_a: columns.iter().map(value).collect::<Result<_, _>>()? });
+        }
+        if rows.is_empty() {
+            return Err(sheet.wrong("has a header and no row".to_owned()));
+        }
+        Ok(Self { path: path.to_owned(), clock, coils, rows })
+    }
+
+    /// The currents on the camera's clock of `recording`. Times counted from a start begin at `start_ns` of that clock; without it
+    /// they are taken for that clock's own, which [`CurrentTable::assumption`] puts into words.
+    ///
+    /// # Errors
+    /// When the table has the host's times and no frame tells how they stand to the camera's.
+    pub fn on_camera_clock(&self, recording: &Recording, start_ns: Option<i64>) -> Result<Vec<Current>, SeriesError> {
+        let host = self.clock == CurrentClock::Host;
+        let clocks = recording.clocks().filter(|_| host);
+        if host && clocks.is_none() {
+            let problem = format!(
+                "has times of the host, and {} does not tell how these stand to the camera's: give the log of a live run, or a table with stamp_ns or t_s",
+                recording.path.display()
+            );
+            return Err(SeriesError::Content { path: self.path.clone(), problem });
+        }
+        let start_ns = if self.clock == CurrentClock::Start { start_ns.unwrap_or(0) } else { 0 };
+        let stamp = |time_ns: i64| match &clocks {
+            Some(clocks) => clocks.camera_ns(time_ns),
+            None => time_ns.saturating_add(start_ns),
+        };
+        let current = |row: &CurrentRow| Current {
+            host_ns: host.then_some(row.time_ns),
+            stamp_ns: Some(stamp(row.time_ns)),
+            values_a: row.values_a.clone(),
+        };
+        Ok(self.rows.iter().map(current).collect())
+    }
+
+    /// What has to be taken on trust about the table's times, in words.
+    pub fn assumption(&self, start_ns: Option<i64>) -> Option<String> {
+        match (self.clock, start_ns) {
+            (CurrentClock::Host, _) => {
+                Some("host's times, late by the least delay from exposure to arrival".to_owned())
+            }
+            (CurrentClock::Camera, _) => None,
+            (CurrentClock::Start, None) => Some("t_s is taken for the camera's clock: no start was given".to_owned()),
+            (CurrentClock::Start, Some(start)) => {
+                Some(format!("t_s is counted from {} s of the camera's clock, as given", seconds(start)))
+            }
+        }
+    }
+}

@@ -1,0 +1,46 @@
+//! Why what was recorded cannot be read back.
+
+use crate::log::LogError;
+use std::io;
+use std::path::PathBuf;
+
+/// Why a recording or a table cannot be read.
+#[derive(Debug, thiserror::Error)]
+pub enum SeriesError {
+    /// The file system refuses.
+    #[error("{}: {source}", path.display())]
+    Io {
+        /// Which file.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// A log that cannot be read.
+    #[error(transparent)]
+    Log(#[from] LogError),
+    /// The content of a file.
+    #[error("{}: {problem}", path.display())]
+    Content {
+        /// Which file.
+        path: PathBuf,
+        /// What is wrong with it, and what would be right.
+        problem: String,
+    },
+    /// The content of one line of a table.
+    #[error("{}, line {line}: {problem}", path.display())]
+    Line {
+        /// Which file.
+        path: PathBuf,
+        /// Which line, from 1.
+        line: u64,
+        /// What is wrong with it, and what would be right.
+        problem: String,
+    },
+}
+
+impl SeriesError {
+    /// Whether the file system failed; else the file itself is not valid.
+    pub fn is_io(&self) -> bool {
+        matches!(self, Self::Io { .. } | Self::Log(LogError::Io { .. }))
+    }
+}

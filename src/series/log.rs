@@ -1,0 +1,155 @@
+//! A run from its log: `/catheter/estimate` and `/coil/current`, in the order of the file.
+
+use super::{Current, Frame, Place, Recording, SeriesError};
+use crate::log::LogError;
+use crate::log::fields::{float, inner, number, optional_number, text, xyz};
+use crate::log::records::{self, Extent};
+use crate::sink::OutputFrame;
+use mcap::records::Record;
+use nalgebra::{Point3, Vector3};
+use prost_reflect::{DescriptorPool, DynamicMessage, MessageDescriptor, Value};
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// What is read of a log.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Topic {
+    Estimate,
+    Current,
+}
+
+/// Reads the log at `path`; one that was cut off as far as it goes.
+pub(super) fn read(path: &Path) -> Result<Recording, SeriesError> {
+    let mut reader = Reader::default();
+    let extent = records::each(path, |record| {
+        reader.take(record);
+        Ok(())
+    })?;
+    if !reader.channels.values().any(|(topic, _)| *topic == Topic::Estimate) {
+        return Err(LogError::NotOurs { path: path.to_owned() }.into());
+    }
+    let cut = match extent {
+        Extent::Whole => reader.undecoded,
+        Extent::Cut { why } => Some(why),
+    };
+    // Places are in one frame of reference for all: the base, if the rig had one.
+    let Reader { clock, markers, frames, currents, in_base, .. } = reader;
+    let reference = if in_base { OutputFrame::Base } else { OutputFrame::Camera };
+    let mut recording =
+        Recording { path: path.to_owned(), clock, reference: Some(reference), markers, frames, currents, cut };
+    if let Some(clocks) = recording.clocks() {
+        for current in &mut recording.currents {
+            current.stamp_ns = current.host_ns.map(|host_ns| clocks.camera_ns(host_ns));
+        }
+    }
+    Ok(recording)
+}
+
+#[derive(Default)]
+struct Reader {
+    schemas: BTreeMap<u16, MessageDescriptor>,
+    channels: BTreeMap<u16, (Topic, MessageDescriptor)>,
+    clock: Option<String>,
+    markers: Vec<String>,
+    frames: Vec<Frame>,
+    currents: Vec<Current>,
+    in_base: bool,
+    /// A message that is not what its schema says.
+    undecoded: Option<String>,
+}
+
+impl Reader {
+    fn take(&mut self, record: &Record<'_>) {
+        match record {
+            Record::Schema { header, data } => {
+                let pool = DescriptorPool::decode(data.as_ref()).ok();
+                if let Some(descriptor) = pool.and_then(|pool| pool.get_message_by_name(&header.name)) {
+                    self.schemas.entry(header.id).or_insert(descriptor);
+                }
+            }
+            Record::Channel(channel) => {
+                let topic = match channel.topic.as_str() {
+                    "/catheter/estimate" => Topic::Estimate,
+                    "/coil/current" => Topic::Current,
+                    _ => return,
+                };
+                if let Some(descriptor) = self.schemas.get(&channel.schema_id) {
+                    self.channels.entry(channel.id).or_insert((topic, descriptor.clone()));
+                }
+            }
+            Record::Message { header, data } => {
+                let Some((topic, descriptor)) = self.channels.get(&header.channel_id) else { return };
+                match (topic, DynamicMessage::decode(descriptor.clone(), data.as_ref())) {
+                    (Topic::Estimate, Ok(message)) => self.estimate(&message),
+                    (Topic::Current, Ok(message)) => self.currents.push(current(&message)),
+                    (_, Err(error)) => {
+                        let what = format!("message {} cannot be decoded ({error}) and is left out", header.sequence);
+                        self.undecoded.get_or_insert(what);
+                    }
+                }
+            }
+            _ => {}
+        }
+    }
+
+    fn estimate(&mut self, message: &DynamicMessage) {
+        let markers = message.get_field_by_name("markers");
+        let markers: Vec<&DynamicMessage> =
+            markers.as_deref().and_then(Value::as_list).unwrap_or(&[]).iter().filter_map(Value::as_message).collect();
+        let angles = inner(message, "deflection");
+        let tangent = inner(message, "tangent");
+        if self.frames.is_empty() {
+            self.clock = text(message, "clock");
+            self.markers = markers.iter().map(|marker| text(marker, "name").unwrap_or_default()).collect();
+        }
+        if !self.in_base && in_base(&markers, tangent.as_ref()) {
+            self.in_base = true;
+        }
+        let whole = |field: &str| number(message, field).and_then(|n| u64::try_from(n).ok()).unwrap_or(0);
+        self.frames.push(Frame {
+            seq: whole("seq"),
+            stamp_ns: number(message, "stamp_ns").unwrap_or(0),
+            host_ns: optional_number(message, "host_stamp_ns"),
+            gap: whole("gap"),
+            theta_rad: angles.as_ref().and_then(|angles| float(angles, "theta_rad")),
+            theta_sd_rad: angles.as_ref().and_then(|angles| float(angles, "theta_sd_rad")),
+            theta_status: word(message, "deflection_status"),
+            places: markers.iter().map(|marker| place(marker)).collect(),
+            tangent: tangent
+                .as_ref()
+                .and_then(|tangent| xyz(tangent, "in_base").or_else(|| xyz(tangent, "in_camera")))
+                .map(Vector3::from),
+            tangent_sd_rad: tangent.as_ref().and_then(|tangent| float(tangent, "sd_rad")),
+        });
+    }
+}
+
+fn in_base(markers: &[&DynamicMessage], tangent: Option<&DynamicMessage>) -> bool {
+    let has = |message: &DynamicMessage, field: &str| message.has_field_by_name(field);
+    let place = |marker: &&DynamicMessage| inner(marker, "position").is_some_and(|place| has(&place, "in_base_m"));
+    markers.iter().any(place) || tangent.is_some_and(|tangent| has(tangent, "in_base"))
+}
+
+fn place(marker: &DynamicMessage) -> Place {
+    let position = inner(marker, "position");
+    let point = |position| xyz(position, "in_base_m").or_else(|| xyz(position, "in_camera_m"));
+    Place {
+        point: position.as_ref().and_then(point).map(Point3::from),
+        sd_m: position.as_ref().and_then(|position| float(position, "sd_m")),
+        status: word(marker, "status").unwrap_or_default(),
+    }
+}
+
+fn current(message: &DynamicMessage) -> Current {
+    let values = message.get_field_by_name("current_a");
+    let values = values.as_deref().and_then(Value::as_list).unwrap_or(&[]);
+    Current {
+        host_ns: number(message, "host_ns"),
+        stamp_ns: None,
+        values_a: values.iter().filter_map(Value::as_f64).collect(),
+    }
+}
+
+fn word(message: &DynamicMessage, field: &str) -> Option<String> {
+    text(&inner(message, field)?, "word")
+}

@@ -1,0 +1,198 @@
+//! A table of text, as it stands in the file: cells, and the line of each row.
+//!
+//! Cells are separated by comma, semicolon or tab, or else by white space, as the first line shows. Lines that begin with `#` or `%`
+//! and empty lines are left out. The first line is a header unless all its cells are numbers.
+
+use super::SeriesError;
+use crate::rig::nearest;
+use crate::source::times::parse_seconds_ns;
+use csv::{ReaderBuilder, Trim};
+use std::path::{Path, PathBuf};
+
+/// A table.
+#[derive(Debug)]
+pub(super) struct Sheet {
+    pub(super) path: PathBuf,
+    /// Names of the columns, if there is a header.
+    pub(super) header: Option<Vec<String>>,
+    pub(super) width: usize,
+    pub(super) rows: Vec<Row>,
+    /// Whether the last line has its end: a writer that was killed leaves half a line.
+    pub(super) last_line_ended: bool,
+}
+
+/// A row: its line in the file, from 1, and its cells.
+#[derive(Debug)]
+pub(super) struct Row {
+    pub(super) line: u64,
+    pub(super) cells: Vec<String>,
+}
+
+/// Empty, or the words for a number that is not known.
+pub(super) fn is_missing(cell: &str) -> bool {
+    cell.is_empty() || cell.eq_ignore_ascii_case("nan") || cell == "-nan"
+}
+
+/// A number or a word for a missing one.
+fn is_numeric(cell: &str) -> bool {
+    is_missing(cell) || cell.parse::<f64>().is_ok()
+}
+
+impl Sheet {
+    /// Reads the table at `path`.
+    ///
+    /// # Errors
+    /// When it cannot be read, is no text, or has no line.
+    pub(super) fn read(path: &Path) -> Result<Self, SeriesError> {
+        let bytes = std::fs::read(path).map_err(|source| SeriesError::Io { path: path.to_owned(), source })?;
+        let content = |problem: &str| SeriesError::Content { path: path.to_owned(), problem: problem.to_owned() };
+        let text = String::from_utf8(bytes).map_err(|_| content("is no text; expected a table of numbers (CSV)"))?;
+        let text = text.strip_prefix('\u{feff}').unwrap_or(&text);
+        let is_data = |line: &str| !line.trim().is_empty() && !line.trim_start().starts_with(['#', '%']);
+        let Some(first) = text.lines().find(|line| is_data(line)) else {
+            return Err(content("is empty; expected a table of numbers (CSV)"));
+        };
+        let mut rows = match [',', ';', '\t'].into_iter().find(|separator| first.contains(*separator)) {
+            Some(separator) => separated(path, text, separator as u8)?,
+            None => spaced(text),
+        };
+        rows.retain(|row| row.cells.len() > 1 || row.cells.iter().any(|cell| !cell.is_empty()));
+        let headed = rows.first().is_some_and(|row| !row.cells.iter().all(|cell| is_numeric(cell)));
+        let header = headed.then(|| rows.remove(0).cells);
+        let width = header.as_ref().or(rows.first().map(|row| &row.cells)).map_or(0, Vec::len);
+        let sheet = Self { path: path.to_owned(), header, width, rows, last_line_ended: text.ends_with(['\n', '\r']) };
+        sheet.names_are_unlike()?;
+        Ok(sheet)
+    }
+
+    fn names_are_unlike(&self) -> Result<(), SeriesError> {
+        let mut names: Vec<&String> = self.header.iter().flatten().filter(|name| !name.is_empty()).collect();
+        names.sort_unstable();
+        match names.windows(2).find(|pair| matches!(pair, [a, b] if a == b)) {
+            Some([twice, _]) => Err(self.wrong(format!("the header has the column `{twice}` twice"))),
+            _ => Ok(()),
+        }
+    }
+
+    /// Refuses rows of another width than the first line's.
+    pub(super) fn rows_are_even(&self) -> Result<(), SeriesError> {
+        match self.rows.iter().find(|row| row.cells.len() != self.width) {
+            Some(row) => {
+                Err(self.wrong_at(row, format!("has {} cells, the first line has {}", row.cells.len(), self.width)))
+            }
+            None => Ok(()),
+        }
+    }
+
+    /// Index of the column with this name, if there is one.
+    pub(super) fn find(&self, name: &str) -> Option<usize> {
+        self.header.as_ref()?.iter().position(|column| column == name)
+    }
+
+    /// Index of a column by its name or, if there is none of this name, by its number from 1.
+    pub(super) fn column(&self, name: &str) -> Result<usize, SeriesError> {
+        if let Some(index) = self.find(name) {
+            return Ok(index);
+        }
+        let number = name.parse::<usize>().ok();
+        if let Some(index) = number.and_then(|n| n.checked_sub(1)).filter(|index| *index < self.width) {
+            return Ok(index);
+        }
+        Err(self.wrong(match (&self.header, number) {
+            (_, Some(_)) => format!("has no column {name}; columns are numbered from 1 to {}", self.width),
+            (None, None) => {
+                format!("has no header, and so no column `{name}`; give the column's number, 1 to {}", self.width)
+            }
+            (Some(names), None) => match nearest(name, names.iter().map(String::as_str)) {
+                Some(near) => format!("has no column `{name}`; did you mean `{near}`?"),
+                None => format!("has no column `{name}`; it has {}", names.join(", ")),
+            },
+        }))
+    }
+
+    /// A cell as a whole number, exactly.
+    pub(super) fn integer(&self, row: &Row, column: usize) -> Result<i64, SeriesError> {
+        let cell = row.cells.get(column).map_or("", String::as_str);
+        cell.parse().map_err(|_| {
+            let (cell, name) = (cell.escape_debug(), self.name_of(column));
+            self.wrong_at(row, format!("`{cell}` in column {name} is no whole number"))
+        })
+    }
+
+    /// A cell of decimal seconds in nanoseconds, exactly.
+    pub(super) fn seconds_ns(&self, row: &Row, column: usize) -> Result<i64, SeriesError> {
+        let cell = row.cells.get(column).map_or("", String::as_str);
+        parse_seconds_ns(cell).ok_or_else(|| {
+            let (cell, name) = (cell.escape_debug(), self.name_of(column));
+            self.wrong_at(row, format!("`{cell}` in column {name} is no time in seconds, such as 0.0166667"))
+        })
+    }
+
+    /// A cell as a number; `None` when it is missing.
+    pub(super) fn number(&self, row: &Row, column: usize) -> Result<Option<f64>, SeriesError> {
+        let Some(cell) = row.cells.get(column).filter(|cell| !is_missing(cell)) else { return Ok(None) };
+        match cell.parse::<f64>() {
+            Ok(value) if value.is_finite() => Ok(Some(value)),
+            _ => Err(self.wrong_at(
+                row,
+                format!(
+                    "`{}` in column {} is no number; numbers have a decimal point, what is missing is empty or `nan`",
+                    cell.escape_debug(),
+                    self.name_of(column)
+                ),
+            )),
+        }
+    }
+
+    /// What a column is called in messages.
+    pub(super) fn name_of(&self, column: usize) -> String {
+        match self.header.as_ref().and_then(|names| names.get(column)) {
+            Some(name) => format!("`{name}`"),
+            None => (column + 1).to_string(),
+        }
+    }
+
+    pub(super) fn wrong(&self, problem: String) -> SeriesError {
+        SeriesError::Content { path: self.path.clone(), problem }
+    }
+
+    pub(super) fn wrong_at(&self, row: &Row, problem: String) -> SeriesError {
+        SeriesError::Line { path: self.path.clone(), line: row.line, problem }
+    }
+}
+
+/// Rows of RFC 4180, with this separator.
+fn separated(path: &Path, text: &str, separator: u8) -> Result<Vec<Row>, SeriesError> {
+    let mut reader = ReaderBuilder::new()
+        .delimiter(separator)
+        .has_headers(false)
+        .flexible(true)
+        .trim(Trim::All)
+        .from_reader(text.as_bytes());
+    let bytes = text.as_bytes();
+    let (mut rows, mut counted, mut line) = (Vec::new(), 0, 1);
+    for record in reader.records() {
+        let record = record.map_err(|error| SeriesError::Content {
+            path: path.to_owned(),
+            problem: format!("is no table: {error}"),
+        })?;
+        // A record's own position is behind the record before: empty lines and half a line end may stand between.
+        let behind = record.position().map_or(counted, |at| usize::try_from(at.byte()).unwrap_or(counted));
+        let is_break = |byte: &&u8| matches!(byte, b'\r' | b'\n');
+        let start = behind + bytes.get(behind..).map_or(0, |rest| rest.iter().take_while(is_break).count());
+        line += bytes.get(counted..start).map_or(0, |between| between.iter().filter(|byte| **byte == b'\n').count());
+        counted = counted.max(start);
+        if record.get(0).is_some_and(|cell| cell.starts_with(['#', '%'])) {
+            continue;
+        }
+        rows.push(Row { line: line as u64, cells: record.iter().map(str::to_owned).collect() });
+    }
+    Ok(rows)
+}
+
+/// Rows whose cells stand apart by white space.
+fn spaced(text: &str) -> Vec<Row> {
+    let lines = (1..).zip(text.lines());
+    let data = lines.filter(|(_, line)| !line.trim_start().starts_with(['#', '%']));
+    data.map(|(line, text)| Row { line, cells: text.split_whitespace().map(str::to_owned).collect() }).collect()
+}

@@ -1,0 +1,159 @@
+//! A run from its table: that of this program ([`crate::sink::CsvSink`]), or another with columns of the same names.
+//!
+//! Needed are a time (`stamp_ns` or `t_s`) and either `theta_deg` or the three coordinates of a marker (`tip_x_mm`, …; without a
+//! name before them, `x_mm`, they are the tip's). All else may be missing.
+
+use super::sheet::{Row, Sheet, is_missing};
+use super::{Frame, Place, Recording, SeriesError};
+use crate::sink::OutputFrame;
+use nalgebra::{Point3, Vector3};
+use std::path::Path;
+
+/// What a place without a name belongs to.
+const UNNAMED: &str = "tip";
+const M_PER_MM: f64 = 1e-3;
+
+/// Columns of a marker.
+struct Marker {
+    name: String,
+    xyz: [usize; 3],
+    sd: Option<usize>,
+    status: Option<usize>,
+}
+
+/// Reads the table at `path`.
+pub(super) fn read(path: &Path) -> Result<Recording, SeriesError> {
+    let mut sheet = Sheet::read(path)?;
+    let cut = half_a_line(&mut sheet);
+    sheet.rows_are_even()?;
+    let stamp = sheet.find("stamp_ns");
+    let seconds = sheet.find("t_s");
+    if stamp.or(seconds).is_none() {
+        return Err(sheet.wrong(format!("has no times of frames: expected a column stamp_ns or t_s{}", there(&sheet))));
+    }
+    let markers = markers(&sheet)?;
+    let theta = sheet.find("theta_deg");
+    if markers.is_empty() && theta.is_none() {
+        let expected =
+            "has nothing that was measured: expected a column theta_deg, or a place as tip_x_mm, tip_y_mm, tip_z_mm";
+        return Err(sheet.wrong(format!("{expected}{}", there(&sheet))));
+    }
+    let tangent = all_of(&sheet, ["tan_x", "tan_y", "tan_z"])?;
+    let others = ["theta_sd_deg", "tan_sd_deg", "seq", "gap"].map(|name| sheet.find(name));
+    let [theta_sd, tangent_sd, seq, gap] = others;
+    let angle = |row: &Row, column: Option<usize>| -> Result<Option<f64>, SeriesError> {
+        let degrees = column.map(|column| sheet.number(row, column)).transpose()?.flatten();
+        Ok(degrees.map(f64::to_radians))
+    };
+    let count = |row: &Row, column: Option<usize>, otherwise: u64| -> Result<u64, SeriesError> {
+        let Some(column) = column else { return Ok(otherwise) };
+        u64::try_from(sheet.integer(row, column)?)
+            .map_err(|_| sheet.wrong_at(row, format!("the count in column {} is negative", sheet.name_of(column))))
+    };
+    let mut frames = Vec::with_capacity(sheet.rows.len());
+    for (index, row) in (0..).zip(&sheet.rows) {
+        let stamp_ns = match (stamp, seconds) {
+            (Some(column), _) => sheet.integer(row, column)?,
+            (None, Some(column)) => sheet.seconds_ns(row, column)?,
+            (None, None) => 0,
+        };
+        frames.push(Frame {
+            seq: count(row, seq, index)?,
+            stamp_ns,
+            host_ns: None,
+            gap: count(row, gap, 0)?,
+            theta_rad: angle(row, theta)?,
+            theta_sd_rad: angle(row, theta_sd)?,
+            theta_status: None,
+            places: markers.iter().map(|marker| marker.place(&sheet, row)).collect::<Result<_, _>>()?,
+            tangent: tangent.map(|columns| vector(&sheet, row, columns)).transpose()?.flatten(),
+            tangent_sd_rad: angle(row, tangent_sd)?,
+        });
+    }
+    Ok(Recording {
+        path: path.to_owned(),
+        clock: None,
+        reference: reference(path),
+        markers: markers.into_iter().map(|marker| marker.name).collect(),
+        frames,
+        currents: Vec::new(),
+        cut,
+    })
+}
+
+/// The last line of a table whose writer was killed; it is left out.
+fn half_a_line(sheet: &mut Sheet) -> Option<String> {
+    let width = sheet.width;
+    let (rows, last) = (sheet.rows.len(), sheet.rows.last()?);
+    let ours = sheet.header.as_ref()?.starts_with(&["seq".to_owned(), "t_s".to_owned(), "stamp_ns".to_owned()]);
+    let torn = !sheet.last_line_ended && (ours || last.cells.len() != width) && rows > 1;
+    let line = last.line;
+    torn.then(|| {
+        sheet.rows.pop();
+        format!("line {line} is its last and has no end; it is left out")
+    })
+}
+
+/// What columns there are instead, for a message.
+fn there(sheet: &Sheet) -> String {
+    sheet.header.as_ref().map_or("; it has no header".to_owned(), |names| format!("; it has {}", names.join(", ")))
+}
+
+/// Columns that make sense together only; `None` when the first is not there.
+fn all_of(sheet: &Sheet, names: [&str; 3]) -> Result<Option<[usize; 3]>, SeriesError> {
+    if sheet.find(names[0]).is_none() {
+        return Ok(None);
+    }
+    let column = |name: &str| sheet.find(name).ok_or_else(|| sheet.wrong(format!("has {}, but no {name}", names[0])));
+    Ok(Some([column(names[0])?, column(names[1])?, column(names[2])?]))
+}
+
+fn markers(sheet: &Sheet) -> Result<Vec<Marker>, SeriesError> {
+    let mut markers = Vec::new();
+    for column in sheet.header.iter().flatten() {
+        let Some(prefix) = column.strip_suffix("x_mm").filter(|prefix| prefix.is_empty() || prefix.ends_with('_'))
+        else {
+            continue;
+        };
+        let named = ["x_mm", "y_mm", "z_mm"].map(|axis| format!("{prefix}{axis}"));
+        let Some(xyz) = all_of(sheet, named.each_ref().map(String::as_str))? else { continue };
+        let name = prefix.strip_suffix('_').unwrap_or(UNNAMED).to_owned();
+        let [sd, status] = ["sd_mm", "status"].map(|of| sheet.find(&format!("{prefix}{of}")));
+        markers.push(Marker { name, xyz, sd, status });
+    }
+    Ok(markers)
+}
+
+impl Marker {
+    fn place(&self, sheet: &Sheet, row: &Row) -> Result<Place, SeriesError> {
+        let point = vector(sheet, row, self.xyz)?.map(|mm| Point3::from(mm * M_PER_MM));
+        let sd_mm = self.sd.map(|column| sheet.number(row, column)).transpose()?.flatten();
+        let word = self.status.and_then(|column| row.cells.get(column)).filter(|word| !word.is_empty());
+        let known = || if point.is_some() { "ok" } else { "missing" }.to_owned();
+        Ok(Place { point, sd_m: sd_mm.map(|mm| mm * M_PER_MM), status: word.map_or_else(known, String::to_owned) })
+    }
+}
+
+/// Three cells; `None` when all are missing.
+fn vector(sheet: &Sheet, row: &Row, columns: [usize; 3]) -> Result<Option<Vector3<f64>>, SeriesError> {
+    let [x, y, z] = [sheet.number(row, columns[0])?, sheet.number(row, columns[1])?, sheet.number(row, columns[2])?];
+    match (x, y, z) {
+        (Some(x), Some(y), Some(z)) => Ok(Some(Vector3::new(x, y, z))),
+        (None, None, None) => Ok(None),
+        _ => {
+            let missing = columns.into_iter().find(|column| row.cells.get(*column).is_none_or(|cell| is_missing(cell)));
+            let name = missing.map_or_else(String::new, |column| sheet.name_of(column));
+            Err(sheet.wrong_at(row, format!("one of three coordinates is missing, in column {name}")))
+        }
+    }
+}
+
+/// What the `run.toml` beside a table of ours says of its places.
+fn reference(path: &Path) -> Option<OutputFrame> {
+    let text = std::fs::read_to_string(path.with_file_name("run.toml")).ok()?;
+    match text.parse::<toml::Table>().ok()?.get("frame")?.as_str()? {
+        "base" => Some(OutputFrame::Base),
+        "camera" => Some(OutputFrame::Camera),
+        _ => None,
+    }
+}
