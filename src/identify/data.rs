@@ -3,6 +3,8 @@
 /// A stretch of evenly sampled input and output without a hole.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Segment {
+    /// Place of its first sample on the record's grid, from 0.
+    pub first: usize,
     /// Time of its first sample, seconds of the record's clock.
     pub start_s: f64,
     /// Input; sample k acts from the time of sample k to that of sample k+1.
@@ -31,6 +33,7 @@ impl Segment {
         let to = to.min(self.len());
         let from = from.min(to);
         Self {
+            first: self.first + from,
             start_s: self.start_s + from as f64 * period_s,
             input: self.input[from..to].to_vec(),
             output: self.output[from..to].to_vec(),
@@ -58,5 +61,44 @@ impl Record {
     /// Whether there is no sample.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
+    }
+
+    /// Places from the first sample to the last, holes counted.
+    pub fn span(&self) -> usize {
+        self.segments.last().map_or(0, |last| last.first + last.len())
+    }
+
+    /// The samples at places `from..to` of the grid.
+    pub fn range(&self, from: usize, to: usize, period_s: f64) -> Self {
+        let part = |s: &Segment| s.part(from.saturating_sub(s.first), to.saturating_sub(s.first), period_s);
+        Self {
+            name: format!("{} [{from}:{to}]", self.name),
+            segments: self.segments.iter().map(part).filter(|s| !s.is_empty()).collect(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_range_counts_holes() {
+        let segment = |first: usize, n: usize| Segment {
+            first,
+            start_s: first as f64,
+            input: (first..first + n).map(|k| k as f64).collect(),
+            output: vec![0.0; n],
+            from_rest: first == 0,
+            instrument: None,
+        };
+        let record = Record { name: "r".into(), segments: vec![segment(0, 10), segment(15, 5)] };
+        assert_eq!((record.len(), record.span()), (15, 20));
+        let part = record.range(8, 17, 1.0);
+        assert_eq!(part.name, "r [8:17]");
+        let inputs: Vec<f64> = part.segments.iter().flat_map(|s| s.input.clone()).collect();
+        assert_eq!(inputs, [8.0, 9.0, 15.0, 16.0]);
+        assert!(!part.segments[0].from_rest && record.range(0, 3, 1.0).segments[0].from_rest);
+        assert_eq!((part.segments[1].first, part.segments[1].start_s), (15, 15.0));
     }
 }

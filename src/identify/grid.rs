@@ -5,6 +5,7 @@
 //! time ([`hold`](super::hold)). Uneven times are refused, or resampled where that is asked.
 
 use super::data::{Record, Segment};
+use super::plant::Plant;
 
 /// Intervals may differ from whole periods by this part of one.
 const TOLERANCE: f64 = 0.25;
@@ -18,12 +19,12 @@ pub struct Series {
     pub name: String,
     /// Seconds, rising.
     pub time_s: Vec<f64>,
-    /// Input from each time to the next.
-    pub input: Vec<Option<f64>>,
+    /// What drives the system from each time to the next: its input, or with `plant` the coil current, amperes.
+    pub drive: Vec<Option<f64>>,
     /// Output at each time.
     pub output: Vec<Option<f64>>,
-    /// As [`Segment::instrument`], if there is one.
-    pub instrument: Option<Vec<f64>>,
+    /// Makes the input of current and output, by Eq. 6.
+    pub plant: Option<Plant>,
 }
 
 /// Why times are no grid.
@@ -126,7 +127,7 @@ impl Grid {
 }
 
 /// The median interval; its times must rise.
-fn usual_interval(name: &str, time_s: &[f64]) -> Result<f64, GridError> {
+pub(super) fn usual_interval(name: &str, time_s: &[f64]) -> Result<f64, GridError> {
     if time_s.len() < 2 {
         return Err(GridError::TooFew { name: name.to_owned(), samples: time_s.len() });
     }
@@ -140,44 +141,47 @@ fn usual_interval(name: &str, time_s: &[f64]) -> Result<f64, GridError> {
 }
 
 /// Cuts a record at every hole. Up to `bridge` missing outputs in a row are put in by a cubic through their neighbours, and
-/// counted: `(record, bridged)`. A missing input is a hole always.
+/// counted: `(record, bridged)`. A missing drive is a hole always.
 pub fn cut(series: &Series, grid: &Grid, bridge: usize) -> (Record, usize) {
     let length = grid.places.last().map_or(0, |last| last + 1);
-    let mut output = vec![None; length];
-    let mut input = vec![None; length];
-    let mut instrument = series.instrument.as_ref().map(|_| vec![0.0; length]);
+    let (mut output, mut drive) = (vec![None; length], vec![None; length]);
     for (k, place) in grid.places.iter().enumerate() {
         output[*place] = series.output[k];
-        input[*place] = series.input[k];
-        if let (Some(all), Some(given)) = (&mut instrument, &series.instrument) {
-            all[*place] = given[k];
-        }
+        drive[*place] = series.drive[k];
     }
     let first_s = series.time_s.first().copied().unwrap_or(0.0);
-    let mut bridged = 0;
-    if bridge > 0 {
-        bridged = fill(&mut output, &input, bridge);
-    }
-    let known: Vec<bool> = output.iter().zip(&input).map(|(y, u)| y.is_some() && u.is_some()).collect();
+    let bridged = if bridge > 0 { fill(&mut output, bridge) } else { 0 };
+    // What is known at each place: input, output, drive.
+    let samples: Vec<Option<(f64, f64, f64)>> = output
+        .iter()
+        .zip(&drive)
+        .map(|(y, drive)| {
+            let (y, drive) = ((*y)?, (*drive)?);
+            Some((series.plant.map_or(drive, |plant| plant.torque_nm(drive, y)), y, drive))
+        })
+        .collect();
     let mut segments: Vec<Segment> = Vec::new();
     let mut begin = 0;
-    while let Some(from) = known[begin..].iter().position(|k| *k).map(|k| begin + k) {
-        let to = known[from..].iter().position(|k| !k).map_or(length, |k| from + k);
+    while let Some(from) = samples[begin..].iter().position(Option::is_some).map(|k| begin + k) {
+        let to = samples[from..].iter().position(Option::is_none).map_or(length, |k| from + k);
+        let known = || samples[from..to].iter().flatten();
         segments.push(Segment {
+            first: from,
             start_s: first_s + from as f64 * grid.period_s,
-            input: input[from..to].iter().flatten().copied().collect(),
-            output: output[from..to].iter().flatten().copied().collect(),
-            instrument: instrument.as_ref().map(|i| i[from..to].to_vec()),
-            from_rest: from == 0,
+            input: known().map(|(u, _, _)| *u).collect(),
+            output: known().map(|(_, y, _)| *y).collect(),
+            instrument: series.plant.map(|_| known().map(|(_, _, drive)| *drive).collect()),
+            // Before the first drive there was none; before an output that was missed there may have been any.
+            from_rest: segments.is_empty() && drive[..from].iter().all(Option::is_none),
         });
         begin = to;
     }
     (Record { name: series.name.clone(), segments }, bridged)
 }
 
-/// Fills holes of up to `most` outputs whose inputs are known, by Lagrange's cubic through two samples on each side, or by a
-/// line where there is one only. Says how many.
-fn fill(output: &mut [Option<f64>], input: &[Option<f64>], most: usize) -> usize {
+/// Fills holes of up to `most` outputs by Lagrange's cubic through two samples on each side, or by a line where there is one
+/// only. Says how many.
+fn fill(output: &mut [Option<f64>], most: usize) -> usize {
     let given = output.to_vec();
     let at = |k: i64| usize::try_from(k).ok().and_then(|k| given.get(k).copied().flatten()).map(|y| (k as f64, y));
     let mut filled = 0;
@@ -187,9 +191,6 @@ fn fill(output: &mut [Option<f64>], input: &[Option<f64>], most: usize) -> usize
         let hole = k..to;
         k = to + 1;
         if hole.is_empty() || hole.len() > most || hole.start == 0 || to == given.len() {
-            continue;
-        }
-        if input[hole.clone()].iter().any(Option::is_none) {
             continue;
         }
         let (before, after) = (hole.start as i64, to as i64);
@@ -245,15 +246,12 @@ pub fn resample(series: &Series, period_s: Option<f64>) -> Result<Series, GridEr
         }
         Some(sum / (to - from))
     };
-    let intervals = || time_s.iter().map(|t| (*t, t + period));
+    let drive = |t: &f64| held(&|k| series.drive.get(k).copied().flatten(), *t, *t + period);
     Ok(Series {
         name: series.name.clone(),
         output: time_s.iter().map(output).collect(),
-        input: intervals().map(|(from, to)| held(&|k| series.input.get(k).copied().flatten(), from, to)).collect(),
-        instrument: series
-            .instrument
-            .as_ref()
-            .map(|i| intervals().map(|(from, to)| held(&|k| i.get(k).copied(), from, to).unwrap_or(0.0)).collect()),
+        drive: time_s.iter().map(drive).collect(),
+        plant: series.plant,
         time_s,
     })
 }
@@ -266,9 +264,9 @@ mod tests {
         Series {
             name: "a.csv".into(),
             time_s: time_s.to_vec(),
-            input: time_s.iter().map(|t| Some(10.0 * t)).collect(),
+            drive: time_s.iter().map(|t| Some(10.0 * t)).collect(),
             output: time_s.iter().map(|t| Some(of(*t))).collect(),
-            instrument: None,
+            plant: None,
         }
     }
 
@@ -306,8 +304,8 @@ mod tests {
         assert_eq!(record.segments.iter().map(Segment::len).collect::<Vec<_>>(), [4, 3, 2]);
         assert_eq!((bridged, record.segments[1].start_s), (0, 5.0));
         assert_eq!(record.segments.iter().map(|s| s.from_rest).collect::<Vec<_>>(), [true, false, false]);
-        // The input of a lost frame is not known here, so nothing is bridged.
-        assert_eq!(cut(&series, &grid, 2).1, 0);
+        // The input of a lost frame is not known here: its output may be put in, the hole stays.
+        assert_eq!(cut(&series, &grid, 2).0.segments.len(), 3);
         let mut missed = self::series(&[0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0], cubic);
         missed.output[4] = None;
         missed.output[7] = None;
@@ -325,7 +323,7 @@ mod tests {
         assert_eq!(even.time_s, [0.0, 1.0, 2.0, 3.0, 4.0]);
         assert_eq!(even.output.iter().flatten().copied().collect::<Vec<_>>(), [0.0, 3.0, 6.0, 9.0, 12.0]);
         // From 2 to 3: 20 for half a second, then 25.
-        assert_eq!(even.input[2], Some(22.5));
-        assert_eq!(even.input[4], Some(40.0));
+        assert_eq!(even.drive[2], Some(22.5));
+        assert_eq!(even.drive[4], Some(40.0));
     }
 }

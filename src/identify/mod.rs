@@ -1,16 +1,23 @@
 //! identify
 pub mod arx;
 pub mod bandwidth;
+pub mod bootstrap;
+pub mod chain;
 pub mod continuous;
 pub mod data;
+pub mod delay;
+pub mod doubts;
 pub mod fit;
 pub mod gramian;
 pub mod grid;
 pub mod hold;
 pub mod instrumental;
 pub mod model;
+pub mod modelled;
 pub mod output_error;
+pub mod plant;
 pub mod prepare;
+pub mod recorded;
 pub mod reduce;
 pub mod regression;
 pub mod residuals;
@@ -65,5 +72,30 @@ pub enum IdentifyError {
     NotReduced {
         /// Why, and what would be possible.
         problem: String,
+    },
+    /// There is no sample.
+    #[error("{name}: has no sample with input and output to identify from")]
+    Nothing {
+        /// The records.
+        name: String,
+    },
+    /// Input or output never changes.
+    #[error("{name}: the {what} is {value} in all samples: nothing can be identified from what does not move")]
+    Still {
+        /// The records.
+        name: String,
+        /// `input` or `output`.
+        what: &'static str,
+        /// Its value.
+        value: f64,
+    },
+    /// All models searched are unstable.
+    #[error(
+        "all {tried} models searched are unstable: take trends off with --detrend, fewer samples a second with --decimate, or fix \
+         the orders with --order to see one"
+    )]
+    NoneStable {
+        /// How many.
+        tried: usize,
     },
 }

@@ -108,6 +108,7 @@ pub fn decimate(record: &Record, factor: usize, period_s: f64) -> Record {
     let thinned = |segment: &Segment| {
         let input = held(&segment.input);
         Segment {
+            first: segment.first.div_ceil(factor) + HALF_TAPS,
             start_s: segment.start_s + half as f64 * period_s,
             output: filtered(&segment.output).into_iter().step_by(factor).take(input.len()).collect(),
             instrument: segment.instrument.as_deref().map(held),

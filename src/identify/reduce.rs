@@ -52,8 +52,10 @@ pub struct Reduction {
 pub struct Reduced {
     /// The model.
     pub model: Polynomials,
-    /// Hankel singular values of the stable part, largest first.
+    /// Hankel singular values of the stable part over all frequencies, largest first.
     pub hankel: Vec<f64>,
+    /// The same of the band alone, when balanced for one.
+    pub hankel_in_band: Option<Vec<f64>>,
     /// Unstable states, all kept.
     pub unstable: usize,
     /// The response differs nowhere by more; infinite when balanced for a band.
@@ -69,16 +71,15 @@ pub fn reduce(model: &Polynomials, how: Reduction) -> Result<Reduced, IdentifyEr
     let on_circle = || not_reduced("a pole lies on the unit circle, where balancing does not end".to_owned());
     let (stable, unstable) = split(model).ok_or_else(on_circle)?;
     // 1. factors of the Gramians, and the singular values of their product
-    let [driven, seen] = match how.band {
-        Some(band) => band_factors(&stable, band),
-        None => factor(&stable.a, &stable.b).zip(factor(&stable.a.transpose(), &stable.c.transpose())).map(<[_; 2]>::from),
-    }
-    .ok_or_else(on_circle)?;
-    let svd = (seen.transpose() * &driven).svd(true, true);
-    let (Some(left), Some(right)) = (&svd.u, &svd.v_t) else { return Err(on_circle()) };
-    let hankel: Vec<f64> = svd.singular_values.iter().copied().collect();
-    let rank = hankel.iter().filter(|s| **s > RANK * hankel[0]).count();
-    let tail = |kept: usize| 2.0 * hankel.iter().skip(kept).sum::<f64>();
+    let whole = factor(&stable.a, &stable.b).zip(factor(&stable.a.transpose(), &stable.c.transpose()));
+    let whole = Balance::of(whole.ok_or_else(on_circle)?).ok_or_else(on_circle)?;
+    let in_band = match how.band {
+        Some(band) => Some(band_factors(&stable, band).and_then(|[d, s]| Balance::of((d, s))).ok_or_else(on_circle)?),
+        None => None,
+    };
+    let Balance { driven, seen, left, right, values } = in_band.as_ref().unwrap_or(&whole);
+    let rank = values.iter().filter(|s| **s > RANK * values[0]).count();
+    let tail = |kept: usize| 2.0 * values.iter().skip(kept).sum::<f64>();
     // 2. how many to keep
     let fixed = unstable.order();
     let keep = match how.target {
@@ -97,10 +98,10 @@ pub fn reduce(model: &Polynomials, how: Reduction) -> Result<Reduced, IdentifyEr
     };
     // 3. balanced coordinates of all states that matter, then the removal
     let scale = |columns: DMatrix<f64>| {
-        DMatrix::from_fn(columns.nrows(), rank, |i, j| columns[(i, j)] / hankel[j].sqrt())
+        DMatrix::from_fn(columns.nrows(), rank, |i, j| columns[(i, j)] / values[j].sqrt())
     };
-    let into = scale(&driven * right.transpose());
-    let from = scale(&seen * left).transpose();
+    let into = scale(driven * right.transpose());
+    let from = scale(seen * left).transpose();
     let balanced = StateSpace { a: &from * &stable.a * &into, b: &from * &stable.b, c: &stable.c * &into, d: stable.d };
     let reduced = match how.removal {
         Removal::Truncate => first(&balanced, keep),
@@ -110,8 +111,26 @@ pub fn reduce(model: &Polynomials, how: Reduction) -> Result<Reduced, IdentifyEr
         model: reduced.sum(&unstable).polynomials(),
         unstable: fixed,
         error_bound: if how.band.is_some() { f64::INFINITY } else { tail(keep) },
-        hankel,
+        hankel_in_band: in_band.map(|b| b.values),
+        hankel: whole.values,
     })
+}
+
+/// Factors of both Gramians with the singular values and vectors of their product.
+struct Balance {
+    driven: DMatrix<f64>,
+    seen: DMatrix<f64>,
+    left: DMatrix<f64>,
+    right: DMatrix<f64>,
+    values: Vec<f64>,
+}
+
+impl Balance {
+    fn of((driven, seen): (DMatrix<f64>, DMatrix<f64>)) -> Option<Self> {
+        let svd = (seen.transpose() * &driven).svd(true, true);
+        let values = svd.singular_values.iter().copied().collect();
+        Some(Self { driven, seen, left: svd.u?, right: svd.v_t?, values })
+    }
 }
 
 fn first(system: &StateSpace, keep: usize) -> StateSpace {

@@ -1,0 +1,151 @@
+//! How far a result would scatter if the experiment were repeated: residual bootstrap.
+//!
+//! The model's own residuals, drawn anew in blocks that keep what correlation is left in them, are put on the model's output, and
+//! everything is estimated again (Künsch, Annals of Statistics 17, 1989, doi:10.1214/aos/1176347265). Inputs stay as they were:
+//! that an input computed by Eq. 6 would carry the new noise too is left out.
+
+use super::data::Segment;
+use super::model::{Polynomials, all_pole};
+use fastrand::Rng;
+
+/// Samples in a block.
+const BLOCK: usize = 32;
+/// Of so many repetitions at least the middle is told.
+const FEWEST: usize = 20;
+const SEED: u64 = 0x00CA_7097;
+
+/// Where the noise enters.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Noise {
+    /// At the equation, A y = B u + e.
+    Equation,
+    /// At the output, y = B/A u + e.
+    Output,
+}
+
+/// Estimates `of` from `count` repetitions of the experiment. Repetitions in which `of` has no answer are left out.
+pub fn repeat<T: Send>(
+    segments: &[Segment],
+    model: &Polynomials,
+    noise: Noise,
+    count: usize,
+    of: impl Fn(&[Segment]) -> Option<T> + Sync,
+) -> Vec<T> {
+    use rayon::prelude::*;
+    let stretches: Vec<(Vec<f64>, Vec<f64>)> = segments.iter().map(|s| clean_and_residual(s, model, noise)).collect();
+    let repetition = |number: usize| {
+        // Each its own numbers, whichever thread draws them.
+        let mut rng = Rng::with_seed(SEED + number as u64);
+        let drawn: Vec<Segment> =
+            segments.iter().zip(&stretches).map(|(s, (clean, left))| redrawn(s, clean, left, model, noise, &mut rng)).collect();
+        of(&drawn)
+    };
+    (0..count).into_par_iter().filter_map(repetition).collect()
+}
+
+/// The output that the model would have without noise, and what the noise was.
+fn clean_and_residual(segment: &Segment, model: &Polynomials, noise: Noise) -> (Vec<f64>, Vec<f64>) {
+    use super::fit::{Kind, Start, output};
+    match noise {
+        Noise::Output => {
+            let clean = output(model, segment, Kind::Simulation(Start::Rest));
+            let left = segment.output.iter().zip(&clean).map(|(y, c)| y - c).collect();
+            (clean, left)
+        }
+        Noise::Equation => {
+            // All of A y − B u, the beginning as it was: so that with its own noise a stretch comes out as it is.
+            let from_input = moved(model, &segment.input);
+            let left = from_output(model, &segment.output).iter().zip(&from_input).map(|(y, u)| y - u).collect();
+            (from_input, left)
+        }
+    }
+}
+
+fn redrawn(
+    segment: &Segment,
+    clean: &[f64],
+    left: &[f64],
+    model: &Polynomials,
+    noise: Noise,
+    rng: &mut Rng,
+) -> Segment {
+    let begin = if noise == Noise::Equation { model.memory().min(left.len()) } else { 0 };
+    let pool = &left[begin..];
+    let mut drawn = left[..begin].to_vec();
+    while drawn.len() < left.len() {
+        let block = BLOCK.min(pool.len());
+        let from = rng.usize(0..=pool.len() - block);
+        drawn.extend(&pool[from..from + block]);
+    }
+    let sum = clean.iter().zip(&drawn).map(|(c, e)| c + e).collect();
+    let output = if noise == Noise::Equation { all_pole(&model.a, sum) } else { sum };
+    Segment { output, ..segment.clone() }
+}
+
+/// B u.
+fn moved(model: &Polynomials, input: &[f64]) -> Vec<f64> {
+    Polynomials { a: vec![1.0], b: model.b.clone(), nk: model.nk }.simulate(input)
+}
+
+/// A y.
+fn from_output(model: &Polynomials, output: &[f64]) -> Vec<f64> {
+    Polynomials { a: vec![1.0], b: model.a.clone(), nk: 0 }.simulate(output)
+}
+
+/// The interval that holds the middle 95 % of the values. Nothing for too few.
+pub fn middle_95(mut values: Vec<f64>) -> Option<(f64, f64)> {
+    if values.len() < FEWEST {
+        return None;
+    }
+    values.sort_by(f64::total_cmp);
+    let at = |part: f64| {
+        let place = part * (values.len() - 1) as f64;
+        let (low, rest) = (place.floor() as usize, place.fract());
+        let high = (low + 1).min(values.len() - 1);
+        values[low] + rest * (values[high] - values[low])
+    };
+    Some((at(0.025), at(0.975)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::arx::tests::noise;
+    use super::super::arx::{Orders, fit};
+    use super::*;
+
+    #[test]
+    fn it_scatters_as_the_covariance_says() {
+        let truth = Polynomials { a: vec![1.0, -1.5, 0.7], b: vec![1.0, 0.5], nk: 1 };
+        let input = noise(3, 800);
+        let disturbance = all_pole(&truth.a, noise(4, 800));
+        let output = truth.simulate(&input).iter().zip(disturbance).map(|(y, e)| y + 0.3 * e).collect();
+        let segments = [Segment { input, output, from_rest: true, ..Segment::default() }];
+        let orders = Orders { na: 2, nb: 2, nk: 1 };
+        let found = fit(&segments, orders).unwrap();
+        let draws = repeat(&segments, &found.model, Noise::Equation, 200, |s| fit(s, orders).ok().map(|f| f.model.parameters()));
+        assert_eq!(draws.len(), 200);
+        for (k, sd) in found.standard_errors().into_iter().enumerate() {
+            let spread = draws.iter().map(|d| (d[k] - found.model.parameters()[k]).powi(2)).sum::<f64>() / 200.0;
+            assert!((0.8..1.25).contains(&(spread.sqrt() / sd)), "{k}: {} {sd}", spread.sqrt());
+        }
+        let (low, high) = middle_95(draws.iter().map(|d| d[0]).collect()).unwrap();
+        let sd = found.standard_errors()[0];
+        assert!(((high - low) / (3.92 * sd) - 1.0).abs() < 0.25);
+        assert_eq!(middle_95(vec![1.0; 19]), None);
+    }
+
+    #[test]
+    fn output_noise_is_put_on_the_output() {
+        let truth = Polynomials { a: vec![1.0, -0.9], b: vec![1.0], nk: 1 };
+        let input = noise(5, 500);
+        let output: Vec<f64> = truth.simulate(&input).iter().zip(noise(6, 500)).map(|(y, e)| y + e).collect();
+        let segments = [Segment { input: input.clone(), output, from_rest: true, ..Segment::default() }];
+        let clean = truth.simulate(&input);
+        let rms = |s: &[Segment]| {
+            let sum: f64 = s[0].output.iter().zip(&clean).map(|(y, c)| (y - c).powi(2)).sum();
+            Some((sum / 500.0).sqrt())
+        };
+        let spread = repeat(&segments, &truth, Noise::Output, 30, rms);
+        assert!(spread.iter().all(|r| (0.85..1.15).contains(r)), "{spread:?}");
+    }
+}
