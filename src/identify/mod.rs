@@ -7,6 +7,7 @@ pub mod continuous;
 pub mod data;
 pub mod delay;
 pub mod doubts;
+pub mod export;
 pub mod fit;
 pub mod gramian;
 pub mod grid;
@@ -24,6 +25,7 @@ pub mod residuals;
 pub mod search;
 pub mod spectrum;
 pub mod state_space;
+pub mod told;
 pub mod uncertainty;
 
 use arx::Orders;
