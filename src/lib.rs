@@ -94,6 +94,8 @@ pub mod log;
 
 pub mod series;
 
+pub mod excite;
+
 pub mod pipeline;
 
 pub mod calibrate;
