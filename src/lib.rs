@@ -96,6 +96,8 @@ pub mod series;
 
 pub mod excite;
 
+pub mod validate;
+
 pub mod pipeline;
 
 pub mod calibrate;
