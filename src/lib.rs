@@ -94,6 +94,10 @@ pub mod log;
 
 pub mod series;
 
+pub mod excite;
+
+pub mod validate;
+
 pub mod pipeline;
 
 pub mod calibrate;

@@ -4,6 +4,7 @@
 //! 3 the calibration or measurement is not usable, 130 interrupted.
 
 mod calibrate;
+mod excite;
 mod failure;
 mod fitting;
 mod interrupt;
@@ -14,6 +15,7 @@ mod progress;
 mod rig;
 mod run;
 mod track;
+mod units;
 
 pub(crate) use failure::{Exit, Failure};
 
@@ -71,6 +73,9 @@ Example:
   catoptra live sample_frames/planar.mkv --realtime --rig calibration/dev_tank/rig.toml \\
     --udp 127.0.0.1:5005 -o live")]
     Live(live::Args),
+    /// Make tables of coil currents that excite the dynamics: chirp, multisine, steps
+    #[command(after_help = "Example:\n  catoptra excite chirp -o currents.csv --report")]
+    Excite(excite::Args),
 }
 
 /// Runs the program.
@@ -80,6 +85,7 @@ pub(crate) fn run() -> ExitCode {
     let result = match &cli.command {
         Command::Calibrate(args) => calibrate::run(args, cli.quiet),
         Command::Rig(args) => rig::run(args, cli.quiet),
+        Command::Excite(args) => excite::run(args, cli.quiet),
         Command::Live(args) => live::run(args, cli.quiet),
         Command::Log(args) => log::run(args),
         Command::Track(args) => track::run(args, cli.quiet),

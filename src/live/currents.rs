@@ -2,7 +2,9 @@
 //!
 //! A sample is one line: JSON (`{"current_a":[0.1,0,-0.1],"seq":7,"host_ns":1700000000123456789}`, the last two optional) or
 //! bare numbers (`0.1, 0, -0.1`), amperes. A sample without `host_ns` has the time of its arrival. The table has a header
-//! with `host_ns` (nanoseconds since 1970) or `unix_s` and one column a coil, and is followed as it grows.
+//! with `host_ns` (nanoseconds since 1970) or `unix_s` and one column a coil, and is followed as it grows. With `t_s` instead, as
+//! `catoptra excite` writes it, times count from the beginning of the run, and each row is a sample when its time has come: for an
+//! amplifier that is started together with the run.
 //!
 //! A line that is no sample is counted and the first of them is named; nothing here can hold up or end a run.
 
@@ -127,25 +129,33 @@ fn serial(_: &std::path::Path, _: u32) -> io::Result<File> {
     Err(io::Error::other("serial lines are read on Linux and macOS only; send datagrams (udp:PORT) instead"))
 }
 
+/// What the times of a table are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Times {
+    HostNs,
+    UnixSeconds,
+    /// Seconds since the run began.
+    RunSeconds,
+}
+
 /// Which columns a table has.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Header {
     time: usize,
-    in_seconds: bool,
+    times: Times,
 }
 
 impl Header {
     fn of(line: &str) -> Result<Self, String> {
         let columns: Vec<&str> = line.trim().split(',').map(str::trim).collect();
         let at = |name: &str| columns.iter().position(|column| *column == name);
-        match (at("host_ns"), at("unix_s")) {
-            (Some(time), _) => Ok(Self { time, in_seconds: false }),
-            (None, Some(time)) => Ok(Self { time, in_seconds: true }),
-            (None, None) => Err(format!(
-                "the header `{}` has no column host_ns (nanoseconds since 1970) or unix_s (seconds since 1970)",
+        let known = [("host_ns", Times::HostNs), ("unix_s", Times::UnixSeconds), ("t_s", Times::RunSeconds)];
+        known.into_iter().find_map(|(name, times)| Some(Self { time: at(name)?, times })).ok_or_else(|| {
+            format!(
+                "the header `{}` has no column host_ns (nanoseconds since 1970), unix_s (seconds since 1970) or t_s (seconds since the run began)",
                 line.trim()
-            )),
-        }
+            )
+        })
     }
 }
 
@@ -189,7 +199,7 @@ impl Taker {
                     for &byte in bytes.iter().take(length) {
                         match byte {
                             b'\n' | b'\r' => {
-                                if !line.is_empty() {
+                                if !line.is_empty() && self.has_come(&line, stop) {
                                     self.take(&line);
                                 }
                                 line.clear();
@@ -204,6 +214,20 @@ impl Taker {
                 Err(error) => return tracing::error!("{}: {error}; no more currents are logged", self.name),
             }
         }
+    }
+
+    /// Waits for the time of a row of a table that is counted from the beginning of the run; `false` when the run ends before.
+    fn has_come(&self, bytes: &[u8], stop: &AtomicBool) -> bool {
+        let Some(Header { times: Times::RunSeconds, .. }) = self.header else { return true };
+        let Some(sample) = self.sample(bytes, 0) else { return true };
+        while !stop.load(Ordering::Relaxed) {
+            let left_ns = u64::try_from(sample.host_ns.saturating_sub(self.clock.now_ns())).unwrap_or(0);
+            if left_ns == 0 {
+                return true;
+            }
+            std::thread::sleep(LOOK.min(Duration::from_nanos(left_ns)));
+        }
+        false
     }
 
     fn take(&mut self, bytes: &[u8]) {
@@ -246,7 +270,11 @@ impl Taker {
             (Some(header), _) => {
                 let cells: Vec<&str> = text.split(',').map(str::trim).collect();
                 let time = cells.get(header.time)?;
-                let host_ns = if header.in_seconds { parse_seconds_ns(time)? } else { time.parse().ok()? };
+                let host_ns = match header.times {
+                    Times::HostNs => time.parse().ok()?,
+                    Times::UnixSeconds => parse_seconds_ns(time)?,
+                    Times::RunSeconds => self.clock.started_ns().saturating_add(parse_seconds_ns(time)?),
+                };
                 let currents = cells.iter().enumerate().filter(|(column, _)| *column != header.time);
                 let current_a = currents.map(|(_, cell)| cell.parse().ok()).collect::<Option<_>>()?;
                 CurrentSample { host_ns, arrival_ns, seq: None, current_a }
@@ -315,7 +343,23 @@ mod tests {
         let source = CurrentSource::File(table.path().to_owned());
         let error = source.open(HostClock::start(), &Arc::default()).unwrap_err().to_string();
         assert!(error.contains("`i1,i2`") && error.contains("host_ns"), "{error}");
-        assert_eq!(Header::of("unix_s, i1"), Ok(Header { time: 0, in_seconds: true }));
+        assert_eq!(Header::of("unix_s, i1"), Ok(Header { time: 0, times: Times::UnixSeconds }));
+    }
+
+    #[test]
+    fn a_table_of_excitation_is_logged_as_its_times_come() {
+        let mut table = tempfile::NamedTempFile::new().unwrap();
+        table.write_all(b"t_s,current_a\r\n0.000000000,0.1\r\n0.400000000,0.2\r\n3600.000000000,0.3\r\n").unwrap();
+        let stop = Arc::new(AtomicBool::new(false));
+        let clock = HostClock::start();
+        let samples = CurrentSource::File(table.path().to_owned()).open(clock, &stop).unwrap();
+        let next = || samples.recv_timeout(Duration::from_secs(10)).unwrap();
+        let (first, second) = (next(), next());
+        assert_eq!((first.host_ns, second.host_ns), (clock.started_ns(), clock.started_ns() + 400_000_000));
+        assert!(second.arrival_ns >= second.host_ns && second.current_a == [0.2]);
+        stop.store(true, Ordering::Relaxed);
+        // The row whose time has not come is no sample, and holds nothing up.
+        assert!(samples.recv_timeout(Duration::from_secs(10)).is_err());
     }
 
     #[test]

@@ -12,6 +12,7 @@ mod absences;
 pub mod calibration;
 mod chart;
 mod course;
+pub mod excitation;
 mod figures;
 mod page;
 mod timeline;

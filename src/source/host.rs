@@ -39,6 +39,11 @@ impl HostClock {
         Self { started: Instant::now(), started_ns: i64::try_from(since_1970.as_nanos()).unwrap_or(i64::MAX) }
     }
 
+    /// When it was set, nanoseconds since 1970.
+    pub fn started_ns(&self) -> i64 {
+        self.started_ns
+    }
+
     /// Nanoseconds since 1970.
     pub fn now_ns(&self) -> i64 {
         self.at_ns(Instant::now())

@@ -1,0 +1,376 @@
+//! `catoptra excite`: a table of coil currents, and what its spectrum is.
+
+use super::units::{current_a, duration_s, frequency_hz, positive_current_a, slew_a_s};
+use super::{Exit, Failure, interrupt, output};
+use catoptra::excite::{Chirp, Clipped, ExciteError, Limits, Multisine, Order, Phases, Signal, Spectrum, Steps, Sweep};
+use catoptra::report::excitation::{self, ExcitationInfo};
+use catoptra::source::FrameRate;
+use catoptra::whole_file::NewFile;
+use clap::{Subcommand, ValueEnum};
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+/// Arguments of `catoptra excite`.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// A sine that sweeps over a band
+    #[command(after_help = "\
+Without options it is the chirp of the paper. Each row holds until the next, the last is zero current.
+Exit code 2: the limits do not allow it; the message says what would fit.
+Example:
+  catoptra excite chirp -o currents.csv --report")]
+    Chirp(ChirpArgs),
+    /// A sum of sines all over a band, with random phases, repeated
+    #[command(after_help = "\
+All sines are equally strong; the sum is scaled so that its peak is --amplitude.
+Example:
+  catoptra excite multisine --from 0.5Hz --to 8Hz --period 30s -o multisine.csv --report")]
+    Multisine(MultisineArgs),
+    /// Levels that are held, one after the other or at random
+    #[command(after_help = "\
+With --slew the current goes from level to level on ramps; how many samples that changes is told.
+Example:
+  catoptra excite steps --levels 0mA,50mA,100mA,50mA --hold 5s --duration 60s -o steps.csv")]
+    Steps(StepsArgs),
+}
+
+#[derive(Debug, clap::Args)]
+struct Common {
+    /// Table to write: t_s and one column a coil
+    #[arg(short, long, value_name = "CURRENTS.csv")]
+    out: PathBuf,
+    /// Length of the signal
+    #[arg(long, value_name = "T", default_value = "300s", value_parser = duration_s)]
+    duration: f64,
+    /// Rows a second
+    #[arg(long, value_name = "F", default_value = "60", value_parser = rate)]
+    rate: FrameRate,
+    /// Largest current that amplifier and coils allow
+    #[arg(long, value_name = "I", default_value = "100mA", value_parser = positive_current_a)]
+    limit: f64,
+    /// Largest change of current that they allow [default: any]
+    #[arg(long, value_name = "A/s", value_parser = slew_a_s)]
+    slew: Option<f64>,
+    /// Cut off what is beyond the limits instead of refusing it, and tell what and where
+    #[arg(long)]
+    clip: bool,
+    /// Columns of the coils, the one to excite first; the others stay at 0
+    #[arg(long, value_name = "NAMES", default_value = "current_a", value_delimiter = ',')]
+    coils: Vec<String>,
+    /// Also write a page with signal and spectrum, beside the table or as FILE.html
+    #[arg(long, value_name = "FILE.html", num_args = 0..=1, require_equals = true)]
+    report: Option<Option<PathBuf>>,
+}
+
+#[derive(Debug, clap::Args)]
+struct ChirpArgs {
+    /// Frequency at the beginning
+    #[arg(long, value_name = "F", default_value = "0.5Hz", value_parser = frequency_hz)]
+    from: f64,
+    /// Frequency at the end
+    #[arg(long, value_name = "F", default_value = "8Hz", value_parser = frequency_hz)]
+    to: f64,
+    /// How the frequency goes
+    #[arg(long, value_enum, default_value_t = SweepArg::Linear)]
+    sweep: SweepArg,
+    /// Amplitude of the sine
+    #[arg(long, value_name = "I", default_value = "100mA", value_parser = positive_current_a)]
+    amplitude: f64,
+    #[command(flatten)]
+    common: Common,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum SweepArg {
+    Linear,
+    Log,
+}
+
+#[derive(Debug, clap::Args)]
+struct MultisineArgs {
+    /// Lowest frequency
+    #[arg(long, value_name = "F", default_value = "0.5Hz", value_parser = frequency_hz)]
+    from: f64,
+    /// Highest frequency
+    #[arg(long, value_name = "F", default_value = "8Hz", value_parser = frequency_hz)]
+    to: f64,
+    /// Length of a period; there is a sine at each multiple of 1/T
+    #[arg(long, value_name = "T", default_value = "30s", value_parser = duration_s)]
+    period: f64,
+    /// How phases are chosen
+    #[arg(long, value_enum, default_value_t = PhasesArg::Random)]
+    phases: PhasesArg,
+    /// Seed of random phases
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    seed: u64,
+    /// Draws of random phases; the one with the smallest peak is taken
+    #[arg(long, value_name = "N", default_value_t = 100, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    tries: u32,
+    /// Peak of the sum
+    #[arg(long, value_name = "I", default_value = "100mA", value_parser = positive_current_a)]
+    amplitude: f64,
+    #[command(flatten)]
+    common: Common,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum PhasesArg {
+    Random,
+    Schroeder,
+}
+
+#[derive(Debug, clap::Args)]
+struct StepsArgs {
+    /// The levels
+    #[arg(
+        long,
+        value_name = "I,I,…",
+        default_value = "0mA,50mA,100mA,50mA,0mA,-50mA,-100mA,-50mA",
+        value_delimiter = ',',
+        value_parser = current_a,
+        allow_hyphen_values = true
+    )]
+    levels: Vec<f64>,
+    /// How long each is held
+    #[arg(long, value_name = "T", default_value = "5s", value_parser = duration_s)]
+    hold: f64,
+    /// In which order they come
+    #[arg(long, value_enum, default_value_t = OrderArg::Staircase)]
+    order: OrderArg,
+    /// Seed of a random order
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    seed: u64,
+    #[command(flatten)]
+    common: Common,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum OrderArg {
+    Staircase,
+    Random,
+}
+
+fn rate(text: &str) -> Result<FrameRate, String> {
+    text.trim()
+        .trim_end_matches("Hz")
+        .trim_end()
+        .parse()
+        .map_err(|error: catoptra::source::times::FrameRateError| error.to_string())
+}
+
+/// A signal, and what is said of it.
+struct Made {
+    signal: Signal,
+    clipped: Vec<Clipped>,
+    info: ExcitationInfo,
+}
+
+pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
+    interrupt::end_at_once()?;
+    let refused = |error: ExciteError| Failure::new(Exit::Usage, error);
+    let (common, made) = match &args.command {
+        Command::Chirp(args) => (&args.common, args.made().map_err(refused)?),
+        Command::Multisine(args) => (&args.common, args.made().map_err(refused)?),
+        Command::Steps(args) => (&args.common, args.made().map_err(refused)?),
+    };
+    common.check_names()?;
+    let page = common.report.as_ref().map(|file| file.clone().unwrap_or_else(|| common.out.with_extension("html")));
+    is_free(&common.out, "t_s,", "a table of this command")?;
+    if let Some(page) = &page {
+        is_free(page, "<!doctype html>", "a page")?;
+    }
+    let spectrum = Spectrum::of(&made.signal);
+    save(&common.out, &made.signal.table(&common.coils))?;
+    if let Some(page) = &page {
+        let text = excitation::page(&made.info, &made.signal, &spectrum, &made.clipped);
+        save(page, &text)?;
+    }
+    if quiet { Ok(()) } else { output::print(&told(&made, &spectrum, &common.out, page.as_deref())) }
+}
+
+impl Common {
+    fn limits(&self) -> Limits {
+        Limits { current_a: self.limit, slew_a_s: self.slew }
+    }
+
+    /// Keeps the limits, as asked: by cutting off or by refusing.
+    fn keep(&self, signal: &mut Signal) -> Result<Vec<Clipped>, ExciteError> {
+        if self.clip {
+            return Ok(self.limits().clip(signal));
+        }
+        self.limits().check(signal).map(|()| Vec::new())
+    }
+
+    fn check_names(&self) -> Result<(), Failure> {
+        let mut names: Vec<&str> = self.coils.iter().map(String::as_str).chain(["t_s"]).collect();
+        names.sort_unstable();
+        let twice = names.windows(2).any(|pair| matches!(pair, [a, b] if a == b));
+        let odd = |name: &&str| name.is_empty() || name.contains([',', '"', '\n', '\r']) || *name != name.trim();
+        if twice || names.iter().any(odd) {
+            let text = "--coils: names of columns, all different and not t_s, such as axial_a,side_a";
+            return Err(Failure::new(Exit::Usage, text));
+        }
+        Ok(())
+    }
+
+    fn settings(&self) -> Vec<(String, String)> {
+        let slew = self.slew.map_or("any change".to_owned(), |slew| format!("{slew} A/s"));
+        vec![
+            ("Limits".to_owned(), format!("{:.1} mA, {slew}", self.limit * 1e3)),
+            ("Coils".to_owned(), self.coils.join(", ")),
+        ]
+    }
+
+    fn info(&self, kind: &str, band_hz: Option<(f64, f64)>, settings: Vec<(String, String)>) -> ExcitationInfo {
+        let settings = settings.into_iter().chain(self.settings()).collect();
+        ExcitationInfo { table: self.out.display().to_string(), kind: kind.to_owned(), band_hz, settings }
+    }
+}
+
+fn line(name: &str, value: impl ToString) -> (String, String) {
+    (name.to_owned(), value.to_string())
+}
+
+impl ChirpArgs {
+    fn made(&self) -> Result<Made, ExciteError> {
+        let sweep = match self.sweep {
+            SweepArg::Linear => Sweep::Linear,
+            SweepArg::Log => Sweep::Logarithmic,
+        };
+        let common = &self.common;
+        let chirp = Chirp {
+            from_hz: self.from,
+            to_hz: self.to,
+            duration_s: common.duration,
+            amplitude_a: self.amplitude,
+            sweep,
+        };
+        let mut signal = chirp.signal(common.rate)?;
+        let clipped = common.keep(&mut signal)?;
+        let words = if sweep == Sweep::Linear { "linear" } else { "logarithmic" };
+        let settings = vec![line("Sweep", format!("{words}, {} Hz to {} Hz", self.from, self.to))];
+        Ok(Made { signal, clipped, info: common.info("chirp", Some((self.from, self.to)), settings) })
+    }
+}
+
+impl MultisineArgs {
+    fn made(&self) -> Result<Made, ExciteError> {
+        let phases = match self.phases {
+            PhasesArg::Random => Phases::Random { seed: self.seed, tries: self.tries },
+            PhasesArg::Schroeder => Phases::Schroeder,
+        };
+        let common = &self.common;
+        let multisine = Multisine {
+            from_hz: self.from,
+            to_hz: self.to,
+            period_s: self.period,
+            duration_s: common.duration,
+            amplitude_a: self.amplitude,
+            phases,
+        };
+        let (mut signal, lines) = multisine.signal(common.rate)?;
+        let clipped = common.keep(&mut signal)?;
+        let words = match phases {
+            Phases::Schroeder => "Schroeder's".to_owned(),
+            Phases::Random { seed, tries } => format!("random, the best of {tries} from seed {seed}"),
+        };
+        let sines = format!("{lines}, {:.6} Hz apart", 1.0 / self.period);
+        let settings = vec![line("Sines", sines), line("Phases", words), line("Period", format!("{} s", self.period))];
+        Ok(Made { signal, clipped, info: common.info("multisine", Some((self.from, self.to)), settings) })
+    }
+}
+
+impl StepsArgs {
+    fn made(&self) -> Result<Made, ExciteError> {
+        let order = match self.order {
+            OrderArg::Staircase => Order::Staircase,
+            OrderArg::Random => Order::Random { seed: self.seed },
+        };
+        let common = &self.common;
+        let steps = Steps { levels_a: self.levels.clone(), hold_s: self.hold, duration_s: common.duration, order };
+        let mut signal = steps.signal(common.rate)?;
+        let clipped = if common.clip {
+            common.limits().clip(&mut signal)
+        } else {
+            // Ramps are what a limit of slew means for steps; levels beyond the limit of current are refused.
+            Limits { slew_a_s: None, ..common.limits() }.check(&signal)?;
+            common.limits().check_steps(&signal, self.hold)?;
+            common.limits().ramp(&mut signal).into_iter().collect()
+        };
+        let levels: Vec<String> = self.levels.iter().map(|level| format!("{:.1}", level * 1e3)).collect();
+        let words = match order {
+            Order::Staircase => "as given".to_owned(),
+            Order::Random { seed } => format!("random, seed {seed}"),
+        };
+        let settings = vec![
+            line("Levels", format!("{} mA", levels.join(", "))),
+            line("Held", format!("{} s each", self.hold)),
+            line("Order", words),
+        ];
+        Ok(Made { signal, clipped, info: common.info("steps", None, settings) })
+    }
+}
+
+/// Refuses to write over what is not of its kind, or where there is no folder.
+fn is_free(path: &Path, begins: &str, kind: &str) -> Result<(), Failure> {
+    let refused = |what: String| Err(Failure::new(Exit::Usage, format!("{}: {what}", path.display())));
+    let folder = path.parent().filter(|folder| *folder != Path::new(""));
+    if folder.is_some_and(|folder| !folder.is_dir()) {
+        return refused("there is no such folder to write to".to_owned());
+    }
+    if path.is_dir() {
+        return refused("is a folder; give the name of a file".to_owned());
+    }
+    let same = |text: String| text.is_empty() || text.starts_with(begins);
+    if path.is_file() && !std::fs::read_to_string(path).is_ok_and(same) {
+        return refused(format!("is there and not {kind}; give another name"));
+    }
+    Ok(())
+}
+
+fn save(path: &Path, text: &str) -> Result<(), Failure> {
+    NewFile::write(path, text.as_bytes())
+        .and_then(NewFile::put_in_place)
+        .map_err(|e| Failure::new(Exit::Failed, format!("{}: cannot be written: {e}", path.display())))
+}
+
+fn told(made: &Made, spectrum: &Spectrum, table: &Path, page: Option<&Path>) -> String {
+    let Made { signal, clipped, info } = made;
+    let (slew, slew_s) = signal.largest_slew();
+    let mut text = format!(
+        "{}: {} s, {} rows at {} a second\n",
+        info.kind,
+        signal.duration_s(),
+        signal.values_a.len(),
+        signal.rate
+    );
+    // Writing into text cannot fail.
+    for (name, value) in &info.settings {
+        let _ = writeln!(text, "  {:<14} {value}", name.to_lowercase());
+    }
+    let _ = writeln!(text, "\n  peak           {:.1} mA", signal.peak_a() * 1e3);
+    let _ = writeln!(text, "  RMS            {:.1} mA", signal.rms_a() * 1e3);
+    let _ = writeln!(text, "  crest factor   {:.2}", signal.crest_factor());
+    let _ = writeln!(text, "  largest slew   {slew:.2} A/s, at {slew_s:.3} s");
+    if let Some((a, b)) = info.band_hz {
+        let _ = writeln!(text, "  rows a period  {:.1}, at {} Hz", signal.rate.hz() / a.max(b), a.max(b));
+    }
+    let _ = writeln!(text, "\n  frequencies                     energy");
+    for (band, share) in excitation::shares(spectrum, info.band_hz) {
+        let _ = writeln!(text, "  {band:<30} {:>6.2} %", share * 100.0);
+    }
+    for clipped in clipped {
+        let _ = writeln!(text, "\n  {}", excitation::clipped_words(clipped));
+    }
+    let _ = writeln!(text, "\nwritten: {}", table.display());
+    if let Some(page) = page {
+        let _ = writeln!(text, "         {} (signal and spectrum, for a browser)", page.display());
+    }
+    text
+}

@@ -1,0 +1,44 @@
+//! A signal as a table, to be played to the amplifier and read back with the log.
+
+use super::Signal;
+use crate::source::times::seconds;
+use std::fmt::Write as _;
+
+impl Signal {
+    /// The table: `t_s`, seconds from the start, and one column a coil, amperes to 1 nA. The signal is in the first of `coils`,
+    /// the others stay at 0. Each row holds until the next; the last one is zero current. [`crate::series::CurrentTable`] reads it.
+    pub fn table(&self, coils: &[String]) -> String {
+        let mut text = format!("t_s,{}\r\n", coils.join(","));
+        let others = ",0".repeat(coils.len().saturating_sub(1));
+        for (k, value) in (0_u64..).zip(self.values_a.iter().chain(std::iter::once(&0.0))) {
+            let t_s = self.rate.stamp_ns(k).map_or(f64::INFINITY, seconds);
+            // Adding 0 takes the sign off a zero; a text takes all that is written.
+            let _ = write!(text, "{t_s:.9},{:.9}{others}\r\n", (value * 1e9).round() / 1e9 + 0.0);
+        }
+        text
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::series::{CurrentClock, CurrentTable};
+
+    #[test]
+    fn the_table_is_read_back_as_it_was_made() {
+        let signal = Signal { rate: "60".parse().unwrap(), values_a: vec![0.0, 0.1, -0.05, -1e-12] };
+        let text = signal.table(&["axial_a".to_owned(), "side_a".to_owned()]);
+        assert!(
+            text.starts_with("t_s,axial_a,side_a\r\n0.000000000,0.000000000,0\r\n0.016666667,0.100000000,0\r\n"),
+            "{text}"
+        );
+        assert!(text.ends_with("0.050000000,0.000000000,0\r\n0.066666667,0.000000000,0\r\n"), "{text}");
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("currents.csv");
+        std::fs::write(&path, text).unwrap();
+        let table = CurrentTable::read(&path).unwrap();
+        assert_eq!((table.clock, table.rows.len()), (CurrentClock::Start, 5));
+        assert_eq!(table.coils, ["axial_a", "side_a"]);
+        assert_eq!((table.rows[2].time_ns, &table.rows[2].values_a), (33_333_333, &vec![-0.05, 0.0]));
+    }
+}

@@ -1,0 +1,94 @@
+//! Open-loop runs along a desired path: how far the catheter was from it, and how it responded at each speed.
+//!
+//! The experiment is that of Section IV of the paper: a path of (200) points a period is commanded point by point, each held for a
+//! *pause*, four periods long, once for every pause time. In: the desired path and the tracked runs. Out, for each run: errors with and
+//! without rigid alignment (Table II), and the response at 1/period as magnitude and phase (Eqs. 8 to 10, Fig. 11).
+//!
+//! Method, a file each: one observed point a command (`pauses`), rigid alignment (`align`), plane and circle (`plane`, `circle`), lag by
+//! cross-correlation in space (`lag`), the start of the commands (`start`).
+//!
+//! Conventions. Everything is in the base frame, metres. The error of a run is the root mean square distance in space. A run's alignment
+//! takes observed points to desired ones. Phase is negative for a response that is late: φ = −360° · Δt / T. An observed point
+//! belongs to the middle of its pause, so that a catheter that followed at once would have phase 0 and magnitude 0 dB.
+//!
+//! What it cannot detect. Alignment hides lag on a circle, because a circle that lags is a circle that is turned; the error without
+//! alignment, the rotation, and the phase (which is measured without alignment) show it. In turn a base frame that is turned about
+//! the circle's axis adds its angle to all phases alike. The first command's time enters the phase fully: 1 ms is 0.36° at 1 Hz.
+
+mod align;
+mod circle;
+mod error;
+mod lag;
+mod path;
+mod pauses;
+mod plane;
+mod run;
+mod spline;
+mod start;
+#[cfg(test)]
+mod tests;
+mod write;
+
+pub use align::Alignment;
+pub use circle::Circle;
+pub use error::ValidateError;
+pub use lag::{Lag, lag, unwrap};
+pub use path::DesiredPath;
+pub use plane::Plane;
+pub use run::{Magnitude, Observed, Run, Size, Step};
+pub use spline::Interpolation;
+pub use start::StartFrom;
+pub use write::Row;
+
+/// How runs are evaluated.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Options {
+    /// Periods that are left out at the beginning, while the motion settles.
+    pub skip: usize,
+    /// The marker that follows the path; the tip if none is named.
+    pub marker: Option<String>,
+    /// How to go from frame to frame where pauses are shorter than the time between frames.
+    pub interpolation: Interpolation,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self { skip: 1, marker: None, interpolation: Interpolation::Spline }
+    }
+}
+
+/// All runs along a path.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Validation {
+    /// The desired path.
+    pub path: DesiredPath,
+    /// How runs were evaluated.
+    pub options: Options,
+    /// The runs, the shortest pause first.
+    pub runs: Vec<Run>,
+}
+
+/// Evaluates runs along a path.
+///
+/// # Errors
+/// The first run that does not fit or has too little in it.
+pub fn validate(path: DesiredPath, observed: &[Observed<'_>], options: Options) -> Result<Validation, ValidateError> {
+    if options.skip >= path.periods {
+        let problem = format!(
+            "is commanded {} times, and {} are left out at the beginning: nothing would be left",
+            path.periods, options.skip
+        );
+        return Err(ValidateError::Path { path: path.file, problem });
+    }
+    let mut runs =
+        observed.iter().map(|observed| run::evaluate(&path, observed, &options)).collect::<Result<Vec<_>, _>>()?;
+    // Over rising frequency.
+    runs.sort_by(|a, b| b.pause_s.total_cmp(&a.pause_s));
+    let mut phases: Vec<Option<f64>> = runs.iter().map(|run| run.phase_deg).collect();
+    unwrap(&mut phases);
+    for (run, phase) in runs.iter_mut().zip(phases) {
+        run.phase_deg = phase;
+    }
+    runs.reverse();
+    Ok(Validation { path, options, runs })
+}

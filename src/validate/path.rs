@@ -1,0 +1,141 @@
+//! The desired path: one period of points, commanded one after the other, again and again.
+
+use super::ValidateError;
+use super::circle::Circle;
+use super::plane::Plane;
+use crate::series::{SeriesError, columns};
+use nalgebra::{Point3, Vector3};
+use std::path::{Path, PathBuf};
+
+const M_PER_MM: f64 = 1e-3;
+/// Points of one period and of the next are the same if they are nearer than this, metres.
+const SAME_M: f64 = 1e-6;
+/// A circle is what deviates from one by less than this part of its radius, and goes round without a larger gap.
+const ROUND: f64 = 0.05;
+const GAP_RAD: f64 = std::f64::consts::FRAC_PI_3;
+
+/// A desired path.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DesiredPath {
+    /// Its file.
+    pub file: PathBuf,
+    /// One period, base frame, metres.
+    pub points: Vec<Point3<f64>>,
+    /// Directions of the coil that belong to the points, if the file has them.
+    pub tangents: Option<Vec<Vector3<f64>>>,
+    /// How often it is commanded.
+    pub periods: usize,
+    /// The plane nearest to it.
+    pub plane: Plane,
+    /// The circle in that plane, if the path is one.
+    pub circle: Option<Circle>,
+}
+
+impl DesiredPath {
+    /// Reads columns `x_mm`, `y_mm`, `z_mm` (base frame) and, if they are there, `tan_x`, `tan_y`, `tan_z`.
+    ///
+    /// The rows are one period, commanded `periods` times (4 as in the paper, if not given). With `per_period` the file may hold
+    /// several periods, which must be alike; it is then commanded as it stands there.
+    ///
+    /// # Errors
+    /// When the file cannot be read, a value is missing, there are fewer than 3 points, they lie on a line, or periods differ.
+    pub fn read(file: &Path, per_period: Option<usize>, periods: Option<usize>) -> Result<Self, ValidateError> {
+        let wrong = |problem: String| ValidateError::Path { path: file.to_owned(), problem };
+        let mut points: Vec<Point3<f64>> =
+            vectors(file, ["x_mm", "y_mm", "z_mm"])?.into_iter().map(|mm| Point3::from(mm * M_PER_MM)).collect();
+        let mut tangents = match vectors(file, ["tan_x", "tan_y", "tan_z"]) {
+            Ok(rows) => Some(
+                rows.into_iter().map(|row| row.try_normalize(1e-6)).collect::<Option<Vec<_>>>().ok_or_else(|| {
+                    wrong(
+                        "a direction tan_x, tan_y, tan_z is zero; leave the columns out if it is not known".to_owned(),
+                    )
+                })?,
+            ),
+            // Without these columns the directions are not known.
+            Err(ValidateError::Series(SeriesError::Content { .. })) => None,
+            Err(other) => return Err(other),
+        };
+        let rows = points.len();
+        let length = per_period.unwrap_or(rows);
+        if length < 3 {
+            return Err(wrong(format!("has {length} points a period; a path needs 3 or more")));
+        }
+        if rows < length || rows % length != 0 {
+            return Err(wrong(format!("has {rows} rows, which is no multiple of {length} points a period")));
+        }
+        let in_file = rows / length;
+        if let Some(k) = (length..rows).find(|k| match (points.get(*k), points.get(k % length)) {
+            (Some(a), Some(b)) => (a - b).norm() > SAME_M,
+            _ => false,
+        }) {
+            let first = k % length + 1;
+            return Err(wrong(format!(
+                "point {} is not where point {first} is: the period is not {length} points",
+                k + 1
+            )));
+        }
+        let periods = match (in_file, periods) {
+            (1, periods) => periods.unwrap_or(4),
+            (several, None) => several,
+            (several, Some(asked)) if several == asked => several,
+            (several, Some(asked)) => {
+                return Err(wrong(format!(
+                    "holds {several} periods of {length} points, and {asked} periods are asked for"
+                )));
+            }
+        };
+        if periods == 0 {
+            return Err(wrong("is commanded 0 times; 1 period or more is needed".to_owned()));
+        }
+        points.truncate(length);
+        if let Some(tangents) = &mut tangents {
+            tangents.truncate(length);
+        }
+        let plane = Plane::through(&points).ok_or_else(|| {
+            wrong("its points lie on a line or are all the same: a turn about it would be open".to_owned())
+        })?;
+        let circle = circle(&points, &plane);
+        Ok(Self { file: file.to_owned(), points, tangents, periods, plane, circle })
+    }
+
+    /// Points that are commanded in all.
+    pub fn commands(&self) -> usize {
+        self.points.len() * self.periods
+    }
+
+    /// The point of command `k`.
+    pub(super) fn point(&self, k: usize) -> Point3<f64> {
+        self.points.get(k % self.points.len().max(1)).copied().unwrap_or_else(Point3::origin)
+    }
+
+    /// The direction of command `k`.
+    pub(super) fn tangent(&self, k: usize) -> Option<Vector3<f64>> {
+        self.tangents.as_ref()?.get(k % self.points.len().max(1)).copied()
+    }
+}
+
+/// Rows of three columns, none missing.
+fn vectors(file: &Path, names: [&str; 3]) -> Result<Vec<Vector3<f64>>, ValidateError> {
+    let read = columns(file, &names)?;
+    let [x, y, z] = read.as_slice() else { return Ok(Vec::new()) };
+    let rows = x.iter().zip(y).zip(z).enumerate();
+    rows.map(|(k, ((x, y), z))| match (x, y, z) {
+        (Some(x), Some(y), Some(z)) => Ok(Vector3::new(*x, *y, *z)),
+        _ => Err(ValidateError::Path {
+            path: file.to_owned(),
+            problem: format!("point {}: a value of {} is missing", k + 1, names.join(", ")),
+        }),
+    })
+    .collect()
+}
+
+/// The circle that the path is, if it is one.
+fn circle(points: &[Point3<f64>], plane: &Plane) -> Option<Circle> {
+    let flat: Vec<_> = points.iter().map(|point| plane.flat(point)).collect();
+    let circle = Circle::through(&flat)?;
+    let mut angles: Vec<f64> = flat.iter().map(|p| (p - circle.centre).y.atan2((p - circle.centre).x)).collect();
+    angles.sort_by(f64::total_cmp);
+    let first = angles.first().map(|first| first + std::f64::consts::TAU);
+    let gap = angles.iter().zip(angles.iter().skip(1).copied().chain(first)).map(|(a, b)| b - a).fold(0.0, f64::max);
+    (circle.rms_m.hypot(plane.rms_m) < ROUND * circle.radius_m && gap < GAP_RAD).then_some(circle)
+}

@@ -1,0 +1,121 @@
+//! From camera frames to one observed point a command.
+//!
+//! A command is held for a pause. Where camera frames come at least as often, those within the pause are averaged. Where the pause is
+//! shorter than the time between frames, the motion is [interpolated](super::Interpolation) between frames at the middle of each
+//! pause, which is where an average belongs too. A command without a frame in its pause, or between frames of which one or more are
+//! missing, has no point: nothing is made up across a gap, and nothing is extrapolated.
+
+use super::spline::{Curve, Interpolation};
+use nalgebra::Vector3;
+
+/// Frames further apart than this many of their usual intervals have one missing between them.
+const GAP: f64 = 1.5;
+
+/// When commands are held: number k from `start_ns + k · pause_ns` on, for `pause_ns`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Window {
+    pub(super) start_ns: i64,
+    pub(super) pause_ns: i64,
+    pub(super) commands: usize,
+}
+
+/// What was seen of one command.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Mean {
+    pub(super) value: Vector3<f64>,
+    /// Frames it is the mean of; 0 if it is interpolated.
+    pub(super) frames: usize,
+    /// Sum of the squared distances of these frames from it.
+    pub(super) squares: f64,
+}
+
+/// A value at a camera time.
+pub(super) type Sample = (i64, Vector3<f64>);
+
+impl Window {
+    pub(super) fn end_ns(&self) -> i64 {
+        self.at_ns(self.commands)
+    }
+
+    /// When command `k` begins.
+    pub(super) fn at_ns(&self, k: usize) -> i64 {
+        self.start_ns.saturating_add(self.pause_ns.saturating_mul(i64::try_from(k).unwrap_or(i64::MAX)))
+    }
+
+    /// Mean of the samples within each pause; samples are in the order of their times.
+    pub(super) fn averaged(&self, samples: &[Sample]) -> Vec<Option<Mean>> {
+        (0..self.commands)
+            .map(|k| {
+                let from = samples.partition_point(|(ns, _)| *ns < self.at_ns(k));
+                let to = samples.partition_point(|(ns, _)| *ns < self.at_ns(k + 1));
+                let inside = samples.get(from..to).filter(|inside| !inside.is_empty())?;
+                let value = inside.iter().map(|(_, v)| v).sum::<Vector3<f64>>() / inside.len() as f64;
+                let squares = inside.iter().map(|(_, v)| (v - value).norm_squared()).sum();
+                Some(Mean { value, frames: inside.len(), squares })
+            })
+            .collect()
+    }
+
+    /// The motion at the middle of each pause, between samples that are usually `interval_s` apart.
+    pub(super) fn interpolated(&self, samples: &[Sample], interval_s: f64, how: Interpolation) -> Vec<Option<Mean>> {
+        let times_s = samples.iter().map(|(ns, _)| self.seconds(*ns)).collect();
+        let curve = Curve::through(times_s, samples.iter().map(|(_, v)| *v).collect(), how);
+        (0..self.commands)
+            .map(|k| {
+                let middle_s = self.seconds(self.at_ns(k)) + self.pause_ns as f64 * 0.5e-9;
+                let (value, apart_s) = curve.at(middle_s)?;
+                (apart_s < GAP * interval_s).then_some(Mean { value, frames: 0, squares: 0.0 })
+            })
+            .collect()
+    }
+
+    /// Since the start: small numbers keep their digits.
+    fn seconds(&self, ns: i64) -> f64 {
+        ns.saturating_sub(self.start_ns) as f64 * 1e-9
+    }
+}
+
+/// The usual time between frames, seconds: the median. `None` for fewer than two.
+pub(super) fn interval_s(stamps_ns: &[i64]) -> Option<f64> {
+    let mut steps: Vec<i64> =
+        stamps_ns.iter().zip(stamps_ns.iter().skip(1)).map(|(a, b)| b.saturating_sub(*a)).collect();
+    steps.sort_unstable();
+    steps.get(steps.len() / 2).map(|ns| *ns as f64 * 1e-9)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MS: i64 = 1_000_000;
+
+    #[test]
+    fn frames_within_a_pause_are_averaged_and_a_pause_without_one_is_left_out() {
+        let window = Window { start_ns: 100 * MS, pause_ns: 50 * MS, commands: 4 };
+        let at = |ms: i64, x: f64| (ms * MS, Vector3::new(x, 0.0, 0.0));
+        // On a boundary a frame belongs to the pause that begins.
+        let samples = [at(99, 9.0), at(100, 1.0), at(120, 3.0), at(150, 5.0), at(260, 7.0), at(300, 9.0)];
+        let found = window.averaged(&samples);
+        let expected = |x: f64, frames, squares| Some(Mean { value: Vector3::new(x, 0.0, 0.0), frames, squares });
+        assert_eq!(found, [expected(2.0, 2, 2.0), expected(5.0, 1, 0.0), None, expected(7.0, 1, 0.0)]);
+        assert_eq!(window.end_ns(), 300 * MS);
+    }
+
+    #[test]
+    fn short_pauses_are_interpolated_but_not_across_a_lost_frame() {
+        let window = Window { start_ns: 0, pause_ns: 4 * MS, commands: 25 };
+        let samples: Vec<Sample> = [0, 16, 32, 64, 80].map(|ms| (ms * MS, Vector3::new(ms as f64, 0.0, 1.0))).to_vec();
+        let found = window.interpolated(&samples, 0.016, Interpolation::Spline);
+        let known: Vec<usize> = (0..25).filter(|k| found[*k].is_some()).collect();
+        assert_eq!(known, [(0..8).collect::<Vec<_>>(), (16..20).collect()].concat());
+        for k in known {
+            assert!((found[k].unwrap().value.x - (4.0 * k as f64 + 2.0)).abs() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn the_usual_interval_is_the_median() {
+        assert_eq!(interval_s(&[0, 16 * MS, 33 * MS, 80 * MS]), Some(0.017));
+        assert_eq!(interval_s(&[5]), None);
+    }
+}

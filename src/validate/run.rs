@@ -1,0 +1,393 @@
+//! One observed run against the desired path.
+
+use super::align::{Alignment, rms};
+use super::circle::Circle;
+use super::lag::{Lag, lag};
+use super::path::DesiredPath;
+use super::pauses::{Mean, Sample, Window, interval_s};
+use super::plane::Plane;
+use super::start::{self, StartFrom};
+use super::{Options, ValidateError};
+use crate::series::{Frame, Recording};
+use crate::sink::OutputFrame;
+use crate::source::times::seconds;
+use nalgebra::{Point3, Vector3};
+use std::path::PathBuf;
+
+/// An axis that the desired path moves along by less than this part of the largest has no gain.
+const STILL_AXIS: f64 = 0.02;
+/// Below this correlation the observed motion is not of the path's shape.
+const WEAK: f64 = 0.5;
+/// Frames a period below which amplitudes suffer.
+const FEW_FRAMES: f64 = 8.0;
+
+/// An observed run as it was asked for.
+#[derive(Debug)]
+pub struct Observed<'a> {
+    /// The run.
+    pub recording: &'a Recording,
+    /// How long each command is held, seconds.
+    pub pause_s: f64,
+    /// Camera time of the first command, if it is known, nanoseconds.
+    pub start_ns: Option<i64>,
+}
+
+/// One command and what was seen of it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Step {
+    /// Its number, from 0.
+    pub k: usize,
+    /// When it was given, seconds since the first.
+    pub t_s: f64,
+    /// Where the marker should be, metres.
+    pub desired: Point3<f64>,
+    /// Where it was.
+    pub observed: Option<Point3<f64>>,
+    /// The same after the alignment.
+    pub aligned: Option<Point3<f64>>,
+    /// Camera frames it is the mean of; 0 if it is interpolated.
+    pub frames: usize,
+}
+
+/// What the magnitude is the ratio of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Size {
+    /// Radii of the fitted circles, Eq. 8 of the paper.
+    CircleRadius,
+    /// Root mean square distances of the points from their mean, for paths that are no circle.
+    RmsSize,
+}
+
+impl Size {
+    /// The word in tables.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::CircleRadius => "circle_radius",
+            Self::RmsSize => "rms_size",
+        }
+    }
+}
+
+/// Magnitude of the response.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Magnitude {
+    /// 20 log10(observed / desired).
+    pub db: f64,
+    /// What is compared.
+    pub of: Size,
+    /// Of the observed points, metres.
+    pub observed_m: f64,
+    /// Of the desired points, metres.
+    pub desired_m: f64,
+}
+
+/// One run evaluated.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Run {
+    /// Its file.
+    pub file: PathBuf,
+    /// How long each command is held, seconds.
+    pub pause_s: f64,
+    /// 1 over the period, Hz.
+    pub frequency_hz: f64,
+    /// Camera time of the first command, nanoseconds.
+    pub start_ns: i64,
+    /// How that is known.
+    pub start_from: StartFrom,
+    /// Whether points are interpolated between frames, because the pause is shorter than their interval; else averaged.
+    pub interpolated: bool,
+    /// Usual time between camera frames, seconds.
+    pub interval_s: f64,
+    /// Camera frames while the commands were given; those that lost the marker; those that the camera lost.
+    pub frames: usize,
+    /// Of these, frames without the marker's place.
+    pub frames_missed: usize,
+    /// Camera frames lost among them.
+    pub frames_lost: u64,
+    /// Commands that count, in their order.
+    pub steps: Vec<Step>,
+    /// Of these, commands without a point.
+    pub left_out: usize,
+    /// Rotation and translation from observed to desired, and the error that is left.
+    pub alignment: Alignment,
+    /// Root mean square error without alignment, metres.
+    pub rms_unaligned_m: f64,
+    /// Standard deviation of the observed coordinate over that of the desired one; `None` for an axis the path does not move along.
+    pub gain: [Option<f64>; 3],
+    /// Size of the response.
+    pub magnitude: Option<Magnitude>,
+    /// The plane of the observed points.
+    pub plane: Option<Plane>,
+    /// The circle in it, if the path is one.
+    pub circle: Option<Circle>,
+    /// By how much it lags behind, unless the start was searched for.
+    pub lag: Option<Lag>,
+    /// Phase, degrees: negative for a response that is late. Unwrapped over rising frequency by [`super::validate`].
+    pub phase_deg: Option<f64>,
+    /// Root mean square angle between observed and desired direction of the coil, radians, where the path has directions.
+    pub tangent_rms_rad: Option<f64>,
+    /// Root mean square distance of frames from the mean of their pause, metres: noise, and motion within the pause.
+    pub scatter_m: Option<f64>,
+    /// The tracker's own σ of a coordinate, root mean square, metres.
+    pub sd_m: Option<f64>,
+    /// What the reader must know of this run.
+    pub notes: Vec<String>,
+}
+
+/// Evaluates one run.
+pub(super) fn evaluate(path: &DesiredPath, observed: &Observed<'_>, options: &Options) -> Result<Run, ValidateError> {
+    let recording = observed.recording;
+    let wrong = |problem: String| ValidateError::Run { path: recording.path.clone(), problem };
+    let unusable = |problem: String| ValidateError::Unusable { path: recording.path.clone(), problem };
+    let mut notes = Vec::new();
+    if let Some(why) = &recording.cut {
+        notes.push(format!("the file ends early: {why}"));
+    }
+
+    // 1. the frames, and when the commands were given
+    let pause_ns = (observed.pause_s * 1e9).round();
+    if !(pause_ns >= 1.0 && pause_ns < 1e15) {
+        return Err(wrong(format!("a pause of {} s is none: it must be above 0", observed.pause_s)));
+    }
+    let pause_ns = pause_ns as i64;
+    in_order(&recording.frames).map_err(wrong)?;
+    if recording.reference == Some(OutputFrame::Camera) {
+        let advice = "track it again with a rig that has a [base], and without `--frame camera`";
+        return Err(wrong(format!("its places are in the camera frame, the path is in the base frame: {advice}")));
+    }
+    let marker = marker(recording, options)?;
+    let name = recording.markers.get(marker).map_or("", String::as_str);
+    let samples: Vec<Sample> = recording
+        .frames
+        .iter()
+        .filter_map(|frame| Some((frame.stamp_ns, frame.places.get(marker)?.point?.coords)))
+        .collect();
+    if samples.is_empty() {
+        return Err(unusable(format!("none of its {} frames has a place of {name}", recording.frames.len())));
+    }
+    let (start_ns, start_from) = match (observed.start_ns, start::from_currents(&recording.currents)) {
+        (Some(start), _) => (start, StartFrom::Given),
+        (None, Some(start)) => (start, StartFrom::Currents),
+        (None, None) => {
+            let found = start::by_search(path, &samples, pause_ns).ok_or_else(|| {
+                let (needs, has) = (path.commands() as f64 * seconds(pause_ns), span_s(&samples));
+                wrong(format!(
+                    "the start of the commands cannot be found: they take {needs:.3} s, the record has {has:.3} s of motion; give --start, or check --pause and --periods"
+                ))
+            })?;
+            notes.push("the start was found by correlation, which absorbs the lag: no phase".to_owned());
+            (found, StartFrom::Search)
+        }
+    };
+    let window = Window { start_ns, pause_ns, commands: path.commands() };
+    let inside: Vec<&Frame> =
+        recording.frames.iter().filter(|f| f.stamp_ns >= window.start_ns && f.stamp_ns < window.end_ns()).collect();
+    if inside.is_empty() {
+        let (first, last) = (recording.frames.first(), recording.frames.last());
+        let at = |frame: Option<&Frame>| seconds(frame.map_or(0, |frame| frame.stamp_ns));
+        return Err(wrong(format!(
+            "no frame is from the time of the commands: these are from {:.3} s to {:.3} s, the frames from {:.3} s to {:.3} s of the camera's clock; check --start",
+            seconds(window.start_ns),
+            seconds(window.end_ns()),
+            at(first),
+            at(last)
+        )));
+    }
+    let stamps: Vec<i64> = inside.iter().map(|frame| frame.stamp_ns).collect();
+    let interval_s =
+        interval_s(&stamps).ok_or_else(|| unusable("has a single frame from the time of the commands".to_owned()))?;
+
+    // 2. one point a command
+    let interpolated = seconds(pause_ns) < interval_s;
+    let mean = |samples: &[Sample]| {
+        if interpolated {
+            window.interpolated(samples, interval_s, options.interpolation)
+        } else {
+            window.averaged(samples)
+        }
+    };
+    let skipped = options.skip * path.points.len();
+    let means = mean(&samples);
+    let mut steps: Vec<Step> =
+        means.iter().enumerate().skip(skipped).map(|(k, mean)| step(path, pause_ns, k, mean.as_ref())).collect();
+    let pairs: Vec<(Point3<f64>, Point3<f64>)> = steps.iter().filter_map(|s| Some((s.observed?, s.desired))).collect();
+    let left_out = steps.len() - pairs.len();
+    if 2 * pairs.len() < path.points.len() {
+        return Err(unusable(format!(
+            "{} of {} commands have a point, less than half of a period of {}",
+            pairs.len(),
+            steps.len(),
+            path.points.len()
+        )));
+    }
+
+    // 3. errors
+    let alignment = Alignment::of(&pairs).ok_or_else(|| {
+        unusable(format!("the observed points of {name} lie on a line or do not move: nothing can be aligned"))
+    })?;
+    for step in &mut steps {
+        step.aligned = step.observed.map(|point| alignment.apply(&point));
+    }
+    let rms_unaligned_m = rms(pairs.iter().map(|(a, b)| (a - b).norm()));
+
+    // 4. magnitude and phase
+    let points: Vec<Point3<f64>> = pairs.iter().map(|(observed, _)| *observed).collect();
+    let plane = Plane::through(&points).map(|plane| plane.along(&path.plane));
+    let circle = path
+        .circle
+        .and(plane)
+        .and_then(|plane| Circle::through(&points.iter().map(|point| plane.flat(point)).collect::<Vec<_>>()));
+    let magnitude = magnitude(path, &pairs, circle.as_ref());
+    let numbered: Vec<(usize, Point3<f64>)> = steps.iter().filter_map(|s| Some((s.k, s.observed?))).collect();
+    let lag = if start_from == StartFrom::Search { None } else { lag(&path.points, &numbered) };
+    let phase_deg = lag.map(|lag| -360.0 * lag.points / path.points.len() as f64);
+    if let Some(lag) = lag.filter(|lag| lag.correlation < WEAK) {
+        notes.push(format!(
+            "the motion hardly correlates with the path ({:.2}): its phase means little",
+            lag.correlation
+        ));
+    }
+
+    // 5. what the numbers rest on
+    let period_s = seconds(pause_ns) * path.points.len() as f64;
+    let per_period = period_s / interval_s;
+    if per_period < FEW_FRAMES {
+        notes.push(format!("{per_period:.1} camera frames a period: too few for a good amplitude"));
+    }
+    if interpolated {
+        notes.push(format!("the pause is shorter than the {:.1} ms between frames: interpolated", interval_s * 1e3));
+    }
+    let has_place = |frame: &&&Frame| frame.places.get(marker).is_some_and(|place| place.point.is_some());
+    Ok(Run {
+        file: recording.path.clone(),
+        pause_s: seconds(pause_ns),
+        frequency_hz: 1.0 / period_s,
+        start_ns,
+        start_from,
+        interpolated,
+        interval_s,
+        frames: inside.len(),
+        frames_missed: inside.len() - inside.iter().filter(has_place).count(),
+        frames_lost: inside.iter().skip(1).map(|frame| frame.gap).sum(),
+        left_out,
+        alignment,
+        rms_unaligned_m,
+        gain: gain(&pairs),
+        magnitude,
+        plane,
+        circle,
+        lag,
+        phase_deg,
+        tangent_rms_rad: tangent_rms_rad(path, recording, skipped, mean),
+        scatter_m: scatter_m(means.iter().skip(skipped).flatten()),
+        sd_m: sd_m(&inside, marker),
+        notes,
+        steps,
+    })
+}
+
+/// Refuses frames whose times do not rise.
+fn in_order(frames: &[Frame]) -> Result<(), String> {
+    if frames.is_empty() {
+        return Err("has no frame".to_owned());
+    }
+    match frames.iter().zip(frames.iter().skip(1)).find(|(before, after)| after.stamp_ns <= before.stamp_ns) {
+        Some((before, after)) => Err(format!(
+            "frame {} ({} s) is not later than frame {} ({} s): the camera's clock began anew; use the part before or behind",
+            after.seq,
+            seconds(after.stamp_ns),
+            before.seq,
+            seconds(before.stamp_ns)
+        )),
+        None => Ok(()),
+    }
+}
+
+/// The marker asked for; else the tip, else the last.
+fn marker(recording: &Recording, options: &Options) -> Result<usize, ValidateError> {
+    match &options.marker {
+        Some(name) => Ok(recording.marker(name)?),
+        None => {
+            match recording.markers.iter().position(|name| name == "tip").or(recording.markers.len().checked_sub(1)) {
+                Some(index) => Ok(index),
+                None => Ok(recording.marker("tip")?),
+            }
+        }
+    }
+}
+
+fn span_s(samples: &[Sample]) -> f64 {
+    samples.first().zip(samples.last()).map_or(0.0, |(first, last)| seconds(last.0 - first.0))
+}
+
+fn step(path: &DesiredPath, pause_ns: i64, k: usize, mean: Option<&Mean>) -> Step {
+    Step {
+        k,
+        t_s: seconds(pause_ns) * k as f64,
+        desired: path.point(k),
+        observed: mean.map(|mean| Point3::from(mean.value)),
+        aligned: None,
+        frames: mean.map_or(0, |mean| mean.frames),
+    }
+}
+
+/// Spread of each coordinate, observed over desired.
+fn gain(pairs: &[(Point3<f64>, Point3<f64>)]) -> [Option<f64>; 3] {
+    let spread = |values: &dyn Fn(&(Point3<f64>, Point3<f64>)) -> Vector3<f64>| {
+        let mean = pairs.iter().map(values).sum::<Vector3<f64>>() / pairs.len() as f64;
+        pairs
+            .iter()
+            .map(|pair| (values(pair) - mean).component_mul(&(values(pair) - mean)))
+            .sum::<Vector3<f64>>()
+            .map(f64::sqrt)
+    };
+    let (observed, desired) = (spread(&|pair| pair.0.coords), spread(&|pair| pair.1.coords));
+    let largest = desired.max();
+    [0, 1, 2].map(|axis| (desired[axis] > STILL_AXIS * largest).then(|| observed[axis] / desired[axis]))
+}
+
+fn magnitude(path: &DesiredPath, pairs: &[(Point3<f64>, Point3<f64>)], circle: Option<&Circle>) -> Option<Magnitude> {
+    let (of, observed_m, desired_m) = match (path.circle, circle) {
+        (Some(desired), Some(observed)) => (Size::CircleRadius, observed.radius_m, desired.radius_m),
+        (Some(_), None) => return None,
+        (None, _) => {
+            let size = |points: &dyn Fn(&(Point3<f64>, Point3<f64>)) -> Vector3<f64>| {
+                let mean = pairs.iter().map(points).sum::<Vector3<f64>>() / pairs.len() as f64;
+                rms(pairs.iter().map(|pair| (points(pair) - mean).norm()))
+            };
+            (Size::RmsSize, size(&|pair| pair.0.coords), size(&|pair| pair.1.coords))
+        }
+    };
+    let db = 20.0 * (observed_m / desired_m).log10();
+    db.is_finite().then_some(Magnitude { db, of, observed_m, desired_m })
+}
+
+/// Angles between the directions seen and desired.
+fn tangent_rms_rad(
+    path: &DesiredPath,
+    recording: &Recording,
+    skipped: usize,
+    mean: impl Fn(&[Sample]) -> Vec<Option<Mean>>,
+) -> Option<f64> {
+    path.tangents.as_ref()?;
+    let samples: Vec<Sample> =
+        recording.frames.iter().filter_map(|frame| Some((frame.stamp_ns, frame.tangent?))).collect();
+    let angles: Vec<f64> = mean(&samples)
+        .iter()
+        .enumerate()
+        .skip(skipped)
+        .filter_map(|(k, mean)| Some(mean.as_ref()?.value.angle(&path.tangent(k)?)))
+        .collect();
+    (!angles.is_empty()).then(|| rms(angles.into_iter()))
+}
+
+fn scatter_m<'a>(means: impl Iterator<Item = &'a Mean>) -> Option<f64> {
+    let several = means.filter(|mean| mean.frames > 1);
+    let (squares, free) = several.fold((0.0, 0), |(sum, free), mean| (sum + mean.squares, free + mean.frames - 1));
+    (free > 0).then(|| (squares / free as f64).sqrt())
+}
+
+fn sd_m(frames: &[&Frame], marker: usize) -> Option<f64> {
+    let sds: Vec<f64> = frames.iter().filter_map(|frame| frame.places.get(marker)?.sd_m).collect();
+    (!sds.is_empty()).then(|| rms(sds.into_iter()))
+}

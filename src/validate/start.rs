@@ -1,0 +1,86 @@
+//! When the first command was given, where nobody says it.
+//!
+//! - From the coil currents in the log: the first moment at which a current differs from the first one logged.
+//! - Else by a search over the record: the start at which the observed motion correlates best with the whole commanded one.
+//!   That absorbs the lag of the catheter, so that no phase can be measured from such a start.
+
+use super::path::DesiredPath;
+use super::pauses::{Sample, Window};
+use super::spline::{Curve, Interpolation};
+use crate::series::Current;
+use nalgebra::Vector3;
+
+/// How the start is known.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum StartFrom {
+    /// It was given.
+    Given,
+    /// The first change of a coil current in the log.
+    Currents,
+    /// A search by correlation.
+    Search,
+}
+
+impl StartFrom {
+    /// The word in tables.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Given => "given",
+            Self::Currents => "currents",
+            Self::Search => "search",
+        }
+    }
+}
+
+/// Points of the path that are looked at for each start.
+const LOOKED_AT: usize = 400;
+/// Currents that differ by less are the same, amperes.
+const SAME_A: f64 = 1e-6;
+
+/// The first change of a coil current, camera time.
+pub(super) fn from_currents(currents: &[Current]) -> Option<i64> {
+    let first = currents.first()?;
+    let differs = |current: &&Current| {
+        let pairs = current.values_a.iter().zip(&first.values_a);
+        pairs.clone().any(|(a, b)| (a - b).abs() > SAME_A) || current.values_a.len() != first.values_a.len()
+    };
+    currents.iter().find(differs).and_then(|current| current.stamp_ns)
+}
+
+/// The start at which the motion correlates best with the path; `None` when the record is shorter than all commands, or does not
+/// move. Good to about one point of 200 a period.
+pub(super) fn by_search(path: &DesiredPath, samples: &[Sample], pause_ns: i64) -> Option<i64> {
+    let (first_ns, last_ns) = (samples.first()?.0, samples.last()?.0);
+    let window = Window { start_ns: first_ns, pause_ns, commands: path.commands() };
+    let slack_ns = last_ns.checked_sub(window.end_ns()).filter(|slack| *slack >= 0)?;
+    let times_s = samples.iter().map(|(ns, _)| (ns - first_ns) as f64 * 1e-9).collect();
+    let curve = Curve::through(times_s, samples.iter().map(|(_, v)| *v).collect(), Interpolation::Linear);
+    let every = path.commands().div_ceil(LOOKED_AT);
+    let commands: Vec<(f64, Vector3<f64>)> = (0..path.commands())
+        .step_by(every)
+        .map(|k| ((k as f64 + 0.5) * pause_ns as f64 * 1e-9, path.point(k).coords))
+        .collect();
+    let step_ns = (pause_ns.saturating_mul(path.points.len() as i64) / 200).max(1);
+    let starts = (0..=slack_ns / step_ns).map(|k| k * step_ns);
+    let scored =
+        starts.filter_map(|offset_ns| Some((correlation(&curve, &commands, offset_ns as f64 * 1e-9)?, offset_ns)));
+    scored.max_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, offset_ns)| first_ns + offset_ns)
+}
+
+/// Correlation of the motion from `offset_s` on with the commands; `None` without a motion.
+fn correlation(curve: &Curve, commands: &[(f64, Vector3<f64>)], offset_s: f64) -> Option<f64> {
+    let pairs: Vec<(Vector3<f64>, Vector3<f64>)> =
+        commands.iter().filter_map(|(t_s, x)| Some((*x, curve.at(offset_s + t_s)?.0))).collect();
+    let count = pairs.len() as f64;
+    let (mean_x, mean_y) =
+        pairs.iter().fold((Vector3::zeros(), Vector3::zeros()), |(a, b), (x, y)| (a + x / count, b + y / count));
+    let (mut both, mut xx, mut yy) = (0.0, 0.0, 0.0);
+    for (x, y) in &pairs {
+        let (x, y) = (x - mean_x, y - mean_y);
+        both += x.dot(&y);
+        xx += x.norm_squared();
+        yy += y.norm_squared();
+    }
+    let correlation = both / (xx * yy).sqrt();
+    correlation.is_finite().then_some(correlation)
+}

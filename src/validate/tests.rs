@@ -1,0 +1,420 @@
+use super::*;
+use crate::series::{Current, Frame, Place, Recording};
+use crate::sink::OutputFrame;
+use nalgebra::{Point3, Rotation3, Vector3};
+use std::f64::consts::TAU;
+use std::fmt::Write as _;
+use std::path::Path;
+
+/// The paper's pause times, ms.
+const PAUSES_MS: [f64; 12] = [1.0, 3.0, 5.0, 8.0, 10.0, 12.0, 15.0, 18.0, 20.0, 25.0, 50.0, 100.0];
+/// A catheter as slow as the paper's: corner at 1.3 Hz.
+const CORNER_HZ: f64 = 1.3;
+const RADIUS_M: f64 = 0.0125;
+const START_NS: i64 = 2_345_678_901;
+
+/// A circle in a tilted plane.
+fn circle(k: usize) -> Point3<f64> {
+    let t = TAU * k as f64 / 200.0;
+    Rotation3::from_euler_angles(0.2, -0.1, 0.4) * Point3::new(RADIUS_M * t.cos(), RADIUS_M * t.sin(), 0.0)
+        + Vector3::new(0.002, -0.001, 0.045)
+}
+
+/// A lemniscate.
+fn eight(k: usize) -> Point3<f64> {
+    let t = TAU * k as f64 / 200.0;
+    Point3::new(0.015 * t.sin(), 0.008 * (2.0 * t).sin(), 0.05 - 0.001 * t.cos())
+}
+
+fn desired(of: fn(usize) -> Point3<f64>) -> DesiredPath {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("circle.csv");
+    let mut text = "x_mm,y_mm,z_mm\n".to_owned();
+    for k in 0..200 {
+        let p = of(k).coords * 1e3;
+        writeln!(text, "{},{},{}", p.x, p.y, p.z).unwrap();
+    }
+    std::fs::write(&file, text).unwrap();
+    DesiredPath::read(&file, None, None).unwrap()
+}
+
+/// What is wrong with a simulated run.
+#[derive(Clone, Copy)]
+struct Spoiled {
+    noise_m: f64,
+    missing: f64,
+    seed: u64,
+    /// Periods that were commanded before the first that counts.
+    run_in: usize,
+}
+
+const CLEAN: Spoiled = Spoiled { noise_m: 0.0, missing: 0.0, seed: 0, run_in: 20 };
+
+fn normal(random: &mut fastrand::Rng) -> f64 {
+    (-2.0 * (1.0 - random.f64()).ln()).sqrt() * (TAU * random.f64()).cos()
+}
+
+/// Four periods of commands, each held for a pause, followed by a first-order lag (exactly, whatever the pause), seen at 60 Hz.
+fn simulate(of: fn(usize) -> Point3<f64>, pause_s: f64, corner_hz: f64, spoiled: Spoiled) -> Recording {
+    let mut random = fastrand::Rng::with_seed(spoiled.seed);
+    let rate = TAU * corner_hz;
+    let mut state = of(0);
+    let settle = |state: Point3<f64>, to: Point3<f64>, s: f64| to + (state - to) * (-rate * s).exp();
+    for k in 0..200 * spoiled.run_in {
+        state = settle(state, of(k), pause_s);
+    }
+    let mut frames = Vec::new();
+    let mut frame_s = 0.0041;
+    for k in 0..800 {
+        let began_s = k as f64 * pause_s;
+        while frame_s < began_s + pause_s {
+            let place = settle(state, of(k), frame_s - began_s);
+            let noise = Vector3::from_fn(|_, _| normal(&mut random)) * spoiled.noise_m;
+            let seen = random.f64() >= spoiled.missing;
+            frames.push(Frame {
+                seq: frames.len() as u64,
+                stamp_ns: START_NS + (frame_s * 1e9_f64).round() as i64,
+                host_ns: None,
+                gap: 0,
+                theta_rad: None,
+                theta_sd_rad: None,
+                theta_status: None,
+                places: vec![Place {
+                    point: seen.then_some(place + noise),
+                    sd_m: seen.then_some(5e-5),
+                    status: if seen { "ok" } else { "ambiguous" }.to_owned(),
+                }],
+                tangent: None,
+                tangent_sd_rad: None,
+            });
+            frame_s += 1.0 / 60.0;
+        }
+        state = settle(state, of(k), pause_s);
+    }
+    Recording {
+        path: format!("{}ms.csv", pause_s * 1e3).into(),
+        clock: None,
+        reference: Some(OutputFrame::Base),
+        markers: vec!["tip".to_owned()],
+        frames,
+        currents: Vec::new(),
+        cut: None,
+    }
+}
+
+fn evaluated(of: fn(usize) -> Point3<f64>, corner_hz: f64, spoiled: Spoiled, options: Options) -> Validation {
+    let recordings: Vec<(f64, Recording)> =
+        PAUSES_MS.iter().map(|ms| (ms * 1e-3, simulate(of, ms * 1e-3, corner_hz, spoiled))).collect();
+    let observed: Vec<Observed<'_>> = recordings
+        .iter()
+        .map(|(pause_s, recording)| Observed { recording, pause_s: *pause_s, start_ns: Some(START_NS) })
+        .collect();
+    validate(desired(of), &observed, options).unwrap()
+}
+
+/// Magnitude (dB) and phase (degrees) of a first-order lag.
+fn truth(hz: f64, corner_hz: f64) -> (f64, f64) {
+    let ratio = hz / corner_hz;
+    (-10.0 * (1.0 + ratio * ratio).log10(), -ratio.atan().to_degrees())
+}
+
+#[test]
+fn a_pause_time_is_a_frequency() {
+    let validation = evaluated(circle, CORNER_HZ, CLEAN, Options::default());
+    let pauses: Vec<f64> = validation.runs.iter().map(|run| (run.pause_s * 1e3).round()).collect();
+    assert_eq!(pauses, PAUSES_MS);
+    for run in &validation.runs {
+        assert!((run.frequency_hz - 1.0 / (200.0 * run.pause_s)).abs() < 1e-12);
+        assert_eq!(run.interpolated, run.pause_s < 1.0 / 60.0);
+        assert_eq!(run.steps.len(), 600);
+    }
+    assert_eq!(validation.runs[0].frequency_hz, 5.0);
+}
+
+#[test]
+fn magnitude_and_phase_of_lagged_circles_without_noise() {
+    let validation = evaluated(circle, CORNER_HZ, CLEAN, Options::default());
+    for run in &validation.runs {
+        let (db, deg) = truth(run.frequency_hz, CORNER_HZ);
+        let (found_db, found_deg) = (run.magnitude.unwrap().db, run.phase_deg.unwrap());
+        println!("{:>5} ms: {:+.4} dB, {:+.3}°", run.pause_s * 1e3, found_db - db, found_deg - deg);
+        assert!((found_db - db).abs() < 0.01, "{}: {found_db} dB, {db} dB", run.pause_s);
+        // At 50 and 100 ms frames keep their places within the pause, here 4 ms before its middle on average.
+        assert!((found_deg - deg).abs() < 0.2, "{}: {found_deg}°, {deg}°", run.pause_s);
+        assert_eq!(run.magnitude.unwrap().of, Size::CircleRadius);
+    }
+}
+
+#[test]
+fn magnitude_and_phase_with_noise_and_missing_frames() {
+    for seed in 1..=5 {
+        let spoiled = Spoiled { noise_m: 5e-5, missing: 0.05, seed, ..CLEAN };
+        let validation = evaluated(circle, CORNER_HZ, spoiled, Options::default());
+        for run in &validation.runs {
+            let (db, deg) = truth(run.frequency_hz, CORNER_HZ);
+            let (found_db, found_deg) = (run.magnitude.unwrap().db, run.phase_deg.unwrap());
+            println!(
+                "{:>5} ms: {:+.4} dB, {:+.3}°, {} left out",
+                run.pause_s * 1e3,
+                found_db - db,
+                found_deg - deg,
+                run.left_out
+            );
+            assert!((found_db - db).abs() < 0.05, "{}: {found_db} dB, {db} dB", run.pause_s);
+            assert!((found_deg - deg).abs() < 0.5, "{}: {found_deg}°, {deg}°", run.pause_s);
+            assert!(run.frames_missed > 0 || run.frames < 60);
+        }
+    }
+}
+
+#[test]
+fn straight_lines_between_frames_cost_amplitude() {
+    let options = Options { interpolation: Interpolation::Linear, ..Options::default() };
+    let validation = evaluated(circle, CORNER_HZ, CLEAN, options);
+    let run = &validation.runs[0];
+    let error_db = run.magnitude.unwrap().db - truth(5.0, CORNER_HZ).0;
+    assert!((-0.25..-0.12).contains(&error_db), "{error_db} dB");
+}
+
+#[test]
+fn a_start_from_rest_shows_in_the_first_period() {
+    let from_rest = Spoiled { run_in: 0, ..CLEAN };
+    let worst = |skip| {
+        let validation = evaluated(circle, CORNER_HZ, from_rest, Options { skip, ..Options::default() });
+        let errors =
+            validation.runs.iter().map(|run| (run.magnitude.unwrap().db - truth(run.frequency_hz, CORNER_HZ).0).abs());
+        errors.fold(0.0, f64::max)
+    };
+    let (all, without_first) = (worst(0), worst(1));
+    println!("{all:.2} dB with the first period, {without_first:.2} dB without it");
+    assert!(all > 2.0 * without_first && without_first > 0.05);
+}
+
+#[test]
+fn alignment_absorbs_a_pure_lag_on_a_circle_and_the_rest_of_the_result_shows_it() {
+    // A catheter that follows exactly, 25 points late: 45°.
+    let late = |k: usize| circle((k + 175) % 200);
+    let recording = simulate(late, 0.1, 1e4, CLEAN);
+    let observed = [Observed { recording: &recording, pause_s: 0.1, start_ns: Some(START_NS) }];
+    let run = validate(desired(circle), &observed, Options::default()).unwrap().runs.remove(0);
+    assert!(run.alignment.rms_m < 1e-8, "{} m", run.alignment.rms_m);
+    assert!((run.rms_unaligned_m - 2.0 * RADIUS_M * (TAU / 16.0).sin()).abs() < 1e-8, "{} m", run.rms_unaligned_m);
+    let (angle, axis) = run.alignment.angle_axis();
+    assert!((angle.to_degrees() - 45.0).abs() < 1e-4, "{}°", angle.to_degrees());
+    assert!((axis.unwrap().dot(&run.plane.unwrap().normal).abs() - 1.0).abs() < 1e-6);
+    assert!((run.phase_deg.unwrap() + 45.0).abs() < 0.01 && run.magnitude.unwrap().db.abs() < 1e-4);
+    for gain in run.gain {
+        assert!(gain.is_none_or(|gain| (gain - 1.0).abs() < 1e-3));
+    }
+}
+
+#[test]
+fn a_lemniscate_has_a_size_and_says_so() {
+    let validation = evaluated(eight, CORNER_HZ, CLEAN, Options::default());
+    assert_eq!(validation.path.circle, None);
+    for run in &validation.runs {
+        let magnitude = run.magnitude.unwrap();
+        assert_eq!((magnitude.of, run.circle), (Size::RmsSize, None));
+        assert!(run.alignment.rms_m <= run.rms_unaligned_m + 1e-12);
+    }
+    let slowest = validation.runs.last().unwrap();
+    assert!(slowest.magnitude.unwrap().db.abs() < 0.05 && slowest.rms_unaligned_m < 1e-3);
+    // Errors grow with speed, as in Table II.
+    assert!(validation.runs[0].alignment.rms_m > 5.0 * slowest.alignment.rms_m);
+}
+
+#[test]
+fn missing_frames_leave_points_out_and_are_counted() {
+    let mut recording = simulate(circle, 0.018, CORNER_HZ, CLEAN);
+    let (from, to) = (START_NS + 8_000_000_000, START_NS + 8_200_000_000);
+    recording.frames.retain(|frame| frame.stamp_ns < from || frame.stamp_ns >= to);
+    for frame in &mut recording.frames {
+        if frame.stamp_ns >= to && frame.stamp_ns < to + 17_000_000 {
+            frame.gap = 12;
+        }
+    }
+    let observed = [Observed { recording: &recording, pause_s: 0.018, start_ns: Some(START_NS) }];
+    let run = validate(desired(circle), &observed, Options::default()).unwrap().runs.remove(0);
+    assert_eq!((run.frames_lost, run.frames_missed), (12, 0));
+    assert!((10..=12).contains(&run.left_out), "{}", run.left_out);
+    assert_eq!(run.steps.iter().filter(|s| s.observed.is_none()).count(), run.left_out);
+    assert_eq!(Row::of(&run).points_left_out, run.left_out);
+}
+
+#[test]
+fn noise_and_the_trackers_own_sigma_are_told() {
+    let spoiled = Spoiled { noise_m: 5e-5, missing: 0.0, seed: 1, ..CLEAN };
+    let recording = simulate(circle, 0.1, CORNER_HZ, spoiled);
+    let observed = [Observed { recording: &recording, pause_s: 0.1, start_ns: Some(START_NS) }];
+    let run = validate(desired(circle), &observed, Options::default()).unwrap().runs.remove(0);
+    // Three coordinates of noise, and 0.4 mm of motion in each pause.
+    assert!((8e-5..2e-4).contains(&run.scatter_m.unwrap()), "{:?}", run.scatter_m);
+    assert!((run.sd_m.unwrap() - 5e-5).abs() < 1e-12);
+}
+
+#[test]
+fn the_start_is_taken_from_currents_or_searched_for() {
+    let pause_s = 0.02;
+    let mut recording = simulate(circle, pause_s, CORNER_HZ, Spoiled { run_in: 0, ..CLEAN });
+    // Two seconds of rest before and behind.
+    let rest = |from_ns: i64, point: Point3<f64>| {
+        (0..120).map(move |k| Frame {
+            stamp_ns: from_ns + k * 16_666_667,
+            places: vec![Place { point: Some(point), sd_m: None, status: "ok".to_owned() }],
+            ..blank()
+        })
+    };
+    let (first, last) = (recording.frames[0].clone(), recording.frames.last().unwrap().clone());
+    let mut frames: Vec<Frame> = rest(first.stamp_ns - 120 * 16_666_667, first.places[0].point.unwrap()).collect();
+    frames.append(&mut recording.frames);
+    frames.extend(rest(last.stamp_ns + 16_666_667, last.places[0].point.unwrap()));
+    recording.frames = frames;
+
+    let one = |recording: &Recording, start_ns| {
+        let observed = [Observed { recording, pause_s, start_ns }];
+        validate(desired(circle), &observed, Options::default()).unwrap().runs.remove(0)
+    };
+    let found = one(&recording, None);
+    assert_eq!((found.start_from, found.phase_deg), (StartFrom::Search, None));
+    assert!(found.notes[0].contains("absorbs the lag"), "{:?}", found.notes);
+    // It is late by the catheter's lag: 10° at 0.25 Hz are 0.12 s.
+    let late_s = (found.start_ns - START_NS) as f64 * 1e-9;
+    assert!((0.08..0.16).contains(&late_s), "{late_s} s");
+
+    let current = |ns: i64, a: f64| Current { host_ns: Some(ns), stamp_ns: Some(ns), values_a: vec![0.0, a] };
+    recording.currents =
+        vec![current(5, 0.0), current(START_NS - 9, 0.0), current(START_NS, 0.01), current(START_NS + 1, 0.0)];
+    let logged = one(&recording, None);
+    assert_eq!((logged.start_from, logged.start_ns), (StartFrom::Currents, START_NS));
+    let given = one(&recording, Some(START_NS + 5));
+    assert_eq!((given.start_from, given.start_ns), (StartFrom::Given, START_NS + 5));
+    assert!((logged.phase_deg.unwrap() - truth(0.25, CORNER_HZ).1).abs() < 0.2, "{:?}", logged.phase_deg);
+}
+
+fn blank() -> Frame {
+    Frame {
+        seq: 0,
+        stamp_ns: 0,
+        host_ns: None,
+        gap: 0,
+        theta_rad: None,
+        theta_sd_rad: None,
+        theta_status: None,
+        places: Vec::new(),
+        tangent: None,
+        tangent_sd_rad: None,
+    }
+}
+
+#[test]
+fn what_cannot_be_used_is_told_with_its_numbers() {
+    let good = simulate(circle, 0.02, CORNER_HZ, CLEAN);
+    let refused = |recording: &Recording, pause_s: f64, start_ns: Option<i64>, options: Options| {
+        let observed = [Observed { recording, pause_s, start_ns }];
+        validate(desired(circle), &observed, options).unwrap_err().to_string()
+    };
+    let told = |change: fn(&mut Recording), start| {
+        let mut recording = good.clone();
+        change(&mut recording);
+        refused(&recording, 0.02, start, Options::default())
+    };
+    let given = Some(START_NS);
+    assert_eq!(told(|r| r.frames.clear(), given), "20ms.csv: has no frame");
+    let all_missed = |r: &mut Recording| r.frames.iter_mut().for_each(|f| f.places[0].point = None);
+    assert_eq!(told(all_missed, given), "20ms.csv: none of its 960 frames has a place of tip");
+    assert!(told(|r| r.frames.swap(3, 4), given).contains("is not later than frame"));
+    assert!(told(|r| r.reference = Some(OutputFrame::Camera), given).contains("in the camera frame"));
+    assert!(told(|r| r.markers.clear(), given).contains("has no places of markers"));
+    let other = told(|_| {}, Some(START_NS + 100_000_000_000));
+    assert_eq!(
+        other,
+        "20ms.csv: no frame is from the time of the commands: these are from 102.346 s to 118.346 s, the frames from 2.350 s to 18.333 s of the camera's clock; check --start"
+    );
+    let short = told(|r| r.frames.truncate(500), None);
+    assert!(short.contains("they take 16.000 s, the record has 8.317 s of motion; give --start"), "{short}");
+    let half = told(|r| r.frames.truncate(280), given);
+    assert!(half.contains("of 600 commands have a point, less than half of a period of 200"), "{half}");
+    let still = |r: &mut Recording| r.frames.iter_mut().for_each(|f| f.places[0].point = Some(Point3::origin()));
+    assert!(told(still, given).contains("lie on a line or do not move"));
+    assert_eq!(refused(&good, 0.0, given, Options::default()), "20ms.csv: a pause of 0 s is none: it must be above 0");
+    let marker = Options { marker: Some("coil".to_owned()), ..Options::default() };
+    assert!(refused(&good, 0.02, given, marker).contains("has no marker `coil`; it has tip"));
+    let skip = Options { skip: 4, ..Options::default() };
+    assert!(refused(&good, 0.02, given, skip).contains("is commanded 4 times, and 4 are left out"));
+}
+
+fn read(text: &str, per_period: Option<usize>, periods: Option<usize>) -> Result<DesiredPath, String> {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("path.csv");
+    std::fs::write(&file, text).unwrap();
+    DesiredPath::read(&file, per_period, periods)
+        .map_err(|e| e.to_string().replace(&file.display().to_string(), "path.csv"))
+}
+
+#[test]
+fn paths_are_read_with_their_periods_and_directions() {
+    let square = "x_mm,y_mm,z_mm,tan_x,tan_y,tan_z\n0,0,5,0,0,2\n10,0,5,0,0,1\n10,10,5,0,0,1\n0,10,5,0,0,1\n";
+    let path = read(square, None, None).unwrap();
+    assert_eq!((path.points.len(), path.periods, path.commands()), (4, 4, 16));
+    assert_eq!(path.tangents.unwrap()[0], Vector3::z());
+    assert_eq!(path.points[2], Point3::new(0.01, 0.01, 0.005));
+    let twice = format!("{square}0,0,5,0,0,1\n10,0,5,0,0,1\n10,10,5,0,0,1\n0,10,5,0,0,1\n");
+    let path = read(&twice, Some(4), None).unwrap();
+    assert_eq!((path.points.len(), path.periods), (4, 2));
+    assert_eq!(
+        read(&twice, Some(3), None).unwrap_err(),
+        "path.csv: has 8 rows, which is no multiple of 3 points a period"
+    );
+    assert!(
+        read(&twice, Some(2), None)
+            .unwrap_err()
+            .contains("point 3 is not where point 1 is: the period is not 2 points")
+            || read(&twice, Some(2), None).unwrap_err().contains("has 2 points a period")
+    );
+    assert!(
+        read(&twice, Some(4), Some(3))
+            .unwrap_err()
+            .contains("holds 2 periods of 4 points, and 3 periods are asked for")
+    );
+    assert!(read(square, None, Some(0)).unwrap_err().contains("commanded 0 times"));
+}
+
+#[test]
+fn paths_that_are_none_are_refused() {
+    assert_eq!(
+        read("x_mm,y_mm,z_mm\n0,0,0\n1,0,0\n", None, None).unwrap_err(),
+        "path.csv: has 2 points a period; a path needs 3 or more"
+    );
+    let line = read("x_mm,y_mm,z_mm\n0,0,0\n1,1,1\n2,2,2\n3,3,3\n", None, None).unwrap_err();
+    assert_eq!(line, "path.csv: its points lie on a line or are all the same: a turn about it would be open");
+    assert_eq!(
+        read("x_mm,y_mm\n0,0\n", None, None).unwrap_err(),
+        "path.csv: has no column `z_mm`; did you mean `x_mm`?"
+    );
+    assert!(
+        read("x_mm,y_mm,z_mm\n0,0,\n", None, None)
+            .unwrap_err()
+            .contains("point 1: a value of x_mm, y_mm, z_mm is missing")
+    );
+    assert!(DesiredPath::read(Path::new("none.csv"), None, None).unwrap_err().to_string().starts_with("none.csv: "));
+}
+
+#[test]
+fn results_as_files_have_an_entry_a_run() {
+    let validation = evaluated(circle, CORNER_HZ, CLEAN, Options::default());
+    let csv = validation.csv().unwrap();
+    assert_eq!(csv.lines().count(), 13);
+    assert!(csv.starts_with("file,pause_ms,frequency_hz,start_s,"));
+    let json: serde_json::Value = serde_json::from_str(&validation.json().unwrap()).unwrap();
+    assert_eq!((json["runs"].as_array().unwrap().len(), &json["path"]["points_per_period"]), (12, &200.into()));
+    assert!((json["path"]["circle_radius_mm"].as_f64().unwrap() - 12.5).abs() < 1e-9);
+    let table = validation.table();
+    assert!(
+        table.starts_with("| Pause time (ms) | 1 | 3 | 5 | 8 | 10 | 12 | 15 | 18 | 20 | 25 | 50 | 100 |\n|---|"),
+        "{table}"
+    );
+    assert!(table.contains("| circle RMSE (mm) | "));
+    let points = validation.runs[3].points_csv();
+    assert_eq!(points.lines().count(), 601);
+    assert!(points.lines().nth(1).unwrap().starts_with("200,1.600000000,"), "{points}");
+}
