@@ -7,6 +7,7 @@ mod calibrate;
 mod excite;
 mod failure;
 mod fitting;
+mod identify;
 mod interrupt;
 mod live;
 mod log;
@@ -76,6 +77,12 @@ Example:
     /// Make tables of coil currents that excite the dynamics: chirp, multisine, steps
     #[command(after_help = "Example:\n  catoptra excite chirp -o currents.csv --report")]
     Excite(excite::Args),
+    /// Identify the dynamics from a log, or from any input and output: models, H(s), Bode plot, fit errors
+    #[command(after_help = "\
+Example:
+  catoptra identify sample_dynamics/training.csv --currents sample_dynamics/training_currents.csv \\
+    --plant sample_dynamics/plant.toml -o dynamics")]
+    Identify(Box<identify::Args>),
 }
 
 /// Runs the program.
@@ -86,6 +93,7 @@ pub(crate) fn run() -> ExitCode {
         Command::Calibrate(args) => calibrate::run(args, cli.quiet),
         Command::Rig(args) => rig::run(args, cli.quiet),
         Command::Excite(args) => excite::run(args, cli.quiet),
+        Command::Identify(args) => identify::run(args, cli.quiet),
         Command::Live(args) => live::run(args, cli.quiet),
         Command::Log(args) => log::run(args),
         Command::Track(args) => track::run(args, cli.quiet),

@@ -14,7 +14,7 @@ use super::output_error;
 const ORDERS: Orders = Orders { na: 2, nb: 2, nk: 1 };
 /// Trials go so far, in periods, and in such steps.
 const REACH: f64 = 6.0;
-const STEP: f64 = 0.5;
+const STEP: f64 = 1.0;
 /// The smallest residual is looked for to this part of a period.
 const SETTLED: f64 = 0.005;
 /// Steps away from it grow by this factor.
@@ -82,13 +82,13 @@ pub fn estimate(period_s: f64, segments: impl Fn(f64) -> Option<Vec<Segment>>) -
     Some(Delay { delay_s, sd_s: 0.5 * (reach(1.0)? + reach(-1.0)?), tried })
 }
 
-/// Root mean square that the best model of second order leaves, from ARX on or from the model of the trial before.
+/// Root mean square that the model of second order leaves: from ARX on, and from that of the trial before, whichever ends lower.
 fn residual(segments: &[Segment], near: Option<&Polynomials>) -> Option<(f64, Polynomials)> {
     let by_arx = arx::fit(segments, ORDERS).ok().map(|found| found.model);
     let starts = by_arx.iter().chain(near).filter(|m| m.is_stable());
     let refined = starts.filter_map(|start| output_error::refine(segments, start).ok());
-    let best = refined.min_by(|a, b| a.estimated.noise_variance.total_cmp(&b.estimated.noise_variance))?;
-    Some((best.estimated.noise_variance.sqrt(), best.estimated.model))
+    let best = refined.map(|r| r.estimated).min_by(|a, b| a.noise_variance.total_cmp(&b.noise_variance))?;
+    Some((best.noise_variance.sqrt(), best.model))
 }
 
 #[cfg(test)]

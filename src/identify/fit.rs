@@ -8,7 +8,7 @@ use super::model::Polynomials;
 use nalgebra::DMatrix;
 
 /// Samples from which the state at the beginning of a stretch is estimated, at most.
-const START: usize = 4096;
+const START: usize = 1024;
 
 /// Where a simulation begins.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]

@@ -152,14 +152,12 @@ pub fn cut(series: &Series, grid: &Grid, bridge: usize) -> (Record, usize) {
     let first_s = series.time_s.first().copied().unwrap_or(0.0);
     let bridged = if bridge > 0 { fill(&mut output, bridge) } else { 0 };
     // What is known at each place: input, output, drive.
-    let samples: Vec<Option<(f64, f64, f64)>> = output
-        .iter()
-        .zip(&drive)
-        .map(|(y, drive)| {
-            let (y, drive) = ((*y)?, (*drive)?);
-            Some((series.plant.map_or(drive, |plant| plant.torque_nm(drive, y)), y, drive))
-        })
-        .collect();
+    let sample = |place: usize| {
+        let (y, drive) = (output[place]?, drive[place]?);
+        let before = place.checked_sub(1).and_then(|before| output[before]);
+        Some((series.plant.map_or(drive, |plant| plant.torque_nm(drive, halfway(before, y))), y, drive))
+    };
+    let samples: Vec<Option<(f64, f64, f64)>> = (0..length).map(sample).collect();
     let mut segments: Vec<Segment> = Vec::new();
     let mut begin = 0;
     while let Some(from) = samples[begin..].iter().position(Option::is_some).map(|k| begin + k) {
@@ -177,6 +175,12 @@ pub fn cut(series: &Series, grid: &Grid, bridge: usize) -> (Record, usize) {
         begin = to;
     }
     (Record { name: series.name.clone(), segments }, bridged)
+}
+
+/// The angle in the middle of the hold that begins here, carried on from the last two: it looks at nothing later, and is not half a
+/// period behind the current's average as the angle at the beginning would be.
+fn halfway(before: Option<f64>, now: f64) -> f64 {
+    before.map_or(now, |before| now + 0.5 * (now - before))
 }
 
 /// Fills holes of up to `most` outputs by Lagrange's cubic through two samples on each side, or by a line where there is one

@@ -116,7 +116,7 @@ fn polynomial(ascending: &[f64], x: Complex<f64>) -> Complex<f64> {
 
 /// Roots of c₀ xⁿ + c₁ xⁿ⁻¹ + … + cₙ, as eigenvalues of its companion matrix; zeros at the end of `descending` are roots at 0
 /// and left out, a leading zero is no degree.
-pub(super) fn roots(descending: &[f64]) -> Vec<Complex<f64>> {
+pub fn roots(descending: &[f64]) -> Vec<Complex<f64>> {
     let first = descending.iter().position(|c| *c != 0.0).unwrap_or(descending.len());
     let end = descending.iter().rposition(|c| *c != 0.0).map_or(0, |last| last + 1);
     let Some((lead, rest)) = descending.get(first..end).and_then(<[f64]>::split_first) else { return Vec::new() };

@@ -9,11 +9,10 @@
 
 use super::arx::Estimated;
 use super::data::Segment;
-use super::fit::free_part;
 use super::model::{Polynomials, all_pole};
 use super::regression::{Triangle, solve};
 use super::IdentifyError;
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, DVector, DVectorViewMut};
 
 const MOST_STEPS: usize = 100;
 /// A step that lowers the sum of squares by less than this part ends the search.
@@ -77,21 +76,38 @@ pub fn refine(segments: &[Segment], start: &Polynomials) -> Result<Refined, Iden
     Ok(Refined { estimated, steps, settled })
 }
 
-/// Simulated output of a stretch: from rest, or with the state at its beginning fitted.
-fn simulated(segment: &Segment, model: &Polynomials) -> Vec<f64> {
-    let mut output = model.simulate(&segment.input);
-    if !segment.from_rest
-        && let Some(free) = free_part(model, segment, &output)
-    {
-        output.iter_mut().zip(free).for_each(|(y, free)| *y += free);
+/// What the state at the beginning can add to the output of a stretch that does not begin at rest: orthonormal columns.
+/// Residual and derivatives are taken without it, which fits the state along (variable projection; Kaufman, BIT 15, 1975,
+/// doi:10.1007/BF01932995).
+fn open_start(segment: &Segment, model: &Polynomials) -> Option<DMatrix<f64>> {
+    if segment.from_rest || segment.len() <= model.memory() {
+        return None;
     }
-    output
+    let response = model.free_response(segment.len());
+    let shifted = |t: usize, state: usize| t.checked_sub(state).map_or(0.0, |t| response[t]);
+    Some(DMatrix::from_fn(segment.len(), model.memory(), shifted).qr().q())
+}
+
+/// Takes the part of `signal` that lies in the columns of `open`; gives what was taken.
+fn project_out(open: &DMatrix<f64>, signal: &mut DVectorViewMut<'_, f64>) -> DVector<f64> {
+    let part = open * open.tr_mul(signal);
+    *signal -= &part;
+    part
+}
+
+/// Output from rest and what is left of the observed output, the free start taken out.
+fn residual(segment: &Segment, model: &Polynomials, open: Option<&DMatrix<f64>>) -> (Vec<f64>, DVector<f64>) {
+    let mut output = model.simulate(&segment.input);
+    let mut left = DVector::from_iterator(output.len(), segment.output.iter().zip(&output).map(|(y, m)| y - m));
+    if let Some(open) = open {
+        let start = project_out(open, &mut left.rows_mut(0, output.len()));
+        output.iter_mut().zip(start.iter()).for_each(|(y, start)| *y += start);
+    }
+    (output, left)
 }
 
 fn squares(segments: &[Segment], model: &Polynomials) -> f64 {
-    let of = |segment: &Segment| -> f64 {
-        simulated(segment, model).iter().zip(&segment.output).map(|(m, y)| (y - m) * (y - m)).sum()
-    };
+    let of = |s: &Segment| residual(s, model, open_start(s, model).as_ref()).1.norm_squared();
     let sum: f64 = segments.iter().map(of).sum();
     if sum.is_finite() { sum } else { f64::INFINITY }
 }
@@ -101,21 +117,32 @@ fn linearise(segments: &[Segment], model: &Polynomials) -> DMatrix<f64> {
     let (na, nb, nk) = (model.na(), model.nb(), model.nk);
     let mut triangle = Triangle::new(na + nb + 1);
     for segment in segments {
-        let output = simulated(segment, model);
+        let open = open_start(segment, model);
+        let (output, left) = residual(segment, model, open.as_ref());
         let by_input = all_pole(&model.a, segment.input.clone());
-        let by_output = all_pole(&model.a, output.clone());
+        let by_output = all_pole(&model.a, output);
         let lagged = |signal: &[f64], t: usize, lag: usize| t.checked_sub(lag).map_or(0.0, |t| signal[t]);
-        for t in 0..segment.len() {
-            let outputs = (1..=na).map(|lag| -lagged(&by_output, t, lag));
-            let inputs = (nk..nk + nb).map(|lag| lagged(&by_input, t, lag));
-            triangle.push(outputs.chain(inputs).chain([segment.output[t] - output[t]]));
+        let derivative = |t: usize, k: usize| match k.checked_sub(na) {
+            None => -lagged(&by_output, t, k + 1),
+            Some(j) => lagged(&by_input, t, nk + j),
+        };
+        if let Some(open) = open {
+            let mut columns = DMatrix::from_fn(segment.len(), na + nb, derivative);
+            columns.column_iter_mut().for_each(|mut column| drop(project_out(&open, &mut column.as_view_mut())));
+            for t in 0..segment.len() {
+                triangle.push(columns.row(t).iter().copied().chain([left[t]]));
+            }
+        } else {
+            for t in 0..segment.len() {
+                triangle.push((0..na + nb).map(|k| derivative(t, k)).chain([left[t]]));
+            }
         }
     }
     triangle.finish()
 }
 
 /// Solves with the columns' own lengths, times √damping, below the triangle.
-fn damped_step(triangle: &DMatrix<f64>, damping: f64) -> Option<nalgebra::DVector<f64>> {
+fn damped_step(triangle: &DMatrix<f64>, damping: f64) -> Option<DVector<f64>> {
     let p = triangle.ncols() - 1;
     let mut columns = triangle.clone().resize_vertically(triangle.nrows() + p, 0.0);
     for k in 0..p {

@@ -14,6 +14,7 @@ mod chart;
 mod course;
 pub mod excitation;
 mod figures;
+pub mod identification;
 mod page;
 mod timeline;
 mod tracking;

@@ -1,0 +1,279 @@
+//! Files to signals: read, put on a grid, cut, thinned, detrended; and what is told of each step.
+
+use super::{Args, DelayArg};
+use crate::cli::{Exit, Failure};
+use catoptra::identify::chain::Data;
+use catoptra::identify::data::Record;
+use catoptra::identify::delay::{self, Delay};
+use catoptra::identify::grid::{Grid, GridError, Series, cut, resample};
+use catoptra::identify::hold::Held;
+use catoptra::identify::plant::Plant;
+use catoptra::identify::prepare::{Detrend, Trend, decimate};
+use catoptra::identify::recorded::Observed;
+use catoptra::identify::told::{RecordTold, Told};
+use catoptra::series::{CurrentTable, Recording, SeriesError, columns};
+use std::path::Path;
+
+/// Periods of the records may differ by this part.
+const SAME_PERIOD: f64 = 0.01;
+/// The input of a log without Eq. 6.
+const CURRENT: &str = "current";
+
+fn usage(error: impl Into<Box<dyn std::error::Error + Send + Sync>>) -> Failure {
+    Failure::new(Exit::Usage, error)
+}
+
+fn unreadable(error: SeriesError) -> Failure {
+    let exit = if error.is_io() { Exit::Failed } else { Exit::Usage };
+    Failure::new(exit, error)
+}
+
+/// A record on its grid.
+struct Read {
+    record: Record,
+    told: RecordTold,
+}
+
+/// Data to identify from and to judge by, made ready.
+pub(super) fn read(args: &Args) -> Result<(Data, Told), Failure> {
+    let files: Vec<&Path> = args.records.iter().chain(&args.validate).map(AsRef::as_ref).collect();
+    let ranges = args.train.is_some() || args.test.is_some();
+    if ranges && args.records.len() > 1 {
+        return Err(usage("--train and --test take parts of one record; there are several"));
+    }
+    if !args.currents.is_empty() && args.currents.len() != files.len() {
+        let (tables, records) = (args.currents.len(), files.len());
+        return Err(usage(format!("--currents: {tables} tables for {records} records; give one for each, in their order")));
+    }
+    let plant = args.plant.as_deref().map(Plant::load).transpose().map_err(usage)?;
+    let mut all = Vec::new();
+    for (k, file) in files.iter().enumerate() {
+        let mut read = if args.output.is_some() {
+            any_table(args, file)?
+        } else {
+            recorded(args, file, args.currents.get(k).map(AsRef::as_ref), plant)?
+        };
+        read.told.training = k < args.records.len();
+        all.push(read);
+    }
+    one_period(&all)?;
+    let mut period_s = all.first().map_or(0.0, |read| read.told.period_s);
+    let mut data = Data::default();
+    let mut tolds = Vec::new();
+    for Read { record, told } in all {
+        let parts = match (told.training, args.train, args.test) {
+            (true, train, test) if ranges => {
+                let part = |range: super::Range, training: bool| -> Result<_, Failure> {
+                    within(&record, range)?;
+                    Ok((record.range(range.from, range.to, period_s), training))
+                };
+                let whole = super::Range { from: 0, to: record.span() };
+                let fitted = part(train.unwrap_or(whole), true)?;
+                let judged = test.map(|test| part(test, false)).transpose()?;
+                [Some(fitted), judged].into_iter().flatten().collect()
+            }
+            (training, _, _) => vec![(record, training)],
+        };
+        for (part, training) in parts {
+            let part = args.decimate.map_or_else(|| part.clone(), |n| decimate(&part, n.get(), period_s));
+            if part.is_empty() {
+                return Err(usage(format!("{}: no sample is left of it", part.name)));
+            }
+            tolds.push(RecordTold { training, ..described(&part, &told, period_s, args) });
+            if training { data.training.push(part) } else { data.validation.push(part) }
+        }
+    }
+    period_s *= args.decimate.map_or(1.0, |n| n.get() as f64);
+    data.period_s = period_s;
+    detrend(&mut data, args.detrend(), ranges);
+    tolds.sort_by_key(|told| !told.training);
+    Ok((data, told(args, tolds)))
+}
+
+fn described(part: &Record, read: &RecordTold, period_s: f64, args: &Args) -> RecordTold {
+    let factor = args.decimate.map_or(1, |n| n.get());
+    RecordTold {
+        name: part.name.clone(),
+        samples: part.len(),
+        stretches: part.segments.len(),
+        duration_s: part.len() as f64 * period_s * factor as f64,
+        ..read.clone()
+    }
+}
+
+fn within(record: &Record, range: super::Range) -> Result<(), Failure> {
+    let has = record.span();
+    if range.to > has {
+        let super::Range { from, to } = range;
+        return Err(usage(format!("{}: has {has} samples, and {from}:{to} were asked for", record.name)));
+    }
+    Ok(())
+}
+
+fn one_period(all: &[Read]) -> Result<(), Failure> {
+    let Some(first) = all.first() else { return Ok(()) };
+    let other = |read: &&Read| (read.told.period_s / first.told.period_s - 1.0).abs() > SAME_PERIOD;
+    match all.iter().find(other) {
+        None => Ok(()),
+        Some(read) => Err(usage(format!(
+            "{}: samples are {:.6} s apart, and {:.6} s in {}: records that belong together have one period (--resample --period gives \
+             them one)",
+            read.told.name, read.told.period_s, first.told.period_s, first.told.name
+        ))),
+    }
+}
+
+/// Columns of any table.
+fn any_table(args: &Args, file: &Path) -> Result<Read, Failure> {
+    let (Some(input), Some(output)) = (&args.input, &args.output) else {
+        return Err(usage("--input and --output go together"));
+    };
+    let name = file.display().to_string();
+    let names: Vec<&str> = [input.as_str(), output.as_str()].into_iter().chain(args.time.as_deref()).collect();
+    let mut values = columns(file, &names).map_err(unreadable)?.into_iter();
+    let (drive, output) = (values.next().unwrap_or_default(), values.next().unwrap_or_default());
+    let time_s = match (values.next(), args.period) {
+        (Some(times), _) => times
+            .into_iter()
+            .enumerate()
+            .map(|(row, t)| t.ok_or_else(|| usage(format!("{name}: the time of row {} is missing", row + 1))))
+            .collect::<Result<Vec<_>, _>>()?,
+        (None, Some(period)) => (0..drive.len()).map(|k| k as f64 * period).collect(),
+        (None, None) => return Err(usage("the time from row to row is not known: give --period S, or --time COLUMN")),
+    };
+    let missed = output.iter().filter(|y| y.is_none()).count();
+    let series = Series { name: name.clone(), time_s, drive, output, plant: None };
+    let (record, grid, bridged) = on_grid(args, &series)?;
+    // Stated exactly, it is not estimated from its own multiples.
+    let period_s = args.period.unwrap_or(grid.period_s);
+    let told = RecordTold { name, period_s, jitter_s: grid.jitter_s, lost: grid.lost, missed, bridged, ..RecordTold::default() };
+    Ok(Read { record, told })
+}
+
+fn on_grid(args: &Args, series: &Series) -> Result<(Record, Grid, usize), Failure> {
+    let resampled = args.resample.then(|| resample(series, args.period)).transpose().map_err(usage)?;
+    let series = resampled.as_ref().unwrap_or(series);
+    let grid = Grid::of(&series.name, &series.time_s).map_err(usage)?;
+    let (record, bridged) = cut(series, &grid, args.bridge);
+    Ok((record, grid, bridged))
+}
+
+/// θ and currents of a run.
+fn recorded(args: &Args, file: &Path, table: Option<&Path>, plant: Option<Plant>) -> Result<Read, Failure> {
+    let name = file.display().to_string();
+    if plant.is_none() && args.input.as_deref() != Some(CURRENT) {
+        return Err(usage(format!(
+            "{name}: what moves it? Give --plant PLANT.toml (Eq. 6, for logs), --input current (the current itself), or the columns \
+             of a table with --input, --output and --period"
+        )));
+    }
+    let recording = Recording::read(file).map_err(unreadable)?;
+    if let Some(why) = &recording.cut {
+        tracing::warn!("{name}: is read as far as it goes: {why}");
+    }
+    let observed = Observed::of(&recording).map_err(usage)?;
+    let (source, currents) = match table {
+        None => (name.clone(), recording.currents.clone()),
+        Some(table) => {
+            let read = CurrentTable::read(table).map_err(unreadable)?;
+            let start_ns = args.currents_start.map(|s| (s * 1e9).round() as i64);
+            if let Some(assumed) = read.assumption(start_ns) {
+                tracing::info!("{}: {assumed}", table.display());
+            }
+            (table.display().to_string(), read.on_camera_clock(&recording, start_ns).map_err(unreadable)?)
+        }
+    };
+    let held = observed.commands(&source, &currents, args.coil).map_err(usage)?;
+    let apparent = apparent_delay(args, &observed, &held, plant);
+    let delay_s = match (args.delay, &apparent) {
+        (DelayArg::Given(seconds), _) => seconds,
+        (DelayArg::Auto, Some(delay)) => delay.delay_s,
+        (DelayArg::Auto, None) => {
+            return Err(usage(format!("{name}: no delay between commands and output could be estimated; give it with --delay")));
+        }
+    };
+    let series = observed.series(&held, plant, delay_s).map_err(usage)?;
+    let lost = series.output.len() - observed.theta_rad.len();
+    let missed = observed.theta_rad.iter().filter(|theta| theta.is_none()).count();
+    let (record, grid, bridged) = on_grid(args, &series)?;
+    let told = RecordTold {
+        name,
+        period_s: if args.resample { args.period.unwrap_or(grid.period_s) } else { grid.period_s },
+        jitter_s: grid.jitter_s,
+        lost,
+        missed,
+        bridged,
+        delay: apparent,
+        ..RecordTold::default()
+    };
+    Ok(Read { record, told })
+}
+
+/// How late the output is, whatever is done about it.
+fn apparent_delay(args: &Args, observed: &Observed, held: &Held, plant: Option<Plant>) -> Option<Delay> {
+    let grid = |series: &Series| -> Result<Grid, GridError> { Grid::of(&series.name, &series.time_s) };
+    let period_s = observed.grid().ok()?.period_s;
+    delay::estimate(period_s, |delay_s| {
+        let series = observed.series(held, plant, delay_s).ok()?;
+        let (record, _) = cut(&series, &grid(&series).ok()?, args.bridge);
+        let mut segments = record.segments;
+        // An angle that is off by a constant is not late.
+        let trend = Trend::of(&segments, period_s, false);
+        segments.iter_mut().for_each(|s| trend.remove(s, period_s));
+        Some(segments)
+    })
+}
+
+/// Takes trends off. `one_record`: all parts are of the same record, whose line goes on.
+fn detrend(data: &mut Data, what: Detrend, one_record: bool) {
+    let period_s = data.period_s;
+    if what == Detrend::None {
+        return;
+    }
+    let all: Vec<_> = data.training.iter().flat_map(|r| r.segments.clone()).collect();
+    let of_all = Trend::of(&all, period_s, false);
+    let mut of_validation = of_all;
+    for record in &mut data.training {
+        let trend = if what == Detrend::Linear { Trend::of(&record.segments, period_s, true) } else { of_all };
+        if what == Detrend::Linear && one_record {
+            of_validation = trend;
+        }
+        record.segments.iter_mut().for_each(|s| trend.remove(s, period_s));
+    }
+    for record in &mut data.validation {
+        record.segments.iter_mut().for_each(|s| of_validation.remove(s, period_s));
+    }
+}
+
+fn told(args: &Args, records: Vec<RecordTold>) -> Told {
+    let file = |path: &Path| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let title = args.records.iter().map(|p| file(p)).collect::<Vec<_>>().join(", ");
+    let unknown = String::new;
+    let (input, input_unit, output, output_unit) = match (&args.output, &args.input) {
+        (Some(output), Some(input)) => (input.clone(), unknown(), output.clone(), unknown()),
+        (None, Some(_)) => (CURRENT.to_owned(), "A".to_owned(), "θ".to_owned(), "rad".to_owned()),
+        (_, None) => ("net torque".to_owned(), "N·m".to_owned(), "θ".to_owned(), "rad".to_owned()),
+    };
+    let mut settings = Vec::new();
+    let mut set = |name: &str, value: String| settings.push((name.to_owned(), value));
+    if let Some(plant) = &args.plant {
+        set("plant", plant.display().to_string());
+    }
+    for table in &args.currents {
+        set("currents", table.display().to_string());
+    }
+    set("detrend", format!("{:?}", args.detrend).to_lowercase());
+    set("decimate", args.decimate.map_or(1, |n| n.get()).to_string());
+    set("resample", args.resample.to_string());
+    set("bridge", args.bridge.to_string());
+    set("estimator", format!("{:?}", args.estimator).to_lowercase());
+    set("start", format!("{:?}", args.start).to_lowercase());
+    set("reduction", if args.match_dc { "match DC" } else { "truncation" }.to_owned());
+    set("weighted", args.weighted.to_string());
+    set("bootstrap", args.bootstrap.to_string());
+    set("delay", match args.delay {
+        DelayArg::Auto => "auto".to_owned(),
+        DelayArg::Given(seconds) => format!("{seconds} s"),
+    });
+    Told { title, input, input_unit, output, output_unit, start: args.start(), records, settings }
+}

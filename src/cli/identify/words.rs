@@ -1,0 +1,107 @@
+//! The result in words, for the terminal.
+
+use catoptra::identify::chain::{Data, Identification};
+use catoptra::identify::continuous::{Continuous, Conversion};
+use catoptra::identify::fit::Kind;
+use catoptra::identify::modelled::{ContinuousEstimate, Modelled};
+use catoptra::identify::told::Told;
+use std::fmt::Write as _;
+use std::path::PathBuf;
+
+/// All of it.
+pub(super) fn summary(data: &Data, done: &Identification, told: &Told, written: &[PathBuf]) -> String {
+    let mut text = String::new();
+    // Nothing is lost when a line cannot be formatted into memory.
+    let _ = describe(&mut text, data, done, told);
+    for path in written {
+        let _ = writeln!(text, "written: {}", path.display());
+    }
+    text
+}
+
+fn describe(text: &mut String, data: &Data, done: &Identification, told: &Told) -> std::fmt::Result {
+    for record in &told.records {
+        let role = if record.training { "fitted" } else { "judged by" };
+        write!(text, "{}: {role}, {} samples", record.name, record.samples)?;
+        if record.stretches > 1 {
+            write!(text, " in {} stretches", record.stretches)?;
+        }
+        write!(text, ", {:.1} s", record.duration_s)?;
+        for (count, what) in [(record.lost, "lost"), (record.missed, "missed"), (record.bridged, "bridged")] {
+            if count > 0 {
+                write!(text, ", {count} {what}")?;
+            }
+        }
+        if let Some(delay) = &record.delay {
+            write!(text, "; output late by {:.1} ± {:.1} ms", delay.delay_s * 1e3, delay.sd_s * 1e3)?;
+        }
+        writeln!(text)?;
+    }
+    let orders = done.orders;
+    write!(text, "\n{} -> {}: na {}, nb {}, nk {}", told.input, told.output, orders.na, orders.nb, orders.nk)?;
+    if let Some(criterion) = done.criterion {
+        write!(text, ", the best of {} by {}", done.candidates.len(), format!("{criterion:?}").to_lowercase())?;
+    }
+    writeln!(text, "; {:.6} s a sample", data.period_s)?;
+    table_1(text, done, told)?;
+    for model in &done.models {
+        if let Some(h) = &model.continuous {
+            transfer_function(text, model, h)?;
+        }
+    }
+    writeln!(text, "\n{:<24} bandwidth, Hz (95 % of the bootstrap)", "")?;
+    for model in &done.models {
+        for estimate in &model.bandwidths {
+            let found = estimate.bandwidth.frequency_hz.map_or("none".to_owned(), |f| format!("{f:.3}"));
+            let interval = estimate.interval_hz.map_or(String::new(), |(a, b)| format!(" ({a:.3} to {b:.3})"));
+            let flag = if estimate.bandwidth.extrapolated { ", extrapolated" } else { "" };
+            writeln!(text, "{:<24} {}: {found}{interval}{flag}", model.title, estimate.bandwidth.definition.words())?;
+        }
+    }
+    writeln!(text)
+}
+
+/// As Table I of the paper.
+fn table_1(text: &mut String, done: &Identification, told: &Told) -> std::fmt::Result {
+    write!(text, "\n{:<36}", "simulation error, % of energy")?;
+    for model in &done.models {
+        write!(text, " {:>24}", model.title)?;
+    }
+    writeln!(text)?;
+    for record in &told.records {
+        let role = if record.training { "training" } else { "validation" };
+        write!(text, "{:<36}", format!("{role}, {:.0} s", record.duration_s))?;
+        for model in &done.models {
+            let of = |f: &&catoptra::identify::chain::Fit| {
+                f.record == record.name && f.role == model.role && f.kind == Kind::Simulation(told.start)
+            };
+            let error = done.fits.iter().find(of).map_or(f64::NAN, |f| f.error.error_percent);
+            write!(text, " {:>24}", if error < 1e4 { format!("{error:.4}") } else { format!("{error:.1e}") })?;
+        }
+        writeln!(text)?;
+    }
+    Ok(())
+}
+
+fn transfer_function(text: &mut String, model: &Modelled, estimate: &ContinuousEstimate) -> std::fmt::Result {
+    let Continuous { num, den, delay_s, conversion } = &estimate.model;
+    let how = match conversion {
+        Conversion::Hold => "zero-order hold",
+        Conversion::Tustin => "Tustin's rule, since a real pole is not positive: right at low frequencies only",
+    };
+    writeln!(text, "\nH(s), {} ({how}):", model.title)?;
+    let errors = estimate.standard_errors.as_deref();
+    let mut errors = errors.unwrap_or_default().iter();
+    for (name, coefficients) in [("numerator", num), ("denominator", den)] {
+        for (k, c) in coefficients.iter().enumerate() {
+            // The leading 1 has no error.
+            let error = if name == "denominator" && k == 0 { None } else { errors.next() };
+            let sd = error.map_or(String::new(), |sd| format!(" ± {sd:.3e}"));
+            writeln!(text, "  {name:<11} s^{} {c:>14.6e}{sd}", coefficients.len() - 1 - k)?;
+        }
+    }
+    if *delay_s > 0.0 {
+        writeln!(text, "  delay       {delay_s:.6} s")?;
+    }
+    Ok(())
+}

@@ -1,0 +1,368 @@
+//! The page of an identification: the models, how well they reproduce the data, and how far to trust them.
+//!
+//! In: data, result, and where they are from. Out: one HTML file that needs no network.
+
+mod figures;
+
+use super::page::{self, card, escape, facts_table, figure, plural, table};
+use crate::identify::chain::{Data, Fit, Identification};
+use crate::identify::continuous::{Continuous, Conversion};
+use crate::identify::fit::{Kind, Start};
+use crate::identify::modelled::{ContinuousEstimate, Modelled, Role};
+use crate::identify::told::{RecordTold, Told};
+
+/// The whole page.
+pub fn page(data: &Data, done: &Identification, told: &Told) -> String {
+    // The answer comes first, then how good it is, then what it rests on.
+    let mut body = header(done, told);
+    body += &cards(done, told);
+    body += &transfer_functions(done);
+    body += &table_1(done, told);
+    body += &time_courses(data, done, told);
+    body += &frequency(data, done);
+    body += &orders(done);
+    body += &reduction(done);
+    body += &residuals(done);
+    body += &facts(done, told);
+    body += &format!("<footer>Catoptra {}. This file needs no network.</footer>\n", env!("CARGO_PKG_VERSION"));
+    page::page(&format!("Dynamics of {}", told.title), &body)
+}
+
+/// Up to five digits, and powers of ten where they are shorter.
+fn number(value: f64) -> String {
+    let size = value.abs();
+    if value == 0.0 {
+        "0".to_owned()
+    } else if (1e-3..1e5).contains(&size) {
+        let digits = (4 - size.log10().floor() as i32).max(0) as usize;
+        format!("{value:.digits$}").replace('-', "−")
+    } else {
+        let text = format!("{value:.4e}");
+        let (mantissa, exponent) = text.split_once('e').unwrap_or((&text, "0"));
+        format!("{}·10<sup>{}</sup>", mantissa.replace('-', "−"), exponent.replace('-', "−"))
+    }
+}
+
+fn percent(value: f64) -> String {
+    if !value.is_finite() {
+        "runs away".to_owned()
+    } else if value < 1e4 {
+        format!("{value:.4}")
+    } else {
+        number(value)
+    }
+}
+
+fn header(done: &Identification, told: &Told) -> String {
+    let orders = done.orders;
+    let chosen = match done.criterion {
+        Some(criterion) => format!(
+            "the best of {} models by {}",
+            done.candidates.len(),
+            match criterion {
+                crate::identify::search::Criterion::Aic => "Akaike's criterion",
+                crate::identify::search::Criterion::Mdl => "minimum description length",
+                crate::identify::search::Criterion::Prediction => "prediction of the validation data",
+                crate::identify::search::Criterion::Simulation => "simulation of the validation data",
+            }
+        ),
+        None => "as asked for".to_owned(),
+    };
+    let reduced = done.model(Role::Reduced).map_or_else(
+        || "It could not be reduced.".to_owned(),
+        |m| format!("Reduced to order {}, and that order fitted to the data again.", m.model.memory()),
+    );
+    let answer = format!(
+        "From {} to {}: na {}, nb {}, delay {} ({chosen}). {reduced}",
+        escape(&told.input),
+        escape(&told.output),
+        orders.na,
+        orders.nb,
+        plural(orders.nk as u64, "sample")
+    );
+    let doubts: String = done.doubts.iter().map(|doubt| format!("<li>{}</li>\n", escape(&doubt.to_string()))).collect();
+    let doubts = if doubts.is_empty() {
+        String::new()
+    } else {
+        format!("<div class=\"doubts\"><p><strong>To be known before the numbers are used:</strong></p>\n<ul>\n{doubts}</ul></div>\n")
+    };
+    format!(
+        "<header>\n<p class=\"kind\">Catoptra identification</p>\n<h1>{}</h1>\n<p class=\"verdict\">{answer}</p>\n{doubts}</header>\n",
+        escape(&told.title)
+    )
+}
+
+/// The fit of a model to a record.
+fn fit<'a>(done: &'a Identification, record: &RecordTold, role: Role, kind: Kind) -> Option<&'a Fit> {
+    done.fits.iter().find(|f| f.record == record.name && f.training == record.training && f.role == role && f.kind == kind)
+}
+
+fn cards(done: &Identification, told: &Told) -> String {
+    let record = told.records.iter().find(|r| !r.training).or(told.records.first());
+    let mut cards = String::new();
+    if let Some(record) = record {
+        let of = if record.training { "training" } else { "validation" };
+        for model in &done.models {
+            let error = fit(done, record, model.role, Kind::Simulation(told.start)).map_or(f64::NAN, |f| f.error.error_percent);
+            let text = if error < 1e3 { format!("{error:.2} %") } else { "runs away".to_owned() };
+            let what = format!("of energy, {of}: {}", escape(&model.title));
+            cards += &card("Simulation error", &text, &what, !model.is_stable() || error >= 100.0);
+        }
+    }
+    let best = done.model(Role::Refined).or(done.models.last());
+    if let Some(model) = best {
+        for estimate in model.bandwidths.iter().take(2) {
+            let bandwidth = estimate.bandwidth;
+            let text = bandwidth.frequency_hz.map_or("none".to_owned(), |f| format!("{f:.3} Hz"));
+            let flag = if bandwidth.extrapolated { "; extrapolated" } else { "" };
+            cards += &card("Bandwidth", &text, &format!("{}{flag}", bandwidth.definition.words()), false);
+        }
+    }
+    format!("<dl class=\"key\">\n{cards}</dl>\n")
+}
+
+/// A polynomial in s, highest power first, with the errors of its coefficients below.
+fn polynomial(coefficients: &[f64]) -> String {
+    let highest = coefficients.len().saturating_sub(1);
+    let mut text = String::new();
+    for (k, c) in coefficients.iter().enumerate() {
+        let power = match highest - k {
+            0 => String::new(),
+            1 => " s".to_owned(),
+            n => format!(" s<sup>{n}</sup>"),
+        };
+        let sign = match (text.is_empty(), *c < 0.0) {
+            (true, true) => "−",
+            (true, false) => "",
+            (false, true) => " − ",
+            (false, false) => " + ",
+        };
+        let one = *c == 1.0 && highest > k;
+        text += &if one { format!("{sign}{}", power.trim_start()) } else { format!("{sign}{}{power}", number(c.abs())) };
+    }
+    text
+}
+
+fn transfer_functions(done: &Identification) -> String {
+    let mut text = "<h2>Transfer function</h2>\n<p>H(s) in the form of the paper's Eq. 7, from the discrete model whose input is held \
+                    from sample to sample. The reduced one is the paper's way; the other of the same order is fitted to the data \
+                    itself, and its errors are the better known.</p>\n"
+        .to_owned();
+    let mut rows = Vec::new();
+    let mut any = false;
+    for model in &done.models {
+        let Some(ContinuousEstimate { model: h, standard_errors }) = &model.continuous else { continue };
+        any = true;
+        let Continuous { num, den, delay_s, conversion } = h;
+        let delay = if *delay_s > 0.0 { format!("e<sup>−{} s</sup> ", number(*delay_s)) } else { String::new() };
+        text += &format!(
+            "<h3>{}</h3>\n<p>H(s) = {delay}({}) / ({})</p>\n",
+            escape(&model.title),
+            polynomial(num),
+            polynomial(den)
+        );
+        if *conversion == Conversion::Tustin {
+            text += "<p class=\"note\">A real pole of the discrete model is not positive: converted by Tustin's rule, right at low \
+                     frequencies only.</p>\n";
+        }
+        let names = |what: &str, of: &[f64], from: usize| -> Vec<String> {
+            (from..of.len()).map(|k| format!("{what}, s<sup>{}</sup>", of.len() - 1 - k)).collect()
+        };
+        let labels = [names("numerator", num, 0), names("denominator", den, 1)].concat();
+        for (k, (label, value)) in labels.iter().zip(h.parameters()).enumerate() {
+            let sd = standard_errors.as_ref().and_then(|all| all.get(k)).copied();
+            rows.push(vec![
+                escape(&model.title),
+                label.clone(),
+                number(value),
+                sd.map_or_else(String::new, number),
+                sd.map_or_else(String::new, |sd| format!("{:.2} %", 100.0 * sd / value.abs())),
+            ]);
+        }
+        let poles: Vec<String> = h.poles().iter().map(|p| complex(p.re, p.im)).collect();
+        let zeros: Vec<String> = crate::identify::model::roots(num).iter().map(|z| complex(z.re, z.im)).collect();
+        text += &format!("<p class=\"note\">Poles {} rad/s; zeros {} rad/s.</p>\n", list(&poles), list(&zeros));
+    }
+    if !any {
+        return format!("{text}<p>There is none: see above.</p>\n");
+    }
+    text + &table(2, &["Model", "Coefficient", "Value", "Standard error", "of the value"], &rows)
+}
+
+fn list(words: &[String]) -> String {
+    if words.is_empty() { "none".to_owned() } else { words.join(", ") }
+}
+
+fn complex(re: f64, im: f64) -> String {
+    match im {
+        0.0 => number(re),
+        im => format!("{} {} {}i", number(re), if im < 0.0 { "−" } else { "+" }, number(im.abs())),
+    }
+}
+
+fn table_1(done: &Identification, told: &Told) -> String {
+    let mut heads = vec!["Data"];
+    heads.extend(done.models.iter().map(|m| m.title.as_str()));
+    heads.push("one step ahead");
+    let other = if told.start == Start::Rest { Start::Estimated } else { Start::Rest };
+    let mut rows = Vec::new();
+    for start in [told.start, other] {
+        for record in &told.records {
+            let role = if record.training { "Training" } else { "Validation" };
+            let begins = if start == Start::Rest { "from rest" } else { "start estimated" };
+            let name = format!("{role} ({:.0} s), {begins}: {}", record.duration_s, escape(&record.name));
+            let cell = |role, kind| {
+                fit(done, record, role, kind).map_or_else(String::new, |f| {
+                    format!("{} <small>(fit {:.2} %)</small>", percent(f.error.error_percent), f.error.fit_percent.max(-999.0))
+                })
+            };
+            let mut row = vec![name];
+            row.extend(done.models.iter().map(|m| cell(m.role, Kind::Simulation(start))));
+            row.push(if start == told.start { cell(Role::Full, Kind::Prediction) } else { String::new() });
+            rows.push(row);
+        }
+    }
+    format!(
+        "<h2>Fit errors</h2>\n<p>As the paper's Table I: energy of the difference between observed and simulated signal, in percent of the \
+         energy of the observed one. In brackets the fit 100 (1 − ‖y − ŷ‖/‖y − ȳ‖). Simulated from the input alone; one step \
+         ahead the model also knows what was observed before.</p>\n{}",
+        table(1, &heads, &rows)
+    )
+}
+
+fn time_courses(data: &Data, done: &Identification, told: &Told) -> String {
+    let mut text = "<h2>Observed and simulated</h2>\n".to_owned();
+    for (k, record) in data.training.iter().chain(&data.validation).enumerate() {
+        let training = k < data.training.len();
+        text += &format!("<h3>{}: {}</h3>\n", if training { "Training" } else { "Validation" }, escape(&record.name));
+        let (whole, middle) = figures::courses(data, done, told, record);
+        text += &figure(&format!("plot-course-{k}"), &whole, 300, false);
+        text += "<p class=\"note\">Its middle, each sample:</p>\n";
+        text += &figure(&format!("plot-middle-{k}"), &middle, 300, false);
+    }
+    text
+}
+
+fn frequency(data: &Data, done: &Identification) -> String {
+    let mut text = "<h2>Frequency response</h2>\n<p>Lines: the models, with the band of one σ that the coefficients' errors make. Dots: the \
+                    data without a model (Welch's spectra). Grey: the band that the input excited; outside of it the models \
+                    extrapolate. Dotted: half of the sampling rate.</p>\n"
+        .to_owned();
+    text += &figure("plot-magnitude", &figures::magnitude(data, done), 360, true);
+    text += &figure("plot-phase", &figures::phase(data, done), 300, true);
+    if done.spectrum.is_some() {
+        text += "<p class=\"note\">Coherence: the part of the output's power that follows the input. Where it falls, noise, or what is \
+                 not linear, decides.</p>\n";
+        text += &figure("plot-coherence", &figures::coherence(data, done), 200, true);
+    }
+    let mut rows = Vec::new();
+    for model in &done.models {
+        for estimate in &model.bandwidths {
+            let found = estimate.bandwidth;
+            rows.push(vec![
+                escape(&model.title),
+                found.definition.words().to_owned(),
+                found.frequency_hz.map_or("none".to_owned(), |f| format!("{f:.4}")),
+                estimate.interval_hz.map_or_else(String::new, |(low, high)| format!("{low:.4} to {high:.4}")),
+                if found.extrapolated { "extrapolated".to_owned() } else { String::new() },
+            ]);
+        }
+    }
+    text += "<h3>Bandwidth</h3>\n<p>Which number it is depends on the definition. Extrapolated: the frequency, or zero frequency, which it \
+             refers to, lies outside the excited band.</p>\n";
+    text + &table(2, &["Model", "Definition", "Hz", "95 % of the bootstrap", ""], &rows)
+}
+
+fn orders(done: &Identification) -> String {
+    if done.candidates.is_empty() {
+        return String::new();
+    }
+    let judged = done.candidates.iter().any(|c| c.simulation.is_some());
+    let what = if judged { "Simulation error of the validation data" } else { "Minimum description length" };
+    let unstable = done.candidates.iter().filter(|c| c.largest_pole >= 1.0).count();
+    format!(
+        "<h2>Order and delay</h2>\n<p>{what}, each line a delay. {} of {} models are unstable, left out, and never chosen. All numbers: orders.csv.</p>\n{}",
+        unstable,
+        done.candidates.len(),
+        figure("plot-orders", &figures::orders(done, judged), 320, false)
+    )
+}
+
+fn reduction(done: &Identification) -> String {
+    let Ok(reduced) = &done.reduced else { return String::new() };
+    let kept = reduced.model.memory();
+    let bound = if reduced.error_bound.is_finite() {
+        format!("The reduced response differs nowhere by more than {}.", number(reduced.error_bound))
+    } else {
+        "Balanced for the excited band alone: no bound holds outside of it.".to_owned()
+    };
+    format!(
+        "<h2>Reduction</h2>\n<p>Hankel singular values: how much each state of the full model carries from input to output. {} kept. {bound}</p>\n{}",
+        plural(kept as u64, "state"),
+        figure("plot-hankel", &figures::hankel(reduced, kept), 260, false)
+    )
+}
+
+fn residuals(done: &Identification) -> String {
+    let Some(found) = &done.residuals else { return String::new() };
+    let ((a, of_a), (c, of_c), (b, of_b)) = (found.auto_outside(), found.cross_outside(), found.fed_back());
+    format!(
+        "<h2>Residuals</h2>\n<p>Of the full model, one step ahead: {} RMS. 99 % of the values lie between the lines when nothing is left to \
+         explain. Out of them: {a} of {of_a} lags of the residuals with themselves, {c} of {of_c} with the input, and {b} of {of_b} below \
+         lag 0, where only feedback from the output to the input shows.</p>\n<div class=\"pair\"><div>{}</div><div>{}</div></div>\n",
+        number(found.rms),
+        figure("plot-auto", &figures::correlation(found, true), 260, false),
+        figure("plot-cross", &figures::correlation(found, false), 260, false)
+    )
+}
+
+fn facts(done: &Identification, told: &Told) -> String {
+    let rows: Vec<Vec<String>> = told
+        .records
+        .iter()
+        .map(|r| {
+            vec![
+                escape(&r.name),
+                if r.training { "fitted" } else { "judged by" }.to_owned(),
+                r.samples.to_string(),
+                r.stretches.to_string(),
+                r.lost.to_string(),
+                r.missed.to_string(),
+                r.bridged.to_string(),
+                format!("{:.3}", r.period_s * 1e3),
+                format!("{:.3}", r.jitter_s * 1e3),
+                r.delay.as_ref().map_or_else(String::new, |d| format!("{:.1} ± {:.1}", d.delay_s * 1e3, d.sd_s * 1e3)),
+            ]
+        })
+        .collect();
+    let heads =
+        ["Record", "", "Samples", "Stretches", "Lost", "Missed", "Bridged", "Period (ms)", "Jitter (ms)", "Late (ms)"];
+    let mut lines: Vec<(String, String)> =
+        told.settings.iter().map(|(name, value)| (escape(name), escape(value))).collect();
+    let stable = |m: &Modelled| if m.is_stable() { "stable" } else { "unstable" };
+    for model in &done.models {
+        lines.push((escape(&model.title), format!("largest pole {:.6}, {}", model.largest_pole, stable(model))));
+    }
+    lines.push(("Condition".to_owned(), format!("{} of the regressors of ARX", number(done.arx.condition))));
+    format!(
+        "<h2>Where it is from</h2>\n<p>Lost: places on the camera's grid without a frame. Missed: frames without an angle. Late: how much the \
+         output is later than the commands say, clocks, amplifier and system together; taken out only when asked for.</p>\n{}{}",
+        table(2, &heads, &rows),
+        facts_table(&lines)
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_and_polynomials_as_people_read_them() {
+        assert_eq!(number(17610.0), "17610");
+        assert_eq!(number(-4.59), "−4.5900");
+        assert_eq!(number(1.5e-7), "1.5000·10<sup>−7</sup>");
+        assert_eq!(polynomial(&[1.0, 4.59, -1.136]), "s<sup>2</sup> + 4.5900 s − 1.1360");
+        assert_eq!(polynomial(&[17610.0, 6344.0]), "17610 s + 6344.0");
+        assert_eq!(percent(f64::INFINITY), "runs away");
+    }
+}
