@@ -41,5 +41,5 @@ deps:
 # Made again when what it needs has changed.
 $(VENV)/ready: Makefile
 	python3 -m venv $(VENV)
-	$(VENV)/bin/pip install --quiet --disable-pip-version-check mcap mcap-protobuf-support websockets
+	$(VENV)/bin/pip install --quiet --disable-pip-version-check mcap mcap-protobuf-support websockets numpy scipy
 	@touch $@

@@ -17,6 +17,7 @@ mod rig;
 mod run;
 mod track;
 mod units;
+mod validate;
 
 pub(crate) use failure::{Exit, Failure};
 
@@ -83,6 +84,14 @@ Example:
   catoptra identify sample_dynamics/training.csv --currents sample_dynamics/training_currents.csv \\
     --plant sample_dynamics/plant.toml -o dynamics")]
     Identify(Box<identify::Args>),
+    /// Compare runs along a desired path with it: errors, and the response at each speed
+    #[command(after_help = "\
+DIR gets validation.csv, validation.json, table.md, report.html and points_*.csv. Exit code 3: a
+run has too little in it. What each number means: docs/validate.md
+Example:
+  catoptra validate tests/data/validate/20ms.csv tests/data/validate/5ms.csv --pause 20ms,5ms \\
+    --desired tests/data/validate/circle.csv --start 1.5 -o validation")]
+    Validate(validate::Args),
 }
 
 /// Runs the program.
@@ -97,6 +106,7 @@ pub(crate) fn run() -> ExitCode {
         Command::Live(args) => live::run(args, cli.quiet),
         Command::Log(args) => log::run(args),
         Command::Track(args) => track::run(args, cli.quiet),
+        Command::Validate(args) => validate::run(args, cli.quiet),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,

@@ -149,7 +149,10 @@ pub fn identify(data: &Data, settings: &Settings) -> Result<Identification, Iden
     let arx = arx::fit(&training, orders)?;
     let full = match settings.estimator {
         Estimator::Arx => None,
-        Estimator::OutputError => Some(output_error::refine(&training, &arx.model)?),
+        Estimator::OutputError => {
+            let starts = output_error::usual_starts(&training, orders);
+            Some(output_error::refine_from_any(&training, &starts)?)
+        }
         Estimator::Instrumental => Some(instrumental::refine(&training, &arx.model)?),
     };
     let estimated = full.as_ref().map_or(&arx, |refined| &refined.estimated);
@@ -177,16 +180,13 @@ pub fn identify(data: &Data, settings: &Settings) -> Result<Identification, Iden
         let covariance = propagate(estimated.model.parameters().as_slice(), &estimated.covariance, parameters);
         let title = format!("reduced, order {}", reduced.model.memory());
         models.push(modelled(Role::Reduced, title, &reduced.model, covariance));
-        // 4. the same order fitted to the data itself; from where the excited band alone counts when that begins nearer
+        // 4. the same order fitted to the data itself; the excited band's reduction is often nearer to them
         let in_band = Reduction { band: band.or(Some(excited)), ..same };
-        let weighted = reduce(&estimated.model, in_band).ok().map(|r| r.model);
-        let error = |m: &&Polynomials| compare(m, &training, Kind::Simulation(settings.start)).rms;
-        let starts = weighted.iter().chain([&reduced.model]).filter(|m| m.is_stable());
-        let begin = starts.min_by(|x, y| error(x).total_cmp(&error(y)));
-        refined = match begin {
-            Some(begin) => output_error::refine(&training, begin).map_err(|e| e.to_string()),
-            None => Err("the reduced model is unstable, and simulations begin from it".to_owned()),
-        };
+        let order = Orders { na: reduced.model.na(), nb: reduced.model.nb(), nk: reduced.model.nk };
+        let mut starts = vec![reduced.model.clone()];
+        starts.extend(reduce(&estimated.model, in_band).ok().map(|r| r.model));
+        starts.extend(output_error::usual_starts(&training, order));
+        refined = output_error::refine_from_any(&training, &starts).map_err(|e| e.to_string());
     }
     if let Ok(refined) = &refined {
         let Estimated { model, covariance, .. } = &refined.estimated;

@@ -5,7 +5,7 @@
 //! only when the user says so. Delays of parts of a period are told apart by their shape only and are less sure than σ says when
 //! the system is not of second order.
 
-use super::arx::{self, Orders};
+use super::arx::Orders;
 use super::data::Segment;
 use super::model::Polynomials;
 use super::output_error;
@@ -82,13 +82,12 @@ pub fn estimate(period_s: f64, segments: impl Fn(f64) -> Option<Vec<Segment>>) -
     Some(Delay { delay_s, sd_s: 0.5 * (reach(1.0)? + reach(-1.0)?), tried })
 }
 
-/// Root mean square that the model of second order leaves: from ARX on, and from that of the trial before, whichever ends lower.
+/// Root mean square that the model of second order leaves, from its usual starts or from the model of the trial before.
 fn residual(segments: &[Segment], near: Option<&Polynomials>) -> Option<(f64, Polynomials)> {
-    let by_arx = arx::fit(segments, ORDERS).ok().map(|found| found.model);
-    let starts = by_arx.iter().chain(near).filter(|m| m.is_stable());
-    let refined = starts.filter_map(|start| output_error::refine(segments, start).ok());
-    let best = refined.map(|r| r.estimated).min_by(|a, b| a.noise_variance.total_cmp(&b.noise_variance))?;
-    Some((best.noise_variance.sqrt(), best.model))
+    let mut starts = output_error::usual_starts(segments, ORDERS);
+    starts.extend(near.cloned());
+    let found = output_error::refine_from_any(segments, &starts).ok()?.estimated;
+    Some((found.noise_variance.sqrt(), found.model))
 }
 
 #[cfg(test)]

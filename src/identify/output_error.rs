@@ -29,6 +29,36 @@ pub struct Refined {
     pub settled: bool,
 }
 
+/// Refines each of `starts` and gives the result that is nearest to the output: the sum of squares has more than one bottom.
+///
+/// # Errors
+/// As [`refine`] for the first, when none can be refined.
+pub fn refine_from_any(segments: &[Segment], starts: &[Polynomials]) -> Result<Refined, IdentifyError> {
+    let mut first_error = None;
+    let mut best: Option<Refined> = None;
+    for start in starts {
+        match refine(segments, start) {
+            Ok(found) => {
+                let nearer = |b: &Refined| found.estimated.noise_variance < b.estimated.noise_variance;
+                if best.as_ref().is_none_or(nearer) {
+                    best = Some(found);
+                }
+            }
+            Err(error) => {
+                first_error.get_or_insert(error);
+            }
+        }
+    }
+    best.ok_or_else(|| first_error.unwrap_or(IdentifyError::Nothing { name: "output error".to_owned() }))
+}
+
+/// What to begin from for a model of these orders: ARX, which noise on the output biases, and instrumental variables.
+pub fn usual_starts(segments: &[Segment], orders: super::arx::Orders) -> Vec<Polynomials> {
+    let Ok(by_arx) = super::arx::fit(segments, orders) else { return Vec::new() };
+    let by_instruments = super::instrumental::refine(segments, &by_arx.model).ok().map(|r| r.estimated.model);
+    [Some(by_arx.model), by_instruments].into_iter().flatten().collect()
+}
+
 /// Refines `start`, keeping its orders and delay.
 ///
 /// # Errors

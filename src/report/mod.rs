@@ -6,7 +6,7 @@
 //! (medians need 4 bytes a frame and quantity). What it cannot show: frames between the extremes of a long run; they are in
 //! the log.
 //!
-//! [`calibration::page`] is that of a rig's calibration.
+//! [`calibration::page`] is that of a rig's calibration, [`excitation::page`] of a signal, [`validation::page`] of runs along a path.
 
 mod absences;
 pub mod calibration;
@@ -18,6 +18,7 @@ pub mod identification;
 mod page;
 mod timeline;
 mod tracking;
+pub mod validation;
 
 use crate::estimate::Estimate;
 use crate::rig::Rig;

@@ -60,7 +60,7 @@ impl DesiredPath {
         if length < 3 {
             return Err(wrong(format!("has {length} points a period; a path needs 3 or more")));
         }
-        if rows < length || rows % length != 0 {
+        if rows < length || !rows.is_multiple_of(length) {
             return Err(wrong(format!("has {rows} rows, which is no multiple of {length} points a period")));
         }
         let in_file = rows / length;

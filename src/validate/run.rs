@@ -146,7 +146,7 @@ pub(super) fn evaluate(path: &DesiredPath, observed: &Observed<'_>, options: &Op
 
     // 1. the frames, and when the commands were given
     let pause_ns = (observed.pause_s * 1e9).round();
-    if !(pause_ns >= 1.0 && pause_ns < 1e15) {
+    if !(1.0..1e15).contains(&pause_ns) {
         return Err(wrong(format!("a pause of {} s is none: it must be above 0", observed.pause_s)));
     }
     let pause_ns = pause_ns as i64;
@@ -231,13 +231,13 @@ pub(super) fn evaluate(path: &DesiredPath, observed: &Observed<'_>, options: &Op
     let rms_unaligned_m = rms(pairs.iter().map(|(a, b)| (a - b).norm()));
 
     // 4. magnitude and phase
-    let points: Vec<Point3<f64>> = pairs.iter().map(|(observed, _)| *observed).collect();
+    let (points, wanted): (Vec<Point3<f64>>, Vec<Point3<f64>>) = pairs.iter().copied().unzip();
     let plane = Plane::through(&points).map(|plane| plane.along(&path.plane));
     let circle = path
         .circle
         .and(plane)
         .and_then(|plane| Circle::through(&points.iter().map(|point| plane.flat(point)).collect::<Vec<_>>()));
-    let magnitude = magnitude(path, &pairs, circle.as_ref());
+    let magnitude = magnitude(path, &points, &wanted, circle.as_ref());
     let numbered: Vec<(usize, Point3<f64>)> = steps.iter().filter_map(|s| Some((s.k, s.observed?))).collect();
     let lag = if start_from == StartFrom::Search { None } else { lag(&path.points, &numbered) };
     let phase_deg = lag.map(|lag| -360.0 * lag.points / path.points.len() as f64);
@@ -254,9 +254,6 @@ pub(super) fn evaluate(path: &DesiredPath, observed: &Observed<'_>, options: &Op
     if per_period < FEW_FRAMES {
         notes.push(format!("{per_period:.1} camera frames a period: too few for a good amplitude"));
     }
-    if interpolated {
-        notes.push(format!("the pause is shorter than the {:.1} ms between frames: interpolated", interval_s * 1e3));
-    }
     let has_place = |frame: &&&Frame| frame.places.get(marker).is_some_and(|place| place.point.is_some());
     Ok(Run {
         file: recording.path.clone(),
@@ -272,7 +269,7 @@ pub(super) fn evaluate(path: &DesiredPath, observed: &Observed<'_>, options: &Op
         left_out,
         alignment,
         rms_unaligned_m,
-        gain: gain(&pairs),
+        gain: gain(&points, &wanted),
         magnitude,
         plane,
         circle,
@@ -331,32 +328,31 @@ fn step(path: &DesiredPath, pause_ns: i64, k: usize, mean: Option<&Mean>) -> Ste
     }
 }
 
+/// Standard deviations of each coordinate of a set of points.
+fn spread(points: &[Point3<f64>]) -> Vector3<f64> {
+    let count = points.len() as f64;
+    let mean = points.iter().map(|p| p.coords).sum::<Vector3<f64>>() / count;
+    let squares = points.iter().map(|p| (p.coords - mean).component_mul(&(p.coords - mean))).sum::<Vector3<f64>>();
+    (squares / count).map(f64::sqrt)
+}
+
 /// Spread of each coordinate, observed over desired.
-fn gain(pairs: &[(Point3<f64>, Point3<f64>)]) -> [Option<f64>; 3] {
-    let spread = |values: &dyn Fn(&(Point3<f64>, Point3<f64>)) -> Vector3<f64>| {
-        let mean = pairs.iter().map(values).sum::<Vector3<f64>>() / pairs.len() as f64;
-        pairs
-            .iter()
-            .map(|pair| (values(pair) - mean).component_mul(&(values(pair) - mean)))
-            .sum::<Vector3<f64>>()
-            .map(f64::sqrt)
-    };
-    let (observed, desired) = (spread(&|pair| pair.0.coords), spread(&|pair| pair.1.coords));
+fn gain(observed: &[Point3<f64>], desired: &[Point3<f64>]) -> [Option<f64>; 3] {
+    let (observed, desired) = (spread(observed), spread(desired));
     let largest = desired.max();
     [0, 1, 2].map(|axis| (desired[axis] > STILL_AXIS * largest).then(|| observed[axis] / desired[axis]))
 }
 
-fn magnitude(path: &DesiredPath, pairs: &[(Point3<f64>, Point3<f64>)], circle: Option<&Circle>) -> Option<Magnitude> {
+fn magnitude(
+    path: &DesiredPath,
+    observed: &[Point3<f64>],
+    desired: &[Point3<f64>],
+    circle: Option<&Circle>,
+) -> Option<Magnitude> {
     let (of, observed_m, desired_m) = match (path.circle, circle) {
         (Some(desired), Some(observed)) => (Size::CircleRadius, observed.radius_m, desired.radius_m),
         (Some(_), None) => return None,
-        (None, _) => {
-            let size = |points: &dyn Fn(&(Point3<f64>, Point3<f64>)) -> Vector3<f64>| {
-                let mean = pairs.iter().map(points).sum::<Vector3<f64>>() / pairs.len() as f64;
-                rms(pairs.iter().map(|pair| (points(pair) - mean).norm()))
-            };
-            (Size::RmsSize, size(&|pair| pair.0.coords), size(&|pair| pair.1.coords))
-        }
+        (None, _) => (Size::RmsSize, spread(observed).norm(), spread(desired).norm()),
     };
     let db = 20.0 * (observed_m / desired_m).log10();
     db.is_finite().then_some(Magnitude { db, of, observed_m, desired_m })

@@ -34,6 +34,8 @@ impl StartFrom {
 
 /// Points of the path that are looked at for each start.
 const LOOKED_AT: usize = 400;
+/// Starts that are tried in a long record.
+const MOST_STARTS: i64 = 10_000;
 /// Currents that differ by less are the same, amperes.
 const SAME_A: f64 = 1e-6;
 
@@ -60,11 +62,17 @@ pub(super) fn by_search(path: &DesiredPath, samples: &[Sample], pause_ns: i64) -
         .step_by(every)
         .map(|k| ((k as f64 + 0.5) * pause_ns as f64 * 1e-9, path.point(k).coords))
         .collect();
-    let step_ns = (pause_ns.saturating_mul(path.points.len() as i64) / 200).max(1);
-    let starts = (0..=slack_ns / step_ns).map(|k| k * step_ns);
-    let scored =
-        starts.filter_map(|offset_ns| Some((correlation(&curve, &commands, offset_ns as f64 * 1e-9)?, offset_ns)));
-    scored.max_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, offset_ns)| first_ns + offset_ns)
+    let best = |from_ns: i64, to_ns: i64, step_ns: i64| {
+        let starts = (0..=(to_ns - from_ns) / step_ns).map(|k| from_ns + k * step_ns);
+        let scored = starts.filter_map(|ns| Some((correlation(&curve, &commands, ns as f64 * 1e-9)?, ns)));
+        scored.max_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, ns)| ns)
+    };
+    // A long record is searched coarsely first.
+    let fine_ns = (pause_ns.saturating_mul(path.points.len() as i64) / 200).max(1);
+    let coarse_ns = fine_ns.max(slack_ns / MOST_STARTS);
+    let near_ns = best(0, slack_ns, coarse_ns)?;
+    let (from_ns, to_ns) = ((near_ns - coarse_ns).max(0), (near_ns + coarse_ns).min(slack_ns));
+    best(from_ns, to_ns, fine_ns).map(|ns| first_ns + ns)
 }
 
 /// Correlation of the motion from `offset_s` on with the commands; `None` without a motion.

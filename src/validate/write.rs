@@ -210,6 +210,7 @@ impl Validation {
         text += &line("frequency (Hz)", &|row| format!("{:.4}", row.frequency_hz));
         text += &line("magnitude (dB)", &|row| or_empty(row.magnitude_db, 2));
         text += &line("phase (°)", &|row| or_empty(row.phase_deg, 1));
+        text += &line("points are", &|row| row.points_are.to_owned());
         text += &line("points left out", &|row| format!("{} of {}", row.points_left_out, row.points));
         text
     }

@@ -1,6 +1,6 @@
 //! Logs read by someone else's code: Python's `mcap` with `mcap-protobuf-support`, by `read_log.py` beside this file.
 //!
-//! Needs `pip install mcap mcap-protobuf-support websockets`, in the interpreter named by `CATOPTRA_PYTHON` or `python3`. Skipped,
+//! Needs `pip install mcap mcap-protobuf-support websockets numpy scipy`, in the interpreter named by `CATOPTRA_PYTHON` or `python3`. Skipped,
 //! and said so, where they are missing; a failure there when `CI=true`.
 
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking, its own functions too")]
@@ -9,16 +9,23 @@ use std::io::Write;
 use std::path::Path;
 use std::process::{Command, Output};
 
-/// The interpreter, if it has what the script needs.
+/// The interpreter, if it has what reads logs.
+#[allow(dead_code, reason = "some test programs need numbers only")]
 pub(crate) fn interpreter() -> Option<String> {
+    interpreter_with(&["mcap", "mcap_protobuf", "websockets"])
+}
+
+/// The interpreter, if it can import these.
+pub(crate) fn interpreter_with(modules: &[&str]) -> Option<String> {
     let python = std::env::var("CATOPTRA_PYTHON").unwrap_or_else(|_| "python3".to_owned());
-    let probe = Command::new(&python).args(["-c", "import mcap, mcap_protobuf, websockets"]).output();
+    let modules = modules.join(", ");
+    let probe = Command::new(&python).args(["-c", &format!("import {modules}")]).output();
     let missing = match probe {
         Ok(output) if output.status.success() => return Some(python),
         Ok(output) => String::from_utf8_lossy(&output.stderr).lines().last().unwrap_or("").to_owned(),
         Err(error) => error.to_string(),
     };
-    let told = format!("{python} cannot read logs ({missing}): pip install mcap mcap-protobuf-support websockets");
+    let told = format!("{python} cannot import {modules} ({missing}); what to install is in the Makefile");
     assert!(std::env::var("CI").as_deref() != Ok("true"), "{told}");
     // Past the test harness, which keeps what a passing test prints to itself.
     std::io::stderr().write_all(format!("SKIPPED: {told}\n").as_bytes()).unwrap();
@@ -26,12 +33,14 @@ pub(crate) fn interpreter() -> Option<String> {
 }
 
 /// Decodes every message of a log and compares it with the table, whose frame of reference is `base` or `camera`.
+#[allow(dead_code, reason = "some test programs need numbers only")]
 pub(crate) fn compare(python: &str, log: &Path, table: &Path, frame: &str) -> Output {
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/python/read_log.py");
     Command::new(python).arg(script).args([log, table]).args(["--frame", frame]).output().unwrap()
 }
 
 /// Fails unless log and table agree; gives what was found.
+#[allow(dead_code, reason = "some test programs need numbers only")]
 pub(crate) fn agreed(output: &Output) -> String {
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     String::from_utf8_lossy(&output.stdout).into_owned()

@@ -1,0 +1,193 @@
+//! `catoptra validate`: tracked runs along a desired path, to errors and response at each speed.
+
+use super::units::duration_s;
+use super::{Exit, Failure, interrupt, output};
+use catoptra::report::validation;
+use catoptra::series::{Recording, SeriesError};
+use catoptra::source::times::parse_seconds_ns;
+use catoptra::validate::{DesiredPath, Interpolation, Observed, Options, ValidateError, Validation, validate};
+use catoptra::whole_file::NewFile;
+use clap::ValueEnum;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// Arguments of `catoptra validate`.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// Tracked runs, one for each pause time
+    #[arg(value_name = "LOG.mcap|TABLE.csv", required = true)]
+    observed: Vec<PathBuf>,
+    /// The desired path of the marker, base frame: columns x_mm, y_mm, z_mm, a row a point
+    #[arg(long, value_name = "PATH.csv")]
+    desired: PathBuf,
+    /// How long each point was commanded, one for each run, in their order
+    #[arg(long, value_name = "T", required = true, value_delimiter = ',', value_parser = duration_s)]
+    pause: Vec<f64>,
+    /// Camera time of the first command in seconds, one for each run or one for all [default: the first
+    /// change of a coil current in the log, else by correlation and without phase]
+    #[arg(long, value_name = "T", value_delimiter = ',', value_parser = seconds_ns, allow_hyphen_values = true)]
+    start: Vec<i64>,
+    /// How often the path was commanded [default: 4, or as often as it is in the file]
+    #[arg(long, value_name = "N")]
+    periods: Option<usize>,
+    /// Points of a period [default: the rows of the file]
+    #[arg(long, value_name = "N")]
+    points_per_period: Option<usize>,
+    /// Periods to leave out at the beginning, while the motion settles
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    skip: usize,
+    /// The marker that follows the path [default: tip]
+    #[arg(long, value_name = "NAME")]
+    marker: Option<String>,
+    /// From frame to frame, where pauses are shorter than the time between frames
+    #[arg(long, value_enum, default_value_t = How::Spline)]
+    interpolate: How,
+    /// Folder for the results
+    #[arg(short, long, value_name = "DIR")]
+    out: PathBuf,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum How {
+    Spline,
+    Linear,
+}
+
+fn seconds_ns(text: &str) -> Result<i64, String> {
+    parse_seconds_ns(text).ok_or_else(|| "expected seconds, such as 12 or 3.25".to_owned())
+}
+
+/// By this file the folder of an earlier run is known.
+const RESULT: &str = "validation.json";
+const REPORT: &str = "report.html";
+
+pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
+    interrupt::end_at_once()?;
+    // 1. everything is judged before anything is written
+    let runs = args.observed.len();
+    if args.pause.len() != runs {
+        let text =
+            format!("{runs} runs and {} pause times: give --pause once for each run, in their order", args.pause.len());
+        return Err(Failure::new(Exit::Usage, text));
+    }
+    if args.start.len() > 1 && args.start.len() != runs {
+        let text =
+            format!("{runs} runs and {} starts: give --start once for all runs, or once for each", args.start.len());
+        return Err(Failure::new(Exit::Usage, text));
+    }
+    args.folder_is_free()?;
+    let path = DesiredPath::read(&args.desired, args.points_per_period, args.periods).map_err(failure)?;
+    let recordings = args
+        .observed
+        .iter()
+        .map(|file| Recording::read(file))
+        .collect::<Result<Vec<_>, _>>()
+        .map_err(|e| failure(e.into()))?;
+    let starts = (0..runs).map(|k| args.start.get(k).or(args.start.first()).copied());
+    let observed: Vec<Observed<'_>> = recordings
+        .iter()
+        .zip(&args.pause)
+        .zip(starts)
+        .map(|((recording, pause_s), start_ns)| Observed { recording, pause_s: *pause_s, start_ns })
+        .collect();
+    // 2. the evaluation
+    let validation = validate(path, &observed, args.options()).map_err(failure)?;
+    for run in &validation.runs {
+        for note in &run.notes {
+            tracing::warn!("{} ms: {note}", run.pause_s * 1e3);
+        }
+    }
+    // 3. the files
+    args.write(&validation)?;
+    if quiet { Ok(()) } else { output::print(&told(&validation, &args.out)) }
+}
+
+impl Args {
+    fn options(&self) -> Options {
+        let interpolation = match self.interpolate {
+            How::Spline => Interpolation::Spline,
+            How::Linear => Interpolation::Linear,
+        };
+        Options { skip: self.skip, marker: self.marker.clone(), interpolation }
+    }
+
+    /// Refuses a folder whose report is not of this command.
+    fn folder_is_free(&self) -> Result<(), Failure> {
+        let folder = &self.out;
+        let refused = |what: &str| {
+            Err(Failure::new(Exit::Usage, format!("{}: {what}; choose another folder with -o", folder.display())))
+        };
+        if folder.exists() && !folder.is_dir() {
+            return refused("is a file");
+        }
+        if folder.join(REPORT).exists() && !folder.join(RESULT).exists() {
+            return refused("has a report.html that this command did not write");
+        }
+        Ok(())
+    }
+
+    fn write(&self, validation: &Validation) -> Result<(), Failure> {
+        let folder = &self.out;
+        let cannot = |what: &Path, why: String| {
+            Failure::new(Exit::Failed, format!("{}: cannot be written: {why}", what.display()))
+        };
+        std::fs::create_dir_all(folder).map_err(|e| cannot(folder, e.to_string()))?;
+        let save = |name: &str, text: &str| {
+            let place = folder.join(name);
+            NewFile::write(&place, text.as_bytes())
+                .and_then(NewFile::put_in_place)
+                .map_err(|e| cannot(&place, e.to_string()))
+        };
+        let table = validation.csv().map_err(|e| cannot(folder, e.to_string()))?;
+        let json = validation.json().map_err(|e| cannot(folder, e.to_string()))?;
+        save("validation.csv", &table)?;
+        save(RESULT, &json)?;
+        save("table.md", &validation.table())?;
+        save(REPORT, &validation::page(validation, &self.settings()))?;
+        // Two runs of one pause time have a number each.
+        let mut seen: BTreeMap<String, u32> = BTreeMap::new();
+        for run in &validation.runs {
+            let name = format!("points_{}ms", run.pause_s * 1e3);
+            let times = seen.entry(name.clone()).or_default();
+            *times += 1;
+            let name = if *times == 1 { format!("{name}.csv") } else { format!("{name}_{times}.csv") };
+            save(&name, &run.points_csv())?;
+        }
+        Ok(())
+    }
+
+    fn settings(&self) -> Vec<(String, String)> {
+        let between = if self.interpolate == How::Spline { "cubic spline" } else { "straight lines" };
+        vec![
+            ("Marker".to_owned(), self.marker.clone().unwrap_or_else(|| "tip".to_owned())),
+            ("Left out".to_owned(), format!("{} periods at the beginning", self.skip)),
+            ("Between frames".to_owned(), between.to_owned()),
+        ]
+    }
+}
+
+fn failure(error: ValidateError) -> Failure {
+    let exit = match &error {
+        ValidateError::Unusable { .. } => Exit::Unusable,
+        ValidateError::Series(series) if series.is_io() && !missing(series) => Exit::Failed,
+        _ => Exit::Usage,
+    };
+    Failure::new(exit, error)
+}
+
+/// A file that is not there is a mistake of usage, not of the system.
+fn missing(error: &SeriesError) -> bool {
+    matches!(error, SeriesError::Io { source, .. } if source.kind() == std::io::ErrorKind::NotFound)
+}
+
+fn told(validation: &Validation, folder: &Path) -> String {
+    let mut text = validation.table();
+    match validation::bandwidth_hz(validation) {
+        Some(hz) => text += &format!("\n3 dB below the slowest run at {hz:.3} Hz\n"),
+        None if validation.runs.len() > 1 => {
+            text += "\nthe magnitude does not fall 3 dB below that of the slowest run\n"
+        }
+        None => {}
+    }
+    text + &format!("\nwritten: {}\n", folder.join(REPORT).display())
+}

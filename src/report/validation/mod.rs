@@ -1,0 +1,283 @@
+//! The page of a validation: errors and response of runs along a desired path, as in Section IV of the paper.
+//!
+//! In: the evaluated runs. Out: one HTML file that needs no network.
+
+mod figures;
+
+use super::page::{self, bad, card, escape, facts_table, figure, plural, signed, table};
+use crate::source::times::seconds;
+use crate::validate::{Row, Run, Size, Validation};
+
+/// What the page says beside the runs: name and value, for example options of the command.
+pub type Settings = Vec<(String, String)>;
+
+/// A drop of this much is where the bandwidth ends, dB.
+const DROP_DB: f64 = -3.0;
+
+/// The whole page.
+pub fn page(validation: &Validation, settings: &Settings) -> String {
+    let mut body = header(validation);
+    body += &cards(validation);
+    body += &errors(validation);
+    body += &response(validation);
+    body += &paths(validation);
+    body += &frames(validation);
+    body += &facts(validation, settings);
+    body += &format!(
+        "<footer>Catoptra {}. Errors are root mean squares of distances in space, base frame. Phase is negative for a response that \
+         is late. This file needs no network.</footer>\n",
+        env!("CARGO_PKG_VERSION")
+    );
+    page::page(&format!("Validation along {}", validation.name()), &body)
+}
+
+/// Where the magnitude is 3 dB below that of the slowest run, Hz: on the line between two runs over the logarithm of frequency.
+/// `None` when it does not fall so far.
+pub fn bandwidth_hz(validation: &Validation) -> Option<f64> {
+    let points: Vec<(f64, f64)> =
+        validation.runs.iter().rev().filter_map(|run| Some((run.frequency_hz.ln(), run.magnitude?.db))).collect();
+    let limit = points.first()?.1 + DROP_DB;
+    points.iter().zip(points.iter().skip(1)).find(|(a, b)| a.1 >= limit && b.1 < limit).map(|(a, b)| {
+        let part = (a.1 - limit) / (a.1 - b.1);
+        (a.0 + part * (b.0 - a.0)).exp()
+    })
+}
+
+fn mm(m: f64) -> String {
+    format!("{:.2} mm", m * 1e3)
+}
+
+/// A value with this many digits, a dash without one.
+fn or_dash(value: Option<f64>, digits: usize) -> String {
+    value.map_or_else(|| "–".to_owned(), |value| signed(value, digits))
+}
+
+fn pause(run: &Run) -> String {
+    format!("{} ms", short(run.pause_s * 1e3))
+}
+
+/// As many digits as it has, three behind the point at most.
+fn short(value: f64) -> String {
+    ((value * 1e3).round() / 1e3).to_string()
+}
+
+fn header(validation: &Validation) -> String {
+    let aligned = validation.runs.iter().map(|run| run.alignment.rms_m);
+    let (low, high) = aligned.fold((f64::INFINITY, 0.0), |(low, high): (f64, f64), m| (low.min(m), high.max(m)));
+    let unaligned = validation.runs.iter().fold(0.0, |high: f64, run| high.max(run.rms_unaligned_m));
+    let spread = if validation.runs.len() == 1 { mm(low) } else { format!("{} to {}", mm(low), mm(high)) };
+    let response = match bandwidth_hz(validation) {
+        Some(hz) => format!(" The response falls 3 dB below that of the slowest run at {hz:.2} Hz."),
+        None if validation.runs.len() > 1 => {
+            " The response does not fall 3 dB below that of the slowest run.".to_owned()
+        }
+        None => String::new(),
+    };
+    format!(
+        "<header>\n<p class=\"kind\">Catoptra validation</p>\n<h1>{}</h1>\n<p class=\"verdict\">{} along the path: {spread} from \
+         it after rigid alignment, up to {} without.{response}</p>\n</header>\n",
+        escape(&validation.name()),
+        plural(validation.runs.len() as u64, "run"),
+        mm(unaligned)
+    )
+}
+
+fn cards(validation: &Validation) -> String {
+    let mut cards = String::new();
+    if let (Some(fastest), Some(slowest)) = (validation.runs.first(), validation.runs.last()) {
+        let mut of = |name: &str, run: &Run| {
+            let magnitude = or_dash(run.magnitude.map(|m| m.db), 2);
+            let phase = or_dash(run.phase_deg, 1);
+            let words = format!("{magnitude} dB, {phase}° at {} Hz", short(run.frequency_hz));
+            cards += &card(&format!("{name}, {}", pause(run)), &mm(run.alignment.rms_m), &words, false);
+        };
+        of("Slowest", slowest);
+        if validation.runs.len() > 1 {
+            of("Fastest", fastest);
+            let (value, words) = match bandwidth_hz(validation) {
+                Some(hz) => (format!("{hz:.2} Hz"), "3 dB below the slowest run"),
+                None => ("–".to_owned(), "does not fall by 3 dB"),
+            };
+            cards += &card("Bandwidth", &value, words, false);
+        }
+    }
+    let (points, left_out) = validation.runs.iter().fold((0, 0), |(p, l), run| (p + run.steps.len(), l + run.left_out));
+    cards += &card("Points left out", &left_out.to_string(), &format!("of {points}"), 10 * left_out > points);
+    format!("<dl class=\"key\">\n{cards}</dl>\n")
+}
+
+fn errors(validation: &Validation) -> String {
+    let rows: Vec<Vec<String>> = validation
+        .runs
+        .iter()
+        .map(|run| {
+            let row = Row::of(run);
+            vec![
+                pause(run),
+                format!("{:.3}", row.rms_aligned_mm),
+                format!("{:.3}", row.rms_unaligned_mm),
+                format!("{:.1}", row.rotation_deg),
+                format!("{:.2}", row.offset_x_mm.hypot(row.offset_y_mm).hypot(row.offset_z_mm)),
+                [row.gain_x, row.gain_y, row.gain_z]
+                    .map(|g| g.map_or("–".to_owned(), |g| format!("{g:.3}")))
+                    .join(", "),
+                row.tangent_rms_deg.map_or_else(|| "–".to_owned(), |deg| format!("{deg:.2}")),
+            ]
+        })
+        .collect();
+    let heads = [
+        "Pause",
+        "RMS aligned (mm)",
+        "RMS as observed (mm)",
+        "Rotation (°)",
+        "Offset (mm)",
+        "Gain x, y, z",
+        "Tangent RMS (°)",
+    ];
+    let of = validation.path.periods;
+    let left_out = match validation.options.skip {
+        0 => format!("All {of} periods count."),
+        1 => format!("The first of {of} periods is left out, while the motion settles."),
+        n => format!("The first {n} of {of} periods are left out, while the motion settles."),
+    };
+    format!(
+        "<h2>Errors</h2>\n<p>Distance of the marker from the path. Aligned: the observed path may be moved and turned as a whole, but not \
+         scaled, until it fits best. Rotation and offset are those of this alignment. {left_out}</p>\n{}{}{}\
+         <h3>Error over the path, aligned</h3>\n{}",
+        table(1, &heads, &rows),
+        figure("plot-rms", &figures::rms_over_pause(validation), 340, false),
+        bad(
+            "an aligned error that stays small while the other one and the rotation grow with speed: on a circle, a lag looks like a \
+             turn, and alignment takes it out. The phase below has it."
+        ),
+        figure("plot-errors", &figures::errors(validation), 340, false)
+    )
+}
+
+fn response(validation: &Validation) -> String {
+    let what = match validation.path.circle {
+        Some(circle) => format!(
+            "radius of the circle fitted to the observed points over {:.3} mm, that of the path (Eq. 8)",
+            circle.radius_m * 1e3
+        ),
+        None => "the path is no circle: root mean square distance of the observed points from their mean, over that of the path".to_owned(),
+    };
+    let rows: Vec<Vec<String>> = validation
+        .runs
+        .iter()
+        .map(|run| {
+            let row = Row::of(run);
+            vec![
+                pause(run),
+                short(row.frequency_hz),
+                or_dash(row.magnitude_db, 3),
+                or_dash(row.phase_deg, 2),
+                row.lag_ms.map_or_else(|| "–".to_owned(), |ms| signed(ms, 1)),
+                row.correlation.map_or_else(|| "–".to_owned(), |r| format!("{r:.4}")),
+                row.observed_size_mm.map_or_else(|| "–".to_owned(), |mm| format!("{mm:.3}")),
+                row.circle_rms_mm.map_or_else(|| "–".to_owned(), |mm| format!("{mm:.3}")),
+                row.plane_rms_mm.map_or_else(|| "–".to_owned(), |mm| format!("{mm:.3}")),
+            ]
+        })
+        .collect();
+    let size = if validation.runs.iter().any(|run| run.magnitude.is_some_and(|m| m.of == Size::CircleRadius)) {
+        "Radius (mm)"
+    } else {
+        "Size (mm)"
+    };
+    let heads = [
+        "Pause",
+        "Freq. (Hz)",
+        "Magnitude (dB)",
+        "Phase (°)",
+        "Lag (ms)",
+        "Correlation",
+        size,
+        "Off circle (mm)",
+        "Off plane (mm)",
+    ];
+    format!(
+        "<h2>Response</h2>\n<p>Magnitude: {what}. Phase: from the lag at which the observed motion, not aligned, correlates best with \
+         the path; negative is late (Eqs. 9 and 10). Frequency is 1 over the period of {} points.</p>\n{}{}{}",
+        validation.path.points.len(),
+        figure("plot-magnitude", &figures::magnitude(validation), 300, true),
+        figure("plot-phase", &figures::phase(validation), 300, true),
+        table(1, &heads, &rows)
+    )
+}
+
+fn paths(validation: &Validation) -> String {
+    let mut text = format!(
+        "<h2>Paths</h2>\n<p>Black: the path. Choose runs by a click on their names.</p>\n<div class=\"pair\">\n<div><h3>As observed</h3>\n{}</div>\n\
+         <div><h3>Aligned</h3>\n{}</div>\n</div>\n",
+        figure("plot-observed", &figures::space(validation, false), 480, false),
+        figure("plot-aligned", &figures::space(validation, true), 480, false)
+    );
+    if validation.path.circle.is_some() {
+        text += &format!(
+            "<h3>Circles, each in its own plane and around its own centre</h3>\n{}",
+            figure("plot-circles", &figures::circles(validation), 620, false)
+        );
+    }
+    text
+}
+
+fn frames(validation: &Validation) -> String {
+    let rows: Vec<Vec<String>> = validation
+        .runs
+        .iter()
+        .map(|run| {
+            let row = Row::of(run);
+            let start = match row.start_from {
+                "given" => "as given",
+                "currents" => "first change of a current",
+                _ => "by correlation",
+            };
+            vec![
+                pause(run),
+                format!("<span class=\"why\">{}</span>", escape(&row.file)),
+                format!("{:.3} s, {start}", seconds(run.start_ns)),
+                row.points_are.to_owned(),
+                row.frames.to_string(),
+                format!("{} + {}", row.frames_missed, row.frames_lost),
+                format!("{} of {}", row.points_left_out, row.points),
+                row.scatter_mm.map_or_else(|| "–".to_owned(), |mm| format!("{mm:.3}")),
+                row.sd_mm.map_or_else(|| "–".to_owned(), |mm| format!("{mm:.3}")),
+            ]
+        })
+        .collect();
+    let heads = [
+        "Pause",
+        "File",
+        "First command",
+        "Points are",
+        "Frames",
+        "Missed + lost",
+        "Points left out",
+        "Scatter (mm)",
+        "Tracker's σ (mm)",
+    ];
+    let notes: String = validation
+        .runs
+        .iter()
+        .flat_map(|run| run.notes.iter().map(move |note| format!("<li>{}: {}</li>\n", pause(run), escape(note))))
+        .collect();
+    let notes = if notes.is_empty() { notes } else { format!("<ul class=\"note\">\n{notes}</ul>\n") };
+    format!(
+        "<h2>Frames</h2>\n<p>Missed: frames without the marker's place; lost: by the camera. Scatter: distance of frames from the mean of \
+         their pause, noise and motion together. Points are the mean of the frames within a pause; \
+         where the pause is shorter than the time between frames, they are interpolated to its middle. A command without a frame is left out, nothing is made up.</p>\n{}{notes}",
+        table(4, &heads, &rows)
+    )
+}
+
+fn facts(validation: &Validation, settings: &Settings) -> String {
+    let path = &validation.path;
+    let mut rows = vec![
+        ("Path".to_owned(), escape(&path.file.display().to_string())),
+        ("Points".to_owned(), format!("{} a period, {} periods", path.points.len(), path.periods)),
+    ];
+    rows.extend(settings.iter().map(|(name, value)| (escape(name), escape(value))));
+    rows.push(("Version".to_owned(), format!("Catoptra {}", env!("CARGO_PKG_VERSION"))));
+    format!("<h2>What was compared</h2>\n{}", facts_table(&rows))
+}
