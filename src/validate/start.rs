@@ -2,7 +2,7 @@
 //!
 //! - From the coil currents in the log: the first moment at which a current differs from the first one logged.
 //! - Else by a search over the record: the start at which the observed motion correlates best with the whole commanded one.
-//!   That absorbs the lag of the catheter, so that no phase can be measured from such a start.
+//!   That absorbs the lag of the catheter: no phase can be measured from such a start, and errors are without the lag too.
 
 use super::path::DesiredPath;
 use super::pauses::{Sample, Window};
