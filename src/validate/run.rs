@@ -167,7 +167,7 @@ pub(super) fn evaluate(path: &DesiredPath, observed: &Observed<'_>, options: &Op
     if samples.is_empty() {
         return Err(unusable(format!("none of its {} frames has a place of {name}", recording.frames.len())));
     }
-    let (start_ns, start_from) = match (observed.start_ns, start::from_currents(&recording.currents)) {
+    let (start_ns, start_from) = match (observed.start_ns, start::from_currents(&recording.currents, pause_ns)) {
         (Some(start), _) => (start, StartFrom::Given),
         (None, Some(start)) => (start, StartFrom::Currents),
         (None, None) => {
