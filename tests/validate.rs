@@ -121,7 +121,7 @@ fn without_a_start_it_is_searched_for_and_there_is_no_phase() {
     let args = ["track.csv", "--desired", "path.csv", "--pause", "25ms", "-o", "out"];
     let output = validate(folder.path(), &args);
     assert!(output.status.success(), "{}", stderr(&output));
-    assert!(stderr(&output).contains("the start was found by correlation, which absorbs the lag: no phase"));
+    assert!(stderr(&output).contains("the start was found by correlation, which absorbs the lag: there is no phase"));
     let run = first_run(&folder.path().join("out"));
     assert_eq!((&run["start_from"], &run["phase_deg"]), (&"search".into(), &serde_json::Value::Null));
     assert!((run["start_s"].as_f64().unwrap() - 2.2).abs() < 0.03);

@@ -24,7 +24,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "T", required = true, value_delimiter = ',', value_parser = duration_s)]
     pause: Vec<f64>,
     /// Camera time of the first command in seconds, one for each run or one for all [default: the first
-    /// change of a coil current in the log, else by correlation and without phase]
+    /// change of a coil current in the log, else by correlation, which takes the lag out]
     #[arg(long, value_name = "T", value_delimiter = ',', value_parser = seconds_ns, allow_hyphen_values = true)]
     start: Vec<i64>,
     /// How often the path was commanded [default: 4, or as often as it is in the file]
@@ -159,8 +159,7 @@ impl Args {
     fn settings(&self) -> Vec<(String, String)> {
         let between = if self.interpolate == How::Spline { "cubic spline" } else { "straight lines" };
         vec![
-            ("Marker".to_owned(), self.marker.clone().unwrap_or_else(|| "tip".to_owned())),
-            ("Left out".to_owned(), format!("{} periods at the beginning", self.skip)),
+            ("Left out".to_owned(), format!("{} of them, at the beginning", self.skip)),
             ("Between frames".to_owned(), between.to_owned()),
         ]
     }

@@ -8,6 +8,8 @@ use nalgebra::{Point3, Vector3};
 use std::path::{Path, PathBuf};
 
 const M_PER_MM: f64 = 1e-3;
+/// An hour at 1 ms is less.
+const MOST_COMMANDS: usize = 4_000_000;
 /// Points of one period and of the next are the same if they are nearer than this, metres.
 const SAME_M: f64 = 1e-6;
 /// A circle is what deviates from one by less than this part of its radius, and goes round without a larger gap.
@@ -86,6 +88,9 @@ impl DesiredPath {
         };
         if periods == 0 {
             return Err(wrong("is commanded 0 times; 1 period or more is needed".to_owned()));
+        }
+        if length.saturating_mul(periods) > MOST_COMMANDS {
+            return Err(wrong(format!("{length} points, {periods} times, are more than {MOST_COMMANDS} commands")));
         }
         points.truncate(length);
         if let Some(tangents) = &mut tangents {

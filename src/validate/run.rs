@@ -86,6 +86,8 @@ pub struct Magnitude {
 pub struct Run {
     /// Its file.
     pub file: PathBuf,
+    /// The marker that followed the path.
+    pub marker: String,
     /// How long each command is held, seconds.
     pub pause_s: f64,
     /// 1 over the period, Hz.
@@ -165,7 +167,7 @@ pub(super) fn evaluate(path: &DesiredPath, observed: &Observed<'_>, options: &Op
     if samples.is_empty() {
         return Err(unusable(format!("none of its {} frames has a place of {name}", recording.frames.len())));
     }
-    let (start_ns, start_from) = match (observed.start_ns, start::from_currents(&recording.currents)) {
+    let (start_ns, start_from) = match (observed.start_ns, start::from_currents(&recording.currents, pause_ns)) {
         (Some(start), _) => (start, StartFrom::Given),
         (None, Some(start)) => (start, StartFrom::Currents),
         (None, None) => {
@@ -175,7 +177,7 @@ pub(super) fn evaluate(path: &DesiredPath, observed: &Observed<'_>, options: &Op
                     "the start of the commands cannot be found: they take {needs:.3} s, the record has {has:.3} s of motion; give --start, or check --pause and --periods"
                 ))
             })?;
-            notes.push("the start was found by correlation, which absorbs the lag: no phase".to_owned());
+            notes.push("the start was found by correlation, which absorbs the lag: there is no phase, and errors are without it too".to_owned());
             (found, StartFrom::Search)
         }
     };
@@ -257,6 +259,7 @@ pub(super) fn evaluate(path: &DesiredPath, observed: &Observed<'_>, options: &Op
     let has_place = |frame: &&&Frame| frame.places.get(marker).is_some_and(|place| place.point.is_some());
     Ok(Run {
         file: recording.path.clone(),
+        marker: name.to_owned(),
         pause_s: seconds(pause_ns),
         frequency_hz: 1.0 / period_s,
         start_ns,

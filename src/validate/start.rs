@@ -1,8 +1,9 @@
 //! When the first command was given, where nobody says it.
 //!
-//! - From the coil currents in the log: the first moment at which a current differs from the first one logged.
+//! - From the coil currents in the log: the first moment at which a current differs from the first one logged, or the first one
+//!   itself when it is not zero and changes within 1.5 pauses.
 //! - Else by a search over the record: the start at which the observed motion correlates best with the whole commanded one.
-//!   That absorbs the lag of the catheter, so that no phase can be measured from such a start.
+//!   That absorbs the lag of the catheter: no phase can be measured from such a start, and errors are without the lag too.
 
 use super::path::DesiredPath;
 use super::pauses::{Sample, Window};
@@ -39,14 +40,18 @@ const MOST_STARTS: i64 = 10_000;
 /// Currents that differ by less are the same, amperes.
 const SAME_A: f64 = 1e-6;
 
-/// The first change of a coil current, camera time.
-pub(super) fn from_currents(currents: &[Current]) -> Option<i64> {
+/// The first change of a coil current, camera time; the first current itself where it is not zero and not held for longer than a
+/// command: then it is one.
+pub(super) fn from_currents(currents: &[Current], pause_ns: i64) -> Option<i64> {
     let first = currents.first()?;
     let differs = |current: &&Current| {
-        let pairs = current.values_a.iter().zip(&first.values_a);
-        pairs.clone().any(|(a, b)| (a - b).abs() > SAME_A) || current.values_a.len() != first.values_a.len()
+        let mut pairs = current.values_a.iter().zip(&first.values_a);
+        pairs.any(|(a, b)| (a - b).abs() > SAME_A) || current.values_a.len() != first.values_a.len()
     };
-    currents.iter().find(differs).and_then(|current| current.stamp_ns)
+    let change_ns = currents.iter().find(differs).and_then(|current| current.stamp_ns)?;
+    let flows = first.values_a.iter().any(|value| value.abs() > SAME_A);
+    let is_command = |first_ns: &i64| flows && 2 * change_ns.saturating_sub(*first_ns) <= 3 * pause_ns;
+    first.stamp_ns.filter(is_command).or(Some(change_ns))
 }
 
 /// The start at which the motion correlates best with the path; `None` when the record is shorter than all commands, or does not
@@ -91,4 +96,22 @@ fn correlation(curve: &Curve, commands: &[(f64, Vector3<f64>)], offset_s: f64) -
     }
     let correlation = both / (xx * yy).sqrt();
     correlation.is_finite().then_some(correlation)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_first_current_is_a_command_when_it_flows_and_changes_soon() {
+        let logged = |currents: &[(i64, f64)]| {
+            let of = |(ns, a): &(i64, f64)| Current { host_ns: None, stamp_ns: Some(*ns), values_a: vec![0.0, *a] };
+            from_currents(&currents.iter().map(of).collect::<Vec<_>>(), 100)
+        };
+        assert_eq!(logged(&[(5, 0.0), (100, 0.0), (200, 0.01), (300, 0.02)]), Some(200));
+        assert_eq!(logged(&[(200, 0.01), (300, 0.02)]), Some(200));
+        assert_eq!(logged(&[(200, 0.01), (900, 0.01), (1000, 0.02)]), Some(1000));
+        assert_eq!(logged(&[(200, 0.01), (900, 0.01)]), None);
+        assert_eq!(logged(&[]), None);
+    }
 }

@@ -395,6 +395,7 @@ fn paths_are_read_with_their_periods_and_directions() {
             .unwrap_err()
             .contains("holds 2 periods of 4 points, and 3 periods are asked for")
     );
+    assert!(read(square, None, Some(usize::MAX)).unwrap_err().contains("are more than 4000000 commands"));
     assert!(read(square, None, Some(0)).unwrap_err().contains("commanded 0 times"));
 }
 
@@ -423,7 +424,7 @@ fn results_as_files_have_an_entry_a_run() {
     let validation = evaluated(circle, CORNER_HZ, CLEAN, Options::default());
     let csv = validation.csv().unwrap();
     assert_eq!(csv.lines().count(), 13);
-    assert!(csv.starts_with("file,pause_ms,frequency_hz,start_s,"));
+    assert!(csv.starts_with("file,marker,pause_ms,frequency_hz,start_s,"));
     let json: serde_json::Value = serde_json::from_str(&validation.json().unwrap()).unwrap();
     assert_eq!((json["runs"].as_array().unwrap().len(), &json["path"]["points_per_period"]), (12, &200.into()));
     assert!((json["path"]["circle_radius_mm"].as_f64().unwrap() - 12.5).abs() < 1e-9);

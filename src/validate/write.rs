@@ -12,6 +12,8 @@ const MM_PER_M: f64 = 1e3;
 pub struct Row {
     /// The run's file.
     pub file: String,
+    /// The marker that followed the path.
+    pub marker: String,
     /// How long each command is held.
     pub pause_ms: f64,
     /// 1 over the period.
@@ -93,6 +95,7 @@ impl Row {
         let mm = |m: f64| m * MM_PER_M;
         Self {
             file: run.file.display().to_string(),
+            marker: run.marker.clone(),
             pause_ms: run.pause_s * 1e3,
             frequency_hz: run.frequency_hz,
             start_s: seconds(run.start_ns),

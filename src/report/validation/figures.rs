@@ -188,6 +188,35 @@ pub(super) fn space(validation: &Validation, aligned: bool) -> Plot {
     plot
 }
 
+/// One run, aligned, over the path, both flattened into the plane of the path (Fig. 12).
+pub(super) fn one_run(validation: &Validation, index: usize, run: &Run) -> Plot {
+    let axis = |title: &str| chart::value_axis(title).constrain(AxisConstrain::Domain).zero_line(false);
+    let layout = chart::layout()
+        .x_axis(axis("In the plane (mm)"))
+        .y_axis(axis("Across (mm)").scale_anchor("x"))
+        .show_legend(false)
+        .hover_mode(HoverMode::Closest)
+        .margin(Margin::new().left(56).right(10).top(12).bottom(44));
+    let mut plot = chart::plot(layout);
+    let plane = validation.path.plane;
+    let mm = |value: f64| rounded(value * 1e3, 3);
+    let points = &validation.path.points;
+    let (x, y): (Vec<_>, Vec<_>) =
+        points.iter().chain(points.first()).map(|p| plane.flat(p)).map(|p| (mm(p.x), mm(p.y))).unzip();
+    plot.add_trace(
+        Scatter::new(x, y).mode(Mode::Lines).line(Line::new().color(INK).width(1.4)).hover_info(HoverInfo::Skip),
+    );
+    let flat = run.steps.iter().filter_map(|s| s.aligned).map(|point| plane.flat(&point));
+    let (x, y): (Vec<_>, Vec<_>) = flat.map(|p| (mm(p.x), mm(p.y))).unzip();
+    plot.add_trace(
+        Scatter::new(x, y)
+            .mode(Mode::Markers)
+            .marker(Marker::new().color(css(colour(index, validation.runs.len()))).size(4).opacity(0.55))
+            .hover_template("(%{x:.2f}, %{y:.2f}) mm<extra></extra>"),
+    );
+    plot
+}
+
 /// Fitted circles in their planes, all around one centre (Fig. 10).
 pub(super) fn circles(validation: &Validation) -> Plot {
     let axis = |title: &str| chart::value_axis(title).constrain(AxisConstrain::Domain);

@@ -219,7 +219,18 @@ fn paths(validation: &Validation) -> String {
             figure("plot-circles", &figures::circles(validation), 620, false)
         );
     }
-    text
+    text += "<h3>Run by run, aligned, in the plane of the path</h3>\n<div class=\"pair\">\n";
+    for (index, run) in validation.runs.iter().enumerate() {
+        let plot = figures::one_run(validation, index, run);
+        text += &format!(
+            "<div><h3>{}, {} Hz: {}</h3>\n{}</div>\n",
+            pause(run),
+            short(run.frequency_hz),
+            mm(run.alignment.rms_m),
+            figure(&format!("plot-run-{index}"), &plot, 330, false)
+        );
+    }
+    text + "</div>\n"
 }
 
 fn frames(validation: &Validation) -> String {
@@ -229,8 +240,8 @@ fn frames(validation: &Validation) -> String {
         .map(|run| {
             let row = Row::of(run);
             let start = match row.start_from {
-                "given" => "as given",
-                "currents" => "first change of a current",
+                "given" => "given",
+                "currents" => "by currents",
                 _ => "by correlation",
             };
             vec![
@@ -253,9 +264,9 @@ fn frames(validation: &Validation) -> String {
         "Points are",
         "Frames",
         "Missed + lost",
-        "Points left out",
+        "Left out",
         "Scatter (mm)",
-        "Tracker's σ (mm)",
+        "σ (mm)",
     ];
     let notes: String = validation
         .runs
@@ -265,7 +276,7 @@ fn frames(validation: &Validation) -> String {
     let notes = if notes.is_empty() { notes } else { format!("<ul class=\"note\">\n{notes}</ul>\n") };
     format!(
         "<h2>Frames</h2>\n<p>Missed: frames without the marker's place; lost: by the camera. Scatter: distance of frames from the mean of \
-         their pause, noise and motion together. Points are the mean of the frames within a pause; \
+         their pause, noise and motion together; σ: the tracker's own. Points are the mean of the frames within a pause; \
          where the pause is shorter than the time between frames, they are interpolated to its middle. A command without a frame is left out, nothing is made up.</p>\n{}{notes}",
         table(4, &heads, &rows)
     )
@@ -275,6 +286,7 @@ fn facts(validation: &Validation, settings: &Settings) -> String {
     let path = &validation.path;
     let mut rows = vec![
         ("Path".to_owned(), escape(&path.file.display().to_string())),
+        ("Marker".to_owned(), escape(validation.runs.first().map_or("", |run| run.marker.as_str()))),
         ("Points".to_owned(), format!("{} a period, {} periods", path.points.len(), path.periods)),
     ];
     rows.extend(settings.iter().map(|(name, value)| (escape(name), escape(value))));
