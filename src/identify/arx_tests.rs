@@ -1,7 +1,7 @@
 use super::super::data::Segment;
-use super::super::{instrumental, output_error, search};
-use super::super::search::{Criterion, best};
 use super::super::fit::Start;
+use super::super::search::{Criterion, best};
+use super::super::{instrumental, output_error, search};
 use super::*;
 
 /// Numbers that look like white noise of variance 1, the same on every machine.
@@ -86,7 +86,8 @@ fn stretches_count_as_one_record_and_holes_cost_only_the_rows_behind_them() {
     let found = fit(&parts, ORDERS).unwrap();
     assert_eq!(found.samples, 148 + 238);
     assert!((found.model.parameters() - truth().parameters()).amax() < 1e-12);
-    let refined = output_error::refine(&parts, &Polynomials { a: vec![1.0, -1.4, 0.6], b: vec![0.8, 0.4], nk: 1 }).unwrap();
+    let refined =
+        output_error::refine(&parts, &Polynomials { a: vec![1.0, -1.4, 0.6], b: vec![0.8, 0.4], nk: 1 }).unwrap();
     assert!((refined.estimated.model.parameters() - truth().parameters()).amax() < 1e-9, "{refined:?}");
 }
 
@@ -98,8 +99,7 @@ fn the_search_finds_order_and_delay() {
         s.output = [&[0.0; 2], &s.output[..n - 2]].concat();
         s
     };
-    let candidates: Vec<Orders> =
-        (1..=8).flat_map(|n| (0..=5).map(move |nk| Orders { na: n, nb: n, nk })).collect();
+    let candidates: Vec<Orders> = (1..=8).flat_map(|n| (0..=5).map(move |nk| Orders { na: n, nb: n, nk })).collect();
     let all = search::search(&[delayed(1)], &[delayed(2)], Start::Rest, &candidates).unwrap();
     assert_eq!(all.len(), 48);
     for criterion in [Criterion::Mdl, Criterion::Simulation, Criterion::Prediction] {

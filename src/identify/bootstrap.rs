@@ -36,8 +36,11 @@ pub fn repeat<T: Send>(
     let repetition = |number: usize| {
         // Each its own numbers, whichever thread draws them.
         let mut rng = Rng::with_seed(SEED + number as u64);
-        let drawn: Vec<Segment> =
-            segments.iter().zip(&stretches).map(|(s, (clean, left))| redrawn(s, clean, left, model, noise, &mut rng)).collect();
+        let drawn: Vec<Segment> = segments
+            .iter()
+            .zip(&stretches)
+            .map(|(s, (clean, left))| redrawn(s, clean, left, model, noise, &mut rng))
+            .collect();
         of(&drawn)
     };
     (0..count).into_par_iter().filter_map(repetition).collect()
@@ -122,7 +125,9 @@ mod tests {
         let segments = [Segment { input, output, from_rest: true, ..Segment::default() }];
         let orders = Orders { na: 2, nb: 2, nk: 1 };
         let found = fit(&segments, orders).unwrap();
-        let draws = repeat(&segments, &found.model, Noise::Equation, 200, |s| fit(s, orders).ok().map(|f| f.model.parameters()));
+        let draws = repeat(&segments, &found.model, Noise::Equation, 200, |s| {
+            fit(s, orders).ok().map(|f| f.model.parameters())
+        });
         assert_eq!(draws.len(), 200);
         for (k, sd) in found.standard_errors().into_iter().enumerate() {
             let spread = draws.iter().map(|d| (d[k] - found.model.parameters()[k]).powi(2)).sum::<f64>() / 200.0;

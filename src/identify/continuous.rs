@@ -6,7 +6,7 @@
 
 use super::model::Polynomials;
 use super::state_space::{StateSpace, characteristic};
-use nalgebra::{Complex, DMatrix, RowDVector, DVector};
+use nalgebra::{Complex, DMatrix, DVector, RowDVector};
 
 /// How it was converted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -176,7 +176,12 @@ mod tests {
 
     /// Eq. 7 of the paper.
     pub(crate) fn eq_7() -> Continuous {
-        Continuous { num: vec![1.761e4, 6344.0], den: vec![1.0, 4.59, 1.136], delay_s: 0.0, conversion: Conversion::Hold }
+        Continuous {
+            num: vec![1.761e4, 6344.0],
+            den: vec![1.0, 4.59, 1.136],
+            delay_s: 0.0,
+            conversion: Conversion::Hold,
+        }
     }
 
     #[test]

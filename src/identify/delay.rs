@@ -34,23 +34,23 @@ pub struct Delay {
 /// Tries delays around none. `segments` gives the data with commands that act so much later. Nothing when the model fits none, or
 /// best at the end of the trials.
 pub fn estimate(period_s: f64, segments: impl Fn(f64) -> Option<Vec<Segment>>) -> Option<Delay> {
+    // 1. the smallest on the coarse trials, which must have neighbours
     let steps = (REACH / STEP) as i32;
-    let mut tried = Vec::new();
-    let mut near: Option<Polynomials> = None;
+    let mut models: Vec<(f64, f64, Polynomials)> = Vec::new();
     for k in -steps..=steps {
         let delay_s = f64::from(k) * STEP * period_s;
-        if let Some((rms, model)) = segments(delay_s).and_then(|s| residual(&s, near.as_ref())) {
-            tried.push((delay_s, rms));
-            near = Some(model);
+        let near = models.last().map(|(_, _, model)| model);
+        if let Some((rms, model)) = segments(delay_s).and_then(|s| residual(&s, near)) {
+            models.push((delay_s, rms, model));
         }
     }
-    // 1. the smallest on the coarse trials, which must have neighbours
-    let best = (0..tried.len()).min_by(|i, j| tried[*i].1.total_cmp(&tried[*j].1))?;
-    let around = tried.get(best.checked_sub(1)?..best + 2)?;
-    let [(mut low, _), (_, _), (mut high, _)] = *around else { return None };
+    let best = (0..models.len()).min_by(|i, j| models[*i].1.total_cmp(&models[*j].1))?;
+    let [before, (_, _, near), after] = models.get(best.checked_sub(1)?..best + 2)? else { return None };
+    let (mut low, near, mut high) = (before.0, Some(near), after.0);
+    let tried = models.iter().map(|(delay_s, rms, _)| (*delay_s, *rms)).collect();
     // 2. between them by golden section
     let ratio = (5_f64.sqrt() - 1.0) / 2.0;
-    let square = |delay_s: f64| Some(residual(&segments(delay_s)?, near.as_ref())?.0.powi(2));
+    let square = |delay_s: f64| Some(residual(&segments(delay_s)?, near)?.0.powi(2));
     let (mut a, mut b) = (high - ratio * (high - low), low + ratio * (high - low));
     let (mut at_a, mut at_b) = (square(a)?, square(b)?);
     while high - low > SETTLED * period_s {

@@ -99,10 +99,16 @@ impl fmt::Display for Doubt {
                  take trends off (--detrend), or fewer samples a second (--decimate)"
             ),
             Self::NearlyUnstable { title, largest_pole } => {
-                write!(f, "{title}: the largest pole is {largest_pole:.6}, nearly 1; gain and phase at low frequencies are hardly known")
+                write!(
+                    f,
+                    "{title}: the largest pole is {largest_pole:.6}, nearly 1; gain and phase at low frequencies are hardly known"
+                )
             }
             Self::IllConditioned { condition } => {
-                write!(f, "the regressors nearly depend on each other (condition {condition:.1e}): lower orders would do")
+                write!(
+                    f,
+                    "the regressors nearly depend on each other (condition {condition:.1e}): lower orders would do"
+                )
             }
             Self::Oversampled { output_hz, rate_hz, factor } => write!(
                 f,
@@ -118,7 +124,10 @@ impl fmt::Display for Doubt {
                  small, and it may be biased"
             ),
             Self::Unexplained { outside: (n, of) } => {
-                write!(f, "residuals of the full model go with the input ({n} of {of} lags out of the 99 % bound): it leaves something unexplained")
+                write!(
+                    f,
+                    "residuals of the full model go with the input ({n} of {of} lags out of the 99 % bound): it leaves something unexplained"
+                )
             }
             Self::FedBack { outside: (n, of) } => write!(
                 f,
@@ -129,7 +138,10 @@ impl fmt::Display for Doubt {
             Self::NotRefined { why } => write!(f, "there is no refined model: {why}"),
             Self::NotSettled { title, steps } => write!(f, "{title}: the search did not come to rest in {steps} steps"),
             Self::NoSpectrum => {
-                write!(f, "no stretch is long enough for a frequency response without a model; the excited band is not known")
+                write!(
+                    f,
+                    "no stretch is long enough for a frequency response without a model; the excited band is not known"
+                )
             }
         }
     }
@@ -188,7 +200,10 @@ fn off_centre(data: &Data) -> Vec<Doubt> {
         mean.abs() / sd
     };
     let of = [("input", ratio(&|s| s.input.clone())), ("output", ratio(&|s| s.output.clone()))];
-    of.into_iter().filter(|(_, ratio)| *ratio > OFF_CENTRE).map(|(what, ratio)| Doubt::OffCentre { what, ratio }).collect()
+    of.into_iter()
+        .filter(|(_, ratio)| *ratio > OFF_CENTRE)
+        .map(|(what, ratio)| Doubt::OffCentre { what, ratio })
+        .collect()
 }
 
 fn correlated(residuals: &Residuals) -> Vec<Doubt> {

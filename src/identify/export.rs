@@ -264,7 +264,8 @@ fn cell(value: Option<f64>) -> String {
 }
 
 fn bode(done: &Identification) -> io::Result<Vec<u8>> {
-    let header = texts(&["model", "frequency_hz", "magnitude", "magnitude_db", "magnitude_db_sd", "phase_deg", "phase_deg_sd"]);
+    let header =
+        texts(&["model", "frequency_hz", "magnitude", "magnitude_db", "magnitude_db_sd", "phase_deg", "phase_deg_sd"]);
     let db_of_ln = 20.0 / 10_f64.ln();
     let rows = done.models.iter().flat_map(|m| {
         m.bode.iter().map(move |p| {
@@ -284,12 +285,14 @@ fn bode(done: &Identification) -> io::Result<Vec<u8>> {
 }
 
 fn frequency_response(done: &Identification) -> io::Result<Vec<u8>> {
-    let header = texts(&["frequency_hz", "magnitude", "magnitude_db", "phase_deg", "coherence", "relative_sd", "input_power"]);
+    let header =
+        texts(&["frequency_hz", "magnitude", "magnitude_db", "phase_deg", "coherence", "relative_sd", "input_power"]);
     let points = done.spectrum.iter().flat_map(|s| &s.points);
     let phases = super::modelled::unwrapped(points.clone().map(|p| p.response.arg()));
     let rows = points.zip(phases).map(|(p, phase)| {
         let gain = p.response.norm();
-        let numbers = [p.frequency_hz, gain, 20.0 * gain.log10(), phase.to_degrees(), p.coherence, p.relative_sd, p.input_power];
+        let numbers =
+            [p.frequency_hz, gain, 20.0 * gain.log10(), phase.to_degrees(), p.coherence, p.relative_sd, p.input_power];
         numbers.into_iter().map(|v| cell(Some(v))).collect()
     });
     table(&header, rows)
@@ -326,7 +329,8 @@ fn orders(done: &Identification) -> io::Result<Vec<u8>> {
 }
 
 fn correlations(residuals: &Residuals) -> io::Result<Vec<u8>> {
-    let header = texts(&["lag", "autocorrelation", "autocorrelation_bound", "input_correlation", "input_correlation_bound"]);
+    let header =
+        texts(&["lag", "autocorrelation", "autocorrelation_bound", "input_correlation", "input_correlation_bound"]);
     let rows = residuals.cross.iter().enumerate().map(|(k, cross)| {
         let lag = Residuals::cross_lag(k);
         let auto = usize::try_from(lag).ok().and_then(|lag| residuals.auto.get(lag).copied());

@@ -198,7 +198,8 @@ fn fill(output: &mut [Option<f64>], most: usize) -> usize {
             continue;
         }
         let (before, after) = (hole.start as i64, to as i64);
-        let mut through: Vec<(f64, f64)> = [before - 2, before - 1, after, after + 1].into_iter().filter_map(at).collect();
+        let mut through: Vec<(f64, f64)> =
+            [before - 2, before - 1, after, after + 1].into_iter().filter_map(at).collect();
         if through.len() < 4 {
             through = [before - 1, after].into_iter().filter_map(at).collect();
         }

@@ -202,8 +202,10 @@ mod tests {
             let input = noise(seed, 1000);
             let disturbance = all_pole(&model.a, noise(seed + 500, 1000));
             let output = model.simulate(&input).iter().zip(disturbance).map(|(y, e)| y + 0.2 * e).collect();
-            let found = fit(&[Segment { input, output, ..Segment::default() }], Orders { na: 1, nb: 1, nk: 1 }).unwrap();
-            let all = Modelled::new(Role::Reduced, String::new(), found.model, Some(found.covariance), period_s, (1.0, 20.0));
+            let found =
+                fit(&[Segment { input, output, ..Segment::default() }], Orders { na: 1, nb: 1, nk: 1 }).unwrap();
+            let all =
+                Modelled::new(Role::Reduced, String::new(), found.model, Some(found.covariance), period_s, (1.0, 20.0));
             let h = all.continuous.unwrap();
             let errors = h.model.parameters().into_iter().zip(truth.parameters()).map(|(f, t)| f - t);
             for (sum, (error, sd)) in of_h.iter_mut().zip(errors.zip(h.standard_errors.unwrap())) {

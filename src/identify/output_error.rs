@@ -7,14 +7,18 @@
 //!
 //! Finds a local minimum. Its covariance holds for white e, and for an input without noise.
 
-use super::arx::Estimated;
+use super::arx::{self, Estimated, Orders};
 use super::data::Segment;
-use super::model::{Polynomials, all_pole};
+use super::model::{Polynomials, all_pole, angle};
+use super::reduce::{Reduction, Removal, Target, reduce};
 use super::regression::{Triangle, solve};
-use super::IdentifyError;
+use super::spectrum::spectrum;
+use super::{IdentifyError, instrumental};
 use nalgebra::{DMatrix, DVector, DVectorViewMut};
 
 const MOST_STEPS: usize = 100;
+/// Of the ARX model whose reduction is a start.
+const HIGH_ORDER: usize = 12;
 /// A step that lowers the sum of squares by less than this part ends the search.
 const SETTLED: f64 = 1e-12;
 
@@ -52,11 +56,24 @@ pub fn refine_from_any(segments: &[Segment], starts: &[Polynomials]) -> Result<R
     best.ok_or_else(|| first_error.unwrap_or(IdentifyError::Nothing { name: "output error".to_owned() }))
 }
 
-/// What to begin from for a model of these orders: ARX, which noise on the output biases, and instrumental variables.
-pub fn usual_starts(segments: &[Segment], orders: super::arx::Orders) -> Vec<Polynomials> {
-    let Ok(by_arx) = super::arx::fit(segments, orders) else { return Vec::new() };
-    let by_instruments = super::instrumental::refine(segments, &by_arx.model).ok().map(|r| r.estimated.model);
-    [Some(by_arx.model), by_instruments].into_iter().flatten().collect()
+/// What to begin from for a model of these orders: ARX, which noise on the output biases, instrumental variables, and ARX of a
+/// high order reduced for the excited band.
+pub fn usual_starts(segments: &[Segment], orders: Orders) -> Vec<Polynomials> {
+    let by_arx = arx::fit(segments, orders).ok().map(|found| found.model);
+    let by_instruments =
+        by_arx.as_ref().and_then(|m| instrumental::refine(segments, m).ok()).map(|r| r.estimated.model);
+    [by_arx, by_instruments, by_reduction(segments, orders)].into_iter().flatten().collect()
+}
+
+/// A high order takes up the noise on the output, which a low one is biased by. What it says outside of the excited band is noise too.
+fn by_reduction(segments: &[Segment], orders: Orders) -> Option<Polynomials> {
+    let high = arx::fit(segments, Orders { na: HIGH_ORDER, nb: HIGH_ORDER, nk: orders.nk }).ok()?.model;
+    let (low, top) = spectrum(segments, 1.0)?.excited_hz;
+    let band = Some((angle(low, 1.0), angle(top, 1.0)));
+    let target = Target::Order(orders.memory());
+    let found = reduce(&high, Reduction { target, removal: Removal::Truncate, band }).ok()?.model;
+    let same = (found.na(), found.nb(), found.nk) == (orders.na, orders.nb, orders.nk);
+    same.then_some(found)
 }
 
 /// Refines `start`, keeping its orders and delay.
@@ -64,7 +81,7 @@ pub fn usual_starts(segments: &[Segment], orders: super::arx::Orders) -> Vec<Pol
 /// # Errors
 /// [`IdentifyError::Unstable`] when `start` is, [`IdentifyError::TooShort`] and [`IdentifyError::Dependent`] as for ARX.
 pub fn refine(segments: &[Segment], start: &Polynomials) -> Result<Refined, IdentifyError> {
-    let orders = super::arx::Orders { na: start.na(), nb: start.nb(), nk: start.nk };
+    let orders = Orders { na: start.na(), nb: start.nb(), nk: start.nk };
     if !start.is_stable() {
         return Err(IdentifyError::Unstable { orders, largest_pole: start.largest_pole() });
     }

@@ -32,7 +32,9 @@ pub enum RecordedError {
         why: String,
     },
     /// No commands.
-    #[error("{name}: has no coil currents; record them with `catoptra live --currents`, or give a table of them with --currents")]
+    #[error(
+        "{name}: has no coil currents; record them with `catoptra live --currents`, or give a table of them with --currents"
+    )]
     NoCurrents {
         /// The recording.
         name: String,
@@ -89,7 +91,10 @@ impl Observed {
         let frames = &recording.frames;
         let Some(first) = frames.first() else { return Err(RecordedError::NoFrame { name }) };
         if frames.iter().all(|f| f.theta_rad.is_none()) {
-            let told = first.theta_status.clone().or_else(|| first.places.iter().map(|p| p.status.clone()).find(|s| s != "ok"));
+            let told = first
+                .theta_status
+                .clone()
+                .or_else(|| first.places.iter().map(|p| p.status.clone()).find(|s| s != "ok"));
             let why = told.unwrap_or_else(|| "no reason is told".to_owned());
             return Err(RecordedError::NeverMeasured { name, frames: frames.len(), why });
         }

@@ -89,17 +89,22 @@ pub fn reduce(model: &Polynomials, how: Reduction) -> Result<Reduced, IdentifyEr
         }
         Target::Order(order) if order > rank + fixed => {
             let has = rank + fixed;
-            return Err(not_reduced(format!("order {order} asked, and the model has {has} states that matter: ask for fewer")));
+            return Err(not_reduced(format!(
+                "order {order} asked, and the model has {has} states that matter: ask for fewer"
+            )));
         }
         Target::Order(order) => match order.checked_sub(fixed) {
             Some(keep) if order > 0 => keep,
-            _ => return Err(not_reduced(format!("order {order} asked, and {fixed} states are unstable and must be kept"))),
+            _ => {
+                return Err(not_reduced(format!(
+                    "order {order} asked, and {fixed} states are unstable and must be kept"
+                )));
+            }
         },
     };
     // 3. balanced coordinates of all states that matter, then the removal
-    let scale = |columns: DMatrix<f64>| {
-        DMatrix::from_fn(columns.nrows(), rank, |i, j| columns[(i, j)] / values[j].sqrt())
-    };
+    let scale =
+        |columns: DMatrix<f64>| DMatrix::from_fn(columns.nrows(), rank, |i, j| columns[(i, j)] / values[j].sqrt());
     let into = scale(driven * right.transpose());
     let from = scale(seen * left).transpose();
     let balanced = StateSpace { a: &from * &stable.a * &into, b: &from * &stable.b, c: &stable.c * &into, d: stable.d };
@@ -230,7 +235,12 @@ mod tests {
 
     fn fourth_order() -> Polynomials {
         // Poles 0.9, 0.8 ± 0.3i, 0.1.
-        let a = monic([0.9, 0.1].map(|r| Complex::new(r, 0.0)).into_iter().chain([Complex::new(0.8, 0.3), Complex::new(0.8, -0.3)]));
+        let a = monic(
+            [0.9, 0.1]
+                .map(|r| Complex::new(r, 0.0))
+                .into_iter()
+                .chain([Complex::new(0.8, 0.3), Complex::new(0.8, -0.3)]),
+        );
         Polynomials { a, b: vec![0.2, 0.1, -0.05, 0.01], nk: 1 }
     }
 
@@ -253,7 +263,10 @@ mod tests {
                 (model.response(angle) - reduced.model.response(angle)).norm()
             };
             let worst = (0..=500).map(difference).fold(0.0, f64::max);
-            assert!(worst <= reduced.error_bound && worst > 0.1 * reduced.error_bound, "{removal:?} {worst} {reduced:?}");
+            assert!(
+                worst <= reduced.error_bound && worst > 0.1 * reduced.error_bound,
+                "{removal:?} {worst} {reduced:?}"
+            );
             assert_eq!(difference(0) < 1e-12, removal == Removal::MatchDc);
         }
     }

@@ -113,11 +113,7 @@ pub fn solve(columns: DMatrix<f64>) -> Option<Solution> {
 }
 
 /// Row `t` of the regression on `na` outputs and `nb` inputs from lag `nk` on: −y(t−1) …, u(t−nk) …, y(t).
-pub fn row(
-    segment: &Segment,
-    t: usize,
-    (na, nb, nk): (usize, usize, usize),
-) -> impl Iterator<Item = f64> + use<'_> {
+pub fn row(segment: &Segment, t: usize, (na, nb, nk): (usize, usize, usize)) -> impl Iterator<Item = f64> + use<'_> {
     let outputs = segment.output[t - na..t].iter().rev().map(|y| -y);
     let inputs = segment.input[t + 1 - nk - nb..t + 1 - nk].iter().rev().copied();
     outputs.chain(inputs).chain([segment.output[t]])

@@ -4,12 +4,12 @@
 //! samples, those that the largest of them can use, so that their losses compare. Order and delay are searched together: a
 //! delay taken from a scan at low order can make every higher order unstable.
 
+use super::IdentifyError;
 use super::arx::Orders;
 use super::data::Segment;
 use super::fit::{FitError, Kind, Start, compare};
 use super::model::Polynomials;
 use super::regression::{Triangle, row, solve};
-use super::IdentifyError;
 use nalgebra::DMatrix;
 
 /// Of the candidates within this factor of the smallest error on other data, the one with the fewest coefficients is best.
@@ -102,8 +102,7 @@ pub fn search(
 /// The columns of one candidate in the triangle of the largest.
 fn columns(all: &DMatrix<f64>, largest: Orders, orders: Orders) -> DMatrix<f64> {
     let inputs = largest.na + orders.nk - largest.nk;
-    let chosen: Vec<usize> =
-        (0..orders.na).chain(inputs..inputs + orders.nb).chain([largest.parameters()]).collect();
+    let chosen: Vec<usize> = (0..orders.na).chain(inputs..inputs + orders.nb).chain([largest.parameters()]).collect();
     all.select_columns(&chosen)
 }
 

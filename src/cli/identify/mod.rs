@@ -342,7 +342,11 @@ impl Args {
             if nb.from == 0 {
                 return Err(none("--nb"));
             }
-            return Ok(na.all().flat_map(|na| nb.all().map(move |nb| (na, nb))).flat_map(|(na, nb)| with_delays(na, nb)).collect());
+            return Ok(na
+                .all()
+                .flat_map(|na| nb.all().map(move |nb| (na, nb)))
+                .flat_map(|(na, nb)| with_delays(na, nb))
+                .collect());
         }
         let orders = match self.order {
             Some(span) if span.from == 0 => return Err(none("--order")),

@@ -43,7 +43,9 @@ pub(super) fn read(args: &Args) -> Result<(Data, Told), Failure> {
     }
     if !args.currents.is_empty() && args.currents.len() != files.len() {
         let (tables, records) = (args.currents.len(), files.len());
-        return Err(usage(format!("--currents: {tables} tables for {records} records; give one for each, in their order")));
+        return Err(usage(format!(
+            "--currents: {tables} tables for {records} records; give one for each, in their order"
+        )));
     }
     let plant = args.plant.as_deref().map(Plant::load).transpose().map_err(usage)?;
     let mut all = Vec::new();
@@ -146,7 +148,15 @@ fn any_table(args: &Args, file: &Path) -> Result<Read, Failure> {
     let (record, grid, bridged) = on_grid(args, &series)?;
     // Stated exactly, it is not estimated from its own multiples.
     let period_s = args.period.unwrap_or(grid.period_s);
-    let told = RecordTold { name, period_s, jitter_s: grid.jitter_s, lost: grid.lost, missed, bridged, ..RecordTold::default() };
+    let told = RecordTold {
+        name,
+        period_s,
+        jitter_s: grid.jitter_s,
+        lost: grid.lost,
+        missed,
+        bridged,
+        ..RecordTold::default()
+    };
     Ok(Read { record, told })
 }
 
@@ -189,7 +199,9 @@ fn recorded(args: &Args, file: &Path, table: Option<&Path>, plant: Option<Plant>
         (DelayArg::Given(seconds), _) => seconds,
         (DelayArg::Auto, Some(delay)) => delay.delay_s,
         (DelayArg::Auto, None) => {
-            return Err(usage(format!("{name}: no delay between commands and output could be estimated; give it with --delay")));
+            return Err(usage(format!(
+                "{name}: no delay between commands and output could be estimated; give it with --delay"
+            )));
         }
     };
     let series = observed.series(&held, plant, delay_s).map_err(usage)?;
@@ -271,9 +283,12 @@ fn told(args: &Args, records: Vec<RecordTold>) -> Told {
     set("reduction", if args.match_dc { "match DC" } else { "truncation" }.to_owned());
     set("weighted", args.weighted.to_string());
     set("bootstrap", args.bootstrap.to_string());
-    set("delay", match args.delay {
-        DelayArg::Auto => "auto".to_owned(),
-        DelayArg::Given(seconds) => format!("{seconds} s"),
-    });
+    set(
+        "delay",
+        match args.delay {
+            DelayArg::Auto => "auto".to_owned(),
+            DelayArg::Given(seconds) => format!("{seconds} s"),
+        },
+    );
     Told { title, input, input_unit, output, output_unit, start: args.start(), records, settings }
 }

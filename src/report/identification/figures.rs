@@ -134,15 +134,19 @@ fn responses(
             .collect();
         if points.iter().all(|(_, _, sd)| sd.is_some()) {
             let outline = |sign: f64| points.iter().map(move |(f, v, sd)| (*f, v + sign * sd.unwrap_or(0.0)));
-            let around: Vec<(f64, f64)> = outline(1.0).chain(outline(-1.0).collect::<Vec<_>>().into_iter().rev()).collect();
+            let around: Vec<(f64, f64)> =
+                outline(1.0).chain(outline(-1.0).collect::<Vec<_>>().into_iter().rev()).collect();
             plot.add_trace(
-                Scatter::new(around.iter().map(|(f, _)| short(*f)).collect(), around.iter().map(|(_, v)| short(*v)).collect())
-                    .mode(Mode::Lines)
-                    .line(Line::new().width(0.0))
-                    .fill(Fill::ToSelf)
-                    .fill_color(css_faint(colour(model.role), 0.18))
-                    .hover_info(HoverInfo::Skip)
-                    .show_legend(false),
+                Scatter::new(
+                    around.iter().map(|(f, _)| short(*f)).collect(),
+                    around.iter().map(|(_, v)| short(*v)).collect(),
+                )
+                .mode(Mode::Lines)
+                .line(Line::new().width(0.0))
+                .fill(Fill::ToSelf)
+                .fill_color(css_faint(colour(model.role), 0.18))
+                .hover_info(HoverInfo::Skip)
+                .show_legend(false),
             );
         }
         let line = Scatter::new(
@@ -184,7 +188,10 @@ fn responses(
 }
 
 /// Frequency, value and σ of the response without a model, where it is coherent.
-fn dots(done: &Identification, of: impl Fn(usize, &crate::identify::spectrum::Point) -> (f64, f64)) -> Vec<(f64, f64, f64)> {
+fn dots(
+    done: &Identification,
+    of: impl Fn(usize, &crate::identify::spectrum::Point) -> (f64, f64),
+) -> Vec<(f64, f64, f64)> {
     let points = done.spectrum.iter().flat_map(|s| s.points.iter().enumerate());
     points
         .filter(|(_, p)| p.coherence > COHERENT)
@@ -259,15 +266,19 @@ pub(super) fn orders(done: &Identification, judged: bool) -> Plot {
     delays.dedup();
     for (k, nk) in delays.iter().enumerate() {
         let of: Vec<_> = done.candidates.iter().filter(|c| c.orders.nk == *nk && c.largest_pole < 1.0).collect();
-        let texts: Vec<String> = of.iter().map(|c| format!("na {}, nb {}, nk {}", c.orders.na, c.orders.nb, c.orders.nk)).collect();
+        let texts: Vec<String> =
+            of.iter().map(|c| format!("na {}, nb {}, nk {}", c.orders.na, c.orders.nb, c.orders.nk)).collect();
         plot.add_trace(
-            Scatter::new(of.iter().map(|c| c.orders.na).collect(), of.iter().map(|c| value(c).and_then(short)).collect())
-                .name(format!("delay {nk}"))
-                .mode(Mode::LinesMarkers)
-                .line(Line::new().color(css(PALETTE.marker(k))).width(1.2))
-                .marker(Marker::new().color(css(PALETTE.marker(k))).size(4))
-                .text_array(texts)
-                .hover_template("%{text}: %{y:.5g}<extra></extra>"),
+            Scatter::new(
+                of.iter().map(|c| c.orders.na).collect(),
+                of.iter().map(|c| value(c).and_then(short)).collect(),
+            )
+            .name(format!("delay {nk}"))
+            .mode(Mode::LinesMarkers)
+            .line(Line::new().color(css(PALETTE.marker(k))).width(1.2))
+            .marker(Marker::new().color(css(PALETTE.marker(k))).size(4))
+            .text_array(texts)
+            .hover_template("%{text}: %{y:.5g}<extra></extra>"),
         );
     }
     let chosen = done.candidates.iter().find(|c| c.orders == done.orders);
@@ -276,7 +287,13 @@ pub(super) fn orders(done: &Identification, judged: bool) -> Plot {
             Scatter::new(vec![chosen.orders.na], vec![value(chosen).and_then(short)])
                 .name("chosen")
                 .mode(Mode::Markers)
-                .marker(Marker::new().color(css(PALETTE.miss)).size(13).symbol(MarkerSymbol::CircleOpen).line(Line::new().width(2.0)))
+                .marker(
+                    Marker::new()
+                        .color(css(PALETTE.miss))
+                        .size(13)
+                        .symbol(MarkerSymbol::CircleOpen)
+                        .line(Line::new().width(2.0)),
+                )
                 .hover_info(HoverInfo::Skip),
         );
     }

@@ -84,7 +84,9 @@ fn header(done: &Identification, told: &Told) -> String {
     let doubts = if doubts.is_empty() {
         String::new()
     } else {
-        format!("<div class=\"doubts\"><p><strong>To be known before the numbers are used:</strong></p>\n<ul>\n{doubts}</ul></div>\n")
+        format!(
+            "<div class=\"doubts\"><p><strong>To be known before the numbers are used:</strong></p>\n<ul>\n{doubts}</ul></div>\n"
+        )
     };
     format!(
         "<header>\n<p class=\"kind\">Catoptra identification</p>\n<h1>{}</h1>\n<p class=\"verdict\">{answer}</p>\n{doubts}</header>\n",
@@ -94,7 +96,9 @@ fn header(done: &Identification, told: &Told) -> String {
 
 /// The fit of a model to a record.
 fn fit<'a>(done: &'a Identification, record: &RecordTold, role: Role, kind: Kind) -> Option<&'a Fit> {
-    done.fits.iter().find(|f| f.record == record.name && f.training == record.training && f.role == role && f.kind == kind)
+    done.fits
+        .iter()
+        .find(|f| f.record == record.name && f.training == record.training && f.role == role && f.kind == kind)
 }
 
 fn cards(done: &Identification, told: &Told) -> String {
@@ -103,7 +107,8 @@ fn cards(done: &Identification, told: &Told) -> String {
     if let Some(record) = record {
         let of = if record.training { "training" } else { "validation" };
         for model in &done.models {
-            let error = fit(done, record, model.role, Kind::Simulation(told.start)).map_or(f64::NAN, |f| f.error.error_percent);
+            let error =
+                fit(done, record, model.role, Kind::Simulation(told.start)).map_or(f64::NAN, |f| f.error.error_percent);
             let text = if error < 1e3 { format!("{error:.2} %") } else { "runs away".to_owned() };
             let what = format!("of energy, {of}: {}", escape(&model.title));
             cards += &card("Simulation error", &text, &what, !model.is_stable() || error >= 100.0);
@@ -138,7 +143,8 @@ fn polynomial(coefficients: &[f64]) -> String {
             (false, false) => " + ",
         };
         let one = *c == 1.0 && highest > k;
-        text += &if one { format!("{sign}{}", power.trim_start()) } else { format!("{sign}{}{power}", number(c.abs())) };
+        text +=
+            &if one { format!("{sign}{}", power.trim_start()) } else { format!("{sign}{}{power}", number(c.abs())) };
     }
     text
 }
@@ -213,7 +219,11 @@ fn table_1(done: &Identification, told: &Told) -> String {
             let name = format!("{role} ({:.0} s), {begins}: {}", record.duration_s, escape(&record.name));
             let cell = |role, kind| {
                 fit(done, record, role, kind).map_or_else(String::new, |f| {
-                    format!("{} <small>(fit {:.2} %)</small>", percent(f.error.error_percent), f.error.fit_percent.max(-999.0))
+                    format!(
+                        "{} <small>(fit {:.2} %)</small>",
+                        percent(f.error.error_percent),
+                        f.error.fit_percent.max(-999.0)
+                    )
                 })
             };
             let mut row = vec![name];
