@@ -52,13 +52,14 @@ fn clean_and_residual(segment: &Segment, model: &Polynomials, noise: Noise) -> (
     match noise {
         Noise::Output => {
             let clean = output(model, segment, Kind::Simulation(Start::Rest));
-            let left = segment.output.iter().zip(&clean).map(|(y, c)| y - c).collect();
+            let left = segment.output.iter().zip(&clean).map(|(y, c)| y - c).filter(|e| !e.is_nan()).collect();
             (clean, left)
         }
         Noise::Equation => {
             // All of A y − B u, the beginning as it was: so that with its own noise a stretch comes out as it is.
             let from_input = moved(model, &segment.input);
-            let left = from_output(model, &segment.output).iter().zip(&from_input).map(|(y, u)| y - u).collect();
+            let all = from_output(model, &segment.output);
+            let left = all.iter().zip(&from_input).map(|(y, u)| y - u).filter(|e| !e.is_nan()).collect();
             (from_input, left)
         }
     }
@@ -75,13 +76,16 @@ fn redrawn(
     let begin = if noise == Noise::Equation { model.memory().min(left.len()) } else { 0 };
     let pool = &left[begin..];
     let mut drawn = left[..begin].to_vec();
-    while drawn.len() < left.len() {
+    while drawn.len() < clean.len() && !pool.is_empty() {
         let block = BLOCK.min(pool.len());
         let from = rng.usize(0..=pool.len() - block);
         drawn.extend(&pool[from..from + block]);
     }
     let sum = clean.iter().zip(&drawn).map(|(c, e)| c + e).collect();
-    let output = if noise == Noise::Equation { all_pole(&model.a, sum) } else { sum };
+    let mut output = if noise == Noise::Equation { all_pole(&model.a, sum) } else { sum };
+    // What was not observed is not observed in a repetition either.
+    output.iter_mut().zip(&segment.output).filter(|(_, y)| y.is_nan()).for_each(|(again, _)| *again = f64::NAN);
+    output.resize(segment.len(), f64::NAN);
     Segment { output, ..segment.clone() }
 }
 

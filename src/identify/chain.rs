@@ -236,7 +236,8 @@ fn moves(records: &[Record]) -> Result<(), IdentifyError> {
     let name = records.iter().map(|r| r.name.as_str()).collect::<Vec<_>>().join(", ");
     let signals: [(&'static str, fn(&Segment) -> &[f64]); 2] = [("input", |s| &s.input), ("output", |s| &s.output)];
     for (what, signal) in signals {
-        let mut values = records.iter().flat_map(|r| &r.segments).flat_map(|s| signal(s).iter().copied());
+        let all = records.iter().flat_map(|r| &r.segments).flat_map(|s| signal(s).iter().copied());
+        let mut values = all.filter(|v| !v.is_nan());
         let Some(first) = values.next() else { return Err(IdentifyError::Nothing { name }) };
         if values.all(|v| v == first) {
             return Err(IdentifyError::Still { name, what, value: first });

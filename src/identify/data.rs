@@ -1,6 +1,9 @@
 //! What is identified from: evenly sampled stretches of input and output.
+//!
+//! A stretch ends where the input is not known. An output that was not observed is a NaN: it is no data, and whatever needs it is
+//! left out, but simulations run through it.
 
-/// A stretch of evenly sampled input and output without a hole.
+/// A stretch of evenly sampled input, without a hole, and output.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Segment {
     /// Place of its first sample on the record's grid, from 0.
@@ -9,7 +12,7 @@ pub struct Segment {
     pub start_s: f64,
     /// Input; sample k acts from the time of sample k to that of sample k+1.
     pub input: Vec<f64>,
-    /// Output, as long as the input.
+    /// Output, as long as the input; NaN where it was not observed.
     pub output: Vec<f64>,
     /// A signal that moves the input and knows nothing of the output's noise (the coil current), as long as the input.
     pub instrument: Option<Vec<f64>>,
@@ -26,6 +29,11 @@ impl Segment {
     /// Whether there is no sample.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
+    }
+
+    /// Number of outputs that were observed.
+    pub fn observed(&self) -> usize {
+        self.output.iter().filter(|y| !y.is_nan()).count()
     }
 
     /// The samples `from..to` of it.
@@ -53,14 +61,9 @@ pub struct Record {
 }
 
 impl Record {
-    /// Samples in all stretches.
-    pub fn len(&self) -> usize {
-        self.segments.iter().map(Segment::len).sum()
-    }
-
-    /// Whether there is no sample.
-    pub fn is_empty(&self) -> bool {
-        self.len() == 0
+    /// Outputs observed in all stretches.
+    pub fn observed(&self) -> usize {
+        self.segments.iter().map(Segment::observed).sum()
     }
 
     /// Places from the first sample to the last, holes counted.
@@ -93,7 +96,7 @@ mod tests {
             instrument: None,
         };
         let record = Record { name: "r".into(), segments: vec![segment(0, 10), segment(15, 5)] };
-        assert_eq!((record.len(), record.span()), (15, 20));
+        assert_eq!((record.observed(), record.span()), (15, 20));
         let part = record.range(8, 17, 1.0);
         assert_eq!(part.name, "r [8:17]");
         let inputs: Vec<f64> = part.segments.iter().flat_map(|s| s.input.clone()).collect();

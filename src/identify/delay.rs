@@ -67,7 +67,7 @@ pub fn estimate(period_s: f64, segments: impl Fn(f64) -> Option<Vec<Segment>>) -
     // 3. how far to go until the sum of squares has grown by one variance, on average over both sides
     let delay_s = 0.5 * (low + high);
     let least = square(delay_s)?;
-    let samples: usize = segments(delay_s)?.iter().map(Segment::len).sum();
+    let samples: usize = segments(delay_s)?.iter().map(Segment::observed).sum();
     let risen = least / samples as f64;
     let reach = |sign: f64| {
         let mut step = SETTLED * period_s;

@@ -193,7 +193,8 @@ pub(super) fn doubts(data: &Data, done: &Identification) -> Vec<Doubt> {
 
 fn off_centre(data: &Data) -> Vec<Doubt> {
     let ratio = |signal: &dyn Fn(&super::data::Segment) -> Vec<f64>| {
-        let values: Vec<f64> = data.training.iter().flat_map(|r| &r.segments).flat_map(signal).collect();
+        let values: Vec<f64> =
+            data.training.iter().flat_map(|r| &r.segments).flat_map(signal).filter(|v| !v.is_nan()).collect();
         let n = values.len() as f64;
         let mean = values.iter().sum::<f64>() / n;
         let sd = (values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / n).sqrt();

@@ -49,7 +49,15 @@ pub fn compare(model: &Polynomials, segments: &[Segment], kind: Kind) -> FitErro
     for segment in segments {
         let modelled = output(model, segment, kind);
         let observed = &segment.output[segment.len() - modelled.len()..segment.len()];
-        sums.add(observed, &modelled);
+        match kind {
+            Kind::Simulation(_) => sums.add(observed, &modelled),
+            // Without its whole past nothing was predicted.
+            Kind::Prediction => {
+                let both = observed.iter().zip(&modelled).filter(|(_, m)| !m.is_nan());
+                let (observed, modelled): (Vec<f64>, Vec<f64>) = both.unzip();
+                sums.add(&observed, &modelled);
+            }
+        }
     }
     sums.error()
 }
@@ -81,6 +89,7 @@ pub(super) fn free_part(model: &Polynomials, segment: &Segment, simulated: &[f64
     let at = |t: usize, state: usize| t.checked_sub(state).map_or(0.0, |t| response[t]);
     // The last column is what is left over.
     let columns = DMatrix::from_fn(reach, states + 1, |t, column| match column {
+        _ if segment.output[t].is_nan() => 0.0,
         last if last == states => segment.output[t] - simulated[t],
         state => at(t, state),
     });
@@ -96,7 +105,7 @@ pub(super) fn free_part(model: &Polynomials, segment: &Segment, simulated: &[f64
     Some((0..segment.len()).map(free).collect())
 }
 
-/// Sums over pairs of observed and modelled values.
+/// Sums over pairs of observed and modelled values; what was not observed counts for nothing.
 #[derive(Debug, Default)]
 struct Sums {
     difference: f64,
@@ -107,7 +116,7 @@ struct Sums {
 
 impl Sums {
     fn add(&mut self, observed: &[f64], modelled: &[f64]) {
-        for (y, m) in observed.iter().zip(modelled) {
+        for (y, m) in observed.iter().zip(modelled).filter(|(y, _)| !y.is_nan()) {
             self.difference += (y - m) * (y - m);
             self.energy += y * y;
             self.total += y;

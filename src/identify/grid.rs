@@ -1,6 +1,6 @@
 //! Frame times as an even grid, and a record cut where samples are missing.
 //!
-//! In: times as the camera gave them, outputs, some missing. Out: stretches without a hole. Times are never moved: a sample
+//! In: times as the camera gave them, outputs, some missing. Out: stretches of known input. Times are never moved: a sample
 //! that comes up to a quarter of a period early or late counts as the grid's, since the input was integrated up to its real
 //! time ([`hold`](super::hold)). Uneven times are refused, or resampled where that is asked.
 
@@ -140,8 +140,9 @@ pub(super) fn usual_interval(name: &str, time_s: &[f64]) -> Result<f64, GridErro
     Ok(intervals[intervals.len() / 2])
 }
 
-/// Cuts a record at every hole. Up to `bridge` missing outputs in a row are put in by a cubic through their neighbours, and
-/// counted: `(record, bridged)`. A missing drive is a hole always.
+/// The record in stretches of known input. With Eq. 6 the input needs the angle: where that is missing, up to `bridge` samples in a
+/// row, it is taken from a cubic through its neighbours, for the torque alone, and counted: `(record, bridged)`. What was not
+/// observed is no output.
 pub fn cut(series: &Series, grid: &Grid, bridge: usize) -> (Record, usize) {
     let length = grid.places.last().map_or(0, |last| last + 1);
     let (mut output, mut drive) = (vec![None; length], vec![None; length]);
@@ -150,26 +151,27 @@ pub fn cut(series: &Series, grid: &Grid, bridge: usize) -> (Record, usize) {
         drive[*place] = series.drive[k];
     }
     let first_s = series.time_s.first().copied().unwrap_or(0.0);
-    let bridged = if bridge > 0 { fill(&mut output, bridge) } else { 0 };
-    // What is known at each place: input, output, drive.
-    let sample = |place: usize| {
-        let (y, drive) = (output[place]?, drive[place]?);
-        let before = place.checked_sub(1).and_then(|before| output[before]);
-        Some((series.plant.map_or(drive, |plant| plant.torque_nm(drive, halfway(before, y))), y, drive))
+    let mut angle = output.clone();
+    let bridged = if series.plant.is_some() { fill(&mut angle, bridge) } else { 0 };
+    let input_at = |place: usize| match series.plant {
+        None => drive[place],
+        Some(plant) => {
+            let before = place.checked_sub(1).and_then(|before| angle[before]);
+            Some(plant.torque_nm(drive[place]?, halfway(before, angle[place]?)))
+        }
     };
-    let samples: Vec<Option<(f64, f64, f64)>> = (0..length).map(sample).collect();
+    let input: Vec<Option<f64>> = (0..length).map(input_at).collect();
     let mut segments: Vec<Segment> = Vec::new();
     let mut begin = 0;
-    while let Some(from) = samples[begin..].iter().position(Option::is_some).map(|k| begin + k) {
-        let to = samples[from..].iter().position(Option::is_none).map_or(length, |k| from + k);
-        let known = || samples[from..to].iter().flatten();
+    while let Some(from) = input[begin..].iter().position(Option::is_some).map(|k| begin + k) {
+        let to = input[from..].iter().position(Option::is_none).map_or(length, |k| from + k);
         segments.push(Segment {
             first: from,
             start_s: first_s + from as f64 * grid.period_s,
-            input: known().map(|(u, _, _)| *u).collect(),
-            output: known().map(|(_, y, _)| *y).collect(),
-            instrument: series.plant.map(|_| known().map(|(_, _, drive)| *drive).collect()),
-            // Before the first drive there was none; before an output that was missed there may have been any.
+            input: input[from..to].iter().flatten().copied().collect(),
+            output: output[from..to].iter().map(|y| y.unwrap_or(f64::NAN)).collect(),
+            instrument: series.plant.map(|_| drive[from..to].iter().flatten().copied().collect()),
+            // Before the first drive there was none; before an angle that was missed there may have been any.
             from_rest: segments.is_empty() && drive[..from].iter().all(Option::is_none),
         });
         begin = to;
@@ -300,25 +302,40 @@ mod tests {
     }
 
     #[test]
-    fn holes_cut_and_small_ones_are_bridged_when_asked() {
+    fn outputs_may_be_missing_and_inputs_may_not() {
         let times = [0.0, 1.0, 2.0, 3.0, 5.0, 6.0, 7.0, 10.0, 11.0];
-        let cubic = |t: f64| t * t * t - 2.0 * t;
-        let series = series(&times, cubic);
+        let mut series = series(&times, |t| t);
+        series.output[1] = None;
         let grid = Grid::of("a", &times).unwrap();
-        let (record, bridged) = cut(&series, &grid, 0);
+        // The input of a lost sample is not known: a hole.
+        let (record, bridged) = cut(&series, &grid, 9);
         assert_eq!(record.segments.iter().map(Segment::len).collect::<Vec<_>>(), [4, 3, 2]);
-        assert_eq!((bridged, record.segments[1].start_s), (0, 5.0));
+        assert_eq!((bridged, record.segments[1].start_s, record.observed()), (0, 5.0, 8));
+        assert!(record.segments[0].output[1].is_nan());
         assert_eq!(record.segments.iter().map(|s| s.from_rest).collect::<Vec<_>>(), [true, false, false]);
-        // The input of a lost frame is not known here: its output may be put in, the hole stays.
-        assert_eq!(cut(&series, &grid, 2).0.segments.len(), 3);
-        let mut missed = self::series(&[0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0], cubic);
-        missed.output[4] = None;
-        missed.output[7] = None;
-        missed.output[8] = None;
-        let grid = Grid::of("a", &missed.time_s).unwrap();
-        let (record, bridged) = cut(&missed, &grid, 1);
-        assert_eq!((bridged, record.segments.len()), (1, 2));
-        assert!((record.segments[0].output[4] - cubic(4.0)).abs() < 1e-12);
+    }
+
+    #[test]
+    fn the_torque_of_a_missed_angle_is_bridged_and_a_long_hole_cuts() {
+        let times: Vec<f64> = (0..20).map(f64::from).collect();
+        let cubic = |t: f64| 1e-3 * (t * t * t - 2.0 * t);
+        let mut series = series(&times, cubic);
+        // The angle's weight alone, so that the torque is −sin θ.
+        series.plant = Some(Plant { torque_per_ampere_nm: 0.0, weight_torque_nm: 1.0 });
+        series.output[4] = None;
+        for hole in 10..14 {
+            series.output[hole] = None;
+        }
+        let grid = Grid::of("a", &times).unwrap();
+        let (record, bridged) = cut(&series, &grid, 3);
+        assert_eq!((bridged, record.segments.len(), record.observed()), (1, 2, 15));
+        let first = &record.segments[0];
+        assert!(
+            (first.input[4] + (1.5 * cubic(4.0) - 0.5 * cubic(3.0)).sin()).abs() < 1e-12 && first.output[4].is_nan()
+        );
+        assert_eq!(first.instrument.as_ref().map(Vec::len), Some(first.len()));
+        assert!(!record.segments[1].from_rest);
+        assert_eq!(cut(&series, &grid, 4).0.segments.len(), 1);
     }
 
     #[test]

@@ -76,14 +76,15 @@ fn step(
     };
     for (segment, driver) in segments.iter().zip(drivers) {
         let instruments = filtered(driver, auxiliary.simulate(&driver.input));
-        let mut output = segment.output.clone();
-        if !segment.from_rest
-            && let Some(free) = free_part(model, segment, &model.simulate(&segment.input))
-        {
-            output.iter_mut().zip(free).for_each(|(y, free)| *y -= free);
-        }
+        let simulated = model.simulate(&segment.input);
+        let free = if segment.from_rest { None } else { free_part(model, segment, &simulated) };
+        let free = free.unwrap_or_else(|| vec![0.0; segment.len()]);
+        // The filters run through what was not observed on what the model says; its rows are left out.
+        let known = |t: usize| !segment.output[t].is_nan();
+        let output =
+            (0..segment.len()).map(|t| if known(t) { segment.output[t] - free[t] } else { simulated[t] }).collect();
         let regressors = filtered(segment, output);
-        for t in orders.memory()..segment.len() {
+        for t in (orders.memory()..segment.len()).filter(|t| (t - na..=*t).all(known)) {
             let instruments = row(&instruments, t, (na, nb, nk)).take(p);
             triangle.push(instruments.chain(row(&regressors, t, (na, nb, nk))));
         }

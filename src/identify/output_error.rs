@@ -85,7 +85,7 @@ pub fn refine(segments: &[Segment], start: &Polynomials) -> Result<Refined, Iden
     if !start.is_stable() {
         return Err(IdentifyError::Unstable { orders, largest_pole: start.largest_pole() });
     }
-    let samples: usize = segments.iter().map(Segment::len).sum();
+    let samples: usize = segments.iter().map(Segment::observed).sum();
     let parameters = orders.parameters();
     if samples <= parameters {
         let longest = segments.iter().map(Segment::len).max().unwrap_or(0);
@@ -131,7 +131,9 @@ fn open_start(segment: &Segment, model: &Polynomials) -> Option<DMatrix<f64>> {
         return None;
     }
     let response = model.free_response(segment.len());
-    let shifted = |t: usize, state: usize| t.checked_sub(state).map_or(0.0, |t| response[t]);
+    let shifted = |t: usize, state: usize| {
+        if segment.output[t].is_nan() { 0.0 } else { t.checked_sub(state).map_or(0.0, |t| response[t]) }
+    };
     Some(DMatrix::from_fn(segment.len(), model.memory(), shifted).qr().q())
 }
 
@@ -142,10 +144,13 @@ fn project_out(open: &DMatrix<f64>, signal: &mut DVectorViewMut<'_, f64>) -> DVe
     part
 }
 
-/// Output from rest and what is left of the observed output, the free start taken out.
+/// Output from rest and what is left of the observed output, the free start taken out; zero where nothing was observed.
 fn residual(segment: &Segment, model: &Polynomials, open: Option<&DMatrix<f64>>) -> (Vec<f64>, DVector<f64>) {
     let mut output = model.simulate(&segment.input);
-    let mut left = DVector::from_iterator(output.len(), segment.output.iter().zip(&output).map(|(y, m)| y - m));
+    let mut left = DVector::from_iterator(
+        output.len(),
+        segment.output.iter().zip(&output).map(|(y, m)| if y.is_nan() { 0.0 } else { y - m }),
+    );
     if let Some(open) = open {
         let start = project_out(open, &mut left.rows_mut(0, output.len()));
         output.iter_mut().zip(start.iter()).for_each(|(y, start)| *y += start);
@@ -174,13 +179,15 @@ fn linearise(segments: &[Segment], model: &Polynomials) -> DMatrix<f64> {
             Some(j) => lagged(&by_input, t, nk + j),
         };
         if let Some(open) = open {
-            let mut columns = DMatrix::from_fn(segment.len(), na + nb, derivative);
+            let mut columns = DMatrix::from_fn(segment.len(), na + nb, |t, k| {
+                if segment.output[t].is_nan() { 0.0 } else { derivative(t, k) }
+            });
             columns.column_iter_mut().for_each(|mut column| drop(project_out(&open, &mut column.as_view_mut())));
             for t in 0..segment.len() {
                 triangle.push(columns.row(t).iter().copied().chain([left[t]]));
             }
         } else {
-            for t in 0..segment.len() {
+            for t in (0..segment.len()).filter(|t| !segment.output[*t].is_nan()) {
                 triangle.push((0..na + nb).map(|k| derivative(t, k)).chain([left[t]]));
             }
         }

@@ -52,7 +52,8 @@ impl Trend {
         let line = |signal: fn(&Segment) -> &[f64]| {
             let points = || {
                 segments.iter().flat_map(move |s| {
-                    signal(s).iter().enumerate().map(move |(k, v)| (s.start_s + k as f64 * period_s, *v))
+                    let timed = signal(s).iter().enumerate().map(move |(k, v)| (s.start_s + k as f64 * period_s, *v));
+                    timed.filter(|(_, v)| !v.is_nan())
                 })
             };
             let n = points().count().max(1) as f64;

@@ -28,11 +28,14 @@ impl Triangle {
         Self { r: DMatrix::zeros(columns, columns), block, filled: 0, rows: 0 }
     }
 
-    /// One more row: as many values as there are columns.
+    /// One more row: as many values as there are columns. One with a NaN, an output that was not observed, is left out.
     pub fn push(&mut self, row: impl IntoIterator<Item = f64>) {
         let at = self.r.nrows() + self.filled;
         for (place, value) in self.block.row_mut(at).iter_mut().zip(row) {
             *place = value;
+        }
+        if self.block.row(at).iter().any(|v| v.is_nan()) {
+            return;
         }
         self.filled += 1;
         self.rows += 1;

@@ -39,18 +39,21 @@ impl Residuals {
             .filter(|s| s.len() > memory)
             .map(|s| {
                 let predicted = model.predict(&s.input, &s.output);
-                (s.output[memory..].iter().zip(&predicted).map(|(y, p)| y - p).collect(), &s.input[memory..s.len()])
+                let left = s.output[memory..].iter().zip(&predicted).map(|(y, p)| y - p);
+                (left.collect(), &s.input[memory..s.len()])
             })
             .collect();
-        let samples: usize = pairs.iter().map(|(e, _)| e.len()).sum();
+        let samples: usize = pairs.iter().map(|(e, _)| e.iter().filter(|e| !e.is_nan()).count()).sum();
         if samples < 4 * LAGS {
             return None;
         }
         let n = samples as f64;
-        let mean = pairs.iter().flat_map(|(_, u)| u.iter()).sum::<f64>() / n;
+        let inputs: usize = pairs.iter().map(|(_, u)| u.len()).sum();
+        let mean = pairs.iter().flat_map(|(_, u)| u.iter()).sum::<f64>() / inputs as f64;
         // Σ x(t) y(t+lag) over all stretches.
         let sum = |lag: usize, of: &dyn Fn(&(Vec<f64>, &[f64]), usize) -> f64| -> f64 {
-            pairs.iter().map(|p| (lag..p.0.len()).map(|t| of(p, t)).sum::<f64>()).sum()
+            // Without its whole past a sample has no residual.
+            pairs.iter().map(|p| (lag..p.0.len()).map(|t| of(p, t)).filter(|v| !v.is_nan()).sum::<f64>()).sum()
         };
         let (ee, uu) = (sum(0, &|p, t| p.0[t] * p.0[t]), sum(0, &|p, t| (p.1[t] - mean).powi(2)));
         let auto: Vec<f64> = (0..=LAGS).map(|lag| sum(lag, &|p, t| p.0[t] * p.0[t - lag]) / ee).collect();

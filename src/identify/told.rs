@@ -10,9 +10,9 @@ pub struct RecordTold {
     pub name: String,
     /// Whether it was fitted.
     pub training: bool,
-    /// Samples used.
+    /// Outputs observed.
     pub samples: usize,
-    /// Stretches without a hole.
+    /// Stretches of known input.
     pub stretches: usize,
     /// Seconds from the first sample to the last.
     pub duration_s: f64,
@@ -24,7 +24,7 @@ pub struct RecordTold {
     pub lost: usize,
     /// Samples without an output.
     pub missed: usize,
-    /// Outputs put in between neighbours.
+    /// Angles interpolated for the torque.
     pub bridged: usize,
     /// How much later the output is than the commands say.
     pub delay: Option<Delay>,

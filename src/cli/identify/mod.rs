@@ -74,8 +74,8 @@ pub(crate) struct Args {
     /// Allow uneven times: outputs are interpolated
     #[arg(long)]
     resample: bool,
-    /// Put in up to N missing outputs in a row
-    #[arg(long, value_name = "N", default_value_t = 0)]
+    /// Angles missing in a row that are interpolated for the torque; more split the record
+    #[arg(long, value_name = "N", default_value_t = 6)]
     bridge: usize,
     /// Order, or orders to search (na = nb) [default: 1:20, fewer for short records]
     #[arg(long, value_name = "N|A:B")]
@@ -233,7 +233,7 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     interrupt::end_at_once()?;
     // 1. signals
     let (data, told) = reading::read(args)?;
-    let samples: usize = data.training.iter().map(catoptra::identify::data::Record::len).sum();
+    let samples: usize = data.training.iter().map(catoptra::identify::data::Record::observed).sum();
     let settings = args.settings(samples, !data.validation.is_empty())?;
     // 2. models
     let done = identify(&data, &settings).map_err(failure)?;

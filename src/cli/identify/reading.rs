@@ -78,7 +78,7 @@ pub(super) fn read(args: &Args) -> Result<(Data, Told), Failure> {
         };
         for (part, training) in parts {
             let part = args.decimate.map_or_else(|| part.clone(), |n| decimate(&part, n.get(), period_s));
-            if part.is_empty() {
+            if part.observed() == 0 {
                 return Err(usage(format!("{}: no sample is left of it", part.name)));
             }
             tolds.push(RecordTold { training, ..described(&part, &told, period_s, args) });
@@ -96,9 +96,9 @@ fn described(part: &Record, read: &RecordTold, period_s: f64, args: &Args) -> Re
     let factor = args.decimate.map_or(1, |n| n.get());
     RecordTold {
         name: part.name.clone(),
-        samples: part.len(),
+        samples: part.observed(),
         stretches: part.segments.len(),
-        duration_s: part.len() as f64 * period_s * factor as f64,
+        duration_s: part.segments.iter().map(|s| s.len()).sum::<usize>() as f64 * period_s * factor as f64,
         ..read.clone()
     }
 }
@@ -229,9 +229,10 @@ fn apparent_delay(args: &Args, observed: &Observed, held: &Held, plant: Option<P
         let series = observed.series(held, plant, delay_s).ok()?;
         let (record, _) = cut(&series, &grid(&series).ok()?, args.bridge);
         let mut segments = record.segments;
-        // An angle that is off by a constant is not late.
-        let trend = Trend::of(&segments, period_s, false);
-        segments.iter_mut().for_each(|s| trend.remove(s, period_s));
+        if args.detrend() != Detrend::None {
+            let trend = Trend::of(&segments, period_s, false);
+            segments.iter_mut().for_each(|s| trend.remove(s, period_s));
+        }
         Some(segments)
     })
 }

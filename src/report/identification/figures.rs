@@ -46,7 +46,8 @@ pub(super) fn courses(data: &Data, done: &Identification, told: &Told, record: &
         let simulated: Vec<Vec<f64>> = done.models.iter().map(|m| output(&m.model, segment, kind)).collect();
         for k in 0..segment.len() {
             let values = simulated.iter().map(|s| s.get(k).copied().filter(|v| v.is_finite()));
-            let all: Vec<Option<f64>> = std::iter::once(Some(segment.output[k])).chain(values).collect();
+            let all: Vec<Option<f64>> =
+                std::iter::once(Some(segment.output[k]).filter(|y| !y.is_nan())).chain(values).collect();
             let lost = u64::from(k == 0 && segment.first > 0);
             whole.push(segment.start_s + k as f64 * data.period_s, lost, &all, &[]);
         }
