@@ -78,8 +78,9 @@ Example:
     /// Make tables of coil currents that excite the dynamics: chirp, multisine, steps
     #[command(after_help = "Example:\n  catoptra excite chirp -o currents.csv --report")]
     Excite(excite::Args),
-    /// Identify the dynamics from a log, or from any input and output: models, H(s), Bode plot, fit errors
+    /// Identify the dynamics from logs or tables of `track` and `live`, or from any input and output
     #[command(after_help = "\
+What each option does in full: docs/identify.md
 Example:
   catoptra identify sample_dynamics/training.csv --currents sample_dynamics/training_currents.csv \\
     --plant sample_dynamics/plant.toml -o dynamics")]

@@ -16,7 +16,7 @@ const ORDERS: Orders = Orders { na: 2, nb: 2, nk: 1 };
 const REACH: f64 = 6.0;
 const STEP: f64 = 1.0;
 /// The smallest residual is looked for to this part of a period.
-const SETTLED: f64 = 0.005;
+const SETTLED: f64 = 0.002;
 /// Steps away from it grow by this factor.
 const FURTHER: f64 = 1.3;
 
@@ -45,28 +45,25 @@ pub fn estimate(period_s: f64, segments: impl Fn(f64) -> Option<Vec<Segment>>) -
         }
     }
     let best = (0..models.len()).min_by(|i, j| models[*i].1.total_cmp(&models[*j].1))?;
-    let [before, (_, _, near), after] = models.get(best.checked_sub(1)?..best + 2)? else { return None };
-    let (mut low, near, mut high) = (before.0, Some(near), after.0);
-    let tried = models.iter().map(|(delay_s, rms, _)| (*delay_s, *rms)).collect();
-    // 2. between them by golden section
-    let ratio = (5_f64.sqrt() - 1.0) / 2.0;
-    let square = |delay_s: f64| Some(residual(&segments(delay_s)?, near)?.0.powi(2));
-    let (mut a, mut b) = (high - ratio * (high - low), low + ratio * (high - low));
-    let (mut at_a, mut at_b) = (square(a)?, square(b)?);
-    while high - low > SETTLED * period_s {
-        if at_a < at_b {
-            (high, b, at_b) = (b, a, at_a);
-            a = high - ratio * (high - low);
-            at_a = square(a)?;
-        } else {
-            (low, a, at_a) = (a, b, at_b);
-            b = low + ratio * (high - low);
-            at_b = square(b)?;
+    // 2. around it in ever smaller steps: the residual may have a narrow dip in a wide one, where a state that models delay
+    // becomes free to model the system
+    let &(mut delay_s, _, ref near) = models.get(best).filter(|_| best > 0 && best + 1 < models.len())?;
+    let square = |delay_s: f64| Some(residual(&segments(delay_s)?, Some(near))?.0.powi(2));
+    let (mut least, mut step) = (square(delay_s)?, 0.5 * STEP * period_s);
+    while step > SETTLED * period_s {
+        let mut moved = false;
+        for to in [delay_s - step, delay_s + step] {
+            let there = square(to)?;
+            if there < least {
+                (delay_s, least, moved) = (to, there, true);
+            }
+        }
+        if !moved {
+            step *= 0.5;
         }
     }
+    let tried = models.iter().map(|(delay_s, rms, _)| (*delay_s, *rms)).collect();
     // 3. how far to go until the sum of squares has grown by one variance, on average over both sides
-    let delay_s = 0.5 * (low + high);
-    let least = square(delay_s)?;
     let samples: usize = segments(delay_s)?.iter().map(Segment::observed).sum();
     let risen = least / samples as f64;
     let reach = |sign: f64| {

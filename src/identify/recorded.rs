@@ -52,7 +52,7 @@ pub enum RecordedError {
     /// No frame has a current.
     #[error(
         "{name}: frames are from {:.3} s to {:.3} s and commands from {:.3} s to {:.3} s of the camera's clock: they do not \
-         overlap; say with --currents-start when the table began",
+         overlap; say with --delay how much later the commands acted",
         frames_s.0, frames_s.1, commands_s.0, commands_s.1
     )]
     ClocksApart {

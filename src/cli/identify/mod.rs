@@ -23,28 +23,26 @@ const ORDERS: RangeInclusive<usize> = 1..=20;
 /// Samples that each coefficient of a searched model must have.
 const SAMPLES_A_COEFFICIENT: usize = 10;
 
-/// Arguments of `catoptra identify`.
+/// Arguments of `catoptra identify`. There are many: each has one line of help.
 #[derive(Debug, clap::Args)]
+#[command(hide_possible_values = true)]
 pub(crate) struct Args {
-    /// A log or a table of `track` or `live`; with --input and --output any table of numbers
-    #[arg(value_name = "LOG.mcap|TABLE.csv", required = true)]
+    /// Logs or tables of `track` and `live`, or with --input and --output any tables of numbers
+    #[arg(value_name = "RECORD", required = true, hide = true)]
     records: Vec<PathBuf>,
-    /// Coil, field and pendulum of Eq. 6, which make a torque of current and θ
+    /// Coil, field and pendulum: Eq. 6 makes a torque of current and θ
     #[arg(long, value_name = "PLANT.toml", conflicts_with_all = ["input", "output"])]
     plant: Option<PathBuf>,
     /// Coil currents of each record, where its log has none
     #[arg(long, value_name = "C.csv")]
     currents: Vec<PathBuf>,
-    /// When tables of currents whose times count from a start began, on the camera's clock [default: 0]
-    #[arg(long, value_name = "T", allow_hyphen_values = true)]
-    currents_start: Option<f64>,
     /// The coil that moved it, counted from 0
     #[arg(long, value_name = "N", default_value_t = 0)]
     coil: usize,
-    /// Take commands to act T seconds later than they say; `auto`: by the delay that is estimated
+    /// Commands act so much later; `auto`: as estimated
     #[arg(long, value_name = "T|auto", default_value = "0", allow_hyphen_values = true)]
     delay: DelayArg,
-    /// Column of the input, by name or number from 1; `current` of a log: without Eq. 6
+    /// Column of the input, name or number; `current` of a log: no Eq. 6
     #[arg(long, value_name = "COLUMN")]
     input: Option<String>,
     /// Column of the output
@@ -56,7 +54,7 @@ pub(crate) struct Args {
     /// Seconds from row to row; with --resample, from sample to sample
     #[arg(long, value_name = "S", value_parser = positive)]
     period: Option<f64>,
-    /// Records to judge by, with their currents in --currents behind those of the others
+    /// Records to judge by; theirs are the last of --currents
     #[arg(long, value_name = "RECORD", num_args = 1..)]
     validate: Vec<PathBuf>,
     /// Fit samples A to B−1 of the record, from 0
@@ -65,8 +63,8 @@ pub(crate) struct Args {
     /// Judge by samples C to D−1 of the record
     #[arg(long, value_name = "C:D")]
     test: Option<Range>,
-    /// Take off input and output what the fitted data have of it
-    #[arg(long, value_enum, default_value_t = DetrendArg::None)]
+    /// Take off, as fitted data have it: none, mean, linear
+    #[arg(long, value_name = "WHAT", value_enum, default_value_t = DetrendArg::None)]
     detrend: DetrendArg,
     /// Keep every N-th sample behind a low-pass filter
     #[arg(long, value_name = "N")]
@@ -74,10 +72,10 @@ pub(crate) struct Args {
     /// Allow uneven times: outputs are interpolated
     #[arg(long)]
     resample: bool,
-    /// Angles missing in a row that are interpolated for the torque; more split the record
+    /// Angles in a row that Eq. 6 may interpolate
     #[arg(long, value_name = "N", default_value_t = 6)]
     bridge: usize,
-    /// Order, or orders to search (na = nb) [default: 1:20, fewer for short records]
+    /// Order, or orders to search, na = nb [default: 1:20 or less]
     #[arg(long, value_name = "N|A:B")]
     order: Option<Span>,
     /// Past outputs, in place of --order
@@ -86,17 +84,17 @@ pub(crate) struct Args {
     /// Inputs, in place of --order
     #[arg(long, value_name = "N|A:B", conflicts_with = "order")]
     nb: Option<Span>,
-    /// Samples of delay; 1 at least with Eq. 6 [default: 1:5]
+    /// Delay in samples, at least 1 with Eq. 6 [default: 1:5]
     #[arg(long, value_name = "N|A:B")]
     nk: Option<Span>,
-    /// What decides [default: simulation with data to judge by, else mdl]
-    #[arg(long, value_enum)]
+    /// By aic, mdl, prediction, simulation [default: the last it can]
+    #[arg(long, value_name = "WHAT", value_enum)]
     select: Option<Select>,
-    /// How the model of full order is estimated
-    #[arg(long, value_enum, default_value_t = EstimatorArg::Arx)]
+    /// Full order by arx, oe (output error), iv (instruments)
+    #[arg(long, value_name = "WHICH", value_enum, default_value_t = EstimatorArg::Arx)]
     estimator: EstimatorArg,
-    /// Where simulations begin
-    #[arg(long, value_enum, default_value_t = StartArg::Rest)]
+    /// State simulations begin in: rest, estimated
+    #[arg(long, value_name = "STATE", value_enum, default_value_t = StartArg::Rest)]
     start: StartArg,
     /// Order to reduce to
     #[arg(long, value_name = "N|auto", default_value = "2")]

@@ -186,11 +186,10 @@ fn recorded(args: &Args, file: &Path, table: Option<&Path>, plant: Option<Plant>
         None => (name.clone(), recording.currents.clone()),
         Some(table) => {
             let read = CurrentTable::read(table).map_err(unreadable)?;
-            let start_ns = args.currents_start.map(|s| (s * 1e9).round() as i64);
-            if let Some(assumed) = read.assumption(start_ns) {
+            if let Some(assumed) = read.assumption(None) {
                 tracing::info!("{}: {assumed}", table.display());
             }
-            (table.display().to_string(), read.on_camera_clock(&recording, start_ns).map_err(unreadable)?)
+            (table.display().to_string(), read.on_camera_clock(&recording, None).map_err(unreadable)?)
         }
     };
     let held = observed.commands(&source, &currents, args.coil).map_err(usage)?;
@@ -221,12 +220,13 @@ fn recorded(args: &Args, file: &Path, table: Option<&Path>, plant: Option<Plant>
     Ok(Read { record, told })
 }
 
-/// How late the output is, whatever is done about it.
+/// How late the output is, looked for around the delay that is given.
 fn apparent_delay(args: &Args, observed: &Observed, held: &Held, plant: Option<Plant>) -> Option<Delay> {
     let grid = |series: &Series| -> Result<Grid, GridError> { Grid::of(&series.name, &series.time_s) };
     let period_s = observed.grid().ok()?.period_s;
-    delay::estimate(period_s, |delay_s| {
-        let series = observed.series(held, plant, delay_s).ok()?;
+    let given_s = if let DelayArg::Given(seconds) = args.delay { seconds } else { 0.0 };
+    let found = delay::estimate(period_s, |delay_s| {
+        let series = observed.series(held, plant, given_s + delay_s).ok()?;
         let (record, _) = cut(&series, &grid(&series).ok()?, args.bridge);
         let mut segments = record.segments;
         if args.detrend() != Detrend::None {
@@ -234,7 +234,8 @@ fn apparent_delay(args: &Args, observed: &Observed, held: &Held, plant: Option<P
             segments.iter_mut().for_each(|s| trend.remove(s, period_s));
         }
         Some(segments)
-    })
+    })?;
+    Some(Delay { delay_s: given_s + found.delay_s, ..found })
 }
 
 /// Takes trends off. `one_record`: all parts are of the same record, whose line goes on.

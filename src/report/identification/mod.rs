@@ -109,7 +109,11 @@ fn cards(done: &Identification, told: &Told) -> String {
         for model in &done.models {
             let error =
                 fit(done, record, model.role, Kind::Simulation(told.start)).map_or(f64::NAN, |f| f.error.error_percent);
-            let text = if error < 1e3 { format!("{error:.2} %") } else { "runs away".to_owned() };
+            let text = match error {
+                e if e < 1.0 => format!("{e:.3} %"),
+                e if e < 1e3 => format!("{e:.1} %"),
+                _ => "runs away".to_owned(),
+            };
             let what = format!("of energy, {of}: {}", escape(&model.title));
             cards += &card("Simulation error", &text, &what, !model.is_stable() || error >= 100.0);
         }
