@@ -64,7 +64,8 @@ fn the_papers_chain_recovers_eq_7_and_fills_table_1() {
         let f = bandwidth["frequency_hz"].as_f64().unwrap();
         let interval = numbers(&bandwidth["interval_95_hz"]);
         assert!((f / truth - 1.0).abs() < 0.1 && interval[0] < f && f < interval[1], "{bandwidth}");
-        assert_eq!(bandwidth["extrapolated"], definition == "minus_3db_re_dc" || f < 0.5);
+        // Zero frequency was not excited, and below 0.7 Hz the torque of this chirp has hardly any energy.
+        assert_eq!(bandwidth["extrapolated"], true);
     }
     for record in found["records"].as_array().unwrap() {
         assert!(record["delay_s"].as_f64().unwrap().abs() < 1e-3, "{record}");
