@@ -63,7 +63,7 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
         .map_err(|e| Failure::new(Exit::Usage, format!("{}: {e}", args.rig.display())))?;
     let span = Span { from_ns: args.from, to_ns: args.to };
     let options = SourceOptions { span, stated_rate: args.fps, decoder_threads: args.threads() };
-    let source = fitting::open((&args.source, options), (&args.rig, &rig))?;
+    let source = fitting::open_to_track((&args.source, options), (&args.rig, &rig))?;
     tell_warnings(&args.rig, &rig)?;
     let pool = pool(args.threads())?;
     // 2. the files

@@ -5,10 +5,20 @@
 
 mod error;
 mod info;
-mod records;
+pub(crate) mod messages;
+pub(crate) mod records;
 mod repair;
+
+use std::io::Read as _;
+use std::path::Path;
 
 pub use error::LogError;
 pub use info::{Info, TopicInfo};
 pub use records::Extent;
 pub use repair::{Repaired, repair};
+
+/// Whether the file at `path` begins as logs do.
+pub fn is_log(path: &Path) -> bool {
+    let mut begin = [0; mcap::MAGIC.len()];
+    std::fs::File::open(path).and_then(|mut file| file.read_exact(&mut begin)).is_ok() && begin == mcap::MAGIC
+}

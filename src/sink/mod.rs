@@ -11,6 +11,7 @@ mod mcap;
 
 pub use self::csv::CsvSink;
 pub use self::mcap::McapSink;
+pub(crate) use self::topics::WINDOWS;
 pub use self::topics::messages;
 
 mod clock;
@@ -21,12 +22,15 @@ mod palette;
 mod publish;
 mod topics;
 mod udp;
+mod windows;
 
 pub(crate) use clock::Origin;
 pub use overlay::OverlaySink;
 pub(crate) use palette::{Palette, Rgb};
 pub use publish::PublishSink;
 pub use udp::UdpSink;
+pub use windows::PictureCount;
+pub(crate) use windows::{Keeper, PNG};
 
 use crate::estimate::Estimate;
 use crate::rig::Rig;
@@ -54,6 +58,14 @@ pub trait Sink {
     /// # Errors
     /// As [`Sink::write`].
     fn write_current(&mut self, _: &CurrentSample) -> Result<(), SinkError> {
+        Ok(())
+    }
+
+    /// Writes what was kept of a picture, some frames after its estimate; only the log has a place for it.
+    ///
+    /// # Errors
+    /// As [`Sink::write`].
+    fn write_windows(&mut self, _: &messages::PictureWindows) -> Result<(), SinkError> {
         Ok(())
     }
 

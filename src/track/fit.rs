@@ -34,6 +34,8 @@ pub(crate) enum NoFit {
     OutOfPicture,
     /// The equations are singular, or the iteration does not settle.
     NotConverged,
+    /// The picture was recorded in parts, and lacks one.
+    NotRecorded,
 }
 
 /// What one view says about the stretch.
@@ -68,7 +70,7 @@ pub(crate) fn fit(
     model: &ImageModel,
 ) -> Result<TubeFit, NoFit> {
     let round = |guess: &Guess, how: (Density, Weighing)| {
-        let select = |image| View::select(stretch, image, picture, model, how).ok_or(NoFit::OutOfPicture);
+        let select = |image| View::select(stretch, image, picture, model, how);
         let views = guess.images.par_iter().map(select).collect::<Result<Vec<_>, _>>()?;
         Ok(Round { stretch, paths, picture, model, views })
     };

@@ -214,7 +214,7 @@ impl Args {
             return Ok(Box::new(RawPictures::new("standard input", Box::new(std::io::stdin()), format, clock)));
         }
         if self.realtime {
-            let recording = source::open(&self.source, SourceOptions::default()).map_err(invalid)?;
+            let recording = source::open_to_track(&self.source, SourceOptions::default()).map_err(invalid)?;
             return Ok(Box::new(Paced::new(recording, clock, Arc::clone(stop))));
         }
         if Path::new(&self.source).exists() {
