@@ -7,13 +7,12 @@ mod track_common;
 use catoptra::estimate::{Estimate, Miss};
 use catoptra::pipeline::{self, End};
 use catoptra::rig::Rig;
-use catoptra::sink::{CsvSink, McapSink, OutputFrame, PictureCount, Sink};
+use catoptra::sink::{CsvSink, McapSink, OutputFrame, Sink};
 use catoptra::source::{
     Frame, FrameSource, LogWindows, Picture, SourceError, Span, VideoFile, VideoOptions, Window, open_to_track,
 };
 use catoptra::track::{TrackOptions, Tracker};
 use std::path::Path;
-use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use track_common::*;
 
@@ -92,12 +91,7 @@ fn a_picture_that_lacks_what_the_tracker_wants_is_a_miss_and_never_made_up() {
 fn tracker_windows(frame: &Frame) -> Vec<Window> {
     let [w, h] = frame.picture.size_px();
     let window = |x0, y0, x1, y1| Window { x0, y0, x1, y1 };
-    vec![
-        window(0, h / 2, w / 2, h),
-        window(0, 0, w / 2, h / 2),
-        window(w / 2, 0, w, h / 2),
-        window(w / 2, h / 2, w, h),
-    ]
+    vec![window(0, h / 2, w / 2, h), window(0, 0, w / 2, h / 2), window(w / 2, 0, w, h / 2), window(w / 2, h / 2, w, h)]
 }
 
 /// Tracks `source` into a table, and into a log that keeps windows if wanted.
@@ -105,7 +99,7 @@ fn run(source: Box<dyn FrameSource + Send>, rig: &Rig, table: &Path, log: Option
     let mut sinks: Vec<Box<dyn Sink + Send>> = vec![Box::new(CsvSink::create(table, rig, OutputFrame::Base).unwrap())];
     if let Some(log) = log {
         let sink = McapSink::create(log, rig, "", "").unwrap();
-        sinks.push(Box::new(sink.keeping_windows(Arc::new(PictureCount::default()))));
+        sinks.push(Box::new(sink.keeping_windows()));
     }
     let mut tracker = Tracker::new(rig, TrackOptions::default()).unwrap();
     let summary = pipeline::run(source, &mut tracker, sinks, &AtomicBool::new(false), |_| {}).unwrap();

@@ -9,10 +9,7 @@ use std::path::Path;
 ///
 /// # Errors
 /// [`Exit::Usage`] when it cannot be read, or does not fit.
-pub(super) fn open(
-    (source, options): (&Path, SourceOptions),
-    rig: (&Path, &Rig),
-) -> Result<Peeked, Failure> {
+pub(super) fn open((source, options): (&Path, SourceOptions), rig: (&Path, &Rig)) -> Result<Peeked, Failure> {
     fitting(source, source::open(source, options), rig)
 }
 
@@ -20,10 +17,7 @@ pub(super) fn open(
 ///
 /// # Errors
 /// As [`open`].
-pub(super) fn open_to_track(
-    (source, options): (&Path, SourceOptions),
-    rig: (&Path, &Rig),
-) -> Result<Peeked, Failure> {
+pub(super) fn open_to_track((source, options): (&Path, SourceOptions), rig: (&Path, &Rig)) -> Result<Peeked, Failure> {
     fitting(source, source::open_to_track(source, options), rig)
 }
 

@@ -2,7 +2,7 @@
 
 use super::progress::Progress;
 use super::run::folder::{self, Files, Run, unlike_others, whole_path};
-use super::run::{Reference, load_rig, open_sinks, pool, tell_warnings, told, verdict};
+use super::run::{Record, Reference, load_rig, open_sinks, pool, tell_warnings, told, verdict};
 use super::{Exit, Failure, fitting, interrupt, output};
 use catoptra::pipeline;
 use catoptra::report::RunInfo;
@@ -16,8 +16,8 @@ use std::path::{Path, PathBuf};
 /// Arguments of `catoptra track`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// A recorded video, or a folder of pictures with their times in times.csv
-    #[arg(value_name = "VIDEO|DIR")]
+    /// A recorded video, a folder of pictures with their times in times.csv, or a log with windows
+    #[arg(value_name = "VIDEO|DIR|LOG.mcap")]
     source: PathBuf,
     /// The rig, with colours and base frame
     #[arg(long, value_name = "RIG.toml")]
@@ -31,6 +31,9 @@ pub(crate) struct Args {
     /// Also write a video with what was found drawn into it
     #[arg(long)]
     overlay: bool,
+    /// Also record the pictures: windows (what the tracker looked at, in the log), or whole
+    #[arg(long, value_enum, value_name = "HOW")]
+    record: Option<Record>,
     /// Frame of reference of table and report
     #[arg(long, value_enum, default_value_t = Reference::Base)]
     frame: Reference,
@@ -71,8 +74,11 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     let run_toml = run.to_toml()?;
     let folder = args.out.clone().unwrap_or_else(|| folder::default_folder(&args.source));
     let files = Files::new(&folder, args.csv.as_ref().and_then(Option::as_deref), args.overlay);
+    let files = files.recording(args.record);
     files.prepare(&run, &[&args.source, &args.rig])?;
-    let sinks = open_sinks(&files, &rig, [&rig_toml, &run_toml], args.frame, args.info())?;
+    let recorded = (args.record, true);
+    let opened = open_sinks(&files, &rig, [&rig_toml, &run_toml], args.frame, args.info(), recorded)?;
+    let sinks = opened.sinks.into_iter().chain(opened.video).collect();
     // 3. the run
     let mut progress = Progress::of_frames(source.frame_count_hint(), quiet);
     let recording = args.source.display().to_string();
@@ -130,6 +136,7 @@ impl Args {
             to_s: self.to.map(seconds),
             fps: self.fps.map(|rate| rate.to_string()),
             full_frame: self.full_frame,
+            record: self.record.map(|record| record.word().to_owned()),
         }
     }
 }

@@ -19,6 +19,7 @@ mod colour;
 mod encode;
 mod overlay;
 mod palette;
+mod pictures;
 mod publish;
 mod topics;
 mod udp;
@@ -27,6 +28,7 @@ mod windows;
 pub(crate) use clock::Origin;
 pub use overlay::OverlaySink;
 pub(crate) use palette::{Palette, Rgb};
+pub use pictures::{PictureCodec, PictureVideo};
 pub use publish::PublishSink;
 pub use udp::UdpSink;
 pub use windows::PictureCount;
@@ -61,12 +63,12 @@ pub trait Sink {
         Ok(())
     }
 
-    /// Writes what was kept of a picture, some frames after its estimate; only the log has a place for it.
+    /// Writes what was kept of a picture, some frames after its estimate; only the log has a place for it. Whether this sink has.
     ///
     /// # Errors
     /// As [`Sink::write`].
-    fn write_windows(&mut self, _: &messages::PictureWindows) -> Result<(), SinkError> {
-        Ok(())
+    fn write_windows(&mut self, _: &messages::PictureWindows) -> Result<bool, SinkError> {
+        Ok(false)
     }
 
     /// Completes the file. Called exactly once, after an interrupt or an error too.

@@ -9,8 +9,8 @@
 //! tracked without what was before.
 
 use super::SinkError;
-use super::topics::WINDOWS;
 use super::messages::{PictureWindow, PictureWindows};
+use super::topics::WINDOWS;
 use crate::estimate::Estimate;
 use crate::source::{Picture, PixelFormat, Plane, Window};
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
@@ -135,4 +135,3 @@ fn part(plane: &Plane<'_>, index: u32, window: &Window) -> Result<PictureWindow,
         .map_err(|e: ImageError| refused(e.to_string()))?;
     Ok(PictureWindow { plane: index, x, y, width, height, format: PNG.to_owned(), data: data.into() })
 }
-

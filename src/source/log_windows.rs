@@ -194,7 +194,9 @@ fn row(estimate: &DynamicMessage) -> Result<Row, String> {
     let clock = Clock::by_name(&name).ok_or_else(|| format!("its clock `{name}` is not known"))?;
     let unsigned = |field: &str| whole(field).and_then(|n| u64::try_from(n).map_err(|e| format!("`{field}`: {e}")));
     let host = estimate.has_field_by_name("arrival_ns") && estimate.has_field_by_name("host_stamp_ns");
-    let host = || Ok(HostTime { arrival_ns: whole("arrival_ns")?, stamp_ns: whole("host_stamp_ns")? }).map(|t| host.then_some(t));
+    let host = || {
+        Ok(HostTime { arrival_ns: whole("arrival_ns")?, stamp_ns: whole("host_stamp_ns")? }).map(|t| host.then_some(t))
+    };
     Ok(Row {
         seq: unsigned("seq")?,
         stamp: Timestamp { ns: whole("stamp_ns")?, clock },

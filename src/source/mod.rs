@@ -27,6 +27,7 @@ mod window;
 use std::path::Path;
 
 pub use error::SourceError;
+pub(crate) use file::ORIGIN_TAG;
 pub use file::{VideoFile, VideoOptions};
 pub use host::HostTime;
 pub use images::{ImageFolder, ImageTiming};

@@ -5,9 +5,9 @@
 //! sampling.
 
 use super::appearance::{BACKGROUND, CAP, FIXED, Foot, Layout, PER_SEGMENT};
+use super::fit::NoFit;
 use super::light::Encoding;
 use super::tube_image::TubeImage;
-use super::fit::NoFit;
 use crate::source::{Picture, Plane, Window};
 use nalgebra::{Point2, Vector2, Vector3};
 use std::ops::Range;

@@ -3,9 +3,9 @@
 mod status;
 
 use super::run::folder::{Files, Run, unlike_others, whole_path};
-use super::run::{Reference, load_rig, open_sinks, pool, tell_warnings, told, verdict};
+use super::run::{Record, Reference, load_rig, open_sinks, pool, tell_warnings, told, verdict};
 use super::{Exit, Failure, fitting, interrupt, output};
-use catoptra::live::{self, CurrentSource, LiveSummary, Outputs, Until};
+use catoptra::live::{self, CurrentSource, LiveSummary, Outputs, RecordTo, Recording, Until};
 use catoptra::report::RunInfo;
 use catoptra::sink::{PublishSink, Sink, UdpSink};
 use catoptra::source::host::HostClock;
@@ -21,6 +21,9 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
+
+/// Free space that is left to the log, gigabytes: more than an hour of it at 60 Hz.
+const KEEP_FREE_GB: f64 = 2.0;
 
 /// Arguments of `catoptra live`.
 #[derive(Debug, clap::Args)]
@@ -62,6 +65,12 @@ pub(crate) struct Args {
     /// Log coil currents: udp:PORT, serial:DEVICE@BAUD or file:TABLE.csv
     #[arg(long, value_name = "FROM")]
     currents: Option<CurrentSource>,
+    /// Also record the pictures: windows (what the tracker looked at, in the log), or whole
+    #[arg(long, value_enum, value_name = "HOW")]
+    record: Option<Record>,
+    /// Record no more pictures when less is free on the disk, gigabytes [default: 2]
+    #[arg(long, value_name = "GB", value_parser = positive, requires = "record")]
+    keep_free: Option<f64>,
     /// Stop after T seconds
     #[arg(long, value_name = "T", value_parser = duration)]
     duration: Option<Duration>,
@@ -126,12 +135,18 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     // 2. the files
     let run = args.described();
     let run_toml = run.to_toml()?;
-    let files = Files::new(&args.folder(), None, false);
+    let files = Files::new(&args.folder(), None, false).recording(args.record);
     files.prepare_new(&run, &[&args.rig])?;
-    let files_open = open_sinks(&files, &rig, [&rig_toml, &run_toml], args.frame, args.info())?;
+    let opened = open_sinks(&files, &rig, [&rig_toml, &run_toml], args.frame, args.info(), (args.record, false))?;
+    let pictures = args.record.map(|_| Recording {
+        to: opened.video.map_or(RecordTo::Log, RecordTo::Video),
+        count: opened.count,
+        folder: files.folder.clone(),
+        keep_free_bytes: (args.keep_free.unwrap_or(KEEP_FREE_GB) * 1e9) as u64,
+    });
     // 3. the run
     let subscribers = publisher.map(|sink| Box::new(sink) as Box<dyn Sink + Send>);
-    let outputs = Outputs { files: files_open, controllers, subscribers, currents };
+    let outputs = Outputs { files: opened.sinks, controllers, subscribers, currents, pictures };
     let mut line = StatusLine::new(&args.source, &files.folder, quiet);
     let pool = pool(args.threads.unwrap_or(0))?;
     let show = |status: &live::Status| line.show(status);
@@ -166,6 +181,10 @@ fn lines(summary: &LiveSummary) -> String {
     let interruptions = summary.run.source.interruptions;
     if interruptions > 0 {
         text += &format!("the stream was away {interruptions} times\n");
+    }
+    if let Some((recorded, dropped)) = summary.pictures {
+        let lost = if dropped == 0 { "none lost".to_owned() } else { format!("{dropped} lost to the recording") };
+        text += &format!("{recorded} pictures recorded, {lost}\n");
     }
     if summary.unpublished > 0 {
         text += &format!("subscribers missed {} frames; the log has them\n", summary.unpublished);
@@ -252,6 +271,7 @@ impl Args {
             to_s: None,
             fps: self.raw.map(|format| format.rate).or(self.fps).map(|rate| rate.to_string()),
             full_frame: false,
+            record: self.record.map(|record| record.word().to_owned()),
         }
     }
 

@@ -27,8 +27,8 @@
 
 mod file;
 
-use super::topics::{Teller, file_time_ns};
 use super::messages::PictureWindows;
+use super::topics::{Teller, file_time_ns};
 use super::{CurrentSample, Keeper, PictureCount, Sink, SinkError};
 use crate::estimate::Estimate;
 use crate::rig::Rig;
@@ -49,7 +49,8 @@ pub struct McapSink {
     flushed_ns: i64,
     /// What is told of the pictures in the metadata.
     pictures: Option<String>,
-    keeper: Option<(Keeper, Arc<PictureCount>)>,
+    keeper: Option<Keeper>,
+    count: Option<Arc<PictureCount>>,
 }
 
 impl McapSink {
@@ -65,27 +66,37 @@ impl McapSink {
         file.attach("options.toml", "application/toml", options_toml)?;
         file.announce()?;
         file.flush()?;
-        Ok(Self { file, teller: Teller::new(rig), last: None, flushed_ns: 0, pictures: None, keeper: None })
+        Ok(Self {
+            file,
+            teller: Teller::new(rig),
+            last: None,
+            flushed_ns: 0,
+            pictures: None,
+            keeper: None,
+            count: None,
+        })
     }
 
     /// The run records pictures: `what` goes into the metadata (`windows`, or the name of the video), their count into `/health`.
     #[must_use]
     pub fn telling_of_pictures(mut self, what: &str, count: Arc<PictureCount>) -> Self {
         self.pictures = Some(what.to_owned());
-        self.teller.count_pictures(count);
+        self.teller.count_pictures(Arc::clone(&count));
+        self.count = Some(count);
         self
     }
 
-    /// Also keeps the windows of the pictures that [`Sink::write`] is given.
+    /// Keeps the windows of the pictures that [`Sink::write`] is given.
     #[must_use]
-    pub fn keeping_windows(mut self, count: Arc<PictureCount>) -> Self {
-        self.keeper = Some((Keeper::default(), Arc::clone(&count)));
-        self.telling_of_pictures("windows", count)
+    pub fn keeping_windows(mut self) -> Self {
+        self.keeper = Some(Keeper::default());
+        self
     }
 
     /// The metadata of a log; a run without a frame has no clock.
     fn about(&self, clock: Option<&str>) -> BTreeMap<String, String> {
-        let said = [("version", Some(env!("CARGO_PKG_VERSION"))), ("clock", clock), ("pictures", self.pictures.as_deref())];
+        let said =
+            [("version", Some(env!("CARGO_PKG_VERSION"))), ("clock", clock), ("pictures", self.pictures.as_deref())];
         said.into_iter().filter_map(|(key, value)| Some((key.to_owned(), value?.to_owned()))).collect()
     }
 
@@ -115,10 +126,12 @@ impl Sink for McapSink {
         for message in self.teller.frame(estimate)? {
             self.file.message(&message, seq, times)?;
         }
-        if let (Some((keeper, count)), Some(picture)) = (&mut self.keeper, picture) {
+        if let (Some(keeper), Some(picture)) = (&mut self.keeper, picture) {
             let kept = keeper.keep(estimate, picture)?;
             self.file.message(&Teller::windows(&kept)?, seq, times)?;
-            count.add_recorded();
+            if let Some(count) = &self.count {
+                count.add_recorded();
+            }
         }
         if u128::from(stamp_ns.abs_diff(self.flushed_ns)) >= FLUSH_AFTER.as_nanos() {
             self.flushed_ns = stamp_ns;
@@ -133,10 +146,11 @@ impl Sink for McapSink {
         self.file.message(&Teller::current(sample)?, seq, times)
     }
 
-    fn write_windows(&mut self, kept: &PictureWindows) -> Result<(), SinkError> {
+    fn write_windows(&mut self, kept: &PictureWindows) -> Result<bool, SinkError> {
         let publish_ns = file_time_ns(kept.stamp_ns);
         let times = Times { log_ns: kept.arrival_ns.map_or(publish_ns, file_time_ns), publish_ns };
-        self.file.message(&Teller::windows(kept)?, (kept.seq & u64::from(u32::MAX)) as u32, times)
+        self.file.message(&Teller::windows(kept)?, (kept.seq & u64::from(u32::MAX)) as u32, times)?;
+        Ok(true)
     }
 
     fn finish(&mut self) -> Result<(), SinkError> {
