@@ -161,7 +161,7 @@ impl Recorder {
 /// Lets the other threads go first.
 fn give_way() {
     #[cfg(target_os = "linux")]
-    if rustix::process::setpriority_process(Some(rustix::thread::gettid()), 10).is_err() {
+    if rustix::process::setpriority_process(Some(rustix::thread::gettid()), 5).is_err() {
         tracing::debug!("the thread that records pictures runs at ordinary priority");
     }
 }

@@ -33,6 +33,11 @@ impl Picture {
         self
     }
 
+    /// The parts that there are; `None` for all of it.
+    pub fn recorded(&self) -> Option<&[Window]> {
+        self.reads.there.as_deref()
+    }
+
     /// To be called before samples are used: those of the pixels in `area` (a sample of a subsampled channel belongs to all
     /// pixels it stands for). Parts of `area` outside the picture do not matter.
     ///
