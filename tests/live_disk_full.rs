@@ -13,7 +13,11 @@ use std::collections::BTreeSet;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
+use std::sync::{Mutex, PoisonError};
 use track_common::*;
+
+/// One run at a time: what is tested here is disks, not processors.
+static ALONE: Mutex<()> = Mutex::new(());
 
 /// `catoptra live` on the sample at its own pace, 5 s, results in `out`; `before` is what a shell does first.
 fn live(place: &Place, out: &Path, before: &str, args: &str) -> Output {
@@ -24,6 +28,7 @@ fn live(place: &Place, out: &Path, before: &str, args: &str) -> Output {
         place.rig.display(),
         out.display()
     );
+    let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
     Command::new("sh").args(["-c", &run]).current_dir(place.folder.path()).output().unwrap()
 }
 
@@ -63,8 +68,8 @@ fn logged_so_far(log: &Path) -> Vec<u32> {
 fn a_video_that_meets_a_limit_ends_there_and_every_row_is_written() {
     let place = Place::new();
     let out = place.path("out");
-    // 16 MB in blocks of 512 bytes: report and log fit, 300 pictures do not.
-    let output = live(&place, &out, "trap '' XFSZ; ulimit -f 32768;", "--record ffv1");
+    // 6 MB in blocks of 512 bytes: report and log fit, 60 pictures do not.
+    let output = live(&place, &out, "trap '' XFSZ; ulimit -f 12000;", "--record ffv1");
     let told = ended_with(&output, 1);
     assert!(told.contains("pictures.mkv") && told.contains("no more pictures are recorded"), "{told}");
     assert_eq!(told.matches("no more pictures are recorded").count(), 1, "{told}");
@@ -83,7 +88,7 @@ fn a_video_that_meets_a_limit_ends_there_and_every_row_is_written() {
         .unwrap();
     ended_with(&again, 0);
     let (first, again) = (place.table().rows, Table::read(&place.path("again/track.csv")).rows);
-    assert!((30..300).contains(&again.len()), "{} pictures", again.len());
+    assert!((10..60).contains(&again.len()), "{} pictures", again.len());
     for row in &again {
         let same = first.iter().find(|first| first["stamp_ns"] == row["stamp_ns"]).unwrap();
         assert_eq!((&same["theta_deg"], &same["tip_x_mm"]), (&row["theta_deg"], &row["tip_x_mm"]));
@@ -102,14 +107,14 @@ fn pictures_stop_while_there_is_room_for_the_log() {
     assert_eq!(logged(&log), (0..300).collect::<Vec<_>>());
     let topics = Info::read(&log).unwrap().topics;
     let pictures = topics.iter().find(|topic| topic.name == "/camera/windows").unwrap().messages;
-    assert!((30..300).contains(&pictures), "{pictures} pictures");
-    assert!(stdout(&output).contains(&format!("{pictures} pictures recorded, {} lost", 300 - pictures)));
-    // They are the first ones.
+    assert!((20..280).contains(&pictures), "{pictures} pictures");
+    assert!(stdout(&output).contains(&format!("{pictures} pictures recorded, ")), "{}", stdout(&output));
+    // None of the last ones; a slow machine loses some before.
     let mut source = LogWindows::open(&log, Span::default()).unwrap();
-    let nothing = |frame: &Frame| frame.picture.recorded().is_some_and(<[_]>::is_empty);
-    let without: Vec<bool> = std::iter::from_fn(|| source.next_frame().unwrap()).map(|frame| nothing(&frame)).collect();
-    assert_eq!(without.iter().position(|without| *without), Some(pictures as usize));
-    assert_eq!(without.iter().filter(|without| **without).count() as u64, 300 - pictures);
+    let something = |frame: &Frame| frame.picture.recorded().is_some_and(|parts| !parts.is_empty());
+    let with: Vec<bool> = std::iter::from_fn(|| source.next_frame().unwrap()).map(|frame| something(&frame)).collect();
+    assert_eq!((with.len(), with.iter().filter(|with| **with).count() as u64), (300, pictures));
+    assert!(with.iter().rposition(|with| *with).unwrap() < 290, "{with:?}");
 }
 
 #[test]
