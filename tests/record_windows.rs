@@ -169,3 +169,29 @@ fn a_log_that_was_cut_off_gives_what_is_whole() {
     assert!(whole.len() > 10 && again.lines().count() <= whole.len() + 1, "{} rows", whole.len());
     assert!(first.starts_with(&whole.join("\r\n")), "{again}");
 }
+
+#[test]
+fn the_command_tracks_a_log_again_with_the_rig_that_is_in_it() {
+    let place = Place::new();
+    ended_with(&place.track(&sample("planar.mkv"), &["--to", "0.5", "--record", "windows"]), 0);
+    let log = place.path("out/log.mcap");
+    let command = |args: &[&str]| {
+        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_catoptra"));
+        command.current_dir(place.folder.path()).arg("track").args(args).output().unwrap()
+    };
+    ended_with(&command(&["out/log.mcap", "-o", "again"]), 0);
+    let table = |folder: &str| std::fs::read_to_string(place.path(folder).join("track.csv")).unwrap();
+    assert_eq!(table("out"), table("again"));
+    assert_eq!(attached(&log, "rig.toml"), attached(&place.path("again/log.mcap"), "rig.toml"));
+
+    // A second later nothing is known of before, but the next whole picture comes within ten seconds.
+    ended_with(&command(&["out/log.mcap", "-o", "later", "--from", "0.25"]), 3);
+    assert!(table("later").lines().skip(1).all(|row| row.contains("not_recorded")));
+
+    let told = ended_with(&command(&["out/log.mcap", "-o", "whole", "--full-frame"]), 2);
+    assert!(told.contains("--full-frame"), "{told}");
+    let told = ended_with(&command(&["again/log.mcap"]), 2);
+    assert!(told.contains("holds no pictures") && told.contains("--record windows"), "{told}");
+    let told = ended_with(&command(&[sample("planar.mkv").to_str().unwrap()]), 2);
+    assert!(told.contains("--rig RIG.toml"), "{told}");
+}

@@ -22,3 +22,19 @@ pub fn is_log(path: &Path) -> bool {
     let mut begin = [0; mcap::MAGIC.len()];
     std::fs::File::open(path).and_then(|mut file| file.read_exact(&mut begin)).is_ok() && begin == mcap::MAGIC
 }
+
+/// The text file called `name` that is attached to the log at `path`, if there is one.
+///
+/// # Errors
+/// When the log cannot be read, or is none.
+pub fn attached(path: &Path, name: &str) -> Result<Option<String>, LogError> {
+    let mut records = records::Records::open(path)?;
+    while let Some(record) = records.next()? {
+        if let mcap::records::Record::Attachment { header, data, .. } = &record
+            && header.name == name
+        {
+            return Ok(Some(String::from_utf8_lossy(data).into_owned()));
+        }
+    }
+    Ok(None)
+}

@@ -4,6 +4,7 @@ pub(super) mod folder;
 pub(super) mod told;
 
 use super::{Exit, Failure};
+use catoptra::log;
 use catoptra::pipeline::{End, Summary};
 use catoptra::report::{ReportSink, RunInfo};
 use catoptra::rig::check::{Warning, check};
@@ -81,6 +82,20 @@ pub(super) fn pool(threads: usize) -> Result<rayon::ThreadPool, Failure> {
 /// The rig in `file`, and its text.
 pub(super) fn load_rig(file: &Path, reference: Reference) -> Result<(Rig, String), Failure> {
     let text = std::fs::read_to_string(file).map_err(|source| RigError::Read { file: file.to_owned(), source })?;
+    understood(file, text, reference)
+}
+
+/// The rig that is attached to the log `file`, and its text.
+pub(super) fn rig_of_log(file: &Path, reference: Reference) -> Result<(Rig, String), Failure> {
+    let text = log::attached(file, "rig.toml").map_err(|e| Failure::new(Exit::Usage, e))?.unwrap_or_default();
+    if text.trim().is_empty() {
+        let text = format!("{}: has no rig.toml attached: name the rig with --rig", file.display());
+        return Err(Failure::new(Exit::Usage, text));
+    }
+    understood(file, text, reference)
+}
+
+fn understood(file: &Path, text: String, reference: Reference) -> Result<(Rig, String), Failure> {
     let rig = Rig::from_toml_str(&text, file)?;
     if OutputFrame::from(reference).output_from_camera(&rig).is_none() {
         let missing = "has no [base]: measure it with `catoptra calibrate base`, or track in the camera's frame with \
