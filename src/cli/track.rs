@@ -2,7 +2,7 @@
 
 use super::progress::Progress;
 use super::run::folder::{self, Files, Run, unlike_others, whole_path};
-use super::run::{Record, Reference, load_rig, rig_of_log, open_sinks, pool, tell_warnings, told, verdict};
+use super::run::{Record, Reference, load_rig, open_sinks, pool, rig_of_log, tell_warnings, told, verdict};
 use super::{Exit, Failure, fitting, interrupt, output};
 use catoptra::log::is_log;
 use catoptra::pipeline;

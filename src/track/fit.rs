@@ -194,7 +194,8 @@ mod tests {
             };
             (0..plane.height).flat_map(|y| (0..plane.width).map(move |x| (x, y))).map(|(x, y)| sample(x, y)).collect()
         });
-        let other = Picture::from_planes(width, height, PixelFormat::RgbPlanar, all.colour(), planes.collect()).unwrap();
+        let other =
+            Picture::from_planes(width, height, PixelFormat::RgbPlanar, all.colour(), planes.collect()).unwrap();
         let found = fitted(&other.of_parts(patches.clone())).unwrap();
         assert_eq!(format!("{:?}", found.shape), format!("{:?}", expected.shape));
         let fewer = picture(&drawn, 1.0, 4).of_parts(patches[1..].to_vec());

@@ -28,7 +28,7 @@ const KEEP_FREE_GB: f64 = 2.0;
 /// Arguments of `catoptra live`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// /dev/video0, genicam: or genicam:NAME, rtsp://…, http://…, udp://… or another stream, - for standard input, a
+    /// /dev/video0, genicam:NAME, gst:PIPELINE, rtsp://…, http://…, udp://… or another stream, - for standard input, a
     /// recording with --realtime
     #[arg(value_name = "SOURCE")]
     source: String,
@@ -216,6 +216,11 @@ impl Args {
                 let path = Path::new(&self.source);
                 return Ok(Box::new(Camera::v4l2(path, settings(), clock, Arc::clone(stop)).map_err(invalid)?));
             }
+        }
+        if let (Some(text), false, None) = (self.source.strip_prefix("gst:"), self.realtime, self.raw)
+            && self.camera_options().is_empty()
+        {
+            return Ok(Box::new(Camera::gstreamer(text, clock, Arc::clone(stop)).map_err(invalid)?));
         }
         if let Some((option, _)) = self.camera_options().first() {
             return Err(usage(format!(
