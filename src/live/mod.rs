@@ -14,7 +14,7 @@
 //! few pictures wait; a tracker that falls behind goes to the newest frame, and those passed over keep their rows
 //! (`skipped_overload`). A frame of another size than the rig's has its row too (`wrong_size`). Nothing that writes or
 //! publishes can hold up the tracker: its lines are bounded, what does not fit is counted, and a sink that fails is told at
-//! once while everything else goes on.
+//! once while everything else goes on. Where the system allows, camera and tracker run before all else, and pictures behind.
 
 mod currents;
 mod pictures;
@@ -144,6 +144,7 @@ pub fn run(
         Builder::new().name("currents".to_owned()).spawn(move || log_currents(&samples, &log, &stop))
     });
     let currents = currents.transpose()?;
+    pool.broadcast(|_| run_as(Urgency::Tracker));
     let tracking = {
         let (queue, counters) = (Arc::clone(&queue), Arc::clone(&counters));
         let mut out = Out { controllers: outputs.controllers, subscribers, log, counters, pictures };
@@ -214,7 +215,7 @@ fn take_all(
     queue: &Queue,
     stop: &AtomicBool,
 ) -> (source::Tally, Option<SourceError>) {
-    hurry();
+    run_as(Urgency::Camera);
     let end = loop {
         if stop.load(Ordering::Relaxed) {
             break None;
@@ -240,15 +241,29 @@ fn log_currents(samples: &Receiver<CurrentSample>, log: &Log, stop: &AtomicBool)
     }
 }
 
-/// Puts this thread before others, where the system lets us: a frame that is not taken in time is lost.
-fn hurry() {
+/// How far this thread goes before others, or behind them, as the system counts it ("nice"), where it lets us: a frame that is not
+/// taken in time is lost, θ that is late is of no use, and a picture that is not recorded is neither.
+#[derive(Debug, Clone, Copy)]
+enum Urgency {
+    Camera,
+    Tracker,
+    Pictures,
+}
+
+fn run_as(urgency: Urgency) {
     #[cfg(target_os = "linux")]
     {
-        let refused = rustix::process::setpriority_process(Some(rustix::thread::gettid()), -15).is_err();
-        if refused {
-            tracing::debug!("the camera's thread runs at ordinary priority: the system allows no higher one");
+        let nice = match urgency {
+            Urgency::Camera => -15,
+            Urgency::Tracker => -10,
+            Urgency::Pictures => 5,
+        };
+        if rustix::process::setpriority_process(Some(rustix::thread::gettid()), nice).is_err() {
+            tracing::debug!("a thread runs at ordinary priority ({urgency:?}): the system allows no higher one");
         }
     }
+    #[cfg(not(target_os = "linux"))]
+    let _ = urgency;
 }
 
 /// Where the tracker's rows go.

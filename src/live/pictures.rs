@@ -5,6 +5,7 @@
 //! cannot be written, no more pictures are recorded, which is told once; the estimates go on.
 
 use super::writer::{Backlog, Entry, Log};
+use super::{Urgency, run_as};
 use crate::estimate::Estimate;
 use crate::sink::{Keeper, PictureCount, Sink, SinkError};
 use crate::source::Picture;
@@ -63,7 +64,7 @@ impl Pictures {
         let (line, taken) = sync_channel(MOST_PICTURES);
         let count = Arc::clone(&recording.count);
         let thread = Builder::new().name("pictures".to_owned()).spawn(move || {
-            give_way();
+            run_as(Urgency::Pictures);
             let backlog = log.backlog();
             Recorder { recording, log, backlog, keeper: Keeper::default(), looked: None, stopped: false }.run(&taken)
         })?;
@@ -155,14 +156,6 @@ impl Recorder {
         }
         self.looked = Some(Instant::now());
         free_bytes(&self.recording.folder).is_some_and(|free| free < self.recording.keep_free_bytes)
-    }
-}
-
-/// Lets the other threads go first.
-fn give_way() {
-    #[cfg(target_os = "linux")]
-    if rustix::process::setpriority_process(Some(rustix::thread::gettid()), 5).is_err() {
-        tracing::debug!("the thread that records pictures runs at ordinary priority");
     }
 }
 

@@ -117,7 +117,7 @@ impl PictureVideo {
         stream.copy_parameters_from_context(&encoder);
         let origin_ns = if EXACT_NS.contains(&stamp_ns) { 0 } else { stamp_ns };
         if origin_ns != 0 {
-            output.metadata_mut().set(ORIGIN_TAG, &origin_ns.to_string());
+            output.metadata_mut().set(ORIGIN_TAG, origin_ns.to_string());
         }
         let mut options = av::Dictionary::new();
         // As if live: nothing is written over later. Each cluster has one picture, and goes to the system at once.

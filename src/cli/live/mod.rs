@@ -192,6 +192,22 @@ fn lines(summary: &LiveSummary) -> String {
     text
 }
 
+/// Standard input without the small buffer of the standard library, and as a pipe that holds half a picture.
+#[cfg(unix)]
+fn standard_input() -> Result<Box<dyn std::io::Read + Send>, Failure> {
+    use std::os::fd::AsFd as _;
+    let refused = |e: std::io::Error| Failure::new(Exit::Usage, format!("standard input: {e}"));
+    let input = std::io::stdin().as_fd().try_clone_to_owned().map_err(refused)?;
+    // Refused where it is no pipe.
+    let _ = rustix::pipe::fcntl_setpipe_size(&input, 1 << 20);
+    Ok(Box::new(std::fs::File::from(input)))
+}
+
+#[cfg(not(unix))]
+fn standard_input() -> Result<Box<dyn std::io::Read + Send>, Failure> {
+    Ok(Box::new(std::io::stdin()))
+}
+
 impl Args {
     fn open(
         &self,
@@ -235,7 +251,7 @@ impl Args {
                     self.source
                 )));
             }
-            return Ok(Box::new(RawPictures::new("standard input", Box::new(std::io::stdin()), format, clock)));
+            return Ok(Box::new(RawPictures::new("standard input", standard_input()?, format, clock)));
         }
         if self.realtime {
             let recording = source::open_to_track(&self.source, SourceOptions::default()).map_err(invalid)?;
