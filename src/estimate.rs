@@ -161,6 +161,8 @@ pub enum Miss {
         /// Its width and height, pixels.
         found: [u32; 2],
     },
+    /// The picture was not recorded where the tracker has to look.
+    NotRecorded,
 }
 
 impl Miss {
@@ -176,6 +178,7 @@ impl Miss {
             Self::NoBaseFrame => "no_base_frame".into(),
             Self::SkippedOverload => "skipped_overload".into(),
             Self::WrongSize { .. } => "wrong_size".into(),
+            Self::NotRecorded => "not_recorded".into(),
         }
     }
 }

@@ -208,3 +208,82 @@ fn the_command_tracks_a_gige_camera_and_warns_of_what_it_does_otherwise() {
     let table = Table::read(&place.path("out/track.csv"));
     assert!(table.rows.len() > 40, "{} rows\n{told}", table.rows.len());
 }
+
+/// CPU seconds and resident megabytes of a process, now.
+fn usage(pid: u32) -> Option<(f64, f64)> {
+    let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).ok()?;
+    let fields: Vec<&str> = stat.rsplit_once(')')?.1.split_whitespace().collect();
+    let ticks: f64 = fields.get(11)?.parse::<f64>().ok()? + fields.get(12)?.parse::<f64>().ok()?;
+    let pages: f64 =
+        std::fs::read_to_string(format!("/proc/{pid}/statm")).ok()?.split_whitespace().nth(1)?.parse().ok()?;
+    Some((ticks / 100.0, pages * 4096.0 * 1e-6))
+}
+
+/// Frames sent and rows, latency, CPU and memory at 60 Hz for `CATOPTRA_SECONDS` (120):
+/// `CATOPTRA_BIN=target/release/catoptra cargo test --features genicam --test genicam -- --ignored --nocapture`.
+#[test]
+#[ignore = "a measurement of minutes"]
+fn sixty_hertz_for_minutes() {
+    let _alone = alone();
+    let _fake = fake();
+    let seconds: u64 = std::env::var("CATOPTRA_SECONDS").ok().and_then(|n| n.parse().ok()).unwrap_or(120);
+    let receiver = std::net::UdpSocket::bind("127.0.0.1:0").unwrap();
+    receiver.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
+    let address = receiver.local_addr().unwrap().to_string();
+    let received = std::thread::spawn(move || {
+        let (mut bytes, mut at) = ([0; 4096], std::collections::BTreeMap::new());
+        while let Ok(length) = receiver.recv(&mut bytes) {
+            let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap();
+            let datagram: serde_json::Value = serde_json::from_slice(&bytes[..length]).unwrap();
+            at.insert(datagram["seq"].as_u64().unwrap(), now.as_nanos() as i64);
+        }
+        at
+    });
+    let place = Place::new();
+    let before = FILLED.load(Ordering::Relaxed);
+    let program = std::env::var("CATOPTRA_BIN").unwrap_or_else(|_| env!("CARGO_BIN_EXE_catoptra").to_owned());
+    let mut live = Command::new(std::path::Path::new(&program).canonicalize().unwrap())
+        .current_dir(place.folder.path())
+        .args(["live", &format!("genicam:{NAME}"), "-o", "out", "--duration", &seconds.to_string(), "--rig"])
+        .arg(&place.rig)
+        .args(["--fps", "60", "--format", "BayerRG8", "--udp", &address])
+        .spawn()
+        .unwrap();
+    let (mut memory, mut cpu) = (Vec::new(), 0.0);
+    while live.try_wait().unwrap().is_none() {
+        if let Some((seconds, megabytes)) = usage(live.id()) {
+            cpu = seconds;
+            memory.push(megabytes);
+        }
+        std::thread::sleep(Duration::from_secs(1));
+    }
+    let sent = FILLED.load(Ordering::Relaxed) - before;
+    let received = received.join().unwrap();
+    let bytes = std::fs::read(place.path("out/log.mcap")).unwrap();
+    let (mut rows, mut lost, mut skipped, mut latency_ms) = (0, 0, 0, Vec::new());
+    for message in mcap::MessageStream::new(&bytes).unwrap().map(Result::unwrap) {
+        if message.channel.topic == "/catheter/estimate" {
+            let schema = message.channel.schema.clone().unwrap();
+            let pool = prost_reflect::DescriptorPool::decode(schema.data.as_ref()).unwrap();
+            let descriptor = pool.get_message_by_name(&schema.name).unwrap();
+            let estimate = prost_reflect::DynamicMessage::decode(descriptor, message.data.as_ref()).unwrap();
+            rows += 1;
+            lost += estimate.get_field_by_name("gap").unwrap().as_u32().unwrap();
+            let status = estimate.get_field_by_name("deflection_status").unwrap();
+            let word = status.as_message().unwrap().get_field_by_name("word").unwrap().as_str().unwrap().to_owned();
+            skipped += u32::from(word == "skipped_overload");
+            let arrival_ns = estimate.get_field_by_name("arrival_ns").unwrap().as_i64().unwrap();
+            if let Some(at) = received.get(&u64::from(message.sequence)).filter(|_| word == "ok") {
+                latency_ms.push((at - arrival_ns) as f64 * 1e-6);
+            }
+        }
+    }
+    latency_ms.sort_by(f64::total_cmp);
+    let at = |share: f64| latency_ms[((share * latency_ms.len() as f64) as usize).min(latency_ms.len() - 1)];
+    println!("frames sent {sent}, rows {rows} (skipped {skipped}), lost {lost}, datagrams {}", received.len());
+    println!("arrival to θ at the receiver: p50 {:.2} ms, p99 {:.2} ms, max {:.2} ms", at(0.5), at(0.99), at(1.0));
+    println!("CPU {:.0} % of one core", 100.0 * cpu / seconds as f64);
+    let tenth = (memory.len() / 10).max(1);
+    println!("memory {:.0} MB after a tenth, {:.0} MB in the end", memory[tenth], memory[memory.len() - 2]);
+    assert!(sent.abs_diff(rows + lost as usize) <= 3, "{sent} sent, {rows} rows, {lost} lost");
+}

@@ -1,5 +1,5 @@
 //! `catoptra live` killed at random instants: every frame that was sent to a controller more than a second before is in the
-//! log, and `catoptra log repair` makes it whole. Six instants; `CATOPTRA_KILLS=50` for more.
+//! log, and its picture in log or video if those are recorded; `catoptra log repair` makes the log whole. Six instants; `CATOPTRA_KILLS=50` for more.
 
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 use track_common::*;
 
 /// Kills a live run after `after` of tracking; frames sent to a controller at least a second before, and all that were sent.
-fn killed(place: &Place, folder: &str, after: Duration) -> (BTreeSet<u64>, BTreeSet<u64>) {
+fn killed(place: &Place, folder: &str, after: Duration, more: &[&str]) -> (BTreeSet<u64>, BTreeSet<u64>) {
     let controller = UdpSocket::bind("127.0.0.1:0").unwrap();
     controller.set_read_timeout(Some(Duration::from_secs(30))).unwrap();
     let mut live = Command::new(env!("CARGO_BIN_EXE_catoptra"))
@@ -22,6 +22,7 @@ fn killed(place: &Place, folder: &str, after: Duration) -> (BTreeSet<u64>, BTree
         .arg(sample("planar.mkv"))
         .args(["--realtime", "-o", folder, "--udp", &controller.local_addr().unwrap().to_string(), "--rig"])
         .arg(&place.rig)
+        .args(more)
         .stdout(Stdio::null())
         .stderr(Stdio::null())
         .spawn()
@@ -42,9 +43,25 @@ fn killed(place: &Place, folder: &str, after: Duration) -> (BTreeSet<u64>, BTree
 
 /// Sequence numbers of the estimates in a log, finished or not.
 fn logged_so_far(log: &Path) -> BTreeSet<u64> {
+    so_far(log, "/catheter/estimate")
+}
+
+/// Sequence numbers of the frames whose windows are in a log.
+fn pictures_so_far(log: &Path) -> BTreeSet<u64> {
+    so_far(log, "/camera/windows")
+}
+
+/// Number of the last frame in a video that was cut off.
+fn shown_so_far(video: &Path) -> Option<u64> {
+    let mut source = catoptra::source::open(video, Default::default()).ok()?;
+    let last = std::iter::from_fn(|| source.next_frame().ok().flatten()).last()?;
+    Some((last.stamp.seconds() * 60.0).round() as u64)
+}
+
+fn so_far(log: &Path, topic: &str) -> BTreeSet<u64> {
     let bytes = std::fs::read(log).unwrap();
     let messages = mcap::MessageStream::new_with_options(&bytes, mcap::read::Options::IgnoreEndMagic.into()).unwrap();
-    let estimates = messages.map_while(Result::ok).filter(|m| m.channel.topic == "/catheter/estimate");
+    let estimates = messages.map_while(Result::ok).filter(|m| m.channel.topic == topic);
     estimates.map(|m| u64::from(m.sequence)).collect()
 }
 
@@ -56,8 +73,17 @@ fn all_that_is_older_than_a_second_survives_a_kill_at_any_instant() {
         // Spread by the golden ratio over 0.2 to 3.2 seconds.
         let after = Duration::from_secs_f64(0.2 + 3.0 * (kill as f64 * 0.618_034).fract());
         let folder = format!("run{kill}");
-        let (old, sent) = killed(&place, &folder, after);
+        let record: &[&str] = [&[][..], &["--record", "windows"], &["--record", "ffv1"]][kill as usize % 3];
+        let (old, sent) = killed(&place, &folder, after, record);
         let log = place.path(&folder).join("log.mcap");
+        // A busy machine loses single pictures and has up to 16 waiting; but there is one of nearly a second ago.
+        let newest = match record.last() {
+            Some(&"windows") => pictures_so_far(&log).last().copied(),
+            Some(_) => shown_so_far(&log.with_file_name("pictures.mkv")),
+            None => old.last().copied(),
+        };
+        let wanted = old.last().and_then(|seq| seq.checked_sub(20));
+        assert!(newest >= wanted, "killed after {after:?}: the last picture is {newest:?}, {wanted:?} was long there");
         let kept = logged_so_far(&log);
         assert!(kept.is_superset(&old), "killed after {after:?}: {:?} are lost", old.difference(&kept));
         // The log may have a frame or two whose datagrams were not read any more.

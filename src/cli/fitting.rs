@@ -9,13 +9,26 @@ use std::path::Path;
 ///
 /// # Errors
 /// [`Exit::Usage`] when it cannot be read, or does not fit.
-pub(super) fn open(
-    (source, options): (&Path, SourceOptions),
+pub(super) fn open((source, options): (&Path, SourceOptions), rig: (&Path, &Rig)) -> Result<Peeked, Failure> {
+    fitting(source, source::open(source, options), rig)
+}
+
+/// As [`open`], and logs that hold windows of their pictures.
+///
+/// # Errors
+/// As [`open`].
+pub(super) fn open_to_track((source, options): (&Path, SourceOptions), rig: (&Path, &Rig)) -> Result<Peeked, Failure> {
+    fitting(source, source::open_to_track(source, options), rig)
+}
+
+fn fitting(
+    source: &Path,
+    opened: Result<Box<dyn FrameSource + Send>, SourceError>,
     (rig_file, rig): (&Path, &Rig),
 ) -> Result<Peeked, Failure> {
     let invalid = |e: SourceError| Failure::new(Exit::Usage, e);
     let name = source.display();
-    let opened = source::open(source, options).map_err(invalid)?;
+    let opened = opened.map_err(invalid)?;
     check_size(&name.to_string(), opened.size_px(), (rig_file, rig))?;
     let peeked = Peeked::new(opened).map_err(invalid)?;
     if peeked.first.as_ref().is_some_and(|frame| frame.picture.format() == PixelFormat::Grey) {

@@ -69,8 +69,8 @@ Example:
     Log(log::Args),
     /// Track a camera while it runs: θ to controllers within milliseconds, and a log that loses nothing
     #[command(after_help = "\
-DIR gets log.mcap, track.csv, report.html and run.toml; every camera frame has its row, also when it
-was not tracked. Ctrl-C ends the run and completes the files. A killed run keeps all but its last second.
+DIR gets log.mcap, track.csv, report.html and run.toml, with a row for every camera frame. Ctrl-C
+completes the files; a killed run keeps all but its last second.
 Example:
   catoptra live sample_frames/planar.mkv --realtime --rig calibration/dev_tank/rig.toml \\
     --udp 127.0.0.1:5005 -o live")]

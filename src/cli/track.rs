@@ -2,8 +2,9 @@
 
 use super::progress::Progress;
 use super::run::folder::{self, Files, Run, unlike_others, whole_path};
-use super::run::{Reference, load_rig, open_sinks, pool, tell_warnings, told, verdict};
+use super::run::{Record, Reference, load_rig, open_sinks, pool, rig_of_log, tell_warnings, told, verdict};
 use super::{Exit, Failure, fitting, interrupt, output};
+use catoptra::log::is_log;
 use catoptra::pipeline;
 use catoptra::report::RunInfo;
 use catoptra::source::times::{parse_seconds_ns, seconds};
@@ -16,12 +17,12 @@ use std::path::{Path, PathBuf};
 /// Arguments of `catoptra track`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// A recorded video, or a folder of pictures with their times in times.csv
-    #[arg(value_name = "VIDEO|DIR")]
+    /// A recorded video, a folder of pictures with their times in times.csv, or a log with windows
+    #[arg(value_name = "VIDEO|DIR|LOG.mcap")]
     source: PathBuf,
-    /// The rig, with colours and base frame
+    /// The rig, with colours and base frame; a log has its own
     #[arg(long, value_name = "RIG.toml")]
-    rig: PathBuf,
+    rig: Option<PathBuf>,
     /// Folder for the results [default: NAME-track, here]
     #[arg(short, long, value_name = "OUT")]
     out: Option<PathBuf>,
@@ -31,6 +32,9 @@ pub(crate) struct Args {
     /// Also write a video with what was found drawn into it
     #[arg(long)]
     overlay: bool,
+    /// Also record the pictures: windows (what the tracker looked at, in the log), or whole
+    #[arg(long, value_enum, value_name = "HOW")]
+    record: Option<Record>,
     /// Frame of reference of table and report
     #[arg(long, value_enum, default_value_t = Reference::Base)]
     frame: Reference,
@@ -58,21 +62,32 @@ fn seconds_ns(text: &str) -> Result<i64, String> {
 pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     let interrupt = interrupt::watch()?;
     // 1. everything is judged before anything is written
-    let (rig, rig_toml) = load_rig(&args.rig, args.frame)?;
+    let rig_file = args.rig_file()?;
+    let (rig, rig_toml) = match &args.rig {
+        Some(file) => load_rig(file, args.frame)?,
+        None => rig_of_log(&args.source, args.frame)?,
+    };
+    if args.full_frame && is_log(&args.source) {
+        let text = "holds parts of its pictures: they cannot be searched whole, leave out --full-frame";
+        return Err(Failure::new(Exit::Usage, format!("{}: {text}", args.source.display())));
+    }
     let mut tracker = Tracker::new(&rig, TrackOptions { full_frame: args.full_frame })
-        .map_err(|e| Failure::new(Exit::Usage, format!("{}: {e}", args.rig.display())))?;
+        .map_err(|e| Failure::new(Exit::Usage, format!("{}: {e}", rig_file.display())))?;
     let span = Span { from_ns: args.from, to_ns: args.to };
     let options = SourceOptions { span, stated_rate: args.fps, decoder_threads: args.threads() };
-    let source = fitting::open((&args.source, options), (&args.rig, &rig))?;
-    tell_warnings(&args.rig, &rig)?;
+    let source = fitting::open_to_track((&args.source, options), (rig_file, &rig))?;
+    tell_warnings(rig_file, &rig)?;
     let pool = pool(args.threads())?;
     // 2. the files
     let run = args.described();
     let run_toml = run.to_toml()?;
     let folder = args.out.clone().unwrap_or_else(|| folder::default_folder(&args.source));
     let files = Files::new(&folder, args.csv.as_ref().and_then(Option::as_deref), args.overlay);
-    files.prepare(&run, &[&args.source, &args.rig])?;
-    let sinks = open_sinks(&files, &rig, [&rig_toml, &run_toml], args.frame, args.info())?;
+    let files = files.recording(args.record);
+    files.prepare(&run, &[&args.source, rig_file])?;
+    let recorded = (args.record, true);
+    let opened = open_sinks(&files, &rig, [&rig_toml, &run_toml], args.frame, args.info(), recorded)?;
+    let sinks = opened.sinks.into_iter().chain(opened.video).collect();
     // 3. the run
     let mut progress = Progress::of_frames(source.frame_count_hint(), quiet);
     let recording = args.source.display().to_string();
@@ -102,6 +117,18 @@ impl Args {
         self.threads.unwrap_or(0)
     }
 
+    /// Where the rig comes from: its own file, or a log that is tracked again.
+    fn rig_file(&self) -> Result<&Path, Failure> {
+        match &self.rig {
+            Some(file) => Ok(file),
+            None if is_log(&self.source) => Ok(&self.source),
+            None => {
+                let text = "needs a rig: name it with --rig RIG.toml (only a log brings its own)";
+                Err(Failure::new(Exit::Usage, format!("{}: {text}", self.source.display())))
+            }
+        }
+    }
+
     /// What the report says of the run.
     fn info(&self) -> RunInfo {
         let settings = [
@@ -112,7 +139,7 @@ impl Args {
         ];
         RunInfo {
             source: self.source.display().to_string(),
-            rig: self.rig.display().to_string(),
+            rig: self.rig.as_ref().unwrap_or(&self.source).display().to_string(),
             settings: settings.into_iter().flatten().collect(),
             camera_frame: self.frame == Reference::Camera,
         }
@@ -124,12 +151,13 @@ impl Args {
             command: "track".to_owned(),
             version: env!("CARGO_PKG_VERSION").to_owned(),
             recording: whole(&self.source),
-            rig: whole(&self.rig),
+            rig: whole(self.rig.as_ref().unwrap_or(&self.source)),
             frame: self.frame.word().to_owned(),
             from_s: self.from.map(seconds),
             to_s: self.to.map(seconds),
             fps: self.fps.map(|rate| rate.to_string()),
             full_frame: self.full_frame,
+            record: self.record.map(|record| record.word().to_owned()),
         }
     }
 }

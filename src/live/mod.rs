@@ -5,6 +5,7 @@
 //! | `camera` | takes frames out of the source | the camera |
 //! | `tracker` | tracks them, sends θ to controllers at once | frames |
 //! | `log` | writes log, table, report | rows |
+//! | `pictures` | records pictures, if wanted | tracked frames |
 //! | `publisher` | serves subscribers | rows |
 //! | `currents`, `currents in` | take coil currents to the log | samples |
 //! | the caller's | watches, tells once a second how it goes | the clock |
@@ -13,14 +14,16 @@
 //! few pictures wait; a tracker that falls behind goes to the newest frame, and those passed over keep their rows
 //! (`skipped_overload`). A frame of another size than the rig's has its row too (`wrong_size`). Nothing that writes or
 //! publishes can hold up the tracker: its lines are bounded, what does not fit is counted, and a sink that fails is told at
-//! once while everything else goes on.
+//! once while everything else goes on. Where the system allows, camera and tracker run before all else, and pictures behind.
 
 mod currents;
+mod pictures;
 mod queue;
 mod status;
 mod writer;
 
 pub use currents::CurrentSource;
+pub use pictures::{MOST_PICTURES, RecordTo, Recording, free_bytes};
 pub use queue::MOST_WAITING;
 pub use status::{Latency, Status};
 pub use writer::MOST_ROWS;
@@ -29,9 +32,10 @@ use crate::estimate::{Estimate, Miss};
 use crate::pipeline::{End, Summary};
 use crate::sink::{CurrentSample, Sink, UdpSink};
 use crate::source::host::HostClock;
-use crate::source::{self, FrameSource, SourceError, Timestamp};
+use crate::source::{self, FrameSource, Picture, SourceError, Timestamp};
 use crate::tally::Tally;
 use crate::track::{TrackError, Tracker};
+use pictures::Pictures;
 use queue::{Next, Queue};
 use status::Counters;
 use std::io;
@@ -62,6 +66,8 @@ pub struct Outputs {
     pub subscribers: Option<Box<dyn Sink + Send>>,
     /// Coil currents, as they come.
     pub currents: Option<Receiver<CurrentSample>>,
+    /// Pictures of the frames that are tracked.
+    pub pictures: Option<Recording>,
 }
 
 /// When a run ends, if the source does not end before.
@@ -84,6 +90,8 @@ pub struct LiveSummary {
     pub unlogged: u64,
     /// Rows that subscribers were not given because they would have waited.
     pub unpublished: u64,
+    /// Pictures recorded, and pictures lost to the recording; `None` when none were to be.
+    pub pictures: Option<(u64, u64)>,
 }
 
 /// Tracks what `source` gives; `watch` is called once a second.
@@ -116,6 +124,15 @@ pub fn run(
         }
         None => (None, None),
     };
+    let count = outputs.pictures.as_ref().map(|recording| Arc::clone(&recording.count));
+    let counted = || count.as_ref().map(|count| (count.recorded(), count.dropped()));
+    let (pictures, recorder) = match outputs.pictures {
+        Some(recording) => {
+            let (line, thread) = Pictures::start(recording, log.clone())?;
+            (Some(line), Some(thread))
+        }
+        None => (None, None),
+    };
     let unpublished = subscribers.as_ref().map(|s| Arc::clone(&s.missed));
 
     let camera = {
@@ -127,9 +144,10 @@ pub fn run(
         Builder::new().name("currents".to_owned()).spawn(move || log_currents(&samples, &log, &stop))
     });
     let currents = currents.transpose()?;
+    pool.broadcast(|_| run_as(Urgency::Tracker));
     let tracking = {
         let (queue, counters) = (Arc::clone(&queue), Arc::clone(&counters));
-        let mut out = Out { controllers: outputs.controllers, subscribers, log, counters };
+        let mut out = Out { controllers: outputs.controllers, subscribers, log, counters, pictures };
         Builder::new()
             .name("tracker".to_owned())
             .spawn(move || pool.install(|| track_all(&mut tracker, &queue, &mut out)))?
@@ -141,7 +159,8 @@ pub fn run(
         std::thread::sleep(LOOK);
         if told.elapsed() >= TELL {
             told += TELL;
-            watch(&Status { backlog: backlog.waiting(), unlogged: backlog.unlogged(), ..counters.status() });
+            let (waiting, unlogged) = (backlog.waiting(), backlog.unlogged());
+            watch(&Status { backlog: waiting, unlogged, pictures: counted(), ..counters.status() });
         }
         let over = until.duration.is_some_and(|duration| began.elapsed() >= duration);
         let deaf = backlog.sinks_alive() == 0 && !listened_to;
@@ -168,7 +187,9 @@ pub fn run(
     let (source_tally, source_end) = taken.unwrap_or_default();
     let tracked = joined(tracking);
     currents.into_iter().for_each(joined);
-    let sink_failures = joined(writer);
+    let unrecorded = recorder.and_then(joined);
+    let mut sink_failures = joined(writer);
+    sink_failures.extend(unrecorded);
     if let Some(publisher) = publisher {
         joined(publisher);
     }
@@ -184,6 +205,7 @@ pub fn run(
         latency,
         unlogged: backlog.unlogged(),
         unpublished: unpublished.map_or(0, |missed| missed.load(Ordering::Relaxed)),
+        pictures: counted(),
     })
 }
 
@@ -193,7 +215,7 @@ fn take_all(
     queue: &Queue,
     stop: &AtomicBool,
 ) -> (source::Tally, Option<SourceError>) {
-    hurry();
+    run_as(Urgency::Camera);
     let end = loop {
         if stop.load(Ordering::Relaxed) {
             break None;
@@ -219,15 +241,29 @@ fn log_currents(samples: &Receiver<CurrentSample>, log: &Log, stop: &AtomicBool)
     }
 }
 
-/// Puts this thread before others, where the system lets us: a frame that is not taken in time is lost.
-fn hurry() {
+/// How far this thread goes before others, or behind them, as the system counts it ("nice"), where it lets us: a frame that is not
+/// taken in time is lost, θ that is late is of no use, and a picture that is not recorded is neither.
+#[derive(Debug, Clone, Copy)]
+enum Urgency {
+    Camera,
+    Tracker,
+    Pictures,
+}
+
+fn run_as(urgency: Urgency) {
     #[cfg(target_os = "linux")]
     {
-        let refused = rustix::process::setpriority_process(Some(rustix::thread::gettid()), -15).is_err();
-        if refused {
-            tracing::debug!("the camera's thread runs at ordinary priority: the system allows no higher one");
+        let nice = match urgency {
+            Urgency::Camera => -15,
+            Urgency::Tracker => -10,
+            Urgency::Pictures => 5,
+        };
+        if rustix::process::setpriority_process(Some(rustix::thread::gettid()), nice).is_err() {
+            tracing::debug!("a thread runs at ordinary priority ({urgency:?}): the system allows no higher one");
         }
     }
+    #[cfg(not(target_os = "linux"))]
+    let _ = urgency;
 }
 
 /// Where the tracker's rows go.
@@ -236,11 +272,13 @@ struct Out {
     subscribers: Option<Subscribers>,
     log: Log,
     counters: Arc<Counters>,
+    pictures: Option<Pictures>,
 }
 
 impl Out {
-    /// Controllers first: they wait for it.
-    fn put(&mut self, estimate: Estimate, tracked: bool) {
+    /// Controllers first: they wait for it. `picture` is given of a frame that was tracked.
+    fn put(&mut self, estimate: Estimate, picture: Option<Picture>) {
+        let tracked = picture.is_some();
         if let Some(controllers) = &mut self.controllers {
             controllers.send(&estimate);
         }
@@ -249,7 +287,10 @@ impl Out {
         if let Some(subscribers) = &self.subscribers {
             subscribers.put(&estimate);
         }
-        self.log.put(Entry::Frame(estimate));
+        self.log.put(Entry::Frame(Arc::clone(&estimate)));
+        if let (Some(pictures), Some(picture)) = (&mut self.pictures, picture) {
+            pictures.put(estimate, picture);
+        }
     }
 }
 
@@ -261,12 +302,12 @@ fn track_all(tracker: &mut Tracker, queue: &Queue, out: &mut Out) -> Option<End>
             Next::Silence => continue,
             Next::Closed => return None,
         };
-        skipped.into_iter().for_each(|row| out.put(row, false));
+        skipped.into_iter().for_each(|row| out.put(row, None));
         let Some(frame) = frame else { continue };
         match tracker.step(&frame) {
-            Ok(estimate) => out.put(estimate, true),
+            Ok(estimate) => out.put(estimate, Some(frame.picture)),
             Err(TrackError::Size { found, .. }) => {
-                out.put(Estimate::missed(&frame, tracker.rig(), &Miss::WrongSize { found }), false);
+                out.put(Estimate::missed(&frame, tracker.rig(), &Miss::WrongSize { found }), None);
             }
             Err(error) => {
                 let (seq, stamp): (u64, Timestamp) = (frame.seq, frame.stamp);

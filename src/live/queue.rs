@@ -8,10 +8,15 @@ use crate::rig::Rig;
 use crate::source::Frame;
 use std::collections::VecDeque;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
-/// Pictures that may wait. The tracker catches up with so many (a decoder hands on in bursts); with more, it goes to the newest.
-pub const MOST_WAITING: usize = 3;
+/// Pictures that may wait: memory is bounded.
+pub const MOST_WAITING: usize = 16;
+/// So many may wait however long: a decoder hands on in bursts.
+const FEW: usize = 3;
+/// More may wait as long as the oldest is no older than this: a fast camera's frames are caught up with before they are of no use. Then
+/// the tracker goes to the newest.
+const LATEST: Duration = Duration::from_millis(50);
 
 /// The line between camera and tracker.
 #[derive(Debug)]
@@ -24,7 +29,8 @@ pub(super) struct Queue {
 #[derive(Debug, Default)]
 struct State {
     skipped: Vec<Estimate>,
-    waiting: VecDeque<Frame>,
+    /// When each came, and the frame.
+    waiting: VecDeque<(Instant, Frame)>,
     closed: bool,
 }
 
@@ -46,12 +52,18 @@ impl Queue {
 
     /// Adds a frame. When too many wait, all but this one are passed over.
     pub(super) fn push(&self, frame: Frame) {
+        self.push_at(Instant::now(), frame);
+    }
+
+    fn push_at(&self, now: Instant, frame: Frame) {
         let mut state = self.lock();
-        if state.waiting.len() >= MOST_WAITING {
+        let waiting = state.waiting.len();
+        let oldest = state.waiting.front().map(|(since, _)| now.saturating_duration_since(*since));
+        if waiting >= MOST_WAITING || (waiting >= FEW && oldest.is_some_and(|age| age > LATEST)) {
             let State { skipped, waiting, .. } = &mut *state;
-            skipped.extend(waiting.drain(..).map(|f| Estimate::missed(&f, &self.rig, &Miss::SkippedOverload)));
+            skipped.extend(waiting.drain(..).map(|(_, f)| Estimate::missed(&f, &self.rig, &Miss::SkippedOverload)));
         }
-        state.waiting.push_back(frame);
+        state.waiting.push_back((now, frame));
         drop(state);
         self.changed.notify_one();
     }
@@ -70,7 +82,7 @@ impl Queue {
             state = self.changed.wait_timeout_while(state, patience, waits).unwrap_or_else(PoisonError::into_inner).0;
         }
         let skipped = std::mem::take(&mut state.skipped);
-        let frame = state.waiting.pop_front();
+        let frame = state.waiting.pop_front().map(|(_, frame)| frame);
         match (skipped.is_empty() && frame.is_none(), state.closed) {
             (true, true) => Next::Closed,
             (true, false) => Next::Silence,
@@ -106,24 +118,38 @@ mod tests {
     #[test]
     fn few_frames_are_caught_up_with_and_of_many_the_newest_is_taken() {
         let queue = Queue::new(&fixture::rig());
+        let began = Instant::now();
+        // A camera of 60 Hz.
+        let push = |seq: u64| queue.push_at(began + Duration::from_nanos(16_666_667) * seq as u32, frame(seq));
         assert!(matches!(queue.next(Duration::ZERO), Next::Silence));
-        (0..3).for_each(|seq| queue.push(frame(seq)));
+        (0..3).for_each(push);
         assert_eq!(taken(&queue), (vec![], Some(0)));
-        (3..9).for_each(|seq| queue.push(frame(seq)));
-        // 1, 2, 3 were passed over at 4, and 4, 5, 6 at 7.
+        (3..9).for_each(push);
+        // 1, 2, 3 were passed over at 4, when 1 had waited for more than 50 ms, and 4, 5, 6 at 7.
         assert_eq!(taken(&queue), ((1..7).collect(), Some(7)));
         assert_eq!(taken(&queue), (vec![], Some(8)));
         assert!(matches!(queue.next(Duration::ZERO), Next::Silence));
-        queue.push(frame(9));
+        push(9);
         queue.close();
         assert_eq!(taken(&queue), (vec![], Some(9)));
         assert!(matches!(queue.next(Duration::ZERO), Next::Closed));
     }
 
     #[test]
+    fn of_a_fast_camera_more_may_wait_but_never_more_than_memory_is_for() {
+        let queue = Queue::new(&fixture::rig());
+        let began = Instant::now();
+        let push = |seq: u64| queue.push_at(began + Duration::from_millis(1) * seq as u32, frame(seq));
+        (0..16).for_each(push);
+        assert_eq!(taken(&queue), (vec![], Some(0)));
+        (16..18).for_each(push);
+        assert_eq!(taken(&queue), ((1..17).collect(), Some(17)));
+    }
+
+    #[test]
     fn a_frame_passed_over_keeps_its_row() {
         let queue = Queue::new(&fixture::rig());
-        (0..4).for_each(|seq| queue.push(frame(seq)));
+        (0..=MOST_WAITING as u64).for_each(|seq| queue.push(frame(seq)));
         let Next::Frames(skipped, _) = queue.next(Duration::ZERO) else { panic!("frames wait") };
         assert_eq!((skipped[1].seq, skipped[1].stamp.ns, skipped[1].markers.len()), (1, 1000, 3));
         assert!(skipped.iter().all(|e| matches!(e.deflection, Err(Miss::SkippedOverload))));

@@ -41,6 +41,8 @@ pub struct Status {
     pub backlog: usize,
     /// Rows that could not be written because too many waited.
     pub unlogged: u64,
+    /// Pictures recorded, and pictures lost to the recording; `None` when none are to be.
+    pub pictures: Option<(u64, u64)>,
     /// All drift alarms so far.
     pub alarms: Vec<AlarmInWords>,
 }

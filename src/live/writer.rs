@@ -4,7 +4,8 @@
 //! are lost to the files (never to publishers) and counted. A sink that fails is told at once; the others go on.
 
 use crate::estimate::Estimate;
-use crate::sink::{CurrentSample, Sink, SinkError};
+use crate::sink::messages::PictureWindows;
+use crate::sink::{CurrentSample, PictureCount, Sink, SinkError};
 use std::io;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
@@ -21,6 +22,8 @@ const WORTH_A_WORD: usize = MOST_ROWS / 16;
 pub(super) enum Entry {
     Frame(Arc<Estimate>),
     Current(CurrentSample),
+    /// What was kept of a picture, and where it is counted.
+    Windows(Box<PictureWindows>, Arc<PictureCount>),
 }
 
 /// Counts that both ends of the line know.
@@ -89,10 +92,12 @@ fn write_all(sinks: Vec<Box<dyn Sink + Send>>, line: &Receiver<Entry>, backlog: 
     let mut failures = Vec::new();
     let mut sinks: Vec<_> = sinks.into_iter().map(|sink| (sink, true)).collect();
     for entry in line {
+        let mut kept = false;
         for (sink, works) in sinks.iter_mut().filter(|(_, works)| *works) {
             let written = match &entry {
                 Entry::Frame(estimate) => sink.write(estimate, None),
                 Entry::Current(sample) => sink.write_current(sample),
+                Entry::Windows(windows, _) => sink.write_windows(windows).map(|takes| kept |= takes),
             };
             if let Err(error) = written {
                 *works = false;
@@ -100,6 +105,9 @@ fn write_all(sinks: Vec<Box<dyn Sink + Send>>, line: &Receiver<Entry>, backlog: 
                 tracing::error!("{error}; what was written before is kept, the rest of the run goes on");
                 failures.push(error);
             }
+        }
+        if let Entry::Windows(_, count) = &entry {
+            if kept { count.add_recorded() } else { count.add_dropped() }
         }
         backlog.waiting.fetch_sub(1, Ordering::Relaxed);
     }

@@ -2,9 +2,10 @@
 
 use super::LogError;
 use super::fields::{number, text};
+use super::messages::Known;
 use super::records::{self, Extent};
 use mcap::records::Record;
-use prost_reflect::{DescriptorPool, DynamicMessage, MessageDescriptor, Value};
+use prost_reflect::{DynamicMessage, Value};
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -48,13 +49,6 @@ pub struct Info {
     pub misses: BTreeMap<(String, String), u64>,
 }
 
-/// Schemas and channels met so far.
-#[derive(Default)]
-struct Known {
-    schemas: BTreeMap<u16, (String, Option<MessageDescriptor>)>,
-    channels: BTreeMap<u16, (TopicInfo, Option<MessageDescriptor>)>,
-}
-
 impl Info {
     /// Reads the log at `path`, whole.
     ///
@@ -63,30 +57,16 @@ impl Info {
     pub fn read(path: &Path) -> Result<Self, LogError> {
         let mut info = Self::default();
         let mut known = Known::default();
+        let mut messages: BTreeMap<u16, u64> = BTreeMap::new();
         let mut last: Option<(u64, i64)> = None;
         let extent = records::each(path, |record| {
+            known.learn(record);
             match record {
                 Record::Header(header) => info.library.clone_from(&header.library),
-                Record::Schema { header, data } => {
-                    known.schemas.entry(header.id).or_insert_with(|| {
-                        let pool = DescriptorPool::decode(data.as_ref()).ok();
-                        (header.name.clone(), pool.and_then(|pool| pool.get_message_by_name(&header.name)))
-                    });
-                }
-                Record::Channel(channel) => {
-                    let (schema, descriptor) = known.schemas.get(&channel.schema_id).cloned().unwrap_or_default();
-                    let topic = TopicInfo { name: channel.topic.clone(), schema, messages: 0 };
-                    known.channels.entry(channel.id).or_insert((topic, descriptor));
-                }
                 Record::Message { header, data } => {
-                    if let Some((topic, descriptor)) = known.channels.get_mut(&header.channel_id) {
-                        topic.messages += 1;
-                        if topic.name == "/catheter/estimate"
-                            && let Some(descriptor) = descriptor
-                            && let Ok(estimate) = DynamicMessage::decode(descriptor.clone(), data.as_ref())
-                        {
-                            info.add(&estimate, &mut last);
-                        }
+                    *messages.entry(header.channel_id).or_default() += 1;
+                    if let Some(estimate) = known.decoded(header.channel_id, "/catheter/estimate", data.as_ref()) {
+                        info.add(&estimate, &mut last);
                     }
                 }
                 Record::Attachment { header, data, .. } => {
@@ -100,7 +80,12 @@ impl Info {
             Extent::Whole => None,
             Extent::Cut { why } => Some(why),
         };
-        info.topics = known.channels.into_values().map(|(topic, _)| topic).collect();
+        let topic = |(id, name, schema): (u16, &str, &str)| TopicInfo {
+            name: name.to_owned(),
+            schema: schema.to_owned(),
+            messages: messages.get(&id).copied().unwrap_or(0),
+        };
+        info.topics = known.channels().map(topic).collect();
         info.topics.sort_by(|a, b| a.name.cmp(&b.name));
         let ours = info.topics.iter().any(|topic| topic.name == "/catheter/estimate");
         if ours { Ok(info) } else { Err(LogError::NotOurs { path: path.to_owned() }) }

@@ -6,10 +6,36 @@
 mod error;
 pub(crate) mod fields;
 mod info;
+pub(crate) mod messages;
 pub(crate) mod records;
 mod repair;
+
+use std::io::Read as _;
+use std::path::Path;
 
 pub use error::LogError;
 pub use info::{Info, TopicInfo};
 pub use records::Extent;
 pub use repair::{Repaired, repair};
+
+/// Whether the file at `path` begins as logs do.
+pub fn is_log(path: &Path) -> bool {
+    let mut begin = [0; mcap::MAGIC.len()];
+    std::fs::File::open(path).and_then(|mut file| file.read_exact(&mut begin)).is_ok() && begin == mcap::MAGIC
+}
+
+/// The text file called `name` that is attached to the log at `path`, if there is one.
+///
+/// # Errors
+/// When the log cannot be read, or is none.
+pub fn attached(path: &Path, name: &str) -> Result<Option<String>, LogError> {
+    let mut records = records::Records::open(path)?;
+    while let Some(record) = records.next()? {
+        if let mcap::records::Record::Attachment { header, data, .. } = &record
+            && header.name == name
+        {
+            return Ok(Some(String::from_utf8_lossy(data).into_owned()));
+        }
+    }
+    Ok(None)
+}

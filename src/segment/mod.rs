@@ -30,7 +30,8 @@ mod tests;
 pub use learn::{ClassSamples, LearnError, Learned, Separation, learn};
 
 use crate::rig::{ColourModel, Rig};
-use crate::source::Picture;
+pub use crate::source::Window;
+use crate::source::{NotRecorded, Picture};
 use cells::Grid;
 use components::Components;
 use discriminant::Discriminant;
@@ -48,38 +49,7 @@ const LEAST_CELLS: usize = 3;
 /// Largest width and height, pixels: with it all moments are exact in 64-bit integers.
 const LARGEST_PX: u32 = 16_384;
 
-/// A rectangle of pixels, half-open: x0 ≤ x < x1, y0 ≤ y < y1.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub struct Window {
-    /// First column.
-    pub x0: u32,
-    /// First row.
-    pub y0: u32,
-    /// Column after the last.
-    pub x1: u32,
-    /// Row after the last.
-    pub y1: u32,
-}
-
 impl Window {
-    /// All of a picture.
-    pub fn whole(picture: &Picture) -> Self {
-        let [x1, y1] = picture.size_px();
-        Self { x0: 0, y0: 0, x1, y1 }
-    }
-
-    /// The window of `radius_px` around a place (pixels that reach outside a picture do not matter; a place that is not
-    /// finite gives an empty one).
-    pub fn around(centre: &Point2<f64>, radius_px: f64) -> Self {
-        // `as` saturates: what lies left of the picture becomes 0, NaN too.
-        Self {
-            x0: (centre.x - radius_px).floor() as u32,
-            y0: (centre.y - radius_px).floor() as u32,
-            x1: (centre.x + radius_px).ceil() as u32,
-            y1: (centre.y + radius_px).ceil() as u32,
-        }
-    }
-
     /// The cells it touches: columns and rows, half-open, within a picture of `size_px`.
     fn cells(&self, size_px: [u32; 2]) -> CellWindow {
         let [width, height] = size_px;
@@ -104,6 +74,14 @@ struct CellWindow {
 }
 
 impl CellWindow {
+    /// The pixels of its cells and of the ring of cells around them, which measures blobs at its border.
+    fn with_ring(&self) -> Window {
+        // A grid has at most 8192 cells a side.
+        let px = |cells: usize| 2 * cells as u32;
+        let (x0, y0) = (self.x0.saturating_sub(1), self.y0.saturating_sub(1));
+        Window { x0: px(x0), y0: px(y0), x1: px(self.x1 + 1), y1: px(self.y1 + 1) }
+    }
+
     /// Whether `inner` reaches the outermost ring of this window anywhere but at the edge of a picture of `size_px`.
     fn is_touched_by(&self, inner: &Self, size_px: [u32; 2]) -> bool {
         let [width, height] = size_px.map(|size| size.div_ceil(2) as usize);
@@ -186,6 +164,9 @@ pub enum SegmentError {
     /// A grey picture.
     #[error("grey pictures have no colour")]
     Grey,
+    /// A picture that was recorded in parts lacks one.
+    #[error(transparent)]
+    NotRecorded(#[from] NotRecorded),
     /// A picture too large for exact moments.
     #[error("picture of {0}x{1} pixels, expected at most {LARGEST_PX} a side")]
     TooLarge(u32, u32),
@@ -250,14 +231,14 @@ impl Segmenter {
     /// # Errors
     /// When the picture is grey or too large.
     pub fn all_blobs(&mut self, picture: &Picture) -> Result<&[Blob], SegmentError> {
-        self.blobs(picture, &[Search { marker: None, window: Window::whole(picture) }])
+        self.blobs(picture, &[Search { marker: None, window: Window::whole(picture.size_px()) }])
     }
 
     /// The blobs in some windows, in the order of searches, then markers, then the raster. One that lies whole in several
     /// windows is given once.
     ///
     /// # Errors
-    /// When the picture is grey or too large, or a search names a marker that does not exist.
+    /// When the picture is grey or too large, when it was not recorded there, or a search names a marker that does not exist.
     pub fn blobs(&mut self, picture: &Picture, searches: &[Search]) -> Result<&[Blob], SegmentError> {
         let markers = self.models.len();
         if let Some(marker) = searches.iter().filter_map(|s| s.marker).find(|&m| m >= markers) {
@@ -272,6 +253,7 @@ impl Segmenter {
         self.found.clear();
         for search in searches {
             let window = search.window.cells(picture.size_px());
+            picture.look_at(window.with_ring())?;
             self.scanner.scan(&grid, &self.discriminants, window, search.marker);
             for (marker, (discriminant, runs)) in self.discriminants.iter().zip(self.scanner.runs()).enumerate() {
                 for component in self.components.group(runs) {

@@ -199,7 +199,7 @@ fn overlapping_windows_give_a_blob_once() {
     let picture = Scene::new(160, 120, &bands()).stored(YUV420, VIDEO);
     let mut segmenter = segmenter();
     let whole = segmenter.all_blobs(&picture).unwrap().to_vec();
-    let all = Search { marker: None, window: Window::whole(&picture) };
+    let all = Search { marker: None, window: Window::whole(picture.size_px()) };
     let tip = Search { marker: Some(2), window: Window::around(&Point2::new(120.0, 91.0), 20.0) };
     assert_eq!(segmenter.blobs(&picture, &[all, tip, all]).unwrap(), whole);
 }
@@ -211,7 +211,7 @@ fn refusals_say_why() {
     let wide = Picture::from_planes(16_386, 1, PixelFormat::Nv12, VIDEO, vec![vec![0; 16_386]; 2]).unwrap();
     assert_eq!(segmenter().all_blobs(&wide).unwrap_err(), SegmentError::TooLarge(16_386, 1));
     let picture = Scene::new(8, 8, &[]).stored(YUV420, VIDEO);
-    let fourth = Search { marker: Some(3), window: Window::whole(&picture) };
+    let fourth = Search { marker: Some(3), window: Window::whole(picture.size_px()) };
     assert_eq!(segmenter().blobs(&picture, &[fourth]).unwrap_err().to_string(), "search for marker 3, but there are 3");
     let mut models = models();
     models[1].weights.y = f64::NAN;

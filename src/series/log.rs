@@ -3,20 +3,16 @@
 use super::{Current, Frame, Place, Recording, SeriesError};
 use crate::log::LogError;
 use crate::log::fields::{float, inner, number, optional_number, text, xyz};
+use crate::log::messages::Known;
 use crate::log::records::{self, Extent};
 use crate::sink::OutputFrame;
 use mcap::records::Record;
 use nalgebra::{Point3, Vector3};
-use prost_reflect::{DescriptorPool, DynamicMessage, MessageDescriptor, Value};
-use std::collections::BTreeMap;
+use prost_reflect::{DynamicMessage, Value};
 use std::path::Path;
 
-/// What is read of a log.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Topic {
-    Estimate,
-    Current,
-}
+const ESTIMATE: &str = "/catheter/estimate";
+const CURRENT: &str = "/coil/current";
 
 /// Reads the log at `path`; one that was cut off as far as it goes.
 pub(super) fn read(path: &Path) -> Result<Recording, SeriesError> {
@@ -25,7 +21,7 @@ pub(super) fn read(path: &Path) -> Result<Recording, SeriesError> {
         reader.take(record);
         Ok(())
     })?;
-    if !reader.channels.values().any(|(topic, _)| *topic == Topic::Estimate) {
+    if !reader.known.channels().any(|(_, topic, _)| topic == ESTIMATE) {
         return Err(LogError::NotOurs { path: path.to_owned() }.into());
     }
     let cut = match extent {
@@ -47,8 +43,7 @@ pub(super) fn read(path: &Path) -> Result<Recording, SeriesError> {
 
 #[derive(Default)]
 struct Reader {
-    schemas: BTreeMap<u16, MessageDescriptor>,
-    channels: BTreeMap<u16, (Topic, MessageDescriptor)>,
+    known: Known,
     clock: Option<String>,
     markers: Vec<String>,
     frames: Vec<Frame>,
@@ -61,34 +56,20 @@ struct Reader {
 impl Reader {
     fn take(&mut self, record: &Record<'_>) {
         match record {
-            Record::Schema { header, data } => {
-                let pool = DescriptorPool::decode(data.as_ref()).ok();
-                if let Some(descriptor) = pool.and_then(|pool| pool.get_message_by_name(&header.name)) {
-                    self.schemas.entry(header.id).or_insert(descriptor);
-                }
-            }
-            Record::Channel(channel) => {
-                let topic = match channel.topic.as_str() {
-                    "/catheter/estimate" => Topic::Estimate,
-                    "/coil/current" => Topic::Current,
-                    _ => return,
-                };
-                if let Some(descriptor) = self.schemas.get(&channel.schema_id) {
-                    self.channels.entry(channel.id).or_insert((topic, descriptor.clone()));
-                }
-            }
             Record::Message { header, data } => {
-                let Some((topic, descriptor)) = self.channels.get(&header.channel_id) else { return };
-                match (topic, DynamicMessage::decode(descriptor.clone(), data.as_ref())) {
-                    (Topic::Estimate, Ok(message)) => self.estimate(&message),
-                    (Topic::Current, Ok(message)) => self.currents.push(current(&message)),
+                let Some((topic @ (ESTIMATE | CURRENT), descriptor)) = self.known.channel(header.channel_id) else {
+                    return;
+                };
+                match (topic == ESTIMATE, DynamicMessage::decode(descriptor.clone(), data.as_ref())) {
+                    (true, Ok(message)) => self.estimate(&message),
+                    (false, Ok(message)) => self.currents.push(current(&message)),
                     (_, Err(error)) => {
                         let what = format!("message {} cannot be decoded ({error}) and is left out", header.sequence);
                         self.undecoded.get_or_insert(what);
                     }
                 }
             }
-            _ => {}
+            other => self.known.learn(other),
         }
     }
 

@@ -22,13 +22,10 @@ pub use columns::columns;
 pub use currents::{CurrentClock, CurrentRow, CurrentTable};
 pub use error::SeriesError;
 
+use crate::log::is_log;
 use crate::sink::OutputFrame;
 use nalgebra::{Point3, Vector3};
-use std::io::Read as _;
 use std::path::{Path, PathBuf};
-
-/// The first bytes of every MCAP file.
-const MCAP_MAGIC: &[u8] = b"\x89MCAP0\r\n";
 
 /// A tracked run.
 #[derive(Debug, Clone, PartialEq)]
@@ -102,11 +99,7 @@ impl Recording {
     /// # Errors
     /// When the file cannot be read or is neither. A file without a frame is no error.
     pub fn read(path: &Path) -> Result<Self, SeriesError> {
-        let io = |source| SeriesError::Io { path: path.to_owned(), source };
-        let mut begin = Vec::new();
-        let file = std::fs::File::open(path).map_err(io)?;
-        file.take(MCAP_MAGIC.len() as u64).read_to_end(&mut begin).map_err(io)?;
-        if begin == MCAP_MAGIC { log::read(path) } else { table::read(path) }
+        if is_log(path) { log::read(path) } else { table::read(path) }
     }
 
     /// Index of the marker `name` in [`Frame::places`].

@@ -170,7 +170,7 @@ impl VideoFile {
 }
 
 /// Whether a system error number is EAGAIN, whatever its value here.
-fn would_block(errno: i32) -> bool {
+pub(super) fn would_block(errno: i32) -> bool {
     std::io::Error::from_raw_os_error(errno).kind() == std::io::ErrorKind::WouldBlock
 }
 

@@ -11,6 +11,7 @@ mod mcap;
 
 pub use self::csv::CsvSink;
 pub use self::mcap::McapSink;
+pub(crate) use self::topics::WINDOWS;
 pub use self::topics::messages;
 
 mod clock;
@@ -18,15 +19,20 @@ mod colour;
 mod encode;
 mod overlay;
 mod palette;
+mod pictures;
 mod publish;
 mod topics;
 mod udp;
+mod windows;
 
 pub(crate) use clock::Origin;
 pub use overlay::OverlaySink;
 pub(crate) use palette::{Palette, Rgb};
+pub use pictures::{PictureCodec, PictureVideo};
 pub use publish::PublishSink;
 pub use udp::UdpSink;
+pub use windows::PictureCount;
+pub(crate) use windows::{Keeper, PNG};
 
 use crate::estimate::Estimate;
 use crate::rig::Rig;
@@ -55,6 +61,14 @@ pub trait Sink {
     /// As [`Sink::write`].
     fn write_current(&mut self, _: &CurrentSample) -> Result<(), SinkError> {
         Ok(())
+    }
+
+    /// Writes what was kept of a picture, some frames after its estimate; only the log has a place for it. Whether this sink has.
+    ///
+    /// # Errors
+    /// As [`Sink::write`].
+    fn write_windows(&mut self, _: &messages::PictureWindows) -> Result<bool, SinkError> {
+        Ok(false)
     }
 
     /// Completes the file. Called exactly once, after an interrupt or an error too.

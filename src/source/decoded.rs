@@ -13,8 +13,9 @@ use super::{ChromaSiting, Colour, Matrix, Picture, PixelFormat, Range, SourceErr
 /// Makes pictures of one stream's frames. Frames of the formats of [`Picture`] are kept as they are, without a copy.
 pub(crate) struct PictureMaker {
     path: PathBuf,
-    codec: Id,
     converter: Option<Converter>,
+    /// Where chroma sits in frames that do not say.
+    siting: ChromaSiting,
     warned: Vec<&'static str>,
 }
 
@@ -27,7 +28,17 @@ unsafe impl Send for Converter {}
 
 impl PictureMaker {
     pub(crate) fn new(path: PathBuf, codec: Id) -> Self {
-        Self { path, codec, converter: None, warned: Vec::new() }
+        let siting = match codec {
+            Id::MJPEG | Id::MPEG1VIDEO => ChromaSiting::Center,
+            _ => ChromaSiting::Left,
+        };
+        Self { path, converter: None, siting, warned: Vec::new() }
+    }
+
+    /// Where chroma sits in frames that do not say, if the codec is not to decide.
+    #[cfg(feature = "gstreamer")]
+    pub(crate) fn take_unsaid_siting_as(&mut self, siting: ChromaSiting) {
+        self.siting = siting;
     }
 
     /// The picture in `frame`.
@@ -148,8 +159,7 @@ impl PictureMaker {
             chroma::Location::Left => ChromaSiting::Left,
             chroma::Location::Center => ChromaSiting::Center,
             chroma::Location::TopLeft => ChromaSiting::TopLeft,
-            chroma::Location::Unspecified if matches!(self.codec, Id::MJPEG | Id::MPEG1VIDEO) => ChromaSiting::Center,
-            chroma::Location::Unspecified => ChromaSiting::Left,
+            chroma::Location::Unspecified => self.siting,
             other => {
                 if self.first("siting") {
                     tracing::warn!("{}: chroma siting {other:?} is taken for left", self.path.display());

@@ -4,6 +4,7 @@ use std::io;
 use std::path::PathBuf;
 
 use super::times::FrameRateError;
+use crate::log::LogError;
 
 /// Why frames cannot be had.
 #[derive(Debug, thiserror::Error)]
@@ -146,6 +147,34 @@ pub enum SourceError {
         last_good_s: Option<f64>,
         /// How that is known.
         why: String,
+    },
+    /// A log, where pictures are wanted.
+    #[error("{}: is a log, whose pictures are in parts at most: it can be tracked, and no more", path.display())]
+    IsLog {
+        /// The file.
+        path: PathBuf,
+    },
+    /// A log that cannot be read.
+    #[error(transparent)]
+    Log(#[from] LogError),
+    /// A log without pictures.
+    #[error(
+        "{}: this log holds no pictures, so it cannot be tracked again: record them with `catoptra live … --record windows`, \
+        or track the video beside it, if it was recorded with `--record ffv1` or `h264`", path.display()
+    )]
+    LogWithoutPictures {
+        /// The log.
+        path: PathBuf,
+    },
+    /// A picture in a log that cannot be understood.
+    #[error("{}: the picture of frame {seq} cannot be read: {reason}", path.display())]
+    LogPicture {
+        /// The log.
+        path: PathBuf,
+        /// Number of the frame.
+        seq: u64,
+        /// What is wrong.
+        reason: String,
     },
     /// The stream has ended without a frame.
     #[error("{}: has no frame that can be decoded", path.display())]

@@ -48,6 +48,8 @@ pub struct VideoFile {
     stream: usize,
     time_base: av::Rational,
     start_pts: i64,
+    /// Camera time of the container's zero, see [`ORIGIN_TAG`].
+    origin_ns: i64,
     decoder: av::decoder::Video,
     pictures: PictureMaker,
     damage: DamageLog,
@@ -83,6 +85,10 @@ enum State {
     Draining,
     Ended,
 }
+
+/// Name of the tag that holds what the camera's clock said at the container's zero, nanoseconds: a video recorded by this
+/// program has it where the clock counts from a distant past, which containers hold with some hundred nanoseconds at best.
+pub(crate) const ORIGIN_TAG: &str = "CATOPTRA_ORIGIN_NS";
 
 /// Packets of a stream whose arrival is remembered: more than any encoder reorders.
 const MOST_ARRIVALS: usize = 64;
@@ -143,6 +149,13 @@ impl VideoFile {
             let hint = count_hint(&input, &stream, options.span);
             (stream.index(), decoder, stream.time_base(), stream.start_time(), declared_ns, hint)
         };
+        let origin_ns = match input.metadata().get(ORIGIN_TAG) {
+            Some(text) => text.parse().map_err(|_| SourceError::NotAVideo {
+                path: path.clone(),
+                reason: format!("its tag {ORIGIN_TAG} is `{text}`, expected whole nanoseconds"),
+            })?,
+            None => 0,
+        };
         let tick_ns = 1e9 * f64::from(time_base.0) / f64::from(time_base.1.max(1));
         Ok(Self {
             pictures: PictureMaker::new(path.clone(), decoder.id()),
@@ -154,6 +167,7 @@ impl VideoFile {
             stream: index,
             time_base,
             start_pts,
+            origin_ns,
             decoder,
             damage: DamageLog::default(),
             held: VecDeque::new(),
@@ -183,7 +197,7 @@ impl VideoFile {
     /// later, so the first frame that comes out decides.
     fn seek(&mut self, from_ns: i64, threads: usize) -> Result<(), SourceError> {
         for margin_s in [0, 2, 10, 60] {
-            let to_us = from_ns / 1000 - margin_s * 1_000_000;
+            let to_us = from_ns.saturating_sub(self.origin_ns) / 1000 - margin_s * 1_000_000;
             if self.input.seek(to_us, ..=to_us).is_err() {
                 break;
             }
@@ -339,6 +353,7 @@ impl VideoFile {
             (None, None) => return Err(SourceError::NoTime { path: self.path.clone(), seq: self.seq }),
         };
         let ns = ticks_to_ns(ticks, self.time_base.0.into(), self.time_base.1.into())
+            .and_then(|ns| ns.checked_add(self.origin_ns))
             .ok_or_else(|| SourceError::TimeRange { path: self.path.clone(), seq: self.seq })?;
         self.seen_ns = Some(ns);
         Ok(Timestamp { ns, clock: self.clock })

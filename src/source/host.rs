@@ -33,9 +33,13 @@ pub struct HostClock {
 }
 
 impl HostClock {
-    /// Set by the computer's time of day, now.
+    /// Set by the computer's time of day, now. It is asked this once.
     pub fn start() -> Self {
-        let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+        Self::set_by(SystemTime::now)
+    }
+
+    fn set_by(time_of_day: impl FnOnce() -> SystemTime) -> Self {
+        let since_1970 = time_of_day().duration_since(UNIX_EPOCH).unwrap_or_default();
         Self { started: Instant::now(), started_ns: i64::try_from(since_1970.as_nanos()).unwrap_or(i64::MAX) }
     }
 
@@ -208,6 +212,33 @@ mod tests {
             assert!((time.stamp_ns - taken_ns).abs() < 20_000_000, "frame {k}");
         }
         assert_eq!(fit.restarts(), 1);
+    }
+
+    /// The computer's time of day is set by an hour while a camera runs: neither arrivals nor mapped stamps show it.
+    #[test]
+    fn a_step_of_the_time_of_day_does_not_show() {
+        let hour = std::time::Duration::from_secs(3600);
+        for step in [|t: SystemTime, by| t + by, |t: SystemTime, by| t - by] {
+            let mut time_of_day = UNIX_EPOCH + std::time::Duration::from_secs(1_700_000_000);
+            let clock = HostClock::set_by(|| time_of_day);
+            let (mut fit, mut last) = (ClockFit::default(), None::<HostTime>);
+            for k in 0..240 {
+                if k == 120 {
+                    time_of_day = step(time_of_day, hour);
+                }
+                let arrival = clock.started + std::time::Duration::from_micros(16_667 * k);
+                let time = fit.map(5_000_000_000 + 16_667_000 * k as i64, clock.at_ns(arrival));
+                if let Some(last) = last {
+                    assert_eq!(time.arrival_ns - last.arrival_ns, 16_667_000, "frame {k}");
+                    assert_eq!(time.stamp_ns - last.stamp_ns, 16_667_000, "frame {k}");
+                }
+                last = Some(time);
+            }
+            assert_eq!(fit.restarts(), 0);
+            // A clock that is started now sees it.
+            let later = HostClock::set_by(|| time_of_day);
+            assert_eq!((later.started_ns - clock.started_ns).abs(), 3_600_000_000_000);
+        }
     }
 
     #[test]

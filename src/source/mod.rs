@@ -16,20 +16,28 @@ pub mod host;
 pub mod images;
 pub(crate) mod jpeg;
 pub mod live;
+mod log_windows;
+mod names;
 mod picture;
+mod reads;
 mod stamps;
 pub mod times;
+mod window;
 
 use std::path::Path;
 
 pub use error::SourceError;
+pub(crate) use file::ORIGIN_TAG;
 pub use file::{VideoFile, VideoOptions};
 pub use host::HostTime;
 pub use images::{ImageFolder, ImageTiming};
+pub use log_windows::LogWindows;
 pub use picture::{
     ChromaSiting, Colour, Matrix, Picture, PictureError, PixelFormat, Plane, Range, RgbFromStored, Transfer,
 };
+pub use reads::NotRecorded;
 pub use times::{FrameRate, FrameRateError};
+pub use window::Window;
 
 /// Which clock a time stamp was read from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -47,20 +55,6 @@ pub enum Clock {
     Device,
     /// None but that of the arrival here: the last resort, with all the delays of the way.
     HostArrival,
-}
-
-impl Clock {
-    /// The name used in files.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Container => "container",
-            Self::StatedRate => "stated_rate",
-            Self::Stream => "stream",
-            Self::V4l2Monotonic => "v4l2_monotonic",
-            Self::Device => "device",
-            Self::HostArrival => "host_arrival",
-        }
-    }
 }
 
 /// When a frame was exposed.
@@ -210,6 +204,9 @@ impl Default for SourceOptions {
 /// [`SourceError`] when it cannot be opened, or is none.
 pub fn open(path: impl AsRef<Path>, options: SourceOptions) -> Result<Box<dyn FrameSource + Send>, SourceError> {
     let path = path.as_ref();
+    if crate::log::is_log(path) {
+        return Err(SourceError::IsLog { path: path.to_path_buf() });
+    }
     if path.is_dir() {
         let timing = options.stated_rate.map_or(ImageTiming::Table, ImageTiming::StatedRate);
         return Ok(Box::new(ImageFolder::open(path, timing, options.span)?));
@@ -219,5 +216,24 @@ pub fn open(path: impl AsRef<Path>, options: SourceOptions) -> Result<Box<dyn Fr
     match options.stated_rate {
         Some(_) => Err(SourceError::RateOfVideo { path: path.to_path_buf() }),
         None => Ok(Box::new(source)),
+    }
+}
+
+/// As [`open`], and logs that hold the windows of their pictures ([`LogWindows`]): good for a [`Tracker`](crate::track::Tracker),
+/// which asks whether there is what it looks at, and for nothing else.
+///
+/// # Errors
+/// [`SourceError`] when it cannot be opened, or is none.
+pub fn open_to_track(
+    path: impl AsRef<Path>,
+    options: SourceOptions,
+) -> Result<Box<dyn FrameSource + Send>, SourceError> {
+    let path = path.as_ref();
+    if !crate::log::is_log(path) {
+        return open(path, options);
+    }
+    match options.stated_rate {
+        Some(_) => Err(SourceError::RateOfVideo { path: path.to_path_buf() }),
+        None => Ok(Box::new(LogWindows::open(path, options.span)?)),
     }
 }

@@ -1,5 +1,6 @@
 //! A picture as the camera or decoder delivered it, and how its samples map to places and colours.
 
+use super::reads::Reads;
 use nalgebra::{Matrix3, Vector3};
 
 /// How samples are stored, 8 bits each.
@@ -145,6 +146,7 @@ pub struct Picture {
     format: PixelFormat,
     colour: Colour,
     storage: Storage,
+    pub(super) reads: Reads,
 }
 
 impl std::fmt::Debug for Picture {
@@ -265,7 +267,7 @@ impl Picture {
         if width == 0 || height == 0 {
             return Err(PictureError::Empty(width, height));
         }
-        let picture = Self { width, height, format, colour, storage: Storage::Bytes(planes) };
+        let picture = Self { width, height, format, colour, storage: Storage::Bytes(planes), reads: Reads::default() };
         for channel in 0..format.channels() {
             let (plane, _, step, _) = format.layout(channel);
             let [w, h] = picture.samples(channel);
@@ -283,7 +285,8 @@ impl Picture {
 
     /// A decoded frame, without a copy. `format` must be the layout of the frame's own pixel format.
     pub(crate) fn from_decoded(frame: ffmpeg_the_third::frame::Video, format: PixelFormat, colour: Colour) -> Self {
-        Self { width: frame.width(), height: frame.height(), format, colour, storage: Storage::Decoded(frame) }
+        let (width, height) = (frame.width(), frame.height());
+        Self { width, height, format, colour, storage: Storage::Decoded(frame), reads: Reads::default() }
     }
 
     /// Width and height, pixels.

@@ -34,6 +34,8 @@ pub(crate) enum NoFit {
     OutOfPicture,
     /// The equations are singular, or the iteration does not settle.
     NotConverged,
+    /// The picture was recorded in parts, and lacks one.
+    NotRecorded,
 }
 
 /// What one view says about the stretch.
@@ -68,7 +70,7 @@ pub(crate) fn fit(
     model: &ImageModel,
 ) -> Result<TubeFit, NoFit> {
     let round = |guess: &Guess, how: (Density, Weighing)| {
-        let select = |image| View::select(stretch, image, picture, model, how).ok_or(NoFit::OutOfPicture);
+        let select = |image| View::select(stretch, image, picture, model, how);
         let views = guess.images.par_iter().map(select).collect::<Result<Vec<_>, _>>()?;
         Ok(Round { stretch, paths, picture, model, views })
     };
@@ -90,7 +92,7 @@ mod tests {
     use super::super::image_model::ModelError;
     use super::super::light::Encoding;
     use super::*;
-    use crate::source::Colour;
+    use crate::source::{Colour, PixelFormat, Window};
     use nalgebra::{Point3, Vector3};
 
     fn tube(direction: Vector3<f64>) -> Tube {
@@ -166,6 +168,38 @@ mod tests {
         let paths = views();
         let found = fit(&stretch, &start, &picture(&drawn, 1.0, 3), &[&paths[0], &paths[1]], &model()).unwrap();
         assert!((found.shape.centre - tube.centre).norm() < 0.05e-3);
+    }
+
+    #[test]
+    fn what_lies_outside_of_the_patches_changes_nothing_and_without_them_there_is_no_fit() {
+        let tube = tube(Vector3::new(0.1, 1.0, 0.05));
+        let drawn = tube.draw(&views());
+        let paths = views();
+        let start = TubeShape::straight(tube.centre, &tube.direction, 6e-3);
+        let fitted = |picture: &Picture| fit(&stretch(), &start, picture, &[&paths[0], &paths[1]], &model());
+        let all = picture(&drawn, 1.0, 4);
+        let expected = fitted(&all).unwrap();
+        let patches = all.looked_at(0);
+        let [width, height] = all.size_px();
+        assert!(patches.iter().map(Window::pixels).sum::<u64>() < u64::from(width * height) / 2, "{patches:?}");
+        let planes = (0..3).map(|i| {
+            let plane = all.plane(i).unwrap();
+            let there = |x: u32, y: u32| {
+                let (x, y) = (x * plane.scale[0], y * plane.scale[1]);
+                patches.iter().any(|w| (w.x0..w.x1).contains(&x) && (w.y0..w.y1).contains(&y))
+            };
+            let sample = |x: usize, y: usize| match there(x as u32, y as u32) {
+                true => plane.row(y).unwrap()[x * plane.step],
+                false => (x * 31 + y * 17) as u8,
+            };
+            (0..plane.height).flat_map(|y| (0..plane.width).map(move |x| (x, y))).map(|(x, y)| sample(x, y)).collect()
+        });
+        let other =
+            Picture::from_planes(width, height, PixelFormat::RgbPlanar, all.colour(), planes.collect()).unwrap();
+        let found = fitted(&other.of_parts(patches.clone())).unwrap();
+        assert_eq!(format!("{:?}", found.shape), format!("{:?}", expected.shape));
+        let fewer = picture(&drawn, 1.0, 4).of_parts(patches[1..].to_vec());
+        assert_eq!(fitted(&fewer).unwrap_err(), NoFit::NotRecorded);
     }
 
     #[test]

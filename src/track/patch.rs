@@ -5,9 +5,10 @@
 //! sampling.
 
 use super::appearance::{BACKGROUND, CAP, FIXED, Foot, Layout, PER_SEGMENT};
+use super::fit::NoFit;
 use super::light::Encoding;
 use super::tube_image::TubeImage;
-use crate::source::{Picture, Plane};
+use crate::source::{Picture, Plane, Window};
 use nalgebra::{Point2, Vector2, Vector3};
 use std::ops::Range;
 
@@ -133,6 +134,13 @@ impl Field {
         Some((Self { corner, width, height, index: vec![None; width * height] }, (low + high) / 2.0))
     }
 
+    /// Its pixels.
+    fn window(&self) -> Window {
+        // Clipped to the picture when it was made.
+        let [x0, y0] = self.corner.map(|v| v as u32);
+        Window { x0, y0, x1: x0 + self.width as u32, y1: y0 + self.height as u32 }
+    }
+
     /// The columns between two places in the picture.
     fn columns(&self, (from, to): (f64, f64)) -> Range<usize> {
         let column = |x: f64| (x - self.corner[0] as f64).clamp(0.0, self.width as f64) as usize;
@@ -173,16 +181,18 @@ fn neighbourhoods(plane: &Plane<'_>, chroma_offset_px: [f64; 2], density: Densit
 impl Patch {
     /// Selects the samples beside the tube and on it between the arc lengths `range_m`.
     ///
-    /// `None` when nothing of it lies in the picture.
+    /// # Errors
+    /// When nothing of it lies in the picture, or not all of it was recorded.
     pub(crate) fn select(
         picture: &Picture,
         image: &TubeImage,
         range_m: (f64, f64),
         chroma_offset_px: [f64; 2],
         density: Density,
-    ) -> Option<Self> {
+    ) -> Result<Self, NoFit> {
         let range = (image.knot_of(range_m.0), image.knot_of(range_m.1));
-        let (mut field, middle) = Field::around(image, range, picture.size_px())?;
+        let (mut field, middle) = Field::around(image, range, picture.size_px()).ok_or(NoFit::OutOfPicture)?;
+        picture.look_at(field.window()).map_err(|_| NoFit::NotRecorded)?;
         let across = field.width / CELL_PX + 1;
         let cells = across * (field.height / CELL_PX + 1);
         let mut patch = Self { middle, pixels: Vec::with_capacity(field.index.len() / 2), groups: Vec::new(), cells };
@@ -220,9 +230,10 @@ impl Patch {
         // Channels of one sampling make a group.
         let scale = |c: &usize| picture.plane(*c).map(|plane| plane.scale);
         for alike in channels.chunk_by(|a, b| scale(a) == scale(b)) {
-            patch.add_group(picture, alike, chroma_offset_px, &field, density)?;
+            let added = patch.add_group(picture, alike, chroma_offset_px, &field, density);
+            added.ok_or(NoFit::OutOfPicture)?;
         }
-        Some(patch)
+        Ok(patch)
     }
 
     fn add_group(

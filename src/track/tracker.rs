@@ -7,7 +7,7 @@
 use super::appearance::{FIXED, PER_SEGMENT};
 use super::assign::{Assigned, Assigner, direction_of_axes};
 use super::coil::deflection;
-use super::fit::{TubeFit, fit};
+use super::fit::{NoFit, TubeFit, fit};
 use super::image_model::{ImageModel, ModelError};
 use super::light::Encoding;
 use super::stretch::{Group, groups};
@@ -119,7 +119,10 @@ impl Tracker {
         }
         self.model.error = ModelError::of(picture);
         // 1. blobs and their assignment to markers and views
-        let Found { blobs, assigned } = self.find(frame)?;
+        let Found { blobs, assigned } = match self.find(frame) {
+            Err(SegmentError::NotRecorded(_)) => return Ok(Estimate::missed(frame, &self.rig, &Miss::NotRecorded)),
+            found => found?,
+        };
         // 2. the tube around them, fitted to the pictures of all views
         let fitted = self.fit_groups(picture, &blobs, &assigned);
         // 3. positions, tangent, deflection
@@ -198,7 +201,10 @@ impl Tracker {
         let direction = self.start_direction(blobs, assigned, group).ok_or(Miss::NotConverged)?;
         let start = TubeShape::straight(reference.point, &direction, group.straight_half_m);
         let paths: Vec<&OpticalPath> = views.iter().map(|&v| &self.rig.views[v].optics).collect();
-        let fit = fit(&group.stretch, &start, picture, &paths, &self.model).map_err(|_| Miss::NotConverged)?;
+        let fit = fit(&group.stretch, &start, picture, &paths, &self.model).map_err(|why| match why {
+            NoFit::OutOfPicture | NoFit::NotConverged => Miss::NotConverged,
+            NoFit::NotRecorded => Miss::NotRecorded,
+        })?;
         self.accept(group, views, &starts, &fit)?;
         Ok(fit)
     }

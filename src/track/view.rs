@@ -2,6 +2,7 @@
 
 use super::appearance::{CAP, GRADIENT, Layout, SHADING, Scene};
 use super::compare::{Comparison, Noise};
+use super::fit::NoFit;
 use super::image_model::ImageModel;
 use super::normal::{Normal, Squares};
 use super::patch::{Density, Patch};
@@ -38,17 +39,21 @@ pub(crate) struct View {
 }
 
 impl View {
-    /// Selects the samples around an image of the stretch; `None` when it is not in the picture.
+    /// Selects the samples around an image of the stretch.
+    ///
+    /// # Errors
+    /// When it is not in the picture, or not all of it was recorded.
     pub(crate) fn select(
         stretch: &Stretch,
         image: &TubeImage,
         picture: &Picture,
         model: &ImageModel,
         (density, weighing): (Density, Weighing),
-    ) -> Option<Self> {
+    ) -> Result<Self, NoFit> {
         let patch = Patch::select(picture, image, stretch.range_m, model.chroma_offset_px, density)?;
-        let expected_colours = patch.colours(picture, image, &stretch.layout, &model.encoding)?;
-        Some(Self { comparison: Comparison::new(patch), expected_colours, noise: start_noise(picture), weighing })
+        let expected_colours = patch.colours(picture, image, &stretch.layout, &model.encoding);
+        let expected_colours = expected_colours.ok_or(NoFit::OutOfPicture)?;
+        Ok(Self { comparison: Comparison::new(patch), expected_colours, noise: start_noise(picture), weighing })
     }
 
     /// Renders the view and sums its normal equations, the prior of its colours included.

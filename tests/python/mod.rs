@@ -4,6 +4,7 @@
 //! and said so, where they are missing; a failure there when `CI=true`.
 
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking, its own functions too")]
+#![allow(dead_code, reason = "each test file that includes this module uses a part of it")]
 
 use std::io::Write;
 use std::path::Path;

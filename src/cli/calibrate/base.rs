@@ -91,7 +91,7 @@ pub(super) fn run(args: &BaseArgs, quiet: bool, print: impl Fn(&str) -> Result<(
     // Both are opened before one is tracked: a mistyped name is told at once.
     let open = |path: &Path| {
         let options = SourceOptions { stated_rate: args.fps, ..SourceOptions::default() };
-        fitting::open((path, options), (&args.rig, &rig))
+        fitting::open_to_track((path, options), (&args.rig, &rig))
     };
     let rest = open(&args.rest)?;
     let planar = args.planar.as_deref().map(|path| open(path).map(|source| (path, source))).transpose()?;

@@ -3,9 +3,9 @@
 mod status;
 
 use super::run::folder::{Files, Run, unlike_others, whole_path};
-use super::run::{Reference, load_rig, open_sinks, pool, tell_warnings, told, verdict};
+use super::run::{Record, Reference, load_rig, open_sinks, pool, tell_warnings, told, verdict};
 use super::{Exit, Failure, fitting, interrupt, output};
-use catoptra::live::{self, CurrentSource, LiveSummary, Outputs, Until};
+use catoptra::live::{self, CurrentSource, LiveSummary, Outputs, RecordTo, Recording, Until};
 use catoptra::report::RunInfo;
 use catoptra::sink::{PublishSink, Sink, UdpSink};
 use catoptra::source::host::HostClock;
@@ -22,10 +22,13 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
+/// Free space that is left to the log, gigabytes: more than an hour of it at 60 Hz.
+const KEEP_FREE_GB: f64 = 2.0;
+
 /// Arguments of `catoptra live`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// /dev/video0, genicam: or genicam:NAME, rtsp://…, http://…, udp://… or another stream, - for standard input, a
+    /// /dev/video0, genicam:NAME, gst:PIPELINE, rtsp://…, http://…, udp://… or another stream, - for standard input, a
     /// recording with --realtime
     #[arg(value_name = "SOURCE")]
     source: String,
@@ -62,6 +65,12 @@ pub(crate) struct Args {
     /// Log coil currents: udp:PORT, serial:DEVICE@BAUD or file:TABLE.csv
     #[arg(long, value_name = "FROM")]
     currents: Option<CurrentSource>,
+    /// Also record the pictures: windows (what the tracker looked at, in the log), or whole
+    #[arg(long, value_enum, value_name = "HOW")]
+    record: Option<Record>,
+    /// Record no more pictures when less is free on the disk, gigabytes [default: 2]
+    #[arg(long, value_name = "GB", value_parser = positive, requires = "record")]
+    keep_free: Option<f64>,
     /// Stop after T seconds
     #[arg(long, value_name = "T", value_parser = duration)]
     duration: Option<Duration>,
@@ -126,12 +135,18 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     // 2. the files
     let run = args.described();
     let run_toml = run.to_toml()?;
-    let files = Files::new(&args.folder(), None, false);
+    let files = Files::new(&args.folder(), None, false).recording(args.record);
     files.prepare_new(&run, &[&args.rig])?;
-    let files_open = open_sinks(&files, &rig, [&rig_toml, &run_toml], args.frame, args.info())?;
+    let opened = open_sinks(&files, &rig, [&rig_toml, &run_toml], args.frame, args.info(), (args.record, false))?;
+    let pictures = args.record.map(|_| Recording {
+        to: opened.video.map_or(RecordTo::Log, RecordTo::Video),
+        count: opened.count,
+        folder: files.folder.clone(),
+        keep_free_bytes: (args.keep_free.unwrap_or(KEEP_FREE_GB) * 1e9) as u64,
+    });
     // 3. the run
     let subscribers = publisher.map(|sink| Box::new(sink) as Box<dyn Sink + Send>);
-    let outputs = Outputs { files: files_open, controllers, subscribers, currents };
+    let outputs = Outputs { files: opened.sinks, controllers, subscribers, currents, pictures };
     let mut line = StatusLine::new(&args.source, &files.folder, quiet);
     let pool = pool(args.threads.unwrap_or(0))?;
     let show = |status: &live::Status| line.show(status);
@@ -167,10 +182,30 @@ fn lines(summary: &LiveSummary) -> String {
     if interruptions > 0 {
         text += &format!("the stream was away {interruptions} times\n");
     }
+    if let Some((recorded, dropped)) = summary.pictures {
+        let lost = if dropped == 0 { "none lost".to_owned() } else { format!("{dropped} lost to the recording") };
+        text += &format!("{recorded} pictures recorded, {lost}\n");
+    }
     if summary.unpublished > 0 {
         text += &format!("subscribers missed {} frames; the log has them\n", summary.unpublished);
     }
     text
+}
+
+/// Standard input without the small buffer of the standard library, and as a pipe that holds half a picture.
+#[cfg(unix)]
+fn standard_input() -> Result<Box<dyn std::io::Read + Send>, Failure> {
+    use std::os::fd::AsFd as _;
+    let refused = |e: std::io::Error| Failure::new(Exit::Usage, format!("standard input: {e}"));
+    let input = std::io::stdin().as_fd().try_clone_to_owned().map_err(refused)?;
+    // Refused where it is no pipe.
+    let _ = rustix::pipe::fcntl_setpipe_size(&input, 1 << 20);
+    Ok(Box::new(std::fs::File::from(input)))
+}
+
+#[cfg(not(unix))]
+fn standard_input() -> Result<Box<dyn std::io::Read + Send>, Failure> {
+    Ok(Box::new(std::io::stdin()))
 }
 
 impl Args {
@@ -198,6 +233,11 @@ impl Args {
                 return Ok(Box::new(Camera::v4l2(path, settings(), clock, Arc::clone(stop)).map_err(invalid)?));
             }
         }
+        if let (Some(text), false, None) = (self.source.strip_prefix("gst:"), self.realtime, self.raw)
+            && self.camera_options().is_empty()
+        {
+            return Ok(Box::new(Camera::gstreamer(text, clock, Arc::clone(stop)).map_err(invalid)?));
+        }
         if let Some((option, _)) = self.camera_options().first() {
             return Err(usage(format!(
                 "{}: --{option} is for cameras, /dev/video0 or genicam:; this source is as it comes",
@@ -211,10 +251,10 @@ impl Args {
                     self.source
                 )));
             }
-            return Ok(Box::new(RawPictures::new("standard input", Box::new(std::io::stdin()), format, clock)));
+            return Ok(Box::new(RawPictures::new("standard input", standard_input()?, format, clock)));
         }
         if self.realtime {
-            let recording = source::open(&self.source, SourceOptions::default()).map_err(invalid)?;
+            let recording = source::open_to_track(&self.source, SourceOptions::default()).map_err(invalid)?;
             return Ok(Box::new(Paced::new(recording, clock, Arc::clone(stop))));
         }
         if Path::new(&self.source).exists() {
@@ -252,6 +292,7 @@ impl Args {
             to_s: None,
             fps: self.raw.map(|format| format.rate).or(self.fps).map(|rate| rate.to_string()),
             full_frame: false,
+            record: self.record.map(|record| record.word().to_owned()),
         }
     }
 

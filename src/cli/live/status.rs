@@ -2,7 +2,7 @@
 
 use super::super::progress::Line;
 use super::super::run::told::warn_of;
-use catoptra::live::Status;
+use catoptra::live::{Status, free_bytes};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -21,6 +21,7 @@ pub(super) struct StatusLine {
     told_alarms: usize,
     told_short: usize,
     told_skipped: bool,
+    told_pictures: bool,
     last: Instant,
 }
 
@@ -35,6 +36,7 @@ impl StatusLine {
             told_alarms: 0,
             told_short: 0,
             told_skipped: false,
+            told_pictures: false,
             last: Instant::now(),
         }
     }
@@ -67,6 +69,16 @@ impl StatusLine {
         if status.backlog > 60 {
             text += &format!(" · {} rows wait for it", status.backlog);
         }
+        if let Some((recorded, dropped)) = status.pictures {
+            text += &format!(" · {recorded} pictures");
+            if dropped > 0 {
+                text += &format!(", {dropped} lost");
+            }
+        }
+        if dropped_now(status) && !self.told_pictures {
+            self.told_pictures = true;
+            tracing::warn!("{}: not all pictures can be recorded; every row is logged", self.source);
+        }
         if !status.alarms.is_empty() {
             text += " · DRIFT";
         }
@@ -89,16 +101,6 @@ impl StatusLine {
     }
 }
 
-/// Bytes that may still be written there.
-fn free_bytes(folder: &Path) -> Option<u64> {
-    #[cfg(unix)]
-    {
-        let stat = rustix::fs::statvfs(folder).ok()?;
-        Some(stat.f_bavail.saturating_mul(stat.f_frsize))
-    }
-    #[cfg(not(unix))]
-    {
-        let _ = folder;
-        None
-    }
+fn dropped_now(status: &Status) -> bool {
+    status.pictures.is_some_and(|(_, dropped)| dropped > 0)
 }

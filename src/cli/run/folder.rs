@@ -6,6 +6,7 @@
 //! run is refused before any work.
 
 use super::super::{Exit, Failure};
+use super::Record;
 use serde::{Deserialize, Serialize};
 use std::ffi::OsStr;
 use std::fs;
@@ -17,6 +18,10 @@ const LOG: &str = "log.mcap";
 const TABLE: &str = "track.csv";
 const REPORT: &str = "report.html";
 const OVERLAY: &str = "overlay.mp4";
+/// The video of the pictures.
+pub(in crate::cli) const PICTURES: &str = "pictures.mkv";
+/// All that a run may write into its folder.
+const ALL: [&str; 6] = [RUN, LOG, TABLE, REPORT, OVERLAY, PICTURES];
 
 /// The files of a run.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -28,6 +33,8 @@ pub(in crate::cli) struct Files {
     pub(in crate::cli) report: PathBuf,
     /// If an overlay is wanted.
     pub(in crate::cli) overlay: Option<PathBuf>,
+    /// If a video of the pictures is wanted.
+    pub(in crate::cli) pictures: Option<PathBuf>,
 }
 
 /// What was run: `run.toml`, and the options attached to the log. Options that do not change results are not in it.
@@ -47,6 +54,9 @@ pub(in crate::cli) struct Run {
     /// Frames a second as stated by the user.
     pub(in crate::cli) fps: Option<String>,
     pub(in crate::cli) full_frame: bool,
+    /// What was recorded of the pictures.
+    #[serde(default)]
+    pub(in crate::cli) record: Option<String>,
 }
 
 impl Run {
@@ -92,12 +102,19 @@ impl Files {
             table: table.map_or_else(|| file(TABLE), Path::to_owned),
             report: file(REPORT),
             overlay: overlay.then(|| file(OVERLAY)),
+            pictures: None,
             folder: folder.to_owned(),
         }
     }
 
+    /// Also the video of the pictures, if `record` makes one.
+    pub(in crate::cli) fn recording(mut self, record: Option<Record>) -> Self {
+        self.pictures = record.filter(|record| *record != Record::Windows).map(|_| self.folder.join(PICTURES));
+        self
+    }
+
     fn all(&self) -> impl Iterator<Item = &PathBuf> {
-        [&self.log, &self.table, &self.report].into_iter().chain(&self.overlay)
+        [&self.log, &self.table, &self.report].into_iter().chain(&self.overlay).chain(&self.pictures)
     }
 
     /// Makes the folder ready for `run`, whose `inputs` no file may take the place of.
@@ -123,7 +140,7 @@ impl Files {
                     self.folder.display()
                 );
             }
-            for name in [LOG, TABLE, REPORT, OVERLAY] {
+            for name in ALL.into_iter().filter(|name| *name != RUN) {
                 let path = self.folder.join(name);
                 match fs::remove_file(&path) {
                     Err(e) if e.kind() != ErrorKind::NotFound => return Err(cannot(&path, e)),
@@ -140,7 +157,7 @@ impl Files {
     /// # Errors
     /// As [`Files::prepare`].
     pub(in crate::cli) fn prepare_new(&self, run: &Run, inputs: &[&Path]) -> Result<(), Failure> {
-        if let Some(there) = [RUN, LOG, TABLE, REPORT, OVERLAY].iter().find(|name| self.folder.join(name).exists()) {
+        if let Some(there) = ALL.iter().find(|name| self.folder.join(name).exists()) {
             let text =
                 format!("{}: has a {there} of an earlier run; choose another folder with -o", self.folder.display());
             return Err(Failure::new(Exit::Usage, text));
@@ -155,7 +172,9 @@ impl Files {
             return refused(format!("{}: is a file; choose a folder with -o", self.folder.display()));
         }
         let table = self.table.display();
-        if [Some(&self.log), Some(&self.report), self.overlay.as_ref()].contains(&Some(&self.table)) {
+        if [Some(&self.log), Some(&self.report), self.overlay.as_ref(), self.pictures.as_ref()]
+            .contains(&Some(&self.table))
+        {
             return refused(format!("{table}: is another file of this run; choose another with --csv"));
         }
         if self.table.is_dir() {
@@ -176,7 +195,7 @@ impl Files {
         };
         let text = fs::read_to_string(self.folder.join(RUN)).ok();
         let Some(earlier) = text.and_then(|text| toml::from_str::<Run>(&text).ok()) else {
-            return match [RUN, LOG, TABLE, REPORT, OVERLAY].iter().find(|name| self.folder.join(name).exists()) {
+            return match ALL.iter().find(|name| self.folder.join(name).exists()) {
                 Some(name) => refused(format!("has a {name} and more that this command did not write")),
                 None => Ok(None),
             };
@@ -203,6 +222,7 @@ mod tests {
             to_s: Some(1.5),
             fps: Some("60000/1001".into()),
             full_frame: false,
+            record: None,
         }
     }
 

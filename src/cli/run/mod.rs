@@ -4,14 +4,18 @@ pub(super) mod folder;
 pub(super) mod told;
 
 use super::{Exit, Failure};
+use catoptra::log;
 use catoptra::pipeline::{End, Summary};
 use catoptra::report::{ReportSink, RunInfo};
 use catoptra::rig::check::{Warning, check};
 use catoptra::rig::{Rig, RigError};
-use catoptra::sink::{CsvSink, McapSink, OutputFrame, OverlaySink, Sink, SinkError};
+use catoptra::sink::{
+    CsvSink, McapSink, OutputFrame, OverlaySink, PictureCodec, PictureCount, PictureVideo, Sink, SinkError,
+};
 use catoptra::source::times::seconds;
-use folder::Files;
+use folder::{Files, PICTURES};
 use std::path::Path;
+use std::sync::Arc;
 
 /// The frame of reference of table and report.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
@@ -39,6 +43,34 @@ impl Reference {
     }
 }
 
+/// What is recorded of the pictures.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub(super) enum Record {
+    Windows,
+    Ffv1,
+    H264,
+}
+
+impl Record {
+    /// The word for it.
+    pub(super) fn word(self) -> &'static str {
+        match self {
+            Self::Windows => "windows",
+            Self::Ffv1 => "ffv1",
+            Self::H264 => "h264",
+        }
+    }
+
+    /// How whole pictures are compressed, if they are recorded.
+    fn codec(self) -> Option<PictureCodec> {
+        match self {
+            Self::Windows => None,
+            Self::Ffv1 => Some(PictureCodec::Ffv1),
+            Self::H264 => Some(PictureCodec::H264),
+        }
+    }
+}
+
 /// The threads that fit, for `threads` of them; 0 for one a core.
 pub(super) fn pool(threads: usize) -> Result<rayon::ThreadPool, Failure> {
     rayon::ThreadPoolBuilder::new()
@@ -50,6 +82,20 @@ pub(super) fn pool(threads: usize) -> Result<rayon::ThreadPool, Failure> {
 /// The rig in `file`, and its text.
 pub(super) fn load_rig(file: &Path, reference: Reference) -> Result<(Rig, String), Failure> {
     let text = std::fs::read_to_string(file).map_err(|source| RigError::Read { file: file.to_owned(), source })?;
+    understood(file, text, reference)
+}
+
+/// The rig that is attached to the log `file`, and its text.
+pub(super) fn rig_of_log(file: &Path, reference: Reference) -> Result<(Rig, String), Failure> {
+    let text = log::attached(file, "rig.toml").map_err(|e| Failure::new(Exit::Usage, e))?.unwrap_or_default();
+    if text.trim().is_empty() {
+        let text = format!("{}: has no rig.toml attached: name the rig with --rig", file.display());
+        return Err(Failure::new(Exit::Usage, text));
+    }
+    understood(file, text, reference)
+}
+
+fn understood(file: &Path, text: String, reference: Reference) -> Result<(Rig, String), Failure> {
     let rig = Rig::from_toml_str(&text, file)?;
     if OutputFrame::from(reference).output_from_camera(&rig).is_none() {
         let missing = "has no [base]: measure it with `catoptra calibrate base`, or track in the camera's frame with \
@@ -71,23 +117,44 @@ pub(super) fn tell_warnings(file: &Path, rig: &Rig) -> Result<(), Failure> {
 }
 
 /// The files of a run, open.
+pub(super) struct Opened {
+    pub(super) sinks: Vec<Box<dyn Sink + Send>>,
+    /// The video of the pictures, if there is to be one.
+    pub(super) video: Option<Box<dyn Sink + Send>>,
+    pub(super) count: Arc<PictureCount>,
+}
+
+/// Opens the files of a run. `record` with whether the log is given pictures to cut them itself.
 pub(super) fn open_sinks(
     files: &Files,
     rig: &Rig,
     [rig_toml, run_toml]: [&str; 2],
     reference: Reference,
     info: RunInfo,
-) -> Result<Vec<Box<dyn Sink + Send>>, Failure> {
-    let open = || -> Result<Vec<Box<dyn Sink + Send>>, SinkError> {
+    (record, log_cuts): (Option<Record>, bool),
+) -> Result<Opened, Failure> {
+    let count = Arc::new(PictureCount::default());
+    let open = || -> Result<Opened, SinkError> {
+        let mut log = McapSink::create(&files.log, rig, rig_toml, run_toml)?;
+        if let Some(record) = record {
+            let what = record.codec().map_or(record.word(), |_| PICTURES);
+            log = log.telling_of_pictures(what, Arc::clone(&count));
+        }
+        if log_cuts && record == Some(Record::Windows) {
+            log = log.keeping_windows();
+        }
         let mut sinks: Vec<Box<dyn Sink + Send>> = vec![
-            Box::new(McapSink::create(&files.log, rig, rig_toml, run_toml)?),
+            Box::new(log),
             Box::new(CsvSink::create(&files.table, rig, reference.into())?),
             Box::new(ReportSink::create(&files.report, rig, info.clone())?),
         ];
         if let Some(overlay) = &files.overlay {
             sinks.push(Box::new(OverlaySink::create(overlay, rig)?));
         }
-        Ok(sinks)
+        let video = files.pictures.as_ref().zip(record.and_then(Record::codec));
+        let video = video.map(|(path, codec)| PictureVideo::create(path, codec)).transpose()?;
+        let video = video.map(|video| Box::new(video) as Box<dyn Sink + Send>);
+        Ok(Opened { sinks, video, count: Arc::clone(&count) })
     };
     open().map_err(|e| Failure::new(Exit::Failed, e))
 }

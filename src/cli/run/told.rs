@@ -7,6 +7,7 @@ use catoptra::sink::spoken;
 use catoptra::source::times::seconds;
 use catoptra::tally::{AlarmInWords, Tally};
 use std::fmt::{self, Write as _};
+use std::path::PathBuf;
 
 /// A warning for every alarm beyond the first `told` ones; how many there are now.
 pub(in crate::cli) fn new_alarms(tally: &Tally, recording: &str, told: usize) -> usize {
@@ -52,11 +53,12 @@ pub(in crate::cli) fn summary(
     let took_s = run.elapsed.as_secs_f64();
     writeln!(out, "\ntracked in {took_s:.1} s, {:.0} frames a second", tally.frames as f64 / took_s.max(1e-9))?;
     writeln!(out, "results in {}", files.folder.display())?;
-    let named = [
+    let named: [(Option<&PathBuf>, &str); 5] = [
         (Some(&files.table), "one row a frame"),
         (Some(&files.report), "to look at, in a browser"),
         (files.overlay.as_ref(), "the recording with what was found drawn into it"),
         (Some(&files.log), "everything, for Foxglove and programs"),
+        (files.pictures.as_ref(), "the pictures, to be tracked again"),
     ];
     for (path, what) in named.into_iter().filter_map(|(path, what)| Some((path?, what))) {
         let shown = path.strip_prefix(&files.folder).unwrap_or(path).display().to_string();
@@ -117,6 +119,9 @@ pub(in crate::cli) fn unusable(rig: &Rig, tally: &Tally) -> Option<String> {
                     "it is hidden or outside the region of view {view}, or light and colours are not those that \
                      `catoptra calibrate markers` learned"
                 )
+            }
+            "not_recorded" => {
+                "the log holds parts of its pictures, and not those: track it with the rig it was recorded with".to_owned()
             }
             "rays_diverge" => "camera, mirror or tank have moved since the calibration, or another thing has its colour".to_owned(),
             "ambiguous" => "other things of its colour are in the views: cover them, or draw the regions tighter".to_owned(),

@@ -9,10 +9,11 @@
 //! | `/camera/calibration` | `foxglove.CameraCalibration` | once | intrinsics, `plumb_bob` |
 //! | `/tf` | `foxglove.FrameTransform` | once, if the rig has a base | place of frame `camera` in frame `base` |
 //! | `/coil/current` | `catoptra.Current` ([`messages::Current`]) | live, when given | currents of the coils, on the host's clock |
+//! | `/camera/windows` | `catoptra.PictureWindows` ([`messages::PictureWindows`]) | every frame that was tracked, with `--record windows`, and some frames after its estimate | the parts of the picture that the tracker looked at |
 //! | `/health` | `catoptra.Health` ([`messages::Health`]) | every second of camera time, and at the end | frames, losses, misses by reason, drift alarms (and when one is raised) |
 //!
 //! Attached are `rig.toml` and `options.toml`, the rig and the options of the run. The metadata record `catoptra` has the
-//! program's `version` and the `clock` of the time stamps.
+//! program's `version`, the `clock` of the time stamps, and as `pictures` the name of the video beside the log, or `windows`.
 //!
 //! # Time
 //! The publish time of a message is the camera's time stamp of its frame, in nanoseconds since that clock's zero. Its log
@@ -26,14 +27,16 @@
 
 mod file;
 
+use super::messages::PictureWindows;
 use super::topics::{Teller, file_time_ns};
-use super::{CurrentSample, Sink, SinkError};
+use super::{CurrentSample, Keeper, PictureCount, Sink, SinkError};
 use crate::estimate::Estimate;
 use crate::rig::Rig;
 use crate::source::Picture;
 use file::{FLUSH_AFTER, LogFile, Times};
 use std::collections::BTreeMap;
 use std::path::Path;
+use std::sync::Arc;
 
 /// Writes the log.
 #[derive(Debug)]
@@ -44,6 +47,10 @@ pub struct McapSink {
     last: Option<(u32, Times)>,
     /// Camera time of the last flush, nanoseconds.
     flushed_ns: i64,
+    /// What is told of the pictures in the metadata.
+    pictures: Option<String>,
+    keeper: Option<Keeper>,
+    count: Option<Arc<PictureCount>>,
 }
 
 impl McapSink {
@@ -59,12 +66,43 @@ impl McapSink {
         file.attach("options.toml", "application/toml", options_toml)?;
         file.announce()?;
         file.flush()?;
-        Ok(Self { file, teller: Teller::new(rig), last: None, flushed_ns: 0 })
+        Ok(Self {
+            file,
+            teller: Teller::new(rig),
+            last: None,
+            flushed_ns: 0,
+            pictures: None,
+            keeper: None,
+            count: None,
+        })
+    }
+
+    /// The run records pictures: `what` goes into the metadata (`windows`, or the name of the video), their count into `/health`.
+    #[must_use]
+    pub fn telling_of_pictures(mut self, what: &str, count: Arc<PictureCount>) -> Self {
+        self.pictures = Some(what.to_owned());
+        self.teller.count_pictures(Arc::clone(&count));
+        self.count = Some(count);
+        self
+    }
+
+    /// Keeps the windows of the pictures that [`Sink::write`] is given.
+    #[must_use]
+    pub fn keeping_windows(mut self) -> Self {
+        self.keeper = Some(Keeper::default());
+        self
+    }
+
+    /// The metadata of a log; a run without a frame has no clock.
+    fn about(&self, clock: Option<&str>) -> BTreeMap<String, String> {
+        let said =
+            [("version", Some(env!("CARGO_PKG_VERSION"))), ("clock", clock), ("pictures", self.pictures.as_deref())];
+        said.into_iter().filter_map(|(key, value)| Some((key.to_owned(), value?.to_owned()))).collect()
     }
 
     /// What is said once, before the first frame.
     fn begin(&mut self, estimate: &Estimate, seq: u32, times: Times) -> Result<(), SinkError> {
-        self.file.metadata("catoptra", about(Some(estimate.stamp.clock.name())))?;
+        self.file.metadata("catoptra", self.about(Some(estimate.stamp.clock.name())))?;
         for message in self.teller.rig(estimate.stamp.ns)? {
             self.file.message(&message, seq, times)?;
         }
@@ -74,7 +112,7 @@ impl McapSink {
 }
 
 impl Sink for McapSink {
-    fn write(&mut self, estimate: &Estimate, _: Option<&Picture>) -> Result<(), SinkError> {
+    fn write(&mut self, estimate: &Estimate, picture: Option<&Picture>) -> Result<(), SinkError> {
         let stamp_ns = estimate.stamp.ns;
         let publish_ns = file_time_ns(stamp_ns);
         let log_ns = estimate.host.map_or(publish_ns, |host| file_time_ns(host.arrival_ns));
@@ -87,6 +125,13 @@ impl Sink for McapSink {
         self.last = Some((seq, times));
         for message in self.teller.frame(estimate)? {
             self.file.message(&message, seq, times)?;
+        }
+        if let (Some(keeper), Some(picture)) = (&mut self.keeper, picture) {
+            let kept = keeper.keep(estimate, picture)?;
+            self.file.message(&Teller::windows(&kept)?, seq, times)?;
+            if let Some(count) = &self.count {
+                count.add_recorded();
+            }
         }
         if u128::from(stamp_ns.abs_diff(self.flushed_ns)) >= FLUSH_AFTER.as_nanos() {
             self.flushed_ns = stamp_ns;
@@ -101,18 +146,18 @@ impl Sink for McapSink {
         self.file.message(&Teller::current(sample)?, seq, times)
     }
 
+    fn write_windows(&mut self, kept: &PictureWindows) -> Result<bool, SinkError> {
+        let publish_ns = file_time_ns(kept.stamp_ns);
+        let times = Times { log_ns: kept.arrival_ns.map_or(publish_ns, file_time_ns), publish_ns };
+        self.file.message(&Teller::windows(kept)?, (kept.seq & u64::from(u32::MAX)) as u32, times)?;
+        Ok(true)
+    }
+
     fn finish(&mut self) -> Result<(), SinkError> {
         match self.last {
             Some((seq, times)) => self.file.message(&self.teller.totals()?, seq, times)?,
-            None => self.file.metadata("catoptra", about(None))?,
+            None => self.file.metadata("catoptra", self.about(None))?,
         }
         self.file.finish()
     }
-}
-
-/// The metadata of a log; a run without a frame has no clock.
-fn about(clock: Option<&str>) -> BTreeMap<String, String> {
-    let version = ("version".to_owned(), env!("CARGO_PKG_VERSION").to_owned());
-    let clock = clock.map(|name| ("clock".to_owned(), name.to_owned()));
-    std::iter::once(version).chain(clock).collect()
 }

@@ -4,7 +4,9 @@ use super::convert::Names;
 use super::messages::{Health, MissCount};
 use crate::estimate::{Estimate, Miss};
 use crate::rig::Rig;
+use crate::sink::PictureCount;
 use crate::track::Drift;
+use std::sync::Arc;
 
 /// Camera time between two reports.
 const EVERY_NS: u64 = 1_000_000_000;
@@ -15,6 +17,7 @@ pub(super) struct Tally {
     totals: Health,
     reported_ns: Option<i64>,
     drift: Drift,
+    pictures: Option<Arc<PictureCount>>,
 }
 
 impl Tally {
@@ -40,6 +43,7 @@ impl Tally {
         let alarmed = !self.drift.add(estimate).is_empty();
         self.totals.drifts = self.drift.alarms().iter().map(|alarm| names.drift(alarm)).collect();
 
+        self.count_now();
         let since = *self.reported_ns.get_or_insert(stamp_ns);
         (alarmed || stamp_ns.abs_diff(since) >= EVERY_NS).then(|| {
             self.reported_ns = Some(stamp_ns);
@@ -47,8 +51,21 @@ impl Tally {
         })
     }
 
+    /// Pictures are recorded too, and counted there.
+    pub(super) fn count_pictures(&mut self, count: Arc<PictureCount>) {
+        self.pictures = Some(count);
+    }
+
+    fn count_now(&mut self) {
+        if let Some(pictures) = &self.pictures {
+            self.totals.pictures_recorded = Some(pictures.recorded());
+            self.totals.pictures_dropped = Some(pictures.dropped());
+        }
+    }
+
     /// The totals so far.
-    pub(super) fn totals(&self) -> &Health {
+    pub(super) fn totals(&mut self) -> &Health {
+        self.count_now();
         &self.totals
     }
 

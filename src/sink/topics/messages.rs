@@ -6,6 +6,7 @@
 //! status says why.
 
 use foxglove::Encode;
+use foxglove::bytes::Bytes;
 use foxglove::messages::{Point2, Point3, Vector2, Vector3};
 
 /// Everything measured in one camera frame: the [estimate](crate::estimate::Estimate) but for the outlines, which are in
@@ -34,6 +35,56 @@ pub struct Estimate {
     pub deflection_status: Status,
     /// Deflection of the coil in the base frame.
     pub deflection: Option<Angles>,
+}
+
+/// What was kept of one picture: the parts that the tracker looked at, as the decoder stored them.
+#[derive(Debug, Clone, PartialEq, Encode)]
+pub struct PictureWindows {
+    /// Number of the frame.
+    pub seq: u64,
+    /// Camera time, nanoseconds since the clock's zero.
+    pub stamp_ns: i64,
+    /// Live: when the frame had arrived, nanoseconds since 1970.
+    pub arrival_ns: Option<i64>,
+    /// Width of the picture, pixels.
+    pub width: u32,
+    /// Height of the picture, pixels.
+    pub height: u32,
+    /// What planes 0, 1, 2 are: `yuv` or `rgb`.
+    pub planes: String,
+    /// log2 of the pixels a chroma sample stands for, in x; 0 for `rgb`.
+    pub chroma_log2_x: u32,
+    /// The same in y.
+    pub chroma_log2_y: u32,
+    /// Weights of luma: `bt601`, `bt709`, `bt2020`.
+    pub matrix: String,
+    /// Range of the stored numbers: `limited`, `full`.
+    pub range: String,
+    /// From light to stored numbers: `bt709`, `srgb`, `linear`.
+    pub transfer: String,
+    /// Where chroma samples sit: `left`, `center`, `top_left`.
+    pub siting: String,
+    /// The parts. They do not overlap, and are the same for all planes.
+    pub windows: Vec<PictureWindow>,
+}
+
+/// A rectangle of one plane's samples.
+#[derive(Debug, Clone, PartialEq, Encode)]
+pub struct PictureWindow {
+    /// Which plane.
+    pub plane: u32,
+    /// First column, in samples of this plane.
+    pub x: u32,
+    /// First row.
+    pub y: u32,
+    /// Samples in a row.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// How `data` is compressed: `png`, grey of 8 bits, without loss.
+    pub format: String,
+    /// The samples.
+    pub data: Bytes,
 }
 
 /// Currents of the coils at one moment of the host's clock: that of `host_stamp_ns` in [`Estimate`].
@@ -182,6 +233,10 @@ pub struct Health {
     pub misses: Vec<MissCount>,
     /// When the views began to disagree by more than noise and models explain; none in a good run.
     pub drifts: Vec<DriftAlarm>,
+    /// Pictures recorded, whole or in windows; absent when none were to be.
+    pub pictures_recorded: Option<u64>,
+    /// Pictures that were to be recorded and were not, because recorder or disk were too slow or the disk full.
+    pub pictures_dropped: Option<u64>,
 }
 
 /// Something has begun to be wrong: mirror, camera, tank or clamp have moved since the calibration.

@@ -10,21 +10,25 @@ pub mod messages;
 mod scene;
 mod schema;
 
-use super::{CurrentSample, SinkError};
+use super::{CurrentSample, PictureCount, SinkError};
 use crate::estimate::Estimate;
 use crate::rig::{Camera, Rig};
 use convert::Names;
 use foxglove::messages::{CameraCalibration, Color, FrameTransform, ImageAnnotations, SceneUpdate};
 use foxglove::{Encode, Schema};
 use health::Tally;
-use messages::{Current, Deflection, Health};
+use messages::{Current, Deflection, Health, PictureWindows};
 use scene::Scene;
 use schema::Catoptra;
+use std::sync::Arc;
 
 pub(super) use convert::file_time_ns;
 
 /// All messages are Protobuf.
 pub(super) const ENCODING: &str = "protobuf";
+
+/// Topic of the pictures' parts.
+pub(crate) const WINDOWS: &str = "/camera/windows";
 
 /// A topic.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -37,10 +41,11 @@ pub(super) enum Topic {
     Transform,
     Health,
     Current,
+    Windows,
 }
 
 impl Topic {
-    pub(super) const ALL: [Self; 8] = [
+    pub(super) const ALL: [Self; 9] = [
         Self::Estimate,
         Self::Deflection,
         Self::Scene,
@@ -49,6 +54,7 @@ impl Topic {
         Self::Transform,
         Self::Health,
         Self::Current,
+        Self::Windows,
     ];
 
     pub(super) fn name(self) -> &'static str {
@@ -61,6 +67,7 @@ impl Topic {
             Self::Transform => "/tf",
             Self::Health => "/health",
             Self::Current => "/coil/current",
+            Self::Windows => WINDOWS,
         }
     }
 
@@ -74,6 +81,7 @@ impl Topic {
             Self::Transform => FrameTransform::get_schema(),
             Self::Health => Catoptra::<Health>::get_schema(),
             Self::Current => Catoptra::<Current>::get_schema(),
+            Self::Windows => Catoptra::<PictureWindows>::get_schema(),
         }
     }
 }
@@ -150,8 +158,18 @@ impl Teller {
         Message::of(Topic::Current, &Catoptra(current))
     }
 
+    /// What was kept of a picture.
+    pub(super) fn windows(kept: &PictureWindows) -> Result<Message, SinkError> {
+        Message::of(Topic::Windows, &Catoptra(kept.clone()))
+    }
+
+    /// Tells of pictures in the totals.
+    pub(super) fn count_pictures(&mut self, count: Arc<PictureCount>) {
+        self.tally.count_pictures(count);
+    }
+
     /// The totals so far.
-    pub(super) fn totals(&self) -> Result<Message, SinkError> {
+    pub(super) fn totals(&mut self) -> Result<Message, SinkError> {
         Message::of(Topic::Health, &Catoptra(self.tally.totals().clone()))
     }
 }

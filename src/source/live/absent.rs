@@ -2,7 +2,9 @@
 
 use super::super::SourceError;
 use super::super::host::HostClock;
-use super::{Camera, CameraSettings};
+use super::Camera;
+#[cfg(not(all(target_os = "linux", feature = "genicam")))]
+use super::CameraSettings;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
@@ -24,6 +26,20 @@ impl Camera {
     }
 }
 
+#[cfg(not(feature = "gstreamer"))]
+impl Camera {
+    /// A GStreamer pipeline, in a build that has them.
+    ///
+    /// # Errors
+    /// Always: how to build one.
+    pub fn gstreamer(text: &str, _clock: HostClock, _stop: Arc<AtomicBool>) -> Result<Self, SourceError> {
+        let reason = "this catoptra was built without GStreamer; install libgstreamer1.0-dev and \
+                      libgstreamer-plugins-base1.0-dev (Debian, Ubuntu; elsewhere GStreamer 1.18 or newer), then build with: \
+                      cargo build --release --features gstreamer";
+        Err(SourceError::Camera { name: format!("gst:{text}"), reason: reason.to_owned() })
+    }
+}
+
 #[cfg(not(target_os = "linux"))]
 impl Camera {
     /// A V4L2 camera, on Linux.
@@ -41,11 +57,19 @@ impl Camera {
     }
 }
 
-#[cfg(all(test, not(feature = "genicam")))]
+#[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
+    #[cfg(not(feature = "gstreamer"))]
+    fn a_pipeline_in_a_build_without_says_how_to_build_one_with() {
+        let error = Camera::gstreamer("videotestsrc", HostClock::start(), Arc::default()).unwrap_err().to_string();
+        assert!(error.contains("libgstreamer1.0-dev") && error.contains("--features gstreamer"), "{error}");
+    }
+
+    #[test]
+    #[cfg(not(feature = "genicam"))]
     fn a_genicam_camera_in_a_build_without_says_how_to_build_one_with() {
         let settings = CameraSettings { size_px: [2, 2], rate: None, exposure_s: None, gain: None, format: None };
         let error = Camera::genicam("", settings, HostClock::start(), Arc::default()).unwrap_err().to_string();

@@ -52,6 +52,11 @@ pub(super) trait Connection: Send {
 
     /// Whether the driver counts, not the camera.
     fn driver_counts(&self) -> bool;
+
+    /// Whether nothing will come any more, and that is as it should be.
+    fn ended(&self) -> bool {
+        false
+    }
 }
 
 /// Opens the camera, and sets it up.
@@ -201,6 +206,7 @@ impl FrameSource for Camera {
             }
             match self.taken() {
                 Ok(Some((taken, picture))) => return Ok(Some(self.frame(&taken, picture))),
+                Ok(None) if self.session.as_ref().is_some_and(|session| session.connection.ended()) => return Ok(None),
                 Ok(None) => {}
                 Err(reason) => {
                     tracing::warn!("{}: the camera is lost ({reason}); waiting for it to come back", self.name);

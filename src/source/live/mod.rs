@@ -4,25 +4,27 @@
 //! an interruption that a camera or a network survives. Set its `stop` flag, and it ends at the next frame or within some
 //! seconds of silence.
 
-#[cfg(not(all(target_os = "linux", feature = "genicam")))]
+#[cfg(not(all(target_os = "linux", feature = "genicam", feature = "gstreamer")))]
 mod absent;
 #[cfg_attr(
-    not(any(target_os = "linux", feature = "genicam")),
+    not(any(target_os = "linux", feature = "genicam", feature = "gstreamer")),
     allow(dead_code, reason = "this build has no camera that needs it")
 )]
 mod camera;
 #[cfg(feature = "genicam")]
 mod genicam;
+#[cfg(feature = "gstreamer")]
+mod gstreamer;
 mod paced;
 mod raw;
 mod retry;
 #[cfg_attr(
-    not(any(target_os = "linux", feature = "genicam")),
+    not(any(target_os = "linux", feature = "genicam", feature = "gstreamer")),
     allow(dead_code, reason = "this build has no camera that needs it")
 )]
 mod samples;
 #[cfg_attr(
-    not(any(target_os = "linux", feature = "genicam")),
+    not(any(target_os = "linux", feature = "genicam", feature = "gstreamer")),
     allow(dead_code, reason = "this build has no camera that needs it")
 )]
 mod settings;

@@ -62,34 +62,45 @@ impl RawPictures {
         Self { name: name.to_owned(), pipe, format, pictures, clock, stamps, tally: Tally::default(), seq: 0 }
     }
 
-    /// Fills the planes of `frame`; false at the end of the pipe.
+    /// Fills the planes of `frame`, each at once where its rows have no padding; false at the end of the pipe.
     fn fill(&mut self, frame: &mut Video) -> Result<bool, SourceError> {
         let mut begun = false;
         for plane in 0..frame.planes() {
             let (stride, rows) = (frame.stride(plane), frame.plane_height(plane) as usize);
             let bytes = samples::row_bytes(self.format.pixel, plane, self.format.size_px[0] as usize);
-            for row in 0..rows {
+            let (bytes, reads) = if stride == bytes { (rows * bytes, 1) } else { (bytes, rows) };
+            for row in 0..reads {
                 let Some(row) = frame.data_mut(plane).get_mut(row * stride..row * stride + bytes) else { continue };
-                match self.pipe.read_exact(row) {
-                    Ok(()) => begun = true,
-                    // A row may be begun too; a picture that is cut is worth a word, the end is not.
-                    Err(error) if error.kind() == ErrorKind::UnexpectedEof && !begun => return Ok(false),
-                    Err(error) if error.kind() == ErrorKind::UnexpectedEof => {
+                let wrong = |reason: String| SourceError::Raw { name: self.name.clone(), reason };
+                match read_all(&mut self.pipe, row).map_err(|error| wrong(error.to_string()))? {
+                    got if got == row.len() => begun = true,
+                    0 if !begun => return Ok(false),
+                    _ => {
                         let [width, height] = self.format.size_px;
-                        let reason = format!(
+                        return Err(wrong(format!(
                             "ends within picture {}: is it really {width}x{height} pixels of the format stated?",
                             self.seq
-                        );
-                        return Err(SourceError::Raw { name: self.name.clone(), reason });
-                    }
-                    Err(error) => {
-                        return Err(SourceError::Raw { name: self.name.clone(), reason: error.to_string() });
+                        )));
                     }
                 }
             }
         }
         Ok(true)
     }
+}
+
+/// Reads until `bytes` are full or the pipe ends; how many there are.
+fn read_all(pipe: &mut impl Read, bytes: &mut [u8]) -> std::io::Result<usize> {
+    let mut got = 0;
+    while let Some(rest) = bytes.get_mut(got..).filter(|rest| !rest.is_empty()) {
+        match pipe.read(rest) {
+            Ok(0) => break,
+            Ok(more) => got += more,
+            Err(error) if error.kind() == ErrorKind::Interrupted => {}
+            Err(error) => return Err(error),
+        }
+    }
+    Ok(got)
 }
 
 impl FrameSource for RawPictures {
@@ -168,6 +179,16 @@ mod tests {
         let frames = read(vec![0; 100], "6x4:rgb24@60");
         let error = frames[1].as_ref().unwrap_err().to_string();
         assert!(error.contains("picture 1") && error.contains("6x4"), "{error}");
+    }
+
+    #[test]
+    fn a_picture_whose_rows_have_no_padding_is_cut_too() {
+        // Rows of 64 bytes are as libav stores them: all of a plane is read at once.
+        let frames = read(vec![7; 64 * 16 * 3 / 2 + 64 * 5], "64x16:nv12@60");
+        let Ok(Some(first)) = &frames[0] else { panic!("{:?}", frames[0]) };
+        assert_eq!(first.picture.plane(0).unwrap().row(15).unwrap(), [7; 64]);
+        let error = frames[1].as_ref().unwrap_err().to_string();
+        assert!(error.contains("picture 1") && error.contains("64x16"), "{error}");
     }
 
     #[test]

@@ -1,0 +1,137 @@
+//! What is kept of a picture with `--record windows`: the parts that the tracker looked at, without loss.
+//!
+//! In: a [`Picture`] that was tracked. Out: a [`PictureWindows`] message. Each channel is cut as the decoder stored it, and
+//! nothing is converted, so that the same numbers come out when it is tracked again. Each rectangle is a grey PNG: it was chosen
+//! for being read everywhere and because its library is here already. On the sample, decoded from H.264, its fast mode takes
+//! 0.26 ms a frame and makes 87 kB to 23 kB; the best that zlib can do is 20 kB, in 4 ms.
+//!
+//! Now and then a picture is kept whole ([`WHOLE_EVERY_NS`]), and after one that could not be kept: from there on the log can be
+//! tracked without what was before.
+
+use super::SinkError;
+use super::messages::{PictureWindow, PictureWindows};
+use super::topics::WINDOWS;
+use crate::estimate::Estimate;
+use crate::source::{Picture, PixelFormat, Plane, Window};
+use image::codecs::png::{CompressionType, FilterType, PngEncoder};
+use image::{ExtendedColorType, ImageEncoder as _, ImageError};
+use std::sync::atomic::{AtomicU64, Ordering};
+
+/// Kept around what was looked at, pixels: a rig whose calibration was refined looks some pixels beside.
+const MARGIN_PX: u32 = 4;
+
+/// Camera time from one picture that is kept whole to the next.
+const WHOLE_EVERY_NS: u64 = 10_000_000_000;
+
+/// Name of the compression.
+pub(crate) const PNG: &str = "png";
+
+/// Pictures kept and pictures lost in a run: written by who records, read by who tells.
+#[derive(Debug, Default)]
+pub struct PictureCount {
+    recorded: AtomicU64,
+    dropped: AtomicU64,
+}
+
+impl PictureCount {
+    /// Pictures recorded so far.
+    pub fn recorded(&self) -> u64 {
+        self.recorded.load(Ordering::Relaxed)
+    }
+
+    /// Pictures that were tracked, and not recorded because the recorder or the disk were not fast enough, or the disk full.
+    pub fn dropped(&self) -> u64 {
+        self.dropped.load(Ordering::Relaxed)
+    }
+
+    pub(crate) fn add_recorded(&self) {
+        self.recorded.fetch_add(1, Ordering::Relaxed);
+    }
+
+    pub(crate) fn add_dropped(&self) {
+        self.dropped.fetch_add(1, Ordering::Relaxed);
+    }
+}
+
+/// Decides what is kept of each picture.
+#[derive(Debug, Default)]
+pub(crate) struct Keeper {
+    /// Camera time of the last picture that was kept whole; none, when the next one has to be.
+    whole_ns: Option<i64>,
+}
+
+impl Keeper {
+    /// A picture was not kept: the tracker remembers a frame that is not in the log.
+    pub(crate) fn lost_one(&mut self) {
+        self.whole_ns = None;
+    }
+
+    /// What is kept of `picture`, whose estimate is `estimate`.
+    ///
+    /// # Errors
+    /// [`SinkError::Encode`] when a part cannot be compressed.
+    pub(crate) fn keep(&mut self, estimate: &Estimate, picture: &Picture) -> Result<PictureWindows, SinkError> {
+        let whole = self.whole_ns.is_none_or(|last| estimate.stamp.ns.abs_diff(last) >= WHOLE_EVERY_NS);
+        if whole {
+            self.whole_ns = Some(estimate.stamp.ns);
+        }
+        cut(estimate, picture, whole)
+    }
+}
+
+/// Cuts what was looked at out of `picture`, whose estimate is `estimate`; with `whole`, all of it is kept.
+///
+/// # Errors
+/// [`SinkError::Encode`] when a part cannot be compressed.
+fn cut(estimate: &Estimate, picture: &Picture, whole: bool) -> Result<PictureWindows, SinkError> {
+    let [width, height] = picture.size_px();
+    let colour = picture.colour();
+    let (planes, [chroma_log2_x, chroma_log2_y]) = match picture.format() {
+        PixelFormat::Yuv { chroma_log2 } => ("yuv", chroma_log2),
+        PixelFormat::Nv12 => ("yuv", [1, 1]),
+        PixelFormat::RgbPlanar | PixelFormat::RgbPacked { .. } => ("rgb", [0, 0]),
+        PixelFormat::Grey => ("grey", [0, 0]),
+    };
+    let kept = if whole { vec![Window::whole([width, height])] } else { picture.looked_at(MARGIN_PX) };
+    let mut windows = Vec::with_capacity(3 * kept.len());
+    for window in kept {
+        for (index, plane) in (0_u32..).zip((0..picture.format().channels()).filter_map(|i| picture.plane(i))) {
+            windows.push(part(&plane, index, &window)?);
+        }
+    }
+    Ok(PictureWindows {
+        seq: estimate.seq,
+        stamp_ns: estimate.stamp.ns,
+        arrival_ns: estimate.host.map(|host| host.arrival_ns),
+        width,
+        height,
+        planes: planes.to_owned(),
+        chroma_log2_x: chroma_log2_x.into(),
+        chroma_log2_y: chroma_log2_y.into(),
+        matrix: colour.matrix.name().to_owned(),
+        range: colour.range.name().to_owned(),
+        transfer: colour.transfer.name().to_owned(),
+        siting: colour.siting.name().to_owned(),
+        windows,
+    })
+}
+
+/// The samples of a plane that stand for the pixels of a window.
+fn part(plane: &Plane<'_>, index: u32, window: &Window) -> Result<PictureWindow, SinkError> {
+    let refused = |reason: String| SinkError::Encode { topic: WINDOWS, reason };
+    let [sx, sy] = plane.scale;
+    let (x, y) = (window.x0 / sx, window.y0 / sy);
+    let (x1, y1) = (window.x1.div_ceil(sx), window.y1.div_ceil(sy));
+    let (width, height) = (x1.saturating_sub(x), y1.saturating_sub(y));
+    let mut samples = Vec::with_capacity(width as usize * height as usize);
+    for row in y..y1 {
+        let row = plane.row(row as usize).unwrap_or_default();
+        let from = x as usize * plane.step;
+        samples.extend(row.get(from..).unwrap_or_default().iter().step_by(plane.step).take(width as usize));
+    }
+    let mut data = Vec::new();
+    PngEncoder::new_with_quality(&mut data, CompressionType::Fast, FilterType::Paeth)
+        .write_image(&samples, width, height, ExtendedColorType::L8)
+        .map_err(|e: ImageError| refused(e.to_string()))?;
+    Ok(PictureWindow { plane: index, x, y, width, height, format: PNG.to_owned(), data: data.into() })
+}

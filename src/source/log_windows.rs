@@ -1,0 +1,309 @@
+//! The pictures in a log that was recorded with `--record windows`, to be tracked again.
+//!
+//! In: a log of this program. Out: a frame for every row of the log, in their order, with stamp, gap and host's time as they
+//! are there. Of each picture there is what the log holds, to the last bit; the rest is black, and [`Picture::look_at`] refuses
+//! it. A frame whose picture was not recorded (it was not tracked, or the recorder fell behind) has nothing of it.
+//!
+//! What is kept of a picture follows its row in the log after some frames. Rows wait for it; none comes any more when that
+//! of a later frame is there.
+
+use super::{
+    ChromaSiting, Clock, Colour, Frame, FrameSource, HostTime, Matrix, Picture, PixelFormat, Range, SourceError, Span,
+    Timestamp, Transfer, Window,
+};
+use crate::log::fields::{number, text};
+use crate::log::messages::Known;
+use crate::log::records::{Extent, Records};
+use crate::sink::{PNG, WINDOWS};
+use image::{ImageFormat, ImageReader};
+use mcap::records::Record;
+use prost_reflect::{DynamicMessage, Value};
+use std::collections::VecDeque;
+use std::io::Cursor;
+use std::path::{Path, PathBuf};
+
+/// Pictures of other sizes are damage.
+const LARGEST_PX: u32 = 1 << 16;
+
+/// The pictures in a log.
+pub struct LogWindows {
+    path: PathBuf,
+    records: Records,
+    known: Known,
+    /// Rows whose picture has not come yet, the oldest first.
+    rows: VecDeque<Row>,
+    /// What all pictures are.
+    layout: Layout,
+    /// Number of the last row taken, in the log's own count.
+    last: Option<u64>,
+    /// Number of the last frame whose windows were read.
+    windows_to: Option<u64>,
+    span: Span,
+    given: u64,
+    last_good_ns: Option<i64>,
+}
+
+struct Row {
+    seq: u64,
+    stamp: Timestamp,
+    gap: u32,
+    host: Option<HostTime>,
+    windows: Option<DynamicMessage>,
+}
+
+/// Size and storage of a picture.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Layout {
+    size_px: [u32; 2],
+    format: PixelFormat,
+    colour: Colour,
+}
+
+impl LogWindows {
+    /// Opens the log at `path`.
+    ///
+    /// # Errors
+    /// When it cannot be read, is no log, or holds no pictures; when the span ends before it starts.
+    pub fn open(path: &Path, span: Span) -> Result<Self, SourceError> {
+        span.check()?;
+        let layout = Layout { size_px: [0; 2], format: PixelFormat::Grey, colour: Colour::SRGB };
+        let mut source = Self {
+            path: path.to_owned(),
+            records: Records::open(path)?,
+            known: Known::default(),
+            rows: VecDeque::new(),
+            layout,
+            last: None,
+            windows_to: None,
+            span,
+            given: 0,
+            last_good_ns: None,
+        };
+        // The first one says what they are.
+        while source.windows_to.is_none() {
+            if !source.read()? {
+                return Err(SourceError::LogWithoutPictures { path: path.to_owned() });
+            }
+        }
+        let first = source.rows.iter().find_map(|row| Some((row.seq, row.windows.as_ref()?)));
+        if let Some((seq, message)) = first {
+            source.layout = layout_of(message).map_err(|reason| source.damaged(seq, reason))?;
+        }
+        Ok(source)
+    }
+
+    /// Reads a record; false at the end.
+    fn read(&mut self) -> Result<bool, SourceError> {
+        let Some(record) = self.records.next()? else { return Ok(false) };
+        self.known.learn(&record);
+        let Record::Message { header, data } = &record else { return Ok(true) };
+        if let Some(estimate) = self.known.decoded(header.channel_id, "/catheter/estimate", data) {
+            let row = row(&estimate).map_err(|reason| SourceError::LogPicture {
+                path: self.path.clone(),
+                seq: header.sequence.into(),
+                reason,
+            })?;
+            self.rows.push_back(row);
+        } else if let Some(windows) = self.known.decoded(header.channel_id, WINDOWS, data) {
+            let seq = number(&windows, "seq").and_then(|n| u64::try_from(n).ok()).unwrap_or(0);
+            self.windows_to = Some(seq);
+            // Without its row it has no time, and is no frame of this log.
+            if let Some(row) = self.rows.iter_mut().rev().find(|row| row.seq == seq) {
+                row.windows = Some(windows);
+            }
+        }
+        Ok(true)
+    }
+
+    /// The next row with all there is of it; `None` at the end.
+    fn next_row(&mut self) -> Result<Option<Row>, SourceError> {
+        loop {
+            let complete = |row: &Row| row.windows.is_some() || self.windows_to.is_some_and(|to| to > row.seq);
+            if self.rows.front().is_some_and(complete) || !self.read()? {
+                let mut row = self.rows.pop_front();
+                if let Some(row) = &mut row {
+                    // Rows that the log lacks are frames lost to who reads it.
+                    let lacking = self.last.map_or(0, |last| row.seq.saturating_sub(last + 1));
+                    row.gap = row.gap.saturating_add(u32::try_from(lacking).unwrap_or(u32::MAX));
+                    self.last = Some(row.seq);
+                }
+                return Ok(row);
+            }
+        }
+    }
+
+    fn picture(&self, row: &Row) -> Result<Picture, SourceError> {
+        let failed = |reason: String| self.damaged(row.seq, reason);
+        let Some(message) = &row.windows else {
+            let black = black(&self.layout);
+            return Ok(picture_of(self.layout, black).map_err(failed)?.of_parts(Vec::new()));
+        };
+        let layout = layout_of(message).map_err(failed)?;
+        let mut planes = black(&layout);
+        let mut there = Vec::new();
+        for window in list(message, "windows") {
+            let (plane, area) = paste(&mut planes, &layout, &window).map_err(failed)?;
+            if plane == 0 {
+                there.push(area);
+            }
+        }
+        Ok(picture_of(layout, planes).map_err(failed)?.of_parts(there))
+    }
+
+    fn damaged(&self, seq: u64, reason: String) -> SourceError {
+        SourceError::LogPicture { path: self.path.clone(), seq, reason }
+    }
+}
+
+impl FrameSource for LogWindows {
+    fn next_frame(&mut self) -> Result<Option<Frame>, SourceError> {
+        while let Some(row) = self.next_row()? {
+            if !self.span.contains(row.stamp.ns) {
+                continue;
+            }
+            let picture = self.picture(&row)?;
+            let Row { stamp, gap, host, .. } = row;
+            let seq = self.given;
+            self.given += 1;
+            self.last_good_ns = Some(stamp.ns);
+            return Ok(Some(Frame { seq, stamp, gap, host, picture }));
+        }
+        match self.records.extent() {
+            Some(Extent::Cut { why }) => Err(SourceError::Truncated {
+                path: self.path.clone(),
+                frames: self.given,
+                last_good_s: self.last_good_ns.map(super::times::seconds),
+                why: why.clone(),
+            }),
+            _ => Ok(None),
+        }
+    }
+
+    fn size_px(&self) -> [u32; 2] {
+        self.layout.size_px
+    }
+
+    fn frame_count_hint(&self) -> Option<u64> {
+        None
+    }
+}
+
+/// The row that an estimate stands for.
+fn row(estimate: &DynamicMessage) -> Result<Row, String> {
+    let whole = |field: &str| number(estimate, field).ok_or_else(|| format!("its row has no `{field}`"));
+    let name = text(estimate, "clock").ok_or("its row names no clock")?;
+    let clock = Clock::by_name(&name).ok_or_else(|| format!("its clock `{name}` is not known"))?;
+    let unsigned = |field: &str| whole(field).and_then(|n| u64::try_from(n).map_err(|e| format!("`{field}`: {e}")));
+    let host = estimate.has_field_by_name("arrival_ns") && estimate.has_field_by_name("host_stamp_ns");
+    let host = || {
+        Ok(HostTime { arrival_ns: whole("arrival_ns")?, stamp_ns: whole("host_stamp_ns")? }).map(|t| host.then_some(t))
+    };
+    Ok(Row {
+        seq: unsigned("seq")?,
+        stamp: Timestamp { ns: whole("stamp_ns")?, clock },
+        gap: unsigned("gap")?.try_into().unwrap_or(u32::MAX),
+        host: host().map_err(|e: String| e)?,
+        windows: None,
+    })
+}
+
+fn layout_of(message: &DynamicMessage) -> Result<Layout, String> {
+    let side = |field: &str| {
+        let n = number(message, field).and_then(|n| u32::try_from(n).ok());
+        n.filter(|n| (1..=LARGEST_PX).contains(n)).ok_or_else(|| format!("`{field}` is not 1 to {LARGEST_PX}"))
+    };
+    let log2 = |field: &str| {
+        let n = number(message, field).and_then(|n| u8::try_from(n).ok());
+        n.filter(|n| *n <= 2).ok_or_else(|| format!("`{field}` is not 0, 1 or 2"))
+    };
+    let word = |field: &str| text(message, field).ok_or_else(|| format!("`{field}` is missing"));
+    fn known<T>(field: &str, name: String, by_name: fn(&str) -> Option<T>) -> Result<T, String> {
+        by_name(&name).ok_or_else(|| format!("`{field}` is `{name}`, which is not known"))
+    }
+    let format = match word("planes")?.as_str() {
+        "yuv" => PixelFormat::Yuv { chroma_log2: [log2("chroma_log2_x")?, log2("chroma_log2_y")?] },
+        "rgb" => PixelFormat::RgbPlanar,
+        "grey" => PixelFormat::Grey,
+        other => return Err(format!("`planes` is `{other}`, expected yuv, rgb or grey")),
+    };
+    Ok(Layout {
+        size_px: [side("width")?, side("height")?],
+        format,
+        colour: Colour {
+            matrix: known("matrix", word("matrix")?, Matrix::by_name)?,
+            range: known("range", word("range")?, Range::by_name)?,
+            transfer: known("transfer", word("transfer")?, Transfer::by_name)?,
+            siting: known("siting", word("siting")?, ChromaSiting::by_name)?,
+        },
+    })
+}
+
+/// Width and height of a plane in samples, and pixels a sample.
+fn plane_size(layout: &Layout, plane: usize) -> ([usize; 2], [u32; 2]) {
+    let log2 = match layout.format {
+        PixelFormat::Yuv { chroma_log2 } if plane > 0 => chroma_log2,
+        _ => [0, 0],
+    };
+    let scale = log2.map(|log2| 1 << log2);
+    ([0, 1].map(|i| layout.size_px[i].div_ceil(scale[i]) as usize), scale)
+}
+
+fn black(layout: &Layout) -> Vec<Vec<u8>> {
+    let yuv = layout.format.is_yuv();
+    let plane = |i: usize| {
+        let ([width, height], _) = plane_size(layout, i);
+        let value = match (yuv, i, layout.colour.range) {
+            (true, 0, Range::Limited) => 16,
+            (true, 1.., _) => 128,
+            _ => 0,
+        };
+        vec![value; width * height]
+    };
+    (0..layout.format.channels()).map(plane).collect()
+}
+
+fn picture_of(layout: Layout, planes: Vec<Vec<u8>>) -> Result<Picture, String> {
+    let [width, height] = layout.size_px;
+    Picture::from_planes(width, height, layout.format, layout.colour, planes).map_err(|e| e.to_string())
+}
+
+/// Puts a window in its place; which plane it is of, and the pixels it stands for.
+fn paste(planes: &mut [Vec<u8>], layout: &Layout, window: &DynamicMessage) -> Result<(usize, Window), String> {
+    let whole = |field: &str| {
+        number(window, field).and_then(|n| u32::try_from(n).ok()).ok_or_else(|| format!("a window has no `{field}`"))
+    };
+    let (index, x, y) = (whole("plane")? as usize, whole("x")?, whole("y")?);
+    let (width, height) = (whole("width")?, whole("height")?);
+    let ([plane_width, plane_height], [sx, sy]) = plane_size(layout, index);
+    let plane = planes.get_mut(index).ok_or_else(|| format!("a window is of plane {index}"))?;
+    let inside = |from: u32, size: u32, all: usize| size > 0 && u64::from(from) + u64::from(size) <= all as u64;
+    if !(inside(x, width, plane_width) && inside(y, height, plane_height)) {
+        return Err(format!(
+            "a window of {width}x{height} samples at {x}, {y} does not lie in plane {index} of {plane_width}x{plane_height}"
+        ));
+    }
+    let format = text(window, "format").unwrap_or_default();
+    if format != PNG {
+        return Err(format!("a window is compressed as `{format}`, expected `{PNG}`"));
+    }
+    let data = window.get_field_by_name("data");
+    let data = data.as_deref().and_then(Value::as_bytes).ok_or("a window has no `data`")?;
+    let decoded = ImageReader::with_format(Cursor::new(data), ImageFormat::Png).decode().map_err(|e| e.to_string())?;
+    let grey = decoded.as_luma8().ok_or("a window's PNG is not grey of 8 bits")?;
+    if grey.dimensions() != (width, height) {
+        return Err(format!("a window's PNG has {:?} samples, expected {width}x{height}", grey.dimensions()));
+    }
+    let rows = plane.chunks_exact_mut(plane_width).skip(y as usize);
+    for (to, from) in rows.zip(grey.as_raw().chunks_exact(width as usize)) {
+        if let Some(to) = to.get_mut(x as usize..(x + width) as usize) {
+            to.copy_from_slice(from);
+        }
+    }
+    Ok((index, Window { x0: x * sx, y0: y * sy, x1: (x + width) * sx, y1: (y + height) * sy }))
+}
+
+fn list(message: &DynamicMessage, field: &str) -> Vec<DynamicMessage> {
+    let field = message.get_field_by_name(field);
+    let all = field.as_deref().and_then(Value::as_list).unwrap_or_default();
+    all.iter().filter_map(|value| value.as_message().cloned()).collect()
+}

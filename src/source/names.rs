@@ -1,0 +1,46 @@
+//! The words for clocks and colours in files, both ways.
+
+use super::{ChromaSiting, Clock, Matrix, Range, Transfer};
+
+macro_rules! names {
+    ($type:ty { $($value:ident => $name:literal),+ $(,)? }) => {
+        impl $type {
+            /// The name used in files.
+            pub fn name(self) -> &'static str {
+                match self { $(Self::$value => $name),+ }
+            }
+
+            /// What has this name in files.
+            pub fn by_name(name: &str) -> Option<Self> {
+                match name { $($name => Some(Self::$value),)+ _ => None }
+            }
+        }
+    };
+}
+
+names!(Clock {
+    Container => "container",
+    StatedRate => "stated_rate",
+    Stream => "stream",
+    V4l2Monotonic => "v4l2_monotonic",
+    Device => "device",
+    HostArrival => "host_arrival",
+});
+names!(Matrix { Bt601 => "bt601", Bt709 => "bt709", Bt2020 => "bt2020" });
+names!(Range { Limited => "limited", Full => "full" });
+names!(Transfer { Bt709 => "bt709", Srgb => "srgb", Linear => "linear" });
+names!(ChromaSiting { Left => "left", Center => "center", TopLeft => "top_left" });
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_name_gives_what_it_is_the_name_of() {
+        for clock in [Clock::Container, Clock::StatedRate, Clock::Stream, Clock::V4l2Monotonic, Clock::Device] {
+            assert_eq!(Clock::by_name(clock.name()), Some(clock));
+        }
+        assert_eq!(ChromaSiting::by_name("top_left"), Some(ChromaSiting::TopLeft));
+        assert_eq!(Matrix::by_name("BT709"), None);
+    }
+}

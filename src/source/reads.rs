@@ -1,0 +1,119 @@
+//! What of a picture there is, and what of it was looked at.
+//!
+//! The tracker looks at small parts of a picture, and says before it does ([`Picture::look_at`]). Two things come of it: a
+//! recorder can keep those parts alone ([`Picture::looked_at`]), and of a picture that was kept in parts the others are never
+//! taken for something that the camera saw: to look there is refused.
+
+use super::{Picture, Window};
+use std::sync::{Mutex, PoisonError};
+
+/// The state of one picture.
+#[derive(Debug, Default)]
+pub(super) struct Reads {
+    /// The parts that there are; `None` for all.
+    there: Option<Vec<Window>>,
+    read: Mutex<Vec<Window>>,
+}
+
+/// A part of a picture was wanted that was not recorded.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "columns {} to {} of rows {} to {} are wanted, which were not recorded",
+    area.x0, area.x1.saturating_sub(1), area.y0, area.y1.saturating_sub(1)
+)]
+pub struct NotRecorded {
+    /// What was to be looked at, pixels.
+    pub area: Window,
+}
+
+impl Picture {
+    /// The same picture, of which only some windows were recorded; samples outside mean nothing.
+    pub fn of_parts(mut self, there: Vec<Window>) -> Self {
+        self.reads.there = Some(there);
+        self
+    }
+
+    /// The parts that there are; `None` for all of it.
+    pub fn recorded(&self) -> Option<&[Window]> {
+        self.reads.there.as_deref()
+    }
+
+    /// To be called before samples are used: those of the pixels in `area` (a sample of a subsampled channel belongs to all
+    /// pixels it stands for). Parts of `area` outside the picture do not matter.
+    ///
+    /// # Errors
+    /// When not all of them are there.
+    pub fn look_at(&self, area: Window) -> Result<(), NotRecorded> {
+        let area = area.clipped(self.size_px());
+        if let Some(there) = &self.reads.there
+            && !area.grown(0, self.coarsest()).clipped(self.size_px()).without(there).is_empty()
+        {
+            return Err(NotRecorded { area });
+        }
+        self.reads.read.lock().unwrap_or_else(PoisonError::into_inner).push(area);
+        Ok(())
+    }
+
+    /// What was looked at, and `margin_px` around it: windows that do not overlap and cut no sample of a subsampled channel.
+    /// Depends on the set of areas looked at, not on their order.
+    pub fn looked_at(&self, margin_px: u32) -> Vec<Window> {
+        let step = self.coarsest();
+        let mut areas: Vec<Window> = {
+            let read = self.reads.read.lock().unwrap_or_else(PoisonError::into_inner);
+            read.iter().map(|area| area.grown(margin_px, step).clipped(self.size_px())).collect()
+        };
+        // Large ones first: they hold most of the others.
+        areas.sort_by_key(|w| (std::cmp::Reverse(w.pixels()), w.y0, w.x0, w.y1, w.x1));
+        let mut windows = Vec::with_capacity(areas.len());
+        for area in areas {
+            windows.extend(area.without(&windows));
+        }
+        windows
+    }
+
+    /// Pixels a sample, of the channel that has fewest.
+    fn coarsest(&self) -> u32 {
+        (0..self.format().channels()).filter_map(|i| self.plane(i)).flat_map(|plane| plane.scale).max().unwrap_or(1)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::source::{Colour, PixelFormat};
+
+    fn picture() -> Picture {
+        let planes = vec![vec![0; 32 * 16], vec![0; 16 * 8], vec![0; 16 * 8]];
+        Picture::from_planes(32, 16, PixelFormat::Yuv { chroma_log2: [1, 1] }, Colour::SRGB, planes).unwrap()
+    }
+
+    fn window(x0: u32, y0: u32, x1: u32, y1: u32) -> Window {
+        Window { x0, y0, x1, y1 }
+    }
+
+    #[test]
+    fn what_was_looked_at_is_kept_in_whole_samples_and_once() {
+        let picture = picture();
+        for area in [window(3, 3, 7, 9), window(5, 1, 9, 5), window(20, 10, 60, 60), window(4, 4, 5, 5)] {
+            picture.look_at(area).unwrap();
+        }
+        let kept = picture.looked_at(0);
+        assert_eq!(kept.iter().map(Window::pixels).sum::<u64>(), 6 * 8 + 6 * 6 - 4 * 4 + 12 * 6);
+        assert!(kept.iter().all(|w| [w.x0, w.y0, w.x1, w.y1].iter().all(|v| v % 2 == 0)), "{kept:?}");
+        // With a margin the same windows would do for all that was looked at.
+        let again = super::tests::picture().of_parts(picture.looked_at(4));
+        again.look_at(window(1, 0, 9, 13)).unwrap();
+    }
+
+    #[test]
+    fn what_is_not_there_is_not_looked_at() {
+        let parts = picture().of_parts(vec![window(0, 0, 8, 8), window(8, 0, 16, 16)]);
+        parts.look_at(window(2, 2, 16, 8)).unwrap();
+        parts.look_at(window(40, 40, 50, 50)).unwrap();
+        let refused = parts.look_at(window(2, 2, 9, 9)).unwrap_err();
+        assert_eq!(refused.to_string(), "columns 2 to 8 of rows 2 to 8 are wanted, which were not recorded");
+        let refused = parts.look_at(window(15, 0, 17, 1)).unwrap_err();
+        assert_eq!(refused.area, window(15, 0, 17, 1));
+        assert_eq!(parts.looked_at(0), [window(2, 2, 16, 8)]);
+    }
+}
