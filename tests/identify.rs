@@ -1,5 +1,7 @@
 //! The paper's chain on records whose truth is known: made by scipy, with Eq. 7 inside Eq. 6 (`sample_dynamics`).
 
+#![allow(clippy::unwrap_used, reason = "helpers of tests")]
+
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};

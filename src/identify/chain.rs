@@ -234,7 +234,8 @@ fn stretches(records: &[Record]) -> Vec<Segment> {
 /// Input and output must change.
 fn moves(records: &[Record]) -> Result<(), IdentifyError> {
     let name = records.iter().map(|r| r.name.as_str()).collect::<Vec<_>>().join(", ");
-    let signals: [(&'static str, fn(&Segment) -> &[f64]); 2] = [("input", |s| &s.input), ("output", |s| &s.output)];
+    type Signal = fn(&Segment) -> &[f64];
+    let signals: [(&'static str, Signal); 2] = [("input", |s| &s.input), ("output", |s| &s.output)];
     for (what, signal) in signals {
         let all = records.iter().flat_map(|r| &r.segments).flat_map(|s| signal(s).iter().copied());
         let mut values = all.filter(|v| !v.is_nan());

@@ -29,39 +29,44 @@ pub struct Residuals {
     pub samples: usize,
 }
 
+/// Residuals of a stretch, and the inputs at their times.
+struct Left<'a> {
+    residual: Vec<f64>,
+    input: &'a [f64],
+}
+
 impl Residuals {
     /// Of a model's one-step predictions. Nothing when there are not many more samples than lags.
     pub fn of(model: &Polynomials, segments: &[Segment]) -> Option<Self> {
         let memory = model.memory();
-        // Of each stretch, residuals and the inputs at their times.
-        let pairs: Vec<(Vec<f64>, &[f64])> = segments
+        let pairs: Vec<Left<'_>> = segments
             .iter()
             .filter(|s| s.len() > memory)
             .map(|s| {
                 let predicted = model.predict(&s.input, &s.output);
                 let left = s.output[memory..].iter().zip(&predicted).map(|(y, p)| y - p);
-                (left.collect(), &s.input[memory..s.len()])
+                Left { residual: left.collect(), input: &s.input[memory..s.len()] }
             })
             .collect();
-        let samples: usize = pairs.iter().map(|(e, _)| e.iter().filter(|e| !e.is_nan()).count()).sum();
+        let samples: usize = pairs.iter().map(|p| p.residual.iter().filter(|e| !e.is_nan()).count()).sum();
         if samples < 4 * LAGS {
             return None;
         }
         let n = samples as f64;
-        let inputs: usize = pairs.iter().map(|(_, u)| u.len()).sum();
-        let mean = pairs.iter().flat_map(|(_, u)| u.iter()).sum::<f64>() / inputs as f64;
+        let inputs: usize = pairs.iter().map(|p| p.input.len()).sum();
+        let mean = pairs.iter().flat_map(|p| p.input.iter()).sum::<f64>() / inputs as f64;
         // Σ x(t) y(t+lag) over all stretches.
-        let sum = |lag: usize, of: &dyn Fn(&(Vec<f64>, &[f64]), usize) -> f64| -> f64 {
+        let sum = |lag: usize, of: &dyn Fn(&Left<'_>, usize) -> f64| -> f64 {
             // Without its whole past a sample has no residual.
-            pairs.iter().map(|p| (lag..p.0.len()).map(|t| of(p, t)).filter(|v| !v.is_nan()).sum::<f64>()).sum()
+            pairs.iter().map(|p| (lag..p.residual.len()).map(|t| of(p, t)).filter(|v| !v.is_nan()).sum::<f64>()).sum()
         };
-        let (ee, uu) = (sum(0, &|p, t| p.0[t] * p.0[t]), sum(0, &|p, t| (p.1[t] - mean).powi(2)));
-        let auto: Vec<f64> = (0..=LAGS).map(|lag| sum(lag, &|p, t| p.0[t] * p.0[t - lag]) / ee).collect();
+        let (ee, uu) = (sum(0, &|p, t| p.residual[t] * p.residual[t]), sum(0, &|p, t| (p.input[t] - mean).powi(2)));
+        let auto: Vec<f64> = (0..=LAGS).map(|lag| sum(lag, &|p, t| p.residual[t] * p.residual[t - lag]) / ee).collect();
         let input: Vec<f64> =
-            (0..=LAGS).map(|lag| sum(lag, &|p, t| (p.1[t] - mean) * (p.1[t - lag] - mean)) / uu).collect();
+            (0..=LAGS).map(|lag| sum(lag, &|p, t| (p.input[t] - mean) * (p.input[t - lag] - mean)) / uu).collect();
         let scale = (ee * uu).sqrt();
-        let later = |lag: usize| sum(lag, &|p, t| p.0[t] * (p.1[t - lag] - mean)) / scale;
-        let earlier = |lag: usize| sum(lag, &|p, t| p.0[t - lag] * (p.1[t] - mean)) / scale;
+        let later = |lag: usize| sum(lag, &|p, t| p.residual[t] * (p.input[t - lag] - mean)) / scale;
+        let earlier = |lag: usize| sum(lag, &|p, t| p.residual[t - lag] * (p.input[t] - mean)) / scale;
         let cross = (1..=LAGS).rev().map(earlier).chain((0..=LAGS).map(later)).collect();
         // Variance of the estimate when the two have nothing to do with each other: Σ ρ_e ρ_u / N over all lags.
         let both: f64 = 1.0 + 2.0 * auto.iter().zip(&input).skip(1).map(|(a, u)| a * u).sum::<f64>();
