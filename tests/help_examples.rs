@@ -44,7 +44,7 @@ fn every_example_of_every_help_runs_as_printed() {
     all_helps(&[], &mut helps);
     assert!(helps.len() >= 12, "{} helps", helps.len());
     let folder = tempfile::tempdir().unwrap();
-    for part in ["calibration", "sample_frames", "tests"] {
+    for part in ["calibration", "sample_dynamics", "sample_frames", "tests"] {
         let there = Path::new(env!("CARGO_MANIFEST_DIR")).join(part);
         std::os::unix::fs::symlink(there, folder.path().join(part)).unwrap();
     }
