@@ -13,7 +13,6 @@ use super::reduce::{Reduced, Reduction, Removal, Target, reduce};
 use super::residuals::Residuals;
 use super::search::{Candidate, Criterion, best, search};
 use super::spectrum::{Spectrum, spectrum};
-use super::uncertainty::propagate;
 use super::{instrumental, output_error};
 
 /// How the full model is estimated.
@@ -177,7 +176,7 @@ pub fn identify(data: &Data, settings: &Settings) -> Result<Identification, Iden
             let moved = reduce(&estimated.model.with_parameters(p), same).ok()?.model;
             (moved.nk == reduced.model.nk).then(|| moved.parameters().as_slice().to_vec())
         };
-        let covariance = propagate(estimated.model.parameters().as_slice(), &estimated.covariance, parameters);
+        let covariance = estimated.covariance.propagate(estimated.model.parameters().as_slice(), parameters);
         let title = format!("reduced, order {}", reduced.model.memory());
         models.push(modelled(Role::Reduced, title, &reduced.model, covariance));
         // 4. the same order fitted to the data itself; the excited band's reduction is often nearer to them

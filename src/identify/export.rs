@@ -7,6 +7,7 @@ use super::model::Polynomials;
 use super::modelled::{ContinuousEstimate, Modelled, Role};
 use super::residuals::Residuals;
 use super::told::Told;
+use super::uncertainty::Covariance;
 use crate::whole_file::NewFile;
 use nalgebra::{Complex, DMatrix};
 use serde_json::{Value, json};
@@ -151,8 +152,8 @@ fn joined(mut first: Value, second: Value) -> Value {
     first
 }
 
-fn estimated(model: &Polynomials, covariance: Option<&DMatrix<f64>>, more: Value) -> Value {
-    let errors = covariance.map(super::uncertainty::standard_errors);
+fn estimated(model: &Polynomials, covariance: Option<&Covariance>, more: Value) -> Value {
+    let errors = covariance.map(Covariance::standard_errors);
     joined(
         json!({
             "na": model.na(),
@@ -161,7 +162,7 @@ fn estimated(model: &Polynomials, covariance: Option<&DMatrix<f64>>, more: Value
             "a": model.a,
             "b": model.b,
             "standard_errors": errors,
-            "covariance": covariance.map(rows),
+            "covariance": covariance.map(|c| rows(&c.matrix())),
             "poles": complex(&model.poles()),
             "largest_pole": model.largest_pole(),
             "stable": model.is_stable(),
@@ -191,7 +192,7 @@ fn reduced(modelled: &Modelled, more: Value) -> Value {
         "largest_pole": modelled.largest_pole,
         "poles": complex(&model.poles()),
         "standard_errors": modelled.standard_errors(),
-        "covariance": modelled.covariance.as_ref().map(rows),
+        "covariance": modelled.covariance.as_ref().map(|c| rows(&c.matrix())),
     });
     joined(of_filter, more)
 }

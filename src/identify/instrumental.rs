@@ -15,6 +15,7 @@ use super::fit::free_part;
 use super::model::{Polynomials, all_pole};
 use super::output_error::Refined;
 use super::regression::{Triangle, row};
+use super::uncertainty::Covariance;
 
 const MOST_STEPS: usize = 50;
 /// Parameters that change by less than this part of their standard errors are settled.
@@ -110,7 +111,7 @@ fn step(
     let noise_variance = left.norm_squared() / (samples - p) as f64;
     Ok(Estimated {
         model: Polynomials::of(parameters.as_slice(), na, nk),
-        covariance: &inverse * inverse.transpose() * noise_variance,
+        covariance: Covariance::from_factor(inverse * noise_variance.sqrt()),
         noise_variance,
         samples,
         condition: singular.max() / singular.min(),

@@ -73,8 +73,8 @@ pub struct Solution {
     pub parameters: DVector<f64>,
     /// Sum of squared residuals.
     pub residual: f64,
-    /// (ΦᵀΦ)⁻¹: times the variance of the residual it is the covariance of the parameters.
-    pub cofactor: DMatrix<f64>,
+    /// R⁻¹ with RᵀR = ΦᵀΦ: times the standard deviation of the residual it is a factor of the parameters' covariance.
+    pub inverse: DMatrix<f64>,
     /// Condition number of the regressors, each scaled to length 1.
     pub condition: f64,
 }
@@ -110,7 +110,7 @@ pub fn solve(columns: DMatrix<f64>) -> Option<Solution> {
     Some(Solution {
         parameters,
         residual: r.view((p, p), (r.nrows() - p, 1)).norm_squared(),
-        cofactor: &inverse * inverse.transpose(),
+        inverse,
         condition: if p > 0 { largest / smallest } else { 1.0 },
     })
 }
