@@ -139,6 +139,9 @@ pub fn identify(data: &Data, settings: &Settings) -> Result<Identification, Iden
             let usual = if validation.is_empty() { Criterion::Mdl } else { Criterion::Simulation };
             let criterion = criterion.unwrap_or(usual);
             let candidates = search(&training, &validation, settings.start, candidates)?;
+            if candidates.is_empty() {
+                return Err(IdentifyError::NoneDetermined);
+            }
             let best = best(&candidates, criterion).ok_or(IdentifyError::NoneStable { tried: candidates.len() })?;
             let orders = best.orders;
             (candidates, Some(criterion), orders)
@@ -253,8 +256,12 @@ fn fits(data: &Data, models: &[Modelled], start: Start) -> Vec<Fit> {
     let mut fits = Vec::new();
     let records = data.training.iter().map(|r| (r, true)).chain(data.validation.iter().map(|r| (r, false)));
     for (record, training) in records {
+        // From rest is from rest here, also for a part of a record: the number of other programs. With its start estimated it stands
+        // beside it.
+        let at_rest = record.at_rest();
         for model in models {
             for kind in kinds {
+                let record = if kind == Kind::Simulation(Start::Rest) { &at_rest } else { record };
                 // Only the full model has a model of the noise to predict with.
                 if kind == Kind::Prediction && model.role != Role::Full {
                     continue;

@@ -84,6 +84,9 @@ impl Continuous {
 
 fn held(system: &StateSpace, period_s: f64) -> Option<StateSpace> {
     let n = system.order();
+    if n == 0 {
+        return Some(system.clone());
+    }
     let poles = system.a.complex_eigenvalues();
     if poles.iter().any(|p| p.im == 0.0 && p.re <= 0.0) {
         return None;
@@ -191,6 +194,12 @@ mod tests {
         for (found, true_value) in back.parameters().iter().zip(eq_7().parameters()) {
             assert!((found / true_value - 1.0).abs() < 1e-9, "{back:?}");
         }
+    }
+
+    #[test]
+    fn a_gain_is_a_gain() {
+        let found = Continuous::of(&Polynomials { a: vec![1.0], b: vec![2.0], nk: 0 }, 0.1).unwrap();
+        assert_eq!((found.num, found.den, found.conversion), (vec![2.0], vec![1.0], Conversion::Hold));
     }
 
     #[test]

@@ -80,10 +80,13 @@ fn from_fitted_start(model: &Polynomials, segment: &Segment) -> Vec<f64> {
 }
 
 /// What the state at the beginning of a stretch adds to the output from rest, `simulated`, by least squares. Every state of
-/// B/A shows as the response of 1/A to one of the first [`Polynomials::memory`] samples. Nothing when the numbers overflow
-/// or the stretch is shorter than the memory.
+/// B/A shows as the response of 1/A to one of the first [`Polynomials::memory`] samples. Nothing when the numbers overflow,
+/// the stretch is shorter than the memory, or there is no state.
 pub(super) fn free_part(model: &Polynomials, segment: &Segment, simulated: &[f64]) -> Option<Vec<f64>> {
     let states = model.memory();
+    if states == 0 {
+        return None;
+    }
     let response = model.free_response(segment.len());
     let reach = segment.len().min(START);
     let at = |t: usize, state: usize| t.checked_sub(state).map_or(0.0, |t| response[t]);

@@ -39,6 +39,9 @@ pub fn factor(a: &DMatrix<f64>, b: &DVector<f64>) -> Option<DMatrix<f64>> {
 /// midpoint rule, fine enough for the sharpest resonance. Nothing when a pole lies on the unit circle in the band.
 pub fn band_factors(system: &StateSpace, (low, high): (f64, f64)) -> Option<[DMatrix<f64>; 2]> {
     let n = system.order();
+    if n == 0 {
+        return Some([DMatrix::zeros(0, 0), DMatrix::zeros(0, 0)]);
+    }
     let sharpest = system.a.complex_eigenvalues().iter().map(|p| (1.0 - p.norm()).abs()).fold(1.0, f64::min);
     let nodes = (16.0 * (high - low) / sharpest).clamp(NODES.0, NODES.1).ceil();
     let width = (high - low) / nodes;

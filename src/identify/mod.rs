@@ -50,7 +50,7 @@ pub enum IdentifyError {
     /// The data do not tell the coefficients apart.
     #[error(
         "the data do not determine the {} coefficients of na {}, nb {}, nk {}: the input moves too little, or at too few \
-         frequencies; choose lower orders or another excitation",
+         frequencies, or the output follows a lower order without any noise; choose lower orders or another excitation",
         orders.parameters(), orders.na, orders.nb, orders.nk
     )]
     Dependent {
@@ -91,6 +91,12 @@ pub enum IdentifyError {
         /// Its value.
         value: f64,
     },
+    /// The data determine none of the models searched.
+    #[error(
+        "the data determine none of the models searched: the input moves too little, or at too few frequencies; search lower \
+         orders or excite it otherwise"
+    )]
+    NoneDetermined,
     /// All models searched are unstable.
     #[error(
         "all {tried} models searched are unstable: take trends off with --detrend, fewer samples a second with --decimate, or fix \

@@ -128,7 +128,7 @@ pub fn refine(segments: &[Segment], start: &Polynomials) -> Result<Refined, Iden
 /// Residual and derivatives are taken without it, which fits the state along (variable projection; Kaufman, BIT 15, 1975,
 /// doi:10.1007/BF01932995).
 fn open_start(segment: &Segment, model: &Polynomials) -> Option<DMatrix<f64>> {
-    if segment.from_rest || segment.len() <= model.memory() {
+    if segment.from_rest || segment.len() <= model.memory() || model.memory() == 0 {
         return None;
     }
     let response = model.free_response(segment.len());

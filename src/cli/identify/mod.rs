@@ -272,6 +272,7 @@ fn failure(error: IdentifyError) -> Failure {
         IdentifyError::Dependent { .. }
         | IdentifyError::Unstable { .. }
         | IdentifyError::NotReduced { .. }
+        | IdentifyError::NoneDetermined
         | IdentifyError::NoneStable { .. } => Exit::Unusable,
     };
     Failure::new(exit, error)

@@ -5,6 +5,7 @@ use crate::cli::{Exit, Failure};
 use catoptra::identify::chain::Data;
 use catoptra::identify::data::Record;
 use catoptra::identify::delay::{self, Delay};
+use catoptra::identify::fit::Start;
 use catoptra::identify::grid::{Grid, GridError, Series, cut, resample};
 use catoptra::identify::hold::Held;
 use catoptra::identify::plant::Plant;
@@ -98,6 +99,7 @@ fn described(part: &Record, read: &RecordTold, period_s: f64, args: &Args) -> Re
         name: part.name.clone(),
         samples: part.observed(),
         stretches: part.segments.len(),
+        start: if part.is_from_rest() { args.start() } else { Start::Estimated },
         duration_s: part.segments.iter().map(|s| s.len()).sum::<usize>() as f64 * period_s * factor as f64,
         ..read.clone()
     }

@@ -2,7 +2,7 @@
 
 use catoptra::identify::chain::{Data, Identification};
 use catoptra::identify::continuous::{Continuous, Conversion};
-use catoptra::identify::fit::Kind;
+use catoptra::identify::fit::{Kind, Start};
 use catoptra::identify::modelled::{ContinuousEstimate, Modelled};
 use catoptra::identify::told::Told;
 use std::fmt::Write as _;
@@ -70,10 +70,11 @@ fn table_1(text: &mut String, done: &Identification, told: &Told) -> std::fmt::R
     writeln!(text)?;
     for record in &told.records {
         let role = if record.training { "training" } else { "validation" };
-        write!(text, "{:<36}", format!("{role}, {:.0} s", record.duration_s))?;
+        let begins = if record.start == Start::Rest { "from rest" } else { "start estimated" };
+        write!(text, "{:<36}", format!("{role}, {:.0} s, {begins}", record.duration_s))?;
         for model in &done.models {
             let of = |f: &&catoptra::identify::chain::Fit| {
-                f.record == record.name && f.role == model.role && f.kind == Kind::Simulation(told.start)
+                f.record == record.name && f.role == model.role && f.kind == Kind::Simulation(record.start)
             };
             let error = done.fits.iter().find(of).map_or(f64::NAN, |f| f.error.error_percent);
             write!(text, " {:>24}", if error < 1e4 { format!("{error:.4}") } else { format!("{error:.1e}") })?;
