@@ -132,6 +132,7 @@ pub fn identify(data: &Data, settings: &Settings) -> Result<Identification, Iden
     let training = stretches(&data.training);
     let validation = stretches(&data.validation);
     moves(&data.training)?;
+    can_judge(&validation, &settings.choice)?;
     // 1. orders and delay
     let (candidates, criterion, orders) = match &settings.choice {
         Choice::Fixed(orders) => (Vec::new(), None, *orders),
@@ -247,6 +248,20 @@ fn moves(records: &[Record]) -> Result<(), IdentifyError> {
         }
     }
     Ok(())
+}
+
+/// The data to judge by, if there are any, must have samples that the largest model can predict.
+fn can_judge(validation: &[Segment], choice: &Choice) -> Result<(), IdentifyError> {
+    let largest = match choice {
+        Choice::Fixed(orders) => Some(orders),
+        Choice::Search { candidates, .. } => candidates.iter().max_by_key(|orders| orders.memory()),
+    };
+    match (largest, validation.iter().map(Segment::len).max()) {
+        (Some(orders), Some(longest)) if longest <= orders.memory() => {
+            Err(IdentifyError::TooShortToJudge { orders: *orders, longest })
+        }
+        _ => Ok(()),
+    }
 }
 
 /// Every model on every record: simulated both ways, and predicted.

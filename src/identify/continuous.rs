@@ -4,6 +4,7 @@
 //! the continuous system exactly. A pole on the negative real axis or at zero has no such logarithm; then Tustin's rule is
 //! used, s = 2/T (z−1)/(z+1), and that is said: it is right at low frequencies only.
 
+use super::ending::eigenvalues;
 use super::model::Polynomials;
 use super::state_space::{StateSpace, characteristic};
 use nalgebra::{Complex, DMatrix, DVector, RowDVector};
@@ -87,7 +88,7 @@ fn held(system: &StateSpace, period_s: f64) -> Option<StateSpace> {
     if n == 0 {
         return Some(system.clone());
     }
-    let poles = system.a.complex_eigenvalues();
+    let poles = eigenvalues(&system.a)?;
     if poles.iter().any(|p| p.im == 0.0 && p.re <= 0.0) {
         return None;
     }

@@ -11,6 +11,7 @@
 use super::IdentifyError;
 use super::arx::{self, Estimated, Orders};
 use super::data::Segment;
+use super::ending::extreme_singular_values;
 use super::fit::free_part;
 use super::model::{Polynomials, all_pole};
 use super::output_error::Refined;
@@ -100,7 +101,7 @@ fn step(
     let correlation = r.view((0, p), (p, p)).into_owned();
     let mut scaled = correlation.clone();
     scaled.column_iter_mut().for_each(|mut column| column /= column.norm());
-    let singular = scaled.singular_values();
+    let (largest, smallest) = extreme_singular_values(scaled).ok_or_else(dependent)?;
     let inverse = correlation.try_inverse().ok_or_else(dependent)?;
     let parameters = &inverse * r.view((0, 2 * p), (p, 1));
     if parameters.iter().any(|v| !v.is_finite()) {
@@ -114,6 +115,6 @@ fn step(
         covariance: Covariance::from_factor(inverse * noise_variance.sqrt()),
         noise_variance,
         samples,
-        condition: singular.max() / singular.min(),
+        condition: largest / smallest,
     })
 }

@@ -7,6 +7,7 @@ pub mod continuous;
 pub mod data;
 pub mod delay;
 pub mod doubts;
+mod ending;
 pub mod export;
 pub mod fit;
 pub mod gramian;
@@ -44,6 +45,18 @@ pub enum IdentifyError {
         orders: Orders,
         /// Samples with a full past.
         rows: usize,
+        /// Samples in the longest stretch.
+        longest: usize,
+    },
+    /// The data to judge by have no sample with a full past.
+    #[error(
+        "no stretch without a hole has more than {longest} samples, and the largest model (na {}, nb {}, nk {}) needs {} before the \
+         first that is predicted: judge by more samples, or choose lower orders",
+        orders.na, orders.nb, orders.nk, orders.memory()
+    )]
+    TooShortToJudge {
+        /// The largest model.
+        orders: Orders,
         /// Samples in the longest stretch.
         longest: usize,
     },

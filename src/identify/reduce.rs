@@ -6,6 +6,7 @@
 //! What is unstable has no Gramian: it is split off first, kept whole, and added again.
 
 use super::IdentifyError;
+use super::ending::svd;
 use super::gramian::{band_factors, factor};
 use super::model::{Polynomials, roots};
 use super::state_space::StateSpace;
@@ -139,7 +140,7 @@ impl Balance {
             let none = || DMatrix::zeros(0, 0);
             return Some(Self { driven: none(), seen: none(), left: none(), right: none(), values: Vec::new() });
         }
-        let svd = (seen.transpose() * &driven).svd(true, true);
+        let svd = svd(seen.transpose() * &driven)?;
         let values = svd.singular_values.iter().copied().collect();
         Some(Self { driven, seen, left: svd.u?, right: svd.v_t?, values })
     }
@@ -187,7 +188,7 @@ fn split(model: &Polynomials) -> Option<(StateSpace, StateSpace)> {
     let whole = StateSpace::of(model);
     let none = || StateSpace { a: DMatrix::zeros(0, 0), b: DVector::zeros(0), c: RowDVector::zeros(0), d: 0.0 };
     let poles = model.poles();
-    if poles.iter().any(|p| (p.norm() - 1.0).abs() < 1e-9) {
+    if poles.iter().any(|p| !p.re.is_finite() || (p.norm() - 1.0).abs() < 1e-9) {
         return None;
     }
     let (inside, outside): (Vec<_>, Vec<_>) = poles.iter().partition(|p| p.norm() < 1.0);
