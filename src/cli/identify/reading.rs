@@ -113,7 +113,7 @@ fn tell_what_is_judged_twice(args: &Args) {
 /// Why nothing is left of a record, or of the part of one.
 fn why_empty(part: &Record, args: &Args) -> String {
     match (part.segments.iter().map(|s| s.len()).max(), args.decimate) {
-        (Some(longest), Some(n)) => format!(
+        (Some(longest), Some(n)) if part.observed() > 0 => format!(
             "--decimate {n} leaves nothing: its filter needs {} samples without a hole, and the longest stretch has {longest}",
             DECIMATION_NEEDS * n.get()
         ),
