@@ -11,7 +11,7 @@ use super::IdentifyError;
 use super::data::Segment;
 use super::model::{Polynomials, memory};
 use super::regression::{Triangle, row, solve};
-use nalgebra::DMatrix;
+use super::uncertainty::Covariance;
 
 /// Orders and delay of an ARX model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -42,7 +42,7 @@ pub struct Estimated {
     /// The model.
     pub model: Polynomials,
     /// Covariance of [`Polynomials::parameters`], in their order.
-    pub covariance: DMatrix<f64>,
+    pub covariance: Covariance,
     /// Variance of the residual, degrees of freedom taken off.
     pub noise_variance: f64,
     /// Samples that were fitted.
@@ -54,7 +54,7 @@ pub struct Estimated {
 impl Estimated {
     /// Standard errors of [`Polynomials::parameters`].
     pub fn standard_errors(&self) -> Vec<f64> {
-        self.covariance.diagonal().iter().map(|v| v.max(0.0).sqrt()).collect()
+        self.covariance.standard_errors()
     }
 }
 
@@ -81,7 +81,7 @@ pub fn fit(segments: &[Segment], orders: Orders) -> Result<Estimated, IdentifyEr
     let noise_variance = solution.residual / (samples - parameters) as f64;
     Ok(Estimated {
         model: Polynomials::of(solution.parameters.as_slice(), na, nk),
-        covariance: solution.cofactor * noise_variance,
+        covariance: Covariance::from_factor(solution.inverse * noise_variance.sqrt()),
         noise_variance,
         samples,
         condition: solution.condition,

@@ -3,6 +3,7 @@ use super::super::fit::Start;
 use super::super::search::{Criterion, best};
 use super::super::{instrumental, output_error, search};
 use super::*;
+use nalgebra::DMatrix;
 
 /// Numbers that look like white noise of variance 1, the same on every machine.
 pub(crate) fn noise(seed: u64, n: usize) -> Vec<f64> {

@@ -13,7 +13,6 @@ use super::reduce::{Reduced, Reduction, Removal, Target, reduce};
 use super::residuals::Residuals;
 use super::search::{Candidate, Criterion, best, search};
 use super::spectrum::{Spectrum, spectrum};
-use super::uncertainty::propagate;
 use super::{instrumental, output_error};
 
 /// How the full model is estimated.
@@ -133,6 +132,7 @@ pub fn identify(data: &Data, settings: &Settings) -> Result<Identification, Iden
     let training = stretches(&data.training);
     let validation = stretches(&data.validation);
     moves(&data.training)?;
+    can_judge(&validation, &settings.choice)?;
     // 1. orders and delay
     let (candidates, criterion, orders) = match &settings.choice {
         Choice::Fixed(orders) => (Vec::new(), None, *orders),
@@ -140,6 +140,9 @@ pub fn identify(data: &Data, settings: &Settings) -> Result<Identification, Iden
             let usual = if validation.is_empty() { Criterion::Mdl } else { Criterion::Simulation };
             let criterion = criterion.unwrap_or(usual);
             let candidates = search(&training, &validation, settings.start, candidates)?;
+            if candidates.is_empty() {
+                return Err(IdentifyError::NoneDetermined);
+            }
             let best = best(&candidates, criterion).ok_or(IdentifyError::NoneStable { tried: candidates.len() })?;
             let orders = best.orders;
             (candidates, Some(criterion), orders)
@@ -177,7 +180,7 @@ pub fn identify(data: &Data, settings: &Settings) -> Result<Identification, Iden
             let moved = reduce(&estimated.model.with_parameters(p), same).ok()?.model;
             (moved.nk == reduced.model.nk).then(|| moved.parameters().as_slice().to_vec())
         };
-        let covariance = propagate(estimated.model.parameters().as_slice(), &estimated.covariance, parameters);
+        let covariance = estimated.covariance.propagate(estimated.model.parameters().as_slice(), parameters);
         let title = format!("reduced, order {}", reduced.model.memory());
         models.push(modelled(Role::Reduced, title, &reduced.model, covariance));
         // 4. the same order fitted to the data itself; the excited band's reduction is often nearer to them
@@ -247,6 +250,20 @@ fn moves(records: &[Record]) -> Result<(), IdentifyError> {
     Ok(())
 }
 
+/// The data to judge by, if there are any, must have samples that the largest model can predict.
+fn can_judge(validation: &[Segment], choice: &Choice) -> Result<(), IdentifyError> {
+    let largest = match choice {
+        Choice::Fixed(orders) => Some(orders),
+        Choice::Search { candidates, .. } => candidates.iter().max_by_key(|orders| orders.memory()),
+    };
+    match (largest, validation.iter().map(Segment::len).max()) {
+        (Some(orders), Some(longest)) if longest <= orders.memory() => {
+            Err(IdentifyError::TooShortToJudge { orders: *orders, longest })
+        }
+        _ => Ok(()),
+    }
+}
+
 /// Every model on every record: simulated both ways, and predicted.
 fn fits(data: &Data, models: &[Modelled], start: Start) -> Vec<Fit> {
     let other = if start == Start::Rest { Start::Estimated } else { Start::Rest };
@@ -254,8 +271,12 @@ fn fits(data: &Data, models: &[Modelled], start: Start) -> Vec<Fit> {
     let mut fits = Vec::new();
     let records = data.training.iter().map(|r| (r, true)).chain(data.validation.iter().map(|r| (r, false)));
     for (record, training) in records {
+        // From rest is from rest here, also for a part of a record: the number of other programs. With its start estimated it stands
+        // beside it.
+        let at_rest = record.at_rest();
         for model in models {
             for kind in kinds {
+                let record = if kind == Kind::Simulation(Start::Rest) { &at_rest } else { record };
                 // Only the full model has a model of the noise to predict with.
                 if kind == Kind::Prediction && model.role != Role::Full {
                     continue;

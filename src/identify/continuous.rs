@@ -4,6 +4,7 @@
 //! the continuous system exactly. A pole on the negative real axis or at zero has no such logarithm; then Tustin's rule is
 //! used, s = 2/T (z−1)/(z+1), and that is said: it is right at low frequencies only.
 
+use super::ending::eigenvalues;
 use super::model::Polynomials;
 use super::state_space::{StateSpace, characteristic};
 use nalgebra::{Complex, DMatrix, DVector, RowDVector};
@@ -84,7 +85,10 @@ impl Continuous {
 
 fn held(system: &StateSpace, period_s: f64) -> Option<StateSpace> {
     let n = system.order();
-    let poles = system.a.complex_eigenvalues();
+    if n == 0 {
+        return Some(system.clone());
+    }
+    let poles = eigenvalues(&system.a)?;
     if poles.iter().any(|p| p.im == 0.0 && p.re <= 0.0) {
         return None;
     }
@@ -191,6 +195,12 @@ mod tests {
         for (found, true_value) in back.parameters().iter().zip(eq_7().parameters()) {
             assert!((found / true_value - 1.0).abs() < 1e-9, "{back:?}");
         }
+    }
+
+    #[test]
+    fn a_gain_is_a_gain() {
+        let found = Continuous::of(&Polynomials { a: vec![1.0], b: vec![2.0], nk: 0 }, 0.1).unwrap();
+        assert_eq!((found.num, found.den, found.conversion), (vec![2.0], vec![1.0], Conversion::Hold));
     }
 
     #[test]

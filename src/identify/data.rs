@@ -71,6 +71,20 @@ impl Record {
         self.segments.last().map_or(0, |last| last.first + last.len())
     }
 
+    /// Whether the system was at rest before its first sample.
+    pub fn is_from_rest(&self) -> bool {
+        self.segments.first().is_some_and(|first| first.from_rest)
+    }
+
+    /// The same, taken to begin at rest.
+    pub fn at_rest(&self) -> Self {
+        let mut same = self.clone();
+        if let Some(first) = same.segments.first_mut() {
+            first.from_rest = true;
+        }
+        same
+    }
+
     /// The samples at places `from..to` of the grid.
     pub fn range(&self, from: usize, to: usize, period_s: f64) -> Self {
         let part = |s: &Segment| s.part(from.saturating_sub(s.first), to.saturating_sub(s.first), period_s);

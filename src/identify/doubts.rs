@@ -74,6 +74,13 @@ pub enum Doubt {
         /// Why.
         why: String,
     },
+    /// A model of the order asked for has no more to give.
+    FewerStates {
+        /// The order asked for.
+        asked: usize,
+        /// What the model has.
+        has: usize,
+    },
     /// There is no refined model.
     NotRefined {
         /// Why.
@@ -135,6 +142,10 @@ impl fmt::Display for Doubt {
                  into it, which biases ARX; compare with --estimator iv"
             ),
             Self::NotReduced { why } => write!(f, "there is no reduced model: {why}"),
+            Self::FewerStates { asked, has } => write!(
+                f,
+                "reduced to order {asked}: the full model has only {has} states that matter, and they are all kept"
+            ),
             Self::NotRefined { why } => write!(f, "there is no refined model: {why}"),
             Self::NotSettled { title, steps } => write!(f, "{title}: the search did not come to rest in {steps} steps"),
             Self::NoSpectrum => {
@@ -175,6 +186,11 @@ pub(super) fn doubts(data: &Data, done: &Identification) -> Vec<Doubt> {
     doubts.extend(off_centre(data));
     if let Some(residuals) = &done.residuals {
         doubts.extend(correlated(residuals));
+    }
+    if let Ok(reduced) = &done.reduced
+        && let Some(asked) = reduced.asked_for_more
+    {
+        doubts.push(Doubt::FewerStates { asked, has: reduced.model.memory() });
     }
     if let Err(why) = &done.reduced {
         doubts.push(Doubt::NotReduced { why: why.clone() });

@@ -7,11 +7,15 @@ use super::model::Polynomials;
 use super::modelled::{ContinuousEstimate, Modelled, Role};
 use super::residuals::Residuals;
 use super::told::Told;
+use super::uncertainty::Covariance;
 use crate::whole_file::NewFile;
 use nalgebra::{Complex, DMatrix};
 use serde_json::{Value, json};
 use std::io;
 use std::path::{Path, PathBuf};
+
+/// Tables that only some results have.
+const NOT_ALWAYS: [&str; 3] = ["orders.csv", "frequency_response.csv", "residuals.csv"];
 
 /// A file could not be written.
 #[derive(Debug, thiserror::Error)]
@@ -40,6 +44,16 @@ impl Kind {
 /// The system's, with the file.
 pub fn write(folder: &Path, data: &Data, done: &Identification, told: &Told) -> Result<Vec<PathBuf>, ExportError> {
     let json = serde_json::to_vec_pretty(&model(data, done, told)).map_err(io::Error::other);
+    // An earlier result in this folder may have had files that this one does not have.
+    if folder.join("model.json").exists() {
+        for name in NOT_ALWAYS {
+            let path = folder.join(name);
+            match std::fs::remove_file(&path) {
+                Err(source) if source.kind() != io::ErrorKind::NotFound => return Err(ExportError { path, source }),
+                _ => {}
+            }
+        }
+    }
     let mut files = vec![("model.json", json)];
     files.push(("bode.csv", bode(done)));
     files.push(("signals.csv", signals(data, done, told.start)));
@@ -151,8 +165,8 @@ fn joined(mut first: Value, second: Value) -> Value {
     first
 }
 
-fn estimated(model: &Polynomials, covariance: Option<&DMatrix<f64>>, more: Value) -> Value {
-    let errors = covariance.map(super::uncertainty::standard_errors);
+fn estimated(model: &Polynomials, covariance: Option<&Covariance>, more: Value) -> Value {
+    let errors = covariance.map(Covariance::standard_errors);
     joined(
         json!({
             "na": model.na(),
@@ -161,7 +175,7 @@ fn estimated(model: &Polynomials, covariance: Option<&DMatrix<f64>>, more: Value
             "a": model.a,
             "b": model.b,
             "standard_errors": errors,
-            "covariance": covariance.map(rows),
+            "covariance": covariance.map(|c| rows(&c.matrix())),
             "poles": complex(&model.poles()),
             "largest_pole": model.largest_pole(),
             "stable": model.is_stable(),
@@ -191,7 +205,7 @@ fn reduced(modelled: &Modelled, more: Value) -> Value {
         "largest_pole": modelled.largest_pole,
         "poles": complex(&model.poles()),
         "standard_errors": modelled.standard_errors(),
-        "covariance": modelled.covariance.as_ref().map(rows),
+        "covariance": modelled.covariance.as_ref().map(|c| rows(&c.matrix())),
     });
     joined(of_filter, more)
 }

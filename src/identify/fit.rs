@@ -4,6 +4,7 @@
 //! Fit as it is common elsewhere: 100 (1 − ‖y−ŷ‖/‖y−ȳ‖). Both of the signals as they were identified, trend taken off.
 
 use super::data::Segment;
+use super::ending::svd;
 use super::model::Polynomials;
 use nalgebra::DMatrix;
 
@@ -80,10 +81,13 @@ fn from_fitted_start(model: &Polynomials, segment: &Segment) -> Vec<f64> {
 }
 
 /// What the state at the beginning of a stretch adds to the output from rest, `simulated`, by least squares. Every state of
-/// B/A shows as the response of 1/A to one of the first [`Polynomials::memory`] samples. Nothing when the numbers overflow
-/// or the stretch is shorter than the memory.
+/// B/A shows as the response of 1/A to one of the first [`Polynomials::memory`] samples. Nothing when the numbers overflow,
+/// the stretch is shorter than the memory, or there is no state.
 pub(super) fn free_part(model: &Polynomials, segment: &Segment, simulated: &[f64]) -> Option<Vec<f64>> {
     let states = model.memory();
+    if states == 0 {
+        return None;
+    }
     let response = model.free_response(segment.len());
     let reach = segment.len().min(START);
     let at = |t: usize, state: usize| t.checked_sub(state).map_or(0.0, |t| response[t]);
@@ -97,12 +101,12 @@ pub(super) fn free_part(model: &Polynomials, segment: &Segment, simulated: &[f64
         return None;
     }
     let r = columns.qr().r();
-    let svd = r.view((0, 0), (states, states)).into_owned().svd(true, true);
+    let svd = svd(r.view((0, 0), (states, states)).into_owned())?;
     // Slow poles make neighbouring responses nearly the same: what the data do not determine is set to zero.
     let tolerance = svd.singular_values.max() * 1e-12;
     let start = svd.solve(&r.view((0, states), (states, 1)), tolerance).ok()?;
     let free = |t: usize| start.iter().enumerate().map(|(state, s)| s * at(t, state)).sum();
-    Some((0..segment.len()).map(free).collect())
+    start.iter().all(|s| s.is_finite()).then(|| (0..segment.len()).map(free).collect())
 }
 
 /// Sums over pairs of observed and modelled values; what was not observed counts for nothing.

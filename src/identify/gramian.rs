@@ -4,6 +4,7 @@
 //! [L, A^(2^k) L], and brought back to n columns by an orthogonal triangle (Smith's squared method in square-root form; Penzl,
 //! SIAM J. Sci. Comput. 21, 2000, doi:10.1137/S1064827598347666).
 
+use super::ending::eigenvalues;
 use super::state_space::StateSpace;
 use nalgebra::{Complex, DMatrix, DVector};
 use std::f64::consts::PI;
@@ -39,7 +40,10 @@ pub fn factor(a: &DMatrix<f64>, b: &DVector<f64>) -> Option<DMatrix<f64>> {
 /// midpoint rule, fine enough for the sharpest resonance. Nothing when a pole lies on the unit circle in the band.
 pub fn band_factors(system: &StateSpace, (low, high): (f64, f64)) -> Option<[DMatrix<f64>; 2]> {
     let n = system.order();
-    let sharpest = system.a.complex_eigenvalues().iter().map(|p| (1.0 - p.norm()).abs()).fold(1.0, f64::min);
+    if n == 0 {
+        return Some([DMatrix::zeros(0, 0), DMatrix::zeros(0, 0)]);
+    }
+    let sharpest = eigenvalues(&system.a)?.iter().map(|p| (1.0 - p.norm()).abs()).fold(1.0, f64::min);
     let nodes = (16.0 * (high - low) / sharpest).clamp(NODES.0, NODES.1).ceil();
     let width = (high - low) / nodes;
     let weight = (width / PI).sqrt();

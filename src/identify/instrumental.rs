@@ -11,10 +11,12 @@
 use super::IdentifyError;
 use super::arx::{self, Estimated, Orders};
 use super::data::Segment;
+use super::ending::extreme_singular_values;
 use super::fit::free_part;
 use super::model::{Polynomials, all_pole};
 use super::output_error::Refined;
 use super::regression::{Triangle, row};
+use super::uncertainty::Covariance;
 
 const MOST_STEPS: usize = 50;
 /// Parameters that change by less than this part of their standard errors are settled.
@@ -99,7 +101,7 @@ fn step(
     let correlation = r.view((0, p), (p, p)).into_owned();
     let mut scaled = correlation.clone();
     scaled.column_iter_mut().for_each(|mut column| column /= column.norm());
-    let singular = scaled.singular_values();
+    let (largest, smallest) = extreme_singular_values(scaled).ok_or_else(dependent)?;
     let inverse = correlation.try_inverse().ok_or_else(dependent)?;
     let parameters = &inverse * r.view((0, 2 * p), (p, 1));
     if parameters.iter().any(|v| !v.is_finite()) {
@@ -110,9 +112,9 @@ fn step(
     let noise_variance = left.norm_squared() / (samples - p) as f64;
     Ok(Estimated {
         model: Polynomials::of(parameters.as_slice(), na, nk),
-        covariance: &inverse * inverse.transpose() * noise_variance,
+        covariance: Covariance::from_factor(inverse * noise_variance.sqrt()),
         noise_variance,
         samples,
-        condition: singular.max() / singular.min(),
+        condition: largest / smallest,
     })
 }

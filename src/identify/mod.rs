@@ -7,6 +7,7 @@ pub mod continuous;
 pub mod data;
 pub mod delay;
 pub mod doubts;
+mod ending;
 pub mod export;
 pub mod fit;
 pub mod gramian;
@@ -47,10 +48,22 @@ pub enum IdentifyError {
         /// Samples in the longest stretch.
         longest: usize,
     },
+    /// The data to judge by have no sample with a full past.
+    #[error(
+        "no stretch without a hole has more than {longest} samples, and the largest model (na {}, nb {}, nk {}) needs {} before the \
+         first that is predicted: judge by more samples, or choose lower orders",
+        orders.na, orders.nb, orders.nk, orders.memory()
+    )]
+    TooShortToJudge {
+        /// The largest model.
+        orders: Orders,
+        /// Samples in the longest stretch.
+        longest: usize,
+    },
     /// The data do not tell the coefficients apart.
     #[error(
         "the data do not determine the {} coefficients of na {}, nb {}, nk {}: the input moves too little, or at too few \
-         frequencies; choose lower orders or another excitation",
+         frequencies, or the output follows a lower order without any noise; choose lower orders or another excitation",
         orders.parameters(), orders.na, orders.nb, orders.nk
     )]
     Dependent {
@@ -91,6 +104,12 @@ pub enum IdentifyError {
         /// Its value.
         value: f64,
     },
+    /// The data determine none of the models searched.
+    #[error(
+        "the data determine none of the models searched: the input moves too little, or at too few frequencies; search lower \
+         orders or excite it otherwise"
+    )]
+    NoneDetermined,
     /// All models searched are unstable.
     #[error(
         "all {tried} models searched are unstable: take trends off with --detrend, fewer samples a second with --decimate, or fix \

@@ -3,6 +3,7 @@
 //! Convention: `y(t) + a₁ y(t−1) + … + a_na y(t−na) = b₀ u(t−nk) + … + b_{nb−1} u(t−nk−nb+1)`. `a` holds the leading 1,
 //! `b` does not hold the zeros of the delay. What happened before the first sample is zero: the system was at rest.
 
+use super::ending::eigenvalues;
 use nalgebra::{Complex, DMatrix, DVector};
 use std::f64::consts::TAU;
 
@@ -88,9 +89,10 @@ impl Polynomials {
         roots(&self.a)
     }
 
-    /// Modulus of the largest pole; zero without poles.
+    /// Modulus of the largest pole; zero without poles, infinite when they were not found: no such model is used.
     pub fn largest_pole(&self) -> f64 {
-        self.poles().iter().map(|p| p.norm()).fold(0.0, f64::max)
+        let moduli = self.poles().into_iter().map(|p| if p.re.is_nan() { f64::INFINITY } else { p.norm() });
+        moduli.fold(0.0, f64::max)
     }
 
     /// Whether all poles are inside the unit circle.
@@ -115,20 +117,20 @@ fn polynomial(ascending: &[f64], x: Complex<f64>) -> Complex<f64> {
 }
 
 /// Roots of c₀ xⁿ + c₁ xⁿ⁻¹ + … + cₙ, as eigenvalues of its companion matrix; zeros at the end of `descending` are roots at 0
-/// and left out, a leading zero is no degree.
+/// and left out, a leading zero is no degree. NaN when they are not found, as of coefficients that are no numbers.
 pub fn roots(descending: &[f64]) -> Vec<Complex<f64>> {
     let first = descending.iter().position(|c| *c != 0.0).unwrap_or(descending.len());
     let end = descending.iter().rposition(|c| *c != 0.0).map_or(0, |last| last + 1);
     let Some((lead, rest)) = descending.get(first..end).and_then(<[f64]>::split_first) else { return Vec::new() };
     let n = rest.len();
-    if n == 0 || rest.iter().chain([lead]).any(|c| !c.is_finite()) {
+    if n == 0 {
         return Vec::new();
     }
     let companion = DMatrix::from_fn(n, n, |row, column| match row {
         0 => -rest[column] / lead,
         _ => f64::from(u8::from(row == column + 1)),
     });
-    companion.complex_eigenvalues().iter().copied().collect()
+    eigenvalues(&companion).unwrap_or_else(|| vec![Complex::new(f64::NAN, f64::NAN); n])
 }
 
 /// Σ b_j u(t − delay − j), zero before the first sample.

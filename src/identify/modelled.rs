@@ -3,8 +3,8 @@
 use super::bandwidth::{Bandwidth, Definition, bandwidth};
 use super::continuous::Continuous;
 use super::model::{Polynomials, angle};
-use super::uncertainty::{propagate, standard_errors};
-use nalgebra::{Complex, DMatrix};
+use super::uncertainty::Covariance;
+use nalgebra::Complex;
 use std::f64::consts::{PI, TAU};
 
 /// Points of a Bode plot.
@@ -75,7 +75,7 @@ pub struct Modelled {
     /// The model.
     pub model: Polynomials,
     /// Covariance of [`Polynomials::parameters`].
-    pub covariance: Option<DMatrix<f64>>,
+    pub covariance: Option<Covariance>,
     /// Modulus of its largest pole.
     pub largest_pole: f64,
     /// Response from below the excited band to half the sampling rate.
@@ -92,7 +92,7 @@ impl Modelled {
         role: Role,
         title: String,
         model: Polynomials,
-        covariance: Option<DMatrix<f64>>,
+        covariance: Option<Covariance>,
         period_s: f64,
         excited_hz: (f64, f64),
     ) -> Self {
@@ -117,7 +117,7 @@ impl Modelled {
 
     /// Standard errors of [`Polynomials::parameters`].
     pub fn standard_errors(&self) -> Option<Vec<f64>> {
-        self.covariance.as_ref().map(standard_errors)
+        self.covariance.as_ref().map(Covariance::standard_errors)
     }
 }
 
@@ -131,17 +131,17 @@ pub(super) fn bandwidths(role: Role, model: &Polynomials, period_s: f64, excited
     Definition::ALL.into_iter().map(|d| bandwidth(d, response, 0.5 / period_s, excited_hz)).collect()
 }
 
-fn continuous(model: &Polynomials, covariance: Option<&DMatrix<f64>>, period_s: f64) -> Option<ContinuousEstimate> {
+fn continuous(model: &Polynomials, covariance: Option<&Covariance>, period_s: f64) -> Option<ContinuousEstimate> {
     let found = Continuous::of(model, period_s)?;
     let parameters = |p: &[f64]| {
         let moved = Continuous::of(&model.with_parameters(p), period_s)?;
         (moved.conversion == found.conversion).then(|| moved.parameters())
     };
-    let spread = covariance.and_then(|c| propagate(model.parameters().as_slice(), c, parameters));
-    Some(ContinuousEstimate { standard_errors: spread.as_ref().map(standard_errors), model: found })
+    let spread = covariance.and_then(|c| c.propagate(model.parameters().as_slice(), parameters));
+    Some(ContinuousEstimate { standard_errors: spread.as_ref().map(Covariance::standard_errors), model: found })
 }
 
-fn bode(model: &Polynomials, covariance: Option<&DMatrix<f64>>, period_s: f64, lowest_hz: f64) -> Vec<BodePoint> {
+fn bode(model: &Polynomials, covariance: Option<&Covariance>, period_s: f64, lowest_hz: f64) -> Vec<BodePoint> {
     let nyquist = 0.5 / period_s;
     let from = (lowest_hz / BELOW).clamp(nyquist * 1e-5, nyquist * 0.1);
     let frequencies: Vec<f64> =
@@ -155,8 +155,8 @@ fn bode(model: &Polynomials, covariance: Option<&DMatrix<f64>>, period_s: f64, l
         let ratios = response(&model.with_parameters(p)).into_iter().zip(&found).map(|(moved, r)| (moved / r).ln());
         Some(ratios.flat_map(|z| [z.re, z.im]).collect())
     };
-    let spread = covariance.and_then(|c| propagate(model.parameters().as_slice(), c, relative));
-    let sds = spread.as_ref().map(standard_errors);
+    let spread = covariance.and_then(|c| c.propagate(model.parameters().as_slice(), relative));
+    let sds = spread.as_ref().map(Covariance::standard_errors);
     let phases = unwrapped(found.iter().map(|r| r.arg()));
     frequencies
         .iter()

@@ -13,6 +13,7 @@ use super::model::{Polynomials, all_pole, angle};
 use super::reduce::{Reduction, Removal, Target, reduce};
 use super::regression::{Triangle, solve};
 use super::spectrum::spectrum;
+use super::uncertainty::Covariance;
 use super::{IdentifyError, instrumental};
 use nalgebra::{DMatrix, DVector, DVectorViewMut};
 
@@ -115,7 +116,7 @@ pub fn refine(segments: &[Segment], start: &Polynomials) -> Result<Refined, Iden
     let noise_variance = cost / (samples - parameters) as f64;
     let estimated = Estimated {
         model,
-        covariance: solution.cofactor * noise_variance,
+        covariance: Covariance::from_factor(solution.inverse * noise_variance.sqrt()),
         noise_variance,
         samples,
         condition: solution.condition,
@@ -127,7 +128,7 @@ pub fn refine(segments: &[Segment], start: &Polynomials) -> Result<Refined, Iden
 /// Residual and derivatives are taken without it, which fits the state along (variable projection; Kaufman, BIT 15, 1975,
 /// doi:10.1007/BF01932995).
 fn open_start(segment: &Segment, model: &Polynomials) -> Option<DMatrix<f64>> {
-    if segment.from_rest || segment.len() <= model.memory() {
+    if segment.from_rest || segment.len() <= model.memory() || model.memory() == 0 {
         return None;
     }
     let response = model.free_response(segment.len());

@@ -6,6 +6,7 @@
 //! What is unstable has no Gramian: it is split off first, kept whole, and added again.
 
 use super::IdentifyError;
+use super::ending::svd;
 use super::gramian::{band_factors, factor};
 use super::model::{Polynomials, roots};
 use super::state_space::StateSpace;
@@ -30,7 +31,7 @@ pub enum Removal {
 /// How far to reduce.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Target {
-    /// So many states, unstable ones included.
+    /// So many states, unstable ones included; all that matter, when there are fewer.
     Order(usize),
     /// As few as keep the bound on the error below 5 % of the largest response.
     Auto,
@@ -58,6 +59,8 @@ pub struct Reduced {
     pub hankel_in_band: Option<Vec<f64>>,
     /// Unstable states, all kept.
     pub unstable: usize,
+    /// The order asked for, when the model has fewer states that matter.
+    pub asked_for_more: Option<usize>,
     /// The response differs nowhere by more; infinite when balanced for a band.
     pub error_bound: f64,
 }
@@ -65,7 +68,7 @@ pub struct Reduced {
 /// Reduces `model`.
 ///
 /// # Errors
-/// [`IdentifyError::NotReduced`] when more is asked than can be kept or less than is unstable, or poles lie on the unit circle.
+/// [`IdentifyError::NotReduced`] when less is asked than is unstable, or poles lie on the unit circle.
 pub fn reduce(model: &Polynomials, how: Reduction) -> Result<Reduced, IdentifyError> {
     let not_reduced = |problem: String| IdentifyError::NotReduced { problem };
     let on_circle = || not_reduced("a pole lies on the unit circle, where balancing does not end".to_owned());
@@ -78,7 +81,7 @@ pub fn reduce(model: &Polynomials, how: Reduction) -> Result<Reduced, IdentifyEr
         None => None,
     };
     let Balance { driven, seen, left, right, values } = in_band.as_ref().unwrap_or(&whole);
-    let rank = values.iter().filter(|s| **s > RANK * values[0]).count();
+    let rank = values.iter().filter(|s| **s > RANK * values.first().copied().unwrap_or(0.0)).count();
     let tail = |kept: usize| 2.0 * values.iter().skip(kept).sum::<f64>();
     // 2. how many to keep
     let fixed = unstable.order();
@@ -87,14 +90,8 @@ pub fn reduce(model: &Polynomials, how: Reduction) -> Result<Reduced, IdentifyEr
             let peak = peak(model);
             (1..rank).find(|kept| tail(*kept) <= AUTO_ERROR * peak).unwrap_or(rank)
         }
-        Target::Order(order) if order > rank + fixed => {
-            let has = rank + fixed;
-            return Err(not_reduced(format!(
-                "order {order} asked, and the model has {has} states that matter: ask for fewer"
-            )));
-        }
         Target::Order(order) => match order.checked_sub(fixed) {
-            Some(keep) if order > 0 => keep,
+            Some(keep) if order > 0 => keep.min(rank),
             _ => {
                 return Err(not_reduced(format!(
                     "order {order} asked, and {fixed} states are unstable and must be kept"
@@ -109,12 +106,18 @@ pub fn reduce(model: &Polynomials, how: Reduction) -> Result<Reduced, IdentifyEr
     let from = scale(seen * left).transpose();
     let balanced = StateSpace { a: &from * &stable.a * &into, b: &from * &stable.b, c: &stable.c * &into, d: stable.d };
     let reduced = match how.removal {
-        Removal::Truncate => first(&balanced, keep),
-        Removal::MatchDc => residual(&balanced, keep).ok_or_else(on_circle)?,
+        // Nothing is removed: the model itself, without the rounding of the way there and back.
+        _ if keep == stable.order() => model.clone(),
+        Removal::Truncate => first(&balanced, keep).sum(&unstable).polynomials(),
+        Removal::MatchDc => residual(&balanced, keep).ok_or_else(on_circle)?.sum(&unstable).polynomials(),
     };
     Ok(Reduced {
-        model: reduced.sum(&unstable).polynomials(),
+        model: reduced,
         unstable: fixed,
+        asked_for_more: match how.target {
+            Target::Order(order) if order > keep + fixed => Some(order),
+            _ => None,
+        },
         error_bound: if how.band.is_some() { f64::INFINITY } else { tail(keep) },
         hankel_in_band: in_band.map(|b| b.values),
         hankel: whole.values,
@@ -132,7 +135,12 @@ struct Balance {
 
 impl Balance {
     fn of((driven, seen): (DMatrix<f64>, DMatrix<f64>)) -> Option<Self> {
-        let svd = (seen.transpose() * &driven).svd(true, true);
+        if driven.is_empty() {
+            // A gain alone, or nothing that is stable.
+            let none = || DMatrix::zeros(0, 0);
+            return Some(Self { driven: none(), seen: none(), left: none(), right: none(), values: Vec::new() });
+        }
+        let svd = svd(seen.transpose() * &driven)?;
         let values = svd.singular_values.iter().copied().collect();
         Some(Self { driven, seen, left: svd.u?, right: svd.v_t?, values })
     }
@@ -180,7 +188,7 @@ fn split(model: &Polynomials) -> Option<(StateSpace, StateSpace)> {
     let whole = StateSpace::of(model);
     let none = || StateSpace { a: DMatrix::zeros(0, 0), b: DVector::zeros(0), c: RowDVector::zeros(0), d: 0.0 };
     let poles = model.poles();
-    if poles.iter().any(|p| (p.norm() - 1.0).abs() < 1e-9) {
+    if poles.iter().any(|p| !p.re.is_finite() || (p.norm() - 1.0).abs() < 1e-9) {
         return None;
     }
     let (inside, outside): (Vec<_>, Vec<_>) = poles.iter().partition(|p| p.norm() < 1.0);
@@ -296,7 +304,35 @@ mod tests {
         let alone = reduce(&fourth_order(), TWO).unwrap();
         assert!(alone.hankel.iter().zip(&reduced.hankel).all(|(a, b)| (a / b - 1.0).abs() < 1e-8));
         assert!(reduce(&unstable, Reduction { target: Target::Order(0), ..TWO }).is_err());
-        assert!(reduce(&fourth_order(), Reduction { target: Target::Order(5), ..TWO }).is_err());
+    }
+
+    #[test]
+    fn a_model_of_fewer_states_is_kept_as_it_is_and_that_is_said() {
+        for order in [4, 5] {
+            let kept = reduce(&fourth_order(), Reduction { target: Target::Order(order), ..TWO }).unwrap();
+            assert_eq!((kept.model, kept.asked_for_more), (fourth_order(), (order == 5).then_some(5)));
+        }
+        // Delays are states too, and stay delays.
+        let late = Polynomials { a: vec![1.0, -0.5], b: vec![2.0], nk: 5 };
+        assert_eq!(reduce(&late, Reduction { target: Target::Order(5), ..TWO }).unwrap().model, late);
+        // Four states of which one matters.
+        let copies = Polynomials { a: vec![1.0, -1.2, 0.35], b: vec![1.0, -0.7], nk: 1 };
+        let kept = reduce(&copies, TWO).unwrap();
+        assert_eq!((kept.model.na(), kept.asked_for_more), (1, Some(2)));
+        assert!((kept.model.a[1] + 0.5).abs() < 1e-12, "{kept:?}");
+    }
+
+    #[test]
+    fn nothing_stable_and_no_state_at_all() {
+        let gain = Polynomials { a: vec![1.0], b: vec![2.0], nk: 0 };
+        let unstable = Polynomials { a: vec![1.0, -1.2], b: vec![0.3], nk: 1 };
+        for model in [gain, unstable] {
+            for how in [TWO, Reduction { target: Target::Auto, ..TWO }, Reduction { band: Some((0.1, 1.0)), ..TWO }] {
+                let kept = reduce(&model, how).unwrap();
+                assert_eq!(kept.model, model);
+                assert!(kept.hankel.is_empty());
+            }
+        }
     }
 
     #[test]

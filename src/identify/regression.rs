@@ -6,6 +6,7 @@
 //! Nothing is squared on the way: normal equations would lose half the digits.
 
 use super::data::Segment;
+use super::ending::extreme_singular_values;
 use nalgebra::{DMatrix, DVector};
 
 /// Rows brought to the triangle at a time.
@@ -73,13 +74,13 @@ pub struct Solution {
     pub parameters: DVector<f64>,
     /// Sum of squared residuals.
     pub residual: f64,
-    /// (ΦᵀΦ)⁻¹: times the variance of the residual it is the covariance of the parameters.
-    pub cofactor: DMatrix<f64>,
+    /// R⁻¹ with RᵀR = ΦᵀΦ: times the standard deviation of the residual it is a factor of the parameters' covariance.
+    pub inverse: DMatrix<f64>,
     /// Condition number of the regressors, each scaled to length 1.
     pub condition: f64,
 }
 
-/// Solves for the last column of `columns` with the others as regressors. Nothing when they depend on each other to machine
+/// Solves for the last column of `columns` with the others as regressors. Nothing when there are none, or they depend on each other to machine
 /// precision.
 pub fn solve(columns: DMatrix<f64>) -> Option<Solution> {
     let p = columns.ncols().checked_sub(1)?;
@@ -95,9 +96,8 @@ pub fn solve(columns: DMatrix<f64>) -> Option<Solution> {
     for (mut column, length) in scaled.column_iter_mut().zip(&lengths) {
         column /= *length;
     }
-    let singular = scaled.clone().singular_values();
-    let (largest, smallest) = (singular.max(), singular.min());
-    if p > 0 && smallest <= largest * f64::EPSILON {
+    let (largest, smallest) = extreme_singular_values(scaled.clone())?;
+    if smallest <= largest * f64::EPSILON {
         return None;
     }
     let target = r.view((0, p), (p, 1)).column(0).into_owned();
@@ -110,8 +110,8 @@ pub fn solve(columns: DMatrix<f64>) -> Option<Solution> {
     Some(Solution {
         parameters,
         residual: r.view((p, p), (r.nrows() - p, 1)).norm_squared(),
-        cofactor: &inverse * inverse.transpose(),
-        condition: if p > 0 { largest / smallest } else { 1.0 },
+        inverse,
+        condition: largest / smallest,
     })
 }
 

@@ -84,12 +84,14 @@ pub fn search(
         let model = Polynomials::of(solution.parameters.as_slice(), orders.na, orders.nk);
         let (n, p) = (samples as f64, orders.parameters() as f64);
         let loss = solution.residual / n;
+        // Without any noise nothing may be left; the penalty then decides.
+        let ln_loss = loss.max(f64::MIN_POSITIVE).ln();
         let on_test = |kind| (!test.is_empty()).then(|| compare(&model, test, kind));
         Some(Candidate {
             orders: *orders,
             loss,
-            aic: loss.ln() + 2.0 * p / n,
-            mdl: loss.ln() + p * n.ln() / n,
+            aic: ln_loss + 2.0 * p / n,
+            mdl: ln_loss + p * n.ln() / n,
             prediction: on_test(Kind::Prediction),
             simulation: on_test(Kind::Simulation(start)),
             largest_pole: model.largest_pole(),

@@ -1,5 +1,6 @@
 //! The same model as states: x(t+1) = A x(t) + b u(t), y(t) = c x(t) + d u(t).
 
+use super::ending::eigenvalues;
 use super::model::Polynomials;
 use nalgebra::{DMatrix, DVector, RowDVector};
 
@@ -75,8 +76,9 @@ impl StateSpace {
 /// Coefficients of det(zI − A), highest power first, from the eigenvalues.
 pub(super) fn characteristic(a: &DMatrix<f64>) -> Vec<f64> {
     let mut product = vec![nalgebra::Complex::new(1.0, 0.0)];
-    let eigenvalues = if a.nrows() > 0 { a.complex_eigenvalues() } else { DVector::zeros(0) };
-    for eigenvalue in eigenvalues.iter() {
+    // Not found, they make polynomials of NaN, which no one takes for a model.
+    let not_found = || vec![nalgebra::Complex::new(f64::NAN, f64::NAN); a.nrows()];
+    for eigenvalue in eigenvalues(a).unwrap_or_else(not_found) {
         product.push(nalgebra::Complex::new(0.0, 0.0));
         for k in (1..product.len()).rev() {
             let lower = product[k - 1];

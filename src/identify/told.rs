@@ -26,6 +26,8 @@ pub struct RecordTold {
     pub missed: usize,
     /// Angles interpolated for the torque.
     pub bridged: usize,
+    /// Where simulations of it begin that are shown: a part of a longer record does not begin at rest.
+    pub start: Start,
     /// How much later the output is than the commands say.
     pub delay: Option<Delay>,
 }

@@ -1,37 +1,53 @@
-//! The covariance of what is computed from parameters, from theirs.
+//! Covariances, and that of what is computed from parameters.
+//!
+//! A covariance is kept as a factor F with F Fᵀ = covariance. Coefficients of a high order are known by combinations whose σ
+//! differ by more than eight powers of ten; in the covariance itself the small ones are lost, and with them how well the response is
+//! known where the data tell it best.
 
 use nalgebra::DMatrix;
 
-/// How far along each direction the parameters are moved to see what it does, in standard deviations.
+/// How far the parameters are moved along each direction to see what it does, in standard deviations.
 const STEP: f64 = 0.05;
 
-/// Covariance of `of(parameters)`, to first order. The parameters are moved along the axes of their error ellipsoid: coefficients
-/// of a high order hang together so closely that one moved alone would be another model altogether. Nothing when `of` has no
-/// answer, or not always as many values.
-pub fn propagate(
-    parameters: &[f64],
-    covariance: &DMatrix<f64>,
-    of: impl Fn(&[f64]) -> Option<Vec<f64>>,
-) -> Option<DMatrix<f64>> {
-    let values = of(parameters)?.len();
-    let axes = covariance.clone().symmetric_eigen();
-    let mut sum = DMatrix::zeros(values, values);
-    for (variance, axis) in axes.eigenvalues.iter().zip(axes.eigenvectors.column_iter()) {
-        let sd = variance.max(0.0).sqrt();
-        let moved = |by: f64| {
-            let moved: Vec<f64> = parameters.iter().zip(axis.iter()).map(|(p, a)| p + by * sd * a).collect();
-            of(&moved).filter(|v| v.len() == values)
-        };
-        let (plus, minus) = (moved(STEP)?, moved(-STEP)?);
-        let change = DMatrix::from_fn(values, 1, |k, _| (plus[k] - minus[k]) / (2.0 * STEP));
-        sum += &change * change.transpose();
-    }
-    sum.iter().all(|v| v.is_finite()).then_some(sum)
+/// The covariance of some numbers.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Covariance {
+    /// One row a number; its columns are moves of one standard deviation that are independent of each other.
+    factor: DMatrix<f64>,
 }
 
-/// Square roots of the diagonal.
-pub fn standard_errors(covariance: &DMatrix<f64>) -> Vec<f64> {
-    covariance.diagonal().iter().map(|v| v.max(0.0).sqrt()).collect()
+impl Covariance {
+    /// From F, where the covariance is F Fᵀ.
+    pub fn from_factor(factor: DMatrix<f64>) -> Self {
+        Self { factor }
+    }
+
+    /// As a matrix.
+    pub fn matrix(&self) -> DMatrix<f64> {
+        &self.factor * self.factor.transpose()
+    }
+
+    /// Square roots of the diagonal.
+    pub fn standard_errors(&self) -> Vec<f64> {
+        self.factor.row_iter().map(|row| row.norm()).collect()
+    }
+
+    /// Of `of(parameters)`, to first order, where this is that of `parameters`. They are moved together, along the columns of the factor:
+    /// one coefficient of a high order moved alone would be another model altogether. Nothing when `of` has no answer, or not always as
+    /// many values.
+    pub fn propagate(&self, parameters: &[f64], of: impl Fn(&[f64]) -> Option<Vec<f64>>) -> Option<Self> {
+        let values = of(parameters)?.len();
+        let mut factor = DMatrix::zeros(values, self.factor.ncols());
+        for (mut column, direction) in factor.column_iter_mut().zip(self.factor.column_iter()) {
+            let moved = |by: f64| {
+                let moved: Vec<f64> = parameters.iter().zip(direction.iter()).map(|(p, d)| p + by * d).collect();
+                of(&moved).filter(|v| v.len() == values)
+            };
+            let (plus, minus) = (moved(STEP)?, moved(-STEP)?);
+            column.iter_mut().zip(plus.iter().zip(&minus)).for_each(|(c, (p, m))| *c = (p - m) / (2.0 * STEP));
+        }
+        factor.iter().all(|v| v.is_finite()).then_some(Self { factor })
+    }
 }
 
 #[cfg(test)]
@@ -40,11 +56,25 @@ mod tests {
 
     #[test]
     fn linear_functions_are_exact_and_others_nearly() {
-        let covariance = DMatrix::from_row_slice(2, 2, &[0.04, 0.019, 0.019, 0.01]);
+        // Of [0.04, 0.019; 0.019, 0.01].
+        let factor = DMatrix::from_row_slice(2, 2, &[0.2, 0.0, 0.095, (0.01_f64 - 0.095 * 0.095).sqrt()]);
+        let covariance = Covariance::from_factor(factor);
+        assert!((covariance.matrix()[(0, 1)] - 0.019).abs() < 1e-15);
+        let errors = covariance.standard_errors();
+        assert!((errors[0] - 0.2).abs() < 1e-15 && (errors[1] - 0.1).abs() < 1e-15);
         let of = |p: &[f64]| Some(vec![2.0 * p[0] - 3.0 * p[1], p[0].exp()]);
-        let found = propagate(&[1.0, 2.0], &covariance, of).unwrap();
-        assert!((found[(0, 0)] - (4.0 * 0.04 - 12.0 * 0.019 + 9.0 * 0.01)).abs() < 1e-12);
-        assert!((found[(1, 1)].sqrt() - 0.2 * 1_f64.exp()).abs() < 1e-4);
-        assert!(propagate(&[1.0, 2.0], &covariance, |_| None).is_none());
+        let found = covariance.propagate(&[1.0, 2.0], of).unwrap();
+        assert!((found.matrix()[(0, 0)] - (4.0 * 0.04 - 12.0 * 0.019 + 9.0 * 0.01)).abs() < 1e-12);
+        assert!((found.standard_errors()[1] - 0.2 * 1_f64.exp()).abs() < 1e-4);
+        assert!(covariance.propagate(&[1.0, 2.0], |_| None).is_none());
+    }
+
+    #[test]
+    fn what_is_known_best_keeps_its_sigma() {
+        // A sum known to 1e-12, a difference to 1: the covariance itself has no digit left of the first.
+        let factor = DMatrix::from_row_slice(2, 2, &[5e-13, 0.5, 5e-13, -0.5]);
+        let of = |p: &[f64]| Some(vec![p[0] + p[1]]);
+        let found = Covariance::from_factor(factor).propagate(&[0.0, 0.0], of).unwrap();
+        assert!((found.standard_errors()[0] / 1e-12 - 1.0).abs() < 1e-9, "{found:?}");
     }
 }

@@ -5,7 +5,7 @@ mod words;
 
 use super::{Exit, Failure, interrupt, output};
 use catoptra::identify::arx::Orders;
-use catoptra::identify::chain::{Choice, Estimator, Settings, identify};
+use catoptra::identify::chain::{Choice, Data, Estimator, Settings, identify};
 use catoptra::identify::fit::Start;
 use catoptra::identify::prepare::Detrend;
 use catoptra::identify::reduce::{Removal, Target};
@@ -34,13 +34,13 @@ pub(crate) struct Args {
     #[arg(long, value_name = "PLANT.toml", conflicts_with_all = ["input", "output"])]
     plant: Option<PathBuf>,
     /// Coil currents of each record, where its log has none
-    #[arg(long, value_name = "C.csv")]
+    #[arg(long, value_name = "C.csv", conflicts_with = "output")]
     currents: Vec<PathBuf>,
     /// The coil that moved it, counted from 0
-    #[arg(long, value_name = "N", default_value_t = 0)]
+    #[arg(long, value_name = "N", default_value_t = 0, conflicts_with = "output")]
     coil: usize,
     /// Commands act so much later; `auto`: as estimated
-    #[arg(long, value_name = "T|auto", default_value = "0", allow_hyphen_values = true)]
+    #[arg(long, value_name = "T|auto", default_value = "0", allow_hyphen_values = true, conflicts_with = "output")]
     delay: DelayArg,
     /// Column of the input, name or number; `current` of a log: no Eq. 6
     #[arg(long, value_name = "COLUMN")]
@@ -234,15 +234,17 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     let samples: usize = data.training.iter().map(catoptra::identify::data::Record::observed).sum();
     let settings = args.settings(samples, !data.validation.is_empty())?;
     // 2. models
-    let done = identify(&data, &settings).map_err(failure)?;
+    let done = identify(&data, &settings).map_err(|error| failure(&data, error))?;
     for doubt in &done.doubts {
         tracing::warn!("{doubt}");
     }
     // 3. files
     let written = {
         let _whole = interrupt::wait();
-        std::fs::create_dir_all(&args.out)
-            .map_err(|e| Failure::new(Exit::Failed, format!("cannot make the folder {}: {e}", args.out.display())))?;
+        std::fs::create_dir_all(&args.out).map_err(|e| {
+            let why = if args.out.is_file() { "there is a file of this name".to_owned() } else { e.to_string() };
+            Failure::new(Exit::Failed, format!("cannot make the folder {}: {why}", args.out.display()))
+        })?;
         let mut written = export::write(&args.out, &data, &done, &told).map_err(|e| Failure::new(Exit::Failed, e))?;
         let page = args.out.join("report.html");
         put(&page, identification::page(&data, &done, &told).as_bytes())?;
@@ -266,15 +268,21 @@ fn put(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
         .map_err(|e| Failure::new(Exit::Failed, format!("cannot write {}: {e}", path.display())))
 }
 
-fn failure(error: IdentifyError) -> Failure {
+/// With the records it is about.
+fn failure(data: &Data, error: IdentifyError) -> Failure {
     let exit = match error {
-        IdentifyError::TooShort { .. } | IdentifyError::Nothing { .. } | IdentifyError::Still { .. } => Exit::Usage,
+        IdentifyError::Nothing { .. } | IdentifyError::Still { .. } => return Failure::new(Exit::Usage, error),
+        IdentifyError::TooShort { .. } | IdentifyError::TooShortToJudge { .. } => Exit::Usage,
         IdentifyError::Dependent { .. }
         | IdentifyError::Unstable { .. }
         | IdentifyError::NotReduced { .. }
+        | IdentifyError::NoneDetermined
         | IdentifyError::NoneStable { .. } => Exit::Unusable,
     };
-    Failure::new(exit, error)
+    let judged = matches!(error, IdentifyError::TooShortToJudge { .. });
+    let records = if judged { &data.validation } else { &data.training };
+    let names: Vec<&str> = records.iter().map(|r| r.name.as_str()).collect();
+    Failure::new(exit, format!("{}: {error}", names.join(", ")))
 }
 
 impl Args {

@@ -5,6 +5,7 @@ use crate::cli::{Exit, Failure};
 use catoptra::identify::chain::Data;
 use catoptra::identify::data::Record;
 use catoptra::identify::delay::{self, Delay};
+use catoptra::identify::fit::Start;
 use catoptra::identify::grid::{Grid, GridError, Series, cut, resample};
 use catoptra::identify::hold::Held;
 use catoptra::identify::plant::Plant;
@@ -16,6 +17,8 @@ use std::path::Path;
 
 /// Periods of the records may differ by this part.
 const SAME_PERIOD: f64 = 0.01;
+/// Samples of the result that decimation needs.
+const DECIMATION_NEEDS: usize = 11;
 /// The input of a log without Eq. 6.
 const CURRENT: &str = "current";
 
@@ -59,6 +62,7 @@ pub(super) fn read(args: &Args) -> Result<(Data, Told), Failure> {
         all.push(read);
     }
     one_period(&all)?;
+    tell_what_is_judged_twice(args);
     let mut period_s = all.first().map_or(0.0, |read| read.told.period_s);
     let mut data = Data::default();
     let mut tolds = Vec::new();
@@ -77,9 +81,10 @@ pub(super) fn read(args: &Args) -> Result<(Data, Told), Failure> {
             (training, _, _) => vec![(record, training)],
         };
         for (part, training) in parts {
-            let part = args.decimate.map_or_else(|| part.clone(), |n| decimate(&part, n.get(), period_s));
+            let whole = part;
+            let part = args.decimate.map_or_else(|| whole.clone(), |n| decimate(&whole, n.get(), period_s));
             if part.observed() == 0 {
-                return Err(usage(format!("{}: no sample is left of it", part.name)));
+                return Err(usage(format!("{}: {}", part.name, why_empty(&whole, args))));
             }
             tolds.push(RecordTold { training, ..described(&part, &told, period_s, args) });
             if training { data.training.push(part) } else { data.validation.push(part) }
@@ -92,12 +97,37 @@ pub(super) fn read(args: &Args) -> Result<(Data, Told), Failure> {
     Ok((data, told(args, tolds)))
 }
 
+/// Data that were fitted are no judge.
+fn tell_what_is_judged_twice(args: &Args) {
+    if let (Some(train), Some(test)) = (args.train, args.test) {
+        let (from, to) = (train.from.max(test.from), train.to.min(test.to));
+        if from < to {
+            tracing::warn!("--train and --test share samples {from} to {}: what was fitted is no judge", to - 1);
+        }
+    }
+    for file in args.validate.iter().filter(|file| args.records.contains(file)) {
+        tracing::warn!("{}: is fitted and judged by: what was fitted is no judge", file.display());
+    }
+}
+
+/// Why nothing is left of a record, or of the part of one.
+fn why_empty(part: &Record, args: &Args) -> String {
+    match (part.segments.iter().map(|s| s.len()).max(), args.decimate) {
+        (Some(longest), Some(n)) if part.observed() > 0 => format!(
+            "--decimate {n} leaves nothing: its filter needs {} samples without a hole, and the longest stretch has {longest}",
+            DECIMATION_NEEDS * n.get()
+        ),
+        _ => "no sample has both input and output".to_owned(),
+    }
+}
+
 fn described(part: &Record, read: &RecordTold, period_s: f64, args: &Args) -> RecordTold {
     let factor = args.decimate.map_or(1, |n| n.get());
     RecordTold {
         name: part.name.clone(),
         samples: part.observed(),
         stretches: part.segments.len(),
+        start: if part.is_from_rest() { args.start() } else { Start::Estimated },
         duration_s: part.segments.iter().map(|s| s.len()).sum::<usize>() as f64 * period_s * factor as f64,
         ..read.clone()
     }

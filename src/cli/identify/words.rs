@@ -2,7 +2,7 @@
 
 use catoptra::identify::chain::{Data, Identification};
 use catoptra::identify::continuous::{Continuous, Conversion};
-use catoptra::identify::fit::Kind;
+use catoptra::identify::fit::{Kind, Start};
 use catoptra::identify::modelled::{ContinuousEstimate, Modelled};
 use catoptra::identify::told::Told;
 use std::fmt::Write as _;
@@ -70,13 +70,23 @@ fn table_1(text: &mut String, done: &Identification, told: &Told) -> std::fmt::R
     writeln!(text)?;
     for record in &told.records {
         let role = if record.training { "training" } else { "validation" };
-        write!(text, "{:<36}", format!("{role}, {:.0} s", record.duration_s))?;
+        let begins = if record.start == Start::Rest { "from rest" } else { "start estimated" };
+        write!(text, "{:<36}", format!("{role}, {:.0} s, {begins}", record.duration_s))?;
         for model in &done.models {
             let of = |f: &&catoptra::identify::chain::Fit| {
-                f.record == record.name && f.role == model.role && f.kind == Kind::Simulation(told.start)
+                f.record == record.name
+                    && f.training == record.training
+                    && f.role == model.role
+                    && f.kind == Kind::Simulation(record.start)
             };
             let error = done.fits.iter().find(of).map_or(f64::NAN, |f| f.error.error_percent);
-            write!(text, " {:>24}", if error < 1e4 { format!("{error:.4}") } else { format!("{error:.1e}") })?;
+            let shown = match error {
+                // An output of zero has no energy to compare with.
+                e if e.is_nan() => "none".to_owned(),
+                e if e < 1e4 => format!("{e:.4}"),
+                e => format!("{e:.1e}"),
+            };
+            write!(text, " {shown:>24}")?;
         }
         writeln!(text)?;
     }

@@ -107,8 +107,8 @@ fn cards(done: &Identification, told: &Told) -> String {
     if let Some(record) = record {
         let of = if record.training { "training" } else { "validation" };
         for model in &done.models {
-            let error =
-                fit(done, record, model.role, Kind::Simulation(told.start)).map_or(f64::NAN, |f| f.error.error_percent);
+            let error = fit(done, record, model.role, Kind::Simulation(record.start))
+                .map_or(f64::NAN, |f| f.error.error_percent);
             let text = match error {
                 e if e < 1.0 => format!("{e:.3} %"),
                 e if e < 1e3 => format!("{e:.1} %"),
