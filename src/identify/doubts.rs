@@ -1,6 +1,7 @@
 //! What should be known before the numbers are used.
 
 use super::chain::{Data, Identification};
+use super::fit::Kind;
 use super::modelled::Role;
 use super::residuals::Residuals;
 use std::fmt;
@@ -15,6 +16,9 @@ const OFF_CENTRE: f64 = 1.0;
 const OUTSIDE: f64 = 0.1;
 /// A stable pole so near to the unit circle that its gain is hardly known.
 const NEARLY_UNSTABLE: f64 = 1e-4;
+
+/// A model that leaves more of the energy than this is told of, percent.
+const POOR: f64 = 50.0;
 
 /// Something that makes the result less than it looks.
 #[derive(Debug, Clone, PartialEq)]
@@ -32,6 +36,13 @@ pub enum Doubt {
         title: String,
         /// Modulus of its largest pole.
         largest_pole: f64,
+    },
+    /// A model leaves most of what it was fitted to.
+    Poor {
+        /// Which.
+        title: String,
+        /// Simulation error, % of the energy.
+        error_percent: f64,
     },
     /// The regressors nearly depend on each other.
     IllConditioned {
@@ -111,6 +122,10 @@ impl fmt::Display for Doubt {
                     "{title}: the largest pole is {largest_pole:.6}, nearly 1; gain and phase at low frequencies are hardly known"
                 )
             }
+            Self::Poor { title, error_percent } => write!(
+                f,
+                "{title}: its simulation leaves {error_percent:.0} % of the energy of the data it was fitted to: is this the input that moved it?"
+            ),
             Self::IllConditioned { condition } => {
                 write!(
                     f,
@@ -167,6 +182,13 @@ pub(super) fn doubts(data: &Data, done: &Identification) -> Vec<Doubt> {
             doubts.push(Doubt::Unstable { title, largest_pole });
         } else if largest_pole > 1.0 - NEARLY_UNSTABLE {
             doubts.push(Doubt::NearlyUnstable { title, largest_pole });
+        }
+    }
+    for model in done.models.iter().filter(|m| m.is_stable()) {
+        let led =
+            done.fits.iter().find(|f| f.training && f.role == model.role && matches!(f.kind, Kind::Simulation(_)));
+        if let Some(error_percent) = led.map(|f| f.error.error_percent).filter(|e| *e > POOR) {
+            doubts.push(Doubt::Poor { title: model.title.clone(), error_percent });
         }
     }
     if done.arx.condition > ILL_CONDITIONED {
