@@ -42,4 +42,6 @@ deps:
 $(VENV)/ready: Makefile
 	python3 -m venv $(VENV)
 	$(VENV)/bin/pip install --quiet --disable-pip-version-check mcap mcap-protobuf-support websockets numpy scipy
+	@# A second source for identify; without it numpy and scipy compare alone. As wheels only: they are built from Fortran otherwise.
+	@$(VENV)/bin/pip install --quiet --disable-pip-version-check --only-binary :all: control slycot || echo "without python-control and slycot"
 	@touch $@

@@ -29,7 +29,7 @@ impl Plant {
         let file = || path.to_owned();
         let text = std::fs::read_to_string(path).map_err(|source| PlantError::Read { file: file(), source })?;
         let raw: Raw = toml::from_str(&text).map_err(|e| {
-            let line = e.span().map_or(1, |span| text[..span.start].lines().count().max(1));
+            let line = e.span().map_or(1, |span| 1 + text.bytes().take(span.start).filter(|b| *b == b'\n').count());
             PlantError::Syntax { file: file(), line, message: e.message().to_owned() }
         })?;
         for (key, value, zero_allowed) in [
@@ -126,6 +126,8 @@ mod tests {
         assert_eq!(error, "plant.toml: b0_t = -3: expected a number above 0");
         let error = load(&GOOD.replace("turns", "turn")).unwrap_err();
         assert!(error.starts_with("plant.toml:1: unknown field `turn`"), "{error}");
+        let error = load(&GOOD.replace("mass_g", "mas_g")).unwrap_err();
+        assert!(error.starts_with("plant.toml:4: unknown field `mas_g`"), "{error}");
         let error = load("turns = 1\n").unwrap_err();
         assert!(error.contains("missing field `area_mm2`"), "{error}");
         assert!(load(&GOOD.replace("100\na", "nan\na")).unwrap_err().contains("turns = NaN"));
