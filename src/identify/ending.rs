@@ -1,6 +1,6 @@
 //! Decompositions that end: nalgebra's own iterate without a limit, and on matrices of extreme range they do so for ever.
 
-use nalgebra::{Complex, DMatrix, Dyn, SVD, Schur};
+use nalgebra::{Complex, DMatrix, DVector, Dyn, SVD, Schur};
 
 /// Iterations for each column; five are usual.
 const A_COLUMN: usize = 200;
@@ -21,8 +21,19 @@ pub(super) fn eigenvalues(matrix: &DMatrix<f64>) -> Option<Vec<Complex<f64>>> {
     if !is_finite(matrix) {
         return None;
     }
-    let schur = Schur::try_new(matrix.clone(), f64::EPSILON, limit(matrix))?;
+    let most = limit(matrix);
+    let schur = |matrix| Schur::try_new(matrix, f64::EPSILON, most);
+    // The iteration stands still on matrices whose eigenvalues are as large as each other (a delay fed back). Reflected, they have
+    // the same eigenvalues and no such symmetry.
+    let schur = schur(matrix.clone()).or_else(|| schur(reflected(matrix)))?;
     Some(schur.complex_eigenvalues().iter().copied().collect())
+}
+
+/// Seen in another basis, reflected at a plane that stands askew to all axes.
+fn reflected(matrix: &DMatrix<f64>) -> DMatrix<f64> {
+    let normal = DVector::from_fn(matrix.nrows(), |k, _| 1.0 + (k as f64).sqrt()).normalize();
+    let reflection = DMatrix::identity(matrix.nrows(), matrix.nrows()) - &normal * normal.transpose() * 2.0;
+    &reflection * matrix * &reflection
 }
 
 /// Singular values, largest first, with both sets of vectors. Nothing for an empty matrix, or when they are not found.
