@@ -1,6 +1,6 @@
 //! Decompositions that end: nalgebra's own iterate without a limit, and on matrices of extreme range they do so for ever.
 
-use nalgebra::{Complex, DMatrix, Dyn, SVD, Schur};
+use nalgebra::{Complex, DMatrix, DVector, Dyn, SVD, Schur};
 
 /// Iterations for each column; five are usual.
 const A_COLUMN: usize = 200;
@@ -21,8 +21,18 @@ pub(super) fn eigenvalues(matrix: &DMatrix<f64>) -> Option<Vec<Complex<f64>>> {
     if !is_finite(matrix) {
         return None;
     }
-    let schur = Schur::try_new(matrix.clone(), f64::EPSILON, limit(matrix))?;
+    // The iteration stands still on matrices such as that of z⁸ − 0.5; seen from elsewhere it does not.
+    let schur = Schur::try_new(matrix.clone(), f64::EPSILON, limit(matrix))
+        .or_else(|| Schur::try_new(reflected(matrix), f64::EPSILON, limit(matrix)))?;
     Some(schur.complex_eigenvalues().iter().copied().collect())
+}
+
+/// A matrix of the same eigenvalues: H A H with a reflection H = I − 2 v vᵀ.
+fn reflected(matrix: &DMatrix<f64>) -> DMatrix<f64> {
+    let n = matrix.nrows();
+    let v = DVector::from_fn(n, |k, _| 1.0 / (k + 1) as f64).normalize();
+    let h = DMatrix::identity(n, n) - &v * v.transpose() * 2.0;
+    &h * matrix * &h
 }
 
 /// Singular values, largest first, with both sets of vectors. Nothing for an empty matrix, or when they are not found.
