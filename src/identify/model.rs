@@ -133,6 +133,19 @@ pub fn roots(descending: &[f64]) -> Vec<Complex<f64>> {
     eigenvalues(&companion).unwrap_or_else(|| vec![Complex::new(f64::NAN, f64::NAN); n])
 }
 
+/// Coefficients of Π(z − root), highest power first; roots come with their conjugates.
+pub(super) fn monic(of: impl IntoIterator<Item = Complex<f64>>) -> Vec<f64> {
+    let mut product = vec![Complex::new(1.0, 0.0)];
+    for root in of {
+        product.push(Complex::new(0.0, 0.0));
+        for k in (1..product.len()).rev() {
+            let lower = product[k - 1];
+            product[k] -= lower * root;
+        }
+    }
+    product.iter().map(|c| c.re).collect()
+}
+
 /// Σ b_j u(t − delay − j), zero before the first sample.
 fn moving_sum(b: &[f64], delay: usize, input: &[f64]) -> Vec<f64> {
     let at = |t: usize| -> f64 {

@@ -8,7 +8,7 @@
 use super::IdentifyError;
 use super::ending::svd;
 use super::gramian::{band_factors, factor};
-use super::model::{Polynomials, roots};
+use super::model::{Polynomials, monic};
 use super::state_space::StateSpace;
 use nalgebra::{Complex, DMatrix, DVector, RowDVector};
 
@@ -215,24 +215,6 @@ fn split(model: &Polynomials) -> Option<(StateSpace, StateSpace)> {
     };
     let (numerator, rest) = solution.as_slice().split_at(m);
     Some((part(&stable, numerator, whole.d), part(&unstable, rest, 0.0)))
-}
-
-/// Coefficients of Π(z − root), highest power first; roots come with their conjugates.
-fn monic(of: impl Iterator<Item = Complex<f64>>) -> Vec<f64> {
-    let mut product = vec![Complex::new(1.0, 0.0)];
-    for root in of {
-        product.push(Complex::new(0.0, 0.0));
-        for k in (1..product.len()).rev() {
-            let lower = product[k - 1];
-            product[k] -= lower * root;
-        }
-    }
-    product.iter().map(|c| c.re).collect()
-}
-
-/// Zeros of the model in z.
-pub fn zeros(model: &Polynomials) -> Vec<Complex<f64>> {
-    roots(&model.b)
 }
 
 #[cfg(test)]

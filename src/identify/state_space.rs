@@ -1,7 +1,7 @@
 //! The same model as states: x(t+1) = A x(t) + b u(t), y(t) = c x(t) + d u(t).
 
 use super::ending::eigenvalues;
-use super::model::Polynomials;
+use super::model::{Polynomials, monic};
 use nalgebra::{DMatrix, DVector, RowDVector};
 
 /// One input, one output, `n` states.
@@ -75,17 +75,9 @@ impl StateSpace {
 
 /// Coefficients of det(zI − A), highest power first, from the eigenvalues.
 pub(super) fn characteristic(a: &DMatrix<f64>) -> Vec<f64> {
-    let mut product = vec![nalgebra::Complex::new(1.0, 0.0)];
     // Not found, they make polynomials of NaN, which no one takes for a model.
     let not_found = || vec![nalgebra::Complex::new(f64::NAN, f64::NAN); a.nrows()];
-    for eigenvalue in eigenvalues(a).unwrap_or_else(not_found) {
-        product.push(nalgebra::Complex::new(0.0, 0.0));
-        for k in (1..product.len()).rev() {
-            let lower = product[k - 1];
-            product[k] -= lower * eigenvalue;
-        }
-    }
-    product.iter().map(|c| c.re).collect()
+    monic(eigenvalues(a).unwrap_or_else(not_found))
 }
 
 #[cfg(test)]
