@@ -27,6 +27,15 @@ pub(super) fn eigenvalues(matrix: &DMatrix<f64>) -> Option<Vec<Complex<f64>>> {
     Some(schur.complex_eigenvalues().iter().copied().collect())
 }
 
+/// U and the upper triangle T of A = U T Uᴴ. Nothing when they are not found.
+pub(super) fn schur(matrix: &DMatrix<f64>) -> Option<(DMatrix<Complex<f64>>, DMatrix<Complex<f64>>)> {
+    if matrix.is_empty() || !is_finite(matrix) {
+        return None;
+    }
+    let complex = matrix.map(|v| Complex::new(v, 0.0));
+    Some(Schur::try_new(complex, f64::EPSILON, limit(matrix))?.unpack())
+}
+
 /// A matrix of the same eigenvalues: H A H with a reflection H = I − 2 v vᵀ.
 fn reflected(matrix: &DMatrix<f64>) -> DMatrix<f64> {
     let n = matrix.nrows();

@@ -4,14 +4,16 @@
 //! [L, A^(2^k) L], and brought back to n columns by an orthogonal triangle (Smith's squared method in square-root form; Penzl,
 //! SIAM J. Sci. Comput. 21, 2000, doi:10.1137/S1064827598347666).
 
-use super::ending::eigenvalues;
+use super::ending::schur;
+use super::regression::Triangle;
 use super::state_space::StateSpace;
 use nalgebra::{Complex, DMatrix, DVector};
 use std::f64::consts::PI;
 
 const MOST_DOUBLINGS: usize = 60;
-/// Frequencies of a band, at least and at most.
-const NODES: (f64, f64) = (512.0, 16_384.0);
+/// Frequencies of a band, at least and at most, and to the width of the sharpest resonance.
+const NODES: (f64, f64) = (512.0, 8192.0);
+const A_WIDTH: f64 = 8.0;
 
 /// Factor of the controllability Gramian. For the observability Gramian give Aᵀ and cᵀ. Nothing when A is not stable.
 pub fn factor(a: &DMatrix<f64>, b: &DVector<f64>) -> Option<DMatrix<f64>> {
@@ -43,37 +45,27 @@ pub fn band_factors(system: &StateSpace, (low, high): (f64, f64)) -> Option<[DMa
     if n == 0 {
         return Some([DMatrix::zeros(0, 0), DMatrix::zeros(0, 0)]);
     }
-    let sharpest = eigenvalues(&system.a)?.iter().map(|p| (1.0 - p.norm()).abs()).fold(1.0, f64::min);
-    let nodes = (16.0 * (high - low) / sharpest).clamp(NODES.0, NODES.1).ceil();
+    // A = U T Uᴴ: each frequency is then a triangle.
+    let (u, t) = schur(&system.a)?;
+    let sharpest = t.diagonal().iter().map(|p| (1.0 - p.norm()).abs()).fold(1.0, f64::min);
+    let nodes = (A_WIDTH * (high - low) / sharpest).clamp(NODES.0, NODES.1).ceil();
     let width = (high - low) / nodes;
     let weight = (width / PI).sqrt();
-    let a = system.a.map(|v| Complex::new(v, 0.0));
-    let (b, c) = (system.b.map(|v| Complex::new(v, 0.0)), system.c.transpose().map(|v| Complex::new(v, 0.0)));
-    let empty = || DMatrix::zeros(n, 0);
-    let mut factors = [empty(), empty()];
-    let mut pending = [empty(), empty()];
+    let complex = |v: &f64| Complex::new(*v, 0.0);
+    let (b, c) = (system.b.map(|v| complex(&v)), system.c.transpose().map(|v| complex(&v)));
+    let (b, c, conjugate) = (u.adjoint() * b, u.transpose() * c, u.conjugate());
+    let mut triangles = [Triangle::new(n), Triangle::new(n)];
     for k in 0..nodes as usize {
         let omega = low + (k as f64 + 0.5) * width;
-        let resolvent = DMatrix::identity(n, n) * Complex::from_polar(1.0, omega) - &a;
-        let solutions = [resolvent.clone().lu().solve(&b)?, resolvent.transpose().lu().solve(&c)?];
-        for (pending, solution) in pending.iter_mut().zip(solutions) {
-            let m = pending.ncols();
-            let mut wider = std::mem::replace(pending, empty()).resize_horizontally(m + 2, 0.0);
-            wider.set_column(m, &(solution.map(|z| z.re) * weight));
-            wider.set_column(m + 1, &(solution.map(|z| z.im) * weight));
-            *pending = wider;
-        }
-        if pending[0].ncols() > 4 * n.max(16) || k + 1 == nodes as usize {
-            for (factor, pending) in factors.iter_mut().zip(&mut pending) {
-                let (m, p) = (factor.ncols(), pending.ncols());
-                let mut both = std::mem::replace(factor, empty()).resize_horizontally(m + p, 0.0);
-                both.columns_mut(m, p).copy_from(pending);
-                *factor = compressed(both);
-                *pending = empty();
-            }
+        let resolvent = DMatrix::identity(n, n) * Complex::from_polar(1.0, omega) - &t;
+        let solutions =
+            [&u * resolvent.solve_upper_triangular(&b)?, &conjugate * resolvent.tr_solve_upper_triangular(&c)?];
+        for (triangle, solution) in triangles.iter_mut().zip(solutions) {
+            triangle.push(solution.iter().map(|z| z.re * weight));
+            triangle.push(solution.iter().map(|z| z.im * weight));
         }
     }
-    Some(factors.map(square))
+    Some(triangles.map(|triangle| triangle.finish().transpose()))
 }
 
 /// A factor of the same Gramian with at most n columns.

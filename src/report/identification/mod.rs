@@ -9,7 +9,9 @@ use crate::identify::chain::{Data, Fit, Identification};
 use crate::identify::continuous::{Continuous, Conversion};
 use crate::identify::fit::{Kind, Start};
 use crate::identify::modelled::{ContinuousEstimate, Modelled, Role};
+use crate::identify::search::Candidate;
 use crate::identify::told::{RecordTold, Told};
+use std::collections::BTreeMap;
 
 /// The whole page.
 pub fn page(data: &Data, done: &Identification, told: &Told) -> String {
@@ -294,12 +296,39 @@ fn orders(done: &Identification) -> String {
     let judged = done.candidates.iter().any(|c| c.simulation.is_some());
     let what = if judged { "Simulation error of the validation data" } else { "Minimum description length" };
     let unstable = done.candidates.iter().filter(|c| c.largest_pole >= 1.0).count();
+    let heads = ["na", "nb", "delay", "AIC", "MDL", "prediction error (%)", "simulation error (%)", "largest pole", ""];
+    let error = |e: Option<crate::identify::fit::FitError>| e.map_or_else(String::new, |e| percent(e.error_percent));
+    let rows: Vec<Vec<String>> = of_each_order(done, judged)
+        .into_iter()
+        .map(|c| {
+            let counts = [c.orders.na, c.orders.nb, c.orders.nk].map(|n| n.to_string());
+            let mark = if c.orders == done.orders { "chosen" } else { "" };
+            let judged = [number(c.aic), number(c.mdl), error(c.prediction), error(c.simulation)];
+            let last = [format!("{:.5}", c.largest_pole), mark.to_owned()];
+            counts.into_iter().chain(judged).chain(last).collect()
+        })
+        .collect();
     format!(
-        "<h2>Order and delay</h2>\n<p>{what}, each line a delay. {} of {} models are unstable, left out, and never chosen. All numbers: orders.csv.</p>\n{}",
+        "<h2>Order and delay</h2>\n<p>{what}, each line a delay. {} of {} models are unstable, left out, and never chosen. Below, of each \
+         order the delay that does best; all of them: orders.csv.</p>\n{}{}",
         unstable,
         done.candidates.len(),
-        figure("plot-orders", &figures::orders(done, judged), 320, false)
+        figure("plot-orders", &figures::orders(done, judged), 320, false),
+        table(0, &heads, &rows)
     )
+}
+
+/// Of the stable candidates of each na and nb the one with the smallest simulation error, or MDL; and the one chosen.
+fn of_each_order(done: &Identification, judged: bool) -> Vec<&Candidate> {
+    let value = |c: &Candidate| if judged { c.simulation.map_or(f64::NAN, |e| e.error_percent) } else { c.mdl };
+    let mut best: BTreeMap<(usize, usize), &Candidate> = BTreeMap::new();
+    for c in done.candidates.iter().filter(|c| c.largest_pole < 1.0) {
+        let order = best.entry((c.orders.na, c.orders.nb)).or_insert(c);
+        if c.orders == done.orders || (order.orders != done.orders && value(c) < value(order)) {
+            *order = c;
+        }
+    }
+    best.into_values().collect()
 }
 
 fn reduction(done: &Identification) -> String {
