@@ -2,6 +2,8 @@
 
 use nalgebra::{Complex, DMatrix, DVector, Dyn, SVD, Schur};
 
+type ComplexMatrix = DMatrix<Complex<f64>>;
+
 /// Iterations for each column; five are usual.
 const A_COLUMN: usize = 200;
 
@@ -28,7 +30,7 @@ pub(super) fn eigenvalues(matrix: &DMatrix<f64>) -> Option<Vec<Complex<f64>>> {
 }
 
 /// U and the upper triangle T of A = U T Uᴴ. Nothing when they are not found.
-pub(super) fn schur(matrix: &DMatrix<f64>) -> Option<(DMatrix<Complex<f64>>, DMatrix<Complex<f64>>)> {
+pub(super) fn schur(matrix: &DMatrix<f64>) -> Option<(ComplexMatrix, ComplexMatrix)> {
     if matrix.is_empty() || !is_finite(matrix) {
         return None;
     }
