@@ -96,12 +96,12 @@ pub mod series;
 
 pub mod excite;
 
+pub mod identify;
+
 pub mod validate;
 
 pub mod pipeline;
 
 pub mod calibrate;
-
-pub mod identify;
 
 pub mod whole_file;

@@ -1,33 +1,59 @@
-//! identify
+//! The dynamics of what moved, from what was recorded: Section III.B of the paper, and what has become better practice since.
+//!
+//! ```text
+//!  log or table ─▶ recorded ─▶ grid ─▶ prepare ─▶ search ─▶ arx ─────────▶ reduce ─▶ continuous
+//!                  θ, current  Eq. 6   trends,    orders,   full model     fewer     H(s)
+//!                  held        holes   fewer      delay     │              states
+//!                                      samples              └ output_error, instrumental
+//! ```
+//! [`chain::identify`] runs it; [`export::write`] and [`crate::report::identification`] tell what came out. Beside the models:
+//! [`spectrum`] (the response without a model), [`bandwidth`], [`residuals`], [`bootstrap`], [`delay`] (between the clocks), and
+//! [`doubts`] (what should be known before the numbers are used).
+//!
+//! # Conventions
+//! - `y(t) + a₁ y(t−1) + … = b₀ u(t−nk) + …`: `nk` counts all samples of delay, see [`model`]. An input of a sample is held until the next.
+//! - Signals are in stretches of known input; an output that was not observed is a NaN and is no data, see [`data`].
+//! - Covariances are kept as factors, see [`uncertainty`]; everything is solved by orthogonal triangles, see [`regression`].
+
+// In the order of the data.
+pub mod data;
+pub mod plant;
+
+pub mod hold;
+pub mod recorded;
+
+pub mod delay;
+pub mod grid;
+pub mod prepare;
+
+pub mod model;
+pub mod regression;
+
 pub mod arx;
+pub mod instrumental;
+pub mod output_error;
+pub mod search;
+
+pub mod gramian;
+pub mod reduce;
+pub mod state_space;
+
+pub mod continuous;
+
 pub mod bandwidth;
 pub mod bootstrap;
-pub mod chain;
-pub mod continuous;
-pub mod data;
-pub mod delay;
-pub mod doubts;
-mod ending;
-pub mod export;
 pub mod fit;
-pub mod gramian;
-pub mod grid;
-pub mod hold;
-pub mod instrumental;
-pub mod model;
 pub mod modelled;
-pub mod output_error;
-pub mod plant;
-pub mod prepare;
-pub mod recorded;
-pub mod reduce;
-pub mod regression;
 pub mod residuals;
-pub mod search;
 pub mod spectrum;
-pub mod state_space;
-pub mod told;
 pub mod uncertainty;
+
+pub mod chain;
+pub mod doubts;
+pub mod export;
+pub mod told;
+
+mod ending;
 
 use arx::Orders;
 
