@@ -4,6 +4,14 @@ use std::fs::{self, File};
 use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
 
+/// Writes a file whole, in the place of one that may be there.
+///
+/// # Errors
+/// The system's, a full disk for example; what was there is still there.
+pub fn write(place: &Path, bytes: &[u8]) -> io::Result<()> {
+    NewFile::write(place, bytes)?.put_in_place()
+}
+
 /// A new file beside the one whose place it is to take; gone again unless it was [put in place](NewFile::put_in_place).
 #[derive(Debug)]
 pub struct NewFile {

@@ -5,7 +5,7 @@ use super::{Exit, Failure, interrupt, output};
 use catoptra::excite::{Chirp, Clipped, ExciteError, Limits, Multisine, Order, Phases, Signal, Spectrum, Steps, Sweep};
 use catoptra::report::excitation::{self, ExcitationInfo};
 use catoptra::source::FrameRate;
-use catoptra::whole_file::NewFile;
+use catoptra::whole_file;
 use clap::{Subcommand, ValueEnum};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -335,8 +335,7 @@ fn is_free(path: &Path, begins: &str, kind: &str) -> Result<(), Failure> {
 }
 
 fn save(path: &Path, text: &str) -> Result<(), Failure> {
-    NewFile::write(path, text.as_bytes())
-        .and_then(NewFile::put_in_place)
+    whole_file::write(path, text.as_bytes())
         .map_err(|e| Failure::new(Exit::Failed, format!("{}: cannot be written: {e}", path.display())))
 }
 

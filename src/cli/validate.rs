@@ -6,7 +6,7 @@ use catoptra::report::validation;
 use catoptra::series::{Recording, SeriesError};
 use catoptra::source::times::parse_seconds_ns;
 use catoptra::validate::{DesiredPath, Interpolation, Observed, Options, ValidateError, Validation, validate};
-use catoptra::whole_file::NewFile;
+use catoptra::whole_file;
 use clap::ValueEnum;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -134,9 +134,7 @@ impl Args {
         std::fs::create_dir_all(folder).map_err(|e| cannot(folder, e.to_string()))?;
         let save = |name: &str, text: &str| {
             let place = folder.join(name);
-            NewFile::write(&place, text.as_bytes())
-                .and_then(NewFile::put_in_place)
-                .map_err(|e| cannot(&place, e.to_string()))
+            whole_file::write(&place, text.as_bytes()).map_err(|e| cannot(&place, e.to_string()))
         };
         let table = validation.csv().map_err(|e| cannot(folder, e.to_string()))?;
         let json = validation.json().map_err(|e| cannot(folder, e.to_string()))?;

@@ -8,7 +8,7 @@ use super::modelled::{ContinuousEstimate, Modelled, Role};
 use super::residuals::Residuals;
 use super::told::Told;
 use super::uncertainty::Covariance;
-use crate::whole_file::NewFile;
+use crate::whole_file;
 use nalgebra::{Complex, DMatrix};
 use serde_json::{Value, json};
 use std::io;
@@ -69,7 +69,7 @@ pub fn write(folder: &Path, data: &Data, done: &Identification, told: &Told) -> 
     }
     let put = |(name, bytes): (&str, io::Result<Vec<u8>>)| {
         let path = folder.join(name);
-        let written = bytes.and_then(|bytes| NewFile::write(&path, &bytes)?.put_in_place());
+        let written = bytes.and_then(|bytes| whole_file::write(&path, &bytes));
         written.map(|()| path.clone()).map_err(|source| ExportError { path, source })
     };
     files.into_iter().map(put).collect()

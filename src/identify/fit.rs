@@ -88,9 +88,8 @@ pub(super) fn free_part(model: &Polynomials, segment: &Segment, simulated: &[f64
     if states == 0 {
         return None;
     }
-    let response = model.free_response(segment.len());
+    let at = model.free_responses(segment.len());
     let reach = segment.len().min(START);
-    let at = |t: usize, state: usize| t.checked_sub(state).map_or(0.0, |t| response[t]);
     // The last column is what is left over.
     let columns = DMatrix::from_fn(reach, states + 1, |t, column| match column {
         _ if segment.output[t].is_nan() => 0.0,

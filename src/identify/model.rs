@@ -64,13 +64,15 @@ impl Polynomials {
         (self.memory()..output.len().min(driven.len())).map(|t| driven[t] - past(t)).collect()
     }
 
-    /// Response to one unit at the first sample through 1/A alone, `length` samples.
-    pub fn free_response(&self, length: usize) -> Vec<f64> {
+    /// What each state at the beginning adds to the output, at sample `t` and for state `state`, up to `length` samples: responses of
+    /// 1/A to a unit at one of the first [`Polynomials::memory`] samples.
+    pub fn free_responses(&self, length: usize) -> impl Fn(usize, usize) -> f64 + use<> {
         let mut impulse = vec![0.0; length];
         if let Some(first) = impulse.first_mut() {
             *first = 1.0;
         }
-        all_pole(&self.a, impulse)
+        let response = all_pole(&self.a, impulse);
+        move |t, state| t.checked_sub(state).map_or(0.0, |t| response[t])
     }
 
     /// Value at `angle` radians a sample: 2π f T.

@@ -97,7 +97,7 @@ impl Modelled {
         excited_hz: (f64, f64),
     ) -> Self {
         let continuous = (role != Role::Full).then(|| continuous(&model, covariance.as_ref(), period_s)).flatten();
-        let bandwidths = bandwidths(role, &model, period_s, excited_hz);
+        let bandwidths = bandwidths_of(continuous.as_ref().map(|h| &h.model), &model, period_s, excited_hz);
         Self {
             role,
             title,
@@ -124,7 +124,16 @@ impl Modelled {
 /// Bandwidths of H(s) where there is one; of the full model, of its samples: its phase holds the hold's half period too.
 pub(super) fn bandwidths(role: Role, model: &Polynomials, period_s: f64, excited_hz: (f64, f64)) -> Vec<Bandwidth> {
     let continuous = (role != Role::Full).then(|| Continuous::of(model, period_s)).flatten();
-    let response = |f: f64| match &continuous {
+    bandwidths_of(continuous.as_ref(), model, period_s, excited_hz)
+}
+
+fn bandwidths_of(
+    continuous: Option<&Continuous>,
+    model: &Polynomials,
+    period_s: f64,
+    excited_hz: (f64, f64),
+) -> Vec<Bandwidth> {
+    let response = |f: f64| match continuous {
         Some(h) => h.response(f),
         None => model.response(angle(f, period_s)),
     };

@@ -131,11 +131,9 @@ fn open_start(segment: &Segment, model: &Polynomials) -> Option<DMatrix<f64>> {
     if segment.from_rest || segment.len() <= model.memory() || model.memory() == 0 {
         return None;
     }
-    let response = model.free_response(segment.len());
-    let shifted = |t: usize, state: usize| {
-        if segment.output[t].is_nan() { 0.0 } else { t.checked_sub(state).map_or(0.0, |t| response[t]) }
-    };
-    Some(DMatrix::from_fn(segment.len(), model.memory(), shifted).qr().q())
+    let at = model.free_responses(segment.len());
+    let known = |t: usize, state: usize| if segment.output[t].is_nan() { 0.0 } else { at(t, state) };
+    Some(DMatrix::from_fn(segment.len(), model.memory(), known).qr().q())
 }
 
 /// Takes the part of `signal` that lies in the columns of `open`; gives what was taken.

@@ -3,7 +3,7 @@
 use super::validate::rotation_of;
 use super::{Base, Camera, Catheter, Draft, Marker, RigError, View};
 use crate::optics::Surface;
-use crate::whole_file::NewFile;
+use crate::whole_file::{self, NewFile};
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use std::cmp::Ordering;
 use std::fmt::Write as _;
@@ -44,7 +44,7 @@ pub(super) fn save(rig: &Draft, path: &Path, backup: Option<&Path>) -> Result<()
     let new = NewFile::write(path, text.as_bytes()).map_err(fail(path))?;
     if let Some(backup) = backup.filter(|_| path.exists()) {
         let old = std::fs::read(path).map_err(|source| RigError::Read { file: path.to_path_buf(), source })?;
-        NewFile::write(backup, &old).and_then(NewFile::put_in_place).map_err(fail(backup))?;
+        whole_file::write(backup, &old).map_err(fail(backup))?;
     }
     new.put_in_place().map_err(fail(path))
 }

@@ -15,7 +15,7 @@ use catoptra::calibrate::start::BoardsPicture;
 use catoptra::calibrate::verdict::{Verdict, verdict};
 use catoptra::report::calibration::{self, CalibrationInfo};
 use catoptra::rig::Draft;
-use catoptra::whole_file::NewFile;
+use catoptra::whole_file;
 use nalgebra::DMatrix;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -158,8 +158,7 @@ pub(super) fn run(args: &RigArgs, print: impl Fn(&str) -> Result<(), Failure>) -
 
 fn save_page(page: &str, path: &Path) -> Result<(), Failure> {
     let _whole = interrupt::wait();
-    NewFile::write(path, page.as_bytes())
-        .and_then(NewFile::put_in_place)
+    whole_file::write(path, page.as_bytes())
         .map_err(|e| Failure::new(Exit::Failed, format!("the rig is written, {} cannot be: {e}", path.display())))
 }
 

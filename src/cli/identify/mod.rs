@@ -12,7 +12,7 @@ use catoptra::identify::reduce::{Removal, Target};
 use catoptra::identify::search::Criterion;
 use catoptra::identify::{IdentifyError, export};
 use catoptra::report::identification;
-use catoptra::whole_file::NewFile;
+use catoptra::whole_file;
 use clap::ValueEnum;
 use std::num::NonZeroUsize;
 use std::ops::RangeInclusive;
@@ -263,8 +263,7 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
 }
 
 fn put(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
-    NewFile::write(path, bytes)
-        .and_then(NewFile::put_in_place)
+    whole_file::write(path, bytes)
         .map_err(|e| Failure::new(Exit::Failed, format!("cannot write {}: {e}", path.display())))
 }
 

@@ -48,7 +48,12 @@ fn mm(m: f64) -> String {
 }
 
 /// A value with this many digits, a dash without one.
-fn or_dash(value: Option<f64>, digits: usize) -> String {
+fn plain(value: Option<f64>, digits: usize) -> String {
+    value.map_or_else(|| "–".to_owned(), |value| format!("{value:.digits$}"))
+}
+
+/// The same with its sign.
+fn with_sign(value: Option<f64>, digits: usize) -> String {
     value.map_or_else(|| "–".to_owned(), |value| signed(value, digits))
 }
 
@@ -86,8 +91,8 @@ fn cards(validation: &Validation) -> String {
     let mut cards = String::new();
     if let (Some(fastest), Some(slowest)) = (validation.runs.first(), validation.runs.last()) {
         let mut of = |name: &str, run: &Run| {
-            let magnitude = or_dash(run.magnitude.map(|m| m.db), 2);
-            let phase = or_dash(run.phase_deg, 1);
+            let magnitude = with_sign(run.magnitude.map(|m| m.db), 2);
+            let phase = with_sign(run.phase_deg, 1);
             let words = format!("{magnitude} dB, {phase}° at {} Hz", short(run.frequency_hz));
             cards += &card(&format!("{name}, {}", pause(run)), &mm(run.alignment.rms_m), &words, false);
         };
@@ -118,10 +123,8 @@ fn errors(validation: &Validation) -> String {
                 format!("{:.3}", row.rms_unaligned_mm),
                 format!("{:.1}", row.rotation_deg),
                 format!("{:.2}", row.offset_x_mm.hypot(row.offset_y_mm).hypot(row.offset_z_mm)),
-                [row.gain_x, row.gain_y, row.gain_z]
-                    .map(|g| g.map_or("–".to_owned(), |g| format!("{g:.3}")))
-                    .join(", "),
-                row.tangent_rms_deg.map_or_else(|| "–".to_owned(), |deg| format!("{deg:.2}")),
+                [row.gain_x, row.gain_y, row.gain_z].map(|g| plain(g, 3)).join(", "),
+                plain(row.tangent_rms_deg, 2),
             ]
         })
         .collect();
@@ -170,13 +173,13 @@ fn response(validation: &Validation) -> String {
             vec![
                 pause(run),
                 short(row.frequency_hz),
-                or_dash(row.magnitude_db, 3),
-                or_dash(row.phase_deg, 2),
-                row.lag_ms.map_or_else(|| "–".to_owned(), |ms| signed(ms, 1)),
-                row.correlation.map_or_else(|| "–".to_owned(), |r| format!("{r:.4}")),
-                row.observed_size_mm.map_or_else(|| "–".to_owned(), |mm| format!("{mm:.3}")),
-                row.circle_rms_mm.map_or_else(|| "–".to_owned(), |mm| format!("{mm:.3}")),
-                row.plane_rms_mm.map_or_else(|| "–".to_owned(), |mm| format!("{mm:.3}")),
+                with_sign(row.magnitude_db, 3),
+                with_sign(row.phase_deg, 2),
+                with_sign(row.lag_ms, 1),
+                plain(row.correlation, 4),
+                plain(row.observed_size_mm, 3),
+                plain(row.circle_rms_mm, 3),
+                plain(row.plane_rms_mm, 3),
             ]
         })
         .collect();
@@ -252,8 +255,8 @@ fn frames(validation: &Validation) -> String {
                 row.frames.to_string(),
                 format!("{} + {}", row.frames_missed, row.frames_lost),
                 format!("{} of {}", row.points_left_out, row.points),
-                row.scatter_mm.map_or_else(|| "–".to_owned(), |mm| format!("{mm:.3}")),
-                row.sd_mm.map_or_else(|| "–".to_owned(), |mm| format!("{mm:.3}")),
+                plain(row.scatter_mm, 3),
+                plain(row.sd_mm, 3),
             ]
         })
         .collect();
