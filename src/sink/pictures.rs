@@ -14,6 +14,7 @@ use super::encode::would_block;
 use super::{Sink, SinkError};
 use crate::estimate::Estimate;
 use crate::source::{ChromaSiting, Colour, Matrix, ORIGIN_TAG, Picture, PixelFormat, Plane, Range, Transfer};
+use crate::tally::Tally;
 use ffmpeg_the_third as av;
 use ffmpeg_the_third::format::Pixel;
 use std::ffi::OsString;
@@ -155,7 +156,7 @@ impl Sink for PictureVideo {
         self.add(picture, estimate.stamp.ns)
     }
 
-    fn finish(&mut self) -> Result<(), SinkError> {
+    fn finish(&mut self, _: &Tally) -> Result<(), SinkError> {
         // A run without a picture has an empty file.
         let Some(mut running) = self.running.take() else { return Ok(()) };
         let failed = failed(&self.path);

@@ -9,9 +9,9 @@
 //! tracked without what was before.
 
 use super::SinkError;
-use super::messages::{PictureWindow, PictureWindows};
-use super::topics::WINDOWS;
 use crate::estimate::Estimate;
+use crate::log::schema::messages::{PictureWindow, PictureWindows};
+use crate::log::schema::{Topic, WINDOW_FORMAT};
 use crate::source::{Picture, PixelFormat, Plane, Window};
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder as _, ImageError};
@@ -23,10 +23,7 @@ const MARGIN_PX: u32 = 4;
 /// Camera time from one picture that is kept whole to the next.
 const WHOLE_EVERY_NS: u64 = 10_000_000_000;
 
-/// Name of the compression.
-pub(crate) const PNG: &str = "png";
-
-/// Pictures kept and pictures lost in a run: written by who records, read by who tells.
+/// Pictures recorded and pictures lost in a run: counted by the recorder, read by the log and the status line.
 #[derive(Debug, Default)]
 pub struct PictureCount {
     recorded: AtomicU64,
@@ -55,12 +52,12 @@ impl PictureCount {
 
 /// Decides what is kept of each picture.
 #[derive(Debug, Default)]
-pub(crate) struct Keeper {
+pub(crate) struct WindowRecorder {
     /// Camera time of the last picture that was kept whole; none, when the next one has to be.
     whole_ns: Option<i64>,
 }
 
-impl Keeper {
+impl WindowRecorder {
     /// A picture was not kept: the tracker remembers a frame that is not in the log.
     pub(crate) fn lost_one(&mut self) {
         self.whole_ns = None;
@@ -118,7 +115,7 @@ fn cut(estimate: &Estimate, picture: &Picture, whole: bool) -> Result<PictureWin
 
 /// The samples of a plane that stand for the pixels of a window.
 fn part(plane: &Plane<'_>, index: u32, window: &Window) -> Result<PictureWindow, SinkError> {
-    let refused = |reason: String| SinkError::Encode { topic: WINDOWS, reason };
+    let refused = |reason: String| SinkError::Encode { topic: Topic::Windows.name(), reason };
     let [sx, sy] = plane.scale;
     let (x, y) = (window.x0 / sx, window.y0 / sy);
     let (x1, y1) = (window.x1.div_ceil(sx), window.y1.div_ceil(sy));
@@ -133,5 +130,5 @@ fn part(plane: &Plane<'_>, index: u32, window: &Window) -> Result<PictureWindow,
     PngEncoder::new_with_quality(&mut data, CompressionType::Fast, FilterType::Paeth)
         .write_image(&samples, width, height, ExtendedColorType::L8)
         .map_err(|e: ImageError| refused(e.to_string()))?;
-    Ok(PictureWindow { plane: index, x, y, width, height, format: PNG.to_owned(), data: data.into() })
+    Ok(PictureWindow { plane: index, x, y, width, height, format: WINDOW_FORMAT.to_owned(), data: data.into() })
 }

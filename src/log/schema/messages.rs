@@ -1,4 +1,5 @@
-//! The project's own messages, `catoptra.Estimate`, `catoptra.Deflection` and `catoptra.Health` in Protobuf.
+//! The project's own messages in Protobuf, of the package `catoptra`: `Estimate`, `Deflection`, `Health`, `Current` and
+//! `PictureWindows`.
 //!
 //! The schema is made from the Rust types and travels in every log: read messages by field name. Field numbers are the
 //! order of the fields and may differ between versions of the program. Places and directions are Foxglove's types

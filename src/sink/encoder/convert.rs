@@ -1,6 +1,6 @@
-//! From what the tracker says to what the log says: frames of reference, names and words.
+//! From estimates to messages: frames of reference, names and words.
 
-use super::messages::{Angles, Band, Deflection, DriftAlarm, Estimate, Marker, Position, Status, Tangent, View};
+use crate::log::schema::messages::{Angles, Band, Deflection, DriftAlarm, Estimate, Marker, Position, Status, Tangent, View};
 use crate::estimate::{self, Miss};
 use crate::rig::Rig;
 use crate::track::{self, Drifted};
