@@ -106,7 +106,7 @@ impl Files {
     fn outputs(&self, to: RecordTo, keep_free_bytes: u64, more: &Rows) -> Outputs {
         let log = McapSink::create(&self.path("log.mcap"), &rig(), "", "").unwrap();
         let files: Vec<Box<dyn Sink + Send>> = vec![
-            Box::new(log.telling_of_pictures("windows", Arc::clone(&self.count))),
+            Box::new(log.with_pictures("windows", Arc::clone(&self.count))),
             Box::new(CsvSink::create(&self.path("live.csv"), &rig(), OutputFrame::Base).unwrap()),
             Box::new(more.clone()),
         ];

@@ -12,7 +12,7 @@ mod encode;
 
 use std::path::Path;
 
-use catoptra::source::{self, Clock, Frame, FrameSource, SourceOptions, Span, Tally, VideoFile, VideoOptions};
+use catoptra::source::{self, Clock, Frame, FrameSource, SourceOptions, Span, StreamFaults, VideoFile, VideoOptions};
 use encode::{Recording, Written, write};
 
 fn read(path: &Path, options: VideoOptions) -> Vec<Frame> {
@@ -25,7 +25,7 @@ fn read(path: &Path, options: VideoOptions) -> Vec<Frame> {
     }
     assert!(source.next_frame().unwrap().is_none());
     let guessed_stamps = if path.extension().unwrap() == "avi" { frames.len() as u64 } else { 0 };
-    assert_eq!(source.tally(), Tally { guessed_stamps, ..Tally::default() });
+    assert_eq!(source.faults(), StreamFaults { guessed_stamps, ..StreamFaults::default() });
     frames
 }
 

@@ -96,7 +96,7 @@ Example:
 }
 
 /// Runs the program.
-pub(crate) fn run() -> ExitCode {
+pub fn run() -> ExitCode {
     let cli = Cli::parse();
     log_to_stderr(cli.verbose, cli.quiet);
     let result = match &cli.command {
@@ -112,7 +112,7 @@ pub(crate) fn run() -> ExitCode {
     match result {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => {
-            // Nothing can be told when stderr is gone; the exit code still can.
+            // Without stderr there is still the exit code.
             let _ = write!(std::io::stderr().lock(), "{failure}");
             failure.exit().into()
         }

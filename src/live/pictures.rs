@@ -67,7 +67,8 @@ impl Pictures {
         let thread = Builder::new().name("pictures".to_owned()).spawn(move || {
             run_as(Urgency::Pictures);
             let backlog = log.backlog();
-            Recorder { recording, log, backlog, windows: WindowRecorder::default(), looked: None, stopped: false }.run(&taken)
+            Recorder { recording, log, backlog, windows: WindowRecorder::default(), looked: None, stopped: false }
+                .run(&taken)
         })?;
         Ok((Self { line, count, lost: false }, thread))
     }

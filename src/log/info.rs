@@ -1,8 +1,8 @@
 //! What is in a log: frames, gaps, clocks, what is missing and why.
 
 use super::LogError;
-use super::fields::{number, text};
 use super::decoder::MessageDecoder;
+use super::fields::{number, text};
 use super::records::{self, Extent};
 use super::schema::Topic;
 use mcap::records::Record;

@@ -6,15 +6,14 @@ use super::course::{Channel, Course};
 use super::figures;
 use super::page::{self, bad, escape, facts_table, figure, page, plural, signed, table, with_code};
 use crate::sink::spoken;
-use crate::tally::{AlarmInWords, MissCount, Tally};
-use crate::track::Drifted;
+use crate::tally::{AlarmInWords, Drifted, MissCount, Tally};
 use std::collections::BTreeSet;
 
 /// The whole page.
 pub(super) fn render(info: &RunInfo, course: &Course, tally: &Tally) -> String {
     let any = tally.frames > 0;
     // The answer comes first, then what is missing, then how far to trust it, then where it came from.
-    let mut body = header(info, course, tally);
+    let mut body = header(info, tally);
     body += &key_figures(course, tally);
     if any && course.has_base() {
         body += &deflection(course);
@@ -36,7 +35,7 @@ pub(super) fn render(info: &RunInfo, course: &Course, tally: &Tally) -> String {
     page(&format!("Tracking of {}", info.source), &body)
 }
 
-fn header(info: &RunInfo, course: &Course, tally: &Tally) -> String {
+fn header(info: &RunInfo, tally: &Tally) -> String {
     let verdict = if tally.frames == 0 {
         "The source gave no frame.".to_owned()
     } else {

@@ -2,8 +2,8 @@
 
 use super::{Current, Frame, Place, Recording, SeriesError};
 use crate::log::LogError;
-use crate::log::fields::{float, inner, number, optional_number, text, xyz};
 use crate::log::decoder::MessageDecoder;
+use crate::log::fields::{float, inner, number, optional_number, text, xyz};
 use crate::log::records::{self, Extent};
 use crate::log::schema::Topic;
 use crate::sink::OutputFrame;

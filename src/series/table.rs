@@ -112,7 +112,8 @@ fn all_of(sheet: &Sheet, names: [&str; 3]) -> Result<Option<[usize; 3]>, SeriesE
 fn markers(sheet: &Sheet) -> Result<Vec<Marker>, SeriesError> {
     let mut markers = Vec::new();
     for column in sheet.header.iter().flatten() {
-        let Some(prefix) = column.strip_suffix(columns::PLACE_MM[0]).filter(|prefix| prefix.is_empty() || prefix.ends_with('_'))
+        let Some(prefix) =
+            column.strip_suffix(columns::PLACE_MM[0]).filter(|prefix| prefix.is_empty() || prefix.ends_with('_'))
         else {
             continue;
         };

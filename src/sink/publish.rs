@@ -67,7 +67,15 @@ impl PublishSink {
             .start_blocking()
             .map_err(refused)?;
         let address = SocketAddr::new(address.ip(), server.port());
-        Ok(Self { server: Some(server), address, _context: context, board, encoder: MessageEncoder::new(rig), begun: false, last_ns: 1 })
+        Ok(Self {
+            server: Some(server),
+            address,
+            _context: context,
+            board,
+            encoder: MessageEncoder::new(rig),
+            begun: false,
+            last_ns: 1,
+        })
     }
 
     /// Where it listens: with the port that the system gave, if port 0 was asked for.

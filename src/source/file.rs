@@ -22,7 +22,7 @@ use super::extent::Extent;
 use super::gaps::plausible_period_ns;
 use super::stamps::StampWatch;
 use super::times::{seconds, ticks_to_ns};
-use super::{Clock, Frame, FrameSource, SourceError, Span, Tally, Timestamp};
+use super::{Clock, Frame, FrameSource, SourceError, Span, StreamFaults, Timestamp};
 
 /// How a recording is read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -63,10 +63,10 @@ pub struct VideoFile {
     frame_count_hint: Option<u64>,
     /// A frame decoded while looking for the start of the span.
     ahead: Option<av::frame::Video>,
-    state: State,
+    phase: Phase,
     /// Why the recording is known to end early.
     ends_early: Option<String>,
-    tally: Tally,
+    faults: StreamFaults,
     seq: u64,
     /// Live: when the latest packets were read, by their presentation time; and that of the last frame handed on.
     read_at: VecDeque<(i64, Instant)>,
@@ -79,7 +79,7 @@ pub struct VideoFile {
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum State {
+enum Phase {
     Reading,
     /// No more packets: the decoder hands out what it holds.
     Draining,
@@ -97,7 +97,7 @@ const UNREADABLE: u32 = 1000;
 
 impl std::fmt::Debug for VideoFile {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "VideoFile({}, {:?} px, {:?})", self.path.display(), self.size_px, self.state)
+        write!(f, "VideoFile({}, {:?} px, {:?})", self.path.display(), self.size_px, self.phase)
     }
 }
 
@@ -175,9 +175,9 @@ impl VideoFile {
             span: options.span,
             frame_count_hint: hint,
             ahead: None,
-            state: State::Reading,
+            phase: Phase::Reading,
             ends_early: None,
-            tally: Tally::default(),
+            faults: StreamFaults::default(),
             seq: 0,
             read_at: VecDeque::new(),
             arrival: None,
@@ -204,7 +204,7 @@ impl VideoFile {
             self.decoder.flush();
             self.ahead = None;
             self.damage = DamageLog::default();
-            self.state = State::Reading;
+            self.phase = Phase::Reading;
             if let Some(frame) = self.decode() {
                 let starts_ns = self.stamp(&frame)?.ns;
                 self.ahead = Some(frame);
@@ -217,7 +217,7 @@ impl VideoFile {
         self.input = open_input(&self.path)?;
         let stream = best_video(&self.path, &self.input)?;
         self.decoder = open_decoder(&self.path, &stream, threads, false)?;
-        (self.damage, self.ahead, self.state) = (DamageLog::default(), None, State::Reading);
+        (self.damage, self.ahead, self.phase) = (DamageLog::default(), None, Phase::Reading);
         Ok(())
     }
 
@@ -231,7 +231,7 @@ impl VideoFile {
             match self.decoder.receive_frame(&mut frame) {
                 Ok(()) => return Some(frame),
                 Err(av::Error::Eof) => return None,
-                Err(av::Error::Other { .. }) if self.state == State::Reading => self.feed(),
+                Err(av::Error::Other { .. }) if self.phase == Phase::Reading => self.feed(),
                 // Draining, a decoder that wants more input has nothing more to give.
                 Err(av::Error::Other { .. }) => return None,
                 Err(error) => self.damaged_packet(error, true),
@@ -252,8 +252,8 @@ impl VideoFile {
     }
 
     fn leave_out(&mut self, stamp: Timestamp) {
-        self.tally.pictures_left_out += 1;
-        if self.tally.pictures_left_out == 1 && self.ends_early.is_none() {
+        self.faults.pictures_left_out += 1;
+        if self.faults.pictures_left_out == 1 && self.ends_early.is_none() {
             tracing::warn!(
                 "{}: the picture at {} s is damaged and left out, as are those built on it; more are counted",
                 self.path.display(),
@@ -299,7 +299,7 @@ impl VideoFile {
             }
             // What fails here shows as a decoder without frames.
             let _ = self.decoder.send_eof();
-            self.state = State::Draining;
+            self.phase = Phase::Draining;
             return;
         }
     }
@@ -319,9 +319,9 @@ impl VideoFile {
     fn damaged_packet(&mut self, error: av::Error, by_decoder: bool) {
         let threads = if by_decoder { self.decoder.threading().count as u64 } else { 1 };
         self.damage.packet_is_damaged(threads.saturating_sub(1));
-        self.tally.damaged_packets += 1;
+        self.faults.damaged_packets += 1;
         // At a cut the last packet is expected to be broken, and the end is reported.
-        if self.tally.damaged_packets == 1 && self.ends_early.is_none() {
+        if self.faults.damaged_packets == 1 && self.ends_early.is_none() {
             tracing::warn!(
                 "{}: a damaged packet after {} is left out ({error}); more are counted",
                 self.path.display(),
@@ -340,8 +340,8 @@ impl VideoFile {
         let ticks = match (frame.pts(), frame.timestamp()) {
             (Some(pts), _) => pts,
             (None, Some(guess)) => {
-                self.tally.guessed_stamps += 1;
-                if self.tally.guessed_stamps == 1 {
+                self.faults.guessed_stamps += 1;
+                if self.faults.guessed_stamps == 1 {
                     tracing::warn!(
                         "{}: frames after {} have no presentation time; libav's best estimate is taken",
                         self.path.display(),
@@ -361,8 +361,8 @@ impl VideoFile {
 
     /// The stream has ended: whole, early, or with nothing in it.
     fn end(&mut self) -> Result<Option<Frame>, SourceError> {
-        self.state = State::Ended;
-        self.tally.report(&self.path);
+        self.phase = Phase::Ended;
+        self.faults.report(&self.path);
         let path = self.path.clone();
         if let Some(why) = self.ends_early.take() {
             let last_good_s = self.last_good_ns.map(seconds);
@@ -384,7 +384,7 @@ impl FrameSource for VideoFile {
     fn next_frame(&mut self) -> Result<Option<Frame>, SourceError> {
         let next = self.next_sound();
         if next.is_err() {
-            self.state = State::Ended;
+            self.phase = Phase::Ended;
         }
         next
     }
@@ -397,15 +397,15 @@ impl FrameSource for VideoFile {
         self.frame_count_hint
     }
 
-    fn tally(&self) -> Tally {
-        self.tally
+    fn faults(&self) -> StreamFaults {
+        self.faults
     }
 }
 
 impl VideoFile {
     /// The next frame of the span that is not damaged.
     fn next_sound(&mut self) -> Result<Option<Frame>, SourceError> {
-        while self.state != State::Ended {
+        while self.phase != Phase::Ended {
             let Some((decoded, number)) = self.next_held() else {
                 return self.end();
             };
@@ -419,7 +419,7 @@ impl VideoFile {
                 self.after_ns = Some(stamp.ns);
                 return self.end();
             }
-            self.missing = self.missing.saturating_add(self.stamps.gap(stamp.ns, self.seq, &mut self.tally));
+            self.missing = self.missing.saturating_add(self.stamps.gap(stamp.ns, self.seq, &mut self.faults));
             if !self.damage.is_sound(number, decoded.pts().or(decoded.timestamp())) {
                 self.missing = self.missing.saturating_add(1);
                 self.leave_out(stamp);

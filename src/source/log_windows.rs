@@ -11,8 +11,8 @@ use super::{
     ChromaSiting, Clock, Colour, Frame, FrameSource, HostTime, Matrix, Picture, PixelFormat, Range, SourceError, Span,
     Timestamp, Transfer, Window,
 };
-use crate::log::fields::{number, text};
 use crate::log::decoder::MessageDecoder;
+use crate::log::fields::{number, text};
 use crate::log::records::{Extent, Records};
 use crate::log::schema::{Topic, WINDOW_FORMAT};
 use image::{ImageFormat, ImageReader};

@@ -104,14 +104,14 @@ pub trait FrameSource {
     fn frame_count_hint(&self) -> Option<u64>;
 
     /// What has been wrong with the stream so far.
-    fn tally(&self) -> Tally {
-        Tally::default()
+    fn faults(&self) -> StreamFaults {
+        StreamFaults::default()
     }
 }
 
 /// Counts of what is wrong with a stream but does not end it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Tally {
+pub struct StreamFaults {
     /// Packets that could not be read or decoded.
     pub damaged_packets: u64,
     /// Pictures left out because they are damaged or built on damaged ones.
@@ -126,7 +126,7 @@ pub struct Tally {
     pub interruptions: u64,
 }
 
-impl Tally {
+impl StreamFaults {
     /// Adds the counts of another part of the stream.
     fn add(&mut self, other: Self) {
         self.damaged_packets += other.damaged_packets;

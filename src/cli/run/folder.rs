@@ -6,7 +6,7 @@
 //! run is refused before any work.
 
 use super::super::{Exit, Failure};
-use super::Record;
+use super::options::Record;
 use serde::{Deserialize, Serialize};
 use std::ffi::OsStr;
 use std::fs;

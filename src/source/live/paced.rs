@@ -4,7 +4,7 @@
 //! this source drops nothing.
 
 use super::super::host::{ClockFit, HostClock};
-use super::super::{Frame, FrameSource, SourceError, Tally};
+use super::super::{Frame, FrameSource, SourceError, StreamFaults};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -64,7 +64,7 @@ impl FrameSource for Paced {
         self.recording.frame_count_hint()
     }
 
-    fn tally(&self) -> Tally {
-        self.recording.tally()
+    fn faults(&self) -> StreamFaults {
+        self.recording.faults()
     }
 }

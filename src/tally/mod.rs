@@ -5,9 +5,12 @@
 //! report and `/health` are views of it. Counts and ranges are exact; medians need 4 bytes a frame and quantity, so that an
 //! hour at 60 Hz with three markers takes 4 MB. [`Totals`] are the counts alone, small enough to be handed on every second.
 
+mod drift;
+
+pub use drift::{Drift, DriftAlarm, Drifted};
+
 use crate::estimate::{Estimate, Miss};
 use crate::rig::Rig;
-use crate::track::{Drift, DriftAlarm};
 
 /// Camera time from one report of the totals to the next.
 const REPORT_EVERY_NS: u64 = 1_000_000_000;
