@@ -2,12 +2,14 @@
 //!
 //! In: a source, a tracker, sinks. Out: every frame of the source in every sink, in order, and a [`Summary`].
 //!
-//! - Frames are decoded ahead of the tracker and written behind it; the channels between them are short, so that a fixed
-//!   number of pictures is in memory however long the run ([`MOST_PICTURES`]). Who is faster waits: nothing is dropped.
+//! - Frames are decoded ahead of the tracker and written behind it; the channels between them are short, so that a
+//!   fixed number of pictures is in memory however long the run ([`MOST_PICTURES`]). Who is faster waits: nothing is
+//!   dropped.
 //! - Results depend on the frames alone: not on the number of threads, nor on who waits for whom.
-//! - However a run ends, all sinks have the same frames and are finished; only a sink that failed itself may have fewer.
-//! - What it cannot do: wake up a source that waits for a camera. An interrupt is seen when the next frame arrives, or when
-//!   the source gives up.
+//! - However a run ends, all sinks have the same frames and are finished; only a sink that failed itself may have
+//!   fewer.
+//! - What it cannot do: wake up a source that waits for a camera. An interrupt is seen when the next frame arrives, or
+//!   when the source gives up.
 
 use crate::estimate::Estimate;
 use crate::sink::{Sink, SinkError};
@@ -23,8 +25,8 @@ use std::time::{Duration, Instant};
 /// Frames that may wait between two threads.
 const WAITING: usize = 4;
 
-/// Pictures in memory at most, beside those that the decoder itself keeps: two channels full, and one frame in the hands of
-/// each of the three threads.
+/// Pictures in memory at most, beside those that the decoder itself keeps: two channels full, and one frame in the
+/// hands of each of the three threads.
 pub const MOST_PICTURES: usize = 2 * WAITING + 3;
 
 /// What a run came to.
@@ -68,8 +70,9 @@ pub enum End {
 
 /// Tracks `source` to its end, or until `interrupt` is set (which is looked at before every frame).
 ///
-/// `progress` is called in the caller's thread after every frame. Fits run in parallel in the [`rayon`] pool of the caller.
-/// Troubles of source, tracker and sinks are in the [`Summary`]: what was tracked before them is written and stays valid.
+/// `progress` is called in the caller's thread after every frame. Fits run in parallel in the [`rayon`] pool of the
+/// caller. Troubles of source, tracker and sinks are in the [`Summary`]: what was tracked before them is written and
+/// stays valid.
 ///
 /// # Errors
 /// When the system gives no thread; nothing is tracked then.
@@ -112,7 +115,8 @@ pub fn run(
             progress(&tally);
         };
 
-        // Without a receiver the source stops at its next frame; without a sender the sinks write what waits and finish.
+        // Without a receiver the source stops at its next frame; without a sender the sinks write what waits and
+        // finish.
         drop((frames, result_in));
         let (source, source_end) = joined(reader);
         let (sinks, mut sink_failures) = joined(writer);

@@ -36,7 +36,7 @@ impl Sink for Rows {
         Ok(())
     }
 
-    fn finish(&mut self) -> Result<(), SinkError> {
+    fn finish(&mut self, _: &catoptra::tally::Tally) -> Result<(), SinkError> {
         Ok(())
     }
 }
@@ -249,7 +249,7 @@ impl Sink for Video {
         Ok(())
     }
 
-    fn finish(&mut self) -> Result<(), SinkError> {
+    fn finish(&mut self, _: &catoptra::tally::Tally) -> Result<(), SinkError> {
         self.seen.lock().unwrap().1 = true;
         Ok(())
     }

@@ -10,11 +10,12 @@
 //! | `currents`, `currents in` | take coil currents to the log | samples |
 //! | the caller's | watches, tells once a second how it goes | the clock |
 //!
-//! Frames are tracked by the same [`Tracker`] as recordings: the same pictures give the same rows. Between camera and tracker
-//! few pictures wait; a tracker that falls behind goes to the newest frame, and those passed over keep their rows
-//! (`skipped_overload`). A frame of another size than the rig's has its row too (`wrong_size`). Nothing that writes or
-//! publishes can hold up the tracker: its lines are bounded, what does not fit is counted, and a sink that fails is told at
-//! once while everything else goes on. Where the system allows, camera and tracker run before all else, and pictures behind.
+//! Frames are tracked by the same [`Tracker`] as recordings: the same pictures give the same rows. Between camera and
+//! tracker few pictures wait; a tracker that falls behind goes to the newest frame, and those passed over keep their
+//! rows (`skipped_overload`). A frame of another size than the rig's has its row too (`wrong_size`). Nothing that
+//! writes or publishes can hold up the tracker: its lines are bounded, what does not fit is counted, and a sink that
+//! fails is told at once while everything else goes on. Where the system allows, camera and tracker run before all
+//! else, and pictures behind.
 
 mod currents;
 mod pictures;

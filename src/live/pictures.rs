@@ -1,8 +1,8 @@
 //! The thread that records pictures: the first to give way when anything is short.
 //!
-//! Few pictures wait for it; what does not fit is dropped and counted, and no estimate ever waits. Windows go into the log, but
-//! only while the log's own line is short. When the disk has less free space than is to be kept for the log, or the video
-//! cannot be written, no more pictures are recorded, which is told once; the estimates go on.
+//! Few pictures wait for it; what does not fit is dropped and counted, and no estimate ever waits. Windows go into the
+//! log, but only while the log's own line is short. When the disk has less free space than is to be kept for the log,
+//! or the video cannot be written, no more pictures are recorded, which is told once; the estimates go on.
 
 use super::priority::{Urgency, run_as};
 use super::writer::{Backlog, Entry, Log};

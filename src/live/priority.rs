@@ -1,7 +1,7 @@
 //! Which thread goes first when the processor is busy.
 
-/// How far this thread goes before others, or behind them, as the system counts it ("nice"), where it lets us: a frame that is not
-/// taken in time is lost, θ that is late is of no use, and a picture that is not recorded is neither.
+/// How far this thread goes before others, or behind them, as the system counts it ("nice"), where it lets us: a frame
+/// that is not taken in time is lost, θ that is late is of no use, and a picture that is not recorded is neither.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Urgency {
     Camera,

@@ -14,8 +14,8 @@ use std::time::{Duration, Instant};
 pub const MOST_WAITING: usize = 16;
 /// So many may wait however long: a decoder hands on in bursts.
 const FEW: usize = 3;
-/// More may wait as long as the oldest is no older than this: a fast camera's frames are caught up with before they are of no use. Then
-/// the tracker goes to the newest.
+/// More may wait as long as the oldest is no older than this: a fast camera's frames are caught up with before they are
+/// of no use. Then the tracker goes to the newest.
 const LATEST: Duration = Duration::from_millis(50);
 
 /// The line between camera and tracker.

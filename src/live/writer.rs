@@ -1,7 +1,7 @@
 //! The thread that writes the log, the table and the report, behind a line of its own that publishers have no part in.
 //!
-//! The line holds rows without pictures, minutes of them. That it grows is told long before it is full; when it is, rows
-//! are lost to the files (never to publishers) and counted. A sink that fails is told at once; the others go on.
+//! The line holds rows without pictures, minutes of them. That it grows is told long before it is full; when it is,
+//! rows are lost to the files (never to publishers) and counted. A sink that fails is told at once; the others go on.
 
 use crate::estimate::Estimate;
 use crate::log::schema::messages::PictureWindows;

@@ -14,12 +14,13 @@
 //! | `tan_sd_deg` | its standard deviation, on average over the two directions across |
 //! | `gap` | camera frames lost before this one |
 //!
-//! The five columns of a marker are repeated for every marker of the rig, in its order. Positions and the tangent are in
-//! the [`OutputFrame`] asked for; θ, polar and azimuth always are in the base frame. What is not known is an empty cell.
-//! mm are given to 1e-6, degrees to 1e-6, the unit vector to 1e-7: below what the numbers mean, above what would be lost.
+//! The five columns of a marker are repeated for every marker of the rig, in its order. Positions and the tangent are
+//! in the [`OutputFrame`] asked for; θ, polar and azimuth always are in the base frame. What is not known is an empty
+//! cell. mm are given to 1e-6, degrees to 1e-6, the unit vector to 1e-7: below what the numbers mean, above what would
+//! be lost.
 //!
-//! Every row is handed to the system before the next frame is looked at: a killed run keeps all rows written. When the disk
-//! is full the table ends with its last complete row.
+//! Every row is handed to the system before the next frame is looked at: a killed run keeps all rows written. When the
+//! disk is full the table ends with its last complete row.
 
 use super::{OutputFrame, Sink, SinkError, same_error, settle};
 use crate::estimate::{Estimate, MarkerEstimate};

@@ -1,7 +1,7 @@
 //! A video file of drawings: H.264 in MP4 through libav, every frame at its camera time.
 //!
-//! Times are rounded to whole microseconds (1/60 000 s with the MPEG-4 part 2 encoder, which cannot count finer): at most
-//! 0.5 µs (8.4 µs) from the stamp given, never accumulating. Frame intervals may vary; a gap stays a gap.
+//! Times are rounded to whole microseconds (1/60 000 s with the MPEG-4 part 2 encoder, which cannot count finer): at
+//! most 0.5 µs (8.4 µs) from the stamp given, never accumulating. Frame intervals may vary; a gap stays a gap.
 
 use super::SinkError;
 use super::clock::Origin;

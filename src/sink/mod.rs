@@ -1,5 +1,5 @@
-//! Where estimates go. A [`Sink`] takes the estimates of a run one by one: it writes a file, sends datagrams or serves subscribers.
-//! However a run ends, what was written before stays readable.
+//! Where estimates go. A [`Sink`] takes the estimates of a run one by one: it writes a file, sends datagrams or serves
+//! subscribers. However a run ends, what was written before stays readable.
 //!
 //! - [`McapSink`]: the log, everything there is, for Foxglove and for programs.
 //! - [`PublishSink`]: the topics of the log to live subscribers; [`UdpSink`]: θ to controllers.
@@ -65,7 +65,8 @@ pub trait Sink {
         Ok(())
     }
 
-    /// Writes what was kept of a picture, some frames after its estimate; only the log has a place for it. Whether this sink has.
+    /// Writes what was kept of a picture, some frames after its estimate; only the log has a place for it. Whether this
+    /// sink has.
     ///
     /// # Errors
     /// As [`Sink::write`].
@@ -215,7 +216,8 @@ impl SinkError {
     }
 }
 
-/// Waits until a finished file is on the disk: some file systems report a lost disk only here. Pipes and devices cannot.
+/// Waits until a finished file is on the disk: some file systems report a lost disk only here. Pipes and devices
+/// cannot.
 fn settle(file: &File) -> io::Result<()> {
     if file.metadata()?.is_file() { file.sync_all() } else { Ok(()) }
 }

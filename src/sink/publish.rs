@@ -1,8 +1,8 @@
 //! [`PublishSink`]: the topics of the log over a WebSocket, for Foxglove and for programs (protocol `foxglove.sdk.v1`).
 //!
-//! Who joins late gets at once what was said last on every topic it subscribes to: the rig, and the last frame. Every client
-//! has a line of its own; one that does not read loses its oldest messages there, and costs nobody else anything.
-//! Message times are the host's, as in the log.
+//! Who joins late gets at once what was said last on every topic it subscribes to: the rig, and the last frame. Every
+//! client has a line of its own; one that does not read loses its oldest messages there, and costs nobody else
+//! anything. Message times are the host's, as in the log.
 
 use super::encoder::{Message, MessageEncoder, file_time_ns};
 use super::{Sink, SinkError};

@@ -1,12 +1,12 @@
 //! What is kept of a picture with `--record windows`: the parts that the tracker looked at, without loss.
 //!
-//! In: a [`Picture`] that was tracked. Out: a [`PictureWindows`] message. Each channel is cut as the decoder stored it, and
-//! nothing is converted, so that the same numbers come out when it is tracked again. Each rectangle is a grey PNG: it was chosen
-//! for being read everywhere and because its library is here already. On the sample, decoded from H.264, its fast mode takes
-//! 0.26 ms a frame and makes 87 kB to 23 kB; the best that zlib can do is 20 kB, in 4 ms.
+//! In: a [`Picture`] that was tracked. Out: a [`PictureWindows`] message. Each channel is cut as the decoder stored it,
+//! and nothing is converted, so that the same numbers come out when it is tracked again. Each rectangle is a grey PNG:
+//! it was chosen for being read everywhere and because its library is here already. On the sample, decoded from H.264,
+//! its fast mode takes 0.26 ms a frame and makes 87 kB to 23 kB; the best that zlib can do is 20 kB, in 4 ms.
 //!
-//! Now and then a picture is kept whole ([`WHOLE_EVERY_NS`]), and after one that could not be kept: from there on the log can be
-//! tracked without what was before.
+//! Now and then a picture is kept whole ([`WHOLE_EVERY_NS`]), and after one that could not be kept: from there on the
+//! log can be tracked without what was before.
 
 use super::SinkError;
 use crate::estimate::Estimate;
@@ -36,7 +36,8 @@ impl PictureCount {
         self.recorded.load(Ordering::Relaxed)
     }
 
-    /// Pictures that were tracked, and not recorded because the recorder or the disk were not fast enough, or the disk full.
+    /// Pictures that were tracked, and not recorded because the recorder or the disk were not fast enough, or the disk
+    /// full.
     pub fn dropped(&self) -> u64 {
         self.dropped.load(Ordering::Relaxed)
     }

@@ -1,9 +1,9 @@
 //! Recorded video through libav.
 //!
-//! In: a file in any container that libav reads. Out: every frame that can be decoded, in the order of presentation, as the
-//! decoder stored it (no copy, no colour conversion), with the container's own time stamp to the nanosecond: the
-//! presentation time stamp times the stream's time base, never frame number ÷ rate. A rotation the container asks for is
-//! not done: calibration holds for the sensor's own rows and columns.
+//! In: a file in any container that libav reads. Out: every frame that can be decoded, in the order of presentation, as
+//! the decoder stored it (no copy, no colour conversion), with the container's own time stamp to the nanosecond: the
+//! presentation time stamp times the stream's time base, never frame number ÷ rate. A rotation the container asks for
+//! is not done: calibration holds for the sensor's own rows and columns.
 //!
 //! A stamp that is not later than those before is handed on as it is and named in a warning. Damaged pictures are left
 //! out (see `damage`), counted in the gap of the next frame and named. A recording that ends early gives all its
@@ -27,8 +27,8 @@ use super::{Clock, Frame, FrameSource, SourceError, Span, StreamFaults, Timestam
 /// How a recording is read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct VideoOptions {
-    /// Threads of the decoder; 0 for one a core. Pictures are the same with any number, but FFmpeg (5.1 at least) reports less
-    /// damage with more than one.
+    /// Threads of the decoder; 0 for one a core. Pictures are the same with any number, but FFmpeg (5.1 at least)
+    /// reports less damage with more than one.
     pub decoder_threads: usize,
     /// Part of the recording that is read.
     pub span: Span,
@@ -86,8 +86,9 @@ enum Phase {
     Ended,
 }
 
-/// Name of the tag that holds what the camera's clock said at the container's zero, nanoseconds: a video recorded by this
-/// program has it where the clock counts from a distant past, which containers hold with some hundred nanoseconds at best.
+/// Name of the tag that holds what the camera's clock said at the container's zero, nanoseconds: a video recorded by
+/// this program has it where the clock counts from a distant past, which containers hold with some hundred nanoseconds
+/// at best.
 pub(crate) const ORIGIN_TAG: &str = "CATOPTRA_ORIGIN_NS";
 
 /// Packets of a stream whose arrival is remembered: more than any encoder reorders.
@@ -193,8 +194,8 @@ impl VideoFile {
         self.arrival
     }
 
-    /// Goes to a key frame from which the frame at `from_ns` can be decoded: libav's index may lead to one that is shown
-    /// later, so the first frame that comes out decides.
+    /// Goes to a key frame from which the frame at `from_ns` can be decoded: libav's index may lead to one that is
+    /// shown later, so the first frame that comes out decides.
     fn seek(&mut self, from_ns: i64, threads: usize) -> Result<(), SourceError> {
         for margin_s in [0, 2, 10, 60] {
             let to_us = from_ns.saturating_sub(self.origin_ns) / 1000 - margin_s * 1_000_000;
@@ -272,8 +273,8 @@ impl VideoFile {
                 Ok(()) => {
                     self.note_arrival(&packet);
                     // An MP4's edit list often ends at the last frame's start instead of its end, and libav would throw
-                    // the frame away. Setting the flags that the binding knows clears the one that says so; frames before
-                    // the recording's start stay out.
+                    // the frame away. Setting the flags that the binding knows clears the one that says so; frames
+                    // before the recording's start stay out.
                     if packet.pts().is_some_and(|pts| pts >= self.start_pts) {
                         packet.set_flags(packet.flags());
                     }

@@ -1,11 +1,12 @@
 //! The pictures in a log that was recorded with `--record windows`, to be tracked again.
 //!
-//! In: a log of this program. Out: a frame for every row of the log, in their order, with stamp, gap and host's time as they
-//! are there. Of each picture there is what the log holds, to the last bit; the rest is black, and [`Picture::look_at`] refuses
-//! it. A frame whose picture was not recorded (it was not tracked, or the recorder fell behind) has nothing of it.
+//! In: a log of this program. Out: a frame for every row of the log, in their order, with stamp, gap and host's time as
+//! they are there. Of each picture there is what the log holds, to the last bit; the rest is black, and
+//! [`Picture::look_at`] refuses it. A frame whose picture was not recorded (it was not tracked, or the recorder fell
+//! behind) has nothing of it.
 //!
-//! What is kept of a picture follows its row in the log after some frames. Rows wait for it; none comes any more when that
-//! of a later frame is there.
+//! What is kept of a picture follows its row in the log after some frames. Rows wait for it; none comes any more when
+//! that of a later frame is there.
 
 use super::{
     ChromaSiting, Clock, Colour, Frame, FrameSource, HostTime, Matrix, Picture, PixelFormat, Range, SourceError, Span,

@@ -1,9 +1,10 @@
-//! The one count of a run: how many frames were answered, how well, why the others were not, and whether the rig is still as it
-//! was calibrated.
+//! The one count of a run: how many frames were answered, how well, why the others were not, and whether the rig is
+//! still as it was calibrated.
 //!
-//! Who drives a run counts every frame once, in its order ([`Tally::add`]); the summary on the terminal, the status line, the
-//! report and `/health` are views of it. Counts and ranges are exact; medians need 4 bytes a frame and quantity, so that an
-//! hour at 60 Hz with three markers takes 4 MB. [`Totals`] are the counts alone, small enough to be handed on every second.
+//! Who drives a run counts every frame once, in its order ([`Tally::add`]); the summary on the terminal, the status
+//! line, the report and `/health` are views of it. Counts and ranges are exact; medians need 4 bytes a frame and
+//! quantity, so that an hour at 60 Hz with three markers takes 4 MB. [`Totals`] are the counts alone, small enough to
+//! be handed on every second.
 
 mod drift;
 
@@ -77,8 +78,8 @@ pub struct Totals {
     pub alarms: Vec<DriftAlarm>,
 }
 
-/// What is missing in a frame, as (what, reason): a marker's name, `tangent` or `deflection`, and the word for the reason. That a
-/// rig has no base frame is no miss of a frame.
+/// What is missing in a frame, as (what, reason): a marker's name, `tangent` or `deflection`, and the word for the
+/// reason. That a rig has no base frame is no miss of a frame.
 pub(crate) fn missing(estimate: &Estimate, markers: &[String], views: &[String]) -> Vec<(String, String)> {
     let views: Vec<&str> = views.iter().map(String::as_str).collect();
     let known = |(_, miss): &(&str, &Miss)| **miss != Miss::NoBaseFrame;
@@ -158,8 +159,8 @@ impl Tally {
         }
     }
 
-    /// Counts a frame. Whether the totals are to be reported now: a second of camera time has passed since they were, or a drift
-    /// alarm is raised.
+    /// Counts a frame. Whether the totals are to be reported now: a second of camera time has passed since they were,
+    /// or a drift alarm is raised.
     pub fn add(&mut self, estimate: &Estimate) -> bool {
         if self.frames == 0 {
             self.first_ns = estimate.stamp.ns;

@@ -1,5 +1,19 @@
-//! What a run leaves behind, defined once: the topics of a log and their messages ([`messages`]), the names in its metadata, and
-//! the columns of the table ([`table`]). Sinks write by it, readers read by it.
+//! What a run leaves behind, defined once: the topics of a log and their messages ([`messages`]), the names of its
+//! attachments and metadata, and the columns of the table. Sinks write by it, readers read by it.
+//!
+//! | topic | schema | what | when |
+//! |---|---|---|---|
+//! | `/catheter/estimate` | `catoptra.Estimate` | all that was measured, with covariances, view by view | every frame |
+//! | `/catheter/deflection` | `catoptra.Deflection` | θ and its σ; NaN and the reason when not measured | every frame |
+//! | `/scene` | `foxglove.SceneUpdate` | tube, bands and coil direction, in the base frame if there is one | every frame |
+//! | `/camera/annotations` | `foxglove.ImageAnnotations` | outline, centre and label of every band | every frame |
+//! | `/camera/calibration` | `foxglove.CameraCalibration` | intrinsics, `plumb_bob` | once |
+//! | `/tf` | `foxglove.FrameTransform` | place of frame `camera` in frame `base`, if there is one | once |
+//! | `/coil/current` | `catoptra.Current` | currents of the coils, on the host's clock | live, when given |
+//! | `/camera/windows` | `catoptra.PictureWindows` | what the tracker looked at | with `--record windows` |
+//! | `/health` | `catoptra.Health` | counts, misses by reason, drift alarms | every second, and at the end |
+//!
+//! The windows of a picture follow its estimate after some frames. A drift alarm brings a `/health` of its own.
 
 pub mod messages;
 mod protobuf;

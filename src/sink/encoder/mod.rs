@@ -1,7 +1,7 @@
 //! [`MessageEncoder`]: the messages of a run, topic by topic, the same in the log and to live subscribers.
 //!
-//! In: estimates, totals and coil currents, and the rig. Out: encoded [`Message`]s, each with its [`Topic`]. Times of messages
-//! are the caller's: a log has one more than a subscriber.
+//! In: estimates, totals and coil currents, and the rig. Out: encoded [`Message`]s, each with its [`Topic`]. Times of
+//! messages are the caller's: a log has one more than a subscriber.
 
 mod camera;
 mod convert;

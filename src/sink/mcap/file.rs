@@ -1,12 +1,12 @@
 //! [`LogFile`]: an MCAP file of which everything older than [`FLUSH_AFTER`] survives a kill at any instant.
 //!
-//! Messages gather in a chunk in memory and reach the file as whole chunks, so an unfinished file is a series of complete
-//! records (at worst with one torn at its end). A chunk is closed when [`FLUSH_AFTER`] of camera time is in it (the
-//! caller's part, see [`LogFile::message`]) and when its first message has waited that long by the clock on the wall,
-//! which a small thread watches: a camera that stalls must not keep its last frames in memory.
+//! Messages gather in a chunk in memory and reach the file as whole chunks, so an unfinished file is a series of
+//! complete records (at worst with one torn at its end). A chunk is closed when [`FLUSH_AFTER`] of camera time is in it
+//! (the caller's part, see [`LogFile::message`]) and when its first message has waited that long by the clock on the
+//! wall, which a small thread watches: a camera that stalls must not keep its last frames in memory.
 //!
-//! Chunks are not compressed. At 60 Hz with three markers in two views a log grows by 25 MB a minute, and zstd would save
-//! two fifths of it (the lower half of the numbers is noise): not worth a C library that nothing else here needs.
+//! Chunks are not compressed. At 60 Hz with three markers in two views a log grows by 25 MB a minute, and zstd would
+//! save two fifths of it (the lower half of the numbers is noise): not worth a C library that nothing else here needs.
 
 use crate::log::schema::{ENCODING, Topic};
 use crate::sink::encoder::Message;

@@ -1,29 +1,21 @@
 //! The log: MCAP with Protobuf messages, readable by Foxglove and by every language that has an `mcap` package.
 //!
-//! | topic | schema | when | what |
-//! |---|---|---|---|
-//! | `/catheter/estimate` | `catoptra.Estimate` ([`messages::Estimate`]) | every frame | all that was measured, in the camera frame and the base frame, with covariances and what each view showed |
-//! | `/catheter/deflection` | `catoptra.Deflection` ([`messages::Deflection`]) | every frame | θ and its σ; NaN and the reason when not measured |
-//! | `/scene` | `foxglove.SceneUpdate` | every frame | tube, bands and coil direction, in frame `base` (`camera` when the rig has no base) |
-//! | `/camera/annotations` | `foxglove.ImageAnnotations` | every frame | outline, centre and label of every band in every view |
-//! | `/camera/calibration` | `foxglove.CameraCalibration` | once | intrinsics, `plumb_bob` |
-//! | `/tf` | `foxglove.FrameTransform` | once, if the rig has a base | place of frame `camera` in frame `base` |
-//! | `/coil/current` | `catoptra.Current` ([`messages::Current`]) | live, when given | currents of the coils, on the host's clock |
-//! | `/camera/windows` | `catoptra.PictureWindows` ([`messages::PictureWindows`]) | every frame that was tracked, with `--record windows`, and some frames after its estimate | the parts of the picture that the tracker looked at |
-//! | `/health` | `catoptra.Health` ([`messages::Health`]) | every second of camera time, and at the end | frames, losses, misses by reason, drift alarms (and when one is raised) |
+//! Its topics and messages are those of [`log::schema`](crate::log::schema).
 //!
-//! Attached are `rig.toml` and `options.toml`, the rig and the options of the run. The metadata record `catoptra` has the
-//! program's `version`, the `clock` of the time stamps, and as `pictures` the name of the video beside the log, or `windows`.
+//! Attached are `rig.toml` and `options.toml`, the rig and the options of the run. The metadata record `catoptra` has
+//! the program's `version`, the `clock` of the time stamps, and as `pictures` the name of the video beside the log, or
+//! `windows`.
 //!
 //! # Time
-//! The publish time of a message is the camera's time stamp of its frame, in nanoseconds since that clock's zero. Its log
-//! time is the same, and in a live run the host's time of the frame's arrival, nanoseconds since 1970. The container cannot hold negative times, and 0 is taken for "no time" by some programs: frames stamped at or before 0 are
-//! filed at 1 ns, in their order. `stamp_ns` in the project's own messages is exact always; `timestamp` in Foxglove's is
-//! exact from 0 up and 0 before. The sequence number of a message is that of its frame.
+//! The publish time of a message is the camera's time stamp of its frame, in nanoseconds since that clock's zero. Its
+//! log time is the same, and in a live run the host's time of the frame's arrival, nanoseconds since 1970. The
+//! container cannot hold negative times, and 0 is taken for "no time" by some programs: frames stamped at or before 0
+//! are filed at 1 ns, in their order. `stamp_ns` in the project's own messages is exact always; `timestamp` in
+//! Foxglove's is exact from 0 up and 0 before. The sequence number of a message is that of its frame.
 //!
 //! # After a crash
-//! Whatever ends the run, all messages older than a second can be read: see `file.rs` for how. A log without its end has no
-//! index; `mcap recover` makes one.
+//! Whatever ends the run, all messages older than a second can be read: see `file.rs` for how. A log without its end
+//! has no index; `mcap recover` makes one.
 
 mod file;
 
@@ -81,7 +73,8 @@ impl McapSink {
         })
     }
 
-    /// The run records pictures: `what` goes into the metadata (`windows`, or the name of the video), their count into `/health`.
+    /// The run records pictures: `what` goes into the metadata (`windows`, or the name of the video), their count into
+    /// `/health`.
     #[must_use]
     pub fn with_pictures(mut self, what: &str, count: Arc<PictureCount>) -> Self {
         self.pictures = Some(what.to_owned());

@@ -1,12 +1,12 @@
 //! A camera on this computer or its network: what all of them have in common.
 //!
-//! In: buffers of one connection to a camera, each with a frame counter, a stamp and a picture or the reason why there is
-//! none. Out: frames. Lost frames are what the counter leaves out; a picture that is no good is left out and counted as
-//! lost too. A counter that the driver makes, not the camera, sees only what reaches the driver: there the stamps have a
-//! say where they tell clearly. A counter that begins anew says nothing of what is missing.
+//! In: buffers of one connection to a camera, each with a frame counter, a stamp and a picture or the reason why there
+//! is none. Out: frames. Lost frames are what the counter leaves out; a picture that is no good is left out and counted
+//! as lost too. A counter that the driver makes, not the camera, sees only what reaches the driver: there the stamps
+//! have a say where they tell clearly. A counter that begins anew says nothing of what is missing.
 //!
-//! A camera that is lost, or silent for [`SILENCE`], is opened again, once a second, and set up as at first; the interruption
-//! is counted, what was lost in it is not known.
+//! A camera that is lost, or silent for [`SILENCE`], is opened again, once a second, and set up as at first; the
+//! interruption is counted, what was lost in it is not known.
 
 use super::super::counter::{Count, FrameCounter, Wrap};
 use super::super::host::{ClockFit, HostClock};

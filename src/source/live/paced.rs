@@ -1,7 +1,7 @@
 //! A recording played at its own pace: each frame is handed on when as much time has passed here as in the recording.
 //!
-//! Frames are decoded before they are due. Who takes them too late gets them as they are, late, until the pace is met again:
-//! this source drops nothing.
+//! Frames are decoded before they are due. Who takes them too late gets them as they are, late, until the pace is met
+//! again: this source drops nothing.
 
 use super::super::host::{ClockFit, HostClock};
 use super::super::{Frame, FrameSource, SourceError, StreamFaults};

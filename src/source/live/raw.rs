@@ -1,7 +1,8 @@
 //! Raw pictures on a pipe, one behind the other without any head: `1280x1024:bayer_rg8@60`.
 //!
-//! Such a pipe has no clock: frames are stamped as they arrive ([`Clock::HostArrival`]), with all the delays of the way, and
-//! lost frames show only as long steps. A camera program that knows the times should write a container instead (`-`).
+//! Such a pipe has no clock: frames are stamped as they arrive ([`Clock::HostArrival`]), with all the delays of the
+//! way, and lost frames show only as long steps. A camera program that knows the times should write a container instead
+//! (`-`).
 
 use super::super::decoded::PictureMaker;
 use super::super::host::HostClock;

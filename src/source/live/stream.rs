@@ -1,8 +1,9 @@
-//! Live streams through libav: `rtsp://`, `http://`, `udp://`, `tcp://`, `srt://`, or a container on standard input (`-`).
+//! Live streams through libav: `rtsp://`, `http://`, `udp://`, `tcp://`, `srt://`, or a container on standard input
+//! (`-`).
 //!
-//! A stream in a network that ends or falls silent is opened again, once a second, until it is back or the run is stopped.
-//! Its stamps may begin anew then: the gap before its first frame is not known and counts as none, the interruption is
-//! counted ([`StreamFaults::interruptions`]). Standard input ends for good.
+//! A stream in a network that ends or falls silent is opened again, once a second, until it is back or the run is
+//! stopped. Its stamps may begin anew then: the gap before its first frame is not known and counts as none, the
+//! interruption is counted ([`StreamFaults::interruptions`]). Standard input ends for good.
 
 use super::super::host::{ClockFit, HostClock};
 use super::super::{Frame, FrameSource, SourceError, StreamFaults, VideoFile};
