@@ -7,7 +7,8 @@ use crate::support::truth::score::rms_and_aligned;
 use crate::support::truth::{frames, rig, track, truth};
 use catoptra::calibrate::geometry::tilt_axes;
 use catoptra::rig::Rig;
-use catoptra::track::{Drift, Drifted, TrackOptions};
+use catoptra::tally::{Drift, Drifted};
+use catoptra::track::TrackOptions;
 use std::process::{Command, Output};
 
 fn calibrate(place: &Place, run: &str, args: &[&str]) -> Output {

@@ -6,7 +6,8 @@ use crate::support::truth::score::rms_and_aligned;
 use crate::support::truth::{file, frames, rig, track, truth};
 use catoptra::estimate::Estimate;
 use catoptra::rig::Rig;
-use catoptra::track::{Drift, DriftAlarm, Drifted, TrackOptions};
+use catoptra::tally::{Drift, DriftAlarm, Drifted};
+use catoptra::track::TrackOptions;
 
 fn alarms(rig: &Rig, run: &str, most: usize) -> (Vec<Estimate>, Vec<DriftAlarm>) {
     let estimates = track(rig, TrackOptions::default(), frames(run).take(most));

@@ -4,15 +4,15 @@ mod reading;
 mod words;
 
 use super::{Exit, Failure, interrupt, output};
-use catoptra::identify::arx::Orders;
-use catoptra::identify::chain::{Choice, Data, Estimator, Settings, identify};
-use catoptra::identify::fit::Start;
-use catoptra::identify::prepare::Detrend;
-use catoptra::identify::reduce::{Removal, Target};
-use catoptra::identify::search::Criterion;
-use catoptra::identify::{IdentifyError, export};
-use catoptra::report::identification;
-use catoptra::whole_file;
+use crate::identify::arx::Orders;
+use crate::identify::chain::{Choice, Data, Estimator, Settings, identify};
+use crate::identify::fit::Start;
+use crate::identify::prepare::Detrend;
+use crate::identify::reduce::{Removal, Target};
+use crate::identify::search::Criterion;
+use crate::identify::{IdentifyError, export};
+use crate::report::identification;
+use crate::whole_file;
 use clap::ValueEnum;
 use std::num::NonZeroUsize;
 use std::ops::RangeInclusive;
@@ -231,7 +231,7 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     interrupt::end_at_once()?;
     // 1. signals
     let (data, told) = reading::read(args)?;
-    let samples: usize = data.training.iter().map(catoptra::identify::data::Record::observed).sum();
+    let samples: usize = data.training.iter().map(crate::identify::data::Record::observed).sum();
     let settings = args.settings(samples, !data.validation.is_empty())?;
     // 2. models
     let done = identify(&data, &settings).map_err(|error| failure(&data, error))?;
@@ -255,7 +255,7 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     if !quiet {
         output::print(&words::summary(&data, &done, &told, &written))?;
     }
-    if done.models.iter().any(|m| m.role == catoptra::identify::modelled::Role::Full && !m.is_stable()) {
+    if done.models.iter().any(|m| m.role == crate::identify::modelled::Role::Full && !m.is_stable()) {
         let text = "the model of full order is unstable: what was written describes it and is not to be relied on";
         return Err(Failure::new(Exit::Unusable, text));
     }

@@ -1,10 +1,10 @@
 //! The result in words, for the terminal.
 
-use catoptra::identify::chain::{Data, Identification};
-use catoptra::identify::continuous::{Continuous, Conversion};
-use catoptra::identify::fit::{Kind, Start};
-use catoptra::identify::modelled::{ContinuousEstimate, Modelled};
-use catoptra::identify::told::Told;
+use crate::identify::chain::{Data, Identification};
+use crate::identify::continuous::{Continuous, Conversion};
+use crate::identify::fit::{Kind, Start};
+use crate::identify::modelled::{ContinuousEstimate, Modelled};
+use crate::identify::told::Told;
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
@@ -73,7 +73,7 @@ fn table_1(text: &mut String, done: &Identification, told: &Told) -> std::fmt::R
         let begins = if record.start == Start::Rest { "from rest" } else { "start estimated" };
         write!(text, "{:<36}", format!("{role}, {:.0} s, {begins}", record.duration_s))?;
         for model in &done.models {
-            let of = |f: &&catoptra::identify::chain::Fit| {
+            let of = |f: &&crate::identify::chain::Fit| {
                 f.record == record.name
                     && f.training == record.training
                     && f.role == model.role
