@@ -3,6 +3,7 @@
 
 use crate::support::fixture;
 use crate::support::python;
+use catoptra::rig::Rig;
 use catoptra::sink::{CsvSink, McapSink, OutputFrame, Sink};
 use std::path::Path;
 use std::process::Output;
@@ -11,7 +12,7 @@ use crate::support::python::{agreed, interpreter};
 
 const FRAMES: u64 = 200;
 
-fn write(folder: &Path, rig: &rig::Rig, frame: OutputFrame) {
+fn write(folder: &Path, rig: &Rig, frame: OutputFrame) {
     let mut log = McapSink::create(&folder.join("run.mcap"), rig, "# the rig\n", "frame = \"base\"\n").unwrap();
     let mut table = CsvSink::create(&folder.join("run.csv"), rig, frame).unwrap();
     for seq in 0..FRAMES {
