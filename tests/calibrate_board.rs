@@ -10,8 +10,8 @@
 mod board_common;
 
 use board_common::{Canvas, Placed};
+use catoptra::calibrate::board::grey::{Grey, GreyError, Rows};
 use catoptra::calibrate::board::{Board, BoardError, BoardImage, Flaw, find_boards};
-use catoptra::calibrate::grey::{Grey, GreyError, Rows};
 use image::ImageEncoder;
 use nalgebra::Point2;
 

@@ -7,8 +7,8 @@ mod board_common;
 mod charuco_common;
 
 use board_common::{Canvas, Placed};
+use catoptra::calibrate::board::grey::{Grey, Rows};
 use catoptra::calibrate::board::{Board, BoardError, BoardImage, Unread, find_boards};
-use catoptra::calibrate::grey::{Grey, Rows};
 use charuco_common::{Printed, data};
 use nalgebra::Point2;
 

@@ -15,7 +15,8 @@ mod truth;
 
 use catoptra::calibrate::geometry::tilt_axes;
 use catoptra::rig::Rig;
-use catoptra::track::{Drift, Drifted, TrackOptions};
+use catoptra::tally::{Drift, Drifted};
+use catoptra::track::TrackOptions;
 use moved_mirror::moved;
 use std::process::{Command, Output};
 use track_common::{Place, ended_with, sample, stdout};

@@ -13,7 +13,8 @@ mod truth;
 
 use catoptra::estimate::Estimate;
 use catoptra::rig::Rig;
-use catoptra::track::{Drift, DriftAlarm, Drifted, TrackOptions};
+use catoptra::tally::{Drift, DriftAlarm, Drifted};
+use catoptra::track::TrackOptions;
 use moved_mirror::moved;
 use track_common::{Place, ended_with, sample, stdout};
 use truth::score::rms_and_aligned;

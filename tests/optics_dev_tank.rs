@@ -8,8 +8,8 @@
     reason = "a test reports by panicking and printing"
 )]
 
+use catoptra::calibrate::board::grey::{Grey, Rows};
 use catoptra::calibrate::board::{Board, find_boards};
-use catoptra::calibrate::grey::{Grey, Rows};
 use catoptra::optics::{Lens, Mirror, OpticalPath, Plane, Surface, Wall};
 use nalgebra::{Point2, Point3, Vector2, Vector3};
 use std::path::Path;

@@ -2,10 +2,10 @@
 
 use super::units::{current_a, duration_s, frequency_hz, positive_current_a, slew_a_s};
 use super::{Exit, Failure, interrupt, output};
-use catoptra::excite::{Chirp, Clipped, ExciteError, Limits, Multisine, Order, Phases, Signal, Spectrum, Steps, Sweep};
-use catoptra::report::excitation::{self, ExcitationInfo};
-use catoptra::source::FrameRate;
-use catoptra::whole_file;
+use crate::excite::{Chirp, Clipped, ExciteError, Limits, Multisine, Order, Phases, Signal, Spectrum, Steps, Sweep};
+use crate::report::excitation::{self, ExcitationInfo};
+use crate::source::FrameRate;
+use crate::whole_file;
 use clap::{Subcommand, ValueEnum};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -161,7 +161,7 @@ fn rate(text: &str) -> Result<FrameRate, String> {
         .trim_end_matches("Hz")
         .trim_end()
         .parse()
-        .map_err(|error: catoptra::source::times::FrameRateError| error.to_string())
+        .map_err(|error: crate::source::times::FrameRateError| error.to_string())
 }
 
 /// A signal, and what is said of it.

@@ -1,6 +1,6 @@
 //! How a run ends when it does not end well.
 
-use catoptra::rig::RigError;
+use crate::rig::RigError;
 use std::error::Error;
 use std::fmt;
 use std::process::ExitCode;

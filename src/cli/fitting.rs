@@ -1,8 +1,8 @@
 //! Sources that fit a rig: of its size, in colour, with a first frame.
 
 use super::{Exit, Failure};
-use catoptra::rig::Rig;
-use catoptra::source::{self, Frame, FrameSource, PixelFormat, SourceError, SourceOptions, Tally};
+use crate::rig::Rig;
+use crate::source::{self, Frame, FrameSource, PixelFormat, SourceError, SourceOptions, Tally};
 use std::path::Path;
 
 /// The recording or folder `source`, at its first frame; `rig` with the file it is from.

@@ -1,9 +1,9 @@
 //! `catoptra log`: what is in a log, and one that was cut off made whole.
 
 use super::{Exit, Failure, output};
-use catoptra::log::{Info, LogError, Repaired, repair};
-use catoptra::sink::spoken;
-use catoptra::source::times::seconds;
+use crate::log::{Info, LogError, Repaired, repair};
+use crate::sink::spoken;
+use crate::source::times::seconds;
 use clap::Subcommand;
 use std::fmt::{self, Write as _};
 use std::path::PathBuf;

@@ -96,7 +96,7 @@ Example:
 }
 
 /// Runs the program.
-pub(crate) fn run() -> ExitCode {
+pub fn run() -> ExitCode {
     let cli = Cli::parse();
     log_to_stderr(cli.verbose, cli.quiet);
     let result = match &cli.command {

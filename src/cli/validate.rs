@@ -2,11 +2,11 @@
 
 use super::units::duration_s;
 use super::{Exit, Failure, interrupt, output};
-use catoptra::report::validation;
-use catoptra::series::{Recording, SeriesError};
-use catoptra::source::times::parse_seconds_ns;
-use catoptra::validate::{DesiredPath, Interpolation, Observed, Options, ValidateError, Validation, validate};
-use catoptra::whole_file;
+use crate::report::validation;
+use crate::series::{Recording, SeriesError};
+use crate::source::times::parse_seconds_ns;
+use crate::validate::{DesiredPath, Interpolation, Observed, Options, ValidateError, Validation, validate};
+use crate::whole_file;
 use clap::ValueEnum;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};

@@ -11,7 +11,7 @@ const HIGH_ORDER: usize = 12;
 
 /// Initial models of these orders: ARX, which noise on the output biases, instrumental variables, and ARX of a
 /// high order reduced for the excited band.
-pub fn initial_models(segments: &[Segment], orders: Orders) -> Vec<Polynomials> {
+pub(super) fn initial_models(segments: &[Segment], orders: Orders) -> Vec<Polynomials> {
     let by_arx = arx::fit(segments, orders).ok().map(|found| found.model);
     let by_instruments =
         by_arx.as_ref().and_then(|m| instrumental::refine(segments, m).ok()).map(|r| r.estimated.model);

@@ -6,8 +6,8 @@ use super::course::{Channel, Course};
 use super::figures;
 use super::page::{self, bad, escape, facts_table, figure, page, plural, signed, table, with_code};
 use crate::sink::spoken;
+use crate::tally::Drifted;
 use crate::tally::{AlarmInWords, Tally};
-use crate::track::Drifted;
 use std::collections::BTreeSet;
 
 /// The whole page.

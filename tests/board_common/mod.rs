@@ -3,7 +3,7 @@
 #![allow(dead_code, reason = "each test file uses its part of this one")]
 
 use catoptra::calibrate::board::Board;
-use catoptra::calibrate::grey::Grey;
+use catoptra::calibrate::board::grey::Grey;
 use nalgebra::{Matrix3, Point2, Rotation3, Vector3};
 
 /// Samples a pixel is drawn with, no two in one row or column: edges along the pixels' rows are as smooth as others.

@@ -3,9 +3,9 @@
 use super::super::progress::Progress;
 use super::super::{Exit, Failure, fitting};
 use super::{can_be_written, save, usage};
-use catoptra::calibrate::base::{BaseCalibration, BaseError, Field, Observed, Run, calibrate_base, observe};
-use catoptra::rig::{Base, Rig};
-use catoptra::source::{FrameRate, FrameSource as _, SourceOptions};
+use crate::calibrate::base::{BaseCalibration, BaseError, Field, Observed, Run, calibrate_base, observe};
+use crate::rig::{Base, Rig};
+use crate::source::{FrameRate, FrameSource as _, SourceOptions};
 use nalgebra::{Matrix3, Vector3};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};

@@ -3,9 +3,10 @@
 use super::super::{Exit, Failure};
 use super::pictures::{self, Searched};
 use super::{can_be_written, left_out, save};
-use catoptra::calibrate::board::Board;
-use catoptra::calibrate::camera::{BoardPicture, CameraCalibration, CameraError, calibrate_camera};
-use catoptra::rig::{Camera, Draft};
+use crate::calibrate::board::Board;
+use crate::calibrate::board::BoardPicture;
+use crate::calibrate::camera::{CameraCalibration, CameraError, calibrate_camera};
+use crate::rig::{Camera, Draft};
 use std::fmt::Write as _;
 use std::path::PathBuf;
 

@@ -2,10 +2,10 @@
 
 use super::super::{Exit, Failure, fitting};
 use super::{Length, can_be_written, save, usage};
-use catoptra::calibrate::KnownLength;
-use catoptra::calibrate::mirror::{self, MirrorCalibration, MirrorError, RIG_LENGTH_SD_M, calibrate_mirror};
-use catoptra::rig::Rig;
-use catoptra::source::{FrameRate, SourceOptions};
+use crate::calibrate::mirror::KnownLength;
+use crate::calibrate::mirror::{self, MirrorCalibration, MirrorError, RIG_LENGTH_SD_M, calibrate_mirror};
+use crate::rig::Rig;
+use crate::source::{FrameRate, SourceOptions};
 use std::fmt::Write as _;
 use std::path::PathBuf;
 use std::str::FromStr;

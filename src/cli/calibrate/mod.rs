@@ -8,8 +8,8 @@ mod pictures;
 mod rig;
 
 use super::{Exit, Failure, interrupt, output};
-use catoptra::calibrate::length_m;
-use catoptra::rig::Draft;
+use crate::calibrate::length_m;
+use crate::rig::Draft;
 use clap::Subcommand;
 use std::path::Path;
 use std::str::FromStr;

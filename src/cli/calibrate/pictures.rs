@@ -1,9 +1,9 @@
 //! Pictures of boards, as the command line names them: read, searched, told about.
 
 use super::super::{Exit, Failure};
-use catoptra::calibrate::board::{Board, BoardImage, find_boards};
-use catoptra::calibrate::camera::UsedPicture;
-use catoptra::calibrate::grey::{Grey, Rows};
+use crate::calibrate::board::grey::{Grey, Rows};
+use crate::calibrate::board::{Board, BoardImage, find_boards};
+use crate::calibrate::bundle::outliers::UsedPicture;
 use rayon::prelude::*;
 use sha2::{Digest as _, Sha256};
 use std::collections::BTreeMap;

@@ -3,19 +3,19 @@
 use super::super::{Exit, Failure, interrupt};
 use super::pictures::{self, Searched};
 use super::{Length, can_be_written, save, usage};
-use catoptra::calibrate::board::Board;
-use catoptra::calibrate::camera::{BoardPicture, centred};
-use catoptra::calibrate::doubts::doubts;
-use catoptra::calibrate::geometry::Parameter;
-use catoptra::calibrate::held_out::{HeldOut, Off, held_out};
-use catoptra::calibrate::mirrors::{
+use crate::calibrate::board::Board;
+use crate::calibrate::board::BoardPicture;
+use crate::calibrate::geometry::Parameter;
+use crate::calibrate::rig::diagnostics::diagnose;
+use crate::calibrate::rig::expected_error::{Verdict, verdict};
+use crate::calibrate::rig::held_out::{HeldOut, Off, held_out};
+use crate::calibrate::rig::initial::BoardsPicture;
+use crate::calibrate::rig::{
     RigCalibration, RigCalibrationError, RigOptions, Tank, calibrate_rig, into_draft, water_index,
 };
-use catoptra::calibrate::start::BoardsPicture;
-use catoptra::calibrate::verdict::{Verdict, verdict};
-use catoptra::report::calibration::{self, CalibrationInfo};
-use catoptra::rig::Draft;
-use catoptra::whole_file;
+use crate::report::calibration::{self, CalibrationInfo};
+use crate::rig::Draft;
+use crate::whole_file;
 use nalgebra::DMatrix;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -140,11 +140,11 @@ pub(super) fn run(args: &RigArgs, print: impl Fn(&str) -> Result<(), Failure>) -
         .collect();
     let done = calibrate_rig(&args.board, &draft.camera.lens, &found, &options)
         .map_err(|error| print(&pictures::not_found(&searched)).err().unwrap_or_else(|| failure(error)))?;
-    let judged = verdict(&done.solution, &done.corners, &centred(&args.board));
+    let judged = verdict(&done.solution, &done.corners, &args.board.centred_points());
     let held = held_out(&done.solution, &done.corners);
     print(&describe(&searched, &done, judged.as_ref(), &options))?;
     print(&describe_held_out(held.iter().flatten()))?;
-    for doubt in doubts(&done, &held) {
+    for doubt in diagnose(&done, &held) {
         print(&format!("doubt: {doubt}\n"))?;
     }
     let page = calibration::page(&info(args, out, &searched), &done, judged.as_ref(), &held);

@@ -1,12 +1,12 @@
 //! Arguments of `catoptra identify`, and the settings that they stand for.
 
-use super::super::{Exit, Failure};
-use catoptra::identify::fit::InitialState;
-use catoptra::identify::model::Orders;
-use catoptra::identify::prepare::Detrend;
-use catoptra::identify::reduce::{Removal, Target};
-use catoptra::identify::search::Criterion;
-use catoptra::identify::settings::{Choice, Estimator, Settings};
+use crate::cli::{Exit, Failure};
+use crate::identify::fit::InitialState;
+use crate::identify::model::Orders;
+use crate::identify::prepare::Detrend;
+use crate::identify::reduce::{Removal, Target};
+use crate::identify::search::Criterion;
+use crate::identify::settings::{Choice, Estimator, Settings};
 use clap::ValueEnum;
 use std::num::NonZeroUsize;
 use std::ops::RangeInclusive;

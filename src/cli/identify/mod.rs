@@ -7,18 +7,18 @@ mod words;
 pub(crate) use args::Args;
 
 use super::{Exit, Failure, interrupt, output};
-use catoptra::identify::chain::identify;
-use catoptra::identify::data::Data;
-use catoptra::identify::{IdentifyError, export};
-use catoptra::report::identification;
-use catoptra::whole_file;
+use crate::identify::chain::identify;
+use crate::identify::data::Data;
+use crate::identify::{IdentifyError, export};
+use crate::report::identification;
+use crate::whole_file;
 use std::path::Path;
 
 pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     interrupt::end_at_once()?;
     // 1. signals
     let (data, provenance) = reading::read(args)?;
-    let samples: usize = data.training.iter().map(catoptra::identify::data::Record::observed).sum();
+    let samples: usize = data.training.iter().map(crate::identify::data::Record::observed).sum();
     let settings = args.settings(samples, !data.validation.is_empty())?;
     // 2. models
     let done = identify(&data, &settings).map_err(|error| failure(&data, error))?;
@@ -43,7 +43,7 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     if !quiet {
         output::print(&words::summary(&data, &done, &provenance, &written))?;
     }
-    if done.models.iter().any(|m| m.role == catoptra::identify::modelled::Role::Full && !m.is_stable()) {
+    if done.models.iter().any(|m| m.role == crate::identify::modelled::Role::Full && !m.is_stable()) {
         let text = "the model of full order is unstable: what was written describes it and is not to be relied on";
         return Err(Failure::new(Exit::Unusable, text));
     }

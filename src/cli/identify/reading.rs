@@ -2,17 +2,17 @@
 
 use super::args::{Args, DelayArg, Range};
 use crate::cli::{Exit, Failure};
-use catoptra::identify::data::Data;
-use catoptra::identify::data::Record;
-use catoptra::identify::delay::{self, Delay};
-use catoptra::identify::fit::InitialState;
-use catoptra::identify::grid::{Grid, GridError, Series, cut, resample};
-use catoptra::identify::hold::Held;
-use catoptra::identify::plant::Plant;
-use catoptra::identify::prepare::{Detrend, Trend, decimate};
-use catoptra::identify::provenance::{Provenance, RecordSummary};
-use catoptra::identify::recorded::Observed;
-use catoptra::series::{CurrentTable, Recording, SeriesError, columns};
+use crate::identify::data::Data;
+use crate::identify::data::Record;
+use crate::identify::delay::{self, Delay};
+use crate::identify::fit::InitialState;
+use crate::identify::grid::{Grid, GridError, Series, cut, resample};
+use crate::identify::hold::Held;
+use crate::identify::plant::Plant;
+use crate::identify::prepare::{Detrend, Trend, decimate};
+use crate::identify::provenance::{Provenance, RecordSummary};
+use crate::identify::recorded::Observed;
+use crate::series::{CurrentTable, Recording, SeriesError, columns};
 use std::path::Path;
 
 /// Periods of the records may differ by this part.

@@ -1,11 +1,11 @@
 //! The result in words, for the terminal.
 
-use catoptra::identify::continuous::{Continuous, Conversion};
-use catoptra::identify::data::Data;
-use catoptra::identify::fit::{InitialState, Kind};
-use catoptra::identify::identification::Identification;
-use catoptra::identify::modelled::{ContinuousEstimate, Modelled};
-use catoptra::identify::provenance::Provenance;
+use crate::identify::continuous::{Continuous, Conversion};
+use crate::identify::data::Data;
+use crate::identify::fit::{InitialState, Kind};
+use crate::identify::identification::Identification;
+use crate::identify::modelled::{ContinuousEstimate, Modelled};
+use crate::identify::provenance::Provenance;
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
@@ -78,7 +78,7 @@ fn table_1(text: &mut String, done: &Identification, provenance: &Provenance) ->
         let begins = if record.initial_state == InitialState::Rest { "from rest" } else { "start estimated" };
         write!(text, "{:<36}", format!("{role}, {:.0} s, {begins}", record.duration_s))?;
         for model in &done.models {
-            let of = |f: &&catoptra::identify::identification::Fit| {
+            let of = |f: &&crate::identify::identification::Fit| {
                 f.record == record.name
                     && f.training == record.training
                     && f.role == model.role

@@ -2,7 +2,7 @@
 
 use super::super::progress::Line;
 use super::super::run::told::warn_of;
-use catoptra::live::{Status, free_bytes};
+use crate::live::{Status, free_bytes};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 

@@ -1,9 +1,9 @@
 //! `catoptra rig check`: a rig file in words and numbers.
 
 use super::super::{Exit, Failure, output};
-use catoptra::optics::{Surface, Wall};
-use catoptra::rig::check::{Check, ROUND_TRIP_LIMIT_PX, ViewCheck, check};
-use catoptra::rig::{Base, Camera, Rig, View};
+use crate::optics::{Surface, Wall};
+use crate::rig::check::{Check, ROUND_TRIP_LIMIT_PX, ViewCheck, check};
+use crate::rig::{Base, Camera, Rig, View};
 use nalgebra::Vector3;
 use std::fmt::{self, Write as _};
 use std::path::Path;

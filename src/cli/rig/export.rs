@@ -1,8 +1,8 @@
 //! `catoptra rig export`: the camera, or views, for other tools.
 
 use super::{Exit, Failure, output};
-use catoptra::rig::Draft;
-use catoptra::rig::formats::{Format, dlt};
+use crate::rig::Draft;
+use crate::rig::formats::{Format, dlt};
 use std::path::PathBuf;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]

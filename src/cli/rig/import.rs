@@ -2,8 +2,8 @@
 
 use super::super::calibrate::{can_be_written, left_out, save};
 use super::{Exit, Failure};
-use catoptra::rig::Draft;
-use catoptra::rig::formats::Format;
+use crate::rig::Draft;
+use crate::rig::formats::Format;
 use sha2::{Digest as _, Sha256};
 use std::path::PathBuf;
 

@@ -4,15 +4,15 @@ pub(super) mod folder;
 pub(super) mod told;
 
 use super::{Exit, Failure};
-use catoptra::log;
-use catoptra::pipeline::{End, Summary};
-use catoptra::report::{ReportSink, RunInfo};
-use catoptra::rig::check::{Warning, check};
-use catoptra::rig::{Rig, RigError};
-use catoptra::sink::{
+use crate::log;
+use crate::pipeline::{End, Summary};
+use crate::report::{ReportSink, RunInfo};
+use crate::rig::check::{Warning, check};
+use crate::rig::{Rig, RigError};
+use crate::sink::{
     CsvSink, McapSink, OutputFrame, OverlaySink, PictureCodec, PictureCount, PictureVideo, Sink, SinkError,
 };
-use catoptra::source::times::seconds;
+use crate::source::times::seconds;
 use folder::{Files, PICTURES};
 use std::path::Path;
 use std::sync::Arc;

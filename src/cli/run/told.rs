@@ -1,11 +1,11 @@
 //! What a run tells in the end: a table of plain text.
 
 use super::folder::Files;
-use catoptra::pipeline::Summary;
-use catoptra::rig::Rig;
-use catoptra::sink::spoken;
-use catoptra::source::times::seconds;
-use catoptra::tally::{AlarmInWords, Tally};
+use crate::pipeline::Summary;
+use crate::rig::Rig;
+use crate::sink::spoken;
+use crate::source::times::seconds;
+use crate::tally::{AlarmInWords, Tally};
 use std::fmt::{self, Write as _};
 use std::path::PathBuf;
 

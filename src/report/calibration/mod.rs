@@ -8,10 +8,10 @@ mod words;
 
 use super::page::{self, bad, card, escape, facts_table, figure, plural, signed, table};
 use crate::calibrate::bundle::NoSolution;
-use crate::calibrate::doubts::{self, Doubt, doubts};
-use crate::calibrate::held_out::{HeldOut, Off};
-use crate::calibrate::mirrors::RigCalibration;
-use crate::calibrate::verdict::{Expected, Suggestion, Verdict};
+use crate::calibrate::rig::RigCalibration;
+use crate::calibrate::rig::diagnostics::{self, Diagnostic, diagnose};
+use crate::calibrate::rig::expected_error::{Expected, Suggestion, Verdict};
+use crate::calibrate::rig::held_out::{HeldOut, Off};
 use nalgebra::{Point3, Vector3};
 use words::{along, degrees, exact_mm, in_words, mm};
 
@@ -39,7 +39,7 @@ pub fn page(
     held: &[Result<HeldOut, NoSolution>],
 ) -> String {
     // The answer comes first, then what it rests on, then what would make it better, then where it came from.
-    let mut body = header(info, verdict, &doubts(done, held));
+    let mut body = header(info, verdict, &diagnose(done, held));
     body += &cards(verdict, held);
     if let Some(verdict) = verdict {
         body += &which_matters(verdict);
@@ -73,7 +73,7 @@ fn random(e: &Expected) -> f64 {
     e.random_m
 }
 
-fn header(info: &CalibrationInfo, verdict: Option<&Verdict>, doubts: &[Doubt]) -> String {
+fn header(info: &CalibrationInfo, verdict: Option<&Verdict>, diagnostics: &[Diagnostic]) -> String {
     let answer = verdict.map_or_else(
         || "The boards fill no volume that two views see: how well positions will be known cannot be said.".to_owned(),
         |v| {
@@ -89,17 +89,18 @@ fn header(info: &CalibrationInfo, verdict: Option<&Verdict>, doubts: &[Doubt]) -
             )
         },
     );
-    let doubted: String = doubts.iter().map(|doubt| format!("<li>{}</li>\n", escape(&doubt.to_string()))).collect();
-    let doubted = if doubts.is_empty() {
+    let findings: String =
+        diagnostics.iter().map(|diagnostic| format!("<li>{}</li>\n", escape(&diagnostic.to_string()))).collect();
+    let findings = if diagnostics.is_empty() {
         String::new()
     } else {
         format!(
             "<div class=\"doubts\"><p><strong>Do not rely on these numbers yet.</strong> They suppose that nothing but noise is \
-             wrong, and more is:</p>\n<ul>\n{doubted}</ul></div>\n"
+             wrong, and more is:</p>\n<ul>\n{findings}</ul></div>\n"
         )
     };
     format!(
-        "<header>\n<p class=\"kind\">Catoptra calibration of a rig</p>\n<h1>{}</h1>\n<p class=\"verdict\">{answer}</p>\n{doubted}</header>\n",
+        "<header>\n<p class=\"kind\">Catoptra calibration of a rig</p>\n<h1>{}</h1>\n<p class=\"verdict\">{answer}</p>\n{findings}</header>\n",
         escape(&info.rig)
     )
 }
@@ -287,13 +288,13 @@ fn better(verdict: &Verdict) -> String {
 
 fn residuals(done: &RigCalibration) -> String {
     let names = done.solution.geometry.views.iter().map(|(name, _)| name.clone());
-    let views: Vec<_> = names.enumerate().map(|(view, name)| (name, doubts::residuals(done, view))).collect();
+    let views: Vec<_> = names.enumerate().map(|(view, name)| (name, diagnostics::residuals(done, view))).collect();
     let times = figures::magnification(&views.iter().map(|(_, arrows)| arrows.clone()).collect::<Vec<_>>());
     let plots: String = views
         .iter()
         .enumerate()
         .map(|(view, (name, arrows))| {
-            let common = doubts::together(arrows).map_or("too few corners for means".to_owned(), |times| {
+            let common = diagnostics::together(arrows).map_or("too few corners for means".to_owned(), |times| {
                 format!("means {times:.1} times as long as noise makes them")
             });
             let plot = figures::residuals(done, view, arrows, times);

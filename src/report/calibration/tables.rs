@@ -1,12 +1,12 @@
 //! The tables of a calibration's page, in mm, degrees and pixels.
 
 use super::super::page::{escape, signed, table};
+use crate::calibrate::bundle::prior::Prior;
 use crate::calibrate::bundle::{NoSolution, Solution};
-use crate::calibrate::doubts::{CONTRADICTS, contradiction};
 use crate::calibrate::geometry::{Geometry, Parameter};
-use crate::calibrate::held_out::{HeldOut, Length, Off};
-use crate::calibrate::known::Known;
-use crate::calibrate::mirrors::RigCalibration;
+use crate::calibrate::rig::RigCalibration;
+use crate::calibrate::rig::diagnostics::{CONTRADICTS, contradiction};
+use crate::calibrate::rig::held_out::{HeldOut, Length, Off};
 use nalgebra::DMatrix;
 
 fn surface_name(geometry: &Geometry, surface: usize) -> &str {
@@ -81,7 +81,7 @@ pub(super) fn lens(solution: &Solution) -> String {
         ("k3", 3),
     ];
     let before = solution.known.iter().find_map(|known| match known {
-        Known::Lens { values, whitening } => Some((values, (whitening.tr_mul(whitening)).try_inverse()?)),
+        Prior::Lens { values, whitening } => Some((values, (whitening.tr_mul(whitening)).try_inverse()?)),
         _ => None,
     });
     let rows: Vec<Vec<String>> = ROWS
@@ -125,22 +125,22 @@ pub(super) fn known(solution: &Solution) -> String {
         .iter()
         .map(|known| {
             let (given, found) = match known {
-                Known::Lens { .. } => ("see above".to_owned(), "see above".to_owned()),
-                Known::Distance { surface, distance_m, sd_m } => {
+                Prior::Lens { .. } => ("see above".to_owned(), "see above".to_owned()),
+                Prior::Distance { surface, distance_m, sd_m } => {
                     (mm(*distance_m, *sd_m), format!("{:.2} mm", offset_m(*surface).abs() * 1e3))
                 }
-                Known::Square { surfaces: [a, b], sd_rad } => {
+                Prior::Square { surfaces: [a, b], sd_rad } => {
                     let angle = normal(*a).zip(normal(*b)).map(|(a, b)| a.angle(&b).to_degrees());
                     let found = angle.map_or("–".to_owned(), |angle| format!("{angle:.3}°"));
                     (format!("90 ± {:.2}°", sd_rad.to_degrees()), found)
                 }
-                Known::Apart { surfaces: [a, b], distance_m, sd_m } => {
+                Prior::Apart { surfaces: [a, b], distance_m, sd_m } => {
                     (mm(*distance_m, *sd_m), format!("{:.2} mm", (offset_m(*a) + offset_m(*b)) * 1e3))
                 }
-                Known::IndexInside { index, sd } => {
+                Prior::IndexInside { index, sd } => {
                     (format!("{index:.4} ± {sd:.4}"), format!("{:.4}", geometry.value(Parameter::IndexInside)))
                 }
-                Known::Taped { sd_m, .. } => (mm(0.0, *sd_m), "–".to_owned()),
+                Prior::Taped { sd_m, .. } => (mm(0.0, *sd_m), "–".to_owned()),
             };
             let off = contradiction(solution, known).map_or("–".to_owned(), |off| {
                 let class = if off > CONTRADICTS { " class=\"miss\"" } else { "" };

@@ -3,7 +3,7 @@
 use super::messages::{Angles, Band, Deflection, DriftAlarm, Estimate, Marker, Position, Status, Tangent, View};
 use crate::estimate::{self, Miss};
 use crate::rig::Rig;
-use crate::track::{self, Drifted};
+use crate::tally::{self, Drifted};
 use foxglove::messages::{Point2, Point3, Timestamp, Vector2, Vector3};
 use nalgebra::{Isometry3, Matrix3};
 
@@ -78,7 +78,7 @@ impl Names {
         }
     }
 
-    pub(super) fn drift(&self, alarm: &track::DriftAlarm) -> DriftAlarm {
+    pub(super) fn drift(&self, alarm: &tally::DriftAlarm) -> DriftAlarm {
         let (view, size_px, sd_px, sd_m) = match alarm.what {
             Drifted::Views { view, size_px, sd_px } => (self.view(view), Some(size_px), Some(sd_px), None),
             Drifted::Apart => (String::new(), None, None, None),

@@ -5,7 +5,7 @@ use super::messages::{Health, MissCount};
 use crate::estimate::{Estimate, Miss};
 use crate::rig::Rig;
 use crate::sink::PictureCount;
-use crate::track::Drift;
+use crate::tally::Drift;
 use std::sync::Arc;
 
 /// Camera time between two reports.

@@ -2,18 +2,23 @@
 //!
 //! In: a start, corners seen, prior knowledge. Out: [`Solution`] with the geometry's covariance and what every corner left.
 //!
-//! Minimised is Σ ρ(|corner − projection| / σ) + Σ ((known − value)/sd)², ρ Huber's (`arrow.rs`): the geometry is shared
+//! Minimised is Σ ρ(|corner − projection| / σ) + Σ ((known − value)/sd)², ρ Huber's (`least_squares.rs`): the geometry is shared
 //! by all pictures, the six parameters of its pose are each picture's own. σ, the noise of a corner, is taken from the corners
 //! themselves and the whole repeated.
 //!
 //! The covariance of the geometry has all poses free. It supposes independent errors of the corners, flat mirrors and walls,
 //! and a flat board.
 
-use super::arrow::{End, Equations, Loss, Row, Step, Stuck, minimise};
-use super::geometry::{Geometry, Parameter, Projector};
-use super::known::{Equation, Known};
+pub mod outliers;
+pub(crate) mod pose;
+pub mod prior;
+
+use crate::calibrate::bundle::prior::{Equation, Prior};
+use crate::calibrate::geometry::{Geometry, Parameter, Projector};
+use crate::calibrate::least_squares::{End, Equations, Loss, Row, Step, Stuck, minimise};
 use crate::optics::NoRay;
-use nalgebra::{DMatrix, DVector, Isometry3, Point2, Point3, Translation3, UnitQuaternion, Vector2, Vector3, Vector6};
+use nalgebra::{DMatrix, DVector, Isometry3, Point2, Point3, Vector2, Vector3};
+use pose::{by_pose, turned};
 
 /// A corner further off than so many σ says nothing about σ.
 const OUTLIER: f64 = 4.0;
@@ -51,7 +56,7 @@ pub struct Bundle {
     /// All corners.
     pub corners: Vec<Corner>,
     /// What else is known.
-    pub known: Vec<Known>,
+    pub known: Vec<Prior>,
 }
 
 /// The answer.
@@ -72,7 +77,7 @@ pub struct Solution {
     /// Noise of one coordinate of a corner, pixels.
     pub corner_sd_px: f64,
     /// What else was known.
-    pub known: Vec<Known>,
+    pub known: Vec<Prior>,
 }
 
 /// Why there is no answer.
@@ -208,26 +213,12 @@ impl From<Stuck<Self>> for NoSolution {
     }
 }
 
-/// A pose moved by a step: translation in the camera frame, then rotation vector about the board's origin in its own axes.
-pub(super) fn turned(pose: &Isometry3<f64>, step: &Vector6<f64>) -> Isometry3<f64> {
-    let turn = UnitQuaternion::from_scaled_axis(Vector3::new(step[3], step[4], step[5]));
-    let to = Translation3::from(pose.translation.vector + Vector3::new(step[0], step[1], step[2]));
-    Isometry3::from_parts(to, pose.rotation * turn)
-}
-
-/// d value / d pose step, from d value / d place of a point of the board.
-pub(super) fn by_pose(pose: &Isometry3<f64>, place: &Point3<f64>, d_place: &Vector3<f64>) -> Vector6<f64> {
-    let in_board: Vector3<f64> = pose.rotation.inverse() * d_place;
-    // d(R exp(ω) p)/dω = −R [p]ₓ, and gᵀ(−R [p]ₓ) = (p × Rᵀg)ᵀ.
-    let turn = place.coords.cross(&in_board);
-    Vector6::new(d_place.x, d_place.y, d_place.z, turn.x, turn.y, turn.z)
-}
-
 #[cfg(test)]
 pub(super) mod tests {
-    use super::super::geometry::tests::geometry;
-    use super::super::tests::gaussian;
     use super::*;
+    use crate::calibrate::geometry::tests::geometry;
+    use crate::calibrate::tests::gaussian;
+    use nalgebra::{Translation3, UnitQuaternion, Vector6};
 
     /// Twelve small boards in the water, seen directly and in the mirror, and a start that is off.
     fn pictures(
@@ -258,16 +249,16 @@ pub(super) mod tests {
     }
 
     /// What a laboratory has, a calibrated lens and a tape measure, each `errors` times its standard deviation off.
-    fn known(errors: f64, random: &mut impl FnMut() -> f64) -> Vec<Known> {
+    fn known(errors: f64, random: &mut impl FnMut() -> f64) -> Vec<Prior> {
         let truth = geometry();
         let sd = [3.0, 3.0, 2.0, 2.0, 0.02, 0.3, 5e-4, 5e-4, 1.0];
         let values = std::array::from_fn(|i| truth.value(Parameter::LENS[i]) + errors * sd[i] * random());
         let whitening = DMatrix::from_diagonal(&DVector::from_iterator(9, sd.iter().map(|s: &f64| 1.0 / s)));
         let distance_m = truth.value(Parameter::Offset { surface: 0 }).abs() + errors * 2e-3 * random();
-        vec![Known::Lens { values, whitening }, Known::Distance { surface: 0, distance_m, sd_m: 2e-3 }]
+        vec![Prior::Lens { values, whitening }, Prior::Distance { surface: 0, distance_m, sd_m: 2e-3 }]
     }
 
-    pub(in crate::calibrate) fn bundle(truth: &Geometry, sd_px: f64, errors: f64, seed: u64) -> Bundle {
+    pub(crate) fn bundle(truth: &Geometry, sd_px: f64, errors: f64, seed: u64) -> Bundle {
         let mut random = gaussian(seed);
         let (poses, corners) = pictures(truth, sd_px, &mut random);
         let free: Vec<Parameter> = Parameter::LENS.into_iter().chain((0..3).flat_map(Parameter::of_surface)).collect();
@@ -292,7 +283,7 @@ pub(super) mod tests {
         let of = |p: &Parameter| match *p {
             Parameter::Tilt { surface, axis } => {
                 let plane = |g: &Geometry| g.surfaces[surface].1.plane().normal();
-                let axes = super::super::geometry::tilt_axes(&plane(&solved.geometry));
+                let axes = crate::calibrate::geometry::tilt_axes(&plane(&solved.geometry));
                 plane(truth).cross(&plane(&solved.geometry)).dot(&axes[axis])
             }
             p => solved.geometry.value(p) - truth.value(p),

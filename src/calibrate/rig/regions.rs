@@ -1,6 +1,6 @@
 //! Where in the picture each view is: between the boards of one view and those of the next.
 
-use super::bundle::Corner;
+use crate::calibrate::bundle::Corner;
 use crate::optics::OpticalPath;
 use crate::rig::polygon;
 use nalgebra::{Point2, Rotation2, Vector2};
@@ -15,7 +15,7 @@ const DIRECTIONS: usize = 32;
 
 /// Where each view is in the picture: around its boards, cut along lines halfway to the boards of the other views, and without
 /// what has no ray, past the edge of a wall or of a mirror. Two views whose boards no line across their centres parts are not cut.
-pub(super) fn regions(corners: &[Corner], views: &[OpticalPath], size_px: [u32; 2]) -> Vec<Vec<Point2<f64>>> {
+pub(crate) fn regions(corners: &[Corner], views: &[OpticalPath], size_px: [u32; 2]) -> Vec<Vec<Point2<f64>>> {
     let of_view = |view: usize| corners.iter().filter(move |c| c.view == view).map(|c| c.pixel.coords);
     let centre = |view: usize| of_view(view).sum::<Vector2<f64>>() / of_view(view).count().max(1) as f64;
     let [right, bottom] = size_px.map(|size| f64::from(size) - 0.5);

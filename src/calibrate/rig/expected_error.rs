@@ -13,10 +13,11 @@
 //!
 //! Cannot tell: what the model leaves out (bent mirrors and walls, dispersion, a moved tank, a wrong index).
 
-use super::arrow::{Equations, Loss, Row};
-use super::bundle::{Corner, Solution, by_pose};
-use super::geometry::{Geometry, Parameter, Projector};
-use super::known::Known;
+use crate::calibrate::bundle::pose::by_pose;
+use crate::calibrate::bundle::prior::Prior;
+use crate::calibrate::bundle::{Corner, Solution};
+use crate::calibrate::geometry::{Geometry, Parameter, Projector};
+use crate::calibrate::least_squares::{Equations, Loss, Row};
 use nalgebra::{DMatrix, Isometry3, Matrix3, Matrix3xX, Point3, Translation3, UnitQuaternion, Vector3};
 
 /// Places along each side of the working volume.
@@ -275,7 +276,7 @@ fn candidates(solution: &Solution, places: &[Point3<f64>], board: &[Point3<f64>]
     let mut list = Vec::new();
     for (surface, (name, _)) in solution.geometry.surfaces.iter().enumerate() {
         let distance_m = solution.geometry.value(Parameter::Offset { surface }).abs();
-        let known = Known::Distance { surface, distance_m, sd_m: 2e-3 };
+        let known = Prior::Distance { surface, distance_m, sd_m: 2e-3 };
         let rows = known.rows(&solution.geometry, &solution.poses, &solution.free);
         let information = rows.iter().map(|row| &row.by_geometry * row.by_geometry.transpose());
         let none = DMatrix::zeros(solution.free.len(), solution.free.len());

@@ -21,7 +21,7 @@ const ROUNDS: usize = 8;
 
 /// Clusters of what surrounds each click: for each click, lists of R'G'B'. `own` are the clicks' mean colours; `colour`
 /// gives that of a pixel, if it is in the picture.
-pub(super) fn clusters(
+pub(crate) fn clusters(
     clicks: &[Point2<f64>],
     own: &[Vector3<f64>],
     colour: impl Fn(i64, i64) -> Option<Vector3<f64>>,

@@ -1,9 +1,9 @@
 //! Made-up recordings of a tube that swings, with known errors.
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
-use super::super::geometry::tests::geometry;
-use super::super::tests::gaussian;
 use super::*;
+use crate::calibrate::geometry::tests::geometry;
+use crate::calibrate::tests::gaussian;
 
 const MIRROR: usize = 1;
 const FRAME_SD_PX: f64 = 0.1;
@@ -38,8 +38,8 @@ fn swing(seen_by: &Geometry, errors: f64, seed: u64) -> (Vec<Moment>, KnownLengt
     (moments, known)
 }
 
-fn solved(start: Geometry, moments: &[Moment], lengths: &[KnownLength]) -> Option<Met> {
-    let meeting = Meeting {
+fn solved(start: Geometry, moments: &[Moment], lengths: &[KnownLength]) -> Option<RayBundleSolution> {
+    let meeting = RayBundle {
         geometry: start,
         free: Parameter::of_surface(MIRROR).to_vec(),
         prior_sd: None,
@@ -60,7 +60,7 @@ fn bumped(truth: &Geometry) -> Geometry {
 fn error(found: &Geometry, truth: &Geometry) -> [f64; 3] {
     let (found, truth) = (found.surfaces[MIRROR].1.plane(), truth.surfaces[MIRROR].1.plane());
     let turn = truth.normal().cross(&found.normal());
-    let [a, b] = super::super::geometry::tilt_axes(&truth.normal());
+    let [a, b] = crate::calibrate::geometry::tilt_axes(&truth.normal());
     [turn.dot(&a), turn.dot(&b), found.offset_m() - truth.offset_m()]
 }
 

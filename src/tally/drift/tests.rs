@@ -1,10 +1,10 @@
 //! Made-up runs with residuals and places of known mean and noise.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking, its own functions too")]
 
-use super::super::drawn::Dice;
 use super::*;
 use crate::estimate::Miss;
 use crate::sink::fixture;
+use crate::track::drawn::Dice;
 use nalgebra::{Vector2, Vector3};
 
 /// A run with residuals of mean ± `mean` in the two views and correlated noise; alarms as (frame, alarm).

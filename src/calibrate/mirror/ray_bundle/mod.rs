@@ -1,18 +1,18 @@
 //! The adjustment without a board: surfaces and places of bands such that the rays of all views meet.
 //!
-//! In: a start, where each view saw bands at some moments, known lengths. Out: [`Met`] with the free parameters' covariance.
+//! In: a start, where each view saw bands at some moments, known lengths. Out: [`RayBundleSolution`] with the free parameters' covariance.
 //!
 //! Minimised is Σ ρ(|seen − projection − error of the band model|) + Σ ((known length − distance)/σ)², ρ Huber's
-//! (`arrow.rs`): surfaces and errors are shared by all moments, the places of its bands are each moment's own.
+//! (`least_squares.rs`): surfaces and errors are shared by all moments, the places of its bands are each moment's own.
 //!
 //! What the image model gets wrong about a band in a view is the same in every frame and does not average out: it is a parameter
 //! of its own, along and across the band, known to be 0 within its σ. So is the error of a known length. The covariance holds
 //! these errors as well; it takes everything that is not free for exact.
 
-use super::arrow::{End, Equations, Loss, Row, Step, minimise};
-use super::geometry::{Geometry, Parameter, Projector};
+use crate::calibrate::geometry::{Geometry, Parameter, Projector};
+use crate::calibrate::least_squares::{End, Equations, Loss, Row, Step, minimise};
 use crate::optics::NoRay;
-use crate::track::{Sighting, triangulate};
+use crate::optics::{Sighting, triangulate};
 use nalgebra::{DMatrix, DVector, Matrix2, Point2, Point3, Vector2, Vector3};
 
 /// Steps of the places alone after each step of what is common.
@@ -22,21 +22,21 @@ const END: End = End { enough: (0.0, 1e-6), most_steps: 100 };
 
 /// A band in a view.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Sight {
-    pub(super) marker: usize,
-    pub(super) view: usize,
-    pub(super) pixel: Point2<f64>,
-    pub(super) covariance_px2: Matrix2<f64>,
+pub(crate) struct Sight {
+    pub(crate) marker: usize,
+    pub(crate) view: usize,
+    pub(crate) pixel: Point2<f64>,
+    pub(crate) covariance_px2: Matrix2<f64>,
     /// Unit direction of the band in the picture.
-    pub(super) along: Vector2<f64>,
+    pub(crate) along: Vector2<f64>,
 }
 
 /// A frame.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Moment {
-    pub(super) sights: Vec<Sight>,
+pub(crate) struct Moment {
+    pub(crate) sights: Vec<Sight>,
     /// For each known length, by how much bending makes the distance shorter, metres; `None`: the length is not used here.
-    pub(super) shorter_m: Vec<Option<f64>>,
+    pub(crate) shorter_m: Vec<Option<f64>>,
 }
 
 /// A length that bending does not change, or by a known amount.
@@ -52,27 +52,27 @@ pub struct KnownLength {
 
 /// What is to be solved, and where the search starts.
 #[derive(Debug, Clone)]
-pub(super) struct Meeting<'a> {
-    pub(super) geometry: Geometry,
-    pub(super) free: Vec<Parameter>,
+pub(crate) struct RayBundle<'a> {
+    pub(crate) geometry: Geometry,
+    pub(crate) free: Vec<Parameter>,
     /// Standard deviations about where the search starts, of the free parameters; `None` when they are wholly free.
-    pub(super) prior_sd: Option<Vec<f64>>,
+    pub(crate) prior_sd: Option<Vec<f64>>,
     /// For each marker, what the image model may get wrong along and across it, pixels.
-    pub(super) model_sd_px: Vec<[f64; 2]>,
-    pub(super) lengths: &'a [KnownLength],
+    pub(crate) model_sd_px: Vec<[f64; 2]>,
+    pub(crate) lengths: &'a [KnownLength],
     /// Scatter of a single frame's distance about a known length, metres.
-    pub(super) length_scatter_m: f64,
-    pub(super) moments: &'a [Moment],
+    pub(crate) length_scatter_m: f64,
+    pub(crate) moments: &'a [Moment],
 }
 
 /// The answer.
 #[derive(Debug, Clone)]
-pub(super) struct Met {
-    pub(super) geometry: Geometry,
+pub(crate) struct RayBundleSolution {
+    pub(crate) geometry: Geometry,
     /// Of the free parameters.
-    pub(super) covariance: DMatrix<f64>,
+    pub(crate) covariance: DMatrix<f64>,
     /// Corrections of the known lengths, metres.
-    pub(super) length_errors_m: Vec<f64>,
+    pub(crate) length_errors_m: Vec<f64>,
 }
 
 /// Where the search is.
@@ -95,16 +95,16 @@ impl State {
     }
 }
 
-impl Meeting<'_> {
+impl RayBundle<'_> {
     /// Solves from where `self` starts; `None` when the sightings do not determine the answer.
-    pub(super) fn solve(self) -> Option<Met> {
+    pub(crate) fn solve(self) -> Option<RayBundleSolution> {
         let count = self.free.len() + 2 * self.views() * self.model_sd_px.len() + self.lengths.len();
         let places = self.moments.iter().map(|moment| places(&self.geometry, moment, self.model_sd_px.len())).collect();
         let start = State { geometry: self.geometry.clone(), common: DVector::zeros(count), places };
         let (state, equations) =
             minimise(END, start, |state| self.equations(state), |state, step| self.stepped(state, step)).ok()?;
         let free = self.free.len();
-        Some(Met {
+        Some(RayBundleSolution {
             covariance: equations.covariance()?.view((0, 0), (free, free)).into_owned(),
             length_errors_m: state.common.as_slice()[count - self.lengths.len()..].to_vec(),
             geometry: state.geometry,
@@ -239,7 +239,7 @@ fn slot(places: &[Option<Point3<f64>>], marker: usize) -> Option<usize> {
 }
 
 /// Where the bands of a moment are, by a geometry: those seen in two views.
-pub(super) fn places(geometry: &Geometry, moment: &Moment, markers: usize) -> Vec<Option<Point3<f64>>> {
+pub(crate) fn places(geometry: &Geometry, moment: &Moment, markers: usize) -> Vec<Option<Point3<f64>>> {
     let paths: Vec<_> = (0..geometry.views.len()).map(|view| geometry.path(view)).collect();
     let place = |marker: usize| {
         let seen: Vec<Sighting<'_>> = moment
@@ -255,7 +255,7 @@ pub(super) fn places(geometry: &Geometry, moment: &Moment, markers: usize) -> Ve
 
 /// By how much the views disagree about where bands are, RMS, pixels: for each band, the root of the sum over its views of the
 /// squared distance between where it is seen and where the place that fits all views best is projected to.
-pub(super) fn disagreement_px(geometry: &Geometry, moments: &[Moment], markers: usize) -> Option<f64> {
+pub(crate) fn disagreement_px(geometry: &Geometry, moments: &[Moment], markers: usize) -> Option<f64> {
     let paths: Vec<_> = (0..geometry.views.len()).map(|view| geometry.path(view)).collect();
     let (mut sum, mut bands) = (0.0, 0);
     for moment in moments {

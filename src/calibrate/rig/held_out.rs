@@ -9,9 +9,9 @@
 //! Cannot tell: what moves everything together (it changes no length), a wrong size of the squares (the boards of the other
 //! pictures have it too).
 
-use super::bundle::{Bundle, Corner, NoSolution, Solution};
-use super::known::Known;
-use crate::track::{Sighting, triangulate};
+use crate::calibrate::bundle::prior::Prior;
+use crate::calibrate::bundle::{Bundle, Corner, NoSolution, Solution};
+use crate::optics::{Sighting, triangulate};
 use nalgebra::{Matrix2, Matrix3, Point3};
 use rayon::prelude::*;
 
@@ -116,8 +116,8 @@ fn without(picture: usize, solution: &Solution, corners: &[Corner]) -> Bundle {
         .known
         .iter()
         .filter_map(|known| match *known {
-            Known::Taped { picture, surface, sd_m, half_m } => {
-                Some(Known::Taped { picture: now(picture)?, surface, sd_m, half_m })
+            Prior::Taped { picture, surface, sd_m, half_m } => {
+                Some(Prior::Taped { picture: now(picture)?, surface, sd_m, half_m })
             }
             _ => Some(known.clone()),
         })
@@ -173,9 +173,9 @@ fn measure(picture: usize, others: &Solution, corners: &[Corner], corner_sd_px: 
 
 #[cfg(test)]
 mod tests {
-    use super::super::bundle::tests::bundle;
-    use super::super::geometry::tests::geometry;
     use super::*;
+    use crate::calibrate::bundle::tests::bundle;
+    use crate::calibrate::geometry::tests::geometry;
 
     fn all(sd_px: f64, seed: u64) -> Vec<HeldOut> {
         let bundle = bundle(&geometry(), sd_px, if sd_px > 0.0 { 1.0 } else { 0.0 }, seed);

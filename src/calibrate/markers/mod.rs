@@ -15,11 +15,14 @@
 mod error;
 mod first;
 mod fitted;
+mod line_search;
+mod samples;
+pub mod surroundings;
 
 pub use error::MarkersError;
 
-use super::colours::{Place, Samples};
-use super::frames::spread;
+use crate::calibrate::frames::spread;
+use crate::calibrate::markers::samples::{Place, Samples};
 use crate::estimate::{BandObservation, Estimate, MarkerEstimate, Miss};
 use crate::rig::{Rig, View};
 use crate::segment::{Learned, Separation, learn};

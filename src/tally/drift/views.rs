@@ -11,10 +11,10 @@
 //! along its normal or turned about an axis across that plane, changes the answer, not the residual; a camera and mirror that moved
 //! together change neither. Nor can it tell which of two views is wrong.
 
-use super::{BLOCKS, Drifted, Finding, OVER, Window, mean};
 use crate::estimate::{Estimate, Miss};
 use crate::optics::OpticalPath;
 use crate::rig::Rig;
+use crate::tally::drift::{BLOCKS, Drifted, Finding, OVER, Window, mean};
 use nalgebra::{Matrix2, Point3, Vector2};
 use std::collections::VecDeque;
 
@@ -25,7 +25,7 @@ const LEAST_PX: f64 = 0.3;
 
 /// Watches the residuals.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Views {
+pub(crate) struct Views {
     optics: Vec<OpticalPath>,
     window: Window<Block>,
     /// Where a band was last, camera frame, metres: for the scale of the picture.
@@ -43,18 +43,18 @@ struct Block {
 }
 
 impl Views {
-    pub(super) fn new(rig: &Rig) -> Self {
+    pub(crate) fn new(rig: &Rig) -> Self {
         Self { optics: rig.views.iter().map(|view| view.optics.clone()).collect(), ..Self::default() }
     }
 
-    pub(super) fn add(&mut self, estimate: &Estimate) {
+    pub(crate) fn add(&mut self, estimate: &Estimate) {
         self.window.open.add(estimate, self.optics.len());
         let place = estimate.markers.iter().find_map(|marker| marker.position.as_ref().ok());
         self.place = place.map(|position| position.point).or(self.place);
     }
 
     /// Ends a block; what the last ones say.
-    pub(super) fn found(&mut self) -> Option<Finding> {
+    pub(crate) fn found(&mut self) -> Option<Finding> {
         let blocks = self.window.close();
         if let Some(size_m) = apart_m(blocks) {
             return Some(Finding { what: Drifted::Apart, size_m, raises: true, ends: false });

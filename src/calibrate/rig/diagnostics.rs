@@ -1,17 +1,17 @@
 //! Reasons not to believe a calibration's verdict: it supposes that the model is right and corners are off by noise alone,
 //! and what is left of the corners can contradict that.
 //!
-//! In: a calibration, the check on held-out pictures. Out: [`Doubt`]s.
+//! In: a calibration, the check on held-out pictures. Out: [`Diagnostic`]s.
 //!
 //! Residuals of noise have nothing in common with their neighbours'; a bent mirror, a lens of another kind, water that was
 //! not said to be there leave residuals that follow one another across the picture ([`neighbourhoods`]).
 //!
 //! Cannot tell: errors of the model that other parameters take up, such as a wrong thickness of the glass.
 
-use super::bundle::{NoSolution, Solution};
-use super::held_out::{HeldOut, Off};
-use super::known::Known;
-use super::mirrors::RigCalibration;
+use crate::calibrate::bundle::prior::Prior;
+use crate::calibrate::bundle::{NoSolution, Solution};
+use crate::calibrate::rig::RigCalibration;
+use crate::calibrate::rig::held_out::{HeldOut, Off};
 use nalgebra::{DMatrix, DVector, Point2, Vector2};
 use std::collections::BTreeMap;
 
@@ -28,7 +28,7 @@ const REDUNDANT: f64 = 1e-3;
 
 /// A reason.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum Doubt {
+pub enum Diagnostic {
     /// Residuals that follow one another.
     #[error(
         "corners of the {view} view that are neighbours are off together, {times:.1} times as much as noise explains: is there \
@@ -57,7 +57,7 @@ pub enum Doubt {
         "the pictures contradict {what} as it was given, by {off:.1} σ: is it right, and the size of the squares? Were pictures \
          flipped or turned, or taken with another lens?"
     )]
-    Known {
+    Prior {
         /// What.
         what: String,
         /// By how many standard deviations.
@@ -77,11 +77,11 @@ pub struct Neighbourhood {
 }
 
 /// Everything that speaks against the verdict.
-pub fn doubts(done: &RigCalibration, held: &[Result<HeldOut, NoSolution>]) -> Vec<Doubt> {
+pub fn diagnose(done: &RigCalibration, held: &[Result<HeldOut, NoSolution>]) -> Vec<Diagnostic> {
     let mut doubts = Vec::new();
     for (view, (name, _)) in done.solution.geometry.views.iter().enumerate() {
         if let Some(times) = together(&residuals(done, view)).filter(|times| *times > TOGETHER) {
-            doubts.push(Doubt::Together { view: name.clone(), times });
+            doubts.push(Diagnostic::Together { view: name.clone(), times });
         }
     }
     let lengths = [
@@ -89,11 +89,11 @@ pub fn doubts(done: &RigCalibration, held: &[Result<HeldOut, NoSolution>]) -> Ve
         Off::of(held.iter().flatten().flat_map(|h| &h.diagonals)),
     ];
     for off in lengths.into_iter().flatten().filter(Off::beyond_noise) {
-        doubts.push(Doubt::Lengths { nominal_mm: off.nominal_m * 1e3, times: off.rms_m / off.noise_m });
+        doubts.push(Diagnostic::Lengths { nominal_mm: off.nominal_m * 1e3, times: off.rms_m / off.noise_m });
     }
     for known in &done.solution.known {
         if let Some(off) = contradiction(&done.solution, known).filter(|off| *off > CONTRADICTS) {
-            doubts.push(Doubt::Known { what: known.what(&done.solution.geometry), off });
+            doubts.push(Diagnostic::Prior { what: known.what(&done.solution.geometry), off });
         }
     }
     doubts
@@ -104,7 +104,7 @@ pub fn doubts(done: &RigCalibration, held: &[Result<HeldOut, NoSolution>]) -> Ve
 ///
 /// A residual that is left of what was given is small where the pictures say little: it must be seen against its own
 /// covariance, which is what was given less what is known in the end. Poses are taken as they came out.
-pub fn contradiction(solution: &Solution, known: &Known) -> Option<f64> {
+pub fn contradiction(solution: &Solution, known: &Prior) -> Option<f64> {
     let rows = known.rows(&solution.geometry, &solution.poses, &solution.free);
     let residuals = DVector::from_iterator(rows.len(), rows.iter().map(|row| row.residual));
     let mut by_geometry = DMatrix::zeros(rows.len(), solution.free.len());
@@ -169,22 +169,22 @@ pub fn together(residuals: &[(Point2<f64>, Vector2<f64>)]) -> Option<f64> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::bundle::tests::bundle;
-    use super::super::geometry::Parameter;
-    use super::super::geometry::tests::geometry;
     use super::*;
+    use crate::calibrate::bundle::tests::bundle;
+    use crate::calibrate::geometry::Parameter;
+    use crate::calibrate::geometry::tests::geometry;
 
     /// Against solving without what was given: the difference of the two answers by their deviations together.
     #[test]
     fn a_contradiction_is_the_distance_from_what_the_rest_says() {
         let truth = geometry();
-        let given = |off_m: f64| Known::Distance {
+        let given = |off_m: f64| Prior::Distance {
             surface: 0,
             distance_m: truth.value(Parameter::Offset { surface: 0 }).abs() + off_m,
             sd_m: 2e-3,
         };
         let mut without = bundle(&truth, 0.02, 1.0, 11);
-        without.known.retain(|known| matches!(known, Known::Lens { .. }));
+        without.known.retain(|known| matches!(known, Prior::Lens { .. }));
         let alone = without.clone().solve().unwrap();
         let at = alone.free.iter().position(|p| *p == Parameter::Offset { surface: 0 }).unwrap();
         let (says_m, sd_m) =
@@ -194,7 +194,7 @@ mod tests {
             let mut with = without.clone();
             with.known.push(given(off_m));
             let solved = with.solve().unwrap();
-            let Known::Distance { distance_m, .. } = given(off_m) else { unreachable!() };
+            let Prior::Distance { distance_m, .. } = given(off_m) else { unreachable!() };
             let expected = (says_m - distance_m).abs() / sd_m.hypot(2e-3);
             let found = contradiction(&solved, &given(off_m)).unwrap();
             assert!((found - expected).abs() < 0.05 + 0.1 * expected, "{off_m}: {found}, expected {expected}");

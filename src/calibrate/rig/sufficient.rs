@@ -5,10 +5,10 @@
 //! Boards at one depth are not refused for that: tilted ones determine as much as others, there and for a lens; where they do
 //! not, the covariance shows it.
 
-use super::bundle::Solution;
-use super::camera::spread_rad;
-use super::geometry::Parameter;
-use super::start::{Start, Unusable};
+use crate::calibrate::bundle::Solution;
+use crate::calibrate::bundle::pose::spread_rad;
+use crate::calibrate::geometry::Parameter;
+use crate::calibrate::rig::initial::{Initial, Unusable};
 use nalgebra::Vector3;
 
 /// Fewest pictures of the board in each mirror: one alone has nothing that contradicts it.
@@ -79,7 +79,7 @@ pub enum Lacking {
 }
 
 /// Judged before the adjustment.
-pub(super) fn shown(start: &Start) -> Result<(), Lacking> {
+pub(crate) fn shown(start: &Initial) -> Result<(), Lacking> {
     let elsewhere = start.left_out.iter().filter(|(_, why)| *why == Unusable::OtherMirror).count();
     let all = elsewhere + start.pictures.len();
     if elsewhere as f64 > MOST_ELSEWHERE * all as f64 {
@@ -95,7 +95,7 @@ pub(super) fn shown(start: &Start) -> Result<(), Lacking> {
 }
 
 /// Judged after the adjustment.
-pub(super) fn determined(solution: &Solution) -> Result<(), Lacking> {
+pub(crate) fn determined(solution: &Solution) -> Result<(), Lacking> {
     let spread_rad = spread_rad(&solution.poses);
     let spread_deg = spread_rad.to_degrees();
     if spread_rad < LEAST_TILT_RAD {

@@ -107,7 +107,7 @@ impl Grey {
     }
 
     /// The grey value at a place, bilinear between pixel centres; `None` outside of them.
-    pub(super) fn at(&self, place: Point2<f64>) -> Option<f64> {
+    pub(crate) fn at(&self, place: Point2<f64>) -> Option<f64> {
         let (x, y) = (place.x.floor(), place.y.floor());
         let sample = |x: f64, y: f64| {
             let inside = (0.0..f64::from(self.width)).contains(&x) && (0.0..f64::from(self.height)).contains(&y);

@@ -2,7 +2,7 @@
 
 /// Parameter at the minimum and its standard deviation were the function a χ² (2 over the second derivative, root).
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Minimum {
+pub(crate) struct Minimum {
     pub at: f64,
     pub curvature: f64,
 }
@@ -13,7 +13,7 @@ const MOST_STEPS: usize = 8;
 /// Minimises `f` from `start` by steps of `step`, within `range`; `None` when `f` cannot be evaluated at the start.
 ///
 /// At a limit of the range the limit itself is given.
-pub(super) fn minimise(
+pub(crate) fn minimise(
     start: f64,
     step: f64,
     range: (f64, f64),

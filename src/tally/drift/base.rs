@@ -10,9 +10,9 @@
 //! What it cannot detect: whether it was the clamp or the camera that moved; what leaves this one place where it was, as a
 //! mirror turned about an axis through the image of the band does.
 
-use super::{Drifted, Finding, OVER, Window, mean};
 use crate::estimate::Estimate;
 use crate::rig::Rig;
+use crate::tally::drift::{Drifted, Finding, OVER, Window, mean};
 use nalgebra::{Matrix3, Point3, Vector3};
 
 /// A distance is certain beyond this many of its standard deviations. They hold the systematic errors: no more is needed.
@@ -24,7 +24,7 @@ const STATED_SD_M: f64 = 0.1e-3;
 
 /// Watches the first marker, the one next to the clamp.
 #[derive(Debug, Clone)]
-pub(super) struct BaseBand {
+pub(crate) struct BaseBand {
     /// Camera frame, metres.
     origin: Point3<f64>,
     /// Covariance of the distance without the scatter of the blocks.
@@ -38,7 +38,7 @@ struct Block(Matrix3<f64>, Vector3<f64>);
 
 impl BaseBand {
     /// For a rig with a base frame.
-    pub(super) fn new(rig: &Rig) -> Option<Self> {
+    pub(crate) fn new(rig: &Rig) -> Option<Self> {
         let origin = rig.base.as_ref()?.base_from_camera.inverse() * Point3::origin();
         let sd_m = rig.origin_sd_m().unwrap_or_else(|| Vector3::repeat(STATED_SD_M));
         // The origin's, and as much again: what the image model gets wrong about the band is the same in all frames of a run.
@@ -46,7 +46,7 @@ impl BaseBand {
         Some(Self { origin, systematic, window: Window::default() })
     }
 
-    pub(super) fn add(&mut self, estimate: &Estimate) {
+    pub(crate) fn add(&mut self, estimate: &Estimate) {
         let Some(Ok(position)) = estimate.markers.first().map(|marker| &marker.position) else { return };
         let Some(weight) = position.covariance.try_inverse() else { return };
         let pull = weight * (position.point - self.origin);
@@ -58,7 +58,7 @@ impl BaseBand {
     }
 
     /// Ends a block; what the last ones say.
-    pub(super) fn found(&mut self) -> Option<Finding> {
+    pub(crate) fn found(&mut self) -> Option<Finding> {
         let blocks = self.window.close().iter();
         let means: Vec<Vector3<f64>> =
             blocks.filter_map(|Block(weight, pull)| Some(weight.try_inverse()? * pull)).collect();

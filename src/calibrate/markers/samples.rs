@@ -1,6 +1,6 @@
 //! Colour samples of bands, of what lies beside them, and of the rest of the picture.
 
-use super::around::clusters;
+use crate::calibrate::markers::surroundings::clusters;
 use crate::estimate::BandObservation;
 use crate::segment::{Blob, ClassSamples};
 use crate::source::{Picture, RgbFromStored};
@@ -17,7 +17,7 @@ const GRID_PX: usize = 8;
 const LEAST_SAMPLES: usize = 12;
 
 /// Colour samples by class: each marker, what is beside each marker (as one class or several), elsewhere.
-pub(super) struct Samples {
+pub(crate) struct Samples {
     names: Vec<String>,
     bands: Vec<Vec<Vector3<f64>>>,
     beside: Vec<Vec<Vector3<f64>>>,
@@ -26,7 +26,7 @@ pub(super) struct Samples {
 }
 
 /// A rectangle along an axis: where a band is taken to be, or where one may be that is not measured (no marker).
-pub(super) struct Place {
+pub(crate) struct Place {
     marker: Option<usize>,
     centre: Point2<f64>,
     axis: Vector2<f64>,
@@ -41,7 +41,7 @@ impl Place {
         Self { marker: Some(marker), centre, axis: Vector2::x(), half_length: reach, half_width: reach }
     }
 
-    pub(super) fn blob(blob: &Blob) -> Self {
+    pub(crate) fn blob(blob: &Blob) -> Self {
         Self {
             marker: Some(blob.marker),
             centre: blob.centre_px,
@@ -51,7 +51,7 @@ impl Place {
         }
     }
 
-    pub(super) fn band(marker: usize, band: &BandObservation) -> Self {
+    pub(crate) fn band(marker: usize, band: &BandObservation) -> Self {
         let extent = |axis: Vector2<f64>| {
             band.outline_px.iter().map(|p| (p - band.centre_px).dot(&axis).abs()).fold(0.0, f64::max)
         };
@@ -65,7 +65,7 @@ impl Place {
     }
 
     /// Where a band is expected that was not measured there: no sample of anything.
-    pub(super) fn hidden(centre: Point2<f64>, reach: f64) -> Self {
+    pub(crate) fn hidden(centre: Point2<f64>, reach: f64) -> Self {
         Self { marker: None, centre, axis: Vector2::x(), half_length: reach, half_width: reach }
     }
 
@@ -87,14 +87,14 @@ impl Place {
 const CLICK_RADIUS_PX: f64 = 1.6;
 
 impl Samples {
-    pub(super) fn new(names: Vec<String>) -> Self {
+    pub(crate) fn new(names: Vec<String>) -> Self {
         let empty = || vec![Vec::new(); names.len()];
         Self { bands: empty(), beside: empty(), around: Vec::new(), elsewhere: Vec::new(), names }
     }
 
     /// Adds a picture in which bands are at `places`. With `surroundings` false, only the bands themselves and the rest of
     /// the picture are sampled.
-    pub(super) fn add(&mut self, picture: &Picture, places: &[Place], surroundings: bool) {
+    pub(crate) fn add(&mut self, picture: &Picture, places: &[Place], surroundings: bool) {
         let Some(rgb) = picture.rgb_from_stored() else { return };
         let [width, height] = picture.size_px();
         let clear = |pixel: &Point2<f64>| places.iter().all(|p| p.outside(pixel) > 2.0 * EDGE_PX);
@@ -128,14 +128,14 @@ impl Samples {
     }
 
     /// Adds a picture in which bands were clicked and nothing else is known.
-    pub(super) fn add_clicks(&mut self, picture: &Picture, clicks: &[Point2<f64>]) {
+    pub(crate) fn add_clicks(&mut self, picture: &Picture, clicks: &[Point2<f64>]) {
         let places: Vec<Place> = clicks.iter().enumerate().map(|(m, click)| Place::click(m, *click)).collect();
         self.add(picture, &places, false);
         self.add_around(picture, clicks);
     }
 
     /// Adds what lies around clicks in a picture, as classes of their own, but for the colours that the bands have by now.
-    pub(super) fn add_around(&mut self, picture: &Picture, clicks: &[Point2<f64>]) {
+    pub(crate) fn add_around(&mut self, picture: &Picture, clicks: &[Point2<f64>]) {
         let Some(rgb) = picture.rgb_from_stored() else { return };
         let own: Vec<Vector3<f64>> =
             self.bands.iter().map(|band| band.iter().sum::<Vector3<f64>>() / band.len().max(1) as f64).collect();
@@ -146,7 +146,7 @@ impl Samples {
     }
 
     /// The classes to learn from: markers first, in their order.
-    pub(super) fn classes(&self) -> Vec<ClassSamples> {
+    pub(crate) fn classes(&self) -> Vec<ClassSamples> {
         let class = |name: String, is_marker, rgb: &Vec<_>| ClassSamples { name, is_marker, rgb: rgb.clone() };
         let bands = self.names.iter().zip(&self.bands).map(|(name, rgb)| class(name.clone(), true, rgb));
         let beside = self

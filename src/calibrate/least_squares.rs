@@ -17,7 +17,7 @@ const DAMPING: (f64, f64, f64) = (1e-4, 1e-12, 1e6);
 
 /// What the residual of an observation, in standard deviations, costs.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) enum Loss {
+pub(crate) enum Loss {
     /// Its square.
     Squared,
     /// Huber's: its square near zero, in proportion further off, so that outliers do not pull.
@@ -36,17 +36,17 @@ impl Loss {
 
 /// One coordinate of an observation: residual (seen − predicted) and derivatives of the prediction, in standard deviations.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Row<'a> {
-    pub(super) residual: f64,
+pub(crate) struct Row<'a> {
+    pub(crate) residual: f64,
     /// By all shared unknowns.
-    pub(super) shared: &'a [f64],
+    pub(crate) shared: &'a [f64],
     /// By all unknowns of the observation's block; nothing when it belongs to none.
-    pub(super) own: &'a [f64],
+    pub(crate) own: &'a [f64],
 }
 
 /// Normal equations.
 #[derive(Debug, Clone)]
-pub(super) struct Equations {
+pub(crate) struct Equations {
     /// The lower triangle.
     shared: DMatrix<f64>,
     gradient: DVector<f64>,
@@ -64,17 +64,17 @@ struct Block {
 
 /// A step of all unknowns.
 #[derive(Debug, Clone)]
-pub(super) struct Step {
-    pub(super) shared: DVector<f64>,
+pub(crate) struct Step {
+    pub(crate) shared: DVector<f64>,
     /// For each block.
-    pub(super) own: Vec<DVector<f64>>,
+    pub(crate) own: Vec<DVector<f64>>,
     /// By how much it lowers the cost if the problem is linear.
     promised: f64,
 }
 
 impl Equations {
     /// Without any observation: so many shared unknowns, and for each block how many of its own.
-    pub(super) fn new(shared: usize, blocks: impl IntoIterator<Item = usize>) -> Self {
+    pub(crate) fn new(shared: usize, blocks: impl IntoIterator<Item = usize>) -> Self {
         let block = |own: usize| Block {
             coupling: DMatrix::zeros(shared, own),
             matrix: DMatrix::zeros(own, own),
@@ -89,7 +89,7 @@ impl Equations {
     }
 
     /// Adds an observation that depends on what is shared and on no block but `block`.
-    pub(super) fn add(&mut self, block: Option<usize>, rows: &[Row<'_>], loss: Loss) {
+    pub(crate) fn add(&mut self, block: Option<usize>, rows: &[Row<'_>], loss: Loss) {
         let length = rows.iter().map(|row| row.residual * row.residual).sum::<f64>().sqrt();
         let (weight, cost) = loss.of(length);
         self.cost += cost;
@@ -108,17 +108,17 @@ impl Equations {
 
     /// What the observations tell of the shared unknowns when nothing is known of the blocks: the inverse of the covariance.
     /// `None` when they leave a block open.
-    pub(super) fn information(&self) -> Option<DMatrix<f64>> {
+    pub(crate) fn information(&self) -> Option<DMatrix<f64>> {
         Some(self.reduced(0.0)?.0)
     }
 
     /// Covariance of the shared unknowns, all blocks free; `None` when the observations leave a direction open.
-    pub(super) fn covariance(&self) -> Option<DMatrix<f64>> {
+    pub(crate) fn covariance(&self) -> Option<DMatrix<f64>> {
         Some(self.information()?.cholesky()?.inverse())
     }
 
     /// The step of each block that is best when what is shared stays; `None` when one is left open.
-    pub(super) fn steps_of_blocks(&self) -> Option<Vec<DVector<f64>>> {
+    pub(crate) fn steps_of_blocks(&self) -> Option<Vec<DVector<f64>>> {
         self.blocks.iter().map(|block| Some(block.inverse(0.0)? * &block.gradient)).collect()
     }
 
@@ -166,16 +166,16 @@ fn raise_diagonal(matrix: &mut DMatrix<f64>, damping: f64) {
 
 /// When a search ends.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct End {
+pub(crate) struct End {
     /// It has settled when the next step promises to lower the cost by less than the sum of this part of it and this.
-    pub(super) enough: (f64, f64),
+    pub(crate) enough: (f64, f64),
     /// It is given up after so many steps.
-    pub(super) most_steps: usize,
+    pub(crate) most_steps: usize,
 }
 
 /// Why a search has no answer.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) enum Stuck<E> {
+pub(crate) enum Stuck<E> {
     /// The start has no equations.
     Start(E),
     /// The observations leave a direction open.
@@ -185,7 +185,7 @@ pub(super) enum Stuck<E> {
 }
 
 /// Goes from `start` to where the cost is least. A step that leads to no equations is taken for one that is too long.
-pub(super) fn minimise<S, E>(
+pub(crate) fn minimise<S, E>(
     end: End,
     start: S,
     equations: impl Fn(&S) -> Result<Equations, E>,

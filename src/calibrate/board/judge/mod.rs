@@ -4,8 +4,8 @@ mod edge;
 
 use nalgebra::{Matrix3, Point2, Vector2};
 
-use super::super::grey::Grey;
-use super::flat::{homography, map, median};
+use crate::calibrate::board::flat::{homography, map, median};
+use crate::calibrate::board::grey::Grey;
 
 /// A homography must explain the corners to this share of a square (RMS): distortion bends a board, but not more.
 const BENT: f64 = 0.25;
@@ -79,7 +79,7 @@ pub enum Flaw {
 type Left = Vec<Option<Vector2<f64>>>;
 
 /// Corners of a grid, row by row, and the picture they are in.
-pub(super) struct Grid<'a> {
+pub(crate) struct Grid<'a> {
     picture: &'a Grey,
     columns: usize,
     rows: usize,
@@ -94,7 +94,7 @@ pub(super) struct Grid<'a> {
 impl<'a> Grid<'a> {
     /// A whole grid of plain squares. `None` when the number of corners is not columns times rows, there are fewer than
     /// three in a line, or one is not in the picture.
-    pub(super) fn new(picture: &'a Grey, columns: usize, rows: usize, corners: Vec<Point2<f64>>) -> Option<Self> {
+    pub(crate) fn new(picture: &'a Grey, columns: usize, rows: usize, corners: Vec<Point2<f64>>) -> Option<Self> {
         let whole = columns > 2 && rows > 2 && corners.len() == columns * rows;
         let corners: Vec<_> = corners.into_iter().map(Some).collect();
         (whole && corners.iter().flatten().all(|c| picture.at(*c).is_some())).then_some(Self {
@@ -109,7 +109,7 @@ impl<'a> Grid<'a> {
 
     /// A grid of which some corners are seen, in a mirror maybe, and whose squares are printed on but for `plain` (in squares)
     /// along their sides. `None` when the number of corners, seen or not, is not columns times rows.
-    pub(super) fn part(
+    pub(crate) fn part(
         picture: &'a Grey,
         [columns, rows]: [usize; 2],
         corners: Vec<Option<Point2<f64>>>,
@@ -120,34 +120,34 @@ impl<'a> Grid<'a> {
     }
 
     /// The same grid with its corners elsewhere, one for one; `None` as in [`Grid::new`].
-    pub(super) fn with_corners(&self, corners: Vec<Point2<f64>>) -> Option<Self> {
+    pub(crate) fn with_corners(&self, corners: Vec<Point2<f64>>) -> Option<Self> {
         Self::new(self.picture, self.columns, self.rows, corners)
     }
 
     /// Columns for rows.
-    pub(super) fn transposed(self) -> Self {
+    pub(crate) fn transposed(self) -> Self {
         let corners = (0..self.columns).flat_map(|c| (0..self.rows).map(move |r| (c, r))).map(|(c, r)| self.at(c, r));
         Self { columns: self.rows, rows: self.columns, corners: corners.collect(), ..self }
     }
 
     /// Columns and rows.
-    pub(super) fn size(&self) -> [usize; 2] {
+    pub(crate) fn size(&self) -> [usize; 2] {
         [self.columns, self.rows]
     }
 
     /// Corners that are seen: column and row, pixels.
-    pub(super) fn seen(&self) -> impl Iterator<Item = ((usize, usize), Point2<f64>)> + Clone + '_ {
+    pub(crate) fn seen(&self) -> impl Iterator<Item = ((usize, usize), Point2<f64>)> + Clone + '_ {
         let columns = self.columns;
         self.corners.iter().enumerate().filter_map(move |(i, corner)| Some(((i % columns, i / columns), (*corner)?)))
     }
 
     /// Corners that are seen, with their indices.
-    pub(super) fn into_corners(self) -> Vec<(usize, Point2<f64>)> {
+    pub(crate) fn into_corners(self) -> Vec<(usize, Point2<f64>)> {
         self.corners.into_iter().enumerate().filter_map(|(i, corner)| Some((i, corner?))).collect()
     }
 
     /// Forgets a corner.
-    pub(super) fn without(&mut self, column: usize, row: usize) {
+    pub(crate) fn without(&mut self, column: usize, row: usize) {
         if let Some(corner) = self.corners.get_mut(row * self.columns + column) {
             *corner = None;
         }
@@ -180,18 +180,18 @@ impl<'a> Grid<'a> {
     }
 
     /// Corners that are seen, each with the distance of its nearest neighbour, pixels.
-    pub(super) fn with_nearest_px(&self) -> impl Iterator<Item = (Point2<f64>, f64)> + '_ {
+    pub(crate) fn with_nearest_px(&self) -> impl Iterator<Item = (Point2<f64>, f64)> + '_ {
         self.seen().map(|((c, r), corner)| (corner, self.nearest_px(c, r, corner)))
     }
 
     /// Side of a square: median of all sides, pixels.
-    pub(super) fn square_px(&self) -> f64 {
+    pub(crate) fn square_px(&self) -> f64 {
         let sides = self.squares().filter_map(|(c, r)| self.square(c, r));
         median(sides.flat_map(|[corner, aside, _, below]| [(aside - corner).norm(), (below - corner).norm()]).collect())
     }
 
     /// Puts the corners in the order that [`super::BoardImage`] describes.
-    pub(super) fn put_in_order(&mut self) {
+    pub(crate) fn put_in_order(&mut self) {
         // Twice the area of a square's upper left half, negative where it is left-handed.
         let turn = |[corner, aside, _, below]: [Point2<f64>; 4]| (aside - corner).perp(&(below - corner));
         let across: f64 = self.squares().filter_map(|(c, r)| self.square(c, r)).map(turn).sum();
@@ -231,7 +231,7 @@ impl<'a> Grid<'a> {
     }
 
     /// Its corners and outer squares, and a little of the rim: a quadrilateral, or the corners' own where that is none.
-    pub(super) fn outline(&self) -> Vec<Point2<f64>> {
+    pub(crate) fn outline(&self) -> Vec<Point2<f64>> {
         let (right, bottom) = ((self.columns - 1) as f64, (self.rows - 1) as f64);
         let ends = [(-RIM, -RIM), (right + RIM, -RIM), (right + RIM, bottom + RIM), (-RIM, bottom + RIM)];
         let flat = self.homography();
@@ -244,20 +244,20 @@ impl<'a> Grid<'a> {
     }
 
     /// Over all squares between corners.
-    pub(super) fn mean_grey(&self) -> f64 {
+    pub(crate) fn mean_grey(&self) -> f64 {
         let greys: Vec<f64> = self.squares().filter_map(|(c, r)| self.square_grey(c, r)).collect();
         greys.iter().sum::<f64>() / greys.len().max(1) as f64
     }
 
     /// Whether this is a board; its contrast. Corners must be in order ([`Grid::put_in_order`]).
-    pub(super) fn judge(&self) -> Result<f64, Flaw> {
+    pub(crate) fn judge(&self) -> Result<f64, Flaw> {
         let (board_in_picture, contrast) = self.judge_corners()?;
         self.check_end(&board_in_picture, contrast)?;
         Ok(contrast)
     }
 
     /// Whether this is a board or a part of one: columns and rows to pixels, its contrast (positive where (0, 0) is dark).
-    pub(super) fn judge_corners(&self) -> Result<(Matrix3<f64>, f64), Flaw> {
+    pub(crate) fn judge_corners(&self) -> Result<(Matrix3<f64>, f64), Flaw> {
         if self.squares().next().is_none() {
             return Err(Flaw::Scattered);
         }

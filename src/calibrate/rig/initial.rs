@@ -8,8 +8,8 @@
 //! are all parallel to the mirror's normal and halved by its plane; only the right order of corners makes them parallel.
 //! Planes that agree are the same mirror. Behind water distances come out a quarter short: good enough for a start.
 
-use super::board::{Board, BoardImage};
-use super::camera::{centred, pose_from_opencv, same};
+use crate::calibrate::board::{Board, BoardImage};
+use crate::calibrate::bundle::pose::pose_from_opencv;
 use crate::optics::Lens;
 use nalgebra::{Isometry3, Point2, Point3, Vector3};
 use opencv::calib3d;
@@ -37,30 +37,30 @@ pub struct BoardsPicture {
 
 /// A picture whose images are told apart.
 #[derive(Debug, Clone)]
-pub(super) struct Sorted {
+pub(crate) struct Sorted {
     /// Index of the picture.
-    pub(super) picture: usize,
+    pub(crate) picture: usize,
     /// For each view (0 direct, then the mirrors) the image there; the direct one is always there.
-    pub(super) views: Vec<Option<Image>>,
+    pub(crate) views: Vec<Option<Image>>,
 }
 
 /// An image of the board.
 #[derive(Debug, Clone)]
-pub(super) struct Image {
+pub(crate) struct Image {
     /// Corners of the board, in the direct image's order, and where they are in the picture.
-    pub(super) corners: Vec<(Point3<f64>, Point2<f64>)>,
+    pub(crate) corners: Vec<(Point3<f64>, Point2<f64>)>,
     /// Pose of the (virtual) board as if in air, camera_from_board, origin in the board's middle.
-    pub(super) pose: Isometry3<f64>,
+    pub(crate) pose: Isometry3<f64>,
 }
 
 /// The first guess.
 #[derive(Debug, Clone)]
-pub(super) struct Start {
+pub(crate) struct Initial {
     /// For each mirror: unit normal to the camera's side, offset in metres.
-    pub(super) mirrors: Vec<(Vector3<f64>, f64)>,
-    pub(super) pictures: Vec<Sorted>,
+    pub(crate) mirrors: Vec<(Vector3<f64>, f64)>,
+    pub(crate) pictures: Vec<Sorted>,
     /// Pictures that cannot be used, and why.
-    pub(super) left_out: Vec<(usize, Unusable)>,
+    pub(crate) left_out: Vec<(usize, Unusable)>,
 }
 
 /// Why a picture says nothing about mirrors.
@@ -120,8 +120,8 @@ struct Reflection {
 }
 
 /// Tells views and mirrors apart; `mirrors` is how many there are.
-pub(super) fn start(board: &Board, lens: &Lens, pictures: &[BoardsPicture], mirrors: usize) -> opencv::Result<Start> {
-    let places = centred(board);
+pub(crate) fn start(board: &Board, lens: &Lens, pictures: &[BoardsPicture], mirrors: usize) -> opencv::Result<Initial> {
+    let places = board.centred_points();
     let mut left_out = Vec::new();
     let mut direct: Vec<(usize, Image)> = Vec::new();
     let mut reflections: Vec<Reflection> = Vec::new();
@@ -203,7 +203,7 @@ pub(super) fn start(board: &Board, lens: &Lens, pictures: &[BoardsPicture], mirr
         }
         used
     });
-    Ok(Start { mirrors: groups.iter().map(|members| plane(members)).collect(), pictures: sorted, left_out })
+    Ok(Initial { mirrors: groups.iter().map(|members| plane(members)).collect(), pictures: sorted, left_out })
 }
 
 /// Whether the nearest image, which is the direct one, is mirrored and another is not.
@@ -215,11 +215,11 @@ fn flipped(posed: &[(Isometry3<f64>, Corners, &BoardImage)]) -> bool {
 }
 
 fn same_images(a: &BoardsPicture, b: &BoardsPicture) -> bool {
-    a.images.len() == b.images.len() && a.images.iter().zip(&b.images).all(|(a, b)| same(a, b))
+    a.images.len() == b.images.len() && a.images.iter().zip(&b.images).all(|(a, b)| a.is_same_as(b))
 }
 
 /// Places and pixels of an image's corners; `order` says which corner stands at each index.
-pub(super) fn ordered(
+pub(crate) fn ordered(
     places: &[Point3<f64>],
     image: &BoardImage,
     order: Option<&[usize]>,
@@ -229,7 +229,7 @@ pub(super) fn ordered(
 }
 
 /// Pose of a board from one image, as if in air: OpenCV's `solvePnP` on undistorted corners.
-pub(super) fn pose(lens: &Lens, corners: &[(Point3<f64>, Point2<f64>)]) -> opencv::Result<Isometry3<f64>> {
+pub(crate) fn pose(lens: &Lens, corners: &[(Point3<f64>, Point2<f64>)]) -> opencv::Result<Isometry3<f64>> {
     let seen = || corners.iter().filter_map(|(place, pixel)| Some((place, lens.undistort(pixel)?)));
     let objects: Vector<Point3f> = seen().map(|(p, _)| Point3f::new(p.x as f32, p.y as f32, p.z as f32)).collect();
     let images: Vector<Point2f> = seen().map(|(_, n)| Point2f::new(n.x as f32, n.y as f32)).collect();

@@ -3,9 +3,12 @@
 //! One [`Tally`] serves the summary of a run and its report. Counts and ranges are exact; medians need 4 bytes a frame and
 //! quantity, so that an hour at 60 Hz with three markers takes 4 MB.
 
+mod drift;
+
+pub use drift::{Drift, DriftAlarm, Drifted};
+
 use crate::estimate::{Estimate, Miss};
 use crate::rig::Rig;
-use crate::track::Drift;
 use std::collections::BTreeMap;
 
 /// Totals over all frames.

@@ -14,11 +14,14 @@
 //!
 //! Cannot detect: a camera, wall or tank that moved as well, other than by views that go on disagreeing.
 
-use super::KnownLength;
-use super::frames::spread;
-use super::geometry::{Geometry, Parameter, tilt_axes};
+mod ray_bundle;
 
-use super::meeting::{Meeting, Met, Moment, Sight, disagreement_px};
+pub use ray_bundle::KnownLength;
+
+use crate::calibrate::frames::spread;
+use crate::calibrate::geometry::{Geometry, Parameter, tilt_axes};
+
+use crate::calibrate::mirror::ray_bundle::{Moment, RayBundle, RayBundleSolution, Sight, disagreement_px};
 use crate::estimate::Estimate;
 use crate::optics::{Mirror, Plane, Surface};
 use crate::rig::Rig;
@@ -176,7 +179,7 @@ pub fn calibrate_mirror(
     let free = Parameter::of_surface(surface).to_vec();
 
     let moments = blobs(rig, &frames)?;
-    let start = Meeting {
+    let start = RayBundle {
         geometry: old.clone(),
         free: free.clone(),
         prior_sd: Some(BUMP_SD.to_vec()),
@@ -387,13 +390,19 @@ fn shorter_m(rig: &Rig, length: &KnownLength, estimate: &Estimate) -> Option<f64
     Some(cosine.acos().powi(2) * whole * (2.0 * whole / (3.0 * bent) - 0.5))
 }
 
-fn adjust(rig: &Rig, free: &[Parameter], lengths: &[KnownLength], moments: &[Moment], frames: &[Frame]) -> Option<Met> {
+fn adjust(
+    rig: &Rig,
+    free: &[Parameter],
+    lengths: &[KnownLength],
+    moments: &[Moment],
+    frames: &[Frame],
+) -> Option<RayBundleSolution> {
     let error = ModelError::of(&frames.first()?.picture);
     let model_sd_px = (0..rig.markers.len()).map(|marker| {
         let along = if marker == 0 { error.along_at_clamp_px } else { error.along_px };
         [along, error.across_px]
     });
-    Meeting {
+    RayBundle {
         geometry: geometry(rig),
         free: free.to_vec(),
         prior_sd: None,

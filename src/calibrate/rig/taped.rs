@@ -1,12 +1,11 @@
 //! Boards taped flat to a wall: pictures that pin the wall.
 
-use super::board::Board;
-use super::bundle::{Bundle, Corner};
-use super::camera::{BoardPicture, centred};
-use super::geometry::Geometry;
-use super::known::Known;
-use super::mirrors::{RigCalibrationError, surface};
-use super::start::{ordered, pose};
+use super::error::{RigCalibrationError, surface};
+use super::initial::{ordered, pose};
+use crate::calibrate::board::{Board, BoardPicture};
+use crate::calibrate::bundle::prior::Prior;
+use crate::calibrate::bundle::{Bundle, Corner};
+use crate::calibrate::geometry::Geometry;
 use crate::optics::{Lens, Plane, Surface};
 use nalgebra::{Isometry3, Point2, Point3, Translation3, Unit, UnitQuaternion, Vector3};
 use std::f64::consts::PI;
@@ -15,7 +14,7 @@ use std::f64::consts::PI;
 const TAPED_SD_M: f64 = 2e-4;
 
 /// A board taped to a wall, as a picture more.
-pub(super) struct Taped {
+pub(crate) struct Taped {
     name: String,
     surface: usize,
     path: Vec<usize>,
@@ -26,7 +25,7 @@ pub(super) struct Taped {
 
 impl Taped {
     /// The board is seen by the way that leads to the wall: past the surfaces in front of it in the first view through it.
-    pub(super) fn new(
+    pub(crate) fn new(
         board: &Board,
         lens: &Lens,
         geometry: &Geometry,
@@ -46,7 +45,7 @@ impl Taped {
                 Surface::Wall(_) => None,
             })
             .collect();
-        let places = centred(board);
+        let places = board.centred_points();
         let odd = mirrors.len() % 2 == 1;
         if picture.image.mirrored.is_some_and(|mirrored| mirrored != odd) {
             return Err(RigCalibrationError::Taped {
@@ -70,13 +69,13 @@ impl Taped {
         Ok(Self { name: picture.name.clone(), surface, path, pose: seen, corners, half_m })
     }
 
-    pub(super) fn add(self, to: &mut Bundle) {
+    pub(crate) fn add(self, to: &mut Bundle) {
         let (picture, view) = (to.poses.len(), to.geometry.views.len());
         to.geometry.views.push(("taped".to_owned(), self.path));
         to.poses.push(self.pose);
         to.names.push(self.name);
         to.corners.extend(self.corners.into_iter().map(|(place, pixel)| Corner { picture, view, place, pixel }));
         let Self { surface, half_m, .. } = self;
-        to.known.push(Known::Taped { picture, surface, sd_m: TAPED_SD_M, half_m });
+        to.known.push(Prior::Taped { picture, surface, sd_m: TAPED_SD_M, half_m });
     }
 }

@@ -4,7 +4,7 @@
 //! Start: the point nearest to all traced rays. Then Gauss-Newton through `OpticalPath::project`, which converges in two
 //! or three steps because the start is already good to the noise.
 
-use crate::optics::OpticalPath;
+use super::OpticalPath;
 use nalgebra::{Matrix2, Matrix3, Point2, Point3, Vector3};
 
 /// One image of the point.

@@ -1,12 +1,12 @@
-//! [`Known`]: what is known of a rig beside the pictures of boards, with how well, as equations of the adjustment.
+//! [`Prior`]: what is known of a rig beside the pictures of boards, with how well, as equations of the adjustment.
 
-use super::bundle::turned;
-use super::geometry::{Geometry, Parameter};
+use super::pose::turned;
+use crate::calibrate::geometry::{Geometry, Parameter};
 use nalgebra::{DMatrix, DVector, Isometry3, Vector3, Vector6};
 
 /// Prior knowledge. Lengths in metres, angles in radians, `sd` the standard deviation of the value.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Known {
+pub enum Prior {
     /// The lens, from an earlier calibration: fx, fy, cx, cy, k1, k2, p1, p2, k3 and their covariance.
     Lens {
         /// Values, in the order of [`Parameter::LENS`].
@@ -60,16 +60,16 @@ pub enum Known {
 }
 
 /// One equation: residual in standard deviations and the derivatives of the prediction.
-pub(super) struct Equation {
-    pub(super) residual: f64,
-    pub(super) by_geometry: DVector<f64>,
-    pub(super) by_pose: Option<(usize, Vector6<f64>)>,
+pub(crate) struct Equation {
+    pub(crate) residual: f64,
+    pub(crate) by_geometry: DVector<f64>,
+    pub(crate) by_pose: Option<(usize, Vector6<f64>)>,
 }
 
 /// Step of central differences: the values are smooth functions of few parameters.
 const STEP: f64 = 1e-6;
 
-impl Known {
+impl Prior {
     /// Value minus what is known, in standard deviations; several for a lens and a taped board.
     fn values(&self, geometry: &Geometry, poses: &[Isometry3<f64>]) -> Vec<f64> {
         let plane = |surface: usize| geometry.surfaces[surface].1.plane();
@@ -119,7 +119,7 @@ impl Known {
     }
 
     /// Its equations, differentiated numerically.
-    pub(super) fn rows(&self, geometry: &Geometry, poses: &[Isometry3<f64>], free: &[Parameter]) -> Vec<Equation> {
+    pub(crate) fn rows(&self, geometry: &Geometry, poses: &[Isometry3<f64>], free: &[Parameter]) -> Vec<Equation> {
         let here = self.values(geometry, poses);
         let difference = |plus: Vec<f64>, minus: Vec<f64>| -> Vec<f64> {
             plus.iter().zip(minus).map(|(p, m)| (p - m) / (2.0 * STEP)).collect()
