@@ -163,6 +163,8 @@ pub enum Miss {
     },
     /// The picture was not recorded where the tracker has to look.
     NotRecorded,
+    /// The picture is damaged, or was predicted from one that is.
+    Damaged,
 }
 
 impl Miss {
@@ -179,6 +181,7 @@ impl Miss {
             Self::SkippedOverload => "skipped_overload".into(),
             Self::WrongSize { .. } => "wrong_size".into(),
             Self::NotRecorded => "not_recorded".into(),
+            Self::Damaged => "damaged".into(),
         }
     }
 }

@@ -106,4 +106,9 @@ pub mod calibrate;
 
 pub mod whole_file;
 
+mod contained;
+
+#[doc(hidden)]
+pub mod fuzz;
+
 pub mod cli;

@@ -7,6 +7,7 @@ mod calibrate;
 mod excite;
 mod failure;
 mod fitting;
+mod flood;
 mod identify;
 mod interrupt;
 mod live;
@@ -22,10 +23,13 @@ mod validate;
 pub(crate) use failure::{Exit, Failure};
 
 use clap::{ArgAction, Parser, Subcommand};
+use flood::Flood;
 use std::ffi::OsStr;
 use std::io::{IsTerminal as _, Write as _};
 use std::process::ExitCode;
-use tracing_subscriber::EnvFilter;
+use tracing_subscriber::layer::SubscriberExt as _;
+use tracing_subscriber::util::SubscriberInitExt as _;
+use tracing_subscriber::{EnvFilter, Layer as _};
 
 /// One camera and a mirror made into a 3D instrument: tracks a steerable catheter through glass and water.
 #[derive(Debug, Parser)]
@@ -127,13 +131,14 @@ fn log_to_stderr(verbose: u8, quiet: bool) {
         (false, _) => "debug",
     };
     let libraries = if level == "error" { "error" } else { "warn" };
-    tracing_subscriber::fmt()
-        .with_env_filter(EnvFilter::new(format!("{libraries},catoptra={level}")))
+    let layer = tracing_subscriber::fmt::layer()
         .with_writer(progress::stderr)
         .with_ansi(std::io::stderr().is_terminal() && wants_colour())
         .with_target(false)
         .without_time()
-        .init();
+        .with_filter(Flood::default());
+    let levels = EnvFilter::new(format!("{libraries},catoptra={level}"));
+    tracing_subscriber::registry().with(levels).with(layer).init();
 }
 
 /// As <https://no-color.org> has it, and not on a terminal that knows no colours.

@@ -74,7 +74,8 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     let mut tracker = Tracker::new(&rig, TrackOptions { full_frame: args.full_frame })
         .map_err(|e| Failure::new(Exit::Usage, format!("{}: {e}", rig_file.display())))?;
     let span = Span { from_ns: args.from, to_ns: args.to };
-    let options = SourceOptions { span, stated_rate: args.fps, decoder_threads: args.threads() };
+    let options =
+        SourceOptions { span, stated_rate: args.fps, decoder_threads: args.threads(), ..SourceOptions::default() };
     let source = fitting::open_to_track((&args.source, options), (rig_file, &rig))?;
     print_warnings(rig_file, &rig)?;
     let pool = pool(args.threads())?;

@@ -23,6 +23,8 @@ pub(super) fn validate(raw: RigFile, file: &Path) -> Result<Draft, RigError> {
     for (name, surface) in &raw.surfaces {
         surfaces.insert(name.clone(), check.surface(name, surface)?);
     }
+    check.count("view", raw.views.len(), MOST_VIEWS)?;
+    check.count("marker", raw.markers.len(), MOST_MARKERS)?;
     check.names("view", raw.views.iter().map(|v| v.name.as_str()))?;
     check.names("marker", raw.markers.iter().map(|m| m.name.as_str()))?;
     let views = raw.views.into_iter().map(|v| check.view(v, &camera, &surfaces)).collect::<Result<Vec<_>, _>>()?;
@@ -56,6 +58,15 @@ struct Check<'a> {
 
 /// A chroma sample further from its place than this belongs to another luma sample.
 const LARGEST_CHROMA_OFFSET_PX: f64 = 2.0;
+/// Nothing is further away: 100 m.
+const FARTHEST_MM: f64 = 1e5;
+/// Weights of samples of 8 bits that still can be computed with; learned ones are below 1.
+const LARGEST_WEIGHT: f64 = 1e3;
+/// Corners of a region: more are no help and take long.
+const MOST_CORNERS: usize = 256;
+/// Views and markers: every pair of a marker's places in two views is tried.
+const MOST_VIEWS: usize = 8;
+const MOST_MARKERS: usize = 16;
 
 impl Check<'_> {
     fn value(&self, key: impl Display, value: impl Display, expected: impl Display) -> RigError {
@@ -83,6 +94,15 @@ impl Check<'_> {
         }
     }
 
+    /// Finite numbers up to `most` either way.
+    fn within(&self, key: impl Display, values: &[f64], most: f64) -> Result<(), RigError> {
+        self.finite(&key, values)?;
+        match values.iter().find(|v| v.abs() > most) {
+            Some(value) => Err(self.value(key, value, format_args!("{most} or less either way"))),
+            None => Ok(()),
+        }
+    }
+
     fn positive(&self, key: impl Display, value: f64) -> Result<(), RigError> {
         if value.is_finite() && value > 0.0 { Ok(()) } else { Err(self.value(key, value, "a positive number")) }
     }
@@ -97,6 +117,13 @@ impl Check<'_> {
             return Err(self.value(key, format!("{v:?}"), format!("length 1, it is {length:.6}{hint}")));
         }
         Ok(Vector3::from(v) / length)
+    }
+
+    fn count(&self, section: &str, found: usize, most: usize) -> Result<(), RigError> {
+        if found <= most {
+            return Ok(());
+        }
+        Err(self.value(section, format_args!("{found} of them"), format_args!("{most} at most")))
     }
 
     /// Names that fit into tables and messages; each only once.
@@ -156,7 +183,7 @@ impl Check<'_> {
         self.name("surfaces", name)?;
         let key = |field: &str| format!("surfaces.{name}.{field}");
         let normal = self.unit(key("normal"), raw.normal)?;
-        self.finite(key("offset_mm"), &[raw.offset_mm])?;
+        self.within(key("offset_mm"), &[raw.offset_mm], FARTHEST_MM)?;
         let plane = Plane::new(normal, raw.offset_mm / 1e3)
             .map_err(|e| self.value(key("normal"), format!("{:?}", raw.normal), e))?;
         let of_walls = [
@@ -227,6 +254,13 @@ impl Check<'_> {
         if corners.len() < 3 {
             return Err(self.value(key, format!("{corners:?}"), "at least 3 corners, or no such key"));
         }
+        if corners.len() > MOST_CORNERS {
+            return Err(self.value(
+                key,
+                format_args!("{} corners", corners.len()),
+                format_args!("{MOST_CORNERS} at most"),
+            ));
+        }
         let [right, bottom] = camera.size_px.map(|size| f64::from(size) - 0.5);
         for corner in corners {
             self.finite(&key, corner)?;
@@ -273,15 +307,15 @@ impl Check<'_> {
         let key = |field: &str| format!("marker.{}.{field}", raw.name);
         self.positive(key("length_mm"), raw.length_mm)?;
         if let Some(centre) = raw.centre_mm {
-            self.finite(key("centre_mm"), &[centre])?;
+            self.within(key("centre_mm"), &[centre], FARTHEST_MM)?;
             if centre < raw.length_mm / 2.0 {
                 let expected = format!("at least {}, half the band's length from the clamp", raw.length_mm / 2.0);
                 return Err(self.value(key("centre_mm"), centre, expected));
             }
         }
         if let Some(colour) = &raw.colour {
-            self.finite(key("colour.discriminant_rgb"), &colour.discriminant_rgb)?;
-            self.finite(key("colour.bias"), &[colour.bias])?;
+            self.within(key("colour.discriminant_rgb"), &colour.discriminant_rgb, LARGEST_WEIGHT)?;
+            self.within(key("colour.bias"), &[colour.bias], 1e3 * LARGEST_WEIGHT)?;
             self.finite(key("colour.rgb"), &colour.rgb)?;
             if colour.discriminant_rgb == [0.0; 3] {
                 return Err(self.value(key("colour.discriminant_rgb"), "[0, 0, 0]", "weights that are not all zero"));
@@ -366,7 +400,7 @@ impl Check<'_> {
         if matrix.determinant() < 0.0 {
             return Err(self.value(key, format!("{rows:?}"), "a right-handed rotation, its determinant is -1"));
         }
-        self.finite("base.base_from_camera.translation_mm", &raw.base_from_camera.translation_mm)?;
+        self.within("base.base_from_camera.translation_mm", &raw.base_from_camera.translation_mm, FARTHEST_MM)?;
         let rotation = rotation_of(&matrix);
         let translation = Translation3::from(Vector3::from(raw.base_from_camera.translation_mm.map(|x| x / 1e3)));
         Ok(Base {

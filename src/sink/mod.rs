@@ -18,6 +18,7 @@ mod clock;
 mod colour;
 mod encode;
 mod encoder;
+mod gate;
 mod overlay;
 mod palette;
 mod pictures;

@@ -12,6 +12,8 @@ use std::sync::{Mutex, PoisonError};
 pub(super) struct Reads {
     /// The parts that there are; `None` for all.
     there: Option<Vec<Window>>,
+    /// Whether what it shows cannot be trusted.
+    damaged: bool,
     read: Mutex<Vec<Window>>,
 }
 
@@ -31,6 +33,17 @@ impl Picture {
     pub fn of_parts(mut self, there: Vec<Window>) -> Self {
         self.reads.there = Some(there);
         self
+    }
+
+    /// The same picture, which is known to be damaged: its frame has a time, and no measurement.
+    pub(crate) fn marked_damaged(mut self) -> Self {
+        self.reads.damaged = true;
+        self
+    }
+
+    /// Whether it is known to be damaged, so that nothing may be measured in it.
+    pub fn is_damaged(&self) -> bool {
+        self.reads.damaged
     }
 
     /// The parts that there are; `None` for all of it.

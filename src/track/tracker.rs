@@ -113,6 +113,9 @@ impl Tracker {
         if picture.size_px() != self.rig.camera.size_px {
             return Err(TrackError::Size { found: picture.size_px(), expected: self.rig.camera.size_px });
         }
+        if picture.is_damaged() {
+            return Ok(Estimate::missed(frame, &self.rig, &Miss::Damaged));
+        }
         if picture.colour().transfer != self.transfer {
             self.transfer = picture.colour().transfer;
             self.model.encoding = Encoding::new(self.transfer);
