@@ -14,6 +14,7 @@ mod chart;
 mod course;
 pub mod excitation;
 mod figures;
+mod html;
 pub mod identification;
 mod page;
 mod timeline;

@@ -4,7 +4,8 @@ use super::RunInfo;
 use super::absences::absences;
 use super::course::{Channel, Course};
 use super::figures;
-use super::page::{self, bad, escape, facts_table, figure, page, plural, signed, table, with_code};
+use super::html::{Html, escape};
+use super::page::{self, bad, facts_table, figure, page, plural, signed, table};
 use crate::sink::spoken;
 use crate::tally::Drifted;
 use crate::tally::{AlarmInWords, Tally};
@@ -81,7 +82,7 @@ fn header(info: &RunInfo, course: &Course) -> String {
 fn key_figures(course: &Course) -> String {
     let tally = &course.tally;
     let mut cards = String::new();
-    let mut card = |name: &str, value: String, unit: &str, warn: bool| cards += &page::card(name, &value, unit, warn);
+    let mut card = |name: &str, value: String, unit: &str, warn: bool| cards += &page::card(name, value, unit, warn);
     card("Frames", tally.frames.to_string(), "", false);
     card(
         "Answered completely",
@@ -100,7 +101,7 @@ fn key_figures(course: &Course) -> String {
 
 fn facts(info: &RunInfo, course: &Course) -> String {
     let tally = &course.tally;
-    let mut rows = vec![("Source".to_owned(), escape(&info.source)), ("Rig".to_owned(), escape(&info.rig))];
+    let mut rows = vec![("Source".to_owned(), info.source.clone()), ("Rig".to_owned(), info.rig.clone())];
     if tally.frames > 0 {
         let span_s = tally.last_ns.saturating_sub(tally.first_ns) as f64 * 1e-9;
         let counted = if tally.lost > 0 { " with those lost counted" } else { "" };
@@ -108,10 +109,10 @@ fn facts(info: &RunInfo, course: &Course) -> String {
         rows.push(("Duration".to_owned(), format!("{span_s:.3} s{rate}")));
         let origin = course.origin().filter(|o| o.ns != 0);
         let zero = origin.map_or(String::new(), |o| format!("; 0 s on this page is {} ns of it", o.ns));
-        rows.push(("Clock".to_owned(), format!("{}{zero}", escape(tally.clock))));
+        rows.push(("Clock".to_owned(), format!("{}{zero}", tally.clock)));
     }
     rows.push(("Positions in".to_owned(), format!("the {} frame", frame_name(course))));
-    rows.extend(info.settings.iter().map(|(name, value)| (escape(name), escape(value))));
+    rows.extend(info.settings.iter().cloned());
     rows.push(("Version".to_owned(), format!("Catoptra {}", env!("CARGO_PKG_VERSION"))));
     format!("<h2>What was tracked</h2>\n{}", facts_table(&rows))
 }
@@ -130,7 +131,7 @@ fn accuracy(course: &Course) -> String {
         for (view_name, view) in course.view_names.iter().zip(&marker.views) {
             let mean = view.mean_px().map_or("–".to_owned(), |[u, v]| format!("{}, {}", signed(u, 3), signed(v, 3)));
             views.push(vec![
-                format!("{} in {}", escape(name), escape(view_name)),
+                format!("{name} in {view_name}"),
                 view.seen.to_string(),
                 share(view.seen, tally.frames),
                 number(view.rms_px(), 3),
@@ -167,7 +168,7 @@ fn accuracy(course: &Course) -> String {
 
 fn row(name: &str, unit: &str, answered: u64, tally: &Tally, sd: Option<f64>) -> Vec<String> {
     let sd = sd.map_or("–".to_owned(), |sd| format!("{sd:.4}{unit}"));
-    vec![escape(name), answered.to_string(), share(answered, tally.frames), sd]
+    vec![name.to_owned(), answered.to_string(), share(answered, tally.frames), sd]
 }
 
 fn missing(course: &Course) -> String {
@@ -186,7 +187,7 @@ fn missing(course: &Course) -> String {
     let mut rows: Vec<Vec<String>> = tally
         .misses
         .iter()
-        .map(|((what, why), n)| vec![escape(what), escape(&spoken(why)), n.to_string(), share(*n, tally.frames)])
+        .map(|((what, why), n)| vec![what.clone(), spoken(why), n.to_string(), share(*n, tally.frames)])
         .collect();
     if tally.lost > 0 {
         let share = share(tally.lost, tally.frames + tally.lost);
@@ -299,12 +300,12 @@ fn alarms(course: &Course) -> String {
     }
     let row = |alarm: &AlarmInWords| {
         let at_s = course.origin().map_or(0.0, |origin| origin.elapsed_s(alarm.ns));
-        vec![format!("{at_s:.3} s"), with_code(&alarm.what)]
+        vec![Html::from(format!("{at_s:.3} s")), Html::with_code(&alarm.what)]
     };
-    let rows: Vec<Vec<String>> = alarms.iter().map(row).collect();
+    let rows: Vec<Vec<Html>> = alarms.iter().map(row).collect();
     let advice: BTreeSet<&str> = alarms.iter().map(|alarm| alarm.advice).collect();
     let advice = advice.into_iter().map(|advice| {
-        let words = with_code(advice);
+        let words = Html::with_code(advice);
         format!("<p class=\"bad\"><strong>Bad:</strong> places are off by more than their σ: {words}.</p>\n")
     });
     table(2, &["From", "What"], &rows) + &advice.collect::<String>()

@@ -341,7 +341,7 @@ fn light_paths_by_hand() {
     // It enters the glass at (60, 0, 1095). sin = 0.0995037 in air, /1.52 in glass, /1.333 in water.
     let (in_glass, in_water) = ((0.0995037_f64 / 1.52).asin(), (0.0995037_f64 / 1.333).asin());
     let z = 1.095 - 0.005 * in_glass.tan() - 0.055 * in_water.tan();
-    let meeting = seen.meeting.unwrap();
+    let meeting = seen.closest_approach.unwrap();
     assert!((meeting.point - Point3::new(0.0, 0.0, z)).norm() < 1e-7, "{}", meeting.point);
     assert!(meeting.apart_m < 1e-9);
     assert!((meeting.angle_rad - std::f64::consts::FRAC_PI_2 - in_water).abs() < 1e-6);
