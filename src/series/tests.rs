@@ -1,6 +1,7 @@
 use super::*;
-use crate::sink::{CsvSink, CurrentSample, McapSink, Sink as _, fixture};
+use crate::sink::{CsvSink, CurrentSample, McapSink, Sink as _};
 use crate::source::HostTime;
+use crate::testing::fixture;
 use std::fs;
 use tempfile::TempDir;
 

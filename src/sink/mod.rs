@@ -5,8 +5,6 @@
 //! - [`CsvSink`]: the table, one row a camera frame, for people and spreadsheets.
 
 mod csv;
-#[cfg(test)]
-pub(crate) mod fixture;
 mod mcap;
 
 pub use self::csv::CsvSink;

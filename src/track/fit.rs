@@ -89,8 +89,9 @@ pub(crate) fn fit(
 mod tests {
     use super::*;
     use crate::source::{Colour, PixelFormat, Window};
+    use crate::testing::random::Random;
+    use crate::testing::tube::{BLUR_PX, Tube, picture, views};
     use crate::track::appearance::Layout;
-    use crate::track::drawn::{BLUR_PX, Dice, Tube, picture, views};
     use crate::track::image_model::ModelError;
     use crate::track::light::Encoding;
     use nalgebra::{Point3, Vector3};
@@ -124,7 +125,7 @@ mod tests {
     }
 
     fn fit_drawn(tube: &Tube, drawn: &[f64], noise: f64, seed: u64) -> Result<TubeFit, NoFit> {
-        let mut dice = Dice(seed ^ 77);
+        let mut dice = Random::new(seed ^ 77);
         let mut off = || Vector3::new(dice.normal(), dice.normal(), dice.normal());
         let start = TubeShape::straight(tube.centre + off() * 0.15e-3, &(tube.direction + off() * 0.02), 6e-3);
         let paths = views();

@@ -7,8 +7,6 @@ mod assign_tests;
 mod coil;
 mod compare;
 mod covariance;
-#[cfg(test)]
-pub(crate) mod drawn;
 mod equations;
 mod fit;
 mod image_model;

@@ -373,8 +373,8 @@ fn outline(image: &TubeImage, from_m: f64, to_m: f64) -> Vec<Point2<f64>> {
 mod tests {
     use super::*;
     use crate::rig::ColourModel;
-    use crate::sink::fixture;
-    use crate::track::drawn::{BLUR_PX, Tube, picture, views};
+    use crate::testing::fixture;
+    use crate::testing::tube::{BLUR_PX, Tube, picture, views};
 
     /// Coil and tip are fitted together, but each must stay where it was found.
     #[test]

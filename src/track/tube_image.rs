@@ -223,7 +223,7 @@ mod tests {
     /// Its own sight of a moved tube would change it too, but by a thousandth of what a turn does.
     #[test]
     fn the_rings_bulge_turns_with_the_tube() {
-        let [path, _] = crate::track::drawn::views();
+        let [path, _] = crate::testing::tube::views();
         let shape = TubeShape {
             curvature_up: Vector2::new(5.0, -8.0),
             curvature_down: Vector2::new(-12.0, 4.0),

@@ -11,7 +11,7 @@
 #![allow(clippy::print_stdout, reason = "the figures of many tests are worth a look")]
 
 #[path = "../support/mod.rs"]
-#[allow(dead_code, reason = "each of the two programs uses its part")]
+#[allow(dead_code, unused_imports, reason = "each of the two programs uses its part")]
 mod support;
 
 mod accuracy;
@@ -50,6 +50,3 @@ mod track_bad_input;
 mod track_python;
 mod track_run;
 mod validate;
-
-// The fixture is the library's own, and names its modules so.
-use catoptra::{estimate, optics, rig, source};

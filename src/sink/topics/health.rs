@@ -84,7 +84,7 @@ impl Tally {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sink::fixture;
+    use crate::testing::fixture;
 
     #[test]
     fn totals_are_told_every_second_and_count_everything() {
