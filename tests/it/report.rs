@@ -5,6 +5,7 @@ use catoptra::estimate::{Estimate, Miss};
 use catoptra::report::{ReportSink, RunInfo};
 use catoptra::rig::Rig;
 use catoptra::sink::{Sink, SinkError};
+use catoptra::tally::Tally;
 
 fn info() -> RunInfo {
     RunInfo {
@@ -26,12 +27,14 @@ fn page(rig: &Rig, info: RunInfo, estimates: impl IntoIterator<Item = Estimate>)
 fn whole_page(rig: &Rig, info: RunInfo, estimates: impl IntoIterator<Item = Estimate>) -> String {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("report.html");
+    let mut tally = Tally::new(rig);
     let mut sink = ReportSink::create(&path, rig, info).unwrap();
     for estimate in estimates {
+        tally.add(&estimate);
         sink.write(&estimate, None).unwrap();
     }
-    sink.finish().unwrap();
-    sink.finish().unwrap();
+    sink.finish(&tally).unwrap();
+    sink.finish(&tally).unwrap();
     std::fs::read_to_string(path).unwrap()
 }
 
