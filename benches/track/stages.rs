@@ -11,8 +11,8 @@ use nalgebra::Vector3;
 use std::error::Error;
 use std::path::Path;
 
-/// Half the side of the windows that segmentation is timed in: about the tracker's own, at 60 frames a second and half a
-/// millimetre a pixel.
+/// Half the side of the windows that segmentation is timed in: about the tracker's own, at 60 frames a second and half
+/// a millimetre a pixel.
 const WINDOW_PX: f64 = 60.0;
 /// Runs on a picture that is the worst case.
 const RUNS: usize = 15;

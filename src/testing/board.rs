@@ -20,8 +20,8 @@ pub(crate) struct Placed {
 }
 
 impl Placed {
-    /// Seen by a pinhole of `focal_px`: the middle of the board at `middle_px`, its squares about `square_px` large there,
-    /// turned about the board's x, y and z axes (degrees, in this order), seen in a mirror or not.
+    /// Seen by a pinhole of `focal_px`: the middle of the board at `middle_px`, its squares about `square_px` large
+    /// there, turned about the board's x, y and z axes (degrees, in this order), seen in a mirror or not.
     pub(crate) fn new(board: &str, middle_px: [f64; 2], square_px: f64, turn_deg: [f64; 3], mirrored: bool) -> Self {
         let board: Board = board.parse().unwrap();
         let focal_px = 60.0 * square_px;

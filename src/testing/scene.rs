@@ -194,7 +194,8 @@ impl Scene {
     }
 }
 
-/// Pose of a board's middle, metres, turned about its own x, then y, then z, degrees; without a turn it faces the camera.
+/// Pose of a board's middle, metres, turned about its own x, then y, then z, degrees; without a turn it faces the
+/// camera.
 pub(crate) fn pose(middle_m: [f64; 3], turn_deg: [f64; 3]) -> Isometry3<f64> {
     let [x, y, z] = turn_deg.map(f64::to_radians);
     let turn = Rotation3::from_axis_angle(&Vector3::z_axis(), z)

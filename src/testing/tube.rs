@@ -1,5 +1,5 @@
-//! Pictures of a straight banded tube for tests, drawn by casting rays at a cylinder: shares nothing with the image model
-//! but the optics.
+//! Pictures of a straight banded tube for tests, drawn by casting rays at a cylinder: shares nothing with the image
+//! model but the optics.
 
 use super::random::Random;
 use catoptra::optics::{Lens, Mirror, OpticalPath, Plane, Surface, Wall};

@@ -12,6 +12,7 @@
 use crate::optics::OpticalPath;
 use crate::source::Picture;
 use crate::track::image_model::ImageModel;
+use crate::track::no_fit::NoFit;
 use crate::track::patch::Density;
 use crate::track::round::{Guess, Round};
 use crate::track::stretch::Stretch;
@@ -26,17 +27,6 @@ use rayon::prelude::*;
 const SETTLED: f64 = 300.0;
 /// So does the second: what remains after that step is a hundredth.
 const ENOUGH: f64 = 10.0;
-
-/// Why there is no fit.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum NoFit {
-    /// The stretch is not, or not wholly enough, inside a view's picture.
-    OutOfPicture,
-    /// The equations are singular, or the iteration does not settle.
-    NotConverged,
-    /// The picture was recorded in parts, and lacks one.
-    NotRecorded,
-}
 
 /// What one view says about the stretch.
 #[derive(Debug, Clone)]

@@ -3,9 +3,17 @@
 //! Between knots the axis is a cubic (Hermite); widths and derivatives change linearly.
 
 use crate::optics::{NoRay, OpticalPath};
-use crate::track::appearance::Foot;
 use crate::track::tube::{SHAPE, ShapeStep, TubeShape};
 use nalgebra::{Matrix2x3, Point2, SMatrix, Vector2};
+
+/// A pixel's place relative to the tube.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Foot {
+    /// Knot coordinate of the nearest point of the axis.
+    pub knot: f64,
+    /// Signed distance from the axis, pixels.
+    pub u: f64,
+}
 
 /// What of the image moves with the shape: place across the axis, place along it, bulge of the rings.
 pub(crate) const LOCAL: usize = 3;

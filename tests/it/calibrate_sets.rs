@@ -1,5 +1,5 @@
-//! Pictures that are no good: `catoptra calibrate camera` and `calibrate rig` say so, name the file and what would be right,
-//! and leave what there was as it was.
+//! Pictures that are no good: `catoptra calibrate camera` and `calibrate rig` say so, name the file and what would be
+//! right, and leave what there was as it was.
 
 use crate::support::scene::{Scene, pose};
 use image::{DynamicImage, GrayImage};

@@ -15,6 +15,7 @@
 mod support;
 
 mod accuracy;
+mod architecture;
 mod calibrate_base;
 mod calibrate_board;
 mod calibrate_charuco;
@@ -33,6 +34,7 @@ mod identify_bad_input;
 mod identify_python;
 mod log_doctor;
 mod log_python;
+mod manifest;
 mod optics_dev_tank;
 mod optics_properties;
 mod overlay;
