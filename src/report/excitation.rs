@@ -73,9 +73,9 @@ pub fn page(info: &ExcitationInfo, signal: &Signal, spectrum: &Spectrum, clipped
     ];
     body += &format!("<dl class=\"key\">\n{}</dl>\n", cards.concat());
     if !clipped.is_empty() {
-        let told: String = clipped.iter().map(|c| format!("<li>{}</li>\n", escape(&clipped_words(c)))).collect();
+        let changes: String = clipped.iter().map(|c| format!("<li>{}</li>\n", escape(&clipped_words(c)))).collect();
         body += &format!(
-            "<div class=\"doubts\"><p><strong>Cut off</strong> to keep the limits:</p>\n<ul>\n{told}</ul></div>\n"
+            "<div class=\"doubts\"><p><strong>Cut off</strong> to keep the limits:</p>\n<ul>\n{changes}</ul></div>\n"
         );
     }
     body += "<h2>Current over time</h2>\n<p>Each value is held until the next. After the last one the current is zero.</p>\n";

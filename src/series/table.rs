@@ -1,7 +1,7 @@
 //! A run from its table: that of this program ([`crate::sink::CsvSink`]), or another with columns of the same names.
 //!
-//! Needed are a time (`stamp_ns` or `t_s`) and either `theta_deg` or the three coordinates of a marker (`tip_x_mm`, …; without a
-//! name before them, `x_mm`, they are the tip's). All else may be missing.
+//! Needed are a time (`stamp_ns` or `t_s`) and either `theta_deg` or the three coordinates of a marker (`tip_x_mm`, …;
+//! without a name before them, `x_mm`, they are the tip's). All else may be missing.
 
 use super::sheet::{Row, Sheet, is_missing};
 use super::{Frame, Place, Recording, SeriesError};

@@ -23,7 +23,7 @@ fn made(folder: &Path, args: &[&str]) -> (CurrentTable, String) {
 #[test]
 fn without_options_it_is_the_papers_chirp() {
     let folder = tempfile::tempdir().unwrap();
-    let (table, told) = made(folder.path(), &["chirp", "--report"]);
+    let (table, message) = made(folder.path(), &["chirp", "--report"]);
     assert_eq!((table.rows.len(), table.coils.join(",")), (18_001, "current_a".to_owned()));
     let (first, last) = (&table.rows[0], &table.rows[18_000]);
     assert_eq!((first.time_ns, last.time_ns), (0, 300_000_000_000));
@@ -33,7 +33,7 @@ fn without_options_it_is_the_papers_chirp() {
     for part in
         ["peak           100.0 mA", "crest factor   1.41", "largest slew   4.88 A/s", "rows a period  7.5, at 8 Hz"]
     {
-        assert!(told.contains(part), "`{part}` is not in {told}");
+        assert!(message.contains(part), "`{part}` is not in {message}");
     }
     let page = fs::read_to_string(folder.path().join("i.html")).unwrap();
     assert!(page.contains("id=\"plot-current\"") && page.contains("id=\"plot-spectrum\""));
@@ -56,8 +56,8 @@ fn limits_are_kept_by_refusing_or_by_cutting_off() {
     refused(&["chirp", "--amplitude", "100"], "write for example 100mA");
     refused(&["chirp", "--coils", "a,a"], "--coils: names of columns, all different");
 
-    let (table, told) = made(folder.path(), &["chirp", "--amplitude", "150mA", "--slew", "3A/s", "--clip"]);
-    assert!(told.contains("limit of current: ") && told.contains("limit of slew: "), "{told}");
+    let (table, message) = made(folder.path(), &["chirp", "--amplitude", "150mA", "--slew", "3A/s", "--clip"]);
+    assert!(message.contains("limit of current: ") && message.contains("limit of slew: "), "{message}");
     let values: Vec<f64> = table.rows.iter().map(|row| row.values_a[0]).collect();
     assert!(values.iter().all(|value| value.abs() <= 0.1 + 1e-9));
     assert!(values.windows(2).all(|pair| (pair[1] - pair[0]).abs() * 60.0 <= 3.0 + 1e-6));

@@ -84,7 +84,8 @@ fn the_papers_chain_recovers_eq_7_and_fills_table_1() {
     }
 }
 
-/// Eq. 6 feeds noise back into the input: ARX of the right order is biased by it, instruments made from the current are less.
+/// Eq. 6 feeds noise back into the input: ARX of the right order is biased by it, instruments made from the current are
+/// less.
 #[test]
 fn instruments_from_the_current_take_bias_away() {
     let of = |estimator: &str| {
@@ -106,8 +107,8 @@ fn a_delay_that_is_put_in_is_found_and_can_be_taken_out() {
     let late = identify(out.path(), &["--order", "2", "--nk", "1", "--bootstrap", "0", "--delay", "-40ms"]);
     assert!(late.status.success(), "{}", String::from_utf8_lossy(&late.stderr));
     let found = model(out.path());
-    let told = found["records"][0]["delay_s"].as_f64().unwrap();
-    assert!(told.abs() < 1e-3, "{told}");
+    let message = found["records"][0]["delay_s"].as_f64().unwrap();
+    assert!(message.abs() < 1e-3, "{message}");
     let worse = errors(&found, "refined", "simulation")[0];
     let auto = identify(out.path(), &["--order", "2", "--nk", "1", "--bootstrap", "0", "--delay", "auto"]);
     assert!(auto.status.success(), "{}", String::from_utf8_lossy(&auto.stderr));

@@ -37,10 +37,10 @@ fn identify(folder: &Path, args: &[&[&str]]) -> (i32, String) {
 
 #[track_caller]
 fn refused(folder: &Path, args: &[&[&str]], code: i32, says: &[&str]) {
-    let (found, told) = identify(folder, &[args, &[&["-o", "refused"]]].concat());
-    assert_eq!(found, code, "{told}");
+    let (found, message) = identify(folder, &[args, &[&["-o", "refused"]]].concat());
+    assert_eq!(found, code, "{message}");
     for part in says {
-        assert!(told.contains(part), "{part} is not in: {told}");
+        assert!(message.contains(part), "{part} is not in: {message}");
     }
     assert!(!folder.join("refused").exists());
 }
@@ -148,15 +148,16 @@ fn folders_that_are_none_and_folders_with_an_earlier_result() {
     let folder = folder.path();
     good(folder);
     fs::write(folder.join("file"), "mine").unwrap();
-    let (code, told) = identify(folder, &[&["good.csv"], &COLUMNS, &SECOND, &["-o", "file"]]);
-    assert!(code == 1 && told.contains("cannot make the folder file: there is a file of this name"), "{told}");
+    let (code, message) = identify(folder, &[&["good.csv"], &COLUMNS, &SECOND, &["-o", "file"]]);
+    assert!(code == 1 && message.contains("cannot make the folder file: there is a file of this name"), "{message}");
     assert_eq!(fs::read_to_string(folder.join("file")).unwrap(), "mine");
     // A search leaves a table of orders; a result without a search must not stand beside it.
-    let (code, told) = identify(folder, &[&["good.csv"], &COLUMNS, &["--order", "1:3", "--nk", "1", "-o", "result"]]);
-    assert!(code == 0 && folder.join("result/orders.csv").exists(), "{told}");
+    let (code, message) =
+        identify(folder, &[&["good.csv"], &COLUMNS, &["--order", "1:3", "--nk", "1", "-o", "result"]]);
+    assert!(code == 0 && folder.join("result/orders.csv").exists(), "{message}");
     fs::write(folder.join("result/notes.txt"), "mine").unwrap();
-    let (code, told) = identify(folder, &[&["good.csv"], &COLUMNS, &SECOND, &["-o", "result"]]);
-    assert!(code == 0 && !folder.join("result/orders.csv").exists(), "{told}");
+    let (code, message) = identify(folder, &[&["good.csv"], &COLUMNS, &SECOND, &["-o", "result"]]);
+    assert!(code == 0 && !folder.join("result/orders.csv").exists(), "{message}");
     assert!(folder.join("result/notes.txt").exists() && folder.join("result/residuals.csv").exists());
 }
 
@@ -166,11 +167,11 @@ fn what_was_fitted_is_no_judge() {
     let folder = folder.path();
     good(folder);
     let overlap = ["--train", "0:200", "--test", "150:400", "-o", "result"];
-    let (code, told) = identify(folder, &[&["good.csv"], &COLUMNS, &SECOND, &overlap]);
-    assert!(code == 0 && told.contains("--train and --test share samples 150 to 199"), "{told}");
-    let (code, told) =
+    let (code, message) = identify(folder, &[&["good.csv"], &COLUMNS, &SECOND, &overlap]);
+    assert!(code == 0 && message.contains("--train and --test share samples 150 to 199"), "{message}");
+    let (code, message) =
         identify(folder, &[&["good.csv", "-o", "result"], &COLUMNS, &SECOND, &["--validate", "good.csv"]]);
-    assert!(code == 0 && told.contains("good.csv: is fitted and judged by"), "{told}");
+    assert!(code == 0 && message.contains("good.csv: is fitted and judged by"), "{message}");
 }
 
 /// Every number of a result, null where there is none.
@@ -194,8 +195,8 @@ fn an_unstable_model_is_said_to_be_so_and_written() {
         fs::write(folder.join(name), text).unwrap();
         let [na, nb, nk] = args;
         let orders = [name, "--input", "1", "--output", "2", "--period", "0.01", "--na", na, "--nb", nb, "--nk", nk];
-        let (code, told) = identify(folder, &[&orders, &["-o", &format!("{name}_out")]]);
-        assert!(code == 3 && told.contains("unstable"), "{told}");
+        let (code, message) = identify(folder, &[&orders, &["-o", &format!("{name}_out")]]);
+        assert!(code == 3 && message.contains("unstable"), "{message}");
         let model = model(folder, &format!("{name}_out"));
         assert_eq!(model["arx"]["stable"], false);
         assert!((model["arx"]["largest_pole"].as_f64().unwrap() - 1.05).abs() < 1e-9);
@@ -208,17 +209,17 @@ fn a_gain_and_a_model_of_fewer_states_than_asked_are_whole() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
     good(folder);
-    let (code, told) =
+    let (code, message) =
         identify(folder, &[&["good.csv"], &COLUMNS, &["--na", "0", "--nb", "1", "--nk", "0", "-o", "gain"]]);
-    assert_eq!(code, 0, "{told}");
+    assert_eq!(code, 0, "{message}");
     let gain = model(folder, "gain");
     assert_eq!(
         (gain["continuous"]["num"].clone(), gain["hankel_singular_values"].clone()),
         (gain["arx"]["b"].clone(), serde_json::json!([]))
     );
-    let (code, told) =
+    let (code, message) =
         identify(folder, &[&["good.csv"], &COLUMNS, &["--na", "1", "--nb", "1", "--nk", "1", "-o", "one"]]);
-    assert!(code == 0 && told.contains("has only 1 states that matter"), "{told}");
+    assert!(code == 0 && message.contains("has only 1 states that matter"), "{message}");
     let one = model(folder, "one");
     assert_eq!((one["reduced"]["order"].clone(), one["reduced"]["den_z"].clone()), (1.into(), one["arx"]["a"].clone()));
     assert!(one["continuous"]["num"][0].as_f64().is_some());

@@ -6,29 +6,30 @@ mod figures;
 
 use super::html::{Html, escape};
 use super::page::{self, card, facts_table, figure, plural, table};
-use crate::identify::chain::{Data, Fit, Identification};
 use crate::identify::continuous::{Continuous, Conversion};
-use crate::identify::fit::{Kind, Start};
+use crate::identify::data::Data;
+use crate::identify::fit::{InitialState, Kind};
+use crate::identify::identification::{Fit, Identification};
 use crate::identify::modelled::{ContinuousEstimate, Modelled, Role};
+use crate::identify::provenance::{Provenance, RecordSummary};
 use crate::identify::search::Candidate;
-use crate::identify::told::{RecordTold, Told};
 use std::collections::BTreeMap;
 
 /// The whole page.
-pub fn page(data: &Data, done: &Identification, told: &Told) -> String {
+pub fn page(data: &Data, done: &Identification, provenance: &Provenance) -> String {
     // The answer comes first, then how good it is, then what it rests on.
-    let mut body = header(done, told);
-    body += &cards(done, told);
+    let mut body = header(done, provenance);
+    body += &cards(done, provenance);
     body += &transfer_functions(done);
-    body += &table_1(done, told);
-    body += &time_courses(data, done, told);
+    body += &table_1(done, provenance);
+    body += &time_courses(data, done, provenance);
     body += &frequency(data, done);
     body += &orders(done);
     body += &reduction(done);
     body += &residuals(done);
-    body += &facts(done, told);
+    body += &facts(done, provenance);
     body += &format!("<footer>Catoptra {}. This file needs no network.</footer>\n", env!("CARGO_PKG_VERSION"));
-    page::page(&format!("Dynamics of {}", told.title), &body)
+    page::page(&format!("Dynamics of {}", provenance.title), &body)
 }
 
 /// Up to five digits, and powers of ten where they are shorter.
@@ -56,7 +57,7 @@ fn percent(value: f64) -> Html {
     }
 }
 
-fn header(done: &Identification, told: &Told) -> String {
+fn header(done: &Identification, provenance: &Provenance) -> String {
     let orders = done.orders;
     let chosen = match done.criterion {
         Some(criterion) => format!(
@@ -77,40 +78,41 @@ fn header(done: &Identification, told: &Told) -> String {
     );
     let answer = format!(
         "From {} to {}: na {}, nb {}, delay {} ({chosen}). {reduced}",
-        escape(&told.input),
-        escape(&told.output),
+        escape(&provenance.input),
+        escape(&provenance.output),
         orders.na,
         orders.nb,
         plural(orders.nk as u64, "sample")
     );
-    let doubts: String = done.doubts.iter().map(|doubt| format!("<li>{}</li>\n", escape(&doubt.to_string()))).collect();
-    let doubts = if doubts.is_empty() {
+    let diagnostics: String =
+        done.diagnostics.iter().map(|diagnostic| format!("<li>{}</li>\n", escape(&diagnostic.to_string()))).collect();
+    let diagnostics = if diagnostics.is_empty() {
         String::new()
     } else {
         format!(
-            "<div class=\"doubts\"><p><strong>To be known before the numbers are used:</strong></p>\n<ul>\n{doubts}</ul></div>\n"
+            "<div class=\"doubts\"><p><strong>To be known before the numbers are used:</strong></p>\n<ul>\n{diagnostics}</ul></div>\n"
         )
     };
     format!(
-        "<header>\n<p class=\"kind\">Catoptra identification</p>\n<h1>{}</h1>\n<p class=\"verdict\">{answer}</p>\n{doubts}</header>\n",
-        escape(&told.title)
+        "<header>\n<p class=\"kind\">Catoptra identification</p>\n<h1>{}</h1>\n<p class=\"verdict\">{answer}</p>\n{diagnostics}</header>\n",
+        escape(&provenance.title)
     )
 }
 
 /// The fit of a model to a record.
-fn fit<'a>(done: &'a Identification, record: &RecordTold, role: Role, kind: Kind) -> Option<&'a Fit> {
+fn fit<'a>(done: &'a Identification, record: &RecordSummary, role: Role, kind: Kind) -> Option<&'a Fit> {
     done.fits
         .iter()
         .find(|f| f.record == record.name && f.training == record.training && f.role == role && f.kind == kind)
 }
 
-fn cards(done: &Identification, told: &Told) -> String {
-    let record = told.records.iter().find(|r| !r.training).or(told.records.first());
+fn cards(done: &Identification, provenance: &Provenance) -> String {
+    let record = provenance.records.iter().find(|r| !r.training).or(provenance.records.first());
     let mut cards = String::new();
     if let Some(record) = record {
         let of = if record.training { "training" } else { "validation" };
         for model in &done.models {
-            let error = fit(done, record, model.role, Kind::Simulation(record.start))
+            let error = fit(done, record, model.role, Kind::Simulation(record.initial_state))
                 .map_or(f64::NAN, |f| f.error.error_percent);
             let text = match error {
                 e if e < 1.0 => format!("{e:.3} %"),
@@ -213,16 +215,17 @@ fn complex(re: f64, im: f64) -> String {
     }
 }
 
-fn table_1(done: &Identification, told: &Told) -> String {
+fn table_1(done: &Identification, provenance: &Provenance) -> String {
     let mut heads = vec!["Data"];
     heads.extend(done.models.iter().map(|m| m.title.as_str()));
     heads.push("one step ahead");
-    let other = if told.start == Start::Rest { Start::Estimated } else { Start::Rest };
+    let other =
+        if provenance.initial_state == InitialState::Rest { InitialState::Estimated } else { InitialState::Rest };
     let mut rows = Vec::new();
-    for start in [told.start, other] {
-        for record in &told.records {
+    for start in [provenance.initial_state, other] {
+        for record in &provenance.records {
             let role = if record.training { "Training" } else { "Validation" };
-            let begins = if start == Start::Rest { "from rest" } else { "start estimated" };
+            let begins = if start == InitialState::Rest { "from rest" } else { "start estimated" };
             let name = format!("{role} ({:.0} s), {begins}: {}", record.duration_s, record.name);
             let cell = |role, kind| {
                 fit(done, record, role, kind).map_or_else(Html::default, |f| {
@@ -235,7 +238,11 @@ fn table_1(done: &Identification, told: &Told) -> String {
             };
             let mut row = vec![Html::from(name)];
             row.extend(done.models.iter().map(|m| cell(m.role, Kind::Simulation(start))));
-            row.push(if start == told.start { cell(Role::Full, Kind::Prediction) } else { Html::default() });
+            row.push(if start == provenance.initial_state {
+                cell(Role::Full, Kind::Prediction)
+            } else {
+                Html::default()
+            });
             rows.push(row);
         }
     }
@@ -247,12 +254,12 @@ fn table_1(done: &Identification, told: &Told) -> String {
     )
 }
 
-fn time_courses(data: &Data, done: &Identification, told: &Told) -> String {
+fn time_courses(data: &Data, done: &Identification, provenance: &Provenance) -> String {
     let mut text = "<h2>Observed and simulated</h2>\n".to_owned();
     for (k, record) in data.training.iter().chain(&data.validation).enumerate() {
         let training = k < data.training.len();
         text += &format!("<h3>{}: {}</h3>\n", if training { "Training" } else { "Validation" }, escape(&record.name));
-        let (whole, middle) = figures::courses(data, done, told, record);
+        let (whole, middle) = figures::courses(data, done, provenance, record);
         text += &figure(&format!("plot-course-{k}"), &whole, 300, false);
         text += "<p class=\"note\">Its middle, each sample:</p>\n";
         text += &figure(&format!("plot-middle-{k}"), &middle, 300, false);
@@ -360,8 +367,8 @@ fn residuals(done: &Identification) -> String {
     )
 }
 
-fn facts(done: &Identification, told: &Told) -> String {
-    let rows: Vec<Vec<String>> = told
+fn facts(done: &Identification, provenance: &Provenance) -> String {
+    let rows: Vec<Vec<String>> = provenance
         .records
         .iter()
         .map(|r| {
@@ -381,7 +388,8 @@ fn facts(done: &Identification, told: &Told) -> String {
         .collect();
     let heads =
         ["Record", "", "Samples", "Stretches", "Lost", "Missed", "Bridged", "Period (ms)", "Jitter (ms)", "Late (ms)"];
-    let mut lines: Vec<(Html, Html)> = told.settings.iter().map(|(name, value)| (name.into(), value.into())).collect();
+    let mut lines: Vec<(Html, Html)> =
+        provenance.settings.iter().map(|(name, value)| (name.into(), value.into())).collect();
     let stable = |m: &Modelled| if m.is_stable() { "stable" } else { "unstable" };
     for model in &done.models {
         lines

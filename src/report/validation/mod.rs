@@ -32,8 +32,8 @@ pub fn page(validation: &Validation, settings: &Settings) -> String {
     page::page(&format!("Validation along {}", validation.name()), &body)
 }
 
-/// Where the magnitude is 3 dB below that of the slowest run, Hz: on the line between two runs over the logarithm of frequency.
-/// `None` when it does not fall so far.
+/// Where the magnitude is 3 dB below that of the slowest run, Hz: on the line between two runs over the logarithm of
+/// frequency. `None` when it does not fall so far.
 pub fn bandwidth_hz(validation: &Validation) -> Option<f64> {
     let points: Vec<(f64, f64)> =
         validation.runs.iter().rev().filter_map(|run| Some((run.frequency_hz.ln(), run.magnitude?.db))).collect();

@@ -1,4 +1,5 @@
-//! Decompositions that end: nalgebra's own iterate without a limit, and on matrices of extreme range they do so for ever.
+//! Decompositions that end: nalgebra's own iterate without a limit, and on matrices of extreme range they do so for
+//! ever.
 
 use nalgebra::{Complex, DMatrix, DVector, Dyn, SVD, Schur};
 

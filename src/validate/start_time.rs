@@ -1,9 +1,10 @@
 //! When the first command was given, where nobody says it.
 //!
-//! - From the coil currents in the log: the first moment at which a current differs from the first one logged, or the first one
-//!   itself when it is not zero and changes within 1.5 pauses.
-//! - Else by a search over the record: the start at which the observed motion correlates best with the whole commanded one.
-//!   That absorbs the lag of the catheter: no phase can be measured from such a start, and errors are without the lag too.
+//! - From the coil currents in the log: the first moment at which a current differs from the first one logged, or the
+//!   first one itself when it is not zero and changes within 1.5 pauses.
+//! - Else by a search over the record: the start at which the observed motion correlates best with the whole commanded
+//!   one. That absorbs the lag of the catheter: no phase can be measured from such a start, and errors are without the
+//!   lag too.
 
 use super::path::DesiredPath;
 use super::pauses::{Sample, Window};
@@ -40,8 +41,8 @@ const MOST_STARTS: i64 = 10_000;
 /// Currents that differ by less are the same, amperes.
 const SAME_A: f64 = 1e-6;
 
-/// The first change of a coil current, camera time; the first current itself where it is not zero and not held for longer than a
-/// command: then it is one.
+/// The first change of a coil current, camera time; the first current itself where it is not zero and not held for
+/// longer than a command: then it is one.
 pub(super) fn from_currents(currents: &[Current], pause_ns: i64) -> Option<i64> {
     let first = currents.first()?;
     let differs = |current: &&Current| {
@@ -54,8 +55,8 @@ pub(super) fn from_currents(currents: &[Current], pause_ns: i64) -> Option<i64> 
     first.stamp_ns.filter(is_command).or(Some(change_ns))
 }
 
-/// The start at which the motion correlates best with the path; `None` when the record is shorter than all commands, or does not
-/// move. Good to about one point of 200 a period.
+/// The start at which the motion correlates best with the path; `None` when the record is shorter than all commands, or
+/// does not move. Good to about one point of 200 a period.
 pub(super) fn by_search(path: &DesiredPath, samples: &[Sample], pause_ns: i64) -> Option<i64> {
     let (first_ns, last_ns) = (samples.first()?.0, samples.last()?.0);
     let window = Window { start_ns: first_ns, pause_ns, commands: path.commands() };

@@ -1,8 +1,14 @@
-use super::super::data::Segment;
-use super::super::fit::Start;
-use super::super::search::{Criterion, best};
-use super::super::{instrumental, output_error, search};
-use super::*;
+//! The estimators and the search, on simulated records.
+
+use super::IdentifyError;
+use super::arx::fit;
+use super::data::Segment;
+use super::estimated::Estimated;
+use super::fit::InitialState;
+use super::model::{Orders, Polynomials, all_pole};
+use super::regression::row;
+use super::search::{Criterion, best};
+use super::{instrumental, output_error, search};
 use nalgebra::DMatrix;
 
 /// Numbers that look like white noise of variance 1, the same on every machine.
@@ -24,7 +30,7 @@ fn truth() -> Polynomials {
 /// ARX: noise goes through 1/A.
 fn arx_data(seed: u64, n: usize, sd: f64) -> Segment {
     let input = noise(seed, n);
-    let disturbance = super::super::model::all_pole(&truth().a, noise(seed + 1000, n));
+    let disturbance = all_pole(&truth().a, noise(seed + 1000, n));
     let output = truth().simulate(&input).iter().zip(disturbance).map(|(y, e)| y + sd * e).collect();
     Segment { input, output, from_rest: true, ..Segment::default() }
 }
@@ -101,7 +107,7 @@ fn the_search_finds_order_and_delay() {
         s
     };
     let candidates: Vec<Orders> = (1..=8).flat_map(|n| (0..=5).map(move |nk| Orders { na: n, nb: n, nk })).collect();
-    let all = search::search(&[delayed(1)], &[delayed(2)], Start::Rest, &candidates).unwrap();
+    let all = search::search(&[delayed(1)], &[delayed(2)], InitialState::Rest, &candidates).unwrap();
     assert_eq!(all.len(), 48);
     for criterion in [Criterion::Mdl, Criterion::Simulation, Criterion::Prediction] {
         let best = best(&all, criterion).unwrap();

@@ -1,7 +1,8 @@
 //! What should be known before the numbers are used.
 
-use super::chain::{Data, Identification};
+use super::data::Data;
 use super::fit::Kind;
+use super::identification::Identification;
 use super::modelled::Role;
 use super::residuals::Residuals;
 use std::fmt;
@@ -17,12 +18,12 @@ const OUTSIDE: f64 = 0.1;
 /// A stable pole so near to the unit circle that its gain is hardly known.
 const NEARLY_UNSTABLE: f64 = 1e-4;
 
-/// A model that leaves more of the energy than this is told of, percent.
+/// A model that leaves more of the energy than this is called poor, percent.
 const POOR: f64 = 50.0;
 
 /// Something that makes the result less than it looks.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Doubt {
+pub enum Diagnostic {
     /// A model is unstable.
     Unstable {
         /// Which.
@@ -108,7 +109,7 @@ pub enum Doubt {
     NoSpectrum,
 }
 
-impl fmt::Display for Doubt {
+impl fmt::Display for Diagnostic {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Unstable { title, largest_pole } => write!(
@@ -173,26 +174,26 @@ impl fmt::Display for Doubt {
     }
 }
 
-/// All doubts about a result.
-pub(super) fn doubts(data: &Data, done: &Identification) -> Vec<Doubt> {
-    let mut doubts = Vec::new();
+/// All diagnostics about a result.
+pub(super) fn diagnostics(data: &Data, done: &Identification) -> Vec<Diagnostic> {
+    let mut diagnostics = Vec::new();
     for model in &done.models {
         let (title, largest_pole) = (model.title.clone(), model.largest_pole);
         if !model.is_stable() {
-            doubts.push(Doubt::Unstable { title, largest_pole });
+            diagnostics.push(Diagnostic::Unstable { title, largest_pole });
         } else if largest_pole > 1.0 - NEARLY_UNSTABLE {
-            doubts.push(Doubt::NearlyUnstable { title, largest_pole });
+            diagnostics.push(Diagnostic::NearlyUnstable { title, largest_pole });
         }
     }
     for model in done.models.iter().filter(|m| m.is_stable()) {
         let led =
             done.fits.iter().find(|f| f.training && f.role == model.role && matches!(f.kind, Kind::Simulation(_)));
         if let Some(error_percent) = led.map(|f| f.error.error_percent).filter(|e| *e > POOR) {
-            doubts.push(Doubt::Poor { title: model.title.clone(), error_percent });
+            diagnostics.push(Diagnostic::Poor { title: model.title.clone(), error_percent });
         }
     }
     if done.arx.condition > ILL_CONDITIONED {
-        doubts.push(Doubt::IllConditioned { condition: done.arx.condition });
+        diagnostics.push(Diagnostic::IllConditioned { condition: done.arx.condition });
     }
     let rate_hz = 1.0 / data.period_s;
     match &done.spectrum {
@@ -200,36 +201,36 @@ pub(super) fn doubts(data: &Data, done: &Identification) -> Vec<Doubt> {
             let output_hz = spectrum.output_ends_hz().max(spectrum.resolution_hz);
             let factor = (rate_hz / (OVERSAMPLED * output_hz)).floor() as usize;
             if factor >= 2 {
-                doubts.push(Doubt::Oversampled { output_hz, rate_hz, factor });
+                diagnostics.push(Diagnostic::Oversampled { output_hz, rate_hz, factor });
             }
         }
-        None => doubts.push(Doubt::NoSpectrum),
+        None => diagnostics.push(Diagnostic::NoSpectrum),
     }
-    doubts.extend(off_centre(data));
+    diagnostics.extend(off_centre(data));
     if let Some(residuals) = &done.residuals {
-        doubts.extend(correlated(residuals));
+        diagnostics.extend(correlated(residuals));
     }
     if let Ok(reduced) = &done.reduced
         && let Some(asked) = reduced.asked_for_more
     {
-        doubts.push(Doubt::FewerStates { asked, has: reduced.model.memory() });
+        diagnostics.push(Diagnostic::FewerStates { asked, has: reduced.model.memory() });
     }
     if let Err(why) = &done.reduced {
-        doubts.push(Doubt::NotReduced { why: why.clone() });
+        diagnostics.push(Diagnostic::NotReduced { why: why.clone() });
     } else if let Err(why) = &done.refined {
-        doubts.push(Doubt::NotRefined { why: why.clone() });
+        diagnostics.push(Diagnostic::NotRefined { why: why.clone() });
     }
     let refined = done.refined.as_ref().ok().map(|r| (Role::Refined, r));
     for (role, refined) in done.full.as_ref().map(|r| (Role::Full, r)).into_iter().chain(refined) {
         let title = done.model(role).map_or_else(String::new, |m| m.title.clone());
         if !refined.settled {
-            doubts.push(Doubt::NotSettled { title, steps: refined.steps });
+            diagnostics.push(Diagnostic::NotSettled { title, steps: refined.steps });
         }
     }
-    doubts
+    diagnostics
 }
 
-fn off_centre(data: &Data) -> Vec<Doubt> {
+fn off_centre(data: &Data) -> Vec<Diagnostic> {
     let ratio = |signal: &dyn Fn(&super::data::Segment) -> Vec<f64>| {
         let values: Vec<f64> =
             data.training.iter().flat_map(|r| &r.segments).flat_map(signal).filter(|v| !v.is_nan()).collect();
@@ -241,21 +242,21 @@ fn off_centre(data: &Data) -> Vec<Doubt> {
     let of = [("input", ratio(&|s| s.input.clone())), ("output", ratio(&|s| s.output.clone()))];
     of.into_iter()
         .filter(|(_, ratio)| *ratio > OFF_CENTRE)
-        .map(|(what, ratio)| Doubt::OffCentre { what, ratio })
+        .map(|(what, ratio)| Diagnostic::OffCentre { what, ratio })
         .collect()
 }
 
-fn correlated(residuals: &Residuals) -> Vec<Doubt> {
+fn correlated(residuals: &Residuals) -> Vec<Diagnostic> {
     let too_many = |(n, of): (usize, usize)| n as f64 > OUTSIDE * of as f64;
-    let mut doubts = Vec::new();
+    let mut diagnostics = Vec::new();
     if too_many(residuals.auto_outside()) {
-        doubts.push(Doubt::Coloured { outside: residuals.auto_outside() });
+        diagnostics.push(Diagnostic::Coloured { outside: residuals.auto_outside() });
     }
     if too_many(residuals.cross_outside()) {
-        doubts.push(Doubt::Unexplained { outside: residuals.cross_outside() });
+        diagnostics.push(Diagnostic::Unexplained { outside: residuals.cross_outside() });
     }
     if too_many(residuals.fed_back()) {
-        doubts.push(Doubt::FedBack { outside: residuals.fed_back() });
+        diagnostics.push(Diagnostic::FedBack { outside: residuals.fed_back() });
     }
-    doubts
+    diagnostics
 }

@@ -1,12 +1,12 @@
-//! What the files of a result say beside the result: where it is from.
+//! Where a result is from: names, units and settings, and a summary of each record as it was read.
 
 use super::delay::Delay;
-use super::fit::Start;
+use super::fit::InitialState;
 
 /// One record as it was read.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct RecordTold {
-    /// How the user knows it.
+pub struct RecordSummary {
+    /// Its name, as the user gave it.
     pub name: String,
     /// Whether it was fitted.
     pub training: bool,
@@ -27,14 +27,14 @@ pub struct RecordTold {
     /// Angles interpolated for the torque.
     pub bridged: usize,
     /// Where simulations of it begin that are shown: a part of a longer record does not begin at rest.
-    pub start: Start,
+    pub initial_state: InitialState,
     /// How much later the output is than the commands say.
     pub delay: Option<Delay>,
 }
 
-/// All that is told.
+/// Where a result is from.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct Told {
+pub struct Provenance {
     /// Head of the page.
     pub title: String,
     /// Name of the input.
@@ -46,9 +46,9 @@ pub struct Told {
     /// Its unit; empty when not known.
     pub output_unit: String,
     /// Where simulations begin.
-    pub start: Start,
-    /// The records in the order of [`Data`](super::chain::Data): training, then validation.
-    pub records: Vec<RecordTold>,
+    pub initial_state: InitialState,
+    /// The records in the order of [`Data`](super::data::Data): training, then validation.
+    pub records: Vec<RecordSummary>,
     /// Options of the command: name and value.
     pub settings: Vec<(String, String)>,
 }
