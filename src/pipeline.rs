@@ -10,7 +10,7 @@
 //!   the source gives up.
 
 use crate::estimate::Estimate;
-use crate::sink::{Sink, SinkError};
+use crate::sink::{Sink, SinkError, spoken};
 use crate::source::{self, Frame, FrameSource, SourceError, Timestamp};
 use crate::tally::Tally;
 use crate::track::{TrackError, Tracker};
@@ -105,7 +105,8 @@ pub fn run(
                 Ok(estimate) => estimate,
                 Err(error) => break Some(End::Track { seq: frame.seq, stamp: frame.stamp, error }),
             };
-            tally.add(&estimate);
+            let missing = tally.add(&estimate);
+            tracing::debug!("frame {} at {} s: {}", frame.seq, frame.stamp.seconds(), told(&estimate, &missing));
             if result_in.send((estimate, frame)).is_err() {
                 break Some(End::Sink);
             }
@@ -124,6 +125,15 @@ pub fn run(
         };
         Ok(Summary { tally, source, elapsed: began.elapsed(), end, sink_failures })
     })
+}
+
+/// What came of a frame, in words: `missing` is what is not there, and why.
+fn told(estimate: &Estimate, missing: &[(String, String)]) -> String {
+    let mut words: Vec<String> = missing.iter().map(|(what, why)| format!("{what} {}", spoken(why))).collect();
+    if let Ok(d) = &estimate.deflection {
+        words.push(format!("θ {:+.2}° ± {:.2}°", d.theta_rad.to_degrees(), d.theta_sd_rad.to_degrees()));
+    }
+    if words.is_empty() { "all bands located".to_owned() } else { words.join(", ") }
 }
 
 /// Hands on all frames, as long as somebody takes them.

@@ -1,7 +1,7 @@
 //! `catoptra excite`: a table of coil currents, and what its spectrum is.
 
 use super::units::{current_a, duration_s, frequency_hz, positive_current_a, slew_a_s};
-use super::{Exit, Failure, interrupt, output};
+use super::{Exit, Failure, interrupt, output, provenance};
 use crate::excite::{Chirp, Clipped, ExciteError, Limits, Multisine, Order, Phases, Signal, Spectrum, Steps, Sweep};
 use crate::report::excitation::{self, ExcitationInfo};
 use crate::source::FrameRate;
@@ -228,7 +228,7 @@ impl Common {
     }
 
     fn info(&self, kind: &str, band_hz: Option<(f64, f64)>, settings: Vec<(String, String)>) -> ExcitationInfo {
-        let settings = settings.into_iter().chain(self.settings()).collect();
+        let settings = settings.into_iter().chain(self.settings()).chain(provenance::of_this_run()).collect();
         ExcitationInfo { table: self.out.display().to_string(), kind: kind.to_owned(), band_hz, settings }
     }
 }

@@ -105,17 +105,16 @@ impl Moments {
         let new = |moment: &&Moment| moment.estimate.seq != first.estimate.seq;
         shown.extend(self.best.as_ref().filter(new).map(|best| ("Best frame", best, part)));
         shown.extend(self.worst.as_ref().filter(new).map(|worst| ("Worst frame", worst, part)));
-        let pictures: String = shown
-            .into_iter()
-            .map(|(name, moment, part)| {
-                let at_s = origin.map_or(0.0, |origin| origin.elapsed_s(moment.estimate.stamp.ns));
-                let caption = format!("{name}, at {at_s:.3} s: {}", told(&moment.estimate, &self.names, &self.views));
-                match self.stills.jpeg(&moment.picture, &moment.estimate, part) {
-                    Ok(jpeg) => page::picture(&jpeg, caption),
-                    Err(error) => not_drawn(&caption, &error),
-                }
-            })
-            .collect();
+        let mut drawn = shown.into_iter().map(|(name, moment, part)| {
+            let at_s = origin.map_or(0.0, |origin| origin.elapsed_s(moment.estimate.stamp.ns));
+            let caption = format!("{name}, at {at_s:.3} s: {}", told(&moment.estimate, &self.names, &self.views));
+            match self.stills.jpeg(&moment.picture, &moment.estimate, part) {
+                Ok(jpeg) => page::picture(&jpeg, caption),
+                Err(error) => not_drawn(&caption, &error),
+            }
+        });
+        let (whole, cut) = (drawn.next().unwrap_or_default(), drawn.collect::<String>());
+        let pictures = if cut.is_empty() { whole } else { format!("{whole}<div class=\"pair\">\n{cut}</div>\n") };
         format!(
             "{title}<p>Outlines are the bands as fitted, crosses their middles, the arrow is the coil's direction. Best and \
              worst: by what is missing, then by σ; they are cut to the part of the picture where the bands are.</p>\n{pictures}{}",

@@ -8,6 +8,8 @@ use plotly::Plot;
 const STYLE: &str = include_str!("page.css");
 /// Plots side by side in time show the same piece of it: zooming one zooms all.
 const LINK: &str = include_str!("link.js");
+/// Plots fit on paper.
+const PRINT: &str = include_str!("print.js");
 /// Plots are saved as drawings, named after the page and the plot.
 const SAVE: &str = include_str!("save.js");
 
@@ -88,7 +90,7 @@ pub(super) fn page(title: &str, body: &str) -> String {
          <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
          <title>{title}</title>\n<style>\n{STYLE}</style>\n{script}\n<script>\n{SAVE}</script>\n</head>\n<body>\n<main>\n{body}\
          <noscript><p class=\"note\">The plots of this page are drawn by its own script; scripts are switched off here.</p></noscript>\n\
-         </main>\n<script>\n{LINK}</script>\n</body>\n</html>\n"
+         </main>\n<script>\n{LINK}{PRINT}</script>\n</body>\n</html>\n"
     )
 }
 
