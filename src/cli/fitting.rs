@@ -2,7 +2,7 @@
 
 use super::{Exit, Failure};
 use crate::rig::Rig;
-use crate::source::{self, Frame, FrameSource, Picture, PixelFormat, SourceError, SourceOptions, Tally};
+use crate::source::{self, Frame, FrameSource, Picture, PixelFormat, SourceError, SourceOptions, StreamFaults};
 use std::path::Path;
 
 /// Off grey by this much, of 255, is no colour; and luma that spreads by no more shows nothing.
@@ -135,8 +135,8 @@ impl FrameSource for Peeked {
         self.source.frame_count_hint()
     }
 
-    fn tally(&self) -> Tally {
-        self.source.tally()
+    fn faults(&self) -> StreamFaults {
+        self.source.faults()
     }
 }
 

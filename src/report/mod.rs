@@ -26,6 +26,7 @@ use crate::estimate::Estimate;
 use crate::rig::Rig;
 use crate::sink::{Sink, SinkError};
 use crate::source::Picture;
+use crate::tally::Tally;
 use course::Course;
 use moments::Moments;
 use std::fs::File;
@@ -76,10 +77,10 @@ impl Sink for ReportSink {
         Ok(())
     }
 
-    fn finish(&mut self) -> Result<(), SinkError> {
+    fn finish(&mut self, tally: &Tally) -> Result<(), SinkError> {
         let Some(mut file) = self.file.take() else { return Ok(()) };
-        let pictures = self.moments.section(self.course.tally.frames, self.course.origin());
-        let page = tracking::render(&self.info, &self.course, &pictures);
+        let pictures = self.moments.section(tally.frames, self.course.origin());
+        let page = tracking::render(&self.info, &self.course, tally, &pictures);
         file.write_all(page.as_bytes()).map_err(|source| SinkError::Io { path: self.path.clone(), source })
     }
 }

@@ -6,6 +6,7 @@ use catoptra::report::{ReportSink, RunInfo};
 use catoptra::rig::Rig;
 use catoptra::sink::{Sink, SinkError};
 use catoptra::source::{Colour, Picture, PixelFormat};
+use catoptra::tally::Tally;
 
 fn info() -> RunInfo {
     RunInfo {
@@ -27,12 +28,14 @@ fn page(rig: &Rig, info: RunInfo, estimates: impl IntoIterator<Item = Estimate>)
 fn whole_page(rig: &Rig, info: RunInfo, estimates: impl IntoIterator<Item = Estimate>) -> String {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("report.html");
+    let mut tally = Tally::new(rig);
     let mut sink = ReportSink::create(&path, rig, info).unwrap();
     for estimate in estimates {
+        tally.add(&estimate);
         sink.write(&estimate, None).unwrap();
     }
-    sink.finish().unwrap();
-    sink.finish().unwrap();
+    sink.finish(&tally).unwrap();
+    sink.finish(&tally).unwrap();
     std::fs::read_to_string(path).unwrap()
 }
 
@@ -163,6 +166,7 @@ fn the_first_the_best_and_the_worst_frame_are_shown_with_their_outlines() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("report.html");
     let mut sink = ReportSink::create(&path, &rig, info()).unwrap();
+    let mut tally = Tally::new(&rig);
     for k in 0..30 {
         let mut estimate = synthetic::swing(&rig, k, stamp(k));
         if k == 11 {
@@ -170,9 +174,10 @@ fn the_first_the_best_and_the_worst_frame_are_shown_with_their_outlines() {
         }
         let estimate =
             if k == 20 { synthetic::without_marker(estimate, 2, Miss::NotSeen { view: 1 }) } else { estimate };
+        tally.add(&estimate);
         sink.write(&estimate, Some(&grey_picture(&rig))).unwrap();
     }
-    sink.finish().unwrap();
+    sink.finish(&tally).unwrap();
     let page = std::fs::read_to_string(path).unwrap();
     let captions =
         ["First frame, at 0.000 s: θ", "Best frame, at 0.183 s: θ", "Worst frame, at 0.333 s: tip not seen in mirror"];
