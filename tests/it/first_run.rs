@@ -139,3 +139,44 @@ fn the_rig_of_a_refused_run_is_still_a_rig() {
     assert_eq!(std::fs::read_to_string(&place.rig).unwrap(), before);
     assert!(Rig::load(&place.rig).is_ok() && !place.path("rig.toml.bak").exists());
 }
+
+/// Every topic that the layout for Foxglove names is in a log.
+#[test]
+fn the_layout_for_foxglove_fits_a_log() {
+    let place = Place::new();
+    ended_with(&place.track(&sample("rest.mkv"), &["--to", "0.02"]), 0);
+    let bytes = std::fs::read(place.path("out/log.mcap")).unwrap();
+    let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
+    let topics: Vec<&str> = summary.channels.values().map(|channel| channel.topic.as_str()).collect();
+    let layout: serde_json::Value =
+        serde_json::from_str(&std::fs::read_to_string(in_repository("docs/foxglove.json")).unwrap()).unwrap();
+    let mut named = Vec::new();
+    collect_topics(&layout["configById"], &mut named);
+    assert!(named.len() >= 5, "{named:?}");
+    for name in named {
+        assert!(topics.contains(&name.as_str()), "{name} is not among {topics:?}");
+    }
+    // Panels that the layout arranges are there.
+    let arranged = serde_json::to_string(&layout["layout"]).unwrap();
+    for panel in layout["configById"].as_object().unwrap().keys() {
+        assert!(arranged.contains(panel), "{panel} is not shown");
+    }
+}
+
+/// Names of topics in keys and values: `/topic` or `/topic.field`.
+fn collect_topics(value: &serde_json::Value, topics: &mut Vec<String>) {
+    let mut take = |text: &str| {
+        if text.starts_with('/') {
+            topics.push(text.split('.').next().unwrap().to_owned());
+        }
+    };
+    match value {
+        serde_json::Value::String(text) => take(text),
+        serde_json::Value::Array(list) => list.iter().for_each(|item| collect_topics(item, topics)),
+        serde_json::Value::Object(map) => {
+            map.keys().for_each(|key| take(key));
+            map.values().for_each(|item| collect_topics(item, topics));
+        }
+        _ => {}
+    }
+}
