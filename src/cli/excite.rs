@@ -21,7 +21,7 @@ pub(crate) struct Args {
 enum Command {
     /// A sine that sweeps over a band
     #[command(after_help = "\
-Without options it is the chirp of the paper. Each row holds until the next, the last is zero current.
+Without options: the chirp of the paper. Each row holds until the next; the last is zero current.
 Exit code 2: the limits do not allow it; the message says what would fit.
 Example:
   catoptra excite chirp -o currents.csv --report")]
@@ -34,7 +34,8 @@ Example:
     Multisine(MultisineArgs),
     /// Levels that are held, one after the other or at random
     #[command(after_help = "\
-With --slew the current goes from level to level on ramps; the summary counts the samples that this changes.
+With --slew the current goes from level to level on ramps; the summary counts the samples that this
+changes.
 Example:
   catoptra excite steps --levels 0mA,50mA,100mA,50mA --hold 5s --duration 60s -o steps.csv")]
     Steps(StepsArgs),

@@ -79,7 +79,7 @@ fn no_rig_is_ever_lost() {
 #[test]
 fn export_says_what_it_wrote() {
     let place = Place::new();
-    for (format, what) in [("opencv", "the camera for OpenCV"), ("dlt", "DLT coefficients of 2 views")] {
+    for (format, what) in [("opencv", "the camera as OpenCV YAML"), ("ros", "the camera as ROS camera_info")] {
         let said = ended_with(&catoptra(&place, &["rig", "export", "rig.toml", "--format", format, "-o", "made"]), 0);
         assert!(said.contains(&format!("written: made, {what}")), "{said}");
     }

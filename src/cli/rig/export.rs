@@ -79,7 +79,7 @@ pub(super) fn run(args: &ExportArgs, note: impl Fn(&str)) -> Result<(), Failure>
 /// What a file holds, in words.
 fn described(rig: &Draft, format: Option<Format>, view: Option<&str>) -> String {
     match format {
-        Some(format) => format!("the camera for {format}"),
+        Some(format) => format!("the camera as {format}"),
         None => {
             let count = if view.is_some() { 1 } else { rig.views.len() };
             format!("DLT coefficients of {count} view{}", if count == 1 { "" } else { "s" })
