@@ -32,8 +32,8 @@ Example:
     Camera(camera::CameraArgs),
     /// Find mirrors and walls of the tank from pictures that show a chessboard or ChArUco board twice
     #[command(after_help = "\
-Ten to twenty pictures of the board where the catheter will be, tilted to all sides, each whole in all
-views; a ChArUco board may be hidden in part. The old rig file is kept as RIG.toml.bak, .bak2, …
+Ten to twenty pictures of the board where the catheter will be, tilted to all sides, each whole in
+all views; a ChArUco board may be hidden in part. The old rig file is kept as RIG.toml.bak, .bak2, …
 Exit code 3: the pictures leave the rig open.
 Example:
   catoptra calibrate rig calibration/dev_tank/mirror --board 9x6:12mm --rig my_rig.toml \\
