@@ -112,3 +112,10 @@ mod contained;
 pub mod fuzz;
 
 pub mod cli;
+
+#[cfg(test)]
+extern crate self as catoptra;
+
+#[cfg(test)]
+#[allow(dead_code, reason = "the library's own tests use one part, those in `tests/` another")]
+mod testing;
