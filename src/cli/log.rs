@@ -6,6 +6,7 @@ use crate::sink::spoken;
 use crate::source::times::seconds;
 use clap::Subcommand;
 use std::fmt::{self, Write as _};
+use std::io::ErrorKind;
 use std::path::PathBuf;
 use std::time::{Duration, SystemTime};
 
@@ -18,14 +19,14 @@ pub(crate) struct Args {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Tell what is in a log: frames, gaps, clocks, what was missed and why
+    /// Describe a log: frames, gaps, clocks, what was missed and why
     #[command(after_help = "Example:\n  catoptra log info out/log.mcap")]
     Info {
         /// The log
         #[arg(value_name = "LOG.mcap")]
         file: PathBuf,
     },
-    /// Make a log that was cut off or damaged whole again
+    /// Restore a log that was cut off or damaged
     #[command(after_help = "\
 Everything that is whole is kept, and where something is lost is listed. The damaged file stays beside
 the new one as LOG.mcap.bak.
@@ -48,15 +49,15 @@ pub(crate) fn run(args: &Args) -> Result<(), Failure> {
             output::print(&text)
         }
         Command::Repair { file } => match repair(file).map_err(failure)? {
-            Repaired::WasWhole => output::print(&format!("{}: is whole, nothing to repair\n", file.display())),
+            Repaired::WasWhole => output::print(&format!("{}: is complete, nothing to repair\n", file.display())),
             Repaired::Mended { messages, unknown, condition, kept_as } => {
-                let mut text = format!("{}: is whole again, {messages} messages saved\n", file.display());
+                let mut text = format!("{}: is complete again, {messages} messages saved\n", file.display());
                 damage(&mut text, &condition)
                     .map_err(|e| Failure::new(Exit::Failed, format!("cannot describe the log: {e}")))?;
                 if unknown > 0 {
                     text += &format!("  {unknown} messages are left out: nothing says what they are of\n");
                 }
-                text += &format!("  as it was: {}\n", kept_as.display());
+                text += &format!("  the broken file is kept as {}\n", kept_as.display());
                 output::print(&text)
             }
         },
@@ -66,6 +67,8 @@ pub(crate) fn run(args: &Args) -> Result<(), Failure> {
 fn failure(error: LogError) -> Failure {
     let exit = match error {
         LogError::NotMcap { .. } | LogError::NotOurs { .. } => Exit::Usage,
+        // A name that is wrong is a mistake of usage, not of the system.
+        LogError::Io { ref source, .. } if source.kind() == ErrorKind::NotFound => Exit::Usage,
         LogError::Io { .. } | LogError::Repair { .. } | LogError::BeingWritten { .. } => Exit::Failed,
     };
     Failure::new(exit, error)
@@ -111,10 +114,10 @@ fn describe(out: &mut String, name: &str, info: &Info) -> fmt::Result {
     if info.being_written {
         writeln!(out, "  is still being written")?;
     } else if info.condition.is_whole() {
-        writeln!(out, "  whole, with index")?;
+        writeln!(out, "  complete, with index")?;
     } else {
         damage(out, &info.condition)?;
-        writeln!(out, "  `catoptra log repair` makes it whole")?;
+        writeln!(out, "  `catoptra log repair` restores it")?;
     }
     if let Some((first, last)) = info.span_ns {
         let clock = plain(info.clock.as_deref().unwrap_or("unknown"));

@@ -184,7 +184,7 @@ fn a_log_that_is_being_written_is_not_repaired() {
     assert!(stderr(&output).contains("is still being written"), "{}", stderr(&output));
     assert_eq!(names(folder.path()), ["log.mcap"]);
     log.finish(&Tally::default()).unwrap();
-    assert!(stdout(&command("repair", &path)).contains("is whole"));
+    assert!(stdout(&command("repair", &path)).contains("is complete"));
 }
 
 #[test]
