@@ -132,7 +132,7 @@ fn board_picture(bytes: &[u8], folder: &Path) {
 
 fn container(bytes: &[u8], folder: &Path) {
     let Some(path) = file(bytes, folder, "video.mkv") else { return };
-    let _ = crate::source::extent_of(bytes);
+    crate::source::extent_of(bytes);
     if let Ok(mut source) = VideoFile::open(&path, VideoOptions { keep_damaged: true, ..VideoOptions::default() }) {
         take(&mut source);
     }

@@ -177,6 +177,14 @@ pub(crate) fn is_damaged(frame: &Video) -> bool {
     frame.is_corrupt() || unsafe { (*frame.as_ptr()).decode_error_flags } != 0
 }
 
+/// Whether the container says that the frame of this packet is not to be shown.
+#[allow(unsafe_code, reason = "the binding does not know this flag")]
+pub(crate) fn is_left_out(packet: &ffmpeg_the_third::Packet) -> bool {
+    use ffmpeg_the_third::packet::Ref as _;
+    // SAFETY: a packet owns a valid AVPacket as long as it lives; an integer is read.
+    unsafe { (*packet.as_ptr()).flags & ffmpeg_the_third::ffi::AV_PKT_FLAG_DISCARD != 0 }
+}
+
 /// libav's name.
 pub(crate) fn name(pixel: Pixel) -> String {
     pixel.descriptor().map_or_else(|| "none".to_owned(), |d| d.name().to_owned())

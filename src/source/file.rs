@@ -19,7 +19,7 @@ use super::container::{
     best_video, configuration, count_hint, measure, open_decoder, open_input, open_stream, quiet_libav,
 };
 use super::damage::{DamageLog, REORDER};
-use super::decoded::{PictureMaker, is_damaged};
+use super::decoded::{PictureMaker, is_damaged, is_left_out};
 use super::extent::Extent;
 use super::gaps::plausible_period_ns;
 use super::stamps::StampWatch;
@@ -86,6 +86,8 @@ pub struct VideoFile {
     arrival: Option<Instant>,
     /// Times of packets that have no presentation time (AVI), in the order of decoding: pictures take them in turn.
     in_turn: VecDeque<i64>,
+    /// Whether frames at the end are left out by the recording itself.
+    trimmed: bool,
     /// Latest stamps decoded: of all, before the span, and the first after it.
     seen_ns: Option<i64>,
     before_ns: Option<i64>,
@@ -239,6 +241,7 @@ impl VideoFile {
             read_at: VecDeque::new(),
             arrival: None,
             in_turn: VecDeque::new(),
+            trimmed: false,
             seen_ns: None,
             before_ns: None,
             after_ns: None,
@@ -264,6 +267,7 @@ impl VideoFile {
             self.damage = DamageLog::default();
             self.undecoded.clear();
             self.in_turn.clear();
+            self.trimmed = false;
             self.phase = Phase::Reading;
             if let Some(frame) = self.decode() {
                 let starts_ns = self.stamp(&frame)?.ns;
@@ -340,8 +344,11 @@ impl VideoFile {
                     // length of the last frame was not known, the list ends at its start, and it would be dropped too.
                     // Setting the flags that the binding knows clears the one that says so; frames before the
                     // recording's start stay out.
-                    if packet.duration() <= 1 && packet.pts().is_some_and(|pts| pts >= self.start_pts) {
-                        packet.set_flags(packet.flags());
+                    if is_left_out(&packet) && packet.pts().is_some_and(|pts| pts >= self.start_pts) {
+                        if packet.duration() <= 1 && !self.trimmed {
+                            packet.set_flags(packet.flags());
+                        }
+                        self.trimmed = true;
                     }
                     let pts = packet.pts().or(packet.dts());
                     if packet.pts().is_none() && self.clock == Clock::Container {
