@@ -25,6 +25,8 @@ const CURRENT_IS_WORTH_M: f64 = 1e-5;
 /// A step of the currents below this part of the limit ends the search.
 const SETTLED: f64 = 1e-6;
 const MOST_STEPS: usize = 60;
+/// The tip is there: λ alone leaves less.
+const REACHED_M: f64 = 1e-6;
 /// Steps longer than this part of the limit are shortened: the shape is followed, not jumped.
 const LONGEST: f64 = 0.25;
 
@@ -55,9 +57,8 @@ pub struct Followed {
 /// # Errors
 /// [`CatheterError`] when there is no target, one is not finite, or no shape is found on the way.
 pub fn follow(catheter: &Catheter, targets: &[Target]) -> Result<Vec<Followed>, CatheterError> {
-    let mut shape = equilibrium(catheter, &Load::currents(Vector3::zeros()))?;
-    let mut currents_a = Vector3::zeros();
-    let mut followed = Vec::with_capacity(targets.len());
+    let starts = starts(catheter)?;
+    let mut followed: Vec<Followed> = Vec::with_capacity(targets.len());
     for (index, target) in targets.iter().enumerate() {
         let finite = match target {
             Target::Across(at) => at.iter().all(|v| v.is_finite()),
@@ -66,14 +67,31 @@ pub fn follow(catheter: &Catheter, targets: &[Target]) -> Result<Vec<Followed>, 
         if !finite {
             return Err(CatheterError::Path(format!("point {} of the path is not finite", index + 1)));
         }
-        let found = toward(catheter, target, shape, currents_a);
-        (shape, currents_a) = (found.shape.clone(), found.currents_a);
-        followed.push(found);
+        let before = followed.last().map(|last| (last.shape.clone(), last.currents_a));
+        let mut best: Option<Followed> = None;
+        for (shape, currents_a) in before.into_iter().chain(starts.iter().cloned()) {
+            let found = toward(catheter, target, shape, currents_a);
+            let reached = found.off_m < REACHED_M;
+            if best.as_ref().is_none_or(|best| found.off_m < best.off_m) {
+                best = Some(found);
+            }
+            if reached {
+                break;
+            }
+        }
+        followed.extend(best);
     }
     if followed.is_empty() {
         return Err(CatheterError::Path("the path has no point".to_owned()));
     }
     Ok(followed)
+}
+
+/// Where a search starts when it does not arrive from the point before: out of reach the nearest point may be elsewhere.
+fn starts(catheter: &Catheter) -> Result<Vec<(Shape, Vector3<f64>)>, CatheterError> {
+    let part = |part: f64| Vector3::z() * (part * catheter.coils.limit_a);
+    let start = |currents_a: Vector3<f64>| Ok((equilibrium(catheter, &Load::currents(currents_a))?, currents_a));
+    [0.0, 0.3, -0.3].map(part).into_iter().map(start).collect()
 }
 
 impl Target {
@@ -199,6 +217,19 @@ mod tests {
         assert!(followed[0].off_m < 1e-6);
         let far = &followed[1];
         assert!(far.off_m > 0.1, "{} {}", far.off_m, far.currents_a);
+    }
+
+    /// From the one side of the axis to the other there is no way within reach of the path.
+    #[test]
+    fn both_sides_of_a_circle_that_is_out_of_reach_are_met() {
+        let catheter = Catheter::prototype();
+        let around = circle(0.02, 16).into_iter().map(|target| match target {
+            Target::Across([x, y]) => Target::Across([x - 0.028, y]),
+            space => space,
+        });
+        let followed = follow(&catheter, &around.collect::<Vec<_>>()).unwrap();
+        assert!(followed[0].off_m < 1e-6 && followed[8].off_m < 1e-6, "{} {}", followed[0].off_m, followed[8].off_m);
+        assert!(followed.iter().all(|f| f.off_m < 0.018), "{:?}", followed.iter().map(|f| f.off_m).collect::<Vec<_>>());
     }
 
     #[test]
