@@ -128,7 +128,7 @@ fn a_thousand_subscribers_that_come_and_vanish_leave_nothing_behind() {
 #[test]
 fn an_address_that_is_taken_is_named() {
     let publisher = publisher();
-    let error = PublishSink::listen(publisher.address(), &fixture::rig()).err().unwrap().to_string();
+    let error = PublishSink::listen(publisher.address(), &[], &fixture::rig()).err().unwrap().to_string();
     assert!(error.contains(&publisher.address().to_string()) && error.contains("--publish"), "{error}");
 }
 
