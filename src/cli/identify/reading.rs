@@ -6,7 +6,7 @@ use crate::identify::data::Data;
 use crate::identify::data::Record;
 use crate::identify::delay::{self, Delay};
 use crate::identify::fit::InitialState;
-use crate::identify::grid::{Grid, GridError, Series, cut, resample};
+use crate::identify::grid::{Grid, Series, cut, resample};
 use crate::identify::hold::Held;
 use crate::identify::plant::Plant;
 use crate::identify::prepare::{Detrend, Trend, decimate};
@@ -252,13 +252,21 @@ fn recorded(args: &Args, file: &Path, table: Option<&Path>, plant: Option<Plant>
 
 /// How late the output is, looked for around the delay that is given.
 fn apparent_delay(args: &Args, observed: &Observed, held: &Held, plant: Option<Plant>) -> Option<Delay> {
-    let grid = |series: &Series| -> Result<Grid, GridError> { Grid::of(&series.name, &series.time_s) };
     let period_s = observed.grid().ok()?.period_s;
     let given_s = if let DelayArg::Given(seconds) = args.delay { seconds } else { 0.0 };
+    // All delays are judged by the same samples: those whose commands are known with any of them.
+    let held = held.zero_before();
+    let known_s = held.span_s()?.0 + given_s + (delay::REACH + 2.0) * period_s;
+    let cut_off = known_s > *observed.time_s.first()?;
+    let observed = if cut_off { observed.from(known_s) } else { observed.clone() };
     let found = delay::estimate(period_s, |delay_s| {
-        let series = observed.series(held, plant, given_s + delay_s).ok()?;
-        let (record, _) = cut(&series, &grid(&series).ok()?, args.bridge);
+        let series = observed.series(&held, plant, given_s + delay_s).ok()?;
+        let grid = Grid::of(&series.name, &series.time_s).ok()?;
+        let (record, _) = cut(&series, &grid, args.bridge);
         let mut segments = record.segments;
+        if cut_off {
+            segments.iter_mut().for_each(|s| s.from_rest = false);
+        }
         if args.detrend() != Detrend::None {
             let trend = Trend::of(&segments, period_s, false);
             segments.iter_mut().for_each(|s| trend.remove(s, period_s));
