@@ -3,7 +3,7 @@
 use super::units::duration_s;
 use super::{Exit, Failure, interrupt, output};
 use crate::report::validation;
-use crate::series::{Recording, SeriesError};
+use crate::series::Recording;
 use crate::source::times::parse_seconds_ns;
 use crate::validate::{DesiredPath, Interpolation, Observed, Options, ValidateError, Validation, validate};
 use crate::whole_file;
@@ -166,15 +166,10 @@ impl Args {
 fn failure(error: ValidateError) -> Failure {
     let exit = match &error {
         ValidateError::Unusable { .. } => Exit::Unusable,
-        ValidateError::Series(series) if series.is_io() && !missing(series) => Exit::Failed,
+        ValidateError::Series(series) if series.is_io() && !series.is_missing() => Exit::Failed,
         _ => Exit::Usage,
     };
     Failure::new(exit, error)
-}
-
-/// A file that is not there is a mistake of usage, not of the system.
-fn missing(error: &SeriesError) -> bool {
-    matches!(error, SeriesError::Io { source, .. } if source.kind() == std::io::ErrorKind::NotFound)
 }
 
 fn summary(validation: &Validation, folder: &Path) -> String {

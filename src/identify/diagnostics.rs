@@ -1,10 +1,13 @@
 //! What should be known before the numbers are used.
 
+use super::continuous::Conversion;
 use super::data::Data;
 use super::fit::Kind;
 use super::identification::Identification;
+use super::model::Orders;
 use super::modelled::Role;
-use super::residuals::Residuals;
+use super::residuals::{Residuals, too_many};
+use super::spectrum::Spectrum;
 use std::fmt;
 
 /// A condition beyond which least squares keeps fewer than five digits.
@@ -13,11 +16,11 @@ const ILL_CONDITIONED: f64 = 1e10;
 const OVERSAMPLED: f64 = 10.0;
 /// A mean of so many times the spread.
 const OFF_CENTRE: f64 = 1.0;
-/// Of the correlations that 99 % should keep within the bound, this part may be out before it is said.
-const OUTSIDE: f64 = 0.1;
 /// A stable pole so near to the unit circle that its gain is hardly known.
 const NEARLY_UNSTABLE: f64 = 1e-4;
 
+/// Where more than this part of the output's energy follows the input, the input is the right one.
+const FOLLOWS: f64 = 0.5;
 /// A model that leaves more of the energy than this is called poor, percent.
 const POOR: f64 = 50.0;
 
@@ -44,6 +47,8 @@ pub enum Diagnostic {
         title: String,
         /// Simulation error, % of the energy.
         error_percent: f64,
+        /// Part of the output's energy that follows the input linearly, by the spectra; nothing where there are none.
+        linear: Option<f64>,
     },
     /// The regressors nearly depend on each other.
     IllConditioned {
@@ -66,6 +71,29 @@ pub enum Diagnostic {
         /// Mean over standard deviation.
         ratio: f64,
     },
+    /// The best orders are the largest, or smallest, of those searched.
+    AtEdge {
+        /// `na`, `nb` or `nk`.
+        what: &'static str,
+        /// Its value.
+        value: usize,
+        /// The option that searches further.
+        option: &'static str,
+    },
+    /// The estimator had no answer for the best orders.
+    LowerOrders {
+        /// The best orders.
+        best: Orders,
+        /// What was used.
+        used: Orders,
+    },
+    /// Reduced for the excited band the model would be unstable.
+    UnstableInBand,
+    /// H(s) of the reduced model is an approximation.
+    NotHeld {
+        /// Which model.
+        title: String,
+    },
     /// Residuals of the full model are not white.
     Coloured {
         /// Lags out of the bound, and of how many.
@@ -80,6 +108,8 @@ pub enum Diagnostic {
     FedBack {
         /// Lags out of the bound, and of how many.
         outside: (usize, usize),
+        /// Whether there is a signal that moves the input and does not carry it.
+        has_instrument: bool,
     },
     /// There is no reduced model.
     NotReduced {
@@ -123,10 +153,20 @@ impl fmt::Display for Diagnostic {
                     "{title}: the largest pole is {largest_pole:.6}, nearly 1; gain and phase at low frequencies are hardly known"
                 )
             }
-            Self::Poor { title, error_percent } => write!(
-                f,
-                "{title}: its simulation leaves {error_percent:.0} % of the energy of the data it was fitted to: is this the input that moved it?"
-            ),
+            Self::Poor { title, error_percent, linear } => {
+                write!(
+                    f,
+                    "{title}: its simulation leaves {error_percent:.0} % of the energy of the data it was fitted to: "
+                )?;
+                match linear {
+                    Some(part) if *part > FOLLOWS => write!(
+                        f,
+                        "{:.0} % of it follow the input, so a higher order, or another delay, would explain more",
+                        100.0 * part
+                    ),
+                    _ => write!(f, "is this the input that moved it?"),
+                }
+            }
             Self::IllConditioned { condition } => {
                 write!(
                     f,
@@ -152,10 +192,31 @@ impl fmt::Display for Diagnostic {
                     "residuals of the full model go with the input ({n} of {of} lags out of the 99 % bound): it leaves something unexplained"
                 )
             }
-            Self::FedBack { outside: (n, of) } => write!(
+            Self::FedBack { outside: (n, of), has_instrument } => {
+                write!(
+                    f,
+                    "the input goes with earlier residuals ({n} of {of} lags out of the 99 % bound): noise of the output is \
+                     fed back into it, which biases ARX; compare with "
+                )?;
+                // Without an instrument the input would be its own, noise and all.
+                if *has_instrument { write!(f, "--estimator iv") } else { write!(f, "a record without feedback") }
+            }
+            Self::AtEdge { what, value, option } => write!(
                 f,
-                "the input goes with earlier residuals ({n} of {of} lags out of the 99 % bound): noise of the output is fed back \
-                 into it, which biases ARX; compare with --estimator iv"
+                "{what} {value} is the last that was searched: a better one may lie beyond, search further with {option}"
+            ),
+            Self::LowerOrders { best, used } => write!(
+                f,
+                "the estimator has no answer for the best orders (na {}, nb {}, nk {}): na {}, nb {}, nk {} are used",
+                best.na, best.nb, best.nk, used.na, used.nb, used.nk
+            ),
+            Self::UnstableInBand => {
+                write!(f, "reduced for the excited band the model is unstable: it is reduced for all frequencies")
+            }
+            Self::NotHeld { title } => write!(
+                f,
+                "{title}: no H(s) with a held input has this response, since a real pole of the discrete model is not \
+                 positive; what is given is Tustin's approximation, for low frequencies only"
             ),
             Self::NotReduced { why } => write!(f, "there is no reduced model: {why}"),
             Self::FewerStates { asked, has } => write!(
@@ -189,7 +250,20 @@ pub(super) fn diagnostics(data: &Data, done: &Identification) -> Vec<Diagnostic>
         let led =
             done.fits.iter().find(|f| f.training && f.role == model.role && matches!(f.kind, Kind::Simulation(_)));
         if let Some(error_percent) = led.map(|f| f.error.error_percent).filter(|e| *e > POOR) {
-            diagnostics.push(Diagnostic::Poor { title: model.title.clone(), error_percent });
+            let linear = done.spectrum.as_ref().map(Spectrum::linear_part);
+            diagnostics.push(Diagnostic::Poor { title: model.title.clone(), error_percent, linear });
+        }
+    }
+    diagnostics.extend(at_edge(done));
+    if done.best_orders != done.orders {
+        diagnostics.push(Diagnostic::LowerOrders { best: done.best_orders, used: done.orders });
+    }
+    if done.unstable_in_band {
+        diagnostics.push(Diagnostic::UnstableInBand);
+    }
+    for model in &done.models {
+        if model.continuous.as_ref().is_some_and(|h| h.model.conversion == Conversion::Tustin) {
+            diagnostics.push(Diagnostic::NotHeld { title: model.title.clone() });
         }
     }
     if done.arx.condition > ILL_CONDITIONED {
@@ -208,12 +282,13 @@ pub(super) fn diagnostics(data: &Data, done: &Identification) -> Vec<Diagnostic>
     }
     diagnostics.extend(off_centre(data));
     if let Some(residuals) = &done.residuals {
-        diagnostics.extend(correlated(residuals));
+        let has_instrument = data.training.iter().flat_map(|r| &r.segments).any(|s| s.instrument.is_some());
+        diagnostics.extend(correlated(residuals, has_instrument));
     }
     if let Ok(reduced) = &done.reduced
         && let Some(asked) = reduced.asked_for_more
     {
-        diagnostics.push(Diagnostic::FewerStates { asked, has: reduced.model.memory() });
+        diagnostics.push(Diagnostic::FewerStates { asked, has: reduced.model.order() });
     }
     if let Err(why) = &done.reduced {
         diagnostics.push(Diagnostic::NotReduced { why: why.clone() });
@@ -228,6 +303,23 @@ pub(super) fn diagnostics(data: &Data, done: &Identification) -> Vec<Diagnostic>
         }
     }
     diagnostics
+}
+
+/// Orders and delay at an end of the search that could be moved.
+fn at_edge(done: &Identification) -> Vec<Diagnostic> {
+    let of: [(&'static str, fn(&Orders) -> usize, &'static str); 3] =
+        [("na", |o| o.na, "--order or --na"), ("nb", |o| o.nb, "--order or --nb"), ("nk", |o| o.nk, "--nk")];
+    let last = |(what, of, option): (&'static str, fn(&Orders) -> usize, &'static str)| {
+        let values = || done.candidates.iter().map(|c| of(&c.orders));
+        let (value, largest, least) = (of(&done.best_orders), values().max()?, values().min()?);
+        (largest > least && value == largest).then_some(Diagnostic::AtEdge { what, value, option })
+    };
+    let mut edges: Vec<Diagnostic> = of.into_iter().filter_map(last).collect();
+    // na = nb is one search.
+    if done.candidates.iter().all(|c| c.orders.na == c.orders.nb) {
+        edges.retain(|edge| !matches!(edge, Diagnostic::AtEdge { what: "nb", .. }));
+    }
+    edges
 }
 
 fn off_centre(data: &Data) -> Vec<Diagnostic> {
@@ -246,8 +338,7 @@ fn off_centre(data: &Data) -> Vec<Diagnostic> {
         .collect()
 }
 
-fn correlated(residuals: &Residuals) -> Vec<Diagnostic> {
-    let too_many = |(n, of): (usize, usize)| n as f64 > OUTSIDE * of as f64;
+fn correlated(residuals: &Residuals, has_instrument: bool) -> Vec<Diagnostic> {
     let mut diagnostics = Vec::new();
     if too_many(residuals.auto_outside()) {
         diagnostics.push(Diagnostic::Coloured { outside: residuals.auto_outside() });
@@ -255,8 +346,10 @@ fn correlated(residuals: &Residuals) -> Vec<Diagnostic> {
     if too_many(residuals.cross_outside()) {
         diagnostics.push(Diagnostic::Unexplained { outside: residuals.cross_outside() });
     }
-    if too_many(residuals.fed_back()) {
-        diagnostics.push(Diagnostic::FedBack { outside: residuals.fed_back() });
+    // What a model leaves unexplained goes with the input at all lags, since the input goes with itself: that is no
+    // sign of feedback.
+    if too_many(residuals.fed_back()) && !too_many(residuals.cross_outside()) {
+        diagnostics.push(Diagnostic::FedBack { outside: residuals.fed_back(), has_instrument });
     }
     diagnostics
 }

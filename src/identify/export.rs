@@ -128,8 +128,11 @@ fn model(data: &Data, done: &Identification, provenance: &Provenance) -> Value {
         "reduced": by(Role::Reduced).zip(done.reduced.as_ref().ok()).map(|(m, r)| reduced(m, json!({
             "error_bound": r.error_bound,
             "unstable_states_kept": r.unstable,
+            "continuous": m.continuous.as_ref().map(continuous),
         }))),
-        "continuous": by(Role::Reduced).and_then(|m| m.continuous.as_ref()).map(continuous),
+        "continuous": done.leading().and_then(|m| Some((m, m.continuous.as_ref()?))).map(|(m, h)| {
+            joined(json!({ "model": m.role.word() }), continuous(h))
+        }),
         "refined": by(Role::Refined).zip(done.refined.as_ref().ok()).map(|(m, r)| reduced(m, json!({
             "noise_variance": r.estimated.noise_variance,
             "steps": r.steps,
@@ -204,7 +207,8 @@ fn reduced(modelled: &Modelled, more: Value) -> Value {
     let model = &modelled.model;
     let (num_z, den_z) = in_z(model);
     let of_filter = json!({
-        "order": model.memory(),
+        "order": model.order(),
+        "delay_samples": model.nk,
         "num_z": num_z,
         "den_z": den_z,
         "stable": modelled.is_stable(),
@@ -243,6 +247,7 @@ fn bandwidths(modelled: &Modelled) -> Vec<Value> {
         json!({
             "model": modelled.role.word(),
             "definition": estimate.bandwidth.definition.name(),
+            "of": modelled.bandwidths_are_of.name(),
             "frequency_hz": estimate.bandwidth.frequency_hz,
             "interval_95_hz": estimate.interval_hz.map(|(low, high)| [low, high]),
             "extrapolated": estimate.bandwidth.extrapolated,

@@ -8,7 +8,7 @@ use crate::identify::reduce::{Removal, Target};
 use crate::identify::search::Criterion;
 use crate::identify::settings::{Choice, Estimator, Settings};
 use clap::ValueEnum;
-use std::num::NonZeroUsize;
+use clap::builder::RangedU64ValueParser;
 use std::ops::RangeInclusive;
 use std::path::PathBuf;
 
@@ -28,7 +28,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "PLANT.toml", conflicts_with_all = ["input", "output"])]
     pub(super) plant: Option<PathBuf>,
     /// Coil currents of each record, where its log has none
-    #[arg(long, value_name = "C.csv", conflicts_with = "output")]
+    #[arg(long, value_name = "C.csv", value_delimiter = ',', conflicts_with = "output")]
     pub(super) currents: Vec<PathBuf>,
     /// The coil that moved it, counted from 0
     #[arg(long, value_name = "N", default_value_t = 0, conflicts_with = "output")]
@@ -61,13 +61,13 @@ pub(crate) struct Args {
     #[arg(long, value_name = "WHAT", value_enum, default_value_t = DetrendArg::None)]
     pub(super) detrend: DetrendArg,
     /// Keep every N-th sample behind a low-pass filter
-    #[arg(long, value_name = "N")]
-    pub(super) decimate: Option<NonZeroUsize>,
+    #[arg(long, value_name = "N", value_parser = count(1, 10_000))]
+    pub(super) decimate: Option<usize>,
     /// Allow uneven times: outputs are interpolated
     #[arg(long)]
     pub(super) resample: bool,
     /// Angles in a row that Eq. 6 may interpolate
-    #[arg(long, value_name = "N", default_value_t = 6)]
+    #[arg(long, value_name = "N", default_value_t = 6, value_parser = count(0, 100_000))]
     pub(super) bridge: usize,
     /// Order, or orders to search, na = nb [default: 1:20 or less]
     #[arg(long, value_name = "N|A:B")]
@@ -96,11 +96,11 @@ pub(crate) struct Args {
     /// Reduce so that the gain at zero frequency is kept
     #[arg(long)]
     pub(super) match_dc: bool,
-    /// Reduce for the excited band alone
+    /// Reduce for all frequencies, as the paper does, not for those excited
     #[arg(long)]
-    pub(super) weighted: bool,
+    pub(super) all_frequencies: bool,
     /// Repetitions of the bootstrap
-    #[arg(long, value_name = "N", default_value_t = 100)]
+    #[arg(long, value_name = "N", default_value_t = 100, value_parser = count(0, 100_000))]
     pub(super) bootstrap: usize,
     /// Folder for the results
     #[arg(short, long, value_name = "DIR")]
@@ -216,6 +216,11 @@ pub(super) enum StartArg {
     Estimated,
 }
 
+/// A whole number from `least` to `most`.
+fn count(least: u64, most: u64) -> RangedU64ValueParser<usize> {
+    RangedU64ValueParser::new().range(least..=most)
+}
+
 fn positive(text: &str) -> Result<f64, String> {
     let value = text.parse::<f64>().ok().filter(|v| v.is_finite() && *v > 0.0);
     value.ok_or_else(|| format!("`{text}` is no number of seconds above 0, such as 0.01"))
@@ -253,7 +258,7 @@ impl Args {
             initial_state: self.initial_state(),
             target: self.reduce.0,
             removal: if self.match_dc { Removal::MatchDc } else { Removal::Truncate },
-            weighted: self.weighted,
+            all_frequencies: self.all_frequencies,
             bootstrap: self.bootstrap,
         })
     }

@@ -27,7 +27,7 @@ fn usage(error: impl Into<Box<dyn std::error::Error + Send + Sync>>) -> Failure 
 }
 
 fn unreadable(error: SeriesError) -> Failure {
-    let exit = if error.is_io() { Exit::Failed } else { Exit::Usage };
+    let exit = if error.is_io() && !error.is_missing() { Exit::Failed } else { Exit::Usage };
     Failure::new(exit, error)
 }
 
@@ -82,7 +82,7 @@ pub(super) fn read(args: &Args) -> Result<(Data, Provenance), Failure> {
         };
         for (part, training) in parts {
             let whole = part;
-            let part = args.decimate.map_or_else(|| whole.clone(), |n| decimate(&whole, n.get(), period_s));
+            let part = args.decimate.map_or_else(|| whole.clone(), |n| decimate(&whole, n, period_s));
             if part.observed() == 0 {
                 return Err(usage(format!("{}: {}", part.name, why_empty(&whole, args))));
             }
@@ -90,7 +90,7 @@ pub(super) fn read(args: &Args) -> Result<(Data, Provenance), Failure> {
             if training { data.training.push(part) } else { data.validation.push(part) }
         }
     }
-    period_s *= args.decimate.map_or(1.0, |n| n.get() as f64);
+    period_s *= args.decimate.unwrap_or(1) as f64;
     data.period_s = period_s;
     detrend(&mut data, args.detrend(), ranges);
     summaries.sort_by_key(|summary| !summary.training);
@@ -115,14 +115,14 @@ fn why_empty(part: &Record, args: &Args) -> String {
     match (part.segments.iter().map(|s| s.len()).max(), args.decimate) {
         (Some(longest), Some(n)) if part.observed() > 0 => format!(
             "--decimate {n} leaves nothing: its filter needs {} samples without a hole, and the longest stretch has {longest}",
-            DECIMATION_NEEDS * n.get()
+            DECIMATION_NEEDS * n
         ),
         _ => "no sample has both input and output".to_owned(),
     }
 }
 
 fn described(part: &Record, read: &RecordSummary, period_s: f64, args: &Args) -> RecordSummary {
-    let factor = args.decimate.map_or(1, |n| n.get());
+    let factor = args.decimate.unwrap_or(1);
     RecordSummary {
         name: part.name.clone(),
         samples: part.observed(),
@@ -315,13 +315,13 @@ fn provenance(args: &Args, records: Vec<RecordSummary>) -> Provenance {
         set("currents", table.display().to_string());
     }
     set("detrend", format!("{:?}", args.detrend).to_lowercase());
-    set("decimate", args.decimate.map_or(1, |n| n.get()).to_string());
+    set("decimate", args.decimate.unwrap_or(1).to_string());
     set("resample", args.resample.to_string());
     set("bridge", args.bridge.to_string());
     set("estimator", format!("{:?}", args.estimator).to_lowercase());
     set("start", format!("{:?}", args.start).to_lowercase());
     set("reduction", if args.match_dc { "match DC" } else { "truncation" }.to_owned());
-    set("weighted", args.weighted.to_string());
+    set("reduced for", if args.all_frequencies { "all frequencies" } else { "the excited band" }.to_owned());
     set("bootstrap", args.bootstrap.to_string());
     set(
         "delay",

@@ -160,12 +160,12 @@ fn polynomial(coefficients: &[f64]) -> String {
 
 fn transfer_functions(done: &Identification) -> String {
     let mut text = "<h2>Transfer function</h2>\n<p>H(s) in the form of the paper's Eq. 7, from the discrete model whose input is held \
-                    from sample to sample. The reduced one is the paper's way; the other of the same order is fitted to the data \
-                    itself, and its errors are the better known.</p>\n"
+                    from sample to sample. The refined model is fitted to the data by its simulation error: use this one. The reduced \
+                    model of the same order is the paper's way; it inherits the errors of the full one.</p>\n"
         .to_owned();
     let mut rows = Vec::new();
     let mut any = false;
-    for model in &done.models {
+    for model in done.models.iter().rev() {
         let Some(ContinuousEstimate { model: h, standard_errors }) = &model.continuous else { continue };
         any = true;
         let Continuous { num, den, delay_s, conversion } = h;
