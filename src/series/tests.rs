@@ -1,6 +1,7 @@
 use super::*;
 use crate::sink::{CsvSink, CurrentSample, McapSink, Sink as _, fixture};
 use crate::source::HostTime;
+use crate::tally::Tally;
 use std::fs;
 use tempfile::TempDir;
 
@@ -30,8 +31,8 @@ fn run(folder: &TempDir, frame: OutputFrame) -> (PathBuf, PathBuf) {
             .write_current(&CurrentSample { host_ns, arrival_ns: host_ns + 10, seq: Some(seq), current_a })
             .unwrap();
     }
-    log_sink.finish().unwrap();
-    table_sink.finish().unwrap();
+    log_sink.finish(&Tally::default()).unwrap();
+    table_sink.finish(&Tally::default()).unwrap();
     (log, table)
 }
 

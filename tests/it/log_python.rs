@@ -5,6 +5,7 @@ use crate::support::fixture;
 use crate::support::python;
 use catoptra::rig::Rig;
 use catoptra::sink::{CsvSink, McapSink, OutputFrame, Sink};
+use catoptra::tally::Tally;
 use std::path::Path;
 use std::process::Output;
 
@@ -15,14 +16,18 @@ const FRAMES: u64 = 200;
 fn write(folder: &Path, rig: &Rig, frame: OutputFrame) {
     let mut log = McapSink::create(&folder.join("run.mcap"), rig, "# the rig\n", "frame = \"base\"\n").unwrap();
     let mut table = CsvSink::create(&folder.join("run.csv"), rig, frame).unwrap();
+    let mut tally = Tally::new(rig);
     for seq in 0..FRAMES {
         // From a negative stamp through 0, as containers have them.
         let estimate = fixture::eventful(seq, -3 * 16_666_667);
         log.write(&estimate, None).unwrap();
+        if tally.add(&estimate) {
+            log.write_totals(&tally.totals()).unwrap();
+        }
         table.write(&estimate, None).unwrap();
     }
-    log.finish().unwrap();
-    table.finish().unwrap();
+    log.finish(&tally).unwrap();
+    table.finish(&tally).unwrap();
 }
 
 fn compare(python: &str, folder: &Path, frame: &str) -> Output {

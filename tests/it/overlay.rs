@@ -5,6 +5,7 @@ use catoptra::estimate::Miss;
 use catoptra::rig::Rig;
 use catoptra::sink::{OverlaySink, Sink, SinkError};
 use catoptra::source::{Colour, Picture, PixelFormat};
+use catoptra::tally::Tally;
 use ffmpeg_the_third as av;
 use nalgebra::Point2;
 use std::path::Path;
@@ -79,7 +80,7 @@ fn write(path: &Path, rig: &Rig, stamps_ns: &[i64]) {
         estimate.gap = ((step_ns as f64 / 16_666_667.0).round() as u32).saturating_sub(1);
         sink.write(&estimate, Some(&grey_picture(rig.camera.size_px))).unwrap();
     }
-    sink.finish().unwrap();
+    sink.finish(&Tally::default()).unwrap();
 }
 
 #[test]
@@ -170,7 +171,7 @@ fn what_is_missing_is_not_drawn_and_said() {
         + estimate.markers[1].position.as_ref().unwrap().point.coords;
     let missing = synthetic::without_marker(estimate, 1, Miss::NotSeen { view: 1 });
     sink.write(&missing, Some(&grey_picture(rig.camera.size_px))).unwrap();
-    sink.finish().unwrap();
+    sink.finish(&Tally::default()).unwrap();
     let decoded = decode(&path);
     let frame = &decoded.frames[0];
     let ground = luma(frame, 20.0, 20.0);
@@ -197,8 +198,8 @@ fn a_run_that_ends_at_once_or_after_an_interrupt_leaves_a_valid_file() {
         assert_eq!(decode(&path).frames.len(), frames);
     }
     let mut sink = OverlaySink::create(&dir.path().join("twice.mp4"), &rig).unwrap();
-    sink.finish().unwrap();
-    sink.finish().unwrap();
+    sink.finish(&Tally::default()).unwrap();
+    sink.finish(&Tally::default()).unwrap();
     assert!(sink.write(&synthetic::swing(&rig, 0, 0), Some(&grey_picture([320, 240]))).is_err());
 }
 
@@ -215,7 +216,7 @@ fn odd_and_tiny_pictures_and_nonsense_numbers_are_survived() {
         band.outline_px[2].y = f64::INFINITY;
         estimate.deflection.as_mut().unwrap().theta_rad = f64::NAN;
         sink.write(&estimate, Some(&grey_picture(size))).unwrap();
-        sink.finish().unwrap();
+        sink.finish(&Tally::default()).unwrap();
         let decoded = decode(&path);
         assert_eq!(decoded.frames.len(), 1);
         assert!([decoded.frames[0].width(), decoded.frames[0].height()].iter().all(|n| n.is_multiple_of(2)));

@@ -8,6 +8,7 @@ use catoptra::source::live::RawPictures;
 use catoptra::source::{
     Colour, Frame, FrameSource, Picture, PixelFormat, SourceError, Span, Timestamp, VideoFile, VideoOptions,
 };
+use catoptra::tally::Tally;
 use catoptra::track::{TrackOptions, Tracker};
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
@@ -125,7 +126,7 @@ fn what_ffv1_gives_back_is_what_it_was_given_whatever_the_storage() {
         recorder.write(&estimate, Some(&picture)).unwrap();
         estimate.stamp.ns = 17;
         recorder.write(&estimate, Some(&picture)).unwrap();
-        recorder.finish().unwrap();
+        recorder.finish(&Tally::default()).unwrap();
         let mut back = open(&video);
         let frames = [back.next_frame().unwrap().unwrap(), back.next_frame().unwrap().unwrap()];
         assert!(back.next_frame().unwrap().is_none());
@@ -176,7 +177,7 @@ fn rgb_pictures_are_recorded_with_h264_too() {
         let row = catoptra::estimate::Estimate::missed(&frame, &rig(), &catoptra::estimate::Miss::NotConverged);
         recorder.write(&row, Some(&frame.picture)).unwrap();
     }
-    recorder.finish().unwrap();
+    recorder.finish(&Tally::default()).unwrap();
     let mut back = open(&video);
     let found: Vec<i64> = std::iter::from_fn(|| back.next_frame().unwrap()).map(|f| f.stamp.ns).collect();
     assert_eq!(found, stamps);

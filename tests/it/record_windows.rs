@@ -8,6 +8,7 @@ use catoptra::sink::{CsvSink, McapSink, OutputFrame, Sink};
 use catoptra::source::{
     Frame, FrameSource, LogWindows, Picture, SourceError, Span, VideoFile, VideoOptions, Window, open_to_track,
 };
+use catoptra::tally::Tally;
 use catoptra::track::{TrackOptions, Tracker};
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
@@ -95,7 +96,7 @@ fn run(source: Box<dyn FrameSource + Send>, rig: &Rig, table: &Path, log: Option
     let mut sinks: Vec<Box<dyn Sink + Send>> = vec![Box::new(CsvSink::create(table, rig, OutputFrame::Base).unwrap())];
     if let Some(log) = log {
         let sink = McapSink::create(log, rig, "", "").unwrap();
-        sinks.push(Box::new(sink.keeping_windows()));
+        sinks.push(Box::new(sink.with_windows()));
     }
     let mut tracker = Tracker::new(rig, TrackOptions::default()).unwrap();
     let summary = pipeline::run(source, &mut tracker, sinks, &AtomicBool::new(false), |_| {}).unwrap();
@@ -141,7 +142,7 @@ fn a_log_without_pictures_says_how_to_record_them() {
     let mut sink = McapSink::create(&log, &rig(), "", "").unwrap();
     let frame = recording("planar.mkv", 0).next_frame().unwrap().unwrap();
     sink.write(&tracker().step(&frame).unwrap(), Some(&frame.picture)).unwrap();
-    sink.finish().unwrap();
+    sink.finish(&Tally::default()).unwrap();
     let error = LogWindows::open(&log, Span::default()).err().unwrap();
     assert!(matches!(error, SourceError::LogWithoutPictures { .. }), "{error}");
     assert!(error.to_string().contains("--record windows"), "{error}");

@@ -4,22 +4,23 @@ use std::path::{Path, PathBuf};
 
 use crate::support::encode::{Recording, luma, write};
 use catoptra::source::{
-    self, Frame, FrameSource, Matrix, PixelFormat, Range, SourceError, SourceOptions, Tally, VideoFile, VideoOptions,
+    self, Frame, FrameSource, Matrix, PixelFormat, Range, SourceError, SourceOptions, StreamFaults, VideoFile,
+    VideoOptions,
 };
 use ffmpeg_the_third::color;
 use ffmpeg_the_third::format::Pixel;
 
 /// All frames, and how it ended.
-fn read(path: &Path) -> (Vec<Frame>, Option<SourceError>, Tally) {
+fn read(path: &Path) -> (Vec<Frame>, Option<SourceError>, StreamFaults) {
     let mut source = VideoFile::open(path, VideoOptions::default()).unwrap();
     let mut frames = Vec::new();
     loop {
         match source.next_frame() {
             Ok(Some(frame)) => frames.push(frame),
-            Ok(None) => return (frames, None, source.tally()),
+            Ok(None) => return (frames, None, source.faults()),
             Err(error) => {
                 assert!(source.next_frame().unwrap().is_none(), "nothing after an error");
-                return (frames, Some(error), source.tally());
+                return (frames, Some(error), source.faults());
             }
         }
     }
@@ -101,16 +102,16 @@ fn damage_in_the_middle_is_counted_left_out_and_shown_as_a_gap() {
     let folder = tempfile::tempdir().unwrap();
     for (name, b_frames) in [("a.mkv", 0), ("b.mp4", 0), ("c.mkv", 2), ("d.mp4", 2)] {
         let (path, mut bytes) = written(folder.path(), name, &Recording { b_frames, ..Recording::default() });
-        let (whole, error, tally) = read(&path);
-        assert!(whole.len() == 100 && error.is_none() && tally == Tally::default());
+        let (whole, error, faults) = read(&path);
+        assert!(whole.len() == 100 && error.is_none() && faults == StreamFaults::default());
         let middle = bytes.len() / 2;
         for byte in &mut bytes[middle..middle + 60] {
             *byte ^= 0x5A;
         }
         std::fs::write(&path, &bytes).unwrap();
-        let (frames, error, tally) = read(&path);
+        let (frames, error, faults) = read(&path);
         assert!(error.is_none(), "{error:?}");
-        assert!(tally.damaged_packets + tally.pictures_left_out > 0, "{tally:?}");
+        assert!(faults.damaged_packets + faults.pictures_left_out > 0, "{faults:?}");
         assert!((84..100).contains(&frames.len()), "{}", frames.len());
         assert_same_pictures(&frames, &whole);
         assert_eq!(
@@ -150,8 +151,11 @@ fn pixel_formats_come_as_they_are_stored() {
             ..Recording::default()
         };
         write(&path, &recording);
-        let (frames, error, tally) = read(&path);
-        assert!(error.is_none() && frames.len() == 5 && tally == Tally::default(), "{name}: {error:?} {tally:?}");
+        let (frames, error, faults) = read(&path);
+        assert!(
+            error.is_none() && frames.len() == 5 && faults == StreamFaults::default(),
+            "{name}: {error:?} {faults:?}"
+        );
         let tolerance = match encoder {
             "libx264" | "mjpeg" => 4,
             _ => u8::from(pixel == Pixel::YUV420P10LE),
@@ -218,23 +222,23 @@ fn repeated_stamps_and_a_clock_that_goes_back_are_kept_and_counted() {
         &path,
         &Recording { pts: &pts, time_base: (1, 10_000), b_frames: 0, encoder: "ffv1", ..Recording::default() },
     );
-    let (frames, error, tally) = read(&path);
+    let (frames, error, faults) = read(&path);
     assert!(error.is_none());
     let ms: Vec<i64> = frames.iter().map(|f| f.stamp.ns / 1_000_000).collect();
     assert_eq!(ms, [0, 10, 10, 20, 30, 40]);
-    assert_eq!(tally, Tally { repeated_stamps: 1, ..Tally::default() });
+    assert_eq!(faults, StreamFaults { repeated_stamps: 1, ..StreamFaults::default() });
 
     let part = folder.path().join("part.ts");
     write(&part, &Recording { pts: &regular(), ..Recording::default() });
     let bytes = std::fs::read(&part).unwrap();
     let path = folder.path().join("twice.ts");
     std::fs::write(&path, [bytes.clone(), bytes].concat()).unwrap();
-    let (frames, error, tally) = read(&path);
+    let (frames, error, faults) = read(&path);
     assert!(error.is_none(), "{error:?}");
     // Where transport packets do not continue, the one before counts as damaged, with what is built on it.
     assert!((190..=200).contains(&frames.len()), "{}", frames.len());
-    assert_eq!(tally.backward_stamps, 1, "{tally:?}");
-    assert_eq!(frames.len() as u64 + tally.damaged_packets + tally.pictures_left_out, 200);
+    assert_eq!(faults.backward_stamps, 1, "{faults:?}");
+    assert_eq!(frames.len() as u64 + faults.damaged_packets + faults.pictures_left_out, 200);
     let second = frames.iter().rposition(|f| f.stamp == frames[0].stamp).unwrap();
     assert_eq!(frames[second].gap, 0);
     assert_eq!(frames[second..].iter().map(|f| f.gap).sum::<u32>(), 0);

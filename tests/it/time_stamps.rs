@@ -4,7 +4,7 @@ use crate::support::encode;
 use std::path::Path;
 
 use crate::support::encode::{Recording, Written, write};
-use catoptra::source::{self, Clock, Frame, FrameSource, SourceOptions, Span, Tally, VideoFile, VideoOptions};
+use catoptra::source::{self, Clock, Frame, FrameSource, SourceOptions, Span, StreamFaults, VideoFile, VideoOptions};
 
 fn read(path: &Path, options: VideoOptions) -> Vec<Frame> {
     let mut source = VideoFile::open(path, options).unwrap();
@@ -16,7 +16,7 @@ fn read(path: &Path, options: VideoOptions) -> Vec<Frame> {
     }
     assert!(source.next_frame().unwrap().is_none());
     let guessed_stamps = if path.extension().unwrap() == "avi" { frames.len() as u64 } else { 0 };
-    assert_eq!(source.tally(), Tally { guessed_stamps, ..Tally::default() });
+    assert_eq!(source.faults(), StreamFaults { guessed_stamps, ..StreamFaults::default() });
     frames
 }
 

@@ -5,6 +5,7 @@ use crate::support::python;
 use catoptra::estimate::{Estimate, Position};
 use catoptra::sink::{CsvSink, CurrentSample, McapSink, OutputFrame, Sink as _};
 use catoptra::source::HostTime;
+use catoptra::tally::Tally;
 use nalgebra::{Matrix3, Point3};
 use std::f64::consts::TAU;
 use std::fs;
@@ -65,8 +66,8 @@ fn record(folder: &Path) {
         log.write(&estimate, None).unwrap();
         table.write(&estimate, None).unwrap();
     }
-    log.finish().unwrap();
-    table.finish().unwrap();
+    log.finish(&Tally::default()).unwrap();
+    table.finish(&Tally::default()).unwrap();
     let mut text = "x_mm,y_mm,z_mm\n".to_owned();
     for k in 0..200 {
         let p = place((k as f64 + 8.5) * PAUSE_NS as f64 * 1e-9) * 1e3;

@@ -131,7 +131,7 @@ fn pictures_of_a_gige_camera_arrive_to_the_last_bit_with_its_own_stamps_and_none
     let mut steps_ns: Vec<i64> = steps_ns.collect();
     steps_ns.sort_unstable();
     assert!((steps_ns[30] - 16_666_667).abs() < 500_000, "{} ns from frame to frame", steps_ns[30]);
-    assert_eq!(camera.tally().interruptions, 0);
+    assert_eq!(camera.faults().interruptions, 0);
 }
 
 #[test]
@@ -141,13 +141,13 @@ fn a_picture_with_packets_missing_is_left_out_and_counted_as_lost() {
     let stop = Arc::default();
     let mut camera = open(&stop);
     next(&mut camera);
-    let before = camera.tally().pictures_left_out;
+    let before = camera.faults().pictures_left_out;
     fake.set_gvsp_lost_ratio(0.0003);
     let mut lost = 0;
     for _ in 0..40 {
         lost += u64::from(next(&mut camera).gap);
     }
-    let left_out = camera.tally().pictures_left_out - before;
+    let left_out = camera.faults().pictures_left_out - before;
     assert!(left_out > 0 && lost >= left_out, "{left_out} left out, {lost} lost");
 }
 
@@ -164,7 +164,7 @@ fn a_camera_that_goes_and_comes_back_is_taken_up_again_and_a_silent_one_can_be_s
         fake()
     });
     let mut frame = next(&mut camera);
-    while camera.tally().interruptions == 0 {
+    while camera.faults().interruptions == 0 {
         frame = next(&mut camera);
     }
     assert!(frame.seq > last && frame.gap == 0);

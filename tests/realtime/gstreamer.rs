@@ -40,7 +40,7 @@ fn the_sample_is_the_same_through_gstreamer() {
     }
     // The file has ended, and so has the pipeline.
     assert!(pipeline.next_frame().unwrap().is_none());
-    assert_eq!(pipeline.tally().interruptions, 0);
+    assert_eq!(pipeline.faults().interruptions, 0);
 }
 
 #[test]

@@ -52,7 +52,7 @@ impl Sink for Rows {
         Ok(())
     }
 
-    fn finish(&mut self) -> Result<(), SinkError> {
+    fn finish(&mut self, _: &catoptra::tally::Tally) -> Result<(), SinkError> {
         Ok(())
     }
 }

@@ -32,7 +32,7 @@ impl Sink for Rows {
         Ok(())
     }
 
-    fn finish(&mut self) -> Result<(), SinkError> {
+    fn finish(&mut self, _: &catoptra::tally::Tally) -> Result<(), SinkError> {
         Ok(())
     }
 }
@@ -102,7 +102,7 @@ impl Files {
     fn outputs(&self, to: RecordTo, keep_free_bytes: u64, more: &Rows) -> Outputs {
         let log = McapSink::create(&self.path("log.mcap"), &rig(), "", "").unwrap();
         let files: Vec<Box<dyn Sink + Send>> = vec![
-            Box::new(log.telling_of_pictures("windows", Arc::clone(&self.count))),
+            Box::new(log.with_pictures("windows", Arc::clone(&self.count))),
             Box::new(CsvSink::create(&self.path("live.csv"), &rig(), OutputFrame::Base).unwrap()),
             Box::new(more.clone()),
         ];
@@ -245,7 +245,7 @@ impl Sink for Video {
         Ok(())
     }
 
-    fn finish(&mut self) -> Result<(), SinkError> {
+    fn finish(&mut self, _: &catoptra::tally::Tally) -> Result<(), SinkError> {
         self.seen.lock().unwrap().1 = true;
         Ok(())
     }

@@ -58,7 +58,7 @@ fn a_stream_that_stops_is_opened_again_and_its_frames_are_counted_on() {
     let first = stamps(&mut stream, frames);
     let back = stream.next_frame().unwrap().unwrap();
     assert_eq!((back.seq, back.stamp.ns, back.gap), (frames as u64, first[0], 0));
-    assert_eq!(stream.tally().interruptions, 1);
+    assert_eq!(stream.faults().interruptions, 1);
     // The stamps began anew; the host's time did not.
     let host = back.host.unwrap();
     assert!(host.stamp_ns <= host.arrival_ns);

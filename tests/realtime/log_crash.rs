@@ -2,6 +2,7 @@
 
 use crate::support::fixture;
 use catoptra::sink::{CsvSink, McapSink, OutputFrame, Sink, SinkError};
+use catoptra::tally::Tally;
 use mcap::MessageStream;
 use mcap::read::Options;
 use mcap::records::Record;
@@ -41,7 +42,7 @@ fn a_log_copied_in_the_middle_has_all_but_the_last_second() {
     }
     // The test must be able to fail: some frames were in memory only.
     assert!(unread > 0);
-    sink.finish().unwrap();
+    sink.finish(&Tally::default()).unwrap();
     assert_eq!(frames(&std::fs::read(&path).unwrap()).len(), 300);
 }
 
@@ -107,10 +108,15 @@ fn a_finished_log_has_index_attachments_and_metadata() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("run.mcap");
     let mut sink = log(&path);
+    let mut tally = Tally::new(&fixture::rig());
     for seq in 0..100 {
-        sink.write(&fixture::eventful(seq, -50_000_000), None).unwrap();
+        let estimate = fixture::eventful(seq, -50_000_000);
+        sink.write(&estimate, None).unwrap();
+        if tally.add(&estimate) {
+            sink.write_totals(&tally.totals()).unwrap();
+        }
     }
-    sink.finish().unwrap();
+    sink.finish(&tally).unwrap();
     let bytes = std::fs::read(&path).unwrap();
     let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
     let statistics = summary.stats.unwrap();
@@ -138,7 +144,7 @@ fn a_finished_log_has_index_attachments_and_metadata() {
 fn a_run_without_a_frame_is_a_valid_log() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("run.mcap");
-    log(&path).finish().unwrap();
+    log(&path).finish(&Tally::default()).unwrap();
     let bytes = std::fs::read(&path).unwrap();
     assert_eq!(MessageStream::new(&bytes).unwrap().count(), 0);
     assert_eq!(mcap::Summary::read(&bytes).unwrap().unwrap().attachment_indexes.len(), 2);
@@ -193,7 +199,7 @@ fn a_disk_lost_in_the_middle_is_told_by_every_call() {
         let error = (0..1000).find_map(|seq| write(seq).err()).expect("the loss was never noticed").to_string();
         assert_eq!(error, format!("cannot write {}: Broken pipe (os error 32)", path.display()));
         assert_eq!(write(1000).unwrap_err().to_string(), error);
-        assert_eq!(sink.finish().unwrap_err().to_string(), error);
+        assert_eq!(sink.finish(&Tally::default()).unwrap_err().to_string(), error);
         drop(sink);
     }
 }
@@ -212,7 +218,7 @@ fn program_that_fills_the_disk() {
     for mut sink in sinks {
         let written =
             (0..9000_u64).find(|&seq| sink.write(&fixture::complete(seq, seq as i64 * FRAME_NS), None).is_err());
-        println!("written {} {}", written.expect("no limit"), sink.finish().unwrap_err());
+        println!("written {} {}", written.expect("no limit"), sink.finish(&Tally::default()).unwrap_err());
     }
 }
 

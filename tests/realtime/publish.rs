@@ -2,6 +2,7 @@
 
 use crate::support::fixture;
 use catoptra::sink::{PublishSink, Sink};
+use catoptra::tally::Tally;
 use std::collections::BTreeMap;
 use std::net::{SocketAddr, TcpStream};
 use std::time::{Duration, Instant};
@@ -65,7 +66,7 @@ fn who_joins_late_gets_the_rig_and_the_last_frame_at_once() {
     assert_eq!(ids.map(|id| got[&id]), [1_000, 1_000, 1_002, 1_002, 1_002]);
     publisher.write(&fixture::complete(3, 1_003), None).unwrap();
     assert_eq!(next(&mut socket).1, 1_003);
-    publisher.finish().unwrap();
+    publisher.finish(&Tally::default()).unwrap();
 }
 
 #[test]
@@ -85,7 +86,7 @@ fn a_subscriber_that_never_reads_costs_nothing() {
     assert!(began.elapsed() < Duration::from_secs(30), "{:?}", began.elapsed());
     // Who reads gets what is new.
     while next(&mut reader).1 != 3600 {}
-    publisher.finish().unwrap();
+    publisher.finish(&Tally::default()).unwrap();
 }
 
 #[test]
@@ -121,7 +122,7 @@ fn a_thousand_subscribers_that_come_and_vanish_leave_nothing_behind() {
     let (mut socket, topics) = connected(address);
     subscribe(&mut socket, &[topics["/catheter/deflection"]]);
     assert_eq!(next(&mut socket).1, seq);
-    publisher.finish().unwrap();
+    publisher.finish(&Tally::default()).unwrap();
 }
 
 #[test]

@@ -1,16 +1,17 @@
-//! The project's own messages, `catoptra.Estimate`, `catoptra.Deflection` and `catoptra.Health` in Protobuf.
+//! The project's own messages in Protobuf, of the package `catoptra`: `Estimate`, `Deflection`, `Health`, `Current` and
+//! `PictureWindows`.
 //!
 //! The schema is made from the Rust types and travels in every log: read messages by field name. Field numbers are the
 //! order of the fields and may differ between versions of the program. Places and directions are Foxglove's types
-//! (`foxglove.Point3`, `Vector3`, `Point2`, `Vector2`), matrices are lists by rows. What is not known is absent, and its
-//! status says why.
+//! (`foxglove.Point3`, `Vector3`, `Point2`, `Vector2`), matrices are lists by rows. What is not known is absent, and
+//! its status says why.
 
 use foxglove::Encode;
 use foxglove::bytes::Bytes;
 use foxglove::messages::{Point2, Point3, Vector2, Vector3};
 
-/// Everything measured in one camera frame: the [estimate](crate::estimate::Estimate) but for the outlines, which are in
-/// `/camera/annotations`.
+/// Everything measured in one camera frame: the [estimate](crate::estimate::Estimate) but for the outlines, which are
+/// in `/camera/annotations`.
 #[derive(Debug, Clone, PartialEq, Encode)]
 pub struct Estimate {
     /// Number of the frame among those received, from 0.
@@ -246,18 +247,20 @@ pub struct DriftAlarm {
     pub seq: u64,
     /// Camera time of that frame, nanoseconds.
     pub stamp_ns: i64,
-    /// `views_disagree`, `rays_apart` (they disagree so much that rays do not meet at all) or `base_moved` (the base band is not in
-    /// the origin of the base frame).
+    /// `views_disagree`, `rays_apart` (they disagree so much that rays do not meet at all) or `base_moved` (the base
+    /// band is not in the origin of the base frame).
     pub kind: String,
     /// In words.
     pub what: String,
-    /// The view with the largest mean residual, for `views_disagree`, else empty. Of two views either may be the wrong one.
+    /// The view with the largest mean residual, for `views_disagree`, else empty. Of two views either may be the wrong
+    /// one.
     pub view: String,
     /// By how much the views disagree in the mean, pixels: the largest so far. For `views_disagree` only.
     pub size_px: Option<f64>,
     /// Its standard deviation.
     pub sd_px: Option<f64>,
-    /// By how much in space, metres: the views at the bands (a lower bound for `rays_apart`), or the base band from the origin.
+    /// By how much in space, metres: the views at the bands (a lower bound for `rays_apart`), or the base band from the
+    /// origin.
     pub size_m: f64,
     /// Standard deviation of the base band's distance, metres. For `base_moved` only.
     pub sd_m: Option<f64>,

@@ -1,4 +1,4 @@
-//! What a run tells in the end: a table of plain text.
+//! The summary of a run: a table of plain text.
 
 use super::folder::Files;
 use crate::pipeline::Summary;
@@ -9,14 +9,14 @@ use crate::tally::{AlarmInWords, Tally};
 use std::fmt::{self, Write as _};
 use std::path::PathBuf;
 
-/// A warning for every alarm beyond the first `told` ones; how many there are now.
-pub(in crate::cli) fn new_alarms(tally: &Tally, recording: &str, told: usize) -> usize {
-    tally.alarms().skip(told).for_each(|alarm| warn_of(&alarm, recording));
+/// A warning for every alarm beyond the first `known` ones; how many there are now.
+pub(in crate::cli) fn new_alarms(tally: &Tally, recording: &str, known: usize) -> usize {
+    tally.alarms().skip(known).for_each(|alarm| warn_of_alarm(&alarm, recording));
     tally.drift.alarms().len()
 }
 
 /// A warning for one alarm of `source`.
-pub(in crate::cli) fn warn_of(alarm: &AlarmInWords, source: &str) {
+pub(in crate::cli) fn warn_of_alarm(alarm: &AlarmInWords, source: &str) {
     let AlarmInWords { ns, what, advice } = alarm;
     tracing::warn!("{source}: at {:.3} s: {what}: {advice}", seconds(*ns));
 }
@@ -61,7 +61,12 @@ pub(in crate::cli) fn summary(
         (files.pictures.as_ref(), "the pictures, to be tracked again"),
     ];
     for (path, what) in named.into_iter().filter_map(|(path, what)| Some((path?, what))) {
-        let shown = path.strip_prefix(&files.folder).unwrap_or(path).display().to_string();
+        let on_stdout = path == &files.table && files.table_on_stdout();
+        let shown = if on_stdout {
+            "stdout".into()
+        } else {
+            path.strip_prefix(&files.folder).unwrap_or(path).to_string_lossy()
+        };
         writeln!(out, "  {shown:<12}  {what}")?;
     }
     Ok(())

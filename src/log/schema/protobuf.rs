@@ -8,7 +8,7 @@ use std::collections::HashSet;
 
 /// `M` as a message of the Protobuf package `catoptra` (the derived schema would name a package after the type).
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Catoptra<M>(pub(super) M);
+pub(crate) struct Catoptra<M>(pub(crate) M);
 
 impl<M: Encode + ProtobufField> Encode for Catoptra<M> {
     type Error = M::Error;

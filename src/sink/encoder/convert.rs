@@ -1,7 +1,9 @@
-//! From what the tracker says to what the log says: frames of reference, names and words.
+//! From estimates to messages: frames of reference, names and words.
 
-use super::messages::{Angles, Band, Deflection, DriftAlarm, Estimate, Marker, Position, Status, Tangent, View};
 use crate::estimate::{self, Miss};
+use crate::log::schema::messages::{
+    Angles, Band, Deflection, DriftAlarm, Estimate, Marker, Position, Status, Tangent, View,
+};
 use crate::rig::Rig;
 use crate::tally::{self, Drifted};
 use foxglove::messages::{Point2, Point3, Timestamp, Vector2, Vector3};

@@ -1,12 +1,13 @@
 //! Messages of a log, decoded by the schemas that travel with it.
 
+use super::schema::Topic;
 use mcap::records::Record;
 use prost_reflect::{DescriptorPool, DynamicMessage, MessageDescriptor};
 use std::collections::BTreeMap;
 
 /// Schemas and channels met so far.
 #[derive(Default)]
-pub(crate) struct Known {
+pub(crate) struct MessageDecoder {
     schemas: BTreeMap<u16, (String, Option<MessageDescriptor>)>,
     channels: BTreeMap<u16, Channel>,
 }
@@ -17,7 +18,7 @@ struct Channel {
     descriptor: Option<MessageDescriptor>,
 }
 
-impl Known {
+impl MessageDecoder {
     /// Takes a schema or a channel in; other records say nothing new.
     pub(crate) fn learn(&mut self, record: &Record<'_>) {
         match record {
@@ -29,8 +30,8 @@ impl Known {
             }
             Record::Channel(channel) => {
                 let (schema, descriptor) = self.schemas.get(&channel.schema_id).cloned().unwrap_or_default();
-                let known = || Channel { topic: channel.topic.clone(), schema, descriptor };
-                self.channels.entry(channel.id).or_insert_with(known);
+                let channel_of = || Channel { topic: channel.topic.clone(), schema, descriptor };
+                self.channels.entry(channel.id).or_insert_with(channel_of);
             }
             _ => {}
         }
@@ -48,8 +49,8 @@ impl Known {
     }
 
     /// A message of a channel, if that is of `topic` and its schema fits.
-    pub(crate) fn decoded(&self, channel: u16, topic: &str, data: &[u8]) -> Option<DynamicMessage> {
-        let (_, descriptor) = self.channel(channel).filter(|(of, _)| *of == topic)?;
+    pub(crate) fn decoded(&self, channel: u16, topic: Topic, data: &[u8]) -> Option<DynamicMessage> {
+        let (_, descriptor) = self.channel(channel).filter(|(of, _)| *of == topic.name())?;
         DynamicMessage::decode(descriptor.clone(), data).ok()
     }
 }
