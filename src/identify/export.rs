@@ -15,8 +15,9 @@ use serde_json::{Value, json};
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// Tables that only some results have.
-const NOT_ALWAYS: [&str; 3] = ["orders.csv", "frequency_response.csv", "residuals.csv"];
+/// All files that [`write`] may write.
+pub const FILES: [&str; 7] =
+    ["model.json", "bode.csv", "signals.csv", "hankel.csv", "orders.csv", "frequency_response.csv", "residuals.csv"];
 
 /// A file could not be written.
 #[derive(Debug, thiserror::Error)]
@@ -50,16 +51,6 @@ pub fn write(
     provenance: &Provenance,
 ) -> Result<Vec<PathBuf>, ExportError> {
     let json = serde_json::to_vec_pretty(&model(data, done, provenance)).map_err(io::Error::other);
-    // An earlier result in this folder may have had files that this one does not have.
-    if folder.join("model.json").exists() {
-        for name in NOT_ALWAYS {
-            let path = folder.join(name);
-            match std::fs::remove_file(&path) {
-                Err(source) if source.kind() != io::ErrorKind::NotFound => return Err(ExportError { path, source }),
-                _ => {}
-            }
-        }
-    }
     let mut files = vec![("model.json", json)];
     files.push(("bode.csv", bode(done)));
     files.push(("signals.csv", signals(data, done, provenance.initial_state)));

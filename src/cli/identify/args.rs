@@ -1,6 +1,8 @@
 //! Arguments of `catoptra identify`, and the settings that they stand for.
 
+use crate::cli::results::Results;
 use crate::cli::{Exit, Failure};
+use crate::identify::export;
 use crate::identify::fit::InitialState;
 use crate::identify::model::Orders;
 use crate::identify::prepare::Detrend;
@@ -12,6 +14,8 @@ use clap::builder::RangedU64ValueParser;
 use std::ops::RangeInclusive;
 use std::path::PathBuf;
 
+/// The page.
+pub(super) const REPORT: &str = "report.html";
 /// Orders searched when none are given, as far as the data allow.
 const ORDERS: RangeInclusive<usize> = 1..=20;
 /// Samples that each coefficient of a searched model must have.
@@ -230,6 +234,18 @@ impl Args {
     /// With Eq. 6: the input holds the angle of the same time, so the delay is one sample at least.
     fn fed_back(&self) -> bool {
         self.plant.is_some()
+    }
+
+    /// The folder, whose files are those of earlier results of the same records or none.
+    pub(super) fn results(&self) -> Results<'_> {
+        let tables = self.validate.iter().chain(&self.plant).chain(&self.currents);
+        Results {
+            folder: &self.out,
+            command: "identify",
+            recordings: &self.records,
+            inputs: self.records.iter().chain(tables).map(PathBuf::as_path).collect(),
+            files: export::FILES.into_iter().chain([REPORT]).map(str::to_owned).collect(),
+        }
     }
 
     pub(super) fn settings(&self, samples: usize, judged: bool) -> Result<Settings, Failure> {
