@@ -27,6 +27,7 @@ mod path;
 mod pauses;
 mod plane;
 mod run;
+mod settling;
 mod spline;
 mod start_time;
 #[cfg(test)]
@@ -41,6 +42,7 @@ pub use options::Options;
 pub use path::DesiredPath;
 pub use plane::Plane;
 pub use run::{Magnitude, Observed, Run, Size, Step};
+pub use settling::Settling;
 pub use spline::Interpolation;
 pub use start_time::StartFrom;
 pub use write::Row;

@@ -259,9 +259,11 @@ fn time_courses(data: &Data, done: &Identification, provenance: &Provenance) -> 
     for (k, record) in data.training.iter().chain(&data.validation).enumerate() {
         let training = k < data.training.len();
         text += &format!("<h3>{}: {}</h3>\n", if training { "Training" } else { "Validation" }, escape(&record.name));
-        let (whole, middle) = figures::courses(data, done, provenance, record);
+        let (whole, left, middle) = figures::courses(data, done, provenance, record);
         text += &figure(&format!("plot-course-{k}"), &whole, 300, false);
-        text += "<p class=\"note\">Its middle, each sample:</p>\n";
+        text += "<p class=\"note\">What is left, observed minus simulated:</p>\n";
+        text += &figure(&format!("plot-left-{k}"), &left, 220, false);
+        text += "<p class=\"note\">The middle of the record, each sample:</p>\n";
         text += &figure(&format!("plot-middle-{k}"), &middle, 300, false);
     }
     text
@@ -285,16 +287,20 @@ fn frequency(data: &Data, done: &Identification) -> String {
             let found = estimate.bandwidth;
             rows.push(vec![
                 model.title.clone(),
+                model.bandwidths_are_of.words().to_owned(),
                 found.definition.words().to_owned(),
                 found.frequency_hz.map_or("none".to_owned(), |f| format!("{f:.4}")),
-                estimate.interval_hz.map_or_else(String::new, |(low, high)| format!("{low:.4} to {high:.4}")),
-                if found.extrapolated { "extrapolated".to_owned() } else { String::new() },
+                estimate.interval_hz.map_or("–".to_owned(), |(low, high)| format!("{low:.4} to {high:.4}")),
+                if found.extrapolated { "extrapolated" } else { "inside" }.to_owned(),
             ]);
         }
     }
-    text += "<h3>Bandwidth</h3>\n<p>Which number it is depends on the definition. Extrapolated: the frequency, or zero frequency, which it \
-             refers to, lies outside the excited band.</p>\n";
-    text + &table(2, &["Model", "Definition", "Hz", "95 % of the bootstrap", ""], &rows)
+    text += "<h3>Bandwidth</h3>\n<p>It depends on the definition. Of H(s), or of the samples, whose phase holds half a period of the hold too. \
+             Extrapolated: the frequency, or zero frequency, which it refers to, lies outside the excited band. The interval \
+             holds the middle 95 % of a residual bootstrap; there is none without a bootstrap, and none where noise biases the \
+             model (ARX, and what is reduced from it, with Eq. 6 or with residuals that are not white), because the scatter \
+             does not show the bias.</p>\n";
+    text + &table(3, &["Model", "Of", "Definition", "Hz", "95 % interval", "Excited band"], &rows)
 }
 
 fn orders(done: &Identification) -> String {
@@ -304,7 +310,8 @@ fn orders(done: &Identification) -> String {
     let judged = done.candidates.iter().any(|c| c.simulation.is_some());
     let what = if judged { "Simulation error of the validation data" } else { "Minimum description length" };
     let unstable = done.candidates.iter().filter(|c| c.largest_pole >= 1.0).count();
-    let heads = ["na", "nb", "delay", "AIC", "MDL", "prediction error (%)", "simulation error (%)", "largest pole", ""];
+    let heads =
+        ["na", "nb", "delay", "AIC", "MDL", "prediction error (%)", "simulation error (%)", "largest pole", "choice"];
     let error = |e: Option<crate::identify::fit::FitError>| e.map_or_else(Html::default, |e| percent(e.error_percent));
     let rows: Vec<Vec<Html>> = of_each_order(done, judged)
         .into_iter()
@@ -341,7 +348,7 @@ fn of_each_order(done: &Identification, judged: bool) -> Vec<&Candidate> {
 
 fn reduction(done: &Identification) -> String {
     let Ok(reduced) = &done.reduced else { return String::new() };
-    let kept = reduced.model.memory();
+    let kept = reduced.model.order();
     let bound = if reduced.error_bound.is_finite() {
         format!("The reduced response differs nowhere by more than {}.", number(reduced.error_bound))
     } else {
@@ -386,8 +393,18 @@ fn facts(done: &Identification, provenance: &Provenance) -> String {
             ]
         })
         .collect();
-    let heads =
-        ["Record", "", "Samples", "Stretches", "Lost", "Missed", "Bridged", "Period (ms)", "Jitter (ms)", "Late (ms)"];
+    let heads = [
+        "Record",
+        "Role",
+        "Samples",
+        "Stretches",
+        "Lost",
+        "Missed",
+        "Bridged",
+        "Period (ms)",
+        "Jitter (ms)",
+        "Late (ms)",
+    ];
     let mut lines: Vec<(Html, Html)> =
         provenance.settings.iter().map(|(name, value)| (name.into(), value.into())).collect();
     let stable = |m: &Modelled| if m.is_stable() { "stable" } else { "unstable" };
