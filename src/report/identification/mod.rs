@@ -310,17 +310,22 @@ fn orders(done: &Identification) -> String {
     let judged = done.candidates.iter().any(|c| c.simulation.is_some());
     let what = if judged { "Simulation error of the validation data" } else { "Minimum description length" };
     let unstable = done.candidates.iter().filter(|c| c.largest_pole >= 1.0).count();
-    let heads =
-        ["na", "nb", "delay", "AIC", "MDL", "prediction error (%)", "simulation error (%)", "largest pole", "choice"];
+    let mut heads = vec!["na", "nb", "delay", "AIC", "MDL"];
+    if judged {
+        heads.extend(["prediction error (%)", "simulation error (%)"]);
+    }
+    heads.extend(["largest pole", "note"]);
     let error = |e: Option<crate::identify::fit::FitError>| e.map_or_else(Html::default, |e| percent(e.error_percent));
     let rows: Vec<Vec<Html>> = of_each_order(done, judged)
         .into_iter()
         .map(|c| {
             let counts = [c.orders.na, c.orders.nb, c.orders.nk].map(|n| n.to_string().into());
             let mark = if c.orders == done.orders { "chosen" } else { "" };
-            let judged = [number(c.aic), number(c.mdl), error(c.prediction), error(c.simulation)];
+            let criteria = [number(c.aic), number(c.mdl)];
+            // Without data to judge by there are no errors, and no columns for them.
+            let errors = judged.then(|| [error(c.prediction), error(c.simulation)]);
             let last = [format!("{:.5}", c.largest_pole).into(), mark.into()];
-            counts.into_iter().chain(judged).chain(last).collect()
+            counts.into_iter().chain(criteria).chain(errors.into_iter().flatten()).chain(last).collect()
         })
         .collect();
     format!(
@@ -395,7 +400,7 @@ fn facts(done: &Identification, provenance: &Provenance) -> String {
         .collect();
     let heads = [
         "Record",
-        "Role",
+        "Use",
         "Samples",
         "Stretches",
         "Lost",

@@ -1,0 +1,218 @@
+//! What makes a result less than it looks, in words.
+
+use super::model::Orders;
+use std::fmt;
+
+/// Where more than this part of the output's energy follows the input, the input is the right one.
+const FOLLOWS: f64 = 0.5;
+
+/// Something that makes the result less than it looks.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Diagnostic {
+    /// A model is unstable.
+    Unstable {
+        /// Which.
+        title: String,
+        /// Modulus of its largest pole.
+        largest_pole: f64,
+    },
+    /// A model's largest pole is hardly inside the unit circle.
+    NearlyUnstable {
+        /// Which.
+        title: String,
+        /// Modulus of its largest pole.
+        largest_pole: f64,
+    },
+    /// A model leaves most of what it was fitted to.
+    Poor {
+        /// Which.
+        title: String,
+        /// Simulation error, % of the energy.
+        error_percent: f64,
+        /// Part of the output's energy that follows the input linearly, by the spectra; nothing where there are none.
+        linear: Option<f64>,
+    },
+    /// The regressors nearly depend on each other.
+    IllConditioned {
+        /// Condition number.
+        condition: f64,
+    },
+    /// Samples come much faster than the output moves.
+    Oversampled {
+        /// 99 % of the output's energy lie below, Hz.
+        output_hz: f64,
+        /// Samples a second.
+        rate_hz: f64,
+        /// `--decimate` with this would do.
+        factor: usize,
+    },
+    /// The signals have a mean that the model must explain.
+    OffCentre {
+        /// `input` or `output`.
+        what: &'static str,
+        /// Mean over standard deviation.
+        ratio: f64,
+    },
+    /// The best orders are the largest, or smallest, of those searched.
+    AtEdge {
+        /// `na`, `nb` or `nk`.
+        what: &'static str,
+        /// Its value.
+        value: usize,
+        /// The option that searches further.
+        option: &'static str,
+    },
+    /// The estimator had no answer for the best orders.
+    LowerOrders {
+        /// The best orders.
+        best: Orders,
+        /// What was used.
+        used: Orders,
+    },
+    /// Reduced for the excited band the model would be unstable.
+    UnstableInBand,
+    /// H(s) of the reduced model is an approximation.
+    NotHeld {
+        /// Which model.
+        title: String,
+    },
+    /// Residuals of the full model are not white.
+    Coloured {
+        /// Lags out of the bound, and of how many.
+        outside: (usize, usize),
+    },
+    /// Residuals of the full model go with the input.
+    Unexplained {
+        /// Lags out of the bound, and of how many.
+        outside: (usize, usize),
+    },
+    /// The input carries the output's noise.
+    FedBack {
+        /// Lags out of the bound, and of how many.
+        outside: (usize, usize),
+        /// Whether there is a signal that moves the input and does not carry it.
+        has_instrument: bool,
+    },
+    /// There is no reduced model.
+    NotReduced {
+        /// Why.
+        why: String,
+    },
+    /// A model of the order asked for has no more to give.
+    FewerStates {
+        /// The order asked for.
+        asked: usize,
+        /// What the model has.
+        has: usize,
+    },
+    /// There is no refined model.
+    NotRefined {
+        /// Why.
+        why: String,
+    },
+    /// A search for the smallest error did not come to rest.
+    NotSettled {
+        /// Of which model.
+        title: String,
+        /// Steps taken.
+        steps: usize,
+    },
+    /// The record is too short for a frequency response without a model.
+    NoSpectrum,
+}
+
+impl fmt::Display for Diagnostic {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Unstable { title, largest_pole } => write!(
+                f,
+                "{title}: unstable, its largest pole is {largest_pole:.5}; simulations with it run away. Choose other orders, \
+                 take trends off (--detrend), or fewer samples a second (--decimate)"
+            ),
+            Self::NearlyUnstable { title, largest_pole } => {
+                write!(
+                    f,
+                    "{title}: the largest pole is {largest_pole:.6}, nearly 1; gain and phase at low frequencies are hardly known"
+                )
+            }
+            Self::Poor { title, error_percent, linear } => {
+                write!(
+                    f,
+                    "{title}: its simulation leaves {error_percent:.0} % of the energy of the data it was fitted to: "
+                )?;
+                match linear {
+                    Some(part) if *part > FOLLOWS => write!(
+                        f,
+                        "{:.0} % of it follow the input, so a higher order, or another delay, would explain more",
+                        100.0 * part
+                    ),
+                    _ => write!(f, "is this the input that moved it?"),
+                }
+            }
+            Self::IllConditioned { condition } => {
+                write!(
+                    f,
+                    "the regressors nearly depend on each other (condition {condition:.1e}): lower orders would do"
+                )
+            }
+            Self::Oversampled { output_hz, rate_hz, factor } => write!(
+                f,
+                "the output moves below {output_hz:.3} Hz and is sampled at {rate_hz:.1} Hz: noise then decides the coefficients; \
+                 --decimate {factor} keeps all that moves"
+            ),
+            Self::OffCentre { what, ratio } => {
+                write!(f, "the mean of the {what} is {ratio:.1} times its spread: --detrend mean takes it off")
+            }
+            Self::Coloured { outside: (n, of) } => write!(
+                f,
+                "residuals of the full model are not white ({n} of {of} lags out of the 99 % bound): its standard errors are too \
+                 small, and it may be biased"
+            ),
+            Self::Unexplained { outside: (n, of) } => {
+                write!(
+                    f,
+                    "residuals of the full model go with the input ({n} of {of} lags out of the 99 % bound): it leaves something unexplained"
+                )
+            }
+            Self::FedBack { outside: (n, of), has_instrument } => {
+                write!(
+                    f,
+                    "the input goes with earlier residuals ({n} of {of} lags out of the 99 % bound): noise of the output is \
+                     fed back into it, which biases ARX; compare with "
+                )?;
+                // Without an instrument the input would be its own, noise and all.
+                if *has_instrument { write!(f, "--estimator iv") } else { write!(f, "a record without feedback") }
+            }
+            Self::AtEdge { what, value, option } => write!(
+                f,
+                "{what} {value} is the last that was searched: a better one may lie beyond, search further with {option}"
+            ),
+            Self::LowerOrders { best, used } => write!(
+                f,
+                "the estimator has no answer for the best orders (na {}, nb {}, nk {}): na {}, nb {}, nk {} are used",
+                best.na, best.nb, best.nk, used.na, used.nb, used.nk
+            ),
+            Self::UnstableInBand => {
+                write!(f, "reduced for the excited band the model is unstable: it is reduced for all frequencies")
+            }
+            Self::NotHeld { title } => write!(
+                f,
+                "{title}: no H(s) with a held input has this response, since a real pole of the discrete model is not \
+                 positive; what is given is Tustin's approximation, for low frequencies only"
+            ),
+            Self::NotReduced { why } => write!(f, "there is no reduced model: {why}"),
+            Self::FewerStates { asked, has } => write!(
+                f,
+                "reduced to order {asked}: the full model has only {has} states that matter, and they are all kept"
+            ),
+            Self::NotRefined { why } => write!(f, "there is no refined model: {why}"),
+            Self::NotSettled { title, steps } => write!(f, "{title}: the search did not come to rest in {steps} steps"),
+            Self::NoSpectrum => {
+                write!(
+                    f,
+                    "no stretch is long enough for a frequency response without a model; the excited band is not known"
+                )
+            }
+        }
+    }
+}
