@@ -10,6 +10,7 @@ use super::pauses::{Mean, Sample, Window, interval_s};
 use super::plane::Plane;
 use super::settling::Settling;
 use super::start_time::{self, StartFrom};
+use super::step::Step;
 use crate::series::{Frame, Recording};
 use crate::sink::OutputFrame;
 use crate::source::times::seconds;
@@ -32,23 +33,6 @@ pub struct Observed<'a> {
     pub pause_s: f64,
     /// Camera time of the first command, if it is known, nanoseconds.
     pub start_ns: Option<i64>,
-}
-
-/// One command and what was seen of it.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Step {
-    /// Its number, from 0.
-    pub k: usize,
-    /// When it was given, seconds since the first.
-    pub t_s: f64,
-    /// Where the marker should be, metres.
-    pub desired: Point3<f64>,
-    /// Where it was.
-    pub observed: Option<Point3<f64>>,
-    /// The same after the alignment.
-    pub aligned: Option<Point3<f64>>,
-    /// Camera frames it is the mean of; 0 if it is interpolated.
-    pub frames: usize,
 }
 
 /// What the magnitude is the ratio of.

@@ -7,7 +7,7 @@
 use super::circle::Circle;
 use super::path::DesiredPath;
 use super::plane::Plane;
-use super::run::Step;
+use super::step::Step;
 use nalgebra::Point3;
 
 /// A motion that changes by more than this part of its size from period to period has not settled.
