@@ -69,7 +69,7 @@ pub fn identify(data: &Data, settings: &Settings) -> Result<Identification, Iden
     let residuals = Residuals::of(&estimated.model, &training, settings.estimator.noise());
     let biased = settings.estimator == Estimator::Arx
         && (training.iter().any(|s| s.instrument.is_some()) || !residuals.as_ref().is_some_and(Residuals::look_white));
-    let repetitions = intervals(&mut models, &training, data.period_s, excited_hz, orders, how, settings, biased);
+    let repetitions = intervals(&mut models, &training, data.period_s, excited_hz, how, settings, biased);
     let fits = fits(data, &models, settings.initial_state);
     let mut done = Identification {
         candidates,
@@ -244,7 +244,6 @@ fn intervals(
     training: &[Segment],
     period_s: f64,
     excited_hz: (f64, f64),
-    orders: Orders,
     how: Reduction,
     settings: &Settings,
     biased: bool,
@@ -258,7 +257,7 @@ fn intervals(
         let noise = settings.estimator.noise();
         full_draws = repeat(training, &full, noise, settings.bootstrap, |drawn| {
             let again = match settings.estimator {
-                Estimator::Arx => arx::fit(drawn, orders).ok()?.model,
+                Estimator::Arx => arx::fit(drawn, full.orders()).ok()?.model,
                 Estimator::OutputError => output_error::refine(drawn, &full).ok()?.estimated.model,
                 Estimator::Instrumental => instrumental::refine(drawn, &full).ok()?.estimated.model,
             };

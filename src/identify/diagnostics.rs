@@ -94,9 +94,10 @@ pub(super) fn diagnostics(data: &Data, done: &Identification) -> Vec<Diagnostic>
 
 /// Orders and delay at an end of the search that could be moved.
 fn at_edge(done: &Identification) -> Vec<Diagnostic> {
-    let of: [(&'static str, fn(&Orders) -> usize, &'static str); 3] =
+    type Part = fn(&Orders) -> usize;
+    let of: [(&'static str, Part, &'static str); 3] =
         [("na", |o| o.na, "--order or --na"), ("nb", |o| o.nb, "--order or --nb"), ("nk", |o| o.nk, "--nk")];
-    let last = |(what, of, option): (&'static str, fn(&Orders) -> usize, &'static str)| {
+    let last = |(what, of, option): (&'static str, Part, &'static str)| {
         let values = || done.candidates.iter().map(|c| of(&c.orders));
         let (value, largest, least) = (of(&done.best_orders), values().max()?, values().min()?);
         (largest > least && value == largest).then_some(Diagnostic::AtEdge { what, value, option })

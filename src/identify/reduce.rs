@@ -140,7 +140,7 @@ fn reduce_prompt(model: &Polynomials, how: Reduction) -> Result<Reduced, Identif
 /// As [`reduce`].
 pub fn reduce_in_band(model: &Polynomials, how: Reduction) -> Result<(Reduced, bool), IdentifyError> {
     let reduced = reduce(model, how)?;
-    let outside = reduced.model.poles().iter().filter(|p| !(p.norm() < 1.0)).count();
+    let outside = reduced.model.poles().iter().filter(|p| p.norm() >= 1.0 || p.re.is_nan()).count();
     if how.band.is_none() || outside <= reduced.unstable {
         return Ok((reduced, false));
     }
