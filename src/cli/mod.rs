@@ -17,6 +17,7 @@ mod log;
 mod output;
 mod progress;
 mod provenance;
+mod results;
 mod rig;
 mod run;
 mod track;

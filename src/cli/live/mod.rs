@@ -2,7 +2,8 @@
 
 mod status;
 
-use super::run::folder::{Files, Run, unlike_others, whole_path};
+use super::results::{unlike_others, whole_path};
+use super::run::folder::{Files, Run};
 use super::run::{Record, Reference, load_rig, open_sinks, pool, print_warnings, summary, verdict};
 use super::{Exit, Failure, fitting, interrupt, output, provenance};
 use crate::live::{self, CurrentSource, LiveSummary, Outputs, Priority, RecordTo, Recording, Until};
