@@ -4,6 +4,7 @@
 //! 3 the calibration or measurement is not usable, 130 interrupted.
 
 mod calibrate;
+mod catheter;
 mod docs;
 mod excite;
 mod failure;
@@ -81,6 +82,9 @@ Example:
     /// Make tables of coil currents that excite the dynamics: chirp, multisine, steps
     #[command(after_help = "Example:\n  catoptra excite chirp -o currents.csv --report")]
     Excite(excite::Args),
+    /// What a steerable catheter does for given currents: its shape, its reach, currents for a path
+    #[command(after_help = "Example:\n  catoptra catheter shape --currents 0mA,0mA,100mA")]
+    Catheter(catheter::Args),
     /// Identify the dynamics from logs or tables of `track` and `live`, or from any input and output
     #[command(after_help = "\
 What each option does in full: docs/identify.md
@@ -112,6 +116,7 @@ pub fn run() -> ExitCode {
     log_to_stderr(cli.verbose, cli.quiet);
     let result = match &cli.command {
         Command::Calibrate(args) => calibrate::run(args, cli.quiet),
+        Command::Catheter(args) => catheter::run(args),
         Command::Completions(args) => docs::completions(args),
         Command::Man(args) => docs::man(args),
         Command::Rig(args) => rig::run(args, cli.quiet),
