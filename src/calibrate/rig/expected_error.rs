@@ -340,7 +340,8 @@ fn information(
             }
         }
     }
-    Some(equations.information()? / solution.corner_sd_px.powi(2))
+    // Its corners will be off together as those of the others are.
+    Some(equations.information()? / (solution.corner_sd_px.powi(2) * solution.design_effect))
 }
 
 #[cfg(test)]

@@ -7,6 +7,7 @@ use crate::calibrate::bundle::outliers::UsedPicture;
 use rayon::prelude::*;
 use sha2::{Digest as _, Sha256};
 use std::collections::BTreeMap;
+use std::f64::consts::SQRT_2;
 use std::fmt::{Display, Write as _};
 use std::path::{Path, PathBuf};
 
@@ -51,17 +52,26 @@ pub(super) fn table<'a>(
     used: impl Iterator<Item = &'a UsedPicture>,
     left_out: &[(String, impl Display)],
 ) -> String {
-    let mut text = String::from("picture                  corners   RMS px   largest px\n");
+    let mut text = String::from(
+        "                                   RMS px\n\
+         picture                  corners   of x or y   of a point   largest px\n",
+    );
     for picture in used {
         let largest = picture.corners.iter().map(|(_, r)| r.norm()).fold(0.0, f64::max);
         let (name, count, rms) = (&picture.name, picture.corners.len(), picture.rms_px());
-        let _ = writeln!(text, "{name:<24} {count:>7} {rms:>8.3} {largest:>12.3}");
+        let point = rms * SQRT_2;
+        let _ = writeln!(text, "{name:<24} {count:>7} {rms:>11.3} {point:>12.3} {largest:>12.3}");
     }
     text += &not_found(searched);
     for (name, why) in left_out {
         let _ = writeln!(text, "{name:<24} left out: {why}");
     }
     text
+}
+
+/// An RMS of one coordinate, and the one that OpenCV tells: of points, √2 times as large.
+pub(super) fn rms(coordinate_px: f64) -> String {
+    format!("{coordinate_px:.3} px in x and in y ({:.3} px as OpenCV counts, of points)", coordinate_px * SQRT_2)
 }
 
 /// Looks for the board, at most `most` times in a picture. A folder stands for the pictures in it.
