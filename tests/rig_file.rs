@@ -326,7 +326,7 @@ fn saving_replaces_the_file_whole_or_not_at_all() {
 
 #[test]
 fn light_paths_by_hand() {
-    let seen = check(&read(RIG).unwrap()).unwrap();
+    let seen = check(&read(RIG).unwrap().into()).unwrap();
     // direct: along the optical axis, straight through the pane.
     let direct = &seen.views[0];
     assert!((direct.centre_px - Point2::new(640.0, 512.0)).norm() < 1e-9);
@@ -361,7 +361,7 @@ fn light_paths_by_hand() {
 #[test]
 fn warnings_say_what_is_missing_or_odd() {
     let warned = |text: &str| -> Vec<String> {
-        check(&read(text).unwrap()).unwrap().warnings.iter().map(ToString::to_string).collect()
+        check(&read(text).unwrap().into()).unwrap().warnings.iter().map(ToString::to_string).collect()
     };
     let any = |warnings: &[String], part: &str| {
         assert!(warnings.iter().any(|w| w.contains(part)), "{warnings:?} lack {part:?}");
@@ -505,5 +505,5 @@ fn the_script_makes_rigs_from_truth() {
     std::fs::write(&in_air, text).unwrap();
     let rig = script(&in_air);
     assert_eq!((rig.views[0].path.len(), rig.views[1].path.as_slice()), (0, ["side_mirror".to_owned()].as_slice()));
-    assert!(check(&rig).unwrap().usable());
+    assert!(check(&rig.clone().into()).unwrap().usable());
 }

@@ -79,12 +79,10 @@ impl Clustered {
 
         let moves: Vec<DVector<f64>> = enlarged(-1.0).collect();
         let mean = moves.iter().fold(DVector::zeros(size), |sum, by| sum + by) / count.max(1.0);
-        let scatter =
-            moves.iter().map(|by| by - &mean).fold(nothing(), |sum, by| sum + &by * by.transpose());
+        let scatter = moves.iter().map(|by| by - &mean).fold(nothing(), |sum, by| sum + &by * by.transpose());
         let jackknife = scatter * ((count - 1.0) / count.max(1.0));
         let own = (count - 1.0).max(0.0);
-        let together =
-            (&seen * (design_effect * PRIOR_PICTURES) + jackknife * own) / (PRIOR_PICTURES + own);
+        let together = (&seen * (design_effect * PRIOR_PICTURES) + jackknife * own) / (PRIOR_PICTURES + own);
         let back = |whitened: DMatrix<f64>| whitening.tr_mul(&(whitened * &whitening));
         Some(Self {
             covariance: back(together + &prior * prior_weight),

@@ -18,9 +18,9 @@ mod real_boards;
 mod two_lenses;
 
 use crate::calibrate::board::{Board, BoardImage, BoardPicture};
-use crate::calibrate::bundle::shape::Shape;
 use crate::calibrate::bundle::outliers::{LeftOut, UsedPicture, left_out_lines, worst_picture};
 use crate::calibrate::bundle::pose::{pose_from_opencv, spread_rad};
+use crate::calibrate::bundle::shape::Shape;
 use crate::calibrate::bundle::{Bundle, Corner, NoSolution, Solution};
 use crate::calibrate::geometry::{Geometry, Parameter};
 use crate::optics::Lens;
@@ -198,11 +198,7 @@ fn diagnose(
     all
 }
 
-fn adjust(
-    board: &Board,
-    used: &[&BoardPicture],
-    size_px: [u32; 2],
-) -> Result<(Solution, Vec<Corner>), CameraError> {
+fn adjust(board: &Board, used: &[&BoardPicture], size_px: [u32; 2]) -> Result<(Solution, Vec<Corner>), CameraError> {
     let places = board.centred_points();
     let (lens, poses) = start(&places, used, size_px)?;
     let spread = spread_rad(&poses);

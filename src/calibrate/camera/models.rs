@@ -57,7 +57,12 @@ pub(crate) fn better(places: &[Point3<f64>], used: &[&BoardPicture], size_px: [u
 }
 
 /// RMS of a coordinate in each picture, held out, in the order of their folds.
-fn held_out(places: &[Point3<f64>], used: &[&BoardPicture], size_px: [u32; 2], model: Model) -> opencv::Result<Vec<f64>> {
+fn held_out(
+    places: &[Point3<f64>],
+    used: &[&BoardPicture],
+    size_px: [u32; 2],
+    model: Model,
+) -> opencv::Result<Vec<f64>> {
     let boards: Vec<(Vector<Point3f>, Vector<Point2f>)> = used
         .iter()
         .map(|picture| {

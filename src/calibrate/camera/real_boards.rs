@@ -1,11 +1,13 @@
 //! σ of the lens against scatter, on corners found in photographs that others took: halves of a set, calibrated apart, differ by
 //! what their σ say.
 
+use crate::calibrate::board::BoardPicture;
+use crate::calibrate::board::{Board, BoardImage};
 use crate::calibrate::bundle::shape::Shape;
 use crate::calibrate::bundle::{Bundle, Corner, Solution};
+use crate::calibrate::camera::diagnostics::CameraDiagnostic;
+use crate::calibrate::camera::{CameraCalibration, calibrate_camera};
 use crate::calibrate::geometry::{Geometry, Parameter};
-use crate::calibrate::board::{Board, BoardImage};
-use crate::calibrate::camera::{BoardPicture, CameraCalibration, calibrate_camera};
 use crate::calibrate::tests::gaussian;
 use nalgebra::Point2;
 use std::path::Path;
@@ -19,7 +21,8 @@ pub(crate) fn pictures(set: &str, size_px: [u32; 2]) -> Vec<BoardPicture> {
         let fields: Vec<&str> = line.split(',').collect();
         let corner = (fields[1].parse().unwrap(), Point2::new(fields[2].parse().unwrap(), fields[3].parse().unwrap()));
         if pictures.last().is_none_or(|p| p.name != fields[0]) {
-            let image = BoardImage { corners: Vec::new(), mirrored: None, square_px: 40.0, edge_px: 2.0, contrast: 100.0 };
+            let image =
+                BoardImage { corners: Vec::new(), mirrored: None, square_px: 40.0, edge_px: 2.0, contrast: 100.0 };
             pictures.push(BoardPicture { name: fields[0].to_owned(), size_px, image });
         }
         pictures.last_mut().unwrap().image.corners.push(corner);
@@ -90,4 +93,49 @@ fn halves_of_real_sets_differ_by_what_their_deviations_say() {
         assert!(by_noise > 1.6, "{set}: noise alone explains it, {by_noise}");
         assert!((0.7..1.4).contains(&z), "{set}: halves differ by {z:.2} of their deviations");
     }
+}
+
+fn told(board: &str, pictures: &[BoardPicture]) -> Vec<CameraDiagnostic> {
+    let done = calibrate_camera(&board.parse().unwrap(), pictures).unwrap();
+    println!("f {:.2}, {} pictures: {:?}", done.lens.focal_px, done.used.len(), done.diagnostics);
+    done.diagnostics
+}
+
+/// OpenCV's pair of cameras looks at one board: their pictures, mixed, are told apart to the last one.
+#[test]
+fn pictures_of_two_cameras_are_told_apart() {
+    let [left, right] = ["chess_9x6_left.csv", "chess_9x6.csv"].map(|set| pictures(set, [640, 480]));
+    for alone in [&left, &right] {
+        let told = told("9x6:25mm", alone);
+        assert!(!told.iter().any(|d| matches!(d, CameraDiagnostic::TwoLenses { .. })), "{told:?}");
+    }
+    for (count, mixed) in
+        [(11, [left.clone(), right.clone()].concat()), (5, [right.clone(), left[..5].to_vec()].concat())]
+    {
+        let told = told("9x6:25mm", &mixed);
+        let Some(CameraDiagnostic::TwoLenses { names, .. }) = told.first() else { panic!("{told:?}") };
+        assert!(names.len() == count && names.iter().all(|name| name.starts_with("left")), "{names:?}");
+    }
+}
+
+#[test]
+fn a_bent_board_and_a_wide_angle_are_told() {
+    let of_chess = told("10x7:160mm", &pictures("chess_10x7.csv", [1920, 1080]));
+    let [CameraDiagnostic::Bent { sag_mm, .. }] = of_chess.as_slice() else { panic!("{of_chess:?}") };
+    assert!((2.0..6.0).contains(sag_mm), "{sag_mm}");
+    let of_charuco = told("charuco:18x9:20mm:15mm:DICT_4X4_250", &pictures("charuco_18x9.csv", [1280, 720]));
+    assert!(matches!(of_charuco.first(), Some(CameraDiagnostic::Model { .. })), "{of_charuco:?}");
+}
+
+/// The same pictures as the middle of larger ones.
+#[test]
+fn boards_in_the_middle_only_are_told() {
+    let mut pictures = pictures("chess_9x6.csv", [640, 480]);
+    let reaches = |told: &[CameraDiagnostic]| told.iter().any(|d| matches!(d, CameraDiagnostic::Reach { .. }));
+    assert!(!reaches(&told("9x6:25mm", &pictures)));
+    for picture in &mut pictures {
+        picture.size_px = [1600, 1200];
+        picture.image.corners.iter_mut().for_each(|(_, pixel)| *pixel += nalgebra::Vector2::new(480.0, 360.0));
+    }
+    assert!(reaches(&told("9x6:25mm", &pictures)));
 }

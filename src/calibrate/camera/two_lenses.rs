@@ -27,11 +27,11 @@ const OUTLIER: f64 = 4.0;
 
 /// Two groups of pictures, and the lens of each.
 #[derive(Debug, Clone, PartialEq)]
-pub struct TwoLenses {
+pub(crate) struct TwoLenses {
     /// Indices of the pictures.
-    pub groups: [Vec<usize>; 2],
+    pub(crate) groups: [Vec<usize>; 2],
     /// Their lenses.
-    pub lenses: [Lens; 2],
+    pub(crate) lenses: [Lens; 2],
 }
 
 /// Looks for two groups.

@@ -199,7 +199,8 @@ mod tests {
             let Prior::Distance { distance_m, .. } = given(off_m) else { unreachable!() };
             let expected = (says_m - distance_m).abs() / sd_m.hypot(2e-3);
             let found = contradiction(&solved, &given(off_m)).unwrap();
-            assert!((found - expected).abs() < 0.05 + 0.1 * expected, "{off_m}: {found}, expected {expected}");
+            // How far corners of a picture are off together is an estimate of its own in either.
+            assert!((found - expected).abs() < 0.05 + 0.2 * expected, "{off_m}: {found}, expected {expected}");
             // The lens agrees in any case: it was drawn as it is said to be.
             assert!(contradiction(&solved, &solved.known[0]).unwrap() < CONTRADICTS);
         }

@@ -9,8 +9,7 @@
 //! Cannot tell: what moves everything together (it changes no length), a wrong size of the squares (the boards of the other
 //! pictures have it too).
 
-use crate::calibrate::bundle::prior::Prior;
-use crate::calibrate::bundle::{Bundle, Corner, NoSolution, Solution};
+use crate::calibrate::bundle::{Corner, NoSolution, Solution};
 use crate::optics::{Sighting, triangulate};
 use nalgebra::{Matrix2, Matrix3, Point3};
 use rayon::prelude::*;

@@ -19,6 +19,7 @@ pub mod held_out;
 pub mod initial;
 mod options;
 mod regions;
+pub mod share;
 pub mod sufficient;
 mod taped;
 mod walls;
@@ -28,9 +29,9 @@ pub use options::{RigOptions, Tank};
 pub use walls::water_index;
 
 use crate::calibrate::board::Board;
-use crate::calibrate::bundle::shape::Shape;
 use crate::calibrate::bundle::outliers::{UsedPicture, rms, worst_picture};
 use crate::calibrate::bundle::prior::Prior;
+use crate::calibrate::bundle::shape::Shape;
 use crate::calibrate::bundle::{Bundle, Corner, NoSolution, Solution};
 use crate::calibrate::geometry::Parameter;
 use crate::optics::{Lens, OpticalPath};

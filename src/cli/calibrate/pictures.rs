@@ -28,16 +28,20 @@ pub(super) struct Searched {
 pub(super) fn provenance(step: &str, board: &Board, searched: &[Searched]) -> Result<toml::Table, Failure> {
     let mut hashes = toml::Table::new();
     for picture in searched {
-        let bytes = std::fs::read(&picture.path)
-            .map_err(|e| Failure::new(Exit::Failed, format!("cannot read {}: {e}", picture.path.display())))?;
-        let hash: String = Sha256::digest(&bytes).iter().map(|byte| format!("{byte:02x}")).collect();
-        hashes.insert(picture.name.clone(), hash.into());
+        hashes.insert(picture.name.clone(), hash(&picture.path)?.into());
     }
     let mut table = toml::Table::new();
     table.insert("made_by".into(), format!("catoptra {} calibrate {step}", env!("CARGO_PKG_VERSION")).into());
     table.insert("board".into(), board.to_string().into());
     table.insert("inputs_sha256".into(), hashes.into());
     Ok(table)
+}
+
+/// SHA-256 of a file, as hexadecimal digits.
+pub(super) fn hash(path: &Path) -> Result<String, Failure> {
+    let bytes =
+        std::fs::read(path).map_err(|e| Failure::new(Exit::Failed, format!("cannot read {}: {e}", path.display())))?;
+    Ok(Sha256::digest(&bytes).iter().map(|byte| format!("{byte:02x}")).collect())
 }
 
 /// Pictures without a board, a line each.

@@ -108,7 +108,7 @@ fn understood(file: &Path, text: String, reference: Reference) -> Result<(Rig, S
 /// What `catoptra rig check` would warn of: who never asked must not learn it from the results.
 pub(super) fn tell_warnings(file: &Path, rig: &Rig) -> Result<(), Failure> {
     let rig_file = file.display();
-    let checked = check(rig).map_err(|e| Failure::new(Exit::Usage, format!("{rig_file}: {e}")))?;
+    let checked = check(&rig.clone().into()).map_err(|e| Failure::new(Exit::Usage, format!("{rig_file}: {e}")))?;
     // Without a base the user has asked for the camera's frame.
     for warning in checked.warnings.iter().filter(|warning| **warning != Warning::NoBase) {
         tracing::warn!("{rig_file}: {warning}");
