@@ -71,7 +71,7 @@ pub(super) fn run(args: &CameraArgs, print: impl Fn(&str) -> Result<(), Failure>
 }
 
 fn describe(searched: &[Searched], done: &CameraCalibration) -> String {
-    let mut text = pictures::table(searched, done.used.iter(), &done.left_out);
+    let mut text = pictures::table(searched, done.used.iter(), &done.left_out, done.corner_sd_px);
     let _ = writeln!(
         text,
         "\n{} of {} pictures used, corners good to {}\n\nlens                   value          σ   of noise   of the model",

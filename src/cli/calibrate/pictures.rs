@@ -14,6 +14,9 @@ use std::path::{Path, PathBuf};
 /// Endings of files that a folder's pictures have.
 const ENDINGS: [&str; 10] = ["png", "jpg", "jpeg", "tif", "tiff", "bmp", "pgm", "ppm", "pbm", "pnm"];
 
+/// Corners that are off by more than this, pixels, and so many σ, are astray.
+const ASTRAY: (f64, f64) = (1.5, 8.0);
+
 /// A picture in which boards were looked for.
 pub(super) struct Searched {
     pub(super) path: PathBuf,
@@ -55,7 +58,9 @@ pub(super) fn table<'a>(
     searched: &[Searched],
     used: impl Iterator<Item = &'a UsedPicture>,
     left_out: &[(String, impl Display)],
+    corner_sd_px: f64,
 ) -> String {
+    let mut astray = String::new();
     let mut text = String::from(
         "                                   RMS px\n\
          picture                  corners   of x or y   of a point   largest px\n",
@@ -64,13 +69,29 @@ pub(super) fn table<'a>(
         let largest = picture.corners.iter().map(|(_, r)| r.norm()).fold(0.0, f64::max);
         let (name, count, rms) = (&picture.name, picture.corners.len(), picture.rms_px());
         let point = rms * SQRT_2;
+        let far = |off_px: f64| off_px > ASTRAY.0.max(ASTRAY.1 * corner_sd_px);
+        let far: Vec<_> = picture.corners.iter().filter(|(_, off)| far(off.norm())).collect();
+        if let Some((at, off)) = far.iter().max_by(|a, b| a.1.norm().total_cmp(&b.1.norm())) {
+            let _ = writeln!(
+                astray,
+                "warning: {name}: {}, the worst at ({:.0}, {:.0}) by {:.1} px: hidden, shaded, or taken for another? They hardly count",
+                if far.len() == 1 {
+                    "a corner is astray".to_owned()
+                } else {
+                    format!("{} corners are astray", far.len())
+                },
+                at.x,
+                at.y,
+                off.norm()
+            );
+        }
         let _ = writeln!(text, "{name:<24} {count:>7} {rms:>11.3} {point:>12.3} {largest:>12.3}");
     }
     text += &not_found(searched);
     for (name, why) in left_out {
         let _ = writeln!(text, "{name:<24} left out: {why}");
     }
-    text
+    text + &astray
 }
 
 /// An RMS of one coordinate, and the one that OpenCV tells: of points, √2 times as large.

@@ -285,7 +285,12 @@ fn provenance(
 }
 
 fn describe(searched: &[Searched], done: &RigCalibration, judged: Option<&Verdict>, options: &RigOptions) -> String {
-    let mut text = pictures::table(searched, done.used.iter().map(|(_, picture)| picture), &done.left_out);
+    let mut text = pictures::table(
+        searched,
+        done.used.iter().map(|(_, picture)| picture),
+        &done.left_out,
+        done.solution.corner_sd_px,
+    );
     let solution = &done.solution;
     let _ = writeln!(
         text,
