@@ -545,9 +545,8 @@ fn deviations_of_an_imported_lens_are_kept() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("rig.toml");
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/cameras/ros.yaml");
-    let import = |sd: &str| {
-        catoptra(&["rig", "import", file.to_str().unwrap(), "--sd", sd, "--out", out.to_str().unwrap()])
-    };
+    let import =
+        |sd: &str| catoptra(&["rig", "import", file.to_str().unwrap(), "--sd", sd, "--out", out.to_str().unwrap()]);
     assert_eq!(import("1,2,3").status.code(), Some(2));
     assert!(!out.exists());
     let done = import("1.5,1.5,0.9,0.8,3e-3,0.02,2e-4,2e-4,0.05");
