@@ -7,8 +7,6 @@
 //! - [`OverlaySink`]: the recording with what was found drawn into it; [`PictureVideo`]: the pictures themselves.
 
 mod csv;
-#[cfg(test)]
-pub(crate) mod fixture;
 mod mcap;
 
 pub use self::csv::CsvSink;
@@ -27,6 +25,7 @@ mod windows;
 
 pub(crate) use clock::Origin;
 pub use overlay::OverlaySink;
+pub(crate) use overlay::{StillError, Stills};
 pub(crate) use palette::{Palette, Rgb};
 pub use pictures::{PictureCodec, PictureVideo};
 pub use publish::PublishSink;

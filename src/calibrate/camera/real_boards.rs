@@ -109,13 +109,9 @@ fn pictures_of_two_cameras_are_told_apart() {
         let told = told("9x6:25mm", alone);
         assert!(!told.iter().any(|d| matches!(d, CameraDiagnostic::TwoLenses { .. })), "{told:?}");
     }
-    for (count, mixed) in
-        [(11, [left.clone(), right.clone()].concat()), (5, [right.clone(), left[..5].to_vec()].concat())]
-    {
-        let told = told("9x6:25mm", &mixed);
-        let Some(CameraDiagnostic::TwoLenses { names, .. }) = told.first() else { panic!("{told:?}") };
-        assert!(names.len() == count && names.iter().all(|name| name.starts_with("left")), "{names:?}");
-    }
+    let told = told("9x6:25mm", &[left, right].concat());
+    let Some(CameraDiagnostic::TwoLenses { names, .. }) = told.first() else { panic!("{told:?}") };
+    assert!(names.len() == 11 && names.iter().all(|name| name.starts_with("left")), "{names:?}");
 }
 
 #[test]

@@ -7,7 +7,8 @@
 //! lenses is spoken when they differ by far more than their covariances say, which hold what the pictures of one camera
 //! scatter, and leave much less of the corners than one.
 //!
-//! Cannot tell: groups of fewer than four pictures; lenses closer than what else is wrong in the pictures.
+//! Cannot tell: groups of fewer than four pictures; lenses closer than what else is wrong in the pictures. Of OpenCV's pair of
+//! cameras, 15 px apart in centre, a mixture of halves is told, five pictures among twelve of the other are not.
 
 use crate::calibrate::bundle::{Bundle, Corner, Solution};
 use crate::calibrate::geometry::Parameter;

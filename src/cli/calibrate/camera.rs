@@ -24,12 +24,12 @@ pub(super) struct CameraArgs {
     out: PathBuf,
 }
 
-pub(super) fn run(args: &CameraArgs, print: impl Fn(&str) -> Result<(), Failure>) -> Result<(), Failure> {
+pub(super) fn run(args: &CameraArgs, quiet: bool, print: impl Fn(&str) -> Result<(), Failure>) -> Result<(), Failure> {
     can_be_written(&args.out)?;
 
     // An old file that cannot be read is told before the work, not after.
     let old = args.out.exists().then(|| Draft::load(&args.out)).transpose()?;
-    let searched = pictures::search(&args.pictures, &args.board, 1)?;
+    let searched = pictures::search(&args.pictures, &args.board, 1, quiet)?;
     let found: Vec<BoardPicture> = searched
         .iter()
         .filter_map(|s| {
@@ -66,8 +66,8 @@ pub(super) fn run(args: &CameraArgs, print: impl Fn(&str) -> Result<(), Failure>
     provenance.insert("lens_sd_by_noise".into(), noise.into());
     provenance.insert("board_bend_mm".into(), done.shape.bend_m.map(|m| m * 1e3).to_vec().into());
     draft.provenance.insert("camera".into(), provenance.into());
-    save(&draft, &args.out)?;
-    print(&format!("\nwritten: {}\n", args.out.display()))
+    let written = save(&draft, &args.out)?;
+    print(&format!("\n{written}\n"))
 }
 
 fn describe(searched: &[Searched], done: &CameraCalibration) -> String {

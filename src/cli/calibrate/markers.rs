@@ -95,8 +95,8 @@ pub(super) fn run(args: &MarkersArgs, print: impl Fn(&str) -> Result<(), Failure
         );
         return Err(Failure::new(Exit::Unusable, text));
     }
-    save(&done.rig.into(), out)?;
-    print(&format!("\nwritten: {}\n", out.display()))
+    let written = save(&done.rig.into(), out)?;
+    print(&format!("\n{written}\n"))
 }
 
 /// The rig file with the markers as picked. Places along the tube and roles that it has already are kept.

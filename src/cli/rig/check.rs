@@ -1,6 +1,7 @@
 //! `catoptra rig check`: a rig file in words and numbers.
 
 use super::super::progress::Progress;
+use super::super::run::two_views;
 use super::super::{Exit, Failure, fitting, output};
 use crate::calibrate::rig::share::{Pose, share, volume_m};
 use crate::optics::{Surface, Wall};
@@ -23,7 +24,10 @@ pub(super) fn run(file: &Path, recording: Option<&Path>, quiet: bool) -> Result<
         .map_err(|e| Failure::new(Exit::Failed, format!("cannot describe {}: {e}", file.display())))?;
     output::print(&text)?;
     if let Some(recording) = recording {
-        output::print(&at_the_catheter(file, rig, recording, quiet)?)?;
+        output::print(&at_the_catheter(file, &rig, recording, quiet)?)?;
+    }
+    if let Err(one_view) = two_views(file, &rig.views) {
+        return Err(Failure::new(Exit::Unusable, one_view.to_string()));
     }
     if checked.usable() {
         return Ok(());
@@ -35,7 +39,7 @@ pub(super) fn run(file: &Path, recording: Option<&Path>, quiet: bool) -> Result<
 }
 
 /// How good the calibration is at the places where the catheter is in a recording.
-fn at_the_catheter(file: &Path, draft: Draft, recording: &Path, quiet: bool) -> Result<String, Failure> {
+fn at_the_catheter(file: &Path, draft: &Draft, recording: &Path, quiet: bool) -> Result<String, Failure> {
     let unusable = |e: &dyn fmt::Display| Failure::new(Exit::Unusable, format!("{}: {e}", recording.display()));
     let rig = draft.clone().complete(file)?;
     let mut source = fitting::open_to_track((recording, SourceOptions::default()), (file, &rig))?;
@@ -56,7 +60,7 @@ fn at_the_catheter(file: &Path, draft: Draft, recording: &Path, quiet: bool) -> 
     drop(progress);
     let every = poses.len().div_ceil(MOST_MOMENTS).max(1);
     let some: Vec<Pose> = poses.iter().copied().step_by(every).collect();
-    let share = share(&draft, &some).map_err(|e| unusable(&e))?;
+    let share = share(draft, &some).map_err(|e| unusable(&e))?;
     let mut text = format!("\nthe calibration's share of errors at the catheter in {} (1σ)", recording.display());
     text += &format!(
         "\n  θ                {:.4}°, at the worst moment {:.4}°\n  tip, base frame  {:.4} mm, at the worst moment {:.4} mm\n",

@@ -89,14 +89,14 @@ pub(super) fn run(args: &ImportArgs, note: impl Fn(&str)) -> Result<(), Failure>
         provenance.insert("lens_covariance".into(), (0..9).map(|i| row(i).into()).collect::<Vec<toml::Value>>().into());
     }
     draft.provenance.insert("camera".into(), provenance.into());
-    save(&draft, &args.out)?;
+    let written = save(&draft, &args.out)?;
     let known = match args.sd {
         Some(_) => "its σ count as independent of each other: `calibrate rig` knows the lens as well as they say",
         None => {
             "the lens came without σ (--sd): `calibrate rig` takes it for exact, and its verdict knows nothing of the lens's errors"
         }
     };
-    note(&format!("written: {}; {known}", args.out.display()));
+    note(&format!("{written}\n{known}"));
     Ok(())
 }
 
