@@ -52,7 +52,7 @@ pub(crate) fn better(places: &[Point3<f64>], used: &[&BoardPicture], size_px: [u
         rms(each) < BETTER * rms(brown) && 2 * closer >= brown.len()
     };
     let others = models.into_iter().skip(1).zip(others).filter_map(|(model, each)| Some((model, each.as_ref()?)));
-    let better = others.filter(|(_, each)| clearly(&each)).min_by(|a, b| rms(a.1).total_cmp(&rms(b.1)))?;
+    let better = others.filter(|(_, each)| clearly(each)).min_by(|a, b| rms(a.1).total_cmp(&rms(b.1)))?;
     Some((better.0, rms(brown), rms(better.1)))
 }
 

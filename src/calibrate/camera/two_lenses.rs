@@ -49,7 +49,7 @@ pub(crate) fn two_lenses(solved: &Solution, corners: &[Corner]) -> Option<TwoLen
     let together = (&a.covariance + &b.covariance).cholesky()?;
     let apart = off.dot(&together.solve(&off)) / off.len() as f64;
     (apart > APART && all > LEFT * best.left)
-        .then(|| TwoLenses { groups: best.groups, lenses: [a.geometry.lens, b.geometry.lens] })
+        .then_some(TwoLenses { groups: best.groups, lenses: [a.geometry.lens, b.geometry.lens] })
 }
 
 /// Pictures in two groups.
