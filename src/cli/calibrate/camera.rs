@@ -84,7 +84,7 @@ fn describe(searched: &[Searched], done: &CameraCalibration) -> String {
     let (f, c) = (lens.focal_px, lens.principal_point_px);
     let sd = |i: usize| {
         let (all, noise) = (done.covariance[(i, i)], done.noise_covariance[(i, i)]);
-        [all.sqrt(), noise.sqrt(), (all - noise).max(0.0).sqrt()]
+        [all.sqrt(), noise.min(all).sqrt(), (all - noise).max(0.0).sqrt()]
     };
     for (i, (name, value)) in names.into_iter().zip([f.x, f.y, c.x, c.y]).enumerate() {
         let [sd, noise, model] = sd(i);

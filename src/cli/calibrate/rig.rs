@@ -310,7 +310,7 @@ fn describe(searched: &[Searched], done: &RigCalibration, judged: Option<&Verdic
         at.map_or(0.0, |i| covariance[(i, i)].sqrt())
     };
     let sd = |parameter: Parameter| of(parameter, &solution.covariance);
-    let by_noise = |parameter: Parameter| of(parameter, &solution.noise_covariance);
+    let by_noise = |parameter: Parameter| of(parameter, &solution.noise_covariance).min(sd(parameter));
     for (surface, (name, optics)) in solution.geometry.surfaces.iter().enumerate() {
         let plane = optics.plane();
         let n = plane.normal();
