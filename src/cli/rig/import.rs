@@ -20,13 +20,13 @@ pub(super) struct ImportArgs {
     /// The camera's file
     #[arg(value_name = "FILE")]
     file: PathBuf,
-    /// Its format; told from its content when not given
+    /// Its format [default: recognised from its content]
     #[arg(long)]
     format: Option<From>,
     /// σ of fx, fy, cx, cy, k1, k2, p1, p2, k3, as the other program gives them: pixels for the first four
     #[arg(long, value_name = "σ,σ,…", value_parser = Deviations::from_str)]
     sd: Option<Deviations>,
-    /// Rig file to write; the bands of an existing one are kept
+    /// Rig file to write; an existing one keeps its bands
     #[arg(long, short, value_name = "RIG.toml")]
     out: PathBuf,
 }
