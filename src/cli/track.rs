@@ -111,6 +111,9 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
         .map_err(|e| Failure::new(Exit::Failed, format!("cannot start a thread: {e}")))?;
     drop(progress);
     // 4. what came of it
+    if let Some(sources) = run_summary.tally.budget() {
+        files.add_budget(&run, &sources)?;
+    }
     if !quiet {
         let mut text = String::new();
         summary::summary(&mut text, &recording, &run_summary, &files, &rig)

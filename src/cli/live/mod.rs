@@ -174,6 +174,9 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
         .map_err(|e| Failure::new(Exit::Failed, format!("cannot start a thread: {e}")))?;
     drop(line);
     // 4. what came of it
+    if let Some(sources) = live.run.tally.budget() {
+        files.add_budget(&run, &sources)?;
+    }
     if !quiet {
         let mut text = String::new();
         summary::summary(&mut text, &args.source, &live.run, &files, &rig)
