@@ -6,8 +6,8 @@
 //! decides, through the refracted rays. Two rounds: the first settles the shape on every fifth pixel with a stated noise,
 //! the second selects all samples anew and weighs them by the noise that they show.
 //!
-//! Assumptions, each a weak prior that enters the covariance (covariance.rs): curvature below 30 /m, changing by less than
-//! 200 /m per metre below the coil.
+//! Assumption, a weak prior that enters the covariance (covariance.rs): beside the coil the curvature grows from nil, by no more
+//! than some 15 /m in a centimetre (tube.rs).
 
 use super::image_model::ImageModel;
 use super::patch::Density;

@@ -18,7 +18,7 @@ use nalgebra::{DMatrix, DVector, SMatrix, SVector};
 pub(crate) const ROW: usize = 24;
 const PLAIN: usize = 16;
 /// Derivatives of one sample's prediction, all that a plain sample has first: both knots across; background; its gradient;
-/// shading; colour of the segment before the nearest ring, and of the one behind it; cap; both knots along; their bulge.
+/// shading and its changes; colour of the segment before the nearest ring, and of the one behind it; cap; both knots along; their bulge.
 pub(crate) type Row = [f32; ROW];
 
 const ROW_ACROSS: usize = 0;

@@ -11,7 +11,7 @@ use super::fit::{NoFit, TubeFit, fit};
 use super::image_model::{ImageModel, ModelError};
 use super::light::Encoding;
 use super::stretch::{Group, groups};
-use super::tube::TubeShape;
+use super::tube::{SHAPE, TubeShape};
 use super::tube_image::TubeImage;
 use crate::estimate::{BandObservation, Estimate, MarkerEstimate, Miss, Position, Tangent};
 use crate::optics::OpticalPath;
@@ -349,7 +349,7 @@ impl Tracker {
 }
 
 /// Standard deviation of the direction of the axis in the picture, from the covariance of the shape.
-fn axis_sd_rad(image: &TubeImage, s: f64, covariance: &SMatrix<f64, 11, 11>) -> f64 {
+fn axis_sd_rad(image: &TubeImage, s: f64, covariance: &SMatrix<f64, SHAPE, SHAPE>) -> f64 {
     // The direction turns by the difference of two neighbouring knots' displacement across, over their distance.
     let i = (image.knot_of(s).floor().max(0.0) as usize).min(image.knots.len().saturating_sub(2));
     let (a, b) = (&image.knots[i], &image.knots[i + 1]);

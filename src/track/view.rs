@@ -1,6 +1,6 @@
 //! One view in a round of the fit: its samples, the noise they are weighed by, and what its colours may be.
 
-use super::appearance::{CAP, GRADIENT, Layout, SHADING, Scene};
+use super::appearance::{CAP, GRADIENT, Layout, SHADING, Scene, TURNING};
 use super::compare::{Comparison, Noise};
 use super::fit::NoFit;
 use super::image_model::ImageModel;
@@ -11,10 +11,11 @@ use super::tube_image::TubeImage;
 use crate::source::Picture;
 
 /// Prior σ of colours about what they look like (linear light, 1 = white), of the background's gradient per pixel, of
-/// shading, cap.
+/// shading, its change per radian that the tube turns by, cap.
 const COLOUR_SD: f64 = 0.15;
 const GRADIENT_SD: f64 = 0.02;
 const SHADING_SD: f64 = 0.2;
+const TURNING_SD: f64 = 1.0;
 const CAP_SD: f64 = 0.5;
 /// Noise assumed before any is known, stored units; and the least ever assumed (rounding to integers and little more).
 const START_NOISE: f64 = 2.5;
@@ -76,7 +77,8 @@ impl View {
             // That keeps a colour in bounds when hardly a sample shows it.
             let (expected, sd) = match i {
                 GRADIENT..SHADING => (0.0, GRADIENT_SD),
-                SHADING..CAP => (0.0, SHADING_SD),
+                SHADING..TURNING => (0.0, SHADING_SD),
+                TURNING..CAP => (0.0, TURNING_SD),
                 CAP => (1.0, CAP_SD),
                 _ => (*expected, COLOUR_SD),
             };
