@@ -105,3 +105,5 @@ pub mod pipeline;
 pub mod calibrate;
 
 pub mod whole_file;
+
+pub mod cli;

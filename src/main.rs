@@ -1,7 +1,5 @@
 //! The command `catoptra`: arguments in, exit code out.
 
-mod cli;
-
 fn main() -> std::process::ExitCode {
-    cli::run()
+    catoptra::cli::run()
 }

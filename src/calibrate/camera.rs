@@ -10,11 +10,13 @@
 //! Cannot detect: a board that is not flat, or whose squares are not as large as said (the lens does not depend on their
 //! size, distances do).
 
-use super::board::{Board, BoardImage};
-use super::bundle::{Bundle, Corner, NoSolution, Solution};
-use super::geometry::{Geometry, Parameter};
+use crate::calibrate::board::{Board, BoardImage, BoardPicture};
+use crate::calibrate::bundle::outliers::{LeftOut, UsedPicture, left_out_lines, worst_picture};
+use crate::calibrate::bundle::pose::{pose_from_opencv, spread_rad};
+use crate::calibrate::bundle::{Bundle, Corner, NoSolution, Solution};
+use crate::calibrate::geometry::{Geometry, Parameter};
 use crate::optics::Lens;
-use nalgebra::{DMatrix, Isometry3, Point2, Point3, Rotation3, Translation3, UnitQuaternion, Vector2, Vector3};
+use nalgebra::{DMatrix, Isometry3, Point2, Point3, Vector2};
 use opencv::calib3d;
 use opencv::core::{Mat, MatTraitConst, Point2f, Point3f, Size, Vector};
 
@@ -22,23 +24,8 @@ use opencv::core::{Mat, MatTraitConst, Point2f, Point3f, Size, Vector};
 const FEWEST_PICTURES: usize = 5;
 /// Boards that are all closer in direction than this leave the focal length open.
 const LEAST_TILT_RAD: f64 = 10.0 * std::f64::consts::PI / 180.0;
-/// A picture whose RMS residual is this many times that of the median picture is left out, if it is also so many pixels.
-const OUTLIER: (f64, f64) = (4.0, 0.3);
-/// Two pictures whose corners differ by less than this, RMS in pixels, are the same picture.
-const SAME_PX: f64 = 0.05;
 /// A focal length known less well than this part of it is not known.
 const LEAST_KNOWN: f64 = 0.02;
-
-/// A board found in a picture.
-#[derive(Debug, Clone)]
-pub struct BoardPicture {
-    /// The picture's name in messages.
-    pub name: String,
-    /// Its size, pixels.
-    pub size_px: [u32; 2],
-    /// The board's corners.
-    pub image: BoardImage,
-}
 
 /// The lens and how well it is known.
 #[derive(Debug, Clone)]
@@ -56,55 +43,6 @@ pub struct CameraCalibration {
     pub used: Vec<UsedPicture>,
     /// Pictures left out, and why.
     pub left_out: Vec<(String, LeftOut)>,
-}
-
-/// What a picture says of the solution.
-#[derive(Debug, Clone)]
-pub struct UsedPicture {
-    /// Its name.
-    pub name: String,
-    /// camera_from_board, origin in the board's middle, metres.
-    pub pose: Isometry3<f64>,
-    /// For each corner: where it was found, and found − projected, pixels.
-    pub corners: Vec<(Point2<f64>, Vector2<f64>)>,
-}
-
-impl UsedPicture {
-    /// RMS of one coordinate of the residuals, pixels.
-    pub fn rms_px(&self) -> f64 {
-        rms(self.corners.iter().map(|(_, residual)| *residual))
-    }
-}
-
-/// Why a picture was left out.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum LeftOut {
-    /// Its corners fit badly.
-    #[error(
-        "its corners are {rms_px:.2} px off, those of the median picture {median_px:.2} px: moved, blurred or bent?"
-    )]
-    Off {
-        /// RMS of its residuals.
-        rms_px: f64,
-        /// Of the median picture.
-        median_px: f64,
-    },
-    /// It is not sharp.
-    #[error(
-        "it is blurred: edges {edge_px:.0} px wide on squares of {square_px:.0} px; hold the board still, focus, more light"
-    )]
-    Blurred {
-        /// From dark to light.
-        edge_px: f64,
-        /// Side of a square.
-        square_px: f64,
-    },
-    /// The board is seen in a mirror.
-    #[error("its board is mirrored: pictures must be taken without a mirror, and by a camera that does not flip them")]
-    Mirrored,
-    /// It was given before.
-    #[error("it is the same picture as {0}")]
-    Duplicate(String),
 }
 
 /// Why there is no calibration.
@@ -128,7 +66,7 @@ pub enum CameraError {
     /// Too few pictures with a board.
     #[error(
         "the board was found in {found} different pictures, at least {FEWEST_PICTURES} are needed, 10 to 20 are good{}",
-        list(.left_out)
+        left_out_lines(.left_out)
     )]
     TooFew {
         /// How many.
@@ -165,11 +103,6 @@ pub enum CameraError {
     Solve(#[from] NoSolution),
 }
 
-/// Pictures left out, a line each.
-pub(super) fn list<T: std::fmt::Display>(left_out: &[(String, T)]) -> String {
-    left_out.iter().map(|(name, why)| format!("\n  {name}: {why}")).collect()
-}
-
 /// Calibrates the lens.
 ///
 /// # Errors
@@ -191,7 +124,7 @@ pub fn calibrate_camera(board: &Board, pictures: &[BoardPicture]) -> Result<Came
         }
         let solved = adjust(board, &used, first.size_px)?;
         let of_pictures = by_picture(&solved, &used);
-        let Some((worst, off)) = worst(&of_pictures) else {
+        let Some((worst, off)) = worst_picture(&of_pictures) else {
             return conclude(&solved, of_pictures, left_out, first.size_px);
         };
         left_out.push((used.remove(worst).name.clone(), off));
@@ -203,7 +136,7 @@ fn usable(pictures: &[BoardPicture]) -> (Vec<&BoardPicture>, Vec<(String, LeftOu
     let (mut used, mut left_out): (Vec<&BoardPicture>, _) = (Vec::new(), Vec::new());
     for picture in pictures {
         let BoardImage { edge_px, square_px, .. } = picture.image;
-        let same = used.iter().find(|other| same(&other.image, &picture.image)).map(|other| other.name.clone());
+        let same = used.iter().find(|other| other.image.is_same_as(&picture.image)).map(|other| other.name.clone());
         match same {
             _ if picture.image.is_blurred() => {
                 left_out.push((picture.name.clone(), LeftOut::Blurred { edge_px, square_px }))
@@ -216,27 +149,8 @@ fn usable(pictures: &[BoardPicture]) -> (Vec<&BoardPicture>, Vec<(String, LeftOu
     (used, left_out)
 }
 
-/// Whether two pictures show their corners at the same places.
-pub(super) fn same(a: &BoardImage, b: &BoardImage) -> bool {
-    a.corners.len() == b.corners.len()
-        && a.corners.iter().zip(&b.corners).all(|(a, b)| a.0 == b.0)
-        && rms(a.corners.iter().zip(&b.corners).map(|(a, b)| a.1 - b.1)) < SAME_PX
-}
-
-pub(super) fn rms(residuals: impl Iterator<Item = Vector2<f64>>) -> f64 {
-    let (sum, count) = residuals.fold((0.0, 0_usize), |(sum, count), r| (sum + r.norm_squared(), count + 2));
-    (sum / count.max(1) as f64).sqrt()
-}
-
-/// Corners of the board about its middle, where a turn of the pose moves them least.
-pub fn centred(board: &Board) -> Vec<Point3<f64>> {
-    let points = board.points();
-    let middle = points.iter().map(|p| p.coords).sum::<Vector3<f64>>() / points.len().max(1) as f64;
-    points.into_iter().map(|p| p - middle).collect()
-}
-
 fn adjust(board: &Board, used: &[&BoardPicture], size_px: [u32; 2]) -> Result<Solution, CameraError> {
-    let places = centred(board);
+    let places = board.centred_points();
     let (lens, poses) = start(&places, used, size_px)?;
     let spread = spread_rad(&poses);
     if spread < LEAST_TILT_RAD {
@@ -286,22 +200,6 @@ fn start(
     Ok((lens, poses))
 }
 
-/// A pose as OpenCV gives it: rotation vector and translation, three numbers each.
-pub(super) fn pose_from_opencv(turn: &Mat, shift: &Mat) -> opencv::Result<Isometry3<f64>> {
-    let vector = |mat: &Mat| -> opencv::Result<Vector3<f64>> {
-        Ok(Vector3::new(*mat.at::<f64>(0)?, *mat.at::<f64>(1)?, *mat.at::<f64>(2)?))
-    };
-    let turn = UnitQuaternion::from(Rotation3::new(vector(turn)?));
-    Ok(Isometry3::from_parts(Translation3::from(vector(shift)?), turn))
-}
-
-/// The largest angle between the normals of two boards.
-pub(super) fn spread_rad(poses: &[Isometry3<f64>]) -> f64 {
-    let normals: Vec<Vector3<f64>> = poses.iter().map(|pose| pose.rotation * Vector3::z()).collect();
-    let angles = normals.iter().enumerate().flat_map(|(i, a)| normals[..i].iter().map(move |b| a.angle(b)));
-    angles.fold(0.0, f64::max)
-}
-
 fn by_picture(solved: &Solution, used: &[&BoardPicture]) -> Vec<UsedPicture> {
     let mut residuals = solved.residuals_px.iter();
     used.iter()
@@ -311,16 +209,6 @@ fn by_picture(solved: &Solution, used: &[&BoardPicture]) -> Vec<UsedPicture> {
             UsedPicture { name: picture.name.clone(), pose: *pose, corners }
         })
         .collect()
-}
-
-/// The picture that is much further off than the others.
-pub(super) fn worst(pictures: &[UsedPicture]) -> Option<(usize, LeftOut)> {
-    let mut sorted: Vec<f64> = pictures.iter().map(UsedPicture::rms_px).collect();
-    sorted.sort_by(f64::total_cmp);
-    let median_px = *sorted.get(sorted.len() / 2)?;
-    let (index, rms_px) = pictures.iter().map(UsedPicture::rms_px).enumerate().max_by(|a, b| a.1.total_cmp(&b.1))?;
-    let off = rms_px > OUTLIER.0 * median_px && rms_px > OUTLIER.1;
-    off.then_some((index, LeftOut::Off { rms_px, median_px }))
 }
 
 fn conclude(

@@ -268,7 +268,7 @@ pub(super) mod tests {
     }
 
     /// A tank with a mirror beside it.
-    pub(in crate::calibrate) fn geometry() -> Geometry {
+    pub(crate) fn geometry() -> Geometry {
         let wall = |outer| {
             Surface::Wall(Wall { outer, thickness_m: 5e-3, index_outside: 1.0, index_wall: 1.52, index_inside: 1.333 })
         };

@@ -1,12 +1,13 @@
 //! Whole calibrations of simulated rigs of three kinds, from corners with known noise: what is found, what is predicted of
 //! it, and what is refused.
 
-use super::board::{Board, BoardImage};
-use super::camera::{BoardPicture, CameraError, LeftOut, calibrate_camera, centred};
-use super::geometry::{Geometry, Projector};
-use super::mirrors::{RigCalibration, RigCalibrationError, RigOptions, Tank, calibrate_rig};
-use super::start::BoardsPicture;
-use super::verdict::verdict;
+use crate::calibrate::board::{Board, BoardImage, BoardPicture};
+use crate::calibrate::bundle::outliers::LeftOut;
+use crate::calibrate::camera::{CameraError, calibrate_camera};
+use crate::calibrate::geometry::{Geometry, Projector};
+use crate::calibrate::rig::expected_error::verdict;
+use crate::calibrate::rig::initial::BoardsPicture;
+use crate::calibrate::rig::{RigCalibration, RigCalibrationError, RigOptions, Tank, calibrate_rig};
 use crate::optics::{Lens, Mirror, Plane, Surface, Wall};
 use nalgebra::{DMatrix, DVector, Isometry3, Point2, Point3, Translation3, UnitQuaternion, Vector2, Vector3};
 
@@ -119,7 +120,7 @@ fn two_mirrors_in_air() -> Simulated {
 /// Pictures of the board in random poses, all images of a picture in random order; a mirrored one in the order in which a
 /// detector that takes it for direct finds its corners.
 fn pictures(rig: &Simulated, count: usize, sd_px: f64, random: &mut impl FnMut() -> f64) -> Vec<BoardsPicture> {
-    let (places, projector) = (centred(&board()), Projector::new(&rig.geometry, &[]));
+    let (places, projector) = (board().centred_points(), Projector::new(&rig.geometry, &[]));
     let order = board().orders().remove(0);
     let mut pictures = Vec::new();
     for _ in 0..1000 * count {
@@ -229,7 +230,7 @@ fn predicted_errors_in_space_are_those_really_made() {
         let (mut made, mut predicted) = ([0.0; 2], [0.0; 2]);
         for seed in 0..RUNS {
             let found = calibrated(&rig, 1000 + seed);
-            let judged = verdict(&found.solution, &found.corners, &centred(&board())).unwrap();
+            let judged = verdict(&found.solution, &found.corners, &board().centred_points()).unwrap();
             // At the edge of the volume a view may end between the true and the found place.
             let shown = |place: &Point3<f64>| {
                 let near = |d: f64| Point3::from(place.coords + Vector3::new(0.0, 0.0, d));
@@ -245,7 +246,7 @@ fn predicted_errors_in_space_are_those_really_made() {
             let mean_square = |v: &[f64]| v.iter().map(|e| e * e).sum::<f64>() / v.len() as f64;
             made[0] += mean_square(&absolute);
             made[1] += mean_square(&relative);
-            let expected = |of: fn(&super::verdict::Expected) -> f64| -> f64 {
+            let expected = |of: fn(&crate::calibrate::rig::expected_error::Expected) -> f64| -> f64 {
                 judged.expected.iter().map(|e| of(e).powi(2)).sum::<f64>() / judged.expected.len() as f64
             };
             predicted[0] += expected(|e| e.absolute_m);
@@ -279,7 +280,7 @@ fn a_board_taped_to_a_wall_pins_it() {
         let mirrored = path.len() == 1;
         let mut geometry = rig.geometry.clone();
         geometry.views = vec![("taped".into(), path)];
-        let (places, order) = (centred(&board()), board().orders().remove(0));
+        let (places, order) = (board().centred_points(), board().orders().remove(0));
         let mut corner = |i: usize| {
             let place = places[if mirrored { order[i] } else { i }];
             let pixel = Projector::new(&geometry, &[]).pixel(0, &(pose * place)).unwrap();
@@ -298,7 +299,7 @@ fn a_board_taped_to_a_wall_pins_it() {
     assert_eq!(found.solution.geometry.views, rig.geometry.views);
     assert_eq!(found.solution.residuals_px.len(), found.corners.len());
     for (surface, limit_m) in [(0, 1.5e-3), (2, 5e-3)] {
-        let parameter = super::geometry::Parameter::Offset { surface };
+        let parameter = crate::calibrate::geometry::Parameter::Offset { surface };
         let at = found.solution.free.iter().position(|p| *p == parameter).unwrap();
         let sd = found.solution.covariance[(at, at)].sqrt();
         let error = found.solution.geometry.value(parameter) - rig.geometry.value(parameter);
@@ -388,7 +389,7 @@ fn what_is_no_reflection_is_refused_by_name() {
 
 /// Boards in air at the given turns, each at its own place.
 fn air(turns: &[[f64; 3]], sd_px: f64) -> Vec<BoardPicture> {
-    let (places, mut random) = (centred(&board()), gaussian(3));
+    let (places, mut random) = (board().centred_points(), gaussian(3));
     let geometry = Geometry { lens: lens(), surfaces: Vec::new(), views: vec![("air".into(), Vec::new())] };
     let projector = Projector::new(&geometry, &[]);
     turns

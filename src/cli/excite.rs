@@ -1,11 +1,11 @@
 //! `catoptra excite`: a table of coil currents, and what its spectrum is.
 
 use super::units::{current_a, duration_s, frequency_hz, positive_current_a, slew_a_s};
-use super::{Exit, Failure, interrupt, output};
-use catoptra::excite::{Chirp, Clipped, ExciteError, Limits, Multisine, Order, Phases, Signal, Spectrum, Steps, Sweep};
-use catoptra::report::excitation::{self, ExcitationInfo};
-use catoptra::source::FrameRate;
-use catoptra::whole_file;
+use super::{Exit, Failure, interrupt, output, provenance};
+use crate::excite::{Chirp, Clipped, ExciteError, Limits, Multisine, Order, Phases, Signal, Spectrum, Steps, Sweep};
+use crate::report::excitation::{self, ExcitationInfo};
+use crate::source::FrameRate;
+use crate::whole_file;
 use clap::{Subcommand, ValueEnum};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -21,7 +21,7 @@ pub(crate) struct Args {
 enum Command {
     /// A sine that sweeps over a band
     #[command(after_help = "\
-Without options it is the chirp of the paper. Each row holds until the next, the last is zero current.
+Without options: the chirp of the paper. Each row holds until the next; the last is zero current.
 Exit code 2: the limits do not allow it; the message says what would fit.
 Example:
   catoptra excite chirp -o currents.csv --report")]
@@ -34,7 +34,8 @@ Example:
     Multisine(MultisineArgs),
     /// Levels that are held, one after the other or at random
     #[command(after_help = "\
-With --slew the current goes from level to level on ramps; how many samples that changes is told.
+With --slew the current goes from level to level on ramps; the summary counts the samples that this
+changes.
 Example:
   catoptra excite steps --levels 0mA,50mA,100mA,50mA --hold 5s --duration 60s -o steps.csv")]
     Steps(StepsArgs),
@@ -161,7 +162,7 @@ fn rate(text: &str) -> Result<FrameRate, String> {
         .trim_end_matches("Hz")
         .trim_end()
         .parse()
-        .map_err(|error: catoptra::source::times::FrameRateError| error.to_string())
+        .map_err(|error: crate::source::times::FrameRateError| error.to_string())
 }
 
 /// A signal, and what is said of it.
@@ -191,7 +192,7 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
         let text = excitation::page(&made.info, &made.signal, &spectrum, &made.clipped);
         save(page, &text)?;
     }
-    if quiet { Ok(()) } else { output::print(&told(&made, &spectrum, &common.out, page.as_deref())) }
+    if quiet { Ok(()) } else { output::print(&summary(&made, &spectrum, &common.out, page.as_deref())) }
 }
 
 impl Common {
@@ -228,7 +229,7 @@ impl Common {
     }
 
     fn info(&self, kind: &str, band_hz: Option<(f64, f64)>, settings: Vec<(String, String)>) -> ExcitationInfo {
-        let settings = settings.into_iter().chain(self.settings()).collect();
+        let settings = settings.into_iter().chain(self.settings()).chain(provenance::of_this_run()).collect();
         ExcitationInfo { table: self.out.display().to_string(), kind: kind.to_owned(), band_hz, settings }
     }
 }
@@ -339,7 +340,7 @@ fn save(path: &Path, text: &str) -> Result<(), Failure> {
         .map_err(|e| Failure::new(Exit::Failed, format!("{}: cannot be written: {e}", path.display())))
 }
 
-fn told(made: &Made, spectrum: &Spectrum, table: &Path, page: Option<&Path>) -> String {
+fn summary(made: &Made, spectrum: &Spectrum, table: &Path, page: Option<&Path>) -> String {
     let Made { signal, clipped, info } = made;
     let (slew, slew_s) = signal.largest_slew();
     let mut text = format!(

@@ -2,16 +2,17 @@
 
 use super::progress::Progress;
 use super::run::folder::{self, Files, Run, unlike_others, whole_path};
-use super::run::{Record, Reference, load_rig, open_sinks, pool, rig_of_log, tell_warnings, told, verdict};
-use super::{Exit, Failure, fitting, interrupt, output};
-use catoptra::log::is_log;
-use catoptra::pipeline;
-use catoptra::report::RunInfo;
-use catoptra::source::times::{parse_seconds_ns, seconds};
-use catoptra::source::{FrameRate, FrameSource as _, SourceOptions, Span};
-use catoptra::tally::Tally;
-use catoptra::track::{TrackOptions, Tracker};
+use super::run::{Record, Reference, load_rig, open_sinks, pool, print_warnings, rig_of_log, summary, verdict};
+use super::{Exit, Failure, fitting, interrupt, output, provenance};
+use crate::log::is_log;
+use crate::pipeline;
+use crate::report::RunInfo;
+use crate::source::times::{parse_seconds_ns, seconds};
+use crate::source::{FrameRate, FrameSource as _, SourceOptions, Span};
+use crate::tally::Tally;
+use crate::track::{TrackOptions, Tracker};
 use clap::builder::RangedU64ValueParser;
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 /// Arguments of `catoptra track`.
@@ -26,7 +27,7 @@ pub(crate) struct Args {
     /// Folder for the results [default: NAME-track, here]
     #[arg(short, long, value_name = "OUT")]
     out: Option<PathBuf>,
-    /// Write the table to FILE instead of OUT/track.csv
+    /// Write the table to FILE instead of OUT/track.csv; - is stdout
     #[arg(long, value_name = "FILE", num_args = 0..=1, require_equals = true)]
     csv: Option<Option<PathBuf>>,
     /// Also write a video with what was found drawn into it
@@ -76,8 +77,14 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     let span = Span { from_ns: args.from, to_ns: args.to };
     let options = SourceOptions { span, stated_rate: args.fps, decoder_threads: args.threads() };
     let source = fitting::open_to_track((&args.source, options), (rig_file, &rig))?;
-    tell_warnings(rig_file, &rig)?;
+    print_warnings(rig_file, &rig)?;
     let pool = pool(args.threads())?;
+    tracing::info!(
+        "{}: {}, {} threads; every frame is told with -vv",
+        args.source.display(),
+        source.described(),
+        pool.current_num_threads()
+    );
     // 2. the files
     let run = args.described();
     let run_toml = run.to_toml()?;
@@ -91,24 +98,29 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     // 3. the run
     let mut progress = Progress::of_frames(source.frame_count_hint(), quiet);
     let recording = args.source.display().to_string();
-    let mut told = 0;
+    let mut alarms = 0;
     let watch = |tally: &Tally| {
         progress.at(tally.frames);
         // At once: a run may be long, and be live.
-        told = told::new_alarms(tally, &recording, told);
+        alarms = summary::new_alarms(tally, &recording, alarms);
     };
-    let summary = pool
+    let run_summary = pool
         .install(|| pipeline::run(Box::new(source), &mut tracker, sinks, &interrupt, watch))
         .map_err(|e| Failure::new(Exit::Failed, format!("cannot start a thread: {e}")))?;
     drop(progress);
     // 4. what came of it
     if !quiet {
         let mut text = String::new();
-        told::summary(&mut text, &recording, &summary, &files, &rig)
+        summary::summary(&mut text, &recording, &run_summary, &files, &rig)
             .map_err(|e| Failure::new(Exit::Failed, format!("cannot describe the run: {e}")))?;
-        output::print(&text)?;
+        // The table may be on stdout.
+        if files.table_on_stdout() {
+            let _ = write!(super::progress::stderr(), "{text}");
+        } else {
+            output::print(&text)?;
+        }
     }
-    verdict(&recording, &rig, summary)
+    verdict(&recording, &rig, run_summary)
 }
 
 impl Args {
@@ -140,7 +152,7 @@ impl Args {
         RunInfo {
             source: self.source.display().to_string(),
             rig: self.rig.as_ref().unwrap_or(&self.source).display().to_string(),
-            settings: settings.into_iter().flatten().collect(),
+            settings: settings.into_iter().flatten().chain(provenance::of_this_run()).collect(),
             camera_frame: self.frame == Reference::Camera,
         }
     }

@@ -1,12 +1,12 @@
 //! `catoptra validate`: tracked runs along a desired path, to errors and response at each speed.
 
 use super::units::duration_s;
-use super::{Exit, Failure, interrupt, output};
-use catoptra::report::validation;
-use catoptra::series::{Recording, SeriesError};
-use catoptra::source::times::parse_seconds_ns;
-use catoptra::validate::{DesiredPath, Interpolation, Observed, Options, ValidateError, Validation, validate};
-use catoptra::whole_file;
+use super::{Exit, Failure, interrupt, output, provenance};
+use crate::report::validation;
+use crate::series::{Recording, SeriesError};
+use crate::source::times::parse_seconds_ns;
+use crate::validate::{DesiredPath, Interpolation, Observed, Options, ValidateError, Validation, validate};
+use crate::whole_file;
 use clap::ValueEnum;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -99,7 +99,7 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     }
     // 3. the files
     args.write(&validation)?;
-    if quiet { Ok(()) } else { output::print(&told(&validation, &args.out)) }
+    if quiet { Ok(()) } else { output::print(&summary(&validation, &args.out)) }
 }
 
 impl Args {
@@ -156,10 +156,13 @@ impl Args {
 
     fn settings(&self) -> Vec<(String, String)> {
         let between = if self.interpolate == How::Spline { "cubic spline" } else { "straight lines" };
-        vec![
+        [
             ("Left out".to_owned(), format!("{} of them, at the beginning", self.skip)),
             ("Between frames".to_owned(), between.to_owned()),
         ]
+        .into_iter()
+        .chain(provenance::of_this_run())
+        .collect()
     }
 }
 
@@ -177,7 +180,7 @@ fn missing(error: &SeriesError) -> bool {
     matches!(error, SeriesError::Io { source, .. } if source.kind() == std::io::ErrorKind::NotFound)
 }
 
-fn told(validation: &Validation, folder: &Path) -> String {
+fn summary(validation: &Validation, folder: &Path) -> String {
     let mut text = validation.table();
     match validation::bandwidth_hz(validation) {
         Some(hz) => text += &format!("\n3 dB below the slowest run at {hz:.3} Hz\n"),

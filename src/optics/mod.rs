@@ -4,6 +4,7 @@
 //! - [`Surface`]: a plane mirror or a flat glass wall; what happens to a ray there.
 //! - [`OpticalPath`]: lens and an ordered list of surfaces; [`OpticalPath::trace`] and its inverse
 //!   [`OpticalPath::project`], both with Jacobians. Everything else in the project stands on these two.
+//! - [`triangulate()`]: a point from its images in two or more views.
 //!
 //! # Conventions
 //! Everything is in the `camera` frame (OpenCV: x right, y down, z forward), metres. Pixel (0, 0) is the centre of the
@@ -13,10 +14,12 @@ mod lens;
 mod path;
 mod solve;
 mod surface;
+mod triangulate;
 
 pub use lens::{Lens, LensError};
 pub use path::{NoRay, OpticalPath, Projection, Tracing};
 pub use surface::{Mirror, Plane, PlaneError, Surface, Wall};
+pub use triangulate::{Sighting, Triangulated, triangulate};
 
 use nalgebra::{Matrix3x2, Point3, Vector3};
 

@@ -4,8 +4,8 @@
 //! A refracted view has no single centre, so there is no closed form for `project`: it searches the ray (`solve.rs`), two
 //! to four steps to rounding.
 
-use super::solve::{self, Connection};
-use super::{Lens, Ray, RayWithJacobian, Surface};
+use crate::optics::solve::{self, Connection};
+use crate::optics::{Lens, Ray, RayWithJacobian, Surface};
 use nalgebra::{Matrix2x3, Matrix3x2, Point2, Point3};
 
 /// A lens and the surfaces a camera ray meets, in the order of travel.

@@ -8,7 +8,7 @@
 //! Where Newton fails from there (the straight line to the point is totally reflected where the bent one is not, or the
 //! rays are steep), the indices are eased in from none to the true ones, each answer starting the next.
 
-use super::{NoRay, Ray, RayWithJacobian, Surface};
+use crate::optics::{NoRay, Ray, RayWithJacobian, Surface};
 use nalgebra::{Matrix2, Matrix2x3, Matrix3x2, Point2, Point3, Vector2, Vector3};
 
 /// Newton steps after which a start is given up; two to four are usual.

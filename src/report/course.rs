@@ -1,10 +1,10 @@
-//! What a report keeps of every frame: totals, values over time, and the paths of the markers.
+//! What a report keeps of every frame: values over time, and the paths of the markers.
 
 use super::timeline::{Extremes, Timeline};
 use crate::estimate::Estimate;
 use crate::rig::{Base, Rig};
 use crate::sink::Origin;
-use crate::tally::Tally;
+use crate::tally::missing;
 use nalgebra::Point3;
 
 /// Positions kept for the 3D paths; beyond, every second one is dropped.
@@ -18,7 +18,7 @@ pub(super) struct Course {
     base: Option<Base>,
     has_base: bool,
     origin: Option<Origin>,
-    pub tally: Tally,
+    frames: u64,
     pub timeline: Timeline,
     /// What is missing and why, by the number used in the timeline.
     pub reasons: Vec<(String, String)>,
@@ -45,6 +45,7 @@ pub(super) enum Channel {
     ThetaSd,
     /// Degrees.
     Polar,
+    /// Degrees from −90 on, see [`without_seam_deg`].
     Azimuth,
     /// Length of the residual, pixels.
     Residual {
@@ -60,6 +61,12 @@ pub(super) enum Channel {
 
 const ANGLES: usize = 6;
 
+/// An azimuth between −90° and 270°: a swing in a plane stays near 0° and 180°, and noise must not throw it from one end of
+/// the axis to the other.
+fn without_seam_deg(azimuth_deg: f64) -> f64 {
+    (azimuth_deg + 90.0).rem_euclid(360.0) - 90.0
+}
+
 impl Course {
     pub(super) fn new(rig: &Rig, camera_frame: bool) -> Self {
         Self {
@@ -68,7 +75,7 @@ impl Course {
             base: rig.base.clone().filter(|_| !camera_frame),
             has_base: rig.base.is_some(),
             origin: None,
-            tally: Tally::new(rig),
+            frames: 0,
             timeline: Timeline::default(),
             reasons: Vec::new(),
             path: Path { every: 1, ..Path::default() },
@@ -92,8 +99,9 @@ impl Course {
 
     pub(super) fn add(&mut self, estimate: &Estimate) {
         let origin = *self.origin.get_or_insert(Origin::of_first(estimate.stamp.ns));
-        let named = self.tally.add(estimate);
-        let numbers: Vec<usize> = named.into_iter().map(|name| self.reason_number(name)).collect();
+        self.frames += 1;
+        let missing = missing(estimate, &self.marker_names, &self.view_names);
+        let numbers: Vec<usize> = missing.into_iter().map(|name| self.reason_number(name)).collect();
         let values = self.values(estimate);
         self.timeline.push(origin.elapsed_s(estimate.stamp.ns), u64::from(estimate.gap), &values, &numbers);
         self.add_to_path(estimate);
@@ -123,7 +131,7 @@ impl Course {
     fn values(&self, estimate: &Estimate) -> Vec<Option<f64>> {
         let angle = estimate.deflection.as_ref().ok().map(|d| {
             let (theta, sd) = (d.theta_rad.to_degrees(), d.theta_sd_rad.to_degrees());
-            [theta, theta - sd, theta + sd, sd, d.polar_rad.to_degrees(), d.azimuth_rad.to_degrees()]
+            [theta, theta - sd, theta + sd, sd, d.polar_rad.to_degrees(), without_seam_deg(d.azimuth_rad.to_degrees())]
         });
         let mut values: Vec<Option<f64>> = match angle {
             Some(angles) => angles.into_iter().map(Some).collect(),
@@ -154,7 +162,7 @@ impl Course {
     }
 
     fn add_to_path(&mut self, estimate: &Estimate) {
-        if !(self.tally.frames - 1).is_multiple_of(self.path.every) {
+        if !(self.frames - 1).is_multiple_of(self.path.every) {
             return;
         }
         let place = |marker: &crate::estimate::MarkerEstimate| {
@@ -172,5 +180,16 @@ impl Course {
             self.path.every *= 2;
         }
         self.path.places_mm.push(places);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_swing_through_180_degrees_stays_in_one_place() {
+        let shown = [179.5, -179.5, 0.5, -0.5, 90.0, -90.0, -91.0].map(without_seam_deg);
+        assert_eq!(shown, [179.5, 180.5, 0.5, -0.5, 90.0, -90.0, 269.0]);
     }
 }

@@ -14,17 +14,20 @@
 //! | `tan_sd_deg` | its standard deviation, on average over the two directions across |
 //! | `gap` | camera frames lost before this one |
 //!
-//! The five columns of a marker are repeated for every marker of the rig, in its order. Positions and the tangent are in
-//! the [`OutputFrame`] asked for; θ, polar and azimuth always are in the base frame. What is not known is an empty cell.
-//! mm are given to 1e-6, degrees to 1e-6, the unit vector to 1e-7: below what the numbers mean, above what would be lost.
+//! The five columns of a marker are repeated for every marker of the rig, in its order. Positions and the tangent are
+//! in the [`OutputFrame`] asked for; θ, polar and azimuth always are in the base frame. What is not known is an empty
+//! cell. mm are given to 1e-6, degrees to 1e-6, the unit vector to 1e-7: below what the numbers mean, above what would
+//! be lost.
 //!
-//! Every row is handed to the system before the next frame is looked at: a killed run keeps all rows written. When the disk
-//! is full the table ends with its last complete row.
+//! Every row is handed to the system before the next frame is looked at: a killed run keeps all rows written. When the
+//! disk is full the table ends with its last complete row.
 
 use super::{OutputFrame, Sink, SinkError, same_error, settle};
 use crate::estimate::{Estimate, MarkerEstimate};
+use crate::log::schema::table;
 use crate::rig::Rig;
 use crate::source::Picture;
+use crate::tally::Tally;
 use csv::{ErrorKind, Terminator, Writer, WriterBuilder};
 use nalgebra::Isometry3;
 use std::fs::File;
@@ -49,16 +52,33 @@ impl CsvSink {
     /// [`SinkError::NoBaseFrame`] when `frame` is the base and the rig has none; [`SinkError::Io`] when the file cannot
     /// be created or written.
     pub fn create(path: &Path, rig: &Rig, frame: OutputFrame) -> Result<Self, SinkError> {
+        Self::onto(path, rig, frame, || File::create(path).map(Place::File))
+    }
+
+    /// The table on standard output.
+    ///
+    /// # Errors
+    /// As [`CsvSink::create`].
+    pub fn on_stdout(rig: &Rig, frame: OutputFrame) -> Result<Self, SinkError> {
+        Self::onto(Path::new("standard output"), rig, frame, || Ok(Place::Stdout(io::stdout())))
+    }
+
+    fn onto(
+        path: &Path,
+        rig: &Rig,
+        frame: OutputFrame,
+        open: impl FnOnce() -> io::Result<Place>,
+    ) -> Result<Self, SinkError> {
         let output_from_camera =
             frame.output_from_camera(rig).ok_or_else(|| SinkError::NoBaseFrame { path: path.to_owned() })?;
-        let file = File::create(path).map_err(|source| SinkError::io(path, source))?;
+        let place = open().map_err(|source| SinkError::io(path, source))?;
         let mut sink = Self {
             path: path.to_owned(),
-            writer: WriterBuilder::new().terminator(Terminator::CRLF).from_writer(WholeRows::new(file)),
+            writer: WriterBuilder::new().terminator(Terminator::CRLF).from_writer(WholeRows::new(place)),
             output_from_camera,
             views: rig.views.iter().map(|view| view.name.clone()).collect(),
         };
-        sink.record(&header(rig))?;
+        sink.record(&table::header(rig.markers.iter().map(|marker| marker.name.as_str())))?;
         Ok(sink)
     }
 
@@ -74,8 +94,11 @@ impl Sink for CsvSink {
         self.record(&row(estimate, &self.output_from_camera, &views))
     }
 
-    fn finish(&mut self) -> Result<(), SinkError> {
-        let settled = self.writer.flush().and_then(|()| settle(&self.writer.get_ref().file));
+    fn finish(&mut self, _: &Tally) -> Result<(), SinkError> {
+        let settled = self.writer.flush().and_then(|()| match &self.writer.get_ref().place {
+            Place::File(file) => settle(file),
+            Place::Stdout(_) => Ok(()),
+        });
         settled.map_err(|source| SinkError::io(&self.path, source))
     }
 }
@@ -83,15 +106,31 @@ impl Sink for CsvSink {
 /// A file of rows, a `flush` behind each: none is left half written, none is tried again after a failure.
 #[derive(Debug)]
 struct WholeRows {
-    file: File,
+    place: Place,
     written: u64,
     complete: u64,
     failure: Option<io::Error>,
 }
 
 impl WholeRows {
-    fn new(file: File) -> Self {
-        Self { file, written: 0, complete: 0, failure: None }
+    fn new(place: Place) -> Self {
+        Self { place, written: 0, complete: 0, failure: None }
+    }
+}
+
+/// Where rows go.
+#[derive(Debug)]
+enum Place {
+    File(File),
+    Stdout(io::Stdout),
+}
+
+impl Place {
+    fn writer(&mut self) -> &mut dyn Write {
+        match self {
+            Self::File(file) => file,
+            Self::Stdout(stdout) => stdout,
+        }
     }
 }
 
@@ -100,14 +139,16 @@ impl Write for WholeRows {
         if let Some(failure) = &self.failure {
             return Err(same_error(failure));
         }
-        match self.file.write_all(bytes) {
+        match self.place.writer().write_all(bytes) {
             Ok(()) => {
                 self.written += bytes.len() as u64;
                 Ok(bytes.len())
             }
             Err(error) => {
                 // Where this fails too (a pipe, a disk that is gone) there is nothing left to tidy.
-                let _ = self.file.set_len(self.complete);
+                if let Place::File(file) = &self.place {
+                    let _ = file.set_len(self.complete);
+                }
                 self.failure = Some(same_error(&error));
                 Err(error)
             }
@@ -116,7 +157,7 @@ impl Write for WholeRows {
 
     fn flush(&mut self) -> io::Result<()> {
         self.complete = self.written;
-        self.file.flush()
+        self.place.writer().flush()
     }
 }
 
@@ -129,14 +170,6 @@ fn system_error(error: csv::Error) -> io::Error {
         }
         other => io::Error::other(format!("{other:?}")),
     }
-}
-
-fn header(rig: &Rig) -> Vec<String> {
-    let first = ["seq", "t_s", "stamp_ns", "theta_deg", "theta_sd_deg", "polar_deg", "azimuth_deg"];
-    let marker = ["x_mm", "y_mm", "z_mm", "sd_mm", "status"];
-    let last = ["tan_x", "tan_y", "tan_z", "tan_sd_deg", "gap"];
-    let markers = rig.markers.iter().flat_map(|m| marker.iter().map(move |column| format!("{}_{column}", m.name)));
-    first.iter().map(ToString::to_string).chain(markers).chain(last.iter().map(ToString::to_string)).collect()
 }
 
 fn row(estimate: &Estimate, output_from_camera: &Isometry3<f64>, views: &[&str]) -> Vec<String> {
@@ -236,7 +269,7 @@ mod tests {
         for estimate in estimates {
             sink.write(estimate, None).unwrap();
         }
-        sink.finish().unwrap();
+        sink.finish(&Tally::default()).unwrap();
         std::fs::read_to_string(file.path()).unwrap()
     }
 

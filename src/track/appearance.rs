@@ -17,8 +17,8 @@
 //!
 //! Cannot represent: specular highlights that move along the tube, shadows with edges across a band, objects in front.
 
-use super::light::{Encoding, gauss};
-use super::tube_image::TubeImage;
+use crate::track::light::{Encoding, gauss};
+use crate::track::tube_image::TubeImage;
 use nalgebra::Vector2;
 use wide::{CmpGt, CmpLt, f32x4};
 

@@ -7,8 +7,8 @@
 //!
 //! Cannot detect: a distractor of the same colour, size and place along the tube, seen in all views.
 
-use super::triangulate::{Sighting, triangulate};
 use crate::estimate::Miss;
+use crate::optics::{Sighting, triangulate};
 use crate::rig::{Rig, View};
 use crate::segment::{Blob, Search, Window};
 use crate::source::Timestamp;

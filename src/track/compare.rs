@@ -1,11 +1,11 @@
 //! The samples of a patch against the image model: residuals and derivatives, their normal equations, and how the residuals
 //! themselves scatter.
 
-use super::appearance::{BEFORE, BEHIND, D_ALBEDO, LANES, Layout, PixelModel, RING, Scene};
-use super::normal::{Bin, Collector, Normal, ROW, Row, Slot, Squares, influence, row};
-use super::patch::{Group, Patch};
-use super::tube::{SHAPE, ShapeBy, ShapeStep};
-use super::tube_image::TubeImage;
+use crate::track::appearance::{BEFORE, BEHIND, D_ALBEDO, LANES, Layout, PixelModel, RING, Scene};
+use crate::track::normal::{Bin, Collector, Normal, ROW, Row, Slot, Squares, influence, row};
+use crate::track::patch::{Group, Patch};
+use crate::track::tube::{SHAPE, ShapeBy, ShapeStep};
+use crate::track::tube_image::TubeImage;
 use nalgebra::{SMatrix, SVector};
 
 /// Residuals beyond this many σ count linearly (Huber).

@@ -3,15 +3,15 @@
 //! Covariance: H⁻¹ M H⁻¹ with M from the residuals themselves, because errors of a decoder are correlated between
 //! neighbours and stronger near edges; and what the image model gets wrong without any residual showing it.
 
-use super::equations::Eliminated;
-use super::fit::{NoFit, TubeFit, ViewFit};
-use super::image_model::ModelError;
-use super::normal::{Normal, Squares};
-use super::round::{Guess, Minimum, Round, shape_prior};
-use super::stretch::Stretch;
-use super::tube::{SHAPE, ShapeStep};
-use super::tube_image::TubeImage;
-use super::view::LEAST_NOISE;
+use crate::track::equations::Eliminated;
+use crate::track::fit::{NoFit, TubeFit, ViewFit};
+use crate::track::image_model::ModelError;
+use crate::track::normal::{Normal, Squares};
+use crate::track::round::{Guess, Minimum, Round, shape_prior};
+use crate::track::stretch::Stretch;
+use crate::track::tube::{SHAPE, ShapeStep};
+use crate::track::tube_image::TubeImage;
+use crate::track::view::LEAST_NOISE;
 use nalgebra::{Matrix2, Matrix3x2, SMatrix, Vector2};
 use rayon::prelude::*;
 

@@ -1,9 +1,9 @@
 //! Pictures of a straight banded tube for tests, drawn by casting rays at a cylinder: shares nothing with the image model
 //! but the optics.
 
-use super::light::Encoding;
 use crate::optics::{Lens, Mirror, OpticalPath, Plane, Surface, Wall};
 use crate::source::{Colour, Picture, PixelFormat};
+use crate::track::light::Encoding;
 use nalgebra::{Point2, Point3, Vector2, Vector3};
 
 /// A straight tube that ends at `end_m`; bands are (from, to, light) along it, the rest is white.
@@ -119,7 +119,7 @@ pub(super) fn picture(drawn: &[f64], noise: f64, seed: u64) -> Picture {
 }
 
 /// A small generator of reproducible noise (splitmix64).
-pub(super) struct Dice(pub u64);
+pub(crate) struct Dice(pub u64);
 
 impl Dice {
     fn uniform(&mut self) -> f64 {
@@ -131,7 +131,7 @@ impl Dice {
     }
 
     /// Sum of twelve uniform numbers less six: variance 1, near enough to normal.
-    pub(super) fn normal(&mut self) -> f64 {
+    pub(crate) fn normal(&mut self) -> f64 {
         (0..12).map(|_| self.uniform()).sum::<f64>() - 6.0
     }
 }

@@ -3,8 +3,8 @@
 //! With H the matrix of the shape, C and X those of a view's colours alone and with the shape, g and c the gradients:
 //! (H − Σ X C⁻¹ Xᵀ) · shape = g − Σ X C⁻¹ c, then colours = C⁻¹ (c − Xᵀ · shape). Thirteen unknowns remain of some fifty.
 
-use super::normal::Normal;
-use super::tube::{SHAPE, ShapeBy, ShapeStep};
+use crate::track::normal::Normal;
+use crate::track::tube::{SHAPE, ShapeBy, ShapeStep};
 use nalgebra::{DVector, SMatrix};
 
 /// The sums over all views, priors included.

@@ -9,15 +9,15 @@
 //! Assumption, a weak prior that enters the covariance (covariance.rs): beside the coil the curvature grows from nil, by no more
 //! than some 15 /m in a centimetre (tube.rs).
 
-use super::image_model::ImageModel;
-use super::patch::Density;
-use super::round::{Guess, Round};
-use super::stretch::Stretch;
-use super::tube::{SHAPE, TubeShape};
-use super::tube_image::TubeImage;
-use super::view::{View, Weighing};
 use crate::optics::OpticalPath;
 use crate::source::Picture;
+use crate::track::image_model::ImageModel;
+use crate::track::patch::Density;
+use crate::track::round::{Guess, Round};
+use crate::track::stretch::Stretch;
+use crate::track::tube::{SHAPE, TubeShape};
+use crate::track::tube_image::TubeImage;
+use crate::track::view::{View, Weighing};
 use nalgebra::{Matrix2, SMatrix, Vector2};
 use rayon::prelude::*;
 
@@ -87,12 +87,12 @@ pub(crate) fn fit(
 
 #[cfg(test)]
 mod tests {
-    use super::super::appearance::Layout;
-    use super::super::drawn::{BLUR_PX, Dice, Tube, picture, views};
-    use super::super::image_model::ModelError;
-    use super::super::light::Encoding;
     use super::*;
     use crate::source::{Colour, PixelFormat, Window};
+    use crate::track::appearance::Layout;
+    use crate::track::drawn::{BLUR_PX, Dice, Tube, picture, views};
+    use crate::track::image_model::ModelError;
+    use crate::track::light::Encoding;
     use nalgebra::{Point3, Vector3};
 
     fn tube(direction: Vector3<f64>) -> Tube {

@@ -1,7 +1,7 @@
 //! How pictures are modelled, and what the model gets wrong.
 
-use super::light::Encoding;
 use crate::source::Picture;
+use crate::track::light::Encoding;
 
 /// How pictures are modelled, the same for all views.
 #[derive(Debug)]

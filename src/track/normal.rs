@@ -6,12 +6,12 @@
 //! colour. Rows and blocks are in single precision, which doubles their speed: a block sums some hundred rows, and what is
 //! lost is a millionth of what the noise makes of them.
 
-use super::appearance::{
+use crate::track::appearance::{
     BACKGROUND, BEFORE, CAP, D_ALBEDO, D_BACKGROUND, D_BULGE, D_CAP, D_GRADIENT, D_SHADING, D_U, D_V, FIXED, GRADIENT,
     Layout, PER_SEGMENT, RING, SHADES, SHADING, TERMS, Terms, VALUE,
 };
-use super::tube::{SHAPE, ShapeBy, ShapeStep};
-use super::tube_image::TubeImage;
+use crate::track::tube::{SHAPE, ShapeBy, ShapeStep};
+use crate::track::tube_image::TubeImage;
 use nalgebra::{DMatrix, DVector, SMatrix, SVector};
 
 /// Length of a row, filled up to whole vectors, and of the part that a sample away from rings touches.

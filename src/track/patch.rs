@@ -4,11 +4,11 @@
 //! in stored R'G'B', and a subsampled chroma sample is the mean of its neighbourhood with triangular weights as wide as the
 //! sampling.
 
-use super::appearance::{BACKGROUND, CAP, FIXED, Foot, Layout, PER_SEGMENT};
-use super::fit::NoFit;
-use super::light::Encoding;
-use super::tube_image::TubeImage;
 use crate::source::{Picture, Plane, Window};
+use crate::track::appearance::{BACKGROUND, CAP, FIXED, Foot, Layout, PER_SEGMENT};
+use crate::track::fit::NoFit;
+use crate::track::light::Encoding;
+use crate::track::tube_image::TubeImage;
 use nalgebra::{Point2, Vector2, Vector3};
 use std::ops::Range;
 

@@ -1,14 +1,14 @@
 //! One least-squares minimisation over fixed samples (Levenberg-Marquardt): shape and colours that explain the pictures.
 
-use super::equations::{Equations, Step};
-use super::fit::NoFit;
-use super::image_model::ImageModel;
-use super::stretch::Stretch;
-use super::tube::{BENDS, SHAPE, TubeShape};
-use super::tube_image::TubeImage;
-use super::view::View;
 use crate::optics::OpticalPath;
 use crate::source::Picture;
+use crate::track::equations::{Equations, Step};
+use crate::track::fit::NoFit;
+use crate::track::image_model::ImageModel;
+use crate::track::stretch::Stretch;
+use crate::track::tube::{BENDS, SHAPE, TubeShape};
+use crate::track::tube_image::TubeImage;
+use crate::track::view::View;
 use nalgebra::{DVector, SMatrix};
 use rayon::prelude::*;
 

@@ -4,8 +4,8 @@
 //! band is a stretch of its own. A band further than [`JOINED_DIAMETERS`] from the coil, or at an unknown place, is not
 //! joined: over such a length one curvature is no fair description of a tube.
 
-use super::appearance::Layout;
 use crate::rig::Rig;
+use crate::track::appearance::Layout;
 
 /// Longest tube between two bands that are fitted together, in diameters.
 const JOINED_DIAMETERS: f64 = 6.0;

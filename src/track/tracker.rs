@@ -4,20 +4,20 @@
 //! whole picture. Which of the two happened never changes a result: a blob counts only when it lies wholly inside its
 //! window, and then it is the same one that a search of the whole picture finds.
 
-use super::appearance::{FIXED, PER_SEGMENT};
-use super::assign::{Assigned, Assigner, direction_of_axes};
-use super::coil::deflection;
-use super::fit::{NoFit, TubeFit, fit};
-use super::image_model::{ImageModel, ModelError};
-use super::light::Encoding;
-use super::stretch::{Group, groups};
-use super::tube::{SHAPE, TubeShape};
-use super::tube_image::TubeImage;
 use crate::estimate::{BandObservation, Estimate, MarkerEstimate, Miss, Position, Tangent};
 use crate::optics::OpticalPath;
 use crate::rig::Rig;
 use crate::segment::{Blob, SegmentError, Segmenter};
 use crate::source::{Frame, Picture, Transfer};
+use crate::track::appearance::{FIXED, PER_SEGMENT};
+use crate::track::assign::{Assigned, Assigner, direction_of_axes};
+use crate::track::coil::deflection;
+use crate::track::fit::{NoFit, TubeFit, fit};
+use crate::track::image_model::{ImageModel, ModelError};
+use crate::track::light::Encoding;
+use crate::track::stretch::{Group, groups};
+use crate::track::tube::{SHAPE, TubeShape};
+use crate::track::tube_image::TubeImage;
 use nalgebra::{Matrix3, Point2, Point3, SMatrix, Vector3};
 use rayon::prelude::*;
 
@@ -371,10 +371,10 @@ fn outline(image: &TubeImage, from_m: f64, to_m: f64) -> Vec<Point2<f64>> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::drawn::{BLUR_PX, Tube, picture, views};
     use super::*;
     use crate::rig::ColourModel;
     use crate::sink::fixture;
+    use crate::track::drawn::{BLUR_PX, Tube, picture, views};
 
     /// Coil and tip are fitted together, but each must stay where it was found.
     #[test]

@@ -2,9 +2,9 @@
 //!
 //! Between knots the axis is a cubic (Hermite); widths and derivatives change linearly.
 
-use super::appearance::Foot;
-use super::tube::{SHAPE, ShapeStep, TubeShape};
 use crate::optics::{NoRay, OpticalPath};
+use crate::track::appearance::Foot;
+use crate::track::tube::{SHAPE, ShapeStep, TubeShape};
 use nalgebra::{Matrix2x3, Point2, SMatrix, Vector2};
 
 /// What of the image moves with the shape: place across the axis, place along it, bulge of the rings.
@@ -229,7 +229,7 @@ mod tests {
     /// Its own sight of a moved tube would change it too, but by a thousandth of what a turn does.
     #[test]
     fn the_rings_bulge_turns_with_the_tube() {
-        let [path, _] = super::super::drawn::views();
+        let [path, _] = crate::track::drawn::views();
         let shape = TubeShape {
             above: [Vector2::new(-900.0, 1200.0), Vector2::new(3e4, 5e4)],
             below: [Vector2::new(1500.0, -600.0), Vector2::new(-4e4, 2e4)],

@@ -1,14 +1,14 @@
 //! One view in a round of the fit: its samples, the noise they are weighed by, and what its colours may be.
 
-use super::appearance::{CAP, GRADIENT, Layout, SHADING, Scene, TURNING};
-use super::compare::{Comparison, Noise};
-use super::fit::NoFit;
-use super::image_model::ImageModel;
-use super::normal::{Normal, Squares};
-use super::patch::{Density, Patch};
-use super::stretch::Stretch;
-use super::tube_image::TubeImage;
 use crate::source::Picture;
+use crate::track::appearance::{CAP, GRADIENT, Layout, SHADING, Scene, TURNING};
+use crate::track::compare::{Comparison, Noise};
+use crate::track::fit::NoFit;
+use crate::track::image_model::ImageModel;
+use crate::track::normal::{Normal, Squares};
+use crate::track::patch::{Density, Patch};
+use crate::track::stretch::Stretch;
+use crate::track::tube_image::TubeImage;
 
 /// Prior σ of colours about what they look like (linear light, 1 = white), of the background's gradient per pixel, of
 /// shading, its change per radian that the tube turns by, cap.

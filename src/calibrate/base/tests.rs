@@ -1,8 +1,8 @@
 //! Made-up recordings of a known frame, with known noise.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
 
-use super::super::tests::gaussian;
 use super::*;
+use crate::calibrate::tests::gaussian;
 use crate::source::Clock;
 use std::collections::BTreeMap;
 

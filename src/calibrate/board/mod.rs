@@ -11,6 +11,7 @@
 
 mod charuco;
 mod flat;
+pub mod grey;
 mod judge;
 mod search;
 mod text;
@@ -18,11 +19,14 @@ mod text;
 pub use charuco::{Charuco, Dictionary, Unread};
 pub use judge::Flaw;
 
-use super::grey::Grey;
-use nalgebra::{Point2, Point3};
+use crate::calibrate::board::grey::Grey;
+use nalgebra::{Point2, Point3, Vector3};
 
 /// Inner corners along one side, fewest and most. OpenCV's detector wants three.
 const CORNERS: std::ops::RangeInclusive<usize> = 3..=99;
+
+/// Two pictures whose corners differ by less than this, RMS in pixels, are the same picture.
+const SAME_PX: f64 = 0.05;
 
 /// What is printed on a board.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -54,6 +58,13 @@ impl Board {
     pub fn points(&self) -> Vec<Point3<f64>> {
         let place = |i: usize| Point3::new((i % self.columns) as f64, (i / self.columns) as f64, 0.0) * self.square_m;
         (0..self.columns * self.rows).map(place).collect()
+    }
+
+    /// The inner corners about the board's centre, where a turn of the pose moves them least.
+    pub fn centred_points(&self) -> Vec<Point3<f64>> {
+        let points = self.points();
+        let centre = points.iter().map(|p| p.coords).sum::<Vector3<f64>>() / points.len().max(1) as f64;
+        points.into_iter().map(|p| p - centre).collect()
     }
 
     /// What the corners of a mirror image may be: for each possible order, the corner of [`Board::points`] that stands at
@@ -128,6 +139,17 @@ pub fn find_boards(picture: &Grey, board: &Board, most: usize) -> Result<Vec<Boa
     }
 }
 
+/// A board found in a picture.
+#[derive(Debug, Clone)]
+pub struct BoardPicture {
+    /// The picture's name in messages.
+    pub name: String,
+    /// Its size, pixels.
+    pub size_px: [u32; 2],
+    /// The board's corners.
+    pub image: BoardImage,
+}
+
 /// One image of the board in a picture.
 ///
 /// Those of a ChArUco board are the corners that are seen. The corners of a chessboard are in the order a direct image has: in the picture, the way from columns to rows turns like
@@ -153,6 +175,15 @@ pub struct BoardImage {
 const BLURRED: f64 = 0.35;
 
 impl BoardImage {
+    /// Whether both show the same corners at the same places: the same picture, given twice.
+    pub(crate) fn is_same_as(&self, other: &Self) -> bool {
+        let (own, others) = (&self.corners, &other.corners);
+        let squares_px2 = || own.iter().zip(others).map(|(a, b)| (a.1 - b.1).norm_squared());
+        own.len() == others.len()
+            && own.iter().zip(others).all(|(a, b)| a.0 == b.0)
+            && (squares_px2().sum::<f64>() / (2 * own.len()).max(1) as f64).sqrt() < SAME_PX
+    }
+
     /// Whether the board is too blurred to calibrate with: its edges, compared with its squares.
     pub fn is_blurred(&self) -> bool {
         self.edge_px > BLURRED * self.square_px

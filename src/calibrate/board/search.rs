@@ -11,9 +11,9 @@ use opencv::core::{
 use opencv::prelude::*;
 use opencv::{Result, calib3d, imgproc};
 
-use super::super::grey::Grey;
-use super::judge::{Flaw, Grid};
-use super::{Board, BoardError, BoardImage};
+use crate::calibrate::board::grey::Grey;
+use crate::calibrate::board::judge::{Flaw, Grid};
+use crate::calibrate::board::{Board, BoardError, BoardImage};
 
 /// Long sides that the detector sees the whole picture at, pixels.
 pub(super) const SEEN_PX: [i32; 4] = [640, 1280, 2560, 5120];

@@ -3,8 +3,8 @@
 use std::fmt;
 use std::str::FromStr;
 
-use super::super::length_m;
-use super::{Board, BoardError, Charuco, Pattern};
+use crate::calibrate::board::{Board, BoardError, Charuco, Pattern};
+use crate::calibrate::length_m;
 
 /// What a text should be that is no board.
 pub(super) fn form(text: &str) -> &'static str {

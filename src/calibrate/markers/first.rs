@@ -1,7 +1,7 @@
 //! The first frame: colours from the clicks, and whether the tracker measures the bands that were clicked.
 
-use super::super::colours::{Place, Samples};
-use super::{MarkersError, Pick, set_models};
+use crate::calibrate::markers::samples::{Place, Samples};
+use crate::calibrate::markers::{MarkersError, Pick, set_models};
 use crate::estimate::Miss;
 use crate::rig::{Marker, Rig};
 use crate::segment::{Segmenter, learn};

@@ -1,7 +1,7 @@
 //! What makes the pictures fit best: places of the bands along the tube, blur of the lens, offset of the chroma samples.
 
-use super::super::tune::minimise;
-use super::{MarkersError, track};
+use crate::calibrate::markers::line_search::minimise;
+use crate::calibrate::markers::{MarkersError, track};
 use crate::rig::Rig;
 use crate::source::Frame;
 use crate::track::{TrackOptions, Tracker};

@@ -3,9 +3,9 @@
 use super::super::progress::Progress;
 use super::super::{Exit, Failure, fitting};
 use super::{can_be_written, save, usage};
-use catoptra::calibrate::base::{BaseCalibration, BaseError, Field, Observed, Run, calibrate_base, observe};
-use catoptra::rig::{Base, Rig};
-use catoptra::source::{FrameRate, FrameSource as _, SourceOptions};
+use crate::calibrate::base::{BaseCalibration, BaseError, Field, Observed, Run, calibrate_base, observe};
+use crate::rig::{Base, Rig};
+use crate::source::{FrameRate, FrameSource as _, SourceOptions};
 use nalgebra::{Matrix3, Vector3};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -112,8 +112,8 @@ pub(super) fn run(args: &BaseArgs, quiet: bool, print: impl Fn(&str) -> Result<(
     let gravity = args.gravity.map(Direction::unit).or_else(|| rig.base.as_ref()?.gravity);
     rig.provenance.insert("base".into(), provenance(args, known.as_ref(), &rest, &planar, &done).into());
     rig.base = Some(Base { gravity, ..done.base });
-    save(&rig.into(), out)?;
-    print(&format!("\nwritten: {}\n", out.display()))
+    let written = save(&rig.into(), out)?;
+    print(&format!("\n{written}\n"))
 }
 
 /// From the command line, or else the rig's.

@@ -2,9 +2,9 @@
 
 use super::super::{Exit, Failure, fitting};
 use super::{Length, can_be_written, save, usage};
-use catoptra::calibrate::markers::{MarkersCalibration, MarkersError, Pick, calibrate_markers, is_apart};
-use catoptra::rig::{Catheter, Draft, Marker, Rig};
-use catoptra::source::{FrameRate, SourceOptions};
+use crate::calibrate::markers::{MarkersCalibration, MarkersError, Pick, calibrate_markers, is_apart};
+use crate::rig::{Catheter, Draft, Marker, Rig};
+use crate::source::{FrameRate, SourceOptions};
 use nalgebra::Point2;
 use std::fmt::Write as _;
 use std::path::PathBuf;
@@ -95,8 +95,8 @@ pub(super) fn run(args: &MarkersArgs, print: impl Fn(&str) -> Result<(), Failure
         );
         return Err(Failure::new(Exit::Unusable, text));
     }
-    save(&done.rig.into(), out)?;
-    print(&format!("\nwritten: {}\n", out.display()))
+    let written = save(&done.rig.into(), out)?;
+    print(&format!("\n{written}\n"))
 }
 
 /// The rig file with the markers as picked. Places along the tube and roles that it has already are kept.

@@ -1,21 +1,22 @@
 //! `catoptra calibrate rig`: pictures of a board in a mirror to mirrors, walls and views.
 
-use super::super::{Exit, Failure, interrupt};
+use super::super::progress::during;
+use super::super::{Exit, Failure, interrupt, provenance};
 use super::pictures::{self, Searched};
 use super::{Length, can_be_written, save, usage};
-use catoptra::calibrate::board::Board;
-use catoptra::calibrate::camera::{BoardPicture, centred};
-use catoptra::calibrate::doubts::doubts;
-use catoptra::calibrate::geometry::Parameter;
-use catoptra::calibrate::held_out::{HeldOut, Off, held_out};
-use catoptra::calibrate::mirrors::{
+use crate::calibrate::board::Board;
+use crate::calibrate::board::BoardPicture;
+use crate::calibrate::geometry::Parameter;
+use crate::calibrate::rig::diagnostics::diagnose;
+use crate::calibrate::rig::expected_error::{Verdict, verdict};
+use crate::calibrate::rig::held_out::{HeldOut, Off, held_out};
+use crate::calibrate::rig::initial::BoardsPicture;
+use crate::calibrate::rig::{
     RigCalibration, RigCalibrationError, RigOptions, Tank, calibrate_rig, into_draft, water_index,
 };
-use catoptra::calibrate::start::BoardsPicture;
-use catoptra::calibrate::verdict::{Verdict, verdict};
-use catoptra::report::calibration::{self, CalibrationInfo};
-use catoptra::rig::Draft;
-use catoptra::whole_file;
+use crate::report::calibration::{self, CalibrationInfo};
+use crate::rig::Draft;
+use crate::whole_file;
 use nalgebra::DMatrix;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -113,14 +114,14 @@ fn wall_arg(text: &str) -> Result<(String, PathBuf), String> {
     Ok((name.trim().to_owned(), picture.into()))
 }
 
-pub(super) fn run(args: &RigArgs, print: impl Fn(&str) -> Result<(), Failure>) -> Result<(), Failure> {
+pub(super) fn run(args: &RigArgs, quiet: bool, print: impl Fn(&str) -> Result<(), Failure>) -> Result<(), Failure> {
     let out = args.out.as_ref().unwrap_or(&args.rig);
     can_be_written(out)?;
 
     let draft = Draft::load(&args.rig)?;
     let mut options = options(args, &draft)?;
     for (name, path) in &args.walls {
-        for found in pictures::search(std::slice::from_ref(path), &args.board, 1)? {
+        for found in pictures::search(std::slice::from_ref(path), &args.board, 1, quiet)? {
             fits(&found, args, &draft)?;
             let unseen = |why: &String| Failure::new(Exit::Unusable, format!("{}: {why}", found.path.display()));
             let image = found.images.as_ref().map_err(unseen)?.first().cloned();
@@ -128,7 +129,7 @@ pub(super) fn run(args: &RigArgs, print: impl Fn(&str) -> Result<(), Failure>) -
             options.taped.extend(picture.map(|picture| (name.clone(), picture)));
         }
     }
-    let searched = pictures::search(&args.pictures, &args.board, args.mirrors + 1)?;
+    let searched = pictures::search(&args.pictures, &args.board, args.mirrors + 1, quiet)?;
     for picture in &searched {
         fits(picture, args, &draft)?;
     }
@@ -138,22 +139,26 @@ pub(super) fn run(args: &RigArgs, print: impl Fn(&str) -> Result<(), Failure>) -
             Some(BoardsPicture { name: s.name.clone(), size_px: s.size_px, images: s.images.as_ref().ok()?.clone() })
         })
         .collect();
-    let done = calibrate_rig(&args.board, &draft.camera.lens, &found, &options)
-        .map_err(|error| print(&pictures::not_found(&searched)).err().unwrap_or_else(|| failure(error)))?;
-    let judged = verdict(&done.solution, &done.corners, &centred(&args.board));
-    let held = held_out(&done.solution, &done.corners);
+    let done = during("solving for mirrors and walls", quiet, || {
+        calibrate_rig(&args.board, &draft.camera.lens, &found, &options)
+    });
+    let done = done.map_err(|error| print(&pictures::not_found(&searched)).err().unwrap_or_else(|| failure(error)))?;
+    let judged = during("judging the errors over the working volume", quiet, || {
+        verdict(&done.solution, &done.corners, &args.board.centred_points())
+    });
+    let held = during("leaving out each picture in turn", quiet, || held_out(&done.solution, &done.corners));
     print(&describe(&searched, &done, judged.as_ref(), &options))?;
     print(&describe_held_out(held.iter().flatten()))?;
-    for doubt in doubts(&done, &held) {
+    for doubt in diagnose(&done, &held) {
         print(&format!("doubt: {doubt}\n"))?;
     }
     let page = calibration::page(&info(args, out, &searched), &done, judged.as_ref(), &held);
     let mut rig = into_draft(draft, &done);
     rig.provenance.insert("rig".into(), provenance(args, &searched, &done)?.into());
-    save(&rig, out)?;
+    let written = save(&rig, out)?;
     let page_path = out.with_extension("calibration.html");
     save_page(&page, &page_path)?;
-    print(&format!("\nwritten: {}\n         {} (how good it is, for a browser)\n", out.display(), page_path.display()))
+    print(&format!("\n{written}\n         {} (how good it is, for a browser)\n", page_path.display()))
 }
 
 fn save_page(page: &str, path: &Path) -> Result<(), Failure> {
@@ -175,6 +180,7 @@ fn info(args: &RigArgs, out: &Path, searched: &[Searched]) -> CalibrationInfo {
         settings.push((format!("Distance of {name}"), format!("{} ± {}", mm(*distance_m), mm(*sd_m))));
     }
     let not_found = searched.iter().filter_map(|s| Some((s.name.clone(), s.images.as_ref().err()?.clone()))).collect();
+    settings.extend(provenance::of_this_run());
     CalibrationInfo { rig: out.display().to_string(), settings, not_found }
 }
 

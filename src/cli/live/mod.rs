@@ -3,16 +3,16 @@
 mod status;
 
 use super::run::folder::{Files, Run, unlike_others, whole_path};
-use super::run::{Record, Reference, load_rig, open_sinks, pool, tell_warnings, told, verdict};
-use super::{Exit, Failure, fitting, interrupt, output};
-use catoptra::live::{self, CurrentSource, LiveSummary, Outputs, RecordTo, Recording, Until};
-use catoptra::report::RunInfo;
-use catoptra::sink::{PublishSink, Sink, UdpSink};
-use catoptra::source::host::HostClock;
-use catoptra::source::live::{Camera, CameraSettings, Paced, RawFormat, RawPictures, Stream};
-use catoptra::source::times::parse_seconds_ns;
-use catoptra::source::{self, FrameRate, FrameSource, SourceOptions};
-use catoptra::track::{TrackOptions, Tracker};
+use super::run::{Record, Reference, load_rig, open_sinks, pool, print_warnings, summary, verdict};
+use super::{Exit, Failure, fitting, interrupt, output, provenance};
+use crate::live::{self, CurrentSource, LiveSummary, Outputs, RecordTo, Recording, Until};
+use crate::report::RunInfo;
+use crate::sink::{PublishSink, Sink, UdpSink};
+use crate::source::host::HostClock;
+use crate::source::live::{Camera, CameraSettings, Paced, RawFormat, RawPictures, Stream};
+use crate::source::times::parse_seconds_ns;
+use crate::source::{self, FrameRate, FrameSource, SourceOptions};
+use crate::track::{TrackOptions, Tracker};
 use clap::builder::RangedU64ValueParser;
 use status::StatusLine;
 use std::fmt::Write as _;
@@ -116,7 +116,7 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     let (rig, rig_toml) = load_rig(&args.rig, args.frame)?;
     let tracker = Tracker::new(&rig, TrackOptions::default())
         .map_err(|e| Failure::new(Exit::Usage, format!("{}: {e}", args.rig.display())))?;
-    tell_warnings(&args.rig, &rig)?;
+    print_warnings(&args.rig, &rig)?;
     let controllers = args.udp.map(|to| UdpSink::to(to, &rig)).transpose();
     let controllers = controllers.map_err(|e| Failure::new(Exit::Failed, format!("cannot send datagrams: {e}")))?;
     let publisher = args.publish.map(|at| PublishSink::listen(at, &rig)).transpose();
@@ -150,25 +150,25 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     let mut line = StatusLine::new(&args.source, &files.folder, quiet);
     let pool = pool(args.threads.unwrap_or(0))?;
     let show = |status: &live::Status| line.show(status);
-    let summary = live::run(source, tracker, pool, outputs, clock, &until, show)
+    let live = live::run(source, tracker, pool, outputs, clock, &until, show)
         .map_err(|e| Failure::new(Exit::Failed, format!("cannot start a thread: {e}")))?;
     drop(line);
     // 4. what came of it
     if !quiet {
         let mut text = String::new();
-        told::summary(&mut text, &args.source, &summary.run, &files, &rig)
-            .and_then(|()| text.write_str(&lines(&summary)))
+        summary::summary(&mut text, &args.source, &live.run, &files, &rig)
+            .and_then(|()| text.write_str(&lines(&live)))
             .map_err(|e| Failure::new(Exit::Failed, format!("cannot describe the run: {e}")))?;
         output::print(&text)?;
     }
-    if summary.unlogged > 0 {
-        let text = format!("{} frames are missing in the files: the disk was too slow", summary.unlogged);
+    if live.unlogged > 0 {
+        let text = format!("{} frames are missing in the files: the disk was too slow", live.unlogged);
         return Err(Failure::new(Exit::Failed, text));
     }
-    verdict(&args.source, &rig, summary.run)
+    verdict(&args.source, &rig, live.run)
 }
 
-/// What only a live run has to tell.
+/// The part of the summary that only a live run has.
 fn lines(summary: &LiveSummary) -> String {
     let latency = summary.latency;
     let ms = |us: u64| us as f64 * 1e-3;
@@ -180,7 +180,8 @@ fn lines(summary: &LiveSummary) -> String {
     );
     let interruptions = summary.run.source.interruptions;
     if interruptions > 0 {
-        text += &format!("the stream was away {interruptions} times\n");
+        let times = if interruptions == 1 { "once".to_owned() } else { format!("{interruptions} times") };
+        text += &format!("the stream broke off {times}\n");
     }
     if let Some((recorded, dropped)) = summary.pictures {
         let lost = if dropped == 0 { "none lost".to_owned() } else { format!("{dropped} lost to the recording") };
@@ -297,10 +298,11 @@ impl Args {
     }
 
     fn info(&self) -> RunInfo {
+        let camera = self.camera_options().into_iter().map(|(name, value)| (name.to_owned(), value));
         RunInfo {
             source: self.source.clone(),
             rig: self.rig.display().to_string(),
-            settings: self.camera_options().into_iter().map(|(name, value)| (name.to_owned(), value)).collect(),
+            settings: camera.chain(provenance::of_this_run()).collect(),
             camera_frame: self.frame == Reference::Camera,
         }
     }

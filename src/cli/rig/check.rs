@@ -1,9 +1,10 @@
 //! `catoptra rig check`: a rig file in words and numbers.
 
+use super::super::run::two_views;
 use super::super::{Exit, Failure, output};
-use catoptra::optics::{Surface, Wall};
-use catoptra::rig::check::{Check, ROUND_TRIP_LIMIT_PX, ViewCheck, check};
-use catoptra::rig::{Base, Camera, Rig, View};
+use crate::optics::{Surface, Wall};
+use crate::rig::check::{Check, ROUND_TRIP_LIMIT_PX, ViewCheck, check};
+use crate::rig::{Base, Camera, Rig, View};
 use nalgebra::Vector3;
 use std::fmt::{self, Write as _};
 use std::path::Path;
@@ -15,6 +16,9 @@ pub(super) fn run(file: &Path) -> Result<(), Failure> {
     describe(&mut text, file, &rig, &checked)
         .map_err(|e| Failure::new(Exit::Failed, format!("cannot describe {}: {e}", file.display())))?;
     output::print(&text)?;
+    if let Err(one_view) = two_views(file, &rig) {
+        return Err(Failure::new(Exit::Unusable, one_view.to_string()));
+    }
     if checked.usable() {
         return Ok(());
     }
@@ -44,7 +48,7 @@ fn describe(out: &mut String, file: &Path, rig: &Rig, checked: &Check) -> fmt::R
     for (view, seen) in rig.views.iter().zip(&checked.views) {
         self::view(out, view, seen)?;
     }
-    if let Some(meeting) = &checked.meeting {
+    if let Some(meeting) = &checked.closest_approach {
         writeln!(
             out,
             "\nthe first two views look at ({}) mm, camera frame: central rays pass {:.1} mm apart at {:.1}°",

@@ -2,8 +2,8 @@
 
 use super::super::calibrate::{can_be_written, left_out, save};
 use super::{Exit, Failure};
-use catoptra::rig::Draft;
-use catoptra::rig::formats::Format;
+use crate::rig::Draft;
+use crate::rig::formats::Format;
 use sha2::{Digest as _, Sha256};
 use std::path::PathBuf;
 
@@ -60,11 +60,10 @@ pub(super) fn run(args: &ImportArgs, note: impl Fn(&str)) -> Result<(), Failure>
         ("inputs_sha256".to_owned(), toml::Table::from_iter([(file, hash.into())]).into()),
     ]);
     draft.provenance.insert("camera".into(), provenance.into());
-    save(&draft, &args.out)?;
+    let written = save(&draft, &args.out)?;
     note(&format!(
-        "written: {}; the lens came without uncertainties: `calibrate rig` takes it for exact, and its verdict knows \
-         nothing of the lens's errors",
-        args.out.display()
+        "{written}\nthe lens came without uncertainties: `calibrate rig` takes it for exact, and its verdict knows \
+         nothing of the lens's errors"
     ));
     Ok(())
 }

@@ -1,9 +1,9 @@
 //! The plots of a calibration's page.
 
 use super::super::chart::{self, CURVE, INK, PALETTE, QUIET, css, css_faint, rounded};
-use super::super::page::escape;
-use crate::calibrate::doubts::{Neighbourhood, neighbourhoods};
-use crate::calibrate::mirrors::RigCalibration;
+use super::super::html::escape;
+use crate::calibrate::rig::RigCalibration;
+use crate::calibrate::rig::diagnostics::{Neighbourhood, neighbourhoods};
 use nalgebra::{DMatrix, Point2, Point3, Vector2};
 use plotly::common::{
     ColorBar, ColorScale, ColorScaleElement, ColorScalePalette, HoverInfo, Line, Marker, Mode, Title,
@@ -77,7 +77,7 @@ pub(super) fn errors(errors_m: &[(Point3<f64>, f64)], boards: &[Vec<Point3<f64>>
 /// A corner and its residual, pixels.
 pub(super) type Arrow = (Point2<f64>, Vector2<f64>);
 
-/// Indices of the pictures of a view's corners, in the order of [`residuals`](crate::calibrate::doubts::residuals).
+/// Indices of the pictures of a view's corners, in the order of [`residuals`](crate::calibrate::rig::diagnostics::residuals).
 fn pictures(done: &RigCalibration, view: usize) -> impl Iterator<Item = usize> {
     done.corners.iter().filter(move |c| c.view == view).map(|c| c.picture)
 }

@@ -6,12 +6,13 @@ mod figures;
 mod tables;
 mod words;
 
-use super::page::{self, bad, card, escape, facts_table, figure, plural, signed, table};
+use super::html::{Html, escape};
+use super::page::{self, card, facts_table, figure, plural, signed, table, trouble};
 use crate::calibrate::bundle::NoSolution;
-use crate::calibrate::doubts::{self, Doubt, doubts};
-use crate::calibrate::held_out::{HeldOut, Off};
-use crate::calibrate::mirrors::RigCalibration;
-use crate::calibrate::verdict::{Expected, Suggestion, Verdict};
+use crate::calibrate::rig::RigCalibration;
+use crate::calibrate::rig::diagnostics::{self, Diagnostic, diagnose};
+use crate::calibrate::rig::expected_error::{Expected, Suggestion, Verdict};
+use crate::calibrate::rig::held_out::{HeldOut, Off};
 use nalgebra::{Point3, Vector3};
 use words::{along, degrees, exact_mm, in_words, mm};
 
@@ -39,7 +40,7 @@ pub fn page(
     held: &[Result<HeldOut, NoSolution>],
 ) -> String {
     // The answer comes first, then what it rests on, then what would make it better, then where it came from.
-    let mut body = header(info, verdict, &doubts(done, held));
+    let mut body = header(info, verdict, &diagnose(done, held));
     body += &cards(verdict, held);
     if let Some(verdict) = verdict {
         body += &which_matters(verdict);
@@ -73,7 +74,7 @@ fn random(e: &Expected) -> f64 {
     e.random_m
 }
 
-fn header(info: &CalibrationInfo, verdict: Option<&Verdict>, doubts: &[Doubt]) -> String {
+fn header(info: &CalibrationInfo, verdict: Option<&Verdict>, diagnostics: &[Diagnostic]) -> String {
     let answer = verdict.map_or_else(
         || "The boards fill no volume that two views see: how well positions will be known cannot be said.".to_owned(),
         |v| {
@@ -89,17 +90,18 @@ fn header(info: &CalibrationInfo, verdict: Option<&Verdict>, doubts: &[Doubt]) -
             )
         },
     );
-    let doubted: String = doubts.iter().map(|doubt| format!("<li>{}</li>\n", escape(&doubt.to_string()))).collect();
-    let doubted = if doubts.is_empty() {
+    let findings: String =
+        diagnostics.iter().map(|diagnostic| format!("<li>{}</li>\n", escape(&diagnostic.to_string()))).collect();
+    let findings = if diagnostics.is_empty() {
         String::new()
     } else {
         format!(
             "<div class=\"doubts\"><p><strong>Do not rely on these numbers yet.</strong> They suppose that nothing but noise is \
-             wrong, and more is:</p>\n<ul>\n{doubted}</ul></div>\n"
+             wrong, and more is:</p>\n<ul>\n{findings}</ul></div>\n"
         )
     };
     format!(
-        "<header>\n<p class=\"kind\">Catoptra calibration of a rig</p>\n<h1>{}</h1>\n<p class=\"verdict\">{answer}</p>\n{doubted}</header>\n",
+        "<header>\n<p class=\"kind\">Catoptra calibration of a rig</p>\n<h1>{}</h1>\n<p class=\"verdict\">{answer}</p>\n{findings}</header>\n",
         escape(&info.rig)
     )
 }
@@ -108,17 +110,17 @@ fn cards(verdict: Option<&Verdict>, held: &[Result<HeldOut, NoSolution>]) -> Str
     let mut cards = String::new();
     if let Some(verdict) = verdict {
         let worst = |(_, worst): (f64, f64)| format!("worst {}", mm(worst));
-        let mut of = |name: &str, both: (f64, f64)| cards += &card(name, &mm(both.0), &worst(both), false);
+        let mut of = |name: &str, both: (f64, f64)| cards += &card(name, mm(both.0), worst(both), false);
         of("Base frame (relative)", verdict.median_and_worst(relative));
         of("Camera frame (absolute)", verdict.median_and_worst(absolute));
         let (median, worst) = verdict.angle_rad;
-        cards += &card("Angles", &degrees(median), &format!("worst {}", degrees(worst)), false);
+        cards += &card("Angles", degrees(median), format!("worst {}", degrees(worst)), false);
     }
     if let Some(edges) = Off::of(held.iter().flatten().flat_map(|h| &h.edges)) {
         cards += &card(
-            &format!("Held-out {:.1} mm lengths", edges.nominal_m * 1e3),
-            &mm(edges.rms_m),
-            &format!("noise {}", mm(edges.noise_m)),
+            format!("Held-out {:.1} mm lengths", edges.nominal_m * 1e3),
+            mm(edges.rms_m),
+            format!("noise {}", mm(edges.noise_m)),
             edges.beyond_noise(),
         );
     }
@@ -195,7 +197,7 @@ fn over_the_volume(done: &RigCalibration, verdict: &Verdict) -> String {
         plot("plot-relative", "Base frame (relative)", relative),
         plot("plot-absolute", "Camera frame (absolute)", absolute),
         table(1, &["Expected error (1σ)", "Median (mm)", "Worst (mm)", "Worst place (mm)"], &rows),
-        bad(
+        trouble(
             "in the base frame, an end of the volume where the catheter will be much worse than the middle: no board was there. \
              The volume reaches as far as the boards; outside it nothing is promised."
         ),
@@ -251,7 +253,7 @@ fn held_out(done: &RigCalibration, held: &[Result<HeldOut, NoSolution>]) -> Stri
         }
     );
     text += &tables::held_out(done, held);
-    text + &bad(
+    text + &trouble(
         "one picture far worse than the others: its board was moved during the exposure, or bent. One sign of the scale in all near \
          pictures and the other in all far ones. <strong>Not seen here:</strong> what shifts everything together, a wrong size of the \
          squares (all boards have it), and hardly a wrong index or thickness of the glass: walls give way to it.",
@@ -261,13 +263,13 @@ fn held_out(done: &RigCalibration, held: &[Result<HeldOut, NoSolution>]) -> Stri
 fn better(verdict: &Verdict) -> String {
     let (direction, sd_m) = verdict.weakest;
     let (now_absolute, now_relative) = (verdict.median_and_worst(absolute).0, verdict.median_and_worst(relative).0);
-    let rows = |list: Vec<&Suggestion>, absolute_first: bool| -> Vec<Vec<String>> {
-        let row = |name: String, absolute_m: f64, relative_m: f64| {
+    let rows = |list: Vec<&Suggestion>, absolute_first: bool| -> Vec<Vec<Html>> {
+        let row = |name: Html, absolute_m: f64, relative_m: f64| {
             let (first, second) = if absolute_first { (absolute_m, relative_m) } else { (relative_m, absolute_m) };
-            vec![name, exact_mm(first), exact_mm(second)]
+            vec![name, exact_mm(first).into(), exact_mm(second).into()]
         };
-        let now = row("<em>as it is</em>".to_owned(), now_absolute, now_relative);
-        let then = list.into_iter().take(SUGGESTIONS).map(|s| row(escape(&s.what), s.absolute_m, s.relative_m));
+        let now = row(Html::raw("<em>as it is</em>"), now_absolute, now_relative);
+        let then = list.into_iter().take(SUGGESTIONS).map(|s| row(Html::from(&s.what), s.absolute_m, s.relative_m));
         std::iter::once(now).chain(then).collect()
     };
     format!(
@@ -287,13 +289,13 @@ fn better(verdict: &Verdict) -> String {
 
 fn residuals(done: &RigCalibration) -> String {
     let names = done.solution.geometry.views.iter().map(|(name, _)| name.clone());
-    let views: Vec<_> = names.enumerate().map(|(view, name)| (name, doubts::residuals(done, view))).collect();
+    let views: Vec<_> = names.enumerate().map(|(view, name)| (name, diagnostics::residuals(done, view))).collect();
     let times = figures::magnification(&views.iter().map(|(_, arrows)| arrows.clone()).collect::<Vec<_>>());
     let plots: String = views
         .iter()
         .enumerate()
         .map(|(view, (name, arrows))| {
-            let common = doubts::together(arrows).map_or("too few corners for means".to_owned(), |times| {
+            let common = diagnostics::together(arrows).map_or("too few corners for means".to_owned(), |times| {
                 format!("means {times:.1} times as long as noise makes them")
             });
             let plot = figures::residuals(done, view, arrows, times);
@@ -310,12 +312,12 @@ fn residuals(done: &RigCalibration) -> String {
          times</strong> too long. Bold: means of neighbouring corners, as many times too long. Hover for the picture.</p>\n\
          <div class=\"pair\">\n{plots}</div>\n{}\
          <h3>Picture by picture</h3>\n{}",
-        bad(
+        trouble(
             "bold arrows that follow one another, around the middle or towards an edge: the lens, a mirror or a wall is not what the \
              rig takes it for. Noise has short bold arrows in all directions."
         ),
         figure("plot-pictures", &figures::by_picture(done, &views), 330, false)
-    ) + &bad("one picture or one view standing above the others.")
+    ) + &trouble("one picture or one view standing above the others.")
 }
 
 fn parameters(done: &RigCalibration) -> String {
@@ -355,11 +357,11 @@ fn parameters(done: &RigCalibration) -> String {
 }
 
 fn left_out(info: &CalibrationInfo, done: &RigCalibration) -> String {
-    let rows: Vec<Vec<String>> = info
+    let rows: Vec<Vec<Html>> = info
         .not_found
         .iter()
         .chain(&done.left_out)
-        .map(|(name, why)| vec![escape(name), format!("<span class=\"why\">{}</span>", escape(why))])
+        .map(|(name, why)| vec![Html::from(name), Html::wrapped(why)])
         .collect();
     let used = done.used.len();
     let text = if rows.is_empty() {
@@ -371,8 +373,8 @@ fn left_out(info: &CalibrationInfo, done: &RigCalibration) -> String {
 }
 
 fn facts(info: &CalibrationInfo, done: &RigCalibration) -> String {
-    let mut rows = vec![("Rig".to_owned(), escape(&info.rig))];
-    rows.extend(info.settings.iter().map(|(name, value)| (escape(name), escape(value))));
+    let mut rows = vec![("Rig".to_owned(), info.rig.clone())];
+    rows.extend(info.settings.iter().cloned());
     rows.push(("Corners".to_owned(), done.corners.len().to_string()));
     rows.push(("Version".to_owned(), format!("Catoptra {}", env!("CARGO_PKG_VERSION"))));
     format!("<h2>What was calibrated</h2>\n{}", facts_table(&rows))

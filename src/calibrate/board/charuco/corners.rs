@@ -5,11 +5,11 @@ use nalgebra::{Matrix3, Point2, Vector2};
 use opencv::Result;
 use opencv::core::Mat;
 
-use super::super::super::grey::Grey;
-use super::super::flat::{homography, map, median};
-use super::super::search::{WINDOW, WINDOW_PX, refined};
-use super::layout::Layout;
-use super::markers::Marker;
+use crate::calibrate::board::charuco::layout::Layout;
+use crate::calibrate::board::charuco::markers::Marker;
+use crate::calibrate::board::flat::{homography, map, median};
+use crate::calibrate::board::grey::Grey;
+use crate::calibrate::board::search::{WINDOW, WINDOW_PX, refined};
 
 /// Markers and corners within so many columns and rows tell where a corner is.
 const NEAR: f64 = 2.1;

@@ -5,8 +5,8 @@
 
 use nalgebra::{Matrix3, Point2};
 
-use super::super::flat::{homography, map};
-use super::markers::Marker;
+use crate::calibrate::board::charuco::markers::Marker;
+use crate::calibrate::board::flat::{homography, map};
 
 /// Markers within so many columns and rows tell where another one must be.
 const NEAR: f64 = 4.0;

@@ -9,10 +9,10 @@ use opencv::core::{Mat, Point, Size, Vector};
 use opencv::imgproc;
 use opencv::prelude::*;
 
-use super::super::super::grey::Grey;
-use super::super::flat::{homography, map, median};
-use super::super::search::SEEN_PX;
-use super::dictionary::Dictionary;
+use crate::calibrate::board::charuco::dictionary::Dictionary;
+use crate::calibrate::board::flat::{homography, map, median};
+use crate::calibrate::board::grey::Grey;
+use crate::calibrate::board::search::SEEN_PX;
 
 /// Sides of the windows whose mean parts dark from light, pixels of the picture as it is seen; and by how many grey values
 /// dark must be below it.

@@ -21,11 +21,11 @@ use nalgebra::Point2;
 use opencv::Result;
 use opencv::core::Mat;
 
-use super::super::grey::Grey;
-use super::flat::in_line;
-use super::judge::{Flaw, Grid};
-use super::search::pixels;
-use super::{Board, BoardImage};
+use crate::calibrate::board::flat::in_line;
+use crate::calibrate::board::grey::Grey;
+use crate::calibrate::board::judge::{Flaw, Grid};
+use crate::calibrate::board::search::pixels;
+use crate::calibrate::board::{Board, BoardImage};
 use corners::Search;
 use layout::Layout;
 use markers::{Marker, Quad, quads};

@@ -1,12 +1,12 @@
 //! Why a ChArUco board is not found though there are markers: which of the things said of it is wrong.
 
-use super::super::super::grey::Grey;
-use super::super::flat::{homography, map, median};
-use super::super::judge::Flaw;
-use super::dictionary::Dictionary;
-use super::layout::Layout;
-use super::markers::{Marker, Quad};
-use super::{FEWEST, read};
+use crate::calibrate::board::charuco::dictionary::Dictionary;
+use crate::calibrate::board::charuco::layout::Layout;
+use crate::calibrate::board::charuco::markers::{Marker, Quad};
+use crate::calibrate::board::charuco::{FEWEST, read};
+use crate::calibrate::board::flat::{homography, map, median};
+use crate::calibrate::board::grey::Grey;
+use crate::calibrate::board::judge::Flaw;
 
 /// Markers of another size than this part of a square more or less, and a pixel, are not what was said.
 const RATIO: f64 = 0.1;

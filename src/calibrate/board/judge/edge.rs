@@ -2,8 +2,8 @@
 
 use nalgebra::Point2;
 
-use super::super::flat::median;
-use super::Grid;
+use crate::calibrate::board::flat::median;
+use crate::calibrate::board::judge::Grid;
 
 /// Steps of a profile across an edge.
 const PROFILE: usize = 64;
@@ -11,7 +11,7 @@ const PROFILE: usize = 64;
 impl Grid<'_> {
     /// From 10 to 90 % across the edges of squares, pixels: median of those along columns, and of those along rows, the
     /// wider of the two (a picture that moved is blurred in one direction).
-    pub(in super::super) fn edge_px(&self) -> f64 {
+    pub(crate) fn edge_px(&self) -> f64 {
         let widths = |aside: usize, below: usize| {
             let width = |(c, r)| self.width_px((c, r), (c + aside, r + below));
             median(self.squares().filter_map(width).collect())

@@ -1,0 +1,130 @@
+//! A grey picture from a file, for finding boards in.
+
+use std::io::{Cursor, ErrorKind};
+use std::path::{Path, PathBuf};
+
+use image::{DynamicImage, ImageDecoder, ImageReader};
+use nalgebra::Point2;
+
+use crate::source::jpeg;
+
+/// Why a picture cannot be had.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum GreyError {
+    /// No such file.
+    #[error("{}: no such picture", path.display())]
+    NotFound {
+        /// What was asked for.
+        path: PathBuf,
+    },
+    /// The operating system refuses.
+    #[error("{}: cannot be read: {source}", path.display())]
+    Io {
+        /// What was asked for.
+        path: PathBuf,
+        /// Its reason.
+        source: std::io::Error,
+    },
+    /// Not a picture that can be decoded.
+    #[error("{}: is no picture that can be read, or not all of it is there ({source}); PNG, JPEG, TIFF, BMP and PNM are", path.display())]
+    Undecodable {
+        /// The file.
+        path: PathBuf,
+        /// The decoder's reason.
+        source: image::ImageError,
+    },
+    /// A file that was not copied to its end.
+    #[error("{}: the file ends before the picture does: copy it again, or leave it out", path.display())]
+    CutOff {
+        /// The file.
+        path: PathBuf,
+    },
+}
+
+/// Which rows and columns a picture is read in, when its EXIF data ask for it to be turned.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Rows {
+    /// Turned as asked, as viewers show it.
+    #[default]
+    AsShown,
+    /// The sensor's own, as recordings and [folders of pictures](crate::source::ImageFolder) are read.
+    AsStored,
+}
+
+/// Samples of 8 bits, row by row without padding; grey values as stored (not linear light).
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Grey {
+    width: u32,
+    height: u32,
+    samples: Vec<u8>,
+}
+
+impl Grey {
+    /// `None` when the number of samples is not width times height, or 0.
+    pub fn from_samples(width: u32, height: u32, samples: Vec<u8>) -> Option<Self> {
+        let fits = u64::from(width) * u64::from(height) == samples.len() as u64;
+        (fits && !samples.is_empty()).then_some(Self { width, height, samples })
+    }
+
+    /// Reads PNG, JPEG, TIFF, BMP or PNM, whatever the name's ending says: grey or colour (luma of BT.709), transparency
+    /// ignored. Deeper samples than 8 bits are scaled so that the brightest becomes 255: sensors of 10 or 12 bits often
+    /// fill only the lower part of 16.
+    ///
+    /// # Errors
+    /// [`GreyError`], which names the file.
+    pub fn load(path: &Path, rows: Rows) -> Result<Self, GreyError> {
+        let undecodable = |source| GreyError::Undecodable { path: path.to_path_buf(), source };
+        let io = |source: std::io::Error| match source.kind() {
+            ErrorKind::NotFound => GreyError::NotFound { path: path.to_path_buf() },
+            _ => GreyError::Io { path: path.to_path_buf(), source },
+        };
+        let bytes = std::fs::read(path).map_err(io)?;
+        if jpeg::is_cut_off(&bytes) {
+            return Err(GreyError::CutOff { path: path.to_path_buf() });
+        }
+        let reader = ImageReader::new(Cursor::new(bytes)).with_guessed_format().map_err(io)?;
+        let mut decoder = reader.into_decoder().map_err(undecodable)?;
+        let orientation = decoder.orientation().map_err(undecodable)?;
+        let mut decoded = DynamicImage::from_decoder(decoder).map_err(undecodable)?;
+        if rows == Rows::AsShown {
+            decoded.apply_orientation(orientation);
+        }
+        let (width, height) = (decoded.width(), decoded.height());
+        let deep = decoded.color().bytes_per_pixel() > decoded.color().channel_count();
+        let samples = if deep { to_eight_bits(&decoded.into_luma16()) } else { decoded.into_luma8().into_raw() };
+        Ok(Self { width, height, samples })
+    }
+
+    /// Width and height, pixels.
+    pub fn size_px(&self) -> [u32; 2] {
+        [self.width, self.height]
+    }
+
+    /// Row by row.
+    pub fn samples(&self) -> &[u8] {
+        &self.samples
+    }
+
+    /// The grey value at a place, bilinear between pixel centres; `None` outside of them.
+    pub(crate) fn at(&self, place: Point2<f64>) -> Option<f64> {
+        let (x, y) = (place.x.floor(), place.y.floor());
+        let sample = |x: f64, y: f64| {
+            let inside = (0.0..f64::from(self.width)).contains(&x) && (0.0..f64::from(self.height)).contains(&y);
+            let index = y as usize * self.width as usize + x as usize;
+            if inside { self.samples.get(index).map(|s| f64::from(*s)) } else { None }
+        };
+        let (u, v) = (place.x - x, place.y - y);
+        let row = |y: f64| {
+            let left = sample(x, y)?;
+            if u > 0.0 { Some(left + u * (sample(x + 1.0, y)? - left)) } else { Some(left) }
+        };
+        let above = row(y)?;
+        if v > 0.0 { Some(above + v * (row(y + 1.0)? - above)) } else { Some(above) }
+    }
+}
+
+fn to_eight_bits(samples: &[u16]) -> Vec<u8> {
+    let brightest = u32::from(samples.iter().copied().max().unwrap_or(0)).max(1);
+    samples.iter().map(|s| ((u32::from(*s) * 255 + brightest / 2) / brightest) as u8).collect()
+}

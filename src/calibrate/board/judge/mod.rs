@@ -1,0 +1,487 @@
+//! Whether corners that were found are those of a board, and how well it can be seen.
+
+mod edge;
+
+use nalgebra::{Matrix3, Point2, Vector2};
+
+use crate::calibrate::board::flat::{homography, map, median};
+use crate::calibrate::board::grey::Grey;
+
+/// A homography must explain the corners to this share of a square (RMS): distortion bends a board, but not more.
+const BENT: f64 = 0.25;
+/// How far a corner may be from where its neighbours have it: this share of a square, or so many pixels if that is more.
+const ASTRAY: (f64, f64) = (0.08, 1.0);
+/// Least difference of dark and light squares, grey values (median).
+const LEAST_CONTRAST: f64 = 8.0;
+/// Squares beyond the outermost ones, alternating with this share of the board's contrast, are part of a larger board.
+const GOES_ON: f64 = 0.5;
+/// How far its outline is from the corners, in squares: the outer squares and a little of the rim.
+const RIM: f64 = 1.2;
+
+/// Why a grid of corners is refused.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum Flaw {
+    /// Cells that are no convex quadrilaterals of one orientation.
+    #[error("its corners are not in order at column {column}, row {row}")]
+    Folded {
+        /// Column of the cell, from 0.
+        column: usize,
+        /// Row of the cell, from 0.
+        row: usize,
+    },
+    /// A grid that is no flat board.
+    #[error("no flat board looks like it: corners are off by {rms_px:.1} px (RMS), squares have {square_px:.1} px")]
+    Bent {
+        /// RMS distance from the best homography, pixels.
+        rms_px: f64,
+        /// Side of a square, pixels.
+        square_px: f64,
+    },
+    /// A corner that does not fit in.
+    #[error("the corner in column {column}, row {row} is {off_px:.1} px from where its neighbours have it")]
+    Astray {
+        /// Its column, from 0.
+        column: usize,
+        /// Its row, from 0.
+        row: usize,
+        /// How far off, pixels.
+        off_px: f64,
+    },
+    /// Squares that are not dark and light in turn.
+    #[error("dark and light do not alternate at column {column}, row {row}")]
+    Colours {
+        /// Column of a square, from 0.
+        column: usize,
+        /// Row of a square, from 0.
+        row: usize,
+    },
+    /// Hardly any difference of dark and light.
+    #[error("its squares differ by {contrast:.0} grey values of 255; {LEAST_CONTRAST} are needed")]
+    Faint {
+        /// Median difference of dark and light squares.
+        contrast: f64,
+    },
+    /// No two whole squares side by side.
+    #[error("no two neighbouring squares are seen whole")]
+    Scattered,
+    /// A part of a larger board.
+    #[error("the board goes on beyond it")]
+    Larger {
+        /// Inner corners in a row that can be seen.
+        columns: usize,
+        /// Inner corners in a column that can be seen.
+        rows: usize,
+    },
+}
+
+/// What a homography leaves of each corner, pixels; `None` where none is seen.
+type Left = Vec<Option<Vector2<f64>>>;
+
+/// Corners of a grid, row by row, and the picture they are in.
+pub(crate) struct Grid<'a> {
+    picture: &'a Grey,
+    columns: usize,
+    rows: usize,
+    /// `None` where a corner is not seen.
+    corners: Vec<Option<Point2<f64>>>,
+    /// How far from its sides a square is of one grey at least, in squares.
+    plain: f64,
+    /// In the picture, the way from columns to rows turns against that from x to y.
+    mirrored: bool,
+}
+
+impl<'a> Grid<'a> {
+    /// A whole grid of plain squares. `None` when the number of corners is not columns times rows, there are fewer than
+    /// three in a line, or one is not in the picture.
+    pub(crate) fn new(picture: &'a Grey, columns: usize, rows: usize, corners: Vec<Point2<f64>>) -> Option<Self> {
+        let whole = columns > 2 && rows > 2 && corners.len() == columns * rows;
+        let corners: Vec<_> = corners.into_iter().map(Some).collect();
+        (whole && corners.iter().flatten().all(|c| picture.at(*c).is_some())).then_some(Self {
+            picture,
+            columns,
+            rows,
+            corners,
+            plain: 0.5,
+            mirrored: false,
+        })
+    }
+
+    /// A grid of which some corners are seen, in a mirror maybe, and whose squares are printed on but for `plain` (in squares)
+    /// along their sides. `None` when the number of corners, seen or not, is not columns times rows.
+    pub(crate) fn part(
+        picture: &'a Grey,
+        [columns, rows]: [usize; 2],
+        corners: Vec<Option<Point2<f64>>>,
+        plain: f64,
+        mirrored: bool,
+    ) -> Option<Self> {
+        (corners.len() == columns * rows).then_some(Self { picture, columns, rows, corners, plain, mirrored })
+    }
+
+    /// The same grid with its corners elsewhere, one for one; `None` as in [`Grid::new`].
+    pub(crate) fn with_corners(&self, corners: Vec<Point2<f64>>) -> Option<Self> {
+        Self::new(self.picture, self.columns, self.rows, corners)
+    }
+
+    /// Columns for rows.
+    pub(crate) fn transposed(self) -> Self {
+        let corners = (0..self.columns).flat_map(|c| (0..self.rows).map(move |r| (c, r))).map(|(c, r)| self.at(c, r));
+        Self { columns: self.rows, rows: self.columns, corners: corners.collect(), ..self }
+    }
+
+    /// Columns and rows.
+    pub(crate) fn size(&self) -> [usize; 2] {
+        [self.columns, self.rows]
+    }
+
+    /// Corners that are seen: column and row, pixels.
+    pub(crate) fn seen(&self) -> impl Iterator<Item = ((usize, usize), Point2<f64>)> + Clone + '_ {
+        let columns = self.columns;
+        self.corners.iter().enumerate().filter_map(move |(i, corner)| Some(((i % columns, i / columns), (*corner)?)))
+    }
+
+    /// Corners that are seen, with their indices.
+    pub(crate) fn into_corners(self) -> Vec<(usize, Point2<f64>)> {
+        self.corners.into_iter().enumerate().filter_map(|(i, corner)| Some((i, corner?))).collect()
+    }
+
+    /// Forgets a corner.
+    pub(crate) fn without(&mut self, column: usize, row: usize) {
+        if let Some(corner) = self.corners.get_mut(row * self.columns + column) {
+            *corner = None;
+        }
+    }
+
+    /// Corner in column c, row r; `None` where none is seen.
+    fn at(&self, c: usize, r: usize) -> Option<Point2<f64>> {
+        let inside = c < self.columns && r < self.rows;
+        if inside { self.corners.get(r * self.columns + c).copied().flatten() } else { None }
+    }
+
+    /// The corners of a square, around it from the upper left.
+    fn square(&self, c: usize, r: usize) -> Option<[Point2<f64>; 4]> {
+        Some([self.at(c, r)?, self.at(c + 1, r)?, self.at(c + 1, r + 1)?, self.at(c, r + 1)?])
+    }
+
+    /// Columns and rows of all squares all of whose corners are seen.
+    fn squares(&self) -> impl Iterator<Item = (usize, usize)> + '_ {
+        let columns = self.columns - 1;
+        (0..self.rows - 1)
+            .flat_map(move |r| (0..columns).map(move |c| (c, r)))
+            .filter(|(c, r)| self.square(*c, *r).is_some())
+    }
+
+    /// Distance of the nearest neighbour of a corner, pixels; infinite where none is seen.
+    fn nearest_px(&self, c: usize, r: usize, corner: Point2<f64>) -> f64 {
+        let around = [(c.wrapping_sub(1), r), (c + 1, r), (c, r.wrapping_sub(1)), (c, r + 1)];
+        let distance = |(c, r): (usize, usize)| Some((self.at(c, r)? - corner).norm());
+        around.into_iter().filter_map(distance).fold(f64::INFINITY, f64::min)
+    }
+
+    /// Corners that are seen, each with the distance of its nearest neighbour, pixels.
+    pub(crate) fn with_nearest_px(&self) -> impl Iterator<Item = (Point2<f64>, f64)> + '_ {
+        self.seen().map(|((c, r), corner)| (corner, self.nearest_px(c, r, corner)))
+    }
+
+    /// Side of a square: median of all sides, pixels.
+    pub(crate) fn square_px(&self) -> f64 {
+        let sides = self.squares().filter_map(|(c, r)| self.square(c, r));
+        median(sides.flat_map(|[corner, aside, _, below]| [(aside - corner).norm(), (below - corner).norm()]).collect())
+    }
+
+    /// Puts the corners in the order that [`super::BoardImage`] describes.
+    pub(crate) fn put_in_order(&mut self) {
+        // Twice the area of a square's upper left half, negative where it is left-handed.
+        let turn = |[corner, aside, _, below]: [Point2<f64>; 4]| (aside - corner).perp(&(below - corner));
+        let across: f64 = self.squares().filter_map(|(c, r)| self.square(c, r)).map(turn).sum();
+        if across < 0.0 {
+            self.corners.chunks_mut(self.columns).for_each(<[_]>::reverse);
+        }
+        let dark_ends_differ = self.columns % 2 != self.rows % 2;
+        let backwards = if dark_ends_differ {
+            let light = |(c, r): (usize, usize)| Some(sign(c, r) * self.grey(c as f64 + 0.5, r as f64 + 0.5)?);
+            self.squares().filter_map(light).sum::<f64>() > 0.0
+        } else {
+            let row = |r: usize| Some(self.at(self.columns - 1, r)? - self.at(0, r)?);
+            let along: Vector2<f64> = (0..self.rows).filter_map(row).sum();
+            along.x < -along.y.abs() * 1e-9 || (along.x.abs() <= along.y.abs() * 1e-9 && along.y < 0.0)
+        };
+        if backwards {
+            self.corners.reverse();
+        }
+    }
+
+    /// The grey value at a place given in columns and rows within the grid, bilinear from the corners around it.
+    fn grey(&self, column: f64, row: f64) -> Option<f64> {
+        let c = (column.max(0.0) as usize).min(self.columns - 2);
+        let r = (row.max(0.0) as usize).min(self.rows - 2);
+        let (u, v) = (column - c as f64, row - r as f64);
+        let [corner, aside, across, below] = self.square(c, r)?;
+        let (above, beneath) = (corner + u * (aside - corner), below + u * (across - below));
+        self.picture.at(above + v * (beneath - above))
+    }
+
+    /// The mean of a few places in the plain part of a square.
+    fn square_grey(&self, c: usize, r: usize) -> Option<f64> {
+        let off = 0.5 - self.plain / 2.0;
+        let places = [(-off, 0.0), (off, 0.0), (0.0, -off), (0.0, off)];
+        let sum: Option<f64> = places.iter().map(|(u, v)| self.grey(c as f64 + 0.5 + u, r as f64 + 0.5 + v)).sum();
+        Some(sum? / places.len() as f64)
+    }
+
+    /// Its corners and outer squares, and a little of the rim: a quadrilateral, or the corners' own where that is none.
+    pub(crate) fn outline(&self) -> Vec<Point2<f64>> {
+        let (right, bottom) = ((self.columns - 1) as f64, (self.rows - 1) as f64);
+        let ends = [(-RIM, -RIM), (right + RIM, -RIM), (right + RIM, bottom + RIM), (-RIM, bottom + RIM)];
+        let flat = self.homography();
+        let outline: Option<Vec<_>> = ends.iter().map(|(c, r)| map(&flat?, *c, *r)).collect();
+        let (last_column, last_row) = (self.columns - 1, self.rows - 1);
+        outline.unwrap_or_else(|| {
+            let ends = [(0, 0), (last_column, 0), (last_column, last_row), (0, last_row)];
+            ends.into_iter().filter_map(|(c, r)| self.at(c, r)).collect()
+        })
+    }
+
+    /// Over all squares between corners.
+    pub(crate) fn mean_grey(&self) -> f64 {
+        let greys: Vec<f64> = self.squares().filter_map(|(c, r)| self.square_grey(c, r)).collect();
+        greys.iter().sum::<f64>() / greys.len().max(1) as f64
+    }
+
+    /// Whether this is a board; its contrast. Corners must be in order ([`Grid::put_in_order`]).
+    pub(crate) fn judge(&self) -> Result<f64, Flaw> {
+        let (board_in_picture, contrast) = self.judge_corners()?;
+        self.check_end(&board_in_picture, contrast)?;
+        Ok(contrast)
+    }
+
+    /// Whether this is a board or a part of one: columns and rows to pixels, its contrast (positive where (0, 0) is dark).
+    pub(crate) fn judge_corners(&self) -> Result<(Matrix3<f64>, f64), Flaw> {
+        if self.squares().next().is_none() {
+            return Err(Flaw::Scattered);
+        }
+        self.check_order()?;
+        let (board_in_picture, off) = self.check_flatness()?;
+        let contrast = self.check_colours()?;
+        self.check_smoothness(&off)?;
+        Ok((board_in_picture, contrast))
+    }
+
+    /// All squares convex and of one orientation.
+    fn check_order(&self) -> Result<(), Flaw> {
+        let sense = if self.mirrored { -1.0 } else { 1.0 };
+        let handed = |(c, r): &(usize, usize)| {
+            let Some(around) = self.square(*c, *r) else { return true };
+            (0..4).all(|i| {
+                let (before, here, after) = (around[(i + 3) % 4], around[i], around[(i + 1) % 4]);
+                sense * (here - before).perp(&(after - here)) > 0.0
+            })
+        };
+        match self.squares().find(|square| !handed(square)) {
+            Some((column, row)) => Err(Flaw::Folded { column, row }),
+            None => Ok(()),
+        }
+    }
+
+    /// A homography explains the corners up to distortion: it (columns and rows to pixels), and what it leaves, pixels.
+    fn check_flatness(&self) -> Result<(Matrix3<f64>, Left), Flaw> {
+        let square_px = self.square_px();
+        let bent = |rms_px: f64| Flaw::Bent { rms_px, square_px };
+        let flat = self.homography().ok_or(bent(f64::INFINITY))?;
+        let mut off = vec![None; self.corners.len()];
+        for ((c, r), corner) in self.seen() {
+            let place = map(&flat, c as f64, r as f64).ok_or(bent(f64::INFINITY))?;
+            off[r * self.columns + c] = Some(corner - place);
+        }
+        let squares = off.iter().flatten().map(Vector2::norm_squared);
+        let rms_px = (squares.clone().sum::<f64>() / squares.count() as f64).sqrt();
+        if rms_px > BENT * square_px { Err(bent(rms_px)) } else { Ok((flat, off)) }
+    }
+
+    /// Distortion leaves each corner where its neighbours have it.
+    fn check_smoothness(&self, off: &[Option<Vector2<f64>>]) -> Result<(), Flaw> {
+        // What a line of corners, row or column, expects of the one at `pos` in it.
+        let expected = |i: usize, pos: usize, step: usize, len: usize| {
+            let at = |steps: isize| {
+                let inside = pos.checked_add_signed(steps).is_some_and(|pos| pos < len);
+                if inside { off.get(i.checked_add_signed(steps * step as isize)?).copied().flatten() } else { None }
+            };
+            let between = at(-1).zip(at(1)).map(|(a, b)| (a + b) / 2.0);
+            let beyond = |way: isize| Some(2.0 * at(way)? - at(2 * way)?);
+            between.or_else(|| beyond(1)).or_else(|| beyond(-1))
+        };
+        // All that can tell must find it astray: beside a corner that is, one does.
+        let astray = |((column, row), corner): ((usize, usize), Point2<f64>)| {
+            let i = row * self.columns + column;
+            let here = off.get(i).copied().flatten()?;
+            let lines = [expected(i, column, 1, self.columns), expected(i, row, self.columns, self.rows)];
+            let off_px = lines.into_iter().flatten().map(|there| (here - there).norm()).reduce(f64::min)?;
+            let most = (ASTRAY.0 * self.nearest_px(column, row, corner)).max(ASTRAY.1);
+            (off_px > most).then_some(Flaw::Astray { column, row, off_px })
+        };
+        let off_px = |flaw: &Flaw| if let Flaw::Astray { off_px, .. } = flaw { *off_px } else { 0.0 };
+        let worst = self.seen().filter_map(astray).max_by(|a, b| off_px(a).total_cmp(&off_px(b)));
+        worst.map_or(Ok(()), Err)
+    }
+
+    /// Neighbouring squares differ, always the same way round; the median difference.
+    fn check_colours(&self) -> Result<f64, Flaw> {
+        let grey = |c: usize, r: usize| self.square_grey(c, r).ok_or(Flaw::Colours { column: c, row: r });
+        let mut steps = Vec::new();
+        for (c, r) in self.squares() {
+            let here = grey(c, r)?;
+            if self.square(c + 1, r).is_some() {
+                steps.push((sign(c, r) * (grey(c + 1, r)? - here), c, r));
+            }
+            if self.square(c, r + 1).is_some() {
+                steps.push((sign(c, r) * (grey(c, r + 1)? - here), c, r));
+            }
+        }
+        if steps.is_empty() {
+            return Err(Flaw::Scattered);
+        }
+        let middle = median(steps.iter().map(|s| s.0).collect());
+        match steps.iter().find(|s| s.0 * middle <= 0.0) {
+            Some((_, column, row)) => Err(Flaw::Colours { column: *column, row: *row }),
+            None if middle.abs() < LEAST_CONTRAST => Err(Flaw::Faint { contrast: middle.abs() }),
+            None => Ok(middle),
+        }
+    }
+
+    /// The board ends with the squares around the outermost corners. `contrast`: positive where (0, 0) is dark.
+    fn check_end(&self, board_in_picture: &Matrix3<f64>, contrast: f64) -> Result<(), Flaw> {
+        let grey = |c: i64, r: i64| self.picture.at(map(board_in_picture, c as f64 + 0.5, r as f64 + 0.5)?);
+        // Squares side by side beyond the board, from (c, r) on: whether each step from one to the next has the right sign and size.
+        let alternate = |line: &mut dyn Iterator<Item = (i64, i64)>| {
+            let squares: Vec<_> =
+                line.map(|(c, r)| grey(c, r).map(|g| (g, if (c + r) % 2 == 0 { 1.0 } else { -1.0 }))).collect();
+            squares.windows(2).all(|pair| match pair {
+                [Some((here, sign)), Some((next, _))] => sign * (next - here) / contrast > GOES_ON,
+                _ => false,
+            })
+        };
+        let (columns, rows) = (self.columns as i64, self.rows as i64);
+        let beyond_column = |c: i64| alternate(&mut (-1..rows).map(|r| (c, r)));
+        let beyond_row = |r: i64| alternate(&mut (-1..columns).map(|c| (c, r)));
+        let count = |goes_on: &dyn Fn(i64) -> bool| (0..50).take_while(|i| goes_on(*i)).count();
+        let more_columns = count(&|i| beyond_column(columns + i)) + count(&|i| beyond_column(-2 - i));
+        let more_rows = count(&|i| beyond_row(rows + i)) + count(&|i| beyond_row(-2 - i));
+        if more_columns + more_rows > 0 {
+            return Err(Flaw::Larger { columns: self.columns + more_columns, rows: self.rows + more_rows });
+        }
+        Ok(())
+    }
+
+    /// Columns and rows to pixels, lens distortion ignored.
+    fn homography(&self) -> Option<Matrix3<f64>> {
+        let pairs: Vec<_> = self.seen().map(|((c, r), corner)| (Point2::new(c as f64, r as f64), corner)).collect();
+        homography(&pairs)
+    }
+}
+
+/// The sign of a square's turn in the chequer.
+fn sign(c: usize, r: usize) -> f64 {
+    if (c + r).is_multiple_of(2) { 1.0 } else { -1.0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SQUARE: f64 = 20.0;
+
+    /// A chequer over the whole picture but for a white rim around 6x5 squares from (40, 40) on, in slight perspective.
+    fn place(c: f64, r: f64) -> Point2<f64> {
+        Point2::new(60.0 + SQUARE * c, 60.0 + SQUARE * r) / (1.0 + 0.004 * c + 0.002 * r)
+    }
+
+    fn picture(grey: impl Fn(f64, f64) -> u8) -> Grey {
+        let samples = (0..240 * 240).map(|i| {
+            let (x, y) = (f64::from(i % 240), f64::from(i / 240));
+            // place() solved for (c, r).
+            let (a, b, d, e) = (SQUARE - 0.004 * x, -0.002 * x, -0.004 * y, SQUARE - 0.002 * y);
+            let (c, r) = (
+                ((x - 60.0) * e - b * (y - 60.0)) / (a * e - b * d),
+                (a * (y - 60.0) - d * (x - 60.0)) / (a * e - b * d),
+            );
+            grey(c, r)
+        });
+        Grey::from_samples(240, 240, samples.collect()).unwrap()
+    }
+
+    /// A board of 5x4 inner corners.
+    fn board(c: f64, r: f64) -> u8 {
+        let inside = (-1.0..5.0).contains(&c) && (-1.0..4.0).contains(&r);
+        if inside && (c.floor() + r.floor()).rem_euclid(2.0) == 0.0 { 40 } else { 200 }
+    }
+
+    fn corners(columns: usize, rows: usize) -> Vec<Point2<f64>> {
+        (0..rows).flat_map(|r| (0..columns).map(move |c| place(c as f64, r as f64))).collect()
+    }
+
+    fn judged(picture: &Grey, columns: usize, rows: usize, corners: Vec<Point2<f64>>) -> Result<f64, Flaw> {
+        Grid::new(picture, columns, rows, corners).unwrap().judge()
+    }
+
+    #[test]
+    fn a_board_is_one() {
+        let contrast = judged(&picture(board), 5, 4, corners(5, 4)).unwrap();
+        assert!((contrast - 160.0).abs() < 1.0, "{contrast}");
+    }
+
+    #[test]
+    fn one_corner_beside_its_place_is_told_by_name() {
+        let picture = picture(board);
+        for i in 0..20 {
+            let mut corners = corners(5, 4);
+            corners[i] += Vector2::new(2.5, -2.0);
+            match judged(&picture, 5, 4, corners) {
+                Err(Flaw::Astray { column, row, off_px }) => {
+                    assert_eq!((column, row), (i % 5, i / 5));
+                    assert!((1.6..4.0).contains(&off_px), "corner {i}: {off_px} px");
+                }
+                other => panic!("corner {i}: {other:?}"),
+            }
+        }
+        let mut corners = corners(5, 4);
+        corners[7] += Vector2::new(0.5, -0.5);
+        assert!(judged(&picture, 5, 4, corners).is_ok(), "noise is no flaw");
+    }
+
+    #[test]
+    fn corners_out_of_order_a_plane_that_is_none_and_wrong_colours_are_refused() {
+        let picture = picture(board);
+        let mut swapped = corners(5, 4);
+        swapped.swap(6, 7);
+        assert!(matches!(judged(&picture, 5, 4, swapped), Err(Flaw::Folded { .. })));
+
+        // Folded along the middle, as a sheet is: every square still convex.
+        let mut folded = corners(5, 4);
+        folded.iter_mut().for_each(|c| c.x += 0.9 * (c.y - 90.0).abs());
+        assert!(matches!(judged(&picture, 5, 4, folded), Err(Flaw::Bent { .. })));
+
+        let shifted: Vec<_> = (0..20).map(|i| place((i % 5) as f64 + 0.5, (i / 5) as f64)).collect();
+        assert!(matches!(judged(&picture, 5, 4, shifted), Err(Flaw::Colours { .. })));
+
+        let faint = self::picture(|c, r| 100 + board(c, r) / 32);
+        assert!(matches!(judged(&faint, 5, 4, corners(5, 4)), Err(Flaw::Faint { .. })));
+
+        // One square painted over.
+        let spot =
+            self::picture(|c, r| if (1.0..2.0).contains(&c) && (1.0..2.0).contains(&r) { 200 } else { board(c, r) });
+        assert!(matches!(judged(&spot, 5, 4, corners(5, 4)), Err(Flaw::Colours { .. })));
+    }
+
+    #[test]
+    fn a_part_of_a_board_is_told_with_the_size_of_the_whole() {
+        let picture = picture(board);
+        let whole = Err(Flaw::Larger { columns: 5, rows: 4 });
+        assert_eq!(judged(&picture, 3, 4, corners(3, 4)), whole);
+        assert_eq!(judged(&picture, 5, 3, corners(5, 3)), whole);
+        let middle = (0..9).map(|i| place((i % 3 + 1) as f64, (i / 3 + 1) as f64)).collect();
+        let mut grid = Grid::new(&picture, 3, 3, middle).unwrap();
+        grid.put_in_order();
+        assert_eq!(grid.judge(), whole);
+    }
+}

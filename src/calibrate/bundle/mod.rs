@@ -1,0 +1,346 @@
+//! Bundle adjustment: the geometry and the poses of the board that explain all corners of all pictures best.
+//!
+//! In: a start, corners seen, prior knowledge. Out: [`Solution`] with the geometry's covariance and what every corner left.
+//!
+//! Minimised is Σ ρ(|corner − projection| / σ) + Σ ((known − value)/sd)², ρ Huber's (`least_squares.rs`): the geometry is shared
+//! by all pictures, the six parameters of its pose are each picture's own. σ, the noise of a corner, is taken from the corners
+//! themselves and the whole repeated.
+//!
+//! The covariance of the geometry has all poses free. It supposes independent errors of the corners, flat mirrors and walls,
+//! and a flat board.
+
+pub mod outliers;
+pub(crate) mod pose;
+pub mod prior;
+
+use crate::calibrate::bundle::prior::{Equation, Prior};
+use crate::calibrate::geometry::{Geometry, Parameter, Projector};
+use crate::calibrate::least_squares::{End, Equations, Loss, Row, Step, Stuck, minimise};
+use crate::optics::NoRay;
+use nalgebra::{DMatrix, DVector, Isometry3, Point2, Point3, Vector2, Vector3};
+use pose::{by_pose, turned};
+
+/// A corner further off than so many σ says nothing about σ.
+const OUTLIER: f64 = 4.0;
+/// Noise assumed at first, pixels; the least ever assumed (corners made by a program have none).
+const START_SD_PX: f64 = 0.5;
+const LEAST_SD_PX: f64 = 1e-6;
+const MOST_ROUNDS: usize = 6;
+/// Of a round.
+const END: End = End { enough: (1e-9, 1e-9), most_steps: 200 };
+
+/// A corner of the board in a view of a picture.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Corner {
+    /// Index of the picture, that is of the pose.
+    pub picture: usize,
+    /// Index of the view.
+    pub view: usize,
+    /// The corner, board frame, metres; the board's frame is best put in its middle.
+    pub place: Point3<f64>,
+    /// Where it was found.
+    pub pixel: Point2<f64>,
+}
+
+/// What is to be solved, and where the search starts.
+#[derive(Debug, Clone)]
+pub struct Bundle {
+    /// Lens, surfaces, views.
+    pub geometry: Geometry,
+    /// What of the geometry may change.
+    pub free: Vec<Parameter>,
+    /// For each picture, camera_from_board.
+    pub poses: Vec<Isometry3<f64>>,
+    /// For each picture, its name in messages.
+    pub names: Vec<String>,
+    /// All corners.
+    pub corners: Vec<Corner>,
+    /// What else is known.
+    pub known: Vec<Prior>,
+}
+
+/// The answer.
+#[derive(Debug, Clone)]
+pub struct Solution {
+    /// Lens, surfaces, views.
+    pub geometry: Geometry,
+    /// What of the geometry was free, in the order of the covariance.
+    pub free: Vec<Parameter>,
+    /// Covariance of the free parameters; tilts about [`super::geometry::tilt_axes`] of the solved surfaces.
+    pub covariance: DMatrix<f64>,
+    /// For each picture, camera_from_board.
+    pub poses: Vec<Isometry3<f64>>,
+    /// For each picture, its name in messages.
+    pub names: Vec<String>,
+    /// For each corner, found − projected, pixels.
+    pub residuals_px: Vec<Vector2<f64>>,
+    /// Noise of one coordinate of a corner, pixels.
+    pub corner_sd_px: f64,
+    /// What else was known.
+    pub known: Vec<Prior>,
+}
+
+/// Why there is no answer.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum NoSolution {
+    /// The start does not show a corner.
+    #[error("{picture} cannot show the board there, {why}: are tank, distances and mirrors as they were given?")]
+    NotSeen {
+        /// The picture's name.
+        picture: String,
+        /// Why.
+        why: NoRay,
+    },
+    /// The corners leave a direction open.
+    #[error("the pictures leave the solution open")]
+    Singular,
+    /// The search did not settle.
+    #[error("the search did not settle after {} steps", END.most_steps)]
+    NotConverged,
+}
+
+/// Where the search is.
+struct State {
+    geometry: Geometry,
+    poses: Vec<Isometry3<f64>>,
+}
+
+impl Bundle {
+    /// Solves from where `self` starts.
+    ///
+    /// # Errors
+    /// [`NoSolution`] when the start does not show the board, or the pictures do not determine the geometry.
+    pub fn solve(self) -> Result<Solution, NoSolution> {
+        let mut at = State { geometry: self.geometry.clone(), poses: self.poses.clone() };
+        let mut sd_px = START_SD_PX;
+        for round in 0.. {
+            (at, _) = minimise(END, at, |at| self.equations(at, sd_px), |at, step| Ok(self.stepped(at, step)))?;
+            let found = self.noise(&self.residuals_px(&at)?);
+            let settled = (found / sd_px - 1.0).abs() < 0.01 || found == LEAST_SD_PX;
+            sd_px = found;
+            if settled || round == MOST_ROUNDS {
+                break;
+            }
+        }
+        Ok(Solution {
+            covariance: self.equations(&at, sd_px)?.covariance().ok_or(NoSolution::Singular)?,
+            residuals_px: self.residuals_px(&at)?,
+            corner_sd_px: sd_px,
+            geometry: at.geometry,
+            poses: at.poses,
+            free: self.free,
+            names: self.names,
+            known: self.known,
+        })
+    }
+
+    fn stepped(&self, at: &State, step: &Step) -> State {
+        let pose = |(pose, own): (&Isometry3<f64>, &DVector<f64>)| turned(pose, &own.fixed_rows::<6>(0).into_owned());
+        State {
+            geometry: at.geometry.stepped(&self.free, step.shared.as_slice()),
+            poses: at.poses.iter().zip(&step.own).map(pose).collect(),
+        }
+    }
+
+    fn residuals_px(&self, at: &State) -> Result<Vec<Vector2<f64>>, NoSolution> {
+        let projector = Projector::new(&at.geometry, &[]);
+        self.corners
+            .iter()
+            .map(|corner| {
+                let place = at.poses[corner.picture] * corner.place;
+                let pixel = projector.pixel(corner.view, &place).map_err(|why| self.unseen(corner, why))?;
+                Ok(corner.pixel - pixel)
+            })
+            .collect()
+    }
+
+    fn unseen(&self, corner: &Corner, why: NoRay) -> NoSolution {
+        NoSolution::NotSeen { picture: self.names.get(corner.picture).cloned().unwrap_or_default(), why }
+    }
+
+    /// σ of a corner's coordinate: first from the median of the residuals, then from all that are no outliers by that one.
+    fn noise(&self, residuals_px: &[Vector2<f64>]) -> f64 {
+        let unknowns = self.free.len() + 6 * self.poses.len();
+        let coordinates = (2 * residuals_px.len()) as f64;
+        let freedom = (coordinates - unknowns as f64).max(1.0) / coordinates;
+        let mut squares: Vec<f64> = residuals_px.iter().map(Vector2::norm_squared).collect();
+        squares.sort_by(f64::total_cmp);
+        let median = squares.get(squares.len() / 2).copied().unwrap_or_default();
+        // The median of |r|² of two independent Gaussian coordinates is 2 ln 2 σ².
+        let limit = OUTLIER.powi(2) * median / (2.0 * std::f64::consts::LN_2);
+        let inliers: Vec<f64> = squares.into_iter().filter(|s| *s <= limit).collect();
+        let mean = inliers.iter().sum::<f64>() / inliers.len().max(1) as f64;
+        (mean / 2.0 / freedom).sqrt().max(LEAST_SD_PX)
+    }
+
+    fn equations(&self, at: &State, sd_px: f64) -> Result<Equations, NoSolution> {
+        let mut equations = Equations::new(self.free.len(), at.poses.iter().map(|_| 6));
+        let projector = Projector::new(&at.geometry, &self.free);
+        for corner in &self.corners {
+            let pose = &at.poses[corner.picture];
+            let seen = projector.seen(corner.view, &(pose * corner.place)).map_err(|why| self.unseen(corner, why))?;
+            let residual = (corner.pixel - seen.pixel) / sd_px;
+            let by_geometry = [0, 1].map(|axis| seen.d_parameters.iter().map(|d| d[axis] / sd_px).collect::<Vec<_>>());
+            let by_pose = [0, 1].map(|axis| {
+                let d_place = Vector3::from(seen.d_point.row(axis).transpose()) / sd_px;
+                by_pose(pose, &corner.place, &d_place)
+            });
+            let row = |axis: usize| Row {
+                residual: residual[axis],
+                shared: &by_geometry[axis],
+                own: by_pose[axis].as_slice(),
+            };
+            equations.add(Some(corner.picture), &[row(0), row(1)], Loss::Robust);
+        }
+        for known in &self.known {
+            for Equation { residual, by_geometry, by_pose } in known.rows(&at.geometry, &at.poses, &self.free) {
+                let own = by_pose.as_ref().map_or(&[][..], |(_, by_pose)| by_pose.as_slice());
+                let row = Row { residual, shared: by_geometry.as_slice(), own };
+                equations.add(by_pose.map(|(picture, _)| picture), &[row], Loss::Squared);
+            }
+        }
+        Ok(equations)
+    }
+}
+
+impl From<Stuck<Self>> for NoSolution {
+    fn from(stuck: Stuck<Self>) -> Self {
+        match stuck {
+            Stuck::Start(why) => why,
+            Stuck::Singular => Self::Singular,
+            Stuck::NotSettled => Self::NotConverged,
+        }
+    }
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use super::*;
+    use crate::calibrate::geometry::tests::geometry;
+    use crate::calibrate::tests::gaussian;
+    use nalgebra::{Translation3, UnitQuaternion, Vector6};
+
+    /// Twelve small boards in the water, seen directly and in the mirror, and a start that is off.
+    fn pictures(
+        geometry: &Geometry,
+        sd_px: f64,
+        random: &mut impl FnMut() -> f64,
+    ) -> (Vec<Isometry3<f64>>, Vec<Corner>) {
+        let mut poses = Vec::new();
+        let mut corners = Vec::new();
+        while poses.len() < 12 {
+            let mut around = |middle: f64, half: f64| middle + half * random().clamp(-2.0, 2.0);
+            let turn = Vector3::new(around(0.0, 0.35), around(0.6, 0.3), around(0.0, 0.5));
+            let middle = Translation3::new(around(-0.12, 0.02), around(0.0, 0.03), around(1.38, 0.02));
+            let pose = Isometry3::from_parts(middle, UnitQuaternion::from_scaled_axis(turn));
+            let mut own = Vec::new();
+            for (view, (x, y)) in (0..2).flat_map(|v| (0..5).flat_map(move |x| (0..4).map(move |y| (v, (x, y))))) {
+                let place = Point3::new(0.016 * (f64::from(x) - 2.0), 0.016 * (f64::from(y) - 1.5), 0.0);
+                let Ok(pixel) = geometry.path(view).project(&(pose * place)) else { break };
+                let noise = Vector2::new(random(), random()) * sd_px;
+                own.push(Corner { picture: poses.len(), view, place, pixel: pixel + noise });
+            }
+            if own.len() == 40 {
+                corners.extend(own);
+                poses.push(pose);
+            }
+        }
+        (poses, corners)
+    }
+
+    /// What a laboratory has, a calibrated lens and a tape measure, each `errors` times its standard deviation off.
+    fn known(errors: f64, random: &mut impl FnMut() -> f64) -> Vec<Prior> {
+        let truth = geometry();
+        let sd = [3.0, 3.0, 2.0, 2.0, 0.02, 0.3, 5e-4, 5e-4, 1.0];
+        let values = std::array::from_fn(|i| truth.value(Parameter::LENS[i]) + errors * sd[i] * random());
+        let whitening = DMatrix::from_diagonal(&DVector::from_iterator(9, sd.iter().map(|s: &f64| 1.0 / s)));
+        let distance_m = truth.value(Parameter::Offset { surface: 0 }).abs() + errors * 2e-3 * random();
+        vec![Prior::Lens { values, whitening }, Prior::Distance { surface: 0, distance_m, sd_m: 2e-3 }]
+    }
+
+    pub(crate) fn bundle(truth: &Geometry, sd_px: f64, errors: f64, seed: u64) -> Bundle {
+        let mut random = gaussian(seed);
+        let (poses, corners) = pictures(truth, sd_px, &mut random);
+        let free: Vec<Parameter> = Parameter::LENS.into_iter().chain((0..3).flat_map(Parameter::of_surface)).collect();
+        let off: Vec<f64> = free
+            .iter()
+            .map(|p| match p {
+                Parameter::Focal(_) | Parameter::Principal(_) => 3.0 * random(),
+                Parameter::Distortion(_) => 1e-4 * random(),
+                Parameter::Tilt { .. } => 4e-3 * random(),
+                _ => 3e-3 * random(),
+            })
+            .collect();
+        let poses: Vec<_> = poses
+            .iter()
+            .map(|pose| turned(pose, &Vector6::from_fn(|i, _| if i < 3 { 4e-3 } else { 0.04 } * random())))
+            .collect();
+        let names = (0..poses.len()).map(|i| format!("{i:02}.png")).collect();
+        Bundle { geometry: truth.stepped(&free, &off), free, poses, names, corners, known: known(errors, &mut random) }
+    }
+
+    fn error(solved: &Solution, truth: &Geometry) -> DVector<f64> {
+        let of = |p: &Parameter| match *p {
+            Parameter::Tilt { surface, axis } => {
+                let plane = |g: &Geometry| g.surfaces[surface].1.plane().normal();
+                let axes = crate::calibrate::geometry::tilt_axes(&plane(&solved.geometry));
+                plane(truth).cross(&plane(&solved.geometry)).dot(&axes[axis])
+            }
+            p => solved.geometry.value(p) - truth.value(p),
+        };
+        DVector::from_iterator(solved.free.len(), solved.free.iter().map(of))
+    }
+
+    #[test]
+    fn without_noise_the_truth_is_found() {
+        let truth = geometry();
+        let solved = bundle(&truth, 0.0, 0.0, 1).solve().unwrap();
+        assert!(solved.corner_sd_px < 1e-5, "{}", solved.corner_sd_px);
+        for (parameter, error) in solved.free.iter().zip(error(&solved, &truth).iter()) {
+            let limit = if matches!(parameter, Parameter::Focal(_) | Parameter::Principal(_)) { 1e-3 } else { 1e-4 };
+            assert!(error.abs() < limit, "{parameter:?} is off by {error}");
+        }
+    }
+
+    #[test]
+    fn a_picture_that_cannot_show_the_board_is_named() {
+        let mut behind = bundle(&geometry(), 0.0, 0.0, 1);
+        behind.poses[3].translation.vector.z = -1.0;
+        let error = behind.solve().unwrap_err().to_string();
+        assert!(error.starts_with("03.png cannot show the board there, "), "{error}");
+    }
+
+    #[test]
+    fn outliers_do_not_pull() {
+        let truth = geometry();
+        let mut with = bundle(&truth, 0.05, 1.0, 7);
+        let clean = with.clone().solve().unwrap();
+        for corner in with.corners.iter_mut().step_by(60) {
+            corner.pixel.x += 9.0;
+        }
+        let solved = with.solve().unwrap();
+        assert!((solved.corner_sd_px / clean.corner_sd_px - 1.0).abs() < 0.15);
+        let whitened = clean.covariance.clone().cholesky().unwrap().inverse();
+        let moved = error(&solved, &truth) - error(&clean, &truth);
+        let chi2 = moved.dot(&(whitened * &moved)) / moved.len() as f64;
+        assert!(chi2 < 0.5, "moved by {chi2} of its covariance");
+    }
+
+    /// The spread of every parameter over many calibrations is its predicted σ, and nothing is biased.
+    #[test]
+    fn predicted_deviations_are_those_of_many_calibrations() {
+        const RUNS: u64 = 150;
+        let truth = geometry();
+        let solved: Vec<Solution> = (0..RUNS)
+            .map(|seed| bundle(&truth, 0.1, 1.0, 100 + seed).solve().unwrap_or_else(|e| panic!("{seed}: {e}")))
+            .collect();
+        let normalised: Vec<DVector<f64>> =
+            solved.iter().map(|s| error(s, &truth).component_div(&s.covariance.diagonal().map(f64::sqrt))).collect();
+        for (i, parameter) in solved[0].free.iter().enumerate() {
+            let mean = |of: &dyn Fn(f64) -> f64| normalised.iter().map(|n| of(n[i])).sum::<f64>() / RUNS as f64;
+            let (bias, spread) = (mean(&|e| e), mean(&|e| e * e).sqrt());
+            assert!((0.8..1.25).contains(&spread), "{parameter:?} scatters by {spread:.2} of its predicted deviation");
+            assert!(bias.abs() < 3.5 / (RUNS as f64).sqrt(), "{parameter:?} is off by {bias:.2} on average");
+        }
+    }
+}

@@ -1,0 +1,371 @@
+//! Least squares in the shape of an arrow: unknowns that all observations share, and blocks of unknowns that meet only these.
+//!
+//! In: a start, its [`Equations`], what a [`Step`] makes of it. Out: where the cost is least, with the equations there, whose
+//! inverse is the covariance of what is shared.
+//!
+//! Minimised is Σ ρ(|r|) over all observations, r their residuals in standard deviations, ρ a square or Huber's, by
+//! Levenberg-Marquardt. The blocks are eliminated (Schur complement), so that the time grows linearly with their number.
+//!
+//! Source of the method: Triggs et al., "Bundle adjustment: a modern synthesis" (2000), doi:10.1007/3-540-44480-7_21.
+
+use nalgebra::{DMatrix, DVector, DVectorView};
+
+/// Beyond this many σ an observation's weight falls (Huber).
+const HUBER: f64 = 2.5;
+/// Damping at first, the least, and where more of it no longer mends a matrix that is not positive by rounding.
+const DAMPING: (f64, f64, f64) = (1e-4, 1e-12, 1e6);
+
+/// What the residual of an observation, in standard deviations, costs.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum Loss {
+    /// Its square.
+    Squared,
+    /// Huber's: its square near zero, in proportion further off, so that outliers do not pull.
+    Robust,
+}
+
+impl Loss {
+    /// Weight and cost of a residual of this length.
+    fn of(self, length: f64) -> (f64, f64) {
+        match self {
+            Self::Robust if length > HUBER => (HUBER / length, HUBER * (2.0 * length - HUBER)),
+            _ => (1.0, length * length),
+        }
+    }
+}
+
+/// One coordinate of an observation: residual (seen − predicted) and derivatives of the prediction, in standard deviations.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Row<'a> {
+    pub(crate) residual: f64,
+    /// By all shared unknowns.
+    pub(crate) shared: &'a [f64],
+    /// By all unknowns of the observation's block; nothing when it belongs to none.
+    pub(crate) own: &'a [f64],
+}
+
+/// Normal equations.
+#[derive(Debug, Clone)]
+pub(crate) struct Equations {
+    /// The lower triangle.
+    shared: DMatrix<f64>,
+    gradient: DVector<f64>,
+    blocks: Vec<Block>,
+    cost: f64,
+}
+
+#[derive(Debug, Clone)]
+struct Block {
+    /// Shared unknowns x its own.
+    coupling: DMatrix<f64>,
+    matrix: DMatrix<f64>,
+    gradient: DVector<f64>,
+}
+
+/// A step of all unknowns.
+#[derive(Debug, Clone)]
+pub(crate) struct Step {
+    pub(crate) shared: DVector<f64>,
+    /// For each block.
+    pub(crate) own: Vec<DVector<f64>>,
+    /// By how much it lowers the cost if the problem is linear.
+    promised: f64,
+}
+
+impl Equations {
+    /// Without any observation: so many shared unknowns, and for each block how many of its own.
+    pub(crate) fn new(shared: usize, blocks: impl IntoIterator<Item = usize>) -> Self {
+        let block = |own: usize| Block {
+            coupling: DMatrix::zeros(shared, own),
+            matrix: DMatrix::zeros(own, own),
+            gradient: DVector::zeros(own),
+        };
+        Self {
+            shared: DMatrix::zeros(shared, shared),
+            gradient: DVector::zeros(shared),
+            blocks: blocks.into_iter().map(block).collect(),
+            cost: 0.0,
+        }
+    }
+
+    /// Adds an observation that depends on what is shared and on no block but `block`.
+    pub(crate) fn add(&mut self, block: Option<usize>, rows: &[Row<'_>], loss: Loss) {
+        let length = rows.iter().map(|row| row.residual * row.residual).sum::<f64>().sqrt();
+        let (weight, cost) = loss.of(length);
+        self.cost += cost;
+        let mut block = block.and_then(|block| self.blocks.get_mut(block));
+        for row in rows {
+            let by_shared = DVectorView::from_slice(row.shared, row.shared.len());
+            self.shared.syger(weight, &by_shared, &by_shared, 1.0);
+            self.gradient.axpy(weight * row.residual, &by_shared, 1.0);
+            let Some(block) = &mut block else { continue };
+            let by_own = DVectorView::from_slice(row.own, row.own.len());
+            block.coupling.ger(weight, &by_shared, &by_own, 1.0);
+            block.matrix.ger(weight, &by_own, &by_own, 1.0);
+            block.gradient.axpy(weight * row.residual, &by_own, 1.0);
+        }
+    }
+
+    /// What the observations tell of the shared unknowns when nothing is known of the blocks: the inverse of the covariance.
+    /// `None` when they leave a block open.
+    pub(crate) fn information(&self) -> Option<DMatrix<f64>> {
+        Some(self.reduced(0.0)?.0)
+    }
+
+    /// Covariance of the shared unknowns, all blocks free; `None` when the observations leave a direction open.
+    pub(crate) fn covariance(&self) -> Option<DMatrix<f64>> {
+        Some(self.information()?.cholesky()?.inverse())
+    }
+
+    /// The step of each block that is best when what is shared stays; `None` when one is left open.
+    pub(crate) fn steps_of_blocks(&self) -> Option<Vec<DVector<f64>>> {
+        self.blocks.iter().map(|block| Some(block.inverse(0.0)? * &block.gradient)).collect()
+    }
+
+    /// Matrix and gradient of what is shared after all blocks are eliminated, diagonals raised by `damping`.
+    fn reduced(&self, damping: f64) -> Option<(DMatrix<f64>, DVector<f64>)> {
+        let mut matrix = self.shared.clone();
+        matrix.fill_upper_triangle_with_lower_triangle();
+        raise_diagonal(&mut matrix, damping);
+        let mut gradient = self.gradient.clone();
+        for block in &self.blocks {
+            let through = &block.coupling * block.inverse(damping)?;
+            matrix.gemm(-1.0, &through, &block.coupling.transpose(), 1.0);
+            gradient.gemv(-1.0, &through, &block.gradient, 1.0);
+        }
+        Some((matrix, gradient))
+    }
+
+    fn step(&self, damping: f64) -> Option<Step> {
+        let (matrix, gradient) = self.reduced(damping)?;
+        let shared = matrix.cholesky()?.solve(&gradient);
+        let own = self.blocks.iter().map(|block| {
+            let pull = &block.gradient - block.coupling.tr_mul(&shared);
+            Some(block.inverse(damping)? * pull)
+        });
+        let own: Vec<DVector<f64>> = own.collect::<Option<_>>()?;
+        let by_blocks: f64 = own.iter().zip(&self.blocks).map(|(step, block)| step.dot(&block.gradient)).sum();
+        let promised = shared.dot(&self.gradient) + by_blocks;
+        Some(Step { shared, own, promised })
+    }
+}
+
+impl Block {
+    fn inverse(&self, damping: f64) -> Option<DMatrix<f64>> {
+        let mut damped = self.matrix.clone();
+        raise_diagonal(&mut damped, damping);
+        Some(damped.cholesky()?.inverse())
+    }
+}
+
+fn raise_diagonal(matrix: &mut DMatrix<f64>, damping: f64) {
+    for i in 0..matrix.nrows() {
+        matrix[(i, i)] *= 1.0 + damping;
+    }
+}
+
+/// When a search ends.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct End {
+    /// It has settled when the next step promises to lower the cost by less than the sum of this part of it and this.
+    pub(crate) enough: (f64, f64),
+    /// It is given up after so many steps.
+    pub(crate) most_steps: usize,
+}
+
+/// Why a search has no answer.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) enum Stuck<E> {
+    /// The start has no equations.
+    Start(E),
+    /// The observations leave a direction open.
+    Singular,
+    /// It did not settle.
+    NotSettled,
+}
+
+/// Goes from `start` to where the cost is least. A step that leads to no equations is taken for one that is too long.
+pub(crate) fn minimise<S, E>(
+    end: End,
+    start: S,
+    equations: impl Fn(&S) -> Result<Equations, E>,
+    stepped: impl Fn(&S, &Step) -> Result<S, E>,
+) -> Result<(S, Equations), Stuck<E>> {
+    let mut here = equations(&start).map_err(Stuck::Start)?;
+    let mut at = start;
+    let (mut damping, least, most) = DAMPING;
+    for _ in 0..end.most_steps {
+        let Some(step) = here.step(damping) else {
+            if damping > most {
+                return Err(Stuck::Singular);
+            }
+            damping *= 10.0;
+            continue;
+        };
+        let settled = step.promised < end.enough.0 * here.cost + end.enough.1;
+        let moved = stepped(&at, &step).and_then(|moved| Ok((equations(&moved)?, moved)));
+        match moved {
+            Ok((there, moved)) if there.cost <= here.cost => {
+                (at, here) = (moved, there);
+                damping = f64::max(damping * 0.1, least);
+            }
+            _ => damping *= 10.0,
+        }
+        if settled {
+            return Ok((at, here));
+        }
+    }
+    Err(Stuck::NotSettled)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::convert::Infallible;
+
+    /// Three curves exp(slope·x) of one slope, each with an offset of its own, the last with a bend too: blocks of one and two.
+    const SLOPE: f64 = 0.7;
+    const OFFSETS: [f64; 3] = [1.5, -2.0, 0.3];
+    const BEND: f64 = 0.25;
+
+    /// Curve g at x.
+    fn value(g: usize, x: f64) -> f64 {
+        OFFSETS[g] + (SLOPE * x).exp() + if g == 2 { BEND * x * x } else { 0.0 }
+    }
+
+    #[derive(Debug, Clone)]
+    struct Curves {
+        slope: f64,
+        own: Vec<Vec<f64>>,
+    }
+
+    fn unknowns(g: usize) -> usize {
+        if g == 2 { 2 } else { 1 }
+    }
+
+    fn equations(seen: &[Vec<f64>], loss: Loss, at: &Curves) -> Equations {
+        let mut equations = Equations::new(1, (0..3).map(unknowns));
+        for (g, values) in seen.iter().enumerate() {
+            for (i, value) in values.iter().enumerate() {
+                let x = i as f64 / 3.0;
+                let own = &[1.0, x * x][..unknowns(g)];
+                let grown = (at.slope * x).exp();
+                let predicted = grown + own.iter().zip(&at.own[g]).map(|(d, v)| d * v).sum::<f64>();
+                let row = Row { residual: value - predicted, shared: &[x * grown], own };
+                equations.add(Some(g), &[row], loss);
+            }
+        }
+        equations
+    }
+
+    fn stepped(at: &Curves, step: &Step) -> Result<Curves, Infallible> {
+        let own = at.own.iter().zip(&step.own).map(|(a, s)| a.iter().zip(s.iter()).map(|(a, s)| a + s).collect());
+        Ok(Curves { slope: at.slope + step.shared[0], own: own.collect() })
+    }
+
+    const END: End = End { enough: (1e-12, 1e-18), most_steps: 50 };
+
+    fn solved(seen: &[Vec<f64>], loss: Loss) -> (Curves, Equations) {
+        let start = Curves { slope: 0.1, own: (0..3).map(|g| vec![0.0; unknowns(g)]).collect() };
+        minimise(END, start, |at| Ok::<_, Infallible>(equations(seen, loss, at)), stepped).unwrap()
+    }
+
+    fn seen() -> Vec<Vec<f64>> {
+        (0..3).map(|g| (0..7).map(|i| value(g, f64::from(i) / 3.0)).collect()).collect()
+    }
+
+    #[test]
+    fn shared_and_own_unknowns_are_found() {
+        let (found, _) = solved(&seen(), Loss::Squared);
+        assert!((found.slope - SLOPE).abs() < 1e-9, "{}", found.slope);
+        for (g, own) in found.own.iter().enumerate() {
+            assert!((own[0] - OFFSETS[g]).abs() < 1e-9, "{own:?}");
+        }
+        assert!((found.own[2][1] - BEND).abs() < 1e-9);
+    }
+
+    #[test]
+    fn an_outlier_pulls_only_as_far_as_huber_lets_it() {
+        let mut seen = seen();
+        seen[0][3] += 50.0;
+        let off = |loss| {
+            let (found, _) = solved(&seen, loss);
+            (found.own[0][0] - OFFSETS[0]).abs()
+        };
+        // A pull of 2.5 σ in place of 50: a twentieth.
+        let (robust, squared) = (off(Loss::Robust), off(Loss::Squared));
+        assert!(squared > 5.0 && robust < squared / 10.0, "{robust} {squared}");
+    }
+
+    /// Second way: the inverse of the whole matrix, of which the covariance of what is shared is a corner.
+    #[test]
+    fn the_covariance_is_that_of_the_whole_problem() {
+        let (found, equations) = solved(&seen(), Loss::Squared);
+        let mut whole = DMatrix::zeros(5, 5);
+        for (g, first) in [1, 2, 3].into_iter().enumerate() {
+            for i in 0..7 {
+                let x = f64::from(i) / 3.0;
+                let mut row = DVector::zeros(5);
+                row[0] = x * (found.slope * x).exp();
+                row[first] = 1.0;
+                if g == 2 {
+                    row[first + 1] = x * x;
+                }
+                whole += &row * row.transpose();
+            }
+        }
+        let expected = whole.try_inverse().unwrap()[(0, 0)];
+        let covariance = equations.covariance().unwrap();
+        assert_eq!(covariance.shape(), (1, 1));
+        assert!((covariance[(0, 0)] / expected - 1.0).abs() < 1e-9);
+        assert!((equations.information().unwrap()[(0, 0)] * expected - 1.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn blocks_alone_go_where_the_shared_unknown_puts_them() {
+        let at = Curves { slope: SLOPE, own: vec![vec![0.0], vec![0.0], vec![0.0, 0.0]] };
+        let steps = equations(&seen(), Loss::Squared, &at).steps_of_blocks().unwrap();
+        let expected = [vec![OFFSETS[0]], vec![OFFSETS[1]], vec![OFFSETS[2], BEND]];
+        for (step, expected) in steps.iter().zip(expected) {
+            assert!((step - DVector::from(expected)).norm() < 1e-9, "{step}");
+        }
+    }
+
+    #[test]
+    fn what_is_left_open_is_said() {
+        let open = |_: &()| Ok::<_, Infallible>(Equations::new(1, [1]));
+        let stuck = minimise(END, (), open, |(), _| Ok(())).unwrap_err();
+        assert_eq!(stuck, Stuck::Singular);
+        assert!(Equations::new(2, []).covariance().is_none());
+    }
+
+    #[test]
+    fn a_start_without_equations_is_said_and_steps_to_such_places_are_shortened() {
+        let stuck = minimise(END, 0.0, |_| Err("no ray"), |at, _| Ok(*at)).unwrap_err();
+        assert_eq!(stuck, Stuck::Start("no ray"));
+        // √x = 3 from 0.5, in steps of Newton's that lead below zero, where there is none.
+        let root = |x: &f64| {
+            if *x < 0.0 {
+                return Err("no root");
+            }
+            let mut equations = Equations::new(1, []);
+            let row = Row { residual: 0.1 - x.sqrt(), shared: &[0.5 / x.sqrt()], own: &[] };
+            equations.add(None, &[row], Loss::Squared);
+            Ok(equations)
+        };
+        let (found, _) = minimise(END, 0.5, root, |x, step| Ok(x + step.shared[0])).unwrap();
+        assert!((found - 0.01).abs() < 1e-9, "{found}");
+    }
+
+    #[test]
+    fn a_search_that_does_not_settle_is_given_up() {
+        let walk = |x: &f64| {
+            let mut equations = Equations::new(1, []);
+            equations.add(None, &[Row { residual: (-x).exp(), shared: &[-(-x).exp()], own: &[] }], Loss::Squared);
+            Ok::<_, Infallible>(equations)
+        };
+        let end = End { enough: (0.0, 0.0), most_steps: 20 };
+        let stuck = minimise(end, 0.0, walk, |x, step| Ok(x - step.shared[0])).unwrap_err();
+        assert_eq!(stuck, Stuck::NotSettled);
+    }
+}

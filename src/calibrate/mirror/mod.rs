@@ -1,0 +1,426 @@
+//! `catoptra calibrate mirror`: where a bumped mirror stands now, from the bands of an ordinary recording, without a board.
+//!
+//! In: a recording in which the catheter moves, a rig of which one mirror is no longer right, known lengths. Out: the rig with the
+//! mirror put right, and how well that is known. Lens and walls are taken for exact.
+//!
+//! 1. In every view's region the largest blob of each marker's colour is its band: good to a pixel, and no rays need meet. The
+//!    mirror nearest to the old one for which they do is the start.
+//! 2. With it the tracker measures the bands to hundredths of a pixel, each by itself: a rig that knows the distances of bands
+//!    would make its own errors fit. The adjustment of `meeting` follows, and both are repeated until the mirror stays.
+//!
+//! What determines the answer: rays of two views meet or miss each other in one direction only. That gives the mirror's turn across this
+//! direction to a few hundredths of a degree; its other turn and its distance follow from how the miss changes over the picture,
+//! weakly, and from a known length. These two move the answer as a whole, by millimetres, and hardly change displacements.
+//!
+//! Cannot detect: a camera, wall or tank that moved as well, other than by views that go on disagreeing.
+
+mod ray_bundle;
+
+pub use ray_bundle::KnownLength;
+
+use crate::calibrate::frames::spread;
+use crate::calibrate::geometry::{Geometry, Parameter, tilt_axes};
+
+use crate::calibrate::mirror::ray_bundle::{Moment, RayBundle, RayBundleSolution, Sight, disagreement_px};
+use crate::estimate::Estimate;
+use crate::optics::{Mirror, Plane, Surface};
+use crate::rig::Rig;
+use crate::segment::{Blob, SegmentError, Segmenter};
+use crate::source::{Frame, FrameSource, SourceError};
+use crate::track::{ModelError, TrackError, TrackOptions, Tracker};
+use nalgebra::{DMatrix, DVector, Matrix2, Vector3};
+
+/// Frames used, spread over the recording: errors that differ from frame to frame are then far below those that do not.
+const FRAMES: usize = 60;
+/// A blob's centre is about this far from the band's, pixels.
+const BLOB_SD_PX: f64 = 1.0;
+/// How far a mirror that was bumped may have moved, for the start: turns in radians, shift in metres. Blobs tell the first turn, and
+/// the rest hardly at all; it is left to the rounds after the start.
+const BUMP_SD: [f64; 3] = [0.05, 0.01, 5e-3];
+/// Bands that stand further apart than this many diameters of the tube do not have a length known from the rig: it bends.
+const STIFF_DIAMETERS: f64 = 8.0;
+/// How well the rig's places of the bands along the tube are known, each distance.
+pub const RIG_LENGTH_SD_M: f64 = 0.05e-3;
+/// Scatter of the distance in a single frame: what the bend's estimate leaves.
+const LENGTH_SCATTER_M: f64 = 0.02e-3;
+const MOST_ROUNDS: usize = 12;
+/// A mirror stays when a round moves it by less than this part of its σ.
+const STAYS: f64 = 0.1;
+/// Beyond these σ the data leave the mirror open, radians and metres: displacements would be off by two parts in a thousand and more.
+const OPEN: (f64, f64) = (3.5e-3, 3.5e-3);
+/// Bands that the views still see this far apart, RMS, contradict each other: pixels.
+const DISAGREE_PX: f64 = 0.5;
+
+/// Which length to use.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Length {
+    /// Distances of bands close to the coil, as the rig has them.
+    OfRig,
+    /// None: rays alone.
+    None,
+    /// This one.
+    Given(KnownLength),
+}
+
+/// The mirror's new place.
+#[derive(Debug, Clone)]
+pub struct MirrorCalibration {
+    /// The mirror's name.
+    pub name: String,
+    /// The rig with the mirror put right.
+    pub rig: Rig,
+    /// Where it was.
+    pub before: Plane,
+    /// Where it is.
+    pub after: Plane,
+    /// Covariance of its turns about [`tilt_axes`] (up or down, left or right; radians) and its offset (metres).
+    pub covariance: DMatrix<f64>,
+    /// Frames used.
+    pub frames: usize,
+    /// Bands measured in two views, in all these frames.
+    pub bands: usize,
+    /// By how much the views disagree about a band, RMS, pixels: with the mirror as it was, and as it is; infinite when a band has
+    /// no ray.
+    pub disagreement_px: [f64; 2],
+    /// Lengths used, each with the value that the recording would rather have, metres.
+    pub lengths: Vec<(KnownLength, f64)>,
+}
+
+/// χ² of three degrees of freedom that chance exceeds once in twenty times.
+const CHANCE: f64 = 7.815;
+
+/// Why the mirror cannot be calibrated.
+#[derive(Debug, thiserror::Error)]
+pub enum MirrorError {
+    /// The rig has no such mirror.
+    #[error("the rig has no mirror `{name}`; it has {}", list(known))]
+    NoMirror {
+        /// What was asked for.
+        name: String,
+        /// What there is.
+        known: Vec<String>,
+    },
+    /// Which of several mirrors was not said.
+    #[error("the rig has {} mirrors ({}): say with --mirror which one was bumped", known.len(), list(known))]
+    WhichMirror {
+        /// What there is.
+        known: Vec<String>,
+    },
+    /// Views that share the picture.
+    #[error("view `{0}` has no region_px: whose image is whose cannot be told when rays do not meet")]
+    NoRegion(String),
+    /// The recording broke.
+    #[error(transparent)]
+    Source(#[from] SourceError),
+    /// The picture does not belong to the rig.
+    #[error(transparent)]
+    Track(#[from] TrackError),
+    /// The picture cannot be segmented.
+    #[error(transparent)]
+    Segment(#[from] SegmentError),
+    /// Too little to see.
+    #[error(
+        "bands are seen in two views at once in only {seen} of {frames} frames; at least {LEAST_FRAMES} are needed"
+    )]
+    TooFew {
+        /// Frames with such bands.
+        seen: usize,
+        /// Frames looked at.
+        frames: usize,
+    },
+    /// The start or the adjustment has no answer.
+    #[error("no place of the mirror was found that fits what the views show; was more than the mirror moved?")]
+    NoAnswer,
+    /// The views still contradict each other.
+    #[error(
+        "wherever the mirror stands, the views disagree by {0:.2} px about the bands: more than the mirror has moved, or one of \
+         the bands is another thing of its colour"
+    )]
+    Disagree(f64),
+    /// σ is too large.
+    #[error(
+        "the recording leaves the mirror open: σ {turn_deg:.2}° and {shift_mm:.1} mm (at most {:.1}° and {:.1} mm are of use). The \
+         catheter must move through all of the views, and a known length helps",
+        OPEN.0.to_degrees(), OPEN.1 * 1e3
+    )]
+    Open {
+        /// σ of the worse turn, degrees.
+        turn_deg: f64,
+        /// σ of the offset, mm.
+        shift_mm: f64,
+    },
+}
+
+/// Fewer frames than this say nothing about what changes over the picture.
+const LEAST_FRAMES: usize = 10;
+
+fn list(names: &[String]) -> String {
+    if names.is_empty() { "none".to_owned() } else { names.join(", ") }
+}
+
+/// Finds where mirror `name` (`None`: the only one) of `rig` stands in the recording `source`.
+///
+/// # Errors
+/// [`MirrorError`].
+pub fn calibrate_mirror(
+    rig: &Rig,
+    name: Option<&str>,
+    length: Length,
+    source: &mut dyn FrameSource,
+) -> Result<MirrorCalibration, MirrorError> {
+    let name = mirror_name(rig, name)?;
+    if let Some(view) = rig.views.iter().find(|view| view.region_px.is_empty()) {
+        return Err(MirrorError::NoRegion(view.name.clone()));
+    }
+    let old = geometry(rig);
+    let Some((surface, before)) = old.surfaces.iter().position(|s| s.0 == name).map(|i| (i, old.surfaces[i].1.plane()))
+    else {
+        return Err(MirrorError::NoMirror { name, known: mirrors(rig) });
+    };
+    let lengths = known_lengths(rig, length);
+    let frames = spread(source, FRAMES)?;
+    let free = Parameter::of_surface(surface).to_vec();
+
+    let moments = blobs(rig, &frames)?;
+    let start = RayBundle {
+        geometry: old.clone(),
+        free: free.clone(),
+        prior_sd: Some(BUMP_SD.to_vec()),
+        model_sd_px: vec![[BLOB_SD_PX; 2]; rig.markers.len()],
+        lengths: &lengths,
+        length_scatter_m: BLOB_SD_PX * 1e-3,
+        moments: &moments,
+    };
+    let mut geometry = start.solve().ok_or(MirrorError::NoAnswer)?.geometry;
+    for _ in 0..MOST_ROUNDS {
+        let moved = with_mirror(rig, &name, geometry.surfaces[surface].1);
+        let moments = bands(&moved, &lengths, &frames)?;
+        let met = adjust(&moved, &free, &lengths, &moments, &frames).ok_or(MirrorError::NoAnswer)?;
+        let step = moved_by(&geometry.surfaces[surface].1.plane(), &met.geometry.surfaces[surface].1.plane());
+        geometry = met.geometry.clone();
+        let within = |part: f64| (0..3).all(|i| step[i].abs() < part * met.covariance[(i, i)].sqrt());
+        // What is open need not settle to be known for it.
+        if within(STAYS) || (within(1.0) && is_open(&met.covariance).is_some()) {
+            let disagreement_px =
+                [&old, &geometry].map(|g| disagreement_px(g, &moments, rig.markers.len()).unwrap_or(f64::INFINITY));
+            let done = MirrorCalibration {
+                name: name.clone(),
+                rig: with_mirror(rig, &name, geometry.surfaces[surface].1),
+                before,
+                after: geometry.surfaces[surface].1.plane(),
+                covariance: met.covariance,
+                frames: frames.len(),
+                bands: moments.iter().map(|m| m.sights.len() / 2).sum(),
+                disagreement_px,
+                lengths: lengths.iter().zip(&met.length_errors_m).map(|(l, e)| (*l, l.length_m + e)).collect(),
+            };
+            return judged(done);
+        }
+    }
+    Err(MirrorError::NoAnswer)
+}
+
+impl MirrorCalibration {
+    /// σ of the turns, radians, and of the offset, metres.
+    pub fn sd(&self) -> [f64; 3] {
+        [0, 1, 2].map(|i| self.covariance[(i, i)].max(0.0).sqrt())
+    }
+
+    /// By how much the mirror moved: turned up or down and to the left or right, radians; shifted along its normal, metres.
+    pub fn moved(&self) -> [f64; 3] {
+        moved_by(&self.before, &self.after)
+    }
+
+    /// Whether it moved by more than chance makes of a mirror that stands still, once in twenty times: χ² of the turns and the
+    /// shift together.
+    pub fn has_moved(&self) -> bool {
+        let moved = DVector::from_row_slice(&self.moved());
+        let chi2 = self.covariance.clone().cholesky().map(|root| moved.dot(&root.solve(&moved)));
+        chi2.is_none_or(|chi2| chi2 > CHANCE)
+    }
+}
+
+fn judged(done: MirrorCalibration) -> Result<MirrorCalibration, MirrorError> {
+    if done.disagreement_px[1] > DISAGREE_PX {
+        return Err(MirrorError::Disagree(done.disagreement_px[1]));
+    }
+    match is_open(&done.covariance) {
+        None => Ok(done),
+        Some([turn, shift]) => Err(MirrorError::Open { turn_deg: turn.to_degrees(), shift_mm: shift * 1e3 }),
+    }
+}
+
+/// σ of the worse turn and of the shift, if they are too large to be of use.
+fn is_open(covariance: &DMatrix<f64>) -> Option<[f64; 2]> {
+    let [a, b, shift] = [0, 1, 2].map(|i| covariance[(i, i)].sqrt());
+    let turn = a.max(b);
+    // Numbers that are none are open too.
+    (!(turn <= OPEN.0 && shift <= OPEN.1)).then_some([turn, shift])
+}
+
+/// Turns about [`tilt_axes`] of the first plane, and shift, from one plane to another.
+fn moved_by(from: &Plane, to: &Plane) -> [f64; 3] {
+    let axis: Vector3<f64> = from.normal().cross(&to.normal());
+    let turn = if axis.norm() > 0.0 { axis.normalize() * from.normal().angle(&to.normal()) } else { axis };
+    let [a, b] = tilt_axes(&from.normal());
+    [turn.dot(&a), turn.dot(&b), to.offset_m() - from.offset_m()]
+}
+
+fn mirrors(rig: &Rig) -> Vec<String> {
+    let is_mirror = |surface: &Surface| matches!(surface, Surface::Mirror(_));
+    rig.surfaces.iter().filter(|(_, surface)| is_mirror(surface)).map(|(name, _)| name.clone()).collect()
+}
+
+fn mirror_name(rig: &Rig, asked: Option<&str>) -> Result<String, MirrorError> {
+    let known = mirrors(rig);
+    match (asked, &known[..]) {
+        (Some(name), _) if known.iter().any(|k| k == name) => Ok(name.to_owned()),
+        (Some(name), _) => Err(MirrorError::NoMirror { name: name.to_owned(), known }),
+        (None, [only]) => Ok(only.clone()),
+        (None, _) => Err(MirrorError::WhichMirror { known }),
+    }
+}
+
+fn geometry(rig: &Rig) -> Geometry {
+    let surfaces: Vec<(String, Surface)> = rig.surfaces.iter().map(|(name, s)| (name.clone(), *s)).collect();
+    let index = |name: &String| surfaces.iter().position(|s| s.0 == *name);
+    let views = rig.views.iter().map(|v| (v.name.clone(), v.path.iter().filter_map(index).collect())).collect();
+    Geometry { lens: rig.camera.lens, surfaces, views }
+}
+
+fn with_mirror(rig: &Rig, name: &str, surface: Surface) -> Rig {
+    let mut rig = rig.clone();
+    let mirror = Surface::Mirror(Mirror { plane: surface.plane() });
+    rig.surfaces.insert(name.to_owned(), mirror);
+    for view in &mut rig.views {
+        for (own, optics) in view.path.iter().zip(&mut view.optics.surfaces) {
+            if own == name {
+                *optics = mirror;
+            }
+        }
+    }
+    rig
+}
+
+/// The lengths to use.
+fn known_lengths(rig: &Rig, length: Length) -> Vec<KnownLength> {
+    let coil = rig.catheter.coil;
+    let of_rig = |neighbour: usize| {
+        let (a, b) = (rig.markers.get(coil)?, rig.markers.get(neighbour)?);
+        let length_m = (b.centre_m? - a.centre_m?).abs();
+        let near = length_m <= STIFF_DIAMETERS * rig.catheter.diameter_m;
+        near.then_some(KnownLength { markers: [coil, neighbour], length_m, sd_m: RIG_LENGTH_SD_M })
+    };
+    match length {
+        Length::None => Vec::new(),
+        Length::Given(length) => vec![length],
+        Length::OfRig => [coil.checked_sub(1), Some(coil + 1)].into_iter().flatten().filter_map(of_rig).collect(),
+    }
+}
+
+/// The largest blob of each marker in each view, where two views have one.
+fn blobs(rig: &Rig, frames: &[Frame]) -> Result<Vec<Moment>, MirrorError> {
+    let mut segmenter = Segmenter::for_rig(rig)?;
+    let mut moments = Vec::new();
+    for frame in frames {
+        let found = segmenter.all_blobs(&frame.picture)?;
+        let largest = |marker: usize, view: usize| -> Option<&Blob> {
+            let here = |b: &&Blob| b.marker == marker && !b.touches_border && rig.views[view].contains(&b.centre_px);
+            found.iter().filter(here).max_by(|a, b| a.area_px2.total_cmp(&b.area_px2))
+        };
+        let sights = (0..rig.markers.len()).flat_map(|marker| {
+            let of_view = |view| {
+                let blob = largest(marker, view)?;
+                let covariance_px2 = blob.covariance_px2 + Matrix2::identity() * BLOB_SD_PX.powi(2);
+                Some(Sight { marker, view, pixel: blob.centre_px, covariance_px2, along: blob.axis })
+            };
+            in_two_views((0..rig.views.len()).filter_map(of_view).collect())
+        });
+        moments.push(Moment { sights: sights.collect(), shorter_m: Vec::new() });
+    }
+    enough(moments)
+}
+
+/// The bands as the tracker measures them, each by itself.
+fn bands(rig: &Rig, lengths: &[KnownLength], frames: &[Frame]) -> Result<Vec<Moment>, MirrorError> {
+    let mut apart = rig.clone();
+    apart.markers.iter_mut().for_each(|marker| marker.centre_m = None);
+    let mut tracker = Tracker::new(&apart, TrackOptions::default())?;
+    let mut moments = Vec::new();
+    for frame in frames {
+        let estimate = tracker.step(frame)?;
+        let sights = estimate.markers.iter().enumerate().flat_map(|(marker, found)| {
+            let of_view = |view: usize| {
+                let band = found.views.get(view)?.as_ref().ok()?;
+                let sight = Sight {
+                    marker,
+                    view,
+                    pixel: band.centre_px,
+                    covariance_px2: band.covariance_px2,
+                    along: band.axis,
+                };
+                (found.position.is_ok() && band.residual_px.iter().all(|v| v.is_finite())).then_some(sight)
+            };
+            in_two_views((0..rig.views.len()).filter_map(of_view).collect())
+        });
+        let sights = sights.collect();
+        let shorter_m = lengths.iter().map(|length| shorter_m(rig, length, &estimate)).collect();
+        moments.push(Moment { sights, shorter_m });
+    }
+    enough(moments)
+}
+
+fn in_two_views(sights: Vec<Sight>) -> Vec<Sight> {
+    if sights.len() >= 2 { sights } else { Vec::new() }
+}
+
+fn enough(moments: Vec<Moment>) -> Result<Vec<Moment>, MirrorError> {
+    let seen = moments.iter().filter(|moment| !moment.sights.is_empty()).count();
+    if seen < LEAST_FRAMES { Err(MirrorError::TooFew { seen, frames: moments.len() }) } else { Ok(moments) }
+}
+
+/// By how much the bend makes the distance of two bands shorter than the tube between them, metres. From the angle ψ between the
+/// coil's direction and the chord: the tube is straight as far as the coil is, h, and an arc over what is left, ℓ = L − h, so that
+/// ψ = κℓ²/2L and the chord is shorter by κ²(ℓ³/6 − ℓ⁴/8L). `None` when a band or the direction is missing.
+fn shorter_m(rig: &Rig, length: &KnownLength, estimate: &Estimate) -> Option<f64> {
+    let coil = rig.catheter.coil;
+    let [a, b] = length.markers;
+    let place = |marker: usize| Some(estimate.markers.get(marker)?.position.as_ref().ok()?.point);
+    let (from, to) = (place(a)?, place(b)?);
+    if a != coil && b != coil {
+        return Some(0.0);
+    }
+    let tangent = estimate.tangent.as_ref().ok()?.direction;
+    let cosine = tangent.dot(&(to - from).normalize()).abs().min(1.0);
+    let whole = length.length_m;
+    let straight = rig.markers.get(coil)?.length_m.max(rig.catheter.rigid_m.unwrap_or(0.0)) / 2.0;
+    let bent = (whole - straight).max(0.0);
+    if bent == 0.0 {
+        return Some(0.0);
+    }
+    Some(cosine.acos().powi(2) * whole * (2.0 * whole / (3.0 * bent) - 0.5))
+}
+
+fn adjust(
+    rig: &Rig,
+    free: &[Parameter],
+    lengths: &[KnownLength],
+    moments: &[Moment],
+    frames: &[Frame],
+) -> Option<RayBundleSolution> {
+    let error = ModelError::of(&frames.first()?.picture);
+    let model_sd_px = (0..rig.markers.len()).map(|marker| {
+        let along = if marker == 0 { error.along_at_clamp_px } else { error.along_px };
+        [along, error.across_px]
+    });
+    RayBundle {
+        geometry: geometry(rig),
+        free: free.to_vec(),
+        prior_sd: None,
+        model_sd_px: model_sd_px.collect(),
+        lengths,
+        length_scatter_m: LENGTH_SCATTER_M,
+        moments,
+    }
+    .solve()
+}

@@ -1,0 +1,274 @@
+//! The adjustment without a board: surfaces and places of bands such that the rays of all views meet.
+//!
+//! In: a start, where each view saw bands at some moments, known lengths. Out: [`RayBundleSolution`] with the free parameters' covariance.
+//!
+//! Minimised is Σ ρ(|seen − projection − error of the band model|) + Σ ((known length − distance)/σ)², ρ Huber's
+//! (`least_squares.rs`): surfaces and errors are shared by all moments, the places of its bands are each moment's own.
+//!
+//! What the image model gets wrong about a band in a view is the same in every frame and does not average out: it is a parameter
+//! of its own, along and across the band, known to be 0 within its σ. So is the error of a known length. The covariance holds
+//! these errors as well; it takes everything that is not free for exact.
+
+use crate::calibrate::geometry::{Geometry, Parameter, Projector};
+use crate::calibrate::least_squares::{End, Equations, Loss, Row, Step, minimise};
+use crate::optics::NoRay;
+use crate::optics::{Sighting, triangulate};
+use nalgebra::{DMatrix, DVector, Matrix2, Point2, Point3, Vector2, Vector3};
+
+/// Steps of the places alone after each step of what is common.
+const PLACE_STEPS: usize = 2;
+/// Of the search.
+const END: End = End { enough: (0.0, 1e-6), most_steps: 100 };
+
+/// A band in a view.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Sight {
+    pub(crate) marker: usize,
+    pub(crate) view: usize,
+    pub(crate) pixel: Point2<f64>,
+    pub(crate) covariance_px2: Matrix2<f64>,
+    /// Unit direction of the band in the picture.
+    pub(crate) along: Vector2<f64>,
+}
+
+/// A frame.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Moment {
+    pub(crate) sights: Vec<Sight>,
+    /// For each known length, by how much bending makes the distance shorter, metres; `None`: the length is not used here.
+    pub(crate) shorter_m: Vec<Option<f64>>,
+}
+
+/// A length that bending does not change, or by a known amount.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct KnownLength {
+    /// Between the middles of these markers (indices).
+    pub markers: [usize; 2],
+    /// The length, metres.
+    pub length_m: f64,
+    /// Its standard deviation.
+    pub sd_m: f64,
+}
+
+/// What is to be solved, and where the search starts.
+#[derive(Debug, Clone)]
+pub(crate) struct RayBundle<'a> {
+    pub(crate) geometry: Geometry,
+    pub(crate) free: Vec<Parameter>,
+    /// Standard deviations about where the search starts, of the free parameters; `None` when they are wholly free.
+    pub(crate) prior_sd: Option<Vec<f64>>,
+    /// For each marker, what the image model may get wrong along and across it, pixels.
+    pub(crate) model_sd_px: Vec<[f64; 2]>,
+    pub(crate) lengths: &'a [KnownLength],
+    /// Scatter of a single frame's distance about a known length, metres.
+    pub(crate) length_scatter_m: f64,
+    pub(crate) moments: &'a [Moment],
+}
+
+/// The answer.
+#[derive(Debug, Clone)]
+pub(crate) struct RayBundleSolution {
+    pub(crate) geometry: Geometry,
+    /// Of the free parameters.
+    pub(crate) covariance: DMatrix<f64>,
+    /// Corrections of the known lengths, metres.
+    pub(crate) length_errors_m: Vec<f64>,
+}
+
+/// Where the search is.
+#[derive(Clone)]
+struct State {
+    geometry: Geometry,
+    /// Free parameters since the start, errors of the image model, errors of lengths.
+    common: DVector<f64>,
+    /// For each moment and marker.
+    places: Vec<Vec<Option<Point3<f64>>>>,
+}
+
+impl State {
+    fn shift(&mut self, steps: &[DVector<f64>]) {
+        for (places, step) in self.places.iter_mut().zip(steps) {
+            for (place, by) in places.iter_mut().flatten().zip(step.as_slice().chunks_exact(3)) {
+                place.coords += Vector3::from_column_slice(by);
+            }
+        }
+    }
+}
+
+impl RayBundle<'_> {
+    /// Solves from where `self` starts; `None` when the sightings do not determine the answer.
+    pub(crate) fn solve(self) -> Option<RayBundleSolution> {
+        let count = self.free.len() + 2 * self.views() * self.model_sd_px.len() + self.lengths.len();
+        let places = self.moments.iter().map(|moment| places(&self.geometry, moment, self.model_sd_px.len())).collect();
+        let start = State { geometry: self.geometry.clone(), common: DVector::zeros(count), places };
+        let (state, equations) =
+            minimise(END, start, |state| self.equations(state), |state, step| self.stepped(state, step)).ok()?;
+        let free = self.free.len();
+        Some(RayBundleSolution {
+            covariance: equations.covariance()?.view((0, 0), (free, free)).into_owned(),
+            length_errors_m: state.common.as_slice()[count - self.lengths.len()..].to_vec(),
+            geometry: state.geometry,
+        })
+    }
+
+    fn views(&self) -> usize {
+        self.geometry.views.len()
+    }
+
+    /// Index of the error along a band in a view; that across it follows.
+    fn model_error(&self, sight: &Sight) -> usize {
+        self.free.len() + 2 * (sight.marker * self.views() + sight.view)
+    }
+
+    /// After a step of what is common, with the places that fit it best: a mirror's weak directions move all places by
+    /// millimetres on curves, which straight steps of the places would leave.
+    fn stepped(&self, state: &State, step: &Step) -> Result<State, NoRay> {
+        let free = &step.shared.as_slice()[..self.free.len()];
+        let geometry = state.geometry.stepped(&self.free, free);
+        let mut moved = State { geometry, common: &state.common + &step.shared, places: state.places.clone() };
+        moved.shift(&step.own);
+        for _ in 0..PLACE_STEPS {
+            match self.equations(&moved)?.steps_of_blocks() {
+                Some(own) => moved.shift(&own),
+                None => break,
+            }
+        }
+        Ok(moved)
+    }
+
+    fn equations(&self, state: &State) -> Result<Equations, NoRay> {
+        let own = state.places.iter().map(|places| unknowns(places));
+        let mut equations = Equations::new(state.common.len(), own);
+        let projector = Projector::new(&state.geometry, &self.free);
+        for (m, (moment, places)) in self.moments.iter().zip(&state.places).enumerate() {
+            for sight in &moment.sights {
+                self.add_sight(&mut equations, &projector, state, (m, places), sight)?;
+            }
+            for (k, length) in self.lengths.iter().enumerate() {
+                if let Some(Some(shorter_m)) = moment.shorter_m.get(k) {
+                    self.add_length(&mut equations, state, (m, places), (k, length, *shorter_m));
+                }
+            }
+        }
+        self.add_priors(&mut equations, state);
+        Ok(equations)
+    }
+
+    fn add_sight(
+        &self,
+        equations: &mut Equations,
+        projector: &Projector,
+        state: &State,
+        (m, places): (usize, &[Option<Point3<f64>>]),
+        sight: &Sight,
+    ) -> Result<(), NoRay> {
+        let (Some(slot), Some(place)) = (slot(places, sight.marker), places[sight.marker]) else { return Ok(()) };
+        let Some(factor) = sight.covariance_px2.try_inverse().and_then(|inverse| inverse.cholesky()) else {
+            return Ok(());
+        };
+        let whitening = factor.l().transpose();
+        let seen = projector.seen(sight.view, &place)?;
+        let across = Vector2::new(-sight.along.y, sight.along.x);
+        let e = self.model_error(sight);
+        let modelled = seen.pixel + sight.along * state.common[e] + across * state.common[e + 1];
+        let residual = whitening * (sight.pixel - modelled);
+        let by_place = whitening * seen.d_point;
+        let errors = [whitening * sight.along, whitening * across];
+        let by_free: Vec<Vector2<f64>> = seen.d_parameters.iter().map(|d| whitening * d).collect();
+        let derivatives = [0, 1].map(|axis| {
+            let mut common = vec![0.0; state.common.len()];
+            let mut own = vec![0.0; unknowns(places)];
+            common.iter_mut().zip(&by_free).for_each(|(to, d)| *to = d[axis]);
+            common[e..].iter_mut().zip(&errors).for_each(|(to, d)| *to = d[axis]);
+            own[slot..].iter_mut().zip(&by_place.row(axis)).for_each(|(to, d)| *to = *d);
+            (common, own)
+        });
+        let row = |axis: usize| {
+            let (shared, own) = &derivatives[axis];
+            Row { residual: residual[axis], shared, own }
+        };
+        equations.add(Some(m), &[row(0), row(1)], Loss::Robust);
+        Ok(())
+    }
+
+    fn add_length(
+        &self,
+        equations: &mut Equations,
+        state: &State,
+        (m, places): (usize, &[Option<Point3<f64>>]),
+        (k, length, shorter_m): (usize, &KnownLength, f64),
+    ) {
+        let ends = length.markers.map(|marker| slot(places, marker).zip(places.get(marker).copied().flatten()));
+        let [Some((slot_a, a)), Some((slot_b, b))] = ends else { return };
+        let chord = b - a;
+        let direction = chord / chord.norm().max(f64::MIN_POSITIVE) / self.length_scatter_m;
+        let error = state.common.len() - self.lengths.len() + k;
+        let residual = (length.length_m - shorter_m - chord.norm() + state.common[error]) / self.length_scatter_m;
+        let (mut common, mut own) = (vec![0.0; state.common.len()], vec![0.0; unknowns(places)]);
+        common[error] = -1.0 / self.length_scatter_m;
+        for (i, d) in direction.iter().enumerate() {
+            own[slot_a + i] = -d;
+            own[slot_b + i] = *d;
+        }
+        equations.add(Some(m), &[Row { residual, shared: &common, own: &own }], Loss::Squared);
+    }
+
+    fn add_priors(&self, equations: &mut Equations, state: &State) {
+        let errors = self.model_sd_px.iter().flat_map(|sd| std::iter::repeat_n(*sd, self.views()).flatten());
+        let free = (0..self.free.len()).map(|i| self.prior_sd.as_ref().and_then(|sd| sd.get(i).copied()));
+        let all = free.chain(errors.map(Some)).chain(self.lengths.iter().map(|length| Some(length.sd_m)));
+        for (i, sd) in all.enumerate() {
+            let Some(sd) = sd else { continue };
+            let mut common = vec![0.0; state.common.len()];
+            common[i] = 1.0 / sd;
+            let row = Row { residual: -state.common[i] / sd, shared: &common, own: &[] };
+            equations.add(None, &[row], Loss::Squared);
+        }
+    }
+}
+
+/// How many unknowns of its own a moment has.
+fn unknowns(places: &[Option<Point3<f64>>]) -> usize {
+    3 * places.iter().flatten().count()
+}
+
+/// First index of a marker's place among a moment's own unknowns.
+fn slot(places: &[Option<Point3<f64>>], marker: usize) -> Option<usize> {
+    places.get(marker)?.as_ref()?;
+    Some(unknowns(places.get(..marker)?))
+}
+
+/// Where the bands of a moment are, by a geometry: those seen in two views.
+pub(crate) fn places(geometry: &Geometry, moment: &Moment, markers: usize) -> Vec<Option<Point3<f64>>> {
+    let paths: Vec<_> = (0..geometry.views.len()).map(|view| geometry.path(view)).collect();
+    let place = |marker: usize| {
+        let seen: Vec<Sighting<'_>> = moment
+            .sights
+            .iter()
+            .filter(|sight| sight.marker == marker)
+            .map(|s| Sighting { optics: &paths[s.view], pixel: s.pixel, covariance_px2: s.covariance_px2 })
+            .collect();
+        Some(triangulate(&seen)?.point)
+    };
+    (0..markers).map(place).collect()
+}
+
+/// By how much the views disagree about where bands are, RMS, pixels: for each band, the root of the sum over its views of the
+/// squared distance between where it is seen and where the place that fits all views best is projected to.
+pub(crate) fn disagreement_px(geometry: &Geometry, moments: &[Moment], markers: usize) -> Option<f64> {
+    let paths: Vec<_> = (0..geometry.views.len()).map(|view| geometry.path(view)).collect();
+    let (mut sum, mut bands) = (0.0, 0);
+    for moment in moments {
+        for (marker, place) in places(geometry, moment, markers).into_iter().enumerate() {
+            let Some(place) = place else { continue };
+            bands += 1;
+            for sight in moment.sights.iter().filter(|sight| sight.marker == marker) {
+                sum += (sight.pixel - paths[sight.view].project(&place).ok()?).norm_squared();
+            }
+        }
+    }
+    (bands > 0).then(|| (sum / f64::from(bands)).sqrt())
+}
+
+#[cfg(test)]
+mod tests;

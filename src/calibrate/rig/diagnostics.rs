@@ -1,0 +1,228 @@
+//! Reasons not to believe a calibration's verdict: it supposes that the model is right and corners are off by noise alone,
+//! and what is left of the corners can contradict that.
+//!
+//! In: a calibration, the check on held-out pictures. Out: [`Diagnostic`]s.
+//!
+//! Residuals of noise have nothing in common with their neighbours'; a bent mirror, a lens of another kind, water that was
+//! not said to be there leave residuals that follow one another across the picture ([`neighbourhoods`]).
+//!
+//! Cannot tell: errors of the model that other parameters take up, such as a wrong thickness of the glass.
+
+use crate::calibrate::bundle::prior::Prior;
+use crate::calibrate::bundle::{NoSolution, Solution};
+use crate::calibrate::rig::RigCalibration;
+use crate::calibrate::rig::held_out::{HeldOut, Off};
+use nalgebra::{DMatrix, DVector, Point2, Vector2};
+use std::collections::BTreeMap;
+
+/// Neighbourhoods along the longer side of a view, and fewest corners for their mean to say something.
+const ALONG: f64 = 7.0;
+const FEWEST: usize = 6;
+/// Means of neighbourhoods so many times as long as noise makes them are no noise: of 20 neighbourhoods, five standard
+/// deviations of what noise does.
+const TOGETHER: f64 = 1.5;
+/// What was known and what the pictures say contradict each other beyond so many standard deviations.
+pub const CONTRADICTS: f64 = 3.0;
+/// What the pictures say of a value is compared when it is at least this part of all that is known of it.
+const REDUNDANT: f64 = 1e-3;
+
+/// A reason.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum Diagnostic {
+    /// Residuals that follow one another.
+    #[error(
+        "corners of the {view} view that are neighbours are off together, {times:.1} times as much as noise explains: is there \
+         water or glass that was not given, a mirror that is not flat, another lens or focus than calibrated, squares of another \
+         size?"
+    )]
+    Together {
+        /// Name of the view.
+        view: String,
+        /// Length of the neighbourhoods' means, by what noise makes of them.
+        times: f64,
+    },
+    /// Lengths that are off.
+    #[error(
+        "lengths of {nominal_mm:.0} mm on held-out boards are off {times:.1} times as much as noise explains: is a board bent, or \
+         was one moved during the exposure?"
+    )]
+    Lengths {
+        /// The length.
+        nominal_mm: f64,
+        /// RMS error, by what noise makes of it.
+        times: f64,
+    },
+    /// Something known that is far from what the pictures say.
+    #[error(
+        "the pictures contradict {what} as it was given, by {off:.1} σ: is it right, and the size of the squares? Were pictures \
+         flipped or turned, or taken with another lens?"
+    )]
+    Prior {
+        /// What.
+        what: String,
+        /// By how many standard deviations.
+        off: f64,
+    },
+}
+
+/// Corners close together in a view.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Neighbourhood {
+    /// Mean place, pixels.
+    pub middle: Point2<f64>,
+    /// Mean residual, pixels.
+    pub mean_px: Vector2<f64>,
+    /// How many corners.
+    pub count: usize,
+}
+
+/// Everything that speaks against the verdict.
+pub fn diagnose(done: &RigCalibration, held: &[Result<HeldOut, NoSolution>]) -> Vec<Diagnostic> {
+    let mut doubts = Vec::new();
+    for (view, (name, _)) in done.solution.geometry.views.iter().enumerate() {
+        if let Some(times) = together(&residuals(done, view)).filter(|times| *times > TOGETHER) {
+            doubts.push(Diagnostic::Together { view: name.clone(), times });
+        }
+    }
+    let lengths = [
+        Off::of(held.iter().flatten().flat_map(|h| &h.edges)),
+        Off::of(held.iter().flatten().flat_map(|h| &h.diagonals)),
+    ];
+    for off in lengths.into_iter().flatten().filter(Off::beyond_noise) {
+        doubts.push(Diagnostic::Lengths { nominal_mm: off.nominal_m * 1e3, times: off.rms_m / off.noise_m });
+    }
+    for known in &done.solution.known {
+        if let Some(off) = contradiction(&done.solution, known).filter(|off| *off > CONTRADICTS) {
+            doubts.push(Diagnostic::Prior { what: known.what(&done.solution.geometry), off });
+        }
+    }
+    doubts
+}
+
+/// How far what was given is from what all the rest says, in standard deviations of the two together; of several values,
+/// their χ² as that of one (Fisher). `None` when the rest says next to nothing.
+///
+/// A residual that is left of what was given is small where the pictures say little: it must be seen against its own
+/// covariance, which is what was given less what is known in the end. Poses are taken as they came out.
+pub fn contradiction(solution: &Solution, known: &Prior) -> Option<f64> {
+    let rows = known.rows(&solution.geometry, &solution.poses, &solution.free);
+    let residuals = DVector::from_iterator(rows.len(), rows.iter().map(|row| row.residual));
+    let mut by_geometry = DMatrix::zeros(rows.len(), solution.free.len());
+    for (i, row) in rows.iter().enumerate() {
+        by_geometry.row_mut(i).tr_copy_from(&row.by_geometry);
+    }
+    let in_the_end = &by_geometry * &solution.covariance * by_geometry.transpose();
+    let left = (DMatrix::identity(rows.len(), rows.len()) - in_the_end).symmetric_eigen();
+    let directions = left.eigenvalues.iter().zip(left.eigenvectors.column_iter());
+    let squares: Vec<f64> = directions
+        .filter(|(variance, _)| **variance > REDUNDANT)
+        .map(|(variance, direction)| direction.dot(&residuals).powi(2) / variance)
+        .collect();
+    let chi2 = squares.iter().sum::<f64>();
+    match squares.len() {
+        0 => None,
+        1 => Some(chi2.sqrt()),
+        n => Some(((2.0 * chi2).sqrt() - (2.0 * n as f64 - 1.0).sqrt()).max(0.0)),
+    }
+}
+
+/// Places and residuals of a view's corners, pixels.
+pub fn residuals(done: &RigCalibration, view: usize) -> Vec<(Point2<f64>, Vector2<f64>)> {
+    let all = done.corners.iter().zip(&done.solution.residuals_px);
+    all.filter(|(c, _)| c.view == view).map(|(c, residual)| (c.pixel, *residual)).collect()
+}
+
+/// Means over squares of the picture with enough corners.
+pub fn neighbourhoods(residuals: &[(Point2<f64>, Vector2<f64>)]) -> Vec<Neighbourhood> {
+    let bound = |pick: fn(f64, f64) -> f64, start: f64| {
+        residuals.iter().fold(Vector2::repeat(start), |b, (p, _)| b.zip_map(&p.coords, pick))
+    };
+    let (low, high) = (bound(f64::min, f64::INFINITY), bound(f64::max, f64::NEG_INFINITY));
+    let side = ((high - low).max() / ALONG).max(1.0);
+    let mut squares = BTreeMap::new();
+    for (place, residual) in residuals {
+        let at = (place.coords - low) / side;
+        let (places, sum, count) =
+            squares.entry((at.y as i64, at.x as i64)).or_insert((Vector2::zeros(), Vector2::zeros(), 0_usize));
+        *places += place.coords;
+        *sum += residual;
+        *count += 1;
+    }
+    squares
+        .into_values()
+        .filter(|(.., count)| *count >= FEWEST)
+        .map(|(places, sum, count)| {
+            let n = count as f64;
+            Neighbourhood { middle: Point2::from(places / n), mean_px: sum / n, count }
+        })
+        .collect()
+}
+
+/// How many times as long the means of neighbourhoods are as independent residuals of the same RMS would make them; `None`
+/// without neighbourhoods or residuals.
+pub fn together(residuals: &[(Point2<f64>, Vector2<f64>)]) -> Option<f64> {
+    let means = neighbourhoods(residuals);
+    let mean_square = residuals.iter().map(|(_, r)| r.norm_squared()).sum::<f64>() / residuals.len().max(1) as f64;
+    let sum = means.iter().map(|n| n.mean_px.norm_squared() * n.count as f64).sum::<f64>();
+    (!means.is_empty() && mean_square > 0.0).then(|| (sum / means.len() as f64 / mean_square).sqrt())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::calibrate::bundle::tests::bundle;
+    use crate::calibrate::geometry::Parameter;
+    use crate::calibrate::geometry::tests::geometry;
+
+    /// Against solving without what was given: the difference of the two answers by their deviations together.
+    #[test]
+    fn a_contradiction_is_the_distance_from_what_the_rest_says() {
+        let truth = geometry();
+        let given = |off_m: f64| Prior::Distance {
+            surface: 0,
+            distance_m: truth.value(Parameter::Offset { surface: 0 }).abs() + off_m,
+            sd_m: 2e-3,
+        };
+        let mut without = bundle(&truth, 0.02, 1.0, 11);
+        without.known.retain(|known| matches!(known, Prior::Lens { .. }));
+        let alone = without.clone().solve().unwrap();
+        let at = alone.free.iter().position(|p| *p == Parameter::Offset { surface: 0 }).unwrap();
+        let (says_m, sd_m) =
+            (alone.geometry.value(Parameter::Offset { surface: 0 }).abs(), alone.covariance[(at, at)].sqrt());
+        assert!(sd_m > 2e-3, "the pictures say less than the tape measure: {sd_m}");
+        for off_m in [0.0, 0.05, -0.06] {
+            let mut with = without.clone();
+            with.known.push(given(off_m));
+            let solved = with.solve().unwrap();
+            let Prior::Distance { distance_m, .. } = given(off_m) else { unreachable!() };
+            let expected = (says_m - distance_m).abs() / sd_m.hypot(2e-3);
+            let found = contradiction(&solved, &given(off_m)).unwrap();
+            assert!((found - expected).abs() < 0.05 + 0.1 * expected, "{off_m}: {found}, expected {expected}");
+            // The lens agrees in any case: it was drawn as it is said to be.
+            assert!(contradiction(&solved, &solved.known[0]).unwrap() < CONTRADICTS);
+        }
+    }
+
+    #[test]
+    fn what_neighbours_have_in_common_is_told_from_noise() {
+        let mut state = 1_u64;
+        let mut noise = move || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            ((state >> 33) as f64 / (1_u64 << 31) as f64 - 0.5) * 0.2
+        };
+        let mut field = |common: f64| -> Vec<(Point2<f64>, Vector2<f64>)> {
+            let at = |i: usize| Point2::new(100.0 + (i % 30) as f64 * 10.0, 50.0 + (i / 30) as f64 * 10.0);
+            let bent = |p: &Point2<f64>| Vector2::new((p.x / 60.0).sin(), 0.0) * common;
+            (0..900).map(|i| (at(i), bent(&at(i)) + Vector2::new(noise(), noise()))).collect()
+        };
+        for _ in 0..20 {
+            let even = together(&field(0.0)).unwrap();
+            assert!((0.75..1.3).contains(&even), "{even}");
+        }
+        // As large as the noise's standard deviation, 0.058 px.
+        let bent = together(&field(0.058)).unwrap();
+        assert!(bent > TOGETHER, "{bent}");
+        assert!(together(&field(0.0)[..5]).is_none());
+        assert!(together(&[(Point2::origin(), Vector2::zeros()); 9]).is_none());
+    }
+}

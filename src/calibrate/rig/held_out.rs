@@ -1,0 +1,247 @@
+//! A check that needs no model of the errors: lengths on boards, measured with a rig that never saw their picture.
+//!
+//! In: a solution and its corners. Out: for each picture, [`HeldOut`].
+//!
+//! Each picture is left out in turn and the rest solved again, from the full solution. Every corner that two views of the
+//! picture show is then triangulated as the tracker would; distances between corners are known from the board, and the rays
+//! of the views should meet. Errors of the corners alone explain [`Length::noise_sd_m`]; what is beyond it is the rig's.
+//!
+//! Cannot tell: what moves everything together (it changes no length), a wrong size of the squares (the boards of the other
+//! pictures have it too).
+
+use crate::calibrate::bundle::prior::Prior;
+use crate::calibrate::bundle::{Bundle, Corner, NoSolution, Solution};
+use crate::optics::{Sighting, triangulate};
+use nalgebra::{Matrix2, Matrix3, Point3};
+use rayon::prelude::*;
+
+/// Lengths within this part of the shortest or the longest are edges of squares, or diagonals of the board.
+const SAME_LENGTH: f64 = 0.01;
+/// Lengths further off than so many times what noise explains are off by more; few lengths must be further off yet.
+const BEYOND_NOISE: f64 = 1.3;
+/// Lengths that are off by less than this part of what noise explains have ends that are off together.
+const TOGETHER: f64 = 0.7;
+
+/// A length on the board.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Length {
+    /// As printed, metres.
+    pub nominal_m: f64,
+    /// As measured, metres.
+    pub measured_m: f64,
+    /// What the noise of its two corners makes of it, 1σ, metres.
+    pub noise_sd_m: f64,
+}
+
+/// What a picture says of the rig found without it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct HeldOut {
+    /// Between neighbouring corners.
+    pub edges: Vec<Length>,
+    /// Between corners as far from each other as the board has them.
+    pub diagonals: Vec<Length>,
+    /// By how much all lengths of the board come out too long, as part of them; `None` without lengths.
+    pub scale: Option<f64>,
+    /// For each corner, how far the rays of the views pass the place nearest to them all, metres; as the tracker counts it.
+    pub rays_m: Vec<f64>,
+}
+
+/// How far lengths are off.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Off {
+    /// How many lengths.
+    pub count: usize,
+    /// Their mean as printed, metres.
+    pub nominal_m: f64,
+    /// RMS and largest of measured − printed, metres.
+    pub rms_m: f64,
+    /// See `rms_m`.
+    pub largest_m: f64,
+    /// Mean of measured − printed, metres.
+    pub mean_m: f64,
+    /// RMS that the noise of the corners alone explains, metres.
+    pub noise_m: f64,
+}
+
+impl Off {
+    /// Of some lengths; `None` when there are none.
+    pub fn of<'a>(lengths: impl IntoIterator<Item = &'a Length>) -> Option<Self> {
+        let lengths: Vec<&Length> = lengths.into_iter().collect();
+        let count = lengths.len();
+        let mean = |of: &dyn Fn(&Length) -> f64| lengths.iter().map(|l| of(l)).sum::<f64>() / count as f64;
+        let error = |l: &Length| l.measured_m - l.nominal_m;
+        (count > 0).then(|| Self {
+            count,
+            nominal_m: mean(&|l| l.nominal_m),
+            rms_m: mean(&|l| error(l).powi(2)).sqrt(),
+            largest_m: lengths.iter().map(|l| error(l).abs()).fold(0.0, f64::max),
+            mean_m: mean(&error),
+            noise_m: mean(&|l| l.noise_sd_m.powi(2)).sqrt(),
+        })
+    }
+
+    /// Whether they are off by so much less than noise explains that what is wrong with their ends is no noise.
+    pub fn below_noise(&self) -> bool {
+        self.rms_m < self.noise_m * TOGETHER.min(1.0 - 3.0 / (2.0 * self.count as f64).sqrt())
+    }
+
+    /// Whether they are off by more than noise, which makes an RMS scatter by 1/√(2·count) of itself.
+    pub fn beyond_noise(&self) -> bool {
+        self.rms_m > self.noise_m * BEYOND_NOISE.max(1.0 + 3.0 / (2.0 * self.count as f64).sqrt())
+    }
+}
+
+/// Leaves out each picture in turn. In the order of the solution's pictures.
+///
+/// # Errors
+/// For a picture: [`NoSolution`] when the others alone leave the rig open.
+pub fn held_out(solution: &Solution, corners: &[Corner]) -> Vec<Result<HeldOut, NoSolution>> {
+    (0..solution.poses.len())
+        .into_par_iter()
+        .map(|picture| {
+            let others = without(picture, solution, corners).solve()?;
+            Ok(measure(picture, &others, corners, solution.corner_sd_px))
+        })
+        .collect()
+}
+
+/// The problem without a picture; those after it move up.
+fn without(picture: usize, solution: &Solution, corners: &[Corner]) -> Bundle {
+    let now = |other: usize| (other != picture).then(|| other - usize::from(other > picture));
+    let (mut poses, mut names) = (solution.poses.clone(), solution.names.clone());
+    poses.remove(picture);
+    names.remove(picture);
+    let corners = corners.iter().filter_map(|c| Some(Corner { picture: now(c.picture)?, ..*c })).collect();
+    let known = solution
+        .known
+        .iter()
+        .filter_map(|known| match *known {
+            Prior::Taped { picture, surface, sd_m, half_m } => {
+                Some(Prior::Taped { picture: now(picture)?, surface, sd_m, half_m })
+            }
+            _ => Some(known.clone()),
+        })
+        .collect();
+    Bundle { geometry: solution.geometry.clone(), free: solution.free.clone(), poses, names, corners, known }
+}
+
+/// Triangulates the corners of a picture and takes the lengths between them.
+fn measure(picture: usize, others: &Solution, corners: &[Corner], corner_sd_px: f64) -> HeldOut {
+    let paths: Vec<_> = (0..others.geometry.views.len()).map(|view| others.geometry.path(view)).collect();
+    let mut seen: Vec<(Point3<f64>, Vec<Sighting<'_>>)> = Vec::new();
+    for corner in corners.iter().filter(|c| c.picture == picture) {
+        let Some(optics) = paths.get(corner.view) else { continue };
+        let covariance_px2 = Matrix2::identity() * corner_sd_px.powi(2);
+        let sighting = Sighting { optics, pixel: corner.pixel, covariance_px2 };
+        match seen.iter_mut().find(|(place, _)| *place == corner.place) {
+            Some((_, sightings)) => sightings.push(sighting),
+            None => seen.push((corner.place, vec![sighting])),
+        }
+    }
+    let mut rays_m = Vec::new();
+    let mut found: Vec<(Point3<f64>, Point3<f64>, Matrix3<f64>)> = Vec::new();
+    for (place, sightings) in &seen {
+        if let Some(triangulated) = triangulate(sightings) {
+            rays_m.push(triangulated.ray_distance_m);
+            found.push((*place, triangulated.point, triangulated.covariance));
+        }
+    }
+    let pairs = found.iter().enumerate().flat_map(|(i, a)| found.iter().skip(i + 1).map(move |b| (a, b)));
+    let lengths: Vec<Length> = pairs
+        .map(|((place_a, a, covariance_a), (place_b, b, covariance_b))| {
+            let along = (b - a).normalize();
+            Length {
+                nominal_m: (place_b - place_a).norm(),
+                measured_m: (b - a).norm(),
+                noise_sd_m: along.dot(&((covariance_a + covariance_b) * along)).max(0.0).sqrt(),
+            }
+        })
+        .collect();
+    let bound = |pick: fn(f64, f64) -> f64, start: f64| lengths.iter().map(|l| l.nominal_m).fold(start, pick);
+    let (shortest, longest) = (bound(f64::min, f64::INFINITY), bound(f64::max, 0.0));
+    let of = |keep: &dyn Fn(f64) -> bool| lengths.iter().filter(|l| keep(l.nominal_m)).copied().collect();
+    let sum = |of: &dyn Fn(&Length) -> f64| lengths.iter().map(of).sum::<f64>();
+    HeldOut {
+        edges: of(&|nominal_m| nominal_m < shortest * (1.0 + SAME_LENGTH)),
+        diagonals: of(&|nominal_m| nominal_m > longest * (1.0 - SAME_LENGTH)),
+        // Least squares: measured = (1 + scale) printed.
+        scale: (!lengths.is_empty())
+            .then(|| sum(&|l| l.measured_m * l.nominal_m) / sum(&|l| l.nominal_m.powi(2)) - 1.0),
+        rays_m,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::calibrate::bundle::tests::bundle;
+    use crate::calibrate::geometry::tests::geometry;
+
+    fn all(sd_px: f64, seed: u64) -> Vec<HeldOut> {
+        let bundle = bundle(&geometry(), sd_px, if sd_px > 0.0 { 1.0 } else { 0.0 }, seed);
+        let corners = bundle.corners.clone();
+        held_out(&bundle.solve().unwrap(), &corners).into_iter().map(Result::unwrap).collect()
+    }
+
+    #[test]
+    fn exact_corners_have_exact_lengths() {
+        let pictures = all(0.0, 3);
+        assert_eq!(pictures.len(), 12);
+        for held in pictures {
+            // Boards of 5 x 4 corners, 16 mm apart.
+            let (edges, diagonals) = (Off::of(&held.edges).unwrap(), Off::of(&held.diagonals).unwrap());
+            assert_eq!((edges.count, diagonals.count, held.rays_m.len()), (4 * 4 + 5 * 3, 2, 20));
+            assert!((edges.nominal_m - 0.016).abs() < 1e-12 && (diagonals.nominal_m - 0.080).abs() < 1e-12);
+            assert!(
+                edges.largest_m < 1e-8 && diagonals.largest_m < 1e-8 && held.scale.unwrap().abs() < 1e-7,
+                "{edges:?}"
+            );
+            assert!(held.rays_m.iter().all(|d| *d < 1e-8));
+        }
+    }
+
+    #[test]
+    fn lengths_are_off_by_what_the_noise_of_the_corners_explains() {
+        let pictures = all(0.1, 5);
+        let edges = Off::of(pictures.iter().flat_map(|p| &p.edges)).unwrap();
+        assert_eq!(edges.count, 12 * 31);
+        assert!((0.85..1.2).contains(&(edges.rms_m / edges.noise_m)), "{edges:?}");
+        assert!(!edges.beyond_noise() && !edges.below_noise());
+        assert!(edges.noise_m > 2e-5 && edges.largest_m < 5.0 * edges.noise_m && edges.largest_m > 2.0 * edges.noise_m);
+    }
+
+    #[test]
+    fn a_board_of_another_size_shows_in_its_own_picture() {
+        let truth = geometry();
+        let mut bundle = bundle(&truth, 0.0, 0.0, 3);
+        // Half of a per cent larger than it is said to be: its corners are seen further out.
+        for corner in bundle.corners.iter_mut().filter(|c| c.picture == 4) {
+            corner.place = Point3::from(corner.place.coords / 1.005);
+        }
+        let corners = bundle.corners.clone();
+        let pictures = held_out(&bundle.solve().unwrap(), &corners);
+        let held = pictures[4].as_ref().unwrap();
+        let scale = held.scale.unwrap();
+        assert!((scale - 0.005).abs() < 1e-6, "{scale}");
+        let edges = Off::of(&held.edges).unwrap();
+        assert!(edges.beyond_noise());
+        assert!((edges.mean_m - 0.005 * edges.nominal_m).abs() < 1e-8);
+    }
+
+    #[test]
+    fn what_leaves_the_rig_open_without_one_picture_is_said() {
+        let mut bundle = bundle(&geometry(), 0.0, 0.0, 3);
+        bundle.poses.truncate(2);
+        bundle.names.truncate(2);
+        // One square: 4 corners in 2 views, 16 equations a picture for 6 unknowns of its pose.
+        bundle.corners.retain(|c| c.picture < 2 && c.place.x < -0.01 && c.place.y < 0.0);
+        let corners = bundle.corners.clone();
+        assert_eq!(corners.len(), 16);
+        let solution = bundle.solve().unwrap();
+        // One picture and nothing else known: 18 unknowns of lens, mirror and walls are too many.
+        let solution = Solution { known: Vec::new(), ..solution };
+        for held in held_out(&solution, &corners) {
+            assert!(held.is_err(), "{held:?}");
+        }
+    }
+}

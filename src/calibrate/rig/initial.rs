@@ -1,0 +1,290 @@
+//! First guess of a rig from pictures that show a board directly and in mirrors, as if there were no water.
+//!
+//! In: images of the board in each picture, the lens. Out: which image is which view, in which order its corners are, about
+//! where the mirrors are and the boards.
+//!
+//! Every image gives a pose of the (virtual) board. Light takes a longer way by a mirror than straight, so the nearest image
+//! of a picture is the direct one, of those that are not seen to be mirrored. Each other image is a reflection of it: corresponding corners are joined by lines that
+//! are all parallel to the mirror's normal and halved by its plane; only the right order of corners makes them parallel.
+//! Planes that agree are the same mirror. Behind water distances come out a quarter short: good enough for a start.
+
+use crate::calibrate::board::{Board, BoardImage};
+use crate::calibrate::bundle::pose::pose_from_opencv;
+use crate::optics::Lens;
+use nalgebra::{Isometry3, Point2, Point3, Vector3};
+use opencv::calib3d;
+use opencv::core::{Mat, MatExprTraitConst, Point2f, Point3f, Vector};
+
+/// Lines between the corners of an image and of its reflection may be this far from parallel (tangent of the angle, RMS):
+/// refraction that is not known yet bends them; a wrong order of corners is far beyond.
+const PARALLEL: f64 = 0.2;
+/// Planes whose normals differ by more than this are different mirrors.
+const SAME_MIRROR_RAD: f64 = 20.0 * std::f64::consts::PI / 180.0;
+
+/// Places of corners on the board, and where they are in the picture.
+type Corners = Vec<(Point3<f64>, Point2<f64>)>;
+
+/// A picture with all images of the board in it.
+#[derive(Debug, Clone)]
+pub struct BoardsPicture {
+    /// The picture's name in messages.
+    pub name: String,
+    /// Its size, pixels.
+    pub size_px: [u32; 2],
+    /// Images of the one board, in any order.
+    pub images: Vec<BoardImage>,
+}
+
+/// A picture whose images are told apart.
+#[derive(Debug, Clone)]
+pub(crate) struct Sorted {
+    /// Index of the picture.
+    pub(crate) picture: usize,
+    /// For each view (0 direct, then the mirrors) the image there; the direct one is always there.
+    pub(crate) views: Vec<Option<Image>>,
+}
+
+/// An image of the board.
+#[derive(Debug, Clone)]
+pub(crate) struct Image {
+    /// Corners of the board, in the direct image's order, and where they are in the picture.
+    pub(crate) corners: Vec<(Point3<f64>, Point2<f64>)>,
+    /// Pose of the (virtual) board as if in air, camera_from_board, origin in the board's middle.
+    pub(crate) pose: Isometry3<f64>,
+}
+
+/// The first guess.
+#[derive(Debug, Clone)]
+pub(crate) struct Initial {
+    /// For each mirror: unit normal to the camera's side, offset in metres.
+    pub(crate) mirrors: Vec<(Vector3<f64>, f64)>,
+    pub(crate) pictures: Vec<Sorted>,
+    /// Pictures that cannot be used, and why.
+    pub(crate) left_out: Vec<(usize, Unusable)>,
+}
+
+/// Why a picture says nothing about mirrors.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum Unusable {
+    /// No direct image.
+    #[error("it shows the board only in a mirror, and not directly")]
+    OnlyMirrored,
+    /// One image only.
+    #[error(
+        "it shows the board only once, and a mirror needs it twice, directly and mirrored: is the other image whole, sharp and \
+         not hidden?"
+    )]
+    Once,
+    /// Images that are the wrong way round.
+    #[error(
+        "its direct image of the board is mirrored and the one in a mirror is not: the picture was flipped, by the camera's \
+         software or afterwards; take it unflipped"
+    )]
+    Flipped,
+    /// It was given before.
+    #[error("it is the same picture as {0}")]
+    Duplicate(String),
+    /// Images that are not sharp.
+    #[error(
+        "it is blurred: edges {edge_px:.0} px wide on squares of {square_px:.0} px; hold the board still, focus, more light"
+    )]
+    Blurred {
+        /// From dark to light.
+        edge_px: f64,
+        /// Side of a square.
+        square_px: f64,
+    },
+    /// Two images that are no reflections of each other.
+    #[error(
+        "its images of the board are no reflections of one another (lines between their corners are {:.0}° from \
+         parallel): are they of one board, and is the mirror flat?", .spread.atan().to_degrees()
+    )]
+    NoReflection {
+        /// Tangent of the angle between the lines, RMS.
+        spread: f64,
+    },
+    /// A reflection in a mirror that no other picture shows.
+    #[error(
+        "it shows the board in a mirror that stands otherwise than in the other pictures: was the mirror moved, was the \
+         picture flipped by the camera's software, or are there more mirrors (--mirrors)?"
+    )]
+    OtherMirror,
+}
+
+/// One reflected image.
+struct Reflection {
+    picture: usize,
+    normal: Vector3<f64>,
+    offset_m: f64,
+    image: Image,
+}
+
+/// Tells views and mirrors apart; `mirrors` is how many there are.
+pub(crate) fn start(board: &Board, lens: &Lens, pictures: &[BoardsPicture], mirrors: usize) -> opencv::Result<Initial> {
+    let places = board.centred_points();
+    let mut left_out = Vec::new();
+    let mut direct: Vec<(usize, Image)> = Vec::new();
+    let mut reflections: Vec<Reflection> = Vec::new();
+    for (picture, images) in pictures.iter().enumerate() {
+        if let Some(&BoardImage { edge_px, square_px, .. }) = images.images.iter().find(|image| image.is_blurred()) {
+            left_out.push((picture, Unusable::Blurred { edge_px, square_px }));
+            continue;
+        }
+        if let Some(other) = pictures.iter().take(picture).find(|other| same_images(other, images)) {
+            left_out.push((picture, Unusable::Duplicate(other.name.clone())));
+            continue;
+        }
+        let mut posed = Vec::new();
+        for image in &images.images {
+            let corners = ordered(&places, image, None);
+            posed.push((pose(lens, &corners)?, corners, image));
+        }
+        if flipped(&posed) {
+            left_out.push((picture, Unusable::Flipped));
+            continue;
+        }
+        let mirrored = |image: &BoardImage| image.mirrored == Some(true);
+        let distance = |pose: &Isometry3<f64>| pose.translation.vector.norm();
+        posed.sort_by(|a, b| mirrored(a.2).cmp(&mirrored(b.2)).then(distance(&a.0).total_cmp(&distance(&b.0))));
+        let Some(((nearest, corners, first), others)) = posed.split_first() else { continue };
+        if mirrored(first) {
+            left_out.push((picture, Unusable::OnlyMirrored));
+            continue;
+        }
+        if others.is_empty() {
+            left_out.push((picture, Unusable::Once));
+            continue;
+        }
+        let mut spreads = Vec::new();
+        for (_, _, image) in others {
+            let mut best: Option<(f64, Reflection)> = None;
+            for order in board.orders() {
+                let corners_there = ordered(&places, image, Some(&order));
+                let there = pose(lens, &corners_there)?;
+                let (spread, normal, offset_m) = mirror_between(&places, nearest, &there);
+                if best.as_ref().is_none_or(|(least, _)| spread < *least) {
+                    let image = Image { corners: corners_there, pose: there };
+                    best = Some((spread, Reflection { picture, normal, offset_m, image }));
+                }
+            }
+            match best {
+                Some((spread, reflection)) if spread < PARALLEL => reflections.push(reflection),
+                Some((spread, _)) => spreads.push(spread),
+                None => {}
+            }
+        }
+        if spreads.len() == others.len() {
+            let spread = spreads.into_iter().fold(f64::INFINITY, f64::min);
+            left_out.push((picture, Unusable::NoReflection { spread }));
+            continue;
+        }
+        direct.push((picture, Image { corners: corners.clone(), pose: *nearest }));
+    }
+    let groups = group(&reflections, mirrors);
+    let mut sorted: Vec<Sorted> = direct
+        .into_iter()
+        .map(|(picture, image)| {
+            let mut views = vec![None; groups.len() + 1];
+            views[0] = Some(image);
+            Sorted { picture, views }
+        })
+        .collect();
+    for (mirror, members) in groups.iter().enumerate() {
+        for reflection in members {
+            if let Some(own) = sorted.iter_mut().find(|s| s.picture == reflection.picture) {
+                own.views[mirror + 1] = Some(reflection.image.clone());
+            }
+        }
+    }
+    sorted.retain(|own| {
+        let used = own.views.iter().flatten().count() > 1;
+        if !used {
+            left_out.push((own.picture, Unusable::OtherMirror));
+        }
+        used
+    });
+    Ok(Initial { mirrors: groups.iter().map(|members| plane(members)).collect(), pictures: sorted, left_out })
+}
+
+/// Whether the nearest image, which is the direct one, is mirrored and another is not.
+fn flipped(posed: &[(Isometry3<f64>, Corners, &BoardImage)]) -> bool {
+    let distance = |pose: &Isometry3<f64>| pose.translation.vector.norm();
+    let nearest = posed.iter().min_by(|a, b| distance(&a.0).total_cmp(&distance(&b.0)));
+    let mirrored = |way: bool| move |(_, _, image): &(_, _, &BoardImage)| image.mirrored == Some(way);
+    nearest.is_some_and(mirrored(true)) && posed.iter().any(mirrored(false))
+}
+
+fn same_images(a: &BoardsPicture, b: &BoardsPicture) -> bool {
+    a.images.len() == b.images.len() && a.images.iter().zip(&b.images).all(|(a, b)| a.is_same_as(b))
+}
+
+/// Places and pixels of an image's corners; `order` says which corner stands at each index.
+pub(crate) fn ordered(
+    places: &[Point3<f64>],
+    image: &BoardImage,
+    order: Option<&[usize]>,
+) -> Vec<(Point3<f64>, Point2<f64>)> {
+    let corner = |i: usize| order.map_or(Some(i), |order| order.get(i).copied());
+    image.corners.iter().filter_map(|(i, pixel)| Some((*places.get(corner(*i)?)?, *pixel))).collect()
+}
+
+/// Pose of a board from one image, as if in air: OpenCV's `solvePnP` on undistorted corners.
+pub(crate) fn pose(lens: &Lens, corners: &[(Point3<f64>, Point2<f64>)]) -> opencv::Result<Isometry3<f64>> {
+    let seen = || corners.iter().filter_map(|(place, pixel)| Some((place, lens.undistort(pixel)?)));
+    let objects: Vector<Point3f> = seen().map(|(p, _)| Point3f::new(p.x as f32, p.y as f32, p.z as f32)).collect();
+    let images: Vector<Point2f> = seen().map(|(_, n)| Point2f::new(n.x as f32, n.y as f32)).collect();
+    let camera = Mat::eye(3, 3, opencv::core::CV_64F)?.to_mat()?;
+    let (mut turn, mut shift) = (Mat::default(), Mat::default());
+    calib3d::solve_pnp(
+        &objects,
+        &images,
+        &camera,
+        &Mat::default(),
+        &mut turn,
+        &mut shift,
+        false,
+        calib3d::SOLVEPNP_IPPE,
+    )?;
+    pose_from_opencv(&turn, &shift)
+}
+
+/// The plane halfway between a board and its reflection: how far the lines between corners are from parallel, the normal to
+/// the board's side, the offset.
+fn mirror_between(places: &[Point3<f64>], here: &Isometry3<f64>, there: &Isometry3<f64>) -> (f64, Vector3<f64>, f64) {
+    let pairs: Vec<_> = places.iter().map(|p| (here * p, there * p)).collect();
+    let count = pairs.len().max(1) as f64;
+    let mean = pairs.iter().map(|(a, b)| a - b).sum::<Vector3<f64>>() / count;
+    let normal = mean.normalize();
+    let aside =
+        pairs.iter().map(|(a, b)| ((a - b) - normal * normal.dot(&(a - b))).norm_squared()).sum::<f64>() / count;
+    let middle = pairs.iter().map(|(a, b)| (a.coords + b.coords) / 2.0).sum::<Vector3<f64>>() / count;
+    (aside.sqrt() / mean.norm(), normal, normal.dot(&middle))
+}
+
+/// The reflections of each of the mirrors that most pictures show, at most `mirrors`, in the order from left to right in
+/// the picture.
+fn group(reflections: &[Reflection], mirrors: usize) -> Vec<Vec<&Reflection>> {
+    let mut left: Vec<&Reflection> = reflections.iter().collect();
+    let mut groups: Vec<Vec<&Reflection>> = Vec::new();
+    while groups.len() < mirrors {
+        let alike = |a: &Reflection| left.iter().filter(|b| a.normal.angle(&b.normal) < SAME_MIRROR_RAD).count();
+        let Some(seed) = left.iter().copied().max_by_key(|r| alike(r)) else { break };
+        let (own, others) = left.into_iter().partition(|r| r.normal.angle(&seed.normal) < SAME_MIRROR_RAD);
+        groups.push(own);
+        left = others;
+    }
+    let across = |group: &Vec<&Reflection>| {
+        let x = group.iter().flat_map(|r| r.image.corners.iter().map(|(_, pixel)| pixel.x));
+        x.clone().sum::<f64>() / x.count().max(1) as f64
+    };
+    groups.sort_by(|a, b| across(a).total_cmp(&across(b)));
+    groups
+}
+
+/// Mean normal and median offset.
+fn plane(members: &[&Reflection]) -> (Vector3<f64>, f64) {
+    let normal = members.iter().map(|r| r.normal).sum::<Vector3<f64>>().normalize();
+    let mut offsets: Vec<f64> = members.iter().map(|r| r.offset_m).collect();
+    offsets.sort_by(f64::total_cmp);
+    (normal, offsets.get(offsets.len() / 2).copied().unwrap_or_default())
+}

@@ -1,0 +1,228 @@
+//! `catoptra calibrate rig`: mirrors and walls from pictures that show a board directly and in the mirrors.
+//!
+//! In: images of the board in each picture ([`BoardsPicture`]), the lens with its covariance, what else is known of the tank.
+//! Out: surfaces and views of the rig, their covariance, and what each picture leaves.
+//!
+//! 1. `start`: which image is which view, about where the mirrors are, as if in air.
+//! 2. Where there is a tank, walls are put between camera and boards: the front wall across the line of sight, and for each
+//!    mirror beside the tank the wall through which it looks. Several distances are tried.
+//! 3. [`super::bundle`]: all at once. The best of the tries counts; a picture that fits much worse than the others is left out.
+//!
+//! Assumes that a board is either in the medium behind the walls in all pictures, or in air in all of them.
+//! Cannot detect: a wrong refractive index or glass thickness (they trade off against distances), a wrong size of the
+//! squares (everything scales with it).
+
+pub mod diagnostics;
+mod error;
+pub mod expected_error;
+pub mod held_out;
+pub mod initial;
+mod options;
+mod regions;
+pub mod sufficient;
+mod taped;
+mod walls;
+
+pub use error::RigCalibrationError;
+pub use options::{RigOptions, Tank};
+pub use walls::water_index;
+
+use crate::calibrate::board::Board;
+use crate::calibrate::bundle::outliers::{UsedPicture, rms, worst_picture};
+use crate::calibrate::bundle::prior::Prior;
+use crate::calibrate::bundle::{Bundle, Corner, NoSolution, Solution};
+use crate::calibrate::geometry::Parameter;
+use crate::optics::{Lens, OpticalPath};
+use crate::rig::{Draft, View};
+use error::FEWEST_PICTURES;
+use initial::{BoardsPicture, Initial, Sorted, Unusable, start};
+use nalgebra::{Point2, Vector2};
+use regions::regions;
+use sufficient::{determined, shown};
+use taped::Taped;
+use walls::{first_geometry, held, known};
+
+/// Walls are first put this far in front of the nearest corner, metres.
+const MARGINS_M: [f64; 3] = [0.03, 0.08, 0.15];
+
+/// How far off the distance of a board from a single view may be.
+const POSE_ERROR: f64 = 0.02;
+
+/// The rig's optics and how well they are known.
+#[derive(Debug, Clone)]
+pub struct RigCalibration {
+    /// The solution.
+    pub solution: Solution,
+    /// The corners it explains.
+    pub corners: Vec<Corner>,
+    /// For each picture that was used, its index among those given and what it leaves.
+    pub used: Vec<(usize, UsedPicture)>,
+    /// Pictures left out, and why.
+    pub left_out: Vec<(String, String)>,
+}
+
+/// Calibrates mirrors and walls.
+///
+/// # Errors
+/// [`RigCalibrationError`] when the pictures do not show enough, or do not belong together.
+pub fn calibrate_rig(
+    board: &Board,
+    lens: &Lens,
+    pictures: &[BoardsPicture],
+    options: &RigOptions,
+) -> Result<RigCalibration, RigCalibrationError> {
+    let mut start = start(board, lens, pictures, options.mirrors)?;
+    let name = |picture: usize| pictures.get(picture).map_or_else(String::new, |p| p.name.clone());
+    let reason = |(picture, why): &(usize, Unusable)| (name(*picture), why.to_string());
+    let mut left_out: Vec<(String, String)> = start.left_out.iter().map(reason).collect();
+    loop {
+        if start.pictures.len() < FEWEST_PICTURES {
+            return Err(RigCalibrationError::TooFew { found: start.pictures.len(), left_out });
+        }
+        if start.mirrors.len() < options.mirrors {
+            return Err(RigCalibrationError::Mirrors { found: start.mirrors.len(), expected: options.mirrors });
+        }
+        shown(&start)?;
+        before_wall(board, &start, options, &name)?;
+        let names: Vec<String> = start.pictures.iter().map(|sorted| name(sorted.picture)).collect();
+        let (solution, corners) = best(board, lens, &start, &names, options)?;
+        let used: Vec<UsedPicture> = names
+            .into_iter()
+            .enumerate()
+            .map(|(picture, name)| UsedPicture {
+                name,
+                pose: solution.poses[picture],
+                corners: by_picture(&corners, &solution, picture),
+            })
+            .collect();
+        let Some((index, off)) = worst_picture(&used) else {
+            determined(&solution)?;
+            let used = start.pictures.iter().map(|s| s.picture).zip(used).collect();
+            return Ok(RigCalibration { solution, corners, used, left_out });
+        };
+        let sorted = start.pictures.remove(index);
+        left_out.push((name(sorted.picture), off.to_string()));
+    }
+}
+
+/// A wall at a measured distance, and boards that by their size are nearer: light goes straight to the wall, so that a board
+/// behind it never seems to be before it, whatever its tilt.
+fn before_wall(
+    board: &Board,
+    start: &Initial,
+    options: &RigOptions,
+    name: &impl Fn(usize) -> String,
+) -> Result<(), RigCalibrationError> {
+    let measured = options.distances_m.iter().find(|(name, ..)| name == "front_wall");
+    let Some((_, distance_m, sd_m)) = measured.filter(|_| options.tank.is_some()) else { return Ok(()) };
+    let nearest = |sorted: &Sorted| {
+        let image = sorted.views.first()?.as_ref()?;
+        image.corners.iter().map(|(place, _)| (image.pose * place).coords.norm()).reduce(f64::min)
+    };
+    let all = start.pictures.iter().filter_map(|sorted| Some((name(sorted.picture), nearest(sorted)?)));
+    match all.min_by(|a, b| a.1.total_cmp(&b.1)) {
+        Some((name, nearest_m)) if nearest_m < distance_m * (1.0 - POSE_ERROR) - 3.0 * sd_m => {
+            Err(RigCalibrationError::BeforeWall {
+                name,
+                board: board.to_string(),
+                nearest_mm: nearest_m * 1e3,
+                distance_mm: distance_m * 1e3,
+            })
+        }
+        _ => Ok(()),
+    }
+}
+
+fn by_picture(corners: &[Corner], solution: &Solution, picture: usize) -> Vec<(Point2<f64>, Vector2<f64>)> {
+    let all = corners.iter().zip(&solution.residuals_px);
+    all.filter(|(corner, _)| corner.picture == picture).map(|(corner, residual)| (corner.pixel, *residual)).collect()
+}
+
+/// The best of the adjustments that start from walls at several distances.
+fn best(
+    board: &Board,
+    lens: &Lens,
+    start: &Initial,
+    names: &[String],
+    options: &RigOptions,
+) -> Result<(Solution, Vec<Corner>), RigCalibrationError> {
+    let seen: Vec<Corner> = start
+        .pictures
+        .iter()
+        .enumerate()
+        .flat_map(|(picture, sorted)| {
+            let views = sorted.views.iter().enumerate();
+            views.flat_map(move |(view, image)| {
+                image.iter().flat_map(|image| &image.corners).map(move |(place, pixel)| Corner {
+                    picture,
+                    view,
+                    place: *place,
+                    pixel: *pixel,
+                })
+            })
+        })
+        .collect();
+    let margins: &[f64] = if options.tank.is_some() { &MARGINS_M } else { &[0.0] };
+    let mut best: Result<Solution, RigCalibrationError> = Err(NoSolution::NotConverged.into());
+    for margin_m in margins {
+        let (geometry, poses) = first_geometry(lens, start, options, *margin_m)?;
+        let known = known(&geometry, options)?;
+        let mut free: Vec<Parameter> = (0..geometry.surfaces.len()).flat_map(Parameter::of_surface).collect();
+        let (names, corners) = (names.to_vec(), seen.clone());
+        let mut bundle = Bundle { geometry, free: free.clone(), poses, names, corners, known };
+        for (wall, picture) in &options.taped {
+            Taped::new(board, lens, &bundle.geometry, wall, picture)?.add(&mut bundle);
+        }
+        let (corners, known) = (bundle.corners.clone(), bundle.known.clone());
+        bundle.known.extend(held(&bundle.geometry));
+        let rough = bundle.solve();
+        if options.lens_covariance.is_some() {
+            free.extend(Parameter::LENS);
+        }
+        if options.tank.is_some() && options.index_sd.is_some() {
+            free.push(Parameter::IndexInside);
+        }
+        let solved = rough.and_then(|rough| {
+            let Solution { geometry, poses, names, .. } = rough;
+            Bundle { geometry, free, poses, names, corners, known }.solve()
+        });
+        let cost = |s: &Solution| rms(s.residuals_px.iter().copied());
+        match (solved, &best) {
+            (Ok(solved), Ok(found)) if cost(&solved) >= cost(found) => {}
+            (Ok(solved), _) => best = Ok(solved),
+            (Err(why), Err(_)) => best = Err(why.into()),
+            (Err(_), Ok(_)) => {}
+        }
+    }
+    // Taped boards and the views that show them have done their work: they are no part of the rig.
+    let mut solution = best?;
+    solution.geometry.views.truncate(1 + start.mirrors.len());
+    solution.poses.truncate(start.pictures.len());
+    solution.names.truncate(start.pictures.len());
+    solution.residuals_px.truncate(seen.len());
+    solution.known.retain(|known| !matches!(known, Prior::Taped { .. }));
+    Ok((solution, seen))
+}
+
+/// The rig file with the mirrors, walls and views found in place of those it had. Its base frame was found with the old
+/// ones and is left out.
+pub fn into_draft(mut draft: Draft, done: &RigCalibration) -> Draft {
+    let geometry = &done.solution.geometry;
+    draft.camera.lens = geometry.lens;
+    draft.surfaces = geometry.surfaces.iter().cloned().collect();
+    let optics: Vec<OpticalPath> = (0..geometry.views.len()).map(|view| geometry.path(view)).collect();
+    let regions = regions(&done.corners, &optics, draft.camera.size_px);
+    draft.views = geometry
+        .views
+        .iter()
+        .zip(optics.into_iter().zip(regions))
+        .map(|((name, path), (optics, region_px))| View {
+            name: name.clone(),
+            path: path.iter().map(|&surface| geometry.surfaces[surface].0.clone()).collect(),
+            optics,
+            region_px,
+        })
+        .collect();
+    draft.base = None;
+    draft
+}

@@ -1,0 +1,132 @@
+//! Whether pictures are enough for a rig, by how they were taken and by the covariance of what they gave.
+//!
+//! Boards that are all parallel are refused whatever the covariance: as long as board and camera are at hand, tilting costs
+//! nothing, and angles gain the double (rendered boards in a tank: σ 0.009° with parallel ones, 0.004° with tilted ones).
+//! Boards at one depth are not refused for that: tilted ones determine as much as others, there and for a lens; where they do
+//! not, the covariance shows it.
+
+use crate::calibrate::bundle::Solution;
+use crate::calibrate::bundle::pose::spread_rad;
+use crate::calibrate::geometry::Parameter;
+use crate::calibrate::rig::initial::{Initial, Unusable};
+use nalgebra::Vector3;
+
+/// Fewest pictures of the board in each mirror: one alone has nothing that contradicts it.
+const FEWEST_OF_MIRROR: usize = 2;
+/// When more than this part of the pictures shows the mirror elsewhere, none can be relied on.
+const MOST_ELSEWHERE: f64 = 0.25;
+/// Boards that are all closer in direction than this are parallel. Half of what a lens needs: mirrors show the board from
+/// another side in every picture.
+const LEAST_TILT_RAD: f64 = 5.0 * std::f64::consts::PI / 180.0;
+/// A surface is not known whose normal is open by more, radians, or its distance by more than this part of the boards': the
+/// covariance holds for small errors, and all that the verdict says with it.
+const LEAST_KNOWN: (f64, f64) = (3.0 * std::f64::consts::PI / 180.0, 0.1);
+
+/// What pictures lack.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum Lacking {
+    /// Mirrors that moved, or pictures that were flipped.
+    #[error(
+        "in {elsewhere} of {all} pictures the mirror stands otherwise than in the rest: was it moved, were pictures flipped \
+         by the camera's software, or are there more mirrors (--mirrors)?"
+    )]
+    OneRig {
+        /// Pictures with the mirror elsewhere.
+        elsewhere: usize,
+        /// Pictures with a board in a mirror.
+        all: usize,
+    },
+    /// A mirror that hardly a picture shows.
+    #[error(
+        "mirror {number} from the left shows the board in {found} picture only; at least {FEWEST_OF_MIRROR} are needed, 10 are \
+         good"
+    )]
+    Mirror {
+        /// Counted from 1, from left to right in the picture.
+        number: usize,
+        /// How many pictures.
+        found: usize,
+    },
+    /// Parallel boards.
+    #[error(
+        "all boards are within {spread_deg:.0}° of parallel: turn and distance of mirrors and walls hang on their perspective \
+         alone; tilt the board by 30° and more, to all sides"
+    )]
+    Tilt {
+        /// Largest angle between two boards.
+        spread_deg: f64,
+    },
+    /// A surface that remains open.
+    #[error(
+        "the pictures leave {surface} open: by {tilt_deg:.1}° and {offset_mm:.0} mm (1σ). They are {count}, with boards within \
+         {spread_deg:.0}° of parallel and {depth_mm:.0} mm of one depth: take more, sharp ones, tilted to all sides, near and \
+         far, or measure a distance (--distance)"
+    )]
+    Open {
+        /// Its name.
+        surface: String,
+        /// σ of its normal.
+        tilt_deg: f64,
+        /// σ of its distance.
+        offset_mm: f64,
+        /// How many pictures.
+        count: usize,
+        /// Largest angle between two boards.
+        spread_deg: f64,
+        /// From the nearest board's middle to the farthest one's.
+        depth_mm: f64,
+    },
+}
+
+/// Judged before the adjustment.
+pub(crate) fn shown(start: &Initial) -> Result<(), Lacking> {
+    let elsewhere = start.left_out.iter().filter(|(_, why)| *why == Unusable::OtherMirror).count();
+    let all = elsewhere + start.pictures.len();
+    if elsewhere as f64 > MOST_ELSEWHERE * all as f64 {
+        return Err(Lacking::OneRig { elsewhere, all });
+    }
+    for number in 1..=start.mirrors.len() {
+        let found = start.pictures.iter().filter(|own| own.views.get(number).is_some_and(Option::is_some)).count();
+        if found < FEWEST_OF_MIRROR {
+            return Err(Lacking::Mirror { number, found });
+        }
+    }
+    Ok(())
+}
+
+/// Judged after the adjustment.
+pub(crate) fn determined(solution: &Solution) -> Result<(), Lacking> {
+    let spread_rad = spread_rad(&solution.poses);
+    let spread_deg = spread_rad.to_degrees();
+    if spread_rad < LEAST_TILT_RAD {
+        return Err(Lacking::Tilt { spread_deg });
+    }
+    let middles: Vec<Vector3<f64>> = solution.poses.iter().map(|pose| pose.translation.vector).collect();
+    let count = middles.len();
+    let away_m = middles.iter().map(Vector3::norm).sum::<f64>() / count.max(1) as f64;
+    let depths = || middles.iter().map(|middle| middle.z);
+    let depth_m = depths().fold(f64::NEG_INFINITY, f64::max) - depths().fold(f64::INFINITY, f64::min);
+    for (surface, (name, _)) in solution.geometry.surfaces.iter().enumerate() {
+        let [a, b, offset_m] = Parameter::of_surface(surface).map(|parameter| solution.sd(parameter));
+        let tilt_rad = a.max(b);
+        if tilt_rad.is_nan() || offset_m.is_nan() || tilt_rad > LEAST_KNOWN.0 || offset_m > LEAST_KNOWN.1 * away_m {
+            return Err(Lacking::Open {
+                surface: name.clone(),
+                tilt_deg: tilt_rad.to_degrees(),
+                offset_mm: offset_m * 1e3,
+                count,
+                spread_deg,
+                depth_mm: depth_m * 1e3,
+            });
+        }
+    }
+    Ok(())
+}
+
+impl Solution {
+    /// Standard deviation of a parameter; 0 when it was not free.
+    fn sd(&self, parameter: Parameter) -> f64 {
+        let at = self.free.iter().position(|p| *p == parameter);
+        at.map_or(0.0, |i| self.covariance[(i, i)].sqrt())
+    }
+}

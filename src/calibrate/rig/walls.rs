@@ -1,0 +1,203 @@
+//! The walls of the tank: where they are put before the adjustment, and what is known of them beside the pictures.
+
+use super::error::{RigCalibrationError, surface};
+use super::initial::Initial;
+use super::options::{RigOptions, Tank};
+use crate::calibrate::bundle::prior::Prior;
+use crate::calibrate::geometry::{Geometry, Parameter};
+use crate::optics::{Lens, Mirror, Plane, PlaneError, Surface, Wall};
+use nalgebra::{Isometry3, Point3, Translation3, Vector3};
+
+/// While searching, walls are held to where they were put, metres, and to right angles, radians; the answer knows nothing
+/// of it.
+const HELD: (f64, f64) = (0.05, 3e-3);
+/// How square a glass box is, radians, and how true to size, metres: what its makers keep.
+const SQUARE_SD_RAD: f64 = 3e-3;
+const SIZE_SD_M: f64 = 1e-3;
+/// Refractive index of water at 589 nm from 0 to 50 °C in steps of 10 °C (CRC Handbook of Chemistry and Physics).
+const WATER: [f64; 6] = [1.33395, 1.33369, 1.33299, 1.33192, 1.33051, 1.32894];
+
+/// Names of the mirrors and of their views: without a number where there is only one.
+fn numbered(name: &str, index: usize, count: usize) -> String {
+    if count == 1 { name.to_owned() } else { format!("{name}_{}", index + 1) }
+}
+
+/// Surfaces, views and poses to start from; walls `margin_m` in front of the nearest corner.
+pub(super) fn first_geometry(
+    lens: &Lens,
+    start: &Initial,
+    options: &RigOptions,
+    margin_m: f64,
+) -> Result<(Geometry, Vec<Isometry3<f64>>), RigCalibrationError> {
+    let count = start.mirrors.len();
+    let mut surfaces: Vec<(String, Surface)> = Vec::new();
+    let mut views = vec![("direct".to_owned(), Vec::new())];
+    let seen: Vec<_> = start.pictures.iter().map(|p| &p.views).collect();
+    let mut poses: Vec<Isometry3<f64>> = seen.iter().filter_map(|views| Some(views.first()?.as_ref()?.pose)).collect();
+    if let Some(tank) = &options.tank {
+        let middle = poses.iter().map(|p| p.translation.vector).sum::<Vector3<f64>>() / poses.len().max(1) as f64;
+        let normal = -middle.normalize();
+        let measured = options.distances_m.iter().find(|(name, ..)| name == "front_wall").map(|(_, d, _)| -d);
+        let offset_m = measured.unwrap_or_else(|| outermost(start, &poses, &normal) + margin_m);
+        let front = tank.wall(Plane::new(normal, offset_m)?);
+        for pose in &mut poses {
+            let middle = Point3::from(pose.translation.vector);
+            *pose = Translation3::from(front.lengthened(&middle) - middle) * *pose;
+        }
+        surfaces.push(("front_wall".to_owned(), Surface::Wall(front)));
+        views[0].1.push(0);
+    }
+    for (index, (normal, offset_m)) in start.mirrors.iter().enumerate() {
+        let mirror = surfaces.len();
+        let mut plane = Plane::new(*normal, *offset_m)?;
+        if options.tank.is_some_and(|tank| tank.mirrors_inside)
+            && let Some((_, Surface::Wall(front))) = surfaces.first()
+        {
+            plane = plane_in_water(start, index + 1, front)?;
+        }
+        surfaces.push((numbered("mirror", index, count), Surface::Mirror(Mirror { plane })));
+        let path = match &options.tank {
+            None => vec![mirror],
+            Some(tank) if tank.mirrors_inside => vec![0, mirror],
+            Some(tank) => {
+                let front = surfaces[0].1.plane().normal();
+                let middle = poses.iter().map(|p| p.translation.vector).sum::<Vector3<f64>>() / poses.len() as f64;
+                // Towards the boards, from the mirror image of the camera.
+                let camera = plane.reflect(&Point3::origin());
+                let inward = (Point3::from(middle) - camera).normalize();
+                if -inward.dot(&front) > std::f64::consts::FRAC_1_SQRT_2 {
+                    vec![mirror, 0]
+                } else {
+                    let normal = -(inward - front * front.dot(&inward)).normalize();
+                    let offset_m = outermost(start, &poses, &normal) + margin_m;
+                    surfaces.push((
+                        numbered("side_wall", index, count),
+                        Surface::Wall(tank.wall(Plane::new(normal, offset_m)?)),
+                    ));
+                    vec![mirror, mirror + 1]
+                }
+            }
+        };
+        views.push((numbered("mirror", index, count), path));
+    }
+    Ok((Geometry { lens: *lens, surfaces, views }, poses))
+}
+
+/// The plane halfway between what a board and its reflection behind a wall are when refraction is made good.
+fn plane_in_water(start: &Initial, view: usize, front: &Wall) -> Result<Plane, PlaneError> {
+    let (mut across, mut middles) = (Vector3::zeros(), Vec::new());
+    for sorted in &start.pictures {
+        let (Some(Some(direct)), Some(Some(image))) = (sorted.views.first(), sorted.views.get(view)) else { continue };
+        for (place, _) in &direct.corners {
+            let (here, there) = (front.lengthened(&(direct.pose * place)), front.lengthened(&(image.pose * place)));
+            across += here - there;
+            middles.push((here.coords + there.coords) / 2.0);
+        }
+    }
+    let normal = across.normalize();
+    let offset = middles.iter().map(|middle| normal.dot(middle)).sum::<f64>() / middles.len().max(1) as f64;
+    Plane::new(normal, offset)
+}
+
+impl Wall {
+    /// About where a point is that seems to be at `apparent` through this wall: what is behind it seems nearer, by the index.
+    fn lengthened(&self, apparent: &Point3<f64>) -> Point3<f64> {
+        let behind = (-self.outer.signed_distance(apparent)).max(0.0);
+        apparent + apparent.coords.normalize() * (behind * (self.index_inside - 1.0))
+    }
+}
+
+/// How far the corners of all boards reach along a direction.
+fn outermost(start: &Initial, poses: &[Isometry3<f64>], direction: &Vector3<f64>) -> f64 {
+    let corners = start.pictures.iter().zip(poses).flat_map(|(sorted, pose)| {
+        sorted.views.iter().flatten().flat_map(|image| &image.corners).map(move |(place, _)| (pose * place).coords)
+    });
+    corners.map(|corner| corner.dot(direction)).fold(f64::NEG_INFINITY, f64::max)
+}
+
+impl Tank {
+    fn wall(&self, outer: Plane) -> Wall {
+        Wall {
+            outer,
+            thickness_m: self.glass_m,
+            index_outside: 1.0,
+            index_wall: self.index_glass,
+            index_inside: self.index_inside,
+        }
+    }
+}
+
+/// What is known beside the pictures.
+pub(super) fn known(geometry: &Geometry, options: &RigOptions) -> Result<Vec<Prior>, RigCalibrationError> {
+    let mut known = Vec::new();
+    if let Some(covariance) = &options.lens_covariance {
+        let factor = covariance.clone().cholesky().ok_or(RigCalibrationError::LensCovariance)?;
+        let whitening = factor.l().try_inverse().ok_or(RigCalibrationError::LensCovariance)?;
+        let values = Parameter::LENS.map(|parameter| geometry.value(parameter));
+        known.push(Prior::Lens { values, whitening });
+    }
+    for (name, distance_m, sd_m) in &options.distances_m {
+        let surface = surface(geometry, name)?;
+        known.push(Prior::Distance { surface, distance_m: *distance_m, sd_m: *sd_m });
+    }
+    let Some(tank) = &options.tank else { return Ok(known) };
+    if let Some(sd) = options.index_sd {
+        known.push(Prior::IndexInside { index: tank.index_inside, sd });
+    }
+    let Some([width_m, depth_m, _]) = tank.size_m else { return Ok(known) };
+    known.extend(pairs_of_walls(geometry).map(|(surfaces, across)| {
+        if across {
+            return Prior::Square { surfaces, sd_rad: SQUARE_SD_RAD };
+        }
+        // The front wall is the first one; what is opposite to it is the depth away.
+        let distance_m = if surfaces[0] == 0 { depth_m } else { width_m };
+        Prior::Apart { surfaces, distance_m, sd_m: SIZE_SD_M }
+    }));
+    Ok(known)
+}
+
+fn walls(geometry: &Geometry) -> impl Iterator<Item = usize> {
+    let surfaces = geometry.surfaces.iter().enumerate();
+    surfaces.filter(|(_, (_, surface))| matches!(surface, Surface::Wall(_))).map(|(index, _)| index)
+}
+
+/// All pairs of walls, and whether they stand across each other (else they are opposite).
+fn pairs_of_walls(geometry: &Geometry) -> impl Iterator<Item = ([usize; 2], bool)> {
+    let normal = |surface: usize| geometry.surfaces[surface].1.plane().normal();
+    let pairs = walls(geometry).flat_map(|a| walls(geometry).filter(move |b| *b > a).map(move |b| [a, b]));
+    pairs.map(move |[a, b]| ([a, b], normal(a).dot(&normal(b)).abs() < std::f64::consts::FRAC_1_SQRT_2))
+}
+
+/// What keeps the search near its start.
+pub(super) fn held(geometry: &Geometry) -> Vec<Prior> {
+    let distance_m = |surface: usize| geometry.surfaces[surface].1.plane().offset_m().abs();
+    walls(geometry)
+        .map(|surface| Prior::Distance { surface, distance_m: distance_m(surface), sd_m: HELD.0 })
+        .chain(
+            pairs_of_walls(geometry)
+                .filter(|(_, across)| *across)
+                .map(|(surfaces, _)| Prior::Square { surfaces, sd_rad: HELD.1 }),
+        )
+        .collect()
+}
+
+/// Refractive index of water; `None` outside 0 to 50 °C.
+pub fn water_index(celsius: f64) -> Option<f64> {
+    let at = celsius / 10.0;
+    let below = (at.floor() as usize).min(WATER.len() - 2);
+    let between = at - below as f64;
+    (0.0..=5.0).contains(&at).then(|| WATER[below] + (WATER[below + 1] - WATER[below]) * between)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn water_as_the_handbook_has_it() {
+        assert_eq!(water_index(20.0), Some(1.33299));
+        assert!((water_index(25.0).unwrap() - 1.33245).abs() < 1e-5);
+        assert_eq!((water_index(50.0), water_index(-1.0), water_index(51.0)), (Some(1.32894), None, None));
+        assert_eq!(water_index(f64::NAN), None);
+    }
+}

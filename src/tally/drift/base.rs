@@ -1,0 +1,79 @@
+//! Does the base band still rest in the origin of the base frame?
+//!
+//! It is clamped: its place is where `calibrate base` found it, whatever the catheter does. So it shows what two views
+//! cannot tell from each other, a mirror shifted along its normal or turned to the left or right, and a camera that
+//! moved with its mirror.
+//!
+//! Method: the band's place is averaged over blocks of frames, weighted by its covariance, and the blocks over the last
+//! few seconds. It has moved when the distance from the origin is both certain, by the σ of the origin, that of this
+//! run, and the scatter of the blocks, and larger than what a band that is close to its clamp may give way to a bent
+//! tube.
+//!
+//! What it cannot detect: whether it was the clamp or the camera that moved; what leaves this one place where it was,
+//! as a mirror turned about an axis through the image of the band does.
+
+use crate::estimate::Estimate;
+use crate::rig::Rig;
+use crate::tally::drift::{Drifted, Finding, OVER, Window, mean};
+use nalgebra::{Matrix3, Point3, Vector3};
+
+/// A distance is certain beyond this many of its standard deviations. They hold the systematic errors: no more is
+/// needed.
+const CERTAIN: f64 = 4.0;
+/// Less may be the tube's bending at the band. On the sample, the band comes out up to 0.09 mm from the origin.
+const LEAST_M: f64 = 0.3e-3;
+/// σ of an origin that comes without, along each axis, metres: twice what the sample's recording at rest gives.
+const STATED_SD_M: f64 = 0.1e-3;
+
+/// Watches the first marker, the one next to the clamp.
+#[derive(Debug, Clone)]
+pub(crate) struct BaseBand {
+    /// Camera frame, metres.
+    origin: Point3<f64>,
+    /// Covariance of the distance without the scatter of the blocks.
+    systematic: Matrix3<f64>,
+    window: Window<Block>,
+}
+
+/// Σ C⁻¹ and Σ C⁻¹ x, x the place of the band from the origin, camera frame, metres.
+#[derive(Debug, Clone, Default)]
+struct Block(Matrix3<f64>, Vector3<f64>);
+
+impl BaseBand {
+    /// For a rig with a base frame.
+    pub(crate) fn new(rig: &Rig) -> Option<Self> {
+        let origin = rig.base.as_ref()?.base_from_camera.inverse() * Point3::origin();
+        let sd_m = rig.origin_sd_m().unwrap_or_else(|| Vector3::repeat(STATED_SD_M));
+        // The origin's, and as much again: what the image model gets wrong about the band is the same in all frames of
+        // a run.
+        let systematic = Matrix3::from_diagonal(&sd_m.map(|sd| 2.0 * sd * sd));
+        Some(Self { origin, systematic, window: Window::default() })
+    }
+
+    pub(crate) fn add(&mut self, estimate: &Estimate) {
+        let Some(Ok(position)) = estimate.markers.first().map(|marker| &marker.position) else { return };
+        let Some(weight) = position.covariance.try_inverse() else { return };
+        let pull = weight * (position.point - self.origin);
+        if weight.iter().chain(&pull).all(|v| v.is_finite()) {
+            let Block(weights, pulls) = &mut self.window.open;
+            *weights += weight;
+            *pulls += pull;
+        }
+    }
+
+    /// Ends a block; what the last ones say.
+    pub(crate) fn found(&mut self) -> Option<Finding> {
+        let blocks = self.window.close().iter();
+        let means: Vec<Vector3<f64>> =
+            blocks.filter_map(|Block(weight, pull)| Some(weight.try_inverse()? * pull)).collect();
+        let (away, scatter_m) = mean(&means)?;
+        let along = away.try_normalize(0.0)?;
+        let (size_m, sd_m) = (away.norm(), (along.dot(&(self.systematic * along)) + scatter_m.powi(2)).sqrt());
+        Some(Finding {
+            what: Drifted::Base { sd_m },
+            size_m,
+            raises: size_m > CERTAIN * sd_m && size_m > LEAST_M,
+            ends: size_m <= OVER * LEAST_M,
+        })
+    }
+}

@@ -1,0 +1,127 @@
+//! Do the views agree on where the bands are?
+//!
+//! Method: the residuals of all bands (a view alone minus the common answer) are averaged over blocks of frames,
+//! weighted by their covariance, and the blocks over the last few seconds. Views disagree when that mean is both
+//! certain, many σ by the scatter of the blocks (which are longer than the errors of a recording are correlated), and
+//! larger than what the models of picture and tube leave. When they are so far apart that the tracker takes the bands
+//! in them for different things, there are no residuals: then frames without a meeting of rays count.
+//!
+//! What it cannot detect: two views have but one direction in which they can contradict each other, across the plane of
+//! camera, mirrored camera and band (up and down for a mirror beside the tank). What moves the image along that plane,
+//! a mirror shifted along its normal or turned about an axis across that plane, changes the answer, not the residual; a
+//! camera and mirror that moved together change neither. Nor can it tell which of two views is wrong.
+
+use crate::estimate::{Estimate, Miss};
+use crate::optics::OpticalPath;
+use crate::rig::Rig;
+use crate::tally::drift::{BLOCKS, Drifted, Finding, OVER, Window, mean};
+use nalgebra::{Matrix2, Point3, Vector2};
+use std::collections::VecDeque;
+
+/// A mean is certain beyond this many of its standard deviations.
+const CERTAIN: f64 = 6.0;
+/// Views of a true rig were seen to disagree by up to 0.09 px in the mean (the sample at rest), models of the picture
+/// by 0.1 px.
+const LEAST_PX: f64 = 0.3;
+
+/// Watches the residuals.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Views {
+    optics: Vec<OpticalPath>,
+    window: Window<Block>,
+    /// Where a band was last, camera frame, metres: for the scale of the picture.
+    place: Option<Point3<f64>>,
+}
+
+#[derive(Debug, Clone, Default)]
+struct Block {
+    frames: u32,
+    /// Frames in which at least half of the markers were refused because rays do not meet, and the sum of how far they
+    /// miss.
+    apart: u32,
+    apart_sum_m: f64,
+    /// For each view Σ C⁻¹ and Σ C⁻¹ r.
+    sums: Vec<(Matrix2<f64>, Vector2<f64>)>,
+}
+
+impl Views {
+    pub(crate) fn new(rig: &Rig) -> Self {
+        Self { optics: rig.views.iter().map(|view| view.optics.clone()).collect(), ..Self::default() }
+    }
+
+    pub(crate) fn add(&mut self, estimate: &Estimate) {
+        self.window.open.add(estimate, self.optics.len());
+        let place = estimate.markers.iter().find_map(|marker| marker.position.as_ref().ok());
+        self.place = place.map(|position| position.point).or(self.place);
+    }
+
+    /// Ends a block; what the last ones say.
+    pub(crate) fn found(&mut self) -> Option<Finding> {
+        let blocks = self.window.close();
+        if let Some(size_m) = apart_m(blocks) {
+            return Some(Finding { what: Drifted::Apart, size_m, raises: true, ends: false });
+        }
+        let mut means: Vec<(usize, f64, f64)> = (0..self.optics.len())
+            .filter_map(|view| {
+                let means: Vec<Vector2<f64>> = blocks.iter().filter_map(|block| block.mean(view)).collect();
+                let (mean, sd) = mean(&means)?;
+                Some((view, mean.norm(), sd))
+            })
+            .collect();
+        means.sort_by(|a, b| b.1.total_cmp(&a.1));
+        // A disagreement is shared out between two views in opposite directions, each keeping the more the less it is
+        // certain of itself: it is the sum of both, and so is its standard deviation.
+        let [(view, first, first_sd), (_, second, second_sd), ..] = means[..] else { return None };
+        let seen = self.optics.get(view)?.project_with_jacobian(&self.place?).ok()?;
+        let px_per_m = seen.d_pixel.norm() / std::f64::consts::SQRT_2;
+        let (size_px, sd_px) = (first + second, first_sd + second_sd);
+        Some(Finding {
+            what: Drifted::Views { view, size_px, sd_px },
+            size_m: size_px / px_per_m,
+            raises: size_px > CERTAIN * sd_px && size_px > LEAST_PX,
+            ends: size_px <= OVER * LEAST_PX,
+        })
+    }
+}
+
+/// How far rays miss each other, metres, when they do not meet at all in most of the frames.
+fn apart_m(blocks: &VecDeque<Block>) -> Option<f64> {
+    let frames: u32 = blocks.iter().map(|block| block.frames).sum();
+    let apart: u32 = blocks.iter().map(|block| block.apart).sum();
+    let most = blocks.len() >= BLOCKS.1 && 2 * apart > frames;
+    let sum_m: f64 = blocks.iter().map(|block| block.apart_sum_m).sum();
+    most.then(|| sum_m / f64::from(apart))
+}
+
+impl Block {
+    fn add(&mut self, estimate: &Estimate, views: usize) {
+        self.frames += 1;
+        self.sums.resize(views, Default::default());
+        let missed_m = |miss: &Miss| match miss {
+            Miss::RaysDiverge { distance_m } => Some(*distance_m),
+            _ => None,
+        };
+        let apart = estimate.markers.iter().filter_map(|m| missed_m(m.position.as_ref().err()?));
+        let (count, sum_m) = apart.fold((0, 0.0), |(count, sum), m| (count + 1, sum + m));
+        if count > 0 && 2 * count >= estimate.markers.len() {
+            self.apart += 1;
+            self.apart_sum_m += sum_m / count as f64;
+        }
+        for marker in estimate.markers.iter().filter(|marker| marker.position.is_ok()) {
+            for (sum, band) in self.sums.iter_mut().zip(&marker.views) {
+                let Ok(band) = band else { continue };
+                let Some(weight) = band.covariance_px2.try_inverse() else { continue };
+                let pull = weight * band.residual_px;
+                if weight.iter().chain(&pull).all(|v| v.is_finite()) {
+                    sum.0 += weight;
+                    sum.1 += pull;
+                }
+            }
+        }
+    }
+
+    fn mean(&self, view: usize) -> Option<Vector2<f64>> {
+        let (weight, pull) = self.sums.get(view)?;
+        Some(weight.try_inverse()? * pull)
+    }
+}
