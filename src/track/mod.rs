@@ -16,10 +16,12 @@ mod light;
 mod normal;
 mod patch;
 mod round;
+mod slip;
 mod stretch;
 mod tracker;
 mod tube;
 mod tube_image;
+mod usual;
 mod view;
 
 pub use coil::deflection;

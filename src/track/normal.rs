@@ -54,6 +54,11 @@ pub(crate) fn row(terms: &[Terms; 3], weights: &[f32; 3], f: f32) -> (Row, f32) 
     (row, sum[VALUE])
 }
 
+/// By how much a sample's prediction changes when its picture is shifted by a pixel across the tube, and along it.
+pub(crate) fn shifted(row: &Row) -> [f32; 2] {
+    [ROW_ACROSS, ROW_ALONG].map(|at| row[at] + row[at + 1])
+}
+
 /// The elements of a row that move the shape: all of them, and those of a plain sample.
 const MOVES: [usize; 6] = [ROW_ACROSS, ROW_ACROSS + 1, ROW_ALONG, ROW_ALONG + 1, ROW_BULGE, ROW_BULGE + 1];
 const PLAIN_MOVES: [usize; 2] = [ROW_ACROSS, ROW_ACROSS + 1];

@@ -40,18 +40,19 @@ pub(crate) struct View {
 }
 
 impl View {
-    /// Selects the samples around an image of the stretch.
+    /// Selects the samples around an image of the stretch between two arc lengths.
     ///
     /// # Errors
     /// When it is not in the picture, or not all of it was recorded.
     pub(crate) fn select(
         stretch: &Stretch,
+        range_m: (f64, f64),
         image: &TubeImage,
         picture: &Picture,
         model: &ImageModel,
         (density, weighing): (Density, Weighing),
     ) -> Result<Self, NoFit> {
-        let patch = Patch::select(picture, image, stretch.range_m, model.chroma_offset_px, density)?;
+        let patch = Patch::select(picture, image, range_m, model.chroma_offset_px, density)?;
         let expected_colours = patch.colours(picture, image, &stretch.layout, &model.encoding);
         let expected_colours = expected_colours.ok_or(NoFit::OutOfPicture)?;
         Ok(Self { comparison: Comparison::new(patch), expected_colours, noise: start_noise(picture), weighing })
