@@ -96,6 +96,8 @@ pub mod series;
 
 pub mod excite;
 
+pub mod catheter;
+
 pub mod identify;
 
 pub mod validate;
@@ -107,3 +109,10 @@ pub mod calibrate;
 pub mod whole_file;
 
 pub mod cli;
+
+#[cfg(test)]
+extern crate self as catoptra;
+
+#[cfg(test)]
+#[allow(dead_code, reason = "the library's own tests use one part, those in `tests/` another")]
+mod testing;

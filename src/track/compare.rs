@@ -3,8 +3,8 @@
 
 use crate::track::appearance::{BEFORE, BEHIND, D_ALBEDO, LANES, Layout, PixelModel, RING, Scene};
 use crate::track::normal::{Bin, Collector, Normal, ROW, Row, Slot, Squares, influence, row};
-use crate::track::slip::Slips;
 use crate::track::patch::{Group, Patch};
+use crate::track::slip::Slips;
 use crate::track::tube::{SHAPE, ShapeBy, ShapeStep};
 use crate::track::tube_image::TubeImage;
 use nalgebra::{SMatrix, SVector};

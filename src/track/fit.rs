@@ -12,6 +12,7 @@
 use crate::optics::OpticalPath;
 use crate::source::Picture;
 use crate::track::image_model::ImageModel;
+use crate::track::no_fit::NoFit;
 use crate::track::patch::Density;
 use crate::track::round::{Guess, Round};
 use crate::track::slip::Seen;
@@ -27,17 +28,6 @@ use rayon::prelude::*;
 const SETTLED: f64 = 300.0;
 /// So does the second: what remains after that step is a hundredth.
 const ENOUGH: f64 = 10.0;
-
-/// Why there is no fit.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum NoFit {
-    /// The stretch is not, or not wholly enough, inside a view's picture.
-    OutOfPicture,
-    /// The equations are singular, or the iteration does not settle.
-    NotConverged,
-    /// The picture was recorded in parts, and lacks one.
-    NotRecorded,
-}
 
 /// What one view says about the stretch.
 #[derive(Debug, Clone)]
@@ -76,7 +66,8 @@ pub(crate) fn fit(
     model: &ImageModel,
 ) -> Result<TubeFit, NoFit> {
     let round = |guess: &Guess, how: (Density, Weighing)| {
-        let select = |(image, range_m): (&TubeImage, &(f64, f64))| View::select(stretch, *range_m, image, picture, model, how);
+        let select =
+            |(image, range_m): (&TubeImage, &(f64, f64))| View::select(stretch, *range_m, image, picture, model, how);
         let views = guess.images.par_iter().zip(ranges_m).map(select).collect::<Result<Vec<_>, _>>()?;
         Ok(Round { stretch, paths, picture, model, views })
     };
@@ -95,8 +86,9 @@ pub(crate) fn fit(
 mod tests {
     use super::*;
     use crate::source::{Colour, PixelFormat, Window};
+    use crate::testing::random::Random;
+    use crate::testing::tube::{BLUR_PX, Tube, picture, views};
     use crate::track::appearance::Layout;
-    use crate::track::drawn::{BLUR_PX, Dice, Tube, picture, views};
     use crate::track::image_model::ModelError;
     use crate::track::light::Encoding;
     use nalgebra::{Point3, Vector3};
@@ -130,11 +122,18 @@ mod tests {
     }
 
     fn fit_drawn(tube: &Tube, drawn: &[f64], noise: f64, seed: u64) -> Result<TubeFit, NoFit> {
-        let mut dice = Dice(seed ^ 77);
+        let mut dice = Random::new(seed ^ 77);
         let mut off = || Vector3::new(dice.normal(), dice.normal(), dice.normal());
         let start = TubeShape::straight(tube.centre + off() * 0.15e-3, &(tube.direction + off() * 0.02), 6e-3);
         let paths = views();
-        fit(&stretch(), &start, &picture(drawn, noise, seed), &[&paths[0], &paths[1]], &[stretch().range_m; 2], &model())
+        fit(
+            &stretch(),
+            &start,
+            &picture(drawn, noise, seed),
+            &[&paths[0], &paths[1]],
+            &[stretch().range_m; 2],
+            &model(),
+        )
     }
 
     #[test]
@@ -172,7 +171,9 @@ mod tests {
         let aside = tube.centre + Vector3::new(2.0e-3, 0.0, 1.5e-3);
         let start = TubeShape::straight(aside, &(tube.direction + Vector3::new(0.05, 0.0, -0.03)), 6e-3);
         let paths = views();
-        let found = fit(&stretch, &start, &picture(&drawn, 1.0, 3), &[&paths[0], &paths[1]], &[stretch().range_m; 2], &model()).unwrap();
+        let found =
+            fit(&stretch, &start, &picture(&drawn, 1.0, 3), &[&paths[0], &paths[1]], &[stretch().range_m; 2], &model())
+                .unwrap();
         assert!((found.shape.centre - tube.centre).norm() < 0.05e-3);
     }
 
@@ -182,7 +183,9 @@ mod tests {
         let drawn = tube.draw(&views());
         let paths = views();
         let start = TubeShape::straight(tube.centre, &tube.direction, 6e-3);
-        let fitted = |picture: &Picture| fit(&stretch(), &start, picture, &[&paths[0], &paths[1]], &[stretch().range_m; 2], &model());
+        let fitted = |picture: &Picture| {
+            fit(&stretch(), &start, picture, &[&paths[0], &paths[1]], &[stretch().range_m; 2], &model())
+        };
         let all = picture(&drawn, 1.0, 4);
         let expected = fitted(&all).unwrap();
         let patches = all.looked_at(0);

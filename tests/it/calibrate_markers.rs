@@ -1,5 +1,5 @@
-//! `catoptra calibrate markers` as a user runs it: what a rig without colours learns from one click a band, what that is
-//! worth on another recording, and when it refuses.
+//! `catoptra calibrate markers` as a user runs it: what a rig without colours learns from one click a band, what that
+//! is worth on another recording, and when it refuses.
 
 use crate::support::truth;
 use crate::support::truth::score::{Limits, Score};

@@ -140,8 +140,8 @@ fn why(rig: &Rig, marker: &Marker, miss: &Miss) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sink::fixture;
     use crate::source::{Clock, Colour, Picture, PixelFormat, Timestamp};
+    use crate::testing::fixture;
 
     /// A white tube with three bands, 7 px wide, in 4:2:0; its edges are as soft as a lens makes them.
     fn hanging_on(ground: [f64; 3]) -> Frame {
