@@ -54,7 +54,7 @@ impl Usual {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sink::fixture;
+    use crate::testing::fixture;
 
     #[test]
     fn what_is_twice_the_usual_is_too_much_and_scatter_is_not() {
