@@ -172,7 +172,7 @@ mod tests {
         let start = TubeShape::straight(aside, &(tube.direction + Vector3::new(0.05, 0.0, -0.03)), 6e-3);
         let paths = views();
         let found =
-            fit(&stretch, &start, &picture(&drawn, 1.0, 3), &[&paths[0], &paths[1]], &[stretch().range_m; 2], &model())
+            fit(&stretch, &start, &picture(&drawn, 1.0, 3), &[&paths[0], &paths[1]], &[stretch.range_m; 2], &model())
                 .unwrap();
         assert!((found.shape.centre - tube.centre).norm() < 0.05e-3);
     }
