@@ -82,10 +82,10 @@ impl Assigner {
         for (m, marker) in rig.markers.iter().enumerate() {
             let (point, age) = self.recent(m, stamp)?;
             let reach_m = PLACE_SD_M + FASTEST_M_S * age + marker.length_m;
-            for view in &rig.views {
+            for (v, view) in rig.views.iter().enumerate() {
                 let seen = view.optics.project_with_jacobian(&point).ok()?;
                 let reach_px = reach_m * px_per_m(&seen.d_pixel);
-                windows.push(Search { marker: Some(m), window: Window::around(&seen.pixel, reach_px) });
+                windows.push(Search { marker: Some(m), view: Some(v), window: Window::around(&seen.pixel, reach_px) });
             }
         }
         Some(windows)

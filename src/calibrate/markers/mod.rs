@@ -16,6 +16,7 @@ mod error;
 mod first;
 mod fitted;
 mod line_search;
+pub(crate) mod locate;
 mod samples;
 pub mod surroundings;
 

@@ -188,7 +188,7 @@ fn catheter(out: &mut String, rig: &Rig) -> fmt::Result {
             Some(centre_m) => format!("middle {:.1} mm from the clamp", centre_m * 1e3),
             None => "place not known".to_owned(),
         };
-        let colour = match &marker.colour {
+        let colour = match marker.colour(0) {
             Some(c) => format!("colour ({:.0}, {:.0}, {:.0})", c.rgb.x, c.rgb.y, c.rgb.z),
             None => "colour not learned".to_owned(),
         };
