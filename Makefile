@@ -33,7 +33,7 @@ bench: deps
 	$(CARGO) bench --locked --bench '*'
 
 accuracy: deps
-	$(CARGO) test --locked --test accuracy -- --nocapture --test-threads 1
+	$(CARGO) test --locked --test it accuracy:: -- --nocapture --test-threads 1
 
 deps:
 	@scripts/install-deps

@@ -1,12 +1,13 @@
-//! All orders and delays of a record of the paper's length, from one factorisation, beside a fit of its own for each; and the whole
-//! chain. One thread.
+//! All orders and delays of a record of the paper's length, from one factorisation, beside a fit of its own for each;
+//! and the whole chain. One thread.
 
 #![allow(clippy::unwrap_used, clippy::print_stdout, reason = "a measurement fails by panicking, and prints")]
 
-use catoptra::identify::arx::{Orders, fit};
+use catoptra::identify::arx::fit;
 use catoptra::identify::continuous::{Continuous, Conversion};
 use catoptra::identify::data::Segment;
-use catoptra::identify::fit::Start;
+use catoptra::identify::fit::InitialState;
+use catoptra::identify::model::Orders;
 use catoptra::identify::search::search;
 use std::f64::consts::TAU;
 use std::time::Instant;
@@ -47,9 +48,9 @@ fn shortest(mut of: impl FnMut()) -> f64 {
 fn main() {
     let (train, test) = ([record(1)], [record(2)]);
     let candidates: Vec<Orders> = (1..=30).flat_map(|n| (0..=5).map(move |nk| Orders { na: n, nb: n, nk })).collect();
-    let together = shortest(|| drop(search(&train, &[], Start::Rest, &candidates).unwrap()));
+    let together = shortest(|| drop(search(&train, &[], InitialState::Rest, &candidates).unwrap()));
     let apart = shortest(|| candidates.iter().for_each(|orders| drop(fit(&train, *orders))));
-    let judged = shortest(|| drop(search(&train, &test, Start::Rest, &candidates).unwrap()));
+    let judged = shortest(|| drop(search(&train, &test, InitialState::Rest, &candidates).unwrap()));
     println!("{SAMPLES} samples, orders 1 to 30, delays 0 to 5: {} models", candidates.len());
     println!("  from one factorisation        {together:8.3} s");
     println!("  each from its own             {apart:8.3} s, {:.0} times as long", apart / together);

@@ -2,17 +2,19 @@
 //!
 //! In: a source, a tracker, sinks. Out: every frame of the source in every sink, in order, and a [`Summary`].
 //!
-//! - Frames are decoded ahead of the tracker and written behind it; the channels between them are short, so that a fixed
-//!   number of pictures is in memory however long the run ([`MOST_PICTURES`]). Who is faster waits: nothing is dropped.
+//! - Frames are decoded ahead of the tracker and written behind it; the channels between them are short, so that a
+//!   fixed number of pictures is in memory however long the run ([`MOST_PICTURES`]). Who is faster waits: nothing is
+//!   dropped.
 //! - Results depend on the frames alone: not on the number of threads, nor on who waits for whom.
-//! - However a run ends, all sinks have the same frames and are finished; only a sink that failed itself may have fewer.
-//! - What it cannot do: wake up a source that waits for a camera. An interrupt is seen when the next frame arrives, or when
-//!   the source gives up.
+//! - However a run ends, all sinks have the same frames and are finished; only a sink that failed itself may have
+//!   fewer.
+//! - What it cannot do: wake up a source that waits for a camera. An interrupt is seen when the next frame arrives, or
+//!   when the source gives up.
 
 use crate::estimate::Estimate;
 use crate::sink::{Sink, SinkError};
-use crate::source::{self, Frame, FrameSource, SourceError, Timestamp};
-use crate::tally::Tally;
+use crate::source::{Frame, FrameSource, SourceError, StreamFaults, Timestamp};
+use crate::tally::{Tally, Totals};
 use crate::track::{TrackError, Tracker};
 use std::io;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -23,8 +25,8 @@ use std::time::{Duration, Instant};
 /// Frames that may wait between two threads.
 const WAITING: usize = 4;
 
-/// Pictures in memory at most, beside those that the decoder itself keeps: two channels full, and one frame in the hands of
-/// each of the three threads.
+/// Pictures in memory at most, beside those that the decoder itself keeps: two channels full, and one frame in the
+/// hands of each of the three threads.
 pub const MOST_PICTURES: usize = 2 * WAITING + 3;
 
 /// What a run came to.
@@ -33,7 +35,7 @@ pub struct Summary {
     /// Totals of the frames tracked.
     pub tally: Tally,
     /// What was wrong with the stream without ending it.
-    pub source: source::Tally,
+    pub source: StreamFaults,
     /// How long it took, by the clock on the wall.
     pub elapsed: Duration,
     /// Why it ended.
@@ -68,8 +70,9 @@ pub enum End {
 
 /// Tracks `source` to its end, or until `interrupt` is set (which is looked at before every frame).
 ///
-/// `progress` is called in the caller's thread after every frame. Fits run in parallel in the [`rayon`] pool of the caller.
-/// Troubles of source, tracker and sinks are in the [`Summary`]: what was tracked before them is written and stays valid.
+/// `progress` is called in the caller's thread after every frame. Fits run in parallel in the [`rayon`] pool of the
+/// caller. Troubles of source, tracker and sinks are in the [`Summary`]: what was tracked before them is written and
+/// stays valid.
 ///
 /// # Errors
 /// When the system gives no thread; nothing is tracked then.
@@ -105,17 +108,19 @@ pub fn run(
                 Ok(estimate) => estimate,
                 Err(error) => break Some(End::Track { seq: frame.seq, stamp: frame.stamp, error }),
             };
-            tally.add(&estimate);
-            if result_in.send((estimate, frame)).is_err() {
+            let totals = tally.add(&estimate).then(|| tally.totals());
+            if result_in.send(Row { estimate, frame, totals }).is_err() {
                 break Some(End::Sink);
             }
             progress(&tally);
         };
 
-        // Without a receiver the source stops at its next frame; without a sender the sinks write what waits and finish.
+        // Without a receiver the source stops at its next frame; without a sender the sinks write what waits and
+        // finish.
         drop((frames, result_in));
         let (source, source_end) = joined(reader);
-        let sink_failures = joined(writer);
+        let (sinks, mut sink_failures) = joined(writer);
+        sink_failures.extend(finish_all(sinks, &tally));
         let end = match (stopped, source_end) {
             (Some(end), _) => end,
             (None, Ok(())) => End::Complete,
@@ -130,7 +135,7 @@ pub fn run(
 fn read_all(
     mut source: Box<dyn FrameSource + Send>,
     out: &SyncSender<Frame>,
-) -> (source::Tally, Result<(), SourceError>) {
+) -> (StreamFaults, Result<(), SourceError>) {
     let end = loop {
         match source.next_frame() {
             Ok(Some(frame)) => {
@@ -142,34 +147,49 @@ fn read_all(
             Err(error) => break Err(error),
         }
     };
-    (source.tally(), end)
+    (source.faults(), end)
 }
 
-/// Gives all results to all sinks and finishes them. A sink that fails gets no more; the others get all there is.
+/// What the sinks are given of a frame.
+struct Row {
+    estimate: Estimate,
+    frame: Frame,
+    /// The count with this frame, when it is to be reported.
+    totals: Option<Totals>,
+}
+
+/// A sink, and whether it has worked so far.
+pub(crate) type OpenSink = (Box<dyn Sink + Send>, bool);
+
+/// Gives all results to all sinks. A sink that fails gets no more; the others get all there is.
 fn write_all(
     sinks: Vec<Box<dyn Sink + Send>>,
-    results: &Receiver<(Estimate, Frame)>,
+    results: &Receiver<Row>,
     failed: &AtomicBool,
-) -> Vec<SinkError> {
+) -> (Vec<OpenSink>, Vec<SinkError>) {
     let mut failures = Vec::new();
-    let mut sinks: Vec<_> = sinks.into_iter().map(|sink| (sink, true)).collect();
-    for (estimate, frame) in results {
+    let mut sinks: Vec<OpenSink> = sinks.into_iter().map(|sink| (sink, true)).collect();
+    for Row { estimate, frame, totals } in results {
         for (sink, works) in sinks.iter_mut().filter(|(_, works)| *works) {
-            if let Err(error) = sink.write(&estimate, Some(&frame.picture)) {
+            let written = sink.write(&estimate, Some(&frame.picture));
+            if let Err(error) = written.and_then(|()| totals.iter().try_for_each(|totals| sink.write_totals(totals))) {
                 *works = false;
                 failures.push(error);
                 failed.store(true, Ordering::Relaxed);
             }
         }
     }
-    for (mut sink, works) in sinks {
-        match sink.finish() {
-            // What a failed sink says at its end is the same once more, or follows from it.
-            Err(error) if works => failures.push(error),
-            _ => {}
-        }
-    }
-    failures
+    (sinks, failures)
+}
+
+/// Finishes all sinks with the count of the run; why some could not be.
+pub(crate) fn finish_all(sinks: Vec<OpenSink>, tally: &Tally) -> Vec<SinkError> {
+    let finish = |(mut sink, works): OpenSink| match sink.finish(tally) {
+        Err(error) if works => Some(error),
+        // What a failed sink says at its end is the same once more, or follows from it.
+        _ => None,
+    };
+    sinks.into_iter().filter_map(finish).collect()
 }
 
 /// What a thread returned; its panic goes on in this thread.
@@ -281,7 +301,7 @@ mod tests {
             Ok(())
         }
 
-        fn finish(&mut self) -> Result<(), SinkError> {
+        fn finish(&mut self, _: &Tally) -> Result<(), SinkError> {
             self.seen.0.lock().unwrap().1 += 1;
             if self.fails_at.is_some() { Err(full()) } else { Ok(()) }
         }

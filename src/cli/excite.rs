@@ -34,7 +34,7 @@ Example:
     Multisine(MultisineArgs),
     /// Levels that are held, one after the other or at random
     #[command(after_help = "\
-With --slew the current goes from level to level on ramps; how many samples that changes is told.
+With --slew the current goes from level to level on ramps; the summary counts the samples that this changes.
 Example:
   catoptra excite steps --levels 0mA,50mA,100mA,50mA --hold 5s --duration 60s -o steps.csv")]
     Steps(StepsArgs),
@@ -191,7 +191,7 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
         let text = excitation::page(&made.info, &made.signal, &spectrum, &made.clipped);
         save(page, &text)?;
     }
-    if quiet { Ok(()) } else { output::print(&told(&made, &spectrum, &common.out, page.as_deref())) }
+    if quiet { Ok(()) } else { output::print(&summary(&made, &spectrum, &common.out, page.as_deref())) }
 }
 
 impl Common {
@@ -339,7 +339,7 @@ fn save(path: &Path, text: &str) -> Result<(), Failure> {
         .map_err(|e| Failure::new(Exit::Failed, format!("{}: cannot be written: {e}", path.display())))
 }
 
-fn told(made: &Made, spectrum: &Spectrum, table: &Path, page: Option<&Path>) -> String {
+fn summary(made: &Made, spectrum: &Spectrum, table: &Path, page: Option<&Path>) -> String {
     let Made { signal, clipped, info } = made;
     let (slew, slew_s) = signal.largest_slew();
     let mut text = format!(

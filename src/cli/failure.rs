@@ -46,7 +46,7 @@ impl Failure {
     }
 }
 
-/// The error and what caused it, a line each; a cause that the line above has told already is left out.
+/// The error and what caused it, a line each; a cause that the line above names already is left out.
 impl fmt::Display for Failure {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let kind = if self.exit == Exit::Interrupted { "interrupted" } else { "error" };
@@ -84,10 +84,10 @@ mod tests {
     }
 
     #[test]
-    fn a_cause_is_told_once() {
-        let told =
+    fn a_cause_is_named_once() {
+        let shown =
             |text| Failure::new(Exit::Failed, Layer { text, source: std::io::Error::other("disk full") }).to_string();
-        assert_eq!(told("cannot write a.csv: disk full"), "error: cannot write a.csv: disk full\n");
-        assert_eq!(told("cannot write a.csv"), "error: cannot write a.csv\n  because: disk full\n");
+        assert_eq!(shown("cannot write a.csv: disk full"), "error: cannot write a.csv: disk full\n");
+        assert_eq!(shown("cannot write a.csv"), "error: cannot write a.csv\n  because: disk full\n");
     }
 }

@@ -2,7 +2,7 @@
 
 use super::{Exit, Failure};
 use crate::rig::Rig;
-use crate::source::{self, Frame, FrameSource, PixelFormat, SourceError, SourceOptions, Tally};
+use crate::source::{self, Frame, FrameSource, PixelFormat, SourceError, SourceOptions, StreamFaults};
 use std::path::Path;
 
 /// The recording or folder `source`, at its first frame; `rig` with the file it is from.
@@ -88,7 +88,7 @@ impl FrameSource for Peeked {
         self.source.frame_count_hint()
     }
 
-    fn tally(&self) -> Tally {
-        self.source.tally()
+    fn faults(&self) -> StreamFaults {
+        self.source.faults()
     }
 }

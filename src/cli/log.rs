@@ -41,7 +41,7 @@ pub(crate) fn run(args: &Args) -> Result<(), Failure> {
         Command::Info { file } => {
             let info = Info::read(file).map_err(failure)?;
             let mut text = String::new();
-            told(&mut text, &file.display().to_string(), &info)
+            describe(&mut text, &file.display().to_string(), &info)
                 .map_err(|e| Failure::new(Exit::Failed, format!("cannot describe the log: {e}")))?;
             output::print(&text)
         }
@@ -64,7 +64,7 @@ fn failure(error: LogError) -> Failure {
     Failure::new(exit, error)
 }
 
-fn told(out: &mut String, name: &str, info: &Info) -> fmt::Result {
+fn describe(out: &mut String, name: &str, info: &Info) -> fmt::Result {
     writeln!(out, "{name}: written by {}", info.library)?;
     match &info.cut {
         None => writeln!(out, "  whole, with index")?,

@@ -112,7 +112,7 @@ pub fn run() -> ExitCode {
     match result {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => {
-            // Nothing can be told when stderr is gone; the exit code still can.
+            // Without stderr there is still the exit code.
             let _ = write!(std::io::stderr().lock(), "{failure}");
             failure.exit().into()
         }

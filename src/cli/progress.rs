@@ -15,14 +15,14 @@ static SHOWN: Mutex<Option<ProgressBar>> = Mutex::new(None);
 pub(super) struct Progress {
     bar: ProgressBar,
     began: Instant,
-    state: State,
+    shown: Shown,
 }
 
 #[derive(PartialEq, Eq)]
-enum State {
+enum Shown {
     Never,
-    Waiting,
-    Shown,
+    NotYet,
+    Now,
 }
 
 impl Progress {
@@ -40,8 +40,8 @@ impl Progress {
             };
             bar.set_style(style.with_key("per_sec", per_second));
         }
-        let state = if quiet || !io::stderr().is_terminal() { State::Never } else { State::Waiting };
-        Self { bar, began: Instant::now(), state }
+        let shown = if quiet || !io::stderr().is_terminal() { Shown::Never } else { Shown::NotYet };
+        Self { bar, began: Instant::now(), shown }
     }
 
     /// So many are done.
@@ -51,8 +51,8 @@ impl Progress {
             self.bar.set_length(frames);
         }
         self.bar.set_position(frames);
-        if self.state == State::Waiting && self.began.elapsed() > PATIENCE {
-            self.state = State::Shown;
+        if self.shown == Shown::NotYet && self.began.elapsed() > PATIENCE {
+            self.shown = Shown::Now;
             self.bar.set_draw_target(ProgressDrawTarget::stderr());
             *lock() = Some(self.bar.clone());
         }
@@ -96,7 +96,7 @@ impl Drop for Line {
 impl Drop for Progress {
     fn drop(&mut self) {
         self.bar.finish_and_clear();
-        if self.state == State::Shown {
+        if self.shown == Shown::Now {
             *lock() = None;
         }
     }

@@ -2,7 +2,7 @@
 
 use super::progress::Progress;
 use super::run::folder::{self, Files, Run, unlike_others, whole_path};
-use super::run::{Record, Reference, load_rig, open_sinks, pool, rig_of_log, tell_warnings, told, verdict};
+use super::run::{Record, Reference, load_rig, open_sinks, pool, print_warnings, rig_of_log, summary, verdict};
 use super::{Exit, Failure, fitting, interrupt, output};
 use crate::log::is_log;
 use crate::pipeline;
@@ -76,7 +76,7 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     let span = Span { from_ns: args.from, to_ns: args.to };
     let options = SourceOptions { span, stated_rate: args.fps, decoder_threads: args.threads() };
     let source = fitting::open_to_track((&args.source, options), (rig_file, &rig))?;
-    tell_warnings(rig_file, &rig)?;
+    print_warnings(rig_file, &rig)?;
     let pool = pool(args.threads())?;
     // 2. the files
     let run = args.described();
@@ -91,24 +91,24 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     // 3. the run
     let mut progress = Progress::of_frames(source.frame_count_hint(), quiet);
     let recording = args.source.display().to_string();
-    let mut told = 0;
+    let mut alarms = 0;
     let watch = |tally: &Tally| {
         progress.at(tally.frames);
         // At once: a run may be long, and be live.
-        told = told::new_alarms(tally, &recording, told);
+        alarms = summary::new_alarms(tally, &recording, alarms);
     };
-    let summary = pool
+    let run_summary = pool
         .install(|| pipeline::run(Box::new(source), &mut tracker, sinks, &interrupt, watch))
         .map_err(|e| Failure::new(Exit::Failed, format!("cannot start a thread: {e}")))?;
     drop(progress);
     // 4. what came of it
     if !quiet {
         let mut text = String::new();
-        told::summary(&mut text, &recording, &summary, &files, &rig)
+        summary::summary(&mut text, &recording, &run_summary, &files, &rig)
             .map_err(|e| Failure::new(Exit::Failed, format!("cannot describe the run: {e}")))?;
         output::print(&text)?;
     }
-    verdict(&recording, &rig, summary)
+    verdict(&recording, &rig, run_summary)
 }
 
 impl Args {

@@ -99,7 +99,7 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     }
     // 3. the files
     args.write(&validation)?;
-    if quiet { Ok(()) } else { output::print(&told(&validation, &args.out)) }
+    if quiet { Ok(()) } else { output::print(&summary(&validation, &args.out)) }
 }
 
 impl Args {
@@ -177,7 +177,7 @@ fn missing(error: &SeriesError) -> bool {
     matches!(error, SeriesError::Io { source, .. } if source.kind() == std::io::ErrorKind::NotFound)
 }
 
-fn told(validation: &Validation, folder: &Path) -> String {
+fn summary(validation: &Validation, folder: &Path) -> String {
     let mut text = validation.table();
     match validation::bandwidth_hz(validation) {
         Some(hz) => text += &format!("\n3 dB below the slowest run at {hz:.3} Hz\n"),

@@ -1,8 +1,8 @@
 //! A sine whose frequency rises, or falls, over the band.
 //!
-//! Linear: f(t) = f0 + (f1 − f0) t / T, phase 2π (f0 t + (f1 − f0) t² / 2T): the same energy in every hertz. Logarithmic: f(t) = f0
-//! (f1 / f0)^(t / T), phase 2π f0 T / ln(f1/f0) ((f1/f0)^(t/T) − 1): the same in every octave, more at low frequencies. Both
-//! begin at zero current. As `scipy.signal.chirp` with `phi=-90`.
+//! Linear: f(t) = f0 + (f1 − f0) t / T, phase 2π (f0 t + (f1 − f0) t² / 2T): the same energy in every hertz.
+//! Logarithmic: f(t) = f0 (f1 / f0)^(t / T), phase 2π f0 T / ln(f1/f0) ((f1/f0)^(t/T) − 1): the same in every octave,
+//! more at low frequencies. Both begin at zero current. As `scipy.signal.chirp` with `phi=-90`.
 
 use super::{ExciteError, Signal, band, positive};
 use crate::source::FrameRate;
@@ -98,13 +98,15 @@ mod tests {
 
     #[test]
     fn values_that_make_no_chirp_are_refused() {
-        let told = |chirp: Chirp| chirp.signal(sixty()).unwrap_err().to_string();
+        let message = |chirp: Chirp| chirp.signal(sixty()).unwrap_err().to_string();
         let chirp = paper(Sweep::Linear);
-        assert_eq!(told(Chirp { amplitude_a: 0.0, ..chirp }), "amplitude is 0 A; it must be above 0");
-        assert!(told(Chirp { to_hz: 30.0, ..chirp }).contains("stay below 30 Hz"));
-        assert!(told(Chirp { duration_s: f64::NAN, ..chirp }).contains("duration is NaN s"));
-        assert!(told(Chirp { duration_s: 1e9, ..chirp }).contains("2 to 4000000 are possible"));
-        assert!(told(Chirp { to_hz: 0.5, sweep: Sweep::Logarithmic, ..chirp }).contains("two frequencies that differ"));
+        assert_eq!(message(Chirp { amplitude_a: 0.0, ..chirp }), "amplitude is 0 A; it must be above 0");
+        assert!(message(Chirp { to_hz: 30.0, ..chirp }).contains("stay below 30 Hz"));
+        assert!(message(Chirp { duration_s: f64::NAN, ..chirp }).contains("duration is NaN s"));
+        assert!(message(Chirp { duration_s: 1e9, ..chirp }).contains("2 to 4000000 are possible"));
+        assert!(
+            message(Chirp { to_hz: 0.5, sweep: Sweep::Logarithmic, ..chirp }).contains("two frequencies that differ")
+        );
         assert!(Chirp { to_hz: 0.5, ..chirp }.signal(sixty()).is_ok());
     }
 }

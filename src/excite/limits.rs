@@ -59,8 +59,8 @@ impl Limits {
         }
     }
 
-    /// Cuts off what is beyond the limits: first the current, then its slew, from the beginning on. What was changed is told.
-    /// A ramp back to zero current is added where slew asks for it.
+    /// Cuts off what is beyond the limits: first the current, then its slew, from the beginning on. Returns what was
+    /// changed. A ramp back to zero current is added where slew asks for it.
     pub fn clip(&self, signal: &mut Signal) -> Vec<Clipped> {
         let mut clipped = Vec::new();
         let before = signal.values_a.clone();
@@ -133,10 +133,10 @@ mod tests {
     fn beyond_a_limit_is_told_with_where_and_what_would_keep_it() {
         let limits = Limits { current_a: 0.1, slew_a_s: Some(1.0) };
         assert_eq!(limits.check(&signal(&[0.1, 0.05, -0.05, -0.1])), Ok(()));
-        let told = |values: &[f64]| limits.check(&signal(values)).unwrap_err().to_string();
-        assert_eq!(told(&[0.0, 0.11, 0.15]), "the current reaches 150.0 mA at 0.100 s, the limit is 100.0 mA");
+        let message = |values: &[f64]| limits.check(&signal(values)).unwrap_err().to_string();
+        assert_eq!(message(&[0.0, 0.11, 0.15]), "the current reaches 150.0 mA at 0.100 s, the limit is 100.0 mA");
         assert_eq!(
-            told(&[0.1, -0.1]),
+            message(&[0.1, -0.1]),
             "the current changes by 2.000 A/s at 0.100 s, the limit is 1 A/s: an amplitude of 50.0 mA keeps it"
         );
         // The way back to zero counts.
@@ -148,9 +148,9 @@ mod tests {
     fn what_is_clipped_is_told_and_the_rest_is_as_it_was() {
         let limits = Limits { current_a: 0.1, slew_a_s: None };
         let mut cut = signal(&[0.05, 0.12, 0.15, -0.05, -0.2, 0.0]);
-        let told = limits.clip(&mut cut);
+        let message = limits.clip(&mut cut);
         assert_eq!(cut.values_a, [0.05, 0.1, 0.1, -0.05, -0.1, 0.0]);
-        let [only] = told.as_slice() else { panic!("{told:?}") };
+        let [only] = message.as_slice() else { panic!("{message:?}") };
         assert_eq!((only.what, only.samples, only.first_s, only.last_s), (Change::Current, 3, 0.1, 0.4));
         assert!((only.largest_a - 0.1).abs() < 1e-15);
         assert_eq!(limits.check(&cut), Ok(()));
@@ -160,10 +160,10 @@ mod tests {
     fn steps_become_ramps_and_end_at_zero() {
         let limits = Limits { current_a: 0.1, slew_a_s: Some(0.4) };
         let mut steps = signal(&[0.1; 5]);
-        let told = limits.ramp(&mut steps).unwrap();
+        let message = limits.ramp(&mut steps).unwrap();
         let expected = [0.04, 0.08, 0.1, 0.1, 0.1, 0.06, 0.02];
         assert!(steps.values_a.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12), "{:?}", steps.values_a);
-        assert_eq!((steps.values_a.len(), told.samples, told.what), (7, 2, Change::Slew));
+        assert_eq!((steps.values_a.len(), message.samples, message.what), (7, 2, Change::Slew));
         assert_eq!(limits.check(&steps), Ok(()));
         assert_eq!(limits.check_steps(&signal(&[0.1; 5]), 0.5), Ok(()));
         let late = limits.check_steps(&signal(&[0.0, 0.1, 0.1]), 0.2).unwrap_err().to_string();

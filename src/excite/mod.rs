@@ -1,13 +1,14 @@
 //! Coil currents that excite the catheter so that its dynamics can be identified: chirp, multisine, steps.
 //!
-//! In: what the signal shall be, and what amplifier and coils allow ([`Limits`]). Out: a [`Signal`], one current a period of the
-//! controller, held until the next one (zero-order hold); its [spectrum](Spectrum); and a table ([`Signal::table`]).
+//! In: what the signal shall be, and what amplifier and coils allow ([`Limits`]). Out: a [`Signal`], one current a
+//! period of the controller, held until the next one (zero-order hold); its [spectrum](Spectrum); and a table
+//! ([`Signal::table`]).
 //!
-//! The signal begins from rest and is followed by one row of zero current, so that an amplifier that holds its last value
-//! is left without current. Both jumps count when slew is judged.
+//! The signal begins from rest and is followed by one row of zero current, so that an amplifier that holds its last
+//! value is left without current. Both jumps count when slew is judged.
 //!
-//! What it does not do: ask whether the catheter survives it (Section III.B of the paper stays below 8 Hz to spare it), or undo the
-//! non-linearity of the torque.
+//! What it does not do: ask whether the catheter survives it (Section III.B of the paper stays below 8 Hz to spare it),
+//! or undo the non-linearity of the torque.
 
 mod chirp;
 mod error;
@@ -76,8 +77,8 @@ impl Signal {
         self.peak_a() / self.rms_a()
     }
 
-    /// Largest slew, amperes a second, and when: a step from one sample to the next, over the time between them. The step from
-    /// rest and the one back count.
+    /// Largest slew, amperes a second, and when: a step from one sample to the next, over the time between them. The
+    /// step from rest and the one back count.
     pub fn largest_slew(&self) -> (f64, f64) {
         let before = std::iter::once(&0.0).chain(&self.values_a);
         let after = self.values_a.iter().chain(std::iter::once(&0.0));

@@ -1,10 +1,12 @@
 //! A sum of sines at all multiples of 1/period in a band, equally strong, repeated period by period.
 //!
-//! Each period is the same, so that noise shows in the differences of periods, and no frequency leaks into another. What
-//! is free are the phases: they decide how large the peak is beside the root mean square (the crest factor), and so how much energy
-//! the amplifier's limit allows.
-//! - Schroeder's phases φ_k = −π k (k − 1) / K (IEEE Trans. Inf. Theory 16, 1970, doi:10.1109/TIT.1970.1054411): a periodic chirp.
-//! - Random phases, the best of a number of draws: no order in time, as linear identification of a non-linear plant prefers.
+//! Each period is the same, so that noise shows in the differences of periods, and no frequency leaks into another.
+//! What is free are the phases: they decide how large the peak is beside the root mean square (the crest factor), and
+//! so how much energy the amplifier's limit allows.
+//! - Schroeder's phases φ_k = −π k (k − 1) / K (IEEE Trans. Inf. Theory 16, 1970, doi:10.1109/TIT.1970.1054411): a
+//!   periodic chirp.
+//! - Random phases, the best of a number of draws: no order in time, as linear identification of a non-linear plant
+//!   prefers.
 //!
 //! The sum is scaled so that its peak is the amplitude asked for.
 
@@ -49,8 +51,8 @@ impl Multisine {
     /// The signal at `rate`, and how many sines it is of.
     ///
     /// # Errors
-    /// [`ExciteError`] when a value is not positive, the rate too low, the band without a line, or the period no whole number
-    /// of samples.
+    /// [`ExciteError`] when a value is not positive, the rate too low, the band without a line, or the period no whole
+    /// number of samples.
     pub fn signal(&self, rate: FrameRate) -> Result<(Signal, usize), ExciteError> {
         positive("amplitude", self.amplitude_a, "A")?;
         positive("period", self.period_s, "s")?;
@@ -152,15 +154,15 @@ mod tests {
 
     #[test]
     fn bands_and_periods_that_do_not_fit_are_refused() {
-        let told = |multisine: Multisine| multisine.signal(sixty()).unwrap_err().to_string();
+        let message = |multisine: Multisine| multisine.signal(sixty()).unwrap_err().to_string();
         let fits = multisine(Phases::Schroeder);
-        let period = told(Multisine { period_s: 20.01, ..fits });
+        let period = message(Multisine { period_s: 20.01, ..fits });
         assert!(
             period.contains("1200.600 samples") && period.contains("20.016666666666666 s is the nearest"),
             "{period}"
         );
-        let band = told(Multisine { from_hz: 1.01, to_hz: 1.04, ..fits });
+        let band = message(Multisine { from_hz: 1.01, to_hz: 1.04, ..fits });
         assert!(band.contains("no multiple of 0.05 Hz"), "{band}");
-        assert!(told(Multisine { to_hz: 31.0, ..fits }).contains("stay below 30 Hz"));
+        assert!(message(Multisine { to_hz: 31.0, ..fits }).contains("stay below 30 Hz"));
     }
 }

@@ -6,8 +6,8 @@ use rustfft::num_complex::Complex;
 
 /// The one-sided periodogram of a whole signal.
 ///
-/// It is that of the samples, up to half of their rate: holding them adds images around multiples of the rate, and takes
-/// sinc(f / rate) off the signal itself (0.25 dB at 8 Hz and 60 samples a second).
+/// It is that of the samples, up to half of their rate: holding them adds images around multiples of the rate, and
+/// takes sinc(f / rate) off the signal itself (0.25 dB at 8 Hz and 60 samples a second).
 #[derive(Debug, Clone, PartialEq)]
 pub struct Spectrum {
     /// Distance of lines, Hz: 1 over the length.

@@ -98,9 +98,11 @@ mod tests {
 
     #[test]
     fn one_level_and_a_short_hold_are_refused() {
-        let told = |steps: Steps| steps.signal(ten()).unwrap_err().to_string();
+        let message = |steps: Steps| steps.signal(ten()).unwrap_err().to_string();
         let fits = steps(Order::Staircase);
-        assert!(told(Steps { levels_a: vec![0.1, 0.1], ..fits.clone() }).contains("two levels that differ; 1 given"));
-        assert!(told(Steps { hold_s: 0.1, ..fits }).contains("hold it for 0.2 s or longer"));
+        assert!(
+            message(Steps { levels_a: vec![0.1, 0.1], ..fits.clone() }).contains("two levels that differ; 1 given")
+        );
+        assert!(message(Steps { hold_s: 0.1, ..fits }).contains("hold it for 0.2 s or longer"));
     }
 }

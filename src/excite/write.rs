@@ -5,8 +5,9 @@ use crate::source::times::seconds;
 use std::fmt::Write as _;
 
 impl Signal {
-    /// The table: `t_s`, seconds from the start, and one column a coil, amperes to 1 nA. The signal is in the first of `coils`,
-    /// the others stay at 0. Each row holds until the next; the last one is zero current. [`crate::series::CurrentTable`] reads it.
+    /// The table: `t_s`, seconds from the start, and one column a coil, amperes to 1 nA. The signal is in the first of
+    /// `coils`, the others stay at 0. Each row holds until the next; the last one is zero current.
+    /// [`crate::series::CurrentTable`] reads it.
     pub fn table(&self, coils: &[String]) -> String {
         let mut text = format!("t_s,{}\r\n", coils.join(","));
         let others = ",0".repeat(coils.len().saturating_sub(1));

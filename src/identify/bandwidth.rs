@@ -1,14 +1,14 @@
 //! Bandwidth by definitions that have names: the same model has a different one by each.
 //!
-//! Eq. 7 of the paper as printed has −3 dB relative to zero frequency at 0.212 Hz, which is 1.33 rad/s; the 1.3 Hz told there fit
-//! none of these definitions. What a definition refers to may lie outside the excited band, zero frequency mostly does: then the
-//! number rests on the model alone and is flagged.
+//! Eq. 7 of the paper as printed has −3 dB relative to zero frequency at 0.212 Hz, which is 1.33 rad/s; its 1.3 Hz fit
+//! none of these definitions. What a definition refers to may lie outside the excited band, zero frequency mostly does:
+//! then the number rests on the model alone and is flagged.
 
 use nalgebra::Complex;
 use std::f64::consts::{FRAC_PI_4, PI, TAU};
 
-/// 10^(−3/20): −3 dB as MATLAB and python-control have it, not 1/√2. Where the response is flat, as that of Eq. 7, the difference
-/// of 0.1 % is one of 1 % in frequency.
+/// 10^(−3/20): −3 dB as MATLAB and python-control have it, not 1/√2. Where the response is flat, as that of Eq. 7, the
+/// difference of 0.1 % is one of 1 % in frequency.
 const MINUS_3_DB: f64 = 0.707_945_784_384_137_9;
 /// Frequencies looked at, a decade.
 const A_DECADE: usize = 400;
@@ -97,7 +97,8 @@ pub fn bandwidth(
         }
         before = f;
     }
-    // A step of the grid is 0.6 %: halved to the last digits, on the gain; on the phase by the same rule from the step's start.
+    // A step of the grid is 0.6 %: halved to the last digits, on the gain; on the phase by the same rule from the
+    // step's start.
     let frequency_hz = found.map(|(mut low, mut high)| {
         let level = |f: f64| match definition {
             Definition::ReDc | Definition::ReLowestExcited => reference * MINUS_3_DB - response(f).norm(),

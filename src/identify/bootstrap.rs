@@ -1,8 +1,8 @@
 //! How far a result would scatter if the experiment were repeated: residual bootstrap.
 //!
-//! The model's own residuals, drawn anew in blocks that keep what correlation is left in them, are put on the model's output, and
-//! everything is estimated again (Künsch, Annals of Statistics 17, 1989, doi:10.1214/aos/1176347265). Inputs stay as they were:
-//! that an input computed by Eq. 6 would carry the new noise too is left out.
+//! The model's own residuals, drawn anew in blocks that keep what correlation is left in them, are put on the model's
+//! output, and everything is estimated again (Künsch, Annals of Statistics 17, 1989, doi:10.1214/aos/1176347265).
+//! Inputs stay as they were: that an input computed by Eq. 6 would carry the new noise too is left out.
 
 use super::data::Segment;
 use super::model::{Polynomials, all_pole};
@@ -10,7 +10,7 @@ use fastrand::Rng;
 
 /// Samples in a block.
 const BLOCK: usize = 32;
-/// Of so many repetitions at least the middle is told.
+/// An interval needs this many repetitions.
 const FEWEST: usize = 20;
 const SEED: u64 = 0x00CA_7097;
 
@@ -48,10 +48,10 @@ pub fn repeat<T: Send>(
 
 /// The output that the model would have without noise, and what the noise was.
 fn clean_and_residual(segment: &Segment, model: &Polynomials, noise: Noise) -> (Vec<f64>, Vec<f64>) {
-    use super::fit::{Kind, Start, output};
+    use super::fit::{InitialState, Kind, output};
     match noise {
         Noise::Output => {
-            let clean = output(model, segment, Kind::Simulation(Start::Rest));
+            let clean = output(model, segment, Kind::Simulation(InitialState::Rest));
             let left = segment.output.iter().zip(&clean).map(|(y, c)| y - c).filter(|e| !e.is_nan()).collect();
             (clean, left)
         }
@@ -116,8 +116,9 @@ pub fn middle_95(mut values: Vec<f64>) -> Option<(f64, f64)> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::arx::tests::noise;
-    use super::super::arx::{Orders, fit};
+    use super::super::arx::fit;
+    use super::super::model::Orders;
+    use super::super::tests::noise;
     use super::*;
 
     #[test]

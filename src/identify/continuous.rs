@@ -1,10 +1,10 @@
 //! From samples to seconds: H(s) of a discrete model.
 //!
-//! The input is held between samples, so the states obey exp([[A_c, b_c], [0, 0]] T) = [[A, b], [0, 1]]: the logarithm gives
-//! the continuous system exactly. A pole on the negative real axis or at zero has no such logarithm; then Tustin's rule is
-//! used, s = 2/T (z−1)/(z+1), and that is said: it is right at low frequencies only.
+//! The input is held between samples, so the states obey exp([[A_c, b_c], [0, 0]] T) = [[A, b], [0, 1]]: the logarithm
+//! gives the continuous system exactly. A pole on the negative real axis or at zero has no such logarithm; then
+//! Tustin's rule is used, s = 2/T (z−1)/(z+1), and that is said: it is right at low frequencies only.
 
-use super::ending::eigenvalues;
+use super::decompositions::eigenvalues;
 use super::model::Polynomials;
 use super::state_space::{StateSpace, characteristic};
 use nalgebra::{Complex, DMatrix, DVector, RowDVector};
@@ -104,8 +104,8 @@ fn held(system: &StateSpace, period_s: f64) -> Option<StateSpace> {
     })
 }
 
-/// Principal logarithm by square roots until the matrix is near the identity, then the Padé approximant as a sum of Gauss
-/// quadrature terms (Higham, Functions of Matrices, 2008, chapter 11).
+/// Principal logarithm by square roots until the matrix is near the identity, then the Padé approximant as a sum of
+/// Gauss quadrature terms (Higham, Functions of Matrices, 2008, chapter 11).
 fn logarithm(mut matrix: DMatrix<f64>) -> Option<DMatrix<f64>> {
     // Abscissae and weights of Gauss and Legendre on [0, 1], 8 points.
     const HALF: [(f64, f64); 4] = [

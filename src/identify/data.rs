@@ -1,7 +1,7 @@
 //! What is identified from: evenly sampled stretches of input and output.
 //!
-//! A stretch ends where the input is not known. An output that was not observed is a NaN: it is no data, and whatever needs it is
-//! left out, but simulations run through it.
+//! A stretch ends where the input is not known. An output that was not observed is a NaN: it is no data, and whatever
+//! needs it is left out, but simulations run through it.
 
 /// A stretch of evenly sampled input, without a hole, and output.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -93,6 +93,17 @@ impl Record {
             segments: self.segments.iter().map(part).filter(|s| !s.is_empty()).collect(),
         }
     }
+}
+
+/// What is identified from, made ready.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Data {
+    /// Seconds between samples, the same for all records.
+    pub period_s: f64,
+    /// Fitted.
+    pub training: Vec<Record>,
+    /// Not fitted: to judge by.
+    pub validation: Vec<Record>,
 }
 
 #[cfg(test)]

@@ -1,13 +1,14 @@
-//! How much later the output is than the commands say: the constant between two clocks, the amplifier's, and the plant's together.
+//! How much later the output is than the commands say: the constant between two clocks, the amplifier's, and the
+//! plant's together.
 //!
-//! Delays are tried; for each a model of second order is fitted by output error, and the delay of the
-//! smallest residual is told. Nothing can tell a delay of the clocks from one of the system: it is shown, and taken out
-//! only when the user says so. Delays of parts of a period are told apart by their shape only and are less sure than σ says when
-//! the system is not of second order.
+//! Delays are tried; for each a model of second order is fitted by output error, and the delay of the smallest residual
+//! is told. Nothing can tell a delay of the clocks from one of the system: it is shown, and taken out only when the
+//! user says so. Delays of parts of a period are told apart by their shape only and are less sure than σ says when the
+//! system is not of second order.
 
-use super::arx::Orders;
 use super::data::Segment;
-use super::model::Polynomials;
+use super::initial::initial_models;
+use super::model::{Orders, Polynomials};
 use super::output_error;
 
 /// The model that is tried.
@@ -31,8 +32,8 @@ pub struct Delay {
     pub tried: Vec<(f64, f64)>,
 }
 
-/// Tries delays around none. `segments` gives the data with commands that act so much later. Nothing when the model fits none, or
-/// best at the end of the trials.
+/// Tries delays around none. `segments` gives the data with commands that act so much later. Nothing when the model
+/// fits none, or best at the end of the trials.
 pub fn estimate(period_s: f64, segments: impl Fn(f64) -> Option<Vec<Segment>>) -> Option<Delay> {
     // 1. the smallest on the coarse trials, which must have neighbours
     let steps = (REACH / STEP) as i32;
@@ -45,8 +46,8 @@ pub fn estimate(period_s: f64, segments: impl Fn(f64) -> Option<Vec<Segment>>) -
         }
     }
     let best = (0..models.len()).min_by(|i, j| models[*i].1.total_cmp(&models[*j].1))?;
-    // 2. around it in ever smaller steps: the residual may have a narrow dip in a wide one, where a state that models delay
-    // becomes free to model the system
+    // 2. around it in ever smaller steps: the residual may have a narrow dip in a wide one, where a state that models
+    //    delay becomes free to model the system
     let &(mut delay_s, _, ref near) = models.get(best).filter(|_| best > 0 && best + 1 < models.len())?;
     let square = |delay_s: f64| Some(residual(&segments(delay_s)?, Some(near))?.0.powi(2));
     let (mut least, mut step) = (square(delay_s)?, 0.5 * STEP * period_s);
@@ -81,16 +82,16 @@ pub fn estimate(period_s: f64, segments: impl Fn(f64) -> Option<Vec<Segment>>) -
 
 /// Root mean square that the model of second order leaves, from its usual starts or from the model of the trial before.
 fn residual(segments: &[Segment], near: Option<&Polynomials>) -> Option<(f64, Polynomials)> {
-    let mut starts = output_error::usual_starts(segments, ORDERS);
-    starts.extend(near.cloned());
-    let found = output_error::refine_from_any(segments, &starts).ok()?.estimated;
+    let mut initial = initial_models(segments, ORDERS);
+    initial.extend(near.cloned());
+    let found = output_error::refine_from_any(segments, &initial).ok()?.estimated;
     Some((found.noise_variance.sqrt(), found.model))
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::arx::tests::noise;
     use super::super::hold::Held;
+    use super::super::tests::noise;
     use super::*;
     use std::f64::consts::TAU;
 

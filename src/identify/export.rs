@@ -1,12 +1,13 @@
 //! The result as files: `model.json` and one table a curve. docs/identify.md tells every field.
 
-use super::chain::{Data, Fit, Identification};
 use super::continuous::{Continuous, Conversion};
-use super::fit::{Kind, Start, output};
+use super::data::Data;
+use super::fit::{InitialState, Kind, output};
+use super::identification::{Fit, Identification};
 use super::model::Polynomials;
 use super::modelled::{ContinuousEstimate, Modelled, Role};
+use super::provenance::Provenance;
 use super::residuals::Residuals;
-use super::told::Told;
 use super::uncertainty::Covariance;
 use crate::whole_file;
 use nalgebra::{Complex, DMatrix};
@@ -31,8 +32,8 @@ impl Kind {
     /// As files have it.
     pub fn word(self) -> &'static str {
         match self {
-            Self::Simulation(Start::Rest) => "simulation",
-            Self::Simulation(Start::Estimated) => "simulation_estimated_start",
+            Self::Simulation(InitialState::Rest) => "simulation",
+            Self::Simulation(InitialState::Estimated) => "simulation_estimated_start",
             Self::Prediction => "prediction",
         }
     }
@@ -42,8 +43,13 @@ impl Kind {
 ///
 /// # Errors
 /// The system's, with the file.
-pub fn write(folder: &Path, data: &Data, done: &Identification, told: &Told) -> Result<Vec<PathBuf>, ExportError> {
-    let json = serde_json::to_vec_pretty(&model(data, done, told)).map_err(io::Error::other);
+pub fn write(
+    folder: &Path,
+    data: &Data,
+    done: &Identification,
+    provenance: &Provenance,
+) -> Result<Vec<PathBuf>, ExportError> {
+    let json = serde_json::to_vec_pretty(&model(data, done, provenance)).map_err(io::Error::other);
     // An earlier result in this folder may have had files that this one does not have.
     if folder.join("model.json").exists() {
         for name in NOT_ALWAYS {
@@ -56,7 +62,7 @@ pub fn write(folder: &Path, data: &Data, done: &Identification, told: &Told) -> 
     }
     let mut files = vec![("model.json", json)];
     files.push(("bode.csv", bode(done)));
-    files.push(("signals.csv", signals(data, done, told.start)));
+    files.push(("signals.csv", signals(data, done, provenance.initial_state)));
     files.push(("hankel.csv", hankel(done)));
     if !done.candidates.is_empty() {
         files.push(("orders.csv", orders(done)));
@@ -76,7 +82,7 @@ pub fn write(folder: &Path, data: &Data, done: &Identification, told: &Told) -> 
 }
 
 /// `model.json`. What is no number is null.
-fn model(data: &Data, done: &Identification, told: &Told) -> Value {
+fn model(data: &Data, done: &Identification, provenance: &Provenance) -> Value {
     let by = |role| done.model(role);
     let full = by(Role::Full);
     json!({
@@ -84,10 +90,10 @@ fn model(data: &Data, done: &Identification, told: &Told) -> Value {
         "format_version": 1,
         "program": format!("catoptra {}", env!("CARGO_PKG_VERSION")),
         "period_s": data.period_s,
-        "input": { "name": told.input, "unit": told.input_unit },
-        "output": { "name": told.output, "unit": told.output_unit },
-        "settings": told.settings.iter().map(|(name, value)| (name.clone(), json!(value))).collect::<serde_json::Map<_, _>>(),
-        "records": told.records.iter().map(|record| json!({
+        "input": { "name": provenance.input, "unit": provenance.input_unit },
+        "output": { "name": provenance.output, "unit": provenance.output_unit },
+        "settings": provenance.settings.iter().map(|(name, value)| (name.clone(), json!(value))).collect::<serde_json::Map<_, _>>(),
+        "records": provenance.records.iter().map(|record| json!({
             "name": record.name,
             "role": if record.training { "training" } else { "validation" },
             "samples": record.samples,
@@ -145,7 +151,7 @@ fn model(data: &Data, done: &Identification, told: &Told) -> Value {
             "feedback_outside_99_percent": r.fed_back().0,
             "feedback_lags": r.fed_back().1,
         })),
-        "doubts": done.doubts.iter().map(ToString::to_string).collect::<Vec<_>>(),
+        "diagnostics": done.diagnostics.iter().map(ToString::to_string).collect::<Vec<_>>(),
     })
 }
 
@@ -355,14 +361,14 @@ fn correlations(residuals: &Residuals) -> io::Result<Vec<u8>> {
 }
 
 /// Observed and simulated, every sample of every record.
-fn signals(data: &Data, done: &Identification, start: Start) -> io::Result<Vec<u8>> {
+fn signals(data: &Data, done: &Identification, initial_state: InitialState) -> io::Result<Vec<u8>> {
     let mut header = texts(&["record", "sample", "t_s", "input", "output"]);
     header.extend(done.models.iter().map(|m| m.role.word().to_owned()));
     let mut rows = Vec::new();
     for record in data.training.iter().chain(&data.validation) {
         for segment in &record.segments {
             let simulated: Vec<Vec<f64>> =
-                done.models.iter().map(|m| output(&m.model, segment, Kind::Simulation(start))).collect();
+                done.models.iter().map(|m| output(&m.model, segment, Kind::Simulation(initial_state))).collect();
             for k in 0..segment.len() {
                 let mut row = vec![
                     record.name.clone(),

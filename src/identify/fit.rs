@@ -1,20 +1,21 @@
 //! How well a model reproduces a record: simulated from the input alone, and predicted one step ahead.
 //!
-//! Error as the paper has it: energy of the difference in percent of the energy of the observed signal, 100 Σ(y−ŷ)²/Σy².
-//! Fit as it is common elsewhere: 100 (1 − ‖y−ŷ‖/‖y−ȳ‖). Both of the signals as they were identified, trend taken off.
+//! Error as the paper has it: energy of the difference in percent of the energy of the observed signal, 100
+//! Σ(y−ŷ)²/Σy². Fit as it is common elsewhere: 100 (1 − ‖y−ŷ‖/‖y−ȳ‖). Both of the signals as they were identified,
+//! trend taken off.
 
 use super::data::Segment;
-use super::ending::svd;
+use super::decompositions::svd;
 use super::model::Polynomials;
 use nalgebra::DMatrix;
 
-/// Samples from which the state at the beginning of a stretch is estimated, at most.
-const START: usize = 1024;
+/// The initial state of a stretch is estimated from at most this many samples.
+const STATE_SAMPLES: usize = 1024;
 
-/// Where a simulation begins.
+/// The state in which a simulation begins.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Start {
-    /// At rest; where a stretch begins after a hole, as [`Start::Estimated`].
+pub enum InitialState {
+    /// At rest; where a stretch begins after a hole, as [`InitialState::Estimated`].
     #[default]
     Rest,
     /// In the state that fits the stretch best, by least squares.
@@ -25,7 +26,7 @@ pub enum Start {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
     /// Output from input alone.
-    Simulation(Start),
+    Simulation(InitialState),
     /// Output one step ahead, from what was observed before.
     Prediction,
 }
@@ -43,8 +44,8 @@ pub struct FitError {
     pub samples: usize,
 }
 
-/// Compares all stretches. NaN where there is nothing to compare, or the observed signal is zero; infinite where an unstable
-/// model left the numbers.
+/// Compares all stretches. NaN where there is nothing to compare, or the observed signal is zero; infinite where an
+/// unstable model left the numbers.
 pub fn compare(model: &Polynomials, segments: &[Segment], kind: Kind) -> FitError {
     let mut sums = Sums::default();
     for segment in segments {
@@ -63,33 +64,34 @@ pub fn compare(model: &Polynomials, segments: &[Segment], kind: Kind) -> FitErro
     sums.error()
 }
 
-/// Output of the model for one stretch. A prediction is shorter than the stretch by the model's memory, at its beginning.
+/// Output of the model for one stretch. A prediction is shorter than the stretch by the model's memory, at its
+/// beginning.
 pub fn output(model: &Polynomials, segment: &Segment, kind: Kind) -> Vec<f64> {
     match kind {
         Kind::Prediction => model.predict(&segment.input, &segment.output),
-        Kind::Simulation(Start::Rest) if segment.from_rest => model.simulate(&segment.input),
-        Kind::Simulation(_) => from_fitted_start(model, segment),
+        Kind::Simulation(InitialState::Rest) if segment.from_rest => model.simulate(&segment.input),
+        Kind::Simulation(_) => from_fitted_state(model, segment),
     }
 }
 
-fn from_fitted_start(model: &Polynomials, segment: &Segment) -> Vec<f64> {
+fn from_fitted_state(model: &Polynomials, segment: &Segment) -> Vec<f64> {
     let mut output = model.simulate(&segment.input);
-    if let Some(free) = free_part(model, segment, &output) {
+    if let Some(free) = free_response(model, segment, &output) {
         output.iter_mut().zip(&free).for_each(|(y, free)| *y += free);
     }
     output
 }
 
-/// What the state at the beginning of a stretch adds to the output from rest, `simulated`, by least squares. Every state of
-/// B/A shows as the response of 1/A to one of the first [`Polynomials::memory`] samples. Nothing when the numbers overflow,
-/// the stretch is shorter than the memory, or there is no state.
-pub(super) fn free_part(model: &Polynomials, segment: &Segment, simulated: &[f64]) -> Option<Vec<f64>> {
+/// What the state at the beginning of a stretch adds to the output from rest, `simulated`, by least squares. Every
+/// state of B/A shows as the response of 1/A to one of the first [`Polynomials::memory`] samples. Nothing when the
+/// numbers overflow, the stretch is shorter than the memory, or there is no state.
+pub(super) fn free_response(model: &Polynomials, segment: &Segment, simulated: &[f64]) -> Option<Vec<f64>> {
     let states = model.memory();
     if states == 0 {
         return None;
     }
     let at = model.free_responses(segment.len());
-    let reach = segment.len().min(START);
+    let reach = segment.len().min(STATE_SAMPLES);
     // The last column is what is left over.
     let columns = DMatrix::from_fn(reach, states + 1, |t, column| match column {
         _ if segment.output[t].is_nan() => 0.0,
@@ -103,9 +105,9 @@ pub(super) fn free_part(model: &Polynomials, segment: &Segment, simulated: &[f64
     let svd = svd(r.view((0, 0), (states, states)).into_owned())?;
     // Slow poles make neighbouring responses nearly the same: what the data do not determine is set to zero.
     let tolerance = svd.singular_values.max() * 1e-12;
-    let start = svd.solve(&r.view((0, states), (states, 1)), tolerance).ok()?;
-    let free = |t: usize| start.iter().enumerate().map(|(state, s)| s * at(t, state)).sum();
-    start.iter().all(|s| s.is_finite()).then(|| (0..segment.len()).map(free).collect())
+    let state = svd.solve(&r.view((0, states), (states, 1)), tolerance).ok()?;
+    let free = |t: usize| state.iter().enumerate().map(|(k, x)| x * at(t, k)).sum();
+    state.iter().all(|x| x.is_finite()).then(|| (0..segment.len()).map(free).collect())
 }
 
 /// Sums over pairs of observed and modelled values; what was not observed counts for nothing.
@@ -174,7 +176,7 @@ mod tests {
         let part = segment(100);
         assert!(!part.from_rest);
         let rest = between(&part.output, &model().simulate(&part.input));
-        let fitted = compare(&model(), &[part], Kind::Simulation(Start::Rest));
+        let fitted = compare(&model(), &[part], Kind::Simulation(InitialState::Rest));
         assert!(rest.error_percent > 0.1, "{rest:?}");
         assert!(fitted.error_percent < 1e-20, "{fitted:?}");
     }
@@ -183,16 +185,16 @@ mod tests {
     fn from_rest_nothing_is_fitted() {
         let mut whole = segment(0);
         whole.output[0] += 1.0;
-        let rest = output(&model(), &whole, Kind::Simulation(Start::Rest));
+        let rest = output(&model(), &whole, Kind::Simulation(InitialState::Rest));
         assert_eq!(rest, model().simulate(&whole.input));
-        let fitted = output(&model(), &whole, Kind::Simulation(Start::Estimated));
+        let fitted = output(&model(), &whole, Kind::Simulation(InitialState::Estimated));
         assert!((fitted[0] - rest[0]).abs() > 0.1);
     }
 
     #[test]
     fn an_unstable_model_is_infinitely_wrong_not_a_number() {
         let model = Polynomials { a: vec![1.0, -9.0], b: vec![1.0], nk: 1 };
-        let error = compare(&model, &[segment(0)], Kind::Simulation(Start::Rest));
+        let error = compare(&model, &[segment(0)], Kind::Simulation(InitialState::Rest));
         assert_eq!(error.error_percent, f64::INFINITY);
     }
 }

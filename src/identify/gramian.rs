@@ -1,10 +1,10 @@
 //! Gramians of a stable discrete system, as factors: P = L Lᵀ solves P = A P Aᵀ + b bᵀ.
 //!
 //! The factor is found without P itself, so that small Hankel singular values keep their digits: L is doubled in reach,
-//! [L, A^(2^k) L], and brought back to n columns by an orthogonal triangle (Smith's squared method in square-root form; Penzl,
-//! SIAM J. Sci. Comput. 21, 2000, doi:10.1137/S1064827598347666).
+//! [L, A^(2^k) L], and brought back to n columns by an orthogonal triangle (Smith's squared method in square-root form;
+//! Penzl, SIAM J. Sci. Comput. 21, 2000, doi:10.1137/S1064827598347666).
 
-use super::ending::schur;
+use super::decompositions::schur;
 use super::regression::Triangle;
 use super::state_space::StateSpace;
 use nalgebra::{Complex, DMatrix, DVector};
@@ -37,9 +37,10 @@ pub fn factor(a: &DMatrix<f64>, b: &DVector<f64>) -> Option<DMatrix<f64>> {
     None
 }
 
-/// Factors of both Gramians of the responses to frequencies from `low` to `high` radians a sample alone (Gawronski and Juang,
-/// Int. J. Systems Sci. 21, 1990, doi:10.1080/00207729008910366): P = 1/π Re ∫ (e^{iω} − A)⁻¹ b bᵀ (e^{iω} − A)⁻ᴴ dω, by the
-/// midpoint rule, fine enough for the sharpest resonance. Nothing when a pole lies on the unit circle in the band.
+/// Factors of both Gramians of the responses to frequencies from `low` to `high` radians a sample alone (Gawronski and
+/// Juang, Int. J. Systems Sci. 21, 1990, doi:10.1080/00207729008910366): P = 1/π Re ∫ (e^{iω} − A)⁻¹ b bᵀ (e^{iω} −
+/// A)⁻ᴴ dω, by the midpoint rule, fine enough for the sharpest resonance. Nothing when a pole lies on the unit circle
+/// in the band.
 pub fn band_factors(system: &StateSpace, (low, high): (f64, f64)) -> Option<[DMatrix<f64>; 2]> {
     let n = system.order();
     if n == 0 {

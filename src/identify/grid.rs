@@ -1,8 +1,8 @@
 //! Frame times as an even grid, and a record cut where samples are missing.
 //!
-//! In: times as the camera gave them, outputs, some missing. Out: stretches of known input. Times are never moved: a sample
-//! that comes up to a quarter of a period early or late counts as the grid's, since the input was integrated up to its real
-//! time ([`hold`](super::hold)). Uneven times are refused, or resampled where that is asked.
+//! In: times as the camera gave them, outputs, some missing. Out: stretches of known input. Times are never moved: a
+//! sample that comes up to a quarter of a period early or late counts as the grid's, since the input was integrated up
+//! to its real time ([`hold`](super::hold)). Uneven times are refused, or resampled where that is asked.
 
 use super::data::{Record, Segment};
 use super::plant::Plant;
@@ -140,9 +140,9 @@ pub(super) fn usual_interval(name: &str, time_s: &[f64]) -> Result<f64, GridErro
     Ok(intervals[intervals.len() / 2])
 }
 
-/// The record in stretches of known input. With Eq. 6 the input needs the angle: where that is missing, up to `bridge` samples in a
-/// row, it is taken from a cubic through its neighbours, for the torque alone, and counted: `(record, bridged)`. What was not
-/// observed is no output.
+/// The record in stretches of known input. With Eq. 6 the input needs the angle: where that is missing, up to `bridge`
+/// samples in a row, it is taken from a cubic through its neighbours, for the torque alone, and counted: `(record,
+/// bridged)`. What was not observed is no output.
 pub fn cut(series: &Series, grid: &Grid, bridge: usize) -> (Record, usize) {
     let length = grid.places.last().map_or(0, |last| last + 1);
     let (mut output, mut drive) = (vec![None; length], vec![None; length]);
@@ -179,14 +179,14 @@ pub fn cut(series: &Series, grid: &Grid, bridge: usize) -> (Record, usize) {
     (Record { name: series.name.clone(), segments }, bridged)
 }
 
-/// The angle in the middle of the hold that begins here, carried on from the last two: it looks at nothing later, and is not half a
-/// period behind the current's average as the angle at the beginning would be.
+/// The angle in the middle of the hold that begins here, carried on from the last two: it looks at nothing later, and
+/// is not half a period behind the current's average as the angle at the beginning would be.
 fn halfway(before: Option<f64>, now: f64) -> f64 {
     before.map_or(now, |before| now + 0.5 * (now - before))
 }
 
-/// Fills holes of up to `most` outputs by Lagrange's cubic through two samples on each side, or by a line where there is one
-/// only. Says how many.
+/// Fills holes of up to `most` outputs by Lagrange's cubic through two samples on each side, or by a line where there
+/// is one only. Says how many.
 fn fill(output: &mut [Option<f64>], most: usize) -> usize {
     let given = output.to_vec();
     let at = |k: i64| usize::try_from(k).ok().and_then(|k| given.get(k).copied().flatten()).map(|y| (k as f64, y));
@@ -221,8 +221,8 @@ fn lagrange(points: &[(f64, f64)], x: f64) -> f64 {
     points.iter().enumerate().map(term).sum()
 }
 
-/// A record on even times, `period_s` apart or by default its usual interval: outputs by linear interpolation between samples at most
-/// 2.5 periods apart, inputs as they were held, averaged over the new intervals.
+/// A record on even times, `period_s` apart or by default its usual interval: outputs by linear interpolation between
+/// samples at most 2.5 periods apart, inputs as they were held, averaged over the new intervals.
 ///
 /// # Errors
 /// [`GridError::TooFew`] and [`GridError::NotRising`].

@@ -1,20 +1,21 @@
 //! Instrumental variables: ARX's equation solved by correlation with signals that know nothing of the noise.
 //!
-//! Eq. 6 computes the torque from the measured θ, so the input carries the output's noise and ARX is biased. The instruments
-//! here are made from the coil current alone (or from the input, where nothing is fed back): its own past in place of the
-//! input's, and in place of the output's the output simulated from it. All signals are filtered by 1/A of the model before,
-//! which makes the estimate nearly as good as output error for white noise on the output (simplified refined instrumental
-//! variables; Young, Recursive Estimation and Time-Series Analysis, 2nd ed., chapter 7).
+//! Eq. 6 computes the torque from the measured θ, so the input carries the output's noise and ARX is biased. The
+//! instruments here are made from the coil current alone (or from the input, where nothing is fed back): its own past
+//! in place of the input's, and in place of the output's the output simulated from it. All signals are filtered by 1/A
+//! of the model before, which makes the estimate nearly as good as output error for white noise on the output
+//! (simplified refined instrumental variables; Young, Recursive Estimation and Time-Series Analysis, 2nd ed., chapter
+//! 7).
 //!
-//! In: stretches with `instrument`, a stable model to start from. Out: a model of the same orders with covariance.
+//! In: stretches with `instrument`, a stable initial model. Out: a model of the same orders with covariance.
 
 use super::IdentifyError;
-use super::arx::{self, Estimated, Orders};
+use super::arx;
 use super::data::Segment;
-use super::ending::extreme_singular_values;
-use super::fit::free_part;
-use super::model::{Polynomials, all_pole};
-use super::output_error::Refined;
+use super::decompositions::extreme_singular_values;
+use super::estimated::{Estimated, Refined};
+use super::fit::free_response;
+use super::model::{Orders, Polynomials, all_pole};
 use super::regression::{Triangle, row};
 use super::uncertainty::Covariance;
 
@@ -22,19 +23,19 @@ const MOST_STEPS: usize = 50;
 /// Parameters that change by less than this part of their standard errors are settled.
 const SETTLED: f64 = 1e-6;
 
-/// Refines `start`, keeping its orders and delay.
+/// Refines `initial`, keeping its orders and delay.
 ///
 /// # Errors
-/// [`IdentifyError::Unstable`] when `start` is or becomes unstable, [`IdentifyError::Dependent`] when the instruments do not
-/// determine the parameters, [`IdentifyError::TooShort`] as for ARX.
-pub fn refine(segments: &[Segment], start: &Polynomials) -> Result<Refined, IdentifyError> {
-    let orders = Orders { na: start.na(), nb: start.nb(), nk: start.nk };
+/// [`IdentifyError::Unstable`] when `initial` is or becomes unstable, [`IdentifyError::Dependent`] when the instruments
+/// do not determine the parameters, [`IdentifyError::TooShort`] as for ARX.
+pub fn refine(segments: &[Segment], initial: &Polynomials) -> Result<Refined, IdentifyError> {
+    let orders = initial.orders();
     let drivers: Vec<Segment> = segments.iter().map(driven_by_instrument).collect();
     // How the instrument moves the output: linear here, whatever is fed back in truth. An instrument needs no more.
     let auxiliary = arx::fit(&drivers, orders)?.model;
-    let auxiliary = if auxiliary.is_stable() { auxiliary } else { start.clone() };
+    let auxiliary = if auxiliary.is_stable() { auxiliary } else { initial.clone() };
     let mut current: Option<Estimated> = None;
-    let mut model = start.clone();
+    let mut model = initial.clone();
     for steps in 1..=MOST_STEPS {
         if !model.is_stable() {
             return Err(IdentifyError::Unstable { orders, largest_pole: model.largest_pole() });
@@ -69,7 +70,8 @@ fn step(
 ) -> Result<Estimated, IdentifyError> {
     let Orders { na, nb, nk } = orders;
     let p = orders.parameters();
-    // Instruments, regressors, output, triangularised together: with Z = Q R the first rows of the rest are QᵀΦ and Qᵀy.
+    // Instruments, regressors, output, triangularised together: with Z = Q R the first rows of the rest are QᵀΦ and
+    // Qᵀy.
     let mut triangle = Triangle::new(2 * p + 1);
     let filtered = |segment: &Segment, output: Vec<f64>| Segment {
         input: all_pole(&model.a, segment.input.clone()),
@@ -79,7 +81,7 @@ fn step(
     for (segment, driver) in segments.iter().zip(drivers) {
         let instruments = filtered(driver, auxiliary.simulate(&driver.input));
         let simulated = model.simulate(&segment.input);
-        let free = if segment.from_rest { None } else { free_part(model, segment, &simulated) };
+        let free = if segment.from_rest { None } else { free_response(model, segment, &simulated) };
         let free = free.unwrap_or_else(|| vec![0.0; segment.len()]);
         // The filters run through what was not observed on what the model says; its rows are left out.
         let known = |t: usize| !segment.output[t].is_nan();

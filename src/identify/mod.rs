@@ -1,4 +1,4 @@
-//! The dynamics of what moved, from what was recorded: Section III.B of the paper, and what has become better practice since.
+//! Dynamic models from recorded input and output: Section III.B of the paper, and the better practice of today.
 //!
 //! ```text
 //!  log or table ─▶ recorded ─▶ grid ─▶ prepare ─▶ search ─▶ arx ─────────▶ reduce ─▶ continuous
@@ -6,14 +6,16 @@
 //!                  held        holes   fewer      delay     │              states
 //!                                      samples              └ output_error, instrumental
 //! ```
-//! [`chain::identify`] runs it; [`export::write`] and [`crate::report::identification`] tell what came out. Beside the models:
-//! [`spectrum`] (the response without a model), [`bandwidth`], [`residuals`], [`bootstrap`], [`delay`] (between the clocks), and
-//! [`doubts`] (what should be known before the numbers are used).
+//! [`chain::identify`] runs it; [`export::write`] and [`crate::report::identification`] write what came out. Beside the
+//! models: [`spectrum`] (the response without a model), [`bandwidth`], [`residuals`], [`bootstrap`], [`delay`] (between
+//! the clocks), and [`diagnostics`] (what a user must know before using the numbers).
 //!
 //! # Conventions
-//! - `y(t) + a₁ y(t−1) + … = b₀ u(t−nk) + …`: `nk` counts all samples of delay, see [`model`]. An input of a sample is held until the next.
+//! - `y(t) + a₁ y(t−1) + … = b₀ u(t−nk) + …`: `nk` counts all samples of delay, see [`model`]. An input of a sample is
+//!   held until the next.
 //! - Signals are in stretches of known input; an output that was not observed is a NaN and is no data, see [`data`].
-//! - Covariances are kept as factors, see [`uncertainty`]; everything is solved by orthogonal triangles, see [`regression`].
+//! - Covariances are kept as factors, see [`uncertainty`]; everything is solved by orthogonal triangles, see
+//!   [`regression`].
 
 // In the order of the data.
 pub mod data;
@@ -30,6 +32,7 @@ pub mod model;
 pub mod regression;
 
 pub mod arx;
+pub mod estimated;
 pub mod instrumental;
 pub mod output_error;
 pub mod search;
@@ -49,100 +52,16 @@ pub mod spectrum;
 pub mod uncertainty;
 
 pub mod chain;
-pub mod doubts;
+pub mod diagnostics;
 pub mod export;
-pub mod told;
+pub mod identification;
+pub mod provenance;
+pub mod settings;
 
-mod ending;
+mod decompositions;
+mod error;
+mod initial;
+#[cfg(test)]
+pub(crate) mod tests;
 
-use arx::Orders;
-
-/// Why no model came out.
-#[derive(Debug, thiserror::Error)]
-pub enum IdentifyError {
-    /// Fewer rows than parameters.
-    #[error(
-        "{} coefficients (na {}, nb {}, nk {}) cannot be found from {rows} samples that have a full past; the longest stretch \
-         without a hole has {longest} samples: choose lower orders or a longer record",
-        orders.parameters(), orders.na, orders.nb, orders.nk
-    )]
-    TooShort {
-        /// The model asked for.
-        orders: Orders,
-        /// Samples with a full past.
-        rows: usize,
-        /// Samples in the longest stretch.
-        longest: usize,
-    },
-    /// The data to judge by have no sample with a full past.
-    #[error(
-        "no stretch without a hole has more than {longest} samples, and the largest model (na {}, nb {}, nk {}) needs {} before the \
-         first that is predicted: judge by more samples, or choose lower orders",
-        orders.na, orders.nb, orders.nk, orders.memory()
-    )]
-    TooShortToJudge {
-        /// The largest model.
-        orders: Orders,
-        /// Samples in the longest stretch.
-        longest: usize,
-    },
-    /// The data do not tell the coefficients apart.
-    #[error(
-        "the data do not determine the {} coefficients of na {}, nb {}, nk {}: the input moves too little, or at too few \
-         frequencies, or the output follows a lower order without any noise; choose lower orders or another excitation",
-        orders.parameters(), orders.na, orders.nb, orders.nk
-    )]
-    Dependent {
-        /// The model asked for.
-        orders: Orders,
-    },
-    /// A model to be simulated has a pole outside the unit circle.
-    #[error(
-        "the model with na {}, nb {}, nk {} is unstable (largest pole {largest_pole:.4}) and cannot be refined by simulation: \
-         choose other orders",
-        orders.na, orders.nb, orders.nk
-    )]
-    Unstable {
-        /// The model.
-        orders: Orders,
-        /// Modulus of its largest pole.
-        largest_pole: f64,
-    },
-    /// The model cannot be reduced as asked.
-    #[error("cannot reduce the model: {problem}")]
-    NotReduced {
-        /// Why, and what would be possible.
-        problem: String,
-    },
-    /// There is no sample.
-    #[error("{name}: has no sample with input and output to identify from")]
-    Nothing {
-        /// The records.
-        name: String,
-    },
-    /// Input or output never changes.
-    #[error("{name}: the {what} is {value} in all samples: nothing can be identified from what does not move")]
-    Still {
-        /// The records.
-        name: String,
-        /// `input` or `output`.
-        what: &'static str,
-        /// Its value.
-        value: f64,
-    },
-    /// The data determine none of the models searched.
-    #[error(
-        "the data determine none of the models searched: the input moves too little, or at too few frequencies; search lower \
-         orders or excite it otherwise"
-    )]
-    NoneDetermined,
-    /// All models searched are unstable.
-    #[error(
-        "all {tried} models searched are unstable: take trends off with --detrend, fewer samples a second with --decimate, or fix \
-         the orders with --order to see one"
-    )]
-    NoneStable {
-        /// How many.
-        tried: usize,
-    },
-}
+pub use error::IdentifyError;

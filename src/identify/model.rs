@@ -3,9 +3,32 @@
 //! Convention: `y(t) + a₁ y(t−1) + … + a_na y(t−na) = b₀ u(t−nk) + … + b_{nb−1} u(t−nk−nb+1)`. `a` holds the leading 1,
 //! `b` does not hold the zeros of the delay. What happened before the first sample is zero: the system was at rest.
 
-use super::ending::eigenvalues;
+use super::decompositions::eigenvalues;
 use nalgebra::{Complex, DMatrix, DVector};
 use std::f64::consts::TAU;
+
+/// Orders and delay of a model.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Orders {
+    /// Past outputs.
+    pub na: usize,
+    /// Inputs.
+    pub nb: usize,
+    /// Delay, samples.
+    pub nk: usize,
+}
+
+impl Orders {
+    /// Parameters to be estimated.
+    pub fn parameters(&self) -> usize {
+        self.na + self.nb
+    }
+
+    /// Samples without a full past at the beginning of a stretch.
+    pub fn memory(&self) -> usize {
+        memory(self.na, self.nb, self.nk)
+    }
+}
 
 /// B(q)/A(q) with `nk` samples of delay.
 #[derive(Debug, Clone, PartialEq)]
@@ -19,6 +42,11 @@ pub struct Polynomials {
 }
 
 impl Polynomials {
+    /// Its orders and delay.
+    pub fn orders(&self) -> Orders {
+        Orders { na: self.na(), nb: self.nb(), nk: self.nk }
+    }
+
     /// Number of past outputs.
     pub fn na(&self) -> usize {
         self.a.len().saturating_sub(1)
@@ -56,16 +84,16 @@ impl Polynomials {
         all_pole(&self.a, driven)
     }
 
-    /// Output one step ahead, from inputs and outputs before it. The first [`Polynomials::memory`] have no full past and are
-    /// left out: the result is that much shorter than the data.
+    /// Output one step ahead, from inputs and outputs before it. The first [`Polynomials::memory`] have no full past
+    /// and are left out: the result is that much shorter than the data.
     pub fn predict(&self, input: &[f64], output: &[f64]) -> Vec<f64> {
         let driven = moving_sum(&self.b, self.nk, input);
         let past = |t: usize| -> f64 { self.a.iter().skip(1).zip(output[..t].iter().rev()).map(|(a, y)| a * y).sum() };
         (self.memory()..output.len().min(driven.len())).map(|t| driven[t] - past(t)).collect()
     }
 
-    /// What each state at the beginning adds to the output, at sample `t` and for state `state`, up to `length` samples: responses of
-    /// 1/A to a unit at one of the first [`Polynomials::memory`] samples.
+    /// What each state at the beginning adds to the output, at sample `t` and for state `state`, up to `length`
+    /// samples: responses of 1/A to a unit at one of the first [`Polynomials::memory`] samples.
     pub fn free_responses(&self, length: usize) -> impl Fn(usize, usize) -> f64 + use<> {
         let mut impulse = vec![0.0; length];
         if let Some(first) = impulse.first_mut() {
@@ -118,8 +146,9 @@ fn polynomial(ascending: &[f64], x: Complex<f64>) -> Complex<f64> {
     ascending.iter().rev().fold(Complex::new(0.0, 0.0), |sum, c| sum * x + c)
 }
 
-/// Roots of c₀ xⁿ + c₁ xⁿ⁻¹ + … + cₙ, as eigenvalues of its companion matrix; zeros at the end of `descending` are roots at 0
-/// and left out, a leading zero is no degree. NaN when they are not found, as of coefficients that are no numbers.
+/// Roots of c₀ xⁿ + c₁ xⁿ⁻¹ + … + cₙ, as eigenvalues of its companion matrix; zeros at the end of `descending` are
+/// roots at 0 and left out, a leading zero is no degree. NaN when they are not found, as of coefficients that are no
+/// numbers.
 pub fn roots(descending: &[f64]) -> Vec<Complex<f64>> {
     let first = descending.iter().position(|c| *c != 0.0).unwrap_or(descending.len());
     let end = descending.iter().rposition(|c| *c != 0.0).map_or(0, |last| last + 1);

@@ -121,7 +121,8 @@ impl Modelled {
     }
 }
 
-/// Bandwidths of H(s) where there is one; of the full model, of its samples: its phase holds the hold's half period too.
+/// Bandwidths of H(s) where there is one; of the full model, of its samples: its phase holds the hold's half period
+/// too.
 pub(super) fn bandwidths(role: Role, model: &Polynomials, period_s: f64, excited_hz: (f64, f64)) -> Vec<Bandwidth> {
     let continuous = (role != Role::Full).then(|| Continuous::of(model, period_s)).flatten();
     bandwidths_of(continuous.as_ref(), model, period_s, excited_hz)
@@ -193,11 +194,12 @@ pub fn unwrapped(angles: impl IntoIterator<Item = f64>) -> Vec<f64> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::arx::tests::noise;
-    use super::super::arx::{Orders, fit};
+    use super::super::arx::fit;
     use super::super::continuous::Conversion;
     use super::super::data::Segment;
+    use super::super::model::Orders;
     use super::super::model::all_pole;
+    use super::super::tests::noise;
     use super::*;
 
     /// 2/(0.1 s + 1), drawn many times: errors of H(s) and of the response against their σ.

@@ -1,48 +1,35 @@
 //! Output error: y(t) = B(q)/A(q) u(t) + e(t), by Gauss-Newton on the simulated output.
 //!
-//! In: stretches, a stable model to start from. Out: the model whose simulation is nearest to the output, with covariance.
-//! White noise on the measured output is just this case, where ARX is biased. Derivatives are filtered signals (Ljung, 2nd
-//! ed., section 10.3): ∂ŷ/∂b_j = q^−(nk+j)/A u, ∂ŷ/∂a_i = −q^−i/A ŷ. Steps are damped after Levenberg and Marquardt; a step to
-//! an unstable model is never taken. The state at the beginning of a stretch that does not begin at rest is fitted along.
+//! In: stretches, a stable initial model. Out: the model whose simulation is nearest to the output, with covariance.
+//! White noise on the measured output is just this case, where ARX is biased. Derivatives are filtered signals (Ljung,
+//! 2nd ed., section 10.3): ∂ŷ/∂b_j = q^−(nk+j)/A u, ∂ŷ/∂a_i = −q^−i/A ŷ. Steps are damped after Levenberg and
+//! Marquardt; a step to an unstable model is never taken. The state at the beginning of a stretch that does not begin
+//! at rest is fitted along.
 //!
 //! Finds a local minimum. Its covariance holds for white e, and for an input without noise.
 
-use super::arx::{self, Estimated, Orders};
+use super::IdentifyError;
 use super::data::Segment;
-use super::model::{Polynomials, all_pole, angle};
-use super::reduce::{Reduction, Removal, Target, reduce};
+use super::estimated::{Estimated, Refined};
+use super::model::{Polynomials, all_pole};
 use super::regression::{Triangle, solve};
-use super::spectrum::spectrum;
 use super::uncertainty::Covariance;
-use super::{IdentifyError, instrumental};
 use nalgebra::{DMatrix, DVector, DVectorViewMut};
 
 const MOST_STEPS: usize = 100;
-/// Of the ARX model whose reduction is a start.
-const HIGH_ORDER: usize = 12;
 /// A step that lowers the sum of squares by less than this part ends the search.
 const SETTLED: f64 = 1e-12;
 
-/// A model refined, and how the search went.
-#[derive(Debug, Clone)]
-pub struct Refined {
-    /// The model.
-    pub estimated: Estimated,
-    /// Steps taken.
-    pub steps: usize,
-    /// Whether it settled within the steps allowed.
-    pub settled: bool,
-}
-
-/// Refines each of `starts` and gives the result that is nearest to the output: the sum of squares has more than one bottom.
+/// Refines each of `initial` and returns the result that is nearest to the output: the sum of squares has more than one
+/// bottom.
 ///
 /// # Errors
 /// As [`refine`] for the first, when none can be refined.
-pub fn refine_from_any(segments: &[Segment], starts: &[Polynomials]) -> Result<Refined, IdentifyError> {
+pub fn refine_from_any(segments: &[Segment], initial: &[Polynomials]) -> Result<Refined, IdentifyError> {
     let mut first_error = None;
     let mut best: Option<Refined> = None;
-    for start in starts {
-        match refine(segments, start) {
+    for model in initial {
+        match refine(segments, model) {
             Ok(found) => {
                 let nearer = |b: &Refined| found.estimated.noise_variance < b.estimated.noise_variance;
                 if best.as_ref().is_none_or(nearer) {
@@ -57,34 +44,15 @@ pub fn refine_from_any(segments: &[Segment], starts: &[Polynomials]) -> Result<R
     best.ok_or_else(|| first_error.unwrap_or(IdentifyError::Nothing { name: "output error".to_owned() }))
 }
 
-/// What to begin from for a model of these orders: ARX, which noise on the output biases, instrumental variables, and ARX of a
-/// high order reduced for the excited band.
-pub fn usual_starts(segments: &[Segment], orders: Orders) -> Vec<Polynomials> {
-    let by_arx = arx::fit(segments, orders).ok().map(|found| found.model);
-    let by_instruments =
-        by_arx.as_ref().and_then(|m| instrumental::refine(segments, m).ok()).map(|r| r.estimated.model);
-    [by_arx, by_instruments, by_reduction(segments, orders)].into_iter().flatten().collect()
-}
-
-/// A high order takes up the noise on the output, which a low one is biased by. What it says outside of the excited band is noise too.
-fn by_reduction(segments: &[Segment], orders: Orders) -> Option<Polynomials> {
-    let high = arx::fit(segments, Orders { na: HIGH_ORDER, nb: HIGH_ORDER, nk: orders.nk }).ok()?.model;
-    let (low, top) = spectrum(segments, 1.0)?.excited_hz;
-    let band = Some((angle(low, 1.0), angle(top, 1.0)));
-    let target = Target::Order(orders.memory());
-    let found = reduce(&high, Reduction { target, removal: Removal::Truncate, band }).ok()?.model;
-    let same = (found.na(), found.nb(), found.nk) == (orders.na, orders.nb, orders.nk);
-    same.then_some(found)
-}
-
-/// Refines `start`, keeping its orders and delay.
+/// Refines `initial`, keeping its orders and delay.
 ///
 /// # Errors
-/// [`IdentifyError::Unstable`] when `start` is, [`IdentifyError::TooShort`] and [`IdentifyError::Dependent`] as for ARX.
-pub fn refine(segments: &[Segment], start: &Polynomials) -> Result<Refined, IdentifyError> {
-    let orders = Orders { na: start.na(), nb: start.nb(), nk: start.nk };
-    if !start.is_stable() {
-        return Err(IdentifyError::Unstable { orders, largest_pole: start.largest_pole() });
+/// [`IdentifyError::Unstable`] when `initial` is, [`IdentifyError::TooShort`] and [`IdentifyError::Dependent`] as for
+/// ARX.
+pub fn refine(segments: &[Segment], initial: &Polynomials) -> Result<Refined, IdentifyError> {
+    let orders = initial.orders();
+    if !initial.is_stable() {
+        return Err(IdentifyError::Unstable { orders, largest_pole: initial.largest_pole() });
     }
     let samples: usize = segments.iter().map(Segment::observed).sum();
     let parameters = orders.parameters();
@@ -92,7 +60,7 @@ pub fn refine(segments: &[Segment], start: &Polynomials) -> Result<Refined, Iden
         let longest = segments.iter().map(Segment::len).max().unwrap_or(0);
         return Err(IdentifyError::TooShort { orders, rows: samples, longest });
     }
-    let mut model = start.clone();
+    let mut model = initial.clone();
     let mut triangle = linearise(segments, &model);
     let mut cost = squares(segments, &model);
     let (mut damping, mut steps, mut settled) = (1e-4, 0, false);
@@ -125,9 +93,9 @@ pub fn refine(segments: &[Segment], start: &Polynomials) -> Result<Refined, Iden
 }
 
 /// What the state at the beginning can add to the output of a stretch that does not begin at rest: orthonormal columns.
-/// Residual and derivatives are taken without it, which fits the state along (variable projection; Kaufman, BIT 15, 1975,
-/// doi:10.1007/BF01932995).
-fn open_start(segment: &Segment, model: &Polynomials) -> Option<DMatrix<f64>> {
+/// Residual and derivatives are taken without it, which fits the state along (variable projection; Kaufman, BIT 15,
+/// 1975, doi:10.1007/BF01932995).
+fn free_initial_state(segment: &Segment, model: &Polynomials) -> Option<DMatrix<f64>> {
     if segment.from_rest || segment.len() <= model.memory() || model.memory() == 0 {
         return None;
     }
@@ -143,7 +111,8 @@ fn project_out(open: &DMatrix<f64>, signal: &mut DVectorViewMut<'_, f64>) -> DVe
     part
 }
 
-/// Output from rest and what is left of the observed output, the free start taken out; zero where nothing was observed.
+/// Output from rest and what is left of the observed output, the free initial state taken out; zero where nothing was
+/// observed.
 fn residual(segment: &Segment, model: &Polynomials, open: Option<&DMatrix<f64>>) -> (Vec<f64>, DVector<f64>) {
     let mut output = model.simulate(&segment.input);
     let mut left = DVector::from_iterator(
@@ -151,14 +120,14 @@ fn residual(segment: &Segment, model: &Polynomials, open: Option<&DMatrix<f64>>)
         segment.output.iter().zip(&output).map(|(y, m)| if y.is_nan() { 0.0 } else { y - m }),
     );
     if let Some(open) = open {
-        let start = project_out(open, &mut left.rows_mut(0, output.len()));
-        output.iter_mut().zip(start.iter()).for_each(|(y, start)| *y += start);
+        let free = project_out(open, &mut left.rows_mut(0, output.len()));
+        output.iter_mut().zip(free.iter()).for_each(|(y, free)| *y += free);
     }
     (output, left)
 }
 
 fn squares(segments: &[Segment], model: &Polynomials) -> f64 {
-    let of = |s: &Segment| residual(s, model, open_start(s, model).as_ref()).1.norm_squared();
+    let of = |s: &Segment| residual(s, model, free_initial_state(s, model).as_ref()).1.norm_squared();
     let sum: f64 = segments.iter().map(of).sum();
     if sum.is_finite() { sum } else { f64::INFINITY }
 }
@@ -168,7 +137,7 @@ fn linearise(segments: &[Segment], model: &Polynomials) -> DMatrix<f64> {
     let (na, nb, nk) = (model.na(), model.nb(), model.nk);
     let mut triangle = Triangle::new(na + nb + 1);
     for segment in segments {
-        let open = open_start(segment, model);
+        let open = free_initial_state(segment, model);
         let (output, left) = residual(segment, model, open.as_ref());
         let by_input = all_pole(&model.a, segment.input.clone());
         let by_output = all_pole(&model.a, output);

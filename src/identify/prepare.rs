@@ -87,9 +87,9 @@ impl Trend {
     }
 }
 
-/// Every `factor`-th sample behind a low-pass filter (windowed sinc, Hamming, without phase), the same for all signals, so that
-/// what relates them stays the same. The input, which is held from sample to sample, is averaged over the new, longer hold. Five
-/// samples of the result are lost at both ends of every stretch.
+/// Every `factor`-th sample behind a low-pass filter (windowed sinc, Hamming, without phase), the same for all signals,
+/// so that what relates them stays the same. The input, which is held from sample to sample, is averaged over the new,
+/// longer hold. Five samples of the result are lost at both ends of every stretch.
 pub fn decimate(record: &Record, factor: usize, period_s: f64) -> Record {
     let half = HALF_TAPS * factor;
     let corner = CORNER / factor as f64;

@@ -1,7 +1,7 @@
 //! From what was recorded to a series: θ at camera times, and the current that the amplifier held between them.
 //!
-//! In: frames and commands of the coils on the camera's clock. Out: one entry for each camera frame, lost ones too, with the
-//! current averaged from this frame to the next. The last command is taken to be held to the end.
+//! In: frames and commands of the coils on the camera's clock. Out: one entry for each camera frame, lost ones too,
+//! with the current averaged from this frame to the next. The last command is taken to be held to the end.
 
 use super::grid::{Grid, GridError, Series};
 use super::hold::Held;
@@ -91,11 +91,11 @@ impl Observed {
         let frames = &recording.frames;
         let Some(first) = frames.first() else { return Err(RecordedError::NoFrame { name }) };
         if frames.iter().all(|f| f.theta_rad.is_none()) {
-            let told = first
+            let status = first
                 .theta_status
                 .clone()
                 .or_else(|| first.places.iter().map(|p| p.status.clone()).find(|s| s != "ok"));
-            let why = told.unwrap_or_else(|| "no reason is told".to_owned());
+            let why = status.unwrap_or_else(|| "no reason is given".to_owned());
             return Err(RecordedError::NeverMeasured { name, frames: frames.len(), why });
         }
         let zero_ns = first.stamp_ns;
@@ -107,7 +107,7 @@ impl Observed {
         })
     }
 
-    /// What one coil was told, on the clock of [`Observed::time_s`]. `name`: where the currents are from.
+    /// The commands of one coil, on the clock of [`Observed::time_s`]. `name`: where the currents are from.
     ///
     /// # Errors
     /// When there are none, or none of this coil.
@@ -124,8 +124,8 @@ impl Observed {
         if all.is_empty() { Err(none()) } else { Ok(Held::new(all)) }
     }
 
-    /// The series: drive in amperes where `plant` makes a torque of it, and in the unit of `commands` otherwise. Commands act
-    /// `delay_s` later than they say.
+    /// The series: drive in amperes where `plant` makes a torque of it, and in the unit of `commands` otherwise.
+    /// Commands act `delay_s` later than they say.
     ///
     /// # Errors
     /// When frame times do not rise, or no frame has a current.

@@ -1,12 +1,12 @@
 //! Fewer states with nearly the same response: balanced truncation of the discrete model.
 //!
-//! In: a model, how many states to keep. Out: the reduced model and all Hankel singular values. States are brought to the
-//! coordinates in which they are driven and seen equally strongly; those of small singular value are cut off (Moore, IEEE TAC
-//! 26, 1981, doi:10.1109/TAC.1981.1102568). The error of the response is nowhere larger than twice the sum of those cut off.
-//! What is unstable has no Gramian: it is split off first, kept whole, and added again.
+//! In: a model, how many states to keep. Out: the reduced model and all Hankel singular values. States are brought to
+//! the coordinates in which they are driven and seen equally strongly; those of small singular value are cut off
+//! (Moore, IEEE TAC 26, 1981, doi:10.1109/TAC.1981.1102568). The error of the response is nowhere larger than twice the
+//! sum of those cut off. What is unstable has no Gramian: it is split off first, kept whole, and added again.
 
 use super::IdentifyError;
-use super::ending::svd;
+use super::decompositions::svd;
 use super::gramian::{band_factors, factor};
 use super::model::{Polynomials, monic};
 use super::state_space::StateSpace;
@@ -44,7 +44,8 @@ pub struct Reduction {
     pub target: Target,
     /// How states are removed.
     pub removal: Removal,
-    /// Balance for these frequencies alone, radians a sample. The bound on the error, and stability, are then not promised.
+    /// Balance for these frequencies alone, radians a sample. The bound on the error, and stability, are then not
+    /// promised.
     pub band: Option<(f64, f64)>,
 }
 

@@ -1,12 +1,12 @@
 //! Least squares on lagged signals by orthogonal triangles: one factorisation for every order and delay.
 //!
-//! The regressors of the largest model, with the output as last column, are brought to a triangle R once. Any smaller model's
-//! regressors are some of these columns; an orthogonal factor changes no lengths, so its problem is that of R's columns, which
-//! has as many rows as columns, not as the record has samples (Ljung, System Identification, 2nd ed., section 10.1).
-//! Nothing is squared on the way: normal equations would lose half the digits.
+//! The regressors of the largest model, with the output as last column, are brought to a triangle R once. Any smaller
+//! model's regressors are some of these columns; an orthogonal factor changes no lengths, so its problem is that of R's
+//! columns, which has as many rows as columns, not as the record has samples (Ljung, System Identification, 2nd ed.,
+//! section 10.1). Nothing is squared on the way: normal equations would lose half the digits.
 
 use super::data::Segment;
-use super::ending::extreme_singular_values;
+use super::decompositions::extreme_singular_values;
 use nalgebra::{DMatrix, DVector};
 
 /// Rows brought to the triangle at a time.
@@ -80,8 +80,8 @@ pub struct Solution {
     pub condition: f64,
 }
 
-/// Solves for the last column of `columns` with the others as regressors. Nothing when there are none, or they depend on each other to machine
-/// precision.
+/// Solves for the last column of `columns` with the others as regressors. Nothing when there are none, or they depend
+/// on each other to machine precision.
 pub fn solve(columns: DMatrix<f64>) -> Option<Solution> {
     let p = columns.ncols().checked_sub(1)?;
     let rows = columns.nrows();

@@ -1,8 +1,8 @@
 //! Whether a model left nothing to explain: its residuals against themselves and against the input.
 //!
-//! White residuals have no correlation at any lag but 0; residuals that a better model could explain correlate with the input at
-//! lags 0 and above. Below lag 0 they do where the input was computed from the output, as by Eq. 6. Bounds are those that 99 %
-//! of the values keep when there is no correlation (Ljung, 2nd ed., section 16.6).
+//! White residuals have no correlation at any lag but 0; residuals that a better model could explain correlate with the
+//! input at lags 0 and above. Below lag 0 they do where the input was computed from the output, as by Eq. 6. Bounds are
+//! those that 99 % of the values keep when there is no correlation (Ljung, 2nd ed., section 16.6).
 
 use super::data::Segment;
 use super::model::Polynomials;
@@ -103,9 +103,10 @@ impl Residuals {
 
 #[cfg(test)]
 mod tests {
-    use super::super::arx::tests::noise;
-    use super::super::arx::{Orders, fit};
+    use super::super::arx::fit;
+    use super::super::model::Orders;
     use super::super::model::all_pole;
+    use super::super::tests::noise;
     use super::*;
 
     fn data(through: &[f64]) -> Segment {

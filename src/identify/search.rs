@@ -1,18 +1,19 @@
 //! Which orders and which delay: every candidate fitted from one factorisation, and judged.
 //!
-//! In: stretches to fit, stretches to judge by, candidates. Out: one row a candidate. All candidates are fitted to the same
-//! samples, those that the largest of them can use, so that their losses compare. Order and delay are searched together: a
-//! delay taken from a scan at low order can make every higher order unstable.
+//! In: stretches to fit, stretches to judge by, candidates. Out: one row a candidate. All candidates are fitted to the
+//! same samples, those that the largest of them can use, so that their losses compare. Order and delay are searched
+//! together: a delay taken from a scan at low order can make every higher order unstable.
 
 use super::IdentifyError;
-use super::arx::Orders;
 use super::data::Segment;
-use super::fit::{FitError, Kind, Start, compare};
+use super::fit::{FitError, InitialState, Kind, compare};
+use super::model::Orders;
 use super::model::Polynomials;
 use super::regression::{Triangle, row, solve};
 use nalgebra::DMatrix;
 
-/// Of the candidates within this factor of the smallest error on other data, the one with the fewest coefficients is best.
+/// Of the candidates within this factor of the smallest error on other data, the one with the fewest coefficients is
+/// best.
 const AS_GOOD: f64 = 1.05;
 
 /// A model among those searched, and how it did.
@@ -56,7 +57,7 @@ pub enum Criterion {
 pub fn search(
     train: &[Segment],
     test: &[Segment],
-    start: Start,
+    initial_state: InitialState,
     candidates: &[Orders],
 ) -> Result<Vec<Candidate>, IdentifyError> {
     let most = |of: fn(&Orders) -> usize| candidates.iter().map(of).max().unwrap_or(0);
@@ -93,7 +94,7 @@ pub fn search(
             aic: ln_loss + 2.0 * p / n,
             mdl: ln_loss + p * n.ln() / n,
             prediction: on_test(Kind::Prediction),
-            simulation: on_test(Kind::Simulation(start)),
+            simulation: on_test(Kind::Simulation(initial_state)),
             largest_pole: model.largest_pole(),
             model,
         })

@@ -1,10 +1,10 @@
 //! The frequency response without a model: Welch's averaged spectra, H = S_uy/S_uu, with coherence.
 //!
-//! In: evenly sampled stretches. Out: one row a frequency. Pieces of one length (Hann window, half overlapping, their mean taken
-//! off) are averaged over all stretches that are long enough. The coherence γ² tells what part of the output's power follows the
-//! input; σ of ln|H| and of the phase is √((1−γ²)/(2 γ² K)) with K the number of independent pieces (Bendat and Piersol, Random
-//! Data, 4th ed., section 9.2). It says nothing where the input has no power, and it is biased where the response changes much
-//! within one resolution width.
+//! In: evenly sampled stretches. Out: one row a frequency. Pieces of one length (Hann window, half overlapping, their
+//! mean taken off) are averaged over all stretches that are long enough. The coherence γ² tells what part of the
+//! output's power follows the input; σ of ln|H| and of the phase is √((1−γ²)/(2 γ² K)) with K the number of independent
+//! pieces (Bendat and Piersol, Random Data, 4th ed., section 9.2). It says nothing where the input has no power, and it
+//! is biased where the response changes much within one resolution width.
 
 use super::data::Segment;
 use rustfft::FftPlanner;
@@ -147,8 +147,8 @@ fn band(points: &[Point], power: impl Fn(&Point) -> f64) -> (f64, f64) {
 
 #[cfg(test)]
 mod tests {
-    use super::super::arx::tests::noise;
     use super::super::model::{Polynomials, angle};
+    use super::super::tests::noise;
     use super::*;
 
     #[test]

@@ -1,6 +1,6 @@
 //! The same model as states: x(t+1) = A x(t) + b u(t), y(t) = c x(t) + d u(t).
 
-use super::ending::eigenvalues;
+use super::decompositions::eigenvalues;
 use super::model::{Polynomials, monic};
 use nalgebra::{DMatrix, DVector, RowDVector};
 
@@ -55,8 +55,8 @@ impl StateSpace {
         }
     }
 
-    /// As polynomials: A is the characteristic polynomial, B its product with the impulse response (whose first n + 1 values
-    /// determine it; no difference of large numbers is taken).
+    /// As polynomials: A is the characteristic polynomial, B its product with the impulse response (whose first n + 1
+    /// values determine it; no difference of large numbers is taken).
     pub fn polynomials(&self) -> Polynomials {
         let n = self.order();
         let a = characteristic(&self.a);

@@ -1,8 +1,8 @@
 //! Covariances, and that of what is computed from parameters.
 //!
-//! A covariance is kept as a factor F with F Fᵀ = covariance. Coefficients of a high order are known by combinations whose σ
-//! differ by more than eight powers of ten; in the covariance itself the small ones are lost, and with them how well the response is
-//! known where the data tell it best.
+//! A covariance is kept as a factor F with F Fᵀ = covariance. Coefficients of a high order are known by combinations
+//! whose σ differ by more than eight powers of ten; in the covariance itself the small ones are lost, and with them how
+//! well the response is known where the data tell it best.
 
 use nalgebra::DMatrix;
 
@@ -32,9 +32,9 @@ impl Covariance {
         self.factor.row_iter().map(|row| row.norm()).collect()
     }
 
-    /// Of `of(parameters)`, to first order, where this is that of `parameters`. They are moved together, along the columns of the factor:
-    /// one coefficient of a high order moved alone would be another model altogether. Nothing when `of` has no answer, or not always as
-    /// many values.
+    /// Of `of(parameters)`, to first order, where this is that of `parameters`. They are moved together, along the
+    /// columns of the factor: one coefficient of a high order moved alone would be another model altogether. Nothing
+    /// when `of` has no answer, or not always as many values.
     pub fn propagate(&self, parameters: &[f64], of: impl Fn(&[f64]) -> Option<Vec<f64>>) -> Option<Self> {
         let values = of(parameters)?.len();
         let mut factor = DMatrix::zeros(values, self.factor.ncols());

@@ -1,10 +1,10 @@
 //! Coil currents as they come: datagrams, a serial line, or a table that another program writes.
 //!
-//! A sample is one line: JSON (`{"current_a":[0.1,0,-0.1],"seq":7,"host_ns":1700000000123456789}`, the last two optional) or
-//! bare numbers (`0.1, 0, -0.1`), amperes. A sample without `host_ns` has the time of its arrival. The table has a header
-//! with `host_ns` (nanoseconds since 1970) or `unix_s` and one column a coil, and is followed as it grows. With `t_s` instead, as
-//! `catoptra excite` writes it, times count from the beginning of the run, and each row is a sample when its time has come: for an
-//! amplifier that is started together with the run.
+//! A sample is one line: JSON (`{"current_a":[0.1,0,-0.1],"seq":7,"host_ns":1700000000123456789}`, the last two
+//! optional) or bare numbers (`0.1, 0, -0.1`), amperes. A sample without `host_ns` has the time of its arrival. The
+//! table has a header with `host_ns` (nanoseconds since 1970) or `unix_s` and one column a coil, and is followed as it
+//! grows. With `t_s` instead, as `catoptra excite` writes it, times count from the beginning of the run, and each row
+//! is a sample when its time has come: for an amplifier that is started together with the run.
 //!
 //! A line that is no sample is counted and the first of them is named; nothing here can hold up or end a run.
 
@@ -216,7 +216,8 @@ impl Taker {
         }
     }
 
-    /// Waits for the time of a row of a table that is counted from the beginning of the run; `false` when the run ends before.
+    /// Waits for the time of a row of a table that is counted from the beginning of the run; `false` when the run ends
+    /// before.
     fn has_come(&self, bytes: &[u8], stop: &AtomicBool) -> bool {
         let Some(Header { times: Times::RunSeconds, .. }) = self.header else { return true };
         let Some(sample) = self.sample(bytes, 0) else { return true };

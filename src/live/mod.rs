@@ -10,14 +10,16 @@
 //! | `currents`, `currents in` | take coil currents to the log | samples |
 //! | the caller's | watches, tells once a second how it goes | the clock |
 //!
-//! Frames are tracked by the same [`Tracker`] as recordings: the same pictures give the same rows. Between camera and tracker
-//! few pictures wait; a tracker that falls behind goes to the newest frame, and those passed over keep their rows
-//! (`skipped_overload`). A frame of another size than the rig's has its row too (`wrong_size`). Nothing that writes or
-//! publishes can hold up the tracker: its lines are bounded, what does not fit is counted, and a sink that fails is told at
-//! once while everything else goes on. Where the system allows, camera and tracker run before all else, and pictures behind.
+//! Frames are tracked by the same [`Tracker`] as recordings: the same pictures give the same rows. Between camera and
+//! tracker few pictures wait; a tracker that falls behind goes to the newest frame, and those passed over keep their
+//! rows (`skipped_overload`). A frame of another size than the rig's has its row too (`wrong_size`). Nothing that
+//! writes or publishes can hold up the tracker: its lines are bounded, what does not fit is counted, and a sink that
+//! fails is told at once while everything else goes on. Where the system allows, camera and tracker run before all
+//! else, and pictures behind.
 
 mod currents;
 mod pictures;
+mod priority;
 mod queue;
 mod status;
 mod writer;
@@ -29,13 +31,14 @@ pub use status::{Latency, Status};
 pub use writer::MOST_ROWS;
 
 use crate::estimate::{Estimate, Miss};
-use crate::pipeline::{End, Summary};
-use crate::sink::{CurrentSample, Sink, UdpSink};
+use crate::pipeline::{End, Summary, finish_all};
+use crate::sink::{CurrentSample, Sink, SinkError, UdpSink};
 use crate::source::host::HostClock;
-use crate::source::{self, FrameSource, Picture, SourceError, Timestamp};
-use crate::tally::Tally;
+use crate::source::{FrameSource, Picture, SourceError, StreamFaults, Timestamp};
+use crate::tally::{Tally, Totals};
 use crate::track::{TrackError, Tracker};
 use pictures::Pictures;
+use priority::{Urgency, run_as};
 use queue::{Next, Queue};
 use status::Counters;
 use std::io;
@@ -184,16 +187,17 @@ pub fn run(
     // What is asleep in a driver is not waited for: the process ends soon.
     stop.store(true, Ordering::Relaxed);
     let taken = camera.is_finished().then(|| joined(camera));
-    let (source_tally, source_end) = taken.unwrap_or_default();
+    let (source_faults, source_end) = taken.unwrap_or_default();
     let tracked = joined(tracking);
     currents.into_iter().for_each(joined);
     let unrecorded = recorder.and_then(joined);
-    let mut sink_failures = joined(writer);
-    sink_failures.extend(unrecorded);
-    if let Some(publisher) = publisher {
-        joined(publisher);
-    }
+    let (sinks, mut sink_failures) = joined(writer);
     let (tally, latency) = counters.totals();
+    sink_failures.extend(finish_all(sinks, &tally));
+    sink_failures.extend(unrecorded);
+    if let Some(sink) = publisher.and_then(joined) {
+        finish_all(vec![(sink, true)], &tally).iter().for_each(Subscribers::report);
+    }
     let end = match (tracked, interrupted, source_end) {
         (Some(end), _, _) | (None, Some((_, end)), _) => end,
         (None, None, Some(error)) if error.is_early_end() => End::Early(error),
@@ -201,7 +205,7 @@ pub fn run(
         (None, None, None) => End::Complete,
     };
     Ok(LiveSummary {
-        run: Summary { tally, source: source_tally, elapsed: began.elapsed(), end, sink_failures },
+        run: Summary { tally, source: source_faults, elapsed: began.elapsed(), end, sink_failures },
         latency,
         unlogged: backlog.unlogged(),
         unpublished: unpublished.map_or(0, |missed| missed.load(Ordering::Relaxed)),
@@ -214,7 +218,7 @@ fn take_all(
     mut source: Box<dyn FrameSource + Send>,
     queue: &Queue,
     stop: &AtomicBool,
-) -> (source::Tally, Option<SourceError>) {
+) -> (StreamFaults, Option<SourceError>) {
     run_as(Urgency::Camera);
     let end = loop {
         if stop.load(Ordering::Relaxed) {
@@ -227,7 +231,7 @@ fn take_all(
         }
     };
     queue.close();
-    (source.tally(), end)
+    (source.faults(), end)
 }
 
 /// Hands on currents until there are no more, or the run stops.
@@ -239,31 +243,6 @@ fn log_currents(samples: &Receiver<CurrentSample>, log: &Log, stop: &AtomicBool)
             Err(_) => return,
         }
     }
-}
-
-/// How far this thread goes before others, or behind them, as the system counts it ("nice"), where it lets us: a frame that is not
-/// taken in time is lost, θ that is late is of no use, and a picture that is not recorded is neither.
-#[derive(Debug, Clone, Copy)]
-enum Urgency {
-    Camera,
-    Tracker,
-    Pictures,
-}
-
-fn run_as(urgency: Urgency) {
-    #[cfg(target_os = "linux")]
-    {
-        let nice = match urgency {
-            Urgency::Camera => -15,
-            Urgency::Tracker => -10,
-            Urgency::Pictures => 5,
-        };
-        if rustix::process::setpriority_process(Some(rustix::thread::gettid()), nice).is_err() {
-            tracing::debug!("a thread runs at ordinary priority ({urgency:?}): the system allows no higher one");
-        }
-    }
-    #[cfg(not(target_os = "linux"))]
-    let _ = urgency;
 }
 
 /// Where the tracker's rows go.
@@ -283,11 +262,11 @@ impl Out {
             controllers.send(&estimate);
         }
         let estimate = Arc::new(estimate);
-        self.counters.add(&estimate, tracked);
+        let totals = self.counters.add(&estimate, tracked);
         if let Some(subscribers) = &self.subscribers {
-            subscribers.put(&estimate);
+            subscribers.put(&estimate, totals.clone());
         }
-        self.log.put(Entry::Frame(Arc::clone(&estimate)));
+        self.log.put(Entry::Frame(Arc::clone(&estimate), totals));
         if let (Some(pictures), Some(picture)) = (&mut self.pictures, picture) {
             pictures.put(estimate, picture);
         }
@@ -319,24 +298,37 @@ fn track_all(tracker: &mut Tracker, queue: &Queue, out: &mut Out) -> Option<End>
 
 /// The line to subscribers.
 struct Subscribers {
-    line: SyncSender<Arc<Estimate>>,
+    line: SyncSender<(Arc<Estimate>, Option<Totals>)>,
     missed: Arc<AtomicU64>,
 }
 
 impl Subscribers {
-    fn start(mut sink: Box<dyn Sink + Send>) -> io::Result<(Self, JoinHandle<()>)> {
-        let (line, rows) = sync_channel::<Arc<Estimate>>(MOST_PUBLISHED);
+    /// Starts the thread; it gives the sink back at the end, unless that has failed.
+    #[expect(clippy::type_complexity, reason = "named nowhere else")]
+    fn start(mut sink: Box<dyn Sink + Send>) -> io::Result<(Self, JoinHandle<Option<Box<dyn Sink + Send>>>)> {
+        let (line, rows) = sync_channel::<(Arc<Estimate>, Option<Totals>)>(MOST_PUBLISHED);
         let thread = Builder::new().name("publisher".to_owned()).spawn(move || {
-            let failed = rows.iter().find_map(|row| sink.write(&row, None).err());
-            if let Some(error) = failed.or_else(|| sink.finish().err()) {
-                tracing::error!("{error}; subscribers get nothing any more, the log goes on");
+            let failed = rows.iter().find_map(|(row, totals)| {
+                let written = sink.write(&row, None);
+                written.and_then(|()| totals.iter().try_for_each(|totals| sink.write_totals(totals))).err()
+            });
+            match failed {
+                Some(error) => {
+                    Self::report(&error);
+                    None
+                }
+                None => Some(sink),
             }
         })?;
         Ok((Self { line, missed: Arc::default() }, thread))
     }
 
-    fn put(&self, estimate: &Arc<Estimate>) {
-        if let Err(TrySendError::Full(_)) = self.line.try_send(Arc::clone(estimate)) {
+    fn report(error: &SinkError) {
+        tracing::error!("{error}; subscribers get nothing any more, the log goes on");
+    }
+
+    fn put(&self, estimate: &Arc<Estimate>, totals: Option<Totals>) {
+        if let Err(TrySendError::Full(_)) = self.line.try_send((Arc::clone(estimate), totals)) {
             self.missed.fetch_add(1, Ordering::Relaxed);
         }
     }

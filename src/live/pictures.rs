@@ -1,14 +1,15 @@
 //! The thread that records pictures: the first to give way when anything is short.
 //!
-//! Few pictures wait for it; what does not fit is dropped and counted, and no estimate ever waits. Windows go into the log, but
-//! only while the log's own line is short. When the disk has less free space than is to be kept for the log, or the video
-//! cannot be written, no more pictures are recorded, which is told once; the estimates go on.
+//! Few pictures wait for it; what does not fit is dropped and counted, and no estimate ever waits. Windows go into the
+//! log, but only while the log's own line is short. When the disk has less free space than is to be kept for the log,
+//! or the video cannot be written, no more pictures are recorded, which is told once; the estimates go on.
 
+use super::priority::{Urgency, run_as};
 use super::writer::{Backlog, Entry, Log};
-use super::{Urgency, run_as};
 use crate::estimate::Estimate;
-use crate::sink::{Keeper, PictureCount, Sink, SinkError};
+use crate::sink::{PictureCount, Sink, SinkError, WindowRecorder};
 use crate::source::Picture;
+use crate::tally::Tally;
 use std::io;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -66,7 +67,8 @@ impl Pictures {
         let thread = Builder::new().name("pictures".to_owned()).spawn(move || {
             run_as(Urgency::Pictures);
             let backlog = log.backlog();
-            Recorder { recording, log, backlog, keeper: Keeper::default(), looked: None, stopped: false }.run(&taken)
+            Recorder { recording, log, backlog, windows: WindowRecorder::default(), looked: None, stopped: false }
+                .run(&taken)
         })?;
         Ok((Self { line, count, lost: false }, thread))
     }
@@ -88,7 +90,7 @@ struct Recorder {
     recording: Recording,
     log: Log,
     backlog: Arc<Backlog>,
-    keeper: Keeper,
+    windows: WindowRecorder,
     /// When the disk was looked at.
     looked: Option<Instant>,
     stopped: bool,
@@ -119,7 +121,8 @@ impl Recorder {
             }
         }
         let ended = match &mut self.recording.to {
-            RecordTo::Video(video) => video.finish(),
+            // A video has no place for counts.
+            RecordTo::Video(video) => video.finish(&Tally::default()),
             RecordTo::Log => Ok(()),
         };
         // What a failed video says at its end follows from why it failed.
@@ -136,13 +139,13 @@ impl Recorder {
             }
             RecordTo::Log => {
                 if taken.after_loss {
-                    self.keeper.lost_one();
+                    self.windows.lost_one();
                 }
                 if self.backlog.waiting() > MOST_ROWS_BEFORE {
-                    self.keeper.lost_one();
+                    self.windows.lost_one();
                     return Ok(false);
                 }
-                let kept = self.keeper.keep(&taken.estimate, &taken.picture)?;
+                let kept = self.windows.keep(&taken.estimate, &taken.picture)?;
                 // Counted when it is written.
                 self.log.put(Entry::Windows(Box::new(kept), Arc::clone(&self.recording.count)));
                 Ok(true)

@@ -14,20 +14,20 @@ use std::time::{Duration, Instant};
 pub const MOST_WAITING: usize = 16;
 /// So many may wait however long: a decoder hands on in bursts.
 const FEW: usize = 3;
-/// More may wait as long as the oldest is no older than this: a fast camera's frames are caught up with before they are of no use. Then
-/// the tracker goes to the newest.
+/// More may wait as long as the oldest is no older than this: a fast camera's frames are caught up with before they are
+/// of no use. Then the tracker goes to the newest.
 const LATEST: Duration = Duration::from_millis(50);
 
 /// The line between camera and tracker.
 #[derive(Debug)]
 pub(super) struct Queue {
     rig: Rig,
-    state: Mutex<State>,
+    line: Mutex<Line>,
     changed: Condvar,
 }
 
 #[derive(Debug, Default)]
-struct State {
+struct Line {
     skipped: Vec<Estimate>,
     /// When each came, and the frame.
     waiting: VecDeque<(Instant, Frame)>,
@@ -47,7 +47,7 @@ pub(super) enum Next {
 
 impl Queue {
     pub(super) fn new(rig: &Rig) -> Self {
-        Self { rig: rig.clone(), state: Mutex::default(), changed: Condvar::new() }
+        Self { rig: rig.clone(), line: Mutex::default(), changed: Condvar::new() }
     }
 
     /// Adds a frame. When too many wait, all but this one are passed over.
@@ -56,15 +56,15 @@ impl Queue {
     }
 
     fn push_at(&self, now: Instant, frame: Frame) {
-        let mut state = self.lock();
-        let waiting = state.waiting.len();
-        let oldest = state.waiting.front().map(|(since, _)| now.saturating_duration_since(*since));
+        let mut line = self.lock();
+        let waiting = line.waiting.len();
+        let oldest = line.waiting.front().map(|(since, _)| now.saturating_duration_since(*since));
         if waiting >= MOST_WAITING || (waiting >= FEW && oldest.is_some_and(|age| age > LATEST)) {
-            let State { skipped, waiting, .. } = &mut *state;
+            let Line { skipped, waiting, .. } = &mut *line;
             skipped.extend(waiting.drain(..).map(|(_, f)| Estimate::missed(&f, &self.rig, &Miss::SkippedOverload)));
         }
-        state.waiting.push_back((now, frame));
-        drop(state);
+        line.waiting.push_back((now, frame));
+        drop(line);
         self.changed.notify_one();
     }
 
@@ -76,14 +76,14 @@ impl Queue {
 
     /// The next frame, and the rows before it; waits up to `patience`.
     pub(super) fn next(&self, patience: Duration) -> Next {
-        let mut state = self.lock();
-        if state.waiting.is_empty() && state.skipped.is_empty() && !state.closed {
-            let waits = |s: &mut State| s.waiting.is_empty() && !s.closed;
-            state = self.changed.wait_timeout_while(state, patience, waits).unwrap_or_else(PoisonError::into_inner).0;
+        let mut line = self.lock();
+        if line.waiting.is_empty() && line.skipped.is_empty() && !line.closed {
+            let waits = |s: &mut Line| s.waiting.is_empty() && !s.closed;
+            line = self.changed.wait_timeout_while(line, patience, waits).unwrap_or_else(PoisonError::into_inner).0;
         }
-        let skipped = std::mem::take(&mut state.skipped);
-        let frame = state.waiting.pop_front().map(|(_, frame)| frame);
-        match (skipped.is_empty() && frame.is_none(), state.closed) {
+        let skipped = std::mem::take(&mut line.skipped);
+        let frame = line.waiting.pop_front().map(|(_, frame)| frame);
+        match (skipped.is_empty() && frame.is_none(), line.closed) {
             (true, true) => Next::Closed,
             (true, false) => Next::Silence,
             (false, _) => Next::Frames(skipped, frame),
@@ -91,8 +91,8 @@ impl Queue {
     }
 
     /// The lock; a thread that panicked with it leaves a whole line behind.
-    fn lock(&self) -> MutexGuard<'_, State> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    fn lock(&self) -> MutexGuard<'_, Line> {
+        self.line.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 

@@ -1,8 +1,8 @@
-//! How a live run goes: counted by the tracker's thread, looked at by who shows it.
+//! How a live run goes: counted by the tracker's thread, read by the status line.
 
 use crate::estimate::Estimate;
 use crate::source::host::HostClock;
-use crate::tally::{AlarmInWords, Tally};
+use crate::tally::{AlarmInWords, Tally, Totals};
 use hdrhistogram::Histogram;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -51,14 +51,14 @@ pub struct Status {
 #[derive(Debug)]
 pub(super) struct Counters {
     clock: HostClock,
-    state: Mutex<State>,
+    counts: Mutex<Counts>,
 }
 
 #[derive(Debug)]
-struct State {
+struct Counts {
     tally: Tally,
     latest: Option<Arc<Estimate>>,
-    told_frames: u64,
+    reported_frames: u64,
     recent: Histogram<u64>,
     whole: Histogram<u64>,
 }
@@ -68,55 +68,56 @@ impl Counters {
     /// When the histograms cannot be made.
     pub(super) fn new(tally: Tally, clock: HostClock) -> Result<Self, hdrhistogram::CreationError> {
         let histogram = || Histogram::new_with_bounds(1, LONGEST_US, 3);
-        let state = State { tally, latest: None, told_frames: 0, recent: histogram()?, whole: histogram()? };
-        Ok(Self { clock, state: Mutex::new(state) })
+        let counts = Counts { tally, latest: None, reported_frames: 0, recent: histogram()?, whole: histogram()? };
+        Ok(Self { clock, counts: Mutex::new(counts) })
     }
 
-    /// Counts a frame, when it has been sent to who waits for it.
-    pub(super) fn add(&self, estimate: &Arc<Estimate>, tracked: bool) {
+    /// Counts a frame, when it has been sent to who waits for it; the totals, when they are to be reported.
+    pub(super) fn add(&self, estimate: &Arc<Estimate>, tracked: bool) -> Option<Totals> {
         let now_ns = self.clock.now_ns();
-        let mut state = self.lock();
-        state.tally.add(estimate);
+        let mut counts = self.lock();
+        let due = counts.tally.add(estimate);
         if let (Some(host), true) = (estimate.host, tracked) {
             let took_us = u64::try_from(now_ns.saturating_sub(host.arrival_ns) / 1000).unwrap_or(0);
-            state.recent.saturating_record(took_us);
-            state.whole.saturating_record(took_us);
+            counts.recent.saturating_record(took_us);
+            counts.whole.saturating_record(took_us);
         }
-        state.latest = Some(Arc::clone(estimate));
+        counts.latest = Some(Arc::clone(estimate));
+        due.then(|| counts.tally.totals())
     }
 
     /// How it goes; the counts of new frames begin again.
     pub(super) fn status(&self) -> Status {
-        let mut state = self.lock();
-        let latest = state.latest.as_ref();
+        let mut counts = self.lock();
+        let latest = counts.latest.as_ref();
         let located = latest.map_or(0, |e| e.markers.iter().filter(|m| m.position.is_ok()).count());
         let angle = latest.and_then(|e| e.deflection.as_ref().ok());
         let skipped =
-            state.tally.reasons("tangent").iter().find(|(word, _)| *word == "skipped_overload").map(|(_, n)| *n);
+            counts.tally.reasons("tangent").iter().find(|(word, _)| *word == "skipped_overload").map(|(_, n)| *n);
         let status = Status {
-            frames: state.tally.frames,
-            new_frames: state.tally.frames - state.told_frames,
-            lost: state.tally.lost,
+            frames: counts.tally.frames,
+            new_frames: counts.tally.frames - counts.reported_frames,
+            lost: counts.tally.lost,
             skipped: skipped.unwrap_or(0),
-            latency: latency(&state.recent),
+            latency: latency(&counts.recent),
             theta_rad: angle.map(|d| (d.theta_rad, d.theta_sd_rad)),
-            markers: (located, state.tally.markers.len()),
-            alarms: state.tally.alarms().collect(),
+            markers: (located, counts.tally.markers.len()),
+            alarms: counts.tally.alarms().collect(),
             ..Status::default()
         };
-        state.told_frames = state.tally.frames;
-        state.recent.reset();
+        counts.reported_frames = counts.tally.frames;
+        counts.recent.reset();
         status
     }
 
     /// Totals, and the latency of all frames.
     pub(super) fn totals(&self) -> (Tally, Latency) {
-        let state = self.lock();
-        (state.tally.clone(), latency(&state.whole))
+        let counts = self.lock();
+        (counts.tally.clone(), latency(&counts.whole))
     }
 
-    fn lock(&self) -> MutexGuard<'_, State> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    fn lock(&self) -> MutexGuard<'_, Counts> {
+        self.counts.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 

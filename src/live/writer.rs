@@ -1,11 +1,13 @@
 //! The thread that writes the log, the table and the report, behind a line of its own that publishers have no part in.
 //!
-//! The line holds rows without pictures, minutes of them. That it grows is told long before it is full; when it is, rows
-//! are lost to the files (never to publishers) and counted. A sink that fails is told at once; the others go on.
+//! The line holds rows without pictures, minutes of them. That it grows is told long before it is full; when it is,
+//! rows are lost to the files (never to publishers) and counted. A sink that fails is told at once; the others go on.
 
 use crate::estimate::Estimate;
-use crate::sink::messages::PictureWindows;
+use crate::log::schema::messages::PictureWindows;
+use crate::pipeline::OpenSink;
 use crate::sink::{CurrentSample, PictureCount, Sink, SinkError};
+use crate::tally::Totals;
 use std::io;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
@@ -20,7 +22,8 @@ const WORTH_A_WORD: usize = MOST_ROWS / 16;
 /// What is logged.
 #[derive(Debug)]
 pub(super) enum Entry {
-    Frame(Arc<Estimate>),
+    /// A frame, and the count with it when that is to be reported.
+    Frame(Arc<Estimate>, Option<Totals>),
     Current(CurrentSample),
     /// What was kept of a picture, and where it is counted.
     Windows(Box<PictureWindows>, Arc<PictureCount>),
@@ -59,8 +62,8 @@ pub(super) struct Log {
 }
 
 impl Log {
-    /// Starts the thread; it ends, with what went wrong, when the last near end is gone.
-    pub(super) fn start(sinks: Vec<Box<dyn Sink + Send>>) -> io::Result<(Self, JoinHandle<Vec<SinkError>>)> {
+    /// Starts the thread; it ends when the last near end is gone, and gives the sinks back, with what went wrong.
+    pub(super) fn start(sinks: Vec<Box<dyn Sink + Send>>) -> io::Result<(Self, JoinHandle<Written>)> {
         let (entries, line) = sync_channel(MOST_ROWS);
         let backlog = Arc::new(Backlog { sinks_alive: AtomicUsize::new(sinks.len()), ..Backlog::default() });
         let shared = Arc::clone(&backlog);
@@ -88,14 +91,19 @@ impl Log {
     }
 }
 
-fn write_all(sinks: Vec<Box<dyn Sink + Send>>, line: &Receiver<Entry>, backlog: &Backlog) -> Vec<SinkError> {
+/// All sinks, not yet finished, and why some have failed.
+pub(super) type Written = (Vec<OpenSink>, Vec<SinkError>);
+
+fn write_all(sinks: Vec<Box<dyn Sink + Send>>, line: &Receiver<Entry>, backlog: &Backlog) -> Written {
     let mut failures = Vec::new();
     let mut sinks: Vec<_> = sinks.into_iter().map(|sink| (sink, true)).collect();
     for entry in line {
         let mut kept = false;
         for (sink, works) in sinks.iter_mut().filter(|(_, works)| *works) {
             let written = match &entry {
-                Entry::Frame(estimate) => sink.write(estimate, None),
+                Entry::Frame(estimate, totals) => sink
+                    .write(estimate, None)
+                    .and_then(|()| totals.iter().try_for_each(|totals| sink.write_totals(totals))),
                 Entry::Current(sample) => sink.write_current(sample),
                 Entry::Windows(windows, _) => sink.write_windows(windows).map(|takes| kept |= takes),
             };
@@ -111,12 +119,5 @@ fn write_all(sinks: Vec<Box<dyn Sink + Send>>, line: &Receiver<Entry>, backlog: 
         }
         backlog.waiting.fetch_sub(1, Ordering::Relaxed);
     }
-    for (mut sink, works) in sinks {
-        match sink.finish() {
-            // What a failed sink says at its end is the same once more, or follows from it.
-            Err(error) if works => failures.push(error),
-            _ => {}
-        }
-    }
-    failures
+    (sinks, failures)
 }

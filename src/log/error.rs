@@ -1,5 +1,6 @@
 //! Why a log cannot be read or repaired.
 
+use super::schema::Topic;
 use std::io;
 use std::path::PathBuf;
 
@@ -21,7 +22,7 @@ pub enum LogError {
         path: PathBuf,
     },
     /// A log of something else.
-    #[error("{}: is an MCAP file, but has no topic /catheter/estimate: no log of this program", path.display())]
+    #[error("{}: is an MCAP file, but has no topic {}: no log of this program", path.display(), Topic::Estimate.name())]
     NotOurs {
         /// Which file.
         path: PathBuf,

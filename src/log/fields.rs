@@ -1,5 +1,5 @@
-//! Fields of a decoded message by name. What is absent, or of another type than expected, is `None`: logs of other versions
-//! are understood as far as the names are the same.
+//! Fields of a decoded message by name. What is absent, or of another type than expected, is `None`: logs of other
+//! versions are understood as far as the names are the same.
 
 use prost_reflect::{DynamicMessage, Value};
 

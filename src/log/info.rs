@@ -1,9 +1,10 @@
 //! What is in a log: frames, gaps, clocks, what is missing and why.
 
 use super::LogError;
+use super::decoder::MessageDecoder;
 use super::fields::{number, text};
-use super::messages::Known;
 use super::records::{self, Extent};
+use super::schema::Topic;
 use mcap::records::Record;
 use prost_reflect::{DynamicMessage, Value};
 use std::collections::BTreeMap;
@@ -56,16 +57,16 @@ impl Info {
     /// When it cannot be read, is no MCAP file, or a log of something else.
     pub fn read(path: &Path) -> Result<Self, LogError> {
         let mut info = Self::default();
-        let mut known = Known::default();
+        let mut decoder = MessageDecoder::default();
         let mut messages: BTreeMap<u16, u64> = BTreeMap::new();
         let mut last: Option<(u64, i64)> = None;
         let extent = records::each(path, |record| {
-            known.learn(record);
+            decoder.learn(record);
             match record {
                 Record::Header(header) => info.library.clone_from(&header.library),
                 Record::Message { header, data } => {
                     *messages.entry(header.channel_id).or_default() += 1;
-                    if let Some(estimate) = known.decoded(header.channel_id, "/catheter/estimate", data.as_ref()) {
+                    if let Some(estimate) = decoder.decoded(header.channel_id, Topic::Estimate, data.as_ref()) {
                         info.add(&estimate, &mut last);
                     }
                 }
@@ -85,9 +86,9 @@ impl Info {
             schema: schema.to_owned(),
             messages: messages.get(&id).copied().unwrap_or(0),
         };
-        info.topics = known.channels().map(topic).collect();
+        info.topics = decoder.channels().map(topic).collect();
         info.topics.sort_by(|a, b| a.name.cmp(&b.name));
-        let ours = info.topics.iter().any(|topic| topic.name == "/catheter/estimate");
+        let ours = info.topics.iter().any(|topic| topic.name == Topic::Estimate.name());
         if ours { Ok(info) } else { Err(LogError::NotOurs { path: path.to_owned() }) }
     }
 

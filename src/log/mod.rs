@@ -1,14 +1,15 @@
-//! Logs read back: what is in one ([`Info`]), and one that was cut off made whole ([`repair`]).
+//! What a log is ([`schema`]), what is in one ([`Info`]), and one that was cut off made whole ([`repair()`]).
 //!
-//! Logs are read record by record, however large they are. Messages are decoded by the schemas that travel with them, field
-//! by name: logs of other versions are understood as far as the names are the same.
+//! Logs are read record by record, however large they are. Messages are decoded by the schemas that travel with them,
+//! field by name: logs of other versions are understood as far as the names are the same.
 
+pub(crate) mod decoder;
 mod error;
 pub(crate) mod fields;
 mod info;
-pub(crate) mod messages;
 pub(crate) mod records;
 mod repair;
+pub mod schema;
 
 use std::io::Read as _;
 use std::path::Path;

@@ -24,8 +24,8 @@ pub enum Repaired {
     },
 }
 
-/// Makes the log at `path` whole. The broken one is kept beside it, its name ending in `.bak`; until the new one is complete
-/// and on the disk, nothing is changed.
+/// Makes the log at `path` whole. The broken one is kept beside it, its name ending in `.bak`; until the new one is
+/// complete and on the disk, nothing is changed.
 ///
 /// # Errors
 /// When it cannot be read, is no MCAP file, or the disk has no place for a second one.

@@ -2,7 +2,7 @@
 
 use super::chart::{self, PALETTE, css, rounded};
 use super::course::Course;
-use super::page::escape;
+use super::html::escape;
 use super::timeline::Bin;
 use crate::sink::{Rgb, spoken};
 use plotly::common::{Anchor, Line, Marker, MarkerSymbol, Mode};

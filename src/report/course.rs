@@ -1,10 +1,10 @@
-//! What a report keeps of every frame: totals, values over time, and the paths of the markers.
+//! What a report keeps of every frame: values over time, and the paths of the markers.
 
 use super::timeline::{Extremes, Timeline};
 use crate::estimate::Estimate;
 use crate::rig::{Base, Rig};
 use crate::sink::Origin;
-use crate::tally::Tally;
+use crate::tally::missing;
 use nalgebra::Point3;
 
 /// Positions kept for the 3D paths; beyond, every second one is dropped.
@@ -18,7 +18,7 @@ pub(super) struct Course {
     base: Option<Base>,
     has_base: bool,
     origin: Option<Origin>,
-    pub tally: Tally,
+    frames: u64,
     pub timeline: Timeline,
     /// What is missing and why, by the number used in the timeline.
     pub reasons: Vec<(String, String)>,
@@ -68,7 +68,7 @@ impl Course {
             base: rig.base.clone().filter(|_| !camera_frame),
             has_base: rig.base.is_some(),
             origin: None,
-            tally: Tally::new(rig),
+            frames: 0,
             timeline: Timeline::default(),
             reasons: Vec::new(),
             path: Path { every: 1, ..Path::default() },
@@ -92,8 +92,9 @@ impl Course {
 
     pub(super) fn add(&mut self, estimate: &Estimate) {
         let origin = *self.origin.get_or_insert(Origin::of_first(estimate.stamp.ns));
-        let named = self.tally.add(estimate);
-        let numbers: Vec<usize> = named.into_iter().map(|name| self.reason_number(name)).collect();
+        self.frames += 1;
+        let missing = missing(estimate, &self.marker_names, &self.view_names);
+        let numbers: Vec<usize> = missing.into_iter().map(|name| self.reason_number(name)).collect();
         let values = self.values(estimate);
         self.timeline.push(origin.elapsed_s(estimate.stamp.ns), u64::from(estimate.gap), &values, &numbers);
         self.add_to_path(estimate);
@@ -154,7 +155,7 @@ impl Course {
     }
 
     fn add_to_path(&mut self, estimate: &Estimate) {
-        if !(self.tally.frames - 1).is_multiple_of(self.path.every) {
+        if !(self.frames - 1).is_multiple_of(self.path.every) {
             return;
         }
         let place = |marker: &crate::estimate::MarkerEstimate| {

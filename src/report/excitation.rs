@@ -3,7 +3,8 @@
 //! In: the signal as it will be played, limits kept. Out: one HTML file that needs no network.
 
 use super::chart::{self, CURVE, PALETTE, QUIET, css, css_faint, rounded};
-use super::page::{self, card, escape, facts_table, figure, table};
+use super::html::escape;
+use super::page::{self, card, facts_table, figure, table};
 use super::timeline::Timeline;
 use crate::excite::{Change, Clipped, Signal, Spectrum};
 use plotly::common::{DashType, Line, Mode};
@@ -65,21 +66,16 @@ pub fn page(info: &ExcitationInfo, signal: &Signal, spectrum: &Spectrum, clipped
     let inside = shares(spectrum, info.band_hz);
     let band = inside.get(1).map_or((String::new(), 0.0), Clone::clone);
     let cards = [
-        card(
-            "Peak",
-            &format!("{:.1} mA", signal.peak_a() * 1e3),
-            &format!("RMS {:.1} mA", signal.rms_a() * 1e3),
-            false,
-        ),
-        card("Crest factor", &format!("{:.2}", signal.crest_factor()), "peak over RMS", false),
-        card("Largest slew", &format!("{slew:.2} A/s"), &format!("at {slew_s:.2} s"), false),
-        card("Energy in the band", &format!("{:.1} %", band.1 * 100.0), &band.0, false),
+        card("Peak", format!("{:.1} mA", signal.peak_a() * 1e3), format!("RMS {:.1} mA", signal.rms_a() * 1e3), false),
+        card("Crest factor", format!("{:.2}", signal.crest_factor()), "peak over RMS", false),
+        card("Largest slew", format!("{slew:.2} A/s"), format!("at {slew_s:.2} s"), false),
+        card("Energy in the band", format!("{:.1} %", band.1 * 100.0), &band.0, false),
     ];
     body += &format!("<dl class=\"key\">\n{}</dl>\n", cards.concat());
     if !clipped.is_empty() {
-        let told: String = clipped.iter().map(|c| format!("<li>{}</li>\n", escape(&clipped_words(c)))).collect();
+        let changes: String = clipped.iter().map(|c| format!("<li>{}</li>\n", escape(&clipped_words(c)))).collect();
         body += &format!(
-            "<div class=\"doubts\"><p><strong>Cut off</strong> to keep the limits:</p>\n<ul>\n{told}</ul></div>\n"
+            "<div class=\"doubts\"><p><strong>Cut off</strong> to keep the limits:</p>\n<ul>\n{changes}</ul></div>\n"
         );
     }
     body += "<h2>Current over time</h2>\n<p>Each value is held until the next. After the last one the current is zero.</p>\n";
@@ -88,13 +84,13 @@ pub fn page(info: &ExcitationInfo, signal: &Signal, spectrum: &Spectrum, clipped
              rate: nothing can be excited beyond it.</p>\n";
     body += &figure("plot-spectrum", &density(info, signal, spectrum), 360, false);
     let rows: Vec<Vec<String>> =
-        inside.iter().map(|(band, share)| vec![escape(band), format!("{:.2} %", share * 100.0)]).collect();
+        inside.iter().map(|(band, share)| vec![band.clone(), format!("{:.2} %", share * 100.0)]).collect();
     body += &table(1, &["Frequencies", "Share of the energy"], &rows);
     let mut facts = vec![
         ("Length".to_owned(), format!("{} s, {} samples", signal.duration_s(), signal.values_a.len())),
         ("Rate".to_owned(), format!("{} samples a second", signal.rate)),
     ];
-    facts.extend(info.settings.iter().map(|(name, value)| (escape(name), escape(value))));
+    facts.extend(info.settings.iter().cloned());
     body += &format!("<h2>What was made</h2>\n{}", facts_table(&facts));
     body += &format!("<footer>Catoptra {}. This file needs no network.</footer>\n", env!("CARGO_PKG_VERSION"));
     page::page(&format!("{}: {}", info.kind, info.table), &body)

@@ -2,7 +2,7 @@
 
 use super::chart::{self, CURVE, PALETTE, Points, css, css_faint, rounded};
 use super::course::{Channel, Course};
-use super::page::escape;
+use super::html::escape;
 use nalgebra::Point3;
 use plotly::common::{Fill, HoverInfo, Line, Marker, Mode, Visible};
 use plotly::layout::{Axis, AxisRange, HoverMode, Margin};

@@ -14,6 +14,7 @@ mod chart;
 mod course;
 pub mod excitation;
 mod figures;
+mod html;
 pub mod identification;
 mod page;
 mod timeline;
@@ -24,6 +25,7 @@ use crate::estimate::Estimate;
 use crate::rig::Rig;
 use crate::sink::{Sink, SinkError};
 use crate::source::Picture;
+use crate::tally::Tally;
 use course::Course;
 use std::fs::File;
 use std::io::Write;
@@ -69,9 +71,9 @@ impl Sink for ReportSink {
         Ok(())
     }
 
-    fn finish(&mut self) -> Result<(), SinkError> {
+    fn finish(&mut self, tally: &Tally) -> Result<(), SinkError> {
         let Some(mut file) = self.file.take() else { return Ok(()) };
-        let page = tracking::render(&self.info, &self.course);
+        let page = tracking::render(&self.info, &self.course, tally);
         file.write_all(page.as_bytes()).map_err(|source| SinkError::Io { path: self.path.clone(), source })
     }
 }

@@ -1,5 +1,6 @@
 //! One HTML file that needs nothing else: style, script and data are inside.
 
+use super::html::{Html, escape};
 use plotly::Plot;
 
 /// Style of all pages.
@@ -11,36 +12,18 @@ const LINK: &str = include_str!("link.js");
 const POLICY: &str = "default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval'; style-src 'unsafe-inline'; \
                       img-src data: blob:";
 
-/// Text as HTML.
-pub(super) fn escape(text: &str) -> String {
-    let mut out = String::with_capacity(text.len());
-    for c in text.chars() {
-        match c {
-            '&' => out.push_str("&amp;"),
-            '<' => out.push_str("&lt;"),
-            '>' => out.push_str("&gt;"),
-            '"' => out.push_str("&quot;"),
-            _ => out.push(c),
-        }
-    }
-    out
-}
-
-/// Text for the page in which what stands between backticks is code.
-pub(super) fn with_code(text: &str) -> String {
-    let parts = text.split('`').enumerate();
-    parts.map(|(i, part)| if i % 2 == 1 { format!("<code>{}</code>", escape(part)) } else { escape(part) }).collect()
-}
-
-/// A table; cells are HTML. The first `words` columns are text, the others are numbers.
-pub(super) fn table(words: usize, heads: &[&str], rows: &[Vec<String>]) -> String {
-    let cells = |tag: &str, cells: &mut dyn Iterator<Item = &str>| -> String {
+/// A table of cells, text or markup. The first `words` columns are text, the others are numbers.
+pub(super) fn table<'a, H, C>(words: usize, heads: &'a [H], rows: &'a [Vec<C>]) -> String
+where
+    Html: From<&'a H> + From<&'a C>,
+{
+    fn cells(tag: &str, words: usize, cells: impl Iterator<Item = Html>) -> String {
         let class = |k: usize| if k < words { " class=\"text\"" } else { "" };
         cells.enumerate().map(|(k, c)| format!("<{tag}{}>{c}</{tag}>", class(k))).collect()
-    };
-    let body: String =
-        rows.iter().map(|row| format!("<tr>{}</tr>\n", cells("td", &mut row.iter().map(String::as_str)))).collect();
-    let head = cells("th", &mut heads.iter().copied());
+    }
+    let row = |row: &'a Vec<C>| format!("<tr>{}</tr>\n", cells("td", words, row.iter().map(Html::from)));
+    let body: String = rows.iter().map(row).collect();
+    let head = cells("th", words, heads.iter().map(Html::from));
     format!("<div class=\"scroll\"><table>\n<thead><tr>{head}</tr></thead>\n<tbody>\n{body}</tbody></table></div>\n")
 }
 
@@ -50,15 +33,21 @@ pub(super) fn figure(id: &str, plot: &Plot, height: u32, linked: bool) -> String
     format!("<div class=\"{class}\" style=\"height:{height}px\">{}</div>\n", plot.to_inline_html(Some(id)))
 }
 
-/// A figure among those that lead a page; all are HTML. `warn` colours it.
-pub(super) fn card(name: &str, value: &str, unit: &str, warn: bool) -> String {
+/// A figure among those that lead a page. `warn` colours it.
+pub(super) fn card(name: impl Into<Html>, value: impl Into<Html>, unit: impl Into<Html>, warn: bool) -> String {
+    let (name, value, unit) = (name.into(), value.into(), unit.into());
     let class = if warn { " class=\"warn\"" } else { "" };
     format!("<div{class}><dt>{name}</dt><dd>{value} <small>{unit}</small></dd></div>\n")
 }
 
-/// Names and values, as HTML.
-pub(super) fn facts_table(rows: &[(String, String)]) -> String {
-    let rows: String = rows.iter().map(|(name, value)| format!("<tr><td>{name}</td><td>{value}</td></tr>\n")).collect();
+/// Names and values.
+pub(super) fn facts_table<'a, N, V>(rows: &'a [(N, V)]) -> String
+where
+    Html: From<&'a N> + From<&'a V>,
+{
+    let row =
+        |(name, value): &'a (N, V)| format!("<tr><td>{}</td><td>{}</td></tr>\n", Html::from(name), Html::from(value));
+    let rows: String = rows.iter().map(row).collect();
     format!("<div class=\"scroll\"><table class=\"facts\"><tbody>\n{rows}</tbody></table></div>\n")
 }
 
@@ -116,7 +105,11 @@ mod tests {
     }
 
     #[test]
-    fn markup_in_text_stays_text() {
-        assert_eq!(escape("<b>\"a\" & b</b>"), "&lt;b&gt;&quot;a&quot; &amp; b&lt;/b&gt;");
+    fn cells_and_cards_are_text_until_said_otherwise() {
+        let cells = table(1, &["a<b"], &[vec![Html::from("x & y"), Html::raw("<em>z</em>")]]);
+        assert!(cells.contains("<th class=\"text\">a&lt;b</th>"), "{cells}");
+        assert!(cells.contains("<td class=\"text\">x &amp; y</td><td><em>z</em></td>"), "{cells}");
+        assert!(card("a<b", "1".to_owned(), "<c>", false).contains("<dt>a&lt;b</dt><dd>1 <small>&lt;c&gt;</small>"));
+        assert!(facts_table(&[("<a>", "b<")]).contains("<td>&lt;a&gt;</td><td>b&lt;</td>"));
     }
 }

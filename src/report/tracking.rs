@@ -4,31 +4,30 @@ use super::RunInfo;
 use super::absences::absences;
 use super::course::{Channel, Course};
 use super::figures;
-use super::page::{self, bad, escape, facts_table, figure, page, plural, signed, table, with_code};
+use super::html::{Html, escape};
+use super::page::{self, bad, facts_table, figure, page, plural, signed, table};
 use crate::sink::spoken;
-use crate::tally::Drifted;
-use crate::tally::{AlarmInWords, Tally};
+use crate::tally::{AlarmInWords, Drifted, MissCount, Tally};
 use std::collections::BTreeSet;
 
 /// The whole page.
-pub(super) fn render(info: &RunInfo, course: &Course) -> String {
-    let tally = &course.tally;
+pub(super) fn render(info: &RunInfo, course: &Course, tally: &Tally) -> String {
     let any = tally.frames > 0;
     // The answer comes first, then what is missing, then how far to trust it, then where it came from.
-    let mut body = header(info, course);
-    body += &key_figures(course);
+    let mut body = header(info, tally);
+    body += &key_figures(course, tally);
     if any && course.has_base() {
         body += &deflection(course);
     }
-    body += &missing(course);
+    body += &missing(course, tally);
     if any {
         body += &motion(course);
     }
-    body += &accuracy(course);
+    body += &accuracy(course, tally);
     if any {
-        body += &views(course);
+        body += &views(course, tally);
     }
-    body += &facts(info, course);
+    body += &facts(info, course, tally);
     body += &format!(
         "<footer>Catoptra {}. Lengths in mm, angles in degrees, times in seconds of the camera's clock. \
          This file needs no network.</footer>\n",
@@ -37,8 +36,7 @@ pub(super) fn render(info: &RunInfo, course: &Course) -> String {
     page(&format!("Tracking of {}", info.source), &body)
 }
 
-fn header(info: &RunInfo, course: &Course) -> String {
-    let tally = &course.tally;
+fn header(info: &RunInfo, tally: &Tally) -> String {
     let verdict = if tally.frames == 0 {
         "The source gave no frame.".to_owned()
     } else {
@@ -78,10 +76,9 @@ fn header(info: &RunInfo, course: &Course) -> String {
     )
 }
 
-fn key_figures(course: &Course) -> String {
-    let tally = &course.tally;
+fn key_figures(course: &Course, tally: &Tally) -> String {
     let mut cards = String::new();
-    let mut card = |name: &str, value: String, unit: &str, warn: bool| cards += &page::card(name, &value, unit, warn);
+    let mut card = |name: &str, value: String, unit: &str, warn: bool| cards += &page::card(name, value, unit, warn);
     card("Frames", tally.frames.to_string(), "", false);
     card(
         "Answered completely",
@@ -98,9 +95,8 @@ fn key_figures(course: &Course) -> String {
     format!("<dl class=\"key\">\n{cards}</dl>\n")
 }
 
-fn facts(info: &RunInfo, course: &Course) -> String {
-    let tally = &course.tally;
-    let mut rows = vec![("Source".to_owned(), escape(&info.source)), ("Rig".to_owned(), escape(&info.rig))];
+fn facts(info: &RunInfo, course: &Course, tally: &Tally) -> String {
+    let mut rows = vec![("Source".to_owned(), info.source.clone()), ("Rig".to_owned(), info.rig.clone())];
     if tally.frames > 0 {
         let span_s = tally.last_ns.saturating_sub(tally.first_ns) as f64 * 1e-9;
         let counted = if tally.lost > 0 { " with those lost counted" } else { "" };
@@ -108,16 +104,15 @@ fn facts(info: &RunInfo, course: &Course) -> String {
         rows.push(("Duration".to_owned(), format!("{span_s:.3} s{rate}")));
         let origin = course.origin().filter(|o| o.ns != 0);
         let zero = origin.map_or(String::new(), |o| format!("; 0 s on this page is {} ns of it", o.ns));
-        rows.push(("Clock".to_owned(), format!("{}{zero}", escape(tally.clock))));
+        rows.push(("Clock".to_owned(), format!("{}{zero}", tally.clock)));
     }
     rows.push(("Positions in".to_owned(), format!("the {} frame", frame_name(course))));
-    rows.extend(info.settings.iter().map(|(name, value)| (escape(name), escape(value))));
+    rows.extend(info.settings.iter().cloned());
     rows.push(("Version".to_owned(), format!("Catoptra {}", env!("CARGO_PKG_VERSION"))));
     format!("<h2>What was tracked</h2>\n{}", facts_table(&rows))
 }
 
-fn accuracy(course: &Course) -> String {
-    let tally = &course.tally;
+fn accuracy(course: &Course, tally: &Tally) -> String {
     let markers = course.marker_names.iter().zip(&tally.markers);
     let mut quantities: Vec<Vec<String>> =
         markers.map(|(name, m)| row(name, " mm", m.answered, tally, m.median_sd_mm())).collect();
@@ -130,7 +125,7 @@ fn accuracy(course: &Course) -> String {
         for (view_name, view) in course.view_names.iter().zip(&marker.views) {
             let mean = view.mean_px().map_or("–".to_owned(), |[u, v]| format!("{}, {}", signed(u, 3), signed(v, 3)));
             views.push(vec![
-                format!("{} in {}", escape(name), escape(view_name)),
+                format!("{name} in {view_name}"),
                 view.seen.to_string(),
                 share(view.seen, tally.frames),
                 number(view.rms_px(), 3),
@@ -167,27 +162,27 @@ fn accuracy(course: &Course) -> String {
 
 fn row(name: &str, unit: &str, answered: u64, tally: &Tally, sd: Option<f64>) -> Vec<String> {
     let sd = sd.map_or("–".to_owned(), |sd| format!("{sd:.4}{unit}"));
-    vec![escape(name), answered.to_string(), share(answered, tally.frames), sd]
+    vec![name.to_owned(), answered.to_string(), share(answered, tally.frames), sd]
 }
 
-fn missing(course: &Course) -> String {
-    let tally = &course.tally;
+fn missing(course: &Course, tally: &Tally) -> String {
     let mut text = "<h2>What is missing</h2>\n".to_owned();
     if !course.has_base() {
         text += "<p>The rig has no base frame yet, so there is no deflection angle in this run: positions and the tangent are \
                  in the camera frame.</p>\n";
     }
-    if tally.misses.is_empty() && tally.lost == 0 {
+    let misses = tally.misses();
+    if misses.is_empty() && tally.lost == 0 {
         return match tally.frames {
             0 => text + "<p>No frame arrived: nothing to answer.</p>\n",
             _ => text + "<p>Nothing: every frame of the camera arrived and every one is answered.</p>\n",
         };
     }
-    let mut rows: Vec<Vec<String>> = tally
-        .misses
-        .iter()
-        .map(|((what, why), n)| vec![escape(what), escape(&spoken(why)), n.to_string(), share(*n, tally.frames)])
-        .collect();
+    let row = |miss: &&MissCount| {
+        let MissCount { what, reason, frames } = miss;
+        vec![what.clone(), spoken(reason), frames.to_string(), share(*frames, tally.frames)]
+    };
+    let mut rows: Vec<Vec<String>> = misses.iter().map(row).collect();
     if tally.lost > 0 {
         let share = share(tally.lost, tally.frames + tally.lost);
         rows.push(vec!["whole frames".into(), "lost by the camera".into(), tally.lost.to_string(), share]);
@@ -259,7 +254,7 @@ fn motion(course: &Course) -> String {
 }
 
 /// What each view says, over time.
-fn views(course: &Course) -> String {
+fn views(course: &Course, tally: &Tally) -> String {
     let time = time_title(course);
     let each = |kind: &str, draw: &dyn Fn(usize) -> plotly::Plot| -> String {
         let views = course.view_names.iter().enumerate();
@@ -272,7 +267,7 @@ fn views(course: &Course) -> String {
     section(
         "Residuals",
         "By how many pixels each view disagrees with the common answer of all views (length of the residual).",
-        &(alarms(course) + &each("residual", &|v| figures::residuals(course, v, time))),
+        &(alarms(course, tally) + &each("residual", &|v| figures::residuals(course, v, time))),
         "one marker standing above the others in one view, or residuals that follow the motion: an error of the rig, of the tube's \
          measures or of the refraction. A few high frames are noise or a reflection.",
     ) + &section(
@@ -284,8 +279,8 @@ fn views(course: &Course) -> String {
 }
 
 /// When the rig was found to be no longer as it was calibrated, and what to do.
-fn alarms(course: &Course) -> String {
-    let alarms: Vec<AlarmInWords> = course.tally.alarms().collect();
+fn alarms(course: &Course, tally: &Tally) -> String {
+    let alarms: Vec<AlarmInWords> = tally.alarms().collect();
     if alarms.is_empty() {
         let base = if course.has_base() {
             "The base band rests where the base frame has its origin, within 0.3 mm in the mean over seconds."
@@ -299,12 +294,12 @@ fn alarms(course: &Course) -> String {
     }
     let row = |alarm: &AlarmInWords| {
         let at_s = course.origin().map_or(0.0, |origin| origin.elapsed_s(alarm.ns));
-        vec![format!("{at_s:.3} s"), with_code(&alarm.what)]
+        vec![Html::from(format!("{at_s:.3} s")), Html::with_code(&alarm.what)]
     };
-    let rows: Vec<Vec<String>> = alarms.iter().map(row).collect();
+    let rows: Vec<Vec<Html>> = alarms.iter().map(row).collect();
     let advice: BTreeSet<&str> = alarms.iter().map(|alarm| alarm.advice).collect();
     let advice = advice.into_iter().map(|advice| {
-        let words = with_code(advice);
+        let words = Html::with_code(advice);
         format!("<p class=\"bad\"><strong>Bad:</strong> places are off by more than their σ: {words}.</p>\n")
     });
     table(2, &["From", "What"], &rows) + &advice.collect::<String>()

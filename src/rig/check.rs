@@ -10,13 +10,12 @@ use super::{Camera, Rig, View};
 use crate::optics::{NoRay, OpticalPath, Ray, Surface};
 use nalgebra::{Matrix2, Point2, Point3, Vector2, Vector3};
 
+pub use super::view_check::{ClosestApproach, ROUND_TRIP_LIMIT_PX, Refraction, RoundTrip, ViewCheck};
 pub use super::walk::Crossing;
 pub use super::warnings::Warning;
 
 /// Pixels of the test grid are this far apart.
 const GRID_PX: f64 = 16.0;
-/// A larger error on the way to a point and back is a fault of the rig, not rounding.
-pub const ROUND_TRIP_LIMIT_PX: f64 = 1e-6;
 /// Distances tried when only one view tells nothing about where the catheter is, metres.
 const DISTANCES_M: [f64; 3] = [0.1, 0.3, 1.0];
 
@@ -28,7 +27,7 @@ pub struct Check {
     /// One entry a view, in the rig's order.
     pub views: Vec<ViewCheck>,
     /// Where the central rays of the first two views pass each other.
-    pub meeting: Option<Meeting>,
+    pub closest_approach: Option<ClosestApproach>,
     /// What a user should know, the gravest first.
     pub warnings: Vec<Warning>,
 }
@@ -37,65 +36,6 @@ impl Check {
     /// Whether every view sees something and its rays lead there and back.
     pub fn usable(&self) -> bool {
         self.views.iter().all(|v| v.round_trip.with_ray > 0 && v.round_trip.faithful())
-    }
-}
-
-/// One view.
-#[derive(Debug, Clone)]
-pub struct ViewCheck {
-    /// The pixel its central ray starts from.
-    pub centre_px: Point2<f64>,
-    /// The central ray's way, in the order of the view's path.
-    pub crossings: Vec<Crossing>,
-    /// The central ray in the marker's medium.
-    pub ray: Ray,
-    /// Distance along [`ViewCheck::ray`] of the place that the views look at, metres.
-    pub working_distance_m: f64,
-    /// What the walls do to the picture of that place; `None` without a wall.
-    pub refraction: Option<Refraction>,
-    /// Pixels to points and back.
-    pub round_trip: RoundTrip,
-}
-
-/// What would be wrong if the walls were left out, at the centre of a view.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Refraction {
-    /// By how much the place appears nearer than it is, metres.
-    pub nearer_m: f64,
-    /// How far the straight ray of the same pixel passes beside the place, metres.
-    pub beside_m: f64,
-}
-
-/// Where two central rays pass each other.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Meeting {
-    /// Middle between them, camera frame, metres.
-    pub point: Point3<f64>,
-    /// Distance between them, metres.
-    pub apart_m: f64,
-    /// Angle between them, radians.
-    pub angle_rad: f64,
-}
-
-/// A grid of pixels, traced to points at several distances and projected back.
-#[derive(Debug, Clone, PartialEq)]
-pub struct RoundTrip {
-    /// Pixels of the grid that belong to the view.
-    pub pixels: usize,
-    /// How many of them have a ray.
-    pub with_ray: usize,
-    /// Distances of the points along the rays, metres.
-    pub distances_m: Vec<f64>,
-    /// Points that did not come back to any pixel.
-    pub lost: usize,
-    /// Largest distance between a pixel and where it came back, pixels.
-    pub max_error_px: f64,
-}
-
-impl RoundTrip {
-    /// Whether every point came back to its pixel.
-    pub fn faithful(&self) -> bool {
-        self.lost == 0 && self.max_error_px <= ROUND_TRIP_LIMIT_PX
     }
 }
 
@@ -110,8 +50,8 @@ pub fn check(rig: &Rig) -> Result<Check, NoRay> {
         let (crossings, ray) = walk(&view.optics, &centre_px)?;
         central.push((centre_px, crossings, ray));
     }
-    let meeting = match central.as_slice() {
-        [(_, _, a), (_, _, b), ..] => meet(a, b),
+    let closest_approach = match central.as_slice() {
+        [(_, _, a), (_, _, b), ..] => closest_approach(a, b),
         _ => None,
     };
     let views: Vec<ViewCheck> = rig
@@ -119,7 +59,7 @@ pub fn check(rig: &Rig) -> Result<Check, NoRay> {
         .iter()
         .zip(central)
         .map(|(view, (centre_px, crossings, ray))| {
-            let met_m = meeting.map(|m| ray.nearest(&m.point)).filter(|distance| *distance > 0.0);
+            let met_m = closest_approach.map(|m| ray.nearest(&m.point)).filter(|distance| *distance > 0.0);
             let distances_m = met_m.map_or(DISTANCES_M, |met| [0.5 * met, met, 1.5 * met]);
             let working_distance_m = met_m.unwrap_or(DISTANCES_M[1]);
             ViewCheck {
@@ -132,18 +72,18 @@ pub fn check(rig: &Rig) -> Result<Check, NoRay> {
             }
         })
         .collect();
-    let warnings = warnings(rig, &views, meeting.as_ref());
-    Ok(Check { field_of_view_rad: field_of_view_rad(&rig.camera), views, meeting, warnings })
+    let warnings = warnings(rig, &views, closest_approach.as_ref());
+    Ok(Check { field_of_view_rad: field_of_view_rad(&rig.camera), views, closest_approach, warnings })
 }
 
 /// Middle of the shortest connection of two rays; `None` when they are parallel or it lies behind one of them.
-fn meet(a: &Ray, b: &Ray) -> Option<Meeting> {
+fn closest_approach(a: &Ray, b: &Ray) -> Option<ClosestApproach> {
     let cos = a.direction.dot(&b.direction);
     let between = b.origin - a.origin;
     let along = Matrix2::new(1.0, -cos, cos, -1.0).try_inverse()?
         * Vector2::new(between.dot(&a.direction), between.dot(&b.direction));
     let (on_a, on_b) = (a.at(along.x), b.at(along.y));
-    (along.x > 0.0 && along.y > 0.0).then(|| Meeting {
+    (along.x > 0.0 && along.y > 0.0).then(|| ClosestApproach {
         point: nalgebra::center(&on_a, &on_b),
         apart_m: (on_a - on_b).norm(),
         angle_rad: cos.clamp(-1.0, 1.0).acos(),

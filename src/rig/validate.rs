@@ -5,11 +5,11 @@ use super::error::nearest;
 use super::file::{
     BaseFile, CameraFile, CatheterFile, MarkerFile, RigFile, SurfaceFile, SurfaceKind, ViewColourFile, ViewFile,
 };
+use super::numbers::{millimetres as written_mm, rotation_of};
 use super::walk::{central_pixel, walk};
-use super::write::millimetres as written_mm;
 use super::{Base, Camera, Catheter, ColourModel, ColourPlane, Draft, Marker, Rig, RigError, View, polygon};
 use crate::optics::{Lens, Mirror, OpticalPath, Plane, Surface, Wall};
-use nalgebra::{Isometry3, Matrix3, Point2, Rotation3, Translation3, UnitQuaternion, Vector2, Vector3};
+use nalgebra::{Isometry3, Matrix3, Point2, Translation3, Vector2, Vector3};
 use std::collections::BTreeMap;
 use std::fmt::Display;
 use std::path::Path;
@@ -419,14 +419,6 @@ impl Check<'_> {
             gravity: raw.gravity.map(|g| self.unit("base.gravity", g)).transpose()?,
         })
     }
-}
-
-/// The rotation nearest to a rounded matrix: the orthogonal factor of its polar decomposition.
-pub(super) fn rotation_of(matrix: &Matrix3<f64>) -> UnitQuaternion<f64> {
-    let svd = matrix.svd(true, true);
-    let nearest = svd.u.zip(svd.v_t).map_or(*matrix, |(u, v_t)| u * v_t);
-    let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(nearest));
-    UnitQuaternion::new_normalize(rotation.into_inner())
 }
 
 /// "a surface of this file, did you mean ...?"

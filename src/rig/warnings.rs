@@ -1,6 +1,6 @@
 //! What a user should know about a rig before measuring with it.
 
-use super::check::{Meeting, ViewCheck};
+use super::view_check::{ClosestApproach, ViewCheck};
 use super::walk::grid;
 use super::{Base, Marker, Rig, polygon};
 use crate::optics::Surface;
@@ -171,7 +171,7 @@ impl fmt::Display for Warning {
 }
 
 /// All that is found, the gravest first.
-pub(super) fn warnings(rig: &Rig, views: &[ViewCheck], meeting: Option<&Meeting>) -> Vec<Warning> {
+pub(super) fn warnings(rig: &Rig, views: &[ViewCheck], meeting: Option<&ClosestApproach>) -> Vec<Warning> {
     let mut found = Vec::new();
     for (view, checked) in rig.views.iter().zip(views) {
         let trip = &checked.round_trip;
@@ -192,7 +192,7 @@ pub(super) fn warnings(rig: &Rig, views: &[ViewCheck], meeting: Option<&Meeting>
     }
     found.extend(scales(rig, views));
     found.extend((views.len() == 1).then_some(Warning::SingleView));
-    if let Some(Meeting { angle_rad, .. }) = meeting
+    if let Some(ClosestApproach { angle_rad, .. }) = meeting
         && *angle_rad < NARROW_RAD
     {
         found.push(Warning::NarrowAngle { angle_rad: *angle_rad });

@@ -1,11 +1,10 @@
 //! A [`Draft`] as the text of `rig.toml`, and that text onto the disk in one step.
 
-use super::validate::rotation_of;
+use super::numbers::{decimal, millimetres, rotation_of, settle};
 use super::{Base, Camera, Catheter, ColourPlane, Draft, Marker, RigError, View};
 use crate::optics::Surface;
 use crate::whole_file::{self, NewFile};
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
-use std::cmp::Ordering;
 use std::fmt::Write as _;
 use std::path::Path;
 
@@ -180,25 +179,6 @@ fn base(base: &Base) -> String {
     text
 }
 
-/// Metres as mm with the decimals needed, at most nine (1e-12 m).
-pub(super) fn millimetres(length_m: f64) -> String {
-    decimal(length_m * 1e3, 9)
-}
-
-/// A number with at most so many decimals, no trailing zeros, always with a point: `3.2`, `5.0`, `-0.11`.
-fn decimal(value: f64, decimals: usize) -> String {
-    let fixed = format!("{value:.decimals$}");
-    let short = match fixed.trim_end_matches('0') {
-        whole if whole.ends_with('.') => format!("{whole}0"),
-        short => short.to_owned(),
-    };
-    match short.as_str() {
-        "-0.0" => "0.0".to_owned(),
-        "NaN" => "nan".to_owned(), // as TOML spells it, so that reading it back can say where it is
-        _ => short,
-    }
-}
-
 fn list(items: impl Iterator<Item = String>) -> String {
     format!("[{}]", items.collect::<Vec<_>>().join(", "))
 }
@@ -215,38 +195,4 @@ fn rotation_rows(rotation: &UnitQuaternion<f64>) -> [f64; 9] {
         [m.m11, m.m12, m.m13, m.m21, m.m22, m.m23, m.m31, m.m32, m.m33]
     };
     settle(rows(rotation), |read| rows(&rotation_of(&Matrix3::from_row_slice(&read))))
-}
-
-/// Rounds to the decimals of a direction such that reading (which makes it exactly unit or orthonormal again) and
-/// writing gives the same digits: a file that is only passed through must not change. Rounding takes the nearest
-/// rounded value, reading the nearest unit or orthonormal one: the distance between the two only shrinks.
-fn settle<const N: usize>(values: [f64; N], read: impl Fn([f64; N]) -> [f64; N]) -> [f64; N] {
-    let round = |values: [f64; N]| values.map(|v| (v * 1e12).round() / 1e12);
-    let mut at = round(values);
-    let mut seen = Vec::new();
-    for _ in 0..20 {
-        seen.push(at);
-        at = round(read(at));
-        // Where ties of rounding lead in a circle, every place in it must give the same one.
-        if let Some(first) = seen.iter().position(|earlier| *earlier == at) {
-            let circle = seen.into_iter().skip(first);
-            return circle.min_by(|a, b| a.partial_cmp(b).unwrap_or(Ordering::Equal)).unwrap_or(at);
-        }
-    }
-    at
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn what_rounding_leads_in_a_circle_settles_to_one_place_from_everywhere() {
-        // Reading turns 1e-12 into 2e-12 and back, everything else into one of them.
-        let read = |[v]: [f64; 1]| [if v == 1e-12 { 2e-12 } else { 1e-12 }];
-        for start in [0.0, 1e-12, 2e-12, 7e-12] {
-            assert_eq!(settle([start], read), [1e-12]);
-        }
-        assert_eq!(settle([0.3], |v| v), [0.3]);
-    }
 }

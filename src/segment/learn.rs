@@ -1,13 +1,17 @@
-//! Samples of colours -> a linear discriminant for each marker, and how well it separates.
+//! Samples of colours -> a colour model for each marker, and how well it separates.
 //!
-//! Ridge regression of 1 on the marker's samples and 0 on all others, with both halves of equal weight and, among the
-//! others, each class of a weight that does not depend on the number of its samples: 1, and 0.1 if it is another marker. What is not the marker may be lit otherwise
-//! than where it was sampled (a shadow, a dark clamp, a glare): its classes are given an additional spread in brightness, so
-//! that the models tell colours apart, not lights from darks. The regression's scores are then
-//! stretched so that they are 1 and 0 on average as [`ColourModel`] says: regression alone shrinks both towards their middle.
+//! A plane is a ridge regression of 1 on the marker's samples and 0 on others: on all other classes, or on a single one.
+//! Both halves have equal weight and, among the others, each class one that does not depend on the number of its samples:
+//! 1, and 0.1 if it is another marker. What is not the marker may be lit otherwise than where it was sampled (a shadow, a
+//! dark clamp, a glare): its classes are given an additional spread in brightness, so that the models tell colours apart,
+//! not lights from darks. The regression's scores are then stretched so that they are 1 and 0 on average as
+//! [`ColourPlane`] says: regression alone shrinks both towards their middle.
 //! Source: Hastie, Tibshirani, Friedman, "The Elements of Statistical Learning" (2009), sections 3.4.1 and 4.2.
+//!
+//! A model is one plane, or the few that together leave the fewest mistakes, taken one after the other. Which of the two is
+//! decided on samples that neither was learned from; separations are told of such samples, too.
 
-use crate::rig::ColourModel;
+use crate::rig::{ColourModel, ColourPlane};
 use nalgebra::{Matrix3, Vector3};
 
 /// Samples of one class: a marker, or something that must not be taken for one (tube, background).
@@ -50,6 +54,10 @@ pub struct Separation {
     pub marker_low: f64,
     /// Score that 99 % of the other class' samples stay below.
     pub other_high: f64,
+    /// Share of the marker's samples that are taken for it.
+    pub hits: f64,
+    /// Share of the other class' samples that are taken for the marker.
+    pub mistaken: f64,
 }
 
 impl Separation {
@@ -61,7 +69,7 @@ impl Separation {
 
     /// Whether the threshold of the segmentation, half way from 0 to 1, lies between the two.
     pub fn is_separate(&self) -> bool {
-        self.marker_low > 0.5 && self.other_high < 0.5
+        self.marker_low > THRESHOLD && self.other_high < THRESHOLD
     }
 }
 
@@ -97,7 +105,7 @@ pub enum LearnError {
         classes: usize,
     },
     /// A marker whose mean score is that of everything else.
-    #[error("the colour of `{0}` (mean of its samples) cannot be told from the other classes by any linear function")]
+    #[error("the colour of `{0}` (mean of its samples) cannot be told from the other classes")]
     SameColour(String),
 }
 
@@ -115,6 +123,14 @@ const SHADING: f64 = 0.4;
 /// to score 0, of other markers it is enough that they score less than the threshold.
 const OTHER_MARKER: f64 = 0.1;
 
+/// Where the segmentation draws the line.
+const THRESHOLD: f64 = super::THRESHOLD as f64;
+/// Most planes of a model, and how many fewer mistakes (shares) are worth one more.
+const MOST_PLANES: usize = 4;
+const WORTH_A_PLANE: f64 = 0.003;
+/// Scores within this of the threshold are unsure.
+const UNSURE: f64 = 0.25;
+
 /// A contrast of the regression's mean scores (of 1) below this is rounding.
 const LEAST_CONTRAST: f64 = 1e-6;
 
@@ -125,12 +141,17 @@ const LEAST_CONTRAST: f64 = 1e-6;
 /// error here: it is reported in [`Learned::separations`].
 pub fn learn(classes: &[ClassSamples]) -> Result<Learned, LearnError> {
     check(classes)?;
+    let halves = [0, 1].map(|half| classes.iter().map(|class| class.half(half)).collect::<Vec<_>>());
     let mut learned = Learned { models: Vec::new(), separations: Vec::new() };
     for (marker, class) in classes.iter().enumerate().filter(|(_, c)| c.is_marker) {
-        let model = discriminant(classes, marker).ok_or_else(|| LearnError::SameColour(class.name.clone()))?;
-        let own = Scores::of(&model, class);
-        for (other, class) in classes.iter().enumerate().filter(|&(other, _)| other != marker) {
-            let theirs = Scores::of(&model, class);
+        let same_colour = || LearnError::SameColour(class.name.clone());
+        let against = choose(&halves, marker).ok_or_else(same_colour)?;
+        learned.models.push(model(classes, marker, &against).ok_or_else(same_colour)?);
+        // Learned from one half, the other half is new to it.
+        let tried = model(&halves[0], marker, &against).ok_or_else(same_colour)?;
+        let own = Scores::of(&tried, &halves[1][marker]);
+        for (other, class) in halves[1].iter().enumerate().filter(|&(other, _)| other != marker) {
+            let theirs = Scores::of(&tried, class);
             let sd = ((own.variance + theirs.variance) / 2.0).sqrt();
             learned.separations.push(Separation {
                 marker,
@@ -138,11 +159,90 @@ pub fn learn(classes: &[ClassSamples]) -> Result<Learned, LearnError> {
                 d_prime: (own.mean - theirs.mean) / sd,
                 marker_low: own.quantile(0.01),
                 other_high: theirs.quantile(0.99),
+                hits: own.above(THRESHOLD),
+                mistaken: theirs.above(THRESHOLD),
             });
         }
-        learned.models.push(model);
     }
     Ok(learned)
+}
+
+/// What a plane is learned against: one class, or all of them.
+type Against = Option<usize>;
+
+impl ClassSamples {
+    /// Every second stretch of the samples, of eight in each half: neighbours, which are alike, go together.
+    fn half(&self, half: usize) -> Self {
+        let stretch = self.rgb.len().div_ceil(16).max(1);
+        let rgb = self.rgb.chunks(stretch).skip(half).step_by(2).flatten().copied().collect();
+        Self { name: self.name.clone(), rgb, ..*self }
+    }
+}
+
+fn model(classes: &[ClassSamples], marker: usize, against: &[Against]) -> Option<ColourModel> {
+    let planes = against.iter().map(|other| plane(classes, marker, *other)).collect::<Option<Vec<_>>>()?;
+    Some(ColourModel { planes, rgb: statistics(classes.get(marker)?).0 })
+}
+
+/// The planes of the model that makes the fewest mistakes on samples it was not learned from: one against everything, or
+/// those that leave the fewest mistakes in the samples they were learned from. `None` when none tells the marker from all else.
+fn choose([seen, unseen]: &[Vec<ClassSamples>; 2], marker: usize) -> Option<Vec<Against>> {
+    let planes: Vec<(Against, ColourPlane)> = std::iter::once(None)
+        .chain((0..seen.len()).filter(|other| *other != marker).map(Some))
+        .filter_map(|against| Some((against, plane(seen, marker, against)?)))
+        .collect();
+    let &(linear, first) = planes.first().filter(|(against, _)| against.is_none())?;
+    let mut chosen: Vec<(Against, ColourPlane)> = Vec::new();
+    let mut lowest = Lowest::new(seen);
+    let mut left = f64::INFINITY;
+    while chosen.len() < MOST_PLANES {
+        let tried = planes.iter().map(|candidate| (lowest.with(&candidate.1, seen).mistakes(marker), candidate));
+        let Some((mistakes, best)) = tried.min_by(|a, b| a.0.total_cmp(&b.0)) else { break };
+        if mistakes > left - WORTH_A_PLANE {
+            break;
+        }
+        left = mistakes;
+        lowest = lowest.with(&best.1, seen);
+        chosen.push(*best);
+    }
+    let on_unseen = |planes: &[ColourPlane]| {
+        planes.iter().fold(Lowest::new(unseen), |lowest, plane| lowest.with(plane, unseen)).mistakes(marker)
+    };
+    let several: Vec<ColourPlane> = chosen.iter().map(|c| c.1).collect();
+    if on_unseen(&several) < on_unseen(&[first]) - WORTH_A_PLANE {
+        Some(chosen.into_iter().map(|c| c.0).collect())
+    } else {
+        Some(vec![linear])
+    }
+}
+
+/// The lowest score of some planes, for each sample of each class.
+struct Lowest(Vec<Vec<f64>>);
+
+impl Lowest {
+    fn new(classes: &[ClassSamples]) -> Self {
+        Self(classes.iter().map(|class| vec![f64::INFINITY; class.rgb.len()]).collect())
+    }
+
+    fn with(&self, plane: &ColourPlane, classes: &[ClassSamples]) -> Self {
+        let lower = |(scores, class): (&Vec<f64>, &ClassSamples)| {
+            scores.iter().zip(&class.rgb).map(|(score, rgb)| score.min(plane.score(rgb))).collect()
+        };
+        Self(self.0.iter().zip(classes).map(lower).collect())
+    }
+
+    /// Share of the marker's samples that are missed, and the mean share of the others that are taken for it. A score within
+    /// `UNSURE` of the threshold is a mistake in part.
+    fn mistakes(&self, marker: usize) -> f64 {
+        let share = |scores: &Vec<f64>, is_marker: bool| {
+            let sign = if is_marker { 1.0 } else { -1.0 };
+            let mistake = |score: &f64| (0.5 - sign * (score - THRESHOLD) / (2.0 * UNSURE)).clamp(0.0, 1.0);
+            scores.iter().map(mistake).sum::<f64>() / scores.len().max(1) as f64
+        };
+        let others = (self.0.len() - 1).max(1) as f64;
+        let of = |(i, scores): (usize, &Vec<f64>)| share(scores, i == marker) / if i == marker { 1.0 } else { others };
+        self.0.iter().enumerate().map(of).sum()
+    }
 }
 
 fn check(classes: &[ClassSamples]) -> Result<(), LearnError> {
@@ -170,11 +270,12 @@ fn statistics(class: &ClassSamples) -> (Vector3<f64>, Matrix3<f64>) {
     (mean, covariance)
 }
 
-fn discriminant(classes: &[ClassSamples], marker: usize) -> Option<ColourModel> {
+fn plane(classes: &[ClassSamples], marker: usize, against: Against) -> Option<ColourPlane> {
     let statistics: Vec<_> = classes.iter().map(statistics).collect();
-    let weight = |i: usize| match classes.get(i) {
+    let weight = |i: usize| match (classes.get(i), against) {
         _ if i == marker => 0.0,
-        Some(class) if class.is_marker => OTHER_MARKER,
+        (_, Some(other)) => f64::from(u8::from(i == other)),
+        (Some(class), None) if class.is_marker => OTHER_MARKER,
         _ => 1.0,
     };
     let total: f64 = (0..classes.len()).map(weight).sum();
@@ -199,7 +300,7 @@ fn discriminant(classes: &[ClassSamples], marker: usize) -> Option<ColourModel> 
         return None;
     }
     let weights = raw / contrast;
-    Some(ColourModel { weights, bias: -weights.dot(&others), rgb: own })
+    Some(ColourPlane { weights, bias: -weights.dot(&others) })
 }
 
 /// The scores of a class, sorted.
@@ -211,12 +312,17 @@ struct Scores {
 
 impl Scores {
     fn of(model: &ColourModel, class: &ClassSamples) -> Self {
-        let mut sorted: Vec<f64> = class.rgb.iter().map(|v| model.weights.dot(v) + model.bias).collect();
+        let mut sorted: Vec<f64> = class.rgb.iter().map(|v| model.score(v)).collect();
         sorted.sort_by(f64::total_cmp);
         let n = sorted.len() as f64;
         let mean = sorted.iter().sum::<f64>() / n;
         let variance = sorted.iter().map(|s| (s - mean).powi(2)).sum::<f64>() / n;
         Self { sorted, mean, variance }
+    }
+
+    /// Share of the samples above a score.
+    fn above(&self, score: f64) -> f64 {
+        self.sorted.iter().filter(|s| **s > score).count() as f64 / self.sorted.len().max(1) as f64
     }
 
     /// The nearest sample to this rank (NaN of an empty class, which [`check`] has refused).

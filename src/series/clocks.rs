@@ -2,9 +2,9 @@
 
 /// The camera's time of any moment of the host's clock.
 ///
-/// Between two frames it is on the line through both, before the first and behind the last it has the offset there. Where the
-/// camera's clock begins anew, the offset before holds up to the next frame. What it cannot know is the least delay from exposure
-/// to arrival, by which the host's times of all frames are late alike.
+/// Between two frames it is on the line through both, before the first and behind the last it has the offset there.
+/// Where the camera's clock begins anew, the offset before holds up to the next frame. What it cannot know is the least
+/// delay from exposure to arrival, by which the host's times of all frames are late alike.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ClockMap {
     /// (host, camera), in the order of the host's times, at least one.

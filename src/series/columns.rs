@@ -6,12 +6,13 @@ use std::path::Path;
 
 /// Columns of the table at `path`, in the order asked for, one entry a row; `None` where a cell is empty or `nan`.
 ///
-/// The table has a header or none. A column is asked for by its name in the header or by its number, from 1 (a name goes before a
-/// number). Cells are separated by comma, semicolon, tab or white space; lines that begin with `#` or `%` are left out.
+/// The table has a header or none. A column is asked for by its name in the header or by its number, from 1 (a name
+/// goes before a number). Cells are separated by comma, semicolon, tab or white space; lines that begin with `#` or `%`
+/// are left out.
 ///
 /// # Errors
-/// When the file cannot be read, a column is not there (the nearest name is told), rows have different widths, or a cell is no
-/// number; with the line.
+/// When the file cannot be read, a column is not there (the error names the nearest), rows have different widths, or a
+/// cell is no number; with the line.
 pub fn columns(path: &Path, names: &[&str]) -> Result<Vec<Vec<Option<f64>>>, SeriesError> {
     let sheet = Sheet::read(path)?;
     sheet.rows_are_even()?;
@@ -55,22 +56,22 @@ mod tests {
 
     #[test]
     fn what_is_wrong_is_told_with_its_place() {
-        let told = |text: &str, name: &str| read(text, &[name]).unwrap_err();
-        assert_eq!(told("time,input\n0,1\n", "inpt"), "data.csv: has no column `inpt`; did you mean `input`?");
-        assert_eq!(told("time,input\n0,1\n", "voltage"), "data.csv: has no column `voltage`; it has time, input");
-        assert_eq!(told("0 1\n1 2\n", "3"), "data.csv: has no column 3; columns are numbered from 1 to 2");
-        assert_eq!(told("0 1\n", "0"), "data.csv: has no column 0; columns are numbered from 1 to 2");
+        let message = |text: &str, name: &str| read(text, &[name]).unwrap_err();
+        assert_eq!(message("time,input\n0,1\n", "inpt"), "data.csv: has no column `inpt`; did you mean `input`?");
+        assert_eq!(message("time,input\n0,1\n", "voltage"), "data.csv: has no column `voltage`; it has time, input");
+        assert_eq!(message("0 1\n1 2\n", "3"), "data.csv: has no column 3; columns are numbered from 1 to 2");
+        assert_eq!(message("0 1\n", "0"), "data.csv: has no column 0; columns are numbered from 1 to 2");
         assert_eq!(
-            told("0 1\n", "u"),
+            message("0 1\n", "u"),
             "data.csv: has no header, and so no column `u`; give the column's number, 1 to 2"
         );
-        assert_eq!(told("t,u\n0,1\n1\n", "u"), "data.csv, line 3: has 1 cells, the first line has 2");
+        assert_eq!(message("t,u\n0,1\n1\n", "u"), "data.csv, line 3: has 1 cells, the first line has 2");
         let no_number = "is no number; numbers have a decimal point, what is missing is empty or `nan`";
-        assert_eq!(told("t,u\n0,1\n\n1,a\n", "u"), format!("data.csv, line 4: `a` in column `u` {no_number}"));
-        assert_eq!(told("0 1\n1 inf\n", "2"), format!("data.csv, line 2: `inf` in column 2 {no_number}"));
-        assert_eq!(told("t;u\n0;1,5\n", "u"), format!("data.csv, line 2: `1,5` in column `u` {no_number}"));
-        assert_eq!(told("u,u\n1,2\n", "u"), "data.csv: the header has the column `u` twice");
-        assert_eq!(told("\n\n", "u"), "data.csv: is empty; expected a table of numbers (CSV)");
+        assert_eq!(message("t,u\n0,1\n\n1,a\n", "u"), format!("data.csv, line 4: `a` in column `u` {no_number}"));
+        assert_eq!(message("0 1\n1 inf\n", "2"), format!("data.csv, line 2: `inf` in column 2 {no_number}"));
+        assert_eq!(message("t;u\n0;1,5\n", "u"), format!("data.csv, line 2: `1,5` in column `u` {no_number}"));
+        assert_eq!(message("u,u\n1,2\n", "u"), "data.csv: the header has the column `u` twice");
+        assert_eq!(message("\n\n", "u"), "data.csv: is empty; expected a table of numbers (CSV)");
     }
 
     #[test]

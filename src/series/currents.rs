@@ -1,4 +1,5 @@
-//! Tables of coil currents: those that `catoptra live --currents file:` follows, and those that `catoptra excite` writes.
+//! Tables of coil currents: those that `catoptra live --currents file:` follows, and those that `catoptra excite`
+//! writes.
 //!
 //! One column is the time, all others are coils, amperes:
 //!
@@ -6,7 +7,7 @@
 //! |---|---|
 //! | `host_ns`, `unix_s` | the host's clock, since 1970: mapped to the camera's by the frames of a live run |
 //! | `stamp_ns` | the camera's clock, nanoseconds |
-//! | `t_s` | seconds since a start that the table does not tell. Without a start it is taken for the camera's clock, and said so |
+//! | `t_s` | seconds since a start that the table does not give; without a start, taken for the camera's clock with a notice |
 
 use super::sheet::Sheet;
 use super::{Current, Recording, SeriesError};
@@ -57,7 +58,8 @@ impl CurrentTable {
     /// Reads a table of coil currents.
     ///
     /// # Errors
-    /// When it cannot be read, has no column of times or none of a coil, a value is missing or no number, or times do not rise.
+    /// When it cannot be read, has no column of times or none of a coil, a value is missing or no number, or times do
+    /// not rise.
     pub fn read(path: &Path) -> Result<Self, SeriesError> {
         let sheet = Sheet::read(path)?;
         sheet.rows_are_even()?;
@@ -106,8 +108,8 @@ impl CurrentTable {
         Ok(Self { path: path.to_owned(), clock, coils, rows })
     }
 
-    /// The currents on the camera's clock of `recording`. Times counted from a start begin at `start_ns` of that clock; without it
-    /// they are taken for that clock's own, which [`CurrentTable::assumption`] puts into words.
+    /// The currents on the camera's clock of `recording`. Times counted from a start begin at `start_ns` of that clock;
+    /// without it they are taken for that clock's own, which [`CurrentTable::assumption`] puts into words.
     ///
     /// # Errors
     /// When the table has the host's times and no frame tells how they stand to the camera's.

@@ -2,17 +2,15 @@
 
 use super::{Current, Frame, Place, Recording, SeriesError};
 use crate::log::LogError;
+use crate::log::decoder::MessageDecoder;
 use crate::log::fields::{float, inner, number, optional_number, text, xyz};
-use crate::log::messages::Known;
 use crate::log::records::{self, Extent};
+use crate::log::schema::Topic;
 use crate::sink::OutputFrame;
 use mcap::records::Record;
 use nalgebra::{Point3, Vector3};
 use prost_reflect::{DynamicMessage, Value};
 use std::path::Path;
-
-const ESTIMATE: &str = "/catheter/estimate";
-const CURRENT: &str = "/coil/current";
 
 /// Reads the log at `path`; one that was cut off as far as it goes.
 pub(super) fn read(path: &Path) -> Result<Recording, SeriesError> {
@@ -21,7 +19,7 @@ pub(super) fn read(path: &Path) -> Result<Recording, SeriesError> {
         reader.take(record);
         Ok(())
     })?;
-    if !reader.known.channels().any(|(_, topic, _)| topic == ESTIMATE) {
+    if !reader.decoder.channels().any(|(_, topic, _)| topic == Topic::Estimate.name()) {
         return Err(LogError::NotOurs { path: path.to_owned() }.into());
     }
     let cut = match extent {
@@ -43,7 +41,7 @@ pub(super) fn read(path: &Path) -> Result<Recording, SeriesError> {
 
 #[derive(Default)]
 struct Reader {
-    known: Known,
+    decoder: MessageDecoder,
     clock: Option<String>,
     markers: Vec<String>,
     frames: Vec<Frame>,
@@ -57,10 +55,12 @@ impl Reader {
     fn take(&mut self, record: &Record<'_>) {
         match record {
             Record::Message { header, data } => {
-                let Some((topic @ (ESTIMATE | CURRENT), descriptor)) = self.known.channel(header.channel_id) else {
+                let Some((topic, descriptor)) = self.decoder.channel(header.channel_id) else { return };
+                let is_estimate = topic == Topic::Estimate.name();
+                if !is_estimate && topic != Topic::Current.name() {
                     return;
-                };
-                match (topic == ESTIMATE, DynamicMessage::decode(descriptor.clone(), data.as_ref())) {
+                }
+                match (is_estimate, DynamicMessage::decode(descriptor.clone(), data.as_ref())) {
                     (true, Ok(message)) => self.estimate(&message),
                     (false, Ok(message)) => self.currents.push(current(&message)),
                     (_, Err(error)) => {
@@ -69,7 +69,7 @@ impl Reader {
                     }
                 }
             }
-            other => self.known.learn(other),
+            other => self.decoder.learn(other),
         }
     }
 

@@ -1,11 +1,12 @@
 //! What was recorded, read back: frames with their camera time, θ, places and directions, and coil currents.
 //!
 //! In: a log (`.mcap`) or a table (`.csv`) of this program ([`Recording::read`]), columns of any table of numbers
-//! ([`columns`]), tables of coil currents ([`CurrentTable::read`]). Out: series in SI units and radians, each frame once and in its
-//! order, with the reason where something was not measured. Nothing is interpolated, sorted, or left out here.
+//! ([`columns`]), tables of coil currents ([`CurrentTable::read`]). Out: series in SI units and radians, each frame
+//! once and in its order, with the reason where something was not measured. Nothing is interpolated, sorted, or left
+//! out here.
 //!
-//! Logs that were cut off are read as far as they go, and [`Recording::cut`] says so. A table does not say its clock, nor, unless
-//! its `run.toml` stands beside it, the frame of reference of its places; it cannot be told from one in another frame.
+//! Logs that were cut off are read as far as they go, and [`Recording::cut`] says so. A table does not say its clock,
+//! nor, unless its `run.toml` stands beside it, the frame of reference of its places; it looks the same in any frame.
 
 mod clocks;
 mod columns;
@@ -116,7 +117,8 @@ impl Recording {
         })
     }
 
-    /// How the host's clock and the camera's stand to each other; `None` when no frame has a host's time (a recording, a table).
+    /// How the host's clock and the camera's stand to each other; `None` when no frame has a host's time (a recording,
+    /// a table).
     pub fn clocks(&self) -> Option<ClockMap> {
         ClockMap::new(self.frames.iter().filter_map(|frame| Some((frame.host_ns?, frame.stamp_ns))).collect())
     }

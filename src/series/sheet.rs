@@ -1,7 +1,7 @@
 //! A table of text, as it stands in the file: cells, and the line of each row.
 //!
-//! Cells are separated by comma, semicolon or tab, or else by white space, as the first line shows. Lines that begin with `#` or `%`
-//! and empty lines are left out. The first line is a header unless all its cells are numbers.
+//! Cells are separated by comma, semicolon or tab, or else by white space, as the first line shows. Lines that begin
+//! with `#` or `%` and empty lines are left out. The first line is a header unless all its cells are numbers.
 
 use super::SeriesError;
 use crate::rig::nearest;

@@ -1,10 +1,11 @@
 //! A run from its table: that of this program ([`crate::sink::CsvSink`]), or another with columns of the same names.
 //!
-//! Needed are a time (`stamp_ns` or `t_s`) and either `theta_deg` or the three coordinates of a marker (`tip_x_mm`, …; without a
-//! name before them, `x_mm`, they are the tip's). All else may be missing.
+//! Needed are a time (`stamp_ns` or `t_s`) and either `theta_deg` or the three coordinates of a marker (`tip_x_mm`, …;
+//! without a name before them, `x_mm`, they are the tip's). All else may be missing.
 
 use super::sheet::{Row, Sheet, is_missing};
 use super::{Frame, Place, Recording, SeriesError};
+use crate::log::schema::table as columns;
 use crate::sink::OutputFrame;
 use nalgebra::{Point3, Vector3};
 use std::path::Path;
@@ -26,21 +27,21 @@ pub(super) fn read(path: &Path) -> Result<Recording, SeriesError> {
     let mut sheet = Sheet::read(path)?;
     let cut = half_a_line(&mut sheet);
     sheet.rows_are_even()?;
-    let stamp = sheet.find("stamp_ns");
-    let seconds = sheet.find("t_s");
+    let stamp = sheet.find(columns::STAMP_NS);
+    let seconds = sheet.find(columns::T_S);
     if stamp.or(seconds).is_none() {
         return Err(sheet.wrong(format!("has no times of frames: expected a column stamp_ns or t_s{}", there(&sheet))));
     }
     let markers = markers(&sheet)?;
-    let theta = sheet.find("theta_deg");
+    let theta = sheet.find(columns::THETA_DEG);
     if markers.is_empty() && theta.is_none() {
         let expected =
             "has nothing that was measured: expected a column theta_deg, or a place as tip_x_mm, tip_y_mm, tip_z_mm";
         return Err(sheet.wrong(format!("{expected}{}", there(&sheet))));
     }
-    let tangent = all_of(&sheet, ["tan_x", "tan_y", "tan_z"])?;
-    let others = ["theta_sd_deg", "tan_sd_deg", "seq", "gap"].map(|name| sheet.find(name));
-    let [theta_sd, tangent_sd, seq, gap] = others;
+    let tangent = all_of(&sheet, columns::TANGENT)?;
+    let others = [columns::THETA_SD_DEG, columns::TANGENT_SD_DEG, columns::SEQ, columns::GAP];
+    let [theta_sd, tangent_sd, seq, gap] = others.map(|name| sheet.find(name));
     let angle = |row: &Row, column: Option<usize>| -> Result<Option<f64>, SeriesError> {
         let degrees = column.map(|column| sheet.number(row, column)).transpose()?.flatten();
         Ok(degrees.map(f64::to_radians))
@@ -85,7 +86,7 @@ pub(super) fn read(path: &Path) -> Result<Recording, SeriesError> {
 fn half_a_line(sheet: &mut Sheet) -> Option<String> {
     let width = sheet.width;
     let (rows, last) = (sheet.rows.len(), sheet.rows.last()?);
-    let ours = sheet.header.as_ref()?.starts_with(&["seq".to_owned(), "t_s".to_owned(), "stamp_ns".to_owned()]);
+    let ours = sheet.header.as_ref()?.starts_with(&columns::FIRST.map(str::to_owned));
     let torn = !sheet.last_line_ended && (ours || last.cells.len() != width) && rows > 1;
     let line = last.line;
     torn.then(|| {
@@ -111,14 +112,15 @@ fn all_of(sheet: &Sheet, names: [&str; 3]) -> Result<Option<[usize; 3]>, SeriesE
 fn markers(sheet: &Sheet) -> Result<Vec<Marker>, SeriesError> {
     let mut markers = Vec::new();
     for column in sheet.header.iter().flatten() {
-        let Some(prefix) = column.strip_suffix("x_mm").filter(|prefix| prefix.is_empty() || prefix.ends_with('_'))
+        let Some(prefix) =
+            column.strip_suffix(columns::PLACE_MM[0]).filter(|prefix| prefix.is_empty() || prefix.ends_with('_'))
         else {
             continue;
         };
-        let named = ["x_mm", "y_mm", "z_mm"].map(|axis| format!("{prefix}{axis}"));
+        let named = columns::PLACE_MM.map(|axis| format!("{prefix}{axis}"));
         let Some(xyz) = all_of(sheet, named.each_ref().map(String::as_str))? else { continue };
         let name = prefix.strip_suffix('_').unwrap_or(UNNAMED).to_owned();
-        let [sd, status] = ["sd_mm", "status"].map(|of| sheet.find(&format!("{prefix}{of}")));
+        let [sd, status] = [columns::PLACE_SD_MM, columns::PLACE_STATUS].map(|of| sheet.find(&format!("{prefix}{of}")));
         markers.push(Marker { name, xyz, sd, status });
     }
     Ok(markers)

@@ -1,6 +1,7 @@
 use super::*;
 use crate::sink::{CsvSink, CurrentSample, McapSink, Sink as _, fixture};
 use crate::source::HostTime;
+use crate::tally::Tally;
 use std::fs;
 use tempfile::TempDir;
 
@@ -30,8 +31,8 @@ fn run(folder: &TempDir, frame: OutputFrame) -> (PathBuf, PathBuf) {
             .write_current(&CurrentSample { host_ns, arrival_ns: host_ns + 10, seq: Some(seq), current_a })
             .unwrap();
     }
-    log_sink.finish().unwrap();
-    table_sink.finish().unwrap();
+    log_sink.finish(&Tally::default()).unwrap();
+    table_sink.finish(&Tally::default()).unwrap();
     (log, table)
 }
 
@@ -73,8 +74,8 @@ fn log_and_table_of_a_run_give_the_same_frames() {
     assert_eq!(log.frames[40].gap, 3);
     assert_eq!(log.frames[5].theta_status.as_deref(), Some("marker_missing"));
     assert_eq!(log.marker("tip").unwrap(), 2);
-    let told = log.marker("top").unwrap_err().to_string();
-    assert!(told.ends_with("log.mcap: has no marker `top`; it has base, coil, tip"), "{told}");
+    let message = log.marker("top").unwrap_err().to_string();
+    assert!(message.ends_with("log.mcap: has no marker `top`; it has base, coil, tip"), "{message}");
 }
 
 #[test]
@@ -126,16 +127,16 @@ fn damage_ends_a_log_and_never_the_program() {
     let folder = tempfile::tempdir().unwrap();
     let (log, _) = run(&folder, OutputFrame::Base);
     let bytes = fs::read(&log).unwrap();
-    let mut told = 0;
+    let mut reported = 0;
     for at in (9..bytes.len()).step_by(bytes.len() / 61) {
         let mut damaged = bytes.clone();
         for byte in damaged.iter_mut().skip(at).take(64) {
             *byte ^= 0x5a;
         }
         fs::write(&log, &damaged).unwrap();
-        told += usize::from(Recording::read(&log).map_or(true, |recording| recording.cut.is_some()));
+        reported += usize::from(Recording::read(&log).map_or(true, |recording| recording.cut.is_some()));
     }
-    assert!(told > 10, "{told} of 61 damages are told");
+    assert!(reported > 10, "{reported} of 61 damages are reported");
 }
 
 #[test]
@@ -152,16 +153,16 @@ fn half_a_line_at_the_end_of_our_table_is_left_out_and_told() {
     }
     let broken = text.replacen("ok", "ok,ok", 1);
     fs::write(&table, broken).unwrap();
-    let told = Recording::read(&table).unwrap_err().to_string();
-    assert!(told.ends_with("track.csv, line 2: has 28 cells, the first line has 27"), "{told}");
+    let message = Recording::read(&table).unwrap_err().to_string();
+    assert!(message.ends_with("track.csv, line 2: has 28 cells, the first line has 27"), "{message}");
 }
 
-fn told(text: &str) -> String {
+fn message(text: &str) -> String {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.csv");
     fs::write(&path, text).unwrap();
-    let told = Recording::read(&path).unwrap_err().to_string();
-    told.replace(&path.display().to_string(), "a.csv")
+    let message = Recording::read(&path).unwrap_err().to_string();
+    message.replace(&path.display().to_string(), "a.csv")
 }
 
 #[test]
@@ -176,22 +177,22 @@ fn tables_of_others_need_a_time_and_a_measurement() {
     assert_eq!((recording.frames[1].seq, recording.frames[1].stamp_ns), (1, STEP_NS));
 
     assert_eq!(
-        told("time,x_mm\n0,1\n"),
+        message("time,x_mm\n0,1\n"),
         "a.csv: has no times of frames: expected a column stamp_ns or t_s; it has time, x_mm"
     );
-    assert!(told("t_s,u\n0,1\n").starts_with("a.csv: has nothing that was measured: expected a column theta_deg"));
-    assert_eq!(told("t_s,tip_x_mm,tip_y_m,tip_z_mm\n0,1,2,3\n"), "a.csv: has tip_x_mm, but no tip_y_mm");
+    assert!(message("t_s,u\n0,1\n").starts_with("a.csv: has nothing that was measured: expected a column theta_deg"));
+    assert_eq!(message("t_s,tip_x_mm,tip_y_m,tip_z_mm\n0,1,2,3\n"), "a.csv: has tip_x_mm, but no tip_y_mm");
     assert_eq!(
-        told("t_s,x_mm,y_mm,z_mm\n0,1,,3\n"),
+        message("t_s,x_mm,y_mm,z_mm\n0,1,,3\n"),
         "a.csv, line 2: one of three coordinates is missing, in column `y_mm`"
     );
     assert_eq!(
-        told("t_s,theta_deg\nlate,1\n"),
+        message("t_s,theta_deg\nlate,1\n"),
         "a.csv, line 2: `late` in column `t_s` is no time in seconds, such as 0.0166667"
     );
-    assert_eq!(told("stamp_ns,theta_deg\n0.5,1\n"), "a.csv, line 2: `0.5` in column `stamp_ns` is no whole number");
-    assert_eq!(told("stamp_ns,theta_deg,gap\n5,1,-1\n"), "a.csv, line 2: the count in column `gap` is negative");
-    assert_eq!(told(""), "a.csv: is empty; expected a table of numbers (CSV)");
+    assert_eq!(message("stamp_ns,theta_deg\n0.5,1\n"), "a.csv, line 2: `0.5` in column `stamp_ns` is no whole number");
+    assert_eq!(message("stamp_ns,theta_deg,gap\n5,1,-1\n"), "a.csv, line 2: the count in column `gap` is negative");
+    assert_eq!(message(""), "a.csv: is empty; expected a table of numbers (CSV)");
 }
 
 #[test]
@@ -240,18 +241,18 @@ fn tables_of_currents_on_every_clock() {
 fn wrong_tables_of_currents_are_refused_with_the_line() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("i.csv");
-    let told = |text: &str| {
+    let message = |text: &str| {
         fs::write(&path, text).unwrap();
         CurrentTable::read(&path).unwrap_err().to_string().replace(&path.display().to_string(), "i.csv")
     };
     let expected = "expected a header with host_ns, unix_s, stamp_ns or t_s, and a column a coil";
-    assert_eq!(told("0,1\n"), format!("i.csv: has no times of currents: {expected}"));
-    assert_eq!(told("t_s\n0\n"), "i.csv: has no column beside t_s; expected one a coil, amperes");
+    assert_eq!(message("0,1\n"), format!("i.csv: has no times of currents: {expected}"));
+    assert_eq!(message("t_s\n0\n"), "i.csv: has no column beside t_s; expected one a coil, amperes");
     assert_eq!(
-        told("t_s,axial_mA\n0,1\n"),
+        message("t_s,axial_mA\n0,1\n"),
         "i.csv: column `axial_mA` is in milliamperes; currents are given in amperes"
     );
-    assert_eq!(told("t_s,a\n0,\n"), "i.csv, line 2: the current in column `a` is missing");
-    assert_eq!(told("t_s,a\n1,0\n1,0\n"), "i.csv, line 3: its time, 1 s, is not later than the one before, 1 s");
-    assert_eq!(told("t_s,a\n"), "i.csv: has a header and no row");
+    assert_eq!(message("t_s,a\n0,\n"), "i.csv, line 2: the current in column `a` is missing");
+    assert_eq!(message("t_s,a\n1,0\n1,0\n"), "i.csv, line 3: its time, 1 s, is not later than the one before, 1 s");
+    assert_eq!(message("t_s,a\n"), "i.csv: has a header and no row");
 }

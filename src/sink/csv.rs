@@ -14,17 +14,20 @@
 //! | `tan_sd_deg` | its standard deviation, on average over the two directions across |
 //! | `gap` | camera frames lost before this one |
 //!
-//! The five columns of a marker are repeated for every marker of the rig, in its order. Positions and the tangent are in
-//! the [`OutputFrame`] asked for; θ, polar and azimuth always are in the base frame. What is not known is an empty cell.
-//! mm are given to 1e-6, degrees to 1e-6, the unit vector to 1e-7: below what the numbers mean, above what would be lost.
+//! The five columns of a marker are repeated for every marker of the rig, in its order. Positions and the tangent are
+//! in the [`OutputFrame`] asked for; θ, polar and azimuth always are in the base frame. What is not known is an empty
+//! cell. mm are given to 1e-6, degrees to 1e-6, the unit vector to 1e-7: below what the numbers mean, above what would
+//! be lost.
 //!
-//! Every row is handed to the system before the next frame is looked at: a killed run keeps all rows written. When the disk
-//! is full the table ends with its last complete row.
+//! Every row is handed to the system before the next frame is looked at: a killed run keeps all rows written. When the
+//! disk is full the table ends with its last complete row.
 
 use super::{OutputFrame, Sink, SinkError, same_error, settle};
 use crate::estimate::{Estimate, MarkerEstimate};
+use crate::log::schema::table;
 use crate::rig::Rig;
 use crate::source::Picture;
+use crate::tally::Tally;
 use csv::{ErrorKind, Terminator, Writer, WriterBuilder};
 use nalgebra::Isometry3;
 use std::fs::File;
@@ -58,7 +61,7 @@ impl CsvSink {
             output_from_camera,
             views: rig.views.iter().map(|view| view.name.clone()).collect(),
         };
-        sink.record(&header(rig))?;
+        sink.record(&table::header(rig.markers.iter().map(|marker| marker.name.as_str())))?;
         Ok(sink)
     }
 
@@ -74,7 +77,7 @@ impl Sink for CsvSink {
         self.record(&row(estimate, &self.output_from_camera, &views))
     }
 
-    fn finish(&mut self) -> Result<(), SinkError> {
+    fn finish(&mut self, _: &Tally) -> Result<(), SinkError> {
         let settled = self.writer.flush().and_then(|()| settle(&self.writer.get_ref().file));
         settled.map_err(|source| SinkError::io(&self.path, source))
     }
@@ -129,14 +132,6 @@ fn system_error(error: csv::Error) -> io::Error {
         }
         other => io::Error::other(format!("{other:?}")),
     }
-}
-
-fn header(rig: &Rig) -> Vec<String> {
-    let first = ["seq", "t_s", "stamp_ns", "theta_deg", "theta_sd_deg", "polar_deg", "azimuth_deg"];
-    let marker = ["x_mm", "y_mm", "z_mm", "sd_mm", "status"];
-    let last = ["tan_x", "tan_y", "tan_z", "tan_sd_deg", "gap"];
-    let markers = rig.markers.iter().flat_map(|m| marker.iter().map(move |column| format!("{}_{column}", m.name)));
-    first.iter().map(ToString::to_string).chain(markers).chain(last.iter().map(ToString::to_string)).collect()
 }
 
 fn row(estimate: &Estimate, output_from_camera: &Isometry3<f64>, views: &[&str]) -> Vec<String> {
@@ -236,7 +231,7 @@ mod tests {
         for estimate in estimates {
             sink.write(estimate, None).unwrap();
         }
-        sink.finish().unwrap();
+        sink.finish(&Tally::default()).unwrap();
         std::fs::read_to_string(file.path()).unwrap()
     }
 

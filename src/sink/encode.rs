@@ -1,7 +1,7 @@
 //! A video file of drawings: H.264 in MP4 through libav, every frame at its camera time.
 //!
-//! Times are rounded to whole microseconds (1/60 000 s with the MPEG-4 part 2 encoder, which cannot count finer): at most
-//! 0.5 µs (8.4 µs) from the stamp given, never accumulating. Frame intervals may vary; a gap stays a gap.
+//! Times are rounded to whole microseconds (1/60 000 s with the MPEG-4 part 2 encoder, which cannot count finer): at
+//! most 0.5 µs (8.4 µs) from the stamp given, never accumulating. Frame intervals may vary; a gap stays a gap.
 
 use super::SinkError;
 use super::clock::Origin;
@@ -33,10 +33,10 @@ pub(crate) struct VideoFile {
     encoder: av::encoder::video::Encoder,
     to_yuv: ToYuv420,
     ticks_per_s: i64,
-    state: State,
+    phase: Phase,
 }
 
-enum State {
+enum Phase {
     /// No frame yet; the header waits for the time of the first.
     Fresh,
     Running {
@@ -86,15 +86,15 @@ impl VideoFile {
         stream.set_time_base(av::Rational(1, choice.ticks_per_s as i32));
         stream.copy_parameters_from_context(&encoder);
         let to_yuv = ToYuv420::new(size_px).map_err(fail("colour conversion"))?;
-        Ok(Self { path: path.into(), output, encoder, to_yuv, ticks_per_s: choice.ticks_per_s, state: State::Fresh })
+        Ok(Self { path: path.into(), output, encoder, to_yuv, ticks_per_s: choice.ticks_per_s, phase: Phase::Fresh })
     }
 
     /// Adds a picture, rows of B'G'R' with `stride` bytes each, shown from `stamp_ns` on.
     pub(crate) fn write(&mut self, bgr: &[u8], stride: usize, stamp_ns: i64) -> Result<(), SinkError> {
-        if let State::Fresh = self.state {
+        if let Phase::Fresh = self.phase {
             self.start(Origin::of_first(stamp_ns))?;
         }
-        let State::Running { origin, last_tick, interval } = &mut self.state else {
+        let Phase::Running { origin, last_tick, interval } = &mut self.phase else {
             return Err(self.failed("writing after the end")(av::Error::Eof));
         };
         let mut tick = ticks(origin.elapsed_ns(stamp_ns), self.ticks_per_s);
@@ -117,13 +117,13 @@ impl VideoFile {
 
     /// Encodes what is left and completes the file; a second call does nothing.
     pub(crate) fn finish(&mut self) -> Result<(), SinkError> {
-        match self.state {
-            State::Finished => return Ok(()),
-            State::Fresh => self.start(Origin::of_first(0))?,
-            State::Running { .. } => {}
+        match self.phase {
+            Phase::Finished => return Ok(()),
+            Phase::Fresh => self.start(Origin::of_first(0))?,
+            Phase::Running { .. } => {}
         }
         let flushed = self.encoder.send_eof().map_err(self.failed("encoding")).and_then(|()| self.drain());
-        self.state = State::Finished;
+        self.phase = Phase::Finished;
         // The trailer makes what is there playable, whatever the encoder said.
         let ended = self.output.write_trailer().map_err(self.failed("completing"));
         flushed.and(ended)
@@ -138,13 +138,13 @@ impl VideoFile {
         // The time of the first frame is stored in this unit; MP4's own default would round it to milliseconds.
         options.set("movie_timescale", self.ticks_per_s.to_string());
         self.output.write_header_with(options).map_err(self.failed("writing the header"))?;
-        self.state = State::Running { origin, last_tick: -1, interval: self.ticks_per_s / 60 };
+        self.phase = Phase::Running { origin, last_tick: -1, interval: self.ticks_per_s / 60 };
         Ok(())
     }
 
     /// Moves what the encoder has ready into the file.
     fn drain(&mut self) -> Result<(), SinkError> {
-        let interval = if let State::Running { interval, .. } = self.state { interval } else { 0 };
+        let interval = if let Phase::Running { interval, .. } = self.phase { interval } else { 0 };
         let codec_base = av::Rational(1, self.ticks_per_s as i32);
         let stream_base = self.output.stream(0).map_or(codec_base, |s| s.time_base());
         let mut packet = av::Packet::empty();

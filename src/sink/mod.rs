@@ -1,8 +1,10 @@
-//! Where estimates go: each sink writes one file and can be closed at any moment.
+//! Where estimates go. A [`Sink`] takes the estimates of a run one by one: it writes a file, sends datagrams or serves
+//! subscribers. However a run ends, what was written before stays readable.
 //!
 //! - [`McapSink`]: the log, everything there is, for Foxglove and for programs.
 //! - [`PublishSink`]: the topics of the log to live subscribers; [`UdpSink`]: θ to controllers.
 //! - [`CsvSink`]: the table, one row a camera frame, for people and spreadsheets.
+//! - [`OverlaySink`]: the recording with what was found drawn into it; [`PictureVideo`]: the pictures themselves.
 
 mod csv;
 #[cfg(test)]
@@ -11,17 +13,15 @@ mod mcap;
 
 pub use self::csv::CsvSink;
 pub use self::mcap::McapSink;
-pub(crate) use self::topics::WINDOWS;
-pub use self::topics::messages;
 
 mod clock;
 mod colour;
 mod encode;
+mod encoder;
 mod overlay;
 mod palette;
 mod pictures;
 mod publish;
-mod topics;
 mod udp;
 mod windows;
 
@@ -32,11 +32,13 @@ pub use pictures::{PictureCodec, PictureVideo};
 pub use publish::PublishSink;
 pub use udp::UdpSink;
 pub use windows::PictureCount;
-pub(crate) use windows::{Keeper, PNG};
+pub(crate) use windows::WindowRecorder;
 
 use crate::estimate::Estimate;
+use crate::log::schema::messages::PictureWindows;
 use crate::rig::Rig;
 use crate::source::Picture;
+use crate::tally::{Tally, Totals};
 use nalgebra::Isometry3;
 use std::fs::File;
 use std::io;
@@ -63,19 +65,28 @@ pub trait Sink {
         Ok(())
     }
 
-    /// Writes what was kept of a picture, some frames after its estimate; only the log has a place for it. Whether this sink has.
+    /// Writes what was kept of a picture, some frames after its estimate; only the log has a place for it. Whether this
+    /// sink has.
     ///
     /// # Errors
     /// As [`Sink::write`].
-    fn write_windows(&mut self, _: &messages::PictureWindows) -> Result<bool, SinkError> {
+    fn write_windows(&mut self, _: &PictureWindows) -> Result<bool, SinkError> {
         Ok(false)
     }
 
-    /// Completes the file. Called exactly once, after an interrupt or an error too.
+    /// Writes the count of the run so far: when [`Tally::add`] says so, about once a second.
+    ///
+    /// # Errors
+    /// As [`Sink::write`].
+    fn write_totals(&mut self, _: &Totals) -> Result<(), SinkError> {
+        Ok(())
+    }
+
+    /// Completes the file, with the count of the whole run. Called exactly once, after an interrupt or an error too.
     ///
     /// # Errors
     /// [`SinkError`] when the end cannot be written.
-    fn finish(&mut self) -> Result<(), SinkError>;
+    fn finish(&mut self, tally: &Tally) -> Result<(), SinkError>;
 }
 
 /// Currents of the coils at one moment.
@@ -205,7 +216,8 @@ impl SinkError {
     }
 }
 
-/// Waits until a finished file is on the disk: some file systems report a lost disk only here. Pipes and devices cannot.
+/// Waits until a finished file is on the disk: some file systems report a lost disk only here. Pipes and devices
+/// cannot.
 fn settle(file: &File) -> io::Result<()> {
     if file.metadata()?.is_file() { file.sync_all() } else { Ok(()) }
 }

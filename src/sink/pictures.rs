@@ -1,19 +1,22 @@
 //! The pictures of a run as a video: FFV1, without loss, or H.264, in Matroska through libav.
 //!
-//! In: pictures as they were tracked. Out: every picture at its camera time, to the nanosecond, with the tags of its colours.
-//! With FFV1 the samples are those that were tracked (packed RGB and NV12 are put into other orders, nothing is converted), so that
-//! the video is tracked to the same numbers. H.264 keeps a picture's subsampling; RGB becomes 4:2:0.
+//! In: pictures as they were tracked. Out: every picture at its camera time, to the nanosecond, with the tags of its
+//! colours. With FFV1 the samples are those that were tracked (packed RGB and NV12 are put into other orders, nothing
+//! is converted), so that the video is tracked to the same numbers. H.264 keeps a picture's subsampling; RGB becomes
+//! 4:2:0.
 //!
-//! libav's muxer counts in milliseconds. Matroska can do better (`TimestampScale`, RFC 9559 §5.1.2.9): the file is given stamps in
-//! nanoseconds, and the scale in its head is set to match. Every picture is in a cluster of its own, which is written when the
-//! next one begins: a kill loses the last one. A file that was written so has no index. Where the camera's clock has run for longer
-//! than libav can read, the first stamp is zero in the file, and a tag (`CATOPTRA_ORIGIN_NS`) says what it was.
+//! libav's muxer counts in milliseconds. Matroska can do better (`TimestampScale`, RFC 9559 §5.1.2.9): the file is
+//! given stamps in nanoseconds, and the scale in its head is set to match. Every picture is in a cluster of its own,
+//! which is written when the next one begins: a kill loses the last one. A file that was written so has no index. Where
+//! the camera's clock has run for longer than libav can read, the first stamp is zero in the file, and a tag
+//! (`CATOPTRA_ORIGIN_NS`) says what it was.
 
 use super::colour::{ConvertError, ToBgr, ToYuv420};
 use super::encode::would_block;
 use super::{Sink, SinkError};
 use crate::estimate::Estimate;
 use crate::source::{ChromaSiting, Colour, Matrix, ORIGIN_TAG, Picture, PixelFormat, Plane, Range, Transfer};
+use crate::tally::Tally;
 use ffmpeg_the_third as av;
 use ffmpeg_the_third::format::Pixel;
 use std::ffi::OsString;
@@ -35,7 +38,8 @@ pub enum PictureCodec {
 const MILLISECONDS: [u8; 7] = [0x2A, 0xD7, 0xB1, 0x83, 0x0F, 0x42, 0x40];
 /// Bytes of the value.
 const NANOSECONDS: [u8; 3] = [0, 0, 1];
-/// First stamps that are written as they are: libav reads Matroska's times as `f64`, which hold nanoseconds for 104 days.
+/// First stamps that are written as they are: libav reads Matroska's times as `f64`, which hold nanoseconds for 104
+/// days.
 const EXACT_NS: RangeInclusive<i64> = 0..=1 << 52;
 /// The head of a file is shorter than this, bytes.
 const HEAD: u64 = 1 << 16;
@@ -155,7 +159,7 @@ impl Sink for PictureVideo {
         self.add(picture, estimate.stamp.ns)
     }
 
-    fn finish(&mut self) -> Result<(), SinkError> {
+    fn finish(&mut self, _: &Tally) -> Result<(), SinkError> {
         // A run without a picture has an empty file.
         let Some(mut running) = self.running.take() else { return Ok(()) };
         let failed = failed(&self.path);

@@ -1,14 +1,16 @@
 //! [`PublishSink`]: the topics of the log over a WebSocket, for Foxglove and for programs (protocol `foxglove.sdk.v1`).
 //!
-//! Who joins late gets at once what was said last on every topic it subscribes to: the rig, and the last frame. Every client
-//! has a line of its own; one that does not read loses its oldest messages there, and costs nobody else anything.
-//! Message times are the host's, as in the log.
+//! Who joins late gets at once what was said last on every topic it subscribes to: the rig, and the last frame. Every
+//! client has a line of its own; one that does not read loses its oldest messages there, and costs nobody else
+//! anything. Message times are the host's, as in the log.
 
-use super::topics::{ENCODING, Message, Teller, Topic, file_time_ns};
+use super::encoder::{Message, MessageEncoder, file_time_ns};
 use super::{Sink, SinkError};
 use crate::estimate::Estimate;
+use crate::log::schema::{ENCODING, Topic};
 use crate::rig::Rig;
 use crate::source::Picture;
+use crate::tally::{Tally, Totals};
 use foxglove::websocket::{ChannelView, Client, ServerListener};
 use foxglove::{
     ChannelBuilder, Context, FoxgloveError, PartialMetadata, RawChannel, WebSocketServer, WebSocketServerHandle,
@@ -27,17 +29,19 @@ pub struct PublishSink {
     /// Keeps the channels alive.
     _context: Arc<Context>,
     board: Arc<Board>,
-    teller: Teller,
+    encoder: MessageEncoder,
     begun: bool,
+    /// Host's time of the last frame, nanoseconds since 1970.
+    last_ns: u64,
 }
 
 /// A message and its time, nanoseconds since 1970.
-type Said = (u64, Vec<u8>);
+type Published = (u64, Vec<u8>);
 
 /// What was said last on each topic, in the order of [`Topic::ALL`].
 struct Board {
     channels: Vec<Arc<RawChannel>>,
-    last: Mutex<Vec<Option<Said>>>,
+    last: Mutex<Vec<Option<Published>>>,
 }
 
 impl PublishSink {
@@ -63,7 +67,15 @@ impl PublishSink {
             .start_blocking()
             .map_err(refused)?;
         let address = SocketAddr::new(address.ip(), server.port());
-        Ok(Self { server: Some(server), address, _context: context, board, teller: Teller::new(rig), begun: false })
+        Ok(Self {
+            server: Some(server),
+            address,
+            _context: context,
+            board,
+            encoder: MessageEncoder::new(rig),
+            begun: false,
+            last_ns: 1,
+        })
     }
 
     /// Where it listens: with the port that the system gave, if port 0 was asked for.
@@ -73,7 +85,7 @@ impl PublishSink {
 }
 
 impl Board {
-    fn say(&self, message: Message, time_ns: u64) {
+    fn publish(&self, message: Message, time_ns: u64) {
         let Some(at) = Topic::ALL.iter().position(|topic| *topic == message.topic) else { return };
         // The lock is held while it is said: who subscribes in between gets it once, and not twice.
         let mut last = self.lock();
@@ -83,7 +95,7 @@ impl Board {
         }
     }
 
-    fn lock(&self) -> MutexGuard<'_, Vec<Option<Said>>> {
+    fn lock(&self) -> MutexGuard<'_, Vec<Option<Published>>> {
         self.last.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -102,15 +114,21 @@ impl ServerListener for Board {
 impl Sink for PublishSink {
     fn write(&mut self, estimate: &Estimate, _: Option<&Picture>) -> Result<(), SinkError> {
         let time_ns = file_time_ns(estimate.host.map_or(estimate.stamp.ns, |host| host.arrival_ns));
+        self.last_ns = time_ns;
         if !self.begun {
             self.begun = true;
-            self.teller.rig(estimate.stamp.ns)?.into_iter().for_each(|message| self.board.say(message, time_ns));
+            self.encoder.rig(estimate.stamp.ns)?.into_iter().for_each(|message| self.board.publish(message, time_ns));
         }
-        self.teller.frame(estimate)?.into_iter().for_each(|message| self.board.say(message, time_ns));
+        self.encoder.frame(estimate)?.into_iter().for_each(|message| self.board.publish(message, time_ns));
         Ok(())
     }
 
-    fn finish(&mut self) -> Result<(), SinkError> {
+    fn write_totals(&mut self, totals: &Totals) -> Result<(), SinkError> {
+        self.board.publish(self.encoder.totals(totals)?, self.last_ns);
+        Ok(())
+    }
+
+    fn finish(&mut self, _: &Tally) -> Result<(), SinkError> {
         if let Some(server) = self.server.take() {
             // Dropped, not waited for: a client that never reads would hold up the end of the run for ever.
             drop(server.stop());

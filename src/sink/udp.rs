@@ -5,10 +5,10 @@
 //!  "theta_deg":12.34,"theta_sd_deg":0.11,"polar_deg":12.4,"azimuth_deg":3.1,
 //!  "tip_mm":[1.2,0.1,44.0],"tip_sd_mm":0.05,"frame":"base"}
 //! ```
-//! `seq` counts the frames received, without holes: one that is missing was lost on the way. `stamp_ns` is the camera's time
-//! by `clock`, `host_ns` the same on the clock of the computer that tracks (nanoseconds since 1970; null for a source without).
-//! `gap`: camera frames lost before this one. `status`: `ok`, or why there is no angle; numbers that are not known are null.
-//! `tip_mm` is the last marker of the catheter, in `frame`.
+//! `seq` counts the frames received, without holes: one that is missing was lost on the way. `stamp_ns` is the camera's
+//! time by `clock`, `host_ns` the same on the clock of the computer that tracks (nanoseconds since 1970; null for a
+//! source without). `gap`: camera frames lost before this one. `status`: `ok`, or why there is no angle; numbers that
+//! are not known are null. `tip_mm` is the last marker of the catheter, in `frame`.
 //!
 //! A socket that cannot send (nobody listens, a full buffer) costs a datagram, which is counted, and never waits.
 

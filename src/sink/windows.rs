@@ -1,17 +1,17 @@
 //! What is kept of a picture with `--record windows`: the parts that the tracker looked at, without loss.
 //!
-//! In: a [`Picture`] that was tracked. Out: a [`PictureWindows`] message. Each channel is cut as the decoder stored it, and
-//! nothing is converted, so that the same numbers come out when it is tracked again. Each rectangle is a grey PNG: it was chosen
-//! for being read everywhere and because its library is here already. On the sample, decoded from H.264, its fast mode takes
-//! 0.26 ms a frame and makes 87 kB to 23 kB; the best that zlib can do is 20 kB, in 4 ms.
+//! In: a [`Picture`] that was tracked. Out: a [`PictureWindows`] message. Each channel is cut as the decoder stored it,
+//! and nothing is converted, so that the same numbers come out when it is tracked again. Each rectangle is a grey PNG:
+//! it was chosen for being read everywhere and because its library is here already. On the sample, decoded from H.264,
+//! its fast mode takes 0.26 ms a frame and makes 87 kB to 23 kB; the best that zlib can do is 20 kB, in 4 ms.
 //!
-//! Now and then a picture is kept whole ([`WHOLE_EVERY_NS`]), and after one that could not be kept: from there on the log can be
-//! tracked without what was before.
+//! Now and then a picture is kept whole ([`WHOLE_EVERY_NS`]), and after one that could not be kept: from there on the
+//! log can be tracked without what was before.
 
 use super::SinkError;
-use super::messages::{PictureWindow, PictureWindows};
-use super::topics::WINDOWS;
 use crate::estimate::Estimate;
+use crate::log::schema::messages::{PictureWindow, PictureWindows};
+use crate::log::schema::{Topic, WINDOW_FORMAT};
 use crate::source::{Picture, PixelFormat, Plane, Window};
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder as _, ImageError};
@@ -23,10 +23,7 @@ const MARGIN_PX: u32 = 4;
 /// Camera time from one picture that is kept whole to the next.
 const WHOLE_EVERY_NS: u64 = 10_000_000_000;
 
-/// Name of the compression.
-pub(crate) const PNG: &str = "png";
-
-/// Pictures kept and pictures lost in a run: written by who records, read by who tells.
+/// Pictures recorded and pictures lost in a run: counted by the recorder, read by the log and the status line.
 #[derive(Debug, Default)]
 pub struct PictureCount {
     recorded: AtomicU64,
@@ -39,7 +36,8 @@ impl PictureCount {
         self.recorded.load(Ordering::Relaxed)
     }
 
-    /// Pictures that were tracked, and not recorded because the recorder or the disk were not fast enough, or the disk full.
+    /// Pictures that were tracked, and not recorded because the recorder or the disk were not fast enough, or the disk
+    /// full.
     pub fn dropped(&self) -> u64 {
         self.dropped.load(Ordering::Relaxed)
     }
@@ -55,12 +53,12 @@ impl PictureCount {
 
 /// Decides what is kept of each picture.
 #[derive(Debug, Default)]
-pub(crate) struct Keeper {
+pub(crate) struct WindowRecorder {
     /// Camera time of the last picture that was kept whole; none, when the next one has to be.
     whole_ns: Option<i64>,
 }
 
-impl Keeper {
+impl WindowRecorder {
     /// A picture was not kept: the tracker remembers a frame that is not in the log.
     pub(crate) fn lost_one(&mut self) {
         self.whole_ns = None;
@@ -118,7 +116,7 @@ fn cut(estimate: &Estimate, picture: &Picture, whole: bool) -> Result<PictureWin
 
 /// The samples of a plane that stand for the pixels of a window.
 fn part(plane: &Plane<'_>, index: u32, window: &Window) -> Result<PictureWindow, SinkError> {
-    let refused = |reason: String| SinkError::Encode { topic: WINDOWS, reason };
+    let refused = |reason: String| SinkError::Encode { topic: Topic::Windows.name(), reason };
     let [sx, sy] = plane.scale;
     let (x, y) = (window.x0 / sx, window.y0 / sy);
     let (x1, y1) = (window.x1.div_ceil(sx), window.y1.div_ceil(sy));
@@ -133,5 +131,5 @@ fn part(plane: &Plane<'_>, index: u32, window: &Window) -> Result<PictureWindow,
     PngEncoder::new_with_quality(&mut data, CompressionType::Fast, FilterType::Paeth)
         .write_image(&samples, width, height, ExtendedColorType::L8)
         .map_err(|e: ImageError| refused(e.to_string()))?;
-    Ok(PictureWindow { plane: index, x, y, width, height, format: PNG.to_owned(), data: data.into() })
+    Ok(PictureWindow { plane: index, x, y, width, height, format: WINDOW_FORMAT.to_owned(), data: data.into() })
 }

@@ -9,8 +9,8 @@ use super::extent::{Extent, extent};
 use super::times::seconds;
 use super::{SourceError, Span};
 
-/// libav writes to stderr by itself. What matters of it is in this module's errors and warnings; the rest is shown to who
-/// asks for debugging.
+/// libav writes to stderr by itself. What matters of it is in this module's errors and warnings; the rest is shown to
+/// who asks for debugging.
 pub(super) fn quiet_libav() {
     let debugging = tracing::enabled!(tracing::Level::DEBUG);
     av::log::set_level(if debugging { av::log::Level::Warning } else { av::log::Level::Quiet });

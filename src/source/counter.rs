@@ -1,11 +1,11 @@
 //! Camera frames lost between two numbers of a frame counter.
 //!
-//! In: the counter beside each frame, in the order the frames come, and where the counter begins anew. Out: how many frames
-//! are missing between, or that the counter itself began anew, when nobody knows what is missing.
+//! In: the counter beside each frame, in the order the frames come, and where the counter begins anew. Out: how many
+//! frames are missing between, or that the counter itself began anew, when nobody knows what is missing.
 //!
-//! A counter that steps back past its end is believed when less than a quarter of its range is missing. What this cannot
-//! detect: a camera that starts anew in the last quarter of a short counter's range shows as lost frames, and one that lost
-//! more than it can count shows too few.
+//! A counter that steps back past its end is believed when less than a quarter of its range is missing. What this
+//! cannot detect: a camera that starts anew in the last quarter of a short counter's range shows as lost frames, and
+//! one that lost more than it can count shows too few.
 
 /// Where a counter begins anew.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -14,8 +14,8 @@ pub enum Wrap {
     Bits32,
     /// After 2⁶⁴ − 1 follows 0 (USB3 Vision).
     Bits64,
-    /// GigE Vision's block number: after 65535 follows 1, as 0 is no number. A camera with extended numbers goes on to 65536;
-    /// then it has 64 bits.
+    /// GigE Vision's block number: after 65535 follows 1, as 0 is no number. A camera with extended numbers goes on to
+    /// 65536; then it has 64 bits.
     Block16,
 }
 

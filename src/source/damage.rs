@@ -1,14 +1,14 @@
 //! Which decoded pictures can be trusted when a part of the stream is damaged.
 //!
-//! A decoder hides damage: it fills the hole from the pictures before, and all that is predicted from it carries the trace
-//! on, up to the next key frame. A marker would be measured where it was earlier, with nothing to show for it. So a damaged
-//! picture is left out, and with it those decoded after it before the next key frame.
+//! A decoder hides damage: it fills the hole from the pictures before, and all that is predicted from it carries the
+//! trace on, up to the next key frame. A marker would be measured where it was earlier, with nothing to show for it. So
+//! a damaged picture is left out, and with it those decoded after it before the next key frame.
 //!
 //! A B picture may be shown before the damaged picture it was predicted from. So pictures of a stream that has them are
 //! held back by [`REORDER`] others before they are judged.
 //!
-//! What this cannot detect: damage that happens to be a valid stream, packets that the container lost, both if the decoder
-//! does not notice; and with several decoder threads FFmpeg (5.1 at least) reports less of what it noticed.
+//! What this cannot detect: damage that happens to be a valid stream, packets that the container lost, both if the
+//! decoder does not notice; and with several decoder threads FFmpeg (5.1 at least) reports less of what it noticed.
 
 use std::collections::{BTreeMap, BTreeSet};
 

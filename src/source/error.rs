@@ -3,6 +3,7 @@
 use std::io;
 use std::path::PathBuf;
 
+use super::names::PICTURE_ENDINGS;
 use super::times::FrameRateError;
 use crate::log::LogError;
 
@@ -215,7 +216,7 @@ pub enum SourceError {
     #[error(transparent)]
     Rate(#[from] FrameRateError),
     /// A folder without pictures.
-    #[error("{}: no picture in this folder (files ending in {})", path.display(), super::images::ENDINGS.join(", "))]
+    #[error("{}: no picture in this folder (files ending in {})", path.display(), PICTURE_ENDINGS.join(", "))]
     NoPictures {
         /// The folder.
         path: PathBuf,

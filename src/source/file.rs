@@ -1,9 +1,9 @@
 //! Recorded video through libav.
 //!
-//! In: a file in any container that libav reads. Out: every frame that can be decoded, in the order of presentation, as the
-//! decoder stored it (no copy, no colour conversion), with the container's own time stamp to the nanosecond: the
-//! presentation time stamp times the stream's time base, never frame number ÷ rate. A rotation the container asks for is
-//! not done: calibration holds for the sensor's own rows and columns.
+//! In: a file in any container that libav reads. Out: every frame that can be decoded, in the order of presentation, as
+//! the decoder stored it (no copy, no colour conversion), with the container's own time stamp to the nanosecond: the
+//! presentation time stamp times the stream's time base, never frame number ÷ rate. A rotation the container asks for
+//! is not done: calibration holds for the sensor's own rows and columns.
 //!
 //! A stamp that is not later than those before is handed on as it is and named in a warning. Damaged pictures are left
 //! out (see `damage`), counted in the gap of the next frame and named. A recording that ends early gives all its
@@ -22,13 +22,13 @@ use super::extent::Extent;
 use super::gaps::plausible_period_ns;
 use super::stamps::StampWatch;
 use super::times::{seconds, ticks_to_ns};
-use super::{Clock, Frame, FrameSource, SourceError, Span, Tally, Timestamp};
+use super::{Clock, Frame, FrameSource, SourceError, Span, StreamFaults, Timestamp};
 
 /// How a recording is read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct VideoOptions {
-    /// Threads of the decoder; 0 for one a core. Pictures are the same with any number, but FFmpeg (5.1 at least) reports less
-    /// damage with more than one.
+    /// Threads of the decoder; 0 for one a core. Pictures are the same with any number, but FFmpeg (5.1 at least)
+    /// reports less damage with more than one.
     pub decoder_threads: usize,
     /// Part of the recording that is read.
     pub span: Span,
@@ -63,10 +63,10 @@ pub struct VideoFile {
     frame_count_hint: Option<u64>,
     /// A frame decoded while looking for the start of the span.
     ahead: Option<av::frame::Video>,
-    state: State,
+    phase: Phase,
     /// Why the recording is known to end early.
     ends_early: Option<String>,
-    tally: Tally,
+    faults: StreamFaults,
     seq: u64,
     /// Live: when the latest packets were read, by their presentation time; and that of the last frame handed on.
     read_at: VecDeque<(i64, Instant)>,
@@ -79,15 +79,16 @@ pub struct VideoFile {
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum State {
+enum Phase {
     Reading,
     /// No more packets: the decoder hands out what it holds.
     Draining,
     Ended,
 }
 
-/// Name of the tag that holds what the camera's clock said at the container's zero, nanoseconds: a video recorded by this
-/// program has it where the clock counts from a distant past, which containers hold with some hundred nanoseconds at best.
+/// Name of the tag that holds what the camera's clock said at the container's zero, nanoseconds: a video recorded by
+/// this program has it where the clock counts from a distant past, which containers hold with some hundred nanoseconds
+/// at best.
 pub(crate) const ORIGIN_TAG: &str = "CATOPTRA_ORIGIN_NS";
 
 /// Packets of a stream whose arrival is remembered: more than any encoder reorders.
@@ -97,7 +98,7 @@ const UNREADABLE: u32 = 1000;
 
 impl std::fmt::Debug for VideoFile {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "VideoFile({}, {:?} px, {:?})", self.path.display(), self.size_px, self.state)
+        write!(f, "VideoFile({}, {:?} px, {:?})", self.path.display(), self.size_px, self.phase)
     }
 }
 
@@ -175,9 +176,9 @@ impl VideoFile {
             span: options.span,
             frame_count_hint: hint,
             ahead: None,
-            state: State::Reading,
+            phase: Phase::Reading,
             ends_early: None,
-            tally: Tally::default(),
+            faults: StreamFaults::default(),
             seq: 0,
             read_at: VecDeque::new(),
             arrival: None,
@@ -193,8 +194,8 @@ impl VideoFile {
         self.arrival
     }
 
-    /// Goes to a key frame from which the frame at `from_ns` can be decoded: libav's index may lead to one that is shown
-    /// later, so the first frame that comes out decides.
+    /// Goes to a key frame from which the frame at `from_ns` can be decoded: libav's index may lead to one that is
+    /// shown later, so the first frame that comes out decides.
     fn seek(&mut self, from_ns: i64, threads: usize) -> Result<(), SourceError> {
         for margin_s in [0, 2, 10, 60] {
             let to_us = from_ns.saturating_sub(self.origin_ns) / 1000 - margin_s * 1_000_000;
@@ -204,7 +205,7 @@ impl VideoFile {
             self.decoder.flush();
             self.ahead = None;
             self.damage = DamageLog::default();
-            self.state = State::Reading;
+            self.phase = Phase::Reading;
             if let Some(frame) = self.decode() {
                 let starts_ns = self.stamp(&frame)?.ns;
                 self.ahead = Some(frame);
@@ -217,7 +218,7 @@ impl VideoFile {
         self.input = open_input(&self.path)?;
         let stream = best_video(&self.path, &self.input)?;
         self.decoder = open_decoder(&self.path, &stream, threads, false)?;
-        (self.damage, self.ahead, self.state) = (DamageLog::default(), None, State::Reading);
+        (self.damage, self.ahead, self.phase) = (DamageLog::default(), None, Phase::Reading);
         Ok(())
     }
 
@@ -231,7 +232,7 @@ impl VideoFile {
             match self.decoder.receive_frame(&mut frame) {
                 Ok(()) => return Some(frame),
                 Err(av::Error::Eof) => return None,
-                Err(av::Error::Other { .. }) if self.state == State::Reading => self.feed(),
+                Err(av::Error::Other { .. }) if self.phase == Phase::Reading => self.feed(),
                 // Draining, a decoder that wants more input has nothing more to give.
                 Err(av::Error::Other { .. }) => return None,
                 Err(error) => self.damaged_packet(error, true),
@@ -252,8 +253,8 @@ impl VideoFile {
     }
 
     fn leave_out(&mut self, stamp: Timestamp) {
-        self.tally.pictures_left_out += 1;
-        if self.tally.pictures_left_out == 1 && self.ends_early.is_none() {
+        self.faults.pictures_left_out += 1;
+        if self.faults.pictures_left_out == 1 && self.ends_early.is_none() {
             tracing::warn!(
                 "{}: the picture at {} s is damaged and left out, as are those built on it; more are counted",
                 self.path.display(),
@@ -272,8 +273,8 @@ impl VideoFile {
                 Ok(()) => {
                     self.note_arrival(&packet);
                     // An MP4's edit list often ends at the last frame's start instead of its end, and libav would throw
-                    // the frame away. Setting the flags that the binding knows clears the one that says so; frames before
-                    // the recording's start stay out.
+                    // the frame away. Setting the flags that the binding knows clears the one that says so; frames
+                    // before the recording's start stay out.
                     if packet.pts().is_some_and(|pts| pts >= self.start_pts) {
                         packet.set_flags(packet.flags());
                     }
@@ -299,7 +300,7 @@ impl VideoFile {
             }
             // What fails here shows as a decoder without frames.
             let _ = self.decoder.send_eof();
-            self.state = State::Draining;
+            self.phase = Phase::Draining;
             return;
         }
     }
@@ -319,9 +320,9 @@ impl VideoFile {
     fn damaged_packet(&mut self, error: av::Error, by_decoder: bool) {
         let threads = if by_decoder { self.decoder.threading().count as u64 } else { 1 };
         self.damage.packet_is_damaged(threads.saturating_sub(1));
-        self.tally.damaged_packets += 1;
+        self.faults.damaged_packets += 1;
         // At a cut the last packet is expected to be broken, and the end is reported.
-        if self.tally.damaged_packets == 1 && self.ends_early.is_none() {
+        if self.faults.damaged_packets == 1 && self.ends_early.is_none() {
             tracing::warn!(
                 "{}: a damaged packet after {} is left out ({error}); more are counted",
                 self.path.display(),
@@ -340,8 +341,8 @@ impl VideoFile {
         let ticks = match (frame.pts(), frame.timestamp()) {
             (Some(pts), _) => pts,
             (None, Some(guess)) => {
-                self.tally.guessed_stamps += 1;
-                if self.tally.guessed_stamps == 1 {
+                self.faults.guessed_stamps += 1;
+                if self.faults.guessed_stamps == 1 {
                     tracing::warn!(
                         "{}: frames after {} have no presentation time; libav's best estimate is taken",
                         self.path.display(),
@@ -361,8 +362,8 @@ impl VideoFile {
 
     /// The stream has ended: whole, early, or with nothing in it.
     fn end(&mut self) -> Result<Option<Frame>, SourceError> {
-        self.state = State::Ended;
-        self.tally.report(&self.path);
+        self.phase = Phase::Ended;
+        self.faults.report(&self.path);
         let path = self.path.clone();
         if let Some(why) = self.ends_early.take() {
             let last_good_s = self.last_good_ns.map(seconds);
@@ -384,7 +385,7 @@ impl FrameSource for VideoFile {
     fn next_frame(&mut self) -> Result<Option<Frame>, SourceError> {
         let next = self.next_sound();
         if next.is_err() {
-            self.state = State::Ended;
+            self.phase = Phase::Ended;
         }
         next
     }
@@ -397,15 +398,15 @@ impl FrameSource for VideoFile {
         self.frame_count_hint
     }
 
-    fn tally(&self) -> Tally {
-        self.tally
+    fn faults(&self) -> StreamFaults {
+        self.faults
     }
 }
 
 impl VideoFile {
     /// The next frame of the span that is not damaged.
     fn next_sound(&mut self) -> Result<Option<Frame>, SourceError> {
-        while self.state != State::Ended {
+        while self.phase != Phase::Ended {
             let Some((decoded, number)) = self.next_held() else {
                 return self.end();
             };
@@ -419,7 +420,7 @@ impl VideoFile {
                 self.after_ns = Some(stamp.ns);
                 return self.end();
             }
-            self.missing = self.missing.saturating_add(self.stamps.gap(stamp.ns, self.seq, &mut self.tally));
+            self.missing = self.missing.saturating_add(self.stamps.gap(stamp.ns, self.seq, &mut self.faults));
             if !self.damage.is_sound(number, decoded.pts().or(decoded.timestamp())) {
                 self.missing = self.missing.saturating_add(1);
                 self.leave_out(stamp);

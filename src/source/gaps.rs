@@ -1,20 +1,20 @@
 //! Camera frames lost between two frames, from time stamps alone.
 //!
-//! In: the stamps in the order the frames come, the resolution of the clock (tick) and the period the recording declares,
-//! if it does. Out: how many camera frames are missing before each one.
+//! In: the stamps in the order the frames come, the resolution of the clock (tick) and the period the recording
+//! declares, if it does. Out: how many camera frames are missing before each one.
 //!
 //! Method. The camera's period is the declared one as long as the steps bear it out (most are whole multiples of it and
-//! some are the period itself), else the median of the last [`WINDOW`] steps, refined to their mean. A step of k periods
-//! lost k − 1 frames. Only steps that came before are looked at, so a live run and the same run recorded give the same
-//! numbers.
+//! some are the period itself), else the median of the last [`WINDOW`] steps, refined to their mean. A step of k
+//! periods lost k − 1 frames. Only steps that came before are looked at, so a live run and the same run recorded give
+//! the same numbers.
 //!
-//! Assumptions: less than half of the frames are lost where no rate is declared; the rate holds for half a window (after
-//! a change to a slower rate the steps count as losses until the median has followed). Where no rate is declared, the first
-//! eight steps cannot be judged and count as whole.
+//! Assumptions: less than half of the frames are lost where no rate is declared; the rate holds for half a window
+//! (after a change to a slower rate the steps count as losses until the median has followed). Where no rate is
+//! declared, the first eight steps cannot be judged and count as whole.
 //!
-//! A recording of truly varying rate has no period to miss: where more than a quarter of the steps are no whole multiples
-//! of the median, only a step over [`HOLE`] medians is counted, in medians. What this cannot detect: frames lost when a
-//! clock stamps them at a constant rate as they arrive.
+//! A recording of truly varying rate has no period to miss: where more than a quarter of the steps are no whole
+//! multiples of the median, only a step over [`HOLE`] medians is counted, in medians. What this cannot detect: frames
+//! lost when a clock stamps them at a constant rate as they arrive.
 
 use std::collections::VecDeque;
 
@@ -83,8 +83,8 @@ pub struct GapCounter {
 }
 
 impl GapCounter {
-    /// `declared_ns`: period the recording declares, if plausible ([`plausible_period_ns`]); `tick_ns`: resolution of the
-    /// clock.
+    /// `declared_ns`: period the recording declares, if plausible ([`plausible_period_ns`]); `tick_ns`: resolution of
+    /// the clock.
     pub fn new(declared_ns: Option<f64>, tick_ns: f64) -> Self {
         let declared_ns = declared_ns.filter(|p| p.is_finite() && *p > 0.0);
         Self { declared_ns, tick_ns: tick_ns.max(0.0), latest_ns: None, steps_ns: VecDeque::with_capacity(WINDOW) }
@@ -179,9 +179,9 @@ impl GapCounter {
     }
 }
 
-/// The period of a declared rate, if it can be a camera's: between 0.1 and 10000 frames a second, and the average rate the
-/// container gives neither above it nor below 60 % of it. Rates as (numerator, denominator). libav gives for recordings of
-/// variable rate often that of the clock's ticks, and no average or a much lower one.
+/// The period of a declared rate, if it can be a camera's: between 0.1 and 10000 frames a second, and the average rate
+/// the container gives neither above it nor below 60 % of it. Rates as (numerator, denominator). libav gives for
+/// recordings of variable rate often that of the clock's ticks, and no average or a much lower one.
 pub fn plausible_period_ns(rate: (i32, i32), average: (i32, i32)) -> Option<f64> {
     let hertz = |(n, d): (i32, i32)| (n > 0 && d > 0).then(|| f64::from(n) / f64::from(d));
     let rate = hertz(rate).filter(|r| (0.1..=1e4).contains(r))?;

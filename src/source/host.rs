@@ -1,17 +1,17 @@
 //! The clock of this computer, and the camera's time on it.
 //!
-//! [`HostClock`] counts nanoseconds since 1970 and cannot be set back: the computer's time of day at the start of the run, and
-//! from there its monotonic clock. A step of the time of day (NTP, a user) does not show.
+//! [`HostClock`] counts nanoseconds since 1970 and cannot be set back: the computer's time of day at the start of the
+//! run, and from there its monotonic clock. A step of the time of day (NTP, a user) does not show.
 //!
-//! [`ClockFit`] maps the stamps of another clock to it. In: (stamp, arrival) of every frame, as they come. Out: the host's
-//! time at which that frame was stamped, up to the least delay there is between stamp and arrival, which no clock that is
-//! not wired to the camera can know.
+//! [`ClockFit`] maps the stamps of another clock to it. In: (stamp, arrival) of every frame, as they come. Out: the
+//! host's time at which that frame was stamped, up to the least delay there is between stamp and arrival, which no
+//! clock that is not wired to the camera can know.
 //!
-//! Method. Offset = arrival − stamp = constant + drift + delay, and a delay is never less than its least value: the truth lies
-//! on the lower envelope. The least offset of each second is kept for two minutes; the line is the edge of their lower convex
-//! hull that spans the middle of them (it lies below all points at the least sum of distances: Moon, Skelly and Towsley, IEEE
-//! INFOCOM 1999, doi:10.1109/INFCOM.1999.749287). In the first seconds the drift is taken as zero. What arrives before the
-//! line says (a clock that stepped) begins a new fit.
+//! Method. Offset = arrival − stamp = constant + drift + delay, and a delay is never less than its least value: the
+//! truth lies on the lower envelope. The least offset of each second is kept for two minutes; the line is the edge of
+//! their lower convex hull that spans the middle of them (it lies below all points at the least sum of distances: Moon,
+//! Skelly and Towsley, IEEE INFOCOM 1999, doi:10.1109/INFCOM.1999.749287). In the first seconds the drift is taken as
+//! zero. What arrives before the line says (a clock that stepped) begins a new fit.
 
 use std::collections::VecDeque;
 use std::time::{Instant, SystemTime, UNIX_EPOCH};

@@ -1,14 +1,16 @@
 //! Folders of pictures.
 //!
-//! In: a folder of PNG, JPEG, TIFF, BMP or PNM pictures, and their times: a table `times.csv` beside them, or a stated frame
-//! rate. Out: the pictures as frames, in the order of the table, or of their names as people count (`img2` before `img10`).
+//! In: a folder of PNG, JPEG, TIFF, BMP or PNM pictures, and their times: a table `times.csv` beside them, or a stated
+//! frame rate. Out: the pictures as frames, in the order of the table, or of their names as people count (`img2` before
+//! `img10`).
 //!
-//! Grey and RGB of 8 bits are taken as they are, 16 bits are reduced to 8 (a warning says so), transparency is ignored. They
-//! are taken for sRGB. A JPEG comes as the RGB its decoder makes of it. A rotation asked for in EXIF data is not done:
-//! calibration holds for the sensor's own rows and columns.
+//! Grey and RGB of 8 bits are taken as they are, 16 bits are reduced to 8 (a warning says so), transparency is ignored.
+//! They are taken for sRGB. A JPEG comes as the RGB its decoder makes of it. A rotation asked for in EXIF data is not
+//! done: calibration holds for the sensor's own rows and columns.
 //!
-//! `times.csv`: a header line with `file` (the picture's name in this folder) and `t_s` (seconds, decimal, read exactly) or
-//! `stamp_ns` (whole nanoseconds; it counts if both are there); further columns are ignored. One row a picture, times rising.
+//! `times.csv`: a header line with `file` (the picture's name in this folder) and `t_s` (seconds, decimal, read
+//! exactly) or `stamp_ns` (whole nanoseconds; it counts if both are there); further columns are ignored. One row a
+//! picture, times rising.
 
 use std::cmp::Ordering;
 use std::collections::BTreeSet;
@@ -19,11 +21,9 @@ use image::DynamicImage;
 
 use super::gaps::GapCounter;
 use super::jpeg;
+use super::names::PICTURE_ENDINGS;
 use super::times::{FrameRate, parse_seconds_ns, seconds};
 use super::{Clock, Colour, Frame, FrameSource, Picture, PictureError, PixelFormat, SourceError, Span, Timestamp};
-
-/// Endings of the names of files that are taken for pictures.
-pub(crate) const ENDINGS: [&str; 9] = ["png", "jpg", "jpeg", "tif", "tiff", "bmp", "pgm", "ppm", "pnm"];
 
 /// Name of the table of times.
 const TABLE: &str = "times.csv";
@@ -181,7 +181,7 @@ fn picture_names(folder: &Path) -> Result<Vec<String>, SourceError> {
         let path = entry.map_err(io)?.path();
         let ending = path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase);
         let Some(name) = path.file_name().and_then(|n| n.to_str()) else { continue };
-        if ending.is_some_and(|e| ENDINGS.contains(&e.as_str())) && !name.starts_with('.') && path.is_file() {
+        if ending.is_some_and(|e| PICTURE_ENDINGS.contains(&e.as_str())) && !name.starts_with('.') && path.is_file() {
             names.push(name.to_owned());
         }
     }

@@ -4,8 +4,8 @@ const START_OF_IMAGE: [u8; 2] = [0xff, 0xd8];
 const START_OF_SCAN: u8 = 0xda;
 const END_OF_IMAGE: [u8; 2] = [0xff, 0xd9];
 
-/// Whether it is a JPEG whose picture does not end. In the coded picture the end mark cannot occur by chance (ITU-T T.81,
-/// B.1.1.5); before it, in a thumbnail, it can: segments are stepped over.
+/// Whether it is a JPEG whose picture does not end. In the coded picture the end mark cannot occur by chance (ITU-T
+/// T.81, B.1.1.5); before it, in a thumbnail, it can: segments are stepped over.
 pub(crate) fn is_cut_off(bytes: &[u8]) -> bool {
     let Some(mut rest) = bytes.strip_prefix(&START_OF_IMAGE) else { return false };
     loop {

@@ -1,20 +1,21 @@
 //! The pictures in a log that was recorded with `--record windows`, to be tracked again.
 //!
-//! In: a log of this program. Out: a frame for every row of the log, in their order, with stamp, gap and host's time as they
-//! are there. Of each picture there is what the log holds, to the last bit; the rest is black, and [`Picture::look_at`] refuses
-//! it. A frame whose picture was not recorded (it was not tracked, or the recorder fell behind) has nothing of it.
+//! In: a log of this program. Out: a frame for every row of the log, in their order, with stamp, gap and host's time as
+//! they are there. Of each picture there is what the log holds, to the last bit; the rest is black, and
+//! [`Picture::look_at`] refuses it. A frame whose picture was not recorded (it was not tracked, or the recorder fell
+//! behind) has nothing of it.
 //!
-//! What is kept of a picture follows its row in the log after some frames. Rows wait for it; none comes any more when that
-//! of a later frame is there.
+//! What is kept of a picture follows its row in the log after some frames. Rows wait for it; none comes any more when
+//! that of a later frame is there.
 
 use super::{
     ChromaSiting, Clock, Colour, Frame, FrameSource, HostTime, Matrix, Picture, PixelFormat, Range, SourceError, Span,
     Timestamp, Transfer, Window,
 };
+use crate::log::decoder::MessageDecoder;
 use crate::log::fields::{number, text};
-use crate::log::messages::Known;
 use crate::log::records::{Extent, Records};
-use crate::sink::{PNG, WINDOWS};
+use crate::log::schema::{Topic, WINDOW_FORMAT};
 use image::{ImageFormat, ImageReader};
 use mcap::records::Record;
 use prost_reflect::{DynamicMessage, Value};
@@ -29,7 +30,7 @@ const LARGEST_PX: u32 = 1 << 16;
 pub struct LogWindows {
     path: PathBuf,
     records: Records,
-    known: Known,
+    decoder: MessageDecoder,
     /// Rows whose picture has not come yet, the oldest first.
     rows: VecDeque<Row>,
     /// What all pictures are.
@@ -70,7 +71,7 @@ impl LogWindows {
         let mut source = Self {
             path: path.to_owned(),
             records: Records::open(path)?,
-            known: Known::default(),
+            decoder: MessageDecoder::default(),
             rows: VecDeque::new(),
             layout,
             last: None,
@@ -95,16 +96,16 @@ impl LogWindows {
     /// Reads a record; false at the end.
     fn read(&mut self) -> Result<bool, SourceError> {
         let Some(record) = self.records.next()? else { return Ok(false) };
-        self.known.learn(&record);
+        self.decoder.learn(&record);
         let Record::Message { header, data } = &record else { return Ok(true) };
-        if let Some(estimate) = self.known.decoded(header.channel_id, "/catheter/estimate", data) {
+        if let Some(estimate) = self.decoder.decoded(header.channel_id, Topic::Estimate, data) {
             let row = row(&estimate).map_err(|reason| SourceError::LogPicture {
                 path: self.path.clone(),
                 seq: header.sequence.into(),
                 reason,
             })?;
             self.rows.push_back(row);
-        } else if let Some(windows) = self.known.decoded(header.channel_id, WINDOWS, data) {
+        } else if let Some(windows) = self.decoder.decoded(header.channel_id, Topic::Windows, data) {
             let seq = number(&windows, "seq").and_then(|n| u64::try_from(n).ok()).unwrap_or(0);
             self.windows_to = Some(seq);
             // Without its row it has no time, and is no frame of this log.
@@ -283,8 +284,8 @@ fn paste(planes: &mut [Vec<u8>], layout: &Layout, window: &DynamicMessage) -> Re
         ));
     }
     let format = text(window, "format").unwrap_or_default();
-    if format != PNG {
-        return Err(format!("a window is compressed as `{format}`, expected `{PNG}`"));
+    if format != WINDOW_FORMAT {
+        return Err(format!("a window is compressed as `{format}`, expected `{WINDOW_FORMAT}`"));
     }
     let data = window.get_field_by_name("data");
     let data = data.as_deref().and_then(Value::as_bytes).ok_or("a window has no `data`")?;

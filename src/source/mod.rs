@@ -1,8 +1,9 @@
-//! Where frames come from: recorded video, folders of pictures.
+//! Where frames come from: recorded video, folders of pictures, logs that hold parts of their pictures; cameras and
+//! streams while they run ([`live`]).
 //!
-//! A [`Frame`] is a [`Picture`] with the camera's time and the count of camera frames lost before it. Pictures are handed
-//! on as they were decoded: planar YUV stays planar YUV, no colour is converted ([`Picture::plane`] tells how samples
-//! map to places in the picture, [`Picture::colour`] how they map to colours).
+//! A [`Frame`] is a [`Picture`] with the camera's time and the count of camera frames lost before it. Pictures are
+//! handed on as they were decoded: planar YUV stays planar YUV, no colour is converted ([`Picture::plane`] tells how
+//! samples map to places in the picture, [`Picture::colour`] how they map to colours).
 
 mod container;
 pub mod counter;
@@ -18,6 +19,7 @@ pub(crate) mod jpeg;
 pub mod live;
 mod log_windows;
 mod names;
+mod open;
 mod picture;
 mod reads;
 mod stamps;
@@ -32,6 +34,7 @@ pub use file::{VideoFile, VideoOptions};
 pub use host::HostTime;
 pub use images::{ImageFolder, ImageTiming};
 pub use log_windows::LogWindows;
+pub use open::{SourceOptions, open, open_to_track};
 pub use picture::{
     ChromaSiting, Colour, Matrix, Picture, PictureError, PixelFormat, Plane, Range, RgbFromStored, Transfer,
 };
@@ -48,8 +51,8 @@ pub enum Clock {
     StatedRate,
     /// Presentation time in a live stream, since the stream's own zero.
     Stream,
-    /// The kernel's monotonic clock as the driver of a V4L2 camera stamped the buffer: start of the exposure or end of the
-    /// transfer, as the driver says.
+    /// The kernel's monotonic clock as the driver of a V4L2 camera stamped the buffer: start of the exposure or end of
+    /// the transfer, as the driver says.
     V4l2Monotonic,
     /// The camera's own clock.
     Device,
@@ -104,14 +107,14 @@ pub trait FrameSource {
     fn frame_count_hint(&self) -> Option<u64>;
 
     /// What has been wrong with the stream so far.
-    fn tally(&self) -> Tally {
-        Tally::default()
+    fn faults(&self) -> StreamFaults {
+        StreamFaults::default()
     }
 }
 
 /// Counts of what is wrong with a stream but does not end it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Tally {
+pub struct StreamFaults {
     /// Packets that could not be read or decoded.
     pub damaged_packets: u64,
     /// Pictures left out because they are damaged or built on damaged ones.
@@ -126,7 +129,7 @@ pub struct Tally {
     pub interruptions: u64,
 }
 
-impl Tally {
+impl StreamFaults {
     /// Adds the counts of another part of the stream.
     fn add(&mut self, other: Self) {
         self.damaged_packets += other.damaged_packets;
@@ -177,63 +180,5 @@ impl Span {
             }
             _ => Ok(()),
         }
-    }
-}
-
-/// How frames are read, whatever they come from.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct SourceOptions {
-    /// Part that is read.
-    pub span: Span,
-    /// Frame rate the user states for a folder of pictures without times.
-    pub stated_rate: Option<FrameRate>,
-    /// Threads of the video decoder; 0 for one a core.
-    pub decoder_threads: usize,
-}
-
-impl Default for SourceOptions {
-    fn default() -> Self {
-        let VideoOptions { decoder_threads, span } = VideoOptions::default();
-        Self { span, stated_rate: None, decoder_threads }
-    }
-}
-
-/// Opens a recorded video (a file) or a folder of pictures.
-///
-/// # Errors
-/// [`SourceError`] when it cannot be opened, or is none.
-pub fn open(path: impl AsRef<Path>, options: SourceOptions) -> Result<Box<dyn FrameSource + Send>, SourceError> {
-    let path = path.as_ref();
-    if crate::log::is_log(path) {
-        return Err(SourceError::IsLog { path: path.to_path_buf() });
-    }
-    if path.is_dir() {
-        let timing = options.stated_rate.map_or(ImageTiming::Table, ImageTiming::StatedRate);
-        return Ok(Box::new(ImageFolder::open(path, timing, options.span)?));
-    }
-    let video = VideoOptions { decoder_threads: options.decoder_threads, span: options.span };
-    let source = VideoFile::open(path, video)?;
-    match options.stated_rate {
-        Some(_) => Err(SourceError::RateOfVideo { path: path.to_path_buf() }),
-        None => Ok(Box::new(source)),
-    }
-}
-
-/// As [`open`], and logs that hold the windows of their pictures ([`LogWindows`]): good for a [`Tracker`](crate::track::Tracker),
-/// which asks whether there is what it looks at, and for nothing else.
-///
-/// # Errors
-/// [`SourceError`] when it cannot be opened, or is none.
-pub fn open_to_track(
-    path: impl AsRef<Path>,
-    options: SourceOptions,
-) -> Result<Box<dyn FrameSource + Send>, SourceError> {
-    let path = path.as_ref();
-    if !crate::log::is_log(path) {
-        return open(path, options);
-    }
-    match options.stated_rate {
-        Some(_) => Err(SourceError::RateOfVideo { path: path.to_path_buf() }),
-        None => Ok(Box::new(LogWindows::open(path, options.span)?)),
     }
 }

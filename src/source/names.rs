@@ -1,6 +1,9 @@
-//! The words for clocks and colours in files, both ways.
+//! The words for clocks and colours in files, both ways, and the names that picture files have.
 
 use super::{ChromaSiting, Clock, Matrix, Range, Transfer};
+
+/// Endings of the names of files that are taken for pictures.
+pub(crate) const PICTURE_ENDINGS: [&str; 9] = ["png", "jpg", "jpeg", "tif", "tiff", "bmp", "pgm", "ppm", "pnm"];
 
 macro_rules! names {
     ($type:ty { $($value:ident => $name:literal),+ $(,)? }) => {

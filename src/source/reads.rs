@@ -1,8 +1,8 @@
 //! What of a picture there is, and what of it was looked at.
 //!
-//! The tracker looks at small parts of a picture, and says before it does ([`Picture::look_at`]). Two things come of it: a
-//! recorder can keep those parts alone ([`Picture::looked_at`]), and of a picture that was kept in parts the others are never
-//! taken for something that the camera saw: to look there is refused.
+//! The tracker looks at small parts of a picture, and says before it does ([`Picture::look_at`]). Two things come of
+//! it: a recorder can keep those parts alone ([`Picture::looked_at`]), and of a picture that was kept in parts the
+//! others are never taken for something that the camera saw: to look there is refused.
 
 use super::{Picture, Window};
 use std::sync::{Mutex, PoisonError};
@@ -38,8 +38,8 @@ impl Picture {
         self.reads.there.as_deref()
     }
 
-    /// To be called before samples are used: those of the pixels in `area` (a sample of a subsampled channel belongs to all
-    /// pixels it stands for). Parts of `area` outside the picture do not matter.
+    /// To be called before samples are used: those of the pixels in `area` (a sample of a subsampled channel belongs to
+    /// all pixels it stands for). Parts of `area` outside the picture do not matter.
     ///
     /// # Errors
     /// When not all of them are there.
@@ -54,8 +54,8 @@ impl Picture {
         Ok(())
     }
 
-    /// What was looked at, and `margin_px` around it: windows that do not overlap and cut no sample of a subsampled channel.
-    /// Depends on the set of areas looked at, not on their order.
+    /// What was looked at, and `margin_px` around it: windows that do not overlap and cut no sample of a subsampled
+    /// channel. Depends on the set of areas looked at, not on their order.
     pub fn looked_at(&self, margin_px: u32) -> Vec<Window> {
         let step = self.coarsest();
         let mut areas: Vec<Window> = {

@@ -1,10 +1,10 @@
 //! Camera frames lost between stamps, with a word to the user on stamps that are not in order.
 
-use super::Tally;
+use super::StreamFaults;
 use super::gaps::{GapCounter, Order, Rhythm, Step, WINDOW};
 use super::times::seconds;
 
-/// A [`GapCounter`] that counts in a [`Tally`] what is odd, and warns of the first of each kind.
+/// A [`GapCounter`] that counts in a [`StreamFaults`] what is odd, and warns of the first of each kind.
 pub(super) struct StampWatch {
     name: String,
     gaps: GapCounter,
@@ -18,8 +18,8 @@ impl StampWatch {
     }
 
     /// Camera frames lost before frame `seq`, stamped `ns`.
-    pub(super) fn gap(&mut self, ns: i64, seq: u64, tally: &mut Tally) -> u32 {
-        let step = self.step(ns, seq, tally);
+    pub(super) fn gap(&mut self, ns: i64, seq: u64, faults: &mut StreamFaults) -> u32 {
+        let step = self.step(ns, seq, faults);
         if let Rhythm::Varying { median_ns } = self.gaps.rhythm()
             && !self.varying_named
             && self.gaps.steps_seen() == WINDOW
@@ -36,26 +36,26 @@ impl StampWatch {
     }
 
     /// The same as a second opinion beside a frame counter: none are lost where the stamps do not tell clearly.
-    pub(super) fn clear_gap(&mut self, ns: i64, seq: u64, tally: &mut Tally) -> u32 {
+    pub(super) fn clear_gap(&mut self, ns: i64, seq: u64, faults: &mut StreamFaults) -> u32 {
         let steady = matches!(self.gaps.rhythm(), Rhythm::Steady { .. });
-        let step = self.step(ns, seq, tally);
+        let step = self.step(ns, seq, faults);
         if steady { step.gap } else { 0 }
     }
 
-    fn step(&mut self, ns: i64, seq: u64, tally: &mut Tally) -> Step {
+    fn step(&mut self, ns: i64, seq: u64, faults: &mut StreamFaults) -> Step {
         let step = self.gaps.step(ns);
         let (name, at_s) = (&self.name, seconds(ns));
         match step.order {
             Order::First | Order::Later => {}
             Order::Same => {
-                tally.repeated_stamps += 1;
-                if tally.repeated_stamps == 1 {
+                faults.repeated_stamps += 1;
+                if faults.repeated_stamps == 1 {
                     tracing::warn!("{name}: frame {seq} repeats the time stamp {at_s} s; it is kept, more are counted");
                 }
             }
             Order::Earlier { by_ns } => {
-                tally.backward_stamps += 1;
-                if tally.backward_stamps == 1 {
+                faults.backward_stamps += 1;
+                if faults.backward_stamps == 1 {
                     tracing::warn!(
                         "{name}: frame {seq} at {at_s} s is {} s earlier than one before it; it is kept, more are counted",
                         seconds(by_ns)

@@ -18,8 +18,8 @@ pub fn ticks_to_ns(count: i64, numerator: i64, denominator: i64) -> Option<i64> 
     divide_to_nearest(exact, i128::from(denominator))
 }
 
-/// Seconds in decimal notation (`12`, `0.0166667`, `-1.5e-3`) in nanoseconds: exact, digits below a nanosecond rounded to
-/// the nearest; `None` when it is no such number.
+/// Seconds in decimal notation (`12`, `0.0166667`, `-1.5e-3`) in nanoseconds: exact, digits below a nanosecond rounded
+/// to the nearest; `None` when it is no such number.
 pub fn parse_seconds_ns(text: &str) -> Option<i64> {
     let text = text.trim();
     let (number, exponent) = match text.split_once(['e', 'E']) {

@@ -1,7 +1,10 @@
-//! The totals of a run: how many frames were answered, how well, and why the others were not.
+//! The one count of a run: how many frames were answered, how well, why the others were not, and whether the rig is
+//! still as it was calibrated.
 //!
-//! One [`Tally`] serves the summary of a run and its report. Counts and ranges are exact; medians need 4 bytes a frame and
-//! quantity, so that an hour at 60 Hz with three markers takes 4 MB.
+//! Who drives a run counts every frame once, in its order ([`Tally::add`]); the summary on the terminal, the status
+//! line, the report and `/health` are views of it. Counts and ranges are exact; medians need 4 bytes a frame and
+//! quantity, so that an hour at 60 Hz with three markers takes 4 MB. [`Totals`] are the counts alone, small enough to
+//! be handed on every second.
 
 mod drift;
 
@@ -9,9 +12,11 @@ pub use drift::{Drift, DriftAlarm, Drifted};
 
 use crate::estimate::{Estimate, Miss};
 use crate::rig::Rig;
-use std::collections::BTreeMap;
 
-/// Totals over all frames.
+/// Camera time from one report of the totals to the next.
+const REPORT_EVERY_NS: u64 = 1_000_000_000;
+
+/// The count of a run.
 #[derive(Debug, Clone, Default)]
 pub struct Tally {
     /// Frames received.
@@ -34,12 +39,63 @@ pub struct Tally {
     pub theta: AngleTally,
     /// Direction of the coil; its range is not kept.
     pub tangent: AngleTally,
-    /// Frames by what is missing (a marker's name, `tangent`, `deflection`) and the word for the reason. That a rig has no
-    /// base frame is no miss of a frame and is not counted.
-    pub misses: BTreeMap<(String, String), u64>,
+    /// In the order they came up first; that the rig has no base frame is among them.
+    misses: Vec<MissCount>,
+    /// Camera time of the last totals that were reported, nanoseconds.
+    reported_ns: Option<i64>,
     /// Whether the rig is as it was calibrated.
     pub drift: Drift,
     views: Vec<String>,
+}
+
+/// How often one thing was missed for one reason.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
+pub struct MissCount {
+    /// A marker's name, `tangent` or `deflection`.
+    pub what: String,
+    /// The word for the reason ([`Miss::word`]).
+    pub reason: String,
+    /// How many frames.
+    pub frames: u64,
+}
+
+/// The counts of a run at one moment.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Totals {
+    /// Camera time of the last frame counted, nanoseconds.
+    pub stamp_ns: i64,
+    /// Frames received.
+    pub frames: u64,
+    /// Camera frames lost.
+    pub lost: u64,
+    /// Places where they were lost.
+    pub gaps: u64,
+    /// Frames with a deflection.
+    pub deflections: u64,
+    /// What was missing and why, in the order it came up first.
+    pub misses: Vec<MissCount>,
+    /// All drift alarms.
+    pub alarms: Vec<DriftAlarm>,
+}
+
+/// What is missing in a frame, as (what, reason): a marker's name, `tangent` or `deflection`, and the word for the
+/// reason. That a rig has no base frame is no miss of a frame.
+pub(crate) fn missing(estimate: &Estimate, markers: &[String], views: &[String]) -> Vec<(String, String)> {
+    let views: Vec<&str> = views.iter().map(String::as_str).collect();
+    let known = |(_, miss): &(&str, &Miss)| **miss != Miss::NoBaseFrame;
+    let named = |(what, miss): (&str, &Miss)| (what.to_owned(), miss.word(&views));
+    all_misses(estimate, markers.iter().map(String::as_str)).filter(known).map(named).collect()
+}
+
+fn all_misses<'a>(
+    estimate: &'a Estimate,
+    markers: impl Iterator<Item = &'a str>,
+) -> impl Iterator<Item = (&'a str, &'a Miss)> {
+    let positions = estimate.markers.iter().zip(markers);
+    let positions = positions.filter_map(|(m, name)| Some((name, m.position.as_ref().err()?)));
+    let tangent = estimate.tangent.as_ref().err().map(|miss| ("tangent", miss));
+    let angle = estimate.deflection.as_ref().err().map(|miss| ("deflection", miss));
+    positions.chain(tangent).chain(angle)
 }
 
 /// A drift alarm for people.
@@ -103,8 +159,9 @@ impl Tally {
         }
     }
 
-    /// Adds a frame; gives what is missing in it as (what, reason), in the terms of [`Tally::misses`].
-    pub fn add(&mut self, estimate: &Estimate) -> Vec<(String, String)> {
+    /// Counts a frame. Whether the totals are to be reported now: a second of camera time has passed since they were,
+    /// or a drift alarm is raised.
+    pub fn add(&mut self, estimate: &Estimate) -> bool {
         if self.frames == 0 {
             self.first_ns = estimate.stamp.ns;
             self.clock = estimate.stamp.clock.name();
@@ -147,14 +204,49 @@ impl Tally {
                 self.theta.range_deg = Some((low.min(theta), high.max(theta)));
             }
         }
-        self.drift.add(estimate);
+        let alarmed = !self.drift.add(estimate).is_empty();
         let angle_known = matches!(estimate.deflection, Ok(_) | Err(Miss::NoBaseFrame));
         self.complete += u64::from(angle_known && estimate.markers.iter().all(|m| m.position.is_ok()));
-        let named = self.named_misses(estimate);
-        for name in &named {
-            *self.misses.entry(name.clone()).or_default() += 1;
+        self.count_misses(estimate);
+        let since = *self.reported_ns.get_or_insert(estimate.stamp.ns);
+        let due = alarmed || estimate.stamp.ns.abs_diff(since) >= REPORT_EVERY_NS;
+        if due {
+            self.reported_ns = Some(estimate.stamp.ns);
         }
-        named
+        due
+    }
+
+    fn count_misses(&mut self, estimate: &Estimate) {
+        let Self { views, markers, misses, .. } = self;
+        let views: Vec<&str> = views.iter().map(String::as_str).collect();
+        for (what, miss) in all_misses(estimate, markers.iter().map(|marker| marker.name.as_str())) {
+            let reason = miss.word(&views);
+            match misses.iter_mut().find(|known| known.what == what && known.reason == reason) {
+                Some(known) => known.frames += 1,
+                None => misses.push(MissCount { what: what.to_owned(), reason, frames: 1 }),
+            }
+        }
+    }
+
+    /// The counts so far.
+    pub fn totals(&self) -> Totals {
+        Totals {
+            stamp_ns: self.last_ns,
+            frames: self.frames,
+            lost: self.lost,
+            gaps: self.gaps,
+            deflections: self.theta.answered,
+            misses: self.misses.clone(),
+            alarms: self.drift.alarms().to_vec(),
+        }
+    }
+
+    /// What is missing and why, by name. That the rig has no base frame is no miss of a frame.
+    pub fn misses(&self) -> Vec<&MissCount> {
+        let no_base = Miss::NoBaseFrame.word(&[]);
+        let mut misses: Vec<_> = self.misses.iter().filter(|miss| miss.reason != no_base).collect();
+        misses.sort();
+        misses
     }
 
     /// The alarms of [`Tally::drift`] in words.
@@ -167,24 +259,10 @@ impl Tally {
         })
     }
 
-    fn named_misses(&self, estimate: &Estimate) -> Vec<(String, String)> {
-        let views: Vec<&str> = self.views.iter().map(String::as_str).collect();
-        let markers = estimate.markers.iter().zip(&self.markers);
-        let positions = markers.filter_map(|(m, total)| Some((total.name.as_str(), m.position.as_ref().err()?)));
-        let tangent = estimate.tangent.as_ref().err().map(|miss| ("tangent", miss));
-        let angle = estimate.deflection.as_ref().err().map(|miss| ("deflection", miss));
-        positions
-            .chain(tangent)
-            .chain(angle)
-            .filter(|(_, miss)| **miss != Miss::NoBaseFrame)
-            .map(|(what, miss)| (what.to_owned(), miss.word(&views)))
-            .collect()
-    }
-
     /// Reasons why `what` is missing, with the number of frames, the most frequent first.
     pub fn reasons(&self, what: &str) -> Vec<(&str, u64)> {
-        let of_it = self.misses.iter().filter(|((missing, _), _)| missing == what);
-        let mut reasons: Vec<_> = of_it.map(|((_, reason), frames)| (reason.as_str(), *frames)).collect();
+        let of_it = self.misses().into_iter().filter(|miss| miss.what == what);
+        let mut reasons: Vec<_> = of_it.map(|miss| (miss.reason.as_str(), miss.frames)).collect();
         reasons.sort_by_key(|(_, frames)| std::cmp::Reverse(*frames));
         reasons
     }
@@ -248,6 +326,56 @@ fn median(values: &[f32]) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::sink::fixture;
+
+    #[test]
+    fn totals_are_due_every_second_and_count_everything() {
+        let mut tally = Tally::new(&fixture::rig());
+        let mut due = (0..150).filter(|&seq| tally.add(&fixture::eventful(seq, -500_000_000)));
+        // 60 frames a second less the 3 lost before frame 40.
+        assert_eq!(due.by_ref().map(|seq| seq + 1).collect::<Vec<_>>(), [58, 118]);
+        let totals = tally.totals();
+        assert_eq!((totals.frames, totals.lost, totals.gaps, totals.deflections), (150, 3, 1, 120));
+        let count = |what: &str, reason: &str| {
+            totals.misses.iter().find(|m| m.what == what && m.reason == reason).map_or(0, |m| m.frames)
+        };
+        assert_eq!(count("tip", "not_seen_mirror"), 15);
+        assert_eq!(count("coil", "ambiguous"), 15);
+        assert_eq!(count("base", "rays_diverge"), 15);
+        assert_eq!(count("tangent", "poor_fit"), 15);
+        assert_eq!(count("tangent", "marker_missing"), 15);
+        assert_eq!(count("deflection", "marker_missing"), 30);
+        assert_eq!(totals.misses.len(), 6);
+        assert_eq!(totals.alarms, []);
+    }
+
+    #[test]
+    fn totals_are_due_at_once_when_views_part() {
+        let mut tally = Tally::new(&fixture::rig());
+        let due: Vec<u64> = (0..80)
+            .filter(|&seq| {
+                let mut estimate = fixture::complete(seq, seq as i64 * 8_333_333);
+                for band in estimate.markers.iter_mut().flat_map(|m| &mut m.views).flatten() {
+                    band.residual_px.x = 1.0;
+                }
+                tally.add(&estimate)
+            })
+            .collect();
+        // Half a second into the run.
+        assert_eq!(due, [59]);
+        let alarms = tally.totals().alarms;
+        assert_eq!((alarms.len(), alarms[0].seq, alarms[0].stamp.ns), (1, 59, 59 * 8_333_333));
+    }
+
+    #[test]
+    fn a_rig_without_a_base_is_no_miss_of_a_frame() {
+        let mut tally = Tally::new(&fixture::rig());
+        let mut estimate = fixture::complete(0, 0);
+        estimate.deflection = Err(Miss::NoBaseFrame);
+        tally.add(&estimate);
+        assert!(tally.misses().is_empty() && tally.complete == 1);
+        assert_eq!(tally.totals().misses.len(), 1);
+    }
 
     #[test]
     fn medians_of_odd_even_and_none() {

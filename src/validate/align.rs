@@ -1,11 +1,12 @@
 //! Rigid alignment of two sets of points without scaling.
 //!
-//! In: pairs of points. Out: rotation and translation that take the first of each pair nearest to the second, in the mean of squares,
-//! by the singular value decomposition of their covariance (Arun, Huang and Blostein, IEEE TPAMI 9, 1987,
-//! doi:10.1109/TPAMI.1987.4767965). A reflection is never given: where it would fit better, the direction of the smallest singular
-//! value is turned (Umeyama, IEEE TPAMI 13, 1991).
+//! In: pairs of points. Out: rotation and translation that take the first of each pair nearest to the second, in the
+//! mean of squares, by the singular value decomposition of their covariance (Arun, Huang and Blostein, IEEE TPAMI 9,
+//! 1987, doi:10.1109/TPAMI.1987.4767965). A reflection is never given: where it would fit better, the direction of the
+//! smallest singular value is turned (Umeyama, IEEE TPAMI 13, 1991).
 //!
-//! What it hides: on a circle, a motion that lags behind looks like one that is turned about the circle's axis, and is turned back.
+//! What it hides: on a circle, a motion that lags behind looks like one that is turned about the circle's axis, and is
+//! turned back.
 
 use nalgebra::{Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
 
@@ -21,8 +22,8 @@ pub struct Alignment {
 }
 
 impl Alignment {
-    /// The one that fits pairs (from, to) best; `None` for fewer than three, or where they are all on one line, because a turn
-    /// about the line is open then.
+    /// The one that fits pairs (from, to) best; `None` for fewer than three, or where they are all on one line, because
+    /// a turn about the line is open then.
     pub fn of(pairs: &[(Point3<f64>, Point3<f64>)]) -> Option<Self> {
         if pairs.len() < 3 {
             return None;

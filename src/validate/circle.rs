@@ -1,8 +1,8 @@
 //! The circle nearest to points in a plane.
 //!
 //! Start: Kåsa's, linear least squares in x² + y² + a x + b y + c (IEEE Trans. Instrum. Meas. 25, 1976,
-//! doi:10.1109/TIM.1976.6312298), which is drawn to smaller circles where only an arc is seen. Then Gauss-Newton on the distances of the
-//! points from the circle.
+//! doi:10.1109/TIM.1976.6312298), which is drawn to smaller circles where only an arc is seen. Then Gauss-Newton on the
+//! distances of the points from the circle.
 
 use nalgebra::{Matrix3, Point2, Vector2, Vector3};
 
@@ -21,8 +21,8 @@ pub struct Circle {
 }
 
 impl Circle {
-    /// The circle with the least sum of squared distances of the points from it. `None` for fewer than three points, points on a line,
-    /// or where the refinement does not settle.
+    /// The circle with the least sum of squared distances of the points from it. `None` for fewer than three points,
+    /// points on a line, or where the refinement does not settle.
     pub fn through(points: &[Point2<f64>]) -> Option<Self> {
         if points.len() < 3 {
             return None;

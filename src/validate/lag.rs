@@ -1,15 +1,15 @@
 //! By how many points an observed motion lags behind the periodic one that was commanded.
 //!
-//! In: one period of the desired path; observed points with the number of the command each belongs to, some may be missing. Out: the lag
-//! at which both correlate best, all three coordinates together, to a fraction of a point.
+//! In: one period of the desired path; observed points with the number of the command each belongs to, some may be
+//! missing. Out: the lag at which both correlate best, all three coordinates together, to a fraction of a point.
 //!
-//! Method. ρ(τ) = Σ (y_k − ȳ)·(x_{k−τ} − x̄) / (|y| |x|), x continued as it was commanded, period after period; both means and
-//! both norms are those of the pairs that there are. So every lag is judged by the same points, other than in a plain
-//! cross-correlation of two finite pieces, where those that overlap more win (at four periods of 200 points that is 1.3 points, 2.3°). The
-//! peak is that of the parabola through the best lag and its neighbours.
+//! Method. ρ(τ) = Σ (y_k − ȳ)·(x_{k−τ} − x̄) / (|y| |x|), x continued as it was commanded, period after period; both
+//! means and both norms are those of the pairs that there are. So every lag is judged by the same points, other than in
+//! a plain cross-correlation of two finite pieces, where those that overlap more win (at four periods of 200 points
+//! that is 1.3 points, 2.3°). The peak is that of the parabola through the best lag and its neighbours.
 //!
-//! What it cannot know: how many whole periods are missing (lags are between minus and plus half a period), and whether a circle
-//! lags or is turned about its axis.
+//! What it cannot know: how many whole periods are missing (lags are between minus and plus half a period), and whether
+//! a circle lags or is turned about its axis.
 
 use nalgebra::{Point3, Vector3};
 

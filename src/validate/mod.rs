@@ -1,30 +1,34 @@
 //! Open-loop runs along a desired path: how far the catheter was from it, and how it responded at each speed.
 //!
-//! The experiment is that of Section IV of the paper: a path of (200) points a period is commanded point by point, each held for a
-//! *pause*, four periods long, once for every pause time. In: the desired path and the tracked runs. Out, for each run: errors with and
-//! without rigid alignment (Table II), and the response at 1/period as magnitude and phase (Eqs. 8 to 10, Fig. 11).
+//! The experiment is that of Section IV of the paper: a path of (200) points a period is commanded point by point, each
+//! held for a *pause*, four periods long, once for every pause time. In: the desired path and the tracked runs. Out,
+//! for each run: errors with and without rigid alignment (Table II), and the response at 1/period as magnitude and
+//! phase (Eqs. 8 to 10, Fig. 11).
 //!
-//! Method, a file each: one observed point a command (`pauses`), rigid alignment (`align`), plane and circle (`plane`, `circle`), lag by
-//! cross-correlation in space (`lag`), the start of the commands (`start`).
+//! Method, a file each: one observed point a command (`pauses`), rigid alignment (`align`), plane and circle (`plane`,
+//! `circle`), lag by cross-correlation in space (`lag`), the start of the commands (`start_time`).
 //!
-//! Conventions. Everything is in the base frame, metres. The error of a run is the root mean square distance in space. A run's alignment
-//! takes observed points to desired ones. Phase is negative for a response that is late: φ = −360° · Δt / T. An observed point
-//! belongs to the middle of its pause, so that a catheter that followed at once would have phase 0 and magnitude 0 dB.
+//! Conventions. Everything is in the base frame, metres. The error of a run is the root mean square distance in space.
+//! A run's alignment takes observed points to desired ones. Phase is negative for a response that is late: φ = −360° ·
+//! Δt / T. An observed point belongs to the middle of its pause, so that a catheter that followed at once would have
+//! phase 0 and magnitude 0 dB.
 //!
-//! What it cannot detect. Alignment hides lag on a circle, because a circle that lags is a circle that is turned; the error without
-//! alignment, the rotation, and the phase (which is measured without alignment) show it. In turn a base frame that is turned about
-//! the circle's axis adds its angle to all phases alike. The first command's time enters the phase fully: 1 ms is 0.36° at 1 Hz.
+//! What it cannot detect. Alignment hides lag on a circle, because a circle that lags is a circle that is turned; the
+//! error without alignment, the rotation, and the phase (which is measured without alignment) show it. In turn a base
+//! frame that is turned about the circle's axis adds its angle to all phases alike. The first command's time enters the
+//! phase fully: 1 ms is 0.36° at 1 Hz.
 
 mod align;
 mod circle;
 mod error;
 mod lag;
+mod options;
 mod path;
 mod pauses;
 mod plane;
 mod run;
 mod spline;
-mod start;
+mod start_time;
 #[cfg(test)]
 mod tests;
 mod write;
@@ -33,29 +37,13 @@ pub use align::Alignment;
 pub use circle::Circle;
 pub use error::ValidateError;
 pub use lag::{Lag, lag, unwrap};
+pub use options::Options;
 pub use path::DesiredPath;
 pub use plane::Plane;
 pub use run::{Magnitude, Observed, Run, Size, Step};
 pub use spline::Interpolation;
-pub use start::StartFrom;
+pub use start_time::StartFrom;
 pub use write::Row;
-
-/// How runs are evaluated.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Options {
-    /// Periods that are left out at the beginning, while the motion settles.
-    pub skip: usize,
-    /// The marker that follows the path; the tip if none is named.
-    pub marker: Option<String>,
-    /// How to go from frame to frame where pauses are shorter than the time between frames.
-    pub interpolation: Interpolation,
-}
-
-impl Default for Options {
-    fn default() -> Self {
-        Self { skip: 1, marker: None, interpolation: Interpolation::Spline }
-    }
-}
 
 /// All runs along a path.
 #[derive(Debug, Clone, PartialEq)]

@@ -1,7 +1,7 @@
 //! The desired path: one period of points, commanded one after the other, again and again.
 
-use super::ValidateError;
 use super::circle::Circle;
+use super::error::ValidateError;
 use super::plane::Plane;
 use crate::series::{SeriesError, columns};
 use nalgebra::{Point3, Vector3};
@@ -36,11 +36,12 @@ pub struct DesiredPath {
 impl DesiredPath {
     /// Reads columns `x_mm`, `y_mm`, `z_mm` (base frame) and, if they are there, `tan_x`, `tan_y`, `tan_z`.
     ///
-    /// The rows are one period, commanded `periods` times (4 as in the paper, if not given). With `per_period` the file may hold
-    /// several periods, which must be alike; it is then commanded as it stands there.
+    /// The rows are one period, commanded `periods` times (4 as in the paper, if not given). With `per_period` the file
+    /// may hold several periods, which must be alike; it is then commanded as it stands there.
     ///
     /// # Errors
-    /// When the file cannot be read, a value is missing, there are fewer than 3 points, they lie on a line, or periods differ.
+    /// When the file cannot be read, a value is missing, there are fewer than 3 points, they lie on a line, or periods
+    /// differ.
     pub fn read(file: &Path, per_period: Option<usize>, periods: Option<usize>) -> Result<Self, ValidateError> {
         let wrong = |problem: String| ValidateError::Path { path: file.to_owned(), problem };
         let mut points: Vec<Point3<f64>> =

@@ -1,9 +1,10 @@
 //! From camera frames to one observed point a command.
 //!
-//! A command is held for a pause. Where camera frames come at least as often, those within the pause are averaged. Where the pause is
-//! shorter than the time between frames, the motion is [interpolated](super::Interpolation) between frames at the middle of each
-//! pause, which is where an average belongs too. A command without a frame in its pause, or between frames of which one or more are
-//! missing, has no point: nothing is made up across a gap, and nothing is extrapolated.
+//! A command is held for a pause. Where camera frames come at least as often, those within the pause are averaged.
+//! Where the pause is shorter than the time between frames, the motion is [interpolated](super::Interpolation) between
+//! frames at the middle of each pause, which is where an average belongs too. A command without a frame in its pause,
+//! or between frames of which one or more are missing, has no point: nothing is made up across a gap, and nothing is
+//! extrapolated.
 
 use super::spline::{Curve, Interpolation};
 use nalgebra::Vector3;

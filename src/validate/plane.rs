@@ -16,8 +16,8 @@ pub struct Plane {
 }
 
 impl Plane {
-    /// The plane through the mean of the points with the least sum of squared distances: the singular vector of the smallest singular
-    /// value. `None` for fewer than three points, or where they lie on one line.
+    /// The plane through the mean of the points with the least sum of squared distances: the singular vector of the
+    /// smallest singular value. `None` for fewer than three points, or where they lie on one line.
     pub fn through(points: &[Point3<f64>]) -> Option<Self> {
         if points.len() < 3 {
             return None;

@@ -2,12 +2,13 @@
 
 use super::align::{Alignment, rms};
 use super::circle::Circle;
+use super::error::ValidateError;
 use super::lag::{Lag, lag};
+use super::options::Options;
 use super::path::DesiredPath;
 use super::pauses::{Mean, Sample, Window, interval_s};
 use super::plane::Plane;
-use super::start::{self, StartFrom};
-use super::{Options, ValidateError};
+use super::start_time::{self, StartFrom};
 use crate::series::{Frame, Recording};
 use crate::sink::OutputFrame;
 use crate::source::times::seconds;
@@ -114,7 +115,8 @@ pub struct Run {
     pub alignment: Alignment,
     /// Root mean square error without alignment, metres.
     pub rms_unaligned_m: f64,
-    /// Standard deviation of the observed coordinate over that of the desired one; `None` for an axis the path does not move along.
+    /// Standard deviation of the observed coordinate over that of the desired one; `None` for an axis the path does not
+    /// move along.
     pub gain: [Option<f64>; 3],
     /// Size of the response.
     pub magnitude: Option<Magnitude>,
@@ -126,7 +128,8 @@ pub struct Run {
     pub lag: Option<Lag>,
     /// Phase, degrees: negative for a response that is late. Unwrapped over rising frequency by [`super::validate`].
     pub phase_deg: Option<f64>,
-    /// Root mean square angle between observed and desired direction of the coil, radians, where the path has directions.
+    /// Root mean square angle between observed and desired direction of the coil, radians, where the path has
+    /// directions.
     pub tangent_rms_rad: Option<f64>,
     /// Root mean square distance of frames from the mean of their pause, metres: noise, and motion within the pause.
     pub scatter_m: Option<f64>,
@@ -139,7 +142,6 @@ pub struct Run {
 /// Evaluates one run.
 pub(super) fn evaluate(path: &DesiredPath, observed: &Observed<'_>, options: &Options) -> Result<Run, ValidateError> {
     let recording = observed.recording;
-    let wrong = |problem: String| ValidateError::Run { path: recording.path.clone(), problem };
     let unusable = |problem: String| ValidateError::Unusable { path: recording.path.clone(), problem };
     let mut notes = Vec::new();
     if let Some(why) = &recording.cut {
@@ -147,57 +149,15 @@ pub(super) fn evaluate(path: &DesiredPath, observed: &Observed<'_>, options: &Op
     }
 
     // 1. the frames, and when the commands were given
-    let pause_ns = (observed.pause_s * 1e9).round();
-    if !(1.0..1e15).contains(&pause_ns) {
-        return Err(wrong(format!("a pause of {} s is none: it must be above 0", observed.pause_s)));
+    let Marked { marker, name, samples } = marked(recording, options)?;
+    let Timing { window, start_from, inside, interval_s } = timing(path, observed, &samples)?;
+    if start_from == StartFrom::Search {
+        notes.push(
+            "the start was found by correlation, which absorbs the lag: there is no phase, and errors are without it too"
+                .to_owned(),
+        );
     }
-    let pause_ns = pause_ns as i64;
-    in_order(&recording.frames).map_err(wrong)?;
-    if recording.reference == Some(OutputFrame::Camera) {
-        let advice = "track it again with a rig that has a [base], and without `--frame camera`";
-        return Err(wrong(format!("its places are in the camera frame, the path is in the base frame: {advice}")));
-    }
-    let marker = marker(recording, options)?;
-    let name = recording.markers.get(marker).map_or("", String::as_str);
-    let samples: Vec<Sample> = recording
-        .frames
-        .iter()
-        .filter_map(|frame| Some((frame.stamp_ns, frame.places.get(marker)?.point?.coords)))
-        .collect();
-    if samples.is_empty() {
-        return Err(unusable(format!("none of its {} frames has a place of {name}", recording.frames.len())));
-    }
-    let (start_ns, start_from) = match (observed.start_ns, start::from_currents(&recording.currents, pause_ns)) {
-        (Some(start), _) => (start, StartFrom::Given),
-        (None, Some(start)) => (start, StartFrom::Currents),
-        (None, None) => {
-            let found = start::by_search(path, &samples, pause_ns).ok_or_else(|| {
-                let (needs, has) = (path.commands() as f64 * seconds(pause_ns), span_s(&samples));
-                wrong(format!(
-                    "the start of the commands cannot be found: they take {needs:.3} s, the record has {has:.3} s of motion; give --start, or check --pause and --periods"
-                ))
-            })?;
-            notes.push("the start was found by correlation, which absorbs the lag: there is no phase, and errors are without it too".to_owned());
-            (found, StartFrom::Search)
-        }
-    };
-    let window = Window { start_ns, pause_ns, commands: path.commands() };
-    let inside: Vec<&Frame> =
-        recording.frames.iter().filter(|f| f.stamp_ns >= window.start_ns && f.stamp_ns < window.end_ns()).collect();
-    if inside.is_empty() {
-        let (first, last) = (recording.frames.first(), recording.frames.last());
-        let at = |frame: Option<&Frame>| seconds(frame.map_or(0, |frame| frame.stamp_ns));
-        return Err(wrong(format!(
-            "no frame is from the time of the commands: these are from {:.3} s to {:.3} s, the frames from {:.3} s to {:.3} s of the camera's clock; check --start",
-            seconds(window.start_ns),
-            seconds(window.end_ns()),
-            at(first),
-            at(last)
-        )));
-    }
-    let stamps: Vec<i64> = inside.iter().map(|frame| frame.stamp_ns).collect();
-    let interval_s =
-        interval_s(&stamps).ok_or_else(|| unusable("has a single frame from the time of the commands".to_owned()))?;
+    let pause_ns = window.pause_ns;
 
     // 2. one point a command
     let interpolated = seconds(pause_ns) < interval_s;
@@ -243,26 +203,18 @@ pub(super) fn evaluate(path: &DesiredPath, observed: &Observed<'_>, options: &Op
     let numbered: Vec<(usize, Point3<f64>)> = steps.iter().filter_map(|s| Some((s.k, s.observed?))).collect();
     let lag = if start_from == StartFrom::Search { None } else { lag(&path.points, &numbered) };
     let phase_deg = lag.map(|lag| -360.0 * lag.points / path.points.len() as f64);
-    if let Some(lag) = lag.filter(|lag| lag.correlation < WEAK) {
-        notes.push(format!(
-            "the motion hardly correlates with the path ({:.2}): its phase means little",
-            lag.correlation
-        ));
-    }
 
     // 5. what the numbers rest on
     let period_s = seconds(pause_ns) * path.points.len() as f64;
-    let per_period = period_s / interval_s;
-    if per_period < FEW_FRAMES {
-        notes.push(format!("{per_period:.1} camera frames a period: too few for a good amplitude"));
-    }
+    notes.extend(weak_correlation(lag.as_ref()));
+    notes.extend(few_frames(period_s / interval_s));
     let has_place = |frame: &&&Frame| frame.places.get(marker).is_some_and(|place| place.point.is_some());
     Ok(Run {
         file: recording.path.clone(),
-        marker: name.to_owned(),
+        marker: name,
         pause_s: seconds(pause_ns),
         frequency_hz: 1.0 / period_s,
-        start_ns,
+        start_ns: window.start_ns,
         start_from,
         interpolated,
         interval_s,
@@ -284,6 +236,93 @@ pub(super) fn evaluate(path: &DesiredPath, observed: &Observed<'_>, options: &Op
         notes,
         steps,
     })
+}
+
+/// The marker that follows the path, and where it was seen.
+struct Marked {
+    marker: usize,
+    name: String,
+    samples: Vec<Sample>,
+}
+
+fn marked(recording: &Recording, options: &Options) -> Result<Marked, ValidateError> {
+    let wrong = |problem: String| ValidateError::Run { path: recording.path.clone(), problem };
+    in_order(&recording.frames).map_err(wrong)?;
+    if recording.reference == Some(OutputFrame::Camera) {
+        let advice = "track it again with a rig that has a [base], and without `--frame camera`";
+        return Err(wrong(format!("its places are in the camera frame, the path is in the base frame: {advice}")));
+    }
+    let marker = marker(recording, options)?;
+    let name = recording.markers.get(marker).cloned().unwrap_or_default();
+    let samples: Vec<Sample> = recording
+        .frames
+        .iter()
+        .filter_map(|frame| Some((frame.stamp_ns, frame.places.get(marker)?.point?.coords)))
+        .collect();
+    if samples.is_empty() {
+        let problem = format!("none of its {} frames has a place of {name}", recording.frames.len());
+        return Err(ValidateError::Unusable { path: recording.path.clone(), problem });
+    }
+    Ok(Marked { marker, name, samples })
+}
+
+/// When commands were given, and the frames of that time.
+struct Timing<'a> {
+    window: Window,
+    start_from: StartFrom,
+    inside: Vec<&'a Frame>,
+    /// Usual time between these frames, seconds.
+    interval_s: f64,
+}
+
+fn timing<'a>(path: &DesiredPath, observed: &Observed<'a>, samples: &[Sample]) -> Result<Timing<'a>, ValidateError> {
+    let recording = observed.recording;
+    let wrong = |problem: String| ValidateError::Run { path: recording.path.clone(), problem };
+    let pause_ns = (observed.pause_s * 1e9).round();
+    if !(1.0..1e15).contains(&pause_ns) {
+        return Err(wrong(format!("a pause of {} s is none: it must be above 0", observed.pause_s)));
+    }
+    let pause_ns = pause_ns as i64;
+    let logged = || start_time::from_currents(&recording.currents, pause_ns).map(|ns| (ns, StartFrom::Currents));
+    let searched = || start_time::by_search(path, samples, pause_ns).map(|ns| (ns, StartFrom::Search));
+    let given = observed.start_ns.map(|ns| (ns, StartFrom::Given));
+    let (start_ns, start_from) = given.or_else(logged).or_else(searched).ok_or_else(|| {
+        let (needs, has) = (path.commands() as f64 * seconds(pause_ns), span_s(samples));
+        wrong(format!(
+            "the start of the commands cannot be found: they take {needs:.3} s, the record has {has:.3} s of motion; give \
+             --start, or check --pause and --periods"
+        ))
+    })?;
+    let window = Window { start_ns, pause_ns, commands: path.commands() };
+    let inside: Vec<&Frame> =
+        recording.frames.iter().filter(|f| f.stamp_ns >= window.start_ns && f.stamp_ns < window.end_ns()).collect();
+    if inside.is_empty() {
+        let (first, last) = (recording.frames.first(), recording.frames.last());
+        let at = |frame: Option<&Frame>| seconds(frame.map_or(0, |frame| frame.stamp_ns));
+        return Err(wrong(format!(
+            "no frame is from the time of the commands: these are from {:.3} s to {:.3} s, the frames from {:.3} s to {:.3} s \
+             of the camera's clock; check --start",
+            seconds(window.start_ns),
+            seconds(window.end_ns()),
+            at(first),
+            at(last)
+        )));
+    }
+    let stamps: Vec<i64> = inside.iter().map(|frame| frame.stamp_ns).collect();
+    let interval_s = interval_s(&stamps).ok_or_else(|| ValidateError::Unusable {
+        path: recording.path.clone(),
+        problem: "has a single frame from the time of the commands".to_owned(),
+    })?;
+    Ok(Timing { window, start_from, inside, interval_s })
+}
+
+fn weak_correlation(lag: Option<&Lag>) -> Option<String> {
+    let weak = lag.filter(|lag| lag.correlation < WEAK)?;
+    Some(format!("the motion hardly correlates with the path ({:.2}): its phase means little", weak.correlation))
+}
+
+fn few_frames(per_period: f64) -> Option<String> {
+    (per_period < FEW_FRAMES).then(|| format!("{per_period:.1} camera frames a period: too few for a good amplitude"))
 }
 
 /// Refuses frames whose times do not rise.

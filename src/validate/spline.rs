@@ -1,8 +1,8 @@
 //! Interpolation of a motion between camera frames.
 //!
-//! A cubic spline through all frames, twice continuously differentiable, straight at its ends (`scipy.interpolate.CubicSpline` with
-//! `bc_type="natural"`); or straight lines. On a circle of 12 frames a turn, straight lines take 0.2 dB off the radius, the
-//! spline 0.002 dB.
+//! A cubic spline through all frames, twice continuously differentiable, straight at its ends
+//! (`scipy.interpolate.CubicSpline` with `bc_type="natural"`); or straight lines. On a circle of 12 frames a turn,
+//! straight lines take 0.2 dB off the radius, the spline 0.002 dB.
 
 use nalgebra::Vector3;
 

@@ -54,7 +54,8 @@ fn normal(random: &mut fastrand::Rng) -> f64 {
     (-2.0 * (1.0 - random.f64()).ln()).sqrt() * (TAU * random.f64()).cos()
 }
 
-/// Four periods of commands, each held for a pause, followed by a first-order lag (exactly, whatever the pause), seen at 60 Hz.
+/// Four periods of commands, each held for a pause, followed by a first-order lag (exactly, whatever the pause), seen
+/// at 60 Hz.
 fn simulate(of: fn(usize) -> Point3<f64>, pause_s: f64, corner_hz: f64, spoiled: Spoiled) -> Recording {
     let mut random = fastrand::Rng::with_seed(spoiled.seed);
     let rate = TAU * corner_hz;
@@ -315,29 +316,29 @@ fn what_cannot_be_used_is_told_with_its_numbers() {
         let observed = [Observed { recording, pause_s, start_ns }];
         validate(desired(circle), &observed, options).unwrap_err().to_string()
     };
-    let told = |change: fn(&mut Recording), start| {
+    let message = |change: fn(&mut Recording), start| {
         let mut recording = good.clone();
         change(&mut recording);
         refused(&recording, 0.02, start, Options::default())
     };
     let given = Some(START_NS);
-    assert_eq!(told(|r| r.frames.clear(), given), "20ms.csv: has no frame");
+    assert_eq!(message(|r| r.frames.clear(), given), "20ms.csv: has no frame");
     let all_missed = |r: &mut Recording| r.frames.iter_mut().for_each(|f| f.places[0].point = None);
-    assert_eq!(told(all_missed, given), "20ms.csv: none of its 960 frames has a place of tip");
-    assert!(told(|r| r.frames.swap(3, 4), given).contains("is not later than frame"));
-    assert!(told(|r| r.reference = Some(OutputFrame::Camera), given).contains("in the camera frame"));
-    assert!(told(|r| r.markers.clear(), given).contains("has no places of markers"));
-    let other = told(|_| {}, Some(START_NS + 100_000_000_000));
+    assert_eq!(message(all_missed, given), "20ms.csv: none of its 960 frames has a place of tip");
+    assert!(message(|r| r.frames.swap(3, 4), given).contains("is not later than frame"));
+    assert!(message(|r| r.reference = Some(OutputFrame::Camera), given).contains("in the camera frame"));
+    assert!(message(|r| r.markers.clear(), given).contains("has no places of markers"));
+    let other = message(|_| {}, Some(START_NS + 100_000_000_000));
     assert_eq!(
         other,
         "20ms.csv: no frame is from the time of the commands: these are from 102.346 s to 118.346 s, the frames from 2.350 s to 18.333 s of the camera's clock; check --start"
     );
-    let short = told(|r| r.frames.truncate(500), None);
+    let short = message(|r| r.frames.truncate(500), None);
     assert!(short.contains("they take 16.000 s, the record has 8.317 s of motion; give --start"), "{short}");
-    let half = told(|r| r.frames.truncate(280), given);
+    let half = message(|r| r.frames.truncate(280), given);
     assert!(half.contains("of 600 commands have a point, less than half of a period of 200"), "{half}");
     let still = |r: &mut Recording| r.frames.iter_mut().for_each(|f| f.places[0].point = Some(Point3::origin()));
-    assert!(told(still, given).contains("lie on a line or do not move"));
+    assert!(message(still, given).contains("lie on a line or do not move"));
     assert_eq!(refused(&good, 0.0, given, Options::default()), "20ms.csv: a pause of 0 s is none: it must be above 0");
     let marker = Options { marker: Some("coil".to_owned()), ..Options::default() };
     assert!(refused(&good, 0.02, given, marker).contains("has no marker `coil`; it has tip"));

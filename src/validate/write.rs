@@ -195,7 +195,8 @@ impl Validation {
         Ok(String::from_utf8_lossy(&bytes).into_owned())
     }
 
-    /// Errors over pause times in the layout of Table II of the paper, as Markdown; further rows say what that table hides.
+    /// Errors over pause times in the layout of Table II of the paper, as Markdown; further rows say what that table
+    /// hides.
     pub fn table(&self) -> String {
         let rows: Vec<Row> = self.runs.iter().map(Row::of).collect();
         let line = |name: &str, cell: &dyn Fn(&Row) -> String| {

@@ -1,17 +1,17 @@
-//! Files to signals: read, put on a grid, cut, thinned, detrended; and what is told of each step.
+//! Files to signals: read, put on a grid, cut, thinned, detrended; and a summary of each record.
 
-use super::{Args, DelayArg};
+use super::args::{Args, DelayArg, Range};
 use crate::cli::{Exit, Failure};
-use crate::identify::chain::Data;
+use crate::identify::data::Data;
 use crate::identify::data::Record;
 use crate::identify::delay::{self, Delay};
-use crate::identify::fit::Start;
+use crate::identify::fit::InitialState;
 use crate::identify::grid::{Grid, GridError, Series, cut, resample};
 use crate::identify::hold::Held;
 use crate::identify::plant::Plant;
 use crate::identify::prepare::{Detrend, Trend, decimate};
+use crate::identify::provenance::{Provenance, RecordSummary};
 use crate::identify::recorded::Observed;
-use crate::identify::told::{RecordTold, Told};
 use crate::series::{CurrentTable, Recording, SeriesError, columns};
 use std::path::Path;
 
@@ -34,11 +34,11 @@ fn unreadable(error: SeriesError) -> Failure {
 /// A record on its grid.
 struct Read {
     record: Record,
-    told: RecordTold,
+    summary: RecordSummary,
 }
 
 /// Data to identify from and to judge by, made ready.
-pub(super) fn read(args: &Args) -> Result<(Data, Told), Failure> {
+pub(super) fn read(args: &Args) -> Result<(Data, Provenance), Failure> {
     let files: Vec<&Path> = args.records.iter().chain(&args.validate).map(AsRef::as_ref).collect();
     let ranges = args.train.is_some() || args.test.is_some();
     if ranges && args.records.len() > 1 {
@@ -58,22 +58,22 @@ pub(super) fn read(args: &Args) -> Result<(Data, Told), Failure> {
         } else {
             recorded(args, file, args.currents.get(k).map(AsRef::as_ref), plant)?
         };
-        read.told.training = k < args.records.len();
+        read.summary.training = k < args.records.len();
         all.push(read);
     }
     one_period(&all)?;
-    tell_what_is_judged_twice(args);
-    let mut period_s = all.first().map_or(0.0, |read| read.told.period_s);
+    warn_of_training_data_in_validation(args);
+    let mut period_s = all.first().map_or(0.0, |read| read.summary.period_s);
     let mut data = Data::default();
-    let mut tolds = Vec::new();
-    for Read { record, told } in all {
-        let parts = match (told.training, args.train, args.test) {
+    let mut summaries = Vec::new();
+    for Read { record, summary } in all {
+        let parts = match (summary.training, args.train, args.test) {
             (true, train, test) if ranges => {
-                let part = |range: super::Range, training: bool| -> Result<_, Failure> {
+                let part = |range: Range, training: bool| -> Result<_, Failure> {
                     within(&record, range)?;
                     Ok((record.range(range.from, range.to, period_s), training))
                 };
-                let whole = super::Range { from: 0, to: record.span() };
+                let whole = Range { from: 0, to: record.span() };
                 let fitted = part(train.unwrap_or(whole), true)?;
                 let judged = test.map(|test| part(test, false)).transpose()?;
                 [Some(fitted), judged].into_iter().flatten().collect()
@@ -86,19 +86,19 @@ pub(super) fn read(args: &Args) -> Result<(Data, Told), Failure> {
             if part.observed() == 0 {
                 return Err(usage(format!("{}: {}", part.name, why_empty(&whole, args))));
             }
-            tolds.push(RecordTold { training, ..described(&part, &told, period_s, args) });
+            summaries.push(RecordSummary { training, ..described(&part, &summary, period_s, args) });
             if training { data.training.push(part) } else { data.validation.push(part) }
         }
     }
     period_s *= args.decimate.map_or(1.0, |n| n.get() as f64);
     data.period_s = period_s;
     detrend(&mut data, args.detrend(), ranges);
-    tolds.sort_by_key(|told| !told.training);
-    Ok((data, told(args, tolds)))
+    summaries.sort_by_key(|summary| !summary.training);
+    Ok((data, provenance(args, summaries)))
 }
 
 /// Data that were fitted are no judge.
-fn tell_what_is_judged_twice(args: &Args) {
+fn warn_of_training_data_in_validation(args: &Args) {
     if let (Some(train), Some(test)) = (args.train, args.test) {
         let (from, to) = (train.from.max(test.from), train.to.min(test.to));
         if from < to {
@@ -121,22 +121,22 @@ fn why_empty(part: &Record, args: &Args) -> String {
     }
 }
 
-fn described(part: &Record, read: &RecordTold, period_s: f64, args: &Args) -> RecordTold {
+fn described(part: &Record, read: &RecordSummary, period_s: f64, args: &Args) -> RecordSummary {
     let factor = args.decimate.map_or(1, |n| n.get());
-    RecordTold {
+    RecordSummary {
         name: part.name.clone(),
         samples: part.observed(),
         stretches: part.segments.len(),
-        start: if part.is_from_rest() { args.start() } else { Start::Estimated },
+        initial_state: if part.is_from_rest() { args.initial_state() } else { InitialState::Estimated },
         duration_s: part.segments.iter().map(|s| s.len()).sum::<usize>() as f64 * period_s * factor as f64,
         ..read.clone()
     }
 }
 
-fn within(record: &Record, range: super::Range) -> Result<(), Failure> {
+fn within(record: &Record, range: Range) -> Result<(), Failure> {
     let has = record.span();
     if range.to > has {
-        let super::Range { from, to } = range;
+        let Range { from, to } = range;
         return Err(usage(format!("{}: has {has} samples, and {from}:{to} were asked for", record.name)));
     }
     Ok(())
@@ -144,13 +144,13 @@ fn within(record: &Record, range: super::Range) -> Result<(), Failure> {
 
 fn one_period(all: &[Read]) -> Result<(), Failure> {
     let Some(first) = all.first() else { return Ok(()) };
-    let other = |read: &&Read| (read.told.period_s / first.told.period_s - 1.0).abs() > SAME_PERIOD;
+    let other = |read: &&Read| (read.summary.period_s / first.summary.period_s - 1.0).abs() > SAME_PERIOD;
     match all.iter().find(other) {
         None => Ok(()),
         Some(read) => Err(usage(format!(
             "{}: samples are {:.6} s apart, and {:.6} s in {}: records that belong together have one period (--resample --period gives \
              them one)",
-            read.told.name, read.told.period_s, first.told.period_s, first.told.name
+            read.summary.name, read.summary.period_s, first.summary.period_s, first.summary.name
         ))),
     }
 }
@@ -178,16 +178,16 @@ fn any_table(args: &Args, file: &Path) -> Result<Read, Failure> {
     let (record, grid, bridged) = on_grid(args, &series)?;
     // Stated exactly, it is not estimated from its own multiples.
     let period_s = args.period.unwrap_or(grid.period_s);
-    let told = RecordTold {
+    let summary = RecordSummary {
         name,
         period_s,
         jitter_s: grid.jitter_s,
         lost: grid.lost,
         missed,
         bridged,
-        ..RecordTold::default()
+        ..RecordSummary::default()
     };
-    Ok(Read { record, told })
+    Ok(Read { record, summary })
 }
 
 fn on_grid(args: &Args, series: &Series) -> Result<(Record, Grid, usize), Failure> {
@@ -237,7 +237,7 @@ fn recorded(args: &Args, file: &Path, table: Option<&Path>, plant: Option<Plant>
     let lost = series.output.len() - observed.theta_rad.len();
     let missed = observed.theta_rad.iter().filter(|theta| theta.is_none()).count();
     let (record, grid, bridged) = on_grid(args, &series)?;
-    let told = RecordTold {
+    let summary = RecordSummary {
         name,
         period_s: if args.resample { args.period.unwrap_or(grid.period_s) } else { grid.period_s },
         jitter_s: grid.jitter_s,
@@ -245,9 +245,9 @@ fn recorded(args: &Args, file: &Path, table: Option<&Path>, plant: Option<Plant>
         missed,
         bridged,
         delay: apparent,
-        ..RecordTold::default()
+        ..RecordSummary::default()
     };
-    Ok(Read { record, told })
+    Ok(Read { record, summary })
 }
 
 /// How late the output is, looked for around the delay that is given.
@@ -289,7 +289,7 @@ fn detrend(data: &mut Data, what: Detrend, one_record: bool) {
     }
 }
 
-fn told(args: &Args, records: Vec<RecordTold>) -> Told {
+fn provenance(args: &Args, records: Vec<RecordSummary>) -> Provenance {
     let file = |path: &Path| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let title = args.records.iter().map(|p| file(p)).collect::<Vec<_>>().join(", ");
     let unknown = String::new;
@@ -322,5 +322,5 @@ fn told(args: &Args, records: Vec<RecordTold>) -> Told {
             DelayArg::Given(seconds) => format!("{seconds} s"),
         },
     );
-    Told { title, input, input_unit, output, output_unit, start: args.start(), records, settings }
+    Provenance { title, input, input_unit, output, output_unit, initial_state: args.initial_state(), records, settings }
 }

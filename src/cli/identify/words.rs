@@ -1,26 +1,27 @@
 //! The result in words, for the terminal.
 
-use crate::identify::chain::{Data, Identification};
 use crate::identify::continuous::{Continuous, Conversion};
-use crate::identify::fit::{Kind, Start};
+use crate::identify::data::Data;
+use crate::identify::fit::{InitialState, Kind};
+use crate::identify::identification::Identification;
 use crate::identify::modelled::{ContinuousEstimate, Modelled};
-use crate::identify::told::Told;
+use crate::identify::provenance::Provenance;
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
 /// All of it.
-pub(super) fn summary(data: &Data, done: &Identification, told: &Told, written: &[PathBuf]) -> String {
+pub(super) fn summary(data: &Data, done: &Identification, provenance: &Provenance, written: &[PathBuf]) -> String {
     let mut text = String::new();
     // Nothing is lost when a line cannot be formatted into memory.
-    let _ = describe(&mut text, data, done, told);
+    let _ = describe(&mut text, data, done, provenance);
     for path in written {
         let _ = writeln!(text, "written: {}", path.display());
     }
     text
 }
 
-fn describe(text: &mut String, data: &Data, done: &Identification, told: &Told) -> std::fmt::Result {
-    for record in &told.records {
+fn describe(text: &mut String, data: &Data, done: &Identification, provenance: &Provenance) -> std::fmt::Result {
+    for record in &provenance.records {
         let role = if record.training { "fitted" } else { "judged by" };
         write!(text, "{}: {role}, {} samples", record.name, record.samples)?;
         if record.stretches > 1 {
@@ -38,12 +39,16 @@ fn describe(text: &mut String, data: &Data, done: &Identification, told: &Told) 
         writeln!(text)?;
     }
     let orders = done.orders;
-    write!(text, "\n{} -> {}: na {}, nb {}, nk {}", told.input, told.output, orders.na, orders.nb, orders.nk)?;
+    write!(
+        text,
+        "\n{} -> {}: na {}, nb {}, nk {}",
+        provenance.input, provenance.output, orders.na, orders.nb, orders.nk
+    )?;
     if let Some(criterion) = done.criterion {
         write!(text, ", the best of {} by {}", done.candidates.len(), format!("{criterion:?}").to_lowercase())?;
     }
     writeln!(text, "; {:.6} s a sample", data.period_s)?;
-    table_1(text, done, told)?;
+    table_1(text, done, provenance)?;
     for model in &done.models {
         if let Some(h) = &model.continuous {
             transfer_function(text, model, h)?;
@@ -62,22 +67,22 @@ fn describe(text: &mut String, data: &Data, done: &Identification, told: &Told) 
 }
 
 /// As Table I of the paper.
-fn table_1(text: &mut String, done: &Identification, told: &Told) -> std::fmt::Result {
+fn table_1(text: &mut String, done: &Identification, provenance: &Provenance) -> std::fmt::Result {
     write!(text, "\n{:<36}", "simulation error, % of energy")?;
     for model in &done.models {
         write!(text, " {:>24}", model.title)?;
     }
     writeln!(text)?;
-    for record in &told.records {
+    for record in &provenance.records {
         let role = if record.training { "training" } else { "validation" };
-        let begins = if record.start == Start::Rest { "from rest" } else { "start estimated" };
+        let begins = if record.initial_state == InitialState::Rest { "from rest" } else { "start estimated" };
         write!(text, "{:<36}", format!("{role}, {:.0} s, {begins}", record.duration_s))?;
         for model in &done.models {
-            let of = |f: &&crate::identify::chain::Fit| {
+            let of = |f: &&crate::identify::identification::Fit| {
                 f.record == record.name
                     && f.training == record.training
                     && f.role == model.role
-                    && f.kind == Kind::Simulation(record.start)
+                    && f.kind == Kind::Simulation(record.initial_state)
             };
             let error = done.fits.iter().find(of).map_or(f64::NAN, |f| f.error.error_percent);
             let shown = match error {

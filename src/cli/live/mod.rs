@@ -3,7 +3,7 @@
 mod status;
 
 use super::run::folder::{Files, Run, unlike_others, whole_path};
-use super::run::{Record, Reference, load_rig, open_sinks, pool, tell_warnings, told, verdict};
+use super::run::{Record, Reference, load_rig, open_sinks, pool, print_warnings, summary, verdict};
 use super::{Exit, Failure, fitting, interrupt, output};
 use crate::live::{self, CurrentSource, LiveSummary, Outputs, RecordTo, Recording, Until};
 use crate::report::RunInfo;
@@ -116,7 +116,7 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     let (rig, rig_toml) = load_rig(&args.rig, args.frame)?;
     let tracker = Tracker::new(&rig, TrackOptions::default())
         .map_err(|e| Failure::new(Exit::Usage, format!("{}: {e}", args.rig.display())))?;
-    tell_warnings(&args.rig, &rig)?;
+    print_warnings(&args.rig, &rig)?;
     let controllers = args.udp.map(|to| UdpSink::to(to, &rig)).transpose();
     let controllers = controllers.map_err(|e| Failure::new(Exit::Failed, format!("cannot send datagrams: {e}")))?;
     let publisher = args.publish.map(|at| PublishSink::listen(at, &rig)).transpose();
@@ -150,25 +150,25 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     let mut line = StatusLine::new(&args.source, &files.folder, quiet);
     let pool = pool(args.threads.unwrap_or(0))?;
     let show = |status: &live::Status| line.show(status);
-    let summary = live::run(source, tracker, pool, outputs, clock, &until, show)
+    let live = live::run(source, tracker, pool, outputs, clock, &until, show)
         .map_err(|e| Failure::new(Exit::Failed, format!("cannot start a thread: {e}")))?;
     drop(line);
     // 4. what came of it
     if !quiet {
         let mut text = String::new();
-        told::summary(&mut text, &args.source, &summary.run, &files, &rig)
-            .and_then(|()| text.write_str(&lines(&summary)))
+        summary::summary(&mut text, &args.source, &live.run, &files, &rig)
+            .and_then(|()| text.write_str(&lines(&live)))
             .map_err(|e| Failure::new(Exit::Failed, format!("cannot describe the run: {e}")))?;
         output::print(&text)?;
     }
-    if summary.unlogged > 0 {
-        let text = format!("{} frames are missing in the files: the disk was too slow", summary.unlogged);
+    if live.unlogged > 0 {
+        let text = format!("{} frames are missing in the files: the disk was too slow", live.unlogged);
         return Err(Failure::new(Exit::Failed, text));
     }
-    verdict(&args.source, &rig, summary.run)
+    verdict(&args.source, &rig, live.run)
 }
 
-/// What only a live run has to tell.
+/// The part of the summary that only a live run has.
 fn lines(summary: &LiveSummary) -> String {
     let latency = summary.latency;
     let ms = |us: u64| us as f64 * 1e-3;

@@ -1,7 +1,7 @@
 //! The status line of a live run, and warnings that cannot wait for its end.
 
 use super::super::progress::Line;
-use super::super::run::told::warn_of;
+use super::super::run::summary::warn_of_alarm;
 use crate::live::{Status, free_bytes};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -18,10 +18,10 @@ pub(super) struct StatusLine {
     folder: PathBuf,
     line: Line,
     began: (Instant, u64),
-    told_alarms: usize,
-    told_short: usize,
-    told_skipped: bool,
-    told_pictures: bool,
+    warned_alarms: usize,
+    warned_short: usize,
+    warned_skipped: bool,
+    warned_pictures: bool,
     last: Instant,
 }
 
@@ -33,20 +33,20 @@ impl StatusLine {
             folder: folder.to_owned(),
             line: Line::new(quiet),
             began,
-            told_alarms: 0,
-            told_short: 0,
-            told_skipped: false,
-            told_pictures: false,
+            warned_alarms: 0,
+            warned_short: 0,
+            warned_skipped: false,
+            warned_pictures: false,
             last: Instant::now(),
         }
     }
 
     pub(super) fn show(&mut self, status: &Status) {
         let source = &self.source;
-        status.alarms.iter().skip(self.told_alarms).for_each(|alarm| warn_of(alarm, source));
-        self.told_alarms = status.alarms.len();
-        if status.skipped > 0 && !self.told_skipped {
-            self.told_skipped = true;
+        status.alarms.iter().skip(self.warned_alarms).for_each(|alarm| warn_of_alarm(alarm, source));
+        self.warned_alarms = status.alarms.len();
+        if status.skipped > 0 && !self.warned_skipped {
+            self.warned_skipped = true;
             tracing::warn!("{source}: the tracker does not keep up: frames are passed over, each has its row");
         }
         let elapsed_s = self.last.elapsed().as_secs_f64().max(1e-3);
@@ -75,8 +75,8 @@ impl StatusLine {
                 text += &format!(", {dropped} lost");
             }
         }
-        if dropped_now(status) && !self.told_pictures {
-            self.told_pictures = true;
+        if dropped_now(status) && !self.warned_pictures {
+            self.warned_pictures = true;
             tracing::warn!("{}: not all pictures can be recorded; every row is logged", self.source);
         }
         if !status.alarms.is_empty() {
@@ -87,15 +87,15 @@ impl StatusLine {
 
     fn warn_of_short_disk(&mut self, free: u64) {
         let (began, free_then) = self.began;
-        // Of the first seconds no rate can be told.
+        // The first seconds give no rate.
         if began.elapsed().as_secs() < 30 && free > LITTLE {
             return;
         }
         let per_second = free_then.saturating_sub(free) as f64 / began.elapsed().as_secs_f64().max(1.0);
         let left_s = free as f64 / per_second.max(1.0);
         let short = SHORT_S.iter().filter(|limit| left_s < **limit).count();
-        if short > self.told_short {
-            self.told_short = short;
+        if short > self.warned_short {
+            self.warned_short = short;
             tracing::warn!("{}: the disk is full in {:.0} minutes at this rate", self.folder.display(), left_s / 60.0);
         }
     }

@@ -44,7 +44,7 @@ fn describe(out: &mut String, file: &Path, rig: &Rig, checked: &Check) -> fmt::R
     for (view, seen) in rig.views.iter().zip(&checked.views) {
         self::view(out, view, seen)?;
     }
-    if let Some(meeting) = &checked.meeting {
+    if let Some(meeting) = &checked.closest_approach {
         writeln!(
             out,
             "\nthe first two views look at ({}) mm, camera frame: central rays pass {:.1} mm apart at {:.1}°",

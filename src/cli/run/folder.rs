@@ -1,12 +1,12 @@
 //! The output folder of a run, and what may be replaced in it.
 //!
-//! A folder that this command wrote is known by its `run.toml`: which recording, which rig, which options. Results of the
-//! same recording are replaced, files of an earlier run that the new one does not write are removed (an old overlay beside a
-//! new log would tell lies). Results of another recording, and files that are not of this command, are never touched: the
-//! run is refused before any work.
+//! A folder that this command wrote is known by its `run.toml`: which recording, which rig, which options. Results of
+//! the same recording are replaced, files of an earlier run that the new one does not write are removed (an old overlay
+//! beside a new log would tell lies). Results of another recording, and files that are not of this command, are never
+//! touched: the run is refused before any work.
 
 use super::super::{Exit, Failure};
-use super::Record;
+use super::options::Record;
 use serde::{Deserialize, Serialize};
 use std::ffi::OsStr;
 use std::fs;
@@ -120,7 +120,8 @@ impl Files {
     /// Makes the folder ready for `run`, whose `inputs` no file may take the place of.
     ///
     /// # Errors
-    /// [`Exit::Usage`] when something is there that must not be replaced, [`Exit::Failed`] when the folder cannot be written.
+    /// [`Exit::Usage`] when something is there that must not be replaced, [`Exit::Failed`] when the folder cannot be
+    /// written.
     pub(in crate::cli) fn prepare(&self, run: &Run, inputs: &[&Path]) -> Result<(), Failure> {
         let taken = |path: &&PathBuf| inputs.iter().any(|input| path.exists() && whole_path(path) == whole_path(input));
         if let Some(input) = self.all().find(taken) {

@@ -1,75 +1,23 @@
-//! What tracking of a recording and tracking live have in common: the rig, the files, the last words.
+//! What tracking a recording and tracking live have in common: the rig, the files, how a run ends.
 
 pub(super) mod folder;
-pub(super) mod told;
+mod options;
+pub(super) mod summary;
+
+pub(super) use options::{Record, Reference};
 
 use super::{Exit, Failure};
 use crate::log;
+use crate::log::schema::RIG_ATTACHMENT;
 use crate::pipeline::{End, Summary};
 use crate::report::{ReportSink, RunInfo};
 use crate::rig::check::{Warning, check};
 use crate::rig::{Rig, RigError};
-use crate::sink::{
-    CsvSink, McapSink, OutputFrame, OverlaySink, PictureCodec, PictureCount, PictureVideo, Sink, SinkError,
-};
+use crate::sink::{CsvSink, McapSink, OutputFrame, OverlaySink, PictureCount, PictureVideo, Sink, SinkError};
 use crate::source::times::seconds;
 use folder::{Files, PICTURES};
 use std::path::Path;
 use std::sync::Arc;
-
-/// The frame of reference of table and report.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-pub(super) enum Reference {
-    Base,
-    Camera,
-}
-
-impl From<Reference> for OutputFrame {
-    fn from(reference: Reference) -> Self {
-        match reference {
-            Reference::Base => Self::Base,
-            Reference::Camera => Self::Camera,
-        }
-    }
-}
-
-impl Reference {
-    /// The word for it.
-    pub(super) fn word(self) -> &'static str {
-        match self {
-            Self::Base => "base",
-            Self::Camera => "camera",
-        }
-    }
-}
-
-/// What is recorded of the pictures.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-pub(super) enum Record {
-    Windows,
-    Ffv1,
-    H264,
-}
-
-impl Record {
-    /// The word for it.
-    pub(super) fn word(self) -> &'static str {
-        match self {
-            Self::Windows => "windows",
-            Self::Ffv1 => "ffv1",
-            Self::H264 => "h264",
-        }
-    }
-
-    /// How whole pictures are compressed, if they are recorded.
-    fn codec(self) -> Option<PictureCodec> {
-        match self {
-            Self::Windows => None,
-            Self::Ffv1 => Some(PictureCodec::Ffv1),
-            Self::H264 => Some(PictureCodec::H264),
-        }
-    }
-}
 
 /// The threads that fit, for `threads` of them; 0 for one a core.
 pub(super) fn pool(threads: usize) -> Result<rayon::ThreadPool, Failure> {
@@ -87,7 +35,7 @@ pub(super) fn load_rig(file: &Path, reference: Reference) -> Result<(Rig, String
 
 /// The rig that is attached to the log `file`, and its text.
 pub(super) fn rig_of_log(file: &Path, reference: Reference) -> Result<(Rig, String), Failure> {
-    let text = log::attached(file, "rig.toml").map_err(|e| Failure::new(Exit::Usage, e))?.unwrap_or_default();
+    let text = log::attached(file, RIG_ATTACHMENT).map_err(|e| Failure::new(Exit::Usage, e))?.unwrap_or_default();
     if text.trim().is_empty() {
         let text = format!("{}: has no rig.toml attached: name the rig with --rig", file.display());
         return Err(Failure::new(Exit::Usage, text));
@@ -106,7 +54,7 @@ fn understood(file: &Path, text: String, reference: Reference) -> Result<(Rig, S
 }
 
 /// What `catoptra rig check` would warn of: who never asked must not learn it from the results.
-pub(super) fn tell_warnings(file: &Path, rig: &Rig) -> Result<(), Failure> {
+pub(super) fn print_warnings(file: &Path, rig: &Rig) -> Result<(), Failure> {
     let rig_file = file.display();
     let checked = check(rig).map_err(|e| Failure::new(Exit::Usage, format!("{rig_file}: {e}")))?;
     // Without a base the user has asked for the camera's frame.
@@ -138,10 +86,10 @@ pub(super) fn open_sinks(
         let mut log = McapSink::create(&files.log, rig, rig_toml, run_toml)?;
         if let Some(record) = record {
             let what = record.codec().map_or(record.word(), |_| PICTURES);
-            log = log.telling_of_pictures(what, Arc::clone(&count));
+            log = log.with_pictures(what, Arc::clone(&count));
         }
         if log_cuts && record == Some(Record::Windows) {
-            log = log.keeping_windows();
+            log = log.with_windows();
         }
         let mut sinks: Vec<Box<dyn Sink + Send>> = vec![
             Box::new(log),
@@ -159,7 +107,7 @@ pub(super) fn open_sinks(
     open().map_err(|e| Failure::new(Exit::Failed, e))
 }
 
-/// How the run ended: exit code and last words.
+/// The exit code of a run, by how it ended, with the message to go with it.
 pub(super) fn verdict(source: &str, rig: &Rig, summary: Summary) -> Result<(), Failure> {
     let tally = &summary.tally;
     let so_far = match tally.frames {
@@ -182,7 +130,7 @@ pub(super) fn verdict(source: &str, rig: &Rig, summary: Summary) -> Result<(), F
             return Err(Failure::new(Exit::Failed, text));
         }
     }
-    match told::unusable(rig, tally) {
+    match summary::unusable(rig, tally) {
         Some(why) => Err(Failure::new(Exit::Unusable, why)),
         None => Ok(()),
     }

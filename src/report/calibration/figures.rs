@@ -1,7 +1,7 @@
 //! The plots of a calibration's page.
 
 use super::super::chart::{self, CURVE, INK, PALETTE, QUIET, css, css_faint, rounded};
-use super::super::page::escape;
+use super::super::html::escape;
 use crate::calibrate::rig::RigCalibration;
 use crate::calibrate::rig::diagnostics::{Neighbourhood, neighbourhoods};
 use nalgebra::{DMatrix, Point2, Point3, Vector2};

@@ -6,7 +6,8 @@ mod figures;
 mod tables;
 mod words;
 
-use super::page::{self, bad, card, escape, facts_table, figure, plural, signed, table};
+use super::html::{Html, escape};
+use super::page::{self, bad, card, facts_table, figure, plural, signed, table};
 use crate::calibrate::bundle::NoSolution;
 use crate::calibrate::rig::RigCalibration;
 use crate::calibrate::rig::diagnostics::{self, Diagnostic, diagnose};
@@ -109,17 +110,17 @@ fn cards(verdict: Option<&Verdict>, held: &[Result<HeldOut, NoSolution>]) -> Str
     let mut cards = String::new();
     if let Some(verdict) = verdict {
         let worst = |(_, worst): (f64, f64)| format!("worst {}", mm(worst));
-        let mut of = |name: &str, both: (f64, f64)| cards += &card(name, &mm(both.0), &worst(both), false);
+        let mut of = |name: &str, both: (f64, f64)| cards += &card(name, mm(both.0), worst(both), false);
         of("Base frame (relative)", verdict.median_and_worst(relative));
         of("Camera frame (absolute)", verdict.median_and_worst(absolute));
         let (median, worst) = verdict.angle_rad;
-        cards += &card("Angles", &degrees(median), &format!("worst {}", degrees(worst)), false);
+        cards += &card("Angles", degrees(median), format!("worst {}", degrees(worst)), false);
     }
     if let Some(edges) = Off::of(held.iter().flatten().flat_map(|h| &h.edges)) {
         cards += &card(
-            &format!("Held-out {:.1} mm lengths", edges.nominal_m * 1e3),
-            &mm(edges.rms_m),
-            &format!("noise {}", mm(edges.noise_m)),
+            format!("Held-out {:.1} mm lengths", edges.nominal_m * 1e3),
+            mm(edges.rms_m),
+            format!("noise {}", mm(edges.noise_m)),
             edges.beyond_noise(),
         );
     }
@@ -262,13 +263,13 @@ fn held_out(done: &RigCalibration, held: &[Result<HeldOut, NoSolution>]) -> Stri
 fn better(verdict: &Verdict) -> String {
     let (direction, sd_m) = verdict.weakest;
     let (now_absolute, now_relative) = (verdict.median_and_worst(absolute).0, verdict.median_and_worst(relative).0);
-    let rows = |list: Vec<&Suggestion>, absolute_first: bool| -> Vec<Vec<String>> {
-        let row = |name: String, absolute_m: f64, relative_m: f64| {
+    let rows = |list: Vec<&Suggestion>, absolute_first: bool| -> Vec<Vec<Html>> {
+        let row = |name: Html, absolute_m: f64, relative_m: f64| {
             let (first, second) = if absolute_first { (absolute_m, relative_m) } else { (relative_m, absolute_m) };
-            vec![name, exact_mm(first), exact_mm(second)]
+            vec![name, exact_mm(first).into(), exact_mm(second).into()]
         };
-        let now = row("<em>as it is</em>".to_owned(), now_absolute, now_relative);
-        let then = list.into_iter().take(SUGGESTIONS).map(|s| row(escape(&s.what), s.absolute_m, s.relative_m));
+        let now = row(Html::raw("<em>as it is</em>"), now_absolute, now_relative);
+        let then = list.into_iter().take(SUGGESTIONS).map(|s| row(Html::from(&s.what), s.absolute_m, s.relative_m));
         std::iter::once(now).chain(then).collect()
     };
     format!(
@@ -356,11 +357,11 @@ fn parameters(done: &RigCalibration) -> String {
 }
 
 fn left_out(info: &CalibrationInfo, done: &RigCalibration) -> String {
-    let rows: Vec<Vec<String>> = info
+    let rows: Vec<Vec<Html>> = info
         .not_found
         .iter()
         .chain(&done.left_out)
-        .map(|(name, why)| vec![escape(name), format!("<span class=\"why\">{}</span>", escape(why))])
+        .map(|(name, why)| vec![Html::from(name), Html::wrapped(why)])
         .collect();
     let used = done.used.len();
     let text = if rows.is_empty() {
@@ -372,8 +373,8 @@ fn left_out(info: &CalibrationInfo, done: &RigCalibration) -> String {
 }
 
 fn facts(info: &CalibrationInfo, done: &RigCalibration) -> String {
-    let mut rows = vec![("Rig".to_owned(), escape(&info.rig))];
-    rows.extend(info.settings.iter().map(|(name, value)| (escape(name), escape(value))));
+    let mut rows = vec![("Rig".to_owned(), info.rig.clone())];
+    rows.extend(info.settings.iter().cloned());
     rows.push(("Corners".to_owned(), done.corners.len().to_string()));
     rows.push(("Version".to_owned(), format!("Catoptra {}", env!("CARGO_PKG_VERSION"))));
     format!("<h2>What was calibrated</h2>\n{}", facts_table(&rows))

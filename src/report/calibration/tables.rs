@@ -1,6 +1,7 @@
 //! The tables of a calibration's page, in mm, degrees and pixels.
 
-use super::super::page::{escape, signed, table};
+use super::super::html::Html;
+use super::super::page::{signed, table};
 use crate::calibrate::bundle::prior::Prior;
 use crate::calibrate::bundle::{NoSolution, Solution};
 use crate::calibrate::geometry::{Geometry, Parameter};
@@ -50,7 +51,7 @@ pub(super) fn surfaces(solution: &Solution) -> String {
             let [x, y, z] = [plane.normal().x, plane.normal().y, plane.normal().z].map(|c| signed(c, 5));
             let tilt = |axis| number(sd(solution, Parameter::Tilt { surface, axis }).map(f64::to_degrees), 3);
             vec![
-                escape(name),
+                name.clone(),
                 format!("({x}, {y}, {z})"),
                 tilt(0),
                 tilt(1),
@@ -120,7 +121,7 @@ pub(super) fn known(solution: &Solution) -> String {
     let offset_m = |surface: usize| geometry.value(Parameter::Offset { surface });
     let normal = |surface: usize| geometry.surfaces.get(surface).map(|(_, s)| s.plane().normal());
     let mm = |value_m: f64, sd_m: f64| format!("{:.2} ± {:.2} mm", value_m * 1e3, sd_m * 1e3);
-    let rows: Vec<Vec<String>> = solution
+    let rows: Vec<Vec<Html>> = solution
         .known
         .iter()
         .map(|known| {
@@ -142,11 +143,11 @@ pub(super) fn known(solution: &Solution) -> String {
                 }
                 Prior::Taped { sd_m, .. } => (mm(0.0, *sd_m), "–".to_owned()),
             };
-            let off = contradiction(solution, known).map_or("–".to_owned(), |off| {
+            let off = contradiction(solution, known).map_or(Html::from("–"), |off| {
                 let class = if off > CONTRADICTS { " class=\"miss\"" } else { "" };
-                format!("<span{class}>{off:.1}</span>")
+                Html::raw(format!("<span{class}>{off:.1}</span>"))
             });
-            vec![escape(&known.what(geometry)), given, found, off]
+            vec![known.what(geometry).into(), given.into(), found.into(), off]
         })
         .collect();
     if rows.is_empty() {
@@ -167,15 +168,15 @@ pub(super) fn correlations(covariance: &DMatrix<f64>) -> DMatrix<f64> {
 
 /// The check on held-out pictures, a row a picture.
 pub(super) fn held_out(done: &RigCalibration, held: &[Result<HeldOut, NoSolution>]) -> String {
-    let mut rows: Vec<Vec<String>> = done
+    let mut rows: Vec<Vec<Html>> = done
         .used
         .iter()
         .zip(held)
         .map(|((_, used), held)| match held {
             Ok(held) => row(&used.name, &held.edges, &held.diagonals, held.scale, &held.rays_m),
             Err(why) => {
-                let mut row = vec![escape(&used.name), format!("without it, {why}")];
-                row.resize(9, String::new());
+                let mut row = vec![Html::from(&used.name), format!("without it, {why}").into()];
+                row.resize(9, Html::default());
                 row
             }
         })
@@ -189,7 +190,7 @@ pub(super) fn held_out(done: &RigCalibration, held: &[Result<HeldOut, NoSolution
     }
     let scale = (!scales.is_empty()).then(|| scales.iter().sum::<f64>() / scales.len() as f64);
     let all = row("all", &edges, &diagonals, scale, &rays_m);
-    rows.push(all.into_iter().map(|cell| format!("<strong>{cell}</strong>")).collect());
+    rows.push(all.into_iter().map(|cell| Html::raw(format!("<strong>{cell}</strong>"))).collect());
     let heads = [
         "Picture<br>left out",
         "Edges: RMS<br>off (mm)",
@@ -200,7 +201,8 @@ pub(super) fn held_out(done: &RigCalibration, held: &[Result<HeldOut, NoSolution
         "Scale: off in<br>100 mm (mm)",
         "Rays pass by<br>(median, mm)",
         "largest",
-    ];
+    ]
+    .map(Html::raw);
     format!(
         "{}<p class=\"note\">Rays pass by: how far the rays of the views pass the place nearest to them all, the number by which \
          the tracker tells that two views show the same band.</p>\n",
@@ -208,21 +210,21 @@ pub(super) fn held_out(done: &RigCalibration, held: &[Result<HeldOut, NoSolution
     )
 }
 
-fn row(name: &str, edges: &[Length], diagonals: &[Length], scale: Option<f64>, rays_m: &[f64]) -> Vec<String> {
+fn row(name: &str, edges: &[Length], diagonals: &[Length], scale: Option<f64>, rays_m: &[f64]) -> Vec<Html> {
     let mm = |value_m: Option<f64>| {
-        value_m.filter(|v| v.is_finite()).map_or("–".to_owned(), |v| format!("{:.3}", v * 1e3))
+        value_m.filter(|v| v.is_finite()).map_or(Html::from("–"), |v| format!("{:.3}", v * 1e3).into())
     };
     let (edges, diagonals) = (Off::of(edges), Off::of(diagonals));
     let mut sorted = rays_m.to_vec();
     sorted.sort_by(f64::total_cmp);
     vec![
-        escape(name),
+        Html::from(name),
         mm(edges.map(|o| o.rms_m)),
         mm(edges.map(|o| o.noise_m)),
         mm(edges.map(|o| o.largest_m)),
         mm(diagonals.map(|o| o.rms_m)),
         mm(diagonals.map(|o| o.noise_m)),
-        scale.map_or("–".to_owned(), |scale| signed(scale * 100.0, 3)),
+        scale.map_or("–".into(), |scale| signed(scale * 100.0, 3).into()),
         mm(sorted.get(sorted.len() / 2).copied()),
         mm(sorted.last().copied()),
     ]

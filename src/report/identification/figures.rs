@@ -2,13 +2,14 @@
 
 use super::super::chart::{self, CURVE, INK, PALETTE, QUIET, css, css_faint, rounded};
 use super::super::timeline::Timeline;
-use crate::identify::chain::{Data, Identification};
+use crate::identify::data::Data;
 use crate::identify::data::Record;
 use crate::identify::fit::{Kind, output};
+use crate::identify::identification::Identification;
 use crate::identify::modelled::{BodePoint, Role, unwrapped};
+use crate::identify::provenance::Provenance;
 use crate::identify::reduce::Reduced;
 use crate::identify::residuals::Residuals;
-use crate::identify::told::Told;
 use crate::sink::Rgb;
 use plotly::common::{DashType, Fill, HoverInfo, Line, Marker, MarkerSymbol, Mode};
 use plotly::layout::{AxisType, HoverMode, Shape, ShapeLayer, ShapeLine, ShapeType};
@@ -38,8 +39,8 @@ fn with_unit(name: &str, unit: &str) -> String {
 }
 
 /// The whole of a record, and its middle: observed and simulated.
-pub(super) fn courses(data: &Data, done: &Identification, told: &Told, record: &Record) -> (Plot, Plot) {
-    let kind = Kind::Simulation(told.start);
+pub(super) fn courses(data: &Data, done: &Identification, provenance: &Provenance, record: &Record) -> (Plot, Plot) {
+    let kind = Kind::Simulation(provenance.initial_state);
     let mut whole = Timeline::default();
     let longest = record.segments.iter().max_by_key(|s| s.len());
     for segment in &record.segments {
@@ -55,9 +56,9 @@ pub(super) fn courses(data: &Data, done: &Identification, told: &Told, record: &
     // What runs away would flatten all others.
     let largest = record.segments.iter().flat_map(|s| &s.output).fold(0.0_f64, |m, y| m.max(y.abs())) * 1.15;
     let layout = || {
-        chart::layout()
-            .x_axis(chart::value_axis("Time (s)").zero_line(false))
-            .y_axis(chart::value_axis(&with_unit(&told.output, &told.output_unit)).range(vec![-largest, largest]))
+        chart::layout().x_axis(chart::value_axis("Time (s)").zero_line(false)).y_axis(
+            chart::value_axis(&with_unit(&provenance.output, &provenance.output_unit)).range(vec![-largest, largest]),
+        )
     };
     let mut all = chart::plot(layout());
     let channel = |k: usize| whole.bins().iter().map(move |bin| bin.channels.get(k).copied().flatten());

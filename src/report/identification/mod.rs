@@ -4,58 +4,60 @@
 
 mod figures;
 
-use super::page::{self, card, escape, facts_table, figure, plural, table};
-use crate::identify::chain::{Data, Fit, Identification};
+use super::html::{Html, escape};
+use super::page::{self, card, facts_table, figure, plural, table};
 use crate::identify::continuous::{Continuous, Conversion};
-use crate::identify::fit::{Kind, Start};
+use crate::identify::data::Data;
+use crate::identify::fit::{InitialState, Kind};
+use crate::identify::identification::{Fit, Identification};
 use crate::identify::modelled::{ContinuousEstimate, Modelled, Role};
+use crate::identify::provenance::{Provenance, RecordSummary};
 use crate::identify::search::Candidate;
-use crate::identify::told::{RecordTold, Told};
 use std::collections::BTreeMap;
 
 /// The whole page.
-pub fn page(data: &Data, done: &Identification, told: &Told) -> String {
+pub fn page(data: &Data, done: &Identification, provenance: &Provenance) -> String {
     // The answer comes first, then how good it is, then what it rests on.
-    let mut body = header(done, told);
-    body += &cards(done, told);
+    let mut body = header(done, provenance);
+    body += &cards(done, provenance);
     body += &transfer_functions(done);
-    body += &table_1(done, told);
-    body += &time_courses(data, done, told);
+    body += &table_1(done, provenance);
+    body += &time_courses(data, done, provenance);
     body += &frequency(data, done);
     body += &orders(done);
     body += &reduction(done);
     body += &residuals(done);
-    body += &facts(done, told);
+    body += &facts(done, provenance);
     body += &format!("<footer>Catoptra {}. This file needs no network.</footer>\n", env!("CARGO_PKG_VERSION"));
-    page::page(&format!("Dynamics of {}", told.title), &body)
+    page::page(&format!("Dynamics of {}", provenance.title), &body)
 }
 
 /// Up to five digits, and powers of ten where they are shorter.
-fn number(value: f64) -> String {
+fn number(value: f64) -> Html {
     let size = value.abs();
     if value == 0.0 {
-        "0".to_owned()
+        "0".into()
     } else if (1e-3..1e5).contains(&size) {
         let digits = (4 - size.log10().floor() as i32).max(0) as usize;
-        format!("{value:.digits$}").replace('-', "−")
+        format!("{value:.digits$}").replace('-', "−").into()
     } else {
         let text = format!("{value:.4e}");
         let (mantissa, exponent) = text.split_once('e').unwrap_or((&text, "0"));
-        format!("{}·10<sup>{}</sup>", mantissa.replace('-', "−"), exponent.replace('-', "−"))
+        Html::raw(format!("{}·10<sup>{}</sup>", mantissa.replace('-', "−"), exponent.replace('-', "−")))
     }
 }
 
-fn percent(value: f64) -> String {
+fn percent(value: f64) -> Html {
     if !value.is_finite() {
-        "runs away".to_owned()
+        "runs away".into()
     } else if value < 1e4 {
-        format!("{value:.4}")
+        format!("{value:.4}").into()
     } else {
         number(value)
     }
 }
 
-fn header(done: &Identification, told: &Told) -> String {
+fn header(done: &Identification, provenance: &Provenance) -> String {
     let orders = done.orders;
     let chosen = match done.criterion {
         Some(criterion) => format!(
@@ -76,48 +78,49 @@ fn header(done: &Identification, told: &Told) -> String {
     );
     let answer = format!(
         "From {} to {}: na {}, nb {}, delay {} ({chosen}). {reduced}",
-        escape(&told.input),
-        escape(&told.output),
+        escape(&provenance.input),
+        escape(&provenance.output),
         orders.na,
         orders.nb,
         plural(orders.nk as u64, "sample")
     );
-    let doubts: String = done.doubts.iter().map(|doubt| format!("<li>{}</li>\n", escape(&doubt.to_string()))).collect();
-    let doubts = if doubts.is_empty() {
+    let diagnostics: String =
+        done.diagnostics.iter().map(|diagnostic| format!("<li>{}</li>\n", escape(&diagnostic.to_string()))).collect();
+    let diagnostics = if diagnostics.is_empty() {
         String::new()
     } else {
         format!(
-            "<div class=\"doubts\"><p><strong>To be known before the numbers are used:</strong></p>\n<ul>\n{doubts}</ul></div>\n"
+            "<div class=\"doubts\"><p><strong>To be known before the numbers are used:</strong></p>\n<ul>\n{diagnostics}</ul></div>\n"
         )
     };
     format!(
-        "<header>\n<p class=\"kind\">Catoptra identification</p>\n<h1>{}</h1>\n<p class=\"verdict\">{answer}</p>\n{doubts}</header>\n",
-        escape(&told.title)
+        "<header>\n<p class=\"kind\">Catoptra identification</p>\n<h1>{}</h1>\n<p class=\"verdict\">{answer}</p>\n{diagnostics}</header>\n",
+        escape(&provenance.title)
     )
 }
 
 /// The fit of a model to a record.
-fn fit<'a>(done: &'a Identification, record: &RecordTold, role: Role, kind: Kind) -> Option<&'a Fit> {
+fn fit<'a>(done: &'a Identification, record: &RecordSummary, role: Role, kind: Kind) -> Option<&'a Fit> {
     done.fits
         .iter()
         .find(|f| f.record == record.name && f.training == record.training && f.role == role && f.kind == kind)
 }
 
-fn cards(done: &Identification, told: &Told) -> String {
-    let record = told.records.iter().find(|r| !r.training).or(told.records.first());
+fn cards(done: &Identification, provenance: &Provenance) -> String {
+    let record = provenance.records.iter().find(|r| !r.training).or(provenance.records.first());
     let mut cards = String::new();
     if let Some(record) = record {
         let of = if record.training { "training" } else { "validation" };
         for model in &done.models {
-            let error = fit(done, record, model.role, Kind::Simulation(record.start))
+            let error = fit(done, record, model.role, Kind::Simulation(record.initial_state))
                 .map_or(f64::NAN, |f| f.error.error_percent);
             let text = match error {
                 e if e < 1.0 => format!("{e:.3} %"),
                 e if e < 1e3 => format!("{e:.1} %"),
                 _ => "runs away".to_owned(),
             };
-            let what = format!("of energy, {of}: {}", escape(&model.title));
-            cards += &card("Simulation error", &text, &what, !model.is_stable() || error >= 100.0);
+            let what = format!("of energy, {of}: {}", model.title);
+            cards += &card("Simulation error", text, what, !model.is_stable() || error >= 100.0);
         }
     }
     let best = done.model(Role::Refined).or(done.models.last());
@@ -126,7 +129,7 @@ fn cards(done: &Identification, told: &Told) -> String {
             let bandwidth = estimate.bandwidth;
             let text = bandwidth.frequency_hz.map_or("none".to_owned(), |f| format!("{f:.3} Hz"));
             let flag = if bandwidth.extrapolated { "; extrapolated" } else { "" };
-            cards += &card("Bandwidth", &text, &format!("{}{flag}", bandwidth.definition.words()), false);
+            cards += &card("Bandwidth", text, format!("{}{flag}", bandwidth.definition.words()), false);
         }
     }
     format!("<dl class=\"key\">\n{cards}</dl>\n")
@@ -177,18 +180,18 @@ fn transfer_functions(done: &Identification) -> String {
             text += "<p class=\"note\">A real pole of the discrete model is not positive: converted by Tustin's rule, right at low \
                      frequencies only.</p>\n";
         }
-        let names = |what: &str, of: &[f64], from: usize| -> Vec<String> {
-            (from..of.len()).map(|k| format!("{what}, s<sup>{}</sup>", of.len() - 1 - k)).collect()
+        let names = |what: &str, of: &[f64], from: usize| -> Vec<Html> {
+            (from..of.len()).map(|k| Html::raw(format!("{what}, s<sup>{}</sup>", of.len() - 1 - k))).collect()
         };
         let labels = [names("numerator", num, 0), names("denominator", den, 1)].concat();
         for (k, (label, value)) in labels.iter().zip(h.parameters()).enumerate() {
             let sd = standard_errors.as_ref().and_then(|all| all.get(k)).copied();
             rows.push(vec![
-                escape(&model.title),
+                Html::from(&model.title),
                 label.clone(),
                 number(value),
-                sd.map_or_else(String::new, number),
-                sd.map_or_else(String::new, |sd| format!("{:.2} %", 100.0 * sd / value.abs())),
+                sd.map_or_else(Html::default, number),
+                sd.map_or_else(Html::default, |sd| format!("{:.2} %", 100.0 * sd / value.abs()).into()),
             ]);
         }
         let poles: Vec<String> = h.poles().iter().map(|p| complex(p.re, p.im)).collect();
@@ -207,34 +210,39 @@ fn list(words: &[String]) -> String {
 
 fn complex(re: f64, im: f64) -> String {
     match im {
-        0.0 => number(re),
+        0.0 => number(re).to_string(),
         im => format!("{} {} {}i", number(re), if im < 0.0 { "−" } else { "+" }, number(im.abs())),
     }
 }
 
-fn table_1(done: &Identification, told: &Told) -> String {
+fn table_1(done: &Identification, provenance: &Provenance) -> String {
     let mut heads = vec!["Data"];
     heads.extend(done.models.iter().map(|m| m.title.as_str()));
     heads.push("one step ahead");
-    let other = if told.start == Start::Rest { Start::Estimated } else { Start::Rest };
+    let other =
+        if provenance.initial_state == InitialState::Rest { InitialState::Estimated } else { InitialState::Rest };
     let mut rows = Vec::new();
-    for start in [told.start, other] {
-        for record in &told.records {
+    for start in [provenance.initial_state, other] {
+        for record in &provenance.records {
             let role = if record.training { "Training" } else { "Validation" };
-            let begins = if start == Start::Rest { "from rest" } else { "start estimated" };
-            let name = format!("{role} ({:.0} s), {begins}: {}", record.duration_s, escape(&record.name));
+            let begins = if start == InitialState::Rest { "from rest" } else { "start estimated" };
+            let name = format!("{role} ({:.0} s), {begins}: {}", record.duration_s, record.name);
             let cell = |role, kind| {
-                fit(done, record, role, kind).map_or_else(String::new, |f| {
-                    format!(
+                fit(done, record, role, kind).map_or_else(Html::default, |f| {
+                    Html::raw(format!(
                         "{} <small>(fit {:.2} %)</small>",
                         percent(f.error.error_percent),
                         f.error.fit_percent.max(-999.0)
-                    )
+                    ))
                 })
             };
-            let mut row = vec![name];
+            let mut row = vec![Html::from(name)];
             row.extend(done.models.iter().map(|m| cell(m.role, Kind::Simulation(start))));
-            row.push(if start == told.start { cell(Role::Full, Kind::Prediction) } else { String::new() });
+            row.push(if start == provenance.initial_state {
+                cell(Role::Full, Kind::Prediction)
+            } else {
+                Html::default()
+            });
             rows.push(row);
         }
     }
@@ -246,12 +254,12 @@ fn table_1(done: &Identification, told: &Told) -> String {
     )
 }
 
-fn time_courses(data: &Data, done: &Identification, told: &Told) -> String {
+fn time_courses(data: &Data, done: &Identification, provenance: &Provenance) -> String {
     let mut text = "<h2>Observed and simulated</h2>\n".to_owned();
     for (k, record) in data.training.iter().chain(&data.validation).enumerate() {
         let training = k < data.training.len();
         text += &format!("<h3>{}: {}</h3>\n", if training { "Training" } else { "Validation" }, escape(&record.name));
-        let (whole, middle) = figures::courses(data, done, told, record);
+        let (whole, middle) = figures::courses(data, done, provenance, record);
         text += &figure(&format!("plot-course-{k}"), &whole, 300, false);
         text += "<p class=\"note\">Its middle, each sample:</p>\n";
         text += &figure(&format!("plot-middle-{k}"), &middle, 300, false);
@@ -276,7 +284,7 @@ fn frequency(data: &Data, done: &Identification) -> String {
         for estimate in &model.bandwidths {
             let found = estimate.bandwidth;
             rows.push(vec![
-                escape(&model.title),
+                model.title.clone(),
                 found.definition.words().to_owned(),
                 found.frequency_hz.map_or("none".to_owned(), |f| format!("{f:.4}")),
                 estimate.interval_hz.map_or_else(String::new, |(low, high)| format!("{low:.4} to {high:.4}")),
@@ -297,14 +305,14 @@ fn orders(done: &Identification) -> String {
     let what = if judged { "Simulation error of the validation data" } else { "Minimum description length" };
     let unstable = done.candidates.iter().filter(|c| c.largest_pole >= 1.0).count();
     let heads = ["na", "nb", "delay", "AIC", "MDL", "prediction error (%)", "simulation error (%)", "largest pole", ""];
-    let error = |e: Option<crate::identify::fit::FitError>| e.map_or_else(String::new, |e| percent(e.error_percent));
-    let rows: Vec<Vec<String>> = of_each_order(done, judged)
+    let error = |e: Option<crate::identify::fit::FitError>| e.map_or_else(Html::default, |e| percent(e.error_percent));
+    let rows: Vec<Vec<Html>> = of_each_order(done, judged)
         .into_iter()
         .map(|c| {
-            let counts = [c.orders.na, c.orders.nb, c.orders.nk].map(|n| n.to_string());
+            let counts = [c.orders.na, c.orders.nb, c.orders.nk].map(|n| n.to_string().into());
             let mark = if c.orders == done.orders { "chosen" } else { "" };
             let judged = [number(c.aic), number(c.mdl), error(c.prediction), error(c.simulation)];
-            let last = [format!("{:.5}", c.largest_pole), mark.to_owned()];
+            let last = [format!("{:.5}", c.largest_pole).into(), mark.into()];
             counts.into_iter().chain(judged).chain(last).collect()
         })
         .collect();
@@ -359,13 +367,13 @@ fn residuals(done: &Identification) -> String {
     )
 }
 
-fn facts(done: &Identification, told: &Told) -> String {
-    let rows: Vec<Vec<String>> = told
+fn facts(done: &Identification, provenance: &Provenance) -> String {
+    let rows: Vec<Vec<String>> = provenance
         .records
         .iter()
         .map(|r| {
             vec![
-                escape(&r.name),
+                r.name.clone(),
                 if r.training { "fitted" } else { "judged by" }.to_owned(),
                 r.samples.to_string(),
                 r.stretches.to_string(),
@@ -380,13 +388,15 @@ fn facts(done: &Identification, told: &Told) -> String {
         .collect();
     let heads =
         ["Record", "", "Samples", "Stretches", "Lost", "Missed", "Bridged", "Period (ms)", "Jitter (ms)", "Late (ms)"];
-    let mut lines: Vec<(String, String)> =
-        told.settings.iter().map(|(name, value)| (escape(name), escape(value))).collect();
+    let mut lines: Vec<(Html, Html)> =
+        provenance.settings.iter().map(|(name, value)| (name.into(), value.into())).collect();
     let stable = |m: &Modelled| if m.is_stable() { "stable" } else { "unstable" };
     for model in &done.models {
-        lines.push((escape(&model.title), format!("largest pole {:.6}, {}", model.largest_pole, stable(model))));
+        lines
+            .push(((&model.title).into(), format!("largest pole {:.6}, {}", model.largest_pole, stable(model)).into()));
     }
-    lines.push(("Condition".to_owned(), format!("{} of the regressors of ARX", number(done.arx.condition))));
+    let condition = Html::raw(format!("{} of the regressors of ARX", number(done.arx.condition)));
+    lines.push(("Condition".into(), condition));
     format!(
         "<h2>Where it is from</h2>\n<p>Lost: places on the camera's grid without a frame. Missed: frames without an angle. Late: how much the \
          output is later than the commands say, clocks, amplifier and system together; taken out only when asked for.</p>\n{}{}",
@@ -401,11 +411,11 @@ mod tests {
 
     #[test]
     fn numbers_and_polynomials_as_people_read_them() {
-        assert_eq!(number(17610.0), "17610");
-        assert_eq!(number(-4.59), "−4.5900");
-        assert_eq!(number(1.5e-7), "1.5000·10<sup>−7</sup>");
+        assert_eq!(number(17610.0).to_string(), "17610");
+        assert_eq!(number(-4.59).to_string(), "−4.5900");
+        assert_eq!(number(1.5e-7).to_string(), "1.5000·10<sup>−7</sup>");
         assert_eq!(polynomial(&[1.0, 4.59, -1.136]), "s<sup>2</sup> + 4.5900 s − 1.1360");
         assert_eq!(polynomial(&[17610.0, 6344.0]), "17610 s + 6344.0");
-        assert_eq!(percent(f64::INFINITY), "runs away");
+        assert_eq!(percent(f64::INFINITY).to_string(), "runs away");
     }
 }

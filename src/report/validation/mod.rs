@@ -4,7 +4,8 @@
 
 mod figures;
 
-use super::page::{self, bad, card, escape, facts_table, figure, plural, signed, table};
+use super::html::{Html, escape};
+use super::page::{self, bad, card, facts_table, figure, plural, signed, table};
 use crate::source::times::seconds;
 use crate::validate::{Row, Run, Size, Validation};
 
@@ -31,8 +32,8 @@ pub fn page(validation: &Validation, settings: &Settings) -> String {
     page::page(&format!("Validation along {}", validation.name()), &body)
 }
 
-/// Where the magnitude is 3 dB below that of the slowest run, Hz: on the line between two runs over the logarithm of frequency.
-/// `None` when it does not fall so far.
+/// Where the magnitude is 3 dB below that of the slowest run, Hz: on the line between two runs over the logarithm of
+/// frequency. `None` when it does not fall so far.
 pub fn bandwidth_hz(validation: &Validation) -> Option<f64> {
     let points: Vec<(f64, f64)> =
         validation.runs.iter().rev().filter_map(|run| Some((run.frequency_hz.ln(), run.magnitude?.db))).collect();
@@ -94,7 +95,7 @@ fn cards(validation: &Validation) -> String {
             let magnitude = with_sign(run.magnitude.map(|m| m.db), 2);
             let phase = with_sign(run.phase_deg, 1);
             let words = format!("{magnitude} dB, {phase}° at {} Hz", short(run.frequency_hz));
-            cards += &card(&format!("{name}, {}", pause(run)), &mm(run.alignment.rms_m), &words, false);
+            cards += &card(format!("{name}, {}", pause(run)), mm(run.alignment.rms_m), words, false);
         };
         of("Slowest", slowest);
         if validation.runs.len() > 1 {
@@ -103,11 +104,11 @@ fn cards(validation: &Validation) -> String {
                 Some(hz) => (format!("{hz:.2} Hz"), "3 dB below the slowest run"),
                 None => ("–".to_owned(), "does not fall by 3 dB"),
             };
-            cards += &card("Bandwidth", &value, words, false);
+            cards += &card("Bandwidth", value, words, false);
         }
     }
     let (points, left_out) = validation.runs.iter().fold((0, 0), |(p, l), run| (p + run.steps.len(), l + run.left_out));
-    cards += &card("Points left out", &left_out.to_string(), &format!("of {points}"), 10 * left_out > points);
+    cards += &card("Points left out", left_out.to_string(), format!("of {points}"), 10 * left_out > points);
     format!("<dl class=\"key\">\n{cards}</dl>\n")
 }
 
@@ -237,7 +238,7 @@ fn paths(validation: &Validation) -> String {
 }
 
 fn frames(validation: &Validation) -> String {
-    let rows: Vec<Vec<String>> = validation
+    let rows: Vec<Vec<Html>> = validation
         .runs
         .iter()
         .map(|run| {
@@ -248,15 +249,15 @@ fn frames(validation: &Validation) -> String {
                 _ => "by correlation",
             };
             vec![
-                pause(run),
-                format!("<span class=\"why\">{}</span>", escape(&row.file)),
-                format!("{:.3} s, {start}", seconds(run.start_ns)),
-                row.points_are.to_owned(),
-                row.frames.to_string(),
-                format!("{} + {}", row.frames_missed, row.frames_lost),
-                format!("{} of {}", row.points_left_out, row.points),
-                plain(row.scatter_mm, 3),
-                plain(row.sd_mm, 3),
+                Html::from(pause(run)),
+                Html::wrapped(&row.file),
+                format!("{:.3} s, {start}", seconds(run.start_ns)).into(),
+                row.points_are.into(),
+                row.frames.to_string().into(),
+                format!("{} + {}", row.frames_missed, row.frames_lost).into(),
+                format!("{} of {}", row.points_left_out, row.points).into(),
+                plain(row.scatter_mm, 3).into(),
+                plain(row.sd_mm, 3).into(),
             ]
         })
         .collect();
@@ -288,11 +289,11 @@ fn frames(validation: &Validation) -> String {
 fn facts(validation: &Validation, settings: &Settings) -> String {
     let path = &validation.path;
     let mut rows = vec![
-        ("Path".to_owned(), escape(&path.file.display().to_string())),
-        ("Marker".to_owned(), escape(validation.runs.first().map_or("", |run| run.marker.as_str()))),
+        ("Path".to_owned(), path.file.display().to_string()),
+        ("Marker".to_owned(), validation.runs.first().map_or_else(String::new, |run| run.marker.clone())),
         ("Points".to_owned(), format!("{} a period, {} periods", path.points.len(), path.periods)),
     ];
-    rows.extend(settings.iter().map(|(name, value)| (escape(name), escape(value))));
+    rows.extend(settings.iter().cloned());
     rows.push(("Version".to_owned(), format!("Catoptra {}", env!("CARGO_PKG_VERSION"))));
     format!("<h2>What was compared</h2>\n{}", facts_table(&rows))
 }

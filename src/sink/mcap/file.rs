@@ -1,14 +1,15 @@
 //! [`LogFile`]: an MCAP file of which everything older than [`FLUSH_AFTER`] survives a kill at any instant.
 //!
-//! Messages gather in a chunk in memory and reach the file as whole chunks, so an unfinished file is a series of complete
-//! records (at worst with one torn at its end). A chunk is closed when [`FLUSH_AFTER`] of camera time is in it (the
-//! caller's part, see [`LogFile::message`]) and when its first message has waited that long by the clock on the wall,
-//! which a small thread watches: a camera that stalls must not keep its last frames in memory.
+//! Messages gather in a chunk in memory and reach the file as whole chunks, so an unfinished file is a series of
+//! complete records (at worst with one torn at its end). A chunk is closed when [`FLUSH_AFTER`] of camera time is in it
+//! (the caller's part, see [`LogFile::message`]) and when its first message has waited that long by the clock on the
+//! wall, which a small thread watches: a camera that stalls must not keep its last frames in memory.
 //!
-//! Chunks are not compressed. At 60 Hz with three markers in two views a log grows by 25 MB a minute, and zstd would save
-//! two fifths of it (the lower half of the numbers is noise): not worth a C library that nothing else here needs.
+//! Chunks are not compressed. At 60 Hz with three markers in two views a log grows by 25 MB a minute, and zstd would
+//! save two fifths of it (the lower half of the numbers is noise): not worth a C library that nothing else here needs.
 
-use crate::sink::topics::{ENCODING, Message, Topic};
+use crate::log::schema::{ENCODING, Topic};
+use crate::sink::encoder::Message;
 use crate::sink::{SinkError, same_error, settle};
 use mcap::records::{MessageHeader, Metadata};
 use mcap::write::NoSeek;
@@ -49,11 +50,11 @@ pub(super) struct LogFile {
 
 #[derive(Debug)]
 struct Shared {
-    state: Mutex<State>,
+    state: Mutex<OpenFile>,
     changed: Condvar,
 }
 
-struct State {
+struct OpenFile {
     /// Gone once the file is finished or lost.
     writer: Option<Writer>,
     /// When the oldest message in memory was written.
@@ -63,9 +64,9 @@ struct State {
     closed: bool,
 }
 
-impl std::fmt::Debug for State {
+impl std::fmt::Debug for OpenFile {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("State")
+        f.debug_struct("OpenFile")
             .field("waiting_since", &self.waiting_since)
             .field("failure", &self.failure)
             .field("closed", &self.closed)
@@ -88,7 +89,7 @@ impl LogFile {
             .disable_seeking(true)
             .create(NoSeek::new(BufWriter::new(file)))
             .map_err(|e| lost(system_error(e)))?;
-        let state = State { writer: Some(writer), waiting_since: None, failure: None, closed: false };
+        let state = OpenFile { writer: Some(writer), waiting_since: None, failure: None, closed: false };
         let shared = Arc::new(Shared { state: Mutex::new(state), changed: Condvar::new() });
         let watched = Arc::clone(&shared);
         let flusher = std::thread::Builder::new()
@@ -190,7 +191,7 @@ impl Drop for LogFile {
 
 impl Shared {
     /// The state; a thread that panicked with it leaves it as it was, which is no reason to lose the log.
-    fn lock(&self) -> MutexGuard<'_, State> {
+    fn lock(&self) -> MutexGuard<'_, OpenFile> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -212,7 +213,7 @@ impl Shared {
     }
 }
 
-impl State {
+impl OpenFile {
     fn run<T>(&mut self, action: impl FnOnce(&mut Writer) -> McapResult<T>) -> io::Result<T> {
         if let Some(failure) = &self.failure {
             return Err(same_error(failure));
@@ -222,10 +223,10 @@ impl State {
         };
         action(writer).map_err(|e| {
             let failure = system_error(e);
-            let told = same_error(&failure);
+            let copy = same_error(&failure);
             self.failure = Some(failure);
             self.writer = None;
-            told
+            copy
         })
     }
 }

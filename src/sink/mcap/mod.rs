@@ -1,38 +1,32 @@
 //! The log: MCAP with Protobuf messages, readable by Foxglove and by every language that has an `mcap` package.
 //!
-//! | topic | schema | when | what |
-//! |---|---|---|---|
-//! | `/catheter/estimate` | `catoptra.Estimate` ([`messages::Estimate`]) | every frame | all that was measured, in the camera frame and the base frame, with covariances and what each view showed |
-//! | `/catheter/deflection` | `catoptra.Deflection` ([`messages::Deflection`]) | every frame | θ and its σ; NaN and the reason when not measured |
-//! | `/scene` | `foxglove.SceneUpdate` | every frame | tube, bands and coil direction, in frame `base` (`camera` when the rig has no base) |
-//! | `/camera/annotations` | `foxglove.ImageAnnotations` | every frame | outline, centre and label of every band in every view |
-//! | `/camera/calibration` | `foxglove.CameraCalibration` | once | intrinsics, `plumb_bob` |
-//! | `/tf` | `foxglove.FrameTransform` | once, if the rig has a base | place of frame `camera` in frame `base` |
-//! | `/coil/current` | `catoptra.Current` ([`messages::Current`]) | live, when given | currents of the coils, on the host's clock |
-//! | `/camera/windows` | `catoptra.PictureWindows` ([`messages::PictureWindows`]) | every frame that was tracked, with `--record windows`, and some frames after its estimate | the parts of the picture that the tracker looked at |
-//! | `/health` | `catoptra.Health` ([`messages::Health`]) | every second of camera time, and at the end | frames, losses, misses by reason, drift alarms (and when one is raised) |
+//! Its topics and messages are those of [`log::schema`](crate::log::schema).
 //!
-//! Attached are `rig.toml` and `options.toml`, the rig and the options of the run. The metadata record `catoptra` has the
-//! program's `version`, the `clock` of the time stamps, and as `pictures` the name of the video beside the log, or `windows`.
+//! Attached are `rig.toml` and `options.toml`, the rig and the options of the run. The metadata record `catoptra` has
+//! the program's `version`, the `clock` of the time stamps, and as `pictures` the name of the video beside the log, or
+//! `windows`.
 //!
 //! # Time
-//! The publish time of a message is the camera's time stamp of its frame, in nanoseconds since that clock's zero. Its log
-//! time is the same, and in a live run the host's time of the frame's arrival, nanoseconds since 1970. The container cannot hold negative times, and 0 is taken for "no time" by some programs: frames stamped at or before 0 are
-//! filed at 1 ns, in their order. `stamp_ns` in the project's own messages is exact always; `timestamp` in Foxglove's is
-//! exact from 0 up and 0 before. The sequence number of a message is that of its frame.
+//! The publish time of a message is the camera's time stamp of its frame, in nanoseconds since that clock's zero. Its
+//! log time is the same, and in a live run the host's time of the frame's arrival, nanoseconds since 1970. The
+//! container cannot hold negative times, and 0 is taken for "no time" by some programs: frames stamped at or before 0
+//! are filed at 1 ns, in their order. `stamp_ns` in the project's own messages is exact always; `timestamp` in
+//! Foxglove's is exact from 0 up and 0 before. The sequence number of a message is that of its frame.
 //!
 //! # After a crash
-//! Whatever ends the run, all messages older than a second can be read: see `file.rs` for how. A log without its end has no
-//! index; `mcap recover` makes one.
+//! Whatever ends the run, all messages older than a second can be read: see `file.rs` for how. A log without its end
+//! has no index; `mcap recover` makes one.
 
 mod file;
 
-use super::messages::PictureWindows;
-use super::topics::{Teller, file_time_ns};
-use super::{CurrentSample, Keeper, PictureCount, Sink, SinkError};
+use super::encoder::{MessageEncoder, file_time_ns};
+use super::{CurrentSample, PictureCount, Sink, SinkError, WindowRecorder};
 use crate::estimate::Estimate;
+use crate::log::schema::messages::PictureWindows;
+use crate::log::schema::{METADATA, OPTIONS_ATTACHMENT, RIG_ATTACHMENT};
 use crate::rig::Rig;
 use crate::source::Picture;
+use crate::tally::{Tally, Totals};
 use file::{FLUSH_AFTER, LogFile, Times};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -42,14 +36,15 @@ use std::sync::Arc;
 #[derive(Debug)]
 pub struct McapSink {
     file: LogFile,
-    teller: Teller,
+    encoder: MessageEncoder,
     /// Sequence and times of the last frame.
     last: Option<(u32, Times)>,
-    /// Camera time of the last flush, nanoseconds.
+    /// Camera time of the last frame and of the last flush, nanoseconds.
+    last_ns: i64,
     flushed_ns: i64,
-    /// What is told of the pictures in the metadata.
+    /// Where the pictures are, for the metadata.
     pictures: Option<String>,
-    keeper: Option<Keeper>,
+    windows: Option<WindowRecorder>,
     count: Option<Arc<PictureCount>>,
 }
 
@@ -62,34 +57,36 @@ impl McapSink {
     /// [`SinkError::Io`] when the file cannot be created or written.
     pub fn create(path: &Path, rig: &Rig, rig_toml: &str, options_toml: &str) -> Result<Self, SinkError> {
         let mut file = LogFile::create(path)?;
-        file.attach("rig.toml", "application/toml", rig_toml)?;
-        file.attach("options.toml", "application/toml", options_toml)?;
+        file.attach(RIG_ATTACHMENT, "application/toml", rig_toml)?;
+        file.attach(OPTIONS_ATTACHMENT, "application/toml", options_toml)?;
         file.announce()?;
         file.flush()?;
         Ok(Self {
             file,
-            teller: Teller::new(rig),
+            encoder: MessageEncoder::new(rig),
             last: None,
+            last_ns: 0,
             flushed_ns: 0,
             pictures: None,
-            keeper: None,
+            windows: None,
             count: None,
         })
     }
 
-    /// The run records pictures: `what` goes into the metadata (`windows`, or the name of the video), their count into `/health`.
+    /// The run records pictures: `what` goes into the metadata (`windows`, or the name of the video), their count into
+    /// `/health`.
     #[must_use]
-    pub fn telling_of_pictures(mut self, what: &str, count: Arc<PictureCount>) -> Self {
+    pub fn with_pictures(mut self, what: &str, count: Arc<PictureCount>) -> Self {
         self.pictures = Some(what.to_owned());
-        self.teller.count_pictures(Arc::clone(&count));
+        self.encoder.set_picture_count(Arc::clone(&count));
         self.count = Some(count);
         self
     }
 
     /// Keeps the windows of the pictures that [`Sink::write`] is given.
     #[must_use]
-    pub fn keeping_windows(mut self) -> Self {
-        self.keeper = Some(Keeper::default());
+    pub fn with_windows(mut self) -> Self {
+        self.windows = Some(WindowRecorder::default());
         self
     }
 
@@ -102,19 +99,28 @@ impl McapSink {
 
     /// What is said once, before the first frame.
     fn begin(&mut self, estimate: &Estimate, seq: u32, times: Times) -> Result<(), SinkError> {
-        self.file.metadata("catoptra", self.about(Some(estimate.stamp.clock.name())))?;
-        for message in self.teller.rig(estimate.stamp.ns)? {
+        self.file.metadata(METADATA, self.about(Some(estimate.stamp.clock.name())))?;
+        for message in self.encoder.rig(estimate.stamp.ns)? {
             self.file.message(&message, seq, times)?;
         }
-        self.flushed_ns = estimate.stamp.ns;
+        (self.last_ns, self.flushed_ns) = (estimate.stamp.ns, estimate.stamp.ns);
         Ok(())
+    }
+
+    /// Hands the frames so far to the system, when enough camera time is in them.
+    fn flush_if_due(&mut self) -> Result<(), SinkError> {
+        if u128::from(self.last_ns.abs_diff(self.flushed_ns)) < FLUSH_AFTER.as_nanos() {
+            return Ok(());
+        }
+        self.flushed_ns = self.last_ns;
+        self.file.flush()
     }
 }
 
 impl Sink for McapSink {
     fn write(&mut self, estimate: &Estimate, picture: Option<&Picture>) -> Result<(), SinkError> {
-        let stamp_ns = estimate.stamp.ns;
-        let publish_ns = file_time_ns(stamp_ns);
+        self.flush_if_due()?;
+        let publish_ns = file_time_ns(estimate.stamp.ns);
         let log_ns = estimate.host.map_or(publish_ns, |host| file_time_ns(host.arrival_ns));
         let times = Times { log_ns, publish_ns };
         // The format counts messages in 32 bits: two years of frames at 60 Hz, then from 0 again.
@@ -123,40 +129,43 @@ impl Sink for McapSink {
             self.begin(estimate, seq, times)?;
         }
         self.last = Some((seq, times));
-        for message in self.teller.frame(estimate)? {
+        for message in self.encoder.frame(estimate)? {
             self.file.message(&message, seq, times)?;
         }
-        if let (Some(keeper), Some(picture)) = (&mut self.keeper, picture) {
-            let kept = keeper.keep(estimate, picture)?;
-            self.file.message(&Teller::windows(&kept)?, seq, times)?;
+        if let (Some(windows), Some(picture)) = (&mut self.windows, picture) {
+            let kept = windows.keep(estimate, picture)?;
+            self.file.message(&MessageEncoder::windows(&kept)?, seq, times)?;
             if let Some(count) = &self.count {
                 count.add_recorded();
             }
         }
-        if u128::from(stamp_ns.abs_diff(self.flushed_ns)) >= FLUSH_AFTER.as_nanos() {
-            self.flushed_ns = stamp_ns;
-            self.file.flush()?;
-        }
+        self.last_ns = estimate.stamp.ns;
         Ok(())
     }
 
     fn write_current(&mut self, sample: &CurrentSample) -> Result<(), SinkError> {
         let times = Times { log_ns: file_time_ns(sample.arrival_ns), publish_ns: file_time_ns(sample.host_ns) };
         let seq = sample.seq.map_or(0, |seq| (seq & u64::from(u32::MAX)) as u32);
-        self.file.message(&Teller::current(sample)?, seq, times)
+        self.file.message(&MessageEncoder::current(sample)?, seq, times)
     }
 
     fn write_windows(&mut self, kept: &PictureWindows) -> Result<bool, SinkError> {
         let publish_ns = file_time_ns(kept.stamp_ns);
         let times = Times { log_ns: kept.arrival_ns.map_or(publish_ns, file_time_ns), publish_ns };
-        self.file.message(&Teller::windows(kept)?, (kept.seq & u64::from(u32::MAX)) as u32, times)?;
+        self.file.message(&MessageEncoder::windows(kept)?, (kept.seq & u64::from(u32::MAX)) as u32, times)?;
         Ok(true)
     }
 
-    fn finish(&mut self) -> Result<(), SinkError> {
+    fn write_totals(&mut self, totals: &Totals) -> Result<(), SinkError> {
+        let Some((seq, times)) = self.last else { return Ok(()) };
+        self.file.message(&self.encoder.totals(totals)?, seq, times)
+    }
+
+    fn finish(&mut self, tally: &Tally) -> Result<(), SinkError> {
+        self.flush_if_due()?;
         match self.last {
-            Some((seq, times)) => self.file.message(&self.teller.totals()?, seq, times)?,
-            None => self.file.metadata("catoptra", self.about(None))?,
+            Some(_) => self.write_totals(&tally.totals())?,
+            None => self.file.metadata(METADATA, self.about(None))?,
         }
         self.file.finish()
     }

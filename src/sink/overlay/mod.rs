@@ -15,6 +15,7 @@ use super::{Sink, SinkError};
 use crate::estimate::Estimate;
 use crate::rig::Rig;
 use crate::source::Picture;
+use crate::tally::Tally;
 use opencv::core::{Mat, Rect};
 use opencv::prelude::*;
 use pen::Canvas;
@@ -139,7 +140,7 @@ impl Sink for OverlaySink {
         self.video.write(bytes, stride, estimate.stamp.ns)
     }
 
-    fn finish(&mut self) -> Result<(), SinkError> {
+    fn finish(&mut self, _: &Tally) -> Result<(), SinkError> {
         self.video.finish()
     }
 }

@@ -1,4 +1,5 @@
-//! Drawing on a BGR picture with sub-pixel places: lines, areas and text with a dark rim, so that they read on any ground.
+//! Drawing on a BGR picture with sub-pixel places: lines, areas and text with a dark rim, so that they read on any
+//! ground.
 
 use crate::sink::palette::Rgb;
 use nalgebra::{Point2, Vector2};

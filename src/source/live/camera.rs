@@ -1,17 +1,17 @@
 //! A camera on this computer or its network: what all of them have in common.
 //!
-//! In: buffers of one connection to a camera, each with a frame counter, a stamp and a picture or the reason why there is
-//! none. Out: frames. Lost frames are what the counter leaves out; a picture that is no good is left out and counted as
-//! lost too. A counter that the driver makes, not the camera, sees only what reaches the driver: there the stamps have a
-//! say where they tell clearly. A counter that begins anew says nothing of what is missing.
+//! In: buffers of one connection to a camera, each with a frame counter, a stamp and a picture or the reason why there
+//! is none. Out: frames. Lost frames are what the counter leaves out; a picture that is no good is left out and counted
+//! as lost too. A counter that the driver makes, not the camera, sees only what reaches the driver: there the stamps
+//! have a say where they tell clearly. A counter that begins anew says nothing of what is missing.
 //!
-//! A camera that is lost, or silent for [`SILENCE`], is opened again, once a second, and set up as at first; the interruption
-//! is counted, what was lost in it is not known.
+//! A camera that is lost, or silent for [`SILENCE`], is opened again, once a second, and set up as at first; the
+//! interruption is counted, what was lost in it is not known.
 
 use super::super::counter::{Count, FrameCounter, Wrap};
 use super::super::host::{ClockFit, HostClock};
 use super::super::stamps::StampWatch;
-use super::super::{Clock, Frame, FrameSource, HostTime, Picture, SourceError, Tally, Timestamp};
+use super::super::{Clock, Frame, FrameSource, HostTime, Picture, SourceError, StreamFaults, Timestamp};
 use super::retry::until_back;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -74,7 +74,7 @@ pub struct Camera {
     stop: Arc<AtomicBool>,
     last_host_ns: i64,
     seq: u64,
-    tally: Tally,
+    faults: StreamFaults,
     unstamped_named: bool,
 }
 
@@ -123,7 +123,7 @@ impl Camera {
             stop,
             last_host_ns: i64::MIN,
             seq: 0,
-            tally: Tally::default(),
+            faults: StreamFaults::default(),
             unstamped_named: false,
         })
     }
@@ -153,8 +153,8 @@ impl Camera {
             Ok(picture) => Ok(Some((taken, picture))),
             Err(reason) => {
                 session.missing = session.missing.saturating_add(1);
-                self.tally.pictures_left_out += 1;
-                if self.tally.pictures_left_out == 1 {
+                self.faults.pictures_left_out += 1;
+                if self.faults.pictures_left_out == 1 {
                     let number = taken.number;
                     tracing::warn!("{}: picture {number} is left out ({reason}); more are counted", self.name);
                 }
@@ -174,7 +174,7 @@ impl Camera {
         });
         let mut gap = 0;
         if let Some(session) = &mut self.session {
-            let by_stamps = session.stamps.clear_gap(stamp.ns, self.seq, &mut self.tally);
+            let by_stamps = session.stamps.clear_gap(stamp.ns, self.seq, &mut self.faults);
             gap = std::mem::take(&mut session.missing);
             if session.connection.driver_counts() {
                 gap = gap.max(by_stamps);
@@ -210,7 +210,7 @@ impl FrameSource for Camera {
                 Ok(None) => {}
                 Err(reason) => {
                     tracing::warn!("{}: the camera is lost ({reason}); waiting for it to come back", self.name);
-                    self.tally.interruptions += 1;
+                    self.faults.interruptions += 1;
                     self.session = None;
                 }
             }
@@ -226,8 +226,8 @@ impl FrameSource for Camera {
         None
     }
 
-    fn tally(&self) -> Tally {
-        self.tally
+    fn faults(&self) -> StreamFaults {
+        self.faults
     }
 }
 
@@ -300,7 +300,7 @@ mod tests {
         let (mut camera, _) = camera(vec![buffers.into()], false);
         let gaps: Vec<(u64, u32)> = (0..5).map(|_| next(&mut camera)).map(|frame| (frame.seq, frame.gap)).collect();
         assert_eq!(gaps, [(0, 0), (1, 0), (2, 2), (3, 3), (4, 0)]);
-        assert_eq!(camera.tally().pictures_left_out, 2);
+        assert_eq!(camera.faults().pictures_left_out, 2);
     }
 
     #[test]
@@ -308,7 +308,7 @@ mod tests {
         let (mut camera, _) = camera(vec![vec![good(100), good(101), good(3), good(4)]], false);
         let frames: Vec<Frame> = (0..4).map(|_| next(&mut camera)).collect();
         assert_eq!(frames.iter().map(|f| f.gap).collect::<Vec<_>>(), [0; 4]);
-        assert_eq!(camera.tally().backward_stamps, 1);
+        assert_eq!(camera.faults().backward_stamps, 1);
         assert!(frames.windows(2).all(|two| two[0].host.unwrap().stamp_ns < two[1].host.unwrap().stamp_ns));
     }
 
@@ -328,13 +328,13 @@ mod tests {
         let (mut camera, stop) = camera(vec![vec![good(5), good(6)], vec![good(1), good(2)]], false);
         let frames: Vec<(u64, u32)> = (0..4).map(|_| next(&mut camera)).map(|f| (f.seq, f.gap)).collect();
         assert_eq!(frames, [(0, 0), (1, 0), (2, 0), (3, 0)]);
-        assert_eq!((camera.tally().interruptions, camera.tally().backward_stamps), (1, 0));
+        assert_eq!((camera.faults().interruptions, camera.faults().backward_stamps), (1, 0));
         let setter = std::thread::spawn(move || {
             std::thread::sleep(Duration::from_millis(200));
             stop.store(true, Ordering::Relaxed);
         });
         assert!(camera.next_frame().unwrap().is_none());
-        assert_eq!(camera.tally().interruptions, 2);
+        assert_eq!(camera.faults().interruptions, 2);
         setter.join().unwrap();
     }
 

@@ -1,8 +1,8 @@
 //! GenICam cameras, GigE Vision and USB3 Vision, through Aravis.
 //!
-//! Stamps are the camera's own clock; the frame counter is the camera's own, too. Aravis asks a GigE camera again for packets
-//! that were lost; a picture that still has holes is left out and counted. A trigger stays as the camera has it, unless a
-//! frame rate is asked for: then Aravis switches it off.
+//! Stamps are the camera's own clock; the frame counter is the camera's own, too. Aravis asks a GigE camera again for
+//! packets that were lost; a picture that still has holes is left out and counted. A trigger stays as the camera has
+//! it, unless a frame rate is asked for: then Aravis switches it off.
 
 use super::super::counter::Wrap;
 use super::super::decoded::PictureMaker;
@@ -55,8 +55,8 @@ const FORMATS: [(&str, Pixel, Yuv); 17] = [
 static ARAVIS: LazyLock<Mutex<Option<Aravis>>> = LazyLock::new(|| Mutex::new(Aravis::initialize().ok()));
 
 impl Camera {
-    /// The GenICam camera called `id`, as `arv-tool` lists it (identifier, model, serial number or address), or the first
-    /// one when that is empty.
+    /// The GenICam camera called `id`, as `arv-tool` lists it (identifier, model, serial number or address), or the
+    /// first one when that is empty.
     ///
     /// # Errors
     /// When there is none, or its pictures cannot be read.

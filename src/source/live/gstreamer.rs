@@ -1,9 +1,9 @@
 //! GStreamer pipelines: `gst:PIPELINE`, whatever GStreamer reads and whatever is done to it before.
 //!
-//! The pipeline is written as for `gst-launch-1.0`, without a sink; one is added that takes pictures as they are, in the formats
-//! that are read here. A stamp is the buffer's presentation time, since the pipeline's own zero: in a live pipeline the pipeline's
-//! clock when the source took it, of a file the file's time ([`Clock::Stream`]). Frames are counted by the buffers' `offset`
-//! where they have a frame's number there, and by their stamps.
+//! The pipeline is written as for `gst-launch-1.0`, without a sink; one is added that takes pictures as they are, in
+//! the formats that are read here. A stamp is the buffer's presentation time, since the pipeline's own zero: in a live
+//! pipeline the pipeline's clock when the source took it, of a file the file's time ([`Clock::Stream`]). Frames are
+//! counted by the buffers' `offset` where they have a frame's number there, and by their stamps.
 //!
 //! A pipeline that fails is started again, once a second. One that has ended has ended for good.
 

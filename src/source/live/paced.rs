@@ -1,10 +1,10 @@
 //! A recording played at its own pace: each frame is handed on when as much time has passed here as in the recording.
 //!
-//! Frames are decoded before they are due. Who takes them too late gets them as they are, late, until the pace is met again:
-//! this source drops nothing.
+//! Frames are decoded before they are due. Who takes them too late gets them as they are, late, until the pace is met
+//! again: this source drops nothing.
 
 use super::super::host::{ClockFit, HostClock};
-use super::super::{Frame, FrameSource, SourceError, Tally};
+use super::super::{Frame, FrameSource, SourceError, StreamFaults};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -64,7 +64,7 @@ impl FrameSource for Paced {
         self.recording.frame_count_hint()
     }
 
-    fn tally(&self) -> Tally {
-        self.recording.tally()
+    fn faults(&self) -> StreamFaults {
+        self.recording.faults()
     }
 }

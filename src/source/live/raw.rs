@@ -1,12 +1,13 @@
 //! Raw pictures on a pipe, one behind the other without any head: `1280x1024:bayer_rg8@60`.
 //!
-//! Such a pipe has no clock: frames are stamped as they arrive ([`Clock::HostArrival`]), with all the delays of the way, and
-//! lost frames show only as long steps. A camera program that knows the times should write a container instead (`-`).
+//! Such a pipe has no clock: frames are stamped as they arrive ([`Clock::HostArrival`]), with all the delays of the
+//! way, and lost frames show only as long steps. A camera program that knows the times should write a container instead
+//! (`-`).
 
 use super::super::decoded::PictureMaker;
 use super::super::host::HostClock;
 use super::super::stamps::StampWatch;
-use super::super::{Clock, Frame, FrameRate, FrameSource, HostTime, SourceError, Tally, Timestamp};
+use super::super::{Clock, Frame, FrameRate, FrameSource, HostTime, SourceError, StreamFaults, Timestamp};
 use super::samples;
 use ffmpeg_the_third::codec::Id;
 use ffmpeg_the_third::format::Pixel;
@@ -50,7 +51,7 @@ pub struct RawPictures {
     pictures: PictureMaker,
     clock: HostClock,
     stamps: StampWatch,
-    tally: Tally,
+    faults: StreamFaults,
     seq: u64,
 }
 
@@ -59,7 +60,7 @@ impl RawPictures {
     pub fn new(name: &str, pipe: Box<dyn Read + Send>, format: RawFormat, clock: HostClock) -> Self {
         let stamps = StampWatch::new(name.to_owned(), format.rate.stamp_ns(1).map(|ns| ns as f64), 0.0);
         let pictures = PictureMaker::new(name.into(), Id::RAWVIDEO);
-        Self { name: name.to_owned(), pipe, format, pictures, clock, stamps, tally: Tally::default(), seq: 0 }
+        Self { name: name.to_owned(), pipe, format, pictures, clock, stamps, faults: StreamFaults::default(), seq: 0 }
     }
 
     /// Fills the planes of `frame`, each at once where its rows have no padding; false at the end of the pipe.
@@ -111,7 +112,7 @@ impl FrameSource for RawPictures {
             return Ok(None);
         }
         let ns = self.clock.now_ns();
-        let gap = self.stamps.gap(ns, self.seq, &mut self.tally);
+        let gap = self.stamps.gap(ns, self.seq, &mut self.faults);
         let picture = self.pictures.picture(frame)?;
         let stamp = Timestamp { ns, clock: Clock::HostArrival };
         let host = Some(HostTime { arrival_ns: ns, stamp_ns: ns });
@@ -128,8 +129,8 @@ impl FrameSource for RawPictures {
         None
     }
 
-    fn tally(&self) -> Tally {
-        self.tally
+    fn faults(&self) -> StreamFaults {
+        self.faults
     }
 }
 

@@ -50,8 +50,8 @@ pub(super) fn row_bytes(pixel: Pixel, plane: usize, width: usize) -> usize {
     }
 }
 
-/// The picture of a camera's buffer: its planes one behind the other, rows of the first `padding` bytes longer than their
-/// samples, those of the others in proportion. `None` when the buffer is too short for it.
+/// The picture of a camera's buffer: its planes one behind the other, rows of the first `padding` bytes longer than
+/// their samples, those of the others in proportion. `None` when the buffer is too short for it.
 pub(super) fn of_buffer(bytes: &[u8], pixel: Pixel, size_px: [u32; 2], padding: usize) -> Option<Video> {
     let [width, height] = size_px;
     let mut frame = Video::new(pixel, width, height);

@@ -4,8 +4,8 @@
 
 use super::super::FrameRate;
 
-/// What the user asks of a camera; what is `None` stays as the camera has it. Exposure, gain, white balance and focus are
-/// locked in any case: colours and geometry must not change by themselves.
+/// What the user asks of a camera; what is `None` stays as the camera has it. Exposure, gain, white balance and focus
+/// are locked in any case: colours and geometry must not change by themselves.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CameraSettings {
     /// Width and height, pixels: those that the rig was calibrated with.

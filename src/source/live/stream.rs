@@ -1,11 +1,12 @@
-//! Live streams through libav: `rtsp://`, `http://`, `udp://`, `tcp://`, `srt://`, or a container on standard input (`-`).
+//! Live streams through libav: `rtsp://`, `http://`, `udp://`, `tcp://`, `srt://`, or a container on standard input
+//! (`-`).
 //!
-//! A stream in a network that ends or falls silent is opened again, once a second, until it is back or the run is stopped.
-//! Its stamps may begin anew then: the gap before its first frame is not known and counts as none, the interruption is
-//! counted ([`Tally::interruptions`]). Standard input ends for good.
+//! A stream in a network that ends or falls silent is opened again, once a second, until it is back or the run is
+//! stopped. Its stamps may begin anew then: the gap before its first frame is not known and counts as none, the
+//! interruption is counted ([`StreamFaults::interruptions`]). Standard input ends for good.
 
 use super::super::host::{ClockFit, HostClock};
-use super::super::{Frame, FrameSource, SourceError, Tally, VideoFile};
+use super::super::{Frame, FrameSource, SourceError, StreamFaults, VideoFile};
 use super::retry::until_back;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -22,7 +23,7 @@ pub struct Stream {
     stop: Arc<AtomicBool>,
     seq: u64,
     /// Of the inputs that have ended.
-    past: Tally,
+    past: StreamFaults,
 }
 
 impl Stream {
@@ -33,7 +34,7 @@ impl Stream {
     pub fn open(url: &str, clock: HostClock, stop: Arc<AtomicBool>) -> Result<Self, SourceError> {
         let input = VideoFile::stream(url)?;
         let size_px = input.size_px();
-        let (fit, past) = (ClockFit::default(), Tally::default());
+        let (fit, past) = (ClockFit::default(), StreamFaults::default());
         Ok(Self { url: url.to_owned(), input: Some(input), size_px, clock, fit, stop, seq: 0, past })
     }
 }
@@ -60,7 +61,7 @@ impl FrameSource for Stream {
                 Err(error) => error.to_string(),
             };
             tracing::warn!("{}: the stream is interrupted ({reason}); waiting for it to come back", self.url);
-            self.past.add(input.tally());
+            self.past.add(input.faults());
             self.past.interruptions += 1;
             self.input = None;
         }
@@ -75,10 +76,10 @@ impl FrameSource for Stream {
         None
     }
 
-    fn tally(&self) -> Tally {
+    fn faults(&self) -> StreamFaults {
         let mut all = self.past;
         if let Some(input) = &self.input {
-            all.add(input.tally());
+            all.add(input.faults());
         }
         all
     }

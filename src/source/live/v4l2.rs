@@ -1,8 +1,8 @@
 //! V4L2 cameras on Linux: `/dev/video0`, or better its lasting name under `/dev/v4l/by-id`.
 //!
 //! The kernel stamps each buffer by its monotonic clock, at the start of the exposure or the end of the transfer as the
-//! driver says; the same clock runs here, so a stamp's age is known exactly. Buffers are counted by the driver. Not read:
-//! devices that give their planes apart (multi-planar, as of some phones' processors).
+//! driver says; the same clock runs here, so a stamp's age is known exactly. Buffers are counted by the driver. Not
+//! read: devices that give their planes apart (multi-planar, as of some phones' processors).
 
 use super::super::counter::Wrap;
 use super::super::decoded::{PictureMaker, is_damaged};
@@ -165,7 +165,8 @@ impl Connection for Session {
 /// `poll(2)`: there is something to read.
 const POLLIN: i16 = 1;
 
-/// Starts to send. All buffers but the first are queued here; the binding queues that one when it is asked for a picture.
+/// Starts to send. All buffers but the first are queued here; the binding queues that one when it is asked for a
+/// picture.
 fn started(device: &Device) -> io::Result<Stream<'static>> {
     let mut stream = Stream::with_buffers(device, Type::VideoCapture, BUFFERS)?;
     stream.set_timeout(Duration::from_secs(1));

@@ -54,8 +54,8 @@ pub(super) fn letters(code: [u8; 4]) -> String {
     String::from_utf8_lossy(&code).trim_end().to_owned()
 }
 
-/// The format to set: the one asked for, else the one that loses least among those of this size that are fast enough, else
-/// the fastest of this size.
+/// The format to set: the one asked for, else the one that loses least among those of this size that are fast enough,
+/// else the fastest of this size.
 pub(super) fn choose(offers: &[Offer], asked: Option<&str>, rate: Option<FrameRate>) -> Result<[u8; 4], String> {
     let names: Vec<String> = offers.iter().map(|offer| letters(offer.code)).collect();
     let has = names.join(", ");

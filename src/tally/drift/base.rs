@@ -1,21 +1,24 @@
 //! Does the base band still rest in the origin of the base frame?
 //!
-//! It is clamped: its place is where `calibrate base` found it, whatever the catheter does. So it shows what two views cannot
-//! tell from each other, a mirror shifted along its normal or turned to the left or right, and a camera that moved with its mirror.
+//! It is clamped: its place is where `calibrate base` found it, whatever the catheter does. So it shows what two views
+//! cannot tell from each other, a mirror shifted along its normal or turned to the left or right, and a camera that
+//! moved with its mirror.
 //!
-//! Method: the band's place is averaged over blocks of frames, weighted by its covariance, and the blocks over the last few
-//! seconds. It has moved when the distance from the origin is both certain, by the σ of the origin, that of this run, and the
-//! scatter of the blocks, and larger than what a band that is close to its clamp may give way to a bent tube.
+//! Method: the band's place is averaged over blocks of frames, weighted by its covariance, and the blocks over the last
+//! few seconds. It has moved when the distance from the origin is both certain, by the σ of the origin, that of this
+//! run, and the scatter of the blocks, and larger than what a band that is close to its clamp may give way to a bent
+//! tube.
 //!
-//! What it cannot detect: whether it was the clamp or the camera that moved; what leaves this one place where it was, as a
-//! mirror turned about an axis through the image of the band does.
+//! What it cannot detect: whether it was the clamp or the camera that moved; what leaves this one place where it was,
+//! as a mirror turned about an axis through the image of the band does.
 
 use crate::estimate::Estimate;
 use crate::rig::Rig;
 use crate::tally::drift::{Drifted, Finding, OVER, Window, mean};
 use nalgebra::{Matrix3, Point3, Vector3};
 
-/// A distance is certain beyond this many of its standard deviations. They hold the systematic errors: no more is needed.
+/// A distance is certain beyond this many of its standard deviations. They hold the systematic errors: no more is
+/// needed.
 const CERTAIN: f64 = 4.0;
 /// Less may be the tube's bending at the band. On the sample, the band comes out up to 0.09 mm from the origin.
 const LEAST_M: f64 = 0.3e-3;
@@ -41,7 +44,8 @@ impl BaseBand {
     pub(crate) fn new(rig: &Rig) -> Option<Self> {
         let origin = rig.base.as_ref()?.base_from_camera.inverse() * Point3::origin();
         let sd_m = rig.origin_sd_m().unwrap_or_else(|| Vector3::repeat(STATED_SD_M));
-        // The origin's, and as much again: what the image model gets wrong about the band is the same in all frames of a run.
+        // The origin's, and as much again: what the image model gets wrong about the band is the same in all frames of
+        // a run.
         let systematic = Matrix3::from_diagonal(&sd_m.map(|sd| 2.0 * sd * sd));
         Some(Self { origin, systematic, window: Window::default() })
     }

@@ -1,7 +1,8 @@
-//! [`Drift`]: is the rig still as it was calibrated? A mirror, camera or tank that was moved since shows in what does not average
-//! out.
+//! [`Drift`]: is the rig still as it was calibrated? A mirror, camera or tank that was moved since shows in what does
+//! not average out.
 //!
-//! In: the estimates of a run, in order. Out: a [`DriftAlarm`] when something has begun to be wrong. Estimates are only read.
+//! In: the estimates of a run, in order. Out: a [`DriftAlarm`] when something has begun to be wrong. Estimates are only
+//! read.
 //!
 //! Two things are watched, each over the last few seconds, block by block of frames:
 //! - whether the views agree on where the bands are (`views`);
@@ -20,7 +21,8 @@ use nalgebra::SVector;
 use std::collections::VecDeque;
 use views::Views;
 
-/// Frames of a block. Measured on the sample, the autocorrelation of residuals is 0.35 from frame to frame and below 0.15 after ten.
+/// Frames of a block. Measured on the sample, the autocorrelation of residuals is 0.35 from frame to frame and below
+/// 0.15 after ten.
 const BLOCK: u32 = 10;
 /// Blocks looked back at, at most and at least: 3 s and 1 s at 60 Hz.
 const BLOCKS: (usize, usize) = (18, 6);
@@ -73,8 +75,8 @@ pub enum Drifted {
 }
 
 impl DriftAlarm {
-    /// What has happened, as half a sentence: `views direct and mirror disagree by 0.45 px (0.27 mm, σ 0.01 px)`; `views` are the
-    /// rig's view names.
+    /// What has happened, as half a sentence: `views direct and mirror disagree by 0.45 px (0.27 mm, σ 0.01 px)`;
+    /// `views` are the rig's view names.
     pub fn words(&self, views: &[&str]) -> String {
         let mm = self.size_m * 1e3;
         match self.what {

@@ -1,15 +1,15 @@
 //! Do the views agree on where the bands are?
 //!
-//! Method: the residuals of all bands (a view alone minus the common answer) are averaged over blocks of frames, weighted by
-//! their covariance, and the blocks over the last few seconds. Views disagree when that mean is both certain, many σ by the
-//! scatter of the blocks (which are longer than the errors of a recording are correlated), and larger than what the models of
-//! picture and tube leave. When they are so far apart that the tracker takes the bands in them for different things, there are no
-//! residuals: then frames without a meeting of rays count.
+//! Method: the residuals of all bands (a view alone minus the common answer) are averaged over blocks of frames,
+//! weighted by their covariance, and the blocks over the last few seconds. Views disagree when that mean is both
+//! certain, many σ by the scatter of the blocks (which are longer than the errors of a recording are correlated), and
+//! larger than what the models of picture and tube leave. When they are so far apart that the tracker takes the bands
+//! in them for different things, there are no residuals: then frames without a meeting of rays count.
 //!
-//! What it cannot detect: two views have but one direction in which they can contradict each other, across the plane of camera,
-//! mirrored camera and band (up and down for a mirror beside the tank). What moves the image along that plane, a mirror shifted
-//! along its normal or turned about an axis across that plane, changes the answer, not the residual; a camera and mirror that moved
-//! together change neither. Nor can it tell which of two views is wrong.
+//! What it cannot detect: two views have but one direction in which they can contradict each other, across the plane of
+//! camera, mirrored camera and band (up and down for a mirror beside the tank). What moves the image along that plane,
+//! a mirror shifted along its normal or turned about an axis across that plane, changes the answer, not the residual; a
+//! camera and mirror that moved together change neither. Nor can it tell which of two views is wrong.
 
 use crate::estimate::{Estimate, Miss};
 use crate::optics::OpticalPath;
@@ -20,7 +20,8 @@ use std::collections::VecDeque;
 
 /// A mean is certain beyond this many of its standard deviations.
 const CERTAIN: f64 = 6.0;
-/// Views of a true rig were seen to disagree by up to 0.09 px in the mean (the sample at rest), models of the picture by 0.1 px.
+/// Views of a true rig were seen to disagree by up to 0.09 px in the mean (the sample at rest), models of the picture
+/// by 0.1 px.
 const LEAST_PX: f64 = 0.3;
 
 /// Watches the residuals.
@@ -35,7 +36,8 @@ pub(crate) struct Views {
 #[derive(Debug, Clone, Default)]
 struct Block {
     frames: u32,
-    /// Frames in which at least half of the markers were refused because rays do not meet, and the sum of how far they miss.
+    /// Frames in which at least half of the markers were refused because rays do not meet, and the sum of how far they
+    /// miss.
     apart: u32,
     apart_sum_m: f64,
     /// For each view Σ C⁻¹ and Σ C⁻¹ r.
@@ -67,8 +69,8 @@ impl Views {
             })
             .collect();
         means.sort_by(|a, b| b.1.total_cmp(&a.1));
-        // A disagreement is shared out between two views in opposite directions, each keeping the more the less it is certain
-        // of itself: it is the sum of both, and so is its standard deviation.
+        // A disagreement is shared out between two views in opposite directions, each keeping the more the less it is
+        // certain of itself: it is the sum of both, and so is its standard deviation.
         let [(view, first, first_sd), (_, second, second_sd), ..] = means[..] else { return None };
         let seen = self.optics.get(view)?.project_with_jacobian(&self.place?).ok()?;
         let px_per_m = seen.d_pixel.norm() / std::f64::consts::SQRT_2;

@@ -34,6 +34,8 @@ pub(crate) struct Look {
 pub(crate) struct Template {
     axis: Vector2<f64>,
     size: Size,
+    /// Of the band that is not tilted, pixels.
+    length: f64,
     thirds: [Vec<Vector2<f64>>; 3],
     grounds: [Vec<Vector2<f64>>; 2],
     ends: [Vec<Vector2<f64>>; 2],
@@ -52,7 +54,7 @@ const HOPELESS: f64 = 0.8;
 const GROUND_PX: f64 = 3.0;
 
 impl Template {
-    fn new(angle: f64, size: Size) -> Self {
+    fn new(angle: f64, size: Size, length: f64) -> Self {
         let turn = Rotation2::new(angle);
         let grid = |us: (f64, f64), vs: (f64, f64)| -> Vec<Vector2<f64>> {
             let places = |(from, to): (f64, f64)| {
@@ -69,6 +71,7 @@ impl Template {
         Self {
             axis: turn * Vector2::x(),
             size,
+            length,
             thirds: [(-along, -along / 3.0), (-along / 3.0, along / 3.0), (along / 3.0, along)]
                 .map(|vs| grid((-inside, inside), vs)),
             grounds: [grid(ground, (-along, along)), grid((-ground.1, -ground.0), (-along, along))],
@@ -98,7 +101,8 @@ impl Template {
         let harmonic = 4.0 / contrasts.map(|c| 1.0 / c.max(1e-3)).sum::<f64>();
         let uneven = pixels.contrast(&thirds[0], &thirds[2]).max(pixels.contrast(&thirds[0], &thirds[1]))
             .max(pixels.contrast(&thirds[1], &thirds[2]));
-        let score = harmonic - 0.5 * uneven;
+        // Of two that stand out equally, the one that covers more of the band.
+        let score = (harmonic - 0.5 * uneven) * (self.size.length / self.length).sqrt();
         Some(Look { centre, axis: self.axis, size: self.size, score, colour, ends, grounds })
     }
 }
@@ -112,7 +116,7 @@ impl Templates {
     pub(crate) fn new(size: Size) -> Self {
         let angles = (0..ANGLES).map(|i| i as f64 * std::f64::consts::PI / ANGLES as f64);
         let sizes = FORESHORTENED.map(|share| Size { length: size.length * share, ..size });
-        Self { all: angles.map(|angle| sizes.map(|size| Template::new(angle, size))).collect() }
+        Self { all: angles.map(|angle| sizes.map(|each| Template::new(angle, each, size.length))).collect() }
     }
 
     /// The best look of a place; `None` at the edge of the picture.
@@ -126,13 +130,13 @@ impl Templates {
 /// A look made better by small moves, turns and changes of length.
 pub(crate) fn refined(pixels: &Pixels, look: Look, length: f64) -> Look {
     let mut best = look;
-    for step in [1.0, 0.5] {
+    for step in [1.0, 1.0, 1.0, 0.5] {
         let angle = best.axis.y.atan2(best.axis.x);
         let around = best;
         for turn in [-1.0, 0.0, 1.0] {
             for grow in [0.85, 1.0, 1.15] {
-                let size = Size { length: (around.size.length * grow).min(length * 1.1), ..around.size };
-                let template = Template::new(angle + turn * step * 0.13, size);
+                let size = Size { length: (around.size.length * grow).min(length), ..around.size };
+                let template = Template::new(angle + turn * step * 0.13, size, length);
                 for (du, dv) in (-2..=2).flat_map(|du| (-2..=2).map(move |dv| (f64::from(du), f64::from(dv)))) {
                     let look = template.look(pixels, around.centre + Vector2::new(du, dv) * (0.5 * step));
                     if let Some(look) = look.filter(|look| look.score > best.score) {

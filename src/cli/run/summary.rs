@@ -1,0 +1,136 @@
+//! The summary of a run: a table of plain text.
+
+use super::folder::Files;
+use crate::pipeline::Summary;
+use crate::rig::Rig;
+use crate::sink::spoken;
+use crate::source::times::seconds;
+use crate::tally::{AlarmInWords, Tally};
+use std::fmt::{self, Write as _};
+use std::path::PathBuf;
+
+/// A warning for every alarm beyond the first `known` ones; how many there are now.
+pub(in crate::cli) fn new_alarms(tally: &Tally, recording: &str, known: usize) -> usize {
+    tally.alarms().skip(known).for_each(|alarm| warn_of_alarm(&alarm, recording));
+    tally.drift.alarms().len()
+}
+
+/// A warning for one alarm of `source`.
+pub(in crate::cli) fn warn_of_alarm(alarm: &AlarmInWords, source: &str) {
+    let AlarmInWords { ns, what, advice } = alarm;
+    tracing::warn!("{source}: at {:.3} s: {what}: {advice}", seconds(*ns));
+}
+
+/// The summary of a run of `recording`.
+pub(in crate::cli) fn summary(
+    out: &mut String,
+    recording: &str,
+    run: &Summary,
+    files: &Files,
+    rig: &Rig,
+) -> fmt::Result {
+    let tally = &run.tally;
+    writeln!(out, "{recording}: {}", received(tally))?;
+    let name_width = tally.markers.iter().map(|m| m.name.chars().count()).max().unwrap_or(0).max(10);
+    writeln!(out, "\n  {:name_width$}  answered           median σ", "")?;
+    let mut row = |name: &str, answered: u64, sd: Option<f64>, unit: &str, rest: String| {
+        let sd = sd.map_or(String::new(), |sd| format!("{sd:.3}{unit}"));
+        let line =
+            format!("  {name:<name_width$}  {answered:>8}  {:>7}  {sd:<10}{rest}", share(answered, tally.frames));
+        writeln!(out, "{}", line.trim_end())
+    };
+    for marker in &tally.markers {
+        row(&marker.name, marker.answered, marker.median_sd_mm(), " mm", reasons(tally, &marker.name))?;
+    }
+    row("tangent", tally.tangent.answered, tally.tangent.median_sd_deg(), "°", reasons(tally, "tangent"))?;
+    if rig.base.is_some() {
+        let range = tally.theta.range_deg.map(|(low, high)| format!("from {low:.1}° to {high:.1}°"));
+        row("deflection", tally.theta.answered, tally.theta.median_sd_deg(), "°", range.unwrap_or_default())?;
+    }
+    for AlarmInWords { ns, what, advice } in tally.alarms() {
+        writeln!(out, "\nfrom {:.3} s on {what}: {advice}", seconds(ns))?;
+    }
+    let took_s = run.elapsed.as_secs_f64();
+    writeln!(out, "\ntracked in {took_s:.1} s, {:.0} frames a second", tally.frames as f64 / took_s.max(1e-9))?;
+    writeln!(out, "results in {}", files.folder.display())?;
+    let named: [(Option<&PathBuf>, &str); 5] = [
+        (Some(&files.table), "one row a frame"),
+        (Some(&files.report), "to look at, in a browser"),
+        (files.overlay.as_ref(), "the recording with what was found drawn into it"),
+        (Some(&files.log), "everything, for Foxglove and programs"),
+        (files.pictures.as_ref(), "the pictures, to be tracked again"),
+    ];
+    for (path, what) in named.into_iter().filter_map(|(path, what)| Some((path?, what))) {
+        let shown = path.strip_prefix(&files.folder).unwrap_or(path).display().to_string();
+        writeln!(out, "  {shown:<12}  {what}")?;
+    }
+    Ok(())
+}
+
+fn received(tally: &Tally) -> String {
+    let frames = match tally.frames {
+        0 => return "no frame".to_owned(),
+        1 => return format!("1 frame, at {:.3} s", seconds(tally.first_ns)),
+        n => format!("{n} frames, {:.3} s to {:.3} s", seconds(tally.first_ns), seconds(tally.last_ns)),
+    };
+    let lost = match (tally.lost, tally.gaps) {
+        (0, _) => "the camera lost none between them".to_owned(),
+        (lost, 1) => format!("the camera lost {lost} between them in 1 gap"),
+        (lost, gaps) => format!("the camera lost {lost} between them in {gaps} gaps"),
+    };
+    format!("{frames}; {lost}")
+}
+
+fn share(part: u64, whole: u64) -> String {
+    match whole {
+        0 => String::new(),
+        _ => format!("{:.1} %", 100.0 * part as f64 / whole as f64),
+    }
+}
+
+/// Why `what` is missing, and in how many frames: `12 not seen in mirror, 1 ambiguous`.
+fn reasons(tally: &Tally, what: &str) -> String {
+    let said: Vec<_> = tally.reasons(what).iter().map(|(word, frames)| format!("{frames} {}", spoken(word))).collect();
+    said.join(", ")
+}
+
+/// Why the run is of no use, if it is of none: a marker was never located, or the direction of the coil never known.
+pub(in crate::cli) fn unusable(rig: &Rig, tally: &Tally) -> Option<String> {
+    let never: Vec<_> = tally.markers.iter().filter(|m| m.answered == 0).map(|m| m.name.as_str()).collect();
+    let frames = match tally.frames {
+        0 => return None,
+        1 => "the only frame".to_owned(),
+        n => format!("any of {n} frames"),
+    };
+    if never.is_empty() {
+        let why = reasons(tally, "tangent");
+        let coil = &rig.markers.get(rig.catheter.coil)?.name;
+        return (tally.tangent.answered == 0)
+            .then(|| format!("the direction of marker {coil} is not known in {frames} ({why})"));
+    }
+    let mut said = String::new();
+    for name in never {
+        let why = tally.reasons(name);
+        let list = reasons(tally, name);
+        let likely = match why.first().map_or("", |(word, _)| word) {
+            word if word.starts_with("not_seen_") => {
+                let view = word.trim_start_matches("not_seen_");
+                format!(
+                    "it is hidden or outside the region of view {view}, or light and colours are not those that \
+                     `catoptra calibrate markers` learned"
+                )
+            }
+            "not_recorded" => {
+                "the log holds parts of its pictures, and not those: track it with the rig it was recorded with".to_owned()
+            }
+            "rays_diverge" => "camera, mirror or tank have moved since the calibration, or another thing has its colour".to_owned(),
+            "ambiguous" => "other things of its colour are in the views: cover them, or draw the regions tighter".to_owned(),
+            _ => "light and colours are not those that `catoptra calibrate markers` learned, or the rig's lengths are not \
+                  those of the catheter"
+                .to_owned(),
+        };
+        let before = if said.is_empty() { "" } else { "\n" };
+        said += &format!("{before}marker {name} was not located in {frames} ({list}); likely {likely}");
+    }
+    Some(said)
+}

@@ -1,0 +1,93 @@
+//! Why no model came out.
+
+use super::model::Orders;
+
+/// Why no model came out.
+#[derive(Debug, thiserror::Error)]
+pub enum IdentifyError {
+    /// Fewer rows than parameters.
+    #[error(
+        "{} coefficients (na {}, nb {}, nk {}) cannot be found from {rows} samples that have a full past; the longest stretch \
+         without a hole has {longest} samples: choose lower orders or a longer record",
+        orders.parameters(), orders.na, orders.nb, orders.nk
+    )]
+    TooShort {
+        /// The model asked for.
+        orders: Orders,
+        /// Samples with a full past.
+        rows: usize,
+        /// Samples in the longest stretch.
+        longest: usize,
+    },
+    /// The data to judge by have no sample with a full past.
+    #[error(
+        "no stretch without a hole has more than {longest} samples, and the largest model (na {}, nb {}, nk {}) needs {} before the \
+         first that is predicted: judge by more samples, or choose lower orders",
+        orders.na, orders.nb, orders.nk, orders.memory()
+    )]
+    TooShortToJudge {
+        /// The largest model.
+        orders: Orders,
+        /// Samples in the longest stretch.
+        longest: usize,
+    },
+    /// The data do not tell the coefficients apart.
+    #[error(
+        "the data do not determine the {} coefficients of na {}, nb {}, nk {}: the input moves too little, or at too few \
+         frequencies, or the output follows a lower order without any noise; choose lower orders or another excitation",
+        orders.parameters(), orders.na, orders.nb, orders.nk
+    )]
+    Dependent {
+        /// The model asked for.
+        orders: Orders,
+    },
+    /// A model to be simulated has a pole outside the unit circle.
+    #[error(
+        "the model with na {}, nb {}, nk {} is unstable (largest pole {largest_pole:.4}) and cannot be refined by simulation: \
+         choose other orders",
+        orders.na, orders.nb, orders.nk
+    )]
+    Unstable {
+        /// The model.
+        orders: Orders,
+        /// Modulus of its largest pole.
+        largest_pole: f64,
+    },
+    /// The model cannot be reduced as asked.
+    #[error("cannot reduce the model: {problem}")]
+    NotReduced {
+        /// Why, and what would be possible.
+        problem: String,
+    },
+    /// There is no sample.
+    #[error("{name}: has no sample with input and output to identify from")]
+    Nothing {
+        /// The records.
+        name: String,
+    },
+    /// Input or output never changes.
+    #[error("{name}: the {what} is {value} in all samples: nothing can be identified from what does not move")]
+    Still {
+        /// The records.
+        name: String,
+        /// `input` or `output`.
+        what: &'static str,
+        /// Its value.
+        value: f64,
+    },
+    /// The data determine none of the models searched.
+    #[error(
+        "the data determine none of the models searched: the input moves too little, or at too few frequencies; search lower \
+         orders or excite it otherwise"
+    )]
+    NoneDetermined,
+    /// All models searched are unstable.
+    #[error(
+        "all {tried} models searched are unstable: take trends off with --detrend, fewer samples a second with --decimate, or fix \
+         the orders with --order to see one"
+    )]
+    NoneStable {
+        /// How many.
+        tried: usize,
+    },
+}

@@ -1,0 +1,31 @@
+//! Initial models for output error, whose sum of squares has more than one minimum.
+
+use super::data::Segment;
+use super::model::{Orders, Polynomials, angle};
+use super::reduce::{Reduction, Removal, Target, reduce};
+use super::spectrum::spectrum;
+use super::{arx, instrumental};
+
+/// Order of the ARX model that is reduced.
+const HIGH_ORDER: usize = 12;
+
+/// Initial models of these orders: ARX, which noise on the output biases, instrumental variables, and ARX of a
+/// high order reduced for the excited band.
+pub(super) fn initial_models(segments: &[Segment], orders: Orders) -> Vec<Polynomials> {
+    let by_arx = arx::fit(segments, orders).ok().map(|found| found.model);
+    let by_instruments =
+        by_arx.as_ref().and_then(|m| instrumental::refine(segments, m).ok()).map(|r| r.estimated.model);
+    [by_arx, by_instruments, by_reduction(segments, orders)].into_iter().flatten().collect()
+}
+
+/// A high order takes up the noise on the output, which a low one is biased by. What it says outside of the excited
+/// band is noise too.
+fn by_reduction(segments: &[Segment], orders: Orders) -> Option<Polynomials> {
+    let high = arx::fit(segments, Orders { na: HIGH_ORDER, nb: HIGH_ORDER, nk: orders.nk }).ok()?.model;
+    let (low, top) = spectrum(segments, 1.0)?.excited_hz;
+    let band = Some((angle(low, 1.0), angle(top, 1.0)));
+    let target = Target::Order(orders.memory());
+    let found = reduce(&high, Reduction { target, removal: Removal::Truncate, band }).ok()?.model;
+    let same = (found.na(), found.nb(), found.nk) == (orders.na, orders.nb, orders.nk);
+    same.then_some(found)
+}

@@ -1,0 +1,157 @@
+//! The estimators and the search, on simulated records.
+
+use super::IdentifyError;
+use super::arx::fit;
+use super::data::Segment;
+use super::estimated::Estimated;
+use super::fit::InitialState;
+use super::model::{Orders, Polynomials, all_pole};
+use super::regression::row;
+use super::search::{Criterion, best};
+use super::{instrumental, output_error, search};
+use nalgebra::DMatrix;
+
+/// Numbers that look like white noise of variance 1, the same on every machine.
+pub(crate) fn noise(seed: u64, n: usize) -> Vec<f64> {
+    let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
+    let mut uniform = move || {
+        state ^= state << 13;
+        state ^= state >> 7;
+        state ^= state << 17;
+        (state >> 11) as f64 / (1u64 << 53) as f64
+    };
+    (0..n).map(|_| (0..12).map(|_| uniform()).sum::<f64>() - 6.0).collect()
+}
+
+fn truth() -> Polynomials {
+    Polynomials { a: vec![1.0, -1.5, 0.7], b: vec![1.0, 0.5], nk: 1 }
+}
+
+/// ARX: noise goes through 1/A.
+fn arx_data(seed: u64, n: usize, sd: f64) -> Segment {
+    let input = noise(seed, n);
+    let disturbance = all_pole(&truth().a, noise(seed + 1000, n));
+    let output = truth().simulate(&input).iter().zip(disturbance).map(|(y, e)| y + sd * e).collect();
+    Segment { input, output, from_rest: true, ..Segment::default() }
+}
+
+fn oe_data(seed: u64, n: usize, sd: f64) -> Segment {
+    let input = noise(seed, n);
+    let output = truth().simulate(&input).iter().zip(noise(seed + 1000, n)).map(|(y, e)| y + sd * e).collect();
+    Segment { input, output, from_rest: true, ..Segment::default() }
+}
+
+const ORDERS: Orders = Orders { na: 2, nb: 2, nk: 1 };
+
+#[test]
+fn without_noise_the_coefficients_are_exact() {
+    let found = fit(&[arx_data(1, 200, 0.0)], ORDERS).unwrap();
+    assert!((found.model.parameters() - truth().parameters()).amax() < 1e-12, "{found:?}");
+}
+
+/// Mean square of error/σ over 200 draws: 1 with a spread of √(2/200).
+fn scatter(estimate: impl Fn(u64) -> Estimated) -> Vec<f64> {
+    const DRAWS: u64 = 200;
+    let mut sums = vec![0.0; 4];
+    for seed in 1..=DRAWS {
+        let found = estimate(seed);
+        let error = found.model.parameters() - truth().parameters();
+        for ((sum, error), sd) in sums.iter_mut().zip(error.iter()).zip(found.standard_errors()) {
+            *sum += (error / sd).powi(2) / DRAWS as f64;
+        }
+    }
+    sums
+}
+
+#[test]
+fn errors_are_as_large_as_predicted() {
+    let arx = scatter(|seed| fit(&[arx_data(seed, 500, 0.5)], ORDERS).unwrap());
+    assert!(arx.iter().all(|s| (0.7..1.35).contains(s)), "ARX {arx:?}");
+    let start = fit(&[oe_data(1, 500, 0.0)], ORDERS).unwrap().model;
+    let oe = scatter(|seed| output_error::refine(&[oe_data(seed, 500, 1.0)], &start).unwrap().estimated);
+    assert!(oe.iter().all(|s| (0.7..1.35).contains(s)), "output error {oe:?}");
+    let iv = scatter(|seed| instrumental::refine(&[oe_data(seed, 500, 1.0)], &start).unwrap().estimated);
+    assert!(iv.iter().all(|s| (0.7..1.35).contains(s)), "instrumental {iv:?}");
+}
+
+#[test]
+fn white_noise_on_the_output_biases_arx_and_not_the_refined() {
+    let data = [oe_data(7, 20_000, 1.0)];
+    let off = |found: &Estimated| (found.model.parameters() - truth().parameters()).amax();
+    let arx = fit(&data, ORDERS).unwrap();
+    assert!(off(&arx) > 0.1, "{:?}", arx.model);
+    let oe = output_error::refine(&data, &arx.model).unwrap();
+    assert!(oe.settled && off(&oe.estimated) < 0.02, "{oe:?}");
+    let iv = instrumental::refine(&data, &arx.model).unwrap();
+    assert!(iv.settled && off(&iv.estimated) < 0.02, "{iv:?}");
+}
+
+#[test]
+fn stretches_count_as_one_record_and_holes_cost_only_the_rows_behind_them() {
+    let whole = arx_data(3, 400, 0.0);
+    let parts = [whole.part(0, 150, 1.0), whole.part(160, 400, 1.0)];
+    let found = fit(&parts, ORDERS).unwrap();
+    assert_eq!(found.samples, 148 + 238);
+    assert!((found.model.parameters() - truth().parameters()).amax() < 1e-12);
+    let refined =
+        output_error::refine(&parts, &Polynomials { a: vec![1.0, -1.4, 0.6], b: vec![0.8, 0.4], nk: 1 }).unwrap();
+    assert!((refined.estimated.model.parameters() - truth().parameters()).amax() < 1e-9, "{refined:?}");
+}
+
+#[test]
+fn the_search_finds_order_and_delay() {
+    let delayed = |seed| {
+        let mut s = arx_data(seed, 3000, 0.3);
+        let n = s.len();
+        s.output = [&[0.0; 2], &s.output[..n - 2]].concat();
+        s
+    };
+    let candidates: Vec<Orders> = (1..=8).flat_map(|n| (0..=5).map(move |nk| Orders { na: n, nb: n, nk })).collect();
+    let all = search::search(&[delayed(1)], &[delayed(2)], InitialState::Rest, &candidates).unwrap();
+    assert_eq!(all.len(), 48);
+    for criterion in [Criterion::Mdl, Criterion::Simulation, Criterion::Prediction] {
+        let best = best(&all, criterion).unwrap();
+        assert_eq!(best.orders, Orders { na: 2, nb: 2, nk: 3 }, "{criterion:?}");
+    }
+    // Each candidate is what a fit of its own to the same rows gives.
+    let one = all.iter().find(|c| c.orders == Orders { na: 3, nb: 3, nk: 2 }).unwrap();
+    let train = delayed(1);
+    let same_rows = fit(&[train.part(12 - 4, 3000, 1.0)], one.orders).unwrap();
+    assert!((one.model.parameters() - same_rows.model.parameters()).amax() < 1e-10);
+}
+
+#[test]
+fn digits_are_kept_where_normal_equations_lose_them() {
+    // A slow system sampled fast: neighbouring outputs are nearly equal.
+    let slow = Polynomials { a: vec![1.0, -2.9985, 2.997_001_2, -0.998_501_2], b: vec![1e-3], nk: 1 };
+    let input = noise(5, 4000);
+    let output = slow.simulate(&input);
+    let data = [Segment { input, output, from_rest: true, ..Segment::default() }];
+    let orders = Orders { na: 3, nb: 1, nk: 1 };
+    let found = fit(&data, orders).unwrap();
+    assert!(found.condition > 1e6, "condition {:.1e}", found.condition);
+    let by_qr = (found.model.parameters() - slow.parameters()).amax();
+    let normal = normal_equations(&data[0], orders);
+    let by_normal = (normal - slow.parameters()).amax();
+    assert!(by_qr < 1e-8 && by_normal > 100.0 * by_qr, "QR {by_qr:.1e}, normal equations {by_normal:.1e}");
+}
+
+fn normal_equations(segment: &Segment, orders: Orders) -> nalgebra::DVector<f64> {
+    let p = orders.parameters();
+    let mut sums = DMatrix::zeros(p + 1, p + 1);
+    for t in orders.memory()..segment.len() {
+        let row: Vec<f64> = row(segment, t, (orders.na, orders.nb, orders.nk)).collect();
+        let row = nalgebra::DVector::from_vec(row);
+        sums += &row * row.transpose();
+    }
+    let (left, right) = (sums.view((0, 0), (p, p)).into_owned(), sums.view((0, p), (p, 1)).column(0).into_owned());
+    left.lu().solve(&right).unwrap()
+}
+
+#[test]
+fn what_the_data_do_not_tell_is_said() {
+    let still = Segment { input: vec![1.0; 100], output: vec![2.0; 100], from_rest: true, ..Segment::default() };
+    assert!(matches!(fit(&[still], ORDERS), Err(IdentifyError::Dependent { .. })));
+    let short = arx_data(1, 5, 0.0);
+    assert!(matches!(fit(&[short], ORDERS), Err(IdentifyError::TooShort { rows: 3, longest: 5, .. })));
+}

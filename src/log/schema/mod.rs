@@ -1,0 +1,97 @@
+//! What a run leaves behind, defined once: the topics of a log and their messages ([`messages`]), the names of its
+//! attachments and metadata, and the columns of the table. Sinks write by it, readers read by it.
+//!
+//! | topic | schema | what | when |
+//! |---|---|---|---|
+//! | `/catheter/estimate` | `catoptra.Estimate` | all that was measured, with covariances, view by view | every frame |
+//! | `/catheter/deflection` | `catoptra.Deflection` | θ and its σ; NaN and the reason when not measured | every frame |
+//! | `/scene` | `foxglove.SceneUpdate` | tube, bands and coil direction, in the base frame if there is one | every frame |
+//! | `/camera/annotations` | `foxglove.ImageAnnotations` | outline, centre and label of every band | every frame |
+//! | `/camera/calibration` | `foxglove.CameraCalibration` | intrinsics, `plumb_bob` | once |
+//! | `/tf` | `foxglove.FrameTransform` | place of frame `camera` in frame `base`, if there is one | once |
+//! | `/coil/current` | `catoptra.Current` | currents of the coils, on the host's clock | live, when given |
+//! | `/camera/windows` | `catoptra.PictureWindows` | what the tracker looked at | with `--record windows` |
+//! | `/health` | `catoptra.Health` | counts, misses by reason, drift alarms | every second, and at the end |
+//!
+//! The windows of a picture follow its estimate after some frames. A drift alarm brings a `/health` of its own.
+
+pub mod messages;
+mod protobuf;
+pub(crate) mod table;
+
+use foxglove::Schema;
+use foxglove::messages::{CameraCalibration, FrameTransform, ImageAnnotations, SceneUpdate};
+use messages::{Current, Deflection, Estimate, Health, PictureWindows};
+pub(crate) use protobuf::Catoptra;
+
+/// All messages are Protobuf.
+pub(crate) const ENCODING: &str = "protobuf";
+
+/// How the samples of a picture's window are compressed.
+pub(crate) const WINDOW_FORMAT: &str = "png";
+
+/// Name of the attached rig file.
+pub(crate) const RIG_ATTACHMENT: &str = "rig.toml";
+
+/// Name of the attached options of the run.
+pub(crate) const OPTIONS_ATTACHMENT: &str = "options.toml";
+
+/// Name of the metadata record, and of this program.
+pub(crate) const METADATA: &str = "catoptra";
+
+/// A topic of a log.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Topic {
+    Estimate,
+    Deflection,
+    Scene,
+    Annotations,
+    Calibration,
+    Transform,
+    Health,
+    Current,
+    Windows,
+}
+
+impl Topic {
+    pub(crate) const ALL: [Self; 9] = [
+        Self::Estimate,
+        Self::Deflection,
+        Self::Scene,
+        Self::Annotations,
+        Self::Calibration,
+        Self::Transform,
+        Self::Health,
+        Self::Current,
+        Self::Windows,
+    ];
+
+    pub(crate) fn name(self) -> &'static str {
+        match self {
+            Self::Estimate => "/catheter/estimate",
+            Self::Deflection => "/catheter/deflection",
+            Self::Scene => "/scene",
+            Self::Annotations => "/camera/annotations",
+            Self::Calibration => "/camera/calibration",
+            Self::Transform => "/tf",
+            Self::Health => "/health",
+            Self::Current => "/coil/current",
+            Self::Windows => "/camera/windows",
+        }
+    }
+
+    pub(crate) fn schema(self) -> Option<Schema> {
+        use foxglove::Encode as _;
+        match self {
+            Self::Estimate => Catoptra::<Estimate>::get_schema(),
+            Self::Deflection => Catoptra::<Deflection>::get_schema(),
+            Self::Scene => SceneUpdate::get_schema(),
+            Self::Annotations => ImageAnnotations::get_schema(),
+            Self::Calibration => CameraCalibration::get_schema(),
+            Self::Transform => FrameTransform::get_schema(),
+            Self::Health => Catoptra::<Health>::get_schema(),
+            Self::Current => Catoptra::<Current>::get_schema(),
+            Self::Windows => Catoptra::<PictureWindows>::get_schema(),
+        }
+    }
+}

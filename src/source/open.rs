@@ -1,0 +1,62 @@
+//! Opens what a path names: a recorded video, a folder of pictures, a log.
+
+use super::{FrameRate, FrameSource, ImageFolder, ImageTiming, LogWindows, SourceError, Span, VideoFile, VideoOptions};
+use std::path::Path;
+
+/// How frames are read, whatever they come from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct SourceOptions {
+    /// Part that is read.
+    pub span: Span,
+    /// Frame rate the user states for a folder of pictures without times.
+    pub stated_rate: Option<FrameRate>,
+    /// Threads of the video decoder; 0 for one a core.
+    pub decoder_threads: usize,
+}
+
+impl Default for SourceOptions {
+    fn default() -> Self {
+        let VideoOptions { decoder_threads, span } = VideoOptions::default();
+        Self { span, stated_rate: None, decoder_threads }
+    }
+}
+
+/// Opens a recorded video (a file) or a folder of pictures.
+///
+/// # Errors
+/// [`SourceError`] when it cannot be opened, or is none.
+pub fn open(path: impl AsRef<Path>, options: SourceOptions) -> Result<Box<dyn FrameSource + Send>, SourceError> {
+    let path = path.as_ref();
+    if crate::log::is_log(path) {
+        return Err(SourceError::IsLog { path: path.to_path_buf() });
+    }
+    if path.is_dir() {
+        let timing = options.stated_rate.map_or(ImageTiming::Table, ImageTiming::StatedRate);
+        return Ok(Box::new(ImageFolder::open(path, timing, options.span)?));
+    }
+    let video = VideoOptions { decoder_threads: options.decoder_threads, span: options.span };
+    let source = VideoFile::open(path, video)?;
+    match options.stated_rate {
+        Some(_) => Err(SourceError::RateOfVideo { path: path.to_path_buf() }),
+        None => Ok(Box::new(source)),
+    }
+}
+
+/// As [`open`], and logs that hold the windows of their pictures ([`LogWindows`]): good for a
+/// [`Tracker`](crate::track::Tracker), which asks whether there is what it looks at, and for nothing else.
+///
+/// # Errors
+/// [`SourceError`] when it cannot be opened, or is none.
+pub fn open_to_track(
+    path: impl AsRef<Path>,
+    options: SourceOptions,
+) -> Result<Box<dyn FrameSource + Send>, SourceError> {
+    let path = path.as_ref();
+    if !crate::log::is_log(path) {
+        return open(path, options);
+    }
+    match options.stated_rate {
+        Some(_) => Err(SourceError::RateOfVideo { path: path.to_path_buf() }),
+        None => Ok(Box::new(LogWindows::open(path, options.span)?)),
+    }
+}

@@ -1,0 +1,118 @@
+//! When the first command was given, where nobody says it.
+//!
+//! - From the coil currents in the log: the first moment at which a current differs from the first one logged, or the
+//!   first one itself when it is not zero and changes within 1.5 pauses.
+//! - Else by a search over the record: the start at which the observed motion correlates best with the whole commanded
+//!   one. That absorbs the lag of the catheter: no phase can be measured from such a start, and errors are without the
+//!   lag too.
+
+use super::path::DesiredPath;
+use super::pauses::{Sample, Window};
+use super::spline::{Curve, Interpolation};
+use crate::series::Current;
+use nalgebra::Vector3;
+
+/// How the start is known.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum StartFrom {
+    /// It was given.
+    Given,
+    /// The first change of a coil current in the log.
+    Currents,
+    /// A search by correlation.
+    Search,
+}
+
+impl StartFrom {
+    /// The word in tables.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Given => "given",
+            Self::Currents => "currents",
+            Self::Search => "search",
+        }
+    }
+}
+
+/// Points of the path that are looked at for each start.
+const LOOKED_AT: usize = 400;
+/// Starts that are tried in a long record.
+const MOST_STARTS: i64 = 10_000;
+/// Currents that differ by less are the same, amperes.
+const SAME_A: f64 = 1e-6;
+
+/// The first change of a coil current, camera time; the first current itself where it is not zero and not held for
+/// longer than a command: then it is one.
+pub(super) fn from_currents(currents: &[Current], pause_ns: i64) -> Option<i64> {
+    let first = currents.first()?;
+    let differs = |current: &&Current| {
+        let mut pairs = current.values_a.iter().zip(&first.values_a);
+        pairs.any(|(a, b)| (a - b).abs() > SAME_A) || current.values_a.len() != first.values_a.len()
+    };
+    let change_ns = currents.iter().find(differs).and_then(|current| current.stamp_ns)?;
+    let flows = first.values_a.iter().any(|value| value.abs() > SAME_A);
+    let is_command = |first_ns: &i64| flows && 2 * change_ns.saturating_sub(*first_ns) <= 3 * pause_ns;
+    first.stamp_ns.filter(is_command).or(Some(change_ns))
+}
+
+/// The start at which the motion correlates best with the path; `None` when the record is shorter than all commands, or
+/// does not move. Good to about one point of 200 a period.
+pub(super) fn by_search(path: &DesiredPath, samples: &[Sample], pause_ns: i64) -> Option<i64> {
+    let (first_ns, last_ns) = (samples.first()?.0, samples.last()?.0);
+    let window = Window { start_ns: first_ns, pause_ns, commands: path.commands() };
+    let slack_ns = last_ns.checked_sub(window.end_ns()).filter(|slack| *slack >= 0)?;
+    let times_s = samples.iter().map(|(ns, _)| (ns - first_ns) as f64 * 1e-9).collect();
+    let curve = Curve::through(times_s, samples.iter().map(|(_, v)| *v).collect(), Interpolation::Linear);
+    let every = path.commands().div_ceil(LOOKED_AT);
+    let commands: Vec<(f64, Vector3<f64>)> = (0..path.commands())
+        .step_by(every)
+        .map(|k| ((k as f64 + 0.5) * pause_ns as f64 * 1e-9, path.point(k).coords))
+        .collect();
+    let best = |from_ns: i64, to_ns: i64, step_ns: i64| {
+        let starts = (0..=(to_ns - from_ns) / step_ns).map(|k| from_ns + k * step_ns);
+        let scored = starts.filter_map(|ns| Some((correlation(&curve, &commands, ns as f64 * 1e-9)?, ns)));
+        scored.max_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, ns)| ns)
+    };
+    // A long record is searched coarsely first.
+    let fine_ns = (pause_ns.saturating_mul(path.points.len() as i64) / 200).max(1);
+    let coarse_ns = fine_ns.max(slack_ns / MOST_STARTS);
+    let near_ns = best(0, slack_ns, coarse_ns)?;
+    let (from_ns, to_ns) = ((near_ns - coarse_ns).max(0), (near_ns + coarse_ns).min(slack_ns));
+    best(from_ns, to_ns, fine_ns).map(|ns| first_ns + ns)
+}
+
+/// Correlation of the motion from `offset_s` on with the commands; `None` without a motion.
+fn correlation(curve: &Curve, commands: &[(f64, Vector3<f64>)], offset_s: f64) -> Option<f64> {
+    let pairs: Vec<(Vector3<f64>, Vector3<f64>)> =
+        commands.iter().filter_map(|(t_s, x)| Some((*x, curve.at(offset_s + t_s)?.0))).collect();
+    let count = pairs.len() as f64;
+    let (mean_x, mean_y) =
+        pairs.iter().fold((Vector3::zeros(), Vector3::zeros()), |(a, b), (x, y)| (a + x / count, b + y / count));
+    let (mut both, mut xx, mut yy) = (0.0, 0.0, 0.0);
+    for (x, y) in &pairs {
+        let (x, y) = (x - mean_x, y - mean_y);
+        both += x.dot(&y);
+        xx += x.norm_squared();
+        yy += y.norm_squared();
+    }
+    let correlation = both / (xx * yy).sqrt();
+    correlation.is_finite().then_some(correlation)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_first_current_is_a_command_when_it_flows_and_changes_soon() {
+        let logged = |currents: &[(i64, f64)]| {
+            let of = |(ns, a): &(i64, f64)| Current { host_ns: None, stamp_ns: Some(*ns), values_a: vec![0.0, *a] };
+            from_currents(&currents.iter().map(of).collect::<Vec<_>>(), 100)
+        };
+        assert_eq!(logged(&[(5, 0.0), (100, 0.0), (200, 0.01), (300, 0.02)]), Some(200));
+        assert_eq!(logged(&[(200, 0.01), (300, 0.02)]), Some(200));
+        assert_eq!(logged(&[(200, 0.01), (900, 0.01), (1000, 0.02)]), Some(1000));
+        assert_eq!(logged(&[(200, 0.01), (900, 0.01)]), None);
+        assert_eq!(logged(&[]), None);
+    }
+}

@@ -1,0 +1,182 @@
+//! `catoptra calibrate markers` as a user runs it: what a rig without colours learns from one click a band, what that is
+//! worth on another recording, and when it refuses.
+
+use crate::support::truth;
+use crate::support::truth::score::{Limits, Score};
+use crate::support::truth::{file, frames, recording, track};
+use catoptra::rig::Rig;
+use catoptra::track::TrackOptions;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+use tempfile::TempDir;
+
+const BASE: &str = "base@431,408:6mm";
+const COIL: &str = "coil@431,565:12mm";
+const TIP: &str = "tip@430,607:6mm";
+
+/// A folder with the sample's rig as it is before its markers are known: no colours, no places along the tube, no blur.
+struct Bench {
+    folder: TempDir,
+}
+
+impl Bench {
+    fn new() -> Self {
+        let mut table: toml::Table =
+            std::fs::read_to_string(file("sample_frames/truth/rig.toml")).unwrap().parse().unwrap();
+        let camera = table["camera"].as_table_mut().unwrap();
+        assert!(camera.remove("blur_px").is_some() && camera.remove("chroma_offset_px").is_some());
+        for marker in table["marker"].as_array_mut().unwrap() {
+            let marker = marker.as_table_mut().unwrap();
+            assert!(marker.remove("colour").is_some() && marker.remove("centre_mm").is_some());
+        }
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join("bare.toml"), table.to_string()).unwrap();
+        Self { folder }
+    }
+
+    fn learned(&self) -> PathBuf {
+        self.folder.path().join("learned.toml")
+    }
+
+    fn calibrate(&self, args: &[&str]) -> Output {
+        catoptra(self.folder.path(), &[&["calibrate", "markers"], args].concat())
+    }
+
+    fn pick(&self, run: &str, picks: [&str; 3]) -> Output {
+        let video = recording(run);
+        let [base, coil, tip] = picks;
+        let args = ["--rig", "bare.toml", "--out", "learned.toml", "--tube", "3.2mm", "--pick", base, "--pick", coil];
+        self.calibrate(&[&[video.to_str().unwrap()], &args[..], &["--pick", tip]].concat())
+    }
+}
+
+fn catoptra(folder: &Path, args: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_catoptra")).current_dir(folder).args(args).output().unwrap()
+}
+
+/// Fails unless the run ended with this exit code; gives what it said on stderr.
+fn ended_with(output: &Output, code: i32) -> String {
+    let said = String::from_utf8(output.stderr.clone()).unwrap();
+    assert_eq!(output.status.code(), Some(code), "{said}{}", String::from_utf8_lossy(&output.stdout));
+    said
+}
+
+#[test]
+fn markers_learned_from_clicks_measure_another_recording() {
+    let bench = Bench::new();
+    let output = bench.pick("planar", [BASE, COIL, TIP]);
+    ended_with(&output, 0);
+    println!("{}", String::from_utf8_lossy(&output.stdout));
+    let check = catoptra(bench.folder.path(), &["rig", "check", "learned.toml"]);
+    ended_with(&check, 0);
+
+    let rig = Rig::load(&bench.learned()).unwrap();
+    let blur_px = rig.camera.blur_px.unwrap();
+    assert!((0.4..0.7).contains(&blur_px), "blur {blur_px} px");
+    // Chroma of the recording lies between the luma columns, its tag says on them: half a pixel to the right.
+    let [right, down] = rig.camera.chroma_offset_px;
+    assert!((right - 0.5).abs() < 0.1 && down.abs() < 0.1, "chroma offset {right}, {down} px");
+    let centres_mm: Vec<f64> = rig.markers.iter().map(|m| m.centre_m.unwrap() * 1e3).collect();
+    // By construction of the catheter; between base and coil only the chord of a bent tube is known.
+    let [upper_mm, lower_mm] = [centres_mm[1] - centres_mm[0], centres_mm[2] - centres_mm[1]];
+    assert!((lower_mm - 22.0).abs() < 0.15, "coil to tip {lower_mm} mm");
+    assert!((upper_mm - 79.0).abs() < 2.0, "base to coil {upper_mm} mm");
+    let markers = rig.provenance["markers"].as_table().unwrap();
+    assert_eq!(markers["recording"].as_str(), Some("planar.mkv"));
+
+    let estimates = track(&rig, TrackOptions::default(), frames("circle"));
+    let score = Score::of(&rig, "circle", &estimates, &truth::truth("circle"));
+    println!("{}", score.table());
+    Limits::PROMISED.hold_for(&score);
+}
+
+#[test]
+fn bands_that_are_none_or_not_to_be_told_apart_are_refused_and_nothing_is_written() {
+    let bench = Bench::new();
+    for (what, picks, word) in [
+        ("two picks on one band", [BASE, COIL, "tip@431,558:6mm"], "tip"),
+        ("the bare tube", [BASE, "coil@431,480:12mm", TIP], "coil"),
+        ("the background", [BASE, COIL, "tip@560,480:6mm"], "tip"),
+    ] {
+        let said = ended_with(&bench.pick("rest", picks), 3);
+        assert!(said.contains(word), "{what}: {said}");
+        assert!(!bench.learned().exists(), "{what}");
+    }
+}
+
+#[test]
+fn wrong_arguments_are_named() {
+    let bench = Bench::new();
+    let large = std::fs::read_to_string(bench.folder.path().join("bare.toml")).unwrap();
+    let large = large.replace("width_px = 1280", "width_px = 1920").replace("height_px = 1024", "height_px = 1200");
+    std::fs::write(bench.folder.path().join("large.toml"), large).unwrap();
+    let video = recording("rest");
+    let video = video.to_str().unwrap();
+    let (rig, tube) = (["--rig", "bare.toml"], ["--tube", "3.2mm"]);
+    let picks = ["--pick", BASE, "--pick", COIL, "--pick", TIP];
+    let cases: [(&[&[&str]], &str); 14] = [
+        (&[&[video], &rig, &picks], "--tube"),
+        (&[&[video], &rig, &["--tube", "3.2"], &picks], "3.2mm"),
+        (&[&[video], &rig, &tube], "--pick"),
+        (&[&[video], &rig, &tube, &["--pick", "base@431:6mm"]], "NAME@X,Y:LENGTH"),
+        (&[&[video], &rig, &tube, &picks[..5], &["tip@1300,607:6mm"]], "1280x1024"),
+        (&[&[video], &rig, &tube, &picks, &["--view", "left"]], "direct, mirror"),
+        (&[&[video], &["--rig", "none.toml"], &tube, &picks], "none.toml"),
+        (&[&["none.mkv"], &rig, &tube, &picks], "none.mkv"),
+        (&[&[video], &rig, &tube, &picks[..5], &["tip@880,600:6mm"]], "view `direct`; it lies in that of `mirror`"),
+        (
+            &[&[video], &rig, &tube, &picks, &["--coil", "coils"]],
+            "coils: no such band of this command; picked are base, coil, tip",
+        ),
+        (
+            &[&[video], &rig, &tube, &picks, &["--end", "coil"]],
+            "the last marker along the tube, \"tip\" (with the bands",
+        ),
+        (&[&[video], &rig, &tube, &picks, &["--pick", TIP]], "a different name for each (with the bands"),
+        (&[&[video], &rig, &tube, &picks, &["--out", "none/rig.toml"]], "none/rig.toml: there is no such folder"),
+        (
+            &[&[video], &["--rig", "large.toml"], &tube, &picks],
+            "1280x1024 pixels, but the camera in large.toml has 1920x1200",
+        ),
+    ];
+    for (args, word) in cases {
+        let said = ended_with(&bench.calibrate(&args.concat()), 2);
+        assert!(said.contains(word), "{word} is not in {said}");
+    }
+}
+
+#[test]
+fn the_stiff_part_that_was_given_is_in_the_rig() {
+    let bench = Bench::new();
+    let video = recording("rest");
+    let args = [video.to_str().unwrap(), "--rig", "bare.toml", "--out", "learned.toml", "--tube", "3.2mm"];
+    let picks = ["--rigid", "15mm", "--pick", BASE, "--pick", COIL, "--pick", TIP];
+    ended_with(&bench.calibrate(&[&args[..], &picks].concat()), 0);
+    assert_eq!(Rig::load(&bench.learned()).unwrap().catheter.rigid_m, Some(0.015));
+}
+
+#[test]
+fn a_recording_that_ends_early_is_learned_from_as_far_as_it_goes() {
+    let bench = Bench::new();
+    let whole = std::fs::read(recording("planar")).unwrap();
+    std::fs::write(bench.folder.path().join("cut.mkv"), &whole[..200_000]).unwrap();
+    let args = ["cut.mkv", "--rig", "bare.toml", "--out", "learned.toml", "--tube", "3.2mm"];
+    let picks = ["--pick", BASE, "--pick", COIL, "--pick", TIP];
+    let said = ended_with(&bench.calibrate(&[&args[..], &picks].concat()), 0);
+    assert!(said.contains("cut.mkv: the recording ends early"), "{said}");
+    assert!(Rig::load(&bench.learned()).unwrap().markers.iter().all(|m| m.colour.is_some()));
+}
+
+#[test]
+fn the_recording_and_other_files_are_not_taken_for_a_rig_to_replace() {
+    let bench = Bench::new();
+    let video = bench.folder.path().join("rest.mkv");
+    std::fs::copy(recording("rest"), &video).unwrap();
+    let before = std::fs::read(&video).unwrap();
+    let args = ["rest.mkv", "--rig", "bare.toml", "--tube", "3.2mm", "--out", "rest.mkv"];
+    let picks = ["--pick", BASE, "--pick", COIL, "--pick", TIP];
+    let said = ended_with(&bench.calibrate(&[&args[..], &picks].concat()), 2);
+    assert!(said.contains("rest.mkv: is there and no rig file"), "{said}");
+    assert_eq!(std::fs::read(&video).unwrap(), before);
+    assert!(!bench.folder.path().join("rest.mkv.bak").exists());
+}

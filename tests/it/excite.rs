@@ -1,0 +1,102 @@
+//! `catoptra excite` from end to end: tables that play the paper's chirp and others, limits, and what is refused.
+
+use crate::support::python;
+use catoptra::series::CurrentTable;
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Output};
+
+fn excite(folder: &Path, args: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_catoptra")).current_dir(folder).arg("excite").args(args).output().unwrap()
+}
+
+fn stderr(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+fn made(folder: &Path, args: &[&str]) -> (CurrentTable, String) {
+    let output = excite(folder, &[args, &["-o", "i.csv"]].concat());
+    assert!(output.status.success(), "{}", stderr(&output));
+    (CurrentTable::read(&folder.join("i.csv")).unwrap(), String::from_utf8_lossy(&output.stdout).into_owned())
+}
+
+#[test]
+fn without_options_it_is_the_papers_chirp() {
+    let folder = tempfile::tempdir().unwrap();
+    let (table, message) = made(folder.path(), &["chirp", "--report"]);
+    assert_eq!((table.rows.len(), table.coils.join(",")), (18_001, "current_a".to_owned()));
+    let (first, last) = (&table.rows[0], &table.rows[18_000]);
+    assert_eq!((first.time_ns, last.time_ns), (0, 300_000_000_000));
+    assert_eq!((&first.values_a, &last.values_a), (&vec![0.0], &vec![0.0]));
+    let peak = table.rows.iter().fold(0.0_f64, |peak, row| peak.max(row.values_a[0].abs()));
+    assert!((peak - 0.1).abs() < 1e-5);
+    for part in
+        ["peak           100.0 mA", "crest factor   1.41", "largest slew   4.88 A/s", "rows a period  7.5, at 8 Hz"]
+    {
+        assert!(message.contains(part), "`{part}` is not in {message}");
+    }
+    let page = fs::read_to_string(folder.path().join("i.html")).unwrap();
+    assert!(page.contains("id=\"plot-current\"") && page.contains("id=\"plot-spectrum\""));
+}
+
+#[test]
+fn limits_are_kept_by_refusing_or_by_cutting_off() {
+    let folder = tempfile::tempdir().unwrap();
+    let refused = |args: &[&str], words: &str| {
+        let output = excite(folder.path(), &[args, &["-o", "i.csv"]].concat());
+        assert_eq!(output.status.code(), Some(2), "{}", stderr(&output));
+        assert!(stderr(&output).contains(words), "`{words}` is not in {}", stderr(&output));
+        assert!(!folder.path().join("i.csv").exists());
+    };
+    refused(&["chirp", "--amplitude", "150mA"], "the current reaches 150.0 mA at 0.233 s, the limit is 100.0 mA");
+    refused(&["chirp", "--slew", "3A/s"], "an amplitude of 61.5 mA keeps it");
+    refused(&["steps", "--levels", "0mA,100mA", "--hold", "0.1s", "--slew", "0.5A/s"], "takes 0.200 s at 0.5 A/s");
+    refused(&["multisine", "--period", "20.01s"], "is the nearest");
+    refused(&["chirp", "--to", "31Hz"], "stay below 30 Hz");
+    refused(&["chirp", "--amplitude", "100"], "write for example 100mA");
+    refused(&["chirp", "--coils", "a,a"], "--coils: names of columns, all different");
+
+    let (table, message) = made(folder.path(), &["chirp", "--amplitude", "150mA", "--slew", "3A/s", "--clip"]);
+    assert!(message.contains("limit of current: ") && message.contains("limit of slew: "), "{message}");
+    let values: Vec<f64> = table.rows.iter().map(|row| row.values_a[0]).collect();
+    assert!(values.iter().all(|value| value.abs() <= 0.1 + 1e-9));
+    assert!(values.windows(2).all(|pair| (pair[1] - pair[0]).abs() * 60.0 <= 3.0 + 1e-6));
+}
+
+#[test]
+fn several_coils_have_a_column_each_and_only_a_table_is_replaced() {
+    let folder = tempfile::tempdir().unwrap();
+    let args = ["steps", "--levels", "-50mA,50mA", "--hold", "1s", "--duration", "4s", "--rate", "10", "--coils"];
+    for _ in 0..2 {
+        let (table, _) = made(folder.path(), &[args.as_slice(), &["axial_a,side_a"]].concat());
+        assert_eq!(table.coils, ["axial_a", "side_a"]);
+        assert_eq!((&table.rows[5].values_a, &table.rows[15].values_a), (&vec![-0.05, 0.0], &vec![0.05, 0.0]));
+        assert_eq!(table.rows.len(), 41);
+    }
+    fs::write(folder.path().join("notes.csv"), "Tuesday\n").unwrap();
+    let output = excite(folder.path(), &["chirp", "-o", "notes.csv"]);
+    assert_eq!(output.status.code(), Some(2));
+    assert!(stderr(&output).contains("notes.csv: is there and not a table of this command"), "{}", stderr(&output));
+    let output = excite(folder.path(), &["chirp", "-o", "none/i.csv"]);
+    assert_eq!(output.status.code(), Some(2));
+    assert!(stderr(&output).contains("there is no such folder"), "{}", stderr(&output));
+}
+
+/// scipy makes the same chirps.
+#[test]
+fn scipy_makes_the_same_chirps() {
+    let Some(python) = python::interpreter_with(&["numpy", "scipy"]) else { return };
+    let folder = tempfile::tempdir().unwrap();
+    for (sweep, method) in [("linear", "linear"), ("log", "logarithmic")] {
+        made(folder.path(), &["chirp", "--sweep", sweep, "--duration", "60s", "--from", "0.3Hz", "--to", "9Hz"]);
+        let script = format!(
+            "import numpy as np, scipy.signal as s\n\
+             i = np.loadtxt('i.csv', delimiter=',', skiprows=1)\n\
+             t = np.arange(3600) / 60\n\
+             e = 0.1 * s.chirp(t, 0.3, 60, 9, method='{method}', phi=-90)\n\
+             assert np.abs(i[:-1, 1] - e).max() < 2e-8, np.abs(i[:-1, 1] - e).max()"
+        );
+        let output = Command::new(&python).current_dir(folder.path()).args(["-c", &script]).output().unwrap();
+        assert!(output.status.success(), "{}", stderr(&output));
+    }
+}

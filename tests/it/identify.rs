@@ -1,0 +1,117 @@
+//! The paper's chain on records whose truth is known: made by scipy, with Eq. 7 inside Eq. 6 (`sample_dynamics`).
+
+use serde_json::Value;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+/// Eq. 7.
+const NUM: [f64; 2] = [1.761e4, 6344.0];
+const DEN: [f64; 3] = [1.0, 4.59, 1.136];
+
+fn sample(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("sample_dynamics").join(name)
+}
+
+fn identify(out: &Path, more: &[&str]) -> Output {
+    let records = ["training", "validation_1", "validation_2"];
+    let mut command = Command::new(env!("CARGO_BIN_EXE_catoptra"));
+    command.arg("identify").arg(sample("training.csv")).arg("--plant").arg(sample("plant.toml"));
+    for record in records {
+        command.arg("--currents").arg(sample(&format!("{record}_currents.csv")));
+    }
+    command.arg("--validate").args([sample("validation_1.csv"), sample("validation_2.csv")]);
+    command.arg("-o").arg(out).args(more).output().unwrap()
+}
+
+fn model(out: &Path) -> Value {
+    serde_json::from_slice(&std::fs::read(out.join("model.json")).unwrap()).unwrap()
+}
+
+fn numbers(value: &Value) -> Vec<f64> {
+    value.as_array().unwrap().iter().map(|v| v.as_f64().unwrap()).collect()
+}
+
+fn errors(model: &Value, of: &str, kind: &str) -> Vec<f64> {
+    let fits = model["fits"].as_array().unwrap().iter();
+    fits.filter(|f| f["model"] == of && f["kind"] == kind).map(|f| f["error_percent"].as_f64().unwrap()).collect()
+}
+
+#[test]
+fn the_papers_chain_recovers_eq_7_and_fills_table_1() {
+    let out = tempfile::tempdir().unwrap();
+    let run = identify(out.path(), &["--order", "15", "--bootstrap", "40"]);
+    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+    let found = model(out.path());
+    // Table I: the noise of θ alone is 0.007 to 0.02 % of the energy.
+    for (of, most) in [("full", 0.06), ("reduced", 0.06), ("refined", 0.025)] {
+        let errors = errors(&found, of, "simulation");
+        assert!(errors.len() == 3 && errors.iter().all(|e| *e < most), "{of} {errors:?}");
+    }
+    // H(s): within 4 σ and 0.3 %, the part that averaging the current from frame to frame costs.
+    let h = &found["refined"]["continuous"];
+    assert_eq!(h["conversion"], "zero_order_hold");
+    let [num, den] = ["num", "den"].map(|key| numbers(&h[key]));
+    let [num_sd, den_sd] = ["num_standard_errors", "den_standard_errors"].map(|key| numbers(&h[key]));
+    assert_eq!((num.len(), den.len()), (2, 3), "{h}");
+    let all = num.iter().chain(&den).zip(num_sd.iter().chain(&den_sd)).zip(NUM.iter().chain(&DEN));
+    for ((found, sd), truth) in all {
+        assert!((found - truth).abs() <= 4.0 * sd + 3e-3 * truth, "{found} ± {sd}, truth {truth}");
+    }
+    // The bandwidth that this has by each definition, with the intervals around.
+    for (definition, truth) in [("minus_3db_re_dc", 0.2117), ("phase_minus_45deg", 0.6572)] {
+        let of = |b: &&Value| b["model"] == "refined" && b["definition"] == definition;
+        let bandwidth = found["bandwidths"].as_array().unwrap().iter().find(of).unwrap();
+        let f = bandwidth["frequency_hz"].as_f64().unwrap();
+        let interval = numbers(&bandwidth["interval_95_hz"]);
+        assert!((f / truth - 1.0).abs() < 0.1 && interval[0] < f && f < interval[1], "{bandwidth}");
+        // Zero frequency was not excited, and below 0.7 Hz the torque of this chirp has hardly any energy.
+        assert_eq!(bandwidth["extrapolated"], true);
+    }
+    for record in found["records"].as_array().unwrap() {
+        assert!(record["delay_s"].as_f64().unwrap().abs() < 1e-3, "{record}");
+        assert!(record["missed"].as_u64().unwrap() > 0 && record["lost"].as_u64().unwrap() > 0, "{record}");
+    }
+    for file in [
+        "report.html",
+        "bode.csv",
+        "frequency_response.csv",
+        "signals.csv",
+        "orders.csv",
+        "hankel.csv",
+        "residuals.csv",
+    ] {
+        assert!(out.path().join(file).metadata().unwrap().len() > 100, "{file}");
+    }
+}
+
+/// Eq. 6 feeds noise back into the input: ARX of the right order is biased by it, instruments made from the current are
+/// less.
+#[test]
+fn instruments_from_the_current_take_bias_away() {
+    let of = |estimator: &str| {
+        let out = tempfile::tempdir().unwrap();
+        let run = identify(out.path(), &["--order", "2", "--nk", "1", "--bootstrap", "0", "--estimator", estimator]);
+        assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+        errors(&model(out.path()), "full", "simulation")
+    };
+    let (arx, iv, oe) = (of("arx"), of("iv"), of("oe"));
+    for k in 0..3 {
+        assert!(oe[k] < iv[k] && iv[k] < arx[k], "ARX {arx:?}, instruments {iv:?}, output error {oe:?}");
+    }
+}
+
+#[test]
+fn a_delay_that_is_put_in_is_found_and_can_be_taken_out() {
+    let out = tempfile::tempdir().unwrap();
+    // Commands are said to act 40 ms too early.
+    let late = identify(out.path(), &["--order", "2", "--nk", "1", "--bootstrap", "0", "--delay", "-40ms"]);
+    assert!(late.status.success(), "{}", String::from_utf8_lossy(&late.stderr));
+    let found = model(out.path());
+    let message = found["records"][0]["delay_s"].as_f64().unwrap();
+    assert!(message.abs() < 1e-3, "{message}");
+    let worse = errors(&found, "refined", "simulation")[0];
+    let auto = identify(out.path(), &["--order", "2", "--nk", "1", "--bootstrap", "0", "--delay", "auto"]);
+    assert!(auto.status.success(), "{}", String::from_utf8_lossy(&auto.stderr));
+    let better = errors(&model(out.path()), "refined", "simulation")[0];
+    assert!(better < 0.03 && better < 0.3 * worse, "{better} {worse}");
+}

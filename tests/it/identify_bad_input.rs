@@ -1,0 +1,226 @@
+//! What `catoptra identify` says about data and options that cannot be used.
+
+use std::fmt::Write as _;
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+
+const COLUMNS: [&str; 6] = ["--input", "u", "--output", "y", "--time", "t"];
+const SECOND: [&str; 4] = ["--order", "2", "--nk", "1"];
+
+/// Time, input, output; with the cells that `of` makes of them.
+fn table(folder: &Path, name: &str, rows: usize, of: impl Fn(usize, f64, f64, f64) -> [String; 3]) {
+    let mut text = "t,u,y\n".to_owned();
+    let (mut y1, mut y2, mut u1, mut seed) = (0.0, 0.0, 0.0, 1_u32);
+    for k in 0..rows {
+        // What no short rule repeats.
+        seed = seed.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        let u = f64::from(seed >> 8) / f64::from(1 << 23) - 1.0;
+        let y = 1.5 * y1 - 0.7 * y2 + u1 + 0.1 * (1.7 * k as f64).sin();
+        (y2, y1, u1) = (y1, y, u);
+        writeln!(text, "{}", of(k, k as f64 * 0.01, u, y).join(",")).unwrap();
+    }
+    fs::write(folder.join(name), text).unwrap();
+}
+
+fn good(folder: &Path) {
+    table(folder, "good.csv", 400, |_, t, u, y| [t, u, y].map(|v| v.to_string()));
+}
+
+/// Exit code, and what was said.
+fn identify(folder: &Path, args: &[&[&str]]) -> (i32, String) {
+    let mut program = Command::new(env!("CARGO_BIN_EXE_catoptra"));
+    program.current_dir(folder).arg("identify").args(args.concat()).args(["--bootstrap", "0"]);
+    let output = program.output().unwrap();
+    (output.status.code().unwrap_or(-1), String::from_utf8_lossy(&output.stderr).into_owned())
+}
+
+#[track_caller]
+fn refused(folder: &Path, args: &[&[&str]], code: i32, says: &[&str]) {
+    let (found, message) = identify(folder, &[args, &[&["-o", "refused"]]].concat());
+    assert_eq!(found, code, "{message}");
+    for part in says {
+        assert!(message.contains(part), "{part} is not in: {message}");
+    }
+    assert!(!folder.join("refused").exists());
+}
+
+#[test]
+fn data_that_cannot_be_used() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let texts = |t: f64, u: f64, y: f64| [t, u, y].map(|v| v.to_string());
+    table(folder, "still_u.csv", 100, |_, t, _, y| texts(t, 1.5, y));
+    table(folder, "still_y.csv", 100, |_, t, u, _| texts(t, u, 0.1));
+    refused(folder, &[&["still_u.csv"], &COLUMNS], 2, &["still_u.csv: the input is 1.5 in all samples"]);
+    refused(folder, &[&["still_y.csv"], &COLUMNS], 2, &["still_y.csv: the output is 0.1 in all samples"]);
+    table(folder, "short.csv", 8, |_, t, u, y| texts(t, u, y));
+    let fifteen: [&str; 4] = ["--order", "15", "--nk", "1"];
+    refused(
+        folder,
+        &[&["short.csv"], &COLUMNS, &fifteen],
+        2,
+        &["short.csv: 30 coefficients", "8 samples", "lower orders"],
+    );
+    table(folder, "head.csv", 0, |_, t, u, y| texts(t, u, y));
+    refused(folder, &[&["head.csv"], &COLUMNS], 2, &["head.csv: has 0 samples; at least 2"]);
+    table(folder, "missed.csv", 50, |_, t, u, _| [t.to_string(), u.to_string(), String::new()]);
+    refused(folder, &[&["missed.csv"], &COLUMNS], 2, &["missed.csv: no sample has both input and output"]);
+    table(folder, "back.csv", 50, |k, t, u, y| texts(if k == 30 { 0.0 } else { t }, u, y));
+    refused(
+        folder,
+        &[&["back.csv"], &COLUMNS],
+        2,
+        &["back.csv: time goes from 0.29 s to 0 s at sample 30; it must rise"],
+    );
+    table(folder, "uneven.csv", 50, |k, t, u, y| texts(t + if k > 20 { 0.004 } else { 0.0 }, u, y));
+    refused(folder, &[&["uneven.csv"], &COLUMNS], 2, &["uneven.csv: samples are not evenly spaced", "--resample"]);
+    table(folder, "no_time.csv", 50, |k, t, u, y| {
+        [if k == 5 { String::new() } else { t.to_string() }, u.to_string(), y.to_string()]
+    });
+    refused(folder, &[&["no_time.csv"], &COLUMNS], 2, &["no_time.csv: the time of row 6 is missing"]);
+    table(folder, "text.csv", 50, |k, t, u, y| {
+        [t.to_string(), if k == 7 { "abc".to_owned() } else { u.to_string() }, y.to_string()]
+    });
+    refused(folder, &[&["text.csv"], &COLUMNS], 2, &["text.csv, line 9: `abc` in column `u` is no number"]);
+    good(folder);
+    table(folder, "slow.csv", 100, |_, t, u, y| texts(2.0 * t, u, y));
+    refused(
+        folder,
+        &[&["good.csv", "slow.csv"], &COLUMNS],
+        2,
+        &["slow.csv: samples are 0.020000 s apart, and 0.010000 s in good.csv"],
+    );
+    refused(folder, &[&["nowhere.csv"], &COLUMNS], 1, &["nowhere.csv"]);
+    // The same column twice explains itself; nothing else can be told of it.
+    let same = ["good.csv", "--input", "u", "--output", "u", "--period", "0.01"];
+    refused(folder, &[&same, &SECOND], 3, &["good.csv: the data do not determine the 4 coefficients"]);
+}
+
+#[test]
+fn options_that_cannot_be_followed() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    good(folder);
+    let with = |more: &[&str], code, says: &[&str]| refused(folder, &[&["good.csv"], &COLUMNS, more], code, says);
+    with(&["--train", "0:500"], 2, &["good.csv: has 400 samples, and 0:500 were asked for"]);
+    with(&["--train", "0:200", "--test", "300:401"], 2, &["good.csv: has 400 samples, and 300:401"]);
+    with(&["--train", "5:5"], 2, &["`5:5` is no range of samples: write 0:500"]);
+    with(&["--train", "0:4", "--order", "2", "--nk", "1"], 2, &["good.csv [0:4]: 4 coefficients", "4 samples"]);
+    let judged = ["good.csv [398:400]: no stretch", "more than 2 samples", "judge by more"];
+    with(&["--train", "0:300", "--test", "398:400", "--order", "1:3", "--nk", "1"], 2, &judged);
+    with(&["--decimate", "100"], 2, &["good.csv: --decimate 100 leaves nothing", "1100 samples", "has 400"]);
+    with(&["--order", "0"], 2, &["--order 0"]);
+    with(&["--na", "2"], 2, &["--na and --nb go together"]);
+    with(&["--select", "simulation"], 2, &["no data to judge by; give --validate or --test"]);
+    with(&["--reduce", "0"], 2, &["`0` is no order"]);
+    // Of logs only: not taken silently.
+    for more in [["--currents", "a.csv"], ["--delay", "20ms"], ["--coil", "1"], ["--plant", "plant.toml"]] {
+        with(&more, 2, &["cannot be used with"]);
+    }
+    refused(
+        folder,
+        &[&["good.csv", "--input", "v", "--output", "y", "--period", "0.01"]],
+        2,
+        &["no column `v`; it has t, u, y"],
+    );
+    refused(
+        folder,
+        &[&["good.csv", "--input", "9", "--output", "y", "--period", "0.01"]],
+        2,
+        &["no column 9; columns are numbered from 1 to 3"],
+    );
+    refused(folder, &[&["good.csv", "--input", "u", "--output", "y"]], 2, &["give --period S, or --time COLUMN"]);
+    refused(folder, &[&["good.csv"]], 2, &["good.csv: what moves it?"]);
+    refused(folder, &[&["good.csv", "--plant", "nowhere.toml"]], 2, &["nowhere.toml"]);
+    fs::write(folder.join("plant.toml"), "turns = 100\nare_mm2 = 8\n").unwrap();
+    refused(
+        folder,
+        &[&["good.csv", "--plant", "plant.toml"]],
+        2,
+        &["plant.toml:2: unknown field `are_mm2`", "the keys are"],
+    );
+}
+
+#[test]
+fn folders_that_are_none_and_folders_with_an_earlier_result() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    good(folder);
+    fs::write(folder.join("file"), "mine").unwrap();
+    let (code, message) = identify(folder, &[&["good.csv"], &COLUMNS, &SECOND, &["-o", "file"]]);
+    assert!(code == 1 && message.contains("cannot make the folder file: there is a file of this name"), "{message}");
+    assert_eq!(fs::read_to_string(folder.join("file")).unwrap(), "mine");
+    // A search leaves a table of orders; a result without a search must not stand beside it.
+    let (code, message) =
+        identify(folder, &[&["good.csv"], &COLUMNS, &["--order", "1:3", "--nk", "1", "-o", "result"]]);
+    assert!(code == 0 && folder.join("result/orders.csv").exists(), "{message}");
+    fs::write(folder.join("result/notes.txt"), "mine").unwrap();
+    let (code, message) = identify(folder, &[&["good.csv"], &COLUMNS, &SECOND, &["-o", "result"]]);
+    assert!(code == 0 && !folder.join("result/orders.csv").exists(), "{message}");
+    assert!(folder.join("result/notes.txt").exists() && folder.join("result/residuals.csv").exists());
+}
+
+#[test]
+fn what_was_fitted_is_no_judge() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    good(folder);
+    let overlap = ["--train", "0:200", "--test", "150:400", "-o", "result"];
+    let (code, message) = identify(folder, &[&["good.csv"], &COLUMNS, &SECOND, &overlap]);
+    assert!(code == 0 && message.contains("--train and --test share samples 150 to 199"), "{message}");
+    let (code, message) =
+        identify(folder, &[&["good.csv", "-o", "result"], &COLUMNS, &SECOND, &["--validate", "good.csv"]]);
+    assert!(code == 0 && message.contains("good.csv: is fitted and judged by"), "{message}");
+}
+
+/// Every number of a result, null where there is none.
+fn model(folder: &Path, name: &str) -> serde_json::Value {
+    serde_json::from_slice(&fs::read(folder.join(name).join("model.json")).unwrap()).unwrap()
+}
+
+#[test]
+fn an_unstable_model_is_said_to_be_so_and_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    // y(t) = 1.05 y(t−1) + u(t−1), and the same with a second state inside the circle.
+    for (name, a, args) in [("one", [1.05, 0.0], ["1", "1", "1"]), ("two", [1.55, -0.525], ["2", "1", "1"])] {
+        let (mut y1, mut y2, mut u1) = (0.0, 0.0, 0.0);
+        let mut text = String::new();
+        for k in 0..200 {
+            let (u, y) = (f64::from((k * k) % 17) - 8.0, a[0] * y1 + a[1] * y2 + u1);
+            (y2, y1, u1) = (y1, y, u);
+            writeln!(text, "{u} {y}").unwrap();
+        }
+        fs::write(folder.join(name), text).unwrap();
+        let [na, nb, nk] = args;
+        let orders = [name, "--input", "1", "--output", "2", "--period", "0.01", "--na", na, "--nb", nb, "--nk", nk];
+        let (code, message) = identify(folder, &[&orders, &["-o", &format!("{name}_out")]]);
+        assert!(code == 3 && message.contains("unstable"), "{message}");
+        let model = model(folder, &format!("{name}_out"));
+        assert_eq!(model["arx"]["stable"], false);
+        assert!((model["arx"]["largest_pole"].as_f64().unwrap() - 1.05).abs() < 1e-9);
+        assert_eq!(model["reduced"]["unstable_states_kept"], 1);
+    }
+}
+
+#[test]
+fn a_gain_and_a_model_of_fewer_states_than_asked_are_whole() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    good(folder);
+    let (code, message) =
+        identify(folder, &[&["good.csv"], &COLUMNS, &["--na", "0", "--nb", "1", "--nk", "0", "-o", "gain"]]);
+    assert_eq!(code, 0, "{message}");
+    let gain = model(folder, "gain");
+    assert_eq!(
+        (gain["continuous"]["num"].clone(), gain["hankel_singular_values"].clone()),
+        (gain["arx"]["b"].clone(), serde_json::json!([]))
+    );
+    let (code, message) =
+        identify(folder, &[&["good.csv"], &COLUMNS, &["--na", "1", "--nb", "1", "--nk", "1", "-o", "one"]]);
+    assert!(code == 0 && message.contains("has only 1 states that matter"), "{message}");
+    let one = model(folder, "one");
+    assert_eq!((one["reduced"]["order"].clone(), one["reduced"]["den_z"].clone()), (1.into(), one["arx"]["a"].clone()));
+    assert!(one["continuous"]["num"][0].as_f64().is_some());
+}

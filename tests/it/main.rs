@@ -1,0 +1,55 @@
+//! The library and the command as users meet them, from end to end: one program, as each links OpenCV and FFmpeg anew.
+//!
+//! One of its files alone: `cargo test --test it calibrate_base::`. What runs against the clock is in `tests/realtime`.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test fails by panicking, its helpers too"
+)]
+#![allow(clippy::print_stdout, reason = "the figures of many tests are worth a look")]
+
+#[path = "../support/mod.rs"]
+#[allow(dead_code, reason = "each of the two programs uses its part")]
+mod support;
+
+mod accuracy;
+mod calibrate_base;
+mod calibrate_board;
+mod calibrate_charuco;
+mod calibrate_charuco_rig;
+mod calibrate_markers;
+mod calibrate_mirror;
+mod calibrate_page;
+mod calibrate_phone;
+mod calibrate_rig;
+mod calibrate_sets;
+mod drift;
+mod excite;
+mod help_examples;
+mod identify;
+mod identify_bad_input;
+mod identify_python;
+mod log_doctor;
+mod log_python;
+mod optics_dev_tank;
+mod optics_properties;
+mod overlay;
+mod record_video;
+mod record_windows;
+mod report;
+mod rig_file;
+mod rig_formats;
+mod sample_rig;
+mod source_images;
+mod source_recordings;
+mod source_warnings;
+mod time_stamps;
+mod track_bad_input;
+mod track_python;
+mod track_run;
+mod validate;
+
+// The fixture is the library's own, and names its modules so.
+use catoptra::{estimate, optics, rig, source};

@@ -1,0 +1,194 @@
+//! `--record windows`: what the tracker looks at is all it needs, and a log that holds it is tracked again to the same numbers.
+
+use crate::support::command::*;
+use catoptra::estimate::{Estimate, Miss};
+use catoptra::pipeline::{self, End};
+use catoptra::rig::Rig;
+use catoptra::sink::{CsvSink, McapSink, OutputFrame, Sink};
+use catoptra::source::{
+    Frame, FrameSource, LogWindows, Picture, SourceError, Span, VideoFile, VideoOptions, Window, open_to_track,
+};
+use catoptra::tally::Tally;
+use catoptra::track::{TrackOptions, Tracker};
+use std::path::Path;
+use std::sync::atomic::AtomicBool;
+
+fn recording(name: &str, to_ns: i64) -> VideoFile {
+    let span = Span { from_ns: None, to_ns: Some(to_ns) };
+    VideoFile::open(sample(name), VideoOptions { span, ..VideoOptions::default() }).unwrap()
+}
+
+fn tracker() -> Tracker {
+    Tracker::new(&rig(), TrackOptions::default()).unwrap()
+}
+
+/// The same picture where it is recorded, and something else everywhere else.
+fn with_rubbish_outside(picture: &Picture, there: &[Window], seed: u8) -> Picture {
+    let [width, height] = picture.size_px();
+    let planes = (0..3).map(|i| {
+        let plane = picture.plane(i).unwrap();
+        let mut samples = Vec::with_capacity(plane.width * plane.height);
+        for (y, x) in (0..plane.height).flat_map(|y| (0..plane.width).map(move |x| (y, x))) {
+            let (px, py) = (x as u32 * plane.scale[0], y as u32 * plane.scale[1]);
+            let known = there.iter().any(|w| (w.x0..w.x1).contains(&px) && (w.y0..w.y1).contains(&py));
+            let rubbish = (x as u8).wrapping_mul(37) ^ (y as u8).wrapping_mul(91) ^ seed;
+            samples.push(if known { plane.row(y).unwrap()[x * plane.step] } else { rubbish });
+        }
+        samples
+    });
+    let copy = Picture::from_planes(width, height, picture.format(), picture.colour(), planes.collect());
+    copy.unwrap().of_parts(there.to_vec())
+}
+
+/// To the last bit: numbers are written so that they read back the same.
+fn written(estimate: &Estimate) -> String {
+    format!("{estimate:?}")
+}
+
+#[test]
+fn what_lies_outside_of_what_was_looked_at_changes_nothing() {
+    for name in ["planar.mkv", "circle.mkv"] {
+        let mut source = recording(name, 250_000_000);
+        let (mut with_all, mut with_parts) = (tracker(), tracker());
+        let mut smallest = u64::MAX;
+        while let Some(frame) = source.next_frame().unwrap() {
+            let expected = written(&with_all.step(&frame).unwrap());
+            let there = frame.picture.looked_at(0);
+            smallest = smallest.min(there.iter().map(Window::pixels).sum());
+            let picture = with_rubbish_outside(&frame.picture, &there, frame.seq as u8);
+            let found = with_parts.step(&Frame { picture, ..frame }).unwrap();
+            assert_eq!(written(&found), expected, "{name}");
+        }
+        // Else it would prove nothing.
+        assert!(smallest < 1280 * 1024 / 10, "{smallest} pixels");
+    }
+}
+
+#[test]
+fn a_picture_that_lacks_what_the_tracker_wants_is_a_miss_and_never_made_up() {
+    let mut frames = recording("planar.mkv", 100_000_000);
+    let (mut tracker, mut seen) = (tracker(), Vec::new());
+    for take_away in [None, Some(0), Some(usize::MAX), None] {
+        let frame = frames.next_frame().unwrap().unwrap();
+        let mut parts = tracker_windows(&frame);
+        if let Some(which) = take_away {
+            parts.remove(which.min(parts.len() - 1));
+        }
+        let picture = with_rubbish_outside(&frame.picture, &parts, 5);
+        seen.push(tracker.step(&Frame { picture, ..frame }).unwrap());
+    }
+    let complete = |e: &Estimate| e.markers.iter().all(|m| m.position.is_ok()) && e.tangent.is_ok();
+    let not_recorded = |e: &Estimate| e.markers.iter().any(|m| matches!(m.position, Err(Miss::NotRecorded)));
+    assert!(complete(&seen[0]) && complete(&seen[3]));
+    assert!(not_recorded(&seen[1]), "{:?}", seen[1].markers);
+    assert!(not_recorded(&seen[2]), "{:?}", seen[2].markers);
+}
+
+/// Four parts that make up the picture.
+fn tracker_windows(frame: &Frame) -> Vec<Window> {
+    let [w, h] = frame.picture.size_px();
+    let window = |x0, y0, x1, y1| Window { x0, y0, x1, y1 };
+    vec![window(0, h / 2, w / 2, h), window(0, 0, w / 2, h / 2), window(w / 2, 0, w, h / 2), window(w / 2, h / 2, w, h)]
+}
+
+/// Tracks `source` into a table, and into a log that keeps windows if wanted.
+fn run(source: Box<dyn FrameSource + Send>, rig: &Rig, table: &Path, log: Option<&Path>) -> End {
+    let mut sinks: Vec<Box<dyn Sink + Send>> = vec![Box::new(CsvSink::create(table, rig, OutputFrame::Base).unwrap())];
+    if let Some(log) = log {
+        let sink = McapSink::create(log, rig, "", "").unwrap();
+        sinks.push(Box::new(sink.with_windows()));
+    }
+    let mut tracker = Tracker::new(rig, TrackOptions::default()).unwrap();
+    let summary = pipeline::run(source, &mut tracker, sinks, &AtomicBool::new(false), |_| {}).unwrap();
+    assert!(summary.sink_failures.is_empty(), "{:?}", summary.sink_failures);
+    summary.end
+}
+
+#[test]
+fn a_log_with_windows_is_tracked_again_to_the_same_table() {
+    let place = tempfile::tempdir().unwrap();
+    let [first, again, log] = ["first.csv", "again.csv", "log.mcap"].map(|name| place.path().join(name));
+    let rig = rig();
+    run(Box::new(recording("circle.mkv", i64::MAX)), &rig, &first, Some(&log));
+    let source = open_to_track(&log, Default::default()).unwrap();
+    assert_eq!(source.size_px(), [1280, 1024]);
+    assert!(matches!(run(source, &rig, &again, None), End::Complete));
+    let [first, again] = [first, again].map(|path| std::fs::read_to_string(path).unwrap());
+    assert_eq!(first.lines().count(), 121);
+    assert_eq!(first, again);
+    let bytes = std::fs::metadata(&log).unwrap().len();
+    assert!(bytes < 120 * 50_000, "{bytes} bytes");
+}
+
+/// A calibration that was refined: the windows have a margin for it.
+#[test]
+fn a_log_with_windows_is_tracked_again_with_a_slightly_other_rig() {
+    let place = tempfile::tempdir().unwrap();
+    let [first, again, log] = ["first.csv", "again.csv", "log.mcap"].map(|name| place.path().join(name));
+    run(Box::new(recording("planar.mkv", 300_000_000)), &rig(), &first, Some(&log));
+    let mut other = rig();
+    other.catheter.diameter_m *= 1.02;
+    other.camera.blur_px = Some(0.7);
+    run(Box::new(LogWindows::open(&log, Span::default()).unwrap()), &other, &again, None);
+    let [first, again] = [first, again].map(|path| Table::read(&path));
+    assert!(again.rows.iter().all(|row| row["coil_status"] == "ok" && row["tip_status"] == "ok"));
+    assert_ne!(first.rows[5]["theta_deg"], again.rows[5]["theta_deg"]);
+}
+
+#[test]
+fn a_log_without_pictures_says_how_to_record_them() {
+    let place = tempfile::tempdir().unwrap();
+    let log = place.path().join("log.mcap");
+    let mut sink = McapSink::create(&log, &rig(), "", "").unwrap();
+    let frame = recording("planar.mkv", 0).next_frame().unwrap().unwrap();
+    sink.write(&tracker().step(&frame).unwrap(), Some(&frame.picture)).unwrap();
+    sink.finish(&Tally::default()).unwrap();
+    let error = LogWindows::open(&log, Span::default()).err().unwrap();
+    assert!(matches!(error, SourceError::LogWithoutPictures { .. }), "{error}");
+    assert!(error.to_string().contains("--record windows"), "{error}");
+    let error = catoptra::source::open(&log, Default::default()).err().unwrap();
+    assert!(matches!(error, SourceError::IsLog { .. }), "{error}");
+}
+
+/// Cut anywhere, all that is whole is tracked, and the end is named.
+#[test]
+fn a_log_that_was_cut_off_gives_what_is_whole() {
+    let place = tempfile::tempdir().unwrap();
+    let [first, again, log, cut] = ["a.csv", "b.csv", "log.mcap", "cut.mcap"].map(|name| place.path().join(name));
+    run(Box::new(recording("planar.mkv", 900_000_000)), &rig(), &first, Some(&log));
+    let bytes = std::fs::read(&log).unwrap();
+    std::fs::write(&cut, &bytes[..bytes.len() * 3 / 5]).unwrap();
+    let end = run(Box::new(LogWindows::open(&cut, Span::default()).unwrap()), &rig(), &again, None);
+    assert!(matches!(end, End::Early(SourceError::Truncated { .. })), "{end:?}");
+    let [first, again] = [first, again].map(|path| std::fs::read_to_string(path).unwrap());
+    // The last row may have come without its picture.
+    let whole: Vec<&str> = again.lines().filter(|row| !row.contains("not_recorded")).collect();
+    assert!(whole.len() > 10 && again.lines().count() <= whole.len() + 1, "{} rows", whole.len());
+    assert!(first.starts_with(&whole.join("\r\n")), "{again}");
+}
+
+#[test]
+fn the_command_tracks_a_log_again_with_the_rig_that_is_in_it() {
+    let place = Place::new();
+    ended_with(&place.track(&sample("planar.mkv"), &["--to", "0.5", "--record", "windows"]), 0);
+    let log = place.path("out/log.mcap");
+    let command = |args: &[&str]| {
+        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_catoptra"));
+        command.current_dir(place.folder.path()).arg("track").args(args).output().unwrap()
+    };
+    ended_with(&command(&["out/log.mcap", "-o", "again"]), 0);
+    let table = |folder: &str| std::fs::read_to_string(place.path(folder).join("track.csv")).unwrap();
+    assert_eq!(table("out"), table("again"));
+    assert_eq!(attached(&log, "rig.toml"), attached(&place.path("again/log.mcap"), "rig.toml"));
+
+    // A second later nothing is known of before, but the next whole picture comes within ten seconds.
+    ended_with(&command(&["out/log.mcap", "-o", "later", "--from", "0.25"]), 3);
+    assert!(table("later").lines().skip(1).all(|row| row.contains("not_recorded")));
+
+    let told = ended_with(&command(&["out/log.mcap", "-o", "whole", "--full-frame"]), 2);
+    assert!(told.contains("--full-frame"), "{told}");
+    let told = ended_with(&command(&["again/log.mcap"]), 2);
+    assert!(told.contains("holds no pictures") && told.contains("--record windows"), "{told}");
+    let told = ended_with(&command(&[sample("planar.mkv").to_str().unwrap()]), 2);
+    assert!(told.contains("--rig RIG.toml"), "{told}");
+}

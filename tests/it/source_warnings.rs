@@ -1,0 +1,137 @@
+//! What is done to a recording beyond handing it on is said, once.
+
+use std::io::Write;
+use std::path::Path;
+use std::sync::{Arc, Mutex};
+
+use crate::support::encode::{Recording, write};
+use catoptra::source::{self, SourceOptions};
+use ffmpeg_the_third::color;
+use ffmpeg_the_third::format::Pixel;
+
+#[derive(Clone, Default)]
+struct Lines(Arc<Mutex<Vec<u8>>>);
+
+impl Write for Lines {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        self.0.lock().unwrap().extend_from_slice(bytes);
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        Ok(())
+    }
+}
+
+/// Reads all frames; the warnings that came with them.
+fn warnings(path: &Path, options: SourceOptions) -> Vec<String> {
+    let lines = Lines::default();
+    let writer = lines.clone();
+    let subscriber = tracing_subscriber::fmt()
+        .with_writer(move || writer.clone())
+        .without_time()
+        .with_ansi(false)
+        .with_target(false)
+        .finish();
+    tracing::subscriber::with_default(subscriber, || {
+        let mut source = source::open(path, options).unwrap();
+        while source.next_frame().unwrap().is_some() {}
+    });
+    let text = String::from_utf8(lines.0.lock().unwrap().clone()).unwrap();
+    text.lines().map(|l| l.replace(&format!("{}: ", path.display()), "").trim().to_owned()).collect()
+}
+
+#[test]
+fn a_recording_that_needs_nothing_done_is_read_without_a_word() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("plain.mkv");
+    write(&path, &Recording { pts: &[0, 20, 40], ..Recording::default() });
+    assert_eq!(warnings(&path, SourceOptions::default()), [""; 0]);
+}
+
+#[test]
+fn ten_bits_and_a_missing_matrix_are_named_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("deep.mkv");
+    let recording = Recording {
+        pts: &[0, 20, 40, 60],
+        b_frames: 0,
+        encoder: "ffv1",
+        pixel: Pixel::YUV420P10LE,
+        colour: (color::Space::Unspecified, color::Range::MPEG),
+        ..Recording::default()
+    };
+    write(&path, &recording);
+    let expected = [
+        "WARN the recording does not say its YUV matrix; BT.601 is taken, as is usual for 48 rows",
+        "WARN pixel format yuv420p10le is reduced to 8 bits (yuv420p) by swscale",
+    ];
+    assert_eq!(warnings(&path, SourceOptions::default()), expected);
+}
+
+#[test]
+fn repeated_stamps_and_a_varying_rate_are_named_and_counted() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("times.mkv");
+    let mut time = 0;
+    let mut pts = vec![0, 3, 6];
+    pts.extend((0..100).map(|i| {
+        time += 100 + 10 * ((i * i * 7 + i * 13) % 31);
+        time
+    }));
+    write(
+        &path,
+        &Recording { pts: &pts, time_base: (1, 10_000), b_frames: 0, encoder: "ffv1", ..Recording::default() },
+    );
+    let found = warnings(&path, SourceOptions::default());
+    assert_eq!(found[0], "WARN frame 1 repeats the time stamp 0 s; it is kept, more are counted");
+    let varying = "WARN the time from frame to frame varies (median ";
+    assert!(found[1].starts_with(varying) && found[1].ends_with("are not counted"), "{}", found[1]);
+    assert_eq!(found.len(), 2);
+}
+
+#[test]
+fn damage_is_named_and_summed_up() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("damaged.mkv");
+    let pts: Vec<i64> = (0..100).map(|i| 20 * i).collect();
+    write(&path, &Recording { pts: &pts, size_px: [320, 240], b_frames: 0, ..Recording::default() });
+    let mut bytes = std::fs::read(&path).unwrap();
+    let middle = bytes.len() / 2;
+    bytes[middle..middle + 60].iter_mut().for_each(|b| *b ^= 0x5A);
+    std::fs::write(&path, bytes).unwrap();
+    let found = warnings(&path, SourceOptions::default());
+    assert!(found[0].contains("is damaged and left out, as are those built on it"), "{found:?}");
+    assert!(found.last().unwrap().ends_with("damaged pictures left out in all"), "{found:?}");
+}
+
+#[test]
+fn a_missing_number_at_a_stated_rate_and_sixteen_bits_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    for i in [1, 2, 4] {
+        let picture = image::ImageBuffer::<image::Luma<u16>, _>::new(8, 6);
+        picture.save(folder.path().join(format!("img{i:02}.png"))).unwrap();
+    }
+    let options = SourceOptions { stated_rate: Some("25".parse().unwrap()), ..SourceOptions::default() };
+    let found = warnings(folder.path(), options);
+    assert_eq!(found.len(), 2, "{found:?}");
+    assert!(found[0].contains("img02.png is followed by img04.png; at a stated frame rate"), "{found:?}");
+    assert!(found[1].contains("samples of 16 bits are reduced to 8"), "{found:?}");
+}
+
+#[test]
+fn a_recording_that_asks_to_be_turned_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("turned.mp4");
+    write(&path, &Recording { pts: &[0, 20, 40], ..Recording::default() });
+    assert_eq!(warnings(&path, SourceOptions::default()), [""; 0]);
+    // Half a turn, in the header of the track: its matrix begins 40 bytes behind its name.
+    let mut bytes = std::fs::read(&path).unwrap();
+    let matrix = bytes.windows(4).position(|name| name == b"tkhd").unwrap() + 44;
+    for (place, value) in [(0, -1_i32 << 16), (4, -1 << 16)] {
+        bytes[matrix + 4 * place..][..4].copy_from_slice(&value.to_be_bytes());
+    }
+    std::fs::write(&path, bytes).unwrap();
+    let told = warnings(&path, SourceOptions::default());
+    assert!(matches!(told.as_slice(), [only] if only.contains("turn or mirror its pictures")), "{told:?}");
+}

@@ -1,0 +1,75 @@
+//! Streams from a network, served by the test itself: whole, interrupted, of another size in the middle, not there.
+
+use crate::support::command::sample;
+use catoptra::source::host::HostClock;
+use catoptra::source::live::Stream;
+use catoptra::source::{Clock, FrameSource, VideoFile, VideoOptions};
+use std::io::Write as _;
+use std::net::{SocketAddr, TcpListener};
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Sends the whole file to each who connects, one after the other.
+fn served(file: &Path, times: usize) -> SocketAddr {
+    let bytes = std::fs::read(file).unwrap();
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap();
+    std::thread::spawn(move || {
+        for _ in 0..times {
+            let (mut connection, _) = listener.accept().unwrap();
+            // A reader that has seen enough is no failure.
+            let _ = connection.write_all(&bytes);
+        }
+    });
+    address
+}
+
+fn stamps(source: &mut dyn FrameSource, count: usize) -> Vec<i64> {
+    (0..count).map(|_| source.next_frame().unwrap().unwrap().stamp.ns).collect()
+}
+
+#[test]
+fn a_stream_gives_the_frames_and_stamps_of_the_recording_it_is_made_of() {
+    let address = served(&sample("rest.mkv"), 1);
+    let mut stream = Stream::open(&format!("tcp://{address}"), HostClock::start(), Arc::default()).unwrap();
+    let mut file = VideoFile::open(sample("rest.mkv"), VideoOptions::default()).unwrap();
+    assert_eq!(stream.size_px(), file.size_px());
+    for k in 0..20 {
+        let (live, recorded) = (stream.next_frame().unwrap().unwrap(), file.next_frame().unwrap().unwrap());
+        assert_eq!((live.seq, live.stamp.ns, live.stamp.clock), (k, recorded.stamp.ns, Clock::Stream));
+        let host = live.host.unwrap();
+        assert!(host.stamp_ns <= host.arrival_ns || k > 0);
+        let row = |frame: &catoptra::source::Frame| frame.picture.plane(0).unwrap().row(512).unwrap().to_vec();
+        assert_eq!(row(&live), row(&recorded), "frame {k}");
+    }
+}
+
+#[test]
+fn a_stream_that_stops_is_opened_again_and_its_frames_are_counted_on() {
+    let file = sample("rest.mkv");
+    let frames = {
+        let mut all = VideoFile::open(&file, VideoOptions::default()).unwrap();
+        std::iter::from_fn(|| all.next_frame().unwrap()).count()
+    };
+    let address = served(&file, 2);
+    let stop = Arc::new(AtomicBool::new(false));
+    let mut stream = Stream::open(&format!("tcp://{address}"), HostClock::start(), Arc::clone(&stop)).unwrap();
+    let first = stamps(&mut stream, frames);
+    let back = stream.next_frame().unwrap().unwrap();
+    assert_eq!((back.seq, back.stamp.ns, back.gap), (frames as u64, first[0], 0));
+    assert_eq!(stream.faults().interruptions, 1);
+    // The stamps began anew; the host's time did not.
+    let host = back.host.unwrap();
+    assert!(host.stamp_ns <= host.arrival_ns);
+    stop.store(true, Ordering::Relaxed);
+    assert!(stream.next_frame().unwrap().is_none());
+}
+
+#[test]
+fn a_stream_that_is_not_there_is_named() {
+    let free = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    let url = format!("tcp://{free}");
+    let error = Stream::open(&url, HostClock::start(), Arc::default()).err().unwrap().to_string();
+    assert!(error.contains(&url) && error.contains("refused"), "{error}");
+}

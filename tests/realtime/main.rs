@@ -1,0 +1,34 @@
+//! What runs against the clock: live runs at a camera's pace, signals and kills at an instant, devices that are played.
+//!
+//! A program apart from `tests/it`: Cargo runs one after the other, so that no calibration takes the processors from a
+//! camera that must not lose a frame.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test fails by panicking, its helpers too"
+)]
+#![allow(clippy::print_stdout, reason = "the figures of many tests are worth a look")]
+
+#[path = "../support/mod.rs"]
+#[allow(dead_code, reason = "each of the two programs uses its part")]
+mod support;
+
+mod calibrate_interrupt;
+mod genicam;
+mod gstreamer;
+mod live;
+mod live_disk_full;
+mod live_faults;
+mod live_kill;
+mod live_python;
+mod live_record;
+mod live_stream;
+mod log_crash;
+mod publish;
+mod track_interrupt;
+mod v4l2;
+
+// The fixture is the library's own, and names its modules so.
+use catoptra::{estimate, optics, rig, source};

@@ -1,0 +1,42 @@
+//! Ctrl-C in the middle of `catoptra track`: everything so far is safely written.
+
+#![cfg(unix)]
+
+use crate::support::command;
+use crate::support::command::*;
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+fn interrupted_by(signal: &str) {
+    let place = Place::new();
+    let mut command = place.command(&sample("planar.mkv"));
+    let child = command.arg("--overlay").stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    let table = place.path("out/track.csv");
+    let began = Instant::now();
+    while std::fs::read_to_string(&table).map_or(0, |text| text.lines().count()) < 10 {
+        assert!(began.elapsed() < Duration::from_secs(60), "no rows after a minute");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    let kill = format!("kill -{signal} {}", child.id());
+    assert!(Command::new("sh").args(["-c", &kill]).status().unwrap().success());
+    let output = child.wait_with_output().unwrap();
+    let said = ended_with(&output, 130);
+
+    let frames = place.frames_in_all_files();
+    assert!((9..300).contains(&frames), "{frames} frames");
+    assert_eq!(command::frames(&place.path("out/overlay.mp4")).len(), frames);
+    let last_s = *place.table().numbers("t_s").last().unwrap();
+    let told = format!("{frames} frames are tracked and written, the last one at {last_s} s");
+    assert!(said.contains("interrupted: ") && said.contains(&told), "{told} is not in {said}");
+    assert!(stdout(&output).contains(&format!("{frames} frames, 0.000 s to ")), "{}", stdout(&output));
+}
+
+#[test]
+fn ctrl_c_keeps_what_is_done() {
+    interrupted_by("INT");
+}
+
+#[test]
+fn so_does_the_signal_that_services_are_stopped_with() {
+    interrupted_by("TERM");
+}
