@@ -100,7 +100,9 @@ fn windows_around(estimate: &Estimate) -> Vec<Search> {
         .iter()
         .enumerate()
         .flat_map(|(m, found)| found.views.iter().flatten().map(move |band| (m, band)));
-    bands.map(|(m, band)| Search { marker: Some(m), window: Window::around(&band.centre_px, WINDOW_PX) }).collect()
+    bands
+        .map(|(m, band)| Search { marker: Some(m), view: None, window: Window::around(&band.centre_px, WINDOW_PX) })
+        .collect()
 }
 
 /// Pictures like `like` of which no part can be left out: what they cost bounds what any picture does.

@@ -290,9 +290,8 @@ impl Check<'_> {
             }
             self.colour_range(key("colour.rgb"), &colour.rgb)?;
         }
-        let everywhere = raw.colour.map(|c| {
-            ColourModel::linear(Vector3::from(c.discriminant_rgb), c.bias, Vector3::from(c.rgb))
-        });
+        let everywhere =
+            raw.colour.map(|c| ColourModel::linear(Vector3::from(c.discriminant_rgb), c.bias, Vector3::from(c.rgb)));
         let colours = match everywhere {
             Some(_) if !raw.colours.is_empty() => {
                 return Err(self.key(&key("colour"), "here beside `colours`, which says the same: keep one of them"));
@@ -335,7 +334,8 @@ impl Check<'_> {
         if raw.is_empty() || named == all || (raw.len() == 1 && named.is_empty()) {
             return Ok(colours);
         }
-        let expected = format!("one entry for each view, in their order ({}), or a single one without `view`", all.join(", "));
+        let expected =
+            format!("one entry for each view, in their order ({}), or a single one without `view`", all.join(", "));
         Err(self.value(key, format!("[{}]", named.join(", ")), expected))
     }
 

@@ -57,8 +57,8 @@ impl Discriminant {
         Some(Self { planes: model.planes.iter().map(plane).collect() })
     }
 
-    /// The score of one cell. The order of the operations is part of the result: all scores come from here.
-    #[inline(always)]
+    /// The score of one cell.
+    #[cfg(test)]
     pub(super) fn score(&self, a: f32, b: f32, c: f32) -> f32 {
         self.planes.iter().map(|plane| plane.score(a, b, c)).fold(f32::INFINITY, f32::min)
     }
@@ -71,6 +71,7 @@ impl Discriminant {
 }
 
 impl Plane {
+    /// The score of one cell. The order of the operations is part of the result: all scores come from here.
     #[inline(always)]
     pub(super) fn score(&self, a: f32, b: f32, c: f32) -> f32 {
         (self.weights[0] * a + self.weights[1] * b) + self.weights[2] * c + self.bias

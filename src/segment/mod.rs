@@ -275,9 +275,12 @@ impl Segmenter {
         self.found.clear();
         let alone = searches.len() == 1;
         for search in searches {
-            let views = self.views.iter().filter(|v| search.view.is_none() || v.view.is_none() || v.view == search.view);
+            let views =
+                self.views.iter().filter(|v| search.view.is_none() || v.view.is_none() || v.view == search.view);
             for ViewModels { view, bounds, discriminants, .. } in views {
-                let Some(window) = bounds.map_or(Some(search.window), |b| overlap(&b, &search.window)) else { continue };
+                let Some(window) = bounds.map_or(Some(search.window), |b| overlap(&b, &search.window)) else {
+                    continue;
+                };
                 let window = window.cells(picture.size_px());
                 picture.look_at(window.with_ring())?;
                 self.scanner.scan(&grid, discriminants, window, search.marker);
@@ -329,8 +332,7 @@ fn bounds(view: &View) -> Option<Window> {
     let (x, y) = (reach(|p| p.x), reach(|p| p.y));
     // From negative numbers on, `as` gives zero.
     let px = |v: f64| v as u32;
-    (!view.region_px.is_empty())
-        .then(|| Window { x0: px(x.0), y0: px(y.0), x1: px(x.1.ceil()), y1: px(y.1.ceil()) })
+    (!view.region_px.is_empty()).then(|| Window { x0: px(x.0), y0: px(y.0), x1: px(x.1.ceil()), y1: px(y.1.ceil()) })
 }
 
 /// What two windows have in common.

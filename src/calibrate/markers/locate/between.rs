@@ -15,7 +15,12 @@ const ASIDE: [f64; 5] = [0.0, -0.8, 0.8, -1.6, 1.6];
 const CLEAR: f64 = 1.5;
 
 /// Share of the way between two bands along which a tube is seen, the mean over the views that see both.
-pub(super) fn tube_between(rig: &Rig, pixels: &Pixels, before: (&Candidate, usize), behind: (&Candidate, usize)) -> f64 {
+pub(super) fn tube_between(
+    rig: &Rig,
+    pixels: &Pixels,
+    before: (&Candidate, usize),
+    behind: (&Candidate, usize),
+) -> f64 {
     let (mut sum, mut views) = (0.0, 0.0);
     for v in 0..rig.views.len() {
         if let (Some(a), Some(b)) = (&before.0.looks[v], &behind.0.looks[v]) {

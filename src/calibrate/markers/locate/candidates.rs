@@ -161,9 +161,11 @@ impl Search<'_> {
 
     /// The same with looks made better; what does not become a better one stays.
     pub(crate) fn refined(&self, candidate: &Candidate, length_m: f64) -> Option<Candidate> {
-        let looks = candidate.looks.iter().enumerate().map(|(v, look)| {
-            look.map(|look| refined(self.pixels, look, self.size(v, length_m).length))
-        });
+        let looks = candidate
+            .looks
+            .iter()
+            .enumerate()
+            .map(|(v, look)| look.map(|look| refined(self.pixels, look, self.size(v, length_m).length)));
         self.triangulated(Candidate { looks: looks.collect(), ..candidate.clone() })
     }
 }
@@ -177,12 +179,7 @@ fn away(look: &Look, pixel: &Point2<f64>) -> f64 {
 }
 
 /// The look beside a pixel that is most like `look`.
-fn best_beside(
-    looks: &mut Looks<'_>,
-    look: &Look,
-    pixel: &Point2<f64>,
-    clicked: Option<Point2<f64>>,
-) -> Option<Look> {
+fn best_beside(looks: &mut Looks<'_>, look: &Look, pixel: &Point2<f64>, clicked: Option<Point2<f64>>) -> Option<Look> {
     let (x, y) = (pixel.x.round() as i32, pixel.y.round() as i32);
     let around = (-BESIDE_PX..=BESIDE_PX).flat_map(|dy| (-BESIDE_PX..=BESIDE_PX).map(move |dx| (x + dx, y + dy)));
     around

@@ -37,14 +37,18 @@ pub(crate) enum NotFound {
     Nothing { marker: usize, view: usize },
     /// What does is seen in one view only.
     OneView { marker: usize, view: usize, look: Look },
+    /// The bands are on one tube, but in another order.
+    Order,
     /// No choice of one place a band makes a tube.
-    NoTube { folded: bool },
+    NoTube,
     /// No place is seen by two views.
     NoVolume,
 }
 
 /// Longest plausible distance of neighbouring bands, metres.
 const LONGEST_GAP_M: f64 = 0.3;
+/// Places of a band considered.
+const MOST_PLACES: usize = 24;
 /// Partial choices kept while bands are added one by one.
 const MOST_CHOICES: usize = 200;
 /// What a tube all the way between two bands is worth, beside the scores of the bands.
@@ -58,7 +62,10 @@ pub(crate) fn locate(rig: &Rig, pixels: &Pixels, clicks: &[Vec<Near>]) -> Result
         candidates.push(of_band(&search, marker, near)?);
     }
     let chosen = choose(rig, pixels, &candidates)?;
-    let refined = chosen.iter().zip(&rig.markers).map(|(c, marker)| search.refined(c, marker.length_m).unwrap_or_else(|| c.clone()));
+    let refined = chosen
+        .iter()
+        .zip(&rig.markers)
+        .map(|(c, marker)| search.refined(c, marker.length_m).unwrap_or_else(|| c.clone()));
     Ok(refined.collect())
 }
 
@@ -71,7 +78,7 @@ fn of_band(search: &Search<'_>, marker: usize, near: &[Near]) -> Result<Vec<Cand
     let mut places: Vec<Candidate> =
         looks.iter().flat_map(|look| search.places(look, near, first.view, &mut others)).collect();
     places.sort_by(|a, b| b.score.total_cmp(&a.score));
-    places.truncate(24);
+    places.truncate(MOST_PLACES);
     if places.is_empty() {
         return Err(NotFound::OneView { marker, view: first.view, look: best });
     }
@@ -86,11 +93,14 @@ fn scales(rig: &Rig, clicks: &[Vec<Near>]) -> Option<Vec<f64>> {
         let sees = |point: &Point3<f64>| {
             let others = rig.views.iter().enumerate().filter(|(v, _)| *v != near.view);
             let [width, height] = rig.camera.size_px.map(f64::from);
-            others.filter(|(_, view)| {
-                view.optics.project(point).is_ok_and(|pixel| {
-                    view.contains(&pixel) && (0.0..width).contains(&pixel.x) && (0.0..height).contains(&pixel.y)
+            others
+                .filter(|(_, view)| {
+                    view.optics.project(point).is_ok_and(|pixel| {
+                        view.contains(&pixel) && (0.0..width).contains(&pixel.x) && (0.0..height).contains(&pixel.y)
+                    })
                 })
-            }).count() > 0
+                .count()
+                > 0
         };
         let depths = (1..1000).map(|i| f64::from(i) * 5e-3).map(|depth| ray.at(depth)).filter(sees);
         let seen: Vec<Point3<f64>> = depths.collect();
@@ -137,6 +147,6 @@ fn choose(rig: &Rig, pixels: &Pixels, candidates: &[Vec<Candidate>]) -> Result<V
         longer.truncate(MOST_CHOICES);
         choices = longer;
     }
-    let best = choices.into_iter().next().ok_or(NotFound::NoTube { folded })?;
+    let best = choices.into_iter().next().ok_or(if folded { NotFound::Order } else { NotFound::NoTube })?;
     Ok(best.1.into_iter().cloned().collect())
 }

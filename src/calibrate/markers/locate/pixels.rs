@@ -49,24 +49,26 @@ impl Pixels {
         let (mut luma, mut chroma) = (Vec::new(), Vec::new());
         for y in (0..self.height).step_by(7) {
             for x in (0..self.width.saturating_sub(4)).step_by(5) {
-                let (Some(a), Some(b)) = (self.yuv.get(y * self.width + x), self.yuv.get(y * self.width + x + 4)) else {
+                let (Some(a), Some(b)) = (self.yuv.get(y * self.width + x), self.yuv.get(y * self.width + x + 4))
+                else {
                     continue;
                 };
                 luma.push(f64::from((a[0] - b[0]).abs()));
                 chroma.push(f64::from((a[1] - b[1]).abs().max((a[2] - b[2]).abs())));
             }
         }
-        [luma, chroma].map(|mut differences| {
-            differences.sort_by(f64::total_cmp);
-            // The median of |difference| of two normal values is 0.954 σ.
-            differences.get(differences.len() / 2).map_or(0.0, |median| median / 0.954)
-        })
-        .iter()
-        .zip(LEAST_NOISE)
-        .map(|(found, least)| found.max(least))
-        .collect::<Vec<_>>()
-        .try_into()
-        .unwrap_or(LEAST_NOISE)
+        [luma, chroma]
+            .map(|mut differences| {
+                differences.sort_by(f64::total_cmp);
+                // The median of |difference| of two normal values is 0.954 σ.
+                differences.get(differences.len() / 2).map_or(0.0, |median| median / 0.954)
+            })
+            .iter()
+            .zip(LEAST_NOISE)
+            .map(|(found, least)| found.max(least))
+            .collect::<Vec<_>>()
+            .try_into()
+            .unwrap_or(LEAST_NOISE)
     }
 
     /// Colour of the nearest pixel.

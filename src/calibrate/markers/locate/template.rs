@@ -96,10 +96,13 @@ impl Template {
         let mean = |places: &Vec<Vector2<f64>>| pixels.mean(centre, places);
         let thirds = [mean(&self.thirds[0])?, mean(&self.thirds[1])?, mean(&self.thirds[2])?];
         let colour = (thirds[0] + thirds[1] + thirds[2]) / 3.0;
-        let (grounds, ends) = ([mean(&self.grounds[0])?, mean(&self.grounds[1])?], [mean(&self.ends[0])?, mean(&self.ends[1])?]);
+        let (grounds, ends) =
+            ([mean(&self.grounds[0])?, mean(&self.grounds[1])?], [mean(&self.ends[0])?, mean(&self.ends[1])?]);
         let contrasts = grounds.iter().chain(&ends).map(|other| pixels.contrast(&colour, other));
         let harmonic = 4.0 / contrasts.map(|c| 1.0 / c.max(1e-3)).sum::<f64>();
-        let uneven = pixels.contrast(&thirds[0], &thirds[2]).max(pixels.contrast(&thirds[0], &thirds[1]))
+        let uneven = pixels
+            .contrast(&thirds[0], &thirds[2])
+            .max(pixels.contrast(&thirds[0], &thirds[1]))
             .max(pixels.contrast(&thirds[1], &thirds[2]));
         // Of two that stand out equally, the one that covers more of the band.
         let score = (harmonic - 0.5 * uneven) * (self.size.length / self.length).sqrt();
