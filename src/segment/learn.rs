@@ -343,7 +343,9 @@ mod tests {
         let learned = learn(&classes).unwrap();
         assert_eq!(learned.models.len(), 3);
         for (marker, model) in learned.models.iter().enumerate() {
-            let mean = |class: &ClassSamples| Scores::of(model, class).mean;
+            let plane = plane(&classes, marker, None).unwrap();
+            let all = ColourModel { planes: vec![plane], rgb: model.rgb };
+            let mean = |class: &ClassSamples| Scores::of(&all, class).mean;
             assert!((mean(&classes[marker]) - 1.0).abs() < 1e-9);
             let weight = |c: usize| if c < 3 { OTHER_MARKER } else { 1.0 };
             let others: f64 = (0..5).filter(|&c| c != marker).map(|c| weight(c) * mean(&classes[c])).sum();
@@ -358,6 +360,34 @@ mod tests {
         assert!(learned.separations.iter().all(|s| s.gap() >= worst));
     }
 
+    /// Dull yellow between brown, white and grey: no single plane has it on one side and all of them on the other.
+    #[test]
+    fn a_colour_amid_others_takes_several_planes() {
+        let class = |name: &str, rgb: [f64; 3], seed: usize| {
+            let noise = |i: usize| (((i * 7919 + seed * 104_729) % 1000) as f64 / 500.0 - 1.0) * 4.0;
+            let sample = |i: usize| {
+                Vector3::from(rgb) * (0.9 + 0.2 * (i % 17) as f64 / 16.0) + Vector3::from_fn(|c, _| noise(3 * i + c))
+            };
+            ClassSamples { name: name.into(), is_marker: seed == 0, rgb: (0..400).map(sample).collect() }
+        };
+        let classes = [
+            class("yellow", [90.0, 80.0, 50.0], 0),
+            class("brown", [70.0, 58.0, 46.0], 1),
+            class("orange", [110.0, 80.0, 20.0], 2),
+            class("white", [90.0, 90.0, 88.0], 3),
+            class("green", [70.0, 90.0, 50.0], 4),
+        ];
+        let learned = learn(&classes).unwrap();
+        assert!(learned.models[0].planes.len() > 1, "{:?}", learned.models[0]);
+        let single = ColourModel { planes: vec![plane(&classes, 0, None).unwrap()], ..learned.models[0].clone() };
+        let mistakes = |model: &ColourModel| {
+            let missed = 1.0 - Scores::of(model, &classes[0]).above(THRESHOLD);
+            missed + classes[1..].iter().map(|class| Scores::of(model, class).above(THRESHOLD)).sum::<f64>() / 4.0
+        };
+        assert!(mistakes(&learned.models[0]) < 0.02, "{}", mistakes(&learned.models[0]));
+        assert!(mistakes(&single) > 0.05, "{}", mistakes(&single));
+    }
+
     #[test]
     fn a_class_counts_the_same_however_many_samples_it_has() {
         let mut classes = samples();
@@ -365,7 +395,9 @@ mod tests {
         let background = classes[4].rgb.clone();
         classes[4].rgb.extend(background.iter().cycle().take(1800).copied());
         for (a, b) in once.models.iter().zip(learn(&classes).unwrap().models) {
-            assert!((a.weights - b.weights).norm() < 1e-9 && (a.bias - b.bias).abs() < 1e-9);
+            for (a, b) in a.planes.iter().zip(&b.planes) {
+                assert!((a.weights - b.weights).norm() < 1e-9 && (a.bias - b.bias).abs() < 1e-9);
+            }
         }
     }
 
@@ -374,7 +406,7 @@ mod tests {
         let learned = learn(&samples()).unwrap();
         for model in &learned.models {
             for shade in [0.1, 0.4, 1.5] {
-                let score = model.weights.dot(&(Vector3::new(110.0, 110.0, 112.0) * shade)) + model.bias;
+                let score = model.score(&(Vector3::new(110.0, 110.0, 112.0) * shade));
                 assert!(score < 0.4, "{score} at {shade}");
             }
         }

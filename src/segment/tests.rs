@@ -214,7 +214,7 @@ fn refusals_say_why() {
     let fourth = Search { marker: Some(3), view: None, window: Window::whole(picture.size_px()) };
     assert_eq!(segmenter().blobs(&picture, &[fourth]).unwrap_err().to_string(), "search for marker 3, but there are 3");
     let mut models = models();
-    models[1].weights.y = f64::NAN;
+    models[1].planes[0].weights.y = f64::NAN;
     assert!(Segmenter::new(&models).unwrap_err().to_string().starts_with("colour model of marker 1 has weights ("));
 }
 

@@ -185,7 +185,17 @@ fn picks(args: &MarkersArgs, rig: &Rig) -> Result<Vec<Pick>, Failure> {
         };
         Ok(Pick { name: pick.name.clone(), view, pixel: pick.pixel })
     };
-    args.picks.iter().map(pick).collect()
+    let picks: Vec<Pick> = args.picks.iter().map(pick).collect::<Result<_, _>>()?;
+    for (i, pick) in picks.iter().enumerate() {
+        if picks[..i].iter().any(|other| other.name == pick.name && other.view == pick.view) {
+            let view = rig.views.get(pick.view).map_or("", |view| view.name.as_str());
+            return Err(usage(format!(
+                "--pick {}: two picks of this band in view {view}, expected one a view",
+                pick.name
+            )));
+        }
+    }
+    Ok(picks)
 }
 
 fn no_such_view(option: &str, name: &str, views: &[View], rig: &Path) -> Failure {

@@ -11,24 +11,26 @@ use nalgebra::{Point2, Vector2};
 const STEP_PX: f64 = 3.0;
 /// How far the tube may run beside the curve, half widths.
 const ASIDE: [f64; 5] = [0.0, -0.8, 0.8, -1.6, 1.6];
+/// More contrast than this between two pieces of tube makes no difference.
+const MOST_DIFFERENT: f64 = 5.0;
 /// Contrast with both grounds that counts as a tube.
 const CLEAR: f64 = 1.5;
 
-/// Share of the way between two bands along which a tube is seen, the mean over the views that see both.
-pub(super) fn tube_between(
-    rig: &Rig,
-    pixels: &Pixels,
-    before: (&Candidate, usize),
-    behind: (&Candidate, usize),
-) -> f64 {
-    let (mut sum, mut views) = (0.0, 0.0);
+/// What speaks for a tube from one band to the next: the share of the way along which one is seen, and how different it looks
+/// where it leaves the one and where it reaches the other (of what lies between two bands, which may look like a band too,
+/// the ends have the colours of those bands). Means over the views that see both.
+pub(super) fn tube_between(rig: &Rig, pixels: &Pixels, before: &Candidate, behind: &Candidate) -> (f64, f64) {
+    let (mut share, mut different, mut views) = (0.0, 0.0, 0.0_f64);
     for v in 0..rig.views.len() {
-        if let (Some(a), Some(b)) = (&before.0.looks[v], &behind.0.looks[v]) {
-            sum += seen(pixels, a, b);
+        if let (Some(a), Some(b)) = (&before.looks[v], &behind.looks[v]) {
+            let chord = b.centre - a.centre;
+            let facing = |look: &Look, way: Vector2<f64>| look.ends[usize::from(look.axis.dot(&way) > 0.0)];
+            share += seen(pixels, a, b);
+            different += pixels.contrast(&facing(a, chord), &facing(b, -chord)).min(MOST_DIFFERENT);
             views += 1.0;
         }
     }
-    if views > 0.0 { sum / views } else { 0.0 }
+    (share / views.max(1.0), different / views.max(1.0))
 }
 
 fn seen(pixels: &Pixels, a: &Look, b: &Look) -> f64 {

@@ -128,7 +128,7 @@ fn choose(rig: &Rig, pixels: &Pixels, candidates: &[Vec<Candidate>]) -> Result<V
                 };
                 let step = next.point - last.point;
                 let shortest = (rig.markers[m - 1].length_m + rig.markers[m].length_m) / 2.0;
-                if !(shortest * 0.6..LONGEST_GAP_M).contains(&step.norm()) {
+                if !(shortest * 0.9..LONGEST_GAP_M).contains(&step.norm()) {
                     continue;
                 }
                 if let [.., before, _] = chosen.as_slice()
@@ -137,10 +137,10 @@ fn choose(rig: &Rig, pixels: &Pixels, candidates: &[Vec<Candidate>]) -> Result<V
                     folded = true;
                     continue;
                 }
-                let tube = tube_between(rig, pixels, (last, m - 1), (next, m));
+                let (tube, different) = tube_between(rig, pixels, last, next);
                 let mut all = chosen.clone();
                 all.push(next);
-                longer.push((score + next.score + TUBE_SCORE * tube, all));
+                longer.push((score + next.score + TUBE_SCORE * tube - different, all));
             }
         }
         longer.sort_by(|a, b| b.0.total_cmp(&a.0));
