@@ -12,9 +12,10 @@
 //!   when the source gives up.
 
 use crate::estimate::Estimate;
-use crate::sink::{Sink, SinkError};
+use crate::rig::Rig;
+use crate::sink::{Sink, SinkError, spoken};
 use crate::source::{Frame, FrameSource, SourceError, StreamFaults, Timestamp};
-use crate::tally::{Tally, Totals};
+use crate::tally::{Tally, Totals, missing};
 use crate::track::{TrackError, Tracker};
 use std::io;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -108,6 +109,10 @@ pub fn run(
                 Ok(estimate) => estimate,
                 Err(error) => break Some(End::Track { seq: frame.seq, stamp: frame.stamp, error }),
             };
+            if tracing::enabled!(tracing::Level::DEBUG) {
+                let found = in_words(&estimate, tracker.rig());
+                tracing::debug!("frame {} at {} s: {found}", frame.seq, frame.stamp.seconds());
+            }
             let totals = tally.add(&estimate).then(|| tally.totals());
             if result_in.send(Row { estimate, frame, totals }).is_err() {
                 break Some(End::Sink);
@@ -129,6 +134,19 @@ pub fn run(
         };
         Ok(Summary { tally, source, elapsed: began.elapsed(), end, sink_failures })
     })
+}
+
+/// What came of a frame, in words.
+fn in_words(estimate: &Estimate, rig: &Rig) -> String {
+    let names = |names: &mut dyn Iterator<Item = &String>| names.cloned().collect::<Vec<_>>();
+    let (markers, views) =
+        (names(&mut rig.markers.iter().map(|m| &m.name)), names(&mut rig.views.iter().map(|v| &v.name)));
+    let missing = missing(estimate, &markers, &views);
+    let mut words: Vec<String> = missing.iter().map(|(what, why)| format!("{what} {}", spoken(why))).collect();
+    if let Ok(d) = &estimate.deflection {
+        words.push(format!("θ {:+.2}° ± {:.2}°", d.theta_rad.to_degrees(), d.theta_sd_rad.to_degrees()));
+    }
+    if words.is_empty() { "all bands located".to_owned() } else { words.join(", ") }
 }
 
 /// Hands on all frames, as long as somebody takes them.
@@ -200,7 +218,7 @@ fn joined<T>(thread: ScopedJoinHandle<'_, T>) -> T {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::rig::{ColourModel, Rig};
+    use crate::rig::ColourModel;
     use crate::sink::fixture;
     use crate::source::{Clock, Colour, Picture, PixelFormat};
     use crate::track::TrackOptions;

@@ -1,7 +1,7 @@
 //! `catoptra excite`: a table of coil currents, and what its spectrum is.
 
 use super::units::{current_a, duration_s, frequency_hz, positive_current_a, slew_a_s};
-use super::{Exit, Failure, interrupt, output};
+use super::{Exit, Failure, interrupt, output, provenance};
 use crate::excite::{Chirp, Clipped, ExciteError, Limits, Multisine, Order, Phases, Signal, Spectrum, Steps, Sweep};
 use crate::report::excitation::{self, ExcitationInfo};
 use crate::source::FrameRate;
@@ -21,7 +21,7 @@ pub(crate) struct Args {
 enum Command {
     /// A sine that sweeps over a band
     #[command(after_help = "\
-Without options it is the chirp of the paper. Each row holds until the next, the last is zero current.
+Without options: the chirp of the paper. Each row holds until the next; the last is zero current.
 Exit code 2: the limits do not allow it; the message says what would fit.
 Example:
   catoptra excite chirp -o currents.csv --report")]
@@ -34,7 +34,8 @@ Example:
     Multisine(MultisineArgs),
     /// Levels that are held, one after the other or at random
     #[command(after_help = "\
-With --slew the current goes from level to level on ramps; the summary counts the samples that this changes.
+With --slew the current goes from level to level on ramps; the summary counts the samples that this
+changes.
 Example:
   catoptra excite steps --levels 0mA,50mA,100mA,50mA --hold 5s --duration 60s -o steps.csv")]
     Steps(StepsArgs),
@@ -228,7 +229,7 @@ impl Common {
     }
 
     fn info(&self, kind: &str, band_hz: Option<(f64, f64)>, settings: Vec<(String, String)>) -> ExcitationInfo {
-        let settings = settings.into_iter().chain(self.settings()).collect();
+        let settings = settings.into_iter().chain(self.settings()).chain(provenance::of_this_run()).collect();
         ExcitationInfo { table: self.out.display().to_string(), kind: kind.to_owned(), band_hz, settings }
     }
 }

@@ -2,8 +2,12 @@
 
 use super::{Exit, Failure};
 use crate::rig::Rig;
-use crate::source::{self, Frame, FrameSource, PixelFormat, SourceError, SourceOptions, StreamFaults};
+use crate::source::{self, Frame, FrameSource, Picture, PixelFormat, SourceError, SourceOptions, StreamFaults};
 use std::path::Path;
+
+/// Off grey by this much, of 255, is no colour; and luma that spreads by no more shows nothing.
+const FAINT: u8 = 3;
+const FLAT: u8 = 24;
 
 /// The recording or folder `source`, at its first frame; `rig` with the file it is from.
 ///
@@ -31,11 +35,43 @@ fn fitting(
     let opened = opened.map_err(invalid)?;
     check_size(&name.to_string(), opened.size_px(), (rig_file, rig))?;
     let peeked = Peeked::new(opened).map_err(invalid)?;
-    if peeked.first.as_ref().is_some_and(|frame| frame.picture.format() == PixelFormat::Grey) {
+    if peeked.first.as_ref().is_some_and(|frame| is_grey(&frame.picture)) {
         let text = format!("{name}: pictures are grey; markers are told by their colour");
         return Err(Failure::new(Exit::Usage, text));
     }
     Ok(peeked)
+}
+
+/// Whether a picture has no colour: no channel for it, or nothing in those that it has. One that is dark or flat as a whole may
+/// be of a covered camera, and is not taken for grey.
+fn is_grey(picture: &Picture) -> bool {
+    let samples = |channel: usize| -> Vec<u8> {
+        let Some(plane) = picture.plane(channel) else { return Vec::new() };
+        let rows = (0..plane.height).filter_map(|j| plane.row(j));
+        rows.flat_map(|row| row.iter().step_by(plane.step).take(plane.width)).copied().collect()
+    };
+    let spread = |samples: &mut Vec<u8>| -> u8 {
+        samples.sort_unstable();
+        let at = |part: usize| samples.get(samples.len() * part / 100).copied().unwrap_or(0);
+        at(95) - at(5)
+    };
+    let few = |odd: usize, all: usize| odd * 10_000 <= all;
+    match picture.format() {
+        PixelFormat::Grey => true,
+        // Of a picture that was recorded in parts the rest means nothing.
+        _ if picture.recorded().is_some() => false,
+        format if format.is_yuv() => {
+            let chroma = [samples(1), samples(2)].concat();
+            let odd = chroma.iter().filter(|c| c.abs_diff(128) > FAINT).count();
+            few(odd, chroma.len()) && spread(&mut samples(0)) > FLAT
+        }
+        _ => {
+            let [mut red, green, blue] = [0, 1, 2].map(samples);
+            let pixels = red.iter().zip(&green).zip(&blue);
+            let odd = pixels.filter(|((r, g), b)| r.abs_diff(**g).max(g.abs_diff(**b)) > FAINT).count();
+            few(odd, red.len()) && spread(&mut red) > FLAT
+        }
+    }
 }
 
 /// Refuses pictures, of the source called `name`, that have not the size of those of the rig's camera.
@@ -70,6 +106,17 @@ impl Peeked {
     fn new(mut source: Box<dyn FrameSource + Send>) -> Result<Self, SourceError> {
         Ok(Self { first: source.next_frame()?, source })
     }
+
+    /// Size, number and storage of the pictures, in words.
+    pub(super) fn described(&self) -> String {
+        let [width, height] = self.source.size_px();
+        let count = self.source.frame_count_hint().map_or("frames".to_owned(), |n| format!("about {n} frames"));
+        let storage = self.first.as_ref().map_or(String::new(), |frame| {
+            let (format, colour) = (frame.picture.format(), frame.picture.colour());
+            format!(", {format:?}, {:?} {:?}", colour.matrix, colour.range)
+        });
+        format!("{count} of {width}x{height} pixels{storage}")
+    }
 }
 
 impl FrameSource for Peeked {
@@ -90,5 +137,38 @@ impl FrameSource for Peeked {
 
     fn faults(&self) -> StreamFaults {
         self.source.faults()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::source::Colour;
+
+    const YUV420: PixelFormat = PixelFormat::Yuv { chroma_log2: [1, 1] };
+
+    /// 64x64: a ramp of luma, and one value of chroma but for some samples.
+    fn yuv(top: u8, chroma: u8, odd: usize) -> Picture {
+        let luma = (0..4096).map(|i| (i % 64 * usize::from(top) / 63) as u8).collect();
+        let mut u = vec![chroma; 1024];
+        u.iter_mut().take(odd).for_each(|sample| *sample = 90);
+        Picture::from_planes(64, 64, YUV420, Colour::SRGB, vec![luma, u, vec![128; 1024]]).unwrap()
+    }
+
+    #[test]
+    fn grey_is_known_however_it_is_stored() {
+        assert!(is_grey(&yuv(200, 128, 0)) && is_grey(&yuv(200, 130, 0)));
+        // A band of some pixels is colour enough, and a dark picture says nothing.
+        assert!(!is_grey(&yuv(200, 128, 8)) && !is_grey(&yuv(10, 128, 0)));
+        let ramp = || (0..4096).map(|i| (i % 64 * 3) as u8).collect::<Vec<_>>();
+        let rgb = |red: Vec<u8>| {
+            let planes = vec![red, ramp(), ramp()];
+            Picture::from_planes(64, 64, PixelFormat::RgbPlanar, Colour::SRGB, planes).unwrap()
+        };
+        let mut red = ramp();
+        assert!(is_grey(&rgb(red.clone())));
+        red.iter_mut().take(40).for_each(|sample| *sample = 250);
+        assert!(!is_grey(&rgb(red)));
+        assert!(is_grey(&Picture::from_planes(2, 2, PixelFormat::Grey, Colour::SRGB, vec![vec![0; 4]]).unwrap()));
     }
 }

@@ -7,6 +7,7 @@ use crate::source::times::seconds;
 use clap::Subcommand;
 use std::fmt::{self, Write as _};
 use std::path::PathBuf;
+use std::time::{Duration, SystemTime};
 
 /// Arguments of `catoptra log`.
 #[derive(Debug, clap::Args)]
@@ -64,6 +65,13 @@ fn failure(error: LogError) -> Failure {
     Failure::new(exit, error)
 }
 
+/// A time of the host's clock, to the millisecond, UTC.
+fn date(ns: i64) -> String {
+    let since_1970 = Duration::from_nanos(u64::try_from(ns).unwrap_or(0));
+    let text = humantime::format_rfc3339_millis(SystemTime::UNIX_EPOCH + since_1970).to_string();
+    text.replace('T', " ").replace('Z', " UTC")
+}
+
 fn describe(out: &mut String, name: &str, info: &Info) -> fmt::Result {
     writeln!(out, "{name}: written by {}", info.library)?;
     match &info.cut {
@@ -77,12 +85,7 @@ fn describe(out: &mut String, name: &str, info: &Info) -> fmt::Result {
         writeln!(out, "\n  no frame")?;
     }
     if let Some((first, last)) = info.host_span_ns {
-        writeln!(
-            out,
-            "  by the host's clock {:.3} s, from {:.3} s after 1970 on",
-            seconds(last - first),
-            seconds(first)
-        )?;
+        writeln!(out, "  by the host's clock {:.3} s, from {} on", seconds(last - first), date(first))?;
     }
     let (gaps, lost) = info.gaps;
     writeln!(out, "  {lost} camera frames lost in {gaps} gaps")?;
@@ -104,4 +107,14 @@ fn describe(out: &mut String, name: &str, info: &Info) -> fmt::Result {
         writeln!(out, "  attached: {name}, {bytes} bytes")?;
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_hosts_clock_is_told_as_a_date() {
+        assert_eq!(date(1_795_188_826_788_000_000), "2026-11-20 15:33:46.788 UTC");
+    }
 }

@@ -4,6 +4,7 @@
 //! 3 the calibration or measurement is not usable, 130 interrupted.
 
 mod calibrate;
+mod docs;
 mod excite;
 mod failure;
 mod fitting;
@@ -13,6 +14,7 @@ mod live;
 mod log;
 mod output;
 mod progress;
+mod provenance;
 mod rig;
 mod run;
 mod track;
@@ -34,16 +36,17 @@ use tracing_subscriber::EnvFilter;
     version,
     max_term_width = 100,
     after_help = "\
-Exit codes: 0 good, 1 failed, 2 wrong usage or invalid input file, 3 no usable result, 130 interrupted.
+Exit codes: 0 good, 1 failed, 2 wrong usage or invalid input file, 3 no usable result,
+130 interrupted.
 Example:
   catoptra track sample_frames/planar.mkv --rig calibration/dev_tank/rig.toml -o out"
 )]
 struct Cli {
-    /// Tell more on stderr; -vv for details
-    #[arg(short, long, global = true, action = ArgAction::Count)]
+    /// Tell more on stderr; -vv for every frame
+    #[arg(short, long, global = true, action = ArgAction::Count, display_order = 900)]
     verbose: u8,
     /// Tell errors only
-    #[arg(short, long, global = true, conflicts_with = "verbose")]
+    #[arg(short, long, global = true, conflicts_with = "verbose", display_order = 901)]
     quiet: bool,
     #[command(subcommand)]
     command: Command,
@@ -73,7 +76,7 @@ DIR gets log.mcap, track.csv, report.html and run.toml, with a row for every cam
 completes the files; a killed run keeps all but its last second.
 Example:
   catoptra live sample_frames/planar.mkv --realtime --rig calibration/dev_tank/rig.toml \\
-    --udp 127.0.0.1:5005 -o live")]
+    --udp 127.0.0.1:5005 -o swing-live")]
     Live(live::Args),
     /// Make tables of coil currents that excite the dynamics: chirp, multisine, steps
     #[command(after_help = "Example:\n  catoptra excite chirp -o currents.csv --report")]
@@ -93,6 +96,14 @@ Example:
   catoptra validate tests/data/validate/20ms.csv tests/data/validate/5ms.csv --pause 20ms,5ms \\
     --desired tests/data/validate/circle.csv --start 1.5 -o validation")]
     Validate(validate::Args),
+    /// Print the completions of a shell: bash, zsh, fish, elvish or PowerShell
+    #[command(after_help = "\
+Example, for bash (others: the README):
+  catoptra completions bash > catoptra.bash")]
+    Completions(docs::CompletionsArgs),
+    /// Write the manual pages, one for each command, into a folder
+    #[command(after_help = "Example:\n  catoptra man man1")]
+    Man(docs::ManArgs),
 }
 
 /// Runs the program.
@@ -101,6 +112,8 @@ pub fn run() -> ExitCode {
     log_to_stderr(cli.verbose, cli.quiet);
     let result = match &cli.command {
         Command::Calibrate(args) => calibrate::run(args, cli.quiet),
+        Command::Completions(args) => docs::completions(args),
+        Command::Man(args) => docs::man(args),
         Command::Rig(args) => rig::run(args, cli.quiet),
         Command::Excite(args) => excite::run(args, cli.quiet),
         Command::Identify(args) => identify::run(args, cli.quiet),
@@ -160,6 +173,16 @@ mod tests {
             let last = help.lines().last().unwrap_or_default();
             let form = last.starts_with("  catoptra ") || last.starts_with("    --");
             assert!(form, "{} ends with {last:?}", words.join(" "));
+            // What is wider is broken in the middle of a sentence.
+            let after = this.get_after_help().map(ToString::to_string).unwrap_or_default();
+            let wide = after.lines().find(|line| line.chars().count() > 100);
+            assert_eq!(wide, None, "{}", words.join(" "));
+            let place = |option: &str| help.lines().position(|line| line.contains(option));
+            let last = [place("--verbose"), place("--quiet"), place("--help")];
+            let options = help.lines().enumerate().skip_while(|(_, line)| *line != "Options:");
+            let own = options.filter(|(_, line)| line.trim_start().starts_with('-')).map(|(at, _)| Some(at));
+            assert!(own.take_while(|at| !last.contains(at)).all(|at| at < last[0]), "{}", words.join(" "));
+            assert!(last.is_sorted() && last[0].is_some(), "{}: {last:?}", words.join(" "));
             for sub in this.get_subcommands().filter(|c| c.get_name() != "help") {
                 pending.push(([words.clone(), vec![sub.get_name().to_owned()]].concat(), sub.clone()));
             }

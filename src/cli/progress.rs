@@ -11,7 +11,7 @@ const PATIENCE: Duration = Duration::from_secs(1);
 /// The bar that is on the screen.
 static SHOWN: Mutex<Option<ProgressBar>> = Mutex::new(None);
 
-/// A count of frames on its way. The bar is gone when it is dropped.
+/// A count of frames or pictures on its way. The bar is gone when it is dropped.
 pub(super) struct Progress {
     bar: ProgressBar,
     began: Instant,
@@ -28,12 +28,17 @@ enum Shown {
 impl Progress {
     /// Of `total` frames, if that is known. Shown on a terminal only, and not when `quiet`.
     pub(super) fn of_frames(total: Option<u64>, quiet: bool) -> Self {
+        Self::of(total, "frames", quiet)
+    }
+
+    /// As [`Progress::of_frames`], of other things.
+    pub(super) fn of(total: Option<u64>, things: &str, quiet: bool) -> Self {
         let bar = ProgressBar::with_draw_target(total, ProgressDrawTarget::hidden());
         let template = match total {
-            Some(_) => "{bar:30} {pos} of {len} frames, {per_sec} a second, {eta} to go",
-            None => "{spinner} {pos} frames, {per_sec} a second",
+            Some(_) => format!("{{bar:30}} {{pos}} of {{len}} {things}, {{per_sec}} a second, {{eta}} to go"),
+            None => format!("{{spinner}} {{pos}} {things}, {{per_sec}} a second"),
         };
-        if let Ok(style) = ProgressStyle::with_template(template) {
+        if let Ok(style) = ProgressStyle::with_template(&template) {
             let per_second = |state: &indicatif::ProgressState, out: &mut dyn std::fmt::Write| {
                 // A bar that cannot be drawn is not worth an error.
                 let _ = write!(out, "{:.0}", state.per_sec());
@@ -42,6 +47,11 @@ impl Progress {
         }
         let shown = if quiet || !io::stderr().is_terminal() { Shown::Never } else { Shown::NotYet };
         Self { bar, began: Instant::now(), shown }
+    }
+
+    /// One more is done.
+    pub(super) fn one_more(&mut self) {
+        self.at(self.bar.position() + 1);
     }
 
     /// So many are done.
@@ -82,6 +92,13 @@ impl Line {
             bar.set_message(text);
         }
     }
+}
+
+/// Says `what` is being done, on a terminal, while it is.
+pub(super) fn during<T>(what: &str, quiet: bool, work: impl FnOnce() -> T) -> T {
+    let line = Line::new(quiet);
+    line.set(format!("{what} …"));
+    work()
 }
 
 impl Drop for Line {

@@ -3,7 +3,7 @@
 use super::progress::Progress;
 use super::run::folder::{self, Files, Run, unlike_others, whole_path};
 use super::run::{Record, Reference, load_rig, open_sinks, pool, print_warnings, rig_of_log, summary, verdict};
-use super::{Exit, Failure, fitting, interrupt, output};
+use super::{Exit, Failure, fitting, interrupt, output, provenance};
 use crate::log::is_log;
 use crate::pipeline;
 use crate::report::RunInfo;
@@ -12,6 +12,7 @@ use crate::source::{FrameRate, FrameSource as _, SourceOptions, Span};
 use crate::tally::Tally;
 use crate::track::{TrackOptions, Tracker};
 use clap::builder::RangedU64ValueParser;
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 /// Arguments of `catoptra track`.
@@ -26,7 +27,7 @@ pub(crate) struct Args {
     /// Folder for the results [default: NAME-track, here]
     #[arg(short, long, value_name = "OUT")]
     out: Option<PathBuf>,
-    /// Write the table to FILE instead of OUT/track.csv
+    /// Write the table to FILE instead of OUT/track.csv; - is stdout
     #[arg(long, value_name = "FILE", num_args = 0..=1, require_equals = true)]
     csv: Option<Option<PathBuf>>,
     /// Also write a video with what was found drawn into it
@@ -78,6 +79,12 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     let source = fitting::open_to_track((&args.source, options), (rig_file, &rig))?;
     print_warnings(rig_file, &rig)?;
     let pool = pool(args.threads())?;
+    tracing::info!(
+        "{}: {}, {} threads; every frame is told with -vv",
+        args.source.display(),
+        source.described(),
+        pool.current_num_threads()
+    );
     // 2. the files
     let run = args.described();
     let run_toml = run.to_toml()?;
@@ -106,7 +113,12 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
         let mut text = String::new();
         summary::summary(&mut text, &recording, &run_summary, &files, &rig)
             .map_err(|e| Failure::new(Exit::Failed, format!("cannot describe the run: {e}")))?;
-        output::print(&text)?;
+        // The table may be on stdout.
+        if files.table_on_stdout() {
+            let _ = write!(super::progress::stderr(), "{text}");
+        } else {
+            output::print(&text)?;
+        }
     }
     verdict(&recording, &rig, run_summary)
 }
@@ -140,7 +152,7 @@ impl Args {
         RunInfo {
             source: self.source.display().to_string(),
             rig: self.rig.as_ref().unwrap_or(&self.source).display().to_string(),
-            settings: settings.into_iter().flatten().collect(),
+            settings: settings.into_iter().flatten().chain(provenance::of_this_run()).collect(),
             camera_frame: self.frame == Reference::Camera,
         }
     }

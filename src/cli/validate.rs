@@ -1,7 +1,7 @@
 //! `catoptra validate`: tracked runs along a desired path, to errors and response at each speed.
 
 use super::units::duration_s;
-use super::{Exit, Failure, interrupt, output};
+use super::{Exit, Failure, interrupt, output, provenance};
 use crate::report::validation;
 use crate::series::{Recording, SeriesError};
 use crate::source::times::parse_seconds_ns;
@@ -156,10 +156,13 @@ impl Args {
 
     fn settings(&self) -> Vec<(String, String)> {
         let between = if self.interpolate == How::Spline { "cubic spline" } else { "straight lines" };
-        vec![
+        [
             ("Left out".to_owned(), format!("{} of them, at the beginning", self.skip)),
             ("Between frames".to_owned(), between.to_owned()),
         ]
+        .into_iter()
+        .chain(provenance::of_this_run())
+        .collect()
     }
 }
 

@@ -45,6 +45,7 @@ pub(super) enum Channel {
     ThetaSd,
     /// Degrees.
     Polar,
+    /// Degrees from −90 on, see [`without_seam_deg`].
     Azimuth,
     /// Length of the residual, pixels.
     Residual {
@@ -59,6 +60,12 @@ pub(super) enum Channel {
 }
 
 const ANGLES: usize = 6;
+
+/// An azimuth between −90° and 270°: a swing in a plane stays near 0° and 180°, and noise must not throw it from one end of
+/// the axis to the other.
+fn without_seam_deg(azimuth_deg: f64) -> f64 {
+    (azimuth_deg + 90.0).rem_euclid(360.0) - 90.0
+}
 
 impl Course {
     pub(super) fn new(rig: &Rig, camera_frame: bool) -> Self {
@@ -124,7 +131,7 @@ impl Course {
     fn values(&self, estimate: &Estimate) -> Vec<Option<f64>> {
         let angle = estimate.deflection.as_ref().ok().map(|d| {
             let (theta, sd) = (d.theta_rad.to_degrees(), d.theta_sd_rad.to_degrees());
-            [theta, theta - sd, theta + sd, sd, d.polar_rad.to_degrees(), d.azimuth_rad.to_degrees()]
+            [theta, theta - sd, theta + sd, sd, d.polar_rad.to_degrees(), without_seam_deg(d.azimuth_rad.to_degrees())]
         });
         let mut values: Vec<Option<f64>> = match angle {
             Some(angles) => angles.into_iter().map(Some).collect(),
@@ -173,5 +180,16 @@ impl Course {
             self.path.every *= 2;
         }
         self.path.places_mm.push(places);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_swing_through_180_degrees_stays_in_one_place() {
+        let shown = [179.5, -179.5, 0.5, -0.5, 90.0, -90.0, -91.0].map(without_seam_deg);
+        assert_eq!(shown, [179.5, 180.5, 0.5, -0.5, 90.0, -90.0, 269.0]);
     }
 }

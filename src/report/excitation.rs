@@ -80,7 +80,7 @@ pub fn page(info: &ExcitationInfo, signal: &Signal, spectrum: &Spectrum, clipped
     }
     body += "<h2>Current over time</h2>\n<p>Each value is held until the next. After the last one the current is zero.</p>\n";
     body += &figure("plot-current", &course(signal), 340, false);
-    body += "<h2>Spectrum</h2>\n<p>Mean square of the samples. Grey: the band. The dotted line is half of the \
+    body += "<h2>Spectrum</h2>\n<p>Mean square of the samples, for each hertz of bandwidth. Grey: the band. The dotted line is half of the \
              rate: nothing can be excited beyond it.</p>\n";
     body += &figure("plot-spectrum", &density(info, signal, spectrum), 360, false);
     let rows: Vec<Vec<String>> =
@@ -116,7 +116,7 @@ fn each_line(spectrum: &Spectrum) -> Vec<(f64, f64)> {
     spectrum.power_a2.iter().enumerate().skip(1).map(|(k, power)| (k as f64 * spectrum.step_hz, *power)).collect()
 }
 
-/// Frequency and power for each hertz, A²/Hz; lines that fall together on a logarithmic axis are averaged.
+/// Frequency and spectral density, A²/Hz; lines that fall together on a logarithmic axis are averaged.
 fn averaged(spectrum: &Spectrum, nyquist_hz: f64) -> Vec<(f64, f64)> {
     let decades = (nyquist_hz / spectrum.step_hz).log10().max(1.0);
     let bin = |hz: f64| (hz.log10() * POINTS / decades).floor();
@@ -141,7 +141,7 @@ fn density(info: &ExcitationInfo, signal: &Signal, spectrum: &Spectrum) -> Plot 
     let top = means.iter().fold(f64::MIN_POSITIVE, |top, (_, power)| power.max(top)).log10();
     let floor = 10_f64.powf(top - DEPTH);
     let shown: Vec<(f64, f64)> = means.into_iter().filter(|(_, power)| *power > floor).collect();
-    let (mode, unit) = if lines { (Mode::Markers, "mA² in each sine") } else { (Mode::Lines, "mA² for each Hz") };
+    let (mode, unit) = if lines { (Mode::Markers, "mA² in each sine") } else { (Mode::Lines, "mA²/Hz") };
     // A tenth of a percent can be seen.
     let short = |value: f64| format!("{value:.4e}").parse::<f64>().ok();
     let (low, high) = (spectrum.step_hz.max(nyquist_hz / 2000.0).log10(), (nyquist_hz * 1.08).log10());

@@ -43,7 +43,7 @@ pub(super) fn polar(course: &Course, time: &str) -> Plot {
     let layout = chart::layout()
         .x_axis(chart::time_axis(time, bins).anchor("y2"))
         .y_axis(chart::value_axis("polar (°)").domain(&[0.54, 1.0]).range_mode(plotly::layout::RangeMode::ToZero))
-        .y_axis2(chart::value_axis("azimuth (°)").domain(&[0.0, 0.44]).range(vec![-190.0, 190.0]).dtick(90.0))
+        .y_axis2(chart::value_axis("azimuth (°)").domain(&[0.0, 0.44]).range(vec![-100.0, 280.0]).dtick(90.0))
         .show_legend(false);
     let mut plot = chart::plot(layout);
     let polar = chart::curve(bins, course.extremes(Channel::Polar), 4);
@@ -64,9 +64,9 @@ pub(super) fn polar(course: &Course, time: &str) -> Plot {
 pub(super) fn paths(course: &Course) -> Plot {
     // The eye is chosen so that the catheter hangs as it does in the picture.
     let (titles, up, eye) = if course.in_base_frame() {
-        (["x, along B0 (mm)", "y (mm)", "z, base to tip (mm)"], (0.0, 0.0, -1.0), (0.34, 1.36, -0.34))
+        (["x, along B0 (mm)", "y (mm)", "z, base to tip (mm)"], (0.0, 0.0, -1.0), (0.43, 1.72, -0.43))
     } else {
-        (["x, right (mm)", "y, down (mm)", "z, forward (mm)"], (0.0, -1.0, 0.0), (-0.47, -0.34, -1.32))
+        (["x, right (mm)", "y, down (mm)", "z, forward (mm)"], (0.0, -1.0, 0.0), (-0.59, -0.43, -1.67))
     };
     let places = &course.path.places_mm;
     let scene = chart::scene([0, 1, 2].map(|k| span_mm(places, k)), titles).camera(chart::eye(up, eye));

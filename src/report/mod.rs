@@ -1,7 +1,7 @@
 //! Pages for people: one HTML file each, that opens without a network.
 //!
 //! [`ReportSink`] writes the report of a tracked run: what was tracked, how well, what is missing and why, and plots that
-//! can be zoomed and turned. In: estimates; the pictures are not looked at. Memory stays small however long the run:
+//! can be zoomed and turned. In: estimates, and three of their pictures. Memory stays small however long the run:
 //! values over time are kept in 4096 bins at most, with the smallest and largest value of each; totals are exact
 //! (medians need 4 bytes a frame and quantity). What it cannot show: frames between the extremes of a long run; they are in
 //! the log.
@@ -17,6 +17,7 @@ pub mod excitation;
 mod figures;
 mod html;
 pub mod identification;
+mod moments;
 mod page;
 pub mod teaching;
 mod timeline;
@@ -29,6 +30,7 @@ use crate::sink::{Sink, SinkError};
 use crate::source::Picture;
 use crate::tally::Tally;
 use course::Course;
+use moments::Moments;
 use std::fs::File;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -53,6 +55,7 @@ pub struct ReportSink {
     file: Option<File>,
     info: RunInfo,
     course: Course,
+    moments: Moments,
 }
 
 impl ReportSink {
@@ -63,19 +66,23 @@ impl ReportSink {
     pub fn create(path: &Path, rig: &Rig, info: RunInfo) -> Result<Self, SinkError> {
         let file = File::create(path).map_err(|source| SinkError::Io { path: path.into(), source })?;
         let course = Course::new(rig, info.camera_frame);
-        Ok(Self { path: path.into(), file: Some(file), info, course })
+        Ok(Self { path: path.into(), file: Some(file), info, course, moments: Moments::new(rig) })
     }
 }
 
 impl Sink for ReportSink {
-    fn write(&mut self, estimate: &Estimate, _: Option<&Picture>) -> Result<(), SinkError> {
+    fn write(&mut self, estimate: &Estimate, picture: Option<&Picture>) -> Result<(), SinkError> {
         self.course.add(estimate);
+        if let Some(picture) = picture {
+            self.moments.add(estimate, picture);
+        }
         Ok(())
     }
 
     fn finish(&mut self, tally: &Tally) -> Result<(), SinkError> {
         let Some(mut file) = self.file.take() else { return Ok(()) };
-        let page = tracking::render(&self.info, &self.course, tally);
+        let pictures = self.moments.section(tally.frames, self.course.origin());
+        let page = tracking::render(&self.info, &self.course, tally, &pictures);
         file.write_all(page.as_bytes()).map_err(|source| SinkError::Io { path: self.path.clone(), source })
     }
 }

@@ -1,12 +1,17 @@
 //! One HTML file that needs nothing else: style, script and data are inside.
 
 use super::html::{Html, escape};
+use base64::prelude::{BASE64_STANDARD, Engine as _};
 use plotly::Plot;
 
 /// Style of all pages.
 const STYLE: &str = include_str!("page.css");
 /// Plots side by side in time show the same piece of it: zooming one zooms all.
 const LINK: &str = include_str!("link.js");
+/// Plots fit on paper.
+const PRINT: &str = include_str!("print.js");
+/// Plots are saved as drawings, named after the page and the plot.
+const SAVE: &str = include_str!("save.js");
 
 /// The browser loads nothing, from anywhere: what the page needs is in it. (3D plots compile their drawing code.)
 const POLICY: &str = "default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval'; style-src 'unsafe-inline'; \
@@ -51,9 +56,17 @@ where
     format!("<div class=\"scroll\"><table class=\"facts\"><tbody>\n{rows}</tbody></table></div>\n")
 }
 
-/// How a plot looks when something is wrong.
-pub(super) fn bad(signs: &str) -> String {
-    format!("<p class=\"bad\"><strong>Bad:</strong> {signs}</p>\n")
+/// What would be a sign of trouble in the plot or table above: not a verdict on this one.
+pub(super) fn trouble(signs: &str) -> String {
+    format!("<p class=\"signs\"><strong>Signs of trouble would be:</strong> {signs}</p>\n")
+}
+
+/// A picture (a JPEG) with words below it.
+pub(super) fn picture(jpeg: &[u8], caption: impl Into<Html>) -> String {
+    let (caption, data) = (caption.into(), BASE64_STANDARD.encode(jpeg));
+    format!(
+        "<figure><img alt=\"{caption}\" src=\"data:image/jpeg;base64,{data}\"><figcaption>{caption}</figcaption></figure>\n"
+    )
 }
 
 /// With a sign, the minus as it is printed.
@@ -75,9 +88,9 @@ pub(super) fn page(title: &str, body: &str) -> String {
         "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
          <meta http-equiv=\"Content-Security-Policy\" content=\"{POLICY}\">\n\
          <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
-         <title>{title}</title>\n<style>\n{STYLE}</style>\n{script}\n</head>\n<body>\n<main>\n{body}\
+         <title>{title}</title>\n<style>\n{STYLE}</style>\n{script}\n<script>\n{SAVE}</script>\n</head>\n<body>\n<main>\n{body}\
          <noscript><p class=\"note\">The plots of this page are drawn by its own script; scripts are switched off here.</p></noscript>\n\
-         </main>\n<script>\n{LINK}</script>\n</body>\n</html>\n"
+         </main>\n<script>\n{LINK}{PRINT}</script>\n</body>\n</html>\n"
     )
 }
 

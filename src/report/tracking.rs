@@ -5,13 +5,13 @@ use super::absences::absences;
 use super::course::{Channel, Course};
 use super::figures;
 use super::html::{Html, escape};
-use super::page::{self, bad, facts_table, figure, page, plural, signed, table};
+use super::page::{self, facts_table, figure, page, plural, signed, table, trouble};
 use crate::sink::spoken;
 use crate::tally::{AlarmInWords, Drifted, MissCount, Tally};
 use std::collections::BTreeSet;
 
-/// The whole page.
-pub(super) fn render(info: &RunInfo, course: &Course, tally: &Tally) -> String {
+/// The whole page; `pictures` is a section of it.
+pub(super) fn render(info: &RunInfo, course: &Course, tally: &Tally, pictures: &str) -> String {
     let any = tally.frames > 0;
     // The answer comes first, then what is missing, then how far to trust it, then where it came from.
     let mut body = header(info, tally);
@@ -20,6 +20,7 @@ pub(super) fn render(info: &RunInfo, course: &Course, tally: &Tally) -> String {
         body += &deflection(course);
     }
     body += &missing(course, tally);
+    body += pictures;
     if any {
         body += &motion(course);
     }
@@ -141,8 +142,7 @@ fn accuracy(course: &Course, tally: &Tally) -> String {
          direction across for the tangent.</p>\n{}\
          <p>Each view on its own: the residual is where the band is seen minus where the common answer of all views projects to. \
          The RMS is of one pixel coordinate. Bands that stand close together are fitted as one piece of tube and have one residual \
-         between them. <span class=\"bad\"><strong>Bad:</strong> a mean far from zero beside a small RMS; \
-         then the views contradict each other, and the rig or the refraction is off, not the noise.</span></p>\n{}",
+         between them. </p>\n{}{}",
         table(1, &["Quantity", "Frames answered", "Share", "Median σ"], &quantities),
         table(
             1,
@@ -156,6 +156,10 @@ fn accuracy(course: &Course, tally: &Tally) -> String {
                 "smallest"
             ],
             &views
+        ),
+        trouble(
+            "a mean far from zero beside a small RMS: then the views contradict each other, and the rig or the refraction is \
+             off, not the noise."
         ),
     )
 }
@@ -195,7 +199,7 @@ fn missing(course: &Course, tally: &Tally) -> String {
     text += "<p>When: one row for each reason. Grey bars are frames that the camera never delivered, from the last frame before \
              to the first after.</p>\n";
     text += &figure("plot-misses", &absences(course, time_title(course)), height, true);
-    text + &bad(
+    text + &trouble(
         "misses in rows one below the other at the same angle of every swing: the catheter then leaves a view or is covered there. \
          Grey bars at regular intervals: the recording computer cannot keep up.",
     )
@@ -244,9 +248,9 @@ fn motion(course: &Course) -> String {
         out += &section(
             "Polar and azimuth",
             "The same tangent as a direction in space: polar is its angle from rest, azimuth the direction it leans to, 0° along \
-             B0 and 90° along y. Near rest the azimuth has no meaning and jumps; −180° and 180° are the same.",
+             B0 and 90° along y. Near rest the azimuth has no meaning and jumps. It is drawn from −90° to 270°: there 180° has no seam.",
             &plot,
-            "in a planar motion, an azimuth that strays from 0° and ±180° while the polar angle is large: the catheter leaves the plane, \
+            "in a planar motion, an azimuth that strays from 0° and 180° while the polar angle is large: the catheter leaves the plane, \
              or B0 is not where the rig says.",
         );
     }
@@ -300,13 +304,13 @@ fn alarms(course: &Course, tally: &Tally) -> String {
     let advice: BTreeSet<&str> = alarms.iter().map(|alarm| alarm.advice).collect();
     let advice = advice.into_iter().map(|advice| {
         let words = Html::with_code(advice);
-        format!("<p class=\"bad\"><strong>Bad:</strong> places are off by more than their σ: {words}.</p>\n")
+        format!("<p class=\"advice\">Places are off by more than their σ: {words}.</p>\n")
     });
     table(2, &["From", "What"], &rows) + &advice.collect::<String>()
 }
 
-fn section(title: &str, words: &str, plots: &str, bad_signs: &str) -> String {
-    format!("<h2>{title}</h2>\n<p>{words}</p>\n{plots}{}", bad(bad_signs))
+fn section(title: &str, words: &str, plots: &str, signs: &str) -> String {
+    format!("<h2>{title}</h2>\n<p>{words}</p>\n{plots}{}", trouble(signs))
 }
 
 /// A plot over time, if there is anything of its channel.

@@ -3,7 +3,7 @@
 use super::{Base, Camera, Catheter, Marker, Rig, RigError, View, file, validate, write};
 use crate::optics::{Lens, Surface};
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// A checked rig file of which parts may be missing: `calibrate camera` begins it, each calibration after it reads it and
 /// adds its part. With views, markers and catheter it is a [`Rig`].
@@ -103,15 +103,16 @@ impl Draft {
     /// # Errors
     /// [`RigError`] when this draft would not be accepted by [`Draft::load`], or the file system refuses.
     pub fn save(&self, path: &Path) -> Result<(), RigError> {
-        write::save(self, path, None)
+        write::save(self, path, false).map(|_| ())
     }
 
-    /// As [`Draft::save`]; what was at `path` before is then at `backup`, in place of what was there.
+    /// As [`Draft::save`]; another rig that was at `path` before is kept beside it, as `RIG.toml.bak`, `RIG.toml.bak2`, …: no
+    /// backup takes the place of another. Gives the backup's name, if one was needed.
     ///
     /// # Errors
-    /// As [`Draft::save`]. When the disk is full, neither file has changed.
-    pub fn save_with_backup(&self, path: &Path, backup: &Path) -> Result<(), RigError> {
-        write::save(self, path, Some(backup))
+    /// As [`Draft::save`]. When the disk is full, no file has changed.
+    pub fn save_with_backup(&self, path: &Path) -> Result<Option<PathBuf>, RigError> {
+        write::save(self, path, true)
     }
 
     /// The text of `rig.toml`: lengths to 1e-9 mm, directions to 1e-12. What was read from such a text gives the

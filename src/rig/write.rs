@@ -3,10 +3,12 @@
 use super::numbers::{decimal, millimetres, rotation_of, settle};
 use super::{Base, Camera, Catheter, ColourPlane, Draft, Marker, RigError, View};
 use crate::optics::Surface;
-use crate::whole_file::{self, NewFile};
+use crate::whole_file::NewFile;
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use std::fmt::Write as _;
-use std::path::Path;
+use std::fs::File;
+use std::io::{ErrorKind, Write as _};
+use std::path::{Path, PathBuf};
 
 /// Decimals of a direction: 1e-12 turns a point at 2 m by 2e-12 m.
 const DIRECTION_DECIMALS: usize = 12;
@@ -32,7 +34,7 @@ pub(super) fn to_text(rig: &Draft) -> String {
 }
 
 /// See [`Draft::save`] and [`Draft::save_with_backup`].
-pub(super) fn save(rig: &Draft, path: &Path, backup: Option<&Path>) -> Result<(), RigError> {
+pub(super) fn save(rig: &Draft, path: &Path, keep: bool) -> Result<Option<PathBuf>, RigError> {
     let text = rig.to_toml_string();
     Draft::from_toml_str(&text, path)?; // never replace a good file by one that cannot be read
     let fail = |file: &Path| {
@@ -41,11 +43,38 @@ pub(super) fn save(rig: &Draft, path: &Path, backup: Option<&Path>) -> Result<()
     };
     // All that can fill the disk comes before anything is replaced.
     let new = NewFile::write(path, text.as_bytes()).map_err(fail(path))?;
-    if let Some(backup) = backup.filter(|_| path.exists()) {
+    let mut kept_as = None;
+    if keep && path.exists() {
         let old = std::fs::read(path).map_err(|source| RigError::Read { file: path.to_path_buf(), source })?;
-        whole_file::write(backup, &old).map_err(fail(backup))?;
+        if old != text.as_bytes() {
+            kept_as = Some(keep_beside(path, &old)?);
+        }
     }
-    new.put_in_place().map_err(fail(path))
+    new.put_in_place().map_err(fail(path))?;
+    Ok(kept_as)
+}
+
+/// Writes `old` beside `path`, under the first free name of a backup.
+fn keep_beside(path: &Path, old: &[u8]) -> Result<PathBuf, RigError> {
+    let named = |n: u32| {
+        let mut name = path.as_os_str().to_owned();
+        name.push(if n == 1 { ".bak".to_owned() } else { format!(".bak{n}") });
+        PathBuf::from(name)
+    };
+    let mut number = 1;
+    loop {
+        let backup = named(number);
+        let written = File::create_new(&backup).and_then(|mut file| {
+            let written = file.write_all(old).and_then(|()| file.sync_all());
+            // Half a backup would be taken for one; it is ours, and new.
+            written.inspect_err(|_| drop(std::fs::remove_file(&backup)))
+        });
+        match written {
+            Ok(()) => return Ok(backup),
+            Err(e) if e.kind() == ErrorKind::AlreadyExists => number += 1,
+            Err(source) => return Err(RigError::Write { file: backup, source }),
+        }
+    }
 }
 
 fn camera(camera: &Camera) -> String {

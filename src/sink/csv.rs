@@ -52,12 +52,29 @@ impl CsvSink {
     /// [`SinkError::NoBaseFrame`] when `frame` is the base and the rig has none; [`SinkError::Io`] when the file cannot
     /// be created or written.
     pub fn create(path: &Path, rig: &Rig, frame: OutputFrame) -> Result<Self, SinkError> {
+        Self::onto(path, rig, frame, || File::create(path).map(Place::File))
+    }
+
+    /// The table on standard output.
+    ///
+    /// # Errors
+    /// As [`CsvSink::create`].
+    pub fn on_stdout(rig: &Rig, frame: OutputFrame) -> Result<Self, SinkError> {
+        Self::onto(Path::new("standard output"), rig, frame, || Ok(Place::Stdout(io::stdout())))
+    }
+
+    fn onto(
+        path: &Path,
+        rig: &Rig,
+        frame: OutputFrame,
+        open: impl FnOnce() -> io::Result<Place>,
+    ) -> Result<Self, SinkError> {
         let output_from_camera =
             frame.output_from_camera(rig).ok_or_else(|| SinkError::NoBaseFrame { path: path.to_owned() })?;
-        let file = File::create(path).map_err(|source| SinkError::io(path, source))?;
+        let place = open().map_err(|source| SinkError::io(path, source))?;
         let mut sink = Self {
             path: path.to_owned(),
-            writer: WriterBuilder::new().terminator(Terminator::CRLF).from_writer(WholeRows::new(file)),
+            writer: WriterBuilder::new().terminator(Terminator::CRLF).from_writer(WholeRows::new(place)),
             output_from_camera,
             views: rig.views.iter().map(|view| view.name.clone()).collect(),
         };
@@ -78,7 +95,10 @@ impl Sink for CsvSink {
     }
 
     fn finish(&mut self, _: &Tally) -> Result<(), SinkError> {
-        let settled = self.writer.flush().and_then(|()| settle(&self.writer.get_ref().file));
+        let settled = self.writer.flush().and_then(|()| match &self.writer.get_ref().place {
+            Place::File(file) => settle(file),
+            Place::Stdout(_) => Ok(()),
+        });
         settled.map_err(|source| SinkError::io(&self.path, source))
     }
 }
@@ -86,15 +106,31 @@ impl Sink for CsvSink {
 /// A file of rows, a `flush` behind each: none is left half written, none is tried again after a failure.
 #[derive(Debug)]
 struct WholeRows {
-    file: File,
+    place: Place,
     written: u64,
     complete: u64,
     failure: Option<io::Error>,
 }
 
 impl WholeRows {
-    fn new(file: File) -> Self {
-        Self { file, written: 0, complete: 0, failure: None }
+    fn new(place: Place) -> Self {
+        Self { place, written: 0, complete: 0, failure: None }
+    }
+}
+
+/// Where rows go.
+#[derive(Debug)]
+enum Place {
+    File(File),
+    Stdout(io::Stdout),
+}
+
+impl Place {
+    fn writer(&mut self) -> &mut dyn Write {
+        match self {
+            Self::File(file) => file,
+            Self::Stdout(stdout) => stdout,
+        }
     }
 }
 
@@ -103,14 +139,16 @@ impl Write for WholeRows {
         if let Some(failure) = &self.failure {
             return Err(same_error(failure));
         }
-        match self.file.write_all(bytes) {
+        match self.place.writer().write_all(bytes) {
             Ok(()) => {
                 self.written += bytes.len() as u64;
                 Ok(bytes.len())
             }
             Err(error) => {
                 // Where this fails too (a pipe, a disk that is gone) there is nothing left to tidy.
-                let _ = self.file.set_len(self.complete);
+                if let Place::File(file) = &self.place {
+                    let _ = file.set_len(self.complete);
+                }
                 self.failure = Some(same_error(&error));
                 Err(error)
             }
@@ -119,7 +157,7 @@ impl Write for WholeRows {
 
     fn flush(&mut self) -> io::Result<()> {
         self.complete = self.written;
-        self.file.flush()
+        self.place.writer().flush()
     }
 }
 

@@ -27,6 +27,7 @@ mod windows;
 
 pub(crate) use clock::Origin;
 pub use overlay::OverlaySink;
+pub(crate) use overlay::{StillError, Stills};
 pub(crate) use palette::{Palette, Rgb};
 pub use pictures::{PictureCodec, PictureVideo};
 pub use publish::PublishSink;

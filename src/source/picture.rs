@@ -289,6 +289,24 @@ impl Picture {
         Self { width, height, format, colour, storage: Storage::Decoded(frame), reads: Reads::default() }
     }
 
+    /// A copy that keeps nothing of the decoder's: a plane for each channel. `None` when the decoder gave less than it said.
+    pub(crate) fn copied(&self) -> Option<Self> {
+        let format = match self.format {
+            PixelFormat::Nv12 => PixelFormat::Yuv { chroma_log2: [1, 1] },
+            PixelFormat::RgbPacked { .. } => PixelFormat::RgbPlanar,
+            other => other,
+        };
+        let samples = |plane: Plane<'_>| -> Vec<u8> {
+            let rows = (0..plane.height).filter_map(|j| plane.row(j));
+            match plane.step {
+                1 => rows.flat_map(|row| row.iter().take(plane.width)).copied().collect(),
+                step => rows.flat_map(|row| row.iter().step_by(step).take(plane.width)).copied().collect(),
+            }
+        };
+        let planes = (0..format.channels()).filter_map(|channel| self.plane(channel)).map(samples).collect();
+        Self::from_planes(self.width, self.height, format, self.colour, planes).ok()
+    }
+
     /// Width and height, pixels.
     pub fn size_px(&self) -> [u32; 2] {
         [self.width, self.height]
@@ -362,6 +380,31 @@ mod tests {
     use super::*;
 
     const YUV420: PixelFormat = PixelFormat::Yuv { chroma_log2: [1, 1] };
+
+    #[test]
+    fn a_copy_has_the_samples_of_every_storage() {
+        let bytes = |n: u8| (0..n).collect::<Vec<u8>>();
+        let pictures = [
+            (YUV420, vec![bytes(24), bytes(6), bytes(6)]),
+            (PixelFormat::Nv12, vec![bytes(24), bytes(12)]),
+            (PixelFormat::RgbPacked { step: 4, order: [2, 1, 0] }, vec![bytes(96)]),
+            (PixelFormat::Grey, vec![bytes(24)]),
+        ];
+        for (format, planes) in pictures {
+            let picture = Picture::from_planes(6, 4, format, Colour::SRGB, planes).unwrap();
+            let copy = picture.copied().unwrap();
+            for channel in 0..format.channels() {
+                let (a, b) = (picture.plane(channel).unwrap(), copy.plane(channel).unwrap());
+                assert_eq!((a.width, a.height, a.scale), (b.width, b.height, b.scale), "{format:?}");
+                for j in 0..a.height {
+                    let [a, b] = [(&a, j), (&b, j)].map(|(plane, j)| {
+                        plane.row(j).unwrap().iter().step_by(plane.step).take(plane.width).copied().collect::<Vec<_>>()
+                    });
+                    assert_eq!(a, b, "{format:?}, channel {channel}, row {j}");
+                }
+            }
+        }
+    }
 
     #[test]
     fn bt709_limited_white_black_and_blue() {

@@ -95,11 +95,11 @@ fn a_mirror_that_stands_where_the_rig_says_stays_there() {
     let output = calibrate(&place, "circle.mkv", &["--length", "coil-tip=22mm:0.02mm", "--out", "new.toml"]);
     ended_with(&output, 0);
     let found = Rig::load(&place.path("new.toml")).unwrap();
-    for (error, sd) in error(&found).into_iter().zip(sd(&found)) {
-        assert!(error.abs() < 3.5 * sd, "{error} ± {sd}");
-    }
     assert_eq!(Rig::load(&place.rig).unwrap(), rig(), "the rig that was read is left alone");
+    // A move within its σ is none: a place known from boards is not given up for one from bands.
+    assert_eq!(found.surfaces["side_mirror"], rig().surfaces["side_mirror"]);
     let told = stdout(&output);
+    assert!(told.contains("stands where the rig has it"), "{told}");
     for part in
         ["turned up or down", "shifted along its normal", "length coil-tip 22.00 ± 0.02 mm", "written: new.toml"]
     {

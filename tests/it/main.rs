@@ -27,6 +27,7 @@ mod calibrate_rig;
 mod calibrate_sets;
 mod drift;
 mod excite;
+mod first_run;
 mod help_examples;
 mod identify;
 mod identify_bad_input;

@@ -5,6 +5,7 @@ use catoptra::estimate::{Estimate, Miss};
 use catoptra::report::{ReportSink, RunInfo};
 use catoptra::rig::Rig;
 use catoptra::sink::{Sink, SinkError};
+use catoptra::source::{Colour, Picture, PixelFormat};
 use catoptra::tally::Tally;
 
 fn info() -> RunInfo {
@@ -113,7 +114,7 @@ fn the_numbers_given_are_on_the_page() {
 fn runs_without_answers_are_reports_too() {
     let rig = synthetic::rig();
     let none = page(&rig, info(), []);
-    assert!(none.contains("The source gave no frame.") && !none.contains("Plotly.newPlot"));
+    assert!(none.contains("The source gave no frame.") && !none.contains("Plotly.newPlot(\""));
 
     let one = page(&rig, info(), [synthetic::swing(&rig, 0, 0)]);
     assert!(one.contains("The only frame is answered; the camera lost none."));
@@ -150,6 +151,77 @@ fn a_rig_without_base_frame_gives_positions_in_the_camera_frame_and_says_so() {
     assert!(page.contains("The rig has no base frame yet") && page.contains("All 4 frames are answered"));
     assert!(!page.contains("plot-theta") && !page.contains("plot-polar"));
     assert!(plot_json(&page, "plot-paths").contains("1397.7318"), "the base's depth in the camera frame");
+}
+
+/// A grey picture of the rig's camera with its bands at `estimate`.
+fn grey_picture(rig: &Rig) -> Picture {
+    let [width, height] = rig.camera.size_px;
+    let planes = vec![vec![90; (width * height) as usize]; 3];
+    Picture::from_planes(width, height, PixelFormat::RgbPlanar, Colour::SRGB, planes).unwrap()
+}
+
+#[test]
+fn the_first_the_best_and_the_worst_frame_are_shown_with_their_outlines() {
+    let rig = synthetic::rig();
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("report.html");
+    let mut sink = ReportSink::create(&path, &rig, info()).unwrap();
+    let mut tally = Tally::new(&rig);
+    for k in 0..30 {
+        let mut estimate = synthetic::swing(&rig, k, stamp(k));
+        if k == 11 {
+            estimate.deflection.as_mut().unwrap().theta_sd_rad /= 2.0;
+        }
+        let estimate =
+            if k == 20 { synthetic::without_marker(estimate, 2, Miss::NotSeen { view: 1 }) } else { estimate };
+        tally.add(&estimate);
+        sink.write(&estimate, Some(&grey_picture(&rig))).unwrap();
+    }
+    sink.finish(&tally).unwrap();
+    let page = std::fs::read_to_string(path).unwrap();
+    let captions =
+        ["First frame, at 0.000 s: θ", "Best frame, at 0.183 s: θ", "Worst frame, at 0.333 s: tip not seen in mirror"];
+    for caption in captions {
+        assert!(page.contains(&format!("<figcaption>{caption}")), "{caption}");
+    }
+    let data = "src=\"data:image/jpeg;base64,";
+    let jpegs: Vec<image::RgbImage> = page
+        .match_indices(data)
+        .map(|(at, _)| {
+            let from = at + data.len();
+            let text = &page[from..from + page[from..].find('"').unwrap()];
+            let bytes = base64::Engine::decode(&base64::prelude::BASE64_STANDARD, text).unwrap();
+            image::load_from_memory(&bytes).unwrap().to_rgb8()
+        })
+        .collect();
+    assert_eq!(jpegs.len(), 3);
+    assert_eq!(jpegs[0].dimensions(), (1280, 1024));
+    // The outline of the coil is where the estimate has it.
+    let first = synthetic::swing(&rig, 0, 0);
+    let outline = &first.markers[1].views[0].as_ref().unwrap().outline_px;
+    let coloured = |p: &image::Rgb<u8>| p.0.iter().max().unwrap().abs_diff(*p.0.iter().min().unwrap()) > 40;
+    let on_line =
+        outline.iter().filter(|p| coloured(jpegs[0].get_pixel(p.x.round() as u32, p.y.round() as u32))).count();
+    assert!(2 * on_line > outline.len(), "{on_line} of {} points", outline.len());
+    assert!(!coloured(jpegs[0].get_pixel(20, 1000)));
+    // Cut to the bands.
+    assert!(jpegs[1].width() < 900 && jpegs[1].dimensions() == jpegs[2].dimensions(), "{:?}", jpegs[1].dimensions());
+}
+
+#[test]
+fn what_to_look_for_is_no_verdict() {
+    let rig = synthetic::rig();
+    let page = page(&rig, info(), (0..5).map(|k| synthetic::swing(&rig, k, stamp(k))));
+    assert!(!page.contains("Bad:") && page.contains("Signs of trouble would be:"));
+}
+
+#[test]
+fn pages_are_for_dark_screens_and_paper_and_plots_are_saved_as_svg() {
+    let rig = synthetic::rig();
+    let page = page(&rig, info(), [synthetic::swing(&rig, 0, 0)]);
+    for part in ["prefers-color-scheme: dark", "@media print", "beforeprint", "format: \"svg\""] {
+        assert!(page.contains(part), "{part}");
+    }
 }
 
 #[test]

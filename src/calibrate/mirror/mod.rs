@@ -28,7 +28,7 @@ use crate::rig::Rig;
 use crate::segment::{Blob, SegmentError, Segmenter};
 use crate::source::{Frame, FrameSource, SourceError};
 use crate::track::{ModelError, TrackError, TrackOptions, Tracker};
-use nalgebra::{DMatrix, Matrix2, Vector3};
+use nalgebra::{DMatrix, DVector, Matrix2, Vector3};
 
 /// Frames used, spread over the recording: errors that differ from frame to frame are then far below those that do not.
 const FRAMES: usize = 60;
@@ -85,6 +85,9 @@ pub struct MirrorCalibration {
     /// Lengths used, each with the value that the recording would rather have, metres.
     pub lengths: Vec<(KnownLength, f64)>,
 }
+
+/// χ² of three degrees of freedom that chance exceeds once in twenty times.
+const CHANCE: f64 = 7.815;
 
 /// Why the mirror cannot be calibrated.
 #[derive(Debug, thiserror::Error)]
@@ -226,6 +229,14 @@ impl MirrorCalibration {
     /// By how much the mirror moved: turned up or down and to the left or right, radians; shifted along its normal, metres.
     pub fn moved(&self) -> [f64; 3] {
         moved_by(&self.before, &self.after)
+    }
+
+    /// Whether it moved by more than chance makes of a mirror that stands still, once in twenty times: χ² of the turns and the
+    /// shift together.
+    pub fn has_moved(&self) -> bool {
+        let moved = DVector::from_row_slice(&self.moved());
+        let chi2 = self.covariance.clone().cholesky().map(|root| moved.dot(&root.solve(&moved)));
+        chi2.is_none_or(|chi2| chi2 > CHANCE)
     }
 }
 

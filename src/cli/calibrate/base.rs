@@ -112,8 +112,8 @@ pub(super) fn run(args: &BaseArgs, quiet: bool, print: impl Fn(&str) -> Result<(
     let gravity = args.gravity.map(Direction::unit).or_else(|| rig.base.as_ref()?.gravity);
     rig.provenance.insert("base".into(), provenance(args, known.as_ref(), &rest, &planar, &done).into());
     rig.base = Some(Base { gravity, ..done.base });
-    save(&rig.into(), out)?;
-    print(&format!("\nwritten: {}\n", out.display()))
+    let written = save(&rig.into(), out)?;
+    print(&format!("\n{written}\n"))
 }
 
 /// From the command line, or else the rig's.

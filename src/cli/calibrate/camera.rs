@@ -24,12 +24,12 @@ pub(super) struct CameraArgs {
     out: PathBuf,
 }
 
-pub(super) fn run(args: &CameraArgs, print: impl Fn(&str) -> Result<(), Failure>) -> Result<(), Failure> {
+pub(super) fn run(args: &CameraArgs, quiet: bool, print: impl Fn(&str) -> Result<(), Failure>) -> Result<(), Failure> {
     can_be_written(&args.out)?;
 
     // An old file that cannot be read is told before the work, not after.
     let old = args.out.exists().then(|| Draft::load(&args.out)).transpose()?;
-    let searched = pictures::search(&args.pictures, &args.board, 1)?;
+    let searched = pictures::search(&args.pictures, &args.board, 1, quiet)?;
     let found: Vec<BoardPicture> = searched
         .iter()
         .filter_map(|s| {
@@ -63,8 +63,8 @@ pub(super) fn run(args: &CameraArgs, print: impl Fn(&str) -> Result<(), Failure>
     let rows = done.covariance.row_iter().map(|row| row.iter().copied().collect::<Vec<f64>>().into());
     provenance.insert("lens_covariance".into(), rows.collect::<Vec<toml::Value>>().into());
     draft.provenance.insert("camera".into(), provenance.into());
-    save(&draft, &args.out)?;
-    print(&format!("\nwritten: {}\n", args.out.display()))
+    let written = save(&draft, &args.out)?;
+    print(&format!("\n{written}\n"))
 }
 
 fn describe(searched: &[Searched], done: &CameraCalibration) -> String {

@@ -144,8 +144,8 @@ pub(super) fn run(args: &MarkersArgs, print: impl Fn(&str) -> Result<(), Failure
     let provenance = provenance(args, &done, given);
     done.rig.provenance.insert("markers".into(), provenance.into());
     print(&describe(&done))?;
-    save(&done.rig.into(), out)?;
-    let mut written = format!("\nwritten: {}\n", out.display());
+    let written = save(&done.rig.into(), out)?;
+    let mut written = format!("\n{written}\n");
     if let Some(page) = page {
         save_page(&page, &page_path)?;
         let _ = writeln!(written, "         {} (what was learned, for a browser)", page_path.display());

@@ -82,9 +82,18 @@ pub(super) fn run(args: &MirrorArgs, print: impl Fn(&str) -> Result<(), Failure>
     let mut frames = fitting::open((&args.source, options), (&args.rig, &rig))?;
     let mut done = calibrate_mirror(&rig, args.mirror.as_deref(), length, &mut frames).map_err(|e| failure(args, e))?;
     print(&describe(&done))?;
-    done.rig.provenance.insert("mirror".into(), provenance(args, &done).into());
-    save(&done.rig.into(), out)?;
-    print(&format!("\nwritten: {}\n", out.display()))
+    let provenance = provenance(args, &done).into();
+    if !done.has_moved() {
+        // A move within its σ would replace a good place by one that is known worse.
+        print("It stands where the rig has it, within what this recording can tell: it is left there.\n")?;
+        if out == &args.rig {
+            return print(&format!("\n{} is as it was\n", out.display()));
+        }
+        done.rig = rig;
+    }
+    done.rig.provenance.insert("mirror".into(), provenance);
+    let written = save(&done.rig.into(), out)?;
+    print(&format!("\n{written}\n"))
 }
 
 fn failure(args: &MirrorArgs, error: MirrorError) -> Failure {
@@ -114,6 +123,7 @@ fn provenance(args: &MirrorArgs, done: &MirrorCalibration) -> toml::Table {
     let rounded =
         |value: f64, digits: i32| toml::Value::from((value * 10f64.powi(digits)).round() / 10f64.powi(digits));
     let degrees = |turns: [f64; 2]| toml::Value::from(turns.map(|t| rounded(t.to_degrees(), 4)).to_vec());
+    table.insert("moved".into(), done.has_moved().into());
     table.insert("turned_deg".into(), degrees([up, side]));
     table.insert("turned_sd_deg".into(), degrees([up_sd, side_sd]));
     table.insert("shifted_mm".into(), rounded(shift * 1e3, 3));
@@ -141,7 +151,7 @@ fn describe(done: &MirrorCalibration) -> String {
     }
     text += "\nlens and walls were taken for exact. Left or right and the shift move all places together, by millimetres; displacements \
              and angles hardly see them.\n";
-    if done.rig.base.is_some() {
+    if done.rig.base.is_some() && done.has_moved() {
         text += "The base frame was measured with the mirror as it was: measure it again (catoptra calibrate base).\n";
     }
     text

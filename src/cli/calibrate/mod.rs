@@ -32,18 +32,20 @@ Example:
     Camera(camera::CameraArgs),
     /// Find mirrors and walls of the tank from pictures that show a chessboard or ChArUco board twice
     #[command(after_help = "\
-Ten to twenty pictures of the board where the catheter will be, each whole in all views (a ChArUco board
-may be hidden in part), tilted to all sides. The old rig file is kept as RIG.toml.bak. Exit code 3: the
-pictures leave the rig open.
+Ten to twenty pictures of the board where the catheter will be, tilted to all sides, each whole in
+all views; a ChArUco board may be hidden in part. The old rig file is kept as RIG.toml.bak, .bak2, …
+Exit code 3: the pictures leave the rig open.
 Example:
   catoptra calibrate rig calibration/dev_tank/mirror --board 9x6:12mm --rig my_rig.toml \\
     --tank 254x254x267mm --glass 5mm")]
     Rig(rig::RigArgs),
-    /// Learn the marker bands from a recording and one click a band
+    /// Learn the marker bands from a recording and a click near each band
     #[command(after_help = "\
-Measures each band's colour and place on the tube, the blur of the lens and the offset of the colour
-samples, and writes them into the rig file (the old one is kept as RIG.toml.bak). Exit code 3: a
-band's colour cannot be told from another's or from what surrounds it.
+A click may be 5 pixels beside the band, in any view and frame; the other views are found through
+mirror and glass. Measures colours in each view, places on the tube, blur of the lens and offset of
+the colour samples, and writes them into the rig file (the old one is kept as RIG.toml.bak, .bak2, …).
+RIG.markers.html shows what was seen, after a failure too. Exit code 3: a band is not found, or its
+colour cannot be told from another's or from what surrounds it.
 Example:
   catoptra calibrate markers sample_frames/planar.mkv --rig calibration/dev_tank/rig.toml \\
     --tube 3.2mm --pick base@431,408:6mm --pick coil@431,565:12mm --pick tip@430,607:6mm \\
@@ -52,8 +54,9 @@ Example:
     /// Find the frame of the catheter at rest, in which positions and θ are given, and the direction of B0
     #[command(after_help = "\
 VIDEO shows the catheter hanging still, without current; the one of --planar a swing in the plane of
-B0, begun towards B0. Writes [base] with its σ into the rig file (the old one is kept as RIG.toml.bak).
-Exit code 3: it was not at rest, not planar, hardly moved, or too little of it could be measured.
+B0, begun towards B0. Writes [base] with its σ into the rig file; the old file is kept as
+RIG.toml.bak, .bak2, … Exit code 3: it was not at rest, not planar, hardly moved, or too little of
+it could be measured.
 Example:
   catoptra calibrate base sample_frames/rest.mkv --rig calibration/dev_tank/rig.toml \\
     --planar sample_frames/planar.mkv --out my.toml")]
@@ -62,7 +65,8 @@ Example:
     #[command(after_help = "\
 No board is needed: the rays of both views must meet on the bands, and one length is known. Lens and
 walls are those of the rig file, and must not have moved. Prints by how much the mirror moved, with
-σ; the old rig file is kept as RIG.toml.bak. Exit code 3: the recording leaves the mirror open.
+σ; within it, nothing is changed. The old rig file is kept as RIG.toml.bak, .bak2, … Exit code 3:
+the recording leaves the mirror open.
 Example:
   catoptra calibrate mirror --from-markers sample_frames/planar.mkv \\
     --rig calibration/dev_tank/rig.toml --out my_rig.toml")]
@@ -73,8 +77,8 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     interrupt::end_at_once()?;
     let print = |text: &str| if quiet { Ok(()) } else { output::print(text) };
     match &args.command {
-        Command::Camera(args) => camera::run(args, print),
-        Command::Rig(args) => rig::run(args, print),
+        Command::Camera(args) => camera::run(args, quiet, print),
+        Command::Rig(args) => rig::run(args, quiet, print),
         Command::Markers(args) => markers::run(args, print),
         Command::Base(args) => base::run(args, quiet, print),
         Command::Mirror(args) => mirror::run(args, print),
@@ -112,12 +116,12 @@ pub(super) fn can_be_written(out: &Path) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Writes the rig; what was there before is kept beside it as .bak.
-pub(super) fn save(rig: &Draft, path: &Path) -> Result<(), Failure> {
+/// Writes the rig; another one that was there is kept beside it. What was written, in words.
+pub(super) fn save(rig: &Draft, path: &Path) -> Result<String, Failure> {
     let _whole = interrupt::wait();
-    let mut backup = path.as_os_str().to_owned();
-    backup.push(".bak");
-    Ok(rig.save_with_backup(path, backup.as_ref())?)
+    let kept_as = rig.save_with_backup(path)?;
+    let kept = kept_as.map_or(String::new(), |name| format!("\n         {} (the rig as it was)", name.display()));
+    Ok(format!("written: {}{kept}", path.display()))
 }
 
 /// What a new lens takes from a rig, in words.

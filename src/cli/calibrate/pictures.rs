@@ -1,5 +1,6 @@
 //! Pictures of boards, as the command line names them: read, searched, told about.
 
+use super::super::progress::Progress;
 use super::super::{Exit, Failure};
 use crate::calibrate::board::grey::{Grey, Rows};
 use crate::calibrate::board::{Board, BoardImage, find_boards};
@@ -9,6 +10,7 @@ use sha2::{Digest as _, Sha256};
 use std::collections::BTreeMap;
 use std::fmt::{Display, Write as _};
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
 
 /// Endings of files that a folder's pictures have.
 const ENDINGS: [&str; 10] = ["png", "jpg", "jpeg", "tif", "tiff", "bmp", "pgm", "ppm", "pbm", "pnm"];
@@ -68,18 +70,20 @@ pub(super) fn table<'a>(
 ///
 /// # Errors
 /// A file that is no picture, a folder without one.
-pub(super) fn search(paths: &[PathBuf], board: &Board, most: usize) -> Result<Vec<Searched>, Failure> {
+pub(super) fn search(paths: &[PathBuf], board: &Board, most: usize, quiet: bool) -> Result<Vec<Searched>, Failure> {
     let mut files = Vec::new();
     for path in paths {
         if path.is_dir() { files.extend(in_folder(path)?) } else { files.push(path.clone()) }
     }
     let names = names(&files);
+    let progress = Mutex::new(Progress::of(Some(files.len() as u64), "pictures", quiet));
     files
         .into_par_iter()
         .zip(names)
         .map(|(path, name)| {
             let grey = Grey::load(&path, Rows::AsStored).map_err(|e| Failure::new(Exit::Usage, e))?;
             let images = find_boards(&grey, board, most).map_err(|e| e.to_string());
+            progress.lock().unwrap_or_else(PoisonError::into_inner).one_more();
             Ok(Searched { size_px: grey.size_px(), path, name, images })
         })
         .collect()

@@ -1,6 +1,7 @@
 //! `catoptra calibrate rig`: pictures of a board in a mirror to mirrors, walls and views.
 
-use super::super::{Exit, Failure, interrupt};
+use super::super::progress::during;
+use super::super::{Exit, Failure, interrupt, provenance};
 use super::pictures::{self, Searched};
 use super::{Length, can_be_written, save, usage};
 use crate::calibrate::board::Board;
@@ -113,14 +114,14 @@ fn wall_arg(text: &str) -> Result<(String, PathBuf), String> {
     Ok((name.trim().to_owned(), picture.into()))
 }
 
-pub(super) fn run(args: &RigArgs, print: impl Fn(&str) -> Result<(), Failure>) -> Result<(), Failure> {
+pub(super) fn run(args: &RigArgs, quiet: bool, print: impl Fn(&str) -> Result<(), Failure>) -> Result<(), Failure> {
     let out = args.out.as_ref().unwrap_or(&args.rig);
     can_be_written(out)?;
 
     let draft = Draft::load(&args.rig)?;
     let mut options = options(args, &draft)?;
     for (name, path) in &args.walls {
-        for found in pictures::search(std::slice::from_ref(path), &args.board, 1)? {
+        for found in pictures::search(std::slice::from_ref(path), &args.board, 1, quiet)? {
             fits(&found, args, &draft)?;
             let unseen = |why: &String| Failure::new(Exit::Unusable, format!("{}: {why}", found.path.display()));
             let image = found.images.as_ref().map_err(unseen)?.first().cloned();
@@ -128,7 +129,7 @@ pub(super) fn run(args: &RigArgs, print: impl Fn(&str) -> Result<(), Failure>) -
             options.taped.extend(picture.map(|picture| (name.clone(), picture)));
         }
     }
-    let searched = pictures::search(&args.pictures, &args.board, args.mirrors + 1)?;
+    let searched = pictures::search(&args.pictures, &args.board, args.mirrors + 1, quiet)?;
     for picture in &searched {
         fits(picture, args, &draft)?;
     }
@@ -138,10 +139,14 @@ pub(super) fn run(args: &RigArgs, print: impl Fn(&str) -> Result<(), Failure>) -
             Some(BoardsPicture { name: s.name.clone(), size_px: s.size_px, images: s.images.as_ref().ok()?.clone() })
         })
         .collect();
-    let done = calibrate_rig(&args.board, &draft.camera.lens, &found, &options)
-        .map_err(|error| print(&pictures::not_found(&searched)).err().unwrap_or_else(|| failure(error)))?;
-    let judged = verdict(&done.solution, &done.corners, &args.board.centred_points());
-    let held = held_out(&done.solution, &done.corners);
+    let done = during("solving for mirrors and walls", quiet, || {
+        calibrate_rig(&args.board, &draft.camera.lens, &found, &options)
+    });
+    let done = done.map_err(|error| print(&pictures::not_found(&searched)).err().unwrap_or_else(|| failure(error)))?;
+    let judged = during("judging the errors over the working volume", quiet, || {
+        verdict(&done.solution, &done.corners, &args.board.centred_points())
+    });
+    let held = during("leaving out each picture in turn", quiet, || held_out(&done.solution, &done.corners));
     print(&describe(&searched, &done, judged.as_ref(), &options))?;
     print(&describe_held_out(held.iter().flatten()))?;
     for doubt in diagnose(&done, &held) {
@@ -150,10 +155,10 @@ pub(super) fn run(args: &RigArgs, print: impl Fn(&str) -> Result<(), Failure>) -
     let page = calibration::page(&info(args, out, &searched), &done, judged.as_ref(), &held);
     let mut rig = into_draft(draft, &done);
     rig.provenance.insert("rig".into(), provenance(args, &searched, &done)?.into());
-    save(&rig, out)?;
+    let written = save(&rig, out)?;
     let page_path = out.with_extension("calibration.html");
     save_page(&page, &page_path)?;
-    print(&format!("\nwritten: {}\n         {} (how good it is, for a browser)\n", out.display(), page_path.display()))
+    print(&format!("\n{written}\n         {} (how good it is, for a browser)\n", page_path.display()))
 }
 
 fn save_page(page: &str, path: &Path) -> Result<(), Failure> {
@@ -175,6 +180,7 @@ fn info(args: &RigArgs, out: &Path, searched: &[Searched]) -> CalibrationInfo {
         settings.push((format!("Distance of {name}"), format!("{} ± {}", mm(*distance_m), mm(*sd_m))));
     }
     let not_found = searched.iter().filter_map(|s| Some((s.name.clone(), s.images.as_ref().err()?.clone()))).collect();
+    settings.extend(provenance::of_this_run());
     CalibrationInfo { rig: out.display().to_string(), settings, not_found }
 }
 

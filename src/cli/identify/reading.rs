@@ -1,5 +1,6 @@
 //! Files to signals: read, put on a grid, cut, thinned, detrended; and a summary of each record.
 
+use super::super::provenance;
 use super::args::{Args, DelayArg, Range};
 use crate::cli::{Exit, Failure};
 use crate::identify::data::Data;
@@ -322,5 +323,6 @@ fn provenance(args: &Args, records: Vec<RecordSummary>) -> Provenance {
             DelayArg::Given(seconds) => format!("{seconds} s"),
         },
     );
+    settings.extend(provenance::of_this_run());
     Provenance { title, input, input_unit, output, output_unit, initial_state: args.initial_state(), records, settings }
 }

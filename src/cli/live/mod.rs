@@ -4,7 +4,7 @@ mod status;
 
 use super::run::folder::{Files, Run, unlike_others, whole_path};
 use super::run::{Record, Reference, load_rig, open_sinks, pool, print_warnings, summary, verdict};
-use super::{Exit, Failure, fitting, interrupt, output};
+use super::{Exit, Failure, fitting, interrupt, output, provenance};
 use crate::live::{self, CurrentSource, LiveSummary, Outputs, RecordTo, Recording, Until};
 use crate::report::RunInfo;
 use crate::sink::{PublishSink, Sink, UdpSink};
@@ -180,7 +180,8 @@ fn lines(summary: &LiveSummary) -> String {
     );
     let interruptions = summary.run.source.interruptions;
     if interruptions > 0 {
-        text += &format!("the stream was away {interruptions} times\n");
+        let times = if interruptions == 1 { "once".to_owned() } else { format!("{interruptions} times") };
+        text += &format!("the stream broke off {times}\n");
     }
     if let Some((recorded, dropped)) = summary.pictures {
         let lost = if dropped == 0 { "none lost".to_owned() } else { format!("{dropped} lost to the recording") };
@@ -297,10 +298,11 @@ impl Args {
     }
 
     fn info(&self) -> RunInfo {
+        let camera = self.camera_options().into_iter().map(|(name, value)| (name.to_owned(), value));
         RunInfo {
             source: self.source.clone(),
             rig: self.rig.display().to_string(),
-            settings: self.camera_options().into_iter().map(|(name, value)| (name.to_owned(), value)).collect(),
+            settings: camera.chain(provenance::of_this_run()).collect(),
             camera_frame: self.frame == Reference::Camera,
         }
     }

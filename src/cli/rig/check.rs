@@ -1,5 +1,6 @@
 //! `catoptra rig check`: a rig file in words and numbers.
 
+use super::super::run::two_views;
 use super::super::{Exit, Failure, output};
 use crate::optics::{Surface, Wall};
 use crate::rig::check::{Check, ROUND_TRIP_LIMIT_PX, ViewCheck, check};
@@ -15,6 +16,9 @@ pub(super) fn run(file: &Path) -> Result<(), Failure> {
     describe(&mut text, file, &rig, &checked)
         .map_err(|e| Failure::new(Exit::Failed, format!("cannot describe {}: {e}", file.display())))?;
     output::print(&text)?;
+    if let Err(one_view) = two_views(file, &rig) {
+        return Err(Failure::new(Exit::Unusable, one_view.to_string()));
+    }
     if checked.usable() {
         return Ok(());
     }

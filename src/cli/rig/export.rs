@@ -66,6 +66,7 @@ pub(super) fn run(args: &ExportArgs, note: impl Fn(&str)) -> Result<(), Failure>
             }
             std::fs::write(out, &text)
                 .map_err(|e| Failure::new(Exit::Failed, format!("cannot write {}: {e}", out.display())))?;
+            note(&format!("written: {}, {}", out.display(), described(&rig, format, view)));
         }
         None => output::print(&text)?,
     }
@@ -73,6 +74,17 @@ pub(super) fn run(args: &ExportArgs, note: impl Fn(&str)) -> Result<(), Failure>
         note(&said);
     }
     Ok(())
+}
+
+/// What a file holds, in words.
+fn described(rig: &Draft, format: Option<Format>, view: Option<&str>) -> String {
+    match format {
+        Some(format) => format!("the camera as {format}"),
+        None => {
+            let count = if view.is_some() { 1 } else { rig.views.len() };
+            format!("DLT coefficients of {count} view{}", if count == 1 { "" } else { "s" })
+        }
+    }
 }
 
 /// What the numbers of a DLT mean: the file has no place for it.

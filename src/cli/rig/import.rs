@@ -60,11 +60,10 @@ pub(super) fn run(args: &ImportArgs, note: impl Fn(&str)) -> Result<(), Failure>
         ("inputs_sha256".to_owned(), toml::Table::from_iter([(file, hash.into())]).into()),
     ]);
     draft.provenance.insert("camera".into(), provenance.into());
-    save(&draft, &args.out)?;
+    let written = save(&draft, &args.out)?;
     note(&format!(
-        "written: {}; the lens came without uncertainties: `calibrate rig` takes it for exact, and its verdict knows \
-         nothing of the lens's errors",
-        args.out.display()
+        "{written}\nthe lens came without uncertainties: `calibrate rig` takes it for exact, and its verdict knows \
+         nothing of the lens's errors"
     ));
     Ok(())
 }

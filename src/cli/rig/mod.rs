@@ -37,7 +37,8 @@ Example:
     /// Begin a rig file with a camera calibrated elsewhere
     #[command(after_help = "\
 Reads YAML of OpenCV's FileStorage, ROS camera_info and Kalibr camchains of one camera. An existing
-RIG.toml keeps its bands; what was found with its old lens is left out; it is kept as RIG.toml.bak.
+RIG.toml keeps its bands; what was found with its old lens is left out. The old file is kept as
+RIG.toml.bak, .bak2, …
 Example:
   catoptra rig import tests/data/cameras/ros.yaml --out my_rig.toml")]
     Import(import::ImportArgs),

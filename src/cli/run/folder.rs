@@ -20,6 +20,8 @@ const REPORT: &str = "report.html";
 const OVERLAY: &str = "overlay.mp4";
 /// The video of the pictures.
 pub(in crate::cli) const PICTURES: &str = "pictures.mkv";
+/// Instead of the name of a table: stdout.
+const STDOUT: &str = "-";
 /// All that a run may write into its folder.
 const ALL: [&str; 6] = [RUN, LOG, TABLE, REPORT, OVERLAY, PICTURES];
 
@@ -113,6 +115,11 @@ impl Files {
         self
     }
 
+    /// Whether the table goes to stdout.
+    pub(in crate::cli) fn table_on_stdout(&self) -> bool {
+        self.table == Path::new(STDOUT)
+    }
+
     fn all(&self) -> impl Iterator<Item = &PathBuf> {
         [&self.log, &self.table, &self.report].into_iter().chain(&self.overlay).chain(&self.pictures)
     }
@@ -123,7 +130,10 @@ impl Files {
     /// [`Exit::Usage`] when something is there that must not be replaced, [`Exit::Failed`] when the folder cannot be
     /// written.
     pub(in crate::cli) fn prepare(&self, run: &Run, inputs: &[&Path]) -> Result<(), Failure> {
-        let taken = |path: &&PathBuf| inputs.iter().any(|input| path.exists() && whole_path(path) == whole_path(input));
+        let taken = |path: &&PathBuf| {
+            path.as_path() != Path::new(STDOUT)
+                && inputs.iter().any(|input| path.exists() && whole_path(path) == whole_path(input))
+        };
         if let Some(input) = self.all().find(taken) {
             let refused = format!("{}: would be written over, and is read by this run", input.display());
             return Err(Failure::new(Exit::Usage, refused));
@@ -173,6 +183,9 @@ impl Files {
             return refused(format!("{}: is a file; choose a folder with -o", self.folder.display()));
         }
         let table = self.table.display();
+        if self.table_on_stdout() {
+            return Ok(());
+        }
         if [Some(&self.log), Some(&self.report), self.overlay.as_ref(), self.pictures.as_ref()]
             .contains(&Some(&self.table))
         {

@@ -45,12 +45,25 @@ pub(super) fn rig_of_log(file: &Path, reference: Reference) -> Result<(Rig, Stri
 
 fn understood(file: &Path, text: String, reference: Reference) -> Result<(Rig, String), Failure> {
     let rig = Rig::from_toml_str(&text, file)?;
+    two_views(file, &rig)?;
     if OutputFrame::from(reference).output_from_camera(&rig).is_none() {
         let missing = "has no [base]: measure it with `catoptra calibrate base`, or track in the camera's frame with \
                        --frame camera";
         return Err(Failure::new(Exit::Usage, format!("{}: {missing}", file.display())));
     }
     Ok((rig, text))
+}
+
+/// Refuses a rig that can measure nothing: a single view shows a direction, not a place.
+pub(super) fn two_views(file: &Path, rig: &Rig) -> Result<(), Failure> {
+    let [view] = rig.views.as_slice() else { return Ok(()) };
+    let text = format!(
+        "{}: has one view, `{}`; a place in space needs two. Add the view in the mirror, with `catoptra calibrate rig` or as \
+         another [[view]]",
+        file.display(),
+        view.name
+    );
+    Err(Failure::new(Exit::Usage, text))
 }
 
 /// What `catoptra rig check` would warn of: who never asked must not learn it from the results.
@@ -93,7 +106,10 @@ pub(super) fn open_sinks(
         }
         let mut sinks: Vec<Box<dyn Sink + Send>> = vec![
             Box::new(log),
-            Box::new(CsvSink::create(&files.table, rig, reference.into())?),
+            Box::new(match files.table_on_stdout() {
+                true => CsvSink::on_stdout(rig, reference.into())?,
+                false => CsvSink::create(&files.table, rig, reference.into())?,
+            }),
             Box::new(ReportSink::create(&files.report, rig, info.clone())?),
         ];
         if let Some(overlay) = &files.overlay {

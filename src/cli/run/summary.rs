@@ -61,7 +61,12 @@ pub(in crate::cli) fn summary(
         (files.pictures.as_ref(), "the pictures, to be tracked again"),
     ];
     for (path, what) in named.into_iter().filter_map(|(path, what)| Some((path?, what))) {
-        let shown = path.strip_prefix(&files.folder).unwrap_or(path).display().to_string();
+        let on_stdout = path == &files.table && files.table_on_stdout();
+        let shown = if on_stdout {
+            "stdout".into()
+        } else {
+            path.strip_prefix(&files.folder).unwrap_or(path).to_string_lossy()
+        };
         writeln!(out, "  {shown:<12}  {what}")?;
     }
     Ok(())

@@ -7,7 +7,7 @@ mod tables;
 mod words;
 
 use super::html::{Html, escape};
-use super::page::{self, bad, card, facts_table, figure, plural, signed, table};
+use super::page::{self, card, facts_table, figure, plural, signed, table, trouble};
 use crate::calibrate::bundle::NoSolution;
 use crate::calibrate::rig::RigCalibration;
 use crate::calibrate::rig::diagnostics::{self, Diagnostic, diagnose};
@@ -197,7 +197,7 @@ fn over_the_volume(done: &RigCalibration, verdict: &Verdict) -> String {
         plot("plot-relative", "Base frame (relative)", relative),
         plot("plot-absolute", "Camera frame (absolute)", absolute),
         table(1, &["Expected error (1σ)", "Median (mm)", "Worst (mm)", "Worst place (mm)"], &rows),
-        bad(
+        trouble(
             "in the base frame, an end of the volume where the catheter will be much worse than the middle: no board was there. \
              The volume reaches as far as the boards; outside it nothing is promised."
         ),
@@ -253,7 +253,7 @@ fn held_out(done: &RigCalibration, held: &[Result<HeldOut, NoSolution>]) -> Stri
         }
     );
     text += &tables::held_out(done, held);
-    text + &bad(
+    text + &trouble(
         "one picture far worse than the others: its board was moved during the exposure, or bent. One sign of the scale in all near \
          pictures and the other in all far ones. <strong>Not seen here:</strong> what shifts everything together, a wrong size of the \
          squares (all boards have it), and hardly a wrong index or thickness of the glass: walls give way to it.",
@@ -312,12 +312,12 @@ fn residuals(done: &RigCalibration) -> String {
          times</strong> too long. Bold: means of neighbouring corners, as many times too long. Hover for the picture.</p>\n\
          <div class=\"pair\">\n{plots}</div>\n{}\
          <h3>Picture by picture</h3>\n{}",
-        bad(
+        trouble(
             "bold arrows that follow one another, around the middle or towards an edge: the lens, a mirror or a wall is not what the \
              rig takes it for. Noise has short bold arrows in all directions."
         ),
         figure("plot-pictures", &figures::by_picture(done, &views), 330, false)
-    ) + &bad("one picture or one view standing above the others.")
+    ) + &trouble("one picture or one view standing above the others.")
 }
 
 fn parameters(done: &RigCalibration) -> String {

@@ -2,8 +2,7 @@
 
 use crate::rig::ColourModel;
 use crate::source::Picture;
-use base64::Engine as _;
-use base64::engine::general_purpose::STANDARD;
+use base64::prelude::{BASE64_STANDARD, Engine as _};
 use image::codecs::jpeg::JpegEncoder;
 use image::codecs::png::PngEncoder;
 use image::{ExtendedColorType, ImageEncoder, RgbImage};
@@ -44,7 +43,7 @@ impl Shown {
         let [width, height] = self.size();
         let encoder = JpegEncoder::new_with_quality(&mut bytes, QUALITY);
         encoder.write_image(self.pixels.as_raw(), width, height, ExtendedColorType::Rgb8).ok()?;
-        Some(format!("data:image/jpeg;base64,{}", STANDARD.encode(bytes)))
+        Some(format!("data:image/jpeg;base64,{}", BASE64_STANDARD.encode(bytes)))
     }
 
     /// A part of it, without loss.
@@ -68,5 +67,5 @@ fn png(pixels: &RgbImage) -> Option<String> {
     let mut bytes = Vec::new();
     let encoder = PngEncoder::new(&mut bytes);
     encoder.write_image(pixels.as_raw(), pixels.width(), pixels.height(), ExtendedColorType::Rgb8).ok()?;
-    Some(format!("data:image/png;base64,{}", STANDARD.encode(bytes)))
+    Some(format!("data:image/png;base64,{}", BASE64_STANDARD.encode(bytes)))
 }

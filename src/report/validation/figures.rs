@@ -157,7 +157,7 @@ pub(super) fn space(validation: &Validation, aligned: bool) -> Plot {
     });
     // The catheter hangs: z, along it, points down.
     let scene =
-        chart::scene(spans, ["x (mm)", "y (mm)", "z (mm)"]).camera(chart::eye((0.0, 0.0, -1.0), (1.05, 1.05, -0.95)));
+        chart::scene(spans, ["x (mm)", "y (mm)", "z (mm)"]).camera(chart::eye((0.0, 0.0, -1.0), (1.35, 1.35, -1.2)));
     let layout = chart::layout()
         .scene(scene)
         .hover_mode(HoverMode::Closest)

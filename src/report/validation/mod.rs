@@ -5,7 +5,7 @@
 mod figures;
 
 use super::html::{Html, escape};
-use super::page::{self, bad, card, facts_table, figure, plural, signed, table};
+use super::page::{self, card, facts_table, figure, plural, signed, table, trouble};
 use crate::source::times::seconds;
 use crate::validate::{Row, Run, Size, Validation};
 
@@ -150,7 +150,7 @@ fn errors(validation: &Validation) -> String {
          <h3>Error over the path, aligned</h3>\n{}",
         table(1, &heads, &rows),
         figure("plot-rms", &figures::rms_over_pause(validation), 340, false),
-        bad(
+        trouble(
             "an aligned error that stays small while the other one and the rotation grow with speed: on a circle, a lag looks like a \
              turn, and alignment takes it out. The phase below has it."
         ),

@@ -6,7 +6,10 @@
 
 mod pen;
 mod scene;
+mod still;
 mod strip;
+
+pub(crate) use still::{StillError, Stills};
 
 use super::clock::Origin;
 use super::colour::{ConvertError, ToBgr};
@@ -63,7 +66,7 @@ impl OverlaySink {
         let [width, height] = rig.camera.size_px;
         let draw = |source| SinkError::Draw { path: path.into(), source };
         let (w, h) = (whole(width), whole(height));
-        let unit = (f64::from(height) / UNIT_HEIGHT_PX).max(UNIT_MIN);
+        let unit = unit(height);
         let strip_height = ((f64::from(height) * STRIP_PART) as i32).max(STRIP_MIN_PX);
         // 4:2:0 needs even sizes: an odd picture gets a dark last column or row.
         let (video_w, video_h) = (w + w % 2, h + strip_height + (h + strip_height) % 2);
@@ -161,6 +164,11 @@ impl Layout {
         let right = insets.first().map_or(inner.x + inner.width, |r| r.x - margin);
         Self { strip, numbers, graph: Rect::new(left, inner.y, right - left, inner.height), insets }
     }
+}
+
+/// Width of a line in a picture so high, pixels.
+fn unit(height: u32) -> f64 {
+    (f64::from(height) / UNIT_HEIGHT_PX).max(UNIT_MIN)
 }
 
 /// Pixels as OpenCV counts them. Beyond 2^24 no encoder goes: kept there, so that sums cannot overflow.

@@ -1,0 +1,173 @@
+//! The first, the best and the worst frame of a run, and their pictures.
+//!
+//! Best and worst: first by what is missing, then by σ. A picture is copied when its frame is the first, or better or worse
+//! by a twentieth than the one that was kept: three pictures are in memory, and few are ever copied.
+
+use super::html::Html;
+use super::page;
+use crate::estimate::Estimate;
+use crate::rig::Rig;
+use crate::sink::{Origin, StillError, Stills, spoken};
+use crate::source::{Picture, Window};
+
+/// By this much σ must differ to be another one.
+const STEP: f64 = 1.05;
+/// Around the bands, as a part of what they span; and at least, pixels.
+const MARGIN: (f64, f64) = (0.15, 50.0);
+
+/// The frames shown.
+pub(super) struct Moments {
+    stills: Stills,
+    views: Vec<String>,
+    names: Vec<String>,
+    first: Option<Moment>,
+    best: Option<Moment>,
+    worst: Option<Moment>,
+}
+
+struct Moment {
+    estimate: Estimate,
+    picture: Picture,
+    quality: Quality,
+}
+
+/// How good a frame is: answers that are missing, and σ of the most telling one that is there, radians or metres.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Quality {
+    missing: usize,
+    sd: f64,
+}
+
+impl Quality {
+    fn of(estimate: &Estimate) -> Self {
+        let places = estimate.markers.iter().map(|m| m.position.as_ref());
+        let missing = places.clone().filter(Result::is_err).count() + usize::from(estimate.tangent.is_err());
+        let sd = match (&estimate.deflection, &estimate.tangent) {
+            (Ok(deflection), _) => deflection.theta_sd_rad,
+            (_, Ok(tangent)) => tangent.sd_rad(),
+            _ => places.flatten().map(|place| place.sd_m()).fold(0.0, f64::max),
+        };
+        Self { missing, sd }
+    }
+
+    /// Worse by so much that it is worth a copy.
+    fn worse_than(self, other: Self) -> bool {
+        self.missing > other.missing || (self.missing == other.missing && self.sd > other.sd * STEP)
+    }
+}
+
+impl Moments {
+    pub(super) fn new(rig: &Rig) -> Self {
+        Self {
+            stills: Stills::new(rig),
+            views: rig.views.iter().map(|v| v.name.clone()).collect(),
+            names: rig.markers.iter().map(|m| m.name.clone()).collect(),
+            first: None,
+            best: None,
+            worst: None,
+        }
+    }
+
+    pub(super) fn add(&mut self, estimate: &Estimate, picture: &Picture) {
+        let quality = Quality::of(estimate);
+        let is = |kept: &Option<Moment>, than: fn(Quality, Quality) -> bool| {
+            kept.as_ref().is_none_or(|kept| than(quality, kept.quality))
+        };
+        // A frame without σ is not the best there is, however little is missing.
+        let best = quality.sd.is_finite() && is(&self.best, |new, kept| kept.worse_than(new));
+        let worst = is(&self.worst, Quality::worse_than);
+        let keep = |wanted: bool, place: &mut Option<Moment>| {
+            if let Some(picture) = wanted.then(|| picture.copied()).flatten() {
+                *place = Some(Moment { estimate: estimate.clone(), picture, quality });
+            }
+        };
+        keep(self.first.is_none(), &mut self.first);
+        keep(best, &mut self.best);
+        keep(worst, &mut self.worst);
+    }
+
+    /// The section of the page; `frames`: how many the run has.
+    pub(super) fn section(&mut self, frames: u64, origin: Option<Origin>) -> String {
+        let title = "<h2>What it saw</h2>\n";
+        let Some(first) = &self.first else {
+            return match frames {
+                0 => String::new(),
+                _ => format!(
+                    "{title}<p>This run kept no pictures, so none are shown. A live run keeps them with \
+                     <code>--record</code>: track that recording to see them here.</p>\n"
+                ),
+            };
+        };
+        let all: Vec<&Moment> = [Some(first), self.best.as_ref(), self.worst.as_ref()].into_iter().flatten().collect();
+        let part = around(&all, first.picture.size_px());
+        let whole = Window::whole(first.picture.size_px());
+        let mut shown = vec![("First frame", first, whole)];
+        let new = |moment: &&Moment| moment.estimate.seq != first.estimate.seq;
+        shown.extend(self.best.as_ref().filter(new).map(|best| ("Best frame", best, part)));
+        shown.extend(self.worst.as_ref().filter(new).map(|worst| ("Worst frame", worst, part)));
+        let mut drawn = shown.into_iter().map(|(name, moment, part)| {
+            let at_s = origin.map_or(0.0, |origin| origin.elapsed_s(moment.estimate.stamp.ns));
+            let caption = format!("{name}, at {at_s:.3} s: {}", told(&moment.estimate, &self.names, &self.views));
+            match self.stills.jpeg(&moment.picture, &moment.estimate, part) {
+                Ok(jpeg) => page::picture(&jpeg, caption),
+                Err(error) => not_drawn(&caption, &error),
+            }
+        });
+        let (whole, cut) = (drawn.next().unwrap_or_default(), drawn.collect::<String>());
+        let pictures = if cut.is_empty() { whole } else { format!("{whole}<div class=\"pair\">\n{cut}</div>\n") };
+        format!(
+            "{title}<p>Outlines are the bands as fitted, crosses their middles, the arrow is the coil's direction. Best and \
+             worst: by what is missing, then by σ; they are cut to the part of the picture where the bands are.</p>\n{pictures}{}",
+            page::trouble(
+                "an outline that does not lie on its band, in either view. Then nothing below can be believed: the rig, the \
+                 colours or the lengths of the bands are others."
+            )
+        )
+    }
+}
+
+fn not_drawn(caption: &str, error: &StillError) -> String {
+    format!("<p class=\"note\">{}: not drawn, {}.</p>\n", Html::from(caption), Html::from(error.to_string()))
+}
+
+/// What was found in a frame, in words.
+fn told(estimate: &Estimate, names: &[String], views: &[String]) -> String {
+    let views: Vec<&str> = views.iter().map(String::as_str).collect();
+    let missing: Vec<String> = names
+        .iter()
+        .zip(&estimate.markers)
+        .filter_map(|(name, marker)| Some((name, marker.position.as_ref().err()?)))
+        .map(|(name, miss)| format!("{name} {}", spoken(&miss.word(&views))))
+        .collect();
+    let angle = match (&estimate.deflection, &estimate.tangent) {
+        (Ok(d), _) => {
+            let (theta, sd) = (d.theta_rad.to_degrees(), d.theta_sd_rad.to_degrees());
+            Some(format!("θ {}°, σ {sd:.2}°", page::signed(theta, 2)))
+        }
+        (_, Ok(tangent)) => Some(format!("tangent with σ {:.2}°", tangent.sd_rad().to_degrees())),
+        _ => None,
+    };
+    match (missing.is_empty(), angle) {
+        (true, Some(angle)) => angle,
+        (true, None) => "no direction of the coil".to_owned(),
+        (false, Some(angle)) => format!("{}; {angle}", missing.join(", ")),
+        (false, None) => missing.join(", "),
+    }
+}
+
+/// Where the bands are in these frames, with a margin; the whole picture when there are none.
+fn around(moments: &[&Moment], size_px: [u32; 2]) -> Window {
+    let bands = moments.iter().flat_map(|m| &m.estimate.markers).flat_map(|m| m.views.iter().flatten());
+    let points = bands.flat_map(|band| &band.outline_px).filter(|p| p.x.is_finite() && p.y.is_finite());
+    let bounds = points.fold(None, |bounds: Option<[f64; 4]>, p| {
+        let [x0, y0, x1, y1] = bounds.unwrap_or([p.x, p.y, p.x, p.y]);
+        Some([x0.min(p.x), y0.min(p.y), x1.max(p.x), y1.max(p.y)])
+    });
+    let Some([x0, y0, x1, y1]) = bounds else { return Window::whole(size_px) };
+    let margin = ((x1 - x0).max(y1 - y0) * MARGIN.0).max(MARGIN.1);
+    // Casting keeps to the range of the type.
+    let [x0, y0] = [x0, y0].map(|from| (from - margin) as u32);
+    let [x1, y1] = [x1, y1].map(|to| (to + margin) as u32);
+    let part = Window { x0, y0, x1, y1 }.clipped(size_px);
+    if part.pixels() > 0 { part } else { Window::whole(size_px) }
+}
