@@ -168,6 +168,7 @@ fn info(args: &MarkersArgs, out: &Path) -> TeachingInfo {
         ("Tube".to_owned(), mm(args.tube.0)),
     ];
     settings.extend(args.rigid.map(|rigid| ("Stiff part".to_owned(), mm(rigid.0))));
+    settings.extend(super::super::provenance::of_this_run());
     TeachingInfo { rig: out.display().to_string(), settings }
 }
 
