@@ -183,6 +183,12 @@ impl ColourModel {
         Self { planes: vec![ColourPlane { weights, bias }], rgb }
     }
 
+    /// How far another colour is below one of the band's: by the plane that tells the two apart best.
+    pub fn separation(&self, own: &Vector3<f64>, other: &Vector3<f64>) -> f64 {
+        let apart = self.planes.iter().map(|plane| plane.score(own) - plane.score(other));
+        apart.fold(f64::NEG_INFINITY, f64::max)
+    }
+
     /// The lowest of the planes' scores: about 1 on the band, below 0.5 elsewhere.
     pub fn score(&self, rgb: &Vector3<f64>) -> f64 {
         self.planes.iter().map(|plane| plane.score(rgb)).fold(f64::INFINITY, f64::min)

@@ -128,6 +128,8 @@ const THRESHOLD: f64 = super::THRESHOLD as f64;
 /// Most planes of a model, and how many fewer mistakes (shares) are worth one more.
 const MOST_PLANES: usize = 4;
 const WORTH_A_PLANE: f64 = 0.003;
+/// Share of a class that is taken for the marker from which on it is of the same paint.
+const SAME_PAINT: f64 = 0.5;
 /// Scores within this of the threshold are unsure.
 const UNSURE: f64 = 0.25;
 
@@ -167,8 +169,14 @@ pub fn learn(classes: &[ClassSamples]) -> Result<Learned, LearnError> {
     Ok(learned)
 }
 
-/// What a plane is learned against: one class, or all of them.
-type Against = Option<usize>;
+/// What a plane is learned against.
+#[derive(Debug, Clone, PartialEq)]
+enum Against {
+    /// One class.
+    One(usize),
+    /// All but these.
+    AllBut(Vec<usize>),
+}
 
 impl ClassSamples {
     /// Every second stretch of the samples, of eight in each half: neighbours, which are alike, go together.
@@ -180,39 +188,58 @@ impl ClassSamples {
 }
 
 fn model(classes: &[ClassSamples], marker: usize, against: &[Against]) -> Option<ColourModel> {
-    let planes = against.iter().map(|other| plane(classes, marker, *other)).collect::<Option<Vec<_>>>()?;
+    let planes = against.iter().map(|other| plane(classes, marker, other)).collect::<Option<Vec<_>>>()?;
     Some(ColourModel { planes, rgb: statistics(classes.get(marker)?).0 })
 }
 
 /// The planes of the model that makes the fewest mistakes on samples it was not learned from: one against everything, or
 /// those that leave the fewest mistakes in the samples they were learned from. `None` when none tells the marker from all else.
 fn choose([seen, unseen]: &[Vec<ClassSamples>; 2], marker: usize) -> Option<Vec<Against>> {
-    let planes: Vec<(Against, ColourPlane)> = std::iter::once(None)
-        .chain((0..seen.len()).filter(|other| *other != marker).map(Some))
-        .filter_map(|against| Some((against, plane(seen, marker, against)?)))
+    let same = same_paint(seen, marker)?;
+    let others = (0..seen.len()).filter(|other| *other != marker && !same.contains(other));
+    let planes: Vec<(Against, ColourPlane)> = std::iter::once(Against::AllBut(same.clone()))
+        .chain(others.map(Against::One))
+        .filter_map(|against| Some((against.clone(), plane(seen, marker, &against)?)))
         .collect();
-    let &(linear, first) = planes.first().filter(|(against, _)| against.is_none())?;
-    let mut chosen: Vec<(Against, ColourPlane)> = Vec::new();
+    let (linear, first) = planes.first().filter(|(against, _)| matches!(against, Against::AllBut(_)))?;
+    let mistakes = |lowest: &Lowest| lowest.mistakes(marker, &same);
+    let mut chosen: Vec<&(Against, ColourPlane)> = Vec::new();
     let mut lowest = Lowest::new(seen);
     let mut left = f64::INFINITY;
     while chosen.len() < MOST_PLANES {
-        let tried = planes.iter().map(|candidate| (lowest.with(&candidate.1, seen).mistakes(marker), candidate));
-        let Some((mistakes, best)) = tried.min_by(|a, b| a.0.total_cmp(&b.0)) else { break };
-        if mistakes > left - WORTH_A_PLANE {
+        let tried = planes.iter().map(|candidate| (mistakes(&lowest.with(&candidate.1, seen)), candidate));
+        let Some((fewest, best)) = tried.min_by(|a, b| a.0.total_cmp(&b.0)) else { break };
+        if fewest > left - WORTH_A_PLANE {
             break;
         }
-        left = mistakes;
+        left = fewest;
         lowest = lowest.with(&best.1, seen);
-        chosen.push(*best);
+        chosen.push(best);
     }
-    let on_unseen = |planes: &[ColourPlane]| {
-        planes.iter().fold(Lowest::new(unseen), |lowest, plane| lowest.with(plane, unseen)).mistakes(marker)
+    let on_unseen = |planes: &mut dyn Iterator<Item = &ColourPlane>| {
+        mistakes(&planes.fold(Lowest::new(unseen), |lowest, plane| lowest.with(plane, unseen)))
     };
-    let several: Vec<ColourPlane> = chosen.iter().map(|c| c.1).collect();
-    if on_unseen(&several) < on_unseen(&[first]) - WORTH_A_PLANE {
-        Some(chosen.into_iter().map(|c| c.0).collect())
+    if on_unseen(&mut chosen.iter().map(|c| &c.1)) < on_unseen(&mut std::iter::once(first)) - WORTH_A_PLANE {
+        Some(chosen.into_iter().map(|c| c.0.clone()).collect())
     } else {
-        Some(vec![linear])
+        Some(vec![linear.clone()])
+    }
+}
+
+/// Classes that are the marker's own paint elsewhere: whatever is learned, most of their samples are taken for it. Were they
+/// among what it is to differ from, nothing would be left of its colour.
+fn same_paint(classes: &[ClassSamples], marker: usize) -> Option<Vec<usize>> {
+    let mut same: Vec<usize> = Vec::new();
+    loop {
+        let plane = plane(classes, marker, &Against::AllBut(same.clone()))?;
+        let model = ColourModel { planes: vec![plane], rgb: Vector3::zeros() };
+        let mistaken = |other: usize| Scores::of(&model, &classes[other]).above(THRESHOLD);
+        let others = (0..classes.len()).filter(|k| *k != marker && !classes[*k].is_marker && !same.contains(k));
+        let worst = others.map(|k| (mistaken(k), k)).max_by(|a, b| a.0.total_cmp(&b.0));
+        match worst {
+            Some((share, class)) if share > SAME_PAINT && same.len() + 2 < classes.len() => same.push(class),
+            _ => return Some(same),
+        }
     }
 }
 
@@ -231,17 +258,17 @@ impl Lowest {
         Self(self.0.iter().zip(classes).map(lower).collect())
     }
 
-    /// Share of the marker's samples that are missed, and the mean share of the others that are taken for it. A score within
-    /// `UNSURE` of the threshold is a mistake in part.
-    fn mistakes(&self, marker: usize) -> f64 {
+    /// Share of the marker's samples that are missed, and the mean share of the others, but for `same`, that are taken for it. A
+    /// score within `UNSURE` of the threshold is a mistake in part.
+    fn mistakes(&self, marker: usize, same: &[usize]) -> f64 {
         let share = |scores: &Vec<f64>, is_marker: bool| {
             let sign = if is_marker { 1.0 } else { -1.0 };
             let mistake = |score: &f64| (0.5 - sign * (score - THRESHOLD) / (2.0 * UNSURE)).clamp(0.0, 1.0);
             scores.iter().map(mistake).sum::<f64>() / scores.len().max(1) as f64
         };
-        let others = (self.0.len() - 1).max(1) as f64;
+        let others = (self.0.len() - 1 - same.len()).max(1) as f64;
         let of = |(i, scores): (usize, &Vec<f64>)| share(scores, i == marker) / if i == marker { 1.0 } else { others };
-        self.0.iter().enumerate().map(of).sum()
+        self.0.iter().enumerate().filter(|(i, _)| !same.contains(i)).map(of).sum()
     }
 }
 
@@ -270,12 +297,13 @@ fn statistics(class: &ClassSamples) -> (Vector3<f64>, Matrix3<f64>) {
     (mean, covariance)
 }
 
-fn plane(classes: &[ClassSamples], marker: usize, against: Against) -> Option<ColourPlane> {
+fn plane(classes: &[ClassSamples], marker: usize, against: &Against) -> Option<ColourPlane> {
     let statistics: Vec<_> = classes.iter().map(statistics).collect();
     let weight = |i: usize| match (classes.get(i), against) {
         _ if i == marker => 0.0,
-        (_, Some(other)) => f64::from(u8::from(i == other)),
-        (Some(class), None) if class.is_marker => OTHER_MARKER,
+        (_, Against::One(other)) => f64::from(u8::from(i == *other)),
+        (_, Against::AllBut(same)) if same.contains(&i) => 0.0,
+        (Some(class), _) if class.is_marker => OTHER_MARKER,
         _ => 1.0,
     };
     let total: f64 = (0..classes.len()).map(weight).sum();
@@ -343,7 +371,7 @@ mod tests {
         let learned = learn(&classes).unwrap();
         assert_eq!(learned.models.len(), 3);
         for (marker, model) in learned.models.iter().enumerate() {
-            let plane = plane(&classes, marker, None).unwrap();
+            let plane = plane(&classes, marker, &Against::AllBut(Vec::new())).unwrap();
             let all = ColourModel { planes: vec![plane], rgb: model.rgb };
             let mean = |class: &ClassSamples| Scores::of(&all, class).mean;
             assert!((mean(&classes[marker]) - 1.0).abs() < 1e-9);
@@ -379,7 +407,10 @@ mod tests {
         ];
         let learned = learn(&classes).unwrap();
         assert!(learned.models[0].planes.len() > 1, "{:?}", learned.models[0]);
-        let single = ColourModel { planes: vec![plane(&classes, 0, None).unwrap()], ..learned.models[0].clone() };
+        let single = ColourModel {
+            planes: vec![plane(&classes, 0, &Against::AllBut(Vec::new())).unwrap()],
+            ..learned.models[0].clone()
+        };
         let mistakes = |model: &ColourModel| {
             let missed = 1.0 - Scores::of(model, &classes[0]).above(THRESHOLD);
             missed + classes[1..].iter().map(|class| Scores::of(model, class).above(THRESHOLD)).sum::<f64>() / 4.0
@@ -427,6 +458,21 @@ mod tests {
             },
             1
         );
+    }
+
+    /// A brick in a band's paint must not turn the band's own colour into something else.
+    #[test]
+    fn a_brick_of_the_same_paint_is_left_out_of_account() {
+        let mut classes = samples();
+        let without = learn(&classes).unwrap();
+        let brick = classes[0].rgb.iter().map(|v| v * 1.05).collect();
+        classes.push(ClassSamples { name: "brick".into(), is_marker: false, rgb: brick });
+        let with = learn(&classes).unwrap();
+        for (a, b) in with.models[0].planes.iter().zip(&without.models[0].planes) {
+            assert!((a.weights - b.weights).norm() < 1e-9);
+        }
+        let brick = with.separations.iter().find(|s| s.marker == 0 && s.other == 5).unwrap();
+        assert!(brick.mistaken > 0.9, "and it is told: {brick:?}");
     }
 
     #[test]

@@ -274,19 +274,17 @@ impl Tracker {
         Ok(())
     }
 
-    /// Score of a band's fitted colour above that of the most similar of its neighbours and background.
+    /// How far a band's fitted colour is from the most similar of its neighbours and background.
     fn separation(&self, group: &Group, member: usize, view: usize, colours: &[f64]) -> f64 {
         let Some(model) = self.rig.markers[group.members[member].0].colour(view) else { return 0.0 };
-        let score = |at: usize| {
-            let rgb = Vector3::from_fn(|c, _| f64::from(self.model.encoding.encode(colours[at + c] as f32).0));
-            model.score(&rgb)
-        };
+        let rgb = |at: usize| Vector3::from_fn(|c, _| f64::from(self.model.encoding.encode(colours[at + c] as f32).0));
         let segment = |j: usize| FIXED + PER_SEGMENT * j;
         let band = 2 * member + 1;
         let last = group.stretch.layout.segments() - 1;
         let neighbours = [Some(segment(band - 1)), (band < last).then(|| segment(band + 1)), Some(0)];
-        let most_similar = neighbours.into_iter().flatten().map(score).fold(f64::NEG_INFINITY, f64::max);
-        score(segment(band)) - most_similar
+        let own = rgb(segment(band));
+        let apart = neighbours.into_iter().flatten().map(|at| model.separation(&own, &rgb(at)));
+        apart.fold(f64::INFINITY, f64::min)
     }
 
     fn estimate(&self, frame: &Frame, assigned: &[Result<Assigned, Miss>], fitted: &[Fitted]) -> Estimate {

@@ -102,60 +102,6 @@ fn combined(arcs: &[(f64, f64)], bend_is_known: bool) -> Option<(f64, f64)> {
     (!arcs.is_empty()).then(|| (at, (scatter.powi(2) + shape.powi(2) + (0.3 * LEAST_SD_M).powi(2)).sqrt()))
 }
 
-/// A measure that the pictures contradict.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Contradicted {
-    /// What it is of: the tube, or a band by its name.
-    pub band: Option<String>,
-    /// As given, and as it looks, metres.
-    pub given_m: f64,
-    /// As it looks in the pictures, metres.
-    pub seen_m: f64,
-}
-
-impl std::fmt::Display for Contradicted {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let (given, seen) = (self.given_m * 1e3, self.seen_m * 1e3);
-        match &self.band {
-            Some(name) => write!(f, "band `{name}` looks {seen:.1} mm long, not {given:.1} mm"),
-            None => write!(f, "the tube looks {seen:.2} mm thick, not {given:.2} mm"),
-        }
-    }
-}
-
-/// A measure that explains the pictures best is this far from the one given before it contradicts it, relative.
-const CONTRADICTS: f64 = 0.12;
-/// Frames that measures are compared with.
-const MEASURE_FRAMES: usize = 4;
-
-/// Diameter and lengths that the pictures contradict.
-pub(super) fn contradicted(rig: &Rig, frames: &[Frame]) -> Vec<Contradicted> {
-    let some = every(frames, MEASURE_FRAMES);
-    let best = |with: &dyn Fn(f64) -> Rig| {
-        let found = minimise(1.0, 0.08, (0.4, 2.5), |factor| misfit(&with(factor), &some))?;
-        Some(found.at).filter(|factor| (factor - 1.0).abs() > CONTRADICTS)
-    };
-    let tube = best(&|factor| {
-        let mut rig = rig.clone();
-        rig.catheter.diameter_m *= factor;
-        rig
-    });
-    let given_m = rig.catheter.diameter_m;
-    let tube = tube.map(|factor| Contradicted { band: None, given_m, seen_m: given_m * factor });
-    let bands = rig.markers.iter().enumerate().filter_map(|(m, marker)| {
-        let factor = best(&|factor| {
-            let mut rig = rig.clone();
-            // By itself: fitted together with others, its neighbours' places would change with its own.
-            rig.markers.iter_mut().for_each(|marker| marker.centre_m = None);
-            rig.markers[m].length_m *= factor;
-            rig
-        })?;
-        let given_m = marker.length_m;
-        Some(Contradicted { band: Some(marker.name.clone()), given_m, seen_m: given_m * factor })
-    });
-    tube.into_iter().chain(bands).collect()
-}
-
 /// Blur and chroma offset.
 pub(super) fn tune(rig: &mut Rig, frames: &[Frame]) -> Result<(), MarkersError> {
     let some = every(frames, TUNING_FRAMES);

@@ -19,6 +19,7 @@ mod fitted;
 mod learned;
 mod line_search;
 pub(crate) mod locate;
+mod measures;
 mod pick;
 mod regions;
 mod samples;
@@ -26,8 +27,8 @@ mod seen;
 
 pub use error::MarkersError;
 pub use exposure::Exposure;
-pub use fitted::Contradicted;
 pub use learned::{Verdict, ViewColours, verdict};
+pub use measures::Contradicted;
 pub use pick::Pick;
 pub use regions::ProposedRegion;
 pub use seen::{Rectangle, SeenBlob};
@@ -37,7 +38,7 @@ use crate::estimate::{BandObservation, Estimate, MarkerEstimate, Miss};
 use crate::rig::Rig;
 use crate::source::{Frame, FrameSource};
 use crate::track::{TrackOptions, Tracker};
-use fitted::{contradicted, place_bands, tune};
+use fitted::{place_bands, tune};
 use learned::{learn_views, set_models};
 use locate::pixels::Pixels;
 use locate::{Near, locate};
@@ -156,7 +157,7 @@ impl Teaching {
             answered: markers.clone().map(answered).collect(),
             first_miss: markers.clone().map(first_miss).collect(),
             centre_sd_m,
-            contradicted: contradicted(rig, frames),
+            contradicted: measures::contradicted(rig, frames, &estimates),
         };
         self.usable(&done)?;
         Ok(done)

@@ -89,6 +89,15 @@ impl Pixels {
         (!offsets.is_empty()).then(|| sum / offsets.len() as f64)
     }
 
+    /// How much of a mixture of two colours is the first one, in units in which both channels' noise is the same.
+    pub(crate) fn share(&self, mixed: &Yuv, first: &Yuv, second: &Yuv) -> f64 {
+        let light = first.x.max(second.x).max(0.0);
+        let (luma, chroma) = (self.noise[0] + LUMA_SHARE * light, self.noise[1] + CHROMA_SHARE * light);
+        let units = Vector3::new(1.0 / luma, 1.0 / chroma, 1.0 / chroma);
+        let (way, off) = ((first - second).component_mul(&units), (mixed - second).component_mul(&units));
+        off.dot(&way) / way.norm_squared().max(1e-9)
+    }
+
     /// How different two colours are: 1 is what shading and noise do.
     pub(crate) fn contrast(&self, a: &Yuv, b: &Yuv) -> f64 {
         let light = a.x.max(b.x).max(0.0);
