@@ -139,7 +139,8 @@ pub struct Marker {
     pub name: String,
     /// Length along the tube, metres.
     pub length_m: f64,
-    /// Place of its middle along the tube, metres from the clamp, once known.
+    /// Place of its middle along the tube, metres, once known. Only differences matter: `calibrate markers` counts from the
+    /// edge of the first band that is nearer to the clamp.
     pub centre_m: Option<f64>,
     /// How to tell it by its colour, once learned: one model for each view, or one for all of them. Empty before.
     pub colours: Vec<ColourModel>,

@@ -12,7 +12,7 @@ const TUNING_FRAMES: usize = 12;
 
 /// How far the tube between two bands may be from an arc of a circle: its length beyond that of the chord is uncertain by
 /// this much of chord · ψ², where ψ is the angle between the chord and the coil's tangent (an arc is longer by 1/6 of it).
-const NO_ARC: f64 = 0.1;
+const NO_ARC: f64 = 0.2;
 /// σ of a distance of two bands in one frame at least, metres.
 const LEAST_SD_M: f64 = 0.05e-3;
 /// Independent thirds of the frames whose results say how well a distance is known, and the least σ said of it, metres.
@@ -37,7 +37,7 @@ pub(super) fn place_bands(rig: &mut Rig, frames: &[Frame]) -> Result<Vec<Option<
             let arcs: Vec<(f64, f64)> = estimates.iter().filter_map(|e| arc(e, m, beside_coil)).collect();
             let Some((arc_m, sd)) = combined(&arcs, beside_coil) else { return Ok(sd_m) };
             at += arc_m;
-            sd_m[m] = Some(sd);
+            sd_m[m] = Some(sd.hypot(places_sd_m(&estimates, m)));
         }
         rig.markers[m].centre_m = Some(at);
     }
@@ -67,6 +67,21 @@ pub(super) fn place_bands(rig: &mut Rig, frames: &[Frame]) -> Result<Vec<Option<
         }
     }
     Ok(sd_m)
+}
+
+/// σ along the chord that the places of a marker and the one before it have, the same in all frames: what the image model gets
+/// wrong at a band's end does not average out, metres.
+fn places_sd_m(estimates: &[Estimate], m: usize) -> f64 {
+    let variances: Vec<f64> = estimates
+        .iter()
+        .filter_map(|e| {
+            let place = |m: usize| e.markers.get(m)?.position.as_ref().ok();
+            let (a, b) = (place(m - 1)?, place(m)?);
+            let along = (b.point - a.point).normalize();
+            Some(along.dot(&((a.covariance + b.covariance) * along)))
+        })
+        .collect();
+    (variances.iter().sum::<f64>() / variances.len().max(1) as f64).sqrt()
 }
 
 /// Arc between a marker and the one before it, as if it were one of a circle, and chord · ψ², metres.
