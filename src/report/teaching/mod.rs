@@ -27,6 +27,9 @@ pub struct TeachingInfo {
 /// Half the side of a close-up at least, pixels, and how far it reaches beyond the band.
 const CLOSE_UP_PX: (f64, f64) = (20.0, 10.0);
 
+/// Things of the bands' colours that are listed.
+const MOST_THINGS: usize = 24;
+
 /// The whole page.
 pub fn page(info: &TeachingInfo, done: &Teaching) -> String {
     let shown = done.frame.as_ref().and_then(|frame| Shown::of(&frame.picture));
@@ -51,14 +54,12 @@ pub fn page(info: &TeachingInfo, done: &Teaching) -> String {
 
 fn header(info: &TeachingInfo, done: &Teaching) -> String {
     let verdict = match &done.outcome {
-        Ok(learned) => {
-            format!(
-                "Learned: {} in {} of {}.",
-                plural(done.rig.markers.len() as u64, "band"),
-                done.rig.views.len(),
-                if done.rig.views.len() == 1 { "view" } else { "views" }
-            ) + &format!(" Looked at {}.", plural(learned.frames as u64, "frame"))
-        }
+        Ok(learned) => format!(
+            "Learned {} in {}, from {}.",
+            plural(done.rig.markers.len() as u64, "band"),
+            plural(done.rig.views.len() as u64, "view"),
+            plural(learned.frames as u64, "frame")
+        ),
         Err(error) => format!("Not learned: {}.", Html::with_code(&error.to_string())),
     };
     format!(
@@ -252,9 +253,13 @@ fn things(done: &Teaching) -> String {
     if done.blobs.is_empty() {
         return String::new();
     }
-    let rows: Vec<Vec<Html>> = done
-        .blobs
-        .iter()
+    // The bands first, then what is largest.
+    let mut blobs: Vec<_> = done.blobs.iter().collect();
+    blobs.sort_by(|a, b| a.rejected.is_some().cmp(&b.rejected.is_some()).then(b.area_px2.total_cmp(&a.area_px2)));
+    let more = blobs.len().saturating_sub(MOST_THINGS);
+    let rows: Vec<Vec<Html>> = blobs
+        .into_iter()
+        .take(MOST_THINGS)
         .map(|blob| {
             let name = done.rig.markers.get(blob.marker).map_or("", |m| m.name.as_str());
             let view = done.rig.views.get(blob.view).map_or("", |v| v.name.as_str());
@@ -267,8 +272,10 @@ fn things(done: &Teaching) -> String {
             [Html::from(name), Html::from(view), why].into_iter().chain(numbers.map(Html::from)).collect()
         })
         .collect();
+    let more =
+        if more == 0 { String::new() } else { format!("<p class=\"note\">{more} smaller ones are not listed.</p>\n") };
     format!(
-        "<h2>Things of the bands’ colours</h2>\n{}",
+        "<h2>Things of the bands’ colours</h2>\n{}{more}",
         table(3, &["Colour of", "View", "It is", "x (px)", "y (px)", "Area (px²)"], &rows)
     )
 }
