@@ -1,5 +1,6 @@
 # make demo      track the sample recording, and say where to look
-# make test      all tests
+# make test      all tests; with other cameras, too: make test FEATURES=genicam,gstreamer
+# make examples  run the programs in examples/
 # make lint      formatting and lints, as CI checks them
 # make bench     measure speed beside OpenCV and the bare decoder
 # make accuracy  errors against the truth of the sample recordings, in tables
@@ -7,8 +8,10 @@
 CARGO ?= cargo
 DEMO := out/demo
 VENV := target/venv
+FEATURES ?=
+WITH := $(if $(FEATURES),--features $(FEATURES))
 
-.PHONY: demo test lint bench accuracy deps
+.PHONY: demo test examples lint bench accuracy deps
 
 # Cargo finds the program it has built, wherever the user's settings put it.
 demo: deps
@@ -23,7 +26,12 @@ demo: deps
 # With CATOPTRA_PYTHON set, the tests that read logs with other people's code must run; without it they may be left out.
 test: deps
 	@if command -v python3 >/dev/null; then $(MAKE) --no-print-directory $(VENV)/ready; fi
-	@if [ -e $(VENV)/ready ]; then export CATOPTRA_PYTHON="$(CURDIR)/$(VENV)/bin/python"; fi; set -x; $(CARGO) test --locked
+	@if [ -e $(VENV)/ready ]; then export CATOPTRA_PYTHON="$(CURDIR)/$(VENV)/bin/python"; fi; set -x; $(CARGO) test --locked $(WITH)
+
+examples: deps
+	$(CARGO) run --quiet --locked $(WITH) --example track_video -- sample_frames/planar.mkv calibration/dev_tank/rig.toml
+	$(CARGO) run --quiet --locked $(WITH) --example frame_source
+	$(CARGO) run --quiet --locked $(WITH) --example read_log
 
 lint: deps
 	$(CARGO) fmt --check

@@ -1,5 +1,5 @@
-//! The highest rate at which a live run loses nothing, and its latency: pictures of the sample, decoded before, handed over as a
-//! camera would, θ received as datagrams.
+//! The highest rate at which a live run loses nothing, and its latency: pictures of the sample, decoded before, handed
+//! over as a camera would, θ received as datagrams.
 //!
 //! `cargo bench --bench live`, or with rates: `cargo bench --bench live -- 60 500`. Needs some gigabytes of memory.
 

@@ -107,3 +107,10 @@ pub mod calibrate;
 pub mod whole_file;
 
 pub mod cli;
+
+#[cfg(test)]
+extern crate self as catoptra;
+
+#[cfg(test)]
+#[allow(dead_code, reason = "the library's own tests use one part, those in `tests/` another")]
+mod testing;

@@ -219,8 +219,8 @@ fn joined<T>(thread: ScopedJoinHandle<'_, T>) -> T {
 mod tests {
     use super::*;
     use crate::rig::ColourModel;
-    use crate::sink::fixture;
     use crate::source::{Clock, Colour, Picture, PixelFormat};
+    use crate::testing::fixture;
     use crate::track::TrackOptions;
     use nalgebra::Vector3;
     use std::sync::atomic::AtomicU64;

@@ -1,8 +1,10 @@
-//! How fast tracking is: each stage beside OpenCV's usual script, then whole runs beside bare decoding of the same file.
+//! How fast tracking is: each stage beside OpenCV's usual script, then whole runs beside bare decoding of the same
+//! file.
 //!
-//! All that is compared runs in this process on the same frames, in turns; what counts are the ratios. Stages are timed by the
-//! clock of their thread, which stands still while another program has the core. Whole runs are timed by the clock on the
-//! wall, for threads wait for each other: give them an idle machine, or look at their CPU time, which is printed too.
+//! All that is compared runs in this process on the same frames, in turns; what counts are the ratios. Stages are timed
+//! by the clock of their thread, which stands still while another program has the core. Whole runs are timed by the
+//! clock on the wall, for threads wait for each other: give them an idle machine, or look at their CPU time, which is
+//! printed too.
 
 #![allow(clippy::print_stdout, reason = "a bench prints its result")]
 

@@ -1,13 +1,13 @@
-//! What a lab's own script does to a frame, with OpenCV: cvtColor to BGR and HSV, then for each of three colours inRange,
-//! morphologyEx (open) and connectedComponentsWithStats. One thread.
+//! What a lab's own script does to a frame, with OpenCV: cvtColor to BGR and HSV, then for each of three colours
+//! inRange, morphologyEx (open) and connectedComponentsWithStats. One thread.
 
 use catoptra::source::{Picture, PixelFormat};
 use opencv::core::{Mat, MatTraitConst as _, Scalar, Size};
 use opencv::imgproc;
 use std::error::Error;
 
-/// Hue (0..180), saturation and value limits of base, coil and tip: in every frame of planar.mkv they give the six bands and
-/// nothing else.
+/// Hue (0..180), saturation and value limits of base, coil and tip: in every frame of planar.mkv they give the six
+/// bands and nothing else.
 const HSV: [[[f64; 3]; 2]; 3] = [
     [[18.0, 90.0, 60.0], [32.0, 255.0, 255.0]],
     [[55.0, 70.0, 40.0], [85.0, 255.0, 255.0]],

@@ -11,8 +11,8 @@ use nalgebra::Vector3;
 use std::error::Error;
 use std::path::Path;
 
-/// Half the side of the windows that segmentation is timed in: about the tracker's own, at 60 frames a second and half a
-/// millimetre a pixel.
+/// Half the side of the windows that segmentation is timed in: about the tracker's own, at 60 frames a second and half
+/// a millimetre a pixel.
 const WINDOW_PX: f64 = 60.0;
 /// Runs on a picture that is the worst case.
 const RUNS: usize = 15;
@@ -115,12 +115,8 @@ fn worst_cases(rig: &Rig, like: &Picture) -> Result<[(&'static str, Picture); 2]
         let stored = coil.rgb.dot(&Vector3::from(weights)) + constant;
         vec![stored.round() as u8; samples(i)]
     });
-    let mut state = 1_u64;
-    let mut random = || {
-        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        (state >> 56) as u8
-    };
-    let noise = (0..3).map(|i| (0..samples(i)).map(|_| random()).collect());
+    let mut random = fastrand::Rng::with_seed(1);
+    let noise = (0..3).map(|i| (0..samples(i)).map(|_| random.u8(..)).collect());
     let (full, noise) = (full.collect(), noise.collect());
     let picture = |planes| Picture::from_planes(width, height, format, colour, planes);
     Ok([("all of the coil's colour", picture(full)?), ("random samples", picture(noise)?)])

@@ -1,5 +1,5 @@
-//! Runs of a whole recording beside bare decoding of it, in turns: frames a second of libav that decodes to nothing, of the
-//! source alone, and of the pipeline with and without the files that `catoptra track` writes.
+//! Runs of a whole recording beside bare decoding of it, in turns: frames a second of libav that decodes to nothing, of
+//! the source alone, and of the pipeline with and without the files that `catoptra track` writes.
 
 use super::median;
 use catoptra::pipeline::{self, End};

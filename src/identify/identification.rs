@@ -1,6 +1,6 @@
 //! The result of an identification.
 
-use super::diagnostics::Diagnostic;
+use super::diagnostic::Diagnostic;
 use super::estimated::{Estimated, Refined};
 use super::fit::{FitError, Kind};
 use super::model::Orders;

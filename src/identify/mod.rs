@@ -8,7 +8,7 @@
 //! ```
 //! [`chain::identify`] runs it; [`export::write`] and [`crate::report::identification`] write what came out. Beside the
 //! models: [`spectrum`] (the response without a model), [`bandwidth`], [`residuals`], [`bootstrap`], [`delay`] (between
-//! the clocks), and [`diagnostics`] (what a user must know before using the numbers).
+//! the clocks), and [`diagnostic`] (what a user must know before using the numbers).
 //!
 //! # Conventions
 //! - `y(t) + a₁ y(t−1) + … = b₀ u(t−nk) + …`: `nk` counts all samples of delay, see [`model`]. An input of a sample is
@@ -52,7 +52,8 @@ pub mod spectrum;
 pub mod uncertainty;
 
 pub mod chain;
-pub mod diagnostics;
+pub mod diagnostic;
+mod diagnostics;
 pub mod export;
 pub mod identification;
 pub mod provenance;

@@ -9,18 +9,12 @@ use super::model::{Orders, Polynomials, all_pole};
 use super::regression::row;
 use super::search::{Criterion, best};
 use super::{instrumental, output_error, search};
+use crate::testing::random::Random;
 use nalgebra::DMatrix;
 
-/// Numbers that look like white noise of variance 1, the same on every machine.
+/// White noise of variance 1.
 pub(crate) fn noise(seed: u64, n: usize) -> Vec<f64> {
-    let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
-    let mut uniform = move || {
-        state ^= state << 13;
-        state ^= state >> 7;
-        state ^= state << 17;
-        (state >> 11) as f64 / (1u64 << 53) as f64
-    };
-    (0..n).map(|_| (0..12).map(|_| uniform()).sum::<f64>() - 6.0).collect()
+    Random::new(seed).normals(n)
 }
 
 fn truth() -> Polynomials {

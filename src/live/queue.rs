@@ -99,8 +99,8 @@ impl Queue {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sink::fixture;
     use crate::source::{Clock, Colour, Picture, PixelFormat, Timestamp};
+    use crate::testing::fixture;
 
     fn frame(seq: u64) -> Frame {
         let picture = Picture::from_planes(1, 1, PixelFormat::Grey, Colour::SRGB, vec![vec![0]]).unwrap();

@@ -11,13 +11,15 @@
 //! top-left pixel. A plane is `n·X = d`.
 
 mod lens;
+mod no_ray;
 mod path;
 mod solve;
 mod surface;
 mod triangulate;
 
 pub use lens::{Lens, LensError};
-pub use path::{NoRay, OpticalPath, Projection, Tracing};
+pub use no_ray::NoRay;
+pub use path::{OpticalPath, Projection, Tracing};
 pub use surface::{Mirror, Plane, PlaneError, Surface, Wall};
 pub use triangulate::{Sighting, Triangulated, triangulate};
 

@@ -5,7 +5,7 @@
 //! to four steps to rounding.
 
 use crate::optics::solve::{self, Connection};
-use crate::optics::{Lens, Ray, RayWithJacobian, Surface};
+use crate::optics::{Lens, NoRay, Ray, RayWithJacobian, Surface};
 use nalgebra::{Matrix2x3, Matrix3x2, Point2, Point3};
 
 /// A lens and the surfaces a camera ray meets, in the order of travel.
@@ -18,30 +18,6 @@ pub struct OpticalPath {
     pub lens: Lens,
     /// From the camera to the marker's medium.
     pub surfaces: Vec<Surface>,
-}
-
-/// Why no ray connects a pixel and a place.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-pub enum NoRay {
-    /// The lens model folds over there: pixel and direction do not belong to each other one to one.
-    #[error("outside the field where the lens model is one-to-one")]
-    Lens,
-    /// The ray runs parallel to a surface or away from it: the path does not lead this way.
-    #[error("the ray does not meet a surface of the path")]
-    MissesSurface,
-    /// A mirror is met from behind, or the point lies behind the last one.
-    #[error("behind the mirror")]
-    BehindMirror,
-    /// The angle is beyond the critical one.
-    #[error("total reflection")]
-    TotalReflection,
-    /// The point lies in front of the last surface, where the path has not ended yet, or (mirrored back, where there are
-    /// mirrors) behind the camera.
-    #[error("the point is not in front of the camera and beyond the last surface of the path")]
-    BeforeLastSurface,
-    /// No ray was found, or the point is not a finite number.
-    #[error("no ray found to this point")]
-    NotConverged,
 }
 
 /// A traced pixel.

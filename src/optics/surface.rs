@@ -5,8 +5,7 @@
 //! Source: Glassner (ed.), "An Introduction to Ray Tracing" (1989), ch. 4; for the flat layers of a tank: Agrawal et al.,
 //! "A theory of multi-layer flat refractive geometry", CVPR 2012, doi:10.1109/CVPR.2012.6248073.
 
-use crate::optics::path::NoRay;
-use crate::optics::{Ray, RayWithJacobian};
+use crate::optics::{NoRay, Ray, RayWithJacobian};
 use nalgebra::{Point3, RowVector2, Vector3};
 
 /// A plane `normal·X = offset_m`, camera frame, metres.

@@ -1,29 +1,9 @@
-//! [`Draft`]: a rig file as far as it has got.
+//! What can be done with a rig file as far as it has got.
 
-use super::{Base, Camera, Catheter, Marker, Rig, RigError, View, file, validate, write};
-use crate::optics::{Lens, Surface};
+use super::{Camera, Draft, Rig, RigError, View, file, validate, write};
+use crate::optics::Lens;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-
-/// A checked rig file of which parts may be missing: `calibrate camera` begins it, each calibration after it reads it and
-/// adds its part. With views, markers and catheter it is a [`Rig`].
-#[derive(Debug, Clone, PartialEq)]
-pub struct Draft {
-    /// Picture size and lens.
-    pub camera: Camera,
-    /// Named surfaces.
-    pub surfaces: BTreeMap<String, Surface>,
-    /// Views, in the file's order; none before the mirror is calibrated.
-    pub views: Vec<View>,
-    /// Markers, in their order along the tube; none before they were picked.
-    pub markers: Vec<Marker>,
-    /// The tube, known with the markers.
-    pub catheter: Option<Catheter>,
-    /// The base frame, once known.
-    pub base: Option<Base>,
-    /// Where the numbers come from: kept as written.
-    pub provenance: toml::Table,
-}
 
 impl Draft {
     /// Of a camera alone.

@@ -21,7 +21,6 @@ mod walk;
 mod warnings;
 mod write;
 
-pub use draft::Draft;
 pub use error::RigError;
 pub(crate) use error::nearest;
 
@@ -43,6 +42,26 @@ pub struct Rig {
     pub markers: Vec<Marker>,
     /// The tube.
     pub catheter: Catheter,
+    /// The base frame, once known.
+    pub base: Option<Base>,
+    /// Where the numbers come from: kept as written.
+    pub provenance: toml::Table,
+}
+
+/// A checked rig file of which parts may be missing: `calibrate camera` begins it, each calibration after it reads it and
+/// adds its part. With views, markers and catheter it is a [`Rig`].
+#[derive(Debug, Clone, PartialEq)]
+pub struct Draft {
+    /// Picture size and lens.
+    pub camera: Camera,
+    /// Named surfaces.
+    pub surfaces: BTreeMap<String, Surface>,
+    /// Views, in the file's order; none before the mirror is calibrated.
+    pub views: Vec<View>,
+    /// Markers, in their order along the tube; none before they were picked.
+    pub markers: Vec<Marker>,
+    /// The tube, known with the markers.
+    pub catheter: Option<Catheter>,
     /// The base frame, once known.
     pub base: Option<Base>,
     /// Where the numbers come from: kept as written.

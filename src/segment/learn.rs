@@ -363,7 +363,7 @@ impl Scores {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::segment::synthetic::samples;
+    use crate::testing::bands::samples;
 
     #[test]
     fn scores_are_one_on_the_marker_and_nought_elsewhere_on_average() {

@@ -24,8 +24,6 @@ pub mod learn;
 mod moments;
 mod scan;
 #[cfg(test)]
-mod synthetic;
-#[cfg(test)]
 mod tests;
 
 pub use learn::{ClassSamples, LearnError, Learned, Separation, learn};

@@ -1,8 +1,8 @@
 //! The stage as a whole, on synthetic pictures.
 
-use super::synthetic::{Band, COLOURS, GREY, Scene, VIDEO, YUV420, models};
 use super::*;
 use crate::source::{ChromaSiting, Colour, PixelFormat};
+use crate::testing::bands::{Band, COLOURS, GREY, Scene, VIDEO, YUV420, models};
 use nalgebra::Vector3;
 use proptest::prelude::*;
 

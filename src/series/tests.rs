@@ -1,7 +1,8 @@
 use super::*;
-use crate::sink::{CsvSink, CurrentSample, McapSink, Sink as _, fixture};
+use crate::sink::{CsvSink, CurrentSample, McapSink, Sink as _};
 use crate::source::HostTime;
 use crate::tally::Tally;
+use crate::testing::fixture;
 use std::fs;
 use tempfile::TempDir;
 

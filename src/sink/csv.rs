@@ -234,7 +234,7 @@ fn decimal_seconds(ns: i64) -> String {
 mod tests {
     use super::*;
     use crate::estimate::{Deflection, Miss, Position, Tangent};
-    use crate::sink::fixture;
+    use crate::testing::fixture;
     use nalgebra::{Matrix3, Point3, UnitQuaternion, Vector3};
 
     const FIRST_LINE: &str = "seq,t_s,stamp_ns,theta_deg,theta_sd_deg,polar_deg,azimuth_deg,\

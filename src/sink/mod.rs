@@ -7,8 +7,6 @@
 //! - [`OverlaySink`]: the recording with what was found drawn into it; [`PictureVideo`]: the pictures themselves.
 
 mod csv;
-#[cfg(test)]
-pub(crate) mod fixture;
 mod mcap;
 
 pub use self::csv::CsvSink;

@@ -112,8 +112,8 @@ impl UdpSink {
 mod tests {
     use super::*;
     use crate::estimate::Miss;
-    use crate::sink::fixture;
     use crate::source::HostTime;
+    use crate::testing::fixture;
     use std::time::Duration;
 
     fn receiver() -> (UdpSocket, UdpSink) {

@@ -191,6 +191,7 @@ pub fn plausible_period_ns(rate: (i32, i32), average: (i32, i32)) -> Option<f64>
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::testing::random::Random;
 
     const MS: i64 = 1_000_000;
 
@@ -203,11 +204,9 @@ mod tests {
         (frame * 1000 + 30) / 60 * MS
     }
 
-    /// Reproducible, uniform in 0..1.
+    /// Uniform in 0..1.
     fn noise(i: i64) -> f64 {
-        let x = (i as u64).wrapping_add(1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
-        let x = (x ^ (x >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        ((x ^ (x >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB) >> 11) as f64 / (1_u64 << 53) as f64
+        Random::new(i as u64).uniform()
     }
 
     #[test]

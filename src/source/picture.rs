@@ -1,7 +1,8 @@
 //! A picture as the camera or decoder delivered it, and how its samples map to places and colours.
 
-use super::reads::Reads;
+use super::Window;
 use nalgebra::{Matrix3, Vector3};
+use std::sync::Mutex;
 
 /// How samples are stored, 8 bits each.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -147,6 +148,14 @@ pub struct Picture {
     colour: Colour,
     storage: Storage,
     pub(super) reads: Reads,
+}
+
+/// What of a picture there is, and what of it was looked at (`reads.rs`).
+#[derive(Debug, Default)]
+pub(super) struct Reads {
+    /// The parts that there are; `None` for all.
+    pub(super) there: Option<Vec<Window>>,
+    pub(super) read: Mutex<Vec<Window>>,
 }
 
 impl std::fmt::Debug for Picture {

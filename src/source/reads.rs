@@ -5,15 +5,7 @@
 //! others are never taken for something that the camera saw: to look there is refused.
 
 use super::{Picture, Window};
-use std::sync::{Mutex, PoisonError};
-
-/// The state of one picture.
-#[derive(Debug, Default)]
-pub(super) struct Reads {
-    /// The parts that there are; `None` for all.
-    there: Option<Vec<Window>>,
-    read: Mutex<Vec<Window>>,
-}
+use std::sync::PoisonError;
 
 /// A part of a picture was wanted that was not recorded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]

@@ -326,7 +326,7 @@ fn median(values: &[f32]) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sink::fixture;
+    use crate::testing::fixture;
 
     #[test]
     fn totals_are_due_every_second_and_count_everything() {

@@ -15,7 +15,7 @@
 //! Cannot represent: specular highlights that move along the tube, shadows with edges across a band, objects in front.
 
 use crate::track::light::{Encoding, gauss};
-use crate::track::tube_image::TubeImage;
+use crate::track::tube_image::{Foot, TubeImage};
 use nalgebra::Vector2;
 use wide::{CmpGt, CmpLt, f32x4};
 
@@ -73,15 +73,6 @@ const P5: f32 = -0.664_405;
 
 /// Beyond this many σ from the tube only background is seen.
 const FAR_SIGMAS: f64 = 4.5;
-
-/// A pixel's place relative to the tube.
-#[derive(Debug, Clone, Copy, Default)]
-pub(crate) struct Foot {
-    /// Knot coordinate of the nearest point of the axis.
-    pub knot: f64,
-    /// Signed distance from the axis, pixels.
-    pub u: f64,
-}
 
 /// What the model predicts of one channel (R, G or B) at a pixel, and its derivatives: all multiplied by the slope of the
 /// transfer function, so that sums with a stored channel's weights are derivatives of stored values. Single precision is a

@@ -3,10 +3,10 @@
 use crate::estimate::Miss;
 use crate::rig::{Rig, View};
 use crate::segment::{Blob, Window};
-use crate::sink::fixture;
 use crate::source::{Clock, Timestamp};
+use crate::testing::fixture;
+use crate::testing::tube::views;
 use crate::track::assign::Assigner;
-use crate::track::drawn::views;
 use nalgebra::{Matrix2, Point2, Point3, Vector3};
 
 /// Base, coil and tip on a tube of 3.2 mm; two views through water, side by side in the picture, 2 px/mm.

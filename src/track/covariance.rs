@@ -4,8 +4,9 @@
 //! neighbours and stronger near edges; and what the image model gets wrong without any residual showing it.
 
 use crate::track::equations::Eliminated;
-use crate::track::fit::{NoFit, TubeFit, ViewFit};
+use crate::track::fit::{TubeFit, ViewFit};
 use crate::track::image_model::ModelError;
+use crate::track::no_fit::NoFit;
 use crate::track::normal::{Normal, Squares};
 use crate::track::round::{Guess, Minimum, Round, shape_prior};
 use crate::track::stretch::Stretch;

@@ -12,6 +12,7 @@
 use crate::optics::OpticalPath;
 use crate::source::Picture;
 use crate::track::image_model::ImageModel;
+use crate::track::no_fit::NoFit;
 use crate::track::patch::Density;
 use crate::track::round::{Guess, Round};
 use crate::track::stretch::Stretch;
@@ -26,17 +27,6 @@ use rayon::prelude::*;
 const SETTLED: f64 = 300.0;
 /// So does the second: what remains after that step is a hundredth.
 const ENOUGH: f64 = 10.0;
-
-/// Why there is no fit.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum NoFit {
-    /// The stretch is not, or not wholly enough, inside a view's picture.
-    OutOfPicture,
-    /// The equations are singular, or the iteration does not settle.
-    NotConverged,
-    /// The picture was recorded in parts, and lacks one.
-    NotRecorded,
-}
 
 /// What one view says about the stretch.
 #[derive(Debug, Clone)]
@@ -89,8 +79,9 @@ pub(crate) fn fit(
 mod tests {
     use super::*;
     use crate::source::{Colour, PixelFormat, Window};
+    use crate::testing::random::Random;
+    use crate::testing::tube::{BLUR_PX, Tube, picture, views};
     use crate::track::appearance::Layout;
-    use crate::track::drawn::{BLUR_PX, Dice, Tube, picture, views};
     use crate::track::image_model::ModelError;
     use crate::track::light::Encoding;
     use nalgebra::{Point3, Vector3};
@@ -124,7 +115,7 @@ mod tests {
     }
 
     fn fit_drawn(tube: &Tube, drawn: &[f64], noise: f64, seed: u64) -> Result<TubeFit, NoFit> {
-        let mut dice = Dice(seed ^ 77);
+        let mut dice = Random::new(seed ^ 77);
         let mut off = || Vector3::new(dice.normal(), dice.normal(), dice.normal());
         let start = TubeShape::straight(tube.centre + off() * 0.15e-3, &(tube.direction + off() * 0.02), 6e-3);
         let paths = views();

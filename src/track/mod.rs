@@ -7,12 +7,11 @@ mod assign_tests;
 mod coil;
 mod compare;
 mod covariance;
-#[cfg(test)]
-pub(crate) mod drawn;
 mod equations;
 mod fit;
 mod image_model;
 mod light;
+mod no_fit;
 mod normal;
 mod patch;
 mod round;

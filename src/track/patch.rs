@@ -5,10 +5,10 @@
 //! sampling.
 
 use crate::source::{Picture, Plane, Window};
-use crate::track::appearance::{BACKGROUND, CAP, FIXED, Foot, Layout, PER_SEGMENT};
-use crate::track::fit::NoFit;
+use crate::track::appearance::{BACKGROUND, CAP, FIXED, Layout, PER_SEGMENT};
 use crate::track::light::Encoding;
-use crate::track::tube_image::TubeImage;
+use crate::track::no_fit::NoFit;
+use crate::track::tube_image::{Foot, TubeImage};
 use nalgebra::{Point2, Vector2, Vector3};
 use std::ops::Range;
 

@@ -3,8 +3,8 @@
 use crate::optics::OpticalPath;
 use crate::source::Picture;
 use crate::track::equations::{Equations, Step};
-use crate::track::fit::NoFit;
 use crate::track::image_model::ImageModel;
+use crate::track::no_fit::NoFit;
 use crate::track::stretch::Stretch;
 use crate::track::tube::{SHAPE, TubeShape};
 use crate::track::tube_image::TubeImage;

@@ -118,7 +118,7 @@ fn group(rig: &Rig, members: Vec<(usize, f64)>, reference: usize) -> Group {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sink::fixture;
+    use crate::testing::fixture;
 
     /// Base, coil and tip of 6, 12 and 6 mm at 6, 85 and 107 mm on a tube of 3.2 mm that ends with the tip.
     fn rig() -> Rig {

@@ -12,9 +12,10 @@ use crate::source::{Frame, Picture, Transfer};
 use crate::track::appearance::{FIXED, PER_SEGMENT};
 use crate::track::assign::{Assigned, Assigner, direction_of_axes};
 use crate::track::coil::deflection;
-use crate::track::fit::{NoFit, TubeFit, fit};
+use crate::track::fit::{TubeFit, fit};
 use crate::track::image_model::{ImageModel, ModelError};
 use crate::track::light::Encoding;
+use crate::track::no_fit::NoFit;
 use crate::track::stretch::{Group, groups};
 use crate::track::tube::TubeShape;
 use crate::track::tube_image::TubeImage;
@@ -371,8 +372,8 @@ fn outline(image: &TubeImage, from_m: f64, to_m: f64) -> Vec<Point2<f64>> {
 mod tests {
     use super::*;
     use crate::rig::ColourModel;
-    use crate::sink::fixture;
-    use crate::track::drawn::{BLUR_PX, Tube, picture, views};
+    use crate::testing::fixture;
+    use crate::testing::tube::{BLUR_PX, Tube, picture, views};
 
     /// Coil and tip are fitted together, but each must stay where it was found.
     #[test]

@@ -3,9 +3,17 @@
 //! Between knots the axis is a cubic (Hermite); widths and derivatives change linearly.
 
 use crate::optics::{NoRay, OpticalPath};
-use crate::track::appearance::Foot;
 use crate::track::tube::{SHAPE, ShapeStep, TubeShape};
 use nalgebra::{Matrix2x3, Point2, SMatrix, Vector2};
+
+/// A pixel's place relative to the tube.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Foot {
+    /// Knot coordinate of the nearest point of the axis.
+    pub knot: f64,
+    /// Signed distance from the axis, pixels.
+    pub u: f64,
+}
 
 /// What of the image moves with the shape: place across the axis, place along it, bulge of the rings.
 pub(crate) const LOCAL: usize = 3;
@@ -223,7 +231,7 @@ mod tests {
     /// Its own sight of a moved tube would change it too, but by a thousandth of what a turn does.
     #[test]
     fn the_rings_bulge_turns_with_the_tube() {
-        let [path, _] = crate::track::drawn::views();
+        let [path, _] = crate::testing::tube::views();
         let shape = TubeShape {
             curvature_up: Vector2::new(5.0, -8.0),
             curvature_down: Vector2::new(-12.0, 4.0),

@@ -3,8 +3,8 @@
 use crate::source::Picture;
 use crate::track::appearance::{CAP, GRADIENT, Layout, SHADING, Scene};
 use crate::track::compare::{Comparison, Noise};
-use crate::track::fit::NoFit;
 use crate::track::image_model::ImageModel;
+use crate::track::no_fit::NoFit;
 use crate::track::normal::{Normal, Squares};
 use crate::track::patch::{Density, Patch};
 use crate::track::stretch::Stretch;

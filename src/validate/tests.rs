@@ -1,6 +1,7 @@
 use super::*;
 use crate::series::{Current, Frame, Place, Recording};
 use crate::sink::OutputFrame;
+use crate::testing::random::Random;
 use nalgebra::{Point3, Rotation3, Vector3};
 use std::f64::consts::TAU;
 use std::fmt::Write as _;
@@ -50,14 +51,10 @@ struct Spoiled {
 
 const CLEAN: Spoiled = Spoiled { noise_m: 0.0, missing: 0.0, seed: 0, run_in: 20 };
 
-fn normal(random: &mut fastrand::Rng) -> f64 {
-    (-2.0 * (1.0 - random.f64()).ln()).sqrt() * (TAU * random.f64()).cos()
-}
-
 /// Four periods of commands, each held for a pause, followed by a first-order lag (exactly, whatever the pause), seen
 /// at 60 Hz.
 fn simulate(of: fn(usize) -> Point3<f64>, pause_s: f64, corner_hz: f64, spoiled: Spoiled) -> Recording {
-    let mut random = fastrand::Rng::with_seed(spoiled.seed);
+    let mut random = Random::new(spoiled.seed);
     let rate = TAU * corner_hz;
     let mut state = of(0);
     let settle = |state: Point3<f64>, to: Point3<f64>, s: f64| to + (state - to) * (-rate * s).exp();
@@ -70,8 +67,8 @@ fn simulate(of: fn(usize) -> Point3<f64>, pause_s: f64, corner_hz: f64, spoiled:
         let began_s = k as f64 * pause_s;
         while frame_s < began_s + pause_s {
             let place = settle(state, of(k), frame_s - began_s);
-            let noise = Vector3::from_fn(|_, _| normal(&mut random)) * spoiled.noise_m;
-            let seen = random.f64() >= spoiled.missing;
+            let noise = Vector3::from_fn(|_, _| random.normal()) * spoiled.noise_m;
+            let seen = random.uniform() >= spoiled.missing;
             frames.push(Frame {
                 seq: frames.len() as u64,
                 stamp_ns: START_NS + (frame_s * 1e9_f64).round() as i64,

@@ -75,8 +75,8 @@ fn nothing_has_become_worse() {
     REACHED_IN_CIRCLE.hold_for(&circle().score);
 }
 
-/// The tank's walls taken out of the paths of the rays, camera and mirror as they are: what a tool that ignores the water
-/// measures. The renderer's author found 7.15 mm, 0.93 mm after alignment and 0.9° with the true pixels.
+/// The tank's walls taken out of the paths of the rays, camera and mirror as they are: what a tool that ignores the
+/// water measures. The renderer's author found 7.15 mm, 0.93 mm after alignment and 0.9° with the true pixels.
 #[test]
 fn rays_taken_for_straight_are_millimetres_off() {
     let mut rig = rig();
@@ -111,7 +111,8 @@ fn rays_taken_for_straight_are_millimetres_off() {
     assert!((0.5..2.0).contains(&tangent_deg));
 }
 
-/// To the last bit, covariances included: the text of a number in `{:?}` is the shortest that reads back as the same one.
+/// To the last bit, covariances included: the text of a number in `{:?}` is the shortest that reads back as the same
+/// one.
 fn assert_same(what: &str, found: &[Estimate], expected: &[Estimate]) {
     for (found, expected) in found.iter().zip(expected) {
         assert_eq!(format!("{found:?}"), format!("{expected:?}"), "{what}, frame {}", expected.seq);

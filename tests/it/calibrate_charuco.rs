@@ -1,4 +1,5 @@
-//! ChArUco boards: OpenCV's own, photographed by OpenCV's own camera or drawn here; what is found against where they are.
+//! ChArUco boards: OpenCV's own, photographed by OpenCV's own camera or drawn here; what is found against where they
+//! are.
 
 use crate::support::board::{Canvas, Placed};
 use crate::support::charuco::{Printed, data};
@@ -74,7 +75,8 @@ const PRINTS: [(&str, &str); 5] = [
     ("4x5_7x7_1000.png", "charuco:4x5:44mm:36mm:DICT_7X7_1000"),
 ];
 
-/// One of [`PRINTS`] drawn into a picture: where its middle is, the size of its squares, how it is turned, mirrored or not.
+/// One of [`PRINTS`] drawn into a picture: where its middle is, the size of its squares, how it is turned, mirrored or
+/// not.
 fn drawn(
     canvas: &mut Canvas,
     print: usize,

@@ -1,5 +1,5 @@
-//! `catoptra calibrate camera` and `calibrate rig` with a ChArUco board, as a user runs them: pictures drawn of a board of
-//! OpenCV's, by a camera with distortion, directly and in a mirror in air, some of them cut off or covered in part.
+//! `catoptra calibrate camera` and `calibrate rig` with a ChArUco board, as a user runs them: pictures drawn of a board
+//! of OpenCV's, by a camera with distortion, directly and in a mirror in air, some of them cut off or covered in part.
 
 use crate::support::board::{Canvas, Placed};
 use crate::support::charuco::Printed;
@@ -42,7 +42,8 @@ fn mirror() -> Plane {
     Plane::new(normal, normal.dot(&Vector3::new(0.15, 0.0, 1.0))).unwrap()
 }
 
-/// The board with its middle at `middle` (metres), turned about x, then y, then z (degrees); as the camera sees it directly or in a mirror.
+/// The board with its middle at `middle` (metres), turned about x, then y, then z (degrees); as the camera sees it
+/// directly or in a mirror.
 fn placed(middle: [f64; 3], turn_deg: [f64; 3], mirror: Option<&Plane>) -> Placed {
     let lens = lens();
     let [x, y, z] = turn_deg.map(f64::to_radians);

@@ -38,7 +38,8 @@ fn sd(found: &Rig) -> [f64; 3] {
     [turns[0].as_float().unwrap(), turns[1].as_float().unwrap(), table["shifted_sd_mm"].as_float().unwrap()]
 }
 
-/// How far the bands of circle.mkv are off, RMS, and after the best rigid alignment, mm; no frame may be missed, nor the views disagree.
+/// How far the bands of circle.mkv are off, RMS, and after the best rigid alignment, mm; no frame may be missed, nor
+/// the views disagree.
 fn circle_with(rig: &Rig) -> [f64; 2] {
     let estimates = track(rig, TrackOptions::default(), frames("circle"));
     let mut drift = Drift::new(rig);

@@ -1,5 +1,5 @@
-//! The page that `catoptra calibrate rig` writes: its numbers are those of the calibration, it needs no network, and it says
-//! when the numbers are not to be relied on. On the board pictures of the sample rig.
+//! The page that `catoptra calibrate rig` writes: its numbers are those of the calibration, it needs no network, and it
+//! says when the numbers are not to be relied on. On the board pictures of the sample rig.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;

@@ -1,7 +1,8 @@
-//! Photographs of a telephone, in air, of a board in front of two mirrors: `catoptra calibrate camera` and `calibrate rig
-//! --mirrors 2` on JPEGs of 12 megapixels with orientation tags, the board small in them and not in every mirror.
+//! Photographs of a telephone, in air, of a board in front of two mirrors: `catoptra calibrate camera` and
+//! `calibrate rig --mirrors 2` on JPEGs of 12 megapixels with orientation tags, the board small in them and not in
+//! every mirror.
 
-use crate::support::rendered::{Scene, pose};
+use crate::support::scene::{Scene, pose};
 use catoptra::calibrate::geometry::{Geometry, tilt_axes};
 use catoptra::optics::{Lens, Mirror, Plane, Surface};
 use catoptra::rig::Draft;

@@ -1,5 +1,5 @@
-//! `catoptra calibrate camera` and `calibrate rig` as a user runs them, on the sample rig's pictures of a board: what they
-//! find against the renderer's truth, and what they refuse. What tracking with it is worth: `sample_rig.rs`.
+//! `catoptra calibrate camera` and `calibrate rig` as a user runs them, on the sample rig's pictures of a board: what
+//! they find against the renderer's truth, and what they refuse. What tracking with it is worth: `sample_rig.rs`.
 
 use crate::support::truth::{file, rig};
 use catoptra::calibrate::geometry::tilt_axes;
@@ -110,8 +110,8 @@ fn the_sample_rig_is_found_within_its_predicted_deviations() {
     let (folder, output) = calibrated(&["--tank", "254x254x267mm"]);
     let found = errors(&Draft::load(&folder.path().join("rig.toml")).unwrap());
     hold("boards in the water alone", &found);
-    // What a covariance computed for exactly these pictures says, with some room: mirror 0.02 to 0.05° and 2.6 mm, walls
-    // 10 mm, principal point 1.8 px.
+    // What a covariance computed for exactly these pictures says, with some room: mirror 0.02 to 0.05° and 2.6 mm,
+    // walls 10 mm, principal point 1.8 px.
     for axis in ["mirror_tilt_0_rad", "mirror_tilt_1_rad"] {
         assert!((0.015..0.07).contains(&sd(&found, axis).to_degrees()));
     }

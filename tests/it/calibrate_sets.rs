@@ -1,7 +1,7 @@
-//! Pictures that are no good: `catoptra calibrate camera` and `calibrate rig` say so, name the file and what would be right,
-//! and leave what there was as it was.
+//! Pictures that are no good: `catoptra calibrate camera` and `calibrate rig` say so, name the file and what would be
+//! right, and leave what there was as it was.
 
-use crate::support::rendered::{Scene, pose};
+use crate::support::scene::{Scene, pose};
 use image::{DynamicImage, GrayImage};
 use nalgebra::Isometry3;
 use std::path::{Path, PathBuf};

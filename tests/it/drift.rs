@@ -56,8 +56,8 @@ fn a_mirror_turned_or_shifted_enough_is_noticed_by_the_views_within_two_seconds(
     assert!(alarm.size_m > 0.4e-3, "{alarm:?}");
 }
 
-/// Two views cannot contradict each other in the plane of camera, mirrored camera and band: such a move of the mirror moves the
-/// answer as a whole. The base band, which is clamped, shows it within a second.
+/// Two views cannot contradict each other in the plane of camera, mirrored camera and band: such a move of the mirror
+/// moves the answer as a whole. The base band, which is clamped, shows it within a second.
 #[test]
 fn what_the_views_do_not_notice_the_base_band_does() {
     for (turn_deg, shift_mm, expected_mm) in [([0.0, 0.3], 0.0, 8.2), ([0.0, 0.0], 3.0, 3.83), ([0.0, 0.0], 1.0, 1.28)]

@@ -1,5 +1,6 @@
 //! What `catoptra identify` says about data and options that cannot be used.
 
+use crate::support::random::Random;
 use std::fmt::Write as _;
 use std::fs;
 use std::path::Path;
@@ -11,11 +12,10 @@ const SECOND: [&str; 4] = ["--order", "2", "--nk", "1"];
 /// Time, input, output; with the cells that `of` makes of them.
 fn table(folder: &Path, name: &str, rows: usize, of: impl Fn(usize, f64, f64, f64) -> [String; 3]) {
     let mut text = "t,u,y\n".to_owned();
-    let (mut y1, mut y2, mut u1, mut seed) = (0.0, 0.0, 0.0, 1_u32);
+    let (mut y1, mut y2, mut u1, mut random) = (0.0, 0.0, 0.0, Random::new(1));
     for k in 0..rows {
         // What no short rule repeats.
-        seed = seed.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-        let u = f64::from(seed >> 8) / f64::from(1 << 23) - 1.0;
+        let u = 2.0 * random.uniform() - 1.0;
         let y = 1.5 * y1 - 0.7 * y2 + u1 + 0.1 * (1.7 * k as f64).sin();
         (y2, y1, u1) = (y1, y, u);
         writeln!(text, "{}", of(k, k as f64 * 0.01, u, y).join(",")).unwrap();

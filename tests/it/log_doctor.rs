@@ -1,4 +1,5 @@
-//! Logs examined by the rules of `mcap doctor` (tests/python/doctor.py): of a live run with windows, of a recording, repaired ones.
+//! Logs examined by the rules of `mcap doctor` (tests/python/doctor.py): of a live run with windows, of a recording,
+//! repaired ones.
 
 use crate::support::command::*;
 use crate::support::python;

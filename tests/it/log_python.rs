@@ -1,5 +1,6 @@
-//! The log read by someone else's code: Python's `mcap` with `mcap-protobuf-support` decodes every message and finds the
-//! numbers of the table. What was logged is made up, with everything in it that a log can hold; track_python.rs has a real one.
+//! The log read by someone else's code: Python's `mcap` with `mcap-protobuf-support` decodes every message and finds
+//! the numbers of the table. What was logged is made up, with everything in it that a log can hold; track_python.rs has
+//! a real one.
 
 use crate::support::fixture;
 use crate::support::python;

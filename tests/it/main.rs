@@ -11,10 +11,11 @@
 #![allow(clippy::print_stdout, reason = "the figures of many tests are worth a look")]
 
 #[path = "../support/mod.rs"]
-#[allow(dead_code, reason = "each of the two programs uses its part")]
+#[allow(dead_code, unused_imports, reason = "each of the two programs uses its part")]
 mod support;
 
 mod accuracy;
+mod architecture;
 mod calibrate_base;
 mod calibrate_board;
 mod calibrate_charuco;
@@ -34,6 +35,7 @@ mod identify_bad_input;
 mod identify_python;
 mod log_doctor;
 mod log_python;
+mod manifest;
 mod optics_dev_tank;
 mod optics_properties;
 mod overlay;
@@ -51,6 +53,3 @@ mod track_bad_input;
 mod track_python;
 mod track_run;
 mod validate;
-
-// The fixture is the library's own, and names its modules so.
-use catoptra::{estimate, optics, rig, source};

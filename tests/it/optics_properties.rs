@@ -1,4 +1,5 @@
-//! What must hold for every rig: over random lenses, mirrors, walls, pixels and points. Draws are keyed by the test's name.
+//! What must hold for every rig: over random lenses, mirrors, walls, pixels and points. Draws are keyed by the test's
+//! name.
 
 use crate::support::optics::{Case, DICE, Element, PATHS, build, reference};
 use catoptra::optics::{Mirror, OpticalPath, Plane, Surface, Wall};
@@ -119,7 +120,8 @@ fn jacobian_of_project_inverts_that_of_trace_and_equals_differences() {
         let seen = case.path.project_with_jacobian(&case.point)?;
         let traced = case.path.trace_with_jacobian(&case.pixel)?;
         let along = traced.ray.nearest(&case.point);
-        // Along the ray the pixel stays; across it, d pixel / d point undoes d point / d pixel. That is all six numbers.
+        // Along the ray the pixel stays; across it, d pixel / d point undoes d point / d pixel. That is all six
+        // numbers.
         let d_point = traced.d_origin + traced.d_direction * along;
         prop_assert!((seen.d_pixel * d_point - Matrix2::identity()).norm() < 1e-9);
         prop_assert!((seen.d_pixel * traced.ray.direction).norm() < 1e-9 * seen.d_pixel.norm());

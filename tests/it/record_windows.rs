@@ -1,4 +1,5 @@
-//! `--record windows`: what the tracker looks at is all it needs, and a log that holds it is tracked again to the same numbers.
+//! `--record windows`: what the tracker looks at is all it needs, and a log that holds it is tracked again to the same
+//! numbers.
 
 use crate::support::command::*;
 use catoptra::estimate::{Estimate, Miss};

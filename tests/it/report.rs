@@ -1,4 +1,5 @@
-//! The report: the numbers given are on the page, nothing is loaded from elsewhere, and runs without answers are reports too.
+//! The report: the numbers given are on the page, nothing is loaded from elsewhere, and runs without answers are
+//! reports too.
 
 use crate::support::synthetic;
 use catoptra::estimate::{Estimate, Miss};

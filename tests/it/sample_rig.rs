@@ -1,4 +1,5 @@
-//! `calibration/dev_tank/rig.toml`, the rig of the sample: that its script makes it, and what it is worth beside the true one.
+//! `calibration/dev_tank/rig.toml`, the rig of the sample: that its script makes it, and what it is worth beside the
+//! true one.
 
 use crate::support::truth;
 use crate::support::truth::score::rms_and_aligned;
@@ -27,8 +28,8 @@ fn leaves(key: String, value: &Value, to: &mut Vec<(String, Value)>) {
     }
 }
 
-/// How far a number may be off on another machine, whose OpenCV may find corners a hundredth of a pixel elsewhere: a twentieth of
-/// σ of the calibration, or what no measurement notices. `None`: no number that means something by itself.
+/// How far a number may be off on another machine, whose OpenCV may find corners a hundredth of a pixel elsewhere: a
+/// twentieth of σ of the calibration, or what no measurement notices. `None`: no number that means something by itself.
 fn tolerance(key: &str) -> Option<f64> {
     // The first that fits counts.
     const BY_KEY: [(&str, f64); 25] = [
@@ -175,7 +176,8 @@ fn worth(run: &Run, own: &Base, exact: &Base) -> Worth {
     }
 }
 
-/// σ of places in the camera frame, all together, that the verdict of this calibration gives (median over the volume), mm.
+/// σ of places in the camera frame, all together, that the verdict of this calibration gives (median over the volume),
+/// mm.
 const PREDICTED_MM: f64 = 1.69;
 /// By how much the calibrated rig may be worse than the true one.
 const WORSE: (f64, f64) = (0.02, 0.05);

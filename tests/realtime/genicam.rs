@@ -55,7 +55,8 @@ unsafe extern "C" {
 /// Called by the fake camera for each picture; its buffer is as long as its payload, though it does not say so yet.
 unsafe extern "C" fn fill(buffer: *mut c_void, camera: *mut c_void, _exposure_us: u32, _gain: u32, _format: u32) {
     let picture = &MOSAICS[FILLED.fetch_add(1, Ordering::Relaxed) % MOSAICS.len()];
-    // SAFETY: buffer and camera are Aravis' own and live while this function runs; no more is written than the buffer holds.
+    // SAFETY: buffer and camera are Aravis' own and live while this function runs; no more is written than the buffer
+    // holds.
     unsafe {
         let size = arv_fake_camera_get_payload(camera).min(picture.len());
         let data = arv_buffer_get_data(buffer, std::ptr::null_mut());

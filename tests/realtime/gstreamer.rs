@@ -1,4 +1,5 @@
-//! GStreamer pipelines: the sample decoded by GStreamer's own elements, made-up pictures of all formats, ends and errors.
+//! GStreamer pipelines: the sample decoded by GStreamer's own elements, made-up pictures of all formats, ends and
+//! errors.
 #![cfg(feature = "gstreamer")]
 
 use crate::support::command::*;

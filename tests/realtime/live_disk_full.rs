@@ -1,6 +1,8 @@
-//! Disks that fill up under a live run: pictures stop first, estimates go on, the user is told, and all that was written is read.
+//! Disks that fill up under a live run: pictures stop first, estimates go on, the user is told, and all that was
+//! written is read.
 //!
-//! A limit on the size of files needs no rights; a small disk of its own (tmpfs) needs root, and is left out, visibly, without.
+//! A limit on the size of files needs no rights; a small disk of its own (tmpfs) needs root, and is left out, visibly,
+//! without.
 
 #![cfg(target_os = "linux")]
 

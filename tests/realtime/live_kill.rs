@@ -1,5 +1,6 @@
-//! `catoptra live` killed at random instants: every frame that was sent to a controller more than a second before is in the
-//! log, and its picture in log or video if those are recorded; `catoptra log repair` makes the log whole. Six instants; `CATOPTRA_KILLS=50` for more.
+//! `catoptra live` killed at random instants: every frame that was sent to a controller more than a second before is in
+//! the log, and its picture in log or video if those are recorded; `catoptra log repair` makes the log whole. Six
+//! instants; `CATOPTRA_KILLS=50` for more.
 
 use crate::support::command::*;
 use std::collections::BTreeSet;
@@ -8,7 +9,8 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-/// Kills a live run after `after` of tracking; frames sent to a controller at least a second before, and all that were sent.
+/// Kills a live run after `after` of tracking; frames sent to a controller at least a second before, and all that were
+/// sent.
 fn killed(place: &Place, folder: &str, after: Duration, more: &[&str]) -> (BTreeSet<u64>, BTreeSet<u64>) {
     let controller = UdpSocket::bind("127.0.0.1:0").unwrap();
     controller.set_read_timeout(Some(Duration::from_secs(30))).unwrap();

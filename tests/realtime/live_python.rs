@@ -1,5 +1,5 @@
-//! A live run as others see it: its topics by a WebSocket client of Python, its datagrams, its log by Python's `mcap`, and
-//! the table of the same recording tracked offline.
+//! A live run as others see it: its topics by a WebSocket client of Python, its datagrams, its log by Python's `mcap`,
+//! and the table of the same recording tracked offline.
 
 use crate::support::command::*;
 use crate::support::python;

@@ -177,7 +177,8 @@ fn a_folder_that_is_not_there_is_an_error_that_names_the_file() {
     assert!(error.to_string().starts_with("cannot write /no/such/folder/run.mcap: No such file"), "{error}");
 }
 
-/// A pipe whose reader goes away is a disk that is lost halfway. Every later call says so; nothing panics, not even drop.
+/// A pipe whose reader goes away is a disk that is lost halfway. Every later call says so; nothing panics, not even
+/// drop.
 #[test]
 fn a_disk_lost_in_the_middle_is_told_by_every_call() {
     let folder = tempfile::tempdir().unwrap();

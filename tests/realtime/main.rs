@@ -12,7 +12,7 @@
 #![allow(clippy::print_stdout, reason = "the figures of many tests are worth a look")]
 
 #[path = "../support/mod.rs"]
-#[allow(dead_code, reason = "each of the two programs uses its part")]
+#[allow(dead_code, unused_imports, reason = "each of the two programs uses its part")]
 mod support;
 
 mod calibrate_interrupt;
@@ -29,6 +29,3 @@ mod log_crash;
 mod publish;
 mod track_interrupt;
 mod v4l2;
-
-// The fixture is the library's own, and names its modules so.
-use catoptra::{estimate, optics, rig, source};

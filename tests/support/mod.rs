@@ -1,14 +1,14 @@
 //! What tests share: samples and their truth, pictures and runs that are made up, the command as a user runs it.
 
-pub(crate) mod board;
 pub(crate) mod charuco;
 pub(crate) mod command;
 pub(crate) mod encode;
-#[path = "../../src/sink/fixture.rs"]
-pub(crate) mod fixture;
 pub(crate) mod moved_mirror;
 pub(crate) mod optics;
 pub(crate) mod python;
-pub(crate) mod rendered;
 pub(crate) mod synthetic;
 pub(crate) mod truth;
+
+#[path = "../../src/testing/mod.rs"]
+mod testing;
+pub(crate) use testing::{board, fixture, random, scene};

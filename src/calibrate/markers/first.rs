@@ -137,3 +137,88 @@ fn why(rig: &Rig, marker: &Marker, miss: &Miss) -> String {
         _ => format!("what is there does not look like {band}: are length and diameter right?"),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::calibrate::markers::locate::{Look, Size};
+    use crate::segment::Segmenter;
+    use crate::source::{Clock, Colour, Picture, PixelFormat, Timestamp};
+    use crate::testing::fixture;
+    use nalgebra::{Point2, Point3, Vector2, Vector3};
+
+    /// A white tube with three bands, 7 px wide, in 4:2:0; its edges are as soft as a lens makes them.
+    fn hanging_on(ground: [f64; 3]) -> Frame {
+        const SIZE: [usize; 2] = [120, 280];
+        let albedo = |y: f64| match y {
+            30.0..43.0 => [0.45, 0.33, 0.04],
+            190.0..215.0 => [0.04, 0.22, 0.06],
+            242.0..255.0 => [0.04, 0.08, 0.35],
+            _ => [0.62, 0.62, 0.63],
+        };
+        let encode = |light: f64| (1.055 * light.powf(1.0 / 2.4) - 0.055) * 255.0;
+        let rgb = |x: usize, y: usize| {
+            let mut light = [0.0; 3];
+            for k in 0..64 {
+                let at = |i: usize, k: usize| i as f64 + (k as f64 + 0.5) / 4.0 - 1.0;
+                let (px, py) = (at(x, k % 8), at(y, k / 8));
+                let seen = if (px - 60.2).abs() < 3.5 && (20.0..255.0).contains(&py) { albedo(py) } else { ground };
+                light.iter_mut().zip(seen).for_each(|(sum, v)| *sum += 0.6 * v / 64.0);
+            }
+            light.map(encode)
+        };
+        let format = PixelFormat::Yuv { chroma_log2: [1, 1] };
+        let plane = |channel: usize| {
+            let step = if channel == 0 { 1 } else { 2 };
+            let (weights, constant) = Colour::SRGB.channel_from_rgb(format, channel);
+            let stored = |x, y| rgb(x, y).iter().zip(weights).map(|(v, w)| v * w).sum::<f64>() + constant;
+            let mean = |x: usize, y: usize| {
+                let near = (0..step * step).map(|k| stored(x * step + k % step, y * step + k / step));
+                (near.sum::<f64>() / (step * step) as f64).round() as u8
+            };
+            (0..SIZE[1] / step)
+                .flat_map(|y| (0..SIZE[0] / step).map(move |x| (x, y)))
+                .map(|(x, y)| mean(x, y))
+                .collect()
+        };
+        let planes = (0..3).map(plane).collect();
+        let picture = Picture::from_planes(SIZE[0] as u32, SIZE[1] as u32, format, Colour::SRGB, planes).unwrap();
+        Frame { seq: 0, stamp: Timestamp { ns: 0, clock: Clock::Container }, gap: 0, host: None, picture }
+    }
+
+    /// On a dark ground a band's blob reaches into the tube beside it; learning from it must not draw the tube in.
+    #[test]
+    fn bands_stay_bands_whatever_they_hang_before() {
+        for ground in [[0.02, 0.02, 0.018], [0.13, 0.13, 0.12], [0.4, 0.39, 0.36]] {
+            let frame = hanging_on(ground);
+            let mut rig = fixture::rig();
+            rig.views.truncate(1);
+            let candidate = |y: f64, length: f64| {
+                let look = Look {
+                    centre: Point2::new(60.0, y),
+                    axis: Vector2::y(),
+                    size: Size { length, width: 7.0 },
+                    score: 1.0,
+                    colour: Vector3::zeros(),
+                    ends: [Vector3::zeros(); 2],
+                    grounds: [Vector3::zeros(); 2],
+                };
+                Candidate { point: Point3::origin(), looks: vec![Some(look)], score: 1.0 }
+            };
+            // As far off as a band is located.
+            let located = [candidate(37.5, 11.0), candidate(201.0, 22.0), candidate(248.0, 12.0)];
+            learn_located(&mut rig, &located, &frame).unwrap();
+            for marker in &rig.markers {
+                let white = marker.colour(0).unwrap().score(&Vector3::repeat(190.0));
+                assert!(white < 0.3, "{ground:?}: the tube scores {white:.2} as `{}`", marker.name);
+            }
+            let mut segmenter = Segmenter::for_rig(&rig).unwrap();
+            let blobs = segmenter.all_blobs(&frame.picture).unwrap();
+            let found: Vec<(usize, u32, u32)> = blobs.iter().map(|b| (b.marker, b.bounds.y0, b.bounds.y1)).collect();
+            assert_eq!(found.len(), 3, "{ground:?}: {found:?}");
+            for ((m, low, high), (from, to)) in found.into_iter().zip([(30, 43), (190, 215), (242, 255)]) {
+                assert!(low + 4 >= from && high <= to + 4, "{ground:?}: marker {m} from {low} to {high}");
+            }
+        }
+    }
+}

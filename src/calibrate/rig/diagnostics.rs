@@ -173,6 +173,7 @@ mod tests {
     use crate::calibrate::bundle::tests::bundle;
     use crate::calibrate::geometry::Parameter;
     use crate::calibrate::geometry::tests::geometry;
+    use crate::testing::random::Random;
 
     /// Against solving without what was given: the difference of the two answers by their deviations together.
     #[test]
@@ -205,11 +206,8 @@ mod tests {
 
     #[test]
     fn what_neighbours_have_in_common_is_told_from_noise() {
-        let mut state = 1_u64;
-        let mut noise = move || {
-            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-            ((state >> 33) as f64 / (1_u64 << 31) as f64 - 0.5) * 0.2
-        };
+        let mut random = Random::new(1);
+        let mut noise = move || (random.uniform() - 0.5) * 0.2;
         let mut field = |common: f64| -> Vec<(Point2<f64>, Vector2<f64>)> {
             let at = |i: usize| Point2::new(100.0 + (i % 30) as f64 * 10.0, 50.0 + (i / 30) as f64 * 10.0);
             let bent = |p: &Point2<f64>| Vector2::new((p.x / 60.0).sin(), 0.0) * common;

@@ -93,7 +93,7 @@ fn on_picture(pixel: &Pixel<f64>) -> Point2 {
 mod tests {
     use super::*;
     use crate::estimate::Miss;
-    use crate::sink::fixture;
+    use crate::testing::fixture;
 
     #[test]
     fn intrinsics_are_the_lens_own() {

@@ -189,7 +189,7 @@ pub(super) fn timestamp(stamp_ns: i64) -> Timestamp {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sink::fixture;
+    use crate::testing::fixture;
 
     #[test]
     fn the_base_frame_is_added_to_the_camera_frame() {

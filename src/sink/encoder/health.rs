@@ -28,8 +28,8 @@ pub(super) fn health(names: &Names, totals: &Totals, pictures: Option<&PictureCo
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sink::fixture;
     use crate::tally::Tally;
+    use crate::testing::fixture;
 
     #[test]
     fn a_message_has_all_the_counts_and_alarms() {

@@ -143,7 +143,7 @@ fn quaternion(rotation: &UnitQuaternion<f64>) -> Quaternion {
 mod tests {
     use super::*;
     use crate::estimate::Miss;
-    use crate::sink::fixture;
+    use crate::testing::fixture;
 
     fn turn(q: &Quaternion) -> UnitQuaternion<f64> {
         UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(q.w, q.x, q.y, q.z))

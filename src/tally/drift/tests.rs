@@ -3,8 +3,8 @@
 
 use super::*;
 use crate::estimate::Miss;
-use crate::sink::fixture;
-use crate::track::drawn::Dice;
+use crate::testing::fixture;
+use crate::testing::random::Random;
 use nalgebra::{Vector2, Vector3};
 
 /// A run with residuals of mean ± `mean` in the two views and correlated noise; alarms as (frame, alarm).
@@ -14,7 +14,7 @@ fn alarms(frames: u64, change: impl FnMut(&mut Estimate, f64)) -> (Drift, Vec<Dr
 
 fn alarms_of(rig: &Rig, frames: u64, mut change: impl FnMut(&mut Estimate, f64)) -> (Drift, Vec<DriftAlarm>) {
     let mut drift = Drift::new(rig);
-    let mut dice = Dice(3);
+    let mut dice = Random::new(3);
     let mut noise = 0.0;
     let told = (0..frames)
         .flat_map(|seq| {

@@ -34,8 +34,8 @@ pub(crate) const DICE: usize = 32;
 /// Builds a case from dice; `None` when they describe no valid one (lens folded over, total reflection, or a ray that
 /// leaves a wall at more than 85°).
 ///
-/// Lens: 800 to 3500 px, distortion up to a quarter. Mirrors are met at up to 70° from their normal, walls at up to 75°;
-/// panes are up to 15 mm thick, indices 1.4 to 1.8 (pane) and 1 to 1.5 (inside).
+/// Lens: 800 to 3500 px, distortion up to a quarter. Mirrors are met at up to 70° from their normal, walls at up to
+/// 75°; panes are up to 15 mm thick, indices 1.4 to 1.8 (pane) and 1 to 1.5 (inside).
 pub(crate) fn build(elements: &[Element], dice: &[f64; DICE]) -> Option<Case> {
     let mut dice = dice.iter();
     let mut draw = |low: f64, high: f64| low + (high - low) * dice.next().expect("enough dice");

@@ -1,6 +1,6 @@
-//! The optics a second time, by other means and sharing no code with the library: Snell by the sines of the angles, with
-//! complex numbers so that derivatives come by the complex step (exact to rounding: no difference is taken); and the path
-//! of least optical length (Fermat), found without Snell.
+//! The optics a second time, by other means and sharing no code with the library: Snell by the sines of the angles,
+//! with complex numbers so that derivatives come by the complex step (exact to rounding: no difference is taken); and
+//! the path of least optical length (Fermat), found without Snell.
 
 use super::{Case, Element};
 use catoptra::optics::{Lens, Surface};
@@ -70,8 +70,8 @@ pub(crate) fn trace(elements: &[Element], case: &Case, x: C, y: C) -> (Vec3, Vec
     (o, d)
 }
 
-/// Where a point is seen, by the least optical length over the points where the path crosses the interfaces. Mirrors are
-/// unfolded: everything behind one is replaced by its image, and the path goes straight on.
+/// Where a point is seen, by the least optical length over the points where the path crosses the interfaces. Mirrors
+/// are unfolded: everything behind one is replaced by its image, and the path goes straight on.
 pub(crate) fn project(elements: &[Element], case: &Case) -> Point2<f64> {
     let mut end = case.point;
     let mut later: Vec<(Vector3<f64>, f64, f64, f64)> = Vec::new();
@@ -91,8 +91,8 @@ pub(crate) fn project(elements: &[Element], case: &Case) -> Point2<f64> {
     Point2::new(u.re, v.re)
 }
 
-/// The crossing points of the shortest optical path from the origin through flat interfaces to `end`: Newton on a convex
-/// function with a backtracking line search.
+/// The crossing points of the shortest optical path from the origin through flat interfaces to `end`: Newton on a
+/// convex function with a backtracking line search.
 fn least_path(faces: &[(Vector3<f64>, f64, f64, f64)], end: &Point3<f64>) -> Vec<Point3<f64>> {
     let count = faces.len();
     let frames: Vec<(Point3<f64>, Vector3<f64>, Vector3<f64>)> = faces

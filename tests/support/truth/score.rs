@@ -70,8 +70,8 @@ pub(crate) struct Score {
     pub(crate) tangent_deg: Errors<2>,
     /// Degrees, of the signed θ.
     pub(crate) theta_deg: Errors<1>,
-    /// Degrees, of what the truth calls theta: signed in planar.mkv, unsigned (the polar angle) elsewhere. With the σ of the
-    /// tangent, which is that of an angle in any direction.
+    /// Degrees, of what the truth calls theta: signed in planar.mkv, unsigned (the polar angle) elsewhere. With the σ
+    /// of the tangent, which is that of an angle in any direction.
     pub(crate) truth_theta_deg: Errors<1>,
     /// Each view's own centres, pixels along and across the band; by marker and view.
     views_px: [Vec<Errors<2>>; 3],

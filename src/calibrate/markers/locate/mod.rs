@@ -15,7 +15,7 @@ pub(crate) mod candidates;
 pub(crate) mod pixels;
 mod template;
 
-pub(crate) use template::Look;
+pub(crate) use template::{Look, Size};
 
 use crate::rig::Rig;
 use between::tube_between;

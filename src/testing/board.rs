@@ -1,5 +1,6 @@
 //! Draws pictures of chessboards in perspective, with exact corners.
 
+use super::random::Random;
 use catoptra::calibrate::board::Board;
 use catoptra::calibrate::board::grey::Grey;
 use nalgebra::{Matrix3, Point2, Rotation3, Vector3};
@@ -19,8 +20,8 @@ pub(crate) struct Placed {
 }
 
 impl Placed {
-    /// Seen by a pinhole of `focal_px`: the middle of the board at `middle_px`, its squares about `square_px` large there,
-    /// turned about the board's x, y and z axes (degrees, in this order), seen in a mirror or not.
+    /// Seen by a pinhole of `focal_px`: the middle of the board at `middle_px`, its squares about `square_px` large
+    /// there, turned about the board's x, y and z axes (degrees, in this order), seen in a mirror or not.
     pub(crate) fn new(board: &str, middle_px: [f64; 2], square_px: f64, turn_deg: [f64; 3], mirrored: bool) -> Self {
         let board: Board = board.parse().unwrap();
         let focal_px = 60.0 * square_px;
@@ -156,16 +157,9 @@ impl Canvas {
 
     /// Noise of this standard deviation, the same each time.
     pub(crate) fn noisy(mut self, sd: f64) -> Self {
-        let mut state = 0x2545_f491_4f6c_dd1d_u64;
-        let mut uniform = || {
-            state ^= state << 13;
-            state ^= state >> 7;
-            state ^= state << 17;
-            (state >> 11) as f64 / (1_u64 << 53) as f64 - 0.5
-        };
+        let mut random = Random::new(1);
         for value in &mut self.samples {
-            // Four uniform numbers: variance 1/3.
-            *value += sd * 3_f64.sqrt() * (0..4).map(|_| uniform()).sum::<f64>();
+            *value += sd * random.normal();
         }
         self
     }

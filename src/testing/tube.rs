@@ -1,13 +1,13 @@
-//! Pictures of a straight banded tube for tests, drawn by casting rays at a cylinder: shares nothing with the image model
-//! but the optics.
+//! Pictures of a straight banded tube for tests, drawn by casting rays at a cylinder: shares nothing with the image
+//! model but the optics.
 
-use crate::optics::{Lens, Mirror, OpticalPath, Plane, Surface, Wall};
-use crate::source::{Colour, Picture, PixelFormat};
-use crate::track::light::Encoding;
+use super::random::Random;
+use catoptra::optics::{Lens, Mirror, OpticalPath, Plane, Surface, Wall};
+use catoptra::source::{Colour, Picture, PixelFormat};
 use nalgebra::{Point2, Point3, Vector2, Vector3};
 
 /// A straight tube that ends at `end_m`; bands are (from, to, light) along it, the rest is white.
-pub(super) struct Tube {
+pub(crate) struct Tube {
     pub centre: Point3<f64>,
     pub direction: Vector3<f64>,
     pub radius_m: f64,
@@ -23,11 +23,11 @@ const SIZE: u32 = 160;
 const FINE: usize = 4;
 /// How far left of the optical axis the mirror shows the tube.
 const IN_MIRROR_PX: f64 = 100.0;
-pub(super) const BLUR_PX: f64 = 0.55;
+pub(crate) const BLUR_PX: f64 = 0.55;
 
 /// Two views, side by side in one small picture: through a wall into water, and by a mirror in it. (Each has its own
 /// principal point, so that they lie beside each other.)
-pub(super) fn views() -> [OpticalPath; 2] {
+pub(crate) fn views() -> [OpticalPath; 2] {
     let lens = |x| Lens {
         focal_px: Vector2::new(2700.0, 2700.0),
         principal_point_px: Point2::new(x, 79.5),
@@ -77,7 +77,7 @@ impl Tube {
     }
 
     /// Both views without noise: stored R', G', B' of each pixel.
-    pub(super) fn draw(&self, paths: &[OpticalPath; 2]) -> Vec<f64> {
+    pub(crate) fn draw(&self, paths: &[OpticalPath; 2]) -> Vec<f64> {
         let (width, fine) = (2 * SIZE as usize * FINE, SIZE as usize * FINE);
         let place = |i: usize| (i as f64 + 0.5) / FINE as f64 - 0.5;
         let lights: Vec<[f64; 3]> = (0..width * fine)
@@ -87,7 +87,6 @@ impl Tube {
                 path.trace(&pixel).map_or(BACKGROUND, |ray| self.light(ray.origin, ray.direction))
             })
             .collect();
-        let encoding = Encoding::new(Colour::SRGB.transfer);
         let reach = (3.0 * BLUR_PX * FINE as f64).ceil() as usize;
         // The lens blurs rows, then columns.
         let blur = |light: &[[f64; 3]], step: usize, count: usize, at: usize, along: usize| {
@@ -105,33 +104,20 @@ impl Tube {
             (0..fine * columns).map(|i| blur(&lights, 1, width, i / columns * width, i % columns)).collect();
         (0..SIZE as usize * columns)
             .flat_map(|i| blur(&rows, columns, fine, i % columns, i / columns))
-            .map(|light| f64::from(encoding.encode(light as f32).0))
+            .map(encoded)
             .collect()
     }
 }
 
 /// A picture of drawn values with Gaussian noise of `noise` stored units.
-pub(super) fn picture(drawn: &[f64], noise: f64, seed: u64) -> Picture {
-    let mut dice = Dice(seed);
-    let bytes = drawn.iter().map(|v| (v + noise * dice.normal()).round().clamp(0.0, 255.0) as u8).collect();
+pub(crate) fn picture(drawn: &[f64], noise: f64, seed: u64) -> Picture {
+    let mut random = Random::new(seed);
+    let bytes = drawn.iter().map(|v| (v + noise * random.normal()).round().clamp(0.0, 255.0) as u8).collect();
     let format = PixelFormat::RgbPacked { step: 3, order: [0, 1, 2] };
     Picture::from_planes(2 * SIZE, SIZE, format, Colour::SRGB, vec![bytes]).unwrap()
 }
 
-/// A small generator of reproducible noise (splitmix64).
-pub(crate) struct Dice(pub u64);
-
-impl Dice {
-    fn uniform(&mut self) -> f64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
-    }
-
-    /// Sum of twelve uniform numbers less six: variance 1, near enough to normal.
-    pub(crate) fn normal(&mut self) -> f64 {
-        (0..12).map(|_| self.uniform()).sum::<f64>() - 6.0
-    }
+/// Light (0 black, 1 white) as sRGB stores it.
+fn encoded(light: f64) -> f64 {
+    255.0 * if light <= 0.003_130_8 { 12.92 * light } else { 1.055 * light.powf(1.0 / 2.4) - 0.055 }
 }

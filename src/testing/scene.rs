@@ -1,5 +1,6 @@
 //! Draws pictures of a chessboard as a rig shows it: through its lens, in its mirrors, through its glass and water.
 
+use super::random::Random;
 use catoptra::calibrate::board::Board;
 use catoptra::calibrate::geometry::Geometry;
 use catoptra::optics::{OpticalPath, Surface};
@@ -82,16 +83,9 @@ impl Scene {
         for view in (0..self.geometry.views.len()).rev() {
             self.draw(&mut samples, view, pose);
         }
-        let mut state = seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1;
-        let mut noise = || {
-            state ^= state << 13;
-            state ^= state >> 7;
-            state ^= state << 17;
-            // Four uniform numbers of 16 bits: variance 1/3.
-            let sum: u64 = (0..4).map(|i| (state >> (16 * i)) & 0xffff).sum();
-            (sum as f64 / 65535.0 - 2.0) * 3_f64.sqrt()
-        };
-        let bytes = samples.iter().map(|v| (f64::from(*v) + self.noise * noise()).round().clamp(0.0, 255.0) as u8);
+        let mut random = Random::new(seed);
+        let bytes =
+            samples.iter().map(|v| (f64::from(*v) + self.noise * random.normal()).round().clamp(0.0, 255.0) as u8);
         image::GrayImage::from_raw(self.size_px[0], self.size_px[1], bytes.collect()).unwrap()
     }
 
@@ -200,7 +194,8 @@ impl Scene {
     }
 }
 
-/// Pose of a board's middle, metres, turned about its own x, then y, then z, degrees; without a turn it faces the camera.
+/// Pose of a board's middle, metres, turned about its own x, then y, then z, degrees; without a turn it faces the
+/// camera.
 pub(crate) fn pose(middle_m: [f64; 3], turn_deg: [f64; 3]) -> Isometry3<f64> {
     let [x, y, z] = turn_deg.map(f64::to_radians);
     let turn = Rotation3::from_axis_angle(&Vector3::z_axis(), z)

@@ -1,9 +1,9 @@
-//! A rig and a made-up run, for the tests of the sinks (those in `tests/` include this file).
+//! A rig and a made-up run.
 
-use crate::estimate::{BandObservation, Deflection, Estimate, MarkerEstimate, Miss, Position, Tangent};
-use crate::optics::{Lens, OpticalPath};
-use crate::rig::{Base, Camera, Catheter, ColourModel, Marker, Rig, View};
-use crate::source::{Clock, Timestamp};
+use catoptra::estimate::{BandObservation, Deflection, Estimate, MarkerEstimate, Miss, Position, Tangent};
+use catoptra::optics::{Lens, OpticalPath};
+use catoptra::rig::{Base, Camera, Catheter, ColourModel, Marker, Rig, View};
+use catoptra::source::{Clock, Timestamp};
 use nalgebra::{Isometry3, Matrix2, Matrix3, Point2, Point3, Translation3, UnitQuaternion, Vector2, Vector3};
 
 /// Markers base, coil (no colour learned) and tip, views direct and mirror, a base frame that is turned and moved.

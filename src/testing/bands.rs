@@ -1,23 +1,24 @@
 //! Pictures for tests: rotated rectangles of colour, coverage by supersampling, stored in any format, with noise.
 
-use crate::rig::ColourModel;
-use crate::segment::{ClassSamples, learn};
-use crate::source::{ChromaSiting, Colour, Matrix, Picture, PixelFormat, Range, Transfer};
+use super::random::Random;
+use catoptra::rig::ColourModel;
+use catoptra::segment::{ClassSamples, learn};
+use catoptra::source::{ChromaSiting, Colour, Matrix, Picture, PixelFormat, Range, Transfer};
 use nalgebra::{Point2, Vector2, Vector3};
 
-pub(super) const YUV420: PixelFormat = PixelFormat::Yuv { chroma_log2: [1, 1] };
+pub(crate) const YUV420: PixelFormat = PixelFormat::Yuv { chroma_log2: [1, 1] };
 
-pub(super) const VIDEO: Colour =
+pub(crate) const VIDEO: Colour =
     Colour { matrix: Matrix::Bt709, range: Range::Limited, transfer: Transfer::Bt709, siting: ChromaSiting::Left };
 
 /// Yellow, green and blue: base, coil, tip.
-pub(super) const COLOURS: [[f64; 3]; 3] = [[200.0, 160.0, 40.0], [40.0, 140.0, 70.0], [50.0, 80.0, 190.0]];
+pub(crate) const COLOURS: [[f64; 3]; 3] = [[200.0, 160.0, 40.0], [40.0, 140.0, 70.0], [50.0, 80.0, 190.0]];
 
-pub(super) const GREY: [f64; 3] = [110.0, 110.0, 112.0];
+pub(crate) const GREY: [f64; 3] = [110.0, 110.0, 112.0];
 
 /// A rotated rectangle.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Band {
+pub(crate) struct Band {
     pub centre: Point2<f64>,
     pub angle: f64,
     pub length: f64,
@@ -26,11 +27,11 @@ pub(super) struct Band {
 }
 
 impl Band {
-    pub(super) fn new(marker: usize, x: f64, y: f64, angle: f64, length: f64, width: f64) -> Self {
+    pub(crate) fn new(marker: usize, x: f64, y: f64, angle: f64, length: f64, width: f64) -> Self {
         Self { centre: Point2::new(x, y), angle, length, width, rgb: COLOURS[marker] }
     }
 
-    pub(super) fn axis(&self) -> Vector2<f64> {
+    pub(crate) fn axis(&self) -> Vector2<f64> {
         Vector2::new(self.angle.cos(), self.angle.sin())
     }
 
@@ -41,7 +42,7 @@ impl Band {
 }
 
 /// A picture in R'G'B'.
-pub(super) struct Scene {
+pub(crate) struct Scene {
     pub width: usize,
     pub height: usize,
     pub rgb: Vec<Vector3<f64>>,
@@ -49,7 +50,7 @@ pub(super) struct Scene {
 
 impl Scene {
     /// Bands before a background that is a little darker on the left.
-    pub(super) fn new(width: usize, height: usize, bands: &[Band]) -> Self {
+    pub(crate) fn new(width: usize, height: usize, bands: &[Band]) -> Self {
         const FINE: usize = 8;
         let mut rgb = Vec::with_capacity(width * height);
         for y in 0..height {
@@ -75,18 +76,11 @@ impl Scene {
     }
 
     /// Gaussian noise on all channels, always the same for a seed.
-    pub(super) fn noisy(mut self, sd: f64, seed: u64) -> Self {
-        let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
-        let mut uniform = || {
-            state ^= state << 13;
-            state ^= state >> 7;
-            state ^= state << 17;
-            (state >> 11) as f64 / (1_u64 << 53) as f64
-        };
+    pub(crate) fn noisy(mut self, sd: f64, seed: u64) -> Self {
+        let mut random = Random::new(seed);
         for pixel in &mut self.rgb {
             for channel in pixel.iter_mut() {
-                // The sum of twelve uniform numbers has variance 1.
-                *channel += sd * ((0..12).map(|_| uniform()).sum::<f64>() - 6.0);
+                *channel += sd * random.normal();
             }
         }
         self
@@ -99,7 +93,7 @@ impl Scene {
     }
 
     /// The scene as a camera or decoder would store it.
-    pub(super) fn stored(&self, format: PixelFormat, colour: Colour) -> Picture {
+    pub(crate) fn stored(&self, format: PixelFormat, colour: Colour) -> Picture {
         let value = |channel: usize, rgb: Vector3<f64>| {
             let (w, c) = colour.channel_from_rgb(format, channel);
             (Vector3::from(w).dot(&rgb) + c).round().clamp(0.0, 255.0) as u8
@@ -145,7 +139,7 @@ impl Scene {
 }
 
 /// Samples of the three colours, of white and of grey, shaded and noisy.
-pub(super) fn samples() -> Vec<ClassSamples> {
+pub(crate) fn samples() -> Vec<ClassSamples> {
     let class = |name: &str, is_marker: bool, colour: [f64; 3]| ClassSamples {
         name: name.into(),
         is_marker,
@@ -166,6 +160,6 @@ pub(super) fn samples() -> Vec<ClassSamples> {
     ]
 }
 
-pub(super) fn models() -> Vec<ColourModel> {
+pub(crate) fn models() -> Vec<ColourModel> {
     learn(&samples()).unwrap().models
 }
