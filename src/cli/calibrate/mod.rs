@@ -41,11 +41,11 @@ Example:
     Rig(rig::RigArgs),
     /// Learn the marker bands from a recording and a click near each band
     #[command(after_help = "\
-A click may be 5 pixels beside the band, in any view and frame; the other views are found through
-mirror and glass. Measures colours in each view, places on the tube, blur of the lens and offset of
-the colour samples, and writes them into the rig file (the old one is kept as RIG.toml.bak, .bak2, …).
+A click may be 5 pixels beside the band, in any view and frame; its size and place find it
+in the others. Measures colours in each view, places on the tube, blur of the lens, offset of the
+colour samples, and writes them into the rig file; the old one is kept as RIG.toml.bak, .bak2, …
 RIG.markers.html shows what was seen, after a failure too. Exit code 3: a band is not found, or its
-colour cannot be told from another's or from what surrounds it.
+colour cannot be told from another's.
 Example:
   catoptra calibrate markers sample_frames/planar.mkv --rig calibration/dev_tank/rig.toml \\
     --tube 3.2mm --pick base@431,408:6mm --pick coil@431,565:12mm --pick tip@430,607:6mm \\

@@ -15,7 +15,9 @@ pub(crate) mod candidates;
 pub(crate) mod pixels;
 mod template;
 
-pub(crate) use template::{Look, Size};
+pub(crate) use template::Look;
+#[cfg(test)]
+pub(crate) use template::Size;
 
 use crate::rig::Rig;
 use between::tube_between;
