@@ -96,6 +96,8 @@ pub mod series;
 
 pub mod excite;
 
+pub mod catheter;
+
 pub mod identify;
 
 pub mod validate;

@@ -29,6 +29,9 @@ pub(super) fn completions(args: &CompletionsArgs) -> Result<(), Failure> {
 
 pub(super) fn man(args: &ManArgs) -> Result<(), Failure> {
     let folder = &args.folder;
+    if folder.is_file() {
+        return Err(Failure::new(Exit::Usage, format!("{}: is a file; give a folder", folder.display())));
+    }
     std::fs::create_dir_all(folder)
         .and_then(|()| clap_mangen::generate_to(Cli::command().disable_help_subcommand(true), folder))
         .map_err(|e| Failure::new(Exit::Failed, format!("cannot write manual pages to {}: {e}", folder.display())))?;

@@ -189,7 +189,9 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     let spectrum = Spectrum::of(&made.signal);
     save(&common.out, &made.signal.table(&common.coils))?;
     if let Some(page) = &page {
-        let text = excitation::page(&made.info, &made.signal, &spectrum, &made.clipped);
+        let settings = [made.info.settings.as_slice(), &provenance::of_this_run()].concat();
+        let info = ExcitationInfo { settings, ..made.info.clone() };
+        let text = excitation::page(&info, &made.signal, &spectrum, &made.clipped);
         save(page, &text)?;
     }
     if quiet { Ok(()) } else { output::print(&summary(&made, &spectrum, &common.out, page.as_deref())) }
@@ -229,7 +231,7 @@ impl Common {
     }
 
     fn info(&self, kind: &str, band_hz: Option<(f64, f64)>, settings: Vec<(String, String)>) -> ExcitationInfo {
-        let settings = settings.into_iter().chain(self.settings()).chain(provenance::of_this_run()).collect();
+        let settings = settings.into_iter().chain(self.settings()).collect();
         ExcitationInfo { table: self.out.display().to_string(), kind: kind.to_owned(), band_hz, settings }
     }
 }

@@ -6,6 +6,7 @@ use crate::sink::spoken;
 use crate::source::times::seconds;
 use clap::Subcommand;
 use std::fmt::{self, Write as _};
+use std::io::ErrorKind;
 use std::path::PathBuf;
 use std::time::{Duration, SystemTime};
 
@@ -18,16 +19,16 @@ pub(crate) struct Args {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Tell what is in a log: frames, gaps, clocks, what was missed and why
+    /// Describe a log: frames, gaps, clocks, what was missed and why
     #[command(after_help = "Example:\n  catoptra log info out/log.mcap")]
     Info {
         /// The log
         #[arg(value_name = "LOG.mcap")]
         file: PathBuf,
     },
-    /// Give a log that was cut off its end and index again
+    /// Restore a log that was cut off: give it an end and an index again
     #[command(after_help = "\
-Everything that is whole is kept; the broken file stays beside the new one as LOG.mcap.bak.
+All complete messages are kept; the broken file stays beside the new one as LOG.mcap.bak.
 Example:
   catoptra log repair out/log.mcap")]
     Repair {
@@ -47,9 +48,9 @@ pub(crate) fn run(args: &Args) -> Result<(), Failure> {
             output::print(&text)
         }
         Command::Repair { file } => match repair(file).map_err(failure)? {
-            Repaired::WasWhole => output::print(&format!("{}: is whole, nothing to repair\n", file.display())),
+            Repaired::WasWhole => output::print(&format!("{}: is complete, nothing to repair\n", file.display())),
             Repaired::Mended { messages, why, kept_as } => output::print(&format!(
-                "{}: is whole again, {messages} messages saved ({why}); as it was: {}\n",
+                "{}: is complete again, {messages} messages saved ({why}); the broken file is kept as {}\n",
                 file.display(),
                 kept_as.display()
             )),
@@ -60,6 +61,8 @@ pub(crate) fn run(args: &Args) -> Result<(), Failure> {
 fn failure(error: LogError) -> Failure {
     let exit = match error {
         LogError::NotMcap { .. } | LogError::NotOurs { .. } => Exit::Usage,
+        // A name that is wrong is a mistake of usage, not of the system.
+        LogError::Io { ref source, .. } if source.kind() == ErrorKind::NotFound => Exit::Usage,
         LogError::Io { .. } | LogError::Repair { .. } => Exit::Failed,
     };
     Failure::new(exit, error)
@@ -75,8 +78,8 @@ fn date(ns: i64) -> String {
 fn describe(out: &mut String, name: &str, info: &Info) -> fmt::Result {
     writeln!(out, "{name}: written by {}", info.library)?;
     match &info.cut {
-        None => writeln!(out, "  whole, with index")?,
-        Some(why) => writeln!(out, "  cut off ({why}); `catoptra log repair` makes it whole")?,
+        None => writeln!(out, "  complete, with index")?,
+        Some(why) => writeln!(out, "  cut off ({why}); `catoptra log repair` restores it")?,
     }
     if let Some((first, last)) = info.span_ns {
         let clock = info.clock.as_deref().unwrap_or("unknown");

@@ -4,6 +4,7 @@
 //! 3 the calibration or measurement is not usable, 130 interrupted.
 
 mod calibrate;
+mod catheter;
 mod docs;
 mod excite;
 mod failure;
@@ -29,7 +30,7 @@ use std::io::{IsTerminal as _, Write as _};
 use std::process::ExitCode;
 use tracing_subscriber::EnvFilter;
 
-/// One camera and a mirror made into a 3D instrument: tracks a steerable catheter through glass and water.
+/// Track a steerable catheter in 3D with one camera and a mirror, through glass and water
 #[derive(Debug, Parser)]
 #[command(
     name = "catoptra",
@@ -42,10 +43,10 @@ Example:
   catoptra track sample_frames/planar.mkv --rig calibration/dev_tank/rig.toml -o out"
 )]
 struct Cli {
-    /// Tell more on stderr; -vv for every frame
+    /// Say more on stderr; -vv describes every frame
     #[arg(short, long, global = true, action = ArgAction::Count, display_order = 900)]
     verbose: u8,
-    /// Tell errors only
+    /// Print errors only
     #[arg(short, long, global = true, conflicts_with = "verbose", display_order = 901)]
     quiet: bool,
     #[command(subcommand)]
@@ -54,26 +55,26 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Make a rig file from recordings
+    /// Make a rig file from pictures and recordings
     #[command(after_help = "Example:\n  catoptra calibrate markers --help")]
     Calibrate(calibrate::Args),
-    /// Look at rig files, and exchange cameras and views with other tools
+    /// Check rig files, and exchange cameras and views with other tools
     #[command(after_help = "Example:\n  catoptra rig check calibration/dev_tank/rig.toml")]
     Rig(rig::Args),
-    /// Track a recording: where the bands are, where the coil points, by how much it is deflected
+    /// Track a recording: positions of the bands, direction of the coil, deflection angle
     #[command(after_help = "\
-OUT gets log.mcap, track.csv, report.html, run.toml and, if wanted, overlay.mp4. Earlier results
-of the same recording are replaced, those of another are not. Ctrl-C keeps what is done.
+Writes log.mcap, track.csv, report.html, run.toml and, with --overlay, overlay.mp4 into OUT.
+Replaces earlier results of the same recording, never those of another. Ctrl-C keeps what is done.
 Example:
   catoptra track sample_frames/planar.mkv --rig calibration/dev_tank/rig.toml -o out")]
     Track(track::Args),
-    /// Look into logs, and mend those that were cut off
+    /// Describe logs, and restore those that were cut off
     #[command(after_help = "Example:\n  catoptra log info out/log.mcap")]
     Log(log::Args),
-    /// Track a camera while it runs: θ to controllers within milliseconds, and a log that loses nothing
+    /// Track a camera live: send θ to controllers within milliseconds, and log every frame
     #[command(after_help = "\
-DIR gets log.mcap, track.csv, report.html and run.toml, with a row for every camera frame. Ctrl-C
-completes the files; a killed run keeps all but its last second.
+Writes log.mcap, track.csv, report.html and run.toml into DIR, with a row for every camera frame.
+Ctrl-C completes the files; a run that is killed loses its last second at most.
 Example:
   catoptra live sample_frames/planar.mkv --realtime --rig calibration/dev_tank/rig.toml \\
     --udp 127.0.0.1:5005 -o swing-live")]
@@ -81,6 +82,9 @@ Example:
     /// Make tables of coil currents that excite the dynamics: chirp, multisine, steps
     #[command(after_help = "Example:\n  catoptra excite chirp -o currents.csv --report")]
     Excite(excite::Args),
+    /// What a steerable catheter does for given currents: its shape, its reach, currents for a path
+    #[command(after_help = "Example:\n  catoptra catheter shape --currents 0mA,0mA,100mA")]
+    Catheter(catheter::Args),
     /// Identify the dynamics from logs or tables of `track` and `live`, or from any input and output
     #[command(after_help = "\
 What each option does in full: docs/identify.md
@@ -88,7 +92,7 @@ Example:
   catoptra identify sample_dynamics/training.csv --currents sample_dynamics/training_currents.csv \\
     --plant sample_dynamics/plant.toml -o dynamics")]
     Identify(Box<identify::Args>),
-    /// Compare runs along a desired path with it: errors, and the response at each speed
+    /// Compare runs along a desired path with that path: errors, and the response at each speed
     #[command(after_help = "\
 DIR gets validation.csv, validation.json, table.md, report.html and points_*.csv. Exit code 3: a
 run has too little in it. What each number means: docs/validate.md
@@ -112,6 +116,7 @@ pub fn run() -> ExitCode {
     log_to_stderr(cli.verbose, cli.quiet);
     let result = match &cli.command {
         Command::Calibrate(args) => calibrate::run(args, cli.quiet),
+        Command::Catheter(args) => catheter::run(args),
         Command::Completions(args) => docs::completions(args),
         Command::Man(args) => docs::man(args),
         Command::Rig(args) => rig::run(args, cli.quiet),

@@ -18,40 +18,40 @@ use std::path::{Path, PathBuf};
 /// Arguments of `catoptra track`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// A recorded video, a folder of pictures with their times in times.csv, or a log with windows
+    /// A video, a folder of pictures with their times in times.csv, or a log with windows
     #[arg(value_name = "VIDEO|DIR|LOG.mcap")]
     source: PathBuf,
-    /// The rig, with colours and base frame; a log has its own
+    /// The rig file, with colours and base frame; a log brings its own
     #[arg(long, value_name = "RIG.toml")]
     rig: Option<PathBuf>,
     /// Folder for the results [default: NAME-track, here]
     #[arg(short, long, value_name = "OUT")]
     out: Option<PathBuf>,
-    /// Write the table to FILE instead of OUT/track.csv; - is stdout
+    /// Write the table to FILE instead of OUT/track.csv; `-` stands for stdout
     #[arg(long, value_name = "FILE", num_args = 0..=1, require_equals = true)]
     csv: Option<Option<PathBuf>>,
-    /// Also write a video with what was found drawn into it
+    /// Also write a video with the results drawn into it
     #[arg(long)]
     overlay: bool,
-    /// Also record the pictures: windows (what the tracker looked at, in the log), or whole
+    /// Also record the pictures: windows (the parts the tracker looked at, in the log), or whole ones
     #[arg(long, value_enum, value_name = "HOW")]
     record: Option<Record>,
     /// Frame of reference of table and report
     #[arg(long, value_enum, default_value_t = Reference::Base)]
     frame: Reference,
-    /// Leave out what is before T, seconds of the recording's clock
+    /// Start at time T, in seconds of the recording's clock
     #[arg(long, value_name = "T", value_parser = seconds_ns, allow_hyphen_values = true)]
     from: Option<i64>,
-    /// Leave out what is after T
+    /// Stop at time T
     #[arg(long, value_name = "T", value_parser = seconds_ns, allow_hyphen_values = true)]
     to: Option<i64>,
-    /// Frames a second of a folder of pictures without times.csv
+    /// Frames per second of a folder of pictures without times.csv
     #[arg(long, value_name = "F", allow_hyphen_values = true)]
     fps: Option<FrameRate>,
-    /// Threads of decoder and tracker; results are the same with any [default: one a core]
+    /// Threads for decoder and tracker; results do not depend on it [default: one per core]
     #[arg(long, value_name = "N", allow_hyphen_values = true, value_parser = RangedU64ValueParser::<usize>::new().range(1..=256))]
     threads: Option<usize>,
-    /// Search every picture whole: slower, same results
+    /// Search the whole of every picture: slower, same results
     #[arg(long)]
     full_frame: bool,
 }
@@ -80,7 +80,7 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     print_warnings(rig_file, &rig)?;
     let pool = pool(args.threads())?;
     tracing::info!(
-        "{}: {}, {} threads; every frame is told with -vv",
+        "{}: {}, {} threads; -vv describes every frame",
         args.source.display(),
         source.described(),
         pool.current_num_threads()

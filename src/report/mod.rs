@@ -7,10 +7,11 @@
 //! the log.
 //!
 //! [`calibration::page`] is that of a rig's calibration, [`teaching::page`] of what was learned of the bands,
-//! [`excitation::page`] of a signal, [`validation::page`] of runs along a path.
+//! [`excitation::page`] of a signal, [`catheter`] of shapes, [`validation::page`] of runs along a path.
 
 mod absences;
 pub mod calibration;
+pub mod catheter;
 mod chart;
 mod course;
 pub mod excitation;

@@ -13,6 +13,7 @@ mod columns;
 mod currents;
 mod error;
 mod log;
+pub(crate) mod play;
 mod sheet;
 mod table;
 #[cfg(test)]

@@ -26,6 +26,7 @@ mod calibrate_page;
 mod calibrate_phone;
 mod calibrate_rig;
 mod calibrate_sets;
+mod catheter;
 mod drift;
 mod excite;
 mod first_run;

@@ -93,7 +93,7 @@ fn all_that_is_older_than_a_second_survives_a_kill_at_any_instant() {
         let info = Command::new(env!("CARGO_BIN_EXE_catoptra")).args(["log", "info"]).arg(&log).output().unwrap();
         let told = stdout(&info);
         let frames = if kept.is_empty() { "no frame".to_owned() } else { format!("{} frames", kept.len()) };
-        assert!(told.contains("whole, with index") && told.contains(&frames), "{told}");
+        assert!(told.contains("complete, with index") && told.contains(&frames), "{told}");
         assert_eq!(logged(&log).into_iter().map(u64::from).collect::<BTreeSet<_>>(), kept);
     }
 }

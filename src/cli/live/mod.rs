@@ -32,31 +32,31 @@ pub(crate) struct Args {
     /// recording with --realtime
     #[arg(value_name = "SOURCE")]
     source: String,
-    /// The rig, with colours and base frame
+    /// The rig file, with colours and base frame
     #[arg(long, value_name = "RIG.toml")]
     rig: PathBuf,
-    /// Folder for the results, a new one for every run [default: live-1, live-2, …]
+    /// Folder for the results, a new one for each run [default: live-1, live-2, …]
     #[arg(short, long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Play a recording at its own pace
     #[arg(long, conflicts_with = "raw")]
     realtime: bool,
-    /// Standard input has raw pictures: size, pixel format and rate, as 1280x1024:bayer_rg8@60
+    /// Read raw pictures from standard input: size, pixel format and rate, as in 1280x1024:bayer_rg8@60
     #[arg(long, value_name = "FORMAT")]
     raw: Option<RawFormat>,
-    /// Camera: frames a second
+    /// Camera: frames per second
     #[arg(long, value_name = "RATE")]
     fps: Option<FrameRate>,
-    /// Camera: exposure time, milliseconds
+    /// Camera: exposure time in milliseconds
     #[arg(long, value_name = "MS", value_parser = positive)]
     exposure: Option<f64>,
     /// Camera: gain, in its own unit
     #[arg(long, value_name = "G", value_parser = finite, allow_negative_numbers = true)]
     gain: Option<f64>,
-    /// Camera: pixel format, as bayer_rg8 or MJPG
+    /// Camera: pixel format, such as bayer_rg8 or MJPG
     #[arg(long, value_name = "FORMAT")]
     format: Option<String>,
-    /// Send θ to a controller, a JSON datagram a frame
+    /// Send θ to a controller, one JSON datagram per frame
     #[arg(long, value_name = "HOST:PORT", value_parser = address)]
     udp: Option<SocketAddr>,
     /// Serve the log's topics to Foxglove and programs [default address: ws://127.0.0.1:8765]
@@ -65,10 +65,10 @@ pub(crate) struct Args {
     /// Log coil currents: udp:PORT, serial:DEVICE@BAUD or file:TABLE.csv
     #[arg(long, value_name = "FROM")]
     currents: Option<CurrentSource>,
-    /// Also record the pictures: windows (what the tracker looked at, in the log), or whole
+    /// Also record the pictures: windows (the parts the tracker looked at, in the log), or whole ones
     #[arg(long, value_enum, value_name = "HOW")]
     record: Option<Record>,
-    /// Record no more pictures when less is free on the disk, gigabytes [default: 2]
+    /// Stop recording pictures when less than this is free on the disk, in gigabytes [default: 2]
     #[arg(long, value_name = "GB", value_parser = positive, requires = "record")]
     keep_free: Option<f64>,
     /// Stop after T seconds
@@ -77,13 +77,13 @@ pub(crate) struct Args {
     /// Frame of reference of table and report
     #[arg(long, value_enum, default_value_t = Reference::Base)]
     frame: Reference,
-    /// Threads of the tracker [default: one a core]
+    /// Threads for the tracker [default: one per core]
     #[arg(long, value_name = "N", value_parser = RangedU64ValueParser::<usize>::new().range(1..=256))]
     threads: Option<usize>,
 }
 
 fn address(text: &str) -> Result<SocketAddr, String> {
-    let mut found = text.to_socket_addrs().map_err(|e| format!("{e}; write HOST:PORT, as 192.168.1.20:5005"))?;
+    let mut found = text.to_socket_addrs().map_err(|e| format!("{e}; write HOST:PORT, such as 192.168.1.20:5005"))?;
     found.next().ok_or_else(|| "no such host".to_owned())
 }
 

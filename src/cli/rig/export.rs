@@ -18,13 +18,13 @@ pub(super) struct ExportArgs {
     /// The rig file
     #[arg(value_name = "RIG.toml")]
     rig: PathBuf,
-    /// What to write
+    /// The format to write
     #[arg(long)]
     format: To,
-    /// dlt: this view alone, not all of them
+    /// dlt: write this view only
     #[arg(long, value_name = "NAME")]
     view: Option<String>,
-    /// dlt: number of the picture's first pixel, 0 as here and in OpenCV, 1 as in MATLAB and DLTdv
+    /// dlt: number of the picture's first pixel; 0 as here and in OpenCV, 1 as in MATLAB and DLTdv
     #[arg(long, value_name = "0|1", value_parser = clap::value_parser!(u8).range(0..=1))]
     first_pixel: Option<u8>,
     /// File to write instead of stdout

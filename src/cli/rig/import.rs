@@ -19,10 +19,10 @@ pub(super) struct ImportArgs {
     /// The camera's file
     #[arg(value_name = "FILE")]
     file: PathBuf,
-    /// Its format; told from its content when not given
+    /// Its format [default: recognised from its content]
     #[arg(long)]
     format: Option<From>,
-    /// Rig file to write; the bands of an existing one are kept
+    /// Rig file to write; an existing one keeps its bands
     #[arg(long, short, value_name = "RIG.toml")]
     out: PathBuf,
 }

@@ -17,10 +17,10 @@ pub(crate) struct Args {
 
 #[derive(Debug, clap::Subcommand)]
 enum Command {
-    /// Print what a rig file means: views and their light paths, tank, mirror, catheter, base frame, warnings
+    /// Describe a rig file: views and their light paths, tank, mirror, catheter, base frame, warnings
     ///
-    /// Every view's pixels are traced to points and projected back. Exit code 3 when that does not lead back to the
-    /// same pixels, 2 when the file is not valid.
+    /// Traces pixels of every view to points and projects them back. Exit code 3 when this does not lead back to the
+    /// same pixels, or when there is only one view; 2 when the file is not valid.
     #[command(after_help = "Example:\n  catoptra rig check calibration/dev_tank/rig.toml")]
     Check {
         /// The rig file
@@ -30,14 +30,15 @@ enum Command {
     /// Write the camera for OpenCV, ROS or Kalibr, or views as DLT coefficients
     #[command(after_help = "\
 opencv, ros and kalibr hold the camera alone: no mirror, no wall. dlt holds views with their
-mirrors, in mm, a column a view, but no wall and no distortion. Exit code 2: it does not fit.
+mirrors, in mm, one column per view, but no wall and no distortion. Exit code 2: the rig has
+something that the format cannot hold.
 Example:
   catoptra rig export calibration/dev_tank/rig.toml --format opencv -o camera.yml")]
     Export(export::ExportArgs),
-    /// Begin a rig file with a camera calibrated elsewhere
+    /// Start a rig file with a camera calibrated elsewhere
     #[command(after_help = "\
-Reads YAML of OpenCV's FileStorage, ROS camera_info and Kalibr camchains of one camera. An existing
-RIG.toml keeps its bands; what was found with its old lens is left out. The old file is kept as
+Reads YAML of OpenCV's FileStorage, ROS camera_info, and Kalibr camchains of one camera. An existing
+RIG.toml keeps its bands, but loses what was calibrated with its old lens. The old file is kept as
 RIG.toml.bak, .bak2, …
 Example:
   catoptra rig import tests/data/cameras/ros.yaml --out my_rig.toml")]

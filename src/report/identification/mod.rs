@@ -294,7 +294,7 @@ fn frequency(data: &Data, done: &Identification) -> String {
     }
     text += "<h3>Bandwidth</h3>\n<p>Which number it is depends on the definition. Extrapolated: the frequency, or zero frequency, which it \
              refers to, lies outside the excited band.</p>\n";
-    text + &table(2, &["Model", "Definition", "Hz", "95 % of the bootstrap", ""], &rows)
+    text + &table(2, &["Model", "Definition", "Hz", "95 % of the bootstrap", "Note"], &rows)
 }
 
 fn orders(done: &Identification) -> String {
@@ -304,16 +304,22 @@ fn orders(done: &Identification) -> String {
     let judged = done.candidates.iter().any(|c| c.simulation.is_some());
     let what = if judged { "Simulation error of the validation data" } else { "Minimum description length" };
     let unstable = done.candidates.iter().filter(|c| c.largest_pole >= 1.0).count();
-    let heads = ["na", "nb", "delay", "AIC", "MDL", "prediction error (%)", "simulation error (%)", "largest pole", ""];
+    let mut heads = vec!["na", "nb", "delay", "AIC", "MDL"];
+    if judged {
+        heads.extend(["prediction error (%)", "simulation error (%)"]);
+    }
+    heads.extend(["largest pole", "note"]);
     let error = |e: Option<crate::identify::fit::FitError>| e.map_or_else(Html::default, |e| percent(e.error_percent));
     let rows: Vec<Vec<Html>> = of_each_order(done, judged)
         .into_iter()
         .map(|c| {
             let counts = [c.orders.na, c.orders.nb, c.orders.nk].map(|n| n.to_string().into());
             let mark = if c.orders == done.orders { "chosen" } else { "" };
-            let judged = [number(c.aic), number(c.mdl), error(c.prediction), error(c.simulation)];
+            let criteria = [number(c.aic), number(c.mdl)];
+            // Without data to judge by there are no errors, and no columns for them.
+            let errors = judged.then(|| [error(c.prediction), error(c.simulation)]);
             let last = [format!("{:.5}", c.largest_pole).into(), mark.into()];
-            counts.into_iter().chain(judged).chain(last).collect()
+            counts.into_iter().chain(criteria).chain(errors.into_iter().flatten()).chain(last).collect()
         })
         .collect();
     format!(
@@ -386,8 +392,18 @@ fn facts(done: &Identification, provenance: &Provenance) -> String {
             ]
         })
         .collect();
-    let heads =
-        ["Record", "", "Samples", "Stretches", "Lost", "Missed", "Bridged", "Period (ms)", "Jitter (ms)", "Late (ms)"];
+    let heads = [
+        "Record",
+        "Use",
+        "Samples",
+        "Stretches",
+        "Lost",
+        "Missed",
+        "Bridged",
+        "Period (ms)",
+        "Jitter (ms)",
+        "Late (ms)",
+    ];
     let mut lines: Vec<(Html, Html)> =
         provenance.settings.iter().map(|(name, value)| (name.into(), value.into())).collect();
     let stable = |m: &Modelled| if m.is_stable() { "stable" } else { "unstable" };

@@ -1,0 +1,193 @@
+//! `catheter.toml`: the catheter as a file that people edit. Lengths in mm, moduli in MPa, currents in mA.
+
+use super::error::CatheterError;
+use super::model::{Catheter, CoilSet, Surroundings, Tube};
+use nalgebra::{Matrix3, Rotation3, Vector3};
+use serde::Deserialize;
+use std::path::Path;
+
+/// Largest field, tesla, and curvature at rest, 1/m, that are no slip of the pen.
+const MOST_FIELD_T: f64 = 30.0;
+const MOST_CURVATURE: f64 = 100.0;
+
+impl Catheter {
+    /// Reads `catheter.toml`.
+    ///
+    /// # Errors
+    /// [`CatheterError`] when it cannot be read, is no such file, or a value cannot be right.
+    pub fn load(path: &Path) -> Result<Self, CatheterError> {
+        let text =
+            std::fs::read_to_string(path).map_err(|source| CatheterError::Read { file: path.to_owned(), source })?;
+        let raw: Raw = toml::from_str(&text).map_err(|e| {
+            let line = e.span().map_or(1, |span| 1 + text.bytes().take(span.start).filter(|b| *b == b'\n').count());
+            CatheterError::Syntax { file: path.to_owned(), line, message: e.message().to_owned() }
+        })?;
+        raw.checked(path)
+    }
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Raw {
+    tube: RawTube,
+    coils: RawCoils,
+    surroundings: RawSurroundings,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RawTube {
+    outer_radius_mm: f64,
+    inner_radius_mm: f64,
+    flexible_mm: f64,
+    tail_mm: f64,
+    young_mpa: f64,
+    shear_mpa: f64,
+    density_kg_m3: f64,
+    #[serde(default)]
+    rest_curvature_per_m: [f64; 3],
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RawCoils {
+    length_mm: f64,
+    /// Row by row; each column is a coil.
+    moment_per_ampere_mm2: [[f64; 3]; 3],
+    #[serde(default)]
+    alignment_deg: f64,
+    #[serde(default)]
+    mass_g: f64,
+    #[serde(default)]
+    volume_mm3: f64,
+    limit_ma: f64,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RawSurroundings {
+    b0_t: [f64; 3],
+    gravity_m_s2: [f64; 3],
+    fluid_kg_m3: f64,
+}
+
+impl Raw {
+    fn checked(&self, file: &Path) -> Result<Catheter, CatheterError> {
+        let Self { tube, coils, surroundings } = self;
+        let wrong = |key: &'static str, value: String, expected: &'static str| {
+            Err(CatheterError::Value { file: file.to_owned(), key, value, expected })
+        };
+        for (key, value) in [
+            ("tube.outer_radius_mm", tube.outer_radius_mm),
+            ("tube.flexible_mm", tube.flexible_mm),
+            ("tube.tail_mm", tube.tail_mm),
+            ("tube.young_mpa", tube.young_mpa),
+            ("tube.shear_mpa", tube.shear_mpa),
+            ("tube.density_kg_m3", tube.density_kg_m3),
+            ("coils.length_mm", coils.length_mm),
+            ("coils.limit_ma", coils.limit_ma),
+        ] {
+            if !(value.is_finite() && value > 0.0) {
+                return wrong(key, value.to_string(), "a number above 0");
+            }
+        }
+        for (key, value) in [
+            ("tube.inner_radius_mm", tube.inner_radius_mm),
+            ("coils.mass_g", coils.mass_g),
+            ("coils.volume_mm3", coils.volume_mm3),
+            ("surroundings.fluid_kg_m3", surroundings.fluid_kg_m3),
+        ] {
+            if !(value.is_finite() && value >= 0.0) {
+                return wrong(key, value.to_string(), "a number not below 0");
+            }
+        }
+        if tube.inner_radius_mm >= tube.outer_radius_mm {
+            return wrong("tube.inner_radius_mm", tube.inner_radius_mm.to_string(), "less than tube.outer_radius_mm");
+        }
+        let moments = coils.moment_per_ampere_mm2;
+        if !moments.as_flattened().iter().all(|v| v.is_finite()) {
+            return wrong("coils.moment_per_ampere_mm2", format!("{moments:?}"), "nine numbers");
+        }
+        if !coils.alignment_deg.is_finite() {
+            return wrong("coils.alignment_deg", coils.alignment_deg.to_string(), "an angle in degrees");
+        }
+        for (key, vector, most, expected) in [
+            ("tube.rest_curvature_per_m", tube.rest_curvature_per_m, MOST_CURVATURE, "numbers between -100 and 100"),
+            ("surroundings.b0_t", surroundings.b0_t, MOST_FIELD_T, "three numbers, tesla, of 30 T at most"),
+            ("surroundings.gravity_m_s2", surroundings.gravity_m_s2, 100.0, "three numbers, m/s²"),
+        ] {
+            if !vector.iter().all(|v| v.abs() <= most) {
+                return wrong(key, format!("{vector:?}"), expected);
+            }
+        }
+        let mm = |value: f64| value / 1e3;
+        let turn = Rotation3::from_axis_angle(&Vector3::z_axis(), coils.alignment_deg.to_radians());
+        Ok(Catheter {
+            tube: Tube {
+                outer_radius_m: mm(tube.outer_radius_mm),
+                inner_radius_m: mm(tube.inner_radius_mm),
+                young_pa: tube.young_mpa * 1e6,
+                shear_pa: tube.shear_mpa * 1e6,
+                density_kg_m3: tube.density_kg_m3,
+                rest_curvature_per_m: tube.rest_curvature_per_m.into(),
+            },
+            flexible_m: mm(tube.flexible_mm),
+            coil_m: mm(coils.length_mm),
+            tail_m: mm(tube.tail_mm),
+            coils: CoilSet {
+                moment_per_ampere_m2: turn * Matrix3::from_row_slice(moments.as_flattened()) / 1e6,
+                mass_kg: coils.mass_g / 1e3,
+                volume_m3: coils.volume_mm3 / 1e9,
+                limit_a: coils.limit_ma / 1e3,
+            },
+            surroundings: Surroundings {
+                b0_t: surroundings.b0_t.into(),
+                gravity_m_s2: surroundings.gravity_m_s2.into(),
+                fluid_kg_m3: surroundings.fluid_kg_m3,
+            },
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::path::PathBuf;
+
+    fn sample() -> PathBuf {
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("sample_dynamics/catheter.toml")
+    }
+
+    #[test]
+    fn the_sample_is_the_prototype() {
+        let (read, expected) = (Catheter::load(&sample()).unwrap(), Catheter::prototype());
+        let near = |a: f64, b: f64| (a - b).abs() <= 2e-4 * b.abs();
+        assert!(near(read.coils.mass_kg, expected.coils.mass_kg), "{} {}", read.coils.mass_kg, expected.coils.mass_kg);
+        assert!(near(read.coils.volume_m3, expected.coils.volume_m3), "{}", expected.coils.volume_m3);
+        let off = (read.coils.moment_per_ampere_m2 - expected.coils.moment_per_ampere_m2).amax();
+        assert!(off < 1e-7, "{}", expected.coils.moment_per_ampere_m2);
+        assert!(near(read.tube.bending_nm2(), expected.tube.bending_nm2()));
+        assert!(near(read.tube.torsion_nm2(), expected.tube.torsion_nm2()));
+        assert!((read.length_m() - expected.length_m()).abs() < 1e-12);
+        assert_eq!(read.surroundings, expected.surroundings);
+    }
+
+    #[test]
+    fn values_that_cannot_be_right_are_named() {
+        let sample = std::fs::read_to_string(sample()).unwrap();
+        for (from, to, expected) in [
+            ("young_mpa = 5.39", "young_mpa = 0.0", "tube.young_mpa is 0, expected a number above 0"),
+            ("inner_radius_mm = 0.9906", "inner_radius_mm = 2.0", "tube.inner_radius_mm is 2, expected less than"),
+            ("limit_ma = 100.0", "limit_ma = nan", "coils.limit_ma is NaN, expected a number above 0"),
+            ("b0_t = [3.0", "b0_t = [3000.0", "expected three numbers, tesla, of 30 T at most"),
+            ("tail_mm", "tial_mm", "unknown field `tial_mm`"),
+        ] {
+            assert!(sample.contains(from), "{from}");
+            let folder = tempfile::tempdir().unwrap();
+            let path = folder.path().join("catheter.toml");
+            std::fs::write(&path, sample.replacen(from, to, 1)).unwrap();
+            let error = Catheter::load(&path).unwrap_err().to_string();
+            assert!(error.contains("catheter.toml") && error.contains(expected), "{error}");
+        }
+    }
+}

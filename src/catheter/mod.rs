@@ -1,0 +1,38 @@
+//! The steerable catheter itself: currents in, shape out.
+//!
+//! - [`Catheter`]: what it is made of, its coil set, the field and the fluid around it; read from `catheter.toml`.
+//! - [`equilibrium`]: the shape at rest under coil currents, weight and a force at the tip.
+//! - [`reach`]: where the tip can get to within the current limit.
+//! - [`follow`]: the currents that lead the tip along a path.
+//! - [`Shape`]: the centre line with its frames, the coil's tangent, θ, and how they follow the currents.
+//!
+//! # Conventions
+//! Everything is in the `base` frame with its origin at the clamp: z along the straight tube from base to tip, B0 in the
+//! x-z plane, metres, newtons, amperes. A cross-section's frame has its z along the tube. θ = atan2(t·x, t·z) of the coil
+//! set's tangent t.
+//!
+//! # Source
+//! Eqs. 1 to 5 of Tuna et al., "Analysis of dynamic response of an MRI-guided magnetically-actuated steerable catheter
+//! system" (2018); rod theory: Antman, "Nonlinear Problems of Elasticity" (2005), chapter 8.
+
+mod equilibrium;
+mod error;
+mod file;
+mod follow;
+mod load;
+mod model;
+mod reach;
+mod rod;
+mod sensitivity;
+mod shape;
+#[cfg(test)]
+mod tests;
+
+pub use equilibrium::equilibrium;
+pub use error::CatheterError;
+pub use follow::{Followed, Target, follow};
+pub use load::Load;
+pub use model::{Catheter, CoilSet, Surroundings, Tube};
+pub use reach::{Reach, Reached, reach};
+pub use sensitivity::Sensitivity;
+pub use shape::Shape;

@@ -1,0 +1,366 @@
+//! `catoptra catheter`: what the catheter does for given currents, and which currents make it follow a path.
+
+use super::units::{current_a, duration_s};
+use super::{Exit, Failure, interrupt, output};
+use crate::calibrate::length_m;
+use crate::catheter::{Catheter, CatheterError, Followed, Load, Target, equilibrium, follow, reach};
+use crate::report::catheter as pages;
+use crate::series::{columns, play};
+use crate::whole_file;
+use clap::Subcommand;
+use nalgebra::{Point3, Vector3};
+use std::f64::consts::TAU;
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+/// Arguments of `catoptra catheter`.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// The shape at rest for given currents, and how tip and tangent follow them
+    #[command(after_help = "\
+Base frame with its origin at the clamp: z along the straight tube, x along B0. Exit code 3: no stable
+shape can be reached from rest.
+Example:
+  catoptra catheter shape --currents 0mA,0mA,100mA -o shape.html")]
+    Shape(ShapeArgs),
+    /// Where the tip can get to within the limit of the currents
+    #[command(after_help = "Example:\n  catoptra catheter reach -o reach")]
+    Reach(ReachArgs),
+    /// Currents that lead the tip along a path
+    #[command(after_help = "\
+DIR gets desired.csv (for validate), follow.html and for each pause currents_PAUSE.csv (for live
+and identify) and .play (for the amplifier). A drawing in x and y is projected along z on what the
+tip reaches; of a path with z the nearest points are followed. What is out of reach is told.
+Example:
+  catoptra catheter follow circle --centre 28mm,0mm --radius 8mm --pause 20ms,100ms -o circle")]
+    Follow(FollowArgs),
+}
+
+#[derive(Debug, clap::Args)]
+struct Common {
+    /// The catheter, see sample_dynamics/catheter.toml [default: the paper's prototype]
+    #[arg(long, value_name = "CATHETER.toml")]
+    catheter: Option<PathBuf>,
+}
+
+#[derive(Debug, clap::Args)]
+struct ShapeArgs {
+    #[command(flatten)]
+    common: Common,
+    /// Currents of the coils x, y, z
+    #[arg(long, value_name = "X,Y,Z", value_delimiter = ',', value_parser = current_a, allow_hyphen_values = true)]
+    currents: Vec<f64>,
+    /// Also write a page with a drawing
+    #[arg(short, long, value_name = "FILE.html")]
+    out: Option<PathBuf>,
+}
+
+#[derive(Debug, clap::Args)]
+struct ReachArgs {
+    #[command(flatten)]
+    common: Common,
+    /// Settings along each edge of the box of allowed currents
+    #[arg(long, value_name = "N", default_value_t = 9, value_parser = clap::value_parser!(u16).range(2..=41))]
+    steps: u16,
+    /// Folder for reach.csv and reach.html
+    #[arg(short, long, value_name = "DIR")]
+    out: Option<PathBuf>,
+}
+
+#[derive(Debug, clap::Args)]
+struct FollowArgs {
+    #[command(flatten)]
+    common: Common,
+    /// `circle`, `lemniscate`, or a table with x_mm, y_mm and, for a path in space, z_mm
+    path: String,
+    /// Centre of a circle or lemniscate across the tube
+    #[arg(long, value_name = "X,Y", value_delimiter = ',', value_parser = signed_length_m, allow_hyphen_values = true,
+        default_value = "28mm,0mm")]
+    centre: Vec<f64>,
+    /// Radius of a circle, half the length of a lemniscate
+    #[arg(long, value_name = "R", default_value = "8mm", value_parser = radius_m)]
+    radius: f64,
+    /// Points of a circle or lemniscate
+    #[arg(long, value_name = "N", default_value_t = 200, value_parser = clap::value_parser!(u32).range(3..=100_000))]
+    points: u32,
+    /// How often the path is gone through
+    #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    periods: u32,
+    /// How long each point is held; several make a table each
+    #[arg(long, value_name = "T,T,…", value_delimiter = ',', value_parser = duration_s, default_value = "20ms")]
+    pause: Vec<f64>,
+    /// Names of the coils' columns
+    #[arg(long, value_name = "NAMES", value_delimiter = ',', default_value = "x_a,y_a,z_a")]
+    coils: Vec<String>,
+    /// Folder for the results
+    #[arg(short, long, value_name = "DIR")]
+    out: PathBuf,
+}
+
+fn signed_length_m(text: &str) -> Result<f64, String> {
+    let (sign, size) = text.trim().strip_prefix('-').map_or((1.0, text.trim()), |size| (-1.0, size));
+    if size.trim_end_matches(|c: char| c.is_alphabetic()).trim().parse() == Ok(0.0) {
+        return Ok(0.0);
+    }
+    length_m(size).map(|m| sign * m).ok_or_else(|| format!("`{text}` is no length: write for example 12mm"))
+}
+
+fn radius_m(text: &str) -> Result<f64, String> {
+    length_m(text).ok_or_else(|| format!("`{text}` is no length above 0: write for example 8mm"))
+}
+
+pub(crate) fn run(args: &Args) -> Result<(), Failure> {
+    interrupt::end_at_once()?;
+    match &args.command {
+        Command::Shape(args) => args.run(),
+        Command::Reach(args) => args.run(),
+        Command::Follow(args) => args.run(),
+    }
+}
+
+impl Common {
+    fn load(&self) -> Result<(String, Catheter), Failure> {
+        match &self.catheter {
+            None => Ok(("the paper's prototype".to_owned(), Catheter::prototype())),
+            Some(file) => Ok((file.display().to_string(), Catheter::load(file).map_err(failure)?)),
+        }
+    }
+}
+
+fn failure(error: CatheterError) -> Failure {
+    let exit = match &error {
+        CatheterError::Unstable { .. } | CatheterError::NotConverged { .. } => Exit::Unusable,
+        _ => Exit::Usage,
+    };
+    Failure::new(exit, error)
+}
+
+impl ShapeArgs {
+    fn run(&self) -> Result<(), Failure> {
+        let &[x, y, z] = self.currents.as_slice() else {
+            let text =
+                format!("--currents: {} given, expected three: X,Y,Z such as 0mA,0mA,100mA", self.currents.len());
+            return Err(Failure::new(Exit::Usage, text));
+        };
+        if let Some(out) = &self.out {
+            is_page_or_free(out)?;
+        }
+        let (name, catheter) = self.common.load()?;
+        let shape = equilibrium(&catheter, &Load::currents(Vector3::new(x, y, z))).map_err(failure)?;
+        let by = shape.sensitivity(&catheter).map_err(failure)?;
+        let mut text = format!("{name} at {:.1}, {:.1}, {:.1} mA\n\n", x * 1e3, y * 1e3, z * 1e3);
+        // Writing into text cannot fail.
+        let _ = writeln!(text, "  θ        {:>9.3}°", shape.theta_rad().to_degrees());
+        let _ = writeln!(text, "  polar    {:>9.3}°", shape.polar_rad().to_degrees());
+        for (name, point) in [("coil", shape.coil.coords), ("tip", shape.tip.coords)] {
+            let _ =
+                writeln!(text, "  {name:<8} {:>9.3} {:>9.3} {:>9.3} mm", point.x * 1e3, point.y * 1e3, point.z * 1e3);
+        }
+        let _ = writeln!(text, "  tangent  {:>9.5} {:>9.5} {:>9.5}", shape.tangent.x, shape.tangent.y, shape.tangent.z);
+        let clamp = shape.clamp_nm * 1e6;
+        let _ = writeln!(text, "  clamp    {:>9.2} {:>9.2} {:>9.2} µN·m", clamp.x, clamp.y, clamp.z);
+        let _ = writeln!(text, "\n  1 mA more in   tip (mm)                       tangent");
+        for (k, coil) in ["x", "y", "z"].into_iter().enumerate() {
+            let (tip, tangent) = (by.tip_m_a.column(k), by.tangent_a.column(k) * 1e-3);
+            let _ = writeln!(
+                text,
+                "  coil {coil}       {:>9.4} {:>9.4} {:>9.4}   {:>9.6} {:>9.6} {:>9.6}",
+                tip[0] + 0.0,
+                tip[1] + 0.0,
+                tip[2] + 0.0,
+                tangent[0] + 0.0,
+                tangent[1] + 0.0,
+                tangent[2] + 0.0
+            );
+        }
+        if let Some(out) = &self.out {
+            save(out, &pages::shape_page(&name, &catheter, [x, y, z], &shape, &by))?;
+            let _ = writeln!(text, "\nwritten: {}", out.display());
+        }
+        output::print(&text)
+    }
+}
+
+impl ReachArgs {
+    fn run(&self) -> Result<(), Failure> {
+        let (name, catheter) = self.common.load()?;
+        let names = ["reach.csv", "reach.html"];
+        if let Some(out) = &self.out {
+            prepare(out, &names)?;
+        }
+        let found = reach(&catheter, usize::from(self.steps)).map_err(failure)?;
+        let (low, high) = found.theta_rad();
+        let [least, most] = found.tip_box();
+        let mut text = format!("{name}, currents up to {:.1} mA\n\n", catheter.coils.limit_a * 1e3);
+        let _ = writeln!(text, "  θ        {:.1}° to {:.1}°", low.to_degrees(), high.to_degrees());
+        for (axis, (low, high)) in ["x", "y", "z"].iter().zip(least.iter().zip(most.iter())) {
+            let _ = writeln!(text, "  tip {axis}    {:.1} mm to {:.1} mm", low * 1e3, high * 1e3);
+        }
+        let _ = writeln!(text, "  a surface: a moment along B0 moves nothing (thickness {:.0e})", found.thickness);
+        if found.without_shape > 0 {
+            let _ = writeln!(
+                text,
+                "  {} of {} settings have no stable shape (moment against B0)",
+                found.without_shape,
+                found.without_shape + found.reached.len()
+            );
+        }
+        if let Some(out) = &self.out {
+            let mut csv = "x_a,y_a,z_a,tip_x_mm,tip_y_mm,tip_z_mm,tan_x,tan_y,tan_z,theta_deg\r\n".to_owned();
+            for r in &found.reached {
+                let (i, p, t) = (r.currents_a, r.tip * 1e3, r.tangent);
+                let _ = write!(csv, "{:.6},{:.6},{:.6},{:.6},{:.6},{:.6},", i.x, i.y, i.z, p.x, p.y, p.z);
+                let _ = write!(csv, "{:.8},{:.8},{:.8},{:.6}\r\n", t.x, t.y, t.z, r.theta_rad.to_degrees());
+            }
+            save(&out.join("reach.csv"), &csv)?;
+            save(&out.join("reach.html"), &pages::reach_page(&name, &catheter, &found))?;
+            let _ = writeln!(text, "\nwritten: {} in {}", names.join(", "), out.display());
+        }
+        output::print(&text)
+    }
+}
+
+impl FollowArgs {
+    fn run(&self) -> Result<(), Failure> {
+        let (name, catheter) = self.common.load()?;
+        let [a, b, c] = self.coils.as_slice() else {
+            let text = format!("--coils: {} names, expected three", self.coils.len());
+            return Err(Failure::new(Exit::Usage, text));
+        };
+        let tables: Vec<(f64, String)> = self.pause.iter().map(|s| (*s, format!("currents_{}ms", s * 1e3))).collect();
+        let mut names = vec!["desired.csv".to_owned(), "follow.html".to_owned()];
+        names.extend(tables.iter().flat_map(|(_, table)| [format!("{table}.csv"), format!("{table}.play")]));
+        prepare(&self.out, &names)?;
+        let targets = self.targets()?;
+        let followed = follow(&catheter, &targets).map_err(failure)?;
+        save(&self.out.join("desired.csv"), &desired(&followed))?;
+        for (pause_s, table) in &tables {
+            let rows = self.rows(&followed, *pause_s);
+            let mut csv = format!("t_s,{a},{b},{c}\r\n");
+            for (time_ns, i) in &rows {
+                let _ = write!(csv, "{:.9},{:.9},{:.9},{:.9}\r\n", *time_ns as f64 * 1e-9, i[0], i[1], i[2]);
+            }
+            save(&self.out.join(format!("{table}.csv")), &csv)?;
+            let list = play::write(rows.iter().map(|(time_ns, i)| (*time_ns, i.as_slice())));
+            save(&self.out.join(format!("{table}.play")), &list)?;
+        }
+        let page = pages::follow_page(&name, &catheter, &self.path, &targets, &followed);
+        save(&self.out.join("follow.html"), &page)?;
+        let off: Vec<f64> = followed.iter().map(|f| f.off_m * 1e3).collect();
+        let rms = (off.iter().map(|v| v * v).sum::<f64>() / off.len() as f64).sqrt();
+        let peak_ma = followed.iter().map(|f| f.currents_a.amax()).fold(0.0, f64::max) * 1e3;
+        let mut text = format!("{}, {} points, {} periods: {name}\n\n", self.path, followed.len(), self.periods);
+        let _ = writeln!(
+            text,
+            "  distance from the path to the tip   RMS {rms:.3} mm, largest {:.3} mm",
+            off.iter().fold(0.0, |a: f64, b| a.max(*b))
+        );
+        let _ = writeln!(text, "  largest current                     {peak_ma:.1} mA");
+        let far = followed.iter().filter(|f| f.off_m > 1e-5).count();
+        if far > 0 {
+            let _ = writeln!(
+                text,
+                "  out of reach                        {far} points; desired.csv has where the tip gets to"
+            );
+        }
+        let _ = writeln!(text, "\nwritten: {} in {}", names.join(", "), self.out.display());
+        output::print(&text)
+    }
+
+    fn targets(&self) -> Result<Vec<Target>, Failure> {
+        let &[x, y] = self.centre.as_slice() else {
+            let text = format!("--centre: {} lengths, expected X,Y such as 28mm,0mm", self.centre.len());
+            return Err(Failure::new(Exit::Usage, text));
+        };
+        let turns = (0..self.points).map(|k| f64::from(k) / f64::from(self.points) * TAU);
+        let across = |dx: f64, dy: f64| Target::Across([x + self.radius * dx, y + self.radius * dy]);
+        match self.path.as_str() {
+            "circle" => Ok(turns.map(|t| across(t.cos(), t.sin())).collect()),
+            // Bernoulli's.
+            "lemniscate" => Ok(turns
+                .map(|t| {
+                    let scale = 1.0 / (1.0 + t.sin().powi(2));
+                    across(t.cos() * scale, t.sin() * t.cos() * scale)
+                })
+                .collect()),
+            file => from_table(Path::new(file)),
+        }
+    }
+
+    /// Currents from each time on, all periods, then zero.
+    fn rows(&self, followed: &[Followed], pause_s: f64) -> Vec<(i64, [f64; 3])> {
+        let all = (0..self.periods).flat_map(|_| followed).map(|f| f.currents_a.into());
+        let time_ns = |k: usize| (k as f64 * pause_s * 1e9).round() as i64;
+        all.chain(std::iter::once([0.0; 3])).enumerate().map(|(k, currents)| (time_ns(k), currents)).collect()
+    }
+}
+
+/// Points of a path, in mm: with z in space, without across the tube.
+fn from_table(file: &Path) -> Result<Vec<Target>, Failure> {
+    let wrong = |what: String| Failure::new(Exit::Usage, format!("{}: {what}", file.display()));
+    if !file.exists() {
+        return Err(wrong("is neither circle nor lemniscate, and no such file".to_owned()));
+    }
+    let flat = columns(file, &["x_mm", "y_mm"]).map_err(|e| Failure::new(Exit::Usage, e))?;
+    let height = columns(file, &["z_mm"]).ok();
+    let at = |column: Option<&Vec<Option<f64>>>, k: usize| {
+        column.and_then(|c| c.get(k).copied().flatten()).map(|mm| mm / 1e3)
+    };
+    let rows = flat.first().map_or(0, Vec::len);
+    (0..rows)
+        .map(|k| {
+            let missing = || wrong(format!("point {}: a value is missing", k + 1));
+            let (x, y) = (at(flat.first(), k).ok_or_else(missing)?, at(flat.get(1), k).ok_or_else(missing)?);
+            let Some(height) = &height else { return Ok(Target::Across([x, y])) };
+            Ok(Target::Space(Point3::new(x, y, at(height.first(), k).ok_or_else(missing)?)))
+        })
+        .collect()
+}
+
+/// One period of what the tip does: the desired path of `validate`.
+fn desired(followed: &[Followed]) -> String {
+    let mut text = "x_mm,y_mm,z_mm,tan_x,tan_y,tan_z\r\n".to_owned();
+    for Followed { shape, .. } in followed {
+        let (p, t) = (shape.tip * 1e3, shape.tangent);
+        let _ = write!(text, "{:.6},{:.6},{:.6},{:.8},{:.8},{:.8}\r\n", p.x, p.y, p.z, t.x, t.y, t.z);
+    }
+    text
+}
+
+/// Makes the folder; refuses one that has other files than those of this command.
+fn prepare(folder: &Path, own: &[impl AsRef<str>]) -> Result<(), Failure> {
+    let refused = |what: String| Failure::new(Exit::Usage, format!("{}: {what}", folder.display()));
+    if folder.exists() && !folder.is_dir() {
+        return Err(refused("is a file; give the name of a folder".to_owned()));
+    }
+    for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
+        let name = entry.file_name();
+        if !own.iter().any(|own| name == own.as_ref()) {
+            return Err(refused(format!(
+                "has {}, which this command did not write; give another folder",
+                name.display()
+            )));
+        }
+    }
+    std::fs::create_dir_all(folder).map_err(|e| Failure::new(Exit::Failed, format!("{}: {e}", folder.display())))
+}
+
+fn is_page_or_free(path: &Path) -> Result<(), Failure> {
+    let ours = |text: String| text.is_empty() || text.starts_with("<!doctype html>");
+    if path.is_dir() || path.is_file() && !std::fs::read_to_string(path).is_ok_and(ours) {
+        let text = format!("{}: is there and not a page; give another name", path.display());
+        return Err(Failure::new(Exit::Usage, text));
+    }
+    Ok(())
+}
+
+fn save(path: &Path, text: &str) -> Result<(), Failure> {
+    whole_file::write(path, text.as_bytes())
+        .map_err(|e| Failure::new(Exit::Failed, format!("{}: cannot be written: {e}", path.display())))
+}
