@@ -307,7 +307,7 @@ impl Tracker {
             }
             let knot = view.image.at_arc(0.0);
             let separation = (0..group.members.len())
-                .map(|i| self.separation(group, i, &view.colours))
+                .map(|i| self.separation(group, i, v, &view.colours))
                 .fold(f64::INFINITY, f64::min);
             if !(moved <= MOST_MOVED.0.max(MOST_MOVED.1 * knot.half_width) && separation >= LEAST_SEPARATION) {
                 return Err(Miss::PoorFit { moved_px: moved, separation });
@@ -328,19 +328,17 @@ impl Tracker {
         Ok(())
     }
 
-    /// Score of a band's fitted colour above that of the most similar of its neighbours and background.
-    fn separation(&self, group: &Group, member: usize, colours: &[f64]) -> f64 {
-        let Some(model) = self.rig.markers[group.members[member].0].colour else { return 0.0 };
-        let score = |at: usize| {
-            let rgb = Vector3::from_fn(|c, _| f64::from(self.model.encoding.encode(colours[at + c] as f32).0));
-            model.weights.dot(&rgb) + model.bias
-        };
+    /// How far a band's fitted colour is from the most similar of its neighbours and background.
+    fn separation(&self, group: &Group, member: usize, view: usize, colours: &[f64]) -> f64 {
+        let Some(model) = self.rig.markers[group.members[member].0].colour(view) else { return 0.0 };
+        let rgb = |at: usize| Vector3::from_fn(|c, _| f64::from(self.model.encoding.encode(colours[at + c] as f32).0));
         let segment = |j: usize| FIXED + PER_SEGMENT * j;
         let band = 2 * member + 1;
         let last = group.stretch.layout.segments() - 1;
         let neighbours = [Some(segment(band - 1)), (band < last).then(|| segment(band + 1)), Some(0)];
-        let most_similar = neighbours.into_iter().flatten().map(score).fold(f64::NEG_INFINITY, f64::max);
-        score(segment(band)) - most_similar
+        let own = rgb(segment(band));
+        let apart = neighbours.into_iter().flatten().map(|at| model.separation(&own, &rgb(at)));
+        apart.fold(f64::INFINITY, f64::min)
     }
 
     fn estimate(&self, frame: &Frame, assigned: &[Result<Assigned, Miss>], fitted: &[Fitted]) -> Estimate {
@@ -393,7 +391,7 @@ impl Tracker {
                     axis_sd_rad: axis_sd_rad(&view.image, s, &fit.covariance),
                     residual_px: view.residual_px,
                     fit_rms: view.rms,
-                    separation: self.separation(group, member, &view.colours),
+                    separation: self.separation(group, member, v, &view.colours),
                     outline_px: outline(&view.image, s - half, s + half),
                 })
             })
@@ -441,7 +439,7 @@ mod tests {
             rig.markers.iter_mut().zip([(6e-3, 6e-3), (12e-3, 85e-3), (6e-3, 107e-3)]).zip(colours)
         {
             (marker.length_m, marker.centre_m) = (length_m, Some(centre_m));
-            marker.colour = Some(ColourModel { weights: weights.into(), bias: 0.0, rgb: Vector3::zeros() });
+            marker.colours = vec![ColourModel::linear(weights.into(), 0.0, Vector3::zeros())];
         }
         let tube = Tube {
             centre: Point3::new(0.001, -0.004, 1.35),
