@@ -9,6 +9,7 @@
 //! unstable (a conjugate point of the rod reaches the clamp), and has a negative eigenvalue beyond: such a load is refused.
 
 use super::error::CatheterError;
+use super::load::{Load, Stage, forces};
 use super::model::Catheter;
 use super::rod::Forces;
 use super::shape::Shape;
@@ -23,24 +24,6 @@ const MOST_STEPS: usize = 12;
 const LONGEST_RAD: f64 = 0.5;
 /// The load is raised by this part at first, and by no less than this.
 const RAISED: (f64, f64) = (0.25, 1e-4);
-
-/// What acts on the catheter beside its weight.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Load {
-    /// Currents of the coils x, y, z, amperes.
-    pub currents_a: Vector3<f64>,
-    /// Force at the tip, N, base frame.
-    pub tip_n: Vector3<f64>,
-    /// Couple at the tip, N·m, base frame.
-    pub tip_nm: Vector3<f64>,
-}
-
-impl Load {
-    /// Currents of the coils x, y, z in amperes, and nothing at the tip.
-    pub fn currents(currents_a: Vector3<f64>) -> Self {
-        Self { currents_a, tip_n: Vector3::zeros(), tip_nm: Vector3::zeros() }
-    }
-}
 
 /// The shape of the catheter under `load`.
 ///
@@ -65,29 +48,6 @@ pub(super) fn near(catheter: &Catheter, load: &Load, from: UnitQuaternion<f64>) 
     let found = solve(catheter, &forces(catheter, load, Stage::Load, 1.0), from);
     let tip = found.map_err(|why| why.at(1.0))?;
     Ok(Shape::new(catheter, load, tip))
-}
-
-#[derive(Debug, Clone, Copy, PartialEq)]
-enum Stage {
-    Weight,
-    Load,
-}
-
-/// What acts while the load is raised.
-fn forces(catheter: &Catheter, load: &Load, stage: Stage, part: f64) -> Forces {
-    let (weight, part) = if stage == Stage::Weight { (part, 0.0) } else { (1.0, part) };
-    Forces {
-        tip_n: load.tip_n * part,
-        tip_nm: load.tip_nm * part,
-        moment_am2: catheter.coils.moment_per_ampere_m2 * load.currents_a * part,
-        field_t: catheter.surroundings.b0_t,
-        weight,
-    }
-}
-
-/// All that acts under the whole load.
-pub(super) fn all_forces(catheter: &Catheter, load: &Load) -> Forces {
-    forces(catheter, load, Stage::Load, 1.0)
 }
 
 /// Why there is no solution near.

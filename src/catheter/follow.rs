@@ -14,8 +14,9 @@
 //! Source of the method: Liu et al., "Iterative Jacobian-based inverse kinematics and open-loop control of an MRI-guided
 //! magnetically actuated steerable catheter system" (2017), doi:10.1109/TMECH.2017.2704526.
 
-use super::equilibrium::{Load, equilibrium};
+use super::equilibrium::equilibrium;
 use super::error::CatheterError;
+use super::load::Load;
 use super::model::Catheter;
 use super::shape::Shape;
 use nalgebra::{Matrix3, Point3, Vector3};
@@ -223,12 +224,12 @@ mod tests {
     #[test]
     fn both_sides_of_a_circle_that_is_out_of_reach_are_met() {
         let catheter = Catheter::prototype();
-        let around = circle(0.02, 16).into_iter().map(|target| match target {
+        let around = circle(0.02, 8).into_iter().map(|target| match target {
             Target::Across([x, y]) => Target::Across([x - 0.028, y]),
             space => space,
         });
         let followed = follow(&catheter, &around.collect::<Vec<_>>()).unwrap();
-        assert!(followed[0].off_m < 1e-6 && followed[8].off_m < 1e-6, "{} {}", followed[0].off_m, followed[8].off_m);
+        assert!(followed[0].off_m < 1e-6 && followed[4].off_m < 1e-6, "{} {}", followed[0].off_m, followed[4].off_m);
         assert!(followed.iter().all(|f| f.off_m < 0.018), "{:?}", followed.iter().map(|f| f.off_m).collect::<Vec<_>>());
     }
 

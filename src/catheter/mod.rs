@@ -19,14 +19,20 @@ mod equilibrium;
 mod error;
 mod file;
 mod follow;
+mod load;
 mod model;
 mod reach;
 mod rod;
+mod sensitivity;
 mod shape;
+#[cfg(test)]
+mod tests;
 
-pub use equilibrium::{Load, equilibrium};
+pub use equilibrium::equilibrium;
 pub use error::CatheterError;
 pub use follow::{Followed, Target, follow};
+pub use load::Load;
 pub use model::{Catheter, CoilSet, Surroundings, Tube};
 pub use reach::{Reach, Reached, reach};
-pub use shape::{Sensitivity, Shape};
+pub use sensitivity::Sensitivity;
+pub use shape::Shape;

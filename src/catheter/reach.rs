@@ -4,8 +4,9 @@
 //! count, and the tip of a catheter with one coil set reaches a surface, not a volume. Currents along such a direction leave the
 //! box of allowed currents through a face, so that the faces reach all that the box reaches: they are what is sampled.
 
-use super::equilibrium::{Load, equilibrium};
+use super::equilibrium::equilibrium;
 use super::error::CatheterError;
+use super::load::Load;
 use super::model::Catheter;
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;

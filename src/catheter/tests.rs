@@ -1,7 +1,9 @@
 //! Rods with known answers, and the paper's prototype.
 
+use super::load::all_forces;
+use super::rod::Section;
 use super::*;
-use crate::catheter::equilibrium;
+use nalgebra::{Point3, Vector3};
 use std::f64::consts::PI;
 
 /// A metre of rod of EI = GJ = 1 N·m² with a coil set so short that it does not matter, no weight.

@@ -1,30 +1,14 @@
-//! The catheter's shape, and how it follows the currents.
+//! How the shape follows the currents.
 
-use super::equilibrium::{Load, all_forces, near};
+use super::equilibrium::near;
 use super::error::CatheterError;
+use super::load::Load;
 use super::model::Catheter;
-use super::rod::Section;
-use nalgebra::{Matrix3, Point3, UnitQuaternion, Vector3};
+use super::shape::Shape;
+use nalgebra::{Matrix3, Vector3};
 
 /// Step of the differences by a current, as part of the limit: errors of the square of it.
 const STEP: f64 = 1e-4;
-
-/// A shape at rest.
-#[derive(Debug, Clone)]
-pub struct Shape {
-    /// The centre line from the clamp to the tip, every millimetre or closer: distance along it and place, metres.
-    pub centre_line: Vec<(f64, Point3<f64>)>,
-    /// Middle of the coil set.
-    pub coil: Point3<f64>,
-    /// Direction of the tube at the coil set, towards the tip; length 1.
-    pub tangent: Vector3<f64>,
-    /// End of the tube.
-    pub tip: Point3<f64>,
-    /// Moment at the clamp, N·m.
-    pub clamp_nm: Vector3<f64>,
-    load: Load,
-    tip_frame: UnitQuaternion<f64>,
-}
 
 /// Derivatives by the currents of coils x, y, z: columns.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -36,33 +20,6 @@ pub struct Sensitivity {
 }
 
 impl Shape {
-    pub(super) fn new(catheter: &Catheter, load: &Load, tip_frame: UnitQuaternion<f64>) -> Self {
-        let mut sections = catheter.integrate(&tip_frame, &all_forces(catheter, load), 1);
-        sections.reverse();
-        let coil_m = catheter.flexible_m + catheter.coil_m / 2.0;
-        let from_coil = |section: &&Section| (section.arc_m - coil_m).abs();
-        let coil = sections.iter().min_by(|a, b| from_coil(a).total_cmp(&from_coil(b)));
-        Self {
-            coil: coil.map_or_else(Point3::origin, |coil| coil.point),
-            tangent: coil.map_or_else(Vector3::z, |coil| coil.frame * Vector3::z()),
-            tip: sections.last().map_or_else(Point3::origin, |tip| tip.point),
-            clamp_nm: sections.first().map_or_else(Vector3::zeros, |clamp| clamp.moment_nm),
-            centre_line: sections.iter().map(|section| (section.arc_m, section.point)).collect(),
-            load: *load,
-            tip_frame,
-        }
-    }
-
-    /// θ, radians.
-    pub fn theta_rad(&self) -> f64 {
-        self.tangent.x.atan2(self.tangent.z)
-    }
-
-    /// Angle between the tangent and z, radians.
-    pub fn polar_rad(&self) -> f64 {
-        self.tangent.z.clamp(-1.0, 1.0).acos()
-    }
-
     /// The shape under a load that differs little from this one's.
     ///
     /// # Errors
@@ -101,6 +58,3 @@ impl Sensitivity {
         if values.max() > 0.0 { values.min() / values.max() } else { 0.0 }
     }
 }
-
-#[cfg(test)]
-mod tests;
