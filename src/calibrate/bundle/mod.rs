@@ -122,6 +122,7 @@ pub enum NoSolution {
 }
 
 /// Where the search is.
+#[derive(Clone)]
 struct State {
     geometry: Geometry,
     poses: Vec<Isometry3<f64>>,
@@ -141,9 +142,11 @@ impl Bundle {
             if self.known.is_empty() || (known.design_effect / prior_weight - 1.0).abs() < SETTLED.1 {
                 break;
             }
-            prior_weight = known.design_effect;
-            (at, sd_px) = self.searched(sd_px, prior_weight, at)?;
-            known = self.clustered(&at, sd_px, prior_weight)?;
+            // Where another weight leads nowhere, the answer stands that there is: its covariance holds for any weight.
+            let weight = known.design_effect;
+            let Ok((next, next_sd_px)) = self.searched(sd_px, weight, at.clone()) else { break };
+            let Ok(next_known) = self.clustered(&next, next_sd_px, weight) else { break };
+            (at, sd_px, known, prior_weight) = (next, next_sd_px, next_known, weight);
         }
         // The board's bend comes last.
         let free = self.free.len();
