@@ -64,6 +64,12 @@ pub enum MarkersError {
         /// What was looked for.
         band: String,
     },
+    /// Two bands clicked in one place.
+    #[error("`{}` and `{}` were picked on one band: pick each on its own", names[0], names[1])]
+    OneBand {
+        /// Markers.
+        names: [String; 2],
+    },
     /// Bands in another order along the tube.
     #[error(
         "the tube would fold back between the bands in the order {names}: give the picks in their order along the tube, from \

@@ -105,6 +105,7 @@ pub(super) fn explained(rig: &Rig, clicks: &[Vec<Near>], why: NotFound) -> Marke
             );
             MarkersError::NotMeasured { name: name(marker), x, y, reason }
         }
+        NotFound::OneBand { markers: [a, b] } => MarkersError::OneBand { names: [name(a), name(b)] },
         NotFound::Order => {
             MarkersError::Order { names: rig.markers.iter().map(|m| m.name.as_str()).collect::<Vec<_>>().join(", ") }
         }

@@ -39,6 +39,8 @@ pub(crate) enum NotFound {
     Nothing { marker: usize, view: usize },
     /// What does is seen in one view only.
     OneView { marker: usize, view: usize, look: Look },
+    /// The clicks of two bands are on one.
+    OneBand { markers: [usize; 2] },
     /// The bands are on one tube, but in another order.
     Order,
     /// No choice of one place a band makes a tube.
@@ -55,10 +57,17 @@ const MOST_PLACES: usize = 24;
 const MOST_CHOICES: usize = 200;
 /// What a tube all the way between two bands is worth, beside the scores of the bands.
 const TUBE_SCORE: f64 = 6.0;
+/// What a fold in the tube costs.
+const FOLD_SCORE: f64 = 2.0;
+/// Clicks of two bands this much closer than their middles can be are on one of them.
+const ONE_BAND: f64 = 0.5;
 
 /// Finds all bands of `rig`; `clicks` has those of each band.
 pub(crate) fn locate(rig: &Rig, pixels: &Pixels, clicks: &[Vec<Near>]) -> Result<Vec<Candidate>, NotFound> {
     let search = Search { rig, pixels, scale: scales(rig, clicks).ok_or(NotFound::NoVolume)? };
+    if let Some(markers) = on_one_band(&search, clicks) {
+        return Err(NotFound::OneBand { markers });
+    }
     let mut candidates = Vec::with_capacity(clicks.len());
     for (marker, near) in clicks.iter().enumerate() {
         candidates.push(of_band(&search, marker, near)?);
@@ -69,6 +78,18 @@ pub(crate) fn locate(rig: &Rig, pixels: &Pixels, clicks: &[Vec<Near>]) -> Result
         .zip(&rig.markers)
         .map(|(c, marker)| search.refined(c, marker.length_m).unwrap_or_else(|| c.clone()));
     Ok(refined.collect())
+}
+
+/// Two bands that were clicked in one place.
+fn on_one_band(search: &Search<'_>, clicks: &[Vec<Near>]) -> Option<[usize; 2]> {
+    let pairs = (0..clicks.len()).flat_map(|a| (a + 1..clicks.len()).map(move |b| [a, b]));
+    let mut pairs = pairs.filter(|[a, b]| {
+        let least_m = ONE_BAND * (search.rig.markers[*a].length_m + search.rig.markers[*b].length_m) / 2.0;
+        let near = clicks[*a].iter().flat_map(|near| clicks[*b].iter().map(move |other| (near, other)));
+        near.filter(|(near, other)| near.view == other.view)
+            .any(|(near, other)| (near.pixel - other.pixel).norm() < least_m * search.scale[near.view])
+    });
+    pairs.next()
 }
 
 fn of_band(search: &Search<'_>, marker: usize, near: &[Near]) -> Result<Vec<Candidate>, NotFound> {
@@ -119,7 +140,8 @@ fn scales(rig: &Rig, clicks: &[Vec<Near>]) -> Option<Vec<f64>> {
 /// One candidate a band: those of the best score that can be on one tube.
 fn choose(rig: &Rig, pixels: &Pixels, candidates: &[Vec<Candidate>]) -> Result<Vec<Candidate>, NotFound> {
     let mut choices: Vec<(f64, Vec<&Candidate>)> = vec![(0.0, Vec::new())];
-    let mut folded = false;
+    // A tube that folds back is none; but where that is by far the best choice, the bands are in another order.
+    let folds = |a: &Candidate, b: &Candidate, c: &Candidate| (b.point - a.point).dot(&(c.point - b.point)) < 0.0;
     for (m, list) in candidates.iter().enumerate() {
         let mut longer: Vec<(f64, Vec<&Candidate>)> = Vec::new();
         for (score, chosen) in &choices {
@@ -133,22 +155,23 @@ fn choose(rig: &Rig, pixels: &Pixels, candidates: &[Vec<Candidate>]) -> Result<V
                 if !(shortest * 0.9..LONGEST_GAP_M).contains(&step.norm()) {
                     continue;
                 }
-                if let [.., before, _] = chosen.as_slice()
-                    && (last.point - before.point).dot(&step) < 0.0
-                {
-                    folded = true;
-                    continue;
-                }
                 let (tube, different) = tube_between(rig, pixels, last, next);
+                let fold = match chosen.as_slice() {
+                    [.., before, _] if folds(before, last, next) => FOLD_SCORE,
+                    _ => 0.0,
+                };
                 let mut all = chosen.clone();
                 all.push(next);
-                longer.push((score + next.score + TUBE_SCORE * tube - different, all));
+                longer.push((score + next.score + TUBE_SCORE * tube - different - fold, all));
             }
         }
         longer.sort_by(|a, b| b.0.total_cmp(&a.0));
         longer.truncate(MOST_CHOICES);
         choices = longer;
     }
-    let best = choices.into_iter().next().ok_or(if folded { NotFound::Order } else { NotFound::NoTube })?;
-    Ok(best.1.into_iter().cloned().collect())
+    let (_, best) = choices.into_iter().next().ok_or(NotFound::NoTube)?;
+    if best.windows(3).any(|three| matches!(three, [a, b, c] if folds(a, b, c))) {
+        return Err(NotFound::Order);
+    }
+    Ok(best.into_iter().cloned().collect())
 }
