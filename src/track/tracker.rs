@@ -213,8 +213,8 @@ impl Tracker {
             fit.covariance += fit.slip_covariance * variance_px2;
             let worst =
                 views.iter().zip(&fit.views).find(|(v, view)| self.usual.exceeds(group.reference, **v, view.rms));
-            if let Some((_, view)) = worst {
-                let separation = (0..group.members.len()).map(|i| self.separation(group, i, &view.colours));
+            if let Some((v, view)) = worst {
+                let separation = (0..group.members.len()).map(|i| self.separation(group, i, *v, &view.colours));
                 let separation = separation.fold(f64::INFINITY, f64::min);
                 *result = Err(Miss::PoorFit { moved_px: view.residual_px.norm(), separation });
                 continue;

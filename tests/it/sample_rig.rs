@@ -32,7 +32,7 @@ fn leaves(key: String, value: &Value, to: &mut Vec<(String, Value)>) {
 /// twentieth of σ of the calibration, or what no measurement notices. `None`: no number that means something by itself.
 fn tolerance(key: &str) -> Option<f64> {
     // The first that fits counts.
-    const BY_KEY: [(&str, f64); 25] = [
+    const BY_KEY: [(&str, f64); 28] = [
         ("sd_by_noise", 0.1),
         ("board_bend_mm", 0.02),
         ("volume_mm", 0.5),
