@@ -388,37 +388,6 @@ mod tests {
         assert!(learned.separations.iter().all(|s| s.gap() >= worst));
     }
 
-    /// Dull yellow between brown, white and grey: no single plane has it on one side and all of them on the other.
-    #[test]
-    fn a_colour_amid_others_takes_several_planes() {
-        let class = |name: &str, rgb: [f64; 3], seed: usize| {
-            let noise = |i: usize| (((i * 7919 + seed * 104_729) % 1000) as f64 / 500.0 - 1.0) * 4.0;
-            let sample = |i: usize| {
-                Vector3::from(rgb) * (0.9 + 0.2 * (i % 17) as f64 / 16.0) + Vector3::from_fn(|c, _| noise(3 * i + c))
-            };
-            ClassSamples { name: name.into(), is_marker: seed == 0, rgb: (0..400).map(sample).collect() }
-        };
-        let classes = [
-            class("yellow", [90.0, 80.0, 50.0], 0),
-            class("brown", [70.0, 58.0, 46.0], 1),
-            class("orange", [110.0, 80.0, 20.0], 2),
-            class("white", [90.0, 90.0, 88.0], 3),
-            class("green", [70.0, 90.0, 50.0], 4),
-        ];
-        let learned = learn(&classes).unwrap();
-        assert!(learned.models[0].planes.len() > 1, "{:?}", learned.models[0]);
-        let single = ColourModel {
-            planes: vec![plane(&classes, 0, &Against::AllBut(Vec::new())).unwrap()],
-            ..learned.models[0].clone()
-        };
-        let mistakes = |model: &ColourModel| {
-            let missed = 1.0 - Scores::of(model, &classes[0]).above(THRESHOLD);
-            missed + classes[1..].iter().map(|class| Scores::of(model, class).above(THRESHOLD)).sum::<f64>() / 4.0
-        };
-        assert!(mistakes(&learned.models[0]) < 0.02, "{}", mistakes(&learned.models[0]));
-        assert!(mistakes(&single) > 0.05, "{}", mistakes(&single));
-    }
-
     #[test]
     fn a_class_counts_the_same_however_many_samples_it_has() {
         let mut classes = samples();
