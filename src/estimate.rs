@@ -141,7 +141,8 @@ pub enum Miss {
         /// Distance, metres.
         distance_m: f64,
     },
-    /// What was found there is not this band: the fit left its start, or the colour is not the marker's.
+    /// What was found there is not this band, or not all of it: the fit left its start, the colour is not the marker's, or the
+    /// picture is explained much worse than in the frames before, as when something stands in front of a part.
     PoorFit {
         /// How far the fit moved from where the blob was, pixels.
         moved_px: f64,

@@ -62,7 +62,7 @@ fn take(source: &mut dyn FrameSource) {
 
 fn rig(bytes: &[u8], _: &Path) {
     let Ok(rig) = Rig::from_toml_str(&String::from_utf8_lossy(bytes), Path::new("rig.toml")) else { return };
-    let _ = check(&rig);
+    let _ = check(&rig.clone().into());
     let _ = Tracker::new(&rig, TrackOptions::default());
     let _ = rig.to_toml_string();
 }

@@ -17,6 +17,7 @@ mod log;
 mod output;
 mod progress;
 mod provenance;
+mod results;
 mod rig;
 mod run;
 mod track;
@@ -105,9 +106,9 @@ Example:
     --desired tests/data/validate/circle.csv --start 1.5 -o validation")]
     Validate(validate::Args),
     /// Print the completions of a shell: bash, zsh, fish, elvish or PowerShell
-    #[command(after_help = "\
-Example, for bash (others: the README):
-  catoptra completions bash > catoptra.bash")]
+    #[command(
+        after_help = "Where each shell wants them: README.md\nExample:\n  catoptra completions bash > catoptra.bash"
+    )]
     Completions(docs::CompletionsArgs),
     /// Write the manual pages, one for each command, into a folder
     #[command(after_help = "Example:\n  catoptra man man1")]

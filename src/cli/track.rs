@@ -1,7 +1,8 @@
 //! `catoptra track`: a recording, or a folder of pictures, to log, table, report and overlay.
 
 use super::progress::Progress;
-use super::run::folder::{self, Files, Run, unlike_others, whole_path};
+use super::results::{unlike_others, whole_path};
+use super::run::folder::{self, Files, Run};
 use super::run::{Record, Reference, load_rig, open_sinks, pool, print_warnings, rig_of_log, summary, verdict};
 use super::{Exit, Failure, fitting, interrupt, output, provenance};
 use crate::log::is_log;
@@ -110,6 +111,9 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
         .map_err(|e| Failure::new(Exit::Failed, format!("cannot start a thread: {e}")))?;
     drop(progress);
     // 4. what came of it
+    if let Some(sources) = run_summary.tally.budget() {
+        files.add_budget(&run, &sources)?;
+    }
     if !quiet {
         let mut text = String::new();
         summary::summary(&mut text, &recording, &run_summary, &files, &rig)

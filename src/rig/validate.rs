@@ -2,10 +2,12 @@
 //! must have to be a [`Rig`] is judged here too.
 
 use super::error::nearest;
-use super::file::{BaseFile, CameraFile, CatheterFile, MarkerFile, RigFile, SurfaceFile, SurfaceKind, ViewFile};
+use super::file::{
+    BaseFile, CameraFile, CatheterFile, MarkerFile, RigFile, SurfaceFile, SurfaceKind, ViewColourFile, ViewFile,
+};
 use super::numbers::{millimetres as written_mm, rotation_of};
 use super::walk::{central_pixel, walk};
-use super::{Base, Camera, Catheter, ColourModel, Draft, Marker, Rig, RigError, View, polygon};
+use super::{Base, Camera, Catheter, ColourModel, ColourPlane, Draft, Marker, Rig, RigError, View, polygon};
 use crate::optics::{Lens, Mirror, OpticalPath, Plane, Surface, Wall};
 use nalgebra::{Isometry3, Matrix3, Point2, Translation3, Vector2, Vector3};
 use std::collections::BTreeMap;
@@ -28,7 +30,7 @@ pub(super) fn validate(raw: RigFile, file: &Path) -> Result<Draft, RigError> {
     check.names("view", raw.views.iter().map(|v| v.name.as_str()))?;
     check.names("marker", raw.markers.iter().map(|m| m.name.as_str()))?;
     let views = raw.views.into_iter().map(|v| check.view(v, &camera, &surfaces)).collect::<Result<Vec<_>, _>>()?;
-    let markers = raw.markers.into_iter().map(|m| check.marker(m)).collect::<Result<Vec<_>, _>>()?;
+    let markers = raw.markers.into_iter().map(|m| check.marker(m, &views)).collect::<Result<Vec<_>, _>>()?;
     check.bands_apart(&markers)?;
     let catheter = raw.catheter.map(|catheter| check.catheter(&catheter, &markers)).transpose()?;
     let base = raw.base.map(|base| check.base(&base)).transpose()?;
@@ -303,7 +305,7 @@ impl Check<'_> {
         Ok(())
     }
 
-    fn marker(&self, raw: MarkerFile) -> Result<Marker, RigError> {
+    fn marker(&self, raw: MarkerFile, views: &[View]) -> Result<Marker, RigError> {
         let key = |field: &str| format!("marker.{}.{field}", raw.name);
         self.positive(key("length_mm"), raw.length_mm)?;
         if let Some(centre) = raw.centre_mm {
@@ -320,20 +322,62 @@ impl Check<'_> {
             if colour.discriminant_rgb == [0.0; 3] {
                 return Err(self.value(key("colour.discriminant_rgb"), "[0, 0, 0]", "weights that are not all zero"));
             }
-            if !colour.rgb.iter().all(|c| (0.0..=255.0).contains(c)) {
-                return Err(self.value(key("colour.rgb"), format!("{:?}", colour.rgb), "0 to 255 each"));
-            }
+            self.colour_range(key("colour.rgb"), &colour.rgb)?;
         }
+        let everywhere =
+            raw.colour.map(|c| ColourModel::linear(Vector3::from(c.discriminant_rgb), c.bias, Vector3::from(c.rgb)));
+        let colours = match everywhere {
+            Some(_) if !raw.colours.is_empty() => {
+                return Err(self.key(&key("colour"), "here beside `colours`, which says the same: keep one of them"));
+            }
+            Some(colour) => vec![colour],
+            None => self.colours(&key("colours"), &raw.colours, views)?,
+        };
         Ok(Marker {
             length_m: raw.length_mm / 1e3,
             centre_m: raw.centre_mm.map(|centre| centre / 1e3),
-            colour: raw.colour.map(|c| ColourModel {
-                weights: Vector3::from(c.discriminant_rgb),
-                bias: c.bias,
-                rgb: Vector3::from(c.rgb),
-            }),
+            colours,
             name: raw.name,
         })
+    }
+
+    /// One colour model for all views, or one for each of them, in their order.
+    fn colours(&self, key: &str, raw: &[ViewColourFile], views: &[View]) -> Result<Vec<ColourModel>, RigError> {
+        let mut colours = Vec::with_capacity(raw.len());
+        for (i, colour) in raw.iter().enumerate() {
+            let key = |field: &str| format!("{key}.{i}.{field}");
+            if colour.planes.is_empty() {
+                return Err(self.value(key("planes"), "[]", "one plane or more"));
+            }
+            for plane in &colour.planes {
+                self.finite(key("planes"), plane)?;
+                if plane[..3] == [0.0; 3] {
+                    return Err(self.value(key("planes"), format!("{plane:?}"), "weights that are not all zero"));
+                }
+            }
+            self.finite(key("rgb"), &colour.rgb)?;
+            self.colour_range(key("rgb"), &colour.rgb)?;
+            let plane = |&[r, g, b, bias]: &[f64; 4]| ColourPlane { weights: Vector3::new(r, g, b), bias };
+            colours.push(ColourModel {
+                planes: colour.planes.iter().map(plane).collect(),
+                rgb: Vector3::from(colour.rgb),
+            });
+        }
+        let named: Vec<&str> = raw.iter().filter_map(|colour| colour.view.as_deref()).collect();
+        let all: Vec<&str> = views.iter().map(|view| view.name.as_str()).collect();
+        if raw.is_empty() || named == all || (raw.len() == 1 && named.is_empty()) {
+            return Ok(colours);
+        }
+        let expected =
+            format!("one entry for each view, in their order ({}), or a single one without `view`", all.join(", "));
+        Err(self.value(key, format!("[{}]", named.join(", ")), expected))
+    }
+
+    fn colour_range(&self, key: String, rgb: &[f64; 3]) -> Result<(), RigError> {
+        match rgb.iter().all(|c| (0.0..=255.0).contains(c)) {
+            true => Ok(()),
+            false => Err(self.value(key, format!("{rgb:?}"), "0 to 255 each")),
+        }
     }
 
     /// Bands whose place is known follow each other along the tube in the file's order, and do not overlap.

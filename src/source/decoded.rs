@@ -112,7 +112,7 @@ impl PictureMaker {
                 color::Range::Unspecified if is_yuv && !pixel.starts_with("yuvj") => Range::Limited,
                 color::Range::Unspecified => Range::Full,
             },
-            transfer: self.transfer(frame),
+            transfer: self.transfer(frame, is_yuv),
             siting: self.siting(frame),
         })
     }
@@ -139,9 +139,11 @@ impl PictureMaker {
         })
     }
 
-    fn transfer(&mut self, frame: &Video) -> Transfer {
+    fn transfer(&mut self, frame: &Video, is_yuv: bool) -> Transfer {
         use color::TransferCharacteristic as T;
         match frame.color_transfer_characteristic() {
+            // RGB comes from cameras and programs that make pictures for a screen, YUV from video.
+            T::Unspecified if !is_yuv => Transfer::Srgb,
             T::BT709 | T::SMPTE170M | T::BT2020_10 | T::BT2020_12 | T::Unspecified => Transfer::Bt709,
             T::IEC61966_2_1 => Transfer::Srgb,
             T::Linear => Transfer::Linear,
@@ -317,7 +319,8 @@ mod tests {
         assert_eq!(plain, convention);
         assert_eq!(tags(Video::new(Pixel::YUV420P, 64, 720)).matrix, Matrix::Bt709);
         assert_eq!(tags(Video::new(Pixel::YUVJ420P, 64, 48)).range, Range::Full);
-        assert_eq!(tags(Video::new(Pixel::RGB24, 64, 48)).range, Range::Full);
+        let rgb = tags(Video::new(Pixel::RGB24, 64, 48));
+        assert_eq!((rgb.range, rgb.transfer), (Range::Full, Transfer::Srgb));
         assert_eq!(
             [Pixel::YUYV422, Pixel::UYVY422, Pixel::YVYU422].map(|p| tags(Video::new(p, 64, 48))),
             [convention; 3]

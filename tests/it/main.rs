@@ -56,5 +56,6 @@ mod source_warnings;
 mod time_stamps;
 mod track_bad_input;
 mod track_python;
+mod track_recordings;
 mod track_run;
 mod validate;

@@ -2,12 +2,14 @@
 
 mod status;
 
-use super::run::folder::{Files, Run, unlike_others, whole_path};
+use super::results::{unlike_others, whole_path};
+use super::run::folder::{Files, Run};
 use super::run::{Record, Reference, load_rig, open_sinks, pool, print_warnings, summary, verdict};
 use super::{Exit, Failure, fitting, interrupt, output, provenance};
 use crate::live::{self, CurrentSource, LiveSummary, Outputs, Priority, RecordTo, Recording, Until};
 use crate::pipeline::End;
 use crate::report::RunInfo;
+use crate::rig::Rig;
 use crate::sink::{PublishSink, Sink, UdpSink};
 use crate::source::host::HostClock;
 use crate::source::live::{Camera, CameraSettings, Paced, RawFormat, RawPictures, Stream};
@@ -131,8 +133,7 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     let tracker = Tracker::new(&rig, TrackOptions::default())
         .map_err(|e| Failure::new(Exit::Usage, format!("{}: {e}", args.rig.display())))?;
     print_warnings(&args.rig, &rig)?;
-    let controllers = args.udp.map(|to| UdpSink::to(to, &rig)).transpose();
-    let controllers = controllers.map_err(|e| Failure::new(Exit::Failed, format!("cannot send datagrams: {e}")))?;
+    let controllers = args.controllers(&rig)?;
     let publisher = args.publish.map(|at| PublishSink::listen(at, &args.allow_origin, &rig)).transpose();
     let publisher = publisher.map_err(|e| Failure::new(Exit::Failed, e))?;
     if let Some(publisher) = &publisher {
@@ -173,6 +174,9 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
         .map_err(|e| Failure::new(Exit::Failed, format!("cannot start a thread: {e}")))?;
     drop(line);
     // 4. what came of it
+    if let Some(sources) = live.run.tally.budget() {
+        files.add_budget(&run, &sources)?;
+    }
     if !quiet {
         let mut text = String::new();
         summary::summary(&mut text, &args.source, &live.run, &files, &rig)
@@ -238,6 +242,17 @@ fn standard_input() -> Result<Box<dyn std::io::Read + Send>, Failure> {
 }
 
 impl Args {
+    /// Who is told θ the moment it is known.
+    fn controllers(&self, rig: &Rig) -> Result<Vec<Box<dyn Sink + Send>>, Failure> {
+        let mut controllers: Vec<Box<dyn Sink + Send>> = Vec::new();
+        if let Some(to) = self.udp {
+            let sink = UdpSink::to(to, rig);
+            controllers
+                .push(Box::new(sink.map_err(|e| Failure::new(Exit::Failed, format!("cannot send datagrams: {e}")))?));
+        }
+        Ok(controllers)
+    }
+
     fn open(
         &self,
         size_px: [u32; 2],

@@ -5,6 +5,7 @@ use crate::pipeline::Summary;
 use crate::rig::Rig;
 use crate::sink::spoken;
 use crate::source::times::seconds;
+use crate::tally::budget::together;
 use crate::tally::{AlarmInWords, Tally};
 use std::fmt::{self, Write as _};
 use std::path::PathBuf;
@@ -46,6 +47,19 @@ pub(in crate::cli) fn summary(
     if rig.base.is_some() {
         let range = tally.theta.range_deg.map(|(low, high)| format!("from {low:.1}° to {high:.1}°"));
         row("deflection", tally.theta.answered, tally.theta.median_sd_deg(), "°", range.unwrap_or_default())?;
+    }
+    if let Some(sources) = tally.budget() {
+        writeln!(out, "\n  error budget, 1σ                 θ         tip, base frame")?;
+        let line = |name: &str, (theta_rad, tip_m): (f64, f64)| {
+            format!("  {name:<26}  {:>8.4}°  {:>10.4} mm", theta_rad.to_degrees(), tip_m * 1e3)
+        };
+        for source in &sources {
+            match &source.share {
+                Ok(share) => writeln!(out, "{}", line(source.name, *share))?,
+                Err(why) => writeln!(out, "  {:<26}  not known: {why}", source.name)?,
+            }
+        }
+        writeln!(out, "{}", line("together", together(&sources)))?;
     }
     for AlarmInWords { ns, what, advice } in tally.alarms() {
         writeln!(out, "\nfrom {:.3} s on {what}: {advice}", seconds(ns))?;
