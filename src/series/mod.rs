@@ -95,6 +95,17 @@ pub struct Current {
     pub values_a: Vec<f64>,
 }
 
+impl CurrentTable {
+    /// Reads a table of coil currents, or a `.play` list of the laboratory's amplifier.
+    ///
+    /// # Errors
+    /// When it cannot be read, has no column of times or none of a coil, a value is missing or no number, or times do
+    /// not rise.
+    pub fn read(path: &Path) -> Result<Self, SeriesError> {
+        if play::is_play(path) { play::read(path) } else { Self::of_sheet(path) }
+    }
+}
+
 impl Recording {
     /// Reads a log or a table; which it is, its content tells.
     ///

@@ -7,6 +7,7 @@ use super::run::{Record, Reference, load_rig, open_sinks, pool, print_warnings, 
 use super::{Exit, Failure, fitting, interrupt, output, provenance};
 use crate::live::{self, CurrentSource, LiveSummary, Outputs, RecordTo, Recording, Until};
 use crate::report::RunInfo;
+use crate::rig::Rig;
 use crate::sink::{PublishSink, Sink, UdpSink};
 use crate::source::host::HostClock;
 use crate::source::live::{Camera, CameraSettings, Paced, RawFormat, RawPictures, Stream};
@@ -117,8 +118,7 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     let tracker = Tracker::new(&rig, TrackOptions::default())
         .map_err(|e| Failure::new(Exit::Usage, format!("{}: {e}", args.rig.display())))?;
     print_warnings(&args.rig, &rig)?;
-    let controllers = args.udp.map(|to| UdpSink::to(to, &rig)).transpose();
-    let controllers = controllers.map_err(|e| Failure::new(Exit::Failed, format!("cannot send datagrams: {e}")))?;
+    let controllers = args.controllers(&rig)?;
     let publisher = args.publish.map(|at| PublishSink::listen(at, &rig)).transpose();
     let publisher = publisher.map_err(|e| Failure::new(Exit::Failed, e))?;
     if let Some(publisher) = &publisher {
@@ -213,6 +213,17 @@ fn standard_input() -> Result<Box<dyn std::io::Read + Send>, Failure> {
 }
 
 impl Args {
+    /// Who is told θ the moment it is known.
+    fn controllers(&self, rig: &Rig) -> Result<Vec<Box<dyn Sink + Send>>, Failure> {
+        let mut controllers: Vec<Box<dyn Sink + Send>> = Vec::new();
+        if let Some(to) = self.udp {
+            let sink = UdpSink::to(to, rig);
+            controllers
+                .push(Box::new(sink.map_err(|e| Failure::new(Exit::Failed, format!("cannot send datagrams: {e}")))?));
+        }
+        Ok(controllers)
+    }
+
     fn open(
         &self,
         size_px: [u32; 2],
