@@ -1,7 +1,8 @@
 //! `catoptra track`: a recording, or a folder of pictures, to log, table, report and overlay.
 
 use super::progress::Progress;
-use super::run::folder::{self, Files, Run, unlike_others, whole_path};
+use super::results::{unlike_others, whole_path};
+use super::run::folder::{self, Files, Run};
 use super::run::{Record, Reference, load_rig, open_sinks, pool, print_warnings, rig_of_log, summary, verdict};
 use super::{Exit, Failure, fitting, interrupt, output, provenance};
 use crate::log::is_log;
@@ -75,7 +76,8 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     let mut tracker = Tracker::new(&rig, TrackOptions { full_frame: args.full_frame })
         .map_err(|e| Failure::new(Exit::Usage, format!("{}: {e}", rig_file.display())))?;
     let span = Span { from_ns: args.from, to_ns: args.to };
-    let options = SourceOptions { span, stated_rate: args.fps, decoder_threads: args.threads() };
+    let options =
+        SourceOptions { span, stated_rate: args.fps, decoder_threads: args.threads(), ..SourceOptions::default() };
     let source = fitting::open_to_track((&args.source, options), (rig_file, &rig))?;
     print_warnings(rig_file, &rig)?;
     let pool = pool(args.threads())?;

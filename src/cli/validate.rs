@@ -1,9 +1,10 @@
 //! `catoptra validate`: tracked runs along a desired path, to errors and response at each speed.
 
+use super::results::Results;
 use super::units::duration_s;
 use super::{Exit, Failure, interrupt, output, provenance};
 use crate::report::validation;
-use crate::series::{Recording, SeriesError};
+use crate::series::Recording;
 use crate::source::times::parse_seconds_ns;
 use crate::validate::{DesiredPath, Interpolation, Observed, Options, ValidateError, Validation, validate};
 use crate::whole_file;
@@ -57,7 +58,8 @@ fn seconds_ns(text: &str) -> Result<i64, String> {
     parse_seconds_ns(text).ok_or_else(|| "expected seconds, such as 12 or 3.25".to_owned())
 }
 
-/// By this file the folder of an earlier run is known.
+const TABLE: &str = "validation.csv";
+const TABLE_2: &str = "table.md";
 const RESULT: &str = "validation.json";
 const REPORT: &str = "report.html";
 
@@ -75,7 +77,7 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
             format!("{runs} runs and {} starts: give --start once for all runs, or once for each", args.start.len());
         return Err(Failure::new(Exit::Usage, text));
     }
-    args.folder_is_free()?;
+    args.results().check()?;
     let path = DesiredPath::read(&args.desired, args.points_per_period, args.periods).map_err(failure)?;
     let recordings = args
         .observed
@@ -111,19 +113,28 @@ impl Args {
         Options { skip: self.skip, marker: self.marker.clone(), interpolation }
     }
 
-    /// Refuses a folder whose report is not of this command.
-    fn folder_is_free(&self) -> Result<(), Failure> {
-        let folder = &self.out;
-        let refused = |what: &str| {
-            Err(Failure::new(Exit::Usage, format!("{}: {what}; choose another folder with -o", folder.display())))
+    /// Names of the tables of points, one a run in the order of the runs: two runs of one pause time have a number each.
+    fn tables_of_points(pauses_s: impl Iterator<Item = f64>) -> Vec<String> {
+        let mut seen: BTreeMap<String, u32> = BTreeMap::new();
+        let name = |pause_s: f64| {
+            let name = format!("points_{}ms", pause_s * 1e3);
+            let times = seen.entry(name.clone()).or_default();
+            *times += 1;
+            if *times == 1 { format!("{name}.csv") } else { format!("{name}_{times}.csv") }
         };
-        if folder.exists() && !folder.is_dir() {
-            return refused("is a file");
+        pauses_s.map(name).collect()
+    }
+
+    /// The folder, whose files are those of earlier results of the same runs or none.
+    fn results(&self) -> Results<'_> {
+        let tables = [TABLE, RESULT, TABLE_2, REPORT].into_iter().map(str::to_owned);
+        Results {
+            folder: &self.out,
+            command: "validate",
+            recordings: &self.observed,
+            inputs: self.observed.iter().chain([&self.desired]).map(PathBuf::as_path).collect(),
+            files: tables.chain(Self::tables_of_points(self.pause.iter().copied())).collect(),
         }
-        if folder.join(REPORT).exists() && !folder.join(RESULT).exists() {
-            return refused("has a report.html that this command did not write");
-        }
-        Ok(())
     }
 
     fn write(&self, validation: &Validation) -> Result<(), Failure> {
@@ -131,24 +142,19 @@ impl Args {
         let cannot = |what: &Path, why: String| {
             Failure::new(Exit::Failed, format!("{}: cannot be written: {why}", what.display()))
         };
-        std::fs::create_dir_all(folder).map_err(|e| cannot(folder, e.to_string()))?;
+        self.results().take()?;
         let save = |name: &str, text: &str| {
             let place = folder.join(name);
             whole_file::write(&place, text.as_bytes()).map_err(|e| cannot(&place, e.to_string()))
         };
         let table = validation.csv().map_err(|e| cannot(folder, e.to_string()))?;
         let json = validation.json().map_err(|e| cannot(folder, e.to_string()))?;
-        save("validation.csv", &table)?;
+        save(TABLE, &table)?;
         save(RESULT, &json)?;
-        save("table.md", &validation.table())?;
+        save(TABLE_2, &validation.table())?;
         save(REPORT, &validation::page(validation, &self.settings()))?;
-        // Two runs of one pause time have a number each.
-        let mut seen: BTreeMap<String, u32> = BTreeMap::new();
-        for run in &validation.runs {
-            let name = format!("points_{}ms", run.pause_s * 1e3);
-            let times = seen.entry(name.clone()).or_default();
-            *times += 1;
-            let name = if *times == 1 { format!("{name}.csv") } else { format!("{name}_{times}.csv") };
+        let names = Self::tables_of_points(validation.runs.iter().map(|run| run.pause_s));
+        for (run, name) in validation.runs.iter().zip(names) {
             save(&name, &run.points_csv())?;
         }
         Ok(())
@@ -169,21 +175,19 @@ impl Args {
 fn failure(error: ValidateError) -> Failure {
     let exit = match &error {
         ValidateError::Unusable { .. } => Exit::Unusable,
-        ValidateError::Series(series) if series.is_io() && !missing(series) => Exit::Failed,
+        ValidateError::Series(series) if series.is_io() && !series.is_missing() => Exit::Failed,
         _ => Exit::Usage,
     };
     Failure::new(exit, error)
-}
-
-/// A file that is not there is a mistake of usage, not of the system.
-fn missing(error: &SeriesError) -> bool {
-    matches!(error, SeriesError::Io { source, .. } if source.kind() == std::io::ErrorKind::NotFound)
 }
 
 fn summary(validation: &Validation, folder: &Path) -> String {
     let mut text = validation.table();
     match validation::bandwidth_hz(validation) {
         Some(hz) => text += &format!("\n3 dB below the slowest run at {hz:.3} Hz\n"),
+        None if validation.path.circle.is_none() => {
+            text += "\nno bandwidth: the path is no circle, so its motion has several frequencies\n"
+        }
         None if validation.runs.len() > 1 => {
             text += "\nthe magnitude does not fall 3 dB below that of the slowest run\n"
         }

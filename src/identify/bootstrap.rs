@@ -5,7 +5,7 @@
 //! Inputs stay as they were: that an input computed by Eq. 6 would carry the new noise too is left out.
 
 use super::data::Segment;
-use super::model::{Polynomials, all_pole};
+use super::model::{Noise, Polynomials, all_pole};
 use fastrand::Rng;
 
 /// Samples in a block.
@@ -13,15 +13,6 @@ const BLOCK: usize = 32;
 /// An interval needs this many repetitions.
 const FEWEST: usize = 20;
 const SEED: u64 = 0x00CA_7097;
-
-/// Where the noise enters.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Noise {
-    /// At the equation, A y = B u + e.
-    Equation,
-    /// At the output, y = B/A u + e.
-    Output,
-}
 
 /// Estimates `of` from `count` repetitions of the experiment. Repetitions in which `of` has no answer are left out.
 pub fn repeat<T: Send>(

@@ -1,15 +1,16 @@
 //! From signals to models: the whole chain, its steps in their order.
 
-use super::bootstrap::{Noise, middle_95, repeat};
+use super::bootstrap::{middle_95, repeat};
 use super::data::{Data, Record, Segment};
 use super::diagnostics::diagnostics;
 use super::estimated::{Estimated, Refined};
 use super::fit::{InitialState, Kind, compare};
 use super::identification::{Fit, Identification};
 use super::initial::initial_models;
+use super::model::Noise;
 use super::model::{Orders, Polynomials, angle};
 use super::modelled::{Modelled, Role, bandwidths};
-use super::reduce::{Reduced, Reduction, Target, reduce};
+use super::reduce::{Reduced, Reduction, Target, reduce, reduce_in_band};
 use super::residuals::Residuals;
 use super::search::{Candidate, Criterion, best, search};
 use super::settings::{Choice, Estimator, Settings};
@@ -22,15 +23,18 @@ use super::{IdentifyError, arx, instrumental, output_error};
 /// # Errors
 /// [`IdentifyError`].
 pub fn identify(data: &Data, settings: &Settings) -> Result<Identification, IdentifyError> {
-    let training = stretches(&data.training);
+    let mut training = stretches(&data.training);
     let validation = stretches(&data.validation);
+    if settings.initial_state == InitialState::Estimated {
+        // Not only where simulations are compared: what is fitted begins in an unknown state, too.
+        training.iter_mut().for_each(|segment| segment.from_rest = false);
+    }
     moves(&data.training)?;
     can_judge(&validation, &settings.choice)?;
     // 1. orders and delay
-    let Chosen { candidates, criterion, orders } = choose(&training, &validation, settings)?;
+    let Chosen { candidates, criterion, orders: best } = choose(&training, &validation, settings)?;
     // 2. the full model
-    let arx = arx::fit(&training, orders)?;
-    let full = full_model(&training, &arx, settings.estimator)?;
+    let (orders, arx, full) = fit_full(&training, &candidates, criterion, best, settings.estimator)?;
     let estimated = full.as_ref().map_or(&arx, |refined| &refined.estimated);
     let spectrum = spectrum(&training, data.period_s);
     let nyquist_hz = 0.5 / data.period_s;
@@ -42,25 +46,30 @@ pub fn identify(data: &Data, settings: &Settings) -> Result<Identification, Iden
     let title = format!("{}, order {}", settings.estimator.words(), estimated.model.na());
     let mut models = vec![modelled(Role::Full, title, &estimated.model, Some(estimated.covariance.clone()))];
     // 3. fewer states
-    let band = settings.weighted.then_some(excited);
+    let band = (!settings.all_frequencies).then_some(excited);
     let how = Reduction { target: settings.target, removal: settings.removal, band };
-    let reduced = reduce(&estimated.model, how).map_err(|e| e.to_string());
+    let reduced = reduce_in_band(&estimated.model, how);
+    let unstable_in_band = matches!(reduced, Ok((_, true)));
+    let how = if unstable_in_band { Reduction { band: None, ..how } } else { how };
+    let reduced = reduced.map(|(reduced, _)| reduced).map_err(|e| e.to_string());
     let mut refined = Err("there is no reduced model to begin from".to_owned());
     if let Ok(reduced) = &reduced {
         let covariance = reduced_covariance(estimated, reduced, how);
-        let title = format!("reduced, order {}", reduced.model.memory());
+        let title = format!("reduced, order {}", reduced.model.order());
         models.push(modelled(Role::Reduced, title, &reduced.model, covariance));
         // 4. the same order fitted to the data itself
         refined = refine_reduced(&training, estimated, reduced, how, excited).map_err(|e| e.to_string());
     }
     if let Ok(refined) = &refined {
         let Estimated { model, covariance, .. } = &refined.estimated;
-        let title = format!("output error, order {}", model.memory());
+        let title = format!("refined, order {}", model.order());
         models.push(modelled(Role::Refined, title, model, Some(covariance.clone())));
     }
     // 5. how sure
-    let repetitions = intervals(&mut models, &training, data.period_s, excited_hz, orders, how, settings);
-    let residuals = Residuals::of(&estimated.model, &training);
+    let residuals = Residuals::of(&estimated.model, &training, settings.estimator.noise());
+    let biased = settings.estimator == Estimator::Arx
+        && (training.iter().any(|s| s.instrument.is_some()) || !residuals.as_ref().is_some_and(Residuals::look_white));
+    let repetitions = intervals(&mut models, &training, data.period_s, excited_hz, how, settings, biased);
     let fits = fits(data, &models, settings.initial_state);
     let mut done = Identification {
         candidates,
@@ -76,6 +85,8 @@ pub fn identify(data: &Data, settings: &Settings) -> Result<Identification, Iden
         repetitions,
         diagnostics: Vec::new(),
         arx,
+        best_orders: best,
+        unstable_in_band,
     };
     done.diagnostics = diagnostics(data, &done);
     Ok(done)
@@ -105,6 +116,29 @@ fn choose(training: &[Segment], validation: &[Segment], settings: &Settings) -> 
     }
 }
 
+/// The full model by least squares and, where that is asked for, by another estimator. Orders that were searched may
+/// give way to lower ones for which this estimator has an answer.
+fn fit_full(
+    training: &[Segment],
+    candidates: &[Candidate],
+    criterion: Option<Criterion>,
+    best: Orders,
+    estimator: Estimator,
+) -> Result<(Orders, Estimated, Option<Refined>), IdentifyError> {
+    let fit = |orders: Orders| -> Result<_, IdentifyError> {
+        let arx = arx::fit(training, orders)?;
+        let full = full_model(training, &arx, estimator)?;
+        Ok((orders, arx, full))
+    };
+    fit(best).or_else(|error| {
+        let smaller = |c: &&Candidate| c.orders.parameters() < best.parameters() && c.largest_pole < 1.0;
+        let mut others: Vec<&Candidate> = candidates.iter().filter(smaller).collect();
+        let value = |c: &Candidate| criterion.and_then(|by| c.value(by)).unwrap_or(f64::INFINITY);
+        others.sort_by(|a, b| value(a).total_cmp(&value(b)));
+        others.into_iter().find_map(|candidate| fit(candidate.orders).ok()).ok_or(error)
+    })
+}
+
 /// The full model by another estimator than least squares, where that is asked for.
 fn full_model(training: &[Segment], arx: &Estimated, estimator: Estimator) -> Result<Option<Refined>, IdentifyError> {
     match estimator {
@@ -120,7 +154,7 @@ fn full_model(training: &[Segment], arx: &Estimated, estimator: Estimator) -> Re
 /// Covariance of the reduced model's coefficients, from that of the full model's.
 fn reduced_covariance(full: &Estimated, reduced: &Reduced, how: Reduction) -> Option<Covariance> {
     // Of the same number of states, whatever `auto` would take for a model nearby.
-    let same = Reduction { target: Target::Order(reduced.model.memory()), ..how };
+    let same = Reduction { target: Target::Order(reduced.model.order()), ..how };
     let parameters = |p: &[f64]| {
         let moved = reduce(&full.model.with_parameters(p), same).ok()?.model;
         (moved.nk == reduced.model.nk).then(|| moved.parameters().as_slice().to_vec())
@@ -137,7 +171,7 @@ fn refine_reduced(
     how: Reduction,
     excited: (f64, f64),
 ) -> Result<Refined, IdentifyError> {
-    let target = Target::Order(reduced.model.memory());
+    let target = Target::Order(reduced.model.order());
     let in_band = Reduction { target, band: how.band.or(Some(excited)), ..how };
     let mut initial = vec![reduced.model.clone()];
     initial.extend(reduce(&full.model, in_band).ok().map(|r| r.model));
@@ -210,9 +244,9 @@ fn intervals(
     training: &[Segment],
     period_s: f64,
     excited_hz: (f64, f64),
-    orders: Orders,
     how: Reduction,
     settings: &Settings,
+    biased: bool,
 ) -> (usize, usize) {
     let of = |role, model: &Polynomials| -> Vec<Option<f64>> {
         bandwidths(role, model, period_s, excited_hz).iter().map(|b| b.frequency_hz).collect()
@@ -220,10 +254,10 @@ fn intervals(
     let model = |role| models.iter().find(|m| m.role == role).filter(|m| m.is_stable()).map(|m| m.model.clone());
     let mut full_draws = Vec::new();
     if let Some(full) = model(Role::Full) {
-        let noise = if settings.estimator == Estimator::Arx { Noise::Equation } else { Noise::Output };
+        let noise = settings.estimator.noise();
         full_draws = repeat(training, &full, noise, settings.bootstrap, |drawn| {
             let again = match settings.estimator {
-                Estimator::Arx => arx::fit(drawn, orders).ok()?.model,
+                Estimator::Arx => arx::fit(drawn, full.orders()).ok()?.model,
                 Estimator::OutputError => output_error::refine(drawn, &full).ok()?.estimated.model,
                 Estimator::Instrumental => instrumental::refine(drawn, &full).ok()?.estimated.model,
             };
@@ -244,6 +278,10 @@ fn intervals(
             Role::Reduced => full_draws.iter().filter_map(|(_, reduced)| reduced.as_ref()).collect(),
             Role::Refined => refined_draws.iter().collect(),
         };
+        // How far a biased estimate scatters does not tell how far it is off.
+        if biased && model.role != Role::Refined {
+            continue;
+        }
         for (k, estimate) in model.bandwidths.iter_mut().enumerate() {
             estimate.interval_hz = middle_95(draws.iter().filter_map(|d| d.get(k).copied().flatten()).collect());
         }

@@ -35,15 +35,14 @@ impl Continuous {
     /// Converts a discrete model of period `period_s`. Nothing when neither way exists: a pole at −1.
     pub fn of(model: &Polynomials, period_s: f64) -> Option<Self> {
         // Whole samples of pure delay beyond the first are a delay in seconds too, not states.
-        let extra = model.nk.saturating_sub(1);
-        let undelayed = Polynomials { nk: model.nk - extra, ..model.clone() };
-        let system = StateSpace::of(&undelayed);
+        let (prompt, beyond) = model.without_delay();
+        let system = StateSpace::of(&prompt);
         let (system, conversion) = match held(&system, period_s) {
             Some(held) => (held, Conversion::Hold),
             None => (tustin(&system, period_s)?, Conversion::Tustin),
         };
         let (num, den) = rational(&system);
-        Some(Self { num, den, delay_s: extra as f64 * period_s, conversion })
+        Some(Self { num, den, delay_s: beyond as f64 * period_s, conversion })
     }
 
     /// Response at a frequency.

@@ -1,6 +1,10 @@
 //! What makes a result less than it looks, in words.
 
+use super::model::Orders;
 use std::fmt;
+
+/// Where more than this part of the output's energy follows the input, the input is the right one.
+const FOLLOWS: f64 = 0.5;
 
 /// Something that makes the result less than it looks.
 #[derive(Debug, Clone, PartialEq)]
@@ -25,6 +29,8 @@ pub enum Diagnostic {
         title: String,
         /// Simulation error, % of the energy.
         error_percent: f64,
+        /// Part of the output's energy that follows the input linearly, by the spectra; nothing where there are none.
+        linear: Option<f64>,
     },
     /// The regressors nearly depend on each other.
     IllConditioned {
@@ -47,6 +53,29 @@ pub enum Diagnostic {
         /// Mean over standard deviation.
         ratio: f64,
     },
+    /// The best orders are the largest, or smallest, of those searched.
+    AtEdge {
+        /// `na`, `nb` or `nk`.
+        what: &'static str,
+        /// Its value.
+        value: usize,
+        /// The option that searches further.
+        option: &'static str,
+    },
+    /// The estimator had no answer for the best orders.
+    LowerOrders {
+        /// The best orders.
+        best: Orders,
+        /// What was used.
+        used: Orders,
+    },
+    /// Reduced for the excited band the model would be unstable.
+    UnstableInBand,
+    /// H(s) of the reduced model is an approximation.
+    NotHeld {
+        /// Which model.
+        title: String,
+    },
     /// Residuals of the full model are not white.
     Coloured {
         /// Lags out of the bound, and of how many.
@@ -61,6 +90,8 @@ pub enum Diagnostic {
     FedBack {
         /// Lags out of the bound, and of how many.
         outside: (usize, usize),
+        /// Whether there is a signal that moves the input and does not carry it.
+        has_instrument: bool,
     },
     /// There is no reduced model.
     NotReduced {
@@ -104,10 +135,20 @@ impl fmt::Display for Diagnostic {
                     "{title}: the largest pole is {largest_pole:.6}, nearly 1; gain and phase at low frequencies are hardly known"
                 )
             }
-            Self::Poor { title, error_percent } => write!(
-                f,
-                "{title}: its simulation leaves {error_percent:.0} % of the energy of the data it was fitted to: is this the input that moved it?"
-            ),
+            Self::Poor { title, error_percent, linear } => {
+                write!(
+                    f,
+                    "{title}: its simulation leaves {error_percent:.0} % of the energy of the data it was fitted to: "
+                )?;
+                match linear {
+                    Some(part) if *part > FOLLOWS => write!(
+                        f,
+                        "{:.0} % of it follow the input, so a higher order, or another delay, would explain more",
+                        100.0 * part
+                    ),
+                    _ => write!(f, "is this the input that moved it?"),
+                }
+            }
             Self::IllConditioned { condition } => {
                 write!(
                     f,
@@ -133,10 +174,31 @@ impl fmt::Display for Diagnostic {
                     "residuals of the full model go with the input ({n} of {of} lags out of the 99 % bound): it leaves something unexplained"
                 )
             }
-            Self::FedBack { outside: (n, of) } => write!(
+            Self::FedBack { outside: (n, of), has_instrument } => {
+                write!(
+                    f,
+                    "the input goes with earlier residuals ({n} of {of} lags out of the 99 % bound): noise of the output is \
+                     fed back into it, which biases ARX; compare with "
+                )?;
+                // Without an instrument the input would be its own, noise and all.
+                if *has_instrument { write!(f, "--estimator iv") } else { write!(f, "a record without feedback") }
+            }
+            Self::AtEdge { what, value, option } => write!(
                 f,
-                "the input goes with earlier residuals ({n} of {of} lags out of the 99 % bound): noise of the output is fed back \
-                 into it, which biases ARX; compare with --estimator iv"
+                "{what} {value} is the last that was searched: a better one may lie beyond, search further with {option}"
+            ),
+            Self::LowerOrders { best, used } => write!(
+                f,
+                "the estimator has no answer for the best orders (na {}, nb {}, nk {}): na {}, nb {}, nk {} are used",
+                best.na, best.nb, best.nk, used.na, used.nb, used.nk
+            ),
+            Self::UnstableInBand => {
+                write!(f, "reduced for the excited band the model is unstable: it is reduced for all frequencies")
+            }
+            Self::NotHeld { title } => write!(
+                f,
+                "{title}: no H(s) with a held input has this response, since a real pole of the discrete model is not \
+                 positive; what is given is Tustin's approximation, for low frequencies only"
             ),
             Self::NotReduced { why } => write!(f, "there is no reduced model: {why}"),
             Self::FewerStates { asked, has } => write!(

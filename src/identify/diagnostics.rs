@@ -1,11 +1,14 @@
 //! What should be known before the numbers are used.
 
+use super::continuous::Conversion;
 use super::data::Data;
 use super::diagnostic::Diagnostic;
 use super::fit::Kind;
 use super::identification::Identification;
+use super::model::Orders;
 use super::modelled::Role;
-use super::residuals::Residuals;
+use super::residuals::{Residuals, too_many};
+use super::spectrum::Spectrum;
 
 /// A condition beyond which least squares keeps fewer than five digits.
 const ILL_CONDITIONED: f64 = 1e10;
@@ -13,8 +16,6 @@ const ILL_CONDITIONED: f64 = 1e10;
 const OVERSAMPLED: f64 = 10.0;
 /// A mean of so many times the spread.
 const OFF_CENTRE: f64 = 1.0;
-/// Of the correlations that 99 % should keep within the bound, this part may be out before it is said.
-const OUTSIDE: f64 = 0.1;
 /// A stable pole so near to the unit circle that its gain is hardly known.
 const NEARLY_UNSTABLE: f64 = 1e-4;
 
@@ -36,7 +37,20 @@ pub(super) fn diagnostics(data: &Data, done: &Identification) -> Vec<Diagnostic>
         let led =
             done.fits.iter().find(|f| f.training && f.role == model.role && matches!(f.kind, Kind::Simulation(_)));
         if let Some(error_percent) = led.map(|f| f.error.error_percent).filter(|e| *e > POOR) {
-            diagnostics.push(Diagnostic::Poor { title: model.title.clone(), error_percent });
+            let linear = done.spectrum.as_ref().map(Spectrum::linear_part);
+            diagnostics.push(Diagnostic::Poor { title: model.title.clone(), error_percent, linear });
+        }
+    }
+    diagnostics.extend(at_edge(done));
+    if done.best_orders != done.orders {
+        diagnostics.push(Diagnostic::LowerOrders { best: done.best_orders, used: done.orders });
+    }
+    if done.unstable_in_band {
+        diagnostics.push(Diagnostic::UnstableInBand);
+    }
+    for model in &done.models {
+        if model.continuous.as_ref().is_some_and(|h| h.model.conversion == Conversion::Tustin) {
+            diagnostics.push(Diagnostic::NotHeld { title: model.title.clone() });
         }
     }
     if done.arx.condition > ILL_CONDITIONED {
@@ -55,12 +69,13 @@ pub(super) fn diagnostics(data: &Data, done: &Identification) -> Vec<Diagnostic>
     }
     diagnostics.extend(off_centre(data));
     if let Some(residuals) = &done.residuals {
-        diagnostics.extend(correlated(residuals));
+        let has_instrument = data.training.iter().flat_map(|r| &r.segments).any(|s| s.instrument.is_some());
+        diagnostics.extend(correlated(residuals, has_instrument));
     }
     if let Ok(reduced) = &done.reduced
         && let Some(asked) = reduced.asked_for_more
     {
-        diagnostics.push(Diagnostic::FewerStates { asked, has: reduced.model.memory() });
+        diagnostics.push(Diagnostic::FewerStates { asked, has: reduced.model.order() });
     }
     if let Err(why) = &done.reduced {
         diagnostics.push(Diagnostic::NotReduced { why: why.clone() });
@@ -75,6 +90,24 @@ pub(super) fn diagnostics(data: &Data, done: &Identification) -> Vec<Diagnostic>
         }
     }
     diagnostics
+}
+
+/// Orders and delay at an end of the search that could be moved.
+fn at_edge(done: &Identification) -> Vec<Diagnostic> {
+    type Part = fn(&Orders) -> usize;
+    let of: [(&'static str, Part, &'static str); 3] =
+        [("na", |o| o.na, "--order or --na"), ("nb", |o| o.nb, "--order or --nb"), ("nk", |o| o.nk, "--nk")];
+    let last = |(what, of, option): (&'static str, Part, &'static str)| {
+        let values = || done.candidates.iter().map(|c| of(&c.orders));
+        let (value, largest, least) = (of(&done.best_orders), values().max()?, values().min()?);
+        (largest > least && value == largest).then_some(Diagnostic::AtEdge { what, value, option })
+    };
+    let mut edges: Vec<Diagnostic> = of.into_iter().filter_map(last).collect();
+    // na = nb is one search.
+    if done.candidates.iter().all(|c| c.orders.na == c.orders.nb) {
+        edges.retain(|edge| !matches!(edge, Diagnostic::AtEdge { what: "nb", .. }));
+    }
+    edges
 }
 
 fn off_centre(data: &Data) -> Vec<Diagnostic> {
@@ -93,8 +126,7 @@ fn off_centre(data: &Data) -> Vec<Diagnostic> {
         .collect()
 }
 
-fn correlated(residuals: &Residuals) -> Vec<Diagnostic> {
-    let too_many = |(n, of): (usize, usize)| n as f64 > OUTSIDE * of as f64;
+fn correlated(residuals: &Residuals, has_instrument: bool) -> Vec<Diagnostic> {
     let mut diagnostics = Vec::new();
     if too_many(residuals.auto_outside()) {
         diagnostics.push(Diagnostic::Coloured { outside: residuals.auto_outside() });
@@ -102,8 +134,10 @@ fn correlated(residuals: &Residuals) -> Vec<Diagnostic> {
     if too_many(residuals.cross_outside()) {
         diagnostics.push(Diagnostic::Unexplained { outside: residuals.cross_outside() });
     }
-    if too_many(residuals.fed_back()) {
-        diagnostics.push(Diagnostic::FedBack { outside: residuals.fed_back() });
+    // What a model leaves unexplained goes with the input at all lags, since the input goes with itself: that is no
+    // sign of feedback.
+    if too_many(residuals.fed_back()) && !too_many(residuals.cross_outside()) {
+        diagnostics.push(Diagnostic::FedBack { outside: residuals.fed_back(), has_instrument });
     }
     diagnostics
 }

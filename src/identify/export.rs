@@ -15,8 +15,9 @@ use serde_json::{Value, json};
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// Tables that only some results have.
-const NOT_ALWAYS: [&str; 3] = ["orders.csv", "frequency_response.csv", "residuals.csv"];
+/// All files that [`write`] may write.
+pub const FILES: [&str; 7] =
+    ["model.json", "bode.csv", "signals.csv", "hankel.csv", "orders.csv", "frequency_response.csv", "residuals.csv"];
 
 /// A file could not be written.
 #[derive(Debug, thiserror::Error)]
@@ -50,16 +51,6 @@ pub fn write(
     provenance: &Provenance,
 ) -> Result<Vec<PathBuf>, ExportError> {
     let json = serde_json::to_vec_pretty(&model(data, done, provenance)).map_err(io::Error::other);
-    // An earlier result in this folder may have had files that this one does not have.
-    if folder.join("model.json").exists() {
-        for name in NOT_ALWAYS {
-            let path = folder.join(name);
-            match std::fs::remove_file(&path) {
-                Err(source) if source.kind() != io::ErrorKind::NotFound => return Err(ExportError { path, source }),
-                _ => {}
-            }
-        }
-    }
     let mut files = vec![("model.json", json)];
     files.push(("bode.csv", bode(done)));
     files.push(("signals.csv", signals(data, done, provenance.initial_state)));
@@ -128,8 +119,11 @@ fn model(data: &Data, done: &Identification, provenance: &Provenance) -> Value {
         "reduced": by(Role::Reduced).zip(done.reduced.as_ref().ok()).map(|(m, r)| reduced(m, json!({
             "error_bound": r.error_bound,
             "unstable_states_kept": r.unstable,
+            "continuous": m.continuous.as_ref().map(continuous),
         }))),
-        "continuous": by(Role::Reduced).and_then(|m| m.continuous.as_ref()).map(continuous),
+        "continuous": done.leading().and_then(|m| Some((m, m.continuous.as_ref()?))).map(|(m, h)| {
+            joined(json!({ "model": m.role.word() }), continuous(h))
+        }),
         "refined": by(Role::Refined).zip(done.refined.as_ref().ok()).map(|(m, r)| reduced(m, json!({
             "noise_variance": r.estimated.noise_variance,
             "steps": r.steps,
@@ -204,7 +198,8 @@ fn reduced(modelled: &Modelled, more: Value) -> Value {
     let model = &modelled.model;
     let (num_z, den_z) = in_z(model);
     let of_filter = json!({
-        "order": model.memory(),
+        "order": model.order(),
+        "delay_samples": model.nk,
         "num_z": num_z,
         "den_z": den_z,
         "stable": modelled.is_stable(),
@@ -243,6 +238,7 @@ fn bandwidths(modelled: &Modelled) -> Vec<Value> {
         json!({
             "model": modelled.role.word(),
             "definition": estimate.bandwidth.definition.name(),
+            "of": modelled.bandwidths_are_of.name(),
             "frequency_hz": estimate.bandwidth.frequency_hz,
             "interval_95_hz": estimate.interval_hz.map(|(low, high)| [low, high]),
             "extrapolated": estimate.bandwidth.extrapolated,

@@ -9,6 +9,8 @@ use super::plant::Plant;
 
 /// Intervals may differ from whole periods by this part of one.
 const TOLERANCE: f64 = 0.25;
+/// Places of a grid, beside ten a sample: a camera that pauses for a day at 20 Hz has fewer.
+const MOST_PLACES: usize = 2_000_000;
 /// Resampling bridges intervals up to so many periods.
 const LONGEST_BRIDGED: f64 = 2.5;
 
@@ -49,6 +51,34 @@ pub enum GridError {
         before_s: f64,
         /// Seconds.
         after_s: f64,
+    },
+    /// Resampling would make too many samples.
+    #[error("{name}: one sample every {period_s} s makes {samples:.3e} of them: choose a longer --period")]
+    TooFine {
+        /// The record.
+        name: String,
+        /// The period asked for.
+        period_s: f64,
+        /// How many samples it would be.
+        samples: f64,
+    },
+    /// A jump of time that no pause explains.
+    #[error(
+        "{name}: after sample {sample}, at {before_s} s, the next is {:.6e} s later, {:.3e} periods: a wrong time stamp? \
+         Correct or remove it, or use the parts before and behind it as two records",
+        after_s - before_s, (after_s - before_s) / period_s
+    )]
+    Jump {
+        /// The record.
+        name: String,
+        /// Index of the sample before, from 1.
+        sample: usize,
+        /// Seconds.
+        before_s: f64,
+        /// Seconds.
+        after_s: f64,
+        /// The usual interval.
+        period_s: f64,
     },
     /// Intervals are no multiples of one period.
     #[error(
@@ -137,7 +167,16 @@ pub(super) fn usual_interval(name: &str, time_s: &[f64]) -> Result<f64, GridErro
     }
     let mut intervals: Vec<f64> = time_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
     intervals.sort_by(f64::total_cmp);
-    Ok(intervals[intervals.len() / 2])
+    let period_s = intervals[intervals.len() / 2];
+    // Each place of the grid takes memory, with a sample or without.
+    let places = (time_s[time_s.len() - 1] - time_s[0]) / period_s;
+    if places > (MOST_PLACES + 10 * time_s.len()) as f64 {
+        let longest = |k: &usize| time_s[k + 1] - time_s[*k];
+        let k = (0..time_s.len() - 1).max_by(|a, b| longest(a).total_cmp(&longest(b))).unwrap_or(0);
+        let (before_s, after_s) = (time_s[k], time_s[k + 1]);
+        return Err(GridError::Jump { name: name.to_owned(), sample: k + 1, before_s, after_s, period_s });
+    }
+    Ok(period_s)
 }
 
 /// The record in stretches of known input. With Eq. 6 the input needs the angle: where that is missing, up to `bridge`
@@ -230,6 +269,10 @@ pub fn resample(series: &Series, period_s: Option<f64>) -> Result<Series, GridEr
     let usual = usual_interval(&series.name, &series.time_s)?;
     let period = period_s.unwrap_or(usual);
     let (first, last) = (series.time_s[0], series.time_s[series.time_s.len() - 1]);
+    if (last - first) / period > (MOST_PLACES + 10 * series.time_s.len()) as f64 {
+        let samples = (last - first) / period;
+        return Err(GridError::TooFine { name: series.name.clone(), period_s: period, samples });
+    }
     let count = ((last - first) / period + 1e-9).floor() as usize + 1;
     let time_s: Vec<f64> = (0..count).map(|k| first + k as f64 * period).collect();
     let after = |t: f64| series.time_s.partition_point(|s| *s <= t + 1e-9 * period);
@@ -299,6 +342,17 @@ mod tests {
         assert_eq!(back.to_string(), "a.csv: time goes from 1 s to 1 s at sample 2; it must rise");
         assert!(matches!(Grid::of("a", &[1.0]), Err(GridError::TooFew { .. })));
         assert!(matches!(Grid::of("a", &[0.0, f64::NAN]), Err(GridError::NotRising { .. })));
+    }
+
+    #[test]
+    fn one_wrong_time_stamp_is_named_and_takes_no_memory() {
+        let mut time_s: Vec<f64> = (0..100).map(|k| f64::from(k) / 60.0).collect();
+        time_s[99] = 9.2e9;
+        let jump = Grid::of("a.csv", &time_s).unwrap_err().to_string();
+        assert!(jump.starts_with("a.csv: after sample 99, at 1.6333"), "{jump}");
+        assert!(jump.contains("a wrong time stamp?"), "{jump}");
+        let fine = resample(&series(&[0.0, 1.0, 2.0], |t| t), Some(1e-9)).unwrap_err().to_string();
+        assert!(fine.contains("2.000e9 of them: choose a longer --period"), "{fine}");
     }
 
     #[test]

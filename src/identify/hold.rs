@@ -33,6 +33,18 @@ impl Held {
         held
     }
 
+    /// The same, with a first command of zero taken to have held before, too. Any other first command is left as it is:
+    /// what was put out before is not known.
+    pub fn zero_before(&self) -> Self {
+        let mut held = self.clone();
+        if held.value.first() == Some(&0.0) {
+            held.time_s.insert(0, f64::NEG_INFINITY);
+            held.value.insert(0, 0.0);
+            held.integral.insert(0, 0.0);
+        }
+        held
+    }
+
     /// First and last command, seconds.
     pub fn span_s(&self) -> Option<(f64, f64)> {
         self.time_s.first().copied().zip(self.time_s.last().copied())
@@ -45,7 +57,9 @@ impl Held {
 
     fn integral_to(&self, t: f64) -> Option<f64> {
         let k = self.time_s.partition_point(|s| *s <= t).checked_sub(1)?;
-        Some(self.integral[k] + self.value[k] * (t - self.time_s[k]))
+        // Zero may hold since ever.
+        let since = if self.value[k] == 0.0 { 0.0 } else { self.value[k] * (t - self.time_s[k]) };
+        Some(self.integral[k] + since)
     }
 }
 
@@ -62,5 +76,13 @@ mod tests {
         assert_eq!(held.mean(-0.5, 0.5), None);
         assert_eq!(held.span_s(), Some((0.0, 2.0)));
         assert_eq!(Held::new(Vec::new()).mean(0.0, 1.0), None);
+    }
+
+    #[test]
+    fn zero_may_have_held_before_and_nothing_else() {
+        let held = Held::new(vec![(0.0, 0.0), (1.0, 2.0)]).zero_before();
+        assert_eq!((held.mean(-3.0, 1.0), held.mean(-3.0, 2.0)), (Some(0.0), Some(0.4)));
+        let other = Held::new(vec![(0.0, 1.0), (1.0, 2.0)]).zero_before();
+        assert_eq!(other.mean(-3.0, 1.0), None);
     }
 }

@@ -52,11 +52,20 @@ pub struct Identification {
     pub spectrum: Option<Spectrum>,
     /// Repetitions of the bootstrap that gave an answer, of the full and of the refined model.
     pub repetitions: (usize, usize),
+    /// Those that the search found best; other than [`Identification::orders`] where the estimator had no answer there.
+    pub best_orders: Orders,
+    /// Whether reduction for the excited band was unstable, so that it was done for all frequencies.
+    pub unstable_in_band: bool,
     /// What should be known before the numbers are used.
     pub diagnostics: Vec<Diagnostic>,
 }
 
 impl Identification {
+    /// The model to use: refined, or what there is in its place.
+    pub fn leading(&self) -> Option<&Modelled> {
+        [Role::Refined, Role::Reduced, Role::Full].into_iter().find_map(|role| self.model(role))
+    }
+
     /// The model of a role.
     pub fn model(&self, role: Role) -> Option<&Modelled> {
         self.models.iter().find(|m| m.role == role)

@@ -1,7 +1,7 @@
 //! Initial models for output error, whose sum of squares has more than one minimum.
 
 use super::data::Segment;
-use super::model::{Orders, Polynomials, angle};
+use super::model::{Orders, Polynomials, angle, memory};
 use super::reduce::{Reduction, Removal, Target, reduce};
 use super::spectrum::spectrum;
 use super::{arx, instrumental};
@@ -24,7 +24,7 @@ fn by_reduction(segments: &[Segment], orders: Orders) -> Option<Polynomials> {
     let high = arx::fit(segments, Orders { na: HIGH_ORDER, nb: HIGH_ORDER, nk: orders.nk }).ok()?.model;
     let (low, top) = spectrum(segments, 1.0)?.excited_hz;
     let band = Some((angle(low, 1.0), angle(top, 1.0)));
-    let target = Target::Order(orders.memory());
+    let target = Target::Order(memory(orders.na, orders.nb, orders.nk.min(1)));
     let found = reduce(&high, Reduction { target, removal: Removal::Truncate, band }).ok()?.model;
     let same = (found.na(), found.nb(), found.nk) == (orders.na, orders.nb, orders.nk);
     same.then_some(found)

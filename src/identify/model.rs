@@ -30,6 +30,15 @@ impl Orders {
     }
 }
 
+/// Where the noise enters.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Noise {
+    /// At the equation, A y = B u + e.
+    Equation,
+    /// At the output, y = B/A u + e.
+    Output,
+}
+
 /// B(q)/A(q) with `nk` samples of delay.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Polynomials {
@@ -57,9 +66,21 @@ impl Polynomials {
         self.b.len()
     }
 
-    /// Samples that must lie before one that is predicted: also the number of states.
+    /// Samples that must lie before one that is predicted: also the number of states, those of a delay included.
     pub fn memory(&self) -> usize {
         memory(self.na(), self.nb(), self.nk)
+    }
+
+    /// The same without the samples of delay beyond the first, and how many these were. They are no dynamics: the
+    /// first is the hold's own.
+    pub fn without_delay(&self) -> (Self, usize) {
+        let beyond = self.nk.saturating_sub(1);
+        (Self { nk: self.nk - beyond, ..self.clone() }, beyond)
+    }
+
+    /// Number of states, samples of delay beyond the first not counted.
+    pub fn order(&self) -> usize {
+        self.without_delay().0.memory()
     }
 
     /// a₁ … a_na, then b₀ … b_{nb−1}: the order of every parameter vector and covariance.

@@ -1,7 +1,7 @@
 //! A model with all that is said of it: response with its σ, H(s), bandwidths.
 
 use super::bandwidth::{Bandwidth, Definition, bandwidth};
-use super::continuous::Continuous;
+use super::continuous::{Continuous, Conversion};
 use super::model::{Polynomials, angle};
 use super::uncertainty::Covariance;
 use nalgebra::Complex;
@@ -56,6 +56,33 @@ pub struct ContinuousEstimate {
     pub standard_errors: Option<Vec<f64>>,
 }
 
+/// Which response a bandwidth is of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum BandwidthOf {
+    /// Of H(s).
+    Continuous,
+    /// Of the samples, the hold included: half a period more delay.
+    Samples,
+}
+
+impl BandwidthOf {
+    /// As files have it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Continuous => "continuous",
+            Self::Samples => "samples",
+        }
+    }
+
+    /// As people have it.
+    pub fn words(self) -> &'static str {
+        match self {
+            Self::Continuous => "H(s)",
+            Self::Samples => "samples",
+        }
+    }
+}
+
 /// A bandwidth with an interval that holds 95 % of the bootstrap's.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BandwidthEstimate {
@@ -82,6 +109,8 @@ pub struct Modelled {
     pub bode: Vec<BodePoint>,
     /// H(s), of reduced models.
     pub continuous: Option<ContinuousEstimate>,
+    /// Of which response the bandwidths are.
+    pub bandwidths_are_of: BandwidthOf,
     /// By each definition.
     pub bandwidths: Vec<BandwidthEstimate>,
 }
@@ -97,13 +126,15 @@ impl Modelled {
         excited_hz: (f64, f64),
     ) -> Self {
         let continuous = (role != Role::Full).then(|| continuous(&model, covariance.as_ref(), period_s)).flatten();
-        let bandwidths = bandwidths_of(continuous.as_ref().map(|h| &h.model), &model, period_s, excited_hz);
+        let (bandwidths_are_of, bandwidths) =
+            bandwidths_of(continuous.as_ref().map(|h| &h.model), &model, period_s, excited_hz);
         Self {
             role,
             title,
             largest_pole: model.largest_pole(),
             bode: bode(&model, covariance.as_ref(), period_s, excited_hz.0),
             continuous,
+            bandwidths_are_of,
             bandwidths: bandwidths.into_iter().map(|b| BandwidthEstimate { bandwidth: b, interval_hz: None }).collect(),
             model,
             covariance,
@@ -121,11 +152,11 @@ impl Modelled {
     }
 }
 
-/// Bandwidths of H(s) where there is one; of the full model, of its samples: its phase holds the hold's half period
-/// too.
+/// Bandwidths of H(s) where there is an exact one. Otherwise of the samples, whose phase holds the hold's half period
+/// too, as that of the full model.
 pub(super) fn bandwidths(role: Role, model: &Polynomials, period_s: f64, excited_hz: (f64, f64)) -> Vec<Bandwidth> {
     let continuous = (role != Role::Full).then(|| Continuous::of(model, period_s)).flatten();
-    bandwidths_of(continuous.as_ref(), model, period_s, excited_hz)
+    bandwidths_of(continuous.as_ref(), model, period_s, excited_hz).1
 }
 
 fn bandwidths_of(
@@ -133,12 +164,14 @@ fn bandwidths_of(
     model: &Polynomials,
     period_s: f64,
     excited_hz: (f64, f64),
-) -> Vec<Bandwidth> {
+) -> (BandwidthOf, Vec<Bandwidth>) {
+    let continuous = continuous.filter(|h| h.conversion == Conversion::Hold);
+    let of = if continuous.is_some() { BandwidthOf::Continuous } else { BandwidthOf::Samples };
     let response = |f: f64| match continuous {
         Some(h) => h.response(f),
         None => model.response(angle(f, period_s)),
     };
-    Definition::ALL.into_iter().map(|d| bandwidth(d, response, 0.5 / period_s, excited_hz)).collect()
+    (of, Definition::ALL.into_iter().map(|d| bandwidth(d, response, 0.5 / period_s, excited_hz)).collect())
 }
 
 fn continuous(model: &Polynomials, covariance: Option<&Covariance>, period_s: f64) -> Option<ContinuousEstimate> {
@@ -195,7 +228,6 @@ pub fn unwrapped(angles: impl IntoIterator<Item = f64>) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::super::arx::fit;
-    use super::super::continuous::Conversion;
     use super::super::data::Segment;
     use super::super::model::Orders;
     use super::super::model::all_pole;

@@ -126,7 +126,8 @@ fn residual(segment: &Segment, model: &Polynomials, open: Option<&DMatrix<f64>>)
     (output, left)
 }
 
-fn squares(segments: &[Segment], model: &Polynomials) -> f64 {
+/// Sum of squared residuals; infinite where the simulation runs away.
+pub(super) fn squares(segments: &[Segment], model: &Polynomials) -> f64 {
     let of = |s: &Segment| residual(s, model, free_initial_state(s, model).as_ref()).1.norm_squared();
     let sum: f64 = segments.iter().map(of).sum();
     if sum.is_finite() { sum } else { f64::INFINITY }
@@ -134,37 +135,50 @@ fn squares(segments: &[Segment], model: &Polynomials) -> f64 {
 
 /// Derivatives and residual of all samples as a triangle.
 fn linearise(segments: &[Segment], model: &Polynomials) -> DMatrix<f64> {
-    let (na, nb, nk) = (model.na(), model.nb(), model.nk);
-    let mut triangle = Triangle::new(na + nb + 1);
+    let mut triangle = Triangle::new(model.na() + model.nb() + 1);
     for segment in segments {
-        let open = free_initial_state(segment, model);
-        let (output, left) = residual(segment, model, open.as_ref());
-        let by_input = all_pole(&model.a, segment.input.clone());
-        let by_output = all_pole(&model.a, output);
-        let lagged = |signal: &[f64], t: usize, lag: usize| t.checked_sub(lag).map_or(0.0, |t| signal[t]);
-        let derivative = |t: usize, k: usize| match k.checked_sub(na) {
-            None => -lagged(&by_output, t, k + 1),
-            Some(j) => lagged(&by_input, t, nk + j),
-        };
-        if let Some(open) = open {
-            let mut columns = DMatrix::from_fn(segment.len(), na + nb, |t, k| {
-                if segment.output[t].is_nan() { 0.0 } else { derivative(t, k) }
-            });
-            columns.column_iter_mut().for_each(|mut column| drop(project_out(&open, &mut column.as_view_mut())));
-            for t in 0..segment.len() {
-                triangle.push(columns.row(t).iter().copied().chain([left[t]]));
-            }
-        } else {
-            for t in (0..segment.len()).filter(|t| !segment.output[*t].is_nan()) {
-                triangle.push((0..na + nb).map(|k| derivative(t, k)).chain([left[t]]));
-            }
-        }
+        each_row(segment, model, None, |row| triangle.push(row.iter().copied()));
     }
     triangle.finish()
 }
 
+/// Gives `take` a row for each observed sample: derivatives of the simulated output with respect to
+/// [`Polynomials::parameters`], then `further`, that with respect to one more parameter, then the residual.
+pub(super) fn each_row(segment: &Segment, model: &Polynomials, further: Option<&[f64]>, mut take: impl FnMut(&[f64])) {
+    let (na, nb, nk) = (model.na(), model.nb(), model.nk);
+    let open = free_initial_state(segment, model);
+    let (output, left) = residual(segment, model, open.as_ref());
+    let by_input = all_pole(&model.a, segment.input.clone());
+    let by_output = all_pole(&model.a, output);
+    let lagged = |signal: &[f64], t: usize, lag: usize| t.checked_sub(lag).map_or(0.0, |t| signal[t]);
+    let derivative = |t: usize, k: usize| match k.checked_sub(na) {
+        None => -lagged(&by_output, t, k + 1),
+        Some(j) if j < nb => lagged(&by_input, t, nk + j),
+        Some(_) => further.and_then(|further| further.get(t)).copied().unwrap_or(0.0),
+    };
+    let width = na + nb + usize::from(further.is_some());
+    let observed = |t: &usize| !segment.output[*t].is_nan();
+    let mut row = vec![0.0; width + 1];
+    if let Some(open) = open {
+        let mut columns =
+            DMatrix::from_fn(segment.len(), width, |t, k| if observed(&t) { derivative(t, k) } else { 0.0 });
+        columns.column_iter_mut().for_each(|mut column| drop(project_out(&open, &mut column.as_view_mut())));
+        for t in (0..segment.len()).filter(observed) {
+            row.iter_mut().zip(columns.row(t).iter().chain([&left[t]])).for_each(|(place, value)| *place = *value);
+            take(&row);
+        }
+    } else {
+        for t in (0..segment.len()).filter(observed) {
+            for (k, place) in row.iter_mut().enumerate() {
+                *place = if k < width { derivative(t, k) } else { left[t] };
+            }
+            take(&row);
+        }
+    }
+}
+
 /// Solves with the columns' own lengths, times √damping, below the triangle.
-fn damped_step(triangle: &DMatrix<f64>, damping: f64) -> Option<DVector<f64>> {
+pub(super) fn damped_step(triangle: &DMatrix<f64>, damping: f64) -> Option<DVector<f64>> {
     let p = triangle.ncols() - 1;
     let mut columns = triangle.clone().resize_vertically(triangle.nrows() + p, 0.0);
     for k in 0..p {

@@ -160,6 +160,17 @@ impl Observed {
         Ok(series)
     }
 
+    /// The frames from `from_s` on.
+    pub fn from(&self, from_s: f64) -> Self {
+        let first = self.time_s.partition_point(|t| *t < from_s);
+        Self {
+            name: self.name.clone(),
+            zero_ns: self.zero_ns,
+            time_s: self.time_s.iter().skip(first).copied().collect(),
+            theta_rad: self.theta_rad.iter().skip(first).copied().collect(),
+        }
+    }
+
     /// The grid of the camera's frames.
     ///
     /// # Errors

@@ -5,14 +5,20 @@
 //! those that 99 % of the values keep when there is no correlation (Ljung, 2nd ed., section 16.6).
 
 use super::data::Segment;
-use super::model::Polynomials;
+use super::fit::{InitialState, Kind, output};
+use super::model::{Noise, Polynomials};
 
 /// Lags looked at.
 const LAGS: usize = 25;
+/// Lags whose correlation widens the bound, at most.
+const FURTHEST: usize = 400;
 /// 99 % of a normal distribution lie within so many σ.
 const WITHIN: f64 = 2.576;
 
-/// Correlations of one-step residuals.
+/// Of the correlations that 99 % should keep within the bound, this part may be out before it is said.
+const OUTSIDE: f64 = 0.1;
+
+/// Correlations of residuals.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Residuals {
     /// With themselves, lags 0 to 25, 1 at lag 0.
@@ -36,15 +42,19 @@ struct Left<'a> {
 }
 
 impl Residuals {
-    /// Of a model's one-step predictions. Nothing when there are not many more samples than lags.
-    pub fn of(model: &Polynomials, segments: &[Segment]) -> Option<Self> {
+    /// Of what a model takes for noise: with noise at the equation the errors of its one-step predictions, with noise
+    /// at the output those of its simulation. Nothing when there are not many more samples than lags.
+    pub fn of(model: &Polynomials, segments: &[Segment], noise: Noise) -> Option<Self> {
         let memory = model.memory();
         let pairs: Vec<Left<'_>> = segments
             .iter()
             .filter(|s| s.len() > memory)
             .map(|s| {
-                let predicted = model.predict(&s.input, &s.output);
-                let left = s.output[memory..].iter().zip(&predicted).map(|(y, p)| y - p);
+                let modelled = match noise {
+                    Noise::Equation => model.predict(&s.input, &s.output),
+                    Noise::Output => output(model, s, Kind::Simulation(InitialState::Rest)).split_off(memory),
+                };
+                let left = s.output[memory..].iter().zip(&modelled).map(|(y, m)| y - m);
                 Left { residual: left.collect(), input: &s.input[memory..s.len()] }
             })
             .collect();
@@ -68,8 +78,15 @@ impl Residuals {
         let later = |lag: usize| sum(lag, &|p, t| p.residual[t] * (p.input[t - lag] - mean)) / scale;
         let earlier = |lag: usize| sum(lag, &|p, t| p.residual[t - lag] * (p.input[t] - mean)) / scale;
         let cross = (1..=LAGS).rev().map(earlier).chain((0..=LAGS).map(later)).collect();
-        // Variance of the estimate when the two have nothing to do with each other: Σ ρ_e ρ_u / N over all lags.
-        let both: f64 = 1.0 + 2.0 * auto.iter().zip(&input).skip(1).map(|(a, u)| a * u).sum::<f64>();
+        // Variance of the estimate when the two have nothing to do with each other: Σ ρ_e ρ_u / N over all lags. Both
+        // may reach much further than the lags shown.
+        let further = (samples / 4).min(FURTHEST);
+        let beyond = (LAGS + 1..further).map(|lag| {
+            let auto = sum(lag, &|p, t| p.residual[t] * p.residual[t - lag]) / ee;
+            auto * sum(lag, &|p, t| (p.input[t] - mean) * (p.input[t - lag] - mean)) / uu
+        });
+        let shown = auto.iter().zip(&input).skip(1).map(|(a, u)| a * u);
+        let both: f64 = 1.0 + 2.0 * shown.chain(beyond).sum::<f64>();
         Some(Self {
             auto,
             auto_bound: WITHIN / n.sqrt(),
@@ -78,6 +95,11 @@ impl Residuals {
             rms: (ee / n).sqrt(),
             samples,
         })
+    }
+
+    /// Whether no more of them are out of their bounds than chance explains.
+    pub fn look_white(&self) -> bool {
+        ![self.auto_outside(), self.cross_outside(), self.fed_back()].into_iter().any(too_many)
     }
 
     /// The lag of an element of [`Residuals::cross`].
@@ -101,6 +123,11 @@ impl Residuals {
     }
 }
 
+/// Whether so many out of so many are more than chance explains.
+pub fn too_many((outside, of): (usize, usize)) -> bool {
+    outside as f64 > OUTSIDE * of as f64
+}
+
 #[cfg(test)]
 mod tests {
     use super::super::arx::fit;
@@ -122,13 +149,23 @@ mod tests {
         let segments = [data(&[1.0, -1.5, 0.7])];
         let of = |na, nb| {
             let model = fit(&segments, Orders { na, nb, nk: 1 }).unwrap().model;
-            Residuals::of(&model, &segments).unwrap()
+            Residuals::of(&model, &segments, Noise::Equation).unwrap()
         };
         let right = of(2, 2);
         assert!(right.auto_outside().0 <= 1 && right.cross_outside().0 <= 1, "{right:?}");
         assert!((right.rms - 0.3).abs() < 0.01 && right.auto[0] == 1.0);
         let small = of(1, 1);
         assert!(small.auto_outside().0 > 5 && small.cross_outside().0 >= 1, "{small:?}");
+    }
+
+    #[test]
+    fn white_noise_on_the_output_is_white_where_the_model_has_it_there() {
+        let truth = Polynomials { a: vec![1.0, -1.5, 0.7], b: vec![1.0, 0.5], nk: 1 };
+        let segments = [data(&[1.0])];
+        let at_output = Residuals::of(&truth, &segments, Noise::Output).unwrap();
+        assert!(at_output.auto_outside().0 <= 1 && (at_output.rms - 0.3).abs() < 0.01, "{at_output:?}");
+        let at_equation = Residuals::of(&truth, &segments, Noise::Equation).unwrap();
+        assert!(at_equation.auto_outside().0 >= 2 && at_equation.rms > 0.5, "{at_equation:?}");
     }
 
     #[test]
@@ -139,7 +176,7 @@ mod tests {
         let truth = Polynomials { a: vec![1.0, -1.5, 0.7], b: vec![1.0, 0.5], nk: 1 };
         let disturbance = all_pole(&truth.a, noisy);
         segment.output = truth.simulate(&segment.input).iter().zip(disturbance).map(|(y, e)| y + 0.3 * e).collect();
-        let found = Residuals::of(&truth, &[segment]).unwrap();
+        let found = Residuals::of(&truth, &[segment], Noise::Equation).unwrap();
         assert!(found.fed_back().0 >= 1 && found.cross[LAGS - 1].abs() > 0.3, "{found:?}");
     }
 }

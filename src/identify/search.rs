@@ -37,6 +37,18 @@ pub struct Candidate {
     pub largest_pole: f64,
 }
 
+impl Candidate {
+    /// What the criterion makes of it: the smaller the better. Nothing where there were no data to judge by.
+    pub fn value(&self, criterion: Criterion) -> Option<f64> {
+        match criterion {
+            Criterion::Aic => Some(self.aic),
+            Criterion::Mdl => Some(self.mdl),
+            Criterion::Prediction => self.prediction.map(|e| e.error_percent),
+            Criterion::Simulation => self.simulation.map(|e| e.error_percent),
+        }
+    }
+}
+
 /// By what the best candidate is chosen. Unstable ones never are.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Criterion {
@@ -60,6 +72,7 @@ pub fn search(
     initial_state: InitialState,
     candidates: &[Orders],
 ) -> Result<Vec<Candidate>, IdentifyError> {
+    let candidates = &fitting(train, candidates);
     let most = |of: fn(&Orders) -> usize| candidates.iter().map(of).max().unwrap_or(0);
     let first_lag = candidates.iter().map(|o| o.nk).min().unwrap_or(0);
     let lags = most(|o| o.nk + o.nb).saturating_sub(first_lag);
@@ -102,6 +115,24 @@ pub fn search(
     Ok(candidates.iter().filter_map(judged).collect())
 }
 
+/// The candidates without the largest, one order after the other, until the record has more rows than any of them has
+/// coefficients; the smallest stay in any case.
+fn fitting(train: &[Segment], candidates: &[Orders]) -> Vec<Orders> {
+    let mut left = candidates.to_vec();
+    loop {
+        let memory = left.iter().map(Orders::memory).max().unwrap_or(0);
+        let widest = left.iter().map(Orders::parameters).max().unwrap_or(0);
+        let narrowest = left.iter().map(Orders::parameters).min().unwrap_or(0);
+        let has_past = |s: &Segment, t: usize| s.output[t - memory..=t].iter().all(|y| !y.is_nan());
+        let rows: usize =
+            train.iter().map(|s| (memory..s.len()).filter(|t| has_past(s, *t)).take(widest + 1).count()).sum();
+        if rows > widest || widest == narrowest {
+            return left;
+        }
+        left.retain(|orders| orders.parameters() < widest);
+    }
+}
+
 /// The columns of one candidate in the triangle of the largest.
 fn columns(all: &DMatrix<f64>, largest: Orders, orders: Orders) -> DMatrix<f64> {
     let inputs = largest.na + orders.nk - largest.nk;
@@ -112,12 +143,7 @@ fn columns(all: &DMatrix<f64>, largest: Orders, orders: Orders) -> DMatrix<f64> 
 /// The best stable candidate. Nothing when all are unstable, or there were no data to judge by.
 pub fn best(candidates: &[Candidate], criterion: Criterion) -> Option<&Candidate> {
     let stable = || candidates.iter().filter(|c| c.largest_pole < 1.0);
-    let value = |c: &Candidate| match criterion {
-        Criterion::Aic => Some(c.aic),
-        Criterion::Mdl => Some(c.mdl),
-        Criterion::Prediction => c.prediction.map(|e| e.error_percent),
-        Criterion::Simulation => c.simulation.map(|e| e.error_percent),
-    };
+    let value = |c: &Candidate| c.value(criterion);
     let smallest = stable().filter_map(value).filter(|v| v.is_finite()).min_by(f64::total_cmp)?;
     let enough = match criterion {
         Criterion::Aic | Criterion::Mdl => smallest,

@@ -1,7 +1,7 @@
 //! What `identify` is asked for.
 
 use super::fit::InitialState;
-use super::model::Orders;
+use super::model::{Noise, Orders};
 use super::reduce::{Removal, Target};
 use super::search::Criterion;
 
@@ -44,13 +44,21 @@ pub struct Settings {
     pub target: Target,
     /// How states are removed.
     pub removal: Removal,
-    /// Whether to balance for the excited band alone.
-    pub weighted: bool,
+    /// Whether to reduce for all frequencies alike, as the paper does, and not for the excited band alone.
+    pub all_frequencies: bool,
     /// Repetitions of the bootstrap.
     pub bootstrap: usize,
 }
 
 impl Estimator {
+    /// Where it takes the noise to enter.
+    pub fn noise(self) -> Noise {
+        match self {
+            Self::Arx => Noise::Equation,
+            Self::OutputError | Self::Instrumental => Noise::Output,
+        }
+    }
+
     /// As people have it.
     pub fn words(self) -> &'static str {
         match self {

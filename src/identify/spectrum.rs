@@ -117,6 +117,14 @@ impl Spectrum {
     }
 }
 
+impl Spectrum {
+    /// Part of the output's energy that follows the input linearly: γ² averaged by the output's power.
+    pub fn linear_part(&self) -> f64 {
+        let all: f64 = self.points.iter().map(|p| p.output_power).sum();
+        self.points.iter().map(|p| p.coherence * p.output_power).sum::<f64>() / all
+    }
+}
+
 /// Short holes filled by a line between their neighbours.
 fn bridged(signal: &[f64]) -> Vec<f64> {
     let mut filled = signal.to_vec();

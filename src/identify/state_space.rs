@@ -1,6 +1,6 @@
 //! The same model as states: x(t+1) = A x(t) + b u(t), y(t) = c x(t) + d u(t).
 
-use super::decompositions::eigenvalues;
+use super::decompositions::{eigenvalues, real_schur};
 use super::model::{Polynomials, monic};
 use nalgebra::{DMatrix, DVector, RowDVector};
 
@@ -32,6 +32,16 @@ impl StateSpace {
             b: DVector::from_fn(n, |row, _| f64::from(u8::from(row == 0))),
             c: RowDVector::from_fn(n, |_, column| b(column + 1) - d * a(column + 1)),
             d,
+        }
+    }
+
+    /// The same system in orthogonal coordinates in which A is nearly triangular. In companion form the powers of A grow
+    /// by many powers of ten before they decay, and with them rounding; here they do not. As it is, when they are not
+    /// found.
+    pub fn triangular(&self) -> Self {
+        match real_schur(&self.a) {
+            Some((q, a)) => Self { a, b: q.tr_mul(&self.b), c: &self.c * q, d: self.d },
+            None => self.clone(),
         }
     }
 

@@ -25,7 +25,9 @@ mod status;
 mod writer;
 
 pub use currents::CurrentSource;
+pub(crate) use currents::currents_of;
 pub use pictures::{MOST_PICTURES, RecordTo, Recording, free_bytes};
+pub use priority::Priority;
 pub use queue::MOST_WAITING;
 pub use status::{Latency, Status};
 pub use writer::MOST_ROWS;
@@ -38,7 +40,7 @@ use crate::source::{FrameSource, Picture, SourceError, StreamFaults, Timestamp};
 use crate::tally::{Tally, Totals};
 use crate::track::{TrackError, Tracker};
 use pictures::Pictures;
-use priority::{Urgency, run_as};
+use priority::{SessionPriority, Urgency, run_as};
 use queue::{Next, Queue};
 use status::Counters;
 use std::io;
@@ -95,6 +97,8 @@ pub struct LiveSummary {
     pub unpublished: u64,
     /// Pictures recorded, and pictures lost to the recording; `None` when none were to be.
     pub pictures: Option<(u64, u64)>,
+    /// Whether it went before other programs.
+    pub priority: Priority,
 }
 
 /// Tracks what `source` gives; `watch` is called once a second.
@@ -113,6 +117,8 @@ pub fn run(
     mut watch: impl FnMut(&Status),
 ) -> io::Result<LiveSummary> {
     let began = Instant::now();
+    let session = SessionPriority::raise();
+    tracing::info!("{}", session.obtained);
     let stop = &until.stop;
     let tally = Tally::new(tracker.rig());
     let queue = Arc::new(Queue::new(tracker.rig()));
@@ -213,6 +219,7 @@ pub fn run(
         unlogged: backlog.unlogged(),
         unpublished: unpublished.map_or(0, |missed| missed.load(Ordering::Relaxed)),
         pictures: counted(),
+        priority: session.obtained,
     })
 }
 

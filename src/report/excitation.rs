@@ -141,7 +141,7 @@ fn density(info: &ExcitationInfo, signal: &Signal, spectrum: &Spectrum) -> Plot 
     let top = means.iter().fold(f64::MIN_POSITIVE, |top, (_, power)| power.max(top)).log10();
     let floor = 10_f64.powf(top - DEPTH);
     let shown: Vec<(f64, f64)> = means.into_iter().filter(|(_, power)| *power > floor).collect();
-    let (mode, unit) = if lines { (Mode::Markers, "mA² in each sine") } else { (Mode::Lines, "mA²/Hz") };
+    let (mode, unit) = if lines { (Mode::Markers, "power of each sine, mA²") } else { (Mode::Lines, "mA²/Hz") };
     // A tenth of a percent can be seen.
     let short = |value: f64| format!("{value:.4e}").parse::<f64>().ok();
     let (low, high) = (spectrum.step_hz.max(nyquist_hz / 2000.0).log10(), (nyquist_hz * 1.08).log10());

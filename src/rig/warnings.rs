@@ -218,7 +218,7 @@ pub(super) fn warnings(rig: &Draft, views: &[ViewCheck], meeting: Option<&Closes
         let markers: Vec<_> = rig.markers.iter().filter(|m| lacks(m)).map(|m| m.name.clone()).collect();
         (!markers.is_empty()).then_some(markers)
     };
-    found.extend(named(|m| m.colour.is_none()).map(|markers| Warning::NoColour { markers }));
+    found.extend(named(|m| m.colours.is_empty()).map(|markers| Warning::NoColour { markers }));
     found.extend(named(|m| m.centre_m.is_none()).map(|markers| Warning::NoPlace { markers }));
     // What comes with or after the markers is not missed before them.
     let begun = !rig.markers.is_empty();

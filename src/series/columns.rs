@@ -75,10 +75,18 @@ mod tests {
     }
 
     #[test]
+    #[cfg(unix)]
+    fn a_device_without_an_end_is_no_table() {
+        let zeros = columns(Path::new("/dev/zero"), &["u"]).unwrap_err().to_string();
+        assert_eq!(zeros, "/dev/zero: is no text; expected a table of numbers (CSV)");
+    }
+
+    #[test]
     fn what_is_no_text_or_not_there_is_named() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("data.csv");
-        assert!(columns(&path, &["u"]).unwrap_err().is_io());
+        let missing = columns(&path, &["u"]).unwrap_err();
+        assert!(missing.is_io() && missing.is_missing());
         fs::write(&path, [0x89, 0x4d, 0xff, 0x00]).unwrap();
         assert!(
             columns(&path, &["u"])

@@ -39,6 +39,16 @@ pub enum SeriesError {
 }
 
 impl SeriesError {
+    /// Whether the file is not there: a mistake of whoever named it, not of the system.
+    pub fn is_missing(&self) -> bool {
+        match self {
+            Self::Io { source, .. } | Self::Log(LogError::Io { source, .. }) => {
+                source.kind() == io::ErrorKind::NotFound
+            }
+            _ => false,
+        }
+    }
+
     /// Whether the file system failed; else the file itself is not valid.
     pub fn is_io(&self) -> bool {
         matches!(self, Self::Io { .. } | Self::Log(LogError::Io { .. }))

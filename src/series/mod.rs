@@ -44,7 +44,7 @@ pub struct Recording {
     pub frames: Vec<Frame>,
     /// Coil currents in their order; a table has none.
     pub currents: Vec<Current>,
-    /// Why the file ends early, if it does; what stands before is here.
+    /// Why not all of the file is here, if it ends early or is damaged; the rest is.
     pub cut: Option<String>,
 }
 

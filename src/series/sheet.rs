@@ -7,7 +7,14 @@ use super::SeriesError;
 use crate::rig::nearest;
 use crate::source::times::parse_seconds_ns;
 use csv::{ReaderBuilder, Trim};
+use std::fs::File;
+use std::io::{self, Read as _};
 use std::path::{Path, PathBuf};
+
+/// Bytes of a table, at most: a device such as /dev/zero has no end.
+const LARGEST: u64 = 1 << 30;
+/// So much of it shows whether it is text.
+const BEGINNING: u64 = 4096;
 
 /// A table.
 #[derive(Debug)]
@@ -44,8 +51,14 @@ impl Sheet {
     /// # Errors
     /// When it cannot be read, is no text, or has no line.
     pub(super) fn read(path: &Path) -> Result<Self, SeriesError> {
-        let bytes = std::fs::read(path).map_err(|source| SeriesError::Io { path: path.to_owned(), source })?;
         let content = |problem: &str| SeriesError::Content { path: path.to_owned(), problem: problem.to_owned() };
+        let bytes = match text_bytes(path) {
+            Ok(bytes) => bytes.ok_or_else(|| content("is no text; expected a table of numbers (CSV)"))?,
+            Err(source) => return Err(SeriesError::Io { path: path.to_owned(), source }),
+        };
+        if bytes.len() as u64 > LARGEST {
+            return Err(content("is larger than 1 GiB; expected a table of numbers (CSV)"));
+        }
         let text = String::from_utf8(bytes).map_err(|_| content("is no text; expected a table of numbers (CSV)"))?;
         let text = text.strip_prefix('\u{feff}').unwrap_or(&text);
         let is_data = |line: &str| !line.trim().is_empty() && !line.trim_start().starts_with(['#', '%']);
@@ -159,6 +172,18 @@ impl Sheet {
     pub(super) fn wrong_at(&self, row: &Row, problem: String) -> SeriesError {
         SeriesError::Line { path: self.path.clone(), line: row.line, problem }
     }
+}
+
+/// The file's bytes, one more than [`LARGEST`] at most; `None` when it begins with what no text has.
+fn text_bytes(path: &Path) -> io::Result<Option<Vec<u8>>> {
+    let mut file = File::open(path)?;
+    let mut bytes = Vec::new();
+    file.by_ref().take(BEGINNING).read_to_end(&mut bytes)?;
+    if bytes.contains(&0) {
+        return Ok(None);
+    }
+    file.take(LARGEST - BEGINNING + 1).read_to_end(&mut bytes)?;
+    Ok(Some(bytes))
 }
 
 /// Rows of RFC 4180, with this separator.

@@ -27,8 +27,10 @@ mod path;
 mod pauses;
 mod plane;
 mod run;
+mod settling;
 mod spline;
 mod start_time;
+mod step;
 #[cfg(test)]
 mod tests;
 mod write;
@@ -40,9 +42,11 @@ pub use lag::{Lag, lag, unwrap};
 pub use options::Options;
 pub use path::DesiredPath;
 pub use plane::Plane;
-pub use run::{Magnitude, Observed, Run, Size, Step};
+pub use run::{Magnitude, Observed, Run, Size};
+pub use settling::Settling;
 pub use spline::Interpolation;
 pub use start_time::StartFrom;
+pub use step::Step;
 pub use write::Row;
 
 /// All runs along a path.

@@ -8,7 +8,9 @@ use super::options::Options;
 use super::path::DesiredPath;
 use super::pauses::{Mean, Sample, Window, interval_s};
 use super::plane::Plane;
+use super::settling::Settling;
 use super::start_time::{self, StartFrom};
+use super::step::Step;
 use crate::series::{Frame, Recording};
 use crate::sink::OutputFrame;
 use crate::source::times::seconds;
@@ -31,23 +33,6 @@ pub struct Observed<'a> {
     pub pause_s: f64,
     /// Camera time of the first command, if it is known, nanoseconds.
     pub start_ns: Option<i64>,
-}
-
-/// One command and what was seen of it.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Step {
-    /// Its number, from 0.
-    pub k: usize,
-    /// When it was given, seconds since the first.
-    pub t_s: f64,
-    /// Where the marker should be, metres.
-    pub desired: Point3<f64>,
-    /// Where it was.
-    pub observed: Option<Point3<f64>>,
-    /// The same after the alignment.
-    pub aligned: Option<Point3<f64>>,
-    /// Camera frames it is the mean of; 0 if it is interpolated.
-    pub frames: usize,
 }
 
 /// What the magnitude is the ratio of.
@@ -128,6 +113,8 @@ pub struct Run {
     pub lag: Option<Lag>,
     /// Phase, degrees: negative for a response that is late. Unwrapped over rising frequency by [`super::validate`].
     pub phase_deg: Option<f64>,
+    /// How far the motion still is from a periodic one; `None` when no period follows another.
+    pub settling: Option<Settling>,
     /// Root mean square angle between observed and desired direction of the coil, radians, where the path has
     /// directions.
     pub tangent_rms_rad: Option<f64>,
@@ -145,7 +132,7 @@ pub(super) fn evaluate(path: &DesiredPath, observed: &Observed<'_>, options: &Op
     let unusable = |problem: String| ValidateError::Unusable { path: recording.path.clone(), problem };
     let mut notes = Vec::new();
     if let Some(why) = &recording.cut {
-        notes.push(format!("the file ends early: {why}"));
+        notes.push(format!("not all of the file can be read: {why}"));
     }
 
     // 1. the frames, and when the commands were given
@@ -206,6 +193,8 @@ pub(super) fn evaluate(path: &DesiredPath, observed: &Observed<'_>, options: &Op
 
     // 5. what the numbers rest on
     let period_s = seconds(pause_ns) * path.points.len() as f64;
+    let settling = Settling::of(path, &steps, plane.as_ref(), sd_m(&inside, marker));
+    notes.extend(settling.as_ref().and_then(Settling::note));
     notes.extend(weak_correlation(lag.as_ref()));
     notes.extend(few_frames(period_s / interval_s));
     let has_place = |frame: &&&Frame| frame.places.get(marker).is_some_and(|place| place.point.is_some());
@@ -230,6 +219,7 @@ pub(super) fn evaluate(path: &DesiredPath, observed: &Observed<'_>, options: &Op
         circle,
         lag,
         phase_deg,
+        settling,
         tangent_rms_rad: tangent_rms_rad(path, recording, skipped, mean),
         scatter_m: scatter_m(means.iter().skip(skipped).flatten()),
         sd_m: sd_m(&inside, marker),

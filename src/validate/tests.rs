@@ -436,3 +436,19 @@ fn results_as_files_have_an_entry_a_run() {
     assert_eq!(points.lines().count(), 601);
     assert!(points.lines().nth(1).unwrap().starts_with("200,1.600000000,"), "{points}");
 }
+
+#[test]
+fn a_motion_that_is_not_yet_periodic_is_flagged() {
+    let from_rest = Spoiled { run_in: 0, ..CLEAN };
+    let flagged = |runs: &[Run]| -> Vec<bool> {
+        runs.iter().map(|run| run.notes.iter().any(|note| note.contains("has not become periodic"))).collect()
+    };
+    let slow = evaluated(circle, 0.15, from_rest, Options::default()).runs;
+    let fastest = &slow[0];
+    let (last_db, all_db) = (fastest.settling.unwrap().last_db.unwrap(), fastest.magnitude.unwrap().db);
+    assert!(flagged(&slow)[0] && last_db < all_db - 1.0, "{last_db} {all_db}");
+    // At the longest pause four periods are 80 s.
+    assert!(!flagged(&slow)[11]);
+    let steady = evaluated(circle, CORNER_HZ, CLEAN, Options::default()).runs;
+    assert!(!flagged(&steady).contains(&true));
+}

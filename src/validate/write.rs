@@ -76,6 +76,10 @@ pub struct Row {
     pub phase_deg: Option<f64>,
     /// Correlation at that lag.
     pub correlation: Option<f64>,
+    /// By how much the last period differs from the one before, in parts of its size.
+    pub period_change: Option<f64>,
+    /// Magnitude of the last period alone, where the path is a circle.
+    pub last_period_db: Option<f64>,
     /// Angle between observed and desired direction of the coil.
     pub tangent_rms_deg: Option<f64>,
     /// Distance of frames from the mean of their pause.
@@ -127,6 +131,8 @@ impl Row {
             lag_ms: run.lag.map(|lag| lag.points * run.pause_s * 1e3),
             phase_deg: run.phase_deg,
             correlation: run.lag.map(|lag| lag.correlation),
+            period_change: run.settling.map(|settling| settling.change_m / settling.size_m),
+            last_period_db: run.settling.and_then(|settling| settling.last_db),
             tangent_rms_deg: run.tangent_rms_rad.map(f64::to_degrees),
             scatter_mm: run.scatter_m.map(mm),
             sd_mm: run.sd_m.map(mm),

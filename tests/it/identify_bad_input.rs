@@ -91,7 +91,7 @@ fn data_that_cannot_be_used() {
         2,
         &["slow.csv: samples are 0.020000 s apart, and 0.010000 s in good.csv"],
     );
-    refused(folder, &[&["nowhere.csv"], &COLUMNS], 1, &["nowhere.csv"]);
+    refused(folder, &[&["nowhere.csv"], &COLUMNS], 2, &["nowhere.csv"]);
     // The same column twice explains itself; nothing else can be told of it.
     let same = ["good.csv", "--input", "u", "--output", "u", "--period", "0.01"];
     refused(folder, &[&same, &SECOND], 3, &["good.csv: the data do not determine the 4 coefficients"]);
@@ -110,6 +110,8 @@ fn options_that_cannot_be_followed() {
     let judged = ["good.csv [398:400]: no stretch", "more than 2 samples", "judge by more"];
     with(&["--train", "0:300", "--test", "398:400", "--order", "1:3", "--nk", "1"], 2, &judged);
     with(&["--decimate", "100"], 2, &["good.csv: --decimate 100 leaves nothing", "1100 samples", "has 400"]);
+    with(&["--decimate", "18446744073709551615"], 2, &["--decimate", "1..=10000"]);
+    with(&["--bridge", "1000000000"], 2, &["--bridge", "0..=100000"]);
     with(&["--order", "0"], 2, &["--order 0"]);
     with(&["--na", "2"], 2, &["--na and --nb go together"]);
     with(&["--select", "simulation"], 2, &["no data to judge by; give --validate or --test"]);
@@ -149,7 +151,7 @@ fn folders_that_are_none_and_folders_with_an_earlier_result() {
     good(folder);
     fs::write(folder.join("file"), "mine").unwrap();
     let (code, message) = identify(folder, &[&["good.csv"], &COLUMNS, &SECOND, &["-o", "file"]]);
-    assert!(code == 1 && message.contains("cannot make the folder file: there is a file of this name"), "{message}");
+    assert!(code == 2 && message.contains("file: is a file; choose a folder with -o"), "{message}");
     assert_eq!(fs::read_to_string(folder.join("file")).unwrap(), "mine");
     // A search leaves a table of orders; a result without a search must not stand beside it.
     let (code, message) =
@@ -159,6 +161,96 @@ fn folders_that_are_none_and_folders_with_an_earlier_result() {
     let (code, message) = identify(folder, &[&["good.csv"], &COLUMNS, &SECOND, &["-o", "result"]]);
     assert!(code == 0 && !folder.join("result/orders.csv").exists(), "{message}");
     assert!(folder.join("result/notes.txt").exists() && folder.join("result/residuals.csv").exists());
+}
+
+#[test]
+fn nothing_is_written_over_that_is_not_a_result_of_the_same_record() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    good(folder);
+    // Its own input.
+    fs::copy(folder.join("good.csv"), folder.join("signals.csv")).unwrap();
+    let before = fs::read(folder.join("signals.csv")).unwrap();
+    let (code, message) = identify(folder, &[&["signals.csv"], &COLUMNS, &SECOND, &["-o", "."]]);
+    assert!(code == 2 && message.contains("signals.csv: would be written over, and is read by this run"), "{message}");
+    assert_eq!(fs::read(folder.join("signals.csv")).unwrap(), before);
+    // The page of another command.
+    fs::create_dir(folder.join("run")).unwrap();
+    fs::write(folder.join("run/report.html"), "of track").unwrap();
+    fs::write(folder.join("run/run.toml"), "command = \"track\"\nrecording = \"/a.mkv\"\n").unwrap();
+    let (code, message) = identify(folder, &[&["good.csv"], &COLUMNS, &SECOND, &["-o", "run"]]);
+    assert!(code == 2 && message.contains("has the results of `catoptra track /a.mkv`"), "{message}");
+    assert_eq!(fs::read_to_string(folder.join("run/report.html")).unwrap(), "of track");
+}
+
+#[test]
+fn one_wrong_time_stamp_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let texts = |t: f64, u: f64, y: f64| [t, u, y].map(|v| v.to_string());
+    table(folder, "late.csv", 50, |k, t, u, y| texts(if k == 49 { 9.2e9 } else { t }, u, y));
+    refused(folder, &[&["late.csv"], &COLUMNS], 2, &["late.csv: after sample 49, at 0.48 s", "a wrong time stamp?"]);
+    // The same in a run of the tracker.
+    let mut run = "t_s,theta_deg\n".to_owned();
+    let mut currents = "t_s,a\n".to_owned();
+    for k in 0..50 {
+        let t = if k == 49 { 9.2e9 } else { f64::from(k) / 60.0 };
+        writeln!(run, "{t:.6},{}", k % 7).unwrap();
+        writeln!(currents, "{:.6},{}", f64::from(k) / 60.0, f64::from(k % 5) * 0.01).unwrap();
+    }
+    fs::write(folder.join("run.csv"), run).unwrap();
+    fs::write(folder.join("currents.csv"), currents).unwrap();
+    let of_run = ["run.csv", "--currents", "currents.csv", "--input", "current"];
+    refused(folder, &[&of_run], 2, &["run.csv: after sample 49", "a wrong time stamp?"]);
+}
+
+#[test]
+fn a_fit_in_an_unknown_state_begins_there() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    // y(t) = 0.995 y(t−1) + 0.1 u(t−1), from 5 on.
+    let (mut y, mut u1, mut seed) = (5.0, 0.0, 1_u32);
+    let mut text = "t,u,y\n".to_owned();
+    for k in 0..300 {
+        seed = seed.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        let u = f64::from(seed >> 8) / f64::from(1 << 23) - 1.0;
+        y = 0.995 * y + 0.1 * u1;
+        u1 = u;
+        writeln!(text, "{},{u},{}", f64::from(k) * 0.01, y + 0.05 * (2.3 * f64::from(k * k)).sin()).unwrap();
+    }
+    fs::write(folder.join("swing.csv"), text).unwrap();
+    let first = ["--order", "1", "--nk", "1", "--estimator", "oe", "-o"];
+    let pole = |start: &str| {
+        let (code, message) = identify(folder, &[&["swing.csv"], &COLUMNS, &first, &[start, "--start", start]]);
+        assert_eq!(code, 0, "{message}");
+        model(folder, start)["full"]["a"][1].as_f64().unwrap()
+    };
+    assert!((pole("estimated") + 0.995).abs() < 1e-3, "{}", pole("estimated"));
+    assert!((pole("rest") + 0.995).abs() > 1e-3);
+}
+
+#[test]
+fn a_delay_is_no_state_of_the_reduced_model() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    good(folder);
+    let mut late = "t,u,y\n".to_owned();
+    let text = fs::read_to_string(folder.join("good.csv")).unwrap();
+    let rows: Vec<Vec<&str>> = text.lines().skip(1).map(|line| line.split(',').collect()).collect();
+    // The output comes six samples later.
+    for (k, row) in rows.iter().enumerate().skip(6) {
+        writeln!(late, "{},{},{}", row[0], row[1], rows[k - 6][2]).unwrap();
+    }
+    fs::write(folder.join("late.csv"), late).unwrap();
+    let (code, message) = identify(folder, &[&["late.csv"], &COLUMNS, &["--order", "3", "--nk", "7", "-o", "late"]]);
+    assert_eq!(code, 0, "{message}");
+    let (code, message) = identify(folder, &[&["good.csv"], &COLUMNS, &["--order", "3", "--nk", "1", "-o", "prompt"]]);
+    assert_eq!(code, 0, "{message}");
+    let (late, prompt) = (model(folder, "late"), model(folder, "prompt"));
+    assert_eq!((late["reduced"]["order"].clone(), late["reduced"]["delay_samples"].clone()), (2.into(), 7.into()));
+    assert!((late["continuous"]["delay_s"].as_f64().unwrap() - 0.06).abs() < 1e-9);
+    let poles = |m: &serde_json::Value| m["reduced"]["largest_pole"].as_f64().unwrap();
+    assert!((poles(&late) - poles(&prompt)).abs() < 0.02, "{} {}", poles(&late), poles(&prompt));
 }
 
 #[test]
@@ -214,7 +306,7 @@ fn a_gain_and_a_model_of_fewer_states_than_asked_are_whole() {
     assert_eq!(code, 0, "{message}");
     let gain = model(folder, "gain");
     assert_eq!(
-        (gain["continuous"]["num"].clone(), gain["hankel_singular_values"].clone()),
+        (gain["reduced"]["continuous"]["num"].clone(), gain["hankel_singular_values"].clone()),
         (gain["arx"]["b"].clone(), serde_json::json!([]))
     );
     let (code, message) =

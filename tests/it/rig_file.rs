@@ -116,7 +116,8 @@ fn millimetres_become_metres_and_names_become_indices() {
     assert_eq!((rig.catheter.coil, rig.catheter.end, rig.marker("base")), (1, Some(2), Some(0)));
     assert_eq!(rig.catheter.diameter_m, 0.0032);
     assert_eq!((rig.markers[1].length_m, rig.markers[1].centre_m), (0.012, Some(0.085)));
-    assert_eq!(rig.markers[0].colour.unwrap().weights, Vector3::new(0.012, -0.004, -0.011));
+    let planes = &rig.markers[0].colour(1).unwrap().planes;
+    assert_eq!((planes.len(), planes[0].weights), (1, Vector3::new(0.012, -0.004, -0.011)), "one for all views");
     // Row y = (0, 0, -1): a point 1 m ahead of the camera, 1 mm to the right.
     let in_base = rig.base.unwrap().base_from_camera * Point3::new(0.001, 0.0, 1.0);
     assert!((in_base - Point3::new(0.004, 0.094, 0.040)).norm() < 1e-12, "{in_base}");
@@ -554,4 +555,30 @@ fn deviations_of_an_imported_lens_are_kept() {
     let draft = Draft::load(&out).unwrap();
     assert!((draft.noted_sd("focal_x_px").unwrap() - 1.5).abs() < 1e-9);
     assert!((draft.noted_sd("k3").unwrap() - 0.05).abs() < 1e-9);
+}
+
+/// A model of several planes for each view is read as it was written; one for some views only is refused.
+#[test]
+fn colours_of_each_view_come_back_and_one_that_is_missing_is_named() {
+    let (_, old) = RIG.split_once("[marker.colour]").unwrap();
+    let end = old.find("\n\n").unwrap();
+    let colours = |views: &[&str]| -> String {
+        let of = |view: &&str| {
+            format!(
+                "[[marker.colours]]\nview = \"{view}\"\nplanes = [[0.01, 0.0, -0.01, 0.2], [0.0, 0.02, -0.01, 0.1]]\n\
+                 rgb = [150.0, 120.0, 40.0]\n"
+            )
+        };
+        views.iter().map(of).collect()
+    };
+    let with = |colours: String| RIG.replacen(&format!("[marker.colour]{}", &old[..end]), &colours, 1);
+    let rig = read(&with(colours(&["direct", "mirror"]))).unwrap();
+    assert_eq!(rig.markers[0].colours.len(), 2);
+    assert_eq!(rig.markers[0].colour(1).unwrap().planes.len(), 2);
+    assert_eq!(read(&rig.to_toml_string()).unwrap().markers, rig.markers);
+    let message = read(&with(colours(&["mirror"]))).unwrap_err().to_string();
+    assert!(message.contains("marker.base.colours") && message.contains("direct, mirror"), "{message}");
+    let none =
+        with(colours(&["direct", "mirror"])).replacen("[[0.01, 0.0, -0.01, 0.2], [0.0, 0.02, -0.01, 0.1]]", "[]", 1);
+    assert!(read(&none).unwrap_err().to_string().contains("one plane or more"));
 }

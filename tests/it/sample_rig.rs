@@ -32,7 +32,7 @@ fn leaves(key: String, value: &Value, to: &mut Vec<(String, Value)>) {
 /// twentieth of σ of the calibration, or what no measurement notices. `None`: no number that means something by itself.
 fn tolerance(key: &str) -> Option<f64> {
     // The first that fits counts.
-    const BY_KEY: [(&str, f64); 25] = [
+    const BY_KEY: [(&str, f64); 28] = [
         ("sd_by_noise", 0.1),
         ("board_bend_mm", 0.02),
         ("volume_mm", 0.5),
@@ -47,8 +47,12 @@ fn tolerance(key: &str) -> Option<f64> {
         // Cut on a grid of 4 px.
         ("region_px", 8.0),
         ("centre_mm", 0.05),
-        ("discriminant_rgb", 2e-4),
-        (".bias", 0.02),
+        // The last number of a plane is its bias.
+        ("planes.0.3", 0.02),
+        ("planes.1.3", 0.02),
+        ("planes.2.3", 0.02),
+        ("planes.3.3", 0.02),
+        ("planes", 2e-4),
         (".rgb", 1.0),
         ("blur_px", 0.02),
         ("chroma_offset_px", 0.02),

@@ -232,12 +232,14 @@ def check_fits(case, model, records, put):
 
 def check_reduction(case, model, match_dc, put):
     full = model["full"] or model["arx"]
-    b, a = numerator(full), np.array(full["a"])
+    # Samples of delay beyond the first are no states.
+    late = max(full["nk"] - 1, 0)
+    b, a = numerator({**full, "nk": full["nk"] - late}), np.array(full["a"])
     n = max(len(a), len(b))
     b, a = (np.concatenate([v, np.zeros(n - len(v))]) for v in (b, a))
     found = model["reduced"]
     z = np.exp(1j * np.linspace(0, np.pi, 200))
-    ours = np.polyval(found["num_z"], z) / np.polyval(found["den_z"], z)
+    ours = np.polyval(found["num_z"], z) / np.polyval(found["den_z"], z) * z**late
     realisation = balanced(b, a)
     values = np.array(model["hankel_singular_values"])
     put("number of Hankel singular values", abs(len(values) - (n - 1)), 0)
@@ -310,8 +312,8 @@ def check_bandwidths(case, model, put):
     for estimate in model["bandwidths"]:
         if estimate["definition"] != "minus_3db_re_dc" or estimate["model"] == "full" or estimate["frequency_hz"] is None:
             continue
-        h = model["continuous"] if estimate["model"] == "reduced" else model["refined"]["continuous"]
-        if h is None:
+        h = model[estimate["model"]]["continuous"]
+        if h is None or h["conversion"] == "tustin":
             continue
         gain = lambda w: abs(np.polyval(h["num"], 1j * w) / np.polyval(h["den"], 1j * w)) / abs(h["num"][-1] / h["den"][-1])
         grid = np.geomspace(1e-6, 1, 200_000) * 2 * np.pi * model["nyquist_hz"]
@@ -367,7 +369,9 @@ def check_residuals(case, folder, model, u, y, put):
     full = model["full"] or model["arx"]
     b, a = numerator(full), np.array(full["a"])
     memory = max(len(a), len(b)) - 1
-    e = (signal.lfilter(a, [1.0], y) - signal.lfilter(b, [1.0], u))[memory:]
+    # Of a model with noise at the output, what its simulation leaves.
+    simulated = y - signal.lfilter(b, a, u)
+    e = simulated[memory:] if model["full"] else (signal.lfilter(a, [1.0], y) - signal.lfilter(b, [1.0], u))[memory:]
     if np.std(e) < 1e-9 * np.std(y):
         return
     rows = read(folder / "residuals.csv")
@@ -441,7 +445,7 @@ def check(folder):
         check_least_squares(name, model, *records["training"], put)
         check_fits(name, model, records, put)
         check_reduction(name, model, "--match-dc" in args, put)
-        check_continuous(name, model["reduced"], model["continuous"], case["period"], put)
+        check_continuous(name, model["reduced"], model["reduced"]["continuous"], case["period"], put)
         check_continuous(name, model["refined"], model["refined"]["continuous"], case["period"], put)
         check_bandwidths(name, model, put)
         check_spectrum(name, folder / name, model, *records["training"], put)

@@ -69,7 +69,7 @@ def cases():
     # More inputs than outputs, five samples late.
     u = random("late").normal(size=1500)
     y = arx("late", poly((0.9, 0.4)), [0.2, 0.6, 0.4, 0.1, -0.1], 5, u, 0.1)
-    yield case("late", u, y, 0.01, "--na", 2, "--nb", 5, "--nk", 5, "--reduce", 7)
+    yield case("late", u, y, 0.01, "--na", 2, "--nb", 5, "--nk", 5, "--reduce", 3)
     # Hardly damped.
     u = random("ringing").normal(size=4000)
     y = arx("ringing", poly((0.999, 0.2), (0.997, 0.9)), [0.01, 0.02, -0.01, 0.005], 1, u, 0.01)
@@ -110,5 +110,5 @@ def make(folder):
                 t = repr(float(k * case["period"]))
                 file.write((f"{t},{u!r},{y!r}\n" if header else f"{u!r} {y!r}\n").replace("np.float64(", "").replace(")", ""))
         columns = ["--input", "u", "--output", "y", "--time", "t"] if header else ["--input", "1", "--output", "2", "--period", repr(case["period"])]
-        told.append({"name": case["name"], "args": [table.name, *columns, *case["args"], "--bootstrap", "0", "-o", case["name"]]})
+        told.append({"name": case["name"], "args": [table.name, *columns, *case["args"], "--all-frequencies", "--bootstrap", "0", "-o", case["name"]]})
     (folder / "cases.json").write_text(json.dumps(told))

@@ -1,6 +1,8 @@
 //! Arguments of `catoptra identify`, and the settings that they stand for.
 
+use crate::cli::results::Results;
 use crate::cli::{Exit, Failure};
+use crate::identify::export;
 use crate::identify::fit::InitialState;
 use crate::identify::model::Orders;
 use crate::identify::prepare::Detrend;
@@ -8,10 +10,12 @@ use crate::identify::reduce::{Removal, Target};
 use crate::identify::search::Criterion;
 use crate::identify::settings::{Choice, Estimator, Settings};
 use clap::ValueEnum;
-use std::num::NonZeroUsize;
+use clap::builder::RangedU64ValueParser;
 use std::ops::RangeInclusive;
 use std::path::PathBuf;
 
+/// The page.
+pub(super) const REPORT: &str = "report.html";
 /// Orders searched when none are given, as far as the data allow.
 const ORDERS: RangeInclusive<usize> = 1..=20;
 /// Samples that each coefficient of a searched model must have.
@@ -28,7 +32,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "PLANT.toml", conflicts_with_all = ["input", "output"])]
     pub(super) plant: Option<PathBuf>,
     /// Coil currents of each record, where its log has none
-    #[arg(long, value_name = "C.csv", conflicts_with = "output")]
+    #[arg(long, value_name = "C.csv", value_delimiter = ',', conflicts_with = "output")]
     pub(super) currents: Vec<PathBuf>,
     /// The coil that moved it, counted from 0
     #[arg(long, value_name = "N", default_value_t = 0, conflicts_with = "output")]
@@ -61,13 +65,13 @@ pub(crate) struct Args {
     #[arg(long, value_name = "WHAT", value_enum, default_value_t = DetrendArg::None)]
     pub(super) detrend: DetrendArg,
     /// Keep every N-th sample behind a low-pass filter
-    #[arg(long, value_name = "N")]
-    pub(super) decimate: Option<NonZeroUsize>,
+    #[arg(long, value_name = "N", value_parser = count(1, 10_000))]
+    pub(super) decimate: Option<usize>,
     /// Allow uneven times: outputs are interpolated
     #[arg(long)]
     pub(super) resample: bool,
     /// Angles in a row that Eq. 6 may interpolate
-    #[arg(long, value_name = "N", default_value_t = 6)]
+    #[arg(long, value_name = "N", default_value_t = 6, value_parser = count(0, 100_000))]
     pub(super) bridge: usize,
     /// Order, or orders to search, na = nb [default: 1:20 or less]
     #[arg(long, value_name = "N|A:B")]
@@ -96,11 +100,11 @@ pub(crate) struct Args {
     /// Reduce so that the gain at zero frequency is kept
     #[arg(long)]
     pub(super) match_dc: bool,
-    /// Reduce for the excited band alone
+    /// Reduce for all frequencies, as the paper does, not for those excited
     #[arg(long)]
-    pub(super) weighted: bool,
+    pub(super) all_frequencies: bool,
     /// Repetitions of the bootstrap
-    #[arg(long, value_name = "N", default_value_t = 100)]
+    #[arg(long, value_name = "N", default_value_t = 100, value_parser = count(0, 100_000))]
     pub(super) bootstrap: usize,
     /// Folder for the results
     #[arg(short, long, value_name = "DIR")]
@@ -216,6 +220,11 @@ pub(super) enum StartArg {
     Estimated,
 }
 
+/// A whole number from `least` to `most`.
+fn count(least: u64, most: u64) -> RangedU64ValueParser<usize> {
+    RangedU64ValueParser::new().range(least..=most)
+}
+
 fn positive(text: &str) -> Result<f64, String> {
     let value = text.parse::<f64>().ok().filter(|v| v.is_finite() && *v > 0.0);
     value.ok_or_else(|| format!("`{text}` is no number of seconds above 0, such as 0.01"))
@@ -225,6 +234,18 @@ impl Args {
     /// With Eq. 6: the input holds the angle of the same time, so the delay is one sample at least.
     fn fed_back(&self) -> bool {
         self.plant.is_some()
+    }
+
+    /// The folder, whose files are those of earlier results of the same records or none.
+    pub(super) fn results(&self) -> Results<'_> {
+        let tables = self.validate.iter().chain(&self.plant).chain(&self.currents);
+        Results {
+            folder: &self.out,
+            command: "identify",
+            recordings: &self.records,
+            inputs: self.records.iter().chain(tables).map(PathBuf::as_path).collect(),
+            files: export::FILES.into_iter().chain([REPORT]).map(str::to_owned).collect(),
+        }
     }
 
     pub(super) fn settings(&self, samples: usize, judged: bool) -> Result<Settings, Failure> {
@@ -253,7 +274,7 @@ impl Args {
             initial_state: self.initial_state(),
             target: self.reduce.0,
             removal: if self.match_dc { Removal::MatchDc } else { Removal::Truncate },
-            weighted: self.weighted,
+            all_frequencies: self.all_frequencies,
             bootstrap: self.bootstrap,
         })
     }

@@ -16,6 +16,8 @@ use std::path::Path;
 
 pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     interrupt::end_at_once()?;
+    let results = args.results();
+    results.check()?;
     // 1. signals
     let (data, provenance) = reading::read(args)?;
     let samples: usize = data.training.iter().map(crate::identify::data::Record::observed).sum();
@@ -28,13 +30,10 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     // 3. files
     let written = {
         let _whole = interrupt::wait();
-        std::fs::create_dir_all(&args.out).map_err(|e| {
-            let why = if args.out.is_file() { "there is a file of this name".to_owned() } else { e.to_string() };
-            Failure::new(Exit::Failed, format!("cannot make the folder {}: {why}", args.out.display()))
-        })?;
+        results.take()?;
         let mut written =
             export::write(&args.out, &data, &done, &provenance).map_err(|e| Failure::new(Exit::Failed, e))?;
-        let page = args.out.join("report.html");
+        let page = args.out.join(args::REPORT);
         put(&page, identification::page(&data, &done, &provenance).as_bytes())?;
         written.push(page);
         written

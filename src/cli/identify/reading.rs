@@ -7,7 +7,7 @@ use crate::identify::data::Data;
 use crate::identify::data::Record;
 use crate::identify::delay::{self, Delay};
 use crate::identify::fit::InitialState;
-use crate::identify::grid::{Grid, GridError, Series, cut, resample};
+use crate::identify::grid::{Grid, Series, cut, resample};
 use crate::identify::hold::Held;
 use crate::identify::plant::Plant;
 use crate::identify::prepare::{Detrend, Trend, decimate};
@@ -28,7 +28,7 @@ fn usage(error: impl Into<Box<dyn std::error::Error + Send + Sync>>) -> Failure 
 }
 
 fn unreadable(error: SeriesError) -> Failure {
-    let exit = if error.is_io() { Exit::Failed } else { Exit::Usage };
+    let exit = if error.is_io() && !error.is_missing() { Exit::Failed } else { Exit::Usage };
     Failure::new(exit, error)
 }
 
@@ -83,7 +83,7 @@ pub(super) fn read(args: &Args) -> Result<(Data, Provenance), Failure> {
         };
         for (part, training) in parts {
             let whole = part;
-            let part = args.decimate.map_or_else(|| whole.clone(), |n| decimate(&whole, n.get(), period_s));
+            let part = args.decimate.map_or_else(|| whole.clone(), |n| decimate(&whole, n, period_s));
             if part.observed() == 0 {
                 return Err(usage(format!("{}: {}", part.name, why_empty(&whole, args))));
             }
@@ -91,7 +91,7 @@ pub(super) fn read(args: &Args) -> Result<(Data, Provenance), Failure> {
             if training { data.training.push(part) } else { data.validation.push(part) }
         }
     }
-    period_s *= args.decimate.map_or(1.0, |n| n.get() as f64);
+    period_s *= args.decimate.unwrap_or(1) as f64;
     data.period_s = period_s;
     detrend(&mut data, args.detrend(), ranges);
     summaries.sort_by_key(|summary| !summary.training);
@@ -116,14 +116,14 @@ fn why_empty(part: &Record, args: &Args) -> String {
     match (part.segments.iter().map(|s| s.len()).max(), args.decimate) {
         (Some(longest), Some(n)) if part.observed() > 0 => format!(
             "--decimate {n} leaves nothing: its filter needs {} samples without a hole, and the longest stretch has {longest}",
-            DECIMATION_NEEDS * n.get()
+            DECIMATION_NEEDS * n
         ),
         _ => "no sample has both input and output".to_owned(),
     }
 }
 
 fn described(part: &Record, read: &RecordSummary, period_s: f64, args: &Args) -> RecordSummary {
-    let factor = args.decimate.map_or(1, |n| n.get());
+    let factor = args.decimate.unwrap_or(1);
     RecordSummary {
         name: part.name.clone(),
         samples: part.observed(),
@@ -210,7 +210,7 @@ fn recorded(args: &Args, file: &Path, table: Option<&Path>, plant: Option<Plant>
     }
     let recording = Recording::read(file).map_err(unreadable)?;
     if let Some(why) = &recording.cut {
-        tracing::warn!("{name}: is read as far as it goes: {why}");
+        tracing::warn!("{name}: not all of it can be read: {why}");
     }
     let observed = Observed::of(&recording).map_err(usage)?;
     let (source, currents) = match table {
@@ -253,13 +253,21 @@ fn recorded(args: &Args, file: &Path, table: Option<&Path>, plant: Option<Plant>
 
 /// How late the output is, looked for around the delay that is given.
 fn apparent_delay(args: &Args, observed: &Observed, held: &Held, plant: Option<Plant>) -> Option<Delay> {
-    let grid = |series: &Series| -> Result<Grid, GridError> { Grid::of(&series.name, &series.time_s) };
     let period_s = observed.grid().ok()?.period_s;
     let given_s = if let DelayArg::Given(seconds) = args.delay { seconds } else { 0.0 };
+    // All delays are judged by the same samples: those whose commands are known with any of them.
+    let held = held.zero_before();
+    let known_s = held.span_s()?.0 + given_s + (delay::REACH + 2.0) * period_s;
+    let cut_off = known_s > *observed.time_s.first()?;
+    let observed = if cut_off { observed.from(known_s) } else { observed.clone() };
     let found = delay::estimate(period_s, |delay_s| {
-        let series = observed.series(held, plant, given_s + delay_s).ok()?;
-        let (record, _) = cut(&series, &grid(&series).ok()?, args.bridge);
+        let series = observed.series(&held, plant, given_s + delay_s).ok()?;
+        let grid = Grid::of(&series.name, &series.time_s).ok()?;
+        let (record, _) = cut(&series, &grid, args.bridge);
         let mut segments = record.segments;
+        if cut_off {
+            segments.iter_mut().for_each(|s| s.from_rest = false);
+        }
         if args.detrend() != Detrend::None {
             let trend = Trend::of(&segments, period_s, false);
             segments.iter_mut().for_each(|s| trend.remove(s, period_s));
@@ -308,13 +316,13 @@ fn provenance(args: &Args, records: Vec<RecordSummary>) -> Provenance {
         set("currents", table.display().to_string());
     }
     set("detrend", format!("{:?}", args.detrend).to_lowercase());
-    set("decimate", args.decimate.map_or(1, |n| n.get()).to_string());
+    set("decimate", args.decimate.unwrap_or(1).to_string());
     set("resample", args.resample.to_string());
     set("bridge", args.bridge.to_string());
     set("estimator", format!("{:?}", args.estimator).to_lowercase());
     set("start", format!("{:?}", args.start).to_lowercase());
     set("reduction", if args.match_dc { "match DC" } else { "truncation" }.to_owned());
-    set("weighted", args.weighted.to_string());
+    set("reduced for", if args.all_frequencies { "all frequencies" } else { "the excited band" }.to_owned());
     set("bootstrap", args.bootstrap.to_string());
     set(
         "delay",

@@ -49,18 +49,19 @@ fn describe(text: &mut String, data: &Data, done: &Identification, provenance: &
     }
     writeln!(text, "; {:.6} s a sample", data.period_s)?;
     table_1(text, done, provenance)?;
-    for model in &done.models {
+    for model in done.models.iter().rev() {
         if let Some(h) = &model.continuous {
             transfer_function(text, model, h)?;
         }
     }
-    writeln!(text, "\n{:<24} bandwidth, Hz (95 % of the bootstrap)", "")?;
-    for model in &done.models {
+    writeln!(text, "\n{:<24} bandwidth, Hz (95 % of the bootstrap, where the model is not biased)", "")?;
+    for model in done.models.iter().rev() {
         for estimate in &model.bandwidths {
             let found = estimate.bandwidth.frequency_hz.map_or("none".to_owned(), |f| format!("{f:.3}"));
             let interval = estimate.interval_hz.map_or(String::new(), |(a, b)| format!(" ({a:.3} to {b:.3})"));
             let flag = if estimate.bandwidth.extrapolated { ", extrapolated" } else { "" };
-            writeln!(text, "{:<24} {}: {found}{interval}{flag}", model.title, estimate.bandwidth.definition.words())?;
+            let (definition, of) = (estimate.bandwidth.definition.words(), model.bandwidths_are_of.words());
+            writeln!(text, "{:<24} of {of}, {definition}: {found}{interval}{flag}", model.title)?;
         }
     }
     writeln!(text)

@@ -272,10 +272,10 @@ fn catheter(out: &mut String, rig: &Draft) -> fmt::Result {
     writeln!(out, "\ncatheter, {:.2} mm thick; bands from the clamp on", catheter.diameter_m * 1e3)?;
     for (index, marker) in rig.markers.iter().enumerate() {
         let place = match marker.centre_m {
-            Some(centre_m) => format!("middle {:.1} mm from the clamp", centre_m * 1e3),
+            Some(centre_m) => format!("middle at {:.1} mm along the tube", centre_m * 1e3),
             None => "place not known".to_owned(),
         };
-        let colour = match &marker.colour {
+        let colour = match marker.colour(0) {
             Some(c) => format!("colour ({:.0}, {:.0}, {:.0})", c.rgb.x, c.rgb.y, c.rgb.z),
             None => "colour not learned".to_owned(),
         };

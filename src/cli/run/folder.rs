@@ -5,6 +5,7 @@
 //! beside a new log would tell lies). Results of another recording, and files that are not of this command, are never
 //! touched: the run is refused before any work.
 
+use super::super::results::{self, Owner, RUN, whole_path};
 use super::super::{Exit, Failure};
 use super::options::Record;
 use crate::tally::budget::{Source, together};
@@ -15,7 +16,6 @@ use std::fs;
 use std::io::{self, ErrorKind, Read as _};
 use std::path::{Path, PathBuf};
 
-const RUN: &str = "run.toml";
 const LOG: &str = "log.mcap";
 const TABLE: &str = "track.csv";
 const REPORT: &str = "report.html";
@@ -70,22 +70,12 @@ impl Run {
     }
 }
 
-/// The whole path of something that exists; as given when the system cannot say.
-pub(in crate::cli) fn whole_path(path: &Path) -> PathBuf {
-    path.canonicalize().unwrap_or_else(|_| path.to_owned())
-}
-
 /// Whether a file is empty or begins as our tables do.
 fn is_table(path: &Path) -> bool {
     let begin = b"seq,t_s,";
     let mut found = Vec::new();
     let read = fs::File::open(path).and_then(|file| file.take(begin.len() as u64).read_to_end(&mut found));
     read.is_ok() && (found.is_empty() || found == begin)
-}
-
-/// A path as text that no other path has: bytes that are no text are spelled out.
-pub(in crate::cli) fn unlike_others(path: &Path) -> String {
-    path.to_str().map_or_else(|| format!("{path:?}"), str::to_owned)
 }
 
 /// Where results go when the user does not say: a folder here, named after the recording.
@@ -132,14 +122,8 @@ impl Files {
     /// [`Exit::Usage`] when something is there that must not be replaced, [`Exit::Failed`] when the folder cannot be
     /// written.
     pub(in crate::cli) fn prepare(&self, run: &Run, inputs: &[&Path]) -> Result<(), Failure> {
-        let taken = |path: &&PathBuf| {
-            path.as_path() != Path::new(STDOUT)
-                && inputs.iter().any(|input| path.exists() && whole_path(path) == whole_path(input))
-        };
-        if let Some(input) = self.all().find(taken) {
-            let refused = format!("{}: would be written over, and is read by this run", input.display());
-            return Err(Failure::new(Exit::Usage, refused));
-        }
+        let places = self.all().map(PathBuf::as_path).filter(|path| *path != Path::new(STDOUT));
+        results::spare_inputs(places, inputs)?;
         self.places_are_free()?;
         let earlier = self.earlier_run(run)?;
         let cannot = |path: &Path, e: io::Error| {
@@ -222,20 +206,10 @@ impl Files {
 
     /// The run whose results are in the folder, if there is one and it may be replaced by `run`.
     fn earlier_run(&self, run: &Run) -> Result<Option<Run>, Failure> {
-        let refused = |what: String| {
-            let advice = "choose another folder with -o, or move them away";
-            Err(Failure::new(Exit::Usage, format!("{}: {what}: {advice}", self.folder.display())))
-        };
-        let text = fs::read_to_string(self.folder.join(RUN)).ok();
-        let Some(earlier) = text.and_then(|text| toml::from_str::<Run>(&text).ok()) else {
-            return match ALL.iter().find(|name| self.folder.join(name).exists()) {
-                Some(name) => refused(format!("has a {name} and more that this command did not write")),
-                None => Ok(None),
-            };
-        };
-        if earlier.command != run.command || earlier.recording != run.recording {
-            return refused(format!("has the results of `catoptra {} {}`", earlier.command, earlier.recording));
-        }
+        let owner = Owner { command: run.command.clone(), recording: run.recording.clone() };
+        let Some(text) = results::earlier_run(&self.folder, &owner, ALL.into_iter())? else { return Ok(None) };
+        let earlier = toml::from_str(&text)
+            .map_err(|e| Failure::new(Exit::Usage, format!("{}: {}", self.folder.join(RUN).display(), e.message())))?;
         Ok(Some(earlier))
     }
 }
@@ -323,6 +297,7 @@ mod tests {
     #[test]
     #[cfg(unix)]
     fn names_that_are_no_text_stay_apart() {
+        use super::super::super::results::unlike_others;
         use std::os::unix::ffi::OsStrExt as _;
         let [e, è] = [b"/caf\xe9", b"/caf\xe8"].map(|name| unlike_others(Path::new(OsStr::from_bytes(name))));
         assert_ne!(e, è);

@@ -38,10 +38,18 @@ fn with_unit(name: &str, unit: &str) -> String {
     if unit.is_empty() { name.to_owned() } else { format!("{name} ({unit})") }
 }
 
-/// The whole of a record, and its middle: observed and simulated.
-pub(super) fn courses(data: &Data, done: &Identification, provenance: &Provenance, record: &Record) -> (Plot, Plot) {
+/// The whole of a record, what the models leave of it, and its middle.
+pub(super) fn courses(
+    data: &Data,
+    done: &Identification,
+    provenance: &Provenance,
+    record: &Record,
+) -> (Plot, Plot, Plot) {
     let kind = Kind::Simulation(provenance.initial_state);
-    let mut whole = Timeline::default();
+    let (mut whole, mut errors) = (Timeline::default(), Timeline::default());
+    // The axis shows the leading model's errors whole: those of a model that runs away are cut.
+    let leading = done.leading().map(|model| model.role);
+    let mut largest_left = 0.0_f64;
     let longest = record.segments.iter().max_by_key(|s| s.len());
     for segment in &record.segments {
         let simulated: Vec<Vec<f64>> = done.models.iter().map(|m| output(&m.model, segment, kind)).collect();
@@ -50,7 +58,15 @@ pub(super) fn courses(data: &Data, done: &Identification, provenance: &Provenanc
             let all: Vec<Option<f64>> =
                 std::iter::once(Some(segment.output[k]).filter(|y| !y.is_nan())).chain(values).collect();
             let lost = u64::from(k == 0 && segment.first > 0);
-            whole.push(segment.start_s + k as f64 * data.period_s, lost, &all, &[]);
+            let time_s = segment.start_s + k as f64 * data.period_s;
+            whole.push(time_s, lost, &all, &[]);
+            let error = |value: &Option<f64>| value.zip(all.first().copied().flatten()).map(|(m, y)| y - m);
+            let errors_now: Vec<Option<f64>> = all.iter().skip(1).map(error).collect();
+            let roles = done.models.iter().map(|model| Some(model.role));
+            for (_, error) in roles.zip(&errors_now).filter(|(role, _)| *role == leading) {
+                largest_left = largest_left.max(1.15 * error.unwrap_or(0.0).abs());
+            }
+            errors.push(time_s, lost, &errors_now, &[]);
         }
     }
     // What runs away would flatten all others.
@@ -66,6 +82,14 @@ pub(super) fn courses(data: &Data, done: &Identification, provenance: &Provenanc
     for (k, model) in done.models.iter().enumerate() {
         let points = chart::curve(whole.bins(), channel(k + 1), 6);
         all.add_trace(chart::line(points, &model.title, colour(model.role), 1.1, "%{y:.4g}"));
+    }
+    let mut left = chart::plot(chart::layout().x_axis(chart::value_axis("Time (s)").zero_line(false)).y_axis(
+        chart::value_axis(&with_unit("Error", &provenance.output_unit)).range(vec![-largest_left, largest_left]),
+    ));
+    for (k, model) in done.models.iter().enumerate() {
+        let channel = errors.bins().iter().map(|bin| bin.channels.get(k).copied().flatten());
+        let points = chart::curve(errors.bins(), channel, 6);
+        left.add_trace(chart::line(points, &model.title, colour(model.role), 1.1, "%{y:.4g}"));
     }
     let mut middle = chart::plot(layout());
     if let Some(segment) = longest {
@@ -88,7 +112,7 @@ pub(super) fn courses(data: &Data, done: &Identification, provenance: &Provenanc
             middle.add_trace(trace(part(&simulated), &model.title, colour(model.role), 1.6, Mode::Lines));
         }
     }
-    (all, middle)
+    (all, left, middle)
 }
 
 /// A plot over frequency, with the excited band and half of the sampling rate.

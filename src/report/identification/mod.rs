@@ -160,12 +160,12 @@ fn polynomial(coefficients: &[f64]) -> String {
 
 fn transfer_functions(done: &Identification) -> String {
     let mut text = "<h2>Transfer function</h2>\n<p>H(s) in the form of the paper's Eq. 7, from the discrete model whose input is held \
-                    from sample to sample. The reduced one is the paper's way; the other of the same order is fitted to the data \
-                    itself, and its errors are the better known.</p>\n"
+                    from sample to sample. The refined model is fitted to the data by its simulation error: use this one. The reduced \
+                    model of the same order is the paper's way; it inherits the errors of the full one.</p>\n"
         .to_owned();
     let mut rows = Vec::new();
     let mut any = false;
-    for model in &done.models {
+    for model in done.models.iter().rev() {
         let Some(ContinuousEstimate { model: h, standard_errors }) = &model.continuous else { continue };
         any = true;
         let Continuous { num, den, delay_s, conversion } = h;
@@ -259,9 +259,11 @@ fn time_courses(data: &Data, done: &Identification, provenance: &Provenance) -> 
     for (k, record) in data.training.iter().chain(&data.validation).enumerate() {
         let training = k < data.training.len();
         text += &format!("<h3>{}: {}</h3>\n", if training { "Training" } else { "Validation" }, escape(&record.name));
-        let (whole, middle) = figures::courses(data, done, provenance, record);
+        let (whole, left, middle) = figures::courses(data, done, provenance, record);
         text += &figure(&format!("plot-course-{k}"), &whole, 300, false);
-        text += "<p class=\"note\">Its middle, each sample:</p>\n";
+        text += "<p class=\"note\">What is left, observed minus simulated:</p>\n";
+        text += &figure(&format!("plot-left-{k}"), &left, 220, false);
+        text += "<p class=\"note\">The middle of the record, each sample:</p>\n";
         text += &figure(&format!("plot-middle-{k}"), &middle, 300, false);
     }
     text
@@ -285,16 +287,20 @@ fn frequency(data: &Data, done: &Identification) -> String {
             let found = estimate.bandwidth;
             rows.push(vec![
                 model.title.clone(),
+                model.bandwidths_are_of.words().to_owned(),
                 found.definition.words().to_owned(),
                 found.frequency_hz.map_or("none".to_owned(), |f| format!("{f:.4}")),
-                estimate.interval_hz.map_or_else(String::new, |(low, high)| format!("{low:.4} to {high:.4}")),
-                if found.extrapolated { "extrapolated".to_owned() } else { String::new() },
+                estimate.interval_hz.map_or("–".to_owned(), |(low, high)| format!("{low:.4} to {high:.4}")),
+                if found.extrapolated { "extrapolated" } else { "inside" }.to_owned(),
             ]);
         }
     }
-    text += "<h3>Bandwidth</h3>\n<p>Which number it is depends on the definition. Extrapolated: the frequency, or zero frequency, which it \
-             refers to, lies outside the excited band.</p>\n";
-    text + &table(2, &["Model", "Definition", "Hz", "95 % of the bootstrap", "Note"], &rows)
+    text += "<h3>Bandwidth</h3>\n<p>It depends on the definition. Of H(s), or of the samples, whose phase holds half a period of the hold too. \
+             Extrapolated: the frequency, or zero frequency, which it refers to, lies outside the excited band. The interval \
+             holds the middle 95 % of a residual bootstrap; there is none without a bootstrap, and none where noise biases the \
+             model (ARX, and what is reduced from it, with Eq. 6 or with residuals that are not white), because the scatter \
+             does not show the bias.</p>\n";
+    text + &table(3, &["Model", "Of", "Definition", "Hz", "95 % interval", "Excited band"], &rows)
 }
 
 fn orders(done: &Identification) -> String {
@@ -347,7 +353,7 @@ fn of_each_order(done: &Identification, judged: bool) -> Vec<&Candidate> {
 
 fn reduction(done: &Identification) -> String {
     let Ok(reduced) = &done.reduced else { return String::new() };
-    let kept = reduced.model.memory();
+    let kept = reduced.model.order();
     let bound = if reduced.error_bound.is_finite() {
         format!("The reduced response differs nowhere by more than {}.", number(reduced.error_bound))
     } else {

@@ -35,6 +35,8 @@ pub fn page(validation: &Validation, settings: &Settings) -> String {
 /// Where the magnitude is 3 dB below that of the slowest run, Hz: on the line between two runs over the logarithm of
 /// frequency. `None` when it does not fall so far.
 pub fn bandwidth_hz(validation: &Validation) -> Option<f64> {
+    // The motion along any other path has several frequencies, and no response at one of them.
+    validation.path.circle?;
     let points: Vec<(f64, f64)> =
         validation.runs.iter().rev().filter_map(|run| Some((run.frequency_hz.ln(), run.magnitude?.db))).collect();
     let limit = points.first()?.1 + DROP_DB;
@@ -74,6 +76,9 @@ fn header(validation: &Validation) -> String {
     let spread = if validation.runs.len() == 1 { mm(low) } else { format!("{} to {}", mm(low), mm(high)) };
     let response = match bandwidth_hz(validation) {
         Some(hz) => format!(" The response falls 3 dB below that of the slowest run at {hz:.2} Hz."),
+        None if validation.path.circle.is_none() => {
+            " There is no bandwidth: the path is no circle, so its motion has several frequencies.".to_owned()
+        }
         None if validation.runs.len() > 1 => {
             " The response does not fall 3 dB below that of the slowest run.".to_owned()
         }
@@ -102,6 +107,7 @@ fn cards(validation: &Validation) -> String {
             of("Fastest", fastest);
             let (value, words) = match bandwidth_hz(validation) {
                 Some(hz) => (format!("{hz:.2} Hz"), "3 dB below the slowest run"),
+                None if validation.path.circle.is_none() => ("–".to_owned(), "the path is no circle"),
                 None => ("–".to_owned(), "does not fall by 3 dB"),
             };
             cards += &card("Bandwidth", value, words, false);

@@ -1,0 +1,191 @@
+//! Output folders that know whose results they have.
+//!
+//! `run.toml` in a folder says which command wrote it and of which recordings. Results of the same recordings are
+//! replaced; those of others, files that no command of this program wrote, and anything that is read are never touched.
+
+use super::{Exit, Failure};
+use serde::{Deserialize, Serialize};
+use std::fs;
+use std::io::{self, ErrorKind};
+use std::path::{Path, PathBuf};
+
+/// The file that says whose results are in a folder.
+pub(super) const RUN: &str = "run.toml";
+
+/// Whose results they are.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(super) struct Owner {
+    /// Which command wrote them.
+    pub(super) command: String,
+    /// Whole path of the recording, or of all of them.
+    pub(super) recording: String,
+}
+
+/// The whole path of something that exists; as given when the system cannot say.
+pub(super) fn whole_path(path: &Path) -> PathBuf {
+    path.canonicalize().unwrap_or_else(|_| path.to_owned())
+}
+
+/// A path as text that no other path has: bytes that are no text are spelled out.
+pub(super) fn unlike_others(path: &Path) -> String {
+    path.to_str().map_or_else(|| format!("{path:?}"), str::to_owned)
+}
+
+/// Refuses to write what is read.
+///
+/// # Errors
+/// [`Exit::Usage`] when one of `files` is one of `inputs`.
+pub(super) fn spare_inputs<'a>(mut files: impl Iterator<Item = &'a Path>, inputs: &[&Path]) -> Result<(), Failure> {
+    let taken = |path: &&Path| path.exists() && inputs.iter().any(|input| whole_path(path) == whole_path(input));
+    match files.find(taken) {
+        Some(input) => {
+            let refused = format!("{}: would be written over, and is read by this run", input.display());
+            Err(Failure::new(Exit::Usage, refused))
+        }
+        None => Ok(()),
+    }
+}
+
+/// The text of the `run.toml` in `folder`, if there are results in it that may be replaced by those of `owner`. `all`: what
+/// the command may write there.
+///
+/// # Errors
+/// [`Exit::Usage`] when the folder is a file, or has results of others.
+pub(super) fn earlier_run<'a>(
+    folder: &Path,
+    owner: &Owner,
+    mut all: impl Iterator<Item = &'a str>,
+) -> Result<Option<String>, Failure> {
+    if folder.exists() && !folder.is_dir() {
+        return Err(Failure::new(Exit::Usage, format!("{}: is a file; choose a folder with -o", folder.display())));
+    }
+    let refused = |what: String| {
+        let advice = "choose another folder with -o, or move them away";
+        Err(Failure::new(Exit::Usage, format!("{}: {what}: {advice}", folder.display())))
+    };
+    let text = fs::read_to_string(folder.join(RUN)).ok();
+    let earlier = text.and_then(|text| Some((toml::from_str::<Owner>(&text).ok()?, text)));
+    match earlier {
+        Some((earlier, text)) if earlier == *owner => Ok(Some(text)),
+        Some((earlier, _)) => {
+            refused(format!("has the results of `catoptra {} {}`", earlier.command, earlier.recording))
+        }
+        None => match all.find(|name| folder.join(name).exists()) {
+            Some(name) => refused(format!("has a {name} that this command did not write")),
+            None => Ok(None),
+        },
+    }
+}
+
+/// The folder of a command that computes from recordings: checked before the work, taken when there are results.
+#[derive(Debug)]
+pub(super) struct Results<'a> {
+    pub(super) folder: &'a Path,
+    pub(super) command: &'static str,
+    pub(super) recordings: &'a [PathBuf],
+    /// Everything that is read.
+    pub(super) inputs: Vec<&'a Path>,
+    /// Names of all files that may be written.
+    pub(super) files: Vec<String>,
+}
+
+/// What `run.toml` holds.
+#[derive(Debug, Serialize, Deserialize)]
+struct Run {
+    #[serde(flatten)]
+    owner: Owner,
+    version: String,
+    /// Files that were written, so that a later run can remove those it does not write.
+    files: Vec<String>,
+}
+
+impl Results<'_> {
+    fn owner(&self) -> Owner {
+        let all: Vec<String> = self.recordings.iter().map(|path| unlike_others(&whole_path(path))).collect();
+        Owner { command: self.command.to_owned(), recording: all.join(", ") }
+    }
+
+    /// Refuses a folder in which something would be lost; writes nothing.
+    ///
+    /// # Errors
+    /// [`Exit::Usage`].
+    pub(super) fn check(&self) -> Result<(), Failure> {
+        self.earlier().map(drop)
+    }
+
+    fn earlier(&self) -> Result<Option<String>, Failure> {
+        let places: Vec<PathBuf> = self.files.iter().map(|name| self.folder.join(name)).collect();
+        spare_inputs(places.iter().map(PathBuf::as_path), &self.inputs)?;
+        earlier_run(self.folder, &self.owner(), self.files.iter().map(String::as_str))
+    }
+
+    /// Makes the folder, removes the files of an earlier run of the same, and says whose it is.
+    ///
+    /// # Errors
+    /// As [`Results::check`]; [`Exit::Failed`] when the folder cannot be written.
+    pub(super) fn take(&self) -> Result<(), Failure> {
+        let earlier = self.earlier()?;
+        let cannot = |path: &Path, e: io::Error| {
+            Failure::new(Exit::Failed, format!("cannot write to the output folder {}: {e}", path.display()))
+        };
+        fs::create_dir_all(self.folder).map_err(|e| cannot(self.folder, e))?;
+        let earlier = earlier.and_then(|text| toml::from_str::<Run>(&text).ok());
+        // Names only: what lies elsewhere was not written here.
+        let is_name = |name: &&String| Path::new(name.as_str()).file_name().is_some_and(|only| only == name.as_str());
+        for name in earlier.iter().flat_map(|run| &run.files).filter(is_name) {
+            let path = self.folder.join(name);
+            match fs::remove_file(&path) {
+                Err(e) if e.kind() != ErrorKind::NotFound => return Err(cannot(&path, e)),
+                _ => {}
+            }
+        }
+        let version = env!("CARGO_PKG_VERSION").to_owned();
+        let run = Run { owner: self.owner(), version, files: self.files.clone() };
+        let text =
+            toml::to_string(&run).map_err(|e| Failure::new(Exit::Failed, format!("cannot describe the run: {e}")))?;
+        let path = self.folder.join(RUN);
+        fs::write(&path, format!("# What these results are of.\n{text}")).map_err(|e| cannot(&path, e))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn results<'a>(folder: &'a Path, recordings: &'a [PathBuf], files: &[&str]) -> Results<'a> {
+        let inputs = recordings.iter().map(PathBuf::as_path).collect();
+        let files = files.iter().map(|name| (*name).to_owned()).collect();
+        Results { folder, command: "identify", recordings, inputs, files }
+    }
+
+    #[test]
+    fn results_of_the_same_recordings_are_replaced_and_nothing_else() {
+        let place = tempfile::tempdir().unwrap();
+        let folder = place.path().join("out");
+        let (a, b) = ([place.path().join("a.csv")], [place.path().join("b.csv")]);
+        let first = results(&folder, &a, &["model.json", "orders.csv"]);
+        first.check().unwrap();
+        assert!(!folder.exists());
+        first.take().unwrap();
+        fs::write(folder.join("orders.csv"), "old").unwrap();
+        fs::write(folder.join("notes.txt"), "mine").unwrap();
+        let other = results(&folder, &b, &["model.json"]).check().unwrap_err();
+        assert!(other.exit() == Exit::Usage && other.to_string().contains("a.csv"), "{other}");
+        results(&folder, &a, &["model.json"]).take().unwrap();
+        assert!(!folder.join("orders.csv").exists() && folder.join("notes.txt").exists());
+    }
+
+    #[test]
+    fn what_is_read_and_what_others_wrote_is_refused() {
+        let place = tempfile::tempdir().unwrap();
+        let input = [place.path().join("signals.csv")];
+        fs::write(&input[0], "t,u,y\n").unwrap();
+        let over_input = results(place.path(), &input, &["signals.csv"]).check().unwrap_err().to_string();
+        assert!(over_input.contains("is read by this run"), "{over_input}");
+        fs::write(place.path().join("report.html"), "of another command").unwrap();
+        let foreign = results(place.path(), &input, &["report.html"]).check().unwrap_err().to_string();
+        assert!(foreign.contains("has a report.html that this command did not write"), "{foreign}");
+        let file = results(&input[0], &input, &[]).check().unwrap_err().to_string();
+        assert!(file.contains("is a file; choose a folder with -o"), "{file}");
+    }
+}

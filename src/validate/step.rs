@@ -1,0 +1,20 @@
+//! One command and what was seen of it.
+
+use nalgebra::Point3;
+
+/// One command and what was seen of it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Step {
+    /// Its number, from 0.
+    pub k: usize,
+    /// When it was given, seconds since the first.
+    pub t_s: f64,
+    /// Where the marker should be, metres.
+    pub desired: Point3<f64>,
+    /// Where it was.
+    pub observed: Option<Point3<f64>>,
+    /// The same after the alignment.
+    pub aligned: Option<Point3<f64>>,
+    /// Camera frames it is the mean of; 0 if it is interpolated.
+    pub frames: usize,
+}
