@@ -2,6 +2,8 @@
 
 use crate::calibrate::markers::{SeenBlob, Teaching, Verdict, verdict};
 
+/// Other colours named of a band at most.
+const NAMED: usize = 3;
 /// Things told to be covered at most.
 const THINGS: usize = 4;
 
@@ -21,14 +23,25 @@ pub(super) fn advice(done: &Teaching) -> Vec<String> {
                 all.push(format!("Band `{}` in view `{}`: {advice}.", marker_name(m), view_name(v)));
             }
         }
-        for s in view.learned.separations.iter().filter(|s| verdict(s) == Verdict::Poor) {
-            let of = |class: usize| view.classes.get(class).map_or("", String::as_str);
+        for m in 0..done.rig.markers.len() {
+            let poor = view.learned.separations.iter().filter(|s| s.marker == m && verdict(s) == Verdict::Poor);
+            let others: Vec<&str> = poor.filter_map(|s| view.classes.get(s.other).map(String::as_str)).collect();
+            if others.is_empty() {
+                continue;
+            }
+            let beside = others.iter().filter(|name| name.starts_with("beside")).count();
+            let advice = if 2 * beside > others.len() && others.len() > 2 {
+                "Is the pick on the band? What was found there has the colour of what is beside it."
+            } else {
+                "A purer paint, more even light, or less of that colour in the picture."
+            };
+            let named: Vec<String> = others.iter().take(NAMED).map(|name| format!("`{name}`")).collect();
+            let more = if others.len() > NAMED { " and others" } else { "" };
             all.push(format!(
-                "View `{}`: `{}` is hardly told from `{}` by colour. A purer paint, more even light, or less of that colour in \
-                 the picture.",
+                "View `{}`: `{}` is hardly told from {}{more} by colour. {advice}",
                 view_name(v),
-                of(s.marker),
-                of(s.other)
+                marker_name(m),
+                named.join(", ")
             ));
         }
     }
