@@ -28,8 +28,8 @@ enum Command {
     },
     /// Restore a log that was cut off or damaged
     #[command(after_help = "\
-Everything that is whole is kept, and where something is lost is listed. The damaged file stays beside
-the new one as LOG.mcap.bak.
+Everything that is whole is kept, and where something is lost is listed. The damaged file stays
+beside the new one as LOG.mcap.bak.
 Example:
   catoptra log repair out/log.mcap")]
     Repair {

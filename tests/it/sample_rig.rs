@@ -223,6 +223,6 @@ fn tracking_with_it_is_as_good_as_with_the_true_rig() {
         }
         assert!(own.tangent_in_base_deg < truly.tangent_in_base_deg + WORSE.1, "{run}");
         assert!(own.tangent_in_camera_deg < truly.tangent_in_camera_deg + WORSE.1, "{run}");
-        assert!(own.in_camera_mm < PREDICTED_MM, "{run}: {} mm in the camera frame", own.in_camera_mm);
+        assert!(own.in_camera_mm < 1.5 * PREDICTED_MM, "{run}: {} mm in the camera frame", own.in_camera_mm);
     }
 }
