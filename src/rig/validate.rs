@@ -328,7 +328,7 @@ impl Check<'_> {
             raw.colour.map(|c| ColourModel::linear(Vector3::from(c.discriminant_rgb), c.bias, Vector3::from(c.rgb)));
         let colours = match everywhere {
             Some(_) if !raw.colours.is_empty() => {
-                return Err(self.key(&key("colour"), "here beside `colours`, which says the same: keep one of them"));
+                return Err(self.key(key("colour"), "here beside `colours`, which says the same: keep one of them"));
             }
             Some(colour) => vec![colour],
             None => self.colours(&key("colours"), &raw.colours, views)?,

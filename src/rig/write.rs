@@ -152,7 +152,7 @@ fn marker(first: bool, marker: &Marker, views: &[View]) -> String {
     for (i, colour) in models.iter().enumerate() {
         let head = "\n# score = the least of r·R + g·G + b·B + bias over the planes [r, g, b, bias]: about 1 on the band, below 0.5\n\
                     # elsewhere; rgb is its mean colour, 0 to 255.\n";
-        let _ = write!(text, "{}[[marker.colours]]\n", if i == 0 { head } else { "\n" });
+        let _ = writeln!(text, "{}[[marker.colours]]", if i == 0 { head } else { "\n" });
         if let Some(view) = views.get(i).filter(|_| models.len() > 1) {
             let _ = writeln!(text, "view = \"{}\"", view.name);
         }

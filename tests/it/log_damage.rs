@@ -80,8 +80,7 @@ fn what_lies_behind_a_hole_is_saved() {
     let bytes = std::fs::read(&path).unwrap();
     let whole = Recording::read(&path).unwrap();
     let messages = Info::read(&path).unwrap().topics.iter().map(|topic| topic.messages).sum::<u64>();
-    let mut kept = 1;
-    for part in [0.02, 0.3, 0.55, 0.8] {
+    for (kept, part) in (1..).zip([0.02, 0.3, 0.55, 0.8]) {
         let hole = (bytes.len() as f64 * part) as usize;
         let mut damaged = bytes.clone();
         damaged[hole..hole + 4096].fill(0);
@@ -97,7 +96,6 @@ fn what_lies_behind_a_hole_is_saved() {
         let name = if kept == 1 { "log.mcap.bak".to_owned() } else { format!("log.mcap.bak{kept}") };
         assert_eq!(kept_as, folder.path().join(name));
         assert_eq!(std::fs::read(&kept_as).unwrap(), damaged, "the damaged log is kept");
-        kept += 1;
         let mended = Recording::read(&path).unwrap();
         assert!(mended.cut.is_none() && is_part_of(&mended, &whole), "{part}");
         assert!(Info::read(&path).unwrap().condition.is_whole());
@@ -247,7 +245,7 @@ fn a_damaged_window_costs_its_frame_and_no_other() {
     let lost: u64 = read.rows.iter().map(|row| row["gap"].parse::<u64>().unwrap()).sum();
     let ends_early = whole.rows.last().unwrap()["stamp_ns"] != read.rows.last().unwrap()["stamp_ns"];
     assert!(ends_early || read.rows.len() as u64 + lost == whole.rows.len() as u64, "{} and {lost}", read.rows.len());
-    for row in read.rows.iter().filter(|row| row["gap"] == "0" && row["theta_deg"] != "") {
+    for row in read.rows.iter().filter(|row| row["gap"] == "0" && !row["theta_deg"].is_empty()) {
         let same = whole.rows.iter().find(|other| other["stamp_ns"] == row["stamp_ns"]).unwrap();
         let apart = row["theta_deg"].parse::<f64>().unwrap() - same["theta_deg"].parse::<f64>().unwrap();
         assert!(apart.abs() < 0.2, "{}: {apart}°", row["t_s"]);

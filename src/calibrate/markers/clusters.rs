@@ -57,7 +57,7 @@ mod tests {
     #[test]
     fn a_tube_of_a_few_per_cent_is_a_cluster_of_its_own() {
         let shade = |i: usize| 1.0 + 0.03 * ((i * 7 % 11) as f64 / 5.0 - 1.0);
-        let of = |i: usize| if i % 20 == 0 { [180.0, 179.0, 182.0] } else { [63.0, 62.0, 69.0] };
+        let of = |i: usize| if i.is_multiple_of(20) { [180.0, 179.0, 182.0] } else { [63.0, 62.0, 69.0] };
         let colours: Vec<Vector3<f64>> = (0..2000).map(|i| Vector3::from(of(i)) * shade(i)).collect();
         let found = clusters(&colours, 2);
         let mut sizes: Vec<usize> = found.iter().map(Vec::len).collect();

@@ -39,7 +39,7 @@ pub(crate) struct Args {
     /// The rig file, with colours and base frame
     #[arg(long, value_name = "RIG.toml")]
     rig: PathBuf,
-    /// Folder for the results, a new one for each run [default: live-1, live-2, …]
+    /// Folder for the results [default: live-1, live-2, …]
     #[arg(short, long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Play a recording at its own pace
@@ -63,22 +63,22 @@ pub(crate) struct Args {
     /// Send θ to a controller, one JSON datagram per frame
     #[arg(long, value_name = "HOST:PORT", value_parser = receiver)]
     udp: Option<SocketAddr>,
-    /// Serve the log's topics to Foxglove and programs [default address: ws://127.0.0.1:8765]
+    /// Serve the log's topics to Foxglove [default: ws://127.0.0.1:8765]
     #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = "127.0.0.1:8765", value_parser = listening)]
     publish: Option<SocketAddr>,
-    /// Web page that may subscribe too, as https://lab.example.org; may be given again
+    /// Web page that may subscribe too, as https://lab.example.org
     #[arg(long, value_name = "ORIGIN", requires = "publish")]
     allow_origin: Vec<String>,
-    /// Log coil currents: udp:PORT, udp:HOST:PORT, serial:DEVICE@BAUD or file:TABLE.csv
+    /// Coil currents: udp:[HOST:]PORT, serial:DEVICE@BAUD or file:TABLE.csv
     #[arg(long, value_name = "FROM")]
     currents: Option<CurrentSource>,
-    /// A current beyond is not plausible and not logged, amperes
+    /// Largest plausible current, amperes
     #[arg(long, value_name = "A", value_parser = positive, default_value_t = 10.0, requires = "currents")]
     current_limit: f64,
     /// Also record the pictures: windows (the parts the tracker looked at, in the log), or whole ones
     #[arg(long, value_enum, value_name = "HOW")]
     record: Option<Record>,
-    /// Stop recording pictures when less than this is free on the disk, in gigabytes [default: 2]
+    /// Record no pictures when less is free on the disk, GB [default: 2]
     #[arg(long, value_name = "GB", value_parser = positive, requires = "record")]
     keep_free: Option<f64>,
     /// Stop after T seconds

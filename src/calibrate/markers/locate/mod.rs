@@ -38,7 +38,7 @@ pub(crate) enum NotFound {
     /// Nothing near the click looks like a band.
     Nothing { marker: usize, view: usize },
     /// What does is seen in one view only.
-    OneView { marker: usize, view: usize, look: Look },
+    OneView { marker: usize, view: usize, look: Box<Look> },
     /// The clicks of two bands are on one.
     OneBand { markers: [usize; 2] },
     /// The bands are on one tube, but in another order.
@@ -103,7 +103,7 @@ fn of_band(search: &Search<'_>, marker: usize, near: &[Near]) -> Result<Vec<Cand
     places.sort_by(|a, b| b.score.total_cmp(&a.score));
     places.truncate(MOST_PLACES);
     if places.is_empty() {
-        return Err(NotFound::OneView { marker, view: first.view, look: best });
+        return Err(NotFound::OneView { marker, view: first.view, look: Box::new(best) });
     }
     Ok(places)
 }
