@@ -79,7 +79,8 @@ fn tried(rig: &Rig, hz: f64, folder: &Path) -> Outcome {
     let frames = decoded(count).into_iter();
     let receiver = UdpSocket::bind("127.0.0.1:0").unwrap();
     receiver.set_read_timeout(Some(Duration::from_millis(700))).unwrap();
-    let controllers = Some(UdpSink::to(receiver.local_addr().unwrap(), rig).unwrap());
+    let controllers: Vec<Box<dyn Sink + Send>> =
+        vec![Box::new(UdpSink::to(receiver.local_addr().unwrap(), rig).unwrap())];
     let clock = HostClock::start();
     let received = std::thread::spawn(move || {
         // A controller is another machine, or as urgent.

@@ -25,7 +25,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     for topic in &info.topics {
         writeln!(out, "  {:5} messages on {} ({})", topic.messages, topic.name, topic.schema)?;
     }
-    if let Some(why) = &info.cut {
+    if let Some(why) = info.condition.summary() {
         writeln!(out, "  it ends early: {why}")?;
     }
 

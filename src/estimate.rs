@@ -141,7 +141,8 @@ pub enum Miss {
         /// Distance, metres.
         distance_m: f64,
     },
-    /// What was found there is not this band: the fit left its start, or the colour is not the marker's.
+    /// What was found there is not this band, or not all of it: the fit left its start, the colour is not the marker's, or the
+    /// picture is explained much worse than in the frames before, as when something stands in front of a part.
     PoorFit {
         /// How far the fit moved from where the blob was, pixels.
         moved_px: f64,
@@ -163,6 +164,8 @@ pub enum Miss {
     },
     /// The picture was not recorded where the tracker has to look.
     NotRecorded,
+    /// The picture is damaged, or was predicted from one that is.
+    Damaged,
 }
 
 impl Miss {
@@ -179,6 +182,7 @@ impl Miss {
             Self::SkippedOverload => "skipped_overload".into(),
             Self::WrongSize { .. } => "wrong_size".into(),
             Self::NotRecorded => "not_recorded".into(),
+            Self::Damaged => "damaged".into(),
         }
     }
 }

@@ -108,6 +108,11 @@ pub mod calibrate;
 
 pub mod whole_file;
 
+mod contained;
+
+#[doc(hidden)]
+pub mod fuzz;
+
 pub mod cli;
 
 #[cfg(test)]

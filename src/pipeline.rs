@@ -232,7 +232,7 @@ mod tests {
         let mut rig = fixture::rig();
         rig.camera.size_px = SIZE_PX;
         for marker in &mut rig.markers {
-            marker.colour = Some(ColourModel { weights: Vector3::x() / 255.0, bias: 0.0, rgb: Vector3::x() * 255.0 });
+            marker.colours = vec![ColourModel::linear(Vector3::x() / 255.0, 0.0, Vector3::x() * 255.0)];
         }
         rig
     }

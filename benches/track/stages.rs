@@ -100,12 +100,15 @@ fn windows_around(estimate: &Estimate) -> Vec<Search> {
         .iter()
         .enumerate()
         .flat_map(|(m, found)| found.views.iter().flatten().map(move |band| (m, band)));
-    bands.map(|(m, band)| Search { marker: Some(m), window: Window::around(&band.centre_px, WINDOW_PX) }).collect()
+    bands
+        .map(|(m, band)| Search { marker: Some(m), view: None, window: Window::around(&band.centre_px, WINDOW_PX) })
+        .collect()
 }
 
 /// Pictures like `like` of which no part can be left out: what they cost bounds what any picture does.
 fn worst_cases(rig: &Rig, like: &Picture) -> Result<[(&'static str, Picture); 2], Box<dyn Error + Send + Sync>> {
-    let coil = rig.markers.get(rig.catheter.coil).and_then(|marker| marker.colour).ok_or("the coil has no colour")?;
+    let coil =
+        rig.markers.get(rig.catheter.coil).and_then(|marker| marker.colour(0)).ok_or("the coil has no colour")?;
     let ([width, height], format, colour) = (like.size_px(), like.format(), like.colour());
     let samples = |i: usize| like.plane(i).map_or(0, |plane| plane.width * plane.height);
     let full = (0..3).map(|i| {

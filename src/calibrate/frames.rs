@@ -5,13 +5,29 @@ use crate::source::{Frame, FrameSource, SourceError};
 /// Memory that they may take together.
 const FRAME_BYTES: u64 = 400_000_000;
 
+/// Frames spread evenly over a recording.
+pub(crate) struct Spread {
+    /// In the order of time.
+    pub frames: Vec<Frame>,
+    /// Which of them was asked for.
+    pub wanted: usize,
+}
+
 /// At most so many frames, spread evenly over the recording, the first one among them.
 pub(super) fn spread(source: &mut dyn FrameSource, most: usize) -> Result<Vec<Frame>, SourceError> {
+    Ok(spread_with(source, most, 0)?.frames)
+}
+
+/// As [`spread`], with the first frame that is `after_ns` or more after the first one among them: the last one if the
+/// recording ends before.
+pub(super) fn spread_with(source: &mut dyn FrameSource, most: usize, after_ns: i64) -> Result<Spread, SourceError> {
     let [width, height] = source.size_px();
     let fitting = FRAME_BYTES / (u64::from(width) * u64::from(height) * 2).max(1);
     let most = most.min(fitting.max(4) as usize);
     let mut stride = 1;
     let mut frames: Vec<Frame> = Vec::new();
+    let mut wanted: Option<Frame> = None;
+    let mut wanted_ns = None;
     let mut number = 0;
     loop {
         let frame = match source.next_frame() {
@@ -24,12 +40,15 @@ pub(super) fn spread(source: &mut dyn FrameSource, most: usize) -> Result<Vec<Fr
             }
             Err(error) => return Err(error),
         };
-        if number % stride == 0 {
+        let from_ns: i64 = *wanted_ns.get_or_insert(frame.stamp.ns.saturating_add(after_ns));
+        if wanted.is_none() && frame.stamp.ns >= from_ns {
+            wanted = Some(frame);
+        } else if number % stride == 0 {
             frames.push(frame);
         }
         number += 1;
         // Too many: keep every second one. Works for any length, known beforehand or not.
-        if frames.len() > most {
+        if frames.len() >= most {
             let mut even = false;
             frames.retain(|_| {
                 even = !even;
@@ -38,5 +57,11 @@ pub(super) fn spread(source: &mut dyn FrameSource, most: usize) -> Result<Vec<Fr
             stride *= 2;
         }
     }
-    Ok(frames)
+    let Some(frame) = wanted else {
+        let last = frames.len().saturating_sub(1);
+        return Ok(Spread { frames, wanted: last });
+    };
+    let wanted = frames.partition_point(|f| f.stamp.ns < frame.stamp.ns);
+    frames.insert(wanted, frame);
+    Ok(Spread { frames, wanted })
 }

@@ -67,6 +67,35 @@ impl Parameter {
         [Self::Tilt { surface, axis: 0 }, Self::Tilt { surface, axis: 1 }, Self::Offset { surface }]
     }
 
+    /// Its name in a rig file, `surface` giving the names of surfaces; units are SI, pixels for the lens.
+    pub fn name<'a>(self, surface: impl Fn(usize) -> &'a str) -> String {
+        let of = |names: &[&str], i: usize| names.get(i).copied().unwrap_or_default().to_owned();
+        match self {
+            Self::Focal(axis) => of(&["focal_x_px", "focal_y_px"], axis),
+            Self::Principal(axis) => of(&["principal_point_x_px", "principal_point_y_px"], axis),
+            Self::Distortion(i) => of(&["k1", "k2", "p1", "p2", "k3"], i),
+            Self::Tilt { surface: index, axis } => format!("{}_tilt_{axis}_rad", surface(index)),
+            Self::Offset { surface: index } => format!("{}_offset_m", surface(index)),
+            Self::IndexInside => "index_inside".to_owned(),
+        }
+    }
+
+    /// The parameter of this name; `surface` gives the indices of surfaces.
+    pub fn from_name(name: &str, surface: impl Fn(&str) -> Option<usize>) -> Option<Self> {
+        if let Some(of_lens) = Self::LENS.into_iter().find(|parameter| parameter.name(|_| "") == name) {
+            return Some(of_lens);
+        }
+        if let Some(own) = name.strip_suffix("_offset_m") {
+            return Some(Self::Offset { surface: surface(own)? });
+        }
+        for axis in 0..2 {
+            if let Some(own) = name.strip_suffix(&format!("_tilt_{axis}_rad")) {
+                return Some(Self::Tilt { surface: surface(own)?, axis });
+            }
+        }
+        (name == "index_inside").then_some(Self::IndexInside)
+    }
+
     fn is_of_lens(self) -> bool {
         matches!(self, Self::Focal(_) | Self::Principal(_) | Self::Distortion(_))
     }

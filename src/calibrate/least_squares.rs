@@ -47,7 +47,7 @@ pub(crate) struct Row<'a> {
 /// Normal equations.
 #[derive(Debug, Clone)]
 pub(crate) struct Equations {
-    /// The lower triangle.
+    /// Of observations that belong to no block: the lower triangle.
     shared: DMatrix<f64>,
     gradient: DVector<f64>,
     blocks: Vec<Block>,
@@ -56,6 +56,9 @@ pub(crate) struct Equations {
 
 #[derive(Debug, Clone)]
 struct Block {
+    /// What its observations say of the shared unknowns, when its own are known: the lower triangle, and the gradient.
+    shared: DMatrix<f64>,
+    shared_gradient: DVector<f64>,
     /// Shared unknowns x its own.
     coupling: DMatrix<f64>,
     matrix: DMatrix<f64>,
@@ -76,6 +79,8 @@ impl Equations {
     /// Without any observation: so many shared unknowns, and for each block how many of its own.
     pub(crate) fn new(shared: usize, blocks: impl IntoIterator<Item = usize>) -> Self {
         let block = |own: usize| Block {
+            shared: DMatrix::zeros(shared, shared),
+            shared_gradient: DVector::zeros(shared),
             coupling: DMatrix::zeros(shared, own),
             matrix: DMatrix::zeros(own, own),
             gradient: DVector::zeros(own),
@@ -96,8 +101,12 @@ impl Equations {
         let mut block = block.and_then(|block| self.blocks.get_mut(block));
         for row in rows {
             let by_shared = DVectorView::from_slice(row.shared, row.shared.len());
-            self.shared.syger(weight, &by_shared, &by_shared, 1.0);
-            self.gradient.axpy(weight * row.residual, &by_shared, 1.0);
+            let (matrix, gradient) = match &mut block {
+                Some(block) => (&mut block.shared, &mut block.shared_gradient),
+                None => (&mut self.shared, &mut self.gradient),
+            };
+            matrix.syger(weight, &by_shared, &by_shared, 1.0);
+            gradient.axpy(weight * row.residual, &by_shared, 1.0);
             let Some(block) = &mut block else { continue };
             let by_own = DVectorView::from_slice(row.own, row.own.len());
             block.coupling.ger(weight, &by_shared, &by_own, 1.0);
@@ -117,17 +126,35 @@ impl Equations {
         Some(self.information()?.cholesky()?.inverse())
     }
 
+    /// What each block tells of the shared unknowns, its own eliminated: information, and the gradient it pulls with. `None` when
+    /// one is left open. What belongs to no block is not among them.
+    pub(crate) fn by_block(&self) -> Option<Vec<(DMatrix<f64>, DVector<f64>)>> {
+        let of_block = |block: &Block| {
+            let through = &block.coupling * block.inverse(0.0)?;
+            let mut information = block.shared.clone();
+            information.fill_upper_triangle_with_lower_triangle();
+            information.gemm(-1.0, &through, &block.coupling.transpose(), 1.0);
+            Some((information, &block.shared_gradient - through * &block.gradient))
+        };
+        self.blocks.iter().map(of_block).collect()
+    }
+
     /// The step of each block that is best when what is shared stays; `None` when one is left open.
     pub(crate) fn steps_of_blocks(&self) -> Option<Vec<DVector<f64>>> {
         self.blocks.iter().map(|block| Some(block.inverse(0.0)? * &block.gradient)).collect()
     }
 
+    /// Gradient of what is shared.
+    fn gradient(&self) -> DVector<f64> {
+        self.blocks.iter().fold(self.gradient.clone(), |sum, block| sum + &block.shared_gradient)
+    }
+
     /// Matrix and gradient of what is shared after all blocks are eliminated, diagonals raised by `damping`.
     fn reduced(&self, damping: f64) -> Option<(DMatrix<f64>, DVector<f64>)> {
-        let mut matrix = self.shared.clone();
+        let mut matrix = self.blocks.iter().fold(self.shared.clone(), |sum, block| sum + &block.shared);
         matrix.fill_upper_triangle_with_lower_triangle();
         raise_diagonal(&mut matrix, damping);
-        let mut gradient = self.gradient.clone();
+        let mut gradient = self.gradient();
         for block in &self.blocks {
             let through = &block.coupling * block.inverse(damping)?;
             matrix.gemm(-1.0, &through, &block.coupling.transpose(), 1.0);
@@ -145,7 +172,7 @@ impl Equations {
         });
         let own: Vec<DVector<f64>> = own.collect::<Option<_>>()?;
         let by_blocks: f64 = own.iter().zip(&self.blocks).map(|(step, block)| step.dot(&block.gradient)).sum();
-        let promised = shared.dot(&self.gradient) + by_blocks;
+        let promised = shared.dot(&self.gradient()) + by_blocks;
         Some(Step { shared, own, promised })
     }
 }

@@ -24,8 +24,8 @@ pub(crate) struct Args {
 enum Command {
     /// The shape at rest for given currents, and how tip and tangent follow them
     #[command(after_help = "\
-Base frame with its origin at the clamp: z along the straight tube, x along B0. Exit code 3: no stable
-shape can be reached from rest.
+Base frame with its origin at the clamp: z along the straight tube, x along B0. Exit code 3: no
+stable shape can be reached from rest.
 Example:
   catoptra catheter shape --currents 0mA,0mA,100mA -o shape.html")]
     Shape(ShapeArgs),

@@ -1,7 +1,7 @@
-//! `catoptra log`: what is in a log, and one that was cut off made whole.
+//! `catoptra log`: what is in a log, and one that was cut off or damaged made whole.
 
 use super::{Exit, Failure, output};
-use crate::log::{Info, LogError, Repaired, repair};
+use crate::log::{Condition, Info, LogError, Repaired, repair};
 use crate::sink::spoken;
 use crate::source::times::seconds;
 use clap::Subcommand;
@@ -26,9 +26,10 @@ enum Command {
         #[arg(value_name = "LOG.mcap")]
         file: PathBuf,
     },
-    /// Restore a log that was cut off: give it an end and an index again
+    /// Restore a log that was cut off or damaged
     #[command(after_help = "\
-All complete messages are kept; the broken file stays beside the new one as LOG.mcap.bak.
+Everything that is whole is kept, and where something is lost is listed. The damaged file stays
+beside the new one as LOG.mcap.bak.
 Example:
   catoptra log repair out/log.mcap")]
     Repair {
@@ -49,11 +50,16 @@ pub(crate) fn run(args: &Args) -> Result<(), Failure> {
         }
         Command::Repair { file } => match repair(file).map_err(failure)? {
             Repaired::WasWhole => output::print(&format!("{}: is complete, nothing to repair\n", file.display())),
-            Repaired::Mended { messages, why, kept_as } => output::print(&format!(
-                "{}: is complete again, {messages} messages saved ({why}); the broken file is kept as {}\n",
-                file.display(),
-                kept_as.display()
-            )),
+            Repaired::Mended { messages, unknown, condition, kept_as } => {
+                let mut text = format!("{}: is complete again, {messages} messages saved\n", file.display());
+                damage(&mut text, &condition)
+                    .map_err(|e| Failure::new(Exit::Failed, format!("cannot describe the log: {e}")))?;
+                if unknown > 0 {
+                    text += &format!("  {unknown} messages are left out: nothing says what they are of\n");
+                }
+                text += &format!("  the broken file is kept as {}\n", kept_as.display());
+                output::print(&text)
+            }
         },
     }
 }
@@ -63,9 +69,37 @@ fn failure(error: LogError) -> Failure {
         LogError::NotMcap { .. } | LogError::NotOurs { .. } => Exit::Usage,
         // A name that is wrong is a mistake of usage, not of the system.
         LogError::Io { ref source, .. } if source.kind() == ErrorKind::NotFound => Exit::Usage,
-        LogError::Io { .. } | LogError::Repair { .. } => Exit::Failed,
+        LogError::Io { .. } | LogError::Repair { .. } | LogError::BeingWritten { .. } => Exit::Failed,
     };
     Failure::new(exit, error)
+}
+
+/// What is wrong with a log, a line each.
+fn damage(out: &mut String, condition: &Condition) -> fmt::Result {
+    const LINES: usize = 10;
+    for damage in condition.damage.iter().take(LINES) {
+        write!(out, "  damaged at byte {}: {}", damage.at, plain(&damage.what))?;
+        let s = |ns: u64| seconds(i64::try_from(ns).unwrap_or(i64::MAX));
+        match damage.between_ns {
+            (Some(before), Some(after)) => writeln!(out, " (between {:.3} s and {:.3} s)", s(before), s(after))?,
+            (Some(before), None) => writeln!(out, " (after {:.3} s)", s(before))?,
+            (None, Some(after)) => writeln!(out, " (before {:.3} s)", s(after))?,
+            (None, None) => writeln!(out)?,
+        }
+    }
+    let more = condition.damage.len().saturating_sub(LINES) as u64 + condition.more_damage;
+    if more > 0 {
+        writeln!(out, "  and {more} more damaged places")?;
+    }
+    if let Some(why) = &condition.cut {
+        writeln!(out, "  cut off: {}", plain(why))?;
+    }
+    Ok(())
+}
+
+/// Text out of a file, without what would steer the terminal.
+fn plain(text: &str) -> String {
+    text.chars().flat_map(|c| if c.is_control() { c.escape_debug().collect::<Vec<_>>() } else { vec![c] }).collect()
 }
 
 /// A time of the host's clock, to the millisecond, UTC.
@@ -76,13 +110,17 @@ fn date(ns: i64) -> String {
 }
 
 fn describe(out: &mut String, name: &str, info: &Info) -> fmt::Result {
-    writeln!(out, "{name}: written by {}", info.library)?;
-    match &info.cut {
-        None => writeln!(out, "  complete, with index")?,
-        Some(why) => writeln!(out, "  cut off ({why}); `catoptra log repair` restores it")?,
+    writeln!(out, "{name}: written by {}", plain(&info.library))?;
+    if info.being_written {
+        writeln!(out, "  is still being written")?;
+    } else if info.condition.is_whole() {
+        writeln!(out, "  complete, with index")?;
+    } else {
+        damage(out, &info.condition)?;
+        writeln!(out, "  `catoptra log repair` restores it")?;
     }
     if let Some((first, last)) = info.span_ns {
-        let clock = info.clock.as_deref().unwrap_or("unknown");
+        let clock = plain(info.clock.as_deref().unwrap_or("unknown"));
         writeln!(out, "\n  {} frames, {:.3} s to {:.3} s, clock {clock}", info.frames, seconds(first), seconds(last))?;
     } else {
         writeln!(out, "\n  no frame")?;
@@ -100,14 +138,14 @@ fn describe(out: &mut String, name: &str, info: &Info) -> fmt::Result {
         }
     }
     for ((what, word), frames) in &info.misses {
-        writeln!(out, "  {what}: {frames} {}", spoken(word))?;
+        writeln!(out, "  {}: {frames} {}", plain(what), plain(&spoken(word)))?;
     }
     writeln!(out)?;
     for topic in &info.topics {
-        writeln!(out, "  {:<22} {:>8}  {}", topic.name, topic.messages, topic.schema)?;
+        writeln!(out, "  {:<22} {:>8}  {}", plain(&topic.name), topic.messages, plain(&topic.schema))?;
     }
     for (name, bytes) in &info.attachments {
-        writeln!(out, "  attached: {name}, {bytes} bytes")?;
+        writeln!(out, "  attached: {}, {bytes} bytes", plain(name))?;
     }
     Ok(())
 }

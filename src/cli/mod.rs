@@ -9,6 +9,7 @@ mod docs;
 mod excite;
 mod failure;
 mod fitting;
+mod flood;
 mod identify;
 mod interrupt;
 mod live;
@@ -26,10 +27,13 @@ mod validate;
 pub(crate) use failure::{Exit, Failure};
 
 use clap::{ArgAction, Parser, Subcommand};
+use flood::Flood;
 use std::ffi::OsStr;
 use std::io::{IsTerminal as _, Write as _};
 use std::process::ExitCode;
-use tracing_subscriber::EnvFilter;
+use tracing_subscriber::layer::SubscriberExt as _;
+use tracing_subscriber::util::SubscriberInitExt as _;
+use tracing_subscriber::{EnvFilter, Layer as _};
 
 /// Track a steerable catheter in 3D with one camera and a mirror, through glass and water
 #[derive(Debug, Parser)]
@@ -102,9 +106,9 @@ Example:
     --desired tests/data/validate/circle.csv --start 1.5 -o validation")]
     Validate(validate::Args),
     /// Print the completions of a shell: bash, zsh, fish, elvish or PowerShell
-    #[command(after_help = "\
-Example, for bash (others: the README):
-  catoptra completions bash > catoptra.bash")]
+    #[command(
+        after_help = "Where each shell wants them: README.md\nExample:\n  catoptra completions bash > catoptra.bash"
+    )]
     Completions(docs::CompletionsArgs),
     /// Write the manual pages, one for each command, into a folder
     #[command(after_help = "Example:\n  catoptra man man1")]
@@ -146,13 +150,14 @@ fn log_to_stderr(verbose: u8, quiet: bool) {
         (false, _) => "debug",
     };
     let libraries = if level == "error" { "error" } else { "warn" };
-    tracing_subscriber::fmt()
-        .with_env_filter(EnvFilter::new(format!("{libraries},catoptra={level}")))
+    let layer = tracing_subscriber::fmt::layer()
         .with_writer(progress::stderr)
         .with_ansi(std::io::stderr().is_terminal() && wants_colour())
         .with_target(false)
         .without_time()
-        .init();
+        .with_filter(Flood::default());
+    let levels = EnvFilter::new(format!("{libraries},catoptra={level}"));
+    tracing_subscriber::registry().with(levels).with(layer).init();
 }
 
 /// As <https://no-color.org> has it, and not on a terminal that knows no colours.

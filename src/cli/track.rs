@@ -76,7 +76,8 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     let mut tracker = Tracker::new(&rig, TrackOptions { full_frame: args.full_frame })
         .map_err(|e| Failure::new(Exit::Usage, format!("{}: {e}", rig_file.display())))?;
     let span = Span { from_ns: args.from, to_ns: args.to };
-    let options = SourceOptions { span, stated_rate: args.fps, decoder_threads: args.threads() };
+    let options =
+        SourceOptions { span, stated_rate: args.fps, decoder_threads: args.threads(), ..SourceOptions::default() };
     let source = fitting::open_to_track((&args.source, options), (rig_file, &rig))?;
     print_warnings(rig_file, &rig)?;
     let pool = pool(args.threads())?;
@@ -110,6 +111,9 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
         .map_err(|e| Failure::new(Exit::Failed, format!("cannot start a thread: {e}")))?;
     drop(progress);
     // 4. what came of it
+    if let Some(sources) = run_summary.tally.budget() {
+        files.add_budget(&run, &sources)?;
+    }
     if !quiet {
         let mut text = String::new();
         summary::summary(&mut text, &recording, &run_summary, &files, &rig)

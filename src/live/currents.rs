@@ -10,12 +10,13 @@
 
 use crate::sink::CurrentSample;
 use crate::source::host::HostClock;
-use crate::source::times::parse_seconds_ns;
+use crate::source::times::{parse_seconds_ns, seconds};
 use serde::Deserialize;
+use std::collections::BTreeMap;
 use std::fmt;
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, ErrorKind, Read};
-use std::net::UdpSocket;
+use std::net::{IpAddr, Ipv4Addr, SocketAddr, ToSocketAddrs as _, UdpSocket};
 use std::path::PathBuf;
 use std::str::FromStr;
 use std::sync::Arc;
@@ -30,14 +31,20 @@ const MOST_WAITING: usize = 4096;
 const LOOK: Duration = Duration::from_millis(100);
 /// Coils at most; more in a line is no sample.
 const MOST_COILS: usize = 64;
+/// A sample further from its arrival is not of this run.
+const FARTHEST_NS: i64 = 60_000_000_000;
+/// Senders that are counted apart.
+const MOST_SENDERS: usize = 64;
+/// A header is shorter, bytes.
+const LONGEST_HEADER: u64 = 1 << 16;
 /// Speed of a serial line when none is given.
 const BAUD: u32 = 115_200;
 
-/// Where currents come from: `udp:PORT`, `serial:DEVICE[@BAUD]`, `file:TABLE.csv`.
+/// Where currents come from: `udp:PORT` or `udp:HOST:PORT`, `serial:DEVICE[@BAUD]`, `file:TABLE.csv`.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum CurrentSource {
-    /// Datagrams to this port.
-    Udp(u16),
+    /// Datagrams to this address of this computer.
+    Udp(SocketAddr),
     /// Lines on a serial device, at so many baud.
     Serial(PathBuf, u32),
     /// A table that grows.
@@ -48,12 +55,19 @@ impl FromStr for CurrentSource {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let wrong = |what: &str| Err(format!("`{text}`: {what}; write udp:PORT, serial:DEVICE@BAUD or file:TABLE.csv"));
+        let wrong = |what: &str| {
+            Err(format!("`{text}`: {what}; write udp:PORT, udp:HOST:PORT, serial:DEVICE@BAUD or file:TABLE.csv"))
+        };
         match text.split_once(':') {
-            Some(("udp", port)) => match port.parse() {
-                Ok(port) => Ok(Self::Udp(port)),
-                Err(_) => wrong("the port is a number from 0 to 65535"),
-            },
+            // Other computers can send only to an address that is named.
+            Some(("udp", place)) => {
+                let here = place.parse().ok().map(|port: u16| SocketAddr::from((Ipv4Addr::LOCALHOST, port)));
+                let named = || place.to_socket_addrs().ok().and_then(|mut found| found.next());
+                match here.or_else(named).filter(|address| address.port() != 0) {
+                    Some(address) => Ok(Self::Udp(address)),
+                    None => wrong("the port is a number from 1 to 65535, the host one of this computer's addresses"),
+                }
+            }
             Some(("serial", device)) if !device.is_empty() => match device.split_once('@') {
                 None => Ok(Self::Serial(device.into(), BAUD)),
                 Some((device, baud)) => match baud.parse() {
@@ -70,7 +84,7 @@ impl FromStr for CurrentSource {
 impl fmt::Display for CurrentSource {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Udp(port) => write!(f, "udp:{port}"),
+            Self::Udp(address) => write!(f, "udp:{address}"),
             Self::Serial(device, baud) => write!(f, "serial:{}@{baud}", device.display()),
             Self::File(table) => write!(f, "file:{}", table.display()),
         }
@@ -82,27 +96,38 @@ impl CurrentSource {
     ///
     /// # Errors
     /// When the port is taken, or device or table cannot be opened.
-    pub fn open(&self, clock: HostClock, stop: &Arc<AtomicBool>) -> io::Result<Receiver<CurrentSample>> {
+    pub fn open(&self, limit_a: f64, clock: HostClock, stop: &Arc<AtomicBool>) -> io::Result<Receiver<CurrentSample>> {
         let (samples, line) = sync_channel(MOST_WAITING);
-        let mut taker = Taker { name: self.to_string(), clock, samples, header: None, wrong: 0, full: 0 };
+        let mut parser = Parser {
+            name: self.to_string(),
+            clock,
+            samples,
+            limit_a,
+            header: None,
+            wrong: 0,
+            implausible: 0,
+            full: 0,
+            senders: BTreeMap::new(),
+        };
         let stop = Arc::clone(stop);
         let thread = Builder::new().name("currents in".to_owned());
         match self {
-            Self::Udp(port) => {
-                let socket = UdpSocket::bind(("0.0.0.0", *port))?;
+            Self::Udp(address) => {
+                let socket = UdpSocket::bind(address)?;
                 socket.set_read_timeout(Some(LOOK))?;
-                thread.spawn(move || taker.datagrams(&socket, &stop))?;
+                thread.spawn(move || parser.datagrams(&socket, &stop))?;
             }
             Self::Serial(device, baud) => {
                 let line = serial(device, *baud)?;
-                thread.spawn(move || taker.lines(line, &stop))?;
+                thread.spawn(move || parser.lines(line, &stop))?;
             }
             Self::File(table) => {
                 let mut reader = BufReader::new(File::open(table)?);
                 let mut header = String::new();
-                reader.read_line(&mut header)?;
-                taker.header = Some(Header::of(&header).map_err(io::Error::other)?);
-                thread.spawn(move || taker.lines(reader, &stop))?;
+                // Of a file without lines not all is read.
+                (&mut reader).take(LONGEST_HEADER).read_line(&mut header)?;
+                parser.header = Some(Header::of(&header).map_err(|e| io::Error::new(ErrorKind::InvalidData, e))?);
+                thread.spawn(move || parser.lines(reader, &stop))?;
             }
         }
         Ok(line)
@@ -168,23 +193,49 @@ struct Json {
 }
 
 /// Turns lines into samples.
-struct Taker {
+struct Parser {
     name: String,
     clock: HostClock,
     samples: SyncSender<CurrentSample>,
+    /// Largest plausible current, amperes.
+    limit_a: f64,
     header: Option<Header>,
     wrong: u64,
+    implausible: u64,
     full: u64,
+    /// Who has sent datagrams, and how many.
+    senders: BTreeMap<IpAddr, u64>,
 }
 
-impl Taker {
+impl Parser {
     fn datagrams(&mut self, socket: &UdpSocket, stop: &AtomicBool) {
         let mut bytes = [0; 65_536];
         while !stop.load(Ordering::Relaxed) {
-            match socket.recv(&mut bytes) {
-                Ok(length) => self.take(bytes.get(..length).unwrap_or_default()),
+            match socket.recv_from(&mut bytes) {
+                Ok((length, sender)) => {
+                    self.count(sender.ip());
+                    self.take(bytes.get(..length).unwrap_or_default());
+                }
                 Err(e) if matches!(e.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut | ErrorKind::Interrupted) => {}
-                Err(error) => return tracing::error!("{}: {error}; no more currents are logged", self.name),
+                Err(error) => {
+                    tracing::error!("{}: {error}; no more currents are logged", self.name);
+                    break;
+                }
+            }
+        }
+        self.report();
+    }
+
+    fn count(&mut self, sender: IpAddr) {
+        if self.senders.len() == MOST_SENDERS && !self.senders.contains_key(&sender) {
+            return;
+        }
+        let datagrams = self.senders.entry(sender).or_default();
+        *datagrams += 1;
+        if *datagrams == 1 {
+            match self.senders.len() {
+                1 => tracing::info!("{}: currents come from {sender}", self.name),
+                many => tracing::warn!("{}: currents come from {sender} too: {many} computers send them", self.name),
             }
         }
     }
@@ -211,9 +262,13 @@ impl Taker {
                     }
                 }
                 Err(e) if matches!(e.kind(), ErrorKind::WouldBlock | ErrorKind::Interrupted) => {}
-                Err(error) => return tracing::error!("{}: {error}; no more currents are logged", self.name),
+                Err(error) => {
+                    tracing::error!("{}: {error}; no more currents are logged", self.name);
+                    break;
+                }
             }
         }
+        self.report();
     }
 
     /// Waits for the time of a row of a table that is counted from the beginning of the run; `false` when the run ends
@@ -234,6 +289,20 @@ impl Taker {
     fn take(&mut self, bytes: &[u8]) {
         let arrival_ns = self.clock.now_ns();
         match self.sample(bytes, arrival_ns) {
+            Some(sample) if !self.is_plausible(&sample) => {
+                self.implausible += 1;
+                if self.implausible == 1 {
+                    tracing::warn!(
+                        "{}: a sample is not plausible and is not logged: {:?} A, {:.3} s from its arrival; currents are \
+                         up to {} A (--current-limit), times within {} s of their arrival; more are counted",
+                        self.name,
+                        sample.current_a,
+                        seconds(sample.host_ns.saturating_sub(arrival_ns)),
+                        self.limit_a,
+                        seconds(FARTHEST_NS)
+                    );
+                }
+            }
             Some(sample) => {
                 if self.samples.try_send(sample).is_err() {
                     self.full += 1;
@@ -253,6 +322,30 @@ impl Taker {
                     );
                 }
             }
+        }
+    }
+
+    /// Whether the current is one that the amplifier can give, and its time one of this run. (The times of a table may be
+    /// those of an earlier start of the program that writes it.)
+    fn is_plausible(&self, sample: &CurrentSample) -> bool {
+        let in_time = sample.host_ns.abs_diff(sample.arrival_ns) <= FARTHEST_NS.unsigned_abs();
+        (in_time || self.header.is_some()) && sample.current_a.iter().all(|a| a.abs() <= self.limit_a)
+    }
+
+    /// Says at the end what was left out.
+    fn report(&self) {
+        for (count, what) in [
+            (self.wrong, "lines were no samples"),
+            (self.implausible, "samples were not plausible"),
+            (self.full, "samples came faster than they were logged"),
+        ] {
+            if count > 1 {
+                tracing::warn!("{}: {count} {what}", self.name);
+            }
+        }
+        if self.senders.len() > 1 {
+            let each: Vec<String> = self.senders.iter().map(|(who, n)| format!("{n} from {who}")).collect();
+            tracing::warn!("{}: datagrams: {}", self.name, each.join(", "));
         }
     }
 
@@ -287,21 +380,43 @@ impl Taker {
     }
 }
 
+/// Takes bytes for datagrams, and for lines of tables.
+pub(crate) fn currents_of(bytes: &[u8]) {
+    for header in [None, Some("host_ns,i1"), Some("unix_s,i1,i2"), Some("i1,t_s")] {
+        let (samples, _line) = sync_channel(1);
+        let mut parser = Parser {
+            name: "bytes".to_owned(),
+            clock: HostClock::start(),
+            samples,
+            limit_a: 10.0,
+            header: header.and_then(|header| Header::of(header).ok()),
+            wrong: 0,
+            implausible: 0,
+            full: 0,
+            senders: BTreeMap::new(),
+        };
+        bytes.split(|byte| *byte == b'\n').for_each(|line| parser.take(line));
+    }
+    let _ = Header::of(&String::from_utf8_lossy(bytes));
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use std::io::Write as _;
 
-    fn taker(header: Option<Header>) -> (Taker, Receiver<CurrentSample>) {
+    fn parser(header: Option<Header>) -> (Parser, Receiver<CurrentSample>) {
         let (samples, line) = sync_channel(16);
         let clock = HostClock::start();
-        (Taker { name: "test".to_owned(), clock, samples, header, wrong: 0, full: 0 }, line)
+        let name = "test".to_owned();
+        let senders = BTreeMap::new();
+        (Parser { name, clock, samples, limit_a: 10.0, header, wrong: 0, implausible: 0, full: 0, senders }, line)
     }
 
     #[test]
     fn samples_as_json_and_as_bare_numbers() {
-        let (taker, _line) = taker(None);
-        let of = |text: &str| taker.sample(text.as_bytes(), 99);
+        let (parser, _line) = parser(None);
+        let of = |text: &str| parser.sample(text.as_bytes(), 99);
         let full = of(r#"{"current_a":[0.1,-0.2],"seq":7,"host_ns":5}"#).unwrap();
         assert_eq!(full, CurrentSample { host_ns: 5, arrival_ns: 99, seq: Some(7), current_a: vec![0.1, -0.2] });
         let bare = of(" 0.1, 0 -3e-2\n").unwrap();
@@ -310,16 +425,42 @@ mod tests {
 
     #[test]
     fn what_is_no_sample_is_counted_and_the_rest_goes_on() {
-        let (mut taker, line) = taker(None);
+        let (mut parser, line) = parser(None);
         let many = vec!["0"; 65].join(",");
         for wrong in ["", "amps", "0.1, NaN", "inf", "{\"current_a\":[]}", "{\"amps\":[1]}", "{", "1,,x", &many] {
-            taker.take(wrong.as_bytes());
+            parser.take(wrong.as_bytes());
         }
-        taker.take(&[0xff, 0xfe, 0x00]);
-        assert_eq!(taker.wrong, 10);
-        taker.take(b"0.5");
+        parser.take(&[0xff, 0xfe, 0x00]);
+        assert_eq!(parser.wrong, 10);
+        parser.take(b"0.5");
         assert_eq!(line.try_recv().unwrap().current_a, [0.5]);
         assert!(line.try_recv().is_err());
+    }
+
+    #[test]
+    fn what_is_not_plausible_is_not_logged_and_counted() {
+        let (mut parser, line) = parser(None);
+        let now = parser.clock.now_ns();
+        for wrong in [
+            r#"{"current_a":[1e308]}"#.to_owned(),
+            "0.1, -10.5".to_owned(),
+            r#"{"current_a":[0.1],"host_ns":5}"#.to_owned(),
+            format!(r#"{{"current_a":[0.1],"host_ns":{}}}"#, now + 61_000_000_000),
+            format!(r#"{{"current_a":[0.1],"host_ns":{}}}"#, i64::MIN),
+        ] {
+            parser.take(wrong.as_bytes());
+        }
+        assert_eq!((parser.implausible, parser.wrong), (5, 0));
+        parser.take(format!(r#"{{"current_a":[-9.9],"host_ns":{}}}"#, now - 59_000_000_000).as_bytes());
+        assert_eq!(line.try_recv().unwrap().current_a, [-9.9]);
+        assert!(line.try_recv().is_err());
+    }
+
+    #[test]
+    fn a_file_without_lines_is_not_read_whole() {
+        let error =
+            CurrentSource::File("/dev/zero".into()).open(10.0, HostClock::start(), &Arc::default()).unwrap_err();
+        assert_eq!(error.kind(), ErrorKind::InvalidData);
     }
 
     #[test]
@@ -328,7 +469,7 @@ mod tests {
         table.write_all(b"host_ns,i1_a,i2_a\n1000,0.1,0.2\n20").unwrap();
         let stop = Arc::new(AtomicBool::new(false));
         let source = CurrentSource::File(table.path().to_owned());
-        let samples = source.open(HostClock::start(), &stop).unwrap();
+        let samples = source.open(10.0, HostClock::start(), &stop).unwrap();
         let next = || samples.recv_timeout(Duration::from_secs(10)).unwrap();
         let first = next();
         assert_eq!((first.host_ns, first.current_a), (1000, vec![0.1, 0.2]));
@@ -342,7 +483,7 @@ mod tests {
         let mut table = tempfile::NamedTempFile::new().unwrap();
         table.write_all(b"i1,i2\n0.1,0.2\n").unwrap();
         let source = CurrentSource::File(table.path().to_owned());
-        let error = source.open(HostClock::start(), &Arc::default()).unwrap_err().to_string();
+        let error = source.open(10.0, HostClock::start(), &Arc::default()).unwrap_err().to_string();
         assert!(error.contains("`i1,i2`") && error.contains("host_ns"), "{error}");
         assert_eq!(Header::of("unix_s, i1"), Ok(Header { time: 0, times: Times::UnixSeconds }));
     }
@@ -353,7 +494,7 @@ mod tests {
         table.write_all(b"t_s,current_a\r\n0.000000000,0.1\r\n0.400000000,0.2\r\n3600.000000000,0.3\r\n").unwrap();
         let stop = Arc::new(AtomicBool::new(false));
         let clock = HostClock::start();
-        let samples = CurrentSource::File(table.path().to_owned()).open(clock, &stop).unwrap();
+        let samples = CurrentSource::File(table.path().to_owned()).open(10.0, clock, &stop).unwrap();
         let next = || samples.recv_timeout(Duration::from_secs(10)).unwrap();
         let (first, second) = (next(), next());
         assert_eq!((first.host_ns, second.host_ns), (clock.started_ns(), clock.started_ns() + 400_000_000));
@@ -367,8 +508,8 @@ mod tests {
     fn datagrams_are_taken_whatever_comes_between() {
         let stop = Arc::new(AtomicBool::new(false));
         let probe = UdpSocket::bind("127.0.0.1:0").unwrap();
-        let port = UdpSocket::bind("0.0.0.0:0").unwrap().local_addr().unwrap().port();
-        let samples = CurrentSource::Udp(port).open(HostClock::start(), &stop).unwrap();
+        let port = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+        let samples = CurrentSource::Udp(([127, 0, 0, 1], port).into()).open(10.0, HostClock::start(), &stop).unwrap();
         for bytes in [b"garbage".as_slice(), b"", &[0; 60_000], b"0.25, -0.25"] {
             probe.send_to(bytes, ("127.0.0.1", port)).unwrap();
         }
@@ -378,11 +519,13 @@ mod tests {
 
     #[test]
     fn sources_as_people_write_them() {
-        assert_eq!("udp:5006".parse(), Ok(CurrentSource::Udp(5006)));
+        // Only this computer can send unless an address is named.
+        assert_eq!("udp:5006".parse(), Ok(CurrentSource::Udp(([127, 0, 0, 1], 5006).into())));
+        assert_eq!("udp:0.0.0.0:5006".parse(), Ok(CurrentSource::Udp(([0, 0, 0, 0], 5006).into())));
         assert_eq!("serial:/dev/ttyUSB0".parse(), Ok(CurrentSource::Serial("/dev/ttyUSB0".into(), 115_200)));
         assert_eq!("serial:/dev/ttyACM0@9600".parse(), Ok(CurrentSource::Serial("/dev/ttyACM0".into(), 9600)));
         assert_eq!("file:i.csv".parse(), Ok(CurrentSource::File("i.csv".into())));
-        for wrong in ["udp:70000", "udp", "serial:", "serial:/dev/x@fast", "tcp:5", "i.csv"] {
+        for wrong in ["udp:70000", "udp", "udp:0", "serial:", "serial:/dev/x@fast", "tcp:5", "i.csv"] {
             assert!(wrong.parse::<CurrentSource>().unwrap_err().contains("udp:PORT"), "{wrong}");
         }
     }

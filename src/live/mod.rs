@@ -25,20 +25,22 @@ mod status;
 mod writer;
 
 pub use currents::CurrentSource;
+pub(crate) use currents::currents_of;
 pub use pictures::{MOST_PICTURES, RecordTo, Recording, free_bytes};
+pub use priority::Priority;
 pub use queue::MOST_WAITING;
 pub use status::{Latency, Status};
 pub use writer::MOST_ROWS;
 
 use crate::estimate::{Estimate, Miss};
-use crate::pipeline::{End, Summary, finish_all};
-use crate::sink::{CurrentSample, Sink, SinkError, UdpSink};
+use crate::pipeline::{End, OpenSink, Summary, finish_all};
+use crate::sink::{CurrentSample, Sink, SinkError};
 use crate::source::host::HostClock;
 use crate::source::{FrameSource, Picture, SourceError, StreamFaults, Timestamp};
 use crate::tally::{Tally, Totals};
 use crate::track::{TrackError, Tracker};
 use pictures::Pictures;
-use priority::{Urgency, run_as};
+use priority::{SessionPriority, Urgency, run_as};
 use queue::{Next, Queue};
 use status::Counters;
 use std::io;
@@ -63,8 +65,8 @@ const MOST_PUBLISHED: usize = 64;
 pub struct Outputs {
     /// Files. When all of them have failed and nobody else listens, the run ends.
     pub files: Vec<Box<dyn Sink + Send>>,
-    /// Controllers, served by the tracker's own thread.
-    pub controllers: Option<UdpSink>,
+    /// Controllers: sinks that never wait, served by the tracker's own thread.
+    pub controllers: Vec<Box<dyn Sink + Send>>,
     /// Subscribers, served by a thread of their own that may miss rows.
     pub subscribers: Option<Box<dyn Sink + Send>>,
     /// Coil currents, as they come.
@@ -95,6 +97,8 @@ pub struct LiveSummary {
     pub unpublished: u64,
     /// Pictures recorded, and pictures lost to the recording; `None` when none were to be.
     pub pictures: Option<(u64, u64)>,
+    /// Whether it went before other programs.
+    pub priority: Priority,
 }
 
 /// Tracks what `source` gives; `watch` is called once a second.
@@ -113,11 +117,13 @@ pub fn run(
     mut watch: impl FnMut(&Status),
 ) -> io::Result<LiveSummary> {
     let began = Instant::now();
+    let session = SessionPriority::raise();
+    tracing::info!("{}", session.obtained);
     let stop = &until.stop;
     let tally = Tally::new(tracker.rig());
     let queue = Arc::new(Queue::new(tracker.rig()));
     let counters = Arc::new(Counters::new(tally, clock).map_err(io::Error::other)?);
-    let listened_to = outputs.controllers.is_some() || outputs.subscribers.is_some();
+    let listened_to = !outputs.controllers.is_empty() || outputs.subscribers.is_some();
     let (log, writer) = Log::start(outputs.files)?;
     let backlog = log.backlog();
     let (subscribers, publisher) = match outputs.subscribers {
@@ -150,10 +156,12 @@ pub fn run(
     pool.broadcast(|_| run_as(Urgency::Tracker));
     let tracking = {
         let (queue, counters) = (Arc::clone(&queue), Arc::clone(&counters));
-        let mut out = Out { controllers: outputs.controllers, subscribers, log, counters, pictures };
-        Builder::new()
-            .name("tracker".to_owned())
-            .spawn(move || pool.install(|| track_all(&mut tracker, &queue, &mut out)))?
+        let controllers = outputs.controllers.into_iter().map(|sink| (sink, true)).collect();
+        let mut out = Out { controllers, subscribers, log, counters, pictures };
+        Builder::new().name("tracker".to_owned()).spawn(move || {
+            let end = pool.install(|| track_all(&mut tracker, &queue, &mut out));
+            (end, out.controllers)
+        })?
     };
 
     let mut interrupted = None;
@@ -188,13 +196,14 @@ pub fn run(
     stop.store(true, Ordering::Relaxed);
     let taken = camera.is_finished().then(|| joined(camera));
     let (source_faults, source_end) = taken.unwrap_or_default();
-    let tracked = joined(tracking);
+    let (tracked, controllers) = joined(tracking);
     currents.into_iter().for_each(joined);
     let unrecorded = recorder.and_then(joined);
     let (sinks, mut sink_failures) = joined(writer);
     let (tally, latency) = counters.totals();
     sink_failures.extend(finish_all(sinks, &tally));
     sink_failures.extend(unrecorded);
+    finish_all(controllers, &tally).iter().for_each(Out::report);
     if let Some(sink) = publisher.and_then(joined) {
         finish_all(vec![(sink, true)], &tally).iter().for_each(Subscribers::report);
     }
@@ -210,6 +219,7 @@ pub fn run(
         unlogged: backlog.unlogged(),
         unpublished: unpublished.map_or(0, |missed| missed.load(Ordering::Relaxed)),
         pictures: counted(),
+        priority: session.obtained,
     })
 }
 
@@ -247,7 +257,7 @@ fn log_currents(samples: &Receiver<CurrentSample>, log: &Log, stop: &AtomicBool)
 
 /// Where the tracker's rows go.
 struct Out {
-    controllers: Option<UdpSink>,
+    controllers: Vec<OpenSink>,
     subscribers: Option<Subscribers>,
     log: Log,
     counters: Arc<Counters>,
@@ -255,11 +265,18 @@ struct Out {
 }
 
 impl Out {
+    fn report(error: &SinkError) {
+        tracing::error!("{error}; this controller gets nothing any more, the log goes on");
+    }
+
     /// Controllers first: they wait for it. `picture` is given of a frame that was tracked.
     fn put(&mut self, estimate: Estimate, picture: Option<Picture>) {
         let tracked = picture.is_some();
-        if let Some(controllers) = &mut self.controllers {
-            controllers.send(&estimate);
+        for (controller, works) in self.controllers.iter_mut().filter(|(_, works)| *works) {
+            if let Err(error) = controller.write(&estimate, None) {
+                *works = false;
+                Self::report(&error);
+            }
         }
         let estimate = Arc::new(estimate);
         let totals = self.counters.add(&estimate, tracked);

@@ -1,6 +1,7 @@
 //! Messages of a log, decoded by the schemas that travel with it.
 
 use super::schema::Topic;
+use crate::contained::contained;
 use mcap::records::Record;
 use prost_reflect::{DescriptorPool, DynamicMessage, MessageDescriptor};
 use std::collections::BTreeMap;
@@ -24,8 +25,12 @@ impl MessageDecoder {
         match record {
             Record::Schema { header, data } => {
                 self.schemas.entry(header.id).or_insert_with(|| {
-                    let pool = DescriptorPool::decode(data.as_ref()).ok();
-                    (header.name.clone(), pool.and_then(|pool| pool.get_message_by_name(&header.name)))
+                    // The library panics on some descriptors that contradict themselves.
+                    let descriptor = contained(|| {
+                        let pool = DescriptorPool::decode(data.as_ref()).ok()?;
+                        pool.get_message_by_name(&header.name)
+                    });
+                    (header.name.clone(), descriptor.flatten())
                 });
             }
             Record::Channel(channel) => {
@@ -51,6 +56,15 @@ impl MessageDecoder {
     /// A message of a channel, if that is of `topic` and its schema fits.
     pub(crate) fn decoded(&self, channel: u16, topic: Topic, data: &[u8]) -> Option<DynamicMessage> {
         let (_, descriptor) = self.channel(channel).filter(|(of, _)| *of == topic.name())?;
-        DynamicMessage::decode(descriptor.clone(), data).ok()
+        decode(descriptor, data).ok()
     }
+}
+
+/// A message of this type.
+///
+/// # Errors
+/// Why it is none.
+pub(crate) fn decode(descriptor: &MessageDescriptor, data: &[u8]) -> Result<DynamicMessage, String> {
+    contained(|| DynamicMessage::decode(descriptor.clone(), data).map_err(|error| error.to_string()))
+        .unwrap_or_else(|| Err("its schema contradicts itself".to_owned()))
 }

@@ -27,6 +27,12 @@ pub enum LogError {
         /// Which file.
         path: PathBuf,
     },
+    /// A run is still writing it.
+    #[error("{}: is still being written; stop the run first, and if that was killed, repair the log then", path.display())]
+    BeingWritten {
+        /// Which file.
+        path: PathBuf,
+    },
     /// What is read cannot be written again.
     #[error("{}: cannot be repaired: {reason}", path.display())]
     Repair {

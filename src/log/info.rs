@@ -3,7 +3,8 @@
 use super::LogError;
 use super::decoder::MessageDecoder;
 use super::fields::{number, text};
-use super::records::{self, Extent};
+use super::is_being_written;
+use super::records::{self, Condition};
 use super::schema::Topic;
 use mcap::records::Record;
 use prost_reflect::{DynamicMessage, Value};
@@ -26,8 +27,10 @@ pub struct TopicInfo {
 pub struct Info {
     /// Program and version that wrote it.
     pub library: String,
-    /// Whether it is whole; why not, if it is not.
-    pub cut: Option<String>,
+    /// What of it can be trusted.
+    pub condition: Condition,
+    /// Whether a run is still writing it.
+    pub being_written: bool,
     /// Its topics in the order of their names.
     pub topics: Vec<TopicInfo>,
     /// Names and sizes in bytes of the files attached to it.
@@ -60,7 +63,7 @@ impl Info {
         let mut decoder = MessageDecoder::default();
         let mut messages: BTreeMap<u16, u64> = BTreeMap::new();
         let mut last: Option<(u64, i64)> = None;
-        let extent = records::each(path, |record| {
+        info.condition = records::each(path, |record| {
             decoder.learn(record);
             match record {
                 Record::Header(header) => info.library.clone_from(&header.library),
@@ -77,10 +80,7 @@ impl Info {
             }
             Ok(())
         })?;
-        info.cut = match extent {
-            Extent::Whole => None,
-            Extent::Cut { why } => Some(why),
-        };
+        info.being_written = is_being_written(path);
         let topic = |(id, name, schema): (u16, &str, &str)| TopicInfo {
             name: name.to_owned(),
             schema: schema.to_owned(),
@@ -104,9 +104,9 @@ impl Info {
         if let Some(host_ns) = number(estimate, "host_stamp_ns").filter(|ns| *ns != 0) {
             self.host_span_ns = Some((self.host_span_ns.map_or(host_ns, |(first, _)| first), host_ns));
         }
-        self.gaps = (self.gaps.0 + u64::from(gap > 0), self.gaps.1 + gap);
+        self.gaps = (self.gaps.0 + u64::from(gap > 0), self.gaps.1.saturating_add(gap));
         if let Some((last_seq, last_ns)) = *last {
-            self.rows_missing += seq.saturating_sub(last_seq + 1);
+            self.rows_missing += seq.saturating_sub(last_seq.saturating_add(1));
             self.not_later += u64::from(stamp_ns <= last_ns);
         }
         *last = Some((seq, stamp_ns));

@@ -16,13 +16,28 @@ use std::path::Path;
 
 pub use error::LogError;
 pub use info::{Info, TopicInfo};
-pub use records::Extent;
+pub use records::{Condition, Damage};
 pub use repair::{Repaired, repair};
 
 /// Whether the file at `path` begins as logs do.
 pub fn is_log(path: &Path) -> bool {
     let mut begin = [0; mcap::MAGIC.len()];
     std::fs::File::open(path).and_then(|mut file| file.read_exact(&mut begin)).is_ok() && begin == mcap::MAGIC
+}
+
+/// Whether another program, a live run for example, is still writing the log at `path`: it holds a lock on it.
+pub fn is_being_written(path: &Path) -> bool {
+    #[cfg(unix)]
+    {
+        use rustix::fs::{FlockOperation, flock};
+        let Ok(file) = std::fs::File::open(path) else { return false };
+        flock(&file, FlockOperation::NonBlockingLockShared) == Err(rustix::io::Errno::WOULDBLOCK)
+    }
+    #[cfg(not(unix))]
+    {
+        let _ = path;
+        false
+    }
 }
 
 /// The text file called `name` that is attached to the log at `path`, if there is one.

@@ -1,107 +1,396 @@
-//! The records of a log, one after the other, chunks opened; a log that was cut off gives all that is whole.
+//! The records of a log, one after the other, chunks opened; what is damaged is left out and listed ([`Condition`]).
+//!
+//! In: a log, whole, cut off or damaged, its chunks plain or compressed (lz4, zstd). Out: every record whose checksum holds.
+//! A chunk whose checksum differs is left out whole. Where lengths make no sense the file is searched for the next chunk.
+//! What this cannot detect: damage in a chunk that was written without a checksum, if it leaves valid records.
 
 use super::LogError;
+use crate::contained::contained;
 use mcap::McapError;
-use mcap::records::Record;
+use mcap::records::{Record, op};
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
+use std::collections::VecDeque;
 use std::fs::File;
-use std::io::{self, BufReader, Read};
+use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 /// No record of ours comes near: a length beyond is damage.
-const LONGEST_RECORD: usize = 1 << 30;
+const LONGEST_RECORD: u64 = 1 << 30;
+/// The same for what comes out of a compressed chunk.
+const LARGEST_CHUNK: u64 = 1 << 28;
+/// Code and length before every record.
+const HEAD: u64 = 9;
+/// Damages that are listed; more are counted.
+const MOST_LISTED: usize = 100;
+/// Why a log without an index was cut.
+const NO_INDEX: &str = "it ends without an index";
 
-/// How far a log goes.
+/// What of a log can be trusted.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Condition {
+    /// Why it ends early, if it does.
+    pub cut: Option<String>,
+    /// Places that are damaged, in the order of the file; 100 at most.
+    pub damage: Vec<Damage>,
+    /// How many more there are.
+    pub more_damage: u64,
+}
+
+/// A damaged place, which is left out.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Extent {
-    /// To its proper end.
-    Whole,
-    /// It was cut off, or is damaged.
-    Cut {
-        /// How that shows.
-        why: String,
-    },
+pub struct Damage {
+    /// Where it is, bytes from the beginning of the file.
+    pub at: u64,
+    /// What is wrong.
+    pub what: String,
+    /// Log times of the last message before it and of the first after it, nanoseconds.
+    pub between_ns: (Option<u64>, Option<u64>),
+}
+
+impl Condition {
+    /// Whether nothing is wrong.
+    pub fn is_whole(&self) -> bool {
+        self.cut.is_none() && self.damage.is_empty()
+    }
+
+    /// What is wrong, in one sentence.
+    pub fn summary(&self) -> Option<String> {
+        let damage = self.damage.first().map(|first| {
+            let more = match self.damage.len() as u64 - 1 + self.more_damage {
+                0 => String::new(),
+                more => format!(", and {more} more damaged places"),
+            };
+            format!("at byte {} {}{more}", first.at, first.what)
+        });
+        let words: Vec<String> = damage.into_iter().chain(self.cut.clone()).collect();
+        (!words.is_empty()).then(|| words.join("; "))
+    }
 }
 
 /// The records of one log.
 pub(crate) struct Records {
     path: PathBuf,
     file: BufReader<File>,
-    reader: LinearReader,
-    opcode: u8,
-    data: Vec<u8>,
+    length: u64,
+    /// Where the next record begins.
+    at: u64,
+    /// Of all bytes so far; gone when some were not read in their order, and behind the data.
+    checksum: Option<crc32fast::Hasher>,
+    /// What was in the last chunk.
+    opened: VecDeque<(u8, Vec<u8>)>,
+    current: (u8, Vec<u8>),
     ended: bool,
-    extent: Option<Extent>,
+    /// Log time of the last message, nanoseconds.
+    last_ns: Option<u64>,
+    condition: Condition,
+}
+
+/// What is found at the top level of the file.
+enum Found {
+    Record(u8, Vec<u8>),
+    /// Nothing that makes sense; the file is searched from here on.
+    Nonsense(String),
+    End(Option<String>),
 }
 
 impl Records {
     /// Opens the log at `path`.
     ///
     /// # Errors
-    /// When it cannot be read.
+    /// When it cannot be read, or is no MCAP file.
     pub(crate) fn open(path: &Path) -> Result<Self, LogError> {
-        let file = File::open(path).map_err(|source| LogError::Io { path: path.to_owned(), source })?;
-        let options = LinearReaderOptions::default().with_record_length_limit(LONGEST_RECORD);
+        let lost = |source| LogError::Io { path: path.to_owned(), source };
+        let mut file = File::open(path).map_err(lost)?;
+        let length = file.seek(SeekFrom::End(0)).map_err(lost)?;
+        file.rewind().map_err(lost)?;
+        let mut file = BufReader::with_capacity(1 << 16, file);
+        let mut magic = [0; mcap::MAGIC.len()];
+        let whole = file.read_exact(&mut magic);
+        if whole.is_err() || magic != mcap::MAGIC {
+            return Err(LogError::NotMcap { path: path.to_owned() });
+        }
+        let mut checksum = crc32fast::Hasher::new();
+        checksum.update(&magic);
         Ok(Self {
             path: path.to_owned(),
-            file: BufReader::with_capacity(1 << 16, file),
-            reader: LinearReader::new_with_options(options),
-            opcode: 0,
-            data: Vec::new(),
+            file,
+            length,
+            at: magic.len() as u64,
+            checksum: Some(checksum),
+            opened: VecDeque::new(),
+            current: (0, Vec::new()),
             ended: false,
-            extent: None,
+            last_ns: None,
+            condition: Condition::default(),
         })
     }
 
-    /// The next record; `None` after the last whole one, when [`Records::extent`] tells how far the log goes.
+    /// The next record; `None` after the last one.
     ///
     /// # Errors
-    /// When the file cannot be read, or is no MCAP file.
+    /// When the file cannot be read.
     pub(crate) fn next(&mut self) -> Result<Option<Record<'_>>, LogError> {
-        if self.extent.is_none() {
-            self.extent = self.advance()?;
-        }
-        if self.extent.is_some() {
-            return Ok(None);
-        }
-        // Parsed once before, to find damage.
-        Ok(mcap::parse_record(self.opcode, &self.data).ok())
-    }
-
-    /// How far the log goes, once its last record has been given.
-    pub(crate) fn extent(&self) -> Option<&Extent> {
-        self.extent.as_ref()
-    }
-
-    /// Goes to the next record, or to the end.
-    fn advance(&mut self) -> Result<Option<Extent>, LogError> {
-        let lost = |source| LogError::Io { path: self.path.clone(), source };
-        let cut = |why: String| Ok(Some(Extent::Cut { why }));
-        while let Some(event) = self.reader.next_event() {
-            match event {
-                Ok(LinearReadEvent::ReadRequest(wanted)) => {
-                    let got = read(&mut self.file, self.reader.insert(wanted)).map_err(lost)?;
-                    self.reader.notify_read(got);
+        loop {
+            if let Some(record) = self.opened.pop_front() {
+                self.current = record;
+                if parsed(self.current.0, &self.current.1).is_some() {
+                    break;
                 }
-                Ok(LinearReadEvent::Record { data, opcode }) => {
-                    self.opcode = opcode;
-                    self.data.clear();
-                    self.data.extend_from_slice(data);
-                    return match mcap::parse_record(opcode, &self.data) {
-                        Ok(record) => {
-                            self.ended |= matches!(record, Record::Footer(_));
-                            Ok(None)
-                        }
-                        Err(error) => cut(error.to_string()),
-                    };
-                }
-                Err(McapError::BadMagic) if !self.ended => return Err(LogError::NotMcap { path: self.path.clone() }),
-                Err(_) if self.ended => return Ok(Some(Extent::Whole)),
-                Err(McapError::UnexpectedEof) => return cut("it ends without an index".to_owned()),
-                Err(error) => return cut(error.to_string()),
+                self.damaged(self.at, "a record cannot be understood".to_owned());
+                continue;
+            }
+            if self.ended {
+                return Ok(None);
+            }
+            self.advance().map_err(|source| LogError::Io { path: self.path.clone(), source })?;
+        }
+        let record = parsed(self.current.0, &self.current.1);
+        if let Some(Record::Message { header, .. }) = &record {
+            self.last_ns = Some(header.log_time);
+            for damage in self.condition.damage.iter_mut().rev().take_while(|damage| damage.between_ns.1.is_none()) {
+                damage.between_ns.1 = self.last_ns;
             }
         }
-        if self.ended { Ok(Some(Extent::Whole)) } else { cut("it ends without an index".to_owned()) }
+        Ok(record)
+    }
+
+    /// What of the log can be trusted, as far as it was read.
+    pub(crate) fn condition(&self) -> &Condition {
+        &self.condition
+    }
+
+    /// Goes over one record of the file, or over what is damaged.
+    fn advance(&mut self) -> io::Result<()> {
+        let at = self.at;
+        match self.found()? {
+            Found::Record(op::CHUNK, body) => match opened(&body) {
+                Ok(records) => self.opened.extend(records),
+                Err(what) => self.damaged(at, what),
+            },
+            Found::Record(op::DATA_END, body) => self.check_data(at, &body),
+            Found::Record(op::FOOTER, body) => {
+                self.check_summary(at, &body)?;
+                self.check_end()?;
+                self.ended = true;
+            }
+            Found::Record(code, body) => match parsed(code, &body) {
+                Some(_) => self.opened.push_back((code, body)),
+                None => self.damaged(at, "a record cannot be understood, or its checksum differs".to_owned()),
+            },
+            Found::Nonsense(what) => {
+                let cut = self.length - at < HEAD || what == NO_INDEX;
+                match self.search(at + 1)? {
+                    Some(next) => {
+                        self.damaged(at, format!("{} bytes are no records", next - at));
+                        self.at = next;
+                    }
+                    None => {
+                        self.condition.cut = Some(if cut { NO_INDEX.to_owned() } else { what });
+                        self.ended = true;
+                    }
+                }
+                self.checksum = None;
+            }
+            Found::End(why) => {
+                self.condition.cut = why;
+                self.ended = true;
+            }
+        }
+        Ok(())
+    }
+
+    /// Reads the record at the place where the file stands.
+    fn found(&mut self) -> io::Result<Found> {
+        let left = self.length.saturating_sub(self.at);
+        if left == 0 {
+            return Ok(Found::End(Some(NO_INDEX.to_owned())));
+        }
+        if left < HEAD {
+            return Ok(Found::Nonsense(NO_INDEX.to_owned()));
+        }
+        self.go_to(self.at)?;
+        let mut head = [0; HEAD as usize];
+        self.file.read_exact(&mut head)?;
+        let [code, length @ ..] = head;
+        let length = u64::from_le_bytes(length);
+        // Codes above are the private ones of other programs.
+        if code == 0 || (code > op::DATA_END && code < 0x80) {
+            return Ok(Found::Nonsense(format!("at byte {} there is no record", self.at)));
+        }
+        if length > left - HEAD || length > LONGEST_RECORD {
+            return Ok(Found::Nonsense(NO_INDEX.to_owned()));
+        }
+        let mut body = vec![0; length as usize];
+        self.file.read_exact(&mut body)?;
+        if code != op::DATA_END
+            && let Some(checksum) = &mut self.checksum
+        {
+            checksum.update(&head);
+            checksum.update(&body);
+        }
+        self.at += HEAD + length;
+        Ok(Found::Record(code, body))
+    }
+
+    fn go_to(&mut self, at: u64) -> io::Result<()> {
+        let now = self.file.stream_position()?;
+        let by = i128::from(at) - i128::from(now);
+        self.file.seek_relative(i64::try_from(by).map_err(io::Error::other)?)
+    }
+
+    fn damaged(&mut self, at: u64, what: String) {
+        if self.condition.damage.len() == MOST_LISTED {
+            self.condition.more_damage += 1;
+        } else {
+            self.condition.damage.push(Damage { at, what, between_ns: (self.last_ns, None) });
+        }
+    }
+
+    /// The checksum of all data: it also covers what has none of its own.
+    fn check_data(&mut self, at: u64, body: &[u8]) {
+        let saved = body.first_chunk().map_or(0, |bytes| u32::from_le_bytes(*bytes));
+        let computed = self.checksum.take().map(crc32fast::Hasher::finalize);
+        if saved != 0 && computed.is_some_and(|computed| computed != saved) && self.condition.damage.is_empty() {
+            let what = "the checksum of the data differs: an index or metadata are damaged, no message is";
+            self.damaged(at, what.to_owned());
+        }
+    }
+
+    /// The checksum of index and statistics, which no reader here uses.
+    fn check_summary(&mut self, at: u64, body: &[u8]) -> io::Result<()> {
+        let Ok(Record::Footer(footer)) = mcap::parse_record(op::FOOTER, body) else {
+            self.damaged(at, "the footer cannot be understood".to_owned());
+            return Ok(());
+        };
+        if footer.summary_crc == 0 {
+            return Ok(());
+        }
+        let start = if footer.summary_start == 0 { at } else { footer.summary_start };
+        // To the checksum itself, the last field of the footer.
+        let end = self.at - 4;
+        let mut checksum = crc32fast::Hasher::new();
+        if start <= at {
+            self.go_to(start)?;
+            let mut rest = end - start;
+            let mut bytes = [0; 4096];
+            while rest > 0 {
+                let part = bytes.get_mut(..rest.min(4096) as usize).unwrap_or_default();
+                self.file.read_exact(part)?;
+                checksum.update(part);
+                rest -= part.len() as u64;
+            }
+        }
+        if start > at || checksum.finalize() != footer.summary_crc {
+            self.damaged(at, "the index is damaged; all messages are there".to_owned());
+        }
+        Ok(())
+    }
+
+    fn check_end(&mut self) -> io::Result<()> {
+        let mut magic = Vec::new();
+        self.go_to(self.at)?;
+        (&mut self.file).take(mcap::MAGIC.len() as u64 + 1).read_to_end(&mut magic)?;
+        if magic != mcap::MAGIC {
+            self.damaged(self.at, "the file does not end as logs do; all messages are there".to_owned());
+        }
+        Ok(())
+    }
+
+    /// Where the next chunk begins, or the end of the data or of the file.
+    fn search(&mut self, from: u64) -> io::Result<Option<u64>> {
+        const BLOCK: u64 = 1 << 16;
+        // As long as what is looked at from a place on.
+        const OVERLAP: u64 = 64;
+        let mut start = from;
+        while start < self.length {
+            self.go_to(start)?;
+            let mut block = Vec::new();
+            (&mut self.file).take(BLOCK + OVERLAP).read_to_end(&mut block)?;
+            for (k, at) in (start..start + BLOCK.min(block.len() as u64)).enumerate() {
+                let rest = block.get(k..).unwrap_or_default();
+                if is_plausible(rest, self.length - at) {
+                    return Ok(Some(at));
+                }
+            }
+            start += BLOCK;
+        }
+        Ok(None)
+    }
+}
+
+/// Whether bytes look like the beginning of a chunk, the end of the data, or the end of a log, with `left` to the file's end.
+fn is_plausible(bytes: &[u8], left: u64) -> bool {
+    let number = |at: usize| bytes.get(at..).and_then(<[u8]>::first_chunk).map(|eight| u64::from_le_bytes(*eight));
+    let short = |at: usize| bytes.get(at..).and_then(<[u8]>::first_chunk).map(|four| u32::from_le_bytes(*four));
+    let (Some(code), Some(length)) = (bytes.first(), number(1)) else { return false };
+    match *code {
+        op::CHUNK => {
+            let times = number(9).zip(number(17)).is_some_and(|(first, last)| first <= last);
+            let (Some(size), Some(name)) = (number(25), short(37)) else { return false };
+            let named = match name {
+                0 => true,
+                3 => bytes.get(41..44) == Some(b"lz4"),
+                4 => bytes.get(41..45) == Some(b"zstd"),
+                _ => false,
+            };
+            let head = 8 + 8 + 8 + 4 + 4 + u64::from(name) + 8;
+            let packed = number(41 + name as usize);
+            let fits = packed.is_some_and(|packed| packed.checked_add(head) == Some(length));
+            times && named && fits && size <= LARGEST_CHUNK && length <= left.saturating_sub(HEAD)
+        }
+        op::DATA_END => {
+            let next = bytes.get(HEAD as usize + 4);
+            length == 4 && next.is_some_and(|code| (op::HEADER..=op::DATA_END).contains(code))
+        }
+        op::FOOTER => length == 20 && left == HEAD + 20 + mcap::MAGIC.len() as u64,
+        _ => false,
+    }
+}
+
+/// A record, unless it makes no sense. (The library panics on an attachment that is too short for its checksum.)
+fn parsed(code: u8, body: &[u8]) -> Option<Record<'_>> {
+    contained(|| mcap::parse_record(code, body).ok()).flatten()
+}
+
+/// The records of a chunk.
+fn opened(body: &[u8]) -> Result<Vec<(u8, Vec<u8>)>, String> {
+    let Some(Record::Chunk { header, .. }) = parsed(op::CHUNK, body) else {
+        return Err("a chunk cannot be understood".to_owned());
+    };
+    if header.uncompressed_size > LARGEST_CHUNK {
+        return Err(format!("a chunk says that it holds {} bytes", header.uncompressed_size));
+    }
+    if !matches!(header.compression.as_str(), "" | "lz4" | "zstd") {
+        return Err(format!("a chunk is compressed as `{}`, which is not known", header.compression.escape_debug()));
+    }
+    let options = LinearReaderOptions::default()
+        .with_skip_start_magic(true)
+        .with_skip_end_magic(true)
+        .with_prevalidate_chunk_crcs(true)
+        .with_record_length_limit(LARGEST_CHUNK as usize);
+    let length = (body.len() as u64).to_le_bytes();
+    let mut bytes = [op::CHUNK].as_slice().chain(length.as_slice()).chain(body);
+    let read = || {
+        let mut reader = LinearReader::new_with_options(options);
+        let mut records = Vec::new();
+        while let Some(event) = reader.next_event() {
+            match event.map_err(|error| reason(&error))? {
+                LinearReadEvent::ReadRequest(wanted) => {
+                    let got = bytes.read(reader.insert(wanted)).map_err(|error| error.to_string())?;
+                    reader.notify_read(got);
+                }
+                LinearReadEvent::Record { data, opcode } => records.push((opcode, data.to_vec())),
+            }
+        }
+        Ok(records)
+    };
+    contained(read).unwrap_or_else(|| Err("a chunk cannot be understood".to_owned()))
+}
+
+fn reason(error: &McapError) -> String {
+    match error {
+        McapError::BadChunkCrc { .. } => "the checksum of a chunk differs: its messages are left out".to_owned(),
+        other => format!("a chunk cannot be read ({other}): its messages are left out"),
     }
 }
 
@@ -109,21 +398,13 @@ impl Records {
 ///
 /// # Errors
 /// When the file cannot be read, is no MCAP file, or `take` fails.
-pub(crate) fn each(path: &Path, mut take: impl FnMut(&Record<'_>) -> Result<(), LogError>) -> Result<Extent, LogError> {
+pub(crate) fn each(
+    path: &Path,
+    mut take: impl FnMut(&Record<'_>) -> Result<(), LogError>,
+) -> Result<Condition, LogError> {
     let mut records = Records::open(path)?;
     while let Some(record) = records.next()? {
         take(&record)?;
     }
-    let cut = || Extent::Cut { why: "it ends without an index".to_owned() };
-    Ok(records.extent().cloned().unwrap_or_else(cut))
-}
-
-/// Reads what there is; interrupted calls are made again.
-fn read(file: &mut impl Read, into: &mut [u8]) -> io::Result<usize> {
-    loop {
-        match file.read(into) {
-            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
-            other => return other,
-        }
-    }
+    Ok(records.condition)
 }

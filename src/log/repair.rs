@@ -1,9 +1,12 @@
-//! A log without its end gets one: all records that are whole, written again with index and summary.
+//! A damaged or unfinished log gets an index again: all records that are whole, written into a new log.
+//!
+//! Topics of other programs are kept. What is damaged is left out and listed; chunks are written without compression.
 
-use super::LogError;
-use super::records::{self, Extent};
-use mcap::records::Record;
+use super::records::{self, Condition};
+use super::{LogError, is_being_written};
+use mcap::records::{Channel, Record};
 use mcap::{Attachment, McapError, WriteOptions, Writer};
+use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
@@ -13,45 +16,91 @@ use std::path::{Path, PathBuf};
 pub enum Repaired {
     /// Nothing: the log is whole.
     WasWhole,
-    /// The log has an end again.
+    /// There is a whole log again.
     Mended {
         /// Messages that were saved.
         messages: u64,
-        /// How it was broken.
-        why: String,
+        /// Messages that were left out because nothing says what topic they are of.
+        unknown: u64,
+        /// What was wrong.
+        condition: Condition,
         /// The file as it was.
         kept_as: PathBuf,
     },
 }
 
-/// Makes the log at `path` whole. The broken one is kept beside it, its name ending in `.bak`; until the new one is
-/// complete and on the disk, nothing is changed.
+/// Makes the log at `path` whole. The damaged one is kept beside it, its name ending in `.bak` (`.bak2`, … if there is one
+/// already); until the new one is complete and on the disk, nothing is changed.
 ///
 /// # Errors
-/// When it cannot be read, is no MCAP file, or the disk has no place for a second one.
+/// When it cannot be read, is no MCAP file, is still being written, holds no message that could be saved, or the disk has no
+/// place for a second one.
 pub fn repair(path: &Path) -> Result<Repaired, LogError> {
-    let beside = |ending: &str| {
-        let mut name = path.as_os_str().to_owned();
-        name.push(ending);
-        PathBuf::from(name)
-    };
-    // Whether it is whole shows only at its end.
-    let Extent::Cut { why } = records::each(path, |_| Ok(()))? else { return Ok(Repaired::WasWhole) };
-    let (new, kept_as) = (beside(".repaired"), beside(".bak"));
-    let messages = match copy(path, &new) {
-        Ok(messages) => messages,
+    if is_being_written(path) {
+        return Err(LogError::BeingWritten { path: path.to_owned() });
+    }
+    // What is wrong shows only at the end, and names of topics may stand there only.
+    let mut topics = Topics::default();
+    let condition = records::each(path, |record| {
+        topics.learn(record);
+        Ok(())
+    })?;
+    if condition.is_whole() {
+        return Ok(Repaired::WasWhole);
+    }
+    if topics.messages == 0 {
+        let reason = condition.summary().unwrap_or_default();
+        let reason = format!("no message in it can be read ({reason}); it is left as it is");
+        return Err(LogError::Repair { path: path.to_owned(), reason });
+    }
+    let new = beside(path, ".repaired");
+    let (messages, unknown) = match copy(path, &new, &topics) {
+        Ok(counts) => counts,
         Err(error) => {
             // What stands there is of no use; that it cannot be removed changes nothing.
             let _ = std::fs::remove_file(&new);
             return Err(error);
         }
     };
+    let free = |n: u32| beside(path, &if n == 1 { ".bak".to_owned() } else { format!(".bak{n}") });
+    let kept_as = (1..).map(free).find(|name| !name.exists()).unwrap_or_else(|| free(1));
     let renamed = std::fs::rename(path, &kept_as).and_then(|()| std::fs::rename(&new, path));
     renamed.map_err(|source| LogError::Io { path: path.to_owned(), source })?;
-    Ok(Repaired::Mended { messages, why, kept_as })
+    Ok(Repaired::Mended { messages, unknown, condition, kept_as })
 }
 
-fn copy(from: &Path, to: &Path) -> Result<u64, LogError> {
+fn beside(path: &Path, ending: &str) -> PathBuf {
+    let mut name = path.as_os_str().to_owned();
+    name.push(ending);
+    PathBuf::from(name)
+}
+
+/// Schemas and channels of a log.
+#[derive(Default)]
+struct Topics {
+    schemas: BTreeMap<u16, (String, String, Vec<u8>)>,
+    channels: BTreeMap<u16, Channel>,
+    messages: u64,
+}
+
+impl Topics {
+    fn learn(&mut self, record: &Record<'_>) {
+        match record {
+            Record::Schema { header, data } => {
+                let schema = || (header.name.clone(), header.encoding.clone(), data.to_vec());
+                self.schemas.entry(header.id).or_insert_with(schema);
+            }
+            Record::Channel(channel) => {
+                self.channels.entry(channel.id).or_insert_with(|| channel.clone());
+            }
+            Record::Message { .. } => self.messages += 1,
+            _ => {}
+        }
+    }
+}
+
+/// Messages that were written, and messages of unknown topics.
+fn copy(from: &Path, to: &Path, topics: &Topics) -> Result<(u64, u64), LogError> {
     let io = |source| LogError::Io { path: to.to_owned(), source };
     let failed = |error: McapError| match error {
         McapError::Io(source) => LogError::Io { path: to.to_owned(), source },
@@ -60,14 +109,22 @@ fn copy(from: &Path, to: &Path) -> Result<u64, LogError> {
     let file = BufWriter::new(File::create(to).map_err(io)?);
     let library = format!("catoptra/{} {}", env!("CARGO_PKG_VERSION"), mcap::LIBRARY_IDENTIFIER);
     let mut writer: Writer<_> = WriteOptions::new().library(library).compression(None).create(file).map_err(failed)?;
-    let mut messages = 0;
+    for (id, (name, encoding, data)) in topics.schemas.iter().filter(|(id, _)| **id != 0) {
+        writer.add_schema_with_id(*id, name, encoding, data).map_err(failed)?;
+    }
+    for (id, channel) in &topics.channels {
+        // A channel whose schema is lost keeps its messages.
+        let schema = if topics.schemas.contains_key(&channel.schema_id) { channel.schema_id } else { 0 };
+        writer
+            .add_channel_with_id(*id, schema, &channel.topic, &channel.message_encoding, &channel.metadata)
+            .map_err(failed)?;
+    }
+    let (mut messages, mut unknown) = (0, 0);
     records::each(from, |record| {
         match record {
-            Record::Schema { header, data } => {
-                writer.add_schema_with_id(header.id, &header.name, &header.encoding, data).map(drop)
-            }
-            Record::Channel(c) => {
-                writer.add_channel_with_id(c.id, c.schema_id, &c.topic, &c.message_encoding, &c.metadata).map(drop)
+            Record::Message { header, .. } if !topics.channels.contains_key(&header.channel_id) => {
+                unknown += 1;
+                Ok(())
             }
             Record::Message { header, data } => {
                 messages += 1;
@@ -81,7 +138,7 @@ fn copy(from: &Path, to: &Path) -> Result<u64, LogError> {
                 data: data.clone(),
             }),
             Record::Metadata(metadata) => writer.write_metadata(metadata),
-            // Indexes and the summary are made anew.
+            // Schemas and channels are there already, indexes and the summary are made anew.
             _ => Ok(()),
         }
         .map_err(failed)
@@ -89,5 +146,5 @@ fn copy(from: &Path, to: &Path) -> Result<u64, LogError> {
     writer.finish().map_err(failed)?;
     let file = writer.into_inner().into_inner().map_err(|e| io(e.into_error()))?;
     file.sync_all().map_err(io)?;
-    Ok(messages)
+    Ok((messages, unknown))
 }

@@ -7,6 +7,7 @@ use super::figures;
 use super::html::{Html, escape};
 use super::page::{self, facts_table, figure, page, plural, signed, table, trouble};
 use crate::sink::spoken;
+use crate::tally::budget::{Source, together};
 use crate::tally::{AlarmInWords, Drifted, MissCount, Tally};
 use std::collections::BTreeSet;
 
@@ -136,8 +137,9 @@ fn accuracy(course: &Course, tally: &Tally) -> String {
             ]);
         }
     }
+    let budget = tally.budget().map_or(String::new(), |sources| error_budget(&sources));
     format!(
-        "<h2>How well</h2>\n\
+        "<h2>How well</h2>\n{budget}\
          <p>σ is the standard deviation that the tracker predicts for its own answer: of one coordinate for a marker, of one \
          direction across for the tangent.</p>\n{}\
          <p>Each view on its own: the residual is where the band is seen minus where the common answer of all views projects to. \
@@ -161,6 +163,25 @@ fn accuracy(course: &Course, tally: &Tally) -> String {
             "a mean far from zero beside a small RMS: then the views contradict each other, and the rig or the refraction is \
              off, not the noise."
         ),
+    )
+}
+
+/// What each source of error adds.
+fn error_budget(sources: &[Source]) -> String {
+    let line = |name: &str, (theta_rad, tip_m): (f64, f64)| {
+        vec![name.to_owned(), format!("{:.4}", theta_rad.to_degrees()), format!("{:.4}", tip_m * 1e3)]
+    };
+    let unknown = |name: &str, why: &str| vec![format!("{name}: not known, {}", escape(why)), "–".into(), "–".into()];
+    let row = |source: &Source| match &source.share {
+        Ok(share) => line(source.name, *share),
+        Err(why) => unknown(source.name, why),
+    };
+    let mut rows: Vec<Vec<String>> = sources.iter().map(row).collect();
+    rows.push(line("together", together(sources)));
+    format!(
+        "<p>The error budget, 1σ, typical of this run. Noise averages out over frames, the rest is there in all of them alike; what \
+         time stamps add matters to dynamics only.</p>\n{}",
+        table(1, &["Source of error", "θ (°)", "Tip in the base frame (mm)"], &rows)
     )
 }
 

@@ -6,7 +6,7 @@
 
 use super::walk::{central_pixel, grid, walk};
 use super::warnings::warnings;
-use super::{Camera, Rig, View};
+use super::{Camera, Draft, View};
 use crate::optics::{NoRay, OpticalPath, Ray, Surface};
 use nalgebra::{Matrix2, Point2, Point3, Vector2, Vector3};
 
@@ -39,11 +39,11 @@ impl Check {
     }
 }
 
-/// Looks at a rig from all sides.
+/// Looks at a rig, as far as it has got, from all sides.
 ///
 /// # Errors
 /// [`NoRay`] when a view has no central ray; a rig that was read from a file has one.
-pub fn check(rig: &Rig) -> Result<Check, NoRay> {
+pub fn check(rig: &Draft) -> Result<Check, NoRay> {
     let mut central = Vec::with_capacity(rig.views.len());
     for view in &rig.views {
         let centre_px = central_pixel(&rig.camera, view)?;

@@ -69,6 +69,35 @@ impl Draft {
         Self::from_toml_str(&self.to_toml_string(), name)
     }
 
+    /// What a rig needs beyond this, in the order in which it is found, and the command that finds it; nothing when it is whole.
+    pub fn missing(&self) -> Vec<(&'static str, &'static str)> {
+        [
+            (self.views.is_empty(), "mirrors, walls and views", "catoptra calibrate rig"),
+            (self.markers.is_empty() || self.catheter.is_none(), "bands and tube", "catoptra calibrate markers"),
+            (self.base.is_none(), "base frame and B0", "catoptra calibrate base"),
+        ]
+        .into_iter()
+        .filter_map(|(lacks, what, command)| lacks.then_some((what, command)))
+        .collect()
+    }
+
+    /// σ of a parameter as the calibrations noted it: of the lens as `focal_x_px`, …, `k3`, of a surface as `NAME_offset_m`; `None`
+    /// when they did not.
+    pub fn noted_sd(&self, parameter: &str) -> Option<f64> {
+        const LENS: [&str; 9] =
+            ["focal_x_px", "focal_y_px", "principal_point_x_px", "principal_point_y_px", "k1", "k2", "p1", "p2", "k3"];
+        let variance = |of: &str, rows: &str, at: usize| {
+            let row = self.provenance.get(of)?.get(rows)?.as_array()?.get(at)?.as_array()?;
+            row.get(at)?.as_float()
+        };
+        let of_rig = || {
+            let names = self.provenance.get("rig")?.get("parameters")?.as_array()?;
+            variance("rig", "covariance", names.iter().position(|name| name.as_str() == Some(parameter))?)
+        };
+        let of_camera = || variance("camera", "lens_covariance", LENS.iter().position(|name| *name == parameter)?);
+        of_rig().or_else(of_camera).filter(|variance| *variance >= 0.0).map(f64::sqrt)
+    }
+
     /// The rig, when all its parts are there; `name` stands for the file in error messages.
     ///
     /// # Errors

@@ -69,7 +69,18 @@ pub(super) struct MarkerFile {
     pub name: String,
     pub length_mm: f64,
     pub centre_mm: Option<f64>,
+    /// The same in all views, as rig files had it before they had `colours`.
     pub colour: Option<ColourFile>,
+    #[serde(default)]
+    pub colours: Vec<ViewColourFile>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct ViewColourFile {
+    pub view: Option<String>,
+    pub planes: Vec<[f64; 4]>,
+    pub rgb: [f64; 3],
 }
 
 #[derive(Debug, Deserialize)]

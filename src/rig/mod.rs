@@ -158,21 +158,61 @@ pub struct Marker {
     pub name: String,
     /// Length along the tube, metres.
     pub length_m: f64,
-    /// Place of its middle along the tube, metres from the clamp, once known.
+    /// Place of its middle along the tube, metres, once known. Only differences matter: `calibrate markers` counts from the
+    /// edge of the first band that is nearer to the clamp.
     pub centre_m: Option<f64>,
-    /// How to tell it by its colour, once learned.
-    pub colour: Option<ColourModel>,
+    /// How to tell it by its colour, once learned: one model for each view, or one for all of them. Empty before.
+    pub colours: Vec<ColourModel>,
 }
 
-/// How a band's colour is told from everything else: a linear discriminant of R'G'B' (0..255, full range).
-#[derive(Debug, Clone, Copy, PartialEq)]
+impl Marker {
+    /// Its colour model in a view.
+    pub fn colour(&self, view: usize) -> Option<&ColourModel> {
+        self.colours.get(view).or(self.colours.first())
+    }
+}
+
+/// How a band's colour is told from everything else: the band's colours lie on one side of a few planes in R'G'B'.
+#[derive(Debug, Clone, PartialEq)]
 pub struct ColourModel {
-    /// Weights of R', G', B'.
-    pub weights: Vector3<f64>,
-    /// score = weights·rgb + bias; 1 on the band, 0 elsewhere, both on average.
-    pub bias: f64,
+    /// The planes; at least one.
+    pub planes: Vec<ColourPlane>,
     /// Mean colour of the band, R'G'B' 0..255.
     pub rgb: Vector3<f64>,
+}
+
+/// A linear discriminant of R'G'B' (0..255, full range): the band against one other colour, or against all others.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ColourPlane {
+    /// Weights of R', G', B'.
+    pub weights: Vector3<f64>,
+    /// score = weights·rgb + bias; 1 on the band, 0 on the other colour, both on average.
+    pub bias: f64,
+}
+
+impl ColourPlane {
+    /// 1 on the band, 0 on the other colour, on average.
+    pub fn score(&self, rgb: &Vector3<f64>) -> f64 {
+        self.weights.dot(rgb) + self.bias
+    }
+}
+
+impl ColourModel {
+    /// A single plane.
+    pub fn linear(weights: Vector3<f64>, bias: f64, rgb: Vector3<f64>) -> Self {
+        Self { planes: vec![ColourPlane { weights, bias }], rgb }
+    }
+
+    /// How far another colour is below one of the band's: by the plane that tells the two apart best.
+    pub fn separation(&self, own: &Vector3<f64>, other: &Vector3<f64>) -> f64 {
+        let apart = self.planes.iter().map(|plane| plane.score(own) - plane.score(other));
+        apart.fold(f64::NEG_INFINITY, f64::max)
+    }
+
+    /// The lowest of the planes' scores: about 1 on the band, below 0.5 elsewhere.
+    pub fn score(&self, rgb: &Vector3<f64>) -> f64 {
+        self.planes.iter().map(|plane| plane.score(rgb)).fold(f64::INFINITY, f64::min)
+    }
 }
 
 /// The tube and the roles of its bands.

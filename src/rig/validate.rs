@@ -2,10 +2,12 @@
 //! must have to be a [`Rig`] is judged here too.
 
 use super::error::nearest;
-use super::file::{BaseFile, CameraFile, CatheterFile, MarkerFile, RigFile, SurfaceFile, SurfaceKind, ViewFile};
+use super::file::{
+    BaseFile, CameraFile, CatheterFile, MarkerFile, RigFile, SurfaceFile, SurfaceKind, ViewColourFile, ViewFile,
+};
 use super::numbers::{millimetres as written_mm, rotation_of};
 use super::walk::{central_pixel, walk};
-use super::{Base, Camera, Catheter, ColourModel, Draft, Marker, Rig, RigError, View, polygon};
+use super::{Base, Camera, Catheter, ColourModel, ColourPlane, Draft, Marker, Rig, RigError, View, polygon};
 use crate::optics::{Lens, Mirror, OpticalPath, Plane, Surface, Wall};
 use nalgebra::{Isometry3, Matrix3, Point2, Translation3, Vector2, Vector3};
 use std::collections::BTreeMap;
@@ -23,10 +25,12 @@ pub(super) fn validate(raw: RigFile, file: &Path) -> Result<Draft, RigError> {
     for (name, surface) in &raw.surfaces {
         surfaces.insert(name.clone(), check.surface(name, surface)?);
     }
+    check.count("view", raw.views.len(), MOST_VIEWS)?;
+    check.count("marker", raw.markers.len(), MOST_MARKERS)?;
     check.names("view", raw.views.iter().map(|v| v.name.as_str()))?;
     check.names("marker", raw.markers.iter().map(|m| m.name.as_str()))?;
     let views = raw.views.into_iter().map(|v| check.view(v, &camera, &surfaces)).collect::<Result<Vec<_>, _>>()?;
-    let markers = raw.markers.into_iter().map(|m| check.marker(m)).collect::<Result<Vec<_>, _>>()?;
+    let markers = raw.markers.into_iter().map(|m| check.marker(m, &views)).collect::<Result<Vec<_>, _>>()?;
     check.bands_apart(&markers)?;
     let catheter = raw.catheter.map(|catheter| check.catheter(&catheter, &markers)).transpose()?;
     let base = raw.base.map(|base| check.base(&base)).transpose()?;
@@ -56,6 +60,15 @@ struct Check<'a> {
 
 /// A chroma sample further from its place than this belongs to another luma sample.
 const LARGEST_CHROMA_OFFSET_PX: f64 = 2.0;
+/// Nothing is further away: 100 m.
+const FARTHEST_MM: f64 = 1e5;
+/// Weights of samples of 8 bits that still can be computed with; learned ones are below 1.
+const LARGEST_WEIGHT: f64 = 1e3;
+/// Corners of a region: more are no help and take long.
+const MOST_CORNERS: usize = 256;
+/// Views and markers: every pair of a marker's places in two views is tried.
+const MOST_VIEWS: usize = 8;
+const MOST_MARKERS: usize = 16;
 
 impl Check<'_> {
     fn value(&self, key: impl Display, value: impl Display, expected: impl Display) -> RigError {
@@ -83,6 +96,15 @@ impl Check<'_> {
         }
     }
 
+    /// Finite numbers up to `most` either way.
+    fn within(&self, key: impl Display, values: &[f64], most: f64) -> Result<(), RigError> {
+        self.finite(&key, values)?;
+        match values.iter().find(|v| v.abs() > most) {
+            Some(value) => Err(self.value(key, value, format_args!("{most} or less either way"))),
+            None => Ok(()),
+        }
+    }
+
     fn positive(&self, key: impl Display, value: f64) -> Result<(), RigError> {
         if value.is_finite() && value > 0.0 { Ok(()) } else { Err(self.value(key, value, "a positive number")) }
     }
@@ -97,6 +119,13 @@ impl Check<'_> {
             return Err(self.value(key, format!("{v:?}"), format!("length 1, it is {length:.6}{hint}")));
         }
         Ok(Vector3::from(v) / length)
+    }
+
+    fn count(&self, section: &str, found: usize, most: usize) -> Result<(), RigError> {
+        if found <= most {
+            return Ok(());
+        }
+        Err(self.value(section, format_args!("{found} of them"), format_args!("{most} at most")))
     }
 
     /// Names that fit into tables and messages; each only once.
@@ -156,7 +185,7 @@ impl Check<'_> {
         self.name("surfaces", name)?;
         let key = |field: &str| format!("surfaces.{name}.{field}");
         let normal = self.unit(key("normal"), raw.normal)?;
-        self.finite(key("offset_mm"), &[raw.offset_mm])?;
+        self.within(key("offset_mm"), &[raw.offset_mm], FARTHEST_MM)?;
         let plane = Plane::new(normal, raw.offset_mm / 1e3)
             .map_err(|e| self.value(key("normal"), format!("{:?}", raw.normal), e))?;
         let of_walls = [
@@ -227,6 +256,13 @@ impl Check<'_> {
         if corners.len() < 3 {
             return Err(self.value(key, format!("{corners:?}"), "at least 3 corners, or no such key"));
         }
+        if corners.len() > MOST_CORNERS {
+            return Err(self.value(
+                key,
+                format_args!("{} corners", corners.len()),
+                format_args!("{MOST_CORNERS} at most"),
+            ));
+        }
         let [right, bottom] = camera.size_px.map(|size| f64::from(size) - 0.5);
         for corner in corners {
             self.finite(&key, corner)?;
@@ -269,37 +305,79 @@ impl Check<'_> {
         Ok(())
     }
 
-    fn marker(&self, raw: MarkerFile) -> Result<Marker, RigError> {
+    fn marker(&self, raw: MarkerFile, views: &[View]) -> Result<Marker, RigError> {
         let key = |field: &str| format!("marker.{}.{field}", raw.name);
         self.positive(key("length_mm"), raw.length_mm)?;
         if let Some(centre) = raw.centre_mm {
-            self.finite(key("centre_mm"), &[centre])?;
+            self.within(key("centre_mm"), &[centre], FARTHEST_MM)?;
             if centre < raw.length_mm / 2.0 {
                 let expected = format!("at least {}, half the band's length from the clamp", raw.length_mm / 2.0);
                 return Err(self.value(key("centre_mm"), centre, expected));
             }
         }
         if let Some(colour) = &raw.colour {
-            self.finite(key("colour.discriminant_rgb"), &colour.discriminant_rgb)?;
-            self.finite(key("colour.bias"), &[colour.bias])?;
+            self.within(key("colour.discriminant_rgb"), &colour.discriminant_rgb, LARGEST_WEIGHT)?;
+            self.within(key("colour.bias"), &[colour.bias], 1e3 * LARGEST_WEIGHT)?;
             self.finite(key("colour.rgb"), &colour.rgb)?;
             if colour.discriminant_rgb == [0.0; 3] {
                 return Err(self.value(key("colour.discriminant_rgb"), "[0, 0, 0]", "weights that are not all zero"));
             }
-            if !colour.rgb.iter().all(|c| (0.0..=255.0).contains(c)) {
-                return Err(self.value(key("colour.rgb"), format!("{:?}", colour.rgb), "0 to 255 each"));
-            }
+            self.colour_range(key("colour.rgb"), &colour.rgb)?;
         }
+        let everywhere =
+            raw.colour.map(|c| ColourModel::linear(Vector3::from(c.discriminant_rgb), c.bias, Vector3::from(c.rgb)));
+        let colours = match everywhere {
+            Some(_) if !raw.colours.is_empty() => {
+                return Err(self.key(&key("colour"), "here beside `colours`, which says the same: keep one of them"));
+            }
+            Some(colour) => vec![colour],
+            None => self.colours(&key("colours"), &raw.colours, views)?,
+        };
         Ok(Marker {
             length_m: raw.length_mm / 1e3,
             centre_m: raw.centre_mm.map(|centre| centre / 1e3),
-            colour: raw.colour.map(|c| ColourModel {
-                weights: Vector3::from(c.discriminant_rgb),
-                bias: c.bias,
-                rgb: Vector3::from(c.rgb),
-            }),
+            colours,
             name: raw.name,
         })
+    }
+
+    /// One colour model for all views, or one for each of them, in their order.
+    fn colours(&self, key: &str, raw: &[ViewColourFile], views: &[View]) -> Result<Vec<ColourModel>, RigError> {
+        let mut colours = Vec::with_capacity(raw.len());
+        for (i, colour) in raw.iter().enumerate() {
+            let key = |field: &str| format!("{key}.{i}.{field}");
+            if colour.planes.is_empty() {
+                return Err(self.value(key("planes"), "[]", "one plane or more"));
+            }
+            for plane in &colour.planes {
+                self.finite(key("planes"), plane)?;
+                if plane[..3] == [0.0; 3] {
+                    return Err(self.value(key("planes"), format!("{plane:?}"), "weights that are not all zero"));
+                }
+            }
+            self.finite(key("rgb"), &colour.rgb)?;
+            self.colour_range(key("rgb"), &colour.rgb)?;
+            let plane = |&[r, g, b, bias]: &[f64; 4]| ColourPlane { weights: Vector3::new(r, g, b), bias };
+            colours.push(ColourModel {
+                planes: colour.planes.iter().map(plane).collect(),
+                rgb: Vector3::from(colour.rgb),
+            });
+        }
+        let named: Vec<&str> = raw.iter().filter_map(|colour| colour.view.as_deref()).collect();
+        let all: Vec<&str> = views.iter().map(|view| view.name.as_str()).collect();
+        if raw.is_empty() || named == all || (raw.len() == 1 && named.is_empty()) {
+            return Ok(colours);
+        }
+        let expected =
+            format!("one entry for each view, in their order ({}), or a single one without `view`", all.join(", "));
+        Err(self.value(key, format!("[{}]", named.join(", ")), expected))
+    }
+
+    fn colour_range(&self, key: String, rgb: &[f64; 3]) -> Result<(), RigError> {
+        match rgb.iter().all(|c| (0.0..=255.0).contains(c)) {
+            true => Ok(()),
+            false => Err(self.value(key, format!("{rgb:?}"), "0 to 255 each")),
+        }
     }
 
     /// Bands whose place is known follow each other along the tube in the file's order, and do not overlap.
@@ -366,7 +444,7 @@ impl Check<'_> {
         if matrix.determinant() < 0.0 {
             return Err(self.value(key, format!("{rows:?}"), "a right-handed rotation, its determinant is -1"));
         }
-        self.finite("base.base_from_camera.translation_mm", &raw.base_from_camera.translation_mm)?;
+        self.within("base.base_from_camera.translation_mm", &raw.base_from_camera.translation_mm, FARTHEST_MM)?;
         let rotation = rotation_of(&matrix);
         let translation = Translation3::from(Vector3::from(raw.base_from_camera.translation_mm.map(|x| x / 1e3)));
         Ok(Base {

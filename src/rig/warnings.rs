@@ -2,7 +2,7 @@
 
 use super::view_check::{ClosestApproach, ViewCheck};
 use super::walk::grid;
-use super::{Base, Marker, Rig, polygon};
+use super::{Base, Draft, Marker, polygon};
 use crate::optics::Surface;
 use nalgebra::Point2;
 use std::fmt;
@@ -171,7 +171,7 @@ impl fmt::Display for Warning {
 }
 
 /// All that is found, the gravest first.
-pub(super) fn warnings(rig: &Rig, views: &[ViewCheck], meeting: Option<&ClosestApproach>) -> Vec<Warning> {
+pub(super) fn warnings(rig: &Draft, views: &[ViewCheck], meeting: Option<&ClosestApproach>) -> Vec<Warning> {
     let mut found = Vec::new();
     for (view, checked) in rig.views.iter().zip(views) {
         let trip = &checked.round_trip;
@@ -218,18 +218,20 @@ pub(super) fn warnings(rig: &Rig, views: &[ViewCheck], meeting: Option<&ClosestA
         let markers: Vec<_> = rig.markers.iter().filter(|m| lacks(m)).map(|m| m.name.clone()).collect();
         (!markers.is_empty()).then_some(markers)
     };
-    found.extend(named(|m| m.colour.is_none()).map(|markers| Warning::NoColour { markers }));
+    found.extend(named(|m| m.colours.is_empty()).map(|markers| Warning::NoColour { markers }));
     found.extend(named(|m| m.centre_m.is_none()).map(|markers| Warning::NoPlace { markers }));
+    // What comes with or after the markers is not missed before them.
+    let begun = !rig.markers.is_empty();
     match &rig.base {
-        None => found.push(Warning::NoBase),
+        None => found.extend(begun.then_some(Warning::NoBase)),
         Some(base) => found.extend(b0_off_plane(base)),
     }
-    found.extend(rig.camera.blur_px.is_none().then_some(Warning::NoBlur));
+    found.extend((begun && rig.camera.blur_px.is_none()).then_some(Warning::NoBlur));
     found
 }
 
 /// Lengths that no rig has, most often metres or centimetres written where millimetres are meant.
-fn scales(rig: &Rig, views: &[ViewCheck]) -> Vec<Warning> {
+fn scales(rig: &Draft, views: &[ViewCheck]) -> Vec<Warning> {
     let mut found = Vec::new();
     let mut judge = |what: String, length_m: f64, likely_m: std::ops::RangeInclusive<f64>| {
         if !likely_m.contains(&length_m) {
@@ -247,14 +249,16 @@ fn scales(rig: &Rig, views: &[ViewCheck]) -> Vec<Warning> {
             judge(what, crossing.point.coords.norm(), 0.01..=20.0);
         }
     }
-    judge("the diameter of the tube is".to_owned(), rig.catheter.diameter_m, 0.1e-3..=0.05);
+    if let Some(catheter) = &rig.catheter {
+        judge("the diameter of the tube is".to_owned(), catheter.diameter_m, 0.1e-3..=0.05);
+    }
     for marker in &rig.markers {
         judge(format!("the length of band {} is", marker.name), marker.length_m, 0.2e-3..=0.5);
     }
     found
 }
 
-fn regions(rig: &Rig) -> Vec<Warning> {
+fn regions(rig: &Draft) -> Vec<Warning> {
     let mut found = Vec::new();
     for (i, view) in rig.views.iter().enumerate() {
         if view.region_px.is_empty() {

@@ -1,7 +1,7 @@
 //! A [`Draft`] as the text of `rig.toml`, and that text onto the disk in one step.
 
 use super::numbers::{decimal, millimetres, rotation_of, settle};
-use super::{Base, Camera, Catheter, Draft, Marker, RigError, View};
+use super::{Base, Camera, Catheter, ColourPlane, Draft, Marker, RigError, View};
 use crate::optics::Surface;
 use crate::whole_file::NewFile;
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
@@ -23,7 +23,7 @@ pub(super) fn to_text(rig: &Draft) -> String {
     ];
     sections.extend(rig.surfaces.iter().enumerate().map(|(i, (name, s))| surface(i == 0, name, s)));
     sections.extend(rig.views.iter().enumerate().map(|(i, v)| view(i == 0, v)));
-    sections.extend(rig.markers.iter().enumerate().map(|(i, m)| marker(i == 0, m)));
+    sections.extend(rig.markers.iter().enumerate().map(|(i, m)| marker(i == 0, m, &rig.views)));
     sections.extend(rig.catheter.iter().map(|c| catheter(c, &rig.markers)));
     sections.extend(rig.base.iter().map(base));
     if !rig.provenance.is_empty() {
@@ -136,9 +136,9 @@ fn view(first: bool, view: &View) -> String {
     text
 }
 
-fn marker(first: bool, marker: &Marker) -> String {
-    let head =
-        "# Bands, from the clamp to the tip; centre_mm is the middle of the band along the tube from the clamp.\n";
+fn marker(first: bool, marker: &Marker, views: &[View]) -> String {
+    let head = "# Bands, from the clamp to the tip; centre_mm is the middle of the band along the tube, as learned from the edge of\n\
+                # the first band that is nearer to the clamp.\n";
     let mut text = format!(
         "{}[[marker]]\nname = \"{}\"\nlength_mm = {}\n",
         if first { head } else { "" },
@@ -148,13 +148,21 @@ fn marker(first: bool, marker: &Marker) -> String {
     if let Some(centre_m) = marker.centre_m {
         let _ = writeln!(text, "centre_mm = {}", millimetres(centre_m));
     }
-    if let Some(colour) = &marker.colour {
+    let models = &marker.colours;
+    for (i, colour) in models.iter().enumerate() {
+        let head = "\n# score = the least of r·R + g·G + b·B + bias over the planes [r, g, b, bias]: about 1 on the band, below 0.5\n\
+                    # elsewhere; rgb is its mean colour, 0 to 255.\n";
+        let _ = write!(text, "{}[[marker.colours]]\n", if i == 0 { head } else { "\n" });
+        if let Some(view) = views.get(i).filter(|_| models.len() > 1) {
+            let _ = writeln!(text, "view = \"{}\"", view.name);
+        }
+        let plane = |plane: &ColourPlane| {
+            list(plane.weights.iter().chain([&plane.bias]).map(|v| decimal(*v, DIRECTION_DECIMALS)))
+        };
         let _ = write!(
             text,
-            "\n# score = discriminant_rgb·rgb + bias: 1 on the band, 0 elsewhere; rgb is its mean colour, 0 to 255.\n\
-             [marker.colour]\ndiscriminant_rgb = {}\nbias = {}\nrgb = {}\n",
-            list(colour.weights.iter().map(|v| decimal(*v, DIRECTION_DECIMALS))),
-            decimal(colour.bias, DIRECTION_DECIMALS),
+            "planes = {}\nrgb = {}\n",
+            list(colour.planes.iter().map(plane)),
             list(colour.rgb.iter().map(|v| decimal(*v, 9))),
         );
     }

@@ -1,15 +1,21 @@
-//! A colour model as a linear function of the stored channels, and a bound of it in 16-bit integers.
+//! A colour model as linear functions of the stored channels, and bounds of them in 16-bit integers.
 
 use super::THRESHOLD;
-use crate::rig::ColourModel;
+use crate::rig::{ColourModel, ColourPlane};
 use crate::source::Picture;
 use nalgebra::{Matrix3, Vector3};
 
+/// The least of its planes' scores.
+#[derive(Debug, Clone)]
+pub(super) struct Discriminant {
+    pub planes: Vec<Plane>,
+}
+
 /// score = weights·sums + bias, for the sums of a cell's four samples of each channel.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Discriminant {
-    pub weights: [f32; 3],
-    pub bias: f32,
+pub(super) struct Plane {
+    weights: [f32; 3],
+    bias: f32,
     pub screen: Screen,
 }
 
@@ -38,15 +44,33 @@ impl Discriminant {
             stored_from_rgb.set_row(i, &Vector3::from(weights).transpose());
             offset[i] = constant;
         }
-        let weights = stored_from_rgb.try_inverse()?.transpose() * model.weights;
-        let bias = model.bias - weights.dot(&offset);
-        Some(Self {
-            weights: [weights.x, weights.y, weights.z].map(|w| (w / 4.0) as f32),
-            bias: bias as f32,
-            screen: Screen::new(&weights, bias),
-        })
+        let weights_from_rgb = stored_from_rgb.try_inverse()?.transpose();
+        let plane = |plane: &ColourPlane| {
+            let weights = weights_from_rgb * plane.weights;
+            let bias = plane.bias - weights.dot(&offset);
+            Plane {
+                weights: [weights.x, weights.y, weights.z].map(|w| (w / 4.0) as f32),
+                bias: bias as f32,
+                screen: Screen::new(&weights, bias),
+            }
+        };
+        Some(Self { planes: model.planes.iter().map(plane).collect() })
     }
 
+    /// The score of one cell.
+    #[cfg(test)]
+    pub(super) fn score(&self, a: f32, b: f32, c: f32) -> f32 {
+        self.planes.iter().map(|plane| plane.score(a, b, c)).fold(f32::INFINITY, f32::min)
+    }
+
+    /// What channels 1 and 2 contribute to the score of one cell: to that of the plane that decides.
+    pub(super) fn chroma(&self, a: f32, b: f32, c: f32) -> f32 {
+        let decides = |p: &&Plane, q: &&Plane| p.score(a, b, c).total_cmp(&q.score(a, b, c));
+        self.planes.iter().min_by(decides).map_or(0.0, |plane| plane.weights[1] * b + plane.weights[2] * c)
+    }
+}
+
+impl Plane {
     /// The score of one cell. The order of the operations is part of the result: all scores come from here.
     #[inline(always)]
     pub(super) fn score(&self, a: f32, b: f32, c: f32) -> f32 {
@@ -101,13 +125,13 @@ mod tests {
             let format = if packed { PixelFormat::RgbPacked { step: 3, order: [2, 1, 0] } }
                 else { PixelFormat::Yuv { chroma_log2: [1, 1] } };
             let picture = picture(format, Matrix::Bt709, range);
-            let model = ColourModel { weights: Vector3::from(w), bias, rgb: Vector3::zeros() };
+            let model = ColourModel::linear(Vector3::from(w), bias, Vector3::zeros());
             let d = Discriminant::new(&model, &picture).unwrap();
             let stored = [0, 1, 2].map(|i| {
                 let (cw, c) = picture.colour().channel_from_rgb(format, i);
                 (4.0 * (cw[0] * rgb[0] + cw[1] * rgb[1] + cw[2] * rgb[2] + c)) as f32
             });
-            let expected = model.weights.dot(&Vector3::from(rgb)) + bias;
+            let expected = model.score(&Vector3::from(rgb));
             prop_assert!((f64::from(d.score(stored[0], stored[1], stored[2])) - expected).abs() < 1e-4);
         }
 
@@ -118,9 +142,9 @@ mod tests {
         ) {
             let picture = picture(PixelFormat::RgbPacked { step: 3, order: [0, 1, 2] }, Matrix::Bt601, Range::Full);
             let weights = Vector3::from(w) * scale;
-            let model = ColourModel { weights, bias, rgb: Vector3::zeros() };
+            let model = ColourModel::linear(weights, bias, Vector3::zeros());
             let d = Discriminant::new(&model, &picture).unwrap();
-            let s = d.screen;
+            let s = d.planes[0].screen;
             let sum = |values: &[i16; 3], channels: std::ops::Range<usize>, offset: i16| {
                 channels.fold(i32::from(offset), |sum, i| sum + i32::from(values[i]) * i32::from(s.weights[i]))
             };

@@ -1,13 +1,17 @@
-//! Samples of colours -> a linear discriminant for each marker, and how well it separates.
+//! Samples of colours -> a colour model for each marker, and how well it separates.
 //!
-//! Ridge regression of 1 on the marker's samples and 0 on all others, with both halves of equal weight and, among the
-//! others, each class of a weight that does not depend on the number of its samples: 1, and 0.1 if it is another marker. What is not the marker may be lit otherwise
-//! than where it was sampled (a shadow, a dark clamp, a glare): its classes are given an additional spread in brightness, so
-//! that the models tell colours apart, not lights from darks. The regression's scores are then
-//! stretched so that they are 1 and 0 on average as [`ColourModel`] says: regression alone shrinks both towards their middle.
+//! A plane is a ridge regression of 1 on the marker's samples and 0 on others: on all other classes, or on a single one.
+//! Both halves have equal weight and, among the others, each class one that does not depend on the number of its samples:
+//! 1, and 0.1 if it is another marker. What is not the marker may be lit otherwise than where it was sampled (a shadow, a
+//! dark clamp, a glare): its classes are given an additional spread in brightness, so that the models tell colours apart,
+//! not lights from darks. The regression's scores are then stretched so that they are 1 and 0 on average as
+//! [`ColourPlane`] says: regression alone shrinks both towards their middle.
 //! Source: Hastie, Tibshirani, Friedman, "The Elements of Statistical Learning" (2009), sections 3.4.1 and 4.2.
+//!
+//! A model is one plane, or the few that together leave the fewest mistakes, taken one after the other. Which of the two is
+//! decided on samples that neither was learned from; separations are told of such samples, too.
 
-use crate::rig::ColourModel;
+use crate::rig::{ColourModel, ColourPlane};
 use nalgebra::{Matrix3, Vector3};
 
 /// Samples of one class: a marker, or something that must not be taken for one (tube, background).
@@ -50,6 +54,10 @@ pub struct Separation {
     pub marker_low: f64,
     /// Score that 99 % of the other class' samples stay below.
     pub other_high: f64,
+    /// Share of the marker's samples that are taken for it.
+    pub hits: f64,
+    /// Share of the other class' samples that are taken for the marker.
+    pub mistaken: f64,
 }
 
 impl Separation {
@@ -61,7 +69,7 @@ impl Separation {
 
     /// Whether the threshold of the segmentation, half way from 0 to 1, lies between the two.
     pub fn is_separate(&self) -> bool {
-        self.marker_low > 0.5 && self.other_high < 0.5
+        self.marker_low > THRESHOLD && self.other_high < THRESHOLD
     }
 }
 
@@ -97,7 +105,7 @@ pub enum LearnError {
         classes: usize,
     },
     /// A marker whose mean score is that of everything else.
-    #[error("the colour of `{0}` (mean of its samples) cannot be told from the other classes by any linear function")]
+    #[error("the colour of `{0}` (mean of its samples) cannot be told from the other classes")]
     SameColour(String),
 }
 
@@ -115,6 +123,16 @@ const SHADING: f64 = 0.4;
 /// to score 0, of other markers it is enough that they score less than the threshold.
 const OTHER_MARKER: f64 = 0.1;
 
+/// Where the segmentation draws the line.
+const THRESHOLD: f64 = super::THRESHOLD as f64;
+/// Most planes of a model, and how many fewer mistakes (shares) are worth one more.
+const MOST_PLANES: usize = 4;
+const WORTH_A_PLANE: f64 = 0.003;
+/// Share of a class that is taken for the marker from which on it is of the same paint.
+const SAME_PAINT: f64 = 0.5;
+/// Scores within this of the threshold are unsure.
+const UNSURE: f64 = 0.25;
+
 /// A contrast of the regression's mean scores (of 1) below this is rounding.
 const LEAST_CONTRAST: f64 = 1e-6;
 
@@ -125,12 +143,17 @@ const LEAST_CONTRAST: f64 = 1e-6;
 /// error here: it is reported in [`Learned::separations`].
 pub fn learn(classes: &[ClassSamples]) -> Result<Learned, LearnError> {
     check(classes)?;
+    let halves = [0, 1].map(|half| classes.iter().map(|class| class.half(half)).collect::<Vec<_>>());
     let mut learned = Learned { models: Vec::new(), separations: Vec::new() };
     for (marker, class) in classes.iter().enumerate().filter(|(_, c)| c.is_marker) {
-        let model = discriminant(classes, marker).ok_or_else(|| LearnError::SameColour(class.name.clone()))?;
-        let own = Scores::of(&model, class);
-        for (other, class) in classes.iter().enumerate().filter(|&(other, _)| other != marker) {
-            let theirs = Scores::of(&model, class);
+        let same_colour = || LearnError::SameColour(class.name.clone());
+        let against = choose(&halves, marker).ok_or_else(same_colour)?;
+        learned.models.push(model(classes, marker, &against).ok_or_else(same_colour)?);
+        // Learned from one half, the other half is new to it.
+        let tried = model(&halves[0], marker, &against).ok_or_else(same_colour)?;
+        let own = Scores::of(&tried, &halves[1][marker]);
+        for (other, class) in halves[1].iter().enumerate().filter(|&(other, _)| other != marker) {
+            let theirs = Scores::of(&tried, class);
             let sd = ((own.variance + theirs.variance) / 2.0).sqrt();
             learned.separations.push(Separation {
                 marker,
@@ -138,11 +161,115 @@ pub fn learn(classes: &[ClassSamples]) -> Result<Learned, LearnError> {
                 d_prime: (own.mean - theirs.mean) / sd,
                 marker_low: own.quantile(0.01),
                 other_high: theirs.quantile(0.99),
+                hits: own.above(THRESHOLD),
+                mistaken: theirs.above(THRESHOLD),
             });
         }
-        learned.models.push(model);
     }
     Ok(learned)
+}
+
+/// What a plane is learned against.
+#[derive(Debug, Clone, PartialEq)]
+enum Against {
+    /// One class.
+    One(usize),
+    /// All but these.
+    AllBut(Vec<usize>),
+}
+
+impl ClassSamples {
+    /// Every second stretch of the samples, of eight in each half: neighbours, which are alike, go together.
+    fn half(&self, half: usize) -> Self {
+        let stretch = self.rgb.len().div_ceil(16).max(1);
+        let rgb = self.rgb.chunks(stretch).skip(half).step_by(2).flatten().copied().collect();
+        Self { name: self.name.clone(), rgb, ..*self }
+    }
+}
+
+fn model(classes: &[ClassSamples], marker: usize, against: &[Against]) -> Option<ColourModel> {
+    let planes = against.iter().map(|other| plane(classes, marker, other)).collect::<Option<Vec<_>>>()?;
+    Some(ColourModel { planes, rgb: statistics(classes.get(marker)?).0 })
+}
+
+/// The planes of the model that makes the fewest mistakes on samples it was not learned from: one against everything, or
+/// those that leave the fewest mistakes in the samples they were learned from. `None` when none tells the marker from all else.
+fn choose([seen, unseen]: &[Vec<ClassSamples>; 2], marker: usize) -> Option<Vec<Against>> {
+    let same = same_paint(seen, marker)?;
+    let others = (0..seen.len()).filter(|other| *other != marker && !same.contains(other));
+    let planes: Vec<(Against, ColourPlane)> = std::iter::once(Against::AllBut(same.clone()))
+        .chain(others.map(Against::One))
+        .filter_map(|against| Some((against.clone(), plane(seen, marker, &against)?)))
+        .collect();
+    let (linear, first) = planes.first().filter(|(against, _)| matches!(against, Against::AllBut(_)))?;
+    let mistakes = |lowest: &Lowest| lowest.mistakes(marker, &same);
+    let mut chosen: Vec<&(Against, ColourPlane)> = Vec::new();
+    let mut lowest = Lowest::new(seen);
+    let mut left = f64::INFINITY;
+    while chosen.len() < MOST_PLANES {
+        let tried = planes.iter().map(|candidate| (mistakes(&lowest.with(&candidate.1, seen)), candidate));
+        let Some((fewest, best)) = tried.min_by(|a, b| a.0.total_cmp(&b.0)) else { break };
+        if fewest > left - WORTH_A_PLANE {
+            break;
+        }
+        left = fewest;
+        lowest = lowest.with(&best.1, seen);
+        chosen.push(best);
+    }
+    let on_unseen = |planes: &mut dyn Iterator<Item = &ColourPlane>| {
+        mistakes(&planes.fold(Lowest::new(unseen), |lowest, plane| lowest.with(plane, unseen)))
+    };
+    if on_unseen(&mut chosen.iter().map(|c| &c.1)) < on_unseen(&mut std::iter::once(first)) - WORTH_A_PLANE {
+        Some(chosen.into_iter().map(|c| c.0.clone()).collect())
+    } else {
+        Some(vec![linear.clone()])
+    }
+}
+
+/// Classes that are the marker's own paint elsewhere: whatever is learned, most of their samples are taken for it. Were they
+/// among what it is to differ from, nothing would be left of its colour.
+fn same_paint(classes: &[ClassSamples], marker: usize) -> Option<Vec<usize>> {
+    let mut same: Vec<usize> = Vec::new();
+    loop {
+        let plane = plane(classes, marker, &Against::AllBut(same.clone()))?;
+        let model = ColourModel { planes: vec![plane], rgb: Vector3::zeros() };
+        let mistaken = |other: usize| Scores::of(&model, &classes[other]).above(THRESHOLD);
+        let others = (0..classes.len()).filter(|k| *k != marker && !classes[*k].is_marker && !same.contains(k));
+        let worst = others.map(|k| (mistaken(k), k)).max_by(|a, b| a.0.total_cmp(&b.0));
+        match worst {
+            Some((share, class)) if share > SAME_PAINT && same.len() + 2 < classes.len() => same.push(class),
+            _ => return Some(same),
+        }
+    }
+}
+
+/// The lowest score of some planes, for each sample of each class.
+struct Lowest(Vec<Vec<f64>>);
+
+impl Lowest {
+    fn new(classes: &[ClassSamples]) -> Self {
+        Self(classes.iter().map(|class| vec![f64::INFINITY; class.rgb.len()]).collect())
+    }
+
+    fn with(&self, plane: &ColourPlane, classes: &[ClassSamples]) -> Self {
+        let lower = |(scores, class): (&Vec<f64>, &ClassSamples)| {
+            scores.iter().zip(&class.rgb).map(|(score, rgb)| score.min(plane.score(rgb))).collect()
+        };
+        Self(self.0.iter().zip(classes).map(lower).collect())
+    }
+
+    /// Share of the marker's samples that are missed, and the mean share of the others, but for `same`, that are taken for it. A
+    /// score within `UNSURE` of the threshold is a mistake in part.
+    fn mistakes(&self, marker: usize, same: &[usize]) -> f64 {
+        let share = |scores: &Vec<f64>, is_marker: bool| {
+            let sign = if is_marker { 1.0 } else { -1.0 };
+            let mistake = |score: &f64| (0.5 - sign * (score - THRESHOLD) / (2.0 * UNSURE)).clamp(0.0, 1.0);
+            scores.iter().map(mistake).sum::<f64>() / scores.len().max(1) as f64
+        };
+        let others = (self.0.len() - 1 - same.len()).max(1) as f64;
+        let of = |(i, scores): (usize, &Vec<f64>)| share(scores, i == marker) / if i == marker { 1.0 } else { others };
+        self.0.iter().enumerate().filter(|(i, _)| !same.contains(i)).map(of).sum()
+    }
 }
 
 fn check(classes: &[ClassSamples]) -> Result<(), LearnError> {
@@ -170,11 +297,13 @@ fn statistics(class: &ClassSamples) -> (Vector3<f64>, Matrix3<f64>) {
     (mean, covariance)
 }
 
-fn discriminant(classes: &[ClassSamples], marker: usize) -> Option<ColourModel> {
+fn plane(classes: &[ClassSamples], marker: usize, against: &Against) -> Option<ColourPlane> {
     let statistics: Vec<_> = classes.iter().map(statistics).collect();
-    let weight = |i: usize| match classes.get(i) {
+    let weight = |i: usize| match (classes.get(i), against) {
         _ if i == marker => 0.0,
-        Some(class) if class.is_marker => OTHER_MARKER,
+        (_, Against::One(other)) => f64::from(u8::from(i == *other)),
+        (_, Against::AllBut(same)) if same.contains(&i) => 0.0,
+        (Some(class), _) if class.is_marker => OTHER_MARKER,
         _ => 1.0,
     };
     let total: f64 = (0..classes.len()).map(weight).sum();
@@ -199,7 +328,7 @@ fn discriminant(classes: &[ClassSamples], marker: usize) -> Option<ColourModel> 
         return None;
     }
     let weights = raw / contrast;
-    Some(ColourModel { weights, bias: -weights.dot(&others), rgb: own })
+    Some(ColourPlane { weights, bias: -weights.dot(&others) })
 }
 
 /// The scores of a class, sorted.
@@ -211,12 +340,17 @@ struct Scores {
 
 impl Scores {
     fn of(model: &ColourModel, class: &ClassSamples) -> Self {
-        let mut sorted: Vec<f64> = class.rgb.iter().map(|v| model.weights.dot(v) + model.bias).collect();
+        let mut sorted: Vec<f64> = class.rgb.iter().map(|v| model.score(v)).collect();
         sorted.sort_by(f64::total_cmp);
         let n = sorted.len() as f64;
         let mean = sorted.iter().sum::<f64>() / n;
         let variance = sorted.iter().map(|s| (s - mean).powi(2)).sum::<f64>() / n;
         Self { sorted, mean, variance }
+    }
+
+    /// Share of the samples above a score.
+    fn above(&self, score: f64) -> f64 {
+        self.sorted.iter().filter(|s| **s > score).count() as f64 / self.sorted.len().max(1) as f64
     }
 
     /// The nearest sample to this rank (NaN of an empty class, which [`check`] has refused).
@@ -237,7 +371,9 @@ mod tests {
         let learned = learn(&classes).unwrap();
         assert_eq!(learned.models.len(), 3);
         for (marker, model) in learned.models.iter().enumerate() {
-            let mean = |class: &ClassSamples| Scores::of(model, class).mean;
+            let plane = plane(&classes, marker, &Against::AllBut(Vec::new())).unwrap();
+            let all = ColourModel { planes: vec![plane], rgb: model.rgb };
+            let mean = |class: &ClassSamples| Scores::of(&all, class).mean;
             assert!((mean(&classes[marker]) - 1.0).abs() < 1e-9);
             let weight = |c: usize| if c < 3 { OTHER_MARKER } else { 1.0 };
             let others: f64 = (0..5).filter(|&c| c != marker).map(|c| weight(c) * mean(&classes[c])).sum();
@@ -259,7 +395,9 @@ mod tests {
         let background = classes[4].rgb.clone();
         classes[4].rgb.extend(background.iter().cycle().take(1800).copied());
         for (a, b) in once.models.iter().zip(learn(&classes).unwrap().models) {
-            assert!((a.weights - b.weights).norm() < 1e-9 && (a.bias - b.bias).abs() < 1e-9);
+            for (a, b) in a.planes.iter().zip(&b.planes) {
+                assert!((a.weights - b.weights).norm() < 1e-9 && (a.bias - b.bias).abs() < 1e-9);
+            }
         }
     }
 
@@ -268,7 +406,7 @@ mod tests {
         let learned = learn(&samples()).unwrap();
         for model in &learned.models {
             for shade in [0.1, 0.4, 1.5] {
-                let score = model.weights.dot(&(Vector3::new(110.0, 110.0, 112.0) * shade)) + model.bias;
+                let score = model.score(&(Vector3::new(110.0, 110.0, 112.0) * shade));
                 assert!(score < 0.4, "{score} at {shade}");
             }
         }
@@ -289,6 +427,21 @@ mod tests {
             },
             1
         );
+    }
+
+    /// A brick in a band's paint must not turn the band's own colour into something else.
+    #[test]
+    fn a_brick_of_the_same_paint_is_left_out_of_account() {
+        let mut classes = samples();
+        let without = learn(&classes).unwrap();
+        let brick = classes[0].rgb.iter().map(|v| v * 1.05).collect();
+        classes.push(ClassSamples { name: "brick".into(), is_marker: false, rgb: brick });
+        let with = learn(&classes).unwrap();
+        for (a, b) in with.models[0].planes.iter().zip(&without.models[0].planes) {
+            assert!((a.weights - b.weights).norm() < 1e-9);
+        }
+        let brick = with.separations.iter().find(|s| s.marker == 0 && s.other == 5).unwrap();
+        assert!(brick.mistaken > 0.9, "and it is told: {brick:?}");
     }
 
     #[test]

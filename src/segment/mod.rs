@@ -3,7 +3,8 @@
 //! - In: a [`Picture`] in the samples it was decoded to, the markers' [`ColourModel`]s, windows to search.
 //! - Out: [`Blob`]s, in the order of searches, markers and the raster.
 //! - Method, per call and without memory of other frames:
-//!   1. `discriminant`: the colour models become linear functions of the stored channels. No colour is converted.
+//!   1. `discriminant`: the colour models become linear functions of the stored channels. No colour is converted. Where
+//!      views have models of their own, each is searched for with its own, within the bounds of its region.
 //!   2. `cells`: the picture is seen as cells of 2x2 pixels (4:2:0: one chroma sample and its four luma samples).
 //!   3. `scan`: blocks of cells that cannot reach the threshold are left out in 16-bit integers (from chroma alone in
 //!      4:2:0); what remains is classified cell by cell into runs.
@@ -11,7 +12,7 @@
 //!   5. `moments`: the cells of a component and one ring of cells around it, weighted by how far each is covered, give
 //!      centre, second moments and their uncertainty.
 //!   6. [`mod@learn`]: where the colour models come from.
-//! - Assumes that a marker is told from all else by a linear function of R'G'B', and that its image is two cells wide
+//! - Assumes that a marker is told from all else by a few linear functions of R'G'B', and that its image is two cells wide
 //!   or more. Time and memory are linear in the number of cells searched, whatever the picture shows.
 //! - Cannot tell a marker from a distractor of the same colour, nor two bands whose images touch; the centre is that of the
 //!   visible surface, not of the tube's centre line, and leans to the side that scores higher. The stages after it do.
@@ -27,7 +28,7 @@ mod tests;
 
 pub use learn::{ClassSamples, LearnError, Learned, Separation, learn};
 
-use crate::rig::{ColourModel, Rig};
+use crate::rig::{ColourModel, Marker, Rig, View};
 pub use crate::source::Window;
 use crate::source::{NotRecorded, Picture};
 use cells::Grid;
@@ -95,6 +96,8 @@ impl CellWindow {
 pub struct Search {
     /// Index of the marker; `None` for all.
     pub marker: Option<usize>,
+    /// Index of the view, where views have colour models of their own; `None` for all.
+    pub view: Option<usize>,
     /// Where; clipped to the picture and widened to whole cells.
     pub window: Window,
 }
@@ -103,6 +106,7 @@ impl Search {
     /// Whether this search finds a blob of the whole picture, of `size_px`, without touching the window's border.
     pub fn finds_whole(&self, blob: &Blob, size_px: [u32; 2]) -> bool {
         self.marker.is_none_or(|marker| marker == blob.marker)
+            && (self.view.is_none() || blob.view.is_none() || self.view == blob.view)
             && !self.window.cells(size_px).is_touched_by(&blob.bounds.cells(size_px), size_px)
     }
 }
@@ -112,6 +116,8 @@ impl Search {
 pub struct Blob {
     /// Index of the marker.
     pub marker: usize,
+    /// Index of the view whose colour model it was found with; `None` where all views have the same.
+    pub view: Option<usize>,
     /// Centre of its visible surface, pixels, weighted by coverage.
     pub centre_px: Point2<f64>,
     /// Covariance of the centre, px²: from noise in partly covered cells; biases of shading and tilt are not in it.
@@ -173,14 +179,23 @@ pub enum SegmentError {
 /// Finds blobs; owns all scratch memory, so that frames of one size allocate nothing after the first.
 #[derive(Debug)]
 pub struct Segmenter {
-    models: Vec<ColourModel>,
+    views: Vec<ViewModels>,
     chroma_offset_px: Vector2<f64>,
-    discriminants: Vec<Discriminant>,
     scanner: Scanner,
     components: Components,
     measure: moments::Measure,
     blobs: Vec<Blob>,
-    found: HashSet<(usize, Window, u64, u64)>,
+    found: HashSet<(usize, Option<usize>, Window, u64, u64)>,
+}
+
+/// The markers' colours in a view, or in all of them.
+#[derive(Debug)]
+struct ViewModels {
+    view: Option<usize>,
+    /// Where the view is; `None`: anywhere.
+    bounds: Option<Window>,
+    models: Vec<ColourModel>,
+    discriminants: Vec<Discriminant>,
 }
 
 impl Segmenter {
@@ -189,18 +204,14 @@ impl Segmenter {
     /// # Errors
     /// When a model holds a number that is not finite or absurdly large.
     pub fn new(models: &[ColourModel]) -> Result<Self, SegmentError> {
-        for (marker, model) in models.iter().enumerate() {
-            let usable = |v: f64| v.is_finite() && v.abs() < 1e6;
-            if !(model.weights.iter().copied().all(usable) && usable(model.bias)) {
-                let [r, g, b] = model.weights.into();
-                return Err(SegmentError::Model { marker, weights: format!("{r}, {g}, {b}"), bias: model.bias });
-            }
-        }
+        Self::with_views(vec![ViewModels::new(None, None, models.to_vec())?])
+    }
+
+    fn with_views(views: Vec<ViewModels>) -> Result<Self, SegmentError> {
         Ok(Self {
-            models: models.to_vec(),
             chroma_offset_px: Vector2::zeros(),
-            discriminants: Vec::with_capacity(models.len()),
-            scanner: Scanner::new(models.len()),
+            scanner: Scanner::new(views.first().map_or(0, |view| view.models.len())),
+            views,
             components: Components::default(),
             measure: moments::Measure::default(),
             blobs: Vec::new(),
@@ -219,9 +230,18 @@ impl Segmenter {
     /// # Errors
     /// When a marker has no colour model yet, or an unusable one.
     pub fn for_rig(rig: &Rig) -> Result<Self, SegmentError> {
-        let models: Result<Vec<_>, _> =
-            rig.markers.iter().map(|m| m.colour.ok_or_else(|| SegmentError::NoColour(m.name.clone()))).collect();
-        Ok(Self::new(&models?)?.with_chroma_offset_px(rig.camera.chroma_offset_px))
+        let models = |view: usize| -> Result<Vec<ColourModel>, SegmentError> {
+            let model = |m: &Marker| m.colour(view).cloned().ok_or_else(|| SegmentError::NoColour(m.name.clone()));
+            rig.markers.iter().map(model).collect()
+        };
+        let views = match rig.markers.iter().all(|m| m.colours.len() < 2) {
+            true => vec![ViewModels::new(None, None, models(0)?)?],
+            false => {
+                let of = |(v, view): (usize, &View)| ViewModels::new(Some(v), bounds(view), models(v)?);
+                rig.views.iter().enumerate().map(of).collect::<Result<_, _>>()?
+            }
+        };
+        Ok(Self::with_views(views)?.with_chroma_offset_px(rig.camera.chroma_offset_px))
     }
 
     /// All blobs of all markers in the whole picture.
@@ -229,7 +249,7 @@ impl Segmenter {
     /// # Errors
     /// When the picture is grey or too large.
     pub fn all_blobs(&mut self, picture: &Picture) -> Result<&[Blob], SegmentError> {
-        self.blobs(picture, &[Search { marker: None, window: Window::whole(picture.size_px()) }])
+        self.blobs(picture, &[Search { marker: None, view: None, window: Window::whole(picture.size_px()) }])
     }
 
     /// The blobs in some windows, in the order of searches, then markers, then the raster. One that lies whole in several
@@ -238,36 +258,83 @@ impl Segmenter {
     /// # Errors
     /// When the picture is grey or too large, when it was not recorded there, or a search names a marker that does not exist.
     pub fn blobs(&mut self, picture: &Picture, searches: &[Search]) -> Result<&[Blob], SegmentError> {
-        let markers = self.models.len();
+        let markers = self.views.first().map_or(0, |view| view.models.len());
         if let Some(marker) = searches.iter().filter_map(|s| s.marker).find(|&m| m >= markers) {
             return Err(SegmentError::NoSuchMarker { marker, markers });
         }
         let grid = Grid::new(picture, self.chroma_offset_px)?;
-        self.discriminants.clear();
-        for model in &self.models {
-            self.discriminants.push(Discriminant::new(model, picture).ok_or(SegmentError::Grey)?);
+        for view in &mut self.views {
+            view.discriminants.clear();
+            for model in &view.models {
+                view.discriminants.push(Discriminant::new(model, picture).ok_or(SegmentError::Grey)?);
+            }
         }
         self.blobs.clear();
         self.found.clear();
+        let alone = searches.len() == 1;
         for search in searches {
-            let window = search.window.cells(picture.size_px());
-            picture.look_at(window.with_ring())?;
-            self.scanner.scan(&grid, &self.discriminants, window, search.marker);
-            for (marker, (discriminant, runs)) in self.discriminants.iter().zip(self.scanner.runs()).enumerate() {
-                for component in self.components.group(runs) {
-                    let cells: usize = component.iter().map(scan::Run::cells).sum();
-                    if cells < LEAST_CELLS {
-                        continue;
-                    }
-                    let blob = self.measure.blob(&grid, marker, discriminant, component, &window);
-                    // Its place names a blob: two of one marker have no cell in common.
-                    let name = (marker, blob.bounds, blob.centre_px.x.to_bits(), blob.centre_px.y.to_bits());
-                    if searches.len() == 1 || self.found.insert(name) {
-                        self.blobs.push(blob);
+            let views =
+                self.views.iter().filter(|v| search.view.is_none() || v.view.is_none() || v.view == search.view);
+            for ViewModels { view, bounds, discriminants, .. } in views {
+                let Some(window) = bounds.map_or(Some(search.window), |b| overlap(&b, &search.window)) else {
+                    continue;
+                };
+                let window = window.cells(picture.size_px());
+                picture.look_at(window.with_ring())?;
+                self.scanner.scan(&grid, discriminants, window, search.marker);
+                for (marker, (discriminant, runs)) in discriminants.iter().zip(self.scanner.runs()).enumerate() {
+                    for component in self.components.group(runs) {
+                        let cells: usize = component.iter().map(scan::Run::cells).sum();
+                        if cells < LEAST_CELLS {
+                            continue;
+                        }
+                        let blob = self.measure.blob(&grid, (marker, *view), discriminant, component, &window);
+                        // Its place names a blob: two of one marker have no cell in common.
+                        let (x, y) = (blob.centre_px.x.to_bits(), blob.centre_px.y.to_bits());
+                        if alone || self.found.insert((marker, *view, blob.bounds, x, y)) {
+                            self.blobs.push(blob);
+                        }
                     }
                 }
             }
         }
         Ok(&self.blobs)
     }
+}
+
+impl ViewModels {
+    fn new(view: Option<usize>, bounds: Option<Window>, models: Vec<ColourModel>) -> Result<Self, SegmentError> {
+        for (marker, model) in models.iter().enumerate() {
+            let usable = |v: f64| v.is_finite() && v.abs() < 1e6;
+            for plane in &model.planes {
+                if !(plane.weights.iter().copied().all(usable) && usable(plane.bias)) {
+                    let [r, g, b] = plane.weights.into();
+                    return Err(SegmentError::Model { marker, weights: format!("{r}, {g}, {b}"), bias: plane.bias });
+                }
+            }
+        }
+        Ok(Self { view, bounds, discriminants: Vec::with_capacity(models.len()), models })
+    }
+}
+
+/// A band may reach this far out of the region that its centre is in, pixels.
+const BESIDE_REGION_PX: f64 = 64.0;
+
+/// Where blobs of a view may be; `None`: anywhere.
+fn bounds(view: &View) -> Option<Window> {
+    let reach = |of: fn(&Point2<f64>) -> f64| {
+        let values = view.region_px.iter().map(of);
+        let low = values.clone().fold(f64::INFINITY, f64::min) - BESIDE_REGION_PX;
+        (low, values.fold(f64::NEG_INFINITY, f64::max) + BESIDE_REGION_PX)
+    };
+    let (x, y) = (reach(|p| p.x), reach(|p| p.y));
+    // From negative numbers on, `as` gives zero.
+    let px = |v: f64| v as u32;
+    (!view.region_px.is_empty()).then(|| Window { x0: px(x.0), y0: px(y.0), x1: px(x.1.ceil()), y1: px(y.1.ceil()) })
+}
+
+/// What two windows have in common.
+fn overlap(a: &Window, b: &Window) -> Option<Window> {
+    let both = Window { x0: a.x0.max(b.x0), y0: a.y0.max(b.y0), x1: a.x1.min(b.x1), y1: a.y1.min(b.y1) };
+    (both.x0 < both.x1 && both.y0 < both.y1).then_some(both)
 }

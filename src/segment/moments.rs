@@ -76,7 +76,7 @@ impl Measure {
     pub(super) fn blob(
         &mut self,
         grid: &Grid<'_>,
-        marker: usize,
+        (marker, view): (usize, Option<usize>),
         discriminant: &Discriminant,
         component: &[Run],
         window: &CellWindow,
@@ -106,9 +106,8 @@ impl Measure {
                 if weight == FULL as i64 {
                     whole.add(at - origin.0, y as i64 - origin.1, f64::from(score / level));
                 }
-                let chroma = f64::from(
-                    discriminant.weights[1] * f32::from(sums[1][k]) + discriminant.weights[2] * f32::from(sums[2][k]),
-                );
+                let [a, b, c] = [sums[0][k], sums[1][k], sums[2][k]].map(f32::from);
+                let chroma = f64::from(discriminant.chroma(a, b, c));
                 all.add(f64::from(score), chroma);
             }
             covered.add_row(y as i64, row);
@@ -127,6 +126,7 @@ impl Measure {
         let covariance_px2 = edge.about(&mean) * (4.0 * noise * gain * gain / (mass * mass));
         Blob {
             marker,
+            view,
             centre_px: Point2::from(centre),
             covariance_px2,
             axis,

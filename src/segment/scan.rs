@@ -106,6 +106,8 @@ struct RowScreen {
     channels: [Vec<i16>; 3],
     /// Negative where no wanted marker can be. Only the signs mean something.
     below: Vec<i16>,
+    /// The same of one marker.
+    below_one: Vec<i16>,
 }
 
 impl RowScreen {
@@ -119,18 +121,25 @@ impl RowScreen {
             row.means(x0, x1, &mut self.channels);
         }
         let [a, b, c] = &self.channels;
-        for Discriminant { screen, .. } in wanted {
-            let [wa, wb, wc] = screen.weights;
-            if chroma_only {
-                for ((below, &b), &c) in self.below.iter_mut().zip(b).zip(c) {
-                    let sum = b.wrapping_mul(wb).wrapping_add(c.wrapping_mul(wc));
-                    *below &= sum.wrapping_add(screen.offset_without_first);
+        for Discriminant { planes } in wanted {
+            self.below_one.clear();
+            self.below_one.resize(self.below.len(), 0);
+            for screen in planes.iter().map(|plane| &plane.screen) {
+                let [wa, wb, wc] = screen.weights;
+                if chroma_only {
+                    for ((below, &b), &c) in self.below_one.iter_mut().zip(b).zip(c) {
+                        let sum = b.wrapping_mul(wb).wrapping_add(c.wrapping_mul(wc));
+                        *below |= sum.wrapping_add(screen.offset_without_first);
+                    }
+                } else {
+                    for (((below, &a), &b), &c) in self.below_one.iter_mut().zip(a).zip(b).zip(c) {
+                        let sum = a.wrapping_mul(wa).wrapping_add(b.wrapping_mul(wb)).wrapping_add(c.wrapping_mul(wc));
+                        *below |= sum.wrapping_add(screen.offset);
+                    }
                 }
-            } else {
-                for (((below, &a), &b), &c) in self.below.iter_mut().zip(a).zip(b).zip(c) {
-                    let sum = a.wrapping_mul(wa).wrapping_add(b.wrapping_mul(wb)).wrapping_add(c.wrapping_mul(wc));
-                    *below &= sum.wrapping_add(screen.offset);
-                }
+            }
+            for (below, &one) in self.below.iter_mut().zip(&self.below_one) {
+                *below &= one;
             }
         }
     }
@@ -146,8 +155,11 @@ impl RowScreen {
 #[inline(always)]
 pub(super) fn scores(sums: &[Sums; 3], discriminant: &Discriminant) -> [f32; BLOCK] {
     let mut scores = [0.0; BLOCK];
-    for (i, score) in scores.iter_mut().enumerate() {
-        *score = discriminant.score(f32::from(sums[0][i]), f32::from(sums[1][i]), f32::from(sums[2][i]));
+    scores.fill(f32::INFINITY);
+    for plane in &discriminant.planes {
+        for (i, score) in scores.iter_mut().enumerate() {
+            *score = score.min(plane.score(f32::from(sums[0][i]), f32::from(sums[1][i]), f32::from(sums[2][i])));
+        }
     }
     scores
 }

@@ -182,15 +182,15 @@ fn blobs_at_a_window_say_so() {
     let mut segmenter = segmenter();
     let whole = segmenter.all_blobs(&picture).unwrap().to_vec();
     let tip = whole.iter().find(|b| b.marker == 2).unwrap();
-    let exact = Search { marker: Some(2), window: tip.bounds };
+    let exact = Search { marker: Some(2), view: None, window: tip.bounds };
     let found = segmenter.blobs(&picture, &[exact]).unwrap();
     // The window ends with the blob: it could go on, but what was found is the same.
     assert_eq!(found, [Blob { touches_border: true, ..tip.clone() }]);
     let half = Search { window: Window { x1: tip.bounds.x0 + 6, ..tip.bounds }, ..exact };
     assert!(segmenter.blobs(&picture, &[half]).unwrap().iter().all(|b| b.touches_border && b.area_px2 < tip.area_px2));
-    let elsewhere = Search { marker: Some(1), window: tip.bounds };
+    let elsewhere = Search { marker: Some(1), view: None, window: tip.bounds };
     assert!(segmenter.blobs(&picture, &[elsewhere]).unwrap().is_empty());
-    let outside = Search { marker: None, window: Window { x0: 500, y0: 0, x1: 900, y1: 90 } };
+    let outside = Search { marker: None, view: None, window: Window { x0: 500, y0: 0, x1: 900, y1: 90 } };
     assert!(segmenter.blobs(&picture, &[outside]).unwrap().is_empty());
 }
 
@@ -199,8 +199,8 @@ fn overlapping_windows_give_a_blob_once() {
     let picture = Scene::new(160, 120, &bands()).stored(YUV420, VIDEO);
     let mut segmenter = segmenter();
     let whole = segmenter.all_blobs(&picture).unwrap().to_vec();
-    let all = Search { marker: None, window: Window::whole(picture.size_px()) };
-    let tip = Search { marker: Some(2), window: Window::around(&Point2::new(120.0, 91.0), 20.0) };
+    let all = Search { marker: None, view: None, window: Window::whole(picture.size_px()) };
+    let tip = Search { marker: Some(2), view: None, window: Window::around(&Point2::new(120.0, 91.0), 20.0) };
     assert_eq!(segmenter.blobs(&picture, &[all, tip, all]).unwrap(), whole);
 }
 
@@ -211,10 +211,10 @@ fn refusals_say_why() {
     let wide = Picture::from_planes(16_386, 1, PixelFormat::Nv12, VIDEO, vec![vec![0; 16_386]; 2]).unwrap();
     assert_eq!(segmenter().all_blobs(&wide).unwrap_err(), SegmentError::TooLarge(16_386, 1));
     let picture = Scene::new(8, 8, &[]).stored(YUV420, VIDEO);
-    let fourth = Search { marker: Some(3), window: Window::whole(picture.size_px()) };
+    let fourth = Search { marker: Some(3), view: None, window: Window::whole(picture.size_px()) };
     assert_eq!(segmenter().blobs(&picture, &[fourth]).unwrap_err().to_string(), "search for marker 3, but there are 3");
     let mut models = models();
-    models[1].weights.y = f64::NAN;
+    models[1].planes[0].weights.y = f64::NAN;
     assert!(Segmenter::new(&models).unwrap_err().to_string().starts_with("colour model of marker 1 has weights ("));
 }
 
@@ -231,7 +231,7 @@ proptest! {
         let whole = segmenter.all_blobs(&picture).unwrap().to_vec();
         for (x0, y0, w, h) in corners {
             let window = Window { x0, y0, x1: x0 + w, y1: y0 + h };
-            let search = Search { marker, window };
+            let search = Search { marker, view: None, window };
             let found = segmenter.blobs(&picture, &[search]).unwrap();
             // All that is reported as whole is, to the bit, one of the whole picture, and the search says which.
             let inside: Vec<_> = found.iter().filter(|b| !b.touches_border).collect();

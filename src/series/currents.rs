@@ -10,7 +10,7 @@
 //! | `t_s` | seconds since a start that the table does not give; without a start, taken for the camera's clock with a notice |
 
 use super::sheet::Sheet;
-use super::{Current, Recording, SeriesError, play};
+use super::{Current, Recording, SeriesError};
 use crate::source::times::seconds;
 use std::path::{Path, PathBuf};
 
@@ -55,15 +55,8 @@ const TIMES: [(&str, CurrentClock); 4] = [
 ];
 
 impl CurrentTable {
-    /// Reads a table of coil currents, or a `.play` list of the laboratory's amplifier.
-    ///
-    /// # Errors
-    /// When it cannot be read, has no column of times or none of a coil, a value is missing or no number, or times do
-    /// not rise.
-    pub fn read(path: &Path) -> Result<Self, SeriesError> {
-        if play::is_play(path) {
-            return play::read(path);
-        }
+    /// Reads a table of text, see [`CurrentTable::read`].
+    pub(super) fn of_sheet(path: &Path) -> Result<Self, SeriesError> {
         let sheet = Sheet::read(path)?;
         sheet.rows_are_even()?;
         let found = TIMES.iter().find_map(|(name, clock)| Some((sheet.find(name)?, *name, *clock)));

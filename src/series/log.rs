@@ -2,9 +2,9 @@
 
 use super::{Current, Frame, Place, Recording, SeriesError};
 use crate::log::LogError;
-use crate::log::decoder::MessageDecoder;
+use crate::log::decoder::{MessageDecoder, decode};
 use crate::log::fields::{float, inner, number, optional_number, text, xyz};
-use crate::log::records::{self, Extent};
+use crate::log::records;
 use crate::log::schema::Topic;
 use crate::sink::OutputFrame;
 use mcap::records::Record;
@@ -15,17 +15,14 @@ use std::path::Path;
 /// Reads the log at `path`; one that was cut off as far as it goes.
 pub(super) fn read(path: &Path) -> Result<Recording, SeriesError> {
     let mut reader = Reader::default();
-    let extent = records::each(path, |record| {
+    let condition = records::each(path, |record| {
         reader.take(record);
         Ok(())
     })?;
     if !reader.decoder.channels().any(|(_, topic, _)| topic == Topic::Estimate.name()) {
         return Err(LogError::NotOurs { path: path.to_owned() }.into());
     }
-    let cut = match extent {
-        Extent::Whole => reader.undecoded,
-        Extent::Cut { why } => Some(why),
-    };
+    let cut = condition.summary().or(reader.undecoded);
     // Places are in one frame of reference for all: the base, if the rig had one.
     let Reader { clock, markers, frames, currents, in_base, .. } = reader;
     let reference = if in_base { OutputFrame::Base } else { OutputFrame::Camera };
@@ -60,7 +57,7 @@ impl Reader {
                 if !is_estimate && topic != Topic::Current.name() {
                     return;
                 }
-                match (is_estimate, DynamicMessage::decode(descriptor.clone(), data.as_ref())) {
+                match (is_estimate, decode(descriptor, data.as_ref())) {
                     (true, Ok(message)) => self.estimate(&message),
                     (false, Ok(message)) => self.currents.push(current(&message)),
                     (_, Err(error)) => {

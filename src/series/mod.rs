@@ -44,7 +44,7 @@ pub struct Recording {
     pub frames: Vec<Frame>,
     /// Coil currents in their order; a table has none.
     pub currents: Vec<Current>,
-    /// Why the file ends early, if it does; what stands before is here.
+    /// Why not all of the file is here, if it ends early or is damaged; the rest is.
     pub cut: Option<String>,
 }
 
@@ -93,6 +93,17 @@ pub struct Current {
     pub stamp_ns: Option<i64>,
     /// One entry a coil, amperes.
     pub values_a: Vec<f64>,
+}
+
+impl CurrentTable {
+    /// Reads a table of coil currents, or a `.play` list of the laboratory's amplifier.
+    ///
+    /// # Errors
+    /// When it cannot be read, has no column of times or none of a coil, a value is missing or no number, or times do
+    /// not rise.
+    pub fn read(path: &Path) -> Result<Self, SeriesError> {
+        if play::is_play(path) { play::read(path) } else { Self::of_sheet(path) }
+    }
 }
 
 impl Recording {

@@ -16,6 +16,7 @@ mod clock;
 mod colour;
 mod encode;
 mod encoder;
+mod gate;
 mod overlay;
 mod palette;
 mod pictures;

@@ -185,6 +185,7 @@ impl Running {
             packet.set_stream(0);
             // The stamps are not rescaled: see the head of this file.
             packet.write(&mut self.output)?;
+            end_cluster(&mut self.output)?;
         }
     }
 }
@@ -285,6 +286,14 @@ fn tags(colour: Colour, is_yuv: bool) -> impl Iterator<Item = (&'static str, &'s
     };
     let all = [("color_range", range), ("color_trc", transfer)].into_iter();
     all.chain([("colorspace", matrix), ("chroma_sample_location", siting)].into_iter().filter(move |_| is_yuv))
+}
+
+/// Hands the picture that was written last to the system: a kill then does not lose it.
+#[allow(unsafe_code, reason = "the binding cannot write the empty packet that asks for it")]
+fn end_cluster(output: &mut av::format::context::Output) -> Result<(), av::Error> {
+    // SAFETY: the context is valid as long as it is borrowed; without a packet the muxer writes out what it holds.
+    let code = unsafe { av::ffi::av_write_frame(output.as_mut_ptr(), std::ptr::null_mut()) };
+    if code < 0 { Err(av::Error::from(code)) } else { Ok(()) }
 }
 
 /// Sets the scale of time in the head of the file at `path`.

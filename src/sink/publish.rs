@@ -5,6 +5,7 @@
 //! anything. Message times are the host's, as in the log.
 
 use super::encoder::{Message, MessageEncoder, file_time_ns};
+use super::gate::{Gate, hidden_address};
 use super::{Sink, SinkError};
 use crate::estimate::Estimate;
 use crate::log::schema::{ENCODING, Topic};
@@ -24,7 +25,7 @@ const MOST_WAITING: usize = 600;
 /// Serves subscribers.
 pub struct PublishSink {
     /// `None` when finished.
-    server: Option<WebSocketServerHandle>,
+    server: Option<(WebSocketServerHandle, Gate)>,
     address: SocketAddr,
     /// Keeps the channels alive.
     _context: Arc<Context>,
@@ -45,11 +46,12 @@ struct Board {
 }
 
 impl PublishSink {
-    /// Begins to listen at `address`.
+    /// Begins to listen at `address`. Web pages are let in if they are Foxglove's or this computer's, or their origin is
+    /// one of `origins`.
     ///
     /// # Errors
     /// [`SinkError::Publish`] when the address is taken or is not this computer's.
-    pub fn listen(address: SocketAddr, rig: &Rig) -> Result<Self, SinkError> {
+    pub fn listen(address: SocketAddr, origins: &[String], rig: &Rig) -> Result<Self, SinkError> {
         let refused = |reason: FoxgloveError| SinkError::Publish { address, reason: reason.to_string() };
         let context = Context::new();
         let channel = |topic: Topic| {
@@ -58,17 +60,21 @@ impl PublishSink {
         };
         let channels: Vec<_> = Topic::ALL.into_iter().map(channel).collect::<Result<_, _>>()?;
         let board = Arc::new(Board { last: Mutex::new(vec![None; channels.len()]), channels });
+        let hidden = hidden_address();
         let server = WebSocketServer::new()
             .name(concat!("catoptra ", env!("CARGO_PKG_VERSION")))
-            .bind(address.ip().to_string(), address.port())
+            .bind(hidden.to_string(), 0)
             .message_backlog_size(MOST_WAITING)
             .listener(Arc::clone(&board) as Arc<dyn ServerListener>)
             .context(&context)
             .start_blocking()
             .map_err(refused)?;
-        let address = SocketAddr::new(address.ip(), server.port());
+        let inside = SocketAddr::new(hidden, server.port());
+        let gate = Gate::open(address, inside, origins)
+            .map_err(|error| SinkError::Publish { address, reason: error.to_string() })?;
+        let address = gate.address();
         Ok(Self {
-            server: Some(server),
+            server: Some((server, gate)),
             address,
             _context: context,
             board,
@@ -129,7 +135,7 @@ impl Sink for PublishSink {
     }
 
     fn finish(&mut self, _: &Tally) -> Result<(), SinkError> {
-        if let Some(server) = self.server.take() {
+        if let Some((server, _gate)) = self.server.take() {
             // Dropped, not waited for: a client that never reads would hold up the end of the run for ever.
             drop(server.stop());
         }

@@ -12,9 +12,11 @@
 //!
 //! A socket that cannot send (nobody listens, a full buffer) costs a datagram, which is counted, and never waits.
 
-use super::OutputFrame;
+use super::{OutputFrame, Sink, SinkError};
 use crate::estimate::Estimate;
 use crate::rig::Rig;
+use crate::source::Picture;
+use crate::tally::Tally;
 use nalgebra::Isometry3;
 use serde::Serialize;
 use std::net::{SocketAddr, UdpSocket};
@@ -73,8 +75,8 @@ impl UdpSink {
         })
     }
 
-    /// Sends one frame; never waits.
-    pub fn send(&mut self, estimate: &Estimate) {
+    /// Sends one frame.
+    fn send(&mut self, estimate: &Estimate) {
         let views: Vec<&str> = self.views.iter().map(String::as_str).collect();
         let angles = estimate.deflection.as_ref();
         let status = angles.err().map_or_else(|| "ok".to_owned(), |miss| miss.word(&views));
@@ -105,6 +107,18 @@ impl UdpSink {
                 );
             }
         }
+    }
+}
+
+impl Sink for UdpSink {
+    /// Never waits, and never fails.
+    fn write(&mut self, estimate: &Estimate, _: Option<&Picture>) -> Result<(), SinkError> {
+        self.send(estimate);
+        Ok(())
+    }
+
+    fn finish(&mut self, _: &Tally) -> Result<(), SinkError> {
+        Ok(())
     }
 }
 

@@ -67,10 +67,22 @@ pub(super) fn best_video<'a>(
     input: &'a av::format::context::Input,
 ) -> Result<av::format::stream::Stream<'a>, SourceError> {
     let stream = input.streams().best(av::media::Type::Video);
+    let pictures = |s: &av::format::stream::Stream<'_>| {
+        s.parameters().medium() == av::media::Type::Video
+            && !s.disposition().contains(av::format::stream::Disposition::ATTACHED_PIC)
+    };
+    let videos = input.streams().filter(pictures).count();
+    if let (Some(stream), 2..) = (&stream, videos) {
+        tracing::warn!(
+            "{}: has {videos} video streams; the best, number {}, is read, the others are not",
+            path.display(),
+            stream.index()
+        );
+    }
     stream.filter(|s| !s.disposition().contains(av::format::stream::Disposition::ATTACHED_PIC)).ok_or_else(|| {
         let kinds: Vec<String> =
             input.streams().map(|s| format!("{:?}", s.parameters().medium()).to_lowercase()).collect();
-        let found = if kinds.is_empty() { "nothing".to_owned() } else { kinds.join(", ") };
+        let found = if kinds.is_empty() { "no stream at all".to_owned() } else { format!("only {}", kinds.join(", ")) };
         SourceError::NoVideoStream { path: path.to_path_buf(), found }
     })
 }
@@ -79,6 +91,40 @@ pub(super) fn best_video<'a>(
 fn upright() -> Vec<u8> {
     let one = 1 << 16;
     [one, 0, 0, 0, one, 0, 0, 0, 1 << 30].into_iter().flat_map(i32::to_ne_bytes).collect()
+}
+
+/// The configuration record of a stream's codec (libav's "extradata"); empty when there is none.
+#[allow(unsafe_code, reason = "the binding does not offer this field")]
+pub(super) fn configuration(stream: &av::format::stream::Stream<'_>) -> Vec<u8> {
+    let parameters = stream.parameters();
+    // SAFETY: the stream owns its parameters, which are not changed here; libav keeps `extradata_size` bytes at `extradata`.
+    unsafe {
+        let parameters = parameters.as_ptr();
+        match usize::try_from((*parameters).extradata_size) {
+            Ok(size) if size > 0 && !(*parameters).extradata.is_null() => {
+                std::slice::from_raw_parts((*parameters).extradata, size).to_vec()
+            }
+            _ => Vec::new(),
+        }
+    }
+}
+
+/// Whether every picture of this codec stands for itself. Of others the decoder must have one thread: with more it does not
+/// say of every damaged picture that it is.
+fn is_intra_only(codec: av::codec::Id) -> bool {
+    use av::codec::Id;
+    matches!(
+        codec,
+        Id::MJPEG
+            | Id::FFV1
+            | Id::PNG
+            | Id::HUFFYUV
+            | Id::FFVHUFF
+            | Id::UTVIDEO
+            | Id::PRORES
+            | Id::DNXHD
+            | Id::RAWVIDEO
+    )
 }
 
 pub(super) fn open_decoder(
@@ -111,7 +157,7 @@ pub(super) fn open_decoder(
     }
     let mut context = av::codec::Context::from_parameters(stream.parameters()).map_err(refused)?;
     let mut threading = av::threading::Config::kind(av::threading::Type::Frame);
-    threading.count = threads;
+    threading.count = if is_intra_only(stream.parameters().id()) { threads } else { 1 };
     context.set_threading(threading);
     if low_delay {
         context.set_flags(av::codec::Flags::LOW_DELAY);

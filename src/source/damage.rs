@@ -8,7 +8,7 @@
 //! held back by [`REORDER`] others before they are judged.
 //!
 //! What this cannot detect: damage that happens to be a valid stream, packets that the container lost, both if the
-//! decoder does not notice; and with several decoder threads FFmpeg (5.1 at least) reports less of what it noticed.
+//! decoder does not notice. (With several threads FFmpeg's decoders report less of what they noticed: they get one.)
 
 use std::collections::{BTreeMap, BTreeSet};
 

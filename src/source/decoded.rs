@@ -112,7 +112,7 @@ impl PictureMaker {
                 color::Range::Unspecified if is_yuv && !pixel.starts_with("yuvj") => Range::Limited,
                 color::Range::Unspecified => Range::Full,
             },
-            transfer: self.transfer(frame),
+            transfer: self.transfer(frame, is_yuv),
             siting: self.siting(frame),
         })
     }
@@ -139,9 +139,11 @@ impl PictureMaker {
         })
     }
 
-    fn transfer(&mut self, frame: &Video) -> Transfer {
+    fn transfer(&mut self, frame: &Video, is_yuv: bool) -> Transfer {
         use color::TransferCharacteristic as T;
         match frame.color_transfer_characteristic() {
+            // RGB comes from cameras and programs that make pictures for a screen, YUV from video.
+            T::Unspecified if !is_yuv => Transfer::Srgb,
             T::BT709 | T::SMPTE170M | T::BT2020_10 | T::BT2020_12 | T::Unspecified => Transfer::Bt709,
             T::IEC61966_2_1 => Transfer::Srgb,
             T::Linear => Transfer::Linear,
@@ -175,6 +177,14 @@ impl PictureMaker {
 pub(crate) fn is_damaged(frame: &Video) -> bool {
     // SAFETY: a frame owns a valid AVFrame as long as it lives; an integer is read.
     frame.is_corrupt() || unsafe { (*frame.as_ptr()).decode_error_flags } != 0
+}
+
+/// Whether the container says that the frame of this packet is not to be shown.
+#[allow(unsafe_code, reason = "the binding does not know this flag")]
+pub(crate) fn is_left_out(packet: &ffmpeg_the_third::Packet) -> bool {
+    use ffmpeg_the_third::packet::Ref as _;
+    // SAFETY: a packet owns a valid AVPacket as long as it lives; an integer is read.
+    unsafe { (*packet.as_ptr()).flags & ffmpeg_the_third::ffi::AV_PKT_FLAG_DISCARD != 0 }
 }
 
 /// libav's name.
@@ -309,7 +319,8 @@ mod tests {
         assert_eq!(plain, convention);
         assert_eq!(tags(Video::new(Pixel::YUV420P, 64, 720)).matrix, Matrix::Bt709);
         assert_eq!(tags(Video::new(Pixel::YUVJ420P, 64, 48)).range, Range::Full);
-        assert_eq!(tags(Video::new(Pixel::RGB24, 64, 48)).range, Range::Full);
+        let rgb = tags(Video::new(Pixel::RGB24, 64, 48));
+        assert_eq!((rgb.range, rgb.transfer), (Range::Full, Transfer::Srgb));
         assert_eq!(
             [Pixel::YUYV422, Pixel::UYVY422, Pixel::YVYU422].map(|p| tags(Video::new(p, 64, 48))),
             [convention; 3]

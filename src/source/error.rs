@@ -79,7 +79,7 @@ pub enum SourceError {
         path: PathBuf,
     },
     /// A recording without pictures.
-    #[error("{}: has no video stream, only {found}", path.display())]
+    #[error("{}: has no video stream: {found}", path.display())]
     NoVideoStream {
         /// The file.
         path: PathBuf,
@@ -261,6 +261,16 @@ pub enum SourceError {
         path: PathBuf,
         /// Why.
         reason: String,
+    },
+    /// A file with several pictures.
+    #[error(
+        "{}: holds more than one picture, and a frame is one; take it apart, for example with ImageMagick: \
+        convert FILE.tif frame%05d.png",
+        path.display()
+    )]
+    Pages {
+        /// The file.
+        path: PathBuf,
     },
     /// A time outside of what 64 bits of nanoseconds hold.
     #[error("{}: the time of frame {seq} is beyond 292 years", path.display())]

@@ -9,34 +9,40 @@
 //! out (see `damage`), counted in the gap of the next frame and named. A recording that ends early gives all its
 //! readable frames, then [`SourceError::Truncated`].
 
-use std::collections::VecDeque;
+use std::collections::{BTreeSet, VecDeque};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use ffmpeg_the_third as av;
 
-use super::container::{best_video, count_hint, measure, open_decoder, open_input, open_stream, quiet_libav};
+use super::container::{
+    best_video, configuration, count_hint, measure, open_decoder, open_input, open_stream, quiet_libav,
+};
 use super::damage::{DamageLog, REORDER};
-use super::decoded::{PictureMaker, is_damaged};
+use super::decoded::{PictureMaker, is_damaged, is_left_out};
 use super::extent::Extent;
 use super::gaps::plausible_period_ns;
 use super::stamps::StampWatch;
 use super::times::{seconds, ticks_to_ns};
-use super::{Clock, Frame, FrameSource, SourceError, Span, StreamFaults, Timestamp};
+use super::{
+    Clock, Colour, Frame, FrameSource, Picture, PixelFormat, SourceError, Span, StreamFaults, Timestamp, ffv1, jpeg,
+};
 
 /// How a recording is read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct VideoOptions {
-    /// Threads of the decoder; 0 for one a core. Pictures are the same with any number, but FFmpeg (5.1 at least)
-    /// reports less damage with more than one.
+    /// Threads of the decoder; 0 for one a core. Where pictures are predicted from others it is one, whatever is asked
+    /// for: with more, FFmpeg (5.1 at least) reports less of the damage that it notices.
     pub decoder_threads: usize,
     /// Part of the recording that is read.
     pub span: Span,
+    /// Whether damaged pictures are handed on, marked ([`Picture::is_damaged`]), instead of left out: their times are known.
+    pub keep_damaged: bool,
 }
 
 impl Default for VideoOptions {
     fn default() -> Self {
-        Self { decoder_threads: 1, span: Span::default() }
+        Self { decoder_threads: 1, span: Span::default(), keep_damaged: false }
     }
 }
 
@@ -53,6 +59,13 @@ pub struct VideoFile {
     decoder: av::decoder::Video,
     pictures: PictureMaker,
     damage: DamageLog,
+    keep_damaged: bool,
+    /// What packets can be checked for before they are decoded.
+    check: PacketCheck,
+    /// Times of packets that were damaged, for which no picture has come yet.
+    undecoded: BTreeSet<i64>,
+    /// What pictures are, for those that could not be decoded.
+    layout: Option<(PixelFormat, Colour)>,
     /// Decoded frames and their numbers in the log of damage, before they are judged.
     held: VecDeque<(av::frame::Video, u64)>,
     stamps: StampWatch,
@@ -71,6 +84,10 @@ pub struct VideoFile {
     /// Live: when the latest packets were read, by their presentation time; and that of the last frame handed on.
     read_at: VecDeque<(i64, Instant)>,
     arrival: Option<Instant>,
+    /// Times of packets that have no presentation time (AVI), in the order of decoding: pictures take them in turn.
+    in_turn: VecDeque<i64>,
+    /// Whether frames at the end are left out by the recording itself.
+    trimmed: bool,
     /// Latest stamps decoded: of all, before the span, and the first after it.
     seen_ns: Option<i64>,
     before_ns: Option<i64>,
@@ -93,8 +110,43 @@ pub(crate) const ORIGIN_TAG: &str = "CATOPTRA_ORIGIN_NS";
 
 /// Packets of a stream whose arrival is remembered: more than any encoder reorders.
 const MOST_ARRIVALS: usize = 64;
+/// Damaged packets whose pictures are waited for.
+const MOST_UNDECODED: usize = 1000;
 /// Packets in a row that cannot be read before the rest is given up.
 const UNREADABLE: u32 = 1000;
+
+/// What the packets of a stream can be checked for before they are decoded: their decoders conceal damage.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum PacketCheck {
+    None,
+    Ffv1,
+    Jpeg,
+}
+
+impl PacketCheck {
+    fn of(path: &Path, stream: &av::format::stream::Stream<'_>) -> Self {
+        match stream.parameters().id() {
+            av::codec::Id::FFV1 if ffv1::has_checksums(&configuration(stream)) == Some(true) => Self::Ffv1,
+            av::codec::Id::FFV1 => {
+                tracing::warn!(
+                    "{}: its pictures (FFV1) have no checksums: damage in them cannot be noticed",
+                    path.display()
+                );
+                Self::None
+            }
+            av::codec::Id::MJPEG => Self::Jpeg,
+            _ => Self::None,
+        }
+    }
+
+    fn passes(self, packet: &[u8]) -> bool {
+        match self {
+            Self::None => true,
+            Self::Ffv1 => ffv1::is_sound(packet),
+            Self::Jpeg => jpeg::damage(packet).is_none(),
+        }
+    }
+}
 
 impl std::fmt::Debug for VideoFile {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
@@ -133,7 +185,8 @@ impl VideoFile {
     /// When nobody answers there, or what comes is no video that can be decoded.
     pub(super) fn stream(url: &str) -> Result<Self, SourceError> {
         quiet_libav();
-        Self::of_input(url.into(), open_stream(url)?, VideoOptions::default(), Clock::Stream)
+        let options = VideoOptions { keep_damaged: true, ..VideoOptions::default() };
+        Self::of_input(url.into(), open_stream(url)?, options, Clock::Stream)
     }
 
     fn of_input(
@@ -142,13 +195,14 @@ impl VideoFile {
         options: VideoOptions,
         clock: Clock,
     ) -> Result<Self, SourceError> {
-        let (index, decoder, time_base, start_pts, declared_ns, hint) = {
+        let (index, decoder, time_base, start_pts, declared_ns, hint, check) = {
             let stream = best_video(&path, &input)?;
             let (rate, average) = (stream.rate(), stream.avg_frame_rate());
             let declared_ns = plausible_period_ns((rate.0, rate.1), (average.0, average.1));
             let decoder = open_decoder(&path, &stream, options.decoder_threads, clock == Clock::Stream)?;
             let hint = count_hint(&input, &stream, options.span);
-            (stream.index(), decoder, stream.time_base(), stream.start_time(), declared_ns, hint)
+            let check = PacketCheck::of(&path, &stream);
+            (stream.index(), decoder, stream.time_base(), stream.start_time(), declared_ns, hint, check)
         };
         let origin_ns = match input.metadata().get(ORIGIN_TAG) {
             Some(text) => text.parse().map_err(|_| SourceError::NotAVideo {
@@ -171,6 +225,10 @@ impl VideoFile {
             origin_ns,
             decoder,
             damage: DamageLog::default(),
+            keep_damaged: options.keep_damaged,
+            check,
+            undecoded: BTreeSet::new(),
+            layout: None,
             held: VecDeque::new(),
             missing: 0,
             span: options.span,
@@ -182,6 +240,8 @@ impl VideoFile {
             seq: 0,
             read_at: VecDeque::new(),
             arrival: None,
+            in_turn: VecDeque::new(),
+            trimmed: false,
             seen_ns: None,
             before_ns: None,
             after_ns: None,
@@ -205,6 +265,9 @@ impl VideoFile {
             self.decoder.flush();
             self.ahead = None;
             self.damage = DamageLog::default();
+            self.undecoded.clear();
+            self.in_turn.clear();
+            self.trimmed = false;
             self.phase = Phase::Reading;
             if let Some(frame) = self.decode() {
                 let starts_ns = self.stamp(&frame)?.ns;
@@ -246,7 +309,11 @@ impl VideoFile {
         let ahead = if self.decoder.has_b_frames() && self.clock == Clock::Container { REORDER } else { 0 };
         while self.held.len() <= ahead {
             let Some(frame) = self.decode() else { break };
-            let number = self.damage.picture(frame.pts().or(frame.timestamp()), is_damaged(&frame));
+            let pts = frame.pts().or(frame.timestamp());
+            let number = self.damage.picture(pts, is_damaged(&frame));
+            pts.inspect(|pts| {
+                self.undecoded.remove(pts);
+            });
             self.held.push_back((frame, number));
         }
         self.held.pop_front()
@@ -255,8 +322,9 @@ impl VideoFile {
     fn leave_out(&mut self, stamp: Timestamp) {
         self.faults.pictures_left_out += 1;
         if self.faults.pictures_left_out == 1 && self.ends_early.is_none() {
+            let fate = if self.keep_damaged { "not measured" } else { "left out" };
             tracing::warn!(
-                "{}: the picture at {} s is damaged and left out, as are those built on it; more are counted",
+                "{}: the picture at {} s is damaged and {fate}, as are those predicted from it; more are counted",
                 self.path.display(),
                 stamp.seconds()
             );
@@ -272,18 +340,33 @@ impl VideoFile {
                 Ok(()) if packet.stream() != self.stream => continue,
                 Ok(()) => {
                     self.note_arrival(&packet);
-                    // An MP4's edit list often ends at the last frame's start instead of its end, and libav would throw
-                    // the frame away. Setting the flags that the binding knows clears the one that says so; frames
-                    // before the recording's start stay out.
-                    if packet.pts().is_some_and(|pts| pts >= self.start_pts) {
-                        packet.set_flags(packet.flags());
+                    // An MP4's edit list may leave out frames at the end, and libav then drops them. But where the
+                    // length of the last frame was not known, the list ends at its start, and it would be dropped too.
+                    // Setting the flags that the binding knows clears the one that says so; frames before the
+                    // recording's start stay out.
+                    if is_left_out(&packet) && packet.pts().is_some_and(|pts| pts >= self.start_pts) {
+                        if packet.duration() <= 1 && !self.trimmed {
+                            packet.set_flags(packet.flags());
+                        }
+                        self.trimmed = true;
                     }
-                    self.damage.packet(packet.pts().or(packet.dts()), packet.is_key());
+                    let pts = packet.pts().or(packet.dts());
+                    if packet.pts().is_none() && self.clock == Clock::Container {
+                        self.in_turn.extend(packet.dts());
+                    }
+                    self.damage.packet(pts, packet.is_key());
                     if packet.is_corrupt() {
+                        self.undecoded.extend(pts);
                         self.damaged_packet(av::Error::InvalidData, false);
                         continue;
                     }
+                    // The decoder would hide it.
+                    if !self.check.passes(packet.data().unwrap_or_default()) {
+                        self.undecoded.extend(pts);
+                        self.damaged_packet(av::Error::InvalidData, false);
+                    }
                     if let Err(error) = self.decoder.send_packet(&packet) {
+                        self.undecoded.extend(pts);
                         self.damaged_packet(error, true);
                     }
                     return;
@@ -320,7 +403,15 @@ impl VideoFile {
     fn damaged_packet(&mut self, error: av::Error, by_decoder: bool) {
         let threads = if by_decoder { self.decoder.threading().count as u64 } else { 1 };
         self.damage.packet_is_damaged(threads.saturating_sub(1));
+        if by_decoder {
+            // No picture takes its turn.
+            self.in_turn.pop_back();
+        }
         self.faults.damaged_packets += 1;
+        // Times that make no sense never come up.
+        if self.undecoded.len() > MOST_UNDECODED {
+            self.undecoded.pop_last();
+        }
         // At a cut the last packet is expected to be broken, and the end is reported.
         if self.faults.damaged_packets == 1 && self.ends_early.is_none() {
             tracing::warn!(
@@ -340,23 +431,28 @@ impl VideoFile {
     fn stamp(&mut self, frame: &av::frame::Video) -> Result<Timestamp, SourceError> {
         let ticks = match (frame.pts(), frame.timestamp()) {
             (Some(pts), _) => pts,
-            (None, Some(guess)) => {
+            (None, guess) if !self.in_turn.is_empty() || guess.is_some() => {
                 self.faults.guessed_stamps += 1;
                 if self.faults.guessed_stamps == 1 {
                     tracing::warn!(
-                        "{}: frames after {} have no presentation time; libav's best estimate is taken",
+                        "{}: frames after {} have no presentation time; the times of their packets are taken in turn",
                         self.path.display(),
                         self.at()
                     );
                 }
-                guess
+                self.in_turn.pop_front().or(guess).unwrap_or_default()
             }
-            (None, None) => return Err(SourceError::NoTime { path: self.path.clone(), seq: self.seq }),
+            (None, _) => return Err(SourceError::NoTime { path: self.path.clone(), seq: self.seq }),
         };
+        let stamp = self.timed(ticks)?;
+        self.seen_ns = Some(stamp.ns);
+        Ok(stamp)
+    }
+
+    fn timed(&self, ticks: i64) -> Result<Timestamp, SourceError> {
         let ns = ticks_to_ns(ticks, self.time_base.0.into(), self.time_base.1.into())
             .and_then(|ns| ns.checked_add(self.origin_ns))
             .ok_or_else(|| SourceError::TimeRange { path: self.path.clone(), seq: self.seq })?;
-        self.seen_ns = Some(ns);
         Ok(Timestamp { ns, clock: self.clock })
     }
 
@@ -407,10 +503,26 @@ impl VideoFile {
     /// The next frame of the span that is not damaged.
     fn next_sound(&mut self) -> Result<Option<Frame>, SourceError> {
         while self.phase != Phase::Ended {
-            let Some((decoded, number)) = self.next_held() else {
+            let next = self.next_held();
+            let until = next.as_ref().map_or(Some(i64::MAX), |(frame, _)| frame.pts().or(frame.timestamp()));
+            if let Some(frame) = self.undecoded_before(until)? {
+                next.into_iter().for_each(|next| self.held.push_front(next));
+                return Ok(Some(frame));
+            }
+            let Some((decoded, number)) = next else {
                 return self.end();
             };
-            let stamp = self.stamp(&decoded)?;
+            let stamp = match self.stamp(&decoded) {
+                // The first packets of some senders have none.
+                Err(SourceError::NoTime { .. }) if self.clock == Clock::Stream && self.seq == 0 => {
+                    self.faults.unstamped += 1;
+                    if self.faults.unstamped == 1 {
+                        tracing::warn!("{}: frames before the first time stamp are left out", self.path.display());
+                    }
+                    continue;
+                }
+                stamp => stamp?,
+            };
             if self.span.from_ns.is_some_and(|from| stamp.ns < from) {
                 self.before_ns = Some(stamp.ns);
                 continue;
@@ -421,10 +533,13 @@ impl VideoFile {
                 return self.end();
             }
             self.missing = self.missing.saturating_add(self.stamps.gap(stamp.ns, self.seq, &mut self.faults));
-            if !self.damage.is_sound(number, decoded.pts().or(decoded.timestamp())) {
-                self.missing = self.missing.saturating_add(1);
+            let sound = self.damage.is_sound(number, decoded.pts().or(decoded.timestamp()));
+            if !sound {
                 self.leave_out(stamp);
-                continue;
+                if !self.keep_damaged {
+                    self.missing = self.missing.saturating_add(1);
+                    continue;
+                }
             }
             let after = [decoded.width(), decoded.height()];
             if after != self.size_px && self.clock == Clock::Container {
@@ -439,11 +554,39 @@ impl VideoFile {
             self.arrival =
                 decoded.pts().and_then(|pts| self.read_at.iter().rev().find(|(of, _)| *of == pts)).map(|(_, at)| *at);
             let picture = self.pictures.picture(decoded)?;
-            let gap = std::mem::take(&mut self.missing);
-            let frame = Frame { seq: self.seq, stamp, gap, host: None, picture };
-            self.seq += 1;
-            self.last_good_ns = Some(stamp.ns);
-            return Ok(Some(frame));
+            self.layout = Some((picture.format(), picture.colour()));
+            let picture = if sound { picture } else { picture.marked_damaged() };
+            if sound {
+                self.last_good_ns = Some(stamp.ns);
+            }
+            return Ok(Some(self.frame(stamp, picture)));
+        }
+        Ok(None)
+    }
+
+    fn frame(&mut self, stamp: Timestamp, picture: Picture) -> Frame {
+        let frame = Frame { seq: self.seq, stamp, gap: std::mem::take(&mut self.missing), host: None, picture };
+        self.seq += 1;
+        frame
+    }
+
+    /// The frame of a damaged packet that gave no picture, if there is one before `pts`.
+    fn undecoded_before(&mut self, pts: Option<i64>) -> Result<Option<Frame>, SourceError> {
+        // At a cut the last packets are expected to be broken.
+        let pts = pts.filter(|pts| *pts != i64::MAX || self.ends_early.is_none());
+        while let Some(first) = self.undecoded.first().copied()
+            && pts.is_some_and(|pts| first < pts)
+        {
+            self.undecoded.remove(&first);
+            let Some((format, colour)) = self.layout.filter(|_| self.keep_damaged) else { continue };
+            let stamp = self.timed(first)?;
+            if !self.span.contains(stamp.ns) {
+                continue;
+            }
+            self.missing = self.missing.saturating_add(self.stamps.gap(stamp.ns, self.seq, &mut self.faults));
+            self.leave_out(stamp);
+            let Ok(picture) = Picture::missing(self.size_px, format, colour) else { continue };
+            return Ok(Some(self.frame(stamp, picture)));
         }
         Ok(None)
     }

@@ -23,7 +23,9 @@ use super::gaps::GapCounter;
 use super::jpeg;
 use super::names::PICTURE_ENDINGS;
 use super::times::{FrameRate, parse_seconds_ns, seconds};
-use super::{Clock, Colour, Frame, FrameSource, Picture, PictureError, PixelFormat, SourceError, Span, Timestamp};
+use super::{
+    Clock, Colour, Frame, FrameSource, Picture, PictureError, PixelFormat, SourceError, Span, StreamFaults, Timestamp,
+};
 
 /// Name of the table of times.
 const TABLE: &str = "times.csv";
@@ -44,10 +46,16 @@ pub struct ImageFolder {
     /// Names and times, nanoseconds.
     rows: Vec<(String, i64)>,
     next: usize,
+    given: u64,
     clock: Clock,
     gaps: Option<GapCounter>,
     size_px: [u32; 2],
     depth_named: bool,
+    keep_damaged: bool,
+    layout: Option<(PixelFormat, Colour)>,
+    /// Pictures left out since the last frame.
+    missing: u32,
+    faults: StreamFaults,
 }
 
 impl ImageFolder {
@@ -85,12 +93,35 @@ impl ImageFolder {
             return Err(SourceError::EmptySpan { path: folder, from_s, to_s, before_s, after_s });
         };
         let path = folder.join(name);
-        let (width, height) = image::ImageReader::open(&path)
-            .and_then(|r| r.with_guessed_format())
-            .map_err(|error| SourceError::Io { path: path.clone(), error })?
-            .into_dimensions()
-            .map_err(|error| SourceError::Picture { path, reason: error.to_string() })?;
-        Ok(Self { folder, rows, next: 0, clock, gaps, size_px: [width, height], depth_named: false })
+        // The first one that can be read says how large they are.
+        let size = |(name, _): &(String, i64)| {
+            let reader = image::ImageReader::open(folder.join(name)).ok()?.with_guessed_format().ok()?;
+            reader.into_dimensions().ok()
+        };
+        let Some((width, height)) = rows.iter().find_map(size) else {
+            return Err(SourceError::Picture { path, reason: "and no other picture of this folder is".to_owned() });
+        };
+        Ok(Self {
+            folder,
+            rows,
+            next: 0,
+            given: 0,
+            clock,
+            gaps,
+            size_px: [width, height],
+            depth_named: false,
+            keep_damaged: false,
+            layout: None,
+            missing: 0,
+            faults: StreamFaults::default(),
+        })
+    }
+
+    /// Whether pictures that cannot be read are handed on, marked ([`Picture::is_damaged`]), instead of left out.
+    #[must_use]
+    pub fn keeping_damaged(mut self, keep: bool) -> Self {
+        self.keep_damaged = keep;
+        self
     }
 
     fn read(&mut self, path: &Path) -> Result<Picture, SourceError> {
@@ -99,6 +130,12 @@ impl ImageFolder {
         let bytes = std::fs::read(path).map_err(unread)?;
         if jpeg::is_cut_off(&bytes) {
             return Err(unreadable("the file ends before the picture does".to_owned()));
+        }
+        if let Some(what) = jpeg::damage(&bytes) {
+            return Err(unreadable(what.to_owned()));
+        }
+        if tiff_pages(&bytes) > 1 {
+            return Err(SourceError::Pages { path: path.to_path_buf() });
         }
         let decoded = image::ImageReader::new(Cursor::new(bytes))
             .with_guessed_format()
@@ -121,19 +158,40 @@ impl ImageFolder {
 
 impl FrameSource for ImageFolder {
     fn next_frame(&mut self) -> Result<Option<Frame>, SourceError> {
-        let Some((name, ns)) = self.rows.get(self.next).cloned() else {
-            return Ok(None);
-        };
-        let seq = self.next as u64;
-        let path = self.folder.join(&name);
-        let picture = self.read(&path)?;
-        if picture.size_px() != self.size_px {
-            let (before, after) = (self.size_px, picture.size_px());
-            return Err(SourceError::SizeChange { path: self.folder.clone(), at: name, seq, before, after });
+        while let Some((name, ns)) = self.rows.get(self.next).cloned() {
+            self.next += 1;
+            let gap = self.gaps.as_mut().map_or(0, |g| g.step(ns).gap);
+            self.missing = self.missing.saturating_add(gap);
+            let path = self.folder.join(&name);
+            let picture = match self.read(&path) {
+                Ok(picture) => picture,
+                Err(error @ (SourceError::Picture { .. } | SourceError::Io { .. })) => {
+                    self.faults.pictures_left_out += 1;
+                    tracing::warn!("{error}");
+                    let dark = self.layout.filter(|_| self.keep_damaged);
+                    match dark.and_then(|(format, colour)| Picture::missing(self.size_px, format, colour).ok()) {
+                        Some(picture) => picture,
+                        None => {
+                            self.missing = self.missing.saturating_add(1);
+                            continue;
+                        }
+                    }
+                }
+                Err(error) => return Err(error),
+            };
+            if picture.size_px() != self.size_px {
+                let (before, after, seq) = (self.size_px, picture.size_px(), self.given);
+                return Err(SourceError::SizeChange { path: self.folder.clone(), at: name, seq, before, after });
+            }
+            self.layout = Some((picture.format(), picture.colour()));
+            let (seq, gap) = (self.given, std::mem::take(&mut self.missing));
+            self.given += 1;
+            return Ok(Some(Frame { seq, stamp: Timestamp { ns, clock: self.clock }, gap, host: None, picture }));
         }
-        let gap = self.gaps.as_mut().map_or(0, |g| g.step(ns).gap);
-        self.next += 1;
-        Ok(Some(Frame { seq, stamp: Timestamp { ns, clock: self.clock }, gap, host: None, picture }))
+        if self.given == 0 {
+            return Err(SourceError::NoFrames { path: self.folder.clone() });
+        }
+        Ok(None)
     }
 
     fn size_px(&self) -> [u32; 2] {
@@ -143,6 +201,28 @@ impl FrameSource for ImageFolder {
     fn frame_count_hint(&self) -> Option<u64> {
         Some(self.rows.len() as u64)
     }
+
+    fn faults(&self) -> StreamFaults {
+        self.faults
+    }
+}
+
+/// How many pictures a TIFF file has; 0 for other files and for those that do not say. Two are told from many.
+fn tiff_pages(bytes: &[u8]) -> usize {
+    let little = match bytes.first_chunk() {
+        Some(b"II*\0") => true,
+        Some(b"MM\0*") => false,
+        _ => return 0,
+    };
+    let part = |at: usize, size: usize| bytes.get(at..at.checked_add(size)?);
+    let number = |at: usize, size: usize| {
+        let bytes = part(at, size)?.iter();
+        let add = |sum: usize, byte: &u8| (sum << 8) | usize::from(*byte);
+        Some(if little { bytes.rev().fold(0, add) } else { bytes.fold(0, add) })
+    };
+    let next = |at: usize| number(at.checked_add(2 + 12 * number(at, 2)?)?, 4).filter(|next| *next != 0);
+    let Some(first) = number(4, 4).filter(|at| *at != 0) else { return 0 };
+    if next(first).is_some_and(|second| second != first && number(second, 2).is_some()) { 2 } else { 1 }
 }
 
 /// `None` for samples that are no whole numbers.

@@ -1,11 +1,22 @@
-//! Whether a JPEG file is whole: decoders fill what is missing with grey and say nothing.
+//! Whether a JPEG picture is whole: decoders fill what is missing or damaged and say nothing.
+//!
+//! The codes of a sequential picture (ITU-T T.81) are gone through without making samples of them: every code must exist,
+//! every coefficient must be one that samples can have, and the data must end with the last block. Half of all changed bits show:
+//! behind a changed bit the codes are read out of step. What this cannot detect: a changed bit that leaves the codes in step,
+//! which changes one coefficient; anything in progressive and arithmetic-coded pictures.
 
 const START_OF_IMAGE: [u8; 2] = [0xff, 0xd8];
+const HUFFMAN: u8 = 0xc4;
+const QUANTIZATION: u8 = 0xdb;
+const RESTART_INTERVAL: u8 = 0xdd;
 const START_OF_SCAN: u8 = 0xda;
+const RESTART: std::ops::RangeInclusive<u8> = 0xd0..=0xd7;
 const END_OF_IMAGE: [u8; 2] = [0xff, 0xd9];
+/// Coefficients of 8-bit samples are smaller, but for rounding.
+const LARGEST_COEFFICIENT: i32 = 1200;
 
-/// Whether it is a JPEG whose picture does not end. In the coded picture the end mark cannot occur by chance (ITU-T
-/// T.81, B.1.1.5); before it, in a thumbnail, it can: segments are stepped over.
+/// Whether it is a JPEG whose picture does not end. In the coded picture the end mark cannot occur by chance (ITU-T T.81,
+/// B.1.1.5); before it, in a thumbnail, it can: segments are stepped over.
 pub(crate) fn is_cut_off(bytes: &[u8]) -> bool {
     let Some(mut rest) = bytes.strip_prefix(&START_OF_IMAGE) else { return false };
     loop {
@@ -21,6 +32,337 @@ pub(crate) fn is_cut_off(bytes: &[u8]) -> bool {
             // No segment: too short, or no JPEG that a decoder takes; it says why.
             _ => return rest.len() < 4,
         }
+    }
+}
+
+/// What is wrong with the codes of a JPEG picture, as far as that can be told.
+pub(crate) fn damage(bytes: &[u8]) -> Option<&'static str> {
+    Picture::default().read(bytes).err()
+}
+
+/// What the segments before a scan say.
+#[derive(Default)]
+struct Picture {
+    size_px: [usize; 2],
+    components: Vec<Component>,
+    quantization: [Option<[i32; 64]>; 4],
+    direct: [Option<Table>; 4],
+    others: [Option<Table>; 4],
+    restart_every: usize,
+}
+
+#[derive(Clone, Copy)]
+struct Component {
+    id: u8,
+    /// Blocks in an interleaved unit.
+    sampling: [usize; 2],
+    quantization: usize,
+}
+
+impl Picture {
+    /// Goes through all scans; `Ok` too when nothing can be told.
+    fn read(&mut self, bytes: &[u8]) -> Result<(), &'static str> {
+        let Some(mut rest) = bytes.strip_prefix(&START_OF_IMAGE) else { return Ok(()) };
+        loop {
+            match rest {
+                [0xff, next @ ..] if next.first() == Some(&0xff) => rest = next,
+                [0xff, 0xd9, ..] => return Ok(()),
+                [0xff, code, high, low, ..] => {
+                    let length = 2 + usize::from(u16::from_be_bytes([*high, *low]));
+                    let body = rest.get(4..length).ok_or("a segment is cut off")?;
+                    rest = rest.get(length..).unwrap_or_default();
+                    match *code {
+                        HUFFMAN => self.huffman(body).ok_or("a table of codes is damaged")?,
+                        QUANTIZATION => self.quantization(body).ok_or("a table of quantization is damaged")?,
+                        0xc0 | 0xc1 => self.frame(body).ok_or("the head of the picture is damaged")?,
+                        // Progressive, lossless, arithmetic: not looked into.
+                        0xc2..=0xcf if *code != 0xc8 && *code != 0xcc => return Ok(()),
+                        RESTART_INTERVAL => {
+                            let every = body.first_chunk().ok_or("a segment is cut off")?;
+                            self.restart_every = u16::from_be_bytes(*every).into();
+                        }
+                        START_OF_SCAN => match self.scan(body, rest)? {
+                            Some(next) => rest = next,
+                            None => return Ok(()),
+                        },
+                        _ => {}
+                    }
+                }
+                _ => return Ok(()),
+            }
+        }
+    }
+
+    fn huffman(&mut self, mut body: &[u8]) -> Option<()> {
+        while let [class, rest @ ..] = body {
+            let counts: &[u8; 16] = rest.first_chunk()?;
+            let total: usize = counts.iter().map(|n| usize::from(*n)).sum();
+            let values = rest.get(16..16 + total)?;
+            let tables = if class >> 4 == 0 { &mut self.direct } else { &mut self.others };
+            *tables.get_mut(usize::from(class & 15))? = Some(Table::new(counts, values)?);
+            body = rest.get(16 + total..)?;
+        }
+        Some(())
+    }
+
+    fn quantization(&mut self, mut body: &[u8]) -> Option<()> {
+        while let [kind, rest @ ..] = body {
+            let wide = kind >> 4 != 0;
+            let size = if wide { 128 } else { 64 };
+            let values = rest.get(..size)?;
+            let mut table = [0; 64];
+            for (k, value) in table.iter_mut().enumerate() {
+                *value = if wide {
+                    i32::from(u16::from_be_bytes([*values.get(2 * k)?, *values.get(2 * k + 1)?]))
+                } else {
+                    i32::from(*values.get(k)?)
+                };
+            }
+            *self.quantization.get_mut(usize::from(kind & 15))? = Some(table);
+            body = rest.get(size..)?;
+        }
+        Some(())
+    }
+
+    fn frame(&mut self, body: &[u8]) -> Option<()> {
+        let [_, h1, h0, w1, w0, count, rest @ ..] = body else { return None };
+        let side = |high: &u8, low: &u8| usize::from(u16::from_be_bytes([*high, *low]));
+        self.size_px = [side(w1, w0), side(h1, h0)];
+        self.components.clear();
+        for three in rest.chunks_exact(3).take(usize::from(*count)) {
+            let [id, sampling, quantization] = three else { return None };
+            let sampling = [usize::from(sampling >> 4), usize::from(sampling & 15)];
+            if !sampling.iter().all(|n| (1..=4).contains(n)) {
+                return None;
+            }
+            self.components.push(Component { id: *id, sampling, quantization: usize::from(*quantization) });
+        }
+        (self.components.len() == usize::from(*count) && self.size_px.iter().all(|n| *n > 0)).then_some(())
+    }
+
+    /// Goes through the codes of a scan; what follows it, or `None` when nothing can be told.
+    fn scan<'a>(&self, head: &[u8], coded: &'a [u8]) -> Result<Option<&'a [u8]>, &'static str> {
+        const HEAD: &str = "the head of a scan is damaged";
+        let (count, rest) = head.split_first().ok_or(HEAD)?;
+        let mut parts = Vec::new();
+        for two in rest.chunks_exact(2).take(usize::from(*count)) {
+            let [id, tables] = two else { return Err(HEAD) };
+            let component = self.components.iter().find(|c| c.id == *id).ok_or(HEAD)?;
+            let table = |tables: &'_ [Option<Table>; 4], at: u8| tables.get(usize::from(at)).cloned().flatten();
+            let (direct, others) = (table(&self.direct, tables >> 4), table(&self.others, tables & 15));
+            let quantization = self.quantization.get(component.quantization).copied().flatten();
+            // Motion JPEG may leave out the tables that everybody has.
+            let (Some(direct), Some(others), Some(quantization)) = (direct, others, quantization) else {
+                return Ok(None);
+            };
+            parts.push((*component, direct, others, quantization));
+        }
+        if parts.is_empty() || parts.len() != usize::from(*count) {
+            return Err(HEAD);
+        }
+        let most = |axis: usize| self.components.iter().map(|c| c.sampling[axis]).max().unwrap_or(1);
+        let most = [most(0), most(1)];
+        let alone = parts.len() == 1;
+        let units: usize = match parts.first() {
+            // Blocks of a component by itself are not padded to whole units.
+            Some((component, ..)) if alone => {
+                (0..2).map(|i| (self.size_px[i] * component.sampling[i]).div_ceil(most[i]).div_ceil(8)).product()
+            }
+            _ => (0..2).map(|i| self.size_px[i].div_ceil(8 * most[i])).product(),
+        };
+        let mut bits = Bits::new(coded);
+        let mut direct_before = vec![0; parts.len()];
+        for unit in 0..units {
+            if self.restart_every > 0 && unit > 0 && unit % self.restart_every == 0 {
+                bits.restart(unit / self.restart_every - 1)?;
+                direct_before.fill(0);
+            }
+            for ((component, direct, others, quantization), before) in parts.iter().zip(&mut direct_before) {
+                let blocks = if alone { 1 } else { component.sampling[0] * component.sampling[1] };
+                for _ in 0..blocks {
+                    block(&mut bits, direct, others, quantization, before)?;
+                }
+            }
+        }
+        bits.end().map(Some)
+    }
+}
+
+fn block(
+    bits: &mut Bits<'_>,
+    direct: &Table,
+    others: &Table,
+    quantization: &[i32; 64],
+    before: &mut i32,
+) -> Result<(), &'static str> {
+    const RANGE: &str = "a coefficient is larger than samples can make it";
+    let fits = |value: i32, k: usize| {
+        let step = quantization.get(k).copied().unwrap_or(1);
+        value.saturating_abs().saturating_sub(1).saturating_mul(step) <= LARGEST_COEFFICIENT
+    };
+    let size = direct.next(bits)?;
+    if size > 11 {
+        return Err(RANGE);
+    }
+    *before += bits.value(size)?;
+    if !fits(*before, 0) {
+        return Err(RANGE);
+    }
+    let mut k = 1;
+    while k < 64 {
+        let code = others.next(bits)?;
+        let (run, size) = (usize::from(code >> 4), code & 15);
+        if size == 0 {
+            if run != 15 {
+                break;
+            }
+            k += 16;
+            continue;
+        }
+        k += run;
+        if k > 63 {
+            return Err("a block has too many coefficients");
+        }
+        if !fits(bits.value(size)?, k) {
+            return Err(RANGE);
+        }
+        k += 1;
+    }
+    if k > 64 { Err("a block has too many coefficients") } else { Ok(()) }
+}
+
+/// A table of Huffman codes.
+#[derive(Clone)]
+struct Table {
+    /// For codes of up to 8 bits, by the next 8 bits: length and value.
+    short: Box<[(u8, u8); 256]>,
+    /// For each length: the first code, and the values of all.
+    long: Vec<(u32, Vec<u8>)>,
+}
+
+impl Table {
+    fn new(counts: &[u8; 16], values: &[u8]) -> Option<Self> {
+        let mut table = Self { short: Box::new([(0, 0); 256]), long: Vec::with_capacity(16) };
+        let (mut code, mut values) = (0_u32, values.iter());
+        for (length, count) in (1_u32..).zip(counts) {
+            let these: Vec<u8> = values.by_ref().take(usize::from(*count)).copied().collect();
+            if length <= 8 {
+                for (k, value) in (code..).zip(&these) {
+                    let from = (k << (8 - length)) as usize;
+                    table.short.get_mut(from..from + (1 << (8 - length)))?.fill((length as u8, *value));
+                }
+            }
+            let after = code + these.len() as u32;
+            if after > 1 << length {
+                return None;
+            }
+            table.long.push((code, these));
+            code = after << 1;
+        }
+        Some(table)
+    }
+
+    fn next(&self, bits: &mut Bits<'_>) -> Result<u8, &'static str> {
+        bits.fill();
+        let index = if bits.count >= 8 { bits.held >> (bits.count - 8) } else { bits.held << (8 - bits.count) } & 0xff;
+        if let Some((length, value)) = self.short.get(index as usize).copied()
+            && length > 0
+            && u32::from(length) <= bits.count
+        {
+            bits.count -= u32::from(length);
+            return Ok(value);
+        }
+        let mut code = 0;
+        for (first, values) in &self.long {
+            code = (code << 1) | bits.bit()?;
+            let value = code.checked_sub(*first).and_then(|k| values.get(k as usize));
+            if let Some(value) = value {
+                return Ok(*value);
+            }
+        }
+        Err("there is a code that no table has")
+    }
+}
+
+/// The bits of a scan.
+struct Bits<'a> {
+    rest: &'a [u8],
+    held: u64,
+    count: u32,
+}
+
+impl<'a> Bits<'a> {
+    fn new(rest: &'a [u8]) -> Self {
+        Self { rest, held: 0, count: 0 }
+    }
+
+    /// Takes bytes in, up to a marker.
+    fn fill(&mut self) {
+        while self.count <= 48 {
+            let byte = match self.rest {
+                [0xff, 0, rest @ ..] => {
+                    self.rest = rest;
+                    0xff
+                }
+                [0xff, ..] | [] => return,
+                [byte, rest @ ..] => {
+                    self.rest = rest;
+                    *byte
+                }
+            };
+            self.held = (self.held << 8) | u64::from(byte);
+            self.count += 8;
+        }
+    }
+
+    fn bit(&mut self) -> Result<u32, &'static str> {
+        self.bits(1).map(|bit| bit as u32)
+    }
+
+    fn bits(&mut self, count: u8) -> Result<u64, &'static str> {
+        self.fill();
+        let left = self.count.checked_sub(count.into()).ok_or("the coded picture ends early")?;
+        self.count = left;
+        Ok((self.held >> left) & ((1 << count) - 1))
+    }
+
+    /// A value of so many bits; the upper half of them is positive.
+    fn value(&mut self, size: u8) -> Result<i32, &'static str> {
+        if size == 0 {
+            return Ok(0);
+        }
+        let value = self.bits(size)? as i32;
+        Ok(if value < 1 << (size - 1) { value - (1 << size) + 1 } else { value })
+    }
+
+    /// Goes over restart marker number `index`.
+    fn restart(&mut self, index: usize) -> Result<(), &'static str> {
+        const MISSING: &str = "a restart marker is missing";
+        self.fill();
+        if self.count >= 8 {
+            return Err(MISSING);
+        }
+        match self.rest {
+            [0xff, code, rest @ ..] if RESTART.contains(code) && usize::from(code & 7) == index % 8 => {
+                *self = Self::new(rest);
+                Ok(())
+            }
+            _ => Err(MISSING),
+        }
+    }
+
+    /// The end of the scan: no more than padding may be left of it. What follows.
+    fn end(mut self) -> Result<&'a [u8], &'static str> {
+        self.fill();
+        let padding = |byte: u64| byte == 0 || byte == 0xff;
+        while self.count >= 8 {
+            self.count -= 8;
+            if !padding((self.held >> self.count) & 0xff) {
+                return Err("there is more coded picture than the picture has blocks");
+            }
+            self.fill();
+        }
+        Ok(self.rest)
     }
 }
 
@@ -51,6 +393,53 @@ mod tests {
     fn other_files_are_none_of_its_business() {
         for bytes in [&b""[..], b"\x89PNG\r\n", b"\xff", b"text"] {
             assert!(!is_cut_off(bytes));
+        }
+    }
+
+    /// Colour pictures with structure, grey ones, with and without subsampling.
+    fn sound() -> Vec<Vec<u8>> {
+        let pixel = |x: u32, y: u32| [(x * 3 + y) as u8, (x ^ y) as u8, (y * 2) as u8];
+        let colour = image::RgbImage::from_fn(75, 52, |x, y| image::Rgb(pixel(x, y)));
+        let grey = image::GrayImage::from_fn(64, 48, |x, y| image::Luma([(x * y / 3) as u8]));
+        let encoded = |quality: u8, picture: &image::DynamicImage| {
+            let mut bytes = Vec::new();
+            image::codecs::jpeg::JpegEncoder::new_with_quality(&mut bytes, quality).encode_image(picture).unwrap();
+            bytes
+        };
+        let pictures = [colour.into(), grey.into()];
+        pictures.iter().flat_map(|picture| [20, 75, 100].map(|quality| encoded(quality, picture))).collect()
+    }
+
+    #[test]
+    fn sound_pictures_are_sound_and_half_of_the_changed_bits_are_noticed() {
+        let (mut changed, mut noticed) = (0, 0);
+        for bytes in sound() {
+            assert_eq!(damage(&bytes), None);
+            let scan = bytes.windows(2).position(|two| two == [0xff, START_OF_SCAN]).unwrap() + 14;
+            for at in (scan..bytes.len() - 2).step_by(7) {
+                let mut damaged = bytes.clone();
+                damaged[at] ^= 1 << (at % 8);
+                changed += 1;
+                noticed += usize::from(damage(&damaged).is_some());
+            }
+        }
+        println!("{noticed} of {changed} changed bits are noticed");
+        assert!(changed > 300 && noticed * 10 > changed * 4, "{noticed} of {changed}");
+    }
+
+    #[test]
+    fn nothing_that_is_read_makes_it_fail() {
+        let mut random = fastrand::Rng::with_seed(7);
+        for bytes in sound() {
+            for _ in 0..300 {
+                let mut damaged = bytes.clone();
+                for _ in 0..4 {
+                    let at = random.usize(..damaged.len());
+                    damaged[at] = random.u8(..);
+                }
+                damaged.truncate(random.usize(2..=damaged.len()));
+                let _ = damage(&damaged);
+            }
         }
     }
 }

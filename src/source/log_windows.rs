@@ -10,11 +10,11 @@
 
 use super::{
     ChromaSiting, Clock, Colour, Frame, FrameSource, HostTime, Matrix, Picture, PixelFormat, Range, SourceError, Span,
-    Timestamp, Transfer, Window,
+    StreamFaults, Timestamp, Transfer, Window,
 };
 use crate::log::decoder::MessageDecoder;
 use crate::log::fields::{number, text};
-use crate::log::records::{Extent, Records};
+use crate::log::records::Records;
 use crate::log::schema::{Topic, WINDOW_FORMAT};
 use image::{ImageFormat, ImageReader};
 use mcap::records::Record;
@@ -23,8 +23,9 @@ use std::collections::VecDeque;
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
-/// Pictures of other sizes are damage.
-const LARGEST_PX: u32 = 1 << 16;
+/// Pictures of other sizes are damage: longest side and number of pixels.
+const LARGEST_PX: u32 = 1 << 14;
+const MOST_PX: u64 = 1 << 27;
 
 /// The pictures in a log.
 pub struct LogWindows {
@@ -41,6 +42,7 @@ pub struct LogWindows {
     windows_to: Option<u64>,
     span: Span,
     given: u64,
+    faults: StreamFaults,
     last_good_ns: Option<i64>,
 }
 
@@ -78,17 +80,31 @@ impl LogWindows {
             windows_to: None,
             span,
             given: 0,
+            faults: StreamFaults::default(),
             last_good_ns: None,
         };
-        // The first one says what they are.
-        while source.windows_to.is_none() {
-            if !source.read()? {
+        let mut again = false;
+        // The first one that can be understood says what they are.
+        while source.layout.size_px == [0; 2] {
+            let read = source.read()?;
+            if !read
+                && source.decoder.channels().next().is_some()
+                && !source.records.condition().damage.is_empty()
+                && !again
+            {
+                // Names of topics that are damaged at the beginning stand at the end once more.
+                again = true;
+                source.records = Records::open(path)?;
+                (source.rows, source.windows_to) = (VecDeque::new(), None);
+                continue;
+            }
+            if !read {
                 return Err(SourceError::LogWithoutPictures { path: path.to_owned() });
             }
-        }
-        let first = source.rows.iter().find_map(|row| Some((row.seq, row.windows.as_ref()?)));
-        if let Some((seq, message)) = first {
-            source.layout = layout_of(message).map_err(|reason| source.damaged(seq, reason))?;
+            let newest = source.rows.iter().rev().find_map(|row| row.windows.as_ref());
+            if let Some(layout) = newest.and_then(|message| layout_of(message).ok()) {
+                source.layout = layout;
+            }
         }
         Ok(source)
     }
@@ -99,12 +115,11 @@ impl LogWindows {
         self.decoder.learn(&record);
         let Record::Message { header, data } = &record else { return Ok(true) };
         if let Some(estimate) = self.decoder.decoded(header.channel_id, Topic::Estimate, data) {
-            let row = row(&estimate).map_err(|reason| SourceError::LogPicture {
-                path: self.path.clone(),
-                seq: header.sequence.into(),
-                reason,
-            })?;
-            self.rows.push_back(row);
+            match row(&estimate) {
+                Ok(row) => self.rows.push_back(row),
+                // It has no time, and so no row; the frame after it counts it as missing.
+                Err(reason) => tracing::warn!("{}: frame {}: {reason}", self.path.display(), header.sequence),
+            }
         } else if let Some(windows) = self.decoder.decoded(header.channel_id, Topic::Windows, data) {
             let seq = number(&windows, "seq").and_then(|n| u64::try_from(n).ok()).unwrap_or(0);
             self.windows_to = Some(seq);
@@ -162,21 +177,35 @@ impl FrameSource for LogWindows {
             if !self.span.contains(row.stamp.ns) {
                 continue;
             }
-            let picture = self.picture(&row)?;
+            let picture = match self.picture(&row) {
+                Ok(picture) => picture,
+                Err(error) => {
+                    self.faults.pictures_left_out += 1;
+                    if self.faults.pictures_left_out == 1 {
+                        tracing::warn!("{error}; it is not measured, more are counted");
+                    }
+                    Picture::missing(self.layout.size_px, self.layout.format, self.layout.colour)
+                        .map_err(|e| self.damaged(row.seq, e.to_string()))?
+                }
+            };
             let Row { stamp, gap, host, .. } = row;
             let seq = self.given;
             self.given += 1;
             self.last_good_ns = Some(stamp.ns);
             return Ok(Some(Frame { seq, stamp, gap, host, picture }));
         }
-        match self.records.extent() {
-            Some(Extent::Cut { why }) => Err(SourceError::Truncated {
+        let condition = self.records.condition();
+        if let (None, Some(why)) = (&condition.cut, condition.summary()) {
+            tracing::warn!("{}: the log is damaged: {why}; what is left of it is tracked", self.path.display());
+        }
+        match &condition.cut {
+            Some(_) => Err(SourceError::Truncated {
                 path: self.path.clone(),
                 frames: self.given,
                 last_good_s: self.last_good_ns.map(super::times::seconds),
-                why: why.clone(),
+                why: condition.summary().unwrap_or_default(),
             }),
-            _ => Ok(None),
+            None => Ok(None),
         }
     }
 
@@ -186,6 +215,10 @@ impl FrameSource for LogWindows {
 
     fn frame_count_hint(&self) -> Option<u64> {
         None
+    }
+
+    fn faults(&self) -> StreamFaults {
+        self.faults
     }
 }
 
@@ -213,6 +246,10 @@ fn layout_of(message: &DynamicMessage) -> Result<Layout, String> {
         let n = number(message, field).and_then(|n| u32::try_from(n).ok());
         n.filter(|n| (1..=LARGEST_PX).contains(n)).ok_or_else(|| format!("`{field}` is not 1 to {LARGEST_PX}"))
     };
+    let size_px = [side("width")?, side("height")?];
+    if size_px.iter().map(|n| u64::from(*n)).product::<u64>() > MOST_PX {
+        return Err(format!("its size is {}x{} pixels", size_px[0], size_px[1]));
+    }
     let log2 = |field: &str| {
         let n = number(message, field).and_then(|n| u8::try_from(n).ok());
         n.filter(|n| *n <= 2).ok_or_else(|| format!("`{field}` is not 0, 1 or 2"))
@@ -228,7 +265,7 @@ fn layout_of(message: &DynamicMessage) -> Result<Layout, String> {
         other => return Err(format!("`planes` is `{other}`, expected yuv, rgb or grey")),
     };
     Ok(Layout {
-        size_px: [side("width")?, side("height")?],
+        size_px,
         format,
         colour: Colour {
             matrix: known("matrix", word("matrix")?, Matrix::by_name)?,

@@ -11,6 +11,7 @@ mod damage;
 mod decoded;
 mod error;
 mod extent;
+mod ffv1;
 pub mod file;
 pub mod gaps;
 pub mod host;
@@ -41,6 +42,16 @@ pub use picture::{
 pub use reads::NotRecorded;
 pub use times::{FrameRate, FrameRateError};
 pub use window::Window;
+
+/// Goes over the lengths that a container declares.
+pub(crate) fn extent_of(bytes: &[u8]) {
+    let _ = extent::extent(std::io::Cursor::new(bytes));
+}
+
+/// Checks a coded picture as those of a stream are.
+pub(crate) fn checked_packet(bytes: &[u8]) {
+    let _ = (jpeg::damage(bytes), jpeg::is_cut_off(bytes), ffv1::is_sound(bytes), ffv1::has_checksums(bytes));
+}
 
 /// Which clock a time stamp was read from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -117,7 +128,7 @@ pub trait FrameSource {
 pub struct StreamFaults {
     /// Packets that could not be read or decoded.
     pub damaged_packets: u64,
-    /// Pictures left out because they are damaged or built on damaged ones.
+    /// Pictures that are damaged or built on damaged ones: left out, or handed on as such.
     pub pictures_left_out: u64,
     /// Frames with the stamp of the one before.
     pub repeated_stamps: u64,
@@ -125,6 +136,8 @@ pub struct StreamFaults {
     pub backward_stamps: u64,
     /// Frames without a presentation time, where the decoder's best estimate is taken.
     pub guessed_stamps: u64,
+    /// Frames before the first time stamp of a live stream, which are left out.
+    pub unstamped: u64,
     /// How often a live stream was away.
     pub interruptions: u64,
 }
@@ -137,6 +150,7 @@ impl StreamFaults {
         self.repeated_stamps += other.repeated_stamps;
         self.backward_stamps += other.backward_stamps;
         self.guessed_stamps += other.guessed_stamps;
+        self.unstamped += other.unstamped;
         self.interruptions += other.interruptions;
     }
 
@@ -144,7 +158,7 @@ impl StreamFaults {
     fn report(&self, path: &Path) {
         let counts = [
             (self.damaged_packets, "damaged packets"),
-            (self.pictures_left_out, "damaged pictures left out"),
+            (self.pictures_left_out, "damaged pictures"),
             (self.repeated_stamps, "repeated time stamps"),
             (self.backward_stamps, "time stamps that go back"),
             (self.guessed_stamps, "estimated time stamps"),

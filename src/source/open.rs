@@ -12,12 +12,14 @@ pub struct SourceOptions {
     pub stated_rate: Option<FrameRate>,
     /// Threads of the video decoder; 0 for one a core.
     pub decoder_threads: usize,
+    /// Whether damaged pictures are handed on, marked, instead of left out.
+    pub keep_damaged: bool,
 }
 
 impl Default for SourceOptions {
     fn default() -> Self {
-        let VideoOptions { decoder_threads, span } = VideoOptions::default();
-        Self { span, stated_rate: None, decoder_threads }
+        let VideoOptions { decoder_threads, span, keep_damaged } = VideoOptions::default();
+        Self { span, stated_rate: None, decoder_threads, keep_damaged }
     }
 }
 
@@ -32,9 +34,10 @@ pub fn open(path: impl AsRef<Path>, options: SourceOptions) -> Result<Box<dyn Fr
     }
     if path.is_dir() {
         let timing = options.stated_rate.map_or(ImageTiming::Table, ImageTiming::StatedRate);
-        return Ok(Box::new(ImageFolder::open(path, timing, options.span)?));
+        return Ok(Box::new(ImageFolder::open(path, timing, options.span)?.keeping_damaged(options.keep_damaged)));
     }
-    let video = VideoOptions { decoder_threads: options.decoder_threads, span: options.span };
+    let SourceOptions { decoder_threads, span, keep_damaged, .. } = options;
+    let video = VideoOptions { decoder_threads, span, keep_damaged };
     let source = VideoFile::open(path, video)?;
     match options.stated_rate {
         Some(_) => Err(SourceError::RateOfVideo { path: path.to_path_buf() }),
@@ -53,7 +56,7 @@ pub fn open_to_track(
 ) -> Result<Box<dyn FrameSource + Send>, SourceError> {
     let path = path.as_ref();
     if !crate::log::is_log(path) {
-        return open(path, options);
+        return open(path, SourceOptions { keep_damaged: true, ..options });
     }
     match options.stated_rate {
         Some(_) => Err(SourceError::RateOfVideo { path: path.to_path_buf() }),

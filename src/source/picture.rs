@@ -155,6 +155,8 @@ pub struct Picture {
 pub(super) struct Reads {
     /// The parts that there are; `None` for all.
     pub(super) there: Option<Vec<Window>>,
+    /// Whether what it shows cannot be trusted.
+    pub(super) damaged: bool,
     pub(super) read: Mutex<Vec<Window>>,
 }
 
@@ -290,6 +292,26 @@ impl Picture {
             }
         }
         Ok(picture)
+    }
+
+    /// A dark picture in the place of one that could not be decoded.
+    pub(crate) fn missing(
+        [width, height]: [u32; 2],
+        format: PixelFormat,
+        colour: Colour,
+    ) -> Result<Self, PictureError> {
+        let mut picture = Self::from_planes(1, 1, PixelFormat::Grey, colour, vec![vec![0]])?;
+        (picture.width, picture.height, picture.format) = (width, height, format);
+        let mut planes: Vec<Vec<u8>> = Vec::new();
+        for channel in 0..format.channels() {
+            let (plane, _, step, _) = format.layout(channel);
+            let [w, h] = picture.samples(channel);
+            planes.resize(planes.len().max(plane + 1), Vec::new());
+            if let Some(bytes) = planes.get_mut(plane) {
+                bytes.resize(w * h * step, if format.is_yuv() && channel > 0 { 128 } else { 16 });
+            }
+        }
+        Ok(Self::from_planes(width, height, format, colour, planes)?.marked_damaged())
     }
 
     /// A decoded frame, without a copy. `format` must be the layout of the frame's own pixel format.

@@ -25,6 +25,17 @@ impl Picture {
         self
     }
 
+    /// The same picture, which is known to be damaged: its frame has a time, and no measurement.
+    pub(crate) fn marked_damaged(mut self) -> Self {
+        self.reads.damaged = true;
+        self
+    }
+
+    /// Whether it is known to be damaged, so that nothing may be measured in it.
+    pub fn is_damaged(&self) -> bool {
+        self.reads.damaged
+    }
+
     /// The parts that there are; `None` for all of it.
     pub fn recorded(&self) -> Option<&[Window]> {
         self.reads.there.as_deref()

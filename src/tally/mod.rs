@@ -6,6 +6,7 @@
 //! quantity, so that an hour at 60 Hz with three markers takes 4 MB. [`Totals`] are the counts alone, small enough to
 //! be handed on every second.
 
+pub mod budget;
 mod drift;
 
 pub use drift::{Drift, DriftAlarm, Drifted};
@@ -45,6 +46,7 @@ pub struct Tally {
     reported_ns: Option<i64>,
     /// Whether the rig is as it was calibrated.
     pub drift: Drift,
+    moments: budget::Gathered,
     views: Vec<String>,
 }
 
@@ -155,6 +157,7 @@ impl Tally {
             markers: rig.markers.iter().map(|m| marker(&m.name)).collect(),
             views: rig.views.iter().map(|v| v.name.clone()).collect(),
             drift: Drift::new(rig),
+            moments: budget::Gathered::new(rig),
             ..Self::default()
         }
     }
@@ -204,6 +207,7 @@ impl Tally {
                 self.theta.range_deg = Some((low.min(theta), high.max(theta)));
             }
         }
+        self.moments.add(estimate);
         let alarmed = !self.drift.add(estimate).is_empty();
         let angle_known = matches!(estimate.deflection, Ok(_) | Err(Miss::NoBaseFrame));
         self.complete += u64::from(angle_known && estimate.markers.iter().all(|m| m.position.is_ok()));
@@ -226,6 +230,13 @@ impl Tally {
                 None => misses.push(MissCount { what: what.to_owned(), reason, frames: 1 }),
             }
         }
+    }
+
+    /// What each source of error adds to θ and to the tip in the base frame; `None` without a base frame, or an answer.
+    pub fn budget(&self) -> Option<Vec<budget::Source>> {
+        let tip = self.markers.get(self.moments.tip()).and_then(MarkerTally::median_sd_mm);
+        let noise = self.theta.median_sd_deg().zip(tip).map(|(deg, mm)| (deg.to_radians(), mm * 1e-3));
+        self.moments.budget(noise, self.clock)
     }
 
     /// The counts so far.

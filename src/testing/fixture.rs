@@ -23,7 +23,7 @@ pub(crate) fn rig() -> Rig {
         name: name.to_owned(),
         length_m,
         centre_m: None,
-        colour: rgb.map(|rgb| ColourModel { weights: Vector3::zeros(), bias: 0.0, rgb: rgb.into() }),
+        colours: rgb.map(|rgb| ColourModel::linear(Vector3::zeros(), 0.0, rgb.into())).into_iter().collect(),
     };
     Rig {
         camera: Camera { size_px: [1280, 1024], lens, blur_px: None, chroma_offset_px: [0.0; 2] },

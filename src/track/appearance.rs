@@ -8,6 +8,9 @@
 //!
 //! Mₙ = ∫ xⁿ G(u − wx) w dx over [−1, 1]; Mₙ = (u/w) Mₙ₋₁ + (n−1)(σ/w)² Mₙ₋₂ − (σ²/w)(g₊ − (−1)ⁿ⁻¹ g₋), g± = G(w ∓ u).
 //!
+//! A tube that bends turns under the lamps: m₁ changes along it in proportion to the angle φ that its direction has turned
+//! by since the reference band (tube.rs), m₁ + g·φ.
+//!
 //! Along the tube, colours change at rings. The near side of a ring lies `bulge·√(1−x²)` further along the axis than its
 //! centre, so that edges are curved; each edge is blurred by the same σ. The tube's end shows its cap when it points at
 //! the camera. Behind everything lies a background with a linear gradient.
@@ -51,12 +54,14 @@ impl Layout {
     }
 }
 
-/// Colour parameters of a view: background R, G, B; its gradient in x, y; m₁ to m₄; brightness of the cap; then for each
-/// segment R, G, B. All in linear light, 0..1.
+/// Colour parameters of a view: background R, G, B; its gradient in x, y; m₁ to m₄; g, by which m₁ changes per radian
+/// of turn; brightness of the cap; then for each segment R, G, B. All in linear light, 0..1.
 pub(crate) const BACKGROUND: usize = 0;
 pub(crate) const GRADIENT: usize = 3;
 pub(crate) const SHADING: usize = 5;
-pub(crate) const SHADES: usize = 4;
+const HARMONICS: usize = 4;
+pub(crate) const TURNING: usize = SHADING + HARMONICS;
+pub(crate) const SHADES: usize = HARMONICS + 2;
 pub(crate) const CAP: usize = SHADING + SHADES;
 pub(crate) const FIXED: usize = CAP + 1;
 pub(crate) const PER_SEGMENT: usize = 3;
@@ -88,7 +93,7 @@ pub(crate) const D_BULGE: usize = 3;
 /// d/d background, and the same times the pixel's place relative to the patch's middle.
 pub(crate) const D_BACKGROUND: usize = 4;
 pub(crate) const D_GRADIENT: usize = 5;
-/// d/d m₁ to m₄.
+/// d/d m₁ to m₄ and g.
 pub(crate) const D_SHADING: usize = 7;
 pub(crate) const D_CAP: usize = D_SHADING + SHADES;
 /// d/d colour of the segment before the nearest ring, and of the one behind it.
@@ -159,6 +164,7 @@ struct Place {
     half: f64,
     bulge: f64,
     from_ring: f64,
+    turn: Vector2<f64>,
 }
 
 impl Scene<'_> {
@@ -182,7 +188,7 @@ impl Scene<'_> {
                 }
             }
         };
-        Place { ring, seen, ends, half, bulge, from_ring }
+        Place { ring, seen, ends, half, bulge, from_ring, turn: local.turn }
     }
 
     /// Evaluates the model at some pixels. `offsets` are their places relative to the patch's middle.
@@ -210,8 +216,12 @@ impl Scene<'_> {
         let seen = lanes(|i| f64::from(u8::from(places[i].seen != 0))).cmp_gt(Lanes::ZERO);
         let (u, half) = (lanes(|i| feet[i].u), lanes(|i| places[i].half));
         let across = Across::new(u, half, self.blur_px as f32).where_seen(seen);
-        let shades: [f32; SHADES] = std::array::from_fn(|i| colours[SHADING + i] as f32);
-        let lit = |shape: &[Lanes; SHADES]| {
+        let turn = [lanes(|i| places[i].turn.x), lanes(|i| places[i].turn.y)];
+        let mut shades: [Lanes; HARMONICS] = std::array::from_fn(|i| Lanes::splat(colours[SHADING + i] as f32));
+        for (i, turn) in turn.iter().enumerate() {
+            shades[0] += *turn * colours[TURNING + i] as f32;
+        }
+        let lit = |shape: &[Lanes; HARMONICS]| {
             shape[0] * shades[0] + shape[1] * shades[1] + shape[2] * shades[2] + shape[3] * shades[3]
         };
         let (shade, d_shade) = (across.cover + lit(&across.shades), across.d_cover + lit(&across.d_shades));
@@ -255,6 +265,9 @@ impl Scene<'_> {
             let albedo = (lights[1] * before.weight + lights[2] * behind.weight) * slope;
             for (term, shade) in terms[D_SHADING..].iter_mut().zip(&across.shades) {
                 *term = *shade * albedo;
+            }
+            for (i, turn) in turn.iter().enumerate() {
+                terms[D_SHADING + HARMONICS + i] = terms[D_SHADING] * *turn;
             }
             terms[D_CAP] = across.cover * cap_edge.weight * lights[1] * slope;
             terms[D_ALBEDO] = first * slope;
@@ -332,9 +345,9 @@ impl Edges {
 /// The blurred profile across the tube: coverage, and what m₁ to m₄ multiply, with derivatives along u.
 struct Across {
     cover: Lanes,
-    shades: [Lanes; SHADES],
+    shades: [Lanes; HARMONICS],
     d_cover: Lanes,
-    d_shades: [Lanes; SHADES],
+    d_shades: [Lanes; HARMONICS],
 }
 
 impl Across {
@@ -412,7 +425,7 @@ mod tests {
         for i in -16..=16 {
             let u = f64::from(i) * 0.31;
             let a = across(u);
-            let shades: [&dyn Fn(f64) -> f64; SHADES] = [
+            let shades: [&dyn Fn(f64) -> f64; HARMONICS] = [
                 &|x| x,
                 &|x| q0 + q2 * x.powi(2) + q4 * x.powi(4) + q6 * x.powi(6),
                 &|x| p1 * x + p3 * x.powi(3) + p5 * x.powi(5),

@@ -82,10 +82,10 @@ impl Assigner {
         for (m, marker) in rig.markers.iter().enumerate() {
             let (point, age) = self.recent(m, stamp)?;
             let reach_m = PLACE_SD_M + FASTEST_M_S * age + marker.length_m;
-            for view in &rig.views {
+            for (v, view) in rig.views.iter().enumerate() {
                 let seen = view.optics.project_with_jacobian(&point).ok()?;
                 let reach_px = reach_m * px_per_m(&seen.d_pixel);
-                windows.push(Search { marker: Some(m), window: Window::around(&seen.pixel, reach_px) });
+                windows.push(Search { marker: Some(m), view: Some(v), window: Window::around(&seen.pixel, reach_px) });
             }
         }
         Some(windows)
@@ -147,13 +147,14 @@ impl Assigner {
         stamp: Timestamp,
         rejected: &mut Option<Miss>,
     ) -> Vec<Candidate> {
-        let per_view: Vec<Vec<usize>> = rig.views.iter().map(|view| in_view(marker, view, blobs)).collect();
+        let per_view: Vec<Vec<usize>> =
+            rig.views.iter().enumerate().map(|(v, view)| in_view(marker, (v, view), blobs)).collect();
         let mut found = Vec::new();
         let mut choice = vec![0_usize; per_view.len()]; // 0: none, i: blob i−1
         loop {
             let picked: Vec<Option<usize>> =
                 choice.iter().zip(&per_view).map(|(&i, list)| i.checked_sub(1).map(|i| list[i])).collect();
-            if picked.iter().flatten().count() >= 2 && distinct(&picked) {
+            if picked.iter().flatten().count() >= 2 && distinct(&picked, blobs) {
                 match self.weigh(rig, marker, blobs, &picked, stamp) {
                     Ok(candidate) => found.push(candidate),
                     Err(Some(miss)) if rejected.is_none() => *rejected = Some(miss),
@@ -216,15 +217,21 @@ fn px_per_m(d_pixel: &Matrix2x3<f64>) -> f64 {
     d_pixel.norm() / std::f64::consts::SQRT_2
 }
 
-/// One blob cannot be two views of a marker (views without a region share the picture).
-fn distinct(picked: &[Option<usize>]) -> bool {
-    picked.iter().enumerate().all(|(i, blob)| blob.is_none() || !picked[..i].contains(blob))
+/// One thing in the picture cannot be two views of a marker (views without a region share the picture, and each may have
+/// found it with a colour model of its own).
+fn distinct(picked: &[Option<usize>], blobs: &[Blob]) -> bool {
+    let centre = |blob: &usize| blobs[*blob].centre_px;
+    let same = |a: &usize, b: &usize| a == b || (centre(a) - centre(b)).norm() < CENTRE_SD_PX;
+    let picked: Vec<usize> = picked.iter().flatten().copied().collect();
+    picked.iter().enumerate().all(|(i, a)| picked[..i].iter().all(|b| !same(a, b)))
 }
 
 /// Blobs of a marker inside a view's region, largest first.
-fn in_view(marker: usize, view: &View, blobs: &[Blob]) -> Vec<usize> {
-    let mut list: Vec<usize> =
-        (0..blobs.len()).filter(|&b| blobs[b].marker == marker && view.contains(&blobs[b].centre_px)).collect();
+fn in_view(marker: usize, (v, view): (usize, &View), blobs: &[Blob]) -> Vec<usize> {
+    let here = |blob: &Blob| {
+        blob.marker == marker && blob.view.is_none_or(|found_in| found_in == v) && view.contains(&blob.centre_px)
+    };
+    let mut list: Vec<usize> = (0..blobs.len()).filter(|&b| here(&blobs[b])).collect();
     list.sort_by(|&a, &b| blobs[b].area_px2.total_cmp(&blobs[a].area_px2));
     list.truncate(MOST_BLOBS);
     list
@@ -233,15 +240,16 @@ fn in_view(marker: usize, view: &View, blobs: &[Blob]) -> Vec<usize> {
 /// The first view in which a marker has no blob, near the place where it is expected if there is one; `None` if all have.
 /// Views without a region share the picture: there only the place says in which one a blob is missing.
 fn unseen(rig: &Rig, marker: usize, blobs: &[Blob], expected: Option<(Point3<f64>, f64)>) -> Option<usize> {
-    let sees = |view: &View| {
+    let sees = |v: usize| {
+        let view = &rig.views[v];
         let near = expected.and_then(|(point, reach_m)| {
             let seen = view.optics.project_with_jacobian(&point).ok()?;
             Some((seen.pixel, reach_m * px_per_m(&seen.d_pixel)))
         });
         let is_near = |b: &usize| near.is_none_or(|(pixel, reach_px)| (blobs[*b].centre_px - pixel).norm() <= reach_px);
-        in_view(marker, view, blobs).iter().any(is_near)
+        in_view(marker, (v, view), blobs).iter().any(is_near)
     };
-    (0..rig.views.len()).find(|&v| !sees(&rig.views[v]))
+    (0..rig.views.len()).find(|&v| !sees(v))
 }
 
 struct Choice {

@@ -36,6 +36,7 @@ fn blob(rig: &Rig, marker: usize, view: &View, place: Point3<f64>, length_m: f64
     let (length_px, width_px) = (length_m * px_per_m, rig.catheter.diameter_m * px_per_m);
     Blob {
         marker,
+        view: None,
         centre_px: seen.pixel,
         covariance_px2: Matrix2::identity() * 0.04,
         axis,

@@ -4,6 +4,7 @@
 use crate::track::appearance::{BEFORE, BEHIND, D_ALBEDO, LANES, Layout, PixelModel, RING, Scene};
 use crate::track::normal::{Bin, Collector, Normal, ROW, Row, Slot, Squares, influence, row};
 use crate::track::patch::{Group, Patch};
+use crate::track::slip::Slips;
 use crate::track::tube::{SHAPE, ShapeBy, ShapeStep};
 use crate::track::tube_image::TubeImage;
 use nalgebra::{SMatrix, SVector};
@@ -167,7 +168,10 @@ impl Comparison {
         noise: &Noise,
         of_shape: &SMatrix<f64, SHAPE, SHAPE>,
         of_colours: &ShapeBy,
-    ) -> SMatrix<f64, SHAPE, SHAPE> {
+    ) -> (SMatrix<f64, SHAPE, SHAPE>, Slips) {
+        let mut slips = Slips::new(layout);
+        // Channels at samplings of their own are luma and chroma.
+        let slipping = self.patch.groups.len() > 1;
         let mut cells = vec![ShapeStep::zeros(); self.patch.cells];
         let mut maps: Vec<Option<(usize, SMatrix<f64, SHAPE, ROW>)>> = vec![None; image.knots.len()];
         // What follows each other in a cell is summed before it is mapped.
@@ -184,9 +188,14 @@ impl Comparison {
                 let (_, weight) = residual.weighed(noise);
                 let by = (weight * residual.value) as f32;
                 sum.iter_mut().zip(&residual.row).for_each(|(sum, value)| *sum += by * value);
+                if slipping && residual.channel > 0 {
+                    slips.add(ring, &residual.row, residual.value as f32, weight as f32);
+                }
             }
             cells[cell] += *map * SVector::from(sum.map(f64::from));
+            slips.map(map);
         }
-        cells.iter().fold(SMatrix::zeros(), |sum, cell| sum + cell * cell.transpose())
+        slips.finish(image, layout);
+        (cells.iter().fold(SMatrix::zeros(), |sum, cell| sum + cell * cell.transpose()), slips)
     }
 }

@@ -9,6 +9,7 @@ use crate::track::image_model::ModelError;
 use crate::track::no_fit::NoFit;
 use crate::track::normal::{Normal, Squares};
 use crate::track::round::{Guess, Minimum, Round, shape_prior};
+use crate::track::slip::Seen;
 use crate::track::stretch::Stretch;
 use crate::track::tube::{SHAPE, ShapeStep};
 use crate::track::tube_image::TubeImage;
@@ -32,7 +33,12 @@ impl Round<'_> {
             let of_colours = -plain * &eliminated.following;
             view.comparison.scatter(image, &self.stretch.layout, &view.noise, &plain, &of_colours)
         });
-        covariance += scatter.collect::<Vec<_>>().into_iter().sum::<SMatrix<f64, SHAPE, SHAPE>>();
+        let (mut slip, mut slip_covariance) = (Seen::default(), SMatrix::zeros());
+        for (scatter, slips) in scatter.collect::<Vec<_>>() {
+            covariance += scatter;
+            slip.add(&slips.seen);
+            slip_covariance += slips.covariance;
+        }
         let Guess { shape, colours, images } = end;
         let points: Vec<_> = images.iter().map(point_from_pixel).collect();
         for (((image, point), view), normal) in images.iter().zip(&points).zip(&seen).zip(normals) {
@@ -49,7 +55,7 @@ impl Round<'_> {
             let residual_covariance_px2 = covariance * inflation;
             ViewFit { image, colours, residual_px, residual_covariance_px2, rms: rms(&normal.squares) }
         });
-        Ok(TubeFit { shape, covariance, views: views.collect(), misfit: misfit(normals) })
+        Ok(TubeFit { shape, covariance, slip, slip_covariance, views: views.collect(), misfit: misfit(normals) })
     }
 }
 

@@ -6,8 +6,8 @@
 //! decides, through the refracted rays. Two rounds: the first settles the shape on every fifth pixel with a stated noise,
 //! the second selects all samples anew and weighs them by the noise that they show.
 //!
-//! Assumptions, each a weak prior that enters the covariance (covariance.rs): curvature below 30 /m, changing by less than
-//! 200 /m per metre below the coil.
+//! Assumption, a weak prior that enters the covariance (covariance.rs): beside the coil the curvature grows from nil, by no more
+//! than some 15 /m in a centimetre (tube.rs).
 
 use crate::optics::OpticalPath;
 use crate::source::Picture;
@@ -15,6 +15,7 @@ use crate::track::image_model::ImageModel;
 use crate::track::no_fit::NoFit;
 use crate::track::patch::Density;
 use crate::track::round::{Guess, Round};
+use crate::track::slip::Seen;
 use crate::track::stretch::Stretch;
 use crate::track::tube::{SHAPE, TubeShape};
 use crate::track::tube_image::TubeImage;
@@ -44,24 +45,30 @@ pub(crate) struct ViewFit {
 #[derive(Debug, Clone)]
 pub(crate) struct TubeFit {
     pub shape: TubeShape,
+    /// Of noise, and of what the image model gets wrong.
     pub covariance: SMatrix<f64, SHAPE, SHAPE>,
+    /// How far chroma was seen to have slipped, and what a slip of one square pixel adds to the covariance.
+    pub slip: Seen,
+    pub slip_covariance: SMatrix<f64, SHAPE, SHAPE>,
     pub views: Vec<ViewFit>,
     /// Mean over the samples of ln σ², σ the RMS residual of their channel and view: −2 log likelihood a sample, up to a
     /// constant. Smaller explains the pictures better.
     pub misfit: f64,
 }
 
-/// Fits `stretch`, starting from `start`, to `picture` as seen through `paths`.
+/// Fits `stretch`, starting from `start`, to `picture` as seen through `paths`, each between its own arc lengths of `ranges_m`.
 pub(crate) fn fit(
     stretch: &Stretch,
     start: &TubeShape,
     picture: &Picture,
     paths: &[&OpticalPath],
+    ranges_m: &[(f64, f64)],
     model: &ImageModel,
 ) -> Result<TubeFit, NoFit> {
     let round = |guess: &Guess, how: (Density, Weighing)| {
-        let select = |image| View::select(stretch, image, picture, model, how);
-        let views = guess.images.par_iter().map(select).collect::<Result<Vec<_>, _>>()?;
+        let select =
+            |(image, range_m): (&TubeImage, &(f64, f64))| View::select(stretch, *range_m, image, picture, model, how);
+        let views = guess.images.par_iter().zip(ranges_m).map(select).collect::<Result<Vec<_>, _>>()?;
         Ok(Round { stretch, paths, picture, model, views })
     };
     // 1. settle
@@ -119,7 +126,14 @@ mod tests {
         let mut off = || Vector3::new(dice.normal(), dice.normal(), dice.normal());
         let start = TubeShape::straight(tube.centre + off() * 0.15e-3, &(tube.direction + off() * 0.02), 6e-3);
         let paths = views();
-        fit(&stretch(), &start, &picture(drawn, noise, seed), &[&paths[0], &paths[1]], &model())
+        fit(
+            &stretch(),
+            &start,
+            &picture(drawn, noise, seed),
+            &[&paths[0], &paths[1]],
+            &[stretch().range_m; 2],
+            &model(),
+        )
     }
 
     #[test]
@@ -157,7 +171,9 @@ mod tests {
         let aside = tube.centre + Vector3::new(2.0e-3, 0.0, 1.5e-3);
         let start = TubeShape::straight(aside, &(tube.direction + Vector3::new(0.05, 0.0, -0.03)), 6e-3);
         let paths = views();
-        let found = fit(&stretch, &start, &picture(&drawn, 1.0, 3), &[&paths[0], &paths[1]], &model()).unwrap();
+        let found =
+            fit(&stretch, &start, &picture(&drawn, 1.0, 3), &[&paths[0], &paths[1]], &[stretch.range_m; 2], &model())
+                .unwrap();
         assert!((found.shape.centre - tube.centre).norm() < 0.05e-3);
     }
 
@@ -167,7 +183,9 @@ mod tests {
         let drawn = tube.draw(&views());
         let paths = views();
         let start = TubeShape::straight(tube.centre, &tube.direction, 6e-3);
-        let fitted = |picture: &Picture| fit(&stretch(), &start, picture, &[&paths[0], &paths[1]], &model());
+        let fitted = |picture: &Picture| {
+            fit(&stretch(), &start, picture, &[&paths[0], &paths[1]], &[stretch().range_m; 2], &model())
+        };
         let all = picture(&drawn, 1.0, 4);
         let expected = fitted(&all).unwrap();
         let patches = all.looked_at(0);

@@ -18,7 +18,7 @@ pub(crate) struct ImageModel {
 /// and turns (by this much at half the stretch's length). Enters the covariance for each view on its own.
 ///
 /// Measured: on drawn RGB pictures without noise the fit is off by 0.01 to 0.03 px (directional light, blur); on H.264 with
-/// subsampled chroma by 0.035 px beyond what its residuals say, and beside a clamp, where light and colour change within a
+/// subsampled chroma by 0.03 px beyond what its residuals say, and beside a clamp, where light and colour change within a
 /// few pixels of the band's edge, by 0.12 px along the tube. What a coder moves is its quantisation's doing, and so is what it
 /// leaves as residuals: beyond the RMS residual at which that was measured it is taken to grow with them.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -37,7 +37,7 @@ impl ModelError {
         Self { across_px: 0.015, along_px: 0.015, turn_px: 0.02, along_at_clamp_px: 0.06, coding_rms: f64::INFINITY };
     /// For pictures with subsampled chroma: they come out of a recorder that quantises as well.
     pub(crate) const CODED: Self =
-        Self { across_px: 0.035, along_px: 0.035, turn_px: 0.06, along_at_clamp_px: 0.12, coding_rms: 2.7 };
+        Self { across_px: 0.029, along_px: 0.029, turn_px: 0.06, along_at_clamp_px: 0.12, coding_rms: 2.7 };
 
     pub(crate) fn of(picture: &Picture) -> Self {
         let subsampled = picture.plane(1).is_some_and(|plane| plane.scale != [1, 1]);

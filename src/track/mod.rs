@@ -15,10 +15,12 @@ mod no_fit;
 mod normal;
 mod patch;
 mod round;
+mod slip;
 mod stretch;
 mod tracker;
 mod tube;
 mod tube_image;
+mod usual;
 mod view;
 
 pub use coil::deflection;

@@ -18,7 +18,7 @@ use nalgebra::{DMatrix, DVector, SMatrix, SVector};
 pub(crate) const ROW: usize = 24;
 const PLAIN: usize = 16;
 /// Derivatives of one sample's prediction, all that a plain sample has first: both knots across; background; its gradient;
-/// shading; colour of the segment before the nearest ring, and of the one behind it; cap; both knots along; their bulge.
+/// shading and its changes; colour of the segment before the nearest ring, and of the one behind it; cap; both knots along; their bulge.
 pub(crate) type Row = [f32; ROW];
 
 const ROW_ACROSS: usize = 0;
@@ -52,6 +52,11 @@ pub(crate) fn row(terms: &[Terms; 3], weights: &[f32; 3], f: f32) -> (Row, f32) 
         row[ROW_BEHIND + c] = weights[c] * terms[c][D_ALBEDO + 1];
     }
     (row, sum[VALUE])
+}
+
+/// By how much a sample's prediction changes when its picture is shifted by a pixel across the tube, and along it.
+pub(crate) fn shifted(row: &Row) -> [f32; 2] {
+    [ROW_ACROSS, ROW_ALONG].map(|at| row[at] + row[at + 1])
 }
 
 /// The elements of a row that move the shape: all of them, and those of a plain sample.

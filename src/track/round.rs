@@ -6,7 +6,7 @@ use crate::track::equations::{Equations, Step};
 use crate::track::image_model::ImageModel;
 use crate::track::no_fit::NoFit;
 use crate::track::stretch::Stretch;
-use crate::track::tube::{SHAPE, TubeShape};
+use crate::track::tube::{BENDS, SHAPE, TubeShape};
 use crate::track::tube_image::TubeImage;
 use crate::track::view::View;
 use nalgebra::{DVector, SMatrix};
@@ -14,9 +14,9 @@ use rayon::prelude::*;
 
 /// Distance of the knots along the tube, metres.
 const KNOT_M: f64 = 3e-3;
-/// Prior σ of the shape's parameters: centre and tangent free, curvatures in 1/m, their change in 1/m².
-const CURVATURE_SD: f64 = 30.0;
-const CURVATURE_RATE_SD: f64 = 200.0;
+/// Prior σ of the shape's parameters: centre and tangent are free; of the curvature's derivatives, 1/m² and 1/m³. It reaches
+/// 15 /m, half a right angle over 5 cm, within a centimetre.
+const BEND_SD: [f64; BENDS] = [1500.0, 3e5];
 /// Most need three; a wide tube whose start is some pixels off needs thirty.
 const MAX_EVALUATIONS: usize = 40;
 /// Levenberg's damping: at the start, and the least: lower ones make no difference to a step, but take long to come back from.
@@ -72,9 +72,10 @@ impl Guess {
 
 /// Information of the shape's prior.
 pub(crate) fn shape_prior() -> SMatrix<f64, SHAPE, SHAPE> {
+    const FREE: usize = 5;
     let mut information = SMatrix::zeros();
-    for i in 5..SHAPE {
-        information[(i, i)] = if i < 9 { CURVATURE_SD } else { CURVATURE_RATE_SD }.powi(-2);
+    for i in FREE..SHAPE {
+        information[(i, i)] = BEND_SD[(i - FREE) / 2 % BENDS].powi(-2);
     }
     information
 }
@@ -126,7 +127,7 @@ impl Round<'_> {
             .map(|((view, image), colours)| view.compare(image, colours, &stretch.layout, picture, model))
             .collect();
         let prior = shape_prior();
-        let offset = guess.shape.curvatures();
+        let offset = guess.shape.bends();
         let prior_gradient = -(prior * offset);
         let cost = views.iter().map(|view| view.cost).sum::<f64>() - offset.dot(&prior_gradient);
         State { guess, equations: Equations { prior, prior_gradient, views, cost } }

@@ -16,9 +16,11 @@ use crate::track::fit::{TubeFit, fit};
 use crate::track::image_model::{ImageModel, ModelError};
 use crate::track::light::Encoding;
 use crate::track::no_fit::NoFit;
+use crate::track::slip::Seen;
 use crate::track::stretch::{Group, groups};
-use crate::track::tube::TubeShape;
+use crate::track::tube::{SHAPE, TubeShape};
 use crate::track::tube_image::TubeImage;
+use crate::track::usual::Usual;
 use nalgebra::{Matrix3, Point2, Point3, SMatrix, Vector3};
 use rayon::prelude::*;
 
@@ -31,6 +33,9 @@ const MOST_MOVED: (f64, f64) = (4.0, 1.2);
 const LEAST_SEPARATION: f64 = 0.3;
 /// Views disagree when their own shifts exceed this χ² and this many pixels.
 const DISAGREE: (f64, f64) = (36.0, 0.7);
+
+/// What was seen of chroma's slip counts for half after this many frames.
+const SLIP_FRAMES: f64 = 20.0;
 
 /// How to track.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -63,6 +68,8 @@ pub struct Tracker {
     assigner: Assigner,
     model: ImageModel,
     transfer: Transfer,
+    slip: Seen,
+    usual: Usual,
 }
 
 /// Blobs of a picture, and which of them each marker is.
@@ -95,6 +102,8 @@ impl Tracker {
                 error: ModelError::CODED,
             },
             transfer,
+            slip: Seen::default(),
+            usual: Usual::new(rig),
             rig: rig.clone(),
             options,
         })
@@ -114,6 +123,9 @@ impl Tracker {
         if picture.size_px() != self.rig.camera.size_px {
             return Err(TrackError::Size { found: picture.size_px(), expected: self.rig.camera.size_px });
         }
+        if picture.is_damaged() {
+            return Ok(Estimate::missed(frame, &self.rig, &Miss::Damaged));
+        }
         if picture.colour().transfer != self.transfer {
             self.transfer = picture.colour().transfer;
             self.model.encoding = Encoding::new(self.transfer);
@@ -125,7 +137,8 @@ impl Tracker {
             found => found?,
         };
         // 2. the tube around them, fitted to the pictures of all views
-        let fitted = self.fit_groups(picture, &blobs, &assigned);
+        let mut fitted = self.fit_groups(picture, &blobs, &assigned);
+        self.judge(&mut fitted);
         // 3. positions, tangent, deflection
         let mut estimate = self.estimate(frame, &assigned, &fitted);
         if let (Ok(tangent), Some(base)) = (&estimate.tangent, &self.rig.base) {
@@ -188,6 +201,30 @@ impl Tracker {
             .collect()
     }
 
+    /// What the frames before say about the fits of this one: how far chroma slips, and how well bands are usually explained.
+    fn judge(&mut self, fitted: &mut [Fitted]) {
+        self.slip = self.slip.faded(0.5_f64.powf(1.0 / SLIP_FRAMES));
+        for fit in fitted.iter().filter_map(|f| f.result.as_ref().ok()) {
+            self.slip.add(&fit.slip);
+        }
+        let variance_px2 = self.slip.variance_px2();
+        for Fitted { group, views, result } in fitted {
+            let Ok(fit) = result else { continue };
+            fit.covariance += fit.slip_covariance * variance_px2;
+            let worst =
+                views.iter().zip(&fit.views).find(|(v, view)| self.usual.exceeds(group.reference, **v, view.rms));
+            if let Some((v, view)) = worst {
+                let separation = (0..group.members.len()).map(|i| self.separation(group, i, *v, &view.colours));
+                let separation = separation.fold(f64::INFINITY, f64::min);
+                *result = Err(Miss::PoorFit { moved_px: view.residual_px.norm(), separation });
+                continue;
+            }
+            for (v, view) in views.iter().zip(&fit.views) {
+                self.usual.add(group.reference, *v, view.rms);
+            }
+        }
+    }
+
     fn fit_group(
         &self,
         picture: &Picture,
@@ -202,12 +239,28 @@ impl Tracker {
         let direction = self.start_direction(blobs, assigned, group).ok_or(Miss::NotConverged)?;
         let start = TubeShape::straight(reference.point, &direction, group.straight_half_m);
         let paths: Vec<&OpticalPath> = views.iter().map(|&v| &self.rig.views[v].optics).collect();
-        let fit = fit(&group.stretch, &start, picture, &paths, &self.model).map_err(|why| match why {
+        let ranges: Vec<_> = views.iter().map(|&v| self.seen_range(group, assigned, v)).collect();
+        let fit = fit(&group.stretch, &start, picture, &paths, &ranges, &self.model).map_err(|why| match why {
             NoFit::OutOfPicture | NoFit::NotConverged => Miss::NotConverged,
             NoFit::NotRecorded => Miss::NotRecorded,
         })?;
         self.accept(group, views, &starts, &fit)?;
         Ok(fit)
+    }
+
+    /// Between which arc lengths the tube of a group shows in a view: where the next band does not, what hides it may begin
+    /// right behind this one.
+    fn seen_range(&self, group: &Group, assigned: &[Result<Assigned, Miss>], view: usize) -> (f64, f64) {
+        let hidden = |m: usize| match assigned.get(m) {
+            None => false,
+            Some(Ok(a)) => a.blobs[view].is_none(),
+            Some(Err(Miss::NotSeen { view: missing })) => *missing == view,
+            Some(Err(_)) => true,
+        };
+        let last = group.members.last().map_or(group.reference, |m| m.0);
+        let (from, to) = group.stretch.range_m;
+        let beside = group.stretch.layout.rings_m.last().map_or(to, |ring| ring + group.stretch.radius_m);
+        (from, if hidden(last + 1) { to.min(beside) } else { to })
     }
 
     /// Direction of the tube at the reference, base to tip: from its blobs' axes, or along the chord to its neighbours.
@@ -254,7 +307,7 @@ impl Tracker {
             }
             let knot = view.image.at_arc(0.0);
             let separation = (0..group.members.len())
-                .map(|i| self.separation(group, i, &view.colours))
+                .map(|i| self.separation(group, i, v, &view.colours))
                 .fold(f64::INFINITY, f64::min);
             if !(moved <= MOST_MOVED.0.max(MOST_MOVED.1 * knot.half_width) && separation >= LEAST_SEPARATION) {
                 return Err(Miss::PoorFit { moved_px: moved, separation });
@@ -275,19 +328,17 @@ impl Tracker {
         Ok(())
     }
 
-    /// Score of a band's fitted colour above that of the most similar of its neighbours and background.
-    fn separation(&self, group: &Group, member: usize, colours: &[f64]) -> f64 {
-        let Some(model) = self.rig.markers[group.members[member].0].colour else { return 0.0 };
-        let score = |at: usize| {
-            let rgb = Vector3::from_fn(|c, _| f64::from(self.model.encoding.encode(colours[at + c] as f32).0));
-            model.weights.dot(&rgb) + model.bias
-        };
+    /// How far a band's fitted colour is from the most similar of its neighbours and background.
+    fn separation(&self, group: &Group, member: usize, view: usize, colours: &[f64]) -> f64 {
+        let Some(model) = self.rig.markers[group.members[member].0].colour(view) else { return 0.0 };
+        let rgb = |at: usize| Vector3::from_fn(|c, _| f64::from(self.model.encoding.encode(colours[at + c] as f32).0));
         let segment = |j: usize| FIXED + PER_SEGMENT * j;
         let band = 2 * member + 1;
         let last = group.stretch.layout.segments() - 1;
         let neighbours = [Some(segment(band - 1)), (band < last).then(|| segment(band + 1)), Some(0)];
-        let most_similar = neighbours.into_iter().flatten().map(score).fold(f64::NEG_INFINITY, f64::max);
-        score(segment(band)) - most_similar
+        let own = rgb(segment(band));
+        let apart = neighbours.into_iter().flatten().map(|at| model.separation(&own, &rgb(at)));
+        apart.fold(f64::INFINITY, f64::min)
     }
 
     fn estimate(&self, frame: &Frame, assigned: &[Result<Assigned, Miss>], fitted: &[Fitted]) -> Estimate {
@@ -340,7 +391,7 @@ impl Tracker {
                     axis_sd_rad: axis_sd_rad(&view.image, s, &fit.covariance),
                     residual_px: view.residual_px,
                     fit_rms: view.rms,
-                    separation: self.separation(group, member, &view.colours),
+                    separation: self.separation(group, member, v, &view.colours),
                     outline_px: outline(&view.image, s - half, s + half),
                 })
             })
@@ -350,7 +401,7 @@ impl Tracker {
 }
 
 /// Standard deviation of the direction of the axis in the picture, from the covariance of the shape.
-fn axis_sd_rad(image: &TubeImage, s: f64, covariance: &SMatrix<f64, 11, 11>) -> f64 {
+fn axis_sd_rad(image: &TubeImage, s: f64, covariance: &SMatrix<f64, SHAPE, SHAPE>) -> f64 {
     // The direction turns by the difference of two neighbouring knots' displacement across, over their distance.
     let i = (image.knot_of(s).floor().max(0.0) as usize).min(image.knots.len().saturating_sub(2));
     let (a, b) = (&image.knots[i], &image.knots[i + 1]);
@@ -388,7 +439,7 @@ mod tests {
             rig.markers.iter_mut().zip([(6e-3, 6e-3), (12e-3, 85e-3), (6e-3, 107e-3)]).zip(colours)
         {
             (marker.length_m, marker.centre_m) = (length_m, Some(centre_m));
-            marker.colour = Some(ColourModel { weights: weights.into(), bias: 0.0, rgb: Vector3::zeros() });
+            marker.colours = vec![ColourModel::linear(weights.into(), 0.0, Vector3::zeros())];
         }
         let tube = Tube {
             centre: Point3::new(0.001, -0.004, 1.35),

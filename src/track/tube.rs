@@ -1,8 +1,9 @@
 //! The centre line of a stretch of tube around one or more bands.
 //!
 //! s is the arc length from the middle of the reference band, metres, positive towards the tip. The reference band is
-//! straight over |s| ≤ h (a coil is rigid; h = 0 for a soft band); beyond it the direction turns by the angles
-//! φ(s) = κ_down σ + ½ κ'_down σ² (σ = s − h > 0) or κ_up σ (σ = s + h < 0), two components across the tangent t:
+//! straight over |s| ≤ h (a coil is rigid; h = 0 for a soft band). Beyond it the tube bends: its curvature begins with nil,
+//! because what holds the coil stiffens the tube beside it too, and is κ'σ + ½κ''σ² after the arc σ, on either side its own,
+//! two components across the tangent t. Its integral φ turns the direction:
 //!
 //! T(s) = t (1 − ½|φ|²) + N φ, X(s) = c + t (s − ½∫|φ|²) + N ∫φ.
 //!
@@ -10,8 +11,19 @@
 
 use nalgebra::{Const, Dyn, Matrix3, Matrix3x2, OMatrix, Point3, SMatrix, SVector, Vector2, Vector3};
 
-/// Number of shape parameters: centre (3), tangent (2), curvature above (2), below (2), and its change below (2).
-pub(crate) const SHAPE: usize = 11;
+/// Derivatives of the curvature by the arc length on one side of the straight part: the first and the second.
+pub(crate) const BENDS: usize = 2;
+
+/// Where the bends above and below the straight part begin among the parameters.
+const ABOVE: usize = 5;
+const BELOW: usize = ABOVE + 2 * BENDS;
+
+/// Number of shape parameters: centre (3), tangent (2), bends above and below (2 each).
+pub(crate) const SHAPE: usize = BELOW + 2 * BENDS;
+
+/// The first bend is the σ² of the turn over 2!, the second the σ³ over 3!.
+const POWER: usize = 2;
+const FACTORIALS: [f64; BENDS] = [2.0, 6.0];
 
 /// Shape parameters (rows) by any number of others.
 pub(crate) type ShapeBy = OMatrix<f64, Const<SHAPE>, Dyn>;
@@ -26,12 +38,10 @@ pub(crate) struct TubeShape {
     pub centre: Point3<f64>,
     /// Orthonormal: columns n1, n2 (across) and t (tangent of the reference band, base to tip).
     pub frame: Matrix3<f64>,
-    /// Curvature above the reference band, 1/m, components along n1, n2.
-    pub curvature_up: Vector2<f64>,
-    /// Curvature just below it, 1/m.
-    pub curvature_down: Vector2<f64>,
-    /// Change of curvature with arc length below it, 1/m².
-    pub curvature_down_rate: Vector2<f64>,
+    /// Derivatives of the curvature just above the straight part, components along n1, n2: 1/m², 1/m³.
+    pub above: [Vector2<f64>; BENDS],
+    /// The same just below it.
+    pub below: [Vector2<f64>; BENDS],
     /// Half length of the straight part, metres.
     pub straight_half_m: f64,
 }
@@ -46,9 +56,8 @@ impl TubeShape {
         Self {
             centre,
             frame: Matrix3::from_columns(&[n1, n2, t]),
-            curvature_up: Vector2::zeros(),
-            curvature_down: Vector2::zeros(),
-            curvature_down_rate: Vector2::zeros(),
+            above: [Vector2::zeros(); BENDS],
+            below: [Vector2::zeros(); BENDS],
             straight_half_m,
         }
     }
@@ -63,11 +72,11 @@ impl TubeShape {
         self.frame.fixed_columns::<2>(0).into()
     }
 
-    /// The curvatures among the parameters, the others nil.
-    pub(crate) fn curvatures(&self) -> ShapeStep {
+    /// The bends among the parameters, the others nil.
+    pub(crate) fn bends(&self) -> ShapeStep {
         let mut parameters = ShapeStep::zeros();
-        for (at, pair) in [(5, self.curvature_up), (7, self.curvature_down), (9, self.curvature_down_rate)] {
-            parameters.fixed_rows_mut::<2>(at).copy_from(&pair);
+        for (i, bend) in self.above.iter().chain(&self.below).enumerate() {
+            parameters.fixed_rows_mut::<2>(ABOVE + 2 * i).copy_from(bend);
         }
         parameters
     }
@@ -76,54 +85,52 @@ impl TubeShape {
     pub(crate) fn at(&self, s: f64) -> (Point3<f64>, Vector3<f64>, SMatrix<f64, 3, SHAPE>) {
         let n = self.across();
         let t = self.tangent();
-        let h = self.straight_half_m;
-        let sigma = if s > h {
-            s - h
-        } else if s < -h {
-            s + h
-        } else {
-            0.0
-        };
-        let (k, rate) =
-            if s > h { (self.curvature_down, self.curvature_down_rate) } else { (self.curvature_up, Vector2::zeros()) };
-        let (s2, s3, s4, s5) = (sigma.powi(2), sigma.powi(3), sigma.powi(4), sigma.powi(5));
-        let turn = k * sigma + rate * (s2 / 2.0);
-        let aside = k * (s2 / 2.0) + rate * (s3 / 6.0);
-        let shortening = k.norm_squared() * s3 / 6.0 + k.dot(&rate) * s4 / 8.0 + rate.norm_squared() * s5 / 40.0;
-        let along = s - shortening;
+        let (sigma, first, bends) = self.beyond(s);
+        // φ = Σ aᵢ σⁱ.
+        let a: [Vector2<f64>; BENDS] = std::array::from_fn(|i| bends[i] / FACTORIALS[i]);
+        // ∫σⁱσʲ and ∫σⁱ.
+        let integral = |power: usize| sigma.powi(power as i32 + 1) / (power + 1) as f64;
+        let both = |i: usize, j: usize| integral(i + j + 2 * POWER);
+        let once = |i: usize| integral(i + POWER);
+        let (mut turn, mut aside, mut along) = (Vector2::zeros(), Vector2::zeros(), s);
+        let mut d_along = [Vector2::zeros(); BENDS];
+        for i in 0..BENDS {
+            turn += a[i] * sigma.powi((i + POWER) as i32);
+            aside += a[i] * once(i);
+            d_along[i] = -(0..BENDS).map(|j| a[j] * both(i, j)).sum::<Vector2<f64>>();
+            along += a[i].dot(&d_along[i]) / 2.0;
+        }
         let point = self.centre + t * along + n * aside;
         let direction = t * (1.0 - turn.norm_squared() / 2.0) + n * turn;
 
         let mut d = SMatrix::<f64, 3, SHAPE>::zeros();
         d.fixed_view_mut::<3, 3>(0, 0).copy_from(&Matrix3::identity());
         d.fixed_view_mut::<3, 2>(0, 3).copy_from(&(n * along - t * aside.transpose()));
-        let d_k = n * (s2 / 2.0) - t * (k * (s3 / 3.0) + rate * (s4 / 8.0)).transpose();
-        if s > h {
-            let d_rate = n * (s3 / 6.0) - t * (k * (s4 / 8.0) + rate * (s5 / 20.0)).transpose();
-            d.fixed_view_mut::<3, 2>(0, 7).copy_from(&d_k);
-            d.fixed_view_mut::<3, 2>(0, 9).copy_from(&d_rate);
-        } else {
-            d.fixed_view_mut::<3, 2>(0, 5).copy_from(&d_k);
+        for (i, d_along) in d_along.iter().enumerate() {
+            let moved = (n * once(i) + t * d_along.transpose()) / FACTORIALS[i];
+            d.fixed_view_mut::<3, 2>(0, first + 2 * i).copy_from(&moved);
         }
         (point, direction, d)
     }
 
     /// d direction / d parameters at arc length `s`, to first order in the angle φ that the tube has turned by.
     pub(crate) fn d_direction(&self, s: f64) -> SMatrix<f64, 3, SHAPE> {
-        let sigma = s - s.clamp(-self.straight_half_m, self.straight_half_m);
-        let down = sigma > 0.0;
-        let bent = self.curvature_down * sigma + self.curvature_down_rate * (sigma * sigma / 2.0);
-        let turn = if down { bent } else { self.curvature_up * sigma };
+        let (sigma, first, bends) = self.beyond(s);
+        let by: [f64; BENDS] = std::array::from_fn(|i| sigma.powi((i + POWER) as i32) / FACTORIALS[i]);
+        let turn: Vector2<f64> = bends.iter().zip(by).map(|(bend, by)| bend * by).sum();
         let d_turn = self.across() - self.tangent() * turn.transpose();
         let mut d = SMatrix::<f64, 3, SHAPE>::zeros();
         d.fixed_view_mut::<3, 2>(0, 3).copy_from(&d_turn);
-        if down {
-            d.fixed_view_mut::<3, 2>(0, 7).copy_from(&(d_turn * sigma));
-            d.fixed_view_mut::<3, 2>(0, 9).copy_from(&(d_turn * (sigma * sigma / 2.0)));
-        } else {
-            d.fixed_view_mut::<3, 2>(0, 5).copy_from(&(d_turn * sigma));
+        for (i, by) in by.into_iter().enumerate() {
+            d.fixed_view_mut::<3, 2>(0, first + 2 * i).copy_from(&(d_turn * by));
         }
         d
+    }
+
+    /// How far beyond the straight part, and what bends the tube there: the place among the parameters, and their values.
+    fn beyond(&self, s: f64) -> (f64, usize, &[Vector2<f64>; BENDS]) {
+        let sigma = s - s.clamp(-self.straight_half_m, self.straight_half_m);
+        if sigma > 0.0 { (sigma, BELOW, &self.below) } else { (sigma, ABOVE, &self.above) }
     }
 
     /// The shape moved by a step of its parameters.
@@ -132,12 +139,14 @@ impl TubeShape {
         // Rotation that takes t to t + N·tilt (to first order) without turning about t, so that curvatures keep their axes.
         let axis = self.across() * Vector2::new(-tilt.y, tilt.x);
         let rotation = nalgebra::Rotation3::new(axis);
+        let bent = |bends: &[Vector2<f64>; BENDS], first: usize| {
+            std::array::from_fn(|i| bends[i] + step.fixed_rows::<2>(first + 2 * i))
+        };
         Self {
             centre: self.centre + Vector3::new(step[0], step[1], step[2]),
             frame: rotation * self.frame,
-            curvature_up: self.curvature_up + Vector2::new(step[5], step[6]),
-            curvature_down: self.curvature_down + Vector2::new(step[7], step[8]),
-            curvature_down_rate: self.curvature_down_rate + Vector2::new(step[9], step[10]),
+            above: bent(&self.above, ABOVE),
+            below: bent(&self.below, BELOW),
             straight_half_m: self.straight_half_m,
         }
     }
@@ -149,24 +158,27 @@ mod tests {
 
     fn bent() -> TubeShape {
         TubeShape {
-            curvature_up: Vector2::new(5.0, -8.0),
-            curvature_down: Vector2::new(-12.0, 4.0),
-            curvature_down_rate: Vector2::new(150.0, -60.0),
+            above: [Vector2::new(-900.0, 1200.0), Vector2::new(3e4, 5e4)],
+            below: [Vector2::new(1500.0, -600.0), Vector2::new(-4e4, 2e4)],
             ..TubeShape::straight(Point3::new(-0.1, 0.02, 1.4), &Vector3::new(0.3, 0.9, -0.2), 6e-3)
         }
     }
 
+    /// Of a curvature that grows in proportion to the arc: a clothoid, integrated in small steps.
     #[test]
-    fn a_constant_curvature_is_an_arc_of_a_circle() {
+    fn a_growing_curvature_is_a_clothoid() {
         let shape = TubeShape {
-            curvature_down: Vector2::new(20.0, 0.0),
+            below: [Vector2::new(4000.0, 0.0), Vector2::zeros()],
             ..TubeShape::straight(Point3::origin(), &Vector3::z(), 6e-3)
         };
-        // 10 mm of an arc of radius 50 mm after 6 mm of straight: 0.2 rad.
+        // 10 mm after 6 mm of straight: 0.2 rad.
         let (point, direction, _) = shape.at(16e-3);
+        let steps = 1000;
+        let turn = |i: i32| 2000.0 * ((f64::from(i) + 0.5) / f64::from(steps) * 10e-3).powi(2);
+        let sum = |f: fn(f64) -> f64| (0..steps).map(|i| f(turn(i)) * 10e-3 / f64::from(steps)).sum::<f64>();
         let n = shape.across();
-        assert!((point.coords.dot(&n.column(0)) - 0.05 * (1.0 - 0.2_f64.cos())).abs() < 4e-6);
-        assert!((point.z - (6e-3 + 0.05 * 0.2_f64.sin())).abs() < 1e-6);
+        assert!((point.coords.dot(&n.column(0)) - sum(f64::sin)).abs() < 4e-6);
+        assert!((point.z - (6e-3 + sum(f64::cos))).abs() < 1e-6);
         assert!((direction.angle(&Vector3::z()) - 0.2).abs() < 2e-3);
         assert!((direction.norm() - 1.0).abs() < 1e-3);
     }
@@ -177,7 +189,11 @@ mod tests {
         for s in [-15e-3, -3e-3, 0.0, 5e-3, 12e-3, 25e-3] {
             let (_, _, d) = shape.at(s);
             for k in 0..SHAPE {
-                let h = [1e-6, 1e-6, 1e-6, 1e-5, 1e-5, 1e-2, 1e-2, 1e-2, 1e-2, 1.0, 1.0][k];
+                let h = match k {
+                    0..3 => 1e-6,
+                    3..ABOVE => 1e-5,
+                    _ => [1.0, 1e2][(k - ABOVE) / 2 % BENDS],
+                };
                 let mut step = ShapeStep::zeros();
                 step[k] = h;
                 let difference = (shape.moved(&step).at(s).0 - shape.moved(&(-step)).at(s).0) / (2.0 * h);

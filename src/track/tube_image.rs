@@ -33,6 +33,8 @@ pub(crate) struct Knot {
     pub half_width: f64,
     /// How far the near side of a ring is displaced along the axis against its centre, pixels (signed, along `along`).
     pub bulge: f64,
+    /// Angles that the tube's direction has turned by since the reference band, radians.
+    pub turn: Vector2<f64>,
     /// d pixel / d shape parameters.
     pub d_pixel: SMatrix<f64, 2, SHAPE>,
     /// By how much the place across and along the axis, and the bulge, change with the shape parameters, pixels. A tube that
@@ -104,6 +106,7 @@ impl TubeImage {
                     scale: along.norm(),
                     half_width,
                     bulge,
+                    turn: shape.across().tr_mul(&direction),
                     d_local: [d_pixel.tr_mul(&across), d_pixel.tr_mul(&unit), d_bulge.transpose()],
                     d_pixel,
                     d_point: seen.d_pixel,
@@ -131,6 +134,8 @@ pub(crate) struct Local {
     pub bulge: f64,
     /// Pixels per metre along the axis.
     pub scale: f64,
+    /// Angles that the direction has turned by since the reference band.
+    pub turn: Vector2<f64>,
 }
 
 impl TubeImage {
@@ -150,6 +155,7 @@ impl TubeImage {
             half_width: mix(a.half_width, b.half_width),
             bulge: mix(a.bulge, b.bulge),
             scale: mix(a.scale, b.scale),
+            turn: a.turn.lerp(&b.turn, f),
         }
     }
 
@@ -233,14 +239,13 @@ mod tests {
     fn the_rings_bulge_turns_with_the_tube() {
         let [path, _] = crate::testing::tube::views();
         let shape = TubeShape {
-            curvature_up: Vector2::new(5.0, -8.0),
-            curvature_down: Vector2::new(-12.0, 4.0),
-            curvature_down_rate: Vector2::new(150.0, -60.0),
+            above: [Vector2::new(-900.0, 1200.0), Vector2::new(3e4, 5e4)],
+            below: [Vector2::new(1500.0, -600.0), Vector2::new(-4e4, 2e4)],
             ..TubeShape::straight(Point3::new(0.001, -0.004, 1.35), &Vector3::new(0.2, 1.0, 0.4), 6e-3)
         };
         let image = |shape: &TubeShape| TubeImage::of(shape, 6e-3, &path, (-20e-3, 25e-3), 2e-3).unwrap().knots;
         let knots = image(&shape);
-        for (parameter, step) in (3..11).zip([1e-4, 1e-4, 1e-2, 1e-2, 1e-2, 1e-2, 1.0, 1.0]) {
+        for (parameter, step) in (3..SHAPE).zip([1e-4, 1e-4, 1.0, 1.0, 1e2, 1e2, 1.0, 1.0, 1e2, 1e2]) {
             let mut by = ShapeStep::zeros();
             by[parameter] = step;
             for ((high, low), knot) in image(&shape.moved(&by)).iter().zip(&image(&shape.moved(&-by))).zip(&knots) {

@@ -1,7 +1,7 @@
 //! One view in a round of the fit: its samples, the noise they are weighed by, and what its colours may be.
 
 use crate::source::Picture;
-use crate::track::appearance::{CAP, GRADIENT, Layout, SHADING, Scene};
+use crate::track::appearance::{CAP, GRADIENT, Layout, SHADING, Scene, TURNING};
 use crate::track::compare::{Comparison, Noise};
 use crate::track::image_model::ImageModel;
 use crate::track::no_fit::NoFit;
@@ -11,10 +11,11 @@ use crate::track::stretch::Stretch;
 use crate::track::tube_image::TubeImage;
 
 /// Prior σ of colours about what they look like (linear light, 1 = white), of the background's gradient per pixel, of
-/// shading, cap.
+/// shading, its change per radian that the tube turns by, cap.
 const COLOUR_SD: f64 = 0.15;
 const GRADIENT_SD: f64 = 0.02;
 const SHADING_SD: f64 = 0.2;
+const TURNING_SD: f64 = 1.0;
 const CAP_SD: f64 = 0.5;
 /// Noise assumed before any is known, stored units; and the least ever assumed (rounding to integers and little more).
 const START_NOISE: f64 = 2.5;
@@ -39,18 +40,19 @@ pub(crate) struct View {
 }
 
 impl View {
-    /// Selects the samples around an image of the stretch.
+    /// Selects the samples around an image of the stretch between two arc lengths.
     ///
     /// # Errors
     /// When it is not in the picture, or not all of it was recorded.
     pub(crate) fn select(
         stretch: &Stretch,
+        range_m: (f64, f64),
         image: &TubeImage,
         picture: &Picture,
         model: &ImageModel,
         (density, weighing): (Density, Weighing),
     ) -> Result<Self, NoFit> {
-        let patch = Patch::select(picture, image, stretch.range_m, model.chroma_offset_px, density)?;
+        let patch = Patch::select(picture, image, range_m, model.chroma_offset_px, density)?;
         let expected_colours = patch.colours(picture, image, &stretch.layout, &model.encoding);
         let expected_colours = expected_colours.ok_or(NoFit::OutOfPicture)?;
         Ok(Self { comparison: Comparison::new(patch), expected_colours, noise: start_noise(picture), weighing })
@@ -76,7 +78,8 @@ impl View {
             // That keeps a colour in bounds when hardly a sample shows it.
             let (expected, sd) = match i {
                 GRADIENT..SHADING => (0.0, GRADIENT_SD),
-                SHADING..CAP => (0.0, SHADING_SD),
+                SHADING..TURNING => (0.0, SHADING_SD),
+                TURNING..CAP => (0.0, TURNING_SD),
                 CAP => (1.0, CAP_SD),
                 _ => (*expected, COLOUR_SD),
             };

@@ -132,7 +132,7 @@ pub(super) fn evaluate(path: &DesiredPath, observed: &Observed<'_>, options: &Op
     let unusable = |problem: String| ValidateError::Unusable { path: recording.path.clone(), problem };
     let mut notes = Vec::new();
     if let Some(why) = &recording.cut {
-        notes.push(format!("the file ends early: {why}"));
+        notes.push(format!("not all of the file can be read: {why}"));
     }
 
     // 1. the frames, and when the commands were given

@@ -221,7 +221,7 @@ fn wrong_arguments_are_named() {
     refused(&along, 2, &rest, &[], &["rig.toml: base.b0: B0 ="]);
 
     let mut bare = rig();
-    bare.markers[1].colour = None;
+    bare.markers[1].colours.clear();
     let bare = Place::with(&bare);
     refused(&bare, 2, &rest, &[], &["rest.mkv", "`coil`"]);
 }

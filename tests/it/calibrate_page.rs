@@ -78,7 +78,7 @@ fn the_page_has_the_numbers_and_needs_no_network() {
         assert!(page.contains(&format!("\"{parameter}\"")), "no correlations of {parameter}");
     }
     let mirror = numbers(&printed, "mirror ");
-    assert!(page.contains(&format!("<td>{:.2}</td><td>{:.2}</td></tr>", mirror[4].abs(), mirror[5])), "{mirror:?}");
+    assert!(page.contains(&format!("<td>{:.2}</td><td>{:.2}</td></tr>", mirror[5].abs(), mirror[6])), "{mirror:?}");
     assert!(page.contains("None: all 12 pictures count."));
     assert!(page.contains("<td>9x6:12mm</td>") && page.contains("glass 5.00 mm"));
 

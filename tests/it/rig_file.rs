@@ -116,7 +116,8 @@ fn millimetres_become_metres_and_names_become_indices() {
     assert_eq!((rig.catheter.coil, rig.catheter.end, rig.marker("base")), (1, Some(2), Some(0)));
     assert_eq!(rig.catheter.diameter_m, 0.0032);
     assert_eq!((rig.markers[1].length_m, rig.markers[1].centre_m), (0.012, Some(0.085)));
-    assert_eq!(rig.markers[0].colour.unwrap().weights, Vector3::new(0.012, -0.004, -0.011));
+    let planes = &rig.markers[0].colour(1).unwrap().planes;
+    assert_eq!((planes.len(), planes[0].weights), (1, Vector3::new(0.012, -0.004, -0.011)), "one for all views");
     // Row y = (0, 0, -1): a point 1 m ahead of the camera, 1 mm to the right.
     let in_base = rig.base.unwrap().base_from_camera * Point3::new(0.001, 0.0, 1.0);
     assert!((in_base - Point3::new(0.004, 0.094, 0.040)).norm() < 1e-12, "{in_base}");
@@ -326,7 +327,7 @@ fn saving_replaces_the_file_whole_or_not_at_all() {
 
 #[test]
 fn light_paths_by_hand() {
-    let seen = check(&read(RIG).unwrap()).unwrap();
+    let seen = check(&read(RIG).unwrap().into()).unwrap();
     // direct: along the optical axis, straight through the pane.
     let direct = &seen.views[0];
     assert!((direct.centre_px - Point2::new(640.0, 512.0)).norm() < 1e-9);
@@ -361,7 +362,7 @@ fn light_paths_by_hand() {
 #[test]
 fn warnings_say_what_is_missing_or_odd() {
     let warned = |text: &str| -> Vec<String> {
-        check(&read(text).unwrap()).unwrap().warnings.iter().map(ToString::to_string).collect()
+        check(&read(text).unwrap().into()).unwrap().warnings.iter().map(ToString::to_string).collect()
     };
     let any = |warnings: &[String], part: &str| {
         assert!(warnings.iter().any(|w| w.contains(part)), "{warnings:?} lack {part:?}");
@@ -505,5 +506,79 @@ fn the_script_makes_rigs_from_truth() {
     std::fs::write(&in_air, text).unwrap();
     let rig = script(&in_air);
     assert_eq!((rig.views[0].path.len(), rig.views[1].path.as_slice()), (0, ["side_mirror".to_owned()].as_slice()));
-    assert!(check(&rig).unwrap().usable());
+    assert!(check(&rig.clone().into()).unwrap().usable());
+}
+
+/// After each calibration there is something to look at, and what is missing is named with the command that finds it.
+#[test]
+fn a_rig_that_is_not_finished_is_shown_as_far_as_it_has_got() {
+    let folder = tempfile::tempdir().unwrap();
+    let whole = Draft::load(&Path::new(env!("CARGO_MANIFEST_DIR")).join("calibration/dev_tank/rig.toml")).unwrap();
+    let shown = |name: &str, draft: &Draft| {
+        let path = folder.path().join(name);
+        draft.save(&path).unwrap();
+        let out = catoptra(&["rig", "check", path.to_str().unwrap()]);
+        assert_eq!(out.status.code(), Some(0), "{}", String::from_utf8_lossy(&out.stderr));
+        String::from_utf8(out.stdout).unwrap()
+    };
+    let after_rig = Draft { markers: Vec::new(), catheter: None, base: None, ..whole.clone() };
+    let text = shown("after_rig.toml", &after_rig);
+    for part in [
+        "focal length     ",
+        "   σ ",
+        "mirror           mirror\n",
+        " ± ",
+        "view direct",
+        "bands and tube            catoptra calibrate markers",
+        "base frame and B0         catoptra calibrate base",
+        "no warnings",
+    ] {
+        assert!(text.contains(part), "{part:?} is not in {text}");
+    }
+    let after_camera = Draft { surfaces: Default::default(), views: Vec::new(), ..after_rig };
+    let text = shown("after_camera.toml", &after_camera);
+    assert!(text.contains("mirrors, walls and views  catoptra calibrate rig"), "{text}");
+    assert!(!shown("whole.toml", &whole).contains("still missing"));
+}
+
+#[test]
+fn deviations_of_an_imported_lens_are_kept() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("rig.toml");
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/cameras/ros.yaml");
+    let import =
+        |sd: &str| catoptra(&["rig", "import", file.to_str().unwrap(), "--sd", sd, "--out", out.to_str().unwrap()]);
+    assert_eq!(import("1,2,3").status.code(), Some(2));
+    assert!(!out.exists());
+    let done = import("1.5,1.5,0.9,0.8,3e-3,0.02,2e-4,2e-4,0.05");
+    assert_eq!(done.status.code(), Some(0), "{}", String::from_utf8_lossy(&done.stderr));
+    let draft = Draft::load(&out).unwrap();
+    assert!((draft.noted_sd("focal_x_px").unwrap() - 1.5).abs() < 1e-9);
+    assert!((draft.noted_sd("k3").unwrap() - 0.05).abs() < 1e-9);
+}
+
+/// A model of several planes for each view is read as it was written; one for some views only is refused.
+#[test]
+fn colours_of_each_view_come_back_and_one_that_is_missing_is_named() {
+    let (_, old) = RIG.split_once("[marker.colour]").unwrap();
+    let end = old.find("\n\n").unwrap();
+    let colours = |views: &[&str]| -> String {
+        let of = |view: &&str| {
+            format!(
+                "[[marker.colours]]\nview = \"{view}\"\nplanes = [[0.01, 0.0, -0.01, 0.2], [0.0, 0.02, -0.01, 0.1]]\n\
+                 rgb = [150.0, 120.0, 40.0]\n"
+            )
+        };
+        views.iter().map(of).collect()
+    };
+    let with = |colours: String| RIG.replacen(&format!("[marker.colour]{}", &old[..end]), &colours, 1);
+    let rig = read(&with(colours(&["direct", "mirror"]))).unwrap();
+    assert_eq!(rig.markers[0].colours.len(), 2);
+    assert_eq!(rig.markers[0].colour(1).unwrap().planes.len(), 2);
+    assert_eq!(read(&rig.to_toml_string()).unwrap().markers, rig.markers);
+    let message = read(&with(colours(&["mirror"]))).unwrap_err().to_string();
+    assert!(message.contains("marker.base.colours") && message.contains("direct, mirror"), "{message}");
+    let none =
+        with(colours(&["direct", "mirror"])).replacen("[[0.01, 0.0, -0.01, 0.2], [0.0, 0.02, -0.01, 0.1]]", "[]", 1);
+    assert!(read(&none).unwrap_err().to_string().contains("one plane or more"));
 }

@@ -5,8 +5,12 @@ use std::path::Path;
 use catoptra::source::{self, Clock, Frame, PixelFormat, SourceError, SourceOptions, Span};
 use image::{DynamicImage, GrayImage, ImageBuffer, Luma, Rgb, RgbImage};
 
-const TABLE: SourceOptions =
-    SourceOptions { span: Span { from_ns: None, to_ns: None }, stated_rate: None, decoder_threads: 1 };
+const TABLE: SourceOptions = SourceOptions {
+    span: Span { from_ns: None, to_ns: None },
+    stated_rate: None,
+    decoder_threads: 1,
+    keep_damaged: false,
+};
 
 fn stated(rate: &str) -> SourceOptions {
     SourceOptions { stated_rate: Some(rate.parse().unwrap()), ..TABLE }

@@ -90,7 +90,7 @@ fn grey_pictures() {
 #[test]
 fn a_rig_that_is_not_complete() {
     let mut colourless = rig();
-    colourless.markers[1].colour = None;
+    colourless.markers[1].colours.clear();
     let place = Place::with(&colourless);
     refused(&place, &sample("rest.mkv"), &[], &["rig.toml", "coil", "catoptra calibrate markers"]);
 
@@ -128,9 +128,7 @@ fn options_that_mean_nothing() {
 #[test]
 fn a_marker_that_is_never_seen() {
     let mut rig = rig();
-    if let Some(colour) = &mut rig.markers[2].colour {
-        colour.bias -= 3.0;
-    }
+    rig.markers[2].colours.iter_mut().flat_map(|colour| &mut colour.planes).for_each(|plane| plane.bias -= 3.0);
     let place = Place::with(&rig);
     let output = place.track(&sample("rest.mkv"), &["--to", "0.1"]);
     let said = ended_with(&output, 3);

@@ -30,7 +30,13 @@ fn every_frame_is_answered_near_the_truth_and_is_in_every_file() {
     assert_eq!(attached(&place.path("out/log.mcap"), "rig.toml"), rig);
     let options = attached(&place.path("out/log.mcap"), "options.toml");
     assert!(options.contains("frame = \"camera\"") && options.contains("to_s = 0.4"), "{options}");
-    assert!(std::fs::read_to_string(place.path("out/run.toml")).unwrap().ends_with(&options));
+    let run = std::fs::read_to_string(place.path("out/run.toml")).unwrap();
+    assert!(run.contains(&options));
+    // What each source of error adds comes after it.
+    let budget = run.parse::<toml::Table>().unwrap()["error_budget"].clone();
+    for source in ["image_noise", "time_stamps", "together"] {
+        assert!(budget[source]["theta_deg"].as_float().unwrap() >= 0.0, "{run}");
+    }
     let told = stdout(&output);
     for part in ["25 frames, 0.000 s to 0.400 s; the camera lost none", "results in out", "overlay.mp4"] {
         assert!(told.contains(part), "{part} is not in {told}");

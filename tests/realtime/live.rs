@@ -216,7 +216,8 @@ fn controllers_are_served_when_every_file_is_lost() {
     listener.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
     let until = Until { duration: Some(Duration::from_millis(700)), ..Until::default() };
     let bad = Rows { fails_at: Some(0), ..Rows::default() };
-    let controllers = Some(UdpSink::to(listener.local_addr().unwrap(), &rig()).unwrap());
+    let controllers: Vec<Box<dyn Sink + Send>> =
+        vec![Box::new(UdpSink::to(listener.local_addr().unwrap(), &rig()).unwrap())];
     let summary = run(endless(&until.stop), Outputs { controllers, ..files(&[&bad]) }, &until);
     assert!(matches!(summary.run.end, End::Complete), "{:?}", summary.run.end);
     assert_eq!(summary.run.sink_failures.len(), 1);

@@ -65,7 +65,7 @@ fn run(threads: usize, period: Duration, wrong: impl Fn(u64, i64) -> (u32, i64) 
     let run = Run { summary, table: Table::read(&table), info: Info::read(&log).unwrap() };
     let seqs: Vec<String> = run.table.rows.iter().map(|row| row["seq"].clone()).collect();
     assert_eq!(seqs, (0..40).map(|seq: u32| seq.to_string()).collect::<Vec<_>>());
-    assert_eq!((run.info.frames, run.info.cut.clone(), run.info.rows_missing), (40, None, 0));
+    assert_eq!((run.info.frames, run.info.condition.cut.clone(), run.info.rows_missing), (40, None, 0));
     run
 }
 

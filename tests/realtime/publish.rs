@@ -11,7 +11,7 @@ use tungstenite::http::HeaderValue;
 use tungstenite::{Message, WebSocket};
 
 fn publisher() -> PublishSink {
-    PublishSink::listen("127.0.0.1:0".parse().unwrap(), &fixture::rig()).unwrap()
+    PublishSink::listen("127.0.0.1:0".parse().unwrap(), &[], &fixture::rig()).unwrap()
 }
 
 /// A client that has been told which topics there are, by name.
@@ -128,6 +128,63 @@ fn a_thousand_subscribers_that_come_and_vanish_leave_nothing_behind() {
 #[test]
 fn an_address_that_is_taken_is_named() {
     let publisher = publisher();
-    let error = PublishSink::listen(publisher.address(), &fixture::rig()).err().unwrap().to_string();
+    let error = PublishSink::listen(publisher.address(), &[], &fixture::rig()).err().unwrap().to_string();
     assert!(error.contains(&publisher.address().to_string()) && error.contains("--publish"), "{error}");
+}
+
+/// What the server answers to a request for a WebSocket with these headers.
+fn answer(address: SocketAddr, host: &str, origin: Option<&str>) -> String {
+    use std::io::{Read as _, Write as _};
+    let mut stream = TcpStream::connect(address).unwrap();
+    stream.set_read_timeout(Some(Duration::from_secs(10))).unwrap();
+    let origin = origin.map_or(String::new(), |origin| format!("Origin: {origin}\r\n"));
+    let request = format!(
+        "GET / HTTP/1.1\r\nHost: {host}\r\n{origin}Connection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\n\
+         Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Protocol: foxglove.sdk.v1\r\n\r\n"
+    );
+    stream.write_all(request.as_bytes()).unwrap();
+    let mut bytes = [0; 12];
+    stream.read_exact(&mut bytes).unwrap();
+    String::from_utf8_lossy(&bytes).into_owned()
+}
+
+#[test]
+fn web_pages_of_others_may_not_read_along() {
+    let origins = ["https://lab.example.org".to_owned()];
+    let mut publisher = PublishSink::listen("127.0.0.1:0".parse().unwrap(), &origins, &fixture::rig()).unwrap();
+    let address = publisher.address();
+    let here = address.to_string();
+    for origin in
+        [None, Some("https://app.foxglove.dev"), Some("https://lab.example.org"), Some("http://localhost:3000")]
+    {
+        assert_eq!(answer(address, &here, origin), "HTTP/1.1 101", "{origin:?}");
+    }
+    for origin in ["https://evil.example", "null", "http://evil.example:8765"] {
+        assert_eq!(answer(address, &here, Some(origin)), "HTTP/1.1 403", "{origin}");
+    }
+    // A name that was made to point here.
+    assert_eq!(answer(address, &format!("evil.example:{}", address.port()), None), "HTTP/1.1 403");
+    publisher.finish(&Tally::default()).unwrap();
+}
+
+#[test]
+fn connections_that_are_no_websockets_cost_nothing() {
+    use std::io::Write as _;
+    let mut publisher = publisher();
+    let mut idle = Vec::new();
+    for k in 0..400_u32 {
+        let mut stream = TcpStream::connect(publisher.address()).unwrap();
+        let rubbish: Vec<u8> = (0..k).map(|i| (i * k) as u8).collect();
+        let _ = stream.write_all(&rubbish);
+        if k % 8 == 0 {
+            idle.push(stream);
+        }
+    }
+    let began = Instant::now();
+    publisher.write(&fixture::complete(0, 1_000), None).unwrap();
+    assert!(began.elapsed() < Duration::from_secs(1));
+    let (mut socket, topics) = connected(publisher.address());
+    subscribe(&mut socket, &[topics["/catheter/deflection"]]);
+    assert_eq!(next(&mut socket).1, 1_000);
+    publisher.finish(&Tally::default()).unwrap();
 }

@@ -51,7 +51,7 @@ pub(crate) fn rig() -> Rig {
         name: name.into(),
         length_m: length_mm * 1e-3,
         centre_m: Some(centre_mm * 1e-3),
-        colour: None,
+        colours: Vec::new(),
     };
     let z = rest_tangent();
     let b0 = Vector3::new(0.8830690387298155, -0.014313475943035978, 0.4690247298844997);

@@ -34,6 +34,24 @@ pub enum GreyError {
         /// The decoder's reason.
         source: image::ImageError,
     },
+    /// More pixels than any camera has.
+    #[error("{}: says that it has {width}x{height} pixels; up to {} million are read", path.display(), MOST_PX / 1_000_000)]
+    TooLarge {
+        /// The file.
+        path: PathBuf,
+        /// Width it declares, pixels.
+        width: u32,
+        /// Height it declares, pixels.
+        height: u32,
+    },
+    /// Damaged samples.
+    #[error("{}: is damaged ({what}): copy it again, or leave it out", path.display())]
+    Damaged {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        what: &'static str,
+    },
     /// A file that was not copied to its end.
     #[error("{}: the file ends before the picture does: copy it again, or leave it out", path.display())]
     CutOff {
@@ -41,6 +59,9 @@ pub enum GreyError {
         path: PathBuf,
     },
 }
+
+/// The largest sensors have 151 million pixels.
+const MOST_PX: u64 = 160_000_000;
 
 /// Which rows and columns a picture is read in, when its EXIF data ask for it to be turned.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -83,8 +104,15 @@ impl Grey {
         if jpeg::is_cut_off(&bytes) {
             return Err(GreyError::CutOff { path: path.to_path_buf() });
         }
+        if let Some(what) = jpeg::damage(&bytes) {
+            return Err(GreyError::Damaged { path: path.to_path_buf(), what });
+        }
         let reader = ImageReader::new(Cursor::new(bytes)).with_guessed_format().map_err(io)?;
         let mut decoder = reader.into_decoder().map_err(undecodable)?;
+        let (width, height) = decoder.dimensions();
+        if u64::from(width) * u64::from(height) > MOST_PX {
+            return Err(GreyError::TooLarge { path: path.to_path_buf(), width, height });
+        }
         let orientation = decoder.orientation().map_err(undecodable)?;
         let mut decoded = DynamicImage::from_decoder(decoder).map_err(undecodable)?;
         if rows == Rows::AsShown {

@@ -47,18 +47,79 @@ pub enum MarkersError {
     /// The colours cannot be learned.
     #[error("the colours cannot be told apart: {0}")]
     Learn(#[from] LearnError),
-    /// No blob under the click.
-    #[error("nothing of a colour of its own at {x},{y}, where `{name}` was picked: click on the middle of the band")]
-    NoBlob {
+    /// Nothing like a band near the click.
+    #[error(
+        "nothing like {band} near {x:.0},{y:.0} in view `{view}`, where `{name}` was picked: click on the band, and see \
+         whether its length, the tube's diameter and the frame (--at) are right"
+    )]
+    NoBand {
         /// Marker.
         name: String,
+        /// View.
+        view: String,
         /// Pixel.
         x: f64,
         /// Pixel.
         y: f64,
+        /// What was looked for.
+        band: String,
+    },
+    /// Two bands clicked in one place.
+    #[error("`{}` and `{}` were picked on one band: pick each on its own", names[0], names[1])]
+    OneBand {
+        /// Markers.
+        names: [String; 2],
+    },
+    /// Bands in another order along the tube.
+    #[error(
+        "the tube would fold back between the bands in the order {names}: give the picks in their order along the tube, from \
+         the clamp to the tip"
+    )]
+    Order {
+        /// Markers, as given.
+        names: String,
+    },
+    /// Places that no tube joins.
+    #[error(
+        "what was picked is not on one tube: nothing on the lines of sight is as near to each other as its bands are"
+    )]
+    NoTube,
+    /// Views that see nothing in common.
+    #[error(
+        "no place on the lines of sight of the picks is in the region of another view: are the regions right, and mirror and \
+         walls where they were?"
+    )]
+    NoVolume,
+    /// A band that the camera shows at its limit.
+    #[error("`{name}` is overexposed in view `{view}`: {advice}")]
+    Overexposed {
+        /// Marker.
+        name: String,
+        /// View.
+        view: String,
+        /// What to do.
+        advice: String,
+    },
+    /// A band whose colour is another's.
+    #[error(
+        "colours that cannot be told apart: {0}. Choose bands of purer or other colours, more even light, or take the other \
+         thing of that colour out of the picture"
+    )]
+    Alike(String),
+    /// A band that is measured too seldom.
+    #[error("`{name}` was measured in only {answered} of {frames} frames{reason}")]
+    TooSeldom {
+        /// Marker.
+        name: String,
+        /// Frames in which it was.
+        answered: usize,
+        /// Frames looked at.
+        frames: usize,
+        /// The first miss, in words.
+        reason: String,
     },
     /// The band is not found in another view, or found elsewhere.
-    #[error("`{name}` was picked at {x},{y} but cannot be measured in the first frame: {reason}")]
+    #[error("`{name}` was picked at {x},{y} but cannot be measured in that frame: {reason}")]
     NotMeasured {
         /// Marker.
         name: String,
@@ -78,5 +139,5 @@ pub enum MarkersError {
 }
 
 fn also_in(other: Option<&str>) -> String {
-    other.map_or(String::new(), |other| format!("; it lies in that of `{other}`, say so with --view if all picks do"))
+    other.map_or(String::new(), |other| format!("; it lies in that of `{other}`, say so: --pick NAME@{other}:X,Y"))
 }

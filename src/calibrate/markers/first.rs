@@ -1,92 +1,48 @@
-//! The first frame: colours from the clicks, and whether the tracker measures the bands that were clicked.
+//! The picked frame: bands found by geometry, colours from them, and whether the tracker measures those bands.
 
-use crate::calibrate::markers::samples::{Place, Samples};
-use crate::calibrate::markers::{MarkersError, Pick, set_models};
-use crate::estimate::Miss;
+use super::error::MarkersError;
+use super::learned::{ViewColours, learn_views, set_models};
+use super::locate::candidates::Candidate;
+use super::locate::{Near, NotFound};
+use super::samples::{Place, Samples};
+use crate::estimate::{Estimate, Miss};
 use crate::rig::{Marker, Rig};
-use crate::segment::{Segmenter, learn};
 use crate::source::Frame;
 use crate::track::{TrackOptions, Tracker};
-use nalgebra::Point2;
 
-/// The picks in the order of the rig's markers, each inside the view it should be in.
-pub(super) fn in_rig_order(rig: &Rig, picks: &[Pick], view: usize) -> Result<Vec<Pick>, MarkersError> {
-    let [width, height] = rig.camera.size_px;
-    rig.markers
-        .iter()
-        .map(|marker| {
-            let pick = picks.iter().find(|p| p.name == marker.name);
-            let pick = pick.ok_or_else(|| MarkersError::NoPick(marker.name.clone()))?;
-            let Point2 { coords } = pick.pixel;
-            let within = |v: f64, size: u32| (0.0..f64::from(size)).contains(&v);
-            let (name, x, y) = (pick.name.clone(), coords.x, coords.y);
-            if !(within(x, width) && within(y, height)) {
-                return Err(MarkersError::Outside { name, x, y, width, height });
-            }
-            match rig.views.get(view) {
-                Some(missed) if !missed.contains(&pick.pixel) => {
-                    let other = rig.views.iter().find(|v| v.contains(&pick.pixel)).map(|v| v.name.clone());
-                    Err(MarkersError::OutsideView { name, x, y, view: missed.name.clone(), other })
-                }
-                _ => Ok(pick.clone()),
-            }
-        })
-        .collect()
+/// Colours of the bands as they were located in one frame.
+pub(super) fn learn_located(
+    rig: &mut Rig,
+    located: &[Candidate],
+    frame: &Frame,
+) -> Result<Vec<ViewColours>, MarkersError> {
+    let views = rig.views.clone();
+    let names: Vec<String> = rig.markers.iter().map(|m| m.name.clone()).collect();
+    let samples = views.iter().enumerate().map(|(v, view)| {
+        let mut samples = Samples::new(view, names.clone());
+        let place = |(m, candidate): (usize, &Candidate)| Some(Place::look(m, candidate.looks[v].as_ref()?));
+        samples.add(&frame.picture, &located.iter().enumerate().filter_map(place).collect::<Vec<_>>());
+        samples
+    });
+    let learned = learn_views(&samples.collect::<Vec<_>>())?;
+    set_models(rig, &learned);
+    Ok(learned)
 }
 
-/// Colours from the clicks, then from the blobs under them.
-pub(super) fn learn_first(rig: &Rig, picks: &[Pick], first: &Frame) -> Result<Rig, MarkersError> {
-    let names = || picks.iter().map(|p| p.name.clone()).collect();
-    let mut rig = rig.clone();
-    for (marker, pick) in rig.markers.iter_mut().zip(picks) {
-        marker.length_m = pick.length_m;
-    }
-    let clicks: Vec<Point2<f64>> = picks.iter().map(|p| p.pixel).collect();
-    let mut samples = Samples::new(names());
-    samples.add_clicks(&first.picture, &clicks);
-    set_models(&mut rig, &learn(&samples.classes())?);
-    // The whole band shows more of its shading than the click, and what lies beside it matters most. The tube stays a class of
-    // its own: blobs reach a little into it, and would grow into it further each time.
-    for _ in 0..2 {
-        let places = blobs_under(&rig, picks, first)?;
-        let mut samples = Samples::new(names());
-        samples.add(&first.picture, &places, true);
-        samples.add_around(&first.picture, &clicks);
-        set_models(&mut rig, &learn(&samples.classes())?);
-    }
-    Ok(rig)
-}
-
-fn blobs_under(rig: &Rig, picks: &[Pick], frame: &Frame) -> Result<Vec<Place>, MarkersError> {
-    let mut segmenter = Segmenter::for_rig(rig)?;
-    let blobs = segmenter.all_blobs(&frame.picture)?;
-    picks
-        .iter()
-        .enumerate()
-        .map(|(m, pick)| {
-            let (x, y) = (pick.pixel.x, pick.pixel.y);
-            let holds = |low: u32, high: u32, v: f64| (f64::from(low)..f64::from(high)).contains(&v);
-            // A scattered one may reach around the band.
-            blobs
-                .iter()
-                .filter(|b| b.marker == m && holds(b.bounds.x0, b.bounds.x1, x) && holds(b.bounds.y0, b.bounds.y1, y))
-                .min_by(|a, b| a.area_px2.total_cmp(&b.area_px2))
-                .map(Place::blob)
-                .ok_or_else(|| MarkersError::NoBlob { name: pick.name.clone(), x, y })
-        })
-        .collect()
-}
-
-/// The tracker must measure, in the first frame, the very bands that were clicked.
-pub(super) fn confirm(rig: &Rig, picks: &[Pick], view: usize, first: &Frame) -> Result<(), MarkersError> {
-    let estimate = Tracker::new(rig, TrackOptions::default())?.step(first)?;
+/// The tracker must measure the very bands that were located.
+pub(super) fn confirm(
+    rig: &Rig,
+    clicks: &[Vec<Near>],
+    located: &[Candidate],
+    frame: &Frame,
+) -> Result<Estimate, MarkersError> {
+    let estimate = Tracker::new(rig, TrackOptions::default())?.step(frame)?;
     let names: Vec<&str> = rig.views.iter().map(|v| v.name.as_str()).collect();
-    for ((pick, marker), info) in picks.iter().zip(&estimate.markers).zip(&rig.markers) {
-        let not_measured = |reason: String| MarkersError::NotMeasured {
-            name: pick.name.clone(),
-            x: pick.pixel.x,
-            y: pick.pixel.y,
-            reason,
+    for (m, (marker, info)) in estimate.markers.iter().zip(&rig.markers).enumerate() {
+        let not_measured = |reason: String| {
+            let near = clicks.get(m).and_then(|near| near.first());
+            let (x, y) = near.map_or((f64::NAN, f64::NAN), |near| (near.pixel.x, near.pixel.y));
+            MarkersError::NotMeasured { name: info.name.clone(), x, y, reason }
         };
         if let Err(miss) = &marker.position {
             let also: Vec<String> = estimate
@@ -99,49 +55,98 @@ pub(super) fn confirm(rig: &Rig, picks: &[Pick], view: usize, first: &Frame) -> 
             let also = if also.is_empty() { String::new() } else { format!(" (nor can {})", also.join(", ")) };
             return Err(not_measured(format!("{}{also}", why(rig, info, miss))));
         }
-        if let Some(Ok(seen)) = marker.views.get(view) {
-            let away = (seen.centre_px - pick.pixel).norm();
-            let longest = seen.outline_px.iter().map(|p| (p - seen.centre_px).norm()).fold(0.0, f64::max);
-            if away > longest + 2.0 {
+        let looks = located.get(m).map(|candidate| candidate.looks.as_slice()).unwrap_or_default();
+        for ((seen, look), view) in marker.views.iter().zip(looks).zip(&names) {
+            let (Ok(seen), Some(look)) = (seen, look) else { continue };
+            let away = (seen.centre_px - look.centre).norm();
+            if away > look.size.length / 2.0 + look.size.width {
                 return Err(not_measured(format!(
-                    "the band of this colour that fits a length of {} mm is seen at {:.0},{:.0} in view `{}`",
+                    "it is at {:.0},{:.0} in view `{view}`, but what has its colour and fits a length of {:.1} mm is at \
+                     {:.0},{:.0}",
+                    look.centre.x,
+                    look.centre.y,
                     info.length_m * 1e3,
                     seen.centre_px.x,
                     seen.centre_px.y,
-                    names[view]
                 )));
             }
         }
     }
-    Ok(())
+    Ok(estimate)
+}
+
+/// What was not found, as the one who clicked should hear it.
+pub(super) fn explained(rig: &Rig, clicks: &[Vec<Near>], why: NotFound) -> MarkersError {
+    let view_name = |v: usize| rig.views.get(v).map_or_else(String::new, |view| view.name.clone());
+    let click = |marker: usize, view: usize| {
+        let near = clicks.get(marker).and_then(|near| near.iter().find(|near| near.view == view));
+        near.map_or((f64::NAN, f64::NAN), |near| (near.pixel.x, near.pixel.y))
+    };
+    let band = |marker: usize| rig.markers.get(marker).map_or_else(String::new, |m| band(rig, m));
+    let name = |marker: usize| rig.markers.get(marker).map_or_else(String::new, |m| m.name.clone());
+    match why {
+        NotFound::Nothing { marker, view } => {
+            let (x, y) = click(marker, view);
+            MarkersError::NoBand { name: name(marker), view: view_name(view), x, y, band: band(marker) }
+        }
+        NotFound::OneView { marker, view, look } => {
+            let (x, y) = click(marker, view);
+            let others: Vec<String> =
+                (0..rig.views.len()).filter(|v| *v != view).map(|v| format!("`{}`", view_name(v))).collect();
+            let reason = format!(
+                "a band is seen at {:.0},{:.0}, but along its line of sight nothing like {} is seen in {}: is it hidden or \
+                 too dark there, or does a region leave it out? Are mirror and walls in the rig where they were? A pick there \
+                 too says where it is: --pick {}@VIEW:X,Y",
+                look.centre.x,
+                look.centre.y,
+                band(marker),
+                others.join(" or "),
+                name(marker),
+            );
+            MarkersError::NotMeasured { name: name(marker), x, y, reason }
+        }
+        NotFound::OneBand { markers: [a, b] } => MarkersError::OneBand { names: [name(a), name(b)] },
+        NotFound::Order => {
+            MarkersError::Order { names: rig.markers.iter().map(|m| m.name.as_str()).collect::<Vec<_>>().join(", ") }
+        }
+        NotFound::NoTube => MarkersError::NoTube,
+        NotFound::NoVolume => MarkersError::NoVolume,
+    }
+}
+
+fn band(rig: &Rig, marker: &Marker) -> String {
+    format!("a band of {:.1} mm on a tube of {:.1} mm", marker.length_m * 1e3, rig.catheter.diameter_m * 1e3)
 }
 
 /// A miss as the one who clicked should hear it.
 fn why(rig: &Rig, marker: &Marker, miss: &Miss) -> String {
-    let band =
-        format!("a band of {:.1} mm on a tube of {:.1} mm", marker.length_m * 1e3, rig.catheter.diameter_m * 1e3);
+    let band = band(rig, marker);
     match miss {
         Miss::NotSeen { view } => {
             let view = rig.views.get(*view).map_or("another view", |v| v.name.as_str());
             format!("nothing of its colour that could be {band} is seen in `{view}`")
         }
         Miss::Ambiguous { candidates } => format!(
-            "{candidates} things of its colour are where it could be: cover the others, or draw the views' region_px tighter"
+            "{candidates} things of its colour are where it could be: cover the others, or leave them out of the views with \
+             --region"
         ),
         Miss::RaysDiverge { distance_m } => format!(
-            "what has its colour in the views is not in one place, lines of sight pass {:.1} mm apart: click on the band \
-             itself, and see whether mirror and walls in the rig are where they were",
+            "what has its colour in the views is not in one place, lines of sight pass {:.1} mm apart: see whether mirror and \
+             walls in the rig are where they were",
             distance_m * 1e3
         ),
-        _ => format!("what is there does not look like {band}: are click, length and diameter right?"),
+        _ => format!("what is there does not look like {band}: are length and diameter right?"),
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::calibrate::markers::locate::{Look, Size};
+    use crate::segment::Segmenter;
     use crate::source::{Clock, Colour, Picture, PixelFormat, Timestamp};
     use crate::testing::fixture;
+    use nalgebra::{Point2, Point3, Vector2, Vector3};
 
     /// A white tube with three bands, 7 px wide, in 4:2:0; its edges are as soft as a lens makes them.
     fn hanging_on(ground: [f64; 3]) -> Frame {
@@ -187,13 +192,26 @@ mod tests {
     fn bands_stay_bands_whatever_they_hang_before() {
         for ground in [[0.02, 0.02, 0.018], [0.13, 0.13, 0.12], [0.4, 0.39, 0.36]] {
             let frame = hanging_on(ground);
-            let pick = |name: &str, y, length_m| Pick { name: name.into(), pixel: Point2::new(60.0, y), length_m };
-            let picks = [pick("base", 36.0, 6e-3), pick("coil", 202.0, 12e-3), pick("tip", 248.0, 6e-3)];
-            let rig = learn_first(&fixture::rig(), &picks, &frame).unwrap();
+            let mut rig = fixture::rig();
+            rig.views.truncate(1);
+            let candidate = |y: f64, length: f64| {
+                let look = Look {
+                    centre: Point2::new(60.0, y),
+                    axis: Vector2::y(),
+                    size: Size { length, width: 7.0 },
+                    score: 1.0,
+                    colour: Vector3::zeros(),
+                    ends: [Vector3::zeros(); 2],
+                    grounds: [Vector3::zeros(); 2],
+                };
+                Candidate { point: Point3::origin(), looks: vec![Some(look)], score: 1.0 }
+            };
+            // As far off as a band is located.
+            let located = [candidate(37.5, 11.0), candidate(201.0, 22.0), candidate(248.0, 12.0)];
+            learn_located(&mut rig, &located, &frame).unwrap();
             for marker in &rig.markers {
-                let model = marker.colour.unwrap();
-                let white = model.weights.sum() * 190.0 + model.bias;
-                assert!(white < 0.15, "{ground:?}: the tube scores {white:.2} as `{}`", marker.name);
+                let white = marker.colour(0).unwrap().score(&Vector3::repeat(190.0));
+                assert!(white < 0.3, "{ground:?}: the tube scores {white:.2} as `{}`", marker.name);
             }
             let mut segmenter = Segmenter::for_rig(&rig).unwrap();
             let blobs = segmenter.all_blobs(&frame.picture).unwrap();

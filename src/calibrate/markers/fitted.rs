@@ -2,6 +2,7 @@
 
 use crate::calibrate::markers::line_search::minimise;
 use crate::calibrate::markers::{MarkersError, track};
+use crate::estimate::Estimate;
 use crate::rig::Rig;
 use crate::source::Frame;
 use crate::track::{TrackOptions, Tracker};
@@ -9,42 +10,40 @@ use crate::track::{TrackOptions, Tracker};
 /// Frames that decide.
 const TUNING_FRAMES: usize = 12;
 
-/// Places along the tube that the rig does not know: the median arc between neighbours, from the chord and the angle it
-/// makes with the coil's tangent, as if the tube were an arc of a circle.
-pub(super) fn place_bands(rig: &mut Rig, frames: &[Frame]) -> Result<(), MarkersError> {
+/// How far the tube between two bands may be from an arc of a circle: its length beyond that of the chord is uncertain by
+/// this much of chord · ψ², where ψ is the angle between the chord and the coil's tangent (an arc is longer by 1/6 of it).
+const NO_ARC: f64 = 0.2;
+/// σ of a distance of two bands in one frame at least, metres.
+const LEAST_SD_M: f64 = 0.05e-3;
+/// Independent thirds of the frames whose results say how well a distance is known, and the least σ said of it, metres.
+const PARTS: usize = 3;
+const LEAST_FITTED_SD_M: f64 = 0.01e-3;
+
+/// Places along the tube that the rig does not know, counted from the outer edge of the first band, and the σ of the distance
+/// of each from the one before, metres; `None` where it was known or is not found.
+///
+/// An arc is measured as a chord: all frames count, those in which the tube is straight most.
+pub(super) fn place_bands(rig: &mut Rig, frames: &[Frame]) -> Result<Vec<Option<f64>>, MarkersError> {
+    let mut sd_m = vec![None; rig.markers.len()];
     if rig.markers.iter().all(|m| m.centre_m.is_some()) {
-        return Ok(());
+        return Ok(sd_m);
     }
     let estimates = track(rig, frames)?;
     let coil = rig.catheter.coil;
     let mut at = rig.markers.first().map_or(0.0, |m| m.length_m / 2.0);
     for m in 0..rig.markers.len() {
         if m > 0 {
-            let mut arcs: Vec<f64> = estimates
-                .iter()
-                .filter_map(|e| {
-                    let place = |m: usize| Some(e.markers.get(m)?.position.as_ref().ok()?.point);
-                    let chord = place(m)? - place(m - 1)?;
-                    // Only beside the coil is a tangent known; elsewhere the chord has to do.
-                    let angle = match e.tangent.as_ref().ok().filter(|_| m == coil || m == coil + 1) {
-                        Some(tangent) => tangent.direction.angle(&chord),
-                        None => 0.0,
-                    };
-                    Some(chord.norm() * if angle > 1e-6 { angle / angle.sin() } else { 1.0 })
-                })
-                .collect();
-            if arcs.is_empty() {
-                return Ok(());
-            }
-            arcs.sort_by(f64::total_cmp);
-            at += arcs[arcs.len() / 2];
+            let beside_coil = m == coil || m == coil + 1;
+            let arcs: Vec<(f64, f64)> = estimates.iter().filter_map(|e| arc(e, m, beside_coil)).collect();
+            let Some((arc_m, sd)) = combined(&arcs, beside_coil) else { return Ok(sd_m) };
+            at += arc_m;
+            sd_m[m] = Some(sd.hypot(places_sd_m(&estimates, m)));
         }
         rig.markers[m].centre_m = Some(at);
     }
-    // The arcs are refined by what the pictures show where bands are fitted together.
-    let free: Vec<usize> = (1..rig.markers.len()).filter(|&m| m == coil || m == coil + 1).collect();
+    // What the pictures show where bands are fitted together says more.
     let some = every(frames, TUNING_FRAMES);
-    for m in free {
+    for m in (1..rig.markers.len()).filter(|&m| m == coil || m == coil + 1) {
         let start = rig.markers[m].centre_m.unwrap_or(at) - rig.markers[m - 1].centre_m.unwrap_or(0.0);
         let shifted = |arc: f64| {
             let mut shifted = rig.clone();
@@ -53,14 +52,69 @@ pub(super) fn place_bands(rig: &mut Rig, frames: &[Frame]) -> Result<(), Markers
             }
             shifted
         };
-        if let Some(best) = minimise(start, 0.2e-3, (start * 0.9, start * 1.1), |arc| misfit(&shifted(arc), &some)) {
+        let parts = (0..PARTS).map(|part| -> Option<f64> {
+            let frames: Vec<&Frame> = some.iter().skip(part).step_by(PARTS).copied().collect();
+            let best = minimise(start, 0.2e-3, (start * 0.9, start * 1.1), |arc| misfit(&shifted(arc), &frames))?;
             // No curvature: the two are not fitted together, so that the pictures say nothing about it.
-            if best.curvature > 0.0 {
-                *rig = shifted(best.at);
-            }
+            (best.curvature > 0.0).then_some(best.at)
+        });
+        if let Some(parts) = parts.collect::<Option<Vec<f64>>>() {
+            let count = parts.len() as f64;
+            let mean = parts.iter().sum::<f64>() / count;
+            let variance = parts.iter().map(|p| (p - mean).powi(2)).sum::<f64>() / (count - 1.0);
+            sd_m[m] = Some((variance / count).sqrt().max(LEAST_FITTED_SD_M));
+            *rig = shifted(mean);
         }
     }
-    Ok(())
+    Ok(sd_m)
+}
+
+/// σ along the chord that the places of a marker and the one before it have, the same in all frames: what the image model gets
+/// wrong at a band's end does not average out, metres.
+fn places_sd_m(estimates: &[Estimate], m: usize) -> f64 {
+    let variances: Vec<f64> = estimates
+        .iter()
+        .filter_map(|e| {
+            let place = |m: usize| e.markers.get(m)?.position.as_ref().ok();
+            let (a, b) = (place(m - 1)?, place(m)?);
+            let along = (b.point - a.point).normalize();
+            Some(along.dot(&((a.covariance + b.covariance) * along)))
+        })
+        .collect();
+    (variances.iter().sum::<f64>() / variances.len().max(1) as f64).sqrt()
+}
+
+/// Arc between a marker and the one before it, as if it were one of a circle, and chord · ψ², metres.
+fn arc(estimate: &Estimate, m: usize, beside_coil: bool) -> Option<(f64, f64)> {
+    let place = |m: usize| Some(estimate.markers.get(m)?.position.as_ref().ok()?.point);
+    let chord = place(m)? - place(m - 1)?;
+    // Only beside the coil is a tangent known; elsewhere the chord has to do.
+    let angle = match &estimate.tangent {
+        Ok(tangent) if beside_coil => tangent.direction.angle(&chord),
+        _ => 0.0,
+    };
+    let stretched = if angle > 1e-6 { angle / angle.sin() } else { 1.0 };
+    Some((chord.norm() * stretched, chord.norm() * angle * angle))
+}
+
+/// The arc and its σ from those of all frames; where no tangent says how bent the tube is, the longest chords count.
+fn combined(arcs: &[(f64, f64)], bend_is_known: bool) -> Option<(f64, f64)> {
+    if !bend_is_known {
+        let mut chords: Vec<f64> = arcs.iter().map(|arc| arc.0).collect();
+        chords.sort_by(f64::total_cmp);
+        let long = *chords.get(chords.len() * 9 / 10)?;
+        let median = *chords.get(chords.len() / 2)?;
+        return Some((long, (long - median).max(LEAST_SD_M)));
+    }
+    let weight = |bend: f64| 1.0 / (LEAST_SD_M.powi(2) + (NO_ARC * bend).powi(2));
+    let sum: f64 = arcs.iter().map(|arc| weight(arc.1)).sum();
+    let mean = |of: &dyn Fn(&(f64, f64)) -> f64| arcs.iter().map(|arc| weight(arc.1) * of(arc)).sum::<f64>() / sum;
+    let at = mean(&|arc| arc.0);
+    let effective = sum.powi(2) / arcs.iter().map(|arc| weight(arc.1).powi(2)).sum::<f64>();
+    let scatter = (mean(&|arc| (arc.0 - at).powi(2)) / effective.max(1.0)).sqrt();
+    // The bend is off in the same sense in all frames.
+    let shape = mean(&|arc| NO_ARC * arc.1);
+    (!arcs.is_empty()).then(|| (at, (scatter.powi(2) + shape.powi(2) + (0.3 * LEAST_SD_M).powi(2)).sqrt()))
 }
 
 /// Blur and chroma offset.

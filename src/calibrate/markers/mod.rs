@@ -1,118 +1,214 @@
-//! `catoptra calibrate markers`: what the tracker must know of the bands, from one click a band in one view.
+//! `catoptra calibrate markers`: what the tracker must know of the bands, from a click near each in one view.
 //!
-//! In: a recording, a rig with its optics, for each band a click in the first frame and its length. Out: the rig with
-//! colour models, places of the bands along the tube, blur and chroma offset of the camera.
+//! In: a recording, a rig with its optics and band lengths, clicks. Out: the rig with colour models for each view, places of
+//! the bands along the tube, blur and chroma offset of the camera; and what was seen on the way, for a page that shows it.
 //!
-//! 1. The colour at each click against the colours around it and the rest of the picture gives a first discriminant; the
-//!    blob under the click against what lies beside it a better one.
-//! 2. The tracker finds the same bands in the other views of the first frame: rays must meet, sizes must fit.
+//! 1. [`locate`](self::locate): in the picked frame, the bands are found by their size and the tube's, in all views together.
+//! 2. What is in them and beside them gives colours. With those the tracker must measure the very same bands.
 //! 3. Frames from the whole recording are tracked, and the colours learned again from all bands in all views.
 //! 4. Blur of the lens, offset of the chroma samples, and unknown distances between bands close to the coil are those that
-//!    explain the pictures best.
+//!    explain the pictures best; so are diameter and lengths, compared with the ones given.
 //!
-//! Cannot detect: a wrong length or diameter given by the user, other than by a poor fit.
+//! Nothing that an earlier run learned goes in: the same recording and clicks give the same rig.
 
+mod clusters;
 mod error;
+mod exposure;
 mod first;
 mod fitted;
+mod learned;
 mod line_search;
+pub(crate) mod locate;
+mod measures;
+mod pick;
+mod regions;
 mod samples;
-pub mod surroundings;
+mod seen;
 
 pub use error::MarkersError;
+pub use exposure::Exposure;
+pub use learned::{Verdict, ViewColours, verdict};
+pub use measures::Contradicted;
+pub use pick::Pick;
+pub use regions::ProposedRegion;
+pub use seen::{Rectangle, SeenBlob};
 
-use crate::calibrate::frames::spread;
-use crate::calibrate::markers::samples::{Place, Samples};
+use crate::calibrate::frames::spread_with;
 use crate::estimate::{BandObservation, Estimate, MarkerEstimate, Miss};
-use crate::rig::{Rig, View};
-use crate::segment::{Learned, Separation, learn};
+use crate::rig::Rig;
 use crate::source::{Frame, FrameSource};
 use crate::track::{TrackOptions, Tracker};
-use first::{confirm, in_rig_order, learn_first};
 use fitted::{place_bands, tune};
-use nalgebra::Point2;
+use learned::{learn_views, set_models};
+use locate::pixels::Pixels;
+use locate::{Near, locate};
+use samples::{Place, Samples};
 
-/// One click.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Pick {
-    /// Name of the marker.
-    pub name: String,
-    /// A place on the band in the first frame, pixels.
-    pub pixel: Point2<f64>,
-    /// Length of the band along the tube, metres.
-    pub length_m: f64,
+/// What a run saw, and how it ended.
+#[derive(Debug)]
+pub struct Teaching {
+    /// The rig as far as it was learned.
+    pub rig: Rig,
+    /// The clicks.
+    pub picks: Vec<Pick>,
+    /// The frame that they were made in, once it was read.
+    pub frame: Option<Frame>,
+    /// Where each marker was located in each view, by marker.
+    pub located: Vec<Vec<Option<Rectangle>>>,
+    /// The colours learned in each view.
+    pub views: Vec<ViewColours>,
+    /// What has a band's colour in that frame.
+    pub blobs: Vec<SeenBlob>,
+    /// Regions that would leave out what is not the catheter.
+    pub regions: Vec<ProposedRegion>,
+    /// What was learned, or why nothing was.
+    pub outcome: Result<MarkersCalibration, MarkersError>,
 }
 
 /// What was learned, and how well.
 #[derive(Debug, Clone)]
 pub struct MarkersCalibration {
-    /// The rig with everything learned.
-    pub rig: Rig,
-    /// Names of the classes that the separations refer to.
-    pub classes: Vec<String>,
-    /// Colour models' separations.
-    pub learned: Learned,
     /// Frames used.
     pub frames: usize,
     /// For each marker, frames in which it was measured.
     pub answered: Vec<usize>,
     /// For each marker that was missed, the first reason.
     pub first_miss: Vec<Option<Miss>>,
+    /// σ of each band's distance from the one before it along the tube, metres; `None` where it was not measured.
+    pub centre_sd_m: Vec<Option<f64>>,
+    /// Measures that the pictures contradict.
+    pub contradicted: Vec<Contradicted>,
 }
 
 /// Frames looked at, spread over the recording.
 const MOST_FRAMES: usize = 48;
+/// Share of the frames in which each band must be measured.
+const LEAST_ANSWERED: f64 = 0.5;
 
-/// Learns the markers of `rig`, whose colours may be missing; `picks` has one click a marker, in view `view`.
-///
-/// # Errors
-/// [`MarkersError`]. Poor separation of the colours is no error here: see [`MarkersCalibration::weak_pairs`].
-pub fn calibrate_markers(
-    rig: &Rig,
-    picks: &[Pick],
-    view: usize,
-    source: &mut dyn FrameSource,
-) -> Result<MarkersCalibration, MarkersError> {
-    let picks = in_rig_order(rig, picks, view)?;
-    let frames = spread(source, MOST_FRAMES)?;
-    let first = frames.first().ok_or(MarkersError::NoFrame)?;
-    let mut rig = learn_first(rig, &picks, first)?;
-    confirm(&rig, &picks, view, first)?;
-    let mut learned = learn_everywhere(&mut rig, &frames)?;
-    place_bands(&mut rig, &frames)?;
-    tune(&mut rig, &frames)?;
-    learned = learn_everywhere(&mut rig, &frames).unwrap_or(learned);
-    let estimates = track(&rig, &frames)?;
-    let answered = |m: usize| estimates.iter().filter(|e| e.markers[m].position.is_ok()).count();
-    let first_miss = |m: usize| estimates.iter().find_map(|e| e.markers[m].position.as_ref().err().cloned());
-    Ok(MarkersCalibration {
-        frames: frames.len(),
-        answered: (0..rig.markers.len()).map(answered).collect(),
-        first_miss: (0..rig.markers.len()).map(first_miss).collect(),
-        classes: learned.0,
-        learned: learned.1,
+/// Learns the markers of `rig`. Their colours, and the camera's blur and chroma offset, are left out of account; so are places
+/// along the tube unless they are there. `picks` has a click a marker or more, made in the first frame that is `after_ns` or
+/// more after the recording's first one.
+pub fn calibrate_markers(rig: &Rig, picks: &[Pick], after_ns: i64, source: &mut dyn FrameSource) -> Teaching {
+    let mut rig = rig.clone();
+    rig.camera.blur_px = None;
+    rig.camera.chroma_offset_px = [0.0; 2];
+    rig.markers.iter_mut().for_each(|marker| marker.colours.clear());
+    let mut teaching = Teaching {
         rig,
-    })
+        picks: picks.to_vec(),
+        frame: None,
+        located: Vec::new(),
+        views: Vec::new(),
+        blobs: Vec::new(),
+        regions: Vec::new(),
+        outcome: Err(MarkersError::NoFrame),
+    };
+    teaching.outcome = teaching.learn(after_ns, source);
+    teaching
 }
 
-impl MarkersCalibration {
-    /// Pairs of classes that are too alike to find the band by its colour.
-    pub fn weak_pairs(&self) -> impl Iterator<Item = &Separation> {
-        self.learned.separations.iter().filter(|s| !is_apart(s))
+impl Teaching {
+    fn learn(&mut self, after_ns: i64, source: &mut dyn FrameSource) -> Result<MarkersCalibration, MarkersError> {
+        let clicks = pick::in_rig_order(&self.rig, &self.picks)?;
+        let spread = spread_with(source, MOST_FRAMES, after_ns)?;
+        let mut frames = spread.frames;
+        if spread.wanted >= frames.len() {
+            return Err(MarkersError::NoFrame);
+        }
+        let learned = self.learn_from(&clicks, &frames, spread.wanted);
+        let frame = frames.swap_remove(spread.wanted);
+        self.look_again(&frame);
+        self.frame = Some(frame);
+        learned
     }
-}
 
-/// Single samples may be mistaken, a band may not: it has a dozen samples or more, of which half must be right.
-const LEAST_D_PRIME: f64 = 3.0;
+    fn learn_from(
+        &mut self,
+        clicks: &[Vec<Near>],
+        frames: &[Frame],
+        picked: usize,
+    ) -> Result<MarkersCalibration, MarkersError> {
+        let rig = &mut self.rig;
+        let frame = &frames[picked];
+        let pixels = Pixels::of(&frame.picture).ok_or(crate::segment::SegmentError::Grey)?;
+        let located = locate(rig, &pixels, clicks).map_err(|why| first::explained(rig, clicks, why))?;
+        self.located = located.iter().map(Rectangle::of).collect();
+        self.views = first::learn_located(rig, &located, frame)?;
+        for (v, view) in self.views.iter().enumerate() {
+            let lost = view.exposure.iter().enumerate().find(|(_, e)| e.is_some_and(|e| e.is_lost()));
+            if let Some((m, Some(exposure))) = lost {
+                let (name, view) = (rig.markers[m].name.clone(), rig.views[v].name.clone());
+                return Err(MarkersError::Overexposed { name, view, advice: exposure.advice().unwrap_or_default() });
+            }
+        }
+        first::confirm(rig, clicks, &located, frame)?;
+        self.views = learn_everywhere(rig, frames)?;
+        let centre_sd_m = place_bands(rig, frames)?;
+        tune(rig, frames)?;
+        if let Ok(views) = learn_everywhere(rig, frames) {
+            self.views = views;
+        }
+        let estimates = track(rig, frames)?;
+        let answered = |m: usize| estimates.iter().filter(|e| e.markers[m].position.is_ok()).count();
+        let first_miss = |m: usize| estimates.iter().find_map(|e| e.markers[m].position.as_ref().err().cloned());
+        let markers = 0..rig.markers.len();
+        let done = MarkersCalibration {
+            frames: frames.len(),
+            answered: markers.clone().map(answered).collect(),
+            first_miss: markers.clone().map(first_miss).collect(),
+            centre_sd_m,
+            contradicted: measures::contradicted(rig, frames, &estimates),
+        };
+        self.usable(&done)?;
+        Ok(done)
+    }
 
-/// Whether a band's colour is far enough from another class.
-pub fn is_apart(separation: &Separation) -> bool {
-    separation.d_prime >= LEAST_D_PRIME
-}
+    /// What is learned must be of use.
+    fn usable(&self, done: &MarkersCalibration) -> Result<(), MarkersError> {
+        let pairs = self.alike(done);
+        if !pairs.is_empty() {
+            return Err(MarkersError::Alike(pairs.join(", ")));
+        }
+        let names: Vec<&str> = self.rig.views.iter().map(|v| v.name.as_str()).collect();
+        for (m, answered) in done.answered.iter().enumerate() {
+            if (*answered as f64) < LEAST_ANSWERED * done.frames as f64 {
+                let reason = done.first_miss[m]
+                    .as_ref()
+                    .map_or(String::new(), |miss| format!(" ({})", miss.word(&names).replace('_', " ")));
+                let name = self.rig.markers[m].name.clone();
+                return Err(MarkersError::TooSeldom { name, answered: *answered, frames: done.frames, reason });
+            }
+        }
+        Ok(())
+    }
 
-fn set_models(rig: &mut Rig, learned: &Learned) {
-    for (marker, model) in rig.markers.iter_mut().zip(&learned.models) {
-        marker.colour = Some(*model);
+    /// Bands whose colour is that of another band, or of what is beside it and keeps it from being measured.
+    fn alike(&self, done: &MarkersCalibration) -> Vec<String> {
+        let markers = self.rig.markers.len();
+        let mut pairs: Vec<String> = Vec::new();
+        for (view, info) in self.views.iter().zip(&self.rig.views) {
+            for s in view.learned.separations.iter().filter(|s| verdict(s) == Verdict::Poor) {
+                let beside = view.classes.get(s.other).is_some_and(|name| name.starts_with("beside"));
+                let seldom = done.answered.get(s.marker).is_some_and(|n| n * 10 < done.frames * 9);
+                if s.other < markers || (beside && seldom) {
+                    let of = |class: usize| view.classes.get(class).map_or("", String::as_str);
+                    pairs.push(format!("`{}` and `{}` in view `{}`", of(s.marker), of(s.other), info.name));
+                }
+            }
+        }
+        pairs
+    }
+
+    /// What the picked frame shows to the colours as they are now.
+    fn look_again(&mut self, frame: &Frame) {
+        if self.rig.markers.iter().any(|marker| marker.colours.is_empty()) {
+            return;
+        }
+        let estimate = Tracker::new(&self.rig, TrackOptions::default()).and_then(|mut tracker| tracker.step(frame));
+        if let Ok(estimate) = estimate {
+            self.blobs = seen::blobs(&self.rig, frame, &estimate);
+            self.regions = regions::propose(&self.rig, &estimate, &self.blobs);
+        }
     }
 }
 
@@ -122,30 +218,38 @@ fn track(rig: &Rig, frames: &[Frame]) -> Result<Vec<Estimate>, MarkersError> {
 }
 
 /// Colours of all bands in all views of all frames.
-fn learn_everywhere(rig: &mut Rig, frames: &[Frame]) -> Result<(Vec<String>, Learned), MarkersError> {
-    let mut samples = Samples::new(rig.markers.iter().map(|m| m.name.clone()).collect());
+fn learn_everywhere(rig: &mut Rig, frames: &[Frame]) -> Result<Vec<ViewColours>, MarkersError> {
+    let views = rig.views.clone();
+    let names: Vec<String> = rig.markers.iter().map(|m| m.name.clone()).collect();
+    let mut samples: Vec<Samples<'_>> = views.iter().map(|view| Samples::new(view, names.clone())).collect();
     for (estimate, frame) in track(rig, frames)?.iter().zip(frames) {
-        // A marker that is somewhere unknown would teach that its band is background.
-        let places: Option<Vec<_>> = estimate.markers.iter().enumerate().map(|(m, e)| places(rig, m, e)).collect();
-        if let Some(places) = places {
-            samples.add(&frame.picture, &places.into_iter().flatten().collect::<Vec<_>>(), true);
+        for (v, samples) in samples.iter_mut().enumerate() {
+            // A marker that is somewhere unknown would teach that its band is background.
+            let places: Option<Vec<_>> =
+                estimate.markers.iter().enumerate().map(|(m, e)| place(rig, (m, v), e)).collect();
+            if let Some(places) = places {
+                samples.add(&frame.picture, &places.into_iter().flatten().collect::<Vec<_>>());
+            }
         }
     }
-    let classes = samples.classes();
-    let learned = learn(&classes)?;
+    let learned = learn_views(&samples)?;
     set_models(rig, &learned);
-    Ok((classes.into_iter().map(|c| c.name).collect(), learned))
+    Ok(learned)
 }
 
-/// Where a marker is in each view: measured, or where the other views say; `None` when its position is not known.
-fn places(rig: &Rig, m: usize, estimate: &MarkerEstimate) -> Option<Vec<Place>> {
+/// Where a marker is in a view: measured, or where the other views say (`Some(None)`: out of sight); `None` when its position
+/// is not known.
+fn place(rig: &Rig, (m, v): (usize, usize), estimate: &MarkerEstimate) -> Option<Option<Place>> {
     let point = estimate.position.as_ref().ok()?.point;
-    let place = |(view, seen): (&View, &Result<BandObservation, Miss>)| match seen {
+    let seen: &Result<BandObservation, Miss> = estimate.views.get(v)?;
+    Some(match seen {
         Ok(band) => Some(Place::band(m, band)),
-        Err(_) => {
-            let expected = view.optics.project_with_jacobian(&point).ok()?;
-            Some(Place::hidden(expected.pixel, expected.d_pixel.norm() * rig.markers[m].length_m))
-        }
-    };
-    Some(rig.views.iter().zip(&estimate.views).filter_map(place).collect())
+        Err(_) => rig
+            .views
+            .get(v)?
+            .optics
+            .project_with_jacobian(&point)
+            .ok()
+            .map(|expected| Place::hidden(expected.pixel, expected.d_pixel.norm() * rig.markers[m].length_m)),
+    })
 }

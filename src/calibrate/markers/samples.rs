@@ -1,8 +1,10 @@
-//! Colour samples of bands, of what lies beside them, and of the rest of the picture.
+//! Colour samples of bands, of what lies beside them, and of the rest of a view.
 
-use crate::calibrate::markers::surroundings::clusters;
+use crate::calibrate::markers::clusters::clusters;
+use crate::calibrate::markers::locate::Look;
 use crate::estimate::BandObservation;
-use crate::segment::{Blob, ClassSamples};
+use crate::rig::View;
+use crate::segment::ClassSamples;
 use crate::source::{Picture, RgbFromStored};
 use nalgebra::{Point2, Vector2, Vector3};
 
@@ -10,18 +12,20 @@ use nalgebra::{Point2, Vector2, Vector3};
 const EDGE_PX: f64 = 1.2;
 /// How far beside a band its surroundings are sampled, pixels.
 const BESIDE_PX: f64 = 14.0;
-/// Grid over the whole picture, pixels.
+/// Grid over the view, pixels.
 const GRID_PX: usize = 8;
+/// Clusters of what lies beside a band, and of the rest of a view.
+const CLUSTERS: (usize, usize) = (3, 5);
 
 /// Fewer samples of a colour are no class.
 const LEAST_SAMPLES: usize = 12;
 
-/// Colour samples by class: each marker, what is beside each marker (as one class or several), elsewhere.
-pub(crate) struct Samples {
+/// Samples of one view by class: each marker, what is beside each marker, elsewhere.
+pub(crate) struct Samples<'a> {
+    view: &'a View,
     names: Vec<String>,
     bands: Vec<Vec<Vector3<f64>>>,
     beside: Vec<Vec<Vector3<f64>>>,
-    around: Vec<(usize, Vec<Vector3<f64>>)>,
     elsewhere: Vec<Vector3<f64>>,
 }
 
@@ -35,19 +39,13 @@ pub(crate) struct Place {
 }
 
 impl Place {
-    /// A disc around a click, known to lie on the band, of unknown surroundings.
-    fn click(marker: usize, centre: Point2<f64>) -> Self {
-        let reach = CLICK_RADIUS_PX + EDGE_PX;
-        Self { marker: Some(marker), centre, axis: Vector2::x(), half_length: reach, half_width: reach }
-    }
-
-    pub(crate) fn blob(blob: &Blob) -> Self {
+    pub(crate) fn look(marker: usize, look: &Look) -> Self {
         Self {
-            marker: Some(blob.marker),
-            centre: blob.centre_px,
-            axis: blob.axis,
-            half_length: blob.length_px / 2.0,
-            half_width: blob.width_px / 2.0,
+            marker: Some(marker),
+            centre: look.centre,
+            axis: look.axis,
+            half_length: look.size.length / 2.0,
+            half_width: look.size.width / 2.0,
         }
     }
 
@@ -83,18 +81,14 @@ impl Place {
     }
 }
 
-/// Radius of what is taken to be the band around a click.
-const CLICK_RADIUS_PX: f64 = 1.6;
-
-impl Samples {
-    pub(crate) fn new(names: Vec<String>) -> Self {
+impl<'a> Samples<'a> {
+    pub(crate) fn new(view: &'a View, names: Vec<String>) -> Self {
         let empty = || vec![Vec::new(); names.len()];
-        Self { bands: empty(), beside: empty(), around: Vec::new(), elsewhere: Vec::new(), names }
+        Self { view, bands: empty(), beside: empty(), elsewhere: Vec::new(), names }
     }
 
-    /// Adds a picture in which bands are at `places`. With `surroundings` false, only the bands themselves and the rest of
-    /// the picture are sampled.
-    pub(crate) fn add(&mut self, picture: &Picture, places: &[Place], surroundings: bool) {
+    /// Adds a picture in which bands are at `places`.
+    pub(crate) fn add(&mut self, picture: &Picture, places: &[Place]) {
         let Some(rgb) = picture.rgb_from_stored() else { return };
         let [width, height] = picture.size_px();
         let clear = |pixel: &Point2<f64>| places.iter().all(|p| p.outside(pixel) > 2.0 * EDGE_PX);
@@ -108,7 +102,7 @@ impl Samples {
                     let outside = place.outside(&pixel);
                     let list = if outside < -place.edge() {
                         &mut self.bands[marker]
-                    } else if surroundings && outside < BESIDE_PX && clear(&pixel) {
+                    } else if outside < BESIDE_PX && clear(&pixel) {
                         &mut self.beside[marker]
                     } else {
                         continue;
@@ -120,44 +114,36 @@ impl Samples {
         for y in (0..height).step_by(GRID_PX) {
             for x in (0..width).step_by(GRID_PX) {
                 let pixel = Point2::new(f64::from(x), f64::from(y));
-                if places.iter().all(|p| p.outside(&pixel) > BESIDE_PX) {
+                if self.view.contains(&pixel) && places.iter().all(|p| p.outside(&pixel) > BESIDE_PX) {
                     self.elsewhere.extend(colour(picture, &rgb, x, y));
                 }
             }
         }
     }
 
-    /// Adds a picture in which bands were clicked and nothing else is known.
-    pub(crate) fn add_clicks(&mut self, picture: &Picture, clicks: &[Point2<f64>]) {
-        let places: Vec<Place> = clicks.iter().enumerate().map(|(m, click)| Place::click(m, *click)).collect();
-        self.add(picture, &places, false);
-        self.add_around(picture, clicks);
-    }
-
-    /// Adds what lies around clicks in a picture, as classes of their own, but for the colours that the bands have by now.
-    pub(crate) fn add_around(&mut self, picture: &Picture, clicks: &[Point2<f64>]) {
-        let Some(rgb) = picture.rgb_from_stored() else { return };
-        let own: Vec<Vector3<f64>> =
-            self.bands.iter().map(|band| band.iter().sum::<Vector3<f64>>() / band.len().max(1) as f64).collect();
-        let at = |x: i64, y: i64| colour(picture, &rgb, u32::try_from(x).ok()?, u32::try_from(y).ok()?);
-        let found = clusters(clicks, &own, at);
-        let classes = found.into_iter().enumerate().flat_map(|(m, lists)| lists.into_iter().map(move |list| (m, list)));
-        self.around.extend(classes.filter(|(_, list)| list.len() >= LEAST_SAMPLES));
+    /// Samples of a marker's band.
+    pub(crate) fn band(&self, marker: usize) -> &[Vector3<f64>] {
+        &self.bands[marker]
     }
 
     /// The classes to learn from: markers first, in their order.
     pub(crate) fn classes(&self) -> Vec<ClassSamples> {
-        let class = |name: String, is_marker, rgb: &Vec<_>| ClassSamples { name, is_marker, rgb: rgb.clone() };
-        let bands = self.names.iter().zip(&self.bands).map(|(name, rgb)| class(name.clone(), true, rgb));
-        let beside = self
-            .names
-            .iter()
-            .zip(&self.beside)
-            .filter(|(_, rgb)| !rgb.is_empty())
-            .map(|(name, rgb)| class(format!("beside {name}"), false, rgb));
-        let around = self.around.iter().map(|(m, rgb)| class(format!("around {}", self.names[*m]), false, rgb));
-        bands.chain(beside).chain(around).chain([class("elsewhere".into(), false, &self.elsewhere)]).collect()
+        let class = |name: String, is_marker, rgb: Vec<_>| ClassSamples { name, is_marker, rgb };
+        let bands = self.names.iter().zip(&self.bands).map(|(name, rgb)| class(name.clone(), true, rgb.clone()));
+        let parts = |name: String, colours: &[Vector3<f64>], count: usize| -> Vec<ClassSamples> {
+            let parts = clusters(colours, count).into_iter().filter(|part| part.len() >= LEAST_SAMPLES);
+            parts.map(|rgb| class(format!("{name}, {}", looks(&rgb)), false, rgb)).collect()
+        };
+        let beside = self.names.iter().zip(&self.beside);
+        let beside = beside.flat_map(|(name, rgb)| parts(format!("beside {name}"), rgb, CLUSTERS.0));
+        bands.chain(beside).chain(parts("elsewhere".into(), &self.elsewhere, CLUSTERS.1)).collect()
     }
+}
+
+/// The mean colour in words.
+fn looks(rgb: &[Vector3<f64>]) -> String {
+    let mean = rgb.iter().sum::<Vector3<f64>>() / rgb.len().max(1) as f64;
+    format!("{:.0} {:.0} {:.0}", mean.x, mean.y, mean.z)
 }
 
 /// R'G'B' at a pixel: the nearest sample of each channel.

@@ -325,7 +325,12 @@ fn blobs(rig: &Rig, frames: &[Frame]) -> Result<Vec<Moment>, MirrorError> {
     for frame in frames {
         let found = segmenter.all_blobs(&frame.picture)?;
         let largest = |marker: usize, view: usize| -> Option<&Blob> {
-            let here = |b: &&Blob| b.marker == marker && !b.touches_border && rig.views[view].contains(&b.centre_px);
+            let here = |b: &&Blob| {
+                b.marker == marker
+                    && b.view.is_none_or(|found_in| found_in == view)
+                    && !b.touches_border
+                    && rig.views[view].contains(&b.centre_px)
+            };
             found.iter().filter(here).max_by(|a, b| a.area_px2.total_cmp(&b.area_px2))
         };
         let sights = (0..rig.markers.len()).flat_map(|marker| {

@@ -103,7 +103,7 @@ pub fn diagnose(done: &RigCalibration, held: &[Result<HeldOut, NoSolution>]) -> 
 /// their χ² as that of one (Fisher). `None` when the rest says next to nothing.
 ///
 /// A residual that is left of what was given is small where the pictures say little: it must be seen against its own
-/// covariance, which is what was given less what is known in the end. Poses are taken as they came out.
+/// covariance. Poses are taken as they came out.
 pub fn contradiction(solution: &Solution, known: &Prior) -> Option<f64> {
     let rows = known.rows(&solution.geometry, &solution.poses, &solution.free);
     let residuals = DVector::from_iterator(rows.len(), rows.iter().map(|row| row.residual));
@@ -111,8 +111,10 @@ pub fn contradiction(solution: &Solution, known: &Prior) -> Option<f64> {
     for (i, row) in rows.iter().enumerate() {
         by_geometry.row_mut(i).tr_copy_from(&row.by_geometry);
     }
-    let in_the_end = &by_geometry * &solution.covariance * by_geometry.transpose();
-    let left = (DMatrix::identity(rows.len(), rows.len()) - in_the_end).symmetric_eigen();
+    let seen = |covariance: &DMatrix<f64>| &by_geometry * covariance * by_geometry.transpose();
+    // The value given has gone into the solution with the weight that the search gave it.
+    let one = DMatrix::identity(rows.len(), rows.len());
+    let left = (one - seen(&solution.weighted_covariance) * 2.0 + seen(&solution.covariance)).symmetric_eigen();
     let directions = left.eigenvalues.iter().zip(left.eigenvectors.column_iter());
     let squares: Vec<f64> = directions
         .filter(|(variance, _)| **variance > REDUNDANT)
@@ -198,7 +200,8 @@ mod tests {
             let Prior::Distance { distance_m, .. } = given(off_m) else { unreachable!() };
             let expected = (says_m - distance_m).abs() / sd_m.hypot(2e-3);
             let found = contradiction(&solved, &given(off_m)).unwrap();
-            assert!((found - expected).abs() < 0.05 + 0.1 * expected, "{off_m}: {found}, expected {expected}");
+            // How far corners of a picture are off together is an estimate of its own in either.
+            assert!((found - expected).abs() < 0.05 + 0.2 * expected, "{off_m}: {found}, expected {expected}");
             // The lens agrees in any case: it was drawn as it is said to be.
             assert!(contradiction(&solved, &solved.known[0]).unwrap() < CONTRADICTS);
         }

@@ -71,6 +71,14 @@ impl Verdict {
         median_and_worst(self.expected.iter().map(of).collect())
     }
 
+    /// The box of places that is judged: its lowest and its highest corner, camera frame, metres.
+    pub fn extent(&self) -> [Vector3<f64>; 2] {
+        let bound = |pick: fn(f64, f64) -> f64, start: f64| {
+            self.expected.iter().fold(Vector3::repeat(start), |b, e| b.zip_map(&e.place.coords, pick))
+        };
+        [bound(f64::min, f64::INFINITY), bound(f64::max, f64::NEG_INFINITY)]
+    }
+
     /// The best of each kind for the base frame, best first.
     pub fn helpful_relative(&self) -> Vec<&Suggestion> {
         best_of_each(&self.helpful, |s| s.relative_m)
@@ -176,21 +184,8 @@ impl Volume {
         let (mut seen_places, mut random) = (Vec::new(), Vec::new());
         let mut rows: Vec<Matrix3xX<f64>> = Vec::new();
         for place in places {
-            let seen: Vec<_> = (0..geometry.views.len()).filter_map(|v| projector.seen(v, place).ok()).collect();
-            if seen.len() < 2 {
-                continue;
-            }
-            let mut information = Matrix3::zeros();
-            let mut pull = Matrix3xX::zeros(free.len());
-            for view in &seen {
-                information += view.d_point.transpose() * view.d_point;
-                for (column, d) in view.d_parameters.iter().enumerate() {
-                    let mut to = pull.column_mut(column);
-                    to += view.d_point.transpose() * d;
-                }
-            }
-            let Some(inverse) = information.try_inverse() else { continue };
-            rows.push(-(inverse * pull));
+            let Some((own, inverse)) = answer(&projector, geometry, place) else { continue };
+            rows.push(own);
             seen_places.push(*place);
             random.push(inverse);
         }
@@ -242,6 +237,30 @@ impl Volume {
         let towards = if direction.z < 0.0 { -direction } else { direction };
         (towards, eigen.eigenvalues[largest].max(0.0).sqrt())
     }
+}
+
+/// How a place, triangulated from all views that show it, answers to errors of the parameters, −(AᵀA)⁻¹AᵀB, and (AᵀA)⁻¹; `None`
+/// when fewer than two views show it.
+pub(crate) fn answer(
+    projector: &Projector,
+    geometry: &Geometry,
+    place: &Point3<f64>,
+) -> Option<(Matrix3xX<f64>, Matrix3<f64>)> {
+    let seen: Vec<_> = (0..geometry.views.len()).filter_map(|view| projector.seen(view, place).ok()).collect();
+    if seen.len() < 2 {
+        return None;
+    }
+    let mut information = Matrix3::zeros();
+    let mut pull = Matrix3xX::zeros(seen.first()?.d_parameters.len());
+    for view in &seen {
+        information += view.d_point.transpose() * view.d_point;
+        for (column, d) in view.d_parameters.iter().enumerate() {
+            let mut to = pull.column_mut(column);
+            to += view.d_point.transpose() * d;
+        }
+    }
+    let inverse = information.try_inverse()?;
+    Some((-(inverse * pull), inverse))
 }
 
 /// Displacements of places with their best common rigid motion taken out, column by column: K − G(GᵀG)⁻¹GᵀK.
@@ -340,7 +359,8 @@ fn information(
             }
         }
     }
-    Some(equations.information()? / solution.corner_sd_px.powi(2))
+    // Its corners will be off together as those of the others are.
+    Some(equations.information()? / (solution.corner_sd_px.powi(2) * solution.design_effect))
 }
 
 #[cfg(test)]

@@ -9,8 +9,7 @@
 //! Cannot tell: what moves everything together (it changes no length), a wrong size of the squares (the boards of the other
 //! pictures have it too).
 
-use crate::calibrate::bundle::prior::Prior;
-use crate::calibrate::bundle::{Bundle, Corner, NoSolution, Solution};
+use crate::calibrate::bundle::{Corner, NoSolution, Solution};
 use crate::optics::{Sighting, triangulate};
 use nalgebra::{Matrix2, Matrix3, Point3};
 use rayon::prelude::*;
@@ -99,30 +98,11 @@ pub fn held_out(solution: &Solution, corners: &[Corner]) -> Vec<Result<HeldOut, 
     (0..solution.poses.len())
         .into_par_iter()
         .map(|picture| {
-            let others = without(picture, solution, corners).solve()?;
+            let rest: Vec<usize> = (0..solution.poses.len()).filter(|other| *other != picture).collect();
+            let others = solution.of_pictures(&rest, corners).solve()?;
             Ok(measure(picture, &others, corners, solution.corner_sd_px))
         })
         .collect()
-}
-
-/// The problem without a picture; those after it move up.
-fn without(picture: usize, solution: &Solution, corners: &[Corner]) -> Bundle {
-    let now = |other: usize| (other != picture).then(|| other - usize::from(other > picture));
-    let (mut poses, mut names) = (solution.poses.clone(), solution.names.clone());
-    poses.remove(picture);
-    names.remove(picture);
-    let corners = corners.iter().filter_map(|c| Some(Corner { picture: now(c.picture)?, ..*c })).collect();
-    let known = solution
-        .known
-        .iter()
-        .filter_map(|known| match *known {
-            Prior::Taped { picture, surface, sd_m, half_m } => {
-                Some(Prior::Taped { picture: now(picture)?, surface, sd_m, half_m })
-            }
-            _ => Some(known.clone()),
-        })
-        .collect();
-    Bundle { geometry: solution.geometry.clone(), free: solution.free.clone(), poses, names, corners, known }
 }
 
 /// Triangulates the corners of a picture and takes the lengths between them.

@@ -19,6 +19,7 @@ pub mod held_out;
 pub mod initial;
 mod options;
 mod regions;
+pub mod share;
 pub mod sufficient;
 mod taped;
 mod walls;
@@ -30,6 +31,7 @@ pub use walls::water_index;
 use crate::calibrate::board::Board;
 use crate::calibrate::bundle::outliers::{UsedPicture, rms, worst_picture};
 use crate::calibrate::bundle::prior::Prior;
+use crate::calibrate::bundle::shape::Shape;
 use crate::calibrate::bundle::{Bundle, Corner, NoSolution, Solution};
 use crate::calibrate::geometry::Parameter;
 use crate::optics::{Lens, OpticalPath};
@@ -169,13 +171,14 @@ fn best(
         let known = known(&geometry, options)?;
         let mut free: Vec<Parameter> = (0..geometry.surfaces.len()).flat_map(Parameter::of_surface).collect();
         let (names, corners) = (names.to_vec(), seen.clone());
-        let mut bundle = Bundle { geometry, free: free.clone(), poses, names, corners, known };
+        let shape = Shape::flat(&board.centred_points());
+        let mut bundle = Bundle { geometry, free: free.clone(), poses, names, corners, known, shape };
         for (wall, picture) in &options.taped {
             Taped::new(board, lens, &bundle.geometry, wall, picture)?.add(&mut bundle);
         }
         let (corners, known) = (bundle.corners.clone(), bundle.known.clone());
         bundle.known.extend(held(&bundle.geometry));
-        let rough = bundle.solve();
+        let rough = bundle.search();
         if options.lens_covariance.is_some() {
             free.extend(Parameter::LENS);
         }
@@ -183,8 +186,8 @@ fn best(
             free.push(Parameter::IndexInside);
         }
         let solved = rough.and_then(|rough| {
-            let Solution { geometry, poses, names, .. } = rough;
-            Bundle { geometry, free, poses, names, corners, known }.solve()
+            let Bundle { geometry, poses, names, shape, .. } = rough;
+            Bundle { geometry, free, poses, names, corners, known, shape }.solve()
         });
         let cost = |s: &Solution| rms(s.residuals_px.iter().copied());
         match (solved, &best) {

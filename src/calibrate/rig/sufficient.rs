@@ -60,7 +60,7 @@ pub enum Lacking {
     #[error(
         "the pictures leave {surface} open: by {tilt_deg:.1}° and {offset_mm:.0} mm (1σ). They are {count}, with boards within \
          {spread_deg:.0}° of parallel and {depth_mm:.0} mm of one depth: take more, sharp ones, tilted to all sides, near and \
-         far, or measure a distance (--distance)"
+         far, or measure a distance (--distance). Are squares, glass and distances as they were given?"
     )]
     Open {
         /// Its name.

@@ -62,28 +62,42 @@ pub(super) fn run(args: &CameraArgs, quiet: bool, print: impl Fn(&str) -> Result
     provenance.insert("corner_sd_px".into(), done.corner_sd_px.into());
     let rows = done.covariance.row_iter().map(|row| row.iter().copied().collect::<Vec<f64>>().into());
     provenance.insert("lens_covariance".into(), rows.collect::<Vec<toml::Value>>().into());
+    let noise: Vec<toml::Value> = (0..9).map(|i| done.noise_covariance[(i, i)].sqrt().into()).collect();
+    provenance.insert("lens_sd_by_noise".into(), noise.into());
+    provenance.insert("board_bend_mm".into(), done.shape.bend_m.map(|m| m * 1e3).to_vec().into());
     draft.provenance.insert("camera".into(), provenance.into());
     let written = save(&draft, &args.out)?;
     print(&format!("\n{written}\n"))
 }
 
 fn describe(searched: &[Searched], done: &CameraCalibration) -> String {
-    let mut text = pictures::table(searched, done.used.iter(), &done.left_out);
+    let mut text = pictures::table(searched, done.used.iter(), &done.left_out, done.corner_sd_px);
     let _ = writeln!(
         text,
-        "\n{} of {} pictures used, corners good to {:.3} px\n\nlens                   value          σ",
+        "\n{} of {} pictures used, corners good to {}\n\nlens                   value          σ   of noise   of the model",
         done.used.len(),
         searched.len(),
-        done.corner_sd_px
+        pictures::rms(done.corner_sd_px)
     );
     let lens = &done.lens;
     let names = ["focal length x, px", "focal length y, px", "principal point x", "principal point y"];
     let (f, c) = (lens.focal_px, lens.principal_point_px);
+    let sd = |i: usize| {
+        let (all, noise) = (done.covariance[(i, i)], done.noise_covariance[(i, i)]);
+        [all.sqrt(), noise.min(all).sqrt(), (all - noise).max(0.0).sqrt()]
+    };
     for (i, (name, value)) in names.into_iter().zip([f.x, f.y, c.x, c.y]).enumerate() {
-        let _ = writeln!(text, "{name:<18} {value:>9.2}  {:>9.2}", done.covariance[(i, i)].sqrt());
+        let [sd, noise, model] = sd(i);
+        let _ = writeln!(text, "{name:<18} {value:>9.2}  {sd:>9.2}  {noise:>9.2}  {model:>13.2}");
     }
     for (i, (name, value)) in ["k1", "k2", "p1", "p2", "k3"].into_iter().zip(lens.distortion).enumerate() {
-        let _ = writeln!(text, "{name:<18} {value:>9.5}  {:>9.5}", done.covariance[(i + 4, i + 4)].sqrt());
+        let [sd, noise, model] = sd(i + 4);
+        let _ = writeln!(text, "{name:<18} {value:>9.5}  {sd:>9.5}  {noise:>9.5}  {model:>13.5}");
+    }
+    text += "σ: how much the lens changes from picture to picture; noise: of single corners; model: what the corners of a picture \
+             share (board, print, blur, lens model)\n";
+    for diagnostic in &done.diagnostics {
+        let _ = writeln!(text, "warning: {diagnostic}");
     }
     text
 }

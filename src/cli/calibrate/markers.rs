@@ -1,13 +1,17 @@
-//! `catoptra calibrate markers`: a recording and one click a band to colours and places of the bands.
+//! `catoptra calibrate markers`: a recording and a click near each band to colours and places of the bands.
 
-use super::super::{Exit, Failure, fitting};
+use super::super::{Exit, Failure, fitting, interrupt};
 use super::{Length, can_be_written, save, usage};
-use crate::calibrate::markers::{MarkersCalibration, MarkersError, Pick, calibrate_markers, is_apart};
-use crate::rig::{Catheter, Draft, Marker, Rig};
+use crate::calibrate::markers::{
+    MarkersCalibration, MarkersError, Pick, ProposedRegion, Teaching, Verdict, calibrate_markers, verdict,
+};
+use crate::report::teaching::{self, TeachingInfo};
+use crate::rig::{Catheter, Draft, Marker, Rig, View};
 use crate::source::{FrameRate, SourceOptions};
+use crate::whole_file;
 use nalgebra::Point2;
 use std::fmt::Write as _;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 #[derive(Debug, clap::Args)]
@@ -21,12 +25,18 @@ pub(super) struct MarkersArgs {
     /// Outer diameter of the tube
     #[arg(long, value_name = "3.2mm", allow_hyphen_values = true, value_parser = Length::from_str)]
     tube: Length,
-    /// A band in the first frame: name, a pixel on it, its length; once a band, from the base to the tip
-    #[arg(long = "pick", value_name = "NAME@X,Y:LENGTH", required = true, value_parser = PickArg::from_str)]
+    /// A band: name, view (if not the first), a pixel on it or up to 5 beside it, its length; from the base to the tip
+    #[arg(long = "pick", value_name = "NAME@[VIEW:]X,Y:LENGTH", required = true, value_parser = PickArg::from_str)]
     picks: Vec<PickArg>,
-    /// View in which the bands were picked [default: the first one]
+    /// Frame of the picks: the first one this many seconds after the recording's start, or later
+    #[arg(long, value_name = "S", default_value_t = 0.0, allow_hyphen_values = true)]
+    at: f64,
+    /// View of the picks that name none [default: the first one]
     #[arg(long, value_name = "NAME")]
     view: Option<String>,
+    /// Where in the picture a view is: two corners of a rectangle, or those of a polygon
+    #[arg(long = "region", value_name = "VIEW:X,Y-X,Y[-X,Y...]", value_parser = RegionArg::from_str)]
+    regions: Vec<RegionArg>,
     /// Band whose direction is wanted [default: that of the rig, `coil`, or the second one]
     #[arg(long, value_name = "NAME")]
     coil: Option<String>,
@@ -44,83 +54,240 @@ pub(super) struct MarkersArgs {
     out: Option<PathBuf>,
 }
 
+/// A click, as written.
 #[derive(Debug, Clone, PartialEq)]
-struct PickArg(Pick);
+struct PickArg {
+    name: String,
+    view: Option<String>,
+    pixel: Point2<f64>,
+    length_m: Option<f64>,
+}
 
 impl FromStr for PickArg {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let wrong = || format!("`{text}` is not a pick: write NAME@X,Y:LENGTH, for example coil@433,565:12mm");
+        let wrong = || {
+            format!(
+                "`{text}` is not a pick: write NAME@X,Y:LENGTH or NAME@VIEW:X,Y:LENGTH, for example coil@433,565:12mm"
+            )
+        };
         let (name, rest) = text.split_once('@').ok_or_else(wrong)?;
-        let (place, length) = rest.split_once(':').ok_or_else(wrong)?;
-        let (x, y) = place.split_once(',').ok_or_else(wrong)?;
-        let coordinate = |v: &str| v.trim().parse::<f64>().ok().filter(|v| v.is_finite()).ok_or_else(wrong);
-        let pixel = Point2::new(coordinate(x)?, coordinate(y)?);
-        Ok(Self(Pick { name: name.trim().to_owned(), pixel, length_m: length.parse::<Length>()?.0 }))
+        let parts: Vec<&str> = rest.split(':').collect();
+        let (view, place, length) = match parts.as_slice() {
+            [place] => (None, place, None),
+            [place, length] if place.contains(',') => (None, place, Some(length)),
+            [view, place] => (Some(view), place, None),
+            [view, place, length] => (Some(view), place, Some(length)),
+            _ => return Err(wrong()),
+        };
+        let pixel = pixel(place).ok_or_else(wrong)?;
+        let length_m = length.map(|length| length.parse::<Length>()).transpose()?.map(|length| length.0);
+        Ok(Self { name: name.trim().to_owned(), view: view.map(|view| view.trim().to_owned()), pixel, length_m })
     }
+}
+
+/// Where a view is, as written.
+#[derive(Debug, Clone, PartialEq)]
+struct RegionArg {
+    view: String,
+    corners: Vec<Point2<f64>>,
+}
+
+impl FromStr for RegionArg {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let wrong = || format!("`{text}` is not a region: write VIEW:X,Y-X,Y, for example mirror:650,180-1120,700");
+        let (view, rest) = text.split_once(':').ok_or_else(wrong)?;
+        let corners = rest.split('-').map(pixel).collect::<Option<Vec<_>>>().ok_or_else(wrong)?;
+        let corners = match corners.as_slice() {
+            [a, b] if a.x != b.x && a.y != b.y => vec![*a, Point2::new(b.x, a.y), *b, Point2::new(a.x, b.y)],
+            [_, _, _, ..] => corners,
+            _ => return Err(wrong()),
+        };
+        Ok(Self { view: view.trim().to_owned(), corners })
+    }
+}
+
+fn pixel(text: &str) -> Option<Point2<f64>> {
+    let (x, y) = text.split_once(',')?;
+    let coordinate = |v: &str| v.trim().parse::<f64>().ok().filter(|v| v.is_finite());
+    Some(Point2::new(coordinate(x)?, coordinate(y)?))
 }
 
 pub(super) fn run(args: &MarkersArgs, print: impl Fn(&str) -> Result<(), Failure>) -> Result<(), Failure> {
     let out = args.out.as_ref().unwrap_or(&args.rig);
     let rig = rig_with_picks(args)?;
     can_be_written(out)?;
-    let view = match &args.view {
-        None => 0,
-        Some(name) => rig.view(name).ok_or_else(|| {
-            let known: Vec<&str> = rig.views.iter().map(|v| v.name.as_str()).collect();
-            usage(format!("--view {name}: no such view in {}; it has {}", args.rig.display(), known.join(", ")))
-        })?,
-    };
+    if !(args.at.is_finite() && args.at >= 0.0) {
+        return Err(usage(format!("--at {}: expected seconds from the recording's start, 0 or more", args.at)));
+    }
+    let picks = picks(args, &rig)?;
     let options = SourceOptions { stated_rate: args.fps, ..SourceOptions::default() };
     let mut frames = fitting::open((&args.source, options), (&args.rig, &rig))?;
-    let picks: Vec<Pick> = args.picks.iter().map(|p| p.0.clone()).collect();
-    let mut done = calibrate_markers(&rig, &picks, view, &mut frames).map_err(|e| failure(args, e))?;
-    done.rig.provenance.insert("markers".into(), provenance(args, &done).into());
+    let mut done = calibrate_markers(&rig, &picks, (args.at * 1e9) as i64, &mut frames);
+    let page_path = out.with_extension("markers.html");
+    // Without a frame there is nothing to see.
+    let page = done.frame.is_some().then(|| teaching::page(&info(args, out), &done));
+    if let Err(error) = done.outcome {
+        let note = match &page {
+            Some(page) => {
+                save_page(page, &page_path)?;
+                format!("\nno rig was written; {} shows what was seen", page_path.display())
+            }
+            None => String::new(),
+        };
+        return Err(failure(args, error, &note));
+    }
+    let given = places_are_given(args)?;
+    let provenance = provenance(args, &done, given);
+    done.rig.provenance.insert("markers".into(), provenance.into());
     print(&describe(&done))?;
-    let weak: Vec<String> =
-        done.weak_pairs().map(|s| format!("`{}` and `{}`", done.classes[s.marker], done.classes[s.other])).collect();
-    if !weak.is_empty() {
-        let text = format!(
-            "colours that cannot be told apart: {}; nothing was written. Choose bands of purer or other colours, more even \
-             light, or take the other thing of that colour out of the picture",
-            weak.join(", ")
-        );
-        return Err(Failure::new(Exit::Unusable, text));
-    }
-    if let Some(m) = done.answered.iter().position(|n| n * 2 < done.frames) {
-        let text = format!(
-            "`{}` was measured in only {} of {} frames; nothing was written",
-            done.rig.markers[m].name, done.answered[m], done.frames
-        );
-        return Err(Failure::new(Exit::Unusable, text));
-    }
     let written = save(&done.rig.into(), out)?;
-    print(&format!("\n{written}\n"))
+    let mut written = format!("\n{written}\n");
+    if let Some(page) = page {
+        save_page(&page, &page_path)?;
+        let _ = writeln!(written, "         {} (what was learned, for a browser)", page_path.display());
+    }
+    print(&written)
 }
 
-/// The rig file with the markers as picked. Places along the tube and roles that it has already are kept.
+fn save_page(page: &str, path: &Path) -> Result<(), Failure> {
+    let _whole = interrupt::wait();
+    whole_file::write(path, page.as_bytes())
+        .map_err(|e| Failure::new(Exit::Failed, format!("{} cannot be written: {e}", path.display())))
+}
+
+/// What the page says of the run.
+fn info(args: &MarkersArgs, out: &Path) -> TeachingInfo {
+    let mm = |length_m: f64| format!("{} mm", length_m * 1e3);
+    let mut settings = vec![
+        ("Recording".to_owned(), args.source.display().to_string()),
+        ("Frame of the picks".to_owned(), format!("from {} s on", args.at)),
+        ("Tube".to_owned(), mm(args.tube.0)),
+    ];
+    settings.extend(args.rigid.map(|rigid| ("Stiff part".to_owned(), mm(rigid.0))));
+    settings.extend(super::super::provenance::of_this_run());
+    TeachingInfo { rig: out.display().to_string(), settings }
+}
+
+/// The clicks, each with its view.
+fn picks(args: &MarkersArgs, rig: &Rig) -> Result<Vec<Pick>, Failure> {
+    let view = |option: &str, name: Option<&str>| match name {
+        None => Ok(0),
+        Some(name) => rig.view(name).ok_or_else(|| no_such_view(option, name, &rig.views, &args.rig)),
+    };
+    let default = view("--view", args.view.as_deref())?;
+    let pick = |pick: &PickArg| -> Result<Pick, Failure> {
+        let view = match &pick.view {
+            Some(name) => view("--pick", Some(name))?,
+            None => default,
+        };
+        Ok(Pick { name: pick.name.clone(), view, pixel: pick.pixel })
+    };
+    let picks: Vec<Pick> = args.picks.iter().map(pick).collect::<Result<_, _>>()?;
+    for (i, pick) in picks.iter().enumerate() {
+        if picks[..i].iter().any(|other| other.name == pick.name && other.view == pick.view) {
+            let view = rig.views.get(pick.view).map_or("", |view| view.name.as_str());
+            return Err(usage(format!(
+                "--pick {}: two picks of this band in view {view}, expected one a view",
+                pick.name
+            )));
+        }
+    }
+    Ok(picks)
+}
+
+fn no_such_view(option: &str, name: &str, views: &[View], rig: &Path) -> Failure {
+    let known: Vec<&str> = views.iter().map(|v| v.name.as_str()).collect();
+    usage(format!("{option} {name}: no such view in {}; it has {}", rig.display(), known.join(", ")))
+}
+
+/// The rig file with the regions and the markers of this command. Roles of the bands that it has already are kept, and places
+/// along the tube that somebody wrote into it.
 fn rig_with_picks(args: &MarkersArgs) -> Result<Rig, Failure> {
     let mut draft = Draft::load(&args.rig)?;
-    let catheter = catheter(args, &draft)?;
-    let old = std::mem::take(&mut draft.markers);
-    let marker = |PickArg(pick): &PickArg| Marker {
-        name: pick.name.clone(),
-        length_m: pick.length_m,
-        centre_m: old.iter().find(|m| m.name == pick.name).and_then(|m| m.centre_m),
-        colour: None,
+    for region in &args.regions {
+        let at = draft.views.iter().position(|view| view.name == region.view);
+        let at = at.ok_or_else(|| no_such_view("--region", &region.view, &draft.views, &args.rig))?;
+        draft.views[at].region_px = region.corners.clone();
+    }
+    let bands = bands(args)?;
+    let names: Vec<&str> = bands.iter().map(|band| band.0).collect();
+    let before: Vec<&str> = draft.markers.iter().map(|m| m.name.as_str()).collect();
+    let sorted = |names: &[&str]| {
+        let mut names = names.iter().map(|name| (*name).to_owned()).collect::<Vec<_>>();
+        names.sort();
+        names
     };
-    draft.markers = args.picks.iter().map(marker).collect();
+    if names != before && sorted(&names) == sorted(&before) {
+        return Err(usage(format!(
+            "the picks are in the order {}, but in {} the bands follow each other as {}: give the picks in their order along the \
+             tube, from the clamp to the tip (if the file is wrong, take its [[marker]] parts out)",
+            names.join(", "),
+            args.rig.display(),
+            before.join(", ")
+        )));
+    }
+    let catheter = catheter(args, &draft, &names)?;
+    let given = places_of(&draft);
+    let old = std::mem::take(&mut draft.markers);
+    let centre_m = |name: &str| old.iter().find(|m| m.name == name).and_then(|m| m.centre_m).filter(|_| given);
+    let marker = |&(name, length_m): &(&str, f64)| Marker {
+        name: name.to_owned(),
+        length_m,
+        centre_m: centre_m(name),
+        colours: Vec::new(),
+    };
+    draft.markers = bands.iter().map(marker).collect();
     draft.catheter = Some(catheter);
     let checked = draft.checked(&args.rig);
     Ok(checked
-        .map_err(|error| usage(format!("{error} (with the bands, tube, coil and end of this command)")))?
+        .map_err(|error| usage(format!("{error} (with the bands, tube, regions, coil and end of this command)")))?
         .complete(&args.rig)?)
 }
 
+/// Names and lengths of the bands, in the order of their first picks.
+fn bands(args: &MarkersArgs) -> Result<Vec<(&str, f64)>, Failure> {
+    let mut bands: Vec<(&str, Option<f64>)> = Vec::new();
+    for pick in &args.picks {
+        match bands.iter_mut().find(|band| band.0 == pick.name) {
+            None => bands.push((&pick.name, pick.length_m)),
+            Some((name, length)) => match (*length, pick.length_m) {
+                (Some(a), Some(b)) if a != b => {
+                    return Err(usage(format!(
+                        "--pick {name}: two lengths for one band, {} and {} mm",
+                        a * 1e3,
+                        b * 1e3
+                    )));
+                }
+                (a, b) => *length = a.or(b),
+            },
+        }
+    }
+    let length = |(name, length): (&'_ str, Option<f64>)| {
+        length.ok_or_else(|| usage(format!("--pick {name}: its length is missing: write NAME@X,Y:LENGTH")))
+    };
+    bands.into_iter().map(|band| Ok((band.0, length(band)?))).collect()
+}
+
+/// Whether the places along the tube were written by somebody: nobody learned them.
+fn places_of(draft: &Draft) -> bool {
+    let learned = draft.provenance.get("markers").and_then(|markers| markers.get("places"));
+    match draft.provenance.get("markers") {
+        None => true,
+        Some(_) => learned.and_then(toml::Value::as_str) == Some("given"),
+    }
+}
+
+fn places_are_given(args: &MarkersArgs) -> Result<bool, Failure> {
+    let draft = Draft::load(&args.rig)?;
+    Ok(places_of(&draft) && draft.markers.iter().any(|marker| marker.centre_m.is_some()))
+}
+
 /// The tube and the roles of its bands: as asked for, else those of the rig, else the usual ones.
-fn catheter(args: &MarkersArgs, draft: &Draft) -> Result<Catheter, Failure> {
-    let names: Vec<&str> = args.picks.iter().map(|p| p.0.name.as_str()).collect();
+fn catheter(args: &MarkersArgs, draft: &Draft, names: &[&str]) -> Result<Catheter, Failure> {
     let picked = |option: &str, name: &str| {
         let index = names.iter().position(|n| *n == name);
         index.ok_or_else(|| {
@@ -143,7 +310,7 @@ fn catheter(args: &MarkersArgs, draft: &Draft) -> Result<Catheter, Failure> {
     Ok(Catheter { diameter_m: args.tube.0, coil, end, rigid_m })
 }
 
-fn failure(args: &MarkersArgs, error: MarkersError) -> Failure {
+fn failure(args: &MarkersArgs, error: MarkersError, note: &str) -> Failure {
     let exit = match error {
         MarkersError::NoPick(_)
         | MarkersError::Outside { .. }
@@ -152,65 +319,35 @@ fn failure(args: &MarkersArgs, error: MarkersError) -> Failure {
         // It names its file.
         MarkersError::Source(_) => return Failure::new(Exit::Failed, error),
         MarkersError::NoFrame => Exit::Failed,
-        MarkersError::Learn(_)
-        | MarkersError::NoBlob { .. }
-        | MarkersError::NotMeasured { .. }
-        | MarkersError::Segment(_) => Exit::Unusable,
+        _ => Exit::Unusable,
     };
-    Failure::new(exit, format!("{}: {error}", args.source.display()))
+    Failure::new(exit, format!("{}: {error}{note}", args.source.display()))
 }
 
-fn provenance(args: &MarkersArgs, done: &MarkersCalibration) -> toml::Table {
+fn provenance(args: &MarkersArgs, done: &Teaching, given: bool) -> toml::Table {
     let mut table = toml::Table::new();
     let file = args.source.file_name().unwrap_or_default().to_string_lossy().into_owned();
     table.insert("made_by".into(), format!("catoptra {} calibrate markers", env!("CARGO_PKG_VERSION")).into());
     table.insert("recording".into(), file.into());
-    table.insert("frames".into(), (done.frames as i64).into());
-    if let Some(worst) = done.learned.worst() {
-        table.insert("smallest_colour_gap".into(), ((worst.gap() * 1e3).round() / 1e3).into());
+    table.insert("places".into(), if given { "given" } else { "measured" }.into());
+    if let Ok(learned) = &done.outcome {
+        table.insert("frames".into(), (learned.frames as i64).into());
+        let round = |v: f64| (v * 1e3).round() / 1e3;
+        let sd_mm: Vec<toml::Value> =
+            learned.centre_sd_m.iter().flatten().map(|sd| toml::Value::from(round(sd * 1e3))).collect();
+        if !sd_mm.is_empty() {
+            table.insert("spacing_sd_mm".into(), sd_mm.into());
+        }
     }
     table
 }
 
-fn describe(done: &MarkersCalibration) -> String {
+fn describe(done: &Teaching) -> String {
     let mut text = String::new();
-    let _ = writeln!(
-        text,
-        "{} frame{} looked at\n\nmarker     measured   colour R'G'B'   centre along the tube",
-        done.frames,
-        if done.frames == 1 { "" } else { "s" }
-    );
-    for (m, marker) in done.rig.markers.iter().enumerate() {
-        let rgb = marker.colour.map(|c| c.rgb).unwrap_or_default();
-        let centre = marker.centre_m.map_or("unknown".into(), |c| format!("{:.2} mm", c * 1e3));
-        let _ = write!(
-            text,
-            "{:<10} {:>4}/{:<4}   {:>3.0} {:>3.0} {:>3.0}     {centre}",
-            marker.name, done.answered[m], done.frames, rgb.x, rgb.y, rgb.z
-        );
-        let names: Vec<&str> = done.rig.views.iter().map(|v| v.name.as_str()).collect();
-        match &done.first_miss[m] {
-            Some(miss) => {
-                let _ = writeln!(text, "   (missed: {})", miss.word(&names).replace('_', " "));
-            }
-            None => text.push('\n'),
-        }
+    if let Ok(learned) = &done.outcome {
+        text += &describe_bands(&done.rig, learned);
     }
-    text.push_str(
-        "\nseparation: score of the band (99 % above) against the other (99 % below); the threshold is 0.5\n",
-    );
-    for s in &done.learned.separations {
-        let _ = writeln!(
-            text,
-            "{:<10} {:>5.2}   against {:<12} {:>5.2}   d' {:>5.1}{}",
-            done.classes[s.marker],
-            s.marker_low,
-            done.classes[s.other],
-            s.other_high,
-            s.d_prime,
-            if is_apart(s) { "" } else { "   TOO ALIKE" }
-        );
-    }
+    text += &describe_colours(done);
     let camera = &done.rig.camera;
     let [x, y] = camera.chroma_offset_px;
     let _ = writeln!(
@@ -218,6 +355,81 @@ fn describe(done: &MarkersCalibration) -> String {
         "\nblur of lens and sensor {:.2} px; chroma samples sit {x:+.2}, {y:+.2} px beside where the recording says",
         camera.blur_px.unwrap_or(f64::NAN)
     );
+    for measure in done.outcome.iter().flat_map(|learned| &learned.contradicted) {
+        let _ = writeln!(text, "warning: {measure}: is what was given right?");
+    }
+    for region in &done.regions {
+        let _ = writeln!(text, "{}", proposal(&done.rig, region));
+    }
+    text
+}
+
+fn proposal(rig: &Rig, region: &ProposedRegion) -> String {
+    let view = rig.views.get(region.view).map_or("", |v| v.name.as_str());
+    let things = if region.leaves_out == 1 { "1 thing".to_owned() } else { format!("{} things", region.leaves_out) };
+    format!(
+        "{things} of the bands' colours in view `{view}` can be left out: --region {view}:{},{}-{},{} holds all that the tube \
+         can reach",
+        region.from.x, region.from.y, region.to.x, region.to.y
+    )
+}
+
+fn describe_bands(rig: &Rig, learned: &MarkersCalibration) -> String {
+    let mut text = format!(
+        "{} frame{} looked at\n\nmarker     measured   colour R'G'B'   middle along the tube\n",
+        learned.frames,
+        if learned.frames == 1 { "" } else { "s" }
+    );
+    let names: Vec<&str> = rig.views.iter().map(|v| v.name.as_str()).collect();
+    for (m, marker) in rig.markers.iter().enumerate() {
+        let rgb = marker.colour(0).map(|c| c.rgb).unwrap_or_default();
+        let sd =
+            learned.centre_sd_m[m].map_or(String::new(), |sd| format!(", {:.2} mm σ from the one before", sd * 1e3));
+        let centre = marker.centre_m.map_or("unknown".into(), |c| format!("{:.2} mm{sd}", c * 1e3));
+        let missed = learned.first_miss[m].as_ref();
+        let missed = missed.map_or(String::new(), |m| format!("   (missed: {})", m.word(&names).replace('_', " ")));
+        let _ = writeln!(
+            text,
+            "{:<10} {:>4}/{:<4}   {:>3.0} {:>3.0} {:>3.0}     {centre}{missed}",
+            marker.name, learned.answered[m], learned.frames, rgb.x, rgb.y, rgb.z
+        );
+    }
+    text += "(counted from the edge of the first band that is nearer to the clamp)\n";
+    text
+}
+
+/// The other colours that come nearest to each band's, in each view.
+const NEAREST: usize = 2;
+
+fn describe_colours(done: &Teaching) -> String {
+    let mut text = String::from(
+        "\ncolours: samples of the band that are found, and of the other colour that are mistaken for it, in pictures not learned from\n",
+    );
+    for (view, info) in done.views.iter().zip(&done.rig.views) {
+        for m in 0..done.rig.markers.len() {
+            let mut nearest: Vec<_> = view.learned.separations.iter().filter(|s| s.marker == m).collect();
+            nearest.sort_by(|a, b| a.d_prime.total_cmp(&b.d_prime));
+            for s in nearest.into_iter().take(NEAREST) {
+                let _ = writeln!(
+                    text,
+                    "{:<8} {:<8} {:>5.1} %   {:<30} {:>5.1} %   d' {:>4.1}   {}",
+                    info.name,
+                    view.classes[s.marker],
+                    s.hits * 100.0,
+                    view.classes[s.other],
+                    s.mistaken * 100.0,
+                    s.d_prime,
+                    verdict(s)
+                );
+            }
+            if let Some(advice) = view.exposure.get(m).copied().flatten().and_then(|e| e.advice()) {
+                let _ = writeln!(text, "warning: `{}` in view `{}`: {advice}", view.classes[m], info.name);
+            }
+        }
+    }
+    if done.views.iter().any(|v| v.learned.separations.iter().any(|s| verdict(s) == Verdict::Poor)) {
+        text += "TOO ALIKE: the colour alone does not tell the two apart; size and place have to\n";
+    }
     text
 }
 
@@ -227,15 +439,29 @@ mod tests {
 
     #[test]
     fn picks_as_people_write_them() {
-        let pick = "coil@433.5,565:12mm".parse::<PickArg>().unwrap().0;
-        assert_eq!((pick.name.as_str(), pick.pixel), ("coil", Point2::new(433.5, 565.0)));
-        assert!((pick.length_m - 0.012).abs() < 1e-15);
+        let pick = "coil@433.5,565:12mm".parse::<PickArg>().unwrap();
+        assert_eq!((pick.name.as_str(), pick.pixel, pick.view), ("coil", Point2::new(433.5, 565.0), None));
+        assert!((pick.length_m.unwrap() - 0.012).abs() < 1e-15);
+        let pick = "coil@mirror:433,565".parse::<PickArg>().unwrap();
+        assert_eq!((pick.view.as_deref(), pick.length_m), (Some("mirror"), None));
+        assert_eq!("coil@mirror:433,565:12mm".parse::<PickArg>().unwrap().view.as_deref(), Some("mirror"));
     }
 
     #[test]
     fn nonsense_is_named_with_what_would_be_right() {
-        for text in ["coil", "coil@1:6mm", "coil@1,x:6mm", "coil@1,2:6", "coil@1,inf:6mm"] {
+        for text in ["coil", "coil@1:6mm", "coil@1,x:6mm", "coil@1,2:6", "coil@1,inf:6mm", "coil@a:b:1,2:6mm"] {
             assert!(text.parse::<PickArg>().is_err(), "{text}");
         }
+        for text in ["mirror", "mirror:1,2", "mirror:1,2-1,9", "mirror:1,2-a,b"] {
+            assert!(text.parse::<RegionArg>().unwrap_err().contains("mirror:650,180-1120,700"), "{text}");
+        }
+    }
+
+    #[test]
+    fn two_corners_are_a_rectangle_and_more_are_a_polygon() {
+        let region = "mirror:10,20-30,50".parse::<RegionArg>().unwrap();
+        let corners = [(10.0, 20.0), (30.0, 20.0), (30.0, 50.0), (10.0, 50.0)].map(|(x, y)| Point2::new(x, y));
+        assert_eq!((region.view.as_str(), region.corners.as_slice()), ("mirror", &corners[..]));
+        assert_eq!("direct:1,2-3,4-5,9".parse::<RegionArg>().unwrap().corners.len(), 3);
     }
 }

@@ -39,11 +39,13 @@ Example:
   catoptra calibrate rig calibration/dev_tank/mirror --board 9x6:12mm --rig my_rig.toml \\
     --tank 254x254x267mm --glass 5mm")]
     Rig(rig::RigArgs),
-    /// Learn the marker bands from a recording and one click a band
+    /// Learn the marker bands from a recording and a click near each band
     #[command(after_help = "\
-Measures each band's colour and place on the tube, the blur of the lens and the offset of the colour
-samples, and writes them into the rig file; the old one is kept as RIG.toml.bak, .bak2, … Exit code
-3: a band's colour cannot be told from another's or from what surrounds it.
+A click may be 5 pixels beside the band, in any view and frame; its size and place find it
+in the others. Measures colours in each view, places on the tube, blur of the lens, offset of the
+colour samples, and writes them into the rig file; the old one is kept as RIG.toml.bak, .bak2, …
+RIG.markers.html shows what was seen, after a failure too. Exit code 3: a band is not found, or its
+colour cannot be told from another's.
 Example:
   catoptra calibrate markers sample_frames/planar.mkv --rig calibration/dev_tank/rig.toml \\
     --tube 3.2mm --pick base@431,408:6mm --pick coil@431,565:12mm --pick tip@430,607:6mm \\

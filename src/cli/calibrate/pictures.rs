@@ -8,12 +8,16 @@ use crate::calibrate::bundle::outliers::UsedPicture;
 use rayon::prelude::*;
 use sha2::{Digest as _, Sha256};
 use std::collections::BTreeMap;
+use std::f64::consts::SQRT_2;
 use std::fmt::{Display, Write as _};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
 /// Endings of files that a folder's pictures have.
 const ENDINGS: [&str; 10] = ["png", "jpg", "jpeg", "tif", "tiff", "bmp", "pgm", "ppm", "pbm", "pnm"];
+
+/// Corners that are off by more than this, pixels, and so many σ, are astray.
+const ASTRAY: (f64, f64) = (1.5, 8.0);
 
 /// A picture in which boards were looked for.
 pub(super) struct Searched {
@@ -29,16 +33,20 @@ pub(super) struct Searched {
 pub(super) fn provenance(step: &str, board: &Board, searched: &[Searched]) -> Result<toml::Table, Failure> {
     let mut hashes = toml::Table::new();
     for picture in searched {
-        let bytes = std::fs::read(&picture.path)
-            .map_err(|e| Failure::new(Exit::Failed, format!("cannot read {}: {e}", picture.path.display())))?;
-        let hash: String = Sha256::digest(&bytes).iter().map(|byte| format!("{byte:02x}")).collect();
-        hashes.insert(picture.name.clone(), hash.into());
+        hashes.insert(picture.name.clone(), hash(&picture.path)?.into());
     }
     let mut table = toml::Table::new();
     table.insert("made_by".into(), format!("catoptra {} calibrate {step}", env!("CARGO_PKG_VERSION")).into());
     table.insert("board".into(), board.to_string().into());
     table.insert("inputs_sha256".into(), hashes.into());
     Ok(table)
+}
+
+/// SHA-256 of a file, as hexadecimal digits.
+pub(super) fn hash(path: &Path) -> Result<String, Failure> {
+    let bytes =
+        std::fs::read(path).map_err(|e| Failure::new(Exit::Failed, format!("cannot read {}: {e}", path.display())))?;
+    Ok(Sha256::digest(&bytes).iter().map(|byte| format!("{byte:02x}")).collect())
 }
 
 /// Pictures without a board, a line each.
@@ -52,18 +60,45 @@ pub(super) fn table<'a>(
     searched: &[Searched],
     used: impl Iterator<Item = &'a UsedPicture>,
     left_out: &[(String, impl Display)],
+    corner_sd_px: f64,
 ) -> String {
-    let mut text = String::from("picture                  corners   RMS px   largest px\n");
+    let mut astray = String::new();
+    let mut text = String::from(
+        "                                   RMS px\n\
+         picture                  corners   of x or y   of a point   largest px\n",
+    );
     for picture in used {
         let largest = picture.corners.iter().map(|(_, r)| r.norm()).fold(0.0, f64::max);
         let (name, count, rms) = (&picture.name, picture.corners.len(), picture.rms_px());
-        let _ = writeln!(text, "{name:<24} {count:>7} {rms:>8.3} {largest:>12.3}");
+        let point = rms * SQRT_2;
+        let far = |off_px: f64| off_px > ASTRAY.0.max(ASTRAY.1 * corner_sd_px);
+        let far: Vec<_> = picture.corners.iter().filter(|(_, off)| far(off.norm())).collect();
+        if let Some((at, off)) = far.iter().max_by(|a, b| a.1.norm().total_cmp(&b.1.norm())) {
+            let _ = writeln!(
+                astray,
+                "warning: {name}: {}, the worst at ({:.0}, {:.0}) by {:.1} px: hidden, shaded, or taken for another? They hardly count",
+                if far.len() == 1 {
+                    "a corner is astray".to_owned()
+                } else {
+                    format!("{} corners are astray", far.len())
+                },
+                at.x,
+                at.y,
+                off.norm()
+            );
+        }
+        let _ = writeln!(text, "{name:<24} {count:>7} {rms:>11.3} {point:>12.3} {largest:>12.3}");
     }
     text += &not_found(searched);
     for (name, why) in left_out {
         let _ = writeln!(text, "{name:<24} left out: {why}");
     }
-    text
+    text + &astray
+}
+
+/// An RMS of one coordinate, and the one that OpenCV tells: of points, √2 times as large.
+pub(super) fn rms(coordinate_px: f64) -> String {
+    format!("{coordinate_px:.3} px in x and in y ({:.3} px as OpenCV counts, of points)", coordinate_px * SQRT_2)
 }
 
 /// Looks for the board, at most `most` times in a picture. A folder stands for the pictures in it.

@@ -149,12 +149,15 @@ pub(super) fn run(args: &RigArgs, quiet: bool, print: impl Fn(&str) -> Result<()
     let held = during("leaving out each picture in turn", quiet, || held_out(&done.solution, &done.corners));
     print(&describe(&searched, &done, judged.as_ref(), &options))?;
     print(&describe_held_out(held.iter().flatten()))?;
+    if let Some(shared) = shared_pictures(&draft, &searched)? {
+        print(&shared)?;
+    }
     for doubt in diagnose(&done, &held) {
         print(&format!("doubt: {doubt}\n"))?;
     }
     let page = calibration::page(&info(args, out, &searched), &done, judged.as_ref(), &held);
     let mut rig = into_draft(draft, &done);
-    rig.provenance.insert("rig".into(), provenance(args, &searched, &done)?.into());
+    rig.provenance.insert("rig".into(), provenance(args, &searched, &done, judged.as_ref())?.into());
     let written = save(&rig, out)?;
     let page_path = out.with_extension("calibration.html");
     save_page(&page, &page_path)?;
@@ -229,6 +232,27 @@ fn options(args: &RigArgs, draft: &Draft) -> Result<RigOptions, Failure> {
     })
 }
 
+/// A warning when pictures have served for the lens already.
+fn shared_pictures(draft: &Draft, searched: &[Searched]) -> Result<Option<String>, Failure> {
+    let of_lens = draft.provenance.get("camera").and_then(|camera| camera.get("inputs_sha256")?.as_table());
+    let Some(of_lens) = of_lens else { return Ok(None) };
+    let mut names = Vec::new();
+    for picture in searched.iter().filter(|picture| picture.images.is_ok()) {
+        let hash = pictures::hash(&picture.path)?;
+        if of_lens.values().any(|known| known.as_str() == Some(&hash)) {
+            names.push(picture.name.as_str());
+        }
+    }
+    Ok((!names.is_empty()).then(|| {
+        format!(
+            "warning: {} of the pictures served for the lens too, so that what is wrong in them counts twice and σ are too small: \
+             take others ({})\n",
+            names.len(),
+            names.join(", ")
+        )
+    }))
+}
+
 /// As `calibrate camera` wrote it.
 fn lens_covariance(draft: &Draft) -> Option<DMatrix<f64>> {
     let rows = draft.provenance.get("camera")?.get("lens_covariance")?.as_array()?;
@@ -242,56 +266,67 @@ fn failure(error: RigCalibrationError) -> Failure {
     Failure::new(exit, error)
 }
 
-fn provenance(args: &RigArgs, searched: &[Searched], done: &RigCalibration) -> Result<toml::Table, Failure> {
+fn provenance(
+    args: &RigArgs,
+    searched: &[Searched],
+    done: &RigCalibration,
+    judged: Option<&Verdict>,
+) -> Result<toml::Table, Failure> {
     let mut table = pictures::provenance("rig", &args.board, searched)?;
     let solution = &done.solution;
     table.insert("corner_sd_px".into(), solution.corner_sd_px.into());
-    let names = solution.free.iter().map(|p| toml::Value::from(parameter_name(done, *p)));
+    let surface = |index: usize| solution.geometry.surfaces.get(index).map_or("", |(name, _)| name.as_str());
+    let names = solution.free.iter().map(|p| toml::Value::from(p.name(surface)));
     table.insert("parameters".into(), names.collect::<Vec<_>>().into());
     let rows = solution.covariance.row_iter().map(|row| row.iter().copied().collect::<Vec<f64>>().into());
     table.insert("covariance".into(), rows.collect::<Vec<toml::Value>>().into());
+    let noise: Vec<toml::Value> = solution.noise_covariance.diagonal().iter().map(|v| v.sqrt().into()).collect();
+    table.insert("sd_by_noise".into(), noise.into());
+    if let Some(judged) = judged {
+        let corners =
+            judged.extent().map(|corner| toml::Value::from(corner.iter().map(|m| m * 1e3).collect::<Vec<f64>>()));
+        table.insert("volume_mm".into(), corners.to_vec().into());
+    }
     Ok(table)
 }
 
-/// Units of the covariance are SI: radians, metres; pixels for the lens.
-fn parameter_name(done: &RigCalibration, parameter: Parameter) -> String {
-    let surface = |index: usize| done.solution.geometry.surfaces.get(index).map_or("", |(name, _)| name.as_str());
-    match parameter {
-        Parameter::Focal(axis) => format!("focal_{}_px", ["x", "y"][axis.min(1)]),
-        Parameter::Principal(axis) => format!("principal_point_{}_px", ["x", "y"][axis.min(1)]),
-        Parameter::Distortion(i) => ["k1", "k2", "p1", "p2", "k3"][i.min(4)].to_owned(),
-        Parameter::Tilt { surface: index, axis } => format!("{}_tilt_{axis}_rad", surface(index)),
-        Parameter::Offset { surface: index } => format!("{}_offset_m", surface(index)),
-        Parameter::IndexInside => "index_inside".to_owned(),
-    }
-}
-
 fn describe(searched: &[Searched], done: &RigCalibration, judged: Option<&Verdict>, options: &RigOptions) -> String {
-    let mut text = pictures::table(searched, done.used.iter().map(|(_, picture)| picture), &done.left_out);
+    let mut text = pictures::table(
+        searched,
+        done.used.iter().map(|(_, picture)| picture),
+        &done.left_out,
+        done.solution.corner_sd_px,
+    );
     let solution = &done.solution;
     let _ = writeln!(
         text,
-        "\n{} of {} pictures used, corners good to {:.3} px\n\nsurface      normal                          σ          offset mm       σ",
+        "\n{} of {} pictures used, corners good to {}\n\nsurface      normal                          σ  of noise      offset mm       σ  of noise",
         done.used.len(),
         searched.len(),
-        solution.corner_sd_px
+        pictures::rms(solution.corner_sd_px)
     );
-    let sd = |parameter: Parameter| {
+    let of = |parameter: Parameter, covariance: &DMatrix<f64>| {
         let at = solution.free.iter().position(|p| *p == parameter);
-        at.map_or(0.0, |i| solution.covariance[(i, i)].sqrt())
+        at.map_or(0.0, |i| covariance[(i, i)].sqrt())
     };
+    let sd = |parameter: Parameter| of(parameter, &solution.covariance);
+    let by_noise = |parameter: Parameter| of(parameter, &solution.noise_covariance).min(sd(parameter));
     for (surface, (name, optics)) in solution.geometry.surfaces.iter().enumerate() {
         let plane = optics.plane();
         let n = plane.normal();
-        let tilt = (0..2).map(|axis| sd(Parameter::Tilt { surface, axis })).fold(0.0, f64::max).to_degrees();
+        let tilts = [0, 1].map(|axis| Parameter::Tilt { surface, axis });
+        let tilt = tilts.map(sd).into_iter().fold(0.0, f64::max).to_degrees();
+        let tilt_by_noise = tilts.map(by_noise).into_iter().fold(0.0, f64::max).to_degrees();
+        let offset = Parameter::Offset { surface };
         let _ = writeln!(
             text,
-            "{name:<12} {:+.5} {:+.5} {:+.5}   {tilt:>6.3}°   {:>12.2}  {:>6.2}",
+            "{name:<12} {:+.5} {:+.5} {:+.5}   {tilt:>6.3}°   {tilt_by_noise:>6.3}°   {:>12.2}  {:>6.2}  {:>8.2}",
             n.x,
             n.y,
             n.z,
             plane.offset_m() * 1e3,
-            sd(Parameter::Offset { surface }) * 1e3
+            sd(offset) * 1e3,
+            by_noise(offset) * 1e3
         );
     }
     if options.lens_covariance.is_none() {
@@ -317,7 +352,15 @@ fn describe_verdict(judged: &Verdict) -> String {
     let line = |what: &str, (median_m, worst_m): (f64, f64)| {
         format!("{what:<34} {:>8.3}   {:>8.3}\n", median_m * 1e3, worst_m * 1e3)
     };
-    let mut text = String::from("\nexpected error in space, mm (1σ)     median      worst place\n");
+    let [low, high] = judged.extent();
+    let side = |axis: usize| format!("{:.0} to {:.0}", low[axis] * 1e3, high[axis] * 1e3);
+    let mut text = format!(
+        "\nin the boards' volume, x {}, y {}, z {} mm of the camera frame (outside of it, errors grow quickly):\n\
+         expected error in space, mm (1σ)     median      worst place\n",
+        side(0),
+        side(1),
+        side(2)
+    );
     text += &line("of the camera frame (all together)", judged.median_and_worst(|e| e.absolute_m));
     text += &line("of the base frame, displacements", judged.median_and_worst(|e| e.relative_m));
     let (median_rad, worst_rad) = judged.angle_rad;

@@ -210,7 +210,7 @@ fn recorded(args: &Args, file: &Path, table: Option<&Path>, plant: Option<Plant>
     }
     let recording = Recording::read(file).map_err(unreadable)?;
     if let Some(why) = &recording.cut {
-        tracing::warn!("{name}: is read as far as it goes: {why}");
+        tracing::warn!("{name}: not all of it can be read: {why}");
     }
     let observed = Observed::of(&recording).map_err(usage)?;
     let (source, currents) = match table {

@@ -6,8 +6,10 @@ use super::results::{unlike_others, whole_path};
 use super::run::folder::{Files, Run};
 use super::run::{Record, Reference, load_rig, open_sinks, pool, print_warnings, summary, verdict};
 use super::{Exit, Failure, fitting, interrupt, output, provenance};
-use crate::live::{self, CurrentSource, LiveSummary, Outputs, RecordTo, Recording, Until};
+use crate::live::{self, CurrentSource, LiveSummary, Outputs, Priority, RecordTo, Recording, Until};
+use crate::pipeline::End;
 use crate::report::RunInfo;
+use crate::rig::Rig;
 use crate::sink::{PublishSink, Sink, UdpSink};
 use crate::source::host::HostClock;
 use crate::source::live::{Camera, CameraSettings, Paced, RawFormat, RawPictures, Stream};
@@ -17,6 +19,7 @@ use crate::track::{TrackOptions, Tracker};
 use clap::builder::RangedU64ValueParser;
 use status::StatusLine;
 use std::fmt::Write as _;
+use std::io::ErrorKind;
 use std::net::{SocketAddr, ToSocketAddrs as _};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -58,14 +61,20 @@ pub(crate) struct Args {
     #[arg(long, value_name = "FORMAT")]
     format: Option<String>,
     /// Send θ to a controller, one JSON datagram per frame
-    #[arg(long, value_name = "HOST:PORT", value_parser = address)]
+    #[arg(long, value_name = "HOST:PORT", value_parser = receiver)]
     udp: Option<SocketAddr>,
     /// Serve the log's topics to Foxglove and programs [default address: ws://127.0.0.1:8765]
     #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = "127.0.0.1:8765", value_parser = listening)]
     publish: Option<SocketAddr>,
-    /// Log coil currents: udp:PORT, serial:DEVICE@BAUD or file:TABLE.csv
+    /// Web page that may subscribe too, as https://lab.example.org; may be given again
+    #[arg(long, value_name = "ORIGIN", requires = "publish")]
+    allow_origin: Vec<String>,
+    /// Log coil currents: udp:PORT, udp:HOST:PORT, serial:DEVICE@BAUD or file:TABLE.csv
     #[arg(long, value_name = "FROM")]
     currents: Option<CurrentSource>,
+    /// A current beyond is not plausible and not logged, amperes
+    #[arg(long, value_name = "A", value_parser = positive, default_value_t = 10.0, requires = "currents")]
+    current_limit: f64,
     /// Also record the pictures: windows (the parts the tracker looked at, in the log), or whole ones
     #[arg(long, value_enum, value_name = "HOW")]
     record: Option<Record>,
@@ -81,6 +90,12 @@ pub(crate) struct Args {
     /// Threads for the tracker [default: one per core]
     #[arg(long, value_name = "N", value_parser = RangedU64ValueParser::<usize>::new().range(1..=256))]
     threads: Option<usize>,
+}
+
+/// Where a receiver listens.
+fn receiver(text: &str) -> Result<SocketAddr, String> {
+    let found = address(text)?;
+    if found.port() == 0 { Err("the port is 0; give the one where the receiver listens".to_owned()) } else { Ok(found) }
 }
 
 fn address(text: &str) -> Result<SocketAddr, String> {
@@ -118,17 +133,21 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     let tracker = Tracker::new(&rig, TrackOptions::default())
         .map_err(|e| Failure::new(Exit::Usage, format!("{}: {e}", args.rig.display())))?;
     print_warnings(&args.rig, &rig)?;
-    let controllers = args.udp.map(|to| UdpSink::to(to, &rig)).transpose();
-    let controllers = controllers.map_err(|e| Failure::new(Exit::Failed, format!("cannot send datagrams: {e}")))?;
-    let publisher = args.publish.map(|at| PublishSink::listen(at, &rig)).transpose();
+    let controllers = args.controllers(&rig)?;
+    let publisher = args.publish.map(|at| PublishSink::listen(at, &args.allow_origin, &rig)).transpose();
     let publisher = publisher.map_err(|e| Failure::new(Exit::Failed, e))?;
     if let Some(publisher) = &publisher {
         tracing::info!("subscribers find the topics at ws://{}", publisher.address());
     }
     let clock = HostClock::start();
     let currents = args.currents.as_ref().map(|from| {
-        let refused = |e: std::io::Error| Failure::new(Exit::Failed, format!("{from}: no currents can be had: {e}"));
-        from.open(clock, &until.stop).map_err(refused)
+        let refused = |e: std::io::Error| {
+            // The file that was named is the wrong one, or there is none.
+            let invalid = [ErrorKind::InvalidData, ErrorKind::NotFound, ErrorKind::IsADirectory].contains(&e.kind());
+            let exit = if invalid { Exit::Usage } else { Exit::Failed };
+            Failure::new(exit, format!("{from}: no currents can be had: {e}"))
+        };
+        from.open(args.current_limit, clock, &until.stop).map_err(refused)
     });
     let currents = currents.transpose()?;
     let source = args.open(rig.camera.size_px, clock, &until.stop)?;
@@ -155,6 +174,9 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
         .map_err(|e| Failure::new(Exit::Failed, format!("cannot start a thread: {e}")))?;
     drop(line);
     // 4. what came of it
+    if let Some(sources) = live.run.tally.budget() {
+        files.add_budget(&run, &sources)?;
+    }
     if !quiet {
         let mut text = String::new();
         summary::summary(&mut text, &args.source, &live.run, &files, &rig)
@@ -165,6 +187,10 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     if live.unlogged > 0 {
         let text = format!("{} frames are missing in the files: the disk was too slow", live.unlogged);
         return Err(Failure::new(Exit::Failed, text));
+    }
+    if live.run.tally.frames == 0 && matches!(live.run.end, End::Complete) {
+        let text = format!("{}: not a single frame came", args.source);
+        return Err(Failure::new(Exit::Unusable, text));
     }
     verdict(&args.source, &rig, live.run)
 }
@@ -179,6 +205,11 @@ fn lines(summary: &LiveSummary) -> String {
         ms(latency.p99_us),
         ms(latency.max_us)
     );
+    if summary.run.tally.reasons("tangent").iter().any(|(word, _)| *word == "skipped_overload")
+        && summary.priority != Priority::Raised
+    {
+        text += &format!("{}\n", summary.priority);
+    }
     let interruptions = summary.run.source.interruptions;
     if interruptions > 0 {
         let times = if interruptions == 1 { "once".to_owned() } else { format!("{interruptions} times") };
@@ -211,6 +242,17 @@ fn standard_input() -> Result<Box<dyn std::io::Read + Send>, Failure> {
 }
 
 impl Args {
+    /// Who is told θ the moment it is known.
+    fn controllers(&self, rig: &Rig) -> Result<Vec<Box<dyn Sink + Send>>, Failure> {
+        let mut controllers: Vec<Box<dyn Sink + Send>> = Vec::new();
+        if let Some(to) = self.udp {
+            let sink = UdpSink::to(to, rig);
+            controllers
+                .push(Box::new(sink.map_err(|e| Failure::new(Exit::Failed, format!("cannot send datagrams: {e}")))?));
+        }
+        Ok(controllers)
+    }
+
     fn open(
         &self,
         size_px: [u32; 2],

@@ -1,22 +1,32 @@
 //! `catoptra rig check`: a rig file in words and numbers.
 
+use super::super::progress::Progress;
 use super::super::run::two_views;
-use super::super::{Exit, Failure, output};
+use super::super::{Exit, Failure, fitting, output};
+use crate::calibrate::rig::share::{Pose, share, volume_m};
 use crate::optics::{Surface, Wall};
 use crate::rig::check::{Check, ROUND_TRIP_LIMIT_PX, ViewCheck, check};
-use crate::rig::{Base, Camera, Rig, View};
+use crate::rig::{Base, Camera, Draft, View};
+use crate::source::{FrameSource as _, SourceOptions};
+use crate::track::{TrackOptions, Tracker};
 use nalgebra::Vector3;
 use std::fmt::{self, Write as _};
 use std::path::Path;
 
-pub(super) fn run(file: &Path) -> Result<(), Failure> {
-    let rig = Rig::load(file)?;
+/// Moments of a recording that are looked at, at most.
+const MOST_MOMENTS: usize = 200;
+
+pub(super) fn run(file: &Path, recording: Option<&Path>, quiet: bool) -> Result<(), Failure> {
+    let rig = Draft::load(file)?;
     let checked = check(&rig).map_err(|e| Failure::new(Exit::Unusable, format!("{}: {e}", file.display())))?;
     let mut text = String::new();
     describe(&mut text, file, &rig, &checked)
         .map_err(|e| Failure::new(Exit::Failed, format!("cannot describe {}: {e}", file.display())))?;
     output::print(&text)?;
-    if let Err(one_view) = two_views(file, &rig) {
+    if let Some(recording) = recording {
+        output::print(&at_the_catheter(file, &rig, recording, quiet)?)?;
+    }
+    if let Err(one_view) = two_views(file, &rig.views) {
         return Err(Failure::new(Exit::Unusable, one_view.to_string()));
     }
     if checked.usable() {
@@ -26,6 +36,49 @@ pub(super) fn run(file: &Path) -> Result<(), Failure> {
         Exit::Unusable,
         format!("{}: a view does not lead to points and back within {ROUND_TRIP_LIMIT_PX} px", file.display()),
     ))
+}
+
+/// How good the calibration is at the places where the catheter is in a recording.
+fn at_the_catheter(file: &Path, draft: &Draft, recording: &Path, quiet: bool) -> Result<String, Failure> {
+    let unusable = |e: &dyn fmt::Display| Failure::new(Exit::Unusable, format!("{}: {e}", recording.display()));
+    let rig = draft.clone().complete(file)?;
+    let mut source = fitting::open_to_track((recording, SourceOptions::default()), (file, &rig))?;
+    let mut progress = Progress::of_frames(source.frame_count_hint(), quiet);
+    let mut tracker = Tracker::new(&rig, TrackOptions::default()).map_err(|e| Failure::new(Exit::Usage, e))?;
+    let mut poses = Vec::new();
+    let mut frames = 0;
+    while let Some(frame) = source.next_frame().map_err(|e| Failure::new(Exit::Failed, e))? {
+        let estimate = tracker.step(&frame).map_err(|e| Failure::new(Exit::Usage, e))?;
+        let tip = rig.catheter.end.unwrap_or(rig.markers.len().saturating_sub(1));
+        let place = |marker: usize| estimate.markers.get(marker)?.position.as_ref().ok().map(|p| p.point);
+        if let (Some(coil), Some(tip), Ok(tangent)) = (place(rig.catheter.coil), place(tip), &estimate.tangent) {
+            poses.push(Pose { coil, tangent: tangent.direction, tip });
+        }
+        frames += 1;
+        progress.at(frames);
+    }
+    drop(progress);
+    let every = poses.len().div_ceil(MOST_MOMENTS).max(1);
+    let some: Vec<Pose> = poses.iter().copied().step_by(every).collect();
+    let share = share(draft, &some).map_err(|e| unusable(&e))?;
+    let mut text = format!("\nthe calibration's share of errors at the catheter in {} (1σ)", recording.display());
+    text += &format!(
+        "\n  θ                {:.4}°, at the worst moment {:.4}°\n  tip, base frame  {:.4} mm, at the worst moment {:.4} mm\n",
+        share.theta_rad.0.to_degrees(),
+        share.theta_rad.1.to_degrees(),
+        share.tip_m.0 * 1e3,
+        share.tip_m.1 * 1e3
+    );
+    text += &match share.outside_m {
+        None => "  the rig file does not say which places the boards filled\n".to_owned(),
+        Some(0.0) => "  within the boards' volume\n".to_owned(),
+        Some(m) => format!(
+            "  warning: up to {:.0} mm outside the boards' volume, where errors are larger than this says: calibrate with boards \
+             where the catheter is\n",
+            m * 1e3
+        ),
+    };
+    Ok(text)
 }
 
 /// Provenance without its long lists: matrices and hashes are for programs.
@@ -41,10 +94,12 @@ fn brief(table: &toml::Table) -> toml::Table {
     table.iter().map(|(key, value)| (key.clone(), shorter(value))).collect()
 }
 
-fn describe(out: &mut String, file: &Path, rig: &Rig, checked: &Check) -> fmt::Result {
+fn describe(out: &mut String, file: &Path, rig: &Draft, checked: &Check) -> fmt::Result {
     writeln!(out, "{}\n", file.display())?;
-    camera(out, &rig.camera, checked)?;
-    surfaces(out, rig)?;
+    camera(out, rig, checked)?;
+    if !rig.views.is_empty() {
+        surfaces(out, rig)?;
+    }
     for (view, seen) in rig.views.iter().zip(&checked.views) {
         self::view(out, view, seen)?;
     }
@@ -57,12 +112,24 @@ fn describe(out: &mut String, file: &Path, rig: &Rig, checked: &Check) -> fmt::R
             meeting.angle_rad.to_degrees()
         )?;
     }
+    if let Some([low, high]) = volume_m(rig) {
+        let side = |axis: usize| format!("{:.0} to {:.0}", low[axis] * 1e3, high[axis] * 1e3);
+        writeln!(
+            out,
+            "\nboards filled x {}, y {}, z {} mm of the camera frame: there the calibration is as good as it says",
+            side(0),
+            side(1),
+            side(2)
+        )?;
+    }
     catheter(out, rig)?;
     match &rig.base {
         Some(base) => self::base(out, base)?,
         None => writeln!(out, "\nbase frame\n  not known")?,
     }
-    writeln!(out, "\ntest grid, pixel -> ray -> point -> pixel")?;
+    if !rig.views.is_empty() {
+        writeln!(out, "\ntest grid, pixel -> ray -> point -> pixel")?;
+    }
     for (view, seen) in rig.views.iter().zip(&checked.views) {
         let trip = &seen.round_trip;
         let distances: Vec<_> = trip.distances_m.iter().map(|d| format!("{:.0}", d * 1e3)).collect();
@@ -83,6 +150,11 @@ fn describe(out: &mut String, file: &Path, rig: &Rig, checked: &Check) -> fmt::R
             writeln!(out, "  {line}")?;
         }
     }
+    let missing = rig.missing();
+    if !missing.is_empty() {
+        writeln!(out, "\nstill missing, before anything can be tracked")?;
+        missing.iter().try_for_each(|(what, command)| writeln!(out, "  {what:<25} {command}"))?;
+    }
     match checked.warnings.len() {
         0 => writeln!(out, "\nno warnings"),
         n => {
@@ -92,15 +164,23 @@ fn describe(out: &mut String, file: &Path, rig: &Rig, checked: &Check) -> fmt::R
     }
 }
 
-fn camera(out: &mut String, camera: &Camera, checked: &Check) -> fmt::Result {
+fn camera(out: &mut String, rig: &Draft, checked: &Check) -> fmt::Result {
+    let camera: &Camera = &rig.camera;
     let lens = &camera.lens;
+    let sd = |names: [&str; 2]| match names.map(|name| rig.noted_sd(name)) {
+        [Some(a), Some(b)] => format!("   σ {a:.2}, {b:.2}"),
+        _ => String::new(),
+    };
+    let of_focal = sd(["focal_x_px", "focal_y_px"]);
+    let of_centre = sd(["principal_point_x_px", "principal_point_y_px"]);
     let angle = |a: Option<f64>| a.map_or("unknown".to_owned(), |a| format!("{:.1}°", a.to_degrees()));
     let [horizontal, vertical] = checked.field_of_view_rad.map(angle);
     writeln!(out, "camera")?;
     writeln!(out, "  picture          {} x {} px", camera.size_px[0], camera.size_px[1])?;
     writeln!(out, "  field of view    {horizontal} x {vertical}")?;
-    writeln!(out, "  focal length     {:.2}, {:.2} px", lens.focal_px.x, lens.focal_px.y)?;
-    writeln!(out, "  principal point  {:.2}, {:.2} px", lens.principal_point_px.x, lens.principal_point_px.y)?;
+    writeln!(out, "  focal length     {:.2}, {:.2} px{of_focal}", lens.focal_px.x, lens.focal_px.y)?;
+    let centre = lens.principal_point_px;
+    writeln!(out, "  principal point  {:.2}, {:.2} px{of_centre}", centre.x, centre.y)?;
     writeln!(out, "  distortion       k1, k2, p1, p2, k3 = {:?}", lens.distortion)?;
     match camera.blur_px {
         Some(blur) => writeln!(out, "  blur             {blur:.2} px")?,
@@ -110,7 +190,7 @@ fn camera(out: &mut String, camera: &Camera, checked: &Check) -> fmt::Result {
     writeln!(out, "  chroma samples   {right:+.2}, {down:+.2} px beside where recordings say")
 }
 
-fn surfaces(out: &mut String, rig: &Rig) -> fmt::Result {
+fn surfaces(out: &mut String, rig: &Draft) -> fmt::Result {
     writeln!(out, "\nsurfaces")?;
     if rig.surfaces.is_empty() {
         writeln!(out, "  none: in air, seen directly")?;
@@ -125,6 +205,8 @@ fn surfaces(out: &mut String, rig: &Rig) -> fmt::Result {
             _ => String::new(),
         };
         let distance_mm = plane.offset_m().abs() * 1e3;
+        let sd =
+            rig.noted_sd(&format!("{name}_offset_m")).map_or(String::new(), |sd_m| format!(" ± {:.2}", sd_m * 1e3));
         write!(out, "  {name:<16} ")?;
         match surface {
             Surface::Mirror(_) => writeln!(out, "mirror")?,
@@ -132,7 +214,7 @@ fn surfaces(out: &mut String, rig: &Rig) -> fmt::Result {
         }
         writeln!(
             out,
-            "                   {distance_mm:.1} mm from the camera, normal {tilt:.1}° to the optical axis{crossing}"
+            "                   {distance_mm:.1}{sd} mm from the camera, normal {tilt:.1}° to the optical axis{crossing}"
         )?;
     }
     Ok(())
@@ -185,19 +267,20 @@ fn view(out: &mut String, view: &View, seen: &ViewCheck) -> fmt::Result {
     Ok(())
 }
 
-fn catheter(out: &mut String, rig: &Rig) -> fmt::Result {
-    writeln!(out, "\ncatheter, {:.2} mm thick; bands from the clamp on", rig.catheter.diameter_m * 1e3)?;
+fn catheter(out: &mut String, rig: &Draft) -> fmt::Result {
+    let Some(catheter) = &rig.catheter else { return writeln!(out, "\ncatheter\n  not known") };
+    writeln!(out, "\ncatheter, {:.2} mm thick; bands from the clamp on", catheter.diameter_m * 1e3)?;
     for (index, marker) in rig.markers.iter().enumerate() {
         let place = match marker.centre_m {
-            Some(centre_m) => format!("middle {:.1} mm from the clamp", centre_m * 1e3),
+            Some(centre_m) => format!("middle at {:.1} mm along the tube", centre_m * 1e3),
             None => "place not known".to_owned(),
         };
-        let colour = match &marker.colour {
+        let colour = match marker.colour(0) {
             Some(c) => format!("colour ({:.0}, {:.0}, {:.0})", c.rgb.x, c.rgb.y, c.rgb.z),
             None => "colour not learned".to_owned(),
         };
-        let coil = if index == rig.catheter.coil { "; its direction is the coil's tangent" } else { "" };
-        let end = if Some(index) == rig.catheter.end { "; ends the tube" } else { "" };
+        let coil = if index == catheter.coil { "; its direction is the coil's tangent" } else { "" };
+        let end = if Some(index) == catheter.end { "; ends the tube" } else { "" };
         writeln!(out, "  {:<10} {:.1} mm long, {place}, {colour}{coil}{end}", marker.name, marker.length_m * 1e3)?;
     }
     Ok(())

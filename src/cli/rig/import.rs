@@ -6,6 +6,7 @@ use crate::rig::Draft;
 use crate::rig::formats::Format;
 use sha2::{Digest as _, Sha256};
 use std::path::PathBuf;
+use std::str::FromStr;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 enum From {
@@ -22,9 +23,33 @@ pub(super) struct ImportArgs {
     /// Its format [default: recognised from its content]
     #[arg(long)]
     format: Option<From>,
+    /// σ of fx, fy, cx, cy, k1, k2, p1, p2, k3, as the other program gives them: pixels for the first four
+    #[arg(long, value_name = "σ,σ,…", value_parser = Deviations::from_str)]
+    sd: Option<Deviations>,
     /// Rig file to write; an existing one keeps its bands
     #[arg(long, short, value_name = "RIG.toml")]
     out: PathBuf,
+}
+
+/// σ of the nine numbers of a lens.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Deviations([f64; 9]);
+
+impl FromStr for Deviations {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let wrong = || {
+            "expected nine σ above 0, of fx, fy, cx, cy, k1, k2, p1, p2, k3, for example 1.2,1.2,0.9,0.8,3e-3,0.02,2e-4,2e-4,0.05; \
+             of a number that was held, one as small as it is well known"
+                .to_owned()
+        };
+        let numbers =
+            text.split([',', ' ']).filter(|part| !part.is_empty()).map(|part| part.trim().parse::<f64>().ok());
+        let numbers: Vec<f64> = numbers.collect::<Option<_>>().ok_or_else(wrong)?;
+        let sd = <[f64; 9]>::try_from(numbers).map_err(|_| wrong())?;
+        if sd.iter().all(|sd| *sd > 0.0 && sd.is_finite()) { Ok(Self(sd)) } else { Err(wrong()) }
+    }
 }
 
 pub(super) fn run(args: &ImportArgs, note: impl Fn(&str)) -> Result<(), Failure> {
@@ -54,16 +79,37 @@ pub(super) fn run(args: &ImportArgs, note: impl Fn(&str)) -> Result<(), Failure>
     };
     let hash: String = Sha256::digest(text.as_bytes()).iter().map(|byte| format!("{byte:02x}")).collect();
     let file = args.file.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    let provenance = toml::Table::from_iter([
+    let mut provenance = toml::Table::from_iter([
         ("made_by".to_owned(), format!("catoptra {} rig import", env!("CARGO_PKG_VERSION")).into()),
         ("format".to_owned(), format.to_string().into()),
         ("inputs_sha256".to_owned(), toml::Table::from_iter([(file, hash.into())]).into()),
     ]);
+    if let Some(Deviations(sd)) = args.sd {
+        let row = |i: usize| (0..9).map(|k| if k == i { sd[i] * sd[i] } else { 0.0 }).collect::<Vec<f64>>();
+        provenance.insert("lens_covariance".into(), (0..9).map(|i| row(i).into()).collect::<Vec<toml::Value>>().into());
+    }
     draft.provenance.insert("camera".into(), provenance.into());
     let written = save(&draft, &args.out)?;
-    note(&format!(
-        "{written}\nthe lens came without uncertainties: `calibrate rig` takes it for exact, and its verdict knows \
-         nothing of the lens's errors"
-    ));
+    let known = match args.sd {
+        Some(_) => "its σ count as independent of each other: `calibrate rig` knows the lens as well as they say",
+        None => {
+            "the lens came without σ (--sd): `calibrate rig` takes it for exact, and its verdict knows nothing of the lens's errors"
+        }
+    };
+    note(&format!("{written}\n{known}"));
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn deviations_as_people_write_them() {
+        let nine = "1.2,1.3, 0.9,0.8,3e-3,0.02,2e-4,2e-4,0.05";
+        assert_eq!(nine.parse::<Deviations>().unwrap().0[..3], [1.2, 1.3, 0.9]);
+        for text in ["1,2,3", "1,1,1,1,1,1,1,1,0", "1,1,1,1,1,1,1,1,x", "1,1,1,1,1,1,1,1,1,1", ""] {
+            assert!(text.parse::<Deviations>().unwrap_err().contains("nine σ"), "{text}");
+        }
+    }
 }

@@ -21,11 +21,17 @@ enum Command {
     ///
     /// Traces pixels of every view to points and projects them back. Exit code 3 when this does not lead back to the
     /// same pixels, or when there is only one view; 2 when the file is not valid.
-    #[command(after_help = "Example:\n  catoptra rig check calibration/dev_tank/rig.toml")]
+    #[command(after_help = "\
+Works after each calibration step; lists what is still missing.
+Example:
+  catoptra rig check calibration/dev_tank/rig.toml --recording sample_frames/planar.mkv")]
     Check {
         /// The rig file
         #[arg(value_name = "RIG.toml")]
         file: PathBuf,
+        /// Track this recording, and say how good the calibration is where the catheter is in it
+        #[arg(long, value_name = "VIDEO|DIR")]
+        recording: Option<PathBuf>,
     },
     /// Write the camera for OpenCV, ROS or Kalibr, or views as DLT coefficients
     #[command(after_help = "\
@@ -53,7 +59,7 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
         }
     };
     match &args.command {
-        Command::Check { file } => check::run(file),
+        Command::Check { file, recording } => check::run(file, recording.as_deref(), quiet),
         Command::Export(args) => export::run(args, note),
         Command::Import(args) => import::run(args, note),
     }

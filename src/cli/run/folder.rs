@@ -8,6 +8,8 @@
 use super::super::results::{self, Owner, RUN, whole_path};
 use super::super::{Exit, Failure};
 use super::options::Record;
+use crate::tally::budget::{Source, together};
+use crate::whole_file;
 use serde::{Deserialize, Serialize};
 use std::ffi::OsStr;
 use std::fs;
@@ -145,6 +147,23 @@ impl Files {
         }
         let path = self.folder.join(RUN);
         fs::write(&path, format!("# What these results are of.\n{}", run.to_toml()?)).map_err(|e| cannot(&path, e))
+    }
+
+    /// Adds the run's error budget to `run.toml`.
+    ///
+    /// # Errors
+    /// [`Exit::Failed`] when it cannot be written.
+    pub(in crate::cli) fn add_budget(&self, run: &Run, sources: &[Source]) -> Result<(), Failure> {
+        let mut text = format!("# What these results are of.\n{}", run.to_toml()?);
+        text += "\n# What each source of error adds to θ and to the tip in the base frame, 1σ.\n[error_budget]\n";
+        let all = sources.iter().filter_map(|source| Some((source.name, *source.share.as_ref().ok()?)));
+        for (name, (theta_rad, tip_m)) in all.chain([("together", together(sources))]) {
+            let key = name.split(',').next().unwrap_or(name).replace(' ', "_");
+            text += &format!("{key} = {{ theta_deg = {:.6}, tip_mm = {:.6} }}\n", theta_rad.to_degrees(), tip_m * 1e3);
+        }
+        let path = self.folder.join(RUN);
+        whole_file::write(&path, text.as_bytes())
+            .map_err(|e| Failure::new(Exit::Failed, format!("cannot write {}: {e}", path.display())))
     }
 
     /// Makes the folder ready for a run that cannot be repeated: nothing there is replaced.

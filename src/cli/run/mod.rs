@@ -12,7 +12,7 @@ use crate::log::schema::RIG_ATTACHMENT;
 use crate::pipeline::{End, Summary};
 use crate::report::{ReportSink, RunInfo};
 use crate::rig::check::{Warning, check};
-use crate::rig::{Rig, RigError};
+use crate::rig::{Rig, RigError, View};
 use crate::sink::{CsvSink, McapSink, OutputFrame, OverlaySink, PictureCount, PictureVideo, Sink, SinkError};
 use crate::source::times::seconds;
 use folder::{Files, PICTURES};
@@ -45,7 +45,7 @@ pub(super) fn rig_of_log(file: &Path, reference: Reference) -> Result<(Rig, Stri
 
 fn understood(file: &Path, text: String, reference: Reference) -> Result<(Rig, String), Failure> {
     let rig = Rig::from_toml_str(&text, file)?;
-    two_views(file, &rig)?;
+    two_views(file, &rig.views)?;
     if OutputFrame::from(reference).output_from_camera(&rig).is_none() {
         let missing = "has no [base]: measure it with `catoptra calibrate base`, or track in the camera's frame with \
                        --frame camera";
@@ -55,8 +55,8 @@ fn understood(file: &Path, text: String, reference: Reference) -> Result<(Rig, S
 }
 
 /// Refuses a rig that can measure nothing: a single view shows a direction, not a place.
-pub(super) fn two_views(file: &Path, rig: &Rig) -> Result<(), Failure> {
-    let [view] = rig.views.as_slice() else { return Ok(()) };
+pub(super) fn two_views(file: &Path, views: &[View]) -> Result<(), Failure> {
+    let [view] = views else { return Ok(()) };
     let text = format!(
         "{}: has one view, `{}`; a place in space needs two. Add the view in the mirror, with `catoptra calibrate rig` or as \
          another [[view]]",
@@ -69,7 +69,7 @@ pub(super) fn two_views(file: &Path, rig: &Rig) -> Result<(), Failure> {
 /// What `catoptra rig check` would warn of: who never asked must not learn it from the results.
 pub(super) fn print_warnings(file: &Path, rig: &Rig) -> Result<(), Failure> {
     let rig_file = file.display();
-    let checked = check(rig).map_err(|e| Failure::new(Exit::Usage, format!("{rig_file}: {e}")))?;
+    let checked = check(&rig.clone().into()).map_err(|e| Failure::new(Exit::Usage, format!("{rig_file}: {e}")))?;
     // Without a base the user has asked for the camera's frame.
     for warning in checked.warnings.iter().filter(|warning| **warning != Warning::NoBase) {
         tracing::warn!("{rig_file}: {warning}");

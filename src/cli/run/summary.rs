@@ -5,6 +5,7 @@ use crate::pipeline::Summary;
 use crate::rig::Rig;
 use crate::sink::spoken;
 use crate::source::times::seconds;
+use crate::tally::budget::together;
 use crate::tally::{AlarmInWords, Tally};
 use std::fmt::{self, Write as _};
 use std::path::PathBuf;
@@ -46,6 +47,19 @@ pub(in crate::cli) fn summary(
     if rig.base.is_some() {
         let range = tally.theta.range_deg.map(|(low, high)| format!("from {low:.1}° to {high:.1}°"));
         row("deflection", tally.theta.answered, tally.theta.median_sd_deg(), "°", range.unwrap_or_default())?;
+    }
+    if let Some(sources) = tally.budget() {
+        writeln!(out, "\n  error budget, 1σ                 θ         tip, base frame")?;
+        let line = |name: &str, (theta_rad, tip_m): (f64, f64)| {
+            format!("  {name:<26}  {:>8.4}°  {:>10.4} mm", theta_rad.to_degrees(), tip_m * 1e3)
+        };
+        for source in &sources {
+            match &source.share {
+                Ok(share) => writeln!(out, "{}", line(source.name, *share))?,
+                Err(why) => writeln!(out, "  {:<26}  not known: {why}", source.name)?,
+            }
+        }
+        writeln!(out, "{}", line("together", together(&sources)))?;
     }
     for AlarmInWords { ns, what, advice } in tally.alarms() {
         writeln!(out, "\nfrom {:.3} s on {what}: {advice}", seconds(ns))?;
@@ -128,6 +142,7 @@ pub(in crate::cli) fn unusable(rig: &Rig, tally: &Tally) -> Option<String> {
             "not_recorded" => {
                 "the log holds parts of its pictures, and not those: track it with the rig it was recorded with".to_owned()
             }
+            "damaged" => "the recording is damaged: copy it again".to_owned(),
             "rays_diverge" => "camera, mirror or tank have moved since the calibration, or another thing has its colour".to_owned(),
             "ambiguous" => "other things of its colour are in the views: cover them, or draw the regions tighter".to_owned(),
             _ => "light and colours are not those that `catoptra calibrate markers` learned, or the rig's lengths are not \

@@ -80,13 +80,19 @@ fn header(info: &CalibrationInfo, verdict: Option<&Verdict>, diagnostics: &[Diag
         |v| {
             let ((relative, relative_worst), (absolute, _)) =
                 (v.median_and_worst(relative), v.median_and_worst(absolute));
+            let [low, high] = v.extent();
+            let side = |axis: usize| format!("{:.0} to {:.0}", low[axis] * 1e3, high[axis] * 1e3);
             format!(
-                "Positions and displacements in the base frame will be good to {} ({} at the worst place), angles to {}. \
-                 Places counted from the camera will be good to {}.",
+                "The calibration adds {} to positions and displacements in the base frame ({} at the worst place), {} to angles, \
+                 and {} to places counted from the camera, inside the volume that the boards filled: x {}, y {}, z {} mm of the \
+                 camera frame. Further out errors grow quickly.",
                 mm(relative),
                 mm(relative_worst),
                 degrees(v.angle_rad.0),
-                mm(absolute)
+                mm(absolute),
+                side(0),
+                side(1),
+                side(2)
             )
         },
     );

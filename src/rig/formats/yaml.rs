@@ -2,6 +2,7 @@
 
 use super::super::RigError;
 use std::path::Path;
+use yaml_rust2::parser::{Event, Parser};
 use yaml_rust2::{Yaml, YamlLoader};
 
 /// The first document of a YAML text; `file` stands in the messages.
@@ -19,11 +20,36 @@ pub(super) fn parse(text: &str, file: &Path) -> Result<Yaml, RigError> {
         return Err(syntax(1, "is XML, expected YAML: give OpenCV's FileStorage a name that ends in .yml".to_owned()));
     }
     let body = if text.starts_with("%YAML") { text.find('\n').map_or("", |end| &text[end..]) } else { text };
+    check(body).map_err(|(line, message)| syntax(line, message))?;
     let documents =
         YamlLoader::load_from_str(body).map_err(|e| syntax(e.marker().line(), format!("not YAML: {}", e.info())))?;
     match documents.into_iter().next() {
         Some(root @ Yaml::Hash(_)) => Ok(root),
         _ => Err(syntax(1, "expected `key: value` lines, as OpenCV, ROS and Kalibr write a camera".to_owned())),
+    }
+}
+
+/// Refuses what a description of a camera does not need and a small file can fill the memory with: values that stand for
+/// others (`*name`), and nesting without end.
+fn check(text: &str) -> Result<(), (usize, String)> {
+    const DEEPEST: usize = 32;
+    let mut parser = Parser::new_from_str(text);
+    let mut depth = 0_usize;
+    loop {
+        let (event, place) = parser.next_token().map_err(|e| (e.marker().line(), format!("not YAML: {}", e.info())))?;
+        match event {
+            Event::Alias(_) => {
+                let text = "has an alias (`*name`): write the values out, as OpenCV, ROS and Kalibr do";
+                return Err((place.line(), text.to_owned()));
+            }
+            Event::SequenceStart(..) | Event::MappingStart(..) => depth += 1,
+            Event::SequenceEnd | Event::MappingEnd => depth = depth.saturating_sub(1),
+            Event::StreamEnd => return Ok(()),
+            _ => {}
+        }
+        if depth > DEEPEST {
+            return Err((place.line(), format!("values are nested more than {DEEPEST} levels deep")));
+        }
     }
 }
 

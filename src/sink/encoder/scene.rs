@@ -125,7 +125,7 @@ pub(super) fn camera_in_base(names: &Names, stamp_ns: i64) -> Option<FrameTransf
 
 /// The band's own colour, once learned.
 pub(super) fn colour(marker: &Marker) -> Color {
-    marker.colour.as_ref().map_or(COLOUR_NOT_LEARNED, |model| {
+    marker.colour(0).map_or(COLOUR_NOT_LEARNED, |model| {
         let [r, g, b] = [model.rgb.x, model.rgb.y, model.rgb.z].map(|v| (v / 255.0).clamp(0.0, 1.0));
         Color { r, g, b, a: 1.0 }
     })

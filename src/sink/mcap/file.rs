@@ -82,6 +82,11 @@ impl LogFile {
     pub(super) fn create(path: &Path) -> Result<Self, SinkError> {
         let lost = |source| SinkError::io(path, source);
         let file = File::create(path).map_err(lost)?;
+        // Held as long as the file is open: so that nobody repairs a log that is being written.
+        #[cfg(unix)]
+        if let Err(error) = rustix::fs::flock(&file, rustix::fs::FlockOperation::NonBlockingLockExclusive) {
+            tracing::debug!("{}: cannot be locked: {error}", path.display());
+        }
         let writer = WriteOptions::new()
             .library(format!("catoptra/{} {}", env!("CARGO_PKG_VERSION"), mcap::LIBRARY_IDENTIFIER))
             .compression(None)

@@ -29,6 +29,7 @@ mod samples;
     allow(dead_code, reason = "this build has no camera that needs it")
 )]
 mod settings;
+mod stalls;
 mod stream;
 #[cfg(target_os = "linux")]
 mod v4l2;

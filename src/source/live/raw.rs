@@ -9,6 +9,7 @@ use super::super::host::HostClock;
 use super::super::stamps::StampWatch;
 use super::super::{Clock, Frame, FrameRate, FrameSource, HostTime, SourceError, StreamFaults, Timestamp};
 use super::samples;
+use super::stalls::Stalls;
 use ffmpeg_the_third::codec::Id;
 use ffmpeg_the_third::format::Pixel;
 use ffmpeg_the_third::frame::Video;
@@ -43,6 +44,9 @@ impl FromStr for RawFormat {
     }
 }
 
+/// Frames after a stall whose arrival says nothing: as many as may have waited.
+const SETTLING: u32 = 16;
+
 /// Raw pictures out of a pipe.
 pub struct RawPictures {
     name: String,
@@ -51,6 +55,11 @@ pub struct RawPictures {
     pictures: PictureMaker,
     clock: HostClock,
     stamps: StampWatch,
+    stalls: Stalls,
+    /// Stalls up to the last frame, nanoseconds.
+    stalled_ns: u64,
+    /// Frames since the last stall.
+    since_stall: u32,
     faults: StreamFaults,
     seq: u64,
 }
@@ -60,7 +69,19 @@ impl RawPictures {
     pub fn new(name: &str, pipe: Box<dyn Read + Send>, format: RawFormat, clock: HostClock) -> Self {
         let stamps = StampWatch::new(name.to_owned(), format.rate.stamp_ns(1).map(|ns| ns as f64), 0.0);
         let pictures = PictureMaker::new(name.into(), Id::RAWVIDEO);
-        Self { name: name.to_owned(), pipe, format, pictures, clock, stamps, faults: StreamFaults::default(), seq: 0 }
+        Self {
+            name: name.to_owned(),
+            pipe,
+            format,
+            pictures,
+            clock,
+            stamps,
+            stalls: Stalls::watch(),
+            stalled_ns: 0,
+            since_stall: u32::MAX,
+            faults: StreamFaults::default(),
+            seq: 0,
+        }
     }
 
     /// Fills the planes of `frame`, each at once where its rows have no padding; false at the end of the pipe.
@@ -113,6 +134,11 @@ impl FrameSource for RawPictures {
         }
         let ns = self.clock.now_ns();
         let gap = self.stamps.gap(ns, self.seq, &mut self.faults);
+        // While this program itself stood still, frames waited on the pipe.
+        let stalled_ns = self.stalls.total_ns();
+        self.since_stall = if stalled_ns > self.stalled_ns { 0 } else { self.since_stall.saturating_add(1) };
+        self.stalled_ns = stalled_ns;
+        let gap = if self.since_stall < SETTLING { 0 } else { gap };
         let picture = self.pictures.picture(frame)?;
         let stamp = Timestamp { ns, clock: Clock::HostArrival };
         let host = Some(HostTime { arrival_ns: ns, stamp_ns: ns });

@@ -39,7 +39,11 @@ pub(crate) fn rig() -> Rig {
 }
 
 pub(crate) fn truth(run: &str) -> Vec<Truth> {
-    let mut reader = csv::Reader::from_path(file(&format!("sample_frames/truth/{run}.csv"))).unwrap();
+    truth_in(&file(&format!("sample_frames/truth/{run}.csv")))
+}
+
+pub(crate) fn truth_in(table: &Path) -> Vec<Truth> {
+    let mut reader = csv::Reader::from_path(table).unwrap();
     let rows = reader.deserialize().map(|row: Result<HashMap<String, f64>, _>| row.unwrap());
     rows.map(|row| {
         let vector = |name: &str| Vector3::from(["x", "y", "z"].map(|axis| row[&format!("{name}_{axis}")]));

@@ -7,18 +7,28 @@
 //! standard deviations are wrong in older versions). A picture whose corners lie much further off than those of the others is
 //! left out, with its reason. Refused are sets that leave the lens open: too few pictures, all boards parallel.
 //!
-//! Cannot detect: a board that is not flat, or whose squares are not as large as said (the lens does not depend on their
-//! size, distances do).
+//! What speaks against the lens all the same is among its [`diagnostics`].
+//!
+//! Cannot detect: squares that are not as large as said (the lens does not depend on their size, distances do), or not square.
+
+pub mod diagnostics;
+pub mod models;
+#[cfg(test)]
+mod real_boards;
+mod two_lenses;
 
 use crate::calibrate::board::{Board, BoardImage, BoardPicture};
 use crate::calibrate::bundle::outliers::{LeftOut, UsedPicture, left_out_lines, worst_picture};
 use crate::calibrate::bundle::pose::{pose_from_opencv, spread_rad};
+use crate::calibrate::bundle::shape::Shape;
 use crate::calibrate::bundle::{Bundle, Corner, NoSolution, Solution};
 use crate::calibrate::geometry::{Geometry, Parameter};
 use crate::optics::Lens;
-use nalgebra::{DMatrix, Isometry3, Point2, Point3, Vector2};
+use diagnostics::CameraDiagnostic;
+use nalgebra::{DMatrix, Isometry3, Matrix3, Point2, Point3, Vector2};
 use opencv::calib3d;
 use opencv::core::{Mat, MatTraitConst, Point2f, Point3f, Size, Vector};
+use two_lenses::{TwoLenses, two_lenses};
 
 /// Fewest pictures: three boards at different tilts determine a lens without distortion; with it, five is a beginning.
 const FEWEST_PICTURES: usize = 5;
@@ -36,13 +46,23 @@ pub struct CameraCalibration {
     pub lens: Lens,
     /// Covariance of fx, fy, cx, cy, k1, k2, p1, p2, k3.
     pub covariance: DMatrix<f64>,
+    /// What it would be if each corner were off by itself: the share of noise. What is beyond it is the model's.
+    pub noise_covariance: DMatrix<f64>,
+    /// By how much the variance exceeds that of independent corners, over all parameters; 1 or more.
+    pub design_effect: f64,
     /// Noise of one coordinate of a corner, pixels.
     pub corner_sd_px: f64,
+    /// The board's shape, and the covariance of its bend, m².
+    pub shape: Shape,
+    /// See `shape`.
+    pub shape_covariance: Matrix3<f64>,
     /// For each picture that was used: its name, the board's pose (camera_from_board, origin in the board's middle), each
     /// corner's place in the picture and its residual, pixels.
     pub used: Vec<UsedPicture>,
     /// Pictures left out, and why.
     pub left_out: Vec<(String, LeftOut)>,
+    /// What speaks against the lens.
+    pub diagnostics: Vec<CameraDiagnostic>,
 }
 
 /// Why there is no calibration.
@@ -122,10 +142,12 @@ pub fn calibrate_camera(board: &Board, pictures: &[BoardPicture]) -> Result<Came
         if used.len() < FEWEST_PICTURES {
             return Err(CameraError::TooFew { found: used.len(), left_out });
         }
-        let solved = adjust(board, &used, first.size_px)?;
+        let (solved, corners) = adjust(board, &used, first.size_px)?;
         let of_pictures = by_picture(&solved, &used);
         let Some((worst, off)) = worst_picture(&of_pictures) else {
-            return conclude(&solved, of_pictures, left_out, first.size_px);
+            let mut done = conclude(&solved, of_pictures, left_out, first.size_px)?;
+            done.diagnostics = diagnose(board, &used, &done, &solved, &corners);
+            return Ok(done);
         };
         left_out.push((used.remove(worst).name.clone(), off));
     }
@@ -149,14 +171,41 @@ fn usable(pictures: &[BoardPicture]) -> (Vec<&BoardPicture>, Vec<(String, LeftOu
     (used, left_out)
 }
 
-fn adjust(board: &Board, used: &[&BoardPicture], size_px: [u32; 2]) -> Result<Solution, CameraError> {
+/// The gravest first.
+fn diagnose(
+    board: &Board,
+    used: &[&BoardPicture],
+    done: &CameraCalibration,
+    solved: &Solution,
+    corners: &[Corner],
+) -> Vec<CameraDiagnostic> {
+    let places = board.centred_points();
+    let mut all = Vec::new();
+    match two_lenses(solved, corners) {
+        Some(TwoLenses { groups, lenses: [a, b] }) => {
+            let smaller = usize::from(groups[1].len() < groups[0].len());
+            let names = groups[smaller].iter().filter_map(|i| solved.names.get(*i).cloned()).collect();
+            all.push(CameraDiagnostic::TwoLenses { names, lenses: if smaller == 0 { [a, b] } else { [b, a] } });
+        }
+        // With two lenses no model is right.
+        None => {
+            if let Some((model, brown_px, other_px)) = models::better(&places, used, done.size_px) {
+                all.push(CameraDiagnostic::Model { model, brown_px, other_px });
+            }
+        }
+    }
+    all.extend(diagnostics::diagnose(done, &places));
+    all
+}
+
+fn adjust(board: &Board, used: &[&BoardPicture], size_px: [u32; 2]) -> Result<(Solution, Vec<Corner>), CameraError> {
     let places = board.centred_points();
     let (lens, poses) = start(&places, used, size_px)?;
     let spread = spread_rad(&poses);
     if spread < LEAST_TILT_RAD {
         return Err(CameraError::Parallel { spread_deg: spread.to_degrees() });
     }
-    let corners = used
+    let corners: Vec<Corner> = used
         .iter()
         .enumerate()
         .flat_map(|(picture, p)| p.image.corners.iter().map(move |(i, pixel)| (picture, *i, *pixel)))
@@ -164,7 +213,9 @@ fn adjust(board: &Board, used: &[&BoardPicture], size_px: [u32; 2]) -> Result<So
         .collect();
     let geometry = Geometry { lens, surfaces: Vec::new(), views: vec![("air".to_owned(), Vec::new())] };
     let names = used.iter().map(|picture| picture.name.clone()).collect();
-    Ok(Bundle { geometry, free: Parameter::LENS.to_vec(), poses, names, corners, known: Vec::new() }.solve()?)
+    let (free, shape) = (Parameter::LENS.to_vec(), Shape::flat(&places));
+    let bundle = Bundle { geometry, free, poses, names, corners: corners.clone(), known: Vec::new(), shape };
+    Ok((bundle.solve()?, corners))
 }
 
 /// OpenCV's answer.
@@ -227,8 +278,13 @@ fn conclude(
         size_px,
         lens: solved.geometry.lens,
         covariance: solved.covariance.clone(),
+        noise_covariance: solved.noise_covariance.clone(),
+        design_effect: solved.design_effect,
         corner_sd_px: solved.corner_sd_px,
+        shape: solved.shape,
+        shape_covariance: solved.shape_covariance,
         used,
         left_out,
+        diagnostics: Vec::new(),
     })
 }

@@ -1,0 +1,65 @@
+//! [`Shape`]: how far the board is from flat.
+//!
+//! A board of paper on wood or card is bent by some tenths of a per cent of its width, all pictures show it, and a lens
+//! calibrated with a flat one takes it up: focal length and principal point come out wrong by more than noise explains, the
+//! same wrong way from every half of the pictures. Boards tilted to several sides tell the bend from the lens.
+//!
+//! z = a u² + b u v + c v², u and v along the board's sides from its middle, in units of its half width.
+
+use nalgebra::{Point3, Vector3};
+
+/// How flat a board is before anything is known of it, as part of its half width.
+const FLAT: f64 = 5e-3;
+
+/// A board's shape.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Shape {
+    /// Half of the board's longer side, where `bend_m` holds, metres.
+    pub half_m: f64,
+    /// a, b, c: how far it rises at its edges, metres.
+    pub bend_m: [f64; 3],
+}
+
+impl Shape {
+    /// A flat board with these corners, the middle in the origin.
+    pub fn flat<'a>(places: impl IntoIterator<Item = &'a Point3<f64>>) -> Self {
+        let half_m = places.into_iter().fold(0.0, |most: f64, p| most.max(p.x.abs()).max(p.y.abs()));
+        Self { half_m, bend_m: [0.0; 3] }
+    }
+
+    /// How well the bend is known beforehand, metres.
+    pub(crate) fn prior_sd_m(&self) -> f64 {
+        FLAT * self.half_m
+    }
+
+    /// d z / d bend of a place on the flat board.
+    pub(crate) fn rises(&self, place: &Point3<f64>) -> [f64; 3] {
+        let (u, v) = (place.x / self.half_m, place.y / self.half_m);
+        [u * u, u * v, v * v]
+    }
+
+    /// Where a place of the flat board is on this one.
+    pub fn place(&self, flat: &Point3<f64>) -> Point3<f64> {
+        if self.bend_m == [0.0; 3] {
+            return *flat;
+        }
+        let z: f64 = self.rises(flat).iter().zip(self.bend_m).map(|(rise, bend_m)| rise * bend_m).sum();
+        flat + Vector3::z() * z
+    }
+
+    /// Moved by a step.
+    pub(crate) fn stepped(mut self, step: &[f64]) -> Self {
+        self.bend_m.iter_mut().zip(step).for_each(|(bend_m, step)| *bend_m += step);
+        self
+    }
+
+    /// By how much the board is out of flat: from its highest to its lowest corner, beside the plane that fits it, metres.
+    pub fn sag_m(&self, places: &[Point3<f64>]) -> f64 {
+        let count = places.len().max(1) as f64;
+        let rises: Vec<f64> = places.iter().map(|p| self.place(p).z).collect();
+        // The middle in the origin and a full grid: no slope is left, uv and squares have none.
+        let mean = rises.iter().sum::<f64>() / count;
+        let bound = |pick: fn(f64, f64) -> f64| rises.iter().map(|z| z - mean).fold(0.0, pick);
+        bound(f64::max) - bound(f64::min)
+    }
+}

@@ -1,0 +1,109 @@
+//! What speaks against a lens, although the pictures gave one.
+//!
+//! In: a calibration and its pictures. Out: [`CameraDiagnostic`]s.
+
+use super::CameraCalibration;
+use super::models::Model;
+use crate::optics::Lens;
+use nalgebra::Point2;
+
+/// Boards that reach less far than this part of the way from the principal point to the corners of the picture.
+const LEAST_REACH: f64 = 0.6;
+/// A bend is told that is so many σ from none, and at least this part of the board's half width.
+const BENT: (f64, f64) = (4.0, 1e-3);
+
+/// A reason not to take the lens as it is.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum CameraDiagnostic {
+    /// Two groups of pictures with a lens of their own each.
+    #[error(
+        "the pictures fall into two groups with different lenses, of {0:.1} and {1:.1} px focal length, centre ({2:.1}, {3:.1}) and \
+         ({4:.1}, {5:.1}): are they of two cameras, or was focus or zoom moved? One group: {names}",
+        .lenses[0].focal_px.x, .lenses[1].focal_px.x, .lenses[0].principal_point_px.x, .lenses[0].principal_point_px.y,
+        .lenses[1].principal_point_px.x, .lenses[1].principal_point_px.y, names = .names.join(", ")
+    )]
+    TwoLenses {
+        /// Pictures of the smaller group.
+        names: Vec<String>,
+        /// The lens of the smaller group, and of the other.
+        lenses: [Lens; 2],
+    },
+    /// Another lens model is better.
+    #[error(
+        "{model} would show pictures better that the lens was not found from: their corners are {other_px:.3} px off, with \
+         the five parameters of this file {brown_px:.3} px: a wide angle? Stay within the boards' part of the picture"
+    )]
+    Model {
+        /// Which.
+        model: Model,
+        /// RMS of a coordinate on held-out pictures with five parameters.
+        brown_px: f64,
+        /// With the other model.
+        other_px: f64,
+    },
+    /// Boards in the middle only.
+    #[error(
+        "the boards reach {percent:.0} % of the way from the middle to the corners of the picture: further out the distortion is \
+         a guess (k3 = {k3:.3} ± {k3_sd:.3}); take pictures with the board in the corners too"
+    )]
+    Reach {
+        /// Of the way.
+        percent: f64,
+        /// k3 as found.
+        k3: f64,
+        /// Its σ.
+        k3_sd: f64,
+    },
+    /// A distortion that is none at the edge of the picture.
+    #[error(
+        "the distortion folds over inside the picture: corner ({x:.0}, {y:.0}) has no direction; take pictures with the board \
+         in the corners, or do not use them"
+    )]
+    Folds {
+        /// A corner of the picture, pixels.
+        x: f64,
+        /// Likewise.
+        y: f64,
+    },
+    /// A board that is not flat.
+    #[error(
+        "the board is bent: from its highest to its lowest place {sag_mm:.2} mm ({percent:.1} % of its width), {sigmas:.0} σ from flat. \
+         It is allowed for; one on glass or aluminium gives a better lens"
+    )]
+    Bent {
+        /// Highest to lowest corner.
+        sag_mm: f64,
+        /// Of the board's longer side.
+        percent: f64,
+        /// How sure it is.
+        sigmas: f64,
+    },
+}
+
+/// Those that the result itself shows; `places`: the board's corners, the middle in the origin.
+pub(super) fn diagnose(done: &CameraCalibration, places: &[nalgebra::Point3<f64>]) -> Vec<CameraDiagnostic> {
+    let mut all = Vec::new();
+    let [right, bottom] = done.size_px.map(|size| f64::from(size) - 1.0);
+    let corners = [(0.0, 0.0), (right, 0.0), (0.0, bottom), (right, bottom)].map(|(x, y)| Point2::new(x, y));
+    let away = |pixel: &Point2<f64>| (pixel - done.lens.principal_point_px).norm();
+    let furthest = corners.iter().map(away).fold(0.0, f64::max);
+    let reached = done.used.iter().flat_map(|p| &p.corners).map(|(pixel, _)| away(pixel)).fold(0.0, f64::max);
+    if reached < LEAST_REACH * furthest {
+        all.push(CameraDiagnostic::Reach {
+            percent: 100.0 * reached / furthest,
+            k3: done.lens.distortion[4],
+            k3_sd: done.covariance[(8, 8)].sqrt(),
+        });
+    }
+    if let Some(corner) = corners.iter().find(|corner| done.lens.undistort(corner).is_none()) {
+        all.push(CameraDiagnostic::Folds { x: corner.x, y: corner.y });
+    }
+    let bend = nalgebra::Vector3::from(done.shape.bend_m);
+    let sigmas = done.shape_covariance.cholesky().map_or(0.0, |known| bend.dot(&known.solve(&bend)).sqrt());
+    let (sag_m, half_m) = (done.shape.sag_m(places), done.shape.half_m);
+    if sigmas > BENT.0 && sag_m > BENT.1 * half_m {
+        all.push(CameraDiagnostic::Bent { sag_mm: sag_m * 1e3, percent: 50.0 * sag_m / half_m, sigmas });
+    }
+    all
+}

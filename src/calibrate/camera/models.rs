@@ -1,0 +1,145 @@
+//! Whether another lens model would show pictures better that it has not seen.
+//!
+//! In: boards in pictures. Out: for each [`Model`], how far off the corners of held-out pictures are.
+//!
+//! The pictures are parted into [`FOLDS`]; each part is held out in turn, the lens found from the rest by OpenCV, and the pose of
+//! the held-out boards, and nothing else, from their corners. A model with too few parameters leaves more of them, one
+//! with too many as well.
+
+use crate::calibrate::board::BoardPicture;
+use nalgebra::Point3;
+use opencv::calib3d;
+use opencv::core::{Mat, MatExprTraitConst, Point2f, Point3f, Size, TermCriteria, TermCriteria_Type, Vector};
+use rayon::prelude::*;
+
+const FOLDS: usize = 5;
+/// Of a lens's search.
+const MOST_STEPS: i32 = 100;
+const LEAST_STEP: f64 = 1e-9;
+/// Another model is better when it leaves less than this part, and of at least half of the pictures less.
+const BETTER: f64 = 0.93;
+
+/// A lens model.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Model {
+    /// Brown's with five parameters, which a rig has.
+    Brown,
+    /// OpenCV's rational one with eight.
+    Rational,
+    /// OpenCV's fisheye, Kannala and Brandt's with four.
+    Fisheye,
+}
+
+impl std::fmt::Display for Model {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Brown => "the five-parameter model",
+            Self::Rational => "the rational model with eight parameters",
+            Self::Fisheye => "the fisheye model",
+        })
+    }
+}
+
+/// The model that shows held-out pictures clearly better than Brown's: RMS of a coordinate with Brown's and with it, pixels.
+pub(crate) fn better(places: &[Point3<f64>], used: &[&BoardPicture], size_px: [u32; 2]) -> Option<(Model, f64, f64)> {
+    let models = [Model::Brown, Model::Rational, Model::Fisheye];
+    let found: Vec<Option<Vec<f64>>> =
+        models.into_par_iter().map(|model| held_out(places, used, size_px, model).ok()).collect();
+    let [Some(brown), others @ ..] = found.as_slice() else { return None };
+    let rms = |each: &[f64]| (each.iter().map(|e| e * e).sum::<f64>() / each.len().max(1) as f64).sqrt();
+    let clearly = |each: &&Vec<f64>| {
+        let closer = each.iter().zip(brown).filter(|(other, brown)| other < brown).count();
+        rms(each) < BETTER * rms(brown) && 2 * closer >= brown.len()
+    };
+    let others = models.into_iter().skip(1).zip(others).filter_map(|(model, each)| Some((model, each.as_ref()?)));
+    let better = others.filter(|(_, each)| clearly(each)).min_by(|a, b| rms(a.1).total_cmp(&rms(b.1)))?;
+    Some((better.0, rms(brown), rms(better.1)))
+}
+
+/// RMS of a coordinate in each picture, held out, in the order of their folds.
+fn held_out(
+    places: &[Point3<f64>],
+    used: &[&BoardPicture],
+    size_px: [u32; 2],
+    model: Model,
+) -> opencv::Result<Vec<f64>> {
+    let boards: Vec<(Vector<Point3f>, Vector<Point2f>)> = used
+        .iter()
+        .map(|picture| {
+            let seen = || picture.image.corners.iter().filter_map(|(i, pixel)| Some((places.get(*i)?, pixel)));
+            let place = |(p, _): (&Point3<f64>, _)| Point3f::new(p.x as f32, p.y as f32, p.z as f32);
+            (seen().map(place).collect(), seen().map(|(_, p)| Point2f::new(p.x as f32, p.y as f32)).collect())
+        })
+        .collect();
+    let mut all = Vec::with_capacity(boards.len());
+    for fold in 0..FOLDS {
+        let (mut objects, mut images) = (Vector::<Vector<Point3f>>::new(), Vector::<Vector<Point2f>>::new());
+        for (_, (object, image)) in boards.iter().enumerate().filter(|(i, _)| i % FOLDS != fold) {
+            objects.push(object.clone());
+            images.push(image.clone());
+        }
+        let lens = Found::of(model, &objects, &images, size_px)?;
+        for (_, (object, image)) in boards.iter().enumerate().filter(|(i, _)| i % FOLDS == fold) {
+            all.push(lens.left_px(object, image)?);
+        }
+    }
+    Ok(all)
+}
+
+/// A lens as OpenCV has it.
+struct Found {
+    model: Model,
+    matrix: Mat,
+    distortion: Mat,
+}
+
+impl Found {
+    fn of(
+        model: Model,
+        objects: &Vector<Vector<Point3f>>,
+        images: &Vector<Vector<Point2f>>,
+        size_px: [u32; 2],
+    ) -> opencv::Result<Self> {
+        let (mut matrix, mut distortion) = (Mat::default(), Mat::default());
+        let (mut turns, mut shifts) = (Vector::<Mat>::new(), Vector::<Mat>::new());
+        let size = Size::new(size_px[0] as i32, size_px[1] as i32);
+        let end = TermCriteria {
+            typ: TermCriteria_Type::COUNT as i32 + TermCriteria_Type::EPS as i32,
+            max_count: MOST_STEPS,
+            epsilon: LEAST_STEP,
+        };
+        let (k, d) = (&mut matrix, &mut distortion);
+        match model {
+            Model::Fisheye => {
+                let flags = calib3d::Fisheye_CALIB_RECOMPUTE_EXTRINSIC | calib3d::Fisheye_CALIB_FIX_SKEW;
+                calib3d::calibrate(objects, images, size, k, d, &mut turns, &mut shifts, flags, end)?
+            }
+            Model::Brown | Model::Rational => {
+                let flags = if model == Model::Rational { calib3d::CALIB_RATIONAL_MODEL } else { 0 };
+                calib3d::calibrate_camera(objects, images, size, k, d, &mut turns, &mut shifts, flags, end)?
+            }
+        };
+        Ok(Self { model, matrix, distortion })
+    }
+
+    /// RMS of a coordinate of a board whose pose is not known.
+    fn left_px(&self, object: &Vector<Point3f>, image: &Vector<Point2f>) -> opencv::Result<f64> {
+        let (mut turn, mut shift) = (Mat::default(), Mat::default());
+        let mut there = Vector::<Point2f>::new();
+        let (k, d) = (&self.matrix, &self.distortion);
+        if self.model == Model::Fisheye {
+            let mut straight = Vector::<Point2f>::new();
+            calib3d::fisheye_undistort_points_def(image, &mut straight, k, d)?;
+            let unit = Mat::eye(3, 3, opencv::core::CV_64F)?.to_mat()?;
+            calib3d::solve_pnp_def(object, &straight, &unit, &Mat::default(), &mut turn, &mut shift)?;
+            calib3d::fisheye_project_points_vec_def(object, &mut there, &turn, &shift, k, d)?;
+        } else {
+            calib3d::solve_pnp_def(object, image, k, d, &mut turn, &mut shift)?;
+            calib3d::project_points_def(object, &turn, &shift, k, d, &mut there)?;
+        }
+        let square = |(a, b): (Point2f, Point2f)| f64::from(a.x - b.x).powi(2) + f64::from(a.y - b.y).powi(2);
+        let sum: f64 = image.iter().zip(there.iter()).map(square).sum();
+        // Six numbers of the pose are the picture's own.
+        Ok((sum / (2.0 * image.len() as f64 - 6.0).max(1.0)).sqrt())
+    }
+}

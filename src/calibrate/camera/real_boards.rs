@@ -1,0 +1,137 @@
+//! σ of the lens against scatter, on corners found in photographs that others took: halves of a set, calibrated apart, differ by
+//! what their σ say.
+
+use crate::calibrate::board::BoardPicture;
+use crate::calibrate::board::{Board, BoardImage};
+use crate::calibrate::bundle::shape::Shape;
+use crate::calibrate::bundle::{Bundle, Corner, Solution};
+use crate::calibrate::camera::diagnostics::CameraDiagnostic;
+use crate::calibrate::camera::{CameraCalibration, calibrate_camera};
+use crate::calibrate::geometry::{Geometry, Parameter};
+use crate::calibrate::tests::gaussian;
+use nalgebra::Point2;
+use std::path::Path;
+
+/// A set of tests/data/real_boards.
+pub(crate) fn pictures(set: &str, size_px: [u32; 2]) -> Vec<BoardPicture> {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/real_boards").join(set);
+    let text = std::fs::read_to_string(path).unwrap();
+    let mut pictures: Vec<BoardPicture> = Vec::new();
+    for line in text.lines().skip(1) {
+        let fields: Vec<&str> = line.split(',').collect();
+        let corner = (fields[1].parse().unwrap(), Point2::new(fields[2].parse().unwrap(), fields[3].parse().unwrap()));
+        if pictures.last().is_none_or(|p| p.name != fields[0]) {
+            let image =
+                BoardImage { corners: Vec::new(), mirrored: None, square_px: 40.0, edge_px: 2.0, contrast: 100.0 };
+            pictures.push(BoardPicture { name: fields[0].to_owned(), size_px, image });
+        }
+        pictures.last_mut().unwrap().image.corners.push(corner);
+    }
+    pictures
+}
+
+/// What some of the pictures say alone, from the answer of all of them.
+fn of_some(board: &Board, pictures: &[BoardPicture], all: &CameraCalibration, some: &[usize]) -> Solution {
+    let places = board.centred_points();
+    let corner = |(own, picture): (usize, &usize)| {
+        let corners = pictures[*picture].image.corners.clone().into_iter();
+        corners.map(move |(i, pixel)| (own, i, pixel)).collect::<Vec<_>>()
+    };
+    let corners = some.iter().enumerate().flat_map(corner);
+    Bundle {
+        geometry: Geometry { lens: all.lens, surfaces: Vec::new(), views: vec![("air".into(), Vec::new())] },
+        free: Parameter::LENS.to_vec(),
+        poses: some.iter().map(|i| all.used[*i].pose).collect(),
+        names: some.iter().map(|i| pictures[*i].name.clone()).collect(),
+        corners: corners.map(|(picture, i, pixel)| Corner { picture, view: 0, place: places[i], pixel }).collect(),
+        known: Vec::new(),
+        shape: Shape::flat(&places),
+    }
+    .solve()
+    .unwrap()
+}
+
+#[test]
+fn halves_of_real_sets_differ_by_what_their_deviations_say() {
+    const SPLITS: usize = 16;
+    for (set, board, size_px) in [
+        ("chess_10x7.csv", "10x7:160mm", [1920, 1080]),
+        ("charuco_18x9.csv", "charuco:18x9:20mm:15mm:DICT_4X4_250", [1280, 720]),
+        ("chess_9x6.csv", "9x6:25mm", [640, 480]),
+    ] {
+        let (board, pictures): (Board, _) = (board.parse().unwrap(), pictures(set, size_px));
+        let all = calibrate_camera(&board, &pictures).unwrap();
+        assert_eq!(all.used.len(), pictures.len(), "{:?}", all.left_out);
+        let mut random = gaussian(1);
+        let (mut squares, mut by_noise) = (0.0, 0.0);
+        for _ in 0..SPLITS {
+            let mut order: Vec<(f64, usize)> = (0..pictures.len()).map(|i| (random(), i)).collect();
+            order.sort_by(|a, b| a.0.total_cmp(&b.0));
+            let order: Vec<usize> = order.into_iter().map(|(_, i)| i).collect();
+            let (a, b) = order.split_at(order.len() / 2);
+            let [a, b] = [a, b].map(|half| of_some(&board, &pictures, &all, half));
+            for (i, parameter) in Parameter::LENS.into_iter().enumerate() {
+                let off = (a.geometry.value(parameter) - b.geometry.value(parameter)).powi(2);
+                squares += off / (a.covariance[(i, i)] + b.covariance[(i, i)]) / (9 * SPLITS) as f64;
+                by_noise += off / (a.noise_covariance[(i, i)] + b.noise_covariance[(i, i)]) / (9 * SPLITS) as f64;
+            }
+        }
+        let (z, by_noise) = (squares.sqrt(), by_noise.sqrt());
+        let focal = all.lens.focal_px;
+        let sag_mm = all.shape.sag_m(&board.centred_points()) * 1e3;
+        println!(
+            "{set}: z RMS {z:.2}, by noise alone {by_noise:.2}; f {:.2} ± {:.2} (noise {:.2}), {:.2} ± {:.2}; \
+             design effect {:.1}, sag {sag_mm:.2} mm, corners {:.3} px",
+            focal.x,
+            all.covariance[(0, 0)].sqrt(),
+            all.noise_covariance[(0, 0)].sqrt(),
+            focal.y,
+            all.covariance[(1, 1)].sqrt(),
+            all.design_effect,
+            all.corner_sd_px
+        );
+        assert!(by_noise > 1.6, "{set}: noise alone explains it, {by_noise}");
+        assert!((0.7..1.4).contains(&z), "{set}: halves differ by {z:.2} of their deviations");
+    }
+}
+
+fn told(board: &str, pictures: &[BoardPicture]) -> Vec<CameraDiagnostic> {
+    let done = calibrate_camera(&board.parse().unwrap(), pictures).unwrap();
+    println!("f {:.2}, {} pictures: {:?}", done.lens.focal_px, done.used.len(), done.diagnostics);
+    done.diagnostics
+}
+
+/// OpenCV's pair of cameras looks at one board: their pictures, mixed, are told apart to the last one.
+#[test]
+fn pictures_of_two_cameras_are_told_apart() {
+    let [left, right] = ["chess_9x6_left.csv", "chess_9x6.csv"].map(|set| pictures(set, [640, 480]));
+    for alone in [&left, &right] {
+        let told = told("9x6:25mm", alone);
+        assert!(!told.iter().any(|d| matches!(d, CameraDiagnostic::TwoLenses { .. })), "{told:?}");
+    }
+    let told = told("9x6:25mm", &[left, right].concat());
+    let Some(CameraDiagnostic::TwoLenses { names, .. }) = told.first() else { panic!("{told:?}") };
+    assert!(names.len() == 11 && names.iter().all(|name| name.starts_with("left")), "{names:?}");
+}
+
+#[test]
+fn a_bent_board_and_a_wide_angle_are_told() {
+    let of_chess = told("10x7:160mm", &pictures("chess_10x7.csv", [1920, 1080]));
+    let [CameraDiagnostic::Bent { sag_mm, .. }] = of_chess.as_slice() else { panic!("{of_chess:?}") };
+    assert!((2.0..6.0).contains(sag_mm), "{sag_mm}");
+    let of_charuco = told("charuco:18x9:20mm:15mm:DICT_4X4_250", &pictures("charuco_18x9.csv", [1280, 720]));
+    assert!(matches!(of_charuco.first(), Some(CameraDiagnostic::Model { .. })), "{of_charuco:?}");
+}
+
+/// The same pictures as the middle of larger ones.
+#[test]
+fn boards_in_the_middle_only_are_told() {
+    let mut pictures = pictures("chess_9x6.csv", [640, 480]);
+    let reaches = |told: &[CameraDiagnostic]| told.iter().any(|d| matches!(d, CameraDiagnostic::Reach { .. }));
+    assert!(!reaches(&told("9x6:25mm", &pictures)));
+    for picture in &mut pictures {
+        picture.size_px = [1600, 1200];
+        picture.image.corners.iter_mut().for_each(|(_, pixel)| *pixel += nalgebra::Vector2::new(480.0, 360.0));
+    }
+    assert!(reaches(&told("9x6:25mm", &pictures)));
+}

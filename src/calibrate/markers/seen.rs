@@ -1,0 +1,99 @@
+//! What a frame shows in the bands' colours: the bands, and other things, with the reason why they are none.
+
+use super::locate::candidates::{Candidate, px_per_m};
+use crate::estimate::Estimate;
+use crate::rig::Rig;
+use crate::segment::{Blob, Segmenter, Window};
+use crate::source::Frame;
+use nalgebra::{Point2, Vector2};
+
+/// A rectangle that a view shows of a band.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Rectangle {
+    /// Its middle, pixels.
+    pub centre: Point2<f64>,
+    /// Unit vector along the band.
+    pub axis: Vector2<f64>,
+    /// Along the axis, pixels.
+    pub length: f64,
+    /// Across it, pixels.
+    pub width: f64,
+}
+
+impl Rectangle {
+    /// Of each view.
+    pub(super) fn of(candidate: &Candidate) -> Vec<Option<Self>> {
+        let rectangle = |look: &super::locate::Look| Self {
+            centre: look.centre,
+            axis: look.axis,
+            length: look.size.length,
+            width: look.size.width,
+        };
+        candidate.looks.iter().map(|look| look.as_ref().map(rectangle)).collect()
+    }
+
+    /// Its corners, in turn.
+    pub fn corners(&self) -> [Point2<f64>; 4] {
+        let along = self.axis * (self.length / 2.0);
+        let across = Vector2::new(-self.axis.y, self.axis.x) * (self.width / 2.0);
+        [along + across, along - across, -along - across, -along + across].map(|corner| self.centre + corner)
+    }
+}
+
+/// Something in a band's colour.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SeenBlob {
+    /// Index of the marker whose colour it has.
+    pub marker: usize,
+    /// Index of the view.
+    pub view: usize,
+    /// Its middle, pixels.
+    pub centre: Point2<f64>,
+    /// The pixels it covers.
+    pub bounds: Window,
+    /// Its area, px².
+    pub area_px2: f64,
+    /// Why it is not the band; `None` when it is.
+    pub rejected: Option<String>,
+}
+
+/// Larger and smaller than a band by so much is none.
+const SIZE_RATIO: (f64, f64) = (0.2, 3.0);
+
+/// All blobs inside the views' regions, judged by what the tracker measured in the same frame.
+pub(super) fn blobs(rig: &Rig, frame: &Frame, estimate: &Estimate) -> Vec<SeenBlob> {
+    let Ok(mut segmenter) = Segmenter::for_rig(rig) else { return Vec::new() };
+    let Ok(found) = segmenter.all_blobs(&frame.picture) else { return Vec::new() };
+    let views = |blob: &Blob| {
+        (0..rig.views.len())
+            .find(|v| blob.view.is_none_or(|view| view == *v) && rig.views[*v].contains(&blob.centre_px))
+    };
+    found.iter().filter_map(|blob| Some(judged(rig, blob, views(blob)?, estimate))).collect()
+}
+
+fn judged(rig: &Rig, blob: &Blob, view: usize, estimate: &Estimate) -> SeenBlob {
+    let marker = &estimate.markers[blob.marker];
+    let measured = marker.views.get(view).and_then(|seen| seen.as_ref().ok());
+    let is_band = measured.is_some_and(|band| {
+        let reach = band.outline_px.iter().map(|p| (p - band.centre_px).norm()).fold(0.0, f64::max);
+        (band.centre_px - blob.centre_px).norm() <= reach
+    });
+    let scale = marker.position.as_ref().ok().and_then(|p| px_per_m(&rig.views[view], &p.point));
+    let expected = scale.map(|scale| scale * scale * rig.markers[blob.marker].length_m * rig.catheter.diameter_m);
+    let ratio = expected.map(|expected| blob.area_px2 / expected);
+    let rejected = match ratio {
+        _ if is_band => None,
+        Some(ratio) if ratio > SIZE_RATIO.1 => Some(format!("{ratio:.0} times as large as the band")),
+        Some(ratio) if ratio < SIZE_RATIO.0 => Some("much smaller than the band".to_owned()),
+        Some(_) => Some("not where the other views and the tube say that the band is".to_owned()),
+        None => Some("the band was not measured in this frame".to_owned()),
+    };
+    SeenBlob {
+        marker: blob.marker,
+        view,
+        centre: blob.centre_px,
+        bounds: blob.bounds,
+        area_px2: blob.area_px2,
+        rejected,
+    }
+}

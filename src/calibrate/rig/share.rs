@@ -1,0 +1,136 @@
+//! What the errors of a rig's calibration do to a catheter that it measures, at the places where it is.
+//!
+//! In: a rig file with the covariance that `calibrate rig` wrote into it; base, coil and tip of a recording. Out: [`Share`].
+//!
+//! A place that is triangulated moves by K δp when the geometry is off by δp (`expected_error`). Tip and θ are measured in the
+//! base frame, which was found with the same geometry at the rest position: what both have in common drops out,
+//!
+//!   δθ = (y × t)·δt − (y × z)·δz,   δtip = K(tip) − K(origin) − (z × δz) × (tip − origin),
+//!
+//! with y and z the base frame's axes and δt the difference of K at both ends of a short piece along the tangent t.
+//!
+//! Cannot tell: what no covariance holds (a moved mirror, a bent wall). Outside the boards' volume the covariance itself says
+//! less than it seems to.
+
+use super::expected_error::answer;
+use crate::calibrate::geometry::{Geometry, Parameter, Projector};
+use crate::rig::Draft;
+use nalgebra::{DMatrix, Matrix3xX, Point3, Vector3};
+
+/// Half the piece along which the tangent is looked at, metres.
+const HALF_M: f64 = 5e-3;
+
+/// A catheter at one moment, camera frame.
+#[derive(Debug, Clone, Copy)]
+pub struct Pose {
+    /// The coil, metres.
+    pub coil: Point3<f64>,
+    /// Its tangent, a unit vector.
+    pub tangent: Vector3<f64>,
+    /// The tip, metres.
+    pub tip: Point3<f64>,
+}
+
+/// 1σ by the calibration, over the moments asked for.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Share {
+    /// θ, radians: median and largest.
+    pub theta_rad: (f64, f64),
+    /// The tip in the base frame, root of the trace, metres: median and largest.
+    pub tip_m: (f64, f64),
+    /// How far the catheter leaves the box that the boards filled at most, metres; `None` when the file does not say.
+    pub outside_m: Option<f64>,
+}
+
+/// Why there is none.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum NoShare {
+    /// No base frame.
+    #[error("the rig has no base frame yet (catoptra calibrate base)")]
+    NoBase,
+    /// No covariance.
+    #[error("the rig file does not hold the covariance that `catoptra calibrate rig` writes into [provenance.rig]")]
+    NoCovariance,
+    /// Nothing to look at.
+    #[error("no place is seen by two views")]
+    NoPlace,
+}
+
+/// The share of the calibration at these moments.
+///
+/// # Errors
+/// [`NoShare`].
+pub fn share(rig: &Draft, poses: &[Pose]) -> Result<Share, NoShare> {
+    let base = rig.base.as_ref().ok_or(NoShare::NoBase)?;
+    let (geometry, free, covariance) = noted(rig).ok_or(NoShare::NoCovariance)?;
+    let projector = Projector::new(&geometry, &free);
+    let moved = |place: &Point3<f64>| Some(answer(&projector, &geometry, place)?.0);
+    let turned = |place: &Point3<f64>, way: &Vector3<f64>| {
+        Some((moved(&(place + way * HALF_M))? - moved(&(place - way * HALF_M))?) / (2.0 * HALF_M))
+    };
+    let camera_from_base = base.base_from_camera.inverse();
+    let origin = camera_from_base * Point3::origin();
+    let [y, z] = [Vector3::y(), Vector3::z()].map(|axis| camera_from_base.rotation * axis);
+    let at_rest = || Some((moved(&origin)?, turned(&origin, &z)?));
+    let (of_origin, of_z) = at_rest().ok_or(NoShare::NoPlace)?;
+    // δ of the frame's turn: z × δz.
+    let of_turn = z.cross_matrix() * &of_z;
+    let one = |pose: &Pose| -> Option<[f64; 2]> {
+        let of_t = turned(&pose.coil, &pose.tangent)?;
+        let theta = y.cross(&pose.tangent).tr_mul(&of_t) - y.cross(&z).tr_mul(&of_z);
+        let tip: Matrix3xX<f64> = moved(&pose.tip)? - &of_origin + (pose.tip - origin).cross_matrix() * &of_turn;
+        let variance = |rows: &DMatrix<f64>| (rows * &covariance * rows.transpose()).trace().max(0.0).sqrt();
+        let dynamic = |rows: &[f64], count: usize| DMatrix::from_column_slice(count, rows.len() / count, rows);
+        Some([variance(&dynamic(theta.as_slice(), 1)), variance(&dynamic(tip.as_slice(), 3))])
+    };
+    let each: Vec<[f64; 2]> = poses.iter().filter_map(one).collect();
+    if each.is_empty() {
+        return Err(NoShare::NoPlace);
+    }
+    let over = |which: usize| {
+        let mut values: Vec<f64> = each.iter().map(|both| both[which]).collect();
+        values.sort_by(f64::total_cmp);
+        (values[values.len() / 2], values[values.len() - 1])
+    };
+    Ok(Share { theta_rad: over(0), tip_m: over(1), outside_m: outside_m(rig, poses) })
+}
+
+/// As `calibrate rig` noted it: parameters of the rig's own geometry and their covariance.
+fn noted(rig: &Draft) -> Option<(Geometry, Vec<Parameter>, DMatrix<f64>)> {
+    let table = rig.provenance.get("rig")?;
+    let surfaces: Vec<_> = rig.surfaces.iter().map(|(name, surface)| (name.clone(), *surface)).collect();
+    let index = |name: &str| surfaces.iter().position(|(own, _)| own == name);
+    let views = rig.views.iter().map(|view| {
+        let path: Option<Vec<usize>> = view.path.iter().map(|name| index(name)).collect();
+        Some((view.name.clone(), path?))
+    });
+    let views = views.collect::<Option<Vec<_>>>()?;
+    let parameter = |name: &str| Parameter::from_name(name, |surface| index(surface));
+    let names = table.get("parameters")?.as_array()?;
+    let free: Vec<Parameter> = names.iter().map(|name| parameter(name.as_str()?)).collect::<Option<_>>()?;
+    let rows = table.get("covariance")?.as_array()?;
+    let numbers: Vec<f64> =
+        rows.iter().filter_map(toml::Value::as_array).flatten().filter_map(toml::Value::as_float).collect();
+    let size = free.len();
+    let covariance = (numbers.len() == size * size).then(|| DMatrix::from_row_slice(size, size, &numbers))?;
+    Some((Geometry { lens: rig.camera.lens, surfaces, views }, free, covariance))
+}
+
+/// The box of places, camera frame, metres, that the boards filled, as `calibrate rig` noted it: lowest and highest corner.
+pub fn volume_m(rig: &Draft) -> Option<[Vector3<f64>; 2]> {
+    let corners = rig.provenance.get("rig")?.get("volume_mm")?.as_array()?;
+    let corner = |i: usize| {
+        let numbers: Vec<f64> = corners.get(i)?.as_array()?.iter().filter_map(toml::Value::as_float).collect();
+        Some(Vector3::from(<[f64; 3]>::try_from(numbers).ok()?) * 1e-3)
+    };
+    Some([corner(0)?, corner(1)?])
+}
+
+fn outside_m(rig: &Draft, poses: &[Pose]) -> Option<f64> {
+    let [low, high] = volume_m(rig)?;
+    let beyond = |place: &Point3<f64>| {
+        let below = (low - place.coords).sup(&(place.coords - high));
+        below.map(|side| side.max(0.0)).norm()
+    };
+    poses.iter().flat_map(|pose| [beyond(&pose.coil), beyond(&pose.tip)]).reduce(f64::max)
+}

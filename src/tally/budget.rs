@@ -1,0 +1,170 @@
+//! The error budget of a run: what each source of error adds to θ and to the tip in the base frame, 1σ, typical of the run.
+//!
+//! - *image noise*: median over the frames of the tracker's own σ, of one frame. Averages out over frames; the rest does not.
+//! - *calibration*: what the rig's covariance makes of the places where the catheter was ([`crate::calibrate::rig::share`]).
+//! - *base frame*: σ of its origin and axes, as `calibrate base` noted them.
+//! - *time stamps*: their step (the largest that all stamps are multiples of), evenly spread, times the RMS speed. It matters to
+//!   dynamics, not to where the catheter was. Not known of stamps that are times of arrival.
+//!
+//! Cannot tell: what no σ holds, such as a mirror that was moved, or places outside the boards' volume.
+
+use crate::calibrate::rig::share::{Pose, share};
+use crate::estimate::Estimate;
+use crate::rig::{Draft, Rig};
+use nalgebra::Vector3;
+
+/// Moments that are kept, at most, spread evenly over the run.
+const MOST: usize = 256;
+/// Clock of stamps that say when a frame arrived, not when it was exposed.
+const ARRIVAL: &str = "host_arrival";
+
+/// Something that errors come from, and what it adds to θ, radians, and to the tip, metres (root of the trace).
+#[derive(Debug, Clone, PartialEq)]
+pub struct Source {
+    /// What it is.
+    pub name: &'static str,
+    /// θ and tip, or why that is not known.
+    pub share: Result<(f64, f64), String>,
+}
+
+/// What is gathered for it while the run goes on.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Gathered {
+    rig: Option<Draft>,
+    coil: usize,
+    tip: usize,
+    poses: Vec<Pose>,
+    stride: u64,
+    seen: u64,
+    /// Stamp, θ and tip of the frame before.
+    last: Option<(i64, f64, Vector3<f64>)>,
+    step_ns: u64,
+    first_ns: Option<i64>,
+    /// Sums of squares of the speeds of θ and of the tip, less what noise makes of them; how many.
+    speeds: (f64, f64, u64),
+}
+
+impl Gathered {
+    pub(super) fn new(rig: &Rig) -> Self {
+        let coil = rig.catheter.coil;
+        let tip = rig.catheter.end.unwrap_or(rig.markers.len().saturating_sub(1));
+        Self { rig: rig.base.is_some().then(|| rig.clone().into()), coil, tip, stride: 1, ..Self::default() }
+    }
+
+    /// Index of the tip's marker.
+    pub(super) fn tip(&self) -> usize {
+        self.tip
+    }
+
+    pub(super) fn add(&mut self, estimate: &Estimate) {
+        let ns = estimate.stamp.ns;
+        self.step_ns = common(self.step_ns, ns.abs_diff(*self.first_ns.get_or_insert(ns)));
+        let place = |marker: usize| estimate.markers.get(marker)?.position.as_ref().ok();
+        let (Some(coil), Some(tip), Ok(tangent), Ok(deflection)) =
+            (place(self.coil), place(self.tip), &estimate.tangent, &estimate.deflection)
+        else {
+            self.last = None;
+            return;
+        };
+        if let Some((before_ns, theta_rad, at)) = self.last
+            && ns > before_ns
+        {
+            let dt_s = (ns - before_ns) as f64 * 1e-9;
+            let noise = (2.0 * deflection.theta_sd_rad.powi(2), 2.0 * tip.covariance.trace());
+            self.speeds.0 += ((deflection.theta_rad - theta_rad).powi(2) - noise.0) / (dt_s * dt_s);
+            self.speeds.1 += ((tip.point.coords - at).norm_squared() - noise.1) / (dt_s * dt_s);
+            self.speeds.2 += 1;
+        }
+        self.last = Some((ns, deflection.theta_rad, tip.point.coords));
+        if self.seen.is_multiple_of(self.stride.max(1)) {
+            self.poses.push(Pose { coil: coil.point, tangent: tangent.direction, tip: tip.point });
+        }
+        self.seen += 1;
+        if self.poses.len() > MOST {
+            let mut even = false;
+            self.poses.retain(|_| {
+                even = !even;
+                even
+            });
+            self.stride *= 2;
+        }
+    }
+
+    /// `noise`: median σ of θ, radians, and of a coordinate of the tip, metres; `clock` of the stamps. `None` without a base frame or
+    /// a frame that was answered.
+    pub(super) fn budget(&self, noise: Option<(f64, f64)>, clock: &str) -> Option<Vec<Source>> {
+        let rig = self.rig.as_ref()?;
+        let (theta_rad, tip_m) = noise?;
+        let of_calibration =
+            share(rig, &self.poses).map(|own| (own.theta_rad.0, own.tip_m.0)).map_err(|why| why.to_string());
+        Some(vec![
+            Source { name: "image noise, one frame", share: Ok((theta_rad, tip_m * 3.0_f64.sqrt())) },
+            Source { name: "calibration", share: of_calibration },
+            Source { name: "base frame", share: self.of_base(rig) },
+            Source { name: "time stamps", share: self.of_stamps(clock) },
+        ])
+    }
+
+    fn of_base(&self, rig: &Draft) -> Result<(f64, f64), String> {
+        let noted = |key: &str| {
+            let list = rig.provenance.get("base")?.get(key)?.as_array()?;
+            let numbers: Vec<f64> = list.iter().filter_map(toml::Value::as_float).collect();
+            Some(Vector3::from(<[f64; 3]>::try_from(numbers).ok()?))
+        };
+        let missing = || "the rig file holds no σ of its base frame".to_owned();
+        let origin_m = noted("origin_sd_mm").ok_or_else(missing)? * 1e-3;
+        let axes_rad = noted("axes_sd_deg").ok_or_else(missing)?.map(f64::to_radians);
+        let base_from_camera = rig.base.as_ref().ok_or_else(missing)?.base_from_camera;
+        // A turn ω moves what is at r by ω × r.
+        let of_turn = |pose: &Pose| {
+            let r = (base_from_camera * pose.tip).coords;
+            (0..3).map(|i| axes_rad[i].powi(2) * (r.norm_squared() - r[i] * r[i])).sum::<f64>()
+        };
+        let turned = self.poses.iter().map(of_turn).sum::<f64>() / self.poses.len().max(1) as f64;
+        Ok((axes_rad.y, (origin_m.norm_squared() + turned).sqrt()))
+    }
+
+    fn of_stamps(&self, clock: &str) -> Result<(f64, f64), String> {
+        if clock == ARRIVAL {
+            return Err("stamps are times of arrival: how late they are is not known".to_owned());
+        }
+        let (theta, tip, count) = self.speeds;
+        if count == 0 {
+            return Err("no two frames in sequence are answered".to_owned());
+        }
+        let rms = |sum: f64| (sum / count as f64).max(0.0).sqrt();
+        let sd_s = self.step_ns as f64 * 1e-9 / 12.0_f64.sqrt();
+        Ok((rms(theta) * sd_s, rms(tip) * sd_s))
+    }
+}
+
+/// All that is known, together: θ, radians, and tip, metres.
+pub fn together(sources: &[Source]) -> (f64, f64) {
+    let squares = sources.iter().filter_map(|source| source.share.as_ref().ok());
+    let (theta, tip) = squares.fold((0.0, 0.0), |sum, own| (sum.0 + own.0 * own.0, sum.1 + own.1 * own.1));
+    (theta.sqrt(), tip.sqrt())
+}
+
+/// The largest number of which both are multiples.
+fn common(a: u64, b: u64) -> u64 {
+    if b == 0 { a } else { common(b, a % b) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_step_of_stamps_is_what_all_are_multiples_of() {
+        let of = |stamps: &[u64]| stamps.iter().fold(0, |step, ns| common(step, *ns));
+        assert_eq!(of(&[17_000_000, 33_000_000, 50_000_000, 67_000_000]), 1_000_000);
+        assert_eq!((of(&[0, 0]), of(&[40, 100]), of(&[16_666_667, 33_333_333])), (0, 20, 1));
+    }
+
+    #[test]
+    fn what_is_known_adds_up_in_squares() {
+        let source = |share| Source { name: "", share };
+        let all = [source(Ok((3.0, 1.0))), source(Err("why".into())), source(Ok((4.0, 0.0)))];
+        assert_eq!(together(&all), (5.0, 1.0));
+    }
+}

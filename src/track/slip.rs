@@ -1,0 +1,110 @@
+//! How far chroma has slipped against luma, measured on the bands themselves.
+//!
+//! A coder stores chroma at half the resolution, quantises it coarsely and leaves it where it was while luma moves on: the
+//! colour of a band may lie a pixel beside its shape. No residual shows that where the band is known by its colour alone;
+//! but elsewhere luma holds the tube, and what chroma is off there is what it may be off everywhere.
+//!
+//! A slip δ of a band's chroma, across or along, leaves residuals t δ, t what a shift of one pixel changes. The fit follows it
+//! with the response v of its shape, by h = a·v pixels at the band, so that the residuals still show
+//! δ' = Σ w r t / Σ w t² = (1 − h) δ, with variance 1 / Σ w t² of their noise. Over all bands, directions and views:
+//!
+//! s² = Σ (δ'² − 1 / Σ w t²) / Σ (1 − h)², and s² Σ v vᵀ is what it adds to the covariance.
+
+use crate::track::appearance::Layout;
+use crate::track::normal::{ROW, Row, shifted};
+use crate::track::tube::{SHAPE, ShapeStep};
+use crate::track::tube_image::TubeImage;
+use nalgebra::{SMatrix, SVector};
+
+/// What one view says of the slips of its bands.
+pub(crate) struct Slips {
+    bands: Vec<[Slip; 2]>,
+    /// Sums that wait for their map: of which band, and the rows in both directions.
+    band: usize,
+    waiting: Option<[[f32; ROW]; 2]>,
+    pub seen: Seen,
+    /// Covariance of the shape for a variance of one square pixel.
+    pub covariance: SMatrix<f64, SHAPE, SHAPE>,
+}
+
+/// One band's chroma in one direction.
+#[derive(Clone, Default)]
+struct Slip {
+    /// Response of the shape to a slip of a pixel.
+    response: ShapeStep,
+    /// Σ w r t and Σ w t².
+    pull: f64,
+    information: f64,
+}
+
+/// Squares of slips that were seen, and how many they count for.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub(crate) struct Seen {
+    pub squares_px2: f64,
+    pub count: f64,
+}
+
+impl Seen {
+    /// Variance of a slip, px².
+    pub(crate) fn variance_px2(&self) -> f64 {
+        if self.count > 0.0 { (self.squares_px2 / self.count).max(0.0) } else { 0.0 }
+    }
+
+    pub(crate) fn add(&mut self, other: &Self) {
+        self.squares_px2 += other.squares_px2;
+        self.count += other.count;
+    }
+
+    /// The same, counting for less.
+    pub(crate) fn faded(&self, by: f64) -> Self {
+        Self { squares_px2: self.squares_px2 * by, count: self.count * by }
+    }
+}
+
+impl Slips {
+    pub(crate) fn new(layout: &Layout) -> Self {
+        Self {
+            bands: vec![<[Slip; 2]>::default(); layout.rings_m.len().div_ceil(2)],
+            band: 0,
+            waiting: None,
+            seen: Seen::default(),
+            covariance: SMatrix::zeros(),
+        }
+    }
+
+    /// Adds a chroma sample that is nearest to `ring`.
+    pub(crate) fn add(&mut self, ring: usize, row: &Row, residual: f32, weight: f32) {
+        self.band = ring / 2;
+        let Some(band) = self.bands.get_mut(self.band) else { return };
+        let rows = self.waiting.get_or_insert([[0.0; ROW]; 2]);
+        for ((slip, sum), by) in band.iter_mut().zip(rows).zip(shifted(row)) {
+            slip.pull += f64::from(weight * residual * by);
+            slip.information += f64::from(weight * by * by);
+            sum.iter_mut().zip(row).for_each(|(sum, value)| *sum += weight * by * value);
+        }
+    }
+
+    /// Takes what was added since to the shape.
+    pub(crate) fn map(&mut self, map: &SMatrix<f64, SHAPE, ROW>) {
+        let Some(rows) = self.waiting.take() else { return };
+        for (slip, row) in self.bands[self.band].iter_mut().zip(rows) {
+            slip.response += map * SVector::from(row.map(f64::from));
+        }
+    }
+
+    /// Sums it all up.
+    pub(crate) fn finish(&mut self, image: &TubeImage, layout: &Layout) {
+        for (band, rings) in self.bands.iter().zip(layout.rings_m.chunks(2)) {
+            let middle = image.at_arc(rings.iter().sum::<f64>() / rings.len() as f64);
+            for (slip, moves) in band.iter().zip(&middle.d_local) {
+                if slip.information <= 0.0 {
+                    continue;
+                }
+                let left = 1.0 - moves.dot(&slip.response);
+                let seen = slip.pull / slip.information;
+                self.seen.add(&Seen { squares_px2: seen * seen - 1.0 / slip.information, count: left * left });
+                self.covariance += slip.response * slip.response.transpose();
+            }
+        }
+    }
+}

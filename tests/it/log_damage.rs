@@ -1,0 +1,255 @@
+//! Logs that are damaged: every changed bit is noticed or changes nothing, and what is sound is saved.
+
+use crate::support::{command::*, fixture};
+use catoptra::log::{Info, Repaired, repair};
+use catoptra::series::Recording;
+use catoptra::sink::{CurrentSample, McapSink, Sink};
+use catoptra::tally::Tally;
+use mcap::{Compression, WriteOptions, Writer};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+const FRAMES: u64 = 300;
+
+fn command(verb: &str, log: &Path) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_catoptra")).args(["log", verb]).arg(log).output().unwrap()
+}
+
+/// Five seconds of a live run with currents.
+fn run(folder: &Path) -> PathBuf {
+    let path = folder.join("log.mcap");
+    let rig = fixture::rig();
+    let mut tally = Tally::new(&rig);
+    let mut log = McapSink::create(&path, &rig, "# the rig\n", "frame = \"base\"\n").unwrap();
+    for seq in 0..FRAMES {
+        let estimate = fixture::eventful(seq, 5_000_000);
+        log.write(&estimate, None).unwrap();
+        if tally.add(&estimate) {
+            log.write_totals(&tally.totals()).unwrap();
+        }
+        let host_ns = 1_700_000_000_000_000_000 + estimate.stamp.ns;
+        let current_a = vec![0.1 + 1e-3 * seq as f64, -0.1];
+        log.write_current(&CurrentSample { host_ns, arrival_ns: host_ns, seq: Some(seq), current_a }).unwrap();
+    }
+    log.finish(&tally).unwrap();
+    path
+}
+
+/// The frames and currents of `part` are among those of `all`, as they were.
+fn is_part_of(part: &Recording, all: &Recording) -> bool {
+    part.frames.iter().all(|frame| all.frames.contains(frame)) && part.currents.iter().all(|c| all.currents.contains(c))
+}
+
+#[test]
+fn every_changed_bit_is_noticed_and_none_changes_a_number() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = run(folder.path());
+    let bytes = std::fs::read(&path).unwrap();
+    let whole = Recording::read(&path).unwrap();
+    assert!(
+        whole.cut.is_none() && whole.frames.len() as u64 == FRAMES && Info::read(&path).unwrap().condition.is_whole()
+    );
+    let mut random = fastrand::Rng::with_seed(2);
+    let (mut silent, mut changed) = (Vec::new(), Vec::new());
+    for _ in 0..150 {
+        let bit = random.usize(8 * 8..8 * bytes.len());
+        let mut damaged = bytes.clone();
+        damaged[bit / 8] ^= 1 << (bit % 8);
+        std::fs::write(&path, &damaged).unwrap();
+        match (Info::read(&path), Recording::read(&path)) {
+            (Ok(info), Ok(read)) => {
+                if info.condition.is_whole() {
+                    silent.push(bit);
+                }
+                if !is_part_of(&read, &whole) || (read.cut.is_none() && read.frames.len() as u64 != FRAMES) {
+                    changed.push(bit);
+                }
+            }
+            // Refused as a whole, with its reason.
+            (Err(_), Err(_)) => {}
+            (info, read) => panic!("bit {bit}: {info:?}, {:?}", read.map(|r| r.frames.len())),
+        }
+    }
+    assert!(silent.is_empty() && changed.is_empty(), "silent {silent:?}, changed {changed:?}");
+}
+
+#[test]
+fn what_lies_behind_a_hole_is_saved() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = run(folder.path());
+    let bytes = std::fs::read(&path).unwrap();
+    let whole = Recording::read(&path).unwrap();
+    let messages = Info::read(&path).unwrap().topics.iter().map(|topic| topic.messages).sum::<u64>();
+    let mut kept = 1;
+    for part in [0.02, 0.3, 0.55, 0.8] {
+        let hole = (bytes.len() as f64 * part) as usize;
+        let mut damaged = bytes.clone();
+        damaged[hole..hole + 4096].fill(0);
+        std::fs::write(&path, &damaged).unwrap();
+        let told = stdout(&command("info", &path));
+        assert!(told.contains("damaged at byte") && told.contains("log repair"), "{told}");
+        let Repaired::Mended { messages: saved, unknown, condition, kept_as } = repair(&path).unwrap() else {
+            panic!("the damage at {part} is not noticed")
+        };
+        // A hole of 4 KiB lies in one chunk of half a second, or in two.
+        assert!(saved * 10 > messages * 7 && unknown == 0, "{part}: {saved} of {messages}");
+        assert!(!condition.damage.is_empty() && condition.cut.is_none(), "{condition:?}");
+        let name = if kept == 1 { "log.mcap.bak".to_owned() } else { format!("log.mcap.bak{kept}") };
+        assert_eq!(kept_as, folder.path().join(name));
+        assert_eq!(std::fs::read(&kept_as).unwrap(), damaged, "the damaged log is kept");
+        kept += 1;
+        let mended = Recording::read(&path).unwrap();
+        assert!(mended.cut.is_none() && is_part_of(&mended, &whole), "{part}");
+        assert!(Info::read(&path).unwrap().condition.is_whole());
+        assert_eq!(repair(&path).unwrap(), Repaired::WasWhole);
+    }
+}
+
+/// The same log in chunks that are compressed, as other programs write them.
+fn compressed(from: &Path, to: &Path, compression: Compression) {
+    let bytes = std::fs::read(from).unwrap();
+    let options = WriteOptions::new().compression(Some(compression)).chunk_size(Some(100_000));
+    let mut writer = Writer::with_options(std::fs::File::create(to).unwrap(), options).unwrap();
+    for message in mcap::MessageStream::new(&bytes).unwrap() {
+        writer.write(&message.unwrap()).unwrap();
+    }
+    writer.finish().unwrap();
+}
+
+#[test]
+fn a_compressed_log_is_read_and_repaired_as_any_other() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = run(folder.path());
+    let whole = Recording::read(&path).unwrap();
+    for compression in [Compression::Zstd, Compression::Lz4] {
+        let packed = folder.path().join("packed.mcap");
+        compressed(&path, &packed, compression);
+        let read = Recording::read(&packed).unwrap();
+        assert!(read.frames == whole.frames && read.currents == whole.currents && read.cut.is_none());
+        let bytes = std::fs::read(&packed).unwrap();
+        std::fs::write(&packed, &bytes[..bytes.len() * 2 / 3]).unwrap();
+        let output = command("repair", &packed);
+        ended_with(&output, 0);
+        let saved = Recording::read(&packed).unwrap();
+        assert!(saved.frames.len() as u64 > FRAMES / 3 && is_part_of(&saved, &whole), "{}", stdout(&output));
+        std::fs::remove_file(folder.path().join("packed.mcap.bak")).unwrap();
+    }
+}
+
+#[test]
+fn a_log_without_a_message_that_can_be_read_is_left_as_it_is() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("log.mcap");
+    let mut bytes = mcap::MAGIC.to_vec();
+    bytes.extend([3; 5000]);
+    std::fs::write(&path, &bytes).unwrap();
+    let output = command("repair", &path);
+    ended_with(&output, 1);
+    assert!(stderr(&output).contains("no message in it can be read"), "{}", stderr(&output));
+    assert_eq!(std::fs::read(&path).unwrap(), bytes);
+    assert_eq!(names(folder.path()), ["log.mcap"]);
+}
+
+#[test]
+fn topics_of_other_programs_are_kept() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("other.mcap");
+    let mut writer = Writer::new(std::fs::File::create(&path).unwrap()).unwrap();
+    let channel = writer.add_channel(0, "/other", "json", &Default::default()).unwrap();
+    for sequence in 0..50 {
+        let header = mcap::records::MessageHeader { channel_id: channel, sequence, log_time: 1, publish_time: 1 };
+        writer.write_to_known_channel(&header, b"{}").unwrap();
+    }
+    writer.finish().unwrap();
+    drop(writer);
+    let bytes = std::fs::read(&path).unwrap();
+    std::fs::write(&path, &bytes[..bytes.len() - 100]).unwrap();
+    let output = command("repair", &path);
+    ended_with(&output, 0);
+    assert!(stdout(&output).contains("50 messages saved"), "{}", stdout(&output));
+}
+
+#[test]
+fn a_log_that_is_being_written_is_not_repaired() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("log.mcap");
+    let mut log = McapSink::create(&path, &fixture::rig(), "", "").unwrap();
+    for seq in 0..90 {
+        log.write(&fixture::complete(seq, seq as i64 * 16_666_667), None).unwrap();
+    }
+    let told = stdout(&command("info", &path));
+    assert!(told.contains("is still being written") && !told.contains("repair"), "{told}");
+    let output = command("repair", &path);
+    ended_with(&output, 1);
+    assert!(stderr(&output).contains("is still being written"), "{}", stderr(&output));
+    assert_eq!(names(folder.path()), ["log.mcap"]);
+    log.finish(&Tally::default()).unwrap();
+    assert!(stdout(&command("repair", &path)).contains("is complete"));
+}
+
+#[test]
+fn a_changed_bit_in_a_schema_is_no_panic_and_names_do_not_steer_the_terminal() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = run(folder.path());
+    // Chunks without checksums: what is damaged in them can be anything.
+    let bytes = std::fs::read(&path).unwrap();
+    let plain = folder.path().join("plain.mcap");
+    let mut random = fastrand::Rng::with_seed(11);
+    for k in 0..60 {
+        let options =
+            WriteOptions::new().compression(None).calculate_chunk_crcs(false).calculate_data_section_crc(false);
+        let mut writer = Writer::with_options(std::fs::File::create(&plain).unwrap(), options).unwrap();
+        let first = mcap::MessageStream::new(&bytes).unwrap().next().unwrap().unwrap();
+        let schema = first.channel.schema.clone().unwrap();
+        let mut data = schema.data.to_vec();
+        let bit = random.usize(..8 * data.len());
+        data[bit / 8] ^= 1 << (bit % 8);
+        let schema = writer.add_schema(&schema.name, &schema.encoding, &data).unwrap();
+        let topic = if k == 0 { "/catheter/estimate\u{1b}[2J" } else { "/catheter/estimate" };
+        writer.add_channel(schema, topic, "protobuf", &Default::default()).unwrap();
+        let channel = writer.add_channel(schema, "/catheter/estimate", "protobuf", &Default::default()).unwrap();
+        let header = mcap::records::MessageHeader { channel_id: channel, sequence: 0, log_time: 1, publish_time: 1 };
+        writer.write_to_known_channel(&header, &first.data).unwrap();
+        writer.finish().unwrap();
+        drop(writer);
+        if k == 0 {
+            let output = command("info", &plain);
+            ended_with(&output, 0);
+            assert!(!output.stdout.contains(&0x1b) && stdout(&output).contains("\\u{1b}"), "{}", stdout(&output));
+        }
+        let _ = (Info::read(&plain), Recording::read(&plain));
+    }
+}
+
+#[test]
+fn a_damaged_window_costs_its_frame_and_no_other() {
+    let place = Place::new();
+    ended_with(&place.track(&sample("planar.mkv"), &["--to", "0.5", "--record", "windows"]), 0);
+    let log = place.path("out/log.mcap");
+    let whole = place.table();
+    let mut bytes = std::fs::read(&log).unwrap();
+    // Inside the samples of a window, in the middle of the log.
+    let middle = bytes.len() / 2;
+    let png = middle + bytes[middle..].windows(4).position(|four| four == b"IDAT").unwrap();
+    bytes[png + 40] ^= 0x10;
+    std::fs::write(&log, &bytes).unwrap();
+    let again = Command::new(env!("CARGO_BIN_EXE_catoptra"))
+        .current_dir(place.folder.path())
+        .arg("track")
+        .arg(&log)
+        .args(["-o", "again"])
+        .output()
+        .unwrap();
+    ended_with(&again, 0);
+    assert!(stderr(&again).contains("checksum"), "{}", stderr(&again));
+    let read = Table::read(&place.path("again/track.csv"));
+    assert!(!read.rows.is_empty() && read.rows.len() < whole.rows.len(), "{} rows", read.rows.len());
+    let lost: u64 = read.rows.iter().map(|row| row["gap"].parse::<u64>().unwrap()).sum();
+    let ends_early = whole.rows.last().unwrap()["stamp_ns"] != read.rows.last().unwrap()["stamp_ns"];
+    assert!(ends_early || read.rows.len() as u64 + lost == whole.rows.len() as u64, "{} and {lost}", read.rows.len());
+    for row in read.rows.iter().filter(|row| row["gap"] == "0" && row["theta_deg"] != "") {
+        let same = whole.rows.iter().find(|other| other["stamp_ns"] == row["stamp_ns"]).unwrap();
+        let apart = row["theta_deg"].parse::<f64>().unwrap() - same["theta_deg"].parse::<f64>().unwrap();
+        assert!(apart.abs() < 0.2, "{}: {apart}°", row["t_s"]);
+    }
+}

@@ -1,0 +1,225 @@
+//! Recordings and pictures that are damaged, or as other programs write them: what cannot be trusted is not measured, and
+//! every frame whose time is known has its row.
+
+use crate::support::command::*;
+use crate::support::encode::{Recording, write};
+use catoptra::sink::{PictureCodec, PictureVideo, Sink};
+use catoptra::source::{FrameSource, ImageFolder, ImageTiming, Span, VideoFile, VideoOptions};
+use catoptra::tally::Tally;
+use std::path::Path;
+
+/// Stamp, whether it is damaged, and the samples of every frame.
+fn read(path: &Path, decoder_threads: usize) -> Vec<(i64, bool, Vec<u8>)> {
+    let options = VideoOptions { decoder_threads, keep_damaged: true, ..VideoOptions::default() };
+    let mut source = match VideoFile::open(path, options) {
+        Ok(source) => source,
+        Err(_) => return Vec::new(),
+    };
+    let mut frames = Vec::new();
+    while let Ok(Some(frame)) = source.next_frame() {
+        let plane = frame.picture.plane(0).unwrap();
+        let samples = (0..plane.height).flat_map(|y| plane.row(y).unwrap().to_vec()).collect();
+        frames.push((frame.stamp.ns, frame.picture.is_damaged(), samples));
+    }
+    frames
+}
+
+/// Of frames that are said to be sound, those whose samples are not those of the sound recording.
+fn lies(found: &[(i64, bool, Vec<u8>)], sound: &[(i64, bool, Vec<u8>)]) -> usize {
+    let is_other = |frame: &&(i64, bool, Vec<u8>)| {
+        !frame.1 && sound.iter().find(|other| other.0 == frame.0).is_none_or(|other| other.2 != frame.2)
+    };
+    found.iter().filter(is_other).count()
+}
+
+#[test]
+fn a_changed_bit_in_our_own_lossless_video_is_noticed() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("pictures.mkv");
+    let mut recorder = PictureVideo::create(&path, PictureCodec::Ffv1).unwrap();
+    let mut tracker = catoptra::track::Tracker::new(&rig(), Default::default()).unwrap();
+    let mut source = VideoFile::open(sample("rest.mkv"), VideoOptions::default()).unwrap();
+    for _ in 0..3 {
+        let frame = source.next_frame().unwrap().unwrap();
+        recorder.write(&tracker.step(&frame).unwrap(), Some(&frame.picture)).unwrap();
+    }
+    recorder.finish(&Tally::default()).unwrap();
+    let bytes = std::fs::read(&path).unwrap();
+    let sound = read(&path, 1);
+    assert!(sound.len() == 3 && sound.iter().all(|frame| !frame.1));
+    let mut random = fastrand::Rng::with_seed(1);
+    let mut noticed = 0;
+    for k in 0..40 {
+        // Behind the head, in the pictures.
+        let at = random.usize(2000..bytes.len() - 100);
+        let mut damaged = bytes.clone();
+        damaged[at] ^= 1 << (k % 8);
+        std::fs::write(&path, &damaged).unwrap();
+        let found = read(&path, 1);
+        assert_eq!(lies(&found, &sound), 0, "bit {} of byte {at}", k % 8);
+        noticed += usize::from(found.iter().any(|frame| frame.1) || found.len() < sound.len());
+    }
+    assert!(noticed >= 38, "{noticed} of 40");
+}
+
+#[test]
+fn the_number_of_threads_does_not_change_what_a_damaged_video_gives() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("damaged.mkv");
+    let pts: Vec<i64> = (0..60).map(|k| 17 * k).collect();
+    write(&path, &Recording { pts: &pts, size_px: [160, 120], b_frames: 2, ..Recording::default() });
+    let bytes = std::fs::read(&path).unwrap();
+    let sound = read(&path, 1);
+    assert_eq!(sound.len(), 60);
+    let mut random = fastrand::Rng::with_seed(3);
+    let mut with_damage = 0;
+    for k in 0..24 {
+        let mut damaged = bytes.clone();
+        for _ in 0..=k % 3 {
+            let at = random.usize(1500..bytes.len() - 600);
+            damaged[at] ^= 1 << (k % 8);
+        }
+        std::fs::write(&path, &damaged).unwrap();
+        let one = read(&path, 1);
+        for threads in [2, 4] {
+            assert_eq!(read(&path, threads), one, "{threads} threads, mutation {k}");
+        }
+        with_damage += usize::from(one.iter().any(|frame| frame.1));
+        // What damages the container may cost whole clusters.
+        assert!(one.len() + 20 >= sound.len(), "mutation {k}: {} frames", one.len());
+    }
+    assert!(with_damage > 12, "{with_damage} of 24");
+}
+
+#[test]
+fn most_damage_in_motion_jpeg_is_noticed() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("camera.avi");
+    let pts: Vec<i64> = (0..20).collect();
+    let pixel = ffmpeg_the_third::format::Pixel::YUVJ420P;
+    let recording = Recording {
+        pts: &pts,
+        size_px: [160, 120],
+        time_base: (1, 60),
+        b_frames: 0,
+        encoder: "mjpeg",
+        pixel,
+        ..Recording::default()
+    };
+    write(&path, &recording);
+    let bytes = std::fs::read(&path).unwrap();
+    let sound = read(&path, 2);
+    assert!(sound.len() == 20 && sound.iter().all(|frame| !frame.1));
+    let mut random = fastrand::Rng::with_seed(5);
+    let (mut changed, mut unnoticed) = (0, 0);
+    for k in 0..60 {
+        let mut damaged = bytes.clone();
+        let at = random.usize(6000..bytes.len() - 600);
+        damaged[at] ^= 1 << (k % 8);
+        std::fs::write(&path, &damaged).unwrap();
+        let found = read(&path, 2);
+        let wrong = lies(&found, &sound);
+        unnoticed += usize::from(wrong > 0);
+        changed += usize::from(wrong > 0 || found.iter().any(|frame| frame.1));
+    }
+    println!("of {changed} damaged recordings {unnoticed} are not noticed");
+    // A bit of a coefficient's value leaves the codes in step: that cannot be told from a picture.
+    assert!(changed > 30 && unnoticed * 4 < changed * 3, "{unnoticed} of {changed}");
+}
+
+#[test]
+fn a_picture_that_cannot_be_read_costs_its_frame_and_no_other() {
+    let place = Place::new();
+    let folder = place.path("pictures");
+    pictures("rest.mkv", 4, &folder);
+    let bytes = std::fs::read(folder.join("frame2.png")).unwrap();
+    std::fs::write(folder.join("frame2.png"), &bytes[..bytes.len() / 2]).unwrap();
+    let output = place.track(&folder, &[]);
+    ended_with(&output, 0);
+    assert!(stderr(&output).contains("frame2.png"), "{}", stderr(&output));
+    let table = place.table();
+    let status: Vec<&str> = table.rows.iter().map(|row| row["coil_status"].as_str()).collect();
+    assert_eq!(status, ["ok", "ok", "damaged", "ok"]);
+    assert!(table.rows.iter().all(|row| row["gap"] == "0"));
+}
+
+#[test]
+fn a_damaged_frame_of_a_video_has_its_row() {
+    let place = Place::new();
+    let path = place.path("damaged.mkv");
+    let mut bytes = std::fs::read(sample("planar.mkv")).unwrap();
+    let at = bytes.len() / 3;
+    bytes[at..at + 40].iter_mut().for_each(|byte| *byte ^= 0x55);
+    std::fs::write(&path, &bytes).unwrap();
+    let tables = ["1", "2"].map(|threads| {
+        ended_with(&place.track(&path, &["--to", "2.5", "--threads", threads]), 0);
+        std::fs::read_to_string(place.path("out/track.csv")).unwrap()
+    });
+    assert_eq!(tables[0], tables[1], "threads change the answer");
+    let table = place.table();
+    let damaged = table.rows.iter().filter(|row| row["coil_status"] == "damaged").count();
+    let lost: u64 = table.rows.iter().map(|row| row["gap"].parse::<u64>().unwrap()).sum();
+    println!("{} rows, {damaged} damaged, {lost} lost", table.rows.len());
+    assert!(damaged > 0 && table.rows.len() as u64 + lost >= 150 && lost <= 2, "{damaged} damaged, {lost} lost");
+}
+
+#[test]
+fn an_avi_whose_pictures_are_reordered_gives_all_of_them_in_turn() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("reordered.avi");
+    let pts: Vec<i64> = (0..50).collect();
+    let written = write(&path, &Recording { pts: &pts, time_base: (1, 50), b_frames: 2, ..Recording::default() });
+    assert!(written.reordered);
+    let frames = read(&path, 1);
+    let stamps: Vec<i64> = frames.iter().map(|frame| frame.0).collect();
+    let first = stamps[0];
+    assert_eq!(
+        stamps.iter().map(|ns| ns - first).collect::<Vec<_>>(),
+        (0..50).map(|k| 20_000_000 * k).collect::<Vec<_>>()
+    );
+}
+
+/// An edit list says which part of an MP4 is shown.
+#[test]
+fn what_an_edit_list_leaves_out_is_left_out() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("trimmed.mp4");
+    let pts: Vec<i64> = (0..120).map(|k| 256 * k).collect();
+    write(&path, &Recording { pts: &pts, time_base: (1, 15_360), b_frames: 0, ..Recording::default() });
+    assert_eq!(read(&path, 1).len(), 120);
+    let mut bytes = std::fs::read(&path).unwrap();
+    let list = bytes.windows(4).position(|four| four == b"elst").unwrap();
+    // Version and flags, number of entries, then the length of the first in units of the film: milliseconds.
+    let length = list + 12;
+    assert_eq!(&bytes[length - 4..length], &[0, 0, 0, 1]);
+    bytes[length..length + 4].copy_from_slice(&1000_u32.to_be_bytes());
+    std::fs::write(&path, &bytes).unwrap();
+    assert_eq!(read(&path, 1).len(), 60);
+}
+
+#[test]
+fn a_file_of_many_pictures_is_not_taken_for_one_frame() {
+    let folder = tempfile::tempdir().unwrap();
+    let picture = image::GrayImage::from_fn(16, 12, |x, y| image::Luma([(x * y) as u8]));
+    let mut one = std::io::Cursor::new(Vec::new());
+    picture.write_to(&mut one, image::ImageFormat::Tiff).unwrap();
+    let one = one.into_inner();
+    let path = folder.path().join("stack.tif");
+    let read = |bytes: &[u8]| {
+        std::fs::write(&path, bytes).unwrap();
+        let timing = ImageTiming::StatedRate("60".parse().unwrap());
+        ImageFolder::open(folder.path(), timing, Span::default()).unwrap().next_frame()
+    };
+    assert!(read(&one).unwrap().is_some());
+    // The directory of the first picture says where that of the second is: once more the same, behind the file.
+    let mut two = one.clone();
+    let directory = u32::from_le_bytes(two[4..8].try_into().unwrap()) as usize;
+    let entries = usize::from(u16::from_le_bytes(two[directory..directory + 2].try_into().unwrap()));
+    let next = directory + 2 + 12 * entries;
+    let copy = two[directory..next + 4].to_vec();
+    let at = two.len() as u32;
+    two[next..next + 4].copy_from_slice(&at.to_le_bytes());
+    two.extend(copy);
+    let error = read(&two).unwrap_err().to_string();
+    assert!(error.contains("more than one picture"), "{error}");
+}
