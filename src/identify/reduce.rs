@@ -280,7 +280,8 @@ mod tests {
                 worst <= reduced.error_bound && worst > 0.1 * reduced.error_bound,
                 "{removal:?} {worst} {reduced:?}"
             );
-            assert_eq!(difference(0) < 1e-12, removal == Removal::MatchDc);
+            // Of a gain of 22.
+            assert_eq!(difference(0) < 1e-9, removal == Removal::MatchDc);
         }
     }
 
