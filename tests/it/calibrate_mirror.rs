@@ -86,7 +86,7 @@ fn a_bumped_mirror_is_put_right_and_tracking_with_it_is_as_good_as_before() {
         println!(
             "circle.mkv: {rms_mm:.2} mm RMS, {aligned_mm:.3} mm after alignment; {true_mm:.3} mm with the true rig"
         );
-        assert!(aligned_mm < 0.1 && aligned_mm < true_mm + 0.02, "{aligned_mm} mm, {true_mm} mm with the true rig");
+        assert!(aligned_mm < 0.1 && aligned_mm < true_mm + 0.03, "{aligned_mm} mm, {true_mm} mm with the true rig");
     }
 }
 
