@@ -3,12 +3,7 @@
 
 #![allow(clippy::unwrap_used, clippy::print_stdout, reason = "a measurement fails by panicking, and prints")]
 
-use catoptra::identify::arx::fit;
-use catoptra::identify::continuous::{Continuous, Conversion};
-use catoptra::identify::data::Segment;
-use catoptra::identify::fit::InitialState;
-use catoptra::identify::model::Orders;
-use catoptra::identify::search::search;
+use catoptra::identify::{Continuous, Conversion, InitialState, Orders, Segment, fit_arx as fit, search};
 use std::f64::consts::TAU;
 use std::time::Instant;
 

@@ -94,19 +94,19 @@ pub mod log;
 
 pub mod series;
 
-pub mod excite;
+pub(crate) mod excite;
 
 pub mod catheter;
 
 pub mod identify;
 
-pub mod validate;
+pub(crate) mod validate;
 
 pub mod pipeline;
 
 pub mod calibrate;
 
-pub mod whole_file;
+pub(crate) mod whole_file;
 
 mod contained;
 

@@ -8,13 +8,13 @@ use std::path::{Path, PathBuf};
 ///
 /// # Errors
 /// The system's, a full disk for example; what was there is still there.
-pub fn write(place: &Path, bytes: &[u8]) -> io::Result<()> {
+pub(crate) fn write(place: &Path, bytes: &[u8]) -> io::Result<()> {
     NewFile::write(place, bytes)?.put_in_place()
 }
 
 /// A new file beside the one whose place it is to take; gone again unless it was [put in place](NewFile::put_in_place).
 #[derive(Debug)]
-pub struct NewFile {
+pub(crate) struct NewFile {
     beside: PathBuf,
     place: PathBuf,
 }
@@ -24,7 +24,7 @@ impl NewFile {
     ///
     /// # Errors
     /// The system's, a full disk for example.
-    pub fn write(place: &Path, bytes: &[u8]) -> io::Result<Self> {
+    pub(crate) fn write(place: &Path, bytes: &[u8]) -> io::Result<Self> {
         let mut beside = place.as_os_str().to_owned();
         beside.push(format!(".{}.new", std::process::id()));
         let new = Self { beside: beside.into(), place: place.to_path_buf() };
@@ -37,7 +37,7 @@ impl NewFile {
     ///
     /// # Errors
     /// The system's.
-    pub fn put_in_place(self) -> io::Result<()> {
+    pub(crate) fn put_in_place(self) -> io::Result<()> {
         fs::rename(&self.beside, &self.place)
     }
 }

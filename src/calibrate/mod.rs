@@ -12,7 +12,7 @@
 
 // What the verbs stand on.
 pub mod board;
-pub mod bundle;
+pub(crate) mod bundle;
 mod frames;
 pub mod geometry;
 mod least_squares;

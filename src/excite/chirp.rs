@@ -10,7 +10,7 @@ use std::f64::consts::TAU;
 
 /// How the frequency goes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Sweep {
+pub(crate) enum Sweep {
     /// As many hertz each second.
     #[default]
     Linear,
@@ -20,7 +20,7 @@ pub enum Sweep {
 
 /// A chirp.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Chirp {
+pub(crate) struct Chirp {
     /// Frequency at the beginning, Hz.
     pub from_hz: f64,
     /// Frequency at the end, Hz.
@@ -38,7 +38,7 @@ impl Chirp {
     ///
     /// # Errors
     /// [`ExciteError`] when a value is not positive, the rate too low, or the length none.
-    pub fn signal(&self, rate: FrameRate) -> Result<Signal, ExciteError> {
+    pub(crate) fn signal(&self, rate: FrameRate) -> Result<Signal, ExciteError> {
         let Self { from_hz, to_hz, duration_s, amplitude_a, sweep } = *self;
         positive("amplitude", amplitude_a, "A")?;
         band(from_hz, to_hz, rate)?;

@@ -2,7 +2,7 @@
 
 /// Why a signal cannot be made as it was asked for.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum ExciteError {
+pub(crate) enum ExciteError {
     /// A value that must be above 0.
     #[error("{what} is {value} {unit}; it must be above 0")]
     NotPositive {

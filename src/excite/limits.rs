@@ -7,7 +7,7 @@ const ROUNDING: f64 = 1e-9;
 
 /// Limits of the current.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Limits {
+pub(crate) struct Limits {
     /// Largest current, amperes.
     pub current_a: f64,
     /// Largest change, amperes a second.
@@ -16,7 +16,7 @@ pub struct Limits {
 
 /// What was changed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Change {
+pub(crate) enum Change {
     /// Values beyond the limit of current.
     Current,
     /// Values that are reached too fast.
@@ -25,7 +25,7 @@ pub enum Change {
 
 /// What was changed, and where.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Clipped {
+pub(crate) struct Clipped {
     /// What.
     pub what: Change,
     /// How many samples.
@@ -43,7 +43,7 @@ impl Limits {
     ///
     /// # Errors
     /// The first limit that it does not keep, with where, and for slew the amplitude that would.
-    pub fn check(&self, signal: &Signal) -> Result<(), ExciteError> {
+    pub(crate) fn check(&self, signal: &Signal) -> Result<(), ExciteError> {
         let beyond = self.current_a * (1.0 + ROUNDING);
         if let Some(first) = signal.values_a.iter().position(|value| value.abs() > beyond) {
             let at_s = signal.time_s(first);
@@ -61,7 +61,7 @@ impl Limits {
 
     /// Cuts off what is beyond the limits: first the current, then its slew, from the beginning on. Returns what was
     /// changed. A ramp back to zero current is added where slew asks for it.
-    pub fn clip(&self, signal: &mut Signal) -> Vec<Clipped> {
+    pub(crate) fn clip(&self, signal: &mut Signal) -> Vec<Clipped> {
         let mut clipped = Vec::new();
         let before = signal.values_a.clone();
         for value in &mut signal.values_a {
@@ -73,7 +73,7 @@ impl Limits {
     }
 
     /// Lets the current go no faster than slew allows; see [`Limits::clip`].
-    pub fn ramp(&self, signal: &mut Signal) -> Option<Clipped> {
+    pub(crate) fn ramp(&self, signal: &mut Signal) -> Option<Clipped> {
         let step_a = self.slew_a_s? / signal.rate.hz();
         let before = signal.values_a.clone();
         let mut last = 0.0;
@@ -93,7 +93,7 @@ impl Limits {
     ///
     /// # Errors
     /// The first that does not.
-    pub fn check_steps(&self, signal: &Signal, hold_s: f64) -> Result<(), ExciteError> {
+    pub(crate) fn check_steps(&self, signal: &Signal, hold_s: f64) -> Result<(), ExciteError> {
         let Some(limit_a_s) = self.slew_a_s else { return Ok(()) };
         let mut before = 0.0;
         for (k, value) in signal.values_a.iter().enumerate() {

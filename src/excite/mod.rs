@@ -18,12 +18,12 @@ mod spectrum;
 mod steps;
 mod write;
 
-pub use chirp::{Chirp, Sweep};
-pub use error::ExciteError;
-pub use limits::{Change, Clipped, Limits};
-pub use multisine::{Multisine, Phases};
-pub use spectrum::Spectrum;
-pub use steps::{Order, Steps};
+pub(crate) use chirp::{Chirp, Sweep};
+pub(crate) use error::ExciteError;
+pub(crate) use limits::{Change, Clipped, Limits};
+pub(crate) use multisine::{Multisine, Phases};
+pub(crate) use spectrum::Spectrum;
+pub(crate) use steps::{Order, Steps};
 
 use crate::source::FrameRate;
 use crate::source::times::seconds;
@@ -33,7 +33,7 @@ const MOST_SAMPLES: usize = 4_000_000;
 
 /// A current over time, at a constant rate.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Signal {
+pub(crate) struct Signal {
     /// Samples a second.
     pub rate: FrameRate,
     /// One value a sample, amperes, each held until the next.
@@ -53,33 +53,33 @@ impl Signal {
     }
 
     /// Time of sample `k`, seconds; sample 0 is at 0.
-    pub fn time_s(&self, k: usize) -> f64 {
+    pub(crate) fn time_s(&self, k: usize) -> f64 {
         self.rate.stamp_ns(k as u64).map_or(f64::INFINITY, seconds)
     }
 
     /// Length in time, seconds.
-    pub fn duration_s(&self) -> f64 {
+    pub(crate) fn duration_s(&self) -> f64 {
         self.time_s(self.values_a.len())
     }
 
     /// Largest current, amperes.
-    pub fn peak_a(&self) -> f64 {
+    pub(crate) fn peak_a(&self) -> f64 {
         self.values_a.iter().fold(0.0, |peak, value| peak.max(value.abs()))
     }
 
     /// Root mean square, amperes.
-    pub fn rms_a(&self) -> f64 {
+    pub(crate) fn rms_a(&self) -> f64 {
         (self.values_a.iter().map(|value| value * value).sum::<f64>() / self.values_a.len().max(1) as f64).sqrt()
     }
 
     /// Peak over root mean square: 1 for a signal that is always at its peak, 1.41 for a sine.
-    pub fn crest_factor(&self) -> f64 {
+    pub(crate) fn crest_factor(&self) -> f64 {
         self.peak_a() / self.rms_a()
     }
 
     /// Largest slew, amperes a second, and when: a step from one sample to the next, over the time between them. The
     /// step from rest and the one back count.
-    pub fn largest_slew(&self) -> (f64, f64) {
+    pub(crate) fn largest_slew(&self) -> (f64, f64) {
         let before = std::iter::once(&0.0).chain(&self.values_a);
         let after = self.values_a.iter().chain(std::iter::once(&0.0));
         let steps = before.zip(after).map(|(before, after)| (after - before).abs());

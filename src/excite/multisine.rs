@@ -18,7 +18,7 @@ use std::f64::consts::{PI, TAU};
 
 /// How phases are chosen.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Phases {
+pub(crate) enum Phases {
     /// Schroeder's.
     Schroeder,
     /// Random, the best of so many draws; the same seed gives the same.
@@ -32,7 +32,7 @@ pub enum Phases {
 
 /// A multisine.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Multisine {
+pub(crate) struct Multisine {
     /// Lowest frequency, Hz.
     pub from_hz: f64,
     /// Highest frequency, Hz.
@@ -53,7 +53,7 @@ impl Multisine {
     /// # Errors
     /// [`ExciteError`] when a value is not positive, the rate too low, the band without a line, or the period no whole
     /// number of samples.
-    pub fn signal(&self, rate: FrameRate) -> Result<(Signal, usize), ExciteError> {
+    pub(crate) fn signal(&self, rate: FrameRate) -> Result<(Signal, usize), ExciteError> {
         positive("amplitude", self.amplitude_a, "A")?;
         positive("period", self.period_s, "s")?;
         band(self.from_hz, self.to_hz, rate)?;

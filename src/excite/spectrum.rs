@@ -9,7 +9,7 @@ use rustfft::num_complex::Complex;
 /// It is that of the samples, up to half of their rate: holding them adds images around multiples of the rate, and
 /// takes sinc(f / rate) off the signal itself (0.25 dB at 8 Hz and 60 samples a second).
 #[derive(Debug, Clone, PartialEq)]
-pub struct Spectrum {
+pub(crate) struct Spectrum {
     /// Distance of lines, Hz: 1 over the length.
     pub step_hz: f64,
     /// Mean square in each line, A²; line 0 is the mean current's. The sum of all is the mean square of the signal.
@@ -18,7 +18,7 @@ pub struct Spectrum {
 
 impl Spectrum {
     /// Of a signal.
-    pub fn of(signal: &Signal) -> Self {
+    pub(crate) fn of(signal: &Signal) -> Self {
         let n = signal.values_a.len();
         let mut values: Vec<_> = signal.values_a.iter().map(|value| Complex::new(*value, 0.0)).collect();
         FftPlanner::new().plan_fft_forward(n).process(&mut values);
@@ -33,14 +33,14 @@ impl Spectrum {
     }
 
     /// Part of the energy from one frequency to another, both included.
-    pub fn share(&self, from_hz: f64, to_hz: f64) -> f64 {
+    pub(crate) fn share(&self, from_hz: f64, to_hz: f64) -> f64 {
         let (half, all) = (self.step_hz / 2.0, self.power_a2.iter().sum::<f64>());
         let inside = |k: usize| (from_hz - half..to_hz + half).contains(&(k as f64 * self.step_hz));
         self.power_a2.iter().enumerate().filter(|(k, _)| inside(*k)).map(|(_, power)| power).sum::<f64>() / all
     }
 
     /// The band that holds all but 1 % of the energy, half of that below and half above, Hz.
-    pub fn occupied_hz(&self) -> (f64, f64) {
+    pub(crate) fn occupied_hz(&self) -> (f64, f64) {
         let all: f64 = self.power_a2.iter().sum();
         let edge = |lines: &mut dyn Iterator<Item = usize>| {
             let mut passed = 0.0;

@@ -7,7 +7,7 @@ use crate::source::FrameRate;
 
 /// In which order levels come.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Order {
+pub(crate) enum Order {
     /// As they are given, and again from the first.
     Staircase,
     /// At random, never the same twice in a row; the same seed gives the same.
@@ -19,7 +19,7 @@ pub enum Order {
 
 /// Steps.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Steps {
+pub(crate) struct Steps {
     /// The levels, amperes.
     pub levels_a: Vec<f64>,
     /// How long each is held, seconds.
@@ -35,7 +35,7 @@ impl Steps {
     ///
     /// # Errors
     /// [`ExciteError`] when there are not two levels, they are held for less than two samples, or the length is none.
-    pub fn signal(&self, rate: FrameRate) -> Result<Signal, ExciteError> {
+    pub(crate) fn signal(&self, rate: FrameRate) -> Result<Signal, ExciteError> {
         let mut different: Vec<f64> = self.levels_a.iter().copied().filter(|level| level.is_finite()).collect();
         different.sort_by(f64::total_cmp);
         different.dedup();

@@ -8,7 +8,7 @@ impl Signal {
     /// The table: `t_s`, seconds from the start, and one column a coil, amperes to 1 nA. The signal is in the first of
     /// `coils`, the others stay at 0. Each row holds until the next; the last one is zero current.
     /// [`crate::series::CurrentTable`] reads it.
-    pub fn table(&self, coils: &[String]) -> String {
+    pub(crate) fn table(&self, coils: &[String]) -> String {
         let mut text = format!("t_s,{}\r\n", coils.join(","));
         let others = ",0".repeat(coils.len().saturating_sub(1));
         for (k, value) in (0_u64..).zip(self.values_a.iter().chain(std::iter::once(&0.0))) {

@@ -61,7 +61,7 @@ pub struct Bandwidth {
 }
 
 /// The bandwidth of a response up to `highest_hz`, of data excited in `excited_hz`.
-pub fn bandwidth(
+pub(crate) fn bandwidth(
     definition: Definition,
     response: impl Fn(f64) -> Complex<f64>,
     highest_hz: f64,

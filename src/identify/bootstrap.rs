@@ -15,7 +15,7 @@ const FEWEST: usize = 20;
 const SEED: u64 = 0x00CA_7097;
 
 /// Estimates `of` from `count` repetitions of the experiment. Repetitions in which `of` has no answer are left out.
-pub fn repeat<T: Send>(
+pub(crate) fn repeat<T: Send>(
     segments: &[Segment],
     model: &Polynomials,
     noise: Noise,
@@ -91,7 +91,7 @@ fn from_output(model: &Polynomials, output: &[f64]) -> Vec<f64> {
 }
 
 /// The interval that holds the middle 95 % of the values. Nothing for too few.
-pub fn middle_95(mut values: Vec<f64>) -> Option<(f64, f64)> {
+pub(crate) fn middle_95(mut values: Vec<f64>) -> Option<(f64, f64)> {
     if values.len() < FEWEST {
         return None;
     }

@@ -23,7 +23,7 @@ use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
 /// The largest delay looked for, either way, in periods.
-pub const REACH: f64 = 6.0;
+pub(crate) const REACH: f64 = 6.0;
 /// Searches begin this far apart, in periods.
 const APART: f64 = 2.0;
 /// Time constants of the second state that searches begin with, in periods.
@@ -45,7 +45,7 @@ const METHOD: f64 = 0.005;
 
 /// A delay between commands and output.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Delay {
+pub(crate) struct Delay {
     /// Seconds; positive when the output is late.
     pub delay_s: f64,
     /// Its standard error, seconds.
@@ -64,7 +64,7 @@ struct State {
 
 /// Estimates the delay within [`REACH`] periods. `segments` gives the data with commands that act so much later: the
 /// same samples for every delay. Nothing when no model fits, or the best delay is outside of the range.
-pub fn estimate(period_s: f64, segments: impl Fn(f64) -> Option<Vec<Segment>> + Sync) -> Option<Delay> {
+pub(crate) fn estimate(period_s: f64, segments: impl Fn(f64) -> Option<Vec<Segment>> + Sync) -> Option<Delay> {
     let search = Search { period_s, segments: &segments };
     // 1. from many delays and models
     let steps = (REACH / APART) as i32;

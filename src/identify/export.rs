@@ -16,13 +16,13 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 /// All files that [`write`] may write.
-pub const FILES: [&str; 7] =
+pub(crate) const FILES: [&str; 7] =
     ["model.json", "bode.csv", "signals.csv", "hankel.csv", "orders.csv", "frequency_response.csv", "residuals.csv"];
 
 /// A file could not be written.
 #[derive(Debug, thiserror::Error)]
 #[error("cannot write {}: {source}", path.display())]
-pub struct ExportError {
+pub(crate) struct ExportError {
     /// Which.
     pub path: PathBuf,
     /// What the system said.
@@ -44,7 +44,7 @@ impl Kind {
 ///
 /// # Errors
 /// The system's, with the file.
-pub fn write(
+pub(crate) fn write(
     folder: &Path,
     data: &Data,
     done: &Identification,
@@ -185,7 +185,7 @@ fn estimated(model: &Polynomials, covariance: Option<&Covariance>, more: Value) 
 }
 
 /// Numerator and denominator in z, highest power first and of the same length.
-pub fn in_z(model: &Polynomials) -> (Vec<f64>, Vec<f64>) {
+pub(crate) fn in_z(model: &Polynomials) -> (Vec<f64>, Vec<f64>) {
     let n = model.memory();
     let mut num = [vec![0.0; model.nk], model.b.clone()].concat();
     num.resize(n + 1, 0.0);

@@ -46,7 +46,7 @@ pub struct FitError {
 
 /// Compares all stretches. NaN where there is nothing to compare, or the observed signal is zero; infinite where an
 /// unstable model left the numbers.
-pub fn compare(model: &Polynomials, segments: &[Segment], kind: Kind) -> FitError {
+pub(crate) fn compare(model: &Polynomials, segments: &[Segment], kind: Kind) -> FitError {
     let mut sums = Sums::default();
     for segment in segments {
         let modelled = output(model, segment, kind);
@@ -66,7 +66,7 @@ pub fn compare(model: &Polynomials, segments: &[Segment], kind: Kind) -> FitErro
 
 /// Output of the model for one stretch. A prediction is shorter than the stretch by the model's memory, at its
 /// beginning.
-pub fn output(model: &Polynomials, segment: &Segment, kind: Kind) -> Vec<f64> {
+pub(crate) fn output(model: &Polynomials, segment: &Segment, kind: Kind) -> Vec<f64> {
     match kind {
         Kind::Prediction => model.predict(&segment.input, &segment.output),
         Kind::Simulation(InitialState::Rest) if segment.from_rest => model.simulate(&segment.input),
@@ -143,7 +143,8 @@ impl Sums {
 }
 
 /// The error between two signals of the same length.
-pub fn between(observed: &[f64], modelled: &[f64]) -> FitError {
+#[cfg(test)]
+fn between(observed: &[f64], modelled: &[f64]) -> FitError {
     let mut sums = Sums::default();
     sums.add(observed, modelled);
     sums.error()

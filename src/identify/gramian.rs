@@ -16,7 +16,7 @@ const NODES: (f64, f64) = (512.0, 8192.0);
 const A_WIDTH: f64 = 8.0;
 
 /// Factor of the controllability Gramian. For the observability Gramian give Aᵀ and cᵀ. Nothing when A is not stable.
-pub fn factor(a: &DMatrix<f64>, b: &DVector<f64>) -> Option<DMatrix<f64>> {
+pub(crate) fn factor(a: &DMatrix<f64>, b: &DVector<f64>) -> Option<DMatrix<f64>> {
     let mut power = a.clone();
     let mut factor = DMatrix::from_columns(std::slice::from_ref(b));
     for _ in 0..MOST_DOUBLINGS {
@@ -41,7 +41,7 @@ pub fn factor(a: &DMatrix<f64>, b: &DVector<f64>) -> Option<DMatrix<f64>> {
 /// Juang, Int. J. Systems Sci. 21, 1990, doi:10.1080/00207729008910366): P = 1/π Re ∫ (e^{iω} − A)⁻¹ b bᵀ (e^{iω} −
 /// A)⁻ᴴ dω, by the midpoint rule, fine enough for the sharpest resonance. Nothing when a pole lies on the unit circle
 /// in the band.
-pub fn band_factors(system: &StateSpace, (low, high): (f64, f64)) -> Option<[DMatrix<f64>; 2]> {
+pub(crate) fn band_factors(system: &StateSpace, (low, high): (f64, f64)) -> Option<[DMatrix<f64>; 2]> {
     let n = system.order();
     if n == 0 {
         return Some([DMatrix::zeros(0, 0), DMatrix::zeros(0, 0)]);

@@ -16,7 +16,7 @@ const LONGEST_BRIDGED: f64 = 2.5;
 
 /// A record as it came: one entry a sample.
 #[derive(Debug, Clone, Default)]
-pub struct Series {
+pub(crate) struct Series {
     /// How the user knows it.
     pub name: String,
     /// Seconds, rising.
@@ -31,7 +31,7 @@ pub struct Series {
 
 /// Why times are no grid.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum GridError {
+pub(crate) enum GridError {
     /// Nothing to make a grid of.
     #[error("{name}: has {samples} samples; at least 2 are needed")]
     TooFew {
@@ -103,7 +103,7 @@ pub enum GridError {
 
 /// How times lie on their grid.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Grid {
+pub(crate) struct Grid {
     /// Period, seconds, by least squares over the whole record.
     pub period_s: f64,
     /// Place of each sample on the grid, from 0.
@@ -119,7 +119,7 @@ impl Grid {
     ///
     /// # Errors
     /// [`GridError`].
-    pub fn of(name: &str, time_s: &[f64]) -> Result<Self, GridError> {
+    pub(crate) fn of(name: &str, time_s: &[f64]) -> Result<Self, GridError> {
         let usual = usual_interval(name, time_s)?;
         let mut places = vec![0];
         let (mut place, mut uneven, mut worst) = (0, 0, (0.0, 0));
@@ -182,7 +182,7 @@ pub(super) fn usual_interval(name: &str, time_s: &[f64]) -> Result<f64, GridErro
 /// The record in stretches of known input. With Eq. 6 the input needs the angle: where that is missing, up to `bridge`
 /// samples in a row, it is taken from a cubic through its neighbours, for the torque alone, and counted: `(record,
 /// bridged)`. What was not observed is no output.
-pub fn cut(series: &Series, grid: &Grid, bridge: usize) -> (Record, usize) {
+pub(crate) fn cut(series: &Series, grid: &Grid, bridge: usize) -> (Record, usize) {
     let length = grid.places.last().map_or(0, |last| last + 1);
     let (mut output, mut drive) = (vec![None; length], vec![None; length]);
     for (k, place) in grid.places.iter().enumerate() {
@@ -265,7 +265,7 @@ fn lagrange(points: &[(f64, f64)], x: f64) -> f64 {
 ///
 /// # Errors
 /// [`GridError::TooFew`] and [`GridError::NotRising`].
-pub fn resample(series: &Series, period_s: Option<f64>) -> Result<Series, GridError> {
+pub(crate) fn resample(series: &Series, period_s: Option<f64>) -> Result<Series, GridError> {
     let usual = usual_interval(&series.name, &series.time_s)?;
     let period = period_s.unwrap_or(usual);
     let (first, last) = (series.time_s[0], series.time_s[series.time_s.len() - 1]);

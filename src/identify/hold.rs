@@ -2,7 +2,7 @@
 
 /// Commands and when they came, on any clock; each acts until the next.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub struct Held {
+pub(crate) struct Held {
     /// Seconds, rising.
     time_s: Vec<f64>,
     value: Vec<f64>,
@@ -12,7 +12,7 @@ pub struct Held {
 
 impl Held {
     /// From commands in any order; of two at the same time the last counts.
-    pub fn new(mut commands: Vec<(f64, f64)>) -> Self {
+    pub(crate) fn new(mut commands: Vec<(f64, f64)>) -> Self {
         commands.sort_by(|a, b| a.0.total_cmp(&b.0));
         let mut held = Self::default();
         for (t, value) in commands {
@@ -35,7 +35,7 @@ impl Held {
 
     /// The same, with a first command of zero taken to have held before, too. Any other first command is left as it is:
     /// what was put out before is not known.
-    pub fn zero_before(&self) -> Self {
+    pub(crate) fn zero_before(&self) -> Self {
         let mut held = self.clone();
         if held.value.first() == Some(&0.0) {
             held.time_s.insert(0, f64::NEG_INFINITY);
@@ -46,12 +46,12 @@ impl Held {
     }
 
     /// First and last command, seconds.
-    pub fn span_s(&self) -> Option<(f64, f64)> {
+    pub(crate) fn span_s(&self) -> Option<(f64, f64)> {
         self.time_s.first().copied().zip(self.time_s.last().copied())
     }
 
     /// Average from `from_s` to the later `to_s`. Nothing before the first command: what was put out then is not known.
-    pub fn mean(&self, from_s: f64, to_s: f64) -> Option<f64> {
+    pub(crate) fn mean(&self, from_s: f64, to_s: f64) -> Option<f64> {
         Some((self.integral_to(to_s)? - self.integral_to(from_s)?) / (to_s - from_s))
     }
 

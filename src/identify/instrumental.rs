@@ -28,7 +28,7 @@ const SETTLED: f64 = 1e-6;
 /// # Errors
 /// [`IdentifyError::Unstable`] when `initial` is or becomes unstable, [`IdentifyError::Dependent`] when the instruments
 /// do not determine the parameters, [`IdentifyError::TooShort`] as for ARX.
-pub fn refine(segments: &[Segment], initial: &Polynomials) -> Result<Refined, IdentifyError> {
+pub(crate) fn refine(segments: &[Segment], initial: &Polynomials) -> Result<Refined, IdentifyError> {
     let orders = initial.orders();
     let drivers: Vec<Segment> = segments.iter().map(driven_by_instrument).collect();
     // How the instrument moves the output: linear here, whatever is fed back in truth. An instrument needs no more.

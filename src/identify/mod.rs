@@ -18,46 +18,46 @@
 //!   [`regression`].
 
 // In the order of the data.
-pub mod data;
-pub mod plant;
+pub(crate) mod data;
+pub(crate) mod plant;
 
-pub mod hold;
-pub mod recorded;
+pub(crate) mod hold;
+pub(crate) mod recorded;
 
-pub mod delay;
-pub mod grid;
-pub mod prepare;
+pub(crate) mod delay;
+pub(crate) mod grid;
+pub(crate) mod prepare;
 
-pub mod model;
-pub mod regression;
+pub(crate) mod model;
+pub(crate) mod regression;
 
-pub mod arx;
-pub mod estimated;
-pub mod instrumental;
-pub mod output_error;
-pub mod search;
+pub(crate) mod arx;
+pub(crate) mod estimated;
+pub(crate) mod instrumental;
+pub(crate) mod output_error;
+pub(crate) mod search;
 
-pub mod gramian;
-pub mod reduce;
-pub mod state_space;
+pub(crate) mod gramian;
+pub(crate) mod reduce;
+pub(crate) mod state_space;
 
-pub mod continuous;
+pub(crate) mod continuous;
 
-pub mod bandwidth;
-pub mod bootstrap;
-pub mod fit;
-pub mod modelled;
-pub mod residuals;
-pub mod spectrum;
-pub mod uncertainty;
+pub(crate) mod bandwidth;
+pub(crate) mod bootstrap;
+pub(crate) mod fit;
+pub(crate) mod modelled;
+pub(crate) mod residuals;
+pub(crate) mod spectrum;
+pub(crate) mod uncertainty;
 
-pub mod chain;
-pub mod diagnostic;
+pub(crate) mod chain;
+pub(crate) mod diagnostic;
 mod diagnostics;
-pub mod export;
-pub mod identification;
-pub mod provenance;
-pub mod settings;
+pub(crate) mod export;
+pub(crate) mod identification;
+pub(crate) mod provenance;
+pub(crate) mod settings;
 
 mod decompositions;
 mod error;
@@ -65,4 +65,14 @@ mod initial;
 #[cfg(test)]
 pub(crate) mod tests;
 
+pub use arx::fit as fit_arx;
+pub use chain::identify;
+pub use continuous::{Continuous, Conversion};
+pub use data::{Data, Segment};
 pub use error::IdentifyError;
+pub use fit::InitialState;
+pub use identification::Identification;
+pub use model::{Orders, Polynomials};
+pub use plant::Plant;
+pub use search::search;
+pub use settings::Settings;

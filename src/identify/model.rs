@@ -153,12 +153,12 @@ impl Polynomials {
 }
 
 /// Samples that must lie before one that is predicted.
-pub fn memory(na: usize, nb: usize, nk: usize) -> usize {
+pub(crate) fn memory(na: usize, nb: usize, nk: usize) -> usize {
     na.max((nb + nk).saturating_sub(1))
 }
 
 /// Radians a sample at `frequency_hz`.
-pub fn angle(frequency_hz: f64, period_s: f64) -> f64 {
+pub(crate) fn angle(frequency_hz: f64, period_s: f64) -> f64 {
     TAU * frequency_hz * period_s
 }
 
@@ -170,7 +170,7 @@ fn polynomial(ascending: &[f64], x: Complex<f64>) -> Complex<f64> {
 /// Roots of c₀ xⁿ + c₁ xⁿ⁻¹ + … + cₙ, as eigenvalues of its companion matrix; zeros at the end of `descending` are
 /// roots at 0 and left out, a leading zero is no degree. NaN when they are not found, as of coefficients that are no
 /// numbers.
-pub fn roots(descending: &[f64]) -> Vec<Complex<f64>> {
+pub(crate) fn roots(descending: &[f64]) -> Vec<Complex<f64>> {
     let first = descending.iter().position(|c| *c != 0.0).unwrap_or(descending.len());
     let end = descending.iter().rposition(|c| *c != 0.0).map_or(0, |last| last + 1);
     let Some((lead, rest)) = descending.get(first..end).and_then(<[f64]>::split_first) else { return Vec::new() };

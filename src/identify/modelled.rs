@@ -215,7 +215,7 @@ fn bode(model: &Polynomials, covariance: Option<&Covariance>, period_s: f64, low
 }
 
 /// Angles without jumps of a turn.
-pub fn unwrapped(angles: impl IntoIterator<Item = f64>) -> Vec<f64> {
+pub(crate) fn unwrapped(angles: impl IntoIterator<Item = f64>) -> Vec<f64> {
     let mut last: Option<f64> = None;
     let follow = |angle: f64| {
         let next = last.map_or(angle, |last| last + (angle - last + PI).rem_euclid(TAU) - PI);

@@ -25,7 +25,7 @@ const SETTLED: f64 = 1e-12;
 ///
 /// # Errors
 /// As [`refine`] for the first, when none can be refined.
-pub fn refine_from_any(segments: &[Segment], initial: &[Polynomials]) -> Result<Refined, IdentifyError> {
+pub(crate) fn refine_from_any(segments: &[Segment], initial: &[Polynomials]) -> Result<Refined, IdentifyError> {
     let mut first_error = None;
     let mut best: Option<Refined> = None;
     for model in initial {
@@ -49,7 +49,7 @@ pub fn refine_from_any(segments: &[Segment], initial: &[Polynomials]) -> Result<
 /// # Errors
 /// [`IdentifyError::Unstable`] when `initial` is, [`IdentifyError::TooShort`] and [`IdentifyError::Dependent`] as for
 /// ARX.
-pub fn refine(segments: &[Segment], initial: &Polynomials) -> Result<Refined, IdentifyError> {
+pub(crate) fn refine(segments: &[Segment], initial: &Polynomials) -> Result<Refined, IdentifyError> {
     let orders = initial.orders();
     if !initial.is_stable() {
         return Err(IdentifyError::Unstable { orders, largest_pole: initial.largest_pole() });

@@ -10,7 +10,7 @@ const CORNER: f64 = 0.8;
 
 /// What is taken off input and output.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Detrend {
+pub(crate) enum Detrend {
     /// Nothing.
     #[default]
     None,
@@ -22,7 +22,7 @@ pub enum Detrend {
 
 /// A line over time.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct Line {
+pub(crate) struct Line {
     /// Value at `about_s`.
     pub offset: f64,
     /// Change in a second.
@@ -39,7 +39,7 @@ impl Line {
 
 /// What was taken off one record: from input and output.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct Trend {
+pub(crate) struct Trend {
     /// From the input.
     pub input: Line,
     /// From the output.
@@ -48,7 +48,7 @@ pub struct Trend {
 
 impl Trend {
     /// The trend of one record's stretches, or of several records' where `slope` is not asked.
-    pub fn of(segments: &[Segment], period_s: f64, slope: bool) -> Self {
+    pub(crate) fn of(segments: &[Segment], period_s: f64, slope: bool) -> Self {
         let line = |signal: fn(&Segment) -> &[f64]| {
             let points = || {
                 segments.iter().flat_map(move |s| {
@@ -70,14 +70,8 @@ impl Trend {
         Self { input: line(|s| &s.input), output: line(|s| &s.output) }
     }
 
-    /// The same without slope.
-    pub fn level(self) -> Self {
-        let flat = |line: Line| Line { slope: 0.0, ..line };
-        Self { input: flat(self.input), output: flat(self.output) }
-    }
-
     /// Takes it off.
-    pub fn remove(&self, segment: &mut Segment, period_s: f64) {
+    pub(crate) fn remove(&self, segment: &mut Segment, period_s: f64) {
         let start_s = segment.start_s;
         let off = |signal: &mut [f64], line: Line| {
             signal.iter_mut().enumerate().for_each(|(k, v)| *v -= line.at(start_s + k as f64 * period_s));
@@ -90,7 +84,7 @@ impl Trend {
 /// Every `factor`-th sample behind a low-pass filter (windowed sinc, Hamming, without phase), the same for all signals,
 /// so that what relates them stays the same. The input, which is held from sample to sample, is averaged over the new,
 /// longer hold. Five samples of the result are lost at both ends of every stretch.
-pub fn decimate(record: &Record, factor: usize, period_s: f64) -> Record {
+pub(crate) fn decimate(record: &Record, factor: usize, period_s: f64) -> Record {
     let half = HALF_TAPS * factor;
     let corner = CORNER / factor as f64;
     let tap = |k: usize| {

@@ -5,7 +5,7 @@ use super::fit::InitialState;
 
 /// One record as it was read.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct RecordSummary {
+pub(crate) struct RecordSummary {
     /// Its name, as the user gave it.
     pub name: String,
     /// Whether it was fitted.
@@ -34,7 +34,7 @@ pub struct RecordSummary {
 
 /// Where a result is from.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct Provenance {
+pub(crate) struct Provenance {
     /// Head of the page.
     pub title: String,
     /// Name of the input.

@@ -14,7 +14,7 @@ const S_PER_NS: f64 = 1e-9;
 
 /// Why a recording cannot be used.
 #[derive(Debug, thiserror::Error)]
-pub enum RecordedError {
+pub(crate) enum RecordedError {
     /// Nothing in it.
     #[error("{name}: has no frame")]
     NoFrame {
@@ -70,7 +70,7 @@ pub enum RecordedError {
 
 /// θ over time.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Observed {
+pub(crate) struct Observed {
     /// The file.
     pub name: String,
     /// Camera time of the first frame, nanoseconds; times count from it.
@@ -86,7 +86,7 @@ impl Observed {
     ///
     /// # Errors
     /// When there is no frame, or none with θ.
-    pub fn of(recording: &Recording) -> Result<Self, RecordedError> {
+    pub(crate) fn of(recording: &Recording) -> Result<Self, RecordedError> {
         let name = recording.path.display().to_string();
         let frames = &recording.frames;
         let Some(first) = frames.first() else { return Err(RecordedError::NoFrame { name }) };
@@ -111,7 +111,7 @@ impl Observed {
     ///
     /// # Errors
     /// When there are none, or none of this coil.
-    pub fn commands(&self, name: &str, currents: &[Current], coil: usize) -> Result<Held, RecordedError> {
+    pub(crate) fn commands(&self, name: &str, currents: &[Current], coil: usize) -> Result<Held, RecordedError> {
         let none = || RecordedError::NoCurrents { name: name.to_owned() };
         let coils = currents.iter().map(|c| c.values_a.len()).max().ok_or_else(none)?;
         let missing = || RecordedError::NoCoil { name: name.to_owned(), coils, coil };
@@ -129,7 +129,7 @@ impl Observed {
     ///
     /// # Errors
     /// When frame times do not rise, or no frame has a current.
-    pub fn series(&self, commands: &Held, plant: Option<Plant>, delay_s: f64) -> Result<Series, RecordedError> {
+    pub(crate) fn series(&self, commands: &Held, plant: Option<Plant>, delay_s: f64) -> Result<Series, RecordedError> {
         let usual = super::grid::usual_interval(&self.name, &self.time_s)?;
         let mut series = Series { name: self.name.clone(), plant, ..Series::default() };
         let mut push = |from: f64, to: f64, theta: Option<f64>| {
@@ -161,7 +161,7 @@ impl Observed {
     }
 
     /// The frames from `from_s` on.
-    pub fn from(&self, from_s: f64) -> Self {
+    pub(crate) fn from(&self, from_s: f64) -> Self {
         let first = self.time_s.partition_point(|t| *t < from_s);
         Self {
             name: self.name.clone(),
@@ -175,7 +175,7 @@ impl Observed {
     ///
     /// # Errors
     /// [`GridError`].
-    pub fn grid(&self) -> Result<Grid, GridError> {
+    pub(crate) fn grid(&self) -> Result<Grid, GridError> {
         Grid::of(&self.name, &self.time_s)
     }
 }

@@ -39,7 +39,7 @@ pub enum Target {
 
 /// How to reduce.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Reduction {
+pub(crate) struct Reduction {
     /// How far.
     pub target: Target,
     /// How states are removed.
@@ -70,7 +70,7 @@ pub struct Reduced {
 ///
 /// # Errors
 /// [`IdentifyError::NotReduced`] when less is asked than is unstable, or poles lie on the unit circle.
-pub fn reduce(model: &Polynomials, how: Reduction) -> Result<Reduced, IdentifyError> {
+pub(crate) fn reduce(model: &Polynomials, how: Reduction) -> Result<Reduced, IdentifyError> {
     // A delay would take up states that are meant for the dynamics.
     let (prompt, beyond) = model.without_delay();
     let reduced = reduce_prompt(&prompt, how)?;
@@ -138,7 +138,7 @@ fn reduce_prompt(model: &Polynomials, how: Reduction) -> Result<Reduced, Identif
 ///
 /// # Errors
 /// As [`reduce`].
-pub fn reduce_in_band(model: &Polynomials, how: Reduction) -> Result<(Reduced, bool), IdentifyError> {
+pub(crate) fn reduce_in_band(model: &Polynomials, how: Reduction) -> Result<(Reduced, bool), IdentifyError> {
     let reduced = reduce(model, how)?;
     let outside = reduced.model.poles().iter().filter(|p| p.norm() >= 1.0 || p.re.is_nan()).count();
     if how.band.is_none() || outside <= reduced.unstable {

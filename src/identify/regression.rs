@@ -14,7 +14,7 @@ const BLOCK: usize = 512;
 
 /// The upper triangle of rows seen so far.
 #[derive(Debug, Clone)]
-pub struct Triangle {
+pub(crate) struct Triangle {
     /// Square, as many rows as columns.
     r: DMatrix<f64>,
     block: DMatrix<f64>,
@@ -24,13 +24,13 @@ pub struct Triangle {
 
 impl Triangle {
     /// Of rows with so many columns.
-    pub fn new(columns: usize) -> Self {
+    pub(crate) fn new(columns: usize) -> Self {
         let block = DMatrix::zeros(columns + BLOCK, columns);
         Self { r: DMatrix::zeros(columns, columns), block, filled: 0, rows: 0 }
     }
 
     /// One more row: as many values as there are columns. One with a NaN, an output that was not observed, is left out.
-    pub fn push(&mut self, row: impl IntoIterator<Item = f64>) {
+    pub(crate) fn push(&mut self, row: impl IntoIterator<Item = f64>) {
         let at = self.r.nrows() + self.filled;
         for (place, value) in self.block.row_mut(at).iter_mut().zip(row) {
             *place = value;
@@ -54,12 +54,12 @@ impl Triangle {
     }
 
     /// Rows pushed.
-    pub fn rows(&self) -> usize {
+    pub(crate) fn rows(&self) -> usize {
         self.rows
     }
 
     /// The triangle of all rows pushed.
-    pub fn finish(mut self) -> DMatrix<f64> {
+    pub(crate) fn finish(mut self) -> DMatrix<f64> {
         if self.filled > 0 {
             self.absorb();
         }
@@ -69,7 +69,7 @@ impl Triangle {
 
 /// The least-squares solution, and how well it is determined.
 #[derive(Debug, Clone)]
-pub struct Solution {
+pub(crate) struct Solution {
     /// Parameters.
     pub parameters: DVector<f64>,
     /// Sum of squared residuals.
@@ -82,7 +82,7 @@ pub struct Solution {
 
 /// Solves for the last column of `columns` with the others as regressors. Nothing when there are none, or they depend
 /// on each other to machine precision.
-pub fn solve(columns: DMatrix<f64>) -> Option<Solution> {
+pub(crate) fn solve(columns: DMatrix<f64>) -> Option<Solution> {
     let p = columns.ncols().checked_sub(1)?;
     let rows = columns.nrows();
     let columns = columns.resize_vertically(rows.max(p + 1), 0.0);
@@ -116,7 +116,11 @@ pub fn solve(columns: DMatrix<f64>) -> Option<Solution> {
 }
 
 /// Row `t` of the regression on `na` outputs and `nb` inputs from lag `nk` on: −y(t−1) …, u(t−nk) …, y(t).
-pub fn row(segment: &Segment, t: usize, (na, nb, nk): (usize, usize, usize)) -> impl Iterator<Item = f64> + use<'_> {
+pub(crate) fn row(
+    segment: &Segment,
+    t: usize,
+    (na, nb, nk): (usize, usize, usize),
+) -> impl Iterator<Item = f64> + use<'_> {
     let outputs = segment.output[t - na..t].iter().rev().map(|y| -y);
     let inputs = segment.input[t + 1 - nk - nb..t + 1 - nk].iter().rev().copied();
     outputs.chain(inputs).chain([segment.output[t]])

@@ -124,7 +124,7 @@ impl Residuals {
 }
 
 /// Whether so many out of so many are more than chance explains.
-pub fn too_many((outside, of): (usize, usize)) -> bool {
+pub(crate) fn too_many((outside, of): (usize, usize)) -> bool {
     outside as f64 > OUTSIDE * of as f64
 }
 

@@ -53,7 +53,7 @@ pub struct Spectrum {
 }
 
 /// Averages the spectra. Nothing when no stretch is as long as the shortest piece, or there would be one piece only.
-pub fn spectrum(segments: &[Segment], period_s: f64) -> Option<Spectrum> {
+pub(crate) fn spectrum(segments: &[Segment], period_s: f64) -> Option<Spectrum> {
     let total: usize = segments.iter().map(Segment::len).sum();
     let longest = segments.iter().map(Segment::len).max()?;
     let mut length = SHORTEST;

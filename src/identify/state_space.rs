@@ -6,7 +6,7 @@ use nalgebra::{DMatrix, DVector, RowDVector};
 
 /// One input, one output, `n` states.
 #[derive(Debug, Clone, PartialEq)]
-pub struct StateSpace {
+pub(crate) struct StateSpace {
     /// n × n.
     pub a: DMatrix<f64>,
     /// n.
@@ -19,7 +19,7 @@ pub struct StateSpace {
 
 impl StateSpace {
     /// Controllable companion form, with as many states as [`Polynomials::memory`] says.
-    pub fn of(model: &Polynomials) -> Self {
+    pub(crate) fn of(model: &Polynomials) -> Self {
         let n = model.memory();
         let a = |lag: usize| model.a.get(lag).copied().unwrap_or(0.0);
         let b = |lag: usize| lag.checked_sub(model.nk).and_then(|j| model.b.get(j)).copied().unwrap_or(0.0);
@@ -38,7 +38,7 @@ impl StateSpace {
     /// The same system in orthogonal coordinates in which A is nearly triangular. In companion form the powers of A grow
     /// by many powers of ten before they decay, and with them rounding; here they do not. As it is, when they are not
     /// found.
-    pub fn triangular(&self) -> Self {
+    pub(crate) fn triangular(&self) -> Self {
         match real_schur(&self.a) {
             Some((q, a)) => Self { a, b: q.tr_mul(&self.b), c: &self.c * q, d: self.d },
             None => self.clone(),
@@ -46,12 +46,12 @@ impl StateSpace {
     }
 
     /// Number of states.
-    pub fn order(&self) -> usize {
+    pub(crate) fn order(&self) -> usize {
         self.a.nrows()
     }
 
     /// Side by side: the sum of both outputs for the same input.
-    pub fn sum(&self, other: &Self) -> Self {
+    pub(crate) fn sum(&self, other: &Self) -> Self {
         let (n, m) = (self.order(), other.order());
         let mut a = DMatrix::zeros(n + m, n + m);
         a.view_mut((0, 0), (n, n)).copy_from(&self.a);
@@ -67,7 +67,7 @@ impl StateSpace {
 
     /// As polynomials: A is the characteristic polynomial, B its product with the impulse response (whose first n + 1
     /// values determine it; no difference of large numbers is taken).
-    pub fn polynomials(&self) -> Polynomials {
+    pub(crate) fn polynomials(&self) -> Polynomials {
         let n = self.order();
         let a = characteristic(&self.a);
         let mut impulse = vec![self.d];

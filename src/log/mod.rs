@@ -9,7 +9,7 @@ pub(crate) mod fields;
 mod info;
 pub(crate) mod records;
 mod repair;
-pub mod schema;
+pub(crate) mod schema;
 
 use std::io::Read as _;
 use std::path::Path;

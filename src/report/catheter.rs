@@ -13,7 +13,13 @@ use plotly::{Plot, Scatter, Scatter3D};
 const AXES: [&str; 3] = ["x, along B0 (mm)", "y (mm)", "z, clamp to tip (mm)"];
 
 /// The page of one shape.
-pub fn shape_page(name: &str, catheter: &Catheter, currents_a: [f64; 3], shape: &Shape, by: &Sensitivity) -> String {
+pub(crate) fn shape_page(
+    name: &str,
+    catheter: &Catheter,
+    currents_a: [f64; 3],
+    shape: &Shape,
+    by: &Sensitivity,
+) -> String {
     let ma = currents_a.map(|i| format!("{:.1}", i * 1e3)).join(", ");
     let cards = [
         card("θ", format!("{:.2}°", shape.theta_rad().to_degrees()), "of the coil set's tangent", false),
@@ -35,7 +41,7 @@ pub fn shape_page(name: &str, catheter: &Catheter, currents_a: [f64; 3], shape: 
 }
 
 /// The page of the reach.
-pub fn reach_page(name: &str, catheter: &Catheter, reach: &Reach) -> String {
+pub(crate) fn reach_page(name: &str, catheter: &Catheter, reach: &Reach) -> String {
     let (low, high) = reach.theta_rad();
     let [least, most] = reach.tip_box();
     let cards = [
@@ -78,7 +84,13 @@ pub fn reach_page(name: &str, catheter: &Catheter, reach: &Reach) -> String {
 }
 
 /// The page of a path that is followed; points are one period.
-pub fn follow_page(name: &str, catheter: &Catheter, path: &str, targets: &[Target], followed: &[Followed]) -> String {
+pub(crate) fn follow_page(
+    name: &str,
+    catheter: &Catheter,
+    path: &str,
+    targets: &[Target],
+    followed: &[Followed],
+) -> String {
     let worst_m = followed.iter().map(|f| f.off_m).fold(0.0, f64::max);
     let at_limit = followed.iter().filter(|f| f.at_limit).count();
     let peak_a = followed.iter().map(|f| f.currents_a.amax()).fold(0.0, f64::max);

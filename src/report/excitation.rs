@@ -18,7 +18,7 @@ const DEPTH: f64 = 10.0;
 
 /// What the page says beside the signal.
 #[derive(Debug, Clone, Default)]
-pub struct ExcitationInfo {
+pub(crate) struct ExcitationInfo {
     /// The table the signal is in.
     pub table: String,
     /// What it is: `chirp`, `multisine`, `steps`.
@@ -30,7 +30,7 @@ pub struct ExcitationInfo {
 }
 
 /// Shares of the energy: words for a band, and the part of the energy in it.
-pub fn shares(spectrum: &Spectrum, band_hz: Option<(f64, f64)>) -> Vec<(String, f64)> {
+pub(crate) fn shares(spectrum: &Spectrum, band_hz: Option<(f64, f64)>) -> Vec<(String, f64)> {
     let nyquist_hz = spectrum.step_hz * (spectrum.power_a2.len().saturating_sub(1)) as f64;
     let (from, to) = band_hz.map_or_else(|| spectrum.occupied_hz(), |(a, b)| (a.min(b), a.max(b)));
     let step = spectrum.step_hz;
@@ -43,7 +43,7 @@ pub fn shares(spectrum: &Spectrum, band_hz: Option<(f64, f64)>) -> Vec<(String, 
 }
 
 /// What was cut off, in words.
-pub fn clipped_words(clipped: &Clipped) -> String {
+pub(crate) fn clipped_words(clipped: &Clipped) -> String {
     let Clipped { what, samples, first_s, last_s, largest_a } = clipped;
     let limit = match what {
         Change::Current => "limit of current",
@@ -56,7 +56,7 @@ pub fn clipped_words(clipped: &Clipped) -> String {
 }
 
 /// The whole page.
-pub fn page(info: &ExcitationInfo, signal: &Signal, spectrum: &Spectrum, clipped: &[Clipped]) -> String {
+pub(crate) fn page(info: &ExcitationInfo, signal: &Signal, spectrum: &Spectrum, clipped: &[Clipped]) -> String {
     let (slew, slew_s) = signal.largest_slew();
     let mut body = format!(
         "<header>\n<p class=\"kind\">Catoptra excitation: {}</p>\n<h1>{}</h1>\n</header>\n",

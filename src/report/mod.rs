@@ -10,20 +10,20 @@
 //! [`excitation::page`] of a signal, [`catheter`] of shapes, [`validation::page`] of runs along a path.
 
 mod absences;
-pub mod calibration;
-pub mod catheter;
+pub(crate) mod calibration;
+pub(crate) mod catheter;
 mod chart;
 mod course;
-pub mod excitation;
+pub(crate) mod excitation;
 mod figures;
 mod html;
-pub mod identification;
+pub(crate) mod identification;
 mod moments;
 mod page;
-pub mod teaching;
+pub(crate) mod teaching;
 mod timeline;
 mod tracking;
-pub mod validation;
+pub(crate) mod validation;
 
 use crate::estimate::Estimate;
 use crate::rig::Rig;

@@ -20,7 +20,7 @@
 mod cells;
 mod components;
 mod discriminant;
-pub mod learn;
+pub(crate) mod learn;
 mod moments;
 mod scan;
 #[cfg(test)]

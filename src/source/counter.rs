@@ -9,7 +9,7 @@
 
 /// Where a counter begins anew.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Wrap {
+pub(crate) enum Wrap {
     /// After 2³² − 1 follows 0 (V4L2).
     Bits32,
     /// After 2⁶⁴ − 1 follows 0 (USB3 Vision).
@@ -21,7 +21,7 @@ pub enum Wrap {
 
 /// What a number says.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Count {
+pub(crate) enum Count {
     /// The first one.
     First,
     /// It follows, and so many are missing between.
@@ -32,19 +32,19 @@ pub enum Count {
 
 /// The numbers of one camera.
 #[derive(Debug, Clone)]
-pub struct FrameCounter {
+pub(crate) struct FrameCounter {
     wrap: Wrap,
     last: Option<u64>,
 }
 
 impl FrameCounter {
     /// A counter that has not been read.
-    pub fn new(wrap: Wrap) -> Self {
+    pub(crate) fn new(wrap: Wrap) -> Self {
         Self { wrap, last: None }
     }
 
     /// Takes the next number.
-    pub fn step(&mut self, number: u64) -> Count {
+    pub(crate) fn step(&mut self, number: u64) -> Count {
         let Some(last) = self.last.replace(number) else { return Count::First };
         if self.wrap == Wrap::Block16 && number.max(last) > u64::from(u16::MAX) {
             self.wrap = Wrap::Bits64;

@@ -88,6 +88,8 @@ pub struct VideoFile {
     in_turn: VecDeque<i64>,
     /// Whether frames at the end are left out by the recording itself.
     trimmed: bool,
+    /// Packets read since the beginning; `None` after a jump.
+    packets: Option<i64>,
     /// Latest stamps decoded: of all, before the span, and the first after it.
     seen_ns: Option<i64>,
     before_ns: Option<i64>,
@@ -242,6 +244,7 @@ impl VideoFile {
             arrival: None,
             in_turn: VecDeque::new(),
             trimmed: false,
+            packets: Some(0),
             seen_ns: None,
             before_ns: None,
             after_ns: None,
@@ -268,6 +271,7 @@ impl VideoFile {
             self.undecoded.clear();
             self.in_turn.clear();
             self.trimmed = false;
+            self.packets = None;
             self.phase = Phase::Reading;
             if let Some(frame) = self.decode() {
                 let starts_ns = self.stamp(&frame)?.ns;
@@ -340,12 +344,15 @@ impl VideoFile {
                 Ok(()) if packet.stream() != self.stream => continue,
                 Ok(()) => {
                     self.note_arrival(&packet);
+                    self.packets = self.packets.map(|packets| packets + 1);
                     // An MP4's edit list may leave out frames at the end, and libav then drops them. But where the
                     // length of the last frame was not known, the list ends at its start, and it would be dropped too.
                     // Setting the flags that the binding knows clears the one that says so; frames before the
                     // recording's start stay out.
                     if is_left_out(&packet) && packet.pts().is_some_and(|pts| pts >= self.start_pts) {
-                        if packet.duration() <= 1 && !self.trimmed {
+                        let frames = self.input.stream(self.stream).map_or(0, |stream| stream.frames());
+                        let more = self.packets.is_some_and(|packets| packets < frames);
+                        if packet.duration() <= 1 && !more && !self.trimmed {
                             packet.set_flags(packet.flags());
                         }
                         self.trimmed = true;

@@ -19,9 +19,9 @@
 use std::collections::VecDeque;
 
 /// Steps that are remembered.
-pub const WINDOW: usize = 61;
+pub(crate) const WINDOW: usize = 61;
 /// A step of this many medians is a hole even where the rate varies.
-pub const HOLE: f64 = 4.0;
+pub(crate) const HOLE: f64 = 4.0;
 /// Steps needed before the period is estimated.
 const ENOUGH: usize = 8;
 /// Steps for which a declared period is taken at its word.
@@ -33,7 +33,7 @@ const REORDER: f64 = 8.0;
 
 /// How regular the steps have been.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Rhythm {
+pub(crate) enum Rhythm {
     /// Too few steps to tell.
     Unknown,
     /// A camera of this period.
@@ -50,7 +50,7 @@ pub enum Rhythm {
 
 /// How a stamp follows the one before.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Order {
+pub(crate) enum Order {
     /// The first one.
     First,
     /// Later than all before.
@@ -66,7 +66,7 @@ pub enum Order {
 
 /// What one stamp says.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Step {
+pub(crate) struct Step {
     /// Camera frames lost before this one; 0 where the stamp is not later than those before.
     pub gap: u32,
     /// How it follows.
@@ -75,7 +75,7 @@ pub struct Step {
 
 /// Counts lost frames, see the module.
 #[derive(Debug, Clone)]
-pub struct GapCounter {
+pub(crate) struct GapCounter {
     declared_ns: Option<f64>,
     tick_ns: f64,
     latest_ns: Option<i64>,
@@ -85,13 +85,13 @@ pub struct GapCounter {
 impl GapCounter {
     /// `declared_ns`: period the recording declares, if plausible ([`plausible_period_ns`]); `tick_ns`: resolution of
     /// the clock.
-    pub fn new(declared_ns: Option<f64>, tick_ns: f64) -> Self {
+    pub(crate) fn new(declared_ns: Option<f64>, tick_ns: f64) -> Self {
         let declared_ns = declared_ns.filter(|p| p.is_finite() && *p > 0.0);
         Self { declared_ns, tick_ns: tick_ns.max(0.0), latest_ns: None, steps_ns: VecDeque::with_capacity(WINDOW) }
     }
 
     /// Takes the next stamp.
-    pub fn step(&mut self, stamp_ns: i64) -> Step {
+    pub(crate) fn step(&mut self, stamp_ns: i64) -> Step {
         let Some(latest_ns) = self.latest_ns else {
             self.latest_ns = Some(stamp_ns);
             return Step { gap: 0, order: Order::First };
@@ -128,7 +128,7 @@ impl GapCounter {
     }
 
     /// How regular the steps so far have been.
-    pub fn rhythm(&self) -> Rhythm {
+    pub(crate) fn rhythm(&self) -> Rhythm {
         let count = self.steps_ns.len();
         if let Some(period_ns) = self.declared_ns {
             let single = self.steps_ns.iter().filter(|&&s| self.periods(s, period_ns) == Some(1.0)).count();
@@ -153,7 +153,7 @@ impl GapCounter {
     }
 
     /// Steps judged so far, at most [`WINDOW`].
-    pub fn steps_seen(&self) -> usize {
+    pub(crate) fn steps_seen(&self) -> usize {
         self.steps_ns.len()
     }
 
@@ -182,7 +182,7 @@ impl GapCounter {
 /// The period of a declared rate, if it can be a camera's: between 0.1 and 10000 frames a second, and the average rate
 /// the container gives neither above it nor below 60 % of it. Rates as (numerator, denominator). libav gives for
 /// recordings of variable rate often that of the clock's ticks, and no average or a much lower one.
-pub fn plausible_period_ns(rate: (i32, i32), average: (i32, i32)) -> Option<f64> {
+pub(crate) fn plausible_period_ns(rate: (i32, i32), average: (i32, i32)) -> Option<f64> {
     let hertz = |(n, d): (i32, i32)| (n > 0 && d > 0).then(|| f64::from(n) / f64::from(d));
     let rate = hertz(rate).filter(|r| (0.1..=1e4).contains(r))?;
     (0.6..=1.05).contains(&(hertz(average)? / rate)).then_some(1e9 / rate)

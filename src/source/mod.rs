@@ -6,16 +6,16 @@
 //! samples map to places in the picture, [`Picture::colour`] how they map to colours).
 
 mod container;
-pub mod counter;
+pub(crate) mod counter;
 mod damage;
 mod decoded;
 mod error;
 mod extent;
 mod ffv1;
-pub mod file;
-pub mod gaps;
+pub(crate) mod file;
+pub(crate) mod gaps;
 pub mod host;
-pub mod images;
+pub(crate) mod images;
 pub(crate) mod jpeg;
 pub mod live;
 mod log_windows;

@@ -1,7 +1,7 @@
 //! Draws pictures of chessboards in perspective, with exact corners.
 
 use catoptra::calibrate::board::Board;
-use catoptra::calibrate::board::grey::Grey;
+use catoptra::calibrate::board::Grey;
 use nalgebra::{Matrix3, Point2, Rotation3, Vector3};
 
 /// Samples a pixel is drawn with, no two in one row or column: edges along the pixels' rows are as smooth as others.

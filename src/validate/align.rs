@@ -12,7 +12,7 @@ use nalgebra::{Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
 
 /// A rigid motion that takes observed points to desired ones.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Alignment {
+pub(crate) struct Alignment {
     /// Rotation, about the origin.
     pub rotation: Rotation3<f64>,
     /// Translation after it, metres.
@@ -24,7 +24,7 @@ pub struct Alignment {
 impl Alignment {
     /// The one that fits pairs (from, to) best; `None` for fewer than three, or where they are all on one line, because
     /// a turn about the line is open then.
-    pub fn of(pairs: &[(Point3<f64>, Point3<f64>)]) -> Option<Self> {
+    pub(crate) fn of(pairs: &[(Point3<f64>, Point3<f64>)]) -> Option<Self> {
         if pairs.len() < 3 {
             return None;
         }
@@ -47,12 +47,12 @@ impl Alignment {
     }
 
     /// Moves a point.
-    pub fn apply(&self, point: &Point3<f64>) -> Point3<f64> {
+    pub(crate) fn apply(&self, point: &Point3<f64>) -> Point3<f64> {
         self.rotation * point + self.translation_m
     }
 
     /// Angle of the rotation, radians, and its axis; no axis without a rotation.
-    pub fn angle_axis(&self) -> (f64, Option<Vector3<f64>>) {
+    pub(crate) fn angle_axis(&self) -> (f64, Option<Vector3<f64>>) {
         // The quaternion's angle keeps its digits near zero, where the matrix's loses half of them.
         let turn = UnitQuaternion::from_rotation_matrix(&self.rotation);
         (turn.angle(), turn.axis().map(|axis| axis.into_inner()))

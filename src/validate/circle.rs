@@ -11,7 +11,7 @@ const MOST_STEPS: usize = 100;
 
 /// A circle.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Circle {
+pub(crate) struct Circle {
     /// Its centre.
     pub centre: Point2<f64>,
     /// Its radius, metres.
@@ -23,7 +23,7 @@ pub struct Circle {
 impl Circle {
     /// The circle with the least sum of squared distances of the points from it. `None` for fewer than three points,
     /// points on a line, or where the refinement does not settle.
-    pub fn through(points: &[Point2<f64>]) -> Option<Self> {
+    pub(crate) fn through(points: &[Point2<f64>]) -> Option<Self> {
         if points.len() < 3 {
             return None;
         }

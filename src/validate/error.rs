@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 /// Why a run cannot be compared with its desired path.
 #[derive(Debug, thiserror::Error)]
-pub enum ValidateError {
+pub(crate) enum ValidateError {
     /// A file that cannot be read.
     #[error(transparent)]
     Series(#[from] SeriesError),

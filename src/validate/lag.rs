@@ -15,7 +15,7 @@ use nalgebra::{Point3, Vector3};
 
 /// A lag.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Lag {
+pub(crate) struct Lag {
     /// In points of the path; positive: the observed motion is late.
     pub points: f64,
     /// Correlation at the best whole lag: 1 for motions of the same shape.
@@ -23,7 +23,7 @@ pub struct Lag {
 }
 
 /// Numbers of commands and observed points against one period of the path; `None` without a motion.
-pub fn lag(period: &[Point3<f64>], observed: &[(usize, Point3<f64>)]) -> Option<Lag> {
+pub(crate) fn lag(period: &[Point3<f64>], observed: &[(usize, Point3<f64>)]) -> Option<Lag> {
     let n = period.len();
     if n < 3 || observed.len() < 3 {
         return None;
@@ -55,7 +55,7 @@ pub fn lag(period: &[Point3<f64>], observed: &[(usize, Point3<f64>)]) -> Option<
 }
 
 /// Adds whole turns so that no phase is more than half a turn from the one before; `None` is left out. Degrees.
-pub fn unwrap(phases_deg: &mut [Option<f64>]) {
+pub(crate) fn unwrap(phases_deg: &mut [Option<f64>]) {
     let mut last: Option<f64> = None;
     for phase in phases_deg.iter_mut().flatten() {
         if let Some(last) = last {

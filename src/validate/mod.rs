@@ -35,23 +35,18 @@ mod step;
 mod tests;
 mod write;
 
-pub use align::Alignment;
-pub use circle::Circle;
-pub use error::ValidateError;
-pub use lag::{Lag, lag, unwrap};
-pub use options::Options;
-pub use path::DesiredPath;
-pub use plane::Plane;
-pub use run::{Magnitude, Observed, Run, Size};
-pub use settling::Settling;
-pub use spline::Interpolation;
-pub use start_time::StartFrom;
-pub use step::Step;
-pub use write::Row;
+pub(crate) use error::ValidateError;
+pub(crate) use lag::unwrap;
+pub(crate) use options::Options;
+pub(crate) use path::DesiredPath;
+pub(crate) use run::{Observed, Run, Size};
+pub(crate) use spline::Interpolation;
+pub(crate) use step::Step;
+pub(crate) use write::Row;
 
 /// All runs along a path.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Validation {
+pub(crate) struct Validation {
     /// The desired path.
     pub path: DesiredPath,
     /// How runs were evaluated.
@@ -64,7 +59,11 @@ pub struct Validation {
 ///
 /// # Errors
 /// The first run that does not fit or has too little in it.
-pub fn validate(path: DesiredPath, observed: &[Observed<'_>], options: Options) -> Result<Validation, ValidateError> {
+pub(crate) fn validate(
+    path: DesiredPath,
+    observed: &[Observed<'_>],
+    options: Options,
+) -> Result<Validation, ValidateError> {
     if options.skip >= path.periods {
         let problem = format!(
             "is commanded {} times, and {} are left out at the beginning: nothing would be left",

@@ -4,7 +4,7 @@ use super::spline::Interpolation;
 
 /// How runs are evaluated.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Options {
+pub(crate) struct Options {
     /// Periods that are left out at the beginning, while the motion settles.
     pub skip: usize,
     /// The marker that follows the path; the tip if none is named.

@@ -18,7 +18,7 @@ const GAP_RAD: f64 = std::f64::consts::FRAC_PI_3;
 
 /// A desired path.
 #[derive(Debug, Clone, PartialEq)]
-pub struct DesiredPath {
+pub(crate) struct DesiredPath {
     /// Its file.
     pub file: PathBuf,
     /// One period, base frame, metres.
@@ -42,7 +42,7 @@ impl DesiredPath {
     /// # Errors
     /// When the file cannot be read, a value is missing, there are fewer than 3 points, they lie on a line, or periods
     /// differ.
-    pub fn read(file: &Path, per_period: Option<usize>, periods: Option<usize>) -> Result<Self, ValidateError> {
+    pub(crate) fn read(file: &Path, per_period: Option<usize>, periods: Option<usize>) -> Result<Self, ValidateError> {
         let wrong = |problem: String| ValidateError::Path { path: file.to_owned(), problem };
         let mut points: Vec<Point3<f64>> =
             vectors(file, ["x_mm", "y_mm", "z_mm"])?.into_iter().map(|mm| Point3::from(mm * M_PER_MM)).collect();
@@ -105,7 +105,7 @@ impl DesiredPath {
     }
 
     /// Points that are commanded in all.
-    pub fn commands(&self) -> usize {
+    pub(crate) fn commands(&self) -> usize {
         self.points.len() * self.periods
     }
 

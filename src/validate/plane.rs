@@ -4,7 +4,7 @@ use nalgebra::{DMatrix, Point2, Point3, Vector3};
 
 /// A plane with axes in it.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Plane {
+pub(crate) struct Plane {
     /// The mean of the points.
     pub centre: Point3<f64>,
     /// Unit normal.
@@ -18,7 +18,7 @@ pub struct Plane {
 impl Plane {
     /// The plane through the mean of the points with the least sum of squared distances: the singular vector of the
     /// smallest singular value. `None` for fewer than three points, or where they lie on one line.
-    pub fn through(points: &[Point3<f64>]) -> Option<Self> {
+    pub(crate) fn through(points: &[Point3<f64>]) -> Option<Self> {
         if points.len() < 3 {
             return None;
         }
@@ -37,7 +37,7 @@ impl Plane {
     }
 
     /// The same plane with its axes along those of another, as nearly as can be, and its normal to the same side.
-    pub fn along(self, other: &Self) -> Self {
+    pub(crate) fn along(self, other: &Self) -> Self {
         let normal = if self.normal.dot(&other.normal) < 0.0 { -self.normal } else { self.normal };
         let flat = other.axes[0] - normal * normal.dot(&other.axes[0]);
         // Planes at right angles may have no such axis.
@@ -46,7 +46,7 @@ impl Plane {
     }
 
     /// A point's place in the plane, from its centre.
-    pub fn flat(&self, point: &Point3<f64>) -> Point2<f64> {
+    pub(crate) fn flat(&self, point: &Point3<f64>) -> Point2<f64> {
         let from = point - self.centre;
         Point2::new(from.dot(&self.axes[0]), from.dot(&self.axes[1]))
     }

@@ -26,7 +26,7 @@ const FEW_FRAMES: f64 = 8.0;
 
 /// An observed run as it was asked for.
 #[derive(Debug)]
-pub struct Observed<'a> {
+pub(crate) struct Observed<'a> {
     /// The run.
     pub recording: &'a Recording,
     /// How long each command is held, seconds.
@@ -37,7 +37,7 @@ pub struct Observed<'a> {
 
 /// What the magnitude is the ratio of.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Size {
+pub(crate) enum Size {
     /// Radii of the fitted circles, Eq. 8 of the paper.
     CircleRadius,
     /// Root mean square distances of the points from their mean, for paths that are no circle.
@@ -46,7 +46,7 @@ pub enum Size {
 
 impl Size {
     /// The word in tables.
-    pub fn word(self) -> &'static str {
+    pub(crate) fn word(self) -> &'static str {
         match self {
             Self::CircleRadius => "circle_radius",
             Self::RmsSize => "rms_size",
@@ -56,7 +56,7 @@ impl Size {
 
 /// Magnitude of the response.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Magnitude {
+pub(crate) struct Magnitude {
     /// 20 log10(observed / desired).
     pub db: f64,
     /// What is compared.
@@ -69,7 +69,7 @@ pub struct Magnitude {
 
 /// One run evaluated.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Run {
+pub(crate) struct Run {
     /// Its file.
     pub file: PathBuf,
     /// The marker that followed the path.

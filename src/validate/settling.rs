@@ -17,7 +17,7 @@ const NOISE: f64 = 3.0;
 
 /// The last period beside the one before.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Settling {
+pub(crate) struct Settling {
     /// Root mean square distance between points of the last period and those a period before, metres.
     pub change_m: f64,
     /// Root mean square distance of the last period's points from their mean, metres.
@@ -57,7 +57,7 @@ impl Settling {
     }
 
     /// Whether the motion still changes from period to period.
-    pub fn is_unsettled(&self) -> bool {
+    pub(crate) fn is_unsettled(&self) -> bool {
         self.change_m > CHANGES * self.size_m && self.change_m > NOISE * self.noise_m
     }
 

@@ -8,7 +8,7 @@ use nalgebra::Vector3;
 
 /// How to go from frame to frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Interpolation {
+pub(crate) enum Interpolation {
     /// A cubic spline.
     #[default]
     Spline,

@@ -14,7 +14,7 @@ use nalgebra::Vector3;
 
 /// How the start is known.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum StartFrom {
+pub(crate) enum StartFrom {
     /// It was given.
     Given,
     /// The first change of a coil current in the log.
@@ -25,7 +25,7 @@ pub enum StartFrom {
 
 impl StartFrom {
     /// The word in tables.
-    pub fn word(self) -> &'static str {
+    pub(crate) fn word(self) -> &'static str {
         match self {
             Self::Given => "given",
             Self::Currents => "currents",

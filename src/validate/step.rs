@@ -4,7 +4,7 @@ use nalgebra::Point3;
 
 /// One command and what was seen of it.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Step {
+pub(crate) struct Step {
     /// Its number, from 0.
     pub k: usize,
     /// When it was given, seconds since the first.

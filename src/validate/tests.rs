@@ -1,3 +1,4 @@
+use super::start_time::StartFrom;
 use super::*;
 use crate::series::{Current, Frame, Place, Recording};
 use crate::sink::OutputFrame;

@@ -9,7 +9,7 @@ const MM_PER_M: f64 = 1e3;
 
 /// One run, in the units of the table: mm, degrees, ms. What is not known is absent.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Row {
+pub(crate) struct Row {
     /// The run's file.
     pub file: String,
     /// The marker that followed the path.
@@ -92,7 +92,7 @@ pub struct Row {
 
 impl Row {
     /// Of a run.
-    pub fn of(run: &Run) -> Self {
+    pub(crate) fn of(run: &Run) -> Self {
         let (angle, axis) = run.alignment.angle_axis();
         let pairs: Vec<_> = run.steps.iter().filter_map(|s| Some(s.desired - s.observed?)).collect();
         let offset = pairs.iter().sum::<nalgebra::Vector3<f64>>() / pairs.len().max(1) as f64;
@@ -162,7 +162,7 @@ struct PathPart {
 
 impl Validation {
     /// Name of the path, for tables: its file without ending.
-    pub fn name(&self) -> String {
+    pub(crate) fn name(&self) -> String {
         self.path.file.file_stem().map_or_else(|| "path".to_owned(), |name| name.to_string_lossy().into_owned())
     }
 
@@ -170,7 +170,7 @@ impl Validation {
     ///
     /// # Errors
     /// When a number cannot be written, which JSON has no word for.
-    pub fn json(&self) -> serde_json::Result<String> {
+    pub(crate) fn json(&self) -> serde_json::Result<String> {
         let path = &self.path;
         let document = Document {
             version: env!("CARGO_PKG_VERSION"),
@@ -192,7 +192,7 @@ impl Validation {
     ///
     /// # Errors
     /// None that is known: it is written to memory.
-    pub fn csv(&self) -> Result<String, csv::Error> {
+    pub(crate) fn csv(&self) -> Result<String, csv::Error> {
         let mut writer = csv::WriterBuilder::new().terminator(csv::Terminator::CRLF).from_writer(Vec::new());
         for run in &self.runs {
             writer.serialize(Row::of(run))?;
@@ -203,7 +203,7 @@ impl Validation {
 
     /// Errors over pause times in the layout of Table II of the paper, as Markdown; further rows say what that table
     /// hides.
-    pub fn table(&self) -> String {
+    pub(crate) fn table(&self) -> String {
         let rows: Vec<Row> = self.runs.iter().map(Row::of).collect();
         let line = |name: &str, cell: &dyn Fn(&Row) -> String| {
             let cells: Vec<String> = rows.iter().map(cell).collect();
@@ -228,7 +228,7 @@ impl Validation {
 
 impl Run {
     /// The run's points: one row a command, mm; what is not known is empty.
-    pub fn points_csv(&self) -> String {
+    pub(crate) fn points_csv(&self) -> String {
         let axes = ["x", "y", "z"];
         let names = ["desired", "observed", "aligned"].map(|of| axes.map(|axis| format!("{of}_{axis}_mm")).join(","));
         let mut text = format!("k,t_s,{},error_mm,error_unaligned_mm,frames\r\n", names.join(","));

@@ -1,8 +1,8 @@
 //! Boards found in drawn pictures, whose corners are known exactly, and in files.
 
 use crate::support::board::{Canvas, Placed};
-use catoptra::calibrate::board::grey::{Grey, GreyError, Rows};
 use catoptra::calibrate::board::{Board, BoardError, BoardImage, Flaw, find_boards};
+use catoptra::calibrate::board::{Grey, GreyError, Rows};
 use image::ImageEncoder;
 use nalgebra::Point2;
 

@@ -3,8 +3,8 @@
 
 use crate::support::board::{Canvas, Placed};
 use crate::support::charuco::{Printed, data};
-use catoptra::calibrate::board::grey::{Grey, Rows};
 use catoptra::calibrate::board::{Board, BoardError, BoardImage, Unread, find_boards};
+use catoptra::calibrate::board::{Grey, Rows};
 use nalgebra::Point2;
 
 const FIVE: &str = "charuco:5x7:32mm:24mm:DICT_4X4_50";

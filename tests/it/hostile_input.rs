@@ -57,7 +57,7 @@ fn numbers_in_a_rig_that_nothing_can_be_are_refused() {
     let line = |key: &str| text.lines().find(|line| line.trim_start().starts_with(key)).unwrap();
     let corners = vec!["[1.0, 1.0], [900.0, 2.0], [500.0, 800.0]"; 40_000].join(", ");
     let cases = [
-        (line("discriminant_rgb"), "discriminant_rgb = [1e300, 0.0, 0.0]".to_owned(), "discriminant_rgb"),
+        (line("planes"), "planes = [[1e300, 0.0, 0.0, 0.0]]".to_owned(), "planes"),
         (line("translation_mm"), "translation_mm = [1e300, 0.0, 0.0]".to_owned(), "translation_mm"),
         (line("offset_mm"), "offset_mm = -1e300".to_owned(), "offset_mm"),
         (line("region_px"), format!("region_px = [{corners}]"), "corners"),

@@ -1,8 +1,8 @@
 //! The optics against pictures made by someone else's: corners of a board, path-traced through air, glass, water and a
 //! mirror, found in the picture and projected by us from where they exactly are.
 
-use catoptra::calibrate::board::grey::{Grey, Rows};
 use catoptra::calibrate::board::{Board, find_boards};
+use catoptra::calibrate::board::{Grey, Rows};
 use catoptra::optics::{Lens, Mirror, OpticalPath, Plane, Surface, Wall};
 use nalgebra::{Point2, Point3, Vector2, Vector3};
 use std::path::Path;

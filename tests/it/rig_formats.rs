@@ -345,7 +345,7 @@ fn a_camera_goes_out_and_comes_in_again() {
         );
         let (code, stdout, stderr) = said(&catoptra(&["rig", "import", &file, "--out", &out]));
         assert_eq!((code, stdout.as_str()), (Some(0), ""), "{stderr}");
-        assert!(stderr.contains(": read as ") && stderr.contains("without uncertainties"), "{stderr}");
+        assert!(stderr.contains(": read as ") && stderr.contains("the lens came without σ"), "{stderr}");
         let draft = Draft::load(Path::new(&out)).unwrap();
         assert_eq!(draft.camera, camera());
         assert!(draft.provenance["camera"]["inputs_sha256"].get(format).is_some());

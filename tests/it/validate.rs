@@ -141,8 +141,15 @@ fn everything_is_written_and_an_earlier_result_is_replaced() {
         .map(|f| f.unwrap().file_name().into_string().unwrap())
         .collect();
     names.sort();
-    let expected =
-        ["points_20ms.csv", "points_5ms.csv", "report.html", "table.md", "validation.csv", "validation.json"];
+    let expected = [
+        "points_20ms.csv",
+        "points_5ms.csv",
+        "report.html",
+        "run.toml",
+        "table.md",
+        "validation.csv",
+        "validation.json",
+    ];
     assert_eq!(names, expected);
     let page = fs::read_to_string(folder.path().join("out/report.html")).unwrap();
     for part in

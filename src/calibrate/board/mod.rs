@@ -11,15 +11,15 @@
 
 mod charuco;
 mod flat;
-pub mod grey;
+pub(crate) mod grey;
 mod judge;
 mod search;
 mod text;
 
 pub use charuco::{Charuco, Dictionary, Unread};
+pub use grey::{Grey, GreyError, Rows};
 pub use judge::Flaw;
 
-use crate::calibrate::board::grey::Grey;
 use nalgebra::{Point2, Point3, Vector3};
 
 /// Inner corners along one side, fewest and most. OpenCV's detector wants three.

@@ -12,10 +12,10 @@
 //! priors are given as much more weight, and the whole repeated.
 
 pub(crate) mod clusters;
-pub mod outliers;
+pub(crate) mod outliers;
 pub(crate) mod pose;
-pub mod prior;
-pub mod shape;
+pub(crate) mod prior;
+pub(crate) mod shape;
 
 use crate::calibrate::bundle::clusters::Clustered;
 use crate::calibrate::bundle::prior::{Equation, Prior};
@@ -52,7 +52,7 @@ pub struct Corner {
 
 /// What is to be solved, and where the search starts.
 #[derive(Debug, Clone)]
-pub struct Bundle {
+pub(crate) struct Bundle {
     /// Lens, surfaces, views.
     pub geometry: Geometry,
     /// What of the geometry may change.
@@ -134,7 +134,7 @@ impl Bundle {
     ///
     /// # Errors
     /// [`NoSolution`] when the start does not show the board, or the pictures do not determine the geometry.
-    pub fn solve(self) -> Result<Solution, NoSolution> {
+    pub(crate) fn solve(self) -> Result<Solution, NoSolution> {
         let (mut at, mut sd_px) = self.searched(START_SD_PX, 1.0, self.start())?;
         let mut known = self.clustered(&at, sd_px, 1.0)?;
         let mut prior_weight = 1.0;

@@ -58,7 +58,11 @@ pub(super) fn contradicted(rig: &Rig, frames: &[Frame], estimates: &[Estimate]) 
     let judged = |ratios: &mut Vec<f64>, band: Option<String>, given_m: f64| {
         ratios.sort_by(f64::total_cmp);
         let ratio = *ratios.get(ratios.len() / 2)?;
-        (!(PLAUSIBLE.0..PLAUSIBLE.1).contains(&ratio)).then_some(Contradicted { band, given_m, seen_m: given_m * ratio })
+        (!(PLAUSIBLE.0..PLAUSIBLE.1).contains(&ratio)).then_some(Contradicted {
+            band,
+            given_m,
+            seen_m: given_m * ratio,
+        })
     };
     let tube = judged(&mut widths, None, rig.catheter.diameter_m);
     let bands = rig.markers.iter().zip(&mut lengths);

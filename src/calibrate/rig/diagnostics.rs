@@ -22,7 +22,7 @@ const FEWEST: usize = 6;
 /// deviations of what noise does.
 const TOGETHER: f64 = 1.5;
 /// What was known and what the pictures say contradict each other beyond so many standard deviations.
-pub const CONTRADICTS: f64 = 3.0;
+pub(crate) const CONTRADICTS: f64 = 3.0;
 /// What the pictures say of a value is compared when it is at least this part of all that is known of it.
 const REDUNDANT: f64 = 1e-3;
 
@@ -67,7 +67,7 @@ pub enum Diagnostic {
 
 /// Corners close together in a view.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Neighbourhood {
+pub(crate) struct Neighbourhood {
     /// Mean place, pixels.
     pub middle: Point2<f64>,
     /// Mean residual, pixels.
@@ -104,7 +104,7 @@ pub fn diagnose(done: &RigCalibration, held: &[Result<HeldOut, NoSolution>]) -> 
 ///
 /// A residual that is left of what was given is small where the pictures say little: it must be seen against its own
 /// covariance. Poses are taken as they came out.
-pub fn contradiction(solution: &Solution, known: &Prior) -> Option<f64> {
+pub(crate) fn contradiction(solution: &Solution, known: &Prior) -> Option<f64> {
     let rows = known.rows(&solution.geometry, &solution.poses, &solution.free);
     let residuals = DVector::from_iterator(rows.len(), rows.iter().map(|row| row.residual));
     let mut by_geometry = DMatrix::zeros(rows.len(), solution.free.len());
@@ -129,13 +129,13 @@ pub fn contradiction(solution: &Solution, known: &Prior) -> Option<f64> {
 }
 
 /// Places and residuals of a view's corners, pixels.
-pub fn residuals(done: &RigCalibration, view: usize) -> Vec<(Point2<f64>, Vector2<f64>)> {
+pub(crate) fn residuals(done: &RigCalibration, view: usize) -> Vec<(Point2<f64>, Vector2<f64>)> {
     let all = done.corners.iter().zip(&done.solution.residuals_px);
     all.filter(|(c, _)| c.view == view).map(|(c, residual)| (c.pixel, *residual)).collect()
 }
 
 /// Means over squares of the picture with enough corners.
-pub fn neighbourhoods(residuals: &[(Point2<f64>, Vector2<f64>)]) -> Vec<Neighbourhood> {
+pub(crate) fn neighbourhoods(residuals: &[(Point2<f64>, Vector2<f64>)]) -> Vec<Neighbourhood> {
     let bound = |pick: fn(f64, f64) -> f64, start: f64| {
         residuals.iter().fold(Vector2::repeat(start), |b, (p, _)| b.zip_map(&p.coords, pick))
     };
@@ -162,7 +162,7 @@ pub fn neighbourhoods(residuals: &[(Point2<f64>, Vector2<f64>)]) -> Vec<Neighbou
 
 /// How many times as long the means of neighbourhoods are as independent residuals of the same RMS would make them; `None`
 /// without neighbourhoods or residuals.
-pub fn together(residuals: &[(Point2<f64>, Vector2<f64>)]) -> Option<f64> {
+pub(crate) fn together(residuals: &[(Point2<f64>, Vector2<f64>)]) -> Option<f64> {
     let means = neighbourhoods(residuals);
     let mean_square = residuals.iter().map(|(_, r)| r.norm_squared()).sum::<f64>() / residuals.len().max(1) as f64;
     let sum = means.iter().map(|n| n.mean_px.norm_squared() * n.count as f64).sum::<f64>();

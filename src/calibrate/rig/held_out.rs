@@ -47,7 +47,7 @@ pub struct HeldOut {
 
 /// How far lengths are off.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Off {
+pub(crate) struct Off {
     /// How many lengths.
     pub count: usize,
     /// Their mean as printed, metres.
@@ -64,7 +64,7 @@ pub struct Off {
 
 impl Off {
     /// Of some lengths; `None` when there are none.
-    pub fn of<'a>(lengths: impl IntoIterator<Item = &'a Length>) -> Option<Self> {
+    pub(crate) fn of<'a>(lengths: impl IntoIterator<Item = &'a Length>) -> Option<Self> {
         let lengths: Vec<&Length> = lengths.into_iter().collect();
         let count = lengths.len();
         let mean = |of: &dyn Fn(&Length) -> f64| lengths.iter().map(|l| of(l)).sum::<f64>() / count as f64;
@@ -80,12 +80,12 @@ impl Off {
     }
 
     /// Whether they are off by so much less than noise explains that what is wrong with their ends is no noise.
-    pub fn below_noise(&self) -> bool {
+    pub(crate) fn below_noise(&self) -> bool {
         self.rms_m < self.noise_m * TOGETHER.min(1.0 - 3.0 / (2.0 * self.count as f64).sqrt())
     }
 
     /// Whether they are off by more than noise, which makes an RMS scatter by 1/√(2·count) of itself.
-    pub fn beyond_noise(&self) -> bool {
+    pub(crate) fn beyond_noise(&self) -> bool {
         self.rms_m > self.noise_m * BEYOND_NOISE.max(1.0 + 3.0 / (2.0 * self.count as f64).sqrt())
     }
 }

@@ -65,7 +65,7 @@ pub(crate) struct Initial {
 
 /// Why a picture says nothing about mirrors.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum Unusable {
+pub(crate) enum Unusable {
     /// No direct image.
     #[error("it shows the board only in a mirror, and not directly")]
     OnlyMirrored,

@@ -12,19 +12,23 @@
 //! Cannot detect: a wrong refractive index or glass thickness (they trade off against distances), a wrong size of the
 //! squares (everything scales with it).
 
-pub mod diagnostics;
+pub(crate) mod diagnostics;
 mod error;
-pub mod expected_error;
-pub mod held_out;
-pub mod initial;
+pub(crate) mod expected_error;
+pub(crate) mod held_out;
+pub(crate) mod initial;
 mod options;
 mod regions;
-pub mod share;
-pub mod sufficient;
+pub(crate) mod share;
+pub(crate) mod sufficient;
 mod taped;
 mod walls;
 
+pub use diagnostics::{Diagnostic, diagnose};
 pub use error::RigCalibrationError;
+pub use expected_error::{Verdict, verdict};
+pub use held_out::held_out;
+pub use initial::BoardsPicture;
 pub use options::{RigOptions, Tank};
 pub use walls::water_index;
 
@@ -37,7 +41,7 @@ use crate::calibrate::geometry::Parameter;
 use crate::optics::{Lens, OpticalPath};
 use crate::rig::{Draft, View};
 use error::FEWEST_PICTURES;
-use initial::{BoardsPicture, Initial, Sorted, Unusable, start};
+use initial::{Initial, Sorted, Unusable, start};
 use nalgebra::{Point2, Vector2};
 use regions::regions;
 use sufficient::{determined, shown};

@@ -22,7 +22,7 @@ const HALF_M: f64 = 5e-3;
 
 /// A catheter at one moment, camera frame.
 #[derive(Debug, Clone, Copy)]
-pub struct Pose {
+pub(crate) struct Pose {
     /// The coil, metres.
     pub coil: Point3<f64>,
     /// Its tangent, a unit vector.
@@ -33,7 +33,7 @@ pub struct Pose {
 
 /// 1σ by the calibration, over the moments asked for.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Share {
+pub(crate) struct Share {
     /// θ, radians: median and largest.
     pub theta_rad: (f64, f64),
     /// The tip in the base frame, root of the trace, metres: median and largest.
@@ -44,7 +44,7 @@ pub struct Share {
 
 /// Why there is none.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum NoShare {
+pub(crate) enum NoShare {
     /// No base frame.
     #[error("the rig has no base frame yet (catoptra calibrate base)")]
     NoBase,
@@ -60,7 +60,7 @@ pub enum NoShare {
 ///
 /// # Errors
 /// [`NoShare`].
-pub fn share(rig: &Draft, poses: &[Pose]) -> Result<Share, NoShare> {
+pub(crate) fn share(rig: &Draft, poses: &[Pose]) -> Result<Share, NoShare> {
     let base = rig.base.as_ref().ok_or(NoShare::NoBase)?;
     let (geometry, free, covariance) = noted(rig).ok_or(NoShare::NoCovariance)?;
     let projector = Projector::new(&geometry, &free);
@@ -117,7 +117,7 @@ fn noted(rig: &Draft) -> Option<(Geometry, Vec<Parameter>, DMatrix<f64>)> {
 }
 
 /// The box of places, camera frame, metres, that the boards filled, as `calibrate rig` noted it: lowest and highest corner.
-pub fn volume_m(rig: &Draft) -> Option<[Vector3<f64>; 2]> {
+pub(crate) fn volume_m(rig: &Draft) -> Option<[Vector3<f64>; 2]> {
     let corners = rig.provenance.get("rig")?.get("volume_mm")?.as_array()?;
     let corner = |i: usize| {
         let numbers: Vec<f64> = corners.get(i)?.as_array()?.iter().filter_map(toml::Value::as_float).collect();

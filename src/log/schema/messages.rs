@@ -13,7 +13,7 @@ use foxglove::messages::{Point2, Point3, Vector2, Vector3};
 /// Everything measured in one camera frame: the [estimate](crate::estimate::Estimate) but for the outlines, which are
 /// in `/camera/annotations`.
 #[derive(Debug, Clone, PartialEq, Encode)]
-pub struct Estimate {
+pub(crate) struct Estimate {
     /// Number of the frame among those received, from 0.
     pub seq: u64,
     /// Camera time, nanoseconds since the clock's zero: exact, negative too.
@@ -90,7 +90,7 @@ pub struct PictureWindow {
 
 /// Currents of the coils at one moment of the host's clock: that of `host_stamp_ns` in [`Estimate`].
 #[derive(Debug, Clone, PartialEq, Encode)]
-pub struct Current {
+pub(crate) struct Current {
     /// When they flowed, as well as it is known, nanoseconds since 1970.
     pub host_ns: i64,
     /// When the computer that tracks had them, nanoseconds since 1970.
@@ -103,7 +103,7 @@ pub struct Current {
 
 /// `ok`, or why something was not measured, with the number that explains it.
 #[derive(Debug, Clone, PartialEq, Default, Encode)]
-pub struct Status {
+pub(crate) struct Status {
     /// `ok` or the word of the miss, as in the table.
     pub word: String,
     /// For `ambiguous`: how many ways fit as well.
@@ -118,7 +118,7 @@ pub struct Status {
 
 /// One marker.
 #[derive(Debug, Clone, PartialEq, Encode)]
-pub struct Marker {
+pub(crate) struct Marker {
     /// Its name in the rig.
     pub name: String,
     /// Whether its place is known.
@@ -131,7 +131,7 @@ pub struct Marker {
 
 /// A place.
 #[derive(Debug, Clone, PartialEq, Encode)]
-pub struct Position {
+pub(crate) struct Position {
     /// Camera frame, metres.
     pub in_camera_m: Point3,
     /// 3x3 covariance in the camera frame, m², by rows.
@@ -146,7 +146,7 @@ pub struct Position {
 
 /// A marker in one view.
 #[derive(Debug, Clone, PartialEq, Encode)]
-pub struct View {
+pub(crate) struct View {
     /// The view's name in the rig.
     pub name: String,
     /// Whether the band was measured in it.
@@ -157,7 +157,7 @@ pub struct View {
 
 /// A band in a picture; pixel (0, 0) is the centre of the top-left pixel.
 #[derive(Debug, Clone, PartialEq, Encode)]
-pub struct Band {
+pub(crate) struct Band {
     /// Image of its middle on the centre line, pixels, measured in this view alone.
     pub centre_px: Point2,
     /// 2x2 covariance of the centre, px², by rows.
@@ -176,7 +176,7 @@ pub struct Band {
 
 /// Direction of the coil, base to tip.
 #[derive(Debug, Clone, PartialEq, Encode)]
-pub struct Tangent {
+pub(crate) struct Tangent {
     /// Unit vector, camera frame.
     pub in_camera: Vector3,
     /// 3x3 covariance in the camera frame, rad², by rows.
@@ -191,7 +191,7 @@ pub struct Tangent {
 
 /// Deflection in the base frame.
 #[derive(Debug, Clone, PartialEq, Encode)]
-pub struct Angles {
+pub(crate) struct Angles {
     /// θ = atan2(t·x, t·z), signed, radians.
     pub theta_rad: f64,
     /// Its standard deviation, radians.
@@ -204,7 +204,7 @@ pub struct Angles {
 
 /// The deflection alone, small, for plots and controllers: one a frame.
 #[derive(Debug, Clone, PartialEq, Encode)]
-pub struct Deflection {
+pub(crate) struct Deflection {
     /// Number of the frame.
     pub seq: u64,
     /// Camera time, nanoseconds since the clock's zero.
@@ -219,7 +219,7 @@ pub struct Deflection {
 
 /// How the run goes: totals from its beginning.
 #[derive(Debug, Clone, PartialEq, Default, Encode)]
-pub struct Health {
+pub(crate) struct Health {
     /// Camera time of the last frame counted, nanoseconds.
     pub stamp_ns: i64,
     /// Frames received.
@@ -242,7 +242,7 @@ pub struct Health {
 
 /// Something has begun to be wrong: mirror, camera, tank or clamp have moved since the calibration.
 #[derive(Debug, Clone, PartialEq, Encode)]
-pub struct DriftAlarm {
+pub(crate) struct DriftAlarm {
     /// Number of the frame at which it was noticed.
     pub seq: u64,
     /// Camera time of that frame, nanoseconds.
@@ -268,7 +268,7 @@ pub struct DriftAlarm {
 
 /// How often one thing was missed for one reason.
 #[derive(Debug, Clone, PartialEq, Encode)]
-pub struct MissCount {
+pub(crate) struct MissCount {
     /// A marker's name, `tangent` or `deflection`.
     pub what: String,
     /// The word of the reason.

@@ -15,7 +15,7 @@
 //!
 //! The windows of a picture follow its estimate after some frames. A drift alarm brings a `/health` of its own.
 
-pub mod messages;
+pub(crate) mod messages;
 mod protobuf;
 pub(crate) mod table;
 

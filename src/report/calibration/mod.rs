@@ -23,7 +23,7 @@ const STRONG: (f64, usize) = (0.9, 6);
 
 /// What the page says of the run beside its result.
 #[derive(Debug, Clone, Default)]
-pub struct CalibrationInfo {
+pub(crate) struct CalibrationInfo {
     /// The rig file.
     pub rig: String,
     /// Further lines: name and value, e.g. the board and options of the command.
@@ -33,7 +33,7 @@ pub struct CalibrationInfo {
 }
 
 /// The whole page. `held`: for each picture used, in the order of `done.used`.
-pub fn page(
+pub(crate) fn page(
     info: &CalibrationInfo,
     done: &RigCalibration,
     verdict: Option<&Verdict>,

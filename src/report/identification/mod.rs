@@ -16,7 +16,7 @@ use crate::identify::search::Candidate;
 use std::collections::BTreeMap;
 
 /// The whole page.
-pub fn page(data: &Data, done: &Identification, provenance: &Provenance) -> String {
+pub(crate) fn page(data: &Data, done: &Identification, provenance: &Provenance) -> String {
     // The answer comes first, then how good it is, then what it rests on.
     let mut body = header(done, provenance);
     body += &cards(done, provenance);

@@ -17,7 +17,7 @@ use std::fmt::Write as _;
 
 /// What the page says of the run beside its result.
 #[derive(Debug, Clone, Default)]
-pub struct TeachingInfo {
+pub(crate) struct TeachingInfo {
     /// The rig file.
     pub rig: String,
     /// Further lines: name and value, e.g. options of the command.
@@ -31,7 +31,7 @@ const CLOSE_UP_PX: (f64, f64) = (20.0, 10.0);
 const MOST_THINGS: usize = 24;
 
 /// The whole page.
-pub fn page(info: &TeachingInfo, done: &Teaching) -> String {
+pub(crate) fn page(info: &TeachingInfo, done: &Teaching) -> String {
     let shown = done.frame.as_ref().and_then(|frame| Shown::of(&frame.picture));
     let mut body = header(info, done);
     body += &cards(done);

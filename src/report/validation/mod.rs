@@ -10,13 +10,13 @@ use crate::source::times::seconds;
 use crate::validate::{Row, Run, Size, Validation};
 
 /// What the page says beside the runs: name and value, for example options of the command.
-pub type Settings = Vec<(String, String)>;
+pub(crate) type Settings = Vec<(String, String)>;
 
 /// A drop of this much is where the bandwidth ends, dB.
 const DROP_DB: f64 = -3.0;
 
 /// The whole page.
-pub fn page(validation: &Validation, settings: &Settings) -> String {
+pub(crate) fn page(validation: &Validation, settings: &Settings) -> String {
     let mut body = header(validation);
     body += &cards(validation);
     body += &errors(validation);
@@ -34,7 +34,7 @@ pub fn page(validation: &Validation, settings: &Settings) -> String {
 
 /// Where the magnitude is 3 dB below that of the slowest run, Hz: on the line between two runs over the logarithm of
 /// frequency. `None` when it does not fall so far.
-pub fn bandwidth_hz(validation: &Validation) -> Option<f64> {
+pub(crate) fn bandwidth_hz(validation: &Validation) -> Option<f64> {
     // The motion along any other path has several frequencies, and no response at one of them.
     validation.path.circle?;
     let points: Vec<(f64, f64)> =
