@@ -8,7 +8,7 @@
 //! - [`base`]: the frame of the catheter at rest and B0, from a recording at rest and one of a planar swing.
 //!
 //! `camera` and `rig` stand on [`board`] (corners in a picture), [`geometry`] (lens and surfaces as parameters) and
-//! [`bundle`] (the adjustment, with prior knowledge). `rig` and `mirror` share `least_squares` with it.
+//! `bundle` (the adjustment, with prior knowledge). `rig` and `mirror` share `least_squares` with it.
 
 // What the verbs stand on.
 pub mod board;

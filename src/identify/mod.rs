@@ -6,16 +6,16 @@
 //!                  held        holes   fewer      delay     │              states
 //!                                      samples              └ output_error, instrumental
 //! ```
-//! [`chain::identify`] runs it; [`export::write`] and [`crate::report::identification`] write what came out. Beside the
-//! models: [`spectrum`] (the response without a model), [`bandwidth`], [`residuals`], [`bootstrap`], [`delay`] (between
-//! the clocks), and [`diagnostic`] (what a user must know before using the numbers).
+//! [`chain::identify`] runs it; `export::write` and `crate::report::identification` write what came out. Beside the
+//! models: `spectrum` (the response without a model), `bandwidth`, `residuals`, `bootstrap`, `delay` (between
+//! the clocks), and `diagnostic` (what a user must know before using the numbers).
 //!
 //! # Conventions
-//! - `y(t) + a₁ y(t−1) + … = b₀ u(t−nk) + …`: `nk` counts all samples of delay, see [`model`]. An input of a sample is
+//! - `y(t) + a₁ y(t−1) + … = b₀ u(t−nk) + …`: `nk` counts all samples of delay, see `model`. An input of a sample is
 //!   held until the next.
-//! - Signals are in stretches of known input; an output that was not observed is a NaN and is no data, see [`data`].
-//! - Covariances are kept as factors, see [`uncertainty`]; everything is solved by orthogonal triangles, see
-//!   [`regression`].
+//! - Signals are in stretches of known input; an output that was not observed is a NaN and is no data, see `data`.
+//! - Covariances are kept as factors, see `uncertainty`; everything is solved by orthogonal triangles, see
+//!   `regression`.
 
 // In the order of the data.
 pub(crate) mod data;

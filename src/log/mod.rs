@@ -1,4 +1,4 @@
-//! What a log is ([`schema`]), what is in one ([`Info`]), and one that was cut off made whole ([`repair()`]).
+//! What a log is (`schema`), what is in one ([`Info`]), and one that was cut off made whole ([`repair()`]).
 //!
 //! Logs are read record by record, however large they are. Messages are decoded by the schemas that travel with them,
 //! field by name: logs of other versions are understood as far as the names are the same.

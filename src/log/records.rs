@@ -185,6 +185,8 @@ impl Records {
                         self.at = next;
                     }
                     None => {
+                        let records = self.of_unfinished_chunk(at)?;
+                        self.opened.extend(records);
                         self.condition.cut = Some(if cut { NO_INDEX.to_owned() } else { what });
                         self.ended = true;
                     }
@@ -230,6 +232,30 @@ impl Records {
         }
         self.at += HEAD + length;
         Ok(Found::Record(code, body))
+    }
+
+    /// The whole records of the chunk at `at` that was never finished; none if there is something else, or it is
+    /// compressed. Its checksum was not written yet.
+    fn of_unfinished_chunk(&mut self, at: u64) -> io::Result<Vec<(u8, Vec<u8>)>> {
+        // Times, size and checksum of its records, the name of the compression, which is empty, and their size.
+        const CHUNK_HEAD: usize = 8 + 8 + 8 + 4 + 4 + 8;
+        let mut bytes = Vec::new();
+        self.go_to(at)?;
+        (&mut self.file).take(LARGEST_CHUNK).read_to_end(&mut bytes)?;
+        let plain = bytes.get(HEAD as usize + 28..HEAD as usize + 32) == Some(&[0; 4]);
+        if bytes.first() != Some(&op::CHUNK) || !plain {
+            return Ok(Vec::new());
+        }
+        let mut rest = bytes.get(HEAD as usize + CHUNK_HEAD..).unwrap_or_default();
+        let mut records = Vec::new();
+        while let Some(([code, length @ ..], after)) = rest.split_first_chunk::<{ HEAD as usize }>() {
+            let length = usize::try_from(u64::from_le_bytes(*length)).unwrap_or(usize::MAX);
+            let body = after.get(..length).filter(|body| parsed(*code, body).is_some());
+            let Some(body) = body.filter(|_| [op::SCHEMA, op::CHANNEL, op::MESSAGE].contains(code)) else { break };
+            records.push((*code, body.to_vec()));
+            rest = after.get(length..).unwrap_or_default();
+        }
+        Ok(records)
     }
 
     fn go_to(&mut self, at: u64) -> io::Result<()> {

@@ -6,8 +6,8 @@
 //! (medians need 4 bytes a frame and quantity). What it cannot show: frames between the extremes of a long run; they are in
 //! the log.
 //!
-//! [`calibration::page`] is that of a rig's calibration, [`teaching::page`] of what was learned of the bands,
-//! [`excitation::page`] of a signal, [`catheter`] of shapes, [`validation::page`] of runs along a path.
+//! `calibration::page` is that of a rig's calibration, `teaching::page` of what was learned of the bands,
+//! `excitation::page` of a signal, `catheter` of shapes, `validation::page` of runs along a path.
 
 mod absences;
 pub(crate) mod calibration;

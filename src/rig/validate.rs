@@ -351,6 +351,9 @@ impl Check<'_> {
             }
             for plane in &colour.planes {
                 self.finite(key("planes"), plane)?;
+                let &[r, g, b, bias] = plane;
+                self.within(key("planes"), &[r, g, b], LARGEST_WEIGHT)?;
+                self.within(key("planes"), &[bias], 1e3 * LARGEST_WEIGHT)?;
                 if plane[..3] == [0.0; 3] {
                     return Err(self.value(key("planes"), format!("{plane:?}"), "weights that are not all zero"));
                 }

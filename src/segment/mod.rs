@@ -11,7 +11,7 @@
 //!   4. `components`: 8-connected runs become components.
 //!   5. `moments`: the cells of a component and one ring of cells around it, weighted by how far each is covered, give
 //!      centre, second moments and their uncertainty.
-//!   6. [`mod@learn`]: where the colour models come from.
+//!   6. `mod@learn`: where the colour models come from.
 //! - Assumes that a marker is told from all else by a few linear functions of R'G'B', and that its image is two cells wide
 //!   or more. Time and memory are linear in the number of cells searched, whatever the picture shows.
 //! - Cannot tell a marker from a distractor of the same colour, nor two bands whose images touch; the centre is that of the

@@ -110,6 +110,8 @@ enum Phase {
 /// at best.
 pub(crate) const ORIGIN_TAG: &str = "CATOPTRA_ORIGIN_NS";
 
+/// Frames that are stored before one that is shown earlier, at most (H.264).
+const MOST_REORDERED: i64 = 16;
 /// Packets of a stream whose arrival is remembered: more than any encoder reorders.
 const MOST_ARRIVALS: usize = 64;
 /// Damaged packets whose pictures are waited for.
@@ -351,7 +353,7 @@ impl VideoFile {
                     // recording's start stay out.
                     if is_left_out(&packet) && packet.pts().is_some_and(|pts| pts >= self.start_pts) {
                         let frames = self.input.stream(self.stream).map_or(0, |stream| stream.frames());
-                        let more = self.packets.is_some_and(|packets| packets < frames);
+                        let more = self.packets.is_some_and(|packets| packets + MOST_REORDERED < frames);
                         if packet.duration() <= 1 && !more && !self.trimmed {
                             packet.set_flags(packet.flags());
                         }

@@ -1,7 +1,7 @@
 //! The error budget of a run: what each source of error adds to θ and to the tip in the base frame, 1σ, typical of the run.
 //!
 //! - *image noise*: median over the frames of the tracker's own σ, of one frame. Averages out over frames; the rest does not.
-//! - *calibration*: what the rig's covariance makes of the places where the catheter was ([`crate::calibrate::rig::share`]).
+//! - *calibration*: what the rig's covariance makes of the places where the catheter was (`crate::calibrate::rig::share`).
 //! - *base frame*: σ of its origin and axes, as `calibrate base` noted them.
 //! - *time stamps*: their step (the largest that all stamps are multiples of), evenly spread, times the RMS speed. It matters to
 //!   dynamics, not to where the catheter was. Not known of stamps that are times of arrival.

@@ -89,10 +89,16 @@ fn all_that_is_older_than_a_second_survives_a_kill_at_any_instant() {
         assert!(kept.iter().all(|seq| *seq <= last + 60), "{kept:?} of {last}");
 
         let repair = Command::new(env!("CARGO_BIN_EXE_catoptra")).args(["log", "repair"]).arg(&log).output().unwrap();
+        if kept.is_empty() {
+            // Nothing to save: the file is left alone.
+            let told = ended_with(&repair, 1);
+            assert!(told.contains("no message in it can be read"), "{told}");
+            continue;
+        }
         ended_with(&repair, 0);
         let info = Command::new(env!("CARGO_BIN_EXE_catoptra")).args(["log", "info"]).arg(&log).output().unwrap();
         let told = stdout(&info);
-        let frames = if kept.is_empty() { "no frame".to_owned() } else { format!("{} frames", kept.len()) };
+        let frames = format!("{} frames", kept.len());
         assert!(told.contains("complete, with index") && told.contains(&frames), "{told}");
         assert_eq!(logged(&log).into_iter().map(u64::from).collect::<BTreeSet<_>>(), kept);
     }

@@ -164,7 +164,8 @@ fn a_video_recorded_live_is_tracked_again_to_the_same_table() {
     assert_eq!((live.len(), live), (26, again));
 }
 
-/// Rows of both tables that have a picture are the same; how many have none.
+/// Rows of both tables that have a picture are the same but for σ, which also tells of the frames before, and those that were
+/// not recorded are unknown the second time; how many have none.
 fn same_where_recorded(live: &[String], again: &[String]) -> usize {
     assert_eq!(live.len(), again.len());
     let mut without = 0;
@@ -172,7 +173,12 @@ fn same_where_recorded(live: &[String], again: &[String]) -> usize {
         if again.contains("not_recorded") {
             without += 1;
         } else {
-            assert_eq!(live, again);
+            // σ of θ, of three bands, of the tangent.
+            let but_sd = |row: &str| -> Vec<String> {
+                let cells = row.split(',').map(str::to_owned).enumerate();
+                cells.filter(|(column, _)| ![4, 10, 15, 20, 25].contains(column)).map(|(_, cell)| cell).collect()
+            };
+            assert_eq!(but_sd(live), but_sd(again));
         }
     }
     without

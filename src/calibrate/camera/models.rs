@@ -2,7 +2,7 @@
 //!
 //! In: boards in pictures. Out: for each [`Model`], how far off the corners of held-out pictures are.
 //!
-//! The pictures are parted into [`FOLDS`]; each part is held out in turn, the lens found from the rest by OpenCV, and the pose of
+//! The pictures are parted into `FOLDS`; each part is held out in turn, the lens found from the rest by OpenCV, and the pose of
 //! the held-out boards, and nothing else, from their corners. A model with too few parameters leaves more of them, one
 //! with too many as well.
 

@@ -3,7 +3,7 @@
 //! In: a recording, a rig with its optics and band lengths, clicks. Out: the rig with colour models for each view, places of
 //! the bands along the tube, blur and chroma offset of the camera; and what was seen on the way, for a page that shows it.
 //!
-//! 1. [`locate`](self::locate): in the picked frame, the bands are found by their size and the tube's, in all views together.
+//! 1. `locate`: in the picked frame, the bands are found by their size and the tube's, in all views together.
 //! 2. What is in them and beside them gives colours. With those the tracker must measure the very same bands.
 //! 3. Frames from the whole recording are tracked, and the colours learned again from all bands in all views.
 //! 4. Blur of the lens, offset of the chroma samples, and unknown distances between bands close to the coil are those that

@@ -54,7 +54,7 @@ pub struct Suggestion {
 pub struct Verdict {
     /// Errors all over the working volume.
     pub expected: Vec<Expected>,
-    /// Noise of a pixel coordinate that [`Expected::random_m`] is for.
+    /// Noise of a pixel coordinate that `Expected::random_m` is for.
     pub pixel_sd_px: f64,
     /// The direction in which the whole volume is least well placed, camera frame, unit, and how well, metres.
     pub weakest: (Vector3<f64>, f64),

@@ -93,7 +93,7 @@ impl Off {
 /// Leaves out each picture in turn. In the order of the solution's pictures.
 ///
 /// # Errors
-/// For a picture: [`NoSolution`] when the others alone leave the rig open.
+/// For a picture: `NoSolution` when the others alone leave the rig open.
 pub fn held_out(solution: &Solution, corners: &[Corner]) -> Vec<Result<HeldOut, NoSolution>> {
     (0..solution.poses.len())
         .into_par_iter()

@@ -6,7 +6,7 @@
 //! 1. `start`: which image is which view, about where the mirrors are, as if in air.
 //! 2. Where there is a tank, walls are put between camera and boards: the front wall across the line of sight, and for each
 //!    mirror beside the tank the wall through which it looks. Several distances are tried.
-//! 3. [`super::bundle`]: all at once. The best of the tries counts; a picture that fits much worse than the others is left out.
+//! 3. `super::bundle`: all at once. The best of the tries counts; a picture that fits much worse than the others is left out.
 //!
 //! Assumes that a board is either in the medium behind the walls in all pictures, or in air in all of them.
 //! Cannot detect: a wrong refractive index or glass thickness (they trade off against distances), a wrong size of the
