@@ -47,13 +47,13 @@ pub(crate) struct Share {
 pub(crate) enum NoShare {
     /// No base frame.
     #[error("the rig has no base frame yet (catoptra calibrate base)")]
-    NoBase,
+    Base,
     /// No covariance.
     #[error("the rig file does not hold the covariance that `catoptra calibrate rig` writes into [provenance.rig]")]
-    NoCovariance,
+    Covariance,
     /// Nothing to look at.
     #[error("no place is seen by two views")]
-    NoPlace,
+    Place,
 }
 
 /// The share of the calibration at these moments.
@@ -61,8 +61,8 @@ pub(crate) enum NoShare {
 /// # Errors
 /// [`NoShare`].
 pub(crate) fn share(rig: &Draft, poses: &[Pose]) -> Result<Share, NoShare> {
-    let base = rig.base.as_ref().ok_or(NoShare::NoBase)?;
-    let (geometry, free, covariance) = noted(rig).ok_or(NoShare::NoCovariance)?;
+    let base = rig.base.as_ref().ok_or(NoShare::Base)?;
+    let (geometry, free, covariance) = noted(rig).ok_or(NoShare::Covariance)?;
     let projector = Projector::new(&geometry, &free);
     let moved = |place: &Point3<f64>| Some(answer(&projector, &geometry, place)?.0);
     let turned = |place: &Point3<f64>, way: &Vector3<f64>| {
@@ -72,7 +72,7 @@ pub(crate) fn share(rig: &Draft, poses: &[Pose]) -> Result<Share, NoShare> {
     let origin = camera_from_base * Point3::origin();
     let [y, z] = [Vector3::y(), Vector3::z()].map(|axis| camera_from_base.rotation * axis);
     let at_rest = || Some((moved(&origin)?, turned(&origin, &z)?));
-    let (of_origin, of_z) = at_rest().ok_or(NoShare::NoPlace)?;
+    let (of_origin, of_z) = at_rest().ok_or(NoShare::Place)?;
     // δ of the frame's turn: z × δz.
     let of_turn = z.cross_matrix() * &of_z;
     let one = |pose: &Pose| -> Option<[f64; 2]> {
@@ -85,7 +85,7 @@ pub(crate) fn share(rig: &Draft, poses: &[Pose]) -> Result<Share, NoShare> {
     };
     let each: Vec<[f64; 2]> = poses.iter().filter_map(one).collect();
     if each.is_empty() {
-        return Err(NoShare::NoPlace);
+        return Err(NoShare::Place);
     }
     let over = |which: usize| {
         let mut values: Vec<f64> = each.iter().map(|both| both[which]).collect();
