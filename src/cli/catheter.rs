@@ -1,12 +1,12 @@
 //! `catoptra catheter`: what the catheter does for given currents, and which currents make it follow a path.
 
+use super::output::{is_free, save};
 use super::units::{current_a, duration_s};
 use super::{Exit, Failure, interrupt, output};
 use crate::calibrate::length_m;
 use crate::catheter::{Catheter, CatheterError, Followed, Load, Target, equilibrium, follow, reach};
 use crate::report::catheter as pages;
-use crate::series::{columns, play};
-use crate::whole_file;
+use crate::series::{SeriesError, columns, play};
 use clap::Subcommand;
 use nalgebra::{Point3, Vector3};
 use std::f64::consts::TAU;
@@ -149,7 +149,7 @@ impl ShapeArgs {
             return Err(Failure::new(Exit::Usage, text));
         };
         if let Some(out) = &self.out {
-            is_page_or_free(out)?;
+            is_free(out, "<!doctype html>", "a page")?;
         }
         let (name, catheter) = self.common.load()?;
         let shape = equilibrium(&catheter, &Load::currents(Vector3::new(x, y, z))).map_err(failure)?;
@@ -308,7 +308,12 @@ fn from_table(file: &Path) -> Result<Vec<Target>, Failure> {
         return Err(wrong("is neither circle nor lemniscate, and no such file".to_owned()));
     }
     let flat = columns(file, &["x_mm", "y_mm"]).map_err(|e| Failure::new(Exit::Usage, e))?;
-    let height = columns(file, &["z_mm"]).ok();
+    let height = match columns(file, &["z_mm"]) {
+        Ok(height) => Some(height),
+        // There is no such column.
+        Err(SeriesError::Content { .. }) => None,
+        Err(other) => return Err(Failure::new(Exit::Usage, other)),
+    };
     let at = |column: Option<&Vec<Option<f64>>>, k: usize| {
         column.and_then(|c| c.get(k).copied().flatten()).map(|mm| mm / 1e3)
     };
@@ -349,18 +354,4 @@ fn prepare(folder: &Path, own: &[impl AsRef<str>]) -> Result<(), Failure> {
         }
     }
     std::fs::create_dir_all(folder).map_err(|e| Failure::new(Exit::Failed, format!("{}: {e}", folder.display())))
-}
-
-fn is_page_or_free(path: &Path) -> Result<(), Failure> {
-    let ours = |text: String| text.is_empty() || text.starts_with("<!doctype html>");
-    if path.is_dir() || path.is_file() && !std::fs::read_to_string(path).is_ok_and(ours) {
-        let text = format!("{}: is there and not a page; give another name", path.display());
-        return Err(Failure::new(Exit::Usage, text));
-    }
-    Ok(())
-}
-
-fn save(path: &Path, text: &str) -> Result<(), Failure> {
-    whole_file::write(path, text.as_bytes())
-        .map_err(|e| Failure::new(Exit::Failed, format!("{}: cannot be written: {e}", path.display())))
 }

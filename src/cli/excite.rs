@@ -1,11 +1,11 @@
 //! `catoptra excite`: a table of coil currents, and what its spectrum is.
 
+use super::output::{is_free, save};
 use super::units::{current_a, duration_s, frequency_hz, positive_current_a, slew_a_s};
 use super::{Exit, Failure, interrupt, output, provenance};
 use crate::excite::{Chirp, Clipped, ExciteError, Limits, Multisine, Order, Phases, Signal, Spectrum, Steps, Sweep};
 use crate::report::excitation::{self, ExcitationInfo};
 use crate::source::FrameRate;
-use crate::whole_file;
 use clap::{Subcommand, ValueEnum};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -318,28 +318,6 @@ impl StepsArgs {
         ];
         Ok(Made { signal, clipped, info: common.info("steps", None, settings) })
     }
-}
-
-/// Refuses to write over what is not of its kind, or where there is no folder.
-fn is_free(path: &Path, begins: &str, kind: &str) -> Result<(), Failure> {
-    let refused = |what: String| Err(Failure::new(Exit::Usage, format!("{}: {what}", path.display())));
-    let folder = path.parent().filter(|folder| *folder != Path::new(""));
-    if folder.is_some_and(|folder| !folder.is_dir()) {
-        return refused("there is no such folder to write to".to_owned());
-    }
-    if path.is_dir() {
-        return refused("is a folder; give the name of a file".to_owned());
-    }
-    let same = |text: String| text.is_empty() || text.starts_with(begins);
-    if path.is_file() && !std::fs::read_to_string(path).is_ok_and(same) {
-        return refused(format!("is there and not {kind}; give another name"));
-    }
-    Ok(())
-}
-
-fn save(path: &Path, text: &str) -> Result<(), Failure> {
-    whole_file::write(path, text.as_bytes())
-        .map_err(|e| Failure::new(Exit::Failed, format!("{}: cannot be written: {e}", path.display())))
 }
 
 fn summary(made: &Made, spectrum: &Spectrum, table: &Path, page: Option<&Path>) -> String {

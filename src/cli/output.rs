@@ -1,7 +1,9 @@
-//! Results on stdout.
+//! Results on stdout and in single files.
 
 use super::{Exit, Failure};
+use crate::whole_file;
 use std::io::{ErrorKind, Write as _};
+use std::path::Path;
 
 /// Writes a whole result. A reader that has seen enough (`| head`) is no failure.
 pub(super) fn print(text: &str) -> Result<(), Failure> {
@@ -12,4 +14,27 @@ pub(super) fn print(text: &str) -> Result<(), Failure> {
         }
         _ => Ok(()),
     }
+}
+
+/// Refuses to write over what is not of its kind, or where there is no folder.
+pub(super) fn is_free(path: &Path, begins: &str, kind: &str) -> Result<(), Failure> {
+    let refused = |what: String| Err(Failure::new(Exit::Usage, format!("{}: {what}", path.display())));
+    let folder = path.parent().filter(|folder| *folder != Path::new(""));
+    if folder.is_some_and(|folder| !folder.is_dir()) {
+        return refused("there is no such folder to write to".to_owned());
+    }
+    if path.is_dir() {
+        return refused("is a folder; give the name of a file".to_owned());
+    }
+    let same = |text: String| text.is_empty() || text.starts_with(begins);
+    if path.is_file() && !std::fs::read_to_string(path).is_ok_and(same) {
+        return refused(format!("is there and not {kind}; give another name"));
+    }
+    Ok(())
+}
+
+/// Writes a file whole.
+pub(super) fn save(path: &Path, text: &str) -> Result<(), Failure> {
+    whole_file::write(path, text.as_bytes())
+        .map_err(|e| Failure::new(Exit::Failed, format!("{}: cannot be written: {e}", path.display())))
 }
