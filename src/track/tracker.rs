@@ -15,6 +15,7 @@ use crate::track::coil::deflection;
 use crate::track::fit::{TubeFit, fit};
 use crate::track::image_model::{ImageModel, ModelError};
 use crate::track::light::Encoding;
+use crate::track::motion::Motion;
 use crate::track::no_fit::NoFit;
 use crate::track::slip::Seen;
 use crate::track::stretch::{Group, groups};
@@ -70,6 +71,7 @@ pub struct Tracker {
     transfer: Transfer,
     slip: Seen,
     usual: Usual,
+    motion: Motion,
 }
 
 /// Blobs of a picture, and which of them each marker is.
@@ -104,6 +106,7 @@ impl Tracker {
             transfer,
             slip: Seen::default(),
             usual: Usual::new(rig),
+            motion: Motion::new(rig.markers.len(), rig.catheter.coil),
             rig: rig.clone(),
             options,
         })
@@ -144,6 +147,8 @@ impl Tracker {
         if let (Ok(tangent), Some(base)) = (&estimate.tangent, &self.rig.base) {
             estimate.deflection = Ok(deflection(tangent, base));
         }
+        // 4. what the motion before does not allow is no measurement
+        self.motion.check(&mut estimate, fitted.iter().map(|f| f.group.members.as_slice()));
         for (m, marker) in estimate.markers.iter().enumerate() {
             if let Ok(position) = &marker.position {
                 self.assigner.remember(m, position.point, frame.stamp);
