@@ -216,10 +216,13 @@ pub enum SourceError {
     #[error(transparent)]
     Rate(#[from] FrameRateError),
     /// A folder without pictures.
-    #[error("{}: no picture in this folder (files ending in {})", path.display(), PICTURE_ENDINGS.join(", "))]
+    #[error("{}: no picture in this folder (files ending in {}){}", path.display(), PICTURE_ENDINGS.join(", "),
+        cure.as_ref().map(|cure| format!("; {cure}")).unwrap_or_default())]
     NoPictures {
         /// The folder.
         path: PathBuf,
+        /// What can be done about other pictures that are there.
+        cure: Option<String>,
     },
     /// A folder of pictures without times.
     #[error("{}: when were these pictures taken? Put a table times.csv beside them (header \"file,t_s\", or \"file,stamp_ns\"; \

@@ -23,6 +23,7 @@ mod live_disk_full;
 mod live_faults;
 mod live_kill;
 mod live_python;
+mod live_raw;
 mod live_record;
 mod live_stream;
 mod log_crash;
