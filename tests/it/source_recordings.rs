@@ -281,8 +281,10 @@ fn what_is_no_recording_is_refused_with_the_reason() {
 #[test]
 fn a_raw_stream_needs_its_rate_and_takes_it() {
     let folder = tempfile::tempdir().unwrap();
-    for (name, encoder, pixel) in [("raw.h264", "libx264", Pixel::YUV420P), ("raw.mjpeg", "mjpeg", Pixel::YUVJ420P)] {
-        let (path, _) = written(folder.path(), name, &Recording { encoder, pixel, ..Recording::default() });
+    for (name, encoder, pixel, b_frames) in
+        [("raw.h264", "libx264", Pixel::YUV420P, 2), ("raw.mjpeg", "mjpeg", Pixel::YUVJ420P, 0)]
+    {
+        let (path, _) = written(folder.path(), name, &Recording { encoder, pixel, b_frames, ..Recording::default() });
         let told = open_error(&path);
         assert!(told.contains(name) && told.contains("has no time stamp") && told.contains("--fps"), "{told}");
         let stated_rate = Some("50".parse().unwrap());

@@ -44,7 +44,8 @@ fn lost(between: impl FnOnce(&Child) + Send + 'static) -> u64 {
     }
     drop(pipe);
     let output = live.wait_with_output().unwrap();
-    ended_with(&output, 0);
+    // Grey pictures, in which nothing is to be found.
+    ended_with(&output, 3);
     let table = Table::read(&place.path("live/track.csv"));
     assert_eq!(table.rows.len(), 50);
     table.rows.iter().map(|row| row["gap"].parse::<u64>().unwrap()).sum()
@@ -69,4 +70,25 @@ fn a_process_that_was_stopped_and_continued_claims_no_lost_frames() {
 fn a_sender_that_was_away_has_lost_frames() {
     let away = lost(|_| std::thread::sleep(AWAY));
     assert!((20..=35).contains(&away), "{away} frames of 30");
+}
+
+#[test]
+fn a_run_without_a_single_frame_is_no_result() {
+    let place = Place::new();
+    let [width, height] = rig().camera.size_px;
+    let mut live = Command::new(env!("CARGO_BIN_EXE_catoptra"))
+        .current_dir(place.folder.path())
+        .args(["live", "-", "--raw", &format!("{width}x{height}:nv12@10"), "--duration", "1", "-o", "live", "--rig"])
+        .arg(&place.rig)
+        .stdin(Stdio::piped())
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    // Open, and silent, as long as it runs.
+    let pipe = live.stdin.take();
+    let output = live.wait_with_output().unwrap();
+    drop(pipe);
+    let told = ended_with(&output, 3);
+    assert!(told.contains("not a single frame came"), "{told}");
 }

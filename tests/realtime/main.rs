@@ -22,6 +22,7 @@ mod live;
 mod live_disk_full;
 mod live_faults;
 mod live_kill;
+mod live_load;
 mod live_python;
 mod live_raw;
 mod live_record;
