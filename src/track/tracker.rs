@@ -44,6 +44,9 @@ const TOO_UNUSUAL: f64 = 4.5;
 /// Size alone says nothing: it changes with light and motion, too.
 const MOST_OF_SIZE: f64 = 3.0;
 
+/// Blur by motion beyond which blobs may mislead the fit: variance, px². Two pixels of way.
+const BLURRED_PX2: f64 = 4.0 / 12.0;
+
 /// What was seen of chroma's slip counts for half after this many frames.
 const SLIP_FRAMES: f64 = 20.0;
 
@@ -326,12 +329,17 @@ impl Tracker {
             self.accept(group, views, &starts, &fit).map(|()| fit)
         };
         let start = TubeShape::straight(reference.point, &direction, group.straight_half_m);
-        match (fit_from(&start), before) {
-            // Blurred or half hidden blobs say little about the direction: that of a moment ago may be nearer.
-            (Err(Miss::PoorFit { .. } | Miss::NotConverged), Some((before, _))) => {
-                fit_from(&TubeShape { centre: reference.point, ..before.clone() })
-            }
-            (fit, _) => fit,
+        let first = fit_from(&start);
+        // Blurred or half hidden blobs say little about the direction: that of a moment ago may be nearer.
+        let unsure = match &first {
+            Ok(fit) => fit.views.iter().any(|view| view.image.at_arc(0.0).swept.sum() > BLURRED_PX2),
+            Err(miss) => matches!(miss, Miss::PoorFit { .. } | Miss::NotConverged),
+        };
+        let Some((before, _)) = before.filter(|_| unsure) else { return first };
+        match (first, fit_from(&TubeShape { centre: reference.point, ..before.clone() })) {
+            (Ok(first), Ok(second)) if second.misfit < first.misfit => Ok(second),
+            (Err(_), Ok(second)) => Ok(second),
+            (first, _) => first,
         }
     }
 

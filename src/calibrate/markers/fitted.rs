@@ -125,9 +125,25 @@ fn combined(arcs: &[(f64, f64)], bend_is_known: bool) -> Option<(f64, f64)> {
     (!arcs.is_empty()).then(|| (at, (scatter.powi(2) + shape.powi(2) + (0.3 * LEAST_SD_M).powi(2)).sqrt()))
 }
 
+/// Blur, chroma offset and, unless it is stated, exposure. Motion looks like blur: with it known, blur is looked for again.
+pub(super) fn tune(rig: &mut Rig, frames: &[Frame], followers: &[Frame]) -> Result<(), MarkersError> {
+    sharpen(rig, frames, followers)?;
+    if rig.camera.exposure_s.is_none() {
+        rig.camera.exposure_s = exposure_s(rig, frames, followers)?;
+        if rig.camera.exposure_s.is_some() {
+            sharpen(rig, frames, followers)?;
+        }
+    }
+    Ok(())
+}
+
 /// Blur and chroma offset.
-pub(super) fn tune(rig: &mut Rig, frames: &[Frame]) -> Result<(), MarkersError> {
+fn sharpen(rig: &mut Rig, frames: &[Frame], followers: &[Frame]) -> Result<(), MarkersError> {
     let some = every(frames, TUNING_FRAMES);
+    let misfit = |rig: &Rig, some: &[&Frame]| match rig.camera.exposure_s {
+        None => misfit(rig, some),
+        Some(_) => moving_misfit(rig, some, followers),
+    };
     let subsampled = some.first().is_some_and(|f| f.picture.plane(1).is_some_and(|plane| plane.scale != [1, 1]));
     let mut blur = rig.camera.blur_px.unwrap_or(0.6);
     // Blur and offsets hardly depend on each other: a second pass only polishes.
@@ -163,9 +179,23 @@ pub(super) fn tune(rig: &mut Rig, frames: &[Frame]) -> Result<(), MarkersError> 
     Ok(())
 }
 
+/// The same of the frames that follow these closely, motion blur included; of those that none follows, their own.
+fn moving_misfit(rig: &Rig, frames: &[&Frame], followers: &[Frame]) -> Option<f64> {
+    let mut tracker = Tracker::new(rig, TrackOptions::default()).ok()?;
+    let mut misfit = |frame: &Frame| {
+        let next = followers.get(followers.partition_point(|next| next.stamp.ns <= frame.stamp.ns));
+        match next.filter(|next| ((next.stamp.ns - frame.stamp.ns) as f64) < LONGEST_PAIR_S * 1e9) {
+            Some(next) => tracker.misfit_after(frame, next),
+            None => tracker.misfit(frame),
+        }
+    };
+    let misfits: Vec<f64> = frames.iter().filter_map(|frame| misfit(frame)).collect();
+    (misfits.len() * 2 > frames.len()).then(|| misfits.iter().sum::<f64>() / misfits.len() as f64)
+}
+
 /// Exposure of the pictures, seconds, from how motion blurs the frames in which the tube moves fastest; `None` when it does not
 /// show: too little motion, or too short an exposure.
-pub(super) fn exposure_s(rig: &Rig, frames: &[Frame], followers: &[Frame]) -> Result<Option<f64>, MarkersError> {
+fn exposure_s(rig: &Rig, frames: &[Frame], followers: &[Frame]) -> Result<Option<f64>, MarkersError> {
     let mut all: Vec<&Frame> = frames.iter().chain(followers).collect();
     all.sort_by_key(|frame| frame.stamp.ns);
     let mut moving = Vec::new();

@@ -38,7 +38,7 @@ use crate::estimate::{BandObservation, Estimate, MarkerEstimate, Miss};
 use crate::rig::Rig;
 use crate::source::{Frame, FrameSource};
 use crate::track::{TrackOptions, Tracker};
-use fitted::{exposure_s, place_bands, tune};
+use fitted::{place_bands, tune};
 use learned::{learn_views, set_models};
 use locate::pixels::Pixels;
 use locate::{Near, locate};
@@ -159,10 +159,7 @@ impl Teaching {
         first::confirm(rig, clicks, &located, frame)?;
         self.views = learn_everywhere(rig, frames)?;
         let centre_sd_m = place_bands(rig, frames)?;
-        tune(rig, frames)?;
-        if rig.camera.exposure_s.is_none() {
-            rig.camera.exposure_s = exposure_s(rig, frames, followers)?;
-        }
+        tune(rig, frames, followers)?;
         if let Ok(views) = learn_everywhere(rig, frames) {
             self.views = views;
         }
