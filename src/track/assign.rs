@@ -22,8 +22,9 @@ const CENTRE_SD_HALF_WIDTHS: f64 = 0.3;
 const MEET_CHI2: f64 = 16.0;
 /// A blob may show this much less or more than the band's outline (foreshortening, shading, partial cover).
 const SIZE_RATIO: (f64, f64) = (0.2, 3.0);
-/// Blobs considered for a marker in a view, largest first.
+/// Blobs considered for a marker in a view, largest first; fewer where many views would make more combinations than this.
 const MOST_BLOBS: usize = 8;
+const MOST_COMBINATIONS: usize = 6561;
 /// How fast a marker may move, and the uncertainty of where it was.
 const FASTEST_M_S: f64 = 0.8;
 const PLACE_SD_M: f64 = 5e-3;
@@ -146,8 +147,9 @@ impl Assigner {
         stamp: Timestamp,
         rejected: &mut Option<Miss>,
     ) -> Vec<Candidate> {
-        let per_view: Vec<Vec<usize>> =
-            rig.views.iter().enumerate().map(|(v, view)| in_view(marker, (v, view), blobs)).collect();
+        let most = most_blobs(rig.views.len());
+        let largest = |(v, view)| in_view(marker, (v, view), blobs).into_iter().take(most).collect();
+        let per_view: Vec<Vec<usize>> = rig.views.iter().enumerate().map(largest).collect();
         let mut found = Vec::new();
         let mut choice = vec![0_usize; per_view.len()]; // 0: none, i: blob i−1
         loop {
@@ -232,8 +234,16 @@ fn in_view(marker: usize, (v, view): (usize, &View), blobs: &[Blob]) -> Vec<usiz
     };
     let mut list: Vec<usize> = (0..blobs.len()).filter(|&b| here(&blobs[b])).collect();
     list.sort_by(|&a, &b| blobs[b].area_px2.total_cmp(&blobs[a].area_px2));
-    list.truncate(MOST_BLOBS);
     list
+}
+
+/// How many blobs are considered in each of so many views.
+fn most_blobs(views: usize) -> usize {
+    let fits = |blobs: &usize| {
+        let all = u32::try_from(views).ok().and_then(|views| (blobs + 1).checked_pow(views));
+        all.is_some_and(|all| all <= MOST_COMBINATIONS)
+    };
+    (1..=MOST_BLOBS).rev().find(fits).unwrap_or(1)
 }
 
 /// The first view in which a marker has no blob near all places where it is expected; `None` if all have.
@@ -248,7 +258,7 @@ fn unseen(rig: &Rig, marker: usize, blobs: &[Blob], expected: &[(Point3<f64>, f6
         let near: Vec<_> = near.collect();
         let is_near =
             |b: &usize| near.iter().all(|(pixel, reach_px)| (blobs[*b].centre_px - pixel).norm() <= *reach_px);
-        in_view(marker, (v, view), blobs).iter().any(is_near)
+        in_view(marker, (v, view), blobs).iter().take(MOST_BLOBS).any(is_near)
     };
     (0..rig.views.len()).find(|&v| !sees(v))
 }

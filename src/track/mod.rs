@@ -11,6 +11,7 @@ mod equations;
 mod fit;
 mod image_model;
 mod light;
+mod motion;
 mod no_fit;
 mod normal;
 mod patch;

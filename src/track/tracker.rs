@@ -15,6 +15,7 @@ use crate::track::coil::deflection;
 use crate::track::fit::{TubeFit, ViewFit, fit};
 use crate::track::image_model::{ImageModel, ModelError};
 use crate::track::light::Encoding;
+use crate::track::motion::Motion;
 use crate::track::no_fit::NoFit;
 use crate::track::scatter::Scatter;
 use crate::track::slip::Seen;
@@ -89,6 +90,7 @@ pub struct Tracker {
     scatter: Vec<Scatter>,
     /// Of each marker that is the reference of a group: where the tube was, and when.
     before: Vec<Option<(Timestamp, TubeShape)>>,
+    motion: Motion,
 }
 
 /// Blobs of a picture, and which of them each marker is.
@@ -126,6 +128,7 @@ impl Tracker {
             usual_size: Usual::new(rig),
             before: vec![None; rig.markers.len()],
             scatter: vec![Scatter::default(); rig.markers.len() + 1],
+            motion: Motion::new(rig.markers.len(), rig.catheter.coil),
             rig: rig.clone(),
             options,
         })
@@ -164,6 +167,8 @@ impl Tracker {
         self.keep_shapes(frame.stamp, &fitted);
         // 3. positions, tangent, deflection
         let mut estimate = self.estimate(frame, &assigned, &fitted);
+        // 4. what the motion before does not allow is no measurement
+        self.motion.check(&mut estimate, fitted.iter().map(|f| f.group.members.as_slice()));
         self.widen(&mut estimate);
         if let (Ok(tangent), Some(base)) = (&estimate.tangent, &self.rig.base) {
             estimate.deflection = Ok(deflection(tangent, base));
