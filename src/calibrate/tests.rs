@@ -3,7 +3,7 @@
 
 use crate::calibrate::board::{Board, BoardImage, BoardPicture};
 use crate::calibrate::bundle::outliers::LeftOut;
-use crate::calibrate::camera::{CameraError, calibrate_camera};
+use crate::calibrate::camera::{CameraError, LensModel, calibrate_camera};
 use crate::calibrate::geometry::{Geometry, Projector};
 use crate::calibrate::rig::expected_error::verdict;
 use crate::calibrate::rig::initial::BoardsPicture;
@@ -30,6 +30,7 @@ fn lens() -> Lens {
         focal_px: Vector2::new(1900.0, 1904.0),
         principal_point_px: Point2::new(645.0, 507.0),
         distortion: [-0.12, 0.1, 4e-4, -3e-4, 0.0],
+        denominator: [0.0; 3],
     }
 }
 
@@ -437,7 +438,7 @@ fn a_lens_is_found_and_pictures_that_mislead_are_left_out_by_name() {
     shaken.name = "shaken.png".into();
     shaken.image.edge_px = 16.0;
     pictures.insert(0, shaken);
-    let mut found = calibrate_camera(&board(), &pictures).unwrap();
+    let mut found = calibrate_camera(&board(), &pictures, LensModel::Five).unwrap();
     assert_eq!(found.used.len(), 8);
     assert_eq!(
         found.left_out.remove(0).1.to_string(),
@@ -458,7 +459,7 @@ fn a_lens_is_found_and_pictures_that_mislead_are_left_out_by_name() {
 
 #[test]
 fn sets_that_leave_the_lens_open_are_refused_with_the_reason() {
-    let error = |pictures: &[BoardPicture]| calibrate_camera(&board(), pictures).unwrap_err();
+    let error = |pictures: &[BoardPicture]| calibrate_camera(&board(), pictures, LensModel::Five).unwrap_err();
     assert!(matches!(error(&air(&TILTS[..3], 0.05)), CameraError::TooFew { found: 3, .. }));
     assert!(matches!(error(&[]), CameraError::TooFew { found: 0, .. }));
     let same = vec![air(&TILTS[..1], 0.0).remove(0); 9];
@@ -499,7 +500,7 @@ fn mirrors_are_as_good_as_they_are_said_to_be_when_corners_are_off_together() {
             }
             pulled(&mut picture.image, 0.05, &mut random);
         }
-        let camera = calibrate_camera(&board(), &boards).unwrap();
+        let camera = calibrate_camera(&board(), &boards, LensModel::Five).unwrap();
         let truth = lens();
         let lens_truth = [truth.focal_px.x, truth.focal_px.y, truth.principal_point_px.x, truth.principal_point_px.y];
         let found = [

@@ -53,8 +53,7 @@ pub(crate) fn apply(
     for model in &saved.models {
         match model.at(data.period_s) {
             Ok(samples) => {
-                let modelled =
-                    Modelled::new(model.role, model.title.clone(), samples, None, data.period_s, excited_hz);
+                let modelled = Modelled::new(model.role, model.title.clone(), samples, None, data.period_s, excited_hz);
                 if !modelled.is_stable() {
                     notes.push(format!(
                         "{}: unstable, its largest pole is {:.5}; simulations with it run away",

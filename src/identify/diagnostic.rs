@@ -236,7 +236,10 @@ impl fmt::Display for Diagnostic {
                  order (--reduce); σ is widened by its root"
             ),
             Self::FewPeriods { periods } => {
-                write!(f, "{periods} periods are averaged: from 7 on their noise is known well enough for the σ of H(s)")
+                write!(
+                    f,
+                    "{periods} periods are averaged: from 7 on their noise is known well enough for the σ of H(s)"
+                )
             }
             Self::NoSpectrum => {
                 write!(

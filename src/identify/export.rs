@@ -8,7 +8,6 @@ use super::identification::{Fit, Identification};
 use super::model::Polynomials;
 use super::modelled::{ContinuousEstimate, Modelled, Role};
 use super::provenance::{Provenance, RecordSummary};
-use super::residuals::Residuals;
 use super::saved::Saved;
 use super::tables;
 use super::uncertainty::Covariance;

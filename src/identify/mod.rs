@@ -82,7 +82,7 @@ pub use error::IdentifyError;
 pub use fit::InitialState;
 pub use identification::Identification;
 pub use model::{Orders, Polynomials};
-pub use plant::Plant;
 pub use periodic::Repeats;
+pub use plant::Plant;
 pub use search::search;
 pub use settings::Settings;

@@ -14,6 +14,8 @@ use std::path::{Path, PathBuf};
 pub(crate) const EQ_7: &str = "eq7";
 /// Coefficients of a polynomial at most, as `--order` has it.
 const MOST: usize = 202;
+/// Of H(s): an exponential of a matrix is taken for each.
+const MOST_OF_H: usize = 51;
 /// Periods that differ by less are the same.
 const SAME_PERIOD: f64 = 1e-5;
 
@@ -160,13 +162,15 @@ impl Saved {
         if raw.format != "catoptra-model" {
             return Err(format!("its format is `{}`", raw.format));
         }
-        let period_s = Some(raw.period_s).filter(|s| s.is_finite() && *s > 0.0).ok_or("period_s is no number above 0")?;
+        let period_s =
+            Some(raw.period_s).filter(|s| s.is_finite() && *s > 0.0).ok_or("period_s is no number above 0")?;
         let with_unit =
             |s: &RawSignal| if s.unit.is_empty() { s.name.clone() } else { format!("{} ({})", s.name, s.unit) };
         let full = raw.full.as_ref().unwrap_or(&raw.arx);
         let full = polynomials("arx or full", &full.a, &full.b, full.nk)?;
         let title = format!("full, order {}", full.na());
-        let mut models = vec![SavedModel { role: Role::Full, title, samples: Some((full, period_s)), continuous: None }];
+        let mut models =
+            vec![SavedModel { role: Role::Full, title, samples: Some((full, period_s)), continuous: None }];
         let others = [(Role::Reduced, raw.reduced), (Role::Refined, raw.refined), (Role::Periodic, raw.periodic)];
         for (role, raw) in others.into_iter().filter_map(|(role, raw)| Some((role, raw?))) {
             let word = role.word();
@@ -231,7 +235,11 @@ impl SavedModel {
 /// A model of samples whose numbers can be right.
 fn polynomials(what: &str, a: &[f64], b: &[f64], nk: usize) -> Result<Polynomials, String> {
     if a.len().max(b.len()).max(nk) > MOST || a.is_empty() || b.is_empty() {
-        return Err(format!("{what}: a, b and the delay have {} and {} coefficients and {nk} samples", a.len(), b.len()));
+        return Err(format!(
+            "{what}: a, b and the delay have {} and {} coefficients and {nk} samples",
+            a.len(),
+            b.len()
+        ));
     }
     if a.first() != Some(&1.0) || a.iter().chain(b).any(|c| !c.is_finite()) {
         return Err(format!("{what}: a must begin with 1, and all coefficients must be numbers"));
@@ -242,9 +250,10 @@ fn polynomials(what: &str, a: &[f64], b: &[f64], nk: usize) -> Result<Polynomial
 }
 
 fn continuous(what: &str, num: Vec<f64>, den: Vec<f64>, delay_s: f64) -> Result<Continuous, String> {
-    if num.is_empty() || den.is_empty() || num.len() > den.len() || den.len() > MOST {
+    if num.is_empty() || den.is_empty() || num.len() > den.len() || den.len() > MOST_OF_H {
         return Err(format!(
-            "{what}: num has {} coefficients and den {}; num must have one at least, and no more than den",
+            "{what}: num has {} coefficients and den {}; num must have one at least and no more than den, which has {MOST_OF_H} at \
+             most",
             num.len(),
             den.len()
         ));
@@ -268,7 +277,8 @@ mod tests {
     fn eq_7_is_the_same_from_a_file_and_by_name() {
         let by_name = Saved::read(Path::new(EQ_7)).unwrap();
         let toml = Saved::parse("num = [35220, 12688]\nden = [2, 9.18, 2.272]\n", "h.toml").unwrap();
-        let json = Saved::parse(r#"{"num": [17610, 6344], "den": [1, 4.59, 1.136], "delay_s": 0.0}"#, "h.json").unwrap();
+        let json =
+            Saved::parse(r#"{"num": [17610, 6344], "den": [1, 4.59, 1.136], "delay_s": 0.0}"#, "h.json").unwrap();
         for saved in [&by_name, &toml, &json] {
             let model = saved.leading().unwrap();
             let dc = model.response(0.0).unwrap();

@@ -19,6 +19,7 @@ fn lens() -> Lens {
         focal_px: Vector2::new(1122.0, 1119.0),
         principal_point_px: Point2::new(445.0, 322.0),
         distortion: [-0.15, 0.1, 5e-4, -4e-4, 0.0],
+        denominator: [0.0; 3],
     }
 }
 

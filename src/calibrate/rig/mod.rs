@@ -184,7 +184,7 @@ fn best(
         bundle.known.extend(held(&bundle.geometry));
         let rough = bundle.search();
         if options.lens_covariance.is_some() {
-            free.extend(Parameter::LENS);
+            free.extend_from_slice(Parameter::of_lens(lens));
         }
         if options.tank.is_some() && options.index_sd.is_some() {
             free.push(Parameter::IndexInside);

@@ -106,6 +106,7 @@ mod tests {
             focal_px: Vector2::new(300.0, 300.0),
             principal_point_px: Point2::new(180.0, 180.0),
             distortion: [0.0; 5],
+            denominator: [0.0; 3],
         };
         OpticalPath { lens, surfaces: Vec::new() }
     }

@@ -133,7 +133,7 @@ pub(super) fn known(geometry: &Geometry, options: &RigOptions) -> Result<Vec<Pri
     if let Some(covariance) = &options.lens_covariance {
         let factor = covariance.clone().cholesky().ok_or(RigCalibrationError::LensCovariance)?;
         let whitening = factor.l().try_inverse().ok_or(RigCalibrationError::LensCovariance)?;
-        let values = Parameter::LENS.map(|parameter| geometry.value(parameter));
+        let values = Parameter::of_lens(&geometry.lens).iter().map(|parameter| geometry.value(*parameter)).collect();
         known.push(Prior::Lens { values, whitening });
     }
     for (name, distance_m, sd_m) in &options.distances_m {

@@ -258,7 +258,8 @@ fn lens_covariance(draft: &Draft) -> Option<DMatrix<f64>> {
     let rows = draft.provenance.get("camera")?.get("lens_covariance")?.as_array()?;
     let numbers: Vec<f64> =
         rows.iter().filter_map(|row| row.as_array()).flatten().filter_map(toml::Value::as_float).collect();
-    (numbers.len() == 81).then(|| DMatrix::from_row_slice(9, 9, &numbers))
+    let n = Parameter::of_lens(&draft.camera.lens).len();
+    (numbers.len() == n * n).then(|| DMatrix::from_row_slice(n, n, &numbers))
 }
 
 fn failure(error: RigCalibrationError) -> Failure {

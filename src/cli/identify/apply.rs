@@ -13,13 +13,7 @@ use crate::report::identification;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-pub(super) fn run(
-    args: &Args,
-    model: &Path,
-    data: &Data,
-    provenance: &Provenance,
-    quiet: bool,
-) -> Result<(), Failure> {
+pub(super) fn run(args: &Args, model: &Path, data: &Data, provenance: &Provenance, quiet: bool) -> Result<(), Failure> {
     let saved = Saved::read(model).map_err(|e| Failure::new(Exit::Usage, e))?;
     let with_unit = |name: &str, unit: &str| if unit.is_empty() { name.to_owned() } else { format!("{name} ({unit})") };
     let input = with_unit(&provenance.input, &provenance.input_unit);

@@ -3,10 +3,10 @@
 use crate::cli::results::Results;
 use crate::cli::units::duration_s;
 use crate::cli::{Exit, Failure};
+use crate::identify::Repeats;
 use crate::identify::export;
 use crate::identify::fit::InitialState;
 use crate::identify::model::Orders;
-use crate::identify::Repeats;
 use crate::identify::prepare::Detrend;
 use crate::identify::reduce::{Removal, Target};
 use crate::identify::search::Criterion;
@@ -215,7 +215,8 @@ impl std::str::FromStr for RepeatsArg {
 
     fn from_str(text: &str) -> Result<Self, String> {
         let (every, skip) = text.split_once(':').unwrap_or((text, "1"));
-        let skip = skip.parse().map_err(|_| format!("`{text}`: after the colon comes a number of periods, as in 20s:2"))?;
+        let skip =
+            skip.parse().map_err(|_| format!("`{text}`: after the colon comes a number of periods, as in 20s:2"))?;
         Ok(Self(Repeats { every_s: duration_s(every)?, skip }))
     }
 }

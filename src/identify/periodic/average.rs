@@ -77,12 +77,7 @@ pub struct Averaged {
 ///
 /// # Errors
 /// In words: the period is no whole number of samples, or too few periods are left.
-pub(crate) fn average(
-    segments: &[Segment],
-    period_s: f64,
-    repeats_s: f64,
-    skip: usize,
-) -> Result<Averaged, String> {
+pub(crate) fn average(segments: &[Segment], period_s: f64, repeats_s: f64, skip: usize) -> Result<Averaged, String> {
     let exact = repeats_s / period_s;
     let samples = exact.round().max(0.0) as usize;
     if samples < 8 || (exact - samples as f64).abs() > WHOLE {

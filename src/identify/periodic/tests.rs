@@ -19,7 +19,8 @@ fn truth() -> Continuous {
 /// Sines at lines 2 to 60 with random phases, period after period.
 fn multisine(seed: u64, periods: usize) -> Vec<f64> {
     let phases = noise(seed, 60);
-    let at = |t: usize| (2..60).map(|k| ((k * t % SAMPLES) as f64 * TAU / SAMPLES as f64 + 3.0 * phases[k]).cos()).sum();
+    let at =
+        |t: usize| (2..60).map(|k| ((k * t % SAMPLES) as f64 * TAU / SAMPLES as f64 + 3.0 * phases[k]).cos()).sum();
     let one: Vec<f64> = (0..SAMPLES).map(at).collect();
     one.iter().copied().cycle().take(periods * SAMPLES).collect()
 }
@@ -56,8 +57,10 @@ fn a_delay_and_the_order_are_found() {
     let late = Polynomials { nk: 3, ..truth().sampled(PERIOD_S) };
     let input = multisine(1, 9);
     let output = late.simulate(&input).iter().zip(noise(8, input.len())).map(|(y, e)| y + 0.02 * e).collect();
-    let record =
-        Record { name: "late".into(), segments: vec![Segment { input, output, from_rest: true, ..Segment::default() }] };
+    let record = Record {
+        name: "late".into(),
+        segments: vec![Segment { input, output, from_rest: true, ..Segment::default() }],
+    };
     let found = fit(&[record], PERIOD_S, every(2), Target::Auto, &[1, 2, 3, 4], &[]).unwrap();
     assert_eq!(found.estimated().model.orders(), Orders { na: 2, nb: 2, nk: 3 });
 }
@@ -73,8 +76,7 @@ fn sigma_is_as_large_as_the_scatter() {
             let found = fit_two(&[record(seed, periods, sd_in, sd_out)], 1);
             let Estimated { model, covariance, .. } = found.estimated().clone();
             left += found.left / DRAWS as f64;
-            let modelled =
-                Modelled::new(Role::Periodic, String::new(), model, Some(covariance), PERIOD_S, (0.5, 15.0));
+            let modelled = Modelled::new(Role::Periodic, String::new(), model, Some(covariance), PERIOD_S, (0.5, 15.0));
             let point = modelled.bode[150];
             let there = truth().sampled(PERIOD_S).response(angle(point.frequency_hz, PERIOD_S)).norm();
             gain += ((point.magnitude / there).ln() / point.sd.unwrap().0).powi(2) / DRAWS as f64;
@@ -91,7 +93,9 @@ fn sigma_is_as_large_as_the_scatter() {
             });
             line += lines.sum::<f64>() / (found.lines().count() as u64 * DRAWS) as f64;
         }
-        let what = format!("noise {sd_in}, {sd_out}, {periods} periods: H(s) {sums:?}, gain {gain}, lines {line}, left {left}");
+        let what = format!(
+            "noise {sd_in}, {sd_out}, {periods} periods: H(s) {sums:?}, gain {gain}, lines {line}, left {left}"
+        );
         assert!(sums.iter().chain([&gain]).all(|s| (0.65..1.35).contains(s)), "{what}");
         assert!((0.9..1.1).contains(&left) && (0.85..1.15).contains(&line), "{what}");
     }

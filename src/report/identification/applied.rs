@@ -63,8 +63,7 @@ fn cards(done: &Applied, provenance: &Provenance) -> String {
     for record in &provenance.records {
         let kind = Kind::Simulation(record.initial_state);
         let role = leading.map(|m| m.role);
-        let Some(fit) =
-            done.fits.iter().find(|f| f.record == record.name && Some(f.role) == role && f.kind == kind)
+        let Some(fit) = done.fits.iter().find(|f| f.record == record.name && Some(f.role) == role && f.kind == kind)
         else {
             continue;
         };

@@ -55,12 +55,7 @@ fn with_unit(name: &str, unit: &str) -> String {
 }
 
 /// The whole of a record, what the models leave of it, and its middle.
-pub(super) fn courses(
-    data: &Data,
-    done: &Shown<'_>,
-    provenance: &Provenance,
-    record: &Record,
-) -> (Plot, Plot, Plot) {
+pub(super) fn courses(data: &Data, done: &Shown<'_>, provenance: &Provenance, record: &Record) -> (Plot, Plot, Plot) {
     let kind = Kind::Simulation(provenance.initial_state);
     let (mut whole, mut errors) = (Timeline::default(), Timeline::default());
     // The axis shows the leading model's errors whole: those of a model that runs away are cut.

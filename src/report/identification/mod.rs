@@ -431,9 +431,8 @@ fn records_table(provenance: &Provenance) -> String {
 fn facts_rows(provenance: &Provenance, models: &[Modelled]) -> Vec<(Html, Html)> {
     let settings = provenance.settings.iter().map(|(name, value)| (name.into(), value.into()));
     let stable = |m: &Modelled| if m.is_stable() { "stable" } else { "unstable" };
-    let poles = models
-        .iter()
-        .map(|m| ((&m.title).into(), format!("largest pole {:.6}, {}", m.largest_pole, stable(m)).into()));
+    let poles =
+        models.iter().map(|m| ((&m.title).into(), format!("largest pole {:.6}, {}", m.largest_pole, stable(m)).into()));
     settings.chain(poles).collect()
 }
 
