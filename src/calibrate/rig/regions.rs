@@ -118,6 +118,7 @@ mod tests {
             view,
             place: nalgebra::Point3::origin(),
             pixel: Point2::new(x, y),
+            relative_sd: 1.0,
         };
         let corners =
             [corner(0, 100.0, 100.0), corner(0, 200.0, 300.0), corner(1, 240.0, 100.0), corner(1, 340.0, 300.0)];
