@@ -25,7 +25,7 @@ fn lens() -> Lens {
 
 /// Where a pixel would be without distortion, by OpenCV's iteration: twelve steps leave 1e-7 px here.
 fn straight(pixel: Point2<f64>) -> Point2<f64> {
-    let Lens { focal_px, principal_point_px, distortion: [k1, k2, p1, p2, k3] } = lens();
+    let Lens { focal_px, principal_point_px, distortion: [k1, k2, p1, p2, k3], .. } = lens();
     let seen = (pixel - principal_point_px).component_div(&focal_px);
     let mut p = seen;
     for _ in 0..12 {

@@ -239,7 +239,9 @@ fn adjust(
         .iter()
         .enumerate()
         .flat_map(|(picture, p)| p.image.corners.iter().map(move |(i, pixel)| (picture, *i, *pixel)))
-        .filter_map(|(picture, i, pixel)| Some(Corner { picture, view: 0, place: *places.get(i)?, pixel, relative_sd: 1.0 }))
+        .filter_map(|(picture, i, pixel)| {
+            Some(Corner { picture, view: 0, place: *places.get(i)?, pixel, relative_sd: 1.0 })
+        })
         .collect();
     let geometry = Geometry { lens, surfaces: Vec::new(), views: vec![("air".to_owned(), Vec::new())] };
     let names = used.iter().map(|picture| picture.name.clone()).collect();

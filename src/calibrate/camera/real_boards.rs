@@ -43,7 +43,9 @@ fn of_some(board: &Board, pictures: &[BoardPicture], all: &CameraCalibration, so
         free: Parameter::of_lens(&all.lens).to_vec(),
         poses: some.iter().map(|i| all.used[*i].pose).collect(),
         names: some.iter().map(|i| pictures[*i].name.clone()).collect(),
-        corners: corners.map(|(picture, i, pixel)| Corner { picture, view: 0, place: places[i], pixel, relative_sd: 1.0 }).collect(),
+        corners: corners
+            .map(|(picture, i, pixel)| Corner { picture, view: 0, place: places[i], pixel, relative_sd: 1.0 })
+            .collect(),
         known: Vec::new(),
         shape: Shape::flat(&places),
     }

@@ -12,8 +12,8 @@ use crate::calibrate::rig::expected_error::{Verdict, verdict};
 use crate::calibrate::rig::held_out::{HeldOut, Off, held_out};
 use crate::calibrate::rig::initial::BoardsPicture;
 use crate::calibrate::rig::{
-    Points, RigCalibration, RigCalibrationError, RigOptions, Tank, calibrate_rig, calibrate_rig_from_points, into_draft,
-    water_index,
+    Points, RigCalibration, RigCalibrationError, RigOptions, Tank, calibrate_rig, calibrate_rig_from_points,
+    into_draft, water_index,
 };
 use crate::report::calibration::{self, CalibrationInfo};
 use crate::rig::Draft;
@@ -324,11 +324,7 @@ fn failure(error: RigCalibrationError) -> Failure {
     Failure::new(exit, error)
 }
 
-fn provenance(
-    seen: &Seen,
-    done: &RigCalibration,
-    judged: Option<&Verdict>,
-) -> Result<toml::Table, Failure> {
+fn provenance(seen: &Seen, done: &RigCalibration, judged: Option<&Verdict>) -> Result<toml::Table, Failure> {
     let mut table = match seen {
         Seen::Boards { board, searched, .. } => pictures::provenance("rig", board, searched)?,
         Seen::Points { file, .. } => pictures::provenance_of_points("rig", file)?,

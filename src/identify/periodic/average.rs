@@ -149,7 +149,8 @@ struct Period {
     late: f64,
 }
 
-type Spectra = [(Vec<Complex<f64>>, Vec<Complex<f64>>)];
+/// Of input and output.
+type Spectra = (Vec<Complex<f64>>, Vec<Complex<f64>>);
 
 /// Puts into each missing output what the other periods have there, and says what part was missing: so much less scatters.
 fn fill(periods: &mut [Period], samples: usize) -> Result<f64, String> {
@@ -166,12 +167,10 @@ fn fill(periods: &mut [Period], samples: usize) -> Result<f64, String> {
     Ok(missing as f64 / (samples * periods.len()) as f64)
 }
 
-fn line(spectra: &Spectra, k: usize, repeats_s: f64, samples: usize, scale: f64) -> Line {
+fn line(spectra: &[Spectra], k: usize, repeats_s: f64, samples: usize, scale: f64) -> Line {
     let m = spectra.len() as f64;
-    let mean = |of: &dyn Fn(&(Vec<Complex<f64>>, Vec<Complex<f64>>)) -> Complex<f64>| {
-        spectra.iter().map(of).sum::<Complex<f64>>() / m
-    };
-    let (input, output) = (mean(&|s| s.0[k]), mean(&|s| s.1[k]));
+    let mean = |of: fn(&Spectra, usize) -> Complex<f64>| spectra.iter().map(|s| of(s, k)).sum::<Complex<f64>>() / m;
+    let (input, output) = (mean(|s, k| s.0[k]), mean(|s, k| s.1[k]));
     // Of the mean: the scatter of one period over the number of periods.
     let of_mean = scale / (m * (m - 1.0));
     let off = || spectra.iter().map(|s| (s.0[k] - input, s.1[k] - output));
@@ -187,7 +186,7 @@ fn line(spectra: &Spectra, k: usize, repeats_s: f64, samples: usize, scale: f64)
 }
 
 /// How far the output of the first period is from the mean of the others, over what their scatter predicts.
-fn first_off(spectra: &Spectra, counts: impl Fn(usize) -> bool) -> f64 {
+fn first_off(spectra: &[Spectra], counts: impl Fn(usize) -> bool) -> f64 {
     let Some(((_, first), others)) = spectra.split_first() else { return 1.0 };
     let m = others.len() as f64;
     let (mut off, mut predicted) = (0.0, 0.0);

@@ -12,7 +12,15 @@ pub(super) fn read(root: &Node<'_>) -> Result<Camera, RigError> {
         return Err(model
             .wrong("plumb_bob or rational_polynomial: a rig holds k1, k2, p1, p2, k3 and k4, k5, k6 of these models"));
     }
-    from_matrices(root)
+    let camera = from_matrices(root)?;
+    if let Some(model) = root.get(&["distortion_model"])
+        && model.word()? == "plumb_bob"
+        && camera.lens.is_rational()
+    {
+        let beyond = camera.lens.denominator;
+        return Err(model.wrong(format!("rational_polynomial where k4, k5, k6 are {beyond:?}")));
+    }
+    Ok(camera)
 }
 
 /// Rectification is none, and the projection matrix the camera's own.
