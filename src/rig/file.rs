@@ -31,6 +31,7 @@ pub(super) struct CameraFile {
     pub focal_px: [f64; 2],
     pub principal_point_px: [f64; 2],
     pub distortion: [f64; 5],
+    pub denominator: Option<[f64; 3]>,
     pub blur_px: Option<f64>,
     pub chroma_offset_px: Option<[f64; 2]>,
     pub exposure_ms: Option<f64>,

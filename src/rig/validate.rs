@@ -166,6 +166,8 @@ impl Check<'_> {
         }
         self.finite("camera.principal_point_px", &raw.principal_point_px)?;
         self.finite("camera.distortion", &raw.distortion)?;
+        let denominator = raw.denominator.unwrap_or_default();
+        self.finite("camera.denominator", &denominator)?;
         if let Some(blur) = raw.blur_px {
             self.positive("camera.blur_px", blur)?;
         }
@@ -184,6 +186,7 @@ impl Check<'_> {
             focal_px: Vector2::from(raw.focal_px),
             principal_point_px: Point2::from(raw.principal_point_px),
             distortion: raw.distortion,
+            denominator,
         };
         Ok(Camera { size_px: [raw.width_px, raw.height_px], lens, blur_px: raw.blur_px, chroma_offset_px, exposure_s })
     }

@@ -26,6 +26,7 @@ pub(crate) fn rig() -> Rig {
         focal_px: Vector2::new(2712.4, 2706.9),
         principal_point_px: Point2::new(643.7, 508.2),
         distortion: [-0.11, 0.14, 0.0006, -0.0004, 0.0],
+        denominator: [0.0; 3],
     };
     let plane = |n: [f64; 3], d_mm: f64| Plane::new(Vector3::from(n), d_mm * 1e-3).unwrap();
     let wall = |outer| {
