@@ -1,7 +1,7 @@
 //! `catheter.toml`: the catheter as a file that people edit. Lengths in mm, moduli in MPa, currents in mA.
 
 use super::error::CatheterError;
-use super::model::{Catheter, CoilSet, Surroundings, Tube};
+use super::model::{Catheter, CoilSet, Motion, Surroundings, Tube};
 use nalgebra::{Matrix3, Rotation3, Vector3};
 use serde::Deserialize;
 use std::path::Path;
@@ -32,6 +32,7 @@ struct Raw {
     tube: RawTube,
     coils: RawCoils,
     surroundings: RawSurroundings,
+    motion: RawMotion,
 }
 
 #[derive(Deserialize)]
@@ -71,9 +72,18 @@ struct RawSurroundings {
     fluid_kg_m3: f64,
 }
 
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RawMotion {
+    damping_s: f64,
+    added_mass: f64,
+    drag: f64,
+    linear_drag_pa_s: f64,
+}
+
 impl Raw {
     fn checked(&self, file: &Path) -> Result<Catheter, CatheterError> {
-        let Self { tube, coils, surroundings } = self;
+        let Self { tube, coils, surroundings, motion } = self;
         let wrong = |key: &'static str, value: String, expected: &'static str| {
             Err(CatheterError::Value { file: file.to_owned(), key, value, expected })
         };
@@ -96,6 +106,10 @@ impl Raw {
             ("coils.mass_g", coils.mass_g),
             ("coils.volume_mm3", coils.volume_mm3),
             ("surroundings.fluid_kg_m3", surroundings.fluid_kg_m3),
+            ("motion.damping_s", motion.damping_s),
+            ("motion.added_mass", motion.added_mass),
+            ("motion.drag", motion.drag),
+            ("motion.linear_drag_pa_s", motion.linear_drag_pa_s),
         ] {
             if !(value.is_finite() && value >= 0.0) {
                 return wrong(key, value.to_string(), "a number not below 0");
@@ -145,6 +159,12 @@ impl Raw {
                 gravity_m_s2: surroundings.gravity_m_s2.into(),
                 fluid_kg_m3: surroundings.fluid_kg_m3,
             },
+            motion: Motion {
+                damping_s: motion.damping_s,
+                added_mass: motion.added_mass,
+                drag: motion.drag,
+                linear_drag_pa_s: motion.linear_drag_pa_s,
+            },
         })
     }
 }
@@ -170,6 +190,7 @@ mod tests {
         assert!(near(read.tube.torsion_nm2(), expected.tube.torsion_nm2()));
         assert!((read.length_m() - expected.length_m()).abs() < 1e-12);
         assert_eq!(read.surroundings, expected.surroundings);
+        assert_eq!(read.motion, expected.motion);
     }
 
     #[test]

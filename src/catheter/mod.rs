@@ -4,6 +4,7 @@
 //! - [`equilibrium`]: the shape at rest under coil currents, weight and a force at the tip.
 //! - [`reach`]: where the tip can get to within the current limit.
 //! - [`follow`]: the currents that lead the tip along a path.
+//! - [`Simulation`]: the catheter in motion, in a fluid, under [`Commands`].
 //! - [`Shape`]: the centre line with its frames, the coil's tangent, θ, and how they follow the currents.
 //!
 //! # Conventions
@@ -16,9 +17,14 @@
 //! system" (2018); rod theory: Antman, "Nonlinear Problems of Elasticity" (2005), chapter 8.
 
 mod equilibrium;
+mod commands;
+mod dynamics;
+#[cfg(test)]
+mod dynamics_tests;
 mod error;
 mod file;
 mod follow;
+mod links;
 mod load;
 mod model;
 mod reach;
@@ -28,11 +34,14 @@ mod shape;
 #[cfg(test)]
 mod tests;
 
+pub use commands::Commands;
+pub use dynamics::{Accuracy, Moment, Simulation};
 pub use equilibrium::equilibrium;
 pub use error::CatheterError;
 pub use follow::{Followed, Target, follow};
+pub use links::Energy;
 pub use load::Load;
-pub use model::{Catheter, CoilSet, Surroundings, Tube};
+pub use model::{Catheter, CoilSet, Motion, Surroundings, Tube};
 pub use reach::{Reach, Reached, reach};
 pub use sensitivity::Sensitivity;
 pub use shape::Shape;
