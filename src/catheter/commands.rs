@@ -44,6 +44,11 @@ impl Commands {
         (self.time_s.first().copied().unwrap_or(0.0), self.time_s.last().copied().unwrap_or(0.0))
     }
 
+    /// The same, all later by this.
+    pub fn later(&self, by_s: f64) -> Self {
+        Self { time_s: self.time_s.iter().map(|t| t + by_s).collect(), ..self.clone() }
+    }
+
     /// What holds at a time.
     pub fn at(&self, time_s: f64) -> Vector3<f64> {
         let held = self.time_s.partition_point(|t| *t <= time_s).checked_sub(1);
@@ -54,10 +59,8 @@ impl Commands {
     pub fn mean(&self, from_s: f64, to_s: f64) -> Vector3<f64> {
         let integral = |time_s: f64| {
             let held = self.time_s.partition_point(|t| *t <= time_s).checked_sub(1);
-            held.and_then(|k| {
-                Some(self.integral.get(k)? + self.currents_a.get(k)? * (time_s - self.time_s.get(k)?))
-            })
-            .unwrap_or_else(Vector3::zeros)
+            held.and_then(|k| Some(self.integral.get(k)? + self.currents_a.get(k)? * (time_s - self.time_s.get(k)?)))
+                .unwrap_or_else(Vector3::zeros)
         };
         (integral(to_s) - integral(from_s)) / (to_s - from_s)
     }

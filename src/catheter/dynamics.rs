@@ -13,7 +13,7 @@ use super::links::{Acting, At, Chain, Energy};
 use super::load::Load;
 use super::model::Catheter;
 use nalgebra::linalg::LU;
-use nalgebra::{DMatrix, DVector, Dyn, Point3, Vector3};
+use nalgebra::{Complex, DMatrix, DVector, Dyn, Matrix3, Point3, Vector3};
 
 /// A step is solved when the bend changes by less than this over the whole rod, radians.
 const SETTLED: f64 = 1e-10;
@@ -122,8 +122,7 @@ impl Simulation {
         let none = DVector::zeros(chain.unknowns());
         let q = chain.nearest(catheter, |arc_m| shape.curvature(arc_m));
         let state = State { time_s: 0.0, q, rate: none.clone(), acceleration: none.clone(), between: none };
-        let mut new =
-            Self { catheter: catheter.clone(), accuracy, chain, state, load: *load, matrix: None };
+        let mut new = Self { catheter: catheter.clone(), accuracy, chain, state, load: *load, matrix: None };
         new.settle()?;
         Ok(new)
     }
@@ -179,7 +178,12 @@ impl Simulation {
     }
 
     /// Derivative of the residual when unknowns, rates and accelerations change by these factors.
-    fn derivative(&self, state: &State, acting: &Acting, (by, by_rate, by_acceleration): (f64, f64, f64)) -> DMatrix<f64> {
+    fn derivative(
+        &self,
+        state: &State,
+        acting: &Acting,
+        (by, by_rate, by_acceleration): (f64, f64, f64),
+    ) -> DMatrix<f64> {
         let count = self.chain.unknowns();
         let largest = by.abs().max(by_rate.abs() * 1e-3).max(by_acceleration.abs() * 1e-6).max(f64::MIN_POSITIVE);
         let size = PERTURBED / self.catheter.length_m() / largest;
@@ -242,8 +246,7 @@ impl Simulation {
         let old = &self.state;
         let between = (&old.acceleration * alpha.f - &old.between * alpha.m) / (1.0 - alpha.m);
         let mut new = old.clone();
-        new.q += &old.rate * step_s
-            + (&old.between * (0.5 - alpha.beta) + &between * alpha.beta) * (step_s * step_s);
+        new.q += &old.rate * step_s + (&old.between * (0.5 - alpha.beta) + &between * alpha.beta) * (step_s * step_s);
         new.rate += (&old.between * (1.0 - alpha.gamma) + &between * alpha.gamma) * step_s;
         new.acceleration.fill(0.0);
         // 2. Newton's steps; the matrix of the step before serves while it serves well
@@ -313,8 +316,43 @@ impl Simulation {
         Ok(found)
     }
 
+    /// How the tip follows small sines of the currents about where it is, metres per ampere: rows x, y, z, columns coils; the
+    /// drag only as far as it is linear.
+    ///
+    /// # Errors
+    /// When the equations are singular: at a resonance without losses.
+    pub fn response(&self, frequency_hz: f64) -> Result<Matrix3<Complex<f64>>, CatheterError> {
+        let singular = || CatheterError::Motion { time_s: self.state.time_s };
+        let omega = std::f64::consts::TAU * frequency_hz;
+        let [stiffness, damping, inertia] = self.linear();
+        let matrix = DMatrix::from_fn(stiffness.nrows(), stiffness.ncols(), |i, j| {
+            Complex::new(stiffness[(i, j)] - omega * omega * inertia[(i, j)], omega * damping[(i, j)])
+        });
+        let solver = matrix.lu();
+        let none = DVector::zeros(self.chain.unknowns());
+        let tip = |q: &DVector<f64>| self.chain.places(q, &none).0.last().map_or_else(Vector3::zeros, |at| at.point);
+        let mut response = Matrix3::zeros();
+        for coil in 0..3 {
+            // The couple is linear in the currents.
+            let left = |by_a: f64| {
+                let mut load = self.load;
+                load.currents_a[coil] += by_a;
+                self.chain.residual((&self.state.q, &none, &none), &self.acting(&load))
+            };
+            let push = (left(-1.0) - left(1.0)) / 2.0;
+            let moved = solver.solve(&push.map(Complex::from)).ok_or_else(singular)?;
+            let along = |part: DVector<f64>| {
+                let size = PERTURBED / self.catheter.length_m() / part.amax().max(f64::MIN_POSITIVE);
+                (tip(&(&self.state.q + &part * size)) - tip(&(&self.state.q - &part * size))) / (2.0 * size)
+            };
+            let (real, imaginary) = (along(moved.map(|v| v.re)), along(moved.map(|v| v.im)));
+            response.set_column(coil, &real.zip_map(&imaginary, Complex::new));
+        }
+        Ok(response)
+    }
+
     /// Stiffness, damping (drag only as far as it is linear) and inertia of small motions about where it is.
-    pub(super) fn linear(&self) -> [DMatrix<f64>; 3] {
+    fn linear(&self) -> [DMatrix<f64>; 3] {
         let none = DVector::zeros(self.chain.unknowns());
         let still = State { rate: none.clone(), acceleration: none, ..self.state.clone() };
         let acting = self.acting(&self.load);

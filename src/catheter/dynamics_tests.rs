@@ -1,7 +1,7 @@
 //! Motions with known answers.
 
 use super::*;
-use nalgebra::{Point3, Vector3};
+use nalgebra::{Complex, Point3, Vector3};
 use std::f64::consts::{PI, TAU};
 
 const FINE: Accuracy = Accuracy { functions: [5, 2], longest_link_m: 2e-3, step_s: 1e-3, rho: 0.9 };
@@ -171,4 +171,52 @@ fn finer_steps_converge_with_second_order() {
     assert!((1.6..2.4).contains(&order), "{order}");
     // So much is the error of the usual step.
     assert!(off(&two, &one) < 5e-6, "{:e}", off(&two, &one));
+}
+
+/// A small circle, each point of it held for a few ms: the tip's motion in its fourth period, beside what the linearised
+/// equations make of the same currents.
+#[test]
+fn a_small_fast_path_has_the_linearised_response() {
+    let catheter = Catheter::prototype();
+    let middle = Vector3::new(0.0, 0.03, 0.05);
+    let rest = equilibrium(&catheter, &Load::currents(middle)).unwrap().tip;
+    let targets: Vec<Target> = (0..50)
+        .map(|k| f64::from(k) / 50.0 * TAU)
+        .map(|t| Target::Across([rest.x + 2e-4 * t.cos(), rest.y + 2e-4 * t.sin()]))
+        .collect();
+    let followed = follow(&catheter, &targets).unwrap();
+    let about = followed.iter().map(|f| f.currents_a).sum::<Vector3<f64>>() / 50.0;
+    let accuracy = Accuracy { step_s: 1e-3, ..Accuracy::default() };
+    let linear = Simulation::at_rest(&catheter, &Load::currents(about), accuracy).unwrap();
+    for pause_s in [0.03, 0.01, 0.004] {
+        let period_s = 50.0 * pause_s;
+        // From rest at the mean currents; the first periods bring it into step.
+        let rows: Vec<_> = followed.iter().cycle().take(400).map(|f| f.currents_a).collect();
+        let rows = rows.into_iter().enumerate().map(|(k, currents)| (k as f64 * pause_s, currents));
+        let commands = Commands::new(&catheter, rows).unwrap();
+        let mut simulation = linear.clone();
+        let (mut seen, mut given) = (Vector3::zeros(), Vector3::zeros());
+        let samples = 200;
+        for k in 0..8 * samples {
+            let (from, to) = (k as f64, (k + 1) as f64);
+            let step = period_s / f64::from(samples);
+            simulation.advance(step, |a, b| Load::currents(commands.mean(a, b))).unwrap();
+            if k < 7 * samples {
+                continue;
+            }
+            let wave = |at: f64| Complex::from_polar(2.0 / f64::from(samples), -TAU * at / f64::from(samples));
+            seen += (simulation.moment().tip - rest).map(|v| wave(to) * v);
+            given += (commands.mean(from * step, to * step) - about).map(|v| wave((from + to) / 2.0) * v);
+        }
+        let expected = linear.response(1.0 / period_s).unwrap() * given;
+        let (ratio, still) = (seen.norm() / expected.norm(), (linear.response(0.0).unwrap() * given).norm());
+        let phase = expected.dotc(&seen).arg();
+        println!(
+            "{pause_s}: {:.3} of the static size, ratio {ratio:.4}, phase {:.3}°",
+            seen.norm() / still,
+            phase.to_degrees()
+        );
+        // What the drag's quadratic part adds at this size.
+        assert!((ratio - 1.0).abs() < 0.02 && phase.abs() < 0.02, "{pause_s}: {ratio} {phase}");
+    }
 }

@@ -70,4 +70,7 @@ pub enum CatheterError {
         /// When.
         time_s: f64,
     },
+    /// Parameters cannot be fitted.
+    #[error("{0}")]
+    Fit(String),
 }

@@ -324,7 +324,8 @@ impl Link {
         let mass_kg = (tube.density_kg_m3 * tube.wall_m2() + fluid * PI * inner2) * length_m + wire_kg;
         let added_kg = motion.added_mass * fluid * PI * outer2 * length_m;
         // The lumen's fluid does not turn with the tube; wire lies on the tube.
-        let axial_kg_m2 = tube.density_kg_m3 * PI / 2.0 * (outer2.powi(2) - inner2.powi(2)) * length_m + wire_kg * outer2;
+        let axial_kg_m2 =
+            tube.density_kg_m3 * PI / 2.0 * (outer2.powi(2) - inner2.powi(2)) * length_m + wire_kg * outer2;
         Self {
             length_m,
             joint: None,
