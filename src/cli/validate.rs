@@ -8,7 +8,7 @@ use crate::identify::saved::Saved;
 use crate::report::validation::{self, ModelLine};
 use crate::series::Recording;
 use crate::source::times::parse_seconds_ns;
-use crate::validate::{DesiredPath, Interpolation, Observed, Options, ValidateError, Validation, validate};
+use crate::validate::{Average, DesiredPath, Interpolation, Observed, Options, ValidateError, Validation, validate};
 use crate::whole_file;
 use clap::ValueEnum;
 use std::collections::BTreeMap;
@@ -42,6 +42,9 @@ pub(crate) struct Args {
     /// The marker that follows the path [default: tip]
     #[arg(long, value_name = "NAME")]
     marker: Option<String>,
+    /// Frames of a pause that make its point: all, or those of its second half, as the laboratory takes them
+    #[arg(long, value_enum, default_value_t = Frames::All)]
+    average: Frames,
     /// From frame to frame, where pauses are shorter than the time between frames
     #[arg(long, value_enum, default_value_t = How::Spline)]
     interpolate: How,
@@ -54,6 +57,12 @@ pub(crate) struct Args {
     /// Folder for the results
     #[arg(short, long, value_name = "DIR")]
     out: PathBuf,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Frames {
+    All,
+    SecondHalf,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -121,7 +130,11 @@ impl Args {
             How::Spline => Interpolation::Spline,
             How::Linear => Interpolation::Linear,
         };
-        Options { skip: self.skip, marker: self.marker.clone(), interpolation }
+        let average = match self.average {
+            Frames::All => Average::All,
+            Frames::SecondHalf => Average::SecondHalf,
+        };
+        Options { skip: self.skip, marker: self.marker.clone(), average, interpolation }
     }
 
     /// Names of the tables of points, one a run in the order of the runs: two runs of one pause time have a number each.
@@ -180,8 +193,10 @@ impl Args {
 
     fn settings(&self) -> Vec<(String, String)> {
         let between = if self.interpolate == How::Spline { "cubic spline" } else { "straight lines" };
+        let averaged = if self.average == Frames::All { "all frames of a pause" } else { "the second half of a pause" };
         [
             ("Left out".to_owned(), format!("{} of them, at the beginning", self.skip)),
+            ("Averaged".to_owned(), averaged.to_owned()),
             ("Between frames".to_owned(), between.to_owned()),
         ]
         .into_iter()
