@@ -37,7 +37,7 @@ fn looped(times: i64, to: &Path) {
     let mut output = av::format::output(to).unwrap();
     let mut added = 0;
     for k in 0..times {
-        let mut input = av::format::input(&sample("planar.mkv")).unwrap();
+        let mut input = av::format::input(sample("planar.mkv")).unwrap();
         let (index, from) = {
             let stream = input.streams().best(av::media::Type::Video).unwrap();
             if k == 0 {
