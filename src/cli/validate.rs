@@ -3,10 +3,12 @@
 use super::results::Results;
 use super::units::duration_s;
 use super::{Exit, Failure, interrupt, output, provenance};
-use crate::report::validation;
+use crate::identify::Plant;
+use crate::identify::saved::Saved;
+use crate::report::validation::{self, ModelLine};
 use crate::series::Recording;
 use crate::source::times::parse_seconds_ns;
-use crate::validate::{DesiredPath, Interpolation, Observed, Options, ValidateError, Validation, validate};
+use crate::validate::{Average, DesiredPath, Interpolation, Observed, Options, ValidateError, Validation, validate};
 use crate::whole_file;
 use clap::ValueEnum;
 use std::collections::BTreeMap;
@@ -40,12 +42,27 @@ pub(crate) struct Args {
     /// The marker that follows the path [default: tip]
     #[arg(long, value_name = "NAME")]
     marker: Option<String>,
+    /// Frames of a pause that make its point: all, or those of its second half, as the laboratory takes them
+    #[arg(long, value_enum, default_value_t = Frames::All)]
+    average: Frames,
     /// From frame to frame, where pauses are shorter than the time between frames
     #[arg(long, value_enum, default_value_t = How::Spline)]
     interpolate: How,
+    /// Draw a model beside the runs: a model.json of `identify`, a file of H(s), or eq7 of the paper
+    #[arg(long, value_name = "FILE|eq7")]
+    model: Option<PathBuf>,
+    /// The model is from net torque to θ: its response to the current, gravity closed over it
+    #[arg(long, value_name = "PLANT.toml", requires = "model")]
+    plant: Option<PathBuf>,
     /// Folder for the results
     #[arg(short, long, value_name = "DIR")]
     out: PathBuf,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Frames {
+    All,
+    SecondHalf,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -78,6 +95,8 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
         return Err(Failure::new(Exit::Usage, text));
     }
     args.results().check()?;
+    let saved = args.model.as_deref().map(Saved::read).transpose().map_err(|e| Failure::new(Exit::Usage, e))?;
+    let plant = args.plant.as_deref().map(Plant::load).transpose().map_err(|e| Failure::new(Exit::Usage, e))?;
     let path = DesiredPath::read(&args.desired, args.points_per_period, args.periods).map_err(failure)?;
     let recordings = args
         .observed
@@ -100,7 +119,8 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
         }
     }
     // 3. the files
-    args.write(&validation)?;
+    let line = saved.as_ref().and_then(|saved| model_line(saved, plant, &validation));
+    args.write(&validation, line.as_ref())?;
     if quiet { Ok(()) } else { output::print(&summary(&validation, &args.out)) }
 }
 
@@ -110,7 +130,11 @@ impl Args {
             How::Spline => Interpolation::Spline,
             How::Linear => Interpolation::Linear,
         };
-        Options { skip: self.skip, marker: self.marker.clone(), interpolation }
+        let average = match self.average {
+            Frames::All => Average::All,
+            Frames::SecondHalf => Average::SecondHalf,
+        };
+        Options { skip: self.skip, marker: self.marker.clone(), average, interpolation }
     }
 
     /// Names of the tables of points, one a run in the order of the runs: two runs of one pause time have a number each.
@@ -132,12 +156,19 @@ impl Args {
             folder: &self.out,
             command: "validate",
             recordings: &self.observed,
-            inputs: self.observed.iter().chain([&self.desired]).map(PathBuf::as_path).collect(),
+            inputs: self
+                .observed
+                .iter()
+                .chain([&self.desired])
+                .chain(&self.model)
+                .chain(&self.plant)
+                .map(PathBuf::as_path)
+                .collect(),
             files: tables.chain(Self::tables_of_points(self.pause.iter().copied())).collect(),
         }
     }
 
-    fn write(&self, validation: &Validation) -> Result<(), Failure> {
+    fn write(&self, validation: &Validation, line: Option<&ModelLine>) -> Result<(), Failure> {
         let folder = &self.out;
         let cannot = |what: &Path, why: String| {
             Failure::new(Exit::Failed, format!("{}: cannot be written: {why}", what.display()))
@@ -152,7 +183,7 @@ impl Args {
         save(TABLE, &table)?;
         save(RESULT, &json)?;
         save(TABLE_2, &validation.table())?;
-        save(REPORT, &validation::page(validation, &self.settings()))?;
+        save(REPORT, &validation::page(validation, &self.settings(), line))?;
         let names = Self::tables_of_points(validation.runs.iter().map(|run| run.pause_s));
         for (run, name) in validation.runs.iter().zip(names) {
             save(&name, &run.points_csv())?;
@@ -162,14 +193,25 @@ impl Args {
 
     fn settings(&self) -> Vec<(String, String)> {
         let between = if self.interpolate == How::Spline { "cubic spline" } else { "straight lines" };
+        let averaged = if self.average == Frames::All { "all frames of a pause" } else { "the second half of a pause" };
         [
             ("Left out".to_owned(), format!("{} of them, at the beginning", self.skip)),
+            ("Averaged".to_owned(), averaged.to_owned()),
             ("Between frames".to_owned(), between.to_owned()),
         ]
         .into_iter()
         .chain(provenance::of_this_run())
         .collect()
     }
+}
+
+/// The model to use, over the frequencies of the runs. With `plant` it is from net torque to θ, and the torque of gravity,
+/// −m g L θ near rest, is closed over it: H/(1 + m g L H), what a current moves.
+fn model_line(saved: &Saved, plant: Option<Plant>, validation: &Validation) -> Option<ModelLine> {
+    let model = saved.leading()?;
+    let weight = plant.map_or(0.0, |plant| plant.weight_torque_nm);
+    let response = |f: f64| model.response(f).map(|h| h / (h * weight + 1.0));
+    Some(ModelLine::of(format!("{}, {}", saved.name, model.title), validation, response))
 }
 
 fn failure(error: ValidateError) -> Failure {

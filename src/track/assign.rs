@@ -103,7 +103,7 @@ impl Assigner {
             .map(|m| {
                 let Some(chosen) = best.choice[m] else {
                     // A thing of its colour elsewhere may be on a ray that passes another: first, is the band hidden?
-                    let hidden = unseen(rig, m, blobs, self.expected(rig, m, stamp, place));
+                    let hidden = unseen(rig, m, blobs, &self.expected(rig, m, stamp, place));
                     let last = rig.views.len().saturating_sub(1);
                     return Err(match (hidden, rejected[m].take()) {
                         (Some(view), _) => Miss::NotSeen { view },
@@ -123,20 +123,19 @@ impl Assigner {
             .collect()
     }
 
-    /// About where a marker is, and how far from there it may be: where it was, or else near its neighbour on the tube.
+    /// About where a marker is, and how far from there it may be: where it was, and near its neighbours on the tube.
     fn expected(
         &self,
         rig: &Rig,
         marker: usize,
         stamp: Timestamp,
         place: impl Fn(usize) -> Option<Point3<f64>>,
-    ) -> Option<(Point3<f64>, f64)> {
-        if let Some((point, age)) = self.recent(marker, stamp) {
-            return Some((point, PLACE_SD_M + FASTEST_M_S * age + rig.markers[marker].length_m));
-        }
+    ) -> Vec<(Point3<f64>, f64)> {
+        let recent = self.recent(marker, stamp);
+        let recent = recent.map(|(point, age)| (point, PLACE_SD_M + FASTEST_M_S * age + rig.markers[marker].length_m));
         let neighbours = [marker.checked_sub(1), Some(marker + 1).filter(|&n| n < rig.markers.len())];
         let reached = |n: usize| Some((place(n)?, longest(rig, n.min(marker))));
-        neighbours.into_iter().flatten().filter_map(reached).min_by(|a, b| a.1.total_cmp(&b.1))
+        recent.into_iter().chain(neighbours.into_iter().flatten().filter_map(reached)).collect()
     }
 
     /// Combinations of blobs whose rays meet where a band of the marker's size would look like them.
@@ -247,16 +246,18 @@ fn most_blobs(views: usize) -> usize {
     (1..=MOST_BLOBS).rev().find(fits).unwrap_or(1)
 }
 
-/// The first view in which a marker has no blob, near the place where it is expected if there is one; `None` if all have.
+/// The first view in which a marker has no blob near all places where it is expected; `None` if all have.
 /// Views without a region share the picture: there only the place says in which one a blob is missing.
-fn unseen(rig: &Rig, marker: usize, blobs: &[Blob], expected: Option<(Point3<f64>, f64)>) -> Option<usize> {
+fn unseen(rig: &Rig, marker: usize, blobs: &[Blob], expected: &[(Point3<f64>, f64)]) -> Option<usize> {
     let sees = |v: usize| {
         let view = &rig.views[v];
-        let near = expected.and_then(|(point, reach_m)| {
-            let seen = view.optics.project_with_jacobian(&point).ok()?;
+        let near = expected.iter().filter_map(|(point, reach_m)| {
+            let seen = view.optics.project_with_jacobian(point).ok()?;
             Some((seen.pixel, reach_m * px_per_m(&seen.d_pixel)))
         });
-        let is_near = |b: &usize| near.is_none_or(|(pixel, reach_px)| (blobs[*b].centre_px - pixel).norm() <= reach_px);
+        let near: Vec<_> = near.collect();
+        let is_near =
+            |b: &usize| near.iter().all(|(pixel, reach_px)| (blobs[*b].centre_px - pixel).norm() <= *reach_px);
         in_view(marker, (v, view), blobs).iter().take(MOST_BLOBS).any(is_near)
     };
     (0..rig.views.len()).find(|&v| !sees(v))

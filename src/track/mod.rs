@@ -16,6 +16,7 @@ mod no_fit;
 mod normal;
 mod patch;
 mod round;
+mod scatter;
 mod slip;
 mod stretch;
 mod tracker;

@@ -43,6 +43,16 @@ pub(super) fn provenance(step: &str, board: &Board, searched: &[Searched]) -> Re
     Ok(table)
 }
 
+/// The same of a table of points.
+pub(super) fn provenance_of_points(step: &str, file: &Path) -> Result<toml::Table, Failure> {
+    let name = file.file_name().unwrap_or(file.as_os_str()).to_string_lossy().into_owned();
+    Ok(toml::Table::from_iter([
+        ("made_by".to_owned(), format!("catoptra {} calibrate {step}", env!("CARGO_PKG_VERSION")).into()),
+        ("points".to_owned(), name.clone().into()),
+        ("inputs_sha256".to_owned(), toml::Table::from_iter([(name, hash(file)?.into())]).into()),
+    ]))
+}
+
 /// SHA-256 of a file, as hexadecimal digits.
 pub(super) fn hash(path: &Path) -> Result<String, Failure> {
     let bytes =
