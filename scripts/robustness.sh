@@ -51,6 +51,7 @@ point " 8 results do not overwrite anything" "input and report were" --test it i
 point "10 a header of 90 gigabytes" "aborted, with all other pictures" --test it hostile_input::a_header
 point "11 a changed bit in a schema" "exit code 101" --test it log_damage::a_changed_bit_in_a_schema
 point "12 YAML that multiplies itself" "5.9 GB; stack overflow" --test it hostile_input::a_yaml
+point "14 large pictures that show nothing" "88 s and 2.8 GB" --test it hostile_input::large_pictures
 point "14 15 numbers in a rig" "accepted; more than 60 s" --test it hostile_input::numbers_in_a_rig
 point "14 many views of many things" "34 s for 12 frames" --lib track::assign_tests::many_views
 point "13 17 19 sources of currents" "20 GB read; exit code 1" --test it hostile_input::sources_of_currents

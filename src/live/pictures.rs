@@ -65,7 +65,6 @@ impl Pictures {
         let (line, taken) = sync_channel(MOST_PICTURES);
         let count = Arc::clone(&recording.count);
         let thread = Builder::new().name("pictures".to_owned()).spawn(move || {
-            run_as(Urgency::Pictures);
             let backlog = log.backlog();
             let (windows, images) = (WindowRecorder::default(), ImageTaker::default());
             Recorder { recording, log, backlog, windows, images, looked: None, stopped: false }.run(&taken)
@@ -100,6 +99,9 @@ struct Recorder {
 impl Recorder {
     fn run(mut self, line: &Receiver<Taken>) -> Option<SinkError> {
         let mut failure = None;
+        // The first picture and what its file begins with are soon on the disk, whatever else wants the processor.
+        run_as(Urgency::Tracker);
+        let mut first = true;
         for taken in line {
             if !self.stopped && self.is_short() {
                 self.stopped = true;
@@ -111,6 +113,10 @@ impl Recorder {
             }
             let recorded = if self.stopped { Ok(false) } else { self.record(&taken) };
             match recorded {
+                Ok(true) if first => {
+                    first = false;
+                    run_as(Urgency::Pictures);
+                }
                 Ok(true) => {}
                 Ok(false) => self.recording.count.add_dropped(),
                 Err(error) => {

@@ -33,6 +33,17 @@ fn a_header_that_asks_for_90_gigabytes_costs_its_picture_and_no_other() {
     assert!(told.contains("large.pgm") && told.contains("300000x300000"), "{told}");
 }
 
+/// OpenCV's detector would look at each for seconds.
+#[test]
+fn large_pictures_that_show_nothing_are_gone_through_soon() {
+    let folder = tempfile::tempdir().unwrap();
+    image::GrayImage::from_pixel(12_000, 12_000, image::Luma([255])).save(folder.path().join("blank.png")).unwrap();
+    let began = Instant::now();
+    let output = run(&["calibrate", "camera", "blank.png", "--board", "9x6:12mm", "--out", "rig.toml"], folder.path());
+    ended_with(&output, 3);
+    assert!(began.elapsed() < Duration::from_secs(10), "{:?}", began.elapsed());
+}
+
 #[test]
 fn a_yaml_text_that_multiplies_itself_is_refused() {
     let folder = tempfile::tempdir().unwrap();

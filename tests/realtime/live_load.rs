@@ -35,7 +35,7 @@ impl Drop for Load {
 /// The sample many times, one behind the other, without decoding it.
 fn looped(times: i64, to: &Path) {
     let mut output = av::format::output(to).unwrap();
-    let mut added = 0;
+    let (mut added, mut decoded) = (0, i64::MIN);
     for k in 0..times {
         let mut input = av::format::input(sample("planar.mkv")).unwrap();
         let (index, from) = {
@@ -56,7 +56,9 @@ fn looped(times: i64, to: &Path) {
             packet.rescale_ts(from, stored);
             last = last.max(packet.pts().unwrap());
             packet.set_pts(packet.pts().map(|pts| pts + added));
-            packet.set_dts(packet.dts().map(|dts| dts + added));
+            // Where two meet, the first of the next is decoded before the last of this is shown.
+            decoded = packet.dts().map_or(decoded, |dts| dts + added).max(decoded.saturating_add(1));
+            packet.set_dts(Some(decoded));
             packet.set_position(-1);
             packet.set_stream(0);
             packet.write_interleaved(&mut output).unwrap();

@@ -12,7 +12,7 @@ use opencv::prelude::*;
 use opencv::{Result, calib3d, imgproc};
 
 use crate::calibrate::board::grey::Grey;
-use crate::calibrate::board::judge::{Flaw, Grid};
+use crate::calibrate::board::judge::{Flaw, Grid, LEAST_CONTRAST};
 use crate::calibrate::board::{Board, BoardError, BoardImage};
 
 /// Long sides that the detector sees the whole picture at, pixels.
@@ -34,6 +34,11 @@ const FALSE_GRIDS: usize = 3;
 /// When there is none (with what is there instead, if that can be told), or OpenCV fails.
 pub(super) fn find(picture: &Grey, board: &Board, most: usize) -> std::result::Result<Vec<BoardImage>, BoardError> {
     let [width, height] = picture.size_px().map(|n| n as i32);
+    // OpenCV looks long at what shows nothing.
+    let (darkest, brightest) = picture.samples().iter().fold((u8::MAX, 0), |(a, b), v| (a.min(*v), b.max(*v)));
+    if f64::from(brightest.saturating_sub(darkest)) < LEAST_CONTRAST {
+        return Err(BoardError::NotFound { columns: board.columns, rows: board.rows, seen: None, flaw: None });
+    }
     let pixels = pixels(picture)?;
     let mut without_found = pixels.try_clone()?;
     let (mut found, mut seen, mut flaw) = (Vec::new(), None, None);

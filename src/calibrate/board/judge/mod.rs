@@ -12,7 +12,7 @@ const BENT: f64 = 0.25;
 /// How far a corner may be from where its neighbours have it: this share of a square, or so many pixels if that is more.
 const ASTRAY: (f64, f64) = (0.08, 1.0);
 /// Least difference of dark and light squares, grey values (median).
-const LEAST_CONTRAST: f64 = 8.0;
+pub(super) const LEAST_CONTRAST: f64 = 8.0;
 /// Squares beyond the outermost ones, alternating with this share of the board's contrast, are part of a larger board.
 const GOES_ON: f64 = 0.5;
 /// How far its outline is from the corners, in squares: the outer squares and a little of the rim.
