@@ -93,14 +93,17 @@ class Simulator(ea.BaseSystemCollection, ea.Constraints, ea.Forcing, ea.Damping,
 def theirs(elements, current, tip_n, damping, end_s):
     """Times and places of the tip."""
     simulator = Simulator()
+    # Its first element does not turn: the rod begins half an element before the clamp.
+    length = LENGTH / (elements - 0.5)
     rod = ea.CosseratRod.straight_rod(
-        elements, np.zeros(3), np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0]), LENGTH, RADIUS, DENSITY,
+        elements, np.array([0.0, 0.0, -length / 2]), np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0]),
+        LENGTH + length / 2, RADIUS, DENSITY,
         youngs_modulus=YOUNG, shear_modulus=SHEAR)
     simulator.append(rod)
     simulator.constrain(rod).using(ea.OneEndFixedBC, constrained_position_idx=(0,), constrained_director_idx=(0,))
     simulator.add_forcing_to(rod).using(Coils, current=current)
     simulator.add_forcing_to(rod).using(ea.EndpointForces, np.zeros(3), tip_n, ramp_up_time=1e-6)
-    step = 0.3 * LENGTH / elements / np.sqrt(YOUNG / DENSITY)
+    step = 0.3 * length / np.sqrt(YOUNG / DENSITY)
     if damping:
         simulator.dampen(rod).using(ea.AnalyticalLinearDamper, uniform_damping_constant=damping, time_step=step)
     kept = []
