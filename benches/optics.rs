@@ -13,6 +13,7 @@ fn rays(criterion: &mut Criterion) {
         focal_px: Vector2::new(2712.0, 2707.0),
         principal_point_px: Point2::new(643.7, 508.2),
         distortion: [-0.11, 0.14, 0.0006, -0.0004, 0.0],
+        denominator: [0.0; 3],
     };
     let plane = |x: f64, y: f64, z: f64, offset_m| {
         Plane::new(Vector3::new(x, y, z).normalize(), offset_m).expect("a plane is made of finite numbers")

@@ -4,6 +4,7 @@
 use crate::calibrate::board::grey::{Grey, Rows};
 use crate::calibrate::board::{Board, find_boards};
 use crate::identify::plant::Plant;
+use crate::identify::saved::Saved;
 use crate::log::{Info, repair};
 use crate::rig::Rig;
 use crate::rig::check::check;
@@ -26,11 +27,12 @@ pub struct Target {
 }
 
 /// All kinds.
-pub const TARGETS: [Target; 13] = [
+pub const TARGETS: [Target; 14] = [
     Target { name: "rig", read: rig },
     Target { name: "rig_import", read: rig_import },
     Target { name: "series", read: series },
     Target { name: "plant", read: plant },
+    Target { name: "model", read: model },
     Target { name: "currents", read: currents },
     Target { name: "log", read: log },
     Target { name: "log_windows", read: log_windows },
@@ -87,6 +89,14 @@ fn series(bytes: &[u8], folder: &Path) {
 fn plant(bytes: &[u8], folder: &Path) {
     if let Some(path) = file(bytes, folder, "plant.toml") {
         let _ = Plant::load(&path);
+    }
+}
+
+fn model(bytes: &[u8], _: &Path) {
+    let Ok(saved) = Saved::parse(&String::from_utf8_lossy(bytes), "model") else { return };
+    for model in &saved.models {
+        let _ = model.at(0.01);
+        let _ = model.response(1.0);
     }
 }
 

@@ -32,6 +32,8 @@ pub enum Parameter {
     Principal(usize),
     /// k1, k2, p1, p2, k3.
     Distortion(usize),
+    /// k4, k5, k6, of a rational lens.
+    Denominator(usize),
     /// Turn of a surface's normal about one of two axes across it, radians, see [`tilt_axes`].
     Tilt {
         /// Index of the surface.
@@ -49,8 +51,8 @@ pub enum Parameter {
 }
 
 impl Parameter {
-    /// All of the lens, in the order fx, fy, cx, cy, k1, k2, p1, p2, k3.
-    pub const LENS: [Self; 9] = [
+    /// All of a rational lens, in the order fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, k5, k6.
+    pub const LENS: [Self; 12] = [
         Self::Focal(0),
         Self::Focal(1),
         Self::Principal(0),
@@ -60,7 +62,16 @@ impl Parameter {
         Self::Distortion(2),
         Self::Distortion(3),
         Self::Distortion(4),
+        Self::Denominator(0),
+        Self::Denominator(1),
+        Self::Denominator(2),
     ];
+
+    /// Those of [`Parameter::LENS`] that this lens has: nine, or twelve where it is rational.
+    pub fn of_lens(lens: &Lens) -> &'static [Self] {
+        let [five @ .., _, _, _] = &Self::LENS;
+        if lens.is_rational() { &Self::LENS } else { five }
+    }
 
     /// The three of a surface.
     pub fn of_surface(surface: usize) -> [Self; 3] {
@@ -74,6 +85,7 @@ impl Parameter {
             Self::Focal(axis) => of(&["focal_x_px", "focal_y_px"], axis),
             Self::Principal(axis) => of(&["principal_point_x_px", "principal_point_y_px"], axis),
             Self::Distortion(i) => of(&["k1", "k2", "p1", "p2", "k3"], i),
+            Self::Denominator(i) => of(&["k4", "k5", "k6"], i),
             Self::Tilt { surface: index, axis } => format!("{}_tilt_{axis}_rad", surface(index)),
             Self::Offset { surface: index } => format!("{}_offset_m", surface(index)),
             Self::IndexInside => "index_inside".to_owned(),
@@ -97,7 +109,7 @@ impl Parameter {
     }
 
     fn is_of_lens(self) -> bool {
-        matches!(self, Self::Focal(_) | Self::Principal(_) | Self::Distortion(_))
+        matches!(self, Self::Focal(_) | Self::Principal(_) | Self::Distortion(_) | Self::Denominator(_))
     }
 }
 
@@ -133,6 +145,7 @@ impl Geometry {
             Parameter::Focal(axis) => self.lens.focal_px[axis],
             Parameter::Principal(axis) => self.lens.principal_point_px[axis],
             Parameter::Distortion(i) => self.lens.distortion[i],
+            Parameter::Denominator(i) => self.lens.denominator[i],
             Parameter::Tilt { .. } => 0.0,
             Parameter::Offset { surface } => self.surfaces[surface].1.plane().offset_m(),
             Parameter::IndexInside => self.walls().next().map_or(1.0, |wall| wall.index_inside),
@@ -153,6 +166,7 @@ impl Geometry {
             Parameter::Focal(axis) => moved.lens.focal_px[axis] += step,
             Parameter::Principal(axis) => moved.lens.principal_point_px[axis] += step,
             Parameter::Distortion(i) => moved.lens.distortion[i] += step,
+            Parameter::Denominator(i) => moved.lens.denominator[i] += step,
             Parameter::Tilt { surface, axis } => {
                 let surface = &mut moved.surfaces[surface].1;
                 let plane = surface.plane();
@@ -268,21 +282,29 @@ impl Projector {
     }
 }
 
-/// d pixel / d (fx, fy, cx, cy, k1, k2, p1, p2, k3) at a normalised image point.
-fn lens_derivatives(lens: &Lens, normalised: &Point2<f64>) -> SMatrix<f64, 2, 9> {
+/// d pixel / d (fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, k5, k6) at a normalised image point.
+fn lens_derivatives(lens: &Lens, normalised: &Point2<f64>) -> SMatrix<f64, 2, 12> {
     let (x, y) = (normalised.x, normalised.y);
     let r2 = x * x + y * y;
     let distorted = (lens.distort(normalised) - lens.principal_point_px).component_div(&lens.focal_px);
+    let [k1, k2, _, _, k3] = lens.distortion;
+    // The radial factor is N/D.
+    let (below, _) = lens.denominator_at(r2);
+    let by_above = normalised.coords / below;
+    let by_below = -by_above * ((1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))) / below);
     let columns = [
         Vector2::new(distorted.x, 0.0),
         Vector2::new(0.0, distorted.y),
         Vector2::x(),
         Vector2::y(),
-        lens.focal_px.component_mul(&(normalised.coords * r2)),
-        lens.focal_px.component_mul(&(normalised.coords * r2 * r2)),
+        lens.focal_px.component_mul(&(by_above * r2)),
+        lens.focal_px.component_mul(&(by_above * r2 * r2)),
         lens.focal_px.component_mul(&Vector2::new(2.0 * x * y, r2 + 2.0 * y * y)),
         lens.focal_px.component_mul(&Vector2::new(r2 + 2.0 * x * x, 2.0 * x * y)),
-        lens.focal_px.component_mul(&(normalised.coords * r2 * r2 * r2)),
+        lens.focal_px.component_mul(&(by_above * r2 * r2 * r2)),
+        lens.focal_px.component_mul(&(by_below * r2)),
+        lens.focal_px.component_mul(&(by_below * r2 * r2)),
+        lens.focal_px.component_mul(&(by_below * r2 * r2 * r2)),
     ];
     SMatrix::from_columns(&columns)
 }
@@ -307,6 +329,7 @@ pub(super) mod tests {
                 focal_px: Vector2::new(2700.0, 2710.0),
                 principal_point_px: Point2::new(640.0, 510.0),
                 distortion: [-0.11, 0.14, 6e-4, -4e-4, 0.02],
+                denominator: [0.0; 3],
             },
             surfaces: vec![
                 ("front_wall".into(), wall(plane([-0.05, 0.04, -1.0], -1.26))),

@@ -3,12 +3,12 @@
 
 use crate::calibrate::board::{Board, BoardImage, BoardPicture};
 use crate::calibrate::bundle::outliers::LeftOut;
-use crate::calibrate::camera::{CameraError, calibrate_camera};
+use crate::calibrate::camera::{CameraError, LensModel, calibrate_camera};
 use crate::calibrate::geometry::{Geometry, Projector};
 use crate::calibrate::rig::expected_error::verdict;
 use crate::calibrate::rig::initial::BoardsPicture;
 use crate::calibrate::rig::{RigCalibration, RigCalibrationError, RigOptions, Tank, calibrate_rig};
-use crate::optics::{Lens, Mirror, Plane, Surface, Wall};
+use crate::optics::{Lens, Mirror, OpticalPath, Plane, Surface, Wall};
 use nalgebra::{DMatrix, DVector, Isometry3, Point2, Point3, Translation3, UnitQuaternion, Vector2, Vector3};
 
 const SIZE_PX: [u32; 2] = [1280, 1024];
@@ -30,6 +30,7 @@ fn lens() -> Lens {
         focal_px: Vector2::new(1900.0, 1904.0),
         principal_point_px: Point2::new(645.0, 507.0),
         distortion: [-0.12, 0.1, 4e-4, -3e-4, 0.0],
+        denominator: [0.0; 3],
     }
 }
 
@@ -437,7 +438,7 @@ fn a_lens_is_found_and_pictures_that_mislead_are_left_out_by_name() {
     shaken.name = "shaken.png".into();
     shaken.image.edge_px = 16.0;
     pictures.insert(0, shaken);
-    let mut found = calibrate_camera(&board(), &pictures).unwrap();
+    let mut found = calibrate_camera(&board(), &pictures, LensModel::Five).unwrap();
     assert_eq!(found.used.len(), 8);
     assert_eq!(
         found.left_out.remove(0).1.to_string(),
@@ -458,7 +459,7 @@ fn a_lens_is_found_and_pictures_that_mislead_are_left_out_by_name() {
 
 #[test]
 fn sets_that_leave_the_lens_open_are_refused_with_the_reason() {
-    let error = |pictures: &[BoardPicture]| calibrate_camera(&board(), pictures).unwrap_err();
+    let error = |pictures: &[BoardPicture]| calibrate_camera(&board(), pictures, LensModel::Five).unwrap_err();
     assert!(matches!(error(&air(&TILTS[..3], 0.05)), CameraError::TooFew { found: 3, .. }));
     assert!(matches!(error(&[]), CameraError::TooFew { found: 0, .. }));
     let same = vec![air(&TILTS[..1], 0.0).remove(0); 9];
@@ -469,6 +470,53 @@ fn sets_that_leave_the_lens_open_are_refused_with_the_reason() {
     mixed[4].size_px = [1024, 1280];
     let text = error(&mixed).to_string();
     assert!(text.starts_with("4.png has 1024x1280 pixels, 0.png has 1280x1024"), "{text}");
+}
+
+/// A wide lens of the rational model, boards out to the corners: found with eight parameters, and asked for with five.
+#[test]
+fn a_rational_lens_is_found_with_eight_parameters_and_missed_with_five() {
+    let wide = Lens {
+        focal_px: Vector2::new(620.0, 622.0),
+        principal_point_px: Point2::new(633.0, 507.0),
+        distortion: [0.9, 0.25, 3e-4, -2e-4, 0.01],
+        denominator: [1.25, 0.5, 0.06],
+    };
+    let path = OpticalPath { lens: wide, surfaces: Vec::new() };
+    let places = board().centred_points();
+    let mut random = gaussian(77);
+    let mut pictures = Vec::new();
+    for turn in 0..40 {
+        let mut around = |half: f64| half * random().clamp(-1.8, 1.8);
+        let tilt = Vector3::new(around(0.35), around(0.35), around(0.8));
+        let middle = Translation3::new(around(0.045), around(0.035), 0.06 + around(0.008));
+        let pose = Isometry3::from_parts(middle, UnitQuaternion::from_scaled_axis(tilt));
+        let pixels: Option<Vec<_>> = places.iter().map(|p| path.project(&(pose * p)).ok()).collect();
+        let Some(pixels) = pixels else { continue };
+        if pixels.iter().any(|p| !(2.0..1278.0).contains(&p.x) || !(2.0..1022.0).contains(&p.y)) {
+            continue;
+        }
+        let corners =
+            pixels.into_iter().enumerate().map(|(i, p)| (i, p + Vector2::new(random(), random()) * 0.05)).collect();
+        let image = BoardImage { corners, mirrored: None, square_px: 40.0, edge_px: 2.0, contrast: 100.0 };
+        pictures.push(BoardPicture { name: format!("{turn}.png"), size_px: [1280, 1024], image });
+    }
+    assert!(pictures.len() >= 15, "{}", pictures.len());
+    let eight = calibrate_camera(&board(), &pictures, LensModel::Eight).unwrap();
+    assert!(eight.lens.is_rational() && eight.covariance.nrows() == 12, "{:?}", eight.lens);
+    assert!((0.045..0.055).contains(&eight.corner_sd_px), "{}", eight.corner_sd_px);
+    assert!(!eight.diagnostics.iter().any(|d| d.to_string().contains("would show pictures better")));
+    // Its coefficients trade off against each other; the pixels of the field are what is known.
+    for (x, y) in [(0.0, 0.0), (0.4, 0.3), (-0.6, 0.4), (0.6, -0.55)] {
+        let off = (eight.lens.distort(&Point2::new(x, y)) - wide.distort(&Point2::new(x, y))).norm();
+        assert!(off < 1.5, "{x} {y}: {off}");
+    }
+    for (k, (found, truth)) in eight.lens.focal_px.iter().zip(wide.focal_px.iter()).enumerate() {
+        let sd = eight.covariance[(k, k)].sqrt();
+        assert!((found - truth).abs() < 4.0 * sd, "{found} ± {sd}");
+    }
+    let five = calibrate_camera(&board(), &pictures, LensModel::Five).unwrap();
+    let said = five.diagnostics.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n");
+    assert!(five.corner_sd_px > 2.0 * eight.corner_sd_px && said.contains("calibrate with --lens 8"), "{said}");
 }
 
 /// Corners of a picture pulled off together, by a smooth field of its own.
@@ -499,7 +547,7 @@ fn mirrors_are_as_good_as_they_are_said_to_be_when_corners_are_off_together() {
             }
             pulled(&mut picture.image, 0.05, &mut random);
         }
-        let camera = calibrate_camera(&board(), &boards).unwrap();
+        let camera = calibrate_camera(&board(), &boards, LensModel::Five).unwrap();
         let truth = lens();
         let lens_truth = [truth.focal_px.x, truth.focal_px.y, truth.principal_point_px.x, truth.principal_point_px.y];
         let found = [

@@ -92,8 +92,7 @@ Example:
     Catheter(catheter::Args),
     /// Identify the dynamics from logs or tables of `track` and `live`, or from any input and output
     #[command(after_help = "\
-What each option does in full: docs/identify.md
-Example:
+Example (each option in full: docs/identify.md):
   catoptra identify sample_dynamics/training.csv --currents sample_dynamics/training_currents.csv \\
     --plant sample_dynamics/plant.toml -o dynamics")]
     Identify(Box<identify::Args>),

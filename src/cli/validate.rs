@@ -3,7 +3,9 @@
 use super::results::Results;
 use super::units::duration_s;
 use super::{Exit, Failure, interrupt, output, provenance};
-use crate::report::validation;
+use crate::identify::Plant;
+use crate::identify::saved::Saved;
+use crate::report::validation::{self, ModelLine};
 use crate::series::Recording;
 use crate::source::times::parse_seconds_ns;
 use crate::validate::{Average, DesiredPath, Interpolation, Observed, Options, ValidateError, Validation, validate};
@@ -46,6 +48,12 @@ pub(crate) struct Args {
     /// From frame to frame, where pauses are shorter than the time between frames
     #[arg(long, value_enum, default_value_t = How::Spline)]
     interpolate: How,
+    /// Draw a model beside the runs: a model.json of `identify`, a file of H(s), or eq7 of the paper
+    #[arg(long, value_name = "FILE|eq7")]
+    model: Option<PathBuf>,
+    /// The model is from net torque to θ: its response to the current, gravity closed over it
+    #[arg(long, value_name = "PLANT.toml", requires = "model")]
+    plant: Option<PathBuf>,
     /// Folder for the results
     #[arg(short, long, value_name = "DIR")]
     out: PathBuf,
@@ -87,6 +95,8 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
         return Err(Failure::new(Exit::Usage, text));
     }
     args.results().check()?;
+    let saved = args.model.as_deref().map(Saved::read).transpose().map_err(|e| Failure::new(Exit::Usage, e))?;
+    let plant = args.plant.as_deref().map(Plant::load).transpose().map_err(|e| Failure::new(Exit::Usage, e))?;
     let path = DesiredPath::read(&args.desired, args.points_per_period, args.periods).map_err(failure)?;
     let recordings = args
         .observed
@@ -109,7 +119,8 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
         }
     }
     // 3. the files
-    args.write(&validation)?;
+    let line = saved.as_ref().and_then(|saved| model_line(saved, plant, &validation));
+    args.write(&validation, line.as_ref())?;
     if quiet { Ok(()) } else { output::print(&summary(&validation, &args.out)) }
 }
 
@@ -145,12 +156,19 @@ impl Args {
             folder: &self.out,
             command: "validate",
             recordings: &self.observed,
-            inputs: self.observed.iter().chain([&self.desired]).map(PathBuf::as_path).collect(),
+            inputs: self
+                .observed
+                .iter()
+                .chain([&self.desired])
+                .chain(&self.model)
+                .chain(&self.plant)
+                .map(PathBuf::as_path)
+                .collect(),
             files: tables.chain(Self::tables_of_points(self.pause.iter().copied())).collect(),
         }
     }
 
-    fn write(&self, validation: &Validation) -> Result<(), Failure> {
+    fn write(&self, validation: &Validation, line: Option<&ModelLine>) -> Result<(), Failure> {
         let folder = &self.out;
         let cannot = |what: &Path, why: String| {
             Failure::new(Exit::Failed, format!("{}: cannot be written: {why}", what.display()))
@@ -165,7 +183,7 @@ impl Args {
         save(TABLE, &table)?;
         save(RESULT, &json)?;
         save(TABLE_2, &validation.table())?;
-        save(REPORT, &validation::page(validation, &self.settings()))?;
+        save(REPORT, &validation::page(validation, &self.settings(), line))?;
         let names = Self::tables_of_points(validation.runs.iter().map(|run| run.pause_s));
         for (run, name) in validation.runs.iter().zip(names) {
             save(&name, &run.points_csv())?;
@@ -185,6 +203,15 @@ impl Args {
         .chain(provenance::of_this_run())
         .collect()
     }
+}
+
+/// The model to use, over the frequencies of the runs. With `plant` it is from net torque to θ, and the torque of gravity,
+/// −m g L θ near rest, is closed over it: H/(1 + m g L H), what a current moves.
+fn model_line(saved: &Saved, plant: Option<Plant>, validation: &Validation) -> Option<ModelLine> {
+    let model = saved.leading()?;
+    let weight = plant.map_or(0.0, |plant| plant.weight_torque_nm);
+    let response = |f: f64| model.response(f).map(|h| h / (h * weight + 1.0));
+    Some(ModelLine::of(format!("{}, {}", saved.name, model.title), validation, response))
 }
 
 fn failure(error: ValidateError) -> Failure {

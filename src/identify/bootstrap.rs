@@ -6,6 +6,7 @@
 
 use super::data::Segment;
 use super::model::{Noise, Polynomials, all_pole};
+use super::uncertainty::Covariance;
 use fastrand::Rng;
 
 /// Samples in a block.
@@ -35,6 +36,15 @@ pub(crate) fn repeat<T: Send>(
         of(&drawn)
     };
     (0..count).into_par_iter().filter_map(repetition).collect()
+}
+
+/// Models around `model` as its covariance has them: where that is known without the data's own noise.
+pub(crate) fn drawn(model: &Polynomials, covariance: &Covariance, count: usize) -> Vec<Polynomials> {
+    let mut rng = Rng::with_seed(SEED);
+    // Box and Muller's way to normal numbers; 1 − u is never 0.
+    let mut normal = || (-2.0 * (1.0 - rng.f64()).ln()).sqrt() * (std::f64::consts::TAU * rng.f64()).cos();
+    let parameters = model.parameters();
+    (0..count).map(|_| model.with_parameters(covariance.drawn(&parameters, &mut normal).as_slice())).collect()
 }
 
 /// The output that the model would have without noise, and what the noise was.

@@ -1,6 +1,6 @@
 //! From signals to models: the whole chain, its steps in their order.
 
-use super::bootstrap::{middle_95, repeat};
+use super::bootstrap::{drawn, middle_95, repeat};
 use super::data::{Data, Record, Segment};
 use super::diagnostics::diagnostics;
 use super::estimated::{Estimated, Refined};
@@ -10,6 +10,7 @@ use super::initial::initial_models;
 use super::model::Noise;
 use super::model::{Orders, Polynomials, angle};
 use super::modelled::{Modelled, Role, bandwidths};
+use super::periodic::{self, Periodic};
 use super::reduce::{Reduced, Reduction, Target, reduce, reduce_in_band};
 use super::residuals::Residuals;
 use super::search::{Candidate, Criterion, best, search};
@@ -65,12 +66,19 @@ pub fn identify(data: &Data, settings: &Settings) -> Result<Identification, Iden
         let title = format!("refined, order {}", model.order());
         models.push(modelled(Role::Refined, title, model, Some(covariance.clone())));
     }
-    // 5. how sure
+    // 5. averaged periods, where the input repeats
+    let periodic = fit_periods(data, settings, refined.as_ref().ok())?;
+    if let Some(found) = &periodic {
+        let Estimated { model, covariance, .. } = found.estimated();
+        let title = format!("periods, order {}", model.order());
+        models.push(modelled(Role::Periodic, title, model, Some(covariance.clone())));
+    }
+    // 6. how sure
     let residuals = Residuals::of(&estimated.model, &training, settings.estimator.noise());
     let biased = settings.estimator == Estimator::Arx
         && (training.iter().any(|s| s.instrument.is_some()) || !residuals.as_ref().is_some_and(Residuals::look_white));
     let repetitions = intervals(&mut models, &training, data.period_s, excited_hz, how, settings, biased);
-    let fits = fits(data, &models, settings.initial_state);
+    let fits = fits(&data.training, &data.validation, &models, settings.initial_state);
     let mut done = Identification {
         candidates,
         criterion,
@@ -78,6 +86,7 @@ pub fn identify(data: &Data, settings: &Settings) -> Result<Identification, Iden
         full,
         reduced,
         refined,
+        periodic,
         models,
         fits,
         residuals,
@@ -179,6 +188,21 @@ fn refine_reduced(
     output_error::refine_from_any(training, &initial)
 }
 
+/// The model of the averaged periods of the data fitted, if their input repeats.
+fn fit_periods(data: &Data, settings: &Settings, refined: Option<&Refined>) -> Result<Option<Periodic>, IdentifyError> {
+    let Some(repeats) = settings.repeats else { return Ok(None) };
+    let mut delays: Vec<usize> = match &settings.choice {
+        Choice::Fixed(orders) => vec![orders.nk],
+        Choice::Search { candidates, .. } => candidates.iter().map(|orders| orders.nk).collect(),
+    };
+    delays.sort_unstable();
+    delays.dedup();
+    let others: Vec<Polynomials> = refined.iter().map(|r| r.estimated.model.clone()).collect();
+    periodic::fit(&data.training, data.period_s, repeats, settings.target, &delays, &others)
+        .map(Some)
+        .map_err(|problem| IdentifyError::NotPeriodic { problem })
+}
+
 fn stretches(records: &[Record]) -> Vec<Segment> {
     records.iter().flat_map(|r| r.segments.iter().cloned()).collect()
 }
@@ -214,11 +238,16 @@ fn can_judge(validation: &[Segment], choice: &Choice) -> Result<(), IdentifyErro
 }
 
 /// Every model on every record: simulated both ways, and predicted.
-fn fits(data: &Data, models: &[Modelled], initial_state: InitialState) -> Vec<Fit> {
+pub(super) fn fits(
+    training: &[Record],
+    validation: &[Record],
+    models: &[Modelled],
+    initial_state: InitialState,
+) -> Vec<Fit> {
     let other = if initial_state == InitialState::Rest { InitialState::Estimated } else { InitialState::Rest };
     let kinds = [Kind::Simulation(initial_state), Kind::Simulation(other), Kind::Prediction];
     let mut fits = Vec::new();
-    let records = data.training.iter().map(|r| (r, true)).chain(data.validation.iter().map(|r| (r, false)));
+    let records = training.iter().map(|r| (r, true)).chain(validation.iter().map(|r| (r, false)));
     for (record, training) in records {
         // From rest is from rest here, also for a part of a record: the number of other programs. With its start
         // estimated it stands beside it.
@@ -272,14 +301,23 @@ fn intervals(
             Some(of(Role::Refined, &again))
         });
     }
+    let mut periodic_draws = Vec::new();
+    if let Some(found) = models.iter().find(|m| m.role == Role::Periodic)
+        && let Some(covariance) = &found.covariance
+    {
+        let again = drawn(&found.model, covariance, settings.bootstrap);
+        periodic_draws = again.iter().filter(|m| m.is_stable()).map(|m| of(Role::Periodic, m)).collect();
+    }
     for model in models {
         let draws: Vec<&Vec<Option<f64>>> = match model.role {
             Role::Full => full_draws.iter().map(|(full, _)| full).collect(),
             Role::Reduced => full_draws.iter().filter_map(|(_, reduced)| reduced.as_ref()).collect(),
             Role::Refined => refined_draws.iter().collect(),
+            Role::Periodic => periodic_draws.iter().collect(),
+            Role::Given => Vec::new(),
         };
         // How far a biased estimate scatters does not tell how far it is off.
-        if biased && model.role != Role::Refined {
+        if biased && matches!(model.role, Role::Full | Role::Reduced) {
             continue;
         }
         for (k, estimate) in model.bandwidths.iter_mut().enumerate() {

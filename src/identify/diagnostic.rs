@@ -117,6 +117,23 @@ pub enum Diagnostic {
         /// Steps taken.
         steps: usize,
     },
+    /// The system has not settled when averaging begins.
+    NotSteady {
+        /// By how much the first period is off, over what noise explains.
+        off: f64,
+        /// Periods left out.
+        skipped: usize,
+    },
+    /// The lines hold something that the model and the noise do not explain.
+    BeyondNoise {
+        /// Of what noise explains.
+        left: f64,
+    },
+    /// Fewer periods than give σ that can be relied on.
+    FewPeriods {
+        /// How many.
+        periods: usize,
+    },
     /// The record is too short for a frequency response without a model.
     NoSpectrum,
 }
@@ -207,6 +224,23 @@ impl fmt::Display for Diagnostic {
             ),
             Self::NotRefined { why } => write!(f, "there is no refined model: {why}"),
             Self::NotSettled { title, steps } => write!(f, "{title}: the search did not come to rest in {steps} steps"),
+            Self::NotSteady { off, skipped } => write!(
+                f,
+                "the first period that is averaged differs from the others {off:.1} times more than noise explains: leave out \
+                 more than {skipped} with --repeats T:{}",
+                skipped + 1
+            ),
+            Self::BeyondNoise { left } => write!(
+                f,
+                "the model leaves {left:.2} times of the periods' lines what noise explains: what repeats is not linear, or of a higher \
+                 order (--reduce); σ is widened by its root"
+            ),
+            Self::FewPeriods { periods } => {
+                write!(
+                    f,
+                    "{periods} periods are averaged: from 7 on their noise is known well enough for the σ of H(s)"
+                )
+            }
             Self::NoSpectrum => {
                 write!(
                     f,

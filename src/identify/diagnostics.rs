@@ -19,6 +19,14 @@ const OFF_CENTRE: f64 = 1.0;
 /// A stable pole so near to the unit circle that its gain is hardly known.
 const NEARLY_UNSTABLE: f64 = 1e-4;
 
+/// The first period may differ from the others so many times more than noise explains: its ratio scatters where lines are
+/// few.
+const FIRST_OFF: f64 = 2.0;
+/// More σ than this beyond what noise leaves is no chance.
+const BEYOND_SD: f64 = 3.3;
+/// From so many periods on the expressions for variances that are estimated hold (see `periodic`).
+const ENOUGH_PERIODS: usize = 7;
+
 /// A model that leaves more of the energy than this is called poor, percent.
 const POOR: f64 = 50.0;
 
@@ -82,12 +90,32 @@ pub(super) fn diagnostics(data: &Data, done: &Identification) -> Vec<Diagnostic>
     } else if let Err(why) = &done.refined {
         diagnostics.push(Diagnostic::NotRefined { why: why.clone() });
     }
+    diagnostics.extend(of_periods(done));
     let refined = done.refined.as_ref().ok().map(|r| (Role::Refined, r));
+    let refined = refined.into_iter().chain(done.periodic.as_ref().map(|p| (Role::Periodic, &p.refined)));
     for (role, refined) in done.full.as_ref().map(|r| (Role::Full, r)).into_iter().chain(refined) {
         let title = done.model(role).map_or_else(String::new, |m| m.title.clone());
         if !refined.settled {
             diagnostics.push(Diagnostic::NotSettled { title, steps: refined.steps });
         }
+    }
+    diagnostics
+}
+
+/// What averaged periods leave open.
+fn of_periods(done: &Identification) -> Vec<Diagnostic> {
+    let Some(found) = &done.periodic else { return Vec::new() };
+    let mut diagnostics = Vec::new();
+    let worst = found.records.iter().max_by(|a, b| a.first_off.total_cmp(&b.first_off));
+    if let Some(record) = worst.filter(|r| r.first_off > FIRST_OFF) {
+        diagnostics.push(Diagnostic::NotSteady { off: record.first_off, skipped: record.skipped });
+    }
+    if found.left > 1.0 + BEYOND_SD * found.left_sd {
+        diagnostics.push(Diagnostic::BeyondNoise { left: found.left });
+    }
+    let fewest = found.records.iter().map(|r| r.periods).min().unwrap_or(0);
+    if fewest < ENOUGH_PERIODS {
+        diagnostics.push(Diagnostic::FewPeriods { periods: fewest });
     }
     diagnostics
 }

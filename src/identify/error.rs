@@ -59,6 +59,12 @@ pub enum IdentifyError {
         /// Why, and what would be possible.
         problem: String,
     },
+    /// Periods cannot be averaged, or give no model.
+    #[error("{problem}")]
+    NotPeriodic {
+        /// Why, with the record, and what would help.
+        problem: String,
+    },
     /// There is no sample.
     #[error("{name}: has no sample with input and output to identify from")]
     Nothing {

@@ -1,13 +1,15 @@
 //! The result as files: `model.json` and one table a curve. docs/identify.md tells every field.
 
+use super::applied::Applied;
 use super::continuous::{Continuous, Conversion};
 use super::data::Data;
-use super::fit::{InitialState, Kind, output};
+use super::fit::{InitialState, Kind};
 use super::identification::{Fit, Identification};
 use super::model::Polynomials;
 use super::modelled::{ContinuousEstimate, Modelled, Role};
-use super::provenance::Provenance;
-use super::residuals::Residuals;
+use super::provenance::{Provenance, RecordSummary};
+use super::saved::Saved;
+use super::tables;
 use super::uncertainty::Covariance;
 use crate::whole_file;
 use nalgebra::{Complex, DMatrix};
@@ -16,8 +18,19 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 /// All files that [`write`] may write.
-pub(crate) const FILES: [&str; 7] =
-    ["model.json", "bode.csv", "signals.csv", "hankel.csv", "orders.csv", "frequency_response.csv", "residuals.csv"];
+pub(crate) const FILES: [&str; 9] = [
+    "model.json",
+    APPLIED,
+    "bode.csv",
+    "signals.csv",
+    "hankel.csv",
+    "orders.csv",
+    "frequency_response.csv",
+    "lines.csv",
+    "residuals.csv",
+];
+/// What a saved model came to.
+const APPLIED: &str = "applied.json";
 
 /// A file could not be written.
 #[derive(Debug, thiserror::Error)]
@@ -51,25 +64,96 @@ pub(crate) fn write(
     provenance: &Provenance,
 ) -> Result<Vec<PathBuf>, ExportError> {
     let json = serde_json::to_vec_pretty(&model(data, done, provenance)).map_err(io::Error::other);
+    let records = || data.training.iter().chain(&data.validation);
     let mut files = vec![("model.json", json)];
-    files.push(("bode.csv", bode(done)));
-    files.push(("signals.csv", signals(data, done, provenance.initial_state)));
-    files.push(("hankel.csv", hankel(done)));
+    files.push(("bode.csv", tables::bode(&done.models)));
+    files.push(("signals.csv", tables::signals(records(), data.period_s, &done.models, provenance.initial_state)));
+    files.push(("hankel.csv", tables::hankel(done)));
     if !done.candidates.is_empty() {
-        files.push(("orders.csv", orders(done)));
+        files.push(("orders.csv", tables::orders(done)));
     }
-    if done.spectrum.is_some() {
-        files.push(("frequency_response.csv", frequency_response(done)));
+    if let Some(spectrum) = &done.spectrum {
+        files.push(("frequency_response.csv", tables::frequency_response(spectrum)));
+    }
+    if let Some(periodic) = &done.periodic {
+        files.push(("lines.csv", tables::lines(periodic)));
     }
     if let Some(residuals) = &done.residuals {
-        files.push(("residuals.csv", correlations(residuals)));
+        files.push(("residuals.csv", tables::correlations(residuals)));
     }
+    put_all(folder, files)
+}
+
+/// Writes what a saved model came to on other records; says which files.
+///
+/// # Errors
+/// The system's, with the file.
+pub(crate) fn write_applied(
+    folder: &Path,
+    data: &Data,
+    done: &Applied,
+    saved: &Saved,
+    provenance: &Provenance,
+) -> Result<Vec<PathBuf>, ExportError> {
+    let json = json!({
+        "format": "catoptra-applied",
+        "format_version": 1,
+        "program": format!("catoptra {}", env!("CARGO_PKG_VERSION")),
+        "model": saved.name,
+        "leading": done.leading().map(|m| m.role.word()),
+        "period_s": data.period_s,
+        "input": { "name": provenance.input, "unit": provenance.input_unit },
+        "output": { "name": provenance.output, "unit": provenance.output_unit },
+        "settings": settings(provenance),
+        "records": records(provenance),
+        "fits": done.fits.iter().map(fit).collect::<Vec<_>>(),
+        "gains": done.gains.iter().map(|(record, gain)| json!({ "record": record, "gain": gain })).collect::<Vec<_>>(),
+        "notes": done.notes,
+    });
+    let mut files = vec![(APPLIED, serde_json::to_vec_pretty(&json).map_err(io::Error::other))];
+    files.push(("bode.csv", tables::bode(&done.models)));
+    files.push((
+        "signals.csv",
+        tables::signals(data.validation.iter(), data.period_s, &done.models, provenance.initial_state),
+    ));
+    if let Some(spectrum) = &done.spectrum {
+        files.push(("frequency_response.csv", tables::frequency_response(spectrum)));
+    }
+    put_all(folder, files)
+}
+
+fn put_all(folder: &Path, files: Vec<(&str, io::Result<Vec<u8>>)>) -> Result<Vec<PathBuf>, ExportError> {
     let put = |(name, bytes): (&str, io::Result<Vec<u8>>)| {
         let path = folder.join(name);
         let written = bytes.and_then(|bytes| whole_file::write(&path, &bytes));
         written.map(|()| path.clone()).map_err(|source| ExportError { path, source })
     };
     files.into_iter().map(put).collect()
+}
+
+fn settings(provenance: &Provenance) -> Value {
+    let all = provenance.settings.iter().map(|(name, value)| (name.clone(), json!(value)));
+    Value::Object(all.collect())
+}
+
+fn records(provenance: &Provenance) -> Vec<Value> {
+    let one = |record: &RecordSummary| {
+        json!({
+            "name": record.name,
+            "role": if record.training { "training" } else { "validation" },
+            "samples": record.samples,
+            "stretches": record.stretches,
+            "lost": record.lost,
+            "missed": record.missed,
+            "bridged": record.bridged,
+            "period_s": record.period_s,
+            "jitter_s": record.jitter_s,
+            "duration_s": record.duration_s,
+            "delay_s": record.delay.as_ref().map(|d| d.delay_s),
+            "delay_standard_error_s": record.delay.as_ref().map(|d| d.sd_s),
+        })
+    };
+    provenance.records.iter().map(one).collect()
 }
 
 /// `model.json`. What is no number is null.
@@ -83,21 +167,8 @@ fn model(data: &Data, done: &Identification, provenance: &Provenance) -> Value {
         "period_s": data.period_s,
         "input": { "name": provenance.input, "unit": provenance.input_unit },
         "output": { "name": provenance.output, "unit": provenance.output_unit },
-        "settings": provenance.settings.iter().map(|(name, value)| (name.clone(), json!(value))).collect::<serde_json::Map<_, _>>(),
-        "records": provenance.records.iter().map(|record| json!({
-            "name": record.name,
-            "role": if record.training { "training" } else { "validation" },
-            "samples": record.samples,
-            "stretches": record.stretches,
-            "lost": record.lost,
-            "missed": record.missed,
-            "bridged": record.bridged,
-            "period_s": record.period_s,
-            "jitter_s": record.jitter_s,
-            "duration_s": record.duration_s,
-            "delay_s": record.delay.as_ref().map(|d| d.delay_s),
-            "delay_standard_error_s": record.delay.as_ref().map(|d| d.sd_s),
-        })).collect::<Vec<_>>(),
+        "settings": settings(provenance),
+        "records": records(provenance),
         "search": done.criterion.map(|criterion| json!({
             "criterion": format!("{criterion:?}").to_lowercase(),
             "models": done.candidates.len(),
@@ -128,6 +199,21 @@ fn model(data: &Data, done: &Identification, provenance: &Provenance) -> Value {
             "noise_variance": r.estimated.noise_variance,
             "steps": r.steps,
             "settled": r.settled,
+            "continuous": m.continuous.as_ref().map(continuous),
+        }))),
+        "periodic": by(Role::Periodic).zip(done.periodic.as_ref()).map(|(m, p)| reduced(m, json!({
+            "left_over_noise": p.left,
+            "left_over_noise_sd": p.left_sd,
+            "steps": p.refined.steps,
+            "settled": p.refined.settled,
+            "records": p.records.iter().map(|r| json!({
+                "lines": r.lines.len(),
+                "samples": r.samples,
+                "periods": r.periods,
+                "skipped": r.skipped,
+                "left_out": r.left_out,
+                "first_period_over_noise": r.first_off,
+            })).collect::<Vec<_>>(),
             "continuous": m.continuous.as_ref().map(continuous),
         }))),
         "excited_band_hz": done.spectrum.as_ref().map(|s| [s.excited_hz.0, s.excited_hz.1]),
@@ -258,125 +344,4 @@ fn fit(fit: &Fit) -> Value {
         "rms": fit.error.rms,
         "samples": fit.error.samples,
     })
-}
-
-/// A table of texts under its header.
-fn table(header: &[String], rows: impl Iterator<Item = Vec<String>>) -> io::Result<Vec<u8>> {
-    let mut writer = csv::WriterBuilder::new().terminator(csv::Terminator::CRLF).from_writer(Vec::new());
-    writer.write_record(header).map_err(io::Error::other)?;
-    for row in rows {
-        writer.write_record(&row).map_err(io::Error::other)?;
-    }
-    writer.into_inner().map_err(|e| io::Error::other(e.to_string()))
-}
-
-fn texts(words: &[&str]) -> Vec<String> {
-    words.iter().map(|w| (*w).to_owned()).collect()
-}
-
-/// Empty where there is no number.
-fn cell(value: Option<f64>) -> String {
-    value.filter(|v| v.is_finite()).map_or_else(String::new, |v| v.to_string())
-}
-
-fn bode(done: &Identification) -> io::Result<Vec<u8>> {
-    let header =
-        texts(&["model", "frequency_hz", "magnitude", "magnitude_db", "magnitude_db_sd", "phase_deg", "phase_deg_sd"]);
-    let db_of_ln = 20.0 / 10_f64.ln();
-    let rows = done.models.iter().flat_map(|m| {
-        m.bode.iter().map(move |p| {
-            let sd = |scale: f64, of: fn((f64, f64)) -> f64| cell(p.sd.map(|both| scale * of(both)));
-            vec![
-                m.role.word().to_owned(),
-                p.frequency_hz.to_string(),
-                cell(Some(p.magnitude)),
-                cell(Some(20.0 * p.magnitude.log10())),
-                sd(db_of_ln, |(gain, _)| gain),
-                cell(Some(p.phase_rad.to_degrees())),
-                sd(1_f64.to_degrees(), |(_, phase)| phase),
-            ]
-        })
-    });
-    table(&header, rows)
-}
-
-fn frequency_response(done: &Identification) -> io::Result<Vec<u8>> {
-    let header =
-        texts(&["frequency_hz", "magnitude", "magnitude_db", "phase_deg", "coherence", "relative_sd", "input_power"]);
-    let points = done.spectrum.iter().flat_map(|s| &s.points);
-    let phases = super::modelled::unwrapped(points.clone().map(|p| p.response.arg()));
-    let rows = points.zip(phases).map(|(p, phase)| {
-        let gain = p.response.norm();
-        let numbers =
-            [p.frequency_hz, gain, 20.0 * gain.log10(), phase.to_degrees(), p.coherence, p.relative_sd, p.input_power];
-        numbers.into_iter().map(|v| cell(Some(v))).collect()
-    });
-    table(&header, rows)
-}
-
-fn hankel(done: &Identification) -> io::Result<Vec<u8>> {
-    let header = texts(&["state", "hankel_singular_value", "in_band"]);
-    let reduced = done.reduced.as_ref().ok();
-    let in_band = |k: usize| reduced.and_then(|r| r.hankel_in_band.as_ref()).and_then(|all| all.get(k).copied());
-    let values = reduced.into_iter().flat_map(|r| r.hankel.iter().enumerate());
-    table(&header, values.map(|(k, v)| vec![(k + 1).to_string(), cell(Some(*v)), cell(in_band(k))]))
-}
-
-fn orders(done: &Identification) -> io::Result<Vec<u8>> {
-    let header = texts(&[
-        "na",
-        "nb",
-        "nk",
-        "loss",
-        "aic",
-        "mdl",
-        "prediction_error_percent",
-        "simulation_error_percent",
-        "largest_pole",
-    ]);
-    let rows = done.candidates.iter().map(|c| {
-        let error = |e: Option<super::fit::FitError>| cell(e.map(|e| e.error_percent));
-        let counts = [c.orders.na, c.orders.nb, c.orders.nk].map(|n| n.to_string());
-        let criteria = [c.loss, c.aic, c.mdl].map(|v| cell(Some(v)));
-        let judged = [error(c.prediction), error(c.simulation), cell(Some(c.largest_pole))];
-        counts.into_iter().chain(criteria).chain(judged).collect()
-    });
-    table(&header, rows)
-}
-
-fn correlations(residuals: &Residuals) -> io::Result<Vec<u8>> {
-    let header =
-        texts(&["lag", "autocorrelation", "autocorrelation_bound", "input_correlation", "input_correlation_bound"]);
-    let rows = residuals.cross.iter().enumerate().map(|(k, cross)| {
-        let lag = Residuals::cross_lag(k);
-        let auto = usize::try_from(lag).ok().and_then(|lag| residuals.auto.get(lag).copied());
-        let bound = auto.map(|_| residuals.auto_bound);
-        vec![lag.to_string(), cell(auto), cell(bound), cell(Some(*cross)), cell(Some(residuals.cross_bound))]
-    });
-    table(&header, rows)
-}
-
-/// Observed and simulated, every sample of every record.
-fn signals(data: &Data, done: &Identification, initial_state: InitialState) -> io::Result<Vec<u8>> {
-    let mut header = texts(&["record", "sample", "t_s", "input", "output"]);
-    header.extend(done.models.iter().map(|m| m.role.word().to_owned()));
-    let mut rows = Vec::new();
-    for record in data.training.iter().chain(&data.validation) {
-        for segment in &record.segments {
-            let simulated: Vec<Vec<f64>> =
-                done.models.iter().map(|m| output(&m.model, segment, Kind::Simulation(initial_state))).collect();
-            for k in 0..segment.len() {
-                let mut row = vec![
-                    record.name.clone(),
-                    (segment.first + k).to_string(),
-                    format!("{:.6}", segment.start_s + k as f64 * data.period_s),
-                    cell(Some(segment.input[k])),
-                    cell(Some(segment.output[k])),
-                ];
-                row.extend(simulated.iter().map(|s| cell(s.get(k).copied())));
-                rows.push(row);
-            }
-        }
-    }
-    table(&header, rows.into_iter())
 }

@@ -5,6 +5,7 @@ use super::estimated::{Estimated, Refined};
 use super::fit::{FitError, Kind};
 use super::model::Orders;
 use super::modelled::{Modelled, Role};
+use super::periodic::Periodic;
 use super::reduce::Reduced;
 use super::residuals::Residuals;
 use super::search::{Candidate, Criterion};
@@ -42,7 +43,9 @@ pub struct Identification {
     pub reduced: Result<Reduced, String>,
     /// Output error of the reduced order, or why there is none.
     pub refined: Result<Refined, String>,
-    /// The models: full, then reduced and refined where they are.
+    /// Of the lines of averaged periods, where the input was said to repeat.
+    pub periodic: Option<Periodic>,
+    /// The models: full, then reduced, refined and periodic where they are.
     pub models: Vec<Modelled>,
     /// Each model on each record.
     pub fits: Vec<Fit>,
@@ -61,9 +64,9 @@ pub struct Identification {
 }
 
 impl Identification {
-    /// The model to use: refined, or what there is in its place.
+    /// The model to use: of the averaged periods where there are any, refined otherwise, or what there is in its place.
     pub fn leading(&self) -> Option<&Modelled> {
-        [Role::Refined, Role::Reduced, Role::Full].into_iter().find_map(|role| self.model(role))
+        Role::LEADING.into_iter().find_map(|role| self.model(role))
     }
 
     /// The model of a role.

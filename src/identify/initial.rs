@@ -4,18 +4,19 @@ use super::data::Segment;
 use super::model::{Orders, Polynomials, angle, memory};
 use super::reduce::{Reduction, Removal, Target, reduce};
 use super::spectrum::spectrum;
-use super::{arx, instrumental};
+use super::{arx, instrumental, subspace};
 
 /// Order of the ARX model that is reduced.
 const HIGH_ORDER: usize = 12;
 
-/// Initial models of these orders: ARX, which noise on the output biases, instrumental variables, and ARX of a
-/// high order reduced for the excited band.
+/// Initial models of these orders: ARX, which noise on the output biases, instrumental variables, ARX of a high order
+/// reduced for the excited band, and the states that subspaces show.
 pub(super) fn initial_models(segments: &[Segment], orders: Orders) -> Vec<Polynomials> {
     let by_arx = arx::fit(segments, orders).ok().map(|found| found.model);
     let by_instruments =
         by_arx.as_ref().and_then(|m| instrumental::refine(segments, m).ok()).map(|r| r.estimated.model);
-    [by_arx, by_instruments, by_reduction(segments, orders)].into_iter().flatten().collect()
+    let by_subspace = [subspace::Weight::None, subspace::Weight::Canonical].map(|w| subspace::fit(segments, orders, w));
+    [by_arx, by_instruments, by_reduction(segments, orders)].into_iter().chain(by_subspace).flatten().collect()
 }
 
 /// A high order takes up the noise on the output, which a low one is biased by. What it says outside of the excited

@@ -6,6 +6,9 @@
 //!                  held        holes   fewer      delay     │              states
 //!                                      samples              └ output_error, instrumental
 //! ```
+//! A record whose input repeats has one more way: `periodic` averages its periods and fits H(s) to the lines. `saved` reads
+//! models back, `applied` compares them with other records.
+//!
 //! [`chain::identify`] runs it; `export::write` and `crate::report::identification` write what came out. Beside the
 //! models: `spectrum` (the response without a model), `bandwidth`, `residuals`, `bootstrap`, `delay` (between
 //! the clocks), and `diagnostic` (what a user must know before using the numbers).
@@ -36,12 +39,15 @@ pub(crate) mod estimated;
 pub(crate) mod instrumental;
 pub(crate) mod output_error;
 pub(crate) mod search;
+mod subspace;
 
 pub(crate) mod gramian;
 pub(crate) mod reduce;
 pub(crate) mod state_space;
 
 pub(crate) mod continuous;
+
+pub(crate) mod periodic;
 
 pub(crate) mod bandwidth;
 pub(crate) mod bootstrap;
@@ -51,6 +57,7 @@ pub(crate) mod residuals;
 pub(crate) mod spectrum;
 pub(crate) mod uncertainty;
 
+pub(crate) mod applied;
 pub(crate) mod chain;
 pub(crate) mod diagnostic;
 mod diagnostics;
@@ -58,10 +65,12 @@ pub(crate) mod export;
 pub(crate) mod identification;
 pub(crate) mod provenance;
 pub(crate) mod settings;
+mod tables;
 
 mod decompositions;
 mod error;
 mod initial;
+pub(crate) mod saved;
 #[cfg(test)]
 pub(crate) mod tests;
 
@@ -73,6 +82,7 @@ pub use error::IdentifyError;
 pub use fit::InitialState;
 pub use identification::Identification;
 pub use model::{Orders, Polynomials};
+pub use periodic::Repeats;
 pub use plant::Plant;
 pub use search::search;
 pub use settings::Settings;

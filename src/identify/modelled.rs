@@ -21,15 +21,24 @@ pub enum Role {
     Reduced,
     /// Output error of the reduced one's order, from it on.
     Refined,
+    /// Of the lines of averaged periods, by maximum likelihood.
+    Periodic,
+    /// Not estimated here: H(s) that was given.
+    Given,
 }
 
 impl Role {
+    /// The model to use is the first of these that there is.
+    pub(crate) const LEADING: [Self; 5] = [Self::Periodic, Self::Given, Self::Refined, Self::Reduced, Self::Full];
+
     /// As files have it.
     pub fn word(self) -> &'static str {
         match self {
             Self::Full => "full",
             Self::Reduced => "reduced",
             Self::Refined => "refined",
+            Self::Periodic => "periodic",
+            Self::Given => "given",
         }
     }
 }

@@ -2,6 +2,7 @@
 
 use super::fit::InitialState;
 use super::model::{Noise, Orders};
+use super::periodic::Repeats;
 use super::reduce::{Removal, Target};
 use super::search::Criterion;
 
@@ -48,6 +49,8 @@ pub struct Settings {
     pub all_frequencies: bool,
     /// Repetitions of the bootstrap.
     pub bootstrap: usize,
+    /// That the input of the data fitted repeats: its periods are averaged too, and a model is fitted to their lines.
+    pub repeats: Option<Repeats>,
 }
 
 impl Estimator {

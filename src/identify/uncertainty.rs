@@ -4,7 +4,7 @@
 //! whose σ differ by more than eight powers of ten; in the covariance itself the small ones are lost, and with them how
 //! well the response is known where the data tell it best.
 
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, DVector};
 
 /// How far the parameters are moved along each direction to see what it does, in standard deviations.
 const STEP: f64 = 0.05;
@@ -30,6 +30,11 @@ impl Covariance {
     /// Square roots of the diagonal.
     pub fn standard_errors(&self) -> Vec<f64> {
         self.factor.row_iter().map(|row| row.norm()).collect()
+    }
+
+    /// `about` and a draw of this covariance; `normal` gives numbers of mean 0 and variance 1.
+    pub(crate) fn drawn(&self, about: &DVector<f64>, mut normal: impl FnMut() -> f64) -> DVector<f64> {
+        about + &self.factor * DVector::from_fn(self.factor.ncols(), |_, _| normal())
     }
 
     /// Of `of(parameters)`, to first order, where this is that of `parameters`. They are moved together, along the

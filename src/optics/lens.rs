@@ -1,8 +1,9 @@
-//! Pinhole and Brown-Conrady distortion with OpenCV's five parameters.
+//! Pinhole and Brown-Conrady distortion with OpenCV's five parameters, or its rational model with eight.
 //!
-//! x = X/Z, y = Y/Z; r² = x² + y²; radial factor c = 1 + k1 r² + k2 r⁴ + k3 r⁶;
+//! x = X/Z, y = Y/Z; r² = x² + y²; radial factor c = (1 + k1 r² + k2 r⁴ + k3 r⁶) / (1 + k4 r² + k5 r⁴ + k6 r⁶);
 //! x_d = x c + 2 p1 x y + p2 (r² + 2 x²), y_d = y c + p1 (r² + 2 y²) + 2 p2 x y; u = fx x_d + cx, v = fy y_d + cy.
-//! Source: Brown, "Close-range camera calibration" (1971); parameter order k1, k2, p1, p2, k3 of OpenCV's calib3d.
+//! Source: Brown, "Close-range camera calibration" (1971); parameter order k1, k2, p1, p2, k3, k4, k5, k6 of OpenCV's calib3d
+//! (Claus and Fitzgibbon, CVPR 2005, doi:10.1109/CVPR.2005.43, for rational functions of lenses).
 
 use nalgebra::{Matrix2, Point2, Vector2};
 
@@ -15,6 +16,8 @@ pub struct Lens {
     pub principal_point_px: Point2<f64>,
     /// k1, k2, p1, p2, k3 (dimensionless, OpenCV's order).
     pub distortion: [f64; 5],
+    /// k4, k5, k6 of the radial factor's denominator: zeros for the five-parameter model.
+    pub denominator: [f64; 3],
 }
 
 /// Why intrinsics are not usable.
@@ -61,11 +64,31 @@ impl Lens {
             ("distortion p1", self.distortion[2]),
             ("distortion p2", self.distortion[3]),
             ("distortion k3", self.distortion[4]),
+            ("distortion k4", self.denominator[0]),
+            ("distortion k5", self.denominator[1]),
+            ("distortion k6", self.denominator[2]),
         ];
         match named.into_iter().find(|(_, value)| !value.is_finite()) {
             Some((name, value)) => Err(LensError::NotFinite { name, value }),
             None => Ok(()),
         }
+    }
+
+    /// Whether it has eight parameters, not five.
+    pub fn is_rational(&self) -> bool {
+        self.denominator != [0.0; 3]
+    }
+
+    /// Its coefficients in OpenCV's order: five, or eight where it is rational.
+    pub fn coefficients(&self) -> Vec<f64> {
+        let denominator: &[f64] = if self.is_rational() { &self.denominator } else { &[] };
+        [&self.distortion, denominator].concat()
+    }
+
+    /// The radial factor's denominator, and its derivative by r².
+    pub(crate) fn denominator_at(&self, r2: f64) -> (f64, f64) {
+        let [k4, k5, k6] = self.denominator;
+        (1.0 + r2 * (k4 + r2 * (k5 + r2 * k6)), k4 + r2 * (2.0 * k5 + r2 * 3.0 * k6))
     }
 
     /// Normalised coordinates (X/Z, Y/Z) to a pixel.
@@ -78,8 +101,13 @@ impl Lens {
         let [k1, k2, p1, p2, k3] = self.distortion;
         let (x, y) = (normalised.x, normalised.y);
         let r2 = x * x + y * y;
-        let radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));
-        let d_radial = k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3); // d radial / d r²
+        let mut radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));
+        let mut d_radial = k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3); // d radial / d r²
+        if self.is_rational() {
+            let (below, d_below) = self.denominator_at(r2);
+            radial /= below;
+            d_radial = (d_radial - radial * d_below) / below;
+        }
         let xd = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x);
         let yd = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y;
         let cross = 2.0 * x * y * d_radial + 2.0 * p1 * x + 2.0 * p2 * y;
@@ -106,7 +134,7 @@ impl Lens {
         if !guess.coords.iter().all(|v| v.is_finite()) {
             return None;
         }
-        if self.distortion == [0.0; 5] {
+        if self.distortion == [0.0; 5] && !self.is_rational() {
             return Some(guess);
         }
         if !self.is_one_to_one(&guess) {
@@ -129,8 +157,12 @@ impl Lens {
     /// directions back into the picture that no camera sees there.
     ///
     /// The radial part must grow all the way, 1 + 3 k1 s + 5 k2 s² + 7 k3 s³ > 0 for s = 0..r²; the tangential part is
-    /// small and looked at in the point alone.
+    /// small and looked at in the point alone. Of a rational lens N/D it is N D + 2 s (N' D − N D') that must be positive, and D.
     pub fn is_one_to_one(&self, normalised: &Point2<f64>) -> bool {
+        if self.is_rational() {
+            return self.rational_grows(normalised.coords.norm_squared())
+                && self.distort_with_jacobian(normalised).1.determinant() > 0.0;
+        }
         let [k1, k2, _, _, k3] = self.distortion;
         let growth = |s: f64| 1.0 + s * (3.0 * k1 + s * (5.0 * k2 + s * 7.0 * k3));
         let r2 = normalised.coords.norm_squared();
@@ -142,6 +174,55 @@ impl Lens {
     }
 }
 
+impl Lens {
+    /// Whether the radial part of a rational lens grows from the centre out to r².
+    fn rational_grows(&self, r2: f64) -> bool {
+        let [k1, k2, _, _, k3] = self.distortion;
+        let [k4, k5, k6] = self.denominator;
+        let (above, below) = ([1.0, k1, k2, k3], [1.0, k4, k5, k6]);
+        let mut growth = [0.0; 7];
+        for (i, n) in above.iter().enumerate() {
+            for (j, d) in below.iter().enumerate() {
+                // N D, and 2 s (N' D − N D') of the powers i and j.
+                growth[i + j] += n * d * (1.0 + 2.0 * (i as f64 - j as f64));
+            }
+        }
+        is_positive(&below, r2) && is_positive(&growth, r2)
+    }
+}
+
+/// Halvings of an interval in which a polynomial is followed.
+const MAX_PARTS: usize = 12;
+
+/// Whether c₀ + c₁ s + c₂ s² + … is positive for all s from 0 to `end`. Its Bernstein coefficients enclose it; where they do
+/// not decide, the interval is halved. What comes so near to zero that nothing decides is none.
+fn is_positive(coefficients: &[f64], end: f64) -> bool {
+    let n = coefficients.len() - 1;
+    let binomial = |n: usize, k: usize| (0..k).fold(1.0, |product, i| product * (n - i) as f64 / (i + 1) as f64);
+    let scaled = |i: usize| coefficients[i] * end.powi(i as i32) / binomial(n, i);
+    let bernstein: Vec<f64> = (0..=n).map(|j| (0..=j).map(|i| binomial(j, i) * scaled(i)).sum()).collect();
+    encloses_positive(bernstein, MAX_PARTS)
+}
+
+fn encloses_positive(mut bernstein: Vec<f64>, parts: usize) -> bool {
+    if bernstein.iter().all(|b| *b > 0.0) {
+        return true;
+    }
+    let ends = bernstein.first().is_some_and(|b| *b > 0.0) && bernstein.last().is_some_and(|b| *b > 0.0);
+    if !ends || parts == 0 {
+        return false;
+    }
+    // De Casteljau: the left half's coefficients come out one by one, the right half's are left.
+    let mut left = Vec::with_capacity(bernstein.len());
+    for last in (0..bernstein.len()).rev() {
+        left.push(bernstein[0]);
+        for i in 0..last {
+            bernstein[i] = 0.5 * (bernstein[i] + bernstein[i + 1]);
+        }
+    }
+    encloses_positive(left, parts - 1) && encloses_positive(bernstein, parts - 1)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -151,6 +232,7 @@ mod tests {
             focal_px: Vector2::new(2712.4, 2706.9),
             principal_point_px: Point2::new(643.7, 508.2),
             distortion: [-0.11, 0.14, 0.0006, -0.0004, 0.0],
+            denominator: [0.0; 3],
         }
     }
 
@@ -230,6 +312,77 @@ mod tests {
             let diff = (lens.distort(&(p + step)) - lens.distort(&(p - step))) / 2e-6;
             assert!((j.column(k) - diff).amax() < 1e-5);
         }
+    }
+
+    /// A wide lens as OpenCV's rational model fits them: numerator and denominator nearly cancel.
+    fn wide_lens() -> Lens {
+        Lens { distortion: [2.3, 0.9, 3e-4, -2e-4, 0.05], denominator: [2.7, 1.6, 0.2], ..dev_lens() }
+    }
+
+    #[test]
+    fn a_rational_lens_is_opencvs() {
+        use opencv::calib3d::project_points_def;
+        use opencv::core::{Mat, Point2f, Point3f, Vector};
+        let lens = wide_lens();
+        let (f, c) = (lens.focal_px, lens.principal_point_px);
+        let matrix = Mat::from_slice_2d(&[[f.x, 0.0, c.x], [0.0, f.y, c.y], [0.0, 0.0, 1.0]]).unwrap();
+        let coefficients = Mat::from_slice(&lens.coefficients()).unwrap().clone_pointee();
+        let none = Mat::from_slice(&[0.0, 0.0, 0.0]).unwrap().clone_pointee();
+        let places: Vec<(f32, f32)> =
+            (-4..=4).flat_map(|i| (-4..=4).map(move |j| (i as f32 / 8.0, j as f32 / 8.0))).collect();
+        let objects: Vector<Point3f> = places.iter().map(|(x, y)| Point3f::new(*x, *y, 1.0)).collect();
+        let mut there = Vector::<Point2f>::new();
+        project_points_def(&objects, &none, &none, &matrix, &coefficients, &mut there).unwrap();
+        for ((x, y), opencv) in places.iter().zip(there) {
+            let ours = lens.distort(&Point2::new(f64::from(*x), f64::from(*y)));
+            // Theirs are single precision.
+            let off = (ours - Point2::new(f64::from(opencv.x), f64::from(opencv.y))).amax();
+            assert!(off < 2e-4, "{x} {y}: {off}");
+        }
+    }
+
+    #[test]
+    fn a_rational_lens_with_zeros_below_is_the_one_with_five() {
+        let (five, p) = (dev_lens(), Point2::new(0.17, -0.21));
+        let nearly = Lens { denominator: [1e-300, 0.0, 0.0], ..five };
+        assert!(nearly.is_rational() && !five.is_rational());
+        assert_eq!(five.distort_with_jacobian(&p), nearly.distort_with_jacobian(&p));
+        assert_eq!((five.coefficients().len(), nearly.coefficients().len()), (5, 8));
+        for x in [0.5, 0.9, 1.2, 1.5, 2.5] {
+            for distortion in
+                [[-0.3, 0.0, 0.0, 0.0, 0.0], [-0.5, 0.1, 0.0, 0.0, 0.0], [-1.0 / 6.0, -0.2, 0.0, 0.0, 1.0 / 14.0]]
+            {
+                let (five, nearly) = (Lens { distortion, ..five }, Lens { distortion, ..nearly });
+                let p = Point2::new(x, 0.0);
+                assert_eq!(five.is_one_to_one(&p), nearly.is_one_to_one(&p), "{distortion:?} {x}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_rational_lens_is_undone_over_a_wide_picture() {
+        let lens = Lens { focal_px: Vector2::new(700.0, 702.0), ..wide_lens() };
+        for i in 0..=16 {
+            for j in 0..=16 {
+                let pixel = Point2::new(f64::from(i) * 80.0, f64::from(j) * 64.0);
+                let back = lens.distort(&lens.undistort(&pixel).unwrap());
+                assert!((back - pixel).amax() < 1e-9, "{pixel} came back as {back}");
+            }
+        }
+        let p = Point2::new(0.6, -0.5);
+        let (_, j) = lens.distort_with_jacobian(&p);
+        for k in 0..2 {
+            let mut step = Vector2::zeros();
+            step[k] = 1e-6;
+            let diff = (lens.distort(&(p + step)) - lens.distort(&(p - step))) / 2e-6;
+            assert!((j.column(k) - diff).amax() < 1e-5);
+        }
+        // A pole of the denominator, 1 − 2 s = 0 at r = 0.7071, ends the field.
+        let pole = Lens { distortion: [0.0; 5], denominator: [-2.0, 0.0, 0.0], ..lens };
+        assert!(pole.is_one_to_one(&Point2::new(0.7, 0.0)) && !pole.is_one_to_one(&Point2::new(0.72, 0.0)));
+        // x / (1 + x²) grows to x = 1.
+        let barrel = Lens { distortion: [0.0; 5], denominator: [1.0, 0.0, 0.0], ..lens };
+        assert!(barrel.is_one_to_one(&Point2::new(0.999, 0.0)) && !barrel.is_one_to_one(&Point2::new(1.001, 0.0)));
     }
 
     #[test]

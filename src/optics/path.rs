@@ -129,6 +129,7 @@ mod tests {
             focal_px: Vector2::new(1000.0, 1000.0),
             principal_point_px: Point2::new(500.0, 400.0),
             distortion: [0.0; 5],
+            denominator: [0.0; 3],
         };
         OpticalPath { lens, surfaces }
     }

@@ -90,6 +90,7 @@ mod tests {
             focal_px: Vector2::new(2700.0, 2700.0),
             principal_point_px: Point2::new(640.0, 512.0),
             distortion: [-0.1, 0.1, 0.0, 0.0, 0.0],
+            denominator: [0.0; 3],
         };
         let wall = |normal: Vector3<f64>, offset_m| {
             Surface::Wall(Wall {

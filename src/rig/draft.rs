@@ -84,8 +84,20 @@ impl Draft {
     /// σ of a parameter as the calibrations noted it: of the lens as `focal_x_px`, …, `k3`, of a surface as `NAME_offset_m`; `None`
     /// when they did not.
     pub fn noted_sd(&self, parameter: &str) -> Option<f64> {
-        const LENS: [&str; 9] =
-            ["focal_x_px", "focal_y_px", "principal_point_x_px", "principal_point_y_px", "k1", "k2", "p1", "p2", "k3"];
+        const LENS: [&str; 12] = [
+            "focal_x_px",
+            "focal_y_px",
+            "principal_point_x_px",
+            "principal_point_y_px",
+            "k1",
+            "k2",
+            "p1",
+            "p2",
+            "k3",
+            "k4",
+            "k5",
+            "k6",
+        ];
         let variance = |of: &str, rows: &str, at: usize| {
             let row = self.provenance.get(of)?.get(rows)?.as_array()?.get(at)?.as_array()?;
             row.get(at)?.as_float()

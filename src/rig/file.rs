@@ -31,8 +31,10 @@ pub(super) struct CameraFile {
     pub focal_px: [f64; 2],
     pub principal_point_px: [f64; 2],
     pub distortion: [f64; 5],
+    pub denominator: Option<[f64; 3]>,
     pub blur_px: Option<f64>,
     pub chroma_offset_px: Option<[f64; 2]>,
+    pub exposure_ms: Option<f64>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]

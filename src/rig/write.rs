@@ -88,12 +88,19 @@ fn camera(camera: &Camera) -> String {
         list(lens.principal_point_px.iter().map(|v| decimal(*v, 9))),
         list(lens.distortion.iter().map(|v| decimal(*v, DIRECTION_DECIMALS))),
     );
+    if lens.is_rational() {
+        let denominator = list(lens.denominator.iter().map(|v| decimal(*v, DIRECTION_DECIMALS)));
+        let _ = writeln!(text, "denominator = {denominator} # k4, k5, k6 of the rational model");
+    }
     if let Some(blur) = camera.blur_px {
         let _ = writeln!(text, "blur_px = {}", decimal(blur, 9));
     }
     if camera.chroma_offset_px != [0.0; 2] {
         let offset = list(camera.chroma_offset_px.iter().map(|v| decimal(*v, 9)));
         let _ = writeln!(text, "chroma_offset_px = {offset}");
+    }
+    if let Some(exposure_s) = camera.exposure_s {
+        let _ = writeln!(text, "exposure_ms = {}", decimal(exposure_s * 1e3, 6));
     }
     text
 }

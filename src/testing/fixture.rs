@@ -12,6 +12,7 @@ pub(crate) fn rig() -> Rig {
         focal_px: Vector2::new(2712.4, 2706.9),
         principal_point_px: Point2::new(643.7, 508.2),
         distortion: [-0.11, 0.14, 0.0006, -0.0004, 0.01],
+        denominator: [0.0; 3],
     };
     let view = |name: &str| View {
         name: name.to_owned(),
@@ -26,7 +27,7 @@ pub(crate) fn rig() -> Rig {
         colours: rgb.map(|rgb| ColourModel::linear(Vector3::zeros(), 0.0, rgb.into())).into_iter().collect(),
     };
     Rig {
-        camera: Camera { size_px: [1280, 1024], lens, blur_px: None, chroma_offset_px: [0.0; 2] },
+        camera: Camera { size_px: [1280, 1024], lens, blur_px: None, chroma_offset_px: [0.0; 2], exposure_s: None },
         surfaces: Default::default(),
         views: vec![view("direct"), view("mirror")],
         markers: vec![

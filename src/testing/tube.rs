@@ -32,6 +32,7 @@ pub(crate) fn views() -> [OpticalPath; 2] {
         focal_px: Vector2::new(2700.0, 2700.0),
         principal_point_px: Point2::new(x, 79.5),
         distortion: [0.0; 5],
+        denominator: [0.0; 3],
     };
     let plane = |normal: Vector3<f64>, offset_m| Plane::new(normal.normalize(), offset_m).unwrap();
     let wall = Surface::Wall(Wall {

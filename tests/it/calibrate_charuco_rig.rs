@@ -19,12 +19,13 @@ fn lens() -> Lens {
         focal_px: Vector2::new(1122.0, 1119.0),
         principal_point_px: Point2::new(445.0, 322.0),
         distortion: [-0.15, 0.1, 5e-4, -4e-4, 0.0],
+        denominator: [0.0; 3],
     }
 }
 
 /// Where a pixel would be without distortion, by OpenCV's iteration: twelve steps leave 1e-7 px here.
 fn straight(pixel: Point2<f64>) -> Point2<f64> {
-    let Lens { focal_px, principal_point_px, distortion: [k1, k2, p1, p2, k3] } = lens();
+    let Lens { focal_px, principal_point_px, distortion: [k1, k2, p1, p2, k3], .. } = lens();
     let seen = (pixel - principal_point_px).component_div(&focal_px);
     let mut p = seen;
     for _ in 0..12 {
@@ -177,7 +178,7 @@ fn boards_seen_in_a_mirror_only_are_told_and_not_used() {
         save(&pictures.join(format!("{i}.png")), &[board], None);
     }
     let size_px = SIZE.map(|n| n as u32);
-    let camera = Camera { size_px, lens: lens(), blur_px: None, chroma_offset_px: [0.0; 2] };
+    let camera = Camera { size_px, lens: lens(), blur_px: None, chroma_offset_px: [0.0; 2], exposure_s: None };
     Draft::of_camera(camera).save(&folder.path().join("lens.toml")).unwrap();
     let refused = |args: &[&str], says: &str| {
         let output = catoptra(folder.path(), args);

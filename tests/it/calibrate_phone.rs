@@ -27,6 +27,7 @@ fn scene() -> Scene {
                 focal_px: Vector2::new(3056.0, 3049.0),
                 principal_point_px: Point2::new(2031.0, 1498.0),
                 distortion: [0.06, -0.12, 4e-4, -3e-4, 0.05],
+                denominator: [0.0; 3],
             },
             surfaces: vec![
                 ("mirror_1".to_owned(), mirror([0.94, 0.02, -0.34], -0.88)),

@@ -59,6 +59,14 @@ fn seeds(target: &str, folder: &Path) -> Vec<Vec<u8>> {
             vec![std::fs::read(table).unwrap(), currents, repository("tests/data/validate/circle.csv")]
         }
         "plant" => all(&["sample_dynamics/plant.toml"]),
+        "model" => vec![
+            text("num = [17610, 6344]\nden = [1, 4.59, 1.136]\ndelay_s = 0.02\n"),
+            text(concat!(
+                r#"{"format":"catoptra-model","period_s":0.0166,"input":{"name":"u","unit":"A"},"output":{"name":"y","unit":""},"#,
+                r#""arx":{"a":[1.0,-1.5,0.7],"b":[1.0,0.5],"nk":1},"refined":{"num_z":[0.0,1.0,0.5],"den_z":[1.0,-1.5,0.7],"#,
+                r#""continuous":{"num":[1.0,2.0],"den":[1.0,3.0,9.0],"delay_s":0.0,"conversion":"zero_order_hold"}}}"#
+            )),
+        ],
         "currents" => vec![
             text(r#"{"current_a":[0.1,0,-0.1],"seq":7,"host_ns":1700000000123456789}"#),
             text("0.1, 0, -0.1\n1700000000000000000,0.1"),
@@ -162,7 +170,7 @@ fn tries(target: &str) -> usize {
     let times = std::env::var("CATOPTRA_MUTATIONS").ok().and_then(|n| n.parse().ok()).unwrap_or(1);
     times
         * match target {
-            "currents" | "board_text" | "codec" | "plant" | "rig_import" => 400,
+            "currents" | "board_text" | "codec" | "plant" | "model" | "rig_import" => 400,
             "series" | "raw_pipe" | "picture" => 150,
             "rig" | "log" | "container" => 60,
             // The search for boards takes a second at times.

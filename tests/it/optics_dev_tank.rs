@@ -23,6 +23,7 @@ fn path(view: &str) -> OpticalPath {
             focal_px: Vector2::new(2712.4, 2706.9),
             principal_point_px: Point2::new(643.7, 508.2),
             distortion: [-0.11, 0.14, 0.0006, -0.0004, 0.0],
+            denominator: [0.0; 3],
         },
         surfaces: match view {
             "air" => vec![],

@@ -82,8 +82,9 @@ fn camera() -> Camera {
         focal_px: Vector2::new(2712.4, 2706.9),
         principal_point_px: Point2::new(643.7, 508.2),
         distortion: [-0.11, 0.14, 0.0006, -0.0004, 0.0],
+        denominator: [0.0; 3],
     };
-    Camera { size_px: [1280, 1024], lens, blur_px: None, chroma_offset_px: [0.0; 2] }
+    Camera { size_px: [1280, 1024], lens, blur_px: None, chroma_offset_px: [0.0; 2], exposure_s: None }
 }
 
 #[test]
@@ -130,7 +131,7 @@ fn what_a_rig_cannot_hold_is_refused_with_its_value() {
             "opencv5_rational.yml",
             "0., 0., 0., 0., 0., 0., 0., 0., 0., 0. ]",
             "0., 0.25, 0., 0., 0., 0., 0., 0., -1e-3, 0. ]",
-            &["distCoeffs = [-0.11, 0.14000000000000001, ", "nothing but zeros", "there is k4 = 0.25, tau_x = -0.001"],
+            &["distCoeffs = [-0.11, 0.14000000000000001, ", "nothing but zeros", "there is tau_x = -0.001"],
         ),
         ("opencv5_rational.yml", "cols: 14", "cols: 13", &["distCoeffs.data = [", "1 x 13 numbers, there are 14"]),
         ("opencv4.yml", "image_width: 1280\n", "", &["image_width: missing", "size of the pictures"]),
@@ -152,7 +153,12 @@ fn what_a_rig_cannot_hold_is_refused_with_its_value() {
         ("opencv4.yml", "6.4370000000000005e+02", ".nan", &["camera_matrix.data", ".nan is none"]),
         ("opencv4.yml", "distortion_coefficients", "distortion", &["distortion_coefficients: missing", "k1, k2"]),
         ("ros.yaml", "plumb_bob", "equidistant", &["distortion_model = \"equidistant\"", "expected plumb_bob"]),
-        ("ros_echo.yaml", "0.0]\nK", "0.0, 0.3, 0.0, 0.0]\nK", &["D = [-0.11, 0.14,", "there is k4 = 0.3"]),
+        (
+            "ros_echo.yaml",
+            "0.0]\nK",
+            "0.0, 0.3, 0.0, 0.0]\nK",
+            &["distortion_model = \"plumb_bob\"", "rational_polynomial", "k4, k5, k6 are [0.3, 0.0, 0.0]"],
+        ),
         (
             "ros.yaml",
             "cols: 5\n  data: [-0.11, 0.14, 0.0006, -0.0004, 0.000000]",
@@ -194,17 +200,20 @@ proptest! {
         focal in prop::array::uniform2(1.0..1e5),
         centre in prop::array::uniform2(-1e4..1e4),
         distortion in prop::array::uniform5(-1.0..1.0),
+        rational in prop::array::uniform3(-1.0..1.0),
         small in -20..0_i32,
         size_px in prop::array::uniform2(1_u32..65_536),
     ) {
         // From 1 down to 1e-20: no exponent may come between.
         let mut distortion = distortion.map(|k: f64| k * 10_f64.powi(small));
         for format in FORMATS {
+            let mut denominator = rational;
             if format == Format::Kalibr {
                 distortion[4] = 0.0;
+                denominator = [0.0; 3];
             }
-            let lens = Lens { focal_px: focal.into(), principal_point_px: centre.into(), distortion };
-            let camera = Camera { size_px, lens, blur_px: None, chroma_offset_px: [0.0; 2] };
+            let lens = Lens { focal_px: focal.into(), principal_point_px: centre.into(), distortion, denominator };
+            let camera = Camera { size_px, lens, blur_px: None, chroma_offset_px: [0.0; 2], exposure_s: None };
             let text = format.write(&Draft::of_camera(camera.clone()), None, Path::new("rig.toml")).unwrap();
             prop_assert_eq!(Format::guess(&text, Path::new("f")).unwrap(), format);
             prop_assert_eq!(format.read(&text, Path::new("f")).unwrap(), camera);
@@ -238,6 +247,10 @@ fn what_a_camera_s_format_cannot_hold_is_refused() {
         k3.contains("camera.distortion = [-0.11, 0.14, 0.0006, -0.0004, 0.03]: expected k3 = 0, it is 0.03"),
         "{k3}"
     );
+    let mut wide = camera();
+    wide.lens.denominator = [0.2, 0.0, 0.0];
+    let k4 = Format::Kalibr.write(&Draft::of_camera(wide), None, name).unwrap_err().to_string();
+    assert!(k4.contains("camera.denominator = [0.2, 0.0, 0.0]: expected no denominator"), "{k4}");
 }
 
 /// The columns of a DLT file.

@@ -26,6 +26,7 @@ pub(crate) fn rig() -> Rig {
         focal_px: Vector2::new(2712.4, 2706.9),
         principal_point_px: Point2::new(643.7, 508.2),
         distortion: [-0.11, 0.14, 0.0006, -0.0004, 0.0],
+        denominator: [0.0; 3],
     };
     let plane = |n: [f64; 3], d_mm: f64| Plane::new(Vector3::from(n), d_mm * 1e-3).unwrap();
     let wall = |outer| {
@@ -60,7 +61,7 @@ pub(crate) fn rig() -> Rig {
     let turn = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes));
     let origin = turn * Point3::from(rest_base());
     Rig {
-        camera: Camera { size_px: [1280, 1024], lens, blur_px: None, chroma_offset_px: [0.0; 2] },
+        camera: Camera { size_px: [1280, 1024], lens, blur_px: None, chroma_offset_px: [0.0; 2], exposure_s: None },
         surfaces,
         views,
         markers: vec![marker("base", 6.0, 6.0), marker("coil", 12.0, 85.0), marker("tip", 6.0, 107.0)],

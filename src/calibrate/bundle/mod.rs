@@ -48,6 +48,8 @@ pub struct Corner {
     pub place: Point3<f64>,
     /// Where it was found.
     pub pixel: Point2<f64>,
+    /// σ of its coordinates over [`Solution::corner_sd_px`]: 1 for corners that are all alike.
+    pub relative_sd: f64,
 }
 
 /// What is to be solved, and where the search starts.
@@ -237,7 +239,8 @@ impl Bundle {
         let unknowns = self.free.len() + 3 + 6 * self.poses.len();
         let coordinates = (2 * residuals_px.len()) as f64;
         let freedom = (coordinates - unknowns as f64).max(1.0) / coordinates;
-        let mut squares: Vec<f64> = residuals_px.iter().map(Vector2::norm_squared).collect();
+        let in_own = |(r, corner): (&Vector2<f64>, &Corner)| r.norm_squared() / corner.relative_sd.powi(2);
+        let mut squares: Vec<f64> = residuals_px.iter().zip(&self.corners).map(in_own).collect();
         squares.sort_by(f64::total_cmp);
         let median = squares.get(squares.len() / 2).copied().unwrap_or_default();
         // The median of |r|² of two independent Gaussian coordinates is 2 ln 2 σ².
@@ -251,6 +254,7 @@ impl Bundle {
         let mut equations = Equations::new(self.free.len() + 3, at.poses.iter().map(|_| 6));
         let projector = Projector::new(&at.geometry, &self.free);
         for corner in &self.corners {
+            let sd_px = sd_px * corner.relative_sd;
             let pose = &at.poses[corner.picture];
             let place = at.shape.place(&corner.place);
             let seen = projector.seen(corner.view, &(pose * place)).map_err(|why| self.unseen(corner, why))?;
@@ -348,7 +352,7 @@ pub(super) mod tests {
                 let place = Point3::new(0.016 * (f64::from(x) - 2.0), 0.016 * (f64::from(y) - 1.5), 0.0);
                 let Ok(pixel) = geometry.path(view).project(&(pose * place)) else { break };
                 let noise = Vector2::new(random(), random()) * sd_px;
-                own.push(Corner { picture: poses.len(), view, place, pixel: pixel + noise });
+                own.push(Corner { picture: poses.len(), view, place, pixel: pixel + noise, relative_sd: 1.0 });
             }
             if own.len() == 40 {
                 corners.extend(own);
@@ -362,7 +366,7 @@ pub(super) mod tests {
     fn known(errors: f64, random: &mut impl FnMut() -> f64) -> Vec<Prior> {
         let truth = geometry();
         let sd = [3.0, 3.0, 2.0, 2.0, 0.02, 0.3, 5e-4, 5e-4, 1.0];
-        let values = std::array::from_fn(|i| truth.value(Parameter::LENS[i]) + errors * sd[i] * random());
+        let values = (0..9).map(|i| truth.value(Parameter::LENS[i]) + errors * sd[i] * random()).collect();
         let whitening = DMatrix::from_diagonal(&DVector::from_iterator(9, sd.iter().map(|s: &f64| 1.0 / s)));
         let distance_m = truth.value(Parameter::Offset { surface: 0 }).abs() + errors * 2e-3 * random();
         vec![Prior::Lens { values, whitening }, Prior::Distance { surface: 0, distance_m, sd_m: 2e-3 }]
@@ -371,7 +375,8 @@ pub(super) mod tests {
     pub(crate) fn bundle(truth: &Geometry, sd_px: f64, errors: f64, seed: u64) -> Bundle {
         let mut random = gaussian(seed);
         let (poses, corners) = pictures(truth, sd_px, &mut random);
-        let free: Vec<Parameter> = Parameter::LENS.into_iter().chain((0..3).flat_map(Parameter::of_surface)).collect();
+        let free: Vec<Parameter> =
+            Parameter::LENS.into_iter().take(9).chain((0..3).flat_map(Parameter::of_surface)).collect();
         let off: Vec<f64> = free
             .iter()
             .map(|p| match p {

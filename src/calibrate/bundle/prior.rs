@@ -7,10 +7,10 @@ use nalgebra::{DMatrix, DVector, Isometry3, Vector3, Vector6};
 /// Prior knowledge. Lengths in metres, angles in radians, `sd` the standard deviation of the value.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Prior {
-    /// The lens, from an earlier calibration: fx, fy, cx, cy, k1, k2, p1, p2, k3 and their covariance.
+    /// The lens, from an earlier calibration: fx, fy, cx, cy, k1, k2, p1, p2, k3 (and k4, k5, k6) and their covariance.
     Lens {
-        /// Values, in the order of [`Parameter::LENS`].
-        values: [f64; 9],
+        /// Values, in the order of [`Parameter::LENS`]: nine, or twelve of a rational lens.
+        values: Vec<f64>,
         /// A matrix W with WᵀW = covariance⁻¹.
         whitening: DMatrix<f64>,
     },
@@ -76,7 +76,7 @@ impl Prior {
         match self {
             Self::Lens { values, whitening } => {
                 let off = Parameter::LENS.iter().zip(values).map(|(p, known)| geometry.value(*p) - known);
-                (whitening * DVector::from_iterator(9, off)).iter().copied().collect()
+                (whitening * DVector::from_iterator(values.len(), off)).iter().copied().collect()
             }
             Self::Distance { surface, distance_m, sd_m } => {
                 vec![(plane(*surface).offset_m().abs() - distance_m) / sd_m]

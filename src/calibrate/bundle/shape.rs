@@ -27,9 +27,14 @@ impl Shape {
         Self { half_m, bend_m: [0.0; 3] }
     }
 
-    /// How well the bend is known beforehand, metres.
+    /// Points that are where they are said to be: no bend moves them.
+    pub(crate) fn rigid() -> Self {
+        Self { half_m: f64::INFINITY, bend_m: [0.0; 3] }
+    }
+
+    /// How well the bend is known beforehand, metres; of what is rigid, where it says nothing, any number.
     pub(crate) fn prior_sd_m(&self) -> f64 {
-        FLAT * self.half_m
+        if self.half_m.is_finite() { FLAT * self.half_m } else { 1.0 }
     }
 
     /// d z / d bend of a place on the flat board.

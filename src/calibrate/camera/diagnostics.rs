@@ -7,6 +7,15 @@ use super::models::Model;
 use crate::optics::Lens;
 use nalgebra::Point2;
 
+/// What to do about a lens that wants another model.
+fn advice(model: Model) -> &'static str {
+    match model {
+        Model::Brown => "calibrate with --lens 5",
+        Model::Rational => "calibrate with --lens 8, with boards out to the corners",
+        Model::Fisheye => "a rig has no fisheye model; stay within the boards' part of the picture",
+    }
+}
+
 /// Boards that reach less far than this part of the way from the principal point to the corners of the picture.
 const LEAST_REACH: f64 = 0.6;
 /// A bend is told that is so many σ from none, and at least this part of the board's half width.
@@ -32,13 +41,15 @@ pub enum CameraDiagnostic {
     /// Another lens model is better.
     #[error(
         "{model} would show pictures better that the lens was not found from: their corners are {other_px:.3} px off, with \
-         the five parameters of this file {brown_px:.3} px: a wide angle? Stay within the boards' part of the picture"
+         {own} of this file {own_px:.3} px: {}", advice(*.model)
     )]
     Model {
         /// Which.
         model: Model,
-        /// RMS of a coordinate on held-out pictures with five parameters.
-        brown_px: f64,
+        /// That of this lens.
+        own: Model,
+        /// RMS of a coordinate on held-out pictures with it.
+        own_px: f64,
         /// With the other model.
         other_px: f64,
     },

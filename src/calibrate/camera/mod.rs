@@ -25,9 +25,10 @@ use crate::calibrate::bundle::{Bundle, Corner, NoSolution, Solution};
 use crate::calibrate::geometry::{Geometry, Parameter};
 use crate::optics::Lens;
 use diagnostics::CameraDiagnostic;
+use models::Model;
 use nalgebra::{DMatrix, Isometry3, Matrix3, Point2, Point3, Vector2};
 use opencv::calib3d;
-use opencv::core::{Mat, MatTraitConst, Point2f, Point3f, Size, Vector};
+use opencv::core::{Mat, MatTraitConst, Point2f, Point3f, Size, TermCriteria, TermCriteria_Type, Vector};
 use two_lenses::{TwoLenses, two_lenses};
 
 /// Fewest pictures: three boards at different tilts determine a lens without distortion; with it, five is a beginning.
@@ -37,6 +38,25 @@ const LEAST_TILT_RAD: f64 = 10.0 * std::f64::consts::PI / 180.0;
 /// A focal length known less well than this part of it is not known.
 const LEAST_KNOWN: f64 = 0.02;
 
+/// How many coefficients of distortion a lens has.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum LensModel {
+    /// k1, k2, p1, p2, k3.
+    #[default]
+    Five,
+    /// The same and k4, k5, k6 of the rational model: for wide angles, with boards out to the corners.
+    Eight,
+}
+
+impl LensModel {
+    fn coefficients(self) -> usize {
+        match self {
+            Self::Five => 5,
+            Self::Eight => 8,
+        }
+    }
+}
+
 /// The lens and how well it is known.
 #[derive(Debug, Clone)]
 pub struct CameraCalibration {
@@ -44,7 +64,7 @@ pub struct CameraCalibration {
     pub size_px: [u32; 2],
     /// The lens.
     pub lens: Lens,
-    /// Covariance of fx, fy, cx, cy, k1, k2, p1, p2, k3.
+    /// Covariance of fx, fy, cx, cy, k1, k2, p1, p2, k3, and k4, k5, k6 of a rational lens.
     pub covariance: DMatrix<f64>,
     /// What it would be if each corner were off by itself: the share of noise. What is beyond it is the model's.
     pub noise_covariance: DMatrix<f64>,
@@ -127,7 +147,11 @@ pub enum CameraError {
 ///
 /// # Errors
 /// [`CameraError`] when the pictures do not belong together or leave the lens open.
-pub fn calibrate_camera(board: &Board, pictures: &[BoardPicture]) -> Result<CameraCalibration, CameraError> {
+pub fn calibrate_camera(
+    board: &Board,
+    pictures: &[BoardPicture],
+    model: LensModel,
+) -> Result<CameraCalibration, CameraError> {
     let first = pictures.first().ok_or(CameraError::TooFew { found: 0, left_out: Vec::new() })?;
     if let Some(other) = pictures.iter().find(|p| p.size_px != first.size_px) {
         return Err(CameraError::Sizes {
@@ -142,7 +166,7 @@ pub fn calibrate_camera(board: &Board, pictures: &[BoardPicture]) -> Result<Came
         if used.len() < FEWEST_PICTURES {
             return Err(CameraError::TooFew { found: used.len(), left_out });
         }
-        let (solved, corners) = adjust(board, &used, first.size_px)?;
+        let (solved, corners) = adjust(board, &used, first.size_px, model)?;
         let of_pictures = by_picture(&solved, &used);
         let Some((worst, off)) = worst_picture(&of_pictures) else {
             let mut done = conclude(&solved, of_pictures, left_out, first.size_px)?;
@@ -189,8 +213,9 @@ fn diagnose(
         }
         // With two lenses no model is right.
         None => {
-            if let Some((model, brown_px, other_px)) = models::better(&places, used, done.size_px) {
-                all.push(CameraDiagnostic::Model { model, brown_px, other_px });
+            let own = if done.lens.is_rational() { Model::Rational } else { Model::Brown };
+            if let Some((model, own_px, other_px)) = models::better(&places, used, done.size_px, own) {
+                all.push(CameraDiagnostic::Model { model, own, own_px, other_px });
             }
         }
     }
@@ -198,9 +223,14 @@ fn diagnose(
     all
 }
 
-fn adjust(board: &Board, used: &[&BoardPicture], size_px: [u32; 2]) -> Result<(Solution, Vec<Corner>), CameraError> {
+fn adjust(
+    board: &Board,
+    used: &[&BoardPicture],
+    size_px: [u32; 2],
+    model: LensModel,
+) -> Result<(Solution, Vec<Corner>), CameraError> {
     let places = board.centred_points();
-    let (lens, poses) = start(&places, used, size_px)?;
+    let (lens, poses) = start(&places, used, size_px, model)?;
     let spread = spread_rad(&poses);
     if spread < LEAST_TILT_RAD {
         return Err(CameraError::Parallel { spread_deg: spread.to_degrees() });
@@ -209,11 +239,13 @@ fn adjust(board: &Board, used: &[&BoardPicture], size_px: [u32; 2]) -> Result<(S
         .iter()
         .enumerate()
         .flat_map(|(picture, p)| p.image.corners.iter().map(move |(i, pixel)| (picture, *i, *pixel)))
-        .filter_map(|(picture, i, pixel)| Some(Corner { picture, view: 0, place: *places.get(i)?, pixel }))
+        .filter_map(|(picture, i, pixel)| {
+            Some(Corner { picture, view: 0, place: *places.get(i)?, pixel, relative_sd: 1.0 })
+        })
         .collect();
     let geometry = Geometry { lens, surfaces: Vec::new(), views: vec![("air".to_owned(), Vec::new())] };
     let names = used.iter().map(|picture| picture.name.clone()).collect();
-    let (free, shape) = (Parameter::LENS.to_vec(), Shape::flat(&places));
+    let (free, shape) = (Parameter::of_lens(&lens).to_vec(), Shape::flat(&places));
     let bundle = Bundle { geometry, free, poses, names, corners: corners.clone(), known: Vec::new(), shape };
     Ok((bundle.solve()?, corners))
 }
@@ -223,6 +255,7 @@ fn start(
     places: &[Point3<f64>],
     used: &[&BoardPicture],
     size_px: [u32; 2],
+    model: LensModel,
 ) -> Result<(Lens, Vec<Isometry3<f64>>), CameraError> {
     let (mut objects, mut images) = (Vector::<Vector<Point3f>>::new(), Vector::<Vector<Point2f>>::new());
     for picture in used {
@@ -233,14 +266,23 @@ fn start(
     let (mut matrix, mut distortion) = (Mat::default(), Mat::default());
     let (mut turns, mut shifts) = (Vector::<Mat>::new(), Vector::<Mat>::new());
     let size = Size::new(size_px[0] as i32, size_px[1] as i32);
-    calib3d::calibrate_camera_def(&objects, &images, size, &mut matrix, &mut distortion, &mut turns, &mut shifts)?;
+    let flags = if model == LensModel::Eight { calib3d::CALIB_RATIONAL_MODEL } else { 0 };
+    let end = TermCriteria {
+        typ: TermCriteria_Type::COUNT as i32 + TermCriteria_Type::EPS as i32,
+        max_count: 30,
+        epsilon: f64::EPSILON,
+    };
+    let (k, d) = (&mut matrix, &mut distortion);
+    calib3d::calibrate_camera(&objects, &images, size, k, d, &mut turns, &mut shifts, flags, end)?;
     let at = |row, column| matrix.at_2d::<f64>(row, column).copied();
     let mut lens = Lens {
         focal_px: Vector2::new(at(0, 0)?, at(1, 1)?),
         principal_point_px: Point2::new(at(0, 2)?, at(1, 2)?),
         distortion: [0.0; 5],
+        denominator: [0.0; 3],
     };
-    for (i, to) in lens.distortion.iter_mut().enumerate() {
+    let coefficients = lens.distortion.iter_mut().chain(&mut lens.denominator).take(model.coefficients());
+    for (i, to) in coefficients.enumerate() {
         *to = *distortion.at::<f64>(i as i32)?;
     }
     let poses = turns

@@ -22,9 +22,9 @@ const BETTER: f64 = 0.93;
 /// A lens model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Model {
-    /// Brown's with five parameters, which a rig has.
+    /// Brown's with five parameters, which a rig has unless it is told otherwise.
     Brown,
-    /// OpenCV's rational one with eight.
+    /// OpenCV's rational one with eight, which a rig can have too.
     Rational,
     /// OpenCV's fisheye, Kannala and Brandt's with four.
     Fisheye,
@@ -40,20 +40,26 @@ impl std::fmt::Display for Model {
     }
 }
 
-/// The model that shows held-out pictures clearly better than Brown's: RMS of a coordinate with Brown's and with it, pixels.
-pub(crate) fn better(places: &[Point3<f64>], used: &[&BoardPicture], size_px: [u32; 2]) -> Option<(Model, f64, f64)> {
-    let models = [Model::Brown, Model::Rational, Model::Fisheye];
+/// The model that shows held-out pictures clearly better than `own`: RMS of a coordinate with `own` and with it, pixels.
+pub(crate) fn better(
+    places: &[Point3<f64>],
+    used: &[&BoardPicture],
+    size_px: [u32; 2],
+    own: Model,
+) -> Option<(Model, f64, f64)> {
+    let others = [Model::Brown, Model::Rational, Model::Fisheye].into_iter().filter(|model| *model != own);
+    let models: Vec<Model> = std::iter::once(own).chain(others).collect();
     let found: Vec<Option<Vec<f64>>> =
-        models.into_par_iter().map(|model| held_out(places, used, size_px, model).ok()).collect();
-    let [Some(brown), others @ ..] = found.as_slice() else { return None };
+        models.par_iter().map(|model| held_out(places, used, size_px, *model).ok()).collect();
+    let [Some(by_own), others @ ..] = found.as_slice() else { return None };
     let rms = |each: &[f64]| (each.iter().map(|e| e * e).sum::<f64>() / each.len().max(1) as f64).sqrt();
     let clearly = |each: &&Vec<f64>| {
-        let closer = each.iter().zip(brown).filter(|(other, brown)| other < brown).count();
-        rms(each) < BETTER * rms(brown) && 2 * closer >= brown.len()
+        let closer = each.iter().zip(by_own).filter(|(other, own)| other < own).count();
+        rms(each) < BETTER * rms(by_own) && 2 * closer >= by_own.len()
     };
     let others = models.into_iter().skip(1).zip(others).filter_map(|(model, each)| Some((model, each.as_ref()?)));
     let better = others.filter(|(_, each)| clearly(each)).min_by(|a, b| rms(a.1).total_cmp(&rms(b.1)))?;
-    Some((better.0, rms(brown), rms(better.1)))
+    Some((better.0, rms(by_own), rms(better.1)))
 }
 
 /// RMS of a coordinate in each picture, held out, in the order of their folds.

@@ -6,7 +6,7 @@ use crate::calibrate::board::{Board, BoardImage};
 use crate::calibrate::bundle::shape::Shape;
 use crate::calibrate::bundle::{Bundle, Corner, Solution};
 use crate::calibrate::camera::diagnostics::CameraDiagnostic;
-use crate::calibrate::camera::{CameraCalibration, calibrate_camera};
+use crate::calibrate::camera::{CameraCalibration, LensModel, calibrate_camera};
 use crate::calibrate::geometry::{Geometry, Parameter};
 use crate::calibrate::tests::gaussian;
 use nalgebra::Point2;
@@ -40,10 +40,12 @@ fn of_some(board: &Board, pictures: &[BoardPicture], all: &CameraCalibration, so
     let corners = some.iter().enumerate().flat_map(corner);
     Bundle {
         geometry: Geometry { lens: all.lens, surfaces: Vec::new(), views: vec![("air".into(), Vec::new())] },
-        free: Parameter::LENS.to_vec(),
+        free: Parameter::of_lens(&all.lens).to_vec(),
         poses: some.iter().map(|i| all.used[*i].pose).collect(),
         names: some.iter().map(|i| pictures[*i].name.clone()).collect(),
-        corners: corners.map(|(picture, i, pixel)| Corner { picture, view: 0, place: places[i], pixel }).collect(),
+        corners: corners
+            .map(|(picture, i, pixel)| Corner { picture, view: 0, place: places[i], pixel, relative_sd: 1.0 })
+            .collect(),
         known: Vec::new(),
         shape: Shape::flat(&places),
     }
@@ -60,7 +62,7 @@ fn halves_of_real_sets_differ_by_what_their_deviations_say() {
         ("chess_9x6.csv", "9x6:25mm", [640, 480]),
     ] {
         let (board, pictures): (Board, _) = (board.parse().unwrap(), pictures(set, size_px));
-        let all = calibrate_camera(&board, &pictures).unwrap();
+        let all = calibrate_camera(&board, &pictures, LensModel::Five).unwrap();
         assert_eq!(all.used.len(), pictures.len(), "{:?}", all.left_out);
         let mut random = gaussian(1);
         let (mut squares, mut by_noise) = (0.0, 0.0);
@@ -70,7 +72,7 @@ fn halves_of_real_sets_differ_by_what_their_deviations_say() {
             let order: Vec<usize> = order.into_iter().map(|(_, i)| i).collect();
             let (a, b) = order.split_at(order.len() / 2);
             let [a, b] = [a, b].map(|half| of_some(&board, &pictures, &all, half));
-            for (i, parameter) in Parameter::LENS.into_iter().enumerate() {
+            for (i, parameter) in Parameter::of_lens(&all.lens).iter().copied().enumerate() {
                 let off = (a.geometry.value(parameter) - b.geometry.value(parameter)).powi(2);
                 squares += off / (a.covariance[(i, i)] + b.covariance[(i, i)]) / (9 * SPLITS) as f64;
                 by_noise += off / (a.noise_covariance[(i, i)] + b.noise_covariance[(i, i)]) / (9 * SPLITS) as f64;
@@ -96,7 +98,7 @@ fn halves_of_real_sets_differ_by_what_their_deviations_say() {
 }
 
 fn told(board: &str, pictures: &[BoardPicture]) -> Vec<CameraDiagnostic> {
-    let done = calibrate_camera(&board.parse().unwrap(), pictures).unwrap();
+    let done = calibrate_camera(&board.parse().unwrap(), pictures, LensModel::Five).unwrap();
     println!("f {:.2}, {} pictures: {:?}", done.lens.focal_px, done.used.len(), done.diagnostics);
     done.diagnostics
 }

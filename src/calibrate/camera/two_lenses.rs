@@ -43,8 +43,8 @@ pub(crate) fn two_lenses(solved: &Solution, corners: &[Corner]) -> Option<TwoLen
     let best = parted.min_by(|a, b| a.left.total_cmp(&b.left))?;
     let [a, b] = &best.solutions;
     let off = DVector::from_iterator(
-        Parameter::LENS.len(),
-        Parameter::LENS.iter().map(|p| a.geometry.value(*p) - b.geometry.value(*p)),
+        Parameter::of_lens(&a.geometry.lens).len(),
+        Parameter::of_lens(&a.geometry.lens).iter().map(|p| a.geometry.value(*p) - b.geometry.value(*p)),
     );
     let together = (&a.covariance + &b.covariance).cholesky()?;
     let apart = off.dot(&together.solve(&off)) / off.len() as f64;

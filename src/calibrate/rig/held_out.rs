@@ -111,7 +111,7 @@ fn measure(picture: usize, others: &Solution, corners: &[Corner], corner_sd_px: 
     let mut seen: Vec<(Point3<f64>, Vec<Sighting<'_>>)> = Vec::new();
     for corner in corners.iter().filter(|c| c.picture == picture) {
         let Some(optics) = paths.get(corner.view) else { continue };
-        let covariance_px2 = Matrix2::identity() * corner_sd_px.powi(2);
+        let covariance_px2 = Matrix2::identity() * (corner_sd_px * corner.relative_sd).powi(2);
         let sighting = Sighting { optics, pixel: corner.pixel, covariance_px2 };
         match seen.iter_mut().find(|(place, _)| *place == corner.place) {
             Some((_, sightings)) => sightings.push(sighting),

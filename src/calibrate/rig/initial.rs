@@ -49,6 +49,8 @@ pub(crate) struct Sorted {
 pub(crate) struct Image {
     /// Corners of the board, in the direct image's order, and where they are in the picture.
     pub(crate) corners: Vec<(Point3<f64>, Point2<f64>)>,
+    /// For each of them σ over that of the others; empty where all are alike.
+    pub(crate) relative_sd: Vec<f64>,
     /// Pose of the (virtual) board as if in air, camera_from_board, origin in the board's middle.
     pub(crate) pose: Isometry3<f64>,
 }
@@ -161,9 +163,9 @@ pub(crate) fn start(board: &Board, lens: &Lens, pictures: &[BoardsPicture], mirr
             for order in board.orders() {
                 let corners_there = ordered(&places, image, Some(&order));
                 let there = pose(lens, &corners_there)?;
-                let (spread, normal, offset_m) = mirror_between(&places, nearest, &there);
+                let (spread, normal, offset_m) = mirror_between(places.iter().map(|p| (nearest * p, there * p)));
                 if best.as_ref().is_none_or(|(least, _)| spread < *least) {
-                    let image = Image { corners: corners_there, pose: there };
+                    let image = Image { corners: corners_there, relative_sd: Vec::new(), pose: there };
                     best = Some((spread, Reflection { picture, normal, offset_m, image }));
                 }
             }
@@ -178,7 +180,7 @@ pub(crate) fn start(board: &Board, lens: &Lens, pictures: &[BoardsPicture], mirr
             left_out.push((picture, Unusable::NoReflection { spread }));
             continue;
         }
-        direct.push((picture, Image { corners: corners.clone(), pose: *nearest }));
+        direct.push((picture, Image { corners: corners.clone(), relative_sd: Vec::new(), pose: *nearest }));
     }
     let groups = group(&reflections, mirrors);
     let mut sorted: Vec<Sorted> = direct
@@ -248,10 +250,10 @@ pub(crate) fn pose(lens: &Lens, corners: &[(Point3<f64>, Point2<f64>)]) -> openc
     pose_from_opencv(&turn, &shift)
 }
 
-/// The plane halfway between a board and its reflection: how far the lines between corners are from parallel, the normal to
-/// the board's side, the offset.
-fn mirror_between(places: &[Point3<f64>], here: &Isometry3<f64>, there: &Isometry3<f64>) -> (f64, Vector3<f64>, f64) {
-    let pairs: Vec<_> = places.iter().map(|p| (here * p, there * p)).collect();
+/// The plane halfway between points and their reflections: how far the lines between them are from parallel, the normal to
+/// the points' side, the offset.
+pub(super) fn mirror_between(pairs: impl Iterator<Item = (Point3<f64>, Point3<f64>)>) -> (f64, Vector3<f64>, f64) {
+    let pairs: Vec<_> = pairs.collect();
     let count = pairs.len().max(1) as f64;
     let mean = pairs.iter().map(|(a, b)| a - b).sum::<Vector3<f64>>() / count;
     let normal = mean.normalize();
@@ -283,8 +285,13 @@ fn group(reflections: &[Reflection], mirrors: usize) -> Vec<Vec<&Reflection>> {
 
 /// Mean normal and median offset.
 fn plane(members: &[&Reflection]) -> (Vector3<f64>, f64) {
-    let normal = members.iter().map(|r| r.normal).sum::<Vector3<f64>>().normalize();
-    let mut offsets: Vec<f64> = members.iter().map(|r| r.offset_m).collect();
+    mirrors_alike(&members.iter().map(|r| (r.normal, r.offset_m)).collect::<Vec<_>>())
+}
+
+/// Mean normal and median offset of planes.
+pub(super) fn mirrors_alike(planes: &[(Vector3<f64>, f64)]) -> (Vector3<f64>, f64) {
+    let normal = planes.iter().map(|p| p.0).sum::<Vector3<f64>>().normalize();
+    let mut offsets: Vec<f64> = planes.iter().map(|p| p.1).collect();
     offsets.sort_by(f64::total_cmp);
     (normal, offsets.get(offsets.len() / 2).copied().unwrap_or_default())
 }

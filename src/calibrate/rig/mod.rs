@@ -18,6 +18,7 @@ pub(crate) mod expected_error;
 pub(crate) mod held_out;
 pub(crate) mod initial;
 mod options;
+pub mod points;
 mod regions;
 pub(crate) mod share;
 pub(crate) mod sufficient;
@@ -30,6 +31,7 @@ pub use expected_error::{Verdict, verdict};
 pub use held_out::held_out;
 pub use initial::BoardsPicture;
 pub use options::{RigOptions, Tank};
+pub use points::{Points, PointsError};
 pub use walls::water_index;
 
 use crate::calibrate::board::Board;
@@ -77,8 +79,45 @@ pub fn calibrate_rig(
     pictures: &[BoardsPicture],
     options: &RigOptions,
 ) -> Result<RigCalibration, RigCalibrationError> {
-    let mut start = start(board, lens, pictures, options.mirrors)?;
-    let name = |picture: usize| pictures.get(picture).map_or_else(String::new, |p| p.name.clone());
+    let start = start(board, lens, pictures, options.mirrors)?;
+    let places = board.centred_points();
+    let target = Target { shape: Shape::flat(&places), words: board.to_string(), board: Some(board) };
+    adjusted(&target, lens, start, pictures.iter().map(|p| p.name.clone()).collect(), options)
+}
+
+/// Calibrates mirrors and walls from points that were marked by hand or found elsewhere.
+///
+/// # Errors
+/// As [`calibrate_rig`].
+pub fn calibrate_rig_from_points(
+    points: &Points,
+    lens: &Lens,
+    options: &RigOptions,
+) -> Result<RigCalibration, RigCalibrationError> {
+    let shape = if points.is_flat() { Shape::flat(points.places()) } else { Shape::rigid() };
+    let target = Target { shape, words: "points".to_owned(), board: None };
+    adjusted(&target, lens, points.start(lens)?, points.names(), options)
+}
+
+/// What pictures show.
+struct Target<'a> {
+    /// Before it is found.
+    shape: Shape,
+    /// For messages.
+    words: String,
+    /// Where it is one; boards that are taped to walls are no other.
+    board: Option<&'a Board>,
+}
+
+/// Adjusts all from `start`; pictures that fit much worse than the others are left out.
+fn adjusted(
+    target: &Target<'_>,
+    lens: &Lens,
+    mut start: Initial,
+    names: Vec<String>,
+    options: &RigOptions,
+) -> Result<RigCalibration, RigCalibrationError> {
+    let name = |picture: usize| names.get(picture).cloned().unwrap_or_default();
     let reason = |(picture, why): &(usize, Unusable)| (name(*picture), why.to_string());
     let mut left_out: Vec<(String, String)> = start.left_out.iter().map(reason).collect();
     loop {
@@ -89,9 +128,9 @@ pub fn calibrate_rig(
             return Err(RigCalibrationError::Mirrors { found: start.mirrors.len(), expected: options.mirrors });
         }
         shown(&start)?;
-        before_wall(board, &start, options, &name)?;
+        before_wall(target, &start, options, &name)?;
         let names: Vec<String> = start.pictures.iter().map(|sorted| name(sorted.picture)).collect();
-        let (solution, corners) = best(board, lens, &start, &names, options)?;
+        let (solution, corners) = best(target, lens, &start, &names, options)?;
         let used: Vec<UsedPicture> = names
             .into_iter()
             .enumerate()
@@ -114,7 +153,7 @@ pub fn calibrate_rig(
 /// A wall at a measured distance, and boards that by their size are nearer: light goes straight to the wall, so that a board
 /// behind it never seems to be before it, whatever its tilt.
 fn before_wall(
-    board: &Board,
+    target: &Target<'_>,
     start: &Initial,
     options: &RigOptions,
     name: &impl Fn(usize) -> String,
@@ -130,7 +169,7 @@ fn before_wall(
         Some((name, nearest_m)) if nearest_m < distance_m * (1.0 - POSE_ERROR) - 3.0 * sd_m => {
             Err(RigCalibrationError::BeforeWall {
                 name,
-                board: board.to_string(),
+                board: target.words.clone(),
                 nearest_mm: nearest_m * 1e3,
                 distance_mm: distance_m * 1e3,
             })
@@ -146,7 +185,7 @@ fn by_picture(corners: &[Corner], solution: &Solution, picture: usize) -> Vec<(P
 
 /// The best of the adjustments that start from walls at several distances.
 fn best(
-    board: &Board,
+    target: &Target<'_>,
     lens: &Lens,
     start: &Initial,
     names: &[String],
@@ -159,11 +198,14 @@ fn best(
         .flat_map(|(picture, sorted)| {
             let views = sorted.views.iter().enumerate();
             views.flat_map(move |(view, image)| {
-                image.iter().flat_map(|image| &image.corners).map(move |(place, pixel)| Corner {
-                    picture,
-                    view,
-                    place: *place,
-                    pixel: *pixel,
+                image.iter().flat_map(move |image| {
+                    image.corners.iter().enumerate().map(move |(k, (place, pixel))| Corner {
+                        picture,
+                        view,
+                        place: *place,
+                        pixel: *pixel,
+                        relative_sd: image.relative_sd.get(k).copied().unwrap_or(1.0),
+                    })
                 })
             })
         })
@@ -175,16 +217,18 @@ fn best(
         let known = known(&geometry, options)?;
         let mut free: Vec<Parameter> = (0..geometry.surfaces.len()).flat_map(Parameter::of_surface).collect();
         let (names, corners) = (names.to_vec(), seen.clone());
-        let shape = Shape::flat(&board.centred_points());
+        let shape = target.shape;
         let mut bundle = Bundle { geometry, free: free.clone(), poses, names, corners, known, shape };
         for (wall, picture) in &options.taped {
-            Taped::new(board, lens, &bundle.geometry, wall, picture)?.add(&mut bundle);
+            if let Some(board) = target.board {
+                Taped::new(board, lens, &bundle.geometry, wall, picture)?.add(&mut bundle);
+            }
         }
         let (corners, known) = (bundle.corners.clone(), bundle.known.clone());
         bundle.known.extend(held(&bundle.geometry));
         let rough = bundle.search();
         if options.lens_covariance.is_some() {
-            free.extend(Parameter::LENS);
+            free.extend_from_slice(Parameter::of_lens(lens));
         }
         if options.tank.is_some() && options.index_sd.is_some() {
             free.push(Parameter::IndexInside);

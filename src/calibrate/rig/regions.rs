@@ -106,6 +106,7 @@ mod tests {
             focal_px: Vector2::new(300.0, 300.0),
             principal_point_px: Point2::new(180.0, 180.0),
             distortion: [0.0; 5],
+            denominator: [0.0; 3],
         };
         OpticalPath { lens, surfaces: Vec::new() }
     }
@@ -117,6 +118,7 @@ mod tests {
             view,
             place: nalgebra::Point3::origin(),
             pixel: Point2::new(x, y),
+            relative_sd: 1.0,
         };
         let corners =
             [corner(0, 100.0, 100.0), corner(0, 200.0, 300.0), corner(1, 240.0, 100.0), corner(1, 340.0, 300.0)];

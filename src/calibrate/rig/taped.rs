@@ -74,7 +74,13 @@ impl Taped {
         to.geometry.views.push(("taped".to_owned(), self.path));
         to.poses.push(self.pose);
         to.names.push(self.name);
-        to.corners.extend(self.corners.into_iter().map(|(place, pixel)| Corner { picture, view, place, pixel }));
+        to.corners.extend(self.corners.into_iter().map(|(place, pixel)| Corner {
+            picture,
+            view,
+            place,
+            pixel,
+            relative_sd: 1.0,
+        }));
         let Self { surface, half_m, .. } = self;
         to.known.push(Prior::Taped { picture, surface, sd_m: TAPED_SD_M, half_m });
     }

@@ -18,7 +18,7 @@ const SIZE_SD_M: f64 = 1e-3;
 const WATER: [f64; 6] = [1.33395, 1.33369, 1.33299, 1.33192, 1.33051, 1.32894];
 
 /// Names of the mirrors and of their views: without a number where there is only one.
-fn numbered(name: &str, index: usize, count: usize) -> String {
+pub(super) fn numbered(name: &str, index: usize, count: usize) -> String {
     if count == 1 { name.to_owned() } else { format!("{name}_{}", index + 1) }
 }
 
@@ -133,7 +133,7 @@ pub(super) fn known(geometry: &Geometry, options: &RigOptions) -> Result<Vec<Pri
     if let Some(covariance) = &options.lens_covariance {
         let factor = covariance.clone().cholesky().ok_or(RigCalibrationError::LensCovariance)?;
         let whitening = factor.l().try_inverse().ok_or(RigCalibrationError::LensCovariance)?;
-        let values = Parameter::LENS.map(|parameter| geometry.value(parameter));
+        let values = Parameter::of_lens(&geometry.lens).iter().map(|parameter| geometry.value(*parameter)).collect();
         known.push(Prior::Lens { values, whitening });
     }
     for (name, distance_m, sd_m) in &options.distances_m {

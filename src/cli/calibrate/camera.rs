@@ -5,7 +5,7 @@ use super::pictures::{self, Searched};
 use super::{can_be_written, left_out, save};
 use crate::calibrate::board::Board;
 use crate::calibrate::board::BoardPicture;
-use crate::calibrate::camera::{CameraCalibration, CameraError, calibrate_camera};
+use crate::calibrate::camera::{CameraCalibration, CameraError, LensModel, calibrate_camera};
 use crate::rig::{Camera, Draft};
 use std::fmt::Write as _;
 use std::path::PathBuf;
@@ -19,6 +19,9 @@ pub(super) struct CameraArgs {
     /// charuco:5x7:30mm:22mm:DICT_4X4_50 (square, marker, dictionary; `:legacy` after it for OpenCV's old pattern)
     #[arg(long, value_name = "9x6:12mm")]
     board: Board,
+    /// Coefficients of distortion: 5 (k1, k2, p1, p2, k3), or 8 of the rational model for wide angles
+    #[arg(long, value_name = "5|8", default_value = "5", value_parser = lens_model)]
+    lens: LensModel,
     /// Rig file to write; what an existing one says beside the camera is kept
     #[arg(long, short, value_name = "RIG.toml")]
     out: PathBuf,
@@ -37,7 +40,7 @@ pub(super) fn run(args: &CameraArgs, quiet: bool, print: impl Fn(&str) -> Result
             Some(BoardPicture { name: s.name.clone(), size_px: s.size_px, image })
         })
         .collect();
-    let done = calibrate_camera(&args.board, &found).map_err(|error| {
+    let done = calibrate_camera(&args.board, &found, args.lens).map_err(|error| {
         print(&pictures::not_found(&searched)).err().unwrap_or_else(|| {
             let exit = if matches!(error, CameraError::Sizes { .. }) { Exit::Usage } else { Exit::Unusable };
             Failure::new(exit, error)
@@ -56,18 +59,28 @@ pub(super) fn run(args: &CameraArgs, quiet: bool, print: impl Fn(&str) -> Result
             lens: done.lens,
             blur_px: None,
             chroma_offset_px: [0.0; 2],
+            exposure_s: None,
         }),
     };
     let mut provenance = pictures::provenance("camera", &args.board, &searched)?;
     provenance.insert("corner_sd_px".into(), done.corner_sd_px.into());
     let rows = done.covariance.row_iter().map(|row| row.iter().copied().collect::<Vec<f64>>().into());
     provenance.insert("lens_covariance".into(), rows.collect::<Vec<toml::Value>>().into());
-    let noise: Vec<toml::Value> = (0..9).map(|i| done.noise_covariance[(i, i)].sqrt().into()).collect();
+    let noise: Vec<toml::Value> =
+        (0..done.noise_covariance.nrows()).map(|i| done.noise_covariance[(i, i)].sqrt().into()).collect();
     provenance.insert("lens_sd_by_noise".into(), noise.into());
     provenance.insert("board_bend_mm".into(), done.shape.bend_m.map(|m| m * 1e3).to_vec().into());
     draft.provenance.insert("camera".into(), provenance.into());
     let written = save(&draft, &args.out)?;
     print(&format!("\n{written}\n"))
+}
+
+fn lens_model(text: &str) -> Result<LensModel, String> {
+    match text {
+        "5" => Ok(LensModel::Five),
+        "8" => Ok(LensModel::Eight),
+        _ => Err("expected 5 or 8; a rig has no fisheye model".to_owned()),
+    }
 }
 
 fn describe(searched: &[Searched], done: &CameraCalibration) -> String {
@@ -90,7 +103,9 @@ fn describe(searched: &[Searched], done: &CameraCalibration) -> String {
         let [sd, noise, model] = sd(i);
         let _ = writeln!(text, "{name:<18} {value:>9.2}  {sd:>9.2}  {noise:>9.2}  {model:>13.2}");
     }
-    for (i, (name, value)) in ["k1", "k2", "p1", "p2", "k3"].into_iter().zip(lens.distortion).enumerate() {
+    for (i, (name, value)) in
+        ["k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"].into_iter().zip(lens.coefficients()).enumerate()
+    {
         let [sd, noise, model] = sd(i + 4);
         let _ = writeln!(text, "{name:<18} {value:>9.5}  {sd:>9.5}  {noise:>9.5}  {model:>13.5}");
     }

@@ -5,6 +5,7 @@ use super::super::{Exit, Failure};
 use crate::calibrate::board::grey::{Grey, Rows};
 use crate::calibrate::board::{Board, BoardImage, find_boards};
 use crate::calibrate::bundle::outliers::UsedPicture;
+use crate::source;
 use rayon::prelude::*;
 use sha2::{Digest as _, Sha256};
 use std::collections::BTreeMap;
@@ -40,6 +41,16 @@ pub(super) fn provenance(step: &str, board: &Board, searched: &[Searched]) -> Re
     table.insert("board".into(), board.to_string().into());
     table.insert("inputs_sha256".into(), hashes.into());
     Ok(table)
+}
+
+/// The same of a table of points.
+pub(super) fn provenance_of_points(step: &str, file: &Path) -> Result<toml::Table, Failure> {
+    let name = file.file_name().unwrap_or(file.as_os_str()).to_string_lossy().into_owned();
+    Ok(toml::Table::from_iter([
+        ("made_by".to_owned(), format!("catoptra {} calibrate {step}", env!("CARGO_PKG_VERSION")).into()),
+        ("points".to_owned(), name.clone().into()),
+        ("inputs_sha256".to_owned(), toml::Table::from_iter([(name, hash(file)?.into())]).into()),
+    ]))
 }
 
 /// SHA-256 of a file, as hexadecimal digits.
@@ -146,7 +157,8 @@ fn in_folder(folder: &Path) -> Result<Vec<PathBuf>, Failure> {
     }
     files.sort();
     if files.is_empty() {
-        let text = format!("{}: no pictures in this folder ({})", folder.display(), ENDINGS.join(", "));
+        let cure = source::cure_for_pictures(folder).map(|cure| format!("; {cure}")).unwrap_or_default();
+        let text = format!("{}: no pictures in this folder ({}){cure}", folder.display(), ENDINGS.join(", "));
         return Err(Failure::new(Exit::Usage, text));
     }
     Ok(files)

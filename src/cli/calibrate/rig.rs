@@ -12,28 +12,34 @@ use crate::calibrate::rig::expected_error::{Verdict, verdict};
 use crate::calibrate::rig::held_out::{HeldOut, Off, held_out};
 use crate::calibrate::rig::initial::BoardsPicture;
 use crate::calibrate::rig::{
-    RigCalibration, RigCalibrationError, RigOptions, Tank, calibrate_rig, into_draft, water_index,
+    Points, RigCalibration, RigCalibrationError, RigOptions, Tank, calibrate_rig, calibrate_rig_from_points,
+    into_draft, water_index,
 };
 use crate::report::calibration::{self, CalibrationInfo};
 use crate::rig::Draft;
 use crate::whole_file;
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, Point3};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
+/// Points may be off by so many times what was said of them, or less by as much.
+const OTHERWISE: f64 = 1.5;
 /// How well the index is known beforehand when it is to be fitted.
 const INDEX_SD: f64 = 5e-3;
 
 #[derive(Debug, clap::Args)]
 pub(super) struct RigArgs {
     /// Pictures that show the board directly and in the mirror, or a folder of them
-    #[arg(value_name = "PICTURES", required = true)]
+    #[arg(value_name = "PICTURES", required_unless_present = "points")]
     pictures: Vec<PathBuf>,
+    /// In place of pictures: marked points, columns picture, view, u_px, v_px, x_mm, y_mm, z_mm (sd_px)
+    #[arg(long, value_name = "POINTS.csv", conflicts_with_all = ["pictures", "board", "walls"])]
+    points: Option<PathBuf>,
     /// The board: inner corners in a row and in a column, size of a square; or, counting SQUARES, a ChArUco board:
     /// charuco:5x7:30mm:22mm:DICT_4X4_50 (square, marker, dictionary; `:legacy` after it for OpenCV's old pattern)
-    #[arg(long, value_name = "9x6:12mm")]
-    board: Board,
+    #[arg(long, value_name = "9x6:12mm", required_unless_present = "points")]
+    board: Option<Board>,
     /// The rig file with the camera, from `catoptra calibrate camera`
     #[arg(long, value_name = "RIG.toml")]
     rig: PathBuf,
@@ -120,48 +126,95 @@ pub(super) fn run(args: &RigArgs, quiet: bool, print: impl Fn(&str) -> Result<()
 
     let draft = Draft::load(&args.rig)?;
     let mut options = options(args, &draft)?;
+    let seen = seen(args, &draft, &mut options, quiet)?;
+    let searched = seen.searched();
+    let lens = &draft.camera.lens;
+    let done = during("solving for mirrors and walls", quiet, || match &seen {
+        Seen::Boards { board, found, .. } => calibrate_rig(board, lens, found, &options),
+        Seen::Points { points, .. } => calibrate_rig_from_points(points, lens, &options),
+    });
+    let done = done.map_err(|error| print(&pictures::not_found(searched)).err().unwrap_or_else(|| failure(error)))?;
+    let judged = during("judging the errors over the working volume", quiet, || {
+        verdict(&done.solution, &done.corners, &seen.places())
+    });
+    let held = during("leaving out each picture in turn", quiet, || held_out(&done.solution, &done.corners));
+    print(&describe(&seen, &done, judged.as_ref(), &options))?;
+    print(&describe_held_out(held.iter().flatten()))?;
+    if let Some(shared) = shared_pictures(&draft, searched)? {
+        print(&shared)?;
+    }
+    for doubt in diagnose(&done, &held) {
+        print(&format!("doubt: {doubt}\n"))?;
+    }
+    let page = calibration::page(&info(args, out, &seen), &done, judged.as_ref(), &held);
+    let mut rig = into_draft(draft, &done);
+    rig.provenance.insert("rig".into(), provenance(&seen, &done, judged.as_ref())?.into());
+    let written = save(&rig, out)?;
+    let page_path = out.with_extension("calibration.html");
+    save_page(&page, &page_path)?;
+    print(&format!("\n{written}\n         {} (how good it is, for a browser)\n", page_path.display()))
+}
+
+/// What the rig is calibrated from.
+enum Seen {
+    /// Boards in pictures.
+    Boards { board: Board, searched: Vec<Searched>, found: Vec<BoardsPicture> },
+    /// A table of points.
+    Points { file: PathBuf, points: Points },
+}
+
+impl Seen {
+    fn searched(&self) -> &[Searched] {
+        match self {
+            Self::Boards { searched, .. } => searched,
+            Self::Points { .. } => &[],
+        }
+    }
+
+    fn places(&self) -> Vec<Point3<f64>> {
+        match self {
+            Self::Boards { board, .. } => board.centred_points(),
+            Self::Points { points, .. } => points.places().to_vec(),
+        }
+    }
+
+    fn pictures(&self) -> usize {
+        match self {
+            Self::Boards { searched, .. } => searched.len(),
+            Self::Points { points, .. } => points.names().len(),
+        }
+    }
+}
+
+/// Looks for boards in the pictures, those taped to walls too, or reads the points.
+fn seen(args: &RigArgs, draft: &Draft, options: &mut RigOptions, quiet: bool) -> Result<Seen, Failure> {
+    if let Some(file) = &args.points {
+        let points = Points::read(file, args.mirrors).map_err(|e| Failure::new(Exit::Usage, e))?;
+        return Ok(Seen::Points { file: file.clone(), points });
+    }
+    let Some(board) = args.board.clone() else {
+        return Err(usage("give --board with the pictures, or --points in place of both".to_owned()));
+    };
     for (name, path) in &args.walls {
-        for found in pictures::search(std::slice::from_ref(path), &args.board, 1, quiet)? {
-            fits(&found, args, &draft)?;
+        for found in pictures::search(std::slice::from_ref(path), &board, 1, quiet)? {
+            fits(&found, args, draft)?;
             let unseen = |why: &String| Failure::new(Exit::Unusable, format!("{}: {why}", found.path.display()));
             let image = found.images.as_ref().map_err(unseen)?.first().cloned();
             let picture = image.map(|image| BoardPicture { name: found.name.clone(), size_px: found.size_px, image });
             options.taped.extend(picture.map(|picture| (name.clone(), picture)));
         }
     }
-    let searched = pictures::search(&args.pictures, &args.board, args.mirrors + 1, quiet)?;
+    let searched = pictures::search(&args.pictures, &board, args.mirrors + 1, quiet)?;
     for picture in &searched {
-        fits(picture, args, &draft)?;
+        fits(picture, args, draft)?;
     }
-    let found: Vec<BoardsPicture> = searched
+    let found = searched
         .iter()
         .filter_map(|s| {
             Some(BoardsPicture { name: s.name.clone(), size_px: s.size_px, images: s.images.as_ref().ok()?.clone() })
         })
         .collect();
-    let done = during("solving for mirrors and walls", quiet, || {
-        calibrate_rig(&args.board, &draft.camera.lens, &found, &options)
-    });
-    let done = done.map_err(|error| print(&pictures::not_found(&searched)).err().unwrap_or_else(|| failure(error)))?;
-    let judged = during("judging the errors over the working volume", quiet, || {
-        verdict(&done.solution, &done.corners, &args.board.centred_points())
-    });
-    let held = during("leaving out each picture in turn", quiet, || held_out(&done.solution, &done.corners));
-    print(&describe(&searched, &done, judged.as_ref(), &options))?;
-    print(&describe_held_out(held.iter().flatten()))?;
-    if let Some(shared) = shared_pictures(&draft, &searched)? {
-        print(&shared)?;
-    }
-    for doubt in diagnose(&done, &held) {
-        print(&format!("doubt: {doubt}\n"))?;
-    }
-    let page = calibration::page(&info(args, out, &searched), &done, judged.as_ref(), &held);
-    let mut rig = into_draft(draft, &done);
-    rig.provenance.insert("rig".into(), provenance(args, &searched, &done, judged.as_ref())?.into());
-    let written = save(&rig, out)?;
-    let page_path = out.with_extension("calibration.html");
-    save_page(&page, &page_path)?;
-    print(&format!("\n{written}\n         {} (how good it is, for a browser)\n", page_path.display()))
+    Ok(Seen::Boards { board, searched, found })
 }
 
 fn save_page(page: &str, path: &Path) -> Result<(), Failure> {
@@ -171,9 +224,13 @@ fn save_page(page: &str, path: &Path) -> Result<(), Failure> {
 }
 
 /// What the page says of the run.
-fn info(args: &RigArgs, out: &Path, searched: &[Searched]) -> CalibrationInfo {
+fn info(args: &RigArgs, out: &Path, seen: &Seen) -> CalibrationInfo {
     let mm = |length_m: f64| format!("{:.2} mm", length_m * 1e3);
-    let mut settings = vec![("Board".to_owned(), args.board.to_string())];
+    let searched = seen.searched();
+    let mut settings = vec![match seen {
+        Seen::Boards { board, .. } => ("Board".to_owned(), board.to_string()),
+        Seen::Points { file, .. } => ("Points".to_owned(), file.display().to_string()),
+    }];
     if let Some(glass) = args.glass {
         let size = args.tank.map_or(String::new(), |BoxSize(sides)| format!("{}, ", sides.map(mm).join(" x ")));
         settings.push(("Tank".to_owned(), format!("{size}glass {} of index {}", mm(glass.0), args.index_glass)));
@@ -258,7 +315,8 @@ fn lens_covariance(draft: &Draft) -> Option<DMatrix<f64>> {
     let rows = draft.provenance.get("camera")?.get("lens_covariance")?.as_array()?;
     let numbers: Vec<f64> =
         rows.iter().filter_map(|row| row.as_array()).flatten().filter_map(toml::Value::as_float).collect();
-    (numbers.len() == 81).then(|| DMatrix::from_row_slice(9, 9, &numbers))
+    let n = Parameter::of_lens(&draft.camera.lens).len();
+    (numbers.len() == n * n).then(|| DMatrix::from_row_slice(n, n, &numbers))
 }
 
 fn failure(error: RigCalibrationError) -> Failure {
@@ -266,13 +324,11 @@ fn failure(error: RigCalibrationError) -> Failure {
     Failure::new(exit, error)
 }
 
-fn provenance(
-    args: &RigArgs,
-    searched: &[Searched],
-    done: &RigCalibration,
-    judged: Option<&Verdict>,
-) -> Result<toml::Table, Failure> {
-    let mut table = pictures::provenance("rig", &args.board, searched)?;
+fn provenance(seen: &Seen, done: &RigCalibration, judged: Option<&Verdict>) -> Result<toml::Table, Failure> {
+    let mut table = match seen {
+        Seen::Boards { board, searched, .. } => pictures::provenance("rig", board, searched)?,
+        Seen::Points { file, .. } => pictures::provenance_of_points("rig", file)?,
+    };
     let solution = &done.solution;
     table.insert("corner_sd_px".into(), solution.corner_sd_px.into());
     let surface = |index: usize| solution.geometry.surfaces.get(index).map_or("", |(name, _)| name.as_str());
@@ -290,9 +346,9 @@ fn provenance(
     Ok(table)
 }
 
-fn describe(searched: &[Searched], done: &RigCalibration, judged: Option<&Verdict>, options: &RigOptions) -> String {
+fn describe(seen: &Seen, done: &RigCalibration, judged: Option<&Verdict>, options: &RigOptions) -> String {
     let mut text = pictures::table(
-        searched,
+        seen.searched(),
         done.used.iter().map(|(_, picture)| picture),
         &done.left_out,
         done.solution.corner_sd_px,
@@ -302,9 +358,19 @@ fn describe(searched: &[Searched], done: &RigCalibration, judged: Option<&Verdic
         text,
         "\n{} of {} pictures used, corners good to {}\n\nsurface      normal                          σ  of noise      offset mm       σ  of noise",
         done.used.len(),
-        searched.len(),
+        seen.pictures(),
         pictures::rms(solution.corner_sd_px)
     );
+    if let Seen::Points { points, .. } = seen
+        && let Some(given_px) = points.given_sd_px()
+        && !(1.0 / OTHERWISE..OTHERWISE).contains(&(solution.corner_sd_px / given_px))
+    {
+        let _ = writeln!(
+            text,
+            "warning: points were said to be good to {given_px:.2} px, and are off by {:.2}: σ below are by what they are",
+            solution.corner_sd_px
+        );
+    }
     let of = |parameter: Parameter, covariance: &DMatrix<f64>| {
         let at = solution.free.iter().position(|p| *p == parameter);
         at.map_or(0.0, |i| covariance[(i, i)].sqrt())

@@ -1,7 +1,9 @@
 //! Arguments of `catoptra identify`, and the settings that they stand for.
 
 use crate::cli::results::Results;
+use crate::cli::units::duration_s;
 use crate::cli::{Exit, Failure};
+use crate::identify::Repeats;
 use crate::identify::export;
 use crate::identify::fit::InitialState;
 use crate::identify::model::Orders;
@@ -76,11 +78,11 @@ pub(crate) struct Args {
     /// Order, or orders to search, na = nb [default: 1:20 or less]
     #[arg(long, value_name = "N|A:B")]
     pub(super) order: Option<Span>,
-    /// Past outputs, in place of --order
+    /// With --nb: past outputs and inputs, in place of --order
     #[arg(long, value_name = "N|A:B", conflicts_with = "order")]
     pub(super) na: Option<Span>,
     /// Inputs, in place of --order
-    #[arg(long, value_name = "N|A:B", conflicts_with = "order")]
+    #[arg(long, value_name = "N|A:B", conflicts_with = "order", hide = true)]
     pub(super) nb: Option<Span>,
     /// Delay in samples, at least 1 with Eq. 6 [default: 1:5]
     #[arg(long, value_name = "N|A:B")]
@@ -106,6 +108,12 @@ pub(crate) struct Args {
     /// Repetitions of the bootstrap
     #[arg(long, value_name = "N", default_value_t = 100, value_parser = count(0, 100_000))]
     pub(super) bootstrap: usize,
+    /// The input repeats every T: average, leave SKIP out [default: 1]
+    #[arg(long, value_name = "T[:SKIP]")]
+    pub(super) repeats: Option<RepeatsArg>,
+    /// Fit nothing: apply a model.json, H(s), or eq7 of the paper
+    #[arg(long, value_name = "FILE|eq7", conflicts_with_all = ["validate", "train", "order", "na", "nb", "nk", "select", "repeats"])]
+    pub(super) model: Option<PathBuf>,
     /// Folder for the results
     #[arg(short, long, value_name = "DIR")]
     pub(super) out: PathBuf,
@@ -192,6 +200,27 @@ impl std::str::FromStr for TargetArg {
     }
 }
 
+/// T or T:SKIP.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct RepeatsArg(Repeats);
+
+impl RepeatsArg {
+    pub(super) fn words(self) -> String {
+        format!("every {} s, {} left out", self.0.every_s, self.0.skip)
+    }
+}
+
+impl std::str::FromStr for RepeatsArg {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let (every, skip) = text.split_once(':').unwrap_or((text, "1"));
+        let skip =
+            skip.parse().map_err(|_| format!("`{text}`: after the colon comes a number of periods, as in 20s:2"))?;
+        Ok(Self(Repeats { every_s: duration_s(every)?, skip }))
+    }
+}
+
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub(super) enum DetrendArg {
     None,
@@ -238,7 +267,7 @@ impl Args {
 
     /// The folder, whose files are those of earlier results of the same records or none.
     pub(super) fn results(&self) -> Results<'_> {
-        let tables = self.validate.iter().chain(&self.plant).chain(&self.currents);
+        let tables = self.validate.iter().chain(&self.plant).chain(&self.currents).chain(&self.model);
         Results {
             folder: &self.out,
             command: "identify",
@@ -276,6 +305,7 @@ impl Args {
             removal: if self.match_dc { Removal::MatchDc } else { Removal::Truncate },
             all_frequencies: self.all_frequencies,
             bootstrap: self.bootstrap,
+            repeats: self.repeats.map(|r| r.0),
         })
     }
 
@@ -349,5 +379,8 @@ mod tests {
         assert_eq!("-0.5".parse(), Ok(DelayArg::Given(-0.5)));
         assert!("soon".parse::<DelayArg>().is_err() && "nan".parse::<DelayArg>().is_err());
         assert!("0".parse::<TargetArg>().is_err());
+        assert_eq!("20s".parse(), Ok(RepeatsArg(Repeats { every_s: 20.0, skip: 1 })));
+        assert_eq!("500ms:3".parse(), Ok(RepeatsArg(Repeats { every_s: 0.5, skip: 3 })));
+        assert!("20s:x".parse::<RepeatsArg>().is_err() && "0s".parse::<RepeatsArg>().is_err());
     }
 }

@@ -1,5 +1,6 @@
 //! `catoptra identify`: a log, or a table of any two columns, to the dynamics of what moved.
 
+mod apply;
 mod args;
 mod reading;
 mod words;
@@ -20,6 +21,9 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     results.check()?;
     // 1. signals
     let (data, provenance) = reading::read(args)?;
+    if let Some(model) = &args.model {
+        return apply::run(args, model, &data, &provenance, quiet);
+    }
     let samples: usize = data.training.iter().map(crate::identify::data::Record::observed).sum();
     let settings = args.settings(samples, !data.validation.is_empty())?;
     // 2. models
@@ -58,6 +62,7 @@ fn put(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
 fn failure(data: &Data, error: IdentifyError) -> Failure {
     let exit = match error {
         IdentifyError::Nothing { .. } | IdentifyError::Still { .. } => return Failure::new(Exit::Usage, error),
+        IdentifyError::NotPeriodic { .. } => return Failure::new(Exit::Usage, error),
         IdentifyError::TooShort { .. } | IdentifyError::TooShortToJudge { .. } => Exit::Usage,
         IdentifyError::Dependent { .. }
         | IdentifyError::Unstable { .. }

@@ -42,6 +42,7 @@ struct Read {
 pub(super) fn read(args: &Args) -> Result<(Data, Provenance), Failure> {
     let files: Vec<&Path> = args.records.iter().chain(&args.validate).map(AsRef::as_ref).collect();
     let ranges = args.train.is_some() || args.test.is_some();
+    let applied = args.model.is_some();
     if ranges && args.records.len() > 1 {
         return Err(usage("--train and --test take parts of one record; there are several"));
     }
@@ -59,7 +60,8 @@ pub(super) fn read(args: &Args) -> Result<(Data, Provenance), Failure> {
         } else {
             recorded(args, file, args.currents.get(k).map(AsRef::as_ref), plant)?
         };
-        read.summary.training = k < args.records.len();
+        // A model that is applied is judged by all records.
+        read.summary.training = args.model.is_none() && k < args.records.len();
         all.push(read);
     }
     one_period(&all)?;
@@ -78,6 +80,10 @@ pub(super) fn read(args: &Args) -> Result<(Data, Provenance), Failure> {
                 let fitted = part(train.unwrap_or(whole), true)?;
                 let judged = test.map(|test| part(test, false)).transpose()?;
                 [Some(fitted), judged].into_iter().flatten().collect()
+            }
+            (false, _, Some(test)) if applied => {
+                within(&record, test)?;
+                vec![(record.range(test.from, test.to, period_s), false)]
             }
             (training, _, _) => vec![(record, training)],
         };
@@ -283,6 +289,14 @@ fn detrend(data: &mut Data, what: Detrend, one_record: bool) {
     if what == Detrend::None {
         return;
     }
+    // Where nothing is fitted, each record has its own trend.
+    if data.training.is_empty() {
+        for record in &mut data.validation {
+            let trend = Trend::of(&record.segments, period_s, what == Detrend::Linear);
+            record.segments.iter_mut().for_each(|s| trend.remove(s, period_s));
+        }
+        return;
+    }
     let all: Vec<_> = data.training.iter().flat_map(|r| r.segments.clone()).collect();
     let of_all = Trend::of(&all, period_s, false);
     let mut of_validation = of_all;
@@ -319,6 +333,12 @@ fn provenance(args: &Args, records: Vec<RecordSummary>) -> Provenance {
     set("decimate", args.decimate.unwrap_or(1).to_string());
     set("resample", args.resample.to_string());
     set("bridge", args.bridge.to_string());
+    if let Some(model) = &args.model {
+        set("model", model.display().to_string());
+    }
+    if let Some(repeats) = &args.repeats {
+        set("repeats", repeats.words());
+    }
     set("estimator", format!("{:?}", args.estimator).to_lowercase());
     set("start", format!("{:?}", args.start).to_lowercase());
     set("reduction", if args.match_dc { "match DC" } else { "truncation" }.to_owned());

@@ -182,9 +182,16 @@ fn camera(out: &mut String, rig: &Draft, checked: &Check) -> fmt::Result {
     let centre = lens.principal_point_px;
     writeln!(out, "  principal point  {:.2}, {:.2} px{of_centre}", centre.x, centre.y)?;
     writeln!(out, "  distortion       k1, k2, p1, p2, k3 = {:?}", lens.distortion)?;
+    if lens.is_rational() {
+        writeln!(out, "                   k4, k5, k6 = {:?}", lens.denominator)?;
+    }
     match camera.blur_px {
         Some(blur) => writeln!(out, "  blur             {blur:.2} px")?,
         None => writeln!(out, "  blur             not known")?,
+    }
+    match camera.exposure_s {
+        Some(exposure_s) => writeln!(out, "  exposure         {:.2} ms", exposure_s * 1e3)?,
+        None => writeln!(out, "  exposure         not known: motion blur is not modelled")?,
     }
     let [right, down] = camera.chroma_offset_px;
     writeln!(out, "  chroma samples   {right:+.2}, {down:+.2} px beside where recordings say")

@@ -2,6 +2,7 @@
 
 use super::super::calibrate::{can_be_written, left_out, save};
 use super::{Exit, Failure};
+use crate::calibrate::geometry::Parameter;
 use crate::rig::Draft;
 use crate::rig::formats::Format;
 use sha2::{Digest as _, Sha256};
@@ -23,7 +24,7 @@ pub(super) struct ImportArgs {
     /// Its format [default: recognised from its content]
     #[arg(long)]
     format: Option<From>,
-    /// σ of fx, fy, cx, cy, k1, k2, p1, p2, k3, as the other program gives them: pixels for the first four
+    /// σ of fx, fy, cx, cy, k1, k2, p1, p2, k3 (k4, k5, k6), as the other program gives them: pixels for the first four
     #[arg(long, value_name = "σ,σ,…", value_parser = Deviations::from_str)]
     sd: Option<Deviations>,
     /// Rig file to write; an existing one keeps its bands
@@ -31,24 +32,24 @@ pub(super) struct ImportArgs {
     out: PathBuf,
 }
 
-/// σ of the nine numbers of a lens.
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct Deviations([f64; 9]);
+/// σ of the nine numbers of a lens, or of the twelve of a rational one.
+#[derive(Debug, Clone, PartialEq)]
+struct Deviations(Vec<f64>);
 
 impl FromStr for Deviations {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
         let wrong = || {
-            "expected nine σ above 0, of fx, fy, cx, cy, k1, k2, p1, p2, k3, for example 1.2,1.2,0.9,0.8,3e-3,0.02,2e-4,2e-4,0.05; \
+            "expected nine σ above 0, of fx, fy, cx, cy, k1, k2, p1, p2, k3 (twelve with k4, k5, k6 of a rational lens), for example 1.2,1.2,0.9,0.8,3e-3,0.02,2e-4,2e-4,0.05; \
              of a number that was held, one as small as it is well known"
                 .to_owned()
         };
         let numbers =
             text.split([',', ' ']).filter(|part| !part.is_empty()).map(|part| part.trim().parse::<f64>().ok());
         let numbers: Vec<f64> = numbers.collect::<Option<_>>().ok_or_else(wrong)?;
-        let sd = <[f64; 9]>::try_from(numbers).map_err(|_| wrong())?;
-        if sd.iter().all(|sd| *sd > 0.0 && sd.is_finite()) { Ok(Self(sd)) } else { Err(wrong()) }
+        let sound = matches!(numbers.len(), 9 | 12) && numbers.iter().all(|sd| *sd > 0.0 && sd.is_finite());
+        if sound { Ok(Self(numbers)) } else { Err(wrong()) }
     }
 }
 
@@ -84,9 +85,14 @@ pub(super) fn run(args: &ImportArgs, note: impl Fn(&str)) -> Result<(), Failure>
         ("format".to_owned(), format.to_string().into()),
         ("inputs_sha256".to_owned(), toml::Table::from_iter([(file, hash.into())]).into()),
     ]);
-    if let Some(Deviations(sd)) = args.sd {
-        let row = |i: usize| (0..9).map(|k| if k == i { sd[i] * sd[i] } else { 0.0 }).collect::<Vec<f64>>();
-        provenance.insert("lens_covariance".into(), (0..9).map(|i| row(i).into()).collect::<Vec<toml::Value>>().into());
+    if let Some(Deviations(sd)) = &args.sd {
+        let n = Parameter::of_lens(&draft.camera.lens).len();
+        if sd.len() != n {
+            let text = format!("--sd: {} σ, and this lens has {n} numbers", sd.len());
+            return Err(Failure::new(Exit::Usage, text));
+        }
+        let row = |i: usize| (0..n).map(|k| if k == i { sd[i] * sd[i] } else { 0.0 }).collect::<Vec<f64>>();
+        provenance.insert("lens_covariance".into(), (0..n).map(|i| row(i).into()).collect::<Vec<toml::Value>>().into());
     }
     draft.provenance.insert("camera".into(), provenance.into());
     let written = save(&draft, &args.out)?;

@@ -21,6 +21,7 @@ pub(super) fn short_name(geometry: &Geometry, parameter: Parameter) -> String {
         Parameter::Focal(axis) => of(&["fx", "fy"], axis),
         Parameter::Principal(axis) => of(&["cx", "cy"], axis),
         Parameter::Distortion(i) => of(&["k1", "k2", "p1", "p2", "k3"], i),
+        Parameter::Denominator(i) => of(&["k4", "k5", "k6"], i),
         Parameter::Tilt { surface, axis } => {
             format!("{} {}", surface_name(geometry, surface), of(&["up-down", "left-right"], axis))
         }
@@ -70,7 +71,7 @@ pub(super) fn surfaces(solution: &Solution) -> String {
 
 /// The lens now, and as it was before the mirrors' pictures.
 pub(super) fn lens(solution: &Solution) -> String {
-    const ROWS: [(&str, usize); 9] = [
+    const ROWS: [(&str, usize); 12] = [
         ("focal length x, fx (px)", 2),
         ("focal length y, fy (px)", 2),
         ("principal point x, cx (px)", 2),
@@ -80,6 +81,9 @@ pub(super) fn lens(solution: &Solution) -> String {
         ("p1", 5),
         ("p2", 5),
         ("k3", 3),
+        ("k4", 3),
+        ("k5", 3),
+        ("k6", 3),
     ];
     let before = solution.known.iter().find_map(|known| match known {
         Prior::Lens { values, whitening } => Some((values, (whitening.tr_mul(whitening)).try_inverse()?)),
@@ -87,7 +91,7 @@ pub(super) fn lens(solution: &Solution) -> String {
     });
     let rows: Vec<Vec<String>> = ROWS
         .iter()
-        .zip(Parameter::LENS)
+        .zip(Parameter::of_lens(&solution.geometry.lens).iter().copied())
         .enumerate()
         .map(|(i, ((name, digits), parameter))| {
             let was = before

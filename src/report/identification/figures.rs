@@ -6,25 +6,41 @@ use crate::identify::data::Data;
 use crate::identify::data::Record;
 use crate::identify::fit::{Kind, output};
 use crate::identify::identification::Identification;
-use crate::identify::modelled::{BodePoint, Role, unwrapped};
+use crate::identify::modelled::{BodePoint, Modelled, Role, unwrapped};
+use crate::identify::periodic::Line as SpectralLine;
 use crate::identify::provenance::Provenance;
 use crate::identify::reduce::Reduced;
 use crate::identify::residuals::Residuals;
+use crate::identify::spectrum::Spectrum;
 use crate::sink::Rgb;
 use plotly::common::{DashType, Fill, HoverInfo, Line, Marker, MarkerSymbol, Mode};
 use plotly::layout::{AxisType, HoverMode, Shape, ShapeLayer, ShapeLine, ShapeType};
 use plotly::{Bar, Layout, Plot, Scatter};
+use std::f64::consts::TAU;
 
 /// Samples of a magnified course.
 const MAGNIFIED: usize = 300;
 /// Dots of the response without a model, where its coherence is at least this.
 const COHERENT: f64 = 0.05;
 
+/// What plots over time and frequency show.
+pub(super) struct Shown<'a> {
+    /// The models.
+    pub(super) models: &'a [Modelled],
+    /// The one to use.
+    pub(super) leading: Option<Role>,
+    /// The response without a model.
+    pub(super) spectrum: Option<&'a Spectrum>,
+    /// The lines of averaged periods, where the input repeats: they stand in place of the spectrum's dots.
+    pub(super) lines: &'a [SpectralLine],
+}
+
 fn colour(role: Role) -> Rgb {
     match role {
         Role::Full => PALETTE.marker(1),
         Role::Reduced => PALETTE.marker(0),
-        Role::Refined => CURVE,
+        Role::Refined | Role::Given => CURVE,
+        Role::Periodic => PALETTE.marker(2),
     }
 }
 
@@ -39,16 +55,11 @@ fn with_unit(name: &str, unit: &str) -> String {
 }
 
 /// The whole of a record, what the models leave of it, and its middle.
-pub(super) fn courses(
-    data: &Data,
-    done: &Identification,
-    provenance: &Provenance,
-    record: &Record,
-) -> (Plot, Plot, Plot) {
+pub(super) fn courses(data: &Data, done: &Shown<'_>, provenance: &Provenance, record: &Record) -> (Plot, Plot, Plot) {
     let kind = Kind::Simulation(provenance.initial_state);
     let (mut whole, mut errors) = (Timeline::default(), Timeline::default());
     // The axis shows the leading model's errors whole: those of a model that runs away are cut.
-    let leading = done.leading().map(|model| model.role);
+    let leading = done.leading;
     let mut largest_left = 0.0_f64;
     let longest = record.segments.iter().max_by_key(|s| s.len());
     for segment in &record.segments {
@@ -107,7 +118,7 @@ pub(super) fn courses(
                 .hover_template("%{y:.4g}")
         };
         middle.add_trace(trace(part(&segment.output), "observed", [60, 66, 74], 1.0, Mode::Markers));
-        for model in &done.models {
+        for model in done.models {
             let simulated = output(&model.model, segment, kind);
             middle.add_trace(trace(part(&simulated), &model.title, colour(model.role), 1.6, Mode::Lines));
         }
@@ -116,7 +127,7 @@ pub(super) fn courses(
 }
 
 /// A plot over frequency, with the excited band and half of the sampling rate.
-fn over_frequency(data: &Data, done: &Identification, title: &str, last: bool) -> Layout {
+fn over_frequency(data: &Data, done: &Shown<'_>, title: &str, last: bool) -> Layout {
     let nyquist = 0.5 / data.period_s;
     let lowest = done.models.first().and_then(|m| m.bode.first()).map_or(nyquist * 1e-3, |p| p.frequency_hz);
     let mut layout = chart::layout()
@@ -129,7 +140,7 @@ fn over_frequency(data: &Data, done: &Identification, title: &str, last: bool) -
         .y_axis(chart::value_axis(title));
     let vertical =
         |from: f64, to: f64| Shape::new().y_ref("paper").y0(0.0).y1(1.0).x0(from).x1(to).layer(ShapeLayer::Below);
-    if let Some(spectrum) = &done.spectrum {
+    if let Some(spectrum) = done.spectrum {
         let shade = vertical(spectrum.excited_hz.0, spectrum.excited_hz.1).shape_type(ShapeType::Rect);
         layout.add_shape(shade.fill_color(css_faint(PALETTE.gap, 0.12)).line(ShapeLine::new().width(0.0)));
     }
@@ -141,7 +152,7 @@ fn over_frequency(data: &Data, done: &Identification, title: &str, last: bool) -
 /// Lines of all models with their bands, and dots of the data.
 fn responses(
     data: &Data,
-    done: &Identification,
+    done: &Shown<'_>,
     title: &str,
     of: impl Fn(&BodePoint) -> (f64, Option<f64>),
     dots: &[(f64, f64, f64)],
@@ -149,7 +160,7 @@ fn responses(
 ) -> Plot {
     let mut plot = chart::plot(over_frequency(data, done, title, false));
     let hover = format!("%{{x:.4g}} Hz: %{{y:.4g}} {unit}");
-    for model in &done.models {
+    for model in done.models {
         let points: Vec<(f64, f64, Option<f64>)> = model
             .bode
             .iter()
@@ -213,52 +224,52 @@ fn responses(
     plot
 }
 
-/// Frequency, value and σ of the response without a model, where it is coherent.
-fn dots(
-    done: &Identification,
-    of: impl Fn(usize, &crate::identify::spectrum::Point) -> (f64, f64),
-) -> Vec<(f64, f64, f64)> {
-    let points = done.spectrum.iter().flat_map(|s| s.points.iter().enumerate());
-    points
-        .filter(|(_, p)| p.coherence > COHERENT)
-        .map(|(k, p)| {
-            let (value, sd) = of(k, p);
-            (p.frequency_hz, value, sd)
-        })
-        .collect()
+/// Frequency, ln gain, phase and the σ of both, of the response without a model: of averaged periods where there are any, of
+/// the spectrum where it is coherent otherwise.
+fn dots(done: &Shown<'_>) -> Vec<(f64, f64, f64, f64)> {
+    // A turn more or less is no difference: that of the first model there.
+    let turned = |frequency_hz: f64, phase: f64| {
+        let near = done.models.last().and_then(|model| {
+            let off = |q: &&BodePoint| (q.frequency_hz - frequency_hz).abs();
+            model.bode.iter().min_by(|a, b| off(a).total_cmp(&off(b)))
+        });
+        phase + ((near.map_or(0.0, |q| q.phase_rad) - phase) / TAU).round() * TAU
+    };
+    if !done.lines.is_empty() {
+        let dot = |line: &SpectralLine| {
+            let (response, sd) = (line.response(), line.relative_sd());
+            (line.frequency_hz, response.norm().ln(), turned(line.frequency_hz, response.arg()), sd)
+        };
+        return done.lines.iter().map(dot).collect();
+    }
+    let points = || done.spectrum.iter().flat_map(|s| s.points.iter().enumerate());
+    let followed = unwrapped(points().map(|(_, p)| p.response.arg()));
+    // Followed over the excited band, where it is known.
+    let first = points().find(|(_, p)| p.coherence > 0.5);
+    let turns = first.map_or(0.0, |(k, p)| turned(p.frequency_hz, followed[k]) - followed[k]);
+    let coherent = points().filter(|(_, p)| p.coherence > COHERENT);
+    coherent.map(|(k, p)| (p.frequency_hz, p.response.norm().ln(), followed[k] + turns, p.relative_sd)).collect()
 }
 
 const DB_OF_LN: f64 = 8.685_889_638_065_037;
 
 /// Gain over frequency.
-pub(super) fn magnitude(data: &Data, done: &Identification) -> Plot {
-    let dots = dots(done, |_, p| (20.0 * p.response.norm().log10(), DB_OF_LN * p.relative_sd));
+pub(super) fn magnitude(data: &Data, done: &Shown<'_>) -> Plot {
+    let dots: Vec<_> = dots(done).into_iter().map(|(f, gain, _, sd)| (f, DB_OF_LN * gain, DB_OF_LN * sd)).collect();
     let of = |p: &BodePoint| (20.0 * p.magnitude.log10(), p.sd.map(|(gain, _)| DB_OF_LN * gain));
     responses(data, done, "Magnitude (dB)", of, &dots, "dB")
 }
 
-/// Phase over frequency. The data's is followed over the excited band, where it is known.
-pub(super) fn phase(data: &Data, done: &Identification) -> Plot {
-    let all: Vec<f64> = done.spectrum.iter().flat_map(|s| &s.points).map(|p| p.response.arg()).collect();
-    // A turn more or less is no difference: that of the first model at the lowest frequency that is coherent.
-    let followed = unwrapped(all.iter().copied());
-    let first = done.spectrum.iter().flat_map(|s| s.points.iter().enumerate()).find(|(_, p)| p.coherence > 0.5);
-    let model = done.models.last();
-    let turns = first.zip(model).map_or(0.0, |((k, p), model)| {
-        let near = model.bode.iter().min_by(|a, b| {
-            let off = |q: &&BodePoint| (q.frequency_hz - p.frequency_hz).abs();
-            off(a).total_cmp(&off(b))
-        });
-        let there = near.map_or(0.0, |q| q.phase_rad);
-        ((there - followed[k]) / std::f64::consts::TAU).round() * std::f64::consts::TAU
-    });
-    let dots = dots(done, |k, p| ((followed[k] + turns).to_degrees(), p.relative_sd.to_degrees()));
+/// Phase over frequency.
+pub(super) fn phase(data: &Data, done: &Shown<'_>) -> Plot {
+    let dots: Vec<_> =
+        dots(done).into_iter().map(|(f, _, phase, sd)| (f, phase.to_degrees(), sd.to_degrees())).collect();
     let of = |p: &BodePoint| (p.phase_rad.to_degrees(), p.sd.map(|(_, phase)| phase.to_degrees()));
     responses(data, done, "Phase (°)", of, &dots, "°")
 }
 
 /// Coherence over frequency.
-pub(super) fn coherence(data: &Data, done: &Identification) -> Plot {
+pub(super) fn coherence(data: &Data, done: &Shown<'_>) -> Plot {
     let mut layout = over_frequency(data, done, "Coherence", true).show_legend(false);
     layout = layout.y_axis(chart::value_axis("Coherence").range(vec![0.0, 1.05]));
     let mut plot = chart::plot(layout);

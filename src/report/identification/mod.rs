@@ -2,7 +2,10 @@
 //!
 //! In: data, result, and where they are from. Out: one HTML file that needs no network.
 
+mod applied;
 mod figures;
+
+pub(crate) use applied::applied_page;
 
 use super::html::{Html, escape};
 use super::page::{self, card, facts_table, figure, plural, table};
@@ -13,17 +16,26 @@ use crate::identify::identification::{Fit, Identification};
 use crate::identify::modelled::{ContinuousEstimate, Modelled, Role};
 use crate::identify::provenance::{Provenance, RecordSummary};
 use crate::identify::search::Candidate;
+use figures::Shown;
 use std::collections::BTreeMap;
 
 /// The whole page.
 pub(crate) fn page(data: &Data, done: &Identification, provenance: &Provenance) -> String {
     // The answer comes first, then how good it is, then what it rests on.
+    let lines: Vec<_> = done.periodic.iter().flat_map(|p| p.lines().copied()).collect();
+    let shown = Shown {
+        models: &done.models,
+        leading: done.leading().map(|m| m.role),
+        spectrum: done.spectrum.as_ref(),
+        lines: &lines,
+    };
     let mut body = header(done, provenance);
     body += &cards(done, provenance);
     body += &transfer_functions(done);
     body += &table_1(done, provenance);
-    body += &time_courses(data, done, provenance);
-    body += &frequency(data, done);
+    body += &time_courses(data, &shown, provenance);
+    body += &frequency(data, &shown);
+    body += &periods(done);
     body += &orders(done);
     body += &reduction(done);
     body += &residuals(done);
@@ -123,7 +135,7 @@ fn cards(done: &Identification, provenance: &Provenance) -> String {
             cards += &card("Simulation error", text, what, !model.is_stable() || error >= 100.0);
         }
     }
-    let best = done.model(Role::Refined).or(done.models.last());
+    let best = done.leading();
     if let Some(model) = best {
         for estimate in model.bandwidths.iter().take(2) {
             let bandwidth = estimate.bandwidth;
@@ -160,7 +172,7 @@ fn polynomial(coefficients: &[f64]) -> String {
 
 fn transfer_functions(done: &Identification) -> String {
     let mut text = "<h2>Transfer function</h2>\n<p>H(s) in the form of the paper's Eq. 7, from the discrete model whose input is held \
-                    from sample to sample. The refined model is fitted to the data by its simulation error: use this one. The reduced \
+                    from sample to sample. The first is the one to use. The refined model is fitted to the data by its simulation error. The reduced \
                     model of the same order is the paper's way; it inherits the errors of the full one.</p>\n"
         .to_owned();
     let mut rows = Vec::new();
@@ -254,7 +266,7 @@ fn table_1(done: &Identification, provenance: &Provenance) -> String {
     )
 }
 
-fn time_courses(data: &Data, done: &Identification, provenance: &Provenance) -> String {
+fn time_courses(data: &Data, done: &Shown<'_>, provenance: &Provenance) -> String {
     let mut text = "<h2>Observed and simulated</h2>\n".to_owned();
     for (k, record) in data.training.iter().chain(&data.validation).enumerate() {
         let training = k < data.training.len();
@@ -269,9 +281,9 @@ fn time_courses(data: &Data, done: &Identification, provenance: &Provenance) -> 
     text
 }
 
-fn frequency(data: &Data, done: &Identification) -> String {
+fn frequency(data: &Data, done: &Shown<'_>) -> String {
     let mut text = "<h2>Frequency response</h2>\n<p>Lines: the models, with the band of one σ that the coefficients' errors make. Dots: the \
-                    data without a model (Welch's spectra). Grey: the band that the input excited; outside of it the models \
+                    data without a model (averaged periods where the input repeats, Welch's spectra otherwise). Grey: the band that the input excited; outside of it the models \
                     extrapolate. Dotted: half of the sampling rate.</p>\n"
         .to_owned();
     text += &figure("plot-magnitude", &figures::magnitude(data, done), 360, true);
@@ -282,7 +294,7 @@ fn frequency(data: &Data, done: &Identification) -> String {
         text += &figure("plot-coherence", &figures::coherence(data, done), 200, true);
     }
     let mut rows = Vec::new();
-    for model in &done.models {
+    for model in done.models {
         for estimate in &model.bandwidths {
             let found = estimate.bandwidth;
             rows.push(vec![
@@ -379,25 +391,23 @@ fn residuals(done: &Identification) -> String {
     )
 }
 
-fn facts(done: &Identification, provenance: &Provenance) -> String {
-    let rows: Vec<Vec<String>> = provenance
-        .records
-        .iter()
-        .map(|r| {
-            vec![
-                r.name.clone(),
-                if r.training { "fitted" } else { "judged by" }.to_owned(),
-                r.samples.to_string(),
-                r.stretches.to_string(),
-                r.lost.to_string(),
-                r.missed.to_string(),
-                r.bridged.to_string(),
-                format!("{:.3}", r.period_s * 1e3),
-                format!("{:.3}", r.jitter_s * 1e3),
-                r.delay.as_ref().map_or_else(String::new, |d| format!("{:.1} ± {:.1}", d.delay_s * 1e3, d.sd_s * 1e3)),
-            ]
-        })
-        .collect();
+/// The records as they were read.
+fn records_table(provenance: &Provenance) -> String {
+    let row = |r: &RecordSummary| {
+        vec![
+            r.name.clone(),
+            if r.training { "fitted" } else { "judged by" }.to_owned(),
+            r.samples.to_string(),
+            r.stretches.to_string(),
+            r.lost.to_string(),
+            r.missed.to_string(),
+            r.bridged.to_string(),
+            format!("{:.3}", r.period_s * 1e3),
+            format!("{:.3}", r.jitter_s * 1e3),
+            r.delay.as_ref().map_or_else(String::new, |d| format!("{:.1} ± {:.1}", d.delay_s * 1e3, d.sd_s * 1e3)),
+        ]
+    };
+    let rows: Vec<Vec<String>> = provenance.records.iter().map(row).collect();
     let heads = [
         "Record",
         "Use",
@@ -410,20 +420,51 @@ fn facts(done: &Identification, provenance: &Provenance) -> String {
         "Jitter (ms)",
         "Late (ms)",
     ];
-    let mut lines: Vec<(Html, Html)> =
-        provenance.settings.iter().map(|(name, value)| (name.into(), value.into())).collect();
+    format!(
+        "<p>Lost: places on the camera's grid without a frame. Missed: frames without an angle. Late: how much the output is later than \
+         the commands say, clocks, amplifier and system together; taken out only when asked for.</p>\n{}",
+        table(2, &heads, &rows)
+    )
+}
+
+/// Settings and poles.
+fn facts_rows(provenance: &Provenance, models: &[Modelled]) -> Vec<(Html, Html)> {
+    let settings = provenance.settings.iter().map(|(name, value)| (name.into(), value.into()));
     let stable = |m: &Modelled| if m.is_stable() { "stable" } else { "unstable" };
-    for model in &done.models {
-        lines
-            .push(((&model.title).into(), format!("largest pole {:.6}, {}", model.largest_pole, stable(model)).into()));
-    }
+    let poles =
+        models.iter().map(|m| ((&m.title).into(), format!("largest pole {:.6}, {}", m.largest_pole, stable(m)).into()));
+    settings.chain(poles).collect()
+}
+
+fn facts(done: &Identification, provenance: &Provenance) -> String {
+    let mut lines = facts_rows(provenance, &done.models);
     let condition = Html::raw(format!("{} of the regressors of ARX", number(done.arx.condition)));
     lines.push(("Condition".into(), condition));
+    format!("<h2>Where it is from</h2>\n{}{}", records_table(provenance), facts_table(&lines))
+}
+
+/// Averaged periods: what they rest on.
+fn periods(done: &Identification) -> String {
+    let Some(found) = &done.periodic else { return String::new() };
+    let rows: Vec<Vec<String>> = found
+        .records
+        .iter()
+        .map(|r| {
+            let counts = [r.samples, r.periods, r.skipped, r.left_out, r.lines.len()].map(|n| n.to_string());
+            counts.into_iter().chain([format!("{:.2}", r.first_off)]).collect()
+        })
+        .collect();
+    let heads =
+        ["Samples of a period", "Periods averaged", "Skipped", "Left out (holes)", "Lines excited", "First period off"];
     format!(
-        "<h2>Where it is from</h2>\n<p>Lost: places on the camera's grid without a frame. Missed: frames without an angle. Late: how much the \
-         output is later than the commands say, clocks, amplifier and system together; taken out only when asked for.</p>\n{}{}",
-        table(2, &heads, &rows),
-        facts_table(&lines)
+        "<h2>Averaged periods</h2>\n<p>The input repeats, so what differs from period to period is noise, of each line and of both signals. \
+         The model of the periods is the one of largest likelihood under this noise. It leaves {:.2} ± {:.2} times what noise explains: \
+         clearly more than 1 means that what repeats is not linear, or of a higher order; σ is then widened. First period off: how much the \
+         first period differs from the others, over what noise explains: clearly more than 1 means that it had not settled. All lines: \
+         lines.csv.</p>\n{}",
+        found.left,
+        found.left_sd,
+        table(0, &heads, &rows)
     )
 }
 

@@ -1,7 +1,7 @@
 //! The plots of a validation's page, after Figs. 9 to 13 of the paper.
 
 use super::super::chart::{self, CURVE, INK, PALETTE, QUIET, css, rounded};
-use super::short;
+use super::{ModelLine, short};
 use crate::sink::Rgb;
 use crate::validate::{Run, Step, Validation};
 use nalgebra::{Point2, Point3};
@@ -64,14 +64,27 @@ fn dots(x: Vec<Option<f64>>, y: Vec<Option<f64>>, colour: Rgb) -> Trace {
         .connect_gaps(false)
 }
 
-/// Magnitude over frequency, and where it is 3 dB below the slowest run's.
-pub(super) fn magnitude(validation: &Validation) -> Plot {
+/// A model's response, over which the runs' dots lie.
+fn model_trace(plot: &mut Plot, model: Option<&ModelLine>, of: impl Fn(&(f64, f64, f64)) -> f64, unit: &str) {
+    let Some(model) = model else { return };
+    let (x, y) = model.points.iter().map(|p| (rounded(p.0, 5), rounded(of(p), 4))).unzip();
+    plot.add_trace(
+        Scatter::new(x, y)
+            .name(&model.name)
+            .mode(Mode::Lines)
+            .line(Line::new().color(css(PALETTE.marker(1))).width(1.6).dash(DashType::Dash))
+            .hover_template(format!("%{{x}} Hz: %{{y:.2f}}{unit}")),
+    );
+}
+
+/// Magnitude over frequency, and where it is 3 dB below the slowest run's; the model's too.
+pub(super) fn magnitude(validation: &Validation, model: Option<&ModelLine>) -> Plot {
     let x = validation.runs.iter().rev().map(|run| rounded(run.frequency_hz, 5)).collect();
     let y = validation.runs.iter().rev().map(|run| rounded(run.magnitude?.db, 4)).collect();
     let mut layout = chart::layout()
         .x_axis(frequency_axis(validation, "Frequency (Hz)"))
         .y_axis(chart::value_axis("Magnitude (dB)"))
-        .show_legend(false)
+        .show_legend(model.is_some())
         .hover_mode(HoverMode::Closest);
     if let Some(db) = validation.runs.last().and_then(|run| Some(run.magnitude?.db - 3.0)) {
         let line = Shape::new().shape_type(ShapeType::Line).x_ref("paper").x0(0.0).x1(1.0).y0(db).y1(db);
@@ -89,21 +102,23 @@ pub(super) fn magnitude(validation: &Validation) -> Plot {
         );
     }
     let mut plot = chart::plot(layout);
-    plot.add_trace(dots(x, y, CURVE).hover_template("%{x} Hz: %{y:.2f} dB<extra></extra>"));
+    model_trace(&mut plot, model, |p| p.1, " dB");
+    plot.add_trace(dots(x, y, CURVE).name("runs").hover_template("%{x} Hz: %{y:.2f} dB<extra></extra>"));
     plot
 }
 
 /// Phase over frequency.
-pub(super) fn phase(validation: &Validation) -> Plot {
+pub(super) fn phase(validation: &Validation, model: Option<&ModelLine>) -> Plot {
     let x = validation.runs.iter().rev().map(|run| rounded(run.frequency_hz, 5)).collect();
     let y = validation.runs.iter().rev().map(|run| rounded(run.phase_deg?, 3)).collect();
     let layout = chart::layout()
         .x_axis(frequency_axis(validation, "Frequency (Hz)"))
         .y_axis(chart::value_axis("Phase (°)"))
-        .show_legend(false)
+        .show_legend(model.is_some())
         .hover_mode(HoverMode::Closest);
     let mut plot = chart::plot(layout);
-    plot.add_trace(dots(x, y, CURVE).hover_template("%{x} Hz: %{y:.1f}°<extra></extra>"));
+    model_trace(&mut plot, model, |p| p.2, "°");
+    plot.add_trace(dots(x, y, CURVE).name("runs").hover_template("%{x} Hz: %{y:.1f}°<extra></extra>"));
     plot
 }
 

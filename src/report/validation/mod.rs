@@ -12,15 +12,54 @@ use crate::validate::{Row, Run, Size, Validation};
 /// What the page says beside the runs: name and value, for example options of the command.
 pub(crate) type Settings = Vec<(String, String)>;
 
+/// The response of a model beside that of the runs.
+pub(crate) struct ModelLine {
+    /// For the legend.
+    pub(crate) name: String,
+    /// Frequency in Hz, magnitude in dB, phase in degrees, rising frequencies.
+    pub(crate) points: Vec<(f64, f64, f64)>,
+}
+
+impl ModelLine {
+    /// Points of the line.
+    const POINTS: usize = 120;
+    /// It reaches so much further than the runs.
+    const BEYOND: f64 = 1.5;
+
+    /// `response` over the frequencies of the runs and a little beyond, its magnitude moved so that it is that of the
+    /// slowest run there: what the runs measure is relative to the path, and has no unit of the model's.
+    pub(crate) fn of(
+        name: String,
+        validation: &Validation,
+        response: impl Fn(f64) -> Option<nalgebra::Complex<f64>>,
+    ) -> Self {
+        let of_runs = || validation.runs.iter().map(|run| run.frequency_hz);
+        let (low, high) = (of_runs().fold(f64::INFINITY, f64::min), of_runs().fold(0.0, f64::max));
+        let (low, high) = (low / Self::BEYOND, high * Self::BEYOND);
+        let db = |f: f64| response(f).map(|r| 20.0 * r.norm().log10());
+        let slowest = validation.runs.last();
+        let moved = slowest.and_then(|run| Some(run.magnitude?.db - db(run.frequency_hz)?)).unwrap_or(0.0);
+        let mut last = 0.0_f64;
+        let at = |k: usize| {
+            let f = low * (high / low).powf(k as f64 / (Self::POINTS - 1) as f64);
+            // Followed from the lowest frequency on.
+            let phase = response(f)?.arg().to_degrees();
+            last = phase + 360.0 * ((last - phase) / 360.0).round();
+            Some((f, db(f)? + moved, last))
+        };
+        Self { name, points: (0..Self::POINTS).map_while(at).collect() }
+    }
+}
+
 /// A drop of this much is where the bandwidth ends, dB.
 const DROP_DB: f64 = -3.0;
 
 /// The whole page.
-pub(crate) fn page(validation: &Validation, settings: &Settings) -> String {
+pub(crate) fn page(validation: &Validation, settings: &Settings, model: Option<&ModelLine>) -> String {
     let mut body = header(validation);
     body += &cards(validation);
     body += &errors(validation);
-    body += &response(validation);
+    body += &response(validation, model);
     body += &paths(validation);
     body += &frames(validation);
     body += &facts(validation, settings);
@@ -164,7 +203,7 @@ fn errors(validation: &Validation) -> String {
     )
 }
 
-fn response(validation: &Validation) -> String {
+fn response(validation: &Validation, model: Option<&ModelLine>) -> String {
     let what = match validation.path.circle {
         Some(circle) => format!(
             "radius of the circle fitted to the observed points over {:.3} mm, that of the path (Eq. 8)",
@@ -195,6 +234,12 @@ fn response(validation: &Validation) -> String {
     } else {
         "Size (mm)"
     };
+    let beside = model.map_or_else(String::new, |model| {
+        format!(
+            " Dashed: {}, its magnitude moved to that of the slowest run; its phase is its own.",
+            escape(&model.name)
+        )
+    });
     let heads = [
         "Pause",
         "Freq. (Hz)",
@@ -208,10 +253,11 @@ fn response(validation: &Validation) -> String {
     ];
     format!(
         "<h2>Response</h2>\n<p>Magnitude: {what}. Phase: from the lag at which the observed motion, not aligned, correlates best with \
-         the path; negative is late (Eqs. 9 and 10). Frequency is 1 over the period of {} points.</p>\n{}{}{}",
+         the path; negative is late (Eqs. 9 and 10). Frequency is 1 over the period of {} points.{}</p>\n{}{}{}",
         validation.path.points.len(),
-        figure("plot-magnitude", &figures::magnitude(validation), 300, true),
-        figure("plot-phase", &figures::phase(validation), 300, true),
+        beside,
+        figure("plot-magnitude", &figures::magnitude(validation, model), 300, true),
+        figure("plot-phase", &figures::phase(validation, model), 300, true),
         table(1, &heads, &rows)
     )
 }

@@ -52,12 +52,12 @@ fn coefficients(rig: &Draft, view: &View, first_pixel: f64, name: &Path) -> Resu
         Err(RigError::Value { file: name.to_path_buf(), key, value, expected })
     };
     let lens = &rig.camera.lens;
-    if lens.distortion != [0.0; 5] {
+    if lens.distortion != [0.0; 5] || lens.is_rational() {
         let expected =
             "zeros: DLT coefficients hold no distortion. Undistort the pictures with this lens, and export a rig \
                         whose distortion is zero"
                 .to_owned();
-        return wrong("camera.distortion".to_owned(), format!("{:?}", lens.distortion), expected);
+        return wrong("camera.distortion".to_owned(), format!("{:?}", lens.coefficients()), expected);
     }
     let mut image_from_camera = Matrix4::identity();
     for (surface_name, surface) in view.path.iter().zip(&view.optics.surfaces) {

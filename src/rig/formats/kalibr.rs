@@ -45,15 +45,23 @@ pub(super) fn read(root: &Node<'_>) -> Result<Camera, RigError> {
     let Some(size_px) = pixels(width).zip(pixels(height)) else {
         return Err(size.wrong("two whole numbers from 1 to 65535"));
     };
-    camera(&intrinsics, size_px.into(), [fx, fy, cx, cy], [k1, k2, p1, p2, 0.0])
+    camera(&intrinsics, size_px.into(), [fx, fy, cx, cy], ([k1, k2, p1, p2, 0.0], [0.0; 3]))
 }
 
 /// The camera as a chain of one; `name` stands for the rig in error messages.
 ///
 /// # Errors
-/// [`RigError::Value`] when the lens has a k3.
+/// [`RigError::Value`] when the lens has a k3 or is rational.
 pub(super) fn write(camera: &Camera, name: &Path) -> Result<String, RigError> {
     let [k1, k2, p1, p2, k3] = camera.lens.distortion;
+    if camera.lens.is_rational() {
+        return Err(RigError::Value {
+            file: name.to_path_buf(),
+            key: "camera.denominator".to_owned(),
+            value: format!("{:?}", camera.lens.denominator),
+            expected: "no denominator: Kalibr's radtan model has k1, k2, p1, p2 only".to_owned(),
+        });
+    }
     if k3 != 0.0 {
         return Err(RigError::Value {
             file: name.to_path_buf(),

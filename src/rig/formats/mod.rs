@@ -124,30 +124,31 @@ fn from_matrices(root: &Node<'_>) -> Result<Camera, RigError> {
         &["distortion_coefficients", "dist_coeffs", "dist_coeff", "d"],
         "the lens's distortion k1, k2, p1, p2, k3",
     )?;
-    camera(&matrix, size_px, [fx, fy, cx, cy], brown(&coefficients)?)
+    camera(&matrix, size_px, [fx, fy, cx, cy], distortion(&coefficients)?)
 }
 
 /// OpenCV's names of distortion coefficients, in its order.
 const COEFFICIENTS: [&str; 14] =
     ["k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4", "tau_x", "tau_y"];
 
-/// k1, k2, p1, p2, k3 of a list that may be shorter, or longer by coefficients that are zero.
-fn brown(node: &Node<'_>) -> Result<[f64; 5], RigError> {
+/// k1, k2, p1, p2, k3 and k4, k5, k6 of a list that may be shorter, or longer by coefficients that are zero.
+fn distortion(node: &Node<'_>) -> Result<([f64; 5], [f64; 3]), RigError> {
     let values = node.numbers()?;
     if !matches!(values.len(), 4 | 5 | 8 | 12 | 14) {
         return Err(node.wrong(format!("4, 5, 8, 12 or 14 coefficients, there are {}", values.len())));
     }
-    let named = COEFFICIENTS.iter().zip(&values).skip(5).filter(|(_, value)| **value != 0.0);
+    let named = COEFFICIENTS.iter().zip(&values).skip(8).filter(|(_, value)| **value != 0.0);
     let beyond: Vec<String> = named.map(|(name, value)| format!("{name} = {value}")).collect();
     if !beyond.is_empty() {
-        let expected = format!("k1, k2, p1, p2, k3 and nothing but zeros beyond, there is {}", beyond.join(", "));
-        return Err(node.wrong(format!("{expected}: calibrate without rational, prism and tilt models")));
+        let expected =
+            format!("k1, k2, p1, p2, k3, k4, k5, k6 and nothing but zeros beyond, there is {}", beyond.join(", "));
+        return Err(node.wrong(format!("{expected}: calibrate without prism and tilt models")));
     }
-    let mut distortion = [0.0; 5];
-    for (to, from) in distortion.iter_mut().zip(values) {
+    let (mut distortion, mut denominator) = ([0.0; 5], [0.0; 3]);
+    for (to, from) in distortion.iter_mut().chain(&mut denominator).zip(values) {
         *to = from;
     }
-    Ok(distortion)
+    Ok((distortion, denominator))
 }
 
 /// A camera whose numbers describe a lens; `node` is where they stand.
@@ -155,11 +156,12 @@ fn camera(
     node: &Node<'_>,
     size_px: [u32; 2],
     [fx, fy, cx, cy]: [f64; 4],
-    distortion: [f64; 5],
+    (distortion, denominator): ([f64; 5], [f64; 3]),
 ) -> Result<Camera, RigError> {
-    let lens = Lens { focal_px: Vector2::new(fx, fy), principal_point_px: Point2::new(cx, cy), distortion };
+    let lens =
+        Lens { focal_px: Vector2::new(fx, fy), principal_point_px: Point2::new(cx, cy), distortion, denominator };
     lens.validate().map_err(|e| node.wrong(format!("a lens: {e}")))?;
-    Ok(Camera { size_px, lens, blur_px: None, chroma_offset_px: [0.0; 2] })
+    Ok(Camera { size_px, lens, blur_px: None, chroma_offset_px: [0.0; 2], exposure_s: None })
 }
 
 /// Numbers with all their digits, `1, 2.5` as `1.0, 2.5`. Never with an exponent: readers of YAML 1.1 take 1e-5 for a word.

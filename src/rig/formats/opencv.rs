@@ -25,6 +25,6 @@ pub(super) fn write(camera: &Camera) -> String {
     format!(
         "%YAML:1.0\n---\nimage_width: {width}\nimage_height: {height}\ncamera_matrix:{}distortion_coefficients:{}",
         matrix_of(3, &matrix(&camera.lens)),
-        matrix_of(5, &camera.lens.distortion),
+        matrix_of(camera.lens.coefficients().len(), &camera.lens.coefficients()),
     )
 }

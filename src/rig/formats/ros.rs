@@ -5,13 +5,22 @@ use super::{from_matrices, list, matrix};
 use crate::rig::{Camera, RigError};
 
 pub(super) fn read(root: &Node<'_>) -> Result<Camera, RigError> {
-    // Older files say no model and mean plumb_bob; rational_polynomial with zeros is the same, which `brown` sees to.
+    // Older files say no model and mean plumb_bob; rational_polynomial has three coefficients more.
     if let Some(model) = root.get(&["distortion_model"])
         && !matches!(model.word()?, "plumb_bob" | "rational_polynomial")
     {
-        return Err(model.wrong("plumb_bob: a rig holds k1, k2, p1, p2, k3 of that model"));
+        return Err(model
+            .wrong("plumb_bob or rational_polynomial: a rig holds k1, k2, p1, p2, k3 and k4, k5, k6 of these models"));
     }
-    from_matrices(root)
+    let camera = from_matrices(root)?;
+    if let Some(model) = root.get(&["distortion_model"])
+        && model.word()? == "plumb_bob"
+        && camera.lens.is_rational()
+    {
+        let beyond = camera.lens.denominator;
+        return Err(model.wrong(format!("rational_polynomial where k4, k5, k6 are {beyond:?}")));
+    }
+    Ok(camera)
 }
 
 /// Rectification is none, and the projection matrix the camera's own.
@@ -25,8 +34,8 @@ pub(super) fn write(camera: &Camera) -> String {
     [
         format!("image_width: {width}\nimage_height: {height}\ncamera_name: camera\n"),
         block("camera_matrix", 3, &matrix(lens)),
-        "distortion_model: plumb_bob\n".to_owned(),
-        block("distortion_coefficients", 1, &lens.distortion),
+        format!("distortion_model: {}\n", if lens.is_rational() { "rational_polynomial" } else { "plumb_bob" }),
+        block("distortion_coefficients", 1, &lens.coefficients()),
         block("rectification_matrix", 3, &[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]),
         block("projection_matrix", 3, &[f.x, 0.0, c.x, 0.0, 0.0, f.y, c.y, 0.0, 0.0, 0.0, 1.0, 0.0]),
     ]

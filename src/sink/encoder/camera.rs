@@ -4,9 +4,10 @@ use super::convert::{Names, timestamp};
 use super::scene::{CAMERA_FRAME, colour};
 use crate::estimate::{BandObservation, Estimate};
 use crate::rig::{Camera, Rig};
+use crate::sink::LoggedImage;
 use foxglove::messages::{
-    CameraCalibration, CircleAnnotation, Color, ImageAnnotations, Point2, PointsAnnotation, TextAnnotation, Timestamp,
-    points_annotation,
+    CameraCalibration, CircleAnnotation, Color, CompressedImage, ImageAnnotations, Point2, PointsAnnotation,
+    TextAnnotation, Timestamp, points_annotation,
 };
 use nalgebra::Point2 as Pixel;
 
@@ -20,7 +21,7 @@ const LABEL_OFFSET_PX: f64 = 10.0;
 const LABEL: Color = Color { r: 1.0, g: 1.0, b: 1.0, a: 1.0 };
 const LABEL_BACKGROUND: Color = Color { r: 0.0, g: 0.0, b: 0.0, a: 0.6 };
 
-/// Intrinsics as `plumb_bob`, whose five parameters are the lens' own. As in ROS, the principal point counts from the
+/// Intrinsics as `plumb_bob`, whose five parameters are the lens' own, or as `rational_polynomial` with eight. As in ROS, the principal point counts from the
 /// centre of the top-left pixel.
 pub(super) fn calibration(camera: &Camera, stamp_ns: i64) -> CameraCalibration {
     let (f, c) = (camera.lens.focal_px, camera.lens.principal_point_px);
@@ -30,11 +31,21 @@ pub(super) fn calibration(camera: &Camera, stamp_ns: i64) -> CameraCalibration {
         frame_id: CAMERA_FRAME.to_owned(),
         width,
         height,
-        distortion_model: "plumb_bob".to_owned(),
-        d: camera.lens.distortion.to_vec(),
+        distortion_model: if camera.lens.is_rational() { "rational_polynomial" } else { "plumb_bob" }.to_owned(),
+        d: camera.lens.coefficients(),
         k: vec![f.x, 0.0, c.x, 0.0, f.y, c.y, 0.0, 0.0, 1.0],
         r: vec![1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
         p: vec![f.x, 0.0, c.x, 0.0, 0.0, f.y, c.y, 0.0, 0.0, 0.0, 1.0, 0.0],
+    }
+}
+
+/// The picture itself: with its frame's time, as the annotations have it.
+pub(super) fn image(image: &LoggedImage) -> CompressedImage {
+    CompressedImage {
+        timestamp: Some(timestamp(image.stamp_ns)),
+        frame_id: CAMERA_FRAME.to_owned(),
+        data: image.jpeg.clone().into(),
+        format: "jpeg".to_owned(),
     }
 }
 

@@ -44,6 +44,7 @@ pub(crate) fn build(elements: &[Element], dice: &[f64; DICE]) -> Option<Case> {
         focal_px: Vector2::new(focal, focal * draw(0.98, 1.02)),
         principal_point_px: Point2::new(draw(580.0, 700.0), draw(450.0, 570.0)),
         distortion: [draw(-0.25, 0.25), draw(-0.2, 0.2), draw(-2e-3, 2e-3), draw(-2e-3, 2e-3), draw(-0.1, 0.1)],
+        denominator: [0.0; 3],
     };
     let pixel = Point2::new(draw(0.0, 1280.0), draw(0.0, 1024.0));
     let mut path = OpticalPath { lens, surfaces: Vec::new() };

@@ -1,0 +1,267 @@
+//! Points that were marked by hand, or found by another program, in place of boards: a dot plate, a frame of known points.
+//!
+//! In: a table, a row a point in a view of a picture. Out: a [`Initial`] as from pictures of boards, to be adjusted alike.
+//!
+//! Columns `picture`, `view` (`direct`, `mirror`, or `mirror_1`, `mirror_2`, … from left to right), `u_px`, `v_px`, `x_mm`, `y_mm`,
+//! `z_mm` (in the target's own frame, the same in all pictures) and, if wanted, `sd_px`: how well the point was marked, one
+//! coordinate. The pictures differ by where the target was, which is found with the rest.
+//!
+//! Cannot detect: a target that is not what the table says in a way that scaling explains.
+
+use super::initial::{Image, Initial, Sorted, Unusable, mirror_between, mirrors_alike};
+use crate::calibrate::bundle::pose::pose_from_opencv;
+use crate::optics::Lens;
+use nalgebra::{Isometry3, Point2, Point3, Vector3};
+use opencv::calib3d;
+use opencv::core::{Mat, MatExprTraitConst, Point2f, Point3f, Vector};
+use std::path::{Path, PathBuf};
+
+/// Fewest points of a target in a view: a pose has six numbers, two a point, and one more point contradicts it.
+const FEWEST: usize = 4;
+/// A target is flat when its points are so near to its plane, as part of its size.
+const FLAT: f64 = 1e-6;
+const M_PER_MM: f64 = 1e-3;
+
+/// Why a table cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum PointsError {
+    /// The file system did not give it.
+    #[error("cannot read the points {}: {source}", file.display())]
+    Read {
+        /// Which file.
+        file: PathBuf,
+        /// What the system, or the reader of tables, said.
+        source: csv::Error,
+    },
+    /// A column is missing.
+    #[error("{}: has no column `{column}`; the columns are picture, view, u_px, v_px, x_mm, y_mm, z_mm and, if wanted, sd_px", file.display())]
+    Column {
+        /// Which file.
+        file: PathBuf,
+        /// Its name.
+        column: &'static str,
+    },
+    /// A value that cannot be right.
+    #[error("{}:{line}: {column} = `{value}`: expected {expected}", file.display())]
+    Value {
+        /// Which file.
+        file: PathBuf,
+        /// Line, from 1.
+        line: u64,
+        /// The column.
+        column: &'static str,
+        /// Its value.
+        value: String,
+        /// What would be right.
+        expected: String,
+    },
+}
+
+/// A point in a view.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Marked {
+    place: Point3<f64>,
+    pixel: Point2<f64>,
+    /// σ of a coordinate over the mean of all.
+    relative_sd: f64,
+}
+
+/// The points of a picture.
+#[derive(Debug, Clone, PartialEq)]
+struct PointsPicture {
+    name: String,
+    /// For each view, direct first.
+    views: Vec<Vec<Marked>>,
+}
+
+/// All points.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Points {
+    pictures: Vec<PointsPicture>,
+    /// All places, their middle in the origin, metres.
+    places: Vec<Point3<f64>>,
+    /// Mean of the σ that were given, pixels.
+    given_sd_px: Option<f64>,
+}
+
+impl Points {
+    /// Reads a table for a rig with so many mirrors.
+    ///
+    /// # Errors
+    /// [`PointsError`] with line, column and value.
+    pub fn read(file: &Path, mirrors: usize) -> Result<Self, PointsError> {
+        let read = |source| PointsError::Read { file: file.to_owned(), source };
+        let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).comment(Some(b'#')).from_path(file);
+        let reader = reader.as_mut().map_err(|e| read(csv::Error::from(std::io::Error::other(e.to_string()))))?;
+        let headers = reader.headers().map_err(read)?.clone();
+        let at = |column: &'static str| {
+            let place = headers.iter().position(|name| name.trim_start_matches('\u{feff}') == column);
+            place.ok_or_else(|| PointsError::Column { file: file.to_owned(), column })
+        };
+        let [picture, view] = [at("picture")?, at("view")?];
+        let numbers = [
+            ("u_px", at("u_px")?),
+            ("v_px", at("v_px")?),
+            ("x_mm", at("x_mm")?),
+            ("y_mm", at("y_mm")?),
+            ("z_mm", at("z_mm")?),
+        ];
+        let sd = at("sd_px").ok();
+        let views = view_names(mirrors);
+        let mut pictures: Vec<PointsPicture> = Vec::new();
+        let mut sds = Vec::new();
+        for record in reader.records() {
+            let record = record.map_err(read)?;
+            let line = record.position().map_or(0, csv::Position::line);
+            let text = |at: usize| record.get(at).unwrap_or_default();
+            let wrong = |column: &'static str, at: usize, expected: &str| PointsError::Value {
+                file: file.to_owned(),
+                line,
+                column,
+                value: text(at).to_owned(),
+                expected: expected.to_owned(),
+            };
+            let number = |column: &'static str, at: usize| {
+                let value = text(at).parse::<f64>().ok().filter(|v| v.is_finite());
+                value.ok_or_else(|| wrong(column, at, "a number"))
+            };
+            let [u, v, x, y, z] = numbers.map(|(column, at)| number(column, at));
+            let relative_sd = match sd {
+                None => 1.0,
+                Some(at) => {
+                    let value = number("sd_px", at)?;
+                    if value <= 0.0 {
+                        return Err(wrong("sd_px", at, "a number of pixels above 0"));
+                    }
+                    value
+                }
+            };
+            let own = views.iter().position(|name| name == text(view));
+            let own = own.ok_or_else(|| wrong("view", view, &format!("one of {} (--mirrors)", views.join(", "))))?;
+            let name = text(picture);
+            if name.is_empty() {
+                return Err(wrong("picture", picture, "the name of a picture"));
+            }
+            let index = pictures.iter().position(|p| p.name == name).unwrap_or_else(|| {
+                pictures.push(PointsPicture { name: name.to_owned(), views: vec![Vec::new(); views.len()] });
+                pictures.len() - 1
+            });
+            let marked = Marked {
+                place: Point3::new(x? * M_PER_MM, y? * M_PER_MM, z? * M_PER_MM),
+                pixel: Point2::new(u?, v?),
+                relative_sd,
+            };
+            let there = &mut pictures[index].views[own];
+            if there.iter().any(|other| other.place == marked.place) {
+                return Err(wrong("x_mm", numbers[2].1, "a place that this view of this picture has once only"));
+            }
+            there.push(marked);
+            sds.push(relative_sd);
+        }
+        let mut points = Self { pictures, places: Vec::new(), given_sd_px: None };
+        let mean = sds.iter().sum::<f64>() / sds.len().max(1) as f64;
+        points.given_sd_px = sd.map(|_| mean);
+        points.centre(mean);
+        Ok(points)
+    }
+
+    /// Puts the middle of all places into the origin, and takes σ relative to their mean.
+    fn centre(&mut self, mean_sd: f64) {
+        let all = || self.pictures.iter().flat_map(|p| p.views.iter().flatten());
+        let mut places: Vec<Point3<f64>> = Vec::new();
+        for marked in all() {
+            if !places.contains(&marked.place) {
+                places.push(marked.place);
+            }
+        }
+        let middle = places.iter().map(|p| p.coords).sum::<Vector3<f64>>() / places.len().max(1) as f64;
+        self.places = places.into_iter().map(|p| p - middle).collect();
+        for marked in self.pictures.iter_mut().flat_map(|p| p.views.iter_mut().flatten()) {
+            marked.place -= middle;
+            marked.relative_sd /= mean_sd;
+        }
+    }
+
+    /// All places of the target, their middle in the origin, metres.
+    pub fn places(&self) -> &[Point3<f64>] {
+        &self.places
+    }
+
+    /// Names of the pictures.
+    pub fn names(&self) -> Vec<String> {
+        self.pictures.iter().map(|p| p.name.clone()).collect()
+    }
+
+    /// Mean of the σ that were given, pixels.
+    pub fn given_sd_px(&self) -> Option<f64> {
+        self.given_sd_px
+    }
+
+    /// Whether all places lie in the plane z = 0.
+    pub(crate) fn is_flat(&self) -> bool {
+        let size = self.places.iter().map(|p| p.coords.norm()).fold(0.0, f64::max);
+        self.places.iter().all(|p| p.z.abs() <= FLAT * size)
+    }
+
+    /// Where targets and mirrors are, about, as if in air.
+    pub(crate) fn start(&self, lens: &Lens) -> opencv::Result<Initial> {
+        let mut left_out = Vec::new();
+        let mut pictures = Vec::new();
+        let views = self.pictures.iter().map(|p| p.views.len()).max().unwrap_or(1);
+        let mut planes: Vec<Vec<(Vector3<f64>, f64)>> = vec![Vec::new(); views - 1];
+        for (picture, own) in self.pictures.iter().enumerate() {
+            let enough = |view: &&Vec<Marked>| view.len() >= FEWEST;
+            let Some(direct) = own.views.first().filter(enough) else {
+                left_out.push((picture, Unusable::OnlyMirrored));
+                continue;
+            };
+            let here = self.pose(lens, direct, 1.0)?;
+            let mut sorted = Sorted { picture, views: vec![None; views] };
+            for (view, marked) in own.views.iter().enumerate().skip(1).filter(|(_, marked)| enough(marked)) {
+                // What a mirror shows is turned about and reflected in the target's own plane, which a flat one does not show.
+                let there = self.pose(lens, marked, -1.0)?;
+                let folded = |p: &Point3<f64>| Point3::new(p.x, p.y, -p.z);
+                let pairs = self.places.iter().map(|p| (here * p, there * folded(p)));
+                let (_, normal, offset_m) = mirror_between(pairs);
+                if let Some(plane) = planes.get_mut(view - 1) {
+                    plane.push((normal, offset_m));
+                }
+                sorted.views[view] = Some(image(marked, there));
+            }
+            if sorted.views.iter().flatten().next().is_none() {
+                left_out.push((picture, Unusable::Once));
+                continue;
+            }
+            sorted.views[0] = Some(image(direct, here));
+            pictures.push(sorted);
+        }
+        let mirrors = planes.iter().filter(|own| !own.is_empty()).map(|own| mirrors_alike(own)).collect();
+        Ok(Initial { mirrors, pictures, left_out })
+    }
+
+    /// Pose of the target, or with `depth` −1 of its reflection in its plane.
+    fn pose(&self, lens: &Lens, marked: &[Marked], depth: f64) -> opencv::Result<Isometry3<f64>> {
+        let seen = || marked.iter().filter_map(|m| Some((m.place, lens.undistort(&m.pixel)?)));
+        let object = |(p, _): (Point3<f64>, _)| Point3f::new(p.x as f32, p.y as f32, (depth * p.z) as f32);
+        let objects: Vector<Point3f> = seen().map(object).collect();
+        let images: Vector<Point2f> = seen().map(|(_, n)| Point2f::new(n.x as f32, n.y as f32)).collect();
+        let camera = Mat::eye(3, 3, opencv::core::CV_64F)?.to_mat()?;
+        let (mut turn, mut shift) = (Mat::default(), Mat::default());
+        let method = if self.is_flat() { calib3d::SOLVEPNP_IPPE } else { calib3d::SOLVEPNP_SQPNP };
+        calib3d::solve_pnp(&objects, &images, &camera, &Mat::default(), &mut turn, &mut shift, false, method)?;
+        pose_from_opencv(&turn, &shift)
+    }
+}
+
+fn image(marked: &[Marked], pose: Isometry3<f64>) -> Image {
+    Image {
+        corners: marked.iter().map(|m| (m.place, m.pixel)).collect(),
+        relative_sd: marked.iter().map(|m| m.relative_sd).collect(),
+        pose,
+    }
+}
+
+fn view_names(mirrors: usize) -> Vec<String> {
+    let of_mirrors = (0..mirrors).map(|k| super::walls::numbered("mirror", k, mirrors));
+    std::iter::once("direct".to_owned()).chain(of_mirrors).collect()
+}

@@ -1,0 +1,200 @@
+//! Periods averaged: input and output of each line, with the covariance that the differences of periods show.
+//!
+//! In: stretches of a record whose input repeats. Out: a mean over periods for each line that the input excites, and the
+//! variances of the means (Pintelon and Schoukens, System Identification: A Frequency Domain Approach, 2nd ed.,
+//! section 2.5). Noise is told apart from what the system does without any model of either, and whatever repeats, noise that
+//! Eq. 6 carries from the output to the input included, has its variance and covariance.
+
+use super::super::data::Segment;
+use nalgebra::Complex;
+use rustfft::FftPlanner;
+use std::f64::consts::TAU;
+
+/// Periods that are needed: with fewer the variance of a variance has no end.
+pub(crate) const FEWEST: usize = 4;
+/// A line counts from this part of the strongest line's power on.
+const POWER: f64 = 1e-4;
+/// And from so many times the power that noise puts into its mean.
+const ABOVE_NOISE: f64 = 100.0;
+/// A period in which a larger part of the outputs is missing is left out.
+const MISSING: f64 = 0.1;
+/// A period may be longer or shorter than whole samples by this part of one.
+const WHOLE: f64 = 0.1;
+
+/// One line.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Line {
+    /// Hz.
+    pub frequency_hz: f64,
+    /// Radians a sample.
+    pub angle: f64,
+    /// Mean over the periods.
+    pub input: Complex<f64>,
+    /// Mean over the periods.
+    pub output: Complex<f64>,
+    /// Variance of the mean input.
+    pub input_variance: f64,
+    /// Variance of the mean output.
+    pub output_variance: f64,
+    /// Covariance of mean output and mean input, E[δY δU*].
+    pub covariance: Complex<f64>,
+}
+
+impl Line {
+    /// Output over input.
+    pub fn response(&self) -> Complex<f64> {
+        self.output / self.input
+    }
+
+    /// σ of ln|response|, and of its phase in radians.
+    pub fn relative_sd(&self) -> f64 {
+        let both = self.covariance / (self.output * self.input.conj());
+        let of = |variance: f64, mean: Complex<f64>| variance / mean.norm_sqr();
+        let variance = of(self.output_variance, self.output) + of(self.input_variance, self.input) - 2.0 * both.re;
+        (0.5 * variance.max(0.0)).sqrt()
+    }
+}
+
+/// A record averaged over its periods.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Averaged {
+    /// Lines that the input excites.
+    pub lines: Vec<Line>,
+    /// Samples of a period.
+    pub samples: usize,
+    /// Periods left out at the beginning.
+    pub skipped: usize,
+    /// Periods averaged.
+    pub periods: usize,
+    /// Whole periods that were not: cut by a hole, or too many outputs missing.
+    pub left_out: usize,
+    /// By how much the first of them differs from the others, in parts of what noise explains (1).
+    pub first_off: f64,
+}
+
+/// Averages the stretches of one record, whose input repeats every `repeats_s`; the first `skip` periods, counted from
+/// the record's beginning, are left out while the system settles.
+///
+/// # Errors
+/// In words: the period is no whole number of samples, or too few periods are left.
+pub(crate) fn average(segments: &[Segment], period_s: f64, repeats_s: f64, skip: usize) -> Result<Averaged, String> {
+    let exact = repeats_s / period_s;
+    let samples = exact.round().max(0.0) as usize;
+    if samples < 8 || (exact - samples as f64).abs() > WHOLE {
+        return Err(format!(
+            "a period of {repeats_s} s is {exact:.2} samples of {period_s:.6} s, and must be a whole number of them, 8 at least: \
+             --resample --period {:.8} makes it one",
+            repeats_s / exact.round().max(8.0)
+        ));
+    }
+    // 1. whole periods, by their place on the record's grid
+    let begin = segments.first().map_or(0, |s| s.first);
+    let end = segments.last().map_or(0, |s| s.first + s.len());
+    let place = |period: usize| begin as f64 + period as f64 * exact;
+    let mut periods = Vec::new();
+    let mut left_out = 0;
+    for period in skip.. {
+        let from = place(period).round() as usize;
+        if from + samples > end {
+            break;
+        }
+        let inside = |s: &&Segment| s.first <= from && from + samples <= s.first + s.len();
+        let whole = segments.iter().find(inside).map(|s| {
+            let part = |signal: &[f64]| signal[from - s.first..from - s.first + samples].to_vec();
+            // By how much the period really begins later.
+            Period { input: part(&s.input), output: part(&s.output), late: place(period) - from as f64 }
+        });
+        let seen = |p: &Period| p.output.iter().filter(|y| y.is_nan()).count() as f64 <= MISSING * samples as f64;
+        match whole.filter(seen) {
+            Some(period) => periods.push(period),
+            None => left_out += 1,
+        }
+    }
+    if periods.len() < FEWEST {
+        return Err(format!(
+            "{} whole periods of {repeats_s} s are left behind the first {skip} ({left_out} more have holes), and {FEWEST} are needed, \
+             better 7",
+            periods.len()
+        ));
+    }
+    let missing = fill(&mut periods, samples)?;
+    // 2. their spectra
+    let transform = FftPlanner::new().plan_fft_forward(samples);
+    let spectrum = |signal: &[f64], late: f64| -> Vec<Complex<f64>> {
+        let mut buffer: Vec<_> = signal.iter().map(|v| rustfft::num_complex::Complex::new(*v, 0.0)).collect();
+        transform.process(&mut buffer);
+        let turned = |(k, v): (usize, &rustfft::num_complex::Complex<f64>)| {
+            let turn = Complex::from_polar(1.0 / samples as f64, TAU * k as f64 * late / samples as f64);
+            Complex::new(v.re, v.im) * turn
+        };
+        buffer.iter().enumerate().take(samples.div_ceil(2)).map(turned).collect()
+    };
+    let spectra: Vec<_> = periods.iter().map(|p| (spectrum(&p.input, p.late), spectrum(&p.output, p.late))).collect();
+    // 3. means and what scatters about them
+    let all: Vec<Line> =
+        (1..samples.div_ceil(2)).map(|k| line(&spectra, k, repeats_s, samples, 1.0 / (1.0 - missing))).collect();
+    let strongest = all.iter().map(|l| l.input.norm_sqr()).fold(0.0, f64::max);
+    let excited = |l: &Line| {
+        let power = l.input.norm_sqr();
+        power > POWER * strongest && power > ABOVE_NOISE * l.input_variance
+    };
+    let first_off = first_off(&spectra, |k| k.checked_sub(1).and_then(|k| all.get(k)).is_some_and(excited));
+    let lines: Vec<Line> = all.into_iter().filter(excited).collect();
+    Ok(Averaged { lines, samples, skipped: skip, periods: periods.len(), left_out, first_off })
+}
+
+struct Period {
+    input: Vec<f64>,
+    output: Vec<f64>,
+    late: f64,
+}
+
+/// Of input and output.
+type Spectra = (Vec<Complex<f64>>, Vec<Complex<f64>>);
+
+/// Puts into each missing output what the other periods have there, and says what part was missing: so much less scatters.
+fn fill(periods: &mut [Period], samples: usize) -> Result<f64, String> {
+    let mut missing = 0;
+    for t in 0..samples {
+        let seen: Vec<f64> = periods.iter().map(|p| p.output[t]).filter(|y| !y.is_nan()).collect();
+        missing += periods.len() - seen.len();
+        if seen.is_empty() {
+            return Err(format!("sample {t} of the period was observed in none of the {} periods", periods.len()));
+        }
+        let mean = seen.iter().sum::<f64>() / seen.len() as f64;
+        periods.iter_mut().filter(|p| p.output[t].is_nan()).for_each(|p| p.output[t] = mean);
+    }
+    Ok(missing as f64 / (samples * periods.len()) as f64)
+}
+
+fn line(spectra: &[Spectra], k: usize, repeats_s: f64, samples: usize, scale: f64) -> Line {
+    let m = spectra.len() as f64;
+    let mean = |of: fn(&Spectra, usize) -> Complex<f64>| spectra.iter().map(|s| of(s, k)).sum::<Complex<f64>>() / m;
+    let (input, output) = (mean(|s, k| s.0[k]), mean(|s, k| s.1[k]));
+    // Of the mean: the scatter of one period over the number of periods.
+    let of_mean = scale / (m * (m - 1.0));
+    let off = || spectra.iter().map(|s| (s.0[k] - input, s.1[k] - output));
+    Line {
+        frequency_hz: k as f64 / repeats_s,
+        angle: TAU * k as f64 / samples as f64,
+        input,
+        output,
+        input_variance: off().map(|(u, _)| u.norm_sqr()).sum::<f64>() * of_mean,
+        output_variance: off().map(|(_, y)| y.norm_sqr()).sum::<f64>() * of_mean,
+        covariance: off().map(|(u, y)| y * u.conj()).sum::<Complex<f64>>() * of_mean,
+    }
+}
+
+/// How far the output of the first period is from the mean of the others, over what their scatter predicts.
+fn first_off(spectra: &[Spectra], counts: impl Fn(usize) -> bool) -> f64 {
+    let Some(((_, first), others)) = spectra.split_first() else { return 1.0 };
+    let m = others.len() as f64;
+    let (mut off, mut predicted) = (0.0, 0.0);
+    for k in (0..first.len()).filter(|k| counts(*k)) {
+        let mean = others.iter().map(|(_, y)| y[k]).sum::<Complex<f64>>() / m;
+        let variance = others.iter().map(|(_, y)| (y[k] - mean).norm_sqr()).sum::<f64>() / (m - 1.0);
+        off += (first[k] - mean).norm_sqr();
+        predicted += variance * (1.0 + 1.0 / m);
+    }
+    if predicted > 0.0 { off / predicted } else { 1.0 }
+}

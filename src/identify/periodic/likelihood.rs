@@ -1,0 +1,172 @@
+//! B/A fitted to lines by maximum likelihood, noise on input and output and their covariance as the periods showed them.
+//!
+//! Smallest is Σ |A Y − B U|² / (σ_Y² |A|² + σ_U² |B|² − 2 Re(σ_YU² A B*)) (Pintelon and Schoukens, System
+//! Identification: A Frequency Domain Approach, 2nd ed., chapters 9 and 12): by Gauss-Newton with damping, from models given
+//! and from Sanathanan and Koerner's iteration (IEEE TAC 8, 1963, doi:10.1109/TAC.1963.1105517). With an input that is held
+//! the lines of the samples follow B/A exactly, and H(s) of it is the maximum likelihood H(s) too.
+
+use super::super::estimated::Estimated;
+use super::super::model::{Orders, Polynomials};
+use super::super::output_error::damped_step;
+use super::super::regression::{Triangle, solve};
+use super::super::uncertainty::Covariance;
+use super::average::{Averaged, FEWEST, Line};
+use nalgebra::Complex;
+
+const MOST_STEPS: usize = 200;
+const SETTLED: f64 = 1e-14;
+/// Rounds of Sanathanan and Koerner's iteration; it need not converge.
+const ROUNDS: usize = 20;
+/// Noise of the arithmetic, beside both signals.
+const ROUNDING: f64 = 1e-12;
+
+/// What was found.
+#[derive(Debug, Clone)]
+pub(crate) struct Found {
+    pub(crate) estimated: Estimated,
+    /// What is left, over what noise explains (1).
+    pub(crate) left: f64,
+    /// σ of `left` where noise alone is left.
+    pub(crate) left_sd: f64,
+    pub(crate) steps: usize,
+    pub(crate) settled: bool,
+}
+
+/// The model of these orders nearest to the lines of all records. Nothing when no stable model is found to begin from, or
+/// the lines do not determine it.
+pub(crate) fn fit(records: &[Averaged], orders: Orders, initial: &[Polynomials]) -> Option<Found> {
+    let lines: Vec<&Line> = records.iter().flat_map(|r| &r.lines).collect();
+    let parameters = orders.parameters();
+    // Two numbers a line.
+    if 2 * lines.len() <= parameters {
+        return None;
+    }
+    let iterated = sanathanan_koerner(&lines, orders);
+    let same = |model: &&Polynomials| model.orders() == orders && model.is_stable();
+    let all = initial.iter().filter(same).chain(iterated.as_ref().filter(|m| m.is_stable()));
+    let (model, steps, settled) = all
+        .filter_map(|model| descend(&lines, model))
+        .min_by(|a, b| cost(&lines, &a.0).total_cmp(&cost(&lines, &b.0)))?;
+    let solution = solve(triangle(&lines, &model))?;
+    // Variances from M periods: what is left is larger by (M−1)/(M−2) than with variances that are known, and the model's
+    // covariance by (M−2)/(M−3), which J ᵀJ hides by (M−1)/(M−2) more (section 10.9).
+    let m = records.iter().map(|r| r.periods).min().unwrap_or(FEWEST).max(FEWEST) as f64;
+    let free = lines.len() as f64 - 0.5 * parameters as f64;
+    let left = cost(&lines, &model) / (free * (m - 1.0) / (m - 2.0));
+    let left_sd = ((m - 1.0) / (m - 3.0) / free).sqrt();
+    // Real and imaginary part have half of the variance each. What noise does not explain makes σ wider.
+    let scale = (0.5 * (m - 1.0) / (m - 3.0) * left.max(1.0)).sqrt();
+    let estimated = Estimated {
+        covariance: Covariance::from_factor(solution.inverse * scale),
+        noise_variance: left,
+        samples: lines.len(),
+        condition: solution.condition,
+        model,
+    };
+    Some(Found { estimated, left, left_sd, steps, settled })
+}
+
+/// Gauss and Newton's way down from `initial`; never to an unstable model.
+fn descend(lines: &[&Line], initial: &Polynomials) -> Option<(Polynomials, usize, bool)> {
+    let mut model = initial.clone();
+    let mut best = cost(lines, &model);
+    let (mut damping, mut steps, mut settled) = (1e-4, 0, false);
+    while steps < MOST_STEPS && !settled {
+        steps += 1;
+        let step = damped_step(&triangle(lines, &model), damping)?;
+        let trial = model.with_parameters((model.parameters() + step).as_slice());
+        let there = if trial.is_stable() { cost(lines, &trial) } else { f64::INFINITY };
+        if there < best {
+            settled = best - there <= SETTLED * best;
+            (model, best) = (trial, there);
+            damping = f64::max(damping * 0.1, 1e-12);
+        } else {
+            settled = damping > 1e8;
+            damping *= 10.0;
+        }
+    }
+    best.is_finite().then_some((model, steps, settled))
+}
+
+fn cost(lines: &[&Line], model: &Polynomials) -> f64 {
+    let sum: f64 = lines.iter().map(|line| Residual::of(line, model)).map(|r| r.error.norm_sqr() / r.variance).sum();
+    if sum.is_finite() { sum } else { f64::INFINITY }
+}
+
+/// A Y − B U of one line.
+struct Residual {
+    a: Complex<f64>,
+    b: Complex<f64>,
+    error: Complex<f64>,
+    variance: f64,
+}
+
+impl Residual {
+    fn of(line: &Line, model: &Polynomials) -> Self {
+        let backward = Complex::from_polar(1.0, -line.angle);
+        let value = |c: &[f64]| c.iter().rev().fold(Complex::new(0.0, 0.0), |sum, c| sum * backward + c);
+        let (a, b) = (value(&model.a), value(&model.b) * backward.powu(model.nk as u32));
+        let noise = line.output_variance * a.norm_sqr() + line.input_variance * b.norm_sqr()
+            - 2.0 * (line.covariance * a * b.conj()).re;
+        let rounding = (line.output * a).norm_sqr() + (line.input * b).norm_sqr();
+        let error = a * line.output - b * line.input;
+        Self { a, b, error, variance: noise.max(0.0) + ROUNDING * ROUNDING * rounding }
+    }
+}
+
+/// Derivatives of −ε and ε itself, ε = (A Y − B U)/σ: two rows a line.
+fn triangle(lines: &[&Line], model: &Polynomials) -> nalgebra::DMatrix<f64> {
+    let (na, nb, nk) = (model.na(), model.nb(), model.nk);
+    let mut triangle = Triangle::new(na + nb + 1);
+    for line in lines {
+        let Residual { a, b, error, variance } = Residual::of(line, model);
+        let sd = variance.sqrt();
+        let derivative = |k: usize| {
+            let (by_error, by_variance) = if k < na {
+                let z = Complex::from_polar(1.0, -line.angle * (k + 1) as f64);
+                let in_a = 2.0 * (a.conj() * z * line.output_variance - line.covariance * z * b.conj()).re;
+                (z * line.output, in_a)
+            } else {
+                let z = Complex::from_polar(1.0, -line.angle * (nk + k - na) as f64);
+                let in_b = 2.0 * (b.conj() * z * line.input_variance - line.covariance * a * z.conj()).re;
+                (-z * line.input, in_b)
+            };
+            -(by_error - error * (0.5 * by_variance / variance)) / sd
+        };
+        let row: Vec<Complex<f64>> = (0..na + nb).map(derivative).chain([error / sd]).collect();
+        triangle.push(row.iter().map(|v| v.re));
+        triangle.push(row.iter().map(|v| v.im));
+    }
+    triangle.finish()
+}
+
+/// Linear least squares, weighed anew by the σ that the model before predicts.
+fn sanathanan_koerner(lines: &[&Line], orders: Orders) -> Option<Polynomials> {
+    let Orders { na, nb, nk } = orders;
+    let mut best: Option<(f64, Polynomials)> = None;
+    let mut model: Option<Polynomials> = None;
+    for _ in 0..ROUNDS {
+        let mut triangle = Triangle::new(na + nb + 1);
+        for line in lines {
+            let sd = model.as_ref().map_or_else(|| line.output.norm(), |m| Residual::of(line, m).variance.sqrt());
+            let regressor = |k: usize| {
+                let lag = if k < na { k + 1 } else { nk + k - na };
+                let z = Complex::from_polar(1.0, -line.angle * lag as f64);
+                if k < na { -z * line.output / sd } else { z * line.input / sd }
+            };
+            let row: Vec<Complex<f64>> = (0..na + nb).map(regressor).chain([line.output / sd]).collect();
+            triangle.push(row.iter().map(|v| v.re));
+            triangle.push(row.iter().map(|v| v.im));
+        }
+        let Some(solution) = solve(triangle.finish()) else { break };
+        let next = Polynomials::of(solution.parameters.as_slice(), na, nk);
+        let value = cost(lines, &next);
+        // A stable one can be refined.
+        let better = |(least, before): &(f64, Polynomials)| (next.is_stable(), -value) > (before.is_stable(), -least);
+        if best.as_ref().is_none_or(better) {
+            best = Some((value, next.clone()));
+        }
+        model = Some(next);
+    }
+    best.map(|(_, model)| model)
+}

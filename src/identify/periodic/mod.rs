@@ -1,0 +1,110 @@
+//! A model from a record whose input repeats, in the frequency domain.
+//!
+//! ```text
+//!  periods ─▶ average ─▶ lines with their noise ─▶ likelihood ─▶ B/A with covariance, and what noise does not explain
+//! ```
+//! What repeats is the system's, what does not is noise: no model of the noise is needed, none is assumed but that it is
+//! not correlated from period to period. Feedback (Eq. 6) does no harm, because noise that the input has from the output
+//! shows in their covariance.
+//!
+//! It cannot notice what repeats with the input and is not linear; `left` above 1 is a sign of it, and widens σ.
+
+mod average;
+mod likelihood;
+#[cfg(test)]
+mod tests;
+
+pub(crate) use average::{Averaged, Line};
+
+use super::data::Record;
+use super::estimated::{Estimated, Refined};
+use super::initial::initial_models;
+use super::model::{Orders, Polynomials};
+use super::reduce::Target;
+
+/// Orders that `auto` tries.
+const MOST: usize = 6;
+
+/// That the input repeats.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Repeats {
+    /// After so many seconds.
+    pub every_s: f64,
+    /// Periods left out at the beginning of a record, while the system settles.
+    pub skip: usize,
+}
+
+/// The model, and what it rests on.
+#[derive(Debug, Clone)]
+pub struct Periodic {
+    /// The model.
+    pub refined: Refined,
+    /// The records, averaged.
+    pub records: Vec<Averaged>,
+    /// What the model leaves of the lines, over what noise explains (1).
+    pub left: f64,
+    /// σ of `left` where noise alone is left.
+    pub left_sd: f64,
+}
+
+impl Periodic {
+    /// Lines of all records.
+    pub fn lines(&self) -> impl Iterator<Item = &Line> {
+        self.records.iter().flat_map(|r| &r.lines)
+    }
+}
+
+/// Fits a model of `target` states to all records; the delay is the one of `delays` that leaves least. `others`: models to
+/// begin from beside its own.
+///
+/// # Errors
+/// In words: the input does not repeat so often, or its lines do not determine the model.
+pub(crate) fn fit(
+    records: &[Record],
+    period_s: f64,
+    repeats: Repeats,
+    target: Target,
+    delays: &[usize],
+    others: &[Polynomials],
+) -> Result<Periodic, String> {
+    let average = |r: &Record| {
+        average::average(&r.segments, period_s, repeats.every_s, repeats.skip).map_err(|e| format!("{}: {e}", r.name))
+    };
+    let averaged = records.iter().map(average).collect::<Result<Vec<_>, _>>()?;
+    let segments: Vec<_> = records.iter().flat_map(|r| r.segments.iter().cloned()).collect();
+    let lines = averaged.iter().map(|r| r.lines.len()).sum::<usize>() as f64;
+    let orders = match target {
+        Target::Order(n) => n..=n,
+        Target::Auto => 1..=MOST,
+    };
+    // ln of what is left, and what each coefficient must bring (minimum description length).
+    let value = |left: f64, parameters: usize| left.ln() + parameters as f64 * (2.0 * lines).ln() / (2.0 * lines);
+    let mut best: Option<(f64, likelihood::Found)> = None;
+    for n in orders {
+        for nk in delays {
+            let orders = Orders { na: n, nb: n, nk: *nk };
+            let mut initial = initial_models(&segments, orders);
+            initial.extend(others.iter().filter(|m| m.orders() == orders).cloned());
+            let Some(found) = likelihood::fit(&averaged, orders, &initial) else { continue };
+            let value = value(found.left, orders.parameters());
+            if best.as_ref().is_none_or(|(least, _)| value < *least) {
+                best = Some((value, found));
+            }
+        }
+    }
+    let (_, found) = best.ok_or_else(|| {
+        format!(
+            "{lines} lines stand out of the noise, and no stable model of the order asked for follows from them: a lower order, \
+             more periods, or a stronger input may do"
+        )
+    })?;
+    let likelihood::Found { estimated, left, left_sd, steps, settled } = found;
+    Ok(Periodic { refined: Refined { estimated, steps, settled }, records: averaged, left, left_sd })
+}
+
+impl Periodic {
+    /// The model with its covariance.
+    pub fn estimated(&self) -> &Estimated {
+        &self.refined.estimated
+    }
+}

@@ -1,0 +1,146 @@
+//! Periods with known noise: exact without it, and σ against the scatter of many records.
+
+use super::super::continuous::{Continuous, Conversion};
+use super::super::data::{Record, Segment};
+use super::super::model::{Orders, Polynomials, angle};
+use super::super::modelled::{Modelled, Role};
+use super::super::reduce::Target;
+use super::super::tests::noise;
+use super::*;
+
+const PERIOD_S: f64 = 1.0 / 60.0;
+const SAMPLES: usize = 240;
+
+/// Eq. 7's poles, made faster so that a short record settles.
+fn truth() -> Continuous {
+    Continuous { num: vec![12.0, 40.0], den: vec![1.0, 8.0, 30.0], delay_s: 0.0, conversion: Conversion::Hold }
+}
+
+/// Sines at lines 2 to 60 with random phases, period after period.
+fn multisine(seed: u64, periods: usize) -> Vec<f64> {
+    let phases = noise(seed, 60);
+    let at =
+        |t: usize| (2..60).map(|k| ((k * t % SAMPLES) as f64 * TAU / SAMPLES as f64 + 3.0 * phases[k]).cos()).sum();
+    let one: Vec<f64> = (0..SAMPLES).map(at).collect();
+    one.iter().copied().cycle().take(periods * SAMPLES).collect()
+}
+
+use std::f64::consts::TAU;
+
+fn record(seed: u64, periods: usize, sd_in: f64, sd_out: f64) -> Record {
+    let clean = multisine(1, periods);
+    let noise_free = truth().sampled(PERIOD_S).simulate(&clean);
+    let add = |signal: &[f64], seed: u64, sd: f64| -> Vec<f64> {
+        signal.iter().zip(noise(seed, signal.len())).map(|(v, e)| v + sd * e).collect()
+    };
+    let (input, output) = (add(&clean, seed + 5000, sd_in), add(&noise_free, seed, sd_out));
+    Record { name: "r".into(), segments: vec![Segment { input, output, from_rest: true, ..Segment::default() }] }
+}
+
+fn every(skip: usize) -> Repeats {
+    Repeats { every_s: SAMPLES as f64 * PERIOD_S, skip }
+}
+
+fn fit_two(records: &[Record], skip: usize) -> Periodic {
+    fit(records, PERIOD_S, every(skip), Target::Order(2), &[1], &[]).unwrap()
+}
+
+#[test]
+fn without_noise_the_system_comes_back() {
+    let found = fit_two(&[record(1, 8, 0.0, 0.0)], 3);
+    let off = (found.estimated().model.parameters() - truth().sampled(PERIOD_S).parameters()).amax();
+    assert!(off < 1e-8 && found.lines().count() == 58, "{off:e}");
+}
+
+#[test]
+fn a_delay_and_the_order_are_found() {
+    let late = Polynomials { nk: 3, ..truth().sampled(PERIOD_S) };
+    let input = multisine(1, 9);
+    let output = late.simulate(&input).iter().zip(noise(8, input.len())).map(|(y, e)| y + 0.02 * e).collect();
+    let record = Record {
+        name: "late".into(),
+        segments: vec![Segment { input, output, from_rest: true, ..Segment::default() }],
+    };
+    let found = fit(&[record], PERIOD_S, every(2), Target::Auto, &[1, 2, 3, 4], &[]).unwrap();
+    assert_eq!(found.estimated().model.orders(), Orders { na: 2, nb: 2, nk: 3 });
+}
+
+/// Noise on both signals, and on both together: mean square of error/σ over many records, 1 with a spread of √(2/150).
+#[test]
+fn sigma_is_as_large_as_the_scatter() {
+    const DRAWS: u64 = 150;
+    for (sd_in, sd_out, periods) in [(0.0, 0.4, 11), (1.5, 0.2, 11), (0.5, 0.4, 7)] {
+        let mut sums = [0.0; 4];
+        let (mut gain, mut left, mut line) = (0.0, 0.0, 0.0);
+        for seed in 1..=DRAWS {
+            let found = fit_two(&[record(seed, periods, sd_in, sd_out)], 1);
+            let Estimated { model, covariance, .. } = found.estimated().clone();
+            left += found.left / DRAWS as f64;
+            let modelled = Modelled::new(Role::Periodic, String::new(), model, Some(covariance), PERIOD_S, (0.5, 15.0));
+            let point = modelled.bode[150];
+            let there = truth().sampled(PERIOD_S).response(angle(point.frequency_hz, PERIOD_S)).norm();
+            gain += ((point.magnitude / there).ln() / point.sd.unwrap().0).powi(2) / DRAWS as f64;
+            let h = modelled.continuous.unwrap();
+            let errors = h.model.parameters().into_iter().zip(truth().parameters()).map(|(f, t)| f - t);
+            for (sum, (error, sd)) in sums.iter_mut().zip(errors.zip(h.standard_errors.unwrap())) {
+                *sum += (error / sd).powi(2) / DRAWS as f64;
+            }
+            // The lines' own σ; of ln|H|, variances from few periods have a heavy tail: (M−1)/(M−2) on the average.
+            let tail = (periods as f64 - 2.0) / (periods as f64 - 3.0);
+            let lines = found.lines().map(|l| {
+                let truth = truth().sampled(PERIOD_S).response(l.angle);
+                ((l.response() / truth).ln().re / l.relative_sd()).powi(2) / tail
+            });
+            line += lines.sum::<f64>() / (found.lines().count() as u64 * DRAWS) as f64;
+        }
+        let what = format!(
+            "noise {sd_in}, {sd_out}, {periods} periods: H(s) {sums:?}, gain {gain}, lines {line}, left {left}"
+        );
+        assert!(sums.iter().chain([&gain]).all(|s| (0.65..1.35).contains(s)), "{what}");
+        assert!((0.9..1.1).contains(&left) && (0.85..1.15).contains(&line), "{what}");
+    }
+}
+
+#[test]
+fn missing_outputs_and_holes_cost_periods_and_nothing_else() {
+    let whole = record(3, 12, 0.0, 0.1);
+    let mut holed = whole.clone();
+    let segment = &mut holed.segments[0];
+    (0..segment.len()).step_by(41).for_each(|t| segment.output[t] = f64::NAN);
+    // A stretch ends in the fifth period, the next begins 10 samples later.
+    let (a, b) = (segment.part(0, 1100, PERIOD_S), segment.part(1110, segment.len(), PERIOD_S));
+    holed.segments = vec![a, Segment { from_rest: false, ..b }];
+    let (found, all) = (fit_two(&[holed], 2), fit_two(&[whole], 2));
+    assert_eq!((found.records[0].periods, found.records[0].left_out, all.records[0].periods), (9, 1, 10));
+    let sd = found.estimated().standard_errors();
+    let off = found.estimated().model.parameters() - all.estimated().model.parameters();
+    assert!(off.iter().zip(sd).all(|(off, sd)| off.abs() < 3.0 * sd), "{off}");
+}
+
+#[test]
+fn a_system_that_has_not_settled_and_one_of_higher_order_are_noticed() {
+    let slow = Continuous { den: vec![1.0, 8.05, 0.4], ..truth() };
+    let input = multisine(1, 8);
+    let clean = slow.sampled(PERIOD_S).simulate(&input);
+    let output: Vec<f64> = clean.iter().zip(noise(5, clean.len())).map(|(y, e)| y + 0.02 * e).collect();
+    let segment = Segment { input, output, from_rest: true, ..Segment::default() };
+    let record_of = |segment| Record { name: "slow".into(), segments: vec![segment] };
+    let found = fit(&[record_of(segment)], PERIOD_S, every(0), Target::Order(2), &[1], &[]).unwrap();
+    assert!(found.records[0].first_off > 3.0, "{}", found.records[0].first_off);
+    let settled = fit_two(&[record(1, 12, 0.0, 0.2)], 3);
+    assert!((0.5..1.6).contains(&settled.records[0].first_off), "{}", settled.records[0].first_off);
+    let first_order = fit(&[record(1, 12, 0.0, 0.2)], PERIOD_S, every(3), Target::Order(1), &[1], &[]).unwrap();
+    assert!(first_order.left > 1.0 + 10.0 * first_order.left_sd, "{} {}", first_order.left, first_order.left_sd);
+}
+
+#[test]
+fn periods_that_do_not_fit_are_refused_in_words() {
+    let of = |every_s: f64, skip: usize| {
+        let repeats = Repeats { every_s, skip };
+        fit(&[record(1, 8, 0.0, 0.1)], PERIOD_S, repeats, Target::Order(2), &[1], &[]).unwrap_err()
+    };
+    let broken = of(4.004, 1);
+    assert!(broken.contains("is 240.24 samples") && broken.contains("--resample --period 0.01668333"), "{broken}");
+    let few = of(4.0, 5);
+    assert!(few.contains("3 whole periods of 4 s are left behind the first 5"), "{few}");
+}

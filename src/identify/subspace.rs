@@ -1,0 +1,162 @@
+//! Subspace identification: states from the data, without a search.
+//!
+//! In: stretches, orders. Out: a model B/A of these orders. What past inputs and outputs tell of future outputs, beyond
+//! what future inputs do, spans the space of the states; its shift is A (PO-MOESP; Verhaegen, Automatica 30, 1994,
+//! doi:10.1016/0005-1098(94)90229-1; with `Weight::Canonical` the directions are weighed as in Larimore's CVA, by what
+//! noise leaves of them). The coefficients of B follow by least squares on the simulated output, from rest or not.
+//!
+//! There is no local minimum to end in, and a model of low order is not biased by noise on the output as ARX is; but
+//! nothing is smallest either: it is a model to begin from. An A that is not stable is no model to simulate, and none is
+//! returned. Feedback from the output's noise to the input biases it.
+
+use super::data::Segment;
+use super::decompositions::{eigenvalues, svd};
+use super::model::{Orders, Polynomials};
+use super::output_error;
+use super::regression::{Triangle, solve};
+use super::state_space::characteristic;
+use nalgebra::DMatrix;
+
+/// Samples of past and of future: so many an order, and so many at least.
+const REACH: (usize, usize) = (4, 12);
+/// Rows at most; a longer record is looked at in every so many samples.
+const MOST_ROWS: usize = 40_000;
+
+/// How directions of the future are weighed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Weight {
+    /// All alike.
+    None,
+    /// By the scatter of the future outputs: those that noise leaves alone count more.
+    Canonical,
+}
+
+/// A stable model of these orders. Nothing when the record is too short, the states do not show, or A is unstable.
+pub(crate) fn fit(segments: &[Segment], orders: Orders, weight: Weight) -> Option<Polynomials> {
+    let Orders { na: n, nb, nk } = orders;
+    if n == 0 {
+        return None;
+    }
+    let reach = (REACH.0 * n).max(REACH.1);
+    let r = triangle(segments, reach, nk)?;
+    // Columns: future inputs, past inputs and outputs, future outputs. Below the future inputs what is left once they are
+    // taken out.
+    let future = 3 * reach;
+    let by_past = r.view((reach, future), (2 * reach, reach)).transpose();
+    let scaled = match weight {
+        Weight::None => by_past.clone(),
+        Weight::Canonical => {
+            // All that the future outputs hold beside the future inputs.
+            let all = r.view((reach, future), (3 * reach, reach)).into_owned().qr().r();
+            all.tr_solve_upper_triangular(&by_past)?
+        }
+    };
+    let found = svd(scaled)?;
+    let mut observed = found.u?.columns(0, n).into_owned();
+    if weight == Weight::Canonical {
+        let all = r.view((reach, future), (3 * reach, reach)).into_owned().qr().r();
+        observed = all.tr_mul(&observed);
+    }
+    // Γ shifted by a sample is Γ A.
+    let (upper, lower) = (observed.rows(0, reach - 1).into_owned(), observed.rows(1, reach - 1).into_owned());
+    let factors = upper.qr();
+    let a = factors.r().solve_upper_triangular(&(factors.q().transpose() * lower))?;
+    if eigenvalues(&a)?.iter().any(|pole| pole.norm().is_nan() || pole.norm() >= 1.0) {
+        return None;
+    }
+    numerator(segments, &Polynomials { a: characteristic(&a), b: vec![0.0; nb], nk })
+}
+
+/// The triangle of all windows: `reach` future inputs, as many past inputs, past outputs and future outputs.
+fn triangle(segments: &[Segment], reach: usize, nk: usize) -> Option<DMatrix<f64>> {
+    let windows = |s: &Segment| s.len().saturating_sub(2 * reach + nk.max(1) - 1);
+    let stride = segments.iter().map(windows).sum::<usize>().div_ceil(MOST_ROWS).max(1);
+    let mut triangle = Triangle::new(4 * reach);
+    // The input that first acts on the output of sample t is that of sample t − nk; with nk above 1 it is delayed so that
+    // the window fits.
+    let late = nk.max(1) - 1;
+    for segment in segments {
+        for start in (0..windows(segment)).step_by(stride) {
+            let (past, now) = (start + late, start + late + reach);
+            let outputs = |from: usize| segment.output[from..from + reach].iter().copied();
+            let inputs = |from: usize| segment.input[from - late..from - late + reach].iter().copied();
+            triangle.push(inputs(now).chain(inputs(past)).chain(outputs(past)).chain(outputs(now)));
+        }
+    }
+    (triangle.rows() > 4 * reach).then(|| triangle.finish())
+}
+
+/// The coefficients of B for this A: the simulated output is linear in them.
+fn numerator(segments: &[Segment], poles: &Polynomials) -> Option<Polynomials> {
+    let na = poles.na();
+    let mut triangle = Triangle::new(poles.nb() + 1);
+    for segment in segments {
+        // At B = 0 the residual is the output itself.
+        output_error::each_row(segment, poles, None, |row| triangle.push(row.iter().skip(na).copied()));
+    }
+    let b = solve(triangle.finish())?.parameters;
+    b.iter().all(|b| b.is_finite()).then(|| Polynomials { b: b.as_slice().to_vec(), ..poles.clone() })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::noise;
+    use super::*;
+
+    fn truth(nk: usize) -> Polynomials {
+        // Poles 0.95, 0.8 ± 0.4i.
+        Polynomials { a: vec![1.0, -2.55, 2.32, -0.76], b: vec![0.3, -0.1, 0.05], nk }
+    }
+
+    fn record(nk: usize, seed: u64, n: usize, sd: f64) -> Segment {
+        let input = noise(seed, n);
+        let clean = truth(nk).simulate(&input);
+        let output = clean.iter().zip(noise(seed + 1000, n)).map(|(y, e)| y + sd * e).collect();
+        Segment { input, output, from_rest: true, ..Segment::default() }
+    }
+
+    #[test]
+    fn without_noise_any_system_is_recovered_from_rest_or_not() {
+        for nk in [0, 1, 3] {
+            for weight in [Weight::None, Weight::Canonical] {
+                let whole = record(nk, 1, 600, 0.0);
+                let part = Segment { from_rest: false, ..whole.part(100, 600, 1.0) };
+                let mut holed = whole.clone();
+                (0..600).step_by(97).for_each(|t| holed.output[t] = f64::NAN);
+                for segment in [whole, part, holed] {
+                    let truth = truth(nk);
+                    let found = fit(&[segment], truth.orders(), weight);
+                    // Weighing by noise has no meaning where there is none: it may find nothing, but nothing wrong.
+                    let Some(found) = found else {
+                        assert_eq!(weight, Weight::Canonical, "nk {nk}");
+                        continue;
+                    };
+                    let off = (found.parameters() - truth.parameters()).amax();
+                    assert!(off < 1e-8, "nk {nk} {weight:?}: {off:e}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn noise_on_the_output_does_not_bias_it_as_it_does_arx() {
+        let record = record(1, 7, 20_000, 1.0);
+        let orders = truth(1).orders();
+        let of = |model: &Polynomials| (model.parameters() - truth(1).parameters()).amax();
+        let by_arx = of(&super::super::arx::fit(std::slice::from_ref(&record), orders).unwrap().model);
+        for weight in [Weight::None, Weight::Canonical] {
+            let found = of(&fit(std::slice::from_ref(&record), orders, weight).unwrap());
+            assert!(found < 0.15 * by_arx, "{weight:?}: {found}, ARX {by_arx}");
+        }
+    }
+
+    #[test]
+    fn what_is_too_short_or_unstable_gives_nothing() {
+        assert!(fit(&[record(1, 1, 40, 0.0)], truth(1).orders(), Weight::None).is_none());
+        let unstable = Polynomials { a: vec![1.0, -1.02], b: vec![1.0], nk: 1 };
+        let input = noise(3, 300);
+        let output = unstable.simulate(&input);
+        let segment = Segment { input, output, from_rest: true, ..Segment::default() };
+        assert!(fit(&[segment], unstable.orders(), Weight::None).is_none());
+    }
+}

@@ -1,0 +1,135 @@
+//! `catoptra calibrate rig --points`: a mirror from marked points, of a plate of dots and of a frame in space, in air.
+
+use crate::support::random::Random;
+use catoptra::optics::{Lens, Mirror, OpticalPath, Plane, Surface};
+use catoptra::rig::{Camera, Draft};
+use nalgebra::{Isometry3, Point2, Point3, Translation3, UnitQuaternion, Vector2, Vector3};
+use std::fmt::Write as _;
+use std::path::Path;
+use std::process::{Command, Output};
+
+fn lens() -> Lens {
+    Lens {
+        focal_px: Vector2::new(1900.0, 1904.0),
+        principal_point_px: Point2::new(633.0, 507.0),
+        distortion: [-0.12, 0.1, 4e-4, -3e-4, 0.0],
+        denominator: [0.0; 3],
+    }
+}
+
+fn mirror() -> Plane {
+    let normal = Vector3::new(-0.72, 0.03, -0.69).normalize();
+    Plane::new(normal, normal.dot(&Vector3::new(0.14, 0.0, 1.0))).unwrap()
+}
+
+/// A table of the points as direct view and mirror show them, off by 0.4 px, every fifth by four times as much.
+fn table(places: &[Point3<f64>], pictures: usize, with_sd: bool) -> String {
+    let direct = OpticalPath { lens: lens(), surfaces: Vec::new() };
+    let mirrored = OpticalPath { lens: lens(), surfaces: vec![Surface::Mirror(Mirror { plane: mirror() })] };
+    let mut random = Random::new(11);
+    let mut text = "picture,view,u_px,v_px,x_mm,y_mm,z_mm".to_owned() + if with_sd { ",sd_px\n" } else { "\n" };
+    for picture in 0..pictures {
+        let turn: Vec<f64> = random.normals(3).into_iter().map(|v| 0.35 * v.clamp(-1.5, 1.5)).collect();
+        let at: Vec<f64> = random.normals(3).into_iter().map(|v| 0.012 * v.clamp(-1.5, 1.5)).collect();
+        let pose = Isometry3::from_parts(
+            Translation3::new(-0.07 + at[0], at[1], 0.95 + 2.0 * at[2]),
+            UnitQuaternion::from_scaled_axis(Vector3::new(turn[0], 0.4 + turn[1], turn[2])),
+        );
+        for (view, path) in [("direct", &direct), ("mirror", &mirrored)] {
+            for (k, place) in places.iter().enumerate() {
+                let sd = if k % 5 == 0 { 1.6 } else { 0.4 };
+                let noise = random.normals(2);
+                let Ok(pixel) = path.project(&(pose * place)) else { continue };
+                let (u, v) = (pixel.x + sd * noise[0], pixel.y + sd * noise[1]);
+                let [x, y, z] = [place.x, place.y, place.z].map(|m| m * 1e3);
+                write!(text, "p{picture}.png,{view},{u:.4},{v:.4},{x:.4},{y:.4},{z:.4}").unwrap();
+                text += &if with_sd { format!(",{sd}\n") } else { "\n".to_owned() };
+            }
+        }
+    }
+    text
+}
+
+fn plate() -> Vec<Point3<f64>> {
+    (0..7).flat_map(|x| (0..5).map(move |y| Point3::new(0.008 * f64::from(x), 0.008 * f64::from(y), 0.0))).collect()
+}
+
+/// Posts of three heights.
+fn frame() -> Vec<Point3<f64>> {
+    let height = |x: i32, y: i32| 0.01 * f64::from((x + 2 * y) % 3);
+    let post = |x: i32, y: i32| Point3::new(0.01 * f64::from(x), 0.01 * f64::from(y), height(x, y));
+    (0..5).flat_map(|x| (0..4).map(move |y| post(x, y))).collect()
+}
+
+fn calibrate(folder: &Path, points: &str, more: &[&str]) -> Output {
+    let camera =
+        Camera { size_px: [1280, 1024], lens: lens(), blur_px: None, chroma_offset_px: [0.0; 2], exposure_s: None };
+    Draft::of_camera(camera).save(&folder.join("camera.toml")).unwrap();
+    std::fs::write(folder.join("points.csv"), points).unwrap();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_catoptra"));
+    command.current_dir(folder).args(["calibrate", "rig", "--points", "points.csv", "--rig", "camera.toml"]);
+    command.args(["--out", "rig.toml"]).args(more).output().unwrap()
+}
+
+fn said(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stdout).into_owned() + &String::from_utf8_lossy(&output.stderr)
+}
+
+#[test]
+fn a_mirror_is_found_within_its_sigma_from_a_plate_and_from_a_frame_of_points() {
+    for (places, with_sd) in [(plate(), true), (plate(), false), (frame(), true)] {
+        let folder = tempfile::tempdir().unwrap();
+        let output = calibrate(folder.path(), &table(&places, 10, with_sd), &[]);
+        assert!(output.status.success(), "{}", said(&output));
+        let draft = Draft::load(&folder.path().join("rig.toml")).unwrap();
+        let found = draft.surfaces["mirror"].plane();
+        let sd = |name: &str| draft.noted_sd(name).unwrap();
+        let (tilt, offset) = (sd("mirror_tilt_0_rad").max(sd("mirror_tilt_1_rad")), sd("mirror_offset_m"));
+        let angle = found.normal().angle(&mirror().normal());
+        let off = (found.offset_m() - mirror().offset_m()).abs();
+        assert!(angle < 4.0 * tilt && tilt < 4e-3, "{angle} rad, σ {tilt}");
+        assert!(off < 4.0 * offset && offset < 4e-3, "{off} m, σ {offset}");
+        let names: Vec<&str> = draft.views.iter().map(|view| view.name.as_str()).collect();
+        assert_eq!(names, ["direct", "mirror"]);
+        let rig = std::fs::read_to_string(folder.path().join("rig.toml")).unwrap();
+        assert!(rig.contains("points = \"points.csv\""), "{rig}");
+        let page = std::fs::read_to_string(folder.path().join("rig.calibration.html")).unwrap();
+        assert!(page.contains("p0.png") && page.contains("Points"));
+    }
+}
+
+#[test]
+fn given_deviations_weigh_the_points() {
+    let tilt = |with_sd: bool| {
+        let folder = tempfile::tempdir().unwrap();
+        assert!(calibrate(folder.path(), &table(&plate(), 10, with_sd), &[]).status.success());
+        Draft::load(&folder.path().join("rig.toml")).unwrap().noted_sd("mirror_tilt_1_rad").unwrap()
+    };
+    // A fifth of the points with 16 times the variance: weighed right, the rest decides.
+    let (weighed, alike) = (tilt(true), tilt(false));
+    assert!(weighed < 0.9 * alike, "{weighed} {alike}");
+}
+
+#[test]
+fn what_is_wrong_in_a_table_is_named_with_its_line() {
+    let good = table(&plate(), 10, true);
+    let refused = |text: &str, more: &[&str]| {
+        let folder = tempfile::tempdir().unwrap();
+        let output = calibrate(folder.path(), text, more);
+        assert!(!output.status.success() && !folder.path().join("rig.toml").exists());
+        (output.status.code().unwrap(), said(&output))
+    };
+    let (code, column) = refused(&good.replacen("v_px", "v", 1), &[]);
+    assert!(code == 2 && column.contains("points.csv: has no column `v_px`"), "{column}");
+    let (_, view) = refused(&good.replacen("p0.png,direct", "p0.png,left", 1), &[]);
+    assert!(view.contains("points.csv:2: view = `left`: expected one of direct, mirror (--mirrors)"), "{view}");
+    let line = good.lines().nth(3).unwrap().to_owned();
+    let (_, twice) = refused(&(good.clone() + &line + "\n"), &[]);
+    assert!(twice.contains("a place that this view of this picture has once only"), "{twice}");
+    let (_, sd) = refused(&good.replacen(",1.6\n", ",0\n", 1), &[]);
+    assert!(sd.contains("points.csv:2: sd_px = `0`: expected a number of pixels above 0"), "{sd}");
+    let (code, few) = refused(&table(&plate(), 2, true), &[]);
+    assert!(code == 3 && few.contains("2 pictures show the board directly and in a mirror, at least 3"), "{few}");
+    let (code, both) = refused(&good, &["--board", "9x6:12mm"]);
+    assert!(code == 2 && both.contains("cannot be used with"), "{both}");
+}
