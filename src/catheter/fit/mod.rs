@@ -4,7 +4,7 @@
 //! In: runs (currents, and what was seen frame by frame). Out: values with their σ, residuals, and for everything that is not
 //! determined the experiment that would tell it.
 //!
-//! 1. Pauses in which the catheter came to rest give the noise (scatter about their means) and, by the boundary value problem of
+//! 1. Pauses in which the catheter came to rest give the noise (differences from frame to frame, taken for white) and, by the boundary value problem of
 //!    the rod, what shapes at rest depend on.
 //! 2. From there, everything is fitted to all frames by the catheter in motion.
 //!
