@@ -120,7 +120,8 @@ fn a_log_that_was_cut_off_is_read_as_far_as_it_goes() {
             Err(error) => assert!(error.to_string().contains("/catheter/estimate"), "{error}"),
         }
     }
-    assert!((50..120).contains(&before), "{before} frames");
+    // The last tenth may be index alone.
+    assert!((50..=120).contains(&before), "{before} frames");
 }
 
 #[test]
