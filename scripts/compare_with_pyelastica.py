@@ -103,7 +103,7 @@ def theirs(elements, current, tip_n, damping, end_s):
     simulator.constrain(rod).using(ea.OneEndFixedBC, constrained_position_idx=(0,), constrained_director_idx=(0,))
     simulator.add_forcing_to(rod).using(Coils, current=current)
     simulator.add_forcing_to(rod).using(ea.EndpointForces, np.zeros(3), tip_n, ramp_up_time=1e-6)
-    step = 0.3 * length / np.sqrt(YOUNG / DENSITY)
+    step = 0.1 * length / np.sqrt(YOUNG / DENSITY)
     if damping:
         simulator.dampen(rod).using(ea.AnalyticalLinearDamper, uniform_damping_constant=damping, time_step=step)
     kept = []
