@@ -89,7 +89,7 @@ fn part_of<'a>(grid: &Grid<'a>, board: &Board) -> Option<Grid<'a>> {
     if [asked, turned].contains(&grid.size()) {
         return None;
     }
-    let parts = grid.windows(asked).into_iter().chain(grid.windows(turned).iter().map(Grid::transposed));
+    let parts = grid.windows(asked).into_iter().chain(grid.windows(turned).into_iter().map(|part| part.transposed()));
     parts.into_iter().find_map(|mut part| {
         part.put_in_order();
         part.judge().is_ok().then_some(part)
