@@ -310,7 +310,7 @@ fn lens_derivatives(lens: &Lens, normalised: &Point2<f64>) -> SMatrix<f64, 2, 12
 }
 
 #[cfg(test)]
-pub(super) mod tests {
+pub(crate) mod tests {
     use super::*;
     use crate::optics::Mirror;
 

@@ -52,6 +52,9 @@ pub(super) fn find(picture: &Grey, board: &Board, most: usize) -> std::result::R
             let Some(rough) = look.detect(&painted, picture, board)? else { break };
             paint_over(&mut painted, &rough)?;
             let Some(mut grid) = rough.with_corners(refine(&pixels, &rough)?) else { break };
+            if let Some(part) = part_of(&grid, board) {
+                grid = part;
+            }
             grid.put_in_order();
             let as_asked = grid.size() == [board.columns, board.rows];
             match (grid.judge(), as_asked) {
@@ -82,6 +85,20 @@ pub(super) fn find(picture: &Grey, board: &Board, most: usize) -> std::result::R
         return Err(BoardError::NotFound { columns: board.columns, rows: board.rows, seen, flaw });
     }
     Ok(found)
+}
+
+/// The board, where a larger grid holds it with a rim that looks like more squares; nothing where the grid is of the right
+/// size, or no part of it is a board that ends there.
+fn part_of<'a>(grid: &Grid<'a>, board: &Board) -> Option<Grid<'a>> {
+    let (asked, turned) = ([board.columns, board.rows], [board.rows, board.columns]);
+    if [asked, turned].contains(&grid.size()) {
+        return None;
+    }
+    let parts = grid.windows(asked).into_iter().chain(grid.windows(turned).into_iter().map(|part| part.transposed()));
+    parts.into_iter().find_map(|mut part| {
+        part.put_in_order();
+        part.judge().is_ok().then_some(part)
+    })
 }
 
 /// A part of the picture, made smaller.

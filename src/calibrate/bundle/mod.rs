@@ -36,6 +36,9 @@ const MOST_ROUNDS: usize = 6;
 const SETTLED: (f64, f64) = (0.01, 0.1);
 /// Of a round.
 const END: End = End { enough: (1e-9, 1e-9), most_steps: 200 };
+/// Of a round with a rational lens: its numerator and denominator trade off along a long flat valley. What is left of the way
+/// is a thousandth of σ.
+const RATIONAL_END: End = End { enough: (1e-7, 1e-6), most_steps: 2000 };
 
 /// A corner of the board in a view of a picture.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -191,9 +194,10 @@ impl Bundle {
 
     /// The least cost, and the noise of a corner there; `sd_px` is the noise assumed at first.
     fn searched(&self, mut sd_px: f64, prior_weight: f64, mut at: State) -> Result<(State, f64), NoSolution> {
+        let end = if self.geometry.lens.is_rational() { RATIONAL_END } else { END };
         for _ in 0..=MOST_ROUNDS {
             let equations = |at: &State| self.equations(at, sd_px, prior_weight);
-            (at, _) = minimise(END, at, equations, |at, step| Ok(self.stepped(at, step)))?;
+            (at, _) = minimise(end, at, equations, |at, step| Ok(self.stepped(at, step)))?;
             let found = self.noise(&self.residuals_px(&at)?);
             let settled = (found / sd_px - 1.0).abs() < SETTLED.0 || found == LEAST_SD_PX;
             sd_px = found;
