@@ -1,5 +1,5 @@
-//! Whole calibrations of simulated rigs of three kinds, from corners with known noise: what is found, what is predicted of
-//! it, and what is refused.
+//! Whole calibrations of simulated rigs of three kinds, from corners with known noise: what is found, what is predicted
+//! of it, and what is refused.
 
 use crate::calibrate::board::{Board, BoardImage, BoardPicture};
 use crate::calibrate::bundle::outliers::LeftOut;
@@ -13,9 +13,9 @@ use nalgebra::{DMatrix, DVector, Isometry3, Point2, Point3, Translation3, UnitQu
 
 const SIZE_PX: [u32; 2] = [1280, 1024];
 
-/// Gaussian numbers, the same for the same seed. Not those of `testing::random`: two tests hold for these draws and miss
-/// their limits with some others (`predicted_errors_are_those_made` by 0.002, `a_contradiction_is_the_distance…` by a
-/// third, where its linearisation is poor).
+/// Gaussian numbers, the same for the same seed. Not those of `testing::random`: two tests hold for these draws and
+/// miss their limits with some others (`predicted_errors_are_those_made` by 0.002, `a_contradiction_is_the_distance…`
+/// by a third, where its linearisation is poor).
 pub(super) fn gaussian(seed: u64) -> impl FnMut() -> f64 {
     let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
     let mut uniform = move || {
@@ -120,8 +120,8 @@ fn two_mirrors_in_air() -> Simulated {
     )
 }
 
-/// Pictures of the board in random poses, all images of a picture in random order; a mirrored one in the order in which a
-/// detector that takes it for direct finds its corners.
+/// Pictures of the board in random poses, all images of a picture in random order; a mirrored one in the order in which
+/// a detector that takes it for direct finds its corners.
 fn pictures(rig: &Simulated, count: usize, sd_px: f64, random: &mut impl FnMut() -> f64) -> Vec<BoardsPicture> {
     let (places, projector) = (board().centred_points(), Projector::new(&rig.geometry, &[]));
     let order = board().orders().remove(0);
@@ -264,8 +264,8 @@ fn predicted_errors_in_space_are_those_really_made() {
     }
 }
 
-/// A board taped to each wall of the tank, the side wall's seen in the mirror: the front wall's distance is known as well as
-/// that of any board in air then, the side wall's as well as the mirror's, and rightly so.
+/// A board taped to each wall of the tank, the side wall's seen in the mirror: the front wall's distance is known as
+/// well as that of any board in air then, the side wall's as well as the mirror's, and rightly so.
 #[test]
 fn a_board_taped_to_a_wall_pins_it() {
     let rig = beside_the_tank();
@@ -531,8 +531,8 @@ fn pulled(image: &mut BoardImage, amount_px: f64, random: &mut impl FnMut() -> f
     }
 }
 
-/// The lens from boards in air, then mirrors from boards in them, with corners of a picture that are off together in both: what
-/// is predicted of mirrors is what happens, and the lens does not seem to contradict the pictures.
+/// The lens from boards in air, then mirrors from boards in them, with corners of a picture that are off together in
+/// both: what is predicted of mirrors is what happens, and the lens does not seem to contradict the pictures.
 #[test]
 fn mirrors_are_as_good_as_they_are_said_to_be_when_corners_are_off_together() {
     const RUNS: u64 = 16;

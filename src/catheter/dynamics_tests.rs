@@ -106,8 +106,8 @@ fn what_is_left_after_a_long_time_is_the_equilibrium() {
     assert!((there.tip - shape.tip).norm() < 10e-6, "{:e}", (there.tip - shape.tip).norm());
 }
 
-/// Released in a fluid without drag, its inertia and the weight included. Steps must resolve what moves: of the twist about
-/// 900 rad/s.
+/// Released in a fluid without drag, its inertia and the weight included. Steps must resolve what moves: of the twist
+/// about 900 rad/s.
 #[test]
 fn without_losses_energy_is_kept() {
     let catheter = without_losses();
@@ -173,8 +173,8 @@ fn finer_steps_converge_with_second_order() {
     assert!(off(&two, &one) < 5e-6, "{:e}", off(&two, &one));
 }
 
-/// A circle of 20 µm, each point of it held for a few ms: the tip's motion in its fourth period, beside what the linearised
-/// equations make of the same currents.
+/// A circle of 20 µm, each point of it held for a few ms: the tip's motion in its fourth period, beside what the
+/// linearised equations make of the same currents.
 #[test]
 fn a_small_fast_path_has_the_linearised_response() {
     let catheter = Catheter::prototype();

@@ -108,8 +108,8 @@ pub(super) fn during<T>(what: &str, quiet: bool, work: impl FnOnce() -> T) -> T 
     work()
 }
 
-/// Stages of a work of which it is not known how long they take: what is being done, in a line of its own on a terminal;
-/// elsewhere a line when a stage begins and it has taken a while already.
+/// Stages of a work of which it is not known how long they take: what is being done, in a line of its own on a
+/// terminal; elsewhere a line when a stage begins and it has taken a while already.
 pub(super) struct Stages {
     line: Line,
     began: Instant,

@@ -137,7 +137,8 @@ impl Args {
         Options { skip: self.skip, marker: self.marker.clone(), average, interpolation }
     }
 
-    /// Names of the tables of points, one a run in the order of the runs: two runs of one pause time have a number each.
+    /// Names of the tables of points, one a run in the order of the runs: two runs of one pause time have a number
+    /// each.
     fn tables_of_points(pauses_s: impl Iterator<Item = f64>) -> Vec<String> {
         let mut seen: BTreeMap<String, u32> = BTreeMap::new();
         let name = |pause_s: f64| {
@@ -205,8 +206,8 @@ impl Args {
     }
 }
 
-/// The model to use, over the frequencies of the runs. With `plant` it is from net torque to θ, and the torque of gravity,
-/// −m g L θ near rest, is closed over it: H/(1 + m g L H), what a current moves.
+/// The model to use, over the frequencies of the runs. With `plant` it is from net torque to θ, and the torque of
+/// gravity, −m g L θ near rest, is closed over it: H/(1 + m g L H), what a current moves.
 fn model_line(saved: &Saved, plant: Option<Plant>, validation: &Validation) -> Option<ModelLine> {
     let model = saved.leading()?;
     let weight = plant.map_or(0.0, |plant| plant.weight_torque_nm);

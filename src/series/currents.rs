@@ -140,8 +140,9 @@ impl CurrentTable {
         Ok(self.rows.iter().map(current).collect())
     }
 
-    /// Camera times of the rows by the recording's ticks: where times count from a start that nobody gives. Where the count tells
-    /// commands this close apart, each row has the time at which it was taken; else the first tick is the start.
+    /// Camera times of the rows by the recording's ticks: where times count from a start that nobody gives. Where the
+    /// count tells commands this close apart, each row has the time at which it was taken; else the first tick is the
+    /// start.
     fn by_ticks(&self, recording: &Recording, start_ns: Option<i64>) -> Result<Option<Vec<i64>>, SeriesError> {
         if self.clock != CurrentClock::Start || start_ns.is_some() {
             return Ok(None);

@@ -1,5 +1,5 @@
-//! Runs as the laboratory behind the paper recorded them with its own tracker (`circle01_01.txt` and others, published at
-//! github.com/eetuna/CRM_ML).
+//! Runs as the laboratory behind the paper recorded them with its own tracker (`circle01_01.txt` and others, published
+//! at github.com/eetuna/CRM_ML).
 //!
 //! A row a frame, metres:
 //!
@@ -7,8 +7,8 @@
 //! time_s, tick, < base x, y, z >, < coil x, y, z > < tangent x, y, z >, < tip x, y, z >
 //! ```
 //!
-//! Its frame of reference has B0 along y and the straight catheter along z. Here x is along B0 and the origin is where the
-//! base is on average in the frames before the first command, so that (x, y, z) here is (y, −x, z) there.
+//! Its frame of reference has B0 along y and the straight catheter along z. Here x is along B0 and the origin is where
+//! the base is on average in the frames before the first command, so that (x, y, z) here is (y, −x, z) there.
 
 use super::sheet::text_of;
 use super::{Frame, Place, Recording, SeriesError};

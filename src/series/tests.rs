@@ -264,7 +264,8 @@ fn commands_have_the_times_of_ticks() {
     assert!(table.assumption(&recording, None).unwrap().contains("the frames' tick"));
     // Given is given.
     assert_eq!(stamps(&recording, Some(1_000_000)), [5001, 5031, 5071]);
-    // A lamp that goes on and off does not tell commands 30 ms apart in frames of 20 ms and a late one: its start it does.
+    // A lamp that goes on and off does not tell commands 30 ms apart in frames of 20 ms and a late one: its start it
+    // does.
     let recording = ticked(&["0", "0", "1", "0", "1"]);
     assert_eq!(recording.ticks().unwrap().unwrap().modulus, 2);
     let close = ticked(&["0", "1", "1", "0", "1"]);

@@ -1,11 +1,11 @@
 //! The command clock: a count of commands that the camera sees, frame by frame.
 //!
-//! The amplifier shows how many commands it has taken, modulo 4 (the laboratory's), or by a lamp that goes on and off (modulo
-//! 2). Where the count changes between two frames, a command was taken between them: its time is known to half a frame on the camera's
-//! own clock, whatever the host's does.
+//! The amplifier shows how many commands it has taken, modulo 4 (the laboratory's), or by a lamp that goes on and off
+//! (modulo 2). Where the count changes between two frames, a command was taken between them: its time is known to half
+//! a frame on the camera's own clock, whatever the host's does.
 //!
-//! It aliases: of more commands between two frames than the count can tell, whole turns are lost. [`Ticks::tells`] says down to which
-//! pause it can be relied on.
+//! It aliases: of more commands between two frames than the count can tell, whole turns are lost. [`Ticks::tells`] says
+//! down to which pause it can be relied on.
 
 use super::{Recording, SeriesError};
 
@@ -65,14 +65,15 @@ impl Recording {
 }
 
 impl Ticks {
-    /// Whether commands this far apart are told one from the other: fewer come between two frames than the count turns over at.
+    /// Whether commands this far apart are told one from the other: fewer come between two frames than the count turns
+    /// over at.
     pub fn tells(&self, pause_ns: i64) -> bool {
         // A frame that is late holds one more.
         self.interval_ns.saturating_add(pause_ns) < pause_ns.saturating_mul(self.modulus as i64)
     }
 
-    /// Start and pause (nanoseconds) of `commands` commands that were given evenly, from the first on: a line through their times.
-    /// `None` for fewer than two.
+    /// Start and pause (nanoseconds) of `commands` commands that were given evenly, from the first on: a line through
+    /// their times. `None` for fewer than two.
     pub fn evenly(&self, commands: usize) -> Option<(i64, f64)> {
         let first = *self.times_ns.first()?;
         let points: Vec<(f64, f64)> =

@@ -43,8 +43,8 @@ impl Window {
         self.start_ns.saturating_add(self.pause_ns.saturating_mul(i64::try_from(k).unwrap_or(i64::MAX)))
     }
 
-    /// Mean of the samples within each pause, without this part of it at its beginning; samples are in the order of their
-    /// times.
+    /// Mean of the samples within each pause, without this part of it at its beginning; samples are in the order of
+    /// their times.
     pub(super) fn averaged(&self, samples: &[Sample], left_out: f64) -> Vec<Option<Mean>> {
         let late_ns = (self.pause_ns as f64 * left_out).round() as i64;
         (0..self.commands)

@@ -1,7 +1,8 @@
 //! When the first command was given, where nobody says it.
 //!
-//! - From the frames' ticks: the first change of the count of commands. Where commands come slowly enough for the count, a line
-//!   through the times of all of them gives start and pause, which an amplifier keeps to a few parts in a thousand.
+//! - From the frames' ticks: the first change of the count of commands. Where commands come slowly enough for the
+//!   count, a line through the times of all of them gives start and pause, which an amplifier keeps to a few parts in a
+//!   thousand.
 //! - From the coil currents in the log: the first moment at which a current differs from the first one logged, or the
 //!   first one itself when it is not zero and changes within 1.5 pauses.
 //! - Else by a search over the record: the start at which the observed motion correlates best with the whole commanded

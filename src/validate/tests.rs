@@ -194,7 +194,8 @@ fn the_second_half_of_a_pause_is_nearer_and_its_phase_the_same() {
     }
 }
 
-/// The amplifier holds each point 0.3 % longer than asked, and nobody says when it began: ticks do, to a fraction of a frame.
+/// The amplifier holds each point 0.3 % longer than asked, and nobody says when it began: ticks do, to a fraction of a
+/// frame.
 #[test]
 fn ticks_give_start_and_pause() {
     let true_pause_s = 0.05 * 1.003;

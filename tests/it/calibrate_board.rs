@@ -217,7 +217,8 @@ fn the_wrong_number_of_corners_is_told_with_the_right_one() {
     assert_eq!(one(&picture, &"6x9:12mm".parse().unwrap()).corners.len(), 54);
 }
 
-/// Outer squares of a third of their width, as where a print was cut: parts of the board are told with the whole one's size.
+/// Outer squares of a third of their width, as where a print was cut: parts of the board are told with the whole one's
+/// size.
 #[test]
 fn a_board_with_thin_outer_squares_is_found_whole_and_in_no_part() {
     let placed = Placed::new("9x6:12mm", [400.0, 300.0], 40.0, [15.0, -20.0, 10.0], false);

@@ -67,9 +67,9 @@ fn the_reach_is_a_surface() {
     assert!(table.lines().count() > 20, "{table}");
 }
 
-/// A circle beside the axis, run through the model, and judged by `validate`: when each point is held long enough only what the
-/// model itself is off by is left (17 µm, most of it that it has not quite come to rest); when it is not, the motion lags behind
-/// and is smaller.
+/// A circle beside the axis, run through the model, and judged by `validate`: when each point is held long enough only
+/// what the model itself is off by is left (17 µm, most of it that it has not quite come to rest); when it is not, the
+/// motion lags behind and is smaller.
 #[test]
 fn a_path_is_followed_run_and_validated() {
     let folder = tempfile::tempdir().unwrap();

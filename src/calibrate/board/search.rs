@@ -1,8 +1,9 @@
-//! Looks for boards: OpenCV's detector on the picture at several sizes and on parts of it, then refinement at full size.
+//! Looks for boards: OpenCV's detector on the picture at several sizes and on parts of it, then refinement at full
+//! size.
 //!
-//! The detector's time goes with the pixels it sees, four times as many with its ACCURACY flag, and it finds squares of 6
-//! pixels (4 with the flag). What it finds in a picture made smaller is as good: corners are refined in the full one. So
-//! small comes first, and the costly looks only where boards are missing.
+//! The detector's time goes with the pixels it sees, four times as many with its ACCURACY flag, and it finds squares of
+//! 6 pixels (4 with the flag). What it finds in a picture made smaller is as good: corners are refined in the full one.
+//! So small comes first, and the costly looks only where boards are missing.
 
 use nalgebra::Point2;
 use opencv::core::{
@@ -87,8 +88,8 @@ pub(super) fn find(picture: &Grey, board: &Board, most: usize) -> std::result::R
     Ok(found)
 }
 
-/// The board, where a larger grid holds it with a rim that looks like more squares; nothing where the grid is of the right
-/// size, or no part of it is a board that ends there.
+/// The board, where a larger grid holds it with a rim that looks like more squares; nothing where the grid is of the
+/// right size, or no part of it is a board that ends there.
 fn part_of<'a>(grid: &Grid<'a>, board: &Board) -> Option<Grid<'a>> {
     let (asked, turned) = ([board.columns, board.rows], [board.rows, board.columns]);
     if [asked, turned].contains(&grid.size()) {

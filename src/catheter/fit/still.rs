@@ -12,8 +12,8 @@ use nalgebra::{DVector, Point3, Vector3};
 
 /// Fewer frames than this say nothing of their scatter.
 const FEWEST: usize = 5;
-/// A pause whose halves differ by more than so many σ of the difference, and by more than this part of the scatter, has not
-/// settled.
+/// A pause whose halves differ by more than so many σ of the difference, and by more than this part of the scatter, has
+/// not settled.
 const DIFFERS: (f64, f64) = (5.0, 0.5);
 
 /// A pause in which the catheter had come to rest.
@@ -141,7 +141,8 @@ impl Residuals for Still<'_> {
     }
 }
 
-/// Seen less modelled, in standard deviations; nothing for what was not seen. A direction has its two components across.
+/// Seen less modelled, in standard deviations; nothing for what was not seen. A direction has its two components
+/// across.
 pub(super) fn push(
     left: &mut Vec<f64>,
     seen: &Sighting,

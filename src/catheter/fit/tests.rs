@@ -58,8 +58,8 @@ fn options(parameters: &[Parameter]) -> FitOptions {
 
 const LEVELS: [[f64; 3]; 4] = [[0.0, 50.0, 60.0], [0.0, -50.0, -30.0], [40.0, 20.0, 80.0], [0.0, 0.0, 0.0]];
 
-/// Over 20 seeds the RMS of (found − true)/σ was 1.17, and 91 % of the 160 values were within 2 σ (by draws that were alike from seed
-/// to seed); here one seed. That the σ are right is seen over more in the test below.
+/// Over 20 seeds the RMS of (found − true)/σ was 1.17, and 91 % of the 160 values were within 2 σ (by draws that were
+/// alike from seed to seed); here one seed. That the σ are right is seen over more in the test below.
 #[test]
 fn parameters_of_simulated_experiments_come_back_within_their_sigma() {
     let seeds: u64 = std::env::var("CATOPTRA_SEEDS").ok().and_then(|s| s.parse().ok()).unwrap_or(1);
@@ -84,7 +84,8 @@ fn parameters_of_simulated_experiments_come_back_within_their_sigma() {
     assert!(all.iter().all(|z| z.abs() < 4.0), "{all:?}");
 }
 
-/// The estimate that is linear about the truth, for which a seed costs next to nothing: RMS of (found − true)/σ over 100 seeds.
+/// The estimate that is linear about the truth, for which a seed costs next to nothing: RMS of (found − true)/σ over
+/// 100 seeds.
 #[test]
 fn sigma_is_as_large_as_the_scatter() {
     let (catheter, delay_s) = truth();

@@ -1,6 +1,7 @@
 //! The page of a rig's calibration: how well positions will be known, why, and what would make them better.
 //!
-//! In: the calibration, its verdict, what the check on held-out pictures gave. Out: one HTML file that needs no network.
+//! In: the calibration, its verdict, what the check on held-out pictures gave. Out: one HTML file that needs no
+//! network.
 
 mod figures;
 mod set_up;

@@ -67,8 +67,8 @@ fn ends(points: &[[f64; 2]]) -> Option<[[f64; 2]; 2]> {
     (high > low).then(|| [at(low - margin), at(high + margin)])
 }
 
-/// Seen along the third axis: `axes` are those of the camera frame that the drawing has to the right and upwards, the second with
-/// its sign.
+/// Seen along the third axis: `axes` are those of the camera frame that the drawing has to the right and upwards, the
+/// second with its sign.
 pub(super) fn drawing(
     done: &RigCalibration,
     boards: &[Vec<Point3<f64>>],

@@ -9,7 +9,8 @@ use crate::calibrate::board::grey::Grey;
 
 /// A homography must explain the corners to this share of a square (RMS): distortion bends a board, but not more.
 const BENT: f64 = 0.25;
-/// How far a corner may be from where its neighbours have it: this share of a square, or so many pixels if that is more.
+/// How far a corner may be from where its neighbours have it: this share of a square, or so many pixels if that is
+/// more.
 const ASTRAY: (f64, f64) = (0.08, 1.0);
 /// Least difference of dark and light squares, grey values (median).
 pub(super) const LEAST_CONTRAST: f64 = 8.0;
@@ -109,8 +110,8 @@ impl<'a> Grid<'a> {
         })
     }
 
-    /// A grid of which some corners are seen, in a mirror maybe, and whose squares are printed on but for `plain` (in squares)
-    /// along their sides. `None` when the number of corners, seen or not, is not columns times rows.
+    /// A grid of which some corners are seen, in a mirror maybe, and whose squares are printed on but for `plain` (in
+    /// squares) along their sides. `None` when the number of corners, seen or not, is not columns times rows.
     pub(crate) fn part(
         picture: &'a Grey,
         [columns, rows]: [usize; 2],
@@ -132,7 +133,8 @@ impl<'a> Grid<'a> {
         Self { columns: self.rows, rows: self.columns, corners: corners.collect(), ..*self }
     }
 
-    /// All parts of it with so many columns and rows: where a rim looks like one more row of squares, the board is one of them.
+    /// All parts of it with so many columns and rows: where a rim looks like one more row of squares, the board is one
+    /// of them.
     pub(crate) fn windows(&self, [columns, rows]: [usize; 2]) -> Vec<Self> {
         if columns > self.columns || rows > self.rows {
             return Vec::new();
@@ -272,7 +274,8 @@ impl<'a> Grid<'a> {
         Ok(contrast)
     }
 
-    /// Whether this is a board or a part of one: columns and rows to pixels, its contrast (positive where (0, 0) is dark).
+    /// Whether this is a board or a part of one: columns and rows to pixels, its contrast (positive where (0, 0) is
+    /// dark).
     pub(crate) fn judge_corners(&self) -> Result<(Matrix3<f64>, f64), Flaw> {
         if self.squares().next().is_none() {
             return Err(Flaw::Scattered);
@@ -373,7 +376,8 @@ impl<'a> Grid<'a> {
             let at = |off: f64| self.picture.at(map(board_in_picture, column + off * across, row + off * down)?);
             Some(places.into_iter().map(at).sum::<Option<f64>>()? / places.len() as f64)
         };
-        // Squares side by side beyond the board: whether the steps from one to the next have the right sign and, together, size.
+        // Squares side by side beyond the board: whether the steps from one to the next have the right sign and,
+        // together, size.
         let alternate = |squares: Vec<(Option<f64>, i64)>| {
             let step = |pair: &[(Option<f64>, i64)]| match pair {
                 [(Some(here), place), (Some(next), _)] => {
