@@ -149,6 +149,11 @@ pub enum Miss {
         /// Separation of the fitted colour from its surroundings: 1 as learned, 0 none.
         separation: f64,
     },
+    /// It would have had to move in a way that the motion before does not allow.
+    ImplausibleMotion {
+        /// How many times what would be possible it is off.
+        times: f64,
+    },
     /// The fit did not settle, or reaches out of the picture.
     NotConverged,
     /// The marker that this depends on is missing.
@@ -176,6 +181,7 @@ impl Miss {
             Self::Ambiguous { .. } => "ambiguous".into(),
             Self::RaysDiverge { .. } => "rays_diverge".into(),
             Self::PoorFit { .. } => "poor_fit".into(),
+            Self::ImplausibleMotion { .. } => "implausible_motion".into(),
             Self::NotConverged => "not_converged".into(),
             Self::MarkerMissing => "marker_missing".into(),
             Self::NoBaseFrame => "no_base_frame".into(),

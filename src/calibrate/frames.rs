@@ -9,7 +9,9 @@ const FRAME_BYTES: u64 = 400_000_000;
 pub(crate) struct Spread {
     /// In the order of time.
     pub frames: Vec<Frame>,
-    /// Which of them was asked for.
+    /// More of them, each right behind one of those, in the order of time.
+    pub followers: Vec<Frame>,
+    /// Which of the frames was asked for.
     pub wanted: usize,
 }
 
@@ -22,10 +24,12 @@ pub(super) fn spread(source: &mut dyn FrameSource, most: usize) -> Result<Vec<Fr
 /// recording ends before.
 pub(super) fn spread_with(source: &mut dyn FrameSource, most: usize, after_ns: i64) -> Result<Spread, SourceError> {
     let [width, height] = source.size_px();
-    let fitting = FRAME_BYTES / (u64::from(width) * u64::from(height) * 2).max(1);
+    // Each with its follower.
+    let fitting = FRAME_BYTES / (u64::from(width) * u64::from(height) * 4).max(1);
     let most = most.min(fitting.max(4) as usize);
     let mut stride = 1;
-    let mut frames: Vec<Frame> = Vec::new();
+    let mut frames: Vec<(u64, Frame)> = Vec::new();
+    let mut followers: Vec<(u64, Frame)> = Vec::new();
     let mut wanted: Option<Frame> = None;
     let mut wanted_ns = None;
     let mut number = 0;
@@ -44,24 +48,27 @@ pub(super) fn spread_with(source: &mut dyn FrameSource, most: usize, after_ns: i
         if wanted.is_none() && frame.stamp.ns >= from_ns {
             wanted = Some(frame);
         } else if number % stride == 0 {
-            frames.push(frame);
+            frames.push((number, frame));
+        } else if number % stride == 1 {
+            followers.push((number, frame));
         }
         number += 1;
         // Too many: keep every second one. Works for any length, known beforehand or not.
         if frames.len() >= most {
-            let mut even = false;
-            frames.retain(|_| {
-                even = !even;
-                even
-            });
             stride *= 2;
+            let (kept, between): (Vec<_>, Vec<_>) = frames.into_iter().partition(|(number, _)| number % stride == 0);
+            frames = kept;
+            followers.extend(between);
+            followers.retain(|(number, _)| number % stride == 1);
         }
     }
+    let unnumbered = |numbered: Vec<(u64, Frame)>| numbered.into_iter().map(|(_, frame)| frame).collect::<Vec<_>>();
+    let (mut frames, followers) = (unnumbered(frames), unnumbered(followers));
     let Some(frame) = wanted else {
         let last = frames.len().saturating_sub(1);
-        return Ok(Spread { frames, wanted: last });
+        return Ok(Spread { frames, followers, wanted: last });
     };
     let wanted = frames.partition_point(|f| f.stamp.ns < frame.stamp.ns);
     frames.insert(wanted, frame);
-    Ok(Spread { frames, wanted })
+    Ok(Spread { frames, followers, wanted })
 }

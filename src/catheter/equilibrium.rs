@@ -30,12 +30,7 @@ const RAISED: (f64, f64) = (0.25, 1e-4);
 /// # Errors
 /// [`CatheterError`] when a current is beyond the limit, or there is no stable shape that can be reached from rest.
 pub fn equilibrium(catheter: &Catheter, load: &Load) -> Result<Shape, CatheterError> {
-    for (coil, current_a) in ["x", "y", "z"].into_iter().zip(load.currents_a.iter()) {
-        let limit_a = catheter.coils.limit_a;
-        if current_a.is_nan() || current_a.abs() > limit_a * (1.0 + 1e-9) {
-            return Err(CatheterError::Current { coil, current_ma: current_a * 1e3, limit_ma: limit_a * 1e3 });
-        }
-    }
+    load.within(catheter)?;
     let mut tip = catheter.unloaded_tip();
     for stage in [Stage::Weight, Stage::Load] {
         tip = raise(tip, |part, tip| solve(catheter, &forces(catheter, load, stage, part), tip))?;

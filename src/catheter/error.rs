@@ -64,4 +64,13 @@ pub enum CatheterError {
         /// Angle at the clamp that is left.
         residual_rad: f64,
     },
+    /// A step of the motion did not settle.
+    #[error("at {time_s:.4} s the motion cannot be computed: a step does not settle however short it is")]
+    Motion {
+        /// When.
+        time_s: f64,
+    },
+    /// Parameters cannot be fitted.
+    #[error("{0}")]
+    Fit(String),
 }

@@ -1,7 +1,7 @@
 //! `catheter.toml`: the catheter as a file that people edit. Lengths in mm, moduli in MPa, currents in mA.
 
 use super::error::CatheterError;
-use super::model::{Catheter, CoilSet, Surroundings, Tube};
+use super::model::{Catheter, CoilSet, Motion, Surroundings, Tube};
 use nalgebra::{Matrix3, Rotation3, Vector3};
 use serde::Deserialize;
 use std::path::Path;
@@ -26,12 +26,50 @@ impl Catheter {
     }
 }
 
+impl Catheter {
+    /// The text of a `catheter.toml`. `heading`: a line for people.
+    pub fn to_toml(&self, heading: &str) -> String {
+        let Self { tube, coils, surroundings, motion, .. } = self;
+        let vector = |v: &Vector3<f64>| format!("[{:?}, {:?}, {:?}]", v.x, v.y, v.z);
+        let n = (coils.moment_per_ampere_m2 * 1e6).transpose();
+        let rows = n.column_iter().map(|row| format!("    {},\n", vector(&row.into_owned()))).collect::<String>();
+        format!(
+            "# {}\n\n[tube]\nouter_radius_mm = {:?}\ninner_radius_mm = {:?}\nflexible_mm = {:?}\ntail_mm = {:?}\n\
+             young_mpa = {:?}\nshear_mpa = {:?}\ndensity_kg_m3 = {:?}\nrest_curvature_per_m = {}\n\n\
+             [coils]\nlength_mm = {:?}\nmoment_per_ampere_mm2 = [\n{rows}]\nmass_g = {:?}\nvolume_mm3 = {:?}\n\
+             limit_ma = {:?}\n\n[surroundings]\nb0_t = {}\ngravity_m_s2 = {}\nfluid_kg_m3 = {:?}\n\n[motion]\n\
+             damping_s = {:?}\nadded_mass = {:?}\ndrag = {:?}\nlinear_drag_pa_s = {:?}\n",
+            heading.replace(['\n', '\r'], " "),
+            tube.outer_radius_m * 1e3,
+            tube.inner_radius_m * 1e3,
+            self.flexible_m * 1e3,
+            self.tail_m * 1e3,
+            tube.young_pa / 1e6,
+            tube.shear_pa / 1e6,
+            tube.density_kg_m3,
+            vector(&tube.rest_curvature_per_m),
+            self.coil_m * 1e3,
+            coils.mass_kg * 1e3,
+            coils.volume_m3 * 1e9,
+            coils.limit_a * 1e3,
+            vector(&surroundings.b0_t),
+            vector(&surroundings.gravity_m_s2),
+            surroundings.fluid_kg_m3,
+            motion.damping_s,
+            motion.added_mass,
+            motion.drag,
+            motion.linear_drag_pa_s,
+        )
+    }
+}
+
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Raw {
     tube: RawTube,
     coils: RawCoils,
     surroundings: RawSurroundings,
+    motion: RawMotion,
 }
 
 #[derive(Deserialize)]
@@ -71,9 +109,18 @@ struct RawSurroundings {
     fluid_kg_m3: f64,
 }
 
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RawMotion {
+    damping_s: f64,
+    added_mass: f64,
+    drag: f64,
+    linear_drag_pa_s: f64,
+}
+
 impl Raw {
     fn checked(&self, file: &Path) -> Result<Catheter, CatheterError> {
-        let Self { tube, coils, surroundings } = self;
+        let Self { tube, coils, surroundings, motion } = self;
         let wrong = |key: &'static str, value: String, expected: &'static str| {
             Err(CatheterError::Value { file: file.to_owned(), key, value, expected })
         };
@@ -96,6 +143,10 @@ impl Raw {
             ("coils.mass_g", coils.mass_g),
             ("coils.volume_mm3", coils.volume_mm3),
             ("surroundings.fluid_kg_m3", surroundings.fluid_kg_m3),
+            ("motion.damping_s", motion.damping_s),
+            ("motion.added_mass", motion.added_mass),
+            ("motion.drag", motion.drag),
+            ("motion.linear_drag_pa_s", motion.linear_drag_pa_s),
         ] {
             if !(value.is_finite() && value >= 0.0) {
                 return wrong(key, value.to_string(), "a number not below 0");
@@ -145,6 +196,12 @@ impl Raw {
                 gravity_m_s2: surroundings.gravity_m_s2.into(),
                 fluid_kg_m3: surroundings.fluid_kg_m3,
             },
+            motion: Motion {
+                damping_s: motion.damping_s,
+                added_mass: motion.added_mass,
+                drag: motion.drag,
+                linear_drag_pa_s: motion.linear_drag_pa_s,
+            },
         })
     }
 }
@@ -170,6 +227,20 @@ mod tests {
         assert!(near(read.tube.torsion_nm2(), expected.tube.torsion_nm2()));
         assert!((read.length_m() - expected.length_m()).abs() < 1e-12);
         assert_eq!(read.surroundings, expected.surroundings);
+        assert_eq!(read.motion, expected.motion);
+    }
+
+    #[test]
+    fn what_is_written_is_read_back() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("catheter.toml");
+        let mut catheter = Catheter::prototype();
+        catheter.coils.moment_per_ampere_m2[(0, 1)] = 1e-5;
+        std::fs::write(&file, catheter.to_toml("of this test")).unwrap();
+        let read = Catheter::load(&file).unwrap();
+        assert!((read.coils.moment_per_ampere_m2 - catheter.coils.moment_per_ampere_m2).amax() < 1e-15);
+        assert!((read.tube.bending_nm2() / catheter.tube.bending_nm2() - 1.0).abs() < 1e-12);
+        assert_eq!((read.surroundings, read.motion), (catheter.surroundings, catheter.motion));
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! What acts on the catheter, and how it is raised from nothing.
 
+use super::error::CatheterError;
 use super::model::Catheter;
 use super::rod::Forces;
 use nalgebra::Vector3;
@@ -19,6 +20,17 @@ impl Load {
     /// Currents of the coils x, y, z in amperes, and nothing at the tip.
     pub fn currents(currents_a: Vector3<f64>) -> Self {
         Self { currents_a, tip_n: Vector3::zeros(), tip_nm: Vector3::zeros() }
+    }
+
+    /// Refuses currents beyond the limit.
+    pub(super) fn within(&self, catheter: &Catheter) -> Result<(), CatheterError> {
+        for (coil, current_a) in ["x", "y", "z"].into_iter().zip(self.currents_a.iter()) {
+            let limit_a = catheter.coils.limit_a;
+            if current_a.is_nan() || current_a.abs() > limit_a * (1.0 + 1e-9) {
+                return Err(CatheterError::Current { coil, current_ma: current_a * 1e3, limit_ma: limit_a * 1e3 });
+            }
+        }
+        Ok(())
     }
 }
 

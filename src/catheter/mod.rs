@@ -4,6 +4,8 @@
 //! - [`equilibrium`]: the shape at rest under coil currents, weight and a force at the tip.
 //! - [`reach`]: where the tip can get to within the current limit.
 //! - [`follow`]: the currents that lead the tip along a path.
+//! - [`Simulation`]: the catheter in motion, in a fluid, under [`Commands`].
+//! - [`fit()`]: parameters from tracked runs.
 //! - [`Shape`]: the centre line with its frames, the coil's tangent, θ, and how they follow the currents.
 //!
 //! # Conventions
@@ -15,24 +17,36 @@
 //! Eqs. 1 to 5 of Tuna et al., "Analysis of dynamic response of an MRI-guided magnetically-actuated steerable catheter
 //! system" (2018); rod theory: Antman, "Nonlinear Problems of Elasticity" (2005), chapter 8.
 
+mod commands;
+mod dynamics;
+#[cfg(test)]
+mod dynamics_tests;
 mod equilibrium;
 mod error;
 mod file;
+mod fit;
 mod follow;
+mod links;
 mod load;
 mod model;
 mod reach;
+mod record;
 mod rod;
 mod sensitivity;
 mod shape;
 #[cfg(test)]
 mod tests;
 
+pub use commands::Commands;
+pub use dynamics::{Accuracy, Moment, Simulation};
 pub use equilibrium::equilibrium;
 pub use error::CatheterError;
+pub use fit::{Check, Estimated, Fit, FitOptions, Open, Parameter, Pause, Run, check, fit};
 pub use follow::{Followed, Target, follow};
+pub use links::Energy;
 pub use load::Load;
-pub use model::{Catheter, CoilSet, Surroundings, Tube};
+pub use model::{Catheter, CoilSet, Motion, Surroundings, Tube};
 pub use reach::{Reach, Reached, reach};
+pub use record::{Noise, Sighting, record, seen};
 pub use sensitivity::Sensitivity;
 pub use shape::Shape;

@@ -18,6 +18,8 @@ pub struct Catheter {
     pub coils: CoilSet,
     /// Field, gravity and fluid.
     pub surroundings: Surroundings,
+    /// What matters while it moves.
+    pub motion: Motion,
 }
 
 /// A round tube of one material.
@@ -60,6 +62,24 @@ pub struct Surroundings {
     pub gravity_m_s2: Vector3<f64>,
     /// Density of the fluid inside and around the tube, kg/m³; 0 in air.
     pub fluid_kg_m3: f64,
+}
+
+/// What resists motion, beside inertia.
+///
+/// The fluid's force on a length dl of the tube that moves across its axis with velocity v and acceleration a is Morison's,
+/// with a part that is linear in v for slow motion: −(c_a ρ π R² a + (b + ½ ρ 2R c_d |v|) v) dl. Motion along the axis meets
+/// none. Source: Morison et al., "The force exerted by surface waves on piles" (1950), doi:10.2118/950149-G.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Motion {
+    /// Relaxation time of the tube's material, seconds: bending and twist at the rate u' add the moment K u' times it
+    /// (Kelvin-Voigt).
+    pub damping_s: f64,
+    /// c_a: mass of the fluid that moves along, by that of the fluid displaced; 1 for a cylinder in an ideal fluid.
+    pub added_mass: f64,
+    /// c_d: drag coefficient.
+    pub drag: f64,
+    /// b: drag of slow motion, N·s/m² (force by length and velocity).
+    pub linear_drag_pa_s: f64,
 }
 
 impl Tube {
@@ -115,6 +135,9 @@ impl Catheter {
                 gravity_m_s2: Vector3::new(0.0, 0.0, 9.806_65),
                 fluid_kg_m3: 998.2,
             },
+            // c_d of a cylinder at Reynolds numbers of some hundred; b after Stokes, 2π R √(2 ρ μ ω), in water at the
+            // prototype's lowest frequency, 1.45 Hz. The relaxation time is a guess: nobody has measured it.
+            motion: Motion { damping_s: 0.01, added_mass: 1.0, drag: 1.1, linear_drag_pa_s: 0.042 },
         }
     }
 

@@ -20,6 +20,8 @@ pub struct Shape {
     pub clamp_nm: Vector3<f64>,
     /// What it was found for.
     pub(super) load: Load,
+    /// Curvature and twist less those at rest, 1/m, along the rod.
+    curvatures: Vec<(f64, Vector3<f64>)>,
     /// Frame of the section at the tip, from which all else follows.
     pub(super) tip_frame: UnitQuaternion<f64>,
 }
@@ -29,6 +31,8 @@ impl Shape {
         let mut sections = catheter.integrate(&tip_frame, &all_forces(catheter, load), 1);
         sections.reverse();
         let coil_m = catheter.flexible_m + catheter.coil_m / 2.0;
+        let tube = &catheter.tube;
+        let stiffness = Vector3::new(tube.bending_nm2(), tube.bending_nm2(), tube.torsion_nm2());
         let from_coil = |section: &&Section| (section.arc_m - coil_m).abs();
         let coil = sections.iter().min_by(|a, b| from_coil(a).total_cmp(&from_coil(b)));
         Self {
@@ -37,9 +41,26 @@ impl Shape {
             tip: sections.last().map_or_else(Point3::origin, |tip| tip.point),
             clamp_nm: sections.first().map_or_else(Vector3::zeros, |clamp| clamp.moment_nm),
             centre_line: sections.iter().map(|section| (section.arc_m, section.point)).collect(),
+            curvatures: sections
+                .iter()
+                .map(|section| {
+                    let moment = section.frame.inverse_transform_vector(&section.moment_nm);
+                    (section.arc_m, moment.component_div(&stiffness))
+                })
+                .collect(),
             load: *load,
             tip_frame,
         }
+    }
+
+    /// Curvature and twist beyond those at rest, in the section's frame, at this distance along the rod, 1/m.
+    pub(super) fn curvature(&self, arc_m: f64) -> Vector3<f64> {
+        let nearest = self.curvatures.partition_point(|(at_m, _)| *at_m < arc_m);
+        let pair = self.curvatures.get(nearest.max(1) - 1).zip(self.curvatures.get(nearest.max(1)));
+        pair.map_or_else(Vector3::zeros, |((from_m, from), (to_m, to))| {
+            let part = if to_m > from_m { ((arc_m - from_m) / (to_m - from_m)).clamp(0.0, 1.0) } else { 0.0 };
+            from + (to - from) * part
+        })
     }
 
     /// θ, radians.

@@ -39,6 +39,16 @@ fn fitting(
         let text = format!("{name}: pictures are grey; markers are told by their colour");
         return Err(Failure::new(Exit::Usage, text));
     }
+    if let Some(PixelFormat::Yuv { chroma_log2: [x, y] }) = peeked.first.as_ref().map(|frame| frame.picture.format())
+        && x.max(y) > 1
+    {
+        tracing::warn!(
+            "{name}: colour is stored for every {} pixels only ({}): bands that are narrower have none of their own, and may not be \
+             found; record in 4:2:0 at least",
+            1 << x.max(y),
+            if [x, y] == [2, 0] { "4:1:1" } else { "less than 4:2:0" }
+        );
+    }
     Ok(peeked)
 }
 

@@ -120,7 +120,7 @@ pub fn run() -> ExitCode {
     log_to_stderr(cli.verbose, cli.quiet);
     let result = match &cli.command {
         Command::Calibrate(args) => calibrate::run(args, cli.quiet),
-        Command::Catheter(args) => catheter::run(args),
+        Command::Catheter(args) => catheter::run(args, cli.quiet),
         Command::Completions(args) => docs::completions(args),
         Command::Man(args) => docs::man(args),
         Command::Rig(args) => rig::run(args, cli.quiet),

@@ -46,7 +46,7 @@ pub(crate) struct Args {
     /// Stop at time T
     #[arg(long, value_name = "T", value_parser = seconds_ns, allow_hyphen_values = true)]
     to: Option<i64>,
-    /// Frames per second of a folder of pictures without times.csv
+    /// Frames per second of a folder of pictures without times.csv, or of a raw stream (.h264)
     #[arg(long, value_name = "F", allow_hyphen_values = true)]
     fps: Option<FrameRate>,
     /// Threads for decoder and tracker; results do not depend on it [default: one per core]

@@ -8,7 +8,7 @@ use crate::identify::saved::Saved;
 use crate::report::validation::{self, ModelLine};
 use crate::series::Recording;
 use crate::source::times::parse_seconds_ns;
-use crate::validate::{DesiredPath, Interpolation, Observed, Options, ValidateError, Validation, validate};
+use crate::validate::{Average, DesiredPath, Interpolation, Observed, Options, ValidateError, Validation, validate};
 use crate::whole_file;
 use clap::ValueEnum;
 use std::collections::BTreeMap;
@@ -26,8 +26,7 @@ pub(crate) struct Args {
     /// How long each point was commanded, one for each run, in their order
     #[arg(long, value_name = "T", required = true, value_delimiter = ',', value_parser = duration_s)]
     pause: Vec<f64>,
-    /// Camera time of the first command in seconds, one for each run or one for all [default: the first
-    /// change of a coil current in the log, else by correlation, which takes the lag out]
+    /// Camera time of the first command, s [default: a current's first change, else searched]
     #[arg(long, value_name = "T", value_delimiter = ',', value_parser = seconds_ns, allow_hyphen_values = true)]
     start: Vec<i64>,
     /// How often the path was commanded [default: 4, or as often as it is in the file]
@@ -42,18 +41,27 @@ pub(crate) struct Args {
     /// The marker that follows the path [default: tip]
     #[arg(long, value_name = "NAME")]
     marker: Option<String>,
+    /// Frames of a pause that make its point: all, or the laboratory's second half
+    #[arg(long, value_enum, default_value_t = Frames::All)]
+    average: Frames,
     /// From frame to frame, where pauses are shorter than the time between frames
     #[arg(long, value_enum, default_value_t = How::Spline)]
     interpolate: How,
-    /// Draw a model beside the runs: a model.json of `identify`, a file of H(s), or eq7 of the paper
+    /// Draw a model beside the runs: model.json, H(s) in a file, or eq7 of the paper
     #[arg(long, value_name = "FILE|eq7")]
     model: Option<PathBuf>,
-    /// The model is from net torque to θ: its response to the current, gravity closed over it
+    /// The model is from net torque to θ: close gravity over it
     #[arg(long, value_name = "PLANT.toml", requires = "model")]
     plant: Option<PathBuf>,
     /// Folder for the results
     #[arg(short, long, value_name = "DIR")]
     out: PathBuf,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Frames {
+    All,
+    SecondHalf,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -121,7 +129,11 @@ impl Args {
             How::Spline => Interpolation::Spline,
             How::Linear => Interpolation::Linear,
         };
-        Options { skip: self.skip, marker: self.marker.clone(), interpolation }
+        let average = match self.average {
+            Frames::All => Average::All,
+            Frames::SecondHalf => Average::SecondHalf,
+        };
+        Options { skip: self.skip, marker: self.marker.clone(), average, interpolation }
     }
 
     /// Names of the tables of points, one a run in the order of the runs: two runs of one pause time have a number each.
@@ -180,8 +192,10 @@ impl Args {
 
     fn settings(&self) -> Vec<(String, String)> {
         let between = if self.interpolate == How::Spline { "cubic spline" } else { "straight lines" };
+        let averaged = if self.average == Frames::All { "all frames of a pause" } else { "the second half of a pause" };
         [
             ("Left out".to_owned(), format!("{} of them, at the beginning", self.skip)),
+            ("Averaged".to_owned(), averaged.to_owned()),
             ("Between frames".to_owned(), between.to_owned()),
         ]
         .into_iter()

@@ -7,7 +7,7 @@
 use super::priority::{Urgency, run_as};
 use super::writer::{Backlog, Entry, Log};
 use crate::estimate::Estimate;
-use crate::sink::{PictureCount, Sink, SinkError, WindowRecorder};
+use crate::sink::{ImageTaker, PictureCount, Sink, SinkError, WindowRecorder};
 use crate::source::Picture;
 use crate::tally::Tally;
 use std::io;
@@ -67,8 +67,8 @@ impl Pictures {
         let thread = Builder::new().name("pictures".to_owned()).spawn(move || {
             run_as(Urgency::Pictures);
             let backlog = log.backlog();
-            Recorder { recording, log, backlog, windows: WindowRecorder::default(), looked: None, stopped: false }
-                .run(&taken)
+            let (windows, images) = (WindowRecorder::default(), ImageTaker::default());
+            Recorder { recording, log, backlog, windows, images, looked: None, stopped: false }.run(&taken)
         })?;
         Ok((Self { line, count, lost: false }, thread))
     }
@@ -91,6 +91,7 @@ struct Recorder {
     log: Log,
     backlog: Arc<Backlog>,
     windows: WindowRecorder,
+    images: ImageTaker,
     /// When the disk was looked at.
     looked: Option<Instant>,
     stopped: bool,
@@ -131,6 +132,11 @@ impl Recorder {
 
     /// Whether it could be handed on; if not, nothing is wrong, but the disk is too slow.
     fn record(&mut self, taken: &Taken) -> Result<bool, SinkError> {
+        if self.backlog.waiting() <= MOST_ROWS_BEFORE
+            && let Some(image) = self.images.take(&taken.estimate, &taken.picture)?
+        {
+            self.log.put(Entry::Image(Box::new(image)));
+        }
         match &mut self.recording.to {
             RecordTo::Video(video) => {
                 video.write(&taken.estimate, Some(&taken.picture))?;

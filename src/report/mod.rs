@@ -12,6 +12,7 @@
 mod absences;
 pub(crate) mod calibration;
 pub(crate) mod catheter;
+pub(crate) mod catheter_fit;
 mod chart;
 mod course;
 pub(crate) mod excitation;

@@ -34,6 +34,7 @@ pub(super) struct CameraFile {
     pub denominator: Option<[f64; 3]>,
     pub blur_px: Option<f64>,
     pub chroma_offset_px: Option<[f64; 2]>,
+    pub exposure_ms: Option<f64>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]

@@ -136,6 +136,8 @@ pub struct Camera {
     /// Where chroma samples sit beyond what the stream's siting says, pixels (right, down): recorders often tag one
     /// siting and sample at another. Zero unless measured.
     pub chroma_offset_px: [f64; 2],
+    /// How long each picture is exposed, seconds, once known: motion blurs it by as much.
+    pub exposure_s: Option<f64>,
 }
 
 /// One way the camera sees the markers.

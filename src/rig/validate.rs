@@ -60,6 +60,8 @@ struct Check<'a> {
 
 /// A chroma sample further from its place than this belongs to another luma sample.
 const LARGEST_CHROMA_OFFSET_PX: f64 = 2.0;
+/// Longer than any video camera exposes a picture.
+const LONGEST_EXPOSURE_MS: f64 = 1000.0;
 /// Nothing is further away: 100 m.
 const FARTHEST_MM: f64 = 1e5;
 /// Weights of samples of 8 bits that still can be computed with; learned ones are below 1.
@@ -175,13 +177,18 @@ impl Check<'_> {
             let expected = format!("{LARGEST_CHROMA_OFFSET_PX} px or less either way");
             return Err(self.value("camera.chroma_offset_px", offset, expected));
         }
+        if let Some(exposure) = raw.exposure_ms {
+            self.positive("camera.exposure_ms", exposure)?;
+            self.within("camera.exposure_ms", &[exposure], LONGEST_EXPOSURE_MS)?;
+        }
+        let exposure_s = raw.exposure_ms.map(|ms| ms / 1e3);
         let lens = Lens {
             focal_px: Vector2::from(raw.focal_px),
             principal_point_px: Point2::from(raw.principal_point_px),
             distortion: raw.distortion,
             denominator,
         };
-        Ok(Camera { size_px: [raw.width_px, raw.height_px], lens, blur_px: raw.blur_px, chroma_offset_px })
+        Ok(Camera { size_px: [raw.width_px, raw.height_px], lens, blur_px: raw.blur_px, chroma_offset_px, exposure_s })
     }
 
     fn surface(&self, name: &str, raw: &SurfaceFile) -> Result<Surface, RigError> {

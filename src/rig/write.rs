@@ -99,6 +99,9 @@ fn camera(camera: &Camera) -> String {
         let offset = list(camera.chroma_offset_px.iter().map(|v| decimal(*v, 9)));
         let _ = writeln!(text, "chroma_offset_px = {offset}");
     }
+    if let Some(exposure_s) = camera.exposure_s {
+        let _ = writeln!(text, "exposure_ms = {}", decimal(exposure_s * 1e3, 6));
+    }
     text
 }
 

@@ -17,6 +17,7 @@ mod colour;
 mod encode;
 mod encoder;
 mod gate;
+mod images;
 mod overlay;
 mod palette;
 mod pictures;
@@ -25,6 +26,8 @@ mod udp;
 mod windows;
 
 pub(crate) use clock::Origin;
+pub(crate) use images::ImageTaker;
+pub use images::LoggedImage;
 pub use overlay::OverlaySink;
 pub(crate) use overlay::{StillError, Stills};
 pub(crate) use palette::{Palette, Rgb};
@@ -62,6 +65,14 @@ pub trait Sink {
     /// # Errors
     /// As [`Sink::write`].
     fn write_current(&mut self, _: &CurrentSample) -> Result<(), SinkError> {
+        Ok(())
+    }
+
+    /// Writes a picture for people, some frames after its estimate; only the log has a place for it.
+    ///
+    /// # Errors
+    /// As [`Sink::write`].
+    fn write_image(&mut self, _: &LoggedImage) -> Result<(), SinkError> {
         Ok(())
     }
 

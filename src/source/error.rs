@@ -130,7 +130,7 @@ pub enum SourceError {
     },
     /// A frame without a time.
     #[error("{}: frame {seq} has no time stamp; catoptra never makes one up from the frame number. Raw streams have none: \
-        put the stream into a container that has, or save pictures and state their rate", path.display())]
+        state their rate with --fps, or put the stream into a container that has times", path.display())]
     NoTime {
         /// The file.
         path: PathBuf,
@@ -207,7 +207,8 @@ pub enum SourceError {
         to_s: f64,
     },
     /// A frame rate stated for a recording.
-    #[error("{}: a recording has its own time stamps; a frame rate may be stated for a folder of pictures only", path.display())]
+    #[error("{}: a recording has its own time stamps; a frame rate may be stated for a folder of pictures or a raw stream \
+        (.h264) only", path.display())]
     RateOfVideo {
         /// The file.
         path: PathBuf,
@@ -216,10 +217,13 @@ pub enum SourceError {
     #[error(transparent)]
     Rate(#[from] FrameRateError),
     /// A folder without pictures.
-    #[error("{}: no picture in this folder (files ending in {})", path.display(), PICTURE_ENDINGS.join(", "))]
+    #[error("{}: no picture in this folder (files ending in {}){}", path.display(), PICTURE_ENDINGS.join(", "),
+        cure.as_ref().map(|cure| format!("; {cure}")).unwrap_or_default())]
     NoPictures {
         /// The folder.
         path: PathBuf,
+        /// What can be done about other pictures that are there.
+        cure: Option<String>,
     },
     /// A folder of pictures without times.
     #[error("{}: when were these pictures taken? Put a table times.csv beside them (header \"file,t_s\", or \"file,stamp_ns\"; \

@@ -2,7 +2,8 @@
 //!
 //! In: a file in any container that libav reads. Out: every frame that can be decoded, in the order of presentation, as
 //! the decoder stored it (no copy, no colour conversion), with the container's own time stamp to the nanosecond: the
-//! presentation time stamp times the stream's time base, never frame number ÷ rate. A rotation the container asks for
+//! presentation time stamp times the stream's time base, never frame number ÷ rate, unless the user states the rate of a raw
+//! stream, which has no times. A rotation the container asks for
 //! is not done: calibration holds for the sensor's own rows and columns.
 //!
 //! A stamp that is not later than those before is handed on as it is and named in a warning. Damaged pictures are left
@@ -25,7 +26,8 @@ use super::gaps::plausible_period_ns;
 use super::stamps::StampWatch;
 use super::times::{seconds, ticks_to_ns};
 use super::{
-    Clock, Colour, Frame, FrameSource, Picture, PixelFormat, SourceError, Span, StreamFaults, Timestamp, ffv1, jpeg,
+    Clock, Colour, Frame, FrameRate, FrameSource, Picture, PixelFormat, SourceError, Span, StreamFaults, Timestamp,
+    ffv1, jpeg,
 };
 
 /// How a recording is read.
@@ -36,13 +38,15 @@ pub struct VideoOptions {
     pub decoder_threads: usize,
     /// Part of the recording that is read.
     pub span: Span,
+    /// Frame rate of a raw stream, which has no times: frame i was taken at i / rate ([`Clock::StatedRate`]).
+    pub stated_rate: Option<FrameRate>,
     /// Whether damaged pictures are handed on, marked ([`Picture::is_damaged`]), instead of left out: their times are known.
     pub keep_damaged: bool,
 }
 
 impl Default for VideoOptions {
     fn default() -> Self {
-        Self { decoder_threads: 1, span: Span::default(), keep_damaged: false }
+        Self { decoder_threads: 1, span: Span::default(), stated_rate: None, keep_damaged: false }
     }
 }
 
@@ -54,6 +58,8 @@ pub struct VideoFile {
     stream: usize,
     time_base: av::Rational,
     start_pts: i64,
+    /// Of a raw stream, and how many of its frames were decoded.
+    stated: Option<(FrameRate, u64)>,
     /// Camera time of the container's zero, see [`ORIGIN_TAG`].
     origin_ns: i64,
     decoder: av::decoder::Video,
@@ -104,6 +110,10 @@ enum Phase {
     Draining,
     Ended,
 }
+
+/// libav's names of streams without a container.
+const RAW_STREAMS: [&str; 11] =
+    ["h264", "hevc", "vvc", "obu", "m4v", "mpegvideo", "mjpeg", "mjpeg_2000", "vc1", "dirac", "cavsvideo"];
 
 /// Name of the tag that holds what the camera's clock said at the container's zero, nanoseconds: a video recorded by
 /// this program has it where the clock counts from a distant past, which containers hold with some hundred nanoseconds
@@ -175,9 +185,15 @@ impl VideoFile {
             Extent::Whole | Extent::Undeclared => None,
         };
         let input = open_input(&path)?;
+        match (RAW_STREAMS.contains(&input.format().name()), options.stated_rate) {
+            // libav would make times up from a rate of its own.
+            (true, None) => return Err(SourceError::NoTime { path, seq: 0 }),
+            (false, Some(_)) => return Err(SourceError::RateOfVideo { path }),
+            _ => {}
+        }
         let mut source = Self::of_input(path, input, options, Clock::Container)?;
         source.ends_early = ends_early;
-        if let Some(from_ns) = options.span.from_ns {
+        if let Some(from_ns) = options.span.from_ns.filter(|_| source.stated.is_none()) {
             source.seek(from_ns, options.decoder_threads)?;
         }
         Ok(source)
@@ -202,7 +218,8 @@ impl VideoFile {
         let (index, decoder, time_base, start_pts, declared_ns, hint, check) = {
             let stream = best_video(&path, &input)?;
             let (rate, average) = (stream.rate(), stream.avg_frame_rate());
-            let declared_ns = plausible_period_ns((rate.0, rate.1), (average.0, average.1));
+            let stated_ns = options.stated_rate.and_then(|rate| Some(rate.stamp_ns(1)? as f64));
+            let declared_ns = stated_ns.or_else(|| plausible_period_ns((rate.0, rate.1), (average.0, average.1)));
             let decoder = open_decoder(&path, &stream, options.decoder_threads, clock == Clock::Stream)?;
             let hint = count_hint(&input, &stream, options.span);
             let check = PacketCheck::of(&path, &stream);
@@ -226,6 +243,7 @@ impl VideoFile {
             stream: index,
             time_base,
             start_pts,
+            stated: options.stated_rate.map(|rate| (rate, 0)),
             origin_ns,
             decoder,
             damage: DamageLog::default(),
@@ -438,6 +456,13 @@ impl VideoFile {
 
     /// The container's time of `frame`.
     fn stamp(&mut self, frame: &av::frame::Video) -> Result<Timestamp, SourceError> {
+        if let Some((rate, number)) = &mut self.stated {
+            let late = || SourceError::TimeRange { path: self.path.clone(), seq: self.seq };
+            let ns = rate.stamp_ns(*number).ok_or_else(late)?;
+            *number += 1;
+            self.seen_ns = Some(ns);
+            return Ok(Timestamp { ns, clock: Clock::StatedRate });
+        }
         let ticks = match (frame.pts(), frame.timestamp()) {
             (Some(pts), _) => pts,
             (None, guess) if !self.in_turn.is_empty() || guess.is_some() => {
@@ -581,6 +606,9 @@ impl VideoFile {
 
     /// The frame of a damaged packet that gave no picture, if there is one before `pts`.
     fn undecoded_before(&mut self, pts: Option<i64>) -> Result<Option<Frame>, SourceError> {
+        if self.stated.is_some() {
+            return Ok(None);
+        }
         // At a cut the last packets are expected to be broken.
         let pts = pts.filter(|pts| *pts != i64::MAX || self.ends_early.is_none());
         while let Some(first) = self.undecoded.first().copied()

@@ -21,7 +21,7 @@ use image::DynamicImage;
 
 use super::gaps::GapCounter;
 use super::jpeg;
-use super::names::PICTURE_ENDINGS;
+use super::names::{PICTURE_ENDINGS, cure_for_pictures};
 use super::times::{FrameRate, parse_seconds_ns, seconds};
 use super::{
     Clock, Colour, Frame, FrameSource, Picture, PictureError, PixelFormat, SourceError, Span, StreamFaults, Timestamp,
@@ -266,7 +266,10 @@ fn picture_names(folder: &Path) -> Result<Vec<String>, SourceError> {
         }
     }
     if names.is_empty() {
-        return Err(SourceError::NoPictures { path: folder.to_path_buf() });
+        return Err(SourceError::NoPictures { path: folder.to_path_buf(), cure: cure_for_pictures(folder) });
+    }
+    if let Some(cure) = cure_for_pictures(folder) {
+        tracing::warn!("{}: {cure}", folder.display());
     }
     names.sort_by(|a, b| natural_order(a, b));
     Ok(names)

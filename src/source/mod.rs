@@ -35,6 +35,7 @@ pub use file::{VideoFile, VideoOptions};
 pub use host::HostTime;
 pub use images::{ImageFolder, ImageTiming};
 pub use log_windows::LogWindows;
+pub(crate) use names::cure_for_pictures;
 pub use open::{SourceOptions, open, open_to_track};
 pub use picture::{
     ChromaSiting, Colour, Matrix, Picture, PictureError, PixelFormat, Plane, Range, RgbFromStored, Transfer,

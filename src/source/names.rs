@@ -1,9 +1,33 @@
 //! The words for clocks and colours in files, both ways, and the names that picture files have.
 
 use super::{ChromaSiting, Clock, Matrix, Range, Transfer};
+use std::path::{Path, PathBuf};
 
 /// Endings of the names of files that are taken for pictures.
 pub(crate) const PICTURE_ENDINGS: [&str; 9] = ["png", "jpg", "jpeg", "tif", "tiff", "bmp", "pgm", "ppm", "pnm"];
+
+/// Endings of pictures that are not read.
+const OTHER_PICTURES: [&str; 16] = [
+    "webp", "jp2", "j2k", "jpf", "jpx", "jpm", "heic", "heif", "avif", "jxl", "gif", "exr", "dng", "cr2", "nef", "tga",
+];
+
+/// How to get from pictures in a folder that are not read to such that are: `None` when none are there.
+pub(crate) fn cure_for_pictures(folder: &Path) -> Option<String> {
+    let names = std::fs::read_dir(folder).ok()?.filter_map(|entry| Some(entry.ok()?.path()));
+    let ending = |path: PathBuf| Some(path.extension()?.to_str()?.to_owned());
+    let is_other = |ending: &String| OTHER_PICTURES.contains(&ending.to_ascii_lowercase().as_str());
+    let mut endings: Vec<String> = names.filter_map(ending).filter(is_other).collect();
+    let count = endings.len();
+    endings.sort();
+    endings.dedup();
+    let first = endings.first()?;
+    let pictures = if count == 1 { "1 picture".to_owned() } else { format!("{count} pictures") };
+    let all = endings.join(", ");
+    Some(format!(
+        "{pictures} ending in {all} cannot be read: make PNG of them, which loses nothing, for example with ImageMagick: \
+         mogrify -format png *.{first}"
+    ))
+}
 
 macro_rules! names {
     ($type:ty { $($value:ident => $name:literal),+ $(,)? }) => {

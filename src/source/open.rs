@@ -8,7 +8,7 @@ use std::path::Path;
 pub struct SourceOptions {
     /// Part that is read.
     pub span: Span,
-    /// Frame rate the user states for a folder of pictures without times.
+    /// Frame rate the user states for a folder of pictures without times, or a raw stream.
     pub stated_rate: Option<FrameRate>,
     /// Threads of the video decoder; 0 for one a core.
     pub decoder_threads: usize,
@@ -18,8 +18,8 @@ pub struct SourceOptions {
 
 impl Default for SourceOptions {
     fn default() -> Self {
-        let VideoOptions { decoder_threads, span, keep_damaged } = VideoOptions::default();
-        Self { span, stated_rate: None, decoder_threads, keep_damaged }
+        let VideoOptions { decoder_threads, span, stated_rate, keep_damaged } = VideoOptions::default();
+        Self { span, stated_rate, decoder_threads, keep_damaged }
     }
 }
 
@@ -36,13 +36,8 @@ pub fn open(path: impl AsRef<Path>, options: SourceOptions) -> Result<Box<dyn Fr
         let timing = options.stated_rate.map_or(ImageTiming::Table, ImageTiming::StatedRate);
         return Ok(Box::new(ImageFolder::open(path, timing, options.span)?.keeping_damaged(options.keep_damaged)));
     }
-    let SourceOptions { decoder_threads, span, keep_damaged, .. } = options;
-    let video = VideoOptions { decoder_threads, span, keep_damaged };
-    let source = VideoFile::open(path, video)?;
-    match options.stated_rate {
-        Some(_) => Err(SourceError::RateOfVideo { path: path.to_path_buf() }),
-        None => Ok(Box::new(source)),
-    }
+    let SourceOptions { decoder_threads, span, stated_rate, keep_damaged } = options;
+    Ok(Box::new(VideoFile::open(path, VideoOptions { decoder_threads, span, stated_rate, keep_damaged })?))
 }
 
 /// As [`open`], and logs that hold the windows of their pictures ([`LogWindows`]): good for a

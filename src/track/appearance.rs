@@ -165,6 +165,8 @@ struct Place {
     bulge: f64,
     from_ring: f64,
     turn: Vector2<f64>,
+    /// Blur across and along the tube, σ in pixels.
+    blur: Vector2<f64>,
 }
 
 impl Scene<'_> {
@@ -175,9 +177,10 @@ impl Scene<'_> {
         let ring = self.layout.nearest_ring(s);
         let from_ring = (s - self.layout.rings_m[ring]) * local.scale;
         let ends = self.layout.ends && ring + 1 == self.layout.rings_m.len();
-        let far = FAR_SIGMAS * self.blur_px;
-        let seen = match (from_ring.abs() - bulge.abs() > far, from_ring < 0.0) {
-            _ if foot.u.abs() > half + far => 0,
+        let blur = local.swept.map(|swept| (self.blur_px * self.blur_px + swept).sqrt());
+        let far = blur * FAR_SIGMAS;
+        let seen = match (from_ring.abs() - bulge.abs() > far.y, from_ring < 0.0) {
+            _ if foot.u.abs() > half + far.x => 0,
             (false, _) => RING,
             (true, true) => BEFORE,
             (true, false) => {
@@ -188,7 +191,7 @@ impl Scene<'_> {
                 }
             }
         };
-        Place { ring, seen, ends, half, bulge, from_ring, turn: local.turn }
+        Place { ring, seen, ends, half, bulge, from_ring, turn: local.turn, blur }
     }
 
     /// Evaluates the model at some pixels. `offsets` are their places relative to the patch's middle.
@@ -215,7 +218,8 @@ impl Scene<'_> {
 
         let seen = lanes(|i| f64::from(u8::from(places[i].seen != 0))).cmp_gt(Lanes::ZERO);
         let (u, half) = (lanes(|i| feet[i].u), lanes(|i| places[i].half));
-        let across = Across::new(u, half, self.blur_px as f32).where_seen(seen);
+        let blur = [lanes(|i| places[i].blur.x), lanes(|i| places[i].blur.y)];
+        let across = Across::new(u, half, blur[0]).where_seen(seen);
         let turn = [lanes(|i| places[i].turn.x), lanes(|i| places[i].turn.y)];
         let mut shades: [Lanes; HARMONICS] = std::array::from_fn(|i| Lanes::splat(colours[SHADING + i] as f32));
         for (i, turn) in turn.iter().enumerate() {
@@ -225,7 +229,7 @@ impl Scene<'_> {
             shape[0] * shades[0] + shape[1] * shades[1] + shape[2] * shades[2] + shape[3] * shades[3]
         };
         let (shade, d_shade) = (across.cover + lit(&across.shades), across.d_cover + lit(&across.d_shades));
-        let edges = Edges::new(&places, u / half, half, self.blur_px as f32);
+        let edges = Edges::new(&places, u / half, half, blur[1]);
         let Edges { before, behind, outline, cap: cap_edge } = edges;
         let cap = colours[CAP] as f32;
         let (capped, d_capped) = (across.cover * cap, across.d_cover * cap);
@@ -311,7 +315,7 @@ struct Edges {
 
 impl Edges {
     /// At x half widths aside of the axis.
-    fn new(places: &[Place; LANES], x: Lanes, half: Lanes, blur_px: f32) -> Self {
+    fn new(places: &[Place; LANES], x: Lanes, half: Lanes, blur_px: Lanes) -> Self {
         let whole = |weight: Lanes| Edge { weight, ..Edge::default() };
         if places.iter().all(|place| place.seen != RING) {
             let behind = lanes(|i| f64::from(u8::from(places[i].from_ring > 0.0 && !places[i].ends)));
@@ -351,7 +355,7 @@ struct Across {
 }
 
 impl Across {
-    fn new(u: Lanes, half: Lanes, sigma: f32) -> Self {
+    fn new(u: Lanes, half: Lanes, sigma: Lanes) -> Self {
         let (phi_left, g_left) = gauss((u + half) / sigma);
         let (phi_right, g_right) = gauss((u - half) / sigma);
         let (g_left, g_right) = (g_left / sigma, g_right / sigma);
@@ -419,7 +423,7 @@ mod tests {
     #[test]
     fn the_profile_across_equals_quadrature() {
         let (half, sigma) = (3.1, 0.55);
-        let across = |u: f64| Across::new(lanes(|_| u), lanes(|_| half), sigma as f32);
+        let across = |u: f64| Across::new(lanes(|_| u), lanes(|_| half), lanes(|_| sigma));
         let of = |lanes: Lanes| f64::from(lanes.to_array()[0]);
         let [q0, q2, q4, q6, p1, p3, p5] = [Q0, Q2, Q4, Q6, P1, P3, P5].map(f64::from);
         for i in -16..=16 {

@@ -22,8 +22,9 @@ const CENTRE_SD_HALF_WIDTHS: f64 = 0.3;
 const MEET_CHI2: f64 = 16.0;
 /// A blob may show this much less or more than the band's outline (foreshortening, shading, partial cover).
 const SIZE_RATIO: (f64, f64) = (0.2, 3.0);
-/// Blobs considered for a marker in a view, largest first.
+/// Blobs considered for a marker in a view, largest first; fewer where many views would make more combinations than this.
 const MOST_BLOBS: usize = 8;
+const MOST_COMBINATIONS: usize = 6561;
 /// How fast a marker may move, and the uncertainty of where it was.
 const FASTEST_M_S: f64 = 0.8;
 const PLACE_SD_M: f64 = 5e-3;
@@ -102,7 +103,7 @@ impl Assigner {
             .map(|m| {
                 let Some(chosen) = best.choice[m] else {
                     // A thing of its colour elsewhere may be on a ray that passes another: first, is the band hidden?
-                    let hidden = unseen(rig, m, blobs, self.expected(rig, m, stamp, place));
+                    let hidden = unseen(rig, m, blobs, &self.expected(rig, m, stamp, place));
                     let last = rig.views.len().saturating_sub(1);
                     return Err(match (hidden, rejected[m].take()) {
                         (Some(view), _) => Miss::NotSeen { view },
@@ -122,20 +123,19 @@ impl Assigner {
             .collect()
     }
 
-    /// About where a marker is, and how far from there it may be: where it was, or else near its neighbour on the tube.
+    /// About where a marker is, and how far from there it may be: where it was, and near its neighbours on the tube.
     fn expected(
         &self,
         rig: &Rig,
         marker: usize,
         stamp: Timestamp,
         place: impl Fn(usize) -> Option<Point3<f64>>,
-    ) -> Option<(Point3<f64>, f64)> {
-        if let Some((point, age)) = self.recent(marker, stamp) {
-            return Some((point, PLACE_SD_M + FASTEST_M_S * age + rig.markers[marker].length_m));
-        }
+    ) -> Vec<(Point3<f64>, f64)> {
+        let recent = self.recent(marker, stamp);
+        let recent = recent.map(|(point, age)| (point, PLACE_SD_M + FASTEST_M_S * age + rig.markers[marker].length_m));
         let neighbours = [marker.checked_sub(1), Some(marker + 1).filter(|&n| n < rig.markers.len())];
         let reached = |n: usize| Some((place(n)?, longest(rig, n.min(marker))));
-        neighbours.into_iter().flatten().filter_map(reached).min_by(|a, b| a.1.total_cmp(&b.1))
+        recent.into_iter().chain(neighbours.into_iter().flatten().filter_map(reached)).collect()
     }
 
     /// Combinations of blobs whose rays meet where a band of the marker's size would look like them.
@@ -147,8 +147,9 @@ impl Assigner {
         stamp: Timestamp,
         rejected: &mut Option<Miss>,
     ) -> Vec<Candidate> {
-        let per_view: Vec<Vec<usize>> =
-            rig.views.iter().enumerate().map(|(v, view)| in_view(marker, (v, view), blobs)).collect();
+        let most = most_blobs(rig.views.len());
+        let largest = |(v, view)| in_view(marker, (v, view), blobs).into_iter().take(most).collect();
+        let per_view: Vec<Vec<usize>> = rig.views.iter().enumerate().map(largest).collect();
         let mut found = Vec::new();
         let mut choice = vec![0_usize; per_view.len()]; // 0: none, i: blob i−1
         loop {
@@ -233,21 +234,31 @@ fn in_view(marker: usize, (v, view): (usize, &View), blobs: &[Blob]) -> Vec<usiz
     };
     let mut list: Vec<usize> = (0..blobs.len()).filter(|&b| here(&blobs[b])).collect();
     list.sort_by(|&a, &b| blobs[b].area_px2.total_cmp(&blobs[a].area_px2));
-    list.truncate(MOST_BLOBS);
     list
 }
 
-/// The first view in which a marker has no blob, near the place where it is expected if there is one; `None` if all have.
+/// How many blobs are considered in each of so many views.
+fn most_blobs(views: usize) -> usize {
+    let fits = |blobs: &usize| {
+        let all = u32::try_from(views).ok().and_then(|views| (blobs + 1).checked_pow(views));
+        all.is_some_and(|all| all <= MOST_COMBINATIONS)
+    };
+    (1..=MOST_BLOBS).rev().find(fits).unwrap_or(1)
+}
+
+/// The first view in which a marker has no blob near all places where it is expected; `None` if all have.
 /// Views without a region share the picture: there only the place says in which one a blob is missing.
-fn unseen(rig: &Rig, marker: usize, blobs: &[Blob], expected: Option<(Point3<f64>, f64)>) -> Option<usize> {
+fn unseen(rig: &Rig, marker: usize, blobs: &[Blob], expected: &[(Point3<f64>, f64)]) -> Option<usize> {
     let sees = |v: usize| {
         let view = &rig.views[v];
-        let near = expected.and_then(|(point, reach_m)| {
-            let seen = view.optics.project_with_jacobian(&point).ok()?;
+        let near = expected.iter().filter_map(|(point, reach_m)| {
+            let seen = view.optics.project_with_jacobian(point).ok()?;
             Some((seen.pixel, reach_m * px_per_m(&seen.d_pixel)))
         });
-        let is_near = |b: &usize| near.is_none_or(|(pixel, reach_px)| (blobs[*b].centre_px - pixel).norm() <= reach_px);
-        in_view(marker, (v, view), blobs).iter().any(is_near)
+        let near: Vec<_> = near.collect();
+        let is_near =
+            |b: &usize| near.iter().all(|(pixel, reach_px)| (blobs[*b].centre_px - pixel).norm() <= *reach_px);
+        in_view(marker, (v, view), blobs).iter().take(MOST_BLOBS).any(is_near)
     };
     (0..rig.views.len()).find(|&v| !sees(v))
 }

@@ -180,3 +180,16 @@ fn what_was_seen_long_ago_opens_no_window() {
     assert!(assigner.windows(&rig, at(300)).is_none(), "a quarter of a second is too long");
     assert!(assigner.windows(&rig, at(-17)).is_none(), "time that runs backwards is no memory");
 }
+
+/// Eight views that share the picture, and many things of each colour: more combinations than can be tried.
+#[test]
+fn many_views_of_many_things_are_gone_through_soon() {
+    let mut rig = rig();
+    let blobs: Vec<Blob> = (0..6).flat_map(|k| tube(&rig, places(4e-3 * f64::from(k)))).collect();
+    let views: Vec<View> = rig.views.iter().cycle().take(8).cloned().collect();
+    rig.views = views;
+    rig.views.iter_mut().for_each(|view| view.region_px.clear());
+    let began = std::time::Instant::now();
+    assert_eq!(Assigner::new(&rig).assign(&rig, &blobs, at(17)).len(), 3);
+    assert!(began.elapsed().as_secs() < 60, "{:?}", began.elapsed());
+}

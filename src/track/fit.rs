@@ -18,7 +18,7 @@ use crate::track::round::{Guess, Round};
 use crate::track::slip::Seen;
 use crate::track::stretch::Stretch;
 use crate::track::tube::{SHAPE, TubeShape};
-use crate::track::tube_image::TubeImage;
+use crate::track::tube_image::{Sweep, TubeImage};
 use crate::track::view::{View, Weighing};
 use nalgebra::{Matrix2, SMatrix, Vector2};
 use rayon::prelude::*;
@@ -64,15 +64,16 @@ pub(crate) fn fit(
     paths: &[&OpticalPath],
     ranges_m: &[(f64, f64)],
     model: &ImageModel,
+    sweep: Option<&Sweep>,
 ) -> Result<TubeFit, NoFit> {
     let round = |guess: &Guess, how: (Density, Weighing)| {
         let select =
             |(image, range_m): (&TubeImage, &(f64, f64))| View::select(stretch, *range_m, image, picture, model, how);
         let views = guess.images.par_iter().zip(ranges_m).map(select).collect::<Result<Vec<_>, _>>()?;
-        Ok(Round { stretch, paths, picture, model, views })
+        Ok(Round { stretch, paths, picture, model, sweep, views })
     };
     // 1. settle
-    let mut guess = Guess::new(stretch, paths, start.clone(), Vec::new())?;
+    let mut guess = Guess::new(stretch, paths, start.clone(), Vec::new(), sweep)?;
     let mut settling = round(&guess, (Density::Fifth, Weighing::Stated))?;
     guess.colours = settling.views.iter().map(|view| view.expected_colours.clone()).collect();
     let settled = settling.minimise(guess, SETTLED)?.end;
@@ -91,6 +92,7 @@ mod tests {
     use crate::track::appearance::Layout;
     use crate::track::image_model::ModelError;
     use crate::track::light::Encoding;
+    use crate::track::tube::ShapeStep;
     use nalgebra::{Point3, Vector3};
 
     fn tube(direction: Vector3<f64>) -> Tube {
@@ -133,6 +135,7 @@ mod tests {
             &[&paths[0], &paths[1]],
             &[stretch().range_m; 2],
             &model(),
+            None,
         )
     }
 
@@ -162,6 +165,40 @@ mod tests {
         }
     }
 
+    /// A tube that moves by 8 px aside and along itself while the picture is exposed: averaged over the way, and fitted with
+    /// and without knowing of it.
+    #[test]
+    fn motion_blur_is_modelled() {
+        let still = tube(Vector3::new(0.1, 1.0, 0.05));
+        let way = Vector3::new(2.0e-3, 1.0e-3, 0.5e-3);
+        let moments = 15;
+        let drawn: Vec<Vec<f64>> = (0..moments)
+            .map(|i| {
+                let part = (f64::from(i) + 0.5) / f64::from(moments) - 0.5;
+                Tube { centre: still.centre + way * part, ..tube(still.direction) }.draw(&views())
+            })
+            .collect();
+        let mean: Vec<f64> =
+            (0..drawn[0].len()).map(|k| drawn.iter().map(|d| d[k]).sum::<f64>() / f64::from(moments)).collect();
+        let paths = views();
+        let start = TubeShape::straight(still.centre, &still.direction, 6e-3);
+        // Twice as far since the frame before.
+        let sweep = Sweep {
+            before: start.moved(&ShapeStep::from_fn(|i, _| if i < 3 { -2.0 * way[i] } else { 0.0 })),
+            share: 0.5,
+        };
+        let picture = picture(&mean, 1.0, 6);
+        let fitted = |sweep: Option<&Sweep>| {
+            fit(&stretch(), &start, &picture, &[&paths[0], &paths[1]], &[stretch().range_m; 2], &model(), sweep)
+                .unwrap()
+        };
+        let (known, unknown) = (fitted(Some(&sweep)), fitted(None));
+        let error = (known.shape.centre - still.centre).norm();
+        assert!(error < 40e-6, "{:.1} µm", error * 1e6);
+        let rms = |fit: &TubeFit| fit.views.iter().map(|view| view.rms).fold(0.0, f64::max);
+        assert!(rms(&known) < 0.6 * rms(&unknown), "{} against {}", rms(&known), rms(&unknown));
+    }
+
     /// A tube 24 px wide, from a start 5 px aside and turned by 3°.
     #[test]
     fn a_wide_tube_is_found_from_afar() {
@@ -171,9 +208,16 @@ mod tests {
         let aside = tube.centre + Vector3::new(2.0e-3, 0.0, 1.5e-3);
         let start = TubeShape::straight(aside, &(tube.direction + Vector3::new(0.05, 0.0, -0.03)), 6e-3);
         let paths = views();
-        let found =
-            fit(&stretch, &start, &picture(&drawn, 1.0, 3), &[&paths[0], &paths[1]], &[stretch.range_m; 2], &model())
-                .unwrap();
+        let found = fit(
+            &stretch,
+            &start,
+            &picture(&drawn, 1.0, 3),
+            &[&paths[0], &paths[1]],
+            &[stretch.range_m; 2],
+            &model(),
+            None,
+        )
+        .unwrap();
         assert!((found.shape.centre - tube.centre).norm() < 0.05e-3);
     }
 
@@ -184,7 +228,7 @@ mod tests {
         let paths = views();
         let start = TubeShape::straight(tube.centre, &tube.direction, 6e-3);
         let fitted = |picture: &Picture| {
-            fit(&stretch(), &start, picture, &[&paths[0], &paths[1]], &[stretch().range_m; 2], &model())
+            fit(&stretch(), &start, picture, &[&paths[0], &paths[1]], &[stretch().range_m; 2], &model(), None)
         };
         let all = picture(&drawn, 1.0, 4);
         let expected = fitted(&all).unwrap();

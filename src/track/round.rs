@@ -7,7 +7,7 @@ use crate::track::image_model::ImageModel;
 use crate::track::no_fit::NoFit;
 use crate::track::stretch::Stretch;
 use crate::track::tube::{BENDS, SHAPE, TubeShape};
-use crate::track::tube_image::TubeImage;
+use crate::track::tube_image::{Sweep, TubeImage};
 use crate::track::view::View;
 use nalgebra::{DVector, SMatrix};
 use rayon::prelude::*;
@@ -29,6 +29,7 @@ pub(crate) struct Round<'a> {
     pub paths: &'a [&'a OpticalPath],
     pub picture: &'a Picture,
     pub model: &'a ImageModel,
+    pub sweep: Option<&'a Sweep>,
     pub views: Vec<View>,
 }
 
@@ -61,10 +62,11 @@ impl Guess {
         paths: &[&OpticalPath],
         shape: TubeShape,
         colours: Vec<Vec<f64>>,
+        sweep: Option<&Sweep>,
     ) -> Result<Self, NoFit> {
         // Pixels beside the ends need an axis a little longer than the samples' range.
         let range = (stretch.range_m.0 - KNOT_M, stretch.range_m.1 + KNOT_M);
-        let image = |path: &&OpticalPath| TubeImage::of(&shape, stretch.radius_m, path, range, KNOT_M);
+        let image = |path: &&OpticalPath| TubeImage::of(&shape, stretch.radius_m, path, range, KNOT_M, sweep);
         let images = paths.iter().map(image).collect::<Result<_, _>>().map_err(|_| NoFit::OutOfPicture)?;
         Ok(Self { shape, colours, images })
     }
@@ -116,7 +118,7 @@ impl Round<'_> {
             colours.iter().zip(step.iter()).map(|(colour, step)| colour + step).collect()
         };
         let colours = guess.colours.iter().zip(&step.colours).map(add).collect();
-        Guess::new(self.stretch, self.paths, guess.shape.moved(&step.shape), colours)
+        Guess::new(self.stretch, self.paths, guess.shape.moved(&step.shape), colours, self.sweep)
     }
 
     /// Compares all views, and adds the prior of the shape.

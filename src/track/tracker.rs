@@ -8,18 +8,20 @@ use crate::estimate::{BandObservation, Estimate, MarkerEstimate, Miss, Position,
 use crate::optics::OpticalPath;
 use crate::rig::Rig;
 use crate::segment::{Blob, SegmentError, Segmenter};
-use crate::source::{Frame, Picture, Transfer};
+use crate::source::{Frame, Timestamp, Transfer};
 use crate::track::appearance::{FIXED, PER_SEGMENT};
 use crate::track::assign::{Assigned, Assigner, direction_of_axes};
 use crate::track::coil::deflection;
-use crate::track::fit::{TubeFit, fit};
+use crate::track::fit::{TubeFit, ViewFit, fit};
 use crate::track::image_model::{ImageModel, ModelError};
 use crate::track::light::Encoding;
+use crate::track::motion::Motion;
 use crate::track::no_fit::NoFit;
+use crate::track::scatter::Scatter;
 use crate::track::slip::Seen;
 use crate::track::stretch::{Group, groups};
 use crate::track::tube::{SHAPE, TubeShape};
-use crate::track::tube_image::TubeImage;
+use crate::track::tube_image::{Sweep, TubeImage};
 use crate::track::usual::Usual;
 use nalgebra::{Matrix3, Point2, Point3, SMatrix, Vector3};
 use rayon::prelude::*;
@@ -33,6 +35,18 @@ const MOST_MOVED: (f64, f64) = (4.0, 1.2);
 const LEAST_SEPARATION: f64 = 0.3;
 /// Views disagree when their own shifts exceed this χ² and this many pixels.
 const DISAGREE: (f64, f64) = (36.0, 0.7);
+
+/// Beyond this the way since says little about the speed now, seconds.
+const MOST_SINCE_S: f64 = 0.06;
+
+/// Residuals and sizes of a band's blobs further above the usual than this, standard deviations of all views together: something
+/// is in front of it, or it is not the band.
+const TOO_UNUSUAL: f64 = 4.5;
+/// Size alone says nothing: it changes with light and motion, too.
+const MOST_OF_SIZE: f64 = 3.0;
+
+/// Blur by motion beyond which blobs may mislead the fit: variance, px². Two pixels of way.
+const BLURRED_PX2: f64 = 4.0 / 12.0;
 
 /// What was seen of chroma's slip counts for half after this many frames.
 const SLIP_FRAMES: f64 = 20.0;
@@ -70,6 +84,13 @@ pub struct Tracker {
     transfer: Transfer,
     slip: Seen,
     usual: Usual,
+    /// How much larger bands are expected than their blobs are.
+    usual_size: Usual,
+    /// Of the position of each marker, then of the tangent.
+    scatter: Vec<Scatter>,
+    /// Of each marker that is the reference of a group: where the tube was, and when.
+    before: Vec<Option<(Timestamp, TubeShape)>>,
+    motion: Motion,
 }
 
 /// Blobs of a picture, and which of them each marker is.
@@ -104,6 +125,10 @@ impl Tracker {
             transfer,
             slip: Seen::default(),
             usual: Usual::new(rig),
+            usual_size: Usual::new(rig),
+            before: vec![None; rig.markers.len()],
+            scatter: vec![Scatter::default(); rig.markers.len() + 1],
+            motion: Motion::new(rig.markers.len(), rig.catheter.coil),
             rig: rig.clone(),
             options,
         })
@@ -137,10 +162,14 @@ impl Tracker {
             found => found?,
         };
         // 2. the tube around them, fitted to the pictures of all views
-        let mut fitted = self.fit_groups(picture, &blobs, &assigned);
-        self.judge(&mut fitted);
+        let mut fitted = self.fit_groups(frame, &blobs, &assigned);
+        self.judge(&mut fitted, &blobs, &assigned);
+        self.keep_shapes(frame.stamp, &fitted);
         // 3. positions, tangent, deflection
         let mut estimate = self.estimate(frame, &assigned, &fitted);
+        // 4. what the motion before does not allow is no measurement
+        self.motion.check(&mut estimate, fitted.iter().map(|f| f.group.members.as_slice()));
+        self.widen(&mut estimate);
         if let (Ok(tangent), Some(base)) = (&estimate.tangent, &self.rig.base) {
             estimate.deflection = Ok(deflection(tangent, base));
         }
@@ -157,11 +186,32 @@ impl Tracker {
     pub(crate) fn misfit(&mut self, frame: &Frame) -> Option<f64> {
         let blobs = self.segmenter.all_blobs(&frame.picture).ok()?.to_vec();
         let assigned = Assigner::new(&self.rig).assign(&self.rig, &blobs, frame.stamp);
-        let fitted = self.fit_groups(&frame.picture, &blobs, &assigned);
+        let fitted = self.fit_groups(frame, &blobs, &assigned);
         let misfits =
             fitted.iter().map(|f| f.result.as_ref().map(|fit| fit.misfit).ok()).collect::<Option<Vec<_>>>()?;
         (!misfits.is_empty() && assigned.iter().all(Result::is_ok))
             .then(|| misfits.iter().sum::<f64>() / misfits.len() as f64)
+    }
+
+    /// The same of a frame that follows another one closely: the motion between them blurs it.
+    pub(crate) fn misfit_after(&mut self, before: &Frame, frame: &Frame) -> Option<f64> {
+        let blobs = self.segmenter.all_blobs(&before.picture).ok()?.to_vec();
+        let assigned = Assigner::new(&self.rig).assign(&self.rig, &blobs, before.stamp);
+        self.before.fill(None);
+        let fitted = self.fit_groups(before, &blobs, &assigned);
+        self.keep_shapes(before.stamp, &fitted);
+        let misfit = self.misfit(frame);
+        self.before.fill(None);
+        misfit
+    }
+
+    /// Keeps where the tube is, for the frames that follow.
+    fn keep_shapes(&mut self, stamp: Timestamp, fitted: &[Fitted]) {
+        for Fitted { group, result, .. } in fitted {
+            if let Ok(fit) = result {
+                self.before[group.reference] = Some((stamp, fit.shape.clone()));
+            }
+        }
     }
 
     fn find(&mut self, frame: &Frame) -> Result<Found, SegmentError> {
@@ -186,7 +236,7 @@ impl Tracker {
         Ok(Found { blobs, assigned })
     }
 
-    fn fit_groups(&self, picture: &Picture, blobs: &[Blob], assigned: &[Result<Assigned, Miss>]) -> Vec<Fitted> {
+    fn fit_groups(&self, frame: &Frame, blobs: &[Blob], assigned: &[Result<Assigned, Miss>]) -> Vec<Fitted> {
         let sees = |m: usize, v: usize| assigned[m].as_ref().is_ok_and(|a| a.blobs[v].is_some());
         let views = 0..self.rig.views.len();
         let together = |a: usize, b: usize| views.clone().filter(|&v| sees(a, v) && sees(b, v)).count() >= 2;
@@ -195,14 +245,15 @@ impl Tracker {
             .map(|group| {
                 let views: Vec<usize> =
                     views.clone().filter(|&v| group.members.iter().all(|&(m, _)| sees(m, v))).collect();
-                let result = self.fit_group(picture, blobs, assigned, &group, &views);
+                let result = self.fit_group(frame, blobs, assigned, &group, &views);
                 Fitted { group, views, result }
             })
             .collect()
     }
 
-    /// What the frames before say about the fits of this one: how far chroma slips, and how well bands are usually explained.
-    fn judge(&mut self, fitted: &mut [Fitted]) {
+    /// What the frames before say about the fits of this one: how far chroma slips, how well bands are usually explained, and
+    /// how much of them is seen.
+    fn judge(&mut self, fitted: &mut [Fitted], blobs: &[Blob], assigned: &[Result<Assigned, Miss>]) {
         self.slip = self.slip.faded(0.5_f64.powf(1.0 / SLIP_FRAMES));
         for fit in fitted.iter().filter_map(|f| f.result.as_ref().ok()) {
             self.slip.add(&fit.slip);
@@ -211,23 +262,54 @@ impl Tracker {
         for Fitted { group, views, result } in fitted {
             let Ok(fit) = result else { continue };
             fit.covariance += fit.slip_covariance * variance_px2;
-            let worst =
-                views.iter().zip(&fit.views).find(|(v, view)| self.usual.exceeds(group.reference, **v, view.rms));
-            if let Some((v, view)) = worst {
+            // Expected area of the reference band over that of its blob.
+            let missing = |v: usize, view: &ViewFit| {
+                let blob = assigned[group.reference].as_ref().ok()?.blobs[v]?;
+                let knot = view.image.at_arc(0.0);
+                let expected = 2.0 * knot.half_width * knot.scale * self.rig.markers[group.reference].length_m;
+                Some(expected / blobs[blob].area_px2)
+            };
+            let sizes: Vec<_> = views.iter().zip(&fit.views).map(|(&v, view)| missing(v, view)).collect();
+            let signs = views.iter().zip(&fit.views).zip(&sizes).map(|((&v, view), size)| {
+                let of_size =
+                    size.map_or(0.0, |size| self.usual_size.above(group.reference, v, size)).min(MOST_OF_SIZE);
+                self.usual.above(group.reference, v, view.rms).hypot(of_size)
+            });
+            let signs: Vec<f64> = signs.collect();
+            if signs.iter().map(|sign| sign * sign).sum::<f64>().sqrt() > TOO_UNUSUAL
+                && let Some((i, _)) = signs.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1))
+            {
+                let (v, view) = (&views[i], &fit.views[i]);
                 let separation = (0..group.members.len()).map(|i| self.separation(group, i, *v, &view.colours));
                 let separation = separation.fold(f64::INFINITY, f64::min);
                 *result = Err(Miss::PoorFit { moved_px: view.residual_px.norm(), separation });
                 continue;
             }
-            for (v, view) in views.iter().zip(&fit.views) {
+            for ((v, view), size) in views.iter().zip(&fit.views).zip(sizes) {
                 self.usual.add(group.reference, *v, view.rms);
+                if let Some(size) = size {
+                    self.usual_size.add(group.reference, *v, size);
+                }
             }
+        }
+    }
+
+    /// Widens covariances to how far positions and tangent scatter from frame to frame.
+    fn widen(&mut self, estimate: &mut Estimate) {
+        let (stamp, persisting) = (estimate.stamp, self.model.error.persisting);
+        for (marker, scatter) in estimate.markers.iter_mut().zip(&mut self.scatter) {
+            if let Ok(position) = &mut marker.position {
+                position.covariance *= scatter.add(stamp, position.point.coords, &position.covariance, persisting);
+            }
+        }
+        if let (Ok(tangent), Some(scatter)) = (&mut estimate.tangent, self.scatter.last_mut()) {
+            tangent.covariance *= scatter.add(stamp, tangent.direction, &tangent.covariance, persisting);
         }
     }
 
     fn fit_group(
         &self,
-        picture: &Picture,
+        frame: &Frame,
         blobs: &[Blob],
         assigned: &[Result<Assigned, Miss>],
         group: &Group,
@@ -237,15 +319,40 @@ impl Tracker {
         let starts = group.members.iter().map(|&(m, s)| Ok((s, assigned[m].as_ref().map_err(Clone::clone)?.point)));
         let starts = starts.collect::<Result<Vec<_>, Miss>>()?;
         let direction = self.start_direction(blobs, assigned, group).ok_or(Miss::NotConverged)?;
-        let start = TubeShape::straight(reference.point, &direction, group.straight_half_m);
         let paths: Vec<&OpticalPath> = views.iter().map(|&v| &self.rig.views[v].optics).collect();
         let ranges: Vec<_> = views.iter().map(|&v| self.seen_range(group, assigned, v)).collect();
-        let fit = fit(&group.stretch, &start, picture, &paths, &ranges, &self.model).map_err(|why| match why {
-            NoFit::OutOfPicture | NoFit::NotConverged => Miss::NotConverged,
-            NoFit::NotRecorded => Miss::NotRecorded,
-        })?;
-        self.accept(group, views, &starts, &fit)?;
-        Ok(fit)
+        let before = self.recent(group, frame.stamp);
+        let sweep = before
+            .zip(self.rig.camera.exposure_s)
+            .map(|((before, since_s), exposure_s)| Sweep { before: before.clone(), share: exposure_s / since_s });
+        let fit_from = |start: &TubeShape| {
+            let fit = fit(&group.stretch, start, &frame.picture, &paths, &ranges, &self.model, sweep.as_ref());
+            let fit = fit.map_err(|why| match why {
+                NoFit::OutOfPicture | NoFit::NotConverged => Miss::NotConverged,
+                NoFit::NotRecorded => Miss::NotRecorded,
+            })?;
+            self.accept(group, views, &starts, &fit).map(|()| fit)
+        };
+        let start = TubeShape::straight(reference.point, &direction, group.straight_half_m);
+        let first = fit_from(&start);
+        // Blurred or half hidden blobs say little about the direction: that of a moment ago may be nearer.
+        let unsure = match &first {
+            Ok(fit) => fit.views.iter().any(|view| view.image.at_arc(0.0).swept.sum() > BLURRED_PX2),
+            Err(miss) => matches!(miss, Miss::PoorFit { .. } | Miss::NotConverged),
+        };
+        let Some((before, _)) = before.filter(|_| unsure) else { return first };
+        match (first, fit_from(&TubeShape { centre: reference.point, ..before.clone() })) {
+            (Ok(first), Ok(second)) if second.misfit < first.misfit => Ok(second),
+            (Err(_), Ok(second)) => Ok(second),
+            (first, _) => first,
+        }
+    }
+
+    /// Where the tube of a group was last, and how long ago, seconds, if that says something about now.
+    fn recent(&self, group: &Group, stamp: Timestamp) -> Option<(&TubeShape, f64)> {
+        let (then, before) = self.before[group.reference].as_ref()?;
+        let since_s = (stamp.ns - then.ns) as f64 * 1e-9;
+        (since_s > 0.0 && since_s < MOST_SINCE_S).then_some((before, since_s))
     }
 
     /// Between which arc lengths the tube of a group shows in a view: where the next band does not, what hides it may begin
@@ -452,11 +559,18 @@ mod tests {
         let picture = picture(&tube.draw(&views()), 1.0, 5);
         let mut tracker = Tracker::new(&rig, TrackOptions::default()).unwrap();
         tracker.model.encoding = Encoding::new(picture.colour().transfer);
+        let frame = Frame {
+            seq: 0,
+            stamp: Timestamp { ns: 0, clock: crate::source::Clock::Container },
+            gap: 0,
+            host: None,
+            picture,
+        };
         let fit_with_tip_at = |tip: Point3<f64>| {
             let at = |point| Ok(Assigned { point, blobs: vec![None, None] });
             let assigned = [Err(Miss::NotSeen { view: 0 }), at(tube.centre), at(tip)];
             let group = groups(&rig, |a, b| a > 0 && b > 0).remove(0);
-            tracker.fit_group(&picture, &[], &assigned, &group, &[0, 1])
+            tracker.fit_group(&frame, &[], &assigned, &group, &[0, 1])
         };
         let tip = tube.centre + tube.direction * 22e-3;
         assert!(fit_with_tip_at(tip).is_ok());

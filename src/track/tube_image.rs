@@ -4,7 +4,7 @@
 
 use crate::optics::{NoRay, OpticalPath};
 use crate::track::tube::{SHAPE, ShapeStep, TubeShape};
-use nalgebra::{Matrix2x3, Point2, SMatrix, Vector2};
+use nalgebra::{Matrix2x3, Point2, Point3, SMatrix, Vector2, Vector3};
 
 /// A pixel's place relative to the tube.
 #[derive(Debug, Clone, Copy, Default)]
@@ -35,6 +35,8 @@ pub(crate) struct Knot {
     pub bulge: f64,
     /// Angles that the tube's direction has turned by since the reference band, radians.
     pub turn: Vector2<f64>,
+    /// Variance that the motion during the exposure adds to the blur, across the axis and along it, px².
+    pub swept: Vector2<f64>,
     /// d pixel / d shape parameters.
     pub d_pixel: SMatrix<f64, 2, SHAPE>,
     /// By how much the place across and along the axis, and the bulge, change with the shape parameters, pixels. A tube that
@@ -42,6 +44,22 @@ pub(crate) struct Knot {
     pub d_local: [ShapeStep; LOCAL],
     /// d pixel / d point, pixels per metre.
     pub d_point: Matrix2x3<f64>,
+}
+
+/// How far the tube moves during the exposure: a part of the way since an earlier frame.
+#[derive(Debug, Clone)]
+pub(crate) struct Sweep {
+    /// Where it was.
+    pub before: TubeShape,
+    /// Exposure over the time since.
+    pub share: f64,
+}
+
+impl Sweep {
+    /// Way of the point at an arc length, metres.
+    fn way(&self, arc_m: f64, now: &Point3<f64>) -> Vector3<f64> {
+        (now - self.before.at(arc_m).0) * self.share
+    }
 }
 
 /// Image of the centre line between two arc lengths, as equidistant knots.
@@ -68,6 +86,7 @@ impl TubeImage {
         optics: &OpticalPath,
         range: (f64, f64),
         spacing_m: f64,
+        sweep: Option<&Sweep>,
     ) -> Result<Self, NoRay> {
         let steps = ((range.1 - range.0) / spacing_m).ceil().max(1.0);
         let spacing_m = (range.1 - range.0) / steps;
@@ -99,6 +118,7 @@ impl TubeImage {
                     * radius_m;
                 let d_pixel = seen.d_pixel * d;
                 let across = Vector2::new(-unit.y, unit.x);
+                let way = sweep.map_or(Vector2::zeros(), |sweep| seen.d_pixel * sweep.way(arc_m, &point));
                 Ok(Knot {
                     arc_m,
                     pixel: seen.pixel,
@@ -107,6 +127,7 @@ impl TubeImage {
                     half_width,
                     bulge,
                     turn: shape.across().tr_mul(&direction),
+                    swept: Vector2::new(way.dot(&across), way.dot(&unit)).map(|way| way * way / 12.0),
                     d_local: [d_pixel.tr_mul(&across), d_pixel.tr_mul(&unit), d_bulge.transpose()],
                     d_pixel,
                     d_point: seen.d_pixel,
@@ -136,6 +157,8 @@ pub(crate) struct Local {
     pub scale: f64,
     /// Angles that the direction has turned by since the reference band.
     pub turn: Vector2<f64>,
+    /// Variance that the motion during the exposure adds to the blur, across the axis and along it, px².
+    pub swept: Vector2<f64>,
 }
 
 impl TubeImage {
@@ -156,6 +179,7 @@ impl TubeImage {
             bulge: mix(a.bulge, b.bulge),
             scale: mix(a.scale, b.scale),
             turn: a.turn.lerp(&b.turn, f),
+            swept: a.swept.lerp(&b.swept, f),
         }
     }
 
@@ -232,7 +256,6 @@ impl TubeImage {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use nalgebra::{Point3, Vector3};
 
     /// Its own sight of a moved tube would change it too, but by a thousandth of what a turn does.
     #[test]
@@ -243,7 +266,7 @@ mod tests {
             below: [Vector2::new(1500.0, -600.0), Vector2::new(-4e4, 2e4)],
             ..TubeShape::straight(Point3::new(0.001, -0.004, 1.35), &Vector3::new(0.2, 1.0, 0.4), 6e-3)
         };
-        let image = |shape: &TubeShape| TubeImage::of(shape, 6e-3, &path, (-20e-3, 25e-3), 2e-3).unwrap().knots;
+        let image = |shape: &TubeShape| TubeImage::of(shape, 6e-3, &path, (-20e-3, 25e-3), 2e-3, None).unwrap().knots;
         let knots = image(&shape);
         for (parameter, step) in (3..SHAPE).zip([1e-4, 1e-4, 1.0, 1.0, 1e2, 1e2, 1.0, 1.0, 1e2, 1e2]) {
             let mut by = ShapeStep::zeros();

@@ -37,7 +37,7 @@ mod write;
 
 pub(crate) use error::ValidateError;
 pub(crate) use lag::unwrap;
-pub(crate) use options::Options;
+pub(crate) use options::{Average, Options};
 pub(crate) use path::DesiredPath;
 pub(crate) use run::{Observed, Run, Size};
 pub(crate) use spline::Interpolation;

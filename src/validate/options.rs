@@ -9,12 +9,35 @@ pub(crate) struct Options {
     pub skip: usize,
     /// The marker that follows the path; the tip if none is named.
     pub marker: Option<String>,
+    /// Which frames of a pause count.
+    pub average: Average,
     /// How to go from frame to frame where pauses are shorter than the time between frames.
     pub interpolation: Interpolation,
 }
 
+/// Which frames of a pause make its point, where frames come at least as often as pauses.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(crate) enum Average {
+    /// All.
+    #[default]
+    All,
+    /// Those of its second half, as the laboratory does: nearer to where the catheter comes to rest. Such a point is a
+    /// quarter of the pause later, which the phase takes into account.
+    SecondHalf,
+}
+
+impl Average {
+    /// The part of a pause that is left out at its beginning.
+    pub(super) fn left_out(self) -> f64 {
+        match self {
+            Self::All => 0.0,
+            Self::SecondHalf => 0.5,
+        }
+    }
+}
+
 impl Default for Options {
     fn default() -> Self {
-        Self { skip: 1, marker: None, interpolation: Interpolation::Spline }
+        Self { skip: 1, marker: None, average: Average::All, interpolation: Interpolation::Spline }
     }
 }

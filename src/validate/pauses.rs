@@ -43,11 +43,13 @@ impl Window {
         self.start_ns.saturating_add(self.pause_ns.saturating_mul(i64::try_from(k).unwrap_or(i64::MAX)))
     }
 
-    /// Mean of the samples within each pause; samples are in the order of their times.
-    pub(super) fn averaged(&self, samples: &[Sample]) -> Vec<Option<Mean>> {
+    /// Mean of the samples within each pause, without this part of it at its beginning; samples are in the order of their
+    /// times.
+    pub(super) fn averaged(&self, samples: &[Sample], left_out: f64) -> Vec<Option<Mean>> {
+        let late_ns = (self.pause_ns as f64 * left_out).round() as i64;
         (0..self.commands)
             .map(|k| {
-                let from = samples.partition_point(|(ns, _)| *ns < self.at_ns(k));
+                let from = samples.partition_point(|(ns, _)| *ns < self.at_ns(k).saturating_add(late_ns));
                 let to = samples.partition_point(|(ns, _)| *ns < self.at_ns(k + 1));
                 let inside = samples.get(from..to).filter(|inside| !inside.is_empty())?;
                 let value = inside.iter().map(|(_, v)| v).sum::<Vector3<f64>>() / inside.len() as f64;
@@ -96,10 +98,12 @@ mod tests {
         let at = |ms: i64, x: f64| (ms * MS, Vector3::new(x, 0.0, 0.0));
         // On a boundary a frame belongs to the pause that begins.
         let samples = [at(99, 9.0), at(100, 1.0), at(120, 3.0), at(150, 5.0), at(260, 7.0), at(300, 9.0)];
-        let found = window.averaged(&samples);
+        let found = window.averaged(&samples, 0.0);
         let expected = |x: f64, frames, squares| Some(Mean { value: Vector3::new(x, 0.0, 0.0), frames, squares });
         assert_eq!(found, [expected(2.0, 2, 2.0), expected(5.0, 1, 0.0), None, expected(7.0, 1, 0.0)]);
         assert_eq!(window.end_ns(), 300 * MS);
+        let late = window.averaged(&samples, 0.4);
+        assert_eq!(late, [expected(3.0, 1, 0.0), None, None, expected(7.0, 1, 0.0)]);
     }
 
     #[test]

@@ -152,7 +152,7 @@ pub(super) fn evaluate(path: &DesiredPath, observed: &Observed<'_>, options: &Op
         if interpolated {
             window.interpolated(samples, interval_s, options.interpolation)
         } else {
-            window.averaged(samples)
+            window.averaged(samples, options.average.left_out())
         }
     };
     let skipped = options.skip * path.points.len();
@@ -188,7 +188,10 @@ pub(super) fn evaluate(path: &DesiredPath, observed: &Observed<'_>, options: &Op
         .and_then(|plane| Circle::through(&points.iter().map(|point| plane.flat(point)).collect::<Vec<_>>()));
     let magnitude = magnitude(path, &points, &wanted, circle.as_ref());
     let numbered: Vec<(usize, Point3<f64>)> = steps.iter().filter_map(|s| Some((s.k, s.observed?))).collect();
+    // What is seen late in a pause belongs to later than its middle.
+    let later = if interpolated { 0.0 } else { options.average.left_out() / 2.0 };
     let lag = if start_from == StartFrom::Search { None } else { lag(&path.points, &numbered) };
+    let lag = lag.map(|lag| Lag { points: lag.points + later, ..lag });
     let phase_deg = lag.map(|lag| -360.0 * lag.points / path.points.len() as f64);
 
     // 5. what the numbers rest on

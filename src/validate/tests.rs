@@ -176,6 +176,24 @@ fn straight_lines_between_frames_cost_amplitude() {
 }
 
 #[test]
+fn the_second_half_of_a_pause_is_nearer_and_its_phase_the_same() {
+    let late = Options { average: Average::SecondHalf, ..Options::default() };
+    let (all, second) =
+        (evaluated(circle, CORNER_HZ, CLEAN, Options::default()), evaluated(circle, CORNER_HZ, CLEAN, late));
+    for (all, second) in all.runs.iter().zip(&second.runs).filter(|(run, _)| run.pause_s > 0.03) {
+        // As long as a lag of this catheter is, a quarter of a pause is not: 0.0125 s of 0.12 s.
+        assert!(
+            second.rms_unaligned_m < 0.95 * all.rms_unaligned_m,
+            "{} {}",
+            second.rms_unaligned_m,
+            all.rms_unaligned_m
+        );
+        let (_, deg) = truth(second.frequency_hz, CORNER_HZ);
+        assert!((second.phase_deg.unwrap() - deg).abs() < 0.3, "{:?}, {deg}", second.phase_deg);
+    }
+}
+
+#[test]
 fn a_start_from_rest_shows_in_the_first_period() {
     let from_rest = Spoiled { run_in: 0, ..CLEAN };
     let fastest = |skip| {

@@ -67,6 +67,75 @@ fn the_reach_is_a_surface() {
     assert!(table.lines().count() > 20, "{table}");
 }
 
+/// A circle beside the axis, run through the model, and judged by `validate`: when each point is held long enough only what the
+/// model itself is off by is left; when it is not, the motion lags behind and is smaller.
+#[test]
+fn a_path_is_followed_run_and_validated() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = ["follow", "circle", "--points", "24", "--periods", "2", "--pause", "1500ms,10ms", "-o", "out"];
+    stdout(&catheter(folder.path(), &path));
+    let validate = |pause: &str, rate: &str, more: &[&str]| {
+        let currents = format!("out/currents_{pause}.csv");
+        let table = format!("run_{pause}.csv");
+        let text = stdout(&catheter(folder.path(), &["run", &currents, "--rate", rate, "-o", &table]));
+        assert!(text.contains("written: run_"), "{text}");
+        let mut command = Command::new(env!("CARGO_BIN_EXE_catoptra"));
+        let args = ["validate", &table, "--desired", "out/desired.csv", "--pause", pause, "--start", "0"];
+        let command = command.current_dir(folder.path()).args(args).args(["--periods", "2", "-o", pause]).args(more);
+        stdout(&command.output().unwrap());
+        let json = fs::read_to_string(folder.path().join(pause).join("validation.json")).unwrap();
+        serde_json::from_str::<serde_json::Value>(&json).unwrap()["runs"][0].clone()
+    };
+    // Averaged over the second half of each pause, when the tip has arrived.
+    let slow = validate("1500ms", "20Hz", &["--average", "second-half"]);
+    println!("{slow}");
+    let fast = validate("10ms", "60Hz", &[]);
+    println!("{fast}");
+}
+
+/// What a simulated run was made with comes back from `fit`, and a run that was not fitted is predicted.
+#[test]
+fn a_fit_finds_what_the_run_was_made_with() {
+    let folder = tempfile::tempdir().unwrap();
+    let put = |name: &str, text: &str| fs::write(folder.path().join(name), text).unwrap();
+    let sample = Path::new(env!("CARGO_MANIFEST_DIR")).join("sample_dynamics/catheter.toml");
+    let truth = fs::read_to_string(sample).unwrap().replace("young_mpa = 5.39", "young_mpa = 6.1");
+    put("truth.toml", &truth);
+    put("a.csv", "t_s,x_a,y_a,z_a\n1,0.01,0.05,0.06\n4,0.04,-0.04,-0.05\n7,0,0,0\n");
+    put("b.csv", "t_s,x_a,y_a,z_a\n0.5,0.0,-0.02,0.08\n1.5,0.02,0.03,0.03\n");
+    for (run, currents, seed) in [("a_run.csv", "a.csv", "1"), ("b_run.csv", "b.csv", "2")] {
+        let noise = ["--noise", "0.04,0.15", "--missing", "5", "--seed", seed, "--duration", "9s"];
+        stdout(&catheter(
+            folder.path(),
+            &[&["run", currents, "--catheter", "truth.toml", "-o", run], &noise[..]].concat(),
+        ));
+    }
+    let args = ["a_run.csv", "--currents", "a.csv", "--validate", "b_run.csv", "--validate-currents", "b.csv"];
+    let ask = ["--settle", "1500ms", "--parameters", "young,shear,drag", "-o", "out"];
+    let text = stdout(&catheter(folder.path(), &[&["fit"], &args[..], &ask[..]].concat()));
+    println!("{text}");
+    let values = fs::read_to_string(folder.path().join("out/fit.csv")).unwrap();
+    for (name, truth) in [("young", 6.1), ("shear", 2.39), ("drag", 1.1)] {
+        let row: Vec<&str> = values.lines().find(|line| line.starts_with(name)).unwrap().split(',').collect();
+        let (value, sd): (f64, f64) = (row[2].parse().unwrap(), row[3].parse().unwrap());
+        // The computed motion has steps of 4 ms here and 2 ms there: some hundredths of a percent.
+        assert!((value - truth).abs() < 3.0 * sd + 1e-3 * truth, "{name} {value} {sd}");
+    }
+    assert!(text.contains("not fitted"), "{text}");
+    let page = fs::read_to_string(folder.path().join("out/fit.html")).unwrap();
+    assert!(page.contains("id=\"plot-residual-1\""));
+    // The result is a catheter, and fits as it stands.
+    stdout(&catheter(folder.path(), &["shape", "--currents", "0mA,0mA,50mA", "--catheter", "out/catheter.toml"]));
+    // One coil does not tell the twist.
+    put("c.csv", "t_s,current_a\n1,0.05\n4,-0.05\n");
+    stdout(&catheter(folder.path(), &["run", "c.csv", "--noise", "0.04,0.15", "-o", "c_run.csv", "--duration", "7s"]));
+    let ask = ["fit", "c_run.csv", "--currents", "c.csv", "--only-still", "--settle", "1500ms", "--parameters"];
+    let refused = catheter(folder.path(), &[&ask[..], &["young,shear", "-o", "open"]].concat());
+    let message = String::from_utf8_lossy(&refused.stderr).into_owned();
+    assert_eq!(refused.status.code(), Some(3), "{message}");
+    assert!(message.contains("do not determine the shear modulus G: hold currents of the side coil y"), "{message}");
+}
+
 #[test]
 fn what_cannot_be_is_refused_with_what_would_be_right() {
     let folder = tempfile::tempdir().unwrap();

@@ -156,6 +156,15 @@ fn the_layout_for_foxglove_fits_a_log() {
     for name in named {
         assert!(topics.contains(&name.as_str()), "{name} is not among {topics:?}");
     }
+    // The annotations have a picture to lie on: of their own time, as large as they count.
+    assert!(summary.chunk_indexes.iter().all(|chunk| chunk.compression == "zstd"));
+    let messages: Vec<_> = mcap::MessageStream::new(&bytes).unwrap().map(Result::unwrap).collect();
+    let of = |topic: &'static str| messages.iter().filter(move |message| message.channel.topic == topic);
+    let image = of("/camera/image").next().unwrap();
+    assert!(of("/camera/annotations").any(|annotations| annotations.publish_time == image.publish_time));
+    let jpeg = image.data.windows(3).position(|start| start == [0xff, 0xd8, 0xff]).unwrap();
+    let read = image::load_from_memory(&image.data[jpeg..]).unwrap();
+    assert_eq!([read.width(), read.height()], rig().camera.size_px);
     // Panels that the layout arranges are there.
     let arranged = serde_json::to_string(&layout["layout"]).unwrap();
     for panel in layout["configById"].as_object().unwrap().keys() {

@@ -226,10 +226,11 @@ fn a_damaged_window_costs_its_frame_and_no_other() {
     let log = place.path("out/log.mcap");
     let whole = place.table();
     let mut bytes = std::fs::read(&log).unwrap();
-    // Inside the samples of a window, in the middle of the log.
-    let middle = bytes.len() / 2;
-    let png = middle + bytes[middle..].windows(4).position(|four| four == b"IDAT").unwrap();
-    bytes[png + 40] ^= 0x10;
+    // Nearly all of a chunk is the samples of windows.
+    let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
+    let chunk = &summary.chunk_indexes[summary.chunk_indexes.len() / 2];
+    let middle = (chunk.chunk_start_offset + chunk.chunk_length / 2) as usize;
+    bytes[middle] ^= 0x10;
     std::fs::write(&log, &bytes).unwrap();
     let again = Command::new(env!("CARGO_BIN_EXE_catoptra"))
         .current_dir(place.folder.path())

@@ -57,6 +57,7 @@ mod source_recordings;
 mod source_warnings;
 mod time_stamps;
 mod track_bad_input;
+mod track_motion;
 mod track_python;
 mod track_recordings;
 mod track_run;

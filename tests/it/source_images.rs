@@ -118,6 +118,13 @@ fn what_is_wrong_is_named_with_file_and_line() {
     let at = |name: &str| folder.path().join(name);
     let error = |options| read(folder.path(), options).unwrap_err().to_string();
     assert!(error(TABLE).contains("no picture in this folder (files ending in png, jpg"));
+    for name in ["a.webp", "b.WEBP", "c.jp2"] {
+        std::fs::write(at(name), "another kind of picture").unwrap();
+    }
+    let told = error(TABLE);
+    assert!(
+        told.contains("3 pictures ending in WEBP, jp2, webp cannot be read") && told.contains("mogrify -format png")
+    );
     for i in 1..=3 {
         grey(folder.path(), &format!("{i}.png"), i);
     }

@@ -276,3 +276,31 @@ fn what_is_no_recording_is_refused_with_the_reason() {
         source::open(&path, SourceOptions { stated_rate, ..SourceOptions::default() }).err().unwrap().to_string();
     assert!(error.contains("a recording has its own time stamps"), "{error}");
 }
+
+/// A stream without a container has no times; what libav would make up is not taken.
+#[test]
+fn a_raw_stream_needs_its_rate_and_takes_it() {
+    let folder = tempfile::tempdir().unwrap();
+    for (name, encoder, pixel, b_frames) in
+        [("raw.h264", "libx264", Pixel::YUV420P, 2), ("raw.mjpeg", "mjpeg", Pixel::YUVJ420P, 0)]
+    {
+        let (path, _) = written(folder.path(), name, &Recording { encoder, pixel, b_frames, ..Recording::default() });
+        let told = open_error(&path);
+        assert!(told.contains(name) && told.contains("has no time stamp") && told.contains("--fps"), "{told}");
+        let stated_rate = Some("50".parse().unwrap());
+        let mut source = source::open(&path, SourceOptions { stated_rate, ..SourceOptions::default() }).unwrap();
+        let frames: Vec<Frame> = std::iter::from_fn(|| source.next_frame().unwrap()).collect();
+        let stamps: Vec<i64> = frames.iter().map(|frame| frame.stamp.ns).collect();
+        assert_eq!(stamps, (0..100).map(|k| 20_000_000 * k).collect::<Vec<_>>(), "{name}");
+        assert!(frames.iter().all(|frame| frame.gap == 0 && frame.stamp.clock == source::Clock::StatedRate));
+        for (i, frame) in frames.iter().enumerate() {
+            let luma_there = frame.picture.plane(0).unwrap().row(99).unwrap()[77];
+            assert!(luma_there.abs_diff(luma(i, 77, 99)) <= 6, "{name}: frame {i} is another");
+        }
+    }
+    let (path, _) = written(folder.path(), "with_times.mkv", &Recording::default());
+    let stated_rate = Some("50".parse().unwrap());
+    let told =
+        source::open(&path, SourceOptions { stated_rate, ..SourceOptions::default() }).err().unwrap().to_string();
+    assert!(told.contains("has its own time stamps"), "{told}");
+}

@@ -1,6 +1,7 @@
 //! Streams from a network, served by the test itself: whole, interrupted, of another size in the middle, not there.
 
 use crate::support::command::sample;
+use crate::support::encode::{Recording, write};
 use catoptra::source::host::HostClock;
 use catoptra::source::live::Stream;
 use catoptra::source::{Clock, FrameSource, VideoFile, VideoOptions};
@@ -72,4 +73,29 @@ fn a_stream_that_is_not_there_is_named() {
     let url = format!("tcp://{free}");
     let error = Stream::open(&url, HostClock::start(), Arc::default()).err().unwrap().to_string();
     assert!(error.contains(&url) && error.contains("refused"), "{error}");
+}
+
+/// As senders do that say only after their first packet which time it is.
+#[test]
+fn frames_before_the_first_time_stamp_are_left_out_and_counted() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("late.ts");
+    let pts: Vec<i64> = (0..100).map(|k| 3600 * (k + 10)).collect();
+    write(
+        &path,
+        &Recording { pts: &pts, time_base: (1, 90_000), b_frames: 0, size_px: [320, 240], ..Recording::default() },
+    );
+    let mut bytes = std::fs::read(&path).unwrap();
+    // The head of a PES packet of video: two flags say that times follow, then the head's length (ISO/IEC 13818-1, 2.4.3.6).
+    let head = bytes.windows(4).position(|four| four == [0, 0, 1, 0xe0]).unwrap();
+    assert!(bytes[head + 7] & 0x80 != 0 && bytes[head + 8] >= 5);
+    let length = usize::from(bytes[head + 8]);
+    bytes[head + 7] &= 0x3f;
+    bytes[head + 9..head + 9 + length].fill(0xff);
+    std::fs::write(&path, &bytes).unwrap();
+    let mut stream = Stream::open(&format!("tcp://{}", served(&path, 1)), HostClock::start(), Arc::default()).unwrap();
+    let first = stream.next_frame().unwrap().unwrap();
+    assert_eq!((first.seq, stream.faults().unstamped, stream.faults().interruptions), (0, 1, 0));
+    let second = stream.next_frame().unwrap().unwrap();
+    assert_eq!((second.seq, second.gap, second.stamp.ns - first.stamp.ns), (1, 0, 40_000_000));
 }

@@ -123,7 +123,7 @@ fn a_finished_log_has_index_attachments_and_metadata() {
     assert_eq!(statistics.message_start_time, 1, "a time of 0 or before is filed at 1 ns");
     assert_eq!(statistics.message_end_time, 102 * 16_666_667 - 50_000_000);
     let topics: BTreeSet<&str> = summary.channels.values().map(|c| c.topic.as_str()).collect();
-    assert_eq!(topics.len(), 9);
+    assert_eq!(topics.len(), 10);
     // Four messages a frame; calibration and transform; health after one second and at the end.
     assert_eq!(statistics.message_count, 4 * 100 + 2 + 2);
 

@@ -61,7 +61,7 @@ pub(crate) fn rig() -> Rig {
     let turn = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes));
     let origin = turn * Point3::from(rest_base());
     Rig {
-        camera: Camera { size_px: [1280, 1024], lens, blur_px: None, chroma_offset_px: [0.0; 2] },
+        camera: Camera { size_px: [1280, 1024], lens, blur_px: None, chroma_offset_px: [0.0; 2], exposure_s: None },
         surfaces,
         views,
         markers: vec![marker("base", 6.0, 6.0), marker("coil", 12.0, 85.0), marker("tip", 6.0, 107.0)],

@@ -1,8 +1,9 @@
-//! What makes the pictures fit best: places of the bands along the tube, blur of the lens, offset of the chroma samples.
+//! What makes the pictures fit best: places of the bands along the tube, blur of the lens, offset of the chroma samples,
+//! exposure.
 
 use crate::calibrate::markers::line_search::minimise;
 use crate::calibrate::markers::{MarkersError, track};
-use crate::estimate::Estimate;
+use crate::estimate::{Estimate, MarkerEstimate};
 use crate::rig::Rig;
 use crate::source::Frame;
 use crate::track::{TrackOptions, Tracker};
@@ -15,6 +16,13 @@ const TUNING_FRAMES: usize = 12;
 const NO_ARC: f64 = 0.2;
 /// σ of a distance of two bands in one frame at least, metres.
 const LEAST_SD_M: f64 = 0.05e-3;
+/// Exposures that are tried, from none to the whole interval between two frames.
+const EXPOSURES: usize = 9;
+/// A frame and its follower are no further apart than this, seconds; an exposure counts from so many σ, and this share of
+/// their interval, on: blur of a tenth of the way is none.
+const LONGEST_PAIR_S: f64 = 0.06;
+const LEAST_EXPOSURE_SDS: f64 = 3.0;
+const LEAST_EXPOSURE: f64 = 0.1;
 /// Independent thirds of the frames whose results say how well a distance is known, and the least σ said of it, metres.
 const PARTS: usize = 3;
 const LEAST_FITTED_SD_M: f64 = 0.01e-3;
@@ -117,9 +125,25 @@ fn combined(arcs: &[(f64, f64)], bend_is_known: bool) -> Option<(f64, f64)> {
     (!arcs.is_empty()).then(|| (at, (scatter.powi(2) + shape.powi(2) + (0.3 * LEAST_SD_M).powi(2)).sqrt()))
 }
 
+/// Blur, chroma offset and, unless it is stated, exposure. Motion looks like blur: with it known, blur is looked for again.
+pub(super) fn tune(rig: &mut Rig, frames: &[Frame], followers: &[Frame]) -> Result<(), MarkersError> {
+    sharpen(rig, frames, followers)?;
+    if rig.camera.exposure_s.is_none() {
+        rig.camera.exposure_s = exposure_s(rig, frames, followers)?;
+        if rig.camera.exposure_s.is_some() {
+            sharpen(rig, frames, followers)?;
+        }
+    }
+    Ok(())
+}
+
 /// Blur and chroma offset.
-pub(super) fn tune(rig: &mut Rig, frames: &[Frame]) -> Result<(), MarkersError> {
+fn sharpen(rig: &mut Rig, frames: &[Frame], followers: &[Frame]) -> Result<(), MarkersError> {
     let some = every(frames, TUNING_FRAMES);
+    let misfit = |rig: &Rig, some: &[&Frame]| match rig.camera.exposure_s {
+        None => misfit(rig, some),
+        Some(_) => moving_misfit(rig, some, followers),
+    };
     let subsampled = some.first().is_some_and(|f| f.picture.plane(1).is_some_and(|plane| plane.scale != [1, 1]));
     let mut blur = rig.camera.blur_px.unwrap_or(0.6);
     // Blur and offsets hardly depend on each other: a second pass only polishes.
@@ -153,6 +177,72 @@ pub(super) fn tune(rig: &mut Rig, frames: &[Frame]) -> Result<(), MarkersError> 
     rig.camera.blur_px = rig.camera.blur_px.map(round);
     rig.camera.chroma_offset_px = rig.camera.chroma_offset_px.map(round);
     Ok(())
+}
+
+/// The same of the frames that follow these closely, motion blur included; of those that none follows, their own.
+fn moving_misfit(rig: &Rig, frames: &[&Frame], followers: &[Frame]) -> Option<f64> {
+    let mut tracker = Tracker::new(rig, TrackOptions::default()).ok()?;
+    let mut misfit = |frame: &Frame| {
+        let next = followers.get(followers.partition_point(|next| next.stamp.ns <= frame.stamp.ns));
+        match next.filter(|next| ((next.stamp.ns - frame.stamp.ns) as f64) < LONGEST_PAIR_S * 1e9) {
+            Some(next) => tracker.misfit_after(frame, next),
+            None => tracker.misfit(frame),
+        }
+    };
+    let misfits: Vec<f64> = frames.iter().filter_map(|frame| misfit(frame)).collect();
+    (misfits.len() * 2 > frames.len()).then(|| misfits.iter().sum::<f64>() / misfits.len() as f64)
+}
+
+/// Exposure of the pictures, seconds, from how motion blurs the frames in which the tube moves fastest; `None` when it does not
+/// show: too little motion, or too short an exposure.
+fn exposure_s(rig: &Rig, frames: &[Frame], followers: &[Frame]) -> Result<Option<f64>, MarkersError> {
+    let mut all: Vec<&Frame> = frames.iter().chain(followers).collect();
+    all.sort_by_key(|frame| frame.stamp.ns);
+    let mut moving = Vec::new();
+    for pair in all.windows(2) {
+        let (frame, next) = (pair[0], pair[1]);
+        let since_s = (next.stamp.ns - frame.stamp.ns) as f64 * 1e-9;
+        let mut tracker = Tracker::new(rig, TrackOptions::default())?;
+        let (before, after) = (tracker.step(frame)?, tracker.step(next)?);
+        let markers = before.markers.iter().zip(&after.markers);
+        let way = |(a, b): (&MarkerEstimate, &MarkerEstimate)| {
+            Some((b.position.as_ref().ok()?.point - a.position.as_ref().ok()?.point).norm())
+        };
+        let ways: Option<Vec<f64>> = markers.map(way).collect();
+        if let Some(ways) = ways.filter(|_| since_s > 0.0 && since_s < LONGEST_PAIR_S) {
+            moving.push((ways.into_iter().fold(0.0, f64::max), since_s, frame, next));
+        }
+    }
+    moving.sort_by(|a, b| b.0.total_cmp(&a.0));
+    let Some(&(_, interval_s, ..)) = moving.first() else { return Ok(None) };
+    let step_s = interval_s / (EXPOSURES - 1) as f64;
+    // How well each exposure explains each pair; a pair that one of them cannot explain at all says nothing.
+    let curve = |(_, _, before, frame): &(f64, f64, &Frame, &Frame)| -> Option<Vec<f64>> {
+        let misfit = |i: usize| {
+            let mut changed = rig.clone();
+            changed.camera.exposure_s = Some(i as f64 * step_s);
+            Tracker::new(&changed, TrackOptions::default()).ok()?.misfit_after(before, frame)
+        };
+        (0..EXPOSURES).map(misfit).collect()
+    };
+    let curves: Vec<Vec<f64>> = moving.iter().filter_map(curve).take(TUNING_FRAMES).collect();
+    if curves.len() < 2 * PARTS {
+        return Ok(None);
+    }
+    let parts: Vec<f64> = (0..PARTS)
+        .filter_map(|part| {
+            let sum = |i: usize| curves.iter().skip(part).step_by(PARTS).map(|curve| curve[i]).sum::<f64>();
+            let at = |s: f64| Some(sum((s / step_s).round() as usize));
+            Some(minimise(step_s * (EXPOSURES / 2) as f64, step_s, (0.0, interval_s * (1.0 + 1e-9)), at)?.at)
+        })
+        .collect();
+    let count = parts.len() as f64;
+    let mean = parts.iter().sum::<f64>() / count;
+    let variance = parts.iter().map(|p| (p - mean).powi(2)).sum::<f64>() / (count - 1.0);
+    tracing::debug!("exposure from thirds of {} pairs of frames: {parts:?} s", curves.len());
+    let seen = mean > LEAST_EXPOSURE_SDS * (variance / count).sqrt() && mean > LEAST_EXPOSURE * interval_s;
+    // Microseconds are more than the pictures can tell.
+    Ok(seen.then(|| (mean * 1e6).round() / 1e6))
 }
 
 /// At most `count` of the frames, spread evenly.

@@ -85,13 +85,27 @@ const MOST_FRAMES: usize = 48;
 /// Share of the frames in which each band must be measured.
 const LEAST_ANSWERED: f64 = 0.5;
 
+/// What [`calibrate_markers`] is told beside picks.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct MarkersOptions {
+    /// The picks were made in the first frame that is this much or more after the recording's first one, nanoseconds.
+    pub after_ns: i64,
+    /// How long each picture is exposed, seconds; learned from motion blur when it is not given.
+    pub exposure_s: Option<f64>,
+}
+
 /// Learns the markers of `rig`. Their colours, and the camera's blur and chroma offset, are left out of account; so are places
-/// along the tube unless they are there. `picks` has a click a marker or more, made in the first frame that is `after_ns` or
-/// more after the recording's first one.
-pub fn calibrate_markers(rig: &Rig, picks: &[Pick], after_ns: i64, source: &mut dyn FrameSource) -> Teaching {
+/// along the tube unless they are there. `picks` has a click a marker or more.
+pub fn calibrate_markers(
+    rig: &Rig,
+    picks: &[Pick],
+    options: &MarkersOptions,
+    source: &mut dyn FrameSource,
+) -> Teaching {
     let mut rig = rig.clone();
     rig.camera.blur_px = None;
     rig.camera.chroma_offset_px = [0.0; 2];
+    rig.camera.exposure_s = options.exposure_s;
     rig.markers.iter_mut().for_each(|marker| marker.colours.clear());
     let mut teaching = Teaching {
         rig,
@@ -103,7 +117,7 @@ pub fn calibrate_markers(rig: &Rig, picks: &[Pick], after_ns: i64, source: &mut 
         regions: Vec::new(),
         outcome: Err(MarkersError::NoFrame),
     };
-    teaching.outcome = teaching.learn(after_ns, source);
+    teaching.outcome = teaching.learn(options.after_ns, source);
     teaching
 }
 
@@ -111,11 +125,11 @@ impl Teaching {
     fn learn(&mut self, after_ns: i64, source: &mut dyn FrameSource) -> Result<MarkersCalibration, MarkersError> {
         let clicks = pick::in_rig_order(&self.rig, &self.picks)?;
         let spread = spread_with(source, MOST_FRAMES, after_ns)?;
-        let mut frames = spread.frames;
+        let (mut frames, followers) = (spread.frames, spread.followers);
         if spread.wanted >= frames.len() {
             return Err(MarkersError::NoFrame);
         }
-        let learned = self.learn_from(&clicks, &frames, spread.wanted);
+        let learned = self.learn_from(&clicks, &frames, &followers, spread.wanted);
         let frame = frames.swap_remove(spread.wanted);
         self.look_again(&frame);
         self.frame = Some(frame);
@@ -126,6 +140,7 @@ impl Teaching {
         &mut self,
         clicks: &[Vec<Near>],
         frames: &[Frame],
+        followers: &[Frame],
         picked: usize,
     ) -> Result<MarkersCalibration, MarkersError> {
         let rig = &mut self.rig;
@@ -144,7 +159,7 @@ impl Teaching {
         first::confirm(rig, clicks, &located, frame)?;
         self.views = learn_everywhere(rig, frames)?;
         let centre_sd_m = place_bands(rig, frames)?;
-        tune(rig, frames)?;
+        tune(rig, frames, followers)?;
         if let Ok(views) = learn_everywhere(rig, frames) {
             self.views = views;
         }

@@ -1,9 +1,11 @@
 //! `catoptra calibrate markers`: a recording and a click near each band to colours and places of the bands.
 
+use super::super::units::duration_s;
 use super::super::{Exit, Failure, fitting, interrupt};
 use super::{Length, can_be_written, save, usage};
 use crate::calibrate::markers::{
-    MarkersCalibration, MarkersError, Pick, ProposedRegion, Teaching, Verdict, calibrate_markers, verdict,
+    MarkersCalibration, MarkersError, MarkersOptions, Pick, ProposedRegion, Teaching, Verdict, calibrate_markers,
+    verdict,
 };
 use crate::report::teaching::{self, TeachingInfo};
 use crate::rig::{Catheter, Draft, Marker, Rig, View};
@@ -46,6 +48,9 @@ pub(super) struct MarkersArgs {
     /// Length of the stiff part around the coil's middle, if longer than its band [default: that of the rig]
     #[arg(long, value_name = "14mm", allow_hyphen_values = true, value_parser = Length::from_str)]
     rigid: Option<Length>,
+    /// How long each picture was exposed, to model motion blur [default: learned from it, where it shows]
+    #[arg(long, value_name = "10ms", allow_hyphen_values = true, value_parser = exposure_s)]
+    exposure: Option<f64>,
     /// Frames per second of a folder of pictures without times.csv
     #[arg(long, value_name = "F", allow_hyphen_values = true)]
     fps: Option<FrameRate>,
@@ -110,6 +115,14 @@ impl FromStr for RegionArg {
     }
 }
 
+/// An exposure that a camera may have.
+fn exposure_s(text: &str) -> Result<f64, String> {
+    duration_s(text).and_then(|s| match s > 0.0 && s <= 1.0 {
+        true => Ok(s),
+        false => Err(format!("`{text}`: expected more than 0 and 1 s at most")),
+    })
+}
+
 fn pixel(text: &str) -> Option<Point2<f64>> {
     let (x, y) = text.split_once(',')?;
     let coordinate = |v: &str| v.trim().parse::<f64>().ok().filter(|v| v.is_finite());
@@ -126,7 +139,8 @@ pub(super) fn run(args: &MarkersArgs, print: impl Fn(&str) -> Result<(), Failure
     let picks = picks(args, &rig)?;
     let options = SourceOptions { stated_rate: args.fps, ..SourceOptions::default() };
     let mut frames = fitting::open((&args.source, options), (&args.rig, &rig))?;
-    let mut done = calibrate_markers(&rig, &picks, (args.at * 1e9) as i64, &mut frames);
+    let options = MarkersOptions { after_ns: (args.at * 1e9) as i64, exposure_s: args.exposure };
+    let mut done = calibrate_markers(&rig, &picks, &options, &mut frames);
     let page_path = out.with_extension("markers.html");
     // Without a frame there is nothing to see.
     let page = done.frame.is_some().then(|| teaching::page(&info(args, out), &done));
@@ -355,6 +369,13 @@ fn describe(done: &Teaching) -> String {
         "\nblur of lens and sensor {:.2} px; chroma samples sit {x:+.2}, {y:+.2} px beside where the recording says",
         camera.blur_px.unwrap_or(f64::NAN)
     );
+    let _ = match camera.exposure_s {
+        Some(exposure_s) => writeln!(text, "exposure {:.1} ms: motion blur is modelled", exposure_s * 1e3),
+        None => writeln!(
+            text,
+            "exposure not known: no motion blur shows in this recording, and none is modelled (--exposure states it)"
+        ),
+    };
     for measure in done.outcome.iter().flat_map(|learned| &learned.contradicted) {
         let _ = writeln!(text, "warning: {measure}: is what was given right?");
     }

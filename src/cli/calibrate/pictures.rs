@@ -5,6 +5,7 @@ use super::super::{Exit, Failure};
 use crate::calibrate::board::grey::{Grey, Rows};
 use crate::calibrate::board::{Board, BoardImage, find_boards};
 use crate::calibrate::bundle::outliers::UsedPicture;
+use crate::source;
 use rayon::prelude::*;
 use sha2::{Digest as _, Sha256};
 use std::collections::BTreeMap;
@@ -156,7 +157,8 @@ fn in_folder(folder: &Path) -> Result<Vec<PathBuf>, Failure> {
     }
     files.sort();
     if files.is_empty() {
-        let text = format!("{}: no pictures in this folder ({})", folder.display(), ENDINGS.join(", "));
+        let cure = source::cure_for_pictures(folder).map(|cure| format!("; {cure}")).unwrap_or_default();
+        let text = format!("{}: no pictures in this folder ({}){cure}", folder.display(), ENDINGS.join(", "));
         return Err(Failure::new(Exit::Usage, text));
     }
     Ok(files)

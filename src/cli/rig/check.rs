@@ -189,6 +189,10 @@ fn camera(out: &mut String, rig: &Draft, checked: &Check) -> fmt::Result {
         Some(blur) => writeln!(out, "  blur             {blur:.2} px")?,
         None => writeln!(out, "  blur             not known")?,
     }
+    match camera.exposure_s {
+        Some(exposure_s) => writeln!(out, "  exposure         {:.2} ms", exposure_s * 1e3)?,
+        None => writeln!(out, "  exposure         not known: motion blur is not modelled")?,
+    }
     let [right, down] = camera.chroma_offset_px;
     writeln!(out, "  chroma samples   {right:+.2}, {down:+.2} px beside where recordings say")
 }

@@ -7,6 +7,7 @@
 //! | `/catheter/deflection` | `catoptra.Deflection` | θ and its σ; NaN and the reason when not measured | every frame |
 //! | `/scene` | `foxglove.SceneUpdate` | tube, bands and coil direction, in the base frame if there is one | every frame |
 //! | `/camera/annotations` | `foxglove.ImageAnnotations` | outline, centre and label of every band | every frame |
+//! | `/camera/image` | `foxglove.CompressedImage` | the whole picture, JPEG: to look at | every second, with pictures |
 //! | `/camera/calibration` | `foxglove.CameraCalibration` | intrinsics, `plumb_bob` | once |
 //! | `/tf` | `foxglove.FrameTransform` | place of frame `camera` in frame `base`, if there is one | once |
 //! | `/coil/current` | `catoptra.Current` | currents of the coils, on the host's clock | live, when given |
@@ -20,7 +21,7 @@ mod protobuf;
 pub(crate) mod table;
 
 use foxglove::Schema;
-use foxglove::messages::{CameraCalibration, FrameTransform, ImageAnnotations, SceneUpdate};
+use foxglove::messages::{CameraCalibration, CompressedImage, FrameTransform, ImageAnnotations, SceneUpdate};
 use messages::{Current, Deflection, Estimate, Health, PictureWindows};
 pub(crate) use protobuf::Catoptra;
 
@@ -51,10 +52,11 @@ pub(crate) enum Topic {
     Health,
     Current,
     Windows,
+    Image,
 }
 
 impl Topic {
-    pub(crate) const ALL: [Self; 9] = [
+    pub(crate) const ALL: [Self; 10] = [
         Self::Estimate,
         Self::Deflection,
         Self::Scene,
@@ -64,6 +66,7 @@ impl Topic {
         Self::Health,
         Self::Current,
         Self::Windows,
+        Self::Image,
     ];
 
     pub(crate) fn name(self) -> &'static str {
@@ -77,6 +80,7 @@ impl Topic {
             Self::Health => "/health",
             Self::Current => "/coil/current",
             Self::Windows => "/camera/windows",
+            Self::Image => "/camera/image",
         }
     }
 
@@ -92,6 +96,7 @@ impl Topic {
             Self::Health => Catoptra::<Health>::get_schema(),
             Self::Current => Catoptra::<Current>::get_schema(),
             Self::Windows => Catoptra::<PictureWindows>::get_schema(),
+            Self::Image => CompressedImage::get_schema(),
         }
     }
 }

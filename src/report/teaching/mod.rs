@@ -75,6 +75,9 @@ fn cards(done: &Teaching) -> String {
             let few = answered * 10 < learned.frames * 9;
             cards += &card(&marker.name, format!("{answered} of {}", learned.frames), "frames measured", few);
         }
+        if let Some(exposure_s) = done.rig.camera.exposure_s {
+            cards += &card("Exposure", format!("{:.1}", exposure_s * 1e3), "ms", false);
+        }
         if let Some(blur_px) = done.rig.camera.blur_px {
             cards += &card("Blur of lens and sensor", format!("{blur_px:.2}"), "px", false);
         }

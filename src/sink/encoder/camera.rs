@@ -4,9 +4,10 @@ use super::convert::{Names, timestamp};
 use super::scene::{CAMERA_FRAME, colour};
 use crate::estimate::{BandObservation, Estimate};
 use crate::rig::{Camera, Rig};
+use crate::sink::LoggedImage;
 use foxglove::messages::{
-    CameraCalibration, CircleAnnotation, Color, ImageAnnotations, Point2, PointsAnnotation, TextAnnotation, Timestamp,
-    points_annotation,
+    CameraCalibration, CircleAnnotation, Color, CompressedImage, ImageAnnotations, Point2, PointsAnnotation,
+    TextAnnotation, Timestamp, points_annotation,
 };
 use nalgebra::Point2 as Pixel;
 
@@ -35,6 +36,16 @@ pub(super) fn calibration(camera: &Camera, stamp_ns: i64) -> CameraCalibration {
         k: vec![f.x, 0.0, c.x, 0.0, f.y, c.y, 0.0, 0.0, 1.0],
         r: vec![1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
         p: vec![f.x, 0.0, c.x, 0.0, 0.0, f.y, c.y, 0.0, 0.0, 0.0, 1.0, 0.0],
+    }
+}
+
+/// The picture itself: with its frame's time, as the annotations have it.
+pub(super) fn image(image: &LoggedImage) -> CompressedImage {
+    CompressedImage {
+        timestamp: Some(timestamp(image.stamp_ns)),
+        frame_id: CAMERA_FRAME.to_owned(),
+        data: image.jpeg.clone().into(),
+        format: "jpeg".to_owned(),
     }
 }
 

@@ -8,7 +8,7 @@ mod convert;
 mod health;
 mod scene;
 
-use super::{CurrentSample, PictureCount, SinkError};
+use super::{CurrentSample, LoggedImage, PictureCount, SinkError};
 use crate::estimate::Estimate;
 use crate::log::schema::messages::{Current, PictureWindows};
 use crate::log::schema::{Catoptra, Topic};
@@ -98,6 +98,11 @@ impl MessageEncoder {
             current_a: sample.current_a.clone(),
         };
         Message::of(Topic::Current, &Catoptra(current))
+    }
+
+    /// A picture for people.
+    pub(super) fn image(image: &LoggedImage) -> Result<Message, SinkError> {
+        Message::of(Topic::Image, &camera::image(image))
     }
 
     /// What was kept of a picture.

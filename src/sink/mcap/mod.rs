@@ -20,7 +20,7 @@
 mod file;
 
 use super::encoder::{MessageEncoder, file_time_ns};
-use super::{CurrentSample, PictureCount, Sink, SinkError, WindowRecorder};
+use super::{CurrentSample, ImageTaker, LoggedImage, PictureCount, Sink, SinkError, WindowRecorder};
 use crate::estimate::Estimate;
 use crate::log::schema::messages::PictureWindows;
 use crate::log::schema::{METADATA, OPTIONS_ATTACHMENT, RIG_ATTACHMENT};
@@ -45,6 +45,7 @@ pub struct McapSink {
     /// Where the pictures are, for the metadata.
     pictures: Option<String>,
     windows: Option<WindowRecorder>,
+    images: ImageTaker,
     count: Option<Arc<PictureCount>>,
 }
 
@@ -69,6 +70,7 @@ impl McapSink {
             flushed_ns: 0,
             pictures: None,
             windows: None,
+            images: ImageTaker::default(),
             count: None,
         })
     }
@@ -132,6 +134,11 @@ impl Sink for McapSink {
         for message in self.encoder.frame(estimate)? {
             self.file.message(&message, seq, times)?;
         }
+        if let Some(picture) = picture
+            && let Some(image) = self.images.take(estimate, picture)?
+        {
+            self.file.message(&MessageEncoder::image(&image)?, seq, times)?;
+        }
         if let (Some(windows), Some(picture)) = (&mut self.windows, picture) {
             let kept = windows.keep(estimate, picture)?;
             self.file.message(&MessageEncoder::windows(&kept)?, seq, times)?;
@@ -147,6 +154,12 @@ impl Sink for McapSink {
         let times = Times { log_ns: file_time_ns(sample.arrival_ns), publish_ns: file_time_ns(sample.host_ns) };
         let seq = sample.seq.map_or(0, |seq| (seq & u64::from(u32::MAX)) as u32);
         self.file.message(&MessageEncoder::current(sample)?, seq, times)
+    }
+
+    fn write_image(&mut self, image: &LoggedImage) -> Result<(), SinkError> {
+        let publish_ns = file_time_ns(image.stamp_ns);
+        let times = Times { log_ns: image.arrival_ns.map_or(publish_ns, file_time_ns), publish_ns };
+        self.file.message(&MessageEncoder::image(image)?, (image.seq & u64::from(u32::MAX)) as u32, times)
     }
 
     fn write_windows(&mut self, kept: &PictureWindows) -> Result<bool, SinkError> {

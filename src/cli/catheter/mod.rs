@@ -1,5 +1,8 @@
 //! `catoptra catheter`: what the catheter does for given currents, and which currents make it follow a path.
 
+mod fit;
+mod run;
+
 use super::output::{is_free, save};
 use super::units::{current_a, duration_s};
 use super::{Exit, Failure, interrupt, output};
@@ -40,6 +43,22 @@ tip reaches; of a path with z the nearest points are followed. What is out of re
 Example:
   catoptra catheter follow circle --centre 28mm,0mm --radius 8mm --pause 20ms,100ms -o circle")]
     Follow(FollowArgs),
+    /// What a camera would record under given currents: the catheter in motion, in its fluid
+    #[command(after_help = "\
+From rest without currents. RUN.csv has the columns of a tracked run; identify, validate and
+catheter fit read it.
+Example:
+  catoptra catheter run circle/currents_20ms.csv --noise 0.04,0.15 --missing 5 -o run.csv")]
+    Run(run::RunArgs),
+    /// Stiffness, alignment, curvature at rest, damping and drag from tracked runs
+    #[command(after_help = "\
+Shapes at rest come first, then all frames in motion. DIR gets catheter.toml, fit.csv and fit.html.
+What the runs do not determine stays as it was, and is named with the experiment that would tell
+it. Exit code 3: something asked for with --parameters is not determined.
+Example:
+  catoptra catheter fit sample_dynamics/catheter_run.csv \\
+    --currents sample_dynamics/catheter_currents.csv -o fit")]
+    Fit(fit::FitArgs),
 }
 
 #[derive(Debug, clap::Args)]
@@ -115,12 +134,14 @@ fn radius_m(text: &str) -> Result<f64, String> {
     length_m(text).ok_or_else(|| format!("`{text}` is no length above 0: write for example 8mm"))
 }
 
-pub(crate) fn run(args: &Args) -> Result<(), Failure> {
+pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     interrupt::end_at_once()?;
     match &args.command {
         Command::Shape(args) => args.run(),
         Command::Reach(args) => args.run(),
         Command::Follow(args) => args.run(),
+        Command::Run(args) => args.run(quiet),
+        Command::Fit(args) => args.run(quiet),
     }
 }
 

@@ -1,9 +1,16 @@
 //! Whether a JPEG picture is whole: decoders fill what is missing or damaged and say nothing.
 //!
 //! The codes of a sequential picture (ITU-T T.81) are gone through without making samples of them: every code must exist,
-//! every coefficient must be one that samples can have, and the data must end with the last block. Half of all changed bits show:
-//! behind a changed bit the codes are read out of step. What this cannot detect: a changed bit that leaves the codes in step,
-//! which changes one coefficient; anything in progressive and arithmetic-coded pictures.
+//! every block must be one that samples can have, the mean brightness may take no step in the middle of a row, and the data must
+//! end with the last block. More than half of all changed bits show: behind a changed bit the codes are read out of step. What this
+//! cannot detect: a changed bit that leaves the codes in step, which changes one coefficient; anything in progressive and
+//! arithmetic-coded pictures.
+
+mod samples;
+mod steps;
+
+use samples::Samples;
+use steps::has_step;
 
 const START_OF_IMAGE: [u8; 2] = [0xff, 0xd8];
 const HUFFMAN: u8 = 0xc4;
@@ -14,6 +21,8 @@ const RESTART: std::ops::RangeInclusive<u8> = 0xd0..=0xd7;
 const END_OF_IMAGE: [u8; 2] = [0xff, 0xd9];
 /// Coefficients of 8-bit samples are smaller, but for rounding.
 const LARGEST_COEFFICIENT: i32 = 1200;
+const LEFT_OVER: &str = "there is more coded picture than the picture has blocks";
+const RANGE: &str = "there are samples out of range";
 
 /// Whether it is a JPEG whose picture does not end. In the coded picture the end mark cannot occur by chance (ITU-T T.81,
 /// B.1.1.5); before it, in a thumbnail, it can: segments are stepped over.
@@ -170,36 +179,52 @@ impl Picture {
             }
             _ => (0..2).map(|i| self.size_px[i].div_ceil(8 * most[i])).product(),
         };
+        let width = match parts.first() {
+            Some((component, ..)) if alone => (self.size_px[0] * component.sampling[0]).div_ceil(most[0]).div_ceil(8),
+            _ => self.size_px[0].div_ceil(8 * most[0]),
+        };
+        let allowed: Vec<Samples> = parts.iter().map(|(.., quantization)| Samples::new(quantization)).collect();
         let mut bits = Bits::new(coded);
         let mut direct_before = vec![0; parts.len()];
+        let mut means = vec![Vec::new(); parts.len()];
         for unit in 0..units {
             if self.restart_every > 0 && unit > 0 && unit % self.restart_every == 0 {
                 bits.restart(unit / self.restart_every - 1)?;
                 direct_before.fill(0);
             }
-            for ((component, direct, others, quantization), before) in parts.iter().zip(&mut direct_before) {
+            let of_parts = parts.iter().zip(&allowed).zip(&mut direct_before).zip(&mut means);
+            for ((((component, direct, others, quantization), allowed), before), means) in of_parts {
                 let blocks = if alone { 1 } else { component.sampling[0] * component.sampling[1] };
+                let mut sum = 0;
                 for _ in 0..blocks {
-                    block(&mut bits, direct, others, quantization, before)?;
+                    let coefficients = block(&mut bits, direct, others, quantization, before)?;
+                    if !allowed.allow(&coefficients) {
+                        return Err(RANGE);
+                    }
+                    sum += coefficients[0];
                 }
+                means.push(sum / blocks as i32);
             }
         }
-        bits.end().map(Some)
+        let rest = bits.end()?;
+        if means.iter().any(|means| has_step(means, width)) {
+            return Err("the brightness of all that follows a block is off");
+        }
+        Ok(Some(rest))
     }
 }
 
+/// A block's coefficients, in the order of the scan, multiplied by their steps.
 fn block(
     bits: &mut Bits<'_>,
     direct: &Table,
     others: &Table,
     quantization: &[i32; 64],
     before: &mut i32,
-) -> Result<(), &'static str> {
-    const RANGE: &str = "a coefficient is larger than samples can make it";
-    let fits = |value: i32, k: usize| {
-        let step = quantization.get(k).copied().unwrap_or(1);
-        value.saturating_abs().saturating_sub(1).saturating_mul(step) <= LARGEST_COEFFICIENT
-    };
+) -> Result<[i32; 64], &'static str> {
+    let step = |k: usize| quantization.get(k).copied().unwrap_or(1);
+    let fits =
+        |value: i32, k: usize| value.saturating_abs().saturating_sub(1).saturating_mul(step(k)) <= LARGEST_COEFFICIENT;
     let size = direct.next(bits)?;
     if size > 11 {
         return Err(RANGE);
@@ -208,6 +233,8 @@ fn block(
     if !fits(*before, 0) {
         return Err(RANGE);
     }
+    let mut coefficients = [0; 64];
+    coefficients[0] = before.saturating_mul(step(0));
     let mut k = 1;
     while k < 64 {
         let code = others.next(bits)?;
@@ -223,12 +250,14 @@ fn block(
         if k > 63 {
             return Err("a block has too many coefficients");
         }
-        if !fits(bits.value(size)?, k) {
+        let value = bits.value(size)?;
+        if !fits(value, k) {
             return Err(RANGE);
         }
+        coefficients[k] = value.saturating_mul(step(k));
         k += 1;
     }
-    if k > 64 { Err("a block has too many coefficients") } else { Ok(()) }
+    if k > 64 { Err("a block has too many coefficients") } else { Ok(coefficients) }
 }
 
 /// A table of Huffman codes.
@@ -355,10 +384,17 @@ impl<'a> Bits<'a> {
     fn end(mut self) -> Result<&'a [u8], &'static str> {
         self.fill();
         let padding = |byte: u64| byte == 0 || byte == 0xff;
+        // Of the last byte that is begun: ones (T.81, F.1.2.3), with some encoders zeros.
+        let (begun, ones) = (self.count % 8, (1 << (self.count % 8)) - 1);
+        let rest = (self.held >> (self.count - begun)) & ones;
+        if rest != 0 && rest != ones {
+            return Err(LEFT_OVER);
+        }
+        self.count -= begun;
         while self.count >= 8 {
             self.count -= 8;
             if !padding((self.held >> self.count) & 0xff) {
-                return Err("there is more coded picture than the picture has blocks");
+                return Err(LEFT_OVER);
             }
             self.fill();
         }
@@ -425,6 +461,42 @@ mod tests {
         }
         println!("{noticed} of {changed} changed bits are noticed");
         assert!(changed > 300 && noticed * 10 > changed * 4, "{noticed} of {changed}");
+    }
+
+    /// A part of a picture as cameras take them, about the catheter.
+    #[test]
+    fn in_a_camera_s_picture_more_is_noticed() {
+        use crate::source::{FrameSource as _, VideoFile, VideoOptions};
+        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/sample_frames/rest.mkv");
+        let frame = VideoFile::open(path, VideoOptions::default()).unwrap().next_frame().unwrap().unwrap();
+        let luma = frame.picture.plane(0).unwrap();
+        let part = image::GrayImage::from_fn(480, 400, |x, y| {
+            image::Luma([luma.row(300 + y as usize).unwrap()[200 + x as usize]])
+        });
+        for (quality, percent) in [(60, 75), (80, 65), (95, 40)] {
+            let mut bytes = Vec::new();
+            image::codecs::jpeg::JpegEncoder::new_with_quality(&mut bytes, quality).encode_image(&part).unwrap();
+            assert_eq!(damage(&bytes), None);
+            let scan = bytes.windows(2).position(|two| two == [0xff, START_OF_SCAN]).unwrap() + 10;
+            let pixels = |bytes: &[u8]| Some(image::load_from_memory(bytes).ok()?.to_luma8());
+            let sound = pixels(&bytes).unwrap();
+            let (mut changed, mut noticed, mut large) = (0, 0, 0);
+            for at in (scan..bytes.len() - 2).step_by(bytes.len() / 100) {
+                let mut damaged = bytes.clone();
+                damaged[at] ^= 1 << (at % 8);
+                changed += 1;
+                if damage(&damaged).is_some() {
+                    noticed += 1;
+                } else if let Some(picture) = pixels(&damaged) {
+                    let off = picture.iter().zip(sound.iter()).filter(|(a, b)| a.abs_diff(**b) > 8).count();
+                    large += usize::from(off > 256);
+                }
+            }
+            println!(
+                "quality {quality}: {noticed} of {changed} changed bits are noticed; of the others {large} change more than four blocks"
+            );
+            assert!(noticed * 100 > changed * percent && large * 20 < changed, "{noticed} and {large} of {changed}");
+        }
     }
 
     #[test]

@@ -1,0 +1,257 @@
+//! The catheter's parameters from tracked runs: stiffness, alignment, curvature at rest, damping and drag, with their
+//! covariance, and what the data leave open.
+//!
+//! In: runs (currents, and what was seen frame by frame). Out: values with their σ, residuals, and for everything that is not
+//! determined the experiment that would tell it.
+//!
+//! 1. Pauses in which the catheter came to rest give the noise (scatter about their means) and, by the boundary value problem of
+//!    the rod, what shapes at rest depend on.
+//! 2. From there, everything is fitted to all frames by the catheter in motion.
+//!
+//! After each step the eigenvectors of the information tell what is left open (`search.rs`); the parameter that has the largest
+//! share in such a direction stays at its start, and the rest is fitted again.
+//!
+//! σ are those of the noise, larger by √(χ²/n) where residuals are larger than it: then the model is wrong somewhere. What it
+//! cannot detect: stiffness and the coils' moments come as a ratio but for the weight, so that the moments are taken as given.
+
+mod moving;
+mod parameter;
+mod search;
+mod still;
+#[cfg(test)]
+mod tests;
+
+use super::commands::Commands;
+use super::dynamics::{Accuracy, Moment};
+use super::error::CatheterError;
+use super::model::Catheter;
+use super::record::{Noise, Sighting};
+use moving::Moving;
+use nalgebra::{DMatrix, DVector};
+pub use parameter::Parameter;
+pub use search::Open;
+use search::{Found, Stuck, least_determined, minimise};
+pub use still::Pause;
+use still::Still;
+
+/// A run: what was commanded and what was seen, on one clock that begins with both.
+#[derive(Debug, Clone)]
+pub struct Run {
+    /// Its file.
+    pub name: String,
+    /// Currents.
+    pub commands: Commands,
+    /// Frames, their times rising from 0 or later.
+    pub sightings: Vec<Sighting>,
+}
+
+/// What is to be fitted, and how.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FitOptions {
+    /// The parameters; the others stay as the catheter has them.
+    pub parameters: Vec<Parameter>,
+    /// So long after a change of currents a shape counts as at rest, seconds.
+    pub settle_s: f64,
+    /// Whether only shapes at rest are used.
+    pub only_still: bool,
+    /// Of the motion.
+    pub accuracy: Accuracy,
+    /// What the tracker says of itself: noise where no pause shows it.
+    pub told: Option<Noise>,
+}
+
+/// A value with its standard deviation, SI units.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Estimated {
+    /// Which.
+    pub parameter: Parameter,
+    /// Value; of the alignment, more than the catheter's file has.
+    pub value: f64,
+    /// Standard deviation.
+    pub sd: f64,
+}
+
+/// Residuals of a model over one run.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Check {
+    /// The run.
+    pub name: String,
+    /// What the model has at each frame.
+    pub moments: Vec<Moment>,
+    /// Root mean square distance of the tip, metres.
+    pub tip_rms_m: f64,
+    /// Of the coil set, metres.
+    pub coil_rms_m: f64,
+    /// Root mean square difference of θ, radians.
+    pub theta_rms_rad: f64,
+}
+
+/// The result.
+#[derive(Debug, Clone)]
+pub struct Fit {
+    /// The catheter with the values found.
+    pub catheter: Catheter,
+    /// Delay of the currents, seconds.
+    pub delay_s: f64,
+    /// What was found.
+    pub estimated: Vec<Estimated>,
+    /// Correlations of what was found.
+    pub correlation: DMatrix<f64>,
+    /// What the data do not determine.
+    pub open: Vec<Open>,
+    /// Pauses at rest.
+    pub pauses: Vec<Pause>,
+    /// Pauses long enough that had not come to rest.
+    pub unsettled: usize,
+    /// The noise that residuals were compared with.
+    pub noise: Noise,
+    /// √(χ²/n): 1 when residuals are as large as the noise.
+    pub misfit: f64,
+    /// Whether motion was used.
+    pub in_motion: bool,
+}
+
+/// The catheter and the delay at a point of the search.
+fn with(start: &Catheter, delay_s: f64, parameters: &[Parameter], coordinates: &DVector<f64>) -> (Catheter, f64) {
+    let (mut catheter, mut delay_s) = (start.clone(), delay_s);
+    for (parameter, coordinate) in parameters.iter().zip(coordinates.iter()) {
+        parameter.set(parameter.value(*coordinate).0, &mut catheter, &mut delay_s);
+    }
+    (catheter, delay_s)
+}
+
+fn start_of(catheter: &Catheter, delay_s: f64, parameters: &[Parameter]) -> DVector<f64> {
+    let values = parameters.iter().map(|p| p.coordinate(p.of(catheter, delay_s)));
+    DVector::from_iterator(parameters.len(), values)
+}
+
+/// Fits `options.parameters` to the runs, from `catheter` and `delay_s` on.
+///
+/// # Errors
+/// [`CatheterError::Fit`] when there is nothing to fit to, the noise is not known, or the search does not settle.
+pub fn fit(catheter: &Catheter, delay_s: f64, runs: &[Run], options: &FitOptions) -> Result<Fit, CatheterError> {
+    let wrong = |what: &str| CatheterError::Fit(what.to_owned());
+    // 1. shapes at rest
+    let (pauses, unsettled, scatter) = still::pauses(runs, options.settle_s, delay_s);
+    let noise = match (scatter, options.told) {
+        (Some((point_m, angle_rad)), _) if point_m > 0.0 && angle_rad > 0.0 => {
+            Noise { point_m, angle_rad, missing: 0.0 }
+        }
+        (_, Some(told)) => told,
+        _ => {
+            return Err(wrong(
+                "no pause shows the noise: record some seconds at rest, or give runs with the tracker's own σ",
+            ));
+        }
+    };
+    let mut catheter = catheter.clone();
+    let mut open = Vec::new();
+    let mut wanted: Vec<Parameter> = options.parameters.iter().copied().filter(|p| p.is_static()).collect();
+    let mut found = None;
+    if !pauses.is_empty() {
+        let start = catheter.clone();
+        let result = determined(&mut wanted, if options.only_still { Some(&mut open) } else { None }, |parameters| {
+            let model = Still::new(&start, parameters, &pauses, noise);
+            minimise(parameters, &model, start_of(&start, delay_s, parameters))
+        })?;
+        catheter = with(&start, delay_s, &wanted, &result.coordinates).0;
+        found = Some((start, wanted.clone(), result));
+    }
+    if options.only_still {
+        let (start, parameters, result) = found.ok_or_else(|| wrong("no pause is long enough for a shape at rest"))?;
+        return Ok(result_of(&start, delay_s, &parameters, result, (pauses, unsettled, noise, open, false)));
+    }
+    // 2. motion
+    let frames: usize = runs.iter().map(|run| run.sightings.len()).sum();
+    if frames == 0 {
+        return Err(wrong("the runs have no frame"));
+    }
+    let start = catheter;
+    // Alignment is counted from the file's: what the first step found stays in the start, and is added again.
+    let turned = found.as_ref().map_or(0.0, |(_, parameters, result)| {
+        let at = parameters.iter().position(|p| *p == Parameter::Alignment);
+        at.map_or(0.0, |k| result.coordinates[k])
+    });
+    let mut wanted = options.parameters.clone();
+    let result = determined(&mut wanted, Some(&mut open), |parameters| {
+        let accuracy = options.accuracy;
+        let model = Moving { start: &start, delay_s, parameters, runs, noise, accuracy };
+        minimise(parameters, &model, start_of(&start, delay_s, parameters))
+    })?;
+    let mut fit = result_of(&start, delay_s, &wanted, result, (pauses, unsettled, noise, open, true));
+    if let Some(alignment) = fit.estimated.iter_mut().find(|e| e.parameter == Parameter::Alignment) {
+        alignment.value += turned;
+    }
+    Ok(fit)
+}
+
+/// Fits, leaves out what is not determined, and fits again. What is left out goes to `open`.
+fn determined(
+    parameters: &mut Vec<Parameter>,
+    mut open: Option<&mut Vec<Open>>,
+    search: impl Fn(&[Parameter]) -> Result<Found, Stuck>,
+) -> Result<Found, CatheterError> {
+    loop {
+        let found = search(parameters).map_err(|stuck| {
+            CatheterError::Fit(match stuck {
+                Stuck::Start => {
+                    "the catheter has no shape at some of the runs' currents: give one that is nearer".to_owned()
+                }
+                Stuck::NotSettled => "the search does not settle: give a catheter that is nearer".to_owned(),
+            })
+        })?;
+        let Some(least) = least_determined(parameters, &found.information) else { return Ok(found) };
+        parameters.retain(|p| *p != least.parameter);
+        if let Some(open) = &mut open {
+            open.push(least);
+        }
+    }
+}
+
+type Circumstances = (Vec<Pause>, usize, Noise, Vec<Open>, bool);
+
+fn result_of(
+    start: &Catheter,
+    delay_s: f64,
+    parameters: &[Parameter],
+    found: Found,
+    (pauses, unsettled, noise, open, in_motion): Circumstances,
+) -> Fit {
+    let (catheter, delay_s) = with(start, delay_s, parameters, &found.coordinates);
+    let count = parameters.len();
+    let free = found.residuals.len().saturating_sub(count).max(1);
+    let misfit = (found.residuals.norm_squared() / free as f64).sqrt();
+    // Determined: the information has an inverse.
+    let covariance = found.information.cholesky().map_or_else(|| DMatrix::zeros(count, count), |c| c.inverse());
+    let estimated: Vec<Estimated> = parameters
+        .iter()
+        .enumerate()
+        .map(|(k, parameter)| {
+            let (value, by) = parameter.value(found.coordinates[k]);
+            let sd = covariance[(k, k)].sqrt() * parameter.open() * by.abs() * misfit.max(1.0);
+            Estimated { parameter: *parameter, value, sd }
+        })
+        .collect();
+    let correlation =
+        DMatrix::from_fn(count, count, |i, j| covariance[(i, j)] / (covariance[(i, i)] * covariance[(j, j)]).sqrt());
+    Fit { catheter, delay_s, estimated, correlation, open, pauses, unsettled, noise, misfit, in_motion }
+}
+
+/// What a catheter makes of a run, and how far off that is.
+///
+/// # Errors
+/// As [`super::record`].
+pub fn check(catheter: &Catheter, delay_s: f64, run: &Run, accuracy: Accuracy) -> Result<Check, CatheterError> {
+    let moments = moving::moments(catheter, delay_s, run, accuracy)?;
+    let rms = |of: fn(&Sighting, &Moment) -> Option<f64>| {
+        let squares: Vec<f64> = run.sightings.iter().zip(&moments).filter_map(|(s, m)| of(s, m)).collect();
+        (squares.iter().sum::<f64>() / squares.len().max(1) as f64).sqrt()
+    };
+    Ok(Check {
+        name: run.name.clone(),
+        tip_rms_m: rms(|s, m| Some((s.tip? - m.tip).norm_squared())),
+        coil_rms_m: rms(|s, m| Some((s.coil? - m.coil).norm_squared())),
+        theta_rms_rad: rms(|s, m| s.tangent.map(|t| (t.x.atan2(t.z) - m.theta_rad()).powi(2))),
+        moments,
+    })
+}

@@ -1,0 +1,134 @@
+//! Least squares over few parameters, and what the data leave open.
+//!
+//! Levenberg and Marquardt's method; derivatives are central differences. Coordinates are in units of how far off a parameter
+//! may be before anything is measured ([`Parameter::open`]): the data's information is then compared with 1. What an
+//! eigenvector of it tells with less than [`DETERMINED`] is left open.
+
+use super::parameter::Parameter;
+use nalgebra::{DMatrix, DVector, SymmetricEigen};
+use rayon::prelude::*;
+
+/// A direction is determined when the data narrow it to less than a fifth of what is open beforehand.
+const DETERMINED: f64 = 25.0;
+/// What has a share of at least this in a direction is named with it.
+const SHARE: f64 = 0.4;
+const MOST_STEPS: usize = 25;
+/// A step that promises to lower the sum of squares by less than this is the last.
+const ENOUGH: f64 = 1e-3;
+
+/// Residuals in standard deviations at a point; `None` where the model has none (a shape that snaps).
+pub(super) trait Residuals: Sync {
+    fn at(&self, coordinates: &DVector<f64>) -> Option<DVector<f64>>;
+}
+
+/// Where the sum of squares is least.
+#[derive(Debug, Clone)]
+pub(super) struct Found {
+    pub(super) coordinates: DVector<f64>,
+    pub(super) residuals: DVector<f64>,
+    /// In units of [`Parameter::open`].
+    pub(super) information: DMatrix<f64>,
+}
+
+/// Parameters that the data cannot tell.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Open {
+    /// The one that is left at its start.
+    pub parameter: Parameter,
+    /// Those that it cannot be told from; empty when nothing at all is said of it.
+    pub with: Vec<Parameter>,
+}
+
+impl Open {
+    /// What is open, and what would close it.
+    pub fn sentence(&self) -> String {
+        let parameter = self.parameter;
+        let with: Vec<&str> = self.with.iter().map(|p| p.words()).collect();
+        let beside =
+            if with.is_empty() { String::new() } else { format!(", only together with {}", with.join(" and ")) };
+        format!("the runs do not determine {}{beside}: {}", parameter.words(), parameter.experiment())
+    }
+}
+
+/// Why there is no answer.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Stuck {
+    /// The start has no residuals.
+    Start,
+    /// It did not settle.
+    NotSettled,
+}
+
+/// Jacobian in units of [`Parameter::open`].
+fn jacobian(parameters: &[Parameter], model: &impl Residuals, at: &DVector<f64>, rows: usize) -> Option<DMatrix<f64>> {
+    let columns: Option<Vec<DVector<f64>>> = parameters
+        .par_iter()
+        .enumerate()
+        .map(|(k, parameter)| {
+            let side = |sign: f64| {
+                let mut moved = at.clone();
+                moved[k] += sign * parameter.step();
+                model.at(&moved)
+            };
+            Some((side(1.0)? - side(-1.0)?) * (parameter.open() / (2.0 * parameter.step())))
+        })
+        .collect();
+    let columns = columns?;
+    Some(if columns.is_empty() { DMatrix::zeros(rows, 0) } else { DMatrix::from_columns(&columns) })
+}
+
+/// Goes from `start` to where the sum of squares is least.
+pub(super) fn minimise(parameters: &[Parameter], model: &impl Residuals, start: DVector<f64>) -> Result<Found, Stuck> {
+    let open = DVector::from_iterator(parameters.len(), parameters.iter().map(|p| p.open()));
+    let mut at = start;
+    let mut residuals = model.at(&at).ok_or(Stuck::Start)?;
+    let mut damping = 1e-3;
+    for _ in 0..MOST_STEPS {
+        let by = jacobian(parameters, model, &at, residuals.len()).ok_or(Stuck::Start)?;
+        let information = by.tr_mul(&by);
+        let gradient = -by.tr_mul(&residuals);
+        let cost = residuals.norm_squared();
+        let mut moved = false;
+        while damping < 1e8 {
+            // What nothing is known of stays where it is.
+            let mut matrix = information.clone();
+            for k in 0..parameters.len() {
+                matrix[(k, k)] += damping * (information[(k, k)] + 1.0);
+            }
+            let Some(step) = matrix.cholesky().map(|matrix| matrix.solve(&gradient)) else { break };
+            let promised = step.dot(&gradient);
+            if promised < ENOUGH {
+                return Ok(Found { coordinates: at, residuals, information });
+            }
+            let next = &at + step.component_mul(&open);
+            match model.at(&next).filter(|next| next.norm_squared() < cost) {
+                Some(better) => {
+                    (at, residuals, moved) = (next, better, true);
+                    damping = f64::max(damping * 0.1, 1e-9);
+                    break;
+                }
+                None => damping *= 10.0,
+            }
+        }
+        if !moved {
+            // Rounding of the model: nowhere is lower.
+            return Ok(Found { coordinates: at, residuals, information });
+        }
+    }
+    Err(Stuck::NotSettled)
+}
+
+/// The parameter that the data tell least of, if they do not determine it.
+pub(super) fn least_determined(parameters: &[Parameter], information: &DMatrix<f64>) -> Option<Open> {
+    let eigen = SymmetricEigen::new(information.clone());
+    let (least, value) = eigen.eigenvalues.iter().enumerate().min_by(|a, b| a.1.total_cmp(b.1))?;
+    if *value >= DETERMINED {
+        return None;
+    }
+    let direction = eigen.eigenvectors.column(least).into_owned();
+    let mut shares: Vec<(f64, Parameter)> = direction.iter().map(|v| v.abs()).zip(parameters.iter().copied()).collect();
+    shares.sort_by(|a, b| b.0.total_cmp(&a.0));
+    let (_, parameter) = *shares.first()?;
+    let with = shares.iter().skip(1).filter(|(share, _)| *share >= SHARE).map(|(_, p)| *p).collect();
+    Some(Open { parameter, with })
+}

@@ -1,0 +1,159 @@
+//! Shapes at rest: pauses that are long enough, and what the model has for them.
+
+use super::Run;
+use super::parameter::Parameter;
+use super::search::Residuals;
+use crate::catheter::equilibrium::equilibrium;
+use crate::catheter::load::Load;
+use crate::catheter::model::Catheter;
+use crate::catheter::record::{Noise, Sighting};
+use crate::catheter::shape::Shape;
+use nalgebra::{DVector, Point3, Vector3};
+
+/// Fewer frames than this say nothing of their scatter.
+const FEWEST: usize = 5;
+/// A pause whose halves differ by more than so many σ of the difference, and by more than this part of the scatter, has not
+/// settled.
+const DIFFERS: (f64, f64) = (5.0, 0.5);
+
+/// A pause in which the catheter had come to rest.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Pause {
+    /// Which run it is from.
+    pub run: usize,
+    /// From when on frames count, seconds of the run, and how many of them.
+    pub from_s: f64,
+    /// Frames that count.
+    pub frames: usize,
+    /// Amperes.
+    pub currents_a: Vector3<f64>,
+    /// Mean place of the middle of the coil set, metres.
+    pub coil: Point3<f64>,
+    /// Mean place of the tip, metres.
+    pub tip: Point3<f64>,
+    /// Mean direction.
+    pub tangent: Vector3<f64>,
+}
+
+/// A frame in which all is seen.
+struct Seen {
+    time_s: f64,
+    coil: Vector3<f64>,
+    tip: Vector3<f64>,
+    tangent: Vector3<f64>,
+}
+
+impl Seen {
+    fn of(s: &Sighting) -> Option<Self> {
+        Some(Self { time_s: s.time_s, coil: s.coil?.coords, tip: s.tip?.coords, tangent: s.tangent? })
+    }
+}
+
+fn mean(seen: &[Seen], of: fn(&Seen) -> Vector3<f64>) -> Vector3<f64> {
+    seen.iter().map(of).sum::<Vector3<f64>>() / seen.len() as f64
+}
+
+/// Pauses of all runs that last longer than `settle_s`, and the scatter of frames in them: (σ of a coordinate, metres; σ of a
+/// direction about one axis, radians).
+pub(super) fn pauses(runs: &[Run], settle_s: f64, delay_s: f64) -> (Vec<Pause>, usize, Option<(f64, f64)>) {
+    let mut pauses = Vec::new();
+    let mut unsettled = 0;
+    // Squares and degrees of freedom of places and of directions.
+    let mut sums = (0.0, 0.0, 0.0, 0.0);
+    for (index, run) in runs.iter().enumerate() {
+        let last_s = run.sightings.last().map_or(0.0, |s| s.time_s);
+        let (first_s, _) = run.commands.span_s();
+        let before = [(f64::NEG_INFINITY, first_s, Vector3::zeros())];
+        for (from_s, to_s, currents_a) in before.into_iter().chain(run.commands.pauses()) {
+            // At rest from the beginning; else after a while.
+            let from_s = if from_s.is_finite() { from_s + delay_s + settle_s } else { f64::NEG_INFINITY };
+            let to_s = f64::min(to_s + delay_s, last_s + 1e-9);
+            let inside = run.sightings.iter().filter(|s| s.time_s >= from_s && s.time_s < to_s);
+            let seen: Vec<Seen> = inside.filter_map(Seen::of).collect();
+            if seen.len() < 2 * FEWEST {
+                continue;
+            }
+            let n = seen.len() as f64;
+            let half = seen.len() / 2;
+            let (coil, tip, tangent) = (mean(&seen, |s| s.coil), mean(&seen, |s| s.tip), mean(&seen, |s| s.tangent));
+            let squares: f64 = seen.iter().map(|s| (s.coil - coil).norm_squared() + (s.tip - tip).norm_squared()).sum();
+            let sd_m = (squares / (6.0 * (n - 1.0))).sqrt();
+            let (early, late) = seen.split_at(half);
+            let apart = (mean(early, |s| s.tip) - mean(late, |s| s.tip)).norm();
+            if apart > DIFFERS.0 * sd_m * 2.0 / n.sqrt() && apart > DIFFERS.1 * sd_m {
+                unsettled += 1;
+                continue;
+            }
+            sums.0 += squares;
+            sums.1 += 6.0 * (n - 1.0);
+            sums.2 += seen.iter().map(|s| (s.tangent - tangent).norm_squared()).sum::<f64>();
+            sums.3 += 2.0 * (n - 1.0);
+            pauses.push(Pause {
+                run: index,
+                from_s: seen.first().map_or(0.0, |s| s.time_s),
+                frames: seen.len(),
+                currents_a,
+                coil: coil.into(),
+                tip: tip.into(),
+                tangent: tangent.normalize(),
+            });
+        }
+    }
+    let scatter = (sums.1 > 0.0).then(|| ((sums.0 / sums.1).sqrt(), (sums.2 / sums.3).sqrt()));
+    (pauses, unsettled, scatter)
+}
+
+/// The shapes of pauses as a model has them.
+pub(super) struct Still<'a> {
+    pub(super) start: &'a Catheter,
+    pub(super) parameters: &'a [Parameter],
+    pub(super) pauses: &'a [Pause],
+    /// Shapes at the start, from which others are found fast.
+    pub(super) shapes: Vec<Option<Shape>>,
+    pub(super) noise: Noise,
+}
+
+impl<'a> Still<'a> {
+    pub(super) fn new(start: &'a Catheter, parameters: &'a [Parameter], pauses: &'a [Pause], noise: Noise) -> Self {
+        let shapes = pauses.iter().map(|pause| equilibrium(start, &Load::currents(pause.currents_a)).ok()).collect();
+        Self { start, parameters, pauses, shapes, noise }
+    }
+}
+
+impl Residuals for Still<'_> {
+    fn at(&self, coordinates: &DVector<f64>) -> Option<DVector<f64>> {
+        let (catheter, _) = super::with(self.start, 0.0, self.parameters, coordinates);
+        let mut left = Vec::with_capacity(9 * self.pauses.len());
+        for (pause, shape) in self.pauses.iter().zip(&self.shapes) {
+            let load = Load::currents(pause.currents_a);
+            let near = shape.as_ref().and_then(|shape| shape.moved_to(&catheter, &load).ok());
+            let shape = near.or_else(|| equilibrium(&catheter, &load).ok())?;
+            let mean = (pause.frames as f64).sqrt();
+            let seen =
+                Sighting { time_s: 0.0, coil: Some(pause.coil), tip: Some(pause.tip), tangent: Some(pause.tangent) };
+            push(&mut left, &seen, (&shape.coil, &shape.tip, &shape.tangent), self.noise, mean);
+        }
+        Some(DVector::from_vec(left))
+    }
+}
+
+/// Seen less modelled, in standard deviations; nothing for what was not seen. A direction has its two components across.
+pub(super) fn push(
+    left: &mut Vec<f64>,
+    seen: &Sighting,
+    (coil, tip, tangent): (&Point3<f64>, &Point3<f64>, &Vector3<f64>),
+    noise: Noise,
+    weight: f64,
+) {
+    for (seen, modelled) in [(seen.coil, coil), (seen.tip, tip)] {
+        if let Some(seen) = seen {
+            left.extend(((seen - modelled) * (weight / noise.point_m)).iter());
+        }
+    }
+    if let Some(seen) = seen.tangent {
+        // Across y, which a catheter that bends towards B0 does not point along.
+        let aside = Vector3::y().cross(tangent).try_normalize(1e-6).unwrap_or_else(Vector3::x);
+        let off = (seen - tangent) * (weight / noise.angle_rad);
+        left.extend([off.dot(&aside), off.dot(&tangent.cross(&aside))]);
+    }
+}

@@ -1,0 +1,141 @@
+//! Simulated experiments: what they were made with must come back, within its σ.
+
+use super::*;
+use crate::catheter::fit::search::Residuals;
+use crate::catheter::record::{record, seen};
+use nalgebra::Vector3;
+
+const NOISE: Noise = Noise { point_m: 0.04e-3, angle_rad: 0.15 * std::f64::consts::PI / 180.0, missing: 0.05 };
+
+fn truth() -> (Catheter, f64) {
+    let mut catheter = Catheter::prototype();
+    let mut delay_s = 0.0;
+    for (parameter, value) in [
+        (Parameter::Young, 6.3e6),
+        (Parameter::Shear, 1.9e6),
+        (Parameter::Alignment, -0.12),
+        (Parameter::CurvatureX, 0.4),
+        (Parameter::CurvatureY, -0.6),
+        (Parameter::Damping, 0.02),
+        (Parameter::Drag, 1.4),
+        (Parameter::Delay, 0.035),
+    ] {
+        parameter.set(value, &mut catheter, &mut delay_s);
+    }
+    (catheter, delay_s)
+}
+
+/// Holds of 4 s at these currents (mA), from 1 s on.
+fn experiment((catheter, delay_s): (Catheter, f64), levels_ma: &[[f64; 3]], accuracy: Accuracy, seed: u64) -> Run {
+    let hold_s = 4.0;
+    let rows = levels_ma.iter().enumerate().map(|(k, ma)| (1.0 + hold_s * k as f64, Vector3::from(*ma) * 1e-3));
+    let commands = Commands::new(&catheter, rows).unwrap();
+    let frames = (60.0 * (1.0 + hold_s * levels_ma.len() as f64)) as u64;
+    let times = (0..frames).map(|k| k as f64 / 60.0);
+    let moments = record(&catheter, &commands.later(delay_s), Vector3::zeros(), times, accuracy).unwrap();
+    Run { name: format!("seed {seed}"), commands, sightings: seen(&moments, NOISE, seed) }
+}
+
+/// The model's own error is tested elsewhere; here it is the same on both sides, and coarse.
+fn accuracy() -> Accuracy {
+    Accuracy { functions: [3, 1], longest_link_m: 7e-3, step_s: 4e-3, rho: 0.8 }
+}
+
+const ALL: [Parameter; 8] = [
+    Parameter::Young,
+    Parameter::Shear,
+    Parameter::Alignment,
+    Parameter::CurvatureX,
+    Parameter::CurvatureY,
+    Parameter::Damping,
+    Parameter::Drag,
+    Parameter::Delay,
+];
+
+fn options(parameters: &[Parameter]) -> FitOptions {
+    FitOptions { parameters: parameters.to_vec(), settle_s: 2.0, only_still: false, accuracy: accuracy(), told: None }
+}
+
+const LEVELS: [[f64; 3]; 4] = [[0.0, 50.0, 60.0], [0.0, -50.0, -30.0], [40.0, 20.0, 80.0], [0.0, 0.0, 0.0]];
+
+/// Over 20 seeds the RMS of (found − true)/σ was 1.17, and 91 % of the 160 values were within 2 σ; here one seed. That the σ are
+/// right is seen over more in the test below.
+#[test]
+fn parameters_of_simulated_experiments_come_back_within_their_sigma() {
+    let seeds: u64 = std::env::var("CATOPTRA_SEEDS").ok().and_then(|s| s.parse().ok()).unwrap_or(1);
+    let (catheter, delay_s) = truth();
+    let truth_of = |p: Parameter| if p == Parameter::Alignment { -0.12 } else { p.of(&catheter, delay_s) };
+    let mut all = Vec::new();
+    for seed in 0..seeds {
+        let run = experiment(truth(), &LEVELS, accuracy(), seed);
+        let fit = fit(&Catheter::prototype(), 0.0, &[run], &options(&ALL)).unwrap();
+        assert_eq!(fit.open, []);
+        assert!((fit.noise.point_m / NOISE.point_m - 1.0).abs() < 0.1, "{:?}", fit.noise);
+        assert!((fit.misfit - 1.0).abs() < 0.05, "{}", fit.misfit);
+        for e in &fit.estimated {
+            let z = (e.value - truth_of(e.parameter)) / e.sd;
+            println!("{seed} {:?} {} ± {} z {z:.2}", e.parameter, e.value, e.sd);
+            all.push(z);
+        }
+    }
+    let rms = (all.iter().map(|z| z * z).sum::<f64>() / all.len() as f64).sqrt();
+    println!("RMS z {rms:.2}");
+    assert!((0.6..1.5).contains(&rms), "{rms}");
+    assert!(all.iter().all(|z| z.abs() < 4.0), "{all:?}");
+}
+
+/// The estimate that is linear about the truth, for which a seed costs next to nothing: RMS of (found − true)/σ over 100 seeds.
+#[test]
+fn sigma_is_as_large_as_the_scatter() {
+    let (catheter, delay_s) = truth();
+    let run = |seed| vec![experiment(truth(), &LEVELS, accuracy(), seed)];
+    let runs = run(0);
+    let model = Moving { start: &catheter, delay_s, parameters: &ALL, runs: &runs, noise: NOISE, accuracy: accuracy() };
+    let at = start_of(&catheter, delay_s, &ALL);
+    let columns: Vec<DVector<f64>> = ALL
+        .iter()
+        .enumerate()
+        .map(|(k, parameter)| {
+            let side = |sign: f64| {
+                let mut moved = at.clone();
+                moved[k] += sign * parameter.step();
+                model.at(&moved).unwrap()
+            };
+            (side(1.0) - side(-1.0)) / (2.0 * parameter.step())
+        })
+        .collect();
+    let by = DMatrix::from_columns(&columns);
+    let covariance = by.tr_mul(&by).cholesky().unwrap().inverse();
+    let moments = moving::moments(&catheter, delay_s, &runs[0], accuracy()).unwrap();
+    let there: Vec<bool> = runs[0].sightings.iter().map(|s| s.tip.is_some()).collect();
+    let mut squares = DVector::zeros(ALL.len());
+    for seed in 0..100 {
+        let mut left = Vec::new();
+        let all = seen(&moments, Noise { missing: 0.0, ..NOISE }, 1000 + seed);
+        for ((sighting, moment), _) in all.iter().zip(&moments).zip(&there).filter(|(_, there)| **there) {
+            still::push(&mut left, sighting, (&moment.coil, &moment.tip, &moment.tangent), NOISE, 1.0);
+        }
+        let off = -(&covariance * by.tr_mul(&DVector::from_vec(left)));
+        squares += off.component_mul(&off).component_div(&covariance.diagonal());
+    }
+    let rms = (squares / 100.0).map(f64::sqrt);
+    println!("{}", rms.transpose());
+    // 0.82 to 1.09 over 300 seeds; of 100 its own scatter is 0.07.
+    assert!(rms.iter().all(|z| (0.7..1.3).contains(z)), "{rms}");
+}
+
+#[test]
+fn one_coil_leaves_twist_and_alignment_open() {
+    let mut straight = Catheter::prototype();
+    straight.tube.young_pa = 6.3e6;
+    // σ of E is 0.01 %: links must be short.
+    let fine = Accuracy { longest_link_m: 1e-3, ..accuracy() };
+    let run = experiment((straight, 0.0), &[[0.0, 0.0, 60.0], [0.0, 0.0, -60.0]], fine, 3);
+    let still = FitOptions { only_still: true, ..options(&ALL) };
+    let fit = fit(&Catheter::prototype(), 0.0, &[run], &still).unwrap();
+    let mut open: Vec<Parameter> = fit.open.iter().map(|o| o.parameter).collect();
+    open.sort_unstable();
+    assert_eq!(open, [Parameter::Shear, Parameter::Alignment]);
+    let young = fit.estimated.iter().find(|e| e.parameter == Parameter::Young).unwrap();
+    assert!((young.value - 6.3e6).abs() < 3.0 * young.sd && young.sd < 0.01e6, "{young:?}");
+}

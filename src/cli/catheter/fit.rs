@@ -1,0 +1,267 @@
+//! `catoptra catheter fit`: the catheter's parameters from tracked runs.
+
+use super::super::output::save;
+use super::super::units::duration_s;
+use super::super::{Exit, Failure, output, provenance};
+use super::run::Columns;
+use super::{Common, failure, prepare};
+use crate::catheter::{
+    Accuracy, Catheter, CatheterError, Check, Commands, Fit, FitOptions, Noise, Parameter, Run, Sighting, check, fit,
+};
+use crate::report::catheter_fit;
+use crate::series::{CurrentTable, Recording, SeriesError};
+use crate::source::times::parse_seconds_ns;
+use nalgebra::Vector3;
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+const NS_PER_S: f64 = 1e9;
+const FILES: [&str; 3] = ["catheter.toml", "fit.csv", "fit.html"];
+/// Fitted unless asked otherwise: the drag of slow motion is known from theory, and hard to tell from the damping.
+const USUAL: [Parameter; 8] = [
+    Parameter::Young,
+    Parameter::Shear,
+    Parameter::Alignment,
+    Parameter::CurvatureX,
+    Parameter::CurvatureY,
+    Parameter::Damping,
+    Parameter::Drag,
+    Parameter::Delay,
+];
+
+#[derive(Debug, clap::Args)]
+pub(super) struct FitArgs {
+    #[command(flatten)]
+    common: Common,
+    /// Tracked runs in the base frame
+    #[arg(value_name = "LOG.mcap|TABLE.csv", required = true)]
+    runs: Vec<PathBuf>,
+    /// Currents of each run, in their order: a table, or a .play list; not needed for logs that have them
+    #[arg(long, value_name = "FILE", num_args = 1..)]
+    currents: Vec<PathBuf>,
+    /// Runs that are not fitted, to judge the result by
+    #[arg(long, value_name = "LOG.mcap|TABLE.csv", num_args = 1..)]
+    validate: Vec<PathBuf>,
+    /// Currents of these
+    #[arg(long, value_name = "FILE", num_args = 1..)]
+    validate_currents: Vec<PathBuf>,
+    #[command(flatten)]
+    columns: Columns,
+    /// Camera time of the start of the currents, seconds, where their table counts from a start
+    #[arg(long, value_name = "T", value_parser = seconds_ns, allow_hyphen_values = true)]
+    start: Option<i64>,
+    /// What to fit; what the data do not determine is then an error
+    #[arg(long, value_name = "NAMES", value_delimiter = ',', value_parser = parameter)]
+    parameters: Vec<Parameter>,
+    /// So long after a change of currents the catheter has come to rest
+    #[arg(long, value_name = "T", default_value = "3s", value_parser = duration_s)]
+    settle: f64,
+    /// Use shapes at rest only
+    #[arg(long)]
+    only_still: bool,
+    /// Longest step of the computed motion
+    #[arg(long, value_name = "T", default_value = "4ms", value_parser = duration_s)]
+    step: f64,
+    /// Folder for the results
+    #[arg(short, long, value_name = "DIR")]
+    out: PathBuf,
+}
+
+fn seconds_ns(text: &str) -> Result<i64, String> {
+    parse_seconds_ns(text).ok_or_else(|| "expected seconds, such as 12 or 3.25".to_owned())
+}
+
+fn parameter(text: &str) -> Result<Parameter, String> {
+    Parameter::ALL
+        .into_iter()
+        .find(|p| p.name() == text.trim())
+        .ok_or_else(|| format!("`{text}` is none; there are {}", Parameter::ALL.map(Parameter::name).join(", ")))
+}
+
+fn usage(text: impl Into<String>) -> Failure {
+    Failure::new(Exit::Usage, text.into())
+}
+
+impl FitArgs {
+    pub(super) fn run(&self, quiet: bool) -> Result<(), Failure> {
+        for (flag, tables, runs) in [
+            ("--currents", &self.currents, &self.runs),
+            ("--validate-currents", &self.validate_currents, &self.validate),
+        ] {
+            if !tables.is_empty() && tables.len() != runs.len() {
+                let (tables, runs) = (tables.len(), runs.len());
+                return Err(usage(format!(
+                    "{flag}: {tables} tables for {runs} runs; give one for each, in their order"
+                )));
+            }
+        }
+        prepare(&self.out, &FILES)?;
+        let (name, catheter) = self.common.load()?;
+        let read = |files: &[PathBuf], tables: &[PathBuf]| -> Result<Vec<(Run, Option<Noise>)>, Failure> {
+            files.iter().enumerate().map(|(k, file)| self.read(&catheter, file, tables.get(k))).collect()
+        };
+        let fitted = read(&self.runs, &self.currents)?;
+        let judged: Vec<Run> = read(&self.validate, &self.validate_currents)?.into_iter().map(|(run, _)| run).collect();
+        let told = fitted.iter().find_map(|(_, told)| *told);
+        let runs: Vec<Run> = fitted.into_iter().map(|(run, _)| run).collect();
+        let accuracy = Accuracy { step_s: self.step, ..Accuracy::default() };
+        let parameters = if self.parameters.is_empty() { USUAL.to_vec() } else { self.parameters.clone() };
+        let options = FitOptions { parameters, settle_s: self.settle, only_still: self.only_still, accuracy, told };
+        let result = fit(&catheter, 0.0, &runs, &options).map_err(unusable)?;
+        let open: Vec<String> = result.open.iter().map(|open| open.sentence()).collect();
+        if !self.parameters.is_empty() && !open.is_empty() {
+            return Err(Failure::new(Exit::Unusable, open.join("\n")));
+        }
+        for open in &open {
+            tracing::warn!("{open}");
+        }
+        let checks = |runs: &[Run]| -> Result<Vec<Check>, Failure> {
+            runs.iter().map(|run| check(&result.catheter, result.delay_s, run, accuracy).map_err(failure)).collect()
+        };
+        let (own, other) = (checks(&runs)?, checks(&judged)?);
+        save(&self.out.join("catheter.toml"), &result.catheter.to_toml(&self.heading(&name)))?;
+        save(&self.out.join("fit.csv"), &values(&result))?;
+        let settings =
+            [("Start".to_owned(), name.clone())].into_iter().chain(provenance::of_this_run()).collect::<Vec<_>>();
+        let all = runs
+            .iter()
+            .zip(&own)
+            .map(|(r, c)| (r, c, true))
+            .chain(judged.iter().zip(&other).map(|(r, c)| (r, c, false)));
+        let page = catheter_fit::page(&result, &all.collect::<Vec<_>>(), &settings);
+        save(&self.out.join("fit.html"), &page)?;
+        if quiet { Ok(()) } else { output::print(&self.summary(&result, &own, &other)) }
+    }
+
+    fn heading(&self, name: &str) -> String {
+        let runs: Vec<String> = self.runs.iter().map(|run| run.display().to_string()).collect();
+        format!("Fitted to {}; what is not fitted is that of {name}.", runs.join(", "))
+    }
+
+    /// A run, and what its tracker says of the noise.
+    fn read(&self, catheter: &Catheter, file: &Path, table: Option<&PathBuf>) -> Result<(Run, Option<Noise>), Failure> {
+        let wrong = |problem: &str| usage(format!("{}: {problem}", file.display()));
+        let recording = Recording::read(file).map_err(unreadable)?;
+        if let Some(why) = &recording.cut {
+            tracing::warn!("{}: not all of it can be read: {why}", file.display());
+        }
+        if recording.reference == Some(crate::sink::OutputFrame::Camera) {
+            return Err(wrong("its places are in the camera frame; track it without `--frame camera`"));
+        }
+        let (coil, tip) = (recording.marker("coil").map_err(unreadable)?, recording.marker("tip").map_err(unreadable)?);
+        let mut commands: Vec<(i64, Vec<f64>)> = Vec::new();
+        let coils = match table {
+            Some(table) => {
+                let table = CurrentTable::read(table).map_err(unreadable)?;
+                if let Some(assumption) = table.assumption(self.start) {
+                    tracing::warn!("{}: {assumption}", table.path.display());
+                }
+                for current in table.on_camera_clock(&recording, self.start).map_err(unreadable)? {
+                    commands.extend(current.stamp_ns.map(|ns| (ns, current.values_a)));
+                }
+                self.columns.of(&table.coils).map_err(|why| usage(format!("{}: {why}", table.path.display())))?
+            }
+            None => {
+                commands.extend(recording.currents.iter().filter_map(|c| Some((c.stamp_ns?, c.values_a.clone()))));
+                let count = commands.iter().map(|(_, values)| values.len()).max().unwrap_or(0);
+                let names: Vec<String> = (1..=count).map(|k| format!("channel_{k}")).collect();
+                if count == 0 {
+                    return Err(wrong("has no coil currents: give a table of them with --currents"));
+                }
+                self.columns.of(&names).map_err(|why| wrong(&why))?
+            }
+        };
+        commands.dedup_by_key(|(ns, _)| *ns);
+        let (Some(first), Some(frame)) = (commands.first().map(|c| c.0), recording.frames.first()) else {
+            return Err(wrong("has no frame, or no current"));
+        };
+        let zero_ns = first.min(frame.stamp_ns);
+        let seconds = |ns: i64| (ns - zero_ns) as f64 / NS_PER_S;
+        let value = |row: &[f64], column: Option<usize>| column.and_then(|k| row.get(k)).copied().unwrap_or(0.0);
+        let rows = commands
+            .iter()
+            .map(|(ns, values)| (seconds(*ns), Vector3::from(coils.map(|column| value(values, column)))));
+        let commands = Commands::new(catheter, rows).map_err(|e| wrong(&e.to_string()))?;
+        let sightings: Vec<Sighting> = recording
+            .frames
+            .iter()
+            .map(|frame| Sighting {
+                time_s: seconds(frame.stamp_ns),
+                coil: frame.places.get(coil).and_then(|place| place.point),
+                tip: frame.places.get(tip).and_then(|place| place.point),
+                tangent: frame.tangent,
+            })
+            .collect();
+        if sightings.windows(2).any(|pair| matches!(pair, [a, b] if b.time_s <= a.time_s)) {
+            return Err(wrong("its frames' times do not rise: the camera's clock began anew"));
+        }
+        if !sightings.iter().any(|s| s.tip.is_some()) {
+            return Err(wrong("no frame has a place of the tip"));
+        }
+        let sd_m = rms(recording.frames.iter().filter_map(|f| f.places.get(tip)?.sd_m));
+        let sd_rad = rms(recording.frames.iter().filter_map(|f| f.tangent_sd_rad));
+        let told = sd_m.zip(sd_rad).map(|(point_m, angle_rad)| Noise { point_m, angle_rad, missing: 0.0 });
+        Ok((Run { name: file.display().to_string(), commands, sightings }, told))
+    }
+
+    fn summary(&self, fit: &Fit, own: &[Check], other: &[Check]) -> String {
+        let frames = if fit.in_motion { "all frames" } else { "shapes at rest" };
+        let mut text = format!("fitted to {frames}, {} pauses at rest\n\n", fit.pauses.len());
+        // Writing into text cannot fail.
+        for estimated in &fit.estimated {
+            let (unit, scale) = estimated.parameter.unit();
+            let (value, sd) = (estimated.value * scale, estimated.sd * scale);
+            let _ = writeln!(text, "  {:<12} {value:>10.4} ± {sd:.4} {unit}", estimated.parameter.name());
+        }
+        for open in &fit.open {
+            let _ = writeln!(text, "  {:<12} not determined", open.parameter.name());
+        }
+        let noise = fit.noise;
+        let _ = writeln!(
+            text,
+            "\n  residuals are {:.2} times the noise of {:.3} mm and {:.3}°",
+            fit.misfit,
+            noise.point_m * 1e3,
+            noise.angle_rad.to_degrees()
+        );
+        if fit.unsettled > 0 {
+            let _ = writeln!(text, "  {} pauses had not come to rest: lengthen --settle", fit.unsettled);
+        }
+        let _ = writeln!(text, "\n  RMS            tip      coil       θ");
+        for (check, word) in own.iter().map(|c| (c, "fitted")).chain(other.iter().map(|c| (c, "not fitted"))) {
+            let (tip, coil, theta) = (check.tip_rms_m * 1e3, check.coil_rms_m * 1e3, check.theta_rms_rad.to_degrees());
+            let _ = writeln!(text, "  {word:<10} {tip:.3} mm  {coil:.3} mm  {theta:.3}°  {}", check.name);
+        }
+        let _ = writeln!(text, "\nwritten: {} in {}", FILES.join(", "), self.out.display());
+        text
+    }
+}
+
+fn rms(values: impl Iterator<Item = f64>) -> Option<f64> {
+    let values: Vec<f64> = values.filter(|v| *v > 0.0).collect();
+    (!values.is_empty()).then(|| (values.iter().map(|v| v * v).sum::<f64>() / values.len() as f64).sqrt())
+}
+
+fn unreadable(error: SeriesError) -> Failure {
+    let exit = if error.is_io() && !error.is_missing() { Exit::Failed } else { Exit::Usage };
+    Failure::new(exit, error)
+}
+
+fn unusable(error: CatheterError) -> Failure {
+    let exit = if matches!(error, CatheterError::Fit(_)) { Exit::Unusable } else { Exit::Usage };
+    Failure::new(exit, error)
+}
+
+/// Values, σ and correlations as a table.
+fn values(fit: &Fit) -> String {
+    let names: Vec<&str> = fit.estimated.iter().map(|e| e.parameter.name()).collect();
+    let mut text = format!("parameter,unit,value,sd,{}\r\n", names.join(","));
+    for (k, estimated) in fit.estimated.iter().enumerate() {
+        let (unit, scale) = estimated.parameter.unit();
+        let (value, sd) = (estimated.value * scale, estimated.sd * scale);
+        let correlations: Vec<String> = fit.correlation.row(k).iter().map(|c| format!("{c:.4}")).collect();
+        let _ =
+            write!(text, "{},{unit},{value:.9e},{sd:.3e},{}\r\n", estimated.parameter.name(), correlations.join(","));
+    }
+    text
+}

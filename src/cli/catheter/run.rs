@@ -1,0 +1,213 @@
+//! `catoptra catheter run`: what a camera would record of the catheter under given currents.
+
+use super::super::output::{is_free, print, save};
+use super::super::units::{duration_s, frequency_hz};
+use super::super::{Exit, Failure};
+use super::{Common, failure};
+use crate::catheter::{Accuracy, Catheter, Commands, Moment, Noise, Sighting, record, seen};
+use crate::log::schema::table;
+use crate::series::CurrentTable;
+use nalgebra::{Point3, Vector3};
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+/// Most frames: an hour at a thousand a second.
+const MOST_FRAMES: f64 = 3.6e6;
+const NS_PER_S: f64 = 1e9;
+
+#[derive(Debug, clap::Args)]
+pub(super) struct RunArgs {
+    #[command(flatten)]
+    common: Common,
+    /// Coil currents: a table with t_s, or a .play list
+    #[arg(value_name = "CURRENTS.csv|LIST.play")]
+    currents: PathBuf,
+    #[command(flatten)]
+    columns: Columns,
+    /// Camera frames a second
+    #[arg(long, value_name = "F", default_value = "60Hz", value_parser = frequency_hz)]
+    rate: f64,
+    /// Length of the record [default: one second beyond the last command]
+    #[arg(long, value_name = "T", value_parser = duration_s)]
+    duration: Option<f64>,
+    /// How much later than told the currents flow
+    #[arg(long, value_name = "T", value_parser = duration_s)]
+    delay: Option<f64>,
+    /// Relaxation time of the tube's material instead of the file's
+    #[arg(long, value_name = "T", value_parser = duration_or_none_s)]
+    damping: Option<f64>,
+    /// Force at the tip in millinewtons, base frame
+    #[arg(long, value_name = "X,Y,Z", value_delimiter = ',', allow_hyphen_values = true)]
+    tip_force_mn: Vec<f64>,
+    /// Noise of a tracker: σ of a coordinate in mm, and of a direction in degrees
+    #[arg(long, value_name = "MM,DEG", value_delimiter = ',', num_args = 1)]
+    noise: Vec<f64>,
+    /// Part of the frames in which nothing is seen, percent
+    #[arg(long, value_name = "%", default_value_t = 0.0)]
+    missing: f64,
+    /// Seed of noise and missing frames
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    seed: u64,
+    /// Longest step of the computation
+    #[arg(long, value_name = "T", default_value = "2ms", value_parser = duration_s)]
+    step: f64,
+    /// Table to write, with the columns of a tracked run
+    #[arg(short, long, value_name = "RUN.csv")]
+    out: PathBuf,
+}
+
+/// Which columns of currents belong to which coil.
+#[derive(Debug, clap::Args)]
+pub(super) struct Columns {
+    /// Columns of the coils x, y, z; `-` for a coil without current [default: x_a,y_a,z_a, or the table's three columns
+    /// in their order, or its only one for the axial coil z]
+    #[arg(long, value_name = "NAMES", value_delimiter = ',', allow_hyphen_values = true)]
+    coils: Vec<String>,
+}
+
+fn duration_or_none_s(text: &str) -> Result<f64, String> {
+    if matches!(text.trim(), "0" | "0s" | "0ms") { Ok(0.0) } else { duration_s(text) }
+}
+
+impl Columns {
+    /// The currents, later than told by `shift_s`.
+    fn commands(&self, catheter: &Catheter, table: &CurrentTable, shift_s: f64) -> Result<Commands, Failure> {
+        let file = table.path.display();
+        let columns = self.of(&table.coils).map_err(|why| Failure::new(Exit::Usage, format!("{file}: {why}")))?;
+        let value = |row: &[f64], column: Option<usize>| column.and_then(|k| row.get(k)).copied().unwrap_or(0.0);
+        let rows = table.rows.iter().map(|row| {
+            let time_s = row.time_ns as f64 / NS_PER_S + shift_s;
+            (time_s, Vector3::from(columns.map(|column| value(&row.values_a, column))))
+        });
+        let rows: Vec<(f64, Vector3<f64>)> = rows.collect();
+        Commands::new(catheter, rows).map_err(|e| Failure::new(Exit::Usage, format!("{file}: {e}")))
+    }
+
+    /// Indices of the coils' columns among these names.
+    pub(super) fn of(&self, names: &[String]) -> Result<[Option<usize>; 3], String> {
+        let there = names.join(", ");
+        let find = |name: &str| names.iter().position(|coil| coil == name);
+        match self.coils.as_slice() {
+            [] => {
+                let usual = ["x_a", "y_a", "z_a"].map(find);
+                match (usual, names.len()) {
+                    ([Some(_), Some(_), Some(_)], _) => Ok(usual),
+                    (_, 3) => Ok([Some(0), Some(1), Some(2)]),
+                    (_, 1) => Ok([None, None, Some(0)]),
+                    _ => Err(format!("has the columns {there}; say with --coils which are the coils x, y, z")),
+                }
+            }
+            [x, y, z] => {
+                let mut columns = [None; 3];
+                for (column, name) in columns.iter_mut().zip([x, y, z]) {
+                    if name != "-" {
+                        let found = find(name).ok_or_else(|| format!("has no column `{name}`; it has {there}"))?;
+                        *column = Some(found);
+                    }
+                }
+                Ok(columns)
+            }
+            names => Err(format!("--coils: {} names, expected three: the columns of the coils x, y, z", names.len())),
+        }
+    }
+}
+
+impl RunArgs {
+    pub(super) fn run(&self, quiet: bool) -> Result<(), Failure> {
+        let usage = |text: String| Failure::new(Exit::Usage, text);
+        is_free(&self.out, &format!("{},", table::FIRST.join(",")), "a table of a run")?;
+        let tip_n = match *self.tip_force_mn.as_slice() {
+            [] => Vector3::zeros(),
+            [x, y, z] if [x, y, z].iter().all(|v| v.is_finite()) => Vector3::new(x, y, z) / 1e3,
+            _ => return Err(usage("--tip-force-mn: expected three numbers such as 0,0,0.1".to_owned())),
+        };
+        let noise = self.noise().map_err(usage)?;
+        let (name, mut catheter) = self.common.load()?;
+        if let Some(damping_s) = self.damping {
+            catheter.motion.damping_s = damping_s;
+        }
+        let table = CurrentTable::read(&self.currents).map_err(|e| Failure::new(Exit::Usage, e))?;
+        // Times of the host or the camera begin anew.
+        let first_s = table.rows.first().map_or(0.0, |row| row.time_ns as f64 / NS_PER_S);
+        let since_s = if table.clock == crate::series::CurrentClock::Start { 0.0 } else { first_s };
+        let delay_s = self.delay.unwrap_or(0.0);
+        let commands = self.columns.commands(&catheter, &table, delay_s - since_s)?;
+        let (begin_s, end_s) = commands.span_s();
+        if begin_s < 0.0 {
+            return Err(usage(format!("{}: begins before 0 s", self.currents.display())));
+        }
+        let duration_s = self.duration.unwrap_or(end_s + 1.0);
+        let frames = (duration_s * self.rate).floor() + 1.0;
+        if frames > MOST_FRAMES {
+            return Err(usage(format!("{frames} frames are more than {MOST_FRAMES}; shorten --duration")));
+        }
+        let accuracy = Accuracy { step_s: self.step, ..Accuracy::default() };
+        let times_s = (0..frames as u64).map(|k| k as f64 / self.rate);
+        let moments = record(&catheter, &commands, tip_n, times_s, accuracy).map_err(failure)?;
+        save(&self.out, &rows(&seen(&moments, noise, self.seed), noise))?;
+        if quiet { Ok(()) } else { print(&summary(&name, &moments, self.rate, &self.out)) }
+    }
+
+    fn noise(&self) -> Result<Noise, String> {
+        let missing = self.missing / 100.0;
+        if !(0.0..=0.9).contains(&missing) {
+            return Err(format!("--missing {}: expected a part of the frames from 0 to 90 percent", self.missing));
+        }
+        match *self.noise.as_slice() {
+            [] => Ok(Noise { missing, ..Noise::NONE }),
+            [mm, deg] if (0.0..100.0).contains(&mm) && (0.0..45.0).contains(&deg) => {
+                Ok(Noise { point_m: mm / 1e3, angle_rad: deg.to_radians(), missing })
+            }
+            _ => Err("--noise: expected two numbers not below 0, MM,DEG such as 0.04,0.15".to_owned()),
+        }
+    }
+}
+
+/// The table of a tracked run.
+fn rows(sightings: &[Sighting], noise: Noise) -> String {
+    let mut text = table::header(["base", "coil", "tip"].into_iter()).join(",") + "\r\n";
+    let sd = |value: f64| if value > 0.0 { format!("{value:.6}") } else { String::new() };
+    let (point_sd, angle_sd) = (sd(noise.point_m * 1e3), sd(noise.angle_rad.to_degrees()));
+    for (k, at) in sightings.iter().enumerate() {
+        let stamp_ns = (at.time_s * NS_PER_S).round() as i64;
+        // Writing into text cannot fail.
+        let _ = write!(text, "{k},{}.{:09},{stamp_ns}", stamp_ns / 1_000_000_000, stamp_ns % 1_000_000_000);
+        match at.tangent {
+            Some(t) => {
+                let theta_deg = t.x.atan2(t.z).to_degrees();
+                let (polar, azimuth) = (t.z.clamp(-1.0, 1.0).acos().to_degrees(), t.y.atan2(t.x).to_degrees());
+                let _ = write!(text, ",{theta_deg:.6},{angle_sd},{polar:.6},{azimuth:.6}");
+            }
+            None => text += ",,,,",
+        }
+        for point in [at.tip.map(|_| Point3::origin()), at.coil, at.tip] {
+            match point {
+                Some(p) => {
+                    let _ = write!(text, ",{:.6},{:.6},{:.6},{point_sd},ok", p.x * 1e3, p.y * 1e3, p.z * 1e3);
+                }
+                None => text += ",,,,,not_seen_direct",
+            }
+        }
+        match at.tangent {
+            Some(t) => {
+                let _ = write!(text, ",{:.7},{:.7},{:.7},{angle_sd}", t.x, t.y, t.z);
+            }
+            None => text += ",,,,",
+        }
+        text += ",0\r\n";
+    }
+    text
+}
+
+fn summary(name: &str, moments: &[Moment], rate: f64, out: &Path) -> String {
+    let theta = moments.iter().map(|m| m.theta_rad().to_degrees());
+    let (low, high) = theta.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), t| (low.min(t), high.max(t)));
+    let fastest = moments.iter().map(|m| m.tip_velocity_m_s.norm()).fold(0.0, f64::max);
+    format!(
+        "{name}: {} frames, {rate} a second\n\n  θ                {low:.2}° to {high:.2}°\n  \
+         tip              up to {:.1} mm/s\n\nwritten: {}\n",
+        moments.len(),
+        fastest * 1e3,
+        out.display()
+    )
+}

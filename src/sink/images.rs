@@ -1,0 +1,98 @@
+//! The picture of the camera for people, in the log's `/camera/image`: what the annotations lie on.
+//!
+//! In: a [`Picture`] that was tracked. Out: a JPEG of all of it, one a second of camera time: with one of every frame the log would be
+//! ten times as large. It is to be looked at, and nothing reads it back: what is to be tracked again is recorded as windows or
+//! as a video.
+
+use super::SinkError;
+use super::colour::{ConvertError, ToBgr};
+use crate::estimate::Estimate;
+use crate::log::schema::Topic;
+use crate::source::Picture;
+use image::ExtendedColorType;
+use image::codecs::jpeg::JpegEncoder;
+
+/// Camera time from one picture to the next.
+const EVERY_NS: u64 = 1_000_000_000;
+/// Of the JPEG.
+const QUALITY: u8 = 80;
+
+/// A picture for people.
+#[derive(Debug, Clone)]
+pub struct LoggedImage {
+    /// Number of its frame.
+    pub seq: u64,
+    /// Camera time, nanoseconds.
+    pub stamp_ns: i64,
+    /// When it arrived, by the host's clock; only known live.
+    pub arrival_ns: Option<i64>,
+    /// The file.
+    pub jpeg: Vec<u8>,
+}
+
+/// Takes one picture a second.
+#[derive(Default)]
+pub(crate) struct ImageTaker {
+    last_ns: Option<i64>,
+    to_bgr: ToBgr,
+    rgb: Vec<u8>,
+}
+
+impl std::fmt::Debug for ImageTaker {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "ImageTaker({:?})", self.last_ns)
+    }
+}
+
+impl ImageTaker {
+    /// The picture, when it is time for one.
+    ///
+    /// # Errors
+    /// [`SinkError::Encode`] when it cannot be converted or compressed.
+    pub(crate) fn take(&mut self, estimate: &Estimate, picture: &Picture) -> Result<Option<LoggedImage>, SinkError> {
+        let ns = estimate.stamp.ns;
+        if picture.is_damaged() || self.last_ns.is_some_and(|last| ns >= last && ns.abs_diff(last) < EVERY_NS) {
+            return Ok(None);
+        }
+        self.last_ns = Some(ns);
+        let refused = |reason: String| SinkError::Encode { topic: Topic::Image.name(), reason };
+        let [width, height] = picture.size_px();
+        let stride = 3 * width as usize;
+        self.rgb.resize(stride * height as usize, 0);
+        self.to_bgr.convert(picture, &mut self.rgb, stride).map_err(|error| match error {
+            ConvertError::Unsupported(format) => refused(format!("no conversion to RGB from {format:?}")),
+            ConvertError::Av(error) => refused(error.to_string()),
+        })?;
+        self.rgb.chunks_exact_mut(3).for_each(<[u8]>::reverse);
+        let mut jpeg = Vec::new();
+        JpegEncoder::new_with_quality(&mut jpeg, QUALITY)
+            .encode(&self.rgb, width, height, ExtendedColorType::Rgb8)
+            .map_err(|error| refused(error.to_string()))?;
+        let arrival_ns = estimate.host.map(|host| host.arrival_ns);
+        Ok(Some(LoggedImage { seq: estimate.seq, stamp_ns: ns, arrival_ns, jpeg }))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::source::{Colour, PixelFormat};
+    use crate::testing::fixture;
+
+    #[test]
+    fn one_a_second_is_taken_in_its_colours() {
+        let planes = vec![vec![200; 64 * 48], vec![40; 64 * 48], vec![90; 64 * 48]];
+        let picture = Picture::from_planes(64, 48, PixelFormat::RgbPlanar, Colour::SRGB, planes).unwrap();
+        let mut taker = ImageTaker::default();
+        let mut taken = |ns: i64| taker.take(&fixture::complete(7, ns), &picture).unwrap();
+        let first = taken(5).unwrap();
+        let read = image::load_from_memory(&first.jpeg).unwrap().to_rgb8();
+        assert_eq!((read.dimensions(), first.seq, first.stamp_ns), ((64, 48), 7, 5));
+        assert!(read.get_pixel(30, 20).0.iter().zip([200_u8, 40, 90]).all(|(a, b)| a.abs_diff(b) < 4));
+        assert!(taken(900_000_000).is_none());
+        assert!(taken(1_100_000_000).is_some());
+        assert!(taken(1_200_000_000).is_none());
+        // The clock was set back.
+        assert!(taken(300_000_000).is_some());
+    }
+}

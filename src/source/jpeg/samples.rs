@@ -1,0 +1,97 @@
+//! Whether the coefficients of a block can be those of samples.
+//!
+//! Samples have 8 bits, and each coefficient of the picture that was coded lies within a step of its quantization (T.81,
+//! A.3.4) beside the one that is stored. The transform keeps distances (it is orthonormal): the block as stored can be no
+//! further from one with samples in range than the steps allow.
+
+use std::f32::consts::{FRAC_1_SQRT_2, PI};
+
+/// Largest sample beside the middle of the range, and what decoders round.
+const MOST: f32 = 128.5;
+/// By so many steps may an encoder have been off: half is rounding, and some leave out what is small.
+const STEPS: f32 = 0.75;
+
+/// Where the k-th coefficient of a scan stands: row and column (T.81, figure A.6).
+const ZIGZAG: [u8; 64] = [
+    0, 1, 8, 16, 9, 2, 3, 10, 17, 24, 32, 25, 18, 11, 4, 5, 12, 19, 26, 33, 40, 48, 41, 34, 27, 20, 13, 6, 7, 14, 21,
+    28, 35, 42, 49, 56, 57, 50, 43, 36, 29, 22, 15, 23, 30, 37, 44, 51, 58, 59, 52, 45, 38, 31, 39, 46, 53, 60, 61, 54,
+    47, 55, 62, 63,
+];
+
+/// What samples a table of quantization allows.
+#[derive(Clone)]
+pub(super) struct Samples {
+    /// cos((2x + 1) u π / 16) with the factors of the transform, by x and u.
+    basis: [[f32; 8]; 8],
+    /// Square of how far off the samples of a sound block may be.
+    tolerance: f32,
+}
+
+impl Samples {
+    pub(super) fn new(quantization: &[i32; 64]) -> Self {
+        let basis = std::array::from_fn(|x| {
+            std::array::from_fn(|u| {
+                let factor = if u == 0 { FRAC_1_SQRT_2 } else { 1.0 };
+                factor / 2.0 * ((2 * x + 1) as f32 * u as f32 * PI / 16.0).cos()
+            })
+        });
+        Self { basis, tolerance: quantization.iter().map(|q| (STEPS * *q as f32).powi(2)).sum() }
+    }
+
+    /// Whether such coefficients, in the order of the scan and multiplied by their steps, can be those of samples.
+    pub(super) fn allow(&self, coefficients: &[i32; 64]) -> bool {
+        // Most blocks are far from either end of the range.
+        let [direct, others @ ..] = coefficients;
+        let most =
+            direct.unsigned_abs() as f32 / 8.0 + others.iter().map(|c| c.unsigned_abs() as f32 / 4.0).sum::<f32>();
+        if most <= MOST {
+            return true;
+        }
+        let mut rows = [[0.0; 8]; 8];
+        for (coefficient, at) in coefficients.iter().zip(ZIGZAG).filter(|(c, _)| **c != 0) {
+            let (v, u) = (usize::from(at / 8), usize::from(at % 8));
+            for (x, basis) in self.basis.iter().enumerate() {
+                rows[v][x] += *coefficient as f32 * basis[u];
+            }
+        }
+        let mut off = 0.0;
+        for basis in &self.basis {
+            for x in 0..8 {
+                let sample: f32 = rows.iter().zip(basis).map(|(row, factor)| row[x] * factor).sum();
+                off += (sample.abs() - MOST).max(0.0).powi(2);
+            }
+        }
+        off <= self.tolerance
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn samples_in_range_are_allowed_and_others_are_not() {
+        let fine = Samples::new(&[4; 64]);
+        let block = |pairs: &[(usize, i32)]| {
+            let mut block = [0; 64];
+            pairs.iter().for_each(|(k, value)| block[*k] = *value);
+            block
+        };
+        // A field as bright as can be, a board of black and white, and what is beyond by less than the steps.
+        assert!(fine.allow(&block(&[(0, 1016)])));
+        assert!(fine.allow(&block(&[(0, 1040)])));
+        let edge = [0, 1, 2, 3, 4, 5, 6, 7].map(|x| if x < 4 { -128.0 } else { 127.0 });
+        let of_edge: Vec<(usize, i32)> = (0..8)
+            .map(|u| {
+                let sum: f32 = (0..8).map(|x| fine.basis[x][u] * edge[x]).sum();
+                let k = ZIGZAG.iter().position(|at| usize::from(*at) == u).unwrap();
+                (k, (sum * 8.0 * fine.basis[0][0]).round() as i32)
+            })
+            .collect();
+        assert!(fine.allow(&block(&of_edge)), "{of_edge:?}");
+        // Both far brighter in the mean and with a large wave on it.
+        assert!(!fine.allow(&block(&[(0, 1200)])));
+        assert!(!fine.allow(&block(&[(0, 700), (1, 700)])));
+        assert!(Samples::new(&[99; 64]).allow(&block(&[(0, 700), (1, 700)])));
+    }
+}

@@ -1,0 +1,110 @@
+//! How far measurements scatter from frame to frame, compared with what their covariance says.
+//!
+//! A coder moves what it does not think worth its bits, a whole band at once, and no residual shows that. But it moves it
+//! differently in every frame, while a catheter moves smoothly: over a fraction of a second its way is a polynomial of
+//! time, and the divided difference of the next higher order leaves the errors alone,
+//!
+//! y = Σ cᵢ xᵢ, cᵢ = 1 / Π_{j≠i} (tᵢ − tⱼ), E|y|² = Σ cᵢ² tr Cᵢ.
+//!
+//! The mean of |y|² over its expectation, of the recent frames, is by how much the covariance is too small.
+//!
+//! Errors that stay the same from frame to frame do not show. What is seen beyond the expectation is taken to be the share
+//! of all such errors that the image model says does change (image_model.rs).
+
+use crate::source::Timestamp;
+use nalgebra::{Matrix3, Vector3};
+use std::collections::VecDeque;
+
+/// Order of the difference: at 60 Hz a swing of 3 Hz and 40 mm leaves 1 µm of it, errors of 30 µm all that they are.
+const ORDER: usize = 6;
+/// Frames further apart than this in all have more in their way than a polynomial, nanoseconds.
+const LONGEST_NS: i64 = 250_000_000;
+/// Frames after which what was seen counts for half.
+const HALF_LIFE: f64 = 10.0;
+/// What is known before any frame: as good as the covariance says, worth this many frames.
+const PRIOR_FRAMES: f64 = 1.0;
+
+/// What was measured of one quantity, and how it scattered.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Scatter {
+    recent: VecDeque<(i64, Vector3<f64>, f64)>,
+    sum: f64,
+    frames: f64,
+}
+
+impl Scatter {
+    /// Adds a measurement; the factor, 1 or more, by which its covariance is too small. Of errors beyond it the share
+    /// `persisting` of their variance stays from frame to frame.
+    pub(crate) fn add(
+        &mut self,
+        stamp: Timestamp,
+        value: Vector3<f64>,
+        covariance: &Matrix3<f64>,
+        persisting: f64,
+    ) -> f64 {
+        self.recent.push_back((stamp.ns, value, covariance.trace()));
+        while self.recent.len() > ORDER + 1 || self.recent.front().is_some_and(|first| stamp.ns - first.0 > LONGEST_NS)
+        {
+            self.recent.pop_front();
+        }
+        if let Some(ratio) = self.ratio() {
+            let fading = 0.5_f64.powf(1.0 / HALF_LIFE);
+            (self.sum, self.frames) = (self.sum * fading + ratio, self.frames * fading + 1.0);
+        }
+        let ratio = (self.sum + PRIOR_FRAMES) / (self.frames + PRIOR_FRAMES);
+        1.0 + (ratio - 1.0).max(0.0) / (1.0 - persisting)
+    }
+
+    /// Square of the difference over its expectation; `None` with too few frames.
+    fn ratio(&self) -> Option<f64> {
+        if self.recent.len() <= ORDER {
+            return None;
+        }
+        let newest = self.recent.back()?.0;
+        let seconds = |ns: i64| (ns - newest) as f64 * 1e-9;
+        let (mut difference, mut expected) = (Vector3::zeros(), 0.0);
+        for (i, (t, value, trace)) in self.recent.iter().enumerate() {
+            let others = self.recent.iter().enumerate().filter(|(j, _)| *j != i);
+            // Seconds over the span, lest the product leave what a float can hold.
+            let c = 1.0 / others.map(|(_, other)| (seconds(*t) - seconds(other.0)) * 60.0).product::<f64>();
+            difference += value * c;
+            expected += c * c * trace;
+        }
+        let ratio = difference.norm_squared() / expected;
+        ratio.is_finite().then_some(ratio)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::source::Clock;
+    use crate::testing::random::Random;
+
+    /// A swing at 2 Hz and 40 mm, seen every 60th of a second or so with errors of `sd`, said to be of `said`, metres.
+    fn factor(sd: f64, said: f64, persisting: f64) -> f64 {
+        let mut dice = Random::new(5);
+        let mut scatter = Scatter::default();
+        let mut factor = 0.0;
+        for i in 0..400 {
+            let ns = i * 16_666_667 + (dice.normal() * 1e6) as i64;
+            let way = 0.04 * (12.6 * ns as f64 * 1e-9).sin();
+            let error = Vector3::new(dice.normal(), dice.normal(), dice.normal()) * sd;
+            let covariance = Matrix3::identity() * said.powi(2);
+            let stamp = Timestamp { ns, clock: Clock::Container };
+            let now = scatter.add(stamp, Vector3::new(way, 0.3 * way, -way) + error, &covariance, persisting);
+            factor += now / 400.0;
+        }
+        factor
+    }
+
+    #[test]
+    fn errors_larger_than_said_are_seen_through_a_swing_and_honest_ones_change_little() {
+        let honest = factor(3e-5, 3e-5, 0.0);
+        assert!((1.0..1.3).contains(&honest), "{honest}");
+        let three = factor(9e-5, 3e-5, 0.0);
+        assert!((6.5..11.0).contains(&three), "{three}");
+        assert!((factor(9e-5, 3e-5, 0.5) - (2.0 * three - 1.0)).abs() < 1e-9);
+        assert!((factor(1e-5, 3e-5, 0.5) - 1.0).abs() < 1e-12);
+    }
+}
