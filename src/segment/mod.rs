@@ -4,13 +4,13 @@
 //! - Out: [`Blob`]s, in the order of searches, markers and the raster.
 //! - Method, per call and without memory of other frames:
 //!   1. `discriminant`: the colour models become linear functions of the stored channels. No colour is converted. Where
-//!   views have models of their own, each is searched for with its own, within the bounds of its region.
+//!      views have models of their own, each is searched for with its own, within the bounds of its region.
 //!   2. `cells`: the picture is seen as cells of 2x2 pixels (4:2:0: one chroma sample and its four luma samples).
 //!   3. `scan`: blocks of cells that cannot reach the threshold are left out in 16-bit integers (from chroma alone in
-//!   4:2:0); what remains is classified cell by cell into runs.
+//!      4:2:0); what remains is classified cell by cell into runs.
 //!   4. `components`: 8-connected runs become components.
 //!   5. `moments`: the cells of a component and one ring of cells around it, weighted by how far each is covered, give
-//!   centre, second moments and their uncertainty.
+//!      centre, second moments and their uncertainty.
 //!   6. `mod@learn`: where the colour models come from.
 //! - Assumes that a marker is told from all else by a few linear functions of R'G'B', and that its image is two cells
 //!   wide or more. Time and memory are linear in the number of cells searched, whatever the picture shows.

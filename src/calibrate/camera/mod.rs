@@ -127,7 +127,8 @@ pub enum CameraError {
     },
     /// The pictures do not determine the lens.
     #[error(
-        "the pictures leave the focal length open by {sd_px:.0} px of {focal_px:.0}: tilt the board more, fill the picture"
+        "the pictures leave the focal length open by {sd_px:.0} px of {focal_px:.0}: tilt the board more, fill the \
+         picture; a wide angle may want --lens 8"
     )]
     Open {
         /// Standard deviation.
