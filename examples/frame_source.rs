@@ -1,6 +1,7 @@
 //! A source of one's own: a camera whose driver hands out buffers of bytes, with a counter and a time.
 //!
-//! The driver is played by a recording. Yours replaces [`Driver`]; all that Catoptra must be told is in [`FrameSource`].
+//! The driver is played by a recording. Yours replaces [`Driver`]; all that Catoptra must be told is in
+//! [`FrameSource`].
 
 use catoptra::rig::Rig;
 use catoptra::source::{

@@ -1,7 +1,7 @@
 //! Tracks a recording and prints θ: `cargo run --example track_video -- VIDEO RIG.toml`.
 //!
-//! Offline there is no hurry: this takes one frame after the other. `catoptra::pipeline::run` does the same with source,
-//! tracker and sinks in threads of their own.
+//! Offline there is no hurry: this takes one frame after the other. `catoptra::pipeline::run` does the same with
+//! source, tracker and sinks in threads of their own.
 
 use catoptra::rig::Rig;
 use catoptra::source::{self, SourceOptions};

@@ -1,7 +1,7 @@
 //! [`Estimate`]: the one record of a frame that is logged, published, drawn and exported.
 //!
-//! All quantities are in the camera frame, metres, radians, pixels; sinks convert with [`crate::rig::Base`]. Lists are in
-//! the order of the rig's markers and views.
+//! All quantities are in the camera frame, metres, radians, pixels; sinks convert with [`crate::rig::Base`]. Lists are
+//! in the order of the rig's markers and views.
 
 use crate::rig::Rig;
 use crate::source::{Frame, HostTime, Timestamp};
@@ -141,8 +141,8 @@ pub enum Miss {
         /// Distance, metres.
         distance_m: f64,
     },
-    /// What was found there is not this band, or not all of it: the fit left its start, the colour is not the marker's, or the
-    /// picture is explained much worse than in the frames before, as when something stands in front of a part.
+    /// What was found there is not this band, or not all of it: the fit left its start, the colour is not the marker's,
+    /// or the picture is explained much worse than in the frames before, as when something stands in front of a part.
     PoorFit {
         /// How far the fit moved from where the blob was, pixels.
         moved_px: f64,

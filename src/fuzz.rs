@@ -1,5 +1,5 @@
-//! What reads bytes that others made: one function for each kind of input, which must end soon and never panic, whatever the
-//! bytes. `fuzz/` gives them to a fuzzer, `tests/it/mutations.rs` seeded mutations of sound files.
+//! What reads bytes that others made: one function for each kind of input, which must end soon and never panic,
+//! whatever the bytes. `fuzz/` gives them to a fuzzer, `tests/it/mutations.rs` seeded mutations of sound files.
 
 use crate::calibrate::board::grey::{Grey, Rows};
 use crate::calibrate::board::{Board, find_boards};

@@ -1,16 +1,16 @@
 //! One camera and a mirror made into a 3D instrument.
 //!
 //! A camera looks at a catheter in a water tank; a mirror beside the tank shows its side. Catoptra follows the coloured
-//! bands on the catheter through both views and gives, for every camera frame, where the bands are, where the coil points
-//! (its tangent), by how much it is deflected (θ), and how sure that is. The experiments it is made for are those of "Analysis
-//! of dynamic response of an MRI-guided magnetically-actuated steerable catheter system" (2018).
+//! bands on the catheter through both views and gives, for every camera frame, where the bands are, where the coil
+//! points (its tangent), by how much it is deflected (θ), and how sure that is. The experiments it is made for are
+//! those of "Analysis of dynamic response of an MRI-guided magnetically-actuated steerable catheter system" (2018).
 //!
-//! Every camera frame gives exactly one [`Estimate`](estimate::Estimate), with its true camera time, and for each quantity
-//! either a measurement with its covariance or a [`Miss`](estimate::Miss), the reason why there is none.
+//! Every camera frame gives exactly one [`Estimate`](estimate::Estimate), with its true camera time, and for each
+//! quantity either a measurement with its covariance or a [`Miss`](estimate::Miss), the reason why there is none.
 //!
 //! # The one idea
-//! A *view* is an ordered list of surfaces that a camera ray meets: mirrors, and walls of glass. Seen directly, in a mirror,
-//! through a tank, with the mirror inside or outside of it: all are the same code with different lists.
+//! A *view* is an ordered list of surfaces that a camera ray meets: mirrors, and walls of glass. Seen directly, in a
+//! mirror, through a tank, with the mirror inside or outside of it: all are the same code with different lists.
 //! [`OpticalPath::trace`](optics::OpticalPath::trace) follows a pixel's ray through the list,
 //! [`OpticalPath::project`](optics::OpticalPath::project) is its inverse. Everything else stands on these two.
 //!
@@ -26,8 +26,8 @@
 //!             and view   view           views          Estimate
 //!            └─────────────── Tracker::step ──────────────┘
 //! ```
-//! [`pipeline::run`] drives it, source, tracker and sinks in a thread each. Results depend on the frames alone: not on the
-//! number of threads, nor on whether the whole picture was searched.
+//! [`pipeline::run`] drives it, source, tracker and sinks in a thread each. Results depend on the frames alone: not on
+//! the number of threads, nor on whether the whole picture was searched.
 //!
 //! # Example
 //! ```no_run
@@ -58,9 +58,10 @@
 //! ```
 //!
 //! # Frames of reference, units, time
-//! - `camera`: OpenCV's frame, origin in the lens, x right, y down, z forward. Pixel (0, 0) is the centre of the top-left pixel.
-//! - `base`: origin in the base band at rest, z along the tube at rest from base to tip, x along the field B0 made orthogonal
-//!   to z, y = z × x. Transforms are named like `base_from_camera`, points like `tip_in_base`.
+//! - `camera`: OpenCV's frame, origin in the lens, x right, y down, z forward. Pixel (0, 0) is the centre of the
+//!   top-left pixel.
+//! - `base`: origin in the base band at rest, z along the tube at rest from base to tip, x along the field B0 made
+//!   orthogonal to z, y = z × x. Transforms are named like `base_from_camera`, points like `tip_in_base`.
 //! - θ = atan2(t·x, t·z) of the coil's tangent t in the base frame: signed, in the plane of B0 and the tangent at rest.
 //! - Metres and radians inside (suffixes `_m`, `_rad`, `_px`, `_ns`); mm and degrees only in files for people.
 //! - Time is the camera's, in whole nanoseconds, with the name of its clock; never frame number ÷ rate.

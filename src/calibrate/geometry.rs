@@ -1,15 +1,18 @@
-//! [`Geometry`]: what all pictures of a rig have in common, lens, mirrors and walls, as parameters of a least squares problem.
+//! [`Geometry`]: what all pictures of a rig have in common, lens, mirrors and walls, as parameters of a least squares
+//! problem.
 //!
-//! In: a geometry, a place, a view. Out: the pixel and its derivatives with respect to the place and to every [`Parameter`].
+//! In: a geometry, a place, a view. Out: the pixel and its derivatives with respect to the place and to every
+//! [`Parameter`].
 //!
-//! Derivatives by the lens are those of its formula. Those by surfaces follow from the ray: when a parameter moves the ray
-//! of a fixed pixel by δ where it passes the place, the pixel of the fixed place moves by −(∂pixel/∂place) δ (the implicit
-//! function theorem); δ is a central difference of two traced rays, so that no search is needed.
+//! Derivatives by the lens are those of its formula. Those by surfaces follow from the ray: when a parameter moves the
+//! ray of a fixed pixel by δ where it passes the place, the pixel of the fixed place moves by −(∂pixel/∂place) δ (the
+//! implicit function theorem); δ is a central difference of two traced rays, so that no search is needed.
 
 use crate::optics::{Lens, NoRay, OpticalPath, Plane, Surface, Wall};
 use nalgebra::{Matrix2x3, Point2, Point3, SMatrix, Unit, UnitQuaternion, Vector2, Vector3};
 
-/// Half a step of a central difference: radians, metres, index. Truncation and rounding are both below 1e-9 of a derivative.
+/// Half a step of a central difference: radians, metres, index. Truncation and rounding are both below 1e-9 of a
+/// derivative.
 const STEP: f64 = 1e-5;
 
 /// Lens, surfaces and views.
@@ -310,7 +313,7 @@ fn lens_derivatives(lens: &Lens, normalised: &Point2<f64>) -> SMatrix<f64, 2, 12
 }
 
 #[cfg(test)]
-pub(super) mod tests {
+pub(crate) mod tests {
     use super::*;
     use crate::optics::Mirror;
 

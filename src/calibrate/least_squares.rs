@@ -1,10 +1,12 @@
-//! Least squares in the shape of an arrow: unknowns that all observations share, and blocks of unknowns that meet only these.
+//! Least squares in the shape of an arrow: unknowns that all observations share, and blocks of unknowns that meet only
+//! these.
 //!
-//! In: a start, its [`Equations`], what a [`Step`] makes of it. Out: where the cost is least, with the equations there, whose
-//! inverse is the covariance of what is shared.
+//! In: a start, its [`Equations`], what a [`Step`] makes of it. Out: where the cost is least, with the equations there,
+//! whose inverse is the covariance of what is shared.
 //!
 //! Minimised is Σ ρ(|r|) over all observations, r their residuals in standard deviations, ρ a square or Huber's, by
-//! Levenberg-Marquardt. The blocks are eliminated (Schur complement), so that the time grows linearly with their number.
+//! Levenberg-Marquardt. The blocks are eliminated (Schur complement), so that the time grows linearly with their
+//! number.
 //!
 //! Source of the method: Triggs et al., "Bundle adjustment: a modern synthesis" (2000), doi:10.1007/3-540-44480-7_21.
 
@@ -34,7 +36,8 @@ impl Loss {
     }
 }
 
-/// One coordinate of an observation: residual (seen − predicted) and derivatives of the prediction, in standard deviations.
+/// One coordinate of an observation: residual (seen − predicted) and derivatives of the prediction, in standard
+/// deviations.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Row<'a> {
     pub(crate) residual: f64,
@@ -115,8 +118,8 @@ impl Equations {
         }
     }
 
-    /// What the observations tell of the shared unknowns when nothing is known of the blocks: the inverse of the covariance.
-    /// `None` when they leave a block open.
+    /// What the observations tell of the shared unknowns when nothing is known of the blocks: the inverse of the
+    /// covariance. `None` when they leave a block open.
     pub(crate) fn information(&self) -> Option<DMatrix<f64>> {
         Some(self.reduced(0.0)?.0)
     }
@@ -126,8 +129,8 @@ impl Equations {
         Some(self.information()?.cholesky()?.inverse())
     }
 
-    /// What each block tells of the shared unknowns, its own eliminated: information, and the gradient it pulls with. `None` when
-    /// one is left open. What belongs to no block is not among them.
+    /// What each block tells of the shared unknowns, its own eliminated: information, and the gradient it pulls with.
+    /// `None` when one is left open. What belongs to no block is not among them.
     pub(crate) fn by_block(&self) -> Option<Vec<(DMatrix<f64>, DVector<f64>)>> {
         let of_block = |block: &Block| {
             let through = &block.coupling * block.inverse(0.0)?;
@@ -250,7 +253,8 @@ mod tests {
     use super::*;
     use std::convert::Infallible;
 
-    /// Three curves exp(slope·x) of one slope, each with an offset of its own, the last with a bend too: blocks of one and two.
+    /// Three curves exp(slope·x) of one slope, each with an offset of its own, the last with a bend too: blocks of one
+    /// and two.
     const SLOPE: f64 = 0.7;
     const OFFSETS: [f64; 3] = [1.5, -2.0, 0.3];
     const BEND: f64 = 0.25;

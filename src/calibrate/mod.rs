@@ -1,5 +1,5 @@
-//! What a rig file needs and pictures of a board or a recording can tell: a module for each verb of `catoptra calibrate`.
-//! Each reads a rig file and adds its part.
+//! What a rig file needs and pictures of a board or a recording can tell: a module for each verb of `catoptra
+//! calibrate`. Each reads a rig file and adds its part.
 //!
 //! - [`camera`]: the lens, from pictures of a board in air.
 //! - [`rig`]: mirrors, walls and views, from pictures of a board seen directly and in mirrors.
@@ -27,7 +27,8 @@ pub mod rig;
 #[cfg(test)]
 mod tests;
 
-/// A positive length as people write it, `12mm`, `1.2 cm` or `0.012m`, in metres; `None` when it is none, or has no unit.
+/// A positive length as people write it, `12mm`, `1.2 cm` or `0.012m`, in metres; `None` when it is none, or has no
+/// unit.
 pub fn length_m(text: &str) -> Option<f64> {
     let (number, unit_m) = [("mm", 1e-3), ("cm", 1e-2), ("m", 1.0)]
         .into_iter()

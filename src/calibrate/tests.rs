@@ -1,5 +1,5 @@
-//! Whole calibrations of simulated rigs of three kinds, from corners with known noise: what is found, what is predicted of
-//! it, and what is refused.
+//! Whole calibrations of simulated rigs of three kinds, from corners with known noise: what is found, what is predicted
+//! of it, and what is refused.
 
 use crate::calibrate::board::{Board, BoardImage, BoardPicture};
 use crate::calibrate::bundle::outliers::LeftOut;
@@ -13,9 +13,9 @@ use nalgebra::{DMatrix, DVector, Isometry3, Point2, Point3, Translation3, UnitQu
 
 const SIZE_PX: [u32; 2] = [1280, 1024];
 
-/// Gaussian numbers, the same for the same seed. Not those of `testing::random`: two tests hold for these draws and miss
-/// their limits with some others (`predicted_errors_are_those_made` by 0.002, `a_contradiction_is_the_distance…` by a
-/// third, where its linearisation is poor).
+/// Gaussian numbers, the same for the same seed. Not those of `testing::random`: two tests hold for these draws and
+/// miss their limits with some others (`predicted_errors_are_those_made` by 0.002, `a_contradiction_is_the_distance…`
+/// by a third, where its linearisation is poor).
 pub(super) fn gaussian(seed: u64) -> impl FnMut() -> f64 {
     let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
     let mut uniform = move || {
@@ -120,8 +120,8 @@ fn two_mirrors_in_air() -> Simulated {
     )
 }
 
-/// Pictures of the board in random poses, all images of a picture in random order; a mirrored one in the order in which a
-/// detector that takes it for direct finds its corners.
+/// Pictures of the board in random poses, all images of a picture in random order; a mirrored one in the order in which
+/// a detector that takes it for direct finds its corners.
 fn pictures(rig: &Simulated, count: usize, sd_px: f64, random: &mut impl FnMut() -> f64) -> Vec<BoardsPicture> {
     let (places, projector) = (board().centred_points(), Projector::new(&rig.geometry, &[]));
     let order = board().orders().remove(0);
@@ -264,8 +264,8 @@ fn predicted_errors_in_space_are_those_really_made() {
     }
 }
 
-/// A board taped to each wall of the tank, the side wall's seen in the mirror: the front wall's distance is known as well as
-/// that of any board in air then, the side wall's as well as the mirror's, and rightly so.
+/// A board taped to each wall of the tank, the side wall's seen in the mirror: the front wall's distance is known as
+/// well as that of any board in air then, the side wall's as well as the mirror's, and rightly so.
 #[test]
 fn a_board_taped_to_a_wall_pins_it() {
     let rig = beside_the_tank();
@@ -474,7 +474,7 @@ fn sets_that_leave_the_lens_open_are_refused_with_the_reason() {
 
 /// A wide lens of the rational model, boards out to the corners: found with eight parameters, and asked for with five.
 #[test]
-fn a_rational_lens_is_found_with_eight_parameters_and_missed_with_five() {
+fn a_rational_lens_is_found_with_eight_parameters_and_refused_with_five() {
     let wide = Lens {
         focal_px: Vector2::new(620.0, 622.0),
         principal_point_px: Point2::new(633.0, 507.0),
@@ -514,9 +514,9 @@ fn a_rational_lens_is_found_with_eight_parameters_and_missed_with_five() {
         let sd = eight.covariance[(k, k)].sqrt();
         assert!((found - truth).abs() < 4.0 * sd, "{found} ± {sd}");
     }
-    let five = calibrate_camera(&board(), &pictures, LensModel::Five).unwrap();
-    let said = five.diagnostics.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n");
-    assert!(five.corner_sd_px > 2.0 * eight.corner_sd_px && said.contains("calibrate with --lens 8"), "{said}");
+    // Five parameters do not bend so: what they leave opens the focal length.
+    let five = calibrate_camera(&board(), &pictures, LensModel::Five).unwrap_err();
+    assert!(matches!(five, CameraError::Open { .. }) && five.to_string().contains("--lens 8"), "{five}");
 }
 
 /// Corners of a picture pulled off together, by a smooth field of its own.
@@ -531,8 +531,8 @@ fn pulled(image: &mut BoardImage, amount_px: f64, random: &mut impl FnMut() -> f
     }
 }
 
-/// The lens from boards in air, then mirrors from boards in them, with corners of a picture that are off together in both: what
-/// is predicted of mirrors is what happens, and the lens does not seem to contradict the pictures.
+/// The lens from boards in air, then mirrors from boards in them, with corners of a picture that are off together in
+/// both: what is predicted of mirrors is what happens, and the lens does not seem to contradict the pictures.
 #[test]
 fn mirrors_are_as_good_as_they_are_said_to_be_when_corners_are_off_together() {
     const RUNS: u64 = 16;

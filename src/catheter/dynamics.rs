@@ -1,8 +1,8 @@
 //! The catheter in motion under currents that change.
 //!
-//! The equations of motion are those of the chain (`links.rs`). They are integrated by the generalised-α method: of second
-//! order, stable at any step for small motions, and high frequencies are damped by the factor ρ∞ each step; with ρ∞ = 1 nothing
-//! is. Each step is solved by Newton's method to [`SETTLED`]; a step that does not settle is halved.
+//! The equations of motion are those of the chain (`links.rs`). They are integrated by the generalised-α method: of
+//! second order, stable at any step for small motions, and high frequencies are damped by the factor ρ∞ each step; with
+//! ρ∞ = 1 nothing is. Each step is solved by Newton's method to [`SETTLED`]; a step that does not settle is halved.
 //!
 //! Source of the method: Chung and Hulbert (1993), doi:10.1115/1.2900803, in the form of Arnold and Brüls (2007),
 //! doi:10.1007/s11044-007-9084-0.
@@ -203,7 +203,8 @@ impl Simulation {
         matrix
     }
 
-    /// Goes on for `duration_s`; `load` gives what acts on average from one time to another, seconds since the beginning.
+    /// Goes on for `duration_s`; `load` gives what acts on average from one time to another, seconds since the
+    /// beginning.
     ///
     /// Steps are equal and not longer than [`Accuracy::step_s`].
     ///
@@ -316,8 +317,8 @@ impl Simulation {
         Ok(found)
     }
 
-    /// How the tip follows small sines of the currents about where it is, metres per ampere: rows x, y, z, columns coils; the
-    /// drag only as far as it is linear.
+    /// How the tip follows small sines of the currents about where it is, metres per ampere: rows x, y, z, columns
+    /// coils; the drag only as far as it is linear.
     ///
     /// # Errors
     /// When the equations are singular: at a resonance without losses.

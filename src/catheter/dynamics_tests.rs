@@ -106,8 +106,8 @@ fn what_is_left_after_a_long_time_is_the_equilibrium() {
     assert!((there.tip - shape.tip).norm() < 10e-6, "{:e}", (there.tip - shape.tip).norm());
 }
 
-/// Released in a fluid without drag, its inertia and the weight included. Steps must resolve what moves: of the twist about
-/// 900 rad/s.
+/// Released in a fluid without drag, its inertia and the weight included. Steps must resolve what moves: of the twist
+/// about 900 rad/s.
 #[test]
 fn without_losses_energy_is_kept() {
     let catheter = without_losses();
@@ -173,8 +173,8 @@ fn finer_steps_converge_with_second_order() {
     assert!(off(&two, &one) < 5e-6, "{:e}", off(&two, &one));
 }
 
-/// A small circle, each point of it held for a few ms: the tip's motion in its fourth period, beside what the linearised
-/// equations make of the same currents.
+/// A circle of 20 µm, each point of it held for a few ms: the tip's motion in its fourth period, beside what the
+/// linearised equations make of the same currents.
 #[test]
 fn a_small_fast_path_has_the_linearised_response() {
     let catheter = Catheter::prototype();
@@ -182,7 +182,7 @@ fn a_small_fast_path_has_the_linearised_response() {
     let rest = equilibrium(&catheter, &Load::currents(middle)).unwrap().tip;
     let targets: Vec<Target> = (0..50)
         .map(|k| f64::from(k) / 50.0 * TAU)
-        .map(|t| Target::Across([rest.x + 2e-4 * t.cos(), rest.y + 2e-4 * t.sin()]))
+        .map(|t| Target::Across([rest.x + 2e-5 * t.cos(), rest.y + 2e-5 * t.sin()]))
         .collect();
     let followed = follow(&catheter, &targets).unwrap();
     let about = followed.iter().map(|f| f.currents_a).sum::<Vector3<f64>>() / 50.0;
@@ -190,18 +190,19 @@ fn a_small_fast_path_has_the_linearised_response() {
     let linear = Simulation::at_rest(&catheter, &Load::currents(about), accuracy).unwrap();
     for pause_s in [0.03, 0.01, 0.004] {
         let period_s = 50.0 * pause_s;
-        // From rest at the mean currents; the first periods bring it into step.
-        let rows: Vec<_> = followed.iter().cycle().take(400).map(|f| f.currents_a).collect();
+        // From rest at the mean currents; what that begins with has died away after six seconds.
+        let periods = f64::max(6.0 / period_s, 4.0).ceil() as u32;
+        let rows: Vec<_> = followed.iter().cycle().take(50 * periods as usize).map(|f| f.currents_a).collect();
         let rows = rows.into_iter().enumerate().map(|(k, currents)| (k as f64 * pause_s, currents));
         let commands = Commands::new(&catheter, rows).unwrap();
         let mut simulation = linear.clone();
         let (mut seen, mut given) = (Vector3::zeros(), Vector3::zeros());
-        let samples = 200;
-        for k in 0..8 * samples {
-            let (from, to) = (k as f64, (k + 1) as f64);
+        let samples = 100;
+        for k in 0..periods * samples {
+            let (from, to) = (f64::from(k), f64::from(k + 1));
             let step = period_s / f64::from(samples);
             simulation.advance(step, |a, b| Load::currents(commands.mean(a, b))).unwrap();
-            if k < 7 * samples {
+            if k < (periods - 1) * samples {
                 continue;
             }
             let wave = |at: f64| Complex::from_polar(2.0 / f64::from(samples), -TAU * at / f64::from(samples));
@@ -216,7 +217,7 @@ fn a_small_fast_path_has_the_linearised_response() {
             seen.norm() / still,
             phase.to_degrees()
         );
-        // What the drag's quadratic part adds at this size.
-        assert!((ratio - 1.0).abs() < 0.02 && phase.abs() < 0.02, "{pause_s}: {ratio} {phase}");
+        // What the drag's quadratic part adds at this size; at ten times of it 1.5 % and 1.7°.
+        assert!((ratio - 1.0).abs() < 5e-3 && phase.abs() < 5e-3, "{pause_s}: {ratio} {phase}");
     }
 }

@@ -1,12 +1,13 @@
 //! The shape at rest under a load.
 //!
-//! Unknown is the frame of the section at the tip: the one from which the rod, integrated back to the clamp (`rod.rs`), arrives
-//! with the clamp's frame. Newton's method on the three components of the rotation that is left there. The load is
-//! raised from nothing, weight first, then currents and forces, and the shape followed: what is found is the branch that
-//! belongs to rest, not any solution.
+//! Unknown is the frame of the section at the tip: the one from which the rod, integrated back to the clamp (`rod.rs`),
+//! arrives with the clamp's frame. Newton's method on the three components of the rotation that is left there. The load
+//! is raised from nothing, weight first, then currents and forces, and the shape followed: what is found is the branch
+//! that belongs to rest, not any solution.
 //!
-//! That rotation's derivative is the identity for a straight rod without load. It becomes singular where the shape becomes
-//! unstable (a conjugate point of the rod reaches the clamp), and has a negative eigenvalue beyond: such a load is refused.
+//! That rotation's derivative is the identity for a straight rod without load. It becomes singular where the shape
+//! becomes unstable (a conjugate point of the rod reaches the clamp), and has a negative eigenvalue beyond: such a load
+//! is refused.
 
 use super::error::CatheterError;
 use super::load::{Load, Stage, forces};

@@ -6,13 +6,14 @@
 //! |W (tip(i) − target)|² + |λ i|²
 //! ```
 //!
-//! is least. W weighs the axes: for a drawing in the x-y plane the way along z is free, so that it is projected along z on what
-//! the tip reaches; for a path in space all three count, and the nearest point that is reached is found. The tip moves on a
-//! surface only, so that one direction of currents is left open: λ, small, takes the smallest currents that do it.
-//! Damped Gauss-Newton from the point before; a current that meets its limit stays there while it is pushed beyond.
+//! is least. W weighs the axes: for a drawing in the x-y plane the way along z is free, so that it is projected along z
+//! on what the tip reaches; for a path in space all three count, and the nearest point that is reached is found. The
+//! tip moves on a surface only, so that one direction of currents is left open: λ, small, takes the smallest currents
+//! that do it. Damped Gauss-Newton from the point before; a current that meets its limit stays there while it is pushed
+//! beyond.
 //!
-//! Source of the method: Liu et al., "Iterative Jacobian-based inverse kinematics and open-loop control of an MRI-guided
-//! magnetically actuated steerable catheter system" (2017), doi:10.1109/TMECH.2017.2704526.
+//! Source of the method: Liu et al., "Iterative Jacobian-based inverse kinematics and open-loop control of an
+//! MRI-guided magnetically actuated steerable catheter system" (2017), doi:10.1109/TMECH.2017.2704526.
 
 use super::equilibrium::equilibrium;
 use super::error::CatheterError;
@@ -88,7 +89,8 @@ pub fn follow(catheter: &Catheter, targets: &[Target]) -> Result<Vec<Followed>, 
     Ok(followed)
 }
 
-/// Where a search starts when it does not arrive from the point before: out of reach the nearest point may be elsewhere.
+/// Where a search starts when it does not arrive from the point before: out of reach the nearest point may be
+/// elsewhere.
 fn starts(catheter: &Catheter) -> Result<Vec<(Shape, Vector3<f64>)>, CatheterError> {
     let part = |part: f64| Vector3::z() * (part * catheter.coils.limit_a);
     let start = |currents_a: Vector3<f64>| Ok((equilibrium(catheter, &Load::currents(currents_a))?, currents_a));

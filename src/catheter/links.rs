@@ -1,17 +1,17 @@
 //! The rod in motion: a chain of rigid links, whose bends and twists are few smooth functions.
 //!
-//! Curvature and twist of a flexible part are u(s) = u₀ + Σ q_k P_k(s), P_k Legendre's polynomials; q is all that is unknown.
-//! The part is a chain of links of equal length, with a joint where they meet that turns by u dl (Cayley's map of it) and half
-//! of that at the part's beginning and end. Mass, weight and the fluid's forces act on the middle of each link. It is
-//! the mechanics of this chain that is exact: its inertia comes from its kinetic energy, so that without damping energy is
-//! kept. The chain's own error falls with the square of the link's length.
+//! Curvature and twist of a flexible part are u(s) = u₀ + Σ q_k P_k(s), P_k Legendre's polynomials; q is all that is
+//! unknown. The part is a chain of links of equal length, with a joint where they meet that turns by u dl (Cayley's map
+//! of it) and half of that at the part's beginning and end. Mass, weight and the fluid's forces act on the middle of
+//! each link. It is the mechanics of this chain that is exact: its inertia comes from its kinetic energy, so that
+//! without damping energy is kept. The chain's own error falls with the square of the link's length.
 //!
-//! [`Chain::residual`] is the inverse dynamics: for q, q', q'' what is left of the equations of motion, by one pass from the
-//! clamp to the tip (places, velocities, accelerations) and one back (forces, moments).
+//! [`Chain::residual`] is the inverse dynamics: for q, q', q'' what is left of the equations of motion, by one pass
+//! from the clamp to the tip (places, velocities, accelerations) and one back (forces, moments).
 //!
-//! Source of the method: Boyer et al., "Dynamics of continuum and soft robots: a strain parameterization based approach"
-//! (2020), doi:10.1109/TRO.2020.3036618. Of the fluid: `Motion`; its inertia acts across the axis of each link, with the
-//! couple that this entails (Lamb, "Hydrodynamics", 1932, §124).
+//! Source of the method: Boyer et al., "Dynamics of continuum and soft robots: a strain parameterization based
+//! approach" (2020), doi:10.1109/TRO.2020.3036618. Of the fluid: `Motion`; its inertia acts across the axis of each
+//! link, with the couple that this entails (Lamb, "Hydrodynamics", 1932, §124).
 
 use super::model::Catheter;
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};

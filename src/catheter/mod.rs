@@ -9,9 +9,9 @@
 //! - [`Shape`]: the centre line with its frames, the coil's tangent, θ, and how they follow the currents.
 //!
 //! # Conventions
-//! Everything is in the `base` frame with its origin at the clamp: z along the straight tube from base to tip, B0 in the
-//! x-z plane, metres, newtons, amperes. A cross-section's frame has its z along the tube. θ = atan2(t·x, t·z) of the coil
-//! set's tangent t.
+//! Everything is in the `base` frame with its origin at the clamp: z along the straight tube from base to tip, B0 in
+//! the x-z plane, metres, newtons, amperes. A cross-section's frame has its z along the tube. θ = atan2(t·x, t·z) of
+//! the coil set's tangent t.
 //!
 //! # Source
 //! Eqs. 1 to 5 of Tuna et al., "Analysis of dynamic response of an MRI-guided magnetically-actuated steerable catheter

@@ -3,7 +3,8 @@
 use nalgebra::{Matrix3, Vector3};
 use std::f64::consts::PI;
 
-/// A catheter with one coil set: a flexible tube from the clamp, the stiff part that carries the coils, a flexible tail.
+/// A catheter with one coil set: a flexible tube from the clamp, the stiff part that carries the coils, a flexible
+/// tail.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Catheter {
     /// The tube.
@@ -42,8 +43,8 @@ pub struct Tube {
 /// Three coils in one place.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CoilSet {
-    /// Magnetic moment for one ampere, A·m²/A: a column for each coil (x, y, z), in the frame of the tube's section there. The
-    /// matrix N of Eq. 4; what is not on its diagonal are misalignments.
+    /// Magnetic moment for one ampere, A·m²/A: a column for each coil (x, y, z), in the frame of the tube's section
+    /// there. The matrix N of Eq. 4; what is not on its diagonal are misalignments.
     pub moment_per_ampere_m2: Matrix3<f64>,
     /// Mass of the wire, kg.
     pub mass_kg: f64,
@@ -66,9 +67,10 @@ pub struct Surroundings {
 
 /// What resists motion, beside inertia.
 ///
-/// The fluid's force on a length dl of the tube that moves across its axis with velocity v and acceleration a is Morison's,
-/// with a part that is linear in v for slow motion: −(c_a ρ π R² a + (b + ½ ρ 2R c_d |v|) v) dl. Motion along the axis meets
-/// none. Source: Morison et al., "The force exerted by surface waves on piles" (1950), doi:10.2118/950149-G.
+/// The fluid's force on a length dl of the tube that moves across its axis with velocity v and acceleration a is
+/// Morison's, with a part that is linear in v for slow motion: −(c_a ρ π R² a + (b + ½ ρ 2R c_d |v|) v) dl. Motion
+/// along the axis meets none. Source: Morison et al., "The force exerted by surface waves on piles" (1950),
+/// doi:10.2118/950149-G.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Motion {
     /// Relaxation time of the tube's material, seconds: bending and twist at the rate u' add the moment K u' times it
@@ -101,9 +103,11 @@ impl Tube {
 
 impl Catheter {
     /// The prototype of the paper: dimensions, coils, densities and stiffness as its laboratory published them
-    /// (github.com/eetuna/CRM_ML, prototype 6b; E and G fitted there to another run). Hanging in water, B0 of 3 T along x.
+    /// (github.com/eetuna/CRM_ML, prototype 6b; E and G fitted there to another run). Hanging in water, B0 of 3 T along
+    /// x.
     pub fn prototype() -> Self {
-        // Two side coils of 30 turns around diamonds of 5.10 mm x 18.30 mm, an axial one of 100 turns, 3.785 mm in diameter.
+        // Two side coils of 30 turns around diamonds of 5.10 mm x 18.30 mm, an axial one of 100 turns, 3.785 mm in
+        // diameter.
         let (side_m2, axial_m2) = (0.5 * 5.10e-3 * 18.30e-3, PI / 4.0 * 3.785e-3_f64.powi(2));
         let side_turn_m = 2.0 * 5.10e-3_f64.hypot(18.30e-3);
         let wire_m = 2.0 * 30.0 * side_turn_m + 100.0 * PI * 3.785e-3;

@@ -1,8 +1,9 @@
 //! Where the tip can get to within the current limit.
 //!
-//! A moment along B0 has no couple, so that at each shape one direction of currents moves nothing: of three currents two
-//! count, and the tip of a catheter with one coil set reaches a surface, not a volume. Currents along such a direction leave the
-//! box of allowed currents through a face, so that the faces reach all that the box reaches: they are what is sampled.
+//! A moment along B0 has no couple, so that at each shape one direction of currents moves nothing: of three currents
+//! two count, and the tip of a catheter with one coil set reaches a surface, not a volume. Currents along such a
+//! direction leave the box of allowed currents through a face, so that the faces reach all that the box reaches: they
+//! are what is sampled.
 
 use super::equilibrium::equilibrium;
 use super::error::CatheterError;
@@ -18,8 +19,8 @@ pub struct Reach {
     pub reached: Vec<Reached>,
     /// Grid points whose shape is unstable, or was not found.
     pub without_shape: usize,
-    /// Largest ratio of the smallest to the largest singular value of ∂tip/∂currents on the grid's corners and middles: 0 for
-    /// a surface.
+    /// Largest ratio of the smallest to the largest singular value of ∂tip/∂currents on the grid's corners and middles:
+    /// 0 for a surface.
     pub thickness: f64,
 }
 

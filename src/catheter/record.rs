@@ -65,10 +65,12 @@ pub fn record(
 
 /// What a tracker would make of moments.
 pub fn seen(moments: &[Moment], noise: Noise, seed: u64) -> Vec<Sighting> {
-    let mut random = fastrand::Rng::with_seed(seed);
+    // Neighbouring seeds start neighbouring streams, which are alike.
+    let mut spread = fastrand::Rng::with_seed(seed);
+    let mut random = fastrand::Rng::with_seed(spread.u64(..));
+    let mut gone = fastrand::Rng::with_seed(spread.u64(..));
     // Box and Muller, doi:10.1214/aoms/1177706645.
     let mut normal = move || (-2.0 * (1.0 - random.f64()).ln()).sqrt() * (TAU * random.f64()).cos();
-    let mut gone = fastrand::Rng::with_seed(seed.wrapping_add(0x9e37_79b9));
     let mut look = |moment: &Moment| {
         let mut vector = || Vector3::new(normal(), normal(), normal());
         let (coil, tip) = (moment.coil + vector() * noise.point_m, moment.tip + vector() * noise.point_m);

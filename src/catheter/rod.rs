@@ -1,15 +1,15 @@
 //! A Kirchhoff rod that neither stretches nor shears, integrated from its free end to the clamp.
 //!
-//! With r the centre line, R the section's frame, u its curvature and twist in that frame, m and n what the part beyond s exerts
-//! on the part before it (moment, force; base frame), f the weight per length:
+//! With r the centre line, R the section's frame, u its curvature and twist in that frame, m and n what the part beyond
+//! s exerts on the part before it (moment, force; base frame), f the weight per length:
 //!
 //! ```text
 //! r' = R e₃,   R' = R û,   u = u₀ + K⁻¹ Rᵀ m,   m' = −r' × n,   n' = −f,   K = diag(EI, EI, GJ)
 //! ```
 //!
 //! At the free end m and n are given, so that n is known everywhere and the frame there is all that has to be found
-//! (`equilibrium.rs`). The coil set is stiff (u = u₀ is taken as 0 there); its couple acts on its middle, which is the same as
-//! anywhere else on it. Fourth-order Runge-Kutta, whose step is [`STEP_M`] or a little less.
+//! (`equilibrium.rs`). The coil set is stiff (u = u₀ is taken as 0 there); its couple acts on its middle, which is the
+//! same as anywhere else on it. Fourth-order Runge-Kutta, whose step is [`STEP_M`] or a little less.
 
 use super::model::Catheter;
 use nalgebra::{Point3, Quaternion, UnitQuaternion, Vector3};
@@ -87,8 +87,9 @@ impl Part {
 }
 
 impl Catheter {
-    /// The rod from the tip to the clamp when the section at the tip has this frame: the sections between, tip first, the
-    /// last one at the clamp. The clamp is then at the origin, but only for the right frame is its own the identity.
+    /// The rod from the tip to the clamp when the section at the tip has this frame: the sections between, tip first,
+    /// the last one at the clamp. The clamp is then at the origin, but only for the right frame is its own the
+    /// identity.
     pub(super) fn integrate(&self, tip: &UnitQuaternion<f64>, forces: &Forces, finer: usize) -> Vec<Section> {
         let weight = self.tube_weight_n_m() * forces.weight;
         let compliance =

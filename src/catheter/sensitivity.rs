@@ -28,7 +28,8 @@ impl Shape {
         near(catheter, load, self.tip_frame)
     }
 
-    /// How tip and tangent follow the currents. (A moment along B0 has no couple: one direction of currents moves nothing.)
+    /// How tip and tangent follow the currents. (A moment along B0 has no couple: one direction of currents moves
+    /// nothing.)
     ///
     /// # Errors
     /// [`CatheterError`] at the edge of stability.

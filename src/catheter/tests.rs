@@ -28,9 +28,9 @@ fn a_small_force_bends_as_beam_theory_says() {
     assert!((shape.tip.x / (1e-4 / 3.0) - 1.0).abs() < 1e-6, "{}", shape.tip.x);
 }
 
-/// Euler's elastica under a force across the unbent rod, from Mattiasson, "Numerical results from large deflection beam and
-/// frame problems analysed by means of elliptic integrals" (1981), doi:10.1002/nme.1620170113: F L²/EI, tip across and the way
-/// it has come towards the clamp, as parts of L, and its slope.
+/// Euler's elastica under a force across the unbent rod, from Mattiasson, "Numerical results from large deflection beam
+/// and frame problems analysed by means of elliptic integrals" (1981), doi:10.1002/nme.1620170113: F L²/EI, tip across
+/// and the way it has come towards the clamp, as parts of L, and its slope.
 #[test]
 fn a_large_force_bends_as_the_elastica() {
     for (force, across, shorter, slope) in
@@ -120,9 +120,9 @@ fn opposite_currents_bend_to_opposite_sides() {
     assert!(theta(0.0).abs() < 1e-12);
 }
 
-/// The paper has 48° at most (Section III.B). The model has 43.9° with E = 5.39 MPa and 34.4° with 8.22 MPa, the two values
-/// its laboratory fitted to other runs; 48° would take 4.5 MPa. The couple counts as much as the stiffness does: 48° needs a
-/// fifth more of either.
+/// The paper has 48° at most (Section III.B). The model has 43.9° with E = 5.39 MPa and 34.4° with 8.22 MPa, the two
+/// values its laboratory fitted to other runs; 48° would take 4.5 MPa. The couple counts as much as the stiffness does:
+/// 48° needs a fifth more of either.
 #[test]
 fn the_prototype_bends_about_as_far_as_the_paper_reports() {
     let theta_deg = |young_pa: f64| {

@@ -52,8 +52,8 @@ fn fitting(
     Ok(peeked)
 }
 
-/// Whether a picture has no colour: no channel for it, or nothing in those that it has. One that is dark or flat as a whole may
-/// be of a covered camera, and is not taken for grey.
+/// Whether a picture has no colour: no channel for it, or nothing in those that it has. One that is dark or flat as a
+/// whole may be of a covered camera, and is not taken for grey.
 fn is_grey(picture: &Picture) -> bool {
     let samples = |channel: usize| -> Vec<u8> {
         let Some(plane) = picture.plane(channel) else { return Vec::new() };

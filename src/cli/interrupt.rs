@@ -1,5 +1,5 @@
-//! Ctrl-C, and the signals that ask a program to end. A run that has results on the way finishes in order, and ends at once
-//! when asked again ([`watch`]); one that has none until its end ends at once, but not in the middle of a file
+//! Ctrl-C, and the signals that ask a program to end. A run that has results on the way finishes in order, and ends at
+//! once when asked again ([`watch`]); one that has none until its end ends at once, but not in the middle of a file
 //! ([`end_at_once`]).
 
 use super::{Exit, Failure};

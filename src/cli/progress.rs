@@ -8,6 +8,9 @@ use std::time::{Duration, Instant};
 /// Work that is done sooner shows no bar.
 const PATIENCE: Duration = Duration::from_secs(1);
 
+/// Work that is done sooner says nothing where there is no terminal.
+const UNSEEN_PATIENCE: Duration = Duration::from_secs(10);
+
 /// The bar that is on the screen.
 static SHOWN: Mutex<Option<ProgressBar>> = Mutex::new(None);
 
@@ -86,6 +89,10 @@ impl Line {
         Self(Some(bar))
     }
 
+    fn is_shown(&self) -> bool {
+        self.0.is_some()
+    }
+
     /// Shows `text`.
     pub(super) fn set(&self, text: String) {
         if let Some(bar) = &self.0 {
@@ -99,6 +106,31 @@ pub(super) fn during<T>(what: &str, quiet: bool, work: impl FnOnce() -> T) -> T 
     let line = Line::new(quiet);
     line.set(format!("{what} …"));
     work()
+}
+
+/// Stages of a work of which it is not known how long they take: what is being done, in a line of its own on a
+/// terminal; elsewhere a line when a stage begins and it has taken a while already.
+pub(super) struct Stages {
+    line: Line,
+    began: Instant,
+    quiet: bool,
+}
+
+impl Stages {
+    /// None when `quiet`.
+    pub(super) fn new(quiet: bool) -> Self {
+        Self { line: Line::new(quiet), began: Instant::now(), quiet }
+    }
+
+    /// A stage begins.
+    pub(super) fn tell(&self, what: &str) {
+        self.line.set(format!("{what} …"));
+        let elapsed = self.began.elapsed();
+        if !self.quiet && !self.line.is_shown() && elapsed > UNSEEN_PATIENCE {
+            // What cannot be told is not worth an error.
+            let _ = writeln!(stderr(), "{:.0} s: {what}", elapsed.as_secs_f64());
+        }
+    }
 }
 
 impl Drop for Line {

@@ -46,8 +46,8 @@ pub(super) fn spare_inputs<'a>(mut files: impl Iterator<Item = &'a Path>, inputs
     }
 }
 
-/// The text of the `run.toml` in `folder`, if there are results in it that may be replaced by those of `owner`. `all`: what
-/// the command may write there.
+/// The text of the `run.toml` in `folder`, if there are results in it that may be replaced by those of `owner`. `all`:
+/// what the command may write there.
 ///
 /// # Errors
 /// [`Exit::Usage`] when the folder is a file, or has results of others.

@@ -26,8 +26,7 @@ pub(crate) struct Args {
     /// How long each point was commanded, one for each run, in their order
     #[arg(long, value_name = "T", required = true, value_delimiter = ',', value_parser = duration_s)]
     pause: Vec<f64>,
-    /// Camera time of the first command in seconds, one for each run or one for all [default: the first
-    /// change of a coil current in the log, else by correlation, which takes the lag out]
+    /// Camera time of the first command, s [default: a current's first change, else searched]
     #[arg(long, value_name = "T", value_delimiter = ',', value_parser = seconds_ns, allow_hyphen_values = true)]
     start: Vec<i64>,
     /// How often the path was commanded [default: 4, or as often as it is in the file]
@@ -42,16 +41,16 @@ pub(crate) struct Args {
     /// The marker that follows the path [default: tip]
     #[arg(long, value_name = "NAME")]
     marker: Option<String>,
-    /// Frames of a pause that make its point: all, or those of its second half, as the laboratory takes them
+    /// Frames of a pause that make its point: all, or the laboratory's second half
     #[arg(long, value_enum, default_value_t = Frames::All)]
     average: Frames,
     /// From frame to frame, where pauses are shorter than the time between frames
     #[arg(long, value_enum, default_value_t = How::Spline)]
     interpolate: How,
-    /// Draw a model beside the runs: a model.json of `identify`, a file of H(s), or eq7 of the paper
+    /// Draw a model beside the runs: model.json, H(s) in a file, or eq7 of the paper
     #[arg(long, value_name = "FILE|eq7")]
     model: Option<PathBuf>,
-    /// The model is from net torque to θ: its response to the current, gravity closed over it
+    /// The model is from net torque to θ: close gravity over it
     #[arg(long, value_name = "PLANT.toml", requires = "model")]
     plant: Option<PathBuf>,
     /// Folder for the results
@@ -137,7 +136,8 @@ impl Args {
         Options { skip: self.skip, marker: self.marker.clone(), average, interpolation }
     }
 
-    /// Names of the tables of points, one a run in the order of the runs: two runs of one pause time have a number each.
+    /// Names of the tables of points, one a run in the order of the runs: two runs of one pause time have a number
+    /// each.
     fn tables_of_points(pauses_s: impl Iterator<Item = f64>) -> Vec<String> {
         let mut seen: BTreeMap<String, u32> = BTreeMap::new();
         let name = |pause_s: f64| {
@@ -205,8 +205,8 @@ impl Args {
     }
 }
 
-/// The model to use, over the frequencies of the runs. With `plant` it is from net torque to θ, and the torque of gravity,
-/// −m g L θ near rest, is closed over it: H/(1 + m g L H), what a current moves.
+/// The model to use, over the frequencies of the runs. With `plant` it is from net torque to θ, and the torque of
+/// gravity, −m g L θ near rest, is closed over it: H/(1 + m g L H), what a current moves.
 fn model_line(saved: &Saved, plant: Option<Plant>, validation: &Validation) -> Option<ModelLine> {
     let model = saved.leading()?;
     let weight = plant.map_or(0.0, |plant| plant.weight_torque_nm);

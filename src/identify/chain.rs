@@ -24,6 +24,18 @@ use super::{IdentifyError, arx, instrumental, output_error};
 /// # Errors
 /// [`IdentifyError`].
 pub fn identify(data: &Data, settings: &Settings) -> Result<Identification, IdentifyError> {
+    identify_telling(data, settings, &|_| {})
+}
+
+/// As [`identify`]; `tell` is told what is being done when it begins.
+///
+/// # Errors
+/// As [`identify`].
+pub(crate) fn identify_telling(
+    data: &Data,
+    settings: &Settings,
+    tell: &dyn Fn(&str),
+) -> Result<Identification, IdentifyError> {
     let mut training = stretches(&data.training);
     let validation = stretches(&data.validation);
     if settings.initial_state == InitialState::Estimated {
@@ -33,8 +45,10 @@ pub fn identify(data: &Data, settings: &Settings) -> Result<Identification, Iden
     moves(&data.training)?;
     can_judge(&validation, &settings.choice)?;
     // 1. orders and delay
+    tell("searching orders and delay");
     let Chosen { candidates, criterion, orders: best } = choose(&training, &validation, settings)?;
     // 2. the full model
+    tell("fitting the full model");
     let (orders, arx, full) = fit_full(&training, &candidates, criterion, best, settings.estimator)?;
     let estimated = full.as_ref().map_or(&arx, |refined| &refined.estimated);
     let spectrum = spectrum(&training, data.period_s);
@@ -59,6 +73,7 @@ pub fn identify(data: &Data, settings: &Settings) -> Result<Identification, Iden
         let title = format!("reduced, order {}", reduced.model.order());
         models.push(modelled(Role::Reduced, title, &reduced.model, covariance));
         // 4. the same order fitted to the data itself
+        tell("fitting the refined model");
         refined = refine_reduced(&training, estimated, reduced, how, excited).map_err(|e| e.to_string());
     }
     if let Ok(refined) = &refined {
@@ -67,6 +82,9 @@ pub fn identify(data: &Data, settings: &Settings) -> Result<Identification, Iden
         models.push(modelled(Role::Refined, title, model, Some(covariance.clone())));
     }
     // 5. averaged periods, where the input repeats
+    if settings.repeats.is_some() {
+        tell("averaging periods");
+    }
     let periodic = fit_periods(data, settings, refined.as_ref().ok())?;
     if let Some(found) = &periodic {
         let Estimated { model, covariance, .. } = found.estimated();
@@ -77,7 +95,9 @@ pub fn identify(data: &Data, settings: &Settings) -> Result<Identification, Iden
     let residuals = Residuals::of(&estimated.model, &training, settings.estimator.noise());
     let biased = settings.estimator == Estimator::Arx
         && (training.iter().any(|s| s.instrument.is_some()) || !residuals.as_ref().is_some_and(Residuals::look_white));
+    tell(&format!("repeating the experiment {} times (--bootstrap)", settings.bootstrap));
     let repetitions = intervals(&mut models, &training, data.period_s, excited_hz, how, settings, biased);
+    tell("comparing the models with the records");
     let fits = fits(&data.training, &data.validation, &models, settings.initial_state);
     let mut done = Identification {
         candidates,

@@ -39,8 +39,8 @@ pub(super) fn schur(matrix: &DMatrix<f64>) -> Option<(ComplexMatrix, ComplexMatr
     Some(Schur::try_new(complex, f64::EPSILON, limit(matrix))?.unpack())
 }
 
-/// Q and the nearly triangular T (2 × 2 blocks for pairs of eigenvalues) of A = Q T Qᵀ, all real. Nothing when they are not
-/// found.
+/// Q and the nearly triangular T (2 × 2 blocks for pairs of eigenvalues) of A = Q T Qᵀ, all real. Nothing when they are
+/// not found.
 pub(super) fn real_schur(matrix: &DMatrix<f64>) -> Option<(DMatrix<f64>, DMatrix<f64>)> {
     if matrix.is_empty() || !is_finite(matrix) {
         return None;

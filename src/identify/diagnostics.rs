@@ -19,8 +19,8 @@ const OFF_CENTRE: f64 = 1.0;
 /// A stable pole so near to the unit circle that its gain is hardly known.
 const NEARLY_UNSTABLE: f64 = 1e-4;
 
-/// The first period may differ from the others so many times more than noise explains: its ratio scatters where lines are
-/// few.
+/// The first period may differ from the others so many times more than noise explains: its ratio scatters where lines
+/// are few.
 const FIRST_OFF: f64 = 2.0;
 /// More σ than this beyond what noise leaves is no chance.
 const BEYOND_SD: f64 = 3.3;

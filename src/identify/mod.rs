@@ -6,8 +6,8 @@
 //!                  held        holes   fewer      delay     │              states
 //!                                      samples              └ output_error, instrumental
 //! ```
-//! A record whose input repeats has one more way: `periodic` averages its periods and fits H(s) to the lines. `saved` reads
-//! models back, `applied` compares them with other records.
+//! A record whose input repeats has one more way: `periodic` averages its periods and fits H(s) to the lines. `saved`
+//! reads models back, `applied` compares them with other records.
 //!
 //! [`chain::identify`] runs it; `export::write` and `crate::report::identification` write what came out. Beside the
 //! models: `spectrum` (the response without a model), `bandwidth`, `residuals`, `bootstrap`, `delay` (between

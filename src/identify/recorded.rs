@@ -198,6 +198,7 @@ mod tests {
             places: Vec::<Place>::new(),
             tangent: None,
             tangent_sd_rad: None,
+            tick: None,
         };
         Recording {
             path: PathBuf::from("run.mcap"),

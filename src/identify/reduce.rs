@@ -134,7 +134,8 @@ fn reduce_prompt(model: &Polynomials, how: Reduction) -> Result<Reduced, Identif
     })
 }
 
-/// Reduces for a band; over all frequencies where the band's reduction would be unstable, of which the second value tells.
+/// Reduces for a band; over all frequencies where the band's reduction would be unstable, of which the second value
+/// tells.
 ///
 /// # Errors
 /// As [`reduce`].
@@ -285,7 +286,8 @@ mod tests {
         }
     }
 
-    /// True values by mpmath with 80 digits. slycot is off by 1.4e-3: the coefficients do not hold more digits of the poles.
+    /// True values by mpmath with 80 digits. slycot is off by 1.4e-3: the coefficients do not hold more digits of the
+    /// poles.
     #[test]
     fn slow_poles_close_together_keep_the_digits_that_they_have() {
         const SLOW: [f64; 4] = [5_793_824.202, 825_474.550_9, 33_062.823_38, 191.344_974];

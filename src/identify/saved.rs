@@ -1,7 +1,7 @@
 //! Models read back: `model.json` of `identify`, H(s) of anything from a small file, and Eq. 7 of the paper.
 //!
-//! In: a file. Out: its models, each as samples, as H(s), or both, to be applied to records of any period. It judges every
-//! number; what it cannot know is whether the model is of the same input: names and units are there to compare.
+//! In: a file. Out: its models, each as samples, as H(s), or both, to be applied to records of any period. It judges
+//! every number; what it cannot know is whether the model is of the same input: names and units are there to compare.
 
 use super::continuous::{Continuous, Conversion};
 use super::model::{Polynomials, angle};
@@ -201,8 +201,8 @@ impl SavedModel {
         Self { role: Role::Given, title: title.to_owned(), samples: None, continuous: Some(continuous) }
     }
 
-    /// The model for samples of `period_s`: as it was identified where its own are the same, and from H(s) otherwise. In
-    /// words why there is none.
+    /// The model for samples of `period_s`: as it was identified where its own are the same, and from H(s) otherwise.
+    /// In words why there is none.
     pub(crate) fn at(&self, period_s: f64) -> Result<Polynomials, String> {
         let own = self.samples.as_ref().filter(|(_, own_s)| (own_s / period_s - 1.0).abs() < SAME_PERIOD);
         match (own, &self.continuous, &self.samples) {

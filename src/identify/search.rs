@@ -11,6 +11,7 @@ use super::model::Orders;
 use super::model::Polynomials;
 use super::regression::{Triangle, row, solve};
 use nalgebra::DMatrix;
+use rayon::prelude::*;
 
 /// Of the candidates within this factor of the smallest error on other data, the one with the fewest coefficients is
 /// best.
@@ -112,7 +113,7 @@ pub fn search(
             model,
         })
     };
-    Ok(candidates.iter().filter_map(judged).collect())
+    Ok(candidates.par_iter().filter_map(judged).collect())
 }
 
 /// The candidates without the largest, one order after the other, until the record has more rows than any of them has

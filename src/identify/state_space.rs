@@ -35,9 +35,9 @@ impl StateSpace {
         }
     }
 
-    /// The same system in orthogonal coordinates in which A is nearly triangular. In companion form the powers of A grow
-    /// by many powers of ten before they decay, and with them rounding; here they do not. As it is, when they are not
-    /// found.
+    /// The same system in orthogonal coordinates in which A is nearly triangular. In companion form the powers of A
+    /// grow by many powers of ten before they decay, and with them rounding; here they do not. As it is, when they are
+    /// not found.
     pub(crate) fn triangular(&self) -> Self {
         match real_schur(&self.a) {
             Some((q, a)) => Self { a, b: q.tr_mul(&self.b), c: &self.c * q, d: self.d },

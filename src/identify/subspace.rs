@@ -6,8 +6,8 @@
 //! noise leaves of them). The coefficients of B follow by least squares on the simulated output, from rest or not.
 //!
 //! There is no local minimum to end in, and a model of low order is not biased by noise on the output as ARX is; but
-//! nothing is smallest either: it is a model to begin from. An A that is not stable is no model to simulate, and none is
-//! returned. Feedback from the output's noise to the input biases it.
+//! nothing is smallest either: it is a model to begin from. An A that is not stable is no model to simulate, and none
+//! is returned. Feedback from the output's noise to the input biases it.
 
 use super::data::Segment;
 use super::decompositions::{eigenvalues, svd};
@@ -39,8 +39,8 @@ pub(crate) fn fit(segments: &[Segment], orders: Orders, weight: Weight) -> Optio
     }
     let reach = (REACH.0 * n).max(REACH.1);
     let r = triangle(segments, reach, nk)?;
-    // Columns: future inputs, past inputs and outputs, future outputs. Below the future inputs what is left once they are
-    // taken out.
+    // Columns: future inputs, past inputs and outputs, future outputs. Below the future inputs what is left once they
+    // are taken out.
     let future = 3 * reach;
     let by_past = r.view((reach, future), (2 * reach, reach)).transpose();
     let scaled = match weight {
@@ -72,8 +72,8 @@ fn triangle(segments: &[Segment], reach: usize, nk: usize) -> Option<DMatrix<f64
     let windows = |s: &Segment| s.len().saturating_sub(2 * reach + nk.max(1) - 1);
     let stride = segments.iter().map(windows).sum::<usize>().div_ceil(MOST_ROWS).max(1);
     let mut triangle = Triangle::new(4 * reach);
-    // The input that first acts on the output of sample t is that of sample t − nk; with nk above 1 it is delayed so that
-    // the window fits.
+    // The input that first acts on the output of sample t is that of sample t − nk; with nk above 1 it is delayed so
+    // that the window fits.
     let late = nk.max(1) - 1;
     for segment in segments {
         for start in (0..windows(segment)).step_by(stride) {

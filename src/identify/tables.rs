@@ -9,9 +9,13 @@ use super::residuals::Residuals;
 use super::spectrum::Spectrum;
 use std::io;
 
+fn writer() -> csv::Writer<Vec<u8>> {
+    csv::WriterBuilder::new().terminator(csv::Terminator::CRLF).from_writer(Vec::new())
+}
+
 /// A table of texts under its header.
 fn table(header: &[String], rows: impl Iterator<Item = Vec<String>>) -> io::Result<Vec<u8>> {
-    let mut writer = csv::WriterBuilder::new().terminator(csv::Terminator::CRLF).from_writer(Vec::new());
+    let mut writer = writer();
     writer.write_record(header).map_err(io::Error::other)?;
     for row in rows {
         writer.write_record(&row).map_err(io::Error::other)?;
@@ -153,7 +157,9 @@ pub(super) fn signals<'a>(
 ) -> io::Result<Vec<u8>> {
     let mut header = texts(&["record", "sample", "t_s", "input", "output"]);
     header.extend(models.iter().map(|m| m.role.word().to_owned()));
-    let mut rows = Vec::new();
+    // A million samples make a table of a hundred megabytes: its rows are not kept beside it.
+    let mut writer = writer();
+    writer.write_record(&header).map_err(io::Error::other)?;
     for record in records {
         for segment in &record.segments {
             let simulated: Vec<Vec<f64>> =
@@ -167,9 +173,9 @@ pub(super) fn signals<'a>(
                     cell(Some(segment.output[k])),
                 ];
                 row.extend(simulated.iter().map(|s| cell(s.get(k).copied())));
-                rows.push(row);
+                writer.write_record(&row).map_err(io::Error::other)?;
             }
         }
     }
-    table(&header, rows.into_iter())
+    writer.into_inner().map_err(|e| io::Error::other(e.to_string()))
 }

@@ -325,8 +325,8 @@ impl Parser {
         }
     }
 
-    /// Whether the current is one that the amplifier can give, and its time one of this run. (The times of a table may be
-    /// those of an earlier start of the program that writes it.)
+    /// Whether the current is one that the amplifier can give, and its time one of this run. (The times of a table may
+    /// be those of an earlier start of the program that writes it.)
     fn is_plausible(&self, sample: &CurrentSample) -> bool {
         let in_time = sample.host_ns.abs_diff(sample.arrival_ns) <= FARTHEST_NS.unsigned_abs();
         (in_time || self.header.is_some()) && sample.current_a.iter().all(|a| a.abs() <= self.limit_a)

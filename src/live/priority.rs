@@ -1,8 +1,8 @@
 //! Which thread goes first when the processor is busy.
 //!
 //! A thread's "nice" value counts among the threads of its session only, where the kernel groups them so (autogroup
-//! scheduling, the default of desktops): against other sessions that of the group counts. Both are set, as far as the system
-//! allows, and the group's is put back at the end.
+//! scheduling, the default of desktops): against other sessions that of the group counts. Both are set, as far as the
+//! system allows, and the group's is put back at the end; a run that is killed leaves it raised.
 
 /// How far a thread goes before others, or behind them, as the system counts it ("nice"), where it lets us: a frame
 /// that is not taken in time is lost, θ that is late is of no use, and a picture that is not recorded is neither.
@@ -87,7 +87,8 @@ impl SessionPriority {
         let before = before.and_then(|text| text.trim().rsplit(' ').next()?.parse().ok());
         let raised = std::fs::write(Self::GROUP, Self::NICE.to_string()).is_ok();
         let obtained = if raised { Priority::Raised } else { Priority::WithinSession };
-        Self { before: before.filter(|_| raised), obtained }
+        // Another run may have raised it already: the one that found it ordinary puts it back.
+        Self { before: before.filter(|before| raised && *before > Self::NICE), obtained }
     }
 }
 

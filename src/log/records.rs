@@ -1,8 +1,9 @@
 //! The records of a log, one after the other, chunks opened; what is damaged is left out and listed ([`Condition`]).
 //!
-//! In: a log, whole, cut off or damaged, its chunks plain or compressed (lz4, zstd). Out: every record whose checksum holds.
-//! A chunk whose checksum differs is left out whole. Where lengths make no sense the file is searched for the next chunk.
-//! What this cannot detect: damage in a chunk that was written without a checksum, if it leaves valid records.
+//! In: a log, whole, cut off or damaged, its chunks plain or compressed (lz4, zstd). Out: every record whose checksum
+//! holds. A chunk whose checksum differs is left out whole. Where lengths make no sense the file is searched for the
+//! next chunk. What this cannot detect: damage in a chunk that was written without a checksum, if it leaves valid
+//! records.
 
 use super::LogError;
 use crate::contained::contained;
@@ -344,7 +345,8 @@ impl Records {
     }
 }
 
-/// Whether bytes look like the beginning of a chunk, the end of the data, or the end of a log, with `left` to the file's end.
+/// Whether bytes look like the beginning of a chunk, the end of the data, or the end of a log, with `left` to the
+/// file's end.
 fn is_plausible(bytes: &[u8], left: u64) -> bool {
     let number = |at: usize| bytes.get(at..).and_then(<[u8]>::first_chunk).map(|eight| u64::from_le_bytes(*eight));
     let short = |at: usize| bytes.get(at..).and_then(<[u8]>::first_chunk).map(|four| u32::from_le_bytes(*four));

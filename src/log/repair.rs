@@ -29,12 +29,12 @@ pub enum Repaired {
     },
 }
 
-/// Makes the log at `path` whole. The damaged one is kept beside it, its name ending in `.bak` (`.bak2`, … if there is one
-/// already); until the new one is complete and on the disk, nothing is changed.
+/// Makes the log at `path` whole. The damaged one is kept beside it, its name ending in `.bak` (`.bak2`, … if there is
+/// one already); until the new one is complete and on the disk, nothing is changed.
 ///
 /// # Errors
-/// When it cannot be read, is no MCAP file, is still being written, holds no message that could be saved, or the disk has no
-/// place for a second one.
+/// When it cannot be read, is no MCAP file, is still being written, holds no message that could be saved, or the disk
+/// has no place for a second one.
 pub fn repair(path: &Path) -> Result<Repaired, LogError> {
     if is_being_written(path) {
         return Err(LogError::BeingWritten { path: path.to_owned() });

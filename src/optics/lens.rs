@@ -1,8 +1,8 @@
 //! Pinhole and Brown-Conrady distortion with OpenCV's five parameters, or its rational model with eight.
 //!
-//! x = X/Z, y = Y/Z; r² = x² + y²; radial factor c = (1 + k1 r² + k2 r⁴ + k3 r⁶) / (1 + k4 r² + k5 r⁴ + k6 r⁶);
-//! x_d = x c + 2 p1 x y + p2 (r² + 2 x²), y_d = y c + p1 (r² + 2 y²) + 2 p2 x y; u = fx x_d + cx, v = fy y_d + cy.
-//! Source: Brown, "Close-range camera calibration" (1971); parameter order k1, k2, p1, p2, k3, k4, k5, k6 of OpenCV's calib3d
+//! x = X/Z, y = Y/Z; r² = x² + y²; radial factor c = (1 + k1 r² + k2 r⁴ + k3 r⁶) / (1 + k4 r² + k5 r⁴ + k6 r⁶); x_d = x
+//! c + 2 p1 x y + p2 (r² + 2 x²), y_d = y c + p1 (r² + 2 y²) + 2 p2 x y; u = fx x_d + cx, v = fy y_d + cy. Source:
+//! Brown, "Close-range camera calibration" (1971); parameter order k1, k2, p1, p2, k3, k4, k5, k6 of OpenCV's calib3d
 //! (Claus and Fitzgibbon, CVPR 2005, doi:10.1109/CVPR.2005.43, for rational functions of lenses).
 
 use nalgebra::{Matrix2, Point2, Vector2};
@@ -157,7 +157,8 @@ impl Lens {
     /// directions back into the picture that no camera sees there.
     ///
     /// The radial part must grow all the way, 1 + 3 k1 s + 5 k2 s² + 7 k3 s³ > 0 for s = 0..r²; the tangential part is
-    /// small and looked at in the point alone. Of a rational lens N/D it is N D + 2 s (N' D − N D') that must be positive, and D.
+    /// small and looked at in the point alone. Of a rational lens N/D it is N D + 2 s (N' D − N D') that must be
+    /// positive, and D.
     pub fn is_one_to_one(&self, normalised: &Point2<f64>) -> bool {
         if self.is_rational() {
             return self.rational_grows(normalised.coords.norm_squared())
@@ -166,7 +167,8 @@ impl Lens {
         let [k1, k2, _, _, k3] = self.distortion;
         let growth = |s: f64| 1.0 + s * (3.0 * k1 + s * (5.0 * k2 + s * 7.0 * k3));
         let r2 = normalised.coords.norm_squared();
-        // The least growth is at the end or at a root of 3 k1 + 10 k2 s + 21 k3 s². NaN and infinity mean: no such root.
+        // The least growth is at the end or at a root of 3 k1 + 10 k2 s + 21 k3 s². NaN and infinity mean: no such
+        // root.
         let (a, b, c) = (21.0 * k3, 10.0 * k2, 3.0 * k1);
         let q = -0.5 * (b + (b * b - 4.0 * a * c).sqrt().copysign(b));
         let grows = |s: f64| !(s > 0.0 && s < r2) || growth(s) > 0.0;
@@ -194,8 +196,8 @@ impl Lens {
 /// Halvings of an interval in which a polynomial is followed.
 const MAX_PARTS: usize = 12;
 
-/// Whether c₀ + c₁ s + c₂ s² + … is positive for all s from 0 to `end`. Its Bernstein coefficients enclose it; where they do
-/// not decide, the interval is halved. What comes so near to zero that nothing decides is none.
+/// Whether c₀ + c₁ s + c₂ s² + … is positive for all s from 0 to `end`. Its Bernstein coefficients enclose it; where
+/// they do not decide, the interval is halved. What comes so near to zero that nothing decides is none.
 fn is_positive(coefficients: &[f64], end: f64) -> bool {
     let n = coefficients.len() - 1;
     let binomial = |n: usize, k: usize| (0..k).fold(1.0, |product, i| product * (n - i) as f64 / (i + 1) as f64);
@@ -285,8 +287,8 @@ mod tests {
 
     #[test]
     fn a_pincushion_s_edge_is_undistorted_though_it_lies_beyond_the_field_of_directions() {
-        // x (1 + 0.5 x² - 0.3 x⁴) grows up to x = 1.2072 (1 + 1.5 s - 1.5 s² = 0) and reaches 1.3177 there; the pixel of
-        // x = 1.1 lies at 1.1 · 1.16577 = 1.282347, outside the field of directions.
+        // x (1 + 0.5 x² - 0.3 x⁴) grows up to x = 1.2072 (1 + 1.5 s - 1.5 s² = 0) and reaches 1.3177 there; the pixel
+        // of x = 1.1 lies at 1.1 · 1.16577 = 1.282347, outside the field of directions.
         let lens = Lens { distortion: [0.5, -0.3, 0.0, 0.0, 0.0], ..dev_lens() };
         let pixel = Point2::new(643.7 + 2712.4 * 1.282347, 508.2);
         let back = lens.undistort(&pixel).unwrap();

@@ -15,8 +15,8 @@ pub enum NoRay {
     /// The angle is beyond the critical one.
     #[error("total reflection")]
     TotalReflection,
-    /// The point lies in front of the last surface, where the path has not ended yet, or (mirrored back, where there are
-    /// mirrors) behind the camera.
+    /// The point lies in front of the last surface, where the path has not ended yet, or (mirrored back, where there
+    /// are mirrors) behind the camera.
     #[error("the point is not in front of the camera and beyond the last surface of the path")]
     BeforeLastSurface,
     /// No ray was found, or the point is not a finite number.

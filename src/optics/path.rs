@@ -1,8 +1,8 @@
 //! The optical path: a lens and an ordered list of surfaces. `trace` folds a pixel's ray through the list, `project`
 //! inverts it.
 //!
-//! A refracted view has no single centre, so there is no closed form for `project`: it searches the ray (`solve.rs`), two
-//! to four steps to rounding.
+//! A refracted view has no single centre, so there is no closed form for `project`: it searches the ray (`solve.rs`),
+//! two to four steps to rounding.
 
 use crate::optics::solve::{self, Connection};
 use crate::optics::{Lens, NoRay, Ray, RayWithJacobian, Surface};
@@ -189,9 +189,9 @@ mod tests {
 
     #[test]
     fn an_immersed_mirror_by_hand() {
-        // Index 4/3 from z = 0.6 on. (0.8, 0, 0.6) meets the water in (0.8, 0, 0.6) and goes on as (0.6, 0, 0.8): sines 0.8
-        // and 0.8/(4/3) = 0.6. After 0.5 m it meets the mirror x = 1.1 in (1.1, 0, 1), turns to (-0.6, 0, 0.8) and is
-        // after another 0.5 m in (0.8, 0, 1.4). Pixel: 1000 · 0.8/0.6 + 500.
+        // Index 4/3 from z = 0.6 on. (0.8, 0, 0.6) meets the water in (0.8, 0, 0.6) and goes on as (0.6, 0, 0.8): sines
+        // 0.8 and 0.8/(4/3) = 0.6. After 0.5 m it meets the mirror x = 1.1 in (1.1, 0, 1), turns to (-0.6, 0, 0.8) and
+        // is after another 0.5 m in (0.8, 0, 1.4). Pixel: 1000 · 0.8/0.6 + 500.
         let outer = Plane::new(-Vector3::z(), -0.6).unwrap();
         let index = 4.0 / 3.0;
         let water =
@@ -206,8 +206,9 @@ mod tests {
 
     #[test]
     fn steep_and_thick_is_found() {
-        // 80° in air, a pane of 100 mm, 1 m of water. Glass: sin 80°/1.52 = 0.64790, tan = 0.85052; water: sin = 0.73879,
-        // cos = 0.67395. The point is at (5.6713 + 0.0851 + 0.7388, 1.1 + 0.6740), in a straight direction of 74.7°.
+        // 80° in air, a pane of 100 mm, 1 m of water. Glass: sin 80°/1.52 = 0.64790, tan = 0.85052; water: sin =
+        // 0.73879, cos = 0.67395. The point is at (5.6713 + 0.0851 + 0.7388, 1.1 + 0.6740), in a straight direction of
+        // 74.7°.
         let path = path(vec![wall(0.1, 1.52, 1.333)]);
         let pixel = Point2::new(500.0 + 1000.0 * 80_f64.to_radians().tan(), 400.0);
         let point = path.trace(&pixel).unwrap().at(1.0);
@@ -216,8 +217,8 @@ mod tests {
 
     #[test]
     fn out_of_the_water_points_aside_are_found_where_the_straight_line_is_totally_reflected() {
-        // Camera 1 m under the surface; sin 45° · 1.333 = 0.942574 leaves at 70.49°. A point 5 m on lies in a direction of
-        // 65.0°, far beyond the critical 48.6°.
+        // Camera 1 m under the surface; sin 45° · 1.333 = 0.942574 leaves at 70.49°. A point 5 m on lies in a direction
+        // of 65.0°, far beyond the critical 48.6°.
         let outer = Plane::new(Vector3::z(), 1.0).unwrap();
         let surface =
             Surface::Wall(Wall { outer, thickness_m: 0.0, index_outside: 1.0, index_wall: 1.333, index_inside: 1.333 });

@@ -1,9 +1,9 @@
 //! The ray that connects camera and point: which normalised image point's ray passes through a given point.
 //!
-//! In: surfaces in the order of travel, a point. Out: a [`Connection`]. Method: Newton on the two components of the miss
-//! across the ray, started from the mirrored pinhole. The search may pass through lines that no light takes (a surface met
-//! backwards); only its end must be a real ray. By Fermat's principle the optical path between two points through flat
-//! interfaces is the minimum of a convex function, so there is one answer at most.
+//! In: surfaces in the order of travel, a point. Out: a [`Connection`]. Method: Newton on the two components of the
+//! miss across the ray, started from the mirrored pinhole. The search may pass through lines that no light takes (a
+//! surface met backwards); only its end must be a real ray. By Fermat's principle the optical path between two points
+//! through flat interfaces is the minimum of a convex function, so there is one answer at most.
 //!
 //! Where Newton fails from there (the straight line to the point is totally reflected where the bent one is not, or the
 //! rays are steep), the indices are eased in from none to the true ones, each answer starting the next.
@@ -152,8 +152,8 @@ impl Connection {
         let e1 = d.cross(&aside).normalize();
         let across = Matrix3x2::from_columns(&[e1, d.cross(&e1)]);
         let to_point = point - folded.ray.origin;
-        // As the line turns by dd, so do the vectors across it, towards -d: that is the second term. Their turning about
-        // the line itself does not change the length of the miss and is left out.
+        // As the line turns by dd, so do the vectors across it, towards -d: that is the second term. Their turning
+        // about the line itself does not change the length of the miss and is left out.
         let d_miss = -across.transpose() * (folded.d_origin + folded.d_direction * to_point.dot(&d));
         Ok(Self {
             normalised,

@@ -1,9 +1,9 @@
 //! Surfaces that a ray meets: a plane mirror, a flat glass wall, and what each does to the ray and its derivative.
 //!
-//! Reflection: d' = d − 2(n·d)n. Refraction (Snell in vector form), n against the ray, η = n₁/n₂, c = −n·d:
-//! d' = η d + (η c − √(1 − η²(1 − c²))) n; no real root means total reflection.
-//! Source: Glassner (ed.), "An Introduction to Ray Tracing" (1989), ch. 4; for the flat layers of a tank: Agrawal et al.,
-//! "A theory of multi-layer flat refractive geometry", CVPR 2012, doi:10.1109/CVPR.2012.6248073.
+//! Reflection: d' = d − 2(n·d)n. Refraction (Snell in vector form), n against the ray, η = n₁/n₂, c = −n·d: d' = η d +
+//! (η c − √(1 − η²(1 − c²))) n; no real root means total reflection. Source: Glassner (ed.), "An Introduction to Ray
+//! Tracing" (1989), ch. 4; for the flat layers of a tank: Agrawal et al., "A theory of multi-layer flat refractive
+//! geometry", CVPR 2012, doi:10.1109/CVPR.2012.6248073.
 
 use crate::optics::{NoRay, Ray, RayWithJacobian};
 use nalgebra::{Point3, RowVector2, Vector3};
@@ -292,8 +292,8 @@ mod tests {
 
     #[test]
     fn a_pane_in_air_shifts_a_ray_sideways() {
-        // t sin i (1 - cos i / (n cos r)) for t = 10 mm, i = 60°, n = 1.5: sin² r = (3/4)/(9/4) = 1/3, cos r = 0.816497;
-        // 8.660254 mm · (1 - 0.5/1.224745) = 5.124720 mm.
+        // t sin i (1 - cos i / (n cos r)) for t = 10 mm, i = 60°, n = 1.5: sin² r = (3/4)/(9/4) = 1/3, cos r =
+        // 0.816497; 8.660254 mm · (1 - 0.5/1.224745) = 5.124720 mm.
         let before = ray(Point3::origin(), 60.0);
         let after = wall(0.010, 1.0, 1.5, 1.0).apply(&before).unwrap().ray;
         assert!((after.direction - before.ray.direction).norm() < 1e-15);

@@ -1,8 +1,8 @@
-//! A point from its images in two or more views: the one that minimises the reprojection error in all of them, weighted by
-//! their covariance, with its own covariance and the χ² left.
+//! A point from its images in two or more views: the one that minimises the reprojection error in all of them, weighted
+//! by their covariance, with its own covariance and the χ² left.
 //!
-//! Start: the point nearest to all traced rays. Then Gauss-Newton through `OpticalPath::project`, which converges in two
-//! or three steps because the start is already good to the noise.
+//! Start: the point nearest to all traced rays. Then Gauss-Newton through `OpticalPath::project`, which converges in
+//! two or three steps because the start is already good to the noise.
 
 use super::OpticalPath;
 use nalgebra::{Matrix2, Matrix3, Point2, Point3, Vector3};
@@ -33,7 +33,8 @@ pub struct Triangulated {
 
 const STEPS: usize = 4;
 
-/// Triangulates; `None` with fewer than two views, a pixel without a ray, parallel rays, or a point that a view cannot see.
+/// Triangulates; `None` with fewer than two views, a pixel without a ray, parallel rays, or a point that a view cannot
+/// see.
 pub fn triangulate(sightings: &[Sighting<'_>]) -> Option<Triangulated> {
     if sightings.len() < 2 {
         return None;

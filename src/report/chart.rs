@@ -157,8 +157,8 @@ pub(super) fn layout() -> Layout {
         .legend(Legend::new().orientation(Orientation::Horizontal).x(0.0).y(1.02).y_anchor(Anchor::Bottom))
 }
 
-/// The axes of a 3D plot around values from smallest to largest, all to one scale: the longest side of the box is 1, and a
-/// flat one still gets some depth.
+/// The axes of a 3D plot around values from smallest to largest, all to one scale: the longest side of the box is 1,
+/// and a flat one still gets some depth.
 pub(super) fn scene(spans: [(f64, f64); 3], titles: [&str; 3]) -> LayoutScene {
     let longest = spans.iter().map(|(low, high)| high - low).fold(1e-3, f64::max);
     let ranges = spans.map(|(low, high)| {

@@ -61,8 +61,8 @@ pub(super) enum Channel {
 
 const ANGLES: usize = 6;
 
-/// An azimuth between −90° and 270°: a swing in a plane stays near 0° and 180°, and noise must not throw it from one end of
-/// the axis to the other.
+/// An azimuth between −90° and 270°: a swing in a plane stays near 0° and 180°, and noise must not throw it from one
+/// end of the axis to the other.
 fn without_seam_deg(azimuth_deg: f64) -> f64 {
     (azimuth_deg + 90.0).rem_euclid(360.0) - 90.0
 }

@@ -1,10 +1,10 @@
 //! Pages for people: one HTML file each, that opens without a network.
 //!
-//! [`ReportSink`] writes the report of a tracked run: what was tracked, how well, what is missing and why, and plots that
-//! can be zoomed and turned. In: estimates, and three of their pictures. Memory stays small however long the run:
+//! [`ReportSink`] writes the report of a tracked run: what was tracked, how well, what is missing and why, and plots
+//! that can be zoomed and turned. In: estimates, and three of their pictures. Memory stays small however long the run:
 //! values over time are kept in 4096 bins at most, with the smallest and largest value of each; totals are exact
-//! (medians need 4 bytes a frame and quantity). What it cannot show: frames between the extremes of a long run; they are in
-//! the log.
+//! (medians need 4 bytes a frame and quantity). What it cannot show: frames between the extremes of a long run; they
+//! are in the log.
 //!
 //! `calibration::page` is that of a rig's calibration, `teaching::page` of what was learned of the bands,
 //! `excitation::page` of a signal, `catheter` of shapes, `validation::page` of runs along a path.

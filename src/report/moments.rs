@@ -1,7 +1,7 @@
 //! The first, the best and the worst frame of a run, and their pictures.
 //!
-//! Best and worst: first by what is missing, then by σ. A picture is copied when its frame is the first, or better or worse
-//! by a twentieth than the one that was kept: three pictures are in memory, and few are ever copied.
+//! Best and worst: first by what is missing, then by σ. A picture is copied when its frame is the first, or better or
+//! worse by a twentieth than the one that was kept: three pictures are in memory, and few are ever copied.
 
 use super::html::Html;
 use super::page;

@@ -19,8 +19,8 @@ impl Draft {
         }
     }
 
-    /// The same with another lens. Surfaces, views and base frame were found with the old one and do not belong to the new
-    /// one: they are left out, and where the numbers came from with them. Bands and tube stay.
+    /// The same with another lens. Surfaces, views and base frame were found with the old one and do not belong to the
+    /// new one: they are left out, and where the numbers came from with them. Bands and tube stay.
     pub fn with_lens(self, size_px: [u32; 2], lens: Lens) -> Self {
         let camera = Camera { size_px, lens, ..self.camera };
         Self { markers: self.markers, catheter: self.catheter, ..Self::of_camera(camera) }
@@ -69,7 +69,8 @@ impl Draft {
         Self::from_toml_str(&self.to_toml_string(), name)
     }
 
-    /// What a rig needs beyond this, in the order in which it is found, and the command that finds it; nothing when it is whole.
+    /// What a rig needs beyond this, in the order in which it is found, and the command that finds it; nothing when it
+    /// is whole.
     pub fn missing(&self) -> Vec<(&'static str, &'static str)> {
         [
             (self.views.is_empty(), "mirrors, walls and views", "catoptra calibrate rig"),
@@ -81,8 +82,8 @@ impl Draft {
         .collect()
     }
 
-    /// σ of a parameter as the calibrations noted it: of the lens as `focal_x_px`, …, `k3`, of a surface as `NAME_offset_m`; `None`
-    /// when they did not.
+    /// σ of a parameter as the calibrations noted it: of the lens as `focal_x_px`, …, `k3`, of a surface as
+    /// `NAME_offset_m`; `None` when they did not.
     pub fn noted_sd(&self, parameter: &str) -> Option<f64> {
         const LENS: [&str; 12] = [
             "focal_x_px",
@@ -127,8 +128,8 @@ impl Draft {
         write::save(self, path, false).map(|_| ())
     }
 
-    /// As [`Draft::save`]; another rig that was at `path` before is kept beside it, as `RIG.toml.bak`, `RIG.toml.bak2`, …: no
-    /// backup takes the place of another. Gives the backup's name, if one was needed.
+    /// As [`Draft::save`]; another rig that was at `path` before is kept beside it, as `RIG.toml.bak`, `RIG.toml.bak2`,
+    /// …: no backup takes the place of another. Gives the backup's name, if one was needed.
     ///
     /// # Errors
     /// As [`Draft::save`]. When the disk is full, no file has changed.

@@ -48,8 +48,8 @@ pub struct Rig {
     pub provenance: toml::Table,
 }
 
-/// A checked rig file of which parts may be missing: `calibrate camera` begins it, each calibration after it reads it and
-/// adds its part. With views, markers and catheter it is a [`Rig`].
+/// A checked rig file of which parts may be missing: `calibrate camera` begins it, each calibration after it reads it
+/// and adds its part. With views, markers and catheter it is a [`Rig`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct Draft {
     /// Picture size and lens.
@@ -98,7 +98,8 @@ impl Rig {
         Draft::from(self.clone()).to_toml_string()
     }
 
-    /// σ of the base frame's origin along the camera's axes, metres, as `calibrate base` noted it; `None` when it did not.
+    /// σ of the base frame's origin along the camera's axes, metres, as `calibrate base` noted it; `None` when it did
+    /// not.
     pub fn origin_sd_m(&self) -> Option<Vector3<f64>> {
         let noted = self.provenance.get("base")?.get("origin_sd_mm")?.as_array()?;
         let sd_mm: Vec<f64> = noted.iter().filter_map(toml::Value::as_float).collect();
@@ -160,8 +161,8 @@ pub struct Marker {
     pub name: String,
     /// Length along the tube, metres.
     pub length_m: f64,
-    /// Place of its middle along the tube, metres, once known. Only differences matter: `calibrate markers` counts from the
-    /// edge of the first band that is nearer to the clamp.
+    /// Place of its middle along the tube, metres, once known. Only differences matter: `calibrate markers` counts from
+    /// the edge of the first band that is nearer to the clamp.
     pub centre_m: Option<f64>,
     /// How to tell it by its colour, once learned: one model for each view, or one for all of them. Empty before.
     pub colours: Vec<ColourModel>,

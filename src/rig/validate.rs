@@ -1,5 +1,5 @@
-//! From the file's numbers to a [`Draft`]: every value is judged here, with its key, and turned into metres. What a draft
-//! must have to be a [`Rig`] is judged here too.
+//! From the file's numbers to a [`Draft`]: every value is judged here, with its key, and turned into metres. What a
+//! draft must have to be a [`Rig`] is judged here too.
 
 use super::error::nearest;
 use super::file::{

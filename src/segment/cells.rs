@@ -1,7 +1,7 @@
 //! The picture as cells of 2x2 pixels: the sum of four samples of each channel, whatever their format.
 //!
-//! Channels that are subsampled count each sample as often as it stands for a pixel of the cell, so that a cell's sums mean
-//! the same in all formats. At the right and lower edge of a picture of odd size the last pixel counts twice.
+//! Channels that are subsampled count each sample as often as it stands for a pixel of the cell, so that a cell's sums
+//! mean the same in all formats. At the right and lower edge of a picture of odd size the last pixel counts twice.
 
 use super::{LARGEST_PX, SegmentError};
 use crate::source::{Picture, Plane};
@@ -89,8 +89,8 @@ impl CellRow<'_> {
         [a.sums(first), b.sums(first), c.sums(first)]
     }
 
-    /// For cells x0..x1, appends the samples of channels 1 and 2 less 128, when each cell has one of both: otherwise appends
-    /// nothing and returns false.
+    /// For cells x0..x1, appends the samples of channels 1 and 2 less 128, when each cell has one of both: otherwise
+    /// appends nothing and returns false.
     pub(super) fn chroma(&self, x0: usize, x1: usize, channels: &mut [Vec<i16>; 3]) -> bool {
         if !self.chroma_per_cell {
             return false;

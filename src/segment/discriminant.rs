@@ -19,8 +19,8 @@ pub(super) struct Plane {
     pub screen: Screen,
 }
 
-/// The same in 16 bits, for the cell's mean samples less 128: Σ weight·value + offset is ≥ 0 wherever the score exceeds the
-/// threshold, and where it is a little below. No partial sum overflows.
+/// The same in 16 bits, for the cell's mean samples less 128: Σ weight·value + offset is ≥ 0 wherever the score exceeds
+/// the threshold, and where it is a little below. No partial sum overflows.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Screen {
     pub weights: [i16; 3],

@@ -1,15 +1,15 @@
 //! Samples of colours -> a colour model for each marker, and how well it separates.
 //!
-//! A plane is a ridge regression of 1 on the marker's samples and 0 on others: on all other classes, or on a single one.
-//! Both halves have equal weight and, among the others, each class one that does not depend on the number of its samples:
-//! 1, and 0.1 if it is another marker. What is not the marker may be lit otherwise than where it was sampled (a shadow, a
-//! dark clamp, a glare): its classes are given an additional spread in brightness, so that the models tell colours apart,
-//! not lights from darks. The regression's scores are then stretched so that they are 1 and 0 on average as
-//! [`ColourPlane`] says: regression alone shrinks both towards their middle.
-//! Source: Hastie, Tibshirani, Friedman, "The Elements of Statistical Learning" (2009), sections 3.4.1 and 4.2.
+//! A plane is a ridge regression of 1 on the marker's samples and 0 on others: on all other classes, or on a single
+//! one. Both halves have equal weight and, among the others, each class one that does not depend on the number of its
+//! samples: 1, and 0.1 if it is another marker. What is not the marker may be lit otherwise than where it was sampled
+//! (a shadow, a dark clamp, a glare): its classes are given an additional spread in brightness, so that the models tell
+//! colours apart, not lights from darks. The regression's scores are then stretched so that they are 1 and 0 on average
+//! as [`ColourPlane`] says: regression alone shrinks both towards their middle. Source: Hastie, Tibshirani, Friedman,
+//! "The Elements of Statistical Learning" (2009), sections 3.4.1 and 4.2.
 //!
-//! A model is one plane, or the few that together leave the fewest mistakes, taken one after the other. Which of the two is
-//! decided on samples that neither was learned from; separations are told of such samples, too.
+//! A model is one plane, or the few that together leave the fewest mistakes, taken one after the other. Which of the
+//! two is decided on samples that neither was learned from; separations are told of such samples, too.
 
 use crate::rig::{ColourModel, ColourPlane};
 use nalgebra::{Matrix3, Vector3};
@@ -112,15 +112,15 @@ pub enum LearnError {
 /// Fewer samples say nothing about a class.
 const LEAST_SAMPLES: usize = 8;
 
-/// Ridge, as a share of the mean variance of a channel: enough to keep weights small where colours do not vary, too little
-/// to matter where they do.
+/// Ridge, as a share of the mean variance of a channel: enough to keep weights small where colours do not vary, too
+/// little to matter where they do.
 const RIDGE: f64 = 1e-3;
 
 /// Relative standard deviation of the brightness at which an other class may be met, beyond what its samples show.
 const SHADING: f64 = 0.4;
 
-/// Weight of a class that is another marker, where tube and background weigh 1: those are what borders on the marker and is
-/// to score 0, of other markers it is enough that they score less than the threshold.
+/// Weight of a class that is another marker, where tube and background weigh 1: those are what borders on the marker
+/// and is to score 0, of other markers it is enough that they score less than the threshold.
 const OTHER_MARKER: f64 = 0.1;
 
 /// Where the segmentation draws the line.
@@ -139,8 +139,8 @@ const LEAST_CONTRAST: f64 = 1e-6;
 /// Learns a model for each marker class.
 ///
 /// # Errors
-/// [`LearnError`] when samples are missing or useless, or a marker has the very colour of the rest. Poor separation is no
-/// error here: it is reported in [`Learned::separations`].
+/// [`LearnError`] when samples are missing or useless, or a marker has the very colour of the rest. Poor separation is
+/// no error here: it is reported in [`Learned::separations`].
 pub fn learn(classes: &[ClassSamples]) -> Result<Learned, LearnError> {
     check(classes)?;
     let halves = [0, 1].map(|half| classes.iter().map(|class| class.half(half)).collect::<Vec<_>>());
@@ -192,8 +192,9 @@ fn model(classes: &[ClassSamples], marker: usize, against: &[Against]) -> Option
     Some(ColourModel { planes, rgb: statistics(classes.get(marker)?).0 })
 }
 
-/// The planes of the model that makes the fewest mistakes on samples it was not learned from: one against everything, or
-/// those that leave the fewest mistakes in the samples they were learned from. `None` when none tells the marker from all else.
+/// The planes of the model that makes the fewest mistakes on samples it was not learned from: one against everything,
+/// or those that leave the fewest mistakes in the samples they were learned from. `None` when none tells the marker
+/// from all else.
 fn choose([seen, unseen]: &[Vec<ClassSamples>; 2], marker: usize) -> Option<Vec<Against>> {
     let same = same_paint(seen, marker)?;
     let others = (0..seen.len()).filter(|other| *other != marker && !same.contains(other));
@@ -226,8 +227,8 @@ fn choose([seen, unseen]: &[Vec<ClassSamples>; 2], marker: usize) -> Option<Vec<
     }
 }
 
-/// Classes that are the marker's own paint elsewhere: whatever is learned, most of their samples are taken for it. Were they
-/// among what it is to differ from, nothing would be left of its colour.
+/// Classes that are the marker's own paint elsewhere: whatever is learned, most of their samples are taken for it. Were
+/// they among what it is to differ from, nothing would be left of its colour.
 fn same_paint(classes: &[ClassSamples], marker: usize) -> Option<Vec<usize>> {
     let mut same: Vec<usize> = Vec::new();
     loop {
@@ -258,8 +259,8 @@ impl Lowest {
         Self(self.0.iter().zip(classes).map(lower).collect())
     }
 
-    /// Share of the marker's samples that are missed, and the mean share of the others, but for `same`, that are taken for it. A
-    /// score within `UNSURE` of the threshold is a mistake in part.
+    /// Share of the marker's samples that are missed, and the mean share of the others, but for `same`, that are taken
+    /// for it. A score within `UNSURE` of the threshold is a mistake in part.
     fn mistakes(&self, marker: usize, same: &[usize]) -> f64 {
         let share = |scores: &Vec<f64>, is_marker: bool| {
             let sign = if is_marker { 1.0 } else { -1.0 };

@@ -12,10 +12,11 @@
 //!   5. `moments`: the cells of a component and one ring of cells around it, weighted by how far each is covered, give
 //!      centre, second moments and their uncertainty.
 //!   6. `mod@learn`: where the colour models come from.
-//! - Assumes that a marker is told from all else by a few linear functions of R'G'B', and that its image is two cells wide
-//!   or more. Time and memory are linear in the number of cells searched, whatever the picture shows.
-//! - Cannot tell a marker from a distractor of the same colour, nor two bands whose images touch; the centre is that of the
-//!   visible surface, not of the tube's centre line, and leans to the side that scores higher. The stages after it do.
+//! - Assumes that a marker is told from all else by a few linear functions of R'G'B', and that its image is two cells
+//!   wide or more. Time and memory are linear in the number of cells searched, whatever the picture shows.
+//! - Cannot tell a marker from a distractor of the same colour, nor two bands whose images touch; the centre is that of
+//!   the visible surface, not of the tube's centre line, and leans to the side that scores higher. The stages after it
+//!   do.
 
 mod cells;
 mod components;
@@ -135,7 +136,8 @@ pub struct Blob {
     /// The pixels of its cells, tight.
     pub bounds: Window,
     /// Whether it has a cell on the outermost ring of the window it was found in, where that is not the picture's own
-    /// edge: then it may go on outside. A blob that does not is, bit by bit, the one that a search of the whole picture finds.
+    /// edge: then it may go on outside. A blob that does not is, bit by bit, the one that a search of the whole picture
+    /// finds.
     pub touches_border: bool,
 }
 
@@ -219,8 +221,8 @@ impl Segmenter {
         })
     }
 
-    /// With subsampled chroma taken to sit this far (right, down; pixels) from where the pictures' siting says: recorders
-    /// often tag one siting and sample at another.
+    /// With subsampled chroma taken to sit this far (right, down; pixels) from where the pictures' siting says:
+    /// recorders often tag one siting and sample at another.
     pub fn with_chroma_offset_px(self, offset: [f64; 2]) -> Self {
         Self { chroma_offset_px: offset.into(), ..self }
     }
@@ -252,11 +254,12 @@ impl Segmenter {
         self.blobs(picture, &[Search { marker: None, view: None, window: Window::whole(picture.size_px()) }])
     }
 
-    /// The blobs in some windows, in the order of searches, then markers, then the raster. One that lies whole in several
-    /// windows is given once.
+    /// The blobs in some windows, in the order of searches, then markers, then the raster. One that lies whole in
+    /// several windows is given once.
     ///
     /// # Errors
-    /// When the picture is grey or too large, when it was not recorded there, or a search names a marker that does not exist.
+    /// When the picture is grey or too large, when it was not recorded there, or a search names a marker that does not
+    /// exist.
     pub fn blobs(&mut self, picture: &Picture, searches: &[Search]) -> Result<&[Blob], SegmentError> {
         let markers = self.views.first().map_or(0, |view| view.models.len());
         if let Some(marker) = searches.iter().filter_map(|s| s.marker).find(|&m| m >= markers) {

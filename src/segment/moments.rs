@@ -2,8 +2,8 @@
 //!
 //! The coverage of a cell is its score, relative to the level of the component's own cells (a band in the shade scores
 //! less than 1 everywhere), between two floors: what scores below `FLOOR` is noise or a slightly warmer background and
-//! counts nothing, what scores above `1 − FLOOR` is covered whole, so that shading within the band hardly pulls the centre.
-//! The ring is read from the picture even where the window ends. All sums are of integers: exact in any order.
+//! counts nothing, what scores above `1 − FLOOR` is covered whole, so that shading within the band hardly pulls the
+//! centre. The ring is read from the picture even where the window ends. All sums are of integers: exact in any order.
 
 use super::cells::{BLOCK, Grid};
 use super::discriminant::Discriminant;
@@ -120,7 +120,8 @@ impl Measure {
         let spread = covered.about(&mean) * (4.0 / mass) - Matrix2::identity() * CELL_VARIANCE_PX2;
         let (axis, along, across) = principal(&spread);
         let centre = mean * 2.0 + Vector2::repeat(0.5) + grid.chroma_shift_px() * all.chroma_share();
-        // A cell's coverage is off by the noise of its score; cells that are full or empty were clamped and add nothing.
+        // A cell's coverage is off by the noise of its score; cells that are full or empty were clamped and add
+        // nothing.
         let noise = whole.residual_variance().unwrap_or(UNKNOWN_NOISE).max(LEAST_NOISE) * f64::from(FULL * FULL);
         let gain = 1.0 / f64::from(1.0 - 2.0 * FLOOR);
         let covariance_px2 = edge.about(&mean) * (4.0 * noise * gain * gain / (mass * mass));
@@ -139,8 +140,8 @@ impl Measure {
         }
     }
 
-    /// Hands out all cells of a component and its ring, a stretch of at most a block at a time: row, first cell, number of
-    /// cells, sums.
+    /// Hands out all cells of a component and its ring, a stretch of at most a block at a time: row, first cell, number
+    /// of cells, sums.
     fn each_dilated_block(
         &mut self,
         grid: &Grid<'_>,

@@ -1,8 +1,8 @@
 //! Cells -> runs of cells of one marker in one row.
 //!
-//! Two tests: a bound of the score in 16-bit integers, from chroma alone where that is one sample a cell, for all cells;
-//! the score itself for the blocks of cells that are left. The first only ever leaves out what the second would, so that
-//! the outcome of a cell depends on that cell alone.
+//! Two tests: a bound of the score in 16-bit integers, from chroma alone where that is one sample a cell, for all
+//! cells; the score itself for the blocks of cells that are left. The first only ever leaves out what the second would,
+//! so that the outcome of a cell depends on that cell alone.
 
 use super::cells::{BLOCK, CellRow, Grid, Sums};
 use super::discriminant::Discriminant;

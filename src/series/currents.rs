@@ -7,7 +7,7 @@
 //! |---|---|
 //! | `host_ns`, `unix_s` | the host's clock, since 1970: mapped to the camera's by the frames of a live run |
 //! | `stamp_ns` | the camera's clock, nanoseconds |
-//! | `t_s` | seconds since a start that the table does not give; without a start, taken for the camera's clock with a notice |
+//! | `t_s` | seconds since a start that the table does not give; without a start, by the frames' ticks if there are any, else taken for the camera's clock with a notice |
 
 use super::sheet::Sheet;
 use super::{Current, Recording, SeriesError};
@@ -119,6 +119,14 @@ impl CurrentTable {
             );
             return Err(SeriesError::Content { path: self.path.clone(), problem });
         }
+        if let Some(times_ns) = self.by_ticks(recording, start_ns)? {
+            let current = |(row, ns): (&CurrentRow, i64)| Current {
+                host_ns: None,
+                stamp_ns: Some(ns),
+                values_a: row.values_a.clone(),
+            };
+            return Ok(self.rows.iter().zip(times_ns).map(current).collect());
+        }
         let start_ns = if self.clock == CurrentClock::Start { start_ns.unwrap_or(0) } else { 0 };
         let stamp = |time_ns: i64| match &clocks {
             Some(clocks) => clocks.camera_ns(time_ns),
@@ -132,9 +140,40 @@ impl CurrentTable {
         Ok(self.rows.iter().map(current).collect())
     }
 
-    /// What has to be taken on trust about the table's times, in words.
-    pub fn assumption(&self, start_ns: Option<i64>) -> Option<String> {
+    /// Camera times of the rows by the recording's ticks: where times count from a start that nobody gives. Where the
+    /// count tells commands this close apart, each row has the time at which it was taken; else the first tick is the
+    /// start.
+    fn by_ticks(&self, recording: &Recording, start_ns: Option<i64>) -> Result<Option<Vec<i64>>, SeriesError> {
+        if self.clock != CurrentClock::Start || start_ns.is_some() {
+            return Ok(None);
+        }
+        let Some(ticks) = recording.ticks()? else { return Ok(None) };
+        let (Some(first), Some(tick_ns)) = (self.rows.first(), ticks.times_ns.first()) else { return Ok(None) };
+        let pairs = self.rows.iter().zip(self.rows.iter().skip(1));
+        let closest = pairs.map(|(a, b)| b.time_ns.saturating_sub(a.time_ns)).min().unwrap_or(i64::MAX);
+        if !ticks.tells(closest) {
+            let shift = tick_ns.saturating_sub(first.time_ns);
+            return Ok(Some(self.rows.iter().map(|row| row.time_ns.saturating_add(shift)).collect()));
+        }
+        if ticks.times_ns.len() != self.rows.len() {
+            let problem = format!(
+                "has {} rows, and {} counts {} commands by its ticks: one row is one command; give the list that was sent, or                  the start",
+                self.rows.len(),
+                recording.path.display(),
+                ticks.times_ns.len()
+            );
+            return Err(SeriesError::Content { path: self.path.clone(), problem });
+        }
+        Ok(Some(ticks.times_ns))
+    }
+
+    /// What has to be taken on trust about the table's times beside this recording, in words.
+    pub fn assumption(&self, recording: &Recording, start_ns: Option<i64>) -> Option<String> {
+        let ticked = recording.frames.iter().any(|frame| frame.tick.is_some());
         match (self.clock, start_ns) {
+            (CurrentClock::Start, None) if ticked => {
+                Some("commands have the times at which the frames' tick counts them".to_owned())
+            }
             (CurrentClock::Host, _) => {
                 Some("host's times, late by the least delay from exposure to arrival".to_owned())
             }

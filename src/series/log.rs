@@ -98,6 +98,7 @@ impl Reader {
                 .and_then(|tangent| xyz(tangent, "in_base").or_else(|| xyz(tangent, "in_camera")))
                 .map(Vector3::from),
             tangent_sd_rad: tangent.as_ref().and_then(|tangent| float(tangent, "sd_rad")),
+            tick: None,
         });
     }
 }

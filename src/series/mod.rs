@@ -12,17 +12,20 @@ mod clocks;
 mod columns;
 mod currents;
 mod error;
+mod laboratory;
 mod log;
 pub(crate) mod play;
 mod sheet;
 mod table;
 #[cfg(test)]
 mod tests;
+mod ticks;
 
 pub use clocks::ClockMap;
 pub use columns::columns;
 pub use currents::{CurrentClock, CurrentRow, CurrentTable};
 pub use error::SeriesError;
+pub use ticks::Ticks;
 
 use crate::log::is_log;
 use crate::sink::OutputFrame;
@@ -71,6 +74,8 @@ pub struct Frame {
     pub tangent: Option<Vector3<f64>>,
     /// Its standard deviation, radians.
     pub tangent_sd_rad: Option<f64>,
+    /// Count of commands that the frame shows, modulo something: see [`Ticks`].
+    pub tick: Option<u64>,
 }
 
 /// A marker in one frame.
@@ -107,12 +112,18 @@ impl CurrentTable {
 }
 
 impl Recording {
-    /// Reads a log or a table; which it is, its content tells.
+    /// Reads a log, a table, or a run of the laboratory's own tracker; which it is, its content tells.
     ///
     /// # Errors
     /// When the file cannot be read or is neither. A file without a frame is no error.
     pub fn read(path: &Path) -> Result<Self, SeriesError> {
-        if is_log(path) { log::read(path) } else { table::read(path) }
+        if is_log(path) {
+            log::read(path)
+        } else if laboratory::is_laboratory(path) {
+            laboratory::read(path)
+        } else {
+            table::read(path)
+        }
     }
 
     /// Index of the marker `name` in [`Frame::places`].

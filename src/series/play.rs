@@ -1,8 +1,8 @@
 //! `.play`: lists of currents for the laboratory's amplifier (github.com/tmlcase/catheter_arduino_controller).
 //!
-//! A line `channel, current_mA, delay_ms` for each channel (from 1) that changes, ended by CR LF. Lines of one instant have
-//! delay 0, but for the last, which has the pause until the next instant. Delays are whole milliseconds: times are rounded to
-//! them one by one, so that rounding does not add up. Each channel is 0 until its first line.
+//! A line `channel, current_mA, delay_ms` for each channel (from 1) that changes, ended by CR LF. Lines of one instant
+//! have delay 0, but for the last, which has the pause until the next instant. Delays are whole milliseconds: times are
+//! rounded to them one by one, so that rounding does not add up. Each channel is 0 until its first line.
 
 use super::{CurrentClock, CurrentRow, CurrentTable, SeriesError};
 use std::fmt::Write as _;
@@ -55,8 +55,8 @@ pub(super) fn read(path: &Path) -> Result<CurrentTable, SeriesError> {
     Ok(CurrentTable { path: path.to_owned(), clock: CurrentClock::Start, coils, rows })
 }
 
-/// Rows of currents (time from the start, nanoseconds, and amperes by channel) as a list. The last row has no end: it should
-/// be zero current.
+/// Rows of currents (time from the start, nanoseconds, and amperes by channel) as a list. The last row has no end: it
+/// should be zero current.
 pub(crate) fn write<'a>(rows: impl IntoIterator<Item = (i64, &'a [f64])>) -> String {
     let mut text = String::new();
     let mut before: Vec<f64> = Vec::new();

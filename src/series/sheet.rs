@@ -52,14 +52,7 @@ impl Sheet {
     /// When it cannot be read, is no text, or has no line.
     pub(super) fn read(path: &Path) -> Result<Self, SeriesError> {
         let content = |problem: &str| SeriesError::Content { path: path.to_owned(), problem: problem.to_owned() };
-        let bytes = match text_bytes(path) {
-            Ok(bytes) => bytes.ok_or_else(|| content("is no text; expected a table of numbers (CSV)"))?,
-            Err(source) => return Err(SeriesError::Io { path: path.to_owned(), source }),
-        };
-        if bytes.len() as u64 > LARGEST {
-            return Err(content("is larger than 1 GiB; expected a table of numbers (CSV)"));
-        }
-        let text = String::from_utf8(bytes).map_err(|_| content("is no text; expected a table of numbers (CSV)"))?;
+        let text = text_of(path)?;
         let text = text.strip_prefix('\u{feff}').unwrap_or(&text);
         let is_data = |line: &str| !line.trim().is_empty() && !line.trim_start().starts_with(['#', '%']);
         let Some(first) = text.lines().find(|line| is_data(line)) else {
@@ -172,6 +165,22 @@ impl Sheet {
     pub(super) fn wrong_at(&self, row: &Row, problem: String) -> SeriesError {
         SeriesError::Line { path: self.path.clone(), line: row.line, problem }
     }
+}
+
+/// The text of a file.
+///
+/// # Errors
+/// When it cannot be read, is no text, or larger than any table.
+pub(super) fn text_of(path: &Path) -> Result<String, SeriesError> {
+    let content = |problem: &str| SeriesError::Content { path: path.to_owned(), problem: problem.to_owned() };
+    let bytes = match text_bytes(path) {
+        Ok(bytes) => bytes.ok_or_else(|| content("is no text; expected a table of numbers (CSV)"))?,
+        Err(source) => return Err(SeriesError::Io { path: path.to_owned(), source }),
+    };
+    if bytes.len() as u64 > LARGEST {
+        return Err(content("is larger than 1 GiB; expected a table of numbers (CSV)"));
+    }
+    String::from_utf8(bytes).map_err(|_| content("is no text; expected a table of numbers (CSV)"))
 }
 
 /// The file's bytes, one more than [`LARGEST`] at most; `None` when it begins with what no text has.

@@ -40,8 +40,8 @@ pub(super) fn read(path: &Path) -> Result<Recording, SeriesError> {
         return Err(sheet.wrong(format!("{expected}{}", there(&sheet))));
     }
     let tangent = all_of(&sheet, columns::TANGENT)?;
-    let others = [columns::THETA_SD_DEG, columns::TANGENT_SD_DEG, columns::SEQ, columns::GAP];
-    let [theta_sd, tangent_sd, seq, gap] = others.map(|name| sheet.find(name));
+    let others = [columns::THETA_SD_DEG, columns::TANGENT_SD_DEG, columns::SEQ, columns::GAP, columns::TICK];
+    let [theta_sd, tangent_sd, seq, gap, tick] = others.map(|name| sheet.find(name));
     let angle = |row: &Row, column: Option<usize>| -> Result<Option<f64>, SeriesError> {
         let degrees = column.map(|column| sheet.number(row, column)).transpose()?.flatten();
         Ok(degrees.map(f64::to_radians))
@@ -50,6 +50,10 @@ pub(super) fn read(path: &Path) -> Result<Recording, SeriesError> {
         let Some(column) = column else { return Ok(otherwise) };
         u64::try_from(sheet.integer(row, column)?)
             .map_err(|_| sheet.wrong_at(row, format!("the count in column {} is negative", sheet.name_of(column))))
+    };
+    let tick_of = |row: &Row| -> Result<Option<u64>, SeriesError> {
+        let there = tick.filter(|column| row.cells.get(*column).is_some_and(|cell| !is_missing(cell)));
+        there.map(|_| count(row, tick, 0)).transpose()
     };
     let mut frames = Vec::with_capacity(sheet.rows.len());
     for (index, row) in (0..).zip(&sheet.rows) {
@@ -69,6 +73,7 @@ pub(super) fn read(path: &Path) -> Result<Recording, SeriesError> {
             places: markers.iter().map(|marker| marker.place(&sheet, row)).collect::<Result<_, _>>()?,
             tangent: tangent.map(|columns| vector(&sheet, row, columns)).transpose()?.flatten(),
             tangent_sd_rad: angle(row, tangent_sd)?,
+            tick: tick_of(row)?,
         });
     }
     Ok(Recording {

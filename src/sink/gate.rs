@@ -1,13 +1,13 @@
-//! Who may subscribe: a door before the server of [`PublishSink`](super::PublishSink), which would let any web page in the
-//! user's browser read along.
+//! Who may subscribe: a door before the server of [`PublishSink`](super::PublishSink), which would let any web page in
+//! the user's browser read along.
 //!
 //! In: connections at the public address. Each sends the head of an HTTP request; it goes on to the server when
-//! - its `Host` is an address, this computer's name or `localhost`: a page whose name was made to point here (DNS rebinding)
-//!   sends its own, and
+//! - its `Host` is an address, this computer's name or `localhost`: a page whose name was made to point here (DNS
+//!   rebinding) sends its own, and
 //! - it has no `Origin` (a program), or that of Foxglove, of this computer, or one that was allowed.
 //!
-//! The server itself listens at an address of this computer that nobody can guess. What this cannot keep out: programs, of
-//! other computers too if the public address is theirs to reach.
+//! The server itself listens at an address of this computer that nobody can guess. What this cannot keep out: programs,
+//! of other computers too if the public address is theirs to reach.
 
 use std::io::{self, Read as _, Write as _};
 use std::net::{IpAddr, Ipv4Addr, Shutdown, SocketAddr, TcpListener, TcpStream};

@@ -46,8 +46,8 @@ struct Board {
 }
 
 impl PublishSink {
-    /// Begins to listen at `address`. Web pages are let in if they are Foxglove's or this computer's, or their origin is
-    /// one of `origins`.
+    /// Begins to listen at `address`. Web pages are let in if they are Foxglove's or this computer's, or their origin
+    /// is one of `origins`.
     ///
     /// # Errors
     /// [`SinkError::Publish`] when the address is taken or is not this computer's.

@@ -97,7 +97,8 @@ fn upright() -> Vec<u8> {
 #[allow(unsafe_code, reason = "the binding does not offer this field")]
 pub(super) fn configuration(stream: &av::format::stream::Stream<'_>) -> Vec<u8> {
     let parameters = stream.parameters();
-    // SAFETY: the stream owns its parameters, which are not changed here; libav keeps `extradata_size` bytes at `extradata`.
+    // SAFETY: the stream owns its parameters, which are not changed here; libav keeps `extradata_size` bytes at
+    // `extradata`.
     unsafe {
         let parameters = parameters.as_ptr();
         match usize::try_from((*parameters).extradata_size) {
@@ -109,8 +110,8 @@ pub(super) fn configuration(stream: &av::format::stream::Stream<'_>) -> Vec<u8> 
     }
 }
 
-/// Whether every picture of this codec stands for itself. Of others the decoder must have one thread: with more it does not
-/// say of every damaged picture that it is.
+/// Whether every picture of this codec stands for itself. Of others the decoder must have one thread: with more it does
+/// not say of every damaged picture that it is.
 fn is_intra_only(codec: av::codec::Id) -> bool {
     use av::codec::Id;
     matches!(

@@ -1,5 +1,5 @@
-//! The checksums of FFV1's slices (RFC 9043, 4.9): libav's decoder fills a slice whose checksum differs with the picture
-//! before, and tells nobody.
+//! The checksums of FFV1's slices (RFC 9043, 4.9): libav's decoder fills a slice whose checksum differs with the
+//! picture before, and tells nobody.
 //!
 //! In: the configuration record of the stream, and its packets. Out: whether all slices of a packet are as they were
 //! written. What this cannot detect: anything, in streams without checksums (versions 0 and 1, or `-slicecrc 0`).

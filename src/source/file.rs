@@ -2,9 +2,9 @@
 //!
 //! In: a file in any container that libav reads. Out: every frame that can be decoded, in the order of presentation, as
 //! the decoder stored it (no copy, no colour conversion), with the container's own time stamp to the nanosecond: the
-//! presentation time stamp times the stream's time base, never frame number ÷ rate, unless the user states the rate of a raw
-//! stream, which has no times. A rotation the container asks for
-//! is not done: calibration holds for the sensor's own rows and columns.
+//! presentation time stamp times the stream's time base, never frame number ÷ rate, unless the user states the rate of
+//! a raw stream, which has no times. A rotation the container asks for is not done: calibration holds for the sensor's
+//! own rows and columns.
 //!
 //! A stamp that is not later than those before is handed on as it is and named in a warning. Damaged pictures are left
 //! out (see `damage`), counted in the gap of the next frame and named. A recording that ends early gives all its
@@ -40,7 +40,8 @@ pub struct VideoOptions {
     pub span: Span,
     /// Frame rate of a raw stream, which has no times: frame i was taken at i / rate ([`Clock::StatedRate`]).
     pub stated_rate: Option<FrameRate>,
-    /// Whether damaged pictures are handed on, marked ([`Picture::is_damaged`]), instead of left out: their times are known.
+    /// Whether damaged pictures are handed on, marked ([`Picture::is_damaged`]), instead of left out: their times are
+    /// known.
     pub keep_damaged: bool,
 }
 

@@ -320,7 +320,8 @@ impl Picture {
         Self { width, height, format, colour, storage: Storage::Decoded(frame), reads: Reads::default() }
     }
 
-    /// A copy that keeps nothing of the decoder's: a plane for each channel. `None` when the decoder gave less than it said.
+    /// A copy that keeps nothing of the decoder's: a plane for each channel. `None` when the decoder gave less than it
+    /// said.
     pub(crate) fn copied(&self) -> Option<Self> {
         let format = match self.format {
             PixelFormat::Nv12 => PixelFormat::Yuv { chroma_log2: [1, 1] },

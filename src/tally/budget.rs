@@ -1,10 +1,13 @@
-//! The error budget of a run: what each source of error adds to θ and to the tip in the base frame, 1σ, typical of the run.
+//! The error budget of a run: what each source of error adds to θ and to the tip in the base frame, 1σ, typical of the
+//! run.
 //!
-//! - *image noise*: median over the frames of the tracker's own σ, of one frame. Averages out over frames; the rest does not.
-//! - *calibration*: what the rig's covariance makes of the places where the catheter was (`crate::calibrate::rig::share`).
+//! - *image noise*: median over the frames of the tracker's own σ, of one frame. Averages out over frames; the rest
+//!   does not.
+//! - *calibration*: what the rig's covariance makes of the places where the catheter was
+//!   (`crate::calibrate::rig::share`).
 //! - *base frame*: σ of its origin and axes, as `calibrate base` noted them.
-//! - *time stamps*: their step (the largest that all stamps are multiples of), evenly spread, times the RMS speed. It matters to
-//!   dynamics, not to where the catheter was. Not known of stamps that are times of arrival.
+//! - *time stamps*: their step (the largest that all stamps are multiples of), evenly spread, times the RMS speed. It
+//!   matters to dynamics, not to where the catheter was. Not known of stamps that are times of arrival.
 //!
 //! Cannot tell: what no σ holds, such as a mirror that was moved, or places outside the boards' volume.
 
@@ -90,8 +93,8 @@ impl Gathered {
         }
     }
 
-    /// `noise`: median σ of θ, radians, and of a coordinate of the tip, metres; `clock` of the stamps. `None` without a base frame or
-    /// a frame that was answered.
+    /// `noise`: median σ of θ, radians, and of a coordinate of the tip, metres; `clock` of the stamps. `None` without a
+    /// base frame or a frame that was answered.
     pub(super) fn budget(&self, noise: Option<(f64, f64)>, clock: &str) -> Option<Vec<Source>> {
         let rig = self.rig.as_ref()?;
         let (theta_rad, tip_m) = noise?;

@@ -156,7 +156,8 @@ impl Canvas {
 
     /// Noise of this standard deviation, the same each time.
     pub(crate) fn noisy(mut self, sd: f64) -> Self {
-        // Not of `Random`: with some of its draws a part of a board is taken for a smaller board, see `calibrate_board.rs`.
+        // Not of `Random`: with some of its draws a part of a board is taken for a smaller board, see
+        // `calibrate_board.rs`.
         let mut state = 0x2545_f491_4f6c_dd1d_u64;
         let mut uniform = || {
             state ^= state << 13;

@@ -1,6 +1,7 @@
 //! The source of random numbers of tests: the same for the same seed, on every machine.
 //!
-//! Drawn boards (`board`, `scene`) and the simulated calibrations keep older generators of their own, and say why there.
+//! Drawn boards (`board`, `scene`) and the simulated calibrations keep older generators of their own, and say why
+//! there.
 
 /// Numbers drawn one after the other.
 pub(crate) struct Random(fastrand::Rng);

@@ -1,19 +1,19 @@
 //! What one pixel sees of a banded tube: a small model in linear light.
 //!
 //! Across the tube, u is the signed distance from the image of the axis and w the half width, both in pixels. A lit
-//! Lambertian cylinder shows S(x) = 1 + m₁ x + m₂ (√(1−x²) − π/4) + m₃ x√(1−x²) + m₄ (x² − 1/3), x = u/w: with x = sin φ
-//! these are the harmonics of the angle φ around it up to the second, which is all that light from afar, however it is
-//! spread and whatever of the tube it leaves in the dark, shows to a few per cent (Ramamoorthi and Hanrahan 2001,
+//! Lambertian cylinder shows S(x) = 1 + m₁ x + m₂ (√(1−x²) − π/4) + m₃ x√(1−x²) + m₄ (x² − 1/3), x = u/w: with x = sin
+//! φ these are the harmonics of the angle φ around it up to the second, which is all that light from afar, however it
+//! is spread and whatever of the tube it leaves in the dark, shows to a few per cent (Ramamoorthi and Hanrahan 2001,
 //! doi:10.1364/JOSAA.18.002448). It is blurred by the lens (Gaussian of σ pixels) through the moments
 //!
 //! Mₙ = ∫ xⁿ G(u − wx) w dx over [−1, 1]; Mₙ = (u/w) Mₙ₋₁ + (n−1)(σ/w)² Mₙ₋₂ − (σ²/w)(g₊ − (−1)ⁿ⁻¹ g₋), g± = G(w ∓ u).
 //!
-//! A tube that bends turns under the lamps: m₁ changes along it in proportion to the angle φ that its direction has turned
-//! by since the reference band (tube.rs), m₁ + g·φ.
+//! A tube that bends turns under the lamps: m₁ changes along it in proportion to the angle φ that its direction has
+//! turned by since the reference band (tube.rs), m₁ + g·φ.
 //!
-//! Along the tube, colours change at rings. The near side of a ring lies `bulge·√(1−x²)` further along the axis than its
-//! centre, so that edges are curved; each edge is blurred by the same σ. The tube's end shows its cap when it points at
-//! the camera. Behind everything lies a background with a linear gradient.
+//! Along the tube, colours change at rings. The near side of a ring lies `bulge·√(1−x²)` further along the axis than
+//! its centre, so that edges are curved; each edge is blurred by the same σ. The tube's end shows its cap when it
+//! points at the camera. Behind everything lies a background with a linear gradient.
 //!
 //! Cannot represent: specular highlights that move along the tube, shadows with edges across a band, objects in front.
 
@@ -79,9 +79,9 @@ const P5: f32 = -0.664_405;
 /// Beyond this many σ from the tube only background is seen.
 const FAR_SIGMAS: f64 = 4.5;
 
-/// What the model predicts of one channel (R, G or B) at a pixel, and its derivatives: all multiplied by the slope of the
-/// transfer function, so that sums with a stored channel's weights are derivatives of stored values. Single precision is a
-/// hundred thousandth of a stored unit; the last two are there to fill whole vectors.
+/// What the model predicts of one channel (R, G or B) at a pixel, and its derivatives: all multiplied by the slope of
+/// the transfer function, so that sums with a stored channel's weights are derivatives of stored values. Single
+/// precision is a hundred thousandth of a stored unit; the last two are there to fill whole vectors.
 pub(crate) type Terms = [f32; TERMS];
 pub(crate) const TERMS: usize = 16;
 pub(crate) const VALUE: usize = 0;

@@ -1,9 +1,9 @@
 //! Which blob is which marker in which view. Holds ALL memory of earlier frames.
 //!
-//! For each marker every combination of one blob a view is triangulated; what remains are candidates whose rays meet and
-//! whose blobs have the size of the band at that distance. The markers are then chosen together, along the tube, by
-//! dynamic programming: reprojection error, size, distance from where the marker was, and whether neighbours on the tube
-//! are as far apart as the tube allows. A second choice nearly as good somewhere else makes a marker ambiguous.
+//! For each marker every combination of one blob a view is triangulated; what remains are candidates whose rays meet
+//! and whose blobs have the size of the band at that distance. The markers are then chosen together, along the tube, by
+//! dynamic programming: reprojection error, size, distance from where the marker was, and whether neighbours on the
+//! tube are as far apart as the tube allows. A second choice nearly as good somewhere else makes a marker ambiguous.
 //!
 //! Cannot detect: a distractor of the same colour, size and place along the tube, seen in all views.
 
@@ -14,15 +14,16 @@ use crate::segment::{Blob, Search, Window};
 use crate::source::Timestamp;
 use nalgebra::{Matrix2, Matrix2x3, Point3, Vector2};
 
-/// A blob's centre is that of the visible surface, not of the band: about this far off, pixels, and for tubes that are wide
-/// in the picture this many half widths.
+/// A blob's centre is that of the visible surface, not of the band: about this far off, pixels, and for tubes that are
+/// wide in the picture this many half widths.
 const CENTRE_SD_PX: f64 = 1.0;
 const CENTRE_SD_HALF_WIDTHS: f64 = 0.3;
 /// χ² per degree of freedom beyond which rays do not meet.
 const MEET_CHI2: f64 = 16.0;
 /// A blob may show this much less or more than the band's outline (foreshortening, shading, partial cover).
 const SIZE_RATIO: (f64, f64) = (0.2, 3.0);
-/// Blobs considered for a marker in a view, largest first; fewer where many views would make more combinations than this.
+/// Blobs considered for a marker in a view, largest first; fewer where many views would make more combinations than
+/// this.
 const MOST_BLOBS: usize = 8;
 const MOST_COMBINATIONS: usize = 6561;
 /// How fast a marker may move, and the uncertainty of where it was.
@@ -218,8 +219,8 @@ fn px_per_m(d_pixel: &Matrix2x3<f64>) -> f64 {
     d_pixel.norm() / std::f64::consts::SQRT_2
 }
 
-/// One thing in the picture cannot be two views of a marker (views without a region share the picture, and each may have
-/// found it with a colour model of its own).
+/// One thing in the picture cannot be two views of a marker (views without a region share the picture, and each may
+/// have found it with a colour model of its own).
 fn distinct(picked: &[Option<usize>], blobs: &[Blob]) -> bool {
     let centre = |blob: &usize| blobs[*blob].centre_px;
     let same = |a: &usize, b: &usize| a == b || (centre(a) - centre(b)).norm() < CENTRE_SD_PX;

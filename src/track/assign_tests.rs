@@ -128,8 +128,8 @@ fn a_covered_band_is_missed_in_the_view_that_does_not_show_it() {
     }
 }
 
-/// A brick of the band's colour elsewhere in the view that hides the band: its ray passes that of the band, but what is the
-/// matter is that the band is hidden.
+/// A brick of the band's colour elsewhere in the view that hides the band: its ray passes that of the band, but what is
+/// the matter is that the band is hidden.
 #[test]
 fn a_brick_elsewhere_is_no_sight_of_a_covered_band() {
     let rig = rig();

@@ -1,7 +1,7 @@
 //! From the coil's tangent to the angles of deflection, with their σ.
 //!
-//! With t in the base frame: θ = atan2(t·x, t·z), polar = acos(t·z), azimuth = atan2(t·y, t·x). In the plane of B0 and the
-//! tangent at rest θ is the paper's 90° − φ (sin θ = t·B0; Tuna et al. 2018, Eq. 6).
+//! With t in the base frame: θ = atan2(t·x, t·z), polar = acos(t·z), azimuth = atan2(t·y, t·x). In the plane of B0 and
+//! the tangent at rest θ is the paper's 90° − φ (sin θ = t·B0; Tuna et al. 2018, Eq. 6).
 
 use crate::estimate::{Deflection, Tangent};
 use crate::rig::Base;

@@ -1,5 +1,5 @@
-//! The samples of a patch against the image model: residuals and derivatives, their normal equations, and how the residuals
-//! themselves scatter.
+//! The samples of a patch against the image model: residuals and derivatives, their normal equations, and how the
+//! residuals themselves scatter.
 
 use crate::track::appearance::{BEFORE, BEHIND, D_ALBEDO, LANES, Layout, PixelModel, RING, Scene};
 use crate::track::normal::{Bin, Collector, Normal, ROW, Row, Slot, Squares, influence, row};

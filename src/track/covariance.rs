@@ -93,8 +93,8 @@ fn own_shift(
     }
 }
 
-/// What the image model may get wrong in a view, as changes of shape, one standard deviation each: the band shifted along
-/// and across, and the stretch turned in the picture.
+/// What the image model may get wrong in a view, as changes of shape, one standard deviation each: the band shifted
+/// along and across, and the stretch turned in the picture.
 fn unmodelled(
     image: &TubeImage,
     point_from_pixel: &Matrix3x2<f64>,
@@ -108,8 +108,8 @@ fn unmodelled(
     let along_error_px = if stretch.at_clamp { error.along_at_clamp_px } else { error.along_px };
     modes.fixed_view_mut::<3, 1>(0, 0).copy_from(&(point_from_pixel * along * along_error_px));
     modes.fixed_view_mut::<3, 1>(0, 1).copy_from(&(point_from_pixel * across * error.across_px));
-    // d pixel / d tangent some way along the tube is that of a point moved by so much times the change of tangent. Of all
-    // changes that turn the image this far, the least: the tube need not lean towards the camera for it.
+    // d pixel / d tangent some way along the tube is that of a point moved by so much times the change of tangent. Of
+    // all changes that turn the image this far, the least: the tube need not lean towards the camera for it.
     let half = (stretch.range_m.1 - stretch.range_m.0) / 2.0;
     let reach = half.min(stretch.range_m.1);
     let turned = image.at_arc(reach);

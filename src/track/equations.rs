@@ -1,7 +1,8 @@
 //! Normal equations of all views: the shape is common, the colours are each view's own and are eliminated first.
 //!
 //! With H the matrix of the shape, C and X those of a view's colours alone and with the shape, g and c the gradients:
-//! (H − Σ X C⁻¹ Xᵀ) · shape = g − Σ X C⁻¹ c, then colours = C⁻¹ (c − Xᵀ · shape). Thirteen unknowns remain of some fifty.
+//! (H − Σ X C⁻¹ Xᵀ) · shape = g − Σ X C⁻¹ c, then colours = C⁻¹ (c − Xᵀ · shape). Thirteen unknowns remain of some
+//! fifty.
 
 use crate::track::normal::Normal;
 use crate::track::tube::{SHAPE, ShapeBy, ShapeStep};

@@ -1,13 +1,13 @@
 //! Least squares of a stretch of tube against the pictures of all views at once.
 //!
 //! In: where the bands are to a few tenths of a pixel. Out: centre line with covariance, and what each view says.
-//! Unknown are the shape (tube.rs, common to all views) and the colours of each view (appearance.rs); all samples of all
-//! views are compared with the model in one minimisation (round.rs), so that what one view cannot see another
-//! decides, through the refracted rays. Two rounds: the first settles the shape on every fifth pixel with a stated noise,
-//! the second selects all samples anew and weighs them by the noise that they show.
+//! Unknown are the shape (tube.rs, common to all views) and the colours of each view (appearance.rs); all samples of
+//! all views are compared with the model in one minimisation (round.rs), so that what one view cannot see another
+//! decides, through the refracted rays. Two rounds: the first settles the shape on every fifth pixel with a stated
+//! noise, the second selects all samples anew and weighs them by the noise that they show.
 //!
-//! Assumption, a weak prior that enters the covariance (covariance.rs): beside the coil the curvature grows from nil, by no more
-//! than some 15 /m in a centimetre (tube.rs).
+//! Assumption, a weak prior that enters the covariance (covariance.rs): beside the coil the curvature grows from nil,
+//! by no more than some 15 /m in a centimetre (tube.rs).
 
 use crate::optics::OpticalPath;
 use crate::source::Picture;
@@ -23,8 +23,8 @@ use crate::track::view::{View, Weighing};
 use nalgebra::{Matrix2, SMatrix, Vector2};
 use rayon::prelude::*;
 
-/// The first round ends when a step lowers the cost (a χ²) by less than this: the next would lower it by less than what the
-/// other samples move.
+/// The first round ends when a step lowers the cost (a χ²) by less than this: the next would lower it by less than what
+/// the other samples move.
 const SETTLED: f64 = 300.0;
 /// So does the second: what remains after that step is a hundredth.
 const ENOUGH: f64 = 10.0;
@@ -51,12 +51,13 @@ pub(crate) struct TubeFit {
     pub slip: Seen,
     pub slip_covariance: SMatrix<f64, SHAPE, SHAPE>,
     pub views: Vec<ViewFit>,
-    /// Mean over the samples of ln σ², σ the RMS residual of their channel and view: −2 log likelihood a sample, up to a
-    /// constant. Smaller explains the pictures better.
+    /// Mean over the samples of ln σ², σ the RMS residual of their channel and view: −2 log likelihood a sample, up to
+    /// a constant. Smaller explains the pictures better.
     pub misfit: f64,
 }
 
-/// Fits `stretch`, starting from `start`, to `picture` as seen through `paths`, each between its own arc lengths of `ranges_m`.
+/// Fits `stretch`, starting from `start`, to `picture` as seen through `paths`, each between its own arc lengths of
+/// `ranges_m`.
 pub(crate) fn fit(
     stretch: &Stretch,
     start: &TubeShape,
@@ -153,7 +154,8 @@ mod tests {
         }
     }
 
-    /// Each view sees where light and dark meet. With the first harmonics of the light alone the tube is off by 15 to 20 µm.
+    /// Each view sees where light and dark meet. With the first harmonics of the light alone the tube is off by 15 to
+    /// 20 µm.
     #[test]
     fn a_lamp_at_the_side_does_not_pull_the_tube() {
         for degrees in [30.0_f64, 120.0, 210.0, 240.0, 330.0] {
@@ -165,8 +167,8 @@ mod tests {
         }
     }
 
-    /// A tube that moves by 8 px aside and along itself while the picture is exposed: averaged over the way, and fitted with
-    /// and without knowing of it.
+    /// A tube that moves by 8 px aside and along itself while the picture is exposed: averaged over the way, and fitted
+    /// with and without knowing of it.
     #[test]
     fn motion_blur_is_modelled() {
         let still = tube(Vector3::new(0.1, 1.0, 0.05));

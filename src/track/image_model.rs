@@ -14,13 +14,14 @@ pub(crate) struct ImageModel {
     pub error: ModelError,
 }
 
-/// What the image model gets wrong without any residual showing it, pixels: shifts of the band across and along the tube,
-/// and turns (by this much at half the stretch's length). Enters the covariance for each view on its own.
+/// What the image model gets wrong without any residual showing it, pixels: shifts of the band across and along the
+/// tube, and turns (by this much at half the stretch's length). Enters the covariance for each view on its own.
 ///
-/// Measured: on drawn RGB pictures without noise the fit is off by 0.01 to 0.03 px (directional light, blur); on H.264 with
-/// subsampled chroma by 0.03 px beyond what its residuals say, and beside a clamp, where light and colour change within a
-/// few pixels of the band's edge, by 0.12 px along the tube. What a coder moves is its quantisation's doing, and so is what it
-/// leaves as residuals: beyond the RMS residual at which that was measured it is taken to grow with them.
+/// Measured: on drawn RGB pictures without noise the fit is off by 0.01 to 0.03 px (directional light, blur); on H.264
+/// with subsampled chroma by 0.03 px beyond what its residuals say, and beside a clamp, where light and colour change
+/// within a few pixels of the band's edge, by 0.12 px along the tube. What a coder moves is its quantisation's doing,
+/// and so is what it leaves as residuals: beyond the RMS residual at which that was measured it is taken to grow with
+/// them.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct ModelError {
     pub across_px: f64,
@@ -29,9 +30,9 @@ pub(crate) struct ModelError {
     pub along_at_clamp_px: f64,
     /// RMS residual beyond which all of it grows in proportion, stored units.
     pub coding_rms: f64,
-    /// Of errors that change from frame to frame more than all this says, the share of the variance that does not: a coder
-    /// leaves what it has moved until it is worth its bits to put it right. Measured at crf 24: autocorrelations of 0.1 to
-    /// 0.5 from one frame to the next.
+    /// Of errors that change from frame to frame more than all this says, the share of the variance that does not: a
+    /// coder leaves what it has moved until it is worth its bits to put it right. Measured at crf 24: autocorrelations
+    /// of 0.1 to 0.5 from one frame to the next.
     pub persisting: f64,
 }
 

@@ -1,16 +1,17 @@
 //! Whether a band can have come from where it was: what the motion before does not allow is a miss and no measurement.
 //!
-//! In: an estimate, and which bands were fitted together. Each place, and the coil's direction, is predicted from the last two
-//! that were accepted (position and velocity, over the time between). What is off by more than σ of both, stamps, and
-//! accelerations can explain is refused, and with it what was fitted together with it. The greatest acceleration is learned
-//! from the recording itself: so many times what is usual among the second differences of all that was measured, refused or not;
-//! never less than a catheter can do that sets out from rest.
+//! In: an estimate, and which bands were fitted together. Each place, and the coil's direction, is predicted from the
+//! last two that were accepted (position and velocity, over the time between). What is off by more than σ of both,
+//! stamps, and accelerations can explain is refused, and with it what was fitted together with it. The greatest
+//! acceleration is learned from the recording itself: so many times what is usual among the second differences of all
+//! that was measured, refused or not; never less than a catheter can do that sets out from rest.
 //!
-//! A place that is real comes again: when [`AGREE`] measurements in a row fit to each other, they are taken for the motion from
-//! there on. After [`MEMORY_S`] without a measurement, or when time goes backwards, anything is possible again.
+//! A place that is real comes again: when [`AGREE`] measurements in a row fit to each other, they are taken for the
+//! motion from there on. After [`MEMORY_S`] without a measurement, or when time goes backwards, anything is possible
+//! again.
 //!
-//! Cannot detect: what moves a band by less than that (5.6 mm from rest at 60 Hz, more at lower rates and after gaps); a wrong place
-//! that stays; jumps where more than one measurement in ten is wrong; anything in the first frames.
+//! Cannot detect: what moves a band by less than that (5.6 mm from rest at 60 Hz, more at lower rates and after gaps);
+//! a wrong place that stays; jumps where more than one measurement in ten is wrong; anything in the first frames.
 
 use crate::estimate::{Estimate, MarkerEstimate, Miss};
 use crate::source::Timestamp;
@@ -19,10 +20,11 @@ use std::collections::VecDeque;
 
 /// Motion before this is forgotten.
 const MEMORY_S: f64 = 0.25;
-/// Acceleration of bands that is possible at any time, m/s², and of the unit direction, rad/s²: twice what the fastest recordings have.
+/// Acceleration of bands that is possible at any time, m/s², and of the unit direction, rad/s²: twice what the fastest
+/// recordings have.
 const ALWAYS_POSSIBLE: (f64, f64) = (20.0, 300.0);
-/// Two of three accelerations are below the usual one, and so many times of it is possible. The largest of a swing is 1.2 times
-/// the usual one, of swings that come and go 4 times.
+/// Two of three accelerations are below the usual one, and so many times of it is possible. The largest of a swing is
+/// 1.2 times the usual one, of swings that come and go 4 times.
 const TIMES_USUAL: f64 = 8.0;
 /// Second differences that say what is usual: the last of them, and how few are too few to judge by.
 const REMEMBERED: usize = 61;

@@ -1,10 +1,10 @@
 //! Normal equations of a view: short rows of derivatives, summed in small dense blocks for each piece of the tube, then
 //! taken to the parameters, the colours apart from the shape.
 //!
-//! Between two knots all of a sample's dependence on the shape is that of six numbers: where these two knots lie across and
-//! along the axis, and how far their rings bulge. A sample that sees one segment only depends on two of them, and on one
-//! colour. Rows and blocks are in single precision, which doubles their speed: a block sums some hundred rows, and what is
-//! lost is a millionth of what the noise makes of them.
+//! Between two knots all of a sample's dependence on the shape is that of six numbers: where these two knots lie across
+//! and along the axis, and how far their rings bulge. A sample that sees one segment only depends on two of them, and
+//! on one colour. Rows and blocks are in single precision, which doubles their speed: a block sums some hundred rows,
+//! and what is lost is a millionth of what the noise makes of them.
 
 use crate::track::appearance::{
     BACKGROUND, BEFORE, CAP, D_ALBEDO, D_BACKGROUND, D_BULGE, D_CAP, D_GRADIENT, D_SHADING, D_U, D_V, FIXED, GRADIENT,
@@ -17,8 +17,9 @@ use nalgebra::{DMatrix, DVector, SMatrix, SVector};
 /// Length of a row, filled up to whole vectors, and of the part that a sample away from rings touches.
 pub(crate) const ROW: usize = 24;
 const PLAIN: usize = 16;
-/// Derivatives of one sample's prediction, all that a plain sample has first: both knots across; background; its gradient;
-/// shading and its changes; colour of the segment before the nearest ring, and of the one behind it; cap; both knots along; their bulge.
+/// Derivatives of one sample's prediction, all that a plain sample has first: both knots across; background; its
+/// gradient; shading and its changes; colour of the segment before the nearest ring, and of the one behind it; cap;
+/// both knots along; their bulge.
 pub(crate) type Row = [f32; ROW];
 
 const ROW_ACROSS: usize = 0;
@@ -31,8 +32,8 @@ const ROW_CAP: usize = ROW_BEHIND + PER_SEGMENT;
 const ROW_ALONG: usize = ROW_CAP + 1;
 const ROW_BULGE: usize = ROW_ALONG + 2;
 
-/// The row of a stored channel, a sum of R'G'B' with `weights`, and that sum; `f` is the fraction of the way from the first
-/// knot to the second.
+/// The row of a stored channel, a sum of R'G'B' with `weights`, and that sum; `f` is the fraction of the way from the
+/// first knot to the second.
 pub(crate) fn row(terms: &[Terms; 3], weights: &[f32; 3], f: f32) -> (Row, f32) {
     let mut sum = [0.0; TERMS];
     for (terms, weight) in terms.iter().zip(weights) {
@@ -63,8 +64,8 @@ pub(crate) fn shifted(row: &Row) -> [f32; 2] {
 const MOVES: [usize; 6] = [ROW_ACROSS, ROW_ACROSS + 1, ROW_ALONG, ROW_ALONG + 1, ROW_BULGE, ROW_BULGE + 1];
 const PLAIN_MOVES: [usize; 2] = [ROW_ACROSS, ROW_ACROSS + 1];
 
-/// The colour that element `i` of a row at `ring` belongs to; `None` for the shape, for what fills up the row, and for a
-/// segment that there is not.
+/// The colour that element `i` of a row at `ring` belongs to; `None` for the shape, for what fills up the row, and for
+/// a segment that there is not.
 fn colour(i: usize, ring: usize, layout: &Layout) -> Option<usize> {
     let segment = |j: usize, c: usize| (j < layout.segments()).then_some(FIXED + PER_SEGMENT * j + c);
     match i {
@@ -106,7 +107,8 @@ pub(crate) fn influence(
     influence
 }
 
-/// Sums over a view's samples: J'WJ, J'Wr and the robust cost. Of the symmetric J'WJ of the colours only the lower triangle.
+/// Sums over a view's samples: J'WJ, J'Wr and the robust cost. Of the symmetric J'WJ of the colours only the lower
+/// triangle.
 #[derive(Debug, Clone)]
 pub(crate) struct Normal {
     pub shape: SMatrix<f64, SHAPE, SHAPE>,
@@ -136,8 +138,8 @@ impl Normal {
         }
     }
 
-    /// Adds a block and empties it. `at` are the elements of its rows that move the shape, and `moves` how; `colours` are
-    /// the others that count, with the colours they belong to.
+    /// Adds a block and empties it. `at` are the elements of its rows that move the shape, and `moves` how; `colours`
+    /// are the others that count, with the colours they belong to.
     fn take<const N: usize, const S: usize>(
         &mut self,
         block: &mut Block<N>,

@@ -1,8 +1,8 @@
 //! The part of a view's picture that the image model is compared with: pixels, and the stored samples made of them.
 //!
-//! Stored samples (Y, U, V at their own sampling, or R, G, B) are taken as they are: the model is evaluated at every pixel,
-//! in stored R'G'B', and a subsampled chroma sample is the mean of its neighbourhood with triangular weights as wide as the
-//! sampling.
+//! Stored samples (Y, U, V at their own sampling, or R, G, B) are taken as they are: the model is evaluated at every
+//! pixel, in stored R'G'B', and a subsampled chroma sample is the mean of its neighbourhood with triangular weights as
+//! wide as the sampling.
 
 use crate::source::{Picture, Plane, Window};
 use crate::track::appearance::{BACKGROUND, CAP, FIXED, Layout, PER_SEGMENT};
@@ -113,8 +113,8 @@ struct Field {
 }
 
 impl Field {
-    /// Around the knots of `image` between the knot coordinates `first` and `last`; `None` when nothing of it lies in the
-    /// picture.
+    /// Around the knots of `image` between the knot coordinates `first` and `last`; `None` when nothing of it lies in
+    /// the picture.
     fn around(image: &TubeImage, (first, last): (f64, f64), [w, h]: [u32; 2]) -> Option<(Self, Vector2<f64>)> {
         let inside =
             image.knots.iter().enumerate().filter(|(i, _)| *i as f64 >= first - 1.0 && *i as f64 <= last + 1.0);
@@ -154,8 +154,8 @@ impl Field {
     }
 }
 
-/// Which pixels around a subsampled channel's sample it is made of: offsets and weights, the middle pixel first. One list for
-/// each phase that the sample may have in the pattern of the pixels that are taken.
+/// Which pixels around a subsampled channel's sample it is made of: offsets and weights, the middle pixel first. One
+/// list for each phase that the sample may have in the pattern of the pixels that are taken.
 fn neighbourhoods(plane: &Plane<'_>, chroma_offset_px: [f64; 2], density: Density) -> Vec<Vec<(i64, i64, f32)>> {
     let axis_taps = |axis: usize| -> Vec<(i64, f64)> {
         let scale = f64::from(plane.scale[axis]);

@@ -1,4 +1,5 @@
-//! One least-squares minimisation over fixed samples (Levenberg-Marquardt): shape and colours that explain the pictures.
+//! One least-squares minimisation over fixed samples (Levenberg-Marquardt): shape and colours that explain the
+//! pictures.
 
 use crate::optics::OpticalPath;
 use crate::source::Picture;
@@ -14,12 +15,13 @@ use rayon::prelude::*;
 
 /// Distance of the knots along the tube, metres.
 const KNOT_M: f64 = 3e-3;
-/// Prior σ of the shape's parameters: centre and tangent are free; of the curvature's derivatives, 1/m² and 1/m³. It reaches
-/// 15 /m, half a right angle over 5 cm, within a centimetre.
+/// Prior σ of the shape's parameters: centre and tangent are free; of the curvature's derivatives, 1/m² and 1/m³. It
+/// reaches 15 /m, half a right angle over 5 cm, within a centimetre.
 const BEND_SD: [f64; BENDS] = [1500.0, 3e5];
 /// Most need three; a wide tube whose start is some pixels off needs thirty.
 const MAX_EVALUATIONS: usize = 40;
-/// Levenberg's damping: at the start, and the least: lower ones make no difference to a step, but take long to come back from.
+/// Levenberg's damping: at the start, and the least: lower ones make no difference to a step, but take long to come
+/// back from.
 const DAMPING: f64 = 1e-4;
 const LEAST_DAMPING: f64 = 1e-6;
 
@@ -47,7 +49,8 @@ pub(crate) struct State {
     pub equations: Equations,
 }
 
-/// Where a round ended: the last guess that was compared with the samples, and the small step from there to the minimum.
+/// Where a round ended: the last guess that was compared with the samples, and the small step from there to the
+/// minimum.
 pub(crate) struct Minimum {
     pub state: State,
     pub step: Step,

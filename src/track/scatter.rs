@@ -1,15 +1,15 @@
 //! How far measurements scatter from frame to frame, compared with what their covariance says.
 //!
-//! A coder moves what it does not think worth its bits, a whole band at once, and no residual shows that. But it moves it
-//! differently in every frame, while a catheter moves smoothly: over a fraction of a second its way is a polynomial of
-//! time, and the divided difference of the next higher order leaves the errors alone,
+//! A coder moves what it does not think worth its bits, a whole band at once, and no residual shows that. But it moves
+//! it differently in every frame, while a catheter moves smoothly: over a fraction of a second its way is a polynomial
+//! of time, and the divided difference of the next higher order leaves the errors alone,
 //!
 //! y = Σ cᵢ xᵢ, cᵢ = 1 / Π_{j≠i} (tᵢ − tⱼ), E|y|² = Σ cᵢ² tr Cᵢ.
 //!
 //! The mean of |y|² over its expectation, of the recent frames, is by how much the covariance is too small.
 //!
-//! Errors that stay the same from frame to frame do not show. What is seen beyond the expectation is taken to be the share
-//! of all such errors that the image model says does change (image_model.rs).
+//! Errors that stay the same from frame to frame do not show. What is seen beyond the expectation is taken to be the
+//! share of all such errors that the image model says does change (image_model.rs).
 
 use crate::source::Timestamp;
 use nalgebra::{Matrix3, Vector3};

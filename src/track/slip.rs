@@ -1,12 +1,12 @@
 //! How far chroma has slipped against luma, measured on the bands themselves.
 //!
-//! A coder stores chroma at half the resolution, quantises it coarsely and leaves it where it was while luma moves on: the
-//! colour of a band may lie a pixel beside its shape. No residual shows that where the band is known by its colour alone;
-//! but elsewhere luma holds the tube, and what chroma is off there is what it may be off everywhere.
+//! A coder stores chroma at half the resolution, quantises it coarsely and leaves it where it was while luma moves on:
+//! the colour of a band may lie a pixel beside its shape. No residual shows that where the band is known by its colour
+//! alone; but elsewhere luma holds the tube, and what chroma is off there is what it may be off everywhere.
 //!
-//! A slip δ of a band's chroma, across or along, leaves residuals t δ, t what a shift of one pixel changes. The fit follows it
-//! with the response v of its shape, by h = a·v pixels at the band, so that the residuals still show
-//! δ' = Σ w r t / Σ w t² = (1 − h) δ, with variance 1 / Σ w t² of their noise. Over all bands, directions and views:
+//! A slip δ of a band's chroma, across or along, leaves residuals t δ, t what a shift of one pixel changes. The fit
+//! follows it with the response v of its shape, by h = a·v pixels at the band, so that the residuals still show δ' = Σ
+//! w r t / Σ w t² = (1 − h) δ, with variance 1 / Σ w t² of their noise. Over all bands, directions and views:
 //!
 //! s² = Σ (δ'² − 1 / Σ w t²) / Σ (1 − h)², and s² Σ v vᵀ is what it adds to the covariance.
 

@@ -39,8 +39,8 @@ pub(crate) struct Group {
     pub stretch: Stretch,
 }
 
-/// Groups the markers that were found. `together` says of two markers whether both are seen in two views at least, and of one
-/// and the same whether it was found at all: what is fitted together needs two views in which all of it is seen.
+/// Groups the markers that were found. `together` says of two markers whether both are seen in two views at least, and
+/// of one and the same whether it was found at all: what is fitted together needs two views in which all of it is seen.
 pub(crate) fn groups(rig: &Rig, together: impl Fn(usize, usize) -> bool) -> Vec<Group> {
     let coil = rig.catheter.coil;
     let mut joined = vec![false; rig.markers.len()];

@@ -28,8 +28,9 @@ use rayon::prelude::*;
 
 /// Blur assumed for a rig whose blur has not been measured: a sharp lens and square pixels.
 const DEFAULT_BLUR_PX: f64 = 0.6;
-/// A fit that ends this far from where it started has left its band: pixels, and half widths of a tube that is wide in the
-/// picture, because the start is the middle of the visible surface, which lies up to π/4 half widths from that of the band.
+/// A fit that ends this far from where it started has left its band: pixels, and half widths of a tube that is wide in
+/// the picture, because the start is the middle of the visible surface, which lies up to π/4 half widths from that of
+/// the band.
 const MOST_MOVED: (f64, f64) = (4.0, 1.2);
 /// Least separation of the fitted colour of a band from its surroundings (1: as learned).
 const LEAST_SEPARATION: f64 = 0.3;
@@ -39,8 +40,8 @@ const DISAGREE: (f64, f64) = (36.0, 0.7);
 /// Beyond this the way since says little about the speed now, seconds.
 const MOST_SINCE_S: f64 = 0.06;
 
-/// Residuals and sizes of a band's blobs further above the usual than this, standard deviations of all views together: something
-/// is in front of it, or it is not the band.
+/// Residuals and sizes of a band's blobs further above the usual than this, standard deviations of all views together:
+/// something is in front of it, or it is not the band.
 const TOO_UNUSUAL: f64 = 4.5;
 /// Size alone says nothing: it changes with light and motion, too.
 const MOST_OF_SIZE: f64 = 3.0;
@@ -181,8 +182,8 @@ impl Tracker {
         Ok(estimate)
     }
 
-    /// How badly the tube's model explains the picture around the bands (mean ln σ² of the residuals, all groups of equal
-    /// weight); `None` when not all could be fitted. Memory is neither used nor changed.
+    /// How badly the tube's model explains the picture around the bands (mean ln σ² of the residuals, all groups of
+    /// equal weight); `None` when not all could be fitted. Memory is neither used nor changed.
     pub(crate) fn misfit(&mut self, frame: &Frame) -> Option<f64> {
         let blobs = self.segmenter.all_blobs(&frame.picture).ok()?.to_vec();
         let assigned = Assigner::new(&self.rig).assign(&self.rig, &blobs, frame.stamp);
@@ -251,8 +252,8 @@ impl Tracker {
             .collect()
     }
 
-    /// What the frames before say about the fits of this one: how far chroma slips, how well bands are usually explained, and
-    /// how much of them is seen.
+    /// What the frames before say about the fits of this one: how far chroma slips, how well bands are usually
+    /// explained, and how much of them is seen.
     fn judge(&mut self, fitted: &mut [Fitted], blobs: &[Blob], assigned: &[Result<Assigned, Miss>]) {
         self.slip = self.slip.faded(0.5_f64.powf(1.0 / SLIP_FRAMES));
         for fit in fitted.iter().filter_map(|f| f.result.as_ref().ok()) {
@@ -355,8 +356,8 @@ impl Tracker {
         (since_s > 0.0 && since_s < MOST_SINCE_S).then_some((before, since_s))
     }
 
-    /// Between which arc lengths the tube of a group shows in a view: where the next band does not, what hides it may begin
-    /// right behind this one.
+    /// Between which arc lengths the tube of a group shows in a view: where the next band does not, what hides it may
+    /// begin right behind this one.
     fn seen_range(&self, group: &Group, assigned: &[Result<Assigned, Miss>], view: usize) -> (f64, f64) {
         let hidden = |m: usize| match assigned.get(m) {
             None => false,

@@ -1,9 +1,9 @@
 //! The centre line of a stretch of tube around one or more bands.
 //!
 //! s is the arc length from the middle of the reference band, metres, positive towards the tip. The reference band is
-//! straight over |s| ≤ h (a coil is rigid; h = 0 for a soft band). Beyond it the tube bends: its curvature begins with nil,
-//! because what holds the coil stiffens the tube beside it too, and is κ'σ + ½κ''σ² after the arc σ, on either side its own,
-//! two components across the tangent t. Its integral φ turns the direction:
+//! straight over |s| ≤ h (a coil is rigid; h = 0 for a soft band). Beyond it the tube bends: its curvature begins with
+//! nil, because what holds the coil stiffens the tube beside it too, and is κ'σ + ½κ''σ² after the arc σ, on either
+//! side its own, two components across the tangent t. Its integral φ turns the direction:
 //!
 //! T(s) = t (1 − ½|φ|²) + N φ, X(s) = c + t (s − ½∫|φ|²) + N ∫φ.
 //!
@@ -127,7 +127,8 @@ impl TubeShape {
         d
     }
 
-    /// How far beyond the straight part, and what bends the tube there: the place among the parameters, and their values.
+    /// How far beyond the straight part, and what bends the tube there: the place among the parameters, and their
+    /// values.
     fn beyond(&self, s: f64) -> (f64, usize, &[Vector2<f64>; BENDS]) {
         let sigma = s - s.clamp(-self.straight_half_m, self.straight_half_m);
         if sigma > 0.0 { (sigma, BELOW, &self.below) } else { (sigma, ABOVE, &self.above) }
@@ -136,7 +137,8 @@ impl TubeShape {
     /// The shape moved by a step of its parameters.
     pub(crate) fn moved(&self, step: &ShapeStep) -> Self {
         let tilt = Vector2::new(step[3], step[4]);
-        // Rotation that takes t to t + N·tilt (to first order) without turning about t, so that curvatures keep their axes.
+        // Rotation that takes t to t + N·tilt (to first order) without turning about t, so that curvatures keep their
+        // axes.
         let axis = self.across() * Vector2::new(-tilt.y, tilt.x);
         let rotation = nalgebra::Rotation3::new(axis);
         let bent = |bends: &[Vector2<f64>; BENDS], first: usize| {

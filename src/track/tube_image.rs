@@ -39,8 +39,8 @@ pub(crate) struct Knot {
     pub swept: Vector2<f64>,
     /// d pixel / d shape parameters.
     pub d_pixel: SMatrix<f64, 2, SHAPE>,
-    /// By how much the place across and along the axis, and the bulge, change with the shape parameters, pixels. A tube that
-    /// turns towards the camera shows its rings rounder.
+    /// By how much the place across and along the axis, and the bulge, change with the shape parameters, pixels. A tube
+    /// that turns towards the camera shows its rings rounder.
     pub d_local: [ShapeStep; LOCAL],
     /// d pixel / d point, pixels per metre.
     pub d_point: Matrix2x3<f64>,
@@ -102,7 +102,8 @@ impl TubeImage {
                 beside = Some(seen);
                 let along: Vector2<f64> = seen.d_pixel * direction;
                 let unit = along.normalize();
-                // The outline is where the line of sight grazes the tube: across both. The nearest side faces the camera.
+                // The outline is where the line of sight grazes the tube: across both. The nearest side faces the
+                // camera.
                 let sight = seen.ray.direction;
                 let side = direction.cross(&sight).normalize();
                 let near = side.cross(&direction).normalize();
@@ -110,7 +111,8 @@ impl TubeImage {
                 let half = seen.d_pixel * side * radius_m;
                 let half_width = (half.x * unit.y - half.y * unit.x).abs();
                 let bulge = (seen.d_pixel * near * radius_m).dot(&unit);
-                // Moving along the line of sight moves no pixel: bulge = radius · |along| · cos / sin of the angle between.
+                // Moving along the line of sight moves no pixel: bulge = radius · |along| · cos / sin of the angle
+                // between.
                 let d_direction = shape.d_direction(arc_m);
                 let (cos, sin) = (direction.dot(&sight), direction.cross(&sight).norm());
                 let d_bulge = (sight.transpose() * d_direction * (along.norm() / sin.powi(3))
@@ -220,9 +222,9 @@ impl TubeImage {
         self.knots.iter().map(|k| k.half_width).fold(0.0, f64::max)
     }
 
-    /// The nearest point of the axis to a pixel. `steps` Newton steps from the knot coordinate `start`; one is enough when the
-    /// tube has moved by less than a pixel since. The last step follows the tangent: over less than a knot the axis bends by
-    /// nothing that matters.
+    /// The nearest point of the axis to a pixel. `steps` Newton steps from the knot coordinate `start`; one is enough
+    /// when the tube has moved by less than a pixel since. The last step follows the tangent: over less than a knot the
+    /// axis bends by nothing that matters.
     pub(crate) fn foot(&self, pixel: &Point2<f64>, start: f64, steps: usize) -> Foot {
         let mut knot = start;
         for _ in 1..steps {

@@ -1,9 +1,9 @@
-//! What is usual of a band in a view, to know when something is wrong: how well the image model explains its pictures, and how
-//! large its blob is.
+//! What is usual of a band in a view, to know when something is wrong: how well the image model explains its pictures,
+//! and how large its blob is.
 //!
-//! A thing in front of a part of a band, or a coder that did not follow it, leaves residuals that the model has no words for,
-//! or less of the band, and pulls it aside by more than noise would. Each quantity is compared with those of the frames
-//! before, as a logarithm with its own scatter.
+//! A thing in front of a part of a band, or a coder that did not follow it, leaves residuals that the model has no
+//! words for, or less of the band, and pulls it aside by more than noise would. Each quantity is compared with those of
+//! the frames before, as a logarithm with its own scatter.
 //!
 //! Cannot detect: what was there from the first frame on, or looks like the band.
 

@@ -92,8 +92,8 @@ impl View {
     }
 }
 
-/// A subsampled channel's errors are common to about as many samples as it has pixels a sample: a codec quantises them in
-/// the same small blocks. Measured sums of their autocorrelation are 4 to 6 for 4:2:0, 1.5 for luma.
+/// A subsampled channel's errors are common to about as many samples as it has pixels a sample: a codec quantises them
+/// in the same small blocks. Measured sums of their autocorrelation are 4 to 6 for 4:2:0, 1.5 for luma.
 fn correlated(picture: &Picture, channel: usize) -> f64 {
     picture.plane(channel).map_or(1.0, |plane| f64::from(plane.scale[0] * plane.scale[1]).sqrt())
 }

@@ -137,7 +137,8 @@ pub(super) fn evaluate(path: &DesiredPath, observed: &Observed<'_>, options: &Op
 
     // 1. the frames, and when the commands were given
     let Marked { marker, name, samples } = marked(recording, options)?;
-    let Timing { window, start_from, inside, interval_s } = timing(path, observed, &samples)?;
+    let Timing { window, start_from, note, inside, interval_s } = timing(path, observed, &samples)?;
+    notes.extend(note);
     if start_from == StartFrom::Search {
         notes.push(
             "the start was found by correlation, which absorbs the lag: there is no phase, and errors are without it too"
@@ -263,6 +264,8 @@ fn marked(recording: &Recording, options: &Options) -> Result<Marked, ValidateEr
 struct Timing<'a> {
     window: Window,
     start_from: StartFrom,
+    /// What to know of the start.
+    note: Option<String>,
     inside: Vec<&'a Frame>,
     /// Usual time between these frames, seconds.
     interval_s: f64,
@@ -276,10 +279,17 @@ fn timing<'a>(path: &DesiredPath, observed: &Observed<'a>, samples: &[Sample]) -
         return Err(wrong(format!("a pause of {} s is none: it must be above 0", observed.pause_s)));
     }
     let pause_ns = pause_ns as i64;
+    let by_ticks = match observed.start_ns {
+        Some(_) => None,
+        None => start_time::from_ticks(recording, pause_ns, path.commands())?,
+    };
+    let note = by_ticks.as_ref().and_then(|(_, _, note)| note.clone());
+    let pause_ns = by_ticks.as_ref().map_or(pause_ns, |(_, pause_ns, _)| *pause_ns);
+    let ticked = by_ticks.map(|(ns, ..)| (ns, StartFrom::Ticks));
     let logged = || start_time::from_currents(&recording.currents, pause_ns).map(|ns| (ns, StartFrom::Currents));
     let searched = || start_time::by_search(path, samples, pause_ns).map(|ns| (ns, StartFrom::Search));
     let given = observed.start_ns.map(|ns| (ns, StartFrom::Given));
-    let (start_ns, start_from) = given.or_else(logged).or_else(searched).ok_or_else(|| {
+    let (start_ns, start_from) = given.or(ticked).or_else(logged).or_else(searched).ok_or_else(|| {
         let (needs, has) = (path.commands() as f64 * seconds(pause_ns), span_s(samples));
         wrong(format!(
             "the start of the commands cannot be found: they take {needs:.3} s, the record has {has:.3} s of motion; give \
@@ -306,7 +316,7 @@ fn timing<'a>(path: &DesiredPath, observed: &Observed<'a>, samples: &[Sample]) -
         path: recording.path.clone(),
         problem: "has a single frame from the time of the commands".to_owned(),
     })?;
-    Ok(Timing { window, start_from, inside, interval_s })
+    Ok(Timing { window, start_from, note, inside, interval_s })
 }
 
 fn weak_correlation(lag: Option<&Lag>) -> Option<String> {

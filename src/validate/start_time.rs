@@ -1,5 +1,8 @@
 //! When the first command was given, where nobody says it.
 //!
+//! - From the frames' ticks: the first change of the count of commands. Where commands come slowly enough for the
+//!   count, a line through the times of all of them gives start and pause, which an amplifier keeps to a few parts in a
+//!   thousand.
 //! - From the coil currents in the log: the first moment at which a current differs from the first one logged, or the
 //!   first one itself when it is not zero and changes within 1.5 pauses.
 //! - Else by a search over the record: the start at which the observed motion correlates best with the whole commanded
@@ -9,7 +12,7 @@
 use super::path::DesiredPath;
 use super::pauses::{Sample, Window};
 use super::spline::{Curve, Interpolation};
-use crate::series::Current;
+use crate::series::{Current, Recording, SeriesError};
 use nalgebra::Vector3;
 
 /// How the start is known.
@@ -17,6 +20,8 @@ use nalgebra::Vector3;
 pub(crate) enum StartFrom {
     /// It was given.
     Given,
+    /// The camera saw the count of commands change.
+    Ticks,
     /// The first change of a coil current in the log.
     Currents,
     /// A search by correlation.
@@ -28,6 +33,7 @@ impl StartFrom {
     pub(crate) fn word(self) -> &'static str {
         match self {
             Self::Given => "given",
+            Self::Ticks => "ticks",
             Self::Currents => "currents",
             Self::Search => "search",
         }
@@ -40,6 +46,38 @@ const LOOKED_AT: usize = 400;
 const MOST_STARTS: i64 = 10_000;
 /// Currents that differ by less are the same, amperes.
 const SAME_A: f64 = 1e-6;
+/// Pauses by ticks that differ from what was asked for by more than this part are of other commands.
+const MOST_OFF: f64 = 0.05;
+
+/// Start and pause (nanoseconds) by the ticks of the frames, and what to know of them; `None` without ticks.
+pub(super) fn from_ticks(
+    recording: &Recording,
+    pause_ns: i64,
+    commands: usize,
+) -> Result<Option<(i64, i64, Option<String>)>, SeriesError> {
+    let Some(ticks) = recording.ticks()? else { return Ok(None) };
+    let Some(first_ns) = ticks.times_ns.first().copied() else { return Ok(None) };
+    if !ticks.tells(pause_ns) {
+        let note = format!(
+            "a count of commands modulo {} aliases at this pause: only the start is taken from it",
+            ticks.modulus
+        );
+        return Ok(Some((first_ns, pause_ns, Some(note))));
+    }
+    let Some((start_ns, measured_ns)) = ticks.evenly(commands) else { return Ok(Some((first_ns, pause_ns, None))) };
+    let off = measured_ns / pause_ns as f64 - 1.0;
+    if off.abs() > MOST_OFF {
+        let note = format!(
+            "by the ticks a command was held for {:.3} ms, not {:.3} ms: check --pause; only the start is taken from them",
+            measured_ns * 1e-6,
+            pause_ns as f64 * 1e-6
+        );
+        return Ok(Some((first_ns, pause_ns, Some(note))));
+    }
+    let fewer = (ticks.times_ns.len() < commands)
+        .then(|| format!("the ticks count {} commands of {commands}", ticks.times_ns.len()));
+    Ok(Some((start_ns, measured_ns.round() as i64, fewer)))
+}
 
 /// The first change of a coil current, camera time; the first current itself where it is not zero and not held for
 /// longer than a command: then it is one.

@@ -85,6 +85,7 @@ fn simulate(of: fn(usize) -> Point3<f64>, pause_s: f64, corner_hz: f64, spoiled:
                 }],
                 tangent: None,
                 tangent_sd_rad: None,
+                tick: None,
             });
             frame_s += 1.0 / 60.0;
         }
@@ -191,6 +192,45 @@ fn the_second_half_of_a_pause_is_nearer_and_its_phase_the_same() {
         let (_, deg) = truth(second.frequency_hz, CORNER_HZ);
         assert!((second.phase_deg.unwrap() - deg).abs() < 0.3, "{:?}, {deg}", second.phase_deg);
     }
+}
+
+/// The amplifier holds each point 0.3 % longer than asked, and nobody says when it began: ticks do, to a fraction of a
+/// frame.
+#[test]
+fn ticks_give_start_and_pause() {
+    let true_pause_s = 0.05 * 1.003;
+    let mut recording = simulate(circle, true_pause_s, CORNER_HZ, CLEAN);
+    let count = |ns: i64| ((ns - START_NS) as f64 * 1e-9 / true_pause_s).floor() as i64 + 2;
+    // Frames before the first command show the count before it.
+    let mut before = recording.frames[0].clone();
+    (before.stamp_ns, before.tick) = (START_NS - 12_000_000, Some(1));
+    for frame in &mut recording.frames {
+        frame.tick = Some(count(frame.stamp_ns).rem_euclid(4) as u64);
+    }
+    recording.frames.insert(0, before);
+    let evaluate = |recording: &Recording, pause_s: f64, start_ns: Option<i64>| {
+        let observed = [Observed { recording, pause_s, start_ns }];
+        validate(desired(circle), &observed, Options::default()).unwrap().runs.remove(0)
+    };
+    let run = evaluate(&recording, 0.05, None);
+    assert_eq!((run.start_from, &run.notes), (StartFrom::Ticks, &Vec::new()));
+    assert!((run.start_ns - START_NS).abs() < 1_000_000, "{}", run.start_ns - START_NS);
+    assert!((run.pause_s - true_pause_s).abs() < 2e-6, "{}", run.pause_s);
+    let (_, deg) = truth(run.frequency_hz, CORNER_HZ);
+    assert!((run.phase_deg.unwrap() - deg).abs() < 0.3, "{:?} {deg}", run.phase_deg);
+    // By the pause as asked for, commands and frames drift apart: 0.12 s in the end.
+    let drifted = evaluate(&recording, 0.05, Some(START_NS));
+    assert!((drifted.phase_deg.unwrap() - deg).abs() > 1.0, "{:?} {deg}", drifted.phase_deg);
+    // Modulo 4 does not tell commands 4 ms apart.
+    let aliased = start_time::from_ticks(&recording, 4_000_000, 800).unwrap().unwrap();
+    assert!(aliased.2.unwrap().contains("modulo 4 aliases at this pause"));
+    // A count that stands still is no clock.
+    for frame in &mut recording.frames {
+        frame.tick = Some(1);
+    }
+    let observed = [Observed { recording: &recording, pause_s: 0.05, start_ns: None }];
+    let error = validate(desired(circle), &observed, Options::default()).unwrap_err().to_string();
+    assert!(error.contains("its tick is 1 in all"), "{error}");
 }
 
 #[test]
@@ -322,6 +362,7 @@ fn blank() -> Frame {
         places: Vec::new(),
         tangent: None,
         tangent_sd_rad: None,
+        tick: None,
     }
 }
 

@@ -217,6 +217,25 @@ fn the_wrong_number_of_corners_is_told_with_the_right_one() {
     assert_eq!(one(&picture, &"6x9:12mm".parse().unwrap()).corners.len(), 54);
 }
 
+/// Outer squares of a third of their width, as where a print was cut: parts of the board are told with the whole one's
+/// size.
+#[test]
+fn a_board_with_thin_outer_squares_is_found_whole_and_in_no_part() {
+    let placed = Placed::new("9x6:12mm", [400.0, 300.0], 40.0, [15.0, -20.0, 10.0], false);
+    let mut canvas = Canvas::new(800, 600);
+    canvas.draw_as(&placed, |column, row| {
+        let inside = (-0.33..8.33).contains(&column) && (-0.33..5.33).contains(&row);
+        let dark = (column.floor() + row.floor()).rem_euclid(2.0) == 0.0;
+        Some(if inside && dark { 40.0 } else { 215.0 })
+    });
+    let picture = canvas.blurred(0.7).noisy(2.0).grey();
+    assert_eq!(one(&picture, &"9x6:12mm".parse().unwrap()).corners.len(), 54);
+    for asked in ["9x5:12mm", "9x4:12mm", "8x6:12mm"] {
+        let (seen, _, message) = not_found(&picture, asked);
+        assert_eq!(seen, Some([9, 6]), "asked for {asked}: {message}");
+    }
+}
+
 #[test]
 fn a_board_partly_hidden_or_cut_off_is_refused_and_what_is_left_is_told() {
     let placed = Placed::new("9x6:12mm", [400.0, 300.0], 40.0, [15.0, -20.0, 10.0], false);

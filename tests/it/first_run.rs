@@ -1,4 +1,5 @@
-//! What a new user meets: results where they were asked for, nothing lost, and a plain word where something cannot work.
+//! What a new user meets: results where they were asked for, nothing lost, and a plain word where something cannot
+//! work.
 
 use crate::support::command::*;
 use catoptra::rig::Rig;

@@ -1,5 +1,5 @@
-//! Recordings and pictures that are damaged, or as other programs write them: what cannot be trusted is not measured, and
-//! every frame whose time is known has its row.
+//! Recordings and pictures that are damaged, or as other programs write them: what cannot be trusted is not measured,
+//! and every frame whose time is known has its row.
 
 use crate::support::command::*;
 use crate::support::encode::{Recording, write};

@@ -1,5 +1,5 @@
-//! Damaged and hostile input of every kind: seeded mutations of sound files, none of which may make the program panic, take
-//! long, or fill the memory. `CATOPTRA_MUTATIONS=N` tries N times as many as usual.
+//! Damaged and hostile input of every kind: seeded mutations of sound files, none of which may make the program panic,
+//! take long, or fill the memory. `CATOPTRA_MUTATIONS=N` tries N times as many as usual.
 
 use crate::support::{command::*, fixture};
 use catoptra::fuzz::{TARGETS, Target};

@@ -218,7 +218,8 @@ fn usage(pid: u32) -> Option<(f64, f64)> {
 }
 
 /// Frames sent and rows, latency, CPU and memory at 60 Hz for `CATOPTRA_SECONDS` (120):
-/// `CATOPTRA_BIN=target/release/catoptra cargo test --features genicam --test realtime genicam:: -- --ignored --nocapture`.
+/// `CATOPTRA_BIN=target/release/catoptra cargo test --features genicam --test realtime genicam:: -- --ignored
+/// --nocapture`.
 #[test]
 #[ignore = "a measurement of minutes"]
 fn sixty_hertz_for_minutes() {

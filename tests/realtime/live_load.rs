@@ -1,5 +1,5 @@
-//! `catoptra live` on a machine whose processor others want, too: 20 busy loops in sessions of their own, as other terminals are.
-//! They take the whole machine for two minutes: `scripts/robustness.sh` runs them, `make test` does not.
+//! `catoptra live` on a machine whose processor others want, too: 20 busy loops in sessions of their own, as other
+//! terminals are. They take the whole machine for two minutes: `scripts/robustness.sh` runs them, `make test` does not.
 
 use crate::support::command::*;
 use ffmpeg_the_third as av;

@@ -164,8 +164,8 @@ fn a_video_recorded_live_is_tracked_again_to_the_same_table() {
     assert_eq!((live.len(), live), (26, again));
 }
 
-/// Rows of both tables that have a picture are the same but for σ, which also tells of the frames before, and those that were
-/// not recorded are unknown the second time; how many have none.
+/// Rows of both tables that have a picture are the same but for σ, which also tells of the frames before, and those
+/// that were not recorded are unknown the second time; how many have none.
 fn same_where_recorded(live: &[String], again: &[String]) -> usize {
     assert_eq!(live.len(), again.len());
     let mut without = 0;

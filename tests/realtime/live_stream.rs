@@ -86,7 +86,8 @@ fn frames_before_the_first_time_stamp_are_left_out_and_counted() {
         &Recording { pts: &pts, time_base: (1, 90_000), b_frames: 0, size_px: [320, 240], ..Recording::default() },
     );
     let mut bytes = std::fs::read(&path).unwrap();
-    // The head of a PES packet of video: two flags say that times follow, then the head's length (ISO/IEC 13818-1, 2.4.3.6).
+    // The head of a PES packet of video: two flags say that times follow, then the head's length (ISO/IEC 13818-1,
+    // 2.4.3.6).
     let head = bytes.windows(4).position(|four| four == [0, 0, 1, 0xe0]).unwrap();
     assert!(bytes[head + 7] & 0x80 != 0 && bytes[head + 8] >= 5);
     let length = usize::from(bytes[head + 8]);

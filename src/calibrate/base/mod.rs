@@ -1,18 +1,19 @@
 //! `catoptra calibrate base`: the base frame, from a recording at rest and the direction of B0.
 //!
-//! In: what the tracker measures in a recording at rest and, unless B0's direction is known, in one of a swing in the plane of
-//! B0 and the tangent at rest. Out: the frame's transform, B0, and how far they can be trusted.
+//! In: what the tracker measures in a recording at rest and, unless B0's direction is known, in one of a swing in the
+//! plane of B0 and the tangent at rest. Out: the frame's transform, B0, and how far they can be trusted.
 //!
-//! 1. Origin: mean position of the first marker, the one next to the clamp. z: mean tangent of the coil. Both must be at
-//!    rest; how their covariance comes about stands in `settled.rs`.
+//! 1. Origin: mean position of the first marker, the one next to the clamp. z: mean tangent of the coil. Both must be
+//!    at rest; how their covariance comes about stands in `settled.rs`.
 //! 2. x: along B0 made orthogonal to z. From a swing B0 is taken for the direction in its plane at right angles to z.
 //! 3. y = z × x.
 //!
-//! The covariances are those of the measurement in the camera frame for an exact rig. What the calibration of lens, mirror
-//! and walls leaves open moves the frame together with all that is measured in it: displacements and θ do not see it.
+//! The covariances are those of the measurement in the camera frame for an exact rig. What the calibration of lens,
+//! mirror and walls leaves open moves the frame together with all that is measured in it: displacements and θ do not
+//! see it.
 //!
-//! Cannot detect: the sign of B0 (pictures do not show it: the first deflection of the swing is taken for positive), a swing
-//! in the wrong plane, a rest that is not that of the catheter without current.
+//! Cannot detect: the sign of B0 (pictures do not show it: the first deflection of the swing is taken for positive), a
+//! swing in the wrong plane, a rest that is not that of the catheter without current.
 
 mod settled;
 mod swing;
@@ -49,7 +50,8 @@ pub struct Observed {
 /// Where B0's direction comes from.
 #[derive(Debug, Clone, Copy)]
 pub enum Field<'a> {
-    /// It is known: a vector in the camera frame of any length, and the σ of its turn about the tangent at rest, radians.
+    /// It is known: a vector in the camera frame of any length, and the σ of its turn about the tangent at rest,
+    /// radians.
     Known(Vector3<f64>, f64),
     /// From a swing in the plane of B0 and the tangent at rest.
     Swing {
@@ -207,7 +209,8 @@ pub enum BaseError {
     },
 }
 
-/// Tracks a recording to its end; `progress` is told how many frames are done. One that ends early is as good as far as it goes.
+/// Tracks a recording to its end; `progress` is told how many frames are done. One that ends early is as good as far as
+/// it goes.
 ///
 /// # Errors
 /// When the recording breaks or does not fit the rig.
@@ -335,8 +338,8 @@ fn across_z(b0: Vector3<f64>, z: &Vector3<f64>) -> Result<(Vector3<f64>, Vector3
     Ok((b0, x.normalize()))
 }
 
-/// Turns of the frame about its axes. An error (a, b) of z along x and y is a turn by −b about x and by a about y; a turn about
-/// x takes x along about z by `turn_with_z`.
+/// Turns of the frame about its axes. An error (a, b) of z along x and y is a turn by −b about x and by a about y; a
+/// turn about x takes x along about z by `turn_with_z`.
 fn axes_covariance(tangent: &Settled, rotation: &Matrix3<f64>, turn_sd_rad: f64, turn_with_z: f64) -> Matrix3<f64> {
     let of_z = rotation * tangent.covariance * rotation.transpose();
     let turns = Matrix3::new(0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, -turn_with_z, 0.0);

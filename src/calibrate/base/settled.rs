@@ -1,10 +1,10 @@
 //! The mean of something that should be at rest, and how far it can be trusted.
 //!
-//! Pictures of a scene that does not move have the same errors again and again: the encoder repeats a picture, samples and
-//! the band's edges stay where they are. So the covariance of one frame, as the tracker predicts it, is not divided by
-//! the number of frames. What the frames show of their own accord is the scatter of the means of [`BLOCKS`] stretches of the
-//! recording: noise and tremor average out within a stretch, slow motion does not, and is not divided by their number either.
-//! The larger of the two counts, in every direction.
+//! Pictures of a scene that does not move have the same errors again and again: the encoder repeats a picture, samples
+//! and the band's edges stay where they are. So the covariance of one frame, as the tracker predicts it, is not divided
+//! by the number of frames. What the frames show of their own accord is the scatter of the means of [`BLOCKS`]
+//! stretches of the recording: noise and tremor average out within a stretch, slow motion does not, and is not divided
+//! by their number either. The larger of the two counts, in every direction.
 
 use nalgebra::{Matrix3, SymmetricEigen, U3, Vector3};
 
@@ -12,8 +12,8 @@ use nalgebra::{Matrix3, SymmetricEigen, U3, Vector3};
 pub(super) const BLOCKS: usize = 5;
 /// Scatter of single frames that is motion: so many predicted σ.
 const SCATTER_SD: f64 = 3.0;
-/// Difference between first and last stretch that is drift: so many predicted σ of a difference (√2 of a single σ, because
-/// errors may be the same within a stretch and others in the next).
+/// Difference between first and last stretch that is drift: so many predicted σ of a difference (√2 of a single σ,
+/// because errors may be the same within a stretch and others in the next).
 const DRIFT_SD: f64 = 4.0;
 
 /// A mean at rest.

@@ -1,8 +1,8 @@
 //! The plane in which the coil swings, from its tangents.
 //!
-//! The plane contains the tangent at rest z. Seen along z each tangent is a point q, its sine of deflection away from the
-//! origin; the direction x of the swing is the principal one of all q (about the origin, not their mean), and what is
-//! left across it, the smaller principal one, is how planar the swing is.
+//! The plane contains the tangent at rest z. Seen along z each tangent is a point q, its sine of deflection away from
+//! the origin; the direction x of the swing is the principal one of all q (about the origin, not their mean), and what
+//! is left across it, the smaller principal one, is how planar the swing is.
 //!
 //! σ of x about z: frames in which the coil points the same way, to within [`POSE_RAD`], show the same picture and have
 //! the same error, those that differ by more have errors of their own. So much is predicted from the tracker's
@@ -19,8 +19,8 @@ pub(super) const LEAST_SWING_RAD: f64 = 5.0 * DEGREE;
 const MOST_ACROSS: f64 = 0.1;
 /// Deflections that count for the sign: beyond 3°, and beyond 3 σ.
 const FIRST: (f64, f64) = (3.0 * DEGREE, 3.0);
-/// Poses that differ by less have the same error. 1° moves the coil, at the end of a tube of some ten centimetres, by about
-/// a pixel in the picture.
+/// Poses that differ by less have the same error. 1° moves the coil, at the end of a tube of some ten centimetres, by
+/// about a pixel in the picture.
 const POSE_RAD: f64 = DEGREE;
 
 const DEGREE: f64 = std::f64::consts::PI / 180.0;

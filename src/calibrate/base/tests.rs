@@ -95,8 +95,8 @@ fn the_frame_of_exact_recordings_is_exact() {
     assert!(turns(&found).norm() < 1e-9 && (found.base.b0 - b0.normalize()).norm() < 1e-12);
 }
 
-/// RMS of error/σ of the frame's turns about its axes, of the origin's coordinates, and of all turns together, over recordings whose errors are one
-/// for all frames of a pose.
+/// RMS of error/σ of the frame's turns about its axes, of the origin's coordinates, and of all turns together, over
+/// recordings whose errors are one for all frames of a pose.
 fn calibrated(angles: &[(f64, f64)], field: impl Fn(&Observed) -> Field<'_>) -> ([f64; 3], [f64; 3], f64) {
     const RUNS: usize = 400;
     let mut random = gaussian(7);

@@ -6,7 +6,8 @@ use nalgebra::{DMatrix, Matrix2, Matrix3, Point2, Vector2, Vector3};
 const IN_LINE: f64 = 0.1;
 
 /// From places on the board to pixels, by least squares of the linear equations in normalised coordinates. The third
-/// coordinate of what it maps is positive before the camera. `None` with fewer than four pairs, or when all are in a line.
+/// coordinate of what it maps is positive before the camera. `None` with fewer than four pairs, or when all are in a
+/// line.
 pub(super) fn homography(pairs: &[(Point2<f64>, Point2<f64>)]) -> Option<Matrix3<f64>> {
     if pairs.len() < 4 || in_line(pairs.iter().map(|(place, _)| *place)) {
         return None;

@@ -88,9 +88,9 @@ impl Grey {
         (fits && !samples.is_empty()).then_some(Self { width, height, samples })
     }
 
-    /// Reads PNG, JPEG, TIFF, BMP or PNM, whatever the name's ending says: grey or colour (luma of BT.709), transparency
-    /// ignored. Deeper samples than 8 bits are scaled so that the brightest becomes 255: sensors of 10 or 12 bits often
-    /// fill only the lower part of 16.
+    /// Reads PNG, JPEG, TIFF, BMP or PNM, whatever the name's ending says: grey or colour (luma of BT.709),
+    /// transparency ignored. Deeper samples than 8 bits are scaled so that the brightest becomes 255: sensors of 10 or
+    /// 12 bits often fill only the lower part of 16.
     ///
     /// # Errors
     /// [`GreyError`], which names the file.

@@ -1,12 +1,13 @@
 //! Calibration boards, and where their corners are in a picture.
 //!
 //! - In: a [`Grey`] picture, a [`Board`], how many images of it there may be (direct and by way of mirrors).
-//! - Out: a [`BoardImage`] for each that was found: its inner corners to a few hundredths of a pixel, in the board's order.
-//! - Method: chessboards by OpenCV's sector-based detector on the picture at several sizes and on parts of it (`search`),
-//!   ChArUco boards by their markers (`charuco`); each corner is then refined in the picture itself, and what is no regular grid
-//!   of squares alternating dark and light is refused (`judge`).
-//! - Assumes that all inner corners of a chessboard are in the picture; of a ChArUco board a part is enough. Lens distortion may
-//!   bend the board, but smoothly.
+//! - Out: a [`BoardImage`] for each that was found: its inner corners to a few hundredths of a pixel, in the board's
+//!   order.
+//! - Method: chessboards by OpenCV's sector-based detector on the picture at several sizes and on parts of it
+//!   (`search`), ChArUco boards by their markers (`charuco`); each corner is then refined in the picture itself, and
+//!   what is no regular grid of squares alternating dark and light is refused (`judge`).
+//! - Assumes that all inner corners of a chessboard are in the picture; of a ChArUco board a part is enough. Lens
+//!   distortion may bend the board, but smoothly.
 //! - Cannot tell a chessboard from its mirror image (the pattern is mirror symmetric): [`Board::orders`].
 
 mod charuco;
@@ -38,8 +39,9 @@ pub enum Pattern {
     Charuco(Charuco),
 }
 
-/// A flat calibration board: inner corners and size of a square. Written `9x6:12mm` (inner corners in a row x in a column :
-/// square), or `charuco:5x7:30mm:22mm:DICT_4X4_50` (SQUARES in a row x in a column : square : marker : dictionary).
+/// A flat calibration board: inner corners and size of a square. Written `9x6:12mm` (inner corners in a row x in a
+/// column : square), or `charuco:5x7:30mm:22mm:DICT_4X4_50` (SQUARES in a row x in a column : square : marker :
+/// dictionary).
 #[derive(Debug, Clone, PartialEq)]
 pub struct Board {
     /// Inner corners in a row.
@@ -67,10 +69,10 @@ impl Board {
         points.into_iter().map(|p| p - centre).collect()
     }
 
-    /// What the corners of a mirror image may be: for each possible order, the corner of [`Board::points`] that stands at
-    /// each index, when the direct image of the same board is taken as it was found. Columns run backwards, or rows do; both
-    /// together would be half a turn. The colours leave one of the two when one of columns and rows is odd, the other even.
-    /// Markers tell for certain which corner is which: there is the order of the board only.
+    /// What the corners of a mirror image may be: for each possible order, the corner of [`Board::points`] that stands
+    /// at each index, when the direct image of the same board is taken as it was found. Columns run backwards, or rows
+    /// do; both together would be half a turn. The colours leave one of the two when one of columns and rows is odd,
+    /// the other even. Markers tell for certain which corner is which: there is the order of the board only.
     pub fn orders(&self) -> Vec<Vec<usize>> {
         let (columns, rows) = (self.columns, self.rows);
         if matches!(self.kind, Pattern::Charuco(_)) {
@@ -125,11 +127,13 @@ impl Board {
     }
 }
 
-/// Finds images of the board, `most` of them at most, at least one. Those of a chessboard are in the order they are found in, and
-/// whole. Of a ChArUco board at most one that is not mirrored comes first, the nearest, then mirrored ones, the fullest first.
+/// Finds images of the board, `most` of them at most, at least one. Those of a chessboard are in the order they are
+/// found in, and whole. Of a ChArUco board at most one that is not mirrored comes first, the nearest, then mirrored
+/// ones, the fullest first.
 ///
 /// # Errors
-/// When there is none (with what is there instead, if that can be told), the board is none that can be found, or OpenCV fails.
+/// When there is none (with what is there instead, if that can be told), the board is none that can be found, or OpenCV
+/// fails.
 pub fn find_boards(picture: &Grey, board: &Board, most: usize) -> Result<Vec<BoardImage>, BoardError> {
     board.check()?;
     match &board.kind {
@@ -152,10 +156,11 @@ pub struct BoardPicture {
 
 /// One image of the board in a picture.
 ///
-/// Those of a ChArUco board are the corners that are seen. The corners of a chessboard are in the order a direct image has: in the picture, the way from columns to rows turns like
-/// the way from x (right) to y (down). Where columns and rows are not both odd or both even, the square between the first
-/// two columns and rows is dark, and so is the outer one diagonal to corner 0; else rows run to the right (straight up and down:
-/// downwards), and which end comes first means nothing.
+/// Those of a ChArUco board are the corners that are seen. The corners of a chessboard are in the order a direct image
+/// has: in the picture, the way from columns to rows turns like the way from x (right) to y (down). Where columns and
+/// rows are not both odd or both even, the square between the first two columns and rows is dark, and so is the outer
+/// one diagonal to corner 0; else rows run to the right (straight up and down: downwards), and which end comes first
+/// means nothing.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BoardImage {
     /// Index into [`Board::points`], and the place in the picture: pixel (0, 0) is the centre of the top-left one.
@@ -164,8 +169,9 @@ pub struct BoardImage {
     pub mirrored: Option<bool>,
     /// Side of a square in the picture: median over the board, pixels.
     pub square_px: f64,
-    /// From 10 to 90 % of the way from dark to light, across the edges of squares, pixels: median over the board, of columns
-    /// or rows, whichever is blurred more. A sharp picture has 1.5 to 2.5; corners get worse from a third of a square on.
+    /// From 10 to 90 % of the way from dark to light, across the edges of squares, pixels: median over the board, of
+    /// columns or rows, whichever is blurred more. A sharp picture has 1.5 to 2.5; corners get worse from a third of a
+    /// square on.
     pub edge_px: f64,
     /// From dark to light squares: median over the board, grey values of 0 to 255.
     pub contrast: f64,

@@ -1,8 +1,9 @@
-//! Looks for boards: OpenCV's detector on the picture at several sizes and on parts of it, then refinement at full size.
+//! Looks for boards: OpenCV's detector on the picture at several sizes and on parts of it, then refinement at full
+//! size.
 //!
-//! The detector's time goes with the pixels it sees, four times as many with its ACCURACY flag, and it finds squares of 6
-//! pixels (4 with the flag). What it finds in a picture made smaller is as good: corners are refined in the full one. So
-//! small comes first, and the costly looks only where boards are missing.
+//! The detector's time goes with the pixels it sees, four times as many with its ACCURACY flag, and it finds squares of
+//! 6 pixels (4 with the flag). What it finds in a picture made smaller is as good: corners are refined in the full one.
+//! So small comes first, and the costly looks only where boards are missing.
 
 use nalgebra::Point2;
 use opencv::core::{
@@ -52,6 +53,9 @@ pub(super) fn find(picture: &Grey, board: &Board, most: usize) -> std::result::R
             let Some(rough) = look.detect(&painted, picture, board)? else { break };
             paint_over(&mut painted, &rough)?;
             let Some(mut grid) = rough.with_corners(refine(&pixels, &rough)?) else { break };
+            if let Some(part) = part_of(&grid, board) {
+                grid = part;
+            }
             grid.put_in_order();
             let as_asked = grid.size() == [board.columns, board.rows];
             match (grid.judge(), as_asked) {
@@ -82,6 +86,20 @@ pub(super) fn find(picture: &Grey, board: &Board, most: usize) -> std::result::R
         return Err(BoardError::NotFound { columns: board.columns, rows: board.rows, seen, flaw });
     }
     Ok(found)
+}
+
+/// The board, where a larger grid holds it with a rim that looks like more squares; nothing where the grid is of the
+/// right size, or no part of it is a board that ends there.
+fn part_of<'a>(grid: &Grid<'a>, board: &Board) -> Option<Grid<'a>> {
+    let (asked, turned) = ([board.columns, board.rows], [board.rows, board.columns]);
+    if [asked, turned].contains(&grid.size()) {
+        return None;
+    }
+    let parts = grid.windows(asked).into_iter().chain(grid.windows(turned).into_iter().map(|part| part.transposed()));
+    parts.into_iter().find_map(|mut part| {
+        part.put_in_order();
+        part.judge().is_ok().then_some(part)
+    })
 }
 
 /// A part of the picture, made smaller.

@@ -1,15 +1,16 @@
 //! Bundle adjustment: the geometry and the poses of the board that explain all corners of all pictures best.
 //!
-//! In: a start, corners seen, prior knowledge. Out: [`Solution`] with the geometry's covariance and what every corner left.
+//! In: a start, corners seen, prior knowledge. Out: [`Solution`] with the geometry's covariance and what every corner
+//! left.
 //!
-//! Minimised is Σ ρ(|corner − projection| / σ) + w Σ ((known − value)/sd)², ρ Huber's (`least_squares.rs`): the geometry is shared
-//! by all pictures, and so is the board's bend (`shape.rs`), the six parameters of its pose are each picture's own. σ, the noise of a corner, is taken from the corners
-//! themselves and the whole repeated.
+//! Minimised is Σ ρ(|corner − projection| / σ) + w Σ ((known − value)/sd)², ρ Huber's (`least_squares.rs`): the
+//! geometry is shared by all pictures, and so is the board's bend (`shape.rs`), the six parameters of its pose are each
+//! picture's own. σ, the noise of a corner, is taken from the corners themselves and the whole repeated.
 //!
-//! The covariance of the geometry has all poses free. It supposes that what a picture's corners are off says nothing of the next
-//! picture's, but not that they are off each by itself (`clusters.rs`): a board that is not quite flat, blur and a lens that is not
-//! quite the model's bind them. Where such errors make the pictures worse witnesses than the noise of their corners says, the
-//! priors are given as much more weight, and the whole repeated.
+//! The covariance of the geometry has all poses free. It supposes that what a picture's corners are off says nothing of
+//! the next picture's, but not that they are off each by itself (`clusters.rs`): a board that is not quite flat, blur
+//! and a lens that is not quite the model's bind them. Where such errors make the pictures worse witnesses than the
+//! noise of their corners says, the priors are given as much more weight, and the whole repeated.
 
 pub(crate) mod clusters;
 pub(crate) mod outliers;
@@ -36,6 +37,9 @@ const MOST_ROUNDS: usize = 6;
 const SETTLED: (f64, f64) = (0.01, 0.1);
 /// Of a round.
 const END: End = End { enough: (1e-9, 1e-9), most_steps: 200 };
+/// Of a round with a rational lens: its numerator and denominator trade off along a long flat valley. What is left of
+/// the way is a thousandth of σ.
+const RATIONAL_END: End = End { enough: (1e-7, 1e-6), most_steps: 2000 };
 
 /// A corner of the board in a view of a picture.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -191,9 +195,10 @@ impl Bundle {
 
     /// The least cost, and the noise of a corner there; `sd_px` is the noise assumed at first.
     fn searched(&self, mut sd_px: f64, prior_weight: f64, mut at: State) -> Result<(State, f64), NoSolution> {
+        let end = if self.geometry.lens.is_rational() { RATIONAL_END } else { END };
         for _ in 0..=MOST_ROUNDS {
             let equations = |at: &State| self.equations(at, sd_px, prior_weight);
-            (at, _) = minimise(END, at, equations, |at, step| Ok(self.stepped(at, step)))?;
+            (at, _) = minimise(end, at, equations, |at, step| Ok(self.stepped(at, step)))?;
             let found = self.noise(&self.residuals_px(&at)?);
             let settled = (found / sd_px - 1.0).abs() < SETTLED.0 || found == LEAST_SD_PX;
             sd_px = found;
@@ -234,7 +239,8 @@ impl Bundle {
         NoSolution::NotSeen { picture: self.names.get(corner.picture).cloned().unwrap_or_default(), why }
     }
 
-    /// σ of a corner's coordinate: first from the median of the residuals, then from all that are no outliers by that one.
+    /// σ of a corner's coordinate: first from the median of the residuals, then from all that are no outliers by that
+    /// one.
     fn noise(&self, residuals_px: &[Vector2<f64>]) -> f64 {
         let unknowns = self.free.len() + 3 + 6 * self.poses.len();
         let coordinates = (2 * residuals_px.len()) as f64;
@@ -468,8 +474,9 @@ pub(super) mod tests {
         }
     }
 
-    /// Corners of a picture that are off together, by a field of its own across its boards: the deviations predicted are those
-    /// of many calibrations still, for a dozen pictures and for few, and noise alone explains a part of them only.
+    /// Corners of a picture that are off together, by a field of its own across its boards: the deviations predicted
+    /// are those of many calibrations still, for a dozen pictures and for few, and noise alone explains a part of them
+    /// only.
     #[test]
     fn deviations_hold_when_the_corners_of_a_picture_are_off_together() {
         const RUNS: u64 = 40;

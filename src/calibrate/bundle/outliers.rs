@@ -2,7 +2,8 @@
 
 use nalgebra::{Isometry3, Point2, Vector2};
 
-/// A picture whose RMS residual is this many times that of the median picture is left out, if it is also so many pixels.
+/// A picture whose RMS residual is this many times that of the median picture is left out, if it is also so many
+/// pixels.
 const OUTLIER: (f64, f64) = (4.0, 0.3);
 
 /// What a picture says of the solution.

@@ -3,7 +3,8 @@
 use nalgebra::{Isometry3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3, Vector6};
 use opencv::core::{Mat, MatTraitConst};
 
-/// A pose moved by a step: translation in the camera frame, then rotation vector about the board's origin in its own axes.
+/// A pose moved by a step: translation in the camera frame, then rotation vector about the board's origin in its own
+/// axes.
 pub(crate) fn turned(pose: &Isometry3<f64>, step: &Vector6<f64>) -> Isometry3<f64> {
     let turn = UnitQuaternion::from_scaled_axis(Vector3::new(step[3], step[4], step[5]));
     let to = Translation3::from(pose.translation.vector + Vector3::new(step[0], step[1], step[2]));

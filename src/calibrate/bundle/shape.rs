@@ -1,8 +1,8 @@
 //! [`Shape`]: how far the board is from flat.
 //!
 //! A board of paper on wood or card is bent by some tenths of a per cent of its width, all pictures show it, and a lens
-//! calibrated with a flat one takes it up: focal length and principal point come out wrong by more than noise explains, the
-//! same wrong way from every half of the pictures. Boards tilted to several sides tell the bend from the lens.
+//! calibrated with a flat one takes it up: focal length and principal point come out wrong by more than noise explains,
+//! the same wrong way from every half of the pictures. Boards tilted to several sides tell the bend from the lens.
 //!
 //! z = a u² + b u v + c v², u and v along the board's sides from its middle, in units of its half width.
 
@@ -58,7 +58,8 @@ impl Shape {
         self
     }
 
-    /// By how much the board is out of flat: from its highest to its lowest corner, beside the plane that fits it, metres.
+    /// By how much the board is out of flat: from its highest to its lowest corner, beside the plane that fits it,
+    /// metres.
     pub fn sag_m(&self, places: &[Point3<f64>]) -> f64 {
         let count = places.len().max(1) as f64;
         let rises: Vec<f64> = places.iter().map(|p| self.place(p).z).collect();

@@ -1,15 +1,17 @@
 //! `catoptra calibrate camera`: the lens from pictures of a board in air.
 //!
-//! In: the corners of a board in pictures without mirror and water. Out: the lens with its covariance, and what each picture
-//! says of it.
+//! In: the corners of a board in pictures without mirror and water. Out: the lens with its covariance, and what each
+//! picture says of it.
 //!
-//! OpenCV's `calibrateCamera` gives the start; the answer and its covariance are those of our own bundle adjustment (OpenCV's
-//! standard deviations are wrong in older versions). A picture whose corners lie much further off than those of the others is
-//! left out, with its reason. Refused are sets that leave the lens open: too few pictures, all boards parallel.
+//! OpenCV's `calibrateCamera` gives the start; the answer and its covariance are those of our own bundle adjustment
+//! (OpenCV's standard deviations are wrong in older versions). A picture whose corners lie much further off than those
+//! of the others is left out, with its reason. Refused are sets that leave the lens open: too few pictures, all boards
+//! parallel.
 //!
 //! What speaks against the lens all the same is among its [`diagnostics`].
 //!
-//! Cannot detect: squares that are not as large as said (the lens does not depend on their size, distances do), or not square.
+//! Cannot detect: squares that are not as large as said (the lens does not depend on their size, distances do), or not
+//! square.
 
 pub mod diagnostics;
 pub mod models;
@@ -76,8 +78,8 @@ pub struct CameraCalibration {
     pub shape: Shape,
     /// See `shape`.
     pub shape_covariance: Matrix3<f64>,
-    /// For each picture that was used: its name, the board's pose (camera_from_board, origin in the board's middle), each
-    /// corner's place in the picture and its residual, pixels.
+    /// For each picture that was used: its name, the board's pose (camera_from_board, origin in the board's middle),
+    /// each corner's place in the picture and its residual, pixels.
     pub used: Vec<UsedPicture>,
     /// Pictures left out, and why.
     pub left_out: Vec<(String, LeftOut)>,
@@ -125,7 +127,8 @@ pub enum CameraError {
     },
     /// The pictures do not determine the lens.
     #[error(
-        "the pictures leave the focal length open by {sd_px:.0} px of {focal_px:.0}: tilt the board more, fill the picture"
+        "the pictures leave the focal length open by {sd_px:.0} px of {focal_px:.0}: tilt the board more, fill the \
+         picture; a wide angle may want --lens 8"
     )]
     Open {
         /// Standard deviation.

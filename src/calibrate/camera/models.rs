@@ -2,9 +2,9 @@
 //!
 //! In: boards in pictures. Out: for each [`Model`], how far off the corners of held-out pictures are.
 //!
-//! The pictures are parted into `FOLDS`; each part is held out in turn, the lens found from the rest by OpenCV, and the pose of
-//! the held-out boards, and nothing else, from their corners. A model with too few parameters leaves more of them, one
-//! with too many as well.
+//! The pictures are parted into `FOLDS`; each part is held out in turn, the lens found from the rest by OpenCV, and the
+//! pose of the held-out boards, and nothing else, from their corners. A model with too few parameters leaves more of
+//! them, one with too many as well.
 
 use crate::calibrate::board::BoardPicture;
 use nalgebra::Point3;
@@ -40,7 +40,8 @@ impl std::fmt::Display for Model {
     }
 }
 
-/// The model that shows held-out pictures clearly better than `own`: RMS of a coordinate with `own` and with it, pixels.
+/// The model that shows held-out pictures clearly better than `own`: RMS of a coordinate with `own` and with it,
+/// pixels.
 pub(crate) fn better(
     places: &[Point3<f64>],
     used: &[&BoardPicture],

@@ -1,5 +1,5 @@
-//! σ of the lens against scatter, on corners found in photographs that others took: halves of a set, calibrated apart, differ by
-//! what their σ say.
+//! σ of the lens against scatter, on corners found in photographs that others took: halves of a set, calibrated apart,
+//! differ by what their σ say.
 
 use crate::calibrate::board::BoardPicture;
 use crate::calibrate::board::{Board, BoardImage};

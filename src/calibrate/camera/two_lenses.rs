@@ -1,14 +1,16 @@
-//! Whether pictures fall into two groups that each want a lens of their own: two cameras, or one whose focus or zoom was moved.
+//! Whether pictures fall into two groups that each want a lens of their own: two cameras, or one whose focus or zoom
+//! was moved.
 //!
 //! In: a solution and its corners. Out: [`TwoLenses`], when one lens is clearly not enough.
 //!
-//! Pictures are first parted by the direction in which they pull at the one lens most differently; each group is then solved by
-//! itself and every picture goes to the lens that leaves less of it, until none changes. Any set can be parted so; of two
-//! lenses is spoken when they differ by far more than their covariances say, which hold what the pictures of one camera
-//! scatter, and leave much less of the corners than one.
+//! Pictures are first parted by the direction in which they pull at the one lens most differently; each group is then
+//! solved by itself and every picture goes to the lens that leaves less of it, until none changes. Any set can be
+//! parted so; of two lenses is spoken when they differ by far more than their covariances say, which hold what the
+//! pictures of one camera scatter, and leave much less of the corners than one.
 //!
-//! Cannot tell: groups of fewer than four pictures; lenses closer than what else is wrong in the pictures. Of OpenCV's pair of
-//! cameras, 15 px apart in centre, a mixture of halves is told, five pictures among twelve of the other are not.
+//! Cannot tell: groups of fewer than four pictures; lenses closer than what else is wrong in the pictures. Of OpenCV's
+//! pair of cameras, 15 px apart in centre, a mixture of halves is told, five pictures among twelve of the other are
+//! not.
 
 use crate::calibrate::bundle::{Bundle, Corner, Solution};
 use crate::calibrate::geometry::Parameter;
@@ -18,8 +20,8 @@ use nalgebra::{DMatrix, DVector};
 /// Fewest pictures of a group.
 const FEWEST: usize = 4;
 const MOST_ROUNDS: usize = 8;
-/// The lenses differ by so many times what their covariances say, χ² by its freedom: pictures of one camera, parted as badly as
-/// they can be, reach 10.
+/// The lenses differ by so many times what their covariances say, χ² by its freedom: pictures of one camera, parted as
+/// badly as they can be, reach 10.
 const APART: f64 = 15.0;
 /// One lens leaves so many times the squares that two leave.
 const LEFT: f64 = 1.25;
@@ -60,7 +62,8 @@ struct Parted {
     left: f64,
 }
 
-/// Halves of the pictures by each of the two directions in which they pull most differently; whether each is of the first.
+/// Halves of the pictures by each of the two directions in which they pull most differently; whether each is of the
+/// first.
 fn starts(pulls: &[DVector<f64>]) -> Option<Vec<Vec<bool>>> {
     let size = pulls.first()?.len();
     let matrix = DMatrix::from_fn(pulls.len(), size, |row, column| pulls[row][column]);

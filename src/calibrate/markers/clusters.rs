@@ -1,7 +1,7 @@
 //! A few clusters of colours: tube, grounds, clamp, other things around a band.
 //!
-//! k-means from starts far apart. Each cluster is a class of its own: the tube is a few per cent of what surrounds a band,
-//! and would drown in one class with the ground.
+//! k-means from starts far apart. Each cluster is a class of its own: the tube is a few per cent of what surrounds a
+//! band, and would drown in one class with the ground.
 
 use nalgebra::Vector3;
 

@@ -1,5 +1,5 @@
-//! What makes the pictures fit best: places of the bands along the tube, blur of the lens, offset of the chroma samples,
-//! exposure.
+//! What makes the pictures fit best: places of the bands along the tube, blur of the lens, offset of the chroma
+//! samples, exposure.
 
 use crate::calibrate::markers::line_search::minimise;
 use crate::calibrate::markers::{MarkersError, track};
@@ -11,15 +11,16 @@ use crate::track::{TrackOptions, Tracker};
 /// Frames that decide.
 const TUNING_FRAMES: usize = 12;
 
-/// How far the tube between two bands may be from an arc of a circle: its length beyond that of the chord is uncertain by
-/// this much of chord · ψ², where ψ is the angle between the chord and the coil's tangent (an arc is longer by 1/6 of it).
+/// How far the tube between two bands may be from an arc of a circle: its length beyond that of the chord is uncertain
+/// by this much of chord · ψ², where ψ is the angle between the chord and the coil's tangent (an arc is longer by 1/6
+/// of it).
 const NO_ARC: f64 = 0.2;
 /// σ of a distance of two bands in one frame at least, metres.
 const LEAST_SD_M: f64 = 0.05e-3;
 /// Exposures that are tried, from none to the whole interval between two frames.
 const EXPOSURES: usize = 9;
-/// A frame and its follower are no further apart than this, seconds; an exposure counts from so many σ, and this share of
-/// their interval, on: blur of a tenth of the way is none.
+/// A frame and its follower are no further apart than this, seconds; an exposure counts from so many σ, and this share
+/// of their interval, on: blur of a tenth of the way is none.
 const LONGEST_PAIR_S: f64 = 0.06;
 const LEAST_EXPOSURE_SDS: f64 = 3.0;
 const LEAST_EXPOSURE: f64 = 0.1;
@@ -27,8 +28,8 @@ const LEAST_EXPOSURE: f64 = 0.1;
 const PARTS: usize = 3;
 const LEAST_FITTED_SD_M: f64 = 0.01e-3;
 
-/// Places along the tube that the rig does not know, counted from the outer edge of the first band, and the σ of the distance
-/// of each from the one before, metres; `None` where it was known or is not found.
+/// Places along the tube that the rig does not know, counted from the outer edge of the first band, and the σ of the
+/// distance of each from the one before, metres; `None` where it was known or is not found.
 ///
 /// An arc is measured as a chord: all frames count, those in which the tube is straight most.
 pub(super) fn place_bands(rig: &mut Rig, frames: &[Frame]) -> Result<Vec<Option<f64>>, MarkersError> {
@@ -77,8 +78,8 @@ pub(super) fn place_bands(rig: &mut Rig, frames: &[Frame]) -> Result<Vec<Option<
     Ok(sd_m)
 }
 
-/// σ along the chord that the places of a marker and the one before it have, the same in all frames: what the image model gets
-/// wrong at a band's end does not average out, metres.
+/// σ along the chord that the places of a marker and the one before it have, the same in all frames: what the image
+/// model gets wrong at a band's end does not average out, metres.
 fn places_sd_m(estimates: &[Estimate], m: usize) -> f64 {
     let variances: Vec<f64> = estimates
         .iter()
@@ -125,7 +126,8 @@ fn combined(arcs: &[(f64, f64)], bend_is_known: bool) -> Option<(f64, f64)> {
     (!arcs.is_empty()).then(|| (at, (scatter.powi(2) + shape.powi(2) + (0.3 * LEAST_SD_M).powi(2)).sqrt()))
 }
 
-/// Blur, chroma offset and, unless it is stated, exposure. Motion looks like blur: with it known, blur is looked for again.
+/// Blur, chroma offset and, unless it is stated, exposure. Motion looks like blur: with it known, blur is looked for
+/// again.
 pub(super) fn tune(rig: &mut Rig, frames: &[Frame], followers: &[Frame]) -> Result<(), MarkersError> {
     sharpen(rig, frames, followers)?;
     if rig.camera.exposure_s.is_none() {
@@ -193,8 +195,8 @@ fn moving_misfit(rig: &Rig, frames: &[&Frame], followers: &[Frame]) -> Option<f6
     (misfits.len() * 2 > frames.len()).then(|| misfits.iter().sum::<f64>() / misfits.len() as f64)
 }
 
-/// Exposure of the pictures, seconds, from how motion blurs the frames in which the tube moves fastest; `None` when it does not
-/// show: too little motion, or too short an exposure.
+/// Exposure of the pictures, seconds, from how motion blurs the frames in which the tube moves fastest; `None` when it
+/// does not show: too little motion, or too short an exposure.
 fn exposure_s(rig: &Rig, frames: &[Frame], followers: &[Frame]) -> Result<Option<f64>, MarkersError> {
     let mut all: Vec<&Frame> = frames.iter().chain(followers).collect();
     all.sort_by_key(|frame| frame.stamp.ns);

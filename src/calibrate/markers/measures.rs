@@ -1,7 +1,7 @@
 //! Whether the pictures show a tube of the given diameter and bands of the given lengths.
 //!
-//! Across a band, and along it, each colour is so much band and so much ground (or tube). The sum of the shares is the band's
-//! width or length in pixels, however blurred the picture is.
+//! Across a band, and along it, each colour is so much band and so much ground (or tube). The sum of the shares is the
+//! band's width or length in pixels, however blurred the picture is.
 
 use super::locate::pixels::{Pixels, Yuv};
 use crate::estimate::{BandObservation, Estimate};
@@ -37,7 +37,8 @@ const FRAMES: usize = 6;
 /// Distance of the places looked at, pixels, and contrast that is needed to tell shares.
 const STEP_PX: f64 = 0.25;
 const CLEAR: f64 = 2.0;
-/// The band's own colour is looked for in this share of it, and the colour beside it from this far off its edge on, pixels.
+/// The band's own colour is looked for in this share of it, and the colour beside it from this far off its edge on,
+/// pixels.
 const CORE: f64 = 0.25;
 const BESIDE_PX: (f64, f64) = (2.5, 5.0);
 

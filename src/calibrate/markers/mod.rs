@@ -1,13 +1,14 @@
 //! `catoptra calibrate markers`: what the tracker must know of the bands, from a click near each in one view.
 //!
-//! In: a recording, a rig with its optics and band lengths, clicks. Out: the rig with colour models for each view, places of
-//! the bands along the tube, blur and chroma offset of the camera; and what was seen on the way, for a page that shows it.
+//! In: a recording, a rig with its optics and band lengths, clicks. Out: the rig with colour models for each view,
+//! places of the bands along the tube, blur and chroma offset of the camera; and what was seen on the way, for a page
+//! that shows it.
 //!
 //! 1. `locate`: in the picked frame, the bands are found by their size and the tube's, in all views together.
 //! 2. What is in them and beside them gives colours. With those the tracker must measure the very same bands.
 //! 3. Frames from the whole recording are tracked, and the colours learned again from all bands in all views.
-//! 4. Blur of the lens, offset of the chroma samples, and unknown distances between bands close to the coil are those that
-//!    explain the pictures best; so are diameter and lengths, compared with the ones given.
+//! 4. Blur of the lens, offset of the chroma samples, and unknown distances between bands close to the coil are those
+//!    that explain the pictures best; so are diameter and lengths, compared with the ones given.
 //!
 //! Nothing that an earlier run learned goes in: the same recording and clicks give the same rig.
 
@@ -94,8 +95,8 @@ pub struct MarkersOptions {
     pub exposure_s: Option<f64>,
 }
 
-/// Learns the markers of `rig`. Their colours, and the camera's blur and chroma offset, are left out of account; so are places
-/// along the tube unless they are there. `picks` has a click a marker or more.
+/// Learns the markers of `rig`. Their colours, and the camera's blur and chroma offset, are left out of account; so are
+/// places along the tube unless they are there. `picks` has a click a marker or more.
 pub fn calibrate_markers(
     rig: &Rig,
     picks: &[Pick],
@@ -252,8 +253,8 @@ fn learn_everywhere(rig: &mut Rig, frames: &[Frame]) -> Result<Vec<ViewColours>,
     Ok(learned)
 }
 
-/// Where a marker is in a view: measured, or where the other views say (`Some(None)`: out of sight); `None` when its position
-/// is not known.
+/// Where a marker is in a view: measured, or where the other views say (`Some(None)`: out of sight); `None` when its
+/// position is not known.
 fn place(rig: &Rig, (m, v): (usize, usize), estimate: &MarkerEstimate) -> Option<Option<Place>> {
     let point = estimate.position.as_ref().ok()?.point;
     let seen: &Result<BandObservation, Miss> = estimate.views.get(v)?;

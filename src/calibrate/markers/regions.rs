@@ -18,7 +18,8 @@ pub struct ProposedRegion {
     pub leaves_out: usize,
 }
 
-/// The tube may swing this far beyond what its length says, metres, and above its first band by this share of its length.
+/// The tube may swing this far beyond what its length says, metres, and above its first band by this share of its
+/// length.
 const MARGIN_M: f64 = 10e-3;
 const ABOVE: f64 = 0.15;
 

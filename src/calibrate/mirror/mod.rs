@@ -1,16 +1,19 @@
-//! `catoptra calibrate mirror`: where a bumped mirror stands now, from the bands of an ordinary recording, without a board.
+//! `catoptra calibrate mirror`: where a bumped mirror stands now, from the bands of an ordinary recording, without a
+//! board.
 //!
-//! In: a recording in which the catheter moves, a rig of which one mirror is no longer right, known lengths. Out: the rig with the
-//! mirror put right, and how well that is known. Lens and walls are taken for exact.
+//! In: a recording in which the catheter moves, a rig of which one mirror is no longer right, known lengths. Out: the
+//! rig with the mirror put right, and how well that is known. Lens and walls are taken for exact.
 //!
-//! 1. In every view's region the largest blob of each marker's colour is its band: good to a pixel, and no rays need meet. The
-//!    mirror nearest to the old one for which they do is the start.
-//! 2. With it the tracker measures the bands to hundredths of a pixel, each by itself: a rig that knows the distances of bands
-//!    would make its own errors fit. The adjustment of `meeting` follows, and both are repeated until the mirror stays.
+//! 1. In every view's region the largest blob of each marker's colour is its band: good to a pixel, and no rays need
+//!    meet. The mirror nearest to the old one for which they do is the start.
+//! 2. With it the tracker measures the bands to hundredths of a pixel, each by itself: a rig that knows the distances
+//!    of bands would make its own errors fit. The adjustment of `meeting` follows, and both are repeated until the
+//!    mirror stays.
 //!
-//! What determines the answer: rays of two views meet or miss each other in one direction only. That gives the mirror's turn across this
-//! direction to a few hundredths of a degree; its other turn and its distance follow from how the miss changes over the picture,
-//! weakly, and from a known length. These two move the answer as a whole, by millimetres, and hardly change displacements.
+//! What determines the answer: rays of two views meet or miss each other in one direction only. That gives the mirror's
+//! turn across this direction to a few hundredths of a degree; its other turn and its distance follow from how the miss
+//! changes over the picture, weakly, and from a known length. These two move the answer as a whole, by millimetres, and
+//! hardly change displacements.
 //!
 //! Cannot detect: a camera, wall or tank that moved as well, other than by views that go on disagreeing.
 
@@ -34,10 +37,11 @@ use nalgebra::{DMatrix, DVector, Matrix2, Vector3};
 const FRAMES: usize = 60;
 /// A blob's centre is about this far from the band's, pixels.
 const BLOB_SD_PX: f64 = 1.0;
-/// How far a mirror that was bumped may have moved, for the start: turns in radians, shift in metres. Blobs tell the first turn, and
-/// the rest hardly at all; it is left to the rounds after the start.
+/// How far a mirror that was bumped may have moved, for the start: turns in radians, shift in metres. Blobs tell the
+/// first turn, and the rest hardly at all; it is left to the rounds after the start.
 const BUMP_SD: [f64; 3] = [0.05, 0.01, 5e-3];
-/// Bands that stand further apart than this many diameters of the tube do not have a length known from the rig: it bends.
+/// Bands that stand further apart than this many diameters of the tube do not have a length known from the rig: it
+/// bends.
 const STIFF_DIAMETERS: f64 = 8.0;
 /// How well the rig's places of the bands along the tube are known, each distance.
 pub const RIG_LENGTH_SD_M: f64 = 0.05e-3;
@@ -46,7 +50,8 @@ const LENGTH_SCATTER_M: f64 = 0.02e-3;
 const MOST_ROUNDS: usize = 12;
 /// A mirror stays when a round moves it by less than this part of its σ.
 const STAYS: f64 = 0.1;
-/// Beyond these σ the data leave the mirror open, radians and metres: displacements would be off by two parts in a thousand and more.
+/// Beyond these σ the data leave the mirror open, radians and metres: displacements would be off by two parts in a
+/// thousand and more.
 const OPEN: (f64, f64) = (3.5e-3, 3.5e-3);
 /// Bands that the views still see this far apart, RMS, contradict each other: pixels.
 const DISAGREE_PX: f64 = 0.5;
@@ -79,8 +84,8 @@ pub struct MirrorCalibration {
     pub frames: usize,
     /// Bands measured in two views, in all these frames.
     pub bands: usize,
-    /// By how much the views disagree about a band, RMS, pixels: with the mirror as it was, and as it is; infinite when a band has
-    /// no ray.
+    /// By how much the views disagree about a band, RMS, pixels: with the mirror as it was, and as it is; infinite when
+    /// a band has no ray.
     pub disagreement_px: [f64; 2],
     /// Lengths used, each with the value that the recording would rather have, metres.
     pub lengths: Vec<(KnownLength, f64)>,
@@ -226,13 +231,14 @@ impl MirrorCalibration {
         [0, 1, 2].map(|i| self.covariance[(i, i)].max(0.0).sqrt())
     }
 
-    /// By how much the mirror moved: turned up or down and to the left or right, radians; shifted along its normal, metres.
+    /// By how much the mirror moved: turned up or down and to the left or right, radians; shifted along its normal,
+    /// metres.
     pub fn moved(&self) -> [f64; 3] {
         moved_by(&self.before, &self.after)
     }
 
-    /// Whether it moved by more than chance makes of a mirror that stands still, once in twenty times: χ² of the turns and the
-    /// shift together.
+    /// Whether it moved by more than chance makes of a mirror that stands still, once in twenty times: χ² of the turns
+    /// and the shift together.
     pub fn has_moved(&self) -> bool {
         let moved = DVector::from_row_slice(&self.moved());
         let chi2 = self.covariance.clone().cholesky().map(|root| moved.dot(&root.solve(&moved)));
@@ -384,9 +390,10 @@ fn enough(moments: Vec<Moment>) -> Result<Vec<Moment>, MirrorError> {
     if seen < LEAST_FRAMES { Err(MirrorError::TooFew { seen, frames: moments.len() }) } else { Ok(moments) }
 }
 
-/// By how much the bend makes the distance of two bands shorter than the tube between them, metres. From the angle ψ between the
-/// coil's direction and the chord: the tube is straight as far as the coil is, h, and an arc over what is left, ℓ = L − h, so that
-/// ψ = κℓ²/2L and the chord is shorter by κ²(ℓ³/6 − ℓ⁴/8L). `None` when a band or the direction is missing.
+/// By how much the bend makes the distance of two bands shorter than the tube between them, metres. From the angle ψ
+/// between the coil's direction and the chord: the tube is straight as far as the coil is, h, and an arc over what is
+/// left, ℓ = L − h, so that ψ = κℓ²/2L and the chord is shorter by κ²(ℓ³/6 − ℓ⁴/8L). `None` when a band or the
+/// direction is missing.
 fn shorter_m(rig: &Rig, length: &KnownLength, estimate: &Estimate) -> Option<f64> {
     let coil = rig.catheter.coil;
     let [a, b] = length.markers;

@@ -1,10 +1,10 @@
-//! Reasons not to believe a calibration's verdict: it supposes that the model is right and corners are off by noise alone,
-//! and what is left of the corners can contradict that.
+//! Reasons not to believe a calibration's verdict: it supposes that the model is right and corners are off by noise
+//! alone, and what is left of the corners can contradict that.
 //!
 //! In: a calibration, the check on held-out pictures. Out: [`Diagnostic`]s.
 //!
-//! Residuals of noise have nothing in common with their neighbours'; a bent mirror, a lens of another kind, water that was
-//! not said to be there leave residuals that follow one another across the picture ([`neighbourhoods`]).
+//! Residuals of noise have nothing in common with their neighbours'; a bent mirror, a lens of another kind, water that
+//! was not said to be there leave residuals that follow one another across the picture ([`neighbourhoods`]).
 //!
 //! Cannot tell: errors of the model that other parameters take up, such as a wrong thickness of the glass.
 
@@ -99,8 +99,8 @@ pub fn diagnose(done: &RigCalibration, held: &[Result<HeldOut, NoSolution>]) -> 
     doubts
 }
 
-/// How far what was given is from what all the rest says, in standard deviations of the two together; of several values,
-/// their χ² as that of one (Fisher). `None` when the rest says next to nothing.
+/// How far what was given is from what all the rest says, in standard deviations of the two together; of several
+/// values, their χ² as that of one (Fisher). `None` when the rest says next to nothing.
 ///
 /// A residual that is left of what was given is small where the pictures say little: it must be seen against its own
 /// covariance. Poses are taken as they came out.
@@ -160,8 +160,8 @@ pub(crate) fn neighbourhoods(residuals: &[(Point2<f64>, Vector2<f64>)]) -> Vec<N
         .collect()
 }
 
-/// How many times as long the means of neighbourhoods are as independent residuals of the same RMS would make them; `None`
-/// without neighbourhoods or residuals.
+/// How many times as long the means of neighbourhoods are as independent residuals of the same RMS would make them;
+/// `None` without neighbourhoods or residuals.
 pub(crate) fn together(residuals: &[(Point2<f64>, Vector2<f64>)]) -> Option<f64> {
     let means = neighbourhoods(residuals);
     let mean_square = residuals.iter().map(|(_, r)| r.norm_squared()).sum::<f64>() / residuals.len().max(1) as f64;

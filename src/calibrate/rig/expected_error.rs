@@ -4,12 +4,12 @@
 //!
 //! - *systematic, absolute*: errors of the geometry move the triangulated place by δX = −(AᵀA)⁻¹AᵀB δp, A and B the
 //!   derivatives of all views' pixels by place and parameters; so its covariance is K Σ Kᵀ.
-//! - *systematic, relative*: the same after the rigid motion of the whole volume that explains most of it is taken out. It is
-//!   what remains in the base frame, which is measured with the same geometry: of displacements, of angles.
+//! - *systematic, relative*: the same after the rigid motion of the whole volume that explains most of it is taken out.
+//!   It is what remains in the base frame, which is measured with the same geometry: of displacements, of angles.
 //! - *random*: corner noise in each frame, σ²(AᵀA)⁻¹.
 //!
-//! Errors are 1σ of the distance in space (root of the trace). Weak directions of a calibration behind water mostly move
-//! everything together: large absolute, tiny relative errors are the rule, and the relative ones matter to angles.
+//! Errors are 1σ of the distance in space (root of the trace). Weak directions of a calibration behind water mostly
+//! move everything together: large absolute, tiny relative errors are the rule, and the relative ones matter to angles.
 //!
 //! Cannot tell: what the model leaves out (bent mirrors and walls, dispersion, a moved tank, a wrong index).
 
@@ -58,8 +58,8 @@ pub struct Verdict {
     pub pixel_sd_px: f64,
     /// The direction in which the whole volume is least well placed, camera frame, unit, and how well, metres.
     pub weakest: (Vector3<f64>, f64),
-    /// Systematic errors of the angle between directions in different places, radians, median and worst: how differently the
-    /// geometry turns what lies between neighbouring places, about one axis across it.
+    /// Systematic errors of the angle between directions in different places, radians, median and worst: how
+    /// differently the geometry turns what lies between neighbouring places, about one axis across it.
     pub angle_rad: (f64, f64),
     /// What would help, the most for the camera frame first.
     pub helpful: Vec<Suggestion>,
@@ -200,8 +200,8 @@ impl Volume {
         Some(Self { places: seen_places, absolute, relative, random })
     }
 
-    /// σ of the angle by which the line from each place to the next one of the grid is turned, without the common motion,
-    /// about one axis across it, radians.
+    /// σ of the angle by which the line from each place to the next one of the grid is turned, without the common
+    /// motion, about one axis across it, radians.
     fn turns(&self, covariance: &DMatrix<f64>) -> Vec<f64> {
         let pairs = (0..self.places.len()).flat_map(|a| (a + 1..self.places.len()).map(move |b| (a, b)));
         let apart = |(a, b): (usize, usize)| self.places[b] - self.places[a];
@@ -239,8 +239,8 @@ impl Volume {
     }
 }
 
-/// How a place, triangulated from all views that show it, answers to errors of the parameters, −(AᵀA)⁻¹AᵀB, and (AᵀA)⁻¹; `None`
-/// when fewer than two views show it.
+/// How a place, triangulated from all views that show it, answers to errors of the parameters, −(AᵀA)⁻¹AᵀB, and
+/// (AᵀA)⁻¹; `None` when fewer than two views show it.
 pub(crate) fn answer(
     projector: &Projector,
     geometry: &Geometry,
@@ -340,7 +340,8 @@ fn candidates(solution: &Solution, places: &[Point3<f64>], board: &[Point3<f64>]
     list
 }
 
-/// What a picture of the board in a pose tells of the geometry, its pose unknown. `None` when not all views show all of it.
+/// What a picture of the board in a pose tells of the geometry, its pose unknown. `None` when not all views show all of
+/// it.
 fn information(
     projector: &Projector,
     solution: &Solution,
@@ -381,8 +382,8 @@ mod tests {
         let volume = Volume { places, absolute: twist.clone(), relative, random: Vec::new() };
         let turns = volume.turns(&DMatrix::from_element(1, 1, 4.0));
         assert_eq!(turns.len(), 3 * 18, "lines between neighbours along each axis");
-        // Along x or y at z = ±20 mm: turned by 2 x 0.02 about z, that is 0.04/√2 about one of two axes; in the middle, 0.
-        // Along z at a corner, 28 mm from the axis: sheared by 2 x 0.028.
+        // Along x or y at z = ±20 mm: turned by 2 x 0.02 about z, that is 0.04/√2 about one of two axes; in the middle,
+        // 0. Along z at a corner, 28 mm from the axis: sheared by 2 x 0.028.
         let worst = turns.iter().copied().fold(0.0, f64::max);
         assert!((worst - 2.0 * 0.02).abs() < 1e-12, "{worst}");
         let count = |angle: f64| turns.iter().filter(|t| (**t - angle).abs() < 1e-12).count();

@@ -2,12 +2,13 @@
 //!
 //! In: a solution and its corners. Out: for each picture, [`HeldOut`].
 //!
-//! Each picture is left out in turn and the rest solved again, from the full solution. Every corner that two views of the
-//! picture show is then triangulated as the tracker would; distances between corners are known from the board, and the rays
-//! of the views should meet. Errors of the corners alone explain [`Length::noise_sd_m`]; what is beyond it is the rig's.
+//! Each picture is left out in turn and the rest solved again, from the full solution. Every corner that two views of
+//! the picture show is then triangulated as the tracker would; distances between corners are known from the board, and
+//! the rays of the views should meet. Errors of the corners alone explain [`Length::noise_sd_m`]; what is beyond it is
+//! the rig's.
 //!
-//! Cannot tell: what moves everything together (it changes no length), a wrong size of the squares (the boards of the other
-//! pictures have it too).
+//! Cannot tell: what moves everything together (it changes no length), a wrong size of the squares (the boards of the
+//! other pictures have it too).
 
 use crate::calibrate::bundle::{Corner, NoSolution, Solution};
 use crate::optics::{Sighting, triangulate};
@@ -41,7 +42,8 @@ pub struct HeldOut {
     pub diagonals: Vec<Length>,
     /// By how much all lengths of the board come out too long, as part of them; `None` without lengths.
     pub scale: Option<f64>,
-    /// For each corner, how far the rays of the views pass the place nearest to them all, metres; as the tracker counts it.
+    /// For each corner, how far the rays of the views pass the place nearest to them all, metres; as the tracker counts
+    /// it.
     pub rays_m: Vec<f64>,
 }
 

@@ -1,12 +1,13 @@
 //! First guess of a rig from pictures that show a board directly and in mirrors, as if there were no water.
 //!
-//! In: images of the board in each picture, the lens. Out: which image is which view, in which order its corners are, about
-//! where the mirrors are and the boards.
+//! In: images of the board in each picture, the lens. Out: which image is which view, in which order its corners are,
+//! about where the mirrors are and the boards.
 //!
-//! Every image gives a pose of the (virtual) board. Light takes a longer way by a mirror than straight, so the nearest image
-//! of a picture is the direct one, of those that are not seen to be mirrored. Each other image is a reflection of it: corresponding corners are joined by lines that
-//! are all parallel to the mirror's normal and halved by its plane; only the right order of corners makes them parallel.
-//! Planes that agree are the same mirror. Behind water distances come out a quarter short: good enough for a start.
+//! Every image gives a pose of the (virtual) board. Light takes a longer way by a mirror than straight, so the nearest
+//! image of a picture is the direct one, of those that are not seen to be mirrored. Each other image is a reflection of
+//! it: corresponding corners are joined by lines that are all parallel to the mirror's normal and halved by its plane;
+//! only the right order of corners makes them parallel. Planes that agree are the same mirror. Behind water distances
+//! come out a quarter short: good enough for a start.
 
 use crate::calibrate::board::{Board, BoardImage};
 use crate::calibrate::bundle::pose::pose_from_opencv;
@@ -15,8 +16,8 @@ use nalgebra::{Isometry3, Point2, Point3, Vector3};
 use opencv::calib3d;
 use opencv::core::{Mat, MatExprTraitConst, Point2f, Point3f, Vector};
 
-/// Lines between the corners of an image and of its reflection may be this far from parallel (tangent of the angle, RMS):
-/// refraction that is not known yet bends them; a wrong order of corners is far beyond.
+/// Lines between the corners of an image and of its reflection may be this far from parallel (tangent of the angle,
+/// RMS): refraction that is not known yet bends them; a wrong order of corners is far beyond.
 const PARALLEL: f64 = 0.2;
 /// Planes whose normals differ by more than this are different mirrors.
 const SAME_MIRROR_RAD: f64 = 20.0 * std::f64::consts::PI / 180.0;
@@ -250,8 +251,8 @@ pub(crate) fn pose(lens: &Lens, corners: &[(Point3<f64>, Point2<f64>)]) -> openc
     pose_from_opencv(&turn, &shift)
 }
 
-/// The plane halfway between points and their reflections: how far the lines between them are from parallel, the normal to
-/// the points' side, the offset.
+/// The plane halfway between points and their reflections: how far the lines between them are from parallel, the normal
+/// to the points' side, the offset.
 pub(super) fn mirror_between(pairs: impl Iterator<Item = (Point3<f64>, Point3<f64>)>) -> (f64, Vector3<f64>, f64) {
     let pairs: Vec<_> = pairs.collect();
     let count = pairs.len().max(1) as f64;
@@ -263,8 +264,8 @@ pub(super) fn mirror_between(pairs: impl Iterator<Item = (Point3<f64>, Point3<f6
     (aside.sqrt() / mean.norm(), normal, normal.dot(&middle))
 }
 
-/// The reflections of each of the mirrors that most pictures show, at most `mirrors`, in the order from left to right in
-/// the picture.
+/// The reflections of each of the mirrors that most pictures show, at most `mirrors`, in the order from left to right
+/// in the picture.
 fn group(reflections: &[Reflection], mirrors: usize) -> Vec<Vec<&Reflection>> {
     let mut left: Vec<&Reflection> = reflections.iter().collect();
     let mut groups: Vec<Vec<&Reflection>> = Vec::new();

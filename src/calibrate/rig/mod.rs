@@ -1,12 +1,13 @@
 //! `catoptra calibrate rig`: mirrors and walls from pictures that show a board directly and in the mirrors.
 //!
-//! In: images of the board in each picture ([`BoardsPicture`]), the lens with its covariance, what else is known of the tank.
-//! Out: surfaces and views of the rig, their covariance, and what each picture leaves.
+//! In: images of the board in each picture ([`BoardsPicture`]), the lens with its covariance, what else is known of the
+//! tank. Out: surfaces and views of the rig, their covariance, and what each picture leaves.
 //!
 //! 1. `start`: which image is which view, about where the mirrors are, as if in air.
-//! 2. Where there is a tank, walls are put between camera and boards: the front wall across the line of sight, and for each
-//!    mirror beside the tank the wall through which it looks. Several distances are tried.
-//! 3. `super::bundle`: all at once. The best of the tries counts; a picture that fits much worse than the others is left out.
+//! 2. Where there is a tank, walls are put between camera and boards: the front wall across the line of sight, and for
+//!    each mirror beside the tank the wall through which it looks. Several distances are tried.
+//! 3. `super::bundle`: all at once. The best of the tries counts; a picture that fits much worse than the others is
+//!    left out.
 //!
 //! Assumes that a board is either in the medium behind the walls in all pictures, or in air in all of them.
 //! Cannot detect: a wrong refractive index or glass thickness (they trade off against distances), a wrong size of the
@@ -150,8 +151,8 @@ fn adjusted(
     }
 }
 
-/// A wall at a measured distance, and boards that by their size are nearer: light goes straight to the wall, so that a board
-/// behind it never seems to be before it, whatever its tilt.
+/// A wall at a measured distance, and boards that by their size are nearer: light goes straight to the wall, so that a
+/// board behind it never seems to be before it, whatever its tilt.
 fn before_wall(
     target: &Target<'_>,
     start: &Initial,

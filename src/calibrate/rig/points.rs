@@ -1,10 +1,12 @@
-//! Points that were marked by hand, or found by another program, in place of boards: a dot plate, a frame of known points.
+//! Points that were marked by hand, or found by another program, in place of boards: a dot plate, a frame of known
+//! points.
 //!
-//! In: a table, a row a point in a view of a picture. Out: a [`Initial`] as from pictures of boards, to be adjusted alike.
+//! In: a table, a row a point in a view of a picture. Out: a [`Initial`] as from pictures of boards, to be adjusted
+//! alike.
 //!
-//! Columns `picture`, `view` (`direct`, `mirror`, or `mirror_1`, `mirror_2`, … from left to right), `u_px`, `v_px`, `x_mm`, `y_mm`,
-//! `z_mm` (in the target's own frame, the same in all pictures) and, if wanted, `sd_px`: how well the point was marked, one
-//! coordinate. The pictures differ by where the target was, which is found with the rest.
+//! Columns `picture`, `view` (`direct`, `mirror`, or `mirror_1`, `mirror_2`, … from left to right), `u_px`, `v_px`,
+//! `x_mm`, `y_mm`, `z_mm` (in the target's own frame, the same in all pictures) and, if wanted, `sd_px`: how well the
+//! point was marked, one coordinate. The pictures differ by where the target was, which is found with the rest.
 //!
 //! Cannot detect: a target that is not what the table says in a way that scaling explains.
 
@@ -218,7 +220,8 @@ impl Points {
             let here = self.pose(lens, direct, 1.0)?;
             let mut sorted = Sorted { picture, views: vec![None; views] };
             for (view, marked) in own.views.iter().enumerate().skip(1).filter(|(_, marked)| enough(marked)) {
-                // What a mirror shows is turned about and reflected in the target's own plane, which a flat one does not show.
+                // What a mirror shows is turned about and reflected in the target's own plane, which a flat one does
+                // not show.
                 let there = self.pose(lens, marked, -1.0)?;
                 let folded = |p: &Point3<f64>| Point3::new(p.x, p.y, -p.z);
                 let pairs = self.places.iter().map(|p| (here * p, there * folded(p)));

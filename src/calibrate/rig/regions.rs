@@ -6,15 +6,17 @@ use crate::rig::polygon;
 use nalgebra::{Point2, Rotation2, Vector2};
 use std::f64::consts::TAU;
 
-/// A view reaches beyond its boards by this part of their extent, to every side: further out nothing is known of its rays.
+/// A view reaches beyond its boards by this part of their extent, to every side: further out nothing is known of its
+/// rays.
 const BEYOND: f64 = 0.5;
 
 /// Pixels without a ray are looked for in steps of this, and cut off by lines in one of so many directions.
 const STEP_PX: f64 = 4.0;
 const DIRECTIONS: usize = 32;
 
-/// Where each view is in the picture: around its boards, cut along lines halfway to the boards of the other views, and without
-/// what has no ray, past the edge of a wall or of a mirror. Two views whose boards no line across their centres parts are not cut.
+/// Where each view is in the picture: around its boards, cut along lines halfway to the boards of the other views, and
+/// without what has no ray, past the edge of a wall or of a mirror. Two views whose boards no line across their centres
+/// parts are not cut.
 pub(crate) fn regions(corners: &[Corner], views: &[OpticalPath], size_px: [u32; 2]) -> Vec<Vec<Point2<f64>>> {
     let of_view = |view: usize| corners.iter().filter(move |c| c.view == view).map(|c| c.pixel.coords);
     let centre = |view: usize| of_view(view).sum::<Vector2<f64>>() / of_view(view).count().max(1) as f64;
@@ -47,8 +49,8 @@ pub(crate) fn regions(corners: &[Corner], views: &[OpticalPath], size_px: [u32; 
         .collect()
 }
 
-/// The part of a region whose pixels have rays: what has none is cut off by the straight line that leaves the most and all of
-/// the boards. Where no line does, the region stays: it is for `rig check` to complain.
+/// The part of a region whose pixels have rays: what has none is cut off by the straight line that leaves the most and
+/// all of the boards. Where no line does, the region stays: it is for `rig check` to complain.
 fn seeing(
     region: Vec<Point2<f64>>,
     boards: &[Vector2<f64>],

@@ -1,16 +1,17 @@
 //! What the errors of a rig's calibration do to a catheter that it measures, at the places where it is.
 //!
-//! In: a rig file with the covariance that `calibrate rig` wrote into it; base, coil and tip of a recording. Out: [`Share`].
+//! In: a rig file with the covariance that `calibrate rig` wrote into it; base, coil and tip of a recording. Out:
+//! [`Share`].
 //!
-//! A place that is triangulated moves by K δp when the geometry is off by δp (`expected_error`). Tip and θ are measured in the
-//! base frame, which was found with the same geometry at the rest position: what both have in common drops out,
+//! A place that is triangulated moves by K δp when the geometry is off by δp (`expected_error`). Tip and θ are measured
+//! in the base frame, which was found with the same geometry at the rest position: what both have in common drops out,
 //!
 //!   δθ = (y × t)·δt − (y × z)·δz,   δtip = K(tip) − K(origin) − (z × δz) × (tip − origin),
 //!
 //! with y and z the base frame's axes and δt the difference of K at both ends of a short piece along the tangent t.
 //!
-//! Cannot tell: what no covariance holds (a moved mirror, a bent wall). Outside the boards' volume the covariance itself says
-//! less than it seems to.
+//! Cannot tell: what no covariance holds (a moved mirror, a bent wall). Outside the boards' volume the covariance
+//! itself says less than it seems to.
 
 use super::expected_error::answer;
 use crate::calibrate::geometry::{Geometry, Parameter, Projector};
@@ -116,7 +117,8 @@ fn noted(rig: &Draft) -> Option<(Geometry, Vec<Parameter>, DMatrix<f64>)> {
     Some((Geometry { lens: rig.camera.lens, surfaces, views }, free, covariance))
 }
 
-/// The box of places, camera frame, metres, that the boards filled, as `calibrate rig` noted it: lowest and highest corner.
+/// The box of places, camera frame, metres, that the boards filled, as `calibrate rig` noted it: lowest and highest
+/// corner.
 pub(crate) fn volume_m(rig: &Draft) -> Option<[Vector3<f64>; 2]> {
     let corners = rig.provenance.get("rig")?.get("volume_mm")?.as_array()?;
     let corner = |i: usize| {

@@ -1,9 +1,9 @@
 //! Whether pictures are enough for a rig, by how they were taken and by the covariance of what they gave.
 //!
-//! Boards that are all parallel are refused whatever the covariance: as long as board and camera are at hand, tilting costs
-//! nothing, and angles gain the double (rendered boards in a tank: σ 0.009° with parallel ones, 0.004° with tilted ones).
-//! Boards at one depth are not refused for that: tilted ones determine as much as others, there and for a lens; where they do
-//! not, the covariance shows it.
+//! Boards that are all parallel are refused whatever the covariance: as long as board and camera are at hand, tilting
+//! costs nothing, and angles gain the double (rendered boards in a tank: σ 0.009° with parallel ones, 0.004° with
+//! tilted ones). Boards at one depth are not refused for that: tilted ones determine as much as others, there and for a
+//! lens; where they do not, the covariance shows it.
 
 use crate::calibrate::bundle::Solution;
 use crate::calibrate::bundle::pose::spread_rad;
@@ -15,11 +15,11 @@ use nalgebra::Vector3;
 const FEWEST_OF_MIRROR: usize = 2;
 /// When more than this part of the pictures shows the mirror elsewhere, none can be relied on.
 const MOST_ELSEWHERE: f64 = 0.25;
-/// Boards that are all closer in direction than this are parallel. Half of what a lens needs: mirrors show the board from
-/// another side in every picture.
+/// Boards that are all closer in direction than this are parallel. Half of what a lens needs: mirrors show the board
+/// from another side in every picture.
 const LEAST_TILT_RAD: f64 = 5.0 * std::f64::consts::PI / 180.0;
-/// A surface is not known whose normal is open by more, radians, or its distance by more than this part of the boards': the
-/// covariance holds for small errors, and all that the verdict says with it.
+/// A surface is not known whose normal is open by more, radians, or its distance by more than this part of the boards':
+/// the covariance holds for small errors, and all that the verdict says with it.
 const LEAST_KNOWN: (f64, f64) = (3.0 * std::f64::consts::PI / 180.0, 0.1);
 
 /// What pictures lack.

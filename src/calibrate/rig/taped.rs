@@ -24,7 +24,8 @@ pub(crate) struct Taped {
 }
 
 impl Taped {
-    /// The board is seen by the way that leads to the wall: past the surfaces in front of it in the first view through it.
+    /// The board is seen by the way that leads to the wall: past the surfaces in front of it in the first view through
+    /// it.
     pub(crate) fn new(
         board: &Board,
         lens: &Lens,
@@ -57,8 +58,8 @@ impl Taped {
         let order = if odd { board.orders().into_iter().next() } else { None };
         let corners = ordered(&places, &picture.image, order.as_deref());
         let mut seen = pose(lens, &corners)?;
-        // The board itself, not its reflection. I − 2nnᵀ is minus half a turn about n, and what a flat board's mirror image
-        // lacks to a rotation, diag(1, 1, −1), is minus half a turn about z.
+        // The board itself, not its reflection. I − 2nnᵀ is minus half a turn about n, and what a flat board's mirror
+        // image lacks to a rotation, diag(1, 1, −1), is minus half a turn about z.
         for plane in &mirrors {
             let over = UnitQuaternion::from_axis_angle(&Unit::new_normalize(plane.normal()), PI);
             let half_turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), PI);

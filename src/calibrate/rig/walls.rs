@@ -8,8 +8,8 @@ use crate::calibrate::geometry::{Geometry, Parameter};
 use crate::optics::{Lens, Mirror, Plane, PlaneError, Surface, Wall};
 use nalgebra::{Isometry3, Point3, Translation3, Vector3};
 
-/// While searching, walls are held to where they were put, metres, and to right angles, radians; the answer knows nothing
-/// of it.
+/// While searching, walls are held to where they were put, metres, and to right angles, radians; the answer knows
+/// nothing of it.
 const HELD: (f64, f64) = (0.05, 3e-3);
 /// How square a glass box is, radians, and how true to size, metres: what its makers keep.
 const SQUARE_SD_RAD: f64 = 3e-3;
@@ -100,7 +100,8 @@ fn plane_in_water(start: &Initial, view: usize, front: &Wall) -> Result<Plane, P
 }
 
 impl Wall {
-    /// About where a point is that seems to be at `apparent` through this wall: what is behind it seems nearer, by the index.
+    /// About where a point is that seems to be at `apparent` through this wall: what is behind it seems nearer, by the
+    /// index.
     fn lengthened(&self, apparent: &Point3<f64>) -> Point3<f64> {
         let behind = (-self.outer.signed_distance(apparent)).max(0.0);
         apparent + apparent.coords.normalize() * (behind * (self.index_inside - 1.0))

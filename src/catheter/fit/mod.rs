@@ -1,18 +1,19 @@
 //! The catheter's parameters from tracked runs: stiffness, alignment, curvature at rest, damping and drag, with their
 //! covariance, and what the data leave open.
 //!
-//! In: runs (currents, and what was seen frame by frame). Out: values with their σ, residuals, and for everything that is not
-//! determined the experiment that would tell it.
+//! In: runs (currents, and what was seen frame by frame). Out: values with their σ, residuals, and for everything that
+//! is not determined the experiment that would tell it.
 //!
-//! 1. Pauses in which the catheter came to rest give the noise (scatter about their means) and, by the boundary value problem of
-//!    the rod, what shapes at rest depend on.
+//! 1. Pauses in which the catheter came to rest give the noise (differences from frame to frame, taken for white) and,
+//!    by the boundary value problem of the rod, what shapes at rest depend on.
 //! 2. From there, everything is fitted to all frames by the catheter in motion.
 //!
-//! After each step the eigenvectors of the information tell what is left open (`search.rs`); the parameter that has the largest
-//! share in such a direction stays at its start, and the rest is fitted again.
+//! After each step the eigenvectors of the information tell what is left open (`search.rs`); the parameter that has the
+//! largest share in such a direction stays at its start, and the rest is fitted again.
 //!
-//! σ are those of the noise, larger by √(χ²/n) where residuals are larger than it: then the model is wrong somewhere. What it
-//! cannot detect: stiffness and the coils' moments come as a ratio but for the weight, so that the moments are taken as given.
+//! σ are those of the noise, larger by √(χ²/n) where residuals are larger than it: then the model is wrong somewhere.
+//! What it cannot detect: stiffness and the coils' moments come as a ratio but for the weight, so that the moments are
+//! taken as given.
 
 mod moving;
 mod parameter;

@@ -143,7 +143,8 @@ impl Parameter {
         }
     }
 
-    /// How far off, in the search's unit, it may well be before anything is measured: what the data must do better than.
+    /// How far off, in the search's unit, it may well be before anything is measured: what the data must do better
+    /// than.
     pub(super) fn open(self) -> f64 {
         match self {
             Self::Young | Self::Shear => 1.0,

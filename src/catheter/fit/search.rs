@@ -1,8 +1,8 @@
 //! Least squares over few parameters, and what the data leave open.
 //!
-//! Levenberg and Marquardt's method; derivatives are central differences. Coordinates are in units of how far off a parameter
-//! may be before anything is measured ([`Parameter::open`]): the data's information is then compared with 1. What an
-//! eigenvector of it tells with less than [`DETERMINED`] is left open.
+//! Levenberg and Marquardt's method; derivatives are central differences. Coordinates are in units of how far off a
+//! parameter may be before anything is measured ([`Parameter::open`]): the data's information is then compared with 1.
+//! What an eigenvector of it tells with less than [`DETERMINED`] is left open.
 
 use super::parameter::Parameter;
 use nalgebra::{DMatrix, DVector, SymmetricEigen};

@@ -12,8 +12,8 @@ use nalgebra::{DVector, Point3, Vector3};
 
 /// Fewer frames than this say nothing of their scatter.
 const FEWEST: usize = 5;
-/// A pause whose halves differ by more than so many σ of the difference, and by more than this part of the scatter, has not
-/// settled.
+/// A pause whose halves differ by more than so many σ of the difference, and by more than this part of the scatter, has
+/// not settled.
 const DIFFERS: (f64, f64) = (5.0, 0.5);
 
 /// A pause in which the catheter had come to rest.
@@ -53,7 +53,7 @@ fn mean(seen: &[Seen], of: fn(&Seen) -> Vector3<f64>) -> Vector3<f64> {
     seen.iter().map(of).sum::<Vector3<f64>>() / seen.len() as f64
 }
 
-/// Pauses of all runs that last longer than `settle_s`, and the scatter of frames in them: (σ of a coordinate, metres; σ of a
+/// Pauses of all runs that last longer than `settle_s`, and the noise in them: (σ of a coordinate, metres; σ of a
 /// direction about one axis, radians).
 pub(super) fn pauses(runs: &[Run], settle_s: f64, delay_s: f64) -> (Vec<Pause>, usize, Option<(f64, f64)>) {
     let mut pauses = Vec::new();
@@ -76,7 +76,11 @@ pub(super) fn pauses(runs: &[Run], settle_s: f64, delay_s: f64) -> (Vec<Pause>, 
             let n = seen.len() as f64;
             let half = seen.len() / 2;
             let (coil, tip, tangent) = (mean(&seen, |s| s.coil), mean(&seen, |s| s.tip), mean(&seen, |s| s.tangent));
-            let squares: f64 = seen.iter().map(|s| (s.coil - coil).norm_squared() + (s.tip - tip).norm_squared()).sum();
+            // Noise by differences from frame to frame: what still creeps is none.
+            let pairs = || seen.iter().zip(seen.iter().skip(1));
+            let squares: f64 =
+                pairs().map(|(a, b)| (b.coil - a.coil).norm_squared() + (b.tip - a.tip).norm_squared()).sum::<f64>()
+                    / 2.0;
             let sd_m = (squares / (6.0 * (n - 1.0))).sqrt();
             let (early, late) = seen.split_at(half);
             let apart = (mean(early, |s| s.tip) - mean(late, |s| s.tip)).norm();
@@ -86,7 +90,7 @@ pub(super) fn pauses(runs: &[Run], settle_s: f64, delay_s: f64) -> (Vec<Pause>, 
             }
             sums.0 += squares;
             sums.1 += 6.0 * (n - 1.0);
-            sums.2 += seen.iter().map(|s| (s.tangent - tangent).norm_squared()).sum::<f64>();
+            sums.2 += pairs().map(|(a, b)| (b.tangent - a.tangent).norm_squared()).sum::<f64>() / 2.0;
             sums.3 += 2.0 * (n - 1.0);
             pauses.push(Pause {
                 run: index,
@@ -137,7 +141,8 @@ impl Residuals for Still<'_> {
     }
 }
 
-/// Seen less modelled, in standard deviations; nothing for what was not seen. A direction has its two components across.
+/// Seen less modelled, in standard deviations; nothing for what was not seen. A direction has its two components
+/// across.
 pub(super) fn push(
     left: &mut Vec<f64>,
     seen: &Sighting,

@@ -25,7 +25,8 @@ pub(super) struct BaseArgs {
     /// Sign of θ in the first deflection (beyond 3°) of the swing: pictures do not show it
     #[arg(long, value_enum, value_name = "SIGN", default_value_t = Sign::Positive, requires = "planar", conflicts_with = "b0")]
     first: Sign,
-    /// Direction of B0 in the camera frame (x right, y down, z forward), any length [default: --planar, or that of the rig]
+    /// Direction of B0 in the camera frame (x right, y down, z forward), any length [default: --planar, or that of the
+    /// rig]
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, value_parser = Direction::from_str)]
     b0: Option<Direction>,
     /// Direction of gravity in the camera frame, any length [default: that of the rig]

@@ -218,8 +218,8 @@ fn no_such_view(option: &str, name: &str, views: &[View], rig: &Path) -> Failure
     usage(format!("{option} {name}: no such view in {}; it has {}", rig.display(), known.join(", ")))
 }
 
-/// The rig file with the regions and the markers of this command. Roles of the bands that it has already are kept, and places
-/// along the tube that somebody wrote into it.
+/// The rig file with the regions and the markers of this command. Roles of the bands that it has already are kept, and
+/// places along the tube that somebody wrote into it.
 fn rig_with_picks(args: &MarkersArgs) -> Result<Rig, Failure> {
     let mut draft = Draft::load(&args.rig)?;
     for region in &args.regions {

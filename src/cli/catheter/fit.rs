@@ -153,7 +153,7 @@ impl FitArgs {
         let coils = match table {
             Some(table) => {
                 let table = CurrentTable::read(table).map_err(unreadable)?;
-                if let Some(assumption) = table.assumption(self.start) {
+                if let Some(assumption) = table.assumption(&recording, self.start) {
                     tracing::warn!("{}: {assumption}", table.path.display());
                 }
                 for current in table.on_camera_clock(&recording, self.start).map_err(unreadable)? {

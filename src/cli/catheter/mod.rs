@@ -56,8 +56,8 @@ Shapes at rest come first, then all frames in motion. DIR gets catheter.toml, fi
 What the runs do not determine stays as it was, and is named with the experiment that would tell
 it. Exit code 3: something asked for with --parameters is not determined.
 Example:
-  catoptra catheter fit sample_dynamics/catheter_run.csv \\
-    --currents sample_dynamics/catheter_currents.csv -o fit")]
+  catoptra catheter fit sample_dynamics/catheter_run.csv --settle 2s \\
+    --currents sample_dynamics/catheter_currents.csv --parameters young,shear,damping,drag -o fit")]
     Fit(fit::FitArgs),
 }
 

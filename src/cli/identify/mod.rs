@@ -8,7 +8,8 @@ mod words;
 pub(crate) use args::Args;
 
 use super::{Exit, Failure, interrupt, output};
-use crate::identify::chain::identify;
+use crate::cli::progress::Stages;
+use crate::identify::chain::identify_telling;
 use crate::identify::data::Data;
 use crate::identify::{IdentifyError, export};
 use crate::report::identification;
@@ -20,6 +21,8 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     let results = args.results();
     results.check()?;
     // 1. signals
+    let stages = Stages::new(quiet);
+    stages.tell("reading the records");
     let (data, provenance) = reading::read(args)?;
     if let Some(model) = &args.model {
         return apply::run(args, model, &data, &provenance, quiet);
@@ -27,7 +30,8 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     let samples: usize = data.training.iter().map(crate::identify::data::Record::observed).sum();
     let settings = args.settings(samples, !data.validation.is_empty())?;
     // 2. models
-    let done = identify(&data, &settings).map_err(|error| failure(&data, error))?;
+    let done = identify_telling(&data, &settings, &|what| stages.tell(what)).map_err(|error| failure(&data, error))?;
+    stages.tell("writing the results");
     for diagnostic in &done.diagnostics {
         tracing::warn!("{diagnostic}");
     }
@@ -42,6 +46,7 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
         written.push(page);
         written
     };
+    drop(stages);
     // 4. words
     if !quiet {
         output::print(&words::summary(&data, &done, &provenance, &written))?;

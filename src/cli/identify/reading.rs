@@ -223,7 +223,7 @@ fn recorded(args: &Args, file: &Path, table: Option<&Path>, plant: Option<Plant>
         None => (name.clone(), recording.currents.clone()),
         Some(table) => {
             let read = CurrentTable::read(table).map_err(unreadable)?;
-            if let Some(assumed) = read.assumption(None) {
+            if let Some(assumed) = read.assumption(&recording, None) {
                 tracing::info!("{}: {assumed}", table.display());
             }
             (table.display().to_string(), read.on_camera_clock(&recording, None).map_err(unreadable)?)

@@ -1,9 +1,9 @@
 //! Periods averaged: input and output of each line, with the covariance that the differences of periods show.
 //!
-//! In: stretches of a record whose input repeats. Out: a mean over periods for each line that the input excites, and the
-//! variances of the means (Pintelon and Schoukens, System Identification: A Frequency Domain Approach, 2nd ed.,
-//! section 2.5). Noise is told apart from what the system does without any model of either, and whatever repeats, noise that
-//! Eq. 6 carries from the output to the input included, has its variance and covariance.
+//! In: stretches of a record whose input repeats. Out: a mean over periods for each line that the input excites, and
+//! the variances of the means (Pintelon and Schoukens, System Identification: A Frequency Domain Approach, 2nd ed.,
+//! section 2.5). Noise is told apart from what the system does without any model of either, and whatever repeats, noise
+//! that Eq. 6 carries from the output to the input included, has its variance and covariance.
 
 use super::super::data::Segment;
 use nalgebra::Complex;
@@ -152,7 +152,8 @@ struct Period {
 /// Of input and output.
 type Spectra = (Vec<Complex<f64>>, Vec<Complex<f64>>);
 
-/// Puts into each missing output what the other periods have there, and says what part was missing: so much less scatters.
+/// Puts into each missing output what the other periods have there, and says what part was missing: so much less
+/// scatters.
 fn fill(periods: &mut [Period], samples: usize) -> Result<f64, String> {
     let mut missing = 0;
     for t in 0..samples {

@@ -1,9 +1,10 @@
-//! B/A fitted to lines by maximum likelihood, noise on input and output and their covariance as the periods showed them.
+//! B/A fitted to lines by maximum likelihood, noise on input and output and their covariance as the periods showed
+//! them.
 //!
 //! Smallest is Σ |A Y − B U|² / (σ_Y² |A|² + σ_U² |B|² − 2 Re(σ_YU² A B*)) (Pintelon and Schoukens, System
-//! Identification: A Frequency Domain Approach, 2nd ed., chapters 9 and 12): by Gauss-Newton with damping, from models given
-//! and from Sanathanan and Koerner's iteration (IEEE TAC 8, 1963, doi:10.1109/TAC.1963.1105517). With an input that is held
-//! the lines of the samples follow B/A exactly, and H(s) of it is the maximum likelihood H(s) too.
+//! Identification: A Frequency Domain Approach, 2nd ed., chapters 9 and 12): by Gauss-Newton with damping, from models
+//! given and from Sanathanan and Koerner's iteration (IEEE TAC 8, 1963, doi:10.1109/TAC.1963.1105517). With an input
+//! that is held the lines of the samples follow B/A exactly, and H(s) of it is the maximum likelihood H(s) too.
 
 use super::super::estimated::Estimated;
 use super::super::model::{Orders, Polynomials};
@@ -32,8 +33,8 @@ pub(crate) struct Found {
     pub(crate) settled: bool,
 }
 
-/// The model of these orders nearest to the lines of all records. Nothing when no stable model is found to begin from, or
-/// the lines do not determine it.
+/// The model of these orders nearest to the lines of all records. Nothing when no stable model is found to begin from,
+/// or the lines do not determine it.
 pub(crate) fn fit(records: &[Averaged], orders: Orders, initial: &[Polynomials]) -> Option<Found> {
     let lines: Vec<&Line> = records.iter().flat_map(|r| &r.lines).collect();
     let parameters = orders.parameters();
@@ -48,8 +49,8 @@ pub(crate) fn fit(records: &[Averaged], orders: Orders, initial: &[Polynomials])
         .filter_map(|model| descend(&lines, model))
         .min_by(|a, b| cost(&lines, &a.0).total_cmp(&cost(&lines, &b.0)))?;
     let solution = solve(triangle(&lines, &model))?;
-    // Variances from M periods: what is left is larger by (M−1)/(M−2) than with variances that are known, and the model's
-    // covariance by (M−2)/(M−3), which J ᵀJ hides by (M−1)/(M−2) more (section 10.9).
+    // Variances from M periods: what is left is larger by (M−1)/(M−2) than with variances that are known, and the
+    // model's covariance by (M−2)/(M−3), which J ᵀJ hides by (M−1)/(M−2) more (section 10.9).
     let m = records.iter().map(|r| r.periods).min().unwrap_or(FEWEST).max(FEWEST) as f64;
     let free = lines.len() as f64 - 0.5 * parameters as f64;
     let left = cost(&lines, &model) / (free * (m - 1.0) / (m - 2.0));

@@ -3,9 +3,9 @@
 //! ```text
 //!  periods ─▶ average ─▶ lines with their noise ─▶ likelihood ─▶ B/A with covariance, and what noise does not explain
 //! ```
-//! What repeats is the system's, what does not is noise: no model of the noise is needed, none is assumed but that it is
-//! not correlated from period to period. Feedback (Eq. 6) does no harm, because noise that the input has from the output
-//! shows in their covariance.
+//! What repeats is the system's, what does not is noise: no model of the noise is needed, none is assumed but that it
+//! is not correlated from period to period. Feedback (Eq. 6) does no harm, because noise that the input has from the
+//! output shows in their covariance.
 //!
 //! It cannot notice what repeats with the input and is not linear; `left` above 1 is a sign of it, and widens σ.
 
@@ -54,8 +54,8 @@ impl Periodic {
     }
 }
 
-/// Fits a model of `target` states to all records; the delay is the one of `delays` that leaves least. `others`: models to
-/// begin from beside its own.
+/// Fits a model of `target` states to all records; the delay is the one of `delays` that leaves least. `others`: models
+/// to begin from beside its own.
 ///
 /// # Errors
 /// In words: the input does not repeat so often, or its lines do not determine the model.

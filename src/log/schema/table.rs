@@ -16,6 +16,8 @@ pub(crate) const TANGENT: [&str; 3] = ["tan_x", "tan_y", "tan_z"];
 pub(crate) const TANGENT_SD_DEG: &str = "tan_sd_deg";
 /// Camera frames lost before the frame.
 pub(crate) const GAP: &str = "gap";
+/// Count of commands that the frame shows, where something shows it; not among the columns of every run.
+pub(crate) const TICK: &str = "tick";
 
 /// A marker's columns begin with its name and `_`, and end so: its place,
 pub(crate) const PLACE_MM: [&str; 3] = ["x_mm", "y_mm", "z_mm"];

@@ -77,7 +77,8 @@ pub(super) fn errors(errors_m: &[(Point3<f64>, f64)], boards: &[Vec<Point3<f64>>
 /// A corner and its residual, pixels.
 pub(super) type Arrow = (Point2<f64>, Vector2<f64>);
 
-/// Indices of the pictures of a view's corners, in the order of [`residuals`](crate::calibrate::rig::diagnostics::residuals).
+/// Indices of the pictures of a view's corners, in the order of
+/// [`residuals`](crate::calibrate::rig::diagnostics::residuals).
 fn pictures(done: &RigCalibration, view: usize) -> impl Iterator<Item = usize> {
     done.corners.iter().filter(move |c| c.view == view).map(|c| c.picture)
 }

@@ -1,8 +1,10 @@
 //! The page of a rig's calibration: how well positions will be known, why, and what would make them better.
 //!
-//! In: the calibration, its verdict, what the check on held-out pictures gave. Out: one HTML file that needs no network.
+//! In: the calibration, its verdict, what the check on held-out pictures gave. Out: one HTML file that needs no
+//! network.
 
 mod figures;
+mod set_up;
 mod tables;
 mod words;
 
@@ -50,6 +52,7 @@ pub(crate) fn page(
     if let Some(verdict) = verdict {
         body += &better(verdict);
     }
+    body += &set_up(done);
     body += &residuals(done);
     body += &parameters(done);
     body += &left_out(info, done);
@@ -219,6 +222,24 @@ fn outlines(done: &RigCalibration) -> Vec<Vec<Point3<f64>>> {
     let corners = [(low.x, low.y), (high.x, low.y), (high.x, high.y), (low.x, high.y)];
     let outline = |pose: &nalgebra::Isometry3<f64>| corners.map(|(x, y)| pose * Point3::new(x, y, 0.0)).to_vec();
     done.solution.poses.iter().map(outline).collect()
+}
+
+/// Camera, mirrors, walls and boards to scale.
+fn set_up(done: &RigCalibration) -> String {
+    let boards = outlines(done);
+    let drawn = |id: &str, title: &str, axes, titles| {
+        format!(
+            "<div><h3>{title}</h3>\n{}</div>\n",
+            figure(id, &set_up::drawing(done, &boards, axes, titles), 430, false)
+        )
+    };
+    format!(
+        "<h2>The set-up to scale</h2>\n<p>As it was found: the lens in the origin, each mirror and wall as far as light of the boards meets \
+         it, and the way of light to the middle of each board.</p>\n<div class=\"pair\">\n{}{}</div>\n{}",
+        drawn("plot-above", "From above", (0, 2, 1.0), ["x, right (mm)", "z, forward (mm)"]),
+        drawn("plot-side", "From the side", (2, 1, -1.0), ["z, forward (mm)", "up (mm)"]),
+        trouble("anything that does not stand as it does in the laboratory.")
+    )
 }
 
 fn held_out(done: &RigCalibration, held: &[Result<HeldOut, NoSolution>]) -> String {

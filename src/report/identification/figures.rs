@@ -224,8 +224,8 @@ fn responses(
     plot
 }
 
-/// Frequency, ln gain, phase and the σ of both, of the response without a model: of averaged periods where there are any, of
-/// the spectrum where it is coherent otherwise.
+/// Frequency, ln gain, phase and the σ of both, of the response without a model: of averaged periods where there are
+/// any, of the spectrum where it is coherent otherwise.
 fn dots(done: &Shown<'_>) -> Vec<(f64, f64, f64, f64)> {
     // A turn more or less is no difference: that of the first model there.
     let turned = |frequency_hz: f64, phase: f64| {

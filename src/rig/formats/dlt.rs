@@ -1,7 +1,7 @@
 //! DLT coefficients L1 to L11 of views, for laboratories whose tools triangulate with them (DLTdv, Argus, and others).
 //!
-//! u = (L1 X + L2 Y + L3 Z + L4) / (L9 X + L10 Y + L11 Z + 1), v = (L5 X + L6 Y + L7 Z + L8) / (the same).
-//! Source: Abdel-Aziz and Karara, "Direct linear transformation from comparator coordinates into object space coordinates"
+//! u = (L1 X + L2 Y + L3 Z + L4) / (L9 X + L10 Y + L11 Z + 1), v = (L5 X + L6 Y + L7 Z + L8) / (the same). Source:
+//! Abdel-Aziz and Karara, "Direct linear transformation from comparator coordinates into object space coordinates"
 //! (1971), doi:10.14358/PERS.81.2.103.
 //!
 //! A mirror makes of the camera a mirrored one, which is as good a DLT as any, left-handed. A wall bends rays so that
@@ -21,9 +21,9 @@ const LEAST_DEPTH_M: f64 = 1e-6;
 
 /// The coefficients of all views, or of the one named, as DLTdv reads them: eleven lines, a column a view, commas.
 ///
-/// X, Y, Z are millimetres, in the base frame when the rig has one, else in the camera's with its origin moved [`ORIGIN_M`]
-/// forward. u goes right and v down; `first_pixel` is what both are in the centre of the top-left pixel: 0 as in a rig, 1 as
-/// MATLAB and DLTdv count. `name` stands for the rig in error messages.
+/// X, Y, Z are millimetres, in the base frame when the rig has one, else in the camera's with its origin moved
+/// [`ORIGIN_M`] forward. u goes right and v down; `first_pixel` is what both are in the centre of the top-left pixel: 0
+/// as in a rig, 1 as MATLAB and DLTdv count. `name` stands for the rig in error messages.
 ///
 /// # Errors
 /// [`RigError`] for a view that is no DLT, with the wall, the distortion or the origin that is in the way.

@@ -1,8 +1,9 @@
 //! Cameras as other tools write them: OpenCV, ROS, Kalibr; and a view as DLT coefficients.
 //!
-//! Text in, text out, no files. The first three hold a camera: picture size, focal lengths, principal point, distortion.
-//! Nothing of mirrors and walls: a ray that is reflected or refracted has no place in them. [`dlt`] holds a view with all its
-//! mirrors, but neither a wall nor a distortion. What a format cannot hold is refused, with the numbers.
+//! Text in, text out, no files. The first three hold a camera: picture size, focal lengths, principal point,
+//! distortion. Nothing of mirrors and walls: a ray that is reflected or refracted has no place in them. [`dlt`] holds a
+//! view with all its mirrors, but neither a wall nor a distortion. What a format cannot hold is refused, with the
+//! numbers.
 //!
 //! All of them count pixels from the centre of the top-left one, as a rig does.
 
@@ -164,7 +165,8 @@ fn camera(
     Ok(Camera { size_px, lens, blur_px: None, chroma_offset_px: [0.0; 2], exposure_s: None })
 }
 
-/// Numbers with all their digits, `1, 2.5` as `1.0, 2.5`. Never with an exponent: readers of YAML 1.1 take 1e-5 for a word.
+/// Numbers with all their digits, `1, 2.5` as `1.0, 2.5`. Never with an exponent: readers of YAML 1.1 take 1e-5 for a
+/// word.
 fn list(values: &[f64]) -> String {
     let shown = values.iter().map(|v| if v.fract() == 0.0 { format!("{v:.1}") } else { v.to_string() });
     shown.collect::<Vec<_>>().join(", ")

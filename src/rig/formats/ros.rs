@@ -1,4 +1,5 @@
-//! ROS's camera_info: the file that `camera_calibration` saves, or a message as `topic echo` shows it (`K`, `D`, `width`).
+//! ROS's camera_info: the file that `camera_calibration` saves, or a message as `topic echo` shows it (`K`, `D`,
+//! `width`).
 
 use super::yaml::Node;
 use super::{from_matrices, list, matrix};

@@ -29,8 +29,8 @@ pub(super) fn parse(text: &str, file: &Path) -> Result<Yaml, RigError> {
     }
 }
 
-/// Refuses what a description of a camera does not need and a small file can fill the memory with: values that stand for
-/// others (`*name`), and nesting without end.
+/// Refuses what a description of a camera does not need and a small file can fill the memory with: values that stand
+/// for others (`*name`), and nesting without end.
 fn check(text: &str) -> Result<(), (usize, String)> {
     const DEEPEST: usize = 32;
     let mut parser = Parser::new_from_str(text);

@@ -21,8 +21,8 @@ const LABEL_OFFSET_PX: f64 = 10.0;
 const LABEL: Color = Color { r: 1.0, g: 1.0, b: 1.0, a: 1.0 };
 const LABEL_BACKGROUND: Color = Color { r: 0.0, g: 0.0, b: 0.0, a: 0.6 };
 
-/// Intrinsics as `plumb_bob`, whose five parameters are the lens' own, or as `rational_polynomial` with eight. As in ROS, the principal point counts from the
-/// centre of the top-left pixel.
+/// Intrinsics as `plumb_bob`, whose five parameters are the lens' own, or as `rational_polynomial` with eight. As in
+/// ROS, the principal point counts from the centre of the top-left pixel.
 pub(super) fn calibration(camera: &Camera, stamp_ns: i64) -> CameraCalibration {
     let (f, c) = (camera.lens.focal_px, camera.lens.principal_point_px);
     let [width, height] = camera.size_px;

@@ -5,8 +5,8 @@
 //! (the caller's part, see [`LogFile::message`]) and when its first message has waited that long by the clock on the
 //! wall, which a small thread watches: a camera that stalls must not keep its last frames in memory.
 //!
-//! Chunks are compressed with zstd, in the thread that writes: at 60 Hz with three markers in two views a log would grow by
-//! 25 MB a minute without.
+//! Chunks are compressed with zstd, in the thread that writes: at 60 Hz with three markers in two views a log would
+//! grow by 25 MB a minute without.
 
 use crate::log::schema::{ENCODING, Topic};
 use crate::sink::encoder::Message;

@@ -1,10 +1,10 @@
 //! Whether a JPEG picture is whole: decoders fill what is missing or damaged and say nothing.
 //!
-//! The codes of a sequential picture (ITU-T T.81) are gone through without making samples of them: every code must exist,
-//! every block must be one that samples can have, the mean brightness may take no step in the middle of a row, and the data must
-//! end with the last block. More than half of all changed bits show: behind a changed bit the codes are read out of step. What this
-//! cannot detect: a changed bit that leaves the codes in step, which changes one coefficient; anything in progressive and
-//! arithmetic-coded pictures.
+//! The codes of a sequential picture (ITU-T T.81) are gone through without making samples of them: every code must
+//! exist, every block must be one that samples can have, the mean brightness may take no step in the middle of a row,
+//! and the data must end with the last block. More than half of all changed bits show: behind a changed bit the codes
+//! are read out of step. What this cannot detect: a changed bit that leaves the codes in step, which changes one
+//! coefficient; anything in progressive and arithmetic-coded pictures.
 
 mod samples;
 mod steps;
@@ -24,8 +24,8 @@ const LARGEST_COEFFICIENT: i32 = 1200;
 const LEFT_OVER: &str = "there is more coded picture than the picture has blocks";
 const RANGE: &str = "there are samples out of range";
 
-/// Whether it is a JPEG whose picture does not end. In the coded picture the end mark cannot occur by chance (ITU-T T.81,
-/// B.1.1.5); before it, in a thumbnail, it can: segments are stepped over.
+/// Whether it is a JPEG whose picture does not end. In the coded picture the end mark cannot occur by chance (ITU-T
+/// T.81, B.1.1.5); before it, in a thumbnail, it can: segments are stepped over.
 pub(crate) fn is_cut_off(bytes: &[u8]) -> bool {
     let Some(mut rest) = bytes.strip_prefix(&START_OF_IMAGE) else { return false };
     loop {

@@ -1,8 +1,8 @@
 //! Whether the coefficients of a block can be those of samples.
 //!
-//! Samples have 8 bits, and each coefficient of the picture that was coded lies within a step of its quantization (T.81,
-//! A.3.4) beside the one that is stored. The transform keeps distances (it is orthonormal): the block as stored can be no
-//! further from one with samples in range than the steps allow.
+//! Samples have 8 bits, and each coefficient of the picture that was coded lies within a step of its quantization
+//! (T.81, A.3.4) beside the one that is stored. The transform keeps distances (it is orthonormal): the block as stored
+//! can be no further from one with samples in range than the steps allow.
 
 use std::f32::consts::{FRAC_1_SQRT_2, PI};
 

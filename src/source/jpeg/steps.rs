@@ -1,8 +1,9 @@
 //! Whether the mean brightness of a picture's blocks takes a step in the middle of a row, and stays there.
 //!
-//! The mean of a block is stored as the difference to the block before. Where one such difference is damaged, all blocks after
-//! it are off by the same amount: against the row above, the rest of this row and the beginning of the next, up to the same
-//! column. No edge of a thing looks like that, because edges go on in the row below and do not begin anew at its start.
+//! The mean of a block is stored as the difference to the block before. Where one such difference is damaged, all
+//! blocks after it are off by the same amount: against the row above, the rest of this row and the beginning of the
+//! next, up to the same column. No edge of a thing looks like that, because edges go on in the row below and do not
+//! begin anew at its start.
 //!
 //! Cannot detect: steps smaller than the structure of the picture, in the first and last rows, and near the sides.
 

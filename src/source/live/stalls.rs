@@ -1,8 +1,8 @@
 //! Time in which this program itself stood still: it was stopped, or the computer slept or was too busy.
 //!
-//! A thread looks at the clock every [`TICK`]; what passes beyond is time in which nothing here ran. Frames that wait on a
-//! pipe meanwhile arrive late, and are not lost. Who asks may have been woken before that thread: what it has not counted yet
-//! counts too.
+//! A thread looks at the clock every [`TICK`]; what passes beyond is time in which nothing here ran. Frames that wait
+//! on a pipe meanwhile arrive late, and are not lost. Who asks may have been woken before that thread: what it has not
+//! counted yet counts too.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Weak};

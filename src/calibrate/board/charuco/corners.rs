@@ -1,5 +1,5 @@
-//! The inner corners of a board whose markers are known: where neighbouring markers and corners have them, refined in the
-//! picture, from the markers outwards as far as squares alternate.
+//! The inner corners of a board whose markers are known: where neighbouring markers and corners have them, refined in
+//! the picture, from the markers outwards as far as squares alternate.
 
 use nalgebra::{Matrix3, Point2, Vector2};
 use opencv::Result;
@@ -17,8 +17,8 @@ const NEAR: f64 = 2.1;
 const MOVED: f64 = 0.25;
 /// The squares around a corner must differ by this part of what the markers have.
 const ALTERNATE: f64 = 0.3;
-/// Half a turn may change what is around a corner by this part of what the markers have (RMS): noise, small squares and their
-/// perspective make up to 0.15, a thumb's edge 0.3.
+/// Half a turn may change what is around a corner by this part of what the markers have (RMS): noise, small squares and
+/// their perspective make up to 0.15, a thumb's edge 0.3.
 const ASYMMETRIC: f64 = 0.2;
 /// Where the grey of a dark square is taken, from its corner on, squares.
 const INSIDE: f64 = 0.25;
@@ -84,8 +84,8 @@ impl Search<'_> {
         Ok(None)
     }
 
-    /// Whether half a turn leaves a corner's surroundings the same: not where something covers a part of them, and draws the
-    /// corner aside.
+    /// Whether half a turn leaves a corner's surroundings the same: not where something covers a part of them, and
+    /// draws the corner aside.
     fn is_symmetric(&self, corner: Point2<f64>, half_px: f64) -> bool {
         let reach = half_px.min(f64::from(WINDOW_PX.1)) as i32;
         let (mut sum, mut count) = (0.0, 0);
@@ -105,8 +105,8 @@ impl Search<'_> {
         median(self.markers.iter().map(|marker| marker.contrast).collect())
     }
 
-    /// Whether the squares around a corner are dark and light in turn, as the board has them. `moved`: how far it is from
-    /// where the homography has it.
+    /// Whether the squares around a corner are dark and light in turn, as the board has them. `moved`: how far it is
+    /// from where the homography has it.
     fn alternates(&self, place: Point2<f64>, flat: &Matrix3<f64>, moved: Vector2<f64>) -> bool {
         let grey = |u: f64, v: f64| self.picture.at(map(flat, place.x + u, place.y + v)? + moved);
         let (mut darkest, mut lightest) = (f64::INFINITY, f64::NEG_INFINITY);

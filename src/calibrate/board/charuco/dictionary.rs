@@ -1,7 +1,7 @@
 //! Dictionaries of markers: which pattern is which number.
 //!
-//! A marker is a square of cells, dark or light, within a dark rim one cell wide. Its word has a bit a cell, row by row from
-//! the upper left, the first the highest, light 1. The words are those of OpenCV's predefined dictionaries
+//! A marker is a square of cells, dark or light, within a dark rim one cell wide. Its word has a bit a cell, row by row
+//! from the upper left, the first the highest, light 1. The words are those of OpenCV's predefined dictionaries
 //! (`dictionaries.txt`, which names their source and licence).
 
 use std::fmt;

@@ -1,7 +1,7 @@
 //! Which marker is in which square, and markers that are so in a picture: images of the board.
 //!
-//! Places on the board are in squares, the first inner corner at (0, 0): the square in column C and row R, counted from 0 at
-//! the upper left, reaches from (C − 1, R − 1) to (C, R).
+//! Places on the board are in squares, the first inner corner at (0, 0): the square in column C and row R, counted from
+//! 0 at the upper left, reaches from (C − 1, R − 1) to (C, R).
 
 use nalgebra::{Matrix3, Point2};
 
@@ -12,8 +12,8 @@ use crate::calibrate::board::flat::{homography, map};
 const NEAR: f64 = 4.0;
 /// So many of them do, the nearest.
 const NEAREST: usize = 5;
-/// A marker's corners may be so far from where its neighbours have them, squares. Its number tells which square it is in: what
-/// must be told apart are images of the board.
+/// A marker's corners may be so far from where its neighbours have them, squares. Its number tells which square it is
+/// in: what must be told apart are images of the board.
 const APART: f64 = 0.5;
 
 /// The squares of a board.
@@ -102,8 +102,9 @@ impl Layout {
         image.iter().all(|own| own.id != marker.id) && off().is_some_and(|off| off < APART)
     }
 
-    /// Images of the board, the one with most markers first: of the markers read (one quadrilateral may have several readings),
-    /// those that are all direct, or all mirrored, and where each other's places on the board have them. At least two each.
+    /// Images of the board, the one with most markers first: of the markers read (one quadrilateral may have several
+    /// readings), those that are all direct, or all mirrored, and where each other's places on the board have them. At
+    /// least two each.
     pub(super) fn images(&self, markers: &[Marker]) -> Vec<Vec<Marker>> {
         let mut left: Vec<&Marker> = markers.iter().filter(|marker| marker.id < self.count()).collect();
         left.sort_by(|a, b| a.wrong.cmp(&b.wrong).then(b.side_px().total_cmp(&a.side_px())));

@@ -1,7 +1,8 @@
 //! Markers in a picture: dark quadrilaterals in light surroundings, read cell by cell.
 //!
-//! OpenCV has a detector of its own, up to 4.6 in a module that many systems leave out and from 4.7 on under other names. And it
-//! does not find mirrored markers. What is needed of it is little: outlines, and which word stands in them.
+//! OpenCV has a detector of its own, up to 4.6 in a module that many systems leave out and from 4.7 on under other
+//! names. And it does not find mirrored markers. What is needed of it is little: outlines, and which word stands in
+//! them.
 
 use nalgebra::{Point2, Vector2};
 use opencv::Result;
@@ -14,8 +15,8 @@ use crate::calibrate::board::flat::{homography, map, median};
 use crate::calibrate::board::grey::Grey;
 use crate::calibrate::board::search::SEEN_PX;
 
-/// Sides of the windows whose mean parts dark from light, pixels of the picture as it is seen; and by how many grey values
-/// dark must be below it.
+/// Sides of the windows whose mean parts dark from light, pixels of the picture as it is seen; and by how many grey
+/// values dark must be below it.
 const WINDOWS: [(i32, f64); 4] = [(9, 7.0), (23, 7.0), (9, 3.0), (35, 3.0)];
 /// Least side of a marker, pixels.
 const LEAST_PX: f64 = 8.0;
@@ -161,8 +162,8 @@ fn meet((a, along_a): (Point2<f64>, Vector2<f64>), (b, along_b): (Point2<f64>, V
 }
 
 impl Quad {
-    /// The word in it, taken for a marker of `cells` a side; `around`: how far the light around a marker reaches, as part of its
-    /// side. `None` when it has no dark rim in light surroundings.
+    /// The word in it, taken for a marker of `cells` a side; `around`: how far the light around a marker reaches, as
+    /// part of its side. `None` when it has no dark rim in light surroundings.
     pub(super) fn read(&self, picture: &Grey, cells: usize, around: f64) -> Option<Reading> {
         let Self(corners) = *self;
         let n = cells as f64 + 2.0;

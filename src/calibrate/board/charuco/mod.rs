@@ -1,10 +1,11 @@
 //! ChArUco boards: chessboards with a marker in each light square, of which a part is enough.
 //!
-//! - In: a picture, the board. Out: for each image of the board the corners that are seen, by their true indices, and whether it
-//!   is mirrored.
-//! - Method: quadrilaterals are read as markers, direct and mirrored (`markers`); those that are where each other's numbers have
-//!   them are an image (`layout`). Corners are looked for where markers and corners beside them have them, and refined in the
-//!   picture itself (`corners`). The same tests as for chessboards judge them; a corner astray is dropped.
+//! - In: a picture, the board. Out: for each image of the board the corners that are seen, by their true indices, and
+//!   whether it is mirrored.
+//! - Method: quadrilaterals are read as markers, direct and mirrored (`markers`); those that are where each other's
+//!   numbers have them are an image (`layout`). Corners are looked for where markers and corners beside them have them,
+//!   and refined in the picture itself (`corners`). The same tests as for chessboards judge them; a corner astray is
+//!   dropped.
 //! - Why there is none, as far as it can be told: `unread`.
 //! - Cannot tell: a board of OpenCV's other layout when the markers of a single row are seen.
 
@@ -43,8 +44,8 @@ pub struct Charuco {
     pub marker_m: f64,
     /// Where its markers are from; they are counted from 0 on.
     pub dictionary: Dictionary,
-    /// As OpenCV laid boards out before 4.7, and does with `setLegacyPattern`: where the number of rows of squares is even,
-    /// the square at the upper left is light. Where it is odd, nothing is different.
+    /// As OpenCV laid boards out before 4.7, and does with `setLegacyPattern`: where the number of rows of squares is
+    /// even, the square at the upper left is light. Where it is odd, nothing is different.
     pub legacy: bool,
 }
 
@@ -61,7 +62,8 @@ impl Charuco {
     }
 }
 
-/// Finds images of the board: at most one that is not mirrored, the nearest, and mirrored ones, `most` in all. At least one.
+/// Finds images of the board: at most one that is not mirrored, the nearest, and mirrored ones, `most` in all. At least
+/// one.
 ///
 /// # Errors
 /// Why there is none.

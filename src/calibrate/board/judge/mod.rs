@@ -9,12 +9,15 @@ use crate::calibrate::board::grey::Grey;
 
 /// A homography must explain the corners to this share of a square (RMS): distortion bends a board, but not more.
 const BENT: f64 = 0.25;
-/// How far a corner may be from where its neighbours have it: this share of a square, or so many pixels if that is more.
+/// How far a corner may be from where its neighbours have it: this share of a square, or so many pixels if that is
+/// more.
 const ASTRAY: (f64, f64) = (0.08, 1.0);
 /// Least difference of dark and light squares, grey values (median).
 pub(super) const LEAST_CONTRAST: f64 = 8.0;
 /// Squares beyond the outermost ones, alternating with this share of the board's contrast, are part of a larger board.
 const GOES_ON: f64 = 0.5;
+/// How far beyond a line of corners that is: squares on both sides of it, thin ones at the rim too.
+const BESIDE: [f64; 2] = [0.5, 0.18];
 /// How far its outline is from the corners, in squares: the outer squares and a little of the rim.
 const RIM: f64 = 1.2;
 
@@ -107,8 +110,8 @@ impl<'a> Grid<'a> {
         })
     }
 
-    /// A grid of which some corners are seen, in a mirror maybe, and whose squares are printed on but for `plain` (in squares)
-    /// along their sides. `None` when the number of corners, seen or not, is not columns times rows.
+    /// A grid of which some corners are seen, in a mirror maybe, and whose squares are printed on but for `plain` (in
+    /// squares) along their sides. `None` when the number of corners, seen or not, is not columns times rows.
     pub(crate) fn part(
         picture: &'a Grey,
         [columns, rows]: [usize; 2],
@@ -125,9 +128,24 @@ impl<'a> Grid<'a> {
     }
 
     /// Columns for rows.
-    pub(crate) fn transposed(self) -> Self {
+    pub(crate) fn transposed(&self) -> Self {
         let corners = (0..self.columns).flat_map(|c| (0..self.rows).map(move |r| (c, r))).map(|(c, r)| self.at(c, r));
-        Self { columns: self.rows, rows: self.columns, corners: corners.collect(), ..self }
+        Self { columns: self.rows, rows: self.columns, corners: corners.collect(), ..*self }
+    }
+
+    /// All parts of it with so many columns and rows: where a rim looks like one more row of squares, the board is one
+    /// of them.
+    pub(crate) fn windows(&self, [columns, rows]: [usize; 2]) -> Vec<Self> {
+        if columns > self.columns || rows > self.rows {
+            return Vec::new();
+        }
+        let places = (0..=self.rows - rows).flat_map(|r| (0..=self.columns - columns).map(move |c| (c, r)));
+        let part = |(left, top): (usize, usize)| {
+            let corners = (0..rows).flat_map(|r| (0..columns).map(move |c| (left + c, top + r)));
+            let corners: Option<Vec<_>> = corners.map(|(c, r)| self.at(c, r)).collect();
+            Self::new(self.picture, columns, rows, corners?)
+        };
+        places.filter_map(part).collect()
     }
 
     /// Columns and rows.
@@ -256,7 +274,8 @@ impl<'a> Grid<'a> {
         Ok(contrast)
     }
 
-    /// Whether this is a board or a part of one: columns and rows to pixels, its contrast (positive where (0, 0) is dark).
+    /// Whether this is a board or a part of one: columns and rows to pixels, its contrast (positive where (0, 0) is
+    /// dark).
     pub(crate) fn judge_corners(&self) -> Result<(Matrix3<f64>, f64), Flaw> {
         if self.squares().next().is_none() {
             return Err(Flaw::Scattered);
@@ -351,19 +370,39 @@ impl<'a> Grid<'a> {
 
     /// The board ends with the squares around the outermost corners. `contrast`: positive where (0, 0) is dark.
     fn check_end(&self, board_in_picture: &Matrix3<f64>, contrast: f64) -> Result<(), Flaw> {
-        let grey = |c: i64, r: i64| self.picture.at(map(board_in_picture, c as f64 + 0.5, r as f64 + 0.5)?);
-        // Squares side by side beyond the board, from (c, r) on: whether each step from one to the next has the right sign and size.
-        let alternate = |line: &mut dyn Iterator<Item = (i64, i64)>| {
-            let squares: Vec<_> =
-                line.map(|(c, r)| grey(c, r).map(|g| (g, if (c + r) % 2 == 0 { 1.0 } else { -1.0 }))).collect();
-            squares.windows(2).all(|pair| match pair {
-                [Some((here, sign)), Some((next, _))] => sign * (next - here) / contrast > GOES_ON,
-                _ => false,
+        // A few places in a square: noise of one pixel does not decide. Those of one depth lie side by side.
+        let grey = |column: f64, row: f64, (across, down): (f64, f64)| {
+            let places = [-0.2, -0.1, 0.0, 0.1, 0.2];
+            let at = |off: f64| self.picture.at(map(board_in_picture, column + off * across, row + off * down)?);
+            Some(places.into_iter().map(at).sum::<Option<f64>>()? / places.len() as f64)
+        };
+        // Squares side by side beyond the board: whether the steps from one to the next have the right sign and,
+        // together, size.
+        let alternate = |squares: Vec<(Option<f64>, i64)>| {
+            let step = |pair: &[(Option<f64>, i64)]| match pair {
+                [(Some(here), place), (Some(next), _)] => {
+                    Some(if place % 2 == 0 { 1.0 } else { -1.0 } * (next - here) / contrast)
+                }
+                _ => None,
+            };
+            let steps: Option<Vec<f64>> = squares.windows(2).map(step).collect();
+            steps.is_some_and(|steps| {
+                let mean = steps.iter().sum::<f64>() / steps.len().max(1) as f64;
+                mean > GOES_ON && steps.iter().all(|step| *step > 0.0)
             })
         };
         let (columns, rows) = (self.columns as i64, self.rows as i64);
-        let beyond_column = |c: i64| alternate(&mut (-1..rows).map(|r| (c, r)));
-        let beyond_row = |r: i64| alternate(&mut (-1..columns).map(|c| (c, r)));
+        // Outer squares may be thin, and are not asked: those between the first corner and the last are.
+        let beyond_column = |c: i64| {
+            let depths = BESIDE.map(|depth| if c < 0 { (c + 1) as f64 - depth } else { c as f64 + depth });
+            let along = |depth: f64| (0..rows - 1).map(move |r| (grey(depth, r as f64 + 0.5, (0.0, 1.0)), c + r));
+            depths.into_iter().any(|depth| alternate(along(depth).collect()))
+        };
+        let beyond_row = |r: i64| {
+            let depths = BESIDE.map(|depth| if r < 0 { (r + 1) as f64 - depth } else { r as f64 + depth });
+            let along = |depth: f64| (0..columns - 1).map(move |c| (grey(c as f64 + 0.5, depth, (1.0, 0.0)), c + r));
+            depths.into_iter().any(|depth| alternate(along(depth).collect()))
+        };
         let count = |goes_on: &dyn Fn(i64) -> bool| (0..50).take_while(|i| goes_on(*i)).count();
         let more_columns = count(&|i| beyond_column(columns + i)) + count(&|i| beyond_column(-2 - i));
         let more_rows = count(&|i| beyond_row(rows + i)) + count(&|i| beyond_row(-2 - i));
@@ -483,5 +522,51 @@ mod tests {
         let mut grid = Grid::new(&picture, 3, 3, middle).unwrap();
         grid.put_in_order();
         assert_eq!(grid.judge(), whole);
+    }
+
+    #[test]
+    fn thin_outer_squares_are_seen_beyond_a_part_and_end_a_whole_board() {
+        // Its outer squares have a third of their width, as where a print was cut.
+        let thin = |c: f64, r: f64| {
+            let inside = (-0.33..4.33).contains(&c) && (-0.33..3.33).contains(&r);
+            if inside { board(c, r) } else { 200 }
+        };
+        let picture = picture(thin);
+        assert!(judged(&picture, 5, 4, corners(5, 4)).is_ok());
+        let whole = Err(Flaw::Larger { columns: 5, rows: 4 });
+        assert_eq!(judged(&picture, 5, 3, corners(5, 3)), whole);
+        assert_eq!(judged(&picture, 3, 4, corners(3, 4)), whole);
+    }
+
+    #[test]
+    fn noise_does_not_make_a_part_of_a_faint_board_a_whole_one() {
+        for seed in 0..40 {
+            let mut random = fastrand::Rng::with_seed(seed);
+            let faint = |c: f64, r: f64| 100.0 + f64::from(board(c, r)) / 14.0;
+            let noise: Vec<f64> = (0..240 * 240).map(|_| (0..12).map(|_| random.f64()).sum::<f64>() - 6.0).collect();
+            let next = std::cell::Cell::new(0);
+            let picture = picture(|c, r| {
+                next.set(next.get() + 1);
+                (faint(c, r) + 2.0 * noise[next.get() - 1]).round() as u8
+            });
+            let whole = Err(Flaw::Larger { columns: 5, rows: 4 });
+            assert_eq!(judged(&picture, 5, 3, corners(5, 3)), whole, "seed {seed}");
+            assert_eq!(judged(&picture, 3, 4, corners(3, 4)), whole, "seed {seed}");
+        }
+    }
+
+    #[test]
+    fn a_rim_that_looks_like_another_row_leaves_the_board_in_a_window() {
+        let picture = picture(board);
+        // The fifth row of corners is where the outer squares end.
+        let grid = Grid::new(&picture, 5, 5, corners(5, 5)).unwrap();
+        assert_eq!(grid.windows([6, 4]).len() + grid.windows([5, 6]).len(), 0);
+        let sound = |part: &mut Grid<'_>| {
+            part.put_in_order();
+            part.judge().is_ok()
+        };
+        let mut windows = grid.windows([5, 4]);
+        let found: Vec<bool> = windows.iter_mut().map(sound).collect();
+        assert_eq!(found, [true, false]);
     }
 }

@@ -1,5 +1,5 @@
-//! Whether a tube is seen between two bands: along a curve from one to the next, in each view, something of the tube's width
-//! that differs from the ground on both sides.
+//! Whether a tube is seen between two bands: along a curve from one to the next, in each view, something of the tube's
+//! width that differs from the ground on both sides.
 
 use super::candidates::Candidate;
 use super::pixels::Pixels;
@@ -16,9 +16,9 @@ const MOST_DIFFERENT: f64 = 5.0;
 /// Contrast with both grounds that counts as a tube.
 const CLEAR: f64 = 1.5;
 
-/// What speaks for a tube from one band to the next: the share of the way along which one is seen, and how different it looks
-/// where it leaves the one and where it reaches the other (of what lies between two bands, which may look like a band too,
-/// the ends have the colours of those bands). Means over the views that see both.
+/// What speaks for a tube from one band to the next: the share of the way along which one is seen, and how different it
+/// looks where it leaves the one and where it reaches the other (of what lies between two bands, which may look like a
+/// band too, the ends have the colours of those bands). Means over the views that see both.
 pub(super) fn tube_between(rig: &Rig, pixels: &Pixels, before: &Candidate, behind: &Candidate) -> (f64, f64) {
     let (mut share, mut different, mut views) = (0.0, 0.0, 0.0_f64);
     for v in 0..rig.views.len() {

@@ -1,8 +1,9 @@
-//! Where one band may be: places near the click that look like it, each with the places along its line of sight where the
-//! other views show the same.
+//! Where one band may be: places near the click that look like it, each with the places along its line of sight where
+//! the other views show the same.
 //!
-//! The line of sight is a curve in the other views, bent by refraction: it is traced, point by point. At each point the band
-//! has a known size, and a colour that differs from the tube's at its ends as it does in the view that was clicked.
+//! The line of sight is a curve in the other views, bent by refraction: it is traced, point by point. At each point the
+//! band has a known size, and a colour that differs from the tube's at its ends as it does in the view that was
+//! clicked.
 
 use super::Near;
 use super::pixels::{Pixels, Yuv};
@@ -90,8 +91,8 @@ impl Search<'_> {
         distinct(found.collect())
     }
 
-    /// Places in space where a look may be: along its line of sight, where the other views show such a band. `others` are the
-    /// looks of all views.
+    /// Places in space where a look may be: along its line of sight, where the other views show such a band. `others`
+    /// are the looks of all views.
     pub(crate) fn places(&self, look: &Look, near: &[Near], view: usize, others: &mut [Looks<'_>]) -> Vec<Candidate> {
         let Ok(ray) = self.rig.views[view].optics.trace(&look.centre) else { return Vec::new() };
         let mut found: Vec<Candidate> = Vec::new();
@@ -195,8 +196,8 @@ fn best_beside(looks: &mut Looks<'_>, look: &Look, pixel: &Point2<f64>, clicked:
         .max_by(|a, b| a.score.total_cmp(&b.score))
 }
 
-/// How alike the colours of two looks are, 0 to 1: by how their chroma differs from that of the tube at their ends, which is
-/// lit by the same light.
+/// How alike the colours of two looks are, 0 to 1: by how their chroma differs from that of the tube at their ends,
+/// which is lit by the same light.
 fn likeness(a: &Look, b: &Look) -> f64 {
     let tint = |look: &Look| -> (f64, f64) {
         let share = |c: &Yuv| (c.y / c.x.max(8.0), c.z / c.x.max(8.0));

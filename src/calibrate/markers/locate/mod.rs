@@ -1,12 +1,12 @@
 //! Where the bands are in one frame, from a click near each: before any colour is known.
 //!
-//! In: the rig's optics, tube and band lengths, clicks in one view or several. Out: for each band its place in space and the
-//! rectangle that each view shows of it.
+//! In: the rig's optics, tube and band lengths, clicks in one view or several. Out: for each band its place in space
+//! and the rectangle that each view shows of it.
 //!
 //! 1. `template`: near a click, the rectangles that look like a band of this size on a tube.
 //! 2. `candidates`: along each one's line of sight, bent by refraction, where the other views show the same.
-//! 3. Here: one candidate a band, all together, so that neighbours are no further apart than a tube reaches, the tube does not
-//!    fold back, and (`between`) a tube is seen between them.
+//! 3. Here: one candidate a band, all together, so that neighbours are no further apart than a tube reaches, the tube
+//!    does not fold back, and (`between`) a tube is seen between them.
 //!
 //! A brick in a band's colour is too large for the rectangle, or has no tube beside it.
 

@@ -1,9 +1,9 @@
-//! How much a place in a picture looks like a band: a rectangle of one colour, of the size that a band has there, on a tube
-//! that goes on at its ends in another colour, before a ground of yet another one.
+//! How much a place in a picture looks like a band: a rectangle of one colour, of the size that a band has there, on a
+//! tube that goes on at its ends in another colour, before a ground of yet another one.
 //!
-//! No colour is known. What is compared are means: of the rectangle, of both grounds beside it, of both ends. The score is
-//! the harmonic mean of the rectangle's contrasts with those four (one that is missing spoils it), less how much its colour
-//! changes along it.
+//! No colour is known. What is compared are means: of the rectangle, of both grounds beside it, of both ends. The score
+//! is the harmonic mean of the rectangle's contrasts with those four (one that is missing spoils it), less how much its
+//! colour changes along it.
 
 use super::pixels::{Pixels, Yuv};
 use nalgebra::{Point2, Rotation2, Vector2};

@@ -1,13 +1,14 @@
 //! The adjustment without a board: surfaces and places of bands such that the rays of all views meet.
 //!
-//! In: a start, where each view saw bands at some moments, known lengths. Out: [`RayBundleSolution`] with the free parameters' covariance.
+//! In: a start, where each view saw bands at some moments, known lengths. Out: [`RayBundleSolution`] with the free
+//! parameters' covariance.
 //!
 //! Minimised is Σ ρ(|seen − projection − error of the band model|) + Σ ((known length − distance)/σ)², ρ Huber's
 //! (`least_squares.rs`): surfaces and errors are shared by all moments, the places of its bands are each moment's own.
 //!
-//! What the image model gets wrong about a band in a view is the same in every frame and does not average out: it is a parameter
-//! of its own, along and across the band, known to be 0 within its σ. So is the error of a known length. The covariance holds
-//! these errors as well; it takes everything that is not free for exact.
+//! What the image model gets wrong about a band in a view is the same in every frame and does not average out: it is a
+//! parameter of its own, along and across the band, known to be 0 within its σ. So is the error of a known length. The
+//! covariance holds these errors as well; it takes everything that is not free for exact.
 
 use crate::calibrate::geometry::{Geometry, Parameter, Projector};
 use crate::calibrate::least_squares::{End, Equations, Loss, Row, Step, minimise};
@@ -35,7 +36,8 @@ pub(crate) struct Sight {
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Moment {
     pub(crate) sights: Vec<Sight>,
-    /// For each known length, by how much bending makes the distance shorter, metres; `None`: the length is not used here.
+    /// For each known length, by how much bending makes the distance shorter, metres; `None`: the length is not used
+    /// here.
     pub(crate) shorter_m: Vec<Option<f64>>,
 }
 
@@ -253,8 +255,8 @@ pub(crate) fn places(geometry: &Geometry, moment: &Moment, markers: usize) -> Ve
     (0..markers).map(place).collect()
 }
 
-/// By how much the views disagree about where bands are, RMS, pixels: for each band, the root of the sum over its views of the
-/// squared distance between where it is seen and where the place that fits all views best is projected to.
+/// By how much the views disagree about where bands are, RMS, pixels: for each band, the root of the sum over its views
+/// of the squared distance between where it is seen and where the place that fits all views best is projected to.
 pub(crate) fn disagreement_px(geometry: &Geometry, moments: &[Moment], markers: usize) -> Option<f64> {
     let paths: Vec<_> = (0..geometry.views.len()).map(|view| geometry.path(view)).collect();
     let (mut sum, mut bands) = (0.0, 0);

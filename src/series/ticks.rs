@@ -1,0 +1,89 @@
+//! The command clock: a count of commands that the camera sees, frame by frame.
+//!
+//! The amplifier shows how many commands it has taken, modulo 4 (the laboratory's), or by a lamp that goes on and off
+//! (modulo 2). Where the count changes between two frames, a command was taken between them: its time is known to half
+//! a frame on the camera's own clock, whatever the host's does.
+//!
+//! It aliases: of more commands between two frames than the count can tell, whole turns are lost. [`Ticks::tells`] says
+//! down to which pause it can be relied on.
+
+use super::{Recording, SeriesError};
+
+/// Times of commands by the count of commands.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Ticks {
+    /// Camera time of each command after the first frame, nanoseconds: the middle of the frames between which the count
+    /// changed; commands between the same two frames are spread evenly.
+    pub times_ns: Vec<i64>,
+    /// What the count is modulo of: 2, 4, or more.
+    pub modulus: u64,
+    /// Usual time between frames, nanoseconds.
+    pub interval_ns: i64,
+}
+
+impl Recording {
+    /// The times of commands by its frames' ticks; `None` where no frame has one.
+    ///
+    /// # Errors
+    /// When the tick never changes.
+    pub fn ticks(&self) -> Result<Option<Ticks>, SeriesError> {
+        let seen: Vec<(i64, u64)> = self.frames.iter().filter_map(|f| Some((f.stamp_ns, f.tick?))).collect();
+        let (Some(first), Some(most)) = (seen.first(), seen.iter().map(|(_, tick)| *tick).max()) else {
+            return Ok(None);
+        };
+        if seen.iter().all(|(_, tick)| *tick == first.1) {
+            return Err(SeriesError::Content {
+                path: self.path.clone(),
+                problem: format!(
+                    "its tick is {} in all {} frames: the count of commands never reached the camera; check the lamp or \
+                     line, or remove the column `tick` to go by the clock",
+                    first.1,
+                    seen.len()
+                ),
+            });
+        }
+        let modulus = match most {
+            1 => 2,
+            2 | 3 => 4,
+            more => more.saturating_add(1),
+        };
+        let mut times_ns = Vec::new();
+        let pairs = || seen.iter().zip(seen.iter().skip(1));
+        for ((from_ns, from), (to_ns, to)) in pairs() {
+            let taken = (to + modulus - from) % modulus;
+            let apart_ns = to_ns.saturating_sub(*from_ns) as f64;
+            for k in 0..taken {
+                let part = (k as f64 + 0.5) / taken as f64;
+                times_ns.push(from_ns.saturating_add((apart_ns * part).round() as i64));
+            }
+        }
+        let mut intervals: Vec<i64> = pairs().map(|(a, b)| b.0.saturating_sub(a.0)).collect();
+        intervals.sort_unstable();
+        let interval_ns = intervals.get(intervals.len() / 2).copied().unwrap_or(0);
+        Ok(Some(Ticks { times_ns, modulus, interval_ns }))
+    }
+}
+
+impl Ticks {
+    /// Whether commands this far apart are told one from the other: fewer come between two frames than the count turns
+    /// over at.
+    pub fn tells(&self, pause_ns: i64) -> bool {
+        // A frame that is late holds one more.
+        self.interval_ns.saturating_add(pause_ns) < pause_ns.saturating_mul(self.modulus as i64)
+    }
+
+    /// Start and pause (nanoseconds) of `commands` commands that were given evenly, from the first on: a line through
+    /// their times. `None` for fewer than two.
+    pub fn evenly(&self, commands: usize) -> Option<(i64, f64)> {
+        let first = *self.times_ns.first()?;
+        let points: Vec<(f64, f64)> =
+            self.times_ns.iter().take(commands).enumerate().map(|(k, ns)| (k as f64, (ns - first) as f64)).collect();
+        let n = points.len() as f64;
+        let (mean_k, mean_t) =
+            (points.iter().map(|p| p.0).sum::<f64>() / n, points.iter().map(|p| p.1).sum::<f64>() / n);
+        let square: f64 = points.iter().map(|p| (p.0 - mean_k).powi(2)).sum();
+        let slope = points.iter().map(|p| (p.0 - mean_k) * (p.1 - mean_t)).sum::<f64>() / square;
+        let start = first + (mean_t - slope * mean_k).round() as i64;
+        (points.len() > 1).then_some((start, slope))
+    }
+}
