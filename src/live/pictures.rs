@@ -7,7 +7,7 @@
 use super::priority::{Urgency, run_as};
 use super::writer::{Backlog, Entry, Log};
 use crate::estimate::Estimate;
-use crate::sink::{ImageTaker, PictureCount, Sink, SinkError, WindowRecorder};
+use crate::sink::{PictureCount, Sink, SinkError, WindowRecorder};
 use crate::source::Picture;
 use crate::tally::Tally;
 use std::io;
@@ -66,8 +66,8 @@ impl Pictures {
         let count = Arc::clone(&recording.count);
         let thread = Builder::new().name("pictures".to_owned()).spawn(move || {
             let backlog = log.backlog();
-            let (windows, images) = (WindowRecorder::default(), ImageTaker::default());
-            Recorder { recording, log, backlog, windows, images, looked: None, stopped: false }.run(&taken)
+            let windows = WindowRecorder::default();
+            Recorder { recording, log, backlog, windows, looked: None, stopped: false }.run(&taken)
         })?;
         Ok((Self { line, count, lost: false }, thread))
     }
@@ -90,7 +90,6 @@ struct Recorder {
     log: Log,
     backlog: Arc<Backlog>,
     windows: WindowRecorder,
-    images: ImageTaker,
     /// When the disk was looked at.
     looked: Option<Instant>,
     stopped: bool,
@@ -138,11 +137,6 @@ impl Recorder {
 
     /// Whether it could be handed on; if not, nothing is wrong, but the disk is too slow.
     fn record(&mut self, taken: &Taken) -> Result<bool, SinkError> {
-        if self.backlog.waiting() <= MOST_ROWS_BEFORE
-            && let Some(image) = self.images.take(&taken.estimate, &taken.picture)?
-        {
-            self.log.put(Entry::Image(Box::new(image)));
-        }
         match &mut self.recording.to {
             RecordTo::Video(video) => {
                 video.write(&taken.estimate, Some(&taken.picture))?;

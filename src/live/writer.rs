@@ -6,7 +6,7 @@
 use crate::estimate::Estimate;
 use crate::log::schema::messages::PictureWindows;
 use crate::pipeline::OpenSink;
-use crate::sink::{CurrentSample, LoggedImage, PictureCount, Sink, SinkError};
+use crate::sink::{CurrentSample, PictureCount, Sink, SinkError};
 use crate::tally::Totals;
 use std::io;
 use std::sync::Arc;
@@ -25,8 +25,6 @@ pub(super) enum Entry {
     /// A frame, and the count with it when that is to be reported.
     Frame(Arc<Estimate>, Option<Totals>),
     Current(CurrentSample),
-    /// A picture for people.
-    Image(Box<LoggedImage>),
     /// What was kept of a picture, and where it is counted.
     Windows(Box<PictureWindows>, Arc<PictureCount>),
 }
@@ -107,7 +105,6 @@ fn write_all(sinks: Vec<Box<dyn Sink + Send>>, line: &Receiver<Entry>, backlog: 
                     .write(estimate, None)
                     .and_then(|()| totals.iter().try_for_each(|totals| sink.write_totals(totals))),
                 Entry::Current(sample) => sink.write_current(sample),
-                Entry::Image(image) => sink.write_image(image),
                 Entry::Windows(windows, _) => sink.write_windows(windows).map(|takes| kept |= takes),
             };
             if let Err(error) = written {

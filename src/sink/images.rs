@@ -1,8 +1,8 @@
 //! The picture of the camera for people, in the log's `/camera/image`: what the annotations lie on.
 //!
 //! In: a [`Picture`] that was tracked. Out: a JPEG of all of it, one a second of camera time: with one of every frame
-//! the log would be ten times as large. It is to be looked at, and nothing reads it back: what is to be tracked again
-//! is recorded as windows or as a video.
+//! the log would be ten times as large. Live runs have none: what makes JPEGs takes the time of what records. It is to
+//! be looked at, and nothing reads it back: what is to be tracked again is recorded as windows or as a video.
 
 use super::SinkError;
 use super::colour::{ConvertError, ToBgr};
@@ -19,13 +19,9 @@ const QUALITY: u8 = 80;
 
 /// A picture for people.
 #[derive(Debug, Clone)]
-pub struct LoggedImage {
-    /// Number of its frame.
-    pub seq: u64,
+pub(crate) struct LoggedImage {
     /// Camera time, nanoseconds.
     pub stamp_ns: i64,
-    /// When it arrived, by the host's clock; only known live.
-    pub arrival_ns: Option<i64>,
     /// The file.
     pub jpeg: Vec<u8>,
 }
@@ -68,8 +64,7 @@ impl ImageTaker {
         JpegEncoder::new_with_quality(&mut jpeg, QUALITY)
             .encode(&self.rgb, width, height, ExtendedColorType::Rgb8)
             .map_err(|error| refused(error.to_string()))?;
-        let arrival_ns = estimate.host.map(|host| host.arrival_ns);
-        Ok(Some(LoggedImage { seq: estimate.seq, stamp_ns: ns, arrival_ns, jpeg }))
+        Ok(Some(LoggedImage { stamp_ns: ns, jpeg }))
     }
 }
 
@@ -87,7 +82,7 @@ mod tests {
         let mut taken = |ns: i64| taker.take(&fixture::complete(7, ns), &picture).unwrap();
         let first = taken(5).unwrap();
         let read = image::load_from_memory(&first.jpeg).unwrap().to_rgb8();
-        assert_eq!((read.dimensions(), first.seq, first.stamp_ns), ((64, 48), 7, 5));
+        assert_eq!((read.dimensions(), first.stamp_ns), ((64, 48), 5));
         assert!(read.get_pixel(30, 20).0.iter().zip([200_u8, 40, 90]).all(|(a, b)| a.abs_diff(b) < 4));
         assert!(taken(900_000_000).is_none());
         assert!(taken(1_100_000_000).is_some());

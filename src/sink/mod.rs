@@ -26,8 +26,7 @@ mod udp;
 mod windows;
 
 pub(crate) use clock::Origin;
-pub(crate) use images::ImageTaker;
-pub use images::LoggedImage;
+pub(crate) use images::{ImageTaker, LoggedImage};
 pub use overlay::OverlaySink;
 pub(crate) use overlay::{StillError, Stills};
 pub(crate) use palette::{Palette, Rgb};
@@ -65,14 +64,6 @@ pub trait Sink {
     /// # Errors
     /// As [`Sink::write`].
     fn write_current(&mut self, _: &CurrentSample) -> Result<(), SinkError> {
-        Ok(())
-    }
-
-    /// Writes a picture for people, some frames after its estimate; only the log has a place for it.
-    ///
-    /// # Errors
-    /// As [`Sink::write`].
-    fn write_image(&mut self, _: &LoggedImage) -> Result<(), SinkError> {
         Ok(())
     }
 

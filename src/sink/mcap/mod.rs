@@ -20,7 +20,7 @@
 mod file;
 
 use super::encoder::{MessageEncoder, file_time_ns};
-use super::{CurrentSample, ImageTaker, LoggedImage, PictureCount, Sink, SinkError, WindowRecorder};
+use super::{CurrentSample, ImageTaker, PictureCount, Sink, SinkError, WindowRecorder};
 use crate::estimate::Estimate;
 use crate::log::schema::messages::PictureWindows;
 use crate::log::schema::{METADATA, OPTIONS_ATTACHMENT, RIG_ATTACHMENT};
@@ -154,12 +154,6 @@ impl Sink for McapSink {
         let times = Times { log_ns: file_time_ns(sample.arrival_ns), publish_ns: file_time_ns(sample.host_ns) };
         let seq = sample.seq.map_or(0, |seq| (seq & u64::from(u32::MAX)) as u32);
         self.file.message(&MessageEncoder::current(sample)?, seq, times)
-    }
-
-    fn write_image(&mut self, image: &LoggedImage) -> Result<(), SinkError> {
-        let publish_ns = file_time_ns(image.stamp_ns);
-        let times = Times { log_ns: image.arrival_ns.map_or(publish_ns, file_time_ns), publish_ns };
-        self.file.message(&MessageEncoder::image(image)?, (image.seq & u64::from(u32::MAX)) as u32, times)
     }
 
     fn write_windows(&mut self, kept: &PictureWindows) -> Result<bool, SinkError> {
