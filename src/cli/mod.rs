@@ -90,9 +90,9 @@ Example:
     /// What a steerable catheter does for given currents: its shape, its reach, currents for a path
     #[command(after_help = "Example:\n  catoptra catheter shape --currents 0mA,0mA,100mA")]
     Catheter(catheter::Args),
-    /// Identify the dynamics from logs or tables of `track` and `live`, or from any input and output
+    /// Identify the dynamics from logs, tables of `track` or any input and output (docs/identify.md)
     #[command(after_help = "\
-Example (each option in full: docs/identify.md):
+Example:
   catoptra identify sample_dynamics/training.csv --currents sample_dynamics/training_currents.csv \\
     --plant sample_dynamics/plant.toml -o dynamics")]
     Identify(Box<identify::Args>),

@@ -13,6 +13,7 @@ import struct
 import sys
 import zlib
 
+import zstandard
 from google.protobuf import descriptor_pb2, descriptor_pool
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -123,7 +124,10 @@ class Doctor:
         start, end, size, crc = f.take("Q"), f.take("Q"), f.take("Q"), f.take("I")
         compression, inner = f.text(), f.blob("Q")
         where = f"chunk at {offset}"
-        if compression:
+        stored = len(inner)
+        if compression == "zstd":
+            inner = zstandard.ZstdDecompressor().decompress(inner, max_output_size=size)
+        elif compression:
             return self.error(f"{where}: compressed by {compression}")
         if len(inner) != size:
             self.error(f"{where}: {len(inner)} bytes, says {size}")
@@ -156,7 +160,7 @@ class Doctor:
             self.earliest = min(times) if self.earliest is None else min(self.earliest, min(times))
         if {c: sorted(e) for c, e in indexes.items() if e} != {c: sorted(e) for c, e in found.items()}:
             self.error(f"{where}: its message indexes are not those of its messages")
-        return start, end, len(content) + 9, size
+        return start, end, len(content) + 9, size, stored, compression
 
     def examine(self):
         data = self.data
@@ -250,10 +254,10 @@ class Doctor:
                     self.error(f"chunk index of {offset}: no such chunk, or the second one")
                     continue
                 seen[opcode].add(offset)
-                own = {channel: place[0] for channel, place in chunk[4].items()}
-                if (begin, finish, size, uncompressed) != chunk[:4] or compressed != uncompressed or compression:
+                own = {channel: place[0] for channel, place in chunk[6].items()}
+                if (begin, finish, size, uncompressed, compressed, compression) != chunk[:6]:
                     self.error(f"chunk index of {offset} is not that of its chunk")
-                if places != own or index_size != sum(b - a for a, b in chunk[4].values()):
+                if places != own or index_size != sum(b - a for a, b in chunk[6].values()):
                     self.error(f"chunk index of {offset}: its message indexes are elsewhere")
             elif opcode == ATTACHMENT_INDEX:
                 offset = f.take("Q")

@@ -24,6 +24,8 @@ const CLOSE_PX: i32 = 1280;
 pub(super) const WINDOW: f64 = 0.35;
 /// Half the window, least and most, pixels.
 pub(super) const WINDOW_PX: (i32, i32) = (2, 11);
+/// A corner does not move further than this share of half its window.
+const MOST_MOVED: f64 = 0.3;
 /// Corners a side of the least grid the detector knows.
 const LEAST: i32 = 3;
 /// False grids in one look before it is given up.
@@ -179,7 +181,19 @@ impl Look {
 
 /// The corners, each refined in a window fitted to the squares around it: the detector's own are three times worse.
 fn refine(pixels: &Mat, grid: &Grid) -> Result<Vec<Point2<f64>>> {
-    grid.with_nearest_px().map(|(corner, nearest_px)| refined(pixels, corner, WINDOW * nearest_px)).collect()
+    grid.with_nearest_px()
+        .map(|(corner, nearest_px)| {
+            let half_px = (WINDOW * nearest_px).min(f64::from(WINDOW_PX.1));
+            let moved = |to: &Point2<f64>| (to - corner).norm();
+            let wide = refined(pixels, corner, half_px)?;
+            if moved(&wide) <= MOST_MOVED * half_px {
+                return Ok(wide);
+            }
+            // Drawn to something else in its window: the edge of the board beside a thin outer square, say.
+            let narrow = refined(pixels, corner, half_px / 2.0)?;
+            Ok(if moved(&narrow) < moved(&wide) { narrow } else { wide })
+        })
+        .collect()
 }
 
 /// A corner by OpenCV's classic refinement in a window of this half width, pixels.
