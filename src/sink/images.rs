@@ -1,13 +1,8 @@
 //! The picture of the camera for people, in the log's `/camera/image`: what the annotations lie on.
 //!
 //! In: a [`Picture`] that was tracked. Out: a JPEG of all of it, one a second of camera time: with one of every frame
-<<<<<<< HEAD
-//! the log would be ten times as large. Live runs have none: what makes JPEGs takes the time of what records windows.
-//! It is to be looked at, and nothing reads it back: what is to be tracked again is recorded as windows or as a video.
-=======
 //! the log would be ten times as large. Live runs have none: what makes JPEGs takes the time of what records. It is to
 //! be looked at, and nothing reads it back: what is to be tracked again is recorded as windows or as a video.
->>>>>>> main
 
 use super::SinkError;
 use super::colour::{ConvertError, ToBgr};
