@@ -119,7 +119,7 @@ fn pictures_stop_while_there_is_room_for_the_log() {
 #[test]
 fn a_full_disk_is_told_and_what_was_written_before_is_read() {
     let place = Place::new();
-    let Some(disk) = Disk::new(&place, 1_000_000) else { return };
+    let Some(disk) = Disk::new(&place, 500_000) else { return };
     let out = disk.0.join("out");
     let output = live(&place, &out, "", "");
     let told = ended_with(&output, 1);
