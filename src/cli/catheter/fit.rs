@@ -36,18 +36,18 @@ pub(super) struct FitArgs {
     /// Tracked runs in the base frame
     #[arg(value_name = "LOG.mcap|TABLE.csv", required = true)]
     runs: Vec<PathBuf>,
-    /// Currents of each run, in their order: a table, or a .play list; not needed for logs that have them
+    /// Currents of each run: a table or a .play list; logs may have them
     #[arg(long, value_name = "FILE", num_args = 1..)]
     currents: Vec<PathBuf>,
     /// Runs that are not fitted, to judge the result by
-    #[arg(long, value_name = "LOG.mcap|TABLE.csv", num_args = 1..)]
+    #[arg(long, value_name = "RUN", num_args = 1..)]
     validate: Vec<PathBuf>,
     /// Currents of these
     #[arg(long, value_name = "FILE", num_args = 1..)]
     validate_currents: Vec<PathBuf>,
     #[command(flatten)]
     columns: Columns,
-    /// Camera time of the start of the currents, seconds, where their table counts from a start
+    /// Camera time at which the currents' table starts, seconds
     #[arg(long, value_name = "T", value_parser = seconds_ns, allow_hyphen_values = true)]
     start: Option<i64>,
     /// What to fit; what the data do not determine is then an error
