@@ -1,7 +1,7 @@
 //! Points that were marked by hand, or found by another program, in place of boards: a dot plate, a frame of known
 //! points.
 //!
-//! In: a table, a row a point in a view of a picture. Out: a [`Initial`] as from pictures of boards, to be adjusted
+//! In: a table, a row a point in a view of a picture. Out: a `Initial` as from pictures of boards, to be adjusted
 //! alike.
 //!
 //! Columns `picture`, `view` (`direct`, `mirror`, or `mirror_1`, `mirror_2`, … from left to right), `u_px`, `v_px`,
