@@ -185,9 +185,7 @@ impl Tracker {
     /// How badly the tube's model explains the picture around the bands (mean ln σ² of the residuals, all groups of
     /// equal weight); `None` when not all could be fitted. Memory is neither used nor changed.
     pub(crate) fn misfit(&mut self, frame: &Frame) -> Option<f64> {
-        let blobs = self.segmenter.all_blobs(&frame.picture).ok()?.to_vec();
-        let assigned = Assigner::new(&self.rig).assign(&self.rig, &blobs, frame.stamp);
-        let fitted = self.fit_groups(frame, &blobs, &assigned);
+        let (assigned, fitted) = self.fit_alone(frame)?;
         let misfits =
             fitted.iter().map(|f| f.result.as_ref().map(|fit| fit.misfit).ok()).collect::<Option<Vec<_>>>()?;
         (!misfits.is_empty() && assigned.iter().all(Result::is_ok))
@@ -196,14 +194,21 @@ impl Tracker {
 
     /// The same of a frame that follows another one closely: the motion between them blurs it.
     pub(crate) fn misfit_after(&mut self, before: &Frame, frame: &Frame) -> Option<f64> {
-        let blobs = self.segmenter.all_blobs(&before.picture).ok()?.to_vec();
-        let assigned = Assigner::new(&self.rig).assign(&self.rig, &blobs, before.stamp);
         self.before.fill(None);
-        let fitted = self.fit_groups(before, &blobs, &assigned);
+        let (_, fitted) = self.fit_alone(before)?;
         self.keep_shapes(before.stamp, &fitted);
         let misfit = self.misfit(frame);
         self.before.fill(None);
         misfit
+    }
+
+    /// Finds and fits the bands of a frame as if nothing were known of where they were.
+    #[expect(clippy::type_complexity, reason = "what `fit_groups` takes and gives")]
+    fn fit_alone(&mut self, frame: &Frame) -> Option<(Vec<Result<Assigned, Miss>>, Vec<Fitted>)> {
+        let blobs = self.segmenter.all_blobs(&frame.picture).ok()?.to_vec();
+        let assigned = Assigner::new(&self.rig).assign(&self.rig, &blobs, frame.stamp);
+        let fitted = self.fit_groups(frame, &blobs, &assigned);
+        Some((assigned, fitted))
     }
 
     /// Keeps where the tube is, for the frames that follow.
@@ -280,9 +285,8 @@ impl Tracker {
             if signs.iter().map(|sign| sign * sign).sum::<f64>().sqrt() > TOO_UNUSUAL
                 && let Some((i, _)) = signs.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1))
             {
-                let (v, view) = (&views[i], &fit.views[i]);
-                let separation = (0..group.members.len()).map(|i| self.separation(group, i, *v, &view.colours));
-                let separation = separation.fold(f64::INFINITY, f64::min);
+                let view = &fit.views[i];
+                let separation = self.least_separation(group, views[i], &view.colours);
                 *result = Err(Miss::PoorFit { moved_px: view.residual_px.norm(), separation });
                 continue;
             }
@@ -414,9 +418,7 @@ impl Tracker {
                 moved = moved.max((pixel(fit.shape.at(s).0)? - pixel(start)?).norm());
             }
             let knot = view.image.at_arc(0.0);
-            let separation = (0..group.members.len())
-                .map(|i| self.separation(group, i, v, &view.colours))
-                .fold(f64::INFINITY, f64::min);
+            let separation = self.least_separation(group, v, &view.colours);
             if !(moved <= MOST_MOVED.0.max(MOST_MOVED.1 * knot.half_width) && separation >= LEAST_SEPARATION) {
                 return Err(Miss::PoorFit { moved_px: moved, separation });
             }
@@ -434,6 +436,11 @@ impl Tracker {
             return Err(Miss::RaysDiverge { distance_m: shift / px_per_m });
         }
         Ok(())
+    }
+
+    /// The least [`Self::separation`] of a group's bands in a view.
+    fn least_separation(&self, group: &Group, view: usize, colours: &[f64]) -> f64 {
+        (0..group.members.len()).map(|i| self.separation(group, i, view, colours)).fold(f64::INFINITY, f64::min)
     }
 
     /// How far a band's fitted colour is from the most similar of its neighbours and background.

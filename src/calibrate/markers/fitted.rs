@@ -68,10 +68,8 @@ pub(super) fn place_bands(rig: &mut Rig, frames: &[Frame]) -> Result<Vec<Option<
             (best.curvature > 0.0).then_some(best.at)
         });
         if let Some(parts) = parts.collect::<Option<Vec<f64>>>() {
-            let count = parts.len() as f64;
-            let mean = parts.iter().sum::<f64>() / count;
-            let variance = parts.iter().map(|p| (p - mean).powi(2)).sum::<f64>() / (count - 1.0);
-            sd_m[m] = Some((variance / count).sqrt().max(LEAST_FITTED_SD_M));
+            let (mean, sd) = mean_of_parts(&parts);
+            sd_m[m] = Some(sd.max(LEAST_FITTED_SD_M));
             *rig = shifted(mean);
         }
     }
@@ -184,15 +182,14 @@ fn sharpen(rig: &mut Rig, frames: &[Frame], followers: &[Frame]) -> Result<(), M
 /// The same of the frames that follow these closely, motion blur included; of those that none follows, their own.
 fn moving_misfit(rig: &Rig, frames: &[&Frame], followers: &[Frame]) -> Option<f64> {
     let mut tracker = Tracker::new(rig, TrackOptions::default()).ok()?;
-    let mut misfit = |frame: &Frame| {
+    let misfit = |frame: &Frame| {
         let next = followers.get(followers.partition_point(|next| next.stamp.ns <= frame.stamp.ns));
         match next.filter(|next| ((next.stamp.ns - frame.stamp.ns) as f64) < LONGEST_PAIR_S * 1e9) {
             Some(next) => tracker.misfit_after(frame, next),
             None => tracker.misfit(frame),
         }
     };
-    let misfits: Vec<f64> = frames.iter().filter_map(|frame| misfit(frame)).collect();
-    (misfits.len() * 2 > frames.len()).then(|| misfits.iter().sum::<f64>() / misfits.len() as f64)
+    mean_of_most(frames, misfit)
 }
 
 /// Exposure of the pictures, seconds, from how motion blurs the frames in which the tube moves fastest; `None` when it
@@ -204,6 +201,9 @@ fn exposure_s(rig: &Rig, frames: &[Frame], followers: &[Frame]) -> Result<Option
     for pair in all.windows(2) {
         let (frame, next) = (pair[0], pair[1]);
         let since_s = (next.stamp.ns - frame.stamp.ns) as f64 * 1e-9;
+        if !(since_s > 0.0 && since_s < LONGEST_PAIR_S) {
+            continue;
+        }
         let mut tracker = Tracker::new(rig, TrackOptions::default())?;
         let (before, after) = (tracker.step(frame)?, tracker.step(next)?);
         let markers = before.markers.iter().zip(&after.markers);
@@ -211,7 +211,7 @@ fn exposure_s(rig: &Rig, frames: &[Frame], followers: &[Frame]) -> Result<Option
             Some((b.position.as_ref().ok()?.point - a.position.as_ref().ok()?.point).norm())
         };
         let ways: Option<Vec<f64>> = markers.map(way).collect();
-        if let Some(ways) = ways.filter(|_| since_s > 0.0 && since_s < LONGEST_PAIR_S) {
+        if let Some(ways) = ways {
             moving.push((ways.into_iter().fold(0.0, f64::max), since_s, frame, next));
         }
     }
@@ -238,11 +238,9 @@ fn exposure_s(rig: &Rig, frames: &[Frame], followers: &[Frame]) -> Result<Option
             Some(minimise(step_s * (EXPOSURES / 2) as f64, step_s, (0.0, interval_s * (1.0 + 1e-9)), at)?.at)
         })
         .collect();
-    let count = parts.len() as f64;
-    let mean = parts.iter().sum::<f64>() / count;
-    let variance = parts.iter().map(|p| (p - mean).powi(2)).sum::<f64>() / (count - 1.0);
+    let (mean, sd) = mean_of_parts(&parts);
     tracing::debug!("exposure from thirds of {} pairs of frames: {parts:?} s", curves.len());
-    let seen = mean > LEAST_EXPOSURE_SDS * (variance / count).sqrt() && mean > LEAST_EXPOSURE * interval_s;
+    let seen = mean > LEAST_EXPOSURE_SDS * sd && mean > LEAST_EXPOSURE * interval_s;
     // Microseconds are more than the pictures can tell.
     Ok(seen.then(|| (mean * 1e6).round() / 1e6))
 }
@@ -255,6 +253,19 @@ fn every(frames: &[Frame], count: usize) -> Vec<&Frame> {
 /// How badly the rig explains the pictures: the mean of the fits' misfits; `None` when a frame cannot be fitted.
 fn misfit(rig: &Rig, frames: &[&Frame]) -> Option<f64> {
     let mut tracker = Tracker::new(rig, TrackOptions::default()).ok()?;
-    let misfits: Vec<f64> = frames.iter().filter_map(|frame| tracker.misfit(frame)).collect();
+    mean_of_most(frames, |frame| tracker.misfit(frame))
+}
+
+/// The mean of what can be evaluated, unless that is half of the frames or less.
+fn mean_of_most(frames: &[&Frame], misfit: impl FnMut(&Frame) -> Option<f64>) -> Option<f64> {
+    let misfits: Vec<f64> = frames.iter().copied().filter_map(misfit).collect();
     (misfits.len() * 2 > frames.len()).then(|| misfits.iter().sum::<f64>() / misfits.len() as f64)
+}
+
+/// The mean of independent results, and its standard deviation by how they differ.
+fn mean_of_parts(parts: &[f64]) -> (f64, f64) {
+    let count = parts.len() as f64;
+    let mean = parts.iter().sum::<f64>() / count;
+    let variance = parts.iter().map(|p| (p - mean).powi(2)).sum::<f64>() / (count - 1.0);
+    (mean, (variance / count).sqrt())
 }
