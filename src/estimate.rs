@@ -171,6 +171,8 @@ pub enum Miss {
     NotRecorded,
     /// The picture is damaged, or was predicted from one that is.
     Damaged,
+    /// Odd and even rows of the picture were taken at different times.
+    Interlaced,
 }
 
 impl Miss {
@@ -189,6 +191,7 @@ impl Miss {
             Self::WrongSize { .. } => "wrong_size".into(),
             Self::NotRecorded => "not_recorded".into(),
             Self::Damaged => "damaged".into(),
+            Self::Interlaced => "interlaced".into(),
         }
     }
 }

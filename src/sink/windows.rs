@@ -10,7 +10,7 @@
 
 use super::SinkError;
 use crate::estimate::Estimate;
-use crate::log::schema::messages::{PictureWindow, PictureWindows};
+use crate::log::schema::messages::{PictureQuantisation, PictureWindow, PictureWindows};
 use crate::log::schema::{Topic, WINDOW_FORMAT};
 use crate::source::{Picture, PixelFormat, Plane, Window};
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
@@ -111,6 +111,12 @@ fn cut(estimate: &Estimate, picture: &Picture, whole: bool) -> Result<PictureWin
         transfer: colour.transfer.name().to_owned(),
         siting: colour.siting.name().to_owned(),
         windows,
+        quantisation: picture.quantisation().map(|q| PictureQuantisation {
+            block_px: q.block_px,
+            columns: q.columns,
+            predicted: q.predicted,
+            levels: q.levels.clone().into(),
+        }),
     })
 }
 

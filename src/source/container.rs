@@ -163,7 +163,9 @@ pub(super) fn open_decoder(
     if low_delay {
         context.set_flags(av::codec::Flags::LOW_DELAY);
     }
-    context.decoder().video().map_err(refused)
+    // With every picture, how coarsely it was quantised.
+    let options: av::Dictionary = [("export_side_data", "venc_params")].into_iter().collect();
+    context.decoder().open_as_with(stream.parameters().id(), options).and_then(|opened| opened.video()).map_err(refused)
 }
 
 /// How many frames to expect: from the index, else from length and rate; exact or a guess, for a progress bar.

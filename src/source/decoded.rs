@@ -8,7 +8,7 @@ use ffmpeg_the_third::frame::Video;
 use ffmpeg_the_third::software::scaling;
 use ffmpeg_the_third::{chroma, color};
 
-use super::{ChromaSiting, Colour, Matrix, Picture, PixelFormat, Range, SourceError, Transfer};
+use super::{ChromaSiting, Colour, Matrix, Picture, PixelFormat, Quantisation, Range, SourceError, Transfer};
 
 /// Makes pictures of one stream's frames. Frames of the formats of [`Picture`] are kept as they are, without a copy.
 pub(crate) struct PictureMaker {
@@ -16,6 +16,8 @@ pub(crate) struct PictureMaker {
     converter: Option<Converter>,
     /// Where chroma sits in frames that do not say.
     siting: ChromaSiting,
+    /// Whether the coder quantises without libav's decoder saying how coarsely.
+    silent: bool,
     warned: Vec<&'static str>,
 }
 
@@ -32,7 +34,9 @@ impl PictureMaker {
             Id::MJPEG | Id::MPEG1VIDEO => ChromaSiting::Center,
             _ => ChromaSiting::Left,
         };
-        Self { path, converter: None, siting, warned: Vec::new() }
+        let silent =
+            matches!(codec, Id::HEVC | Id::AV1 | Id::VP8 | Id::THEORA | Id::VVC | Id::WMV2 | Id::WMV3 | Id::VC1);
+        Self { path, converter: None, siting, silent, warned: Vec::new() }
     }
 
     /// Where chroma sits in frames that do not say, if the codec is not to decide.
@@ -48,11 +52,13 @@ impl PictureMaker {
     pub(crate) fn picture(&mut self, frame: Video) -> Result<Picture, SourceError> {
         let pixel = frame.format();
         let colour = self.colour(&frame)?;
+        let interlaced = frame.is_interlaced();
+        let quantisation = self.quantisation(&frame);
         if let Some(format) = native(pixel) {
             // Formats stored bottom row first have a negative stride: turned over by swscale.
             let upright = (0..frame.planes()).all(|i| frame.stride(i).cast_signed() > 0);
             let frame = if upright { frame } else { self.convert(&frame, pixel)? };
-            return Ok(Picture::from_decoded(frame, format, colour));
+            return Ok(Picture::from_decoded(frame, format, colour).quantised(quantisation).interlaced(interlaced));
         }
         let Some((reduced, format)) = convertible(pixel) else {
             return Err(self.unsupported(pixel));
@@ -66,7 +72,21 @@ impl PictureMaker {
             );
         }
         let frame = self.convert(&frame, reduced)?;
-        Ok(Picture::from_decoded(frame, format, colour))
+        Ok(Picture::from_decoded(frame, format, colour).quantised(quantisation).interlaced(interlaced))
+    }
+
+    fn quantisation(&mut self, frame: &Video) -> Option<Quantisation> {
+        let quantisation = Quantisation::of(frame);
+        if quantisation.is_some() || !self.silent {
+            return quantisation;
+        }
+        if self.first("quantisation") {
+            tracing::warn!(
+                "{}: how coarsely its coder quantised is not known; σ assumes what H.264 has at crf 22",
+                self.path.display()
+            );
+        }
+        Some(Quantisation::assumed([frame.width(), frame.height()]))
     }
 
     fn convert(&mut self, frame: &Video, to: Pixel) -> Result<Video, SourceError> {

@@ -10,7 +10,7 @@
 //! out (see `damage`), counted in the gap of the next frame and named. A recording that ends early gives all its
 //! readable frames, then [`SourceError::Truncated`].
 
-use std::collections::{BTreeSet, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -26,8 +26,8 @@ use super::gaps::plausible_period_ns;
 use super::stamps::StampWatch;
 use super::times::{seconds, ticks_to_ns};
 use super::{
-    Clock, Colour, Frame, FrameRate, FrameSource, Picture, PixelFormat, SourceError, Span, StreamFaults, Timestamp,
-    ffv1, jpeg,
+    Clock, Colour, Frame, FrameRate, FrameSource, Picture, PixelFormat, Quantisation, SourceError, Span, StreamFaults,
+    Timestamp, ffv1, jpeg,
 };
 
 /// How a recording is read.
@@ -69,6 +69,8 @@ pub struct VideoFile {
     keep_damaged: bool,
     /// What packets can be checked for before they are decoded.
     check: PacketCheck,
+    /// Steps of the quantiser that packets named whose pictures have not come yet.
+    steps: BTreeMap<i64, f64>,
     /// Times of packets that were damaged, for which no picture has come yet.
     undecoded: BTreeSet<i64>,
     /// What pictures are, for those that could not be decoded.
@@ -154,11 +156,15 @@ impl PacketCheck {
         }
     }
 
-    fn passes(self, packet: &[u8]) -> bool {
+    /// Whether the packet is sound, and the step of the quantiser that it names.
+    fn examine(self, packet: &[u8]) -> (bool, Option<f64>) {
         match self {
-            Self::None => true,
-            Self::Ffv1 => ffv1::is_sound(packet),
-            Self::Jpeg => jpeg::damage(packet).is_none(),
+            Self::None => (true, None),
+            Self::Ffv1 => (ffv1::is_sound(packet), None),
+            Self::Jpeg => {
+                let jpeg::Examined { damage, step } = jpeg::examine(packet);
+                (damage.is_none(), step)
+            }
         }
     }
 }
@@ -250,6 +256,7 @@ impl VideoFile {
             damage: DamageLog::default(),
             keep_damaged: options.keep_damaged,
             check,
+            steps: BTreeMap::new(),
             undecoded: BTreeSet::new(),
             layout: None,
             held: VecDeque::new(),
@@ -389,7 +396,9 @@ impl VideoFile {
                         continue;
                     }
                     // The decoder would hide it.
-                    if !self.check.passes(packet.data().unwrap_or_default()) {
+                    let (sound, step) = self.check.examine(packet.data().unwrap_or_default());
+                    self.steps.extend(pts.zip(step));
+                    if !sound {
                         self.undecoded.extend(pts);
                         self.damaged_packet(av::Error::InvalidData, false);
                     }
@@ -588,7 +597,15 @@ impl VideoFile {
             }
             self.arrival =
                 decoded.pts().and_then(|pts| self.read_at.iter().rev().find(|(of, _)| *of == pts)).map(|(_, at)| *at);
+            let step = decoded.pts().or(decoded.timestamp()).and_then(|pts| self.steps.remove(&pts));
             let picture = self.pictures.picture(decoded)?;
+            let picture = match step {
+                Some(step) => {
+                    let quantisation = Quantisation::of_step(step, picture.size_px());
+                    picture.quantised(Some(quantisation))
+                }
+                None => picture,
+            };
             self.layout = Some((picture.format(), picture.colour()));
             let picture = if sound { picture } else { picture.marked_damaged() };
             if sound {

@@ -24,7 +24,8 @@ use super::jpeg;
 use super::names::{PICTURE_ENDINGS, cure_for_pictures};
 use super::times::{FrameRate, parse_seconds_ns, seconds};
 use super::{
-    Clock, Colour, Frame, FrameSource, Picture, PictureError, PixelFormat, SourceError, Span, StreamFaults, Timestamp,
+    Clock, Colour, Frame, FrameSource, Picture, PictureError, PixelFormat, Quantisation, SourceError, Span,
+    StreamFaults, Timestamp,
 };
 
 /// Name of the table of times.
@@ -131,7 +132,8 @@ impl ImageFolder {
         if jpeg::is_cut_off(&bytes) {
             return Err(unreadable("the file ends before the picture does".to_owned()));
         }
-        if let Some(what) = jpeg::damage(&bytes) {
+        let jpeg::Examined { damage, step } = jpeg::examine(&bytes);
+        if let Some(what) = damage {
             return Err(unreadable(what.to_owned()));
         }
         if tiff_pages(&bytes) > 1 {
@@ -150,7 +152,11 @@ impl ImageFolder {
             );
         }
         match picture(decoded) {
-            Some(picture) => picture.map_err(|error| unreadable(error.to_string())),
+            Some(Ok(picture)) => {
+                let quantisation = step.map(|step| Quantisation::of_step(step, picture.size_px()));
+                Ok(picture.quantised(quantisation))
+            }
+            Some(Err(error)) => Err(unreadable(error.to_string())),
             None => Err(unreadable("its samples are not whole numbers of 8 or 16 bits".to_owned())),
         }
     }

@@ -9,8 +9,8 @@
 //! that of a later frame is there.
 
 use super::{
-    ChromaSiting, Clock, Colour, Frame, FrameSource, HostTime, Matrix, Picture, PixelFormat, Range, SourceError, Span,
-    StreamFaults, Timestamp, Transfer, Window,
+    ChromaSiting, Clock, Colour, Frame, FrameSource, HostTime, Matrix, Picture, PixelFormat, Quantisation, Range,
+    SourceError, Span, StreamFaults, Timestamp, Transfer, Window,
 };
 use crate::log::decoder::MessageDecoder;
 use crate::log::fields::{number, text};
@@ -163,7 +163,7 @@ impl LogWindows {
                 there.push(area);
             }
         }
-        Ok(picture_of(layout, planes).map_err(failed)?.of_parts(there))
+        Ok(picture_of(layout, planes).map_err(failed)?.of_parts(there).quantised(quantisation_of(message)))
     }
 
     fn damaged(&self, seq: u64, reason: String) -> SourceError {
@@ -273,6 +273,22 @@ fn layout_of(message: &DynamicMessage) -> Result<Layout, String> {
             transfer: known("transfer", word("transfer")?, Transfer::by_name)?,
             siting: known("siting", word("siting")?, ChromaSiting::by_name)?,
         },
+    })
+}
+
+/// `None` when nothing is said.
+fn quantisation_of(message: &DynamicMessage) -> Option<Quantisation> {
+    if !message.has_field_by_name("quantisation") {
+        return None;
+    }
+    let said = message.get_field_by_name("quantisation")?;
+    let said = said.as_message()?;
+    let unsigned = |field: &str| number(said, field).and_then(|n| u32::try_from(n).ok()).filter(|n| *n > 0);
+    Some(Quantisation {
+        block_px: unsigned("block_px")?,
+        columns: unsigned("columns")?,
+        predicted: said.get_field_by_name("predicted")?.as_bool()?,
+        levels: said.get_field_by_name("levels")?.as_bytes()?.to_vec(),
     })
 }
 

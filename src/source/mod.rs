@@ -22,6 +22,7 @@ mod log_windows;
 mod names;
 mod open;
 mod picture;
+mod quantisation;
 mod reads;
 mod stamps;
 pub mod times;
@@ -40,6 +41,7 @@ pub use open::{SourceOptions, open, open_to_track};
 pub use picture::{
     ChromaSiting, Colour, Matrix, Picture, PictureError, PixelFormat, Plane, Range, RgbFromStored, Transfer,
 };
+pub use quantisation::Quantisation;
 pub use reads::NotRecorded;
 pub use times::{FrameRate, FrameRateError};
 pub use window::Window;
@@ -51,7 +53,7 @@ pub(crate) fn extent_of(bytes: &[u8]) {
 
 /// Checks a coded picture as those of a stream are.
 pub(crate) fn checked_packet(bytes: &[u8]) {
-    let _ = (jpeg::damage(bytes), jpeg::is_cut_off(bytes), ffv1::is_sound(bytes), ffv1::has_checksums(bytes));
+    let _ = (jpeg::examine(bytes).damage, jpeg::is_cut_off(bytes), ffv1::is_sound(bytes), ffv1::has_checksums(bytes));
 }
 
 /// Which clock a time stamp was read from.

@@ -1,6 +1,6 @@
 //! A picture as the camera or decoder delivered it, and how its samples map to places and colours.
 
-use super::Window;
+use super::{Quantisation, Window};
 use nalgebra::{Matrix3, Vector3};
 use std::sync::Mutex;
 
@@ -147,6 +147,7 @@ pub struct Picture {
     format: PixelFormat,
     colour: Colour,
     storage: Storage,
+    quantisation: Option<Quantisation>,
     pub(super) reads: Reads,
 }
 
@@ -157,6 +158,8 @@ pub(super) struct Reads {
     pub(super) there: Option<Vec<Window>>,
     /// Whether what it shows cannot be trusted.
     pub(super) damaged: bool,
+    /// Whether it is made of two pictures, row by row.
+    pub(super) interlaced: bool,
     pub(super) read: Mutex<Vec<Window>>,
 }
 
@@ -278,7 +281,8 @@ impl Picture {
         if width == 0 || height == 0 {
             return Err(PictureError::Empty(width, height));
         }
-        let picture = Self { width, height, format, colour, storage: Storage::Bytes(planes), reads: Reads::default() };
+        let storage = Storage::Bytes(planes);
+        let picture = Self { width, height, format, colour, storage, quantisation: None, reads: Reads::default() };
         for channel in 0..format.channels() {
             let (plane, _, step, _) = format.layout(channel);
             let [w, h] = picture.samples(channel);
@@ -317,7 +321,19 @@ impl Picture {
     /// A decoded frame, without a copy. `format` must be the layout of the frame's own pixel format.
     pub(crate) fn from_decoded(frame: ffmpeg_the_third::frame::Video, format: PixelFormat, colour: Colour) -> Self {
         let (width, height) = (frame.width(), frame.height());
-        Self { width, height, format, colour, storage: Storage::Decoded(frame), reads: Reads::default() }
+        let storage = Storage::Decoded(frame);
+        Self { width, height, format, colour, storage, quantisation: None, reads: Reads::default() }
+    }
+
+    /// The same picture, with what its coder says of how it quantised it.
+    pub(crate) fn quantised(mut self, quantisation: Option<Quantisation>) -> Self {
+        self.quantisation = quantisation;
+        self
+    }
+
+    /// How coarsely its coder quantised it; `None` when that is not known, or it was not.
+    pub fn quantisation(&self) -> Option<&Quantisation> {
+        self.quantisation.as_ref()
     }
 
     /// A copy that keeps nothing of the decoder's: a plane for each channel. `None` when the decoder gave less than it
@@ -336,7 +352,8 @@ impl Picture {
             }
         };
         let planes = (0..format.channels()).filter_map(|channel| self.plane(channel)).map(samples).collect();
-        Self::from_planes(self.width, self.height, format, self.colour, planes).ok()
+        let copy = Self::from_planes(self.width, self.height, format, self.colour, planes).ok()?;
+        Some(copy.quantised(self.quantisation.clone()))
     }
 
     /// Width and height, pixels.

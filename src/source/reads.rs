@@ -31,6 +31,17 @@ impl Picture {
         self
     }
 
+    /// The same picture, which is known to be made of two that were taken one after the other.
+    pub(crate) fn interlaced(mut self, interlaced: bool) -> Self {
+        self.reads.interlaced = interlaced;
+        self
+    }
+
+    /// Whether its odd rows were taken at another time than its even ones.
+    pub fn is_interlaced(&self) -> bool {
+        self.reads.interlaced
+    }
+
     /// Whether it is known to be damaged, so that nothing may be measured in it.
     pub fn is_damaged(&self) -> bool {
         self.reads.damaged

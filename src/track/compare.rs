@@ -1,8 +1,9 @@
 //! The samples of a patch against the image model: residuals and derivatives, their normal equations, and how the
 //! residuals themselves scatter.
 
+use crate::source::Window;
 use crate::track::appearance::{BEFORE, BEHIND, D_ALBEDO, LANES, Layout, PixelModel, RING, Scene};
-use crate::track::normal::{Bin, Collector, Normal, ROW, Row, Slot, Squares, influence, row};
+use crate::track::normal::{Bin, Collector, Normal, ROW, Row, Slot, Squares, influence, row, shifted};
 use crate::track::patch::{Group, Patch};
 use crate::track::slip::Slips;
 use crate::track::tube::{SHAPE, ShapeBy, ShapeStep};
@@ -45,6 +46,16 @@ impl Residual {
     }
 }
 
+/// How the residuals of a view scatter, and what a coder adds.
+pub(crate) struct Scattered {
+    /// Covariance of the shape.
+    pub covariance: SMatrix<f64, SHAPE, SHAPE>,
+    pub slips: Slips,
+    /// Variance of a coder's errors over that of the noise the samples are weighed by: mean over what each sample says
+    /// about where the band lies.
+    pub coded: f64,
+}
+
 /// A patch compared with the model.
 pub(crate) struct Comparison {
     patch: Patch,
@@ -56,6 +67,11 @@ pub(crate) struct Comparison {
 }
 
 impl Comparison {
+    /// The rectangle of its samples, pixels.
+    pub(crate) fn window(&self) -> &Window {
+        &self.patch.window
+    }
+
     pub(crate) fn new(patch: Patch) -> Self {
         let values = patch.groups.iter().map(|group| group.samples.len() * group.channels.len()).sum();
         let models = Vec::with_capacity(patch.pixels.len());
@@ -168,11 +184,13 @@ impl Comparison {
         noise: &Noise,
         of_shape: &SMatrix<f64, SHAPE, SHAPE>,
         of_colours: &ShapeBy,
-    ) -> (SMatrix<f64, SHAPE, SHAPE>, Slips) {
+        coder_variance: f64,
+    ) -> Scattered {
         let mut slips = Slips::new(layout);
         // Channels at samplings of their own are luma and chroma.
         let slipping = self.patch.groups.len() > 1;
         let mut cells = vec![ShapeStep::zeros(); self.patch.cells];
+        let (mut said, mut coded) = (0.0, 0.0);
         let mut maps: Vec<Option<(usize, SMatrix<f64, SHAPE, ROW>)>> = vec![None; image.knots.len()];
         // What follows each other in a cell is summed before it is mapped.
         let together =
@@ -186,6 +204,9 @@ impl Comparison {
             let mut sum = [0.0; ROW];
             for residual in run {
                 let (_, weight) = residual.weighed(noise);
+                let says: f64 = shifted(&residual.row).iter().map(|by| weight * f64::from(by * by)).sum();
+                said += says;
+                coded += says * weight * coder_variance;
                 let by = (weight * residual.value) as f32;
                 sum.iter_mut().zip(&residual.row).for_each(|(sum, value)| *sum += by * value);
                 if slipping && residual.channel > 0 {
@@ -196,6 +217,7 @@ impl Comparison {
             slips.map(map);
         }
         slips.finish(image, layout);
-        (cells.iter().fold(SMatrix::zeros(), |sum, cell| sum + cell * cell.transpose()), slips)
+        let covariance = cells.iter().fold(SMatrix::zeros(), |sum, cell| sum + cell * cell.transpose());
+        Scattered { covariance, slips, coded: if said > 0.0 { coded / said } else { 0.0 } }
     }
 }

@@ -5,7 +5,7 @@
 
 use crate::track::equations::Eliminated;
 use crate::track::fit::{TubeFit, ViewFit};
-use crate::track::image_model::ModelError;
+use crate::track::image_model::{ModelError, coder_variance};
 use crate::track::no_fit::NoFit;
 use crate::track::normal::{Normal, Squares};
 use crate::track::round::{Guess, Minimum, Round, shape_prior};
@@ -31,13 +31,17 @@ impl Round<'_> {
         let compared = self.views.par_iter().zip(&state.guess.images).zip(&seen);
         let scatter = compared.map(|((view, image), eliminated)| {
             let of_colours = -plain * &eliminated.following;
-            view.comparison.scatter(image, &self.stretch.layout, &view.noise, &plain, &of_colours)
+            let quantised = self.picture.quantisation();
+            let coder_variance = quantised
+                .and_then(|q| Some(coder_variance(q.step_in(view.comparison.window())?, q.predicted)))
+                .unwrap_or(0.0);
+            view.comparison.scatter(image, &self.stretch.layout, &view.noise, &plain, &of_colours, coder_variance)
         });
         let (mut slip, mut slip_covariance) = (Seen::default(), SMatrix::zeros());
-        for (scatter, slips) in scatter.collect::<Vec<_>>() {
-            covariance += scatter;
-            slip.add(&slips.seen);
-            slip_covariance += slips.covariance;
+        for (scattered, view) in scatter.collect::<Vec<_>>().into_iter().zip(&seen) {
+            covariance += scattered.covariance + plain * (view.shape * scattered.coded) * plain;
+            slip.add(&scattered.slips.seen);
+            slip_covariance += scattered.slips.covariance;
         }
         let Guess { shape, colours, images } = end;
         let points: Vec<_> = images.iter().map(point_from_pixel).collect();

@@ -97,6 +97,7 @@ impl Group {
 /// The part of a view's picture around a stretch of tube.
 pub(crate) struct Patch {
     pub middle: Vector2<f64>,
+    pub window: Window,
     pub pixels: Vec<Pixel>,
     pub groups: Vec<Group>,
     /// How many squares there are.
@@ -192,10 +193,12 @@ impl Patch {
     ) -> Result<Self, NoFit> {
         let range = (image.knot_of(range_m.0), image.knot_of(range_m.1));
         let (mut field, middle) = Field::around(image, range, picture.size_px()).ok_or(NoFit::OutOfPicture)?;
-        picture.look_at(field.window()).map_err(|_| NoFit::NotRecorded)?;
+        let window = field.window();
+        picture.look_at(window).map_err(|_| NoFit::NotRecorded)?;
         let across = field.width / CELL_PX + 1;
         let cells = across * (field.height / CELL_PX + 1);
-        let mut patch = Self { middle, pixels: Vec::with_capacity(field.index.len() / 2), groups: Vec::new(), cells };
+        let pixels = Vec::with_capacity(field.index.len() / 2);
+        let mut patch = Self { middle, window, pixels, groups: Vec::new(), cells };
         let reach = image.greatest_half_width() + MARGIN_PX + image.sagitta();
         let last_bin = image.knots.len() - 2;
         for j in 0..field.height {

@@ -9,12 +9,15 @@
 //! w r t / Σ w t² = (1 − h) δ, with variance 1 / Σ w t² of their noise. Over all bands, directions and views:
 //!
 //! s² = Σ (δ'² − 1 / Σ w t²) / Σ (1 − h)², and s² Σ v vᵀ is what it adds to the covariance.
+//!
+//! What all bands of all views have in common is no error of the coder: the chroma samples sit elsewhere than the
+//! recording says, or than where they sat when the rig was taught. That mean is taken out of the frames that follow.
 
 use crate::track::appearance::Layout;
 use crate::track::normal::{ROW, Row, shifted};
 use crate::track::tube::{SHAPE, ShapeStep};
 use crate::track::tube_image::TubeImage;
-use nalgebra::{SMatrix, SVector};
+use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 
 /// What one view says of the slips of its bands.
 pub(crate) struct Slips {
@@ -42,7 +45,17 @@ struct Slip {
 pub(crate) struct Seen {
     pub squares_px2: f64,
     pub count: f64,
+    /// Normal equations of the mean slip in the picture's axes, 1/px² and 1/px.
+    pub information: Matrix2<f64>,
+    pub pull: Vector2<f64>,
 }
+
+/// What a single slip tells about the mean: it has errors of its own of this much, pixels.
+const OWN_SD_PX: f64 = 0.2;
+/// What is known of the mean before any is seen, pixels.
+const PRIOR_SD_PX: f64 = 0.3;
+/// More than any siting is off by, pixels.
+const MOST_PX: f64 = 1.0;
 
 impl Seen {
     /// Variance of a slip, px².
@@ -53,11 +66,30 @@ impl Seen {
     pub(crate) fn add(&mut self, other: &Self) {
         self.squares_px2 += other.squares_px2;
         self.count += other.count;
+        self.information += other.information;
+        self.pull += other.pull;
+    }
+
+    /// The same, measured by an offset that has this much of the slip in it already.
+    pub(crate) fn beyond(&self, offset_px: &Vector2<f64>) -> Self {
+        Self { pull: self.pull + self.information * offset_px, ..*self }
+    }
+
+    /// The mean slip, pixels.
+    pub(crate) fn mean_px(&self) -> Vector2<f64> {
+        let information = self.information + Matrix2::identity() / PRIOR_SD_PX.powi(2);
+        let mean = information.cholesky().map_or_else(Vector2::zeros, |factor| factor.solve(&self.pull));
+        mean.map(|px| px.clamp(-MOST_PX, MOST_PX))
     }
 
     /// The same, counting for less.
     pub(crate) fn faded(&self, by: f64) -> Self {
-        Self { squares_px2: self.squares_px2 * by, count: self.count * by }
+        Self {
+            squares_px2: self.squares_px2 * by,
+            count: self.count * by,
+            information: self.information * by,
+            pull: self.pull * by,
+        }
     }
 }
 
@@ -96,13 +128,21 @@ impl Slips {
     pub(crate) fn finish(&mut self, image: &TubeImage, layout: &Layout) {
         for (band, rings) in self.bands.iter().zip(layout.rings_m.chunks(2)) {
             let middle = image.at_arc(rings.iter().sum::<f64>() / rings.len() as f64);
-            for (slip, moves) in band.iter().zip(&middle.d_local) {
+            let along = middle.along / middle.scale;
+            let directions = [Vector2::new(-along.y, along.x), along];
+            for ((slip, moves), direction) in band.iter().zip(&middle.d_local).zip(directions) {
                 if slip.information <= 0.0 {
                     continue;
                 }
                 let left = 1.0 - moves.dot(&slip.response);
                 let seen = slip.pull / slip.information;
-                self.seen.add(&Seen { squares_px2: seen * seen - 1.0 / slip.information, count: left * left });
+                let weight = 1.0 / (1.0 / (slip.information * left * left) + OWN_SD_PX.powi(2));
+                self.seen.add(&Seen {
+                    squares_px2: seen * seen - 1.0 / slip.information,
+                    count: left * left,
+                    information: direction * direction.transpose() * weight,
+                    pull: direction * (weight * seen / left),
+                });
                 self.covariance += slip.response * slip.response.transpose();
             }
         }

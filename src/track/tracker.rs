@@ -23,7 +23,7 @@ use crate::track::stretch::{Group, groups};
 use crate::track::tube::{SHAPE, TubeShape};
 use crate::track::tube_image::{Sweep, TubeImage};
 use crate::track::usual::Usual;
-use nalgebra::{Matrix3, Point2, Point3, SMatrix, Vector3};
+use nalgebra::{Matrix3, Point2, Point3, SMatrix, Vector2, Vector3};
 use rayon::prelude::*;
 
 /// Blur assumed for a rig whose blur has not been measured: a sharp lens and square pixels.
@@ -84,6 +84,8 @@ pub struct Tracker {
     model: ImageModel,
     transfer: Transfer,
     slip: Seen,
+    /// How far chroma was seen to sit from where the rig says, pixels.
+    mean_slip_px: Vector2<f64>,
     usual: Usual,
     /// How much larger bands are expected than their blobs are.
     usual_size: Usual,
@@ -125,6 +127,7 @@ impl Tracker {
             },
             transfer,
             slip: Seen::default(),
+            mean_slip_px: Vector2::zeros(),
             usual: Usual::new(rig),
             usual_size: Usual::new(rig),
             before: vec![None; rig.markers.len()],
@@ -152,11 +155,17 @@ impl Tracker {
         if picture.is_damaged() {
             return Ok(Estimate::missed(frame, &self.rig, &Miss::Damaged));
         }
+        if picture.is_interlaced() {
+            return Ok(Estimate::missed(frame, &self.rig, &Miss::Interlaced));
+        }
         if picture.colour().transfer != self.transfer {
             self.transfer = picture.colour().transfer;
             self.model.encoding = Encoding::new(self.transfer);
         }
         self.model.error = ModelError::of(picture);
+        // A sample that shows what is to the left of it sits to the left.
+        let taught = self.rig.camera.chroma_offset_px;
+        self.model.chroma_offset_px = [0, 1].map(|axis| taught[axis] - self.mean_slip_px[axis]);
         // 1. blobs and their assignment to markers and views
         let Found { blobs, assigned } = match self.find(frame) {
             Err(SegmentError::NotRecorded(_)) => return Ok(Estimate::missed(frame, &self.rig, &Miss::NotRecorded)),
@@ -262,9 +271,10 @@ impl Tracker {
     fn judge(&mut self, fitted: &mut [Fitted], blobs: &[Blob], assigned: &[Result<Assigned, Miss>]) {
         self.slip = self.slip.faded(0.5_f64.powf(1.0 / SLIP_FRAMES));
         for fit in fitted.iter().filter_map(|f| f.result.as_ref().ok()) {
-            self.slip.add(&fit.slip);
+            self.slip.add(&fit.slip.beyond(&self.mean_slip_px));
         }
         let variance_px2 = self.slip.variance_px2();
+        self.mean_slip_px = self.slip.mean_px();
         for Fitted { group, views, result } in fitted {
             let Ok(fit) = result else { continue };
             fit.covariance += fit.slip_covariance * variance_px2;

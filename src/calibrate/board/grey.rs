@@ -104,7 +104,7 @@ impl Grey {
         if jpeg::is_cut_off(&bytes) {
             return Err(GreyError::CutOff { path: path.to_path_buf() });
         }
-        if let Some(what) = jpeg::damage(&bytes) {
+        if let Some(what) = jpeg::examine(&bytes).damage {
             return Err(GreyError::Damaged { path: path.to_path_buf(), what });
         }
         let reader = ImageReader::new(Cursor::new(bytes)).with_guessed_format().map_err(io)?;

@@ -41,6 +41,8 @@ const CLEAR: f64 = 2.0;
 /// pixels.
 const CORE: f64 = 0.25;
 const BESIDE_PX: (f64, f64) = (2.5, 5.0);
+/// Where that is the band's own colour still, further out, up to this many times the length expected.
+const FURTHEST: f64 = 3.0;
 
 /// Measures of the rig that are not those in the pictures.
 pub(super) fn contradicted(rig: &Rig, frames: &[Frame], estimates: &[Estimate]) -> Vec<Contradicted> {
@@ -107,17 +109,27 @@ impl<'a> Profile<'a> {
         pixels.mean(self.band.centre_px, &places)
     }
 
+    /// Where the line has left the band on one side, and the colour there; `None` where all of it looks like the band.
+    fn beside(&self, pixels: &Pixels, core: &Yuv, side: f64) -> Option<(f64, Yuv)> {
+        let mut edge = self.half;
+        while edge <= FURTHEST * self.half {
+            let colour = self.colour(pixels, (side * (edge + BESIDE_PX.0), side * (edge + BESIDE_PX.1)))?;
+            if pixels.contrast(core, &colour) >= CLEAR {
+                return Some((edge, colour));
+            }
+            edge += BESIDE_PX.1 - BESIDE_PX.0;
+        }
+        None
+    }
+
     /// Length of what is seen along the line over that which is expected; `None` where the colours are too alike.
     fn ratio(&self, pixels: &Pixels) -> Option<f64> {
         let core = self.colour(pixels, (-CORE * self.half, CORE * self.half))?;
         let mut seen = 0.0;
         for side in [-1.0, 1.0] {
-            let beside = self.colour(pixels, (side * (self.half + BESIDE_PX.0), side * (self.half + BESIDE_PX.1)))?;
-            if pixels.contrast(&core, &beside) < CLEAR {
-                return None;
-            }
+            let (edge, beside) = self.beside(pixels, &core, side)?;
             let mut at = STEP_PX / 2.0;
-            while at < self.half + BESIDE_PX.0 {
+            while at < edge + BESIDE_PX.0 {
                 let colour = self.colour(pixels, (side * at, side * at))?;
                 seen += pixels.share(&colour, &core, &beside).clamp(0.0, 1.0) * STEP_PX;
                 at += STEP_PX;

@@ -142,6 +142,11 @@ pub(in crate::cli) fn unusable(rig: &Rig, tally: &Tally) -> Option<String> {
             "not_recorded" => {
                 "the log holds parts of its pictures, and not those: track it with the rig it was recorded with".to_owned()
             }
+            "interlaced" => {
+                "record progressive video, or make a frame of each field (ffmpeg: `-vf bwdif=send_field`); if all rows are of \
+                 one moment after all, say so (`-vf setfield=prog`)"
+                    .to_owned()
+            }
             "damaged" => "the recording is damaged: copy it again".to_owned(),
             "rays_diverge" => "camera, mirror or tank have moved since the calibration, or another thing has its colour".to_owned(),
             "ambiguous" => "other things of its colour are in the views: cover them, or draw the regions tighter".to_owned(),

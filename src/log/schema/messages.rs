@@ -67,6 +67,21 @@ pub struct PictureWindows {
     pub siting: String,
     /// The parts. They do not overlap, and are the same for all planes.
     pub windows: Vec<PictureWindow>,
+    /// How coarsely the picture was quantised before it came here; absent when that is not known, or it was not.
+    pub quantisation: Option<PictureQuantisation>,
+}
+
+/// Steps of a coder's quantiser, block by block.
+#[derive(Debug, Clone, PartialEq, Encode)]
+pub struct PictureQuantisation {
+    /// Side of a block, pixels.
+    pub block_px: u32,
+    /// Blocks in a row.
+    pub columns: u32,
+    /// Whether pictures were predicted from others.
+    pub predicted: bool,
+    /// A byte q a block, row after row: the step is 2^((q − 4) / 6) stored units.
+    pub levels: Bytes,
 }
 
 /// A rectangle of one plane's samples.

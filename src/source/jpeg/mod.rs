@@ -44,9 +44,31 @@ pub(crate) fn is_cut_off(bytes: &[u8]) -> bool {
     }
 }
 
-/// What is wrong with the codes of a JPEG picture, as far as that can be told.
-pub(crate) fn damage(bytes: &[u8]) -> Option<&'static str> {
-    Picture::default().read(bytes).err()
+/// What a JPEG picture's data say about it.
+pub(crate) struct Examined {
+    /// What is wrong with its codes, as far as that can be told.
+    pub damage: Option<&'static str>,
+    /// Step of the quantiser for luma, stored units: RMS over the coefficients that bands and edges live in.
+    pub step: Option<f64>,
+}
+
+/// Coefficients that count for the step, in the order they are stored: all but the mean, up to four waves a block.
+const COUNTING: std::ops::RangeInclusive<usize> = 1..=14;
+
+/// Goes through a JPEG picture; of other files nothing is said.
+pub(crate) fn examine(bytes: &[u8]) -> Examined {
+    let mut picture = Picture::default();
+    let damage = picture.read(bytes).err();
+    Examined { damage, step: picture.step() }
+}
+
+/// The step of the quantiser alone, without going through the codes.
+#[cfg(target_os = "linux")]
+pub(crate) fn step(bytes: &[u8]) -> Option<f64> {
+    let scan = bytes.windows(2).position(|two| two == [0xff, START_OF_SCAN])?;
+    let mut picture = Picture::default();
+    picture.read(bytes.get(..scan)?).ok()?;
+    picture.step()
 }
 
 /// What the segments before a scan say.
@@ -69,6 +91,13 @@ struct Component {
 }
 
 impl Picture {
+    fn step(&self) -> Option<f64> {
+        let luma = self.components.first().map_or(0, |component| component.quantization);
+        let table = self.quantization.get(luma).copied().flatten()?;
+        let squares: f64 = table[COUNTING].iter().map(|step| f64::from(*step).powi(2)).sum();
+        Some((squares / COUNTING.count() as f64).sqrt())
+    }
+
     /// Goes through all scans; `Ok` too when nothing can be told.
     fn read(&mut self, bytes: &[u8]) -> Result<(), &'static str> {
         let Some(mut rest) = bytes.strip_prefix(&START_OF_IMAGE) else { return Ok(()) };
@@ -450,13 +479,13 @@ mod tests {
     fn sound_pictures_are_sound_and_half_of_the_changed_bits_are_noticed() {
         let (mut changed, mut noticed) = (0, 0);
         for bytes in sound() {
-            assert_eq!(damage(&bytes), None);
+            assert_eq!(examine(&bytes).damage, None);
             let scan = bytes.windows(2).position(|two| two == [0xff, START_OF_SCAN]).unwrap() + 14;
             for at in (scan..bytes.len() - 2).step_by(7) {
                 let mut damaged = bytes.clone();
                 damaged[at] ^= 1 << (at % 8);
                 changed += 1;
-                noticed += usize::from(damage(&damaged).is_some());
+                noticed += usize::from(examine(&damaged).damage.is_some());
             }
         }
         println!("{noticed} of {changed} changed bits are noticed");
@@ -476,7 +505,7 @@ mod tests {
         for (quality, percent) in [(60, 75), (80, 65), (95, 40)] {
             let mut bytes = Vec::new();
             image::codecs::jpeg::JpegEncoder::new_with_quality(&mut bytes, quality).encode_image(&part).unwrap();
-            assert_eq!(damage(&bytes), None);
+            assert_eq!(examine(&bytes).damage, None);
             let scan = bytes.windows(2).position(|two| two == [0xff, START_OF_SCAN]).unwrap() + 10;
             let pixels = |bytes: &[u8]| Some(image::load_from_memory(bytes).ok()?.to_luma8());
             let sound = pixels(&bytes).unwrap();
@@ -485,7 +514,7 @@ mod tests {
                 let mut damaged = bytes.clone();
                 damaged[at] ^= 1 << (at % 8);
                 changed += 1;
-                if damage(&damaged).is_some() {
+                if examine(&damaged).damage.is_some() {
                     noticed += 1;
                 } else if let Some(picture) = pixels(&damaged) {
                     let off = picture.iter().zip(sound.iter()).filter(|(a, b)| a.abs_diff(**b) > 8).count();
@@ -510,7 +539,7 @@ mod tests {
                     damaged[at] = random.u8(..);
                 }
                 damaged.truncate(random.usize(2..=damaged.len()));
-                let _ = damage(&damaged);
+                let _ = examine(&damaged).damage;
             }
         }
     }

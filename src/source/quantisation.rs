@@ -1,0 +1,172 @@
+//! How coarsely a coder quantised a picture.
+//!
+//! A coder keeps the coefficients of its transform in whole steps, and leaves out what is not worth its bits. It says
+//! how large the steps were, block by block; libav's decoders hand that on for H.264, VP9, MPEG-2 and MPEG-4 (not for H.265
+//! and AV1). The transforms are orthonormal, so that a step of a coefficient is one of stored values, too.
+
+use super::Window;
+use ffmpeg_the_third::frame::Video;
+use ffmpeg_the_third::frame::side_data::Type;
+
+/// Steps of the quantiser, block by block. A level q stands for a step of 2^((q − 4) / 6) stored units, as in H.264
+/// (ITU-T H.264, table 8-15): six levels double it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Quantisation {
+    /// Side of a block, pixels.
+    pub block_px: u32,
+    /// Blocks in a row.
+    pub columns: u32,
+    /// Levels, row after row.
+    pub levels: Vec<u8>,
+    /// Whether pictures are predicted from others, so that an error may stay.
+    pub predicted: bool,
+}
+
+/// Step of one level, stored units.
+fn step(level: u8) -> f64 {
+    ((f64::from(level) - 4.0) / 6.0).exp2()
+}
+
+/// The nearest level of a step.
+fn level(step: f64) -> u8 {
+    // `as` saturates.
+    (4.0 + 6.0 * step.max(1e-3).log2()).round() as u8
+}
+
+impl Quantisation {
+    /// RMS of the steps in a window, stored units; `None` when it lies outside.
+    pub fn step_in(&self, window: &Window) -> Option<f64> {
+        let (mut sum, mut count) = (0.0, 0_u32);
+        let blocks = |from: u32, to: u32| (from / self.block_px)..to.div_ceil(self.block_px);
+        for row in blocks(window.y0, window.y1) {
+            for column in blocks(window.x0, window.x1.min(self.columns.saturating_mul(self.block_px))) {
+                let Some(q) = self.levels.get(row as usize * self.columns as usize + column as usize) else { break };
+                sum += step(*q).powi(2);
+                count += 1;
+            }
+        }
+        (count > 0).then(|| (sum / f64::from(count)).sqrt())
+    }
+
+    /// The same step everywhere, in a picture that stands for itself.
+    pub(crate) fn of_step(step: f64, size_px: [u32; 2]) -> Self {
+        Self { predicted: false, ..Self::uniform(level(step), size_px) }
+    }
+
+    fn uniform(level: u8, [width, height]: [u32; 2]) -> Self {
+        Self { block_px: width.max(height).max(1), columns: 1, levels: vec![level], predicted: true }
+    }
+
+    /// What is assumed of a coder that quantises, but does not say how coarsely: what H.264 has at crf 22 or so.
+    pub(crate) fn assumed(size_px: [u32; 2]) -> Self {
+        Self::uniform(ASSUMED, size_px)
+    }
+
+    /// What the decoder says of a frame; `None` when it says nothing, and for pictures without loss.
+    pub(crate) fn of(frame: &Video) -> Option<Self> {
+        let data = frame.side_data(Type::VIDEO_ENC_PARAMS)?;
+        Self::parsed(data.data(), [frame.width(), frame.height()])
+    }
+
+    /// From libav's `AVVideoEncParams`, which says itself where its blocks start and how large they are.
+    fn parsed(data: &[u8], [width, height]: [u32; 2]) -> Option<Self> {
+        const WORD: usize = size_of::<usize>();
+        let int = |at: usize| Some(i32::from_ne_bytes(data.get(at..at + 4)?.try_into().ok()?));
+        let size = |at: usize| Some(usize::from_ne_bytes(data.get(at..at + WORD)?.try_into().ok()?));
+        let count = usize::try_from(int(0)?).ok()?;
+        let (first, length) = (size(WORD)?, size(2 * WORD)?);
+        let (kind, base) = (int(3 * WORD)?, int(3 * WORD + 4)?);
+        let level_of: fn(i32) -> u8 = match kind {
+            VP9 => |index| level(vp9_step(index)),
+            H264 => |qp| qp.clamp(0, 51) as u8,
+            // Steps of 2 q where the matrix is flat (ITU-T H.263, 6.2.1).
+            MPEG2 => |q| level(2.0 * f64::from(q)),
+            _ => return None,
+        };
+        if count == 0 {
+            return Some(Self::uniform(level_of(base), [width, height]));
+        }
+        let columns = width.div_ceil(BLOCK_PX);
+        let mut levels = vec![level_of(base); columns as usize * height.div_ceil(BLOCK_PX) as usize];
+        for i in 0..count {
+            let at = first.checked_add(i.checked_mul(length)?)?;
+            let [x, y, w, h] = [int(at)?, int(at + 4)?, int(at + 8)?, int(at + 12)?].map(|v| v.max(0).cast_unsigned());
+            let q = level_of(base.saturating_add(int(at + 16)?));
+            for row in (y / BLOCK_PX)..y.saturating_add(h).min(height).div_ceil(BLOCK_PX) {
+                for column in (x / BLOCK_PX)..x.saturating_add(w).min(width).div_ceil(BLOCK_PX) {
+                    if let Some(level) = levels.get_mut(row as usize * columns as usize + column as usize) {
+                        *level = q;
+                    }
+                }
+            }
+        }
+        Some(Self { block_px: BLOCK_PX, columns, levels, predicted: true })
+    }
+}
+
+/// Level of a coder that does not say it.
+const ASSUMED: u8 = 25;
+/// Side of a macroblock.
+const BLOCK_PX: u32 = 16;
+/// `AVVideoEncParamsType`.
+const VP9: i32 = 0;
+const H264: i32 = 1;
+const MPEG2: i32 = 2;
+
+/// Step of VP9's quantiser for an index of 0 to 255: its table of steps for coefficients other than the mean, eight
+/// times as large (VP9 Bitstream Specification 0.6, `ac_qlookup`), is met within a tenth.
+fn vp9_step(index: i32) -> f64 {
+    let i = f64::from(index.clamp(0, 255));
+    if i <= 95.0 { (i + 7.0) / 8.0 } else { 102.0 / 8.0 * ((i - 95.0) * VP9_GROWTH).exp() }
+}
+
+/// From 102 at index 95 to 1828 at 255.
+const VP9_GROWTH: f64 = 0.018_04;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// libav's structure: a macroblock pair of its own beside a base level.
+    fn encoded(kind: i32, base: i32, blocks: &[[i32; 5]]) -> Vec<u8> {
+        let word = |n: usize| n.to_ne_bytes().to_vec();
+        let mut bytes = word(blocks.len());
+        bytes.extend(word(4 * size_of::<usize>() + 40));
+        bytes.extend(word(20));
+        bytes.extend([kind, base].iter().flat_map(|v| v.to_ne_bytes()));
+        bytes.resize(4 * size_of::<usize>() + 40, 0);
+        bytes.extend(blocks.iter().flatten().flat_map(|v| v.to_ne_bytes()));
+        bytes
+    }
+
+    #[test]
+    fn the_step_of_a_window_is_that_of_its_blocks() {
+        let bytes = encoded(H264, 22, &[[16, 0, 16, 16, 6], [0, 16, 32, 16, -6]]);
+        let found = Quantisation::parsed(&bytes, [40, 30]).unwrap();
+        assert_eq!((found.columns, &found.levels), (3, &vec![22, 28, 22, 16, 16, 22]));
+        let at = |x0, y0| found.step_in(&Window { x0, y0, x1: x0 + 4, y1: y0 + 4 }).unwrap();
+        // H.264, table 8-15: level 22 has a step of 8, six more double it.
+        assert!((at(0, 0) - 8.0).abs() < 1e-9 && (at(16, 0) - 16.0).abs() < 1e-9 && (at(4, 20) - 4.0).abs() < 1e-9);
+        let both = found.step_in(&Window { x0: 12, y0: 0, x1: 20, y1: 8 }).unwrap();
+        assert!((both - 160.0_f64.sqrt()).abs() < 1e-9, "{both}");
+        assert_eq!(found.step_in(&Window { x0: 100, y0: 100, x1: 110, y1: 110 }), None);
+    }
+
+    #[test]
+    fn without_blocks_the_base_holds_everywhere_and_what_is_cut_off_says_nothing() {
+        let everywhere = Window { x0: 0, y0: 0, x1: 640, y1: 480 };
+        let step = |kind, base| {
+            Quantisation::parsed(&encoded(kind, base, &[]), [640, 480]).unwrap().step_in(&everywhere).unwrap()
+        };
+        assert!((step(MPEG2, 4) / 8.0 - 1.0).abs() < 0.06);
+        // VP9's table: 32 at index 25, 203 at 137, 1828 at 255.
+        for (index, eighths) in [(25, 32.0), (137, 203.0), (255, 1828.0)] {
+            assert!((step(VP9, index) * 8.0 / eighths - 1.0).abs() < 0.15, "{index}: {}", step(VP9, index) * 8.0);
+        }
+        let bytes = encoded(H264, 22, &[[0, 0, 16, 16, 6]]);
+        for cut in 0..bytes.len() {
+            assert_eq!(Quantisation::parsed(&bytes[..cut], [32, 32]), None, "{cut} bytes");
+        }
+        assert_eq!(Quantisation::parsed(&encoded(9, 22, &[]), [32, 32]), None);
+    }
+}
