@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Encode a recording with known truth in many formats, teach and track each, and print a Markdown table.
+"""Encode a recording with known truth in many formats, or degrade it, teach and track each, and print a Markdown table.
 
 For each format the recording is tracked twice: with the rig as it is (taught on another recording), and with the markers
 taught anew on PLANAR in this format. Errors are root mean squares after a rigid alignment of all points; in brackets stands
@@ -48,6 +48,21 @@ FORMATS = {
     " -colorspace bt2020nc -c:v ffv1 -level 3 -pix_fmt yuv444p",
     "FFV1 RGB": "-c:v ffv1 -level 3 -pix_fmt bgr0",
     "FFV1 RGB from Bayer": "-vf format=bayer_rggb8,format=gbrp -c:v ffv1 -level 3 -pix_fmt bgr0",
+}
+
+AS_RGB = "-c:v ffv1 -level 3 -pix_fmt bgr0"
+# On stored values: light times k is a factor of k^(1/2.2).
+DEGRADATIONS = {
+    "as it is": None,
+    "half the exposure": f"-vf lutrgb=r=val*0.73:g=val*0.73:b=val*0.73 {AS_RGB}",
+    "a quarter of it": f"-vf lutrgb=r=val*0.53:g=val*0.53:b=val*0.53 {AS_RGB}",
+    "noise of 8 grey values": f"-vf format=gbrp,noise=alls=28:allf=t {AS_RGB}",
+    "cast of warm light": f"-vf colorchannelmixer=rr=1:gg=0.85:bb=0.65 {AS_RGB}",
+    "white balance drifts": f"-vf format=yuv444p,eq=gamma_r='1+0.15*t':gamma_b='1-0.15*t':eval=frame {AS_RGB}",
+    "gamma 1.3": f"-vf lutrgb=r=gammaval(1/1.3):g=gammaval(1/1.3):b=gammaval(1/1.3) {AS_RGB}",
+    "colours half grey": f"-vf format=yuv444p,hue=s=0.5 {AS_RGB}",
+    "exposed over 2 frames": f"-vf tmix=frames=2 {AS_RGB}",
+    "a post passes": f"-vf drawbox=x=820+60*t:y=0:w=9:h=1024:color=gray:t=fill {AS_RGB}",
 }
 
 
@@ -123,6 +138,7 @@ def main():
     parser.add_argument("recordings", type=pathlib.Path, help="folder with planar.mkv, circle.mkv and truth/circle.csv")
     parser.add_argument("--rig", required=True, type=pathlib.Path, help="finished rig, for all formats")
     parser.add_argument("--teach", required=True, help="options of `catoptra calibrate markers` for planar.mkv")
+    parser.add_argument("--degrade", action="store_true", help="degrade the recording instead of encoding it")
     parser.add_argument("--only", help="formats whose name contains this")
     parser.add_argument("--keep", type=pathlib.Path, help="folder for the encoded files, used again when they are there")
     arguments = parser.parse_args()
@@ -134,7 +150,7 @@ def main():
         work = pathlib.Path(folder)
         keep = arguments.keep or work / "videos"
         keep.mkdir(exist_ok=True)
-        for number, (name, how) in enumerate(FORMATS.items()):
+        for number, (name, how) in enumerate((DEGRADATIONS if arguments.degrade else FORMATS).items()):
             if arguments.only and arguments.only not in name:
                 continue
             videos = {}

@@ -64,6 +64,10 @@ pub struct Position {
     pub point: Point3<f64>,
     /// Covariance, m².
     pub covariance: Matrix3<f64>,
+    /// The least that any unbiased estimate could have from the same samples, m²: the Cramér-Rao bound of the image
+    /// model for independent noise of the size that the residuals have. What `covariance` has beyond it are errors
+    /// that samples have in common, a coder's above all, and what the model gets wrong.
+    pub bound: Matrix3<f64>,
 }
 
 impl Position {
@@ -101,6 +105,8 @@ pub struct Tangent {
     pub direction: Vector3<f64>,
     /// Covariance of the unit vector (rank 2, across it), rad².
     pub covariance: Matrix3<f64>,
+    /// The Cramér-Rao bound of it, as [`Position::bound`].
+    pub bound: Matrix3<f64>,
 }
 
 impl Tangent {

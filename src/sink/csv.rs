@@ -253,11 +253,14 @@ mod tests {
         let mut estimate = fixture::complete(seq, stamp_ns);
         for (k, marker) in estimate.markers.iter_mut().enumerate() {
             let covariance = Matrix3::from_diagonal(&Vector3::new(1e-10, 4e-10, 25e-10)); // mean 1e-9 m²
-            marker.position =
-                Ok(Position { point: Point3::new(0.001, 0.0025 * k as f64, 1.0 + 0.01 * k as f64), covariance });
+            marker.position = Ok(Position {
+                point: Point3::new(0.001, 0.0025 * k as f64, 1.0 + 0.01 * k as f64),
+                covariance,
+                bound: covariance,
+            });
         }
         let across = Matrix3::from_diagonal(&Vector3::new(4e-6, 0.0, 4e-6)); // sd 2 mrad
-        estimate.tangent = Ok(Tangent { direction: Vector3::y(), covariance: across });
+        estimate.tangent = Ok(Tangent { direction: Vector3::y(), covariance: across, bound: across });
         estimate.deflection =
             Ok(Deflection { theta_rad: 0.5, theta_sd_rad: 0.002, polar_rad: 1.0, azimuth_rad: -0.25 });
         estimate

@@ -62,6 +62,7 @@ pub(crate) fn complete(seq: u64, stamp_ns: i64) -> Estimate {
             position: Ok(Position {
                 point: camera_from_base * in_base,
                 covariance: in_camera(Matrix3::from_diagonal(&Vector3::new(1e-10, 4e-10, 25e-10))),
+                bound: Matrix3::zeros(),
             }),
             views: (0..2).map(|view| Ok(band(seq, along_m, f64::from(view)))).collect(),
         }
@@ -72,7 +73,11 @@ pub(crate) fn complete(seq: u64, stamp_ns: i64) -> Estimate {
         gap: 0,
         host: None,
         markers: vec![marker(0.0, 0.0), marker(0.035, 0.8), marker(0.05, 1.0)],
-        tangent: Ok(Tangent { direction: camera_from_base * direction_in_base, covariance: in_camera(across * 4e-6) }),
+        tangent: Ok(Tangent {
+            direction: camera_from_base * direction_in_base,
+            covariance: in_camera(across * 4e-6),
+            bound: Matrix3::zeros(),
+        }),
         deflection: Ok(Deflection {
             theta_rad: direction_in_base.x.atan2(direction_in_base.z),
             theta_sd_rad: 2e-3,

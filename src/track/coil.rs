@@ -43,7 +43,7 @@ mod tests {
         let camera_from_base = base().base_from_camera.rotation.inverse();
         let direction = (camera_from_base * t).normalize();
         let across = Matrix3::identity() - direction * direction.transpose();
-        Tangent { direction, covariance: across * 1e-4 }
+        Tangent { direction, covariance: across * 1e-4, bound: across * 1e-4 }
     }
 
     #[test]

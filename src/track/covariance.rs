@@ -59,7 +59,15 @@ impl Round<'_> {
             let residual_covariance_px2 = covariance * inflation;
             ViewFit { image, colours, residual_px, residual_covariance_px2, rms: rms(&normal.squares) }
         });
-        Ok(TubeFit { shape, covariance, slip, slip_covariance, views: views.collect(), misfit: misfit(normals) })
+        Ok(TubeFit {
+            shape,
+            covariance,
+            bound: plain,
+            slip,
+            slip_covariance,
+            views: views.collect(),
+            misfit: misfit(normals),
+        })
     }
 }
 

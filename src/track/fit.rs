@@ -47,6 +47,8 @@ pub(crate) struct TubeFit {
     pub shape: TubeShape,
     /// Of noise, and of what the image model gets wrong.
     pub covariance: SMatrix<f64, SHAPE, SHAPE>,
+    /// Of independent noise alone, of the size that the residuals have.
+    pub bound: SMatrix<f64, SHAPE, SHAPE>,
     /// How far chroma was seen to have slipped, and what a slip of one square pixel adds to the covariance.
     pub slip: Seen,
     pub slip_covariance: SMatrix<f64, SHAPE, SHAPE>,

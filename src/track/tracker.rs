@@ -486,8 +486,10 @@ impl Tracker {
                 && let Ok(fit) = result
             {
                 let across = fit.shape.across();
-                let covariance = across * fit.covariance.fixed_view::<2, 2>(3, 3) * across.transpose();
-                tangent = Ok(Tangent { direction: fit.shape.tangent(), covariance });
+                let turned =
+                    |shape: &SMatrix<f64, SHAPE, SHAPE>| across * shape.fixed_view::<2, 2>(3, 3) * across.transpose();
+                let (covariance, bound) = (turned(&fit.covariance), turned(&fit.bound));
+                tangent = Ok(Tangent { direction: fit.shape.tangent(), covariance, bound });
             }
         }
         let deflection = match &tangent {
@@ -500,6 +502,7 @@ impl Tracker {
     fn marker(&self, group: &Group, member: usize, s: f64, views: &[usize], fit: &TubeFit) -> MarkerEstimate {
         let (point, _, d) = fit.shape.at(s);
         let covariance: Matrix3<f64> = d * fit.covariance * d.transpose();
+        let bound: Matrix3<f64> = d * fit.bound * d.transpose();
         let half = self.rig.markers[group.members[member].0].length_m / 2.0;
         let observed = (0..self.rig.views.len())
             .map(|v| {
@@ -521,7 +524,7 @@ impl Tracker {
                 })
             })
             .collect();
-        MarkerEstimate { position: Ok(Position { point, covariance }), views: observed }
+        MarkerEstimate { position: Ok(Position { point, covariance, bound }), views: observed }
     }
 }
 

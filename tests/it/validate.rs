@@ -52,8 +52,11 @@ fn record(folder: &Path) {
         let mut estimate: Estimate = fixture::complete(seq, 4_000_000 + seq as i64 * 16_666_667);
         let stamp_ns = estimate.stamp.ns;
         let in_base = place((stamp_ns - START_NS) as f64 * 1e-9);
-        estimate.markers[2].position =
-            Ok(Position { point: camera_from_base * in_base, covariance: Matrix3::identity() * 1e-9 });
+        estimate.markers[2].position = Ok(Position {
+            point: camera_from_base * in_base,
+            covariance: Matrix3::identity() * 1e-9,
+            bound: Matrix3::zeros(),
+        });
         estimate.host = Some(HostTime { stamp_ns: HOST_0 + stamp_ns, arrival_ns: HOST_0 + stamp_ns + 2_000_000 });
         while START_NS + command * PAUSE_NS < stamp_ns {
             // At rest before, one current a point from the first command on.

@@ -111,7 +111,11 @@ pub(crate) fn estimate(
 ) -> Estimate {
     let markers = (0..3)
         .map(|i| MarkerEstimate {
-            position: Ok(Position { point: points[i], covariance: Matrix3::identity() * POSITION_SD_M.powi(2) }),
+            position: Ok(Position {
+                point: points[i],
+                covariance: Matrix3::identity() * POSITION_SD_M.powi(2),
+                bound: Matrix3::zeros(),
+            }),
             views: rig.views.iter().map(|v| Ok(band(v, points[i], tangents[i], rig.markers[i].length_m))).collect(),
         })
         .collect();
@@ -132,7 +136,7 @@ pub(crate) fn estimate(
         gap: 0,
         host: None,
         markers,
-        tangent: Ok(Tangent { direction, covariance: across * TANGENT_SD_RAD.powi(2) }),
+        tangent: Ok(Tangent { direction, covariance: across * TANGENT_SD_RAD.powi(2), bound: Matrix3::zeros() }),
         deflection,
     }
 }

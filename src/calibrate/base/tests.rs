@@ -29,7 +29,7 @@ fn tangent(theta: f64, across: f64, error: [f64; 2]) -> Tangent {
     let direction = exact + in_plane * error[0] * TANGENT_SD_RAD[0] + y * error[1] * TANGENT_SD_RAD[1];
     let covariance =
         in_plane * in_plane.transpose() * TANGENT_SD_RAD[0].powi(2) + y * y.transpose() * TANGENT_SD_RAD[1].powi(2);
-    Tangent { direction: direction.normalize(), covariance }
+    Tangent { direction: direction.normalize(), covariance, bound: covariance }
 }
 
 fn stamp(frame: usize) -> Timestamp {
@@ -41,6 +41,7 @@ fn rest(frames: usize, random: &mut impl FnMut() -> f64) -> Observed {
     let position = Position {
         point: (origin() + Vector3::from_fn(|_, _| random()) * BASE_SD_M).into(),
         covariance: Matrix3::identity() * BASE_SD_M.powi(2),
+        bound: Matrix3::zeros(),
     };
     let tangent = tangent(0.0, 0.0, [random(), random()]);
     Observed {

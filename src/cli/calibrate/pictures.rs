@@ -163,3 +163,30 @@ fn in_folder(folder: &Path) -> Result<Vec<PathBuf>, Failure> {
     }
     Ok(files)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::{Isometry3, Point2, Vector2};
+
+    /// As a marker of a ChArUco board that is taken for its neighbour leaves it.
+    #[test]
+    fn a_corner_that_is_far_off_is_told_with_its_place() {
+        let corner = |off: f64| (Point2::new(312.4, 208.0), Vector2::new(off, 0.0));
+        let picture = |name: &str, worst: f64| UsedPicture {
+            name: name.to_owned(),
+            pose: Isometry3::identity(),
+            corners: [0.1, -0.1, worst].map(corner).to_vec(),
+        };
+        let pictures = [picture("a.png", 0.1), picture("b.png", 17.0)];
+        let text = table(&[], pictures.iter(), &[] as &[(String, String)], 0.1);
+        let warnings: Vec<_> = text.lines().filter(|line| line.starts_with("warning")).collect();
+        assert_eq!(
+            warnings,
+            [
+                "warning: b.png: a corner is astray, the worst at (312, 208) by 17.0 px: hidden, shaded, or taken for another? \
+              They hardly count"
+            ]
+        );
+    }
+}

@@ -11,23 +11,34 @@ pub(crate) struct Errors<const D: usize> {
     errors: Vec<SVector<f64, D>>,
     /// Of each error, e'C⁻¹e per degree of freedom.
     normalised: Vec<f64>,
+    /// Sums of the variances that σ stands for, and of those of the bound.
+    variance: f64,
+    bound: f64,
 }
 
 impl<const D: usize> Errors<D> {
     fn new() -> Self {
-        Self { errors: Vec::new(), normalised: Vec::new() }
+        Self { errors: Vec::new(), normalised: Vec::new(), variance: 0.0, bound: 0.0 }
     }
 
-    fn push(&mut self, error: SVector<f64, D>, covariance: &SMatrix<f64, D, D>) {
+    fn push(&mut self, error: SVector<f64, D>, covariance: &SMatrix<f64, D, D>, bound: &SMatrix<f64, D, D>) {
         let inverse =
             covariance.cholesky().unwrap_or_else(|| panic!("covariance {covariance} is not positive")).inverse();
         self.errors.push(error);
+        self.variance += covariance.trace();
+        self.bound += bound.trace();
         self.normalised.push(error.dot(&(inverse * error)) / D as f64);
     }
 
     fn mean(values: impl ExactSizeIterator<Item = f64>) -> f64 {
         let count = values.len() as f64;
         values.sum::<f64>() / count
+    }
+
+    /// Errors over the Cramér-Rao bound of independent noise, and σ over errors.
+    pub(crate) fn beside_the_bound(&self) -> [f64; 2] {
+        let rms = self.rms() * (self.count() as f64).sqrt();
+        [rms / self.bound.sqrt(), self.variance.sqrt() / rms]
     }
 
     pub(crate) fn count(&self) -> usize {
@@ -102,29 +113,37 @@ impl Score {
             assert_eq!(estimate.stamp.ns, truth.stamp_ns, "{at}: stamp");
             for (m, (marker, point)) in estimate.markers.iter().zip(&truth.points).enumerate() {
                 let position = marker.position.as_ref().unwrap_or_else(|miss| panic!("{at}, {}: {miss:?}", MARKERS[m]));
-                score.points_mm[m].push((position.point - point) * 1e3, &(position.covariance * 1e6));
+                score.points_mm[m].push(
+                    (position.point - point) * 1e3,
+                    &(position.covariance * 1e6),
+                    &(position.bound * 1e6),
+                );
                 for (v, view) in marker.views.iter().enumerate() {
                     let Ok(band) = view else { continue };
                     let seen = rig.views[v].optics.project(point).expect("the truth is seen");
                     let turn = Rotation2::new(-band.axis.y.atan2(band.axis.x));
                     let covariance = turn.matrix() * band.covariance_px2 * turn.matrix().transpose();
-                    score.views_px[m][v].push(turn * (band.centre_px - seen), &covariance);
+                    score.views_px[m][v].push(turn * (band.centre_px - seen), &covariance, &covariance);
                     score.residuals[m][v] += band.fit_rms;
                 }
             }
             let tangent = estimate.tangent.as_ref().unwrap_or_else(|miss| panic!("{at}, tangent: {miss:?}"));
             let turning = (base_from_camera.inverse() * Vector3::y()).cross(&truth.tangent).normalize();
             let across = Matrix2x3::from_rows(&[turning.transpose(), truth.tangent.cross(&turning).transpose()]);
-            let covariance = across * tangent.covariance * across.transpose();
-            score.tangent_deg.push(across * tangent.direction * degrees(), &(covariance * degrees().powi(2)));
+            let [covariance, bound] =
+                [tangent.covariance, tangent.bound].map(|c| across * c * across.transpose() * degrees().powi(2));
+            score.tangent_deg.push(across * tangent.direction * degrees(), &covariance, &bound);
 
             let angles = estimate.deflection.as_ref().unwrap_or_else(|miss| panic!("{at}, θ: {miss:?}"));
             let t = base_from_camera * truth.tangent;
             let theta_deg = angles.theta_rad * degrees() - t.x.atan2(t.z) * degrees();
-            score.theta_deg.push(Vector1::new(theta_deg), &Matrix1::new((angles.theta_sd_rad * degrees()).powi(2)));
+            let variance = Matrix1::new((angles.theta_sd_rad * degrees()).powi(2));
+            // θ turns in the first of the tangent's two directions.
+            score.theta_deg.push(Vector1::new(theta_deg), &variance, &Matrix1::new(bound[(0, 0)]));
             let same = if run == "planar" { angles.theta_rad } else { angles.polar_rad };
             let error_deg = same * degrees() - truth.theta_deg;
-            score.truth_theta_deg.push(Vector1::new(error_deg), &Matrix1::new((tangent.sd_rad() * degrees()).powi(2)));
+            let variance = Matrix1::new((tangent.sd_rad() * degrees()).powi(2));
+            score.truth_theta_deg.push(Vector1::new(error_deg), &variance, &Matrix1::new(bound.trace() / 2.0));
         }
         for (sum, errors) in score.residuals.iter_mut().flatten().zip(score.views_px.iter().flatten()) {
             *sum /= errors.count() as f64;
@@ -135,14 +154,15 @@ impl Score {
     /// The figures as two tables in Markdown.
     pub(crate) fn table(&self) -> String {
         let mut text = format!("\n{}.mkv, {} frames, all answered\n\n", self.run, self.frames);
-        text += "| | RMS | bias | scatter | largest | e'C⁻¹e per degree of freedom |\n|---|---|---|---|---|---|\n";
+        text += "| | RMS | bias | scatter | largest | e'C⁻¹e per degree of freedom | \
+                 error / bound | σ / error |\n|---|---|---|---|---|---|---|---|\n";
         for (name, errors) in MARKERS.iter().zip(&self.points_mm) {
-            row(&mut text, &format!("{name}, mm (x, y, z)"), errors);
+            row_and_bound(&mut text, &format!("{name}, mm (x, y, z)"), errors);
         }
-        row(&mut text, "tangent, ° (θ's direction, across it)", &self.tangent_deg);
-        row(&mut text, "θ, °", &self.theta_deg);
+        row_and_bound(&mut text, "tangent, ° (θ's direction, across it)", &self.tangent_deg);
+        row_and_bound(&mut text, "θ, °", &self.theta_deg);
         if self.run != "planar" {
-            row(&mut text, "polar angle, °", &self.truth_theta_deg);
+            row_and_bound(&mut text, "polar angle, °", &self.truth_theta_deg);
         }
         text += "\n| each view alone, px (along the band, across) | RMS | bias | scatter | largest | e'C⁻¹e per degree of \
                  freedom | residual of the samples |\n|---|---|---|---|---|---|---|\n";
@@ -165,6 +185,14 @@ fn row<const D: usize>(text: &mut String, name: &str, errors: &Errors<D>) {
     let (bias, scatter) = (list(errors.bias(), true), list(errors.scatter(), false));
     let (rms, worst, normalised) = (errors.rms(), errors.worst(), errors.normalised());
     let _ = writeln!(text, "| {name} | {rms:.3} | {bias} | {scatter} | {worst:.3} | {normalised:.2} |");
+}
+
+/// The same, and how it compares with the bound.
+fn row_and_bound<const D: usize>(text: &mut String, name: &str, errors: &Errors<D>) {
+    row(text, name, errors);
+    text.truncate(text.trim_end().len());
+    let [above, honest] = errors.beside_the_bound();
+    let _ = writeln!(text, " {above:.1} | {honest:.2} |");
 }
 
 fn degrees() -> f64 {
