@@ -156,7 +156,7 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     let run = args.described();
     let run_toml = run.to_toml()?;
     let files = Files::new(&args.folder(), None, false).recording(args.record);
-    files.prepare_new(&run, &[&args.rig])?;
+    let _held = files.prepare_new(&run, &[&args.rig])?;
     let opened = open_sinks(&files, &rig, [&rig_toml, &run_toml], args.frame, args.info(), (args.record, false))?;
     let pictures = args.record.map(|_| Recording {
         to: opened.video.map_or(RecordTo::Log, RecordTo::Video),
