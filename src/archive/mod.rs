@@ -15,6 +15,8 @@ pub(crate) mod passing;
 mod staleness;
 pub(crate) mod study;
 mod summary;
+#[cfg(test)]
+mod summary_tests;
 
 pub(crate) use manifest::{Entry, Manifest, ManifestError, default_name, is_name};
 pub(crate) use staleness::{Now, Staleness, staleness};

@@ -394,25 +394,3 @@ impl RunSummary {
         }
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn what_was_written_is_read_and_what_another_program_wrote_is_refused() {
-        let place = tempfile::tempdir().unwrap();
-        assert!(RunSummary::read(place.path()).unwrap().is_none());
-        assert!(RunSummary::read(&place.path().join("none")).unwrap().is_none());
-        let summary = RunSummary::example();
-        summary.write(place.path()).unwrap();
-        assert_eq!(RunSummary::read(place.path()).unwrap().unwrap(), summary);
-        let path = place.path().join(SUMMARY);
-        let text = std::fs::read_to_string(&path).unwrap();
-        std::fs::write(&path, text.replace("\"schema\": 1", "\"schema\": 2")).unwrap();
-        let refused = RunSummary::read(place.path()).unwrap_err().to_string();
-        assert!(refused.contains("its form is 2, this program knows form 1"), "{refused}");
-        std::fs::write(&path, text.get(..text.len() / 2).unwrap()).unwrap();
-        assert!(matches!(RunSummary::read(place.path()), Err(SummaryError::Form { .. })));
-    }
-}

@@ -15,6 +15,7 @@ mod identify;
 mod interrupt;
 mod live;
 mod log;
+mod outcome;
 mod output;
 mod progress;
 mod provenance;
@@ -64,7 +65,10 @@ struct Cli {
 #[derive(Debug, Subcommand)]
 enum Command {
     /// Make a rig file from pictures and recordings
-    #[command(after_help = "Example:\n  catoptra calibrate markers --help")]
+    #[command(after_help = "\
+With --json each prints one outcome for programs: what was written, the rig, warnings, the error.
+Example:
+  catoptra calibrate markers --help")]
     Calibrate(calibrate::Args),
     /// Check rig files, and exchange cameras and views with other tools
     #[command(after_help = "Example:\n  catoptra rig check calibration/dev_tank/rig.toml")]
@@ -101,7 +105,7 @@ Example:
     /// What a steerable catheter does for given currents: its shape, its reach, currents for a path
     #[command(after_help = "Example:\n  catoptra catheter shape --currents 0mA,0mA,100mA")]
     Catheter(catheter::Args),
-    /// Identify the dynamics from logs, tables of `track` or any input and output (docs/identify.md)
+    /// Identify the dynamics from logs, tables of `track` or any input and output (docs/identify.md; --json)
     #[command(after_help = "\
 Example:
   catoptra identify sample_dynamics/training.csv --currents sample_dynamics/training_currents.csv \\

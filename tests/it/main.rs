@@ -16,6 +16,7 @@ mod support;
 
 mod accuracy;
 mod architecture;
+mod batch;
 mod calibrate_base;
 mod calibrate_board;
 mod calibrate_charuco;
@@ -28,6 +29,7 @@ mod calibrate_points;
 mod calibrate_rig;
 mod calibrate_sets;
 mod catheter;
+mod collect;
 mod drift;
 mod excite;
 mod first_run;
