@@ -116,7 +116,8 @@ fn one_failure_does_not_stop_the_rest_and_each_folder_is_as_if_tracked_alone() {
         sample("circle.mkv").display()
     ));
     ended_with(&alone, 0);
-    for file in ["track.csv", "log.mcap", "run.toml"] {
+    assert_eq!(estimates(&archive.path("runs/circle/log.mcap")), estimates(&archive.path("alone/log.mcap")));
+    for file in ["track.csv", "run.toml"] {
         let [one, other] = ["runs/circle", "alone"].map(|folder| fs::read(archive.path(folder).join(file)).unwrap());
         assert!(one == other, "{file}");
     }

@@ -90,15 +90,26 @@ pub(super) struct Opened {
     pub(super) count: Arc<PictureCount>,
 }
 
-/// Opens the files of a run. `record` with whether the log is given pictures to cut them itself.
+/// How a log is written.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Logged {
+    pub(super) record: Option<Record>,
+    /// Whether it is given pictures, to cut them itself.
+    pub(super) cuts: bool,
+    /// Whether the same frames give the same bytes; a run that is killed may then lose more than its last second.
+    pub(super) repeatable: bool,
+}
+
+/// Opens the files of a run.
 pub(super) fn open_sinks(
     files: &Files,
     rig: &Rig,
     [rig_toml, run_toml]: [&str; 2],
     reference: Reference,
     info: RunInfo,
-    (record, log_cuts): (Option<Record>, bool),
+    logged: Logged,
 ) -> Result<Opened, Failure> {
+    let Logged { record, cuts, repeatable } = logged;
     let count = Arc::new(PictureCount::default());
     let open = || -> Result<Opened, SinkError> {
         let mut log = McapSink::create(&files.log, rig, rig_toml, run_toml)?;
@@ -106,7 +117,10 @@ pub(super) fn open_sinks(
             let what = record.codec().map_or(record.word(), |_| PICTURES);
             log = log.with_pictures(what, Arc::clone(&count));
         }
-        if log_cuts && record == Some(Record::Windows) {
+        if repeatable {
+            log = log.by_camera_time();
+        }
+        if cuts && record == Some(Record::Windows) {
             log = log.with_windows();
         }
         let mut sinks: Vec<Box<dyn Sink + Send>> = vec![

@@ -236,7 +236,7 @@ impl Attempt<'_> {
         let words = words.into_iter().chain(options.words());
         let command = provenance::of_command(words.chain(["-o".to_owned(), unlike_others(folder)]));
         let (threads, pool) = (self.threads, self.pool);
-        let request = Request { source, rig, options, files: &files, threads, pool, command };
+        let request = Request { source, rig, options, files: &files, threads, pool, repeatable: true, command };
         let ready = match self.work.within(|| request.open()) {
             Ok(ready) => ready,
             Err(failure) => return self.refused(&failure, &rig.warnings),

@@ -79,7 +79,8 @@ fn single(args: &Args, source: &PathBuf, quiet: bool) -> Result<(), Failure> {
     let files = Files::new(&folder, args.csv.as_ref().and_then(Option::as_deref), args.options.overlay);
     let files = files.recording(args.options.record);
     let (options, command) = (&args.options, provenance::of_this_run());
-    let request = Request { source, rig: &rig, options, files: &files, threads, pool: &pool, command };
+    let request =
+        Request { source, rig: &rig, options, files: &files, threads, pool: &pool, repeatable: false, command };
     let ready = work.within(|| request.open())?;
     rig.warnings.iter().for_each(|warning| tracing::warn!("{warning}"));
     // 2. the files

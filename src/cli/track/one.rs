@@ -2,7 +2,7 @@
 
 use super::super::results::{unlike_others, whole_path};
 use super::super::run::folder::{Files, Held, Run};
-use super::super::run::{load_rig, open_sinks, rig_of_log, rig_warnings, summary, verdict};
+use super::super::run::{Logged, load_rig, open_sinks, rig_of_log, rig_warnings, summary, verdict};
 use super::super::warned::{Warned, Work};
 use super::super::{Exit, Failure, fitting, provenance};
 use super::options::Options;
@@ -60,6 +60,8 @@ pub(super) struct Request<'a> {
     pub(super) threads: usize,
     /// Those of the tracker.
     pub(super) pool: &'a ThreadPool,
+    /// Whether the run is done again when it is killed, rather than what is left of it read.
+    pub(super) repeatable: bool,
     /// What the report says of the command.
     pub(super) command: [(String, String); 2],
 }
@@ -124,9 +126,9 @@ impl Request<'_> {
         let Ready { mut tracker, source } = ready;
         let run = self.described();
         let run_toml = run.to_toml()?;
-        let recorded = (self.options.record, true);
+        let logged = Logged { record: self.options.record, cuts: true, repeatable: self.repeatable };
         let texts = [self.rig.toml.as_str(), run_toml.as_str()];
-        let opened = open_sinks(self.files, &self.rig.rig, texts, self.options.frame(), self.info(), recorded)?;
+        let opened = open_sinks(self.files, &self.rig.rig, texts, self.options.frame(), self.info(), logged)?;
         let sinks = opened.sinks.into_iter().chain(opened.video).collect();
         let tracked = self
             .pool
