@@ -137,6 +137,27 @@ impl Columns {
     }
 }
 
+/// Counts lines: the reader itself counts the end of a line with the next one, and empty ones not at all.
+struct Lines<'a> {
+    text: &'a [u8],
+    at: usize,
+    line: u64,
+}
+
+impl Lines<'_> {
+    /// The line of what begins at `byte`, or behind the ends of lines there; further on at every call.
+    fn of(&mut self, byte: u64) -> u64 {
+        let mut to = usize::try_from(byte).unwrap_or(self.text.len()).max(self.at);
+        while self.text.get(to).is_some_and(|byte| b"\r\n".contains(byte)) {
+            to += 1;
+        }
+        let passed = self.text.get(self.at..to).unwrap_or_default();
+        self.line += passed.iter().filter(|byte| **byte == b'\n').count() as u64;
+        self.at = to;
+        self.line
+    }
+}
+
 impl Manifest {
     /// Reads a manifest.
     ///
@@ -172,10 +193,11 @@ impl Manifest {
         let mut width = 0;
         let mut entries: Vec<Entry> = Vec::new();
         let mut lines: HashMap<String, u64> = HashMap::new();
+        let mut passed = Lines { text: text.as_bytes(), at: 0, line: 1 };
         for record in reader.records() {
-            let record =
-                record.map_err(|error| (error.position().map_or(0, csv::Position::line), error.to_string()))?;
-            let line = record.position().map_or(0, csv::Position::line);
+            let begins = |position: Option<&csv::Position>| position.map_or(0, csv::Position::byte);
+            let record = record.map_err(|error| (passed.of(begins(error.position())), error.to_string()))?;
+            let line = passed.of(begins(record.position()));
             let wrong = |reason: String| (line, reason);
             if record.iter().all(|cell| cell.trim().is_empty()) {
                 continue;

@@ -1,6 +1,6 @@
 //! All runs of an archive: found in their folders, put into tables.
 
-use super::parquet::{Cells, Table, TableError};
+use super::tables::{Cells, Table, TableError};
 use super::{Measured, RunSummary, SummaryError};
 use std::collections::{BTreeMap, BTreeSet};
 use std::io;

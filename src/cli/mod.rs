@@ -105,7 +105,7 @@ Example:
     /// What a steerable catheter does for given currents: its shape, its reach, currents for a path
     #[command(after_help = "Example:\n  catoptra catheter shape --currents 0mA,0mA,100mA")]
     Catheter(catheter::Args),
-    /// Identify the dynamics from logs, tables of `track` or any input and output (docs/identify.md; --json)
+    /// Identify the dynamics from logs, tables, or any input and output (docs/identify.md; --json)
     #[command(after_help = "\
 Example:
   catoptra identify sample_dynamics/training.csv --currents sample_dynamics/training_currents.csv \\

@@ -43,7 +43,7 @@ fn a_calibration_gives_the_rig_and_a_failed_one_says_why() {
     check(&output, &outcome, "calibrate camera", 0, "good");
     assert_eq!(written(&outcome, folder.path()), ["rig.toml"]);
     let rig: toml::Table = std::fs::read_to_string(folder.path().join("rig.toml")).unwrap().parse().unwrap();
-    assert_eq!(outcome["results"]["camera"]["fx_px"].as_f64(), rig["camera"]["fx_px"].as_float());
+    assert_eq!(outcome["results"]["camera"]["focal_px"][0].as_f64(), rig["camera"]["focal_px"][0].as_float());
     assert!(outcome["results"]["provenance"].is_object());
     // The text is that without --json, which begins with the pictures.
     let text = outcome["text"].as_str().unwrap();

@@ -2,12 +2,12 @@
 //! may be larger than the memory. Compressed with Zstandard.
 
 use crate::whole_file::NewFile;
-use ::parquet::basic::{Compression, ConvertedType, Repetition, Type as Physical, ZstdLevel};
-use ::parquet::data_type::{BoolType, ByteArray, ByteArrayType, DataType, DoubleType, Int64Type};
-use ::parquet::errors::ParquetError;
-use ::parquet::file::properties::WriterProperties;
-use ::parquet::file::writer::{SerializedFileWriter, SerializedRowGroupWriter};
-use ::parquet::schema::types::Type;
+use parquet::basic::{Compression, ConvertedType, Repetition, Type as Physical, ZstdLevel};
+use parquet::data_type::{BoolType, ByteArray, ByteArrayType, DataType, DoubleType, Int64Type};
+use parquet::errors::ParquetError;
+use parquet::file::properties::WriterProperties;
+use parquet::file::writer::{SerializedFileWriter, SerializedRowGroupWriter};
+use parquet::schema::types::Type;
 use std::fs::File;
 use std::io::{self, BufWriter};
 use std::path::{Path, PathBuf};
@@ -134,8 +134,8 @@ impl Table {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use ::parquet::file::reader::SerializedFileReader;
-    use ::parquet::record::RowAccessor as _;
+    use parquet::file::reader::SerializedFileReader;
+    use parquet::record::RowAccessor as _;
 
     fn piece(from: i64) -> Vec<(String, Cells)> {
         vec![
