@@ -107,6 +107,8 @@ pub mod pipeline;
 
 pub mod calibrate;
 
+pub(crate) mod archive;
+
 pub(crate) mod whole_file;
 
 mod contained;

@@ -22,6 +22,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::thread::{Builder, ScopedJoinHandle};
 use std::time::{Duration, Instant};
+use tracing::Span;
 
 /// Frames that may wait between two threads.
 const WAITING: usize = 4;
@@ -90,11 +91,14 @@ pub fn run(
     let (result_in, results) = sync_channel(WAITING);
     std::thread::scope(|scope| {
         let sink_failed = &sink_failed;
+        // What the threads warn of belongs to the caller's work.
+        let (of_writer, of_reader) = (Span::current(), Span::current());
         let writer = Builder::new()
             .name("sinks".to_owned())
-            .spawn_scoped(scope, move || write_all(sinks, &results, sink_failed))?;
-        let reader =
-            Builder::new().name("source".to_owned()).spawn_scoped(scope, move || read_all(source, &frame_in))?;
+            .spawn_scoped(scope, move || of_writer.in_scope(|| write_all(sinks, &results, sink_failed)))?;
+        let reader = Builder::new()
+            .name("source".to_owned())
+            .spawn_scoped(scope, move || of_reader.in_scope(|| read_all(source, &frame_in)))?;
 
         let mut tally = Tally::new(tracker.rig());
         let stopped = loop {

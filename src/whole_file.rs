@@ -25,12 +25,21 @@ impl NewFile {
     /// # Errors
     /// The system's, a full disk for example.
     pub(crate) fn write(place: &Path, bytes: &[u8]) -> io::Result<Self> {
+        let (new, mut file) = Self::begin(place)?;
+        file.write_all(bytes).and_then(|()| file.sync_all())?;
+        Ok(new)
+    }
+
+    /// Opens it, for what is too large to be written at once. Who writes it sees to it that it reaches the disk.
+    ///
+    /// # Errors
+    /// The system's.
+    pub(crate) fn begin(place: &Path) -> io::Result<(Self, File)> {
         let mut beside = place.as_os_str().to_owned();
         beside.push(format!(".{}.new", std::process::id()));
         let new = Self { beside: beside.into(), place: place.to_path_buf() };
-        let mut file = File::create(&new.beside)?;
-        file.write_all(bytes).and_then(|()| file.sync_all())?;
-        Ok(new)
+        let file = File::create(&new.beside)?;
+        Ok((new, file))
     }
 
     /// Takes its place.

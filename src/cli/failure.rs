@@ -1,5 +1,6 @@
 //! How a run ends when it does not end well.
 
+use crate::archive::passing::passes;
 use crate::rig::RigError;
 use std::error::Error;
 use std::fmt;
@@ -41,9 +42,34 @@ impl Failure {
         Self { exit, error: error.into() }
     }
 
+    /// In words of its own, of which `cause` is a part: nothing is said twice, and the cause stays known.
+    pub(crate) fn because(exit: Exit, text: String, cause: impl Error + Send + Sync + 'static) -> Self {
+        Self::new(exit, Told { text, cause: Box::new(cause) })
+    }
+
     pub(crate) fn exit(&self) -> Exit {
         self.exit
     }
+
+    /// Whether the same run may well succeed another time.
+    pub(crate) fn passes(&self) -> bool {
+        passes(&*self.error)
+    }
+
+    /// What is said of it, without the word that begins it.
+    pub(crate) fn message(&self) -> String {
+        let said = self.to_string();
+        said.split_once(": ").map_or("", |(_, message)| message).trim_end().to_owned()
+    }
+}
+
+/// An error in other words.
+#[derive(Debug, thiserror::Error)]
+#[error("{text}")]
+struct Told {
+    text: String,
+    #[source]
+    cause: Box<dyn Error + Send + Sync>,
 }
 
 /// The error and what caused it, a line each; a cause that the line above names already is left out.
@@ -88,6 +114,8 @@ mod tests {
         let shown =
             |text| Failure::new(Exit::Failed, Layer { text, source: std::io::Error::other("disk full") }).to_string();
         assert_eq!(shown("cannot write a.csv: disk full"), "error: cannot write a.csv: disk full\n");
+        let told = Failure::because(Exit::Failed, "a: disk full".to_owned(), std::io::Error::other("disk full"));
+        assert_eq!((told.to_string().as_str(), told.message().as_str()), ("error: a: disk full\n", "a: disk full"));
         assert_eq!(shown("cannot write a.csv"), "error: cannot write a.csv\n  because: disk full\n");
     }
 }

@@ -5,6 +5,7 @@
 
 mod calibrate;
 mod catheter;
+mod collect;
 mod docs;
 mod excite;
 mod failure;
@@ -14,6 +15,7 @@ mod identify;
 mod interrupt;
 mod live;
 mod log;
+mod outcome;
 mod output;
 mod progress;
 mod provenance;
@@ -23,6 +25,7 @@ mod run;
 mod track;
 mod units;
 mod validate;
+mod warned;
 
 pub(crate) use failure::{Exit, Failure};
 
@@ -34,6 +37,7 @@ use std::process::ExitCode;
 use tracing_subscriber::layer::SubscriberExt as _;
 use tracing_subscriber::util::SubscriberInitExt as _;
 use tracing_subscriber::{EnvFilter, Layer as _};
+use warned::{Both, Collector};
 
 /// Track a steerable catheter in 3D with one camera and a mirror, through glass and water
 #[derive(Debug, Parser)]
@@ -61,18 +65,29 @@ struct Cli {
 #[derive(Debug, Subcommand)]
 enum Command {
     /// Make a rig file from pictures and recordings
-    #[command(after_help = "Example:\n  catoptra calibrate markers --help")]
+    #[command(after_help = "\
+With --json each prints one outcome for programs: what was written, the rig, warnings, the error.
+Example:
+  catoptra calibrate markers --help")]
     Calibrate(calibrate::Args),
     /// Check rig files, and exchange cameras and views with other tools
     #[command(after_help = "Example:\n  catoptra rig check calibration/dev_tank/rig.toml")]
     Rig(rig::Args),
     /// Track a recording: positions of the bands, direction of the coil, deflection angle
     #[command(after_help = "\
-Writes log.mcap, track.csv, report.html, run.toml and, with --overlay, overlay.mp4 into OUT.
+Writes log.mcap, track.csv, report.html, run.toml and, when all is done, summary.json into OUT.
 Replaces earlier results of the same recording, never those of another. Ctrl-C keeps what is done.
+Of many, one that fails does not stop the others; exit code 1 if any failed.
 Example:
   catoptra track sample_frames/planar.mkv --rig calibration/dev_tank/rig.toml -o out")]
     Track(track::Args),
+    /// Put many runs into one table of frames, one of runs, and a page of those that stand out
+    #[command(after_help = "\
+STUDY gets frames.parquet, runs.parquet and report.html. Many recordings: docs/cluster.md
+Example:
+  catoptra track sample_frames/rest.mkv sample_frames/circle.mkv --to 0.1 -o runs \\
+    --rig calibration/dev_tank/rig.toml && catoptra collect runs -o study")]
+    Collect(collect::Args),
     /// Describe logs, and restore those that were cut off
     #[command(after_help = "Example:\n  catoptra log info out/log.mcap")]
     Log(log::Args),
@@ -90,7 +105,7 @@ Example:
     /// What a steerable catheter does for given currents: its shape, its reach, currents for a path
     #[command(after_help = "Example:\n  catoptra catheter shape --currents 0mA,0mA,100mA")]
     Catheter(catheter::Args),
-    /// Identify the dynamics from logs, tables of `track` or any input and output (docs/identify.md)
+    /// Identify the dynamics from logs, tables, or any input and output (docs/identify.md; --json)
     #[command(after_help = "\
 Example:
   catoptra identify sample_dynamics/training.csv --currents sample_dynamics/training_currents.csv \\
@@ -121,6 +136,7 @@ pub fn run() -> ExitCode {
     let result = match &cli.command {
         Command::Calibrate(args) => calibrate::run(args, cli.quiet),
         Command::Catheter(args) => catheter::run(args, cli.quiet),
+        Command::Collect(args) => collect::run(args, cli.quiet),
         Command::Completions(args) => docs::completions(args),
         Command::Man(args) => docs::man(args),
         Command::Rig(args) => rig::run(args, cli.quiet),
@@ -154,9 +170,8 @@ fn log_to_stderr(verbose: u8, quiet: bool) {
         .with_ansi(std::io::stderr().is_terminal() && wants_colour())
         .with_target(false)
         .without_time()
-        .with_filter(Flood::default());
-    let levels = EnvFilter::new(format!("{libraries},catoptra={level}"));
-    tracing_subscriber::registry().with(levels).with(layer).init();
+        .with_filter(Both(EnvFilter::new(format!("{libraries},catoptra={level}")), Flood::default()));
+    tracing_subscriber::registry().with(layer).with(Collector.with_filter(warned::seen())).init();
 }
 
 /// As <https://no-color.org> has it, and not on a terminal that knows no colours.

@@ -4,10 +4,19 @@ use std::time::SystemTime;
 
 /// Name and value, for the facts of a page.
 pub(super) fn of_this_run() -> [(String, String); 2] {
-    let arguments = std::env::args_os().skip(1).map(|word| quoted(&word.to_string_lossy()));
-    let command = std::iter::once("catoptra".to_owned()).chain(arguments).collect::<Vec<_>>().join(" ");
-    let made = humantime::format_rfc3339_seconds(SystemTime::now()).to_string();
-    [("Command".to_owned(), command), ("Made".to_owned(), made.replace('T', " ").replace('Z', " UTC"))]
+    of_command(std::env::args_os().skip(1).map(|word| word.to_string_lossy().into_owned()))
+}
+
+/// As [`of_this_run`], of the command with these `words` behind the program's name.
+pub(super) fn of_command(words: impl Iterator<Item = String>) -> [(String, String); 2] {
+    let words = words.map(|word| quoted(&word));
+    let command = std::iter::once("catoptra".to_owned()).chain(words).collect::<Vec<_>>().join(" ");
+    [("Command".to_owned(), command), ("Made".to_owned(), now().replace('T', " ").replace('Z', " UTC"))]
+}
+
+/// The time of day, to the second, UTC, as RFC 3339 has it.
+pub(super) fn now() -> String {
+    humantime::format_rfc3339_seconds(SystemTime::now()).to_string()
 }
 
 /// A word as a shell takes it back.

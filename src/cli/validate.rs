@@ -1,8 +1,9 @@
 //! `catoptra validate`: tracked runs along a desired path, to errors and response at each speed.
 
+use super::outcome::{self, Json, Outcome};
 use super::results::Results;
 use super::units::duration_s;
-use super::{Exit, Failure, interrupt, output, provenance};
+use super::{Exit, Failure, interrupt, provenance};
 use crate::identify::Plant;
 use crate::identify::saved::Saved;
 use crate::report::validation::{self, ModelLine};
@@ -56,6 +57,8 @@ pub(crate) struct Args {
     /// Folder for the results
     #[arg(short, long, value_name = "DIR")]
     out: PathBuf,
+    #[command(flatten)]
+    json: Json,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -81,6 +84,10 @@ const REPORT: &str = "report.html";
 
 pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     interrupt::end_at_once()?;
+    outcome::of("validate", args.json, quiet, |outcome| evaluate(args, outcome))
+}
+
+fn evaluate(args: &Args, outcome: &Outcome) -> Result<(), Failure> {
     // 1. everything is judged before anything is written
     let runs = args.observed.len();
     if args.pause.len() != runs {
@@ -120,7 +127,8 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     // 3. the files
     let line = saved.as_ref().and_then(|saved| model_line(saved, plant, &validation));
     args.write(&validation, line.as_ref())?;
-    if quiet { Ok(()) } else { output::print(&summary(&validation, &args.out)) }
+    outcome.found(|| validation.json().ok().and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default());
+    outcome.print(&summary(&validation, &args.out))
 }
 
 impl Args {
@@ -174,9 +182,11 @@ impl Args {
             Failure::new(Exit::Failed, format!("{}: cannot be written: {why}", what.display()))
         };
         self.results().take()?;
-        let save = |name: &str, text: &str| {
+        let save = |name: &str, text: &str| -> Result<(), Failure> {
             let place = folder.join(name);
-            whole_file::write(&place, text.as_bytes()).map_err(|e| cannot(&place, e.to_string()))
+            whole_file::write(&place, text.as_bytes()).map_err(|e| cannot(&place, e.to_string()))?;
+            outcome::wrote(&place);
+            Ok(())
         };
         let table = validation.csv().map_err(|e| cannot(folder, e.to_string()))?;
         let json = validation.json().map_err(|e| cannot(folder, e.to_string()))?;

@@ -7,7 +7,7 @@
 //! are in the log.
 //!
 //! `calibration::page` is that of a rig's calibration, `teaching::page` of what was learned of the bands,
-//! `excitation::page` of a signal, `catheter` of shapes, `validation::page` of runs along a path.
+//! `excitation::page` of a signal, `catheter` of shapes, `validation::page` of runs along a path, `study::page` of an archive.
 
 mod absences;
 pub(crate) mod calibration;
@@ -21,6 +21,7 @@ mod html;
 pub(crate) mod identification;
 mod moments;
 mod page;
+pub(crate) mod study;
 pub(crate) mod teaching;
 mod timeline;
 mod tracking;

@@ -24,7 +24,10 @@ fn every_frame_is_answered_near_the_truth_and_is_in_every_file() {
         assert!((theta - truth).abs() < 1.0, "θ is {theta}° instead of {truth}° in frame {k}");
     }
 
-    assert_eq!(names(&place.path("out")), ["log.mcap", "overlay.mp4", "report.html", "run.toml", "track.csv"]);
+    assert_eq!(
+        names(&place.path("out")),
+        ["log.mcap", "overlay.mp4", "report.html", "run.toml", "summary.json", "track.csv"]
+    );
     assert_eq!(frames(&place.path("out/overlay.mp4")).len(), 25);
     let rig = std::fs::read_to_string(&place.rig).unwrap();
     assert_eq!(attached(&place.path("out/log.mcap"), "rig.toml"), rig);
@@ -50,7 +53,7 @@ fn every_frame_is_answered_near_the_truth_and_is_in_every_file() {
 fn the_base_frame_turns_and_shifts_the_camera_frame() {
     let place = Place::new();
     ended_with(&place.track(&sample("rest.mkv"), &["--to", "0.1", "--csv=camera.csv", "--frame=camera"]), 0);
-    assert_eq!(names(&place.path("out")), ["log.mcap", "report.html", "run.toml"]);
+    assert_eq!(names(&place.path("out")), ["log.mcap", "report.html", "run.toml", "summary.json"]);
     ended_with(&place.track(&sample("rest.mkv"), &["--to", "0.1", "--csv"]), 0);
     let base_from_camera = rig().base.unwrap().base_from_camera;
     let (camera, base) = (Table::read(&place.path("camera.csv")), place.table());

@@ -84,8 +84,15 @@ struct KnownField {
     from: String,
 }
 
+impl BaseArgs {
+    /// The rig file that is written.
+    pub(super) fn out(&self) -> &PathBuf {
+        self.out.as_ref().unwrap_or(&self.rig)
+    }
+}
+
 pub(super) fn run(args: &BaseArgs, quiet: bool, print: impl Fn(&str) -> Result<(), Failure>) -> Result<(), Failure> {
-    let out = args.out.as_ref().unwrap_or(&args.rig);
+    let out = args.out();
     let mut rig = Rig::load(&args.rig)?;
     can_be_written(out)?;
     let known = if args.planar.is_some() { None } else { Some(known_field(args, &rig)?) };

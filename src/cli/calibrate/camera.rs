@@ -24,7 +24,7 @@ pub(super) struct CameraArgs {
     lens: LensModel,
     /// Rig file to write; what an existing one says beside the camera is kept
     #[arg(long, short, value_name = "RIG.toml")]
-    out: PathBuf,
+    pub(super) out: PathBuf,
 }
 
 pub(super) fn run(args: &CameraArgs, quiet: bool, print: impl Fn(&str) -> Result<(), Failure>) -> Result<(), Failure> {

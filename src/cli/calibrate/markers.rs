@@ -1,7 +1,7 @@
 //! `catoptra calibrate markers`: a recording and a click near each band to colours and places of the bands.
 
 use super::super::units::duration_s;
-use super::super::{Exit, Failure, fitting, interrupt};
+use super::super::{Exit, Failure, fitting, interrupt, outcome};
 use super::{Length, can_be_written, save, usage};
 use crate::calibrate::markers::{
     MarkersCalibration, MarkersError, MarkersOptions, Pick, ProposedRegion, Teaching, Verdict, calibrate_markers,
@@ -129,8 +129,15 @@ fn pixel(text: &str) -> Option<Point2<f64>> {
     Some(Point2::new(coordinate(x)?, coordinate(y)?))
 }
 
+impl MarkersArgs {
+    /// The rig file that is written.
+    pub(super) fn out(&self) -> &PathBuf {
+        self.out.as_ref().unwrap_or(&self.rig)
+    }
+}
+
 pub(super) fn run(args: &MarkersArgs, print: impl Fn(&str) -> Result<(), Failure>) -> Result<(), Failure> {
-    let out = args.out.as_ref().unwrap_or(&args.rig);
+    let out = args.out();
     let rig = rig_with_picks(args)?;
     can_be_written(out)?;
     if !(args.at.is_finite() && args.at >= 0.0) {
@@ -170,7 +177,9 @@ pub(super) fn run(args: &MarkersArgs, print: impl Fn(&str) -> Result<(), Failure
 fn save_page(page: &str, path: &Path) -> Result<(), Failure> {
     let _whole = interrupt::wait();
     whole_file::write(path, page.as_bytes())
-        .map_err(|e| Failure::new(Exit::Failed, format!("{} cannot be written: {e}", path.display())))
+        .map_err(|e| Failure::new(Exit::Failed, format!("{} cannot be written: {e}", path.display())))?;
+    outcome::wrote(path);
+    Ok(())
 }
 
 /// What the page says of the run.

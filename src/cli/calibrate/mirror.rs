@@ -73,8 +73,15 @@ impl LengthArg {
     }
 }
 
+impl MirrorArgs {
+    /// The rig file that is written.
+    pub(super) fn out(&self) -> &PathBuf {
+        self.out.as_ref().unwrap_or(&self.rig)
+    }
+}
+
 pub(super) fn run(args: &MirrorArgs, print: impl Fn(&str) -> Result<(), Failure>) -> Result<(), Failure> {
-    let out = args.out.as_ref().unwrap_or(&args.rig);
+    let out = args.out();
     let rig = Rig::load(&args.rig)?;
     can_be_written(out)?;
     let length = args.length.as_ref().map_or(Ok(mirror::Length::OfRig), |length| length.of(&rig))?;

@@ -7,7 +7,8 @@ mod mirror;
 mod pictures;
 mod rig;
 
-use super::{Exit, Failure, interrupt, output};
+use super::outcome::{self, HiddenJson, Outcome};
+use super::{Exit, Failure, interrupt};
 use crate::calibrate::length_m;
 use crate::rig::Draft;
 use clap::Subcommand;
@@ -17,6 +18,8 @@ use std::str::FromStr;
 /// Arguments of `catoptra calibrate`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
+    #[command(flatten)]
+    json: HiddenJson,
     #[command(subcommand)]
     command: Command,
 }
@@ -75,14 +78,31 @@ Example:
 
 pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     interrupt::end_at_once()?;
-    let print = |text: &str| if quiet { Ok(()) } else { output::print(text) };
-    match &args.command {
-        Command::Camera(args) => camera::run(args, quiet, print),
-        Command::Rig(args) => rig::run(args, quiet, print),
-        Command::Markers(args) => markers::run(args, print),
-        Command::Base(args) => base::run(args, quiet, print),
-        Command::Mirror(args) => mirror::run(args, print),
+    let verb = match &args.command {
+        Command::Camera(_) => "camera",
+        Command::Rig(_) => "rig",
+        Command::Markers(_) => "markers",
+        Command::Base(_) => "base",
+        Command::Mirror(_) => "mirror",
+    };
+    outcome::of(&format!("calibrate {verb}"), args.json.into(), quiet, |outcome| calibrate(args, quiet, outcome))
+}
+
+fn calibrate(args: &Args, quiet: bool, outcome: &Outcome) -> Result<(), Failure> {
+    let print = |text: &str| outcome.print(text);
+    let (ended, rig) = match &args.command {
+        Command::Camera(args) => (camera::run(args, quiet, print), &args.out),
+        Command::Rig(args) => (rig::run(args, quiet, print), args.out()),
+        Command::Markers(args) => (markers::run(args, print), args.out()),
+        Command::Base(args) => (base::run(args, quiet, print), args.out()),
+        Command::Mirror(args) => (mirror::run(args, print), args.out()),
+    };
+    if ended.is_ok() {
+        // As it is now, every number with its provenance.
+        let read = || std::fs::read_to_string(rig).ok()?.parse::<toml::Table>().ok();
+        outcome.found(|| read().and_then(|rig| serde_json::to_value(rig).ok()).unwrap_or_default());
     }
+    ended
 }
 
 /// A length as people write it, in metres.
@@ -120,6 +140,7 @@ pub(super) fn can_be_written(out: &Path) -> Result<(), Failure> {
 pub(super) fn save(rig: &Draft, path: &Path) -> Result<String, Failure> {
     let _whole = interrupt::wait();
     let kept_as = rig.save_with_backup(path)?;
+    outcome::wrote(path);
     let kept = kept_as.map_or(String::new(), |name| format!("\n         {} (the rig as it was)", name.display()));
     Ok(format!("written: {}{kept}", path.display()))
 }

@@ -1,7 +1,7 @@
 //! `catoptra calibrate rig`: pictures of a board in a mirror to mirrors, walls and views.
 
 use super::super::progress::during;
-use super::super::{Exit, Failure, interrupt, provenance};
+use super::super::{Exit, Failure, interrupt, outcome, provenance};
 use super::pictures::{self, Searched};
 use super::{Length, can_be_written, save, usage};
 use crate::calibrate::board::Board;
@@ -120,8 +120,15 @@ fn wall_arg(text: &str) -> Result<(String, PathBuf), String> {
     Ok((name.trim().to_owned(), picture.into()))
 }
 
+impl RigArgs {
+    /// The rig file that is written.
+    pub(super) fn out(&self) -> &PathBuf {
+        self.out.as_ref().unwrap_or(&self.rig)
+    }
+}
+
 pub(super) fn run(args: &RigArgs, quiet: bool, print: impl Fn(&str) -> Result<(), Failure>) -> Result<(), Failure> {
-    let out = args.out.as_ref().unwrap_or(&args.rig);
+    let out = args.out();
     can_be_written(out)?;
 
     let draft = Draft::load(&args.rig)?;
@@ -220,7 +227,9 @@ fn seen(args: &RigArgs, draft: &Draft, options: &mut RigOptions, quiet: bool) ->
 fn save_page(page: &str, path: &Path) -> Result<(), Failure> {
     let _whole = interrupt::wait();
     whole_file::write(path, page.as_bytes())
-        .map_err(|e| Failure::new(Exit::Failed, format!("the rig is written, {} cannot be: {e}", path.display())))
+        .map_err(|e| Failure::new(Exit::Failed, format!("the rig is written, {} cannot be: {e}", path.display())))?;
+    outcome::wrote(path);
+    Ok(())
 }
 
 /// What the page says of the run.

@@ -1,8 +1,9 @@
 //! `catoptra identify --model`: a saved model on records that it was not made from.
 
 use super::args::{Args, REPORT};
-use super::put;
-use crate::cli::{Exit, Failure, interrupt, output};
+use super::{put, tell};
+use crate::cli::outcome::Outcome;
+use crate::cli::{Exit, Failure, interrupt};
 use crate::identify::applied::{Applied, apply};
 use crate::identify::data::Data;
 use crate::identify::export;
@@ -13,7 +14,13 @@ use crate::report::identification;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-pub(super) fn run(args: &Args, model: &Path, data: &Data, provenance: &Provenance, quiet: bool) -> Result<(), Failure> {
+pub(super) fn run(
+    args: &Args,
+    model: &Path,
+    data: &Data,
+    provenance: &Provenance,
+    outcome: &Outcome,
+) -> Result<(), Failure> {
     let saved = Saved::read(model).map_err(|e| Failure::new(Exit::Usage, e))?;
     let with_unit = |name: &str, unit: &str| if unit.is_empty() { name.to_owned() } else { format!("{name} ({unit})") };
     let input = with_unit(&provenance.input, &provenance.input_unit);
@@ -33,7 +40,8 @@ pub(super) fn run(args: &Args, model: &Path, data: &Data, provenance: &Provenanc
         written.push(page);
         written
     };
-    if quiet { Ok(()) } else { output::print(&summary(&done, &saved, provenance, &written)) }
+    tell(outcome, &written);
+    outcome.print(&summary(&done, &saved, provenance, &written))
 }
 
 fn summary(done: &Applied, saved: &Saved, provenance: &Provenance, written: &[PathBuf]) -> String {

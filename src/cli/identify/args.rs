@@ -1,5 +1,6 @@
 //! Arguments of `catoptra identify`, and the settings that they stand for.
 
+use crate::cli::outcome::HiddenJson;
 use crate::cli::results::Results;
 use crate::cli::units::duration_s;
 use crate::cli::{Exit, Failure};
@@ -117,6 +118,8 @@ pub(crate) struct Args {
     /// Folder for the results
     #[arg(short, long, value_name = "DIR")]
     pub(super) out: PathBuf,
+    #[command(flatten)]
+    pub(super) json: HiddenJson,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]

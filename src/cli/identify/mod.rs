@@ -7,17 +7,22 @@ mod words;
 
 pub(crate) use args::Args;
 
-use super::{Exit, Failure, interrupt, output};
+use super::{Exit, Failure, interrupt};
+use crate::cli::outcome::{self, Outcome};
 use crate::cli::progress::Stages;
 use crate::identify::chain::identify_telling;
 use crate::identify::data::Data;
 use crate::identify::{IdentifyError, export};
 use crate::report::identification;
 use crate::whole_file;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     interrupt::end_at_once()?;
+    outcome::of("identify", args.json.into(), quiet, |outcome| identify(args, quiet, outcome))
+}
+
+fn identify(args: &Args, quiet: bool, outcome: &Outcome) -> Result<(), Failure> {
     let results = args.results();
     results.check()?;
     // 1. signals
@@ -25,7 +30,7 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     stages.tell("reading the records");
     let (data, provenance) = reading::read(args)?;
     if let Some(model) = &args.model {
-        return apply::run(args, model, &data, &provenance, quiet);
+        return apply::run(args, model, &data, &provenance, outcome);
     }
     let samples: usize = data.training.iter().map(crate::identify::data::Record::observed).sum();
     let settings = args.settings(samples, !data.validation.is_empty())?;
@@ -48,14 +53,21 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     };
     drop(stages);
     // 4. words
-    if !quiet {
-        output::print(&words::summary(&data, &done, &provenance, &written))?;
-    }
+    tell(outcome, &written);
+    outcome.print(&words::summary(&data, &done, &provenance, &written))?;
     if done.models.iter().any(|m| m.role == crate::identify::modelled::Role::Full && !m.is_stable()) {
         let text = "the model of full order is unstable: what was written describes it and is not to be relied on";
         return Err(Failure::new(Exit::Unusable, text));
     }
     Ok(())
+}
+
+/// Files and model, for programs.
+fn tell(outcome: &Outcome, written: &[PathBuf]) {
+    written.iter().for_each(|path| outcome::wrote(path));
+    let model = written.iter().find(|path| path.ends_with("model.json"));
+    let read = |path: &PathBuf| serde_json::from_str(&std::fs::read_to_string(path).ok()?).ok();
+    outcome.found(|| model.and_then(read).unwrap_or_default());
 }
 
 fn put(path: &Path, bytes: &[u8]) -> Result<(), Failure> {

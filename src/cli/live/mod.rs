@@ -4,7 +4,7 @@ mod status;
 
 use super::results::{unlike_others, whole_path};
 use super::run::folder::{Files, Run};
-use super::run::{Record, Reference, load_rig, open_sinks, pool, print_warnings, summary, verdict};
+use super::run::{Logged, Record, Reference, load_rig, open_sinks, pool, print_warnings, summary, verdict};
 use super::{Exit, Failure, fitting, interrupt, output, provenance};
 use crate::live::{self, CurrentSource, LiveSummary, Outputs, Priority, RecordTo, Recording, Until};
 use crate::pipeline::End;
@@ -156,8 +156,9 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     let run = args.described();
     let run_toml = run.to_toml()?;
     let files = Files::new(&args.folder(), None, false).recording(args.record);
-    files.prepare_new(&run, &[&args.rig])?;
-    let opened = open_sinks(&files, &rig, [&rig_toml, &run_toml], args.frame, args.info(), (args.record, false))?;
+    let _held = files.prepare_new(&run, &[&args.rig])?;
+    let logged = Logged { record: args.record, ..Logged::default() };
+    let opened = open_sinks(&files, &rig, [&rig_toml, &run_toml], args.frame, args.info(), logged)?;
     let pictures = args.record.map(|_| Recording {
         to: opened.video.map_or(RecordTo::Log, RecordTo::Video),
         count: opened.count,

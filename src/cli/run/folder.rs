@@ -8,6 +8,7 @@
 use super::super::results::{self, Owner, RUN, whole_path};
 use super::super::{Exit, Failure};
 use super::options::Record;
+use crate::archive::{FileRecord, SUMMARY};
 use crate::tally::budget::{Source, together};
 use crate::whole_file;
 use serde::{Deserialize, Serialize};
@@ -24,8 +25,8 @@ const OVERLAY: &str = "overlay.mp4";
 pub(in crate::cli) const PICTURES: &str = "pictures.mkv";
 /// Instead of the name of a table: stdout.
 const STDOUT: &str = "-";
-/// All that a run may write into its folder.
-const ALL: [&str; 6] = [RUN, LOG, TABLE, REPORT, OVERLAY, PICTURES];
+/// All that a run may write into its folder. The summary comes first: where others are removed, it is gone already.
+const ALL: [&str; 7] = [SUMMARY, RUN, LOG, TABLE, REPORT, OVERLAY, PICTURES];
 
 /// The files of a run.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -120,16 +121,20 @@ impl Files {
     ///
     /// # Errors
     /// [`Exit::Usage`] when something is there that must not be replaced, [`Exit::Failed`] when the folder cannot be
-    /// written.
-    pub(in crate::cli) fn prepare(&self, run: &Run, inputs: &[&Path]) -> Result<(), Failure> {
+    /// written, or another process is writing there.
+    pub(in crate::cli) fn prepare(&self, run: &Run, inputs: &[&Path]) -> Result<Held, Failure> {
         let places = self.all().map(PathBuf::as_path).filter(|path| *path != Path::new(STDOUT));
         results::spare_inputs(places, inputs)?;
         self.places_are_free()?;
         let earlier = self.earlier_run(run)?;
         let cannot = |path: &Path, e: io::Error| {
-            Failure::new(Exit::Failed, format!("cannot write to the output folder {}: {e}", path.display()))
+            Failure::because(Exit::Failed, format!("cannot write to the output folder {}: {e}", path.display()), e)
         };
         fs::create_dir_all(&self.folder).map_err(|e| cannot(&self.folder, e))?;
+        let held = Held::take(&self.folder)?;
+        for path in self.half_written().map_err(|e| cannot(&self.folder, e))? {
+            fs::remove_file(&path).map_err(|e| cannot(&path, e))?;
+        }
         if let Some(earlier) = earlier {
             if earlier != *run {
                 tracing::warn!(
@@ -146,7 +151,42 @@ impl Files {
             }
         }
         let path = self.folder.join(RUN);
-        fs::write(&path, format!("# What these results are of.\n{}", run.to_toml()?)).map_err(|e| cannot(&path, e))
+        // Whole or not at all: half of it would not say whose folder this is.
+        let text = format!("# What these results are of.\n{}", run.to_toml()?);
+        whole_file::write(&path, text.as_bytes()).map_err(|e| cannot(&path, e))?;
+        Ok(held)
+    }
+
+    /// What a run that was killed had begun to write beside a file of its own.
+    fn half_written(&self) -> io::Result<Vec<PathBuf>> {
+        let mut found = Vec::new();
+        for entry in fs::read_dir(&self.folder)? {
+            let entry = entry?;
+            let name = entry.file_name();
+            let number = [RUN, SUMMARY]
+                .iter()
+                .find_map(|file| name.to_str()?.strip_prefix(file)?.strip_prefix('.')?.strip_suffix(".new"));
+            if number.is_some_and(|number| !number.is_empty() && number.bytes().all(|b| b.is_ascii_digit())) {
+                found.push(entry.path());
+            }
+        }
+        Ok(found)
+    }
+
+    /// The files that are there, with their sizes; without the summary.
+    ///
+    /// # Errors
+    /// The system's.
+    pub(in crate::cli) fn written(&self) -> io::Result<Vec<FileRecord>> {
+        let mut files = Vec::new();
+        for name in ALL.into_iter().filter(|name| *name != SUMMARY) {
+            match fs::metadata(self.folder.join(name)) {
+                Ok(found) => files.push(FileRecord { name: name.to_owned(), bytes: found.len() }),
+                Err(error) if error.kind() == ErrorKind::NotFound => {}
+                Err(error) => return Err(error),
+            }
+        }
+        Ok(files)
     }
 
     /// Adds the run's error budget to `run.toml`.
@@ -163,14 +203,14 @@ impl Files {
         }
         let path = self.folder.join(RUN);
         whole_file::write(&path, text.as_bytes())
-            .map_err(|e| Failure::new(Exit::Failed, format!("cannot write {}: {e}", path.display())))
+            .map_err(|e| Failure::because(Exit::Failed, format!("cannot write {}: {e}", path.display()), e))
     }
 
     /// Makes the folder ready for a run that cannot be repeated: nothing there is replaced.
     ///
     /// # Errors
     /// As [`Files::prepare`].
-    pub(in crate::cli) fn prepare_new(&self, run: &Run, inputs: &[&Path]) -> Result<(), Failure> {
+    pub(in crate::cli) fn prepare_new(&self, run: &Run, inputs: &[&Path]) -> Result<Held, Failure> {
         if let Some(there) = ALL.iter().find(|name| self.folder.join(name).exists()) {
             let text =
                 format!("{}: has a {there} of an earlier run; choose another folder with -o", self.folder.display());
@@ -214,6 +254,38 @@ impl Files {
     }
 }
 
+/// A folder that no other process of this program writes to while this lives.
+#[derive(Debug)]
+#[must_use = "the folder is held as long as this lives"]
+pub(in crate::cli) struct Held(
+    #[cfg(unix)]
+    #[allow(dead_code, reason = "closing it gives the folder free")]
+    Option<fs::File>,
+);
+
+impl Held {
+    /// Two runs in one folder would write into each other's files: one that a scheduler has given up may live on.
+    #[cfg(unix)]
+    fn take(folder: &Path) -> Result<Self, Failure> {
+        use rustix::fs::{FlockOperation, flock};
+        let Ok(open) = fs::File::open(folder) else { return Ok(Self(None)) };
+        match flock(&open, FlockOperation::NonBlockingLockExclusive) {
+            Ok(()) => Ok(Self(Some(open))),
+            Err(error) if error == rustix::io::Errno::WOULDBLOCK => {
+                let text = format!("{}: another process is writing results there", folder.display());
+                Err(Failure::because(Exit::Failed, text, io::Error::from(error)))
+            }
+            // Not all file systems know how.
+            Err(_) => Ok(Self(None)),
+        }
+    }
+
+    #[cfg(not(unix))]
+    fn take(_: &Path) -> Result<Self, Failure> {
+        Ok(Self())
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -238,7 +310,7 @@ mod tests {
         let place = tempfile::tempdir().unwrap();
         let folder = place.path().join("a/b");
         let files = Files::new(&folder, None, false);
-        files.prepare(&run("/a.mkv"), &[]).unwrap();
+        drop(files.prepare(&run("/a.mkv"), &[]).unwrap());
         fs::write(&files.log, "log").unwrap();
         fs::write(folder.join(OVERLAY), "overlay").unwrap();
         fs::write(folder.join("notes.txt"), "mine").unwrap();
@@ -249,7 +321,7 @@ mod tests {
         assert_eq!(fs::read_to_string(&files.log).unwrap(), "log");
 
         let other_options = Run { full_frame: true, ..run("/a.mkv") };
-        files.prepare(&other_options, &[]).unwrap();
+        drop(files.prepare(&other_options, &[]).unwrap());
         assert!(!files.log.exists() && !folder.join(OVERLAY).exists());
         assert!(folder.join("notes.txt").exists());
         let read: Run = toml::from_str(&fs::read_to_string(folder.join(RUN)).unwrap()).unwrap();
@@ -265,7 +337,7 @@ mod tests {
         let refused = files.prepare(&run("/a.mkv"), &[]).unwrap_err();
         assert!(refused.to_string().contains("track.csv"), "{refused}");
         fs::remove_file(&files.table).unwrap();
-        files.prepare(&run("/a.mkv"), &[]).unwrap();
+        drop(files.prepare(&run("/a.mkv"), &[]).unwrap());
     }
 
     #[test]
@@ -289,7 +361,7 @@ mod tests {
         assert_eq!(refused.exit(), Exit::Usage);
         assert!(refused.to_string().contains("table.csv") && !files.folder.exists(), "{refused}");
         fs::write(&table, "seq,t_s,stamp_ns\r\n").unwrap();
-        files.prepare(&run("/a.mkv"), &[]).unwrap();
+        drop(files.prepare(&run("/a.mkv"), &[]).unwrap());
         let log_twice = Files::new(place.path(), Some(&place.path().join(LOG)), false);
         assert_eq!(log_twice.prepare(&run("/a.mkv"), &[]).unwrap_err().exit(), Exit::Usage);
     }

@@ -7,6 +7,7 @@ pub(super) mod summary;
 pub(super) use options::{Record, Reference};
 
 use super::{Exit, Failure};
+use crate::archive::passing::passes;
 use crate::log;
 use crate::log::schema::RIG_ATTACHMENT;
 use crate::pipeline::{End, Summary};
@@ -68,13 +69,17 @@ pub(super) fn two_views(file: &Path, views: &[View]) -> Result<(), Failure> {
 
 /// What `catoptra rig check` would warn of: who never asked must not learn it from the results.
 pub(super) fn print_warnings(file: &Path, rig: &Rig) -> Result<(), Failure> {
+    rig_warnings(file, rig)?.iter().for_each(|warning| tracing::warn!("{warning}"));
+    Ok(())
+}
+
+/// As [`print_warnings`], not printed.
+pub(super) fn rig_warnings(file: &Path, rig: &Rig) -> Result<Vec<String>, Failure> {
     let rig_file = file.display();
     let checked = check(&rig.clone().into()).map_err(|e| Failure::new(Exit::Usage, format!("{rig_file}: {e}")))?;
     // Without a base the user has asked for the camera's frame.
-    for warning in checked.warnings.iter().filter(|warning| **warning != Warning::NoBase) {
-        tracing::warn!("{rig_file}: {warning}");
-    }
-    Ok(())
+    let warnings = checked.warnings.iter().filter(|warning| **warning != Warning::NoBase);
+    Ok(warnings.map(|warning| format!("{rig_file}: {warning}")).collect())
 }
 
 /// The files of a run, open.
@@ -85,15 +90,26 @@ pub(super) struct Opened {
     pub(super) count: Arc<PictureCount>,
 }
 
-/// Opens the files of a run. `record` with whether the log is given pictures to cut them itself.
+/// How a log is written.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Logged {
+    pub(super) record: Option<Record>,
+    /// Whether it is given pictures, to cut them itself.
+    pub(super) cuts: bool,
+    /// Whether the same frames give the same bytes; a run that is killed may then lose more than its last second.
+    pub(super) repeatable: bool,
+}
+
+/// Opens the files of a run.
 pub(super) fn open_sinks(
     files: &Files,
     rig: &Rig,
     [rig_toml, run_toml]: [&str; 2],
     reference: Reference,
     info: RunInfo,
-    (record, log_cuts): (Option<Record>, bool),
+    logged: Logged,
 ) -> Result<Opened, Failure> {
+    let Logged { record, cuts, repeatable } = logged;
     let count = Arc::new(PictureCount::default());
     let open = || -> Result<Opened, SinkError> {
         let mut log = McapSink::create(&files.log, rig, rig_toml, run_toml)?;
@@ -101,7 +117,10 @@ pub(super) fn open_sinks(
             let what = record.codec().map_or(record.word(), |_| PICTURES);
             log = log.with_pictures(what, Arc::clone(&count));
         }
-        if log_cuts && record == Some(Record::Windows) {
+        if repeatable {
+            log = log.by_camera_time();
+        }
+        if cuts && record == Some(Record::Windows) {
             log = log.with_windows();
         }
         let mut sinks: Vec<Box<dyn Sink + Send>> = vec![
@@ -134,13 +153,19 @@ pub(super) fn verdict(source: &str, rig: &Rig, summary: Summary) -> Result<(), F
     if !summary.sink_failures.is_empty() {
         let errors: Vec<_> = summary.sink_failures.iter().map(SinkError::to_string).collect();
         let text = format!("{}; the other files are complete: {so_far}", errors.join("; "));
-        return Err(Failure::new(Exit::Failed, text));
+        // One that may pass says whether the run may be tried again.
+        let mut failures = summary.sink_failures;
+        let which = failures.iter().position(|failure| passes(failure)).unwrap_or(0);
+        return Err(Failure::because(Exit::Failed, text, failures.swap_remove(which)));
     }
     match summary.end {
         End::Complete | End::Sink => {}
         End::Early(error) => tracing::warn!("{error}"),
         End::Interrupted => return Err(Failure::new(Exit::Interrupted, format!("{source}: {so_far}"))),
-        End::Source(error) => return Err(Failure::new(Exit::Failed, format!("{error}; {so_far}"))),
+        End::Source(error) => {
+            let text = format!("{error}; {so_far}");
+            return Err(Failure::because(Exit::Failed, text, error));
+        }
         End::Track { stamp, error, .. } => {
             let text = format!("{source}: at {} s: {error}; {so_far}", stamp.seconds());
             return Err(Failure::new(Exit::Failed, text));

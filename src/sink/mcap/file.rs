@@ -177,7 +177,8 @@ impl LogFile {
         self.shared.lock().run(action).map_err(|source| SinkError::io(&self.path, source))
     }
 
-    fn stop_flusher(&mut self) {
+    /// From here on nothing is flushed by the clock on the wall.
+    pub(super) fn stop_flusher(&mut self) {
         self.shared.lock().closed = true;
         self.shared.changed.notify_one();
         if let Some(flusher) = self.flusher.take()

@@ -85,6 +85,14 @@ impl McapSink {
         self
     }
 
+    /// Hands frames to the system by camera time alone, not by the clock on the wall as well: the same frames give the
+    /// same bytes, however long they take. A run that is killed may lose more than its last second.
+    #[must_use]
+    pub fn by_camera_time(mut self) -> Self {
+        self.file.stop_flusher();
+        self
+    }
+
     /// Keeps the windows of the pictures that [`Sink::write`] is given.
     #[must_use]
     pub fn with_windows(mut self) -> Self {

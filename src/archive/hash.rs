@@ -1,0 +1,106 @@
+//! SHA-256 of what a run is made from.
+
+use sha2::{Digest as _, Sha256};
+use std::fs::{self, File};
+use std::io::{self, Read};
+use std::path::Path;
+
+/// Bytes read at a time: memory stays small however large a recording is.
+const PIECE: usize = 1 << 20;
+
+/// Of some bytes, in hexadecimal.
+pub(crate) fn of_bytes(bytes: &[u8]) -> String {
+    hexadecimal(&Sha256::digest(bytes))
+}
+
+/// Of a file.
+///
+/// # Errors
+/// The system's, when it cannot be read.
+pub(crate) fn of_file(path: &Path) -> io::Result<String> {
+    let mut file = File::open(path)?;
+    let mut hash = Sha256::new();
+    let mut piece = vec![0; PIECE];
+    loop {
+        match file.read(&mut piece) {
+            Ok(0) => return Ok(hexadecimal(&hash.finalize())),
+            Ok(read) => hash.update(piece.get(..read).unwrap_or_default()),
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+            Err(error) => return Err(error),
+        }
+    }
+}
+
+/// Of a recording: of the file, or of the names and hashes of all files in a folder of pictures, in the order of their
+/// names. Hidden files and folders in it do not count.
+///
+/// # Errors
+/// The system's, when it cannot be read.
+pub(crate) fn of_recording(path: &Path) -> io::Result<String> {
+    if !fs::metadata(path)?.is_dir() {
+        return of_file(path);
+    }
+    let mut names = Vec::new();
+    for entry in fs::read_dir(path)? {
+        let name = entry?.file_name();
+        let hidden = name.as_encoded_bytes().starts_with(b".");
+        if !hidden && fs::metadata(path.join(&name))?.is_file() {
+            names.push(name);
+        }
+    }
+    names.sort();
+    let mut hash = Sha256::new();
+    for name in names {
+        hash.update(name.as_encoded_bytes());
+        hash.update([0]);
+        hash.update(of_file(&path.join(&name))?);
+        hash.update([b'\n']);
+    }
+    Ok(hexadecimal(&hash.finalize()))
+}
+
+/// Of this program, as it runs: also when its file has been replaced since.
+///
+/// # Errors
+/// The system's, when it does not show the program.
+pub(crate) fn of_program() -> io::Result<String> {
+    let running = Path::new("/proc/self/exe");
+    if running.exists() { of_file(running) } else { of_file(&std::env::current_exe()?) }
+}
+
+fn hexadecimal(digest: &[u8]) -> String {
+    digest.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Of nothing, as everybody knows it.
+    const NOTHING: &str = "e3b0c44298fc1c149afbf4c8996fb92427ae41e4649b934ca495991b7852b855";
+
+    #[test]
+    fn a_file_has_the_hash_of_its_bytes() {
+        let place = tempfile::tempdir().unwrap();
+        let file = place.path().join("a");
+        fs::write(&file, vec![7; PIECE + 3]).unwrap();
+        assert_eq!(of_recording(&file).unwrap(), of_bytes(&vec![7; PIECE + 3]));
+        assert_eq!(of_bytes(b""), NOTHING);
+        assert!(of_recording(&place.path().join("b")).is_err());
+    }
+
+    #[test]
+    fn a_folder_has_another_hash_when_a_picture_or_a_name_is_another() {
+        let place = tempfile::tempdir().unwrap();
+        let put = |name: &str, text: &str| fs::write(place.path().join(name), text).unwrap();
+        put("1.png", "a");
+        put("2.png", "b");
+        let first = of_recording(place.path()).unwrap();
+        put(".hidden", "x");
+        assert_eq!(of_recording(place.path()).unwrap(), first);
+        put("2.png", "c");
+        let second = of_recording(place.path()).unwrap();
+        fs::rename(place.path().join("2.png"), place.path().join("3.png")).unwrap();
+        assert!(second != first && of_recording(place.path()).unwrap() != second);
+    }
+}

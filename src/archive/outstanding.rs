@@ -1,0 +1,133 @@
+//! Runs that stand out: by what happened in them, and beside other runs with the same rig.
+
+use super::study::Study;
+use super::{Measured, Outcome};
+use std::collections::BTreeMap;
+
+/// A run that stands out, and why.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Outstanding {
+    /// Its number in the study.
+    pub(crate) run: usize,
+    pub(crate) why: Vec<String>,
+}
+
+/// Runs with the same rig of which at least so many are needed to say what is usual.
+const ENOUGH: usize = 5;
+/// Further from the median than this many robust standard deviations is not usual.
+const UNUSUAL: f64 = 5.0;
+
+/// What is compared: name, unit, digits, smallest difference that matters, value; and whether small ones stand out too.
+type Compared = (&'static str, &'static str, usize, f64, fn(&Measured) -> Option<f64>, bool);
+
+const COMPARED: [Compared; 6] = [
+    ("σ of θ", "°", 3, 0.01, |m| m.theta.sd_deg, false),
+    ("frames without θ", " %", 1, 1.0, missed_percent, false),
+    ("RMS residual", " px", 3, 0.02, Measured::largest_rms_px, false),
+    ("mean residual", " px", 3, 0.02, Measured::largest_mean_px, false),
+    ("largest θ", "°", 1, 1.0, |m| m.theta.max_deg, true),
+    ("smallest θ", "°", 1, 1.0, |m| m.theta.min_deg, true),
+];
+
+/// Of all frames, percent.
+pub(crate) fn missed_percent(measured: &Measured) -> Option<f64> {
+    let frames = measured.frames as f64;
+    (frames > 0.0).then(|| 100.0 * (frames - measured.theta.answered as f64) / frames)
+}
+
+/// Runs that stand out: by what happened in them, and beside the other runs with the same rig. A run that failed is none
+/// of them: it has nothing to compare.
+pub(crate) fn outstanding(study: &Study) -> Vec<Outstanding> {
+    let mut found: BTreeMap<usize, Vec<String>> = BTreeMap::new();
+    let mut rigs: BTreeMap<&Option<String>, Vec<(usize, &Measured)>> = BTreeMap::new();
+    for (at, run) in study.runs.iter().enumerate() {
+        let summary = &run.summary;
+        let Some(measured) = summary.measured.as_ref().filter(|_| summary.outcome == Outcome::Tracked) else {
+            continue;
+        };
+        let counted = [
+            (measured.drift_alarms.len() as u64, "drift alarms"),
+            (measured.lost, "camera frames lost"),
+            (measured.faults.damaged_packets, "damaged packets"),
+            (measured.faults.damaged_pictures, "damaged pictures"),
+        ];
+        let mut why: Vec<String> =
+            counted.iter().filter(|(count, _)| *count > 0).map(|(count, what)| format!("{count} {what}")).collect();
+        why.extend(summary.ends_early.is_some().then(|| "ends early".to_owned()));
+        if !why.is_empty() {
+            found.entry(at).or_default().extend(why);
+        }
+        rigs.entry(&summary.sha256.rig).or_default().push((at, measured));
+    }
+    for runs in rigs.values().filter(|runs| runs.len() >= ENOUGH) {
+        for (name, unit, digits, least, value, both) in COMPARED {
+            let values: Vec<(usize, f64)> =
+                runs.iter().filter_map(|(at, m)| Some((*at, value(m)?))).filter(|(_, v)| v.is_finite()).collect();
+            let middle = median(values.iter().map(|(_, v)| *v).collect());
+            let spread = 1.4826 * median(values.iter().map(|(_, v)| (v - middle).abs()).collect());
+            let limit = (UNUSUAL * spread).max(least);
+            for (at, v) in values {
+                if v - middle > limit || both && middle - v > limit {
+                    let why = format!("{name} {v:.digits$}{unit}, usual {middle:.digits$}{unit}");
+                    found.entry(at).or_default().push(why);
+                }
+            }
+        }
+    }
+    found.into_iter().map(|(run, why)| Outstanding { run, why }).collect()
+}
+
+/// The middle one; 0 of none.
+pub(crate) fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    let at = |k: usize| values.get(k).copied().unwrap_or(0.0);
+    match values.len() {
+        0 => 0.0,
+        n if n % 2 == 1 => at(n / 2),
+        n => (at(n / 2 - 1) + at(n / 2)) / 2.0,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::archive::study::Run;
+    use crate::archive::{Alarm, RunSummary};
+
+    fn study(sds_deg: &[f64]) -> Study {
+        let run = |sd: &f64| {
+            let mut summary = RunSummary::example();
+            let measured = summary.measured.as_mut().unwrap();
+            measured.theta.sd_deg = Some(*sd);
+            Run { name: "a".into(), folder: "a".into(), summary }
+        };
+        Study { runs: sds_deg.iter().map(run).collect(), ..Study::default() }
+    }
+
+    #[test]
+    fn a_run_unlike_the_others_with_its_rig_stands_out() {
+        let mut study = study(&[0.10, 0.11, 0.105, 0.10, 0.30, 0.107]);
+        let found = outstanding(&study);
+        assert_eq!(found, [Outstanding { run: 4, why: vec!["σ of θ 0.300°, usual 0.106°".to_owned()] }]);
+        // With another rig it has nothing beside it.
+        study.runs[4].summary.sha256.rig = Some("other".to_owned());
+        assert_eq!(outstanding(&study), []);
+    }
+
+    #[test]
+    fn an_alarm_and_an_early_end_stand_out_alone_and_a_failed_run_does_not() {
+        let mut study = study(&[0.1, 0.1, 9.0]);
+        let alarm = Alarm { kind: "base_moved".into(), at_ns: 3, size_mm: 1.0, message: "moved".into() };
+        study.runs[0].summary.measured.as_mut().unwrap().drift_alarms.push(alarm);
+        study.runs[1].summary.ends_early = Some("cut off".into());
+        study.runs[2].summary.outcome = Outcome::Failed;
+        study.runs[2].summary.ends_early = Some("cut off".into());
+        let found: Vec<_> = outstanding(&study).into_iter().map(|o| (o.run, o.why.join(","))).collect();
+        assert_eq!(found, [(0, "1 drift alarms".to_owned()), (1, "ends early".to_owned())]);
+    }
+
+    #[test]
+    fn medians_of_none_odd_and_even() {
+        assert_eq!([median(vec![]), median(vec![3.0, 1.0, 2.0]), median(vec![4.0, 1.0])], [0.0, 2.0, 2.5]);
+    }
+}

@@ -1,0 +1,81 @@
+//! Failures that pass: of disks and networks, not of what was read.
+
+use std::error::Error;
+use std::io::{self, ErrorKind};
+
+/// Error numbers of Linux that [`ErrorKind`] has no stable name for: input/output error, too many open files (of the
+/// system, of the process).
+#[cfg(target_os = "linux")]
+const PASSING: [i32; 3] = [5, 23, 24];
+#[cfg(not(target_os = "linux"))]
+const PASSING: [i32; 0] = [];
+
+/// Whether the same run may well succeed another time: somewhere in the chain of causes there is a full disk, a network
+/// or a file system that is away.
+pub(crate) fn passes(error: &(dyn Error + 'static)) -> bool {
+    let mut cause = Some(error);
+    while let Some(this) = cause {
+        if this.downcast_ref::<io::Error>().is_some_and(of_system) {
+            return true;
+        }
+        // What the system said to libav.
+        if let Some(ffmpeg_the_third::Error::Other { errno }) = this.downcast_ref() {
+            return of_system(&io::Error::from_raw_os_error(*errno));
+        }
+        cause = this.source();
+    }
+    false
+}
+
+fn of_system(error: &io::Error) -> bool {
+    let kind = matches!(
+        error.kind(),
+        ErrorKind::StorageFull
+            | ErrorKind::QuotaExceeded
+            | ErrorKind::ReadOnlyFilesystem
+            | ErrorKind::StaleNetworkFileHandle
+            | ErrorKind::TimedOut
+            | ErrorKind::HostUnreachable
+            | ErrorKind::NetworkUnreachable
+            | ErrorKind::NetworkDown
+            | ErrorKind::NotConnected
+            | ErrorKind::ConnectionRefused
+            | ErrorKind::ConnectionReset
+            | ErrorKind::ConnectionAborted
+            | ErrorKind::BrokenPipe
+            | ErrorKind::Interrupted
+            | ErrorKind::WouldBlock
+            | ErrorKind::ResourceBusy
+            | ErrorKind::OutOfMemory
+            | ErrorKind::FileTooLarge
+    );
+    kind || error.raw_os_error().is_some_and(|number| PASSING.contains(&number))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sink::SinkError;
+
+    #[test]
+    fn disks_and_networks_pass_and_what_was_read_does_not() {
+        let full = || io::Error::from(ErrorKind::StorageFull);
+        assert!(passes(&full()));
+        assert!(passes(&SinkError::Io { path: "a".into(), source: full() }));
+        assert!(!passes(&io::Error::from(ErrorKind::NotFound)));
+        assert!(!passes(&io::Error::from(ErrorKind::InvalidData)));
+        assert!(!passes(&SinkError::NoBaseFrame { path: "a".into() }));
+    }
+
+    #[test]
+    #[cfg(target_os = "linux")]
+    fn numbers_of_the_system_are_known() {
+        for (number, expected) in [(28, true), (5, true), (116, true), (122, true), (30, true), (2, false), (13, false)]
+        {
+            assert_eq!(passes(&io::Error::from_raw_os_error(number)), expected, "{number}");
+            let source = ffmpeg_the_third::Error::Other { errno: number };
+            let video = SinkError::Video { path: "a".into(), doing: "opening", source };
+            assert_eq!(passes(&video), expected, "{number} from libav");
+        }
+    }
+}

@@ -1,0 +1,99 @@
+//! [`staleness`]: whether the results in a folder are those that a run would give now, and if not, why not.
+
+use super::{Hashes, Outcome, RunSummary, SUMMARY, SummaryError};
+use std::fmt;
+use std::path::Path;
+
+/// What a run would be made from now.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct Now {
+    pub(crate) sha256: Hashes,
+    pub(crate) libraries: String,
+}
+
+/// Whether a run is to be done, and why.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) enum Staleness {
+    /// There is nothing in the folder.
+    New,
+    /// A run was begun there and not finished.
+    Unfinished,
+    /// What it was made from has changed: these parts of it.
+    Changed(Vec<&'static str>),
+    /// A file of it is gone or has another size.
+    File(String),
+    /// The summary cannot be understood.
+    Summary(String),
+    /// It failed, and may well succeed now.
+    Failed(String),
+    /// It is as it would be again.
+    Same(Box<RunSummary>),
+}
+
+impl Staleness {
+    /// The summary of the run that need not be done again.
+    pub(crate) fn same(self) -> Result<RunSummary, Self> {
+        match self {
+            Self::Same(summary) => Ok(*summary),
+            other => Err(other),
+        }
+    }
+}
+
+/// Why it is to be done, or not.
+impl fmt::Display for Staleness {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::New => f.write_str("new"),
+            Self::Unfinished => f.write_str("begun and not finished"),
+            Self::Changed(parts) => write!(f, "{} changed", parts.join(", ")),
+            Self::File(name) => write!(f, "{name} is gone or changed"),
+            Self::Summary(why) => write!(f, "its summary cannot be used: {why}"),
+            Self::Failed(why) => write!(f, "failed before, may pass now: {why}"),
+            Self::Same(summary) => match (&summary.outcome, &summary.failure) {
+                (Outcome::Tracked, _) => f.write_str("done"),
+                (_, Some(failure)) => {
+                    write!(f, "failed before, nothing has changed: {}", failure.message.lines().next().unwrap_or(""))
+                }
+                (_, None) => f.write_str("failed before, nothing has changed"),
+            },
+        }
+    }
+}
+
+/// What is in `folder`, beside what a run would be made from `now`. Names and columns of a manifest do not count:
+/// results do not depend on them.
+pub(crate) fn staleness(folder: &Path, now: &Now) -> Staleness {
+    let summary = match RunSummary::read(folder) {
+        Ok(Some(summary)) => summary,
+        Ok(None) => {
+            let empty = std::fs::read_dir(folder).map_or(true, |mut entries| entries.next().is_none());
+            return if empty { Staleness::New } else { Staleness::Unfinished };
+        }
+        Err(error @ SummaryError::Read { .. }) => return Staleness::Summary(error.to_string()),
+        Err(SummaryError::Form { reason, .. }) => return Staleness::Summary(reason),
+    };
+    let (then, now_hashes) = (&summary.sha256, &now.sha256);
+    let parts = [
+        ("recording", then.recording == now_hashes.recording),
+        ("rig", then.rig == now_hashes.rig),
+        ("options", then.options == now_hashes.options),
+        ("program", then.program == now_hashes.program),
+        ("libraries", summary.libraries == now.libraries),
+    ];
+    let changed: Vec<_> = parts.iter().filter(|(_, same)| !same).map(|(name, _)| *name).collect();
+    if !changed.is_empty() {
+        return Staleness::Changed(changed);
+    }
+    if let Some(failure) = summary.failure.as_ref().filter(|failure| failure.retryable) {
+        return Staleness::Failed(failure.message.lines().next().unwrap_or("").to_owned());
+    }
+    let whole = |file: &super::FileRecord| {
+        let found = std::fs::metadata(folder.join(&file.name));
+        file.name == SUMMARY || found.is_ok_and(|found| found.is_file() && found.len() == file.bytes)
+    };
+    match summary.files.iter().find(|file| !whole(file)) {
+        Some(file) => Staleness::File(file.name.clone()),
+        None => Staleness::Same(Box::new(summary)),
+    }
+}

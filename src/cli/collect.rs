@@ -1,0 +1,95 @@
+//! `catoptra collect`: the runs of an archive to tables and a page.
+
+use super::progress::Progress;
+use super::results::Results;
+use super::{Exit, Failure, interrupt, output, provenance};
+use crate::archive::Outcome;
+use crate::archive::outstanding::outstanding;
+use crate::archive::study::{Study, StudyError};
+use crate::report::study;
+use crate::whole_file;
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+/// Arguments of `catoptra collect`.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// Folders with the results of `track`: of runs, or of many of them
+    #[arg(value_name = "DIR", required = true)]
+    folders: Vec<PathBuf>,
+    /// Folder for tables and page
+    #[arg(short, long, value_name = "STUDY")]
+    out: PathBuf,
+}
+
+const FRAMES: &str = "frames.parquet";
+const RUNS: &str = "runs.parquet";
+const REPORT: &str = "report.html";
+
+pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
+    interrupt::end_at_once()?;
+    // 1. everything is judged before anything is written
+    let inputs = args.folders.iter().map(PathBuf::as_path).collect();
+    let files = [FRAMES, RUNS, REPORT].map(str::to_owned).to_vec();
+    let results = Results { folder: &args.out, command: "collect", recordings: &args.folders, inputs, files };
+    results.check()?;
+    if let Some(missing) = args.folders.iter().find(|folder| !folder.is_dir()) {
+        return Err(Failure::new(Exit::Usage, format!("{}: no such folder", missing.display())));
+    }
+    let study = Study::find(&args.folders).map_err(failure)?;
+    if study.runs.is_empty() {
+        let folders: Vec<String> = args.folders.iter().map(|folder| folder.display().to_string()).collect();
+        let text = "no summary.json in it or below: give folders that `catoptra track` wrote";
+        return Err(Failure::new(Exit::Usage, format!("{}: {text}", folders.join(", "))));
+    }
+    study.unfinished.iter().for_each(|folder| {
+        tracing::warn!("{}: begun and not finished; it is left out", folder.display());
+    });
+    study.unread.iter().for_each(|error| tracing::warn!("{error}; it is left out"));
+    // 2. the files
+    results.take()?;
+    let mut progress = Progress::of(Some(study.runs.len() as u64), "runs", quiet);
+    let frames = study.write_frames(&args.out.join(FRAMES), || progress.one_more()).map_err(failure)?;
+    drop(progress);
+    study.write_runs(&args.out.join(RUNS)).map_err(failure)?;
+    let outstanding = outstanding(&study);
+    let title = args.out.file_name().map_or_else(|| "study".into(), |name| name.to_string_lossy().into_owned());
+    let page = study::page(&study, &outstanding, &args.out, &title, &provenance::of_this_run());
+    let place = args.out.join(REPORT);
+    whole_file::write(&place, page.as_bytes()).map_err(|e| cannot(&place, e))?;
+    // 3. words
+    if !quiet {
+        output::print(&summary(&study, frames, outstanding.len(), &args.out))?;
+    }
+    match study.unread.len() {
+        0 => Ok(()),
+        unread => Err(Failure::new(Exit::Failed, format!("{unread} summaries cannot be read, and are left out"))),
+    }
+}
+
+fn cannot(place: &Path, error: std::io::Error) -> Failure {
+    Failure::because(Exit::Failed, format!("{}: cannot be written: {error}", place.display()), error)
+}
+
+fn failure(error: StudyError) -> Failure {
+    let exit = if matches!(error, StudyError::Track { .. }) { Exit::Usage } else { Exit::Failed };
+    Failure::new(exit, error)
+}
+
+fn summary(study: &Study, frames: u64, outstanding: usize, out: &Path) -> String {
+    let mut text = format!("{} runs, {frames} frames\n", study.runs.len());
+    let failed: Vec<_> = study.runs.iter().filter(|run| run.summary.outcome != Outcome::Tracked).collect();
+    // Nothing fails in memory.
+    for run in &failed {
+        let message = run.summary.failure.as_ref().map_or("", |failure| failure.message.as_str());
+        let again = run.summary.failure.as_ref().is_some_and(|failure| failure.retryable);
+        let again = if again { "may pass" } else { "will not pass" };
+        let _ = writeln!(text, "  {} {} ({again}): {message}", run.name, run.summary.outcome.word());
+    }
+    let _ = writeln!(text, "{} without results, {outstanding} stand out", failed.len());
+    let _ = writeln!(text, "results in {}", out.display());
+    for (file, what) in [(FRAMES, "a row a frame"), (RUNS, "a row a run"), (REPORT, "to look at, in a browser")] {
+        let _ = writeln!(text, "  {file:<14}  {what}");
+    }
+    text
+}

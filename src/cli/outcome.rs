@@ -1,0 +1,117 @@
+//! `--json`: what came of a command, as one JSON object on stdout in place of the text.
+//!
+//! | member | is |
+//! |---|---|
+//! | `schema` | form of the object, 1 |
+//! | `command` | the command, as `calibrate rig` |
+//! | `outcome` | `good`, `failed`, `usage`, `unusable`, `interrupted`, as the exit code has it |
+//! | `exit_code` | the same as a number |
+//! | `error` | what went wrong, or null |
+//! | `warnings` | all of them, also on stderr |
+//! | `written` | files that were written |
+//! | `results` | what the command found, or null |
+//! | `text` | what is printed without `--json` |
+//!
+//! A command line that cannot be understood has no outcome: it ends with exit code 2 and text on stderr.
+
+use super::warned::Work;
+use super::{Exit, Failure, output};
+use serde_json::{Value, json};
+use std::path::Path;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+const SCHEMA: u32 = 1;
+
+/// Files that this process has written, for its one outcome.
+static WRITTEN: Mutex<Vec<String>> = Mutex::new(Vec::new());
+
+/// The option.
+#[derive(Debug, Clone, Copy, Default, clap::Args)]
+pub(crate) struct Json {
+    /// Print one outcome for programs, as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// The option, where helps have no line left for it: their text names it.
+#[derive(Debug, Clone, Copy, Default, clap::Args)]
+pub(crate) struct HiddenJson {
+    /// Print one outcome for programs, as JSON
+    #[arg(long, global = true, hide = true)]
+    json: bool,
+}
+
+impl From<HiddenJson> for Json {
+    fn from(hidden: HiddenJson) -> Self {
+        Self { json: hidden.json }
+    }
+}
+
+/// What a command finds, on its way.
+pub(super) struct Outcome {
+    json: bool,
+    quiet: bool,
+    text: Mutex<String>,
+    results: Mutex<Value>,
+}
+
+impl Outcome {
+    /// Prints a piece of the text, or keeps it for later.
+    pub(super) fn print(&self, text: &str) -> Result<(), Failure> {
+        if self.json {
+            lock(&self.text).push_str(text);
+            return Ok(());
+        }
+        if self.quiet { Ok(()) } else { output::print(text) }
+    }
+
+    /// What was found; `results` is only called when somebody asks.
+    pub(super) fn found(&self, results: impl FnOnce() -> Value) {
+        if self.json {
+            *lock(&self.results) = results();
+        }
+    }
+}
+
+/// Notes that a file was written.
+pub(super) fn wrote(path: &Path) {
+    lock(&WRITTEN).push(path.display().to_string());
+}
+
+/// Does the work of `command`, and tells what came of it as was asked for.
+pub(super) fn of(
+    command: &str,
+    json: Json,
+    quiet: bool,
+    run: impl FnOnce(&Outcome) -> Result<(), Failure>,
+) -> Result<(), Failure> {
+    let outcome = Outcome { json: json.json, quiet, text: Mutex::default(), results: Mutex::default() };
+    let work = Work::new();
+    let ended = work.within(|| run(&outcome));
+    if outcome.json {
+        let (word, code) = match ended.as_ref().map_err(Failure::exit) {
+            Ok(()) => ("good", 0),
+            Err(Exit::Failed) => ("failed", 1),
+            Err(Exit::Usage) => ("usage", 2),
+            Err(Exit::Unusable) => ("unusable", 3),
+            Err(Exit::Interrupted) => ("interrupted", 130),
+        };
+        let whole = json!({
+            "schema": SCHEMA,
+            "command": command,
+            "outcome": word,
+            "exit_code": code,
+            "error": ended.as_ref().err().map(Failure::message),
+            "warnings": work.warned().warnings,
+            "written": std::mem::take(&mut *lock(&WRITTEN)),
+            "results": std::mem::take(&mut *lock(&outcome.results)),
+            "text": std::mem::take(&mut *lock(&outcome.text)),
+        });
+        output::print(&format!("{whole:#}\n"))?;
+    }
+    ended
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}

@@ -1,0 +1,220 @@
+//! Many recordings: which they are, and what came of them.
+
+use super::super::output;
+use super::super::progress::{Progress, stderr};
+use super::jobs::{Batch, Done, Job};
+use super::options::Options;
+use super::{Args, Exit, Failure, interrupt};
+use crate::archive::{Entry, Manifest, ManifestError, Outcome, default_name, is_name};
+use std::collections::{BTreeMap, HashMap};
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
+
+pub(super) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
+    let interrupt = interrupt::watch()?;
+    let began = Instant::now();
+    let entries = entries(args)?;
+    let folder = folder(args)?;
+    let jobs = entries
+        .into_iter()
+        .map(|(entry, options)| Job { folder: folder.join(&entry.name), entry, options })
+        .collect::<Vec<_>>();
+    let (at_once, threads) = shares(args.jobs, args.threads);
+    let batch = Batch { jobs: &jobs, threads, resume: args.resume, dry_run: args.dry_run, interrupt: &interrupt };
+    let mut progress = Progress::of(Some(jobs.len() as u64), "recordings", quiet);
+    let mut came = Came::default();
+    batch.run(at_once.min(jobs.len()), |at, done| {
+        progress.one_more();
+        if let Some(job) = jobs.get(at) {
+            came.add(at, &job.entry.name, &done);
+        }
+    })?;
+    drop(progress);
+    if args.dry_run {
+        return output::print(&came.plan(&jobs));
+    }
+    if !quiet {
+        output::print(&came.summary(&folder, began.elapsed()))?;
+    }
+    came.verdict(interrupt.load(Ordering::Relaxed), jobs.len())
+}
+
+/// The recordings, each with its options.
+fn entries(args: &Args) -> Result<Vec<(Entry, Options)>, Failure> {
+    let usage = |text: String| Failure::new(Exit::Usage, text);
+    if args.csv.is_some() {
+        return Err(usage("--csv is for one recording: of many, each has its track.csv in its folder".to_owned()));
+    }
+    let entries = match &args.manifest {
+        Some(file) => Manifest::read(file)
+            .map_err(|e| {
+                let away =
+                    matches!(&e, ManifestError::Read { source, .. } if source.kind() != std::io::ErrorKind::NotFound);
+                Failure::new(if away { Exit::Failed } else { Exit::Usage }, e)
+            })?
+            .entries,
+        None => named(&args.sources).map_err(usage)?,
+    };
+    let options = |entry: Entry| {
+        let entry = Entry { rig: entry.rig.or_else(|| args.rig.clone()), ..entry };
+        match args.options.with(&entry.options) {
+            Ok(options) => Ok((entry, options)),
+            // Only a manifest has options of a line.
+            Err(why) => {
+                let manifest = args.manifest.as_deref().unwrap_or(Path::new(""));
+                Err(usage(format!("{}:{}: {why}", manifest.display(), entry.line)))
+            }
+        }
+    };
+    entries.into_iter().map(options).collect()
+}
+
+/// Recordings of the command line.
+fn named(sources: &[PathBuf]) -> Result<Vec<Entry>, String> {
+    let mut seen: HashMap<String, &PathBuf> = HashMap::new();
+    let entry = |(k, source): (usize, &PathBuf)| (k as u64 + 1, default_name(source));
+    let mut entries = Vec::new();
+    for (source, (line, name)) in sources.iter().zip(sources.iter().enumerate().map(entry)) {
+        is_name(&name).map_err(|why| format!("{}: {why}", source.display()))?;
+        if let Some(other) = seen.insert(name.clone(), source) {
+            let both = format!("{} and {} have one name, {name}", other.display(), source.display());
+            return Err(format!(
+                "{both}, and the folder of results is named after it: use --manifest with a column `name`"
+            ));
+        }
+        let (recording, options, columns) = (source.clone(), String::new(), BTreeMap::new());
+        entries.push(Entry { line, name, recording, rig: None, options, columns });
+    }
+    Ok(entries)
+}
+
+/// Where the folders of all recordings go.
+fn folder(args: &Args) -> Result<PathBuf, Failure> {
+    let refused = |text: String| Err(Failure::new(Exit::Usage, text));
+    match &args.out {
+        None => refused("name the folder for the results of all recordings with -o".to_owned()),
+        Some(folder) if folder.exists() && !folder.is_dir() => {
+            refused(format!("{}: is a file; choose a folder with -o", folder.display()))
+        }
+        Some(folder) => Ok(folder.clone()),
+    }
+}
+
+/// Recordings at a time, and threads of each: as many together as there are cores, unless both are asked for.
+fn shares(jobs: Option<usize>, threads: Option<usize>) -> (usize, usize) {
+    let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
+    match (jobs, threads) {
+        (Some(jobs), Some(threads)) => (jobs, threads),
+        (Some(jobs), None) => (jobs, (cores / jobs).max(1)),
+        (None, threads) => ((cores / threads.unwrap_or(1)).max(1), threads.unwrap_or(1)),
+    }
+}
+
+/// What came of all.
+#[derive(Default)]
+struct Came {
+    tracked: u64,
+    /// Left out: their results are there.
+    left_out: u64,
+    failed: u64,
+    retryable: u64,
+    interrupted: u64,
+    frames: u64,
+    /// Of a dry run: number of the job, and what would be done.
+    planned: BTreeMap<usize, (bool, String)>,
+}
+
+impl Came {
+    fn add(&mut self, at: usize, name: &str, done: &Done) {
+        match done {
+            Done::Planned { run, why } => {
+                self.planned.insert(at, (*run, why.clone()));
+            }
+            Done::LeftOut(summary) if summary.outcome == Outcome::Tracked => self.left_out += 1,
+            Done::LeftOut(summary) => {
+                let message = summary.failure.as_ref().map_or("", |failure| failure.message.as_str());
+                self.fail(name, &format!("as before: {message}"), false);
+            }
+            Done::Tracked { frames } => {
+                self.tracked += 1;
+                self.frames += frames;
+            }
+            Done::Failed { message, retryable } => self.fail(name, message, *retryable),
+            Done::Interrupted => self.interrupted += 1,
+        }
+    }
+
+    fn fail(&mut self, name: &str, message: &str, retryable: bool) {
+        self.failed += 1;
+        self.retryable += u64::from(retryable);
+        // Without stderr there is still the summary.
+        let _ = writeln!(stderr(), "error: {name}: {message}");
+    }
+
+    /// What would be done, a line each.
+    fn plan(&self, jobs: &[Job]) -> String {
+        let lines = self.planned.iter().filter_map(|(at, (run, why))| {
+            let name = &jobs.get(*at)?.entry.name;
+            Some(format!("{}\t{name}\t{why}\n", if *run { "track" } else { "leave" }))
+        });
+        let text: String = lines.collect();
+        let run = self.planned.values().filter(|(run, _)| *run).count();
+        format!("{text}{run} of {} recordings would be tracked\n", jobs.len())
+    }
+
+    fn summary(&self, folder: &Path, took: Duration) -> String {
+        let Self { tracked, left_out, failed, retryable, frames, .. } = self;
+        let took_s = took.as_secs_f64();
+        let mut text = format!("{tracked} recordings tracked, {frames} frames, in {took_s:.1} s");
+        if *tracked > 0 {
+            text += &format!(": {:.2} recordings a second", *tracked as f64 / took_s.max(1e-9));
+        }
+        text += "\n";
+        if *left_out > 0 {
+            text += &format!("{left_out} left out: their results are there\n");
+        }
+        if *failed > 0 {
+            text += &format!("{failed} failed, of which {retryable} may pass when tried again\n");
+        }
+        text + &format!("results in {}, a folder for each, with summary.json written last\n", folder.display())
+    }
+
+    fn verdict(&self, interrupted: bool, all: usize) -> Result<(), Failure> {
+        if interrupted {
+            let done = all as u64 - self.interrupted.min(all as u64);
+            let text = format!("{done} of {all} recordings are done; --resume goes on with the others");
+            return Err(Failure::new(Exit::Interrupted, text));
+        }
+        match self.failed {
+            0 => Ok(()),
+            failed => {
+                let text = format!("{failed} of {all} recordings failed; the summary.json of each says why");
+                Err(Failure::new(Exit::Failed, text))
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn jobs_and_threads_share_the_cores() {
+        let cores = std::thread::available_parallelism().unwrap().get();
+        assert_eq!(shares(None, None), (cores, 1));
+        assert_eq!(shares(Some(1), None), (1, cores));
+        assert_eq!(shares(Some(cores * 2), None), (cores * 2, 1));
+        assert_eq!(shares(None, Some(cores)), (1, cores));
+        assert_eq!(shares(Some(3), Some(5)), (3, 5));
+    }
+
+    #[test]
+    fn two_recordings_of_one_name_are_refused() {
+        let refused = named(&["day1/a.mkv".into(), "day2/a.mp4".into()]).unwrap_err();
+        assert!(refused.contains("day1/a.mkv and day2/a.mp4") && refused.contains("--manifest"), "{refused}");
+        assert_eq!(named(&["a.mkv".into(), "b.mkv".into()]).unwrap().len(), 2);
+    }
+}
