@@ -107,6 +107,8 @@ pub mod pipeline;
 
 pub mod calibrate;
 
+pub mod simulate;
+
 pub(crate) mod whole_file;
 
 mod contained;

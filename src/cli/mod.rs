@@ -20,6 +20,7 @@ mod provenance;
 mod results;
 mod rig;
 mod run;
+mod simulate;
 mod track;
 mod units;
 mod validate;
@@ -90,6 +91,13 @@ Example:
     /// What a steerable catheter does for given currents: its shape, its reach, currents for a path
     #[command(after_help = "Example:\n  catoptra catheter shape --currents 0mA,0mA,100mA")]
     Catheter(catheter::Args),
+    /// Render what a rig would record of its catheter, with the truth (docs/simulate.md)
+    #[command(after_help = "\
+DIR gets recording.mkv (or pictures), truth.csv with the columns of track.csv, and rig.toml.
+Exit code 2 says what cannot be seen, and why. The same seed gives the same files.
+Example:
+  catoptra simulate --rig calibration/dev_tank/rig.toml --motion circle --duration 2s -o sim")]
+    Simulate(Box<simulate::Args>),
     /// Identify the dynamics from logs, tables of `track` or any input and output (docs/identify.md)
     #[command(after_help = "\
 Example:
@@ -128,6 +136,7 @@ pub fn run() -> ExitCode {
         Command::Identify(args) => identify::run(args, cli.quiet),
         Command::Live(args) => live::run(args, cli.quiet),
         Command::Log(args) => log::run(args),
+        Command::Simulate(args) => simulate::run(args, cli.quiet),
         Command::Track(args) => track::run(args, cli.quiet),
         Command::Validate(args) => validate::run(args, cli.quiet),
     };
