@@ -15,6 +15,7 @@ mod interrupt;
 mod live;
 mod log;
 mod output;
+mod plan;
 mod progress;
 mod provenance;
 mod results;
@@ -98,6 +99,13 @@ Exit code 2 says what cannot be seen, and why. The same seed gives the same file
 Example:
   catoptra simulate --rig calibration/dev_tank/rig.toml --motion circle --duration 2s -o sim")]
     Simulate(Box<simulate::Args>),
+    /// How well a rig will measure, before it is built: where it sees the catheter, σ, what would help
+    #[command(after_help = "\
+The rig as planned needs camera, surfaces, views, markers with centre_mm, and [base]; its colours
+and its calibration are supposed where it has none. Exit code 2 says what cannot be seen, and why.
+Example:
+  catoptra plan --rig calibration/dev_tank/rig.toml -o plan.html")]
+    Plan(plan::Args),
     /// Identify the dynamics from logs, tables of `track` or any input and output (docs/identify.md)
     #[command(after_help = "\
 Example:
@@ -136,6 +144,7 @@ pub fn run() -> ExitCode {
         Command::Identify(args) => identify::run(args, cli.quiet),
         Command::Live(args) => live::run(args, cli.quiet),
         Command::Log(args) => log::run(args),
+        Command::Plan(args) => plan::run(args, cli.quiet),
         Command::Simulate(args) => simulate::run(args, cli.quiet),
         Command::Track(args) => track::run(args, cli.quiet),
         Command::Validate(args) => validate::run(args, cli.quiet),

@@ -21,6 +21,7 @@ mod html;
 pub(crate) mod identification;
 mod moments;
 mod page;
+pub(crate) mod plan;
 pub(crate) mod teaching;
 mod timeline;
 mod tracking;

@@ -40,7 +40,9 @@ pub enum BoardSet {
 #[derive(Debug, thiserror::Error)]
 pub enum BoardsError {
     /// No pose is seen as a whole.
-    #[error("no place is found where {views} show a whole board of {width_mm:.0} mm: take a smaller one, or larger regions")]
+    #[error(
+        "no place is found where {views} show a whole board of {width_mm:.0} mm: take a smaller one, or larger regions"
+    )]
     NoPlace {
         /// Which views.
         views: String,
@@ -81,7 +83,16 @@ impl Boards {
         let sight: Vector3<f64> = views.iter().filter_map(seen).sum();
         let sight = sight.try_normalize(1e-6).unwrap_or_else(Vector3::z);
         let size_px = rig.camera.size_px.map(|n| n as usize);
-        Self { size_px, views, board, reader: Reader::new(sensor), blur_px, set, around: (around, sight), rig: rig.clone() }
+        Self {
+            size_px,
+            views,
+            board,
+            reader: Reader::new(sensor),
+            blur_px,
+            set,
+            around: (around, sight),
+            rig: rig.clone(),
+        }
     }
 
     /// So many poses of the board's middle, camera frame, the same for a seed.
@@ -130,7 +141,11 @@ impl Boards {
             }
         };
         // The board's z points away from who looks at its front, its y down.
-        let down = if self.set == BoardSet::Air { Vector3::y() } else { self.rig.base.as_ref().map_or_else(Vector3::y, |b| b.base_from_camera.rotation.inverse() * Vector3::z()) };
+        let down = if self.set == BoardSet::Air {
+            Vector3::y()
+        } else {
+            self.rig.base.as_ref().map_or_else(Vector3::y, |b| b.base_from_camera.rotation.inverse() * Vector3::z())
+        };
         let across = down.cross(&facing).try_normalize(1e-6).unwrap_or_else(Vector3::x);
         let basis = Rotation3::from_basis_unchecked(&[across, facing.cross(&across), facing]);
         let turn = UnitQuaternion::from_rotation_matrix(&(basis * turn));
@@ -151,11 +166,11 @@ impl Boards {
         corners.map(|(c, r)| self.place(path, pose, c as f64, r as f64)).collect()
     }
 
-    /// Whether a view shows the front of all of the board, its rim too.
+    /// Whether a view shows the front of all of the board, its paper too.
     fn shows(&self, view: &View, pose: &Isometry3<f64>) -> bool {
         let (columns, rows) = (self.board.columns as f64, self.board.rows as f64);
         let at = |column: f64, row: f64| self.place(&view.optics, pose, column, row);
-        let rim = [(-1.6, -1.6), (columns + 0.6, -1.6), (columns + 0.6, rows + 0.6), (-1.6, rows + 0.6)];
+        let rim = [(-2.0, -2.0), (columns + 1.0, -2.0), (columns + 1.0, rows + 1.0), (-2.0, rows + 1.0)];
         let rim = rim.map(|(column, row)| at(column, row));
         let whole = rim.iter().flatten().filter(|p| in_picture(&self.rig, p) && view.contains(p)).count() == rim.len();
         let [Some(a), Some(b), _, Some(d)] = rim else { return false };
@@ -165,10 +180,10 @@ impl Boards {
     /// The picture, grey values row by row; `seed` is that of its noise.
     pub fn picture(&self, pose: &Isometry3<f64>, seed: u64) -> Vec<u8> {
         let [width, height] = self.size_px;
-        let shade = |x: usize, y: usize| 0.9 + 0.16 * x as f64 / width as f64 + 0.05 * (5.0 * y as f64 / height as f64).sin();
-        let mut light: Vec<f32> = (0..width * height)
-            .map(|i| (linear(GROUND) * shade(i % width, i / width)) as f32)
-            .collect();
+        let shade =
+            |x: usize, y: usize| 0.9 + 0.16 * x as f64 / width as f64 + 0.05 * (5.0 * y as f64 / height as f64).sin();
+        let mut light: Vec<f32> =
+            (0..width * height).map(|i| (linear(GROUND) * shade(i % width, i / width)) as f32).collect();
         // The board itself stands before its images.
         let mut views: Vec<&View> = self.views.iter().collect();
         views.sort_by_key(|view| !is_mirrored(&view.optics));

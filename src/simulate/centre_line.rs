@@ -96,9 +96,8 @@ impl CentreLine {
         let weights = [(1.0 - part) * (1.0 - 2.0 * part), 4.0 * part * (1.0 - part), part * (2.0 * part - 1.0)];
         let mix = |a: Vector3<f64>, b: Vector3<f64>, c: Vector3<f64>| a * weights[0] + b * weights[1] + c * weights[2];
         let knots = self.knots.iter().zip(&middle.knots).zip(&end.knots);
-        let knots = knots.map(|((a, b), c)| {
-            (mix(a.0.coords, b.0.coords, c.0.coords).into(), mix(a.1, b.1, c.1).normalize())
-        });
+        let knots =
+            knots.map(|((a, b), c)| (mix(a.0.coords, b.0.coords, c.0.coords).into(), mix(a.1, b.1, c.1).normalize()));
         Self { spacing_m: middle.spacing_m, knots: knots.collect() }
     }
 

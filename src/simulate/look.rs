@@ -15,7 +15,7 @@ const BANDS: [[f64; 3]; 6] = [
     [150.0, 60.0, 170.0],
     [40.0, 150.0, 160.0],
 ];
-const TUBE: [f64; 3] = [186.0, 184.0, 178.0];
+const TUBE: [f64; 3] = [176.0, 174.0, 168.0];
 const BACKGROUND: [f64; 3] = [112.0, 111.0, 112.0];
 const CLAMP: [f64; 3] = [52.0, 52.0, 54.0];
 
@@ -136,7 +136,12 @@ impl Look {
             let shade = |k: u32| ROOM + LAMP * f64::from(k) / 40.0;
             (0..=40).map(|k| albedo.map(|a| a * (shade(k) / TYPICAL) as f32)).collect()
         };
-        (colours.bands.iter().map(|band| shades(*band)).collect(), shades(colours.tube), shades(colours.clamp), colours.background)
+        (
+            colours.bands.iter().map(|band| shades(*band)).collect(),
+            shades(colours.tube),
+            shades(colours.clamp),
+            colours.background,
+        )
     }
 }
 

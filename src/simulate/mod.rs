@@ -6,6 +6,7 @@
 //! - [`Scene`]: what there is to see; [`Renderer`]: its pictures, one exposure after the other.
 //! - [`Timing`]: when they are exposed; [`truth()`]: the row of the table that belongs to each.
 //! - [`Boards`]: pictures of a chessboard for the calibrations.
+//! - [`plan`]: how well a rig will measure.
 //!
 //! Every pixel's ray goes through the view's mirrors and walls and is intersected with the tube (`tube.rs`). Nothing of
 //! the tracker's image model is used: what agrees with it agrees not by construction.
@@ -21,6 +22,7 @@ mod look;
 mod motion;
 mod mount;
 mod picture;
+pub mod plan;
 mod poses;
 mod rays;
 mod scene;

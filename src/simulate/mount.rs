@@ -60,7 +60,8 @@ impl Mount {
                 (catheter, clamp_m)
             }
         };
-        for (what, length_m) in [("between clamp and coil", catheter.flexible_m), ("behind the coil", catheter.tail_m)] {
+        for (what, length_m) in [("between clamp and coil", catheter.flexible_m), ("behind the coil", catheter.tail_m)]
+        {
             if !(length_m > 0.0) {
                 return Err(SceneError::NoRoom { what, length_mm: length_m * 1e3 });
             }

@@ -145,7 +145,10 @@ impl Renderer {
                         let x = layer.first[0] + k;
                         if sample[0] > 0.0 && self.shows(*view, x, y) {
                             let Some(pixel) = own.get_mut(3 * x..3 * x + 3) else { continue };
-                            pixel.iter_mut().zip(&sample[1..]).for_each(|(p, light)| *p = *p * (1.0 - sample[0]) + light);
+                            pixel
+                                .iter_mut()
+                                .zip(&sample[1..])
+                                .for_each(|(p, light)| *p = *p * (1.0 - sample[0]) + light);
                         }
                     }
                 }
@@ -176,7 +179,8 @@ impl Renderer {
                 (low.min(at), high.max(at))
             });
             let most = self.size_px.get(axis).copied().unwrap_or_default() as i32;
-            let (low, high) = (low.saturating_sub(REACH as i32).max(0), high.saturating_add(REACH as i32 + 1).min(most));
+            let (low, high) =
+                (low.saturating_sub(REACH as i32).max(0), high.saturating_add(REACH as i32 + 1).min(most));
             if low < high { (low as usize, high as usize) } else { (0, 0) }
         };
         let ((left, right), (top, bottom)) = (bound(0), bound(1));
@@ -237,7 +241,13 @@ impl Weights {
         let spread = |off: f64| -> f64 {
             let pieces = 32;
             let sum = (0..=pieces).map(|k| {
-                let weight = if k == 0 || k == pieces { 1.0 } else if k % 2 == 1 { 4.0 } else { 2.0 };
+                let weight = if k == 0 || k == pieces {
+                    1.0
+                } else if k % 2 == 1 {
+                    4.0
+                } else {
+                    2.0
+                };
                 let z = (off + f64::from(k) / f64::from(pieces) - 0.5) / lens_sd;
                 weight * (-0.5 * z * z).exp()
             });

@@ -33,7 +33,9 @@ pub fn line_through(
         Some((tip_m, tip)) if tip_m > coil_m + half_m => {
             let way_m = tip_m - coil_m - half_m;
             let aside = tip - (end + t * way_m);
-            let at = |s: f64| (end + t * s + aside * (s / way_m).powi(2), (t + aside * (2.0 * s / way_m.powi(2))).normalize());
+            let at = |s: f64| {
+                (end + t * s + aside * (s / way_m).powi(2), (t + aside * (2.0 * s / way_m.powi(2))).normalize())
+            };
             for s in [way_m, tail_m].into_iter().filter(|s| *s > 0.0) {
                 let (place, direction) = at(s);
                 knots.push((coil_m + half_m + s, place, direction));

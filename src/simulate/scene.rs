@@ -22,8 +22,10 @@ const APART_PX: f64 = 40.0;
 #[derive(Debug, thiserror::Error)]
 pub enum SceneError {
     /// The rig has no base frame.
-    #[error("the rig has no [base]: nobody knows where the catheter is; measure it with `catoptra calibrate base`, or \
-             write base_from_camera and b0 as you plan them")]
+    #[error(
+        "the rig has no [base]: nobody knows where the catheter is; measure it with `catoptra calibrate base`, or \
+             write base_from_camera and b0 as you plan them"
+    )]
     NoBase,
     /// A band without a place along the tube.
     #[error("marker `{marker}` has no centre_mm: write how far along the tube the middle of its band is")]
@@ -40,15 +42,19 @@ pub enum SceneError {
         length_mm: f64,
     },
     /// The catheter is too short for the rig's bands.
-    #[error("the first band would begin {off_mm:.1} mm inside of the clamp: flexible_mm of the catheter, or centre_mm of \
-             the rig's markers, is wrong")]
+    #[error(
+        "the first band would begin {off_mm:.1} mm inside of the clamp: flexible_mm of the catheter, or centre_mm of \
+             the rig's markers, is wrong"
+    )]
     BehindClamp {
         /// By how much, mm.
         off_mm: f64,
     },
     /// The catheter ends elsewhere than the rig's last band.
-    #[error("the catheter is {rod_mm:.1} mm long, the rig's bands end {bands_mm:.1} mm from the clamp: tail_mm of the \
-             catheter, or centre_mm of the rig's markers, is wrong")]
+    #[error(
+        "the catheter is {rod_mm:.1} mm long, the rig's bands end {bands_mm:.1} mm from the clamp: tail_mm of the \
+             catheter, or centre_mm of the rig's markers, is wrong"
+    )]
     Length {
         /// Of the rod, mm.
         rod_mm: f64,
@@ -56,8 +62,10 @@ pub enum SceneError {
         bands_mm: f64,
     },
     /// The camera is inside of a tank.
-    #[error("the camera is inside of the tank: surface `{surface}` has it {inside_mm:.0} mm behind its outer face; its \
-             normal must point to the camera's side, and offset_mm be negative")]
+    #[error(
+        "the camera is inside of the tank: surface `{surface}` has it {inside_mm:.0} mm behind its outer face; its \
+             normal must point to the camera's side, and offset_mm be negative"
+    )]
     CameraInside {
         /// The wall.
         surface: String,
@@ -143,8 +151,8 @@ impl Scene {
                 }
             }
             let mut why = String::new();
-            let shown = self.bands_m.iter().any(|(from, to)| {
-                match view.optics.project(&self.rest.at((from + to) / 2.0).0) {
+            let shown =
+                self.bands_m.iter().any(|(from, to)| match view.optics.project(&self.rest.at((from + to) / 2.0).0) {
                     Ok(pixel) if !in_picture(rig, &pixel) => {
                         why = format!("it would be at pixel ({:.0}, {:.0}), outside of the picture", pixel.x, pixel.y);
                         false
@@ -162,8 +170,7 @@ impl Scene {
                         why = reason.to_string();
                         false
                     }
-                }
-            });
+                });
             if !shown {
                 return Err(SceneError::NotShown { view: view.name.clone(), why });
             }
@@ -228,7 +235,8 @@ impl Scene {
                 Point2::new(middle.x + a * cos - b * sin, middle.y + a * sin + b * cos)
             });
             let reach = size.norm();
-            let range = |at: f64, most: f64| (at - reach).clamp(0.0, most) as usize..(at + reach).clamp(0.0, most) as usize;
+            let range =
+                |at: f64, most: f64| (at - reach).clamp(0.0, most) as usize..(at + reach).clamp(0.0, most) as usize;
             for y in range(middle.y, height) {
                 for x in range(middle.x, width) {
                     if polygon::contains(&block, &Point2::new(x as f64, y as f64)) {

@@ -38,8 +38,7 @@ pub fn taught(rig: &Rig, scene: &Scene) -> Result<Rig, SceneError> {
             rig.markers.iter().zip(&bands).map(|(marker, lights)| sampled(&marker.name, true, lights)).collect();
         classes.push(sampled("tube", false, &tube));
         classes.push(sampled("clamp", false, &clamp));
-        let around: Vec<[f32; 3]> =
-            (0..40_u8).map(|k| background.map(|v| v * (0.8 + 0.01 * f32::from(k)))).collect();
+        let around: Vec<[f32; 3]> = (0..40_u8).map(|k| background.map(|v| v * (0.8 + 0.01 * f32::from(k)))).collect();
         classes.push(sampled("background", false, &around));
         let learned = learn(&classes).map_err(|e| SceneError::Colours(e.to_string()))?;
         for (marker, model) in new.markers.iter_mut().zip(learned.models) {

@@ -154,8 +154,7 @@ impl Solid {
         let margin = 2.0 / FINE as f64;
         let reach = a.half_px.max(b.half_px) + margin;
         // At either end of the tube more of it may be seen than its axis goes: its end is a disc.
-        let (early, late) =
-            (if before.is_none() { reach } else { 0.0 }, if behind.is_none() { reach } else { 0.0 });
+        let (early, late) = (if before.is_none() { reach } else { 0.0 }, if behind.is_none() { reach } else { 0.0 });
         let corners = [a.pixel - a.along * early, b.pixel + b.along * late];
         let bound = |of: fn(&Point2<f64>) -> f64| {
             let (low, high) = corners.iter().map(of).fold((f64::MAX, f64::MIN), |(l, h), v| (l.min(v), h.max(v)));
@@ -260,7 +259,8 @@ impl Solid {
 impl Cell {
     /// Lays another part of the tube over this one, or under it.
     fn with(&mut self, other: &Self) {
-        let (front, back) = if other.depth_m < self.depth_m { (other.clone(), self.clone()) } else { (self.clone(), other.clone()) };
+        let (front, back) =
+            if other.depth_m < self.depth_m { (other.clone(), self.clone()) } else { (self.clone(), other.clone()) };
         let left = 1.0 - front.cover;
         let mut light = front.light;
         light.iter_mut().zip(back.light).for_each(|(light, back)| *light += left * back);

@@ -71,7 +71,12 @@ fn duration_or_none_s(text: &str) -> Result<f64, String> {
 
 impl Columns {
     /// The currents, later than told by `shift_s`.
-    pub(in super::super) fn commands(&self, catheter: &Catheter, table: &CurrentTable, shift_s: f64) -> Result<Commands, Failure> {
+    pub(in super::super) fn commands(
+        &self,
+        catheter: &Catheter,
+        table: &CurrentTable,
+        shift_s: f64,
+    ) -> Result<Commands, Failure> {
         let file = table.path.display();
         let columns = self.of(&table.coils).map_err(|why| Failure::new(Exit::Usage, format!("{file}: {why}")))?;
         let value = |row: &[f64], column: Option<usize>| column.and_then(|k| row.get(k)).copied().unwrap_or(0.0);

@@ -12,7 +12,8 @@ use crate::catheter::{Catheter, Commands};
 use crate::rig::Rig;
 use crate::series::{CurrentTable, Recording};
 use crate::simulate::{
-    BoardSet, Boards, CentreLine, Exposed, Mount, Renderer, Rod, Scene, Sensor, Stamp, Timing, Usual, line_through, taught,
+    BoardSet, Boards, CentreLine, Exposed, Mount, Renderer, Rod, Scene, Sensor, Stamp, Timing, Usual, line_through,
+    taught,
 };
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
@@ -238,7 +239,9 @@ impl Args {
             let drawn: Vec<_> = lines
                 .par_iter()
                 .enumerate()
-                .map(|(k, line)| renderer.picture(line, self.seed.wrapping_mul(0x2545_f491_4f6c_dd1d) ^ (first + k as u64)))
+                .map(|(k, line)| {
+                    renderer.picture(line, self.seed.wrapping_mul(0x2545_f491_4f6c_dd1d) ^ (first + k as u64))
+                })
                 .collect();
             for ((stamp, line), picture) in batch.iter().zip(lines).zip(drawn) {
                 let picture = picture.map_err(|e| Failure::new(Exit::Failed, e.to_string()))?;
@@ -259,7 +262,10 @@ impl Args {
             ))?;
         }
         if done < stamps.len() as u64 {
-            return Err(Failure::new(Exit::Interrupted, format!("interrupted after {done} of {} frames", stamps.len())));
+            return Err(Failure::new(
+                Exit::Interrupted,
+                format!("interrupted after {done} of {} frames", stamps.len()),
+            ));
         }
         Ok(())
     }
@@ -271,7 +277,13 @@ impl Args {
         Results { folder: &self.out, command: "simulate", recordings: std::slice::from_ref(&self.rig), inputs, files }
     }
 
-    fn boards(&self, rig: &Rig, scene: &Scene, count: usize, (asked, quiet): (&AtomicBool, bool)) -> Result<(), Failure> {
+    fn boards(
+        &self,
+        rig: &Rig,
+        scene: &Scene,
+        count: usize,
+        (asked, quiet): (&AtomicBool, bool),
+    ) -> Result<(), Failure> {
         let board: Board = self.board.parse().map_err(|e| usage(format!("--board {}: {e}", self.board)))?;
         let blur_px = rig.camera.blur_px.unwrap_or(0.55);
         let middle = scene.rest.at(scene.length_m / 2.0).0;
@@ -339,7 +351,10 @@ fn poses(rig: &Rig, mount: &Mount, file: &Path) -> Result<Option<Vec<(Stamp, Cen
         };
         let gap = u32::try_from(frame.gap).unwrap_or(u32::MAX).saturating_add(std::mem::take(&mut skipped));
         if lines.last().is_some_and(|(before, _)| before.ns >= frame.stamp_ns) {
-            let text = format!("time does not rise at seq {} ({} ns): expected later than the row before", frame.seq, frame.stamp_ns);
+            let text = format!(
+                "time does not rise at seq {} ({} ns): expected later than the row before",
+                frame.seq, frame.stamp_ns
+            );
             return Err(wrong(text));
         }
         lines.push((Stamp { ns: frame.stamp_ns, gap }, line));
