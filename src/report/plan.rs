@@ -81,15 +81,16 @@ pub(crate) fn page(name: &str, plan: &Plan) -> String {
          <p>For shapes at rest under currents all over what the coils allow: what the views see of them, and 1σ of what would \
          be measured in one frame. All numbers are of rendered pictures and of the geometry; light, dirt and reflections of the \
          real place come on top.</p>\n{}<h2>What the camera sees at rest</h2>\n{}<h2>The set-up to scale</h2>\n\
-         <p>From above, and from the side. Lines in colour are light from the tip, by way of each view.</p>\n{}{}\
+         <p>From above, from near, and from the side. Lines in colour are light from the tip, by way of each view.</p>\n{}{}{}\
          <h2>Where the tip is seen, and how well</h2>\n<p>Base frame; colours are σ of θ in one frame of a video, crosses are \
          shapes that a view does not see, or the tracker misses.</p>\n{}{}<h2>Shapes</h2>\n{}",
         escape(name),
         cards.concat(),
         suggestions(plan),
         rendered(plan),
-        figure("plot-above", &drawing(plan, (0, 2, 1.0), ["x, right (mm)", "z, forward (mm)"]), 560, false),
-        figure("plot-side", &drawing(plan, (2, 1, -1.0), ["z, forward (mm)", "y, up (mm)"]), 420, false),
+        figure("plot-above", &drawing(plan, (0, 2, 1.0), ["x, right (mm)", "z, forward (mm)"], false), 560, false),
+        figure("plot-near", &drawing(plan, (0, 2, 1.0), ["x, right (mm)", "z, forward (mm)"], true), 560, false),
+        figure("plot-side", &drawing(plan, (2, 1, -1.0), ["z, forward (mm)", "y, up (mm)"], true), 420, false),
         figure("plot-tips", &tips(plan), 480, false),
         assumptions(plan),
         shapes(plan),
@@ -129,8 +130,8 @@ fn rendered(plan: &Plan) -> String {
     }
 }
 
-/// The set-up, seen along an axis of the camera frame.
-fn drawing(plan: &Plan, axes: (usize, usize, f64), titles: [&str; 2]) -> Plot {
+/// The set-up, seen along an axis of the camera frame; or what is beyond the first surfaces only.
+fn drawing(plan: &Plan, axes: (usize, usize, f64), titles: [&str; 2], near: bool) -> Plot {
     let flat = |p: &Point3<f64>| [p[axes.0] * 1e3, axes.2 * p[axes.1] * 1e3];
     let axis = |title: &str| chart::value_axis(title).constrain(AxisConstrain::Domain).zero_line(false);
     let layout = chart::layout()
@@ -155,7 +156,7 @@ fn drawing(plan: &Plan, axes: (usize, usize, f64), titles: [&str; 2]) -> Plot {
                     own.push(*point);
                 }
             }
-            light.extend(points.iter().map(|p| Some(flat(p))));
+            light.extend(points.iter().skip(usize::from(near)).map(|p| Some(flat(p))));
             light.extend([Some(flat(&tip)), None]);
         }
         let (x, y) = split(&light);
@@ -200,6 +201,9 @@ fn drawing(plan: &Plan, axes: (usize, usize, f64), titles: [&str; 2]) -> Plot {
                 .line(Line::new().color(colour).width(width))
                 .hover_template(format!("{}<extra></extra>", escape(name))),
         );
+    }
+    if near {
+        return plot;
     }
     plot.add_trace(
         Scatter::new(vec![Some(0.0)], vec![Some(0.0)])

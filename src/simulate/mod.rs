@@ -31,12 +31,13 @@ mod taught;
 mod timing;
 mod truth;
 mod tube;
+mod video;
 
 pub use boards::{BoardSet, Boards, BoardsError};
 pub use centre_line::{CentreLine, Exposed};
 pub use motion::{MotionError, Rod, Usual};
 pub use mount::Mount;
-pub use picture::Renderer;
+pub use picture::{Renderer, Stored};
 pub use poses::line_through;
 pub use scene::{Clamp, Scene, SceneError};
 pub use sensor::Sensor;

@@ -10,8 +10,9 @@ use super::rays::Rays;
 use super::scene::{Scene, SceneError};
 use super::sensor::Reader;
 use super::tube::{Cell, FINE, Solid};
+use super::video::{as_taken, as_video};
 use crate::rig::Rig;
-use crate::source::{Colour, Picture, PixelFormat, Transfer};
+use crate::source::{Picture, PictureError};
 use nalgebra::Point2;
 
 /// Pixels on either side of a cell that its light reaches.
@@ -156,13 +157,17 @@ impl Renderer {
         })
     }
 
-    /// As [`Renderer::bytes`], as a picture.
+    /// As [`Renderer::bytes`], as a picture: whole, or as a video stores it (4:2:0).
     ///
     /// # Errors
     /// When the rig's pictures have no pixels.
-    pub fn picture(&self, exposed: &Exposed, seed: u64) -> Result<Picture, crate::source::PictureError> {
+    pub fn picture(&self, exposed: &Exposed, seed: u64, as_stored: Stored) -> Result<Picture, PictureError> {
         let [width, height] = self.size_px();
-        Picture::from_planes(width, height, FORMAT, COLOUR, vec![self.bytes(exposed, seed)])
+        let bytes = self.bytes(exposed, seed);
+        match as_stored {
+            Stored::Whole => as_taken(bytes, [width, height]),
+            Stored::Video => as_video(&bytes, [width, height]),
+        }
     }
 
     fn shows(&self, view: usize, x: usize, y: usize) -> bool {
@@ -217,9 +222,14 @@ impl Renderer {
     }
 }
 
-/// How pictures are stored.
-pub(super) const FORMAT: PixelFormat = PixelFormat::RgbPacked { step: 3, order: [0, 1, 2] };
-pub(super) const COLOUR: Colour = Colour { transfer: Transfer::Bt709, ..Colour::SRGB };
+/// How much of a picture's colours is kept.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Stored {
+    /// R'G'B' of every pixel.
+    Whole,
+    /// Y'CbCr, colours halved both ways.
+    Video,
+}
 
 impl Layer {
     fn row(&self, y: usize) -> Option<&[[f32; 4]]> {

@@ -240,7 +240,8 @@ impl Args {
                 .par_iter()
                 .enumerate()
                 .map(|(k, line)| {
-                    renderer.picture(line, self.seed.wrapping_mul(0x2545_f491_4f6c_dd1d) ^ (first + k as u64))
+                    let seed = self.seed.wrapping_mul(0x2545_f491_4f6c_dd1d) ^ (first + k as u64);
+                    renderer.picture(line, seed, self.codec.stored())
                 })
                 .collect();
             for ((stamp, line), picture) in batch.iter().zip(lines).zip(drawn) {

@@ -2,7 +2,7 @@
 
 use super::super::{Exit, Failure};
 use crate::rig::Rig;
-use crate::simulate::{CentreLine, Stamp, truth};
+use crate::simulate::{CentreLine, Stamp, Stored, truth};
 use crate::sink::{CsvSink, OutputFrame, PictureCodec, PictureVideo, Sink};
 use crate::source::Picture;
 use crate::tally::Tally;
@@ -31,6 +31,11 @@ impl Codec {
             Self::H264 | Self::Ffv1 => vec!["recording.mkv".to_owned()],
             Self::Png => (0..frames).map(|k| png(k as u64)).chain(["times.csv".to_owned()]).collect(),
         }
+    }
+
+    /// How much of the colours it keeps.
+    pub(super) fn stored(self) -> Stored {
+        if self == Self::H264 { Stored::Video } else { Stored::Whole }
     }
 
     pub(super) fn name(self) -> &'static str {

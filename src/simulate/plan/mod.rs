@@ -23,6 +23,7 @@ use super::mount::Mount;
 use super::picture::Renderer;
 use super::scene::{Scene, SceneError};
 use super::taught::taught;
+use super::video::{as_taken, as_video};
 use crate::calibrate::rig::share::{Pose, share};
 use crate::catheter::{CatheterError, Load, Shape, equilibrium};
 use crate::estimate::Estimate;
@@ -202,8 +203,8 @@ fn planned(
         Ok(said(rig, &estimate))
     };
     let bytes = renderer.bytes(&exposed, seed);
-    let video = noise(seen::as_video(&bytes, renderer.size_px())?)?;
-    let lossless = noise(seen::as_taken(bytes, renderer.size_px())?)?;
+    let video = noise(as_video(&bytes, renderer.size_px())?)?;
+    let lossless = noise(as_taken(bytes, renderer.size_px())?)?;
     let coil_m = mount.centres_m.get(rig.catheter.coil).copied().unwrap_or_default();
     let (coil, tangent) = line.at(coil_m);
     let tangent = tangent.normalize();

@@ -1,12 +1,10 @@
-//! Whether a view sees a band, and pictures of it as they are stored.
+//! Whether a view sees a band.
 
 use super::super::centre_line::CentreLine;
 use super::super::mount::Mount;
-use super::super::picture::{COLOUR, FORMAT};
 use super::super::scene::in_picture;
 use crate::optics::NoRay;
 use crate::rig::{Rig, View};
-use crate::source::{ChromaSiting, Colour, Picture, PictureError, PixelFormat, Range};
 use nalgebra::{Point2, Point3, Vector3};
 
 /// Knots of the centre line that may hide a band of another view.
@@ -66,43 +64,4 @@ fn across(view: &View, place: &Point3<f64>, direction: &Vector3<f64>) -> Result<
     let seen = view.optics.project_with_jacobian(place)?;
     let side = direction.cross(&seen.ray.direction).try_normalize(1e-9).unwrap_or_else(Vector3::x);
     Ok((seen.pixel, (seen.d_pixel * side).norm()))
-}
-
-/// As the sensor gave it.
-pub(super) fn as_taken(bytes: Vec<u8>, [width, height]: [u32; 2]) -> Result<Picture, PictureError> {
-    Picture::from_planes(width, height, FORMAT, COLOUR, vec![bytes])
-}
-
-/// As a video stores it: 4:2:0, chroma on the left.
-pub(super) fn as_video(bytes: &[u8], [width, height]: [u32; 2]) -> Result<Picture, PictureError> {
-    let format = PixelFormat::Yuv { chroma_log2: [1, 1] };
-    let colour = Colour { range: Range::Limited, siting: ChromaSiting::Left, ..COLOUR };
-    let (w, h) = (width as usize, height as usize);
-    let at = |x: isize, y: usize| -> [f64; 3] {
-        let x = x.clamp(0, w as isize - 1) as usize;
-        let from = 3 * (y.min(h - 1) * w + x);
-        [0, 1, 2].map(|c| f64::from(bytes.get(from + c).copied().unwrap_or_default()))
-    };
-    let stored = |channel: usize, rgb: [f64; 3]| {
-        let (weights, constant) = colour.channel_from_rgb(format, channel);
-        let value: f64 = weights.iter().zip(rgb).map(|(weight, value)| weight * value).sum();
-        (value + constant).round().clamp(0.0, 255.0) as u8
-    };
-    let luma = (0..w * h).map(|i| stored(0, at((i % w) as isize, i / w))).collect();
-    let chroma = |channel: usize| -> Vec<u8> {
-        let columns = w.div_ceil(2);
-        (0..columns * h.div_ceil(2))
-            .map(|i| {
-                let (x, y) = ((2 * (i % columns)) as isize, 2 * (i / columns));
-                let mut mean = [0.0; 3];
-                for (dx, weight) in [(-1, 0.125), (0, 0.25), (1, 0.125)] {
-                    for dy in 0..2 {
-                        mean.iter_mut().zip(at(x + dx, y + dy)).for_each(|(sum, value)| *sum += weight * value);
-                    }
-                }
-                stored(channel, mean)
-            })
-            .collect()
-    };
-    Picture::from_planes(width, height, format, colour, vec![luma, chroma(1), chroma(2)])
 }
