@@ -4,6 +4,7 @@
 # make lint      formatting and lints, as CI checks them
 # make bench     measure speed beside OpenCV and the bare decoder
 # make accuracy  errors against the truth of the sample recordings, in tables
+# make paper     the paper's experiment with a simulated catheter, circles also as rendered pictures; paper-fast: without
 
 CARGO ?= cargo
 DEMO := out/demo
@@ -11,7 +12,7 @@ VENV := target/venv
 FEATURES ?=
 WITH := $(if $(FEATURES),--features $(FEATURES))
 
-.PHONY: demo test examples lint bench accuracy deps
+.PHONY: demo test examples lint bench accuracy paper paper-fast deps
 
 # Cargo finds the program it has built, wherever the user's settings put it.
 demo: deps
@@ -42,6 +43,11 @@ bench: deps
 
 accuracy: deps
 	$(CARGO) test --locked --test it accuracy:: -- --nocapture --test-threads 1
+
+paper paper-fast: deps
+	$(CARGO) build --locked --release --bin catoptra
+	scripts/paper.py --catoptra "$$($(CARGO) metadata --format-version 1 --no-deps --locked | python3 -c 'import json,sys; print(json.load(sys.stdin)["target_directory"])')/release/catoptra" \
+	  $(if $(filter paper-fast,$@),--scale 0.2,--pictures 5,20) -o out/$@
 
 deps:
 	@scripts/install-deps

@@ -300,6 +300,17 @@ impl Simulation {
         }
     }
 
+    /// The centre line where it is: distances from the clamp, places and directions, from the clamp to the tip.
+    pub fn centre_line(&self) -> Vec<(f64, Point3<f64>, Vector3<f64>)> {
+        let (places, _) = self.chain.places(&self.state.q, &self.state.rate);
+        let ahead = places.iter().skip(1).chain(places.last());
+        // Links are straight; where two meet, the line has the direction between theirs. The first place is the clamp.
+        let along = |at: &At| at.frame.column(2).into_owned();
+        let direction = |k: usize, at: &At, next: &At| if k == 0 { along(at) } else { along(at) + along(next) };
+        let lines = places.iter().zip(ahead).enumerate();
+        lines.map(|(k, (at, next))| (at.arc_m, at.point.into(), direction(k, at, next).normalize())).collect()
+    }
+
     /// Kinetic and potential energy.
     pub fn energy(&self) -> Energy {
         self.chain.energy(&self.state.q, &self.state.rate, &self.acting(&self.load))

@@ -17,11 +17,13 @@ mod live;
 mod log;
 mod outcome;
 mod output;
+mod plan;
 mod progress;
 mod provenance;
 mod results;
 mod rig;
 mod run;
+mod simulate;
 mod track;
 mod units;
 mod validate;
@@ -105,6 +107,20 @@ Example:
     /// What a steerable catheter does for given currents: its shape, its reach, currents for a path
     #[command(after_help = "Example:\n  catoptra catheter shape --currents 0mA,0mA,100mA")]
     Catheter(catheter::Args),
+    /// Render what a rig would record of its catheter, with the truth (docs/simulate.md)
+    #[command(after_help = "\
+DIR gets recording.mkv (or pictures), truth.csv with the columns of track.csv, and rig.toml.
+Exit code 2 says what cannot be seen, and why. The same seed gives the same files.
+Example:
+  catoptra simulate --rig calibration/dev_tank/rig.toml --motion circle --duration 2s -o sim")]
+    Simulate(Box<simulate::Args>),
+    /// How well a rig will measure, before it is built: where it sees the catheter, σ, what would help
+    #[command(after_help = "\
+The rig as planned needs camera, surfaces, views, markers with centre_mm, and [base]; its colours
+and its calibration are supposed where it has none. Exit code 2 says what cannot be seen, and why.
+Example:
+  catoptra plan --rig calibration/dev_tank/rig.toml -o plan.html")]
+    Plan(plan::Args),
     /// Identify the dynamics from logs, tables, or any input and output (docs/identify.md; --json)
     #[command(after_help = "\
 Example:
@@ -144,6 +160,8 @@ pub fn run() -> ExitCode {
         Command::Identify(args) => identify::run(args, cli.quiet),
         Command::Live(args) => live::run(args, cli.quiet),
         Command::Log(args) => log::run(args),
+        Command::Plan(args) => plan::run(args, cli.quiet),
+        Command::Simulate(args) => simulate::run(args, cli.quiet),
         Command::Track(args) => track::run(args, cli.quiet),
         Command::Validate(args) => validate::run(args, cli.quiet),
     };

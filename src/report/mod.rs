@@ -22,6 +22,7 @@ pub(crate) mod identification;
 mod moments;
 mod page;
 pub(crate) mod study;
+pub(crate) mod plan;
 pub(crate) mod teaching;
 mod timeline;
 mod tracking;

@@ -134,7 +134,11 @@ impl PictureVideo {
         Ok(Running { output, encoder, frames, origin_ns, last_ns: -1 })
     }
 
-    fn add(&mut self, picture: &Picture, stamp_ns: i64) -> Result<(), SinkError> {
+    /// Adds a picture.
+    ///
+    /// # Errors
+    /// [`SinkError`] when it cannot be encoded or written.
+    pub fn add(&mut self, picture: &Picture, stamp_ns: i64) -> Result<(), SinkError> {
         if self.running.is_none() {
             self.running = Some(self.start(picture, stamp_ns)?);
         }

@@ -55,6 +55,7 @@ mod report;
 mod rig_file;
 mod rig_formats;
 mod sample_rig;
+mod simulate;
 mod source_images;
 mod source_recordings;
 mod source_warnings;

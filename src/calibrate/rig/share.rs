@@ -97,7 +97,7 @@ pub(crate) fn share(rig: &Draft, poses: &[Pose]) -> Result<Share, NoShare> {
 }
 
 /// As `calibrate rig` noted it: parameters of the rig's own geometry and their covariance.
-fn noted(rig: &Draft) -> Option<(Geometry, Vec<Parameter>, DMatrix<f64>)> {
+pub(crate) fn noted(rig: &Draft) -> Option<(Geometry, Vec<Parameter>, DMatrix<f64>)> {
     let table = rig.provenance.get("rig")?;
     let surfaces: Vec<_> = rig.surfaces.iter().map(|(name, surface)| (name.clone(), *surface)).collect();
     let index = |name: &str| surfaces.iter().position(|(own, _)| own == name);

@@ -3,6 +3,8 @@
 mod fit;
 mod run;
 
+pub(super) use run::Columns;
+
 use super::output::{is_free, save};
 use super::units::{current_a, duration_s};
 use super::{Exit, Failure, interrupt, output};

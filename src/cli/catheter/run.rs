@@ -58,7 +58,7 @@ pub(super) struct RunArgs {
 
 /// Which columns of currents belong to which coil.
 #[derive(Debug, clap::Args)]
-pub(super) struct Columns {
+pub(in super::super) struct Columns {
     /// Columns of the coils x, y, z; `-` for a coil without current [default: x_a,y_a,z_a, or the table's three columns
     /// in their order, or its only one for the axial coil z]
     #[arg(long, value_name = "NAMES", value_delimiter = ',', allow_hyphen_values = true)]
@@ -71,7 +71,12 @@ fn duration_or_none_s(text: &str) -> Result<f64, String> {
 
 impl Columns {
     /// The currents, later than told by `shift_s`.
-    fn commands(&self, catheter: &Catheter, table: &CurrentTable, shift_s: f64) -> Result<Commands, Failure> {
+    pub(in super::super) fn commands(
+        &self,
+        catheter: &Catheter,
+        table: &CurrentTable,
+        shift_s: f64,
+    ) -> Result<Commands, Failure> {
         let file = table.path.display();
         let columns = self.of(&table.coils).map_err(|why| Failure::new(Exit::Usage, format!("{file}: {why}")))?;
         let value = |row: &[f64], column: Option<usize>| column.and_then(|k| row.get(k)).copied().unwrap_or(0.0);

@@ -4,7 +4,7 @@
 //! network.
 
 mod figures;
-mod set_up;
+pub(super) mod set_up;
 mod tables;
 mod words;
 

@@ -14,7 +14,7 @@ use plotly::{Plot, Scatter};
 const BEYOND: f64 = 0.08;
 
 /// Where a light path from the camera through `pixel` meets each of its surfaces, camera first; as far as it does.
-fn met(path: &OpticalPath, pixel: &Point2<f64>) -> Vec<Point3<f64>> {
+pub(in crate::report) fn met(path: &OpticalPath, pixel: &Point2<f64>) -> Vec<Point3<f64>> {
     let mut points = vec![Point3::origin()];
     for (k, surface) in path.surfaces.iter().enumerate() {
         let before = OpticalPath { lens: path.lens, surfaces: path.surfaces.iter().take(k).copied().collect() };
@@ -49,7 +49,7 @@ fn lit(solution: &Solution, corners: &[Corner]) -> Vec<Vec<Point3<f64>>> {
 }
 
 /// The two of some points that are farthest apart in the drawing, and a little beyond.
-fn ends(points: &[[f64; 2]]) -> Option<[[f64; 2]; 2]> {
+pub(in crate::report) fn ends(points: &[[f64; 2]]) -> Option<[[f64; 2]; 2]> {
     let n = points.len().max(1) as f64;
     let [x, y] = [0, 1].map(|k| points.iter().map(|p| p[k]).sum::<f64>() / n);
     let (mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0);

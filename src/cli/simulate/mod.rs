@@ -1,0 +1,367 @@
+//! `catoptra simulate`: recordings and calibration pictures of a rig, with their truth.
+
+mod writer;
+
+use super::catheter::Columns;
+use super::progress::Progress;
+use super::results::Results;
+use super::units::{duration_s, frequency_hz};
+use super::{Exit, Failure, interrupt, output};
+use crate::calibrate::board::Board;
+use crate::catheter::{Catheter, Commands};
+use crate::rig::Rig;
+use crate::series::{CurrentTable, Recording};
+use crate::simulate::{
+    BoardSet, Boards, CentreLine, Exposed, Mount, Renderer, Rod, Scene, Sensor, Stamp, Timing, Usual, line_through,
+    taught,
+};
+use nalgebra::{Point3, Vector3};
+use rayon::prelude::*;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+use writer::{Codec, Taken, Writer};
+
+/// Most frames: an hour at a thousand a second.
+const MOST_FRAMES: f64 = 3.6e6;
+/// Frames that are drawn side by side, and wait for the encoder.
+const BATCH: usize = 8;
+/// Exposure where neither rig nor options say it, seconds.
+const EXPOSURE_S: f64 = 2e-3;
+
+/// Arguments of `catoptra simulate`.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// The rig, with base frame and places of the bands
+    #[arg(long, value_name = "RIG.toml")]
+    rig: PathBuf,
+    /// rest, planar, circle, lemniscate, a table of currents, or a tracked run's table
+    #[arg(long, value_name = "MOTION", default_value = "planar")]
+    motion: String,
+    /// The catheter [default: the paper's prototype, as long as the rig's bands say]
+    #[arg(long, value_name = "CATHETER.toml")]
+    catheter: Option<PathBuf>,
+    #[command(flatten)]
+    columns: Columns,
+    /// Frames a second
+    #[arg(long, value_name = "F", default_value = "60Hz", value_parser = frequency_hz)]
+    fps: f64,
+    /// Length of the recording [default: 1 s at rest, 9 s, or 1 s beyond the last current]
+    #[arg(long, value_name = "T", value_parser = duration_s)]
+    duration: Option<f64>,
+    /// Seed of noise, jitter and lost frames
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    seed: u64,
+    /// How pictures are stored
+    #[arg(long, value_enum, default_value_t = Codec::H264)]
+    codec: Codec,
+    /// Exposure; 0 freezes every frame [default: the rig's, or 2 ms]
+    #[arg(long, value_name = "T", value_parser = time_or_none_s)]
+    exposure: Option<f64>,
+    /// Electrons of full white and of reading, 0,0 without noise
+    #[arg(long, value_name = "FULL,READ", value_delimiter = ',', num_args = 1, default_value = "10000,5")]
+    noise: Vec<f64>,
+    /// Each pixel sees one colour only
+    #[arg(long)]
+    bayer: bool,
+    /// Light of the highlight on the tube, 0 to 1
+    #[arg(long, value_name = "PART", default_value_t = 0.03)]
+    highlight: f64,
+    /// Things in the bands' colours that stand around
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u8).range(..=100))]
+    distractors: u8,
+    /// σ of the frames' times about even ones
+    #[arg(long, value_name = "T", default_value = "0", value_parser = time_or_none_s)]
+    jitter: f64,
+    /// Part of the frames that are lost, percent
+    #[arg(long, value_name = "%", default_value_t = 0.0)]
+    lost: f64,
+    /// N pictures of a board in air and N in the rig instead of a recording
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1000))]
+    boards: Option<u16>,
+    /// That board: inner corners and squares
+    #[arg(long, value_name = "CxR:SIZE", default_value = "9x6:12mm")]
+    board: String,
+    /// Folder for recording, truth.csv and rig.toml
+    #[arg(short, long, value_name = "DIR")]
+    out: PathBuf,
+}
+
+fn time_or_none_s(text: &str) -> Result<f64, String> {
+    if matches!(text.trim(), "0" | "0s" | "0ms") { Ok(0.0) } else { duration_s(text) }
+}
+
+fn usage(text: impl std::fmt::Display) -> Failure {
+    Failure::new(Exit::Usage, text.to_string())
+}
+
+pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
+    let asked = interrupt::watch()?;
+    let rig = Rig::load(&args.rig)?;
+    let catheter = args.catheter.as_deref().map(Catheter::load).transpose().map_err(usage)?;
+    let of_rig = |e: &dyn std::fmt::Display| usage(format!("{}: {e}", args.rig.display()));
+    let mount = Mount::of(&rig, catheter.as_ref()).map_err(|e| of_rig(&e))?;
+    let source = args.source(&rig, &mount)?;
+    let mut scene = Scene::of(&rig, &mount, source.rest()).map_err(|e| of_rig(&e))?;
+    scene.sensor = args.sensor()?;
+    scene.distractors = usize::from(args.distractors);
+    scene.seed = args.seed;
+    if !(0.0..=1.0).contains(&args.highlight) {
+        return Err(usage(format!("--highlight {}: expected a part from 0 to 1", args.highlight)));
+    }
+    scene.highlight = args.highlight;
+    if !(0.0..=90.0).contains(&args.lost) {
+        return Err(usage(format!("--lost {}: expected a part of the frames from 0 to 90 percent", args.lost)));
+    }
+    match args.boards {
+        Some(count) => args.boards(&rig, &scene, usize::from(count), (&asked, quiet)),
+        None => args.recording(&taught(&rig, &scene).map_err(|e| of_rig(&e))?, &scene, &mount, source, (&asked, quiet)),
+    }
+}
+
+/// What moves the catheter.
+enum Source {
+    Rod(Box<Rod>, CentreLine, f64),
+    /// Times, seconds, and lines.
+    Poses(Vec<(Stamp, CentreLine)>),
+}
+
+impl Source {
+    fn rest(&self) -> &CentreLine {
+        match self {
+            Self::Rod(_, rest, _) => rest,
+            Self::Poses(poses) => {
+                // Never empty: see `Args::poses`.
+                #[allow(clippy::indexing_slicing, reason = "`Args::poses` gives one at least")]
+                &poses[0].1
+            }
+        }
+    }
+}
+
+impl Args {
+    fn sensor(&self) -> Result<Sensor, Failure> {
+        match *self.noise.as_slice() {
+            [full, read] if full >= 0.0 && read >= 0.0 && full.is_finite() && read.is_finite() => {
+                Ok(Sensor { full_well_e: (full > 0.0).then_some(full), read_e: read, mosaic: self.bayer })
+            }
+            _ => Err(usage("--noise: expected two numbers of electrons not below 0, FULL,READ such as 10000,5")),
+        }
+    }
+
+    fn exposure_s(&self, rig: &Rig) -> Result<f64, Failure> {
+        let exposure_s = self.exposure.or(rig.camera.exposure_s).unwrap_or(EXPOSURE_S);
+        if exposure_s * self.fps > 1.0 {
+            let text = format!("an exposure of {} ms is longer than a frame at {} Hz", exposure_s * 1e3, self.fps);
+            return Err(usage(text));
+        }
+        Ok(exposure_s)
+    }
+
+    fn source(&self, rig: &Rig, mount: &Mount) -> Result<Source, Failure> {
+        let usual = match self.motion.as_str() {
+            "rest" => Some((Usual::Rest, 1.0)),
+            "planar" => Some((Usual::Planar, 9.0)),
+            "circle" => Some((Usual::Circle, 9.0)),
+            "lemniscate" => Some((Usual::Lemniscate, 9.0)),
+            _ => None,
+        };
+        let (commands, duration_s): (Commands, f64) = match usual {
+            Some((usual, default_s)) => {
+                let duration_s = self.duration.unwrap_or(default_s);
+                (usual.commands(&mount.catheter, duration_s).map_err(usage)?, duration_s)
+            }
+            None => {
+                let file = Path::new(&self.motion);
+                if !file.exists() {
+                    let text = "is neither rest, planar, circle nor lemniscate, and no such file";
+                    return Err(usage(format!("--motion {}: {text}", file.display())));
+                }
+                if let Some(poses) = poses(rig, mount, file)? {
+                    return Ok(Source::Poses(poses));
+                }
+                let table = CurrentTable::read(file).map_err(usage)?;
+                let commands = self.columns.commands(&mount.catheter, &table, 0.0)?;
+                let (_, end_s) = commands.span_s();
+                (commands, self.duration.unwrap_or(end_s + 1.0))
+            }
+        };
+        let rod = Rod::at_rest(mount, commands).map_err(usage)?;
+        let rest = rod.line().map_err(usage)?;
+        Ok(Source::Rod(Box::new(rod), rest, duration_s))
+    }
+
+    fn recording(
+        &self,
+        rig: &Rig,
+        scene: &Scene,
+        mount: &Mount,
+        mut source: Source,
+        (asked, quiet): (&AtomicBool, bool),
+    ) -> Result<(), Failure> {
+        let exposure_s = self.exposure_s(rig)?;
+        let timing = Timing { rate_hz: self.fps, jitter_s: self.jitter, lost: self.lost / 100.0, seed: self.seed };
+        let stamps: Vec<Stamp> = match &source {
+            Source::Poses(poses) => poses.iter().map(|(stamp, _)| *stamp).collect(),
+            Source::Rod(_, _, duration_s) => {
+                let frames = (duration_s * self.fps + 1e-9).floor();
+                if frames > MOST_FRAMES {
+                    return Err(usage(format!("{frames} frames are more than {MOST_FRAMES}; shorten --duration")));
+                }
+                timing.stamps((frames as u64).max(1)).collect()
+            }
+        };
+        let renderer = Renderer::new(rig, scene).map_err(|e| usage(format!("{}: {e}", self.rig.display())))?;
+        let mut files = self.codec.files(stamps.len());
+        files.extend(["truth.csv", "rig.toml"].map(str::to_owned));
+        let results = self.results(files);
+        results.take()?;
+        rig.save(&self.out.join("rig.toml"))?;
+        let mut progress = Progress::of_frames(Some(stamps.len() as u64), quiet);
+        let mut writer = Writer::start(&self.out, self.codec, rig, &mount.centres_m)?;
+        let began = std::time::Instant::now();
+        let mut done = 0_u64;
+        for batch in stamps.chunks(BATCH) {
+            if asked.load(Ordering::Relaxed) {
+                break;
+            }
+            let first = done;
+            let lines = batch.iter().enumerate().map(|(k, stamp)| match &mut source {
+                Source::Rod(rod, ..) => {
+                    let at = rod.exposed(stamp.ns as f64 * 1e-9, exposure_s);
+                    at.map_err(|e| Failure::new(Exit::Failed, e.to_string()))
+                }
+                Source::Poses(poses) => {
+                    let line = poses.get(first as usize + k).map(|(_, line)| Exposed::still(line));
+                    line.ok_or_else(|| Failure::new(Exit::Failed, "a pose is missing".to_owned()))
+                }
+            });
+            let lines = lines.collect::<Result<Vec<_>, Failure>>()?;
+            let drawn: Vec<_> = lines
+                .par_iter()
+                .enumerate()
+                .map(|(k, line)| {
+                    let seed = self.seed.wrapping_mul(0x2545_f491_4f6c_dd1d) ^ (first + k as u64);
+                    renderer.picture(line, seed, self.codec.stored())
+                })
+                .collect();
+            for ((stamp, line), picture) in batch.iter().zip(lines).zip(drawn) {
+                let picture = picture.map_err(|e| Failure::new(Exit::Failed, e.to_string()))?;
+                writer.add(Taken { seq: done, stamp: *stamp, line: line.middle, picture })?;
+                done += 1;
+                progress.at(done);
+            }
+        }
+        drop(progress);
+        writer.finish()?;
+        let took_s = began.elapsed().as_secs_f64();
+        if !quiet {
+            output::print(&format!(
+                "{done} frames in {took_s:.1} s, {:.1} a second\n\nwritten: {}, truth.csv, rig.toml in {}\n",
+                done as f64 / took_s,
+                self.codec.name(),
+                self.out.display()
+            ))?;
+        }
+        if done < stamps.len() as u64 {
+            return Err(Failure::new(
+                Exit::Interrupted,
+                format!("interrupted after {done} of {} frames", stamps.len()),
+            ));
+        }
+        Ok(())
+    }
+
+    fn results(&self, files: Vec<String>) -> Results<'_> {
+        let mut inputs = vec![self.rig.as_path()];
+        inputs.extend(self.catheter.as_deref());
+        inputs.extend(Some(Path::new(&self.motion)).filter(|file| file.is_file()));
+        Results { folder: &self.out, command: "simulate", recordings: std::slice::from_ref(&self.rig), inputs, files }
+    }
+
+    fn boards(
+        &self,
+        rig: &Rig,
+        scene: &Scene,
+        count: usize,
+        (asked, quiet): (&AtomicBool, bool),
+    ) -> Result<(), Failure> {
+        let board: Board = self.board.parse().map_err(|e| usage(format!("--board {}: {e}", self.board)))?;
+        let blur_px = rig.camera.blur_px.unwrap_or(0.55);
+        let middle = scene.rest.at(scene.length_m / 2.0).0;
+        let name = |set: &str, k: usize| format!("{set}{k:03}.png");
+        let sets = [("air", BoardSet::Air), ("rig", BoardSet::Rig)];
+        let mut files: Vec<String> = sets.iter().flat_map(|(set, _)| (0..count).map(move |k| name(set, k))).collect();
+        files.push("rig.toml".to_owned());
+        let mut planned = Vec::new();
+        for (set, where_) in sets {
+            let boards = Boards::new(rig, board.clone(), where_, middle, blur_px, scene.sensor);
+            let poses = boards.poses(count, self.seed).map_err(|e| usage(format!("{}: {e}", self.rig.display())))?;
+            planned.push((set, boards, poses));
+        }
+        self.results(files).take()?;
+        rig.save(&self.out.join("rig.toml"))?;
+        let mut progress = Progress::of(Some(2 * count as u64), "pictures", quiet);
+        let [width, height] = rig.camera.size_px;
+        for (set, boards, poses) in &planned {
+            for (first, batch) in poses.chunks(BATCH).enumerate() {
+                if asked.load(Ordering::Relaxed) {
+                    return Err(Failure::new(Exit::Interrupted, "interrupted".to_owned()));
+                }
+                let saved = batch.par_iter().enumerate().map(|(k, pose)| {
+                    let k = first * BATCH + k;
+                    let path = self.out.join(name(set, k));
+                    let bytes = boards.picture(pose, self.seed ^ ((k as u64 + 1) << 20));
+                    let saved = image::save_buffer(&path, &bytes, width, height, image::ColorType::L8);
+                    saved.map_err(|e| Failure::new(Exit::Failed, format!("{}: {e}", path.display())))
+                });
+                saved.collect::<Result<Vec<()>, Failure>>()?;
+                batch.iter().for_each(|_| progress.one_more());
+            }
+        }
+        drop(progress);
+        if quiet {
+            return Ok(());
+        }
+        output::print(&format!("written: air*.png, rig*.png ({count} each) and rig.toml in {}\n", self.out.display()))
+    }
+}
+
+/// Stamps and lines of a table of a tracked run; `None` when it is none.
+fn poses(rig: &Rig, mount: &Mount, file: &Path) -> Result<Option<Vec<(Stamp, CentreLine)>>, Failure> {
+    let wrong = |what: String| usage(format!("{}: {what}", file.display()));
+    let head = std::fs::read(file).map_err(|e| wrong(format!("cannot be read: {e}")))?;
+    if !head.starts_with(b"seq,t_s,stamp_ns") {
+        return Ok(None);
+    }
+    let run = Recording::read(file).map_err(usage)?;
+    let Some(base) = &rig.base else { return Err(wrong("the rig has no [base]".to_owned())) };
+    let camera_from_base = base.base_from_camera.inverse();
+    let order = rig.markers.iter().map(|marker| run.markers.iter().position(|name| *name == marker.name));
+    let order: Vec<Option<usize>> = order.collect();
+    let mut lines: Vec<(Stamp, CentreLine)> = Vec::with_capacity(run.frames.len());
+    let mut skipped = 0;
+    for frame in &run.frames {
+        let places: Vec<Option<Point3<f64>>> = order
+            .iter()
+            .map(|k| k.and_then(|k| frame.places.get(k)).and_then(|place| place.point).map(|p| camera_from_base * p))
+            .collect();
+        let tangent: Option<Vector3<f64>> = frame.tangent.map(|t| camera_from_base * t);
+        let Some(line) = tangent.and_then(|t| line_through(rig, mount, &places, &t)) else {
+            skipped += 1;
+            continue;
+        };
+        let gap = u32::try_from(frame.gap).unwrap_or(u32::MAX).saturating_add(std::mem::take(&mut skipped));
+        if lines.last().is_some_and(|(before, _)| before.ns >= frame.stamp_ns) {
+            let text = format!(
+                "time does not rise at seq {} ({} ns): expected later than the row before",
+                frame.seq, frame.stamp_ns
+            );
+            return Err(wrong(text));
+        }
+        lines.push((Stamp { ns: frame.stamp_ns, gap }, line));
+    }
+    if lines.is_empty() {
+        return Err(wrong("has no frame with all places and the tangent".to_owned()));
+    }
+    Ok(Some(lines))
+}

@@ -1,0 +1,46 @@
+//! Pictures of a rig, with their truth: what a camera would record, rendered through the rig's optical paths.
+//!
+//! In: a rig with a base frame, and what the catheter does. Out: pictures, and where everything is in each of them.
+//!
+//! - [`Mount`]: the rig's bands on a catheter, and where its clamp is; [`Rod`]: what it does under currents.
+//! - [`Scene`]: what there is to see; [`Renderer`]: its pictures, one exposure after the other.
+//! - [`Timing`]: when they are exposed; [`truth()`]: the row of the table that belongs to each.
+//! - [`Boards`]: pictures of a chessboard for the calibrations.
+//! - [`plan`]: how well a rig will measure.
+//!
+//! Every pixel's ray goes through the view's mirrors and walls and is intersected with the tube (`tube.rs`). Nothing of
+//! the tracker's image model is used: what agrees with it agrees not by construction.
+//!
+//! # What it does not show
+//! Depth of field, dispersion, dirt, waves; light that is reflected by panes; shadows; the tube's own reflection in
+//! what is not a view. Surfaces have no edges but those of the views' regions.
+
+mod boards;
+mod centre_line;
+mod light;
+mod look;
+mod motion;
+mod mount;
+mod picture;
+pub mod plan;
+mod poses;
+mod rays;
+mod scene;
+mod sensor;
+mod taught;
+mod timing;
+mod truth;
+mod tube;
+mod video;
+
+pub use boards::{BoardSet, Boards, BoardsError};
+pub use centre_line::{CentreLine, Exposed};
+pub use motion::{MotionError, Rod, Usual};
+pub use mount::Mount;
+pub use picture::{Renderer, Stored};
+pub use poses::line_through;
+pub use scene::{Clamp, Scene, SceneError};
+pub use sensor::Sensor;
+pub use taught::taught;
+pub use timing::{Stamp, Timing};
+pub use truth::truth;

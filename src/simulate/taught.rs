@@ -1,0 +1,52 @@
+//! The rig with the colours of its bands learned, as far as they were not: from what the scene shows of them.
+
+use super::light::stored;
+use super::scene::{Scene, SceneError};
+use crate::rig::Rig;
+use crate::segment::{ClassSamples, learn};
+use nalgebra::Vector3;
+
+/// Spread of the samples, R'G'B': noise of the camera.
+const NOISE: f64 = 2.0;
+
+/// The rig, able to track pictures of this scene. Colours that are there are kept.
+///
+/// # Errors
+/// [`SceneError`] when a view is lost, or the colours cannot be told apart.
+pub fn taught(rig: &Rig, scene: &Scene) -> Result<Rig, SceneError> {
+    if rig.markers.iter().all(|marker| !marker.colours.is_empty()) {
+        return Ok(rig.clone());
+    }
+    let look = scene.look(rig)?;
+    let mut new = rig.clone();
+    let mut random = fastrand::Rng::with_seed(7);
+    for view in 0..rig.views.len() {
+        let (bands, tube, clamp, background) = look.shades(view);
+        let mut sampled = |name: &str, is_marker: bool, lights: &[[f32; 3]]| ClassSamples {
+            name: name.to_owned(),
+            is_marker,
+            rgb: (0..8)
+                .flat_map(|_| lights)
+                .map(|light| {
+                    let [r, g, b] = light.map(|v| stored(f64::from(v)));
+                    let mut noise = || NOISE * 3.0 * (random.f64() + random.f64() - 1.0);
+                    Vector3::new(r + noise(), g + noise(), b + noise())
+                })
+                .collect(),
+        };
+        let mut classes: Vec<ClassSamples> =
+            rig.markers.iter().zip(&bands).map(|(marker, lights)| sampled(&marker.name, true, lights)).collect();
+        classes.push(sampled("tube", false, &tube));
+        classes.push(sampled("clamp", false, &clamp));
+        let around: Vec<[f32; 3]> = (0..40_u8).map(|k| background.map(|v| v * (0.8 + 0.01 * f32::from(k)))).collect();
+        classes.push(sampled("background", false, &around));
+        let learned = learn(&classes).map_err(|e| SceneError::Colours(e.to_string()))?;
+        for (marker, model) in new.markers.iter_mut().zip(learned.models) {
+            if view == 0 {
+                marker.colours.clear();
+            }
+            marker.colours.push(model);
+        }
+    }
+    Ok(new)
+}

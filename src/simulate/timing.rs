@@ -1,0 +1,62 @@
+//! When frames are exposed: at a rate, with jitter, some of them lost.
+
+/// A camera's clock.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Timing {
+    /// Frames a second.
+    pub rate_hz: f64,
+    /// Standard deviation of an exposure's time about its place in the row, seconds; cut off at 2 σ.
+    pub jitter_s: f64,
+    /// Part of the frames that are lost, 0 to 1.
+    pub lost: f64,
+    /// Seed of both.
+    pub seed: u64,
+}
+
+/// When a frame that was not lost is exposed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Stamp {
+    /// Nanoseconds since the beginning.
+    pub ns: i64,
+    /// Frames lost before it.
+    pub gap: u32,
+}
+
+impl Timing {
+    /// The stamps of so many frames, lost ones among them. The first is not lost: time 0 is its own.
+    pub fn stamps(self, frames: u64) -> impl Iterator<Item = Stamp> {
+        let mut random = fastrand::Rng::with_seed(self.seed ^ 0x7469_6d65);
+        let mut gap = 0;
+        (0..frames).filter_map(move |k| {
+            let normal = (-2.0 * (1.0 - random.f64()).ln()).sqrt() * (std::f64::consts::TAU * random.f64()).cos();
+            // Never as much as half the interval: times rise.
+            let most_s = 0.4 / self.rate_hz;
+            let off_s = (self.jitter_s * normal.clamp(-2.0, 2.0)).clamp(-most_s, most_s);
+            let lost = random.f64() < self.lost && k > 0;
+            if lost {
+                gap += 1;
+                return None;
+            }
+            let off_s = if k == 0 { 0.0 } else { off_s };
+            let ns = ((k as f64 / self.rate_hz + off_s) * 1e9).round() as i64;
+            Some(Stamp { ns, gap: std::mem::take(&mut gap) })
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn stamps_rise_vary_and_tell_what_was_lost() {
+        let timing = Timing { rate_hz: 60.0, jitter_s: 3e-3, lost: 0.2, seed: 5 };
+        let stamps: Vec<Stamp> = timing.stamps(1000).collect();
+        assert!(stamps.windows(2).all(|pair| pair[1].ns > pair[0].ns));
+        let lost: u32 = stamps.iter().map(|stamp| stamp.gap).sum();
+        assert!((150..250).contains(&lost) && stamps.len() + lost as usize <= 1000, "{lost}");
+        assert_eq!(stamps, timing.stamps(1000).collect::<Vec<_>>());
+        let even = Timing { jitter_s: 0.0, lost: 0.0, ..timing };
+        assert_eq!(even.stamps(3).map(|stamp| stamp.ns).collect::<Vec<_>>(), [0, 16_666_667, 33_333_333]);
+    }
+}
