@@ -11,11 +11,12 @@ use nalgebra::Matrix3;
 /// The row of a frame. `centres_m`: where the bands are along the tube.
 pub fn truth(rig: &Rig, seq: u64, stamp: Stamp, line: &CentreLine, centres_m: &[f64]) -> Estimate {
     let marker = |centre_m: &f64| MarkerEstimate {
-        position: Ok(Position { point: line.at(*centre_m).0, covariance: Matrix3::zeros() }),
+        position: Ok(Position { point: line.at(*centre_m).0, covariance: Matrix3::zeros(), bound: Matrix3::zeros() }),
         views: Vec::new(),
     };
     let coil_m = centres_m.get(rig.catheter.coil).copied().unwrap_or_default();
-    let tangent = Tangent { direction: line.at(coil_m).1.normalize(), covariance: Matrix3::zeros() };
+    let tangent =
+        Tangent { direction: line.at(coil_m).1.normalize(), covariance: Matrix3::zeros(), bound: Matrix3::zeros() };
     Estimate {
         seq,
         stamp: Timestamp { ns: stamp.ns, clock: Clock::Container },
