@@ -177,6 +177,8 @@ pub enum Miss {
     NotRecorded,
     /// The picture is damaged, or was predicted from one that is.
     Damaged,
+    /// A coder quantised the picture around the band too coarsely to tell where it is.
+    TooCoarse,
     /// Odd and even rows of the picture were taken at different times.
     Interlaced,
 }
@@ -197,6 +199,7 @@ impl Miss {
             Self::WrongSize { .. } => "wrong_size".into(),
             Self::NotRecorded => "not_recorded".into(),
             Self::Damaged => "damaged".into(),
+            Self::TooCoarse => "too_coarse".into(),
             Self::Interlaced => "interlaced".into(),
         }
     }

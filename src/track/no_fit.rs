@@ -9,4 +9,6 @@ pub(crate) enum NoFit {
     NotConverged,
     /// The picture was recorded in parts, and lacks one.
     NotRecorded,
+    /// A coder quantised the picture there too coarsely.
+    TooCoarse,
 }

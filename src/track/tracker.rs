@@ -345,6 +345,7 @@ impl Tracker {
             let fit = fit.map_err(|why| match why {
                 NoFit::OutOfPicture | NoFit::NotConverged => Miss::NotConverged,
                 NoFit::NotRecorded => Miss::NotRecorded,
+                NoFit::TooCoarse => Miss::TooCoarse,
             })?;
             self.accept(group, views, &starts, &fit).map(|()| fit)
         };

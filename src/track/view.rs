@@ -21,6 +21,9 @@ const CAP_SD: f64 = 0.5;
 const START_NOISE: f64 = 2.5;
 pub(crate) const LEAST_NOISE: f64 = 0.5;
 
+/// Step of a quantiser beyond which the errors it leaves are no longer those that σ knows (image_model.rs), stored units.
+const COARSEST: f64 = 20.2;
+
 /// How the samples are weighed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Weighing {
@@ -53,6 +56,9 @@ impl View {
         (density, weighing): (Density, Weighing),
     ) -> Result<Self, NoFit> {
         let patch = Patch::select(picture, image, range_m, model.chroma_offset_px, density)?;
+        if picture.quantisation().and_then(|q| q.step_in(&patch.window)).is_some_and(|step| step > COARSEST) {
+            return Err(NoFit::TooCoarse);
+        }
         let expected_colours = patch.colours(picture, image, &stretch.layout, &model.encoding);
         let expected_colours = expected_colours.ok_or(NoFit::OutOfPicture)?;
         Ok(Self { comparison: Comparison::new(patch), expected_colours, noise: start_noise(picture), weighing })

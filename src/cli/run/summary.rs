@@ -142,6 +142,7 @@ pub(in crate::cli) fn unusable(rig: &Rig, tally: &Tally) -> Option<String> {
             "not_recorded" => {
                 "the log holds parts of its pictures, and not those: track it with the rig it was recorded with".to_owned()
             }
+            "too_coarse" => "record with less compression: without losses, or H.264 at crf 14".to_owned(),
             "interlaced" => {
                 "record progressive video, or make a frame of each field (ffmpeg: `-vf bwdif=send_field`); if all rows are of \
                  one moment after all, say so (`-vf setfield=prog`)"
