@@ -67,6 +67,15 @@ impl ModelError {
         }
     }
 
+    /// Of a recording as a whole: what stays the same in all frames, that of a coder's errors too which stay while the
+    /// tube does.
+    pub(crate) fn lasting(picture: &Picture) -> Self {
+        match Self::of(picture) {
+            full if full == Self::FULL => full,
+            error => Self { across_px: 0.029, along_px: 0.029, along_at_clamp_px: 0.12, ..error },
+        }
+    }
+
     /// How many times as large it is where the residuals have this RMS.
     pub(crate) fn growth(&self, rms: f64) -> f64 {
         (rms / self.coding_rms).max(1.0)

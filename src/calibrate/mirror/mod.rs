@@ -420,7 +420,7 @@ fn adjust(
     moments: &[Moment],
     frames: &[Frame],
 ) -> Option<RayBundleSolution> {
-    let error = ModelError::of(&frames.first()?.picture);
+    let error = ModelError::lasting(&frames.first()?.picture);
     let model_sd_px = (0..rig.markers.len()).map(|marker| {
         let along = if marker == 0 { error.along_at_clamp_px } else { error.along_px };
         [along, error.across_px]
