@@ -65,7 +65,8 @@ CONF
 export SLURM_CONF=$place/slurm.conf
 "$ctld" -D -f "$SLURM_CONF" > "$place/ctld.out" 2>&1 &
 pids+=($!)
-"$slurmd" -D -f "$SLURM_CONF" > "$place/slurmd.out" 2>&1 &
+# Debian compiles the place of its helper in.
+"$slurmd" -D -f "$SLURM_CONF" -d "$(command -v slurmstepd-wlm || command -v slurmstepd)" > "$place/slurmd.out" 2>&1 &
 pids+=($!)
 for _ in $(seq 60); do
     sinfo -h -o %T 2> /dev/null | grep -q idle && break

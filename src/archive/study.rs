@@ -26,7 +26,7 @@ pub(crate) struct Run {
 pub(crate) struct Study {
     /// In the order of their folders.
     pub(crate) runs: Vec<Run>,
-    /// Folders in which a run was begun and not finished.
+    /// Folders with results and no summary: of a run that was not finished, or of another command.
     pub(crate) unfinished: Vec<PathBuf>,
     /// Summaries that cannot be read.
     pub(crate) unread: Vec<SummaryError>,

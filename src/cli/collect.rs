@@ -43,7 +43,7 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
         return Err(Failure::new(Exit::Usage, format!("{}: {text}", folders.join(", "))));
     }
     study.unfinished.iter().for_each(|folder| {
-        tracing::warn!("{}: begun and not finished; it is left out", folder.display());
+        tracing::warn!("{}: has no summary.json: not finished, or not of `track`; it is left out", folder.display());
     });
     study.unread.iter().for_each(|error| tracing::warn!("{error}; it is left out"));
     // 2. the files

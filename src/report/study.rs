@@ -83,7 +83,10 @@ fn failures(study: &Study, folder: &Path) -> String {
 
 /// What has no summary, or one that cannot be read.
 fn unfinished(study: &Study) -> String {
-    let begun = study.unfinished.iter().map(|folder| format!("{}: begun and not finished", folder.display()));
+    let begun = study
+        .unfinished
+        .iter()
+        .map(|folder| format!("{}: has no summary.json: not finished, or not of track", folder.display()));
     let unread = study.unread.iter().map(ToString::to_string);
     let rows: Vec<Vec<Html>> = begun.chain(unread).map(|text| vec![Html::wrapped(&text)]).collect();
     match rows.is_empty() {

@@ -42,7 +42,7 @@ fn all_frames_and_all_runs_are_in_the_tables_with_the_columns_of_the_manifest() 
     fs::write(place.path("archive/cut/track.csv"), "seq,t_s\r\n").unwrap();
     let output = run("collect archive -o study");
     let said = ended_with(&output, 0);
-    assert!(said.contains("archive/cut: begun and not finished"), "{said}");
+    assert!(said.contains("archive/cut: has no summary.json"), "{said}");
     assert!(stdout(&output).contains("4 runs, 5 frames"), "{}", stdout(&output));
     assert!(stdout(&output).contains("bad failed (will not pass): bad.mkv"), "{}", stdout(&output));
 
@@ -88,7 +88,7 @@ fn all_frames_and_all_runs_are_in_the_tables_with_the_columns_of_the_manifest() 
 
     let page = fs::read_to_string(place.path("study/report.html")).unwrap();
     assert!(page.contains("<a href=\"../archive/runs/circle/report.html\">circle</a>"));
-    assert!(page.contains("is not a video that can be read") && page.contains("archive/cut: begun and not finished"));
+    assert!(page.contains("is not a video that can be read") && page.contains("archive/cut: has no summary.json"));
 
     // Again: the same tables; and never in the place of something else.
     let before = ["frames", "runs"].map(|name| fs::read(place.path(&format!("study/{name}.parquet"))).unwrap());
