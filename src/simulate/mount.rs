@@ -62,7 +62,7 @@ impl Mount {
         };
         for (what, length_m) in [("between clamp and coil", catheter.flexible_m), ("behind the coil", catheter.tail_m)]
         {
-            if !(length_m > 0.0) {
+            if length_m.is_nan() || length_m <= 0.0 {
                 return Err(SceneError::NoRoom { what, length_mm: length_m * 1e3 });
             }
         }
