@@ -1,6 +1,6 @@
 //! How the rig's bands sit on the catheter, and where the clamp is.
 
-use super::scene::SceneError;
+use super::error::SceneError;
 use crate::catheter::Catheter;
 use crate::rig::Rig;
 use nalgebra::{Isometry3, Translation3};

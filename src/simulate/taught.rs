@@ -1,8 +1,9 @@
 //! The rig with the colours of its bands learned, as far as they were not: from what the scene shows of them.
 
+use super::error::SceneError;
 use super::light::stored;
 use super::look::Shades;
-use super::scene::{Scene, SceneError};
+use super::scene::Scene;
 use crate::rig::Rig;
 use crate::segment::{ClassSamples, learn};
 use nalgebra::Vector3;
