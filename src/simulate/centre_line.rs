@@ -42,7 +42,8 @@ impl CentreLine {
     pub fn through(places: &[(f64, Point3<f64>, Vector3<f64>)]) -> Option<Self> {
         let (first, last) = (places.first()?, places.last()?);
         let length_m = last.0 - first.0;
-        if places.windows(2).any(|pair| matches!(pair, [a, b] if !(b.0 - a.0 > 0.0))) || !(length_m > 0.0) {
+        let rises = |pair: &[(f64, Point3<f64>, Vector3<f64>)]| matches!(pair, [a, b] if b.0 > a.0);
+        if places.len() < 2 || !places.windows(2).all(rises) {
             return None;
         }
         let steps = (length_m / SPACING_M).ceil().max(1.0);

@@ -41,6 +41,16 @@ pub(super) struct Look {
     highlight: f64,
 }
 
+/// Light of everything in a view, as the lamp shades it.
+#[derive(Debug, Default)]
+pub(super) struct Shades {
+    pub(super) bands: Vec<Vec<[f32; 3]>>,
+    pub(super) tube: Vec<[f32; 3]>,
+    pub(super) clamp: Vec<[f32; 3]>,
+    /// Not shaded.
+    pub(super) background: [f32; 3],
+}
+
 #[derive(Debug, Clone)]
 struct Colours {
     bands: Vec<[f32; 3]>,
@@ -130,18 +140,18 @@ impl Look {
     }
 
     /// Samples of everything that is not a band, and of the bands, as a view shows them: R'G'B' in linear light.
-    pub(super) fn shades(&self, view: usize) -> (Vec<Vec<[f32; 3]>>, Vec<[f32; 3]>, Vec<[f32; 3]>, [f32; 3]) {
-        let Some(colours) = self.views.get(view) else { return Default::default() };
+    pub(super) fn shades(&self, view: usize) -> Shades {
+        let Some(colours) = self.views.get(view) else { return Shades::default() };
         let shades = |albedo: [f32; 3]| -> Vec<[f32; 3]> {
             let shade = |k: u32| ROOM + LAMP * f64::from(k) / 40.0;
             (0..=40).map(|k| albedo.map(|a| a * (shade(k) / TYPICAL) as f32)).collect()
         };
-        (
-            colours.bands.iter().map(|band| shades(*band)).collect(),
-            shades(colours.tube),
-            shades(colours.clamp),
-            colours.background,
-        )
+        Shades {
+            bands: colours.bands.iter().map(|band| shades(*band)).collect(),
+            tube: shades(colours.tube),
+            clamp: shades(colours.clamp),
+            background: colours.background,
+        }
     }
 }
 

@@ -17,6 +17,7 @@
 
 mod boards;
 mod centre_line;
+mod error;
 mod light;
 mod look;
 mod motion;
@@ -35,11 +36,12 @@ mod video;
 
 pub use boards::{BoardSet, Boards, BoardsError};
 pub use centre_line::{CentreLine, Exposed};
+pub use error::SceneError;
 pub use motion::{MotionError, Rod, Usual};
 pub use mount::Mount;
 pub use picture::{Renderer, Stored};
 pub use poses::line_through;
-pub use scene::{Clamp, Scene, SceneError};
+pub use scene::{Clamp, Scene};
 pub use sensor::Sensor;
 pub use taught::taught;
 pub use timing::{Stamp, Timing};

@@ -1,8 +1,8 @@
 //! What the catheter does: currents through the rod of [`crate::catheter`], or poses that were tracked.
 
 use super::centre_line::{CentreLine, Exposed};
+use super::error::SceneError;
 use super::mount::Mount;
-use super::scene::SceneError;
 use crate::catheter::{Accuracy, Catheter, CatheterError, Commands, Load, Simulation, Target, follow};
 use nalgebra::Vector3;
 use std::f64::consts::TAU;

@@ -1,6 +1,6 @@
 //! How the rig's bands sit on the catheter, and where the clamp is.
 
-use super::scene::SceneError;
+use super::error::SceneError;
 use crate::catheter::Catheter;
 use crate::rig::Rig;
 use nalgebra::{Isometry3, Translation3};
@@ -62,7 +62,7 @@ impl Mount {
         };
         for (what, length_m) in [("between clamp and coil", catheter.flexible_m), ("behind the coil", catheter.tail_m)]
         {
-            if !(length_m > 0.0) {
+            if length_m.is_nan() || length_m <= 0.0 {
                 return Err(SceneError::NoRoom { what, length_mm: length_m * 1e3 });
             }
         }

@@ -5,9 +5,10 @@
 //! picture is exposed, the mean of several moments is taken.
 
 use super::centre_line::{CentreLine, Exposed};
+use super::error::SceneError;
 use super::look::{self, Look};
 use super::rays::Rays;
-use super::scene::{Scene, SceneError};
+use super::scene::Scene;
 use super::sensor::Reader;
 use super::tube::{Cell, FINE, Solid};
 use super::video::{as_taken, as_video};

@@ -41,6 +41,12 @@ impl Rays {
         Self { first_px: Point2::new(x.0, y.0), columns, rows, nodes }
     }
 
+    /// From where to where it goes, x and y, pixels.
+    pub(super) fn bounds(&self) -> [(f64, f64); 2] {
+        let end = |first: f64, count: usize| (first, first + (count - 1) as f64 * SPACING_PX);
+        [end(self.first_px.x, self.columns), end(self.first_px.y, self.rows)]
+    }
+
     /// The ray of a place in the picture; `None` where none arrives, or beside the view.
     pub(super) fn at(&self, x: f64, y: f64) -> Option<Ray> {
         let (x, y) = ((x - self.first_px.x) / SPACING_PX, (y - self.first_px.y) / SPACING_PX);

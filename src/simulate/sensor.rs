@@ -39,7 +39,7 @@ pub(super) struct Reader {
 impl Reader {
     pub(super) fn new(sensor: Sensor) -> Self {
         // Quantiles of the normal distribution would do; numbers drawn once are simpler, made to have variance 1.
-        let mut random = fastrand::Rng::with_seed(0x6c69_6768_74);
+        let mut random = fastrand::Rng::with_seed(0x006c_6967_6874);
         let drawn: Vec<f64> =
             (0..NORMALS / 2).map(|_| (-2.0 * (1.0 - random.f64()).ln()).sqrt() * (TAU * random.f64()).cos()).collect();
         let sd = (drawn.iter().map(|v| v * v).sum::<f64>() / drawn.len() as f64).sqrt();

@@ -1,7 +1,9 @@
 //! The rig with the colours of its bands learned, as far as they were not: from what the scene shows of them.
 
+use super::error::SceneError;
 use super::light::stored;
-use super::scene::{Scene, SceneError};
+use super::look::Shades;
+use super::scene::Scene;
 use crate::rig::Rig;
 use crate::segment::{ClassSamples, learn};
 use nalgebra::Vector3;
@@ -21,7 +23,7 @@ pub fn taught(rig: &Rig, scene: &Scene) -> Result<Rig, SceneError> {
     let mut new = rig.clone();
     let mut random = fastrand::Rng::with_seed(7);
     for view in 0..rig.views.len() {
-        let (bands, tube, clamp, background) = look.shades(view);
+        let Shades { bands, tube, clamp, background } = look.shades(view);
         let mut sampled = |name: &str, is_marker: bool, lights: &[[f32; 3]]| ClassSamples {
             name: name.to_owned(),
             is_marker,

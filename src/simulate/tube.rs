@@ -9,7 +9,6 @@ use super::centre_line::CentreLine;
 use super::rays::Rays;
 use crate::optics::{OpticalPath, Ray};
 use nalgebra::{Point2, Vector2, Vector3};
-use std::collections::HashMap;
 
 /// Cells along a pixel.
 pub(super) const FINE: usize = 3;
@@ -91,23 +90,24 @@ impl Solid {
     ) -> Vec<Cell> {
         let knots = self.knots(line, path);
         let mut cells: Vec<Cell> = Vec::new();
-        let mut known: HashMap<[i32; 2], usize> = HashMap::new();
+        let mut known = Known::around(&knots, rays);
         let mut runs = knots.iter().map(Option::as_ref).collect::<Vec<_>>();
         runs.push(None);
         for (k, pair) in runs.windows(2).enumerate() {
             let [Some(a), Some(b)] = pair else { continue };
             let before = k.checked_sub(1).and_then(|k| knots.get(k)).and_then(Option::as_ref);
             let behind = knots.get(k + 2).and_then(Option::as_ref);
-            self.stretch((before, a, b, behind), |at, start_m, scale| {
+            self.stretch(rays, (before, a, b, behind), |at, start_m, scale| {
                 let ray = rays.at(pixel_of(at[0]), pixel_of(at[1]))?;
                 let (cover, colour, depth_m) = self.seen(line, &ray, start_m, scale, &light)?;
                 let cell = Cell { at, light: colour, cover, depth_m };
-                match known.get(&at).and_then(|i| cells.get_mut(*i)) {
+                let place = known.place(at)?;
+                match place.checked_sub(1).and_then(|i| cells.get_mut(i as usize)) {
                     // The tube is seen twice, one part before the other.
                     Some(other) => other.with(&cell),
                     None => {
-                        known.insert(at, cells.len());
                         cells.push(cell);
+                        *place = u32::try_from(cells.len()).ok()?;
                     }
                 }
                 Some(())
@@ -143,6 +143,7 @@ impl Solid {
     /// half width and pixels by metre along the axis.
     fn stretch(
         &self,
+        rays: &Rays,
         (before, a, b, behind): (Option<&Knot>, &Knot, &Knot, Option<&Knot>),
         mut visit: impl FnMut([i32; 2], f64, (f64, f64)) -> Option<()>,
     ) {
@@ -156,12 +157,13 @@ impl Solid {
         // At either end of the tube more of it may be seen than its axis goes: its end is a disc.
         let (early, late) = (if before.is_none() { reach } else { 0.0 }, if behind.is_none() { reach } else { 0.0 });
         let corners = [a.pixel - a.along * early, b.pixel + b.along * late];
-        let bound = |of: fn(&Point2<f64>) -> f64| {
+        let bound = |of: fn(&Point2<f64>) -> f64, (least, most): (f64, f64)| {
             let (low, high) = corners.iter().map(of).fold((f64::MAX, f64::MIN), |(l, h), v| (l.min(v), h.max(v)));
-            cell_of(low - reach)..=cell_of(high + reach)
+            cell_of((low - reach).max(least))..=cell_of((high + reach).min(most))
         };
-        for row in bound(|p| p.y) {
-            for column in bound(|p| p.x) {
+        let [wide, high] = rays.bounds();
+        for row in bound(|p| p.y, high) {
+            for column in bound(|p| p.x, wide) {
                 let pixel = Point2::new(pixel_of(column), pixel_of(row));
                 let (from_a, from_b) = (pixel - a.pixel, pixel - b.pixel);
                 // Each cell belongs to one stretch: from the line across the axis at `a` to that at `b`.
@@ -240,7 +242,12 @@ impl Solid {
         let mut face = 0.0;
         if within < 1.0 && facing.dot(&d) < -LEAST_SINE {
             let met = ray.at((end - ray.origin).dot(&facing) / d.dot(&facing));
-            face = (0.5 + (radius_m - (met - end).norm()) / cell_m).clamp(0.0, 1.0) * (1.0 - within);
+            let off = met - end;
+            // The face is seen obliquely: along the axis' image a cell covers more of it.
+            let side = facing.cross(&d).normalize();
+            let (across, oblique) = (off.dot(&side), facing.cross(&side).dot(&off) / facing.dot(&d));
+            let rim_m = cell_m * across.hypot(oblique) / off.norm().max(1e-9);
+            face = (0.5 + (radius_m - off.norm()) / rim_m.max(cell_m)).clamp(0.0, 1.0) * (1.0 - within);
         }
         let side_part = cover * within * began;
         let face_light = if face > 0.0 { on_side(self.to_m, facing, true) } else { [0.0; 3] };
@@ -256,6 +263,38 @@ impl Solid {
     }
 }
 
+/// Which cells are there already: one more than the place of each in their list, 0 for none.
+struct Known {
+    first: [i32; 2],
+    size: [usize; 2],
+    places: Vec<u32>,
+}
+
+impl Known {
+    /// Of all that the tube may cover where there are rays.
+    fn around(knots: &[Option<Knot>], rays: &Rays) -> Self {
+        let [wide, high] = rays.bounds();
+        let bound = |of: fn(&Knot) -> f64, (least, most): (f64, f64)| {
+            let (low, high) = knots.iter().flatten().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), knot| {
+                // Twice: the end may reach beyond its middle, and aside.
+                let reach = 2.0 * knot.half_px + 2.0;
+                (low.min(of(knot) - reach), high.max(of(knot) + reach))
+            });
+            let (low, high) = (low.max(least), high.min(most));
+            if low < high { (cell_of(low), cell_of(high) + 1) } else { (0, 0) }
+        };
+        let (x, y) = (bound(|knot| knot.pixel.x, wide), bound(|knot| knot.pixel.y, high));
+        let size = [x, y].map(|(low, high)| (high - low) as usize);
+        Self { first: [x.0, y.0], size, places: vec![0; size[0] * size[1]] }
+    }
+
+    fn place(&mut self, at: [i32; 2]) -> Option<&mut u32> {
+        let column = usize::try_from(at[0] - self.first[0]).ok().filter(|column| *column < self.size[0])?;
+        let row = usize::try_from(at[1] - self.first[1]).ok()?;
+        self.places.get_mut(row * self.size[0] + column)
+    }
+}
+
 impl Cell {
     /// Lays another part of the tube over this one, or under it.
     fn with(&mut self, other: &Self) {
@@ -265,5 +304,73 @@ impl Cell {
         let mut light = front.light;
         light.iter_mut().zip(back.light).for_each(|(light, back)| *light += left * back);
         *self = Self { at: self.at, light, cover: front.cover + left * back.cover, depth_m: front.depth_m };
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rig::Rig;
+    use nalgebra::Point3;
+    use std::path::Path;
+
+    /// The tube's outline by sampling: cells are divided once more, each part's ray is inside or not.
+    #[test]
+    fn what_cells_cover_is_what_rays_within_them_meet() {
+        let rig = Rig::load(&Path::new(env!("CARGO_MANIFEST_DIR")).join("calibration/dev_tank/rig.toml")).unwrap();
+        let view = &rig.views[0];
+        let rays = Rays::of(view, rig.camera.size_px);
+        let direction = Vector3::new(0.3, 0.9, -0.4).normalize();
+        let begin = Point3::new(-0.11, -0.02, 1.4);
+        let knots: Vec<_> =
+            (0..=5).map(|k| (f64::from(k) * 4e-3, begin + direction * (f64::from(k) * 4e-3), direction)).collect();
+        let line = CentreLine::through(&knots).unwrap();
+        let solid = Solid { radius_m: 1.6e-3, from_m: 0.0, to_m: 20e-3 };
+        let cells = solid.cells(&line, &view.optics, &rays, |_| [1.0; 3]);
+        let meets = |x: f64, y: f64| {
+            let ray = rays.at(x, y).unwrap();
+            let (d, off) = (ray.direction, ray.origin - begin);
+            let (across, start) = (d - direction * d.dot(&direction), off - direction * off.dot(&direction));
+            let (a, b, c) = (across.norm_squared(), across.dot(&start), start.norm_squared() - solid.radius_m.powi(2));
+            let root = b * b - a * c;
+            let near = (-b - root.max(0.0).sqrt()) / a;
+            let arc_m = (off + d * near).dot(&direction);
+            let faces = [0.0, 20e-3].iter().any(|end: &f64| {
+                let met = (end - off.dot(&direction)) / d.dot(&direction);
+                (off + d * met - direction * *end).norm() < solid.radius_m && d.dot(&direction) * (end - 10e-3) < 0.0
+            });
+            root > 0.0 && ((0.0..=20e-3).contains(&arc_m) || faces)
+        };
+        let (mut covered, mut sampled, mut centre, mut exact) = (0.0, 0.0, Vector2::zeros(), Vector2::zeros());
+        let lights: f32 = cells.iter().map(|cell| cell.light[0] - cell.cover).sum();
+        assert!(lights.abs() < 1e-3, "white light is as much as is covered");
+        for cell in &cells {
+            let at = Vector2::new(pixel_of(cell.at[0]), pixel_of(cell.at[1]));
+            covered += f64::from(cell.cover);
+            centre += at * f64::from(cell.cover);
+        }
+        let (first, last) = (
+            cells.iter().fold([i32::MAX; 2], |m, c| [m[0].min(c.at[0]), m[1].min(c.at[1])]),
+            cells.iter().fold([i32::MIN; 2], |m, c| [m[0].max(c.at[0]), m[1].max(c.at[1])]),
+        );
+        for row in first[1] - 2..=last[1] + 2 {
+            for column in first[0] - 2..=last[0] + 2 {
+                for part in 0..64 {
+                    let fine = |k: i32| (f64::from(k) + 0.5) / 8.0 - 0.5;
+                    let at = Vector2::new(
+                        pixel_of(column) + fine(part % 8) / FINE as f64,
+                        pixel_of(row) + fine(part / 8) / FINE as f64,
+                    );
+                    if meets(at.x, at.y) {
+                        sampled += 1.0 / 64.0;
+                        exact += at / 64.0;
+                    }
+                }
+            }
+        }
+        let off = centre / covered - exact / sampled;
+        // Its ends are not as straight within a cell as its sides are.
+        assert!(off.norm() < 0.03, "its middle is off by {off} px");
+        assert!((covered / sampled - 1.0).abs() < 0.01, "{covered} of {sampled} cells");
     }
 }

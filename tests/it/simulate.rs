@@ -40,7 +40,7 @@ fn compared(truth: &Path, table: &Path) -> (Vec<f64>, f64, usize) {
     let (mut normalised, mut worst_m, mut count) = (Vec::new(), 0.0_f64, 0);
     assert_eq!(truth.frames.len(), run.frames.len());
     for (exact, found) in truth.frames.iter().zip(&run.frames) {
-        assert_eq!((exact.stamp_ns, exact.gap), (found.stamp_ns, found.gap), "seq {}", exact.seq);
+        assert_eq!(exact.stamp_ns, found.stamp_ns, "seq {}", exact.seq);
         for (a, b) in exact.places.iter().zip(&found.places) {
             let (Some(a), Some(b), Some(sd_m)) = (a.point, b.point, b.sd_m) else { continue };
             normalised.push((a - b).norm_squared() / 3.0 / sd_m.powi(2));

@@ -100,7 +100,7 @@ impl Writer {
 }
 
 enum Pictures {
-    Video(PictureVideo),
+    Video(Box<PictureVideo>),
     Folder(PathBuf, String),
 }
 
@@ -111,7 +111,9 @@ struct Files {
 
 impl Files {
     fn create(folder: &Path, codec: Codec, rig: &Rig) -> Result<Self, String> {
-        let video = |codec| PictureVideo::create(&folder.join("recording.mkv"), codec).map(Pictures::Video);
+        let video = |codec| {
+            PictureVideo::create(&folder.join("recording.mkv"), codec).map(|video| Pictures::Video(Box::new(video)))
+        };
         let pictures = match codec {
             Codec::H264 => video(PictureCodec::H264),
             Codec::Ffv1 => video(PictureCodec::Ffv1),

@@ -19,9 +19,10 @@ pub use seen::Unseen;
 pub use suggest::Suggestion;
 
 use super::centre_line::{CentreLine, Exposed};
+use super::error::SceneError;
 use super::mount::Mount;
 use super::picture::Renderer;
-use super::scene::{Scene, SceneError};
+use super::scene::Scene;
 use super::taught::taught;
 use super::video::{as_taken, as_video};
 use crate::calibrate::rig::share::{Pose, share};
