@@ -89,7 +89,8 @@ def main():
     drawn = out / "simulated"
     run("simulate", "--rig", arguments.rig, "--motion", table, "--codec", arguments.codec, "--noise", arguments.noise, "-o", drawn)
     run("track", video, "--rig", arguments.rig, "-o", out / "traced-track")
-    run("track", drawn / "recording.mkv", "--rig", arguments.rig, "-o", out / "simulated-track")
+    # Its own rig: the same, but for where this recorder samples chroma.
+    run("track", drawn / "recording.mkv", "--rig", drawn / "rig.toml", "-o", out / "simulated-track")
     traced, simulated = (centres(out / f"{name}-track" / "log.mcap") for name in ("traced", "simulated"))
     print("| band, view | frames | mean x, y (px) | RMS of a coordinate (px) | σ of both together (px) | fit RMS, traced and simulated |")
     print("|---|---|---|---|---|---|")

@@ -11,16 +11,18 @@ use nalgebra::Vector3;
 /// Spread of the samples, R'G'B': noise of the camera.
 const NOISE: f64 = 2.0;
 
-/// The rig, able to track pictures of this scene. Colours that are there are kept.
+/// The rig, able to track pictures of this scene. Colours that are there are kept; chroma is sampled where our pictures
+/// say it is, whatever the recorder did that the rig was calibrated with.
 ///
 /// # Errors
 /// [`SceneError`] when a view is lost, or the colours cannot be told apart.
 pub fn taught(rig: &Rig, scene: &Scene) -> Result<Rig, SceneError> {
+    let mut new = rig.clone();
+    new.camera.chroma_offset_px = [0.0; 2];
     if rig.markers.iter().all(|marker| !marker.colours.is_empty()) {
-        return Ok(rig.clone());
+        return Ok(new);
     }
     let look = scene.look(rig)?;
-    let mut new = rig.clone();
     let mut random = fastrand::Rng::with_seed(7);
     for view in 0..rig.views.len() {
         let Shades { bands, tube, clamp, background } = look.shades(view);

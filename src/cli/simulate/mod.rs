@@ -37,7 +37,7 @@ pub(crate) struct Args {
     /// rest, planar, circle, lemniscate, a table of currents, or a tracked run's table
     #[arg(long, value_name = "MOTION", default_value = "planar")]
     motion: String,
-    /// The catheter [default: the paper's prototype, as long as the rig's bands say]
+    /// The catheter [default: the paper's, as long as the bands say]
     #[arg(long, value_name = "CATHETER.toml")]
     catheter: Option<PathBuf>,
     #[command(flatten)]
@@ -45,7 +45,7 @@ pub(crate) struct Args {
     /// Frames a second
     #[arg(long, value_name = "F", default_value = "60Hz", value_parser = frequency_hz)]
     fps: f64,
-    /// Length of the recording [default: 1 s at rest, 9 s, or 1 s beyond the last current]
+    /// Length [default: 9 s; 1 s at rest, or beyond the last current]
     #[arg(long, value_name = "T", value_parser = duration_s)]
     duration: Option<f64>,
     /// Seed of noise, jitter and lost frames

@@ -16,11 +16,10 @@ const WAITING: usize = 8;
 /// How pictures are stored.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 pub(super) enum Codec {
-    /// recording.mkv, with loss
+    // recording.mkv, with loss and without. (Words for the user would make its help a long one.)
     H264,
-    /// recording.mkv, without loss
     Ffv1,
-    /// A picture a frame, and times.csv
+    // A picture a frame, and times.csv.
     Png,
 }
 
