@@ -82,7 +82,7 @@ impl PictureMaker {
         }
         if self.first("quantisation") {
             tracing::warn!(
-                "{}: how coarsely its coder quantised is not known; σ assumes what H.264 has at crf 22",
+                "{}: how coarsely its coder quantised is not known; σ assumes what is usual for H.264 at crf 22",
                 self.path.display()
             );
         }

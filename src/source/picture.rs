@@ -326,7 +326,8 @@ impl Picture {
     }
 
     /// The same picture, with what its coder says of how it quantised it.
-    pub(crate) fn quantised(mut self, quantisation: Option<Quantisation>) -> Self {
+    #[must_use]
+    pub fn quantised(mut self, quantisation: Option<Quantisation>) -> Self {
         self.quantisation = quantisation;
         self
     }

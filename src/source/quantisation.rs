@@ -57,7 +57,7 @@ impl Quantisation {
         Self { block_px: width.max(height).max(1), columns: 1, levels: vec![level], predicted: true }
     }
 
-    /// What is assumed of a coder that quantises, but does not say how coarsely: what H.264 has at crf 22 or so.
+    /// What is assumed of a coder that quantises, but does not say how coarsely: what H.264 has around edges at crf 22 or so.
     pub(crate) fn assumed(size_px: [u32; 2]) -> Self {
         Self::uniform(ASSUMED, size_px)
     }
@@ -105,7 +105,7 @@ impl Quantisation {
 }
 
 /// Level of a coder that does not say it.
-const ASSUMED: u8 = 25;
+const ASSUMED: u8 = 29;
 /// Side of a macroblock.
 const BLOCK_PX: u32 = 16;
 /// `AVVideoEncParamsType`.

@@ -56,7 +56,14 @@ impl ModelError {
         persisting: 0.0,
     };
     /// For pictures with subsampled chroma of which nothing is known: they may come out of a recorder that quantises.
-    pub(crate) const CODED: Self = Self { coding_rms: 2.7, persisting: 0.5, ..Self::QUANTISED };
+    pub(crate) const CODED: Self = Self {
+        across_px: 0.029,
+        along_px: 0.029,
+        turn_px: 0.06,
+        along_at_clamp_px: 0.12,
+        coding_rms: 2.7,
+        persisting: 0.5,
+    };
 
     pub(crate) fn of(picture: &Picture) -> Self {
         let subsampled = picture.plane(1).is_some_and(|plane| plane.scale != [1, 1]);
@@ -72,7 +79,7 @@ impl ModelError {
     pub(crate) fn lasting(picture: &Picture) -> Self {
         match Self::of(picture) {
             full if full == Self::FULL => full,
-            error => Self { across_px: 0.029, along_px: 0.029, along_at_clamp_px: 0.12, ..error },
+            _ => Self::CODED,
         }
     }
 

@@ -22,7 +22,7 @@ const START_NOISE: f64 = 2.5;
 pub(crate) const LEAST_NOISE: f64 = 0.5;
 
 /// Step of a quantiser beyond which the errors it leaves are no longer those that σ knows (image_model.rs), stored units.
-const COARSEST: f64 = 20.2;
+const COARSEST: f64 = 51.0;
 
 /// How the samples are weighed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -38,7 +38,7 @@ fn with_rubbish_outside(picture: &Picture, there: &[Window], seed: u8) -> Pictur
         samples
     });
     let copy = Picture::from_planes(width, height, picture.format(), picture.colour(), planes.collect());
-    copy.unwrap().of_parts(there.to_vec())
+    copy.unwrap().of_parts(there.to_vec()).quantised(picture.quantisation().cloned())
 }
 
 /// To the last bit: numbers are written so that they read back the same.
