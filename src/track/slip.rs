@@ -82,14 +82,9 @@ impl Seen {
         mean.map(|px| px.clamp(-MOST_PX, MOST_PX))
     }
 
-    /// The same, counting for less.
+    /// The same, its squares counting for less; the mean is that of the whole run.
     pub(crate) fn faded(&self, by: f64) -> Self {
-        Self {
-            squares_px2: self.squares_px2 * by,
-            count: self.count * by,
-            information: self.information * by,
-            pull: self.pull * by,
-        }
+        Self { squares_px2: self.squares_px2 * by, count: self.count * by, ..*self }
     }
 }
 
