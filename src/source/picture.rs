@@ -147,7 +147,7 @@ pub struct Picture {
     format: PixelFormat,
     colour: Colour,
     storage: Storage,
-    quantisation: Option<Quantisation>,
+    quantisation: Option<Box<Quantisation>>,
     pub(super) reads: Reads,
 }
 
@@ -328,13 +328,13 @@ impl Picture {
     /// The same picture, with what its coder says of how it quantised it.
     #[must_use]
     pub fn quantised(mut self, quantisation: Option<Quantisation>) -> Self {
-        self.quantisation = quantisation;
+        self.quantisation = quantisation.map(Box::new);
         self
     }
 
     /// How coarsely its coder quantised it; `None` when that is not known, or it was not.
     pub fn quantisation(&self) -> Option<&Quantisation> {
-        self.quantisation.as_ref()
+        self.quantisation.as_deref()
     }
 
     /// A copy that keeps nothing of the decoder's: a plane for each channel. `None` when the decoder gave less than it
@@ -354,7 +354,7 @@ impl Picture {
         };
         let planes = (0..format.channels()).filter_map(|channel| self.plane(channel)).map(samples).collect();
         let copy = Self::from_planes(self.width, self.height, format, self.colour, planes).ok()?;
-        Some(copy.quantised(self.quantisation.clone()))
+        Some(copy.quantised(self.quantisation().cloned()))
     }
 
     /// Width and height, pixels.
