@@ -61,8 +61,6 @@ DEGRADATIONS = {
     "white balance drifts": f"-vf format=yuv444p,eq=gamma_r='1+0.15*t':gamma_b='1-0.15*t':eval=frame {AS_RGB}",
     "gamma 1.3": f"-vf lutrgb=r=gammaval(1/1.3):g=gammaval(1/1.3):b=gammaval(1/1.3) {AS_RGB}",
     "colours half grey": f"-vf format=yuv444p,hue=s=0.5 {AS_RGB}",
-    "exposed over 2 frames": f"-vf tmix=frames=2 {AS_RGB}",
-    "a post passes": f"-vf drawbox=x=820+60*t:y=0:w=9:h=1024:color=gray:t=fill {AS_RGB}",
 }
 
 
