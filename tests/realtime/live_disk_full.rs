@@ -75,7 +75,7 @@ fn a_video_that_meets_a_limit_ends_there_and_every_row_is_written() {
     assert_eq!(place.frames_in_all_files(), 300);
     assert!(stdout(&output).contains("lost to the recording"), "{}", stdout(&output));
 
-    // What is in the video gives the numbers of the run.
+    // What is in the video gives the numbers of the run, nearly.
     let video = out.join("pictures.mkv");
     let again = Command::new(env!("CARGO_BIN_EXE_catoptra"))
         .current_dir(place.folder.path())
@@ -90,7 +90,11 @@ fn a_video_that_meets_a_limit_ends_there_and_every_row_is_written() {
     assert!((10..60).contains(&again.len()), "{} pictures", again.len());
     for row in &again {
         let same = first.iter().find(|first| first["stamp_ns"] == row["stamp_ns"]).unwrap();
-        assert_eq!((&same["theta_deg"], &same["tip_x_mm"]), (&row["theta_deg"], &row["tip_x_mm"]));
+        // Where chroma sits is measured over all frames of a run, and these are fewer.
+        for column in ["theta_deg", "tip_x_mm"] {
+            let apart = same[column].parse::<f64>().unwrap() - row[column].parse::<f64>().unwrap();
+            assert!(apart.abs() < 0.05, "{column}: {apart}");
+        }
     }
 }
 
