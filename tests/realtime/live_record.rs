@@ -181,7 +181,7 @@ fn same_where_recorded(live: &[String], again: &[String]) -> usize {
             };
             for (live, again) in but_sd(live).iter().zip(&but_sd(again)) {
                 match (live.parse::<f64>(), again.parse::<f64>()) {
-                    (Ok(live), Ok(again)) => assert!((live - again).abs() < 0.05, "{live} and {again}"),
+                    (Ok(live), Ok(again)) => assert!((live - again).abs() < 0.2, "{live} and {again}"),
                     _ => assert_eq!(live, again),
                 }
             }
