@@ -40,8 +40,9 @@ pub struct Projection {
     pub d_pixel: Matrix2x3<f64>,
     /// The ray that connects them, in the medium of the marker.
     pub ray: Ray,
-    /// The point, and what to start from for another one beside it.
-    point: Point3<f64>,
+    /// The point.
+    pub point: Point3<f64>,
+    /// What to start from for another one beside it.
     connection: Connection,
 }
 

@@ -17,10 +17,7 @@
 //!
 //! Cannot represent: specular highlights that move along the tube, shadows with edges across a band, objects in front.
 
-use crate::track::light::{Encoding, gauss};
-use crate::track::tube_image::{Foot, TubeImage};
-use nalgebra::Vector2;
-use wide::{CmpGt, CmpLt, f32x4};
+use crate::track::light::gauss;
 
 /// Where colours change along the tube.
 #[derive(Debug, Clone, PartialEq)]
@@ -59,7 +56,7 @@ impl Layout {
 pub(crate) const BACKGROUND: usize = 0;
 pub(crate) const GRADIENT: usize = 3;
 pub(crate) const SHADING: usize = 5;
-const HARMONICS: usize = 4;
+pub(crate) const HARMONICS: usize = 4;
 pub(crate) const TURNING: usize = SHADING + HARMONICS;
 pub(crate) const SHADES: usize = HARMONICS + 2;
 pub(crate) const CAP: usize = SHADING + SHADES;
@@ -76,54 +73,24 @@ const P1: f32 = 0.946_274;
 const P3: f32 = -0.120_801;
 const P5: f32 = -0.664_405;
 
-/// Beyond this many σ from the tube only background is seen.
-const FAR_SIGMAS: f64 = 4.5;
-
-/// What the model predicts of one channel (R, G or B) at a pixel, and its derivatives: all multiplied by the slope of
-/// the transfer function, so that sums with a stored channel's weights are derivatives of stored values. Single
-/// precision is a hundred thousandth of a stored unit; the last two are there to fill whole vectors.
-pub(crate) type Terms = [f32; TERMS];
-pub(crate) const TERMS: usize = 16;
-pub(crate) const VALUE: usize = 0;
-/// Along u (across the tube) and v (along it), per pixel.
-pub(crate) const D_U: usize = 1;
-pub(crate) const D_V: usize = 2;
-/// d/d bulge of the rings, per pixel.
-pub(crate) const D_BULGE: usize = 3;
-/// d/d background, and the same times the pixel's place relative to the patch's middle.
-pub(crate) const D_BACKGROUND: usize = 4;
-pub(crate) const D_GRADIENT: usize = 5;
-/// d/d m₁ to m₄ and g.
-pub(crate) const D_SHADING: usize = 7;
-pub(crate) const D_CAP: usize = D_SHADING + SHADES;
-/// d/d colour of the segment before the nearest ring, and of the one behind it.
-pub(crate) const D_ALBEDO: usize = D_CAP + 1;
-
-/// What of the tube is seen: nothing, the segment before the nearest ring, the one behind it, or both and the ring.
-pub(crate) const BEFORE: u8 = 1;
-pub(crate) const BEHIND: u8 = 2;
-pub(crate) const RING: u8 = BEFORE | BEHIND;
-
-/// The model at one pixel.
-#[derive(Debug, Clone, Copy, Default)]
-pub(crate) struct PixelModel {
-    pub terms: [Terms; 3],
-    /// The nearest ring; the segment before it has the same number.
-    pub ring: usize,
-    /// What of the tube is seen; the other terms are zero, or as good as zero.
-    pub seen: u8,
-}
-
 /// Weight beyond an edge and its derivatives along u and v (pixels), and with the ring's bulge.
 #[derive(Clone, Copy, Default)]
-struct Edge {
-    weight: Lanes,
-    d_u: Lanes,
-    d_v: Lanes,
-    d_bulge: Lanes,
+pub(crate) struct Edge {
+    pub weight: f32,
+    pub d_u: f32,
+    pub d_v: f32,
+    pub d_bulge: f32,
 }
 
 impl Edge {
+    const NONE: Self = Self::whole(0.0);
+
+    #[inline(always)]
+    const fn whole(weight: f32) -> Self {
+        Self { weight, d_u: 0.0, d_v: 0.0, d_bulge: 0.0 }
+    }
+
+    #[inline(always)]
     fn minus(&self, other: &Self) -> Self {
         Self {
             weight: self.weight - other.weight,
@@ -132,273 +99,88 @@ impl Edge {
             d_bulge: self.d_bulge - other.d_bulge,
         }
     }
-
-    fn times(&self, by: Lanes) -> Self {
-        Self { weight: self.weight * by, d_u: self.d_u * by, d_v: self.d_v * by, d_bulge: self.d_bulge * by }
-    }
 }
 
-/// What a view's pixels are predicted from.
-pub(crate) struct Scene<'a> {
-    pub image: &'a TubeImage,
-    pub layout: &'a Layout,
-    pub colours: &'a [f64],
-    pub blur_px: f64,
-    pub encoding: &'a Encoding,
-}
-
-/// Pixels that are evaluated together, one in each lane of a vector.
-pub(crate) const LANES: usize = 4;
-type Lanes = f32x4;
-
-fn lanes(of: impl FnMut(usize) -> f64) -> Lanes {
-    Lanes::new(std::array::from_fn(of).map(|value| value as f32))
-}
-
-/// A pixel's place relative to its nearest ring.
-struct Place {
-    ring: usize,
-    seen: u8,
-    /// The nearest ring is the end of the tube.
-    ends: bool,
-    half: f64,
-    bulge: f64,
-    from_ring: f64,
-    turn: Vector2<f64>,
-    /// Blur across and along the tube, σ in pixels.
-    blur: Vector2<f64>,
-}
-
-impl Scene<'_> {
-    fn place(&self, foot: &Foot) -> Place {
-        let local = self.image.local(foot.knot);
-        let (half, bulge) = (local.half_width, local.bulge);
-        let s = self.image.first_m + foot.knot * self.image.spacing_m;
-        let ring = self.layout.nearest_ring(s);
-        let from_ring = (s - self.layout.rings_m[ring]) * local.scale;
-        let ends = self.layout.ends && ring + 1 == self.layout.rings_m.len();
-        let blur = local.swept.map(|swept| (self.blur_px * self.blur_px + swept).sqrt());
-        let far = blur * FAR_SIGMAS;
-        let seen = match (from_ring.abs() - bulge.abs() > far.y, from_ring < 0.0) {
-            _ if foot.u.abs() > half + far.x => 0,
-            (false, _) => RING,
-            (true, true) => BEFORE,
-            (true, false) => {
-                if ends {
-                    0
-                } else {
-                    BEHIND
-                }
-            }
-        };
-        Place { ring, seen, ends, half, bulge, from_ring, turn: local.turn, blur }
-    }
-
-    /// Evaluates the model at some pixels. `offsets` are their places relative to the patch's middle.
-    pub(crate) fn at(&self, feet: &[Foot; LANES], offsets: &[Vector2<f64>; LANES]) -> [PixelModel; LANES] {
-        let Self { layout, colours, .. } = self;
-        let places = feet.each_ref().map(|foot| self.place(foot));
-        let mut models = places.each_ref().map(|p| PixelModel { ring: p.ring, seen: p.seen, ..PixelModel::default() });
-        let offset = [lanes(|i| offsets[i].x), lanes(|i| offsets[i].y)];
-        let background: [Lanes; 3] = std::array::from_fn(|c| {
-            offset[0] * colours[GRADIENT] as f32
-                + offset[1] * colours[GRADIENT + 1] as f32
-                + colours[BACKGROUND + c] as f32
-        });
-        if places.iter().all(|place| place.seen == 0) {
-            for (c, light) in background.into_iter().enumerate() {
-                let (value, slope) = self.encode(light);
-                let mut terms = [Lanes::ZERO; TERMS];
-                terms[VALUE] = value;
-                set_background(&mut terms, slope, &offset);
-                store(&mut models, c, &terms);
-            }
-            return models;
-        }
-
-        let seen = lanes(|i| f64::from(u8::from(places[i].seen != 0))).cmp_gt(Lanes::ZERO);
-        let (u, half) = (lanes(|i| feet[i].u), lanes(|i| places[i].half));
-        let blur = [lanes(|i| places[i].blur.x), lanes(|i| places[i].blur.y)];
-        let across = Across::new(u, half, blur[0]).where_seen(seen);
-        let turn = [lanes(|i| places[i].turn.x), lanes(|i| places[i].turn.y)];
-        let mut shades: [Lanes; HARMONICS] = std::array::from_fn(|i| Lanes::splat(colours[SHADING + i] as f32));
-        for (i, turn) in turn.iter().enumerate() {
-            shades[0] += *turn * colours[TURNING + i] as f32;
-        }
-        let lit = |shape: &[Lanes; HARMONICS]| {
-            shape[0] * shades[0] + shape[1] * shades[1] + shape[2] * shades[2] + shape[3] * shades[3]
-        };
-        let (shade, d_shade) = (across.cover + lit(&across.shades), across.d_cover + lit(&across.d_shades));
-        let edges = Edges::new(&places, u / half, half, blur[1]);
-        let Edges { before, behind, outline, cap: cap_edge } = edges;
-        let cap = colours[CAP] as f32;
-        let (capped, d_capped) = (across.cover * cap, across.d_cover * cap);
-        let uncovered = Lanes::ONE - across.cover * (Lanes::ONE - outline.weight);
-        let first = shade * before.weight + capped * cap_edge.weight;
-        let second = shade * behind.weight;
-        // What light of the background, of the segment before the ring and of the one behind it are multiplied by.
-        let d_u = [
-            across.cover * outline.d_u - across.d_cover * (Lanes::ONE - outline.weight),
-            d_shade * before.weight + shade * before.d_u + d_capped * cap_edge.weight + capped * cap_edge.d_u,
-            d_shade * behind.weight + shade * behind.d_u,
-        ];
-        let d_v = [across.cover * outline.d_v, shade * before.d_v + capped * cap_edge.d_v, shade * behind.d_v];
-        let d_bulge = [
-            across.cover * outline.d_bulge,
-            shade * before.d_bulge + capped * cap_edge.d_bulge,
-            shade * behind.d_bulge,
-        ];
-
-        let segments = layout.segments();
-        let colour = |k: usize, c: usize| {
-            lanes(|i| {
-                let segment = places[i].ring + k;
-                if segment < segments { colours[FIXED + PER_SEGMENT * segment + c] } else { 0.0 }
-            })
-        };
-        for (c, background) in background.into_iter().enumerate() {
-            let lights = [background, colour(0, c), colour(1, c)];
-            let sum = |by: &[Lanes; 3]| lights[0] * by[0] + lights[1] * by[1] + lights[2] * by[2];
-            let (value, slope) = self.encode(sum(&[uncovered, first, second]));
-            let mut terms = [Lanes::ZERO; TERMS];
-            terms[VALUE] = value;
-            terms[D_U] = sum(&d_u) * slope;
-            terms[D_V] = sum(&d_v) * slope;
-            terms[D_BULGE] = sum(&d_bulge) * slope;
-            set_background(&mut terms, uncovered * slope, &offset);
-            let albedo = (lights[1] * before.weight + lights[2] * behind.weight) * slope;
-            for (term, shade) in terms[D_SHADING..].iter_mut().zip(&across.shades) {
-                *term = *shade * albedo;
-            }
-            for (i, turn) in turn.iter().enumerate() {
-                terms[D_SHADING + HARMONICS + i] = terms[D_SHADING] * *turn;
-            }
-            terms[D_CAP] = across.cover * cap_edge.weight * lights[1] * slope;
-            terms[D_ALBEDO] = first * slope;
-            terms[D_ALBEDO + 1] = second * slope;
-            store(&mut models, c, &terms);
-        }
-        models
-    }
-
-    /// Stored value of light, and its slope.
-    fn encode(&self, light: Lanes) -> (Lanes, Lanes) {
-        let encoded = light.to_array().map(|light| self.encoding.encode(light));
-        (Lanes::new(encoded.map(|e| e.0)), Lanes::new(encoded.map(|e| e.1)))
-    }
-}
-
-/// What the background's own parameters change where `uncovered` of it is seen.
-fn set_background(terms: &mut [Lanes; TERMS], uncovered: Lanes, offset: &[Lanes; 2]) {
-    terms[D_BACKGROUND] = uncovered;
-    terms[D_GRADIENT] = uncovered * offset[0];
-    terms[D_GRADIENT + 1] = uncovered * offset[1];
-}
-
-/// From a vector a term to a row a pixel.
-fn store(models: &mut [PixelModel; LANES], channel: usize, terms: &[Lanes; TERMS]) {
-    for (k, four) in terms.as_chunks::<4>().0.iter().enumerate() {
-        for (model, row) in models.iter_mut().zip(Lanes::transpose(*four)) {
-            model.terms[channel][4 * k..4 * k + 4].copy_from_slice(row.as_array_ref());
-        }
-    }
-}
-
-/// How much of each part is seen along the tube.
-struct Edges {
-    /// The segment before the ring, the one behind it, the tube's end, and its cap.
-    before: Edge,
-    behind: Edge,
-    outline: Edge,
-    cap: Edge,
+/// How much of each part is seen along the tube: the segment before the nearest ring, the one behind it, what lies
+/// beyond the tube's end, and its cap.
+pub(crate) struct Edges {
+    pub before: Edge,
+    pub behind: Edge,
+    pub outline: Edge,
+    pub cap: Edge,
 }
 
 impl Edges {
-    /// At x half widths aside of the axis.
-    fn new(places: &[Place; LANES], x: Lanes, half: Lanes, blur_px: Lanes) -> Self {
-        let whole = |weight: Lanes| Edge { weight, ..Edge::default() };
-        if places.iter().all(|place| place.seen != RING) {
-            let behind = lanes(|i| f64::from(u8::from(places[i].from_ring > 0.0 && !places[i].ends)));
-            let end = lanes(|i| f64::from(u8::from(places[i].from_ring > 0.0 && places[i].ends)));
-            let before = Lanes::ONE - behind - end;
-            return Self { before: whole(before), behind: whole(behind), outline: whole(end), cap: Edge::default() };
-        }
+    /// Far from any ring.
+    #[inline(always)]
+    pub(crate) fn away(is_before: bool) -> Self {
+        let before = if is_before { 1.0 } else { 0.0 };
+        let (before, behind) = (Edge::whole(before), Edge::whole(1.0 - before));
+        Self { before, behind, outline: Edge::NONE, cap: Edge::NONE }
+    }
+
+    /// At x half widths aside of the axis and `from_ring` pixels beyond the ring, or the tube's end if it `ENDS` there.
+    #[inline(always)]
+    pub(crate) fn at_ring<const ENDS: bool>(x: f32, half: f32, from_ring: f32, bulge: f32, blur_px: f32) -> Self {
         // The ring's near side is displaced by `bulge·root`; root is kept off its infinite slope at the outline.
-        let root = (Lanes::ONE - x * x).max(Lanes::ZERO).sqrt();
-        let d_root = x.abs().cmp_lt(Lanes::ONE).blend(-x / (half * root.max(Lanes::splat(0.3))), Lanes::ZERO);
-        let (from_ring, bulge) = (lanes(|i| places[i].from_ring), lanes(|i| places[i].bulge));
-        let edge_at = |bulge: Lanes, sign: Lanes| {
+        let root = (1.0 - x * x).max(0.0).sqrt();
+        let d_root = if x.abs() < 1.0 { -x / (half * root.max(0.3)) } else { 0.0 };
+        let edge_at = |bulge: f32, sign: f32| {
             let (weight, density) = gauss((from_ring - bulge * root) / blur_px);
             let density = density / blur_px;
             Edge { weight, d_u: -density * bulge * d_root, d_v: density, d_bulge: -density * sign * root }
         };
-        let near = edge_at(bulge, Lanes::ONE);
-        let before = whole(Lanes::ONE).minus(&near);
-        if places.iter().all(|place| !place.ends) {
-            return Self { before, behind: near, outline: Edge::default(), cap: Edge::default() };
+        let near = edge_at(bulge, 1.0);
+        let before = Edge::whole(1.0).minus(&near);
+        if !ENDS {
+            return Self { before, behind: near, outline: Edge::NONE, cap: Edge::NONE };
         }
         // The tube's silhouette always bulges outwards; where the near edge lies inside it, the cap shows.
-        let outward = bulge.cmp_lt(Lanes::ZERO).blend(-Lanes::ONE, Lanes::ONE);
-        let end = lanes(|i| f64::from(u8::from(places[i].ends)));
-        let outline = edge_at(bulge.abs(), outward).times(end);
-        let cap = near.times(end).minus(&outline);
-        Self { before, behind: near.times(Lanes::ONE - end), outline, cap }
+        let outline = edge_at(bulge.abs(), if bulge < 0.0 { -1.0 } else { 1.0 });
+        Self { before, behind: Edge::NONE, outline, cap: near.minus(&outline) }
     }
 }
 
 /// The blurred profile across the tube: coverage, and what m₁ to m₄ multiply, with derivatives along u.
-struct Across {
-    cover: Lanes,
-    shades: [Lanes; HARMONICS],
-    d_cover: Lanes,
-    d_shades: [Lanes; HARMONICS],
+pub(crate) struct Across {
+    pub cover: f32,
+    pub shades: [f32; HARMONICS],
+    pub d_cover: f32,
+    pub d_shades: [f32; HARMONICS],
 }
 
 impl Across {
-    fn new(u: Lanes, half: Lanes, sigma: Lanes) -> Self {
+    #[inline(always)]
+    pub(crate) fn new(u: f32, half: f32, sigma: f32) -> Self {
         let (phi_left, g_left) = gauss((u + half) / sigma);
         let (phi_right, g_right) = gauss((u - half) / sigma);
         let (g_left, g_right) = (g_left / sigma, g_right / sigma);
-        let per_half = Lanes::ONE / half;
+        let per_half = 1.0 / half;
         let ratio = per_half * per_half * (sigma * sigma);
         let x = u * per_half;
         // (σ²/w) of the sum and of the difference of both edges.
         let (odd_edge, even_edge) = (ratio * half * (g_right - g_left), ratio * half * (g_right + g_left));
-        let mut m = [Lanes::ZERO; 7];
-        m[0] = phi_left - phi_right;
-        m[1] = x * m[0] - odd_edge;
-        for n in 2..7 {
-            m[n] = x * m[n - 1] + ratio * m[n - 2] * (n as f32 - 1.0) - if n % 2 == 1 { odd_edge } else { even_edge };
-        }
+        let m0 = phi_left - phi_right;
+        let m1 = x * m0 - odd_edge;
+        let m2 = x * m1 + ratio * m0 - even_edge;
+        let m3 = x * m2 + ratio * m1 * 2.0 - odd_edge;
+        let m4 = x * m3 + ratio * m2 * 3.0 - even_edge;
+        let m5 = x * m4 + ratio * m3 * 4.0 - odd_edge;
+        let m6 = x * m5 + ratio * m4 * 5.0 - even_edge;
         // d Mₙ/du = n Mₙ₋₁/w + (−1)ⁿ g₋ − g₊.
         let (d_cover, both) = (g_left - g_right, g_left + g_right);
-        let even = |n: usize| per_half * m[n - 1] * n as f32 + d_cover;
-        let odd = |n: usize| per_half * m[n - 1] * n as f32 - both;
+        let even = |n: f32, m: f32| per_half * m * n + d_cover;
+        let odd = |n: f32, m: f32| per_half * m * n - both;
         Self {
-            cover: m[0],
-            shades: [
-                m[1],
-                m[0] * Q0 + m[2] * Q2 + m[4] * Q4 + m[6] * Q6,
-                m[1] * P1 + m[3] * P3 + m[5] * P5,
-                m[2] - m[0] * (1.0 / 3.0),
-            ],
+            cover: m0,
+            shades: [m1, m0 * Q0 + m2 * Q2 + m4 * Q4 + m6 * Q6, m1 * P1 + m3 * P3 + m5 * P5, m2 - m0 * (1.0 / 3.0)],
             d_cover,
             d_shades: [
-                odd(1),
-                d_cover * Q0 + even(2) * Q2 + even(4) * Q4 + even(6) * Q6,
-                odd(1) * P1 + odd(3) * P3 + odd(5) * P5,
-                even(2) - d_cover * (1.0 / 3.0),
+                odd(1.0, m0),
+                d_cover * Q0 + even(2.0, m1) * Q2 + even(4.0, m3) * Q4 + even(6.0, m5) * Q6,
+                odd(1.0, m0) * P1 + odd(3.0, m2) * P3 + odd(5.0, m4) * P5,
+                even(2.0, m1) - d_cover * (1.0 / 3.0),
             ],
-        }
-    }
-
-    /// Nothing of the tube in the other lanes.
-    fn where_seen(self, seen: Lanes) -> Self {
-        Self {
-            cover: self.cover & seen,
-            shades: self.shades.map(|shade| shade & seen),
-            d_cover: self.d_cover & seen,
-            d_shades: self.d_shades.map(|shade| shade & seen),
         }
     }
 }
@@ -423,8 +205,8 @@ mod tests {
     #[test]
     fn the_profile_across_equals_quadrature() {
         let (half, sigma) = (3.1, 0.55);
-        let across = |u: f64| Across::new(lanes(|_| u), lanes(|_| half), lanes(|_| sigma));
-        let of = |lanes: Lanes| f64::from(lanes.to_array()[0]);
+        let across = |u: f64| Across::new(u as f32, half as f32, sigma as f32);
+        let of = f64::from;
         let [q0, q2, q4, q6, p1, p3, p5] = [Q0, Q2, Q4, Q6, P1, P3, P5].map(f64::from);
         for i in -16..=16 {
             let u = f64::from(i) * 0.31;

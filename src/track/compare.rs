@@ -2,47 +2,75 @@
 //! residuals themselves scatter.
 
 use crate::source::Window;
-use crate::track::appearance::{BEFORE, BEHIND, D_ALBEDO, LANES, Layout, PixelModel, RING, Scene};
-use crate::track::normal::{Bin, Collector, Normal, ROW, Row, Slot, Squares, influence, row, shifted};
-use crate::track::patch::{Group, Patch};
+use crate::track::appearance::Layout;
+use crate::track::chunk::{CHUNK, Evaluator, Scene};
+use crate::track::normal::{
+    Normal, ROW, ROW_BEFORE, ROW_BEHIND, ROW_CAP, Row, Seen, Squares, Sums, Weighed, divide, influence, shifted,
+};
+use crate::track::patch::{Group, Patch, Strip};
 use crate::track::slip::Slips;
 use crate::track::tube::{SHAPE, ShapeBy, ShapeStep};
 use crate::track::tube_image::TubeImage;
-use nalgebra::{SMatrix, SVector};
+use nalgebra::SMatrix;
+use std::cmp::Ordering;
 
 /// Residuals beyond this many σ count linearly (Huber).
-const HUBER: f64 = 3.5;
+const HUBER: f32 = 3.5;
 
 /// Standard deviation of a sample, per channel: near the tube, and in the background.
 pub(crate) type Noise = [[f64; 2]; 3];
 
 /// One stored sample of one channel against the model.
+#[derive(Clone, Copy)]
 struct Residual {
-    channel: usize,
-    /// 0 near the tube, 1 in the background.
-    class: usize,
-    /// The square among those that share errors.
-    cell: usize,
-    slot: Slot,
     /// Derivatives of the prediction.
     row: Row,
     /// Stored minus predicted.
-    value: f64,
+    value: f32,
+    /// The cell among those that share errors, and the strip.
+    cell: u32,
+    strip: u16,
+    channel: u8,
+    /// 0 near the tube, 1 in the background.
+    class: u8,
+    seen: Seen,
 }
 
-impl Residual {
-    /// In units of its noise, and the weight that it has.
-    fn weighed(&self, noise: &Noise) -> (f64, f64) {
-        let sigma = noise[self.channel][self.class];
-        let z = self.value.abs() / sigma;
-        (z, (HUBER / z.max(HUBER)) / (sigma * sigma))
+/// Weighs residuals by their noise, and counts their cost.
+struct Scale {
+    per_sigma: [[f32; 2]; 3],
+    /// Σ of the robust cost.
+    cost: f64,
+    /// In units of the noise.
+    squares: Squares,
+}
+
+impl Scale {
+    fn of(noise: &Noise) -> Self {
+        let per_sigma = noise.map(|classes| classes.map(|sigma| (1.0 / sigma) as f32));
+        Self { per_sigma, cost: 0.0, squares: Squares::default() }
     }
 
-    fn add_square(&self, noise: &Noise, squares: &mut Squares) {
-        let (total, count) = &mut squares[self.channel][self.class];
-        let most = HUBER * noise[self.channel][self.class];
-        *total += self.value.powi(2).min(most * most);
+    /// Weight of a residual.
+    fn weigh(&mut self, residual: &Residual) -> f32 {
+        let (channel, class) = (usize::from(residual.channel), usize::from(residual.class));
+        let per_sigma = self.per_sigma[channel][class];
+        let z = residual.value.abs() * per_sigma;
+        let inside = z.min(HUBER);
+        self.cost += f64::from(inside * (2.0 * z - inside));
+        let (total, count) = &mut self.squares[channel][class];
+        *total += f64::from(inside * inside);
         *count += 1;
+        per_sigma * per_sigma * (HUBER / z.max(HUBER))
+    }
+
+    /// Sums of squares of the residuals weighed. Outliers do not raise the noise that they are judged by.
+    fn squares(&self, noise: &Noise) -> Squares {
+        let mut squares = self.squares;
+        for (squares, noise) in squares.iter_mut().flatten().zip(noise.iter().flatten()) {
+            squares.0 *= noise * noise;
+        }
+        squares
     }
 }
 
@@ -59,11 +87,12 @@ pub(crate) struct Scattered {
 /// A patch compared with the model.
 pub(crate) struct Comparison {
     patch: Patch,
-    models: Vec<PixelModel>,
     residuals: Vec<Residual>,
-    bins: Vec<Bin>,
-    /// The pixels' feet are those on the image that they were selected by.
-    fresh: bool,
+    sums: Sums,
+    /// Of each pixel: what of the tube it sees; and a row of each channel that is not stored at every pixel, with what
+    /// it should be.
+    seen: Vec<Seen>,
+    rows: Vec<(Vec<Row>, Vec<f32>)>,
 }
 
 impl Comparison {
@@ -74,104 +103,153 @@ impl Comparison {
 
     pub(crate) fn new(patch: Patch) -> Self {
         let values = patch.groups.iter().map(|group| group.samples.len() * group.channels.len()).sum();
-        let models = Vec::with_capacity(patch.pixels.len());
-        Self { patch, models, residuals: Vec::with_capacity(values), bins: Vec::new(), fresh: true }
+        let sums = Sums::new(patch.strips.len());
+        let seen = vec![Seen::Nothing; patch.pixels.len()];
+        let apart = patch.groups.iter().filter(|group| !group.whole).flat_map(|group| &group.channels);
+        let rows = apart.map(|_| (vec![[0.0; ROW]; patch.pixels.len()], vec![0.0; patch.pixels.len()])).collect();
+        Self { patch, residuals: Vec::with_capacity(values), sums, seen, rows }
     }
 
-    /// Evaluates the model at all pixels, and compares it with all samples. The first image is that of the selection.
-    pub(crate) fn render(&mut self, scene: &Scene<'_>) {
-        self.models.clear();
-        let middle = self.patch.middle;
-        for pixels in self.patch.pixels.chunks_mut(LANES) {
-            if !self.fresh {
-                pixels.iter_mut().for_each(|pixel| pixel.foot = scene.image.foot(&pixel.place, pixel.foot.knot, 1));
-            }
-            // The last lanes may be one pixel's several times.
-            let pixel = |lane: usize| &pixels[lane.min(pixels.len() - 1)];
-            let feet = std::array::from_fn(|lane| pixel(lane).foot);
-            let offsets = std::array::from_fn(|lane| pixel(lane).place.coords - middle);
-            self.models.extend_from_slice(&scene.at(&feet, &offsets)[..pixels.len()]);
+    /// Evaluates the model at all pixels, and compares it with all samples. Unless it is to `derive`, the derivatives
+    /// stay those of the last time.
+    pub(crate) fn render(&mut self, scene: &Scene<'_>, derive: bool) {
+        if derive {
+            self.residuals.clear();
         }
-        self.fresh = false;
-        self.residuals.clear();
-        for group in &self.patch.groups {
-            for (i, sample) in group.samples.iter().enumerate() {
-                let pixel = &self.patch.pixels[sample.pixel];
-                let blended;
-                let model = match group.taps(i) {
-                    [_] => &self.models[sample.pixel],
-                    _ => {
-                        blended = self.blend(group, i);
-                        &blended
+        let Self { patch, residuals, seen, rows, .. } = self;
+        let Some(first) = patch.strips.first() else { return };
+        let mut evaluator = Evaluator::new(scene, patch.middle, &first.span);
+        // Which residual is next.
+        let mut next = 0;
+        for (strip, Strip { span, pixels }) in patch.strips.iter().enumerate() {
+            evaluator.enter(span);
+            for first in pixels.clone().step_by(CHUNK) {
+                let last = pixels.end.min(first + CHUNK);
+                let sees = evaluator.evaluate(&mut patch.pixels[first..last]);
+                if derive {
+                    seen[first..last].fill(sees);
+                }
+                let pixels = &patch.pixels[first..last];
+                let mut apart = rows.iter_mut();
+                for group in &patch.groups {
+                    for (k, channel) in group.channels.iter().enumerate() {
+                        let mut predicted = [0.0; CHUNK];
+                        predicted
+                            .iter_mut()
+                            .zip(evaluator.values(&channel.weights))
+                            .for_each(|(to, value)| *to = value);
+                        let predicted = &predicted[..pixels.len()];
+                        let rows = if derive { evaluator.rows(&channel.weights) } else { &[] };
+                        if !group.whole {
+                            if let Some((of_rows, of_values)) = apart.next() {
+                                of_rows[first..first + rows.len()].copy_from_slice(rows);
+                                of_values[first..last].copy_from_slice(predicted);
+                            }
+                            continue;
+                        }
+                        let samples = &group.samples[first..last];
+                        let values = predicted.iter().zip(samples).map(|(p, s)| s.values[k] - p - channel.constant);
+                        if derive {
+                            let of_pixels = rows.iter().zip(values).zip(pixels);
+                            residuals.extend(of_pixels.map(|((row, value), pixel)| Residual {
+                                row: *row,
+                                value,
+                                cell: pixel.cell,
+                                strip: strip as u16,
+                                channel: channel.number,
+                                class: pixel.class(),
+                                seen: sees,
+                            }));
+                        } else {
+                            residuals[next..].iter_mut().zip(values).for_each(|(old, value)| old.value = value);
+                            next += pixels.len();
+                        }
                     }
-                };
-                let slot = Slot { bin: pixel.bin, ring: model.ring, seen: model.seen };
-                for (channel, stored) in group.channels.iter().zip(sample.values) {
-                    let (row, predicted) =
-                        row(&model.terms, &channel.weights, (pixel.foot.knot - pixel.bin as f64) as f32);
+                }
+            }
+        }
+        let mut apart = self.rows.iter();
+        for group in self.patch.groups.iter().filter(|group| !group.whole) {
+            for (k, (channel, rows)) in group.channels.iter().zip(apart.by_ref()).enumerate() {
+                for (i, sample) in group.samples.iter().enumerate() {
+                    let taps = group.taps(i).iter();
+                    let predicted = taps.map(|&(at, weight)| weight * rows.1[at as usize]).sum::<f32>();
+                    let value = sample.values[k] - predicted - channel.constant;
+                    if !derive {
+                        self.residuals[next].value = value;
+                        next += 1;
+                        continue;
+                    }
+                    let pixel = &self.patch.pixels[sample.pixel as usize];
+                    let (row, seen) = self.blend(group, i, &rows.0);
                     self.residuals.push(Residual {
-                        channel: channel.number,
-                        class: sample.class,
-                        cell: pixel.cell,
-                        slot,
                         row,
-                        value: stored - f64::from(predicted) - channel.constant,
+                        value,
+                        cell: pixel.cell,
+                        strip: self.patch.strip_of(pixel) as u16,
+                        channel: channel.number,
+                        class: pixel.class(),
+                        seen,
                     });
                 }
             }
         }
     }
 
-    /// The models of a sample's pixels, weighted by its taps.
-    fn blend(&self, group: &Group, sample: usize) -> PixelModel {
-        let ring = self.models[group.samples[sample].pixel].ring;
-        let mut sum = PixelModel { ring, ..PixelModel::default() };
+    /// The rows of a sample's pixels, weighted by its taps, and what it sees.
+    fn blend(&self, group: &Group, sample: usize, rows: &[Row]) -> (Row, Seen) {
+        let Self { patch, seen: sees, .. } = self;
+        let middle = &patch.pixels[group.samples[sample].pixel as usize];
+        let strip = patch.strip_of(middle);
+        let (mut sum, mut seen) = ([0.0; ROW], Seen::Nothing);
+        let mut add = |weight: f32, row: &Row| sum.iter_mut().zip(row).for_each(|(sum, value)| *sum += weight * value);
         for &(at, weight) in group.taps(sample) {
-            let pixel = &self.models[at as usize];
-            for (sum, terms) in sum.terms.iter_mut().zip(&pixel.terms) {
-                for (sum, term) in sum.iter_mut().zip(terms) {
-                    *sum += weight * term;
-                }
-            }
-            if pixel.ring == ring || pixel.seen == 0 {
-                sum.seen |= pixel.seen;
+            let at = at as usize;
+            let other = patch.strip_of(&patch.pixels[at]);
+            if other == strip || sees[at] == Seen::Nothing {
+                seen = seen.and(sees[at]);
+                add(weight, &rows[at]);
                 continue;
             }
-            // Beyond the middle between two rings the same segment is the other one of the pair.
-            let beyond = pixel.ring > ring;
-            sum.seen |= match (beyond, pixel.seen) {
-                (true, BEFORE) => BEHIND,
-                (false, BEHIND) => BEFORE,
-                _ => RING,
-            };
-            for (sum, terms) in sum.terms.iter_mut().zip(&pixel.terms) {
-                let (before, behind) = (terms[D_ALBEDO], terms[D_ALBEDO + 1]);
-                let (first, second) = if beyond { (0.0, before) } else { (behind, 0.0) };
-                sum[D_ALBEDO] += weight * (first - before);
-                sum[D_ALBEDO + 1] += weight * (second - behind);
-            }
+            let (row, sees) = carried(&rows[at], sees[at], (patch.ring(other), patch.ring(strip)), middle.f);
+            seen = seen.and(sees);
+            add(weight, &row);
         }
-        sum
+        (sum, seen)
     }
 
     /// Sums of squares of the residuals; outliers, judged by `noise`, must not raise the noise that they are judged by.
     pub(crate) fn squares(&self, noise: &Noise) -> Squares {
-        let mut squares = Squares::default();
-        self.residuals.iter().for_each(|residual| residual.add_square(noise, &mut squares));
-        squares
+        let mut scale = Scale::of(noise);
+        for residual in &self.residuals {
+            scale.weigh(residual);
+        }
+        scale.squares(noise)
     }
 
     /// Normal equations of the rendered model.
     pub(crate) fn normal(&mut self, image: &TubeImage, layout: &Layout, noise: &Noise) -> Normal {
-        let mut sums = Collector::new(image, layout, &mut self.bins);
-        let (mut cost, mut squares) = (0.0, Squares::default());
-        for residual in &self.residuals {
-            let (z, weight) = residual.weighed(noise);
-            sums.add(residual.slot, &residual.row, residual.value, weight);
-            residual.add_square(noise, &mut squares);
-            cost += if z <= HUBER { z * z } else { HUBER * (2.0 * z - HUBER) };
+        let mut scale = Scale::of(noise);
+        for run in self.residuals.chunk_by(|a, b| (a.strip, a.seen) == (b.strip, b.seen)) {
+            let weighed =
+                run.iter().map(|residual| -> Weighed<'_> { (&residual.row, residual.value, scale.weigh(residual)) });
+            self.sums.add(usize::from(run[0].strip), run[0].seen, weighed);
         }
-        Normal { cost, squares, ..sums.finish() }
+        let spans = self.patch.strips.iter().map(|strip| &strip.span);
+        Normal { cost: scale.cost, squares: scale.squares(noise), ..self.sums.take(spans, image, layout) }
+    }
+
+    /// The equations `before` with the gradient of the rendered model.
+    pub(crate) fn gradient(&self, before: &Normal, image: &TubeImage, layout: &Layout, noise: &Noise) -> Normal {
+        let mut scale = Scale::of(noise);
+        let mut sums = vec![[0.0; ROW]; self.patch.strips.len()];
+        for residual in &self.residuals {
+            let by = scale.weigh(residual) * residual.value;
+            sums[usize::from(residual.strip)].iter_mut().zip(&residual.row).for_each(|(sum, value)| *sum += by * value);
+        }
+        let spans = self.patch.strips.iter().map(|strip| &strip.span);
+        let equations = before.with_gradient(spans.zip(&sums), image, layout);
+        Normal { cost: scale.cost, squares: scale.squares(noise), ..equations }
     }
 
     /// Covariance of J'Wr as the residuals themselves show it: products of the sums over cells, which keeps what
@@ -186,38 +264,66 @@ impl Comparison {
         of_colours: &ShapeBy,
         coder_variance: f64,
     ) -> Scattered {
-        let mut slips = Slips::new(layout);
+        let mut scale = Scale::of(noise);
+        let mut slips = Slips::new(layout, self.patch.strips.len());
         // Channels at samplings of their own are luma and chroma.
         let slipping = self.patch.groups.len() > 1;
-        let mut cells = vec![ShapeStep::zeros(); self.patch.cells];
+        // What is within a cell is summed before it is mapped.
+        let mut sums = vec![[0.0; ROW]; self.patch.cells.len()];
         let (mut said, mut coded) = (0.0, 0.0);
-        let mut maps: Vec<Option<(usize, SMatrix<f64, SHAPE, ROW>)>> = vec![None; image.knots.len()];
-        // What follows each other in a cell is summed before it is mapped.
-        let together =
-            |a: &Residual, b: &Residual| (a.cell, a.slot.bin, a.slot.ring) == (b.cell, b.slot.bin, b.slot.ring);
-        for run in self.residuals.chunk_by(together) {
-            let (cell, Slot { bin, ring, .. }) = (run[0].cell, run[0].slot);
-            let map = match &mut maps[bin] {
-                Some((of, map)) if *of == ring => map,
-                map => &mut map.insert((ring, influence(image, (bin, ring), layout, of_shape, of_colours))).1,
-            };
-            let mut sum = [0.0; ROW];
-            for residual in run {
-                let (_, weight) = residual.weighed(noise);
-                let says: f64 = shifted(&residual.row).iter().map(|by| weight * f64::from(by * by)).sum();
-                said += says;
-                coded += says * weight * coder_variance;
-                let by = (weight * residual.value) as f32;
-                sum.iter_mut().zip(&residual.row).for_each(|(sum, value)| *sum += by * value);
-                if slipping && residual.channel > 0 {
-                    slips.add(ring, &residual.row, residual.value as f32, weight as f32);
+        for residual in &self.residuals {
+            let weight = scale.weigh(residual);
+            let [across, along] = shifted(&residual.row);
+            let says = f64::from(weight * (across * across + along * along));
+            said += says;
+            coded += says * f64::from(weight);
+            let by = weight * residual.value;
+            sums[residual.cell as usize].iter_mut().zip(&residual.row).for_each(|(sum, value)| *sum += by * value);
+            if slipping && residual.channel > 0 {
+                let strip = usize::from(residual.strip);
+                slips.add((strip, self.patch.ring(strip)), &residual.row, residual.value, weight);
+            }
+        }
+        let mut squares = vec![ShapeStep::zeros(); self.patch.squares];
+        for cells in self.patch.cells.iter().zip(&sums).collect::<Vec<_>>().chunk_by(|a, b| a.0.0 == b.0.0) {
+            let strip = cells[0].0.0;
+            let map = influence(image, &self.patch.strips[strip].span, layout, of_shape, of_colours);
+            for ((_, square), sum) in cells {
+                for (by, from) in sum.iter().zip(map.column_iter()) {
+                    squares[*square].axpy(f64::from(*by), &from, 1.0);
                 }
             }
-            cells[cell] += *map * SVector::from(sum.map(f64::from));
-            slips.map(map);
+            slips.map(strip, &map);
         }
         slips.finish(image, layout);
-        let covariance = cells.iter().fold(SMatrix::zeros(), |sum, cell| sum + cell * cell.transpose());
-        Scattered { covariance, slips, coded: if said > 0.0 { coded / said } else { 0.0 } }
+        let mut covariance = SMatrix::<f64, SHAPE, SHAPE>::zeros();
+        for square in &squares {
+            for (by, mut column) in square.iter().zip(covariance.column_iter_mut()) {
+                column.axpy(*by, square, 1.0);
+            }
+        }
+        let coded = if said > 0.0 { coder_variance * coded / said } else { 0.0 };
+        Scattered { covariance, slips, coded }
     }
+}
+
+/// A row as if it were of a strip nearby, with what it sees. `rings`: its own, and the other strip's.
+fn carried(row: &Row, seen: Seen, (own, ring): (usize, usize), f: f32) -> (Row, Seen) {
+    let mut row = *row;
+    divide(&mut row, f);
+    // Beyond the middle between two rings the same segment is the other one of the pair.
+    let seen = match own.cmp(&ring) {
+        Ordering::Equal => seen,
+        Ordering::Greater => {
+            row.copy_within(ROW_BEFORE..ROW_BEHIND, ROW_BEHIND);
+            row[ROW_BEFORE..ROW_BEHIND].fill(0.0);
+            if seen == Seen::Before { Seen::Behind } else { Seen::Ring }
+        }
+        Ordering::Less => {
+            row.copy_within(ROW_BEHIND..ROW_CAP, ROW_BEFORE);
+            row[ROW_BEHIND..ROW_CAP].fill(0.0);
+            if seen == Seen::Behind { Seen::Before } else { Seen::Ring }
+        }
+    };
+    (row, seen)
 }

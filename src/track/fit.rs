@@ -76,7 +76,7 @@ pub(crate) fn fit(
         Ok(Round { stretch, paths, picture, model, sweep, views })
     };
     // 1. settle
-    let mut guess = Guess::new(stretch, paths, start.clone(), Vec::new(), sweep)?;
+    let mut guess = Guess::new(stretch, paths, start.clone(), Vec::new(), sweep, &[])?;
     let mut settling = round(&guess, (Density::Fifth, Weighing::Stated))?;
     guess.colours = settling.views.iter().map(|view| view.expected_colours.clone()).collect();
     let settled = settling.minimise(guess, SETTLED)?.end;

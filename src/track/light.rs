@@ -1,16 +1,47 @@
 //! Functions of the image model: the Gaussian integral, and the transfer function from linear light to stored R'G'B'.
+//!
+//! Each is written for one number and without branches, so that a loop over many of them is compiled to vectors.
 
 use crate::source::Transfer;
-use wide::{CmpLt, f32x4};
+
+/// e^x to 2e-7 of itself, for x up to 88: Cephes' `expf` (S. L. Moshier, Methods and Programs for Mathematical
+/// Functions, 1989).
+#[inline(always)]
+pub(crate) fn exp(x: f32) -> f32 {
+    // Added and taken away again, it rounds to a whole number, which stands in its lowest bits meanwhile.
+    const ROUND: f32 = 12_582_912.0;
+    let x = x.clamp(-87.0, 88.0);
+    let rounded = x * std::f32::consts::LOG2_E + ROUND;
+    let n = rounded - ROUND;
+    let r = (x - n * 0.693_359_4) + n * 2.121_944_4e-4;
+    let p = 1.987_569_1e-4 * r + 1.398_2e-3;
+    let p = ((((p * r + 8.333_452e-3) * r + 4.166_58e-2) * r + 0.166_666_65) * r + 0.5) * r * r + r + 1.0;
+    p * f32::from_bits(rounded.to_bits().wrapping_add(127) << 23)
+}
+
+/// ln x to 2e-7, for positive x that are not tiny: Cephes' `logf`.
+#[inline(always)]
+pub(crate) fn ln(x: f32) -> f32 {
+    // x = m 2^e, m within √½ to √2.
+    const OFFSET: u32 = 0x3F35_04F3;
+    let bits = x.to_bits().wrapping_sub(OFFSET);
+    let e = (bits.cast_signed() >> 23) as f32;
+    let t = f32::from_bits((bits & 0x007F_FFFF).wrapping_add(OFFSET)) - 1.0;
+    let p = 7.037_683_6e-2 * t - 0.115_146_1;
+    let p = (((p * t + 0.116_769_99) * t - 0.124_201_41) * t + 0.142_493_23) * t - 0.166_680_58;
+    let p = ((p * t + 0.200_007_15) * t - 0.249_999_94) * t + 0.333_333_3;
+    let square = t * t;
+    (p * t * square - e * 2.121_944_4e-4 - 0.5 * square) + t + e * 0.693_359_4
+}
 
 /// Standard normal distribution and density at `z`, to 3e-7: Abramowitz and Stegun (1964), 7.1.26.
-#[inline]
-pub(crate) fn gauss(z: f32x4) -> (f32x4, f32x4) {
-    let exp = (z * z * -0.5).exp();
-    let t = f32x4::ONE / (z.abs() * (0.327_591_1 * std::f32::consts::FRAC_1_SQRT_2) + 1.0);
+#[inline(always)]
+pub(crate) fn gauss(z: f32) -> (f32, f32) {
+    let exp = exp(z * z * -0.5);
+    let t = 1.0 / (z.abs() * (0.327_591_1 * std::f32::consts::FRAC_1_SQRT_2) + 1.0);
     let polynomial = t * (t * (t * (t * (t * 1.061_405_4 - 1.453_152) + 1.421_413_7) - 0.284_496_74) + 0.254_829_6);
     let tail = polynomial * exp * 0.5;
-    (z.cmp_lt(f32x4::ZERO).blend(tail, f32x4::ONE - tail), exp * (0.5 * FRAC_2_SQRT_TAU))
+    (if z < 0.0 { tail } else { 1.0 - tail }, exp * (0.5 * FRAC_2_SQRT_TAU))
 }
 
 /// 2/√(2π).
@@ -20,37 +51,32 @@ const FRAC_2_SQRT_TAU: f32 = std::f32::consts::FRAC_2_SQRT_PI * std::f32::consts
 #[derive(Debug)]
 pub(crate) struct Encoding {
     transfer: Transfer,
-    /// (value, slope per unit of light) at multiples of 1/STEPS.
-    table: Vec<(f32, f32)>,
+    /// Stored is `scale · light^exponent − offset`, and below `toe` of light it is `slope · light`.
+    scale: f32,
+    exponent: f32,
+    offset: f32,
+    toe: f32,
+    slope: f32,
 }
 
-/// Table nodes per unit of light, and the brightest light tabulated.
-const STEPS: f32 = 2048.0;
-const BRIGHTEST: f32 = 1.5;
-
 impl Encoding {
+    /// ITU-R BT.709-6 item 1.2 and IEC 61966-2-1.
     pub(crate) fn new(transfer: Transfer) -> Self {
-        let node = |i: usize| encode(transfer, i as f64 / f64::from(STEPS));
-        let single = |(value, slope): (f64, f64)| (value as f32, slope as f32);
-        Self { transfer, table: (0..=(STEPS * BRIGHTEST) as usize).map(|i| single(node(i))).collect() }
+        let (scale, exponent, offset, toe, slope) = match transfer {
+            Transfer::Bt709 => (1.099, 0.45, 0.099, 0.018, 4.5),
+            Transfer::Srgb => (1.055, 1.0 / 2.4, 0.055, 0.003_130_8, 12.92),
+            Transfer::Linear => (1.0, 1.0, 0.0, f32::INFINITY, 1.0),
+        };
+        Self { transfer, scale: 255.0 * scale, exponent, offset: 255.0 * offset, toe, slope: 255.0 * slope }
     }
 
-    /// Stored value and its slope per unit of light. Between nodes the slope changes linearly.
-    #[inline]
+    /// Stored value and its slope per unit of light.
+    #[inline(always)]
     pub(crate) fn encode(&self, light: f32) -> (f32, f32) {
-        let at = light.max(0.0) * STEPS;
-        let i = at as usize;
-        match (self.table.get(i), self.table.get(i + 1)) {
-            (Some(&(value, slope)), Some(&(_, next))) => {
-                let f = at - i as f32;
-                let change = (next - slope) * f;
-                (value + (slope + 0.5 * change) * f * (1.0 / STEPS), slope + change)
-            }
-            _ => {
-                let (value, slope) = encode(self.transfer, f64::from(light));
-                (value as f32, slope as f32)
-            }
-        }
+        let light = light.max(0.0);
+        let power = self.scale * exp(self.exponent * ln(light));
+        let (value, slope) = (power - self.offset, self.exponent * power / light);
+        if light < self.toe { (self.slope * light, self.slope) } else { (value, slope) }
     }
 
     /// Light of a stored value.
@@ -66,21 +92,6 @@ impl Encoding {
     }
 }
 
-/// ITU-R BT.709-6 item 1.2 and IEC 61966-2-1.
-fn encode(transfer: Transfer, light: f64) -> (f64, f64) {
-    let power = |scale: f64, exponent: f64, toe: f64| {
-        let p = light.powf(exponent);
-        (255.0 * (scale * p - toe), 255.0 * scale * exponent * p / light)
-    };
-    match transfer {
-        Transfer::Bt709 if light < 0.018 => (255.0 * 4.5 * light, 255.0 * 4.5),
-        Transfer::Bt709 => power(1.099, 0.45, 0.099),
-        Transfer::Srgb if light < 0.003_130_8 => (255.0 * 12.92 * light, 255.0 * 12.92),
-        Transfer::Srgb => power(1.055, 1.0 / 2.4, 0.055),
-        Transfer::Linear => (255.0 * light, 255.0),
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -89,13 +100,25 @@ mod tests {
     fn gauss_agrees_with_erfc_and_exp() {
         for i in -700..700 {
             let z = f64::from(i) * 0.0101;
-            let (p, d) = gauss(f32x4::splat(z as f32));
-            let (p, d) = (f64::from(p.to_array()[0]), f64::from(d.to_array()[0]));
+            let (p, d) = gauss(z as f32);
+            let (p, d) = (f64::from(p), f64::from(d));
             let z = f64::from(z as f32);
             let exact = 0.5 * libm::erfc(-z / std::f64::consts::SQRT_2);
             let density = (-0.5 * z * z).exp() / (2.0 * std::f64::consts::PI).sqrt();
             assert!((p - exact).abs() < 1e-6, "Φ({z}) = {p}, not {exact}");
             assert!((d - density).abs() < 2e-6, "φ({z}) = {d}, not {density}");
+        }
+    }
+
+    #[test]
+    fn exp_and_ln_are_those_of_the_library() {
+        for i in -8700..8800 {
+            let x = (f64::from(i) * 0.01) as f32;
+            let error = f64::from(exp(x)) / f64::from(x).exp() - 1.0;
+            assert!(error.abs() < 3e-7, "exp({x}): {error}");
+            let y = f64::from(x).exp() as f32;
+            let error = f64::from(ln(y)) - f64::from(y).ln();
+            assert!(error.abs() < 2e-7 * f64::from(x).abs().max(1.0), "ln({y}): {error}");
         }
     }
 

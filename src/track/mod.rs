@@ -4,6 +4,7 @@ mod appearance;
 mod assign;
 #[cfg(test)]
 mod assign_tests;
+mod chunk;
 mod coil;
 mod compare;
 mod covariance;

@@ -3,56 +3,72 @@
 //!
 //! Between two knots all of a sample's dependence on the shape is that of six numbers: where these two knots lie across
 //! and along the axis, and how far their rings bulge. A sample that sees one segment only depends on two of them, and
-//! on one colour. Rows and blocks are in single precision, which doubles their speed: a block sums some hundred rows,
+//! on one colour; one of the background on none. Rows and blocks are in single precision, which doubles their speed: a block sums some hundred rows,
 //! and what is lost is a millionth of what the noise makes of them.
 
-use crate::track::appearance::{
-    BACKGROUND, BEFORE, CAP, D_ALBEDO, D_BACKGROUND, D_BULGE, D_CAP, D_GRADIENT, D_SHADING, D_U, D_V, FIXED, GRADIENT,
-    Layout, PER_SEGMENT, RING, SHADES, SHADING, TERMS, Terms, VALUE,
-};
+use crate::track::appearance::{BACKGROUND, CAP, FIXED, GRADIENT, Layout, PER_SEGMENT, SHADES, SHADING};
 use crate::track::tube::{SHAPE, ShapeBy, ShapeStep};
 use crate::track::tube_image::TubeImage;
-use nalgebra::{DMatrix, DVector, SMatrix, SVector};
+use multiversion::multiversion;
+use nalgebra::{DMatrix, DVector, SMatrix};
 
-/// Length of a row, filled up to whole vectors, and of the part that a sample away from rings touches.
+/// Which part of the tube: between a knot and the next, nearest to one ring.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Span {
+    pub knot: usize,
+    /// The segment before it has the same number.
+    pub ring: usize,
+}
+
+/// What of the tube is seen: nothing, the segment before the nearest ring, the one behind it, or both and the ring.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub(crate) enum Seen {
+    #[default]
+    Nothing,
+    Before,
+    Behind,
+    Ring,
+}
+
+impl Seen {
+    /// What both see together.
+    pub(crate) fn and(self, other: Self) -> Self {
+        match (self, other) {
+            (Self::Nothing, seen) | (seen, Self::Nothing) => seen,
+            (a, b) if a == b => a,
+            _ => Self::Ring,
+        }
+    }
+}
+
+/// Length of a row, of the part that a sample away from rings touches, and of the one that a sample of the background
+/// does; all are whole vectors.
 pub(crate) const ROW: usize = 24;
 const PLAIN: usize = 16;
+const OUTSIDE: usize = 8;
 /// Derivatives of one sample's prediction, all that a plain sample has first: both knots across; background; its
 /// gradient; shading and its changes; colour of the segment before the nearest ring, and of the one behind it; cap;
 /// both knots along; their bulge.
 pub(crate) type Row = [f32; ROW];
 
-const ROW_ACROSS: usize = 0;
-const ROW_BACKGROUND: usize = 2;
-const ROW_GRADIENT: usize = 5;
-const ROW_SHADING: usize = 7;
-const ROW_BEFORE: usize = ROW_SHADING + SHADES;
-const ROW_BEHIND: usize = ROW_BEFORE + PER_SEGMENT;
-const ROW_CAP: usize = ROW_BEHIND + PER_SEGMENT;
-const ROW_ALONG: usize = ROW_CAP + 1;
-const ROW_BULGE: usize = ROW_ALONG + 2;
+pub(crate) const ROW_ACROSS: usize = 0;
+pub(crate) const ROW_BACKGROUND: usize = 2;
+pub(crate) const ROW_GRADIENT: usize = 5;
+pub(crate) const ROW_SHADING: usize = 7;
+pub(crate) const ROW_BEFORE: usize = ROW_SHADING + SHADES;
+pub(crate) const ROW_BEHIND: usize = ROW_BEFORE + PER_SEGMENT;
+pub(crate) const ROW_CAP: usize = ROW_BEHIND + PER_SEGMENT;
+pub(crate) const ROW_ALONG: usize = ROW_CAP + 1;
+pub(crate) const ROW_BULGE: usize = ROW_ALONG + 2;
 
-/// The row of a stored channel, a sum of R'G'B' with `weights`, and that sum; `f` is the fraction of the way from the
-/// first knot to the second.
-pub(crate) fn row(terms: &[Terms; 3], weights: &[f32; 3], f: f32) -> (Row, f32) {
-    let mut sum = [0.0; TERMS];
-    for (terms, weight) in terms.iter().zip(weights) {
-        sum.iter_mut().zip(terms).for_each(|(sum, term)| *sum += weight * term);
+/// Divides what moves the tube's image among the knots anew: `f` is the fraction of the way from the first knot to the
+/// second.
+pub(crate) fn divide(row: &mut Row, f: f32) {
+    for at in [ROW_ACROSS, ROW_ALONG, ROW_BULGE] {
+        let all = row[at] + row[at + 1];
+        row[at + 1] = all * f;
+        row[at] = all - row[at + 1];
     }
-    let mut row = [0.0; ROW];
-    for (at, term, sign) in [(ROW_ACROSS, D_U, -1.0), (ROW_ALONG, D_V, -1.0), (ROW_BULGE, D_BULGE, 1.0)] {
-        row[at] = sign * sum[term] * (1.0 - f);
-        row[at + 1] = sign * sum[term] * f;
-    }
-    row[ROW_GRADIENT..ROW_SHADING].copy_from_slice(&sum[D_GRADIENT..D_SHADING]);
-    row[ROW_SHADING..ROW_BEFORE].copy_from_slice(&sum[D_SHADING..D_CAP]);
-    row[ROW_CAP] = sum[D_CAP];
-    for c in 0..3 {
-        row[ROW_BACKGROUND + c] = weights[c] * terms[c][D_BACKGROUND];
-        row[ROW_BEFORE + c] = weights[c] * terms[c][D_ALBEDO];
-        row[ROW_BEHIND + c] = weights[c] * terms[c][D_ALBEDO + 1];
-    }
-    (row, sum[VALUE])
 }
 
 /// By how much a sample's prediction changes when its picture is shifted by a pixel across the tube, and along it.
@@ -66,7 +82,7 @@ const PLAIN_MOVES: [usize; 2] = [ROW_ACROSS, ROW_ACROSS + 1];
 
 /// The colour that element `i` of a row at `ring` belongs to; `None` for the shape, for what fills up the row, and for
 /// a segment that there is not.
-fn colour(i: usize, ring: usize, layout: &Layout) -> Option<usize> {
+pub(crate) fn colour(i: usize, ring: usize, layout: &Layout) -> Option<usize> {
     let segment = |j: usize, c: usize| (j < layout.segments()).then_some(FIXED + PER_SEGMENT * j + c);
     match i {
         ROW_BACKGROUND..ROW_GRADIENT => Some(BACKGROUND + i - ROW_BACKGROUND),
@@ -79,30 +95,39 @@ fn colour(i: usize, ring: usize, layout: &Layout) -> Option<usize> {
     }
 }
 
-/// How the shape moves the knots `bin` and the next: columns in the order of [`MOVES`].
-fn moves(image: &TubeImage, bin: usize) -> SMatrix<f64, SHAPE, { MOVES.len() }> {
-    let knots = [&image.knots[bin], &image.knots[bin + 1]];
-    SMatrix::from_fn(|parameter, i| knots[i % 2].d_local[i / 2][parameter])
+/// How the shape moves a knot and the next, for each of [`MOVES`]; filled up to whole vectors.
+fn moves(image: &TubeImage, knot: usize) -> [Padded; MOVES.len()] {
+    std::array::from_fn(|i| {
+        let mut padded = [0.0; PADDED];
+        padded[..SHAPE].copy_from_slice(image.knots[knot + i % 2].d_local[i / 2].as_slice());
+        padded
+    })
 }
 
-/// What an error of the prediction moves the shape by, for each element of a row between knot `bin` and the next:
-/// `of_shape` and `of_colours` say it of the parameters.
+/// Shape parameters, filled up to whole vectors.
+type Padded = [f64; PADDED];
+const PADDED: usize = SHAPE.next_multiple_of(4);
+
+/// What an error of the prediction moves the shape by, for each element of a row: `of_shape` and `of_colours` say it of the parameters.
 pub(crate) fn influence(
     image: &TubeImage,
-    (bin, ring): (usize, usize),
+    span: &Span,
     layout: &Layout,
     of_shape: &SMatrix<f64, SHAPE, SHAPE>,
     of_colours: &ShapeBy,
 ) -> SMatrix<f64, SHAPE, ROW> {
     let mut influence = SMatrix::<f64, SHAPE, ROW>::zeros();
     for (i, mut column) in influence.column_iter_mut().enumerate() {
-        if let Some(at) = colour(i, ring, layout) {
+        if let Some(at) = colour(i, span.ring, layout) {
             column.copy_from(&of_colours.column(at));
         }
     }
-    let of_moves = of_shape * moves(image, bin);
-    for (i, from) in MOVES.iter().zip(of_moves.column_iter()) {
-        influence.column_mut(*i).copy_from(&from);
+    let moves = moves(image, span.knot);
+    for (i, moves) in MOVES.iter().zip(&moves) {
+        let mut column = influence.column_mut(*i);
+        for (by, from) in moves.iter().zip(of_shape.column_iter()) {
+            column.axpy(*by, &from, 1.0);
+        }
     }
     influence
 }
@@ -138,46 +163,96 @@ impl Normal {
         }
     }
 
-    /// Adds a block and empties it. `at` are the elements of its rows that move the shape, and `moves` how; `colours`
-    /// are the others that count, with the colours they belong to.
+    /// The same with another gradient, sums of rows in each span times their residuals.
+    pub(crate) fn with_gradient<'a>(
+        &self,
+        sums: impl Iterator<Item = (&'a Span, &'a Row)>,
+        image: &TubeImage,
+        layout: &Layout,
+    ) -> Self {
+        let mut normal = Self {
+            shape_gradient: ShapeStep::zeros(),
+            colour_gradient: DVector::zeros(layout.colours()),
+            ..self.clone()
+        };
+        for (span, sum) in sums {
+            for (moves, i) in moves(image, span.knot).iter().zip(MOVES) {
+                let by = f64::from(sum[i]);
+                normal.shape_gradient.iter_mut().zip(moves).for_each(|(sum, value)| *sum += by * value);
+            }
+            for (i, value) in sum.iter().enumerate() {
+                if let Some(colour) = colour(i, span.ring, layout) {
+                    normal.colour_gradient[colour] += f64::from(*value);
+                }
+            }
+        }
+        normal
+    }
+
+    /// Adds a block and empties it. The first of `moves` are how the shape moves the elements of its rows that are `at`;
+    /// `colours` are the others that count, with the colours they belong to.
     fn take<const N: usize, const S: usize>(
         &mut self,
         block: &mut Block<N>,
         at: [usize; S],
-        moves: &SMatrix<f64, SHAPE, S>,
-        colours: impl Iterator<Item = (usize, usize)> + Clone,
+        moves: &[Padded; MOVES.len()],
+        colours: impl Iterator<Item = (usize, usize)>,
     ) {
         block.flush();
         let sum = |i: usize, j: usize| f64::from(block.hessian[i.min(j)][i.max(j)]);
-        let gradient = |i: usize| f64::from(block.gradient[i]);
-        self.shape += moves * SMatrix::<f64, S, S>::from_fn(|i, j| sum(at[i], at[j])) * moves.transpose();
-        self.shape_gradient += moves * SVector::<f64, S>::from_fn(|i, _| gradient(at[i]));
-        let mut rest = colours;
-        while let Some((i, colour)) = rest.next() {
-            self.colours[(colour, colour)] += sum(i, i);
-            self.colour_gradient[colour] += gradient(i);
-            let mut column = self.cross.column_mut(colour);
-            column += moves * SVector::<f64, S>::from_fn(|k, _| sum(at[k], i));
-            for (j, other) in rest.clone() {
-                self.colours[(colour.max(other), colour.min(other))] += sum(i, j);
+        let Self { shape, cross, shape_gradient, colour_gradient, colours: all, .. } = self;
+        let of_all = moves;
+        for (moves, i) in of_all.iter().zip(at) {
+            let gradient = f64::from(block.gradient[i]);
+            let moved = combined(of_all, at.map(|j| sum(i, j)));
+            shape_gradient.as_mut_slice().iter_mut().zip(moves).for_each(|(sum, by)| *sum += by * gradient);
+            for (column, by) in shape.as_mut_slice().chunks_exact_mut(SHAPE).zip(moves) {
+                column.iter_mut().zip(&moved).for_each(|(sum, value)| *sum += by * value);
             }
         }
-        *block = Block::default();
+        let mut listed = [(0, 0); ROW];
+        let count = listed.iter_mut().zip(colours).map(|(listed, colour)| *listed = colour).count();
+        let colours = &listed[..count];
+        let (rows, cross, all) = (all.nrows(), cross.as_mut_slice(), all.as_mut_slice());
+        for (first, &(i, colour)) in colours.iter().enumerate() {
+            colour_gradient[colour] += f64::from(block.gradient[i]);
+            let moved = combined(moves, at.map(|j| sum(i, j)));
+            cross[colour * SHAPE..][..SHAPE].iter_mut().zip(&moved).for_each(|(sum, value)| *sum += value);
+            for &(j, other) in &colours[first..] {
+                all[colour.min(other) * rows + colour.max(other)] += sum(i, j);
+            }
+        }
+        block.clear();
     }
 }
 
-/// Sums of rows. They wait until there are four, so that each sum is loaded and stored once for all of them.
+/// The sum of the first of `moves`, each `by` as much.
+#[inline(always)]
+fn combined<const S: usize>(moves: &[Padded; MOVES.len()], by: [f64; S]) -> Padded {
+    let mut sum = [0.0; PADDED];
+    for (moves, by) in moves.iter().zip(by) {
+        sum.iter_mut().zip(moves).for_each(|(sum, value)| *sum += by * value);
+    }
+    sum
+}
+
+/// A sample's row, residual and weight.
+pub(crate) type Weighed<'a> = (&'a Row, f32, f32);
+
+/// Rows that are summed together, so that each sum is loaded and stored once for all of them.
+const BATCH: usize = 8;
+
+/// Sums of rows: of the symmetric J'WJ what lies on the diagonal and above, in whole vectors. Rows wait until there is a
+/// batch of them.
 struct Block<const N: usize> {
     hessian: [[f32; N]; N],
     gradient: [f32; N],
-    /// Rows and residuals times the root of the weight.
     waiting: [[f32; N]; BATCH],
     residuals: [f32; BATCH],
+    weights: [f32; BATCH],
     count: usize,
     used: bool,
 }
-
-const BATCH: usize = 4;
 
 impl<const N: usize> Default for Block<N> {
     fn default() -> Self {
@@ -186,6 +261,7 @@ impl<const N: usize> Default for Block<N> {
             gradient: [0.0; N],
             waiting: [[0.0; N]; BATCH],
             residuals: [0.0; BATCH],
+            weights: [0.0; BATCH],
             count: 0,
             used: false,
         }
@@ -193,134 +269,121 @@ impl<const N: usize> Default for Block<N> {
 }
 
 impl<const N: usize> Block<N> {
-    fn add(&mut self, row: &[f32; N], residual: f32, root_weight: f32) {
-        self.waiting[self.count] = row.map(|v| v * root_weight);
-        self.residuals[self.count] = residual * root_weight;
-        self.count += 1;
+    /// Adds what `columns` takes of each row.
+    fn add<'a>(&mut self, samples: impl Iterator<Item = Weighed<'a>>, columns: impl Fn(&Row, &mut [f32; N])) {
         self.used = true;
-        if self.count == BATCH {
-            self.flush();
+        for (row, residual, weight) in samples {
+            columns(row, &mut self.waiting[self.count]);
+            (self.residuals[self.count], self.weights[self.count]) = (residual, weight);
+            self.count += 1;
+            if self.count == BATCH {
+                self.flush();
+            }
         }
     }
 
     fn flush(&mut self) {
-        self.waiting[self.count..].fill([0.0; N]);
-        self.residuals[self.count..].fill(0.0);
+        self.weights[self.count..].fill(0.0);
         self.count = 0;
-        let [a, b, c, d] = &self.waiting;
-        let [ra, rb, rc, rd] = self.residuals;
-        for i in 0..N {
-            let (ai, bi, ci, di) = (a[i], b[i], c[i], d[i]);
-            self.gradient[i] += ai * ra + bi * rb + ci * rc + di * rd;
-            // From the diagonal on, in whole vectors.
-            let sums = &mut self.hessian[i];
-            for j in (i & !3)..N {
-                sums[j] += ai * a[j] + bi * b[j] + ci * c[j] + di * d[j];
-            }
-        }
+        accumulate(&mut self.hessian, &mut self.gradient, &self.waiting, &self.residuals, &self.weights);
+    }
+
+    fn clear(&mut self) {
+        (self.hessian, self.gradient, self.used) = ([[0.0; N]; N], [0.0; N], false);
     }
 }
 
-/// Sums of the samples between two knots: before and behind the ring that is nearest to them, and at it.
+/// Adds the products of the rows with each other and with the residuals.
+#[multiversion(targets("x86_64+avx2"))]
+fn accumulate<const N: usize>(
+    hessian: &mut [[f32; N]; N],
+    gradient: &mut [f32; N],
+    rows: &[[f32; N]; BATCH],
+    residuals: &[f32; BATCH],
+    weights: &[f32; BATCH],
+) {
+    let mut weighed = *rows;
+    for r in 0..BATCH {
+        for i in 0..N {
+            weighed[r][i] *= weights[r];
+        }
+    }
+    // Plain loops, which the compiler makes vectors of wherever it inlines. A whole square: the half that is not needed
+    // costs less than loops of different lengths.
+    let [a, b, c, d, e, f, g, h] = rows;
+    let [wa, wb, wc, wd, we, wf, wg, wh] = &weighed;
+    let [ra, rb, rc, rd, re, rf, rg, rh] = residuals;
+    for i in 0..N {
+        let (pa, pb, pc, pd) = (wa[i], wb[i], wc[i], wd[i]);
+        let (pe, pf, pg, ph) = (we[i], wf[i], wg[i], wh[i]);
+        let sums = &mut hessian[i];
+        for j in 0..N {
+            let first = pa * a[j] + pb * b[j] + pc * c[j] + pd * d[j];
+            sums[j] += first + pe * e[j] + pf * f[j] + pg * g[j] + ph * h[j];
+        }
+        gradient[i] += pa * ra + pb * rb + pc * rc + pd * rd + pe * re + pf * rf + pg * rg + ph * rh;
+    }
+}
+
+/// Sums of a view's samples: of the background, and in each span before and behind the ring that is nearest to them,
+/// and at it.
 #[derive(Default)]
-pub(crate) struct Bin {
-    ring: usize,
+pub(crate) struct Sums {
+    background: Block<OUTSIDE>,
+    spans: Vec<SpanSums>,
+}
+
+#[derive(Default)]
+struct SpanSums {
     plain: [Block<PLAIN>; 2],
     at_ring: Block<ROW>,
 }
 
-impl Bin {
-    fn empty_into(&mut self, normal: &mut Normal, image: &TubeImage, at: usize, layout: &Layout) {
-        let moves = moves(image, at);
-        let colours = |ring: usize, end: usize| (0..end).filter_map(move |i| Some((i, colour(i, ring, layout)?)));
-        if self.at_ring.used {
-            normal.take(&mut self.at_ring, MOVES, &moves, colours(self.ring, ROW));
-        }
-        for (side, block) in self.plain.iter_mut().enumerate().filter(|(_, block)| block.used) {
-            let moves = moves.fixed_columns::<{ PLAIN_MOVES.len() }>(0).into_owned();
-            normal.take(block, PLAIN_MOVES, &moves, colours(self.ring + side, ROW_BEHIND));
-        }
-    }
-}
-
-/// Where a sample's row belongs.
-#[derive(Debug, Clone, Copy, Default)]
-pub(crate) struct Slot {
-    /// The knot before it.
-    pub bin: usize,
-    /// The nearest ring, and what of the tube is seen.
-    pub ring: usize,
-    pub seen: u8,
-}
-
-/// Collects the normal equations of a view.
-pub(crate) struct Collector<'a> {
-    image: &'a TubeImage,
-    layout: &'a Layout,
-    bins: &'a mut [Bin],
-    normal: Normal,
-}
-
-impl<'a> Collector<'a> {
-    /// `bins` is scratch memory.
-    pub(crate) fn new(image: &'a TubeImage, layout: &'a Layout, bins: &'a mut Vec<Bin>) -> Self {
-        bins.resize_with(image.knots.len() - 1, Bin::default);
-        for (at, bin) in bins.iter_mut().enumerate() {
-            bin.ring = layout.nearest_ring(image.first_m + (at as f64 + 0.5) * image.spacing_m);
-        }
-        Self { image, layout, bins, normal: Normal::zeros(layout.colours()) }
+impl Sums {
+    /// For so many spans.
+    pub(crate) fn new(spans: usize) -> Self {
+        let mut sums = Self::default();
+        sums.spans.resize_with(spans, SpanSums::default);
+        sums
     }
 
-    /// Adds a sample's row, residual and weight.
-    pub(crate) fn add(&mut self, slot: Slot, row: &Row, residual: f64, weight: f64) {
-        if slot.seen == 0 {
-            return self.add_background(row, residual, weight);
+    /// Adds samples of a span that see the same of the tube.
+    pub(crate) fn add<'a>(&mut self, span: usize, seen: Seen, samples: impl Iterator<Item = Weighed<'a>>) {
+        let Some(SpanSums { plain, at_ring }) = self.spans.get_mut(span) else { return };
+        match seen {
+            Seen::Nothing => self.background.add(samples, |row, outside| {
+                outside[..ROW_SHADING - ROW_BACKGROUND].copy_from_slice(&row[ROW_BACKGROUND..ROW_SHADING]);
+            }),
+            Seen::Before => plain[0].add(samples, |row, plain| plain.copy_from_slice(&row[..PLAIN])),
+            Seen::Behind => plain[1].add(samples, |row, plain| {
+                plain[..ROW_BEFORE].copy_from_slice(&row[..ROW_BEFORE]);
+                plain[ROW_BEFORE..].copy_from_slice(&row[ROW_BEHIND..ROW_CAP]);
+            }),
+            Seen::Ring => at_ring.add(samples, |row, all| *all = *row),
         }
-        let (residual, root) = (residual as f32, weight.sqrt() as f32);
-        let bin = &mut self.bins[slot.bin];
-        if slot.seen == RING {
-            if slot.ring == bin.ring {
-                bin.at_ring.add(row, residual, root);
-            } else {
-                // Rings so close to each other that one bin has samples of two.
-                let mut alone = Bin { ring: slot.ring, ..Bin::default() };
-                alone.at_ring.add(row, residual, root);
-                alone.empty_into(&mut self.normal, self.image, slot.bin, self.layout);
+    }
+
+    /// The sums of all parameters; the cost and squares are the caller's to add. They are left empty.
+    pub(crate) fn take<'a>(
+        &mut self,
+        spans: impl Iterator<Item = &'a Span>,
+        image: &TubeImage,
+        layout: &Layout,
+    ) -> Normal {
+        let mut normal = Normal::zeros(layout.colours());
+        for (SpanSums { plain, at_ring }, span) in self.spans.iter_mut().zip(spans) {
+            let moves = moves(image, span.knot);
+            let colours = |ring: usize, end: usize| (0..end).filter_map(move |i| Some((i, colour(i, ring, layout)?)));
+            if at_ring.used {
+                normal.take(at_ring, MOVES, &moves, colours(span.ring, ROW));
             }
-            return;
-        }
-        let (segment, colour) = if slot.seen == BEFORE { (slot.ring, ROW_BEFORE) } else { (slot.ring + 1, ROW_BEHIND) };
-        let mut plain = [0.0; PLAIN];
-        plain[..ROW_BEFORE].copy_from_slice(&row[..ROW_BEFORE]);
-        plain[ROW_BEFORE..ROW_BEHIND].copy_from_slice(&row[colour..colour + PER_SEGMENT]);
-        match segment.checked_sub(bin.ring) {
-            Some(side @ (0 | 1)) => bin.plain[side].add(&plain, residual, root),
-            _ => {
-                let mut alone = Bin { ring: segment, ..Bin::default() };
-                alone.plain[0].add(&plain, residual, root);
-                alone.empty_into(&mut self.normal, self.image, slot.bin, self.layout);
+            for (side, block) in plain.iter_mut().enumerate().filter(|(_, block)| block.used) {
+                normal.take(block, PLAIN_MOVES, &moves, colours(span.ring + side, ROW_BEHIND));
             }
         }
-    }
-
-    /// A background sample touches but a few parameters.
-    fn add_background(&mut self, row: &Row, residual: f64, weight: f64) {
-        const PARTS: usize = SHADING - BACKGROUND;
-        let row: [f64; PARTS] = std::array::from_fn(|i| f64::from(row[ROW_BACKGROUND + i]));
-        for i in 0..PARTS {
-            let wi = weight * row[i];
-            self.normal.colour_gradient[BACKGROUND + i] += wi * residual;
-            for (j, value) in row.iter().enumerate().take(i + 1) {
-                self.normal.colours[(BACKGROUND + i, BACKGROUND + j)] += wi * value;
-            }
-        }
-    }
-
-    /// All of it; the cost and squares are the caller's to add.
-    pub(crate) fn finish(self) -> Normal {
-        let Self { image, layout, bins, mut normal } = self;
-        for (at, bin) in bins.iter_mut().enumerate() {
-            bin.empty_into(&mut normal, image, at, layout);
+        if self.background.used {
+            let colours = (ROW_BACKGROUND..ROW_SHADING).filter_map(|i| colour(i, 0, layout)).enumerate();
+            normal.take(&mut self.background, [], &Default::default(), colours);
         }
         normal
     }

@@ -8,7 +8,8 @@ use crate::source::{Picture, Plane, Window};
 use crate::track::appearance::{BACKGROUND, CAP, FIXED, Layout, PER_SEGMENT};
 use crate::track::light::Encoding;
 use crate::track::no_fit::NoFit;
-use crate::track::tube_image::{Foot, TubeImage};
+use crate::track::normal::Span;
+use crate::track::tube_image::TubeImage;
 use nalgebra::{Point2, Vector2, Vector3};
 use std::ops::Range;
 
@@ -22,6 +23,9 @@ const CELL_PX: usize = 4;
 /// Samples whose distance from the tube's outline is below this are "near": they carry the tube's own grain and most of
 /// the coding error.
 const NEAR_PX: f64 = 1.0;
+
+/// Further from the outline, or from a ring, only one colour is seen. It decides about the order of work alone.
+const OUT_OF_SIGHT_PX: f64 = 2.5;
 
 /// Which pixels are taken.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -47,50 +51,73 @@ impl Density {
 }
 
 /// A pixel that the model is evaluated at.
+#[derive(Debug, Clone, Copy)]
 pub(crate) struct Pixel {
-    pub place: Point2<f64>,
-    /// The nearest point of the axis, when last evaluated.
-    pub foot: Foot,
-    /// The knot before it, when selected.
-    pub bin: usize,
-    /// Its square among those that share errors.
-    pub cell: usize,
+    /// Relative to the patch's middle.
+    pub x: f32,
+    pub y: f32,
+    /// The nearest point of the axis when last evaluated, as the fraction of the way between its span's knots.
+    pub f: f32,
+    /// Signed distance from the axis when selected, pixels.
+    u: f32,
+    /// Its cell among those that share errors.
+    pub cell: u32,
     near: bool,
+}
+
+impl Pixel {
+    /// For tests: a pixel relative to the middle, near the tube.
+    #[cfg(test)]
+    pub(crate) fn at(place: Vector2<f64>, f: f32) -> Self {
+        Self { x: place.x as f32, y: place.y as f32, f, u: 0.0, cell: 0, near: true }
+    }
+
+    /// 0 near the tube, 1 in the background.
+    pub(crate) fn class(&self) -> u8 {
+        u8::from(!self.near)
+    }
+}
+
+/// Pixels that lie between the same two knots, next to the same ring.
+pub(crate) struct Strip {
+    pub span: Span,
+    pub pixels: Range<usize>,
 }
 
 /// A place where channels are stored.
 pub(crate) struct Sample {
     /// Stored values, one a channel of the group.
-    pub values: [f64; 3],
+    pub values: [f32; 3],
     /// Index of the pixel, or of the middle one of its neighbourhood.
-    pub pixel: usize,
+    pub pixel: u32,
     /// Where its neighbourhood starts in the group's list.
-    pub first_tap: usize,
-    /// 0 near the tube, 1 in the background.
-    pub class: usize,
+    first_tap: u32,
 }
 
 /// A stored channel: number, weights of R'G'B', constant.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Channel {
-    pub number: usize,
+    pub number: u8,
     pub weights: [f32; 3],
-    pub constant: f64,
+    pub constant: f32,
 }
 
 /// Channels sampled at the same places: Y; U and V; R, G and B.
 pub(crate) struct Group {
     pub channels: Vec<Channel>,
+    /// In the order of the pixels where it is whole.
     pub samples: Vec<Sample>,
-    /// Pixels (indices) and weights of the samples' neighbourhoods, one after the other.
-    pub taps: Vec<(u32, f32)>,
+    /// Each pixel has its own sample.
+    pub whole: bool,
+    /// Pixels (indices) and weights of the samples' neighbourhoods, one after the other; none where it is whole.
+    taps: Vec<(u32, f32)>,
 }
 
 impl Group {
     /// A sample's neighbourhood; the next sample's starts where it ends.
     pub(crate) fn taps(&self, sample: usize) -> &[(u32, f32)] {
-        let end = self.samples.get(sample + 1).map_or(self.taps.len(), |next| next.first_tap);
-        &self.taps[self.samples[sample].first_tap..end]
+        let end = self.samples.get(sample + 1).map_or(self.taps.len(), |next| next.first_tap as usize);
+        &self.taps[self.samples[sample].first_tap as usize..end]
     }
 }
 
@@ -98,10 +125,14 @@ impl Group {
 pub(crate) struct Patch {
     pub middle: Vector2<f64>,
     pub window: Window,
+    /// Ordered by strips, and within each by what of the tube they see.
     pub pixels: Vec<Pixel>,
+    pub strips: Vec<Strip>,
     pub groups: Vec<Group>,
+    /// Parts of squares that share errors, each within one strip: strip and square.
+    pub cells: Vec<(usize, usize)>,
     /// How many squares there are.
-    pub cells: usize,
+    pub squares: usize,
 }
 
 /// The rectangle that holds a patch, and which of its pixels are taken.
@@ -155,6 +186,82 @@ impl Field {
     }
 }
 
+/// A pixel that is taken.
+struct Place {
+    pixel: Point2<f64>,
+    column: usize,
+    row: usize,
+    /// Nearest point of the axis as a knot coordinate, and signed distance from it, pixels.
+    knot: f64,
+    u: f64,
+    /// Distance from the tube's outline, negative on the tube, pixels.
+    outside: f64,
+}
+
+impl Field {
+    /// The pixels within the margin of the tube between two knot coordinates.
+    fn places(&self, image: &TubeImage, range: (f64, f64), density: Density) -> Vec<Place> {
+        let mut places = Vec::with_capacity(self.index.len() / 2);
+        let reach = image.greatest_half_width() + MARGIN_PX + image.sagitta();
+        for row in 0..self.height {
+            let y = self.corner[1] + row as i64;
+            // One step from the neighbour's foot is enough.
+            let mut left = None;
+            for column in self.columns(image.strip(y as f64, reach)) {
+                let x = self.corner[0] + column as i64;
+                if density.phase(x, y) != 0 {
+                    continue;
+                }
+                let pixel = Point2::new(x as f64, y as f64);
+                let foot = match left {
+                    Some(knot) => image.foot(&pixel, knot, 1),
+                    None => image.foot(&pixel, image.chord_foot(&pixel).0, 3),
+                };
+                left = Some(foot.knot);
+                let outside = foot.u.abs() - image.half_width(foot.knot);
+                if foot.knot >= range.0 && foot.knot <= range.1 && outside <= MARGIN_PX {
+                    places.push(Place { pixel, column, row, knot: foot.knot, u: foot.u, outside });
+                }
+            }
+        }
+        places
+    }
+}
+
+/// The spans of a tube's image.
+struct Spans<'a> {
+    image: &'a TubeImage,
+    layout: &'a Layout,
+    /// Along the tube.
+    list: Vec<Span>,
+    /// Behind each knot: index of its first span, and the last one's.
+    behind: Vec<(usize, usize)>,
+}
+
+impl<'a> Spans<'a> {
+    fn new(image: &'a TubeImage, layout: &'a Layout) -> Self {
+        let mut list = Vec::new();
+        let behind = image.knots.windows(2).enumerate().map(|(knot, pair)| {
+            let first = list.len();
+            let rings = layout.nearest_ring(pair[0].arc_m)..=layout.nearest_ring(pair[1].arc_m);
+            list.extend(rings.map(|ring| Span { knot, ring }));
+            (first, list.len() - 1)
+        });
+        let behind = behind.collect();
+        Self { image, layout, list, behind }
+    }
+
+    /// Which one a place on the tube is in, and how many pixels beyond its ring.
+    fn of(&self, place: &Place) -> (usize, f64) {
+        let knot = (place.knot.max(0.0) as usize).min(self.behind.len() - 1);
+        let (first, last) = self.behind[knot];
+        let arc_m = self.image.arc_m(place.knot);
+        let strip = (first + self.layout.nearest_ring(arc_m).saturating_sub(self.list[first].ring)).min(last);
+        let from_ring_m = arc_m - self.layout.rings_m[self.list[strip].ring];
+        (strip, from_ring_m * self.image.knots[knot].scale)
+    }
+}
+
 /// Which pixels around a subsampled channel's sample it is made of: offsets and weights, the middle pixel first. One
 /// list for each phase that the sample may have in the pattern of the pixels that are taken.
 fn neighbourhoods(plane: &Plane<'_>, chroma_offset_px: [f64; 2], density: Density) -> Vec<Vec<(i64, i64, f32)>> {
@@ -180,6 +287,16 @@ fn neighbourhoods(plane: &Plane<'_>, chroma_offset_px: [f64; 2], density: Densit
 }
 
 impl Patch {
+    /// Index of the strip that a pixel is in.
+    pub(crate) fn strip_of(&self, pixel: &Pixel) -> usize {
+        self.cells[pixel.cell as usize].0
+    }
+
+    /// The ring that a strip is nearest to.
+    pub(crate) fn ring(&self, strip: usize) -> usize {
+        self.strips[strip].span.ring
+    }
+
     /// Selects the samples beside the tube and on it between the arc lengths `range_m`.
     ///
     /// # Errors
@@ -187,6 +304,7 @@ impl Patch {
     pub(crate) fn select(
         picture: &Picture,
         image: &TubeImage,
+        layout: &Layout,
         range_m: (f64, f64),
         chroma_offset_px: [f64; 2],
         density: Density,
@@ -195,40 +313,17 @@ impl Patch {
         let (mut field, middle) = Field::around(image, range, picture.size_px()).ok_or(NoFit::OutOfPicture)?;
         let window = field.window();
         picture.look_at(window).map_err(|_| NoFit::NotRecorded)?;
-        let across = field.width / CELL_PX + 1;
-        let cells = across * (field.height / CELL_PX + 1);
-        let pixels = Vec::with_capacity(field.index.len() / 2);
-        let mut patch = Self { middle, window, pixels, groups: Vec::new(), cells };
-        let reach = image.greatest_half_width() + MARGIN_PX + image.sagitta();
-        let last_bin = image.knots.len() - 2;
-        for j in 0..field.height {
-            let y = field.corner[1] + j as i64;
-            // One step from the neighbour's foot is enough.
-            let mut left = None;
-            for i in field.columns(image.strip(y as f64, reach)) {
-                let x = field.corner[0] + i as i64;
-                if density.phase(x, y) != 0 {
-                    continue;
-                }
-                let place = Point2::new(x as f64, y as f64);
-                let foot = match left {
-                    Some(knot) => image.foot(&place, knot, 1),
-                    None => image.foot(&place, image.chord_foot(&place).0, 3),
-                };
-                left = Some(foot.knot);
-                let outside = foot.u.abs() - image.local(foot.knot).half_width;
-                if foot.knot >= range.0 && foot.knot <= range.1 && outside <= MARGIN_PX {
-                    field.index[j * field.width + i] = Some(patch.pixels.len() as u32);
-                    patch.pixels.push(Pixel {
-                        place,
-                        foot,
-                        bin: (foot.knot.max(0.0) as usize).min(last_bin),
-                        cell: j / CELL_PX * across + i / CELL_PX,
-                        near: outside <= NEAR_PX,
-                    });
-                }
-            }
-        }
+        let places = field.places(image, range, density);
+        let mut patch = Self {
+            middle,
+            window,
+            pixels: Vec::new(),
+            strips: Vec::new(),
+            groups: Vec::new(),
+            cells: Vec::new(),
+            squares: 0,
+        };
+        patch.order(&places, &Spans::new(image, layout), &mut field);
         let channels: Vec<usize> = (0..picture.format().channels()).collect();
         // Channels of one sampling make a group.
         let scale = |c: &usize| picture.plane(*c).map(|plane| plane.scale);
@@ -237,6 +332,68 @@ impl Patch {
             added.ok_or(NoFit::OutOfPicture)?;
         }
         Ok(patch)
+    }
+
+    /// Takes pixels strip by strip, within each in the order of what they see, and numbers them in the field.
+    fn order(&mut self, places: &[Place], spans: &Spans<'_>, field: &mut Field) {
+        let across = field.width / CELL_PX + 1;
+        self.squares = across * (field.height / CELL_PX + 1);
+        // Nothing of the tube; the segment before the ring; the ring; the segment behind it.
+        const SIGHTS: usize = 4;
+        let sight = |place: &Place, from_ring: f64| {
+            if place.outside > OUT_OF_SIGHT_PX {
+                0
+            } else if from_ring.abs() < OUT_OF_SIGHT_PX {
+                2
+            } else {
+                if from_ring < 0.0 { 1 } else { 3 }
+            }
+        };
+        // Counted, then placed: their order within each is that of the picture.
+        let keys: Vec<usize> = places
+            .iter()
+            .map(|place| {
+                let (strip, from_ring) = spans.of(place);
+                strip * SIGHTS + sight(place, from_ring)
+            })
+            .collect();
+        let mut ends = vec![0; spans.list.len() * SIGHTS];
+        keys.iter().for_each(|key| ends[*key] += 1);
+        let mut end = 0;
+        for count in &mut ends {
+            end += *count;
+            *count = end - *count;
+        }
+        let mut order = vec![0; places.len()];
+        for (i, key) in keys.iter().enumerate() {
+            order[ends[*key]] = i;
+            ends[*key] += 1;
+        }
+        self.pixels.reserve_exact(places.len());
+        let mut last_in = vec![0; self.squares];
+        for (span, ends) in spans.list.iter().zip(ends.chunks(SIGHTS)) {
+            let (first, first_cell) = (self.pixels.len(), self.cells.len());
+            for place in order[first..ends[SIGHTS - 1]].iter().map(|i| &places[*i]) {
+                let square = place.row / CELL_PX * across + place.column / CELL_PX;
+                let cell = &mut last_in[square];
+                if *cell < first_cell || self.cells.get(*cell).is_none_or(|cell| cell.1 != square) {
+                    *cell = self.cells.len();
+                    self.cells.push((self.strips.len(), square));
+                }
+                field.index[place.row * field.width + place.column] = Some(self.pixels.len() as u32);
+                self.pixels.push(Pixel {
+                    x: (place.pixel.x - self.middle.x) as f32,
+                    y: (place.pixel.y - self.middle.y) as f32,
+                    f: (place.knot - span.knot as f64) as f32,
+                    u: place.u as f32,
+                    cell: *cell as u32,
+                    near: place.outside <= NEAR_PX,
+                });
+            }
+            if self.pixels.len() > first {
+                self.strips.push(Strip { span: *span, pixels: first..self.pixels.len() });
+            }
+        }
     }
 
     fn add_group(
@@ -251,51 +408,55 @@ impl Patch {
         let plane = planes.first()?;
         let channel = |&number: &usize| {
             let (weights, constant) = picture.colour().channel_from_rgb(picture.format(), number);
-            Channel { number, weights: weights.map(|w| w as f32), constant }
+            Channel { number: number as u8, weights: weights.map(|w| w as f32), constant: constant as f32 }
         };
         let channels = channels.iter().map(channel).collect();
         // Stored values in a column and row of the planes.
         let stored = |column: usize, row: usize| {
             let mut values = [0.0; 3];
             for (value, plane) in values.iter_mut().zip(&planes) {
-                *value = f64::from(*plane.row(row)?.get(column * plane.step)?);
+                *value = f32::from(*plane.row(row)?.get(column * plane.step)?);
             }
             Some(values)
         };
         let mut samples = Vec::with_capacity(self.pixels.len());
-        let mut taps = Vec::with_capacity(self.pixels.len());
-        let mut add = |values: [f64; 3], neighbourhood: &mut dyn Iterator<Item = (u32, f32)>| {
-            let first_tap = taps.len();
-            taps.extend(neighbourhood);
-            let pixel = taps[first_tap].0 as usize;
-            samples.push(Sample { values, pixel, first_tap, class: usize::from(!self.pixels[pixel].near) });
-        };
-        if plane.scale == [1, 1] {
-            for (i, pixel) in self.pixels.iter().enumerate() {
-                if let Some(values) = stored(pixel.place.x as usize, pixel.place.y as usize) {
-                    add(values, &mut std::iter::once((i as u32, 1.0)));
-                }
+        let mut around = Vec::new();
+        let whole = plane.scale == [1, 1];
+        if whole {
+            for pixel in &self.pixels {
+                let place = |relative: f32, middle: f64| (f64::from(relative) + middle + 0.5) as usize;
+                let values = stored(place(pixel.x, self.middle.x), place(pixel.y, self.middle.y))?;
+                samples.push(Sample { values, pixel: samples.len() as u32, first_tap: 0 });
             }
         } else {
             let neighbourhoods = neighbourhoods(plane, chroma_offset_px, density);
             let [sx, sy] = plane.scale.map(i64::from);
             let [x0, y0] = field.corner;
-            for j in (y0 / sy)..=((y0 + field.height as i64 - 1) / sy) {
-                for i in (x0 / sx)..=((x0 + field.width as i64 - 1) / sx) {
-                    let taps = &neighbourhoods[density.phase(i * sx, j * sy)];
-                    let tap = |&(dx, dy, weight): &(i64, i64, f32)| {
-                        Some((field.at(i * sx - x0 + dx, j * sy - y0 + dy)?, weight))
-                    };
-                    if taps.is_empty() || !taps.iter().all(|place| tap(place).is_some()) {
-                        continue;
-                    }
-                    if let Some(values) = stored(i as usize, j as usize) {
-                        add(values, &mut taps.iter().filter_map(tap));
-                    }
+            let taps = |i: i64, j: i64| {
+                let tap = move |&(dx, dy, weight): &(i64, i64, f32)| {
+                    Some((field.at(i * sx - x0 + dx, j * sy - y0 + dy)?, weight))
+                };
+                neighbourhoods[density.phase(i * sx, j * sy)].iter().map(tap)
+            };
+            let rows = (y0 / sy)..=((y0 + field.height as i64 - 1) / sy);
+            let places = rows.flat_map(|j| {
+                let columns = (x0 / sx)..=((x0 + field.width as i64 - 1) / sx);
+                columns.map(move |i| (i, j))
+            });
+            // In the order of the pixels in their middles.
+            let mut places: Vec<_> = places
+                .filter_map(|(i, j)| Some((taps(i, j).next()??.0, i, j)))
+                .filter(|&(_, i, j)| taps(i, j).all(|tap| tap.is_some()))
+                .collect();
+            places.sort_unstable();
+            for (pixel, i, j) in places {
+                if let Some(values) = stored(i as usize, j as usize) {
+                    samples.push(Sample { values, pixel, first_tap: around.len() as u32 });
+                    around.extend(taps(i, j).flatten());
                 }
             }
         }
-        self.groups.push(Group { channels, samples, taps });
+        self.groups.push(Group { channels, samples, whole, taps: around });
         Some(())
     }
 
@@ -311,25 +472,25 @@ impl Patch {
         let mut sums = vec![[(0.0, 0_usize); 3]; segments + 1];
         for group in &self.groups {
             for sample in &group.samples {
-                let pixel = &self.pixels[sample.pixel];
-                let foot = pixel.foot;
-                let local = image.local(foot.knot);
-                let s = image.first_m + foot.knot * image.spacing_m;
-                let from = |ring: &f64| (s - ring) * local.scale;
+                let pixel = &self.pixels[sample.pixel as usize];
+                let knot = self.strips[self.strip_of(pixel)].span.knot as f64 + f64::from(pixel.f);
+                let (u, half_width) = (f64::from(pixel.u).abs(), image.half_width(knot));
+                let s = image.arc_m(knot);
+                let scale = image.scale(knot);
+                let from = |ring: &f64| (s - ring) * scale;
                 let ends_before = layout.ends && layout.rings_m.last().is_some_and(|end| from(end) > 2.0);
-                let class = if foot.u.abs() > local.half_width + 1.5 || ends_before {
+                let class = if u > half_width + 1.5 || ends_before {
                     segments
-                } else if foot.u.abs() < (local.half_width - 1.0).max(0.5)
-                    && layout.rings_m.iter().all(|ring| from(ring).abs() > 1.5)
-                {
+                } else if u < (half_width - 1.0).max(0.5) && layout.rings_m.iter().all(|ring| from(ring).abs() > 1.5) {
                     layout.rings_m.iter().filter(|ring| from(ring) > 0.0).count()
                 } else {
                     continue;
                 };
                 if let Some(sum) = sums.get_mut(class) {
                     for (channel, value) in group.channels.iter().zip(sample.values) {
-                        sum[channel.number].0 += value;
-                        sum[channel.number].1 += 1;
+                        let (total, count) = &mut sum[usize::from(channel.number)];
+                        *total += f64::from(value);
+                        *count += 1;
                     }
                 }
             }

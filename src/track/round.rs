@@ -18,6 +18,8 @@ const KNOT_M: f64 = 3e-3;
 /// Prior σ of the shape's parameters: centre and tangent are free; of the curvature's derivatives, 1/m² and 1/m³. It
 /// reaches 15 /m, half a right angle over 5 cm, within a centimetre.
 const BEND_SD: [f64; BENDS] = [1500.0, 3e5];
+/// Over so short a way derivatives hardly change: a tenth of the blur, pixels (RMS along the stretch).
+const CLOSE_PX: f64 = 0.05;
 /// Most need three; a wide tube whose start is some pixels off needs thirty.
 const MAX_EVALUATIONS: usize = 40;
 /// Levenberg's damping: at the start, and the least: lower ones make no difference to a step, but take long to come
@@ -58,6 +60,8 @@ pub(crate) struct Minimum {
 }
 
 impl Guess {
+    /// `nearby` are images of the same stretch that may be much like its own; there need not be any.
+    ///
     /// # Errors
     /// When a part of it cannot be seen.
     pub(crate) fn new(
@@ -66,11 +70,14 @@ impl Guess {
         shape: TubeShape,
         colours: Vec<Vec<f64>>,
         sweep: Option<&Sweep>,
+        nearby: &[TubeImage],
     ) -> Result<Self, NoFit> {
         // Pixels beside the ends need an axis a little longer than the samples' range.
         let range = (stretch.range_m.0 - KNOT_M, stretch.range_m.1 + KNOT_M);
-        let image = |path: &&OpticalPath| TubeImage::of(&shape, stretch.radius_m, path, range, KNOT_M, sweep);
-        let images = paths.iter().map(image).collect::<Result<_, _>>().map_err(|_| NoFit::OutOfPicture)?;
+        let image = |(i, path): (usize, &&OpticalPath)| {
+            TubeImage::of(&shape, stretch.radius_m, path, range, KNOT_M, sweep, nearby.get(i))
+        };
+        let images = paths.iter().enumerate().map(image).collect::<Result<_, _>>().map_err(|_| NoFit::OutOfPicture)?;
         Ok(Self { shape, colours, images })
     }
 }
@@ -88,7 +95,7 @@ pub(crate) fn shape_prior() -> SMatrix<f64, SHAPE, SHAPE> {
 impl Round<'_> {
     /// Goes on until a step promises to lower the cost (a χ²) by less than `enough`. That one is taken untried.
     pub(crate) fn minimise(&mut self, start: Guess, enough: f64) -> Result<Minimum, NoFit> {
-        let mut state = self.evaluate(start);
+        let mut state = self.evaluate(start, None);
         let mut damping = DAMPING;
         let mut rejected = false;
         for _ in 0..MAX_EVALUATIONS {
@@ -97,11 +104,13 @@ impl Round<'_> {
             if step.promise < enough {
                 // The comparisons must be those of the state that is returned.
                 if rejected {
-                    state = self.evaluate(state.guess);
+                    state = self.evaluate(state.guess, None);
                 }
                 return Ok(Minimum { state, step, end: next? });
             }
-            match next.map(|guess| self.evaluate(guess)) {
+            // After a step that was rejected the comparisons' derivatives may be those of where it led.
+            let before = (!rejected).then_some(&state);
+            match next.map(|guess| self.evaluate(guess, before)) {
                 Ok(next) if next.equations.cost <= state.equations.cost => {
                     state = next;
                     damping = (damping * 0.1).max(LEAST_DAMPING);
@@ -121,15 +130,24 @@ impl Round<'_> {
             colours.iter().zip(step.iter()).map(|(colour, step)| colour + step).collect()
         };
         let colours = guess.colours.iter().zip(&step.colours).map(add).collect();
-        Guess::new(self.stretch, self.paths, guess.shape.moved(&step.shape), colours, self.sweep)
+        Guess::new(self.stretch, self.paths, guess.shape.moved(&step.shape), colours, self.sweep, &guess.images)
     }
 
-    /// Compares all views, and adds the prior of the shape.
-    fn evaluate(&mut self, guess: Guess) -> State {
+    /// Compares all views, and adds the prior of the shape. Close to the state `before`, which was evaluated last, the
+    /// derivatives are its.
+    fn evaluate(&mut self, guess: Guess, before: Option<&State>) -> State {
         let Self { stretch, picture, model, .. } = *self;
-        let seen = self.views.par_iter_mut().zip(&guess.images).zip(&guess.colours);
+        let close = |before: &&State| {
+            let moved = guess.images.iter().zip(&before.guess.images).map(|(a, b)| a.distance(b));
+            moved.fold(0.0, f64::max) < CLOSE_PX
+        };
+        let before = before.filter(close).map(|before| &before.equations.views);
+        let seen = self.views.par_iter_mut().zip(&guess.images).zip(&guess.colours).enumerate();
         let views: Vec<_> = seen
-            .map(|((view, image), colours)| view.compare(image, colours, &stretch.layout, picture, model))
+            .map(|(i, ((view, image), colours))| {
+                let before = before.and_then(|normals| normals.get(i));
+                view.compare(image, colours, &stretch.layout, picture, model, before)
+            })
             .collect();
         let prior = shape_prior();
         let offset = guess.shape.bends();

@@ -22,9 +22,8 @@ use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 /// What one view says of the slips of its bands.
 pub(crate) struct Slips {
     bands: Vec<[Slip; 2]>,
-    /// Sums that wait for their map: of which band, and the rows in both directions.
-    band: usize,
-    waiting: Option<[[f32; ROW]; 2]>,
+    /// Of each strip, sums that wait for their map: of which band, and the rows in both directions.
+    waiting: Vec<Option<(usize, [[f32; ROW]; 2])>>,
     pub seen: Seen,
     /// Covariance of the shape for a variance of one square pixel.
     pub covariance: SMatrix<f64, SHAPE, SHAPE>,
@@ -89,21 +88,19 @@ impl Seen {
 }
 
 impl Slips {
-    pub(crate) fn new(layout: &Layout) -> Self {
+    pub(crate) fn new(layout: &Layout, strips: usize) -> Self {
         Self {
             bands: vec![<[Slip; 2]>::default(); layout.rings_m.len().div_ceil(2)],
-            band: 0,
-            waiting: None,
+            waiting: vec![None; strips],
             seen: Seen::default(),
             covariance: SMatrix::zeros(),
         }
     }
 
-    /// Adds a chroma sample that is nearest to `ring`.
-    pub(crate) fn add(&mut self, ring: usize, row: &Row, residual: f32, weight: f32) {
-        self.band = ring / 2;
-        let Some(band) = self.bands.get_mut(self.band) else { return };
-        let rows = self.waiting.get_or_insert([[0.0; ROW]; 2]);
+    /// Adds a chroma sample of a strip that is nearest to `ring`.
+    pub(crate) fn add(&mut self, (strip, ring): (usize, usize), row: &Row, residual: f32, weight: f32) {
+        let Some(band) = self.bands.get_mut(ring / 2) else { return };
+        let (_, rows) = self.waiting[strip].get_or_insert((ring / 2, [[0.0; ROW]; 2]));
         for ((slip, sum), by) in band.iter_mut().zip(rows).zip(shifted(row)) {
             slip.pull += f64::from(weight * residual * by);
             slip.information += f64::from(weight * by * by);
@@ -111,10 +108,10 @@ impl Slips {
         }
     }
 
-    /// Takes what was added since to the shape.
-    pub(crate) fn map(&mut self, map: &SMatrix<f64, SHAPE, ROW>) {
-        let Some(rows) = self.waiting.take() else { return };
-        for (slip, row) in self.bands[self.band].iter_mut().zip(rows) {
+    /// Takes what was added of a strip to the shape.
+    pub(crate) fn map(&mut self, strip: usize, map: &SMatrix<f64, SHAPE, ROW>) {
+        let Some((band, rows)) = self.waiting[strip].take() else { return };
+        for (slip, row) in self.bands[band].iter_mut().zip(rows) {
             slip.response += map * SVector::from(row.map(f64::from));
         }
     }

@@ -2,7 +2,7 @@
 //!
 //! Between knots the axis is a cubic (Hermite); widths and derivatives change linearly.
 
-use crate::optics::{NoRay, OpticalPath};
+use crate::optics::{NoRay, OpticalPath, Projection};
 use crate::track::tube::{SHAPE, ShapeStep, TubeShape};
 use nalgebra::{Matrix2x3, Point2, Point3, SMatrix, Vector2, Vector3};
 
@@ -44,7 +44,12 @@ pub(crate) struct Knot {
     pub d_local: [ShapeStep; LOCAL],
     /// d pixel / d point, pixels per metre.
     pub d_point: Matrix2x3<f64>,
+    /// The point nearby that was last projected.
+    projected: Projection,
 }
+
+/// Over so short a way a projection is linear: to 1e-4 px, for cameras half a metre away and more.
+const LINEAR_M: f64 = 0.2e-3;
 
 /// How far the tube moves during the exposure: a part of the way since an earlier frame.
 #[derive(Debug, Clone)]
@@ -76,7 +81,8 @@ pub(crate) struct TubeImage {
 }
 
 impl TubeImage {
-    /// Projects the centre line from `range.0` to `range.1` (metres of arc) at about `spacing_m`.
+    /// Projects the centre line from `range.0` to `range.1` (metres of arc) at about `spacing_m`. `nearby` is an image of
+    /// the same stretch that may be much like it.
     ///
     /// # Errors
     /// [`NoRay`] when a part of it cannot be seen in this view.
@@ -87,6 +93,7 @@ impl TubeImage {
         range: (f64, f64),
         spacing_m: f64,
         sweep: Option<&Sweep>,
+        nearby: Option<&Self>,
     ) -> Result<Self, NoRay> {
         let steps = ((range.1 - range.0) / spacing_m).ceil().max(1.0);
         let spacing_m = (range.1 - range.0) / steps;
@@ -95,11 +102,15 @@ impl TubeImage {
             .map(|i| {
                 let arc_m = range.0 + i as f64 * spacing_m;
                 let (point, direction, d) = shape.at(arc_m);
-                let seen = match &beside {
-                    Some(beside) => optics.project_beside(&point, beside)?,
-                    None => optics.project_with_jacobian(&point)?,
+                let known = nearby.and_then(|image| image.knots.get(i)).map(|knot| knot.projected);
+                let known = known.filter(|known| (point - known.point).norm_squared() < LINEAR_M * LINEAR_M);
+                let seen = match (known, &beside) {
+                    (Some(known), _) => known,
+                    (None, Some(beside)) => optics.project_beside(&point, beside)?,
+                    (None, None) => optics.project_with_jacobian(&point)?,
                 };
                 beside = Some(seen);
+                let pixel = seen.pixel + seen.d_pixel * (point - seen.point);
                 let along: Vector2<f64> = seen.d_pixel * direction;
                 let unit = along.normalize();
                 // The outline is where the line of sight grazes the tube: across both. The nearest side faces the
@@ -123,7 +134,7 @@ impl TubeImage {
                 let way = sweep.map_or(Vector2::zeros(), |sweep| seen.d_pixel * sweep.way(arc_m, &point));
                 Ok(Knot {
                     arc_m,
-                    pixel: seen.pixel,
+                    pixel,
                     along,
                     scale: along.norm(),
                     half_width,
@@ -133,6 +144,7 @@ impl TubeImage {
                     d_local: [d_pixel.tr_mul(&across), d_pixel.tr_mul(&unit), d_bulge.transpose()],
                     d_pixel,
                     d_point: seen.d_pixel,
+                    projected: seen,
                 })
             })
             .collect::<Result<_, NoRay>>()?;
@@ -148,21 +160,6 @@ fn hermite(a: &Knot, b: &Knot, spacing_m: f64) -> [Vector2<f64>; 4] {
     [a.pixel.coords, ta, rise * 3.0 - ta * 2.0 - tb, ta + tb - rise * 2.0]
 }
 
-/// The image of the tube at a knot coordinate.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Local {
-    /// Half width, pixels.
-    pub half_width: f64,
-    /// Displacement of a ring's near side along the axis, pixels.
-    pub bulge: f64,
-    /// Pixels per metre along the axis.
-    pub scale: f64,
-    /// Angles that the direction has turned by since the reference band.
-    pub turn: Vector2<f64>,
-    /// Variance that the motion during the exposure adds to the blur, across the axis and along it, px².
-    pub swept: Vector2<f64>,
-}
-
 impl TubeImage {
     /// Index of the knot before `knot`, and the fraction of the way to the next (0..1, held at both ends).
     fn between(&self, knot: f64) -> (usize, f64) {
@@ -171,18 +168,18 @@ impl TubeImage {
         (i, (knot - i as f64).clamp(0.0, 1.0))
     }
 
-    /// Width, bulge and scale at a knot coordinate.
-    pub(crate) fn local(&self, knot: f64) -> Local {
+    /// Half width of the tube at a knot coordinate, pixels.
+    pub(crate) fn half_width(&self, knot: f64) -> f64 {
         let (i, f) = self.between(knot);
-        let (a, b) = (&self.knots[i], &self.knots[i + 1]);
-        let mix = |p: f64, q: f64| p + (q - p) * f;
-        Local {
-            half_width: mix(a.half_width, b.half_width),
-            bulge: mix(a.bulge, b.bulge),
-            scale: mix(a.scale, b.scale),
-            turn: a.turn.lerp(&b.turn, f),
-            swept: a.swept.lerp(&b.swept, f),
-        }
+        let (a, b) = (self.knots[i].half_width, self.knots[i + 1].half_width);
+        a + (b - a) * f
+    }
+
+    /// Pixels per metre along the axis at a knot coordinate.
+    pub(crate) fn scale(&self, knot: f64) -> f64 {
+        let (i, f) = self.between(knot);
+        let (a, b) = (self.knots[i].scale, self.knots[i + 1].scale);
+        a + (b - a) * f
     }
 
     /// Pixel and derivative per knot at a knot coordinate, straight beyond the ends.
@@ -193,6 +190,12 @@ impl TubeImage {
         let [a, b, c, d] = &self.pieces[i];
         let slope = b + (c * 2.0 + d * (3.0 * f)) * f;
         (Point2::from(a + (b + (c + d * f) * f) * f + slope * (knot - held)), slope)
+    }
+
+    /// RMS distance between the knots of two images of the same stretch, pixels.
+    pub(crate) fn distance(&self, other: &Self) -> f64 {
+        let apart = self.knots.iter().zip(&other.knots).map(|(a, b)| (a.pixel - b.pixel).norm_squared());
+        (apart.sum::<f64>() / self.knots.len() as f64).sqrt()
     }
 
     /// Knot coordinate and distance aside, pixels, from the straight line between the first and the last knot.
@@ -236,6 +239,16 @@ impl TubeImage {
         Foot { knot: knot + off.dot(&d) * per_length * per_length, u: (d.x * off.y - d.y * off.x) * per_length }
     }
 
+    /// Arc length of a knot coordinate, metres.
+    pub(crate) fn arc_m(&self, knot: f64) -> f64 {
+        self.first_m + knot * self.spacing_m
+    }
+
+    /// The axis between a knot and the next: the powers' coefficients in the fraction of the way, pixels.
+    pub(crate) fn piece(&self, knot: usize) -> &[Vector2<f64>; 4] {
+        &self.pieces[knot]
+    }
+
     /// Knot coordinate of an arc length.
     pub(crate) fn knot_of(&self, s_m: f64) -> f64 {
         (s_m - self.first_m) / self.spacing_m
@@ -251,7 +264,7 @@ impl TubeImage {
     pub(crate) fn beside(&self, knot: f64, side: f64) -> Point2<f64> {
         let (at, d) = self.axis(knot);
         let along = d / d.norm();
-        at + Vector2::new(-along.y, along.x) * (side * self.local(knot).half_width)
+        at + Vector2::new(-along.y, along.x) * (side * self.half_width(knot))
     }
 }
 
@@ -268,7 +281,8 @@ mod tests {
             below: [Vector2::new(1500.0, -600.0), Vector2::new(-4e4, 2e4)],
             ..TubeShape::straight(Point3::new(0.001, -0.004, 1.35), &Vector3::new(0.2, 1.0, 0.4), 6e-3)
         };
-        let image = |shape: &TubeShape| TubeImage::of(shape, 6e-3, &path, (-20e-3, 25e-3), 2e-3, None).unwrap().knots;
+        let image =
+            |shape: &TubeShape| TubeImage::of(shape, 6e-3, &path, (-20e-3, 25e-3), 2e-3, None, None).unwrap().knots;
         let knots = image(&shape);
         for (parameter, step) in (3..SHAPE).zip([1e-4, 1e-4, 1.0, 1.0, 1e2, 1e2, 1.0, 1.0, 1e2, 1e2]) {
             let mut by = ShapeStep::zeros();

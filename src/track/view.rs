@@ -1,7 +1,8 @@
 //! One view in a round of the fit: its samples, the noise they are weighed by, and what its colours may be.
 
 use crate::source::Picture;
-use crate::track::appearance::{CAP, GRADIENT, Layout, SHADING, Scene, TURNING};
+use crate::track::appearance::{CAP, GRADIENT, Layout, SHADING, TURNING};
+use crate::track::chunk::Scene;
 use crate::track::compare::{Comparison, Noise};
 use crate::track::image_model::ImageModel;
 use crate::track::no_fit::NoFit;
@@ -55,7 +56,7 @@ impl View {
         model: &ImageModel,
         (density, weighing): (Density, Weighing),
     ) -> Result<Self, NoFit> {
-        let patch = Patch::select(picture, image, range_m, model.chroma_offset_px, density)?;
+        let patch = Patch::select(picture, image, &stretch.layout, range_m, model.chroma_offset_px, density)?;
         if picture.quantisation().and_then(|q| q.step_in(&patch.window)).is_some_and(|step| step > COARSEST) {
             return Err(NoFit::TooCoarse);
         }
@@ -64,7 +65,8 @@ impl View {
         Ok(Self { comparison: Comparison::new(patch), expected_colours, noise: start_noise(picture), weighing })
     }
 
-    /// Renders the view and sums its normal equations, the prior of its colours included.
+    /// Renders the view and sums its normal equations, the prior of its colours included. With equations of `before`,
+    /// the last ones of much the same image, derivatives are taken from there.
     pub(crate) fn compare(
         &mut self,
         image: &TubeImage,
@@ -72,29 +74,42 @@ impl View {
         layout: &Layout,
         picture: &Picture,
         model: &ImageModel,
+        before: Option<&Normal>,
     ) -> Normal {
         let ImageModel { encoding, blur_px, .. } = model;
-        self.comparison.render(&Scene { image, layout, colours, blur_px: *blur_px, encoding });
+        let derive = before.is_none() || self.weighing == Weighing::Own;
+        self.comparison.render(&Scene { image, layout, colours, blur_px: *blur_px, encoding }, derive);
         if self.weighing == Weighing::Own {
             self.noise = noise_of(&self.comparison.squares(&self.noise), picture);
             self.weighing = Weighing::Stated;
         }
-        let mut normal = self.comparison.normal(image, layout, &self.noise);
+        let mut normal = match before {
+            Some(before) if !derive => self.comparison.gradient(before, image, layout, &self.noise),
+            _ => {
+                let mut normal = self.comparison.normal(image, layout, &self.noise);
+                (0..colours.len()).for_each(|i| normal.colours[(i, i)] += prior(i).1.powi(-2));
+                normal
+            }
+        };
         for (i, (value, expected)) in colours.iter().zip(&self.expected_colours).enumerate() {
             // That keeps a colour in bounds when hardly a sample shows it.
-            let (expected, sd) = match i {
-                GRADIENT..SHADING => (0.0, GRADIENT_SD),
-                SHADING..TURNING => (0.0, SHADING_SD),
-                TURNING..CAP => (0.0, TURNING_SD),
-                CAP => (1.0, CAP_SD),
-                _ => (*expected, COLOUR_SD),
-            };
-            let (offset, weight) = (value - expected, sd.powi(-2));
-            normal.colours[(i, i)] += weight;
+            let (known, sd) = prior(i);
+            let (offset, weight) = (value - known.unwrap_or(*expected), sd.powi(-2));
             normal.colour_gradient[i] -= weight * offset;
             normal.cost += weight * offset * offset;
         }
         normal
+    }
+}
+
+/// Prior of a colour: its value, where it is not what it looks like, and σ.
+fn prior(colour: usize) -> (Option<f64>, f64) {
+    match colour {
+        GRADIENT..SHADING => (Some(0.0), GRADIENT_SD),
+        SHADING..TURNING => (Some(0.0), SHADING_SD),
+        TURNING..CAP => (Some(0.0), TURNING_SD),
+        CAP => (Some(1.0), CAP_SD),
+        _ => (None, COLOUR_SD),
     }
 }
 

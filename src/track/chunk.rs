@@ -1,0 +1,547 @@
+//! The model of appearance.rs at many pixels of a view: what each stored channel should be, and its derivatives.
+//!
+//! Pixels are taken in chunks between the same two knots, so that all that depends on the tube is the same numbers for
+//! them, or changes linearly along it. Each step is a plain loop over a chunk, compiled for the processor's widest
+//! vectors and chosen when the program runs; the numbers are the same to the last bit whichever it is.
+
+use crate::track::appearance::{
+    Across, BACKGROUND, CAP, Edges, FIXED, GRADIENT, HARMONICS, Layout, PER_SEGMENT, SHADING, TURNING,
+};
+use crate::track::light::Encoding;
+use crate::track::normal::{
+    ROW, ROW_ACROSS, ROW_ALONG, ROW_BACKGROUND, ROW_BEFORE, ROW_BEHIND, ROW_BULGE, ROW_CAP, ROW_GRADIENT, ROW_SHADING,
+    Row, Seen, Span,
+};
+use crate::track::patch::Pixel;
+use crate::track::tube_image::{Knot, TubeImage};
+use multiversion::multiversion;
+use nalgebra::Vector2;
+use wide::f32x4;
+
+/// Beyond this many σ from the tube only background is seen.
+const FAR_SIGMAS: f32 = 4.5;
+
+/// What a view's pixels are predicted from.
+pub(crate) struct Scene<'a> {
+    pub image: &'a TubeImage,
+    pub layout: &'a Layout,
+    pub colours: &'a [f64],
+    pub blur_px: f64,
+    pub encoding: &'a Encoding,
+}
+
+/// What is the same for all pixels of a view.
+struct Light<'a> {
+    background: [f32; 3],
+    gradient: [f32; 2],
+    shades: [f32; HARMONICS],
+    turning: [f32; 2],
+    cap: f32,
+    /// Variance of the blur, px².
+    blur_px2: f32,
+    encoding: &'a Encoding,
+}
+
+/// What changes in proportion to the way from one knot to the next: value at the first, and the difference.
+type Linear = [f32; 2];
+
+#[inline(always)]
+fn at([value, change]: Linear, f: f32) -> f32 {
+    value + change * f
+}
+
+/// The tube between two knots and nearest to one ring. All that changes along it does so linearly, but for the axis.
+struct Piece {
+    /// Powers' coefficients, pixels from the patch's middle.
+    axis: [[f32; 2]; 4],
+    half: Linear,
+    bulge: Linear,
+    scale: Linear,
+    turn: [Linear; 2],
+    swept: [Linear; 2],
+    /// Arc length from the ring, metres.
+    from_ring_m: Linear,
+    /// The ring is the end of the tube.
+    ends: bool,
+    /// Light of the segments before the ring and behind it.
+    segments: [[f32; 3]; 2],
+}
+
+impl Light<'_> {
+    /// Light of the background, one of R, G and B.
+    #[inline(always)]
+    fn background(&self, c: usize, x: f32, y: f32) -> f32 {
+        self.background[c] + self.gradient[0] * x + self.gradient[1] * y
+    }
+}
+
+impl Scene<'_> {
+    fn light(&self) -> Light<'_> {
+        let colour = |i: usize| self.colours[i] as f32;
+        Light {
+            background: std::array::from_fn(|c| colour(BACKGROUND + c)),
+            gradient: std::array::from_fn(|i| colour(GRADIENT + i)),
+            shades: std::array::from_fn(|i| colour(SHADING + i)),
+            turning: std::array::from_fn(|i| colour(TURNING + i)),
+            cap: colour(CAP),
+            blur_px2: (self.blur_px * self.blur_px) as f32,
+            encoding: self.encoding,
+        }
+    }
+
+    fn piece(&self, place: &Span, middle: &Vector2<f64>) -> Piece {
+        let Self { image, layout, colours, .. } = self;
+        let (a, b) = (&image.knots[place.knot], &image.knots[place.knot + 1]);
+        let linear = |of: &dyn Fn(&Knot) -> f64| [of(a) as f32, (of(b) - of(a)) as f32];
+        let [start, rest @ ..] = image.piece(place.knot);
+        let axis = [start - middle, rest[0], rest[1], rest[2]].map(|v| [v.x as f32, v.y as f32]);
+        let light = |segment: usize| {
+            let colour = |c: usize| colours[FIXED + PER_SEGMENT * segment + c] as f32;
+            if segment < layout.segments() { std::array::from_fn(colour) } else { [0.0; 3] }
+        };
+        Piece {
+            axis,
+            half: linear(&|knot| knot.half_width),
+            bulge: linear(&|knot| knot.bulge),
+            scale: linear(&|knot| knot.scale),
+            turn: [linear(&|knot| knot.turn.x), linear(&|knot| knot.turn.y)],
+            swept: [linear(&|knot| knot.swept.x), linear(&|knot| knot.swept.y)],
+            from_ring_m: linear(&|knot| knot.arc_m - layout.rings_m[place.ring]),
+            ends: layout.ends && place.ring + 1 == layout.rings_m.len(),
+            segments: [light(place.ring), light(place.ring + 1)],
+        }
+    }
+}
+
+/// Most pixels that are evaluated together. All belong to one [`Piece`].
+pub(crate) const CHUNK: usize = 32;
+/// They come in groups of so many.
+const WIDTH: usize = 8;
+
+/// A number for each pixel.
+#[derive(Clone, Copy)]
+#[repr(align(32))]
+struct Lanes([f32; CHUNK]);
+
+impl Lanes {
+    const ZERO: Self = Self([0.0; CHUNK]);
+}
+
+/// What the model says of some pixels, before it is weighed for a stored channel.
+struct Chunk {
+    /// How many, and how many with copies of the last that fill up a vector.
+    count: usize,
+    lanes: usize,
+    /// Place relative to the patch's middle.
+    x: Lanes,
+    y: Lanes,
+    /// Fraction of the way from knot to knot, and distance from the axis, pixels.
+    f: Lanes,
+    u: Lanes,
+    /// How much is seen of the background, of the light of the segment before the ring, and of the one behind it.
+    parts: [Lanes; 3],
+    /// Their derivatives along u and v, and with the ring's bulge.
+    d_u: [Lanes; 3],
+    d_v: [Lanes; 3],
+    d_bulge: [Lanes; 3],
+    /// What m₁ to m₄ multiply.
+    shades: [Lanes; HARMONICS],
+    /// How much of what is shaded belongs to either segment.
+    shaded: [Lanes; 2],
+    capped: Lanes,
+    turn: [Lanes; 2],
+    /// Stored R'G'B' and its slope per unit of light.
+    value: [Lanes; 3],
+    slope: [Lanes; 3],
+    seen: Seen,
+}
+
+impl Chunk {
+    const EMPTY: Self = {
+        const ZERO: Lanes = Lanes::ZERO;
+        Self {
+            count: 0,
+            lanes: 0,
+            x: ZERO,
+            y: ZERO,
+            f: ZERO,
+            u: ZERO,
+            parts: [ZERO; 3],
+            d_u: [ZERO; 3],
+            d_v: [ZERO; 3],
+            d_bulge: [ZERO; 3],
+            shades: [ZERO; HARMONICS],
+            shaded: [ZERO; 2],
+            capped: ZERO,
+            turn: [ZERO; 2],
+            value: [ZERO; 3],
+            slope: [ZERO; 3],
+            seen: Seen::Nothing,
+        }
+    };
+}
+
+/// Rows of some pixels: a number for each pixel in each column, and a row for each pixel.
+struct Rows {
+    columns: [Lanes; ROW],
+    rows: [Row; CHUNK],
+}
+
+/// Evaluates the pixels of a view, a chunk at a time.
+pub(crate) struct Evaluator<'a> {
+    scene: &'a Scene<'a>,
+    middle: Vector2<f64>,
+    light: Light<'a>,
+    piece: Piece,
+    chunk: Box<Chunk>,
+    rows: Box<Rows>,
+}
+
+impl<'a> Evaluator<'a> {
+    /// Of pixels whose places are relative to `middle`, in `span` first.
+    pub(crate) fn new(scene: &'a Scene<'a>, middle: Vector2<f64>, span: &Span) -> Self {
+        Self {
+            scene,
+            middle,
+            light: scene.light(),
+            piece: scene.piece(span, &middle),
+            chunk: Box::new(Chunk::EMPTY),
+            rows: Box::new(Rows { columns: [Lanes::ZERO; ROW], rows: [[0.0; ROW]; CHUNK] }),
+        }
+    }
+
+    /// The next pixels are of this span.
+    pub(crate) fn enter(&mut self, span: &Span) {
+        self.piece = self.scene.piece(span, &self.middle);
+    }
+
+    /// Evaluates the model at up to [`CHUNK`] pixels, whose feet follow; what of the tube they see.
+    pub(crate) fn evaluate(&mut self, pixels: &mut [Pixel]) -> Seen {
+        let chunk = &mut *self.chunk;
+        chunk.count = pixels.len();
+        chunk.lanes = chunk.count.next_multiple_of(WIDTH);
+        let padded = pixels.iter().chain(pixels.last().into_iter().cycle());
+        for (i, pixel) in padded.take(chunk.lanes.min(CHUNK)).enumerate() {
+            chunk.x.0[i] = pixel.x;
+            chunk.y.0[i] = pixel.y;
+            chunk.f.0[i] = pixel.f;
+        }
+        evaluate(chunk, &self.piece, &self.light);
+        for (i, pixel) in pixels.iter_mut().enumerate() {
+            pixel.f = chunk.f.0[i];
+        }
+        chunk.seen
+    }
+
+    /// What a stored channel, a sum of R'G'B' with `weights`, should be at the pixels evaluated last.
+    pub(crate) fn values(&self, weights: &[f32; 3]) -> impl Iterator<Item = f32> {
+        let [r, g, b] = &self.chunk.value;
+        let sum = |i: usize| weights[0] * r.0[i] + weights[1] * g.0[i] + weights[2] * b.0[i];
+        (0..self.chunk.count.min(CHUNK)).map(sum)
+    }
+
+    /// Its rows.
+    pub(crate) fn rows(&mut self, weights: &[f32; 3]) -> &[Row] {
+        let Rows { columns, rows } = &mut *self.rows;
+        if self.chunk.seen == Seen::Nothing {
+            *columns = [Lanes::ZERO; ROW];
+        }
+        weigh(&self.chunk, &self.piece, &self.light, weights, columns);
+        let count = self.chunk.count.min(CHUNK);
+        for first in (0..count).step_by(4) {
+            for (k, four) in columns.as_chunks::<4>().0.iter().enumerate() {
+                let part = |lanes: &Lanes| f32x4::new(lanes.0.as_chunks::<4>().0[first / 4]);
+                let four = [part(&four[0]), part(&four[1]), part(&four[2]), part(&four[3])];
+                for (row, values) in rows[first..first + 4].iter_mut().zip(f32x4::transpose(four)) {
+                    row[4 * k..4 * k + 4].copy_from_slice(values.as_array_ref());
+                }
+            }
+        }
+        &rows[..count]
+    }
+}
+
+/// Places the pixels beside the tube, and evaluates what they see of it.
+#[multiversion(targets("x86_64+avx2"))]
+fn evaluate(chunk: &mut Chunk, piece: &Piece, light: &Light<'_>) {
+    chunk.seen = place(chunk, piece, light.blur_px2);
+    match (chunk.seen, piece.ends) {
+        (Seen::Nothing, _) => chunk.parts[0] = Lanes([1.0; CHUNK]),
+        (Seen::Before | Seen::Behind, _) => {
+            let is_before = chunk.seen == Seen::Before;
+            show(chunk, piece, light, |_, _, _, _, _| Edges::away(is_before));
+        }
+        (Seen::Ring, false) => show(chunk, piece, light, Edges::at_ring::<false>),
+        (Seen::Ring, true) => show(chunk, piece, light, Edges::at_ring::<true>),
+    }
+    store(chunk, piece, light);
+}
+
+/// The nearest points of the axis, one Newton step from where they were; and what of the tube is seen.
+#[inline(always)]
+fn place(chunk: &mut Chunk, piece: &Piece, blur_px2: f32) -> Seen {
+    let (mut tube, mut ring, mut behind) = (0_u32, 0_u32, 0_u32);
+    let [a, b, c, d] = piece.axis;
+    for i in 0..chunk.lanes.min(CHUNK) {
+        let f = chunk.f.0[i];
+        let axis = |k: usize| a[k] + (b[k] + (c[k] + d[k] * f) * f) * f;
+        let slope = |k: usize| b[k] + (c[k] * 2.0 + d[k] * 3.0 * f) * f;
+        let (off, along) = ([chunk.x.0[i] - axis(0), chunk.y.0[i] - axis(1)], [slope(0), slope(1)]);
+        let per_square = 1.0 / (along[0] * along[0] + along[1] * along[1]);
+        let f = f + (off[0] * along[0] + off[1] * along[1]) * per_square;
+        let u = (along[0] * off[1] - along[1] * off[0]) * per_square.sqrt();
+        chunk.f.0[i] = f;
+        chunk.u.0[i] = u;
+        let far = |swept: Linear| FAR_SIGMAS * (blur_px2 + at(swept, f)).sqrt();
+        let from_ring = at(piece.from_ring_m, f) * at(piece.scale, f);
+        let on_tube = u.abs() <= at(piece.half, f) + far(piece.swept[0]);
+        let at_ring = from_ring.abs() - at(piece.bulge, f).abs() <= far(piece.swept[1]);
+        tube += u32::from(on_tube);
+        ring += u32::from(on_tube & at_ring);
+        behind += u32::from(on_tube & (from_ring > 0.0));
+    }
+    if tube == 0 {
+        Seen::Nothing
+    } else if ring > 0 || (behind > 0 && behind < tube) {
+        Seen::Ring
+    } else if behind == 0 {
+        Seen::Before
+    } else if piece.ends {
+        Seen::Nothing
+    } else {
+        Seen::Behind
+    }
+}
+
+/// How much is seen of each part, in linear light.
+#[inline(always)]
+fn show(chunk: &mut Chunk, piece: &Piece, light: &Light<'_>, edges: impl Fn(f32, f32, f32, f32, f32) -> Edges) {
+    for i in 0..chunk.lanes.min(CHUNK) {
+        let (f, u) = (chunk.f.0[i], chunk.u.0[i]);
+        let half = at(piece.half, f);
+        let blur = |swept: Linear| (light.blur_px2 + at(swept, f)).sqrt();
+        let across = Across::new(u, half, blur(piece.swept[0]));
+        let turn = [at(piece.turn[0], f), at(piece.turn[1], f)];
+        let m1 = light.shades[0] + turn[0] * light.turning[0] + turn[1] * light.turning[1];
+        let lit = |shape: &[f32; HARMONICS]| {
+            shape[0] * m1 + shape[1] * light.shades[1] + shape[2] * light.shades[2] + shape[3] * light.shades[3]
+        };
+        let (shade, d_shade) = (across.cover + lit(&across.shades), across.d_cover + lit(&across.d_shades));
+        let from_ring = at(piece.from_ring_m, f) * at(piece.scale, f);
+        let Edges { before, behind, outline, cap } =
+            edges(u / half, half, from_ring, at(piece.bulge, f), blur(piece.swept[1]));
+        let (capped, d_capped) = (across.cover * light.cap, across.d_cover * light.cap);
+        chunk.parts[0].0[i] = 1.0 - across.cover * (1.0 - outline.weight);
+        chunk.parts[1].0[i] = shade * before.weight + capped * cap.weight;
+        chunk.parts[2].0[i] = shade * behind.weight;
+        chunk.d_u[0].0[i] = across.cover * outline.d_u - across.d_cover * (1.0 - outline.weight);
+        chunk.d_u[1].0[i] = d_shade * before.weight + shade * before.d_u + d_capped * cap.weight + capped * cap.d_u;
+        chunk.d_u[2].0[i] = d_shade * behind.weight + shade * behind.d_u;
+        chunk.d_v[0].0[i] = across.cover * outline.d_v;
+        chunk.d_v[1].0[i] = shade * before.d_v + capped * cap.d_v;
+        chunk.d_v[2].0[i] = shade * behind.d_v;
+        chunk.d_bulge[0].0[i] = across.cover * outline.d_bulge;
+        chunk.d_bulge[1].0[i] = shade * before.d_bulge + capped * cap.d_bulge;
+        chunk.d_bulge[2].0[i] = shade * behind.d_bulge;
+        for (lanes, shade) in chunk.shades.iter_mut().zip(across.shades) {
+            lanes.0[i] = shade;
+        }
+        chunk.shaded[0].0[i] = before.weight;
+        chunk.shaded[1].0[i] = behind.weight;
+        chunk.capped.0[i] = across.cover * cap.weight;
+        chunk.turn[0].0[i] = turn[0];
+        chunk.turn[1].0[i] = turn[1];
+    }
+}
+
+/// Light as it is stored.
+#[inline(always)]
+fn store(chunk: &mut Chunk, piece: &Piece, light: &Light<'_>) {
+    let Chunk { x, y, parts, value, slope, .. } = chunk;
+    let n = chunk.lanes.min(CHUNK);
+    let [before, behind] = piece.segments;
+    for (c, (value, slope)) in value.iter_mut().zip(slope).enumerate() {
+        if chunk.seen == Seen::Nothing {
+            (0..n).for_each(|i| value.0[i] = light.background(c, x.0[i], y.0[i]));
+        } else {
+            mix(n, value, [(x, y), (&parts[1], &parts[2])], &parts[0], light, (c, before[c], behind[c]));
+        }
+        encode(n, light.encoding, value, slope);
+    }
+}
+
+/// Light of the parts together.
+#[inline(always)]
+fn mix(
+    n: usize,
+    sum: &mut Lanes,
+    [(x, y), (first, second)]: [(&Lanes, &Lanes); 2],
+    uncovered: &Lanes,
+    light: &Light<'_>,
+    (c, before, behind): (usize, f32, f32),
+) {
+    for i in 0..n.min(CHUNK) {
+        sum.0[i] = light.background(c, x.0[i], y.0[i]) * uncovered.0[i] + before * first.0[i] + behind * second.0[i];
+    }
+}
+
+/// Light to its stored value and slope. (A function of its own, for the compiler to know that they lie apart.)
+#[multiversion(targets("x86_64+avx2"))]
+fn encode(n: usize, encoding: &Encoding, value: &mut Lanes, slope: &mut Lanes) {
+    for i in 0..n.min(CHUNK) {
+        (value.0[i], slope.0[i]) = encoding.encode(value.0[i]);
+    }
+}
+
+/// Rows of a stored channel, a sum of R'G'B' with `weights`: a number for each pixel in each column.
+#[multiversion(targets("x86_64+avx2"))]
+fn weigh(chunk: &Chunk, piece: &Piece, light: &Light<'_>, weights: &[f32; 3], row: &mut [Lanes; ROW]) {
+    let n = chunk.lanes.min(CHUNK);
+    for i in 0..n {
+        let slopes =
+            [weights[0] * chunk.slope[0].0[i], weights[1] * chunk.slope[1].0[i], weights[2] * chunk.slope[2].0[i]];
+        let uncovered = chunk.parts[0].0[i];
+        let all = (slopes[0] + slopes[1] + slopes[2]) * uncovered;
+        for c in 0..3 {
+            row[ROW_BACKGROUND + c].0[i] = slopes[c] * uncovered;
+        }
+        row[ROW_GRADIENT].0[i] = all * chunk.x.0[i];
+        row[ROW_GRADIENT + 1].0[i] = all * chunk.y.0[i];
+    }
+    if chunk.seen == Seen::Nothing {
+        return;
+    }
+    let [before, behind] = piece.segments;
+    for i in 0..n {
+        let slopes =
+            [weights[0] * chunk.slope[0].0[i], weights[1] * chunk.slope[1].0[i], weights[2] * chunk.slope[2].0[i]];
+        let (x, y) = (chunk.x.0[i], chunk.y.0[i]);
+        let background = [light.background(0, x, y), light.background(1, x, y), light.background(2, x, y)];
+        let sum = |light: &[f32; 3]| slopes[0] * light[0] + slopes[1] * light[1] + slopes[2] * light[2];
+        let lights = [sum(&background), sum(&before), sum(&behind)];
+        let by = |d: &[Lanes; 3]| lights[0] * d[0].0[i] + lights[1] * d[1].0[i] + lights[2] * d[2].0[i];
+        // Divided among the knots.
+        let f = chunk.f.0[i];
+        let (across, along, bulge) = (-by(&chunk.d_u), -by(&chunk.d_v), by(&chunk.d_bulge));
+        row[ROW_ACROSS].0[i] = across - across * f;
+        row[ROW_ACROSS + 1].0[i] = across * f;
+        row[ROW_ALONG].0[i] = along - along * f;
+        row[ROW_ALONG + 1].0[i] = along * f;
+        row[ROW_BULGE].0[i] = bulge - bulge * f;
+        row[ROW_BULGE + 1].0[i] = bulge * f;
+        let albedo = lights[1] * chunk.shaded[0].0[i] + lights[2] * chunk.shaded[1].0[i];
+        for (k, shades) in chunk.shades.iter().enumerate() {
+            row[ROW_SHADING + k].0[i] = shades.0[i] * albedo;
+        }
+        let first = chunk.shades[0].0[i] * albedo;
+        row[ROW_SHADING + HARMONICS].0[i] = first * chunk.turn[0].0[i];
+        row[ROW_SHADING + HARMONICS + 1].0[i] = first * chunk.turn[1].0[i];
+        row[ROW_CAP].0[i] = chunk.capped.0[i] * lights[1];
+        for c in 0..3 {
+            row[ROW_BEFORE + c].0[i] = chunk.parts[1].0[i] * slopes[c];
+            row[ROW_BEHIND + c].0[i] = chunk.parts[2].0[i] * slopes[c];
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::source::Transfer;
+    use crate::testing::tube::{BLUR_PX, views};
+    use crate::track::normal::{colour, shifted};
+    use crate::track::tube::TubeShape;
+    use nalgebra::{Point3, Vector3};
+
+    const WEIGHTS: [f32; 3] = [0.21, 0.72, 0.07];
+
+    /// A tube that ends, with one ring before.
+    fn image() -> (TubeImage, Layout) {
+        let shape = TubeShape::straight(Point3::new(0.001, -0.004, 1.35), &Vector3::new(0.2, 1.0, 0.3), 6e-3);
+        let image = TubeImage::of(&shape, 1.6e-3, &views()[0], (-9e-3, 12e-3), 3e-3, None, None).unwrap();
+        (image, Layout { rings_m: vec![1e-3, 8e-3], ends: true })
+    }
+
+    fn colours(layout: &Layout) -> Vec<f64> {
+        let mut colours: Vec<f64> = (0..layout.colours()).map(|i| 0.15 + 0.07 * (i % 5) as f64).collect();
+        colours[GRADIENT..SHADING].copy_from_slice(&[0.002, -0.003]);
+        colours[SHADING..CAP].copy_from_slice(&[0.1, 0.3, -0.1, 0.05, 0.2, -0.1]);
+        colours
+    }
+
+    /// All pixels around a span, moved by so much.
+    fn pixels(image: &TubeImage, span: &Span, by: Vector2<f64>) -> Vec<Pixel> {
+        let middle = image.knots[span.knot].pixel.coords
+            + (image.knots[span.knot + 1].pixel - image.knots[span.knot].pixel) / 2.0;
+        let places = (-9..=9).flat_map(|j| (-3..=3).map(move |i| Vector2::new(f64::from(j), f64::from(i))));
+        places.map(|place| Pixel::at(place + middle + by, 0.5)).collect()
+    }
+
+    /// Rows and values of the pixels.
+    fn evaluated(scene: &Scene<'_>, span: &Span, pixels: &mut [Pixel]) -> (Vec<Row>, Vec<f32>) {
+        let mut evaluator = Evaluator::new(scene, Vector2::zeros(), span);
+        let (mut rows, mut values) = (Vec::new(), Vec::new());
+        for pixels in pixels.chunks_mut(CHUNK) {
+            // The feet are found in some steps.
+            (0..3).for_each(|_| {
+                evaluator.evaluate(pixels);
+            });
+            values.extend(evaluator.values(&WEIGHTS));
+            rows.extend_from_slice(evaluator.rows(&WEIGHTS));
+        }
+        (rows, values)
+    }
+
+    /// Each chunk has only the columns of what its pixels see.
+    #[test]
+    fn derivatives_equal_differences() {
+        let (image, layout) = image();
+        let (encoding, colours) = (Encoding::new(Transfer::Srgb), colours(&layout));
+        for span in [Span { knot: 1, ring: 0 }, Span { knot: 3, ring: 0 }, Span { knot: 5, ring: 1 }] {
+            let evaluated = |colours: &[f64], by| {
+                let scene = Scene { image: &image, layout: &layout, colours, blur_px: BLUR_PX, encoding: &encoding };
+                evaluated(&scene, &span, &mut pixels(&image, &span, by))
+            };
+            let of = |colours: &[f64], by| evaluated(colours, by).1;
+            let (rows, _) = evaluated(&colours, Vector2::zeros());
+            let mut largest = 0.0_f32;
+            let mut compare = |what: &str, found: &[f32], low: Vec<f32>, high: Vec<f32>, step: f32| {
+                for ((found, low), high) in found.iter().zip(low).zip(high) {
+                    let difference = (high - low) / (2.0 * step);
+                    largest = largest.max(difference.abs());
+                    assert!(
+                        (found - difference).abs() < 0.02 * difference.abs() + 0.6,
+                        "{span:?} {what}: {found}, not {difference}"
+                    );
+                }
+            };
+            for parameter in 0..layout.colours() {
+                let step = if (GRADIENT..SHADING).contains(&parameter) { 1e-4 } else { 2e-3 };
+                let changed = |by: f64| {
+                    let mut colours = colours.clone();
+                    colours[parameter] += by;
+                    of(&colours, Vector2::zeros())
+                };
+                let column = (0..ROW).filter(|i| colour(*i, span.ring, &layout) == Some(parameter));
+                let found: Vec<f32> = match column.last() {
+                    Some(column) => rows.iter().map(|row| row[column]).collect(),
+                    None => vec![0.0; rows.len()],
+                };
+                compare(&format!("colour {parameter}"), &found, changed(-step), changed(step), step as f32);
+            }
+            // The picture moved one way is the pixels moved the other way; the background stays.
+            let flat = {
+                let mut flat = colours.clone();
+                flat[GRADIENT..SHADING].fill(0.0);
+                flat
+            };
+            let (rows, _) = evaluated(&flat, Vector2::zeros());
+            let along = image.knots[span.knot].along / image.knots[span.knot].scale;
+            for (k, way) in [Vector2::new(-along.y, along.x), along].into_iter().enumerate() {
+                let found: Vec<f32> = rows.iter().map(|row| shifted(row)[k]).collect();
+                compare(["across", "along"][k], &found, of(&flat, way * 0.01), of(&flat, way * -0.01), 0.01);
+            }
+            assert!(largest > 10.0, "{span:?} shows nothing: {largest}");
+        }
+    }
+}
