@@ -10,7 +10,7 @@ mod rig;
 use super::outcome::{self, HiddenJson, Outcome};
 use super::{Exit, Failure, interrupt};
 use crate::calibrate::length_m;
-use crate::rig::Draft;
+use crate::rig::{Draft, Rig};
 use clap::Subcommand;
 use std::path::Path;
 use std::str::FromStr;
@@ -103,6 +103,32 @@ fn calibrate(args: &Args, quiet: bool, outcome: &Outcome) -> Result<(), Failure>
         outcome.found(|| read().and_then(|rig| serde_json::to_value(rig).ok()).unwrap_or_default());
     }
     ended
+}
+
+/// `catoptra calibrate markers` with these arguments; what it prints goes to `print`.
+pub(in crate::cli) fn teach(arguments: &[String], print: impl Fn(&str) -> Result<(), Failure>) -> Result<(), Failure> {
+    markers::run(&markers_args(arguments)?, print)
+}
+
+/// The rig with the bands of these arguments, before anything is learned.
+pub(in crate::cli) fn rig_to_teach(arguments: &[String]) -> Result<Rig, Failure> {
+    markers::rig_with_picks(&markers_args(arguments)?)
+}
+
+fn markers_args(arguments: &[String]) -> Result<markers::MarkersArgs, Failure> {
+    #[derive(clap::Parser)]
+    struct Alone {
+        #[command(flatten)]
+        args: markers::MarkersArgs,
+    }
+    let arguments = ["catoptra calibrate markers"].into_iter().chain(arguments.iter().map(String::as_str));
+    let parsed = <Alone as clap::Parser>::try_parse_from(arguments);
+    parsed.map(|alone| alone.args).map_err(|error| {
+        let said = error.to_string();
+        // Usage and hints are for who types.
+        let first = said.split("\n\n").next().unwrap_or_default();
+        usage(first.strip_prefix("error: ").unwrap_or(first).to_owned())
+    })
 }
 
 /// A length as people write it, in metres.

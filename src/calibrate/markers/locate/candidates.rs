@@ -160,13 +160,15 @@ impl Search<'_> {
         Some(Candidate { point: met.point, ..candidate })
     }
 
+    /// A look in a view, made better.
+    pub(crate) fn refined_look(&self, view: usize, look: Look, length_m: f64) -> Look {
+        refined(self.pixels, look, self.size(view, length_m).length)
+    }
+
     /// The same with looks made better; what does not become a better one stays.
     pub(crate) fn refined(&self, candidate: &Candidate, length_m: f64) -> Option<Candidate> {
-        let looks = candidate
-            .looks
-            .iter()
-            .enumerate()
-            .map(|(v, look)| look.map(|look| refined(self.pixels, look, self.size(v, length_m).length)));
+        let looks = candidate.looks.iter().enumerate();
+        let looks = looks.map(|(v, look)| look.map(|look| self.refined_look(v, look, length_m)));
         self.triangulated(Candidate { looks: looks.collect(), ..candidate.clone() })
     }
 }
