@@ -109,8 +109,9 @@ export class Teach {
     this.names.recording.textContent = path;
     this.asked += 1;
     this.clear();
-    await this.index(this.asked);
+    // The first picture is shown before the times of all others are known.
     this.go(0);
+    await this.index(this.asked);
   }
 
   /** The times of the frames, as far as they are known. */
@@ -160,6 +161,7 @@ export class Teach {
   async showFrame(i) {
     if (!this.recording) return;
     const picture = await askPicture("frame", { recording: this.recording, frame: i, width: null });
+    this.size = [picture.width, picture.height];
     this.stage.show(picture, this.size);
     this.element.dataset.frame = i;
     clearTimeout(this.rest);
