@@ -84,8 +84,10 @@ pub(crate) fn run(args: &Args) -> Result<(), Failure> {
     let (recording, run) = if is_run { (None, source) } else { (source, None) };
     let start = Start { recording, rig, run, fps: args.fps };
     let verbs = Verbs {
-        teach: Box::new(teach),
+        teach: Box::new(|arguments| told(|print| calibrate::teach(arguments, print))),
         rig_to_teach: Box::new(|arguments| calibrate::rig_to_teach(arguments).map_err(|e| e.message())),
+        calibrate_rig: Box::new(|arguments| told(|print| calibrate::rig(arguments, print))),
+        rig_to_calibrate: Box::new(|arguments| calibrate::rig_to_calibrate(arguments).map_err(|e| e.message())),
     };
     let server = serve(&args.listen, Desk::new(places, start, verbs))?;
     output::print(&format!("{}\n", server.url()))?;
@@ -115,8 +117,8 @@ fn serve(listen: &Listen, desk: Desk) -> Result<Server, Failure> {
     })
 }
 
-/// `catoptra calibrate markers`, as if it had been typed; what it prints is told.
-fn teach(arguments: &[String]) -> Told {
+/// Runs a verb as if it had been typed; what it prints is told.
+fn told(verb: impl FnOnce(&dyn Fn(&str) -> Result<(), Failure>) -> Result<(), Failure>) -> Told {
     // The command writes its files as one process: two pages wait for each other.
     static ALONE: Mutex<()> = Mutex::new(());
     let _alone = ALONE.lock();
@@ -128,7 +130,7 @@ fn teach(arguments: &[String]) -> Told {
         Ok(())
     };
     let work = Work::new();
-    let ended = work.within(|| calibrate::teach(arguments, print));
+    let ended = work.within(|| verb(&print));
     let code = match ended.as_ref().map_err(Failure::exit) {
         Ok(()) => 0,
         Err(Exit::Failed) => 1,

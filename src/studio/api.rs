@@ -1,83 +1,10 @@
 //! What the page may ask: a name and JSON in, JSON or a picture out.
 
-use super::places::Places;
-use super::reel::Reel;
-use super::review::{self, Runs};
-use super::watch::Watch;
-use super::{Refusal, Start, Verbs, teach, veto, watch};
-use axum::http::HeaderName;
+use super::desk::Desk;
+use super::{Refusal, Reply, boards, review, teach, veto};
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
-use std::path::Path;
-use std::sync::{Arc, Mutex, PoisonError};
-
-/// Recordings that stay open.
-const MOST_REELS: usize = 3;
-
-/// A header that says what a picture is of.
-pub(super) const ABOUT: HeaderName = HeaderName::from_static("x-about");
-
-/// An answer.
-pub(super) enum Reply {
-    Json(Value),
-    Jpeg { bytes: Vec<u8>, about: String },
-    Nothing,
-}
-
-/// All that the page works with.
-pub(crate) struct Desk {
-    pub(super) places: Places,
-    pub(super) start: Start,
-    pub(super) verbs: Option<Verbs>,
-    pub(super) watch: Option<Watch>,
-    pub(super) runs: Runs,
-    reels: Mutex<Vec<Arc<Reel>>>,
-}
-
-impl Desk {
-    /// For teaching and looking through runs.
-    pub(crate) fn new(places: Places, start: Start, verbs: Verbs) -> Self {
-        Self { places, start, verbs: Some(verbs), watch: None, runs: Runs::default(), reels: Mutex::default() }
-    }
-
-    /// For a live run, and nothing else.
-    pub(crate) fn live(places: Places, watch: Watch) -> Self {
-        let start = Start::default();
-        Self { places, start, verbs: None, watch: Some(watch), runs: Runs::default(), reels: Mutex::default() }
-    }
-
-    pub(super) fn verbs(&self) -> Result<&Verbs, Refusal> {
-        self.verbs.as_ref().ok_or_else(|| Refusal::forbidden("this is not part of a live run: start `catoptra studio`"))
-    }
-
-    /// The recording at a path, opened when it is not.
-    pub(super) fn reel(&self, text: &str) -> Result<Arc<Reel>, Refusal> {
-        self.verbs()?;
-        self.reel_at(&self.places.existing(text)?)
-    }
-
-    pub(super) fn reel_at(&self, path: &Path) -> Result<Arc<Reel>, Refusal> {
-        // Held while it is opened: two requests open it once.
-        let mut reels = self.reels.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(at) = reels.iter().position(|reel| reel.path() == path) {
-            let reel = reels.remove(at);
-            reels.push(Arc::clone(&reel));
-            return Ok(reel);
-        }
-        let options = crate::source::SourceOptions { stated_rate: self.start.fps, ..Default::default() };
-        let options = crate::source::SourceOptions {
-            stated_rate: options.stated_rate.filter(|_| path.is_dir() && !path.join("times.csv").is_file()),
-            ..options
-        };
-        let reel = Reel::open(path, options)?;
-        if reels.len() >= MOST_REELS {
-            reels.remove(0);
-        }
-        reels.push(Arc::clone(&reel));
-        Ok(reel)
-    }
-}
 
 /// Answers.
 pub(super) fn answer(desk: &Desk, name: &str, body: &[u8]) -> Result<Reply, Refusal> {
@@ -94,8 +21,14 @@ pub(super) fn answer(desk: &Desk, name: &str, body: &[u8]) -> Result<Reply, Refu
         "run" => review::run(desk, &read(body)?),
         "run/frame" => review::frame(desk, &read(body)?),
         "run/veto" => veto::veto(desk, &read(body)?),
-        "watch" => watch::rows(desk, &read(body)?),
-        "watch/picture" => watch::picture(desk, &read(body)?),
+        "board/pictures" => boards::pictures(desk, &read(body)?),
+        "board/keep" => boards::keep(desk, &read(body)?),
+        "board/show" => boards::show(desk, &read(body)?),
+        "board/find" => boards::find(desk, &read(body)?),
+        "board/judge" => boards::judge(desk, &read(body)?),
+        "board/save" => boards::save(desk, &read(body)?),
+        "watch" => Ok(desk.watch()?.rows(&read(body)?)),
+        "watch/picture" => desk.watch()?.picture(&read(body)?),
         _ => Err(Refusal { status: 404, words: "there is nothing here".to_owned() }),
     }
 }
@@ -110,7 +43,7 @@ fn state(desk: &Desk) -> Value {
     json!({
         "version": env!("CARGO_PKG_VERSION"),
         "root": desk.places.root(),
-        "live": desk.watch.as_ref().map(Watch::about),
+        "live": desk.watch.as_ref().map(super::Watch::about),
         "recording": shown(&desk.start.recording),
         "rig": shown(&desk.start.rig),
         "run": shown(&desk.start.run),

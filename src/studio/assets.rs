@@ -17,7 +17,7 @@ macro_rules! asset {
 }
 
 /// All of them; the first is the page itself.
-pub(super) static ALL: [Asset; 11] = [
+pub(super) static ALL: [Asset; 12] = [
     asset!("index.html", "text/html; charset=utf-8"),
     asset!("icon.svg", "image/svg+xml"),
     asset!("studio.css", "text/css; charset=utf-8"),
@@ -26,6 +26,7 @@ pub(super) static ALL: [Asset; 11] = [
     asset!("stage.js", SCRIPT),
     asset!("plot.js", SCRIPT),
     asset!("scene.js", SCRIPT),
+    asset!("calibrate.js", SCRIPT),
     asset!("teach.js", SCRIPT),
     asset!("review.js", SCRIPT),
     asset!("watch.js", SCRIPT),

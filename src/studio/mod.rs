@@ -5,30 +5,36 @@
 //!
 //! - `server`: HTTP on this computer. `guard`: who is let in. `assets`: the page. `places`: which files.
 //! - `api`: what the page may ask; all of it is `POST` with JSON and the key of this start.
-//! - `reel`: frames of a recording by number. `teach`, `review`, `watch`: the views of the page.
+//! - `desk`: what is open. `reel`: frames of a recording by number. `run`: a run, read back. `searched`: boards in pictures.
+//! - `teach`, `boards`, `review` and `veto`, `watch`: the views of the page. `command`: the same as a command line.
 //!
 //! What it does not protect from: a program of the same user, who can read the key, and who can do all this without it.
 
 mod api;
 mod assets;
+mod boards;
+mod command;
+mod desk;
 mod guard;
 mod places;
 mod reel;
 mod review;
 mod run;
 mod scene;
+mod searched;
 mod server;
 mod shown;
 mod teach;
 mod veto;
 mod watch;
 
-pub(crate) use api::Desk;
+pub(crate) use desk::Desk;
 pub(crate) use places::Places;
 pub(crate) use server::Server;
 pub(crate) use watch::Watch;
 
-use crate::rig::Rig;
+use crate::calibrate::rig::RigOptions;
+use crate::rig::{Draft, Rig};
 use std::path::PathBuf;
 
 /// What a verb of the command line came to.
@@ -49,12 +55,19 @@ pub(crate) type Verb = Box<dyn Fn(&[String]) -> Told + Send + Sync>;
 /// The rig that a verb would begin with, or what is wrong with its arguments.
 pub(crate) type RigOf = Box<dyn Fn(&[String]) -> Result<Rig, String> + Send + Sync>;
 
+/// The rig file that a verb would begin with and its options, or what is wrong with its arguments.
+pub(crate) type DraftOf = Box<dyn Fn(&[String]) -> Result<(Draft, RigOptions), String> + Send + Sync>;
+
 /// The verbs of the command line that the page calls: the same code, in this process.
 pub(crate) struct Verbs {
     /// `catoptra calibrate markers`.
     pub teach: Verb,
     /// The rig with the bands of the same arguments, before anything is learned.
     pub rig_to_teach: RigOf,
+    /// `catoptra calibrate rig`.
+    pub calibrate_rig: Verb,
+    /// What it would begin with: the rig file, and its options.
+    pub rig_to_calibrate: DraftOf,
 }
 
 /// What was named on the command line.
@@ -68,6 +81,17 @@ pub(crate) struct Start {
     pub run: Option<PathBuf>,
     /// Frames per second of a folder of pictures without times.
     pub fps: Option<crate::source::FrameRate>,
+}
+
+/// An answer.
+enum Reply {
+    Json(serde_json::Value),
+    /// A picture, and what it is of.
+    Jpeg {
+        bytes: Vec<u8>,
+        about: String,
+    },
+    Nothing,
 }
 
 /// Why the page does not get what it asked for.

@@ -80,6 +80,11 @@ impl Places {
         if shown.as_os_str().is_empty() { ".".to_owned() } else { shown.display().to_string() }
     }
 
+    /// The whole path of what is shown so.
+    pub(super) fn whole(&self, shown: &str) -> String {
+        self.root.join(shown).display().to_string()
+    }
+
     /// What a folder has that the page can open, folders first.
     pub(super) fn list(&self, text: &str) -> Result<Vec<Entry>, Refusal> {
         let folder = self.existing(text)?;

@@ -1,51 +1,16 @@
 //! A run that is over: what was measured over time, and each frame with what was found in it.
 
-use super::api::{Desk, Reply};
-use super::run::Run;
-use super::{Refusal, scene, veto};
+use super::desk::Desk;
+use super::run::{Row, Run};
+use super::{Refusal, Reply, scene, veto};
 use crate::estimate::Miss;
 use serde::Deserialize;
 use serde_json::{Value, json};
-use std::path::Path;
-use std::sync::{Arc, Mutex, PoisonError};
-
-/// Runs that stay in memory.
-const MOST_RUNS: usize = 2;
-
-/// Runs that were read.
-#[derive(Default)]
-pub(super) struct Runs(Mutex<Vec<Arc<Run>>>);
-
-impl Runs {
-    /// The run in a folder; read again when its files have changed.
-    fn get(&self, folder: &Path) -> Result<Arc<Run>, Refusal> {
-        // Held while it is read: two requests read it once.
-        let mut runs = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(at) = runs.iter().position(|run| run.folder() == folder) {
-            let run = runs.remove(at);
-            if run.is_current() {
-                runs.push(Arc::clone(&run));
-                return Ok(run);
-            }
-        }
-        let run = Arc::new(Run::read(folder)?);
-        if runs.len() >= MOST_RUNS {
-            runs.remove(0);
-        }
-        runs.push(Arc::clone(&run));
-        Ok(run)
-    }
-}
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct RunAsked {
     run: String,
-}
-
-pub(super) fn open(desk: &Desk, text: &str) -> Result<Arc<Run>, Refusal> {
-    desk.verbs()?;
-    desk.runs.get(&desk.places.existing(text)?)
 }
 
 /// Four digits behind the point are more than a plot shows, and less than half as much to send.
@@ -56,7 +21,7 @@ fn short(value: f64) -> Value {
 
 /// All of a run, column by column.
 pub(super) fn run(desk: &Desk, asked: &RunAsked) -> Result<Reply, Refusal> {
-    let run = open(desk, &asked.run)?;
+    let run = desk.run(&asked.run)?;
     let first_ns = run.rows.first().map_or(0, |row| row.stamp_ns);
     let mut reasons: Vec<String> = Vec::new();
     let mut miss = Vec::with_capacity(run.rows.len());
@@ -72,9 +37,7 @@ pub(super) fn run(desk: &Desk, asked: &RunAsked) -> Result<Reply, Refusal> {
         miss.push(at);
     }
     let residual = |m: usize, v: usize| -> Vec<Value> {
-        let of = |row: &super::run::Row| {
-            row.bands.get(m).and_then(|views| views.get(v)?.as_ref()).map(|seen| seen.residual_px)
-        };
+        let of = |row: &Row| row.bands.get(m).and_then(|views| views.get(v)?.as_ref()).map(|seen| seen.residual_px);
         run.rows.iter().map(|row| of(row).map_or(Value::Null, short)).collect()
     };
     let residuals: Vec<Value> = (0..run.markers.len())
@@ -116,7 +79,7 @@ pub(super) struct FrameAsked {
 
 /// One frame of a run: what was found in it, and which picture it is.
 pub(super) fn frame(desk: &Desk, asked: &FrameAsked) -> Result<Reply, Refusal> {
-    let run = open(desk, &asked.run)?;
+    let run = desk.run(&asked.run)?;
     let beyond = || Refusal::wrong(format!("row {}: the run has {}", asked.row, run.rows.len()));
     let row = run.rows.get(asked.row).ok_or_else(beyond)?;
     let bands: Vec<Value> = run

@@ -11,16 +11,45 @@ use mcap::records::Record;
 use nalgebra::Point3;
 use prost_reflect::{DynamicMessage, Value};
 use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::SystemTime;
 
 const LOG: &str = "log.mcap";
 const TABLE: &str = "track.csv";
 
+/// Runs that stay in memory.
+const MOST_RUNS: usize = 2;
+
+/// Runs that were read.
+#[derive(Default)]
+pub(super) struct Runs(Mutex<Vec<Arc<Run>>>);
+
+impl Runs {
+    /// The run in a folder; read again when its files have changed.
+    pub(super) fn get(&self, folder: &Path) -> Result<Arc<Run>, Refusal> {
+        // Held while it is read: two requests read it once.
+        let mut runs = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(at) = runs.iter().position(|run| run.folder() == folder) {
+            let run = runs.remove(at);
+            if run.is_current() {
+                runs.push(Arc::clone(&run));
+                return Ok(run);
+            }
+        }
+        let run = Arc::new(Run::read(folder)?);
+        if runs.len() >= MOST_RUNS {
+            runs.remove(0);
+        }
+        runs.push(Arc::clone(&run));
+        Ok(run)
+    }
+}
+
 /// A run.
 #[derive(Debug, Default)]
 pub(super) struct Run {
     folder: PathBuf,
-    changed: Option<SystemTime>,
+    changed: [Option<SystemTime>; 2],
     /// Paths as `run.toml` has them.
     pub(super) recording: Option<String>,
     pub(super) rig_path: Option<String>,
@@ -106,12 +135,13 @@ impl Run {
         Ok(run)
     }
 
+    /// Where it is.
     pub(super) fn folder(&self) -> &Path {
         &self.folder
     }
 
     /// Whether its files are still those that were read.
-    pub(super) fn is_current(&self) -> bool {
+    fn is_current(&self) -> bool {
         changed(&self.folder) == self.changed
     }
 
@@ -231,7 +261,8 @@ fn list(message: &DynamicMessage, field: &str) -> Vec<DynamicMessage> {
     values.iter().filter_map(Value::as_message).cloned().collect()
 }
 
-fn changed(folder: &Path) -> Option<SystemTime> {
+/// When its files were written.
+fn changed(folder: &Path) -> [Option<SystemTime>; 2] {
     let of = |name: &str| std::fs::metadata(folder.join(name)).ok()?.modified().ok();
-    of(LOG).max(of(TABLE))
+    [of(LOG), of(TABLE)]
 }

@@ -1,9 +1,10 @@
 //! The server: one thread that waits, and a few for what takes time.
 
-use super::Refusal;
-use super::api::{self, Desk, Reply};
+use super::api;
 use super::assets;
+use super::desk::Desk;
 use super::guard::{Guard, Refused};
+use super::{Refusal, Reply};
 use axum::body::{Body, Bytes};
 use axum::extract::{DefaultBodyLimit, Request, State};
 use axum::http::{HeaderName, HeaderValue, StatusCode, Uri, header};
@@ -19,6 +20,10 @@ use tokio::sync::oneshot;
 
 /// What the page sends is shorter, bytes.
 const MOST_BODY: usize = 256 * 1024;
+/// But for a picture that is dropped in.
+const MOST_PICTURE: usize = 48 * 1024 * 1024;
+/// A header that says what a picture is of.
+const ABOUT: HeaderName = HeaderName::from_static("x-about");
 /// Requests that are worked on at once.
 const MOST_AT_WORK: usize = 6;
 /// How long requests may take when the server ends.
@@ -104,6 +109,7 @@ impl Drop for Server {
 fn router(shared: Shared) -> Router {
     Router::new()
         .route("/api/{*name}", routing::any(answer))
+        .route("/api/board/keep", routing::any(answer).layer(DefaultBodyLimit::max(MOST_PICTURE)))
         .fallback(asset)
         .layer(DefaultBodyLimit::max(MOST_BODY))
         .layer(from_fn_with_state(shared.clone(), guarded))
@@ -154,7 +160,7 @@ async fn answer(State(shared): State<Shared>, uri: Uri, body: Bytes) -> Response
         Reply::Json(value) => ([(header::CONTENT_TYPE, "application/json")], value.to_string()).into_response(),
         Reply::Jpeg { bytes, about } => {
             let about = HeaderValue::from_str(&about).unwrap_or(HeaderValue::from_static(""));
-            let headers = [(header::CONTENT_TYPE, HeaderValue::from_static("image/jpeg")), (api::ABOUT, about)];
+            let headers = [(header::CONTENT_TYPE, HeaderValue::from_static("image/jpeg")), (ABOUT, about)];
             (headers, Body::from(bytes)).into_response()
         }
         Reply::Nothing => StatusCode::NO_CONTENT.into_response(),

@@ -3,8 +3,8 @@
 use super::Refusal;
 use crate::sink::{ConvertError, ToBgr};
 use crate::source::Picture;
-use image::ExtendedColorType;
 use image::codecs::jpeg::JpegEncoder;
+use image::{ExtendedColorType, RgbImage};
 
 /// Of the JPEG: good enough to see single pixels, small enough to scrub.
 const QUALITY: u8 = 88;
@@ -28,9 +28,18 @@ pub(super) fn jpeg(to_bgr: &mut ToBgr, picture: &Picture, width: Option<u32>) ->
     for row in bgr.chunks_exact(stride).step_by(step) {
         rgb.extend(row.chunks_exact(3).step_by(step).flat_map(|bgr| bgr.iter().rev().copied()));
     }
+    encoded(&rgb, columns, rows)
+}
+
+/// A picture of a file as JPEG.
+pub(super) fn jpeg_of(picture: &RgbImage) -> Result<Vec<u8>, Refusal> {
+    encoded(picture.as_raw(), picture.width(), picture.height())
+}
+
+fn encoded(rgb: &[u8], width: u32, height: u32) -> Result<Vec<u8>, Refusal> {
     let mut jpeg = Vec::new();
-    JpegEncoder::new_with_quality(&mut jpeg, QUALITY)
-        .encode(&rgb, columns, rows, ExtendedColorType::Rgb8)
-        .map_err(|error| Refusal::wrong(format!("JPEG: {error}")))?;
+    let mut encoder = JpegEncoder::new_with_quality(&mut jpeg, QUALITY);
+    let failed = |error| Refusal::wrong(format!("JPEG: {error}"));
+    encoder.encode(rgb, width, height, ExtendedColorType::Rgb8).map_err(failed)?;
     Ok(jpeg)
 }

@@ -1,15 +1,15 @@
 //! Bands taught by clicks: what one click shows, what a click on every band shows, and the command that learns them.
 
-use super::api::{Desk, Reply};
+use super::command::{Setting, arguments, typed};
+use super::desk::Desk;
 use super::reel::Reel;
-use super::{Refusal, scene};
+use super::{Refusal, Reply, scene};
 use crate::calibrate::markers::{self, MarkersOptions, Pick, Rectangle, verdict};
 use crate::rig::{Draft, Rig, View};
 use crate::source::Window;
 use nalgebra::{Matrix2, Point2};
 use serde::Deserialize;
 use serde_json::{Value, json};
-use std::fmt::Write as _;
 use std::sync::Arc;
 
 /// Names, bands and corners that are taken at most.
@@ -56,9 +56,6 @@ struct PickForm {
     x: f64,
     y: f64,
 }
-
-/// An option of the command and its value.
-type Setting = (&'static str, String);
 
 impl Form {
     fn check(&self) -> Result<(), Refusal> {
@@ -111,11 +108,10 @@ impl Form {
     fn rig(&self, desk: &Desk) -> Result<Rig, Refusal> {
         self.check()?;
         let clicked = |band: &BandForm| ("--pick", format!("{}@0,0:{}mm", band.name, band.length_mm));
-        let settings = self.settings().into_iter().chain(self.bands.iter().map(clicked));
-        let file = desk.places.existing(&self.rig)?.display().to_string();
-        let settings: Vec<Setting> =
-            settings.map(|set| if set.0 == "--rig" { (set.0, file.clone()) } else { set }).collect();
-        (desk.verbs()?.rig_to_teach)(&arguments(&self.recording, &settings)).map_err(Refusal::wrong)
+        let settings: Vec<Setting> = self.settings().into_iter().chain(self.bands.iter().map(clicked)).collect();
+        desk.places.existing(&self.rig)?;
+        let arguments = arguments(&desk.places, &[&self.recording], &settings);
+        (desk.verbs()?.rig_to_teach)(&arguments).map_err(Refusal::wrong)
     }
 
     /// The picks as the library takes them.
@@ -126,37 +122,6 @@ impl Form {
         };
         self.picks.iter().map(click).collect()
     }
-}
-
-/// Arguments of the command, as a program gives them: no value is ever taken for an option.
-fn arguments(recording: &str, settings: &[Setting]) -> Vec<String> {
-    let mut all: Vec<String> = settings.iter().map(|(option, value)| format!("{option}={value}")).collect();
-    all.extend(["--".to_owned(), recording.to_owned()]);
-    all
-}
-
-/// The same command as a person types it into a shell.
-fn typed(recording: &str, settings: &[Setting]) -> String {
-    let quoted = |text: &str| {
-        let plain = |c: char| c.is_alphanumeric() || "@:,.-_/+=".contains(c);
-        if !text.is_empty() && text.chars().all(plain) {
-            text.to_owned()
-        } else {
-            format!("'{}'", text.replace('\'', r"'\''"))
-        }
-    };
-    let mut line = "catoptra calibrate markers".to_owned();
-    if !recording.starts_with('-') {
-        let _ = write!(line, " {}", quoted(recording));
-    }
-    for (option, value) in settings {
-        let between = if value.starts_with('-') { '=' } else { ' ' };
-        let _ = write!(line, " \\\n  {option}{between}{}", quoted(value));
-    }
-    if recording.starts_with('-') {
-        let _ = write!(line, " \\\n  -- {}", quoted(recording));
-    }
-    line
 }
 
 #[derive(Debug, Deserialize)]
@@ -393,18 +358,11 @@ pub(super) fn save(desk: &Desk, asked: &Save) -> Result<Reply, Refusal> {
     if out != rig {
         settings.push(("--out", desk.places.shown(&out)));
     }
-    let command = typed(&form.recording, &settings);
+    let command = typed("calibrate markers", &[&form.recording], &settings);
     if asked.dry {
         return Ok(Reply::Json(json!({ "command": command })));
     }
-    // The whole paths: the page is not bound to the folder that a shell would be in.
-    let whole = |(option, value): Setting| match option {
-        "--rig" => (option, rig.display().to_string()),
-        "--out" => (option, out.display().to_string()),
-        _ => (option, value),
-    };
-    let settings: Vec<Setting> = settings.into_iter().map(whole).collect();
-    let told = (desk.verbs()?.teach)(&arguments(&recording.display().to_string(), &settings));
+    let told = (desk.verbs()?.teach)(&arguments(&desk.places, &[&form.recording], &settings));
     let page = out.with_extension("markers.html");
     Ok(Reply::Json(json!({
         "command": command,

@@ -1,9 +1,8 @@
 //! `vetoes.csv` beside a run: frames that a person does not trust, and why. What was measured stays as it is; a veto
 //! that is taken back stays in the file, with the row that takes it back.
 
-use super::Refusal;
-use super::api::{Desk, Reply};
-use super::review::open;
+use super::desk::Desk;
+use super::{Refusal, Reply};
 use crate::whole_file;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
@@ -45,7 +44,7 @@ pub(super) struct Asked {
 
 /// Vetoes a frame, or takes that back.
 pub(super) fn veto(desk: &Desk, asked: &Asked) -> Result<Reply, Refusal> {
-    let run = open(desk, &asked.run)?;
+    let run = desk.run(&asked.run)?;
     let beyond = || Refusal::wrong(format!("row {}: the run has {}", asked.row, run.rows.len()));
     let row = run.rows.get(asked.row).ok_or_else(beyond)?;
     let comment = asked.comment.trim();

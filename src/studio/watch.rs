@@ -1,7 +1,6 @@
 //! A live run while it goes on: its last rows, how it goes, and a picture now and then.
 
-use super::api::{Desk, Reply};
-use super::{Refusal, scene, shown};
+use super::{Refusal, Reply, scene, shown};
 use crate::live::{Latest, stand_back};
 use crate::rig::Rig;
 use crate::sink::{ToBgr, spoken};
@@ -54,10 +53,6 @@ impl Watch {
     }
 }
 
-fn of(desk: &Desk) -> Result<&Watch, Refusal> {
-    desk.watch.as_ref().ok_or_else(|| Refusal::wrong("no live run is watched: start `catoptra live … --studio`"))
-}
-
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct RowsAsked {
@@ -67,13 +62,20 @@ pub(super) struct RowsAsked {
     currents_after: Option<String>,
 }
 
-/// Rows that are new, and how it goes.
-pub(super) fn rows(desk: &Desk, asked: &RowsAsked) -> Result<Reply, Refusal> {
-    stand_back();
-    let watch = of(desk)?;
-    let views: Vec<&str> = watch.rig.views.iter().map(|v| v.name.as_str()).collect();
-    let to_base = watch.rig.base.as_ref().map_or(Isometry3::identity(), |base| base.base_from_camera);
-    let rows: Vec<Value> = watch
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct PictureAsked {
+    /// Number of the picture that the page has.
+    after: Option<u64>,
+}
+
+impl Watch {
+    /// Rows that are new, and how it goes.
+    pub(super) fn rows(&self, asked: &RowsAsked) -> Reply {
+        stand_back();
+        let views: Vec<&str> = self.rig.views.iter().map(|v| v.name.as_str()).collect();
+        let to_base = self.rig.base.as_ref().map_or(Isometry3::identity(), |base| base.base_from_camera);
+        let rows: Vec<Value> = self
         .latest
         .rows_after(asked.after)
         .iter()
@@ -91,57 +93,50 @@ pub(super) fn rows(desk: &Desk, asked: &RowsAsked) -> Result<Reply, Refusal> {
             })
         })
         .collect();
-    let currents_after = asked.currents_after.as_ref().and_then(|ns| ns.parse().ok()).unwrap_or(i64::MIN);
-    let currents = watch.latest.currents_after(currents_after);
-    let status = watch.latest.status();
-    let ms = |us: u64| us as f64 * 1e-3;
-    Ok(Reply::Json(json!({
-        "rows": rows,
-        "currents": currents.iter().map(|sample| json!({
-            "host_ns": sample.host_ns.to_string(), "host_s": sample.host_ns as f64 * 1e-9, "a": sample.current_a,
-        })).collect::<Vec<_>>(),
-        "status": {
-            "frames": status.frames, "rate": status.new_frames, "lost": status.lost, "skipped": status.skipped,
-            "p50_ms": ms(status.latency.p50_us), "p99_ms": ms(status.latency.p99_us), "max_ms": ms(status.latency.max_us),
-            "backlog": status.backlog, "unlogged": status.unlogged, "pictures": status.pictures,
-            "not_shown": watch.latest.missed(),
-            "alarms": status.alarms.iter().map(|alarm| json!({
-                "t_s": alarm.ns as f64 * 1e-9, "what": alarm.what, "advice": alarm.advice,
+        let currents_after = asked.currents_after.as_ref().and_then(|ns| ns.parse().ok()).unwrap_or(i64::MIN);
+        let currents = self.latest.currents_after(currents_after);
+        let status = self.latest.status();
+        let ms = |us: u64| us as f64 * 1e-3;
+        Reply::Json(json!({
+            "rows": rows,
+            "currents": currents.iter().map(|sample| json!({
+                "host_ns": sample.host_ns.to_string(), "host_s": sample.host_ns as f64 * 1e-9, "a": sample.current_a,
             })).collect::<Vec<_>>(),
-        },
-    })))
-}
-
-#[derive(Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(super) struct PictureAsked {
-    /// Number of the picture that the page has.
-    after: Option<u64>,
-}
-
-/// The newest picture, scaled, with the outlines of its bands; nothing when there is none that is newer.
-pub(super) fn picture(desk: &Desk, asked: &PictureAsked) -> Result<Reply, Refusal> {
-    stand_back();
-    let watch = of(desk)?;
-    let mut made = watch.made.lock().unwrap_or_else(PoisonError::into_inner);
-    if made.at.is_none_or(|at| at.elapsed() >= LEAST_BETWEEN)
-        && let Some((estimate, picture)) = watch.latest.picture()
-        && (made.at.is_none() || estimate.seq > made.seq)
-    {
-        let jpeg = shown::jpeg(&mut made.to_bgr, &picture, Some(WIDTH_PX))?;
-        let bands: Vec<Value> = estimate
-            .markers
-            .iter()
-            .map(|m| {
-                let band = |view: &Result<_, _>| view.as_ref().ok().map(scene::band);
-                json!(m.views.iter().map(band).collect::<Vec<_>>())
-            })
-            .collect();
-        made.reply = json!({ "seq": estimate.seq, "jpeg": BASE64_STANDARD.encode(jpeg), "bands": bands });
-        (made.seq, made.at) = (estimate.seq, Some(Instant::now()));
+            "status": {
+                "frames": status.frames, "rate": status.new_frames, "lost": status.lost, "skipped": status.skipped,
+                "p50_ms": ms(status.latency.p50_us), "p99_ms": ms(status.latency.p99_us), "max_ms": ms(status.latency.max_us),
+                "backlog": status.backlog, "unlogged": status.unlogged, "pictures": status.pictures,
+                "not_shown": self.latest.missed(),
+                "alarms": status.alarms.iter().map(|alarm| json!({
+                    "t_s": alarm.ns as f64 * 1e-9, "what": alarm.what, "advice": alarm.advice,
+                })).collect::<Vec<_>>(),
+            },
+        }))
     }
-    match made.at {
-        Some(_) if asked.after.is_none_or(|after| made.seq > after) => Ok(Reply::Json(made.reply.clone())),
-        _ => Ok(Reply::Nothing),
+
+    /// The newest picture, scaled, with the outlines of its bands; nothing when there is none that is newer.
+    pub(super) fn picture(&self, asked: &PictureAsked) -> Result<Reply, Refusal> {
+        stand_back();
+        let mut made = self.made.lock().unwrap_or_else(PoisonError::into_inner);
+        if made.at.is_none_or(|at| at.elapsed() >= LEAST_BETWEEN)
+            && let Some((estimate, picture)) = self.latest.picture()
+            && (made.at.is_none() || estimate.seq > made.seq)
+        {
+            let jpeg = shown::jpeg(&mut made.to_bgr, &picture, Some(WIDTH_PX))?;
+            let bands: Vec<Value> = estimate
+                .markers
+                .iter()
+                .map(|m| {
+                    let band = |view: &Result<_, _>| view.as_ref().ok().map(scene::band);
+                    json!(m.views.iter().map(band).collect::<Vec<_>>())
+                })
+                .collect();
+            made.reply = json!({ "seq": estimate.seq, "jpeg": BASE64_STANDARD.encode(jpeg), "bands": bands });
+            (made.seq, made.at) = (estimate.seq, Some(Instant::now()));
+        }
+        match made.at {
+            Some(_) if asked.after.is_none_or(|after| made.seq > after) => Ok(Reply::Json(made.reply.clone())),
+            _ => Ok(Reply::Nothing),
+        }
     }
 }

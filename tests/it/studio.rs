@@ -289,7 +289,7 @@ fn a_browser_teaches_by_clicks_and_looks_through_a_run() {
     catoptra(folder.path(), &["track", "planar.mkv", "--rig", rig.to_str().unwrap(), "-o", "run", "--to", "0.3"]);
     let studio = Studio::start(folder.path(), &["rest.mkv", "--rig", "bare.toml"]);
     let script = file("tests/python/studio.py");
-    let output = Command::new(&python).arg(script).args([&browser, &studio.url()]).output().unwrap();
+    let output = Command::new(&python).arg(script).args([&browser, &studio.url(), "--boards"]).arg(file("calibration/dev_tank/mirror")).output().unwrap();
     let said = String::from_utf8_lossy(&output.stdout).into_owned() + &String::from_utf8_lossy(&output.stderr);
     assert!(output.status.success(), "{said}");
     println!("{said}");
@@ -304,4 +304,75 @@ fn a_browser_teaches_by_clicks_and_looks_through_a_run() {
     assert_eq!(read("clicked.toml"), read("typed.toml"));
     let vetoes = std::fs::read_to_string(folder.path().join("run/vetoes.csv")).unwrap();
     assert!(vetoes.contains("vetoed,<b>a hand</b>"), "{vetoes}");
+}
+
+#[test]
+fn pictures_of_a_board_are_dropped_in_and_the_rig_gets_better_as_they_come() {
+    let folder = tempfile::tempdir().unwrap();
+    // A camera without its mirror and walls.
+    let mut rig: toml::Table = std::fs::read_to_string(file("calibration/dev_tank/rig.toml")).unwrap().parse().unwrap();
+    rig.retain(|key, _| ["camera", "provenance"].contains(&key));
+    rig["provenance"].as_table_mut().unwrap().retain(|key, _| key == "camera");
+    std::fs::write(folder.path().join("camera.toml"), rig.to_string()).unwrap();
+    let studio = Studio::start(folder.path(), &["--rig", "camera.toml"]);
+    let mut names: Vec<_> =
+        std::fs::read_dir(file("calibration/dev_tank/mirror")).unwrap().map(|e| e.unwrap().path()).collect();
+    names.retain(|path| path.extension().is_some_and(|ending| ending == "png"));
+    names.sort();
+    let mut kept = Vec::new();
+    let mut errors_mm = Vec::new();
+    for path in names.iter().take(8) {
+        let name = path.file_name().unwrap().to_str().unwrap();
+        let asked = json!({ "folder": "boards", "name": name, "base64": base64(&std::fs::read(path).unwrap()) });
+        let picture = studio.json("board/keep", &asked)["picture"].as_str().unwrap().to_owned();
+        assert_eq!(studio.json("board/keep", &asked)["picture"], picture.as_str(), "the same again is no other");
+        assert_eq!(std::fs::read(folder.path().join(&picture)).unwrap(), std::fs::read(path).unwrap());
+        let found = studio.json("board/find", &json!({ "picture": picture, "board": "9x6:12mm", "mirrors": 1 }));
+        assert!(found["images"].as_array().is_some_and(|images| images.len() == 2), "{name}: {}", found["error"]);
+        assert_eq!(found["images"][0]["corners"].as_array().unwrap().len(), 54);
+        kept.push(picture);
+        if [4, 8].contains(&kept.len()) {
+            let judged = studio.json("board/judge", &board_form(&kept));
+            assert!(judged["error"].is_null(), "{judged}");
+            errors_mm.push(judged["verdict"]["absolute_mm"][0].as_f64().unwrap());
+            assert!(!judged["verdict"]["helpful"].as_array().unwrap().is_empty(), "{judged}");
+        }
+    }
+    println!("expected error with 4 and 8 pictures: {errors_mm:.3?} mm");
+    assert!(errors_mm[1] < errors_mm[0], "{errors_mm:?}");
+    let few = studio.json("board/judge", &board_form(&kept[..1]));
+    assert!(few["error"].is_string(), "{few}");
+    // Only pictures, only into the folder, none over another.
+    let refused = |name: &str, bytes: &[u8], words: &str| {
+        let answer = studio.ask("board/keep", &json!({ "folder": "boards", "name": name, "base64": base64(bytes) }));
+        let said = String::from_utf8_lossy(&answer.body).into_owned();
+        assert!((400..500).contains(&answer.status) && said.contains(words), "{name}: {} {said}", answer.status);
+    };
+    let picture = std::fs::read(&names[1]).unwrap();
+    refused("00.png", &picture, "another picture");
+    refused("../00.png", &picture, "expected the name of a picture");
+    refused("rig.toml", &picture, "expected the name of a picture");
+    refused("new.png", b"<script>", "is no picture");
+    // The command that is shown gives the same rig.
+    let saved = studio.json("board/save", &json!({ "form": board_form(&kept), "out": "clicked.toml", "dry": false }));
+    assert_eq!(saved["told"]["code"], 0, "{saved}");
+    let typed = saved["command"].as_str().unwrap().replace("clicked.toml", "typed.toml");
+    let program = Path::new(env!("CARGO_BIN_EXE_catoptra")).parent().unwrap();
+    let path = format!("{}:{}", program.display(), std::env::var("PATH").unwrap());
+    let output = Command::new("sh").current_dir(folder.path()).env("PATH", path).args(["-c", &typed]).output().unwrap();
+    assert!(output.status.success(), "{typed}\n{}", String::from_utf8_lossy(&output.stderr));
+    let read = |name: &str| std::fs::read(folder.path().join(name)).unwrap();
+    assert_eq!(read("clicked.toml"), read("typed.toml"));
+}
+
+fn board_form(pictures: &[String]) -> Value {
+    json!({
+        "pictures": pictures, "board": "9x6:12mm", "rig": "camera.toml", "mirrors": 1,
+        "glass_mm": 5, "tank": "254x254x267mm", "mirrors_inside": false, "temperature": null,
+    })
+}
+
+fn base64(bytes: &[u8]) -> String {
+    use base64::prelude::{BASE64_STANDARD, Engine as _};
+    BASE64_STANDARD.encode(bytes)
 }

@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
 """The studio in a browser: bands taught by clicks and keys, a run looked through, a frame vetoed.
 
-    studio.py BROWSER URL [--pictures DIR] [--measure N] [--page DIR]
+    studio.py BROWSER URL [--boards DIR] [--pictures DIR] [--measure N] [--page DIR]
 
-The studio serves the sample rest.mkv with a rig without colours as bare.toml, and the folder of a run as `run`. Prints the
-command that the page shows, between `command:` and `end`. With --pictures it also writes the views as pictures, light and dark;
-with --measure it clicks N times on the bands and prints how long a mask took; with --page the page's own files are taken from a
-folder, to try them before they are built in.
+The studio serves the sample rest.mkv with a rig without colours as bare.toml, and the folder of a run as `run`. Prints
+the command that the page shows, between `command:` and `end`. With --boards, pictures of a board are dropped in. With
+--pictures it also writes the views as pictures, light and dark; with --measure it clicks N times on the bands and prints
+how long a mask took; with --page the page's own files are taken from a folder, to try them before they are built in.
 """
 
 import argparse
@@ -118,6 +118,18 @@ def review(page):
     assert page.locator("#vetoes b").count() == 0, "a comment became markup"
 
 
+def calibrate(page, folder, count):
+    page.get_by_role("tab", name="Calibrate").click()
+    page.fill("#glass", "5")
+    page.fill("#tank", "254x254x267mm")
+    page.set_input_files("#files", sorted(folder.glob("*.png"))[:count])
+    page.wait_for_selector(f".calibrate[data-judged='{count}']", timeout=180_000)
+    expect(page.locator("#verdict")).to_contain_text("in the camera frame")
+    expect(page.locator("#verdict")).to_contain_text("The next picture")
+    expect(page.locator("#rigcommand")).to_contain_text("catoptra calibrate rig boards/00.png")
+    page.wait_for_selector(f".calibrate[data-shown='{count - 1}']")
+
+
 def measure(page, count):
     took = []
     for k in range(count):
@@ -141,6 +153,7 @@ def main():
     parser.add_argument("url")
     parser.add_argument("--pictures", type=Path)
     parser.add_argument("--measure", type=int, default=0)
+    parser.add_argument("--boards", type=Path)
     parser.add_argument("--page", type=Path)
     args = parser.parse_args()
     with sync_playwright() as playwright:
@@ -161,6 +174,12 @@ def main():
                 page.screenshot(path=args.pictures / f"studio-teach-{scheme}.jpg", type="jpeg", quality=72)
             if scheme == "light":
                 print(f"command:\n{command}\nend")
+            if args.boards:
+                calibrate(page, args.boards, 8 if args.pictures else 4)
+                small += small_text(page)
+                if args.pictures:
+                    page.wait_for_timeout(300)
+                    page.screenshot(path=args.pictures / f"studio-calibrate-{scheme}.jpg", type="jpeg", quality=72)
             review(page)
             small += small_text(page)
             page.wait_for_timeout(300)

@@ -2,6 +2,7 @@
 
 import { ask, complain, el, fill, isTyping, say } from "./common.js";
 import { Teach } from "./teach.js";
+import { Calibrate } from "./calibrate.js";
 import { Review } from "./review.js";
 import { Watch } from "./watch.js";
 
@@ -50,14 +51,14 @@ document.addEventListener("keydown", (event) => {
 
 try {
   const state = await ask("state");
-  const views = state.live ? [["Watch", new Watch(state)]] : [["Teach", new Teach(state)], ["Review", new Review(state)]];
+  const views = state.live ? [["Watch", new Watch(state)]] : [["Calibrate", new Calibrate(state)], ["Teach", new Teach(state)], ["Review", new Review(state)]];
   const buttons = views.map(([name, view]) => {
     const button = el("button", { type: "button", role: "tab", "aria-selected": "false" }, name);
     button.addEventListener("click", () => show(view, button));
     return button;
   });
   fill(tabs, ...buttons);
-  const first = state.run ? 1 : 0;
+  const first = state.live ? 0 : state.run ? 2 : 1;
   show(views[first][1], buttons[first]);
   document.body.dataset.ready = "yes";
 } catch (error) {
