@@ -81,8 +81,8 @@ impl Latest {
         rows
     }
 
-    /// The newest picture that was kept, with what was measured in it; asks for one more. Nothing while the tracker does
-    /// not keep up: pictures give way first.
+    /// The newest picture that was kept, with what was measured in it; asks for one more. Nothing while the tracker
+    /// does not keep up: pictures give way first.
     pub fn picture(&self) -> Option<(Arc<Estimate>, Arc<Picture>)> {
         let left = self.lock();
         if left.passed_over > 0 {

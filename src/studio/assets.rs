@@ -50,7 +50,7 @@ mod tests {
         assert!(bytes < 1_500_000, "{bytes} bytes");
         for asset in &ALL {
             let text = std::str::from_utf8(asset.bytes).unwrap();
-            // No network, no markup from text, no code from text: what the content security policy refuses is not there.
+            // No network, no markup or code from text: what the content security policy refuses is not there.
             let drawing = "http://www.w3.org/2000/svg";
             for word in [
                 "http://",

@@ -1,5 +1,5 @@
-//! Pictures of a board, as they arrive: corners found in each, and how far off in space a rig would be that is calibrated
-//! with those so far.
+//! Pictures of a board, as they arrive: corners found in each, and how far off in space a rig would be that is
+//! calibrated with those so far.
 
 use super::command::{Setting, arguments, typed};
 use super::desk::Desk;

@@ -5,8 +5,8 @@ use super::places::Places;
 /// An option of the command and its value; none of one that has none.
 pub(super) type Setting = (&'static str, String);
 
-/// Arguments of the command, as a program gives them, with whole paths: the page is not bound to the folder that a shell
-/// would be in. No value is ever taken for an option.
+/// Arguments of the command, as a program gives them, with whole paths: the page is not bound to the folder that a
+/// shell would be in. No value is ever taken for an option.
 pub(super) fn arguments(places: &Places, inputs: &[&str], settings: &[Setting]) -> Vec<String> {
     let one = |(option, value): &Setting| match *option {
         "--rig" | "--out" => format!("{option}={}", places.whole(value)),

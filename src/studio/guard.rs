@@ -77,7 +77,7 @@ impl Guard {
         Ok(())
     }
 
-    /// Whether a `Host` means this server. Addresses cannot be rebound, so where all addresses are listened to any will do.
+    /// Whether a `Host` means this server. Addresses cannot be rebound: where all are listened to, any will do.
     fn is_ours(&self, host: &str) -> bool {
         let host = host.to_ascii_lowercase();
         let (name, port) = match host.rsplit_once(':') {

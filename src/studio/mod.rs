@@ -1,11 +1,12 @@
 //! The page in the browser: bands are taught by clicking on them, runs looked through, live runs watched.
 //!
-//! In: a starting folder, what was named on the command line, the verbs of the command line that the page may call. Out:
-//! a server that gives one page, which needs no network, and answers what that page asks.
+//! In: a starting folder, what was named on the command line, the verbs of the command line that the page may call.
+//! Out: a server that gives one page, which needs no network, and answers what that page asks.
 //!
 //! - `server`: HTTP on this computer. `guard`: who is let in. `assets`: the page. `places`: which files.
 //! - `api`: what the page may ask; all of it is `POST` with JSON and the key of this start.
-//! - `desk`: what is open. `reel`: frames of a recording by number. `run`: a run, read back. `searched`: boards in pictures.
+//! - `desk`: what is open. `reel`: frames of a recording by number. `run`: a run, read back. `searched`: boards in
+//!   pictures.
 //! - `teach`, `boards`, `review` and `veto`, `watch`: the views of the page. `command`: the same as a command line.
 //!
 //! What it does not protect from: a program of the same user, who can read the key, and who can do all this without it.

@@ -47,6 +47,7 @@ pub(super) fn run(desk: &Desk, asked: &RunAsked) -> Result<Reply, Refusal> {
     let theta = |pick: fn(&(f64, f64)) -> f64| -> Vec<Value> {
         run.rows.iter().map(|row| row.theta.as_ref().map_or(Value::Null, |t| short(pick(t).to_degrees()))).collect()
     };
+    let alarm = |(ns, what): &(i64, String)| json!({ "t_s": (ns - first_ns) as f64 * 1e-9, "what": what });
     Ok(Reply::Json(json!({
         "run": asked.run,
         "recording": run.recording,
@@ -62,7 +63,7 @@ pub(super) fn run(desk: &Desk, asked: &RunAsked) -> Result<Reply, Refusal> {
         "reasons": reasons.iter().map(|word| crate::sink::spoken(word)).collect::<Vec<_>>(),
         "gap": run.rows.iter().map(|row| row.gap).collect::<Vec<_>>(),
         "residuals": residuals,
-        "alarms": run.alarms.iter().map(|(ns, what)| json!({ "t_s": (ns - first_ns) as f64 * 1e-9, "what": what })).collect::<Vec<_>>(),
+        "alarms": run.alarms.iter().map(alarm).collect::<Vec<_>>(),
         "cut": run.cut,
         "vetoes": veto::standing(run.folder())?,
         "set_up": run.rig.as_ref().map(scene::set_up),

@@ -35,10 +35,11 @@ pub(super) fn set_up(rig: &Rig) -> Value {
             surfaces.push(json!({ "name": name, "view": view.name, "mirror": mirror, "corners": corners }));
         }
     }
+    let bands = rig.markers.iter().map(|m| json!({ "name": m.name, "length_mm": m.length_m * 1e3 }));
     json!({
         "surfaces": surfaces,
         "tube_mm": rig.catheter.diameter_m * 1e3,
-        "bands": rig.markers.iter().map(|m| json!({ "name": m.name, "length_mm": m.length_m * 1e3 })).collect::<Vec<_>>(),
+        "bands": bands.collect::<Vec<_>>(),
         "coil": rig.catheter.coil,
         "b0": rig.base.as_ref().map(|base| [base.b0.x, base.b0.y, base.b0.z]),
     })
@@ -73,5 +74,6 @@ pub(super) fn light(rig: &Rig, places: &[Option<Point3<f64>>]) -> Value {
             paths.push(json!({ "view": view.name, "band": m, "points": points }));
         }
     }
-    json!({ "places": places.iter().map(|place| place.as_ref().map(mm)).collect::<Vec<_>>(), "images": images, "light": paths })
+    let places: Vec<_> = places.iter().map(|place| place.as_ref().map(mm)).collect();
+    json!({ "places": places, "images": images, "light": paths })
 }

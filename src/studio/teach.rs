@@ -137,9 +137,10 @@ pub(super) fn rig(desk: &Desk, asked: &RigAsked) -> Result<Reply, Refusal> {
     let draft = Draft::load(&path).map_err(Refusal::wrong)?;
     let name = |m: usize| draft.markers.get(m).map(|marker| marker.name.as_str());
     let catheter = draft.catheter.as_ref();
+    let views = draft.views.iter().map(|view| json!({ "name": view.name, "region": pairs(&view.region_px) }));
     Ok(Reply::Json(json!({
         "size": draft.camera.size_px,
-        "views": draft.views.iter().map(|view| json!({ "name": view.name, "region": pairs(&view.region_px) })).collect::<Vec<_>>(),
+        "views": views.collect::<Vec<_>>(),
         "bands": draft.markers.iter().map(|m| json!({
             "name": m.name, "length_mm": tidy(m.length_m * 1e3), "taught": !m.colours.is_empty(),
         })).collect::<Vec<_>>(),
@@ -192,7 +193,8 @@ fn reel_of(desk: &Desk, form: &Form, rig: &Rig) -> Result<Arc<Reel>, Refusal> {
         return Ok(reel);
     }
     Err(Refusal::wrong(format!(
-        "{}: pictures of {width}x{height} pixels, but the camera in {} has {}x{}; a calibration holds for one size only",
+        "{}: pictures of {width}x{height} pixels, but the camera in {} has {}x{}; a calibration holds for one size \
+         only",
         form.recording, form.rig, expected[0], expected[1]
     )))
 }
@@ -267,9 +269,13 @@ pub(super) fn preview(desk: &Desk, form: &Form) -> Result<Reply, Refusal> {
     let options = MarkersOptions { after_ns: 0, exposure_s: form.exposure_ms.map(|ms| ms * 1e-3) };
     let found = markers::preview(&rig, &picks, &options, &frame, &pixels);
     let teaching = &found.teaching;
-    let views: Vec<Value> = rig.views.iter().enumerate().map(|(v, view)| {
-        let colours = teaching.views.get(v);
-        let bands: Vec<Value> = rig.markers.iter().enumerate().map(|(m, marker)| {
+    let views: Vec<Value> = rig
+        .views
+        .iter()
+        .enumerate()
+        .map(|(v, view)| {
+            let colours = teaching.views.get(v);
+            let bands: Vec<Value> = rig.markers.iter().enumerate().map(|(m, marker)| {
             let seen = found.estimate.as_ref().and_then(|e| e.markers.get(m)?.views.get(v));
             let mut nearest: Vec<_> =
                 colours.iter().flat_map(|c| c.learned.separations.iter()).filter(|s| s.marker == m).collect();
@@ -282,11 +288,14 @@ pub(super) fn preview(desk: &Desk, form: &Form) -> Result<Reply, Refusal> {
                 "miss": seen.and_then(|seen| seen.as_ref().err()).map(|miss| miss.word(&names(&rig)).replace('_', " ")),
                 "mask": model.map(|model| markers::mask(&frame.picture, model, reach(view, &rig))),
                 "exposure": colours.and_then(|c| c.exposure.get(m).copied().flatten()).map(|e| exposure(&e)),
-                "separations": colours.map(|c| nearest.into_iter().take(4).map(|s| separation(c, s)).collect::<Vec<_>>()),
+                "separations": colours.map(|c| {
+                    nearest.into_iter().take(4).map(|s| separation(c, s)).collect::<Vec<_>>()
+                }),
             })
         }).collect();
-        json!({ "name": view.name, "bands": bands })
-    }).collect();
+            json!({ "name": view.name, "bands": bands })
+        })
+        .collect();
     let positions = found.estimate.as_ref().map(|estimate| {
         let of = |m: &crate::estimate::MarkerEstimate| match &m.position {
             Ok(position) => json!({ "sd_mm": position.sd_m() * 1e3 }),

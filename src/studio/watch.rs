@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 
 /// Pictures are no wider, pixels, and no more often, however many pages ask.
 const WIDTH_PX: u32 = 640;
-const LEAST_BETWEEN: Duration = Duration::from_millis(90);
+const LEAST_BETWEEN: Duration = Duration::from_millis(150);
 
 /// A live run.
 pub(crate) struct Watch {
@@ -104,7 +104,8 @@ impl Watch {
             })).collect::<Vec<_>>(),
             "status": {
                 "frames": status.frames, "rate": status.new_frames, "lost": status.lost, "skipped": status.skipped,
-                "p50_ms": ms(status.latency.p50_us), "p99_ms": ms(status.latency.p99_us), "max_ms": ms(status.latency.max_us),
+                "p50_ms": ms(status.latency.p50_us), "p99_ms": ms(status.latency.p99_us),
+                "max_ms": ms(status.latency.max_us),
                 "backlog": status.backlog, "unlogged": status.unlogged, "pictures": status.pictures,
                 "not_shown": self.latest.missed(),
                 "alarms": status.alarms.iter().map(|alarm| json!({

@@ -262,8 +262,8 @@ fn a_run_is_looked_through_and_frames_are_vetoed() {
     assert!(run["note"].as_str().unwrap().contains("no log.mcap") && run["t_s"].as_array().unwrap().len() == rows);
 }
 
-/// A browser and a Python that drives it. With both named, by `CATOPTRA_BROWSER` and `CATOPTRA_PYTHON`, they must do; else
-/// Debian's Chromium is taken, and where something is missing the test is left out, and says so.
+/// A browser and a Python that drives it. With both named, by `CATOPTRA_BROWSER` and `CATOPTRA_PYTHON`, they must do;
+/// else Debian's Chromium is taken, and where something is missing the test is left out, and says so.
 fn browser_and_python() -> Option<(String, String)> {
     let [browser, python] = ["CATOPTRA_BROWSER", "CATOPTRA_PYTHON"].map(|name| std::env::var(name).ok());
     let must = browser.is_some() && python.is_some();
@@ -289,7 +289,12 @@ fn a_browser_teaches_by_clicks_and_looks_through_a_run() {
     catoptra(folder.path(), &["track", "planar.mkv", "--rig", rig.to_str().unwrap(), "-o", "run", "--to", "0.3"]);
     let studio = Studio::start(folder.path(), &["rest.mkv", "--rig", "bare.toml"]);
     let script = file("tests/python/studio.py");
-    let output = Command::new(&python).arg(script).args([&browser, &studio.url(), "--boards"]).arg(file("calibration/dev_tank/mirror")).output().unwrap();
+    let output = Command::new(&python)
+        .arg(script)
+        .args([&browser, &studio.url(), "--boards"])
+        .arg(file("calibration/dev_tank/mirror"))
+        .output()
+        .unwrap();
     let said = String::from_utf8_lossy(&output.stdout).into_owned() + &String::from_utf8_lossy(&output.stderr);
     assert!(output.status.success(), "{said}");
     println!("{said}");

@@ -161,7 +161,8 @@ impl Studio {
             (
                 "a WebSocket, and frames that make no sense",
                 format!(
-                    "GET /api/watch HTTP/1.1\r\n{full}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n\u{1}\u{7f}\u{7f}"
+                    "GET /api/watch HTTP/1.1\r\n{full}\r\nUpgrade: websocket\r\n\
+                     Connection: Upgrade\r\nSec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n\u{1}\u{7f}\u{7f}"
                 ),
                 &[405],
             ),

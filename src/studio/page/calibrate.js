@@ -48,7 +48,9 @@ export class Calibrate {
     this.saveButton = el("button", { type: "button", class: "main", id: "rigsave", onclick: () => this.save() }, "Calibrate and save");
     this.command = latest(() => this.showCommand());
     const files = el("input", { type: "file", multiple: true, accept: "image/*", id: "files", onchange: () => this.take([...files.files]).catch(complain) });
-    const left = el("div", { class: "left" }, this.stage.element, el("div", {}, this.cover, el("p", { class: "quiet" }, "What the corners of all pictures cover, view by view.")));
+    const left = el("div", { class: "left" }, this.stage.element, el("div", { class: "below" },
+      el("div", {}, this.cover, el("p", { class: "quiet" }, "What the corners of all pictures cover.")),
+      el("section", { class: "grow" }, el("h2", {}, "How far off the rig would be"), this.verdict)));
     const side = el("div", { class: "side" },
       el("section", {},
         el("div", { class: "row" }, el("b", {}, "Rig"), this.rigName, el("button", { type: "button", onclick: () => choose("Rig files", ["rig"], (path) => { this.rig = path; this.rigName.textContent = path; this.out.value = path; this.changed(); }) }, "Open …")),
@@ -61,7 +63,6 @@ export class Calibrate {
         field("folder", "kept in", this.folder),
         el("button", { type: "button", id: "usefolder", onclick: () => this.useFolder().catch(complain) }, "Take those that are there"),
         this.list),
-      el("section", {}, el("h2", {}, "How far off the rig would be"), this.verdict),
       el("section", {}, el("div", { class: "row" }, el("label", { class: "grow", for: "rigout" }, "into", this.out), this.saveButton), this.shown, this.result));
     this.element = el("div", { class: "view calibrate" }, left, side);
     this.element.addEventListener("dragover", (event) => event.preventDefault());

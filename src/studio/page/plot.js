@@ -68,7 +68,7 @@ export class Plot {
     context.strokeStyle = css("--line");
     context.fillStyle = css("--quiet");
     context.textAlign = "right";
-    const by = step(high - low, h / 32);
+    const by = step(high - low, Math.max(2, h / 32));
     for (let v = Math.ceil(low / by) * by; v <= high; v += by) {
       context.globalAlpha = 0.5;
       context.beginPath();
@@ -121,23 +121,24 @@ export class Plot {
       context.stroke();
     }
     context.restore();
+    context.globalAlpha = 0.8;
+    context.fillStyle = css("--ground");
+    context.fillRect(LEFT + 3, TOP, context.measureText(this.unit).width + 6, 17);
+    context.globalAlpha = 1;
     context.fillStyle = css("--ink");
     context.fillText(this.unit, LEFT + 6, TOP + 12);
   }
 
-  line(context, { x, y, sd, colour, dash }, px, py) {
-    const { from, to } = this.shared;
-    const inside = (i) => x[i + 1] >= from && (i === 0 || x[i - 1] <= to);
-    if (sd) {
+  line(context, line, px, py) {
+    const { colour, dash } = line;
+    const pieces = this.pieces(line, px);
+    if (line.sd) {
       context.fillStyle = colour;
       context.globalAlpha = 0.28;
-      for (let i = 0; i + 1 < x.length; i += 1) {
-        if (y[i] === null || y[i + 1] === null || !inside(i)) continue;
+      for (const piece of pieces) {
         context.beginPath();
-        context.moveTo(px(x[i]), py(y[i] - sd[i]));
-        context.lineTo(px(x[i + 1]), py(y[i + 1] - sd[i + 1]));
-        context.lineTo(px(x[i + 1]), py(y[i + 1] + sd[i + 1]));
-        context.lineTo(px(x[i]), py(y[i] + sd[i]));
+        piece.forEach(([t, low, high, sd], k) => context[k ? "lineTo" : "moveTo"](t, py(high + sd)));
+        for (const [t, low, , sd] of [...piece].reverse()) context.lineTo(t, py(low - sd));
         context.fill();
       }
       context.globalAlpha = 1;
@@ -146,21 +147,46 @@ export class Plot {
     context.lineWidth = 1.4;
     context.setLineDash(dash ?? []);
     context.beginPath();
-    let drawn = false;
-    for (let i = 0; i < x.length; i += 1) {
-      if (y[i] === null || x[i] < from - (to - from) || x[i] > to + (to - from)) {
-        drawn = false;
-        continue;
+    for (const piece of pieces) {
+      const [[first, low]] = piece;
+      context.moveTo(first - (piece.length > 1 ? 0 : 1), py(low));
+      for (const [t, least, most, , rises] of piece) {
+        context.lineTo(t, py(rises ? least : most));
+        if (least !== most) context.lineTo(t, py(rises ? most : least));
       }
-      if (drawn) context.lineTo(px(x[i]), py(y[i]));
-      else {
-        context.moveTo(px(x[i]) - 0.5, py(y[i]));
-        context.lineTo(px(x[i]) + 0.5, py(y[i]));
-      }
-      drawn = true;
+      if (piece.length === 1) context.lineTo(first + 1, py(low));
     }
     context.stroke();
     context.setLineDash([]);
+  }
+
+  /** What was measured without a gap: on the screen from left to right, least and most of what falls on one pixel, its σ. */
+  pieces({ x, y, sd }, px) {
+    const { from, to } = this.shared;
+    const pieces = [];
+    let piece = null;
+    for (let i = 0; i < x.length; i += 1) {
+      // One point beyond either end: the curve goes on.
+      if ((x[i + 1] ?? Infinity) < from || (x[i - 1] ?? -Infinity) > to) continue;
+      if (y[i] === null) {
+        piece = null;
+        continue;
+      }
+      const t = Math.round(px(x[i]) * 2) / 2;
+      const last = piece?.at(-1);
+      if (last && last[0] === t) {
+        last[1] = Math.min(last[1], y[i]);
+        last[2] = Math.max(last[2], y[i]);
+        last[3] = Math.max(last[3], sd?.[i] ?? 0);
+        last[4] = y[i] === last[2];
+      } else if (piece) {
+        piece.push([t, y[i], y[i], sd?.[i] ?? 0, true]);
+      } else {
+        piece = [[t, y[i], y[i], sd?.[i] ?? 0, true]];
+        pieces.push(piece);
+      }
+    }
+    return pieces;
   }
 
   all() {

@@ -5,7 +5,9 @@ import { Plot } from "./plot.js";
 import { Stage, label, outline } from "./stage.js";
 
 const SECONDS = 20;
-const ASK_MS = 100;
+// What is drawn costs the computer that tracks, too: no more often than the eye follows.
+const ASK_MS = 200;
+const PICTURE_MS = 200;
 const AXES = ["x", "y", "z"];
 
 export class Watch {
@@ -81,7 +83,7 @@ export class Watch {
     } catch (error) {
       complain(error);
     }
-    setTimeout(() => this.pictures(), ASK_MS);
+    setTimeout(() => this.pictures(), PICTURE_MS);
   }
 
   take({ rows, currents, status }) {
