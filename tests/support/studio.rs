@@ -93,7 +93,7 @@ impl Studio {
     /// Sends bytes as they are; status 0 when the connection ends without an answer.
     pub(crate) fn send(&self, bytes: &[u8]) -> Answer {
         let mut stream = TcpStream::connect(("127.0.0.1", self.port)).unwrap();
-        stream.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
+        stream.set_read_timeout(Some(Duration::from_secs(300))).unwrap();
         // It may be refused before all of it is sent.
         let _ = stream.write_all(bytes);
         read(BufReader::new(stream))

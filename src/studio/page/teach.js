@@ -142,7 +142,8 @@ export class Teach {
     this.clear();
     this.listBands();
     this.listRegions();
-    if (!this.views.length) say(`${path} has no views yet: run catoptra calibrate rig`, true);
+    if (this.views.length) say(`${path}: views ${this.views.map((v) => v.name).join(", ")}. Click on band ${this.bands[0]?.name}.`);
+    else say(`${path} has no views yet: calibrate them from pictures of a board`, true);
   }
 
   go(i) {
