@@ -6,7 +6,7 @@ use super::run::{Run, Runs};
 use super::searched::Boards;
 use super::watch::Watch;
 use super::{Refusal, Start, Verbs};
-use crate::source::SourceOptions;
+use crate::source::{FrameRate, SourceOptions};
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -67,6 +67,11 @@ impl Desk {
         self.runs.get(&self.places.existing(text)?)
     }
 
+    /// The rate that was stated on the command line, if a recording needs one.
+    pub(super) fn stated_rate(&self, path: &Path) -> Option<FrameRate> {
+        self.start.fps.filter(|_| path.is_dir() && !path.join("times.csv").is_file())
+    }
+
     /// The recording at a path, opened when it is not.
     pub(super) fn reel(&self, text: &str) -> Result<Arc<Reel>, Refusal> {
         self.verbs()?;
@@ -81,9 +86,7 @@ impl Desk {
             reels.push(Arc::clone(&reel));
             return Ok(reel);
         }
-        let without_times = path.is_dir() && !path.join("times.csv").is_file();
-        let options =
-            SourceOptions { stated_rate: self.start.fps.filter(|_| without_times), ..SourceOptions::default() };
+        let options = SourceOptions { stated_rate: self.stated_rate(path), ..SourceOptions::default() };
         let reel = Reel::open(path, options)?;
         if reels.len() >= MOST_REELS {
             reels.remove(0);

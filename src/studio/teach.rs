@@ -356,6 +356,7 @@ pub(super) fn save(desk: &Desk, asked: &Save) -> Result<Reply, Refusal> {
     let out = desk.places.to_write(&asked.out)?;
     let mut settings: Vec<Setting> = form.settings();
     settings.extend(form.picks());
+    settings.extend(desk.stated_rate(&recording).map(|rate| ("--fps", rate.to_string())));
     if form.frame > 0 {
         let indexed = desk.reel_at(&recording)?.indexed();
         let first_ns = indexed.stamps_ns.first().copied().unwrap_or_default();

@@ -157,10 +157,16 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     let currents = currents.transpose()?;
     let source = args.open(rig.camera.size_px, clock, &until.stop)?;
     fitting::check_size(&args.source, source.size_px(), (&args.rig, &rig))?;
+    let files = Files::new(&args.folder(), None, false).recording(args.record);
+    let latest = args.studio.is_some().then(|| Arc::new(live::Latest::default()));
+    let watch = |latest: &Arc<live::Latest>| {
+        Watch::new(Arc::clone(latest), &rig, &args.source, &files.folder.display().to_string())
+    };
+    let watched = args.studio.as_ref().zip(latest.as_ref());
+    let _studio = watched.map(|(listen, latest)| studio::show_live(listen, watch(latest))).transpose()?;
     // 2. the files
     let run = args.described();
     let run_toml = run.to_toml()?;
-    let files = Files::new(&args.folder(), None, false).recording(args.record);
     let _held = files.prepare_new(&run, &[&args.rig])?;
     let logged = Logged { record: args.record, ..Logged::default() };
     let opened = open_sinks(&files, &rig, [&rig_toml, &run_toml], args.frame, args.info(), logged)?;
@@ -172,15 +178,6 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     });
     // 3. the run
     let subscribers = publisher.map(|sink| Box::new(sink) as Box<dyn Sink + Send>);
-    let latest = args.studio.is_some().then(|| Arc::new(live::Latest::default()));
-    let watched = args.studio.as_ref().zip(latest.as_ref());
-    let _studio = watched.map(|(listen, latest)| {
-        studio::show_live(
-            listen,
-            Watch::new(Arc::clone(latest), &rig, &args.source, &files.folder.display().to_string()),
-        )
-    });
-    let _studio = _studio.transpose()?;
     let outputs = Outputs { files: opened.sinks, controllers, subscribers, currents, pictures, latest };
     let mut line = StatusLine::new(&args.source, &files.folder, quiet);
     let pool = pool(args.threads.unwrap_or(0))?;
