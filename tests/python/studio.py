@@ -72,7 +72,7 @@ def teach(page, save):
             page.keyboard.press("Enter")
         else:
             page.mouse.click(*screen(page, x, y))
-        page.wait_for_function("(b) => document.querySelector('.view').dataset.took !== b", arg=before)
+        page.wait_for_function("(b) => (document.querySelector('.view').dataset.took ?? null) !== b", arg=before)
         if first:
             expect(page.locator("#told")).to_contain_text("Patch of its colour")
             first = False
@@ -138,7 +138,7 @@ def measure(page, count):
         before = page.locator(".view").get_attribute("data-took")
         # Beside the last place: the same answer would be as quick.
         page.mouse.click(*screen(page, x + (k % 5 - 2) * 0.4, y + (k % 7 - 3) * 0.4))
-        page.wait_for_function("(b) => document.querySelector('.view').dataset.took !== b", arg=before)
+        page.wait_for_function("(b) => (document.querySelector('.view').dataset.took ?? null) !== b", arg=before)
         took.append(float(page.locator(".view").get_attribute("data-took")))
         page.wait_for_timeout(60)
         if k % 3 == 2:

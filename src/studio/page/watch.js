@@ -94,9 +94,10 @@ export class Watch {
     this.after = last.seq;
     this.currentsAfter = this.currents.at(-1)?.host_ns ?? null;
     this.rows = this.rows.filter((row) => row.t_s > last.t_s - SECONDS - 1);
-    const origin = this.origin ?? (this.origin = last.t_s);
+    // Seconds before now.
+    const origin = last.t_s;
     const x = this.rows.map((row) => row.t_s - origin);
-    Object.assign(this.shared, { from: last.t_s - origin - SECONDS, to: last.t_s - origin });
+    Object.assign(this.shared, { from: -SECONDS, to: 0 });
     const missed = x.filter((_, i) => !this.rows[i].theta_deg);
     const gaps = x.filter((_, i) => this.rows[i].gap > 0);
     this.theta.set([{ x, y: this.rows.map((row) => row.theta_deg?.[0] ?? null), sd: this.rows.map((row) => row.theta_deg?.[1] ?? 0), colour: css("--m3") }],
