@@ -9,6 +9,7 @@
 CARGO ?= cargo
 DEMO := out/demo
 VENV := target/venv
+BROWSER ?= /usr/bin/chromium
 FEATURES ?=
 WITH := $(if $(FEATURES),--features $(FEATURES))
 
@@ -25,9 +26,11 @@ demo: deps
 	@echo "  $(CURDIR)/$(DEMO)/overlay.mp4"
 
 # With CATOPTRA_PYTHON set, the tests that read logs with other people's code must run; without it they may be left out.
+# With CATOPTRA_BROWSER, so must the one that tries the studio's page.
 test: deps
 	@if command -v python3 >/dev/null; then $(MAKE) --no-print-directory $(VENV)/ready; fi
-	@if [ -e $(VENV)/ready ]; then export CATOPTRA_PYTHON="$(CURDIR)/$(VENV)/bin/python"; fi; set -x; $(CARGO) test --locked $(WITH)
+	@if [ -e $(VENV)/ready ]; then export CATOPTRA_PYTHON="$(CURDIR)/$(VENV)/bin/python"; fi; \
+	if [ -x "$(BROWSER)" ] && $(VENV)/bin/python -c 'import playwright' 2>/dev/null; then export CATOPTRA_BROWSER="$(BROWSER)"; fi; set -x; $(CARGO) test --locked $(WITH)
 
 examples: deps
 	$(CARGO) run --quiet --locked $(WITH) --example track_video -- sample_frames/planar.mkv calibration/dev_tank/rig.toml
@@ -58,4 +61,6 @@ $(VENV)/ready: Makefile
 	$(VENV)/bin/pip install --quiet --disable-pip-version-check mcap mcap-protobuf-support websockets numpy scipy
 	@# A second source for identify; without it numpy and scipy compare alone. As wheels only: they are built from Fortran otherwise.
 	@$(VENV)/bin/pip install --quiet --disable-pip-version-check --only-binary :all: control slycot || echo "without python-control and slycot"
+	@# Drives a browser that is there already; it has no wheel for every machine.
+	@$(VENV)/bin/pip install --quiet --disable-pip-version-check --only-binary :all: playwright || echo "without playwright"
 	@touch $@

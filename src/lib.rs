@@ -110,6 +110,8 @@ pub mod calibrate;
 pub(crate) mod archive;
 pub mod simulate;
 
+pub(crate) mod studio;
+
 pub(crate) mod whole_file;
 
 mod contained;

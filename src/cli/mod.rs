@@ -24,6 +24,7 @@ mod results;
 mod rig;
 mod run;
 mod simulate;
+mod studio;
 mod track;
 mod units;
 mod validate;
@@ -121,6 +122,14 @@ and its calibration are supposed where it has none. Exit code 2 says what cannot
 Example:
   catoptra plan --rig calibration/dev_tank/rig.toml -o plan.html")]
     Plan(plan::Args),
+    /// Teach bands by clicking on them, and look through runs, in the browser (docs/studio.md)
+    #[command(after_help = "\
+Serves one page to this computer, which needs no network, until Ctrl-C. It reads and writes files
+below the folder in which it is started only. A live run is watched with `catoptra live … --studio`.
+Example:
+  catoptra studio sample_frames/planar.mkv --rig calibration/dev_tank/rig.toml --no-open \\
+    --duration 2")]
+    Studio(studio::Args),
     /// Identify the dynamics from logs, tables, or any input and output (docs/identify.md; --json)
     #[command(after_help = "\
 Example:
@@ -162,6 +171,7 @@ pub fn run() -> ExitCode {
         Command::Log(args) => log::run(args),
         Command::Plan(args) => plan::run(args, cli.quiet),
         Command::Simulate(args) => simulate::run(args, cli.quiet),
+        Command::Studio(args) => studio::run(args),
         Command::Track(args) => track::run(args, cli.quiet),
         Command::Validate(args) => validate::run(args, cli.quiet),
     };

@@ -18,6 +18,7 @@
 //! else, and pictures behind.
 
 mod currents;
+mod latest;
 mod pictures;
 mod priority;
 mod queue;
@@ -26,6 +27,7 @@ mod writer;
 
 pub use currents::CurrentSource;
 pub(crate) use currents::currents_of;
+pub use latest::{Latest, stand_back};
 pub use pictures::{MOST_PICTURES, RecordTo, Recording, free_bytes};
 pub use priority::Priority;
 pub use queue::MOST_WAITING;
@@ -73,6 +75,8 @@ pub struct Outputs {
     pub currents: Option<Receiver<CurrentSample>>,
     /// Pictures of the frames that are tracked.
     pub pictures: Option<Recording>,
+    /// Where the last rows, and a picture now and then, are left for who looks on.
+    pub latest: Option<Arc<Latest>>,
 }
 
 /// When a run ends, if the source does not end before.
@@ -149,15 +153,15 @@ pub fn run(
         Builder::new().name("camera".to_owned()).spawn(move || take_all(source, &queue, &stop))?
     };
     let currents = outputs.currents.map(|samples| {
-        let (log, stop) = (log.clone(), Arc::clone(stop));
-        Builder::new().name("currents".to_owned()).spawn(move || log_currents(&samples, &log, &stop))
+        let (log, stop, latest) = (log.clone(), Arc::clone(stop), outputs.latest.clone());
+        Builder::new().name("currents".to_owned()).spawn(move || log_currents(&samples, &log, latest.as_deref(), &stop))
     });
     let currents = currents.transpose()?;
     pool.broadcast(|_| run_as(Urgency::Tracker));
     let tracking = {
         let (queue, counters) = (Arc::clone(&queue), Arc::clone(&counters));
         let controllers = outputs.controllers.into_iter().map(|sink| (sink, true)).collect();
-        let mut out = Out { controllers, subscribers, log, counters, pictures };
+        let mut out = Out { controllers, subscribers, log, counters, pictures, latest: outputs.latest.clone() };
         Builder::new().name("tracker".to_owned()).spawn(move || {
             let end = pool.install(|| track_all(&mut tracker, &queue, &mut out));
             (end, out.controllers)
@@ -171,7 +175,9 @@ pub fn run(
         if told.elapsed() >= TELL {
             told += TELL;
             let (waiting, unlogged) = (backlog.waiting(), backlog.unlogged());
-            watch(&Status { backlog: waiting, unlogged, pictures: counted(), ..counters.status() });
+            let status = Status { backlog: waiting, unlogged, pictures: counted(), ..counters.status() };
+            outputs.latest.iter().for_each(|latest| latest.tell(&status));
+            watch(&status);
         }
         let over = until.duration.is_some_and(|duration| began.elapsed() >= duration);
         let deaf = backlog.sinks_alive() == 0 && !listened_to;
@@ -245,10 +251,13 @@ fn take_all(
 }
 
 /// Hands on currents until there are no more, or the run stops.
-fn log_currents(samples: &Receiver<CurrentSample>, log: &Log, stop: &AtomicBool) {
+fn log_currents(samples: &Receiver<CurrentSample>, log: &Log, latest: Option<&Latest>, stop: &AtomicBool) {
     loop {
         match samples.recv_timeout(LOOK) {
-            Ok(sample) => log.put(Entry::Current(sample)),
+            Ok(sample) => {
+                latest.iter().for_each(|latest| latest.put_current(&sample));
+                log.put(Entry::Current(sample));
+            }
             Err(RecvTimeoutError::Timeout) if !stop.load(Ordering::Relaxed) => {}
             Err(_) => return,
         }
@@ -262,6 +271,7 @@ struct Out {
     log: Log,
     counters: Arc<Counters>,
     pictures: Option<Pictures>,
+    latest: Option<Arc<Latest>>,
 }
 
 impl Out {
@@ -284,6 +294,10 @@ impl Out {
             subscribers.put(&estimate, totals.clone());
         }
         self.log.put(Entry::Frame(Arc::clone(&estimate), totals));
+        let picture = picture.map(Arc::new);
+        if let Some(latest) = &self.latest {
+            latest.put(&estimate, picture.as_ref());
+        }
         if let (Some(pictures), Some(picture)) = (&mut self.pictures, picture) {
             pictures.put(estimate, picture);
         }

@@ -47,7 +47,7 @@ pub enum RecordTo {
 /// A picture on its way.
 struct Taken {
     estimate: Arc<Estimate>,
-    picture: Picture,
+    picture: Arc<Picture>,
     /// Pictures before it were dropped.
     after_loss: bool,
 }
@@ -73,7 +73,7 @@ impl Pictures {
     }
 
     /// Hands a picture that was tracked to the recorder; never waits.
-    pub(super) fn put(&mut self, estimate: Arc<Estimate>, picture: Picture) {
+    pub(super) fn put(&mut self, estimate: Arc<Estimate>, picture: Arc<Picture>) {
         let taken = Taken { estimate, picture, after_loss: self.lost };
         self.lost = match self.line.try_send(taken) {
             Ok(()) => false,
@@ -139,7 +139,7 @@ impl Recorder {
     fn record(&mut self, taken: &Taken) -> Result<bool, SinkError> {
         match &mut self.recording.to {
             RecordTo::Video(video) => {
-                video.write(&taken.estimate, Some(&taken.picture))?;
+                video.write(&taken.estimate, Some(taken.picture.as_ref()))?;
                 self.recording.count.add_recorded();
                 Ok(true)
             }

@@ -23,6 +23,7 @@ mod write;
 
 pub use error::RigError;
 pub(crate) use error::nearest;
+pub(crate) use walk::walk;
 
 use crate::optics::{Lens, OpticalPath, Surface};
 use nalgebra::{Isometry3, Point2, Vector3};

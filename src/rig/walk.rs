@@ -16,7 +16,7 @@ pub struct Crossing {
 }
 
 /// Follows the ray of a pixel; gives its crossings and the ray in the marker's medium.
-pub(super) fn walk(optics: &OpticalPath, pixel: &Point2<f64>) -> Result<(Vec<Crossing>, Ray), NoRay> {
+pub(crate) fn walk(optics: &OpticalPath, pixel: &Point2<f64>) -> Result<(Vec<Crossing>, Ray), NoRay> {
     let mut so_far = OpticalPath { lens: optics.lens, surfaces: Vec::new() };
     let mut ray = so_far.trace(pixel)?;
     let mut crossings = Vec::with_capacity(optics.surfaces.len());

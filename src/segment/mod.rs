@@ -41,7 +41,7 @@ use std::collections::HashSet;
 
 /// A score above this counts as the marker: models score 1 on their band and 0 elsewhere on average, so that a cell
 /// counts when more than half of it is covered.
-const THRESHOLD: f32 = 0.5;
+pub(crate) const THRESHOLD: f32 = 0.5;
 
 /// Components of fewer cells are specks: compression noise, not bands, which are to be two cells wide or more.
 const LEAST_CELLS: usize = 3;

@@ -26,6 +26,7 @@ mod udp;
 mod windows;
 
 pub(crate) use clock::Origin;
+pub(crate) use colour::{ConvertError, ToBgr};
 pub(crate) use images::{ImageTaker, LoggedImage};
 pub use overlay::OverlaySink;
 pub(crate) use overlay::{StillError, Stills};

@@ -59,6 +59,7 @@ mod simulate;
 mod source_images;
 mod source_recordings;
 mod source_warnings;
+mod studio;
 mod time_stamps;
 mod track_bad_input;
 mod track_motion;

@@ -29,5 +29,6 @@ mod live_record;
 mod live_stream;
 mod log_crash;
 mod publish;
+mod studio;
 mod track_interrupt;
 mod v4l2;

@@ -6,6 +6,7 @@ pub(crate) mod encode;
 pub(crate) mod moved_mirror;
 pub(crate) mod optics;
 pub(crate) mod python;
+pub(crate) mod studio;
 pub(crate) mod synthetic;
 pub(crate) mod truth;
 

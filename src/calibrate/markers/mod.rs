@@ -17,6 +17,7 @@ mod error;
 mod exposure;
 mod first;
 mod fitted;
+mod glance;
 mod learned;
 mod line_search;
 pub(crate) mod locate;
@@ -28,6 +29,7 @@ mod seen;
 
 pub use error::MarkersError;
 pub use exposure::Exposure;
+pub(crate) use glance::{glance, mask, preview};
 pub use learned::{Verdict, ViewColours, verdict};
 pub use measures::Contradicted;
 pub use pick::Pick;
@@ -103,26 +105,31 @@ pub fn calibrate_markers(
     options: &MarkersOptions,
     source: &mut dyn FrameSource,
 ) -> Teaching {
-    let mut rig = rig.clone();
-    rig.camera.blur_px = None;
-    rig.camera.chroma_offset_px = [0.0; 2];
-    rig.camera.exposure_s = options.exposure_s;
-    rig.markers.iter_mut().for_each(|marker| marker.colours.clear());
-    let mut teaching = Teaching {
-        rig,
-        picks: picks.to_vec(),
-        frame: None,
-        located: Vec::new(),
-        views: Vec::new(),
-        blobs: Vec::new(),
-        regions: Vec::new(),
-        outcome: Err(MarkersError::NoFrame),
-    };
+    let mut teaching = Teaching::new(rig, picks, options);
     teaching.outcome = teaching.learn(options.after_ns, source);
     teaching
 }
 
 impl Teaching {
+    /// Before anything is learned.
+    fn new(rig: &Rig, picks: &[Pick], options: &MarkersOptions) -> Self {
+        let mut rig = rig.clone();
+        rig.camera.blur_px = None;
+        rig.camera.chroma_offset_px = [0.0; 2];
+        rig.camera.exposure_s = options.exposure_s;
+        rig.markers.iter_mut().for_each(|marker| marker.colours.clear());
+        Self {
+            rig,
+            picks: picks.to_vec(),
+            frame: None,
+            located: Vec::new(),
+            views: Vec::new(),
+            blobs: Vec::new(),
+            regions: Vec::new(),
+            outcome: Err(MarkersError::NoFrame),
+        }
+    }
+
     fn learn(&mut self, after_ns: i64, source: &mut dyn FrameSource) -> Result<MarkersCalibration, MarkersError> {
         let clicks = pick::in_rig_order(&self.rig, &self.picks)?;
         let spread = spread_with(source, MOST_FRAMES, after_ns)?;
@@ -144,20 +151,10 @@ impl Teaching {
         followers: &[Frame],
         picked: usize,
     ) -> Result<MarkersCalibration, MarkersError> {
-        let rig = &mut self.rig;
         let frame = &frames[picked];
         let pixels = Pixels::of(&frame.picture).ok_or(crate::segment::SegmentError::Grey)?;
-        let located = locate(rig, &pixels, clicks).map_err(|why| first::explained(rig, clicks, why))?;
-        self.located = located.iter().map(Rectangle::of).collect();
-        self.views = first::learn_located(rig, &located, frame)?;
-        for (v, view) in self.views.iter().enumerate() {
-            let lost = view.exposure.iter().enumerate().find(|(_, e)| e.is_some_and(|e| e.is_lost()));
-            if let Some((m, Some(exposure))) = lost {
-                let (name, view) = (rig.markers[m].name.clone(), rig.views[v].name.clone());
-                return Err(MarkersError::Overexposed { name, view, advice: exposure.advice().unwrap_or_default() });
-            }
-        }
-        first::confirm(rig, clicks, &located, frame)?;
+        self.learn_picked(clicks, frame, &pixels)?;
+        let rig = &mut self.rig;
         self.views = learn_everywhere(rig, frames)?;
         let centre_sd_m = place_bands(rig, frames)?;
         tune(rig, frames, followers)?;
@@ -177,6 +174,22 @@ impl Teaching {
         };
         self.usable(&done)?;
         Ok(done)
+    }
+
+    /// What the picked frame alone tells; the tracker must measure the bands that were located in it.
+    fn learn_picked(&mut self, clicks: &[Vec<Near>], frame: &Frame, pixels: &Pixels) -> Result<(), MarkersError> {
+        let rig = &mut self.rig;
+        let located = locate(rig, pixels, clicks).map_err(|why| first::explained(rig, clicks, why))?;
+        self.located = located.iter().map(Rectangle::of).collect();
+        self.views = first::learn_located(rig, &located, frame)?;
+        for (v, view) in self.views.iter().enumerate() {
+            let lost = view.exposure.iter().enumerate().find(|(_, e)| e.is_some_and(|e| e.is_lost()));
+            if let Some((m, Some(exposure))) = lost {
+                let (name, view) = (rig.markers[m].name.clone(), rig.views[v].name.clone());
+                return Err(MarkersError::Overexposed { name, view, advice: exposure.advice().unwrap_or_default() });
+            }
+        }
+        first::confirm(rig, clicks, &located, frame).map(drop)
     }
 
     /// What is learned must be of use.
@@ -216,15 +229,15 @@ impl Teaching {
     }
 
     /// What the picked frame shows to the colours as they are now.
-    fn look_again(&mut self, frame: &Frame) {
+    fn look_again(&mut self, frame: &Frame) -> Option<Estimate> {
         if self.rig.markers.iter().any(|marker| marker.colours.is_empty()) {
-            return;
+            return None;
         }
-        let estimate = Tracker::new(&self.rig, TrackOptions::default()).and_then(|mut tracker| tracker.step(frame));
-        if let Ok(estimate) = estimate {
-            self.blobs = seen::blobs(&self.rig, frame, &estimate);
-            self.regions = regions::propose(&self.rig, &estimate, &self.blobs);
-        }
+        let mut tracker = Tracker::new(&self.rig, TrackOptions::default()).ok()?;
+        let estimate = tracker.step(frame).ok()?;
+        self.blobs = seen::blobs(&self.rig, frame, &estimate);
+        self.regions = regions::propose(&self.rig, &estimate, &self.blobs);
+        Some(estimate)
     }
 }
 

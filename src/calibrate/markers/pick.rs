@@ -30,7 +30,8 @@ pub(super) fn in_rig_order(rig: &Rig, picks: &[Pick]) -> Result<Vec<Vec<Near>>, 
         .collect()
 }
 
-fn near(rig: &Rig, pick: &Pick) -> Result<Near, MarkersError> {
+/// One click.
+pub(super) fn near(rig: &Rig, pick: &Pick) -> Result<Near, MarkersError> {
     let [width, height] = rig.camera.size_px;
     let Point2 { coords } = pick.pixel;
     let within = |v: f64, size: u32| (0.0..f64::from(size)).contains(&v);

@@ -147,7 +147,7 @@ fn looks(rgb: &[Vector3<f64>]) -> String {
 }
 
 /// R'G'B' at a pixel: the nearest sample of each channel.
-fn colour(picture: &Picture, rgb: &RgbFromStored, x: u32, y: u32) -> Option<Vector3<f64>> {
+pub(super) fn colour(picture: &Picture, rgb: &RgbFromStored, x: u32, y: u32) -> Option<Vector3<f64>> {
     let sample = |channel: usize| {
         let plane = picture.plane(channel)?;
         let row = plane.row((y / plane.scale[1]) as usize)?;

@@ -1,5 +1,6 @@
 //! What a frame shows in the bands' colours: the bands, and other things, with the reason why they are none.
 
+use super::locate::Look;
 use super::locate::candidates::{Candidate, px_per_m};
 use crate::estimate::Estimate;
 use crate::rig::Rig;
@@ -23,13 +24,11 @@ pub struct Rectangle {
 impl Rectangle {
     /// Of each view.
     pub(super) fn of(candidate: &Candidate) -> Vec<Option<Self>> {
-        let rectangle = |look: &super::locate::Look| Self {
-            centre: look.centre,
-            axis: look.axis,
-            length: look.size.length,
-            width: look.size.width,
-        };
-        candidate.looks.iter().map(|look| look.as_ref().map(rectangle)).collect()
+        candidate.looks.iter().map(|look| look.as_ref().map(Self::of_look)).collect()
+    }
+
+    pub(super) fn of_look(look: &Look) -> Self {
+        Self { centre: look.centre, axis: look.axis, length: look.size.length, width: look.size.width }
     }
 
     /// Its corners, in turn.

@@ -229,7 +229,7 @@ fn no_such_view(option: &str, name: &str, views: &[View], rig: &Path) -> Failure
 
 /// The rig file with the regions and the markers of this command. Roles of the bands that it has already are kept, and
 /// places along the tube that somebody wrote into it.
-fn rig_with_picks(args: &MarkersArgs) -> Result<Rig, Failure> {
+pub(super) fn rig_with_picks(args: &MarkersArgs) -> Result<Rig, Failure> {
     let mut draft = Draft::load(&args.rig)?;
     for region in &args.regions {
         let at = draft.views.iter().position(|view| view.name == region.view);

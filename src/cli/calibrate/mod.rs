@@ -10,7 +10,8 @@ mod rig;
 use super::outcome::{self, HiddenJson, Outcome};
 use super::{Exit, Failure, interrupt};
 use crate::calibrate::length_m;
-use crate::rig::Draft;
+use crate::calibrate::rig::RigOptions;
+use crate::rig::{Draft, Rig};
 use clap::Subcommand;
 use std::path::Path;
 use std::str::FromStr;
@@ -103,6 +104,42 @@ fn calibrate(args: &Args, quiet: bool, outcome: &Outcome) -> Result<(), Failure>
         outcome.found(|| read().and_then(|rig| serde_json::to_value(rig).ok()).unwrap_or_default());
     }
     ended
+}
+
+/// `catoptra calibrate markers` with these arguments; what it prints goes to `print`.
+pub(in crate::cli) fn teach(arguments: &[String], print: impl Fn(&str) -> Result<(), Failure>) -> Result<(), Failure> {
+    markers::run(&parsed(arguments)?, print)
+}
+
+/// The rig with the bands of these arguments, before anything is learned.
+pub(in crate::cli) fn rig_to_teach(arguments: &[String]) -> Result<Rig, Failure> {
+    markers::rig_with_picks(&parsed(arguments)?)
+}
+
+/// `catoptra calibrate rig` with these arguments; what it prints goes to `print`.
+pub(in crate::cli) fn rig(arguments: &[String], print: impl Fn(&str) -> Result<(), Failure>) -> Result<(), Failure> {
+    rig::run(&parsed(arguments)?, true, print)
+}
+
+/// The rig file that these arguments begin with, and what they say of the rig.
+pub(in crate::cli) fn rig_to_calibrate(arguments: &[String]) -> Result<(Draft, RigOptions), Failure> {
+    let args: rig::RigArgs = parsed(arguments)?;
+    let draft = Draft::load(&args.rig)?;
+    let options = rig::options(&args, &draft)?;
+    Ok((draft, options))
+}
+
+/// Arguments of a verb as if they had been typed.
+fn parsed<T: clap::Args>(arguments: &[String]) -> Result<T, Failure> {
+    let command = T::augment_args(clap::Command::new("catoptra"));
+    let arguments = ["catoptra"].into_iter().chain(arguments.iter().map(String::as_str));
+    let parsed = command.try_get_matches_from(arguments).and_then(|matches| T::from_arg_matches(&matches));
+    parsed.map_err(|error| {
+        let said = error.to_string();
+        // Usage and hints are for who types.
+        let first = said.split("\n\n").next().unwrap_or_default();
+        usage(first.strip_prefix("error: ").unwrap_or(first).to_owned())
+    })
 }
 
 /// A length as people write it, in metres.

@@ -42,7 +42,7 @@ pub(super) struct RigArgs {
     board: Option<Board>,
     /// The rig file with the camera, from `catoptra calibrate camera`
     #[arg(long, value_name = "RIG.toml")]
-    rig: PathBuf,
+    pub(super) rig: PathBuf,
     /// How many mirrors
     #[arg(long, value_name = "N", default_value_t = 1)]
     mirrors: usize,
@@ -267,7 +267,7 @@ fn fits(picture: &Searched, args: &RigArgs, draft: &Draft) -> Result<(), Failure
     )))
 }
 
-fn options(args: &RigArgs, draft: &Draft) -> Result<RigOptions, Failure> {
+pub(super) fn options(args: &RigArgs, draft: &Draft) -> Result<RigOptions, Failure> {
     if args.mirrors == 0 {
         return Err(usage("--mirrors 0: a rig needs a mirror, one or more".into()));
     }

@@ -5,6 +5,7 @@ mod status;
 use super::results::{unlike_others, whole_path};
 use super::run::folder::{Files, Run};
 use super::run::{Logged, Record, Reference, load_rig, open_sinks, pool, print_warnings, summary, verdict};
+use super::studio::{self, Listen};
 use super::{Exit, Failure, fitting, interrupt, output, provenance};
 use crate::live::{self, CurrentSource, LiveSummary, Outputs, Priority, RecordTo, Recording, Until};
 use crate::pipeline::End;
@@ -15,6 +16,7 @@ use crate::source::host::HostClock;
 use crate::source::live::{Camera, CameraSettings, Paced, RawFormat, RawPictures, Stream};
 use crate::source::times::parse_seconds_ns;
 use crate::source::{self, FrameRate, FrameSource, SourceOptions};
+use crate::studio::Watch;
 use crate::track::{TrackOptions, Tracker};
 use clap::builder::RangedU64ValueParser;
 use status::StatusLine;
@@ -66,6 +68,9 @@ pub(crate) struct Args {
     /// Serve the log's topics to Foxglove [default: ws://127.0.0.1:8765]
     #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = "127.0.0.1:8765", value_parser = listening)]
     publish: Option<SocketAddr>,
+    /// Show the run in the browser [default: 127.0.0.1, a free port]
+    #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = "127.0.0.1:0")]
+    studio: Option<Listen>,
     /// Web page that may subscribe too, as https://lab.example.org
     #[arg(long, value_name = "ORIGIN", requires = "publish")]
     allow_origin: Vec<String>,
@@ -152,10 +157,16 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     let currents = currents.transpose()?;
     let source = args.open(rig.camera.size_px, clock, &until.stop)?;
     fitting::check_size(&args.source, source.size_px(), (&args.rig, &rig))?;
+    let files = Files::new(&args.folder(), None, false).recording(args.record);
+    let latest = args.studio.is_some().then(|| Arc::new(live::Latest::default()));
+    let watch = |latest: &Arc<live::Latest>| {
+        Watch::new(Arc::clone(latest), &rig, &args.source, &files.folder.display().to_string())
+    };
+    let watched = args.studio.as_ref().zip(latest.as_ref());
+    let _studio = watched.map(|(listen, latest)| studio::show_live(listen, watch(latest))).transpose()?;
     // 2. the files
     let run = args.described();
     let run_toml = run.to_toml()?;
-    let files = Files::new(&args.folder(), None, false).recording(args.record);
     let _held = files.prepare_new(&run, &[&args.rig])?;
     let logged = Logged { record: args.record, ..Logged::default() };
     let opened = open_sinks(&files, &rig, [&rig_toml, &run_toml], args.frame, args.info(), logged)?;
@@ -167,7 +178,7 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     });
     // 3. the run
     let subscribers = publisher.map(|sink| Box::new(sink) as Box<dyn Sink + Send>);
-    let outputs = Outputs { files: opened.sinks, controllers, subscribers, currents, pictures };
+    let outputs = Outputs { files: opened.sinks, controllers, subscribers, currents, pictures, latest };
     let mut line = StatusLine::new(&args.source, &files.folder, quiet);
     let pool = pool(args.threads.unwrap_or(0))?;
     let show = |status: &live::Status| line.show(status);

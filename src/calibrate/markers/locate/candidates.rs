@@ -25,6 +25,8 @@ const MOST_LOOKS: usize = 6;
 const MOST_PLACES: usize = 16;
 /// Places closer than this show the same thing, pixels.
 const SAME_PX: f64 = 4.0;
+/// A band this wide, pixels, is missed by who looks at every second pixel only.
+const NARROW_PX: f64 = 6.0;
 /// How far beside the line of sight a view may show the band, pixels: a look's centre is good to a pixel or two.
 const BESIDE_PX: i32 = 3;
 /// A colour's difference from the tube may be so much another one in another view, relative, and in units of luma.
@@ -74,13 +76,14 @@ impl Search<'_> {
         Looks { pixels: self.pixels, templates: Templates::new(self.size(view, length_m)), known: HashMap::new() }
     }
 
-    /// What may be a band of this length near a click, best first.
-    pub(crate) fn near_click(&self, near: &Near, length_m: f64) -> Vec<Look> {
+    /// What may be a band of this length near a click, best first; places `step` pixels apart are looked at.
+    pub(crate) fn near_click(&self, near: &Near, length_m: f64, step: usize) -> Vec<Look> {
         let size = self.size(near.view, length_m);
         let mut looks = self.looks(near.view, length_m);
         let reach = (size.length / 2.0 + REACH_PX).ceil() as i32;
         let (x, y) = (near.pixel.x.round() as i32, near.pixel.y.round() as i32);
-        let around = (-reach..=reach).flat_map(|dy| (-reach..=reach).map(move |dx| (x + dx, y + dy)));
+        let places = move || (-reach..=reach).step_by(step);
+        let around = places().flat_map(|dy| places().map(move |dx| (x + dx, y + dy)));
         let view = &self.rig.views[near.view];
         let found = around.filter_map(|(x, y)| {
             let look = looks.at(x, y).filter(|look| view.contains(&look.centre))?;
@@ -160,13 +163,20 @@ impl Search<'_> {
         Some(Candidate { point: met.point, ..candidate })
     }
 
+    /// Places so far apart, pixels, are near enough to each other to find a wide band between them.
+    pub(crate) fn coarse(&self, view: usize, length_m: f64) -> usize {
+        (self.size(view, length_m).width / NARROW_PX).clamp(1.0, 4.0) as usize
+    }
+
+    /// A look in a view, made better.
+    pub(crate) fn refined_look(&self, view: usize, look: Look, length_m: f64) -> Look {
+        refined(self.pixels, look, self.size(view, length_m).length)
+    }
+
     /// The same with looks made better; what does not become a better one stays.
     pub(crate) fn refined(&self, candidate: &Candidate, length_m: f64) -> Option<Candidate> {
-        let looks = candidate
-            .looks
-            .iter()
-            .enumerate()
-            .map(|(v, look)| look.map(|look| refined(self.pixels, look, self.size(v, length_m).length)));
+        let looks = candidate.looks.iter().enumerate();
+        let looks = looks.map(|(v, look)| look.map(|look| self.refined_look(v, look, length_m)));
         self.triangulated(Candidate { looks: looks.collect(), ..candidate.clone() })
     }
 }

@@ -80,6 +80,16 @@ pub(crate) fn locate(rig: &Rig, pixels: &Pixels, clicks: &[Vec<Near>]) -> Result
     Ok(refined.collect())
 }
 
+/// The best look of the band `marker` near one click, before any other view is asked.
+pub(crate) fn at_click(rig: &Rig, pixels: &Pixels, marker: usize, near: &Near) -> Result<Look, NotFound> {
+    let clicks = [vec![*near]];
+    let search = Search { rig, pixels, scale: scales(rig, &clicks).ok_or(NotFound::NoVolume)? };
+    let length_m = rig.markers[marker].length_m;
+    let looks = search.near_click(near, length_m, search.coarse(near.view, length_m));
+    let best = looks.first().ok_or(NotFound::Nothing { marker, view: near.view })?;
+    Ok(search.refined_look(near.view, *best, length_m))
+}
+
 /// Two bands that were clicked in one place.
 fn on_one_band(search: &Search<'_>, clicks: &[Vec<Near>]) -> Option<[usize; 2]> {
     let pairs = (0..clicks.len()).flat_map(|a| (a + 1..clicks.len()).map(move |b| [a, b]));
@@ -95,7 +105,7 @@ fn on_one_band(search: &Search<'_>, clicks: &[Vec<Near>]) -> Option<[usize; 2]> 
 fn of_band(search: &Search<'_>, marker: usize, near: &[Near]) -> Result<Vec<Candidate>, NotFound> {
     let length_m = search.rig.markers[marker].length_m;
     let Some(first) = near.first() else { return Err(NotFound::NoVolume) };
-    let looks = search.near_click(first, length_m);
+    let looks = search.near_click(first, length_m, 1);
     let best = *looks.first().ok_or(NotFound::Nothing { marker, view: first.view })?;
     let mut others: Vec<_> = (0..search.rig.views.len()).map(|v| search.looks(v, length_m)).collect();
     let mut places: Vec<Candidate> =

@@ -1,0 +1,97 @@
+//! All that the page works with, and keeps open.
+
+use super::places::Places;
+use super::reel::Reel;
+use super::run::{Run, Runs};
+use super::searched::Boards;
+use super::watch::Watch;
+use super::{Refusal, Start, Verbs};
+use crate::source::{FrameRate, SourceOptions};
+use std::path::Path;
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// Recordings that stay open.
+const MOST_REELS: usize = 3;
+
+/// All that the page works with.
+pub(crate) struct Desk {
+    pub(super) places: Places,
+    pub(super) start: Start,
+    pub(super) verbs: Option<Verbs>,
+    pub(super) watch: Option<Watch>,
+    pub(super) boards: Boards,
+    runs: Runs,
+    reels: Mutex<Vec<Arc<Reel>>>,
+}
+
+impl Desk {
+    /// For teaching and looking through runs.
+    pub(crate) fn new(places: Places, start: Start, verbs: Verbs) -> Self {
+        Self {
+            places,
+            start,
+            verbs: Some(verbs),
+            watch: None,
+            boards: Boards::default(),
+            runs: Runs::default(),
+            reels: Mutex::default(),
+        }
+    }
+
+    /// For a live run, and nothing else.
+    pub(crate) fn live(places: Places, watch: Watch) -> Self {
+        let start = Start::default();
+        Self {
+            places,
+            start,
+            verbs: None,
+            watch: Some(watch),
+            boards: Boards::default(),
+            runs: Runs::default(),
+            reels: Mutex::default(),
+        }
+    }
+
+    pub(super) fn verbs(&self) -> Result<&Verbs, Refusal> {
+        self.verbs.as_ref().ok_or_else(|| Refusal::forbidden("this is not part of a live run: start `catoptra studio`"))
+    }
+
+    pub(super) fn watch(&self) -> Result<&Watch, Refusal> {
+        let none = || Refusal::wrong("no live run is watched: start `catoptra live … --studio`");
+        self.watch.as_ref().ok_or_else(none)
+    }
+
+    /// The run in a folder.
+    pub(super) fn run(&self, text: &str) -> Result<Arc<Run>, Refusal> {
+        self.verbs()?;
+        self.runs.get(&self.places.existing(text)?)
+    }
+
+    /// The rate that was stated on the command line, if a recording needs one.
+    pub(super) fn stated_rate(&self, path: &Path) -> Option<FrameRate> {
+        self.start.fps.filter(|_| path.is_dir() && !path.join("times.csv").is_file())
+    }
+
+    /// The recording at a path, opened when it is not.
+    pub(super) fn reel(&self, text: &str) -> Result<Arc<Reel>, Refusal> {
+        self.verbs()?;
+        self.reel_at(&self.places.existing(text)?)
+    }
+
+    pub(super) fn reel_at(&self, path: &Path) -> Result<Arc<Reel>, Refusal> {
+        // Held while it is opened: two requests open it once.
+        let mut reels = self.reels.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(at) = reels.iter().position(|reel| reel.path() == path) {
+            let reel = reels.remove(at);
+            reels.push(Arc::clone(&reel));
+            return Ok(reel);
+        }
+        let options = SourceOptions { stated_rate: self.stated_rate(path), ..SourceOptions::default() };
+        let reel = Reel::open(path, options)?;
+        if reels.len() >= MOST_REELS {
+            reels.remove(0);
+        }
+        reels.push(Arc::clone(&reel));
+        Ok(reel)
+    }
+}

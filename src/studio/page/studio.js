@@ -1,0 +1,68 @@
+// The page: which views there are, and the keys that hold in all of them.
+
+import { ask, complain, el, fill, isTyping, say } from "./common.js";
+import { Teach } from "./teach.js";
+import { Calibrate } from "./calibrate.js";
+import { Review } from "./review.js";
+import { Watch } from "./watch.js";
+
+const main = document.getElementById("main");
+const tabs = document.getElementById("tabs");
+let shown = null;
+
+function show(view, button) {
+  shown?.leave?.();
+  for (const tab of tabs.children) tab.setAttribute("aria-selected", String(tab === button));
+  shown = view;
+  main.replaceChildren(view.element);
+  view.enter?.();
+}
+
+const KEYS = [
+  ["space", "play and stop"],
+  ["← →", "one frame back, on; with Ctrl ten"],
+  ["Home End", "first, last frame"],
+  ["1 to 9", "choose a band"],
+  ["Shift + arrows", "move the cross over the picture; with Ctrl in larger steps"],
+  ["Enter", "pick where the cross is"],
+  ["Delete", "take back the picks of the band"],
+  ["m", "masks on and off"],
+  ["+ − 0", "larger, smaller, whole: picture, plot, scene"],
+  ["v", "veto the frame (Review)"],
+];
+
+function help() {
+  const dialog = document.getElementById("dialog");
+  fill(dialog,
+    el("h2", {}, "Keys"),
+    el("table", {}, KEYS.map(([key, does]) => el("tr", {}, el("td", {}, el("kbd", {}, key)), el("td", {}, does)))),
+    el("p", {}, el("button", { type: "button", onclick: () => dialog.close() }, "Close")),
+  );
+  dialog.showModal();
+}
+
+document.getElementById("keys").addEventListener("click", help);
+document.addEventListener("keydown", (event) => {
+  if (event.defaultPrevented || isTyping(event) || event.altKey || event.metaKey) return;
+  if (event.key === "?") help();
+  else if (!shown?.key?.(event)) return;
+  event.preventDefault();
+});
+
+try {
+  const state = await ask("state");
+  const views = state.live ? [["Watch", new Watch(state)]] : [["Calibrate", new Calibrate(state)], ["Teach", new Teach(state)], ["Review", new Review(state)]];
+  const buttons = views.map(([name, view]) => {
+    const button = el("button", { type: "button", role: "tab", "aria-selected": "false" }, name);
+    button.addEventListener("click", () => show(view, button));
+    return button;
+  });
+  fill(tabs, ...buttons);
+  const first = state.live ? 0 : state.run ? 2 : 1;
+  show(views[first][1], buttons[first]);
+  document.body.dataset.ready = "yes";
+} catch (error) {
+  main.replaceChildren(el("p", { class: "wait bad" }, error.message));
+  complain(error);
+}
+if (!sessionStorage.getItem("catoptra-key")) say("This page has no key: open the whole address that the program printed.", true);

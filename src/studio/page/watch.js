@@ -1,0 +1,148 @@
+// A live run.
+
+import { ask, bitmap, complain, css, el, fill, onPage, overPicture, say, swatch } from "./common.js";
+import { Plot } from "./plot.js";
+import { Stage, label, outline } from "./stage.js";
+
+const SECONDS = 20;
+// What is drawn costs the computer that tracks, too: no more often than the eye follows.
+const ASK_MS = 200;
+const PICTURE_MS = 200;
+const AXES = ["x", "y", "z"];
+
+export class Watch {
+  constructor(state) {
+    this.live = state.live;
+    Object.assign(this, { rows: [], currents: [], after: null, currentsAfter: null, seq: null, bands: [], there: false, paused: false });
+    this.shared = { from: 0, to: SECONDS, cursor: null };
+    this.theta = new Plot("θ of the last seconds with its σ", "θ (°)", this.shared);
+    this.tip = new Plot("Place of the tip in the last seconds", `tip (mm, ${this.live.in_base ? "base" : "camera"} frame)`, this.shared);
+    this.coils = new Plot("Currents of the coils in the last seconds", "currents (A)", this.shared);
+    for (const plot of [this.tip, this.coils]) plot.element.classList.add("low");
+    this.coils.element.hidden = true;
+    this.stage = new Stage("The live picture with outlines of the bands.", { paint: (context, px) => this.paint(context, px) });
+    this.big = el("div", { class: "big", id: "theta" }, "θ –");
+    this.figures = el("div", { class: "figures" });
+    this.alarms = el("div", { id: "alarms", "aria-live": "assertive" });
+    this.pause = el("button", { type: "button", "aria-pressed": "false", onclick: () => this.hold() }, "Hold the picture");
+    const { source, folder } = this.live;
+    this.element = el("div", { class: "view watch" },
+      el("div", { class: "left" }, this.stage.element,
+        el("div", {}, this.theta.element, this.tip.element,
+          el("div", { class: "legend" }, AXES.map((axis, k) => el("span", {}, swatch(onPage(k)), `tip ${axis}`))), this.coils.element)),
+      el("div", { class: "side" },
+        el("section", {}, el("div", { class: "quiet" }, `${source} into ${folder}`), this.big, this.pause),
+        el("section", {}, el("h2", {}, "How it goes"), this.figures),
+        el("section", {}, el("h2", {}, "Alarms"), this.alarms)));
+    this.begun = false;
+  }
+
+  enter() {
+    if (this.begun) return;
+    this.begun = true;
+    this.follow();
+    this.pictures();
+  }
+
+  key(event) {
+    if (event.key !== " " || event.target.closest("button")) return false;
+    this.hold();
+    return true;
+  }
+
+  hold() {
+    this.paused = !this.paused;
+    this.pause.setAttribute("aria-pressed", String(this.paused));
+    this.pause.textContent = this.paused ? "Go on" : "Hold the picture";
+  }
+
+  async follow() {
+    try {
+      const reply = await ask("watch", { after: this.after, currents_after: this.currentsAfter });
+      this.take(reply);
+      if (!this.there) say("Watching.");
+      this.there = true;
+    } catch (error) {
+      this.there = false;
+      say(`The run is over, or the program is not reached: ${error.message}`, true);
+      setTimeout(() => this.follow(), 1000);
+      return;
+    }
+    setTimeout(() => this.follow(), ASK_MS);
+  }
+
+  async pictures() {
+    try {
+      const reply = this.paused || document.hidden ? null : await ask("watch/picture", { after: this.seq });
+      if (reply) {
+        this.seq = reply.seq;
+        this.bands = reply.bands;
+        this.stage.show(await bitmap(reply.jpeg), this.live.size);
+        this.element.dataset.picture = reply.seq;
+      }
+    } catch (error) {
+      complain(error);
+    }
+    setTimeout(() => this.pictures(), PICTURE_MS);
+  }
+
+  take({ rows, currents, status }) {
+    this.rows.push(...rows);
+    this.currents.push(...currents);
+    const last = this.rows.at(-1);
+    if (!last) return;
+    this.after = last.seq;
+    this.currentsAfter = this.currents.at(-1)?.host_ns ?? null;
+    this.rows = this.rows.filter((row) => row.t_s > last.t_s - SECONDS - 1);
+    // Seconds before now.
+    const origin = last.t_s;
+    const x = this.rows.map((row) => row.t_s - origin);
+    Object.assign(this.shared, { from: -SECONDS, to: 0 });
+    const missed = x.filter((_, i) => !this.rows[i].theta_deg);
+    const gaps = x.filter((_, i) => this.rows[i].gap > 0);
+    this.theta.set([{ x, y: this.rows.map((row) => row.theta_deg?.[0] ?? null), sd: this.rows.map((row) => row.theta_deg?.[1] ?? 0), colour: css("--m3") }],
+      [{ x: missed, colour: css("--miss"), shape: "tick" }, { x: gaps, colour: css("--gap"), shape: "flag" }]);
+    this.tip.set(AXES.map((_, k) => ({ x, y: this.rows.map((row) => row.tip_mm?.[k] ?? null), colour: onPage(k), dash: [[], [5, 3], [2, 3]][k] })));
+    // Host's time and camera's stand to each other as in the last frame.
+    const shift = last.host_s === null ? null : last.t_s - last.host_s;
+    this.coils.element.hidden = !(this.currents.length && shift !== null);
+    if (!this.coils.element.hidden) {
+      this.currents = this.currents.filter((sample) => sample.host_s + shift > last.t_s - SECONDS - 1);
+      const times = this.currents.map((sample) => sample.host_s + shift - origin);
+      const coils = Math.max(0, ...this.currents.map((sample) => sample.a.length));
+      this.coils.set([...Array(coils).keys()].map((k) => ({ x: times, y: this.currents.map((sample) => sample.a[k] ?? null), colour: onPage(k), dash: [[], [5, 3], [2, 3]][k % 3] })));
+    }
+    this.big.textContent = last.theta_deg ? `θ ${last.theta_deg[0].toFixed(2)}° ± ${last.theta_deg[1].toFixed(2)}` : `θ – ${last.status}`;
+    this.big.classList.toggle("bad", !last.theta_deg);
+    this.element.dataset.seq = last.seq;
+    const ms = (v) => `${v.toFixed(2)} ms`;
+    const figures = [
+      [status.frames, "frames"], [`${status.rate} / s`, "in the last second"], [status.lost, "lost by the camera"], [status.skipped, "passed over"],
+      [ms(status.p50_ms), "arrival to θ, median"], [ms(status.p99_ms), "99 of 100 within"], [ms(status.max_ms), "longest"],
+      [missed.length, `without θ in ${SECONDS} s`], [status.backlog, "rows wait for the disk"],
+    ];
+    if (status.pictures) figures.push([status.pictures.join(" / "), "pictures recorded / not"]);
+    if (status.unlogged) figures.push([status.unlogged, "rows not logged"]);
+    if (status.not_shown) figures.push([status.not_shown, "rows only in the log"]);
+    fill(this.figures, ...figures.map(([value, name]) => el("div", {}, el("b", {}, String(value)), el("span", {}, name))));
+    const words = status.alarms.map((alarm) => `${alarm.what}\n${alarm.advice}`);
+    if (status.skipped) words.push("frames are passed over: the tracker does not keep up\nEnd other programs, use a smaller picture or a lower frame rate; each frame has its row all the same");
+    if (status.unlogged) words.push("rows cannot be written\nThe disk is full or too slow: free some of it, or write elsewhere with -o");
+    if (words.join() === this.said) return;
+    this.said = words.join();
+    fill(this.alarms, ...(words.length ? words.map((word) => {
+      const [what, cure] = word.split("\n");
+      return el("div", { class: "alarm" }, el("b", {}, what), el("div", {}, cure));
+    }) : [el("p", { class: "good" }, "None.")]));
+  }
+
+  paint(context, px) {
+    for (const [m, views] of this.bands.entries()) {
+      for (const band of views) {
+        if (!band) continue;
+        outline(context, band.outline, overPicture(m), 2 * px);
+        label(context, this.live.markers[m], [band.centre[0] + 22 * px, band.centre[1] + 5 * px], overPicture(m), px);
+      }
+    }
+  }
+}

@@ -1,0 +1,210 @@
+//! The frames of one recording by number: a list of their times that grows while the recording is read through once,
+//! and the frames themselves, decoded where they are asked for and kept while they are near.
+
+use super::Refusal;
+use super::places::opened;
+use crate::calibrate::markers::locate::pixels::Pixels;
+use crate::sink::ToBgr;
+use crate::source::{Frame, FrameSource, SourceOptions, Span};
+use std::collections::VecDeque;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::Builder;
+
+/// Memory of the frames that are kept, bytes, and how many at least.
+const KEPT_BYTES: usize = 120_000_000;
+const LEAST_KEPT: usize = 4;
+/// Frames further ahead than this are jumped to.
+const AHEAD: usize = 40;
+/// Frames before the one asked for that are decoded with it: who steps, steps back too.
+const BEFORE: usize = 5;
+
+/// A recording that is open.
+pub(super) struct Reel {
+    path: PathBuf,
+    options: SourceOptions,
+    size_px: [u32; 2],
+    hint: Option<u64>,
+    index: Arc<Index>,
+    hand: Mutex<Hand>,
+}
+
+/// The times of its frames.
+#[derive(Default)]
+struct Index {
+    state: Mutex<Indexed>,
+    stop: AtomicBool,
+}
+
+/// How far the recording was read through.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Indexed {
+    /// Times of the frames, nanoseconds.
+    pub(super) stamps_ns: Vec<i64>,
+    /// Whether these are all.
+    pub(super) done: bool,
+    /// Why there are no more, if that is not the end.
+    pub(super) error: Option<String>,
+}
+
+#[derive(Default)]
+struct Hand {
+    /// Gives the frames from this number on.
+    reader: Option<(usize, Box<dyn FrameSource + Send>)>,
+    kept: VecDeque<(usize, Arc<Frame>)>,
+    pixels: Option<(usize, Arc<Pixels>)>,
+    to_bgr: ToBgr,
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Reel {
+    /// Opens a recording, and reads its first frame.
+    pub(super) fn open(path: &Path, options: SourceOptions) -> Result<Arc<Self>, Refusal> {
+        let mut source = opened(path, options)?;
+        let (size_px, hint) = (source.size_px(), source.frame_count_hint());
+        let first = source.next_frame().map_err(Refusal::wrong)?;
+        let first = first.ok_or_else(|| Refusal::wrong(format!("{}: has no frame", path.display())))?;
+        let index = Arc::new(Index::default());
+        lock(&index.state).stamps_ns.push(first.stamp.ns);
+        let mut hand = Hand { reader: Some((1, source)), ..Hand::default() };
+        hand.kept.push_back((0, Arc::new(first)));
+        let reel = Self { path: path.to_owned(), options, size_px, hint, index, hand: Mutex::new(hand) };
+        let (index, path) = (Arc::clone(&reel.index), path.to_owned());
+        let read = move || index.fill(&path, SourceOptions { decoder_threads: 1, ..options });
+        Builder::new().name("studio index".to_owned()).spawn(read).map_err(Refusal::wrong)?;
+        Ok(Arc::new(reel))
+    }
+
+    pub(super) fn path(&self) -> &Path {
+        &self.path
+    }
+
+    pub(super) fn size_px(&self) -> [u32; 2] {
+        self.size_px
+    }
+
+    /// How many frames there may be.
+    pub(super) fn hint(&self) -> Option<u64> {
+        self.hint
+    }
+
+    pub(super) fn indexed(&self) -> Indexed {
+        lock(&self.index.state).clone()
+    }
+
+    /// The number of the frame with this time.
+    pub(super) fn at(&self, stamp_ns: i64) -> Option<usize> {
+        lock(&self.index.state).stamps_ns.iter().position(|ns| *ns == stamp_ns)
+    }
+
+    /// Frame number `i`, and its colours pixel by pixel.
+    pub(super) fn with_pixels(&self, i: usize) -> Result<(Arc<Frame>, Arc<Pixels>), Refusal> {
+        let mut hand = lock(&self.hand);
+        let frame = hand.frame(self, i)?;
+        if let Some((_, pixels)) = hand.pixels.as_ref().filter(|(of, _)| *of == i) {
+            return Ok((frame, Arc::clone(pixels)));
+        }
+        let grey = || Refusal::wrong("grey pictures have no colour");
+        let pixels = Arc::new(Pixels::of(&frame.picture).ok_or_else(grey)?);
+        hand.pixels = Some((i, Arc::clone(&pixels)));
+        Ok((frame, pixels))
+    }
+
+    /// Frame number `i` as JPEG, no wider than `width`.
+    pub(super) fn jpeg(&self, i: usize, width: Option<u32>) -> Result<(Arc<Frame>, Vec<u8>), Refusal> {
+        let mut hand = lock(&self.hand);
+        let frame = hand.frame(self, i)?;
+        let jpeg = super::shown::jpeg(&mut hand.to_bgr, &frame.picture, width)?;
+        Ok((frame, jpeg))
+    }
+}
+
+impl Drop for Reel {
+    fn drop(&mut self) {
+        self.index.stop.store(true, Ordering::Relaxed);
+    }
+}
+
+impl Index {
+    /// Reads the recording through.
+    fn fill(&self, path: &Path, options: SourceOptions) {
+        let mut source = match opened(path, options) {
+            Ok(source) => source,
+            Err(refusal) => return self.end(Some(refusal.words)),
+        };
+        let mut first = true;
+        while !self.stop.load(Ordering::Relaxed) {
+            match source.next_frame() {
+                // The first is there already.
+                Ok(Some(_)) if std::mem::take(&mut first) => {}
+                Ok(Some(frame)) => lock(&self.state).stamps_ns.push(frame.stamp.ns),
+                Ok(None) => return self.end(None),
+                Err(error) => return self.end(Some(error.to_string())),
+            }
+        }
+    }
+
+    fn end(&self, error: Option<String>) {
+        let mut state = lock(&self.state);
+        (state.done, state.error) = (true, error);
+    }
+}
+
+impl Hand {
+    fn frame(&mut self, reel: &Reel, i: usize) -> Result<Arc<Frame>, Refusal> {
+        if let Some((_, frame)) = self.kept.iter().find(|(of, _)| *of == i) {
+            return Ok(Arc::clone(frame));
+        }
+        let (from_ns, from, count) = {
+            let index = lock(&reel.index.state);
+            let count = index.stamps_ns.len();
+            let from = i.saturating_sub(BEFORE);
+            (index.stamps_ns.get(from).copied(), from, count)
+        };
+        let beyond = || Refusal::wrong(format!("frame {i}: expected one of the {count} that are known so far"));
+        if i >= count {
+            return Err(beyond());
+        }
+        if !self.reader.as_ref().is_some_and(|(next, _)| (*next..*next + AHEAD).contains(&i)) {
+            let span = Span { from_ns, to_ns: None };
+            // A stated rate counts from the first picture that is read.
+            let (from, span) = if reel.options.stated_rate.is_some() { (0, Span::default()) } else { (from, span) };
+            self.reader = Some((from, opened(&reel.path, SourceOptions { span, ..reel.options })?));
+        }
+        while let Some((next, source)) = &mut self.reader {
+            match source.next_frame() {
+                Ok(Some(frame)) => {
+                    let (number, frame) = (*next, Arc::new(frame));
+                    *next += 1;
+                    self.keep(reel, number, &frame);
+                    if number == i {
+                        return Ok(frame);
+                    }
+                }
+                Ok(None) => {
+                    self.reader = None;
+                    return Err(beyond());
+                }
+                Err(error) => {
+                    self.reader = None;
+                    return Err(Refusal::wrong(error));
+                }
+            }
+        }
+        Err(beyond())
+    }
+
+    fn keep(&mut self, reel: &Reel, number: usize, frame: &Arc<Frame>) {
+        let [width, height] = reel.size_px.map(|size| size as usize);
+        let most = (KEPT_BYTES / (width * height * 2).max(1)).max(LEAST_KEPT);
+        self.kept.retain(|(of, _)| *of != number);
+        self.kept.push_back((number, Arc::clone(frame)));
+        while self.kept.len() > most {
+            self.kept.pop_front();
+        }
+    }
+}

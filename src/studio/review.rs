@@ -1,0 +1,137 @@
+//! A run that is over: what was measured over time, and each frame with what was found in it.
+
+use super::desk::Desk;
+use super::run::{Row, Run};
+use super::{Refusal, Reply, scene, veto};
+use crate::estimate::Miss;
+use serde::Deserialize;
+use serde_json::{Value, json};
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct RunAsked {
+    run: String,
+}
+
+/// Four digits behind the point are more than a plot shows, and less than half as much to send.
+fn short(value: f64) -> Value {
+    let value = (value * 1e4).round() / 1e4;
+    if value.is_finite() { json!(value) } else { Value::Null }
+}
+
+/// All of a run, column by column.
+pub(super) fn run(desk: &Desk, asked: &RunAsked) -> Result<Reply, Refusal> {
+    let run = desk.run(&asked.run)?;
+    let first_ns = run.rows.first().map_or(0, |row| row.stamp_ns);
+    let mut reasons: Vec<String> = Vec::new();
+    let mut miss = Vec::with_capacity(run.rows.len());
+    for row in &run.rows {
+        let known = row.theta.is_some();
+        let word = row.word(&run.markers);
+        let at = (!known).then(|| {
+            reasons.iter().position(|reason| *reason == word).unwrap_or_else(|| {
+                reasons.push(word);
+                reasons.len() - 1
+            })
+        });
+        miss.push(at);
+    }
+    let residual = |m: usize, v: usize| -> Vec<Value> {
+        let of = |row: &Row| row.bands.get(m).and_then(|views| views.get(v)?.as_ref()).map(|seen| seen.residual_px);
+        run.rows.iter().map(|row| of(row).map_or(Value::Null, short)).collect()
+    };
+    let residuals: Vec<Value> = (0..run.markers.len())
+        .flat_map(|m| (0..run.views.len()).map(move |v| (m, v)))
+        .map(|(m, v)| json!({ "band": run.markers.get(m), "view": run.views.get(v), "px": residual(m, v) }))
+        .collect();
+    let theta = |pick: fn(&(f64, f64)) -> f64| -> Vec<Value> {
+        run.rows.iter().map(|row| row.theta.as_ref().map_or(Value::Null, |t| short(pick(t).to_degrees()))).collect()
+    };
+    let alarm = |(ns, what): &(i64, String)| json!({ "t_s": (ns - first_ns) as f64 * 1e-9, "what": what });
+    Ok(Reply::Json(json!({
+        "run": asked.run,
+        "recording": run.recording,
+        "rig": run.rig_path,
+        "markers": run.markers,
+        "views": run.views,
+        "first_s": first_ns as f64 * 1e-9,
+        "t_s": run.rows.iter().map(|row| json!(((row.stamp_ns - first_ns) / 1000) as f64 / 1e6)).collect::<Vec<_>>(),
+        "theta_deg": theta(|t| t.0),
+        "sd_deg": theta(|t| t.1),
+        "seq": run.rows.iter().map(|row| row.seq).collect::<Vec<_>>(),
+        "miss": miss,
+        "reasons": reasons.iter().map(|word| crate::sink::spoken(word)).collect::<Vec<_>>(),
+        "gap": run.rows.iter().map(|row| row.gap).collect::<Vec<_>>(),
+        "residuals": residuals,
+        "alarms": run.alarms.iter().map(alarm).collect::<Vec<_>>(),
+        "cut": run.cut,
+        "vetoes": veto::standing(run.folder())?,
+        "set_up": run.rig.as_ref().map(scene::set_up),
+        "note": run.note,
+    })))
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct FrameAsked {
+    run: String,
+    row: usize,
+}
+
+/// One frame of a run: what was found in it, and which picture it is.
+pub(super) fn frame(desk: &Desk, asked: &FrameAsked) -> Result<Reply, Refusal> {
+    let run = desk.run(&asked.run)?;
+    let beyond = || Refusal::wrong(format!("row {}: the run has {}", asked.row, run.rows.len()));
+    let row = run.rows.get(asked.row).ok_or_else(beyond)?;
+    let bands: Vec<Value> = run
+        .markers
+        .iter()
+        .enumerate()
+        .map(|(m, name)| {
+            let views: Vec<Value> = (0..run.views.len())
+                .map(|v| {
+                    row.bands.get(m).and_then(|views| views.get(v)?.as_ref()).map_or(Value::Null, |seen| {
+                        json!({
+                            "centre": seen.centre_px, "sd_px": seen.sd_px, "residual_px": seen.residual_px,
+                            "separation": seen.separation, "outline": seen.outline_px,
+                        })
+                    })
+                })
+                .collect();
+            let word = row.statuses.get(m).map_or("", String::as_str);
+            json!({
+                "name": name, "status": crate::sink::spoken(word), "ok": word == "ok",
+                "sd_mm": row.sd_m.get(m).copied().flatten().map(|sd| sd * 1e3), "views": views,
+            })
+        })
+        .collect();
+    // A run is worth looking through without its recording, too.
+    let picture = picture(desk, &run, row.stamp_ns);
+    Ok(Reply::Json(json!({
+        "seq": row.seq,
+        "stamp_ns": row.stamp_ns.to_string(),
+        "theta_deg": row.theta.map(|t| t.0.to_degrees()),
+        "sd_deg": row.theta.map(|t| t.1.to_degrees()),
+        "status": crate::sink::spoken(&row.word(&run.markers)),
+        "bands": bands,
+        "recording": picture.as_ref().ok().map(|(recording, _)| recording),
+        "frame": picture.as_ref().ok().map(|(_, frame)| frame),
+        "no_picture": picture.as_ref().err().map(|refusal| refusal.words.clone()),
+        "wait": picture.as_ref().err().is_some_and(|refusal| refusal.status == 503),
+        "scene": run.rig.as_ref().map(|rig| scene::light(rig, &row.places)),
+    })))
+}
+
+/// The recording, and the number of the frame with this time.
+fn picture(desk: &Desk, run: &Run, stamp_ns: i64) -> Result<(String, usize), Refusal> {
+    let recording =
+        run.recording.as_deref().ok_or_else(|| Refusal::wrong("the run does not say of which recording it is"))?;
+    let reel = desk.reel(recording)?;
+    if let Some(frame) = reel.at(stamp_ns) {
+        return Ok((desk.places.shown(reel.path()), frame));
+    }
+    match reel.indexed() {
+        indexed if !indexed.done => Err(Refusal { status: 503, words: format!("{recording} is being read") }),
+        _ => Err(Refusal::wrong(format!("{recording}: the picture of this frame is {}", Miss::Damaged.word(&[])))),
+    }
+}

@@ -1,0 +1,268 @@
+//! The files of a run, read back: from its log, with outlines and residuals, or from its table alone.
+
+use super::Refusal;
+use crate::log::decoder::MessageDecoder;
+use crate::log::fields::{float, inner, number, text, xyz};
+use crate::log::records;
+use crate::log::schema::Topic;
+use crate::rig::Rig;
+use crate::series::Recording;
+use mcap::records::Record;
+use nalgebra::Point3;
+use prost_reflect::{DynamicMessage, Value};
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::SystemTime;
+
+const LOG: &str = "log.mcap";
+const TABLE: &str = "track.csv";
+
+/// Runs that stay in memory.
+const MOST_RUNS: usize = 2;
+
+/// Runs that were read.
+#[derive(Default)]
+pub(super) struct Runs(Mutex<Vec<Arc<Run>>>);
+
+impl Runs {
+    /// The run in a folder; read again when its files have changed.
+    pub(super) fn get(&self, folder: &Path) -> Result<Arc<Run>, Refusal> {
+        // Held while it is read: two requests read it once.
+        let mut runs = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(at) = runs.iter().position(|run| run.folder() == folder) {
+            let run = runs.remove(at);
+            if run.is_current() {
+                runs.push(Arc::clone(&run));
+                return Ok(run);
+            }
+        }
+        let run = Arc::new(Run::read(folder)?);
+        if runs.len() >= MOST_RUNS {
+            runs.remove(0);
+        }
+        runs.push(Arc::clone(&run));
+        Ok(run)
+    }
+}
+
+/// A run.
+#[derive(Debug, Default)]
+pub(super) struct Run {
+    folder: PathBuf,
+    changed: [Option<SystemTime>; 2],
+    /// Paths as `run.toml` has them.
+    pub(super) recording: Option<String>,
+    pub(super) rig_path: Option<String>,
+    /// The rig that it was tracked with, from the log.
+    pub(super) rig: Option<Rig>,
+    pub(super) markers: Vec<String>,
+    pub(super) views: Vec<String>,
+    pub(super) rows: Vec<Row>,
+    /// Time, nanoseconds, and what is wrong since then.
+    pub(super) alarms: Vec<(i64, String)>,
+    /// Why not all is here.
+    pub(super) cut: Option<String>,
+    /// What this run lacks.
+    pub(super) note: Option<String>,
+}
+
+/// One frame.
+#[derive(Debug, Default)]
+pub(super) struct Row {
+    pub(super) seq: u64,
+    pub(super) stamp_ns: i64,
+    pub(super) gap: u64,
+    /// θ and its σ, radians.
+    pub(super) theta: Option<(f64, f64)>,
+    theta_status: String,
+    /// Of each marker: `ok`, or why there is no place.
+    pub(super) statuses: Vec<String>,
+    /// Camera frame, metres.
+    pub(super) places: Vec<Option<Point3<f64>>>,
+    pub(super) sd_m: Vec<Option<f64>>,
+    /// By marker and view.
+    pub(super) bands: Vec<Vec<Option<Seen>>>,
+}
+
+/// A band in a view.
+#[derive(Debug, Default, Clone)]
+pub(super) struct Seen {
+    pub(super) centre_px: [f32; 2],
+    pub(super) sd_px: f32,
+    /// Length of the residual.
+    pub(super) residual_px: f64,
+    pub(super) separation: f32,
+    pub(super) outline_px: Vec<[f32; 2]>,
+}
+
+impl Row {
+    /// `ok`, or the word of the reason why there is no θ: that of the marker that it depends on, where there is one.
+    pub(super) fn word(&self, markers: &[String]) -> String {
+        if self.theta.is_some() {
+            return "ok".to_owned();
+        }
+        let first = self.statuses.iter().zip(markers).find(|(status, _)| *status != "ok" && !status.is_empty());
+        match (self.theta_status.as_str(), first) {
+            ("" | "marker_missing", Some((status, marker))) => format!("{marker}_{status}"),
+            ("", None) => "missing".to_owned(),
+            (word, _) => word.to_owned(),
+        }
+    }
+}
+
+impl Run {
+    /// Reads the run in a folder.
+    pub(super) fn read(folder: &Path) -> Result<Self, Refusal> {
+        let about =
+            std::fs::read_to_string(folder.join("run.toml")).ok().and_then(|text| text.parse::<toml::Table>().ok());
+        let of = |key: &str| about.as_ref()?.get(key)?.as_str().map(str::to_owned);
+        let mut run = Self {
+            folder: folder.to_owned(),
+            changed: changed(folder),
+            recording: of("recording"),
+            rig_path: of("rig"),
+            ..Self::default()
+        };
+        let (log, table) = (folder.join(LOG), folder.join(TABLE));
+        if log.is_file() {
+            run.log(&log)?;
+        } else if table.is_file() {
+            run.table(&table)?;
+        } else {
+            let folder = folder.display();
+            return Err(Refusal::wrong(format!("{folder}: is no run: it has no {LOG} and no {TABLE}")));
+        }
+        Ok(run)
+    }
+
+    /// Where it is.
+    pub(super) fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    /// Whether its files are still those that were read.
+    fn is_current(&self) -> bool {
+        changed(&self.folder) == self.changed
+    }
+
+    fn table(&mut self, path: &Path) -> Result<(), Refusal> {
+        let table = Recording::read(path).map_err(Refusal::wrong)?;
+        self.markers = table.markers;
+        self.cut = table.cut;
+        self.note = Some(format!("there is no {LOG}: outlines, residuals and the scene are not known"));
+        self.rows = table
+            .frames
+            .into_iter()
+            .map(|frame| Row {
+                seq: frame.seq,
+                stamp_ns: frame.stamp_ns,
+                gap: frame.gap,
+                theta: frame.theta_rad.map(|theta| (theta, frame.theta_sd_rad.unwrap_or(f64::NAN))),
+                sd_m: frame.places.iter().map(|place| place.sd_m).collect(),
+                statuses: frame.places.into_iter().map(|place| place.status).collect(),
+                ..Row::default()
+            })
+            .collect();
+        Ok(())
+    }
+
+    fn log(&mut self, path: &Path) -> Result<(), Refusal> {
+        let mut decoder = MessageDecoder::default();
+        let condition = records::each(path, |record| {
+            match record {
+                Record::Message { header, data } => {
+                    let decoded = |topic| decoder.decoded(header.channel_id, topic, data.as_ref());
+                    if let Some(estimate) = decoded(Topic::Estimate) {
+                        self.estimate(&estimate);
+                    } else if let Some(annotations) = decoded(Topic::Annotations) {
+                        self.outlines(&annotations);
+                    } else if let Some(health) = decoded(Topic::Health) {
+                        self.health(&health);
+                    }
+                }
+                Record::Attachment { header, data, .. } if header.name == "rig.toml" => {
+                    let text = std::str::from_utf8(data.as_ref()).ok();
+                    self.rig = text.and_then(|text| Rig::from_toml_str(text, Path::new("rig.toml")).ok());
+                }
+                other => decoder.learn(other),
+            }
+            Ok(())
+        });
+        self.cut = condition.map_err(Refusal::wrong)?.summary();
+        Ok(())
+    }
+
+    fn estimate(&mut self, message: &DynamicMessage) {
+        let markers = list(message, "markers");
+        if self.rows.is_empty() {
+            self.markers = markers.iter().map(|m| text(m, "name").unwrap_or_default()).collect();
+            let views = markers.first().map(|m| list(m, "views")).unwrap_or_default();
+            self.views = views.iter().map(|view| text(view, "name").unwrap_or_default()).collect();
+        }
+        let word = |message: &DynamicMessage, field: &str| {
+            inner(message, field).and_then(|status| text(&status, "word")).unwrap_or_default()
+        };
+        let angles = inner(message, "deflection");
+        let whole = |field: &str| number(message, field).and_then(|n| u64::try_from(n).ok()).unwrap_or(0);
+        let position = |m: &DynamicMessage| inner(m, "position");
+        self.rows.push(Row {
+            seq: whole("seq"),
+            stamp_ns: number(message, "stamp_ns").unwrap_or(0),
+            gap: whole("gap"),
+            theta: angles.and_then(|angles| Some((float(&angles, "theta_rad")?, float(&angles, "theta_sd_rad")?))),
+            theta_status: word(message, "deflection_status"),
+            statuses: markers.iter().map(|m| word(m, "status")).collect(),
+            places: markers.iter().map(|m| Some(Point3::from(xyz(&position(m)?, "in_camera_m")?))).collect(),
+            sd_m: markers.iter().map(|m| float(&position(m)?, "sd_m")).collect(),
+            bands: markers
+                .iter()
+                .map(|m| list(m, "views").iter().map(|view| Some(seen(&inner(view, "band")?))).collect())
+                .collect(),
+        });
+    }
+
+    /// Outlines of the bands of the last row, in its order.
+    fn outlines(&mut self, message: &DynamicMessage) {
+        let Some(row) = self.rows.last_mut() else { return };
+        let outlines = list(message, "points");
+        for (seen, outline) in row.bands.iter_mut().flatten().flatten().zip(&outlines) {
+            // Annotations count from the corner of the first pixel.
+            let corner = |p: &DynamicMessage| Some([float(p, "x")? as f32 - 0.5, float(p, "y")? as f32 - 0.5]);
+            seen.outline_px = list(outline, "points").iter().filter_map(corner).collect();
+        }
+    }
+
+    fn health(&mut self, message: &DynamicMessage) {
+        let alarm = |drift: &DynamicMessage| Some((number(drift, "stamp_ns")?, text(drift, "what")?));
+        // Each has all before it.
+        self.alarms = list(message, "drifts").iter().filter_map(alarm).collect();
+    }
+}
+
+fn seen(band: &DynamicMessage) -> Seen {
+    let pair =
+        |field: &str| inner(band, field).and_then(|p| Some([float(&p, "x")?, float(&p, "y")?])).unwrap_or_default();
+    let covariance = band.get_field_by_name("covariance_px2");
+    let covariance = covariance.as_deref().and_then(Value::as_list).unwrap_or(&[]);
+    let entry = |i: usize| covariance.get(i).and_then(Value::as_f64).unwrap_or(f64::NAN);
+    let [rx, ry] = pair("residual_px");
+    Seen {
+        centre_px: pair("centre_px").map(|v| v as f32),
+        sd_px: ((entry(0) + entry(3)) / 2.0).sqrt() as f32,
+        residual_px: rx.hypot(ry),
+        separation: float(band, "separation").unwrap_or(f64::NAN) as f32,
+        outline_px: Vec::new(),
+    }
+}
+
+fn list(message: &DynamicMessage, field: &str) -> Vec<DynamicMessage> {
+    let values = message.get_field_by_name(field);
+    let values = values.as_deref().and_then(Value::as_list).unwrap_or(&[]);
+    values.iter().filter_map(Value::as_message).cloned().collect()
+}
+
+/// When its files were written.
+fn changed(folder: &Path) -> [Option<SystemTime>; 2] {
+    let of = |name: &str| std::fs::metadata(folder.join(name)).ok()?.modified().ok();
+    [of(LOG), of(TABLE)]
+}

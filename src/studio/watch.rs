@@ -1,0 +1,143 @@
+//! A live run while it goes on: its last rows, how it goes, and a picture now and then.
+
+use super::{Refusal, Reply, scene, shown};
+use crate::live::{Latest, stand_back};
+use crate::rig::Rig;
+use crate::sink::{ToBgr, spoken};
+use base64::prelude::{BASE64_STANDARD, Engine as _};
+use nalgebra::Isometry3;
+use serde::Deserialize;
+use serde_json::{Value, json};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+/// Pictures are no wider, pixels, and no more often, however many pages ask.
+const WIDTH_PX: u32 = 640;
+const LEAST_BETWEEN: Duration = Duration::from_millis(150);
+
+/// A live run.
+pub(crate) struct Watch {
+    latest: Arc<Latest>,
+    rig: Rig,
+    source: String,
+    folder: String,
+    made: Mutex<Made>,
+}
+
+/// The picture that was made last, for all pages.
+#[derive(Default)]
+struct Made {
+    to_bgr: ToBgr,
+    at: Option<Instant>,
+    seq: u64,
+    reply: Value,
+}
+
+impl Watch {
+    /// The run of `rig` that leaves its last rows in `latest`.
+    pub(crate) fn new(latest: Arc<Latest>, rig: &Rig, source: &str, folder: &str) -> Self {
+        let (rig, source, folder) = (rig.clone(), source.to_owned(), folder.to_owned());
+        Self { latest, rig, source, folder, made: Mutex::default() }
+    }
+
+    /// What does not change.
+    pub(super) fn about(&self) -> Value {
+        json!({
+            "source": self.source,
+            "folder": self.folder,
+            "size": self.rig.camera.size_px,
+            "markers": self.rig.markers.iter().map(|m| &m.name).collect::<Vec<_>>(),
+            "views": self.rig.views.iter().map(|v| &v.name).collect::<Vec<_>>(),
+            "in_base": self.rig.base.is_some(),
+        })
+    }
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct RowsAsked {
+    /// Number of the last row that the page has.
+    after: Option<u64>,
+    /// Time of the last sample of currents that it has, nanoseconds since 1970, in digits.
+    currents_after: Option<String>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct PictureAsked {
+    /// Number of the picture that the page has.
+    after: Option<u64>,
+}
+
+impl Watch {
+    /// Rows that are new, and how it goes.
+    pub(super) fn rows(&self, asked: &RowsAsked) -> Reply {
+        stand_back();
+        let views: Vec<&str> = self.rig.views.iter().map(|v| v.name.as_str()).collect();
+        let to_base = self.rig.base.as_ref().map_or(Isometry3::identity(), |base| base.base_from_camera);
+        let rows: Vec<Value> = self
+        .latest
+        .rows_after(asked.after)
+        .iter()
+        .map(|row| {
+            let tip = row.markers.last().and_then(|m| m.position.as_ref().ok());
+            let tip_mm = tip.map(|position| (to_base * position.point * 1e3).coords.map(|v| (v * 1e3).round() / 1e3));
+            json!({
+                "seq": row.seq,
+                "t_s": row.stamp.seconds(),
+                "host_s": row.host.map(|host| host.arrival_ns as f64 * 1e-9),
+                "gap": row.gap,
+                "theta_deg": row.deflection.as_ref().ok().map(|d| [d.theta_rad, d.theta_sd_rad].map(f64::to_degrees)),
+                "status": row.deflection.as_ref().err().map(|miss| spoken(&miss.word(&views))),
+                "tip_mm": tip_mm.map(|p| [p.x, p.y, p.z]),
+            })
+        })
+        .collect();
+        let currents_after = asked.currents_after.as_ref().and_then(|ns| ns.parse().ok()).unwrap_or(i64::MIN);
+        let currents = self.latest.currents_after(currents_after);
+        let status = self.latest.status();
+        let ms = |us: u64| us as f64 * 1e-3;
+        Reply::Json(json!({
+            "rows": rows,
+            "currents": currents.iter().map(|sample| json!({
+                "host_ns": sample.host_ns.to_string(), "host_s": sample.host_ns as f64 * 1e-9, "a": sample.current_a,
+            })).collect::<Vec<_>>(),
+            "status": {
+                "frames": status.frames, "rate": status.new_frames, "lost": status.lost, "skipped": status.skipped,
+                "p50_ms": ms(status.latency.p50_us), "p99_ms": ms(status.latency.p99_us),
+                "max_ms": ms(status.latency.max_us),
+                "backlog": status.backlog, "unlogged": status.unlogged, "pictures": status.pictures,
+                "not_shown": self.latest.missed(),
+                "alarms": status.alarms.iter().map(|alarm| json!({
+                    "t_s": alarm.ns as f64 * 1e-9, "what": alarm.what, "advice": alarm.advice,
+                })).collect::<Vec<_>>(),
+            },
+        }))
+    }
+
+    /// The newest picture, scaled, with the outlines of its bands; nothing when there is none that is newer.
+    pub(super) fn picture(&self, asked: &PictureAsked) -> Result<Reply, Refusal> {
+        stand_back();
+        let mut made = self.made.lock().unwrap_or_else(PoisonError::into_inner);
+        if made.at.is_none_or(|at| at.elapsed() >= LEAST_BETWEEN)
+            && let Some((estimate, picture)) = self.latest.picture()
+            && (made.at.is_none() || estimate.seq > made.seq)
+        {
+            let jpeg = shown::jpeg(&mut made.to_bgr, &picture, Some(WIDTH_PX))?;
+            let bands: Vec<Value> = estimate
+                .markers
+                .iter()
+                .map(|m| {
+                    let band = |view: &Result<_, _>| view.as_ref().ok().map(scene::band);
+                    json!(m.views.iter().map(band).collect::<Vec<_>>())
+                })
+                .collect();
+            made.reply = json!({ "seq": estimate.seq, "jpeg": BASE64_STANDARD.encode(jpeg), "bands": bands });
+            (made.seq, made.at) = (estimate.seq, Some(Instant::now()));
+        }
+        match made.at {
+            Some(_) if asked.after.is_none_or(|after| made.seq > after) => Ok(Reply::Json(made.reply.clone())),
+            _ => Ok(Reply::Nothing),
+        }
+    }
+}

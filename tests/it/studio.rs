@@ -1,0 +1,383 @@
+//! `catoptra studio`: what its server refuses, bands taught by clicks to the very file of the command line, runs looked
+//! through, and all of it in a browser.
+
+use crate::support::studio::Studio;
+use serde_json::{Value, json};
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+fn file(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join(name)
+}
+
+/// A folder with the sample in it, and its rig before the bands are taught.
+fn bench() -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let mut table: toml::Table =
+        std::fs::read_to_string(file("sample_frames/truth/rig.toml")).unwrap().parse().unwrap();
+    let camera = table["camera"].as_table_mut().unwrap();
+    assert!(camera.remove("blur_px").is_some() && camera.remove("chroma_offset_px").is_some());
+    for marker in table["marker"].as_array_mut().unwrap() {
+        let marker = marker.as_table_mut().unwrap();
+        assert!(marker.remove("colour").is_some() && marker.remove("centre_mm").is_some());
+    }
+    std::fs::write(folder.path().join("bare.toml"), table.to_string()).unwrap();
+    for name in ["planar.mkv", "rest.mkv"] {
+        std::fs::copy(file("sample_frames").join(name), folder.path().join(name)).unwrap();
+    }
+    folder
+}
+
+fn catoptra(folder: &Path, args: &[&str]) {
+    let output = Command::new(env!("CARGO_BIN_EXE_catoptra")).current_dir(folder).args(args).output().unwrap();
+    assert_eq!(output.status.code(), Some(0), "{args:?}: {}", String::from_utf8_lossy(&output.stderr));
+}
+
+/// The clicks of the command's own example, in the form of the page.
+fn form(recording: &str, frame: usize) -> Value {
+    json!({
+        "recording": recording, "rig": "bare.toml", "frame": frame, "tube_mm": 3.2,
+        "bands": [{"name": "base", "length_mm": 6}, {"name": "coil", "length_mm": 12}, {"name": "tip", "length_mm": 6}],
+        "coil": null, "end": null, "rigid_mm": null, "exposure_ms": null, "regions": [],
+        "picks": [
+            {"band": "base", "view": "direct", "x": 431, "y": 408},
+            {"band": "coil", "view": "direct", "x": 431, "y": 565},
+            {"band": "tip", "view": "direct", "x": 430, "y": 607},
+        ],
+    })
+}
+
+#[test]
+fn hostile_requests_are_refused_and_the_page_is_served_on() {
+    let folder = bench();
+    let outside = tempfile::tempdir().unwrap();
+    std::fs::copy(folder.path().join("bare.toml"), outside.path().join("other.toml")).unwrap();
+    let studio = Studio::start(folder.path(), &["rest.mkv", "--rig", "bare.toml"]);
+    studio.refuses_all();
+    let page = studio.get("/");
+    assert_eq!(page.status, 200);
+    assert!(!String::from_utf8_lossy(&page.body).contains(&studio.key), "the key is not in the page");
+
+    // What has the key is held to the folder, too.
+    let refused = |name: &str, body: Value, words: &str| {
+        let answer = studio.ask(name, &body);
+        let said = String::from_utf8_lossy(&answer.body).into_owned();
+        assert!((400..500).contains(&answer.status) && said.contains(words), "{name} {body}: {} {said}", answer.status);
+    };
+    let other = outside.path().join("other.toml");
+    let other = other.to_str().unwrap();
+    refused("list", json!({ "folder": "/etc" }), "is not below");
+    refused("list", json!({ "folder": "../.." }), "is not below");
+    refused("teach/rig", json!({ "rig": other }), "is not below");
+    refused("frame", json!({ "recording": "/etc/passwd", "frame": 0, "width": null }), "is not below");
+    refused("frame", json!({ "recording": "bare.toml\u{0}", "frame": 0, "width": null }), "zero");
+    refused("frame", json!({ "recording": "rest.mkv", "frame": 1_000_000, "width": null }), "frame 1000000");
+    refused("run", json!({ "run": "/etc" }), "is not below");
+    refused("nothing", json!({}), "nothing here");
+    let save = |change: fn(&mut Value), out: &str| {
+        let mut form = form("rest.mkv", 0);
+        change(&mut form);
+        json!({ "form": form, "out": out })
+    };
+    refused("teach/save", save(|_| {}, other), "is not below");
+    refused("teach/save", save(|_| {}, "../new.toml"), "is not below");
+    refused("teach/save", save(|form| form["rig"] = "/etc/hostname".into(), "new.toml"), "is not below");
+    refused("teach/save", save(|form| form["bands"][0]["name"] = "a@1,2".into(), "new.toml"), "without `@`");
+    refused(
+        "teach/save",
+        save(|form| form["bands"] = json!(vec![json!({"name": "a", "length_mm": 1}); 1000]), "new.toml"),
+        "at most",
+    );
+    #[cfg(unix)]
+    {
+        std::os::unix::fs::symlink(other, folder.path().join("link.toml")).unwrap();
+        refused("teach/save", save(|_| {}, "link.toml"), "is not below");
+    }
+    // Words of the command line, where they belong.
+    let told = studio.json("teach/save", &save(|form| form["tube_mm"] = (-1.0).into(), "new.toml"))["told"].clone();
+    assert_eq!(told["code"], 2);
+    let told =
+        studio.json("teach/save", &save(|form| form["recording"] = "bare.toml".into(), "new.toml"))["told"].clone();
+    assert_eq!(told["code"], 2, "{told}");
+    assert!(!folder.path().join("new.toml").exists());
+    // A name that is markup is a name: in JSON, which no browser takes for a page.
+    let mut script = form("rest.mkv", 0);
+    script["bands"][0]["name"] = "<script>alert(1)</script>".into();
+    let answer = studio.ask("teach/save", &json!({ "form": script, "out": "new.toml", "dry": true }));
+    assert!(answer.head.to_ascii_lowercase().contains("content-type: application/json"));
+}
+
+#[test]
+fn clicks_teach_the_rig_that_the_command_shown_teaches() {
+    let folder = bench();
+    let studio = Studio::start(folder.path(), &["rest.mkv", "--rig", "bare.toml"]);
+    // A later frame is named by its time.
+    let frame = 4;
+    let known = || studio.json("reel", &json!({ "recording": "rest.mkv", "known": 0 }));
+    while !known()["done"].as_bool().unwrap() {
+        std::thread::sleep(std::time::Duration::from_millis(20));
+    }
+    let mut asked = form("rest.mkv", frame);
+    asked["regions"] = json!([{ "view": "direct", "corners": [[140, 230], [660, 230], [660, 780], [140, 780]] }]);
+    let saved = studio.json("teach/save", &json!({ "form": asked, "out": "clicked.toml", "dry": false }));
+    assert_eq!(saved["told"]["code"], 0, "{saved}");
+    assert!(saved["told"]["text"].as_str().unwrap().contains("written:"));
+    let command = saved["command"].as_str().unwrap().to_owned();
+    assert!(command.contains("--pick coil@direct:431,565:12mm") && command.contains("--at 0.0"), "{command}");
+    let typed = command.replace("clicked.toml", "typed.toml");
+    let program = Path::new(env!("CARGO_BIN_EXE_catoptra")).parent().unwrap();
+    let path = format!("{}:{}", program.display(), std::env::var("PATH").unwrap());
+    let output = Command::new("sh").current_dir(folder.path()).env("PATH", path).args(["-c", &typed]).output().unwrap();
+    assert!(output.status.success(), "{typed}\n{}", String::from_utf8_lossy(&output.stderr));
+    let read = |name: &str| std::fs::read(folder.path().join(name)).unwrap();
+    assert_eq!(read("clicked.toml"), read("typed.toml"));
+    assert!(folder.path().join("clicked.markers.html").exists());
+}
+
+#[test]
+fn a_click_shows_the_band_and_clicks_on_all_show_every_view() {
+    let folder = bench();
+    let studio = Studio::start(folder.path(), &["rest.mkv", "--rig", "bare.toml"]);
+    let picture = studio.ask("frame", &json!({ "recording": "rest.mkv", "frame": 0, "width": null }));
+    assert_eq!((picture.status, &picture.body[..2]), (200, &[0xff, 0xd8][..]));
+    let half = studio.ask("frame", &json!({ "recording": "rest.mkv", "frame": 0, "width": 640 }));
+    let size = image::load_from_memory(&half.body).map(|picture| [picture.width(), picture.height()]).unwrap();
+    assert_eq!(size, [640, 512]);
+
+    let mut asked = form("rest.mkv", 0);
+    asked["picks"] = json!([]);
+    let click = |band: &str, x: f64, y: f64| {
+        studio.json("teach/click", &json!({ "form": asked, "band": band, "view": null, "x": x, "y": y }))
+    };
+    let coil = click("coil", 433.0, 562.0);
+    assert_eq!(coil["view"], "direct");
+    let blob = &coil["blob"];
+    let centre = [blob["centre"][0].as_f64().unwrap(), blob["centre"][1].as_f64().unwrap()];
+    assert!((centre[0] - 431.0).abs() < 3.0 && (centre[1] - 565.0).abs() < 4.0, "{blob}");
+    assert!((0.0..1.0).contains(&blob["sd_px"].as_f64().unwrap()), "{blob}");
+    // The mask is the band: as many pixels as its rectangle, and hardly any elsewhere.
+    let runs = coil["mask"].as_array().unwrap();
+    let pixels =
+        |runs: &[Value]| runs.iter().map(|run| run[2].as_f64().unwrap() - run[1].as_f64().unwrap()).sum::<f64>();
+    let area = blob["area_px2"].as_f64().unwrap();
+    assert!((0.6..1.6).contains(&(pixels(runs) / area)), "{} pixels, {area} px²", pixels(runs));
+    assert!(coil["exposure"]["advice"].is_null() && coil["separations"][0]["verdict"] == "good", "{coil}");
+    let mirrored = click("tip", 890.0, 579.0);
+    assert_eq!((&mirrored["view"], mirrored["error"].is_null()), (&json!("mirror"), true), "{mirrored}");
+    let beside = click("tip", 300.0, 700.0);
+    assert!(beside["error"].as_str().unwrap().contains("nothing like a band of 6.0 mm"), "{beside}");
+
+    let all = studio.json("teach/preview", &form("rest.mkv", 0));
+    assert!(all["error"].is_null(), "{}", all["error"]);
+    for view in all["views"].as_array().unwrap() {
+        for band in view["bands"].as_array().unwrap() {
+            assert!(band["seen"]["outline"].as_array().unwrap().len() > 8, "{band}");
+            assert!(band["seen"]["sd_px"].as_f64().unwrap() < 0.5 && !band["mask"].as_array().unwrap().is_empty());
+            assert!(band["separations"].as_array().unwrap().len() > 1);
+        }
+    }
+    let mut folded = form("rest.mkv", 0);
+    folded["picks"][1]["y"] = 607.into();
+    let why = studio.json("teach/preview", &folded)["error"].clone();
+    assert!(why.as_str().unwrap().contains("picked on one band"), "{why}");
+
+    // A brick in the tip's colour is not the tip, and why.
+    let tip = click("tip", 430.0, 607.0);
+    let rgb = [0, 1, 2].map(|k| tip["rgb"][k].as_f64().unwrap() as u8);
+    let mut painted = image::load_from_memory(&picture.body).unwrap().into_rgb8();
+    for (x, y) in (250..290).flat_map(|x| (690..730).map(move |y| (x, y))) {
+        painted.put_pixel(x, y, image::Rgb(rgb));
+    }
+    let pictures = folder.path().join("painted");
+    std::fs::create_dir(&pictures).unwrap();
+    painted.save(pictures.join("0.png")).unwrap();
+    std::fs::write(pictures.join("times.csv"), "file,t_s\n0.png,0\n").unwrap();
+    let all = studio.json("teach/preview", &form("painted", 0));
+    let brick = all["blobs"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .find(|blob| blob["bounds"][0].as_u64().is_some_and(|x| x.abs_diff(250) < 4));
+    let why = brick.unwrap_or_else(|| panic!("{}", all["blobs"]))["rejected"].as_str().unwrap();
+    assert!(why.contains("times as large as the band"), "{why}");
+}
+
+#[test]
+fn a_run_is_looked_through_and_frames_are_vetoed() {
+    let folder = bench();
+    let rig = file("calibration/dev_tank/rig.toml");
+    let rig = rig.to_str().unwrap();
+    catoptra(folder.path(), &["track", "planar.mkv", "--rig", rig, "-o", "run", "--to", "0.3"]);
+    let studio = Studio::start(folder.path(), &["run"]);
+    let run = studio.json("run", &json!({ "run": "run" }));
+    let rows = run["t_s"].as_array().unwrap().len();
+    let table = std::fs::read_to_string(folder.path().join("run/track.csv")).unwrap();
+    assert_eq!(rows, table.lines().count() - 1);
+    let theta: f64 = table.lines().nth(1).unwrap().split(',').nth(3).unwrap().parse().unwrap();
+    assert!((run["theta_deg"][0].as_f64().unwrap() - theta).abs() < 1e-4);
+    assert_eq!(run["residuals"].as_array().unwrap().len(), 6);
+    assert_eq!(run["set_up"]["surfaces"].as_array().unwrap().iter().filter(|s| s["mirror"] == true).count(), 1);
+    let at = |row: usize| loop {
+        let found = studio.json("run/frame", &json!({ "run": "run", "row": row }));
+        if found["wait"] == false {
+            return found;
+        }
+        std::thread::sleep(std::time::Duration::from_millis(20));
+    };
+    let found = at(7);
+    assert_eq!((&found["recording"], &found["frame"]), (&json!("planar.mkv"), &json!(7)), "{found}");
+    for band in found["bands"].as_array().unwrap() {
+        for view in band["views"].as_array().unwrap() {
+            assert!(view["outline"].as_array().unwrap().len() > 8, "{view}");
+        }
+    }
+    // Light goes from the camera over mirror and wall to the band.
+    let light = found["scene"]["light"].as_array().unwrap();
+    assert_eq!(light.len(), 6);
+    assert!(light.iter().filter(|ray| ray["view"] == "mirror").all(|ray| ray["points"].as_array().unwrap().len() == 4));
+
+    let before = std::fs::read(folder.path().join("run/track.csv")).unwrap();
+    let veto = |row: usize, vetoed: bool, comment: &str| {
+        studio.ask("run/veto", &json!({ "run": "run", "row": row, "vetoed": vetoed, "comment": comment }))
+    };
+    assert_eq!(veto(7, true, " ").status, 400, "a veto has a reason");
+    assert_eq!(veto(9_999_999, true, "x").status, 400);
+    assert_eq!(veto(7, true, "a hand <b>in</b> front").json()["vetoes"]["7"], "a hand <b>in</b> front");
+    assert_eq!(veto(3, true, "bubble").status, 200);
+    assert_eq!(veto(7, false, "it was frame 8").json()["vetoes"], json!({ "3": "bubble" }));
+    let written = std::fs::read_to_string(folder.path().join("run/vetoes.csv")).unwrap();
+    assert_eq!(written.lines().count(), 4, "{written}");
+    assert!(
+        written.starts_with("seq,stamp_ns,status,comment,written\r\n7,")
+            && written.contains(",restored,it was frame 8,")
+    );
+    assert_eq!(before, std::fs::read(folder.path().join("run/track.csv")).unwrap());
+    assert_eq!(studio.json("run", &json!({ "run": "run" }))["vetoes"], json!({ "3": "bubble" }));
+
+    // Without its log a run is a table; without its recording it has no pictures.
+    std::fs::remove_file(folder.path().join("run/log.mcap")).unwrap();
+    std::fs::rename(folder.path().join("planar.mkv"), folder.path().join("moved.mkv")).unwrap();
+    let run = studio.json("run", &json!({ "run": "run" }));
+    assert!(run["note"].as_str().unwrap().contains("no log.mcap") && run["t_s"].as_array().unwrap().len() == rows);
+}
+
+/// A browser and a Python that drives it. With both named, by `CATOPTRA_BROWSER` and `CATOPTRA_PYTHON`, they must do;
+/// else Debian's Chromium is taken, and where something is missing the test is left out, and says so.
+fn browser_and_python() -> Option<(String, String)> {
+    let [browser, python] = ["CATOPTRA_BROWSER", "CATOPTRA_PYTHON"].map(|name| std::env::var(name).ok());
+    let must = browser.is_some() && python.is_some();
+    let browser = browser.unwrap_or_else(|| "/usr/bin/chromium".to_owned());
+    let python = python.unwrap_or_else(|| "python3".to_owned());
+    let probe = Command::new(&python).args(["-c", "import playwright"]).output();
+    let missing = match probe {
+        _ if !Path::new(&browser).exists() => format!("there is no browser {browser}"),
+        Ok(probe) if probe.status.success() => return Some((browser, python)),
+        _ => format!("{python} cannot import playwright; what to install is in the Makefile"),
+    };
+    assert!(!must, "{missing}");
+    // Past the test harness, which keeps what a passing test prints to itself.
+    std::io::stderr().write_all(format!("SKIPPED: {missing}\n").as_bytes()).unwrap();
+    None
+}
+
+#[test]
+fn a_browser_teaches_by_clicks_and_looks_through_a_run() {
+    let Some((browser, python)) = browser_and_python() else { return };
+    let folder = bench();
+    let rig = file("calibration/dev_tank/rig.toml");
+    catoptra(folder.path(), &["track", "planar.mkv", "--rig", rig.to_str().unwrap(), "-o", "run", "--to", "0.3"]);
+    let studio = Studio::start(folder.path(), &["rest.mkv", "--rig", "bare.toml"]);
+    let script = file("tests/python/studio.py");
+    let output = Command::new(&python)
+        .arg(script)
+        .args([&browser, &studio.url(), "--boards"])
+        .arg(file("calibration/dev_tank/mirror"))
+        .output()
+        .unwrap();
+    let said = String::from_utf8_lossy(&output.stdout).into_owned() + &String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{said}");
+    println!("{said}");
+    // As the command writes it for the same clicks.
+    let command = said.lines().skip_while(|line| *line != "command:").skip(1).take_while(|line| *line != "end");
+    let typed = command.collect::<Vec<_>>().join("\n").replace("clicked.toml", "typed.toml");
+    let program = Path::new(env!("CARGO_BIN_EXE_catoptra")).parent().unwrap();
+    let path = format!("{}:{}", program.display(), std::env::var("PATH").unwrap());
+    let output = Command::new("sh").current_dir(folder.path()).env("PATH", path).args(["-c", &typed]).output().unwrap();
+    assert!(output.status.success(), "{typed}\n{}", String::from_utf8_lossy(&output.stderr));
+    let read = |name: &str| std::fs::read(folder.path().join(name)).unwrap();
+    assert_eq!(read("clicked.toml"), read("typed.toml"));
+    let vetoes = std::fs::read_to_string(folder.path().join("run/vetoes.csv")).unwrap();
+    assert!(vetoes.contains("vetoed,<b>a hand</b>"), "{vetoes}");
+}
+
+#[test]
+fn pictures_of_a_board_are_dropped_in_and_the_rig_gets_better_as_they_come() {
+    let folder = tempfile::tempdir().unwrap();
+    // A camera without its mirror and walls.
+    let mut rig: toml::Table = std::fs::read_to_string(file("calibration/dev_tank/rig.toml")).unwrap().parse().unwrap();
+    rig.retain(|key, _| ["camera", "provenance"].contains(&key));
+    rig["provenance"].as_table_mut().unwrap().retain(|key, _| key == "camera");
+    std::fs::write(folder.path().join("camera.toml"), rig.to_string()).unwrap();
+    let studio = Studio::start(folder.path(), &["--rig", "camera.toml"]);
+    let mut names: Vec<_> =
+        std::fs::read_dir(file("calibration/dev_tank/mirror")).unwrap().map(|e| e.unwrap().path()).collect();
+    names.retain(|path| path.extension().is_some_and(|ending| ending == "png"));
+    names.sort();
+    let mut kept = Vec::new();
+    let mut errors_mm = Vec::new();
+    for path in names.iter().take(8) {
+        let name = path.file_name().unwrap().to_str().unwrap();
+        let asked = json!({ "folder": "boards", "name": name, "base64": base64(&std::fs::read(path).unwrap()) });
+        let picture = studio.json("board/keep", &asked)["picture"].as_str().unwrap().to_owned();
+        assert_eq!(studio.json("board/keep", &asked)["picture"], picture.as_str(), "the same again is no other");
+        assert_eq!(std::fs::read(folder.path().join(&picture)).unwrap(), std::fs::read(path).unwrap());
+        let found = studio.json("board/find", &json!({ "picture": picture, "board": "9x6:12mm", "mirrors": 1 }));
+        assert!(found["images"].as_array().is_some_and(|images| images.len() == 2), "{name}: {}", found["error"]);
+        assert_eq!(found["images"][0]["corners"].as_array().unwrap().len(), 54);
+        kept.push(picture);
+        if [4, 8].contains(&kept.len()) {
+            let judged = studio.json("board/judge", &board_form(&kept));
+            assert!(judged["error"].is_null(), "{judged}");
+            errors_mm.push(judged["verdict"]["absolute_mm"][0].as_f64().unwrap());
+            assert!(!judged["verdict"]["helpful"].as_array().unwrap().is_empty(), "{judged}");
+        }
+    }
+    println!("expected error with 4 and 8 pictures: {errors_mm:.3?} mm");
+    assert!(errors_mm[1] < errors_mm[0], "{errors_mm:?}");
+    let few = studio.json("board/judge", &board_form(&kept[..1]));
+    assert!(few["error"].is_string(), "{few}");
+    // Only pictures, only into the folder, none over another.
+    let refused = |name: &str, bytes: &[u8], words: &str| {
+        let answer = studio.ask("board/keep", &json!({ "folder": "boards", "name": name, "base64": base64(bytes) }));
+        let said = String::from_utf8_lossy(&answer.body).into_owned();
+        assert!((400..500).contains(&answer.status) && said.contains(words), "{name}: {} {said}", answer.status);
+    };
+    let picture = std::fs::read(&names[1]).unwrap();
+    refused("00.png", &picture, "another picture");
+    refused("../00.png", &picture, "expected the name of a picture");
+    refused("rig.toml", &picture, "expected the name of a picture");
+    refused("new.png", b"<script>", "is no picture");
+    // The command that is shown gives the same rig.
+    let saved = studio.json("board/save", &json!({ "form": board_form(&kept), "out": "clicked.toml", "dry": false }));
+    assert_eq!(saved["told"]["code"], 0, "{saved}");
+    let typed = saved["command"].as_str().unwrap().replace("clicked.toml", "typed.toml");
+    let program = Path::new(env!("CARGO_BIN_EXE_catoptra")).parent().unwrap();
+    let path = format!("{}:{}", program.display(), std::env::var("PATH").unwrap());
+    let output = Command::new("sh").current_dir(folder.path()).env("PATH", path).args(["-c", &typed]).output().unwrap();
+    assert!(output.status.success(), "{typed}\n{}", String::from_utf8_lossy(&output.stderr));
+    let read = |name: &str| std::fs::read(folder.path().join(name)).unwrap();
+    assert_eq!(read("clicked.toml"), read("typed.toml"));
+}
+
+fn board_form(pictures: &[String]) -> Value {
+    json!({
+        "pictures": pictures, "board": "9x6:12mm", "rig": "camera.toml", "mirrors": 1,
+        "glass_mm": 5, "tank": "254x254x267mm", "mirrors_inside": false, "temperature": null,
+    })
+}
+
+fn base64(bytes: &[u8]) -> String {
+    use base64::prelude::{BASE64_STANDARD, Engine as _};
+    BASE64_STANDARD.encode(bytes)
+}

@@ -1,0 +1,210 @@
+#!/usr/bin/env python3
+"""The studio in a browser: bands taught by clicks and keys, a run looked through, a frame vetoed.
+
+    studio.py BROWSER URL [--boards DIR] [--pictures DIR] [--measure N] [--page DIR]
+
+The studio serves the sample rest.mkv with a rig without colours as bare.toml, and the folder of a run as `run`. Prints
+the command that the page shows, between `command:` and `end`. With --boards, pictures of a board are dropped in. With
+--pictures it also writes the views as pictures, light and dark; with --measure it clicks N times on the bands and prints
+how long a mask took; with --page the page's own files are taken from a folder, to try them before they are built in.
+"""
+
+import argparse
+import statistics
+import sys
+import time
+from pathlib import Path
+
+from playwright.sync_api import expect, sync_playwright
+
+PICKS = {"base": (431, 408), "coil": (431, 565), "tip": (430, 607)}
+
+
+def screen(page, x, y):
+    """Where a pixel of the picture is on the screen: the stage shows it whole."""
+    box = page.locator(".stage canvas").bounding_box()
+    size = (1280, 1024)
+    scale = min(box["width"] / size[0], box["height"] / size[1])
+    left = box["x"] + (box["width"] - size[0] * scale) / 2
+    top = box["y"] + (box["height"] - size[1] * scale) / 2
+    return left + (x + 0.5) * scale, top + (y + 0.5) * scale
+
+
+def watched(page):
+    """Nothing may go wrong unseen, and nothing may be asked from elsewhere."""
+    problems = []
+    page.on("pageerror", lambda error: problems.append(f"error in the page: {error}"))
+    page.on("console", lambda message: problems.append(message.text) if message.type in ("error", "warning") else None)
+    page.on("request", lambda request: problems.append(f"asks {request.url}") if not request.url.startswith(("http://127.0.0.1:", "blob:", "data:")) else None)
+    return problems
+
+
+def small_text(page):
+    """Text below 12 px, and what sticks out to the right."""
+    return page.evaluate(
+        """() => [...document.querySelectorAll("body *")].filter((e) => e.offsetParent && e.textContent.trim() &&
+        parseFloat(getComputedStyle(e).fontSize) < 12).map((e) => e.outerHTML.slice(0, 80)).concat(
+        document.documentElement.scrollWidth > innerWidth ? ["the page is wider than the window"] : [])"""
+    )
+
+
+def ready(page, url):
+    began = time.monotonic()
+    page.goto(url)
+    page.wait_for_selector("body[data-ready]")
+    page.wait_for_selector(".view[data-frame]")
+    print(f"first picture after {(time.monotonic() - began) * 1e3:.0f} ms")
+    assert "#" not in page.url, "the key is still in the address"
+    # All times are known, and the frame is ready for clicks.
+    page.wait_for_function("() => !document.querySelector('#at').textContent.includes('…')")
+    page.wait_for_timeout(400)
+
+
+def teach(page, save):
+    first = True
+    for name, (x, y) in PICKS.items():
+        before = page.locator(".view").get_attribute("data-took")
+        if name == "coil":
+            # By keyboard alone: choose the band, go there with the cross, pick.
+            page.keyboard.press("2")
+            page.locator(".stage canvas").focus()
+            cross_to(page, x, y)
+            page.keyboard.press("Enter")
+        else:
+            page.mouse.click(*screen(page, x, y))
+        page.wait_for_function("(b) => (document.querySelector('.view').dataset.took ?? null) !== b", arg=before)
+        if first:
+            expect(page.locator("#told")).to_contain_text("Patch of its colour")
+            first = False
+    page.wait_for_selector(".view[data-preview]")
+    expect(page.locator("#said")).to_contain_text("All bands are measured in this frame")
+    expect(page.locator("#told")).to_contain_text("good: ")
+    page.fill("#out", "clicked.toml")
+    expect(page.locator("#command")).to_contain_text("--out clicked.toml")
+    if save:
+        page.click("#save")
+        expect(page.locator("#result")).to_contain_text("Saved: clicked.toml", timeout=120_000)
+    return page.locator("#command").text_content()
+
+
+def cross_to(page, x, y):
+    """The cross begins in the middle of the picture, and goes by 1 or 20 pixels."""
+    at = [640, 512]
+    for axis, (less, more) in enumerate((("ArrowLeft", "ArrowRight"), ("ArrowUp", "ArrowDown"))):
+        way = (x, y)[axis] - at[axis]
+        key = more if way > 0 else less
+        for _ in range(abs(way) // 20):
+            page.keyboard.press(f"Control+Shift+{key}")
+        for _ in range(abs(way) % 20):
+            page.keyboard.press(f"Shift+{key}")
+
+
+def review(page):
+    page.get_by_role("tab", name="Review").click()
+    page.get_by_role("button", name="Open …").first.click()
+    page.get_by_role("button", name="run", exact=True).click()
+    page.wait_for_selector(".review[data-rows]")
+    page.wait_for_selector(".review[data-row='0']")
+    page.locator("#said").click()
+    for _ in range(7):
+        page.keyboard.press("ArrowRight")
+    page.wait_for_selector(".review[data-row='7']")
+    expect(page.locator("#frame")).to_contain_text("frame 7")
+    expect(page.locator("#frame")).not_to_contain_text("is being read")
+    page.keyboard.press("v")
+    page.keyboard.type("<b>a hand</b>")
+    page.get_by_role("button", name="Veto this frame").click()
+    expect(page.locator("#vetoes")).to_contain_text("frame 7: <b>a hand</b>")
+    assert page.locator("#vetoes b").count() == 0, "a comment became markup"
+
+
+def calibrate(page, folder, count):
+    page.get_by_role("tab", name="Calibrate").click()
+    page.fill("#glass", "5")
+    page.fill("#tank", "254x254x267mm")
+    page.set_input_files("#files", sorted(folder.glob("*.png"))[:count])
+    page.wait_for_selector(f".calibrate[data-judged='{count}']", timeout=180_000)
+    expect(page.locator("#verdict")).to_contain_text("in the camera frame")
+    expect(page.locator("#verdict")).to_contain_text("The next picture")
+    expect(page.locator("#rigcommand")).to_contain_text("catoptra calibrate rig boards/00.png")
+    page.wait_for_selector(f".calibrate[data-shown='{count - 1}']")
+
+
+def measure(page, count):
+    took = []
+    for k in range(count):
+        x, y = list(PICKS.values())[k % 3]
+        page.keyboard.press(str(k % 3 + 1))
+        before = page.locator(".view").get_attribute("data-took")
+        # Beside the last place: the same answer would be as quick.
+        page.mouse.click(*screen(page, x + (k % 5 - 2) * 0.4, y + (k % 7 - 3) * 0.4))
+        page.wait_for_function("(b) => (document.querySelector('.view').dataset.took ?? null) !== b", arg=before)
+        took.append(float(page.locator(".view").get_attribute("data-took")))
+        page.wait_for_timeout(60)
+        if k % 3 == 2:
+            page.get_by_role("button", name="Clear all picks").click()
+    took.sort()
+    print(f"click to mask: median {statistics.median(took):.0f} ms, p95 {took[int(len(took) * 0.95) - 1]:.0f} ms, {count} clicks")
+
+
+def main():
+    parser = argparse.ArgumentParser()
+    parser.add_argument("browser")
+    parser.add_argument("url")
+    parser.add_argument("--pictures", type=Path)
+    parser.add_argument("--measure", type=int, default=0)
+    parser.add_argument("--boards", type=Path)
+    parser.add_argument("--page", type=Path)
+    args = parser.parse_args()
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=args.browser, args=["--no-sandbox", "--disable-gpu"])
+        problems = []
+        for scheme in ("light", "dark") if args.pictures else ("light",):
+            page = browser.new_page(viewport={"width": 1280, "height": 800}, color_scheme=scheme)
+            if args.page:
+                page.route("**/*.{js,css}", lambda route: route.fulfill(path=args.page / route.request.url.rsplit("/", 1)[1]))
+            problems += (own := watched(page))
+            ready(page, args.url)
+            if args.measure:
+                measure(page, args.measure)
+                page.get_by_role("button", name="Clear all picks").click()
+            command = teach(page, save=scheme == "light")
+            small = small_text(page)
+            if args.pictures:
+                page.screenshot(path=args.pictures / f"studio-teach-{scheme}.jpg", type="jpeg", quality=72)
+            if scheme == "light":
+                print(f"command:\n{command}\nend")
+            if args.boards:
+                calibrate(page, args.boards, 8 if args.pictures else 4)
+                small += small_text(page)
+                if args.pictures:
+                    page.wait_for_timeout(300)
+                    page.screenshot(path=args.pictures / f"studio-calibrate-{scheme}.jpg", type="jpeg", quality=72)
+            review(page)
+            small += small_text(page)
+            page.wait_for_timeout(300)
+            if args.pictures:
+                page.screenshot(path=args.pictures / f"studio-review-{scheme}.jpg", type="jpeg", quality=72)
+                page.get_by_role("button", name="Take the veto back").wait_for()
+                page.fill("#comment", "it was another frame")
+                page.get_by_role("button", name="Take the veto back").click()
+                expect(page.locator("#vetoes")).to_have_text("")
+            # A tablet held upright.
+            page.set_viewport_size({"width": 800, "height": 1200})
+            page.wait_for_timeout(200)
+            small += small_text(page)
+            assert not small, small
+            problems += own
+            page.close()
+        # Who has no key is told so.
+        page = browser.new_context().new_page()
+        page.goto(args.url.split("#")[0])
+        expect(page.locator("#said")).to_contain_text("key")
+        browser.close()
+    for problem in problems:
+        print(problem, file=sys.stderr)
+    sys.exit(1 if problems else 0)
+
+
+if __name__ == "__main__":
+    main()
