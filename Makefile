@@ -55,7 +55,10 @@ deps:
 # Made again when what it needs has changed.
 $(VENV)/ready: Makefile
 	python3 -m venv $(VENV)
-	$(VENV)/bin/pip install --quiet --disable-pip-version-check mcap mcap-protobuf-support websockets numpy scipy
+	$(VENV)/bin/pip install --quiet --disable-pip-version-check mcap mcap-protobuf-support mcap-ros2-support rosbags websockets numpy scipy
+	@# What reads tables and listens to DDS; large, as wheels only, and their tests say so when they are missing.
+	@$(VENV)/bin/pip install --quiet --disable-pip-version-check --only-binary :all: pyarrow polars || echo "without pyarrow and polars"
+	@$(VENV)/bin/pip install --quiet --disable-pip-version-check --only-binary :all: cyclonedds || echo "without cyclonedds"
 	@# A second source for identify; without it numpy and scipy compare alone. As wheels only: they are built from Fortran otherwise.
 	@$(VENV)/bin/pip install --quiet --disable-pip-version-check --only-binary :all: control slycot || echo "without python-control and slycot"
 	@touch $@
