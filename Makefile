@@ -1,5 +1,5 @@
 # make demo      track the sample recording, and say where to look
-# make test      all tests; with other cameras, too: make test FEATURES=genicam,gstreamer
+# make test      all tests; with other cameras and ROS 2, too: make test FEATURES=genicam,gstreamer,ros2
 # make examples  run the programs in examples/
 # make lint      formatting and lints, as CI checks them
 # make bench     measure speed beside OpenCV and the bare decoder

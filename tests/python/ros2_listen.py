@@ -69,7 +69,7 @@ def plain(value):
     if isinstance(value, (list, tuple)):
         return [plain(item) for item in value]
     if hasattr(value, "__dict__"):
-        return {key: plain(item) for key, item in vars(value).items() if not key.startswith("_")}
+        return {key: plain(item) for key, item in vars(value).items() if key != "sample_info"}
     # NaN has no place in JSON.
     return None if isinstance(value, float) and value != value else value
 
@@ -98,7 +98,8 @@ def main():
 
     def take():
         for topic, reader in readers.items():
-            received[topic].extend(plain(sample) for sample in reader.take(N=1000) if hasattr(sample, "__dict__"))
+            # That a publisher has gone is told by a sample without data.
+            received[topic].extend(plain(sample) for sample in reader.take(N=1000) if sample.sample_info.valid_data)
 
     def matched(entity, publisher):
         ids = entity.get_matched_subscriptions() if publisher else entity.get_matched_publications()
@@ -117,7 +118,7 @@ def main():
             stamp = known["builtin_interfaces/Time"](sec=ns // 10**9, nanosec=ns % 10**9)
             header = known["std_msgs/Header"](stamp=stamp, frame_id="")
             writer.write(known["sensor_msgs/JointState"](header=header, name=["a", "b"], position=[], velocity=[],
-                                                         effort=[count / 8, -0.5]))
+                                                         effort=[count % 64 / 8, -0.5]))
             count += 1
         if select.select([sys.stdin], [], [], 0.002)[0] and not sys.stdin.read(1):
             break

@@ -71,7 +71,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "ORIGIN", requires = "publish")]
     allow_origin: Vec<String>,
     #[command(flatten)]
-    ros: ros::Args,
+    ros: ros::RosArgs,
     /// Coil currents: udp:[HOST:]PORT, serial:DEVICE@BAUD, file:TABLE.csv, ros2:/TOPIC
     #[arg(long, value_name = "FROM")]
     currents: Option<CurrentSource>,

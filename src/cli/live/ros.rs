@@ -13,7 +13,7 @@ const DOMAIN_VARIABLE: &str = "ROS_DOMAIN_ID";
 
 /// Options of `catoptra live` for ROS 2.
 #[derive(Debug, clap::Args)]
-pub(super) struct Args {
+pub(super) struct RosArgs {
     /// Publish to ROS 2, on this computer (local) or everywhere (network) [default: local]
     #[arg(long, value_enum, value_name = "WHERE", num_args = 0..=1, default_missing_value = "local", hide_possible_values = true)]
     ros2: Option<Reach>,
@@ -28,7 +28,7 @@ enum Reach {
     Network,
 }
 
-impl Args {
+impl RosArgs {
     fn domain(&self) -> Result<u16, Failure> {
         if let Some(domain) = self.domain {
             return Ok(domain);

@@ -101,7 +101,7 @@ mod tests {
         assert!(((t.transpose() * turn * t)[0] - ANY_ANGLE_RAD2).abs() < 1e-12);
         // δt = δω × t
         let cross = t.cross_matrix();
-        assert!((cross * turn * cross.transpose() - direction).norm() < 1e-18);
+        assert!((cross * turn * cross.transpose() - direction).norm() < 1e-14);
         assert!((turn_to(&t) * Vector3::z() - t).norm() < 1e-12);
         assert!((turn_to(&-Vector3::z()) * Vector3::z() + Vector3::z()).norm() < 1e-12);
     }
