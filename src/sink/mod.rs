@@ -22,6 +22,7 @@ mod encode;
 mod encoder;
 mod gate;
 mod images;
+mod jpeg;
 mod overlay;
 mod palette;
 mod pictures;

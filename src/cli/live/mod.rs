@@ -72,7 +72,7 @@ pub(crate) struct Args {
     allow_origin: Vec<String>,
     #[command(flatten)]
     ros: ros::RosArgs,
-    /// Coil currents: udp:[HOST:]PORT, serial:DEVICE@BAUD, file:TABLE.csv, ros2:/TOPIC
+    /// Coil currents: udp:PORT, serial:DEVICE@BAUD, file:CSV or ros2:/TOPIC
     #[arg(long, value_name = "FROM")]
     currents: Option<CurrentSource>,
     /// Largest plausible current, amperes

@@ -14,7 +14,7 @@ const DOMAIN_VARIABLE: &str = "ROS_DOMAIN_ID";
 /// Options of `catoptra live` for ROS 2.
 #[derive(Debug, clap::Args)]
 pub(super) struct RosArgs {
-    /// Publish to ROS 2, on this computer (local) or everywhere (network) [default: local]
+    /// Publish to ROS 2: local (this computer) or network [default: local]
     #[arg(long, value_enum, value_name = "WHERE", num_args = 0..=1, default_missing_value = "local", hide_possible_values = true)]
     ros2: Option<Reach>,
     /// ROS 2: the domain [default: ROS_DOMAIN_ID, or 0]
