@@ -1,5 +1,5 @@
-//! Pictures for people as JPEG, by libav: ten times as fast as encoders without vector instructions, and a page has three
-//! of them for every recording.
+//! Pictures for people as JPEG, by libav, whose encoder has vector instructions: a page has three of them for every
+//! recording.
 //!
 //! In: rows of B'G'R'. Out: a file (JFIF), 4:4:4.
 

@@ -346,7 +346,7 @@ impl Picture {
             other => other,
         };
         let samples = |plane: Plane<'_>| -> Vec<u8> {
-            // Row by row: byte by byte takes ten times as long.
+            // Row by row: byte by byte it shows in the time of a short recording.
             let mut all = Vec::with_capacity(plane.width * plane.height);
             for row in (0..plane.height).filter_map(|j| plane.row(j)) {
                 match plane.step {
