@@ -1,5 +1,5 @@
 # make demo      track the sample recording, and say where to look
-# make test      all tests; with other cameras, too: make test FEATURES=genicam,gstreamer
+# make test      all tests; with other cameras and ROS 2, too: make test FEATURES=genicam,gstreamer,ros2
 # make examples  run the programs in examples/
 # make lint      formatting and lints, as CI checks them
 # make bench     measure speed beside OpenCV and the bare decoder
@@ -58,7 +58,10 @@ deps:
 # Made again when what it needs has changed.
 $(VENV)/ready: Makefile
 	python3 -m venv $(VENV)
-	$(VENV)/bin/pip install --quiet --disable-pip-version-check mcap mcap-protobuf-support websockets numpy scipy
+	$(VENV)/bin/pip install --quiet --disable-pip-version-check mcap mcap-protobuf-support mcap-ros2-support rosbags websockets numpy scipy
+	@# What reads tables and listens to DDS; large, as wheels only, and their tests say so when they are missing.
+	@$(VENV)/bin/pip install --quiet --disable-pip-version-check --only-binary :all: pyarrow polars || echo "without pyarrow and polars"
+	@$(VENV)/bin/pip install --quiet --disable-pip-version-check --only-binary :all: cyclonedds || echo "without cyclonedds"
 	@# A second source for identify; without it numpy and scipy compare alone. As wheels only: they are built from Fortran otherwise.
 	@$(VENV)/bin/pip install --quiet --disable-pip-version-check --only-binary :all: control slycot || echo "without python-control and slycot"
 	@# Drives a browser that is there already; it has no wheel for every machine.

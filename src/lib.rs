@@ -108,6 +108,7 @@ pub mod pipeline;
 pub mod calibrate;
 
 pub(crate) mod archive;
+pub(crate) mod convert;
 pub mod simulate;
 
 pub(crate) mod studio;

@@ -1,6 +1,6 @@
-//! `catoptra log`: what is in a log, and one that was cut off or damaged made whole.
+//! `catoptra log`: what is in a log, one that was cut off or damaged made whole, and one made into something else.
 
-use super::{Exit, Failure, output};
+use super::{Exit, Failure, convert, output};
 use crate::log::{Condition, Info, LogError, Repaired, repair};
 use crate::sink::spoken;
 use crate::source::times::seconds;
@@ -37,6 +37,13 @@ Example:
         #[arg(value_name = "LOG.mcap")]
         file: PathBuf,
     },
+    /// Make a table, a MAT file or a log for ROS 2 of a log
+    #[command(after_help = "\
+What of the log is not in the new file is listed. Currents get a table of their own beside it,
+OUT-currents; a MAT file has both (docs/log.md).
+Example:
+  catoptra log convert out/log.mcap --profile parquet -o frames.parquet")]
+    Convert(convert::Args),
 }
 
 pub(crate) fn run(args: &Args) -> Result<(), Failure> {
@@ -48,6 +55,7 @@ pub(crate) fn run(args: &Args) -> Result<(), Failure> {
                 .map_err(|e| Failure::new(Exit::Failed, format!("cannot describe the log: {e}")))?;
             output::print(&text)
         }
+        Command::Convert(args) => convert::run(args),
         Command::Repair { file } => match repair(file).map_err(failure)? {
             Repaired::WasWhole => output::print(&format!("{}: is complete, nothing to repair\n", file.display())),
             Repaired::Mended { messages, unknown, condition, kept_as } => {

@@ -6,6 +6,7 @@
 mod calibrate;
 mod catheter;
 mod collect;
+mod convert;
 mod docs;
 mod excite;
 mod failure;
@@ -91,7 +92,7 @@ Example:
   catoptra track sample_frames/rest.mkv sample_frames/circle.mkv --to 0.1 -o runs \\
     --rig calibration/dev_tank/rig.toml && catoptra collect runs -o study")]
     Collect(collect::Args),
-    /// Describe logs, and restore those that were cut off
+    /// Describe logs, restore those that were cut off, and convert them
     #[command(after_help = "Example:\n  catoptra log info out/log.mcap")]
     Log(log::Args),
     /// Track a camera live: send θ to controllers within milliseconds, and log every frame

@@ -6,8 +6,12 @@
 //! grows. With `t_s` instead, as `catoptra excite` writes it, times count from the beginning of the run, and each row
 //! is a sample when its time has come: for an amplifier that is started together with the run.
 //!
+//! From ROS 2 comes a `sensor_msgs/JointState`: the effort of each joint is the current of a coil, and the stamp, unless
+//! it is 0, the host's time.
+//!
 //! A line that is no sample is counted and the first of them is named; nothing here can hold up or end a run.
 
+use super::listener::Listener;
 use crate::sink::CurrentSample;
 use crate::source::host::HostClock;
 use crate::source::times::{parse_seconds_ns, seconds};
@@ -29,6 +33,8 @@ use std::time::Duration;
 const MOST_WAITING: usize = 4096;
 /// How often a silent source looks whether the run has ended.
 const LOOK: Duration = Duration::from_millis(100);
+/// How often it is looked whether a message has come.
+const LISTEN: Duration = Duration::from_millis(2);
 /// Coils at most; more in a line is no sample.
 const MOST_COILS: usize = 64;
 /// A sample further from its arrival is not of this run.
@@ -40,7 +46,7 @@ const LONGEST_HEADER: u64 = 1 << 16;
 /// Speed of a serial line when none is given.
 const BAUD: u32 = 115_200;
 
-/// Where currents come from: `udp:PORT` or `udp:HOST:PORT`, `serial:DEVICE[@BAUD]`, `file:TABLE.csv`.
+/// Where currents come from: `udp:PORT` or `udp:HOST:PORT`, `serial:DEVICE[@BAUD]`, `file:TABLE.csv`, `ros2:/TOPIC`.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum CurrentSource {
     /// Datagrams to this address of this computer.
@@ -49,6 +55,15 @@ pub enum CurrentSource {
     Serial(PathBuf, u32),
     /// A table that grows.
     File(PathBuf),
+    /// A topic of ROS 2.
+    Ros2 {
+        /// Its whole name.
+        topic: String,
+        /// The domain it is in.
+        domain: u16,
+        /// Whether it may come from other computers.
+        everywhere: bool,
+    },
 }
 
 impl FromStr for CurrentSource {
@@ -56,7 +71,8 @@ impl FromStr for CurrentSource {
 
     fn from_str(text: &str) -> Result<Self, String> {
         let wrong = |what: &str| {
-            Err(format!("`{text}`: {what}; write udp:PORT, udp:HOST:PORT, serial:DEVICE@BAUD or file:TABLE.csv"))
+            let forms = "udp:PORT, udp:HOST:PORT, serial:DEVICE@BAUD, file:TABLE.csv or ros2:/TOPIC";
+            Err(format!("`{text}`: {what}; write {forms}"))
         };
         match text.split_once(':') {
             // Other computers can send only to an address that is named.
@@ -76,6 +92,10 @@ impl FromStr for CurrentSource {
                 },
             },
             Some(("file", table)) if !table.is_empty() => Ok(Self::File(table.into())),
+            Some(("ros2", topic)) if topic.len() > 1 && topic.starts_with('/') && !topic.ends_with('/') => {
+                Ok(Self::Ros2 { topic: topic.to_owned(), domain: 0, everywhere: false })
+            }
+            Some(("ros2", _)) => wrong("the topic has its whole name, as /coil/joint_states"),
             _ => wrong("no source of currents"),
         }
     }
@@ -87,6 +107,7 @@ impl fmt::Display for CurrentSource {
             Self::Udp(address) => write!(f, "udp:{address}"),
             Self::Serial(device, baud) => write!(f, "serial:{}@{baud}", device.display()),
             Self::File(table) => write!(f, "file:{}", table.display()),
+            Self::Ros2 { topic, .. } => write!(f, "ros2:{topic}"),
         }
     }
 }
@@ -128,6 +149,10 @@ impl CurrentSource {
                 (&mut reader).take(LONGEST_HEADER).read_line(&mut header)?;
                 parser.header = Some(Header::of(&header).map_err(|e| io::Error::new(ErrorKind::InvalidData, e))?);
                 thread.spawn(move || parser.lines(reader, &stop))?;
+            }
+            Self::Ros2 { topic, domain, everywhere } => {
+                let listener = Listener::open(topic, *domain, *everywhere)?;
+                thread.spawn(move || parser.messages(&listener, &stop))?;
             }
         }
         Ok(line)
@@ -266,6 +291,17 @@ impl Parser {
                     tracing::error!("{}: {error}; no more currents are logged", self.name);
                     break;
                 }
+            }
+        }
+        self.report();
+    }
+
+    /// Takes messages as they come.
+    fn messages(&mut self, from: &Listener, stop: &AtomicBool) {
+        while !stop.load(Ordering::Relaxed) {
+            match from.next() {
+                Some(line) => self.take(&line),
+                None => std::thread::sleep(LISTEN),
             }
         }
         self.report();

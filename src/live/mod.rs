@@ -19,6 +19,7 @@
 
 mod currents;
 mod latest;
+mod listener;
 mod pictures;
 mod priority;
 mod queue;
@@ -69,8 +70,8 @@ pub struct Outputs {
     pub files: Vec<Box<dyn Sink + Send>>,
     /// Controllers: sinks that never wait, served by the tracker's own thread.
     pub controllers: Vec<Box<dyn Sink + Send>>,
-    /// Subscribers, served by a thread of their own that may miss rows.
-    pub subscribers: Option<Box<dyn Sink + Send>>,
+    /// Subscribers, each served by a thread of its own that may miss rows.
+    pub subscribers: Vec<Box<dyn Sink + Send>>,
     /// Coil currents, as they come.
     pub currents: Option<Receiver<CurrentSample>>,
     /// Pictures of the frames that are tracked.
@@ -127,16 +128,15 @@ pub fn run(
     let tally = Tally::new(tracker.rig());
     let queue = Arc::new(Queue::new(tracker.rig()));
     let counters = Arc::new(Counters::new(tally, clock).map_err(io::Error::other)?);
-    let listened_to = !outputs.controllers.is_empty() || outputs.subscribers.is_some();
+    let listened_to = !outputs.controllers.is_empty() || !outputs.subscribers.is_empty();
     let (log, writer) = Log::start(outputs.files)?;
     let backlog = log.backlog();
-    let (subscribers, publisher) = match outputs.subscribers {
-        Some(sink) => {
-            let (line, thread) = Subscribers::start(sink)?;
-            (Some(line), Some(thread))
-        }
-        None => (None, None),
-    };
+    let (mut subscribers, mut publishers) = (Vec::new(), Vec::new());
+    for sink in outputs.subscribers {
+        let (line, thread) = Subscribers::start(sink)?;
+        subscribers.push(line);
+        publishers.push(thread);
+    }
     let count = outputs.pictures.as_ref().map(|recording| Arc::clone(&recording.count));
     let counted = || count.as_ref().map(|count| (count.recorded(), count.dropped()));
     let (pictures, recorder) = match outputs.pictures {
@@ -146,15 +146,18 @@ pub fn run(
         }
         None => (None, None),
     };
-    let unpublished = subscribers.as_ref().map(|s| Arc::clone(&s.missed));
+    let unpublished: Vec<_> = subscribers.iter().map(|line| Arc::clone(&line.missed)).collect();
 
     let camera = {
         let (queue, stop) = (Arc::clone(&queue), Arc::clone(stop));
         Builder::new().name("camera".to_owned()).spawn(move || take_all(source, &queue, &stop))?
     };
     let currents = outputs.currents.map(|samples| {
-        let (log, stop, latest) = (log.clone(), Arc::clone(stop), outputs.latest.clone());
-        Builder::new().name("currents".to_owned()).spawn(move || log_currents(&samples, &log, latest.as_deref(), &stop))
+        let (log, subscribers, latest) = (log.clone(), subscribers.clone(), outputs.latest.clone());
+        let stop = Arc::clone(stop);
+        Builder::new()
+            .name("currents".to_owned())
+            .spawn(move || log_currents(&samples, &log, &subscribers, latest.as_deref(), &stop))
     });
     let currents = currents.transpose()?;
     pool.broadcast(|_| run_as(Urgency::Tracker));
@@ -210,7 +213,7 @@ pub fn run(
     sink_failures.extend(finish_all(sinks, &tally));
     sink_failures.extend(unrecorded);
     finish_all(controllers, &tally).iter().for_each(Out::report);
-    if let Some(sink) = publisher.and_then(joined) {
+    for sink in publishers.into_iter().filter_map(joined) {
         finish_all(vec![(sink, true)], &tally).iter().for_each(Subscribers::report);
     }
     let end = match (tracked, interrupted, source_end) {
@@ -223,7 +226,7 @@ pub fn run(
         run: Summary { tally, source: source_faults, elapsed: began.elapsed(), end, sink_failures },
         latency,
         unlogged: backlog.unlogged(),
-        unpublished: unpublished.map_or(0, |missed| missed.load(Ordering::Relaxed)),
+        unpublished: unpublished.iter().map(|missed| missed.load(Ordering::Relaxed)).sum(),
         pictures: counted(),
         priority: session.obtained,
     })
@@ -251,10 +254,17 @@ fn take_all(
 }
 
 /// Hands on currents until there are no more, or the run stops.
-fn log_currents(samples: &Receiver<CurrentSample>, log: &Log, latest: Option<&Latest>, stop: &AtomicBool) {
+fn log_currents(
+    samples: &Receiver<CurrentSample>,
+    log: &Log,
+    subscribers: &[Subscribers],
+    latest: Option<&Latest>,
+    stop: &AtomicBool,
+) {
     loop {
         match samples.recv_timeout(LOOK) {
             Ok(sample) => {
+                subscribers.iter().for_each(|line| line.put_current(&sample));
                 latest.iter().for_each(|latest| latest.put_current(&sample));
                 log.put(Entry::Current(sample));
             }
@@ -267,7 +277,7 @@ fn log_currents(samples: &Receiver<CurrentSample>, log: &Log, latest: Option<&La
 /// Where the tracker's rows go.
 struct Out {
     controllers: Vec<OpenSink>,
-    subscribers: Option<Subscribers>,
+    subscribers: Vec<Subscribers>,
     log: Log,
     counters: Arc<Counters>,
     pictures: Option<Pictures>,
@@ -290,9 +300,7 @@ impl Out {
         }
         let estimate = Arc::new(estimate);
         let totals = self.counters.add(&estimate, tracked);
-        if let Some(subscribers) = &self.subscribers {
-            subscribers.put(&estimate, totals.clone());
-        }
+        self.subscribers.iter().for_each(|line| line.put(&estimate, totals.clone()));
         self.log.put(Entry::Frame(Arc::clone(&estimate), totals));
         let picture = picture.map(Arc::new);
         if let Some(latest) = &self.latest {
@@ -327,21 +335,33 @@ fn track_all(tracker: &mut Tracker, queue: &Queue, out: &mut Out) -> Option<End>
     }
 }
 
-/// The line to subscribers.
+/// The line to a sink for subscribers.
+#[derive(Clone)]
 struct Subscribers {
-    line: SyncSender<(Arc<Estimate>, Option<Totals>)>,
+    line: SyncSender<Published>,
     missed: Arc<AtomicU64>,
+}
+
+/// What subscribers are told.
+enum Published {
+    Frame(Arc<Estimate>, Option<Totals>),
+    Current(CurrentSample),
 }
 
 impl Subscribers {
     /// Starts the thread; it gives the sink back at the end, unless that has failed.
     #[expect(clippy::type_complexity, reason = "named nowhere else")]
     fn start(mut sink: Box<dyn Sink + Send>) -> io::Result<(Self, JoinHandle<Option<Box<dyn Sink + Send>>>)> {
-        let (line, rows) = sync_channel::<(Arc<Estimate>, Option<Totals>)>(MOST_PUBLISHED);
+        let (line, rows) = sync_channel::<Published>(MOST_PUBLISHED);
         let thread = Builder::new().name("publisher".to_owned()).spawn(move || {
-            let failed = rows.iter().find_map(|(row, totals)| {
-                let written = sink.write(&row, None);
-                written.and_then(|()| totals.iter().try_for_each(|totals| sink.write_totals(totals))).err()
+            let failed = rows.iter().find_map(|published| {
+                let written = match published {
+                    Published::Frame(row, totals) => sink
+                        .write(&row, None)
+                        .and_then(|()| totals.iter().try_for_each(|totals| sink.write_totals(totals))),
+                    Published::Current(sample) => sink.write_current(&sample),
+                };
+                written.err()
             });
             match failed {
                 Some(error) => {
@@ -359,9 +379,14 @@ impl Subscribers {
     }
 
     fn put(&self, estimate: &Arc<Estimate>, totals: Option<Totals>) {
-        if let Err(TrySendError::Full(_)) = self.line.try_send((Arc::clone(estimate), totals)) {
+        if let Err(TrySendError::Full(_)) = self.line.try_send(Published::Frame(Arc::clone(estimate), totals)) {
             self.missed.fetch_add(1, Ordering::Relaxed);
         }
+    }
+
+    /// Currents give way to frames; the log has them.
+    fn put_current(&self, sample: &CurrentSample) {
+        let _ = self.line.try_send(Published::Current(sample.clone()));
     }
 }
 

@@ -1,5 +1,6 @@
-//! Messages of a log, decoded by the schemas that travel with it.
+//! Messages of a log, decoded by the schemas that travel with it; in logs of profile `ros2` they are unwrapped first.
 
+use super::ros2;
 use super::schema::Topic;
 use crate::contained::contained;
 use mcap::records::Record;
@@ -17,6 +18,8 @@ struct Channel {
     topic: String,
     schema: String,
     descriptor: Option<MessageDescriptor>,
+    /// Whether messages are within others.
+    wrapped: bool,
 }
 
 impl MessageDecoder {
@@ -24,19 +27,19 @@ impl MessageDecoder {
     pub(crate) fn learn(&mut self, record: &Record<'_>) {
         match record {
             Record::Schema { header, data } => {
-                self.schemas.entry(header.id).or_insert_with(|| {
-                    // The library panics on some descriptors that contradict themselves.
-                    let descriptor = contained(|| {
-                        let pool = DescriptorPool::decode(data.as_ref()).ok()?;
-                        pool.get_message_by_name(&header.name)
-                    });
-                    (header.name.clone(), descriptor.flatten())
-                });
+                self.schemas.entry(header.id).or_insert_with(|| (header.name.clone(), described(&header.name, data)));
             }
             Record::Channel(channel) => {
                 let (schema, descriptor) = self.schemas.get(&channel.schema_id).cloned().unwrap_or_default();
-                let channel_of = || Channel { topic: channel.topic.clone(), schema, descriptor };
-                self.channels.entry(channel.id).or_insert_with(channel_of);
+                self.channels.entry(channel.id).or_insert_with(|| match ros2::is_wrapped(&channel.metadata) {
+                    Some((name, descriptors)) => Channel {
+                        topic: channel.topic.clone(),
+                        schema: format!("{name} in {schema}"),
+                        descriptor: described(name, &descriptors),
+                        wrapped: true,
+                    },
+                    None => Channel { topic: channel.topic.clone(), schema, descriptor, wrapped: false },
+                });
             }
             _ => {}
         }
@@ -47,24 +50,44 @@ impl MessageDecoder {
         self.channels.iter().map(|(id, channel)| (*id, channel.topic.as_str(), channel.schema.as_str()))
     }
 
-    /// Topic and type of the messages of a channel, if its schema can be read.
-    pub(crate) fn channel(&self, id: u16) -> Option<(&str, &MessageDescriptor)> {
+    /// Topic of a channel.
+    pub(crate) fn name(&self, id: u16) -> Option<&str> {
+        self.channels.get(&id).map(|channel| channel.topic.as_str())
+    }
+
+    /// Topic of a channel, if the schema of its messages can be read.
+    pub(crate) fn topic(&self, id: u16) -> Option<&str> {
         let channel = self.channels.get(&id)?;
-        Some((channel.topic.as_str(), channel.descriptor.as_ref()?))
+        channel.descriptor.as_ref().map(|_| channel.topic.as_str())
+    }
+
+    /// A message of a channel.
+    ///
+    /// # Errors
+    /// Why it cannot be decoded.
+    pub(crate) fn decode(&self, channel: u16, data: &[u8]) -> Result<DynamicMessage, String> {
+        let known = self.channels.get(&channel).and_then(|channel| Some((channel, channel.descriptor.as_ref()?)));
+        let Some((channel, descriptor)) = known else { return Err("its schema cannot be read".to_owned()) };
+        if channel.wrapped {
+            decode(descriptor, &ros2::unwrap(data).ok_or_else(|| "it is not wrapped as its channel says".to_owned())?)
+        } else {
+            decode(descriptor, data)
+        }
     }
 
     /// A message of a channel, if that is of `topic` and its schema fits.
     pub(crate) fn decoded(&self, channel: u16, topic: Topic, data: &[u8]) -> Option<DynamicMessage> {
-        let (_, descriptor) = self.channel(channel).filter(|(of, _)| *of == topic.name())?;
-        decode(descriptor, data).ok()
+        (self.topic(channel)? == topic.name()).then(|| self.decode(channel, data).ok()).flatten()
     }
 }
 
-/// A message of this type.
-///
-/// # Errors
-/// Why it is none.
-pub(crate) fn decode(descriptor: &MessageDescriptor, data: &[u8]) -> Result<DynamicMessage, String> {
+/// The message `name` of these descriptors.
+fn described(name: &str, descriptors: &[u8]) -> Option<MessageDescriptor> {
+    // The library panics on some descriptors that contradict themselves.
+    contained(|| DescriptorPool::decode(descriptors).ok()?.get_message_by_name(name)).flatten()
+}
+
+fn decode(descriptor: &MessageDescriptor, data: &[u8]) -> Result<DynamicMessage, String> {
     contained(|| DynamicMessage::decode(descriptor.clone(), data).map_err(|error| error.to_string()))
         .unwrap_or_else(|| Err("its schema contradicts itself".to_owned()))
 }

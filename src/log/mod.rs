@@ -9,7 +9,9 @@ pub(crate) mod fields;
 mod info;
 pub(crate) mod records;
 mod repair;
+pub(crate) mod ros2;
 pub(crate) mod schema;
+pub(crate) mod typed;
 
 use std::io::Read as _;
 use std::path::Path;
@@ -38,6 +40,20 @@ pub fn is_being_written(path: &Path) -> bool {
         let _ = path;
         false
     }
+}
+
+/// The profile that the log at `path` says it is of; empty for those of this program but `ros2`.
+///
+/// # Errors
+/// When the log cannot be read, or is none.
+pub(crate) fn profile(path: &Path) -> Result<String, LogError> {
+    let mut records = records::Records::open(path)?;
+    while let Some(record) = records.next()? {
+        if let mcap::records::Record::Header(header) = &record {
+            return Ok(header.profile.clone());
+        }
+    }
+    Ok(String::new())
 }
 
 /// The text file called `name` that is attached to the log at `path`, if there is one.

@@ -81,6 +81,8 @@ struct Topics {
     schemas: BTreeMap<u16, (String, String, Vec<u8>)>,
     channels: BTreeMap<u16, Channel>,
     messages: u64,
+    /// What the file says it is for.
+    profile: String,
 }
 
 impl Topics {
@@ -94,6 +96,7 @@ impl Topics {
                 self.channels.entry(channel.id).or_insert_with(|| channel.clone());
             }
             Record::Message { .. } => self.messages += 1,
+            Record::Header(header) => self.profile.clone_from(&header.profile),
             _ => {}
         }
     }
@@ -108,7 +111,8 @@ fn copy(from: &Path, to: &Path, topics: &Topics) -> Result<(u64, u64), LogError>
     };
     let file = BufWriter::new(File::create(to).map_err(io)?);
     let library = format!("catoptra/{} {}", env!("CARGO_PKG_VERSION"), mcap::LIBRARY_IDENTIFIER);
-    let mut writer: Writer<_> = WriteOptions::new().library(library).compression(None).create(file).map_err(failed)?;
+    let options = WriteOptions::new().profile(&topics.profile).library(library).compression(None);
+    let mut writer: Writer<_> = options.create(file).map_err(failed)?;
     for (id, (name, encoding, data)) in topics.schemas.iter().filter(|(id, _)| **id != 0) {
         writer.add_schema_with_id(*id, name, encoding, data).map_err(failed)?;
     }

@@ -2,7 +2,7 @@
 
 use super::{Current, Frame, Place, Recording, SeriesError};
 use crate::log::LogError;
-use crate::log::decoder::{MessageDecoder, decode};
+use crate::log::decoder::MessageDecoder;
 use crate::log::fields::{float, inner, number, optional_number, text, xyz};
 use crate::log::records;
 use crate::log::schema::Topic;
@@ -52,12 +52,12 @@ impl Reader {
     fn take(&mut self, record: &Record<'_>) {
         match record {
             Record::Message { header, data } => {
-                let Some((topic, descriptor)) = self.decoder.channel(header.channel_id) else { return };
+                let Some(topic) = self.decoder.topic(header.channel_id) else { return };
                 let is_estimate = topic == Topic::Estimate.name();
                 if !is_estimate && topic != Topic::Current.name() {
                     return;
                 }
-                match (is_estimate, decode(descriptor, data.as_ref())) {
+                match (is_estimate, self.decoder.decode(header.channel_id, data.as_ref())) {
                     (true, Ok(message)) => self.estimate(&message),
                     (false, Ok(message)) => self.currents.push(current(&message)),
                     (_, Err(error)) => {

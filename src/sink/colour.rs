@@ -1,4 +1,4 @@
-//! Pictures of any storage to BGR for drawing, and BGR to the 4:2:0 that encoders take, by swscale.
+//! Pictures of any storage to BGR for drawing, and BGR to what encoders take, by swscale.
 //!
 //! In: a [`Picture`] with its matrix and range. Out: interleaved B'G'R', 8 bits, full range. Grey and RGB are copied
 //! (grey stretched when its range is limited), YUV is converted with the picture's own matrix. Chroma is interpolated
@@ -92,16 +92,26 @@ impl ToBgr {
     }
 }
 
-/// Converts BGR drawings to BT.709 limited-range 4:2:0.
-pub(crate) struct ToYuv420 {
+/// Converts BGR drawings to what an encoder takes.
+pub(crate) struct FromBgr {
     scaler: Scaler,
+    to: Pixel,
 }
 
-impl ToYuv420 {
-    /// For pictures of an even width and height.
-    pub(crate) fn new(size_px: [u32; 2]) -> Result<Self, Error> {
-        let from = (Pixel::BGR24, Matrix::Bt709, Range::Full);
-        Ok(Self { scaler: Scaler::new(from, (Pixel::YUV420P, Matrix::Bt709, Range::Limited), size_px)? })
+impl FromBgr {
+    /// BT.709, limited range, 4:2:0, as videos have it; of an even width and height.
+    pub(crate) fn for_video(size_px: [u32; 2]) -> Result<Self, Error> {
+        Self::new(Pixel::YUV420P, Matrix::Bt709, Range::Limited, size_px)
+    }
+
+    /// BT.601, full range, 4:4:4: JPEG's own, in which lines of one pixel keep their colour.
+    pub(crate) fn for_jpeg(size_px: [u32; 2]) -> Result<Self, Error> {
+        Self::new(Pixel::YUV444P, Matrix::Bt601, Range::Full, size_px)
+    }
+
+    fn new(to: Pixel, matrix: Matrix, range: Range, size_px: [u32; 2]) -> Result<Self, Error> {
+        let from = (Pixel::BGR24, matrix, Range::Full);
+        Ok(Self { scaler: Scaler::new(from, (to, matrix, range), size_px)?, to })
     }
 
     /// A new frame with the drawing: encoders hold on to frames, so none is written twice.
@@ -111,7 +121,7 @@ impl ToYuv420 {
         for (to, from) in self.scaler.from.data_mut(0).chunks_mut(to_stride).zip(bgr.chunks(stride)) {
             copy_start(to, from, row_bytes);
         }
-        let fresh = allocated(Pixel::YUV420P, [self.scaler.from.width(), self.scaler.from.height()])?;
+        let fresh = allocated(self.to, [self.scaler.from.width(), self.scaler.from.height()])?;
         self.scaler.to = fresh;
         self.scaler.run()?;
         Ok(std::mem::replace(&mut self.scaler.to, frame::Video::empty()))
@@ -205,8 +215,9 @@ fn interleave_step(
 
 /// Copies the first `n` bytes, or as many as there are on both sides.
 fn copy_start(to: &mut [u8], from: &[u8], n: usize) {
-    for (to, from) in to.iter_mut().zip(from.iter().take(n)) {
-        *to = *from;
+    let n = n.min(to.len()).min(from.len());
+    if let (Some(to), Some(from)) = (to.get_mut(..n), from.get(..n)) {
+        to.copy_from_slice(from);
     }
 }
 
@@ -286,7 +297,7 @@ mod tests {
     fn drawings_become_bt709_limited() {
         let rgb = [200.0, 40.0, 90.0];
         let bgr = [90, 40, 200].repeat(512);
-        let frame = ToYuv420::new(SIZE).unwrap().convert(&bgr, 96).unwrap();
+        let frame = FromBgr::for_video(SIZE).unwrap().convert(&bgr, 96).unwrap();
         let colour = Colour { range: Range::Limited, ..Colour::SRGB };
         for channel in 0..3 {
             let (w, c) = colour.channel_from_rgb(PixelFormat::Yuv { chroma_log2: [1, 1] }, channel);

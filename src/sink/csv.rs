@@ -215,7 +215,7 @@ fn empty<const N: usize>() -> [String; N] {
 }
 
 /// `value` with `decimals` places, and no sign on a zero.
-fn fixed(value: f64, decimals: usize) -> String {
+pub(crate) fn fixed(value: f64, decimals: usize) -> String {
     let text = format!("{value:.decimals$}");
     match text.strip_prefix('-') {
         Some(magnitude) if magnitude.bytes().all(|b| b == b'0' || b == b'.') => magnitude.to_owned(),
@@ -224,7 +224,7 @@ fn fixed(value: f64, decimals: usize) -> String {
 }
 
 /// Nanoseconds as decimal seconds, by integer arithmetic: a float would round 64-bit time stamps.
-fn decimal_seconds(ns: i64) -> String {
+pub(crate) fn decimal_seconds(ns: i64) -> String {
     let sign = if ns < 0 { "-" } else { "" };
     let magnitude = ns.unsigned_abs();
     format!("{sign}{}.{:09}", magnitude / 1_000_000_000, magnitude % 1_000_000_000)

@@ -5,7 +5,7 @@
 
 use super::SinkError;
 use super::clock::Origin;
-use super::colour::ToYuv420;
+use super::colour::FromBgr;
 use ffmpeg_the_third as av;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
@@ -31,7 +31,7 @@ pub(crate) struct VideoFile {
     path: PathBuf,
     output: av::format::context::Output,
     encoder: av::encoder::video::Encoder,
-    to_yuv: ToYuv420,
+    to_yuv: FromBgr,
     ticks_per_s: i64,
     phase: Phase,
 }
@@ -85,7 +85,7 @@ impl VideoFile {
         let mut stream = output.add_stream(codec).map_err(fail("adding the stream"))?;
         stream.set_time_base(av::Rational(1, choice.ticks_per_s as i32));
         stream.copy_parameters_from_context(&encoder);
-        let to_yuv = ToYuv420::new(size_px).map_err(fail("colour conversion"))?;
+        let to_yuv = FromBgr::for_video(size_px).map_err(fail("colour conversion"))?;
         Ok(Self { path: path.into(), output, encoder, to_yuv, ticks_per_s: choice.ticks_per_s, phase: Phase::Fresh })
     }
 

@@ -6,16 +6,13 @@
 
 use super::SinkError;
 use super::colour::{ConvertError, ToBgr};
+use super::jpeg::{self, Loss};
 use crate::estimate::Estimate;
 use crate::log::schema::Topic;
 use crate::source::Picture;
-use image::ExtendedColorType;
-use image::codecs::jpeg::JpegEncoder;
 
 /// Camera time from one picture to the next.
 const EVERY_NS: u64 = 1_000_000_000;
-/// Of the JPEG.
-const QUALITY: u8 = 80;
 
 /// A picture for people.
 #[derive(Debug, Clone)]
@@ -31,7 +28,7 @@ pub(crate) struct LoggedImage {
 pub(crate) struct ImageTaker {
     last_ns: Option<i64>,
     to_bgr: ToBgr,
-    rgb: Vec<u8>,
+    bgr: Vec<u8>,
 }
 
 impl std::fmt::Debug for ImageTaker {
@@ -54,16 +51,12 @@ impl ImageTaker {
         let refused = |reason: String| SinkError::Encode { topic: Topic::Image.name(), reason };
         let [width, height] = picture.size_px();
         let stride = 3 * width as usize;
-        self.rgb.resize(stride * height as usize, 0);
-        self.to_bgr.convert(picture, &mut self.rgb, stride).map_err(|error| match error {
+        self.bgr.resize(stride * height as usize, 0);
+        self.to_bgr.convert(picture, &mut self.bgr, stride).map_err(|error| match error {
             ConvertError::Unsupported(format) => refused(format!("no conversion to RGB from {format:?}")),
             ConvertError::Av(error) => refused(error.to_string()),
         })?;
-        self.rgb.chunks_exact_mut(3).for_each(<[u8]>::reverse);
-        let mut jpeg = Vec::new();
-        JpegEncoder::new_with_quality(&mut jpeg, QUALITY)
-            .encode(&self.rgb, width, height, ExtendedColorType::Rgb8)
-            .map_err(|error| refused(error.to_string()))?;
+        let jpeg = jpeg::encode(&self.bgr, stride, [width, height], Loss::Some).map_err(|e| refused(e.to_string()))?;
         Ok(Some(LoggedImage { stamp_ns: ns, jpeg }))
     }
 }

@@ -10,23 +10,31 @@ mod csv;
 mod mcap;
 
 pub use self::csv::CsvSink;
-pub use self::mcap::McapSink;
+pub(crate) use self::csv::{decimal_seconds, fixed};
+pub(crate) use self::mcap::{Announced, Filed, RosLog};
+pub use self::mcap::{McapSink, Profile};
 
 mod clock;
 mod colour;
+#[cfg(feature = "ros2")]
+pub(crate) mod dds;
 mod encode;
 mod encoder;
 mod gate;
 mod images;
+mod jpeg;
 mod overlay;
 mod palette;
 mod pictures;
 mod publish;
+mod ros2;
 mod udp;
 mod windows;
 
 pub(crate) use clock::Origin;
 pub(crate) use colour::{ConvertError, ToBgr};
+#[cfg(feature = "ros2")]
+pub use dds::RosSink;
 pub(crate) use images::{ImageTaker, LoggedImage};
 pub use overlay::OverlaySink;
 pub(crate) use overlay::{StillError, Stills};
@@ -187,6 +195,15 @@ pub enum SinkError {
         /// Where.
         address: std::net::SocketAddr,
         /// What the system said.
+        reason: String,
+    },
+    /// No participant of DDS can be made.
+    #[cfg(feature = "ros2")]
+    #[error("cannot publish to ROS 2 in domain {domain}: {reason}")]
+    Ros {
+        /// Which domain.
+        domain: u16,
+        /// What the library said.
         reason: String,
     },
     /// A message that cannot be encoded.

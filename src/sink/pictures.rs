@@ -11,7 +11,7 @@
 //! the camera's clock has run for longer than libav can read, the first stamp is zero in the file, and a tag
 //! (`CATOPTRA_ORIGIN_NS`) says what it was.
 
-use super::colour::{ConvertError, ToBgr, ToYuv420};
+use super::colour::{ConvertError, FromBgr, ToBgr};
 use super::encode::would_block;
 use super::{Sink, SinkError};
 use crate::estimate::Estimate;
@@ -65,7 +65,7 @@ struct Frames {
     pixel: Pixel,
     layout: (PixelFormat, [u32; 2]),
     /// For RGB that is to become 4:2:0.
-    converted: Option<(ToBgr, Vec<u8>, ToYuv420)>,
+    converted: Option<(ToBgr, Vec<u8>, FromBgr)>,
 }
 
 impl PictureVideo {
@@ -194,7 +194,7 @@ impl Running {
     }
 }
 
-/// What [`ToYuv420`] makes.
+/// What [`FromBgr::for_video`] makes.
 const CONVERTED: Colour =
     Colour { matrix: Matrix::Bt709, range: Range::Limited, transfer: Transfer::Bt709, siting: ChromaSiting::Left };
 
@@ -216,7 +216,7 @@ impl Frames {
         };
         let [width, height] = picture.size_px();
         let converted = if rgb && codec == PictureCodec::H264 {
-            let to_yuv = ToYuv420::new([width, height]);
+            let to_yuv = FromBgr::for_video([width, height]);
             let to_yuv =
                 to_yuv.map_err(|source| SinkError::Video { path: path.into(), doing: "colour conversion", source })?;
             Some((ToBgr::default(), vec![0; 3 * width as usize * height as usize], to_yuv))

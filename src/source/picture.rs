@@ -346,11 +346,15 @@ impl Picture {
             other => other,
         };
         let samples = |plane: Plane<'_>| -> Vec<u8> {
-            let rows = (0..plane.height).filter_map(|j| plane.row(j));
-            match plane.step {
-                1 => rows.flat_map(|row| row.iter().take(plane.width)).copied().collect(),
-                step => rows.flat_map(|row| row.iter().step_by(step).take(plane.width)).copied().collect(),
+            // Row by row: byte by byte it shows in the time of a short recording.
+            let mut all = Vec::with_capacity(plane.width * plane.height);
+            for row in (0..plane.height).filter_map(|j| plane.row(j)) {
+                match plane.step {
+                    1 => all.extend_from_slice(row.get(..plane.width).unwrap_or(row)),
+                    step => all.extend(row.iter().step_by(step).take(plane.width)),
+                }
             }
+            all
         };
         let planes = (0..format.channels()).filter_map(|channel| self.plane(channel)).map(samples).collect();
         let copy = Self::from_planes(self.width, self.height, format, self.colour, planes).ok()?;

@@ -42,6 +42,8 @@ mod identify_python;
 mod log_damage;
 mod log_doctor;
 mod log_python;
+mod log_ros2;
+mod log_tables;
 mod manifest;
 mod media_damage;
 mod mutations;

@@ -26,6 +26,8 @@ mod live_load;
 mod live_python;
 mod live_raw;
 mod live_record;
+#[cfg(feature = "ros2")]
+mod live_ros2;
 mod live_stream;
 mod log_crash;
 mod publish;

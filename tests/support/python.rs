@@ -1,7 +1,7 @@
 //! Logs read by someone else's code: Python's `mcap` with `mcap-protobuf-support`, by `tests/python/read_log.py`.
 //!
-//! Needs `pip install mcap mcap-protobuf-support websockets numpy scipy`, in the interpreter named by `CATOPTRA_PYTHON`
-//! or `python3`. Skipped, and said so, where they are missing; a failure there when `CI=true`.
+//! Needs `pip install mcap mcap-protobuf-support websockets numpy scipy`, and other tests what they name (the Makefile has
+//! all), in the interpreter named by `CATOPTRA_PYTHON` or `python3`. Skipped, and said so, where they are missing; a failure there when `CI=true`.
 
 use std::io::Write;
 use std::path::Path;

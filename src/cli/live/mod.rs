@@ -1,10 +1,11 @@
 //! `catoptra live`: a camera, tracked while it runs; θ to controllers and subscribers, everything to the log.
 
+mod ros;
 mod status;
 
 use super::results::{unlike_others, whole_path};
 use super::run::folder::{Files, Run};
-use super::run::{Logged, Record, Reference, load_rig, open_sinks, pool, print_warnings, summary, verdict};
+use super::run::{LogFor, Logged, Record, Reference, load_rig, open_sinks, pool, print_warnings, summary, verdict};
 use super::studio::{self, Listen};
 use super::{Exit, Failure, fitting, interrupt, output, provenance};
 use crate::live::{self, CurrentSource, LiveSummary, Outputs, Priority, RecordTo, Recording, Until};
@@ -47,7 +48,7 @@ pub(crate) struct Args {
     /// Play a recording at its own pace
     #[arg(long, conflicts_with = "raw")]
     realtime: bool,
-    /// Read raw pictures from standard input: size, pixel format and rate, as in 1280x1024:bayer_rg8@60
+    /// Raw pictures on standard input, as 1280x1024:bayer_rg8@60
     #[arg(long, value_name = "FORMAT")]
     raw: Option<RawFormat>,
     /// Camera: frames per second
@@ -74,7 +75,9 @@ pub(crate) struct Args {
     /// Web page that may subscribe too, as https://lab.example.org
     #[arg(long, value_name = "ORIGIN", requires = "publish")]
     allow_origin: Vec<String>,
-    /// Coil currents: udp:[HOST:]PORT, serial:DEVICE@BAUD or file:TABLE.csv
+    #[command(flatten)]
+    ros: ros::RosArgs,
+    /// Coil currents: udp:PORT, serial:DEVICE@BAUD, file:CSV or ros2:/TOPIC
     #[arg(long, value_name = "FROM")]
     currents: Option<CurrentSource>,
     /// Largest plausible current, amperes
@@ -83,14 +86,17 @@ pub(crate) struct Args {
     /// Also record the pictures: windows (the parts the tracker looked at, in the log), or whole ones
     #[arg(long, value_enum, value_name = "HOW")]
     record: Option<Record>,
+    /// Write the log for foxglove or ros2 (docs/ros2.md)
+    #[arg(long, value_enum, value_name = "FOR", default_value_t = LogFor::Foxglove, hide_possible_values = true)]
+    profile: LogFor,
     /// Record no pictures when less is free on the disk, GB [default: 2]
     #[arg(long, value_name = "GB", value_parser = positive, requires = "record")]
     keep_free: Option<f64>,
     /// Stop after T seconds
     #[arg(long, value_name = "T", value_parser = duration)]
     duration: Option<Duration>,
-    /// Frame of reference of table and report
-    #[arg(long, value_enum, default_value_t = Reference::Base)]
+    /// Frame of table and report: base or camera
+    #[arg(long, value_enum, default_value_t = Reference::Base, hide_possible_values = true)]
     frame: Reference,
     /// Threads for the tracker [default: one per core]
     #[arg(long, value_name = "N", value_parser = RangedU64ValueParser::<usize>::new().range(1..=256))]
@@ -139,6 +145,7 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
         .map_err(|e| Failure::new(Exit::Usage, format!("{}: {e}", args.rig.display())))?;
     print_warnings(&args.rig, &rig)?;
     let controllers = args.controllers(&rig)?;
+    let subscribers = args.ros.open(&rig)?;
     let publisher = args.publish.map(|at| PublishSink::listen(at, &args.allow_origin, &rig)).transpose();
     let publisher = publisher.map_err(|e| Failure::new(Exit::Failed, e))?;
     if let Some(publisher) = &publisher {
@@ -152,6 +159,7 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
             let exit = if invalid { Exit::Usage } else { Exit::Failed };
             Failure::new(exit, format!("{from}: no currents can be had: {e}"))
         };
+        let from = args.ros.of_currents(from)?;
         from.open(args.current_limit, clock, &until.stop).map_err(refused)
     });
     let currents = currents.transpose()?;
@@ -168,7 +176,7 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     let run = args.described();
     let run_toml = run.to_toml()?;
     let _held = files.prepare_new(&run, &[&args.rig])?;
-    let logged = Logged { record: args.record, ..Logged::default() };
+    let logged = Logged { record: args.record, profile: args.profile, ..Logged::default() };
     let opened = open_sinks(&files, &rig, [&rig_toml, &run_toml], args.frame, args.info(), logged)?;
     let pictures = args.record.map(|_| Recording {
         to: opened.video.map_or(RecordTo::Log, RecordTo::Video),
@@ -177,7 +185,8 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
         keep_free_bytes: (args.keep_free.unwrap_or(KEEP_FREE_GB) * 1e9) as u64,
     });
     // 3. the run
-    let subscribers = publisher.map(|sink| Box::new(sink) as Box<dyn Sink + Send>);
+    let publisher = publisher.map(|sink| Box::new(sink) as Box<dyn Sink + Send>);
+    let subscribers = subscribers.into_iter().chain(publisher).collect();
     let outputs = Outputs { files: opened.sinks, controllers, subscribers, currents, pictures, latest };
     let mut line = StatusLine::new(&args.source, &files.folder, quiet);
     let pool = pool(args.threads.unwrap_or(0))?;
@@ -349,6 +358,7 @@ impl Args {
             fps: self.raw.map(|format| format.rate).or(self.fps).map(|rate| rate.to_string()),
             full_frame: false,
             record: self.record.map(|record| record.word().to_owned()),
+            profile: self.profile.unusual(),
         }
     }
 

@@ -62,6 +62,9 @@ pub(in crate::cli) struct Run {
     /// What was recorded of the pictures.
     #[serde(default)]
     pub(in crate::cli) record: Option<String>,
+    /// Whom the log is for, if not Foxglove.
+    #[serde(default)]
+    pub(in crate::cli) profile: Option<String>,
 }
 
 impl Run {
@@ -302,6 +305,7 @@ mod tests {
             fps: Some("60000/1001".into()),
             full_frame: false,
             record: None,
+            profile: None,
         }
     }
 

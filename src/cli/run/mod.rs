@@ -4,7 +4,7 @@ pub(super) mod folder;
 mod options;
 pub(super) mod summary;
 
-pub(super) use options::{Record, Reference};
+pub(super) use options::{LogFor, Record, Reference};
 
 use super::{Exit, Failure};
 use crate::archive::passing::passes;
@@ -94,6 +94,7 @@ pub(super) struct Opened {
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Logged {
     pub(super) record: Option<Record>,
+    pub(super) profile: LogFor,
     /// Whether it is given pictures, to cut them itself.
     pub(super) cuts: bool,
     /// Whether the same frames give the same bytes; a run that is killed may then lose more than its last second.
@@ -109,10 +110,10 @@ pub(super) fn open_sinks(
     info: RunInfo,
     logged: Logged,
 ) -> Result<Opened, Failure> {
-    let Logged { record, cuts, repeatable } = logged;
+    let Logged { record, profile, cuts, repeatable } = logged;
     let count = Arc::new(PictureCount::default());
     let open = || -> Result<Opened, SinkError> {
-        let mut log = McapSink::create(&files.log, rig, rig_toml, run_toml)?;
+        let mut log = McapSink::of_profile(profile.into(), &files.log, rig, rig_toml, run_toml)?;
         if let Some(record) = record {
             let what = record.codec().map_or(record.word(), |_| PICTURES);
             log = log.with_pictures(what, Arc::clone(&count));

@@ -1,6 +1,6 @@
 //! Options that tracking a recording and tracking live share.
 
-use crate::sink::{OutputFrame, PictureCodec};
+use crate::sink::{OutputFrame, PictureCodec, Profile};
 
 /// The frame of reference of table and report.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
@@ -24,6 +24,33 @@ impl Reference {
         match self {
             Self::Base => "base",
             Self::Camera => "camera",
+        }
+    }
+}
+
+/// Whom the log is for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, clap::ValueEnum)]
+pub(in crate::cli) enum LogFor {
+    #[default]
+    Foxglove,
+    Ros2,
+}
+
+impl From<LogFor> for Profile {
+    fn from(log: LogFor) -> Self {
+        match log {
+            LogFor::Foxglove => Self::Foxglove,
+            LogFor::Ros2 => Self::Ros2,
+        }
+    }
+}
+
+impl LogFor {
+    /// The word for it, unless it is what a log is for when nobody says.
+    pub(in crate::cli) fn unusual(self) -> Option<String> {
+        match self {
+            Self::Foxglove => None,
+            Self::Ros2 => Some("ros2".to_owned()),
         }
     }
 }

@@ -45,7 +45,7 @@ pub(crate) struct Args {
     /// Many recordings: so many at a time [default: cores / threads]
     #[arg(long, value_name = "N", value_parser = RangedU64ValueParser::<usize>::new().range(1..=256))]
     jobs: Option<usize>,
-    /// Many recordings: leave out those whose results are there and would be the same
+    /// Many recordings: leave out those whose results would be the same
     #[arg(long)]
     resume: bool,
     /// Many recordings: say which would be tracked and why, and do nothing

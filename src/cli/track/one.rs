@@ -126,7 +126,8 @@ impl Request<'_> {
         let Ready { mut tracker, source } = ready;
         let run = self.described();
         let run_toml = run.to_toml()?;
-        let logged = Logged { record: self.options.record, cuts: true, repeatable: self.repeatable };
+        let (record, profile) = (self.options.record, self.options.profile());
+        let logged = Logged { record, profile, cuts: true, repeatable: self.repeatable };
         let texts = [self.rig.toml.as_str(), run_toml.as_str()];
         let opened = open_sinks(self.files, &self.rig.rig, texts, self.options.frame(), self.info(), logged)?;
         let sinks = opened.sinks.into_iter().chain(opened.video).collect();
@@ -176,6 +177,7 @@ pub(super) fn described(source: &Path, rig: &Path, options: &Options) -> Run {
         fps: options.fps.map(|rate| rate.to_string()),
         full_frame: options.full_frame,
         record: options.record.map(|record| record.word().to_owned()),
+        profile: options.profile().unusual(),
     }
 }
 

@@ -1,6 +1,6 @@
 //! Options of one recording: from the command line for all of them, from a manifest for one.
 
-use super::super::run::{Record, Reference};
+use super::super::run::{LogFor, Record, Reference};
 use crate::source::times::{parse_seconds_ns, seconds};
 use crate::source::{FrameRate, Span};
 use clap::Parser;
@@ -15,6 +15,9 @@ pub(crate) struct Options {
     /// Also record the pictures: windows (the parts the tracker looked at, in the log), or whole ones
     #[arg(long, value_enum, value_name = "HOW")]
     pub(super) record: Option<Record>,
+    /// Write the log for foxglove or ros2 (docs/ros2.md) [default: foxglove]
+    #[arg(long, value_enum, value_name = "FOR", hide_possible_values = true)]
+    profile: Option<LogFor>,
     /// Frame of reference of table and report [default: base]
     #[arg(long, value_enum)]
     frame: Option<Reference>,
@@ -53,18 +56,24 @@ impl Options {
         let line = Line::try_parse_from(text.split_whitespace()).map_err(|error| {
             let said = error.to_string();
             let said = said.lines().next().unwrap_or_default().trim_start_matches("error: ");
-            format!("options `{text}`: {said}; for a line of a manifest there are --overlay, --record, --frame, --from, --to, --fps and --full-frame")
+            format!("options `{text}`: {said}; for a line of a manifest there are --overlay, --record, --profile, --frame, --from, --to, --fps and --full-frame")
         })?;
         let own = line.options;
         Ok(Self {
             overlay: own.overlay || self.overlay,
             record: own.record.or(self.record),
+            profile: own.profile.or(self.profile),
             frame: own.frame.or(self.frame),
             from: own.from.or(self.from),
             to: own.to.or(self.to),
             fps: own.fps.or(self.fps),
             full_frame: own.full_frame || self.full_frame,
         })
+    }
+
+    /// Whom the log is for.
+    pub(super) fn profile(&self) -> LogFor {
+        self.profile.unwrap_or_default()
     }
 
     /// Frame of reference of table and report.
@@ -83,6 +92,7 @@ impl Options {
             ("frame", Some(self.frame().word().to_owned())),
             ("overlay", self.overlay.then(|| "true".to_owned())),
             ("record", self.record.map(|record| record.word().to_owned())),
+            ("profile", self.profile().unusual()),
             ("from_ns", self.from.map(|ns| ns.to_string())),
             ("to_ns", self.to.map(|ns| ns.to_string())),
             ("fps", self.fps.map(|rate| rate.to_string())),
@@ -95,6 +105,7 @@ impl Options {
     pub(super) fn words(&self) -> Vec<String> {
         let valued = [
             ("--record", self.record.map(|record| record.word().to_owned())),
+            ("--profile", self.profile().unusual()),
             ("--frame", self.frame.map(|frame| frame.word().to_owned())),
             ("--from", self.from.map(|ns| seconds(ns).to_string())),
             ("--to", self.to.map(|ns| seconds(ns).to_string())),

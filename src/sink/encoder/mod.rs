@@ -10,7 +10,7 @@ mod scene;
 
 use super::{CurrentSample, LoggedImage, PictureCount, SinkError};
 use crate::estimate::Estimate;
-use crate::log::schema::messages::{Current, PictureWindows};
+use crate::log::schema::messages::{Current, Estimate as EstimateMessage, Health, PictureWindows};
 use crate::log::schema::{Catoptra, Topic};
 use crate::rig::{Camera, Rig};
 use crate::tally::Totals;
@@ -84,20 +84,39 @@ impl MessageEncoder {
         ])
     }
 
-    /// The totals of a run.
-    pub(super) fn totals(&self, totals: &Totals) -> Result<Message, SinkError> {
-        Message::of(Topic::Health, &Catoptra(health::health(&self.names, totals, self.pictures.as_deref())))
+    /// All that was measured in a frame, not yet encoded.
+    pub(super) fn estimate(&self, estimate: &Estimate) -> EstimateMessage {
+        self.names.estimate(estimate)
     }
 
-    /// Currents of the coils.
-    pub(super) fn current(sample: &CurrentSample) -> Result<Message, SinkError> {
-        let current = Current {
+    /// The same, encoded.
+    pub(super) fn encoded(estimate: &EstimateMessage) -> Result<Message, SinkError> {
+        Message::of(Topic::Estimate, &Catoptra(estimate.clone()))
+    }
+
+    /// The totals of a run, not yet encoded.
+    pub(super) fn health(&self, totals: &Totals) -> Health {
+        health::health(&self.names, totals, self.pictures.as_deref())
+    }
+
+    /// The totals of a run.
+    pub(super) fn totals(&self, totals: &Totals) -> Result<Message, SinkError> {
+        Message::of(Topic::Health, &Catoptra(self.health(totals)))
+    }
+
+    /// Currents of the coils, not yet encoded.
+    pub(super) fn current_message(sample: &CurrentSample) -> Current {
+        Current {
             host_ns: sample.host_ns,
             arrival_ns: sample.arrival_ns,
             seq: sample.seq,
             current_a: sample.current_a.clone(),
-        };
-        Message::of(Topic::Current, &Catoptra(current))
+        }
+    }
+
+    /// Currents of the coils.
+    pub(super) fn current(sample: &CurrentSample) -> Result<Message, SinkError> {
+        Message::of(Topic::Current, &Catoptra(Self::current_message(sample)))
     }
 
     /// A picture for people.

@@ -8,8 +8,7 @@
 //! Chunks are compressed with zstd, in the thread that writes: at 60 Hz with three markers in two views a log would
 //! grow by 25 MB a minute without.
 
-use crate::log::schema::{ENCODING, Topic};
-use crate::sink::encoder::Message;
+use super::form::{Announced, Filed};
 use crate::sink::{SinkError, same_error, settle};
 use mcap::records::{MessageHeader, Metadata};
 use mcap::write::NoSeek;
@@ -44,7 +43,7 @@ pub(super) struct LogFile {
     path: PathBuf,
     shared: Arc<Shared>,
     flusher: Option<JoinHandle<()>>,
-    /// Channel of each of [`Topic::ALL`].
+    /// Channels in the order they were announced.
     channels: Vec<u16>,
 }
 
@@ -75,11 +74,11 @@ impl std::fmt::Debug for OpenFile {
 }
 
 impl LogFile {
-    /// Creates the file (an existing one is replaced).
+    /// Creates the file (an existing one is replaced), with `profile` in its header.
     ///
     /// # Errors
     /// [`SinkError::Io`] when it cannot be created.
-    pub(super) fn create(path: &Path) -> Result<Self, SinkError> {
+    pub(super) fn create(path: &Path, profile: &str) -> Result<Self, SinkError> {
         let lost = |source| SinkError::io(path, source);
         let file = File::create(path).map_err(lost)?;
         // Held as long as the file is open: so that nobody repairs a log that is being written.
@@ -88,6 +87,7 @@ impl LogFile {
             tracing::debug!("{}: cannot be locked: {error}", path.display());
         }
         let writer = WriteOptions::new()
+            .profile(profile)
             .library(format!("catoptra/{} {}", env!("CARGO_PKG_VERSION"), mcap::LIBRARY_IDENTIFIER))
             .compression(Some(Compression::Zstd))
             .compression_threads(0)
@@ -105,27 +105,26 @@ impl LogFile {
         Ok(Self { path: path.to_owned(), shared, flusher: Some(flusher), channels: Vec::new() })
     }
 
-    /// Adds all topics; their schemas travel in the file.
-    pub(super) fn announce(&mut self) -> Result<(), SinkError> {
-        self.channels = Topic::ALL.into_iter().map(|topic| self.announced(topic)).collect::<Result<_, _>>()?;
+    /// Adds topics; their schemas travel in the file.
+    pub(super) fn announce(&mut self, topics: &[Announced]) -> Result<(), SinkError> {
+        self.channels = topics.iter().map(|topic| self.announced(topic)).collect::<Result<_, _>>()?;
         Ok(())
     }
 
-    fn announced(&self, topic: Topic) -> Result<u16, SinkError> {
+    fn announced(&self, topic: &Announced) -> Result<u16, SinkError> {
         self.with_writer(|writer| {
-            let schema = match topic.schema() {
-                Some(schema) => writer.add_schema(&schema.name, &schema.encoding, &schema.data)?,
+            let schema = match &topic.schema {
+                Some((name, encoding, data)) => writer.add_schema(name, encoding, data)?,
                 None => 0,
             };
-            writer.add_channel(schema, topic.name(), ENCODING, &BTreeMap::new())
+            writer.add_channel(schema, &topic.topic, topic.encoding, &topic.metadata)
         })
     }
 
     /// Writes a message. Call [`LogFile::flush`] by camera time.
-    pub(super) fn message(&mut self, message: &Message, sequence: u32, times: Times) -> Result<(), SinkError> {
-        let channel = Topic::ALL.iter().position(|topic| *topic == message.topic);
-        let Some(&channel_id) = channel.and_then(|i| self.channels.get(i)) else {
-            let unknown = io::Error::other(format!("topic {} was not announced", message.topic.name()));
+    pub(super) fn message(&mut self, message: &Filed, sequence: u32, times: Times) -> Result<(), SinkError> {
+        let Some(&channel_id) = self.channels.get(message.channel) else {
+            let unknown = io::Error::other(format!("topic {} was not announced", message.channel));
             return Err(SinkError::io(&self.path, unknown));
         };
         let header = MessageHeader { channel_id, sequence, log_time: times.log_ns, publish_time: times.publish_ns };

@@ -1,6 +1,8 @@
-//! The log: MCAP with Protobuf messages, readable by Foxglove and by every language that has an `mcap` package.
+//! The log: MCAP with Protobuf messages, readable by Foxglove and by every language that has an `mcap` package; or with
+//! those of ROS 2 ([`Profile::Ros2`]).
 //!
-//! Its topics and messages are those of [`log::schema`](crate::log::schema).
+//! Its topics and messages are those of [`log::schema`](crate::log::schema), or those of
+//! [`log::ros2`](crate::log::ros2).
 //!
 //! Attached are `rig.toml` and `options.toml`, the rig and the options of the run. The metadata record `catoptra` has
 //! the program's `version`, the `clock` of the time stamps, and as `pictures` the name of the video beside the log, or
@@ -18,6 +20,10 @@
 //! has no index; `mcap recover` makes one.
 
 mod file;
+mod form;
+
+pub use form::Profile;
+pub(crate) use form::{Announced, Filed, RosLog};
 
 use super::encoder::{MessageEncoder, file_time_ns};
 use super::{CurrentSample, ImageTaker, PictureCount, Sink, SinkError, WindowRecorder};
@@ -28,6 +34,7 @@ use crate::rig::Rig;
 use crate::source::Picture;
 use crate::tally::{Tally, Totals};
 use file::{FLUSH_AFTER, LogFile, Times};
+use form::Form;
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
@@ -36,6 +43,7 @@ use std::sync::Arc;
 #[derive(Debug)]
 pub struct McapSink {
     file: LogFile,
+    form: Form,
     encoder: MessageEncoder,
     /// Sequence and times of the last frame.
     last: Option<(u32, Times)>,
@@ -57,13 +65,29 @@ impl McapSink {
     /// # Errors
     /// [`SinkError::Io`] when the file cannot be created or written.
     pub fn create(path: &Path, rig: &Rig, rig_toml: &str, options_toml: &str) -> Result<Self, SinkError> {
-        let mut file = LogFile::create(path)?;
+        Self::of_profile(Profile::default(), path, rig, rig_toml, options_toml)
+    }
+
+    /// As [`McapSink::create`], for others than Foxglove.
+    ///
+    /// # Errors
+    /// [`SinkError::Io`] when the file cannot be created or written.
+    pub fn of_profile(
+        profile: Profile,
+        path: &Path,
+        rig: &Rig,
+        rig_toml: &str,
+        options_toml: &str,
+    ) -> Result<Self, SinkError> {
+        let form = Form::new(profile, rig);
+        let mut file = LogFile::create(path, form.profile())?;
         file.attach(RIG_ATTACHMENT, "application/toml", rig_toml)?;
         file.attach(OPTIONS_ATTACHMENT, "application/toml", options_toml)?;
-        file.announce()?;
+        file.announce(&form.topics())?;
         file.flush()?;
         Ok(Self {
             file,
+            form,
             encoder: MessageEncoder::new(rig),
             last: None,
             last_ns: 0,
@@ -110,11 +134,13 @@ impl McapSink {
     /// What is said once, before the first frame.
     fn begin(&mut self, estimate: &Estimate, seq: u32, times: Times) -> Result<(), SinkError> {
         self.file.metadata(METADATA, self.about(Some(estimate.stamp.clock.name())))?;
-        for message in self.encoder.rig(estimate.stamp.ns)? {
-            self.file.message(&message, seq, times)?;
-        }
+        self.put(&self.form.rig(&self.encoder, estimate.stamp.ns)?, seq, times)?;
         (self.last_ns, self.flushed_ns) = (estimate.stamp.ns, estimate.stamp.ns);
         Ok(())
+    }
+
+    fn put(&mut self, messages: &[Filed], seq: u32, times: Times) -> Result<(), SinkError> {
+        messages.iter().try_for_each(|message| self.file.message(message, seq, times))
     }
 
     /// Hands the frames so far to the system, when enough camera time is in them.
@@ -139,17 +165,15 @@ impl Sink for McapSink {
             self.begin(estimate, seq, times)?;
         }
         self.last = Some((seq, times));
-        for message in self.encoder.frame(estimate)? {
-            self.file.message(&message, seq, times)?;
-        }
+        self.put(&self.form.frame(&self.encoder, estimate)?, seq, times)?;
         if let Some(picture) = picture
             && let Some(image) = self.images.take(estimate, picture)?
         {
-            self.file.message(&MessageEncoder::image(&image)?, seq, times)?;
+            self.put(&self.form.image(&image)?, seq, times)?;
         }
         if let (Some(windows), Some(picture)) = (&mut self.windows, picture) {
             let kept = windows.keep(estimate, picture)?;
-            self.file.message(&MessageEncoder::windows(&kept)?, seq, times)?;
+            self.put(&self.form.windows(&kept)?, seq, times)?;
             if let Some(count) = &self.count {
                 count.add_recorded();
             }
@@ -161,19 +185,19 @@ impl Sink for McapSink {
     fn write_current(&mut self, sample: &CurrentSample) -> Result<(), SinkError> {
         let times = Times { log_ns: file_time_ns(sample.arrival_ns), publish_ns: file_time_ns(sample.host_ns) };
         let seq = sample.seq.map_or(0, |seq| (seq & u64::from(u32::MAX)) as u32);
-        self.file.message(&MessageEncoder::current(sample)?, seq, times)
+        self.put(&self.form.current(sample)?, seq, times)
     }
 
     fn write_windows(&mut self, kept: &PictureWindows) -> Result<bool, SinkError> {
         let publish_ns = file_time_ns(kept.stamp_ns);
         let times = Times { log_ns: kept.arrival_ns.map_or(publish_ns, file_time_ns), publish_ns };
-        self.file.message(&MessageEncoder::windows(kept)?, (kept.seq & u64::from(u32::MAX)) as u32, times)?;
+        self.put(&self.form.windows(kept)?, (kept.seq & u64::from(u32::MAX)) as u32, times)?;
         Ok(true)
     }
 
     fn write_totals(&mut self, totals: &Totals) -> Result<(), SinkError> {
         let Some((seq, times)) = self.last else { return Ok(()) };
-        self.file.message(&self.encoder.totals(totals)?, seq, times)
+        self.put(&self.form.totals(&self.encoder, totals)?, seq, times)
     }
 
     fn finish(&mut self, tally: &Tally) -> Result<(), SinkError> {

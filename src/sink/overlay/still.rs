@@ -1,19 +1,14 @@
 //! Single pictures with what was found drawn into them, as the overlay video has it: for pages.
 
 use super::super::colour::{ConvertError, ToBgr};
+use super::super::jpeg::{self, Loss};
 use super::pen::Canvas;
 use super::scene::Scene;
 use super::{unit, whole};
 use crate::estimate::Estimate;
 use crate::rig::Rig;
 use crate::source::{Picture, Window};
-use image::ExtendedColorType;
-use image::codecs::jpeg::JpegEncoder;
-use opencv::core::{Mat, Rect};
 use opencv::prelude::*;
-
-/// Of the JPEG: outlines of one pixel stay sharp.
-const QUALITY: u8 = 88;
 
 /// Draws into pictures of the rig's camera.
 pub(crate) struct Stills {
@@ -34,7 +29,7 @@ pub(crate) enum StillError {
     #[error("drawing: {0}")]
     Draw(#[from] opencv::Error),
     #[error("JPEG: {0}")]
-    Jpeg(#[from] image::ImageError),
+    Jpeg(ffmpeg_the_third::Error),
 }
 
 impl Stills {
@@ -58,16 +53,9 @@ impl Stills {
         })?;
         self.scene.draw(&mut canvas, estimate)?;
         let part = part.clipped(self.size_px);
-        let place = Rect::new(whole(part.x0), whole(part.y0), whole(part.width()), whole(part.height()));
-        let cut = Mat::roi(&canvas.bgr, place)?.try_clone()?;
-        let rgb: Vec<u8> = cut.data_bytes()?.chunks_exact(3).flat_map(|bgr| bgr.iter().rev().copied()).collect();
-        let mut jpeg = Vec::new();
-        JpegEncoder::new_with_quality(&mut jpeg, QUALITY).encode(
-            &rgb,
-            part.width(),
-            part.height(),
-            ExtendedColorType::Rgb8,
-        )?;
-        Ok(jpeg)
+        let stride = 3 * width as usize;
+        let from = part.y0 as usize * stride + 3 * part.x0 as usize;
+        let cut = canvas.bgr.data_bytes()?.get(from..).unwrap_or_default();
+        jpeg::encode(cut, stride, [part.width(), part.height()], Loss::Little).map_err(StillError::Jpeg)
     }
 }

@@ -1,0 +1,82 @@
+//! `catoptra log convert`: a log as a table, a MAT file, or a log for ROS 2.
+
+use super::run::Reference;
+use super::{Exit, Failure, output};
+use crate::convert::{ConvertError, Converted, Target, convert};
+use crate::log::LogError;
+use std::io::ErrorKind;
+use std::path::PathBuf;
+
+/// Arguments of `catoptra log convert`.
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    /// The log
+    #[arg(value_name = "LOG.mcap")]
+    file: PathBuf,
+    /// What to make of it: ros2 (a log that rosbag2 reads), csv (the table of the run), or, not rounded, parquet and mat
+    /// (MATLAB)
+    #[arg(long, value_enum, value_name = "WHAT", hide_possible_values = true)]
+    profile: Profile,
+    /// The new file; none is written over
+    #[arg(short, long, value_name = "OUT")]
+    out: PathBuf,
+    /// Frame of reference of places and directions in tables
+    #[arg(long, value_enum, default_value_t = Reference::Base)]
+    frame: Reference,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+enum Profile {
+    Ros2,
+    Csv,
+    Parquet,
+    Mat,
+}
+
+pub(super) fn run(args: &Args) -> Result<(), Failure> {
+    let target = match args.profile {
+        Profile::Ros2 => Target::Ros2,
+        Profile::Csv => Target::Csv,
+        Profile::Parquet => Target::Parquet,
+        Profile::Mat => Target::Mat,
+    };
+    let converted = convert(&args.file, target, args.frame.into(), &args.out).map_err(failure)?;
+    if let Some(cut) = &converted.cut {
+        tracing::warn!("{}: {cut}; the rest is converted", args.file.display());
+    }
+    output::print(&told(&converted))
+}
+
+fn told(converted: &Converted) -> String {
+    let files: Vec<_> = converted.files.iter().map(|file| file.display().to_string()).collect();
+    let mut text = format!("{}: {} frames", files.join(", "), converted.frames);
+    if converted.currents > 0 {
+        text += &format!(", currents at {} times", converted.currents);
+    }
+    text += "\n";
+    if !converted.left_out.is_empty() {
+        text += "  left out:\n";
+    }
+    for line in &converted.left_out {
+        text += &format!("    {line}\n");
+    }
+    text
+}
+
+fn failure(error: ConvertError) -> Failure {
+    let exit = match &error {
+        ConvertError::Log(LogError::NotMcap { .. } | LogError::NotOurs { .. })
+        | ConvertError::Content { .. }
+        | ConvertError::Occupied { .. } => Exit::Usage,
+        // A name that is wrong is a mistake of usage, not of the system.
+        ConvertError::Log(LogError::Io { source, .. }) | ConvertError::Write { source, .. }
+            if source.kind() == ErrorKind::NotFound =>
+        {
+            Exit::Usage
+        }
+        ConvertError::Log(_) | ConvertError::Write { .. } | ConvertError::Table(_) | ConvertError::Message(_) => {
+            Exit::Failed
+        }
+    };
+    Failure::new(exit, error)
+}

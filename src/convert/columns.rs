@@ -1,0 +1,215 @@
+//! Rows of a table from messages, and the three kinds of files that take them.
+
+use super::mat;
+use super::{ConvertError, free};
+use crate::archive::tables::{Cells, Table};
+use crate::log::schema::messages::{Estimate, Marker};
+use crate::log::schema::table;
+use crate::sink::{OutputFrame, decimal_seconds, fixed};
+use crate::whole_file::NewFile;
+use csv::{Terminator, Writer, WriterBuilder};
+use std::fs::File;
+use std::io::{self, BufWriter};
+use std::path::{Path, PathBuf};
+
+/// Rows that are put into a Parquet file together.
+const PIECE: usize = 1 << 14;
+
+/// A cell.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) enum Cell {
+    Text(String),
+    Whole(i64),
+    /// A number, if it is known, and its decimals where it is written as text; all that are needed without.
+    Real(Option<f64>, Option<usize>),
+    /// A time in nanoseconds, written in seconds.
+    Seconds(i64),
+}
+
+impl Cell {
+    fn text(self) -> String {
+        match self {
+            Self::Text(text) => text,
+            Self::Whole(number) => number.to_string(),
+            Self::Real(None, _) => String::new(),
+            Self::Real(Some(value), Some(decimals)) => fixed(value, decimals),
+            Self::Real(Some(value), None) => value.to_string(),
+            Self::Seconds(ns) => decimal_seconds(ns),
+        }
+    }
+
+    fn empty(&self) -> Cells {
+        match self {
+            Self::Text(_) => Cells::Text(Vec::new()),
+            Self::Whole(_) => Cells::Whole(Vec::new()),
+            Self::Real(..) | Self::Seconds(_) => Cells::Real(Vec::new()),
+        }
+    }
+
+    fn onto(self, column: &mut Cells) {
+        match (self, column) {
+            (Self::Text(text), Cells::Text(cells)) => cells.push(Some(text)),
+            (Self::Whole(number), Cells::Whole(cells)) => cells.push(Some(number)),
+            (Self::Real(value, _), Cells::Real(cells)) => cells.push(value),
+            (Self::Seconds(ns), Cells::Real(cells)) => cells.push(Some(ns as f64 * 1e-9)),
+            // A column has the kind of its first cell, which that of all.
+            _ => {}
+        }
+    }
+}
+
+/// Names of the columns of a frame.
+pub(super) fn names(estimate: &Estimate) -> Vec<String> {
+    table::header(estimate.markers.iter().map(|marker| marker.name.as_str()))
+}
+
+/// The row of a frame, as the table of the run has it; `None` when places or directions are not known in `frame`.
+pub(super) fn row(estimate: &Estimate, frame: OutputFrame) -> Option<Vec<Cell>> {
+    let seq = i64::try_from(estimate.seq).unwrap_or(i64::MAX);
+    let mut cells = vec![Cell::Whole(seq), Cell::Seconds(estimate.stamp_ns), Cell::Whole(estimate.stamp_ns)];
+    let angles = estimate.deflection.as_ref();
+    let angles = angles.map(|a| [a.theta_rad, a.theta_sd_rad, a.polar_rad, a.azimuth_rad]);
+    cells.extend((0..4).map(|k| Cell::Real(angles.and_then(|a| a.get(k).map(|rad| rad.to_degrees())), Some(6))));
+    for marker in &estimate.markers {
+        cells.extend(place(marker, frame)?);
+    }
+    let direction = match (&estimate.tangent, frame) {
+        (None, _) => None,
+        (Some(tangent), OutputFrame::Camera) => Some((tangent.in_camera, tangent.sd_rad)),
+        (Some(tangent), OutputFrame::Base) => Some((tangent.in_base?, tangent.sd_rad)),
+    };
+    let cell = |value: Option<f64>, decimals: usize| Cell::Real(value, Some(decimals));
+    cells.extend([
+        cell(direction.map(|(t, _)| t.x), 7),
+        cell(direction.map(|(t, _)| t.y), 7),
+        cell(direction.map(|(t, _)| t.z), 7),
+        cell(direction.map(|(_, sd)| sd.to_degrees()), 6),
+        Cell::Whole(i64::from(estimate.gap)),
+    ]);
+    Some(cells)
+}
+
+fn place(marker: &Marker, frame: OutputFrame) -> Option<[Cell; 5]> {
+    let place = match (&marker.position, frame) {
+        (None, _) => None,
+        (Some(position), OutputFrame::Camera) => Some((position.in_camera_m, position.sd_m)),
+        (Some(position), OutputFrame::Base) => Some((position.in_base_m?, position.sd_m)),
+    };
+    let mm = |m: Option<f64>| Cell::Real(m.map(|m| m * 1e3), Some(6));
+    Some([
+        mm(place.map(|(p, _)| p.x)),
+        mm(place.map(|(p, _)| p.y)),
+        mm(place.map(|(p, _)| p.z)),
+        mm(place.map(|(_, sd)| sd)),
+        Cell::Text(marker.status.word.clone()),
+    ])
+}
+
+/// A file that rows are put into; nothing is in its place before it is [finished](Rows::finish).
+pub(super) struct Rows {
+    names: Vec<String>,
+    columns: Vec<(String, Cells)>,
+    kind: Kind,
+}
+
+enum Kind {
+    Csv {
+        path: PathBuf,
+        new: NewFile,
+        writer: Box<Writer<BufWriter<File>>>,
+    },
+    Parquet {
+        table: Box<Table>,
+        waiting: usize,
+    },
+    /// Written at the end: the variables, each whole.
+    Mat,
+}
+
+/// Which kind.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum FileKind {
+    Csv,
+    Parquet,
+    Mat,
+}
+
+impl Rows {
+    /// Begins a file whose columns have the kinds of `first`.
+    pub(super) fn begin(kind: FileKind, path: &Path, names: Vec<String>, first: &[Cell]) -> Result<Self, ConvertError> {
+        free(path)?;
+        let columns: Vec<(String, Cells)> = names.iter().cloned().zip(first.iter().map(Cell::empty)).collect();
+        let kind = match kind {
+            FileKind::Csv => {
+                let lost = |source| ConvertError::Write { path: path.to_owned(), source };
+                let (new, file) = NewFile::begin(path).map_err(lost)?;
+                let mut writer = WriterBuilder::new().terminator(Terminator::CRLF).from_writer(BufWriter::new(file));
+                writer.write_record(&names).map_err(|error| lost(io::Error::from(error)))?;
+                Kind::Csv { path: path.to_owned(), new, writer: Box::new(writer) }
+            }
+            FileKind::Parquet => Kind::Parquet { table: Box::new(Table::begin(path, &columns)?), waiting: 0 },
+            FileKind::Mat => Kind::Mat,
+        };
+        Ok(Self { names, columns, kind })
+    }
+
+    /// How many columns there are.
+    pub(super) fn width(&self) -> usize {
+        self.names.len()
+    }
+
+    /// Adds a row.
+    pub(super) fn add(&mut self, row: Vec<Cell>) -> Result<(), ConvertError> {
+        if let Kind::Csv { path, writer, .. } = &mut self.kind {
+            let written = writer.write_record(row.into_iter().map(Cell::text));
+            return written.map_err(|e| ConvertError::Write { path: path.clone(), source: io::Error::from(e) });
+        }
+        row.into_iter().zip(&mut self.columns).for_each(|(cell, (_, column))| cell.onto(column));
+        if let Kind::Parquet { table, waiting } = &mut self.kind {
+            *waiting += 1;
+            if *waiting == PIECE {
+                *waiting = 0;
+                table.add(&self.columns)?;
+                self.columns.iter_mut().for_each(|(_, cells)| clear(cells));
+            }
+        }
+        Ok(())
+    }
+
+    /// Completes the file; of one that is written with others, gives what goes into it.
+    pub(super) fn finish(self) -> Result<Vec<(String, Cells)>, ConvertError> {
+        match self.kind {
+            Kind::Csv { path, new, writer } => {
+                let lost = |source| ConvertError::Write { path: path.clone(), source };
+                let buffer = writer.into_inner().map_err(|error| lost(error.into_error()))?;
+                let file = buffer.into_inner().map_err(|error| lost(error.into_error()))?;
+                file.sync_all().and_then(|()| new.put_in_place()).map_err(lost)?;
+                Ok(Vec::new())
+            }
+            Kind::Parquet { mut table, waiting } => {
+                if waiting > 0 {
+                    table.add(&self.columns)?;
+                }
+                table.finish()?;
+                Ok(Vec::new())
+            }
+            Kind::Mat => Ok(self.columns),
+        }
+    }
+}
+
+fn clear(cells: &mut Cells) {
+    match cells {
+        Cells::Text(cells) => cells.clear(),
+        Cells::Whole(cells) => cells.clear(),
+        Cells::Real(cells) => cells.clear(),
+        Cells::Flag(cells) => cells.clear(),
+    }
+}
+
+/// Writes a MAT file of all columns.
+pub(super) fn write_mat(path: &Path, columns: &[(String, Cells)]) -> Result<(), ConvertError> {
+    let lost = |source| ConvertError::Write { path: path.to_owned(), source };
+    let bytes = mat::file(columns).map_err(|reason| lost(io::Error::other(reason)))?;
+    crate::whole_file::write(path, &bytes).map_err(lost)
+}

@@ -1,0 +1,123 @@
+//! A log as a table of its frames: CSV, byte for byte as the run has written it, Parquet, or MAT 5. Currents are a table
+//! of their own beside it; MAT has both in one file.
+
+use super::columns::{Cell, FileKind, Rows, names, row, write_mat};
+use super::{ConvertError, Converted, Message, Target, each_message, left_out};
+use crate::log::ros2::PROFILE;
+use crate::log::schema::Topic;
+use crate::log::schema::messages::Current;
+use crate::log::{profile, typed};
+use crate::sink::{OutputFrame, RosLog};
+use std::path::{Path, PathBuf};
+
+/// What is left out of a topic, and why; nothing of those that are in the table.
+const NOT_IN_A_TABLE: [(Topic, &str); 8] = [
+    (Topic::Scene, "is drawn from the places"),
+    (Topic::Annotations, "outlines of bands in the picture"),
+    (Topic::Calibration, "is in rig.toml, attached to the log"),
+    (Topic::Transform, "is in rig.toml, attached to the log"),
+    (Topic::Health, "totals, and drift alarms"),
+    (Topic::Windows, "pictures"),
+    (Topic::Image, "pictures"),
+    (Topic::Current, "cannot be understood"),
+];
+/// Of a frame.
+const NOT_OF_A_FRAME: &str = "of each frame: covariances, what each view saw, numbers of misses, the host's times";
+
+/// Of a log of profile `ros2`.
+const OF_ROS: &str = "topics of ROS 2: they say the same once more, but for pictures and the camera";
+
+/// The table beside `out` that has the currents.
+fn beside(out: &Path) -> PathBuf {
+    let stem = out.file_stem().unwrap_or_default().to_string_lossy();
+    let ending = out.extension().map_or(String::new(), |ending| format!(".{}", ending.to_string_lossy()));
+    out.with_file_name(format!("{stem}-currents{ending}"))
+}
+
+pub(super) fn convert(path: &Path, target: Target, frame: OutputFrame, out: &Path) -> Result<Converted, ConvertError> {
+    let kind = match target {
+        Target::Parquet => FileKind::Parquet,
+        Target::Mat => FileKind::Mat,
+        Target::Csv | Target::Ros2 => FileKind::Csv,
+    };
+    let wrong = |reason: String| ConvertError::Content { path: path.to_owned(), reason };
+    let mut converted = Converted::default();
+    let (mut frames, mut currents): (Option<Rows>, Option<Rows>) = (None, None);
+    let take = |message: &Message<'_>| {
+        let Some(decoded) = &message.decoded else { return Ok(false) };
+        if message.topic == Topic::Estimate.name() {
+            let Some(estimate) = typed::estimate(decoded) else { return Ok(false) };
+            let Some(row) = row(&estimate, frame) else {
+                let why = "has no places in the base frame: its rig has none; convert with --frame camera";
+                return Err(wrong(why.to_owned()));
+            };
+            let rows = match &mut frames {
+                Some(rows) => rows,
+                none => none.insert(Rows::begin(kind, out, names(&estimate), &row)?),
+            };
+            let there = rows.width();
+            if row.len() != there {
+                return Err(wrong(format!("frame {} has other markers than those before", estimate.seq)));
+            }
+            converted.frames += 1;
+            rows.add(row).map(|()| true)
+        } else if message.topic == Topic::Current.name() {
+            let Some(current) = typed::current(decoded) else { return Ok(false) };
+            let row = current_row(&current);
+            let rows = match &mut currents {
+                Some(rows) => rows,
+                none => none.insert(Rows::begin(kind, &beside(out), current_names(kind, row.len() - 1), &row)?),
+            };
+            if row.len() != rows.width() {
+                let (there, coils) = (rows.width() - 1, row.len() - 1);
+                return Err(wrong(format!(
+                    "has currents of {there} coils, and then of {coils}: no table can hold both"
+                )));
+            }
+            converted.currents += 1;
+            rows.add(row).map(|()| true)
+        } else {
+            // θ is in the table.
+            Ok(message.topic == Topic::Deflection.name())
+        }
+    };
+    let (left, cut) = each_message(path, take, |_| Ok(()))?;
+    let Some(frames) = frames else { return Err(wrong("has no frame".to_owned())) };
+    converted.cut = cut;
+    converted.files.push(out.to_owned());
+    let mut columns = frames.finish()?;
+    if let Some(currents) = currents {
+        columns.extend(currents.finish()?);
+        if !matches!(kind, FileKind::Mat) {
+            converted.files.push(beside(out));
+        }
+    }
+    if matches!(kind, FileKind::Mat) {
+        write_mat(out, &columns)?;
+    }
+    converted.left_out.push(NOT_OF_A_FRAME.to_owned());
+    let of_ros = profile(path)? == PROFILE;
+    if of_ros {
+        converted.left_out.push(OF_ROS.to_owned());
+    }
+    let told = |topic: &str| !of_ros || Topic::ALL.iter().any(|of| of.name() == topic && RosLog::keeps(*of));
+    for (topic, messages) in left.into_iter().filter(|(topic, _)| told(topic)) {
+        let known = NOT_IN_A_TABLE.iter().find(|(of, _)| of.name() == topic).map(|(_, why)| *why);
+        let estimate = (topic == Topic::Estimate.name()).then_some("cannot be understood");
+        converted.left_out.push(left_out(&topic, messages, known.or(estimate).unwrap_or("is no table of frames")));
+    }
+    Ok(converted)
+}
+
+/// `host_ns` and a column a coil, as `catoptra live --currents` and `catoptra identify` read them.
+fn current_names(kind: FileKind, coils: usize) -> Vec<String> {
+    // One file has them beside the frames: there they say whose they are.
+    let before = if matches!(kind, FileKind::Mat) { "current_" } else { "" };
+    let coil = |n| format!("{before}coil_{n}");
+    std::iter::once(format!("{before}host_ns")).chain((1..=coils).map(coil)).collect()
+}
+
+fn current_row(current: &Current) -> Vec<Cell> {
+    let amperes = current.current_a.iter().map(|ampere| Cell::Real(Some(*ampere), None));
+    std::iter::once(Cell::Whole(current.host_ns)).chain(amperes).collect()
+}

@@ -1,0 +1,101 @@
+//! Pictures for people as JPEG, by libav, whose encoder has vector instructions: a page has three of them for every
+//! recording.
+//!
+//! In: rows of B'G'R'. Out: a file (JFIF), 4:4:4.
+
+use super::colour::FromBgr;
+use super::encode::would_block;
+use ffmpeg_the_third as av;
+
+/// What libav counts quantiser scales in.
+const LAMBDA: i32 = 118;
+
+/// How much is lost: libav's scale of the quantiser, from 2 to 31.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Loss {
+    /// Lines of one pixel stay sharp.
+    Little,
+    /// To look at.
+    Some,
+}
+
+impl Loss {
+    fn scale(self) -> i32 {
+        match self {
+            Self::Little => 2,
+            Self::Some => 4,
+        }
+    }
+}
+
+/// A file of the picture, rows of B'G'R' with `stride` bytes each.
+///
+/// # Errors
+/// libav's.
+pub(crate) fn encode(bgr: &[u8], stride: usize, size_px: [u32; 2], loss: Loss) -> Result<Vec<u8>, av::Error> {
+    let codec = av::encoder::find(av::codec::Id::MJPEG).ok_or(av::Error::EncoderNotFound)?;
+    let mut settings = av::codec::Context::new_with_codec(codec).encoder().video()?;
+    let [width, height] = size_px;
+    settings.set_width(width);
+    settings.set_height(height);
+    settings.set_format(av::format::Pixel::YUVJ444P);
+    settings.set_color_range(av::color::Range::JPEG);
+    settings.set_time_base(av::Rational(1, 1));
+    settings.set_flags(av::codec::Flags::QSCALE);
+    settings.set_global_quality(loss.scale() * LAMBDA);
+    let mut options = av::Dictionary::new();
+    // The same picture gives the same bytes on any machine.
+    options.set("threads", "1");
+    options.set("flags", "+bitexact");
+    let mut encoder = settings.open_with(options)?;
+    let mut frame = FromBgr::for_jpeg(size_px)?.convert(bgr, stride)?;
+    // The same samples, by the name that this encoder wants for full range, and the scaler warns of.
+    frame.set_format(av::format::Pixel::YUVJ444P);
+    frame.set_pts(Some(0));
+    frame.set_color_range(av::color::Range::JPEG);
+    set_quality(&mut frame, loss);
+    encoder.send_frame(&frame)?;
+    encoder.send_eof()?;
+    let (mut packet, mut file) = (av::Packet::empty(), Vec::new());
+    loop {
+        match encoder.receive_packet(&mut packet) {
+            Ok(()) => file.extend_from_slice(packet.data().unwrap_or_default()),
+            Err(av::Error::Eof) => return Ok(file),
+            Err(av::Error::Other { errno }) if would_block(errno) => return Ok(file),
+            Err(error) => return Err(error),
+        }
+    }
+}
+
+#[allow(unsafe_code, reason = "the safe wrapper has no call for a frame's quality")]
+fn set_quality(frame: &mut av::frame::Video, loss: Loss) {
+    // SAFETY: the frame is alive and borrowed mutably; the field is a plain number.
+    unsafe { (*frame.as_mut_ptr()).quality = loss.scale() * LAMBDA };
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A red line of one pixel on grey, of an odd size, with rows that are longer than the picture.
+    #[test]
+    fn a_line_of_one_pixel_keeps_its_place_and_colour() {
+        let (width, height, stride) = (61_u32, 37_u32, 200_usize);
+        let mut bgr = vec![0; stride * height as usize];
+        for y in 0..height as usize {
+            for x in 0..width as usize {
+                let pixel = if x == 20 { [40, 40, 220] } else { [128; 3] };
+                bgr[y * stride + 3 * x..][..3].copy_from_slice(&pixel);
+            }
+        }
+        let file = encode(&bgr, stride, [width, height], Loss::Little).unwrap();
+        assert_eq!(file, encode(&bgr, stride, [width, height], Loss::Little).unwrap());
+        let read = image::load_from_memory(&file).unwrap().to_rgb8();
+        assert_eq!(read.dimensions(), (width, height));
+        for (x, expected) in [(5, [128_u8; 3]), (20, [220, 40, 40]), (23, [128; 3]), (60, [128; 3])] {
+            let found = read.get_pixel(x, 18).0;
+            assert!(found.iter().zip(expected).all(|(a, b)| a.abs_diff(b) < 12), "{x}: {found:?}");
+        }
+        assert!(encode(&bgr, stride, [width, height], Loss::Some).unwrap().len() < file.len());
+    }
+}

@@ -1,0 +1,56 @@
+//! How the run goes, for `rqt_robot_monitor` and the like: totals, what was missed and why, drift.
+
+use crate::log::ros2::messages::{DiagnosticStatus, KeyValue};
+use crate::log::schema::messages::Health;
+
+const OK: u8 = 0;
+const WARN: u8 = 1;
+const ERROR: u8 = 2;
+
+/// One status for the frames, one for each quantity, one for drift.
+pub(super) fn status(health: &Health, markers: &[String]) -> Vec<DiagnosticStatus> {
+    let mut frames = vec![
+        value("frames", health.frames),
+        value("lost_frames", health.lost_frames),
+        value("gaps", health.gaps),
+        value("deflections", health.deflections),
+    ];
+    frames.extend(health.pictures_recorded.map(|n| value("pictures_recorded", n)));
+    frames.extend(health.pictures_dropped.map(|n| value("pictures_dropped", n)));
+    let lossy = health.lost_frames > 0 || health.pictures_dropped.is_some_and(|n| n > 0);
+    let message = format!("{} frames, {} lost in {} gaps", health.frames, health.lost_frames, health.gaps);
+    let mut all = vec![one("frames", if lossy { WARN } else { OK }, message, frames)];
+
+    for what in markers.iter().map(String::as_str).chain(["tangent", "deflection"]) {
+        let misses: Vec<_> = health.misses.iter().filter(|miss| miss.what == what).collect();
+        let missed: u64 = misses.iter().map(|miss| miss.frames).sum();
+        let level = match missed {
+            0 => OK,
+            n if n < health.frames => WARN,
+            _ => ERROR,
+        };
+        let message = format!("not measured in {missed} of {} frames", health.frames);
+        let message = if missed == 0 { "measured in all frames".to_owned() } else { message };
+        all.push(one(what, level, message, misses.iter().map(|miss| value(&miss.reason, miss.frames)).collect()));
+    }
+
+    let mut values = Vec::new();
+    for alarm in &health.drifts {
+        values.push(value(&format!("{} since_ns", alarm.kind), alarm.stamp_ns));
+        values.push(value(&format!("{} size_m", alarm.kind), alarm.size_m));
+    }
+    let message = match health.drifts.last() {
+        Some(alarm) => alarm.what.clone(),
+        None => "as calibrated".to_owned(),
+    };
+    all.push(one("drift", if health.drifts.is_empty() { OK } else { ERROR }, message, values));
+    all
+}
+
+fn one(name: &str, level: u8, message: String, values: Vec<KeyValue>) -> DiagnosticStatus {
+    DiagnosticStatus { level, name: format!("catoptra: {name}"), message, hardware_id: "catoptra".to_owned(), values }
+}
+
+fn value(key: &str, value: impl ToString) -> KeyValue {
+    KeyValue { key: key.to_owned(), value: value.to_string() }
+}
