@@ -522,8 +522,8 @@ mod tests {
                     colours[parameter] += by;
                     of(&colours, Vector2::zeros())
                 };
-                let column = (0..ROW).filter(|i| colour(*i, span.ring, &layout) == Some(parameter));
-                let found: Vec<f32> = match column.last() {
+                let mut column = (0..ROW).filter(|i| colour(*i, span.ring, &layout) == Some(parameter));
+                let found: Vec<f32> = match column.next_back() {
                     Some(column) => rows.iter().map(|row| row[column]).collect(),
                     None => vec![0.0; rows.len()],
                 };

@@ -294,6 +294,7 @@ impl<const N: usize> Block<N> {
 }
 
 /// Adds the products of the rows with each other and with the residuals.
+#[expect(clippy::needless_range_loop, reason = "plain loops become vectors")]
 #[multiversion(targets("x86_64+avx2"))]
 fn accumulate<const N: usize>(
     hessian: &mut [[f32; N]; N],
