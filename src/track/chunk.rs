@@ -58,6 +58,7 @@ struct Piece {
     bulge: Linear,
     scale: Linear,
     turn: [Linear; 2],
+    /// Beyond the knots it must not become less than nothing.
     swept: [Linear; 2],
     /// Arc length from the ring, metres.
     from_ring_m: Linear,
@@ -292,7 +293,7 @@ fn place(chunk: &mut Chunk, piece: &Piece, blur_px2: f32) -> Seen {
         let u = (along[0] * off[1] - along[1] * off[0]) * per_square.sqrt();
         chunk.f.0[i] = f;
         chunk.u.0[i] = u;
-        let far = |swept: Linear| FAR_SIGMAS * (blur_px2 + at(swept, f)).sqrt();
+        let far = |swept: Linear| FAR_SIGMAS * (blur_px2 + at(swept, f).max(0.0)).sqrt();
         let from_ring = at(piece.from_ring_m, f) * at(piece.scale, f);
         let on_tube = u.abs() <= at(piece.half, f) + far(piece.swept[0]);
         let at_ring = from_ring.abs() - at(piece.bulge, f).abs() <= far(piece.swept[1]);
@@ -319,7 +320,7 @@ fn show(chunk: &mut Chunk, piece: &Piece, light: &Light<'_>, edges: impl Fn(f32,
     for i in 0..chunk.lanes.min(CHUNK) {
         let (f, u) = (chunk.f.0[i], chunk.u.0[i]);
         let half = at(piece.half, f);
-        let blur = |swept: Linear| (light.blur_px2 + at(swept, f)).sqrt();
+        let blur = |swept: Linear| (light.blur_px2 + at(swept, f).max(0.0)).sqrt();
         let across = Across::new(u, half, blur(piece.swept[0]));
         let turn = [at(piece.turn[0], f), at(piece.turn[1], f)];
         let m1 = light.shades[0] + turn[0] * light.turning[0] + turn[1] * light.turning[1];

@@ -83,7 +83,7 @@ pub(crate) struct Args {
     /// Largest plausible current, amperes
     #[arg(long, value_name = "A", value_parser = positive, default_value_t = 10.0, requires = "currents")]
     current_limit: f64,
-    /// Also record pictures, or parts of them
+    /// Also record pictures
     #[arg(long, value_enum, value_name = "HOW")]
     record: Option<Record>,
     /// Write the log for foxglove or ros2 (docs/ros2.md)
