@@ -51,14 +51,13 @@ fn at([value, change]: Linear, f: f32) -> f32 {
 }
 
 /// The tube between two knots and nearest to one ring. All that changes along it does so linearly, but for the axis.
-struct Piece {
+pub(crate) struct Piece {
     /// Powers' coefficients, pixels from the patch's middle.
     axis: [[f32; 2]; 4],
     half: Linear,
     bulge: Linear,
     scale: Linear,
     turn: [Linear; 2],
-    /// Beyond the knots it must not become less than nothing.
     swept: [Linear; 2],
     /// Arc length from the ring, metres.
     from_ring_m: Linear,
@@ -66,6 +65,15 @@ struct Piece {
     ends: bool,
     /// Light of the segments before the ring and behind it.
     segments: [[f32; 3]; 2],
+}
+
+impl Piece {
+    /// σ of the blur, with the motion's share, across the axis (0) or along it (1), pixels.
+    #[inline(always)]
+    fn blur(&self, way: usize, f: f32, blur_px2: f32) -> f32 {
+        // Beyond the knots the share must not become less than nothing.
+        (blur_px2 + at(self.swept[way], f).max(0.0)).sqrt()
+    }
 }
 
 impl Light<'_> {
@@ -76,8 +84,8 @@ impl Light<'_> {
     }
 }
 
-impl Scene<'_> {
-    fn light(&self) -> Light<'_> {
+impl<'a> Scene<'a> {
+    fn light(&self) -> Light<'a> {
         let colour = |i: usize| self.colours[i] as f32;
         Light {
             background: std::array::from_fn(|c| colour(BACKGROUND + c)),
@@ -90,7 +98,8 @@ impl Scene<'_> {
         }
     }
 
-    fn piece(&self, place: &Span, middle: &Vector2<f64>) -> Piece {
+    /// The part of the tube in a span, relative to `middle`.
+    pub(crate) fn piece(&self, place: &Span, middle: &Vector2<f64>) -> Piece {
         let Self { image, layout, colours, .. } = self;
         let (a, b) = (&image.knots[place.knot], &image.knots[place.knot + 1]);
         let linear = |of: &dyn Fn(&Knot) -> f64| [of(a) as f32, (of(b) - of(a)) as f32];
@@ -120,15 +129,12 @@ pub(crate) const CHUNK: usize = 32;
 const WIDTH: usize = 8;
 
 /// A number for each pixel.
-#[derive(Clone, Copy)]
+#[derive(Default)]
 #[repr(align(32))]
 struct Lanes([f32; CHUNK]);
 
-impl Lanes {
-    const ZERO: Self = Self([0.0; CHUNK]);
-}
-
 /// What the model says of some pixels, before it is weighed for a stored channel.
+#[derive(Default)]
 struct Chunk {
     /// How many, and how many with copies of the last that fill up a vector.
     count: usize,
@@ -157,32 +163,8 @@ struct Chunk {
     seen: Seen,
 }
 
-impl Chunk {
-    const EMPTY: Self = {
-        const ZERO: Lanes = Lanes::ZERO;
-        Self {
-            count: 0,
-            lanes: 0,
-            x: ZERO,
-            y: ZERO,
-            f: ZERO,
-            u: ZERO,
-            parts: [ZERO; 3],
-            d_u: [ZERO; 3],
-            d_v: [ZERO; 3],
-            d_bulge: [ZERO; 3],
-            shades: [ZERO; HARMONICS],
-            shaded: [ZERO; 2],
-            capped: ZERO,
-            turn: [ZERO; 2],
-            value: [ZERO; 3],
-            slope: [ZERO; 3],
-            seen: Seen::Nothing,
-        }
-    };
-}
-
 /// Rows of some pixels: a number for each pixel in each column, and a row for each pixel.
+#[derive(Default)]
 struct Rows {
     columns: [Lanes; ROW],
     rows: [Row; CHUNK],
@@ -190,34 +172,18 @@ struct Rows {
 
 /// Evaluates the pixels of a view, a chunk at a time.
 pub(crate) struct Evaluator<'a> {
-    scene: &'a Scene<'a>,
-    middle: Vector2<f64>,
     light: Light<'a>,
-    piece: Piece,
     chunk: Box<Chunk>,
     rows: Box<Rows>,
 }
 
 impl<'a> Evaluator<'a> {
-    /// Of pixels whose places are relative to `middle`, in `span` first.
-    pub(crate) fn new(scene: &'a Scene<'a>, middle: Vector2<f64>, span: &Span) -> Self {
-        Self {
-            scene,
-            middle,
-            light: scene.light(),
-            piece: scene.piece(span, &middle),
-            chunk: Box::new(Chunk::EMPTY),
-            rows: Box::new(Rows { columns: [Lanes::ZERO; ROW], rows: [[0.0; ROW]; CHUNK] }),
-        }
+    pub(crate) fn new(scene: &Scene<'a>) -> Self {
+        Self { light: scene.light(), chunk: Box::default(), rows: Box::default() }
     }
 
-    /// The next pixels are of this span.
-    pub(crate) fn enter(&mut self, span: &Span) {
-        self.piece = self.scene.piece(span, &self.middle);
-    }
-
-    /// Evaluates the model at up to [`CHUNK`] pixels, whose feet follow; what of the tube they see.
-    pub(crate) fn evaluate(&mut self, pixels: &mut [Pixel]) -> Seen {
+    /// Evaluates the model at up to [`CHUNK`] pixels of a piece, whose feet follow; what of the tube they see.
+    pub(crate) fn evaluate(&mut self, piece: &Piece, pixels: &mut [Pixel]) -> Seen {
         let chunk = &mut *self.chunk;
         chunk.count = pixels.len();
         chunk.lanes = chunk.count.next_multiple_of(WIDTH);
@@ -227,27 +193,26 @@ impl<'a> Evaluator<'a> {
             chunk.y.0[i] = pixel.y;
             chunk.f.0[i] = pixel.f;
         }
-        evaluate(chunk, &self.piece, &self.light);
+        evaluate(chunk, piece, &self.light);
         for (i, pixel) in pixels.iter_mut().enumerate() {
             pixel.f = chunk.f.0[i];
         }
         chunk.seen
     }
 
-    /// What a stored channel, a sum of R'G'B' with `weights`, should be at the pixels evaluated last.
-    pub(crate) fn values(&self, weights: &[f32; 3]) -> impl Iterator<Item = f32> {
+    /// What a stored channel, a sum of R'G'B' with `weights`, should be at the pixels evaluated last, the first of these.
+    pub(crate) fn values(&self, weights: &[f32; 3]) -> [f32; CHUNK] {
         let [r, g, b] = &self.chunk.value;
-        let sum = |i: usize| weights[0] * r.0[i] + weights[1] * g.0[i] + weights[2] * b.0[i];
-        (0..self.chunk.count.min(CHUNK)).map(sum)
+        std::array::from_fn(|i| weights[0] * r.0[i] + weights[1] * g.0[i] + weights[2] * b.0[i])
     }
 
     /// Its rows.
-    pub(crate) fn rows(&mut self, weights: &[f32; 3]) -> &[Row] {
+    pub(crate) fn rows(&mut self, piece: &Piece, weights: &[f32; 3]) -> &[Row] {
         let Rows { columns, rows } = &mut *self.rows;
         if self.chunk.seen == Seen::Nothing {
-            *columns = [Lanes::ZERO; ROW];
+            columns.iter_mut().for_each(|column| column.0.fill(0.0));
         }
-        weigh(&self.chunk, &self.piece, &self.light, weights, columns);
+        weigh(&self.chunk, piece, &self.light, weights, columns);
         let count = self.chunk.count.min(CHUNK);
         for first in (0..count).step_by(4) {
             for (k, four) in columns.as_chunks::<4>().0.iter().enumerate() {
@@ -267,7 +232,7 @@ impl<'a> Evaluator<'a> {
 fn evaluate(chunk: &mut Chunk, piece: &Piece, light: &Light<'_>) {
     chunk.seen = place(chunk, piece, light.blur_px2);
     match (chunk.seen, piece.ends) {
-        (Seen::Nothing, _) => chunk.parts[0] = Lanes([1.0; CHUNK]),
+        (Seen::Nothing, _) => chunk.parts = [1.0, 0.0, 0.0].map(|part| Lanes([part; CHUNK])),
         (Seen::Before | Seen::Behind, _) => {
             let is_before = chunk.seen == Seen::Before;
             show(chunk, piece, light, |_, _, _, _, _| Edges::away(is_before));
@@ -293,10 +258,10 @@ fn place(chunk: &mut Chunk, piece: &Piece, blur_px2: f32) -> Seen {
         let u = (along[0] * off[1] - along[1] * off[0]) * per_square.sqrt();
         chunk.f.0[i] = f;
         chunk.u.0[i] = u;
-        let far = |swept: Linear| FAR_SIGMAS * (blur_px2 + at(swept, f).max(0.0)).sqrt();
+        let far = |way: usize| FAR_SIGMAS * piece.blur(way, f, blur_px2);
         let from_ring = at(piece.from_ring_m, f) * at(piece.scale, f);
-        let on_tube = u.abs() <= at(piece.half, f) + far(piece.swept[0]);
-        let at_ring = from_ring.abs() - at(piece.bulge, f).abs() <= far(piece.swept[1]);
+        let on_tube = u.abs() <= at(piece.half, f) + far(0);
+        let at_ring = from_ring.abs() - at(piece.bulge, f).abs() <= far(1);
         tube += u32::from(on_tube);
         ring += u32::from(on_tube & at_ring);
         behind += u32::from(on_tube & (from_ring > 0.0));
@@ -320,8 +285,7 @@ fn show(chunk: &mut Chunk, piece: &Piece, light: &Light<'_>, edges: impl Fn(f32,
     for i in 0..chunk.lanes.min(CHUNK) {
         let (f, u) = (chunk.f.0[i], chunk.u.0[i]);
         let half = at(piece.half, f);
-        let blur = |swept: Linear| (light.blur_px2 + at(swept, f).max(0.0)).sqrt();
-        let across = Across::new(u, half, blur(piece.swept[0]));
+        let across = Across::new(u, half, piece.blur(0, f, light.blur_px2));
         let turn = [at(piece.turn[0], f), at(piece.turn[1], f)];
         let m1 = light.shades[0] + turn[0] * light.turning[0] + turn[1] * light.turning[1];
         let lit = |shape: &[f32; HARMONICS]| {
@@ -330,7 +294,7 @@ fn show(chunk: &mut Chunk, piece: &Piece, light: &Light<'_>, edges: impl Fn(f32,
         let (shade, d_shade) = (across.cover + lit(&across.shades), across.d_cover + lit(&across.d_shades));
         let from_ring = at(piece.from_ring_m, f) * at(piece.scale, f);
         let Edges { before, behind, outline, cap } =
-            edges(u / half, half, from_ring, at(piece.bulge, f), blur(piece.swept[1]));
+            edges(u / half, half, from_ring, at(piece.bulge, f), piece.blur(1, f, light.blur_px2));
         let (capped, d_capped) = (across.cover * light.cap, across.d_cover * light.cap);
         chunk.parts[0].0[i] = 1.0 - across.cover * (1.0 - outline.weight);
         chunk.parts[1].0[i] = shade * before.weight + capped * cap.weight;
@@ -358,31 +322,15 @@ fn show(chunk: &mut Chunk, piece: &Piece, light: &Light<'_>, edges: impl Fn(f32,
 /// Light as it is stored.
 #[inline(always)]
 fn store(chunk: &mut Chunk, piece: &Piece, light: &Light<'_>) {
-    let Chunk { x, y, parts, value, slope, .. } = chunk;
     let n = chunk.lanes.min(CHUNK);
-    let [before, behind] = piece.segments;
+    let Chunk { x, y, parts, value, slope, .. } = chunk;
     for (c, (value, slope)) in value.iter_mut().zip(slope).enumerate() {
-        if chunk.seen == Seen::Nothing {
-            (0..n).for_each(|i| value.0[i] = light.background(c, x.0[i], y.0[i]));
-        } else {
-            mix(n, value, [(x, y), (&parts[1], &parts[2])], &parts[0], light, (c, before[c], behind[c]));
+        let [before, behind] = [piece.segments[0][c], piece.segments[1][c]];
+        for i in 0..n {
+            value.0[i] =
+                light.background(c, x.0[i], y.0[i]) * parts[0].0[i] + before * parts[1].0[i] + behind * parts[2].0[i];
         }
         encode(n, light.encoding, value, slope);
-    }
-}
-
-/// Light of the parts together.
-#[inline(always)]
-fn mix(
-    n: usize,
-    sum: &mut Lanes,
-    [(x, y), (first, second)]: [(&Lanes, &Lanes); 2],
-    uncovered: &Lanes,
-    light: &Light<'_>,
-    (c, before, behind): (usize, f32, f32),
-) {
-    for i in 0..n.min(CHUNK) {
-        sum.0[i] = light.background(c, x.0[i], y.0[i]) * uncovered.0[i] + before * first.0[i] + behind * second.0[i];
     }
 }
 
@@ -480,15 +428,15 @@ mod tests {
 
     /// Rows and values of the pixels.
     fn evaluated(scene: &Scene<'_>, span: &Span, pixels: &mut [Pixel]) -> (Vec<Row>, Vec<f32>) {
-        let mut evaluator = Evaluator::new(scene, Vector2::zeros(), span);
+        let (mut evaluator, piece) = (Evaluator::new(scene), scene.piece(span, &Vector2::zeros()));
         let (mut rows, mut values) = (Vec::new(), Vec::new());
         for pixels in pixels.chunks_mut(CHUNK) {
             // The feet are found in some steps.
             (0..3).for_each(|_| {
-                evaluator.evaluate(pixels);
+                evaluator.evaluate(&piece, pixels);
             });
-            values.extend(evaluator.values(&WEIGHTS));
-            rows.extend_from_slice(evaluator.rows(&WEIGHTS));
+            values.extend_from_slice(&evaluator.values(&WEIGHTS)[..pixels.len()]);
+            rows.extend_from_slice(evaluator.rows(&piece, &WEIGHTS));
         }
         (rows, values)
     }

@@ -7,7 +7,7 @@ use crate::track::chunk::{CHUNK, Evaluator, Scene};
 use crate::track::normal::{
     Normal, ROW, ROW_BEFORE, ROW_BEHIND, ROW_CAP, Row, Seen, Squares, Sums, Weighed, divide, influence, shifted,
 };
-use crate::track::patch::{Group, Patch, Strip};
+use crate::track::patch::{Channel, Group, Patch, Pixel, Strip};
 use crate::track::slip::Slips;
 use crate::track::tube::{SHAPE, ShapeBy, ShapeStep};
 use crate::track::tube_image::TubeImage;
@@ -34,6 +34,14 @@ struct Residual {
     /// 0 near the tube, 1 in the background.
     class: u8,
     seen: Seen,
+}
+
+impl Residual {
+    /// Of a sample whose middle pixel is in this strip.
+    fn new(row: Row, value: f32, channel: &Channel, (pixel, strip): (&Pixel, usize), seen: Seen) -> Self {
+        let (cell, strip, class) = (pixel.cell, strip as u16, pixel.class());
+        Self { row, value, cell, strip, channel: channel.number, class, seen }
+    }
 }
 
 /// Weighs residuals by their noise, and counts their cost.
@@ -117,15 +125,14 @@ impl Comparison {
             self.residuals.clear();
         }
         let Self { patch, residuals, seen, rows, .. } = self;
-        let Some(first) = patch.strips.first() else { return };
-        let mut evaluator = Evaluator::new(scene, patch.middle, &first.span);
+        let mut evaluator = Evaluator::new(scene);
         // Which residual is next.
         let mut next = 0;
         for (strip, Strip { span, pixels }) in patch.strips.iter().enumerate() {
-            evaluator.enter(span);
+            let piece = scene.piece(span, &patch.middle);
             for first in pixels.clone().step_by(CHUNK) {
                 let last = pixels.end.min(first + CHUNK);
-                let sees = evaluator.evaluate(&mut patch.pixels[first..last]);
+                let sees = evaluator.evaluate(&piece, &mut patch.pixels[first..last]);
                 if derive {
                     seen[first..last].fill(sees);
                 }
@@ -133,13 +140,8 @@ impl Comparison {
                 let mut apart = rows.iter_mut();
                 for group in &patch.groups {
                     for (k, channel) in group.channels.iter().enumerate() {
-                        let mut predicted = [0.0; CHUNK];
-                        predicted
-                            .iter_mut()
-                            .zip(evaluator.values(&channel.weights))
-                            .for_each(|(to, value)| *to = value);
-                        let predicted = &predicted[..pixels.len()];
-                        let rows = if derive { evaluator.rows(&channel.weights) } else { &[] };
+                        let predicted = &evaluator.values(&channel.weights)[..pixels.len()];
+                        let rows = if derive { evaluator.rows(&piece, &channel.weights) } else { &[] };
                         if !group.whole {
                             if let Some((of_rows, of_values)) = apart.next() {
                                 of_rows[first..first + rows.len()].copy_from_slice(rows);
@@ -151,15 +153,10 @@ impl Comparison {
                         let values = predicted.iter().zip(samples).map(|(p, s)| s.values[k] - p - channel.constant);
                         if derive {
                             let of_pixels = rows.iter().zip(values).zip(pixels);
-                            residuals.extend(of_pixels.map(|((row, value), pixel)| Residual {
-                                row: *row,
-                                value,
-                                cell: pixel.cell,
-                                strip: strip as u16,
-                                channel: channel.number,
-                                class: pixel.class(),
-                                seen: sees,
-                            }));
+                            let of = |((row, value), pixel): ((&Row, f32), &Pixel)| {
+                                Residual::new(*row, value, channel, (pixel, strip), sees)
+                            };
+                            residuals.extend(of_pixels.map(of));
                         } else {
                             residuals[next..].iter_mut().zip(values).for_each(|(old, value)| old.value = value);
                             next += pixels.len();
@@ -182,15 +179,8 @@ impl Comparison {
                     }
                     let pixel = &self.patch.pixels[sample.pixel as usize];
                     let (row, seen) = self.blend(group, i, &rows.0);
-                    self.residuals.push(Residual {
-                        row,
-                        value,
-                        cell: pixel.cell,
-                        strip: self.patch.strip_of(pixel) as u16,
-                        channel: channel.number,
-                        class: pixel.class(),
-                        seen,
-                    });
+                    let place = (pixel, self.patch.strip_of(pixel));
+                    self.residuals.push(Residual::new(row, value, channel, place, seen));
                 }
             }
         }

@@ -108,7 +108,8 @@ fn moves(image: &TubeImage, knot: usize) -> [Padded; MOVES.len()] {
 type Padded = [f64; PADDED];
 const PADDED: usize = SHAPE.next_multiple_of(4);
 
-/// What an error of the prediction moves the shape by, for each element of a row: `of_shape` and `of_colours` say it of the parameters.
+/// What an error of the prediction moves the shape by, for each element of a row: `of_shape` and `of_colours` say it
+/// of the parameters.
 pub(crate) fn influence(
     image: &TubeImage,
     span: &Span,
@@ -201,18 +202,15 @@ impl Normal {
         block.flush();
         let sum = |i: usize, j: usize| f64::from(block.hessian[i.min(j)][i.max(j)]);
         let Self { shape, cross, shape_gradient, colour_gradient, colours: all, .. } = self;
-        let of_all = moves;
-        for (moves, i) in of_all.iter().zip(at) {
+        for (own, i) in moves.iter().zip(at) {
             let gradient = f64::from(block.gradient[i]);
-            let moved = combined(of_all, at.map(|j| sum(i, j)));
-            shape_gradient.as_mut_slice().iter_mut().zip(moves).for_each(|(sum, by)| *sum += by * gradient);
-            for (column, by) in shape.as_mut_slice().chunks_exact_mut(SHAPE).zip(moves) {
+            let moved = combined(moves, at.map(|j| sum(i, j)));
+            shape_gradient.as_mut_slice().iter_mut().zip(own).for_each(|(sum, by)| *sum += by * gradient);
+            for (column, by) in shape.as_mut_slice().chunks_exact_mut(SHAPE).zip(own) {
                 column.iter_mut().zip(&moved).for_each(|(sum, value)| *sum += by * value);
             }
         }
-        let mut listed = [(0, 0); ROW];
-        let count = listed.iter_mut().zip(colours).map(|(listed, colour)| *listed = colour).count();
-        let colours = &listed[..count];
+        let colours: Vec<(usize, usize)> = colours.collect();
         let (rows, cross, all) = (all.nrows(), cross.as_mut_slice(), all.as_mut_slice());
         for (first, &(i, colour)) in colours.iter().enumerate() {
             colour_gradient[colour] += f64::from(block.gradient[i]);
@@ -242,8 +240,8 @@ pub(crate) type Weighed<'a> = (&'a Row, f32, f32);
 /// Rows that are summed together, so that each sum is loaded and stored once for all of them.
 const BATCH: usize = 8;
 
-/// Sums of rows: of the symmetric J'WJ what lies on the diagonal and above, in whole vectors. Rows wait until there is a
-/// batch of them.
+/// Sums of rows: J'WJ, of which what lies on the diagonal and above is used, and J'Wr. Rows wait until there is a batch
+/// of them.
 struct Block<const N: usize> {
     hessian: [[f32; N]; N],
     gradient: [f32; N],

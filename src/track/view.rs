@@ -77,15 +77,14 @@ impl View {
         before: Option<&Normal>,
     ) -> Normal {
         let ImageModel { encoding, blur_px, .. } = model;
-        let derive = before.is_none() || self.weighing == Weighing::Own;
-        self.comparison.render(&Scene { image, layout, colours, blur_px: *blur_px, encoding }, derive);
+        self.comparison.render(&Scene { image, layout, colours, blur_px: *blur_px, encoding }, before.is_none());
         if self.weighing == Weighing::Own {
             self.noise = noise_of(&self.comparison.squares(&self.noise), picture);
             self.weighing = Weighing::Stated;
         }
         let mut normal = match before {
-            Some(before) if !derive => self.comparison.gradient(before, image, layout, &self.noise),
-            _ => {
+            Some(before) => self.comparison.gradient(before, image, layout, &self.noise),
+            None => {
                 let mut normal = self.comparison.normal(image, layout, &self.noise);
                 (0..colours.len()).for_each(|i| normal.colours[(i, i)] += prior(i).1.powi(-2));
                 normal
