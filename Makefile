@@ -4,7 +4,8 @@
 # make lint      formatting and lints, as CI checks them
 # make bench     measure speed beside OpenCV and the bare decoder
 # make accuracy  errors against the truth of the sample recordings, in tables
-# make paper     the paper's experiment with a simulated catheter, circles also as rendered pictures; paper-fast: without
+# make paper     the paper's experiment with a simulated catheter, as a page; two circles also as rendered pictures
+# make paper-fast  the same without pictures and with short chirps, in seconds
 
 CARGO ?= cargo
 DEMO := out/demo
@@ -50,7 +51,7 @@ accuracy: deps
 paper paper-fast: deps
 	$(CARGO) build --locked --release --bin catoptra
 	scripts/paper.py --catoptra "$$($(CARGO) metadata --format-version 1 --no-deps --locked | python3 -c 'import json,sys; print(json.load(sys.stdin)["target_directory"])')/release/catoptra" \
-	  $(if $(filter paper-fast,$@),--scale 0.2,--pictures 5,20) -o out/$@
+	  $(if $(filter paper-fast,$@),--fast,--pictures 5,20) -o out/$@
 
 deps:
 	@scripts/install-deps

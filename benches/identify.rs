@@ -1,5 +1,5 @@
-//! All orders and delays of a record of the paper's length, from one factorisation, beside a fit of its own for each;
-//! and the whole chain. One thread.
+//! All orders and delays of a record of the paper's length, from one factorisation compared with a separate fit for
+//! each; and the whole chain. One thread.
 
 #![allow(clippy::unwrap_used, clippy::print_stdout, reason = "a measurement fails by panicking, and prints")]
 

@@ -1,5 +1,5 @@
-//! The highest rate at which a live run loses nothing, and its latency: pictures of the sample, decoded before, handed
-//! over as a camera would, θ received as datagrams.
+//! The highest rate at which a live run loses nothing, and its latency: pictures of the sample, decoded in advance,
+//! delivered like a camera's, θ received as datagrams.
 //!
 //! `cargo bench --bench live`, or with rates: `cargo bench --bench live -- 60 500`. Needs some gigabytes of memory.
 
@@ -19,7 +19,7 @@ use std::time::{Duration, Instant};
 /// How long each rate is tried.
 const SECONDS: f64 = 2.0;
 
-/// Frames from memory, each when it is due.
+/// Delivers frames from memory, each when due.
 struct Memory {
     frames: std::vec::IntoIter<Frame>,
     began: Option<Instant>,
@@ -32,7 +32,7 @@ impl FrameSource for Memory {
         let Some(frame) = self.frames.next() else { return Ok(None) };
         let began = *self.began.get_or_insert_with(Instant::now);
         let due = began + self.period * frame.seq as u32;
-        // Asleep as a thread that waits for a camera is, the last bit awake.
+        // Sleeps like a thread waiting for a camera, except for the last bit.
         while let Some(rest) = due.checked_duration_since(Instant::now()) {
             if rest > Duration::from_micros(150) {
                 std::thread::sleep(rest - Duration::from_micros(100));
@@ -54,7 +54,7 @@ impl FrameSource for Memory {
     }
 }
 
-/// So many frames of the sample, over and over: it ends as it begins.
+/// `count` frames of the sample, repeated: it ends as it begins.
 fn decoded(count: usize) -> Vec<Frame> {
     let mut all = Vec::with_capacity(count);
     while all.len() < count {
@@ -83,7 +83,7 @@ fn tried(rig: &Rig, hz: f64, folder: &Path) -> Outcome {
         vec![Box::new(UdpSink::to(receiver.local_addr().unwrap(), rig).unwrap())];
     let clock = HostClock::start();
     let received = std::thread::spawn(move || {
-        // A controller is another machine, or as urgent.
+        // A controller is on another machine, or has the same priority.
         #[cfg(target_os = "linux")]
         let _ = rustix::process::setpriority_process(Some(rustix::thread::gettid()), -15);
         let (mut bytes, mut at) = ([0; 4096], BTreeMap::new());

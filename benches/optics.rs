@@ -1,4 +1,4 @@
-//! What a ray costs: `trace` and `project`, directly and through the mirror, of a rig like the sample's. One call each.
+//! Cost of a ray: `trace` and `project`, directly and through the mirror, for a rig like the sample's. One call each.
 
 #![expect(clippy::expect_used, reason = "a bench whose rig is wrong should stop")]
 

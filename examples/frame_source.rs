@@ -1,7 +1,6 @@
-//! A source of one's own: a camera whose driver hands out buffers of bytes, with a counter and a time.
+//! A custom source: a camera whose driver delivers buffers of bytes, with a counter and a time.
 //!
-//! The driver is played by a recording. Yours replaces [`Driver`]; all that Catoptra must be told is in
-//! [`FrameSource`].
+//! A recording plays the driver. Yours replaces [`Driver`]; everything that Catoptra needs is in [`FrameSource`].
 
 use catoptra::rig::Rig;
 use catoptra::source::{
@@ -12,14 +11,14 @@ use std::error::Error;
 use std::io::Write as _;
 use std::path::Path;
 
-/// What a driver gives: bytes blue, green, red of every pixel, row by row.
+/// A driver's buffer: bytes blue, green, red of every pixel, row by row.
 struct Buffer {
     bytes: Vec<u8>,
     counter: u64,
     exposed_at_ns: i64,
 }
 
-/// Stands in for the camera: plays a recording and loses a frame.
+/// Simulates the camera: plays a recording and loses a frame.
 struct Driver(Box<dyn FrameSource + Send>);
 
 impl Driver {
@@ -44,12 +43,12 @@ struct MyCamera {
 impl FrameSource for MyCamera {
     fn next_frame(&mut self) -> Result<Option<Frame>, SourceError> {
         let Some(buffer) = self.driver.grab()? else { return Ok(None) };
-        // How samples are stored: nothing is converted, the tracker takes them as they are.
+        // How samples are stored; the tracker uses them without conversion.
         let format = PixelFormat::RgbPacked { step: 3, order: [2, 1, 0] };
         let [width, height] = self.size_px;
         let picture = Picture::from_planes(width, height, format, Colour::SRGB, vec![buffer.bytes])
             .map_err(|error| SourceError::Camera { name: "mine".into(), reason: error.to_string() })?;
-        // Frames that the camera counted and we never saw.
+        // Frames that the camera counted but did not deliver.
         let gap = self.last_counter.map_or(0, |last| buffer.counter.saturating_sub(last + 1));
         self.last_counter = Some(buffer.counter);
         self.received += 1;

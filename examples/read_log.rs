@@ -19,7 +19,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     };
     let mut out = std::io::stdout().lock();
 
-    // What is in it, whoever wrote it.
+    // Its content, whatever program wrote it.
     let info = Info::read(&log)?;
     writeln!(out, "{}: {} frames, {} lost", log.display(), info.frames, info.gaps.1)?;
     for topic in &info.topics {

@@ -1,7 +1,7 @@
 //! Tracks a recording and prints θ: `cargo run --example track_video -- VIDEO RIG.toml`.
 //!
-//! Offline there is no hurry: this takes one frame after the other. `catoptra::pipeline::run` does the same with
-//! source, tracker and sinks in threads of their own.
+//! Offline there is no hurry: this processes one frame after another. `catoptra::pipeline::run` does the same with
+//! source, tracker and sinks in separate threads.
 
 use catoptra::rig::Rig;
 use catoptra::source::{self, SourceOptions};
@@ -26,7 +26,7 @@ fn main() -> Result<(), Box<dyn Error>> {
                 let [theta_deg, sd_deg] = [angles.theta_rad, angles.theta_sd_rad].map(f64::to_degrees);
                 writeln!(out, "{time_s:.3} s  θ {theta_deg:+7.2}° ± {sd_deg:.2}°")?;
             }
-            // Every frame has a line: the reason, where there is no angle.
+            // Every frame has a line, with the reason if there is no angle.
             Err(miss) => writeln!(out, "{time_s:.3} s  {}", miss.word(&views))?,
         }
     }

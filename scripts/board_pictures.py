@@ -1,7 +1,8 @@
 #!/usr/bin/env python3
-"""Make calibration/good_and_bad.jpg: good and bad pictures of a board, each with what catoptra says of it.
+"""Make calibration/good_and_bad.jpg: good and bad pictures of a board, each with catoptra's message about it.
 
-The pictures are those of calibration/dev_tank, spoilt here; the words are catoptra's, which is run on them. Needs Pillow and NumPy.
+The pictures are those of calibration/dev_tank, degraded here; the messages come from running catoptra on them. Needs
+Pillow and NumPy.
 
 Example:
   scripts/board_pictures.py --catoptra target/release/catoptra -o calibration/good_and_bad.jpg

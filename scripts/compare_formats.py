@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
 """Encode a recording with known truth in many formats, or degrade it, teach and track each, and print a Markdown table.
 
-For each format the recording is tracked twice: with the rig as it is (taught on another recording), and with the markers
-taught anew on PLANAR in this format. Errors are root mean squares after a rigid alignment of all points; in brackets stands
-the squared error divided by what σ expects (1: σ is honest). "refused" counts frames without a tangent.
+For each format the recording is tracked twice: with the rig as it is (taught on another recording), and with the
+markers taught anew on PLANAR in this format. Errors are root mean squares after a rigid alignment of all points; in
+brackets is the squared error divided by what σ predicts (1: σ is honest). "refused" counts frames without a tangent.
 
 Needs ffmpeg with its usual encoders, and numpy.
 

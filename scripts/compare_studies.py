@@ -1,5 +1,6 @@
 #!/usr/bin/env python3
-"""Compares two folders that the workflow wrote, byte for byte but for times of day, and their tables with the runs' own.
+"""Compares two output folders of the workflow, byte for byte except for times of day, and their tables with the runs'
+own.
 
     compare_studies.py ONE OTHER        needs pyarrow and polars
 """

@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
-"""Render the poses of a path-traced recording anew with `catoptra simulate`, and compare the two.
+"""Render the poses of a path-traced recording again with `catoptra simulate`, and compare the two.
 
-Both recordings are tracked with the same exact rig. For each band and view the script prints by how much its centre in the
-picture differs between them, and writes difference pictures. Needs ffmpeg, NumPy, Pillow, mcap and mcap-protobuf-support
+Both recordings are tracked with the same exact rig. For each band and view the script prints the difference of its
+centre in the picture, and writes difference pictures. Needs ffmpeg, NumPy, Pillow, mcap and mcap-protobuf-support
 (`make test` installs the last four into target/venv).
 
 FOLDER is laid out as sample_frames: RUN.mkv, truth/RUN.csv. --rig is made by scripts/rig_from_truth.py, its colours by

@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
 """Compare a track of a sample recording with the renderer's truth, and print a Markdown table.
 
-Needs a table in the camera frame (`catoptra track ... --frame camera`) and Python's standard library only. Errors are root
-mean squares over all frames, of the distance in space for markers and of the angle for the tangent. "one axis" is that error
-per coordinate (for the tangent: per direction across; for θ: θ itself), to be compared with σ, the root mean square of the
-standard deviations that Catoptra itself gave.
+Needs a table in the camera frame (`catoptra track ... --frame camera`) and Python's standard library only. Errors are
+root mean squares over all frames, of the distance in space for markers and of the angle for the tangent. "one axis" is
+that error per coordinate (for the tangent: per direction across; for θ: θ itself), to be compared with σ, the root mean
+square of Catoptra's own standard deviations.
 
 Example:
   catoptra track sample_frames/planar.mkv --rig sample_frames/truth/rig.toml --frame camera -o planar

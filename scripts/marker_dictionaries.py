@@ -1,8 +1,9 @@
 #!/usr/bin/env python3
 """Write the code words of OpenCV's predefined ArUco dictionaries as text: src/calibrate/board/charuco/dictionaries.txt.
 
-A marker is a word: its cells row by row from the top left, the first the highest bit, white 1. Smaller dictionaries of a family
-(DICT_4X4_50 …) are the first words of the largest. Needs `pip install opencv-python-headless`, 4.7 or newer.
+A marker is a word: its cells in row-major order from the top left, the first being the highest bit, white 1. Smaller
+dictionaries of a family (DICT_4X4_50 …) are the first words of the largest. Needs `pip install opencv-python-headless`,
+4.7 or newer.
 
 Example:
   scripts/marker_dictionaries.py > src/calibrate/board/charuco/dictionaries.txt
@@ -18,7 +19,7 @@ SIZES = [50, 100, 250]
 HEAD = f"""\
 # Code words of ArUco markers, from the predefined dictionaries of OpenCV (modules/objdetect/src/aruco), here as
 # cv2 {cv2.__version__} has them. Copyright (C) OpenCV Foundation and contributors, Apache License 2.0.
-# Made by scripts/marker_dictionaries.py, which says what the words mean. A family: its name, cells a side, words.
+# Made by scripts/marker_dictionaries.py, which says what the words mean. A family: its name, cells per side, words.
 """
 
 

@@ -3,9 +3,9 @@
 
     scripts/simulate_dynamics.py OUT [--length SECONDS]
 
-The plant is integrated by scipy between the moments at which something changes; nothing of Catoptra is used. The amplifier takes
-a new command 60 times a second and holds it; the camera takes frames at its own 60 Hz, a few of them are lost or missed, and θ has
-the tracker's noise. Needs numpy and scipy.
+scipy integrates the plant between changes of the input, without any code of Catoptra. The amplifier takes a new command
+60 times a second and holds it; the camera takes frames on its own 60 Hz clock, a few of which are lost or missed, and θ
+has the tracker's noise. Needs numpy and scipy.
 """
 
 import argparse

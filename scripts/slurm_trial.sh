@@ -12,7 +12,9 @@ catoptra=$(realpath "${CATOPTRA:-$tree/target/release/catoptra}")
 python=${PYTHON:-python3}
 root=${SLURM_ROOT:-}
 plugins=$root/usr/lib/x86_64-linux-gnu/slurm-wlm
-export PATH=$root/usr/bin:$root/usr/sbin:$PATH LD_LIBRARY_PATH=$root/usr/lib/x86_64-linux-gnu:$plugins
+export PATH=$root/usr/bin:$root/usr/sbin:$PATH
+# The system's own libraries are found anyway, and would come before those of another Python.
+if [ -n "$root" ]; then export LD_LIBRARY_PATH=$root/usr/lib/x86_64-linux-gnu:$plugins; fi
 ctld=$(command -v slurmctld-wlm || command -v slurmctld || true) slurmd=$(command -v slurmd-wlm || command -v slurmd || true)
 if [ -z "$ctld" ] || [ -z "$slurmd" ] || ! command -v munged > /dev/null || [ "$(id -u)" != 0 ]; then
     echo "SKIPPED: Slurm's daemons and munge, run by root, are needed" >&2

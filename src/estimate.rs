@@ -18,16 +18,60 @@ pub struct Estimate {
     pub gap: u32,
     /// When it was exposed and when it arrived by the host's clock; only known live.
     pub host: Option<HostTime>,
-    /// One entry a marker, in the rig's order.
+    /// One entry per marker, in the rig's order.
     pub markers: Vec<MarkerEstimate>,
     /// Direction of the coil, base to tip.
     pub tangent: Result<Tangent, Miss>,
     /// Deflection of the coil; a miss also when the rig has no base frame.
     pub deflection: Result<Deflection, Miss>,
+    /// Count of commands that a lamp in the picture shows; `None` where there is no lamp, or the frame was not looked
+    /// at.
+    pub tick: Option<Tick>,
+}
+
+/// What a lamp that goes on or off with every command shows.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Tick {
+    /// 0 or 1: the number of changes, modulo 2; 1 when it is on.
+    pub count: u8,
+    /// How bright it is, stored units (0..255).
+    pub level: f64,
+    /// Where it is.
+    pub spot: Spot,
+}
+
+/// A disc in the picture, pixels.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Spot {
+    /// Column of its middle.
+    pub x_px: u32,
+    /// Row of its middle.
+    pub y_px: u32,
+    /// Its radius.
+    pub radius_px: u32,
+}
+
+impl std::str::FromStr for Spot {
+    type Err = String;
+
+    /// From `x,y,r`.
+    fn from_str(text: &str) -> Result<Self, String> {
+        let numbers: Vec<Option<u32>> = text.split(',').map(|number| number.trim().parse().ok()).collect();
+        match *numbers.as_slice() {
+            [Some(x_px), Some(y_px), Some(radius_px)] if radius_px > 0 => Ok(Self { x_px, y_px, radius_px }),
+            _ => Err("expected column, row and radius in whole pixels, as 1210,40,6".to_owned()),
+        }
+    }
+}
+
+impl std::fmt::Display for Spot {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{},{},{}", self.x_px, self.y_px, self.radius_px)
+    }
 }
 
 impl Estimate {
-    /// The row of a frame that was not tracked at all.
+    /// The estimate of a frame that was not tracked at all.
     pub fn missed(frame: &Frame, rig: &Rig, miss: &Miss) -> Self {
         Self {
             seq: frame.seq,
@@ -37,6 +81,7 @@ impl Estimate {
             markers: vec![MarkerEstimate::missed(miss, rig.views.len()); rig.markers.len()],
             tangent: Err(miss.clone()),
             deflection: Err(miss.clone()),
+            tick: None,
         }
     }
 }
@@ -51,7 +96,7 @@ pub struct MarkerEstimate {
 }
 
 impl MarkerEstimate {
-    /// Not measured in any of so many views.
+    /// A marker not measured in any of this many views.
     pub fn missed(miss: &Miss, views: usize) -> Self {
         Self { position: Err(miss.clone()), views: vec![Err(miss.clone()); views] }
     }
@@ -64,9 +109,9 @@ pub struct Position {
     pub point: Point3<f64>,
     /// Covariance, m².
     pub covariance: Matrix3<f64>,
-    /// The least that any unbiased estimate could have from the same samples, m²: the Cramér-Rao bound of the image
-    /// model for independent noise of the size that the residuals have. What `covariance` has beyond it are errors
-    /// that samples have in common, a coder's above all, and what the model gets wrong.
+    /// The least covariance of any unbiased estimate from the same samples, m²: the Cramér-Rao bound of the image
+    /// model, for independent noise as large as the residuals. The excess of `covariance` over it comes from errors
+    /// that samples share, above all the coder's, and from errors of the model.
     pub bound: Matrix3<f64>,
 }
 
@@ -77,7 +122,7 @@ impl Position {
     }
 }
 
-/// A band as seen in one view, sub-pixel.
+/// A band as seen in one view, with sub-pixel accuracy.
 #[derive(Debug, Clone)]
 pub struct BandObservation {
     /// Image of the middle of the band on the centre line, pixels: measured in this view alone.
@@ -92,7 +137,7 @@ pub struct BandObservation {
     pub residual_px: Vector2<f64>,
     /// RMS difference between picture and band model, in units of the stored samples (0..255).
     pub fit_rms: f64,
-    /// Separation of the band's colour from what surrounds it: 1 as learned, 0 indistinguishable.
+    /// Separation of the band's colour from its surroundings: 1 as learned, 0 indistinguishable.
     pub separation: f64,
     /// Outline of the band as fitted, pixels, closed polygon.
     pub outline_px: Vec<Point2<f64>>,
@@ -105,7 +150,7 @@ pub struct Tangent {
     pub direction: Vector3<f64>,
     /// Covariance of the unit vector (rank 2, across it), rad².
     pub covariance: Matrix3<f64>,
-    /// The Cramér-Rao bound of it, as [`Position::bound`].
+    /// Its Cramér-Rao bound, as [`Position::bound`].
     pub bound: Matrix3<f64>,
 }
 
@@ -116,7 +161,7 @@ impl Tangent {
     }
 }
 
-/// How far the coil is deflected from rest, in the base frame.
+/// Deflection of the coil from rest, in the base frame.
 #[derive(Debug, Clone, Copy)]
 pub struct Deflection {
     /// θ = atan2(t·x, t·z), signed, radians.
@@ -137,30 +182,30 @@ pub enum Miss {
         /// The view.
         view: usize,
     },
-    /// More than one way to assign the candidates fits as well.
+    /// Several assignments of the candidates fit equally well.
     Ambiguous {
         /// How many.
         candidates: usize,
     },
-    /// The views' rays pass each other too far away to be one band.
+    /// The views' rays pass too far from each other to belong to one band.
     RaysDiverge {
         /// Distance, metres.
         distance_m: f64,
     },
-    /// What was found there is not this band, or not all of it: the fit left its start, the colour is not the marker's,
-    /// or the picture is explained much worse than in the frames before, as when something stands in front of a part.
+    /// What was found is not this band, or not all of it: the fit moved away from where it started, the colour is not
+    /// the marker's, or the fit is much worse than in the frames before, as when something hides a part.
     PoorFit {
         /// How far the fit moved from where the blob was, pixels.
         moved_px: f64,
         /// Separation of the fitted colour from its surroundings: 1 as learned, 0 none.
         separation: f64,
     },
-    /// It would have had to move in a way that the motion before does not allow.
+    /// The motion before does not allow it to be here.
     ImplausibleMotion {
-        /// How many times what would be possible it is off.
+        /// How far off it is, as a multiple of what is possible.
         times: f64,
     },
-    /// The fit did not settle, or reaches out of the picture.
+    /// The fit did not converge, or extends beyond the picture.
     NotConverged,
     /// The marker that this depends on is missing.
     MarkerMissing,
@@ -173,11 +218,11 @@ pub enum Miss {
         /// Its width and height, pixels.
         found: [u32; 2],
     },
-    /// The picture was not recorded where the tracker has to look.
+    /// The part of the picture that the tracker needs was not recorded.
     NotRecorded,
     /// The picture is damaged, or was predicted from one that is.
     Damaged,
-    /// A coder quantised the picture around the band too coarsely to tell where it is.
+    /// The coder quantised the picture around the band too coarsely to locate it.
     TooCoarse,
     /// Odd and even rows of the picture were taken at different times.
     Interlaced,

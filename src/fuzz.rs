@@ -1,5 +1,6 @@
-//! What reads bytes that others made: one function for each kind of input, which must end soon and never panic,
-//! whatever the bytes. `fuzz/` gives them to a fuzzer, `tests/it/mutations.rs` seeded mutations of sound files.
+//! Everything that reads untrusted bytes: one function for each kind of input, which must end soon and never panic,
+//! whatever the bytes. `fuzz/` gives them to a fuzzer; `tests/it/mutations.rs` gives them seeded mutations of sound
+//! files.
 
 use crate::calibrate::board::grey::{Grey, Rows};
 use crate::calibrate::board::{Board, find_boards};
@@ -20,9 +21,9 @@ use std::path::{Path, PathBuf};
 /// A kind of input.
 #[derive(Clone, Copy)]
 pub struct Target {
-    /// Its name, that of its fuzz target.
+    /// Its name, which is also its fuzz target's.
     pub name: &'static str,
-    /// Reads it; what it needs of files goes into the folder.
+    /// Reads it; files that it needs go into the folder.
     pub read: fn(&[u8], &Path),
 }
 
@@ -44,7 +45,7 @@ pub const TARGETS: [Target; 14] = [
     Target { name: "codec", read: codec },
 ];
 
-/// Frames that are taken of a recording.
+/// Most frames read from a recording.
 const FRAMES: usize = 8;
 
 /// Puts the bytes into a file.

@@ -1,18 +1,18 @@
-//! One camera and a mirror made into a 3D instrument.
+//! One camera and a mirror as a 3D instrument.
 //!
 //! A camera looks at a catheter in a water tank; a mirror beside the tank shows its side. Catoptra follows the coloured
-//! bands on the catheter through both views and gives, for every camera frame, where the bands are, where the coil
-//! points (its tangent), by how much it is deflected (θ), and how sure that is. The experiments it is made for are
-//! those of "Analysis of dynamic response of an MRI-guided magnetically-actuated steerable catheter system" (2018).
+//! bands on the catheter through both views and gives, for every camera frame, the positions of the bands, the coil's
+//! direction (its tangent) and its deflection (θ), all with their uncertainties. It is made for the experiments of
+//! "Analysis of dynamic response of an MRI-guided magnetically-actuated steerable catheter system" (2018).
 //!
 //! Every camera frame gives exactly one [`Estimate`](estimate::Estimate), with its true camera time, and for each
 //! quantity either a measurement with its covariance or a [`Miss`](estimate::Miss), the reason why there is none.
 //!
 //! # The one idea
-//! A *view* is an ordered list of surfaces that a camera ray meets: mirrors, and walls of glass. Seen directly, in a
-//! mirror, through a tank, with the mirror inside or outside of it: all are the same code with different lists.
+//! A *view* is an ordered list of surfaces that a camera ray meets: mirrors, and walls of glass. A direct view, a
+//! mirror, a tank, a mirror inside or outside the tank: all are the same code with different lists.
 //! [`OpticalPath::trace`](optics::OpticalPath::trace) follows a pixel's ray through the list,
-//! [`OpticalPath::project`](optics::OpticalPath::project) is its inverse. Everything else stands on these two.
+//! [`OpticalPath::project`](optics::OpticalPath::project) is its inverse. Everything else builds on these two.
 //!
 //! # The pipeline
 //! ```text
@@ -21,13 +21,13 @@
 //!             ┌────────────┼──────────────┐
 //!             ▼            ▼              ▼
 //!  source ─▶ segment ─▶ assign ─▶ fit, triangulate ─▶ tangent, θ ─▶ sinks
-//!    │        blobs      one blob a     one tube          │         table, log,
-//!  Frame      a band     band and       for all           ▼         report, overlay
-//!             and view   view           views          Estimate
+//!    │        blobs      one blob       one tube          │         table, log,
+//!  Frame      per band   per band       for all           ▼         report, overlay
+//!             and view   and view       views          Estimate
 //!            └─────────────── Tracker::step ──────────────┘
 //! ```
-//! [`pipeline::run`] drives it, source, tracker and sinks in a thread each. Results depend on the frames alone: not on
-//! the number of threads, nor on whether the whole picture was searched.
+//! [`pipeline::run`] drives it, with source, tracker and sinks each in its own thread. Results depend only on the
+//! frames, not on the number of threads or on whether the whole picture was searched.
 //!
 //! # Example
 //! ```no_run
@@ -58,7 +58,7 @@
 //! ```
 //!
 //! # Frames of reference, units, time
-//! - `camera`: OpenCV's frame, origin in the lens, x right, y down, z forward. Pixel (0, 0) is the centre of the
+//! - `camera`: OpenCV's frame, origin at the lens, x right, y down, z forward. Pixel (0, 0) is the centre of the
 //!   top-left pixel.
 //! - `base`: origin in the base band at rest, z along the tube at rest from base to tip, x along the field B0 made
 //!   orthogonal to z, y = z × x. Transforms are named like `base_from_camera`, points like `tip_in_base`.
@@ -67,8 +67,8 @@
 //! - Time is the camera's, in whole nanoseconds, with the name of its clock; never frame number ÷ rate.
 //!
 //! # Errors
-//! One `enum` for each module that can fail, with the numbers that explain it. A frame that cannot be measured is no
-//! error but data. Nothing here panics on bad input.
+//! Each module that can fail has one error `enum`, with the numbers that explain the failure. A frame that cannot be
+//! measured is data, not an error. Nothing here panics on bad input.
 
 // In the order of the data.
 pub mod rig;
@@ -113,9 +113,11 @@ pub mod simulate;
 
 pub(crate) mod studio;
 
-pub(crate) mod whole_file;
+pub(crate) mod atomic_file;
 
-mod contained;
+pub(crate) mod vetoes;
+
+mod catch_panic;
 
 #[doc(hidden)]
 pub mod fuzz;

@@ -1,19 +1,19 @@
-//! [`run`]: source -> tracker -> sinks, each in a thread of its own.
+//! [`run`]: source -> tracker -> sinks, each in its own thread.
 //!
 //! In: a source, a tracker, sinks. Out: every frame of the source in every sink, in order, and a [`Summary`].
 //!
-//! - Frames are decoded ahead of the tracker and written behind it; the channels between them are short, so that a
-//!   fixed number of pictures is in memory however long the run ([`MOST_PICTURES`]). Who is faster waits: nothing is
-//!   dropped.
-//! - Results depend on the frames alone: not on the number of threads, nor on who waits for whom.
-//! - However a run ends, all sinks have the same frames and are finished; only a sink that failed itself may have
+//! - Frames are decoded ahead of the tracker and written behind it; the channels between them are short, so that memory
+//!   holds at most a fixed number of pictures however long the run ([`MAX_PICTURES`]). The faster side waits: nothing
+//!   is dropped.
+//! - Results depend only on the frames, not on the number of threads or their timing.
+//! - However a run ends, all sinks have received the same frames and are finished; only a sink that failed may have
 //!   fewer.
-//! - What it cannot do: wake up a source that waits for a camera. An interrupt is seen when the next frame arrives, or
+//! - What it cannot do: wake a source that waits for a camera. An interrupt is seen when the next frame arrives, or
 //!   when the source gives up.
 
 use crate::estimate::Estimate;
 use crate::rig::Rig;
-use crate::sink::{Sink, SinkError, spoken};
+use crate::sink::{Sink, SinkError, plain_words};
 use crate::source::{Frame, FrameSource, SourceError, StreamFaults, Timestamp};
 use crate::tally::{Tally, Totals, missing};
 use crate::track::{TrackError, Tracker};
@@ -25,24 +25,24 @@ use std::time::{Duration, Instant};
 use tracing::Span;
 
 /// Frames that may wait between two threads.
-const WAITING: usize = 4;
+const QUEUE_LENGTH: usize = 4;
 
-/// Pictures in memory at most, beside those that the decoder itself keeps: two channels full, and one frame in the
-/// hands of each of the three threads.
-pub const MOST_PICTURES: usize = 2 * WAITING + 3;
+/// Most pictures in memory, besides those that the decoder keeps: two full channels, and one frame in each of the three
+/// threads.
+pub const MAX_PICTURES: usize = 2 * QUEUE_LENGTH + 3;
 
-/// What a run came to.
+/// Summary of a run.
 #[derive(Debug)]
 pub struct Summary {
     /// Totals of the frames tracked.
     pub tally: Tally,
-    /// What was wrong with the stream without ending it.
+    /// Faults of the stream that did not end it.
     pub source: StreamFaults,
-    /// How long it took, by the clock on the wall.
+    /// Wall-clock time of the run.
     pub elapsed: Duration,
     /// Why it ended.
     pub end: End,
-    /// Why results could not be written, an entry for each sink that failed.
+    /// Why results could not be written: one entry for each sink that failed.
     pub sink_failures: Vec<SinkError>,
 }
 
@@ -51,11 +51,11 @@ pub struct Summary {
 pub enum End {
     /// There are no more frames.
     Complete,
-    /// The recording ends early: all of it that can be read is tracked.
+    /// The recording ends early: everything readable was tracked.
     Early(SourceError),
-    /// It was asked to.
+    /// It was interrupted.
     Interrupted,
-    /// The source broke.
+    /// The source failed.
     Source(SourceError),
     /// A frame cannot be tracked at all.
     Track {
@@ -70,14 +70,13 @@ pub enum End {
     Sink,
 }
 
-/// Tracks `source` to its end, or until `interrupt` is set (which is looked at before every frame).
+/// Tracks `source` to its end, or until `interrupt` is set (which is checked before every frame).
 ///
-/// `progress` is called in the caller's thread after every frame. Fits run in parallel in the [`rayon`] pool of the
-/// caller. Troubles of source, tracker and sinks are in the [`Summary`]: what was tracked before them is written and
-/// stays valid.
+/// `progress` is called in the caller's thread after every frame. Fits run in parallel in the caller's [`rayon`] pool.
+/// Failures of source, tracker and sinks are in the [`Summary`]: what was tracked before is written and stays valid.
 ///
 /// # Errors
-/// When the system gives no thread; nothing is tracked then.
+/// When the system cannot start a thread; nothing is tracked then.
 pub fn run(
     source: Box<dyn FrameSource + Send>,
     tracker: &mut Tracker,
@@ -87,11 +86,11 @@ pub fn run(
 ) -> io::Result<Summary> {
     let began = Instant::now();
     let sink_failed = AtomicBool::new(false);
-    let (frame_in, frames) = sync_channel(WAITING);
-    let (result_in, results) = sync_channel(WAITING);
+    let (frame_in, frames) = sync_channel(QUEUE_LENGTH);
+    let (result_in, results) = sync_channel(QUEUE_LENGTH);
     std::thread::scope(|scope| {
         let sink_failed = &sink_failed;
-        // What the threads warn of belongs to the caller's work.
+        // Warnings of the threads belong to the caller's span.
         let (of_writer, of_reader) = (Span::current(), Span::current());
         let writer = Builder::new()
             .name("sinks".to_owned())
@@ -114,7 +113,7 @@ pub fn run(
                 Err(error) => break Some(End::Track { seq: frame.seq, stamp: frame.stamp, error }),
             };
             if tracing::enabled!(tracing::Level::DEBUG) {
-                let found = in_words(&estimate, tracker.rig());
+                let found = describe(&estimate, tracker.rig());
                 tracing::debug!("frame {} at {} s: {found}", frame.seq, frame.stamp.seconds());
             }
             let totals = tally.add(&estimate).then(|| tally.totals());
@@ -124,7 +123,7 @@ pub fn run(
             progress(&tally);
         };
 
-        // Without a receiver the source stops at its next frame; without a sender the sinks write what waits and
+        // Without a receiver the source stops at its next frame; without a sender the sinks write what is queued and
         // finish.
         drop((frames, result_in));
         let (source, source_end) = joined(reader);
@@ -140,20 +139,20 @@ pub fn run(
     })
 }
 
-/// What came of a frame, in words.
-fn in_words(estimate: &Estimate, rig: &Rig) -> String {
+/// The result of a frame, in words.
+fn describe(estimate: &Estimate, rig: &Rig) -> String {
     let names = |names: &mut dyn Iterator<Item = &String>| names.cloned().collect::<Vec<_>>();
     let (markers, views) =
         (names(&mut rig.markers.iter().map(|m| &m.name)), names(&mut rig.views.iter().map(|v| &v.name)));
     let missing = missing(estimate, &markers, &views);
-    let mut words: Vec<String> = missing.iter().map(|(what, why)| format!("{what} {}", spoken(why))).collect();
+    let mut words: Vec<String> = missing.iter().map(|(what, why)| format!("{what} {}", plain_words(why))).collect();
     if let Ok(d) = &estimate.deflection {
         words.push(format!("θ {:+.2}° ± {:.2}°", d.theta_rad.to_degrees(), d.theta_sd_rad.to_degrees()));
     }
     if words.is_empty() { "all bands located".to_owned() } else { words.join(", ") }
 }
 
-/// Hands on all frames, as long as somebody takes them.
+/// Sends on all frames while there is a receiver.
 fn read_all(
     mut source: Box<dyn FrameSource + Send>,
     out: &SyncSender<Frame>,
@@ -172,18 +171,18 @@ fn read_all(
     (source.faults(), end)
 }
 
-/// What the sinks are given of a frame.
+/// What the sinks get for each frame.
 struct Row {
     estimate: Estimate,
     frame: Frame,
-    /// The count with this frame, when it is to be reported.
+    /// The count including this frame, when it is to be reported.
     totals: Option<Totals>,
 }
 
 /// A sink, and whether it has worked so far.
 pub(crate) type OpenSink = (Box<dyn Sink + Send>, bool);
 
-/// Gives all results to all sinks. A sink that fails gets no more; the others get all there is.
+/// Gives all results to all sinks. A sink that fails gets no more; the others get everything.
 fn write_all(
     sinks: Vec<Box<dyn Sink + Send>>,
     results: &Receiver<Row>,
@@ -204,17 +203,17 @@ fn write_all(
     (sinks, failures)
 }
 
-/// Finishes all sinks with the count of the run; why some could not be.
+/// Finishes all sinks with the count of the run; returns why some failed.
 pub(crate) fn finish_all(sinks: Vec<OpenSink>, tally: &Tally) -> Vec<SinkError> {
     let finish = |(mut sink, works): OpenSink| match sink.finish(tally) {
         Err(error) if works => Some(error),
-        // What a failed sink says at its end is the same once more, or follows from it.
+        // An error of a failed sink at its end repeats the first, or follows from it.
         _ => None,
     };
     sinks.into_iter().filter_map(finish).collect()
 }
 
-/// What a thread returned; its panic goes on in this thread.
+/// What a thread returned; a panic is resumed in this thread.
 fn joined<T>(thread: ScopedJoinHandle<'_, T>) -> T {
     thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
 }
@@ -309,7 +308,7 @@ mod tests {
             if let Some(given) = &self.given {
                 std::thread::sleep(Duration::from_millis(2));
                 let alive = given.load(Ordering::SeqCst) - estimate.seq;
-                assert!(alive <= MOST_PICTURES as u64, "{alive} pictures at frame {}", estimate.seq);
+                assert!(alive <= MAX_PICTURES as u64, "{alive} pictures at frame {}", estimate.seq);
             }
             if let Some((at, flag)) = &self.sets_at
                 && estimate.seq == *at
@@ -332,10 +331,10 @@ mod tests {
     fn tracked(source: Source, sinks: Vec<Notes>, interrupt: &AtomicBool) -> Summary {
         let mut tracker = Tracker::new(&rig(), TrackOptions::default()).unwrap();
         let sinks = sinks.into_iter().map(|sink| Box::new(sink) as Box<dyn Sink + Send>).collect();
-        let mut told = 0;
+        let mut calls = 0;
         let summary = run(Box::new(source), &mut tracker, sinks, interrupt, |tally| {
-            told += 1;
-            assert_eq!(tally.frames, told);
+            calls += 1;
+            assert_eq!(tally.frames, calls);
         });
         summary.unwrap()
     }
@@ -366,11 +365,11 @@ mod tests {
         ];
         let summary = tracked(Source::of(500), sinks, &AtomicBool::new(false));
         assert!(matches!(summary.end, End::Sink), "{:?}", summary.end);
-        // Told once, though its end failed too.
+        // Reported once, though finishing failed too.
         assert_eq!(summary.sink_failures.len(), 1);
         assert_eq!(bad.get(), ((0..5).collect(), 1));
         let frames = summary.tally.frames;
-        assert!((6..=5 + MOST_PICTURES as u64).contains(&frames), "{frames} frames");
+        assert!((6..=5 + MAX_PICTURES as u64).contains(&frames), "{frames} frames");
         assert_eq!(good.get(), ((0..frames).collect(), 1));
     }
 
@@ -390,7 +389,7 @@ mod tests {
         let summary = tracked(Source::of(500), vec![sink], &flag);
         assert!(matches!(summary.end, End::Interrupted), "{:?}", summary.end);
         let frames = summary.tally.frames;
-        assert!((8..=7 + MOST_PICTURES as u64).contains(&frames), "{frames} frames");
+        assert!((8..=7 + MAX_PICTURES as u64).contains(&frames), "{frames} frames");
         assert_eq!(seen.get(), ((0..frames).collect(), 1));
 
         let before_all = tracked(Source::of(500), vec![Notes::default()], &flag);

@@ -1,10 +1,9 @@
-//! How fast tracking is: each stage beside OpenCV's usual script, then whole runs beside bare decoding of the same
-//! file.
+//! Speed of tracking: each stage compared with a typical OpenCV script, then whole runs compared with plain decoding of
+//! the same file.
 //!
-//! All that is compared runs in this process on the same frames, in turns; what counts are the ratios. Stages are timed
-//! by the clock of their thread, which stands still while another program has the core. Whole runs are timed by the
-//! clock on the wall, for threads wait for each other: give them an idle machine, or look at their CPU time, which is
-//! printed too.
+//! Everything compared runs in this process on the same frames, alternately; only the ratios matter. Stages are
+//! measured in thread CPU time, which stops while another program has the core. Whole runs are measured in wall-clock
+//! time, because threads wait for each other: use an idle machine, or compare their CPU time, which is also printed.
 
 #![allow(clippy::print_stdout, reason = "a bench prints its result")]
 
@@ -26,7 +25,7 @@ fn main() -> Result<(), Box<dyn Error + Send + Sync>> {
     whole_runs::print(&recording, &rig)
 }
 
-/// How long the runs of one thing took, CPU time of the calling thread.
+/// Durations of repeated runs, in CPU time of the calling thread.
 #[derive(Default)]
 struct Stopwatch(Vec<Duration>);
 

@@ -1,13 +1,13 @@
-//! What a lab's own script does to a frame, with OpenCV: cvtColor to BGR and HSV, then for each of three colours
-//! inRange, morphologyEx (open) and connectedComponentsWithStats. One thread.
+//! A laboratory's typical OpenCV script for a frame: cvtColor to BGR and HSV, then for each of three colours inRange,
+//! morphologyEx (open) and connectedComponentsWithStats. One thread.
 
 use catoptra::source::{Picture, PixelFormat};
 use opencv::core::{Mat, MatTraitConst as _, Scalar, Size};
 use opencv::imgproc;
 use std::error::Error;
 
-/// Hue (0..180), saturation and value limits of base, coil and tip: in every frame of planar.mkv they give the six
-/// bands and nothing else.
+/// Hue (0..180), saturation and value limits of base, coil and tip: in every frame of planar.mkv they give exactly the
+/// six bands.
 const HSV: [[[f64; 3]; 2]; 3] = [
     [[18.0, 90.0, 60.0], [32.0, 255.0, 255.0]],
     [[55.0, 70.0, 40.0], [85.0, 255.0, 255.0]],
@@ -41,7 +41,7 @@ impl Script {
         })
     }
 
-    /// How many components all masks of a picture have.
+    /// Number of components in all masks of a picture.
     pub(crate) fn components(&mut self, i420: &Mat) -> opencv::Result<i32> {
         let Self { kernel, bgr, hsv, mask, open, labels, stats, centroids } = self;
         imgproc::cvt_color_def(i420, bgr, imgproc::COLOR_YUV2BGR_I420)?;
@@ -58,7 +58,7 @@ impl Script {
     }
 }
 
-/// A copy of a 4:2:0 picture's planes in one piece, as OpenCV takes them.
+/// A contiguous copy of a 4:2:0 picture's planes, as OpenCV needs them.
 pub(crate) fn i420(picture: &Picture) -> Result<Mat, Box<dyn Error + Send + Sync>> {
     if picture.format() != (PixelFormat::Yuv { chroma_log2: [1, 1] }) {
         return Err(format!("pictures are {:?}, but OpenCV's script is timed on planar 4:2:0", picture.format()).into());

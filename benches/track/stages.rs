@@ -1,4 +1,4 @@
-//! Each stage of a frame beside OpenCV's script on the same frame, one thread each, in turns frame by frame.
+//! Each stage of a frame compared with OpenCV's script on the same frame, one thread each, alternating frame by frame.
 
 use super::Stopwatch;
 use super::opencv_script::{Script, i420};
@@ -11,10 +11,10 @@ use nalgebra::Vector3;
 use std::error::Error;
 use std::path::Path;
 
-/// Half the side of the windows that segmentation is timed in: about the tracker's own, at 60 frames a second and half
-/// a millimetre a pixel.
+/// Half the side of the windows for timing segmentation: about the tracker's own, at 60 frames per second and half a
+/// millimetre per pixel.
 const WINDOW_PX: f64 = 60.0;
-/// Runs on a picture that is the worst case.
+/// Runs on a worst-case picture.
 const RUNS: usize = 15;
 
 #[derive(Default)]
@@ -34,7 +34,7 @@ pub(crate) fn print(recording: &Path, rig: &Rig) -> Result<(), Box<dyn Error + S
     let mut script = Script::new()?;
     let mut segmenter = Segmenter::for_rig(rig)?;
     let mut windowed = Tracker::new(rig, TrackOptions::default())?;
-    let mut full_frame = Tracker::new(rig, TrackOptions { full_frame: true })?;
+    let mut full_frame = Tracker::new(rig, TrackOptions { full_frame: true, ..TrackOptions::default() })?;
 
     let mut times = Times::default();
     let (mut frames, mut components, mut blobs) = (0, 0, 0);
@@ -81,7 +81,7 @@ pub(crate) fn print(recording: &Path, rig: &Rig) -> Result<(), Box<dyn Error + S
 }
 
 impl Times {
-    /// Times OpenCV's script, the copy of the planes to where it wants them left out; how many components it finds.
+    /// Times OpenCV's script, without the copy of the planes; returns the number of components.
     fn script(&mut self, script: &mut Script, picture: &Picture) -> Result<i32, Box<dyn Error + Send + Sync>> {
         let planes = i420(picture)?;
         Ok(self.script.time(|| script.components(&planes))?)
@@ -105,7 +105,7 @@ fn windows_around(estimate: &Estimate) -> Vec<Search> {
         .collect()
 }
 
-/// Pictures like `like` of which no part can be left out: what they cost bounds what any picture does.
+/// Pictures like `like` in which no part can be skipped: their cost is an upper bound for any picture.
 fn worst_cases(rig: &Rig, like: &Picture) -> Result<[(&'static str, Picture); 2], Box<dyn Error + Send + Sync>> {
     let coil =
         rig.markers.get(rig.catheter.coil).and_then(|marker| marker.colour(0)).ok_or("the coil has no colour")?;

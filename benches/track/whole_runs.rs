@@ -1,5 +1,5 @@
-//! Runs of a whole recording beside bare decoding of it, in turns: frames a second of libav that decodes to nothing, of
-//! the source alone, and of the pipeline with and without the files that `catoptra track` writes.
+//! Runs of a whole recording compared with plain decoding, alternately: frames per second of libav decoding to nothing,
+//! of the source alone, and of the pipeline with and without the files of `catoptra track`.
 
 use super::median;
 use catoptra::pipeline::{self, End};
@@ -15,22 +15,22 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
-/// Each way is gone this often.
+/// Repetitions of each variant.
 const ROUNDS: usize = 3;
 
-/// How many frames there were.
+/// Number of frames.
 type Frames = Result<u64, Box<dyn Error + Send + Sync>>;
 type Way = fn(&Job) -> Frames;
 
-/// What is run.
+/// Inputs of a run.
 struct Job {
     recording: PathBuf,
     rig: Rig,
-    /// Of the decoder; 0: one a core.
+    /// Threads of the decoder; 0 for one per core.
     threads: usize,
 }
 
-/// The first is what the others are compared with.
+/// The first is the reference for the others.
 const WAYS: [(&str, Way); 4] = [
     ("libav, decoding to nothing", Job::libav),
     ("source::open", Job::source),
@@ -41,11 +41,11 @@ const WAYS: [(&str, Way); 4] = [
 /// Measures and prints.
 pub(crate) fn print(recording: &Path, rig: &Rig) -> Result<(), Box<dyn Error + Send + Sync>> {
     let cores = std::thread::available_parallelism()?;
-    for (threads, title) in [(0, format!("one thread a core ({cores})")), (1, "--threads 1".to_owned())] {
+    for (threads, title) in [(0, format!("one thread per core ({cores})")), (1, "--threads 1".to_owned())] {
         let job = Job { recording: recording.to_path_buf(), rig: rig.clone(), threads };
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build()?;
         let rounds = (0..ROUNDS).map(|_| pool.install(|| round(&job))).collect::<Result<Vec<_>, _>>()?;
-        println!("\n{title:42}{:>16}{:>20}{:>15}", "frames a second", "of bare decoding", "CPU a frame");
+        println!("\n{title:42}{:>16}{:>20}{:>15}", "frames per second", "of bare decoding", "CPU per frame");
         for (i, (name, _)) in WAYS.iter().enumerate() {
             let rate = median(rounds.iter().map(|round| round[i].rate));
             let ratio = median(rounds.iter().map(|round| round[i].rate / round[0].rate));
@@ -58,13 +58,13 @@ pub(crate) fn print(recording: &Path, rig: &Rig) -> Result<(), Box<dyn Error + S
 
 #[derive(Default, Clone, Copy)]
 struct Speed {
-    /// Frames a second.
+    /// Frames per second.
     rate: f64,
-    /// CPU time of all threads, a frame.
+    /// CPU time of all threads per frame.
     cpu_ms: f64,
 }
 
-/// Each way once.
+/// Runs each variant once.
 fn round(job: &Job) -> Result<[Speed; WAYS.len()], Box<dyn Error + Send + Sync>> {
     let mut speeds = [Speed::default(); WAYS.len()];
     let mut expected = None;

@@ -1,4 +1,4 @@
-//! The kind of input that this program is named after (see `catoptra::fuzz`).
+//! Fuzzes the kind of input that this program is named after (see `catoptra::fuzz`).
 #![no_main]
 
 use catoptra::fuzz::TARGETS;

@@ -5,15 +5,15 @@ use std::fs::{self, File};
 use std::io::{self, Read};
 use std::path::Path;
 
-/// Bytes read at a time: memory stays small however large a recording is.
+/// Bytes read at a time: memory stays small for any recording.
 const PIECE: usize = 1 << 20;
 
-/// Of some bytes, in hexadecimal.
+/// SHA-256 of some bytes, in hexadecimal.
 pub(crate) fn of_bytes(bytes: &[u8]) -> String {
     hexadecimal(&Sha256::digest(bytes))
 }
 
-/// Of a file.
+/// SHA-256 of a file.
 ///
 /// # Errors
 /// The system's, when it cannot be read.
@@ -31,8 +31,8 @@ pub(crate) fn of_file(path: &Path) -> io::Result<String> {
     }
 }
 
-/// Of a recording: of the file, or of the names and hashes of all files in a folder of pictures, in the order of their
-/// names. Hidden files and folders in it do not count.
+/// SHA-256 of a recording: of the file, or of the names and hashes of all files in a folder of pictures, sorted by
+/// name. Hidden files and subfolders do not count.
 ///
 /// # Errors
 /// The system's, when it cannot be read.
@@ -59,10 +59,10 @@ pub(crate) fn of_recording(path: &Path) -> io::Result<String> {
     Ok(hexadecimal(&hash.finalize()))
 }
 
-/// Of this program, as it runs: also when its file has been replaced since.
+/// SHA-256 of this program as it runs, even if its file has been replaced since.
 ///
 /// # Errors
-/// The system's, when it does not show the program.
+/// The system's, when the program cannot be read.
 pub(crate) fn of_program() -> io::Result<String> {
     let running = Path::new("/proc/self/exe");
     if running.exists() { of_file(running) } else { of_file(&std::env::current_exe()?) }
@@ -76,7 +76,7 @@ fn hexadecimal(digest: &[u8]) -> String {
 mod tests {
     use super::*;
 
-    /// Of nothing, as everybody knows it.
+    /// The well-known hash of empty input.
     const NOTHING: &str = "e3b0c44298fc1c149afbf4c8996fb92427ae41e4649b934ca495991b7852b855";
 
     #[test]

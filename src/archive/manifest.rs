@@ -1,16 +1,16 @@
-//! [`Manifest`]: a table of recordings, one a line.
+//! [`Manifest`]: a table of recordings, one per line.
 //!
 //! Text in UTF-8; tabs between the cells, or commas where the first line has no tab. The first line names the columns:
 //!
 //! | column | meaning |
 //! |---|---|
-//! | `recording` | video, folder of pictures or log; a relative path begins at the folder of the manifest |
-//! | `rig` | the rig file, relative as well; may be left out where the command or the log brings it |
-//! | `name` | name of the run and of its folder; that of the recording, without its ending, if there is no such column |
-//! | `options` | options of `track` for this line alone, as on the command line |
+//! | `recording` | video, folder of pictures or log; relative paths start at the manifest's folder |
+//! | `rig` | the rig file, also relative; optional if the command or the log provides it |
+//! | `name` | name of the run and of its folder; by default the recording's name without extension |
+//! | `options` | options of `track` for this line only, as on the command line |
 //!
-//! Further columns are carried along as they are. Empty lines are passed over. Everything is judged at once: a mistake
-//! in any line is told with its number, and nothing is begun.
+//! Further columns are passed on unchanged. Empty lines are skipped. Everything is checked first: a mistake in any line
+//! is reported with its number, and nothing is started.
 
 use std::collections::{BTreeMap, HashMap};
 use std::io;
@@ -23,7 +23,7 @@ const OPTIONS: &str = "options";
 /// Names of folders have at most 255 bytes on most file systems.
 const LONGEST_NAME: usize = 200;
 
-/// A recording of the list.
+/// A recording in the list.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Entry {
     /// Line in the manifest, from 1.
@@ -31,13 +31,13 @@ pub(crate) struct Entry {
     pub(crate) name: String,
     pub(crate) recording: PathBuf,
     pub(crate) rig: Option<PathBuf>,
-    /// As they are written.
+    /// As written.
     pub(crate) options: String,
     /// Further columns that are not empty.
     pub(crate) columns: BTreeMap<String, String>,
 }
 
-/// A list of recordings, each with a name of its own.
+/// A list of recordings with unique names.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Manifest {
     pub(crate) entries: Vec<Entry>,
@@ -46,7 +46,7 @@ pub(crate) struct Manifest {
 /// Why a manifest cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum ManifestError {
-    /// The file system refuses.
+    /// The file system reports an error.
     #[error("{}: cannot be read: {source}", path.display())]
     Read { path: PathBuf, source: io::Error },
     /// A line is wrong.
@@ -54,13 +54,13 @@ pub(crate) enum ManifestError {
     Line { path: PathBuf, line: u64, reason: String },
 }
 
-/// The name of a run of `recording`, when none is given: its own, without the ending.
+/// The default name of a run of `recording`: its file name without extension.
 pub(crate) fn default_name(recording: &Path) -> String {
     let name = if recording.is_dir() { recording.file_name() } else { recording.file_stem() };
     name.map_or_else(String::new, |name| name.to_string_lossy().into_owned())
 }
 
-/// Whether `name` can be that of a folder, in the folder for the results and nowhere else.
+/// Checks that `name` can be a folder directly in the folder for the results.
 ///
 /// # Errors
 /// What is wrong, and what would be right.
@@ -137,7 +137,7 @@ impl Columns {
     }
 }
 
-/// Counts lines: the reader itself counts the end of a line with the next one, and empty ones not at all.
+/// Counts lines: the reader itself counts a line's end with the next line, and skips empty ones.
 struct Lines<'a> {
     text: &'a [u8],
     at: usize,
@@ -145,7 +145,7 @@ struct Lines<'a> {
 }
 
 impl Lines<'_> {
-    /// The line of what begins at `byte`, or behind the ends of lines there; further on at every call.
+    /// The line number at `byte`, or after line ends there; positions must not decrease between calls.
     fn of(&mut self, byte: u64) -> u64 {
         let mut to = usize::try_from(byte).unwrap_or(self.text.len()).max(self.at);
         while self.text.get(to).is_some_and(|byte| b"\r\n".contains(byte)) {
@@ -174,7 +174,7 @@ impl Manifest {
         })
     }
 
-    /// As [`Manifest::read`]; paths begin at `folder`. What is wrong comes with its line.
+    /// As [`Manifest::read`]; paths are relative to `folder`. Errors have their line.
     fn parse(bytes: &[u8], folder: &Path) -> Result<Self, (u64, String)> {
         let text = std::str::from_utf8(bytes).map_err(|error| {
             let before = bytes.get(..error.valid_up_to()).unwrap_or_default();

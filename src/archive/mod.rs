@@ -1,26 +1,26 @@
-//! Archives: many recordings, one folder of results each, and what is known of all of them.
+//! Archives: many recordings, with one folder of results each, and tables of all of them.
 //!
-//! - [`Manifest`]: the list of recordings, their rigs, options, and whatever else the laboratory knows of them.
-//! - [`RunSummary`]: `summary.json`, written last into the folder of a run. Where there is none, the run is not done.
-//! - [`hash`]: SHA-256 of what a run was made from. [`staleness`] compares it with what is there now.
-//! - [`study`]: all runs of an archive, and tables of them in Parquet
-//!   ([`tables`]); [`outstanding`]: which of them stand out.
+//! - [`Manifest`]: the list of recordings, with rigs, options, and whatever else the laboratory records about them.
+//! - [`RunSummary`]: `summary.json`, written last into the folder of a run. Without it the run is not finished.
+//! - [`hash`]: SHA-256 of the inputs of a run. [`staleness`] compares it with the current ones.
+//! - [`study`]: all runs of an archive, and tables of them in Parquet ([`tables`]); [`unusual`]: which of them are
+//!   unusual.
 //!
-//! What it cannot detect: a shared library (libav, OpenCV) that was exchanged for another build of the same version.
+//! What it cannot detect: a shared library (libav, OpenCV) that was replaced by another build of the same version.
 
 pub(crate) mod hash;
 mod manifest;
-pub(crate) mod outstanding;
-pub(crate) mod passing;
 mod staleness;
 pub(crate) mod study;
 mod summary;
 #[cfg(test)]
 mod summary_tests;
 pub(crate) mod tables;
+pub(crate) mod transient;
+pub(crate) mod unusual;
 
 pub(crate) use manifest::{Entry, Manifest, ManifestError, default_name, is_name};
-pub(crate) use staleness::{Now, Staleness, staleness};
+pub(crate) use staleness::{CurrentInputs, Staleness, staleness};
 #[cfg(test)]
 pub(crate) use summary::Alarm;
 pub(crate) use summary::{

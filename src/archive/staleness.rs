@@ -1,37 +1,37 @@
-//! [`staleness`]: whether the results in a folder are those that a run would give now, and if not, why not.
+//! [`staleness`]: whether the results in a folder are those that a run would give now, and why not.
 
 use super::{Hashes, Outcome, RunSummary, SUMMARY, SummaryError};
 use std::fmt;
 use std::path::Path;
 
-/// What a run would be made from now.
+/// The current inputs of a run.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct Now {
+pub(crate) struct CurrentInputs {
     pub(crate) sha256: Hashes,
     pub(crate) libraries: String,
 }
 
-/// Whether a run is to be done, and why.
+/// Whether a run must be done, and why.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) enum Staleness {
-    /// There is nothing in the folder.
+    /// The folder is empty.
     New,
-    /// A run was begun there and not finished.
+    /// A run was started there but not finished.
     Unfinished,
-    /// What it was made from has changed: these parts of it.
+    /// These inputs have changed.
     Changed(Vec<&'static str>),
-    /// A file of it is gone or has another size.
+    /// A result file is missing or has another size.
     File(String),
-    /// The summary cannot be understood.
+    /// The summary cannot be parsed.
     Summary(String),
-    /// It failed, and may well succeed now.
+    /// It failed, but may succeed now.
     Failed(String),
-    /// It is as it would be again.
+    /// It is up to date.
     Same(Box<RunSummary>),
 }
 
 impl Staleness {
-    /// The summary of the run that need not be done again.
+    /// The summary, if the run need not be repeated.
     pub(crate) fn same(self) -> Result<RunSummary, Self> {
         match self {
             Self::Same(summary) => Ok(*summary),
@@ -40,7 +40,7 @@ impl Staleness {
     }
 }
 
-/// Why it is to be done, or not.
+/// Why the run must be done, or not.
 impl fmt::Display for Staleness {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
@@ -61,9 +61,9 @@ impl fmt::Display for Staleness {
     }
 }
 
-/// What is in `folder`, beside what a run would be made from `now`. Names and columns of a manifest do not count:
+/// Compares the results in `folder` with the current inputs `now`. Names and columns of a manifest do not count:
 /// results do not depend on them.
-pub(crate) fn staleness(folder: &Path, now: &Now) -> Staleness {
+pub(crate) fn staleness(folder: &Path, now: &CurrentInputs) -> Staleness {
     let summary = match RunSummary::read(folder) {
         Ok(Some(summary)) => summary,
         Ok(None) => {

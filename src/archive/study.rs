@@ -1,21 +1,22 @@
-//! All runs of an archive: found in their folders, put into tables.
+//! All runs of an archive: finds them in their folders and makes tables.
 
 use super::tables::{Cells, Table, TableError};
 use super::{Measured, RunSummary, SummaryError};
+use crate::vetoes::{VetoError, Vetoes};
 use std::collections::{BTreeMap, BTreeSet};
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// Folders below the one that is given, at most.
+/// Greatest depth of folders searched.
 const DEPTH: usize = 4;
-/// Rows that are in memory at a time.
+/// Rows in memory at a time.
 const ROWS: usize = 1 << 16;
 const TRACK: &str = "track.csv";
 
 /// A run of the archive.
 #[derive(Debug, Clone)]
 pub(crate) struct Run {
-    /// Name, unlike all others.
+    /// Unique name.
     pub(crate) name: String,
     pub(crate) folder: PathBuf,
     pub(crate) summary: RunSummary,
@@ -24,9 +25,9 @@ pub(crate) struct Run {
 /// An archive.
 #[derive(Debug, Default)]
 pub(crate) struct Study {
-    /// In the order of their folders.
+    /// Sorted by folder.
     pub(crate) runs: Vec<Run>,
-    /// Folders with results and no summary: of a run that was not finished, or of another command.
+    /// Folders with results but no summary: of an unfinished run, or of another command.
     pub(crate) unfinished: Vec<PathBuf>,
     /// Summaries that cannot be read.
     pub(crate) unread: Vec<SummaryError>,
@@ -38,11 +39,13 @@ pub(crate) enum StudyError {
     /// A folder cannot be read.
     #[error("{}: cannot be read: {source}", path.display())]
     Io { path: PathBuf, source: io::Error },
-    /// The table of a run is not as it was written.
+    /// The table of a run was changed.
     #[error("{}:{line}: {reason}; track the recording again", path.display())]
     Track { path: PathBuf, line: u64, reason: String },
     #[error(transparent)]
     Table(#[from] TableError),
+    #[error(transparent)]
+    Vetoes(#[from] VetoError),
 }
 
 impl Study {
@@ -99,8 +102,8 @@ impl Study {
         self.runs.iter().flat_map(|run| run.summary.manifest.keys().map(String::as_str)).collect()
     }
 
-    /// The manifests' columns under names that no column of `ours` has.
-    fn carried(&self, ours: &[(String, Cells)], rows: &[(&Run, usize)]) -> Vec<(String, Cells)> {
+    /// The manifests' columns, renamed where they collide with columns of `ours`.
+    fn manifest_cells(&self, ours: &[(String, Cells)], rows: &[(&Run, usize)]) -> Vec<(String, Cells)> {
         let taken = |name: &str| ours.iter().any(|(other, _)| other == name);
         let cells = |name: &str| {
             let of = |(run, times): &(&Run, usize)| {
@@ -112,26 +115,26 @@ impl Study {
         self.manifest_columns().into_iter().map(|name| (named(name), cells(name))).collect()
     }
 
-    /// Writes the table of all runs, a row each.
+    /// Writes the table of all runs, one row each.
     ///
     /// # Errors
     /// [`StudyError`].
     pub(crate) fn write_runs(&self, place: &Path) -> Result<(), StudyError> {
         let mut columns = own_columns(&self.runs);
         let rows: Vec<(&Run, usize)> = self.runs.iter().map(|run| (run, 1)).collect();
-        let carried = self.carried(&columns, &rows);
-        columns.extend(carried);
+        let manifest_cells = self.manifest_cells(&columns, &rows);
+        columns.extend(manifest_cells);
         let mut table = Table::begin(place, &columns)?;
         table.add(&columns)?;
         Ok(table.finish()?)
     }
 
-    /// Writes the table of all frames: the rows of every run's table, one run below the other; how many there are.
-    /// `told` after each run.
+    /// Writes the table of all frames: the rows of every run's table, one run after another; returns their number.
+    /// Calls `after_run` after each run.
     ///
     /// # Errors
     /// [`StudyError`].
-    pub(crate) fn write_frames(&self, place: &Path, mut told: impl FnMut()) -> Result<u64, StudyError> {
+    pub(crate) fn write_frames(&self, place: &Path, mut after_run: impl FnMut()) -> Result<u64, StudyError> {
         let mut names: Vec<String> = Vec::new();
         for run in self.with_tables() {
             for name in open(&run.folder)?.1 {
@@ -148,6 +151,7 @@ impl Study {
             let (mut reader, header) = open(&run.folder)?;
             let places: Vec<Option<usize>> =
                 names.iter().map(|name| header.iter().position(|other| other == name)).collect();
+            let vetoes = Vetoes::read(&run.folder)?;
             let path = run.folder.join(TRACK);
             let wrong = |line: u64, reason: String| StudyError::Track { path: path.clone(), line, reason };
             let mut row = csv::StringRecord::new();
@@ -155,7 +159,7 @@ impl Study {
                 let line = reader.position().line();
                 match reader.read_record(&mut row) {
                     Ok(false) => break,
-                    Ok(true) => frames.add(run, &row, &places).map_err(|reason| wrong(line, reason))?,
+                    Ok(true) => frames.add(run, &row, &places, &vetoes).map_err(|reason| wrong(line, reason))?,
                     Err(error) => return Err(wrong(line, error.to_string())),
                 }
                 count += 1;
@@ -163,7 +167,7 @@ impl Study {
                     table.add(&frames.take(self))?;
                 }
             }
-            told();
+            after_run();
         }
         if frames.rows > 0 {
             table.add(&frames.take(self))?;
@@ -190,15 +194,17 @@ fn open(folder: &Path) -> Result<(csv::Reader<std::fs::File>, Vec<String>), Stud
     }
 }
 
-/// Rows of the table of frames that wait to be written.
+/// Rows of the table of frames not written yet.
 struct Frames<'a> {
     columns: Vec<(String, Cells)>,
-    /// Runs of the rows, and how many there are of each.
+    /// Runs of the rows, with their numbers of rows.
     runs: Vec<(&'a Run, usize)>,
     rows: usize,
+    /// Why each is vetoed, if it is.
+    vetoes: Vec<Option<String>>,
 }
 
-/// The kind of a column of `track.csv`, by its name.
+/// The kind of a column of `track.csv`, from its name.
 fn kind(name: &str) -> Cells {
     match name {
         "seq" | "stamp_ns" | "gap" => Cells::Whole(Vec::new()),
@@ -210,10 +216,23 @@ fn kind(name: &str) -> Cells {
 impl<'a> Frames<'a> {
     fn new(names: &[String]) -> Self {
         let columns = names.iter().map(|name| (name.clone(), kind(name))).collect();
-        Self { columns, runs: Vec::new(), rows: 0 }
+        Self { columns, runs: Vec::new(), rows: 0, vetoes: Vec::new() }
     }
 
-    fn add(&mut self, run: &'a Run, row: &csv::StringRecord, places: &[Option<usize>]) -> Result<(), String> {
+    fn add(
+        &mut self,
+        run: &'a Run,
+        row: &csv::StringRecord,
+        places: &[Option<usize>],
+        vetoes: &Vetoes,
+    ) -> Result<(), String> {
+        let number = |name: &str| {
+            let at = self.columns.iter().position(|(other, _)| other == name)?;
+            row.get(places.get(at).copied()??)?.parse::<i64>().ok()
+        };
+        let veto = || vetoes.of(u64::try_from(number("seq")?).ok()?, number("stamp_ns")?).map(str::to_owned);
+        let veto = veto();
+        self.vetoes.push(veto);
         for ((name, cells), place) in self.columns.iter_mut().zip(places) {
             let cell = place.and_then(|place| row.get(place)).filter(|cell| !cell.is_empty());
             let wrong = || format!("{name} is {}, which is no number", cell.unwrap_or_default());
@@ -232,7 +251,7 @@ impl<'a> Frames<'a> {
         Ok(())
     }
 
-    /// The rows, with the names of their runs and the manifests' columns.
+    /// The rows, with the names of their runs, vetoes, and the manifests' columns.
     fn take(&mut self, study: &Study) -> Vec<(String, Cells)> {
         let names = self.columns.iter().map(|(name, _)| (name.clone(), kind(name))).collect();
         let own = std::mem::replace(&mut self.columns, names);
@@ -241,14 +260,15 @@ impl<'a> Frames<'a> {
         let of = |(run, times): &(&Run, usize)| std::iter::repeat_n(Some(run.name.clone()), *times).collect::<Vec<_>>();
         let mut columns = vec![("run".to_owned(), Cells::Text(runs.iter().flat_map(of).collect()))];
         columns.extend(own);
-        let carried = study.carried(&columns, &runs);
-        columns.extend(carried);
+        columns.push(("veto".to_owned(), Cells::Text(std::mem::take(&mut self.vetoes))));
+        let manifest_cells = study.manifest_cells(&columns, &runs);
+        columns.extend(manifest_cells);
         columns
     }
 }
 
-/// The columns of the table of runs that are not a manifest's. When a run was done, and how long it took, is not in it:
-/// the same archive gives the same table.
+/// The columns of the table of runs that are not a manifest's. Date and duration of runs are not included: the same
+/// archive gives the same table.
 fn own_columns(runs: &[Run]) -> Vec<(String, Cells)> {
     let text = |name: &str, get: &dyn Fn(&Run) -> Option<String>| {
         (name.to_owned(), Cells::Text(runs.iter().map(get).collect()))

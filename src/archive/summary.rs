@@ -1,12 +1,12 @@
-//! [`RunSummary`]: `summary.json`, which is written last into the folder of a run and renamed into its place. Where it
-//! is, the run is over and the other files are whole; where it is not, the run was not finished.
+//! [`RunSummary`]: `summary.json`, which is written last into the folder of a run and renamed into place. If it exists,
+//! the run is over and the other files are complete; if not, the run was not finished.
 //!
-//! Its form is described for other programs in `docs/summary.schema.json`; a test holds the two together.
+//! Its format is described for other programs in `docs/summary.schema.json`; a test keeps the two consistent.
 
+use crate::atomic_file;
 use crate::pipeline::{End, Summary};
 use crate::source::StreamFaults;
 use crate::tally::{AngleTally, MarkerTally, Tally};
-use crate::whole_file;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::io;
@@ -15,16 +15,16 @@ use std::path::{Path, PathBuf};
 /// Name of the file.
 pub(crate) const SUMMARY: &str = "summary.json";
 
-/// The form that is written here. One that is larger was written by a later program.
+/// Version of the format written here. A larger one is from a later program.
 pub(crate) const SCHEMA: u32 = 1;
 
-/// Why a summary cannot be had.
+/// Why a summary cannot be read.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum SummaryError {
-    /// The file system refuses.
+    /// The file system reports an error.
     #[error("{}: cannot be read: {source}", path.display())]
     Read { path: PathBuf, source: io::Error },
-    /// It is of another kind, or was written by another program.
+    /// It has another format, or is from another program.
     #[error("{}: is no summary of a run: {reason}", path.display())]
     Form { path: PathBuf, reason: String },
 }
@@ -35,9 +35,9 @@ pub(crate) enum SummaryError {
 pub(crate) enum Outcome {
     /// With results.
     Tracked,
-    /// With files, but a band was never found, or the direction of the coil never known.
+    /// With files, but a band was never found, or the coil's direction was never measured.
     Unusable,
-    /// Without results, or with a part of them.
+    /// Without results, or with only a part.
     Failed,
 }
 
@@ -58,11 +58,11 @@ impl Outcome {
 pub(crate) struct Failed {
     /// In words.
     pub(crate) message: String,
-    /// Whether the same run may well succeed another time: the disk was full, or a file system away.
+    /// Whether the same run may succeed another time: the disk was full, or a file system unavailable.
     pub(crate) retryable: bool,
 }
 
-/// SHA-256 of what a run was made from, in hexadecimal; none of what could not be read.
+/// SHA-256 of the inputs of a run, in hexadecimal; `None` for what could not be read.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Hashes {
@@ -84,17 +84,17 @@ pub(crate) struct FileRecord {
     pub(crate) bytes: u64,
 }
 
-/// All that is known of a run when it is over.
+/// Everything about a finished run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct RunSummary {
-    /// Form of this file.
+    /// Format version of this file.
     pub(crate) schema: u32,
-    /// Name of the run: of its folder.
+    /// Name of the run and of its folder.
     pub(crate) name: String,
     pub(crate) outcome: Outcome,
     pub(crate) failure: Option<Failed>,
-    /// Why the recording ends early, if it does: what could be read of it is tracked.
+    /// Why the recording ends early, if it does: the readable part was tracked.
     pub(crate) ends_early: Option<String>,
     /// Whole path of the recording.
     pub(crate) recording: String,
@@ -109,21 +109,21 @@ pub(crate) struct RunSummary {
     pub(crate) version: String,
     /// Libraries that results depend on, with their versions.
     pub(crate) libraries: String,
-    /// What was measured; none when the run failed before its first frame.
+    /// Measurements; `None` when the run failed before its first frame.
     pub(crate) measured: Option<Measured>,
     /// Warnings, the first hundred.
     pub(crate) warnings: Vec<String>,
     /// How many more there were.
     pub(crate) more_warnings: u64,
-    /// Files in the folder, beside this one.
+    /// Files in the folder, besides this one.
     pub(crate) files: Vec<FileRecord>,
-    /// When it was over, by the clock on the wall, UTC.
+    /// Wall-clock time at the end, UTC.
     pub(crate) finished: String,
-    /// How long it took by that clock, seconds.
+    /// Wall-clock duration, seconds.
     pub(crate) elapsed_s: f64,
 }
 
-/// What was measured. σ are medians over the answered frames.
+/// Measurements. σ are medians over the measured frames.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Measured {
@@ -131,14 +131,14 @@ pub(crate) struct Measured {
     pub(crate) frames: u64,
     /// Frames in which everything is known.
     pub(crate) complete: u64,
-    /// Camera frames lost, and the places where.
+    /// Camera frames lost, and number of gaps.
     pub(crate) lost: u64,
     pub(crate) gaps: u64,
     /// Camera time of the first and the last frame, nanoseconds of `clock`.
     pub(crate) first_ns: i64,
     pub(crate) last_ns: i64,
     pub(crate) clock: String,
-    /// Between them, seconds.
+    /// Time between them, seconds.
     pub(crate) duration_s: f64,
     pub(crate) theta: Angle,
     pub(crate) tangent: Angle,
@@ -181,12 +181,12 @@ pub(crate) struct View {
     /// Mean residual in u and v, and RMS of one coordinate, pixels.
     pub(crate) residual_mean_px: Option<[f64; 2]>,
     pub(crate) residual_rms_px: Option<f64>,
-    /// Colour separation, 1 as when the colour was learned.
+    /// Colour separation, 1 as learned.
     pub(crate) separation_mean: Option<f64>,
     pub(crate) separation_least: Option<f64>,
 }
 
-/// How often something was missing for one reason.
+/// How often a quantity was missed for one reason.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Miss {
@@ -203,12 +203,12 @@ pub(crate) struct Alarm {
     pub(crate) kind: String,
     /// Camera time, nanoseconds.
     pub(crate) at_ns: i64,
-    /// By how much in space, mm.
+    /// Size in space, mm.
     pub(crate) size_mm: f64,
     pub(crate) message: String,
 }
 
-/// What was wrong with the recording without ending it.
+/// Faults of the recording that did not end it.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Faults {
@@ -232,7 +232,7 @@ impl From<StreamFaults> for Faults {
 }
 
 impl Measured {
-    /// Of a run with these views.
+    /// The measurements of a run with these views.
     pub(crate) fn of(run: &Summary, views: &[String]) -> Self {
         let tally: &Tally = &run.tally;
         let angle = |angle: &AngleTally| Angle {
@@ -311,7 +311,7 @@ pub(crate) fn early_end(end: &End) -> Option<String> {
 }
 
 impl RunSummary {
-    /// That of the run in `folder`; none when there is none.
+    /// Reads that of the run in `folder`; `None` when there is none.
     ///
     /// # Errors
     /// [`SummaryError`].
@@ -324,7 +324,7 @@ impl RunSummary {
             }
             Err(source) => return Err(SummaryError::Read { path, source }),
         };
-        /// Of all forms.
+        /// Fields common to all versions.
         #[derive(Deserialize)]
         struct Form {
             schema: u32,
@@ -332,24 +332,24 @@ impl RunSummary {
         let refused = |reason: String| SummaryError::Form { path: path.clone(), reason };
         let form: Form = serde_json::from_slice(&bytes).map_err(|e| refused(e.to_string()))?;
         if form.schema != SCHEMA {
-            return Err(refused(format!("its form is {}, this program knows form {SCHEMA}", form.schema)));
+            return Err(refused(format!("its format version is {}; this program reads version {SCHEMA}", form.schema)));
         }
         serde_json::from_slice(&bytes).map(Some).map_err(|e| refused(e.to_string()))
     }
 
-    /// Writes it into `folder`, whole.
+    /// Writes it into `folder` in one step.
     ///
     /// # Errors
     /// The system's.
     pub(crate) fn write(&self, folder: &Path) -> io::Result<()> {
         let text = serde_json::to_string_pretty(self).map_err(io::Error::other)?;
-        whole_file::write(&folder.join(SUMMARY), (text + "\n").as_bytes())
+        atomic_file::write(&folder.join(SUMMARY), (text + "\n").as_bytes())
     }
 }
 
 #[cfg(test)]
 impl RunSummary {
-    /// Of a run of 100 frames, with an entry in every list.
+    /// A run of 100 frames, with an entry in every list.
     pub(crate) fn example() -> Self {
         let view = View {
             name: "direct".into(),

@@ -16,12 +16,12 @@ fn what_was_written_is_read_and_what_another_program_wrote_is_refused() {
     let text = std::fs::read_to_string(&path).unwrap();
     std::fs::write(&path, text.replace("\"schema\": 1", "\"schema\": 2")).unwrap();
     let refused = RunSummary::read(place.path()).unwrap_err().to_string();
-    assert!(refused.contains("its form is 2, this program knows form 1"), "{refused}");
+    assert!(refused.contains("its format version is 2; this program reads version 1"), "{refused}");
     std::fs::write(&path, text.get(..text.len() / 2).unwrap()).unwrap();
     assert!(matches!(RunSummary::read(place.path()), Err(SummaryError::Form { .. })));
 }
 
-/// Where a value is not as the schema has it; the parts of JSON Schema that ours uses, and no others.
+/// Where a value violates the schema; supports only the parts of JSON Schema that ours uses.
 fn against(schema: &Value, root: &Value, value: &Value, at: &str, wrong: &mut Vec<String>) {
     let known = [
         "$schema",
@@ -83,7 +83,7 @@ fn against(schema: &Value, root: &Value, value: &Value, at: &str, wrong: &mut Ve
     }
 }
 
-/// Every place in the schema at which a value can be, so that it has no more than a summary has.
+/// Counts the places for values, so that the schema has no more than a summary.
 fn places(value: &Value) -> usize {
     match value {
         Value::Object(all) => all.values().map(|value| 1 + places(value)).sum(),
@@ -106,7 +106,7 @@ fn the_schema_in_the_documentation_is_that_of_the_file() {
         against(&schema, &schema, &serde_json::to_value(summary).unwrap(), "summary", &mut wrong);
         assert_eq!(wrong, Vec::<String>::new());
     }
-    // All that the schema requires is in the file, and all of the file is in the schema.
+    // Everything that the schema requires is in the file, and everything in the file is in the schema.
     let mut value = serde_json::to_value(&full).unwrap();
     assert!(places(&value) > 60);
     value["measured"]["frames"] = "many".into();

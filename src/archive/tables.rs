@@ -1,7 +1,7 @@
-//! Tables in Parquet: columns with names and kinds, any cell of which may be missing, written in pieces so that a table
-//! may be larger than the memory. Compressed with Zstandard.
+//! Tables in Parquet: named and typed columns whose cells may be missing, written in pieces so that a table may be
+//! larger than memory. Compressed with Zstandard.
 
-use crate::whole_file::NewFile;
+use crate::atomic_file::NewFile;
 use parquet::basic::{Compression, ConvertedType, Repetition, Type as Physical, ZstdLevel};
 use parquet::data_type::{BoolType, ByteArray, ByteArrayType, DataType, DoubleType, Int64Type};
 use parquet::errors::ParquetError;
@@ -16,10 +16,10 @@ use std::sync::Arc;
 /// Why a table cannot be written.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum TableError {
-    /// The file system refuses.
+    /// The file system reports an error.
     #[error("{}: cannot be written: {source}", path.display())]
     Io { path: PathBuf, source: io::Error },
-    /// The library refuses.
+    /// The library reports an error.
     #[error("{}: cannot be written: {source}", path.display())]
     Parquet { path: PathBuf, source: ParquetError },
 }
@@ -69,7 +69,7 @@ fn column<D: DataType, T>(
     writer.close()
 }
 
-/// A table on its way. Nothing is in its place until it is [finished](Table::finish).
+/// A table being written. It appears in its place only when [finished](Table::finish).
 pub(crate) struct Table {
     place: PathBuf,
     new: NewFile,
@@ -77,7 +77,7 @@ pub(crate) struct Table {
 }
 
 impl Table {
-    /// Begins one with these columns; of the cells, only their kind counts.
+    /// Begins a table with these columns; only the kind of the cells matters.
     ///
     /// # Errors
     /// [`TableError`].
@@ -117,7 +117,7 @@ impl Table {
         add().map_err(|source| TableError::Parquet { path: self.place.clone(), source })
     }
 
-    /// Writes its end, and puts it in its place.
+    /// Completes the file, and puts it in place.
     ///
     /// # Errors
     /// [`TableError`].

@@ -2,26 +2,26 @@
 
 use crate::source::{Frame, FrameSource, SourceError};
 
-/// Memory that they may take together.
+/// Most memory that they may take together.
 const FRAME_BYTES: u64 = 400_000_000;
 
 /// Frames spread evenly over a recording.
 pub(crate) struct Spread {
-    /// In the order of time.
+    /// In order of time.
     pub frames: Vec<Frame>,
-    /// More of them, each right behind one of those, in the order of time.
+    /// Further frames, each directly after one of those, in order of time.
     pub followers: Vec<Frame>,
-    /// Which of the frames was asked for.
+    /// Index of the requested frame.
     pub wanted: usize,
 }
 
-/// At most so many frames, spread evenly over the recording, the first one among them.
+/// At most `most` frames, spread evenly over the recording, including the first.
 pub(super) fn spread(source: &mut dyn FrameSource, most: usize) -> Result<Vec<Frame>, SourceError> {
     Ok(spread_with(source, most, 0)?.frames)
 }
 
-/// As [`spread`], with the first frame that is `after_ns` or more after the first one among them: the last one if the
-/// recording ends before.
+/// As [`spread`], including the first frame at least `after_ns` after the start, or the last one if the recording ends
+/// before.
 pub(super) fn spread_with(source: &mut dyn FrameSource, most: usize, after_ns: i64) -> Result<Spread, SourceError> {
     let [width, height] = source.size_px();
     // Each with its follower.
@@ -37,7 +37,7 @@ pub(super) fn spread_with(source: &mut dyn FrameSource, most: usize, after_ns: i
         let frame = match source.next_frame() {
             Ok(Some(frame)) => frame,
             Ok(None) => break,
-            // Colours are learned as well from the part that can be read.
+            // Colours can be learned from the readable part.
             Err(error) if error.is_early_end() && !frames.is_empty() => {
                 tracing::warn!("{error}");
                 break;
@@ -53,7 +53,7 @@ pub(super) fn spread_with(source: &mut dyn FrameSource, most: usize, after_ns: i
             followers.push((number, frame));
         }
         number += 1;
-        // Too many: keep every second one. Works for any length, known beforehand or not.
+        // Too many: keep every second one. Works for any length, known in advance or not.
         if frames.len() >= most {
             stride *= 2;
             let (kept, between): (Vec<_>, Vec<_>) = frames.into_iter().partition(|(number, _)| number % stride == 0);

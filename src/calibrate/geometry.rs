@@ -1,17 +1,17 @@
-//! [`Geometry`]: what all pictures of a rig have in common, lens, mirrors and walls, as parameters of a least squares
-//! problem.
+//! [`Geometry`]: what all pictures of a rig share, lens, mirrors and walls, as parameters of a least squares problem.
 //!
-//! In: a geometry, a place, a view. Out: the pixel and its derivatives with respect to the place and to every
+//! In: a geometry, a point, a view. Out: the pixel and its derivatives with respect to the point and to every
 //! [`Parameter`].
 //!
-//! Derivatives by the lens are those of its formula. Those by surfaces follow from the ray: when a parameter moves the
-//! ray of a fixed pixel by δ where it passes the place, the pixel of the fixed place moves by −(∂pixel/∂place) δ (the
-//! implicit function theorem); δ is a central difference of two traced rays, so that no search is needed.
+//! Derivatives with respect to the lens are analytic. Those with respect to surfaces follow from the ray: when a
+//! parameter moves the ray of a fixed pixel by δ where it passes the point, the pixel of the fixed point moves by
+//! −(∂pixel/∂point) δ (the implicit function theorem); δ is a central difference of two traced rays, so no search is
+//! needed.
 
 use crate::optics::{Lens, NoRay, OpticalPath, Plane, Surface, Wall};
 use nalgebra::{Matrix2x3, Point2, Point3, SMatrix, Unit, UnitQuaternion, Vector2, Vector3};
 
-/// Half a step of a central difference: radians, metres, index. Truncation and rounding are both below 1e-9 of a
+/// Half a step of a central difference: radians, metres, index. Truncation and rounding errors are both below 1e-9 of a
 /// derivative.
 const STEP: f64 = 1e-5;
 
@@ -37,7 +37,7 @@ pub enum Parameter {
     Distortion(usize),
     /// k4, k5, k6, of a rational lens.
     Denominator(usize),
-    /// Turn of a surface's normal about one of two axes across it, radians, see [`tilt_axes`].
+    /// Rotation of a surface's normal about one of two axes across it, radians, see [`tilt_axes`].
     Tilt {
         /// Index of the surface.
         surface: usize,
@@ -49,12 +49,12 @@ pub enum Parameter {
         /// Index of the surface.
         surface: usize,
     },
-    /// Refractive index inside all walls, the same water.
+    /// Refractive index inside all walls (the same water).
     IndexInside,
 }
 
 impl Parameter {
-    /// All of a rational lens, in the order fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, k5, k6.
+    /// All parameters of a rational lens, in the order fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, k5, k6.
     pub const LENS: [Self; 12] = [
         Self::Focal(0),
         Self::Focal(1),
@@ -81,7 +81,7 @@ impl Parameter {
         [Self::Tilt { surface, axis: 0 }, Self::Tilt { surface, axis: 1 }, Self::Offset { surface }]
     }
 
-    /// Its name in a rig file, `surface` giving the names of surfaces; units are SI, pixels for the lens.
+    /// Its name in a rig file, with the names of surfaces from `surface`; units are SI, pixels for the lens.
     pub fn name<'a>(self, surface: impl Fn(usize) -> &'a str) -> String {
         let of = |names: &[&str], i: usize| names.get(i).copied().unwrap_or_default().to_owned();
         match self {
@@ -95,7 +95,7 @@ impl Parameter {
         }
     }
 
-    /// The parameter of this name; `surface` gives the indices of surfaces.
+    /// The parameter with this name, with the indices of surfaces from `surface`.
     pub fn from_name(name: &str, surface: impl Fn(&str) -> Option<usize>) -> Option<Self> {
         if let Some(of_lens) = Self::LENS.into_iter().find(|parameter| parameter.name(|_| "") == name) {
             return Some(of_lens);
@@ -116,20 +116,20 @@ impl Parameter {
     }
 }
 
-/// Two unit vectors across a normal, about which [`Parameter::Tilt`] turns it. As near as they can be to x and y of the
-/// camera, so that a number has a meaning: axis 0 turns the surface up or down, axis 1 left or right.
+/// Two unit vectors across a normal, about which [`Parameter::Tilt`] turns it. As close as possible to the camera's x
+/// and y, so that the numbers have a meaning: axis 0 turns the surface up or down, axis 1 left or right.
 pub fn tilt_axes(normal: &Vector3<f64>) -> [Vector3<f64>; 2] {
     let down = if normal.y.abs() < 0.9 { Vector3::y() } else { Vector3::z() };
     let vertical = (down - normal * normal.dot(&down)).normalize();
     [vertical.cross(normal), vertical]
 }
 
-/// A place as a view shows it.
+/// A point as seen in a view.
 #[derive(Debug, Clone)]
 pub struct Seen {
     /// Where.
     pub pixel: Point2<f64>,
-    /// d pixel / d place, pixels per metre.
+    /// d pixel / d point, pixels per metre.
     pub d_point: Matrix2x3<f64>,
     /// d pixel / d parameter, in the order of the parameters that [`Projector`] was made with.
     pub d_parameters: Vec<Vector2<f64>>,
@@ -142,7 +142,7 @@ impl Geometry {
         OpticalPath { lens: self.lens, surfaces }
     }
 
-    /// The value of a parameter; of a tilt 0, because tilts count from where the surface is.
+    /// The value of a parameter; 0 for a tilt, because tilts are relative to the current surface.
     pub fn value(&self, parameter: Parameter) -> f64 {
         match parameter {
             Parameter::Focal(axis) => self.lens.focal_px[axis],
@@ -193,7 +193,7 @@ impl Geometry {
         moved
     }
 
-    /// The geometry with all parameters changed, tilts of a surface both from where it was.
+    /// The geometry with all parameters changed; both tilts of a surface are relative to its current position.
     pub fn stepped(&self, parameters: &[Parameter], steps: &[f64]) -> Self {
         let mut moved = self.clone();
         for (surface, (_, own)) in moved.surfaces.iter_mut().enumerate() {
@@ -211,7 +211,7 @@ impl Geometry {
     }
 }
 
-/// Puts a surface elsewhere; numbers that are no plane leave it as it is, and the search that made them has failed.
+/// Moves a surface; numbers that are not a plane leave it unchanged, and the search that made them has failed.
 fn set_plane(surface: &mut Surface, normal: Vector3<f64>, offset_m: f64) {
     let Ok(plane) = Plane::new(normal.normalize(), offset_m) else { return };
     match surface {
@@ -220,7 +220,7 @@ fn set_plane(surface: &mut Surface, normal: Vector3<f64>, offset_m: f64) {
     }
 }
 
-/// Projects places and differentiates the pixels by a list of parameters.
+/// Projects points and differentiates the pixels with respect to a list of parameters.
 #[derive(Debug, Clone)]
 pub struct Projector {
     parameters: Vec<Parameter>,
@@ -230,7 +230,7 @@ pub struct Projector {
 #[derive(Debug, Clone)]
 struct ViewProjector {
     path: OpticalPath,
-    /// For each parameter that moves the view's rays other than by the lens: its index, the path on either side.
+    /// For each parameter other than the lens's that moves the view's rays: its index, and the path on either side.
     moved: Vec<(usize, OpticalPath, OpticalPath)>,
 }
 
@@ -253,10 +253,10 @@ impl Projector {
         Self { parameters: parameters.to_vec(), views }
     }
 
-    /// Where a view shows a place, metres, camera frame.
+    /// The pixel at which a view shows a point, metres, camera frame.
     ///
     /// # Errors
-    /// [`NoRay`] where it does not.
+    /// [`NoRay`] where it does not show it.
     pub fn pixel(&self, view: usize, place: &Point3<f64>) -> Result<Point2<f64>, NoRay> {
         self.views[view].path.project(place)
     }
@@ -264,7 +264,7 @@ impl Projector {
     /// As [`Projector::pixel`], with derivatives.
     ///
     /// # Errors
-    /// [`NoRay`] where the view does not show the place.
+    /// [`NoRay`] where the view does not show the point.
     pub fn seen(&self, view: usize, place: &Point3<f64>) -> Result<Seen, NoRay> {
         let view = &self.views[view];
         let projection = view.path.project_with_jacobian(place)?;
@@ -356,7 +356,7 @@ pub(crate) mod tests {
             for view in 0..2 {
                 let seen = projector.seen(view, &place).unwrap();
                 for (i, parameter) in parameters.iter().enumerate() {
-                    // Second way: the projection itself of two whole geometries, by another step.
+                    // Independent check: the projection with two complete geometries, with another step.
                     let step = if parameter.is_of_lens() { 1e-3 } else { 1e-6 };
                     let at = |step: f64| geometry.moved(*parameter, step).path(view).project(&place).unwrap();
                     let expected = (at(step) - at(-step)) / (2.0 * step);

@@ -1,12 +1,11 @@
-//! Least squares in the shape of an arrow: unknowns that all observations share, and blocks of unknowns that meet only
-//! these.
+//! Least squares with an arrow-shaped matrix: unknowns shared by all observations, and blocks of unknowns coupled only
+//! to these.
 //!
-//! In: a start, its [`Equations`], what a [`Step`] makes of it. Out: where the cost is least, with the equations there,
-//! whose inverse is the covariance of what is shared.
+//! In: a start, its [`Equations`], and the state after a [`Step`]. Out: the minimum of the cost, with the equations
+//! there, whose inverse is the covariance of the shared unknowns.
 //!
 //! Minimised is Σ ρ(|r|) over all observations, r their residuals in standard deviations, ρ a square or Huber's, by
-//! Levenberg-Marquardt. The blocks are eliminated (Schur complement), so that the time grows linearly with their
-//! number.
+//! Levenberg-Marquardt. The blocks are eliminated (Schur complement), so the time grows linearly with their number.
 //!
 //! Source of the method: Triggs et al., "Bundle adjustment: a modern synthesis" (2000), doi:10.1007/3-540-44480-7_21.
 
@@ -14,15 +13,16 @@ use nalgebra::{DMatrix, DVector, DVectorView};
 
 /// Beyond this many σ an observation's weight falls (Huber).
 const HUBER: f64 = 2.5;
-/// Damping at first, the least, and where more of it no longer mends a matrix that is not positive by rounding.
+/// Damping: initial, least, and the most, beyond which it no longer repairs a matrix that is not positive because of
+/// rounding.
 const DAMPING: (f64, f64, f64) = (1e-4, 1e-12, 1e6);
 
-/// What the residual of an observation, in standard deviations, costs.
+/// Cost of an observation's residual, in standard deviations.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Loss {
     /// Its square.
     Squared,
-    /// Huber's: its square near zero, in proportion further off, so that outliers do not pull.
+    /// Huber's: quadratic near zero, linear further out, so that outliers pull less.
     Robust,
 }
 
@@ -41,16 +41,16 @@ impl Loss {
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Row<'a> {
     pub(crate) residual: f64,
-    /// By all shared unknowns.
+    /// With respect to all shared unknowns.
     pub(crate) shared: &'a [f64],
-    /// By all unknowns of the observation's block; nothing when it belongs to none.
+    /// With respect to all unknowns of the observation's block; empty when it belongs to none.
     pub(crate) own: &'a [f64],
 }
 
 /// Normal equations.
 #[derive(Debug, Clone)]
 pub(crate) struct Equations {
-    /// Of observations that belong to no block: the lower triangle.
+    /// From observations without a block: the lower triangle.
     shared: DMatrix<f64>,
     gradient: DVector<f64>,
     blocks: Vec<Block>,
@@ -59,10 +59,10 @@ pub(crate) struct Equations {
 
 #[derive(Debug, Clone)]
 struct Block {
-    /// What its observations say of the shared unknowns, when its own are known: the lower triangle, and the gradient.
+    /// Information of its observations about the shared unknowns, given its own: the lower triangle, and the gradient.
     shared: DMatrix<f64>,
     shared_gradient: DVector<f64>,
-    /// Shared unknowns x its own.
+    /// Shared unknowns × its own.
     coupling: DMatrix<f64>,
     matrix: DMatrix<f64>,
     gradient: DVector<f64>,
@@ -74,12 +74,12 @@ pub(crate) struct Step {
     pub(crate) shared: DVector<f64>,
     /// For each block.
     pub(crate) own: Vec<DVector<f64>>,
-    /// By how much it lowers the cost if the problem is linear.
-    promised: f64,
+    /// Predicted decrease of the cost, if the problem is linear.
+    predicted_decrease: f64,
 }
 
 impl Equations {
-    /// Without any observation: so many shared unknowns, and for each block how many of its own.
+    /// Without observations: the number of shared unknowns, and for each block the number of its own.
     pub(crate) fn new(shared: usize, blocks: impl IntoIterator<Item = usize>) -> Self {
         let block = |own: usize| Block {
             shared: DMatrix::zeros(shared, shared),
@@ -96,7 +96,7 @@ impl Equations {
         }
     }
 
-    /// Adds an observation that depends on what is shared and on no block but `block`.
+    /// Adds an observation that depends on the shared unknowns and on no block but `block`.
     pub(crate) fn add(&mut self, block: Option<usize>, rows: &[Row<'_>], loss: Loss) {
         let length = rows.iter().map(|row| row.residual * row.residual).sum::<f64>().sqrt();
         let (weight, cost) = loss.of(length);
@@ -118,19 +118,19 @@ impl Equations {
         }
     }
 
-    /// What the observations tell of the shared unknowns when nothing is known of the blocks: the inverse of the
-    /// covariance. `None` when they leave a block open.
+    /// Information of the observations about the shared unknowns with all blocks free: the inverse of the covariance.
+    /// `None` when a block is undetermined.
     pub(crate) fn information(&self) -> Option<DMatrix<f64>> {
         Some(self.reduced(0.0)?.0)
     }
 
-    /// Covariance of the shared unknowns, all blocks free; `None` when the observations leave a direction open.
+    /// Covariance of the shared unknowns, all blocks free; `None` when the observations leave a direction undetermined.
     pub(crate) fn covariance(&self) -> Option<DMatrix<f64>> {
         Some(self.information()?.cholesky()?.inverse())
     }
 
-    /// What each block tells of the shared unknowns, its own eliminated: information, and the gradient it pulls with.
-    /// `None` when one is left open. What belongs to no block is not among them.
+    /// Contribution of each block about the shared unknowns, with its own eliminated: information and gradient. `None`
+    /// when one is undetermined. Observations without a block are not included.
     pub(crate) fn by_block(&self) -> Option<Vec<(DMatrix<f64>, DVector<f64>)>> {
         let of_block = |block: &Block| {
             let through = &block.coupling * block.inverse(0.0)?;
@@ -142,17 +142,17 @@ impl Equations {
         self.blocks.iter().map(of_block).collect()
     }
 
-    /// The step of each block that is best when what is shared stays; `None` when one is left open.
+    /// The best step of each block with the shared unknowns fixed; `None` when one is undetermined.
     pub(crate) fn steps_of_blocks(&self) -> Option<Vec<DVector<f64>>> {
         self.blocks.iter().map(|block| Some(block.inverse(0.0)? * &block.gradient)).collect()
     }
 
-    /// Gradient of what is shared.
+    /// Gradient of the shared unknowns.
     fn gradient(&self) -> DVector<f64> {
         self.blocks.iter().fold(self.gradient.clone(), |sum, block| sum + &block.shared_gradient)
     }
 
-    /// Matrix and gradient of what is shared after all blocks are eliminated, diagonals raised by `damping`.
+    /// Matrix and gradient of the shared unknowns after eliminating all blocks, with diagonals increased by `damping`.
     fn reduced(&self, damping: f64) -> Option<(DMatrix<f64>, DVector<f64>)> {
         let mut matrix = self.blocks.iter().fold(self.shared.clone(), |sum, block| sum + &block.shared);
         matrix.fill_upper_triangle_with_lower_triangle();
@@ -175,8 +175,8 @@ impl Equations {
         });
         let own: Vec<DVector<f64>> = own.collect::<Option<_>>()?;
         let by_blocks: f64 = own.iter().zip(&self.blocks).map(|(step, block)| step.dot(&block.gradient)).sum();
-        let promised = shared.dot(&self.gradient()) + by_blocks;
-        Some(Step { shared, own, promised })
+        let predicted_decrease = shared.dot(&self.gradient()) + by_blocks;
+        Some(Step { shared, own, predicted_decrease })
     }
 }
 
@@ -197,42 +197,42 @@ fn raise_diagonal(matrix: &mut DMatrix<f64>, damping: f64) {
 /// When a search ends.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct End {
-    /// It has settled when the next step promises to lower the cost by less than the sum of this part of it and this.
-    pub(crate) enough: (f64, f64),
-    /// It is given up after so many steps.
-    pub(crate) most_steps: usize,
+    /// Relative and absolute tolerance: converged when the predicted decrease of the cost is below their sum.
+    pub(crate) tolerance: (f64, f64),
+    /// Most steps before giving up.
+    pub(crate) max_steps: usize,
 }
 
-/// Why a search has no answer.
+/// Why a search has no solution.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) enum Stuck<E> {
+pub(crate) enum SearchError<E> {
     /// The start has no equations.
     Start(E),
-    /// The observations leave a direction open.
+    /// The observations leave a direction undetermined.
     Singular,
-    /// It did not settle.
-    NotSettled,
+    /// It did not converge.
+    NotConverged,
 }
 
-/// Goes from `start` to where the cost is least. A step that leads to no equations is taken for one that is too long.
+/// Searches from `start` for the minimum cost. A step without equations at its end counts as too long.
 pub(crate) fn minimise<S, E>(
     end: End,
     start: S,
     equations: impl Fn(&S) -> Result<Equations, E>,
     stepped: impl Fn(&S, &Step) -> Result<S, E>,
-) -> Result<(S, Equations), Stuck<E>> {
-    let mut here = equations(&start).map_err(Stuck::Start)?;
+) -> Result<(S, Equations), SearchError<E>> {
+    let mut here = equations(&start).map_err(SearchError::Start)?;
     let mut at = start;
     let (mut damping, least, most) = DAMPING;
-    for _ in 0..end.most_steps {
+    for _ in 0..end.max_steps {
         let Some(step) = here.step(damping) else {
             if damping > most {
-                return Err(Stuck::Singular);
+                return Err(SearchError::Singular);
             }
             damping *= 10.0;
             continue;
         };
-        let settled = step.promised < end.enough.0 * here.cost + end.enough.1;
+        let converged = step.predicted_decrease < end.tolerance.0 * here.cost + end.tolerance.1;
         let moved = stepped(&at, &step).and_then(|moved| Ok((equations(&moved)?, moved)));
         match moved {
             Ok((there, moved)) if there.cost <= here.cost => {
@@ -241,11 +241,11 @@ pub(crate) fn minimise<S, E>(
             }
             _ => damping *= 10.0,
         }
-        if settled {
+        if converged {
             return Ok((at, here));
         }
     }
-    Err(Stuck::NotSettled)
+    Err(SearchError::NotConverged)
 }
 
 #[cfg(test)]
@@ -253,8 +253,8 @@ mod tests {
     use super::*;
     use std::convert::Infallible;
 
-    /// Three curves exp(slope·x) of one slope, each with an offset of its own, the last with a bend too: blocks of one
-    /// and two.
+    /// Three curves exp(slope·x) with a common slope, each with its own offset, the last also with a bend: blocks of
+    /// one and two.
     const SLOPE: f64 = 0.7;
     const OFFSETS: [f64; 3] = [1.5, -2.0, 0.3];
     const BEND: f64 = 0.25;
@@ -294,7 +294,7 @@ mod tests {
         Ok(Curves { slope: at.slope + step.shared[0], own: own.collect() })
     }
 
-    const END: End = End { enough: (1e-12, 1e-18), most_steps: 50 };
+    const END: End = End { tolerance: (1e-12, 1e-18), max_steps: 50 };
 
     fn solved(seen: &[Vec<f64>], loss: Loss) -> (Curves, Equations) {
         let start = Curves { slope: 0.1, own: (0..3).map(|g| vec![0.0; unknowns(g)]).collect() };
@@ -323,12 +323,12 @@ mod tests {
             let (found, _) = solved(&seen, loss);
             (found.own[0][0] - OFFSETS[0]).abs()
         };
-        // A pull of 2.5 σ in place of 50: a twentieth.
+        // A pull of 2.5 σ instead of 50: a twentieth.
         let (robust, squared) = (off(Loss::Robust), off(Loss::Squared));
         assert!(squared > 5.0 && robust < squared / 10.0, "{robust} {squared}");
     }
 
-    /// Second way: the inverse of the whole matrix, of which the covariance of what is shared is a corner.
+    /// Independent check: the covariance of the shared unknowns is a corner of the inverse of the whole matrix.
     #[test]
     fn the_covariance_is_that_of_the_whole_problem() {
         let (found, equations) = solved(&seen(), Loss::Squared);
@@ -365,16 +365,16 @@ mod tests {
     #[test]
     fn what_is_left_open_is_said() {
         let open = |_: &()| Ok::<_, Infallible>(Equations::new(1, [1]));
-        let stuck = minimise(END, (), open, |(), _| Ok(())).unwrap_err();
-        assert_eq!(stuck, Stuck::Singular);
+        let error = minimise(END, (), open, |(), _| Ok(())).unwrap_err();
+        assert_eq!(error, SearchError::Singular);
         assert!(Equations::new(2, []).covariance().is_none());
     }
 
     #[test]
     fn a_start_without_equations_is_said_and_steps_to_such_places_are_shortened() {
-        let stuck = minimise(END, 0.0, |_| Err("no ray"), |at, _| Ok(*at)).unwrap_err();
-        assert_eq!(stuck, Stuck::Start("no ray"));
-        // √x = 3 from 0.5, in steps of Newton's that lead below zero, where there is none.
+        let error = minimise(END, 0.0, |_| Err("no ray"), |at, _| Ok(*at)).unwrap_err();
+        assert_eq!(error, SearchError::Start("no ray"));
+        // √x = 3 from 0.5, with Newton steps that lead below zero, where it has no value.
         let root = |x: &f64| {
             if *x < 0.0 {
                 return Err("no root");
@@ -395,8 +395,8 @@ mod tests {
             equations.add(None, &[Row { residual: (-x).exp(), shared: &[-(-x).exp()], own: &[] }], Loss::Squared);
             Ok::<_, Infallible>(equations)
         };
-        let end = End { enough: (0.0, 0.0), most_steps: 20 };
-        let stuck = minimise(end, 0.0, walk, |x, step| Ok(x - step.shared[0])).unwrap_err();
-        assert_eq!(stuck, Stuck::NotSettled);
+        let end = End { tolerance: (0.0, 0.0), max_steps: 20 };
+        let error = minimise(end, 0.0, walk, |x, step| Ok(x - step.shared[0])).unwrap_err();
+        assert_eq!(error, SearchError::NotConverged);
     }
 }

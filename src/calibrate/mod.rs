@@ -1,16 +1,16 @@
-//! What a rig file needs and pictures of a board or a recording can tell: a module for each verb of `catoptra
-//! calibrate`. Each reads a rig file and adds its part.
+//! Calibration of a rig file from pictures of a board or a recording: one module for each verb of `catoptra calibrate`.
+//! Each reads a rig file and adds its part.
 //!
 //! - [`camera`]: the lens, from pictures of a board in air.
 //! - [`rig`]: mirrors, walls and views, from pictures of a board seen directly and in mirrors.
 //! - [`mirror`]: a mirror that was bumped, from the bands in an ordinary recording, without a board.
-//! - [`markers`]: colour models, places along the tube and how the camera draws a band, from one click per marker.
+//! - [`markers`]: colour models, places along the tube and how the camera images a band, from one click per marker.
 //! - [`base`]: the frame of the catheter at rest and B0, from a recording at rest and one of a planar swing.
 //!
-//! `camera` and `rig` stand on [`board`] (corners in a picture), [`geometry`] (lens and surfaces as parameters) and
+//! `camera` and `rig` build on [`board`] (corners in a picture), [`geometry`] (lens and surfaces as parameters) and
 //! `bundle` (the adjustment, with prior knowledge). `rig` and `mirror` share `least_squares` with it.
 
-// What the verbs stand on.
+// What the verbs build on.
 pub mod board;
 pub(crate) mod bundle;
 mod frames;
@@ -27,7 +27,7 @@ pub mod rig;
 #[cfg(test)]
 mod tests;
 
-/// A positive length as people write it, `12mm`, `1.2 cm` or `0.012m`, in metres; `None` when it is none, or has no
+/// A positive length with unit, `12mm`, `1.2 cm` or `0.012m`, in metres; `None` when it is not a length, or has no
 /// unit.
 pub fn length_m(text: &str) -> Option<f64> {
     let (number, unit_m) = [("mm", 1e-3), ("cm", 1e-2), ("m", 1.0)]

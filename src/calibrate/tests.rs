@@ -1,5 +1,5 @@
-//! Whole calibrations of simulated rigs of three kinds, from corners with known noise: what is found, what is predicted
-//! of it, and what is refused.
+//! Whole calibrations of simulated rigs of three kinds, from corners with known noise: results, their predicted errors,
+//! and refusals.
 
 use crate::calibrate::board::{Board, BoardImage, BoardPicture};
 use crate::calibrate::bundle::outliers::LeftOut;
@@ -13,9 +13,9 @@ use nalgebra::{DMatrix, DVector, Isometry3, Point2, Point3, Translation3, UnitQu
 
 const SIZE_PX: [u32; 2] = [1280, 1024];
 
-/// Gaussian numbers, the same for the same seed. Not those of `testing::random`: two tests hold for these draws and
-/// miss their limits with some others (`predicted_errors_are_those_made` by 0.002, `a_contradiction_is_the_distance…`
-/// by a third, where its linearisation is poor).
+/// Gaussian numbers, reproducible by seed. Not those of `testing::random`: two tests pass with these draws and miss
+/// their limits with some others (`predicted_errors_are_those_made` by 0.002, `a_contradiction_is_the_distance…` by a
+/// third, where its linearisation is poor).
 pub(super) fn gaussian(seed: u64) -> impl FnMut() -> f64 {
     let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
     let mut uniform = move || {
@@ -120,8 +120,8 @@ fn two_mirrors_in_air() -> Simulated {
     )
 }
 
-/// Pictures of the board in random poses, all images of a picture in random order; a mirrored one in the order in which
-/// a detector that takes it for direct finds its corners.
+/// Pictures of the board in random poses, all images of a picture in random order; a mirrored one with its corners in
+/// the order of a detector that takes it for direct.
 fn pictures(rig: &Simulated, count: usize, sd_px: f64, random: &mut impl FnMut() -> f64) -> Vec<BoardsPicture> {
     let (places, projector) = (board().centred_points(), Projector::new(&rig.geometry, &[]));
     let order = board().orders().remove(0);
@@ -162,7 +162,7 @@ fn pictures(rig: &Simulated, count: usize, sd_px: f64, random: &mut impl FnMut()
     pictures
 }
 
-/// The lens as a calibration would give it: off by its own covariance.
+/// The lens as a calibration would give it: with an error drawn from its covariance.
 fn calibrated_lens(random: &mut impl FnMut() -> f64) -> (Lens, DMatrix<f64>) {
     let sd = [1.5, 1.5, 1.5, 1.5, 4e-3, 0.1, 1.5e-4, 1.5e-4, 1e-6];
     let mut lens = lens();
@@ -188,7 +188,7 @@ fn calibrated(rig: &Simulated, seed: u64) -> RigCalibration {
     calibrate_rig(&board(), &lens, &pictures, &options).unwrap_or_else(|e| panic!("seed {seed}: {e}"))
 }
 
-/// Errors really made at places, absolute and after the best rigid motion, metres.
+/// Actual errors at points, absolute and after the best rigid motion, metres.
 fn errors(truth: &Geometry, found: &Geometry, places: &[Point3<f64>]) -> (Vec<f64>, Vec<f64>) {
     let (seen, here) = (Projector::new(truth, &[]), Projector::new(found, &[]));
     let located: Vec<Vector3<f64>> = places
@@ -223,7 +223,7 @@ fn errors(truth: &Geometry, found: &Geometry, places: &[Point3<f64>]) -> (Vec<f6
     (norms(&all), norms(&rest))
 }
 
-/// The verdict's promise: over many calibrations of each rig, the errors made are those predicted.
+/// The verdict's claim: over many calibrations of each rig, actual errors equal predicted ones.
 #[test]
 fn predicted_errors_in_space_are_those_really_made() {
     const RUNS: u64 = 24;
@@ -234,7 +234,7 @@ fn predicted_errors_in_space_are_those_really_made() {
         for seed in 0..RUNS {
             let found = calibrated(&rig, 1000 + seed);
             let judged = verdict(&found.solution, &found.corners, &board().centred_points()).unwrap();
-            // At the edge of the volume a view may end between the true and the found place.
+            // At the edge of the volume a view may end between the true and the found point.
             let shown = |place: &Point3<f64>| {
                 let near = |d: f64| Point3::from(place.coords + Vector3::new(0.0, 0.0, d));
                 let views = 0..rig.geometry.views.len();
@@ -264,8 +264,8 @@ fn predicted_errors_in_space_are_those_really_made() {
     }
 }
 
-/// A board taped to each wall of the tank, the side wall's seen in the mirror: the front wall's distance is known as
-/// well as that of any board in air then, the side wall's as well as the mirror's, and rightly so.
+/// A board taped to each wall of the tank, the side wall's seen in the mirror: the front wall's distance is then known
+/// as well as that of any board in air, the side wall's as well as the mirror's, and the σ are right.
 #[test]
 fn a_board_taped_to_a_wall_pins_it() {
     let rig = beside_the_tank();
@@ -274,7 +274,7 @@ fn a_board_taped_to_a_wall_pins_it() {
     let (lens, covariance) = calibrated_lens(&mut random);
     let taped = |wall: usize, path: Vec<usize>, turned: f64, random: &mut dyn FnMut() -> f64| {
         let Surface::Wall(Wall { outer, .. }) = rig.geometry.surfaces[wall].1 else { panic!("no wall") };
-        // Its back lies on the wall: z of the board runs into it.
+        // Its back lies on the wall: z of the board points into it.
         let about = UnitQuaternion::rotation_between(&Vector3::z(), &-outer.normal()).unwrap();
         let near = Point3::from(rig.middle);
         let middle = near - outer.normal() * outer.signed_distance(&near);
@@ -309,7 +309,7 @@ fn a_board_taped_to_a_wall_pins_it() {
         println!("{surface}: {:.3} mm off, σ {:.3} mm", error * 1e3, sd * 1e3);
         assert!(sd < limit_m && error.abs() < 3.5 * sd, "surface {surface}: {error} m off, σ {sd} m");
     }
-    // Boards that tell whether they are mirrored must be as their wall is seen.
+    // Boards that show whether they are mirrored must be seen the same way as their wall.
     for (taped, says) in [(0, "seen in a mirror, that wall directly"), (1, "seen directly, that wall in the mirror")] {
         let mut options = options.clone();
         options.taped[taped].1.image.mirrored = Some(taped == 0);
@@ -322,8 +322,8 @@ fn a_board_taped_to_a_wall_pins_it() {
 fn images_are_sorted_into_views_whatever_their_order_and_number() {
     let rig = two_mirrors_in_air();
     let mut pictures = pictures(&rig, 8, 0.02, &mut gaussian(5));
-    // A picture without one of the mirrored boards, and one with the direct image alone.
-    // The direct image is the one between the other two.
+    // A picture without one of the mirrored boards, and one with only the direct image. The direct image is the one
+    // between the other two.
     for picture in &mut pictures[1..3] {
         picture.images.sort_by(|a, b| a.corners[0].1.x.total_cmp(&b.corners[0].1.x));
     }
@@ -341,7 +341,7 @@ fn images_are_sorted_into_views_whatever_their_order_and_number() {
     }
 }
 
-/// A board that shows which way round it is: the direct image is mirrored and the others are not.
+/// A board that shows its handedness: the direct image is mirrored and the others are not.
 #[test]
 fn flipped_pictures_are_told_when_the_board_shows_it() {
     let rig = two_mirrors_in_air();
@@ -390,7 +390,7 @@ fn what_is_no_reflection_is_refused_by_name() {
     assert_eq!(unknown, "there is no surface `front`; there are mirror_1, mirror_2");
 }
 
-/// Boards in air at the given turns, each at its own place.
+/// Boards in air with the given rotations, each at its own place.
 fn air(turns: &[[f64; 3]], sd_px: f64) -> Vec<BoardPicture> {
     let (places, mut random) = (board().centred_points(), gaussian(3));
     let geometry = Geometry { lens: lens(), surfaces: Vec::new(), views: vec![("air".into(), Vec::new())] };
@@ -427,7 +427,7 @@ const TILTS: [[f64; 3]; 8] = [
 fn a_lens_is_found_and_pictures_that_mislead_are_left_out_by_name() {
     let mut pictures = air(&TILTS, 0.05);
     pictures.push(BoardPicture { name: "again.png".into(), ..pictures[3].clone() });
-    // A board that was bent: its corners off by a pixel here and there.
+    // A board that was bent: some of its corners are off by a pixel.
     let mut bent = air(&[[0.3, 0.2, 0.0]], 0.05).remove(0);
     bent.name = "bent.png".into();
     for (i, pixel) in &mut bent.image.corners {
@@ -472,7 +472,7 @@ fn sets_that_leave_the_lens_open_are_refused_with_the_reason() {
     assert!(text.starts_with("4.png has 1024x1280 pixels, 0.png has 1280x1024"), "{text}");
 }
 
-/// A wide lens of the rational model, boards out to the corners: found with eight parameters, and asked for with five.
+/// A wide lens of the rational model, boards out to the corners: found with eight parameters, and refused with five.
 #[test]
 fn a_rational_lens_is_found_with_eight_parameters_and_refused_with_five() {
     let wide = Lens {
@@ -505,7 +505,7 @@ fn a_rational_lens_is_found_with_eight_parameters_and_refused_with_five() {
     assert!(eight.lens.is_rational() && eight.covariance.nrows() == 12, "{:?}", eight.lens);
     assert!((0.045..0.055).contains(&eight.corner_sd_px), "{}", eight.corner_sd_px);
     assert!(!eight.diagnostics.iter().any(|d| d.to_string().contains("would show pictures better")));
-    // Its coefficients trade off against each other; the pixels of the field are what is known.
+    // Its coefficients trade off against each other; only the pixels over the field are determined.
     for (x, y) in [(0.0, 0.0), (0.4, 0.3), (-0.6, 0.4), (0.6, -0.55)] {
         let off = (eight.lens.distort(&Point2::new(x, y)) - wide.distort(&Point2::new(x, y))).norm();
         assert!(off < 1.5, "{x} {y}: {off}");
@@ -514,12 +514,12 @@ fn a_rational_lens_is_found_with_eight_parameters_and_refused_with_five() {
         let sd = eight.covariance[(k, k)].sqrt();
         assert!((found - truth).abs() < 4.0 * sd, "{found} ± {sd}");
     }
-    // Five parameters do not bend so: what they leave opens the focal length.
+    // Five parameters cannot bend like that: the residual leaves the focal length undetermined.
     let five = calibrate_camera(&board(), &pictures, LensModel::Five).unwrap_err();
     assert!(matches!(five, CameraError::Open { .. }) && five.to_string().contains("--lens 8"), "{five}");
 }
 
-/// Corners of a picture pulled off together, by a smooth field of its own.
+/// Correlated errors of a picture's corners: a smooth field of its own.
 fn pulled(image: &mut BoardImage, amount_px: f64, random: &mut impl FnMut() -> f64) {
     let field: [f64; 12] = std::array::from_fn(|_| amount_px * random());
     let places = board().centred_points();
@@ -531,8 +531,8 @@ fn pulled(image: &mut BoardImage, amount_px: f64, random: &mut impl FnMut() -> f
     }
 }
 
-/// The lens from boards in air, then mirrors from boards in them, with corners of a picture that are off together in
-/// both: what is predicted of mirrors is what happens, and the lens does not seem to contradict the pictures.
+/// The lens from boards in air, then mirrors from boards in them, both with correlated corner errors within pictures:
+/// the mirrors' errors are as predicted, and the lens does not appear to contradict the pictures.
 #[test]
 fn mirrors_are_as_good_as_they_are_said_to_be_when_corners_are_off_together() {
     const RUNS: u64 = 16;
@@ -576,7 +576,7 @@ fn mirrors_are_as_good_as_they_are_said_to_be_when_corners_are_off_together() {
             }
         }
         let off = super::rig::diagnostics::contradiction(&done.solution, &done.solution.known[0]).unwrap();
-        contradictions += usize::from(off > super::rig::diagnostics::CONTRADICTS);
+        contradictions += usize::from(off > super::rig::diagnostics::CONTRADICTION_SD);
     }
     println!(
         "z RMS {:.2} of the lens, {:.2} of mirrors; {contradictions} contradictions",

@@ -2,28 +2,29 @@
 //!
 //! The equations of motion are those of the chain (`links.rs`). They are integrated by the generalised-α method: of
 //! second order, stable at any step for small motions, and high frequencies are damped by the factor ρ∞ each step; with
-//! ρ∞ = 1 nothing is. Each step is solved by Newton's method to [`SETTLED`]; a step that does not settle is halved.
+//! ρ∞ = 1 nothing is. Each step is solved by Newton's method to [`NEWTON_TOLERANCE`]; a step that does not
+//! converge is halved.
 //!
 //! Source of the method: Chung and Hulbert (1993), doi:10.1115/1.2900803, in the form of Arnold and Brüls (2007),
 //! doi:10.1007/s11044-007-9084-0.
 
 use super::equilibrium::equilibrium;
 use super::error::CatheterError;
-use super::links::{Acting, At, Chain, Energy};
+use super::links::{At, Chain, Energy, ExternalLoad};
 use super::load::Load;
 use super::model::Catheter;
 use nalgebra::linalg::LU;
 use nalgebra::{Complex, DMatrix, DVector, Dyn, Matrix3, Point3, Vector3};
 
 /// A step is solved when the bend changes by less than this over the whole rod, radians.
-const SETTLED: f64 = 1e-10;
-const MOST_STEPS: usize = 12;
+const NEWTON_TOLERANCE: f64 = 1e-10;
+const MAX_STEPS: usize = 12;
 /// Newton's matrix is kept for the next step while the change falls to this part of it or less each time.
-const QUICK: f64 = 0.1;
+const KEEP_MATRIX_BELOW: f64 = 0.1;
 /// Perturbation of differences, radians over the whole rod.
-const PERTURBED: f64 = 1e-6;
+const PERTURBATION: f64 = 1e-6;
 /// A step is halved this often before it is given up.
-const MOST_HALVINGS: u32 = 8;
+const MAX_HALVINGS: u32 = 8;
 
 /// How finely motion is computed.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -137,8 +138,8 @@ impl Simulation {
         Ok(self)
     }
 
-    fn acting(&self, load: &Load) -> Acting {
-        Acting {
+    fn acting(&self, load: &Load) -> ExternalLoad {
+        ExternalLoad {
             moment_am2: self.catheter.coils.moment_per_ampere_m2 * load.currents_a,
             tip_n: load.tip_n,
             tip_nm: load.tip_nm,
@@ -151,13 +152,13 @@ impl Simulation {
         let none = DVector::zeros(self.chain.unknowns());
         let length_m = self.catheter.length_m();
         let mut change = f64::INFINITY;
-        for _ in 0..MOST_STEPS {
+        for _ in 0..MAX_STEPS {
             let left = self.chain.residual((&self.state.q, &none, &none), &acting);
             let matrix = self.derivative(&self.state, &acting, (1.0, 0.0, 0.0));
             let Some(step) = matrix.lu().solve(&-left) else { break };
             self.state.q += &step;
             change = step.amax() * length_m;
-            if change < SETTLED {
+            if change < NEWTON_TOLERANCE {
                 return Ok(());
             }
         }
@@ -181,12 +182,12 @@ impl Simulation {
     fn derivative(
         &self,
         state: &State,
-        acting: &Acting,
+        acting: &ExternalLoad,
         (by, by_rate, by_acceleration): (f64, f64, f64),
     ) -> DMatrix<f64> {
         let count = self.chain.unknowns();
         let largest = by.abs().max(by_rate.abs() * 1e-3).max(by_acceleration.abs() * 1e-6).max(f64::MIN_POSITIVE);
-        let size = PERTURBED / self.catheter.length_m() / largest;
+        let size = PERTURBATION / self.catheter.length_m() / largest;
         let mut matrix = DMatrix::zeros(count, count);
         let mut moved = state.clone();
         for k in 0..count {
@@ -230,14 +231,14 @@ impl Simulation {
         }
         self.state = before;
         self.matrix = None;
-        if halvings == MOST_HALVINGS {
+        if halvings == MAX_HALVINGS {
             return Err(CatheterError::Motion { time_s: self.state.time_s });
         }
         self.step(step_s / 2.0, halvings + 1)?;
         self.step(step_s / 2.0, halvings + 1)
     }
 
-    /// One step by Newton's method; whether it settled.
+    /// One step by Newton's method; whether it converged.
     fn solve(&mut self, step_s: f64) -> bool {
         let alpha = Alpha::new(self.accuracy.rho);
         let (by_rate, by_acceleration) = alpha.factors(step_s);
@@ -253,7 +254,7 @@ impl Simulation {
         // 2. Newton's steps; the matrix of the step before serves while it serves well
         let mut last = f64::INFINITY;
         let mut fresh = false;
-        for _ in 0..2 * MOST_STEPS {
+        for _ in 0..2 * MAX_STEPS {
             let left = self.chain.residual((&new.q, &new.rate, &new.acceleration), &acting);
             if self.matrix.as_ref().is_none_or(|(_, of)| (of - step_s).abs() > 1e-9 * step_s) {
                 self.matrix = Some((self.derivative(&new, &acting, (1.0, by_rate, by_acceleration)).lu(), step_s));
@@ -267,14 +268,14 @@ impl Simulation {
             if !size.is_finite() {
                 return false;
             }
-            if size < SETTLED {
+            if size < NEWTON_TOLERANCE {
                 let State { acceleration, between: old_between, .. } = &self.state;
                 new.between = (&new.acceleration * (1.0 - alpha.f) + acceleration * alpha.f - old_between * alpha.m)
                     / (1.0 - alpha.m);
                 self.state = new;
                 return true;
             }
-            if size > QUICK * last {
+            if size > KEEP_MATRIX_BELOW * last {
                 if fresh && size > last {
                     return false;
                 }
@@ -354,7 +355,7 @@ impl Simulation {
             let push = (left(-1.0) - left(1.0)) / 2.0;
             let moved = solver.solve(&push.map(Complex::from)).ok_or_else(singular)?;
             let along = |part: DVector<f64>| {
-                let size = PERTURBED / self.catheter.length_m() / part.amax().max(f64::MIN_POSITIVE);
+                let size = PERTURBATION / self.catheter.length_m() / part.amax().max(f64::MIN_POSITIVE);
                 (tip(&(&self.state.q + &part * size)) - tip(&(&self.state.q - &part * size))) / (2.0 * size)
             };
             let (real, imaginary) = (along(moved.map(|v| v.re)), along(moved.map(|v| v.im)));

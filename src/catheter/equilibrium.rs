@@ -17,14 +17,14 @@ use super::shape::Shape;
 use nalgebra::{Complex, Matrix3, UnitQuaternion, Vector3};
 
 /// The rotation that may be left at the clamp, radians.
-const SETTLED_RAD: f64 = 1e-11;
+const TOLERANCE_RAD: f64 = 1e-11;
 /// Step of central differences, radians: rounding and curvature both stay below 1e-9.
 const STEP_RAD: f64 = 1e-5;
-const MOST_STEPS: usize = 12;
+const MAX_STEPS: usize = 12;
 /// Newton's steps longer than this leave the branch.
 const LONGEST_RAD: f64 = 0.5;
 /// The load is raised by this part at first, and by no less than this.
-const RAISED: (f64, f64) = (0.25, 1e-4);
+const LOAD_STEP: (f64, f64) = (0.25, 1e-4);
 
 /// The shape of the catheter under `load`.
 ///
@@ -47,12 +47,12 @@ pub(super) fn near(catheter: &Catheter, load: &Load, from: UnitQuaternion<f64>) 
 }
 
 /// Why there is no solution near.
-enum Stuck {
+enum NewtonError {
     Unstable,
     NotConverged { residual_rad: f64 },
 }
 
-impl Stuck {
+impl NewtonError {
     fn at(self, part: f64) -> CatheterError {
         let percent = part * 100.0;
         match self {
@@ -65,9 +65,9 @@ impl Stuck {
 /// Raises the load from nothing to all of it.
 fn raise(
     start: UnitQuaternion<f64>,
-    solve: impl Fn(f64, UnitQuaternion<f64>) -> Result<UnitQuaternion<f64>, Stuck>,
+    solve: impl Fn(f64, UnitQuaternion<f64>) -> Result<UnitQuaternion<f64>, NewtonError>,
 ) -> Result<UnitQuaternion<f64>, CatheterError> {
-    let (mut tip, mut reached, mut by) = (start, 0.0, RAISED.0);
+    let (mut tip, mut reached, mut by) = (start, 0.0, LOAD_STEP.0);
     // The last change of the frame, and by how much of the load: where it will go next.
     let mut trend: Option<(Vector3<f64>, f64)> = None;
     while reached < 1.0 {
@@ -80,7 +80,7 @@ fn raise(
                 (tip, reached) = (found, next);
                 by *= 1.5;
             }
-            Err(why) if by < RAISED.1 => return Err(why.at(next)),
+            Err(why) if by < LOAD_STEP.1 => return Err(why.at(next)),
             Err(_) => by /= 4.0,
         }
     }
@@ -88,27 +88,27 @@ fn raise(
 }
 
 /// Newton's method from a frame near the right one.
-fn solve(catheter: &Catheter, forces: &Forces, start: UnitQuaternion<f64>) -> Result<UnitQuaternion<f64>, Stuck> {
+fn solve(catheter: &Catheter, forces: &Forces, start: UnitQuaternion<f64>) -> Result<UnitQuaternion<f64>, NewtonError> {
     let left = |tip: &UnitQuaternion<f64>| {
         let sections = catheter.integrate(tip, forces, 1);
         sections.last().map_or_else(Vector3::zeros, |clamp| clamp.frame.scaled_axis())
     };
     let mut tip = start;
     let mut residual = left(&tip);
-    for _ in 0..MOST_STEPS {
+    for _ in 0..MAX_STEPS {
         let columns = [Vector3::x(), Vector3::y(), Vector3::z()].map(|axis| {
             let at = |by: f64| left(&(tip * UnitQuaternion::from_scaled_axis(axis * by)));
             (at(STEP_RAD) - at(-STEP_RAD)) / (2.0 * STEP_RAD)
         });
         let derivative = Matrix3::from_columns(&columns);
-        if residual.norm() < SETTLED_RAD {
-            return if is_stable(&derivative) { Ok(tip) } else { Err(Stuck::Unstable) };
+        if residual.norm() < TOLERANCE_RAD {
+            return if is_stable(&derivative) { Ok(tip) } else { Err(NewtonError::Unstable) };
         }
         let Some(step) = derivative.lu().solve(&-residual).filter(|step| step.norm() < LONGEST_RAD) else { break };
         tip *= UnitQuaternion::from_scaled_axis(step);
         residual = left(&tip);
     }
-    Err(Stuck::NotConverged { residual_rad: residual.norm() })
+    Err(NewtonError::NotConverged { residual_rad: residual.norm() })
 }
 
 /// Whether no eigenvalue is real and negative. Two that are equal may come out as a pair that is hardly complex.

@@ -35,6 +35,19 @@ pub enum CatheterError {
         /// What would be right.
         expected: &'static str,
     },
+    /// A catheter that is longer than its tank is deep.
+    #[error(
+        "{}: the catheter is {length_mm} mm long, the tank {depth_mm} mm deep below the clamp: it would stand on the bottom; \
+         flexible_mm, length_mm or tail_mm is wrong, or tank_depth_mm", file.display()
+    )]
+    Tank {
+        /// Which file.
+        file: PathBuf,
+        /// From the clamp to the tip.
+        length_mm: f64,
+        /// Below the clamp.
+        depth_mm: f64,
+    },
     /// A path that cannot be followed.
     #[error("{0}")]
     Path(String),

@@ -7,8 +7,8 @@ use serde::Deserialize;
 use std::path::Path;
 
 /// Largest field, tesla, and curvature at rest, 1/m, that are no slip of the pen.
-const MOST_FIELD_T: f64 = 30.0;
-const MOST_CURVATURE: f64 = 100.0;
+const MAX_FIELD_T: f64 = 30.0;
+const MAX_CURVATURE: f64 = 100.0;
 
 impl Catheter {
     /// Reads `catheter.toml`.
@@ -30,6 +30,7 @@ impl Catheter {
     /// The text of a `catheter.toml`. `heading`: a line for people.
     pub fn to_toml(&self, heading: &str) -> String {
         let Self { tube, coils, surroundings, motion, .. } = self;
+        let depth = surroundings.depth_m.map_or_else(String::new, |m| format!("tank_depth_mm = {:?}\n", m * 1e3));
         let vector = |v: &Vector3<f64>| format!("[{:?}, {:?}, {:?}]", v.x, v.y, v.z);
         let n = (coils.moment_per_ampere_m2 * 1e6).transpose();
         let rows = n.column_iter().map(|row| format!("    {},\n", vector(&row.into_owned()))).collect::<String>();
@@ -37,7 +38,7 @@ impl Catheter {
             "# {}\n\n[tube]\nouter_radius_mm = {:?}\ninner_radius_mm = {:?}\nflexible_mm = {:?}\ntail_mm = {:?}\n\
              young_mpa = {:?}\nshear_mpa = {:?}\ndensity_kg_m3 = {:?}\nrest_curvature_per_m = {}\n\n\
              [coils]\nlength_mm = {:?}\nmoment_per_ampere_mm2 = [\n{rows}]\nmass_g = {:?}\nvolume_mm3 = {:?}\n\
-             limit_ma = {:?}\n\n[surroundings]\nb0_t = {}\ngravity_m_s2 = {}\nfluid_kg_m3 = {:?}\n\n[motion]\n\
+             limit_ma = {:?}\n\n[surroundings]\nb0_t = {}\ngravity_m_s2 = {}\nfluid_kg_m3 = {:?}\n{depth}\n[motion]\n\
              damping_s = {:?}\nadded_mass = {:?}\ndrag = {:?}\nlinear_drag_pa_s = {:?}\n",
             heading.replace(['\n', '\r'], " "),
             tube.outer_radius_m * 1e3,
@@ -107,6 +108,8 @@ struct RawSurroundings {
     b0_t: [f64; 3],
     gravity_m_s2: [f64; 3],
     fluid_kg_m3: f64,
+    #[serde(default)]
+    tank_depth_mm: Option<f64>,
 }
 
 #[derive(Deserialize)]
@@ -155,6 +158,15 @@ impl Raw {
         if tube.inner_radius_mm >= tube.outer_radius_mm {
             return wrong("tube.inner_radius_mm", tube.inner_radius_mm.to_string(), "less than tube.outer_radius_mm");
         }
+        if let Some(depth_mm) = surroundings.tank_depth_mm {
+            let length_mm = tube.flexible_mm + coils.length_mm + tube.tail_mm;
+            if !(depth_mm.is_finite() && depth_mm > 0.0) {
+                return wrong("surroundings.tank_depth_mm", depth_mm.to_string(), "a number above 0");
+            }
+            if length_mm > depth_mm {
+                return Err(CatheterError::Tank { file: file.to_owned(), length_mm, depth_mm });
+            }
+        }
         let moments = coils.moment_per_ampere_mm2;
         if !moments.as_flattened().iter().all(|v| v.is_finite()) {
             return wrong("coils.moment_per_ampere_mm2", format!("{moments:?}"), "nine numbers");
@@ -163,8 +175,8 @@ impl Raw {
             return wrong("coils.alignment_deg", coils.alignment_deg.to_string(), "an angle in degrees");
         }
         for (key, vector, most, expected) in [
-            ("tube.rest_curvature_per_m", tube.rest_curvature_per_m, MOST_CURVATURE, "numbers between -100 and 100"),
-            ("surroundings.b0_t", surroundings.b0_t, MOST_FIELD_T, "three numbers, tesla, of 30 T at most"),
+            ("tube.rest_curvature_per_m", tube.rest_curvature_per_m, MAX_CURVATURE, "numbers between -100 and 100"),
+            ("surroundings.b0_t", surroundings.b0_t, MAX_FIELD_T, "three numbers, tesla, of 30 T at most"),
             ("surroundings.gravity_m_s2", surroundings.gravity_m_s2, 100.0, "three numbers, m/s²"),
         ] {
             if !vector.iter().all(|v| v.abs() <= most) {
@@ -195,6 +207,7 @@ impl Raw {
                 b0_t: surroundings.b0_t.into(),
                 gravity_m_s2: surroundings.gravity_m_s2.into(),
                 fluid_kg_m3: surroundings.fluid_kg_m3,
+                depth_m: surroundings.tank_depth_mm.map(mm),
             },
             motion: Motion {
                 damping_s: motion.damping_s,
@@ -252,6 +265,12 @@ mod tests {
             ("limit_ma = 100.0", "limit_ma = nan", "coils.limit_ma is NaN, expected a number above 0"),
             ("b0_t = [3.0", "b0_t = [3000.0", "expected three numbers, tesla, of 30 T at most"),
             ("tail_mm", "tial_mm", "unknown field `tial_mm`"),
+            ("flexible_mm = 82.65", "flexible_mm = 282.65", "the catheter is 319.65 mm long, the tank 267 mm deep"),
+            (
+                "tank_depth_mm = 267.0",
+                "tank_depth_mm = -1.0",
+                "surroundings.tank_depth_mm is -1, expected a number above 0",
+            ),
         ] {
             assert!(sample.contains(from), "{from}");
             let folder = tempfile::tempdir().unwrap();

@@ -23,14 +23,14 @@ use super::shape::Shape;
 use nalgebra::{Matrix3, Point3, Vector3};
 
 /// Length of tip motion that full current is worth: what λ costs the tip is below a micrometre.
-const CURRENT_IS_WORTH_M: f64 = 1e-5;
+const CURRENT_WEIGHT_M: f64 = 1e-5;
 /// A step of the currents below this part of the limit ends the search.
-const SETTLED: f64 = 1e-6;
-const MOST_STEPS: usize = 60;
+const STEP_TOLERANCE: f64 = 1e-6;
+const MAX_STEPS: usize = 60;
 /// The tip is there: λ alone leaves less.
-const REACHED_M: f64 = 1e-6;
+const REACHED_TOLERANCE_M: f64 = 1e-6;
 /// Steps longer than this part of the limit are shortened: the shape is followed, not jumped.
-const LONGEST: f64 = 0.25;
+const MAX_STEP: f64 = 0.25;
 
 /// Where the tip should be.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -73,7 +73,7 @@ pub fn follow(catheter: &Catheter, targets: &[Target]) -> Result<Vec<Followed>, 
         let mut best: Option<Followed> = None;
         for (shape, currents_a) in before.into_iter().chain(starts.iter().cloned()) {
             let found = toward(catheter, target, shape, currents_a);
-            let reached = found.off_m < REACHED_M;
+            let reached = found.off_m < REACHED_TOLERANCE_M;
             if best.as_ref().is_none_or(|best| found.off_m < best.off_m) {
                 best = Some(found);
             }
@@ -116,25 +116,25 @@ impl Target {
 
 fn toward(catheter: &Catheter, target: &Target, mut shape: Shape, mut currents_a: Vector3<f64>) -> Followed {
     let limit_a = catheter.coils.limit_a;
-    let lambda = CURRENT_IS_WORTH_M / limit_a;
+    let lambda = CURRENT_WEIGHT_M / limit_a;
     let cost = |shape: &Shape, currents_a: &Vector3<f64>| {
         target.off(&shape.tip).norm_squared() + (currents_a * lambda).norm_squared()
     };
     // Of Levenberg, in units of the currents' own weight.
     let mut damping = 1.0;
-    for _ in 0..MOST_STEPS {
+    for _ in 0..MAX_STEPS {
         // At the edge of stability there is none, and no way on.
         let Ok(sensitivity) = shape.sensitivity(catheter) else { break };
         let by_currents = target.weights() * sensitivity.tip_m_a;
         let off = target.off(&shape.tip);
         let step = loop {
             let mut step = step_in_box(&by_currents, &off, &currents_a, lambda, damping, limit_a);
-            let longest = step.amax() / (LONGEST * limit_a);
+            let longest = step.amax() / (MAX_STEP * limit_a);
             if longest > 1.0 {
                 step /= longest;
             }
             let next = (currents_a + step).map(|i| i.clamp(-limit_a, limit_a));
-            if step.amax() < SETTLED * limit_a {
+            if step.amax() < STEP_TOLERANCE * limit_a {
                 break None;
             }
             match shape.moved_to(catheter, &Load::currents(next)) {

@@ -19,7 +19,7 @@ use std::f64::consts::PI;
 
 /// What acts beside weight and fluid.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Acting {
+pub(super) struct ExternalLoad {
     /// Moment of the coils, A·m², in the section's frame.
     pub(super) moment_am2: Vector3<f64>,
     /// Force at the tip, N, base frame.
@@ -86,7 +86,7 @@ pub(super) struct Chain {
 }
 
 /// What the pass to the tip leaves for the way back.
-struct Passed {
+struct ForwardPass {
     before: Matrix3<f64>,
     joint_at: Vector3<f64>,
     turn: Vector3<f64>,
@@ -97,7 +97,7 @@ struct Passed {
 }
 
 /// Pose and motion of a cross-section, on the way to the tip.
-struct Pass {
+struct SectionMotion {
     frame: Matrix3<f64>,
     spin: Vector3<f64>,
     spin_rate: Vector3<f64>,
@@ -206,10 +206,10 @@ impl Chain {
     pub(super) fn residual(
         &self,
         (q, rate, acceleration): (&DVector<f64>, &DVector<f64>, &DVector<f64>),
-        acting: &Acting,
+        acting: &ExternalLoad,
     ) -> DVector<f64> {
-        let mut passed: Vec<Passed> = Vec::with_capacity(self.links.len());
-        let mut at = Pass::clamp();
+        let mut passed: Vec<ForwardPass> = Vec::with_capacity(self.links.len());
+        let mut at = SectionMotion::clamp();
         for link in &self.links {
             let (before, joint_at) = (at.frame, at.point);
             let (turn, scale) = match &link.joint {
@@ -220,7 +220,7 @@ impl Chain {
                 None => (Vector3::zeros(), 1.0),
             };
             let (middle, force, couple) = self.against(link, &at, acting);
-            passed.push(Passed { before, joint_at, turn, scale, middle, force, couple });
+            passed.push(ForwardPass { before, joint_at, turn, scale, middle, force, couple });
             at.along(link.length_m);
         }
         // Back: what must be exerted on all that is beyond, about the origin.
@@ -243,7 +243,12 @@ impl Chain {
     }
 
     /// Inertia less what acts on a link: place, force, couple.
-    fn against(&self, link: &Link, at: &Pass, acting: &Acting) -> (Vector3<f64>, Vector3<f64>, Vector3<f64>) {
+    fn against(
+        &self,
+        link: &Link,
+        at: &SectionMotion,
+        acting: &ExternalLoad,
+    ) -> (Vector3<f64>, Vector3<f64>, Vector3<f64>) {
         let along = at.frame.column(2).into_owned();
         let swing = at.spin.cross(&along);
         let half = link.length_m / 2.0;
@@ -266,8 +271,8 @@ impl Chain {
     }
 
     /// Energy in these unknowns and rates.
-    pub(super) fn energy(&self, q: &DVector<f64>, rate: &DVector<f64>, acting: &Acting) -> Energy {
-        let mut at = Pass::clamp();
+    pub(super) fn energy(&self, q: &DVector<f64>, rate: &DVector<f64>, acting: &ExternalLoad) -> Energy {
+        let mut at = SectionMotion::clamp();
         let still = DVector::zeros(self.unknowns());
         let mut energy = Energy { kinetic_j: 0.0, potential_j: 0.5 * q.dot(&(&self.elasticity * q)) };
         for link in &self.links {
@@ -294,7 +299,7 @@ impl Chain {
     /// Ends of all links, the clamp first, and how the tip moves.
     pub(super) fn places(&self, q: &DVector<f64>, rate: &DVector<f64>) -> (Vec<At>, Vector3<f64>) {
         let still = DVector::zeros(self.unknowns());
-        let mut at = Pass::clamp();
+        let mut at = SectionMotion::clamp();
         let mut arc_m = 0.0;
         let mut places = vec![At { arc_m, frame: at.frame, point: at.point }];
         for link in &self.links {
@@ -306,7 +311,14 @@ impl Chain {
         (places, at.velocity)
     }
 
-    fn bend(&self, at: &mut Pass, link: &Link, q: &DVector<f64>, rate: &DVector<f64>, acceleration: &DVector<f64>) {
+    fn bend(
+        &self,
+        at: &mut SectionMotion,
+        link: &Link,
+        q: &DVector<f64>,
+        rate: &DVector<f64>,
+        acceleration: &DVector<f64>,
+    ) {
         if let Some(joint) = &link.joint {
             let turn = (self.rest_curvature + joint.of(q)) * joint.reach_m;
             at.turn(turn, joint.of(rate) * joint.reach_m, joint.of(acceleration) * joint.reach_m);
@@ -350,7 +362,7 @@ impl Joint {
     }
 }
 
-impl Pass {
+impl SectionMotion {
     fn clamp() -> Self {
         let zero = Vector3::zeros();
         Self {

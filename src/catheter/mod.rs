@@ -4,6 +4,7 @@
 //! - [`equilibrium`]: the shape at rest under coil currents, weight and a force at the tip.
 //! - [`reach`]: where the tip can get to within the current limit.
 //! - [`follow`]: the currents that lead the tip along a path.
+//! - [`harmonics()`]: what the linearised catheter makes of it at speed.
 //! - [`Simulation`]: the catheter in motion, in a fluid, under [`Commands`].
 //! - [`fit()`]: parameters from tracked runs.
 //! - [`Shape`]: the centre line with its frames, the coil's tangent, θ, and how they follow the currents.
@@ -26,6 +27,7 @@ mod error;
 mod file;
 mod fit;
 mod follow;
+mod harmonic;
 mod links;
 mod load;
 mod model;
@@ -43,6 +45,7 @@ pub use equilibrium::equilibrium;
 pub use error::CatheterError;
 pub use fit::{Check, Estimated, Fit, FitOptions, Open, Parameter, Pause, Run, check, fit};
 pub use follow::{Followed, Target, follow};
+pub use harmonic::{Harmonic, harmonics};
 pub use links::Energy;
 pub use load::Load;
 pub use model::{Catheter, CoilSet, Motion, Surroundings, Tube};

@@ -63,6 +63,8 @@ pub struct Surroundings {
     pub gravity_m_s2: Vector3<f64>,
     /// Density of the fluid inside and around the tube, kg/m³; 0 in air.
     pub fluid_kg_m3: f64,
+    /// Depth of the tank below the clamp, metres, where it is known: a catheter that is longer stands on the bottom.
+    pub depth_m: Option<f64>,
 }
 
 /// What resists motion, beside inertia.
@@ -138,6 +140,8 @@ impl Catheter {
                 b0_t: Vector3::new(3.0, 0.0, 0.0),
                 gravity_m_s2: Vector3::new(0.0, 0.0, 9.806_65),
                 fluid_kg_m3: 998.2,
+                // The aquarium of the paper.
+                depth_m: Some(0.267),
             },
             // c_d of a cylinder at Reynolds numbers of some hundred; b after Stokes, 2π R √(2 ρ μ ω), in water at the
             // prototype's lowest frequency, 1.45 Hz. The relaxation time is a guess: nobody has measured it.

@@ -4,10 +4,10 @@ use super::progress::Progress;
 use super::results::Results;
 use super::{Exit, Failure, interrupt, output, provenance};
 use crate::archive::Outcome;
-use crate::archive::outstanding::outstanding;
 use crate::archive::study::{Study, StudyError};
+use crate::archive::unusual::unusual_runs;
+use crate::atomic_file;
 use crate::report::study;
-use crate::whole_file;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
@@ -28,7 +28,7 @@ const REPORT: &str = "report.html";
 
 pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     interrupt::end_at_once()?;
-    // 1. everything is judged before anything is written
+    // 1. everything is checked before anything is written
     let inputs = args.folders.iter().map(PathBuf::as_path).collect();
     let files = [FRAMES, RUNS, REPORT].map(str::to_owned).to_vec();
     let results = Results { folder: &args.out, command: "collect", recordings: &args.folders, inputs, files };
@@ -52,14 +52,14 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     let frames = study.write_frames(&args.out.join(FRAMES), || progress.one_more()).map_err(failure)?;
     drop(progress);
     study.write_runs(&args.out.join(RUNS)).map_err(failure)?;
-    let outstanding = outstanding(&study);
+    let unusual = unusual_runs(&study);
     let title = args.out.file_name().map_or_else(|| "study".into(), |name| name.to_string_lossy().into_owned());
-    let page = study::page(&study, &outstanding, &args.out, &title, &provenance::of_this_run());
+    let page = study::page(&study, &unusual, &args.out, &title, &provenance::of_this_run());
     let place = args.out.join(REPORT);
-    whole_file::write(&place, page.as_bytes()).map_err(|e| cannot(&place, e))?;
-    // 3. words
+    atomic_file::write(&place, page.as_bytes()).map_err(|e| cannot(&place, e))?;
+    // 3. text
     if !quiet {
-        output::print(&summary(&study, frames, outstanding.len(), &args.out))?;
+        output::print(&summary(&study, frames, unusual.len(), &args.out))?;
     }
     match study.unread.len() {
         0 => Ok(()),
@@ -76,17 +76,17 @@ fn failure(error: StudyError) -> Failure {
     Failure::new(exit, error)
 }
 
-fn summary(study: &Study, frames: u64, outstanding: usize, out: &Path) -> String {
+fn summary(study: &Study, frames: u64, unusual: usize, out: &Path) -> String {
     let mut text = format!("{} runs, {frames} frames\n", study.runs.len());
     let failed: Vec<_> = study.runs.iter().filter(|run| run.summary.outcome != Outcome::Tracked).collect();
-    // Nothing fails in memory.
+    // Writing to memory cannot fail.
     for run in &failed {
         let message = run.summary.failure.as_ref().map_or("", |failure| failure.message.as_str());
         let again = run.summary.failure.as_ref().is_some_and(|failure| failure.retryable);
         let again = if again { "may pass" } else { "will not pass" };
         let _ = writeln!(text, "  {} {} ({again}): {message}", run.name, run.summary.outcome.word());
     }
-    let _ = writeln!(text, "{} without results, {outstanding} stand out", failed.len());
+    let _ = writeln!(text, "{} without results, {unusual} stand out", failed.len());
     let _ = writeln!(text, "results in {}", out.display());
     for (file, what) in [(FRAMES, "a row a frame"), (RUNS, "a row a run"), (REPORT, "to look at, in a browser")] {
         let _ = writeln!(text, "  {file:<14}  {what}");

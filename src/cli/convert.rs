@@ -17,7 +17,7 @@ pub(super) struct Args {
     /// (MATLAB)
     #[arg(long, value_enum, value_name = "WHAT", hide_possible_values = true)]
     profile: Profile,
-    /// The new file; none is written over
+    /// The new file; an existing one is never replaced
     #[arg(short, long, value_name = "OUT")]
     out: PathBuf,
     /// Frame of reference of places and directions in tables
@@ -44,10 +44,10 @@ pub(super) fn run(args: &Args) -> Result<(), Failure> {
     if let Some(cut) = &converted.cut {
         tracing::warn!("{}: {cut}; the rest is converted", args.file.display());
     }
-    output::print(&told(&converted))
+    output::print(&summary(&converted))
 }
 
-fn told(converted: &Converted) -> String {
+fn summary(converted: &Converted) -> String {
     let files: Vec<_> = converted.files.iter().map(|file| file.display().to_string()).collect();
     let mut text = format!("{}: {} frames", files.join(", "), converted.frames);
     if converted.currents > 0 {
@@ -68,7 +68,7 @@ fn failure(error: ConvertError) -> Failure {
         ConvertError::Log(LogError::NotMcap { .. } | LogError::NotOurs { .. })
         | ConvertError::Content { .. }
         | ConvertError::Occupied { .. } => Exit::Usage,
-        // A name that is wrong is a mistake of usage, not of the system.
+        // A wrong name is an error of usage, not of the system.
         ConvertError::Log(LogError::Io { source, .. }) | ConvertError::Write { source, .. }
             if source.kind() == ErrorKind::NotFound =>
         {

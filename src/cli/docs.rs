@@ -1,4 +1,4 @@
-//! `catoptra completions` and `catoptra man`: what shells and manuals know of the command line.
+//! `catoptra completions` and `catoptra man`: shell completions and manual pages.
 
 use super::{Cli, Exit, Failure, output};
 use clap::CommandFactory as _;

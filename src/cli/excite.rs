@@ -1,14 +1,18 @@
-//! `catoptra excite`: a table of coil currents, and what its spectrum is.
+//! `catoptra excite`: a table of coil currents, and its spectrum.
 
 use super::output::{is_free, save};
 use super::units::{current_a, duration_s, frequency_hz, positive_current_a, slew_a_s};
 use super::{Exit, Failure, interrupt, output, provenance};
 use crate::excite::{Chirp, Clipped, ExciteError, Limits, Multisine, Order, Phases, Signal, Spectrum, Steps, Sweep};
 use crate::report::excitation::{self, ExcitationInfo};
+use crate::series::{CurrentTable, play};
 use crate::source::FrameRate;
 use clap::{Subcommand, ValueEnum};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
+
+/// More rows per second than this have delays of 1 ms or less.
+const MAX_PLAYED_HZ: f64 = 500.0;
 
 /// Arguments of `catoptra excite`.
 #[derive(Debug, clap::Args)]
@@ -32,7 +36,7 @@ All sines are equally strong; the sum is scaled so that its peak is --amplitude.
 Example:
   catoptra excite multisine --from 0.5Hz --to 8Hz --period 30s -o multisine.csv --report")]
     Multisine(MultisineArgs),
-    /// Levels that are held, one after the other or at random
+    /// Levels that are held, in order or at random
     #[command(after_help = "\
 With --slew the current goes from level to level on ramps; the summary counts the samples that this
 changes.
@@ -43,13 +47,13 @@ Example:
 
 #[derive(Debug, clap::Args)]
 struct Common {
-    /// Table to write: t_s and one column a coil
-    #[arg(short, long, value_name = "CURRENTS.csv")]
+    /// Table to write: t_s and one column per coil; .play: a list for the laboratory's amplifier
+    #[arg(short, long, value_name = "CURRENTS.csv|X.play")]
     out: PathBuf,
     /// Length of the signal
     #[arg(long, value_name = "T", default_value = "300s", value_parser = duration_s)]
     duration: f64,
-    /// Rows a second
+    /// Rows per second
     #[arg(long, value_name = "F", default_value = "60", value_parser = rate)]
     rate: FrameRate,
     /// Largest current that amplifier and coils allow
@@ -58,7 +62,7 @@ struct Common {
     /// Largest change of current that they allow [default: any]
     #[arg(long, value_name = "A/s", value_parser = slew_a_s)]
     slew: Option<f64>,
-    /// Cut off what is beyond the limits instead of refusing it, and tell what and where
+    /// Cut off what is beyond the limits instead of refusing it, and say what and where
     #[arg(long)]
     clip: bool,
     /// Columns of the coils, the one to excite first; the others stay at 0
@@ -77,7 +81,7 @@ struct ChirpArgs {
     /// Frequency at the end
     #[arg(long, value_name = "F", default_value = "8Hz", value_parser = frequency_hz)]
     to: f64,
-    /// How the frequency goes
+    /// How the frequency changes
     #[arg(long, value_enum, default_value_t = SweepArg::Linear)]
     sweep: SweepArg,
     /// Amplitude of the sine
@@ -165,8 +169,8 @@ fn rate(text: &str) -> Result<FrameRate, String> {
         .map_err(|error: crate::source::times::FrameRateError| error.to_string())
 }
 
-/// A signal, and what is said of it.
-struct Made {
+/// A signal with its description.
+struct DescribedSignal {
     signal: Signal,
     clipped: Vec<Clipped>,
     info: ExcitationInfo,
@@ -182,12 +186,20 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     };
     common.check_names()?;
     let page = common.report.as_ref().map(|file| file.clone().unwrap_or_else(|| common.out.with_extension("html")));
-    is_free(&common.out, "t_s,", "a table of this command")?;
+    let channels = common.channels(&made.signal)?;
+    // A list is replaced, whoever has written it.
+    if channels.is_none() || CurrentTable::read(&common.out).is_err() {
+        is_free(&common.out, "t_s,", "a table of this command")?;
+    }
     if let Some(page) = &page {
         is_free(page, "<!doctype html>", "a page")?;
     }
     let spectrum = Spectrum::of(&made.signal);
-    save(&common.out, &made.signal.table(&common.coils))?;
+    let text = match &channels {
+        Some(channels) => list(&made.signal, channels),
+        None => made.signal.table(&common.coils),
+    };
+    save(&common.out, &text)?;
     if let Some(page) = &page {
         let settings = [made.info.settings.as_slice(), &provenance::of_this_run()].concat();
         let info = ExcitationInfo { settings, ..made.info.clone() };
@@ -202,7 +214,7 @@ impl Common {
         Limits { current_a: self.limit, slew_a_s: self.slew }
     }
 
-    /// Keeps the limits, as asked: by cutting off or by refusing.
+    /// Enforces the limits as requested: by clipping or refusing.
     fn keep(&self, signal: &mut Signal) -> Result<Vec<Clipped>, ExciteError> {
         if self.clip {
             return Ok(self.limits().clip(signal));
@@ -222,6 +234,30 @@ impl Common {
         Ok(())
     }
 
+    /// For a list of the amplifier: the channel of each coil, `channel_3` by its number, others by their place.
+    fn channels(&self, signal: &Signal) -> Result<Option<Vec<usize>>, Failure> {
+        if !play::is_play(&self.out) {
+            return Ok(None);
+        }
+        let usage = |text: String| Failure::new(Exit::Usage, format!("{}: {text}", self.out.display()));
+        let rate_hz = signal.rate.hz();
+        if rate_hz > MAX_PLAYED_HZ {
+            let text = format!("its delays are whole milliseconds, {rate_hz} rows per second are too many: --rate 500");
+            return Err(usage(text));
+        }
+        let numbered = |name: &String| name.strip_prefix("channel_").and_then(|number| number.parse().ok());
+        let channels = self.coils.iter().zip(1..).map(|(name, place)| numbered(name).unwrap_or(place));
+        let channels: Vec<usize> = channels.collect();
+        let mut sorted = channels.clone();
+        sorted.sort_unstable();
+        sorted.dedup();
+        if sorted.len() < channels.len() || sorted.iter().any(|n| !(1..=play::MAX_CHANNELS).contains(n)) {
+            let most = play::MAX_CHANNELS;
+            return Err(usage(format!("--coils: expected channels from 1 to {most}, all different, as channel_3")));
+        }
+        Ok(Some(channels))
+    }
+
     fn settings(&self) -> Vec<(String, String)> {
         let slew = self.slew.map_or("any change".to_owned(), |slew| format!("{slew} A/s"));
         vec![
@@ -236,12 +272,24 @@ impl Common {
     }
 }
 
+/// The signal as a list of the amplifier, in the first of `channels`.
+fn list(signal: &Signal, channels: &[usize]) -> String {
+    let channel = channels.first().copied().unwrap_or(1);
+    let row = |(k, value): (u64, &f64)| {
+        let mut values_a = vec![0.0; channels.iter().copied().max().unwrap_or(channel)];
+        values_a.iter_mut().skip(channel - 1).take(1).for_each(|own| *own = *value);
+        (signal.rate.stamp_ns(k).unwrap_or(i64::MAX), values_a)
+    };
+    let rows: Vec<(i64, Vec<f64>)> = (0..).zip(signal.values_a.iter().chain(std::iter::once(&0.0))).map(row).collect();
+    play::write(rows.iter().map(|(time_ns, values_a)| (*time_ns, values_a.as_slice())))
+}
+
 fn line(name: &str, value: impl ToString) -> (String, String) {
     (name.to_owned(), value.to_string())
 }
 
 impl ChirpArgs {
-    fn made(&self) -> Result<Made, ExciteError> {
+    fn made(&self) -> Result<DescribedSignal, ExciteError> {
         let sweep = match self.sweep {
             SweepArg::Linear => Sweep::Linear,
             SweepArg::Log => Sweep::Logarithmic,
@@ -258,12 +306,12 @@ impl ChirpArgs {
         let clipped = common.keep(&mut signal)?;
         let words = if sweep == Sweep::Linear { "linear" } else { "logarithmic" };
         let settings = vec![line("Sweep", format!("{words}, {} Hz to {} Hz", self.from, self.to))];
-        Ok(Made { signal, clipped, info: common.info("chirp", Some((self.from, self.to)), settings) })
+        Ok(DescribedSignal { signal, clipped, info: common.info("chirp", Some((self.from, self.to)), settings) })
     }
 }
 
 impl MultisineArgs {
-    fn made(&self) -> Result<Made, ExciteError> {
+    fn made(&self) -> Result<DescribedSignal, ExciteError> {
         let phases = match self.phases {
             PhasesArg::Random => Phases::Random { seed: self.seed, tries: self.tries },
             PhasesArg::Schroeder => Phases::Schroeder,
@@ -285,12 +333,12 @@ impl MultisineArgs {
         };
         let sines = format!("{lines}, {:.6} Hz apart", 1.0 / self.period);
         let settings = vec![line("Sines", sines), line("Phases", words), line("Period", format!("{} s", self.period))];
-        Ok(Made { signal, clipped, info: common.info("multisine", Some((self.from, self.to)), settings) })
+        Ok(DescribedSignal { signal, clipped, info: common.info("multisine", Some((self.from, self.to)), settings) })
     }
 }
 
 impl StepsArgs {
-    fn made(&self) -> Result<Made, ExciteError> {
+    fn made(&self) -> Result<DescribedSignal, ExciteError> {
         let order = match self.order {
             OrderArg::Staircase => Order::Staircase,
             OrderArg::Random => Order::Random { seed: self.seed },
@@ -301,7 +349,7 @@ impl StepsArgs {
         let clipped = if common.clip {
             common.limits().clip(&mut signal)
         } else {
-            // Ramps are what a limit of slew means for steps; levels beyond the limit of current are refused.
+            // For steps a slew limit means ramps; levels beyond the current limit are refused.
             Limits { slew_a_s: None, ..common.limits() }.check(&signal)?;
             common.limits().check_steps(&signal, self.hold)?;
             common.limits().ramp(&mut signal).into_iter().collect()
@@ -316,15 +364,15 @@ impl StepsArgs {
             line("Held", format!("{} s each", self.hold)),
             line("Order", words),
         ];
-        Ok(Made { signal, clipped, info: common.info("steps", None, settings) })
+        Ok(DescribedSignal { signal, clipped, info: common.info("steps", None, settings) })
     }
 }
 
-fn summary(made: &Made, spectrum: &Spectrum, table: &Path, page: Option<&Path>) -> String {
-    let Made { signal, clipped, info } = made;
+fn summary(made: &DescribedSignal, spectrum: &Spectrum, table: &Path, page: Option<&Path>) -> String {
+    let DescribedSignal { signal, clipped, info } = made;
     let (slew, slew_s) = signal.largest_slew();
     let mut text = format!(
-        "{}: {} s, {} rows at {} a second\n",
+        "{}: {} s, {} rows at {} per second\n",
         info.kind,
         signal.duration_s(),
         signal.values_a.len(),
@@ -339,7 +387,7 @@ fn summary(made: &Made, spectrum: &Spectrum, table: &Path, page: Option<&Path>) 
     let _ = writeln!(text, "  crest factor   {:.2}", signal.crest_factor());
     let _ = writeln!(text, "  largest slew   {slew:.2} A/s, at {slew_s:.3} s");
     if let Some((a, b)) = info.band_hz {
-        let _ = writeln!(text, "  rows a period  {:.1}, at {} Hz", signal.rate.hz() / a.max(b), a.max(b));
+        let _ = writeln!(text, "  rows/period    {:.1}, at {} Hz", signal.rate.hz() / a.max(b), a.max(b));
     }
     let _ = writeln!(text, "\n  frequencies                     energy");
     for (band, share) in excitation::shares(spectrum, info.band_hz) {

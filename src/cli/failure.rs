@@ -1,6 +1,6 @@
-//! How a run ends when it does not end well.
+//! Errors of a command and their exit codes.
 
-use crate::archive::passing::passes;
+use crate::archive::transient::is_transient;
 use crate::rig::RigError;
 use std::error::Error;
 use std::fmt;
@@ -42,21 +42,21 @@ impl Failure {
         Self { exit, error: error.into() }
     }
 
-    /// In words of its own, of which `cause` is a part: nothing is said twice, and the cause stays known.
+    /// With its own text, which includes `cause`: nothing is printed twice, and the cause is kept.
     pub(crate) fn because(exit: Exit, text: String, cause: impl Error + Send + Sync + 'static) -> Self {
-        Self::new(exit, Told { text, cause: Box::new(cause) })
+        Self::new(exit, Reworded { text, cause: Box::new(cause) })
     }
 
     pub(crate) fn exit(&self) -> Exit {
         self.exit
     }
 
-    /// Whether the same run may well succeed another time.
-    pub(crate) fn passes(&self) -> bool {
-        passes(&*self.error)
+    /// Whether the same run may succeed another time.
+    pub(crate) fn is_transient(&self) -> bool {
+        is_transient(&*self.error)
     }
 
-    /// What is said of it, without the word that begins it.
+    /// The message without the leading word.
     pub(crate) fn message(&self) -> String {
         let said = self.to_string();
         said.split_once(": ").map_or("", |(_, message)| message).trim_end().to_owned()
@@ -66,7 +66,7 @@ impl Failure {
 /// An error in other words.
 #[derive(Debug, thiserror::Error)]
 #[error("{text}")]
-struct Told {
+struct Reworded {
     text: String,
     #[source]
     cause: Box<dyn Error + Send + Sync>,
@@ -114,8 +114,11 @@ mod tests {
         let shown =
             |text| Failure::new(Exit::Failed, Layer { text, source: std::io::Error::other("disk full") }).to_string();
         assert_eq!(shown("cannot write a.csv: disk full"), "error: cannot write a.csv: disk full\n");
-        let told = Failure::because(Exit::Failed, "a: disk full".to_owned(), std::io::Error::other("disk full"));
-        assert_eq!((told.to_string().as_str(), told.message().as_str()), ("error: a: disk full\n", "a: disk full"));
+        let reworded = Failure::because(Exit::Failed, "a: disk full".to_owned(), std::io::Error::other("disk full"));
+        assert_eq!(
+            (reworded.to_string().as_str(), reworded.message().as_str()),
+            ("error: a: disk full\n", "a: disk full")
+        );
         assert_eq!(shown("cannot write a.csv"), "error: cannot write a.csv\n  because: disk full\n");
     }
 }

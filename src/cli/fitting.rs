@@ -1,18 +1,19 @@
-//! Sources that fit a rig: of its size, in colour, with a first frame.
+//! Opens sources that fit a rig: of its size, in colour, with at least one frame.
 
 use super::{Exit, Failure};
+use crate::estimate::Spot;
 use crate::rig::Rig;
 use crate::source::{self, Frame, FrameSource, Picture, PixelFormat, SourceError, SourceOptions, StreamFaults};
 use std::path::Path;
 
-/// Off grey by this much, of 255, is no colour; and luma that spreads by no more shows nothing.
-const FAINT: u8 = 3;
-const FLAT: u8 = 24;
+/// Deviation from grey, of 255, that does not count as colour; and spread of luma that shows nothing.
+const GREY_TOLERANCE: u8 = 3;
+const MIN_LUMA_SPREAD: u8 = 24;
 
 /// The recording or folder `source`, at its first frame; `rig` with the file it is from.
 ///
 /// # Errors
-/// [`Exit::Usage`] when it cannot be read, or does not fit.
+/// [`Exit::Usage`] when it cannot be read or does not fit.
 pub(super) fn open((source, options): (&Path, SourceOptions), rig: (&Path, &Rig)) -> Result<Peeked, Failure> {
     fitting(source, source::open(source, options), rig)
 }
@@ -36,7 +37,7 @@ fn fitting(
     check_size(&name.to_string(), opened.size_px(), (rig_file, rig))?;
     let peeked = Peeked::new(opened).map_err(invalid)?;
     if peeked.first.as_ref().is_some_and(|frame| is_grey(&frame.picture)) {
-        let text = format!("{name}: pictures are grey; markers are told by their colour");
+        let text = format!("{name}: pictures are grey; markers are recognised by their colour");
         return Err(Failure::new(Exit::Usage, text));
     }
     if let Some(PixelFormat::Yuv { chroma_log2: [x, y] }) = peeked.first.as_ref().map(|frame| frame.picture.format())
@@ -52,8 +53,8 @@ fn fitting(
     Ok(peeked)
 }
 
-/// Whether a picture has no colour: no channel for it, or nothing in those that it has. One that is dark or flat as a
-/// whole may be of a covered camera, and is not taken for grey.
+/// Whether a picture has no colour: no colour channels, or nothing in them. A completely dark or flat one may come from
+/// a covered camera and does not count as grey.
 fn is_grey(picture: &Picture) -> bool {
     let samples = |channel: usize| -> Vec<u8> {
         let Some(plane) = picture.plane(channel) else { return Vec::new() };
@@ -68,18 +69,24 @@ fn is_grey(picture: &Picture) -> bool {
     let few = |odd: usize, all: usize| odd * 10_000 <= all;
     match picture.format() {
         PixelFormat::Grey => true,
-        // Of a picture that was recorded in parts the rest means nothing.
+        // In a picture recorded in parts, the rest is meaningless.
         _ if picture.recorded().is_some() => false,
         format if format.is_yuv() => {
-            let chroma = [samples(1), samples(2)].concat();
-            let odd = chroma.iter().filter(|c| c.abs_diff(128) > FAINT).count();
-            few(odd, chroma.len()) && spread(&mut samples(0)) > FLAT
+            let chroma = [1, 2].iter().filter_map(|channel| picture.plane(*channel));
+            let (mut odd, mut all) = (0, 0);
+            for plane in chroma {
+                for row in (0..plane.height).filter_map(|j| plane.row(j)) {
+                    odd += row.iter().step_by(plane.step).filter(|c| c.abs_diff(128) > GREY_TOLERANCE).count();
+                    all += plane.width;
+                }
+            }
+            few(odd, all) && spread(&mut samples(0)) > MIN_LUMA_SPREAD
         }
         _ => {
             let [mut red, green, blue] = [0, 1, 2].map(samples);
             let pixels = red.iter().zip(&green).zip(&blue);
-            let odd = pixels.filter(|((r, g), b)| r.abs_diff(**g).max(g.abs_diff(**b)) > FAINT).count();
-            few(odd, red.len()) && spread(&mut red) > FLAT
+            let odd = pixels.filter(|((r, g), b)| r.abs_diff(**g).max(g.abs_diff(**b)) > GREY_TOLERANCE).count();
+            few(odd, red.len()) && spread(&mut red) > MIN_LUMA_SPREAD
         }
     }
 }
@@ -102,7 +109,20 @@ pub(super) fn check_size(name: &str, size_px: [u32; 2], (rig_file, rig): (&Path,
     Err(Failure::new(Exit::Usage, text))
 }
 
-/// A source whose first frame has been looked at.
+/// Whether a lamp is in the rig's pictures.
+pub(super) fn check_spot(spot: Option<Spot>, (rig_file, rig): (&Path, &Rig)) -> Result<(), Failure> {
+    let [width, height] = rig.camera.size_px;
+    match spot {
+        Some(spot) if spot.x_px >= width || spot.y_px >= height || spot.radius_px > width.max(height) => {
+            let text =
+                format!("--tick-led {spot}: outside of the pictures of {}, {width}x{height}", rig_file.display());
+            Err(Failure::new(Exit::Usage, text))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// A source whose first frame has been read.
 pub(super) struct Peeked {
     first: Option<Frame>,
     source: Box<dyn FrameSource + Send>,
@@ -157,7 +177,7 @@ mod tests {
 
     const YUV420: PixelFormat = PixelFormat::Yuv { chroma_log2: [1, 1] };
 
-    /// 64x64: a ramp of luma, and one value of chroma but for some samples.
+    /// 64x64: a ramp of luma, and constant chroma except for some samples.
     fn yuv(top: u8, chroma: u8, odd: usize) -> Picture {
         let luma = (0..4096).map(|i| (i % 64 * usize::from(top) / 63) as u8).collect();
         let mut u = vec![chroma; 1024];
@@ -168,7 +188,7 @@ mod tests {
     #[test]
     fn grey_is_known_however_it_is_stored() {
         assert!(is_grey(&yuv(200, 128, 0)) && is_grey(&yuv(200, 130, 0)));
-        // A band of some pixels is colour enough, and a dark picture says nothing.
+        // A band of some pixels is enough colour, and a dark picture tells nothing.
         assert!(!is_grey(&yuv(200, 128, 8)) && !is_grey(&yuv(10, 128, 0)));
         let ramp = || (0..4096).map(|i| (i % 64 * 3) as u8).collect::<Vec<_>>();
         let rgb = |red: Vec<u8>| {

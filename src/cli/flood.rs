@@ -1,4 +1,4 @@
-//! Keeps libraries from flooding the terminal: of messages of a kind only the first few are shown.
+//! Keeps libraries from flooding the terminal: shows only the first few messages of each kind.
 
 use std::collections::HashMap;
 use std::sync::{Mutex, PoisonError};
@@ -6,10 +6,10 @@ use tracing::subscriber::Interest;
 use tracing::{Event, Metadata, Subscriber};
 use tracing_subscriber::layer::{Context, Filter};
 
-/// Messages of a place in a library's code that are shown.
-const MOST: u64 = 5;
+/// Messages shown for each place in a library's code.
+const MAX_PER_CALL_SITE: u64 = 5;
 
-/// Lets the first few messages of each place in a library's code through; the program's own all.
+/// Passes the first few messages of each place in a library's code, and all of the program's own.
 #[derive(Default)]
 pub(super) struct Flood(Mutex<HashMap<(&'static str, Option<u32>), u64>>);
 
@@ -30,16 +30,16 @@ impl<S: Subscriber> Filter<S> for Flood {
         let mut shown = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let count = shown.entry((metadata.name(), metadata.line())).or_default();
         *count += 1;
-        *count <= MOST
+        *count <= MAX_PER_CALL_SITE
     }
 }
 
 impl Flood {
-    /// Messages that were not shown.
+    /// Number of messages not shown.
     #[cfg(test)]
     fn hidden(&self) -> u64 {
         let shown = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        shown.values().map(|count| count.saturating_sub(MOST)).sum()
+        shown.values().map(|count| count.saturating_sub(MAX_PER_CALL_SITE)).sum()
     }
 }
 

@@ -1,5 +1,5 @@
-//! Ctrl-C, and the signals that ask a program to end. A run that has results on the way finishes in order, and ends at
-//! once when asked again ([`watch`]); one that has none until its end ends at once, but not in the middle of a file
+//! Ctrl-C and other termination signals. A run with partial results finishes in order, and ends at once on a second
+//! signal ([`watch`]); one without results until its end terminates at once, but not in the middle of a file
 //! ([`end_at_once`]).
 
 use super::{Exit, Failure};
@@ -13,7 +13,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 )]
 mod c {
     unsafe extern "C" {
-        /// Ends the process with what it holds: destructors, run by `exit` while OpenCV's threads still work, crash.
+        /// Ends the process without destructors, which crash when run by `exit` while OpenCV's threads still work.
         pub(super) safe fn _exit(code: std::ffi::c_int) -> !;
     }
 }
@@ -24,7 +24,7 @@ static WRITING: Mutex<()> = Mutex::new(());
 /// The flag that is set when the user, or the system, asks to end. Call once.
 ///
 /// # Errors
-/// When the system does not let the signals be handled.
+/// When the system does not allow handling the signals.
 pub(super) fn watch() -> Result<Arc<AtomicBool>, Failure> {
     let asked = Arc::new(AtomicBool::new(false));
     let flag = Arc::clone(&asked);
@@ -34,8 +34,8 @@ pub(super) fn watch() -> Result<Arc<AtomicBool>, Failure> {
             c::_exit(130);
         }
         flag.store(true, Ordering::Relaxed);
-        // Nothing can be told when stderr is gone; the run ends all the same.
-        let _ = writeln!(super::progress::stderr(), "finishing what is begun; once more to end at once");
+        // Without stderr nothing can be printed; the run ends anyway.
+        let _ = writeln!(super::progress::stderr(), "finishing; interrupt again to stop at once");
     })
     .map_err(cannot_watch)?;
     Ok(asked)
@@ -44,18 +44,18 @@ pub(super) fn watch() -> Result<Arc<AtomicBool>, Failure> {
 /// Ends the program when the user, or the system, asks: at once, or when what [`wait`] asked for is over. Call once.
 ///
 /// # Errors
-/// When the system does not let the signals be handled.
+/// When the system does not allow handling the signals.
 pub(super) fn end_at_once() -> Result<(), Failure> {
     ctrlc::set_handler(|| {
         let _whole = wait();
-        // Nothing can be told when stderr is gone; the run ends all the same.
+        // Without stderr nothing can be printed; the run ends anyway.
         let _ = writeln!(super::progress::stderr(), "interrupted");
         c::_exit(130);
     })
     .map_err(cannot_watch)
 }
 
-/// Puts the end off until what it gives is dropped.
+/// Delays termination until the guard is dropped.
 pub(super) fn wait() -> MutexGuard<'static, ()> {
     WRITING.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -1,8 +1,8 @@
-//! `catoptra log`: what is in a log, one that was cut off or damaged made whole, and one made into something else.
+//! `catoptra log`: inspecting, repairing and converting logs.
 
 use super::{Exit, Failure, convert, output};
 use crate::log::{Condition, Info, LogError, Repaired, repair};
-use crate::sink::spoken;
+use crate::sink::plain_words;
 use crate::source::times::seconds;
 use clap::Subcommand;
 use std::fmt::{self, Write as _};
@@ -28,8 +28,8 @@ enum Command {
     },
     /// Restore a log that was cut off or damaged
     #[command(after_help = "\
-Everything that is whole is kept, and where something is lost is listed. The damaged file stays
-beside the new one as LOG.mcap.bak.
+Keeps everything that is intact, and lists where something is lost. The damaged file stays beside
+the new one as LOG.mcap.bak.
 Example:
   catoptra log repair out/log.mcap")]
     Repair {
@@ -37,9 +37,9 @@ Example:
         #[arg(value_name = "LOG.mcap")]
         file: PathBuf,
     },
-    /// Make a table, a MAT file or a log for ROS 2 of a log
+    /// Convert a log to a table, a MAT file or a log for ROS 2
     #[command(after_help = "\
-What of the log is not in the new file is listed. Currents get a table of their own beside it,
+Lists what of the log is not in the new file. Currents get a table of their own beside it,
 OUT-currents; a MAT file has both (docs/log.md).
 Example:
   catoptra log convert out/log.mcap --profile parquet -o frames.parquet")]
@@ -59,11 +59,11 @@ pub(crate) fn run(args: &Args) -> Result<(), Failure> {
         Command::Repair { file } => match repair(file).map_err(failure)? {
             Repaired::WasWhole => output::print(&format!("{}: is complete, nothing to repair\n", file.display())),
             Repaired::Mended { messages, unknown, condition, kept_as } => {
-                let mut text = format!("{}: is complete again, {messages} messages saved\n", file.display());
+                let mut text = format!("{}: repaired, {messages} messages recovered\n", file.display());
                 damage(&mut text, &condition)
                     .map_err(|e| Failure::new(Exit::Failed, format!("cannot describe the log: {e}")))?;
                 if unknown > 0 {
-                    text += &format!("  {unknown} messages are left out: nothing says what they are of\n");
+                    text += &format!("  {unknown} messages are left out: their topic is unknown\n");
                 }
                 text += &format!("  the broken file is kept as {}\n", kept_as.display());
                 output::print(&text)
@@ -75,18 +75,18 @@ pub(crate) fn run(args: &Args) -> Result<(), Failure> {
 fn failure(error: LogError) -> Failure {
     let exit = match error {
         LogError::NotMcap { .. } | LogError::NotOurs { .. } => Exit::Usage,
-        // A name that is wrong is a mistake of usage, not of the system.
+        // A wrong name is an error of usage, not of the system.
         LogError::Io { ref source, .. } if source.kind() == ErrorKind::NotFound => Exit::Usage,
         LogError::Io { .. } | LogError::Repair { .. } | LogError::BeingWritten { .. } => Exit::Failed,
     };
     Failure::new(exit, error)
 }
 
-/// What is wrong with a log, a line each.
+/// Damage of a log, one line each.
 fn damage(out: &mut String, condition: &Condition) -> fmt::Result {
     const LINES: usize = 10;
     for damage in condition.damage.iter().take(LINES) {
-        write!(out, "  damaged at byte {}: {}", damage.at, plain(&damage.what))?;
+        write!(out, "  damaged at byte {}: {}", damage.at, without_control_characters(&damage.what))?;
         let s = |ns: u64| seconds(i64::try_from(ns).unwrap_or(i64::MAX));
         match damage.between_ns {
             (Some(before), Some(after)) => writeln!(out, " (between {:.3} s and {:.3} s)", s(before), s(after))?,
@@ -100,13 +100,13 @@ fn damage(out: &mut String, condition: &Condition) -> fmt::Result {
         writeln!(out, "  and {more} more damaged places")?;
     }
     if let Some(why) = &condition.cut {
-        writeln!(out, "  cut off: {}", plain(why))?;
+        writeln!(out, "  cut off: {}", without_control_characters(why))?;
     }
     Ok(())
 }
 
-/// Text out of a file, without what would steer the terminal.
-fn plain(text: &str) -> String {
+/// Text from a file, without terminal control characters.
+fn without_control_characters(text: &str) -> String {
     text.chars().flat_map(|c| if c.is_control() { c.escape_debug().collect::<Vec<_>>() } else { vec![c] }).collect()
 }
 
@@ -118,7 +118,7 @@ fn date(ns: i64) -> String {
 }
 
 fn describe(out: &mut String, name: &str, info: &Info) -> fmt::Result {
-    writeln!(out, "{name}: written by {}", plain(&info.library))?;
+    writeln!(out, "{name}: written by {}", without_control_characters(&info.library))?;
     if info.being_written {
         writeln!(out, "  is still being written")?;
     } else if info.condition.is_whole() {
@@ -128,7 +128,7 @@ fn describe(out: &mut String, name: &str, info: &Info) -> fmt::Result {
         writeln!(out, "  `catoptra log repair` restores it")?;
     }
     if let Some((first, last)) = info.span_ns {
-        let clock = plain(info.clock.as_deref().unwrap_or("unknown"));
+        let clock = without_control_characters(info.clock.as_deref().unwrap_or("unknown"));
         writeln!(out, "\n  {} frames, {:.3} s to {:.3} s, clock {clock}", info.frames, seconds(first), seconds(last))?;
     } else {
         writeln!(out, "\n  no frame")?;
@@ -146,14 +146,25 @@ fn describe(out: &mut String, name: &str, info: &Info) -> fmt::Result {
         }
     }
     for ((what, word), frames) in &info.misses {
-        writeln!(out, "  {}: {frames} {}", plain(what), plain(&spoken(word)))?;
+        writeln!(
+            out,
+            "  {}: {frames} {}",
+            without_control_characters(what),
+            without_control_characters(&plain_words(word))
+        )?;
     }
     writeln!(out)?;
     for topic in &info.topics {
-        writeln!(out, "  {:<22} {:>8}  {}", plain(&topic.name), topic.messages, plain(&topic.schema))?;
+        writeln!(
+            out,
+            "  {:<22} {:>8}  {}",
+            without_control_characters(&topic.name),
+            topic.messages,
+            without_control_characters(&topic.schema)
+        )?;
     }
     for (name, bytes) in &info.attachments {
-        writeln!(out, "  attached: {}, {bytes} bytes", plain(name))?;
+        writeln!(out, "  attached: {}, {bytes} bytes", without_control_characters(name))?;
     }
     Ok(())
 }

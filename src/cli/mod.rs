@@ -1,9 +1,10 @@
-//! The command line: one file a verb, each turning raw arguments into a library call and its result into text.
+//! The command line: one file per verb, which turns raw arguments into a library call and its result into text.
 //!
 //! Results go to stdout, everything else to stderr. Exit codes: 0 good, 1 failed, 2 wrong usage or invalid input file,
 //! 3 the calibration or measurement is not usable, 130 interrupted.
 
 mod calibrate;
+mod camera;
 mod catheter;
 mod collect;
 mod convert;
@@ -112,21 +113,21 @@ Example:
     /// Render what a rig would record of its catheter, with the truth (docs/simulate.md)
     #[command(after_help = "\
 DIR gets recording.mkv (or pictures), truth.csv with the columns of track.csv, and rig.toml.
-Exit code 2 says what cannot be seen, and why. The same seed gives the same files.
+Exit code 2: something cannot be seen; the error says what. The same seed gives the same files.
 Example:
   catoptra simulate --rig calibration/dev_tank/rig.toml --motion circle --duration 2s -o sim")]
     Simulate(Box<simulate::Args>),
     /// How well a rig will measure, before it is built: where it sees the catheter, σ, what would help
     #[command(after_help = "\
-The rig as planned needs camera, surfaces, views, markers with centre_mm, and [base]; its colours
-and its calibration are supposed where it has none. Exit code 2 says what cannot be seen, and why.
+The planned rig needs camera, surfaces, views, markers with centre_mm, and [base]; colours and
+calibration are assumed if it has none. Exit code 2: something cannot be seen; the error says what.
 Example:
   catoptra plan --rig calibration/dev_tank/rig.toml -o plan.html")]
     Plan(plan::Args),
-    /// Teach bands by clicking on them, and look through runs, in the browser (docs/studio.md)
+    /// In the browser: teach bands, take pictures of a board, look through runs (docs/studio.md)
     #[command(after_help = "\
-Serves one page to this computer, which needs no network, until Ctrl-C. It reads and writes files
-below the folder in which it is started only. A live run is watched with `catoptra live … --studio`.
+Serves one page, to this computer only, until Ctrl-C; no network is needed. It reads and writes only
+below the folder in which it is started. To watch a live run: `catoptra live … --studio`.
 Example:
   catoptra studio sample_frames/planar.mkv --rig calibration/dev_tank/rig.toml --no-open \\
     --duration 2")]
@@ -140,7 +141,7 @@ Example:
     /// Compare runs along a desired path with that path: errors, and the response at each speed
     #[command(after_help = "\
 DIR gets validation.csv, validation.json, table.md, report.html and points_*.csv. Exit code 3: a
-run has too little in it. What each number means: docs/validate.md
+run has too little data. What each number means: docs/validate.md
 Example:
   catoptra validate tests/data/validate/20ms.csv tests/data/validate/5ms.csv --pause 20ms,5ms \\
     --desired tests/data/validate/circle.csv --start 1.5 -o validation")]
@@ -179,7 +180,7 @@ pub fn run() -> ExitCode {
     match result {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => {
-            // Without stderr there is still the exit code.
+            // Without stderr, the exit code remains.
             let _ = write!(std::io::stderr().lock(), "{failure}");
             failure.exit().into()
         }
@@ -203,7 +204,7 @@ fn log_to_stderr(verbose: u8, quiet: bool) {
     tracing_subscriber::registry().with(layer).with(Collector.with_filter(warned::seen())).init();
 }
 
-/// As <https://no-color.org> has it, and not on a terminal that knows no colours.
+/// As specified by <https://no-color.org>, and not on a terminal without colours.
 fn wants_colour() -> bool {
     let is = |name: &str, unwanted: fn(&OsStr) -> bool| std::env::var_os(name).is_some_and(|v| unwanted(&v));
     !is("NO_COLOR", |v| !v.is_empty()) && !is("TERM", |v| v == "dumb")
@@ -220,14 +221,14 @@ mod tests {
         command.build();
         let mut pending = vec![(vec!["catoptra".to_owned()], command.clone())];
         while let Some((words, this)) = pending.pop() {
-            // As the user sees it: clap chooses between two forms.
+            // As the user sees it: clap has two forms.
             let asked = words.iter().map(String::as_str).chain(["--help"]);
             let help = super::Cli::try_parse_from(asked).unwrap_err().to_string();
             assert!(help.lines().count() <= 40, "{} has {} lines", words.join(" "), help.lines().count());
             let last = help.lines().last().unwrap_or_default();
             let form = last.starts_with("  catoptra ") || last.starts_with("    --");
             assert!(form, "{} ends with {last:?}", words.join(" "));
-            // What is wider is broken in the middle of a sentence.
+            // Wider lines would be broken in the middle of a sentence.
             let after = this.get_after_help().map(ToString::to_string).unwrap_or_default();
             let wide = after.lines().find(|line| line.chars().count() > 100);
             assert_eq!(wide, None, "{}", words.join(" "));

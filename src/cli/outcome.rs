@@ -1,18 +1,18 @@
-//! `--json`: what came of a command, as one JSON object on stdout in place of the text.
+//! `--json`: the outcome of a command, as one JSON object on stdout instead of the text.
 //!
 //! | member | is |
 //! |---|---|
-//! | `schema` | form of the object, 1 |
-//! | `command` | the command, as `calibrate rig` |
-//! | `outcome` | `good`, `failed`, `usage`, `unusable`, `interrupted`, as the exit code has it |
+//! | `schema` | version of the format, 1 |
+//! | `command` | the command, for example `calibrate rig` |
+//! | `outcome` | `good`, `failed`, `usage`, `unusable`, `interrupted`, matching the exit code |
 //! | `exit_code` | the same as a number |
 //! | `error` | what went wrong, or null |
-//! | `warnings` | all of them, also on stderr |
+//! | `warnings` | all warnings, also on stderr |
 //! | `written` | files that were written |
 //! | `results` | what the command found, or null |
-//! | `text` | what is printed without `--json` |
+//! | `text` | the text printed without `--json` |
 //!
-//! A command line that cannot be understood has no outcome: it ends with exit code 2 and text on stderr.
+//! A command line that cannot be parsed has no outcome: it ends with exit code 2 and text on stderr.
 
 use super::warned::Work;
 use super::{Exit, Failure, output};
@@ -47,7 +47,7 @@ impl From<HiddenJson> for Json {
     }
 }
 
-/// What a command finds, on its way.
+/// The outcome of a command while it runs.
 pub(super) struct Outcome {
     json: bool,
     quiet: bool,
@@ -56,7 +56,7 @@ pub(super) struct Outcome {
 }
 
 impl Outcome {
-    /// Prints a piece of the text, or keeps it for later.
+    /// Prints part of the text, or keeps it for later.
     pub(super) fn print(&self, text: &str) -> Result<(), Failure> {
         if self.json {
             lock(&self.text).push_str(text);
@@ -65,7 +65,7 @@ impl Outcome {
         if self.quiet { Ok(()) } else { output::print(text) }
     }
 
-    /// What was found; `results` is only called when somebody asks.
+    /// Sets the results; `results` is called only if they are needed.
     pub(super) fn found(&self, results: impl FnOnce() -> Value) {
         if self.json {
             *lock(&self.results) = results();
@@ -78,7 +78,7 @@ pub(super) fn wrote(path: &Path) {
     lock(&WRITTEN).push(path.display().to_string());
 }
 
-/// Does the work of `command`, and tells what came of it as was asked for.
+/// Does the work of `command`, and reports its outcome in the requested form.
 pub(super) fn of(
     command: &str,
     json: Json,

@@ -1,11 +1,11 @@
 //! Results on stdout and in single files.
 
 use super::{Exit, Failure};
-use crate::whole_file;
+use crate::atomic_file;
 use std::io::{ErrorKind, Write as _};
 use std::path::Path;
 
-/// Writes a whole result. A reader that has seen enough (`| head`) is no failure.
+/// Writes a whole result. A reader that stops early (`| head`) is not an error.
 pub(super) fn print(text: &str) -> Result<(), Failure> {
     let mut out = std::io::stdout().lock();
     match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
@@ -16,7 +16,7 @@ pub(super) fn print(text: &str) -> Result<(), Failure> {
     }
 }
 
-/// Refuses to write over what is not of its kind, or where there is no folder.
+/// Refuses to overwrite a file of another kind, or to write where there is no folder.
 pub(super) fn is_free(path: &Path, begins: &str, kind: &str) -> Result<(), Failure> {
     let refused = |what: String| Err(Failure::new(Exit::Usage, format!("{}: {what}", path.display())));
     let folder = path.parent().filter(|folder| *folder != Path::new(""));
@@ -28,13 +28,13 @@ pub(super) fn is_free(path: &Path, begins: &str, kind: &str) -> Result<(), Failu
     }
     let same = |text: String| text.is_empty() || text.starts_with(begins);
     if path.is_file() && !std::fs::read_to_string(path).is_ok_and(same) {
-        return refused(format!("is there and not {kind}; give another name"));
+        return refused(format!("exists and is not {kind}; choose another name"));
     }
     Ok(())
 }
 
-/// Writes a file whole.
+/// Writes a file in one step.
 pub(super) fn save(path: &Path, text: &str) -> Result<(), Failure> {
-    whole_file::write(path, text.as_bytes())
+    atomic_file::write(path, text.as_bytes())
         .map_err(|e| Failure::new(Exit::Failed, format!("{}: cannot be written: {e}", path.display())))
 }

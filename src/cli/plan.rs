@@ -18,7 +18,7 @@ pub(crate) struct Args {
     /// The rig as planned, or as calibrated
     #[arg(long, value_name = "RIG.toml")]
     rig: PathBuf,
-    /// The catheter [default: the paper's prototype, as long as the rig's bands say]
+    /// The catheter [default: the paper's prototype, with the lengths of the rig's bands]
     #[arg(long, value_name = "CATHETER.toml")]
     catheter: Option<PathBuf>,
     /// Page to write
@@ -68,29 +68,30 @@ fn summary(name: &str, plan: &Plan) -> String {
         let _ = writeln!(text, "  view {:<10} {scale}{reasons}", view.name);
     }
     let noise = |of: &dyn Fn(&Planned) -> Option<f64>| median(plan.poses.iter().filter_map(of));
-    let told = |value: Option<f64>, scale: f64, unit: &str| {
+    let formatted = |value: Option<f64>, scale: f64, unit: &str| {
         value.map_or_else(|| "-".to_owned(), |v| format!("{:.3}{unit}", v * scale))
     };
     let _ = writeln!(text, "\n  1σ of a frame, median    without loss       video");
     for (k, marker) in plan.rig.markers.iter().enumerate() {
         let a = noise(&|pose| pose.lossless.as_ref().ok()?.place_m.get(k).copied());
         let b = noise(&|pose| pose.video.as_ref().ok()?.place_m.get(k).copied());
-        let _ = writeln!(text, "  {:<22} {:>12} {:>12}", marker.name, told(a, 1e3, " mm"), told(b, 1e3, " mm"));
+        let _ =
+            writeln!(text, "  {:<22} {:>12} {:>12}", marker.name, formatted(a, 1e3, " mm"), formatted(b, 1e3, " mm"));
     }
     let tangent = |noise: &crate::simulate::plan::Noise| noise.tangent_rad.to_degrees();
     let theta = |noise: &crate::simulate::plan::Noise| noise.theta_rad.to_degrees();
     for (name, of) in [("tangent", &tangent as &dyn Fn(&_) -> f64), ("θ", &theta)] {
         let a = noise(&|pose| pose.lossless.as_ref().ok().map(of));
         let b = noise(&|pose| pose.video.as_ref().ok().map(of));
-        let _ = writeln!(text, "  {name:<22} {:>12} {:>12}", told(a, 1.0, "°"), told(b, 1.0, "°"));
+        let _ = writeln!(text, "  {name:<22} {:>12} {:>12}", formatted(a, 1.0, "°"), formatted(b, 1.0, "°"));
     }
     let theta = median(plan.poses.iter().filter_map(|pose| Some(pose.calibration?.0)));
     let tip = median(plan.poses.iter().filter_map(|pose| Some(pose.calibration?.1)));
     let _ = writeln!(
         text,
         "\n  by the calibration: θ {}, tip {} ({})",
-        told(theta.map(f64::to_degrees), 1.0, "°"),
-        told(tip, 1e3, " mm"),
+        formatted(theta.map(f64::to_degrees), 1.0, "°"),
+        formatted(tip, 1e3, " mm"),
         page::of_calibration(plan)
     );
     for suggestion in plan.suggestions.iter().take(4) {

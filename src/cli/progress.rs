@@ -1,20 +1,20 @@
-//! A progress bar on stderr, and a stderr whose lines do not run into it.
+//! A progress bar on stderr, and a stderr writer that does not collide with it.
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::io::{self, IsTerminal as _, Write};
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-/// Work that is done sooner shows no bar.
-const PATIENCE: Duration = Duration::from_secs(1);
+/// Shorter work shows no bar.
+const SHOW_AFTER: Duration = Duration::from_secs(1);
 
-/// Work that is done sooner says nothing where there is no terminal.
-const UNSEEN_PATIENCE: Duration = Duration::from_secs(10);
+/// Shorter work prints nothing without a terminal.
+const PRINT_AFTER: Duration = Duration::from_secs(10);
 
 /// The bar that is on the screen.
 static SHOWN: Mutex<Option<ProgressBar>> = Mutex::new(None);
 
-/// A count of frames or pictures on its way. The bar is gone when it is dropped.
+/// Progress in frames or pictures. Dropping it removes the bar.
 pub(super) struct Progress {
     bar: ProgressBar,
     began: Instant,
@@ -29,17 +29,17 @@ enum Shown {
 }
 
 impl Progress {
-    /// Of `total` frames, if that is known. Shown on a terminal only, and not when `quiet`.
+    /// Progress over `total` frames, if known. Shown only on a terminal, and not when `quiet`.
     pub(super) fn of_frames(total: Option<u64>, quiet: bool) -> Self {
         Self::of(total, "frames", quiet)
     }
 
-    /// As [`Progress::of_frames`], of other things.
+    /// As [`Progress::of_frames`], for other items.
     pub(super) fn of(total: Option<u64>, things: &str, quiet: bool) -> Self {
         let bar = ProgressBar::with_draw_target(total, ProgressDrawTarget::hidden());
         let template = match total {
-            Some(_) => format!("{{bar:30}} {{pos}} of {{len}} {things}, {{per_sec}} a second, {{eta}} to go"),
-            None => format!("{{spinner}} {{pos}} {things}, {{per_sec}} a second"),
+            Some(_) => format!("{{bar:30}} {{pos}} of {{len}} {things}, {{per_sec}} per second, {{eta}} to go"),
+            None => format!("{{spinner}} {{pos}} {things}, {{per_sec}} per second"),
         };
         if let Ok(style) = ProgressStyle::with_template(&template) {
             let per_second = |state: &indicatif::ProgressState, out: &mut dyn std::fmt::Write| {
@@ -52,19 +52,19 @@ impl Progress {
         Self { bar, began: Instant::now(), shown }
     }
 
-    /// One more is done.
+    /// One more item is done.
     pub(super) fn one_more(&mut self) {
         self.at(self.bar.position() + 1);
     }
 
-    /// So many are done.
+    /// This many are done.
     pub(super) fn at(&mut self, frames: u64) {
-        // Containers' lengths are guesses at times.
+        // Lengths from containers are sometimes guesses.
         if self.bar.length().is_some_and(|total| frames > total) {
             self.bar.set_length(frames);
         }
         self.bar.set_position(frames);
-        if self.shown == Shown::NotYet && self.began.elapsed() > PATIENCE {
+        if self.shown == Shown::NotYet && self.began.elapsed() > SHOW_AFTER {
             self.shown = Shown::Now;
             self.bar.set_draw_target(ProgressDrawTarget::stderr());
             *lock() = Some(self.bar.clone());
@@ -72,11 +72,11 @@ impl Progress {
     }
 }
 
-/// A line of text that changes in place, on a terminal only. It is gone when it is dropped.
+/// A line of text that changes in place, only on a terminal. Dropping it removes the line.
 pub(super) struct Line(Option<ProgressBar>);
 
 impl Line {
-    /// None when `quiet`.
+    /// Shows nothing when `quiet`.
     pub(super) fn new(quiet: bool) -> Self {
         if quiet || !io::stderr().is_terminal() {
             return Self(None);
@@ -101,15 +101,15 @@ impl Line {
     }
 }
 
-/// Says `what` is being done, on a terminal, while it is.
+/// Shows `what` on a terminal while the work is running.
 pub(super) fn during<T>(what: &str, quiet: bool, work: impl FnOnce() -> T) -> T {
     let line = Line::new(quiet);
     line.set(format!("{what} …"));
     work()
 }
 
-/// Stages of a work of which it is not known how long they take: what is being done, in a line of its own on a
-/// terminal; elsewhere a line when a stage begins and it has taken a while already.
+/// Stages of unknown duration: on a terminal, a line shows the current one; elsewhere a line is printed when a stage
+/// begins after a while.
 pub(super) struct Stages {
     line: Line,
     began: Instant,
@@ -117,17 +117,17 @@ pub(super) struct Stages {
 }
 
 impl Stages {
-    /// None when `quiet`.
+    /// Shows nothing when `quiet`.
     pub(super) fn new(quiet: bool) -> Self {
         Self { line: Line::new(quiet), began: Instant::now(), quiet }
     }
 
     /// A stage begins.
-    pub(super) fn tell(&self, what: &str) {
+    pub(super) fn begin(&self, what: &str) {
         self.line.set(format!("{what} …"));
         let elapsed = self.began.elapsed();
-        if !self.quiet && !self.line.is_shown() && elapsed > UNSEEN_PATIENCE {
-            // What cannot be told is not worth an error.
+        if !self.quiet && !self.line.is_shown() && elapsed > PRINT_AFTER {
+            // A failure to print is not worth an error.
             let _ = writeln!(stderr(), "{:.0} s: {what}", elapsed.as_secs_f64());
         }
     }
@@ -155,7 +155,7 @@ fn lock() -> std::sync::MutexGuard<'static, Option<ProgressBar>> {
     SHOWN.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Stderr that takes a bar away while it writes, and puts it back.
+/// Stderr that hides the bar while writing.
 pub(super) fn stderr() -> impl Write {
     Stderr
 }

@@ -1,4 +1,4 @@
-//! When a page was made, and by which command line.
+//! Date of a page, and its command line.
 
 use std::time::SystemTime;
 
@@ -7,19 +7,19 @@ pub(super) fn of_this_run() -> [(String, String); 2] {
     of_command(std::env::args_os().skip(1).map(|word| word.to_string_lossy().into_owned()))
 }
 
-/// As [`of_this_run`], of the command with these `words` behind the program's name.
+/// As [`of_this_run`], for the command with these `words` after the program's name.
 pub(super) fn of_command(words: impl Iterator<Item = String>) -> [(String, String); 2] {
     let words = words.map(|word| quoted(&word));
     let command = std::iter::once("catoptra".to_owned()).chain(words).collect::<Vec<_>>().join(" ");
     [("Command".to_owned(), command), ("Made".to_owned(), now().replace('T', " ").replace('Z', " UTC"))]
 }
 
-/// The time of day, to the second, UTC, as RFC 3339 has it.
+/// The time of day, to the second, UTC, as in RFC 3339.
 pub(super) fn now() -> String {
     humantime::format_rfc3339_seconds(SystemTime::now()).to_string()
 }
 
-/// A word as a shell takes it back.
+/// A word quoted for a shell.
 fn quoted(word: &str) -> String {
     let plain = |c: char| c.is_alphanumeric() || "-_./=:,@%+".contains(c);
     if !word.is_empty() && word.chars().all(plain) {

@@ -1,7 +1,7 @@
-//! Output folders that know whose results they have.
+//! Output folders that record the origin of their results.
 //!
 //! `run.toml` in a folder says which command wrote it and of which recordings. Results of the same recordings are
-//! replaced; those of others, files that no command of this program wrote, and anything that is read are never touched.
+//! replaced; results of others, foreign files, and input files are never touched.
 
 use super::{Exit, Failure};
 use serde::{Deserialize, Serialize};
@@ -9,10 +9,10 @@ use std::fs;
 use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
 
-/// The file that says whose results are in a folder.
+/// The file that records the origin of a folder's results.
 pub(super) const RUN: &str = "run.toml";
 
-/// Whose results they are.
+/// Origin of results.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Owner {
     /// Which command wrote them.
@@ -21,13 +21,13 @@ pub(super) struct Owner {
     pub(super) recording: String,
 }
 
-/// The whole path of something that exists; as given when the system cannot say.
+/// The absolute path of something that exists; unchanged when the system cannot resolve it.
 pub(super) fn whole_path(path: &Path) -> PathBuf {
     path.canonicalize().unwrap_or_else(|_| path.to_owned())
 }
 
-/// A path as text that no other path has: bytes that are no text are spelled out.
-pub(super) fn unlike_others(path: &Path) -> String {
+/// A path as unique text: invalid UTF-8 bytes are escaped.
+pub(super) fn unique_text(path: &Path) -> String {
     path.to_str().map_or_else(|| format!("{path:?}"), str::to_owned)
 }
 
@@ -35,11 +35,14 @@ pub(super) fn unlike_others(path: &Path) -> String {
 ///
 /// # Errors
 /// [`Exit::Usage`] when one of `files` is one of `inputs`.
-pub(super) fn spare_inputs<'a>(mut files: impl Iterator<Item = &'a Path>, inputs: &[&Path]) -> Result<(), Failure> {
+pub(super) fn refuse_to_overwrite_inputs<'a>(
+    mut files: impl Iterator<Item = &'a Path>,
+    inputs: &[&Path],
+) -> Result<(), Failure> {
     let taken = |path: &&Path| path.exists() && inputs.iter().any(|input| whole_path(path) == whole_path(input));
     match files.find(taken) {
         Some(input) => {
-            let refused = format!("{}: would be written over, and is read by this run", input.display());
+            let refused = format!("{}: is an input of this run and would be overwritten", input.display());
             Err(Failure::new(Exit::Usage, refused))
         }
         None => Ok(()),
@@ -50,7 +53,7 @@ pub(super) fn spare_inputs<'a>(mut files: impl Iterator<Item = &'a Path>, inputs
 /// what the command may write there.
 ///
 /// # Errors
-/// [`Exit::Usage`] when the folder is a file, or has results of others.
+/// [`Exit::Usage`] when the folder is a file, or has other results.
 pub(super) fn earlier_run<'a>(
     folder: &Path,
     owner: &Owner,
@@ -77,7 +80,7 @@ pub(super) fn earlier_run<'a>(
     }
 }
 
-/// The folder of a command that computes from recordings: checked before the work, taken when there are results.
+/// The folder of a command that computes from recordings: checked before the work, used when there are results.
 #[derive(Debug)]
 pub(super) struct Results<'a> {
     pub(super) folder: &'a Path,
@@ -89,7 +92,7 @@ pub(super) struct Results<'a> {
     pub(super) files: Vec<String>,
 }
 
-/// What `run.toml` holds.
+/// Content of `run.toml`.
 #[derive(Debug, Serialize, Deserialize)]
 struct Run {
     #[serde(flatten)]
@@ -101,7 +104,7 @@ struct Run {
 
 impl Results<'_> {
     fn owner(&self) -> Owner {
-        let all: Vec<String> = self.recordings.iter().map(|path| unlike_others(&whole_path(path))).collect();
+        let all: Vec<String> = self.recordings.iter().map(|path| unique_text(&whole_path(path))).collect();
         Owner { command: self.command.to_owned(), recording: all.join(", ") }
     }
 
@@ -115,7 +118,7 @@ impl Results<'_> {
 
     fn earlier(&self) -> Result<Option<String>, Failure> {
         let places: Vec<PathBuf> = self.files.iter().map(|name| self.folder.join(name)).collect();
-        spare_inputs(places.iter().map(PathBuf::as_path), &self.inputs)?;
+        refuse_to_overwrite_inputs(places.iter().map(PathBuf::as_path), &self.inputs)?;
         earlier_run(self.folder, &self.owner(), self.files.iter().map(String::as_str))
     }
 
@@ -130,7 +133,7 @@ impl Results<'_> {
         };
         fs::create_dir_all(self.folder).map_err(|e| cannot(self.folder, e))?;
         let earlier = earlier.and_then(|text| toml::from_str::<Run>(&text).ok());
-        // Names only: what lies elsewhere was not written here.
+        // Only plain names: files elsewhere were not written here.
         let is_name = |name: &&String| Path::new(name.as_str()).file_name().is_some_and(|only| only == name.as_str());
         for name in earlier.iter().flat_map(|run| &run.files).filter(is_name) {
             let path = self.folder.join(name);
@@ -144,7 +147,7 @@ impl Results<'_> {
         let text =
             toml::to_string(&run).map_err(|e| Failure::new(Exit::Failed, format!("cannot describe the run: {e}")))?;
         let path = self.folder.join(RUN);
-        fs::write(&path, format!("# What these results are of.\n{text}")).map_err(|e| cannot(&path, e))
+        fs::write(&path, format!("# Origin of these results.\n{text}")).map_err(|e| cannot(&path, e))
     }
 }
 
@@ -181,7 +184,7 @@ mod tests {
         let input = [place.path().join("signals.csv")];
         fs::write(&input[0], "t,u,y\n").unwrap();
         let over_input = results(place.path(), &input, &["signals.csv"]).check().unwrap_err().to_string();
-        assert!(over_input.contains("is read by this run"), "{over_input}");
+        assert!(over_input.contains("is an input of this run"), "{over_input}");
         fs::write(place.path().join("report.html"), "of another command").unwrap();
         let foreign = results(place.path(), &input, &["report.html"]).check().unwrap_err().to_string();
         assert!(foreign.contains("has a report.html that this command did not write"), "{foreign}");

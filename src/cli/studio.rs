@@ -1,43 +1,72 @@
 //! `catoptra studio`: the page in the browser.
 
+use super::camera::{self, SourceArgs};
 use super::warned::Work;
 use super::{Exit, Failure, calibrate, interrupt, output, progress};
-use crate::source::FrameRate;
+use crate::rig::Draft;
+use crate::source::host::HostClock;
 use crate::source::times::parse_seconds_ns;
-use crate::studio::{Desk, Places, Server, Start, Told, Verbs, Watch};
+use crate::studio::{Camera, Desk, Places, Server, Start, VerbResult, Verbs, Watch};
 use std::io::Write as _;
 use std::net::{SocketAddr, ToSocketAddrs as _};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::str::FromStr;
-use std::sync::Mutex;
-use std::sync::atomic::Ordering;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 /// How often it is looked whether to end.
-const LOOK: Duration = Duration::from_millis(50);
+const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
 /// Arguments of `catoptra studio`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// A recording or a folder of pictures to teach from, or the folder of a run to look through
-    #[arg(value_name = "RECORDING|RUN")]
+    /// A recording or a folder of pictures to teach from, the folder of a run to look through, or a camera or stream to
+    /// take pictures of a board with, as /dev/video0 (those of `catoptra live`)
+    #[arg(value_name = "RECORDING|RUN|SOURCE")]
     source: Option<PathBuf>,
-    /// The rig file, with its views
+    /// The rig file, with its views; with its camera alone, to calibrate them
     #[arg(long, value_name = "RIG.toml")]
     rig: Option<PathBuf>,
-    /// Where the page is served; other computers can see it only where a host is named
+    /// Where the page is served; other computers can see it only if a host is named
     #[arg(long, value_name = "HOST:PORT", default_value = "127.0.0.1:0")]
     listen: Listen,
     /// Do not open the page in the browser
     #[arg(long)]
     no_open: bool,
-    /// Frames per second of a folder of pictures without times.csv
-    #[arg(long, value_name = "F", allow_hyphen_values = true)]
-    fps: Option<FrameRate>,
+    #[command(flatten)]
+    from: SourceArgs,
     /// Stop after T seconds
     #[arg(long, value_name = "T", value_parser = duration)]
     duration: Option<Duration>,
+}
+
+impl Args {
+    /// The name of the camera or stream, if it is one that was named.
+    fn live_source(&self) -> Option<&str> {
+        let name = self.source.as_deref().and_then(Path::to_str)?;
+        (self.from.realtime || self.from.raw.is_some() || camera::is_live(name)).then_some(name)
+    }
+
+    /// Opens the camera. Its pictures must be of the size that the rig's camera was calibrated for.
+    fn camera(&self, name: &str, stop: &Arc<AtomicBool>) -> Result<Camera, Failure> {
+        let usage = |text: String| Failure::new(Exit::Usage, text);
+        let rig = self.rig.as_deref();
+        let rig =
+            rig.ok_or_else(|| usage(format!("{name}: name the rig file with --rig: it says how large pictures are")))?;
+        let [width, height] = Draft::load(rig)?.camera.size_px;
+        let source = self.from.open(name, [width, height], HostClock::start(), stop)?;
+        let [w, h] = source.size_px();
+        if [w, h] != [width, height] {
+            let rig = rig.display();
+            return Err(usage(format!(
+                "{name}: pictures of {w}x{h} pixels, but the camera in {rig} has {width}x{height}; a calibration holds \
+                 for one size only"
+            )));
+        }
+        Camera::start(name, source, stop).map_err(|e| Failure::new(Exit::Failed, format!("cannot start a thread: {e}")))
+    }
 }
 
 /// Where to listen, and the name that was given for it.
@@ -72,31 +101,36 @@ fn duration(text: &str) -> Result<Duration, String> {
 pub(crate) fn run(args: &Args) -> Result<(), Failure> {
     let stop = interrupt::watch()?;
     let usage = |text: String| Failure::new(Exit::Usage, text);
-    for path in args.source.iter().chain(&args.rig) {
+    let live = args.live_source();
+    for path in args.source.iter().filter(|_| live.is_none()).chain(&args.rig) {
         std::fs::metadata(path).map_err(|e| usage(format!("{}: cannot be read: {e}", path.display())))?;
     }
     let whole = |path: &Option<PathBuf>| path.as_ref().and_then(|path| path.canonicalize().ok());
-    let (source, rig) = (whole(&args.source), whole(&args.rig));
+    let (source, rig) = (whole(&args.source).filter(|_| live.is_none()), whole(&args.rig));
     let is_run = source.as_deref().is_some_and(|path| path.join("run.toml").is_file());
     let given: Vec<PathBuf> = source.iter().chain(&rig).cloned().collect();
     let places = Places::below(Path::new("."), &given)
         .map_err(|e| Failure::new(Exit::Failed, format!("the folder that this was started in cannot be read: {e}")))?;
     let (recording, run) = if is_run { (None, source) } else { (source, None) };
-    let start = Start { recording, rig, run, fps: args.fps };
+    let start = Start { recording, rig, run, fps: args.from.fps };
     let verbs = Verbs {
-        teach: Box::new(|arguments| told(|print| calibrate::teach(arguments, print))),
+        teach: Box::new(|arguments| run_verb(|print| calibrate::teach(arguments, print))),
         rig_to_teach: Box::new(|arguments| calibrate::rig_to_teach(arguments).map_err(|e| e.message())),
-        calibrate_rig: Box::new(|arguments| told(|print| calibrate::rig(arguments, print))),
+        calibrate_rig: Box::new(|arguments| run_verb(|print| calibrate::rig(arguments, print))),
         rig_to_calibrate: Box::new(|arguments| calibrate::rig_to_calibrate(arguments).map_err(|e| e.message())),
     };
-    let server = serve(&args.listen, Desk::new(places, start, verbs))?;
+    let mut desk = Desk::new(places, start, verbs);
+    if let Some(name) = live {
+        desk = desk.with_camera(args.camera(name, &stop)?);
+    }
+    let server = serve(&args.listen, desk)?;
     output::print(&format!("{}\n", server.url()))?;
     if !args.no_open {
         open(server.url());
     }
     let began = Instant::now();
     while !stop.load(Ordering::Relaxed) && args.duration.is_none_or(|duration| began.elapsed() < duration) {
-        std::thread::sleep(LOOK);
+        std::thread::sleep(POLL_INTERVAL);
     }
     Ok(())
 }
@@ -118,7 +152,7 @@ fn serve(listen: &Listen, desk: Desk) -> Result<Server, Failure> {
 }
 
 /// Runs a verb as if it had been typed; what it prints is told.
-fn told(verb: impl FnOnce(&dyn Fn(&str) -> Result<(), Failure>) -> Result<(), Failure>) -> Told {
+fn run_verb(verb: impl FnOnce(&dyn Fn(&str) -> Result<(), Failure>) -> Result<(), Failure>) -> VerbResult {
     // The command writes its files as one process: two pages wait for each other.
     static ALONE: Mutex<()> = Mutex::new(());
     let _alone = ALONE.lock();
@@ -138,7 +172,7 @@ fn told(verb: impl FnOnce(&dyn Fn(&str) -> Result<(), Failure>) -> Result<(), Fa
         Err(Exit::Unusable) => 3,
         Err(Exit::Interrupted) => 130,
     };
-    Told {
+    VerbResult {
         code,
         text: text.into_inner().unwrap_or_default(),
         error: ended.err().map(|failure| failure.message()),

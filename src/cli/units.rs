@@ -1,4 +1,4 @@
-//! Quantities as people write them: a number and its unit.
+//! Parses quantities: a number and its unit.
 
 /// A current in amperes; the unit must be there, because a missing one is off by a thousand.
 pub(super) fn current_a(text: &str) -> Result<f64, String> {
@@ -24,7 +24,7 @@ pub(super) fn duration_s(text: &str) -> Result<f64, String> {
     value.filter(|s| *s > 0.0).ok_or_else(|| format!("`{text}` is no time above 0: write for example 20ms or 300s"))
 }
 
-/// A change of current, amperes a second.
+/// A change of current, amperes per second.
 pub(super) fn slew_a_s(text: &str) -> Result<f64, String> {
     let value = with_unit(text, &[("mA/s", 1e-3), ("A/s", 1.0), ("", 1.0)]);
     value
@@ -37,7 +37,7 @@ fn with_unit(text: &str, units: &[(&str, f64)]) -> Option<f64> {
     let text = text.trim();
     let (number, scale) = units.iter().find_map(|(unit, scale)| Some((text.strip_suffix(unit)?, scale)))?;
     let value = number.trim_end().parse::<f64>().ok()?;
-    // Decimal prefixes divide exactly where multiplying would not: 20 ms is 0.02 s.
+    // Dividing by decimal prefixes is exact where multiplying is not: 20 ms is 0.02 s.
     let value = if *scale < 1.0 { value / (1.0 / scale).round() } else { value * scale };
     value.is_finite().then_some(value)
 }

@@ -4,13 +4,13 @@ use super::outcome::{self, Json, Outcome};
 use super::results::Results;
 use super::units::duration_s;
 use super::{Exit, Failure, interrupt, provenance};
+use crate::atomic_file;
 use crate::identify::Plant;
 use crate::identify::saved::Saved;
 use crate::report::validation::{self, ModelLine};
 use crate::series::Recording;
 use crate::source::times::parse_seconds_ns;
 use crate::validate::{Average, DesiredPath, Interpolation, Observed, Options, ValidateError, Validation, validate};
-use crate::whole_file;
 use clap::ValueEnum;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -21,7 +21,7 @@ pub(crate) struct Args {
     /// Tracked runs, one for each pause time
     #[arg(value_name = "LOG.mcap|TABLE.csv", required = true)]
     observed: Vec<PathBuf>,
-    /// The desired path of the marker, base frame: columns x_mm, y_mm, z_mm, a row a point
+    /// The desired path of the marker, base frame: columns x_mm, y_mm, z_mm, one row per point
     #[arg(long, value_name = "PATH.csv")]
     desired: PathBuf,
     /// How long each point was commanded, one for each run, in their order
@@ -30,10 +30,10 @@ pub(crate) struct Args {
     /// Camera time of the first command, s [default: a current's first change, else searched]
     #[arg(long, value_name = "T", value_delimiter = ',', value_parser = seconds_ns, allow_hyphen_values = true)]
     start: Vec<i64>,
-    /// How often the path was commanded [default: 4, or as often as it is in the file]
+    /// How many times the path was commanded [default: 4, or as often as it is in the file]
     #[arg(long, value_name = "N")]
     periods: Option<usize>,
-    /// Points of a period [default: the rows of the file]
+    /// Points per period [default: the rows of the file]
     #[arg(long, value_name = "N")]
     points_per_period: Option<usize>,
     /// Periods to leave out at the beginning, while the motion settles
@@ -46,8 +46,8 @@ pub(crate) struct Args {
     #[arg(long, value_enum, default_value_t = Frames::All)]
     average: Frames,
     /// From frame to frame, where pauses are shorter than the time between frames
-    #[arg(long, value_enum, default_value_t = How::Spline)]
-    interpolate: How,
+    #[arg(long, value_enum, default_value_t = InterpolationArg::Spline)]
+    interpolate: InterpolationArg,
     /// Draw a model beside the runs: model.json, H(s) in a file, or eq7 of the paper
     #[arg(long, value_name = "FILE|eq7")]
     model: Option<PathBuf>,
@@ -68,7 +68,7 @@ enum Frames {
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-enum How {
+enum InterpolationArg {
     Spline,
     Linear,
 }
@@ -88,7 +88,7 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
 }
 
 fn evaluate(args: &Args, outcome: &Outcome) -> Result<(), Failure> {
-    // 1. everything is judged before anything is written
+    // 1. everything is checked before anything is written
     let runs = args.observed.len();
     if args.pause.len() != runs {
         let text =
@@ -134,8 +134,8 @@ fn evaluate(args: &Args, outcome: &Outcome) -> Result<(), Failure> {
 impl Args {
     fn options(&self) -> Options {
         let interpolation = match self.interpolate {
-            How::Spline => Interpolation::Spline,
-            How::Linear => Interpolation::Linear,
+            InterpolationArg::Spline => Interpolation::Spline,
+            InterpolationArg::Linear => Interpolation::Linear,
         };
         let average = match self.average {
             Frames::All => Average::All,
@@ -144,7 +144,7 @@ impl Args {
         Options { skip: self.skip, marker: self.marker.clone(), average, interpolation }
     }
 
-    /// Names of the tables of points, one a run in the order of the runs: two runs of one pause time have a number
+    /// Names of the tables of points, one per run in the order of the runs: two runs of one pause time have a number
     /// each.
     fn tables_of_points(pauses_s: impl Iterator<Item = f64>) -> Vec<String> {
         let mut seen: BTreeMap<String, u32> = BTreeMap::new();
@@ -184,7 +184,7 @@ impl Args {
         self.results().take()?;
         let save = |name: &str, text: &str| -> Result<(), Failure> {
             let place = folder.join(name);
-            whole_file::write(&place, text.as_bytes()).map_err(|e| cannot(&place, e.to_string()))?;
+            atomic_file::write(&place, text.as_bytes()).map_err(|e| cannot(&place, e.to_string()))?;
             outcome::wrote(&place);
             Ok(())
         };
@@ -202,7 +202,7 @@ impl Args {
     }
 
     fn settings(&self) -> Vec<(String, String)> {
-        let between = if self.interpolate == How::Spline { "cubic spline" } else { "straight lines" };
+        let between = if self.interpolate == InterpolationArg::Spline { "cubic spline" } else { "straight lines" };
         let averaged = if self.average == Frames::All { "all frames of a pause" } else { "the second half of a pause" };
         [
             ("Left out".to_owned(), format!("{} of them, at the beginning", self.skip)),

@@ -1,7 +1,7 @@
-//! Warnings that belong to one recording, or to one command: collected while they are told.
+//! Warnings that belong to one recording, or to one command: collected while they are printed.
 //!
-//! A span stands for the work; who works in it, in any thread, warns for it. The threads of a run take the span with
-//! them ([`crate::pipeline::run`]).
+//! A span represents the work; a warning within it, in any thread, belongs to it. The threads of a run inherit the span
+//! ([`crate::pipeline::run`]).
 
 use std::collections::HashMap;
 use std::fmt::{self, Write as _};
@@ -15,16 +15,16 @@ use tracing_subscriber::layer::{Context, Filter};
 use tracing_subscriber::registry::LookupSpan;
 
 /// Warnings that are kept; more are counted.
-const MOST: usize = 100;
+const MAX_KEPT: usize = 100;
 /// Target of the spans: nobody else sees them.
 const TARGET: &str = "work";
 
 /// Of the spans that are open.
-static OPEN: LazyLock<Mutex<HashMap<u64, Warned>>> = LazyLock::new(Mutex::default);
+static OPEN: LazyLock<Mutex<HashMap<u64, Warnings>>> = LazyLock::new(Mutex::default);
 
 /// What was warned of.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub(super) struct Warned {
+pub(super) struct Warnings {
     /// The first ones.
     pub(super) warnings: Vec<String>,
     /// How many more.
@@ -45,12 +45,12 @@ impl Work {
     }
 
     /// What was warned of so far.
-    pub(super) fn warned(&self) -> Warned {
+    pub(super) fn warned(&self) -> Warnings {
         self.0.id().and_then(|id| open().get(&id.into_u64()).cloned()).unwrap_or_default()
     }
 }
 
-fn open() -> MutexGuard<'static, HashMap<u64, Warned>> {
+fn open() -> MutexGuard<'static, HashMap<u64, Warnings>> {
     OPEN.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
@@ -67,7 +67,7 @@ pub(super) fn seen() -> FilterFn<impl Fn(&Metadata<'_>) -> bool> {
 
 impl<S: Subscriber + for<'a> LookupSpan<'a>> Layer<S> for Collector {
     fn on_new_span(&self, _: &Attributes<'_>, id: &Id, _: Context<'_, S>) {
-        open().insert(id.into_u64(), Warned::default());
+        open().insert(id.into_u64(), Warnings::default());
     }
 
     fn on_event(&self, event: &Event<'_>, context: Context<'_, S>) {
@@ -75,7 +75,7 @@ impl<S: Subscriber + for<'a> LookupSpan<'a>> Layer<S> for Collector {
         let mut text = Text::default();
         event.record(&mut text);
         if let Some(warned) = open().get_mut(&span.id().into_u64()) {
-            match warned.warnings.len() < MOST {
+            match warned.warnings.len() < MAX_KEPT {
                 true => warned.warnings.push(text.0),
                 false => warned.more += 1,
             }
@@ -93,7 +93,7 @@ struct Text(String);
 
 impl Visit for Text {
     fn record_debug(&mut self, field: &Field, value: &dyn fmt::Debug) {
-        // Nothing fails in memory.
+        // Writing to memory cannot fail.
         let _ = match field.name() {
             "message" => {
                 let others = std::mem::take(&mut self.0);
@@ -146,7 +146,10 @@ mod tests {
                     });
                 });
             });
-            assert_eq!(one.warned(), Warned { warnings: vec!["first 1 stamp_ns=3".into(), "second".into()], more: 0 });
+            assert_eq!(
+                one.warned(),
+                Warnings { warnings: vec!["first 1 stamp_ns=3".into(), "second".into()], more: 0 }
+            );
             other.within(|| (0..103).for_each(|k| tracing::warn!(target: "catoptra", "{k}")));
             assert_eq!((other.warned().warnings.len(), other.warned().more), (100, 3));
         });

@@ -1,18 +1,18 @@
-//! Rows of a table from messages, and the three kinds of files that take them.
+//! Makes table rows from messages, and writes them to the three kinds of files.
 
 use super::mat;
 use super::{ConvertError, free};
 use crate::archive::tables::{Cells, Table};
+use crate::atomic_file::NewFile;
 use crate::log::schema::messages::{Estimate, Marker};
 use crate::log::schema::table;
 use crate::sink::{OutputFrame, decimal_seconds, fixed};
-use crate::whole_file::NewFile;
 use csv::{Terminator, Writer, WriterBuilder};
 use std::fs::File;
 use std::io::{self, BufWriter};
 use std::path::{Path, PathBuf};
 
-/// Rows that are put into a Parquet file together.
+/// Rows written together to a Parquet file.
 const PIECE: usize = 1 << 14;
 
 /// A cell.
@@ -20,7 +20,7 @@ const PIECE: usize = 1 << 14;
 pub(super) enum Cell {
     Text(String),
     Whole(i64),
-    /// A number, if it is known, and its decimals where it is written as text; all that are needed without.
+    /// A number, if known, and its decimals in text; without them as many as needed.
     Real(Option<f64>, Option<usize>),
     /// A time in nanoseconds, written in seconds.
     Seconds(i64),
@@ -52,19 +52,20 @@ impl Cell {
             (Self::Whole(number), Cells::Whole(cells)) => cells.push(Some(number)),
             (Self::Real(value, _), Cells::Real(cells)) => cells.push(value),
             (Self::Seconds(ns), Cells::Real(cells)) => cells.push(Some(ns as f64 * 1e-9)),
-            // A column has the kind of its first cell, which that of all.
+            // All cells of a column have the kind of the first.
             _ => {}
         }
     }
 }
 
-/// Names of the columns of a frame.
+/// Names of the columns of a frame. A run whose first frame has a tick has a column of it.
 pub(super) fn names(estimate: &Estimate) -> Vec<String> {
-    table::header(estimate.markers.iter().map(|marker| marker.name.as_str()))
+    table::header(estimate.markers.iter().map(|marker| marker.name.as_str()), estimate.tick.is_some())
 }
 
-/// The row of a frame, as the table of the run has it; `None` when places or directions are not known in `frame`.
-pub(super) fn row(estimate: &Estimate, frame: OutputFrame) -> Option<Vec<Cell>> {
+/// The row of a frame, as in the run's table; `None` when positions or directions are unknown in `frame`.
+/// `ticks`: whether there is a column for them.
+pub(super) fn row(estimate: &Estimate, frame: OutputFrame, ticks: bool) -> Option<Vec<Cell>> {
     let seq = i64::try_from(estimate.seq).unwrap_or(i64::MAX);
     let mut cells = vec![Cell::Whole(seq), Cell::Seconds(estimate.stamp_ns), Cell::Whole(estimate.stamp_ns)];
     let angles = estimate.deflection.as_ref();
@@ -86,6 +87,7 @@ pub(super) fn row(estimate: &Estimate, frame: OutputFrame) -> Option<Vec<Cell>> 
         cell(direction.map(|(_, sd)| sd.to_degrees()), 6),
         Cell::Whole(i64::from(estimate.gap)),
     ]);
+    cells.extend(ticks.then(|| cell(estimate.tick.map(f64::from), 0)));
     Some(cells)
 }
 
@@ -105,7 +107,7 @@ fn place(marker: &Marker, frame: OutputFrame) -> Option<[Cell; 5]> {
     ])
 }
 
-/// A file that rows are put into; nothing is in its place before it is [finished](Rows::finish).
+/// A file of rows; it appears in its place only when [finished](Rows::finish).
 pub(super) struct Rows {
     names: Vec<String>,
     columns: Vec<(String, Cells)>,
@@ -122,11 +124,11 @@ enum Kind {
         table: Box<Table>,
         waiting: usize,
     },
-    /// Written at the end: the variables, each whole.
+    /// Written at the end, variable by variable.
     Mat,
 }
 
-/// Which kind.
+/// Kind of file.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum FileKind {
     Csv,
@@ -153,7 +155,7 @@ impl Rows {
         Ok(Self { names, columns, kind })
     }
 
-    /// How many columns there are.
+    /// Number of columns.
     pub(super) fn width(&self) -> usize {
         self.names.len()
     }
@@ -176,7 +178,7 @@ impl Rows {
         Ok(())
     }
 
-    /// Completes the file; of one that is written with others, gives what goes into it.
+    /// Completes the file; for one that is written together with others, returns its content.
     pub(super) fn finish(self) -> Result<Vec<(String, Cells)>, ConvertError> {
         match self.kind {
             Kind::Csv { path, new, writer } => {
@@ -207,9 +209,9 @@ fn clear(cells: &mut Cells) {
     }
 }
 
-/// Writes a MAT file of all columns.
+/// Writes a MAT file with all columns.
 pub(super) fn write_mat(path: &Path, columns: &[(String, Cells)]) -> Result<(), ConvertError> {
     let lost = |source| ConvertError::Write { path: path.to_owned(), source };
     let bytes = mat::file(columns).map_err(|reason| lost(io::Error::other(reason)))?;
-    crate::whole_file::write(path, &bytes).map_err(lost)
+    crate::atomic_file::write(path, &bytes).map_err(lost)
 }

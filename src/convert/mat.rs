@@ -1,7 +1,8 @@
-//! MATLAB's MAT files, version 5 ("MAT-File Format", MathWorks, R2024a, chapter 1): one variable a column, not compressed.
+//! MATLAB's MAT files, version 5 ("MAT-File Format", MathWorks, R2024a, chapter 1): one variable per column, not
+//! compressed.
 //!
-//! Numbers are columns of doubles, NaN where there is none; whole numbers `int64`, because a double cannot hold the
-//! nanoseconds since 1970; text a matrix of characters, padded with blanks, as `char` makes it.
+//! Numbers are columns of doubles, NaN where there is none; whole numbers `int64`, because a double cannot hold
+//! nanoseconds since 1970; text a matrix of characters, padded with blanks, as from `char`.
 
 use crate::archive::tables::Cells;
 
@@ -17,11 +18,11 @@ const MX_CHAR: u32 = 4;
 const MX_DOUBLE: u32 = 6;
 const MX_INT64: u32 = 14;
 
-/// The longest name that MATLAB takes.
+/// The longest name allowed in MATLAB.
 const LONGEST_NAME: usize = 63;
 
-/// A file of these columns. Columns whose names are the same but for a number at their end, as `current_a_1` and
-/// `current_a_2`, stay apart.
+/// A file with these columns. Columns whose names differ only in a trailing number, like `current_a_1` and
+/// `current_a_2`, stay separate.
 ///
 /// # Errors
 /// When one is too large for the format, 2 GB.
@@ -40,7 +41,7 @@ pub(super) fn file(columns: &[(String, Cells)]) -> Result<Vec<u8>, String> {
     Ok(bytes)
 }
 
-/// A name that MATLAB takes, and that is none of `taken`.
+/// A valid MATLAB name that is not in `taken`.
 fn variable(column: &str, taken: &[String]) -> String {
     let mut name: String = column.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '_' }).collect();
     if !name.starts_with(|c: char| c.is_ascii_alphabetic()) {
@@ -67,14 +68,14 @@ fn matrix(name: &str, cells: &Cells) -> Vec<u8> {
                 let data = all.iter().flat_map(|number| number.to_le_bytes()).collect();
                 column(MX_INT64, all.len(), MI_INT64, data)
             }
-            // Only doubles can say that there is none.
+            // Only doubles can represent a missing value.
             None => doubles(cells.iter().map(|cell| cell.map_or(f64::NAN, |number| number as f64)).collect()),
         },
         Cells::Text(cells) => {
             let lines: Vec<Vec<u16>> =
                 cells.iter().map(|cell| cell.as_deref().unwrap_or_default().encode_utf16().collect()).collect();
             let width = lines.iter().map(Vec::len).max().unwrap_or(0);
-            // By columns.
+            // In column-major order.
             let letter = |line: &Vec<u16>, k: usize| line.get(k).copied().unwrap_or(u16::from(b' '));
             let data: Vec<u8> =
                 (0..width).flat_map(|k| lines.iter().flat_map(move |line| letter(line, k).to_le_bytes())).collect();
@@ -83,12 +84,12 @@ fn matrix(name: &str, cells: &Cells) -> Vec<u8> {
     }
 }
 
-/// What is in a `miMATRIX`.
+/// Content of a `miMATRIX`.
 fn array(name: &str, class: u32, size: [usize; 2], kind: u32, data: &[u8]) -> Vec<u8> {
     let mut bytes = Vec::with_capacity(data.len() + 128);
     let flags: Vec<u8> = [class, 0].iter().flat_map(|word| word.to_le_bytes()).collect();
     let size: Vec<u8> = size.iter().flat_map(|n| i32::try_from(*n).unwrap_or(i32::MAX).to_le_bytes()).collect();
-    // Lengths of the first three cannot be too large, and that of the data shows in the whole.
+    // The lengths of the first three cannot be too large, and that of the data is checked with the whole.
     let parts = [(MI_UINT32, flags.as_slice()), (MI_INT32, &size), (MI_INT8, name.as_bytes()), (kind, data)];
     for (kind, part) in parts {
         let _ = element(&mut bytes, kind, part);

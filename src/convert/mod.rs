@@ -1,7 +1,8 @@
 //! A log as other files: a table (CSV, Parquet), MATLAB's MAT 5, or a log of profile `ros2`.
 //!
-//! In: a log of this program, of either profile, cut off or damaged as it may be. Out: new files, whole or not at all, and
-//! what of the log is not in them ([`Converted::left_out`]). Nothing is computed anew: the numbers are those of the log.
+//! In: a log of this program, of either profile, possibly cut off or damaged. Out: new files, complete or not at all,
+//! and what of the log is not in them ([`Converted::left_out`]). Nothing is recomputed: the numbers are those of the
+//! log.
 
 mod columns;
 mod mat;
@@ -20,7 +21,7 @@ use std::collections::BTreeMap;
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// What a log is turned into.
+/// Target format.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Target {
     /// The table of the run.
@@ -33,7 +34,7 @@ pub(crate) enum Target {
     Ros2,
 }
 
-/// What came of it.
+/// Result of a conversion.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(crate) struct Converted {
     /// Frames in the new file.
@@ -42,9 +43,9 @@ pub(crate) struct Converted {
     pub currents: u64,
     /// The files.
     pub files: Vec<PathBuf>,
-    /// What of the log is not in them, in words.
+    /// Parts of the log that are not in them, in words.
     pub left_out: Vec<String>,
-    /// Why not all of the log could be read, if so.
+    /// Why part of the log could not be read, if so.
     pub cut: Option<String>,
 }
 
@@ -54,7 +55,7 @@ pub(crate) enum ConvertError {
     /// The log cannot be read.
     #[error(transparent)]
     Log(#[from] LogError),
-    /// The log cannot be turned into this.
+    /// The log cannot be converted to this format.
     #[error("{}: {reason}", path.display())]
     Content {
         /// The log.
@@ -62,13 +63,13 @@ pub(crate) enum ConvertError {
         /// Why.
         reason: String,
     },
-    /// There is a file already.
-    #[error("{}: is there already; give another name", path.display())]
+    /// The file already exists.
+    #[error("{}: already exists; choose another name", path.display())]
     Occupied {
         /// Which.
         path: PathBuf,
     },
-    /// The file system refuses.
+    /// The file system reports an error.
     #[error("{}: cannot be written: {source}", path.display())]
     Write {
         /// Which file.
@@ -90,7 +91,7 @@ impl From<TableError> for ConvertError {
     }
 }
 
-/// Turns the log at `path` into a new file `out`; places and directions of tables are in `frame`.
+/// Converts the log at `path` to a new file `out`; positions and directions of tables are in `frame`.
 ///
 /// # Errors
 /// [`ConvertError`]; no file is left then.
@@ -102,9 +103,9 @@ pub(crate) fn convert(path: &Path, target: Target, frame: OutputFrame, out: &Pat
     }
 }
 
-/// Nothing is written over.
+/// Existing files are not overwritten.
 fn free(path: &Path) -> Result<(), ConvertError> {
-    // A link that leads nowhere is there, too.
+    // A dangling link also counts as existing.
     if path.symlink_metadata().is_ok() { Err(ConvertError::Occupied { path: path.to_owned() }) } else { Ok(()) }
 }
 
@@ -112,13 +113,13 @@ fn free(path: &Path) -> Result<(), ConvertError> {
 struct Message<'a> {
     header: &'a MessageHeader,
     topic: &'a str,
-    /// `None` of those that cannot be decoded.
+    /// `None` if it cannot be decoded.
     decoded: Option<DynamicMessage>,
     /// As it is in the file.
     data: &'a [u8],
 }
 
-/// Gives every message to `take`, which says whether it is in the new files; what is not is counted by topic. Other
+/// Passes every message to `take`, which returns whether it is in the new files; the others are counted by topic. Other
 /// records go to `other`.
 fn each_message(
     path: &Path,
@@ -160,7 +161,7 @@ fn each_message(
     Ok((left, condition.summary()))
 }
 
-/// A line for what is left out of a topic.
+/// A line about messages of a topic that are left out.
 fn left_out(topic: &str, messages: u64, why: &str) -> String {
     format!("{topic}, {messages} messages: {why}")
 }

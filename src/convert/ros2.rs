@@ -1,12 +1,12 @@
-//! A log as a log of profile `ros2`: as `--profile ros2` writes it, of the same messages.
+//! Converts a log to profile `ros2`: as `--profile ros2` writes it, with the same messages.
 
 use super::{ConvertError, Converted, Message, each_message, left_out};
+use crate::atomic_file::NewFile;
 use crate::log::ros2::PROFILE;
 use crate::log::schema::{RIG_ATTACHMENT, Topic};
 use crate::log::{attached, profile, records, typed};
 use crate::rig::Rig;
-use crate::sink::{Announced, Filed, RosLog};
-use crate::whole_file::NewFile;
+use crate::sink::{FileMessage, FileTopic, RosLog};
 use mcap::records::{MessageHeader, Record};
 use mcap::{Attachment, Compression, McapError, WriteOptions, Writer};
 use prost_reflect::Value;
@@ -17,7 +17,7 @@ use std::fs::File;
 use std::io::BufWriter;
 use std::path::Path;
 
-/// Those that ROS's own messages stand for.
+/// Topics replaced by ROS's own messages.
 const REPLACED: [Topic; 4] = [Topic::Deflection, Topic::Scene, Topic::Calibration, Topic::Transform];
 
 pub(super) fn convert(path: &Path, out: &Path) -> Result<Converted, ConvertError> {
@@ -30,11 +30,11 @@ pub(super) fn convert(path: &Path, out: &Path) -> Result<Converted, ConvertError
     };
     let rig = Rig::from_toml_str(&text, path).map_err(|error| wrong(format!("the rig attached to it: {error}")))?;
     let log = RosLog::new(&rig);
-    // The definitions of what is wrapped are those of the log.
+    // The definitions of wrapped messages are those of the log.
     let descriptors = descriptors(path)?;
     let topics = log.topics(|topic| descriptors.get(topic.name()).cloned());
     let mut converted = Converted { files: vec![out.to_owned()], ..Converted::default() };
-    let file = RefCell::new(Out::begin(out, &topics)?);
+    let file = RefCell::new(NewLog::begin(out, &topics)?);
     let mut stamp_ns = None;
     let take = |message: &Message<'_>| {
         let Some(decoded) = &message.decoded else { return Ok(false) };
@@ -56,7 +56,7 @@ pub(super) fn convert(path: &Path, out: &Path) -> Result<Converted, ConvertError
             }
             Some(Topic::Health) => messages.extend(log.health(message.data, &typed::health(decoded))?),
             Some(Topic::Image) => {
-                // It follows its frame, whose time it has.
+                // It follows its frame and has that frame's time.
                 let data = decoded.get_field_by_name("data");
                 let jpeg = data.as_deref().and_then(Value::as_bytes).map(|bytes| bytes.to_vec());
                 let (Some(stamp_ns), Some(jpeg)) = (stamp_ns, jpeg) else { return Ok(false) };
@@ -104,15 +104,15 @@ fn descriptors(path: &Path) -> Result<BTreeMap<String, (String, Vec<u8>)>, Conve
 }
 
 /// The new log.
-struct Out<'a> {
+struct NewLog<'a> {
     path: &'a Path,
     new: NewFile,
     writer: Writer<BufWriter<File>>,
     channels: Vec<u16>,
 }
 
-impl<'a> Out<'a> {
-    fn begin(path: &'a Path, topics: &[Announced]) -> Result<Self, ConvertError> {
+impl<'a> NewLog<'a> {
+    fn begin(path: &'a Path, topics: &[FileTopic]) -> Result<Self, ConvertError> {
         let lost = |error| lost(path, error);
         let (new, file) = NewFile::begin(path).map_err(|error| lost(error.into()))?;
         let library = format!("catoptra/{} {}", env!("CARGO_PKG_VERSION"), mcap::LIBRARY_IDENTIFIER);
@@ -129,8 +129,8 @@ impl<'a> Out<'a> {
         Ok(Self { path, new, writer, channels })
     }
 
-    /// Writes a message with the times of the one that it was made of.
-    fn message(&mut self, filed: &Filed, like: &MessageHeader) -> Result<(), ConvertError> {
+    /// Writes a message with the times of the one it was made from.
+    fn message(&mut self, filed: &FileMessage, like: &MessageHeader) -> Result<(), ConvertError> {
         let Some(&channel_id) = self.channels.get(filed.channel) else { return Ok(()) };
         let header = MessageHeader { channel_id, ..*like };
         self.writer.write_to_known_channel(&header, &filed.bytes).map_err(|error| lost(self.path, error))

@@ -1,5 +1,5 @@
-//! A log as a table of its frames: CSV, byte for byte as the run has written it, Parquet, or MAT 5. Currents are a table
-//! of their own beside it; MAT has both in one file.
+//! Converts a log to a table of its frames: CSV, byte for byte as written by the run, Parquet, or MAT 5. Currents are a
+//! separate table beside it; MAT has both in one file.
 
 use super::columns::{Cell, FileKind, Rows, names, row, write_mat};
 use super::{ConvertError, Converted, Message, Target, each_message, left_out};
@@ -10,7 +10,7 @@ use crate::log::{profile, typed};
 use crate::sink::{OutputFrame, RosLog};
 use std::path::{Path, PathBuf};
 
-/// What is left out of a topic, and why; nothing of those that are in the table.
+/// What is left out of each topic, and why; empty for those in the table.
 const NOT_IN_A_TABLE: [(Topic, &str); 8] = [
     (Topic::Scene, "is drawn from the places"),
     (Topic::Annotations, "outlines of bands in the picture"),
@@ -21,13 +21,13 @@ const NOT_IN_A_TABLE: [(Topic, &str); 8] = [
     (Topic::Image, "pictures"),
     (Topic::Current, "cannot be understood"),
 ];
-/// Of a frame.
+/// What is left out of a frame.
 const NOT_OF_A_FRAME: &str = "of each frame: covariances, what each view saw, numbers of misses, the host's times";
 
 /// Of a log of profile `ros2`.
 const OF_ROS: &str = "topics of ROS 2: they say the same once more, but for pictures and the camera";
 
-/// The table beside `out` that has the currents.
+/// The table of currents beside `out`.
 fn beside(out: &Path) -> PathBuf {
     let stem = out.file_stem().unwrap_or_default().to_string_lossy();
     let ending = out.extension().map_or(String::new(), |ending| format!(".{}", ending.to_string_lossy()));
@@ -43,11 +43,13 @@ pub(super) fn convert(path: &Path, target: Target, frame: OutputFrame, out: &Pat
     let wrong = |reason: String| ConvertError::Content { path: path.to_owned(), reason };
     let mut converted = Converted::default();
     let (mut frames, mut currents): (Option<Rows>, Option<Rows>) = (None, None);
+    let mut ticks = None;
     let take = |message: &Message<'_>| {
         let Some(decoded) = &message.decoded else { return Ok(false) };
         if message.topic == Topic::Estimate.name() {
             let Some(estimate) = typed::estimate(decoded) else { return Ok(false) };
-            let Some(row) = row(&estimate, frame) else {
+            let ticks = *ticks.get_or_insert(estimate.tick.is_some());
+            let Some(row) = row(&estimate, frame, ticks) else {
                 let why = "has no places in the base frame: its rig has none; convert with --frame camera";
                 return Err(wrong(why.to_owned()));
             };
@@ -77,7 +79,7 @@ pub(super) fn convert(path: &Path, target: Target, frame: OutputFrame, out: &Pat
             converted.currents += 1;
             rows.add(row).map(|()| true)
         } else {
-            // θ is in the table.
+            // The table has θ.
             Ok(message.topic == Topic::Deflection.name())
         }
     };
@@ -100,8 +102,8 @@ pub(super) fn convert(path: &Path, target: Target, frame: OutputFrame, out: &Pat
     if of_ros {
         converted.left_out.push(OF_ROS.to_owned());
     }
-    let told = |topic: &str| !of_ros || Topic::ALL.iter().any(|of| of.name() == topic && RosLog::keeps(*of));
-    for (topic, messages) in left.into_iter().filter(|(topic, _)| told(topic)) {
+    let listed = |topic: &str| !of_ros || Topic::ALL.iter().any(|of| of.name() == topic && RosLog::keeps(*of));
+    for (topic, messages) in left.into_iter().filter(|(topic, _)| listed(topic)) {
         let known = NOT_IN_A_TABLE.iter().find(|(of, _)| of.name() == topic).map(|(_, why)| *why);
         let estimate = (topic == Topic::Estimate.name()).then_some("cannot be understood");
         converted.left_out.push(left_out(&topic, messages, known.or(estimate).unwrap_or("is no table of frames")));
@@ -109,9 +111,9 @@ pub(super) fn convert(path: &Path, target: Target, frame: OutputFrame, out: &Pat
     Ok(converted)
 }
 
-/// `host_ns` and a column a coil, as `catoptra live --currents` and `catoptra identify` read them.
+/// `host_ns` and one column per coil, as read by `catoptra live --currents` and `catoptra identify`.
 fn current_names(kind: FileKind, coils: usize) -> Vec<String> {
-    // One file has them beside the frames: there they say whose they are.
+    // If one file has them beside the frames, the names say what they belong to.
     let before = if matches!(kind, FileKind::Mat) { "current_" } else { "" };
     let coil = |n| format!("{before}coil_{n}");
     std::iter::once(format!("{before}host_ns")).chain((1..=coils).map(coil)).collect()

@@ -1,20 +1,20 @@
-//! A sine whose frequency rises, or falls, over the band.
+//! A sine whose frequency sweeps up or down the band.
 //!
-//! Linear: f(t) = f0 + (f1 − f0) t / T, phase 2π (f0 t + (f1 − f0) t² / 2T): the same energy in every hertz.
-//! Logarithmic: f(t) = f0 (f1 / f0)^(t / T), phase 2π f0 T / ln(f1/f0) ((f1/f0)^(t/T) − 1): the same in every octave,
-//! more at low frequencies. Both begin at zero current. As `scipy.signal.chirp` with `phi=-90`.
+//! Linear: f(t) = f0 + (f1 − f0) t / T, phase 2π (f0 t + (f1 − f0) t² / 2T): equal energy per hertz. Logarithmic: f(t)
+//! = f0 (f1 / f0)^(t / T), phase 2π f0 T / ln(f1/f0) ((f1/f0)^(t/T) − 1): equal energy per octave, more at low
+//! frequencies. Both begin at zero current, like `scipy.signal.chirp` with `phi=-90`.
 
 use super::{ExciteError, Signal, band, positive};
 use crate::source::FrameRate;
 use std::f64::consts::TAU;
 
-/// How the frequency goes.
+/// Kind of sweep.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(crate) enum Sweep {
-    /// As many hertz each second.
+    /// Constant hertz per second.
     #[default]
     Linear,
-    /// As many octaves each second.
+    /// Constant octaves per second.
     Logarithmic,
 }
 
@@ -29,7 +29,7 @@ pub(crate) struct Chirp {
     pub duration_s: f64,
     /// Amplitude, amperes.
     pub amplitude_a: f64,
-    /// How the frequency goes.
+    /// Kind of sweep.
     pub sweep: Sweep,
 }
 
@@ -37,7 +37,7 @@ impl Chirp {
     /// The signal at `rate`.
     ///
     /// # Errors
-    /// [`ExciteError`] when a value is not positive, the rate too low, or the length none.
+    /// [`ExciteError`] when a value is not positive, the rate too low, or the length zero.
     pub(crate) fn signal(&self, rate: FrameRate) -> Result<Signal, ExciteError> {
         let Self { from_hz, to_hz, duration_s, amplitude_a, sweep } = *self;
         positive("amplitude", amplitude_a, "A")?;
@@ -66,7 +66,7 @@ mod tests {
         "60".parse().unwrap()
     }
 
-    /// Rising zero crossings in a piece of the signal, a second.
+    /// Rising zero crossings per second in a piece of the signal.
     fn crossings_hz(signal: &Signal, from_s: usize, to_s: usize) -> f64 {
         let piece = &signal.values_a[from_s * 60..to_s * 60];
         piece.windows(2).filter(|pair| pair[0] < 0.0 && pair[1] >= 0.0).count() as f64 / (to_s - from_s) as f64

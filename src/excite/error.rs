@@ -1,6 +1,6 @@
-//! Why a signal cannot be made as it was asked for.
+//! Why a signal cannot be made as requested.
 
-/// Why a signal cannot be made as it was asked for.
+/// Why a signal cannot be made as requested.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub(crate) enum ExciteError {
     /// A value that must be above 0.
@@ -10,28 +10,28 @@ pub(crate) enum ExciteError {
         what: &'static str,
         /// Its value.
         value: f64,
-        /// In this unit.
+        /// Its unit.
         unit: &'static str,
     },
-    /// Too few samples to be a signal, or too many.
-    #[error("{duration_s} s at {rate_hz} samples a second are {:.0} samples; 2 to {most} are possible", duration_s * rate_hz)]
+    /// Too few samples for a signal, or too many.
+    #[error("{duration_s} s at {rate_hz} samples per second are {:.0} samples; 2 to {most} are possible", duration_s * rate_hz)]
     Samples {
         /// Its length.
         duration_s: f64,
-        /// Samples a second.
+        /// Samples per second.
         rate_hz: f64,
-        /// Samples at most.
+        /// Most samples.
         most: usize,
     },
     /// A frequency that the rate cannot represent.
-    #[error("{highest_hz} Hz cannot be made of {rate_hz} samples a second; stay below {} Hz, or raise the rate", rate_hz / 2.0)]
+    #[error("{highest_hz} Hz exceeds the Nyquist frequency of {rate_hz} samples per second; stay below {} Hz, or raise the rate", rate_hz / 2.0)]
     Nyquist {
-        /// The highest frequency asked for.
+        /// The highest frequency requested.
         highest_hz: f64,
-        /// Samples a second.
+        /// Samples per second.
         rate_hz: f64,
     },
-    /// A band that is empty or upside down.
+    /// A band that is empty or reversed.
     #[error(
         "the band {from_hz} to {to_hz} Hz holds no multiple of {step_hz} Hz, 1 over the period; widen it or lengthen the period"
     )]
@@ -43,14 +43,14 @@ pub(crate) enum ExciteError {
         /// Distance of lines.
         step_hz: f64,
     },
-    /// A period that is no whole number of samples.
-    #[error("a period of {period_s} s is {:.3} samples at {rate_hz} a second, and must be a whole number: {near_s} s is the nearest", period_s * rate_hz)]
+    /// A period that is not a whole number of samples.
+    #[error("a period of {period_s} s is {:.3} samples at {rate_hz} per second, and must be a whole number: {near_s} s is the nearest", period_s * rate_hz)]
     Period {
         /// The period.
         period_s: f64,
-        /// Samples a second.
+        /// Samples per second.
         rate_hz: f64,
-        /// What would do.
+        /// A nearby valid period.
         near_s: f64,
     },
     /// A sweep on a logarithmic scale from a frequency to itself.
@@ -59,18 +59,18 @@ pub(crate) enum ExciteError {
         /// The frequency.
         hz: f64,
     },
-    /// Steps that are none.
+    /// Too few different levels.
     #[error("steps need two levels that differ; {found} given")]
     Levels {
         /// How many different levels there are.
         found: usize,
     },
-    /// Levels held too briefly.
-    #[error("a level held for {hold_s} s is less than 2 samples at {rate_hz} a second; hold it for {} s or longer", 2.0 / rate_hz)]
+    /// Levels held too short.
+    #[error("a level held for {hold_s} s is less than 2 samples at {rate_hz} per second; hold it for {} s or longer", 2.0 / rate_hz)]
     Hold {
         /// The time.
         hold_s: f64,
-        /// Samples a second.
+        /// Samples per second.
         rate_hz: f64,
     },
     /// Beyond the limit of current.
@@ -86,16 +86,16 @@ pub(crate) enum ExciteError {
     /// Beyond the limit of slew.
     #[error("the current changes by {slew_a_s:.3} A/s at {at_s:.3} s, the limit is {limit_a_s} A/s: an amplitude of {:.1} mA keeps it", fits_a * 1e3)]
     Slew {
-        /// Where it is largest, seconds.
+        /// Time of the largest slew, seconds.
         at_s: f64,
         /// The largest slew.
         slew_a_s: f64,
         /// The limit.
         limit_a_s: f64,
-        /// Amplitude of the same signal that keeps the limit.
+        /// Amplitude at which the same signal keeps the limit.
         fits_a: f64,
     },
-    /// A ramp that does not arrive while the level is held.
+    /// A ramp that does not reach the level while it is held.
     #[error(
         "the step at {at_s:.3} s takes {needs_s:.3} s at {limit_a_s} A/s, and levels are held for {hold_s} s: hold them longer, or allow a larger slew"
     )]

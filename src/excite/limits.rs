@@ -1,8 +1,8 @@
-//! What amplifier and coils allow, and signals made to keep it.
+//! Limits of amplifier and coils, and limiting of signals.
 
 use super::{ExciteError, Signal};
 
-/// Parts of the limit that rounding may exceed.
+/// Relative excess over a limit attributed to rounding.
 const ROUNDING: f64 = 1e-9;
 
 /// Limits of the current.
@@ -10,25 +10,25 @@ const ROUNDING: f64 = 1e-9;
 pub(crate) struct Limits {
     /// Largest current, amperes.
     pub current_a: f64,
-    /// Largest change, amperes a second.
+    /// Largest change, amperes per second.
     pub slew_a_s: Option<f64>,
 }
 
-/// What was changed.
+/// Kind of change.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Change {
     /// Values beyond the limit of current.
     Current,
-    /// Values that are reached too fast.
+    /// Values reached too fast.
     Slew,
 }
 
-/// What was changed, and where.
+/// A change by limiting, and where.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Clipped {
-    /// What.
+    /// Its kind.
     pub what: Change,
-    /// How many samples.
+    /// Number of samples.
     pub samples: usize,
     /// Time of the first, seconds.
     pub first_s: f64,
@@ -39,10 +39,10 @@ pub(crate) struct Clipped {
 }
 
 impl Limits {
-    /// Whether a signal keeps them.
+    /// Checks that a signal keeps the limits.
     ///
     /// # Errors
-    /// The first limit that it does not keep, with where, and for slew the amplitude that would.
+    /// The first limit that it exceeds, with the time, and for slew the amplitude that would keep it.
     pub(crate) fn check(&self, signal: &Signal) -> Result<(), ExciteError> {
         let beyond = self.current_a * (1.0 + ROUNDING);
         if let Some(first) = signal.values_a.iter().position(|value| value.abs() > beyond) {
@@ -59,8 +59,8 @@ impl Limits {
         }
     }
 
-    /// Cuts off what is beyond the limits: first the current, then its slew, from the beginning on. Returns what was
-    /// changed. A ramp back to zero current is added where slew asks for it.
+    /// Clips the signal to the limits: first the current, then its slew, from the beginning on. Returns what was
+    /// changed. A ramp back to zero current is added if the slew limit requires it.
     pub(crate) fn clip(&self, signal: &mut Signal) -> Vec<Clipped> {
         let mut clipped = Vec::new();
         let before = signal.values_a.clone();
@@ -72,7 +72,7 @@ impl Limits {
         clipped
     }
 
-    /// Lets the current go no faster than slew allows; see [`Limits::clip`].
+    /// Limits the slew of the current; see [`Limits::clip`].
     pub(crate) fn ramp(&self, signal: &mut Signal) -> Option<Clipped> {
         let step_a = self.slew_a_s? / signal.rate.hz();
         let before = signal.values_a.clone();
@@ -89,10 +89,10 @@ impl Limits {
         clipped
     }
 
-    /// Whether every step of `signal`, whose levels are held for `hold_s`, arrives at its level in that time.
+    /// Checks that every step of `signal`, whose levels are held for `hold_s`, reaches its level in that time.
     ///
     /// # Errors
-    /// The first that does not.
+    /// The first step that does not.
     pub(crate) fn check_steps(&self, signal: &Signal, hold_s: f64) -> Result<(), ExciteError> {
         let Some(limit_a_s) = self.slew_a_s else { return Ok(()) };
         let mut before = 0.0;
@@ -139,7 +139,7 @@ mod tests {
             message(&[0.1, -0.1]),
             "the current changes by 2.000 A/s at 0.100 s, the limit is 1 A/s: an amplitude of 50.0 mA keeps it"
         );
-        // The way back to zero counts.
+        // The return to zero counts.
         let back = Limits { slew_a_s: Some(0.5), ..limits };
         assert!(back.check(&signal(&[0.05, 0.1])).unwrap_err().to_string().contains("at 0.200 s"));
     }

@@ -1,14 +1,14 @@
-//! Coil currents that excite the catheter so that its dynamics can be identified: chirp, multisine, steps.
+//! Coil currents that excite the catheter to identify its dynamics: chirp, multisine, steps.
 //!
-//! In: what the signal shall be, and what amplifier and coils allow ([`Limits`]). Out: a [`Signal`], one current a
+//! In: parameters of the signal, and the limits of amplifier and coils ([`Limits`]). Out: a [`Signal`], one current per
 //! period of the controller, held until the next one (zero-order hold); its [spectrum](Spectrum); and a table
 //! ([`Signal::table`]).
 //!
 //! The signal begins from rest and is followed by one row of zero current, so that an amplifier that holds its last
-//! value is left without current. Both jumps count when slew is judged.
+//! value ends without current. Both jumps count for the slew.
 //!
-//! What it does not do: ask whether the catheter survives it (Section III.B of the paper stays below 8 Hz to spare it),
-//! or undo the non-linearity of the torque.
+//! What it does not do: check whether the catheter survives it (Section III.B of the paper stays below 8 Hz to spare
+//! it), or compensate the non-linearity of the torque.
 
 mod chirp;
 mod error;
@@ -28,20 +28,20 @@ pub(crate) use steps::{Order, Steps};
 use crate::source::FrameRate;
 use crate::source::times::seconds;
 
-/// Rows at most: an hour at 1 kHz, and a table that programs still open.
-const MOST_SAMPLES: usize = 4_000_000;
+/// Most rows: an hour at 1 kHz, and a table that programs can still open.
+const MAX_SAMPLES: usize = 4_000_000;
 
 /// A current over time, at a constant rate.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Signal {
-    /// Samples a second.
+    /// Samples per second.
     pub rate: FrameRate,
-    /// One value a sample, amperes, each held until the next.
+    /// One value per sample, amperes, each held until the next.
     pub values_a: Vec<f64>,
 }
 
 impl Signal {
-    /// Of `duration_s` at `rate`, each sample by its time.
+    /// A signal of `duration_s` at `rate`, each sample from its time.
     fn of(rate: FrameRate, duration_s: f64, value_a: impl Fn(f64) -> f64) -> Result<Self, ExciteError> {
         let samples = samples(rate, duration_s)?;
         let mut signal = Self { rate, values_a: Vec::with_capacity(samples) };
@@ -57,7 +57,7 @@ impl Signal {
         self.rate.stamp_ns(k as u64).map_or(f64::INFINITY, seconds)
     }
 
-    /// Length in time, seconds.
+    /// Duration, seconds.
     pub(crate) fn duration_s(&self) -> f64 {
         self.time_s(self.values_a.len())
     }
@@ -72,13 +72,13 @@ impl Signal {
         (self.values_a.iter().map(|value| value * value).sum::<f64>() / self.values_a.len().max(1) as f64).sqrt()
     }
 
-    /// Peak over root mean square: 1 for a signal that is always at its peak, 1.41 for a sine.
+    /// Peak over root mean square: 1 for a signal always at its peak, 1.41 for a sine.
     pub(crate) fn crest_factor(&self) -> f64 {
         self.peak_a() / self.rms_a()
     }
 
-    /// Largest slew, amperes a second, and when: a step from one sample to the next, over the time between them. The
-    /// step from rest and the one back count.
+    /// Largest slew, amperes per second, and its time: the step from one sample to the next over the time between them.
+    /// The steps from rest and back count.
     pub(crate) fn largest_slew(&self) -> (f64, f64) {
         let before = std::iter::once(&0.0).chain(&self.values_a);
         let after = self.values_a.iter().chain(std::iter::once(&0.0));
@@ -88,12 +88,12 @@ impl Signal {
     }
 }
 
-/// How many samples this is.
+/// The number of samples.
 fn samples(rate: FrameRate, duration_s: f64) -> Result<usize, ExciteError> {
     positive("duration", duration_s, "s")?;
     let samples = (duration_s * rate.hz()).round();
-    if samples < 2.0 || samples > MOST_SAMPLES as f64 {
-        return Err(ExciteError::Samples { duration_s, rate_hz: rate.hz(), most: MOST_SAMPLES });
+    if samples < 2.0 || samples > MAX_SAMPLES as f64 {
+        return Err(ExciteError::Samples { duration_s, rate_hz: rate.hz(), most: MAX_SAMPLES });
     }
     Ok(samples as usize)
 }
@@ -102,7 +102,7 @@ fn positive(what: &'static str, value: f64, unit: &'static str) -> Result<(), Ex
     if value.is_finite() && value > 0.0 { Ok(()) } else { Err(ExciteError::NotPositive { what, value, unit }) }
 }
 
-/// A band below half of the rate.
+/// Checks that the band is below half the rate.
 fn band(from_hz: f64, to_hz: f64, rate: FrameRate) -> Result<(), ExciteError> {
     positive("lowest frequency", from_hz, "Hz")?;
     positive("highest frequency", to_hz, "Hz")?;

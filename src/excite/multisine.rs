@@ -1,14 +1,14 @@
-//! A sum of sines at all multiples of 1/period in a band, equally strong, repeated period by period.
+//! A sum of sines at all multiples of 1/period in a band, with equal amplitudes, repeated every period.
 //!
-//! Each period is the same, so that noise shows in the differences of periods, and no frequency leaks into another.
-//! What is free are the phases: they decide how large the peak is beside the root mean square (the crest factor), and
-//! so how much energy the amplifier's limit allows.
+//! Each period is the same, so noise shows in the differences of periods, and no frequency leaks into another. The
+//! phases are free: they determine the ratio of peak to root mean square (the crest factor), and so how much energy the
+//! amplifier's limit allows.
 //! - Schroeder's phases φ_k = −π k (k − 1) / K (IEEE Trans. Inf. Theory 16, 1970, doi:10.1109/TIT.1970.1054411): a
 //!   periodic chirp.
-//! - Random phases, the best of a number of draws: no order in time, as linear identification of a non-linear plant
-//!   prefers.
+//! - Random phases, the best of a number of draws: without order in time, as preferred for linear identification of a
+//!   non-linear plant.
 //!
-//! The sum is scaled so that its peak is the amplitude asked for.
+//! The sum is scaled so that its peak is the requested amplitude.
 
 use super::{ExciteError, Signal, band, positive, samples};
 use crate::source::FrameRate;
@@ -21,11 +21,11 @@ use std::f64::consts::{PI, TAU};
 pub(crate) enum Phases {
     /// Schroeder's.
     Schroeder,
-    /// Random, the best of so many draws; the same seed gives the same.
+    /// Random, the best of several draws; reproducible by seed.
     Random {
         /// Seed of the first draw; further draws follow.
         seed: u64,
-        /// How many are tried, 1 at least.
+        /// Number of draws, at least 1.
         tries: u32,
     },
 }
@@ -39,7 +39,7 @@ pub(crate) struct Multisine {
     pub to_hz: f64,
     /// Length of a period, seconds.
     pub period_s: f64,
-    /// Length of all, seconds; the last period may be cut short.
+    /// Total length, seconds; the last period may be cut short.
     pub duration_s: f64,
     /// Peak, amperes.
     pub amplitude_a: f64,
@@ -48,11 +48,11 @@ pub(crate) struct Multisine {
 }
 
 impl Multisine {
-    /// The signal at `rate`, and how many sines it is of.
+    /// The signal at `rate`, and its number of sines.
     ///
     /// # Errors
-    /// [`ExciteError`] when a value is not positive, the rate too low, the band without a line, or the period no whole
-    /// number of samples.
+    /// [`ExciteError`] when a value is not positive, the rate too low, the band has no line, or the period is not a
+    /// whole number of samples.
     pub(crate) fn signal(&self, rate: FrameRate) -> Result<(Signal, usize), ExciteError> {
         positive("amplitude", self.amplitude_a, "A")?;
         positive("period", self.period_s, "s")?;
@@ -63,7 +63,7 @@ impl Multisine {
             let near_s = one as f64 / rate.hz();
             return Err(ExciteError::Period { period_s: self.period_s, rate_hz: rate.hz(), near_s });
         }
-        // A frequency that is a multiple but for rounding is one.
+        // A frequency that is a multiple up to rounding counts as one.
         let first = ((self.from_hz * self.period_s) - 1e-9).ceil().max(1.0) as usize;
         let last = ((self.to_hz * self.period_s) + 1e-9).floor() as usize;
         if first > last {
@@ -96,7 +96,7 @@ impl Multisine {
     }
 }
 
-/// One period of `samples`: cosines of amplitude 1 from line `first` on, with these phases.
+/// One period of `samples`: cosines of amplitude 1 from line `first`, with these phases.
 fn sum(samples: usize, first: usize, phases: &[f64]) -> Vec<f64> {
     let mut lines = vec![Complex::new(0.0, 0.0); samples];
     for (line, phase) in lines.iter_mut().skip(first).zip(phases) {
@@ -133,7 +133,7 @@ mod tests {
             let spectrum = Spectrum::of(&signal);
             let expected = signal.rms_a().powi(2) / 151.0;
             for (k, power) in spectrum.power_a2.iter().enumerate() {
-                // Three periods: a line of the sum is every third of the spectrum.
+                // Three periods: a line of the sum is every third line of the spectrum.
                 let on = k % 3 == 0 && (10..=160).contains(&(k / 3));
                 let should = if on { expected } else { 0.0 };
                 assert!((power - should).abs() < 1e-9 * expected, "line {k}: {power}, expected {should}");

@@ -1,4 +1,4 @@
-//! Where the energy of a signal is.
+//! Distribution of a signal's energy over frequency.
 
 use super::Signal;
 use rustfft::FftPlanner;
@@ -6,8 +6,8 @@ use rustfft::num_complex::Complex;
 
 /// The one-sided periodogram of a whole signal.
 ///
-/// It is that of the samples, up to half of their rate: holding them adds images around multiples of the rate, and
-/// takes sinc(f / rate) off the signal itself (0.25 dB at 8 Hz and 60 samples a second).
+/// It is that of the samples, up to half their rate: holding them adds images around multiples of the rate, and
+/// attenuates the signal itself by sinc(f / rate) (0.25 dB at 8 Hz and 60 samples per second).
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Spectrum {
     /// Distance of lines, Hz: 1 over the length.
@@ -17,13 +17,13 @@ pub(crate) struct Spectrum {
 }
 
 impl Spectrum {
-    /// Of a signal.
+    /// The spectrum of a signal.
     pub(crate) fn of(signal: &Signal) -> Self {
         let n = signal.values_a.len();
         let mut values: Vec<_> = signal.values_a.iter().map(|value| Complex::new(*value, 0.0)).collect();
         FftPlanner::new().plan_fft_forward(n).process(&mut values);
         let scale = 1.0 / (n as f64 * n as f64);
-        // A line and its mirror image count together, but for the mean and the middle of an even number.
+        // A line and its mirror image count together, except the mean and, for an even number, the middle.
         let both = |k: usize| if k == 0 || 2 * k == n { 1.0 } else { 2.0 };
         let lines = values.iter().take(n / 2 + 1).enumerate();
         Self {
@@ -32,14 +32,14 @@ impl Spectrum {
         }
     }
 
-    /// Part of the energy from one frequency to another, both included.
+    /// Fraction of the energy between two frequencies, inclusive.
     pub(crate) fn share(&self, from_hz: f64, to_hz: f64) -> f64 {
         let (half, all) = (self.step_hz / 2.0, self.power_a2.iter().sum::<f64>());
         let inside = |k: usize| (from_hz - half..to_hz + half).contains(&(k as f64 * self.step_hz));
         self.power_a2.iter().enumerate().filter(|(k, _)| inside(*k)).map(|(_, power)| power).sum::<f64>() / all
     }
 
-    /// The band that holds all but 1 % of the energy, half of that below and half above, Hz.
+    /// The band that contains all but 1 % of the energy, half of that below and half above, Hz.
     pub(crate) fn occupied_hz(&self) -> (f64, f64) {
         let all: f64 = self.power_a2.iter().sum();
         let edge = |lines: &mut dyn Iterator<Item = usize>| {

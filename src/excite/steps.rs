@@ -1,16 +1,16 @@
-//! Levels that are held: a staircase through them in their order, or at random.
+//! Held levels: a staircase through them in order, or at random.
 //!
-//! Where slew is limited the current goes from one level to the next on a ramp ([`Limits::ramp`](super::Limits::ramp)).
+//! If slew is limited, the current ramps from one level to the next ([`Limits::ramp`](super::Limits::ramp)).
 
 use super::{ExciteError, Signal, samples};
 use crate::source::FrameRate;
 
-/// In which order levels come.
+/// Order of the levels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Order {
-    /// As they are given, and again from the first.
+    /// As given, repeated from the first.
     Staircase,
-    /// At random, never the same twice in a row; the same seed gives the same.
+    /// At random, never the same twice in a row; reproducible by seed.
     Random {
         /// Seed.
         seed: u64,
@@ -24,9 +24,9 @@ pub(crate) struct Steps {
     pub levels_a: Vec<f64>,
     /// How long each is held, seconds.
     pub hold_s: f64,
-    /// Length of all, seconds.
+    /// Total length, seconds.
     pub duration_s: f64,
-    /// In which order they come.
+    /// Their order.
     pub order: Order,
 }
 
@@ -34,7 +34,8 @@ impl Steps {
     /// The signal at `rate`.
     ///
     /// # Errors
-    /// [`ExciteError`] when there are not two levels, they are held for less than two samples, or the length is none.
+    /// [`ExciteError`] when there are fewer than two levels, they are held for less than two samples, or the length is
+    /// zero.
     pub(crate) fn signal(&self, rate: FrameRate) -> Result<Signal, ExciteError> {
         let mut different: Vec<f64> = self.levels_a.iter().copied().filter(|level| level.is_finite()).collect();
         different.sort_by(f64::total_cmp);

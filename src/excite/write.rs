@@ -5,15 +5,15 @@ use crate::source::times::seconds;
 use std::fmt::Write as _;
 
 impl Signal {
-    /// The table: `t_s`, seconds from the start, and one column a coil, amperes to 1 nA. The signal is in the first of
-    /// `coils`, the others stay at 0. Each row holds until the next; the last one is zero current.
+    /// The table: `t_s`, seconds from the start, and one column per coil, amperes to 1 nA. The signal is in the first
+    /// of `coils`, the others stay at 0. Each row holds until the next; the last one is zero current.
     /// [`crate::series::CurrentTable`] reads it.
     pub(crate) fn table(&self, coils: &[String]) -> String {
         let mut text = format!("t_s,{}\r\n", coils.join(","));
         let others = ",0".repeat(coils.len().saturating_sub(1));
         for (k, value) in (0_u64..).zip(self.values_a.iter().chain(std::iter::once(&0.0))) {
             let t_s = self.rate.stamp_ns(k).map_or(f64::INFINITY, seconds);
-            // Adding 0 takes the sign off a zero; a text takes all that is written.
+            // Adding 0 removes the sign of a zero; writing into text cannot fail.
             let _ = write!(text, "{t_s:.9},{:.9}{others}\r\n", (value * 1e9).round() / 1e9 + 0.0);
         }
         text

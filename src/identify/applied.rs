@@ -1,7 +1,7 @@
-//! Saved models on records that they were not made from: simulated from the input, and compared with what was observed.
+//! Applies saved models to other records: simulates them from the input and compares the output with the observed one.
 //!
 //! In: records as for an identification, and a file of models. Out: each model for the records' period, its errors, and
-//! the gain that would fit best: a wrong unit, coil or sign of the current shows there.
+//! the gain that would fit best, which reveals a wrong unit, coil or sign of the current.
 
 use super::chain::fits;
 use super::data::{Data, Segment};
@@ -11,21 +11,21 @@ use super::modelled::{Modelled, Role};
 use super::saved::Saved;
 use super::spectrum::{Spectrum, spectrum};
 
-/// A gain that differs by more from 1 is pointed out.
-const GAIN_OFF: f64 = 0.1;
+/// Deviation of the gain from 1 beyond which it is reported.
+const GAIN_TOLERANCE: f64 = 0.1;
 
-/// What came out.
+/// The results.
 #[derive(Debug, Clone)]
 pub(crate) struct Applied {
     /// The models that can be applied.
     pub models: Vec<Modelled>,
     /// Each model on each record.
     pub fits: Vec<Fit>,
-    /// Of all records.
+    /// Spectrum of all records.
     pub spectrum: Option<Spectrum>,
-    /// Of each record: by which factor the leading model's output would fit best.
+    /// For each record, the factor with which the leading model's output would fit best.
     pub gains: Vec<(String, f64)>,
-    /// What should be known before the numbers are used, in words.
+    /// Warnings to read before using the numbers.
     pub notes: Vec<String>,
 }
 
@@ -36,10 +36,10 @@ impl Applied {
     }
 }
 
-/// Applies `saved` to the records to judge by. `input` and `output`: names and units of the records' signals.
+/// Applies `saved` to the validation records. `input` and `output`: names and units of the records' signals.
 ///
 /// # Errors
-/// In words, when no model can be applied.
+/// A message, when no model can be applied.
 pub(crate) fn apply(
     data: &Data,
     saved: &Saved,
@@ -78,7 +78,7 @@ pub(crate) fn apply(
     if let Some(leading) = applied.leading().cloned() {
         for record in &data.validation {
             let gain = best_gain(&leading, &record.segments, initial_state);
-            if (gain - 1.0).abs() > GAIN_OFF {
+            if (gain - 1.0).abs() > GAIN_TOLERANCE {
                 applied.notes.push(format!(
                     "{}: {} would fit best times {gain:.3}: other units, another coil, or another system?",
                     record.name, leading.title

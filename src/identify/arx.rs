@@ -1,11 +1,11 @@
 //! ARX: A(q) y(t) = B(q) u(t) + e(t), by least squares.
 //!
-//! In: evenly sampled stretches, orders, delay. Out: coefficients with their covariance. Every sample that has a full
-//! past in its own stretch is one row; the first of a stretch have none and serve as past only.
+//! In: evenly sampled segments, orders, delay. Out: coefficients with their covariance. Every sample with a full past
+//! in its own segment is one row; the first samples of a segment serve only as past.
 //!
-//! Assumes that e is white: only then is the covariance right and the estimate free of bias. White noise on the output
-//! alone is not that case (see [`output_error`](super::output_error)), nor is an input that was computed from the noisy
-//! output (see [`instrumental`](super::instrumental)); [`residuals`](super::residuals) shows it, nothing here does.
+//! Assumes that e is white: only then is the covariance right and the estimate unbiased. White noise only on the output
+//! is a different case (see [`output_error`](super::output_error)), and so is an input computed from the noisy output
+//! (see [`instrumental`](super::instrumental)); [`residuals`](super::residuals) detects these, nothing here does.
 
 use super::IdentifyError;
 use super::data::Segment;
@@ -14,7 +14,7 @@ use super::model::{Orders, Polynomials};
 use super::regression::{Triangle, row, solve};
 use super::uncertainty::Covariance;
 
-/// Fits a model of these orders to all stretches at once.
+/// Fits a model of these orders to all segments at once.
 ///
 /// # Errors
 /// [`IdentifyError::TooShort`] when there are fewer rows than parameters, [`IdentifyError::Dependent`] when the

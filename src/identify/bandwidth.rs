@@ -1,36 +1,36 @@
-//! Bandwidth by definitions that have names: the same model has a different one by each.
+//! Bandwidth by named definitions, each of which gives a different value for the same model.
 //!
 //! Eq. 7 of the paper as printed has −3 dB relative to zero frequency at 0.212 Hz, which is 1.33 rad/s; its 1.3 Hz fit
-//! none of these definitions. What a definition refers to may lie outside the excited band, zero frequency mostly does:
-//! then the number rests on the model alone and is flagged.
+//! none of these definitions. The reference of a definition may lie outside the excited band, as zero frequency mostly
+//! does: then the number depends on the model alone and is flagged.
 
 use nalgebra::Complex;
 use std::f64::consts::{FRAC_PI_4, PI, TAU};
 
-/// 10^(−3/20): −3 dB as MATLAB and python-control have it, not 1/√2. Where the response is flat, as that of Eq. 7, the
-/// difference of 0.1 % is one of 1 % in frequency.
+/// 10^(−3/20): −3 dB as in MATLAB and python-control, not 1/√2. Where the response is flat, as in Eq. 7, the difference
+/// of 0.1 % means 1 % in frequency.
 const MINUS_3_DB: f64 = 0.707_945_784_384_137_9;
-/// Frequencies looked at, a decade.
-const A_DECADE: usize = 400;
-/// The lowest, as a part of the highest.
+/// Frequencies evaluated per decade.
+const PER_DECADE: usize = 400;
+/// The lowest, as a fraction of the highest.
 const SPAN: f64 = 1e-6;
 
-/// What is called bandwidth.
+/// Definitions of bandwidth.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Definition {
-    /// The gain has fallen by 3 dB from that at zero frequency.
+    /// The gain has fallen by 3 dB from its value at zero frequency.
     ReDc,
-    /// The gain has fallen by 3 dB from that at the lowest excited frequency.
+    /// The gain has fallen by 3 dB from its value at the lowest excited frequency.
     ReLowestExcited,
     /// The phase lags by 45°.
     Phase45,
 }
 
 impl Definition {
-    /// All of them.
+    /// All definitions.
     pub const ALL: [Self; 3] = [Self::ReDc, Self::ReLowestExcited, Self::Phase45];
 
-    /// As files have it.
+    /// The name in files.
     pub fn name(self) -> &'static str {
         match self {
             Self::ReDc => "minus_3db_re_dc",
@@ -39,7 +39,7 @@ impl Definition {
         }
     }
 
-    /// As people have it.
+    /// The name for people.
     pub fn words(self) -> &'static str {
         match self {
             Self::ReDc => "−3 dB re DC",
@@ -49,18 +49,18 @@ impl Definition {
     }
 }
 
-/// A bandwidth, if the response has one below the highest frequency looked at.
+/// A bandwidth, if the response has one below the highest frequency evaluated.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Bandwidth {
-    /// By which definition.
+    /// The definition.
     pub definition: Definition,
-    /// Hz; nothing when the response does not fall so far.
+    /// Hz; `None` when the response does not fall that far.
     pub frequency_hz: Option<f64>,
-    /// Whether it, or what it refers to, lies outside the excited band.
+    /// Whether it, or its reference, lies outside the excited band.
     pub extrapolated: bool,
 }
 
-/// The bandwidth of a response up to `highest_hz`, of data excited in `excited_hz`.
+/// The bandwidth of a response up to `highest_hz`, from data excited in `excited_hz`.
 pub(crate) fn bandwidth(
     definition: Definition,
     response: impl Fn(f64) -> Complex<f64>,
@@ -74,9 +74,9 @@ pub(crate) fn bandwidth(
         Definition::Phase45 => (0.0, 0.0),
     };
     let lowest = highest_hz * SPAN;
-    let steps = (A_DECADE as f64 * -SPAN.log10()) as i32;
+    let steps = (PER_DECADE as f64 * -SPAN.log10()) as i32;
     let grid = (0..=steps).map(|k| lowest * SPAN.powf(-f64::from(k) / f64::from(steps))).filter(|f| *f > from_hz);
-    // The phase is followed from zero frequency, where that of a negative gain counts as none.
+    // The phase is unwrapped from zero frequency, where that of a negative gain counts as 0.
     let mut phase = 0.0;
     let mut last = if dc.re < 0.0 { -PI } else { 0.0 };
     let mut below = |f: f64| match definition {
@@ -97,8 +97,8 @@ pub(crate) fn bandwidth(
         }
         before = f;
     }
-    // A step of the grid is 0.6 %: halved to the last digits, on the gain; on the phase by the same rule from the
-    // step's start.
+    // A step of the grid is 0.6 %: bisected to the last digits, on the gain or on the phase unwrapped from the step's
+    // start.
     let frequency_hz = found.map(|(mut low, mut high)| {
         let level = |f: f64| match definition {
             Definition::ReDc | Definition::ReLowestExcited => reference * MINUS_3_DB - response(f).norm(),
@@ -114,7 +114,7 @@ pub(crate) fn bandwidth(
         0.5 * (low + high)
     });
     let outside = |f: f64| f < excited_hz.0 * (1.0 - 1e-9) || f > excited_hz.1;
-    // Gain and phase at zero frequency are what the first and the last refer to.
+    // The first and the last refer to gain and phase at zero frequency.
     let reference_outside = match definition {
         Definition::ReDc => excited_hz.0 > 0.0,
         Definition::ReLowestExcited | Definition::Phase45 => false,
@@ -155,7 +155,7 @@ mod tests {
         assert!(re_dc.extrapolated);
         let re_lowest = eq_7(Definition::ReLowestExcited);
         assert!(!re_lowest.extrapolated);
-        // None of them is the 1.3 Hz that the paper tells.
+        // None of them is the paper's 1.3 Hz.
         for definition in Definition::ALL {
             let f = eq_7(definition).frequency_hz.unwrap();
             assert!((f / 1.3 - 1.0).abs() > 0.1, "{definition:?} {f}");

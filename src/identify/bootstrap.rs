@@ -1,21 +1,21 @@
-//! How far a result would scatter if the experiment were repeated: residual bootstrap.
+//! Scatter of a result if the experiment were repeated: residual bootstrap.
 //!
-//! The model's own residuals, drawn anew in blocks that keep what correlation is left in them, are put on the model's
-//! output, and everything is estimated again (Künsch, Annals of Statistics 17, 1989, doi:10.1214/aos/1176347265).
-//! Inputs stay as they were: that an input computed by Eq. 6 would carry the new noise too is left out.
+//! The model's residuals are resampled in blocks, which keep their remaining correlation, and added to the model's
+//! output; then everything is estimated again (Künsch, Annals of Statistics 17, 1989, doi:10.1214/aos/1176347265).
+//! Inputs are unchanged: that an input computed by Eq. 6 would also carry the new noise is neglected.
 
 use super::data::Segment;
 use super::model::{Noise, Polynomials, all_pole};
 use super::uncertainty::Covariance;
 use fastrand::Rng;
 
-/// Samples in a block.
+/// Samples per block.
 const BLOCK: usize = 32;
-/// An interval needs this many repetitions.
-const FEWEST: usize = 20;
+/// Least number of repetitions for an interval.
+const MIN_REPETITIONS: usize = 20;
 const SEED: u64 = 0x00CA_7097;
 
-/// Estimates `of` from `count` repetitions of the experiment. Repetitions in which `of` has no answer are left out.
+/// Estimates `of` from `count` repetitions of the experiment. Repetitions for which `of` fails are left out.
 pub(crate) fn repeat<T: Send>(
     segments: &[Segment],
     model: &Polynomials,
@@ -24,13 +24,13 @@ pub(crate) fn repeat<T: Send>(
     of: impl Fn(&[Segment]) -> Option<T> + Sync,
 ) -> Vec<T> {
     use rayon::prelude::*;
-    let stretches: Vec<(Vec<f64>, Vec<f64>)> = segments.iter().map(|s| clean_and_residual(s, model, noise)).collect();
+    let parts: Vec<(Vec<f64>, Vec<f64>)> = segments.iter().map(|s| clean_and_residual(s, model, noise)).collect();
     let repetition = |number: usize| {
-        // Each its own numbers, whichever thread draws them.
+        // Each has its own random numbers, independent of the thread.
         let mut rng = Rng::with_seed(SEED + number as u64);
         let drawn: Vec<Segment> = segments
             .iter()
-            .zip(&stretches)
+            .zip(&parts)
             .map(|(s, (clean, left))| redrawn(s, clean, left, model, noise, &mut rng))
             .collect();
         of(&drawn)
@@ -38,16 +38,16 @@ pub(crate) fn repeat<T: Send>(
     (0..count).into_par_iter().filter_map(repetition).collect()
 }
 
-/// Models around `model` as its covariance has them: where that is known without the data's own noise.
+/// Models drawn around `model` from its covariance, where that is known without the data's noise.
 pub(crate) fn drawn(model: &Polynomials, covariance: &Covariance, count: usize) -> Vec<Polynomials> {
     let mut rng = Rng::with_seed(SEED);
-    // Box and Muller's way to normal numbers; 1 − u is never 0.
+    // Normal numbers by Box and Muller; 1 − u is never 0.
     let mut normal = || (-2.0 * (1.0 - rng.f64()).ln()).sqrt() * (std::f64::consts::TAU * rng.f64()).cos();
     let parameters = model.parameters();
     (0..count).map(|_| model.with_parameters(covariance.drawn(&parameters, &mut normal).as_slice())).collect()
 }
 
-/// The output that the model would have without noise, and what the noise was.
+/// The model's noise-free output, and the noise.
 fn clean_and_residual(segment: &Segment, model: &Polynomials, noise: Noise) -> (Vec<f64>, Vec<f64>) {
     use super::fit::{InitialState, Kind, output};
     match noise {
@@ -57,7 +57,7 @@ fn clean_and_residual(segment: &Segment, model: &Polynomials, noise: Noise) -> (
             (clean, left)
         }
         Noise::Equation => {
-            // All of A y − B u, the beginning as it was: so that with its own noise a stretch comes out as it is.
+            // All of A y − B u, with the beginning unchanged, so that a segment with its own noise is reproduced.
             let from_input = moved(model, &segment.input);
             let all = from_output(model, &segment.output);
             let left = all.iter().zip(&from_input).map(|(y, u)| y - u).filter(|e| !e.is_nan()).collect();
@@ -84,7 +84,7 @@ fn redrawn(
     }
     let sum = clean.iter().zip(&drawn).map(|(c, e)| c + e).collect();
     let mut output = if noise == Noise::Equation { all_pole(&model.a, sum) } else { sum };
-    // What was not observed is not observed in a repetition either.
+    // Outputs that were not observed remain so in a repetition.
     output.iter_mut().zip(&segment.output).filter(|(_, y)| y.is_nan()).for_each(|(again, _)| *again = f64::NAN);
     output.resize(segment.len(), f64::NAN);
     Segment { output, ..segment.clone() }
@@ -100,9 +100,9 @@ fn from_output(model: &Polynomials, output: &[f64]) -> Vec<f64> {
     Polynomials { a: vec![1.0], b: model.a.clone(), nk: 0 }.simulate(output)
 }
 
-/// The interval that holds the middle 95 % of the values. Nothing for too few.
+/// The interval that contains the central 95 % of the values; `None` for too few.
 pub(crate) fn middle_95(mut values: Vec<f64>) -> Option<(f64, f64)> {
-    if values.len() < FEWEST {
+    if values.len() < MIN_REPETITIONS {
         return None;
     }
     values.sort_by(f64::total_cmp);

@@ -1,4 +1,4 @@
-//! From signals to models: the whole chain, its steps in their order.
+//! From signals to models: the whole chain, with its steps in order.
 
 use super::bootstrap::{drawn, middle_95, repeat};
 use super::data::{Data, Record, Segment};
@@ -24,31 +24,31 @@ use super::{IdentifyError, arx, instrumental, output_error};
 /// # Errors
 /// [`IdentifyError`].
 pub fn identify(data: &Data, settings: &Settings) -> Result<Identification, IdentifyError> {
-    identify_telling(data, settings, &|_| {})
+    identify_with_progress(data, settings, &|_| {})
 }
 
-/// As [`identify`]; `tell` is told what is being done when it begins.
+/// As [`identify`]; calls `progress` at the beginning of each step.
 ///
 /// # Errors
 /// As [`identify`].
-pub(crate) fn identify_telling(
+pub(crate) fn identify_with_progress(
     data: &Data,
     settings: &Settings,
-    tell: &dyn Fn(&str),
+    progress: &dyn Fn(&str),
 ) -> Result<Identification, IdentifyError> {
-    let mut training = stretches(&data.training);
-    let validation = stretches(&data.validation);
+    let mut training = segments_of(&data.training);
+    let validation = segments_of(&data.validation);
     if settings.initial_state == InitialState::Estimated {
-        // Not only where simulations are compared: what is fitted begins in an unknown state, too.
+        // Also for fitting, not only for comparing simulations, the initial state is unknown.
         training.iter_mut().for_each(|segment| segment.from_rest = false);
     }
     moves(&data.training)?;
     can_judge(&validation, &settings.choice)?;
     // 1. orders and delay
-    tell("searching orders and delay");
+    progress("searching orders and delay");
     let Chosen { candidates, criterion, orders: best } = choose(&training, &validation, settings)?;
     // 2. the full model
-    tell("fitting the full model");
+    progress("fitting the full model");
     let (orders, arx, full) = fit_full(&training, &candidates, criterion, best, settings.estimator)?;
     let estimated = full.as_ref().map_or(&arx, |refined| &refined.estimated);
     let spectrum = spectrum(&training, data.period_s);
@@ -73,7 +73,7 @@ pub(crate) fn identify_telling(
         let title = format!("reduced, order {}", reduced.model.order());
         models.push(modelled(Role::Reduced, title, &reduced.model, covariance));
         // 4. the same order fitted to the data itself
-        tell("fitting the refined model");
+        progress("fitting the refined model");
         refined = refine_reduced(&training, estimated, reduced, how, excited).map_err(|e| e.to_string());
     }
     if let Ok(refined) = &refined {
@@ -83,7 +83,7 @@ pub(crate) fn identify_telling(
     }
     // 5. averaged periods, where the input repeats
     if settings.repeats.is_some() {
-        tell("averaging periods");
+        progress("averaging periods");
     }
     let periodic = fit_periods(data, settings, refined.as_ref().ok())?;
     if let Some(found) = &periodic {
@@ -91,13 +91,13 @@ pub(crate) fn identify_telling(
         let title = format!("periods, order {}", model.order());
         models.push(modelled(Role::Periodic, title, model, Some(covariance.clone())));
     }
-    // 6. how sure
+    // 6. uncertainty
     let residuals = Residuals::of(&estimated.model, &training, settings.estimator.noise());
     let biased = settings.estimator == Estimator::Arx
         && (training.iter().any(|s| s.instrument.is_some()) || !residuals.as_ref().is_some_and(Residuals::look_white));
-    tell(&format!("repeating the experiment {} times (--bootstrap)", settings.bootstrap));
+    progress(&format!("repeating the experiment {} times (--bootstrap)", settings.bootstrap));
     let repetitions = intervals(&mut models, &training, data.period_s, excited_hz, how, settings, biased);
-    tell("comparing the models with the records");
+    progress("comparing the models with the records");
     let fits = fits(&data.training, &data.validation, &models, settings.initial_state);
     let mut done = Identification {
         candidates,
@@ -121,7 +121,7 @@ pub(crate) fn identify_telling(
     Ok(done)
 }
 
-/// Orders and delay, and what they were chosen from.
+/// Orders and delay, and the candidates they were chosen from.
 struct Chosen {
     candidates: Vec<Candidate>,
     criterion: Option<Criterion>,
@@ -145,8 +145,8 @@ fn choose(training: &[Segment], validation: &[Segment], settings: &Settings) -> 
     }
 }
 
-/// The full model by least squares and, where that is asked for, by another estimator. Orders that were searched may
-/// give way to lower ones for which this estimator has an answer.
+/// The full model by least squares and, if requested, by another estimator. If that fails for the orders found, lower
+/// ones may be used.
 fn fit_full(
     training: &[Segment],
     candidates: &[Candidate],
@@ -168,7 +168,7 @@ fn fit_full(
     })
 }
 
-/// The full model by another estimator than least squares, where that is asked for.
+/// The full model by another estimator than least squares, if requested.
 fn full_model(training: &[Segment], arx: &Estimated, estimator: Estimator) -> Result<Option<Refined>, IdentifyError> {
     match estimator {
         Estimator::Arx => Ok(None),
@@ -182,7 +182,7 @@ fn full_model(training: &[Segment], arx: &Estimated, estimator: Estimator) -> Re
 
 /// Covariance of the reduced model's coefficients, from that of the full model's.
 fn reduced_covariance(full: &Estimated, reduced: &Reduced, how: Reduction) -> Option<Covariance> {
-    // Of the same number of states, whatever `auto` would take for a model nearby.
+    // With the same number of states, whatever `auto` would choose for a nearby model.
     let same = Reduction { target: Target::Order(reduced.model.order()), ..how };
     let parameters = |p: &[f64]| {
         let moved = reduce(&full.model.with_parameters(p), same).ok()?.model;
@@ -191,8 +191,8 @@ fn reduced_covariance(full: &Estimated, reduced: &Reduced, how: Reduction) -> Op
     full.covariance.propagate(full.model.parameters().as_slice(), parameters)
 }
 
-/// Output error of the reduced model's orders. The excited band's reduction is often nearer to the data than the
-/// reduction asked for.
+/// Output error of the reduced model's orders. The reduction for the excited band is often closer to the data than the
+/// requested one.
 fn refine_reduced(
     training: &[Segment],
     full: &Estimated,
@@ -223,7 +223,7 @@ fn fit_periods(data: &Data, settings: &Settings, refined: Option<&Refined>) -> R
         .map_err(|problem| IdentifyError::NotPeriodic { problem })
 }
 
-fn stretches(records: &[Record]) -> Vec<Segment> {
+fn segments_of(records: &[Record]) -> Vec<Segment> {
     records.iter().flat_map(|r| r.segments.iter().cloned()).collect()
 }
 
@@ -243,7 +243,7 @@ fn moves(records: &[Record]) -> Result<(), IdentifyError> {
     Ok(())
 }
 
-/// The data to judge by, if there are any, must have samples that the largest model can predict.
+/// Checks that the validation data, if any, have samples that the largest model can predict.
 fn can_judge(validation: &[Segment], choice: &Choice) -> Result<(), IdentifyError> {
     let largest = match choice {
         Choice::Fixed(orders) => Some(orders),
@@ -257,7 +257,7 @@ fn can_judge(validation: &[Segment], choice: &Choice) -> Result<(), IdentifyErro
     }
 }
 
-/// Every model on every record: simulated both ways, and predicted.
+/// Every model on every record: simulated from both initial states, and predicted.
 pub(super) fn fits(
     training: &[Record],
     validation: &[Record],
@@ -269,13 +269,13 @@ pub(super) fn fits(
     let mut fits = Vec::new();
     let records = training.iter().map(|r| (r, true)).chain(validation.iter().map(|r| (r, false)));
     for (record, training) in records {
-        // From rest is from rest here, also for a part of a record: the number of other programs. With its start
-        // estimated it stands beside it.
+        // "From rest" here means from rest even for a part of a record, as in other programs; the result with an
+        // estimated initial state is given as well.
         let at_rest = record.at_rest();
         for model in models {
             for kind in kinds {
                 let record = if kind == Kind::Simulation(InitialState::Rest) { &at_rest } else { record };
-                // Only the full model has a model of the noise to predict with.
+                // Only the full model has a noise model for prediction.
                 if kind == Kind::Prediction && model.role != Role::Full {
                     continue;
                 }
@@ -287,7 +287,7 @@ pub(super) fn fits(
     fits
 }
 
-/// Puts intervals on the bandwidths, and says how many repetitions gave an answer.
+/// Adds intervals to the bandwidths; returns how many repetitions succeeded.
 fn intervals(
     models: &mut [Modelled],
     training: &[Segment],
@@ -336,7 +336,7 @@ fn intervals(
             Role::Periodic => periodic_draws.iter().collect(),
             Role::Given => Vec::new(),
         };
-        // How far a biased estimate scatters does not tell how far it is off.
+        // The scatter of a biased estimate does not tell its error.
         if biased && matches!(model.role, Role::Full | Role::Reduced) {
             continue;
         }

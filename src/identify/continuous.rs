@@ -1,8 +1,8 @@
-//! From samples to seconds: H(s) of a discrete model.
+//! Continuous-time H(s) of a discrete model.
 //!
 //! The input is held between samples, so the states obey exp([[A_c, b_c], [0, 0]] T) = [[A, b], [0, 1]]: the logarithm
 //! gives the continuous system exactly. A pole on the negative real axis or at zero has no such logarithm; then
-//! Tustin's rule is used, s = 2/T (z−1)/(z+1), and that is said: it is right at low frequencies only.
+//! Tustin's rule, s = 2/T (z−1)/(z+1), is used and reported: it is accurate only at low frequencies.
 
 use super::decompositions::eigenvalues;
 use super::model::Polynomials;
@@ -25,16 +25,16 @@ pub struct Continuous {
     pub num: Vec<f64>,
     /// Highest power of s first, the first 1.
     pub den: Vec<f64>,
-    /// Delay beyond the sample that the hold itself takes, seconds.
+    /// Delay beyond the one sample of the hold, seconds.
     pub delay_s: f64,
     /// How it was converted.
     pub conversion: Conversion,
 }
 
 impl Continuous {
-    /// Converts a discrete model of period `period_s`. Nothing when neither way exists: a pole at −1.
+    /// Converts a discrete model of period `period_s`. `None` when neither conversion exists: a pole at −1.
     pub fn of(model: &Polynomials, period_s: f64) -> Option<Self> {
-        // Whole samples of pure delay beyond the first are a delay in seconds too, not states.
+        // Whole samples of pure delay beyond the first become a delay in seconds, not states.
         let (prompt, beyond) = model.without_delay();
         let system = StateSpace::of(&prompt);
         let (system, conversion) = match held(&system, period_s) {
@@ -52,7 +52,7 @@ impl Continuous {
         value(&self.num) / value(&self.den) * (-s * self.delay_s).exp()
     }
 
-    /// Roots of the denominator, radians a second.
+    /// Roots of the denominator, radians per second.
     pub fn poles(&self) -> Vec<Complex<f64>> {
         super::model::roots(&self.den)
     }
@@ -132,7 +132,7 @@ fn logarithm(mut matrix: DMatrix<f64>) -> Option<DMatrix<f64>> {
     Some(sum * scale)
 }
 
-/// Denman and Beavers' iteration, until it is at rest within the rounding of its inverses.
+/// Denman and Beavers' iteration, until it changes only by the rounding of its inverses.
 fn square_root(matrix: DMatrix<f64>) -> Option<DMatrix<f64>> {
     let n = matrix.nrows();
     let (mut root, mut inverse) = (matrix, DMatrix::identity(n, n));

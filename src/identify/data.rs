@@ -1,9 +1,9 @@
-//! What is identified from: evenly sampled stretches of input and output.
+//! Data for identification: evenly sampled segments of input and output.
 //!
-//! A stretch ends where the input is not known. An output that was not observed is a NaN: it is no data, and whatever
-//! needs it is left out, but simulations run through it.
+//! A segment ends where the input is unknown. An output that was not observed is NaN: whatever needs it is left out,
+//! but simulations run through it.
 
-/// A stretch of evenly sampled input, without a hole, and output.
+/// A segment of evenly sampled input without holes, and its output.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Segment {
     /// Place of its first sample on the record's grid, from 0.
@@ -14,9 +14,10 @@ pub struct Segment {
     pub input: Vec<f64>,
     /// Output, as long as the input; NaN where it was not observed.
     pub output: Vec<f64>,
-    /// A signal that moves the input and knows nothing of the output's noise (the coil current), as long as the input.
+    /// A signal that drives the input and is independent of the output's noise (the coil current), as long as the
+    /// input.
     pub instrument: Option<Vec<f64>>,
-    /// Whether the system was at rest before: true for the first stretch of a record.
+    /// Whether the system was at rest before: true for the first segment of a record.
     pub from_rest: bool,
 }
 
@@ -31,12 +32,12 @@ impl Segment {
         self.len() == 0
     }
 
-    /// Number of outputs that were observed.
+    /// Number of observed outputs.
     pub fn observed(&self) -> usize {
         self.output.iter().filter(|y| !y.is_nan()).count()
     }
 
-    /// The samples `from..to` of it.
+    /// Its samples `from..to`.
     pub fn part(&self, from: usize, to: usize, period_s: f64) -> Self {
         let to = to.min(self.len());
         let from = from.min(to);
@@ -54,19 +55,19 @@ impl Segment {
 /// One recording, cut where samples are missing.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Record {
-    /// How the user knows it.
+    /// Its name for the user.
     pub name: String,
-    /// In the order of time.
+    /// In order of time.
     pub segments: Vec<Segment>,
 }
 
 impl Record {
-    /// Outputs observed in all stretches.
+    /// Outputs observed in all segments.
     pub fn observed(&self) -> usize {
         self.segments.iter().map(Segment::observed).sum()
     }
 
-    /// Places from the first sample to the last, holes counted.
+    /// Grid places from the first sample to the last, including holes.
     pub fn span(&self) -> usize {
         self.segments.last().map_or(0, |last| last.first + last.len())
     }
@@ -95,14 +96,14 @@ impl Record {
     }
 }
 
-/// What is identified from, made ready.
+/// Prepared data for identification.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Data {
     /// Seconds between samples, the same for all records.
     pub period_s: f64,
     /// Fitted.
     pub training: Vec<Record>,
-    /// Not fitted: to judge by.
+    /// Used for validation, not fitted.
     pub validation: Vec<Record>,
 }
 

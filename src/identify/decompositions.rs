@@ -1,22 +1,21 @@
-//! Decompositions that end: nalgebra's own iterate without a limit, and on matrices of extreme range they do so for
-//! ever.
+//! Decompositions that terminate: nalgebra's own iterate without a limit, on matrices of extreme range for ever.
 
 use nalgebra::{Complex, DMatrix, DVector, Dyn, SVD, Schur};
 
 type ComplexMatrix = DMatrix<Complex<f64>>;
 
-/// Iterations for each column; five are usual.
-const A_COLUMN: usize = 200;
+/// Most iterations per column; five are usual.
+const ITERATIONS_PER_COLUMN: usize = 200;
 
 fn limit(matrix: &DMatrix<f64>) -> usize {
-    A_COLUMN * matrix.nrows().max(matrix.ncols()).max(1)
+    ITERATIONS_PER_COLUMN * matrix.nrows().max(matrix.ncols()).max(1)
 }
 
 fn is_finite(matrix: &DMatrix<f64>) -> bool {
     matrix.iter().all(|v| v.is_finite())
 }
 
-/// Eigenvalues of a square matrix. None for a matrix without rows; nothing when they are not found.
+/// Eigenvalues of a square matrix. Empty for a matrix without rows; `None` when they are not found.
 pub(super) fn eigenvalues(matrix: &DMatrix<f64>) -> Option<Vec<Complex<f64>>> {
     if matrix.is_empty() {
         return Some(Vec::new());
@@ -24,13 +23,13 @@ pub(super) fn eigenvalues(matrix: &DMatrix<f64>) -> Option<Vec<Complex<f64>>> {
     if !is_finite(matrix) {
         return None;
     }
-    // The iteration stands still on matrices such as that of z⁸ − 0.5; seen from elsewhere it does not.
+    // The iteration stagnates on matrices such as that of z⁸ − 0.5, but not after a similarity transform.
     let schur = Schur::try_new(matrix.clone(), f64::EPSILON, limit(matrix))
         .or_else(|| Schur::try_new(reflected(matrix), f64::EPSILON, limit(matrix)))?;
     Some(schur.complex_eigenvalues().iter().copied().collect())
 }
 
-/// U and the upper triangle T of A = U T Uᴴ. Nothing when they are not found.
+/// U and the upper triangle T of A = U T Uᴴ. `None` when they are not found.
 pub(super) fn schur(matrix: &DMatrix<f64>) -> Option<(ComplexMatrix, ComplexMatrix)> {
     if matrix.is_empty() || !is_finite(matrix) {
         return None;
@@ -39,7 +38,7 @@ pub(super) fn schur(matrix: &DMatrix<f64>) -> Option<(ComplexMatrix, ComplexMatr
     Some(Schur::try_new(complex, f64::EPSILON, limit(matrix))?.unpack())
 }
 
-/// Q and the nearly triangular T (2 × 2 blocks for pairs of eigenvalues) of A = Q T Qᵀ, all real. Nothing when they are
+/// Q and the nearly triangular T (2 × 2 blocks for pairs of eigenvalues) of A = Q T Qᵀ, all real. `None` when they are
 /// not found.
 pub(super) fn real_schur(matrix: &DMatrix<f64>) -> Option<(DMatrix<f64>, DMatrix<f64>)> {
     if matrix.is_empty() || !is_finite(matrix) {
@@ -48,7 +47,7 @@ pub(super) fn real_schur(matrix: &DMatrix<f64>) -> Option<(DMatrix<f64>, DMatrix
     Some(Schur::try_new(matrix.clone(), f64::EPSILON, limit(matrix))?.unpack())
 }
 
-/// A matrix of the same eigenvalues: H A H with a reflection H = I − 2 v vᵀ.
+/// A matrix with the same eigenvalues: H A H with a reflection H = I − 2 v vᵀ.
 fn reflected(matrix: &DMatrix<f64>) -> DMatrix<f64> {
     let n = matrix.nrows();
     let v = DVector::from_fn(n, |k, _| 1.0 / (k + 1) as f64).normalize();
@@ -56,12 +55,12 @@ fn reflected(matrix: &DMatrix<f64>) -> DMatrix<f64> {
     &h * matrix * &h
 }
 
-/// Singular values, largest first, with both sets of vectors. Nothing for an empty matrix, or when they are not found.
+/// Singular values, largest first, with both sets of vectors. `None` for an empty matrix, or when they are not found.
 pub(super) fn svd(matrix: DMatrix<f64>) -> Option<SVD<f64, Dyn, Dyn>> {
     decomposed(matrix, true)
 }
 
-/// The largest and the smallest singular value. Nothing for an empty matrix, or when they are not found.
+/// The largest and the smallest singular value. `None` for an empty matrix, or when they are not found.
 pub(super) fn extreme_singular_values(matrix: DMatrix<f64>) -> Option<(f64, f64)> {
     let values = decomposed(matrix, false)?.singular_values;
     Some((values.max(), values.min()))
@@ -72,7 +71,7 @@ fn decomposed(matrix: DMatrix<f64>, vectors: bool) -> Option<SVD<f64, Dyn, Dyn>>
         return None;
     }
     let limit = limit(&matrix);
-    // Where numbers are as large as those of a model that runs away, sums of their squares overflow.
+    // With numbers as large as those of a diverging model, sums of squares overflow.
     let size = matrix.amax();
     let scale = if size > 0.0 { size } else { 1.0 };
     let mut found = (matrix / scale).try_svd(vectors, vectors, 5.0 * f64::EPSILON, limit)?;
@@ -86,7 +85,7 @@ mod tests {
 
     #[test]
     fn an_end_is_reached_where_numbers_run_away() {
-        // Free responses of a pole at 4, as of a model that is simulated though unstable.
+        // Free responses of a pole at 4, as from simulating an unstable model.
         let column = |t: usize, k: usize| if t < k { 0.0 } else { 4_f64.powi((t - k) as i32) };
         let ended = svd(DMatrix::from_fn(500, 12, column));
         assert!(ended.is_none_or(|svd| svd.singular_values.iter().all(|v| v.is_finite())));
@@ -98,7 +97,7 @@ mod tests {
 
     #[test]
     fn eigenvalues_on_a_circle_and_of_nothing() {
-        // The companion matrix of z⁸ − 0.5, on which a plain QR iteration stands still.
+        // The companion matrix of z⁸ − 0.5, on which a plain QR iteration stagnates.
         let companion = DMatrix::from_fn(8, 8, |i, j| match (i, j) {
             (0, 7) => 0.5,
             _ => f64::from(u8::from(i == j + 1)),

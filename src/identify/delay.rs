@@ -1,18 +1,17 @@
-//! How much later the output is than the commands say: the constant between two clocks, the amplifier's delay and the
-//! plant's, together. Nothing can tell these apart, so the sum is shown, and removed only when the user asks for it.
+//! Delay of the output after the commands: the sum of the offset between two clocks, the amplifier's delay and the
+//! plant's. These cannot be separated, so the sum is reported, and removed only on request.
 //!
-//! In: the data as they would be if commands acted so much later. Out: the delay with which a model of second order
-//! fits best, by output error; delay and model are fitted together (Gauss-Newton, damped after Levenberg and
-//! Marquardt).
+//! In: the data as a function of a delay of the commands. Out: the delay with which a second-order model fits best, by
+//! output error; delay and model are fitted together (Gauss-Newton with Levenberg-Marquardt damping).
 //!
-//! The sum of squares has many local minima. In most of them one state of the model imitates a delay, and the other
-//! one is left to describe the plant: the delay is then wrong by some milliseconds and the residual is hardly larger.
-//! Searches therefore begin at delays over the whole range, each with models whose two states have clearly different
-//! time constants, and the best of all is taken.
+//! The sum of squares has many local minima. In most of them one state of the model imitates a delay and only the other
+//! describes the plant: the delay is then wrong by some milliseconds, with a hardly larger residual. Searches therefore
+//! start at delays over the whole range, each with models whose two states have clearly different time constants, and
+//! the best result is taken.
 //!
 //! σ holds for residuals of any colour: it is computed from their correlation with the derivatives (Newey and West,
-//! Econometrica 55, 1987, doi:10.2307/1913610). What averaging the current from frame to frame can shift the delay by
-//! is added in quadrature.
+//! Econometrica 55, 1987, doi:10.2307/1913610). The possible shift of the delay from averaging the current between
+//! frames is added in quadrature.
 
 use super::arx;
 use super::data::Segment;
@@ -22,26 +21,26 @@ use super::regression::{Triangle, solve};
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
-/// The largest delay looked for, either way, in periods.
-pub(crate) const REACH: f64 = 6.0;
-/// Searches begin this far apart, in periods.
-const APART: f64 = 2.0;
-/// Time constants of the second state that searches begin with, in periods.
+/// Largest delay searched, either way, in periods.
+pub(crate) const MAX_DELAY: f64 = 6.0;
+/// Spacing of the starting delays, in periods.
+const START_SPACING: f64 = 2.0;
+/// Initial time constants of the second state, in periods.
 const TIME_CONSTANTS: [f64; 3] = [100.0, 10.0, 2.0];
-/// Zero of that state, as a part of its pole: so weak it begins.
+/// Initial zero of that state, as a fraction of its pole: it starts weak.
 const NEARLY_CANCELLED: f64 = 0.998;
-/// The derivative with respect to the delay is a difference over this part of a period, either way.
-const DIFFERENCE: f64 = 0.005;
-/// Steps of a first search, and of the final one.
+/// Half step of the difference for the derivative with respect to the delay, in periods.
+const HALF_STEP: f64 = 0.005;
+/// Most steps of a first search, and of the final one.
 const FIRST_STEPS: usize = 25;
 const FINAL_STEPS: usize = 100;
-/// A step that lowers the sum of squares by less than this part ends a search.
-const SETTLED: f64 = 1e-9;
-/// So many of the first searches are continued.
-const CONTINUED: usize = 3;
-/// What the method itself may shift the delay by, in periods. Simulated over all phases between amplifier and camera:
-/// 0.2 % to 0.6 % of a period.
-const METHOD: f64 = 0.005;
+/// Relative decrease of the sum of squares that ends a search.
+const COST_TOLERANCE: f64 = 1e-9;
+/// Number of first searches that are continued.
+const CONTINUED_SEARCHES: usize = 3;
+/// Systematic error of the method, in periods. Simulated over all phases between amplifier and camera: 0.2 % to 0.6 %
+/// of a period.
+const METHOD_ERROR: f64 = 0.005;
 
 /// A delay between commands and output.
 #[derive(Debug, Clone, PartialEq)]
@@ -54,7 +53,7 @@ pub(crate) struct Delay {
     pub residual_rms: f64,
 }
 
-/// A delay and a model on their way to the minimum.
+/// Current delay and model of a search.
 #[derive(Debug, Clone)]
 struct State {
     delay_s: f64,
@@ -62,13 +61,13 @@ struct State {
     cost: f64,
 }
 
-/// Estimates the delay within [`REACH`] periods. `segments` gives the data with commands that act so much later: the
-/// same samples for every delay. Nothing when no model fits, or the best delay is outside of the range.
+/// Estimates the delay within [`MAX_DELAY`] periods. `segments` gives the data for a delay of the commands: the same
+/// samples for every delay. `None` when no model fits, or the best delay is outside the range.
 pub(crate) fn estimate(period_s: f64, segments: impl Fn(f64) -> Option<Vec<Segment>> + Sync) -> Option<Delay> {
     let search = Search { period_s, segments: &segments };
     // 1. from many delays and models
-    let steps = (REACH / APART) as i32;
-    let delays: Vec<f64> = (-steps..=steps).map(|k| f64::from(k) * APART * period_s).collect();
+    let steps = (MAX_DELAY / START_SPACING) as i32;
+    let delays: Vec<f64> = (-steps..=steps).map(|k| f64::from(k) * START_SPACING * period_s).collect();
     let mut found: Vec<State> = delays
         .par_iter()
         .flat_map(|delay_s| {
@@ -80,24 +79,24 @@ pub(crate) fn estimate(period_s: f64, segments: impl Fn(f64) -> Option<Vec<Segme
     // 2. the best ones to the end
     let best = found
         .into_iter()
-        .take(CONTINUED)
+        .take(CONTINUED_SEARCHES)
         .filter_map(|state| search.run(state.delay_s, state.model, FINAL_STEPS))
         .min_by(|a, b| a.cost.total_cmp(&b.cost))?;
-    if best.delay_s.abs() > REACH * period_s {
+    if best.delay_s.abs() > MAX_DELAY * period_s {
         return None;
     }
-    // 3. how sure
+    // 3. uncertainty
     let samples: usize = segments(best.delay_s)?.iter().map(Segment::observed).sum();
-    let sd_s = search.standard_error(&best)?.hypot(METHOD * period_s);
+    let sd_s = search.standard_error(&best)?.hypot(METHOD_ERROR * period_s);
     Some(Delay { delay_s: best.delay_s, sd_s, residual_rms: (best.cost / samples as f64).sqrt() })
 }
 
-/// Models to begin with: ARX of second order, and ARX of first order with a second, nearly cancelled state.
+/// Initial models: ARX of second order, and ARX of first order with a second, nearly cancelled state.
 fn initial(data: &[Segment]) -> Vec<Polynomials> {
     let second = arx::fit(data, Orders { na: 2, nb: 2, nk: 1 }).ok().map(|found| found.model);
     let first = arx::fit(data, Orders { na: 1, nb: 1, nk: 1 }).ok().map(|found| found.model);
     let with_state = |first: &Polynomials, time_constant: f64| -> Option<Polynomials> {
-        // A wrong delay may make it unstable; a stable one nearby does as well to begin with.
+        // A wrong delay may make it unstable; a stable one nearby is as good a start.
         let (pole, gain) = ((-first.a.get(1)?).clamp(-0.95, 0.98), *first.b.first()?);
         let state = (-1.0 / time_constant).exp();
         let zero = state * NEARLY_CANCELLED;
@@ -123,16 +122,16 @@ struct Search<'a, F> {
 
 impl<F: Fn(f64) -> Option<Vec<Segment>> + Sync> Search<'_, F> {
     fn cost(&self, delay_s: f64, model: &Polynomials) -> f64 {
-        // Far outside of the range nothing is looked for.
-        if delay_s.abs() > (REACH + APART) * self.period_s || !model.is_stable() {
+        // The search does not go far outside the range.
+        if delay_s.abs() > (MAX_DELAY + START_SPACING) * self.period_s || !model.is_stable() {
             return f64::INFINITY;
         }
         (self.segments)(delay_s).map_or(f64::INFINITY, |data| squares(&data, model))
     }
 
-    /// What a second more of delay changes in the simulated output.
+    /// Derivative of the simulated output with respect to the delay, per second.
     fn by_delay(&self, delay_s: f64, model: &Polynomials, data: &[Segment]) -> Option<Vec<Vec<f64>>> {
-        let step = DIFFERENCE * self.period_s;
+        let step = HALF_STEP * self.period_s;
         let (later, earlier) = ((self.segments)(delay_s + step)?, (self.segments)(delay_s - step)?);
         let same = |s: &Segment, other: &Segment| s.first == other.first && s.len() == other.len();
         let pairs = || data.iter().zip(later.iter().zip(&earlier));
@@ -147,15 +146,15 @@ impl<F: Fn(f64) -> Option<Vec<Segment>> + Sync> Search<'_, F> {
         Some(pairs().map(|(_, (l, e))| change(l, e)).collect())
     }
 
-    fn run(&self, delay_s: f64, model: Polynomials, most_steps: usize) -> Option<State> {
+    fn run(&self, delay_s: f64, model: Polynomials, max_steps: usize) -> Option<State> {
         let mut state = State { delay_s, cost: self.cost(delay_s, &model), model };
-        let (mut damping, mut steps, mut settled) = (1e-3, 0, !state.cost.is_finite());
-        while !settled && steps < most_steps {
+        let (mut damping, mut steps, mut converged) = (1e-3, 0, !state.cost.is_finite());
+        while !converged && steps < max_steps {
             let data = (self.segments)(state.delay_s)?;
             let by_delay = self.by_delay(state.delay_s, &state.model, &data)?;
             let triangle = linearise(&data, &state.model, &by_delay);
             let before = state.cost;
-            // Ever smaller steps, until one is better.
+            // Shorter and shorter steps, until one improves.
             loop {
                 steps += 1;
                 let Some(step) = damped_step(&triangle, damping) else { return Some(state) };
@@ -170,16 +169,16 @@ impl<F: Fn(f64) -> Option<Vec<Segment>> + Sync> Search<'_, F> {
                     break;
                 }
                 damping *= 10.0;
-                if damping > 1e8 || steps >= most_steps {
+                if damping > 1e8 || steps >= max_steps {
                     break;
                 }
             }
-            settled = before - state.cost <= SETTLED * before;
+            converged = before - state.cost <= COST_TOLERANCE * before;
         }
         state.cost.is_finite().then_some(state)
     }
 
-    /// Of the delay, from the scores of all samples and their correlation over time.
+    /// Standard error of the delay, from the scores of all samples and their correlation over time.
     fn standard_error(&self, state: &State) -> Option<f64> {
         let data = (self.segments)(state.delay_s)?;
         let by_delay = self.by_delay(state.delay_s, &state.model, &data)?;
@@ -212,8 +211,8 @@ mod tests {
     const PERIOD_S: f64 = 1.0 / 60.0;
     const SAMPLES: usize = 1800;
 
-    /// A chirp commanded at 60 Hz moves Eq. 7 of the paper; the camera has its own 60 Hz, and hears of commands
-    /// `delay_s` later.
+    /// A chirp commanded at 60 Hz drives Eq. 7 of the paper; the camera has its own 60 Hz clock and sees the commands
+    /// act `delay_s` later.
     fn estimated(delay_s: f64, seed: u64) -> Delay {
         let chirp = |k: usize| {
             let t = k as f64 * PERIOD_S;
@@ -248,7 +247,7 @@ mod tests {
         for seed in 1..=20 {
             let found = estimated(0.02, seed);
             // Here the model is exact: the method adds nothing.
-            let of_noise = (found.sd_s.powi(2) - (METHOD * PERIOD_S).powi(2)).sqrt();
+            let of_noise = (found.sd_s.powi(2) - (METHOD_ERROR * PERIOD_S).powi(2)).sqrt();
             squares += ((found.delay_s - 0.02) / of_noise).powi(2) / 20.0;
         }
         assert!((0.4..1.9).contains(&squares), "{squares}");

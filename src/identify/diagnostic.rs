@@ -1,49 +1,49 @@
-//! What makes a result less than it looks, in words.
+//! Reasons why a result is less reliable than it looks, in words.
 
 use super::model::Orders;
 use std::fmt;
 
-/// Where more than this part of the output's energy follows the input, the input is the right one.
-const FOLLOWS: f64 = 0.5;
+/// Fraction of the output's energy that follows the input above which the input is the right one.
+const MIN_EXPLAINED: f64 = 0.5;
 
-/// Something that makes the result less than it looks.
+/// A reason why the result is less reliable than it looks.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Diagnostic {
     /// A model is unstable.
     Unstable {
-        /// Which.
+        /// The model.
         title: String,
         /// Modulus of its largest pole.
         largest_pole: f64,
     },
-    /// A model's largest pole is hardly inside the unit circle.
+    /// A model's largest pole is barely inside the unit circle.
     NearlyUnstable {
-        /// Which.
+        /// The model.
         title: String,
         /// Modulus of its largest pole.
         largest_pole: f64,
     },
-    /// A model leaves most of what it was fitted to.
+    /// A model explains little of the data it was fitted to.
     Poor {
-        /// Which.
+        /// The model.
         title: String,
         /// Simulation error, % of the energy.
         error_percent: f64,
-        /// Part of the output's energy that follows the input linearly, by the spectra; nothing where there are none.
+        /// Fraction of the output's energy that follows the input linearly, from the spectra, if there are any.
         linear: Option<f64>,
     },
-    /// The regressors nearly depend on each other.
+    /// The regressors are nearly dependent.
     IllConditioned {
         /// Condition number.
         condition: f64,
     },
-    /// Samples come much faster than the output moves.
+    /// The sampling is much faster than the output moves.
     Oversampled {
         /// 99 % of the output's energy lie below, Hz.
         output_hz: f64,
-        /// Samples a second.
+        /// Samples per second.
         rate_hz: f64,
-        /// `--decimate` with this would do.
+        /// Suggested value of `--decimate`.
         factor: usize,
     },
     /// The signals have a mean that the model must explain.
@@ -62,35 +62,35 @@ pub enum Diagnostic {
         /// The option that searches further.
         option: &'static str,
     },
-    /// The estimator had no answer for the best orders.
+    /// The estimator failed for the best orders.
     LowerOrders {
         /// The best orders.
         best: Orders,
-        /// What was used.
+        /// The orders used.
         used: Orders,
     },
-    /// Reduced for the excited band the model would be unstable.
+    /// The model would be unstable if reduced for the excited band.
     UnstableInBand,
     /// H(s) of the reduced model is an approximation.
     NotHeld {
-        /// Which model.
+        /// The model.
         title: String,
     },
     /// Residuals of the full model are not white.
     Coloured {
-        /// Lags out of the bound, and of how many.
+        /// Lags beyond the bound, and the total number.
         outside: (usize, usize),
     },
-    /// Residuals of the full model go with the input.
+    /// Residuals of the full model are correlated with the input.
     Unexplained {
-        /// Lags out of the bound, and of how many.
+        /// Lags beyond the bound, and the total number.
         outside: (usize, usize),
     },
     /// The input carries the output's noise.
     FedBack {
-        /// Lags out of the bound, and of how many.
+        /// Lags beyond the bound, and the total number.
         outside: (usize, usize),
-        /// Whether there is a signal that moves the input and does not carry it.
+        /// Whether there is a signal that drives the input without that noise.
         has_instrument: bool,
     },
     /// There is no reduced model.
@@ -98,11 +98,11 @@ pub enum Diagnostic {
         /// Why.
         why: String,
     },
-    /// A model of the order asked for has no more to give.
+    /// The model has fewer significant states than requested.
     FewerStates {
-        /// The order asked for.
+        /// The requested order.
         asked: usize,
-        /// What the model has.
+        /// The model's order.
         has: usize,
     },
     /// There is no refined model.
@@ -110,26 +110,26 @@ pub enum Diagnostic {
         /// Why.
         why: String,
     },
-    /// A search for the smallest error did not come to rest.
-    NotSettled {
-        /// Of which model.
+    /// A search for the smallest error did not converge.
+    NotConverged {
+        /// The model.
         title: String,
         /// Steps taken.
         steps: usize,
     },
     /// The system has not settled when averaging begins.
     NotSteady {
-        /// By how much the first period is off, over what noise explains.
+        /// Deviation of the first period, relative to noise.
         off: f64,
         /// Periods left out.
         skipped: usize,
     },
-    /// The lines hold something that the model and the noise do not explain.
+    /// The spectral lines contain something that model and noise do not explain.
     BeyondNoise {
-        /// Of what noise explains.
+        /// Residual relative to noise.
         left: f64,
     },
-    /// Fewer periods than give σ that can be relied on.
+    /// Too few periods for reliable σ.
     FewPeriods {
         /// How many.
         periods: usize,
@@ -144,7 +144,7 @@ impl fmt::Display for Diagnostic {
             Self::Unstable { title, largest_pole } => write!(
                 f,
                 "{title}: unstable, its largest pole is {largest_pole:.5}; simulations with it run away. Choose other orders, \
-                 take trends off (--detrend), or fewer samples a second (--decimate)"
+                 take trends off (--detrend), or fewer samples per second (--decimate)"
             ),
             Self::NearlyUnstable { title, largest_pole } => {
                 write!(
@@ -158,7 +158,7 @@ impl fmt::Display for Diagnostic {
                     "{title}: its simulation leaves {error_percent:.0} % of the energy of the data it was fitted to: "
                 )?;
                 match linear {
-                    Some(part) if *part > FOLLOWS => write!(
+                    Some(part) if *part > MIN_EXPLAINED => write!(
                         f,
                         "{:.0} % of it follow the input, so a higher order, or another delay, would explain more",
                         100.0 * part
@@ -197,7 +197,7 @@ impl fmt::Display for Diagnostic {
                     "the input goes with earlier residuals ({n} of {of} lags out of the 99 % bound): noise of the output is \
                      fed back into it, which biases ARX; compare with "
                 )?;
-                // Without an instrument the input would be its own, noise and all.
+                // Without an instrument the input would be its own, including the noise.
                 if *has_instrument { write!(f, "--estimator iv") } else { write!(f, "a record without feedback") }
             }
             Self::AtEdge { what, value, option } => write!(
@@ -223,7 +223,7 @@ impl fmt::Display for Diagnostic {
                 "reduced to order {asked}: the full model has only {has} states that matter, and they are all kept"
             ),
             Self::NotRefined { why } => write!(f, "there is no refined model: {why}"),
-            Self::NotSettled { title, steps } => write!(f, "{title}: the search did not come to rest in {steps} steps"),
+            Self::NotConverged { title, steps } => write!(f, "{title}: the search did not converge in {steps} steps"),
             Self::NotSteady { off, skipped } => write!(
                 f,
                 "the first period that is averaged differs from the others {off:.1} times more than noise explains: leave out \

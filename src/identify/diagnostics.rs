@@ -1,4 +1,4 @@
-//! What should be known before the numbers are used.
+//! Warnings to read before using the numbers.
 
 use super::continuous::Conversion;
 use super::data::Data;
@@ -10,25 +10,24 @@ use super::modelled::Role;
 use super::residuals::{Residuals, too_many};
 use super::spectrum::Spectrum;
 
-/// A condition beyond which least squares keeps fewer than five digits.
+/// Condition number beyond which least squares keeps fewer than five digits.
 const ILL_CONDITIONED: f64 = 1e10;
-/// Sampled so many times faster than the output moves: orders grow without use.
+/// Ratio of sampling rate to the output's highest frequency beyond which higher orders are useless.
 const OVERSAMPLED: f64 = 10.0;
-/// A mean of so many times the spread.
-const OFF_CENTRE: f64 = 1.0;
-/// A stable pole so near to the unit circle that its gain is hardly known.
+/// Ratio of mean to standard deviation that is reported.
+const OFFSET_RATIO: f64 = 1.0;
+/// Distance of a stable pole from the unit circle below which its gain is hardly known.
 const NEARLY_UNSTABLE: f64 = 1e-4;
 
-/// The first period may differ from the others so many times more than noise explains: its ratio scatters where lines
-/// are few.
-const FIRST_OFF: f64 = 2.0;
-/// More σ than this beyond what noise leaves is no chance.
-const BEYOND_SD: f64 = 3.3;
-/// From so many periods on the expressions for variances that are estimated hold (see `periodic`).
+/// Largest deviation of the first period relative to noise: the ratio scatters with few lines.
+const FIRST_PERIOD_LIMIT: f64 = 2.0;
+/// Significance limit of a residual beyond noise, in σ.
+const SIGNIFICANT_SD: f64 = 3.3;
+/// Number of periods from which the expressions for estimated variances hold (see `periodic`).
 const ENOUGH_PERIODS: usize = 7;
 
-/// A model that leaves more of the energy than this is called poor, percent.
-const POOR: f64 = 50.0;
+/// Simulation error beyond which a model is called poor, percent.
+const POOR_FIT_PERCENT: f64 = 50.0;
 
 /// All diagnostics about a result.
 pub(super) fn diagnostics(data: &Data, done: &Identification) -> Vec<Diagnostic> {
@@ -44,7 +43,7 @@ pub(super) fn diagnostics(data: &Data, done: &Identification) -> Vec<Diagnostic>
     for model in done.models.iter().filter(|m| m.is_stable()) {
         let led =
             done.fits.iter().find(|f| f.training && f.role == model.role && matches!(f.kind, Kind::Simulation(_)));
-        if let Some(error_percent) = led.map(|f| f.error.error_percent).filter(|e| *e > POOR) {
+        if let Some(error_percent) = led.map(|f| f.error.error_percent).filter(|e| *e > POOR_FIT_PERCENT) {
             let linear = done.spectrum.as_ref().map(Spectrum::linear_part);
             diagnostics.push(Diagnostic::Poor { title: model.title.clone(), error_percent, linear });
         }
@@ -95,22 +94,22 @@ pub(super) fn diagnostics(data: &Data, done: &Identification) -> Vec<Diagnostic>
     let refined = refined.into_iter().chain(done.periodic.as_ref().map(|p| (Role::Periodic, &p.refined)));
     for (role, refined) in done.full.as_ref().map(|r| (Role::Full, r)).into_iter().chain(refined) {
         let title = done.model(role).map_or_else(String::new, |m| m.title.clone());
-        if !refined.settled {
-            diagnostics.push(Diagnostic::NotSettled { title, steps: refined.steps });
+        if !refined.converged {
+            diagnostics.push(Diagnostic::NotConverged { title, steps: refined.steps });
         }
     }
     diagnostics
 }
 
-/// What averaged periods leave open.
+/// Diagnostics of averaged periods.
 fn of_periods(done: &Identification) -> Vec<Diagnostic> {
     let Some(found) = &done.periodic else { return Vec::new() };
     let mut diagnostics = Vec::new();
     let worst = found.records.iter().max_by(|a, b| a.first_off.total_cmp(&b.first_off));
-    if let Some(record) = worst.filter(|r| r.first_off > FIRST_OFF) {
+    if let Some(record) = worst.filter(|r| r.first_off > FIRST_PERIOD_LIMIT) {
         diagnostics.push(Diagnostic::NotSteady { off: record.first_off, skipped: record.skipped });
     }
-    if found.left > 1.0 + BEYOND_SD * found.left_sd {
+    if found.left > 1.0 + SIGNIFICANT_SD * found.left_sd {
         diagnostics.push(Diagnostic::BeyondNoise { left: found.left });
     }
     let fewest = found.records.iter().map(|r| r.periods).min().unwrap_or(0);
@@ -120,7 +119,7 @@ fn of_periods(done: &Identification) -> Vec<Diagnostic> {
     diagnostics
 }
 
-/// Orders and delay at an end of the search that could be moved.
+/// Orders and delay at a limit of the search that could be extended.
 fn at_edge(done: &Identification) -> Vec<Diagnostic> {
     type Part = fn(&Orders) -> usize;
     let of: [(&'static str, Part, &'static str); 3] =
@@ -149,7 +148,7 @@ fn off_centre(data: &Data) -> Vec<Diagnostic> {
     };
     let of = [("input", ratio(&|s| s.input.clone())), ("output", ratio(&|s| s.output.clone()))];
     of.into_iter()
-        .filter(|(_, ratio)| *ratio > OFF_CENTRE)
+        .filter(|(_, ratio)| *ratio > OFFSET_RATIO)
         .map(|(what, ratio)| Diagnostic::OffCentre { what, ratio })
         .collect()
 }
@@ -162,8 +161,8 @@ fn correlated(residuals: &Residuals, has_instrument: bool) -> Vec<Diagnostic> {
     if too_many(residuals.cross_outside()) {
         diagnostics.push(Diagnostic::Unexplained { outside: residuals.cross_outside() });
     }
-    // What a model leaves unexplained goes with the input at all lags, since the input goes with itself: that is no
-    // sign of feedback.
+    // Unexplained response is correlated with the input at all lags, since the input is autocorrelated: that is no sign
+    // of feedback.
     if too_many(residuals.fed_back()) && !too_many(residuals.cross_outside()) {
         diagnostics.push(Diagnostic::FedBack { outside: residuals.fed_back(), has_instrument });
     }

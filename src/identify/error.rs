@@ -1,8 +1,8 @@
-//! Why no model came out.
+//! Why there is no model.
 
 use super::model::Orders;
 
-/// Why no model came out.
+/// Why there is no model.
 #[derive(Debug, thiserror::Error)]
 pub enum IdentifyError {
     /// Fewer rows than parameters.
@@ -12,14 +12,14 @@ pub enum IdentifyError {
         orders.parameters(), orders.na, orders.nb, orders.nk
     )]
     TooShort {
-        /// The model asked for.
+        /// The requested model.
         orders: Orders,
         /// Samples with a full past.
         rows: usize,
-        /// Samples in the longest stretch.
+        /// Samples in the longest segment.
         longest: usize,
     },
-    /// The data to judge by have no sample with a full past.
+    /// The validation data have no sample with a full past.
     #[error(
         "no stretch without a hole has more than {longest} samples, and the largest model (na {}, nb {}, nk {}) needs {} before the \
          first that is predicted: judge by more samples, or choose lower orders",
@@ -28,17 +28,17 @@ pub enum IdentifyError {
     TooShortToJudge {
         /// The largest model.
         orders: Orders,
-        /// Samples in the longest stretch.
+        /// Samples in the longest segment.
         longest: usize,
     },
-    /// The data do not tell the coefficients apart.
+    /// The data do not determine the coefficients.
     #[error(
         "the data do not determine the {} coefficients of na {}, nb {}, nk {}: the input moves too little, or at too few \
          frequencies, or the output follows a lower order without any noise; choose lower orders or another excitation",
         orders.parameters(), orders.na, orders.nb, orders.nk
     )]
     Dependent {
-        /// The model asked for.
+        /// The requested model.
         orders: Orders,
     },
     /// A model to be simulated has a pole outside the unit circle.
@@ -53,16 +53,16 @@ pub enum IdentifyError {
         /// Modulus of its largest pole.
         largest_pole: f64,
     },
-    /// The model cannot be reduced as asked.
+    /// The model cannot be reduced as requested.
     #[error("cannot reduce the model: {problem}")]
     NotReduced {
         /// Why, and what would be possible.
         problem: String,
     },
-    /// Periods cannot be averaged, or give no model.
+    /// Periods cannot be averaged, or determine no model.
     #[error("{problem}")]
     NotPeriodic {
-        /// Why, with the record, and what would help.
+        /// Why, with the record, and a remedy.
         problem: String,
     },
     /// There is no sample.
@@ -72,7 +72,7 @@ pub enum IdentifyError {
         name: String,
     },
     /// Input or output never changes.
-    #[error("{name}: the {what} is {value} in all samples: nothing can be identified from what does not move")]
+    #[error("{name}: the {what} is {value} in all samples: a constant signal cannot be identified")]
     Still {
         /// The records.
         name: String,
@@ -89,7 +89,7 @@ pub enum IdentifyError {
     NoneDetermined,
     /// All models searched are unstable.
     #[error(
-        "all {tried} models searched are unstable: take trends off with --detrend, fewer samples a second with --decimate, or fix \
+        "all {tried} models searched are unstable: take trends off with --detrend, fewer samples per second with --decimate, or fix \
          the orders with --order to see one"
     )]
     NoneStable {

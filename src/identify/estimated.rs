@@ -1,18 +1,18 @@
-//! A model as an estimator returns it: coefficients, their covariance, and how the search went.
+//! An estimator's result: model, covariance, and course of the search.
 
 use super::model::Polynomials;
 use super::uncertainty::Covariance;
 
-/// A model with what is known of its errors.
+/// A model with its uncertainty.
 #[derive(Debug, Clone)]
 pub struct Estimated {
     /// The model.
     pub model: Polynomials,
     /// Covariance of [`Polynomials::parameters`], in their order.
     pub covariance: Covariance,
-    /// Variance of the residual, degrees of freedom taken off.
+    /// Variance of the residual, corrected for degrees of freedom.
     pub noise_variance: f64,
-    /// Samples that were fitted.
+    /// Samples fitted.
     pub samples: usize,
     /// Condition number of the regressors, each scaled to length 1.
     pub condition: f64,
@@ -25,13 +25,13 @@ impl Estimated {
     }
 }
 
-/// A model refined, and how the search went.
+/// A refined model, and the course of the search.
 #[derive(Debug, Clone)]
 pub struct Refined {
     /// The model.
     pub estimated: Estimated,
     /// Steps taken.
     pub steps: usize,
-    /// Whether it settled within the steps allowed.
-    pub settled: bool,
+    /// Whether it converged within the allowed steps.
+    pub converged: bool,
 }

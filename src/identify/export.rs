@@ -1,4 +1,4 @@
-//! The result as files: `model.json` and one table a curve. docs/identify.md tells every field.
+//! The result as files: `model.json` and one table per curve. docs/identify.md describes every field.
 
 use super::applied::Applied;
 use super::continuous::{Continuous, Conversion};
@@ -11,7 +11,7 @@ use super::provenance::{Provenance, RecordSummary};
 use super::saved::Saved;
 use super::tables;
 use super::uncertainty::Covariance;
-use crate::whole_file;
+use crate::atomic_file;
 use nalgebra::{Complex, DMatrix};
 use serde_json::{Value, json};
 use std::io;
@@ -29,7 +29,7 @@ pub(crate) const FILES: [&str; 9] = [
     "lines.csv",
     "residuals.csv",
 ];
-/// What a saved model came to.
+/// The results of a saved model.
 const APPLIED: &str = "applied.json";
 
 /// A file could not be written.
@@ -43,7 +43,7 @@ pub(crate) struct ExportError {
 }
 
 impl Kind {
-    /// As files have it.
+    /// The name in files.
     pub fn word(self) -> &'static str {
         match self {
             Self::Simulation(InitialState::Rest) => "simulation",
@@ -53,7 +53,7 @@ impl Kind {
     }
 }
 
-/// Writes all files into `folder`; says which.
+/// Writes all files into `folder`; returns their names.
 ///
 /// # Errors
 /// The system's, with the file.
@@ -81,10 +81,10 @@ pub(crate) fn write(
     if let Some(residuals) = &done.residuals {
         files.push(("residuals.csv", tables::correlations(residuals)));
     }
-    put_all(folder, files)
+    write_all(folder, files)
 }
 
-/// Writes what a saved model came to on other records; says which files.
+/// Writes the results of a saved model on other records; returns the names of the files.
 ///
 /// # Errors
 /// The system's, with the file.
@@ -119,16 +119,16 @@ pub(crate) fn write_applied(
     if let Some(spectrum) = &done.spectrum {
         files.push(("frequency_response.csv", tables::frequency_response(spectrum)));
     }
-    put_all(folder, files)
+    write_all(folder, files)
 }
 
-fn put_all(folder: &Path, files: Vec<(&str, io::Result<Vec<u8>>)>) -> Result<Vec<PathBuf>, ExportError> {
-    let put = |(name, bytes): (&str, io::Result<Vec<u8>>)| {
+fn write_all(folder: &Path, files: Vec<(&str, io::Result<Vec<u8>>)>) -> Result<Vec<PathBuf>, ExportError> {
+    let write_file = |(name, bytes): (&str, io::Result<Vec<u8>>)| {
         let path = folder.join(name);
-        let written = bytes.and_then(|bytes| whole_file::write(&path, &bytes));
+        let written = bytes.and_then(|bytes| atomic_file::write(&path, &bytes));
         written.map(|()| path.clone()).map_err(|source| ExportError { path, source })
     };
-    files.into_iter().map(put).collect()
+    files.into_iter().map(write_file).collect()
 }
 
 fn settings(provenance: &Provenance) -> Value {
@@ -142,9 +142,10 @@ fn records(provenance: &Provenance) -> Vec<Value> {
             "name": record.name,
             "role": if record.training { "training" } else { "validation" },
             "samples": record.samples,
-            "stretches": record.stretches,
+            "stretches": record.segments,
             "lost": record.lost,
             "missed": record.missed,
+            "vetoed": record.vetoed,
             "bridged": record.bridged,
             "period_s": record.period_s,
             "jitter_s": record.jitter_s,
@@ -156,7 +157,7 @@ fn records(provenance: &Provenance) -> Vec<Value> {
     provenance.records.iter().map(one).collect()
 }
 
-/// `model.json`. What is no number is null.
+/// `model.json`. NaN and infinity become null.
 fn model(data: &Data, done: &Identification, provenance: &Provenance) -> Value {
     let by = |role| done.model(role);
     let full = by(Role::Full);
@@ -183,7 +184,7 @@ fn model(data: &Data, done: &Identification, provenance: &Provenance) -> Value {
             "noise_variance": refined.estimated.noise_variance,
             "samples": refined.estimated.samples,
             "steps": refined.steps,
-            "settled": refined.settled,
+            "settled": refined.converged,
         }))),
         "hankel_singular_values": done.reduced.as_ref().ok().map(|r| &r.hankel),
         "hankel_singular_values_in_band": done.reduced.as_ref().ok().and_then(|r| r.hankel_in_band.as_ref()),
@@ -198,14 +199,14 @@ fn model(data: &Data, done: &Identification, provenance: &Provenance) -> Value {
         "refined": by(Role::Refined).zip(done.refined.as_ref().ok()).map(|(m, r)| reduced(m, json!({
             "noise_variance": r.estimated.noise_variance,
             "steps": r.steps,
-            "settled": r.settled,
+            "settled": r.converged,
             "continuous": m.continuous.as_ref().map(continuous),
         }))),
         "periodic": by(Role::Periodic).zip(done.periodic.as_ref()).map(|(m, p)| reduced(m, json!({
             "left_over_noise": p.left,
             "left_over_noise_sd": p.left_sd,
             "steps": p.refined.steps,
-            "settled": p.refined.settled,
+            "settled": p.refined.converged,
             "records": p.records.iter().map(|r| json!({
                 "lines": r.lines.len(),
                 "samples": r.samples,

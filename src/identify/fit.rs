@@ -1,28 +1,27 @@
 //! How well a model reproduces a record: simulated from the input alone, and predicted one step ahead.
 //!
-//! Error as the paper has it: energy of the difference in percent of the energy of the observed signal, 100
-//! Σ(y−ŷ)²/Σy². Fit as it is common elsewhere: 100 (1 − ‖y−ŷ‖/‖y−ȳ‖). Both of the signals as they were identified,
-//! trend taken off.
+//! Error as in the paper: energy of the difference in percent of the energy of the observed signal, 100 Σ(y−ŷ)²/Σy².
+//! Fit as common elsewhere: 100 (1 − ‖y−ŷ‖/‖y−ȳ‖). Both for the signals as identified, with trends removed.
 
 use super::data::Segment;
 use super::decompositions::svd;
 use super::model::Polynomials;
 use nalgebra::DMatrix;
 
-/// The initial state of a stretch is estimated from at most this many samples.
+/// The initial state of a segment is estimated from at most this many samples.
 const STATE_SAMPLES: usize = 1024;
 
-/// The state in which a simulation begins.
+/// The initial state of a simulation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum InitialState {
-    /// At rest; where a stretch begins after a hole, as [`InitialState::Estimated`].
+    /// At rest; where a segment begins after a hole, as [`InitialState::Estimated`].
     #[default]
     Rest,
-    /// In the state that fits the stretch best, by least squares.
+    /// The state that fits the segment best, by least squares.
     Estimated,
 }
 
-/// What was compared.
+/// Kind of comparison.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
     /// Output from input alone.
@@ -31,7 +30,7 @@ pub enum Kind {
     Prediction,
 }
 
-/// How large the difference is.
+/// Size of the difference.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FitError {
     /// 100 Σ(y−ŷ)²/Σy².
@@ -44,8 +43,8 @@ pub struct FitError {
     pub samples: usize,
 }
 
-/// Compares all stretches. NaN where there is nothing to compare, or the observed signal is zero; infinite where an
-/// unstable model left the numbers.
+/// Compares all segments. NaN where there is nothing to compare, or the observed signal is zero; infinite where an
+/// unstable model overflowed.
 pub(crate) fn compare(model: &Polynomials, segments: &[Segment], kind: Kind) -> FitError {
     let mut sums = Sums::default();
     for segment in segments {
@@ -53,7 +52,7 @@ pub(crate) fn compare(model: &Polynomials, segments: &[Segment], kind: Kind) -> 
         let observed = &segment.output[segment.len() - modelled.len()..segment.len()];
         match kind {
             Kind::Simulation(_) => sums.add(observed, &modelled),
-            // Without its whole past nothing was predicted.
+            // Without a full past nothing is predicted.
             Kind::Prediction => {
                 let both = observed.iter().zip(&modelled).filter(|(_, m)| !m.is_nan());
                 let (observed, modelled): (Vec<f64>, Vec<f64>) = both.unzip();
@@ -64,7 +63,7 @@ pub(crate) fn compare(model: &Polynomials, segments: &[Segment], kind: Kind) -> 
     sums.error()
 }
 
-/// Output of the model for one stretch. A prediction is shorter than the stretch by the model's memory, at its
+/// Output of the model for one segment. A prediction is shorter than the segment by the model's memory, at its
 /// beginning.
 pub(crate) fn output(model: &Polynomials, segment: &Segment, kind: Kind) -> Vec<f64> {
     match kind {
@@ -82,9 +81,9 @@ fn from_fitted_state(model: &Polynomials, segment: &Segment) -> Vec<f64> {
     output
 }
 
-/// What the state at the beginning of a stretch adds to the output from rest, `simulated`, by least squares. Every
-/// state of B/A shows as the response of 1/A to one of the first [`Polynomials::memory`] samples. Nothing when the
-/// numbers overflow, the stretch is shorter than the memory, or there is no state.
+/// The contribution of a segment's initial state to the output from rest, `simulated`, by least squares. Every state of
+/// B/A acts as the response of 1/A to one of the first [`Polynomials::memory`] samples. `None` when the numbers
+/// overflow, the segment is shorter than the memory, or there is no state.
 pub(super) fn free_response(model: &Polynomials, segment: &Segment, simulated: &[f64]) -> Option<Vec<f64>> {
     let states = model.memory();
     if states == 0 {
@@ -92,7 +91,7 @@ pub(super) fn free_response(model: &Polynomials, segment: &Segment, simulated: &
     }
     let at = model.free_responses(segment.len());
     let reach = segment.len().min(STATE_SAMPLES);
-    // The last column is what is left over.
+    // The last column is the residual.
     let columns = DMatrix::from_fn(reach, states + 1, |t, column| match column {
         _ if segment.output[t].is_nan() => 0.0,
         last if last == states => segment.output[t] - simulated[t],
@@ -103,14 +102,14 @@ pub(super) fn free_response(model: &Polynomials, segment: &Segment, simulated: &
     }
     let r = columns.qr().r();
     let svd = svd(r.view((0, 0), (states, states)).into_owned())?;
-    // Slow poles make neighbouring responses nearly the same: what the data do not determine is set to zero.
+    // Slow poles make neighbouring responses nearly equal: components that the data do not determine are set to zero.
     let tolerance = svd.singular_values.max() * 1e-12;
     let state = svd.solve(&r.view((0, states), (states, 1)), tolerance).ok()?;
     let free = |t: usize| state.iter().enumerate().map(|(k, x)| x * at(t, k)).sum();
     state.iter().all(|x| x.is_finite()).then(|| (0..segment.len()).map(free).collect())
 }
 
-/// Sums over pairs of observed and modelled values; what was not observed counts for nothing.
+/// Sums over pairs of observed and modelled values; missing outputs are left out.
 #[derive(Debug, Default)]
 struct Sums {
     difference: f64,
@@ -173,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stretch_from_the_middle_needs_its_state_and_finds_it() {
+    fn a_segment_from_the_middle_needs_its_state_and_finds_it() {
         let part = segment(100);
         assert!(!part.from_rest);
         let rest = between(&part.output, &model().simulate(&part.input));

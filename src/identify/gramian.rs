@@ -1,25 +1,28 @@
 //! Gramians of a stable discrete system, as factors: P = L Lᵀ solves P = A P Aᵀ + b bᵀ.
 //!
-//! The factor is found without P itself, so that small Hankel singular values keep their digits: L is doubled in reach,
-//! [L, A^(2^k) L], and brought back to n columns by an orthogonal triangle (Smith's squared method in square-root form;
-//! Penzl, SIAM J. Sci. Comput. 21, 2000, doi:10.1137/S1064827598347666).
+//! The factor is found without P itself, so that small Hankel singular values keep their digits: the reach of L is
+//! doubled, [L, A^(2^k) L], and it is reduced back to n columns by a QR factorisation (Smith's squared method in
+//! square-root form; Penzl, SIAM J. Sci. Comput. 21, 2000, doi:10.1137/S1064827598347666).
 
 use super::decompositions::schur;
 use super::regression::Triangle;
-use super::state_space::StateSpace;
-use nalgebra::{Complex, DMatrix, DVector};
+use nalgebra::{Complex, DMatrix, Dim, Dyn, Matrix, Storage};
 use std::f64::consts::PI;
 
-const MOST_DOUBLINGS: usize = 60;
-/// Frequencies of a band, at least and at most, and to the width of the sharpest resonance.
+const MAX_DOUBLINGS: usize = 60;
+/// Frequencies of a band, fewest and most, and per width of the sharpest resonance.
 const NODES: (f64, f64) = (512.0, 8192.0);
-const A_WIDTH: f64 = 8.0;
+const PER_WIDTH: f64 = 8.0;
 
-/// Factor of the controllability Gramian. For the observability Gramian give Aᵀ and cᵀ. Nothing when A is not stable.
-pub(crate) fn factor(a: &DMatrix<f64>, b: &DVector<f64>) -> Option<DMatrix<f64>> {
+/// Factor of the controllability Gramian, of one input or several. For the observability Gramian give Aᵀ and cᵀ. `None`
+/// when A is not stable.
+pub(crate) fn factor<C: Dim, S: Storage<f64, Dyn, C>>(
+    a: &DMatrix<f64>,
+    b: &Matrix<f64, Dyn, C, S>,
+) -> Option<DMatrix<f64>> {
     let mut power = a.clone();
-    let mut factor = DMatrix::from_columns(std::slice::from_ref(b));
-    for _ in 0..MOST_DOUBLINGS {
+    let mut factor = DMatrix::from_iterator(b.nrows(), b.ncols(), b.iter().copied());
+    for _ in 0..MAX_DOUBLINGS {
         let further = &power * &factor;
         let (new, old) = (further.norm(), factor.norm());
         if !new.is_finite() {
@@ -37,23 +40,30 @@ pub(crate) fn factor(a: &DMatrix<f64>, b: &DVector<f64>) -> Option<DMatrix<f64>>
     None
 }
 
-/// Factors of both Gramians of the responses to frequencies from `low` to `high` radians a sample alone (Gawronski and
-/// Juang, Int. J. Systems Sci. 21, 1990, doi:10.1080/00207729008910366): P = 1/π Re ∫ (e^{iω} − A)⁻¹ b bᵀ (e^{iω} −
-/// A)⁻ᴴ dω, by the midpoint rule, fine enough for the sharpest resonance. Nothing when a pole lies on the unit circle
-/// in the band.
-pub(crate) fn band_factors(system: &StateSpace, (low, high): (f64, f64)) -> Option<[DMatrix<f64>; 2]> {
-    let n = system.order();
+/// Factors of both Gramians, limited to frequencies from `low` to `high` radians per sample (Gawronski and Juang, Int.
+/// J. Systems Sci. 21, 1990, doi:10.1080/00207729008910366): P = 1/π Re ∫ (e^{iω} − A)⁻¹ b bᵀ (e^{iω} − A)⁻ᴴ dω, by the
+/// midpoint rule, fine enough for the sharpest resonance. `None` when a pole lies on the unit circle in the band.
+pub(crate) fn band_factors<B: Dim, C: Dim, S: Storage<f64, Dyn, B>, T: Storage<f64, C, Dyn>>(
+    a: &DMatrix<f64>,
+    b: &Matrix<f64, Dyn, B, S>,
+    c: &Matrix<f64, C, Dyn, T>,
+    (low, high): (f64, f64),
+) -> Option<[DMatrix<f64>; 2]> {
+    let n = a.nrows();
     if n == 0 {
         return Some([DMatrix::zeros(0, 0), DMatrix::zeros(0, 0)]);
     }
-    // A = U T Uᴴ: each frequency is then a triangle.
-    let (u, t) = schur(&system.a)?;
+    // A = U T Uᴴ: each frequency then needs only a triangular solve.
+    let (u, t) = schur(a)?;
     let sharpest = t.diagonal().iter().map(|p| (1.0 - p.norm()).abs()).fold(1.0, f64::min);
-    let nodes = (A_WIDTH * (high - low) / sharpest).clamp(NODES.0, NODES.1).ceil();
+    let nodes = (PER_WIDTH * (high - low) / sharpest).clamp(NODES.0, NODES.1).ceil();
     let width = (high - low) / nodes;
     let weight = (width / PI).sqrt();
-    let complex = |v: &f64| Complex::new(*v, 0.0);
-    let (b, c) = (system.b.map(|v| complex(&v)), system.c.transpose().map(|v| complex(&v)));
+    let complex = |rows: usize, columns: usize, values: &mut dyn Iterator<Item = f64>| {
+        DMatrix::from_iterator(rows, columns, values.map(|v| Complex::new(v, 0.0)))
+    };
+    let b = complex(n, b.ncols(), &mut b.iter().copied());
+    let c = complex(c.nrows(), n, &mut c.iter().copied()).transpose();
     let (b, c, conjugate) = (u.adjoint() * b, u.transpose() * c, u.conjugate());
     let mut triangles = [Triangle::new(n), Triangle::new(n)];
     for k in 0..nodes as usize {
@@ -62,8 +72,10 @@ pub(crate) fn band_factors(system: &StateSpace, (low, high): (f64, f64)) -> Opti
         let solutions =
             [&u * resolvent.solve_upper_triangular(&b)?, &conjugate * resolvent.tr_solve_upper_triangular(&c)?];
         for (triangle, solution) in triangles.iter_mut().zip(solutions) {
-            triangle.push(solution.iter().map(|z| z.re * weight));
-            triangle.push(solution.iter().map(|z| z.im * weight));
+            for column in solution.column_iter() {
+                triangle.push(column.iter().map(|z| z.re * weight));
+                triangle.push(column.iter().map(|z| z.im * weight));
+            }
         }
     }
     Some(triangles.map(|triangle| triangle.finish().transpose()))
@@ -84,6 +96,8 @@ fn square(factor: DMatrix<f64>) -> DMatrix<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::identify::state_space::StateSpace;
+    use nalgebra::DVector;
 
     #[test]
     fn it_solves_its_equation() {
@@ -104,7 +118,7 @@ mod tests {
             c: nalgebra::RowDVector::from_vec(vec![0.3, -1.0]),
             d: 0.0,
         };
-        let [lc, lo] = band_factors(&system, (0.0, PI)).unwrap();
+        let [lc, lo] = band_factors(&system.a, &system.b, &system.c, (0.0, PI)).unwrap();
         let whole = factor(&system.a, &system.b).unwrap();
         assert!((&lc * lc.transpose() - &whole * whole.transpose()).amax() < 1e-9);
         let whole = factor(&system.a.transpose(), &system.c.transpose()).unwrap();

@@ -1,38 +1,38 @@
-//! Frame times as an even grid, and a record cut where samples are missing.
+//! Fits frame times to an even grid, and cuts a record where samples are missing.
 //!
-//! In: times as the camera gave them, outputs, some missing. Out: stretches of known input. Times are never moved: a
+//! In: times as the camera gave them, outputs, some missing. Out: segments of known input. Times are never moved: a
 //! sample that comes up to a quarter of a period early or late counts as the grid's, since the input was integrated up
-//! to its real time ([`hold`](super::hold)). Uneven times are refused, or resampled where that is asked.
+//! to its real time ([`hold`](super::hold)). Uneven times are refused, or resampled on request.
 
 use super::data::{Record, Segment};
 use super::plant::Plant;
 
-/// Intervals may differ from whole periods by this part of one.
+/// Largest deviation of an interval from whole periods, in periods.
 const TOLERANCE: f64 = 0.25;
-/// Places of a grid, beside ten a sample: a camera that pauses for a day at 20 Hz has fewer.
-const MOST_PLACES: usize = 2_000_000;
-/// Resampling bridges intervals up to so many periods.
+/// Most places of a grid, besides ten per sample: a camera that pauses for a day at 20 Hz has fewer.
+const MAX_PLACES: usize = 2_000_000;
+/// Longest interval that resampling bridges, in periods.
 const LONGEST_BRIDGED: f64 = 2.5;
 
-/// A record as it came: one entry a sample.
+/// A raw record, with one entry per sample.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Series {
-    /// How the user knows it.
+    /// Its name for the user.
     pub name: String,
     /// Seconds, rising.
     pub time_s: Vec<f64>,
-    /// What drives the system from each time to the next: its input, or with `plant` the coil current, amperes.
+    /// The drive from each time to the next: the input, or with `plant` the coil current, amperes.
     pub drive: Vec<Option<f64>>,
     /// Output at each time.
     pub output: Vec<Option<f64>>,
-    /// Makes the input of current and output, by Eq. 6.
+    /// Computes the input from current and output, by Eq. 6.
     pub plant: Option<Plant>,
 }
 
-/// Why times are no grid.
+/// Why times do not form a grid.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub(crate) enum GridError {
-    /// Nothing to make a grid of.
+    /// Too few samples for a grid.
     #[error("{name}: has {samples} samples; at least 2 are needed")]
     TooFew {
         /// The record.
@@ -40,7 +40,7 @@ pub(crate) enum GridError {
         /// How many there are.
         samples: usize,
     },
-    /// Time stands still or runs back.
+    /// Times that do not increase.
     #[error("{name}: time goes from {before_s} s to {after_s} s at sample {sample}; it must rise")]
     NotRising {
         /// The record.
@@ -57,9 +57,9 @@ pub(crate) enum GridError {
     TooFine {
         /// The record.
         name: String,
-        /// The period asked for.
+        /// The requested period.
         period_s: f64,
-        /// How many samples it would be.
+        /// The number of samples it would give.
         samples: f64,
     },
     /// A jump of time that no pause explains.
@@ -80,7 +80,7 @@ pub(crate) enum GridError {
         /// The usual interval.
         period_s: f64,
     },
-    /// Intervals are no multiples of one period.
+    /// Intervals are not multiples of one period.
     #[error(
         "{name}: samples are not evenly spaced: {interval_s:.6} s between {at_s:.3} s and the next, where a period is \
          {period_s:.6} s ({uneven} of {intervals} intervals are off by more than a quarter of it); resample with --resample"
@@ -94,14 +94,14 @@ pub(crate) enum GridError {
         at_s: f64,
         /// The usual interval.
         period_s: f64,
-        /// Intervals that are off.
+        /// Uneven intervals.
         uneven: usize,
-        /// All of them.
+        /// All intervals.
         intervals: usize,
     },
 }
 
-/// How times lie on their grid.
+/// Times on their grid.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Grid {
     /// Period, seconds, by least squares over the whole record.
@@ -168,9 +168,9 @@ pub(super) fn usual_interval(name: &str, time_s: &[f64]) -> Result<f64, GridErro
     let mut intervals: Vec<f64> = time_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
     intervals.sort_by(f64::total_cmp);
     let period_s = intervals[intervals.len() / 2];
-    // Each place of the grid takes memory, with a sample or without.
+    // Each place of the grid takes memory, with or without a sample.
     let places = (time_s[time_s.len() - 1] - time_s[0]) / period_s;
-    if places > (MOST_PLACES + 10 * time_s.len()) as f64 {
+    if places > (MAX_PLACES + 10 * time_s.len()) as f64 {
         let longest = |k: &usize| time_s[k + 1] - time_s[*k];
         let k = (0..time_s.len() - 1).max_by(|a, b| longest(a).total_cmp(&longest(b))).unwrap_or(0);
         let (before_s, after_s) = (time_s[k], time_s[k + 1]);
@@ -179,9 +179,9 @@ pub(super) fn usual_interval(name: &str, time_s: &[f64]) -> Result<f64, GridErro
     Ok(period_s)
 }
 
-/// The record in stretches of known input. With Eq. 6 the input needs the angle: where that is missing, up to `bridge`
-/// samples in a row, it is taken from a cubic through its neighbours, for the torque alone, and counted: `(record,
-/// bridged)`. What was not observed is no output.
+/// The record in segments of known input. With Eq. 6 the input needs the angle: where it is missing, up to `bridge`
+/// samples in a row, it is interpolated by a cubic through its neighbours, only for the torque, and counted:
+/// `(record, bridged)`. An unobserved output remains missing.
 pub(crate) fn cut(series: &Series, grid: &Grid, bridge: usize) -> (Record, usize) {
     let length = grid.places.last().map_or(0, |last| last + 1);
     let (mut output, mut drive) = (vec![None; length], vec![None; length]);
@@ -210,7 +210,7 @@ pub(crate) fn cut(series: &Series, grid: &Grid, bridge: usize) -> (Record, usize
             input: input[from..to].iter().flatten().copied().collect(),
             output: output[from..to].iter().map(|y| y.unwrap_or(f64::NAN)).collect(),
             instrument: series.plant.map(|_| drive[from..to].iter().flatten().copied().collect()),
-            // Before the first drive there was none; before an angle that was missed there may have been any.
+            // Before the first drive it was zero; before a missed angle it may have been anything.
             from_rest: segments.is_empty() && drive[..from].iter().all(Option::is_none),
         });
         begin = to;
@@ -218,14 +218,14 @@ pub(crate) fn cut(series: &Series, grid: &Grid, bridge: usize) -> (Record, usize
     (Record { name: series.name.clone(), segments }, bridged)
 }
 
-/// The angle in the middle of the hold that begins here, carried on from the last two: it looks at nothing later, and
-/// is not half a period behind the current's average as the angle at the beginning would be.
+/// The angle in the middle of the hold that begins here, extrapolated from the last two: it uses no later sample, and
+/// is not half a period behind the current's average like the angle at the beginning.
 fn halfway(before: Option<f64>, now: f64) -> f64 {
     before.map_or(now, |before| now + 0.5 * (now - before))
 }
 
-/// Fills holes of up to `most` outputs by Lagrange's cubic through two samples on each side, or by a line where there
-/// is one only. Says how many.
+/// Fills holes of up to `most` outputs with Lagrange's cubic through two samples on each side, or a line where there is
+/// only one. Returns how many it filled.
 fn fill(output: &mut [Option<f64>], most: usize) -> usize {
     let given = output.to_vec();
     let at = |k: i64| usize::try_from(k).ok().and_then(|k| given.get(k).copied().flatten()).map(|y| (k as f64, y));
@@ -260,8 +260,8 @@ fn lagrange(points: &[(f64, f64)], x: f64) -> f64 {
     points.iter().enumerate().map(term).sum()
 }
 
-/// A record on even times, `period_s` apart or by default its usual interval: outputs by linear interpolation between
-/// samples at most 2.5 periods apart, inputs as they were held, averaged over the new intervals.
+/// A record resampled at even times, by default at its usual interval: outputs by linear interpolation between samples
+/// at most 2.5 periods apart, inputs by averaging the held values over the new intervals.
 ///
 /// # Errors
 /// [`GridError::TooFew`] and [`GridError::NotRising`].
@@ -269,7 +269,7 @@ pub(crate) fn resample(series: &Series, period_s: Option<f64>) -> Result<Series,
     let usual = usual_interval(&series.name, &series.time_s)?;
     let period = period_s.unwrap_or(usual);
     let (first, last) = (series.time_s[0], series.time_s[series.time_s.len() - 1]);
-    if (last - first) / period > (MOST_PLACES + 10 * series.time_s.len()) as f64 {
+    if (last - first) / period > (MAX_PLACES + 10 * series.time_s.len()) as f64 {
         let samples = (last - first) / period;
         return Err(GridError::TooFine { name: series.name.clone(), period_s: period, samples });
     }
@@ -361,7 +361,7 @@ mod tests {
         let mut series = series(&times, |t| t);
         series.output[1] = None;
         let grid = Grid::of("a", &times).unwrap();
-        // The input of a lost sample is not known: a hole.
+        // The input of a lost sample is unknown, which makes a hole.
         let (record, bridged) = cut(&series, &grid, 9);
         assert_eq!(record.segments.iter().map(Segment::len).collect::<Vec<_>>(), [4, 3, 2]);
         assert_eq!((bridged, record.segments[1].start_s, record.observed()), (0, 5.0, 8));
@@ -374,7 +374,7 @@ mod tests {
         let times: Vec<f64> = (0..20).map(f64::from).collect();
         let cubic = |t: f64| 1e-3 * (t * t * t - 2.0 * t);
         let mut series = series(&times, cubic);
-        // The angle's weight alone, so that the torque is −sin θ.
+        // Only the weight, so that the torque is −sin θ.
         series.plant = Some(Plant { torque_per_ampere_nm: 0.0, weight_torque_nm: 1.0 });
         series.output[4] = None;
         for hole in 10..14 {

@@ -1,6 +1,6 @@
-//! What an amplifier that holds its last command put out on average between two times.
+//! Average output of an amplifier that holds its last command, between two times.
 
-/// Commands and when they came, on any clock; each acts until the next.
+/// Commands with their times, on any clock; each acts until the next.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(crate) struct Held {
     /// Seconds, rising.
@@ -11,7 +11,7 @@ pub(crate) struct Held {
 }
 
 impl Held {
-    /// From commands in any order; of two at the same time the last counts.
+    /// From commands in any order; of several at the same time the last counts.
     pub(crate) fn new(mut commands: Vec<(f64, f64)>) -> Self {
         commands.sort_by(|a, b| a.0.total_cmp(&b.0));
         let mut held = Self::default();
@@ -33,8 +33,8 @@ impl Held {
         held
     }
 
-    /// The same, with a first command of zero taken to have held before, too. Any other first command is left as it is:
-    /// what was put out before is not known.
+    /// The same, with a first command of zero taken to hold also before its time. Any other first command is left as it
+    /// is: the output before it is unknown.
     pub(crate) fn zero_before(&self) -> Self {
         let mut held = self.clone();
         if held.value.first() == Some(&0.0) {
@@ -50,14 +50,14 @@ impl Held {
         self.time_s.first().copied().zip(self.time_s.last().copied())
     }
 
-    /// Average from `from_s` to the later `to_s`. Nothing before the first command: what was put out then is not known.
+    /// Average from `from_s` to the later `to_s`. `None` before the first command: the output then is unknown.
     pub(crate) fn mean(&self, from_s: f64, to_s: f64) -> Option<f64> {
         Some((self.integral_to(to_s)? - self.integral_to(from_s)?) / (to_s - from_s))
     }
 
     fn integral_to(&self, t: f64) -> Option<f64> {
         let k = self.time_s.partition_point(|s| *s <= t).checked_sub(1)?;
-        // Zero may hold since ever.
+        // Zero may extend back indefinitely.
         let since = if self.value[k] == 0.0 { 0.0 } else { self.value[k] * (t - self.time_s[k]) };
         Some(self.integral[k] + since)
     }

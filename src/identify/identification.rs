@@ -20,51 +20,51 @@ pub struct Fit {
     pub training: bool,
     /// The model.
     pub role: Role,
-    /// What was compared.
+    /// Kind of comparison.
     pub kind: Kind,
-    /// How large the difference is.
+    /// Size of the difference.
     pub error: FitError,
 }
 
-/// All that came out.
+/// All results.
 #[derive(Debug, Clone)]
 pub struct Identification {
-    /// What was searched, if it was.
+    /// The candidates, if orders were searched.
     pub candidates: Vec<Candidate>,
-    /// By what the best was chosen, if it was.
+    /// The criterion of the choice, if orders were searched.
     pub criterion: Option<Criterion>,
     /// Orders and delay of the full model.
     pub orders: Orders,
     /// The full model by least squares.
     pub arx: Estimated,
-    /// The full model by another estimator, if that was asked for.
+    /// The full model by another estimator, if requested.
     pub full: Option<Refined>,
     /// The reduction, or why there is none.
     pub reduced: Result<Reduced, String>,
     /// Output error of the reduced order, or why there is none.
     pub refined: Result<Refined, String>,
-    /// Of the lines of averaged periods, where the input was said to repeat.
+    /// The model of the lines of averaged periods, if the input was declared to repeat.
     pub periodic: Option<Periodic>,
     /// The models: full, then reduced, refined and periodic where they are.
     pub models: Vec<Modelled>,
     /// Each model on each record.
     pub fits: Vec<Fit>,
-    /// Of the full model on the data fitted.
+    /// Residuals of the full model on the data fitted.
     pub residuals: Option<Residuals>,
-    /// Of the data fitted.
+    /// Spectrum of the data fitted.
     pub spectrum: Option<Spectrum>,
-    /// Repetitions of the bootstrap that gave an answer, of the full and of the refined model.
+    /// Successful repetitions of the bootstrap, for the full and the refined model.
     pub repetitions: (usize, usize),
-    /// Those that the search found best; other than [`Identification::orders`] where the estimator had no answer there.
+    /// The best orders of the search; differ from [`Identification::orders`] if the estimator failed for them.
     pub best_orders: Orders,
-    /// Whether reduction for the excited band was unstable, so that it was done for all frequencies.
+    /// Whether reduction for the excited band gave an unstable model, so that all frequencies were used.
     pub unstable_in_band: bool,
-    /// What should be known before the numbers are used.
+    /// Warnings to read before using the numbers.
     pub diagnostics: Vec<Diagnostic>,
 }
 
 impl Identification {
-    /// The model to use: of the averaged periods where there are any, refined otherwise, or what there is in its place.
+    /// The model to use: that of the averaged periods if there is one, otherwise the refined one, or the next best.
     pub fn leading(&self) -> Option<&Modelled> {
         Role::LEADING.into_iter().find_map(|role| self.model(role))
     }

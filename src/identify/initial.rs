@@ -10,7 +10,7 @@ use super::{arx, instrumental, subspace};
 const HIGH_ORDER: usize = 12;
 
 /// Initial models of these orders: ARX, which noise on the output biases, instrumental variables, ARX of a high order
-/// reduced for the excited band, and the states that subspaces show.
+/// reduced for the excited band, and subspace identification.
 pub(super) fn initial_models(segments: &[Segment], orders: Orders) -> Vec<Polynomials> {
     let by_arx = arx::fit(segments, orders).ok().map(|found| found.model);
     let by_instruments =
@@ -19,8 +19,8 @@ pub(super) fn initial_models(segments: &[Segment], orders: Orders) -> Vec<Polyno
     [by_arx, by_instruments, by_reduction(segments, orders)].into_iter().chain(by_subspace).flatten().collect()
 }
 
-/// A high order takes up the noise on the output, which a low one is biased by. What it says outside of the excited
-/// band is noise too.
+/// A high order absorbs the noise on the output, which biases a low one. Outside the excited band its response is only
+/// noise.
 fn by_reduction(segments: &[Segment], orders: Orders) -> Option<Polynomials> {
     let high = arx::fit(segments, Orders { na: HIGH_ORDER, nb: HIGH_ORDER, nk: orders.nk }).ok()?.model;
     let (low, top) = spectrum(segments, 1.0)?.excited_hz;

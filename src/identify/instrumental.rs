@@ -1,13 +1,12 @@
-//! Instrumental variables: ARX's equation solved by correlation with signals that know nothing of the noise.
+//! Instrumental variables: ARX's equation solved by correlation with signals that are independent of the noise.
 //!
 //! Eq. 6 computes the torque from the measured θ, so the input carries the output's noise and ARX is biased. The
-//! instruments here are made from the coil current alone (or from the input, where nothing is fed back): its own past
-//! in place of the input's, and in place of the output's the output simulated from it. All signals are filtered by 1/A
-//! of the model before, which makes the estimate nearly as good as output error for white noise on the output
-//! (simplified refined instrumental variables; Young, Recursive Estimation and Time-Series Analysis, 2nd ed., chapter
-//! 7).
+//! instruments here are made from the coil current alone (or from the input, if there is no feedback): its past
+//! replaces the input's, and the output simulated from it replaces the output's. All signals are filtered by 1/A of the
+//! previous model, which makes the estimate nearly as good as output error for white noise on the output (simplified
+//! refined instrumental variables; Young, Recursive Estimation and Time-Series Analysis, 2nd ed., chapter 7).
 //!
-//! In: stretches with `instrument`, a stable initial model. Out: a model of the same orders with covariance.
+//! In: segments with `instrument`, a stable initial model. Out: a model of the same orders with covariance.
 
 use super::IdentifyError;
 use super::arx;
@@ -19,9 +18,9 @@ use super::model::{Orders, Polynomials, all_pole};
 use super::regression::{Triangle, row};
 use super::uncertainty::Covariance;
 
-const MOST_STEPS: usize = 50;
-/// Parameters that change by less than this part of their standard errors are settled.
-const SETTLED: f64 = 1e-6;
+const MAX_STEPS: usize = 50;
+/// Converged when parameters change by less than this fraction of their standard errors.
+const PARAMETER_TOLERANCE: f64 = 1e-6;
 
 /// Refines `initial`, keeping its orders and delay.
 ///
@@ -31,26 +30,28 @@ const SETTLED: f64 = 1e-6;
 pub(crate) fn refine(segments: &[Segment], initial: &Polynomials) -> Result<Refined, IdentifyError> {
     let orders = initial.orders();
     let drivers: Vec<Segment> = segments.iter().map(driven_by_instrument).collect();
-    // How the instrument moves the output: linear here, whatever is fed back in truth. An instrument needs no more.
+    // The response of the output to the instrument: linear here, whatever the true feedback. An instrument needs no
+    // more.
     let auxiliary = arx::fit(&drivers, orders)?.model;
     let auxiliary = if auxiliary.is_stable() { auxiliary } else { initial.clone() };
     let mut current: Option<Estimated> = None;
     let mut model = initial.clone();
-    for steps in 1..=MOST_STEPS {
+    for steps in 1..=MAX_STEPS {
         if !model.is_stable() {
             return Err(IdentifyError::Unstable { orders, largest_pole: model.largest_pole() });
         }
         let next = step(segments, &drivers, &model, &auxiliary, orders)?;
         let change = (next.model.parameters() - model.parameters()).abs();
-        let settled = change.iter().zip(next.standard_errors()).all(|(change, sd)| *change <= SETTLED * sd);
+        let converged =
+            change.iter().zip(next.standard_errors()).all(|(change, sd)| *change <= PARAMETER_TOLERANCE * sd);
         model = next.model.clone();
-        if settled {
-            return Ok(Refined { estimated: next, steps, settled });
+        if converged {
+            return Ok(Refined { estimated: next, steps, converged });
         }
         current = Some(next);
     }
     match current {
-        Some(estimated) if model.is_stable() => Ok(Refined { estimated, steps: MOST_STEPS, settled: false }),
+        Some(estimated) if model.is_stable() => Ok(Refined { estimated, steps: MAX_STEPS, converged: false }),
         _ => Err(IdentifyError::Unstable { orders, largest_pole: model.largest_pole() }),
     }
 }
@@ -70,8 +71,7 @@ fn step(
 ) -> Result<Estimated, IdentifyError> {
     let Orders { na, nb, nk } = orders;
     let p = orders.parameters();
-    // Instruments, regressors, output, triangularised together: with Z = Q R the first rows of the rest are QᵀΦ and
-    // Qᵀy.
+    // QR of instruments, regressors and output together: with Z = Q R the first rows of the rest are QᵀΦ and Qᵀy.
     let mut triangle = Triangle::new(2 * p + 1);
     let filtered = |segment: &Segment, output: Vec<f64>| Segment {
         input: all_pole(&model.a, segment.input.clone()),
@@ -83,7 +83,7 @@ fn step(
         let simulated = model.simulate(&segment.input);
         let free = if segment.from_rest { None } else { free_response(model, segment, &simulated) };
         let free = free.unwrap_or_else(|| vec![0.0; segment.len()]);
-        // The filters run through what was not observed on what the model says; its rows are left out.
+        // The filters bridge unobserved outputs with the model's; their rows are left out.
         let known = |t: usize| !segment.output[t].is_nan();
         let output =
             (0..segment.len()).map(|t| if known(t) { segment.output[t] - free[t] } else { simulated[t] }).collect();
@@ -109,7 +109,7 @@ fn step(
     if parameters.iter().any(|v| !v.is_finite()) {
         return Err(dependent());
     }
-    // The residual is what the solution leaves of all rows, not of the instruments' alone.
+    // The residual is that of all rows, not only of the instruments'.
     let left = r.view((0, 2 * p), (2 * p + 1, 1)) - r.view((0, p), (2 * p + 1, p)) * &parameters;
     let noise_variance = left.norm_squared() / (samples - p) as f64;
     Ok(Estimated {

@@ -1,4 +1,4 @@
-//! Dynamic models from recorded input and output: Section III.B of the paper, and the better practice of today.
+//! Dynamic models from recorded input and output: Section III.B of the paper, and current best practice.
 //!
 //! ```text
 //!  log or table ─▶ recorded ─▶ grid ─▶ prepare ─▶ search ─▶ arx ─────────▶ reduce ─▶ continuous
@@ -6,19 +6,18 @@
 //!                  held        holes   fewer      delay     │              states
 //!                                      samples              └ output_error, instrumental
 //! ```
-//! A record whose input repeats has one more way: `periodic` averages its periods and fits H(s) to the lines. `saved`
-//! reads models back, `applied` compares them with other records.
+//! For a record whose input repeats there is another method: `periodic` averages its periods and fits H(s) to the
+//! lines. `saved` reads models back, `applied` compares them with other records.
 //!
-//! [`chain::identify`] runs it; `export::write` and `crate::report::identification` write what came out. Beside the
-//! models: `spectrum` (the response without a model), `bandwidth`, `residuals`, `bootstrap`, `delay` (between
-//! the clocks), and `diagnostic` (what a user must know before using the numbers).
+//! [`chain::identify`] runs it; `export::write` and `crate::report::identification` write the results. Besides the
+//! models: `spectrum` (the response without a model), `bandwidth`, `residuals`, `bootstrap`, `delay` (between the
+//! clocks), and `diagnostic` (warnings to read before using the numbers).
 //!
 //! # Conventions
-//! - `y(t) + a₁ y(t−1) + … = b₀ u(t−nk) + …`: `nk` counts all samples of delay, see `model`. An input of a sample is
+//! - `y(t) + a₁ y(t−1) + … = b₀ u(t−nk) + …`: `nk` counts all samples of delay, see `model`. The input of a sample is
 //!   held until the next.
-//! - Signals are in stretches of known input; an output that was not observed is a NaN and is no data, see `data`.
-//! - Covariances are kept as factors, see `uncertainty`; everything is solved by orthogonal triangles, see
-//!   `regression`.
+//! - Signals are in segments of known input; an unobserved output is NaN and is left out, see `data`.
+//! - Covariances are kept as factors, see `uncertainty`; everything is solved by QR factorisation, see `regression`.
 
 // In the order of the data.
 pub(crate) mod data;
@@ -41,6 +40,7 @@ pub(crate) mod output_error;
 pub(crate) mod search;
 mod subspace;
 
+mod balance;
 pub(crate) mod gramian;
 pub(crate) mod reduce;
 pub(crate) mod state_space;
@@ -48,6 +48,8 @@ pub(crate) mod state_space;
 pub(crate) mod continuous;
 
 pub(crate) mod periodic;
+
+pub(crate) mod planes;
 
 pub(crate) mod bandwidth;
 pub(crate) mod bootstrap;

@@ -1,7 +1,7 @@
-//! A discrete transfer function B(q)/A(q): simulated, one step predicted, its response and its poles.
+//! A discrete transfer function B(q)/A(q): simulation, one-step prediction, frequency response and poles.
 //!
-//! Convention: `y(t) + a₁ y(t−1) + … + a_na y(t−na) = b₀ u(t−nk) + … + b_{nb−1} u(t−nk−nb+1)`. `a` holds the leading 1,
-//! `b` does not hold the zeros of the delay. What happened before the first sample is zero: the system was at rest.
+//! Convention: `y(t) + a₁ y(t−1) + … + a_na y(t−na) = b₀ u(t−nk) + … + b_{nb−1} u(t−nk−nb+1)`. `a` includes the leading
+//! 1, `b` does not include the zeros of the delay. Everything before the first sample is zero: the system was at rest.
 
 use super::decompositions::eigenvalues;
 use nalgebra::{Complex, DMatrix, DVector};
@@ -24,13 +24,13 @@ impl Orders {
         self.na + self.nb
     }
 
-    /// Samples without a full past at the beginning of a stretch.
+    /// Samples without a full past at the beginning of a segment.
     pub fn memory(&self) -> usize {
         memory(self.na, self.nb, self.nk)
     }
 }
 
-/// Where the noise enters.
+/// Where noise enters.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Noise {
     /// At the equation, A y = B u + e.
@@ -66,19 +66,19 @@ impl Polynomials {
         self.b.len()
     }
 
-    /// Samples that must lie before one that is predicted: also the number of states, those of a delay included.
+    /// Past samples needed for a prediction; also the number of states, including those of a delay.
     pub fn memory(&self) -> usize {
         memory(self.na(), self.nb(), self.nk)
     }
 
-    /// The same without the samples of delay beyond the first, and how many these were. They are no dynamics: the
-    /// first is the hold's own.
+    /// The same without the samples of delay beyond the first, and their number. They are not dynamics: the first is
+    /// the hold's own.
     pub fn without_delay(&self) -> (Self, usize) {
         let beyond = self.nk.saturating_sub(1);
         (Self { nk: self.nk - beyond, ..self.clone() }, beyond)
     }
 
-    /// Number of states, samples of delay beyond the first not counted.
+    /// Number of states, without samples of delay beyond the first.
     pub fn order(&self) -> usize {
         self.without_delay().0.memory()
     }
@@ -88,12 +88,12 @@ impl Polynomials {
         DVector::from_iterator(self.na() + self.nb(), self.a.iter().skip(1).chain(&self.b).copied())
     }
 
-    /// The same orders and delay with these parameters, as [`Polynomials::parameters`] gives them.
+    /// The same orders and delay with these parameters, in the order of [`Polynomials::parameters`].
     pub fn with_parameters(&self, parameters: &[f64]) -> Self {
         Self::of(parameters, self.na(), self.nk)
     }
 
-    /// From a parameter vector whose first `na` are those of A.
+    /// From a parameter vector whose first `na` entries are those of A.
     pub fn of(parameters: &[f64], na: usize, nk: usize) -> Self {
         let (a, b) = parameters.split_at(na.min(parameters.len()));
         Self { a: [&[1.0], a].concat(), b: b.to_vec(), nk }
@@ -105,16 +105,16 @@ impl Polynomials {
         all_pole(&self.a, driven)
     }
 
-    /// Output one step ahead, from inputs and outputs before it. The first [`Polynomials::memory`] have no full past
-    /// and are left out: the result is that much shorter than the data.
+    /// Output one step ahead, from earlier inputs and outputs. The first [`Polynomials::memory`] have no full past and
+    /// are left out: the result is that much shorter than the data.
     pub fn predict(&self, input: &[f64], output: &[f64]) -> Vec<f64> {
         let driven = moving_sum(&self.b, self.nk, input);
         let past = |t: usize| -> f64 { self.a.iter().skip(1).zip(output[..t].iter().rev()).map(|(a, y)| a * y).sum() };
         (self.memory()..output.len().min(driven.len())).map(|t| driven[t] - past(t)).collect()
     }
 
-    /// What each state at the beginning adds to the output, at sample `t` and for state `state`, up to `length`
-    /// samples: responses of 1/A to a unit at one of the first [`Polynomials::memory`] samples.
+    /// Contribution of initial state `state` to the output at sample `t`, up to `length` samples: responses of 1/A to a
+    /// unit at one of the first [`Polynomials::memory`] samples.
     pub fn free_responses(&self, length: usize) -> impl Fn(usize, usize) -> f64 + use<> {
         let mut impulse = vec![0.0; length];
         if let Some(first) = impulse.first_mut() {
@@ -124,7 +124,7 @@ impl Polynomials {
         move |t, state| t.checked_sub(state).map_or(0.0, |t| response[t])
     }
 
-    /// Value at `angle` radians a sample: 2π f T.
+    /// Value at `angle` radians per sample: 2π f T.
     pub fn response(&self, angle: f64) -> Complex<f64> {
         let backward = Complex::from_polar(1.0, -angle);
         polynomial(&self.b, backward) * backward.powu(self.nk as u32) / polynomial(&self.a, backward)
@@ -135,12 +135,13 @@ impl Polynomials {
         self.b.iter().sum::<f64>() / self.a.iter().sum::<f64>()
     }
 
-    /// Roots of A in z. A delay's poles at zero are not among them.
+    /// Roots of A in z. Poles of a delay at zero are not included.
     pub fn poles(&self) -> Vec<Complex<f64>> {
         roots(&self.a)
     }
 
-    /// Modulus of the largest pole; zero without poles, infinite when they were not found: no such model is used.
+    /// Modulus of the largest pole; zero without poles, infinite when they were not found, so that no such model is
+    /// used.
     pub fn largest_pole(&self) -> f64 {
         let moduli = self.poles().into_iter().map(|p| if p.re.is_nan() { f64::INFINITY } else { p.norm() });
         moduli.fold(0.0, f64::max)
@@ -152,12 +153,12 @@ impl Polynomials {
     }
 }
 
-/// Samples that must lie before one that is predicted.
+/// Past samples needed for a prediction.
 pub(crate) fn memory(na: usize, nb: usize, nk: usize) -> usize {
     na.max((nb + nk).saturating_sub(1))
 }
 
-/// Radians a sample at `frequency_hz`.
+/// Radians per sample at `frequency_hz`.
 pub(crate) fn angle(frequency_hz: f64, period_s: f64) -> f64 {
     TAU * frequency_hz * period_s
 }
@@ -167,9 +168,8 @@ fn polynomial(ascending: &[f64], x: Complex<f64>) -> Complex<f64> {
     ascending.iter().rev().fold(Complex::new(0.0, 0.0), |sum, c| sum * x + c)
 }
 
-/// Roots of c₀ xⁿ + c₁ xⁿ⁻¹ + … + cₙ, as eigenvalues of its companion matrix; zeros at the end of `descending` are
-/// roots at 0 and left out, a leading zero is no degree. NaN when they are not found, as of coefficients that are no
-/// numbers.
+/// Roots of c₀ xⁿ + c₁ xⁿ⁻¹ + … + cₙ, as eigenvalues of its companion matrix; trailing zeros of `descending` are roots
+/// at 0 and left out, leading zeros do not count. NaN when they are not found, for example for NaN coefficients.
 pub(crate) fn roots(descending: &[f64]) -> Vec<Complex<f64>> {
     let first = descending.iter().position(|c| *c != 0.0).unwrap_or(descending.len());
     let end = descending.iter().rposition(|c| *c != 0.0).map_or(0, |last| last + 1);

@@ -1,4 +1,4 @@
-//! A model with all that is said of it: response with its σ, H(s), bandwidths.
+//! A model with its derived results: response with σ, H(s), bandwidths.
 
 use super::bandwidth::{Bandwidth, Definition, bandwidth};
 use super::continuous::{Continuous, Conversion};
@@ -7,31 +7,31 @@ use super::uncertainty::Covariance;
 use nalgebra::Complex;
 use std::f64::consts::{PI, TAU};
 
-/// Points of a Bode plot.
+/// Points in a Bode plot.
 const POINTS: usize = 300;
-/// It begins so far below the excited band.
+/// Factor by which it begins below the excited band.
 const BELOW: f64 = 20.0;
 
-/// Which model of a run.
+/// Kind of model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Role {
-    /// Of the order found or asked for.
+    /// Of the order found or requested.
     Full,
-    /// The full one reduced.
+    /// The full model, reduced.
     Reduced,
-    /// Output error of the reduced one's order, from it on.
+    /// Output error of the reduced model's order, started from it.
     Refined,
-    /// Of the lines of averaged periods, by maximum likelihood.
+    /// Fitted to the lines of averaged periods, by maximum likelihood.
     Periodic,
-    /// Not estimated here: H(s) that was given.
+    /// Not estimated here: a given H(s).
     Given,
 }
 
 impl Role {
-    /// The model to use is the first of these that there is.
+    /// The model to use is the first of these that exists.
     pub(crate) const LEADING: [Self; 5] = [Self::Periodic, Self::Given, Self::Refined, Self::Reduced, Self::Full];
 
-    /// As files have it.
+    /// The name in files.
     pub fn word(self) -> &'static str {
         match self {
             Self::Full => "full",
@@ -50,7 +50,7 @@ pub struct BodePoint {
     pub frequency_hz: f64,
     /// |B/A|.
     pub magnitude: f64,
-    /// Followed from the lowest frequency, radians.
+    /// Unwrapped from the lowest frequency, radians.
     pub phase_rad: f64,
     /// σ of ln|B/A|, and of the phase in radians.
     pub sd: Option<(f64, f64)>,
@@ -65,17 +65,17 @@ pub struct ContinuousEstimate {
     pub standard_errors: Option<Vec<f64>>,
 }
 
-/// Which response a bandwidth is of.
+/// The response that a bandwidth refers to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum BandwidthOf {
-    /// Of H(s).
+    /// H(s).
     Continuous,
-    /// Of the samples, the hold included: half a period more delay.
+    /// That of the samples, including the hold: half a period more delay.
     Samples,
 }
 
 impl BandwidthOf {
-    /// As files have it.
+    /// The name in files.
     pub fn name(self) -> &'static str {
         match self {
             Self::Continuous => "continuous",
@@ -83,7 +83,7 @@ impl BandwidthOf {
         }
     }
 
-    /// As people have it.
+    /// The name for people.
     pub fn words(self) -> &'static str {
         match self {
             Self::Continuous => "H(s)",
@@ -92,19 +92,19 @@ impl BandwidthOf {
     }
 }
 
-/// A bandwidth with an interval that holds 95 % of the bootstrap's.
+/// A bandwidth with an interval that contains 95 % of the bootstrap's.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BandwidthEstimate {
     /// Of the model.
     pub bandwidth: Bandwidth,
-    /// Hz; nothing without a bootstrap, or when it gave too few.
+    /// Hz; `None` without a bootstrap, or when it gave too few.
     pub interval_hz: Option<(f64, f64)>,
 }
 
-/// A model with all that is said of it.
+/// A model with its derived results.
 #[derive(Debug, Clone)]
 pub struct Modelled {
-    /// Which one.
+    /// Its role.
     pub role: Role,
     /// How it was estimated, and its order.
     pub title: String,
@@ -118,14 +118,14 @@ pub struct Modelled {
     pub bode: Vec<BodePoint>,
     /// H(s), of reduced models.
     pub continuous: Option<ContinuousEstimate>,
-    /// Of which response the bandwidths are.
+    /// The response that the bandwidths refer to.
     pub bandwidths_are_of: BandwidthOf,
-    /// By each definition.
+    /// One for each definition.
     pub bandwidths: Vec<BandwidthEstimate>,
 }
 
 impl Modelled {
-    /// All that follows from a model and its covariance.
+    /// Derives all results from a model and its covariance.
     pub fn new(
         role: Role,
         title: String,
@@ -150,7 +150,7 @@ impl Modelled {
         }
     }
 
-    /// Whether it can be simulated without end.
+    /// Whether simulations remain bounded.
     pub fn is_stable(&self) -> bool {
         self.largest_pole < 1.0
     }
@@ -161,8 +161,8 @@ impl Modelled {
     }
 }
 
-/// Bandwidths of H(s) where there is an exact one. Otherwise of the samples, whose phase holds the hold's half period
-/// too, as that of the full model.
+/// Bandwidths of H(s) if there is an exact one; otherwise of the samples, whose phase includes the hold's half period,
+/// as for the full model.
 pub(super) fn bandwidths(role: Role, model: &Polynomials, period_s: f64, excited_hz: (f64, f64)) -> Vec<Bandwidth> {
     let continuous = (role != Role::Full).then(|| Continuous::of(model, period_s)).flatten();
     bandwidths_of(continuous.as_ref(), model, period_s, excited_hz).1
@@ -202,7 +202,7 @@ fn bode(model: &Polynomials, covariance: Option<&Covariance>, period_s: f64, low
         frequencies.iter().map(|f| model.response(angle(*f, period_s))).collect()
     };
     let found = response(model);
-    // ln of the ratio to the model itself: gain and phase, without jumps.
+    // ln of the ratio to the model itself: gain and phase without jumps.
     let relative = |p: &[f64]| {
         let ratios = response(&model.with_parameters(p)).into_iter().zip(&found).map(|(moved, r)| (moved / r).ln());
         Some(ratios.flat_map(|z| [z.re, z.im]).collect())
@@ -223,7 +223,7 @@ fn bode(model: &Polynomials, covariance: Option<&Covariance>, period_s: f64, low
         .collect()
 }
 
-/// Angles without jumps of a turn.
+/// Unwrapped angles.
 pub(crate) fn unwrapped(angles: impl IntoIterator<Item = f64>) -> Vec<f64> {
     let mut last: Option<f64> = None;
     let follow = |angle: f64| {
@@ -243,7 +243,7 @@ mod tests {
     use super::super::tests::noise;
     use super::*;
 
-    /// 2/(0.1 s + 1), drawn many times: errors of H(s) and of the response against their σ.
+    /// 2/(0.1 s + 1), drawn many times: errors of H(s) and of the response compared with their σ.
     #[test]
     fn errors_of_h_and_of_the_response_are_as_large_as_predicted() {
         let truth = Continuous { num: vec![20.0], den: vec![1.0, 10.0], delay_s: 0.0, conversion: Conversion::Hold };

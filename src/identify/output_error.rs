@@ -1,10 +1,10 @@
 //! Output error: y(t) = B(q)/A(q) u(t) + e(t), by Gauss-Newton on the simulated output.
 //!
-//! In: stretches, a stable initial model. Out: the model whose simulation is nearest to the output, with covariance.
-//! White noise on the measured output is just this case, where ARX is biased. Derivatives are filtered signals (Ljung,
-//! 2nd ed., section 10.3): ∂ŷ/∂b_j = q^−(nk+j)/A u, ∂ŷ/∂a_i = −q^−i/A ŷ. Steps are damped after Levenberg and
-//! Marquardt; a step to an unstable model is never taken. The state at the beginning of a stretch that does not begin
-//! at rest is fitted along.
+//! In: segments, a stable initial model. Out: the model whose simulation is nearest to the output, with covariance.
+//! This is the right model for white noise on the measured output, where ARX is biased. Derivatives are filtered
+//! signals (Ljung, 2nd ed., section 10.3): ∂ŷ/∂b_j = q^−(nk+j)/A u, ∂ŷ/∂a_i = −q^−i/A ŷ. Steps have Levenberg-Marquardt
+//! damping; a step to an unstable model is never taken. The initial state of a segment that does not begin at rest is
+//! also fitted.
 //!
 //! Finds a local minimum. Its covariance holds for white e, and for an input without noise.
 
@@ -16,15 +16,14 @@ use super::regression::{Triangle, solve};
 use super::uncertainty::Covariance;
 use nalgebra::{DMatrix, DVector, DVectorViewMut};
 
-const MOST_STEPS: usize = 100;
-/// A step that lowers the sum of squares by less than this part ends the search.
-const SETTLED: f64 = 1e-12;
+const MAX_STEPS: usize = 100;
+/// Relative decrease of the sum of squares that ends the search.
+const COST_TOLERANCE: f64 = 1e-12;
 
-/// Refines each of `initial` and returns the result that is nearest to the output: the sum of squares has more than one
-/// bottom.
+/// Refines each of `initial` and returns the result nearest to the output: the sum of squares has several minima.
 ///
 /// # Errors
-/// As [`refine`] for the first, when none can be refined.
+/// That of [`refine`] for the first, when none can be refined.
 pub(crate) fn refine_from_any(segments: &[Segment], initial: &[Polynomials]) -> Result<Refined, IdentifyError> {
     let mut first_error = None;
     let mut best: Option<Refined> = None;
@@ -63,20 +62,20 @@ pub(crate) fn refine(segments: &[Segment], initial: &Polynomials) -> Result<Refi
     let mut model = initial.clone();
     let mut triangle = linearise(segments, &model);
     let mut cost = squares(segments, &model);
-    let (mut damping, mut steps, mut settled) = (1e-4, 0, false);
-    while steps < MOST_STEPS && !settled {
+    let (mut damping, mut steps, mut converged) = (1e-4, 0, false);
+    while steps < MAX_STEPS && !converged {
         steps += 1;
         let step = damped_step(&triangle, damping).ok_or(IdentifyError::Dependent { orders })?;
         let trial = model.with_parameters((model.parameters() + step).as_slice());
         let trial_cost = if trial.is_stable() { squares(segments, &trial) } else { f64::INFINITY };
         if trial_cost < cost {
-            settled = cost - trial_cost <= SETTLED * cost;
+            converged = cost - trial_cost <= COST_TOLERANCE * cost;
             (model, cost) = (trial, trial_cost);
             triangle = linearise(segments, &model);
             damping = f64::max(damping * 0.1, 1e-12);
         } else {
-            // So small a step that nothing gets better: the bottom.
-            settled = damping > 1e8;
+            // No improvement even with tiny steps: the minimum.
+            converged = damping > 1e8;
             damping *= 10.0;
         }
     }
@@ -89,12 +88,12 @@ pub(crate) fn refine(segments: &[Segment], initial: &Polynomials) -> Result<Refi
         samples,
         condition: solution.condition,
     };
-    Ok(Refined { estimated, steps, settled })
+    Ok(Refined { estimated, steps, converged })
 }
 
-/// What the state at the beginning can add to the output of a stretch that does not begin at rest: orthonormal columns.
-/// Residual and derivatives are taken without it, which fits the state along (variable projection; Kaufman, BIT 15,
-/// 1975, doi:10.1007/BF01932995).
+/// Possible contributions of the initial state to the output of a segment that does not begin at rest: orthonormal
+/// columns. They are projected out of residual and derivatives, which implicitly fits the state (variable projection;
+/// Kaufman, BIT 15, 1975, doi:10.1007/BF01932995).
 fn free_initial_state(segment: &Segment, model: &Polynomials) -> Option<DMatrix<f64>> {
     if segment.from_rest || segment.len() <= model.memory() || model.memory() == 0 {
         return None;
@@ -104,14 +103,14 @@ fn free_initial_state(segment: &Segment, model: &Polynomials) -> Option<DMatrix<
     Some(DMatrix::from_fn(segment.len(), model.memory(), known).qr().q())
 }
 
-/// Takes the part of `signal` that lies in the columns of `open`; gives what was taken.
+/// Removes the part of `signal` in the span of `open`; returns the removed part.
 fn project_out(open: &DMatrix<f64>, signal: &mut DVectorViewMut<'_, f64>) -> DVector<f64> {
     let part = open * open.tr_mul(signal);
     *signal -= &part;
     part
 }
 
-/// Output from rest and what is left of the observed output, the free initial state taken out; zero where nothing was
+/// Output from rest, and the residual of the observed output without the free initial state; zero where nothing was
 /// observed.
 fn residual(segment: &Segment, model: &Polynomials, open: Option<&DMatrix<f64>>) -> (Vec<f64>, DVector<f64>) {
     let mut output = model.simulate(&segment.input);
@@ -126,7 +125,7 @@ fn residual(segment: &Segment, model: &Polynomials, open: Option<&DMatrix<f64>>)
     (output, left)
 }
 
-/// Sum of squared residuals; infinite where the simulation runs away.
+/// Sum of squared residuals; infinite where the simulation diverges.
 pub(super) fn squares(segments: &[Segment], model: &Polynomials) -> f64 {
     let of = |s: &Segment| residual(s, model, free_initial_state(s, model).as_ref()).1.norm_squared();
     let sum: f64 = segments.iter().map(of).sum();
@@ -142,8 +141,8 @@ fn linearise(segments: &[Segment], model: &Polynomials) -> DMatrix<f64> {
     triangle.finish()
 }
 
-/// Gives `take` a row for each observed sample: derivatives of the simulated output with respect to
-/// [`Polynomials::parameters`], then `further`, that with respect to one more parameter, then the residual.
+/// Passes `take` a row for each observed sample: derivatives of the simulated output with respect to
+/// [`Polynomials::parameters`], then `further`, the derivative with respect to one more parameter, then the residual.
 pub(super) fn each_row(segment: &Segment, model: &Polynomials, further: Option<&[f64]>, mut take: impl FnMut(&[f64])) {
     let (na, nb, nk) = (model.na(), model.nb(), model.nk);
     let open = free_initial_state(segment, model);
@@ -177,7 +176,7 @@ pub(super) fn each_row(segment: &Segment, model: &Polynomials, further: Option<&
     }
 }
 
-/// Solves with the columns' own lengths, times √damping, below the triangle.
+/// Solves with the columns' norms, times √damping, appended below the triangle.
 pub(super) fn damped_step(triangle: &DMatrix<f64>, damping: f64) -> Option<DVector<f64>> {
     let p = triangle.ncols() - 1;
     let mut columns = triangle.clone().resize_vertically(triangle.nrows() + p, 0.0);

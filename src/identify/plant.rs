@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 /// Standard gravity.
 const GRAVITY_M_S2: f64 = 9.806_65;
 
-/// What turns current and angle into torque.
+/// Converts current and angle to torque.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Plant {
     /// A N B0: torque of one ampere across the field, N·m/A.
@@ -24,7 +24,7 @@ impl Plant {
     /// Reads `plant.toml`.
     ///
     /// # Errors
-    /// When it cannot be read, is no such file, or a value cannot be right.
+    /// When it cannot be read, is not such a file, or a value cannot be right.
     pub fn load(path: &Path) -> Result<Self, PlantError> {
         let file = || path.to_owned();
         let text = std::fs::read_to_string(path).map_err(|source| PlantError::Read { file: file(), source })?;
@@ -66,7 +66,7 @@ struct Raw {
 /// Why a plant file cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum PlantError {
-    /// The file system did not give the file.
+    /// The file cannot be read.
     #[error("cannot read plant file {}", file.display())]
     Read {
         /// Which file.

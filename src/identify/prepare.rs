@@ -1,22 +1,22 @@
-//! What is done to the signals before they are identified: trends taken off, fewer samples.
+//! Preparation of the signals: detrending and decimation.
 
 use super::data::{Record, Segment};
 use std::f64::consts::PI;
 
-/// Half length of the filter before decimation, in samples of the result.
+/// Half length of the anti-aliasing filter, in samples of the result.
 const HALF_TAPS: usize = 5;
-/// Its corner, as a part of the new Nyquist frequency.
+/// Its cutoff, as a fraction of the new Nyquist frequency.
 const CORNER: f64 = 0.8;
 
-/// What is taken off input and output.
+/// What is removed from input and output.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(crate) enum Detrend {
     /// Nothing.
     #[default]
     None,
-    /// The mean of the data that are fitted, from all data.
+    /// The mean of the fitted data, removed from all data.
     Mean,
-    /// A line through the data that are fitted, each record its own; other records lose the mean of the data fitted.
+    /// A line through each fitted record; from other records the mean of the fitted data.
     Linear,
 }
 
@@ -25,7 +25,7 @@ pub(crate) enum Detrend {
 pub(crate) struct Line {
     /// Value at `about_s`.
     pub offset: f64,
-    /// Change in a second.
+    /// Change per second.
     pub slope: f64,
     /// Seconds of the record's clock.
     pub about_s: f64,
@@ -37,7 +37,7 @@ impl Line {
     }
 }
 
-/// What was taken off one record: from input and output.
+/// What was removed from one record's input and output.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(crate) struct Trend {
     /// From the input.
@@ -47,7 +47,7 @@ pub(crate) struct Trend {
 }
 
 impl Trend {
-    /// The trend of one record's stretches, or of several records' where `slope` is not asked.
+    /// The trend of one record's segments, or of several records' without `slope`.
     pub(crate) fn of(segments: &[Segment], period_s: f64, slope: bool) -> Self {
         let line = |signal: fn(&Segment) -> &[f64]| {
             let points = || {
@@ -70,7 +70,7 @@ impl Trend {
         Self { input: line(|s| &s.input), output: line(|s| &s.output) }
     }
 
-    /// Takes it off.
+    /// Removes it.
     pub(crate) fn remove(&self, segment: &mut Segment, period_s: f64) {
         let start_s = segment.start_s;
         let off = |signal: &mut [f64], line: Line| {
@@ -81,9 +81,9 @@ impl Trend {
     }
 }
 
-/// Every `factor`-th sample behind a low-pass filter (windowed sinc, Hamming, without phase), the same for all signals,
-/// so that what relates them stays the same. The input, which is held from sample to sample, is averaged over the new,
-/// longer hold. Five samples of the result are lost at both ends of every stretch.
+/// Every `factor`-th sample after a low-pass filter (windowed sinc, Hamming, zero phase), the same for all signals, so
+/// that their relation is unchanged. The input, which is held from sample to sample, is averaged over the new, longer
+/// hold. Five samples of the result are lost at both ends of every segment.
 pub(crate) fn decimate(record: &Record, factor: usize, period_s: f64) -> Record {
     let half = HALF_TAPS * factor;
     let corner = CORNER / factor as f64;
@@ -145,7 +145,7 @@ mod tests {
         let at = |t: f64| (2.0 * PI * 0.3 * t).sin();
         let time = |k: usize| s.start_s + k as f64 * 0.4;
         assert!(s.output.iter().enumerate().all(|(k, v)| (v - at(time(k))).abs() < 0.01));
-        // Averaged over four samples from there on: the middle is 0.15 s later.
+        // Averaged over four samples from there: the centre is 0.15 s later.
         assert!(s.input.iter().enumerate().all(|(k, v)| (v - at(time(k) + 0.15)).abs() < 0.03));
         assert_eq!((s.len(), s.input.len()), ((400 - 40) / 4, s.output.len()));
         let fast = decimate(&wave(2.0), 4, 0.1);

@@ -1,9 +1,9 @@
-//! Where a result is from: names, units and settings, and a summary of each record as it was read.
+//! Origin of a result: names, units and settings, and a summary of each record as read.
 
 use super::delay::Delay;
 use super::fit::InitialState;
 
-/// One record as it was read.
+/// One record as read.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(crate) struct RecordSummary {
     /// Its name, as the user gave it.
@@ -12,8 +12,8 @@ pub(crate) struct RecordSummary {
     pub training: bool,
     /// Outputs observed.
     pub samples: usize,
-    /// Stretches of known input.
-    pub stretches: usize,
+    /// Segments of known input.
+    pub segments: usize,
     /// Seconds from the first sample to the last.
     pub duration_s: f64,
     /// Period before decimation, seconds.
@@ -24,28 +24,30 @@ pub(crate) struct RecordSummary {
     pub lost: usize,
     /// Samples without an output.
     pub missed: usize,
+    /// Of these, frames that a person has vetoed.
+    pub vetoed: usize,
     /// Angles interpolated for the torque.
     pub bridged: usize,
-    /// Where simulations of it begin that are shown: a part of a longer record does not begin at rest.
+    /// Initial state of the simulations shown: a part of a longer record does not begin at rest.
     pub initial_state: InitialState,
-    /// How much later the output is than the commands say.
+    /// Delay of the output after the commands.
     pub delay: Option<Delay>,
 }
 
-/// Where a result is from.
+/// Origin of a result.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(crate) struct Provenance {
-    /// Head of the page.
+    /// Title of the page.
     pub title: String,
     /// Name of the input.
     pub input: String,
-    /// Its unit; empty when not known.
+    /// Its unit; empty when unknown.
     pub input_unit: String,
     /// Name of the output.
     pub output: String,
-    /// Its unit; empty when not known.
+    /// Its unit; empty when unknown.
     pub output_unit: String,
-    /// Where simulations begin.
+    /// Initial state of simulations.
     pub initial_state: InitialState,
     /// The records in the order of [`Data`](super::data::Data): training, then validation.
     pub records: Vec<RecordSummary>,

@@ -1,21 +1,21 @@
-//! From what was recorded to a series: θ at camera times, and the current that the amplifier held between them.
+//! From a recording to a series: θ at camera times, and the current that the amplifier held between them.
 //!
-//! In: frames and commands of the coils on the camera's clock. Out: one entry for each camera frame, lost ones too,
-//! with the current averaged from this frame to the next. The last command is taken to be held to the end.
+//! In: frames and commands of the coils on the camera's clock. Out: one entry for each camera frame, including lost
+//! ones, with the current averaged from this frame to the next. The last command is assumed to be held to the end.
 
 use super::grid::{Grid, GridError, Series};
 use super::hold::Held;
 use super::plant::Plant;
 use crate::series::{Current, Recording};
 
-/// An interval longer than so many periods holds lost frames.
-const WITH_LOST: f64 = 1.5;
+/// Interval, in periods, beyond which frames were lost.
+const GAP_PERIODS: f64 = 1.5;
 const S_PER_NS: f64 = 1e-9;
 
 /// Why a recording cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum RecordedError {
-    /// Nothing in it.
+    /// It has no frame.
     #[error("{name}: has no frame")]
     NoFrame {
         /// The recording.
@@ -28,7 +28,7 @@ pub(crate) enum RecordedError {
         name: String,
         /// How many frames.
         frames: usize,
-        /// The reason of the first.
+        /// The first reason.
         why: String,
     },
     /// No commands.
@@ -39,14 +39,14 @@ pub(crate) enum RecordedError {
         /// The recording.
         name: String,
     },
-    /// A coil that is not there.
+    /// A coil that does not exist.
     #[error("{name}: has currents of {coils} coils, and coil {coil} was asked for; they are counted from 0")]
     NoCoil {
         /// The recording or table.
         name: String,
-        /// How many coils there are.
+        /// The number of coils.
         coils: usize,
-        /// The one asked for.
+        /// The requested one.
         coil: usize,
     },
     /// No frame has a current.
@@ -63,7 +63,7 @@ pub(crate) enum RecordedError {
         /// First and last command, seconds.
         commands_s: (f64, f64),
     },
-    /// Frame times are no grid.
+    /// Frame times do not form a grid.
     #[error(transparent)]
     Grid(#[from] GridError),
 }
@@ -82,10 +82,10 @@ pub(crate) struct Observed {
 }
 
 impl Observed {
-    /// Of a recording.
+    /// Reads θ from a recording.
     ///
     /// # Errors
-    /// When there is no frame, or none with θ.
+    /// When there is no frame, or no frame with θ.
     pub(crate) fn of(recording: &Recording) -> Result<Self, RecordedError> {
         let name = recording.path.display().to_string();
         let frames = &recording.frames;
@@ -107,7 +107,7 @@ impl Observed {
         })
     }
 
-    /// The commands of one coil, on the clock of [`Observed::time_s`]. `name`: where the currents are from.
+    /// The commands of one coil, on the clock of [`Observed::time_s`]. `name`: the source of the currents.
     ///
     /// # Errors
     /// When there are none, or none of this coil.
@@ -124,8 +124,8 @@ impl Observed {
         if all.is_empty() { Err(none()) } else { Ok(Held::new(all)) }
     }
 
-    /// The series: drive in amperes where `plant` makes a torque of it, and in the unit of `commands` otherwise.
-    /// Commands act `delay_s` later than they say.
+    /// The series: the drive is in amperes if `plant` converts it to torque, otherwise in the unit of `commands`.
+    /// Commands act `delay_s` after their times.
     ///
     /// # Errors
     /// When frame times do not rise, or no frame has a current.
@@ -140,7 +140,7 @@ impl Observed {
         for (k, (t, theta)) in self.time_s.iter().zip(&self.theta_rad).enumerate() {
             let next = self.time_s.get(k + 1).copied().unwrap_or(t + usual);
             let periods = (next - t) / usual;
-            let whole = if periods < WITH_LOST { 1 } else { periods.round() as usize };
+            let whole = if periods < GAP_PERIODS { 1 } else { periods.round() as usize };
             let step = (next - t) / whole as f64;
             for lost in 0..whole {
                 let from = t + lost as f64 * step;
@@ -208,6 +208,7 @@ mod tests {
             frames: stamps_ms.iter().enumerate().map(frame).collect(),
             currents: Vec::new(),
             cut: None,
+            vetoed: 0,
         }
     }
 
@@ -224,7 +225,7 @@ mod tests {
         assert_eq!(series.output, [Some(0.0), None, None, None, Some(2.0), Some(3.0)]);
         let drive: Vec<f64> = series.drive.iter().flatten().map(|d| (d * 1e9).round() / 1e9).collect();
         assert_eq!(drive, [2.0, 3.0, 1.0, -1.0, -1.0, -1.0]);
-        // Later by 5 ms: before the first command nothing is known.
+        // Later by 5 ms: the drive before the first command is unknown.
         let late = observed.series(&held, None, 0.005).unwrap();
         assert_eq!(late.drive[0], None);
         assert!((late.drive[1].unwrap() - 3.0).abs() < 1e-9);

@@ -1,51 +1,48 @@
-//! Fewer states with nearly the same response: balanced truncation of the discrete model.
+//! Model order reduction: balanced truncation of the discrete model.
 //!
-//! In: a model, how many states to keep. Out: the reduced model and all Hankel singular values. States are brought to
-//! the coordinates in which they are driven and seen equally strongly; those of small singular value are cut off
+//! In: a model, how many states to keep. Out: the reduced model and all Hankel singular values. States are transformed
+//! to coordinates in which they are equally controllable and observable; those with small singular values are removed
 //! (Moore, IEEE TAC 26, 1981, doi:10.1109/TAC.1981.1102568). The error of the response is nowhere larger than twice the
-//! sum of those cut off. What is unstable has no Gramian: it is split off first, kept whole, and added again.
+//! sum of those removed. Unstable states have no Gramian: they are split off first, kept, and added again.
 
 use super::IdentifyError;
-use super::decompositions::svd;
+use super::balance::Balanced;
 use super::gramian::{band_factors, factor};
 use super::model::{Polynomials, monic};
 use super::state_space::StateSpace;
 use nalgebra::{Complex, DMatrix, DVector, RowDVector};
 
-/// Singular values below this part of the largest are noise of the arithmetic.
-const RANK: f64 = 1e-14;
-/// `auto`: the bound on the error of the response, as a part of its largest value.
+/// `auto`: bound on the error of the response, as a fraction of its largest value.
 const AUTO_ERROR: f64 = 0.05;
 
 /// How states are removed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Removal {
-    /// Cut off: best at high frequencies, and as the paper does it.
+    /// Truncated: best at high frequencies, as in the paper.
     #[default]
     Truncate,
-    /// Held at their steady state: the gain at zero frequency is kept (Liu and Anderson, Int. J. Control 50, 1989,
-    /// doi:10.1080/00207178908953437).
+    /// Residualised (held at their steady state): keeps the gain at zero frequency (Liu and Anderson, Int. J. Control
+    /// 50, 1989, doi:10.1080/00207178908953437).
     MatchDc,
 }
 
 /// How far to reduce.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Target {
-    /// So many states, unstable ones included; all that matter, when there are fewer.
+    /// This many states, including unstable ones; all significant ones, if there are fewer.
     Order(usize),
-    /// As few as keep the bound on the error below 5 % of the largest response.
+    /// As few as possible with the error bound below 5 % of the largest response.
     Auto,
 }
 
 /// How to reduce.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Reduction {
-    /// How far.
+    /// Target order.
     pub target: Target,
     /// How states are removed.
     pub removal: Removal,
-    /// Balance for these frequencies alone, radians a sample. The bound on the error, and stability, are then not
-    /// promised.
+    /// Balance only for these frequencies, radians per sample. Error bound and stability are then not guaranteed.
     pub band: Option<(f64, f64)>,
 }
 
@@ -56,22 +53,22 @@ pub struct Reduced {
     pub model: Polynomials,
     /// Hankel singular values of the stable part over all frequencies, largest first.
     pub hankel: Vec<f64>,
-    /// The same of the band alone, when balanced for one.
+    /// The same for the band alone, when balanced for one.
     pub hankel_in_band: Option<Vec<f64>>,
     /// Unstable states, all kept.
     pub unstable: usize,
-    /// The order asked for, when the model has fewer states that matter.
+    /// The requested order, if the model has fewer significant states.
     pub asked_for_more: Option<usize>,
-    /// The response differs nowhere by more; infinite when balanced for a band.
+    /// Bound on the error of the response; infinite when balanced for a band.
     pub error_bound: f64,
 }
 
-/// Reduces `model`. Samples of delay beyond the first are kept as they are and do not count as states.
+/// Reduces `model`. Samples of delay beyond the first are kept and do not count as states.
 ///
 /// # Errors
-/// [`IdentifyError::NotReduced`] when less is asked than is unstable, or poles lie on the unit circle.
+/// [`IdentifyError::NotReduced`] when fewer states are requested than are unstable, or poles lie on the unit circle.
 pub(crate) fn reduce(model: &Polynomials, how: Reduction) -> Result<Reduced, IdentifyError> {
-    // A delay would take up states that are meant for the dynamics.
+    // A delay would use up states meant for the dynamics.
     let (prompt, beyond) = model.without_delay();
     let reduced = reduce_prompt(&prompt, how)?;
     let nk = reduced.model.nk + beyond;
@@ -85,13 +82,15 @@ fn reduce_prompt(model: &Polynomials, how: Reduction) -> Result<Reduced, Identif
     let stable = stable.triangular();
     // 1. factors of the Gramians, and the singular values of their product
     let whole = factor(&stable.a, &stable.b).zip(factor(&stable.a.transpose(), &stable.c.transpose()));
-    let whole = Balance::of(whole.ok_or_else(on_circle)?).ok_or_else(on_circle)?;
+    let whole = Balanced::of(whole.ok_or_else(on_circle)?.into()).ok_or_else(on_circle)?;
     let in_band = match how.band {
-        Some(band) => Some(band_factors(&stable, band).and_then(|[d, s]| Balance::of((d, s))).ok_or_else(on_circle)?),
+        Some(band) => {
+            Some(band_factors(&stable.a, &stable.b, &stable.c, band).and_then(Balanced::of).ok_or_else(on_circle)?)
+        }
         None => None,
     };
-    let Balance { driven, seen, left, right, values } = in_band.as_ref().unwrap_or(&whole);
-    let rank = values.iter().filter(|s| **s > RANK * values.first().copied().unwrap_or(0.0)).count();
+    let Balanced { into, from, values } = in_band.as_ref().unwrap_or(&whole);
+    let rank = into.ncols();
     let tail = |kept: usize| 2.0 * values.iter().skip(kept).sum::<f64>();
     // 2. how many to keep
     let fixed = unstable.order();
@@ -109,14 +108,10 @@ fn reduce_prompt(model: &Polynomials, how: Reduction) -> Result<Reduced, Identif
             }
         },
     };
-    // 3. balanced coordinates of all states that matter, then the removal
-    let scale =
-        |columns: DMatrix<f64>| DMatrix::from_fn(columns.nrows(), rank, |i, j| columns[(i, j)] / values[j].sqrt());
-    let into = scale(driven * right.transpose());
-    let from = scale(seen * left).transpose();
-    let balanced = StateSpace { a: &from * &stable.a * &into, b: &from * &stable.b, c: &stable.c * &into, d: stable.d };
+    // 3. balanced coordinates of all significant states, then the removal
+    let balanced = StateSpace { a: from * &stable.a * into, b: from * &stable.b, c: &stable.c * into, d: stable.d };
     let reduced = match how.removal {
-        // Nothing is removed: the model itself, without the rounding of the way there and back.
+        // Nothing is removed: return the model itself, without rounding errors of the transformations.
         _ if keep == stable.order() => model.clone(),
         Removal::Truncate => first(&balanced, keep).sum(&unstable).polynomials(),
         Removal::MatchDc => residual(&balanced, keep).ok_or_else(on_circle)?.sum(&unstable).polynomials(),
@@ -134,8 +129,7 @@ fn reduce_prompt(model: &Polynomials, how: Reduction) -> Result<Reduced, Identif
     })
 }
 
-/// Reduces for a band; over all frequencies where the band's reduction would be unstable, of which the second value
-/// tells.
+/// Reduces for a band, or for all frequencies if the band's reduction would be unstable, as the second value tells.
 ///
 /// # Errors
 /// As [`reduce`].
@@ -148,28 +142,6 @@ pub(crate) fn reduce_in_band(model: &Polynomials, how: Reduction) -> Result<(Red
     reduce(model, Reduction { band: None, ..how }).map(|reduced| (reduced, true))
 }
 
-/// Factors of both Gramians with the singular values and vectors of their product.
-struct Balance {
-    driven: DMatrix<f64>,
-    seen: DMatrix<f64>,
-    left: DMatrix<f64>,
-    right: DMatrix<f64>,
-    values: Vec<f64>,
-}
-
-impl Balance {
-    fn of((driven, seen): (DMatrix<f64>, DMatrix<f64>)) -> Option<Self> {
-        if driven.is_empty() {
-            // A gain alone, or nothing that is stable.
-            let none = || DMatrix::zeros(0, 0);
-            return Some(Self { driven: none(), seen: none(), left: none(), right: none(), values: Vec::new() });
-        }
-        let svd = svd(seen.transpose() * &driven)?;
-        let values = svd.singular_values.iter().copied().collect();
-        Some(Self { driven, seen, left: svd.u?, right: svd.v_t?, values })
-    }
-}
-
 fn first(system: &StateSpace, keep: usize) -> StateSpace {
     StateSpace {
         a: system.a.view((0, 0), (keep, keep)).into_owned(),
@@ -179,7 +151,7 @@ fn first(system: &StateSpace, keep: usize) -> StateSpace {
     }
 }
 
-/// The other states follow at once: x₂ = (I − A₂₂)⁻¹ (A₂₁ x₁ + b₂ u).
+/// The other states follow instantaneously: x₂ = (I − A₂₂)⁻¹ (A₂₁ x₁ + b₂ u).
 fn residual(system: &StateSpace, keep: usize) -> Option<StateSpace> {
     let n = system.order();
     let gone = n - keep;
@@ -207,7 +179,7 @@ fn peak(model: &Polynomials) -> f64 {
     (0..=GRID).map(at).filter(|v| v.is_finite()).fold(0.0, f64::max)
 }
 
-/// The stable and the unstable part, whose sum is the model. Nothing when a pole lies on the unit circle.
+/// The stable and the unstable part, whose sum is the model. `None` when a pole lies on the unit circle.
 fn split(model: &Polynomials) -> Option<(StateSpace, StateSpace)> {
     let whole = StateSpace::of(model);
     let none = || StateSpace { a: DMatrix::zeros(0, 0), b: DVector::zeros(0), c: RowDVector::zeros(0), d: 0.0 };
@@ -219,7 +191,7 @@ fn split(model: &Polynomials) -> Option<(StateSpace, StateSpace)> {
     if outside.is_empty() {
         return Some((whole, none()));
     }
-    // B/A = N₁/A₁ + N₂/A₂ + d, strictly proper both: one linear equation a power of z.
+    // B/A = N₁/A₁ + N₂/A₂ + d, both strictly proper: one linear equation per power of z.
     let n = model.memory();
     let zeros = n - inside.len() - outside.len();
     let stable = monic(inside.iter().copied().chain(std::iter::repeat_n(Complex::new(0.0, 0.0), zeros)));
@@ -286,8 +258,8 @@ mod tests {
         }
     }
 
-    /// True values by mpmath with 80 digits. slycot is off by 1.4e-3: the coefficients do not hold more digits of the
-    /// poles.
+    /// True values by mpmath with 80 digits. slycot is off by 1.4e-3: the coefficients do not determine more digits of
+    /// the poles.
     #[test]
     fn slow_poles_close_together_keep_the_digits_that_they_have() {
         const SLOW: [f64; 4] = [5_793_824.202, 825_474.550_9, 33_062.823_38, 191.344_974];
@@ -330,11 +302,11 @@ mod tests {
             let kept = reduce(&fourth_order(), Reduction { target: Target::Order(order), ..TWO }).unwrap();
             assert_eq!((kept.model, kept.asked_for_more), (fourth_order(), (order == 5).then_some(5)));
         }
-        // A delay is no state.
+        // A delay is not a state.
         let late = Polynomials { a: vec![1.0, -0.5], b: vec![2.0], nk: 5 };
         let kept = reduce(&late, Reduction { target: Target::Order(1), ..TWO }).unwrap();
         assert_eq!((kept.model, kept.asked_for_more), (late, None));
-        // Four states of which one matters.
+        // Four states of which one is significant.
         let copies = Polynomials { a: vec![1.0, -1.2, 0.35], b: vec![1.0, -0.7], nk: 1 };
         let kept = reduce(&copies, TWO).unwrap();
         assert_eq!((kept.model.na(), kept.asked_for_more), (1, Some(2)));

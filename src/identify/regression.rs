@@ -1,18 +1,18 @@
-//! Least squares on lagged signals by orthogonal triangles: one factorisation for every order and delay.
+//! Least squares on lagged signals by QR: one factorisation for every order and delay.
 //!
-//! The regressors of the largest model, with the output as last column, are brought to a triangle R once. Any smaller
-//! model's regressors are some of these columns; an orthogonal factor changes no lengths, so its problem is that of R's
-//! columns, which has as many rows as columns, not as the record has samples (Ljung, System Identification, 2nd ed.,
-//! section 10.1). Nothing is squared on the way: normal equations would lose half the digits.
+//! The regressors of the largest model, with the output as last column, are reduced to a triangle R once. The
+//! regressors of any smaller model are some of these columns; an orthogonal factor preserves lengths, so its problem is
+//! that of R's columns, with as many rows as columns instead of samples (Ljung, System Identification, 2nd ed., section
+//! 10.1). Nothing is squared on the way: normal equations would lose half the digits.
 
 use super::data::Segment;
 use super::decompositions::extreme_singular_values;
 use nalgebra::{DMatrix, DVector};
 
-/// Rows brought to the triangle at a time.
+/// Rows added to the triangle at a time.
 const BLOCK: usize = 512;
 
-/// The upper triangle of rows seen so far.
+/// The upper triangle of the rows so far.
 #[derive(Debug, Clone)]
 pub(crate) struct Triangle {
     /// Square, as many rows as columns.
@@ -23,13 +23,13 @@ pub(crate) struct Triangle {
 }
 
 impl Triangle {
-    /// Of rows with so many columns.
+    /// For rows with this many columns.
     pub(crate) fn new(columns: usize) -> Self {
         let block = DMatrix::zeros(columns + BLOCK, columns);
         Self { r: DMatrix::zeros(columns, columns), block, filled: 0, rows: 0 }
     }
 
-    /// One more row: as many values as there are columns. One with a NaN, an output that was not observed, is left out.
+    /// Adds a row, with one value per column. A row with NaN, an unobserved output, is left out.
     pub(crate) fn push(&mut self, row: impl IntoIterator<Item = f64>) {
         let at = self.r.nrows() + self.filled;
         for (place, value) in self.block.row_mut(at).iter_mut().zip(row) {
@@ -80,8 +80,8 @@ pub(crate) struct Solution {
     pub condition: f64,
 }
 
-/// Solves for the last column of `columns` with the others as regressors. Nothing when there are none, or they depend
-/// on each other to machine precision.
+/// Solves for the last column of `columns` with the others as regressors. `None` when there are none, or they are
+/// dependent to machine precision.
 pub(crate) fn solve(columns: DMatrix<f64>) -> Option<Solution> {
     let p = columns.ncols().checked_sub(1)?;
     let rows = columns.nrows();
@@ -115,7 +115,7 @@ pub(crate) fn solve(columns: DMatrix<f64>) -> Option<Solution> {
     })
 }
 
-/// Row `t` of the regression on `na` outputs and `nb` inputs from lag `nk` on: −y(t−1) …, u(t−nk) …, y(t).
+/// Row `t` of the regression on `na` outputs and `nb` inputs from lag `nk`: −y(t−1) …, u(t−nk) …, y(t).
 pub(crate) fn row(
     segment: &Segment,
     t: usize,

@@ -1,33 +1,33 @@
-//! Whether a model left nothing to explain: its residuals against themselves and against the input.
+//! Residual analysis: correlation of a model's residuals with themselves and with the input.
 //!
 //! White residuals have no correlation at any lag but 0; residuals that a better model could explain correlate with the
-//! input at lags 0 and above. Below lag 0 they do where the input was computed from the output, as by Eq. 6. Bounds are
-//! those that 99 % of the values keep when there is no correlation (Ljung, 2nd ed., section 16.6).
+//! input at lags 0 and above. They do so below lag 0 if the input was computed from the output, as by Eq. 6. Bounds
+//! contain 99 % of the values when there is no correlation (Ljung, 2nd ed., section 16.6).
 
 use super::data::Segment;
 use super::fit::{InitialState, Kind, output};
 use super::model::{Noise, Polynomials};
 
-/// Lags looked at.
+/// Lags evaluated.
 const LAGS: usize = 25;
-/// Lags whose correlation widens the bound, at most.
-const FURTHEST: usize = 400;
-/// 99 % of a normal distribution lie within so many σ.
-const WITHIN: f64 = 2.576;
+/// Most lags whose correlation widens the bound.
+const MAX_BOUND_LAGS: usize = 400;
+/// 99 % of a normal distribution lie within this many σ.
+const SIGMAS_99: f64 = 2.576;
 
-/// Of the correlations that 99 % should keep within the bound, this part may be out before it is said.
-const OUTSIDE: f64 = 0.1;
+/// Fraction of correlations that may exceed the 99 % bound before it is reported.
+const MAX_OUTSIDE: f64 = 0.1;
 
 /// Correlations of residuals.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Residuals {
-    /// With themselves, lags 0 to 25, 1 at lag 0.
+    /// Autocorrelation, lags 0 to 25, 1 at lag 0.
     pub auto: Vec<f64>,
-    /// 99 % of [`Residuals::auto`] keep within it, when white.
+    /// Contains 99 % of [`Residuals::auto`], if white.
     pub auto_bound: f64,
-    /// With the input, lags −25 to 25, as correlation coefficients.
+    /// Correlation coefficients with the input, lags −25 to 25.
     pub cross: Vec<f64>,
-    /// 99 % of [`Residuals::cross`] keep within it, when nothing is left to explain.
+    /// Contains 99 % of [`Residuals::cross`], if nothing is left to explain.
     pub cross_bound: f64,
     /// Root mean square, unit of the output.
     pub rms: f64,
@@ -35,18 +35,18 @@ pub struct Residuals {
     pub samples: usize,
 }
 
-/// Residuals of a stretch, and the inputs at their times.
-struct Left<'a> {
+/// Residuals of a segment, and the inputs at their times.
+struct SegmentResiduals<'a> {
     residual: Vec<f64>,
     input: &'a [f64],
 }
 
 impl Residuals {
-    /// Of what a model takes for noise: with noise at the equation the errors of its one-step predictions, with noise
-    /// at the output those of its simulation. Nothing when there are not many more samples than lags.
+    /// Residuals according to the noise model: with noise at the equation, errors of the one-step predictions; with
+    /// noise at the output, those of the simulation. `None` when there are not many more samples than lags.
     pub fn of(model: &Polynomials, segments: &[Segment], noise: Noise) -> Option<Self> {
         let memory = model.memory();
-        let pairs: Vec<Left<'_>> = segments
+        let pairs: Vec<SegmentResiduals<'_>> = segments
             .iter()
             .filter(|s| s.len() > memory)
             .map(|s| {
@@ -55,7 +55,7 @@ impl Residuals {
                     Noise::Output => output(model, s, Kind::Simulation(InitialState::Rest)).split_off(memory),
                 };
                 let left = s.output[memory..].iter().zip(&modelled).map(|(y, m)| y - m);
-                Left { residual: left.collect(), input: &s.input[memory..s.len()] }
+                SegmentResiduals { residual: left.collect(), input: &s.input[memory..s.len()] }
             })
             .collect();
         let samples: usize = pairs.iter().map(|p| p.residual.iter().filter(|e| !e.is_nan()).count()).sum();
@@ -65,9 +65,9 @@ impl Residuals {
         let n = samples as f64;
         let inputs: usize = pairs.iter().map(|p| p.input.len()).sum();
         let mean = pairs.iter().flat_map(|p| p.input.iter()).sum::<f64>() / inputs as f64;
-        // Σ x(t) y(t+lag) over all stretches.
-        let sum = |lag: usize, of: &dyn Fn(&Left<'_>, usize) -> f64| -> f64 {
-            // Without its whole past a sample has no residual.
+        // Σ x(t) y(t+lag) over all segments.
+        let sum = |lag: usize, of: &dyn Fn(&SegmentResiduals<'_>, usize) -> f64| -> f64 {
+            // Without a full past a sample has no residual.
             pairs.iter().map(|p| (lag..p.residual.len()).map(|t| of(p, t)).filter(|v| !v.is_nan()).sum::<f64>()).sum()
         };
         let (ee, uu) = (sum(0, &|p, t| p.residual[t] * p.residual[t]), sum(0, &|p, t| (p.input[t] - mean).powi(2)));
@@ -78,9 +78,9 @@ impl Residuals {
         let later = |lag: usize| sum(lag, &|p, t| p.residual[t] * (p.input[t - lag] - mean)) / scale;
         let earlier = |lag: usize| sum(lag, &|p, t| p.residual[t - lag] * (p.input[t] - mean)) / scale;
         let cross = (1..=LAGS).rev().map(earlier).chain((0..=LAGS).map(later)).collect();
-        // Variance of the estimate when the two have nothing to do with each other: Σ ρ_e ρ_u / N over all lags. Both
-        // may reach much further than the lags shown.
-        let further = (samples / 4).min(FURTHEST);
+        // Variance of the estimate when the two are independent: Σ ρ_e ρ_u / N over all lags. Both may extend far
+        // beyond the lags shown.
+        let further = (samples / 4).min(MAX_BOUND_LAGS);
         let beyond = (LAGS + 1..further).map(|lag| {
             let auto = sum(lag, &|p, t| p.residual[t] * p.residual[t - lag]) / ee;
             auto * sum(lag, &|p, t| (p.input[t] - mean) * (p.input[t - lag] - mean)) / uu
@@ -89,15 +89,15 @@ impl Residuals {
         let both: f64 = 1.0 + 2.0 * shown.chain(beyond).sum::<f64>();
         Some(Self {
             auto,
-            auto_bound: WITHIN / n.sqrt(),
+            auto_bound: SIGMAS_99 / n.sqrt(),
             cross,
-            cross_bound: WITHIN * (both.max(1e-12) / n).sqrt(),
+            cross_bound: SIGMAS_99 * (both.max(1e-12) / n).sqrt(),
             rms: (ee / n).sqrt(),
             samples,
         })
     }
 
-    /// Whether no more of them are out of their bounds than chance explains.
+    /// Whether no more of them exceed their bounds than chance explains.
     pub fn look_white(&self) -> bool {
         ![self.auto_outside(), self.cross_outside(), self.fed_back()].into_iter().any(too_many)
     }
@@ -107,25 +107,25 @@ impl Residuals {
         index as i64 - LAGS as i64
     }
 
-    /// How many of lags 1 to 25 are out of the bound, and of how many.
+    /// Number of lags 1 to 25 beyond the bound, and the total.
     pub fn auto_outside(&self) -> (usize, usize) {
         (self.auto.iter().skip(1).filter(|r| r.abs() > self.auto_bound).count(), LAGS)
     }
 
-    /// How many of lags 0 to 25 are out of the bound: what the model did not explain. And of how many.
+    /// Number of lags 0 to 25 beyond the bound, which the model did not explain, and the total.
     pub fn cross_outside(&self) -> (usize, usize) {
         (self.cross.iter().skip(LAGS).filter(|r| r.abs() > self.cross_bound).count(), LAGS + 1)
     }
 
-    /// How many of lags −25 to −1 are out of the bound: what was fed back into the input. And of how many.
+    /// Number of lags −25 to −1 beyond the bound, which was fed back into the input, and the total.
     pub fn fed_back(&self) -> (usize, usize) {
         (self.cross.iter().take(LAGS).filter(|r| r.abs() > self.cross_bound).count(), LAGS)
     }
 }
 
-/// Whether so many out of so many are more than chance explains.
+/// Whether `outside` of `of` lags are more than chance explains.
 pub(crate) fn too_many((outside, of): (usize, usize)) -> bool {
-    outside as f64 > OUTSIDE * of as f64
+    outside as f64 > MAX_OUTSIDE * of as f64
 }
 
 #[cfg(test)]

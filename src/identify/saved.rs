@@ -1,7 +1,7 @@
 //! Models read back: `model.json` of `identify`, H(s) of anything from a small file, and Eq. 7 of the paper.
 //!
-//! In: a file. Out: its models, each as samples, as H(s), or both, to be applied to records of any period. It judges
-//! every number; what it cannot know is whether the model is of the same input: names and units are there to compare.
+//! In: a file. Out: its models, each discrete, as H(s), or both, for records of any period. It checks every number, but
+//! cannot know whether the model has the same input: names and units are there to compare.
 
 use super::continuous::{Continuous, Conversion};
 use super::model::{Polynomials, angle};
@@ -10,19 +10,19 @@ use nalgebra::Complex;
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
-/// The name of Eq. 7 where a file is asked for.
+/// The name of Eq. 7 in place of a file.
 pub(crate) const EQ_7: &str = "eq7";
-/// Coefficients of a polynomial at most, as `--order` has it.
-const MOST: usize = 202;
-/// Of H(s): an exponential of a matrix is taken for each.
-const MOST_OF_H: usize = 51;
-/// Periods that differ by less are the same.
+/// Most coefficients of a polynomial, as for `--order`.
+const MAX_COEFFICIENTS: usize = 202;
+/// The same for H(s), which needs a matrix exponential.
+const MAX_COEFFICIENTS_OF_H: usize = 51;
+/// Periods that differ by less count as equal.
 const SAME_PERIOD: f64 = 1e-5;
 
-/// Why a file is no model.
+/// Why a file is not a model.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum SavedError {
-    /// The file system did not give it.
+    /// The file cannot be read.
     #[error("cannot read model {}: {source}; give a model.json of `catoptra identify`, a file of H(s), or {EQ_7}", file.display())]
     Read {
         /// Which file.
@@ -43,16 +43,16 @@ pub(crate) enum SavedError {
     },
 }
 
-/// What a file holds.
+/// Content of a file.
 #[derive(Debug, Clone)]
 pub(crate) struct Saved {
-    /// How the user knows it.
+    /// Its name for the user.
     pub name: String,
-    /// Name and unit of the input, where the file says them.
+    /// Name and unit of the input, if stated in the file.
     pub input: Option<String>,
-    /// Name and unit of the output, where the file says them.
+    /// Name and unit of the output, if stated in the file.
     pub output: Option<String>,
-    /// One at least; the one to use last.
+    /// At least one; the one to use is last.
     pub models: Vec<SavedModel>,
 }
 
@@ -63,9 +63,9 @@ pub(crate) struct SavedModel {
     pub role: Role,
     /// For people.
     pub title: String,
-    /// As samples, with their period in seconds.
+    /// Discrete, with its period in seconds.
     samples: Option<(Polynomials, f64)>,
-    /// As H(s), where the input is held exactly.
+    /// As H(s), if that is exact for a held input.
     continuous: Option<Continuous>,
 }
 
@@ -121,7 +121,7 @@ struct RawConverted {
 }
 
 impl Saved {
-    /// Reads a file; `eq7` where there is no file of this name is Eq. 7.
+    /// Reads a file; `eq7` means Eq. 7 if there is no file of this name.
     ///
     /// # Errors
     /// [`SavedError`].
@@ -201,8 +201,8 @@ impl SavedModel {
         Self { role: Role::Given, title: title.to_owned(), samples: None, continuous: Some(continuous) }
     }
 
-    /// The model for samples of `period_s`: as it was identified where its own are the same, and from H(s) otherwise.
-    /// In words why there is none.
+    /// The model for samples of `period_s`: as identified if its own period is the same, otherwise from H(s); or a
+    /// message why there is none.
     pub(crate) fn at(&self, period_s: f64) -> Result<Polynomials, String> {
         let own = self.samples.as_ref().filter(|(_, own_s)| (own_s / period_s - 1.0).abs() < SAME_PERIOD);
         match (own, &self.continuous, &self.samples) {
@@ -220,7 +220,7 @@ impl SavedModel {
         }
     }
 
-    /// Response at a frequency: of H(s), or of the samples.
+    /// Response at a frequency: of H(s), or of the discrete model.
     pub(crate) fn response(&self, frequency_hz: f64) -> Option<Complex<f64>> {
         match (&self.continuous, &self.samples) {
             (Some(h), _) => Some(h.response(frequency_hz)),
@@ -232,9 +232,9 @@ impl SavedModel {
     }
 }
 
-/// A model of samples whose numbers can be right.
+/// A discrete model after plausibility checks.
 fn polynomials(what: &str, a: &[f64], b: &[f64], nk: usize) -> Result<Polynomials, String> {
-    if a.len().max(b.len()).max(nk) > MOST || a.is_empty() || b.is_empty() {
+    if a.len().max(b.len()).max(nk) > MAX_COEFFICIENTS || a.is_empty() || b.is_empty() {
         return Err(format!(
             "{what}: a, b and the delay have {} and {} coefficients and {nk} samples",
             a.len(),
@@ -244,15 +244,15 @@ fn polynomials(what: &str, a: &[f64], b: &[f64], nk: usize) -> Result<Polynomial
     if a.first() != Some(&1.0) || a.iter().chain(b).any(|c| !c.is_finite()) {
         return Err(format!("{what}: a must begin with 1, and all coefficients must be numbers"));
     }
-    // Zeros at the end come from equal lengths in z.
+    // Trailing zeros come from equal lengths in z.
     let trimmed = |c: &[f64]| c[..c.iter().rposition(|v| *v != 0.0).map_or(1, |last| last + 1)].to_vec();
     Ok(Polynomials { a: trimmed(a), b: trimmed(b), nk })
 }
 
 fn continuous(what: &str, num: Vec<f64>, den: Vec<f64>, delay_s: f64) -> Result<Continuous, String> {
-    if num.is_empty() || den.is_empty() || num.len() > den.len() || den.len() > MOST_OF_H {
+    if num.is_empty() || den.is_empty() || num.len() > den.len() || den.len() > MAX_COEFFICIENTS_OF_H {
         return Err(format!(
-            "{what}: num has {} coefficients and den {}; num must have one at least and no more than den, which has {MOST_OF_H} at \
+            "{what}: num has {} coefficients and den {}; num must have one at least and no more than den, which has {MAX_COEFFICIENTS_OF_H} at \
              most",
             num.len(),
             den.len()

@@ -1,8 +1,8 @@
-//! Which orders and which delay: every candidate fitted from one factorisation, and judged.
+//! Search for orders and delay: every candidate is fitted from one factorisation, and judged.
 //!
-//! In: stretches to fit, stretches to judge by, candidates. Out: one row a candidate. All candidates are fitted to the
-//! same samples, those that the largest of them can use, so that their losses compare. Order and delay are searched
-//! together: a delay taken from a scan at low order can make every higher order unstable.
+//! In: segments to fit, validation segments, candidates. Out: one row per candidate. All candidates are fitted to the
+//! same samples, those that the largest of them can use, so that their losses are comparable. Order and delay are
+//! searched together: a delay taken from a scan at low order can make every higher order unstable.
 
 use super::IdentifyError;
 use super::data::Segment;
@@ -13,11 +13,10 @@ use super::regression::{Triangle, row, solve};
 use nalgebra::DMatrix;
 use rayon::prelude::*;
 
-/// Of the candidates within this factor of the smallest error on other data, the one with the fewest coefficients is
-/// best.
-const AS_GOOD: f64 = 1.05;
+/// Of the candidates within this factor of the smallest validation error, the one with the fewest coefficients is best.
+const NEAR_BEST: f64 = 1.05;
 
-/// A model among those searched, and how it did.
+/// A candidate model and its results.
 #[derive(Debug, Clone)]
 pub struct Candidate {
     /// Orders and delay.
@@ -30,16 +29,16 @@ pub struct Candidate {
     pub aic: f64,
     /// Rissanen's minimum description length, ln V + p ln N / N.
     pub mdl: f64,
-    /// One step ahead on the data to judge by.
+    /// One step ahead on the validation data.
     pub prediction: Option<FitError>,
-    /// From the input alone on the data to judge by.
+    /// From the input alone on the validation data.
     pub simulation: Option<FitError>,
     /// Modulus of the largest pole.
     pub largest_pole: f64,
 }
 
 impl Candidate {
-    /// What the criterion makes of it: the smaller the better. Nothing where there were no data to judge by.
+    /// Its value by the criterion: smaller is better. `None` without validation data.
     pub fn value(&self, criterion: Criterion) -> Option<f64> {
         match criterion {
             Criterion::Aic => Some(self.aic),
@@ -50,16 +49,16 @@ impl Candidate {
     }
 }
 
-/// By what the best candidate is chosen. Unstable ones never are.
+/// Criterion for the best candidate. Unstable ones are never chosen.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Criterion {
     /// Akaike's criterion on the data fitted.
     Aic,
     /// Minimum description length on the data fitted.
     Mdl,
-    /// Prediction error on the other data.
+    /// Prediction error on the validation data.
     Prediction,
-    /// Simulation error on the other data.
+    /// Simulation error on the validation data.
     Simulation,
 }
 
@@ -78,7 +77,7 @@ pub fn search(
     let first_lag = candidates.iter().map(|o| o.nk).min().unwrap_or(0);
     let lags = most(|o| o.nk + o.nb).saturating_sub(first_lag);
     let largest = Orders { na: most(|o| o.na), nb: lags, nk: first_lag };
-    // 1. the triangle of the model that holds them all
+    // 1. the triangle of the model that contains them all
     let mut triangle = Triangle::new(largest.parameters() + 1);
     for segment in train {
         for t in largest.memory()..segment.len() {
@@ -99,7 +98,7 @@ pub fn search(
         let model = Polynomials::of(solution.parameters.as_slice(), orders.na, orders.nk);
         let (n, p) = (samples as f64, orders.parameters() as f64);
         let loss = solution.residual / n;
-        // Without any noise nothing may be left; the penalty then decides.
+        // Without noise the loss may be zero; the penalty then decides.
         let ln_loss = loss.max(f64::MIN_POSITIVE).ln();
         let on_test = |kind| (!test.is_empty()).then(|| compare(&model, test, kind));
         Some(Candidate {
@@ -116,8 +115,8 @@ pub fn search(
     Ok(candidates.par_iter().filter_map(judged).collect())
 }
 
-/// The candidates without the largest, one order after the other, until the record has more rows than any of them has
-/// coefficients; the smallest stay in any case.
+/// Drops the largest candidates, order by order, until the record has more rows than any of them has coefficients; the
+/// smallest stay in any case.
 fn fitting(train: &[Segment], candidates: &[Orders]) -> Vec<Orders> {
     let mut left = candidates.to_vec();
     loop {
@@ -141,14 +140,14 @@ fn columns(all: &DMatrix<f64>, largest: Orders, orders: Orders) -> DMatrix<f64> 
     all.select_columns(&chosen)
 }
 
-/// The best stable candidate. Nothing when all are unstable, or there were no data to judge by.
+/// The best stable candidate. `None` when all are unstable, or there are no validation data.
 pub(crate) fn best(candidates: &[Candidate], criterion: Criterion) -> Option<&Candidate> {
     let stable = || candidates.iter().filter(|c| c.largest_pole < 1.0);
     let value = |c: &Candidate| c.value(criterion);
     let smallest = stable().filter_map(value).filter(|v| v.is_finite()).min_by(f64::total_cmp)?;
     let enough = match criterion {
         Criterion::Aic | Criterion::Mdl => smallest,
-        Criterion::Prediction | Criterion::Simulation => smallest * AS_GOOD,
+        Criterion::Prediction | Criterion::Simulation => smallest * NEAR_BEST,
     };
     let good = stable().filter(|c| value(c).is_some_and(|v| v <= enough));
     good.min_by(|x, y| {

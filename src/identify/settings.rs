@@ -1,4 +1,4 @@
-//! What `identify` is asked for.
+//! Settings of `identify`.
 
 use super::fit::InitialState;
 use super::model::{Noise, Orders};
@@ -9,12 +9,12 @@ use super::search::Criterion;
 /// How the full model is estimated.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Estimator {
-    /// By least squares, as the paper does.
+    /// By least squares, as in the paper.
     #[default]
     Arx,
-    /// By output error, from ARX on.
+    /// By output error, started from ARX.
     OutputError,
-    /// By instrumental variables, from ARX on.
+    /// By instrumental variables, started from ARX.
     Instrumental,
 }
 
@@ -27,34 +27,36 @@ pub enum Choice {
     Search {
         /// All of them.
         candidates: Vec<Orders>,
-        /// By what; by default simulation of the other data, or minimum description length where there are none.
+        /// The criterion; by default simulation of the validation data, or minimum description length if there are
+        /// none.
         criterion: Option<Criterion>,
     },
 }
 
-/// What is to be done.
+/// Settings of an identification.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Settings {
     /// Orders and delay.
     pub choice: Choice,
     /// How the full model is estimated.
     pub estimator: Estimator,
-    /// Where simulations begin.
+    /// Initial state of simulations.
     pub initial_state: InitialState,
-    /// How far to reduce.
+    /// Target of the reduction.
     pub target: Target,
     /// How states are removed.
     pub removal: Removal,
-    /// Whether to reduce for all frequencies alike, as the paper does, and not for the excited band alone.
+    /// Whether to reduce for all frequencies, as in the paper, instead of only for the excited band.
     pub all_frequencies: bool,
     /// Repetitions of the bootstrap.
     pub bootstrap: usize,
-    /// That the input of the data fitted repeats: its periods are averaged too, and a model is fitted to their lines.
+    /// Declares that the input of the fitted data repeats: its periods are then also averaged, and a model is fitted to
+    /// their lines.
     pub repeats: Option<Repeats>,
 }
 
 impl Estimator {
-    /// Where it takes the noise to enter.
+    /// Where it assumes the noise to enter.
     pub fn noise(self) -> Noise {
         match self {
             Self::Arx => Noise::Equation,
@@ -62,7 +64,7 @@ impl Estimator {
         }
     }
 
-    /// As people have it.
+    /// The name for people.
     pub fn words(self) -> &'static str {
         match self {
             Self::Arx => "ARX",

@@ -1,25 +1,25 @@
 //! The frequency response without a model: Welch's averaged spectra, H = S_uy/S_uu, with coherence.
 //!
-//! In: evenly sampled stretches. Out: one row a frequency. Pieces of one length (Hann window, half overlapping, their
-//! mean taken off) are averaged over all stretches that are long enough. The coherence γ² tells what part of the
-//! output's power follows the input; σ of ln|H| and of the phase is √((1−γ²)/(2 γ² K)) with K the number of independent
-//! pieces (Bendat and Piersol, Random Data, 4th ed., section 9.2). It says nothing where the input has no power, and it
-//! is biased where the response changes much within one resolution width.
+//! In: evenly sampled segments. Out: one row per frequency. Pieces of equal length (Hann window, half overlapping,
+//! mean removed) are averaged over all segments that are long enough. The coherence γ² is the fraction of the output's
+//! power that follows the input; σ of ln|H| and of the phase is √((1−γ²)/(2 γ² K)) with K the number of independent
+//! pieces (Bendat and Piersol, Random Data, 4th ed., section 9.2). It is meaningless where the input has no power, and
+//! biased where the response changes much within one resolution width.
 
 use super::data::Segment;
 use rustfft::FftPlanner;
 use rustfft::num_complex::Complex;
 use std::f64::consts::TAU;
 
-/// A piece has so many samples at least.
+/// Fewest samples per piece.
 const SHORTEST: usize = 64;
-/// Pieces that a record is cut into, about.
+/// Approximate number of pieces per record.
 const PIECES: usize = 16;
 /// Half overlapping Hann pieces share 1/6 of their variance with each neighbour: 1/(1 + 2/36) independent pieces each.
 const INDEPENDENT: f64 = 36.0 / 38.0;
-/// Outputs missing in a row that are bridged by a line, here alone: few dots more or less, where a piece would be lost.
-const BRIDGED: usize = 6;
-/// The excited band holds all of the input's energy but this part at either end.
+/// Most missing outputs in a row that are bridged by a line, only here, so that a few points do not cost a piece.
+const MAX_BRIDGED: usize = 6;
+/// Fraction of the input's energy outside the excited band at either end.
 const BAND_TAIL: f64 = 0.01;
 
 /// The response at one frequency.
@@ -52,7 +52,7 @@ pub struct Spectrum {
     pub excited_hz: (f64, f64),
 }
 
-/// Averages the spectra. Nothing when no stretch is as long as the shortest piece, or there would be one piece only.
+/// Averages the spectra. `None` when no segment is as long as the shortest piece, or there would be only one piece.
 pub(crate) fn spectrum(segments: &[Segment], period_s: f64) -> Option<Spectrum> {
     let total: usize = segments.iter().map(Segment::len).sum();
     let longest = segments.iter().map(Segment::len).max()?;
@@ -111,14 +111,14 @@ pub(crate) fn spectrum(segments: &[Segment], period_s: f64) -> Option<Spectrum> 
 }
 
 impl Spectrum {
-    /// Below this lies 99 % of the output's energy, Hz.
+    /// Frequency below which 99 % of the output's energy lies, Hz.
     pub fn output_ends_hz(&self) -> f64 {
         band(&self.points, |p| p.output_power).1
     }
 }
 
 impl Spectrum {
-    /// Part of the output's energy that follows the input linearly: γ² averaged by the output's power.
+    /// Fraction of the output's energy that follows the input linearly: γ² weighted by the output's power.
     pub fn linear_part(&self) -> f64 {
         let all: f64 = self.points.iter().map(|p| p.output_power).sum();
         self.points.iter().map(|p| p.coherence * p.output_power).sum::<f64>() / all
@@ -131,7 +131,7 @@ fn bridged(signal: &[f64]) -> Vec<f64> {
     let known: Vec<usize> = (0..signal.len()).filter(|k| !signal[*k].is_nan()).collect();
     for pair in known.windows(2) {
         let (from, to) = (pair[0], pair[1]);
-        if (2..=BRIDGED + 1).contains(&(to - from)) {
+        if (2..=MAX_BRIDGED + 1).contains(&(to - from)) {
             let slope = (signal[to] - signal[from]) / (to - from) as f64;
             (from + 1..to).for_each(|k| filled[k] = signal[from] + slope * (k - from) as f64);
         }
@@ -139,7 +139,7 @@ fn bridged(signal: &[f64]) -> Vec<f64> {
     filled
 }
 
-/// Frequencies that hold all but 1 % at either end.
+/// The band that contains all but 1 % at either end.
 fn band(points: &[Point], power: impl Fn(&Point) -> f64) -> (f64, f64) {
     let total: f64 = points.iter().map(&power).sum();
     let reaches = |part: f64| {

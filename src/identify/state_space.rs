@@ -1,4 +1,4 @@
-//! The same model as states: x(t+1) = A x(t) + b u(t), y(t) = c x(t) + d u(t).
+//! The same model in state-space form: x(t+1) = A x(t) + b u(t), y(t) = c x(t) + d u(t).
 
 use super::decompositions::{eigenvalues, real_schur};
 use super::model::{Polynomials, monic};
@@ -13,12 +13,12 @@ pub(crate) struct StateSpace {
     pub b: DVector<f64>,
     /// n.
     pub c: RowDVector<f64>,
-    /// From input to output without delay.
+    /// Direct feedthrough.
     pub d: f64,
 }
 
 impl StateSpace {
-    /// Controllable companion form, with as many states as [`Polynomials::memory`] says.
+    /// Controllable companion form, with [`Polynomials::memory`] states.
     pub(crate) fn of(model: &Polynomials) -> Self {
         let n = model.memory();
         let a = |lag: usize| model.a.get(lag).copied().unwrap_or(0.0);
@@ -36,8 +36,8 @@ impl StateSpace {
     }
 
     /// The same system in orthogonal coordinates in which A is nearly triangular. In companion form the powers of A
-    /// grow by many powers of ten before they decay, and with them rounding; here they do not. As it is, when they are
-    /// not found.
+    /// grow by many powers of ten before they decay, and with them rounding errors; here they do not. Unchanged, when
+    /// the coordinates are not found.
     pub(crate) fn triangular(&self) -> Self {
         match real_schur(&self.a) {
             Some((q, a)) => Self { a, b: q.tr_mul(&self.b), c: &self.c * q, d: self.d },
@@ -50,7 +50,7 @@ impl StateSpace {
         self.a.nrows()
     }
 
-    /// Side by side: the sum of both outputs for the same input.
+    /// In parallel: the sum of both outputs for the same input.
     pub(crate) fn sum(&self, other: &Self) -> Self {
         let (n, m) = (self.order(), other.order());
         let mut a = DMatrix::zeros(n + m, n + m);
@@ -65,8 +65,8 @@ impl StateSpace {
         }
     }
 
-    /// As polynomials: A is the characteristic polynomial, B its product with the impulse response (whose first n + 1
-    /// values determine it; no difference of large numbers is taken).
+    /// As polynomials: A is the characteristic polynomial, B its product with the impulse response (determined by the
+    /// first n + 1 values, without differences of large numbers).
     pub(crate) fn polynomials(&self) -> Polynomials {
         let n = self.order();
         let a = characteristic(&self.a);
@@ -85,7 +85,7 @@ impl StateSpace {
 
 /// Coefficients of det(zI − A), highest power first, from the eigenvalues.
 pub(super) fn characteristic(a: &DMatrix<f64>) -> Vec<f64> {
-    // Not found, they make polynomials of NaN, which no one takes for a model.
+    // If not found, the polynomials are NaN, which nothing accepts as a model.
     let not_found = || vec![nalgebra::Complex::new(f64::NAN, f64::NAN); a.nrows()];
     monic(eigenvalues(a).unwrap_or_else(not_found))
 }

@@ -1,13 +1,13 @@
 //! Subspace identification: states from the data, without a search.
 //!
-//! In: stretches, orders. Out: a model B/A of these orders. What past inputs and outputs tell of future outputs, beyond
-//! what future inputs do, spans the space of the states; its shift is A (PO-MOESP; Verhaegen, Automatica 30, 1994,
-//! doi:10.1016/0005-1098(94)90229-1; with `Weight::Canonical` the directions are weighed as in Larimore's CVA, by what
-//! noise leaves of them). The coefficients of B follow by least squares on the simulated output, from rest or not.
+//! In: segments, orders. Out: a model B/A of these orders. The information of past inputs and outputs about future
+//! outputs, beyond that of future inputs, spans the state space; its shift gives A (PO-MOESP; Verhaegen, Automatica 30,
+//! 1994, doi:10.1016/0005-1098(94)90229-1; with `Weight::Canonical` the directions are weighted as in Larimore's CVA,
+//! by their noise). The coefficients of B follow by least squares on the simulated output, from rest or not.
 //!
-//! There is no local minimum to end in, and a model of low order is not biased by noise on the output as ARX is; but
-//! nothing is smallest either: it is a model to begin from. An A that is not stable is no model to simulate, and none
-//! is returned. Feedback from the output's noise to the input biases it.
+//! There are no local minima, and unlike ARX a low-order model is not biased by noise on the output; but nothing is
+//! minimised, so it is only an initial model. An unstable A cannot be simulated and is not returned. Feedback from the
+//! output's noise to the input biases it.
 
 use super::data::Segment;
 use super::decompositions::{eigenvalues, svd};
@@ -17,21 +17,21 @@ use super::regression::{Triangle, solve};
 use super::state_space::characteristic;
 use nalgebra::DMatrix;
 
-/// Samples of past and of future: so many an order, and so many at least.
+/// Samples of past and of future: per order, and at least.
 const REACH: (usize, usize) = (4, 12);
-/// Rows at most; a longer record is looked at in every so many samples.
-const MOST_ROWS: usize = 40_000;
+/// Most rows; a longer record is thinned.
+const MAX_ROWS: usize = 40_000;
 
-/// How directions of the future are weighed.
+/// Weighting of the directions of the future.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Weight {
-    /// All alike.
+    /// Equal weights.
     None,
-    /// By the scatter of the future outputs: those that noise leaves alone count more.
+    /// By the scatter of the future outputs: those with less noise count more.
     Canonical,
 }
 
-/// A stable model of these orders. Nothing when the record is too short, the states do not show, or A is unstable.
+/// A stable model of these orders. `None` when the record is too short, the states cannot be found, or A is unstable.
 pub(crate) fn fit(segments: &[Segment], orders: Orders, weight: Weight) -> Option<Polynomials> {
     let Orders { na: n, nb, nk } = orders;
     if n == 0 {
@@ -39,14 +39,14 @@ pub(crate) fn fit(segments: &[Segment], orders: Orders, weight: Weight) -> Optio
     }
     let reach = (REACH.0 * n).max(REACH.1);
     let r = triangle(segments, reach, nk)?;
-    // Columns: future inputs, past inputs and outputs, future outputs. Below the future inputs what is left once they
-    // are taken out.
+    // Columns: future inputs, past inputs and outputs, future outputs. The rows below the future inputs have these
+    // projected out.
     let future = 3 * reach;
     let by_past = r.view((reach, future), (2 * reach, reach)).transpose();
     let scaled = match weight {
         Weight::None => by_past.clone(),
         Weight::Canonical => {
-            // All that the future outputs hold beside the future inputs.
+            // The future outputs without the part of the future inputs.
             let all = r.view((reach, future), (3 * reach, reach)).into_owned().qr().r();
             all.tr_solve_upper_triangular(&by_past)?
         }
@@ -67,12 +67,12 @@ pub(crate) fn fit(segments: &[Segment], orders: Orders, weight: Weight) -> Optio
     numerator(segments, &Polynomials { a: characteristic(&a), b: vec![0.0; nb], nk })
 }
 
-/// The triangle of all windows: `reach` future inputs, as many past inputs, past outputs and future outputs.
+/// The triangle of all windows: `reach` each of future inputs, past inputs, past outputs and future outputs.
 fn triangle(segments: &[Segment], reach: usize, nk: usize) -> Option<DMatrix<f64>> {
     let windows = |s: &Segment| s.len().saturating_sub(2 * reach + nk.max(1) - 1);
-    let stride = segments.iter().map(windows).sum::<usize>().div_ceil(MOST_ROWS).max(1);
+    let stride = segments.iter().map(windows).sum::<usize>().div_ceil(MAX_ROWS).max(1);
     let mut triangle = Triangle::new(4 * reach);
-    // The input that first acts on the output of sample t is that of sample t − nk; with nk above 1 it is delayed so
+    // The input that first acts on the output of sample t is that of sample t − nk; with nk above 1 it is shifted so
     // that the window fits.
     let late = nk.max(1) - 1;
     for segment in segments {
@@ -126,7 +126,7 @@ mod tests {
                 for segment in [whole, part, holed] {
                     let truth = truth(nk);
                     let found = fit(&[segment], truth.orders(), weight);
-                    // Weighing by noise has no meaning where there is none: it may find nothing, but nothing wrong.
+                    // Weighting by noise is meaningless without noise: it may find nothing, but nothing wrong.
                     let Some(found) = found else {
                         assert_eq!(weight, Weight::Canonical, "nk {nk}");
                         continue;

@@ -1,4 +1,4 @@
-//! The tables of an identification: one file a curve. docs/identify.md tells every column.
+//! The tables of an identification: one file per curve. docs/identify.md describes every column.
 
 use super::data::Record;
 use super::fit::{InitialState, Kind, output};
@@ -13,7 +13,7 @@ fn writer() -> csv::Writer<Vec<u8>> {
     csv::WriterBuilder::new().terminator(csv::Terminator::CRLF).from_writer(Vec::new())
 }
 
-/// A table of texts under its header.
+/// A table of text cells with a header.
 fn table(header: &[String], rows: impl Iterator<Item = Vec<String>>) -> io::Result<Vec<u8>> {
     let mut writer = writer();
     writer.write_record(header).map_err(io::Error::other)?;
@@ -27,7 +27,7 @@ fn texts(words: &[&str]) -> Vec<String> {
     words.iter().map(|w| (*w).to_owned()).collect()
 }
 
-/// Empty where there is no number.
+/// Empty for NaN or no value.
 fn cell(value: Option<f64>) -> String {
     value.filter(|v| v.is_finite()).map_or_else(String::new, |v| v.to_string())
 }
@@ -67,7 +67,7 @@ pub(super) fn frequency_response(spectrum: &Spectrum) -> io::Result<Vec<u8>> {
     table(&header, rows)
 }
 
-/// Every line of averaged periods, with what the model leaves of it.
+/// Every line of averaged periods, with the model's residual.
 pub(super) fn lines(periodic: &Periodic) -> io::Result<Vec<u8>> {
     let header = texts(&[
         "frequency_hz",
@@ -157,7 +157,7 @@ pub(super) fn signals<'a>(
 ) -> io::Result<Vec<u8>> {
     let mut header = texts(&["record", "sample", "t_s", "input", "output"]);
     header.extend(models.iter().map(|m| m.role.word().to_owned()));
-    // A million samples make a table of a hundred megabytes: its rows are not kept beside it.
+    // A million samples make a table of a hundred megabytes: its rows are written directly, without a second copy.
     let mut writer = writer();
     writer.write_record(&header).map_err(io::Error::other)?;
     for record in records {

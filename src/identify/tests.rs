@@ -43,7 +43,7 @@ fn without_noise_the_coefficients_are_exact() {
     assert!((found.model.parameters() - truth().parameters()).amax() < 1e-12, "{found:?}");
 }
 
-/// Mean square of error/σ over 200 draws: 1 with a spread of √(2/200).
+/// Mean square of error/σ over 200 draws: 1 ± √(2/200).
 fn scatter(estimate: impl Fn(u64) -> Estimated) -> Vec<f64> {
     const DRAWS: u64 = 200;
     let mut sums = vec![0.0; 4];
@@ -75,13 +75,13 @@ fn white_noise_on_the_output_biases_arx_and_not_the_refined() {
     let arx = fit(&data, ORDERS).unwrap();
     assert!(off(&arx) > 0.1, "{:?}", arx.model);
     let oe = output_error::refine(&data, &arx.model).unwrap();
-    assert!(oe.settled && off(&oe.estimated) < 0.02, "{oe:?}");
+    assert!(oe.converged && off(&oe.estimated) < 0.02, "{oe:?}");
     let iv = instrumental::refine(&data, &arx.model).unwrap();
-    assert!(iv.settled && off(&iv.estimated) < 0.02, "{iv:?}");
+    assert!(iv.converged && off(&iv.estimated) < 0.02, "{iv:?}");
 }
 
 #[test]
-fn stretches_count_as_one_record_and_holes_cost_only_the_rows_behind_them() {
+fn segments_count_as_one_record_and_holes_cost_only_the_rows_behind_them() {
     let whole = arx_data(3, 400, 0.0);
     let parts = [whole.part(0, 150, 1.0), whole.part(160, 400, 1.0)];
     let found = fit(&parts, ORDERS).unwrap();
@@ -107,7 +107,7 @@ fn the_search_finds_order_and_delay() {
         let best = best(&all, criterion).unwrap();
         assert_eq!(best.orders, Orders { na: 2, nb: 2, nk: 3 }, "{criterion:?}");
     }
-    // Each candidate is what a fit of its own to the same rows gives.
+    // Each candidate equals a separate fit to the same rows.
     let one = all.iter().find(|c| c.orders == Orders { na: 3, nb: 3, nk: 2 }).unwrap();
     let train = delayed(1);
     let same_rows = fit(&[train.part(12 - 4, 3000, 1.0)], one.orders).unwrap();

@@ -1,18 +1,18 @@
-//! Covariances, and that of what is computed from parameters.
+//! Covariances, and their propagation through functions of the parameters.
 //!
-//! A covariance is kept as a factor F with F Fᵀ = covariance. Coefficients of a high order are known by combinations
-//! whose σ differ by more than eight powers of ten; in the covariance itself the small ones are lost, and with them how
-//! well the response is known where the data tell it best.
+//! A covariance is kept as a factor F with F Fᵀ = covariance. For coefficients of a high order, σ of different
+//! combinations differ by more than eight powers of ten; in the covariance itself the small ones are lost, and with
+//! them the accuracy of the response where the data determine it best.
 
 use nalgebra::{DMatrix, DVector};
 
-/// How far the parameters are moved along each direction to see what it does, in standard deviations.
+/// Step along each direction for numerical derivatives, in standard deviations.
 const STEP: f64 = 0.05;
 
 /// The covariance of some numbers.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Covariance {
-    /// One row a number; its columns are moves of one standard deviation that are independent of each other.
+    /// One row per number; its columns are independent moves by one standard deviation.
     factor: DMatrix<f64>,
 }
 
@@ -32,14 +32,14 @@ impl Covariance {
         self.factor.row_iter().map(|row| row.norm()).collect()
     }
 
-    /// `about` and a draw of this covariance; `normal` gives numbers of mean 0 and variance 1.
+    /// `about` plus a draw from this covariance; `normal` gives numbers of mean 0 and variance 1.
     pub(crate) fn drawn(&self, about: &DVector<f64>, mut normal: impl FnMut() -> f64) -> DVector<f64> {
         about + &self.factor * DVector::from_fn(self.factor.ncols(), |_, _| normal())
     }
 
-    /// Of `of(parameters)`, to first order, where this is that of `parameters`. They are moved together, along the
-    /// columns of the factor: one coefficient of a high order moved alone would be another model altogether. Nothing
-    /// when `of` has no answer, or not always as many values.
+    /// Covariance of `of(parameters)`, to first order, if `self` is that of `parameters`. They are moved jointly, along
+    /// the columns of the factor: a single coefficient of a high order moved alone would give a completely different
+    /// model. `None` when `of` fails, or returns varying numbers of values.
     pub fn propagate(&self, parameters: &[f64], of: impl Fn(&[f64]) -> Option<Vec<f64>>) -> Option<Self> {
         let values = of(parameters)?.len();
         let mut factor = DMatrix::zeros(values, self.factor.ncols());
@@ -76,7 +76,7 @@ mod tests {
 
     #[test]
     fn what_is_known_best_keeps_its_sigma() {
-        // A sum known to 1e-12, a difference to 1: the covariance itself has no digit left of the first.
+        // A sum known to 1e-12, a difference to 1: the covariance itself keeps no digit of the first.
         let factor = DMatrix::from_row_slice(2, 2, &[5e-13, 0.5, 5e-13, -0.5]);
         let of = |p: &[f64]| Some(vec![p[0] + p[1]]);
         let found = Covariance::from_factor(factor).propagate(&[0.0, 0.0], of).unwrap();

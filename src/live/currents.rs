@@ -2,12 +2,13 @@
 //!
 //! A sample is one line: JSON (`{"current_a":[0.1,0,-0.1],"seq":7,"host_ns":1700000000123456789}`, the last two
 //! optional) or bare numbers (`0.1, 0, -0.1`), amperes. A sample without `host_ns` has the time of its arrival. The
-//! table has a header with `host_ns` (nanoseconds since 1970) or `unix_s` and one column a coil, and is followed as it
+//! table has a header with `host_ns` (nanoseconds since 1970) or `unix_s` and one column per coil, and is followed as it
 //! grows. With `t_s` instead, as `catoptra excite` writes it, times count from the beginning of the run, and each row
-//! is a sample when its time has come: for an amplifier that is started together with the run.
+//! is a sample when its time has come: for an amplifier that is started together with the run. So it is with the
+//! `.play` lists of the laboratory's amplifier.
 //!
-//! From ROS 2 comes a `sensor_msgs/JointState`: the effort of each joint is the current of a coil, and the stamp, unless
-//! it is 0, the host's time.
+//! From ROS 2 comes a `sensor_msgs/JointState`: the effort of each joint is the current of a coil, and the stamp,
+//! unless it is 0, the host's time.
 //!
 //! A line that is no sample is counted and the first of them is named; nothing here can hold up or end a run.
 
@@ -19,9 +20,9 @@ use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::fmt;
 use std::fs::File;
-use std::io::{self, BufRead, BufReader, ErrorKind, Read};
+use std::io::{self, BufRead, BufReader, Cursor, ErrorKind, Read};
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, ToSocketAddrs as _, UdpSocket};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::str::FromStr;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -30,23 +31,24 @@ use std::thread::Builder;
 use std::time::Duration;
 
 /// Samples that may wait to be logged.
-const MOST_WAITING: usize = 4096;
+const MAX_WAITING: usize = 4096;
 /// How often a silent source looks whether the run has ended.
-const LOOK: Duration = Duration::from_millis(100);
+const STOP_POLL_INTERVAL: Duration = Duration::from_millis(100);
 /// How often it is looked whether a message has come.
-const LISTEN: Duration = Duration::from_millis(2);
+const POLL_INTERVAL: Duration = Duration::from_millis(2);
 /// Coils at most; more in a line is no sample.
-const MOST_COILS: usize = 64;
+const MAX_COILS: usize = 64;
 /// A sample further from its arrival is not of this run.
-const FARTHEST_NS: i64 = 60_000_000_000;
+const MAX_SAMPLE_AGE_NS: i64 = 60_000_000_000;
 /// Senders that are counted apart.
-const MOST_SENDERS: usize = 64;
+const MAX_SENDERS: usize = 64;
 /// A header is shorter, bytes.
 const LONGEST_HEADER: u64 = 1 << 16;
 /// Speed of a serial line when none is given.
 const BAUD: u32 = 115_200;
 
-/// Where currents come from: `udp:PORT` or `udp:HOST:PORT`, `serial:DEVICE[@BAUD]`, `file:TABLE.csv`, `ros2:/TOPIC`.
+/// Where currents come from: `udp:PORT` or `udp:HOST:PORT`, `serial:DEVICE[@BAUD]`, `file:TABLE.csv`, `ros2:/TOPIC`,
+/// `LIST.play`.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum CurrentSource {
     /// Datagrams to this address of this computer.
@@ -55,6 +57,13 @@ pub enum CurrentSource {
     Serial(PathBuf, u32),
     /// A table that grows.
     File(PathBuf),
+    /// A list of the laboratory's amplifier.
+    Play {
+        /// The file.
+        list: PathBuf,
+        /// Its rows as a table with `t_s`, put here by who has read it.
+        table: String,
+    },
     /// A topic of ROS 2.
     Ros2 {
         /// Its whole name.
@@ -71,9 +80,13 @@ impl FromStr for CurrentSource {
 
     fn from_str(text: &str) -> Result<Self, String> {
         let wrong = |what: &str| {
-            let forms = "udp:PORT, udp:HOST:PORT, serial:DEVICE@BAUD, file:TABLE.csv or ros2:/TOPIC";
+            let forms = "udp:PORT, udp:HOST:PORT, serial:DEVICE@BAUD, file:TABLE.csv, LIST.play or ros2:/TOPIC";
             Err(format!("`{text}`: {what}; write {forms}"))
         };
+        let list = Path::new(text.strip_prefix("file:").unwrap_or(text));
+        if list.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("play")) {
+            return Ok(Self::Play { list: list.to_owned(), table: String::new() });
+        }
         match text.split_once(':') {
             // Other computers can send only to an address that is named.
             Some(("udp", place)) => {
@@ -107,6 +120,7 @@ impl fmt::Display for CurrentSource {
             Self::Udp(address) => write!(f, "udp:{address}"),
             Self::Serial(device, baud) => write!(f, "serial:{}@{baud}", device.display()),
             Self::File(table) => write!(f, "file:{}", table.display()),
+            Self::Play { list, .. } => write!(f, "{}", list.display()),
             Self::Ros2 { topic, .. } => write!(f, "ros2:{topic}"),
         }
     }
@@ -118,7 +132,7 @@ impl CurrentSource {
     /// # Errors
     /// When the port is taken, or device or table cannot be opened.
     pub fn open(&self, limit_a: f64, clock: HostClock, stop: &Arc<AtomicBool>) -> io::Result<Receiver<CurrentSample>> {
-        let (samples, line) = sync_channel(MOST_WAITING);
+        let (samples, line) = sync_channel(MAX_WAITING);
         let mut parser = Parser {
             name: self.to_string(),
             clock,
@@ -135,7 +149,7 @@ impl CurrentSource {
         match self {
             Self::Udp(address) => {
                 let socket = UdpSocket::bind(address)?;
-                socket.set_read_timeout(Some(LOOK))?;
+                socket.set_read_timeout(Some(STOP_POLL_INTERVAL))?;
                 thread.spawn(move || parser.datagrams(&socket, &stop))?;
             }
             Self::Serial(device, baud) => {
@@ -143,11 +157,11 @@ impl CurrentSource {
                 thread.spawn(move || parser.lines(line, &stop))?;
             }
             Self::File(table) => {
-                let mut reader = BufReader::new(File::open(table)?);
-                let mut header = String::new();
-                // Of a file without lines not all is read.
-                (&mut reader).take(LONGEST_HEADER).read_line(&mut header)?;
-                parser.header = Some(Header::of(&header).map_err(|e| io::Error::new(ErrorKind::InvalidData, e))?);
+                let reader = parser.headed(File::open(table)?)?;
+                thread.spawn(move || parser.lines(reader, &stop))?;
+            }
+            Self::Play { table, .. } => {
+                let reader = parser.headed(Cursor::new(table.clone()))?;
                 thread.spawn(move || parser.lines(reader, &stop))?;
             }
             Self::Ros2 { topic, domain, everywhere } => {
@@ -161,7 +175,7 @@ impl CurrentSource {
 
 /// A serial device at this speed, bytes as they come.
 #[cfg(unix)]
-fn serial(device: &std::path::Path, baud: u32) -> io::Result<File> {
+fn serial(device: &Path, baud: u32) -> io::Result<File> {
     use rustix::termios::{OptionalActions, SpecialCodeIndex, tcgetattr, tcsetattr};
     let line = File::options().read(true).write(true).open(device)?;
     let mut settings = tcgetattr(&line)?;
@@ -175,13 +189,13 @@ fn serial(device: &std::path::Path, baud: u32) -> io::Result<File> {
 }
 
 #[cfg(not(unix))]
-fn serial(_: &std::path::Path, _: u32) -> io::Result<File> {
+fn serial(_: &Path, _: u32) -> io::Result<File> {
     Err(io::Error::other("serial lines are read on Linux and macOS only; send datagrams (udp:PORT) instead"))
 }
 
 /// What the times of a table are.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Times {
+enum TimeColumn {
     HostNs,
     UnixSeconds,
     /// Seconds since the run began.
@@ -192,14 +206,15 @@ enum Times {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Header {
     time: usize,
-    times: Times,
+    times: TimeColumn,
 }
 
 impl Header {
     fn of(line: &str) -> Result<Self, String> {
         let columns: Vec<&str> = line.trim().split(',').map(str::trim).collect();
         let at = |name: &str| columns.iter().position(|column| *column == name);
-        let known = [("host_ns", Times::HostNs), ("unix_s", Times::UnixSeconds), ("t_s", Times::RunSeconds)];
+        let known =
+            [("host_ns", TimeColumn::HostNs), ("unix_s", TimeColumn::UnixSeconds), ("t_s", TimeColumn::RunSeconds)];
         known.into_iter().find_map(|(name, times)| Some(Self { time: at(name)?, times })).ok_or_else(|| {
             format!(
                 "the header `{}` has no column host_ns (nanoseconds since 1970), unix_s (seconds since 1970) or t_s (seconds since the run began)",
@@ -233,6 +248,16 @@ struct Parser {
 }
 
 impl Parser {
+    /// Reads the header of a table; the rows are left.
+    fn headed<T: Read>(&mut self, table: T) -> io::Result<BufReader<T>> {
+        let mut reader = BufReader::new(table);
+        let mut header = String::new();
+        // Of a file without lines not all is read.
+        (&mut reader).take(LONGEST_HEADER).read_line(&mut header)?;
+        self.header = Some(Header::of(&header).map_err(|e| io::Error::new(ErrorKind::InvalidData, e))?);
+        Ok(reader)
+    }
+
     fn datagrams(&mut self, socket: &UdpSocket, stop: &AtomicBool) {
         let mut bytes = [0; 65_536];
         while !stop.load(Ordering::Relaxed) {
@@ -252,7 +277,7 @@ impl Parser {
     }
 
     fn count(&mut self, sender: IpAddr) {
-        if self.senders.len() == MOST_SENDERS && !self.senders.contains_key(&sender) {
+        if self.senders.len() == MAX_SENDERS && !self.senders.contains_key(&sender) {
             return;
         }
         let datagrams = self.senders.entry(sender).or_default();
@@ -270,12 +295,12 @@ impl Parser {
         let (mut bytes, mut line) = ([0; 4096], Vec::new());
         while !stop.load(Ordering::Relaxed) {
             match from.read(&mut bytes) {
-                Ok(0) => std::thread::sleep(LOOK),
+                Ok(0) => std::thread::sleep(STOP_POLL_INTERVAL),
                 Ok(length) => {
                     for &byte in bytes.iter().take(length) {
                         match byte {
                             b'\n' | b'\r' => {
-                                if !line.is_empty() && self.has_come(&line, stop) {
+                                if !line.is_empty() && self.wait_until_due(&line, stop) {
                                     self.take(&line);
                                 }
                                 line.clear();
@@ -301,7 +326,7 @@ impl Parser {
         while !stop.load(Ordering::Relaxed) {
             match from.next() {
                 Some(line) => self.take(&line),
-                None => std::thread::sleep(LISTEN),
+                None => std::thread::sleep(POLL_INTERVAL),
             }
         }
         self.report();
@@ -309,15 +334,15 @@ impl Parser {
 
     /// Waits for the time of a row of a table that is counted from the beginning of the run; `false` when the run ends
     /// before.
-    fn has_come(&self, bytes: &[u8], stop: &AtomicBool) -> bool {
-        let Some(Header { times: Times::RunSeconds, .. }) = self.header else { return true };
+    fn wait_until_due(&self, bytes: &[u8], stop: &AtomicBool) -> bool {
+        let Some(Header { times: TimeColumn::RunSeconds, .. }) = self.header else { return true };
         let Some(sample) = self.sample(bytes, 0) else { return true };
         while !stop.load(Ordering::Relaxed) {
             let left_ns = u64::try_from(sample.host_ns.saturating_sub(self.clock.now_ns())).unwrap_or(0);
             if left_ns == 0 {
                 return true;
             }
-            std::thread::sleep(LOOK.min(Duration::from_nanos(left_ns)));
+            std::thread::sleep(STOP_POLL_INTERVAL.min(Duration::from_nanos(left_ns)));
         }
         false
     }
@@ -335,7 +360,7 @@ impl Parser {
                         sample.current_a,
                         seconds(sample.host_ns.saturating_sub(arrival_ns)),
                         self.limit_a,
-                        seconds(FARTHEST_NS)
+                        seconds(MAX_SAMPLE_AGE_NS)
                     );
                 }
             }
@@ -364,7 +389,7 @@ impl Parser {
     /// Whether the current is one that the amplifier can give, and its time one of this run. (The times of a table may
     /// be those of an earlier start of the program that writes it.)
     fn is_plausible(&self, sample: &CurrentSample) -> bool {
-        let in_time = sample.host_ns.abs_diff(sample.arrival_ns) <= FARTHEST_NS.unsigned_abs();
+        let in_time = sample.host_ns.abs_diff(sample.arrival_ns) <= MAX_SAMPLE_AGE_NS.unsigned_abs();
         (in_time || self.header.is_some()) && sample.current_a.iter().all(|a| a.abs() <= self.limit_a)
     }
 
@@ -401,17 +426,16 @@ impl Parser {
                 let cells: Vec<&str> = text.split(',').map(str::trim).collect();
                 let time = cells.get(header.time)?;
                 let host_ns = match header.times {
-                    Times::HostNs => time.parse().ok()?,
-                    Times::UnixSeconds => parse_seconds_ns(time)?,
-                    Times::RunSeconds => self.clock.started_ns().saturating_add(parse_seconds_ns(time)?),
+                    TimeColumn::HostNs => time.parse().ok()?,
+                    TimeColumn::UnixSeconds => parse_seconds_ns(time)?,
+                    TimeColumn::RunSeconds => self.clock.started_ns().saturating_add(parse_seconds_ns(time)?),
                 };
                 let currents = cells.iter().enumerate().filter(|(column, _)| *column != header.time);
                 let current_a = currents.map(|(_, cell)| cell.parse().ok()).collect::<Option<_>>()?;
                 CurrentSample { host_ns, arrival_ns, seq: None, current_a }
             }
         };
-        let sound =
-            (1..=MOST_COILS).contains(&sample.current_a.len()) && sample.current_a.iter().all(|a| a.is_finite());
+        let sound = (1..=MAX_COILS).contains(&sample.current_a.len()) && sample.current_a.iter().all(|a| a.is_finite());
         sound.then_some(sample)
     }
 }
@@ -521,7 +545,7 @@ mod tests {
         let source = CurrentSource::File(table.path().to_owned());
         let error = source.open(10.0, HostClock::start(), &Arc::default()).unwrap_err().to_string();
         assert!(error.contains("`i1,i2`") && error.contains("host_ns"), "{error}");
-        assert_eq!(Header::of("unix_s, i1"), Ok(Header { time: 0, times: Times::UnixSeconds }));
+        assert_eq!(Header::of("unix_s, i1"), Ok(Header { time: 0, times: TimeColumn::UnixSeconds }));
     }
 
     #[test]
@@ -561,6 +585,8 @@ mod tests {
         assert_eq!("serial:/dev/ttyUSB0".parse(), Ok(CurrentSource::Serial("/dev/ttyUSB0".into(), 115_200)));
         assert_eq!("serial:/dev/ttyACM0@9600".parse(), Ok(CurrentSource::Serial("/dev/ttyACM0".into(), 9600)));
         assert_eq!("file:i.csv".parse(), Ok(CurrentSource::File("i.csv".into())));
+        let list = CurrentSource::Play { list: "a/i.PLAY".into(), table: String::new() };
+        assert_eq!(("a/i.PLAY".parse(), "file:a/i.PLAY".parse()), (Ok(list.clone()), Ok(list)));
         for wrong in ["udp:70000", "udp", "udp:0", "serial:", "serial:/dev/x@fast", "tcp:5", "i.csv"] {
             assert!(wrong.parse::<CurrentSource>().unwrap_err().contains("udp:PORT"), "{wrong}");
         }

@@ -13,20 +13,20 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, TryLockError};
 
 /// Rows that are kept: a minute at 60 Hz.
-const MOST_ROWS: usize = 3600;
+const MAX_ROWS: usize = 3600;
 /// Samples of currents that are kept.
-const MOST_CURRENTS: usize = 3600;
+const MAX_CURRENTS: usize = 3600;
 
 /// The slot between a live run and who looks on.
 #[derive(Debug, Default)]
 pub struct Latest {
     wanted: AtomicBool,
     missed: AtomicU64,
-    left: Mutex<Left>,
+    left: Mutex<LatestState>,
 }
 
 #[derive(Debug, Default)]
-struct Left {
+struct LatestState {
     rows: VecDeque<Arc<Estimate>>,
     picture: Option<(Arc<Estimate>, Arc<Picture>)>,
     currents: VecDeque<CurrentSample>,
@@ -46,7 +46,7 @@ impl Latest {
                 return;
             }
         };
-        if left.rows.len() >= MOST_ROWS {
+        if left.rows.len() >= MAX_ROWS {
             left.rows.pop_front();
         }
         left.rows.push_back(Arc::clone(estimate));
@@ -59,13 +59,13 @@ impl Latest {
 
     pub(super) fn put_current(&self, sample: &CurrentSample) {
         let mut left = self.lock();
-        if left.currents.len() >= MOST_CURRENTS {
+        if left.currents.len() >= MAX_CURRENTS {
             left.currents.pop_front();
         }
         left.currents.push_back(sample.clone());
     }
 
-    pub(super) fn tell(&self, status: &Status) {
+    pub(super) fn put_status(&self, status: &Status) {
         let mut left = self.lock();
         left.passed_over = status.skipped.saturating_sub(left.status.skipped);
         left.status = status.clone();
@@ -107,13 +107,13 @@ impl Latest {
         self.missed.load(Ordering::Relaxed)
     }
 
-    fn lock(&self) -> MutexGuard<'_, Left> {
+    fn lock(&self) -> MutexGuard<'_, LatestState> {
         self.left.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
 /// Puts this thread behind those that track and log.
-pub fn stand_back() {
+pub fn lower_priority() {
     run_as(Urgency::Pictures);
 }
 
@@ -147,15 +147,15 @@ mod tests {
             let colour = crate::source::Colour::SRGB;
             Arc::new(Picture::from_planes(1, 1, crate::source::PixelFormat::Grey, colour, vec![vec![0]]).unwrap())
         };
-        (0..MOST_ROWS as u64 + 9).for_each(|seq| latest.put(&row(seq), Some(&grey())));
-        assert_eq!((latest.rows_after(None).len(), latest.rows_after(None)[0].seq), (MOST_ROWS, 9));
+        (0..MAX_ROWS as u64 + 9).for_each(|seq| latest.put(&row(seq), Some(&grey())));
+        assert_eq!((latest.rows_after(None).len(), latest.rows_after(None)[0].seq), (MAX_ROWS, 9));
         assert!(latest.picture().is_none());
         latest.put(&row(9000), Some(&grey()));
         latest.put(&row(9001), Some(&grey()));
         assert_eq!(latest.picture().unwrap().0.seq, 9000);
-        latest.tell(&Status { skipped: 3, ..Status::default() });
+        latest.put_status(&Status { skipped: 3, ..Status::default() });
         assert!(latest.picture().is_none());
-        latest.tell(&Status { skipped: 3, ..Status::default() });
+        latest.put_status(&Status { skipped: 3, ..Status::default() });
         assert!(latest.picture().is_some());
     }
 }

@@ -5,7 +5,7 @@
 //! | `camera` | takes frames out of the source | the camera |
 //! | `tracker` | tracks them, sends θ to controllers at once | frames |
 //! | `log` | writes log, table, report | rows |
-//! | `pictures` | records pictures, if wanted | tracked frames |
+//! | `pictures` | records pictures, while wanted | tracked frames |
 //! | `publisher` | serves subscribers | rows |
 //! | `currents`, `currents in` | take coil currents to the log | samples |
 //! | the caller's | watches, tells once a second how it goes | the clock |
@@ -14,7 +14,7 @@
 //! tracker few pictures wait; a tracker that falls behind goes to the newest frame, and those passed over keep their
 //! rows (`skipped_overload`). A frame of another size than the rig's has its row too (`wrong_size`). Nothing that
 //! writes or publishes can hold up the tracker: its lines are bounded, what does not fit is counted, and a sink that
-//! fails is told at once while everything else goes on. Where the system allows, camera and tracker run before all
+//! fails is reported at once while everything else goes on. Where the system allows, camera and tracker run before all
 //! else, and pictures behind.
 
 mod currents;
@@ -24,16 +24,18 @@ mod pictures;
 mod priority;
 mod queue;
 mod status;
+mod switch;
 mod writer;
 
 pub use currents::CurrentSource;
 pub(crate) use currents::currents_of;
-pub use latest::{Latest, stand_back};
-pub use pictures::{MOST_PICTURES, RecordTo, Recording, free_bytes};
+pub use latest::{Latest, lower_priority};
+pub use pictures::{MAX_PICTURES, NewPlace, RecordTo, Recording, SwitchedRecording, free_bytes};
 pub use priority::Priority;
-pub use queue::MOST_WAITING;
+pub use queue::MAX_WAITING;
 pub use status::{Latency, Status};
-pub use writer::MOST_ROWS;
+pub use switch::{RecordState, RecordSwitch};
+pub use writer::MAX_ROWS;
 
 use crate::estimate::{Estimate, Miss};
 use crate::pipeline::{End, OpenSink, Summary, finish_all};
@@ -55,13 +57,13 @@ use std::time::{Duration, Instant};
 use writer::{Entry, Log};
 
 /// How long a camera that was asked to stop may take.
-const PATIENCE: Duration = Duration::from_secs(4);
+const STOP_TIMEOUT: Duration = Duration::from_secs(4);
 /// How often the caller's thread looks around.
-const LOOK: Duration = Duration::from_millis(50);
+const POLL_INTERVAL: Duration = Duration::from_millis(50);
 /// How often it tells how it goes.
-const TELL: Duration = Duration::from_secs(1);
+const REPORT_INTERVAL: Duration = Duration::from_secs(1);
 /// Rows that may wait for subscribers.
-const MOST_PUBLISHED: usize = 64;
+const MAX_PUBLISHED: usize = 64;
 
 /// Where the rows of a live run go.
 #[derive(Default)]
@@ -164,7 +166,7 @@ pub fn run(
     let tracking = {
         let (queue, counters) = (Arc::clone(&queue), Arc::clone(&counters));
         let controllers = outputs.controllers.into_iter().map(|sink| (sink, true)).collect();
-        let mut out = Out { controllers, subscribers, log, counters, pictures, latest: outputs.latest.clone() };
+        let mut out = RowOutputs { controllers, subscribers, log, counters, pictures, latest: outputs.latest.clone() };
         Builder::new().name("tracker".to_owned()).spawn(move || {
             let end = pool.install(|| track_all(&mut tracker, &queue, &mut out));
             (end, out.controllers)
@@ -172,14 +174,14 @@ pub fn run(
     };
 
     let mut interrupted = None;
-    let mut told = Instant::now();
+    let mut reported = Instant::now();
     while !tracking.is_finished() {
-        std::thread::sleep(LOOK);
-        if told.elapsed() >= TELL {
-            told += TELL;
+        std::thread::sleep(POLL_INTERVAL);
+        if reported.elapsed() >= REPORT_INTERVAL {
+            reported += REPORT_INTERVAL;
             let (waiting, unlogged) = (backlog.waiting(), backlog.unlogged());
             let status = Status { backlog: waiting, unlogged, pictures: counted(), ..counters.status() };
-            outputs.latest.iter().for_each(|latest| latest.tell(&status));
+            outputs.latest.iter().for_each(|latest| latest.put_status(&status));
             watch(&status);
         }
         let over = until.duration.is_some_and(|duration| began.elapsed() >= duration);
@@ -197,7 +199,7 @@ pub fn run(
             ));
             stop.store(true, Ordering::Relaxed);
         }
-        if camera.is_finished() || interrupted.as_ref().is_some_and(|(since, _)| since.elapsed() > PATIENCE) {
+        if camera.is_finished() || interrupted.as_ref().is_some_and(|(since, _)| since.elapsed() > STOP_TIMEOUT) {
             queue.close();
         }
     }
@@ -212,7 +214,7 @@ pub fn run(
     let (tally, latency) = counters.totals();
     sink_failures.extend(finish_all(sinks, &tally));
     sink_failures.extend(unrecorded);
-    finish_all(controllers, &tally).iter().for_each(Out::report);
+    finish_all(controllers, &tally).iter().for_each(RowOutputs::report);
     for sink in publishers.into_iter().filter_map(joined) {
         finish_all(vec![(sink, true)], &tally).iter().for_each(Subscribers::report);
     }
@@ -262,7 +264,7 @@ fn log_currents(
     stop: &AtomicBool,
 ) {
     loop {
-        match samples.recv_timeout(LOOK) {
+        match samples.recv_timeout(POLL_INTERVAL) {
             Ok(sample) => {
                 subscribers.iter().for_each(|line| line.put_current(&sample));
                 latest.iter().for_each(|latest| latest.put_current(&sample));
@@ -275,7 +277,7 @@ fn log_currents(
 }
 
 /// Where the tracker's rows go.
-struct Out {
+struct RowOutputs {
     controllers: Vec<OpenSink>,
     subscribers: Vec<Subscribers>,
     log: Log,
@@ -284,9 +286,9 @@ struct Out {
     latest: Option<Arc<Latest>>,
 }
 
-impl Out {
+impl RowOutputs {
     fn report(error: &SinkError) {
-        tracing::error!("{error}; this controller gets nothing any more, the log goes on");
+        tracing::error!("{error}; this controller gets nothing any more, the log continues");
     }
 
     /// Controllers first: they wait for it. `picture` is given of a frame that was tracked.
@@ -313,9 +315,9 @@ impl Out {
 }
 
 /// Tracks all frames; why it ended early, if it did.
-fn track_all(tracker: &mut Tracker, queue: &Queue, out: &mut Out) -> Option<End> {
+fn track_all(tracker: &mut Tracker, queue: &Queue, out: &mut RowOutputs) -> Option<End> {
     loop {
-        let (skipped, frame) = match queue.next(TELL) {
+        let (skipped, frame) = match queue.next(REPORT_INTERVAL) {
             Next::Frames(skipped, frame) => (skipped, frame),
             Next::Silence => continue,
             Next::Closed => return None,
@@ -352,7 +354,7 @@ impl Subscribers {
     /// Starts the thread; it gives the sink back at the end, unless that has failed.
     #[expect(clippy::type_complexity, reason = "named nowhere else")]
     fn start(mut sink: Box<dyn Sink + Send>) -> io::Result<(Self, JoinHandle<Option<Box<dyn Sink + Send>>>)> {
-        let (line, rows) = sync_channel::<Published>(MOST_PUBLISHED);
+        let (line, rows) = sync_channel::<Published>(MAX_PUBLISHED);
         let thread = Builder::new().name("publisher".to_owned()).spawn(move || {
             let failed = rows.iter().find_map(|published| {
                 let written = match published {
@@ -375,7 +377,7 @@ impl Subscribers {
     }
 
     fn report(error: &SinkError) {
-        tracing::error!("{error}; subscribers get nothing any more, the log goes on");
+        tracing::error!("{error}; subscribers get nothing any more, the log continues");
     }
 
     fn put(&self, estimate: &Arc<Estimate>, totals: Option<Totals>) {

@@ -11,23 +11,23 @@ use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 /// Pictures that may wait: memory is bounded.
-pub const MOST_WAITING: usize = 16;
+pub const MAX_WAITING: usize = 16;
 /// So many may wait however long: a decoder hands on in bursts.
-const FEW: usize = 3;
+const ALWAYS_KEPT: usize = 3;
 /// More may wait as long as the oldest is no older than this: a fast camera's frames are caught up with before they are
 /// of no use. Then the tracker goes to the newest.
-const LATEST: Duration = Duration::from_millis(50);
+const MAX_AGE: Duration = Duration::from_millis(50);
 
 /// The line between camera and tracker.
 #[derive(Debug)]
 pub(super) struct Queue {
     rig: Rig,
-    line: Mutex<Line>,
+    line: Mutex<QueueState>,
     changed: Condvar,
 }
 
 #[derive(Debug, Default)]
-struct Line {
+struct QueueState {
     skipped: Vec<Estimate>,
     /// When each came, and the frame.
     waiting: VecDeque<(Instant, Frame)>,
@@ -59,8 +59,8 @@ impl Queue {
         let mut line = self.lock();
         let waiting = line.waiting.len();
         let oldest = line.waiting.front().map(|(since, _)| now.saturating_duration_since(*since));
-        if waiting >= MOST_WAITING || (waiting >= FEW && oldest.is_some_and(|age| age > LATEST)) {
-            let Line { skipped, waiting, .. } = &mut *line;
+        if waiting >= MAX_WAITING || (waiting >= ALWAYS_KEPT && oldest.is_some_and(|age| age > MAX_AGE)) {
+            let QueueState { skipped, waiting, .. } = &mut *line;
             skipped.extend(waiting.drain(..).map(|(_, f)| Estimate::missed(&f, &self.rig, &Miss::SkippedOverload)));
         }
         line.waiting.push_back((now, frame));
@@ -78,7 +78,7 @@ impl Queue {
     pub(super) fn next(&self, patience: Duration) -> Next {
         let mut line = self.lock();
         if line.waiting.is_empty() && line.skipped.is_empty() && !line.closed {
-            let waits = |s: &mut Line| s.waiting.is_empty() && !s.closed;
+            let waits = |s: &mut QueueState| s.waiting.is_empty() && !s.closed;
             line = self.changed.wait_timeout_while(line, patience, waits).unwrap_or_else(PoisonError::into_inner).0;
         }
         let skipped = std::mem::take(&mut line.skipped);
@@ -91,7 +91,7 @@ impl Queue {
     }
 
     /// The lock; a thread that panicked with it leaves a whole line behind.
-    fn lock(&self) -> MutexGuard<'_, Line> {
+    fn lock(&self) -> MutexGuard<'_, QueueState> {
         self.line.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -149,7 +149,7 @@ mod tests {
     #[test]
     fn a_frame_passed_over_keeps_its_row() {
         let queue = Queue::new(&fixture::rig());
-        (0..=MOST_WAITING as u64).for_each(|seq| queue.push(frame(seq)));
+        (0..=MAX_WAITING as u64).for_each(|seq| queue.push(frame(seq)));
         let Next::Frames(skipped, _) = queue.next(Duration::ZERO) else { panic!("frames wait") };
         assert_eq!((skipped[1].seq, skipped[1].stamp.ns, skipped[1].markers.len()), (1, 1000, 3));
         assert!(skipped.iter().all(|e| matches!(e.deflection, Err(Miss::SkippedOverload))));

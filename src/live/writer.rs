@@ -15,9 +15,9 @@ use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::thread::{Builder, JoinHandle};
 
 /// Rows that may wait: more than two minutes at 60 Hz, some 50 MB.
-pub const MOST_ROWS: usize = 8192;
+pub const MAX_ROWS: usize = 8192;
 /// So many that wait are worth a word.
-const WORTH_A_WORD: usize = MOST_ROWS / 16;
+const WARN_BACKLOG: usize = MAX_ROWS / 16;
 
 /// What is logged.
 #[derive(Debug)]
@@ -64,7 +64,7 @@ pub(super) struct Log {
 impl Log {
     /// Starts the thread; it ends when the last near end is gone, and gives the sinks back, with what went wrong.
     pub(super) fn start(sinks: Vec<Box<dyn Sink + Send>>) -> io::Result<(Self, JoinHandle<Written>)> {
-        let (entries, line) = sync_channel(MOST_ROWS);
+        let (entries, line) = sync_channel(MAX_ROWS);
         let backlog = Arc::new(Backlog { sinks_alive: AtomicUsize::new(sinks.len()), ..Backlog::default() });
         let shared = Arc::clone(&backlog);
         let thread = Builder::new().name("log".to_owned()).spawn(move || write_all(sinks, &line, &shared))?;
@@ -79,9 +79,9 @@ impl Log {
             if self.backlog.unlogged.fetch_add(1, Ordering::Relaxed) == 0 {
                 tracing::error!("the disk has been too slow for minutes: rows are not logged any more, and counted");
             }
-        } else if waiting == WORTH_A_WORD {
+        } else if waiting == WARN_BACKLOG {
             tracing::warn!(
-                "the disk falls behind: {waiting} rows wait to be written, {MOST_ROWS} can; nothing is lost yet"
+                "the disk falls behind: {waiting} rows wait to be written, {MAX_ROWS} can; nothing is lost yet"
             );
         }
     }
@@ -110,7 +110,7 @@ fn write_all(sinks: Vec<Box<dyn Sink + Send>>, line: &Receiver<Entry>, backlog: 
             if let Err(error) = written {
                 *works = false;
                 backlog.sinks_alive.fetch_sub(1, Ordering::Relaxed);
-                tracing::error!("{error}; what was written before is kept, the rest of the run goes on");
+                tracing::error!("{error}; what was written before is kept, the rest of the run continues");
                 failures.push(error);
             }
         }

@@ -1,13 +1,13 @@
-//! Messages of a log, decoded by the schemas that travel with it; in logs of profile `ros2` they are unwrapped first.
+//! Decodes messages of a log with the schemas stored in it; in logs of profile `ros2` they are unwrapped first.
 
 use super::ros2;
 use super::schema::Topic;
-use crate::contained::contained;
+use crate::catch_panic::catch_panic;
 use mcap::records::Record;
 use prost_reflect::{DescriptorPool, DynamicMessage, MessageDescriptor};
 use std::collections::BTreeMap;
 
-/// Schemas and channels met so far.
+/// Schemas and channels read so far.
 #[derive(Default)]
 pub(crate) struct MessageDecoder {
     schemas: BTreeMap<u16, (String, Option<MessageDescriptor>)>,
@@ -18,12 +18,12 @@ struct Channel {
     topic: String,
     schema: String,
     descriptor: Option<MessageDescriptor>,
-    /// Whether messages are within others.
+    /// Whether messages are wrapped in others.
     wrapped: bool,
 }
 
 impl MessageDecoder {
-    /// Takes a schema or a channel in; other records say nothing new.
+    /// Learns from a schema or channel record; others are ignored.
     pub(crate) fn learn(&mut self, record: &Record<'_>) {
         match record {
             Record::Schema { header, data } => {
@@ -55,7 +55,7 @@ impl MessageDecoder {
         self.channels.get(&id).map(|channel| channel.topic.as_str())
     }
 
-    /// Topic of a channel, if the schema of its messages can be read.
+    /// Topic of a channel, if its messages' schema can be read.
     pub(crate) fn topic(&self, id: u16) -> Option<&str> {
         let channel = self.channels.get(&id)?;
         channel.descriptor.as_ref().map(|_| channel.topic.as_str())
@@ -75,7 +75,7 @@ impl MessageDecoder {
         }
     }
 
-    /// A message of a channel, if that is of `topic` and its schema fits.
+    /// A message of a channel, if the channel is of `topic` and its schema fits.
     pub(crate) fn decoded(&self, channel: u16, topic: Topic, data: &[u8]) -> Option<DynamicMessage> {
         (self.topic(channel)? == topic.name()).then(|| self.decode(channel, data).ok()).flatten()
     }
@@ -83,11 +83,11 @@ impl MessageDecoder {
 
 /// The message `name` of these descriptors.
 fn described(name: &str, descriptors: &[u8]) -> Option<MessageDescriptor> {
-    // The library panics on some descriptors that contradict themselves.
-    contained(|| DescriptorPool::decode(descriptors).ok()?.get_message_by_name(name)).flatten()
+    // The library panics on some inconsistent descriptors.
+    catch_panic(|| DescriptorPool::decode(descriptors).ok()?.get_message_by_name(name)).flatten()
 }
 
 fn decode(descriptor: &MessageDescriptor, data: &[u8]) -> Result<DynamicMessage, String> {
-    contained(|| DynamicMessage::decode(descriptor.clone(), data).map_err(|error| error.to_string()))
+    catch_panic(|| DynamicMessage::decode(descriptor.clone(), data).map_err(|error| error.to_string()))
         .unwrap_or_else(|| Err("its schema contradicts itself".to_owned()))
 }

@@ -7,7 +7,7 @@ use std::path::PathBuf;
 /// Why a log cannot be read or repaired.
 #[derive(Debug, thiserror::Error)]
 pub enum LogError {
-    /// The file system refuses.
+    /// The file system reports an error.
     #[error("{}: {source}", path.display())]
     Io {
         /// Which file.
@@ -16,13 +16,13 @@ pub enum LogError {
         source: io::Error,
     },
     /// Another kind of file.
-    #[error("{}: is no log: an MCAP file begins with the bytes 89 4D 43 41 50 30 0D 0A", path.display())]
+    #[error("{}: is not a log: an MCAP file begins with the bytes 89 4D 43 41 50 30 0D 0A", path.display())]
     NotMcap {
         /// Which file.
         path: PathBuf,
     },
-    /// A log of something else.
-    #[error("{}: is an MCAP file, but has no topic {}: no log of this program", path.display(), Topic::Estimate.name())]
+    /// A log of another program.
+    #[error("{}: is an MCAP file, but has no topic {}: it is not a log of this program", path.display(), Topic::Estimate.name())]
     NotOurs {
         /// Which file.
         path: PathBuf,
@@ -33,7 +33,7 @@ pub enum LogError {
         /// Which file.
         path: PathBuf,
     },
-    /// What is read cannot be written again.
+    /// What was read cannot be written again.
     #[error("{}: cannot be repaired: {reason}", path.display())]
     Repair {
         /// Which file.

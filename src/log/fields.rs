@@ -1,5 +1,5 @@
-//! Fields of a decoded message by name. What is absent, or of another type than expected, is `None`: logs of other
-//! versions are understood as far as the names are the same.
+//! Fields of a decoded message by name. A field that is absent or of an unexpected type is `None`: logs of other
+//! versions can be read as far as their names agree.
 
 use prost_reflect::{DynamicMessage, Value};
 
@@ -14,7 +14,7 @@ pub(crate) fn number(message: &DynamicMessage, field: &str) -> Option<i64> {
     }
 }
 
-/// A whole number that the sender may leave out.
+/// An optional whole number.
 pub(crate) fn optional_number(message: &DynamicMessage, field: &str) -> Option<i64> {
     message.has_field_by_name(field).then(|| number(message, field)).flatten()
 }
@@ -29,7 +29,7 @@ pub(crate) fn text(message: &DynamicMessage, field: &str) -> Option<String> {
     message.get_field_by_name(field)?.as_str().map(str::to_owned)
 }
 
-/// A message inside, unless it is absent.
+/// A nested message, unless absent.
 pub(crate) fn inner(message: &DynamicMessage, field: &str) -> Option<DynamicMessage> {
     if !message.has_field_by_name(field) {
         return None;
@@ -37,7 +37,7 @@ pub(crate) fn inner(message: &DynamicMessage, field: &str) -> Option<DynamicMess
     message.get_field_by_name(field)?.as_message().cloned()
 }
 
-/// `x`, `y` and `z` of a message inside.
+/// `x`, `y` and `z` of a nested message.
 pub(crate) fn xyz(message: &DynamicMessage, field: &str) -> Option<[f64; 3]> {
     let inner = inner(message, field)?;
     Some([float(&inner, "x")?, float(&inner, "y")?, float(&inner, "z")?])

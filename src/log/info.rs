@@ -27,17 +27,17 @@ pub struct TopicInfo {
 pub struct Info {
     /// Program and version that wrote it.
     pub library: String,
-    /// What of it can be trusted.
+    /// How much of it can be trusted.
     pub condition: Condition,
     /// Whether a run is still writing it.
     pub being_written: bool,
-    /// Its topics in the order of their names.
+    /// Its topics, sorted by name.
     pub topics: Vec<TopicInfo>,
     /// Names and sizes in bytes of the files attached to it.
     pub attachments: Vec<(String, u64)>,
     /// Name of the camera's clock.
     pub clock: Option<String>,
-    /// Camera frames it has a row for.
+    /// Camera frames with a row.
     pub frames: u64,
     /// Camera time of the first and the last frame, nanoseconds of that clock.
     pub span_ns: Option<(i64, i64)>,
@@ -45,7 +45,7 @@ pub struct Info {
     pub host_span_ns: Option<(i64, i64)>,
     /// Places where camera frames were lost, and how many in all.
     pub gaps: (u64, u64),
-    /// Frames whose number does not follow that of the frame before: rows that are missing in the log.
+    /// Frames whose number does not follow that of the frame before: rows missing in the log.
     pub rows_missing: u64,
     /// Frames whose stamp is not later than that of the frame before.
     pub not_later: u64,
@@ -57,7 +57,7 @@ impl Info {
     /// Reads the log at `path`, whole.
     ///
     /// # Errors
-    /// When it cannot be read, is no MCAP file, or a log of something else.
+    /// When it cannot be read, is not an MCAP file, or is a log of another program.
     pub fn read(path: &Path) -> Result<Self, LogError> {
         let mut info = Self::default();
         let mut decoder = MessageDecoder::default();

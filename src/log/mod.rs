@@ -1,7 +1,7 @@
-//! What a log is (`schema`), what is in one ([`Info`]), and one that was cut off made whole ([`repair()`]).
+//! What a log is (`schema`), what is in one ([`Info`]), and the repair of one that was cut off ([`repair()`]).
 //!
-//! Logs are read record by record, however large they are. Messages are decoded by the schemas that travel with them,
-//! field by name: logs of other versions are understood as far as the names are the same.
+//! Logs are read record by record, whatever their size. Messages are decoded with the schemas stored in the log, fields
+//! by name: logs of other versions can be read as far as their names agree.
 
 pub(crate) mod decoder;
 mod error;
@@ -42,10 +42,10 @@ pub fn is_being_written(path: &Path) -> bool {
     }
 }
 
-/// The profile that the log at `path` says it is of; empty for those of this program but `ros2`.
+/// The profile stated in the log at `path`; for this program's logs empty or `ros2`.
 ///
 /// # Errors
-/// When the log cannot be read, or is none.
+/// When the log cannot be read, or is not a log.
 pub(crate) fn profile(path: &Path) -> Result<String, LogError> {
     let mut records = records::Records::open(path)?;
     while let Some(record) = records.next()? {
@@ -59,7 +59,7 @@ pub(crate) fn profile(path: &Path) -> Result<String, LogError> {
 /// The text file called `name` that is attached to the log at `path`, if there is one.
 ///
 /// # Errors
-/// When the log cannot be read, or is none.
+/// When the log cannot be read, or is not a log.
 pub fn attached(path: &Path, name: &str) -> Result<Option<String>, LogError> {
     let mut records = records::Records::open(path)?;
     while let Some(record) = records.next()? {

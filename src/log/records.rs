@@ -1,12 +1,12 @@
-//! The records of a log, one after the other, chunks opened; what is damaged is left out and listed ([`Condition`]).
+//! The records of a log, one after another, with chunks opened; damaged parts are left out and listed ([`Condition`]).
 //!
 //! In: a log, whole, cut off or damaged, its chunks plain or compressed (lz4, zstd). Out: every record whose checksum
-//! holds. A chunk whose checksum differs is left out whole. Where lengths make no sense the file is searched for the
+//! holds. A chunk with a wrong checksum is left out entirely. Where lengths are invalid the file is searched for the
 //! next chunk. What this cannot detect: damage in a chunk that was written without a checksum, if it leaves valid
 //! records.
 
 use super::LogError;
-use crate::contained::contained;
+use crate::catch_panic::catch_panic;
 use mcap::McapError;
 use mcap::records::{Record, op};
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
@@ -15,23 +15,23 @@ use std::fs::File;
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
-/// No record of ours comes near: a length beyond is damage.
+/// Our records are much shorter: a greater length is damage.
 const LONGEST_RECORD: u64 = 1 << 30;
-/// The same for what comes out of a compressed chunk.
+/// The same for the content of a compressed chunk.
 const LARGEST_CHUNK: u64 = 1 << 28;
 /// Code and length before every record.
 const HEAD: u64 = 9;
-/// Damages that are listed; more are counted.
-const MOST_LISTED: usize = 100;
-/// Why a log without an index was cut.
+/// Most damaged places listed; further ones are counted.
+const MAX_LISTED: usize = 100;
+/// Reason given for a log without an index.
 const NO_INDEX: &str = "it ends without an index";
 
-/// What of a log can be trusted.
+/// How much of a log can be trusted.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Condition {
     /// Why it ends early, if it does.
     pub cut: Option<String>,
-    /// Places that are damaged, in the order of the file; 100 at most.
+    /// Damaged places, in file order; at most 100.
     pub damage: Vec<Damage>,
     /// How many more there are.
     pub more_damage: u64,
@@ -75,9 +75,9 @@ pub(crate) struct Records {
     length: u64,
     /// Where the next record begins.
     at: u64,
-    /// Of all bytes so far; gone when some were not read in their order, and behind the data.
+    /// Checksum of all bytes so far; `None` once some were read out of order, and after the data section.
     checksum: Option<crc32fast::Hasher>,
-    /// What was in the last chunk.
+    /// Remaining records of the last chunk.
     opened: VecDeque<(u8, Vec<u8>)>,
     current: (u8, Vec<u8>),
     ended: bool,
@@ -86,10 +86,10 @@ pub(crate) struct Records {
     condition: Condition,
 }
 
-/// What is found at the top level of the file.
+/// What was found at the top level of the file.
 enum Found {
     Record(u8, Vec<u8>),
-    /// Nothing that makes sense; the file is searched from here on.
+    /// Invalid data; the file is searched from here.
     Nonsense(String),
     End(Option<String>),
 }
@@ -98,7 +98,7 @@ impl Records {
     /// Opens the log at `path`.
     ///
     /// # Errors
-    /// When it cannot be read, or is no MCAP file.
+    /// When it cannot be read, or is not an MCAP file.
     pub(crate) fn open(path: &Path) -> Result<Self, LogError> {
         let lost = |source| LogError::Io { path: path.to_owned(), source };
         let mut file = File::open(path).map_err(lost)?;
@@ -155,12 +155,12 @@ impl Records {
         Ok(record)
     }
 
-    /// What of the log can be trusted, as far as it was read.
+    /// How much of the log can be trusted, as far as read.
     pub(crate) fn condition(&self) -> &Condition {
         &self.condition
     }
 
-    /// Goes over one record of the file, or over what is damaged.
+    /// Reads one record of the file, or skips a damaged part.
     fn advance(&mut self) -> io::Result<()> {
         let at = self.at;
         match self.found()? {
@@ -202,7 +202,7 @@ impl Records {
         Ok(())
     }
 
-    /// Reads the record at the place where the file stands.
+    /// Reads the record at the current position.
     fn found(&mut self) -> io::Result<Found> {
         let left = self.length.saturating_sub(self.at);
         if left == 0 {
@@ -211,12 +211,12 @@ impl Records {
         if left < HEAD {
             return Ok(Found::Nonsense(NO_INDEX.to_owned()));
         }
-        self.go_to(self.at)?;
+        self.seek_to(self.at)?;
         let mut head = [0; HEAD as usize];
         self.file.read_exact(&mut head)?;
         let [code, length @ ..] = head;
         let length = u64::from_le_bytes(length);
-        // Codes above are the private ones of other programs.
+        // Codes from 0x80 are private to other programs.
         if code == 0 || (code > op::DATA_END && code < 0x80) {
             return Ok(Found::Nonsense(format!("at byte {} there is no record", self.at)));
         }
@@ -235,13 +235,13 @@ impl Records {
         Ok(Found::Record(code, body))
     }
 
-    /// The whole records of the chunk at `at` that was never finished; none if there is something else, or it is
-    /// compressed. Its checksum was not written yet.
+    /// The complete records of the unfinished chunk at `at`, whose checksum was not written yet; none if it is not a
+    /// chunk or is compressed.
     fn of_unfinished_chunk(&mut self, at: u64) -> io::Result<Vec<(u8, Vec<u8>)>> {
-        // Times, size and checksum of its records, the name of the compression, which is empty, and their size.
+        // Times, size and checksum of its records, the (empty) name of the compression, and their size.
         const CHUNK_HEAD: usize = 8 + 8 + 8 + 4 + 4 + 8;
         let mut bytes = Vec::new();
-        self.go_to(at)?;
+        self.seek_to(at)?;
         (&mut self.file).take(LARGEST_CHUNK).read_to_end(&mut bytes)?;
         let plain = bytes.get(HEAD as usize + 28..HEAD as usize + 32) == Some(&[0; 4]);
         if bytes.first() != Some(&op::CHUNK) || !plain {
@@ -259,21 +259,21 @@ impl Records {
         Ok(records)
     }
 
-    fn go_to(&mut self, at: u64) -> io::Result<()> {
+    fn seek_to(&mut self, at: u64) -> io::Result<()> {
         let now = self.file.stream_position()?;
         let by = i128::from(at) - i128::from(now);
         self.file.seek_relative(i64::try_from(by).map_err(io::Error::other)?)
     }
 
     fn damaged(&mut self, at: u64, what: String) {
-        if self.condition.damage.len() == MOST_LISTED {
+        if self.condition.damage.len() == MAX_LISTED {
             self.condition.more_damage += 1;
         } else {
             self.condition.damage.push(Damage { at, what, between_ns: (self.last_ns, None) });
         }
     }
 
-    /// The checksum of all data: it also covers what has none of its own.
+    /// Checks the checksum of the data section, which also covers records without their own.
     fn check_data(&mut self, at: u64, body: &[u8]) {
         let saved = body.first_chunk().map_or(0, |bytes| u32::from_le_bytes(*bytes));
         let computed = self.checksum.take().map(crc32fast::Hasher::finalize);
@@ -283,7 +283,7 @@ impl Records {
         }
     }
 
-    /// The checksum of index and statistics, which no reader here uses.
+    /// Checks the checksum of index and statistics, which no reader here uses.
     fn check_summary(&mut self, at: u64, body: &[u8]) -> io::Result<()> {
         let Ok(Record::Footer(footer)) = mcap::parse_record(op::FOOTER, body) else {
             self.damaged(at, "the footer cannot be understood".to_owned());
@@ -293,11 +293,11 @@ impl Records {
             return Ok(());
         }
         let start = if footer.summary_start == 0 { at } else { footer.summary_start };
-        // To the checksum itself, the last field of the footer.
+        // Up to the checksum itself, the last field of the footer.
         let end = self.at - 4;
         let mut checksum = crc32fast::Hasher::new();
         if start <= at {
-            self.go_to(start)?;
+            self.seek_to(start)?;
             let mut rest = end - start;
             let mut bytes = [0; 4096];
             while rest > 0 {
@@ -315,7 +315,7 @@ impl Records {
 
     fn check_end(&mut self) -> io::Result<()> {
         let mut magic = Vec::new();
-        self.go_to(self.at)?;
+        self.seek_to(self.at)?;
         (&mut self.file).take(mcap::MAGIC.len() as u64 + 1).read_to_end(&mut magic)?;
         if magic != mcap::MAGIC {
             self.damaged(self.at, "the file does not end as logs do; all messages are there".to_owned());
@@ -326,11 +326,11 @@ impl Records {
     /// Where the next chunk begins, or the end of the data or of the file.
     fn search(&mut self, from: u64) -> io::Result<Option<u64>> {
         const BLOCK: u64 = 1 << 16;
-        // As long as what is looked at from a place on.
+        // Length that is examined at each position.
         const OVERLAP: u64 = 64;
         let mut start = from;
         while start < self.length {
-            self.go_to(start)?;
+            self.seek_to(start)?;
             let mut block = Vec::new();
             (&mut self.file).take(BLOCK + OVERLAP).read_to_end(&mut block)?;
             for (k, at) in (start..start + BLOCK.min(block.len() as u64)).enumerate() {
@@ -375,9 +375,9 @@ fn is_plausible(bytes: &[u8], left: u64) -> bool {
     }
 }
 
-/// A record, unless it makes no sense. (The library panics on an attachment that is too short for its checksum.)
+/// A record, unless invalid. (The library panics on an attachment that is too short for its checksum.)
 fn parsed(code: u8, body: &[u8]) -> Option<Record<'_>> {
-    contained(|| mcap::parse_record(code, body).ok()).flatten()
+    catch_panic(|| mcap::parse_record(code, body).ok()).flatten()
 }
 
 /// The records of a chunk.
@@ -386,7 +386,7 @@ fn opened(body: &[u8]) -> Result<Vec<(u8, Vec<u8>)>, String> {
         return Err("a chunk cannot be understood".to_owned());
     };
     if header.uncompressed_size > LARGEST_CHUNK {
-        return Err(format!("a chunk says that it holds {} bytes", header.uncompressed_size));
+        return Err(format!("a chunk declares {} bytes", header.uncompressed_size));
     }
     if !matches!(header.compression.as_str(), "" | "lz4" | "zstd") {
         return Err(format!("a chunk is compressed as `{}`, which is not known", header.compression.escape_debug()));
@@ -412,7 +412,7 @@ fn opened(body: &[u8]) -> Result<Vec<(u8, Vec<u8>)>, String> {
         }
         Ok(records)
     };
-    contained(read).unwrap_or_else(|| Err("a chunk cannot be understood".to_owned()))
+    catch_panic(read).unwrap_or_else(|| Err("a chunk cannot be understood".to_owned()))
 }
 
 fn reason(error: &McapError) -> String {
@@ -425,7 +425,7 @@ fn reason(error: &McapError) -> String {
 /// Gives every record of the log at `path` to `take`.
 ///
 /// # Errors
-/// When the file cannot be read, is no MCAP file, or `take` fails.
+/// When the file cannot be read, is not an MCAP file, or `take` fails.
 pub(crate) fn each(
     path: &Path,
     mut take: impl FnMut(&Record<'_>) -> Result<(), LogError>,

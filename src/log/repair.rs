@@ -1,6 +1,6 @@
-//! A damaged or unfinished log gets an index again: all records that are whole, written into a new log.
+//! Repairs a damaged or unfinished log: writes all intact records into a new log with an index.
 //!
-//! Topics of other programs are kept. What is damaged is left out and listed; chunks are written without compression.
+//! Topics of other programs are kept. Damaged parts are left out and listed; chunks are written without compression.
 
 use super::records::{self, Condition};
 use super::{LogError, is_being_written};
@@ -16,30 +16,30 @@ use std::path::{Path, PathBuf};
 pub enum Repaired {
     /// Nothing: the log is whole.
     WasWhole,
-    /// There is a whole log again.
+    /// The log was repaired.
     Mended {
         /// Messages that were saved.
         messages: u64,
-        /// Messages that were left out because nothing says what topic they are of.
+        /// Messages that were left out because their topic is unknown.
         unknown: u64,
         /// What was wrong.
         condition: Condition,
-        /// The file as it was.
+        /// The original file.
         kept_as: PathBuf,
     },
 }
 
-/// Makes the log at `path` whole. The damaged one is kept beside it, its name ending in `.bak` (`.bak2`, … if there is
-/// one already); until the new one is complete and on the disk, nothing is changed.
+/// Repairs the log at `path`. The damaged one is kept beside it with the suffix `.bak` (`.bak2`, … if that exists);
+/// nothing is changed until the new one is complete and on the disk.
 ///
 /// # Errors
-/// When it cannot be read, is no MCAP file, is still being written, holds no message that could be saved, or the disk
-/// has no place for a second one.
+/// When it cannot be read, is not an MCAP file, is still being written, has no message that can be saved, or the disk
+/// has no room for a second file.
 pub fn repair(path: &Path) -> Result<Repaired, LogError> {
     if is_being_written(path) {
         return Err(LogError::BeingWritten { path: path.to_owned() });
     }
-    // What is wrong shows only at the end, and names of topics may stand there only.
+    // Some damage shows only at the end, and topic names may be only there.
     let mut topics = Topics::default();
     let condition = records::each(path, |record| {
         topics.learn(record);
@@ -57,7 +57,7 @@ pub fn repair(path: &Path) -> Result<Repaired, LogError> {
     let (messages, unknown) = match copy(path, &new, &topics) {
         Ok(counts) => counts,
         Err(error) => {
-            // What stands there is of no use; that it cannot be removed changes nothing.
+            // The file is useless; if it cannot be removed, nothing changes.
             let _ = std::fs::remove_file(&new);
             return Err(error);
         }
@@ -81,7 +81,7 @@ struct Topics {
     schemas: BTreeMap<u16, (String, String, Vec<u8>)>,
     channels: BTreeMap<u16, Channel>,
     messages: u64,
-    /// What the file says it is for.
+    /// The profile stated in the file.
     profile: String,
 }
 
@@ -102,7 +102,7 @@ impl Topics {
     }
 }
 
-/// Messages that were written, and messages of unknown topics.
+/// Copies the messages; returns the numbers written and of unknown topics.
 fn copy(from: &Path, to: &Path, topics: &Topics) -> Result<(u64, u64), LogError> {
     let io = |source| LogError::Io { path: to.to_owned(), source };
     let failed = |error: McapError| match error {
@@ -142,7 +142,7 @@ fn copy(from: &Path, to: &Path, topics: &Topics) -> Result<(u64, u64), LogError>
                 data: data.clone(),
             }),
             Record::Metadata(metadata) => writer.write_metadata(metadata),
-            // Schemas and channels are there already, indexes and the summary are made anew.
+            // Schemas and channels are already written; indexes and the summary are rebuilt.
             _ => Ok(()),
         }
         .map_err(failed)

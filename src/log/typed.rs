@@ -1,6 +1,6 @@
-//! Decoded messages as the structs they were written from: for what turns a log into something else.
+//! Turns decoded messages back into the structs they were written from, for converting logs.
 //!
-//! What a log of another version does not have is as if it were not known.
+//! Fields missing in a log of another version count as unknown.
 
 use super::fields::{float, inner, number, optional_number, text, xyz};
 use super::schema::messages::{
@@ -23,6 +23,7 @@ pub(crate) fn estimate(message: &DynamicMessage) -> Option<Estimate> {
         tangent: inner(message, "tangent").as_ref().and_then(tangent),
         deflection_status: status(message, "deflection_status"),
         deflection: inner(message, "deflection").as_ref().and_then(angles),
+        tick: optional_number(message, "tick").and_then(|tick| u32::try_from(tick).ok()),
     })
 }
 

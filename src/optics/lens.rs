@@ -36,17 +36,17 @@ pub enum LensError {
     },
 }
 
-/// Newton steps after which undistortion is given up; five are enough within a usable field of view.
+/// Newton steps after which undistortion is given up; five suffice within a usable field of view.
 const MAX_STEPS: usize = 30;
 
-/// How often a step is halved to stay in the field; beyond that the pixel lies outside it.
+/// Most halvings of a step to stay in the field; after that the pixel lies outside it.
 const MAX_HALVINGS: i32 = 20;
 
-/// A Newton step (normalised coordinates) after which the next would be below rounding.
+/// A Newton step (normalised coordinates) so small that the next would be below rounding.
 const LAST_STEP: f64 = 1e-9;
 
 impl Lens {
-    /// Checks that the numbers describe a lens.
+    /// Checks that the numbers can describe a lens.
     ///
     /// # Errors
     /// [`LensError`] with the offending value.
@@ -85,7 +85,7 @@ impl Lens {
         [&self.distortion, denominator].concat()
     }
 
-    /// The radial factor's denominator, and its derivative by r².
+    /// The radial factor's denominator, and its derivative with respect to r².
     pub(crate) fn denominator_at(&self, r2: f64) -> (f64, f64) {
         let [k4, k5, k6] = self.denominator;
         (1.0 + r2 * (k4 + r2 * (k5 + r2 * k6)), k4 + r2 * (2.0 * k5 + r2 * 3.0 * k6))
@@ -138,12 +138,12 @@ impl Lens {
             return Some(guess);
         }
         if !self.is_one_to_one(&guess) {
-            guess = Point2::origin(); // a pincushion's pixels may lie outside the field of their directions
+            guess = Point2::origin(); // with pincushion distortion a pixel may lie outside the field of directions
         }
         for _ in 0..MAX_STEPS {
             let (at, j) = self.distort_with_jacobian(&guess);
             let step = j.try_inverse()? * (at - pixel);
-            // Convergence is quadratic: what remains after a step this small is below rounding.
+            // Convergence is quadratic: the error left after a step this small is below rounding.
             let last = step.norm() < LAST_STEP;
             guess = (0..MAX_HALVINGS).map(|k| guess - step * 0.5_f64.powi(k)).find(|p| self.is_one_to_one(p))?;
             if last {
@@ -153,11 +153,11 @@ impl Lens {
         None
     }
 
-    /// Whether the distortion is one-to-one from the centre out to this normalised point. Further out the model brings
+    /// Whether the distortion is one-to-one from the centre out to this normalised point. Further out the model folds
     /// directions back into the picture that no camera sees there.
     ///
     /// The radial part must grow all the way, 1 + 3 k1 s + 5 k2 s² + 7 k3 s³ > 0 for s = 0..r²; the tangential part is
-    /// small and looked at in the point alone. Of a rational lens N/D it is N D + 2 s (N' D − N D') that must be
+    /// small and checked only at the point itself. Of a rational lens N/D it is N D + 2 s (N' D − N D') that must be
     /// positive, and D.
     pub fn is_one_to_one(&self, normalised: &Point2<f64>) -> bool {
         if self.is_rational() {
@@ -167,8 +167,7 @@ impl Lens {
         let [k1, k2, _, _, k3] = self.distortion;
         let growth = |s: f64| 1.0 + s * (3.0 * k1 + s * (5.0 * k2 + s * 7.0 * k3));
         let r2 = normalised.coords.norm_squared();
-        // The least growth is at the end or at a root of 3 k1 + 10 k2 s + 21 k3 s². NaN and infinity mean: no such
-        // root.
+        // The minimum is at the end or at a root of 3 k1 + 10 k2 s + 21 k3 s². NaN or infinity: there is no such root.
         let (a, b, c) = (21.0 * k3, 10.0 * k2, 3.0 * k1);
         let q = -0.5 * (b + (b * b - 4.0 * a * c).sqrt().copysign(b));
         let grows = |s: f64| !(s > 0.0 && s < r2) || growth(s) > 0.0;
@@ -193,11 +192,11 @@ impl Lens {
     }
 }
 
-/// Halvings of an interval in which a polynomial is followed.
+/// Most halvings of an interval on which a polynomial is checked.
 const MAX_PARTS: usize = 12;
 
 /// Whether c₀ + c₁ s + c₂ s² + … is positive for all s from 0 to `end`. Its Bernstein coefficients enclose it; where
-/// they do not decide, the interval is halved. What comes so near to zero that nothing decides is none.
+/// they do not decide, the interval is halved. A polynomial too close to zero to decide counts as not positive.
 fn is_positive(coefficients: &[f64], end: f64) -> bool {
     let n = coefficients.len() - 1;
     let binomial = |n: usize, k: usize| (0..k).fold(1.0, |product, i| product * (n - i) as f64 / (i + 1) as f64);
@@ -248,9 +247,8 @@ mod tests {
         assert!((pixel.y - (2706.9 * -0.099427 + 508.2)).abs() < 1e-9);
     }
 
-    #[test]
-    fn undistort_inverts_distort_to_1e_9_px_over_the_picture() {
-        let lens = dev_lens();
+    /// `undistort` undoes `distort` to 1e-9 px over a picture of 1280 by 1024 pixels.
+    fn check_inverse(lens: &Lens) {
         for i in 0..=16 {
             for j in 0..=16 {
                 let pixel = Point2::new(f64::from(i) * 80.0, f64::from(j) * 64.0);
@@ -258,6 +256,22 @@ mod tests {
                 assert!((back - pixel).amax() < 1e-9, "{pixel} came back as {back}");
             }
         }
+    }
+
+    /// The Jacobian at `p` equals central differences.
+    fn check_jacobian(lens: &Lens, p: Point2<f64>) {
+        let (_, j) = lens.distort_with_jacobian(&p);
+        for k in 0..2 {
+            let mut step = Vector2::zeros();
+            step[k] = 1e-6;
+            let diff = (lens.distort(&(p + step)) - lens.distort(&(p - step))) / 2e-6;
+            assert!((j.column(k) - diff).amax() < 1e-5);
+        }
+    }
+
+    #[test]
+    fn undistort_inverts_distort_to_1e_9_px_over_the_picture() {
+        check_inverse(&dev_lens());
     }
 
     #[test]
@@ -272,13 +286,13 @@ mod tests {
         let at = |distortion: [f64; 5], x: f64| Lens { distortion, ..dev_lens() }.is_one_to_one(&Point2::new(x, 0.0));
         // 1 - 0.9 x² > 0 up to x = 1.0541.
         assert!(at([-0.3, 0.0, 0.0, 0.0, 0.0], 1.054) && !at([-0.3, 0.0, 0.0, 0.0, 0.0], 1.055));
-        // 1 - 1.5 s + 0.5 s² = (1 - s)(1 - s/2): turns back at s = 1 and forth again at s = 2; x = 2 is beyond both.
+        // 1 - 1.5 s + 0.5 s² = (1 - s)(1 - s/2): turns back at s = 1 and forward again at s = 2; x = 2 is beyond both.
         let twice = [-0.5, 0.1, 0.0, 0.0, 0.0];
         assert!(at(twice, 0.999) && !at(twice, 1.2) && !at(twice, 2.0));
         // With k1 = 1/3, k3 = -2/7: 1 + s - 2 s³ = 0 at s = 1.
         let third = [1.0 / 3.0, 0.0, 0.0, 0.0, -2.0 / 7.0];
         assert!(at(third, 0.9999) && !at(third, 1.0001));
-        // (1 - s²)(1 - s/2) = 1 - s/2 - s² + s³/2: turns back at s = 1, and forth again at s = 2.
+        // (1 - s²)(1 - s/2) = 1 - s/2 - s² + s³/2: turns back at s = 1 and forward again at s = 2.
         let both = [-1.0 / 6.0, -0.2, 0.0, 0.0, 1.0 / 14.0];
         assert!(at(both, 0.999) && !at(both, 1.001) && !at(both, 2.0));
         // No distortion, and the sample's lens: everywhere.
@@ -305,15 +319,7 @@ mod tests {
 
     #[test]
     fn jacobian_equals_differences() {
-        let lens = dev_lens();
-        let p = Point2::new(0.17, -0.21);
-        let (_, j) = lens.distort_with_jacobian(&p);
-        for k in 0..2 {
-            let mut step = Vector2::zeros();
-            step[k] = 1e-6;
-            let diff = (lens.distort(&(p + step)) - lens.distort(&(p - step))) / 2e-6;
-            assert!((j.column(k) - diff).amax() < 1e-5);
-        }
+        check_jacobian(&dev_lens(), Point2::new(0.17, -0.21));
     }
 
     /// A wide lens as OpenCV's rational model fits them: numerator and denominator nearly cancel.
@@ -337,7 +343,7 @@ mod tests {
         project_points_def(&objects, &none, &none, &matrix, &coefficients, &mut there).unwrap();
         for ((x, y), opencv) in places.iter().zip(there) {
             let ours = lens.distort(&Point2::new(f64::from(*x), f64::from(*y)));
-            // Theirs are single precision.
+            // OpenCV's are single precision.
             let off = (ours - Point2::new(f64::from(opencv.x), f64::from(opencv.y))).amax();
             assert!(off < 2e-4, "{x} {y}: {off}");
         }
@@ -364,21 +370,8 @@ mod tests {
     #[test]
     fn a_rational_lens_is_undone_over_a_wide_picture() {
         let lens = Lens { focal_px: Vector2::new(700.0, 702.0), ..wide_lens() };
-        for i in 0..=16 {
-            for j in 0..=16 {
-                let pixel = Point2::new(f64::from(i) * 80.0, f64::from(j) * 64.0);
-                let back = lens.distort(&lens.undistort(&pixel).unwrap());
-                assert!((back - pixel).amax() < 1e-9, "{pixel} came back as {back}");
-            }
-        }
-        let p = Point2::new(0.6, -0.5);
-        let (_, j) = lens.distort_with_jacobian(&p);
-        for k in 0..2 {
-            let mut step = Vector2::zeros();
-            step[k] = 1e-6;
-            let diff = (lens.distort(&(p + step)) - lens.distort(&(p - step))) / 2e-6;
-            assert!((j.column(k) - diff).amax() < 1e-5);
-        }
+        check_inverse(&lens);
+        check_jacobian(&lens, Point2::new(0.6, -0.5));
         // A pole of the denominator, 1 − 2 s = 0 at r = 0.7071, ends the field.
         let pole = Lens { distortion: [0.0; 5], denominator: [-2.0, 0.0, 0.0], ..lens };
         assert!(pole.is_one_to_one(&Point2::new(0.7, 0.0)) && !pole.is_one_to_one(&Point2::new(0.72, 0.0)));

@@ -1,9 +1,9 @@
-//! Where a marker is seen, and where a pixel looks: the lens, the surfaces, and the path through them.
+//! Where a point is seen, and where a pixel looks: the lens, the surfaces, and the path through them.
 //!
 //! - [`Lens`]: pinhole and Brown-Conrady distortion, pixel <-> direction.
-//! - [`Surface`]: a plane mirror or a flat glass wall; what happens to a ray there.
+//! - [`Surface`]: a plane mirror or a flat glass wall, and what it does to a ray.
 //! - [`OpticalPath`]: lens and an ordered list of surfaces; [`OpticalPath::trace`] and its inverse
-//!   [`OpticalPath::project`], both with Jacobians. Everything else in the project stands on these two.
+//!   [`OpticalPath::project`], both with Jacobians. Everything else in the project builds on these two.
 //! - [`triangulate()`]: a point from its images in two or more views.
 //!
 //! # Conventions
@@ -28,7 +28,7 @@ use nalgebra::{Matrix3x2, Point3, Vector3};
 /// A half-line in the camera frame: `origin + s·direction`, s ≥ 0, metres; `direction` has unit length.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Ray {
-    /// Where the ray leaves the last surface (the camera's centre when none is met), metres.
+    /// Where the ray leaves the last surface (the camera's centre if there is none), metres.
     pub origin: Point3<f64>,
     /// Unit direction of travel, away from the camera.
     pub direction: Vector3<f64>,
@@ -46,12 +46,12 @@ impl Ray {
     }
 }
 
-/// A ray on its way, with its derivative with respect to the normalised image point it started at.
+/// A ray partway through a path, with its derivative with respect to the normalised image point it started from.
 #[derive(Debug, Clone, Copy)]
 struct RayWithJacobian {
     ray: Ray,
     d_origin: Matrix3x2<f64>,
     d_direction: Matrix3x2<f64>,
-    /// Why no light takes this line, where it was continued all the same.
+    /// Why no light takes this line, if it was continued nevertheless.
     lost: Option<NoRay>,
 }

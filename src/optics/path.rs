@@ -1,8 +1,8 @@
-//! The optical path: a lens and an ordered list of surfaces. `trace` folds a pixel's ray through the list, `project`
+//! The optical path: a lens and an ordered list of surfaces. `trace` folds a pixel's ray through the list; `project`
 //! inverts it.
 //!
-//! A refracted view has no single centre, so there is no closed form for `project`: it searches the ray (`solve.rs`),
-//! two to four steps to rounding.
+//! A refracted view has no single centre, so there is no closed form for `project`: it solves for the ray (`solve.rs`),
+//! to rounding in two to four steps.
 
 use crate::optics::solve::{self, Connection};
 use crate::optics::{Lens, NoRay, Ray, RayWithJacobian, Surface};
@@ -11,12 +11,12 @@ use nalgebra::{Matrix2x3, Matrix3x2, Point2, Point3};
 /// A lens and the surfaces a camera ray meets, in the order of travel.
 ///
 /// # Assumptions
-/// Surfaces are unbounded planes and met in the given order; what limits them in the picture is the view's region.
+/// Surfaces are unbounded planes and met in the given order; the view's region limits them in the picture.
 #[derive(Debug, Clone, PartialEq)]
 pub struct OpticalPath {
     /// The camera's lens.
     pub lens: Lens,
-    /// From the camera to the marker's medium.
+    /// The surfaces, from the camera to the marker's medium.
     pub surfaces: Vec<Surface>,
 }
 
@@ -42,15 +42,15 @@ pub struct Projection {
     pub ray: Ray,
     /// The point.
     pub point: Point3<f64>,
-    /// What to start from for another one beside it.
+    /// Where the search for a nearby point starts.
     connection: Connection,
 }
 
 impl OpticalPath {
-    /// The ray, in the medium of the marker, that a pixel sees along.
+    /// The ray, in the medium of the marker, along which a pixel sees.
     ///
     /// # Errors
-    /// [`NoRay`] when the ray is lost on its way.
+    /// [`NoRay`] when the ray is lost on the way.
     pub fn trace(&self, pixel: &Point2<f64>) -> Result<Ray, NoRay> {
         let normalised = self.lens.undistort(pixel).ok_or(NoRay::Lens)?;
         Ok(self.fold(&normalised)?.ray)
@@ -59,7 +59,7 @@ impl OpticalPath {
     /// As [`OpticalPath::trace`], with derivatives.
     ///
     /// # Errors
-    /// [`NoRay`] when the ray is lost on its way.
+    /// [`NoRay`] when the ray is lost on the way.
     pub fn trace_with_jacobian(&self, pixel: &Point2<f64>) -> Result<Tracing, NoRay> {
         let normalised = self.lens.undistort(pixel).ok_or(NoRay::Lens)?;
         let (_, d_pixel) = self.lens.distort_with_jacobian(&normalised);
@@ -84,7 +84,7 @@ impl OpticalPath {
         self.seen(point, solve::connect(&self.surfaces, point)?)
     }
 
-    /// As [`OpticalPath::project_with_jacobian`], in half the time for a point close to one that has been projected.
+    /// As [`OpticalPath::project_with_jacobian`], but twice as fast, for a point close to one already projected.
     ///
     /// # Errors
     /// [`NoRay`] where no ray of this path arrives.
@@ -102,7 +102,7 @@ impl OpticalPath {
         Ok(Projection { pixel, d_pixel, ray: connection.folded.ray, point: *point, connection })
     }
 
-    /// Folds the ray of a normalised image point through all surfaces and refuses one that no light takes.
+    /// Folds the ray of a normalised image point through all surfaces and rejects one that no light takes.
     fn fold(&self, normalised: &Point2<f64>) -> Result<RayWithJacobian, NoRay> {
         let folded = solve::fold(&self.surfaces, normalised)?;
         match folded.lost {
@@ -111,7 +111,7 @@ impl OpticalPath {
         }
     }
 
-    /// The ray to a point, refused where the lens model does not hold.
+    /// The ray to a point, rejected where the lens model does not hold.
     fn connect(&self, point: &Point3<f64>) -> Result<Connection, NoRay> {
         let connection = solve::connect(&self.surfaces, point)?;
         if self.lens.is_one_to_one(&connection.normalised) { Ok(connection) } else { Err(NoRay::Lens) }
@@ -145,7 +145,7 @@ mod tests {
         Surface::Wall(Wall { outer, thickness_m, index_outside: 1.0, index_wall, index_inside })
     }
 
-    /// Distance at which a point on the axis seems to lie: where two rays close to the axis that come from it meet.
+    /// Apparent distance of a point on the axis: where two of its rays close to the axis meet.
     fn apparent_distance(path: &OpticalPath, distance_m: f64) -> f64 {
         let aside_m = 1e-6;
         let pixel = path.project(&Point3::new(aside_m, 0.0, distance_m)).unwrap();
@@ -170,7 +170,7 @@ mod tests {
 
     #[test]
     fn water_lifts_to_the_apparent_depth() {
-        // 0.15 m of water look like 0.15 / 1.333 = 0.112528 m.
+        // 0.15 m of water looks like 0.15 / 1.333 = 0.112528 m.
         let seems = apparent_distance(&path(vec![wall(0.0, 1.333, 1.333)]), 1.15);
         assert!((seems - 1.112528).abs() < 1e-6, "{seems}");
     }
@@ -180,7 +180,7 @@ mod tests {
         // Ignoring 150 mm of water: 150 · (1 - 1/1.333) = 37.47 mm.
         let water = path(vec![wall(0.0, 1.333, 1.333)]);
         assert!((1.15 - apparent_distance(&water, 1.15) - 37.472e-3).abs() < 1e-6);
-        // A pane of 6 mm taken for water: 6/1.333 - 6/1.52 = 0.554 mm of apparent distance...
+        // A 6 mm pane taken for water: 6/1.333 - 6/1.52 = 0.554 mm of apparent distance...
         let pane = path(vec![wall(0.006, 1.52, 1.333)]);
         let seems = apparent_distance(&pane, 1.15);
         assert!((apparent_distance(&water, 1.15) - seems - 0.5538e-3).abs() < 1e-7);
@@ -190,9 +190,9 @@ mod tests {
 
     #[test]
     fn an_immersed_mirror_by_hand() {
-        // Index 4/3 from z = 0.6 on. (0.8, 0, 0.6) meets the water in (0.8, 0, 0.6) and goes on as (0.6, 0, 0.8): sines
-        // 0.8 and 0.8/(4/3) = 0.6. After 0.5 m it meets the mirror x = 1.1 in (1.1, 0, 1), turns to (-0.6, 0, 0.8) and
-        // is after another 0.5 m in (0.8, 0, 1.4). Pixel: 1000 · 0.8/0.6 + 500.
+        // Index 4/3 from z = 0.6 on. (0.8, 0, 0.6) meets the water at (0.8, 0, 0.6) and continues as (0.6, 0, 0.8):
+        // sines 0.8 and 0.8/(4/3) = 0.6. After 0.5 m it meets the mirror x = 1.1 at (1.1, 0, 1), turns to (-0.6, 0,
+        // 0.8) and reaches (0.8, 0, 1.4) after another 0.5 m. Pixel: 1000 · 0.8/0.6 + 500.
         let outer = Plane::new(-Vector3::z(), -0.6).unwrap();
         let index = 4.0 / 3.0;
         let water =
@@ -207,9 +207,8 @@ mod tests {
 
     #[test]
     fn steep_and_thick_is_found() {
-        // 80° in air, a pane of 100 mm, 1 m of water. Glass: sin 80°/1.52 = 0.64790, tan = 0.85052; water: sin =
-        // 0.73879, cos = 0.67395. The point is at (5.6713 + 0.0851 + 0.7388, 1.1 + 0.6740), in a straight direction of
-        // 74.7°.
+        // 80° in air, a 100 mm pane, 1 m of water. Glass: sin 80°/1.52 = 0.64790, tan = 0.85052; water: sin = 0.73879,
+        // cos = 0.67395. The point is at (5.6713 + 0.0851 + 0.7388, 1.1 + 0.6740), in a straight direction of 74.7°.
         let path = path(vec![wall(0.1, 1.52, 1.333)]);
         let pixel = Point2::new(500.0 + 1000.0 * 80_f64.to_radians().tan(), 400.0);
         let point = path.trace(&pixel).unwrap().at(1.0);
@@ -218,8 +217,8 @@ mod tests {
 
     #[test]
     fn out_of_the_water_points_aside_are_found_where_the_straight_line_is_totally_reflected() {
-        // Camera 1 m under the surface; sin 45° · 1.333 = 0.942574 leaves at 70.49°. A point 5 m on lies in a direction
-        // of 65.0°, far beyond the critical 48.6°.
+        // Camera 1 m under the surface; sin 45° · 1.333 = 0.942574 leaves at 70.49°. A point 5 m further along lies in
+        // a direction of 65.0°, far beyond the critical 48.6°.
         let outer = Plane::new(Vector3::z(), 1.0).unwrap();
         let surface =
             Surface::Wall(Wall { outer, thickness_m: 0.0, index_outside: 1.0, index_wall: 1.333, index_inside: 1.333 });
@@ -243,15 +242,15 @@ mod tests {
         assert_eq!(reason(vec![side_mirror], 1.2, 0.0, 2.0), NoRay::BehindMirror);
         assert_eq!(reason(vec![side_mirror], 1.0, 0.0, 2.0), NoRay::BehindMirror);
         assert_eq!(reason(vec![side_mirror], 0.5, 0.0, -2.0), NoRay::BeforeLastSurface);
-        // A mirror that turns its back to the camera.
+        // A mirror with its back to the camera.
         assert_eq!(reason(vec![mirror(Vector3::x(), 1.0)], 1.2, 0.0, 2.0), NoRay::BehindMirror);
         // In front of the tank, within its wall, and on its inner face.
         assert_eq!(reason(vec![tank], 0.1, 0.0, 0.5), NoRay::BeforeLastSurface);
         assert_eq!(reason(vec![tank], 0.1, 0.0, 1.003), NoRay::BeforeLastSurface);
         assert_eq!(reason(vec![tank], 0.1, 0.0, 1.0), NoRay::BeforeLastSurface);
-        // By way of the mirror a tank whose wall looks away from it is not reached.
+        // Via the mirror, a tank whose wall faces away from it cannot be reached.
         assert_eq!(reason(vec![side_mirror, tank], 0.5, 0.0, 0.5), NoRay::BeforeLastSurface);
-        // Not numbers: an answer, and at once.
+        // NaN and infinity get an answer, and at once.
         for surfaces in [vec![], vec![side_mirror], vec![tank], vec![side_mirror, tank]] {
             assert_eq!(reason(surfaces.clone(), f64::NAN, 0.0, 2.0), NoRay::NotConverged);
             assert_eq!(reason(surfaces.clone(), 0.0, f64::INFINITY, 2.0), NoRay::NotConverged);

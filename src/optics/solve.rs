@@ -1,12 +1,13 @@
-//! The ray that connects camera and point: which normalised image point's ray passes through a given point.
+//! The ray that connects camera and point: finds the normalised image point whose ray passes through a given point.
 //!
 //! In: surfaces in the order of travel, a point. Out: a [`Connection`]. Method: Newton on the two components of the
 //! miss across the ray, started from the mirrored pinhole. The search may pass through lines that no light takes (a
-//! surface met backwards); only its end must be a real ray. By Fermat's principle the optical path between two points
-//! through flat interfaces is the minimum of a convex function, so there is one answer at most.
+//! surface met backwards); only the result must be a real ray. By Fermat's principle the optical path between two
+//! points through flat interfaces is the minimum of a convex function, so there is at most one answer.
 //!
 //! Where Newton fails from there (the straight line to the point is totally reflected where the bent one is not, or the
-//! rays are steep), the indices are eased in from none to the true ones, each answer starting the next.
+//! rays are steep), the refractive indices are raised in steps from none to the true ones, each answer starting the
+//! next search.
 
 use crate::optics::{NoRay, Ray, RayWithJacobian, Surface};
 use nalgebra::{Matrix2, Matrix2x3, Matrix3x2, Point2, Point3, Vector2, Vector3};
@@ -14,13 +15,13 @@ use nalgebra::{Matrix2, Matrix2x3, Matrix3x2, Point2, Point3, Vector2, Vector3};
 /// Newton steps after which a start is given up; two to four are usual.
 const MAX_STEPS: usize = 20;
 
-/// What may remain of the error in normalised image coordinates: 1e-9 px at 10,000 px focal length.
+/// Largest remaining error in normalised image coordinates: 1e-9 px at 10,000 px focal length.
 const TOLERANCE: f64 = 1e-13;
 
-/// The indices are eased in by at least this part at a time: fine enough for rays that leave a wall at up to 85°.
+/// Smallest step in which the indices are raised, as a fraction: fine enough for rays that leave a wall at up to 85°.
 const MIN_EASE: f64 = 1e-3;
 
-/// A line from the camera through all surfaces, and by how much it misses a point.
+/// A line from the camera through all surfaces, and its miss distance from a point.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Connection {
     /// The normalised image point it starts at.
@@ -29,7 +30,7 @@ pub(super) struct Connection {
     pub(super) folded: RayWithJacobian,
     /// Two unit vectors across it, as columns; d miss / d point is their transpose.
     across: Matrix3x2<f64>,
-    /// Point minus line, along these two, metres.
+    /// Point minus line, along these two vectors, metres.
     miss: Vector2<f64>,
     /// The inverse of d miss / d normalised image point.
     d_normalised: Matrix2<f64>,
@@ -63,7 +64,7 @@ pub(super) fn connect(surfaces: &[Surface], point: &Point3<f64>) -> Result<Conne
     })
 }
 
-/// As [`connect`], from the ray that reaches another point close by: sooner found, and the same one.
+/// As [`connect`], started from the ray to a nearby point: faster, with the same result.
 ///
 /// # Errors
 /// [`NoRay`] where none does.
@@ -110,12 +111,12 @@ fn is_beyond_last_wall(surfaces: &[Surface], point: &Point3<f64>) -> bool {
     }
 }
 
-/// Newton from one start; gives up when a step does not come nearer.
+/// Newton from one start; gives up when a step brings no improvement.
 fn newton(surfaces: &[Surface], start: Point2<f64>, point: &Point3<f64>) -> Result<Connection, NoRay> {
     let mut here = Connection::at(surfaces, start, point)?;
     for _ in 0..MAX_STEPS {
         let next = Connection::at(surfaces, here.normalised - here.step(), point)?;
-        // Far off the axis a direction is coarser in normalised coordinates: by 1/cos² of its angle.
+        // Far off the axis normalised coordinates grow with 1/cos² of the angle.
         let scale = 1.0 + next.normalised.coords.norm_squared();
         if next.step().norm() < TOLERANCE * scale {
             return Ok(next);
@@ -128,7 +129,7 @@ fn newton(surfaces: &[Surface], start: Point2<f64>, point: &Point3<f64>) -> Resu
     Err(NoRay::NotConverged)
 }
 
-/// Newton along a path of indices, from the straight line to the true refraction.
+/// Newton along a sequence of indices, from the straight line to the true refraction.
 fn ease_in(surfaces: &[Surface], start: Point2<f64>, point: &Point3<f64>) -> Result<Connection, NoRay> {
     let (mut normalised, mut part, mut stride) = (start, 0.0, 0.5);
     loop {
@@ -152,7 +153,7 @@ impl Connection {
         let e1 = d.cross(&aside).normalize();
         let across = Matrix3x2::from_columns(&[e1, d.cross(&e1)]);
         let to_point = point - folded.ray.origin;
-        // As the line turns by dd, so do the vectors across it, towards -d: that is the second term. Their turning
+        // As the line turns by dd, so do the vectors across it, towards -d: that is the second term. Their rotation
         // about the line itself does not change the length of the miss and is left out.
         let d_miss = -across.transpose() * (folded.d_origin + folded.d_direction * to_point.dot(&d));
         Ok(Self {
@@ -164,7 +165,7 @@ impl Connection {
         })
     }
 
-    /// Itself, if light takes this way to the point.
+    /// `self`, if light takes this way to the point.
     fn real(self, point: &Point3<f64>) -> Result<Self, NoRay> {
         match self.folded.lost {
             Some(why) => Err(why),
@@ -178,7 +179,7 @@ impl Connection {
         self.d_normalised * self.miss
     }
 
-    /// d normalised image point / d point, where the miss is nil: the implicit function theorem.
+    /// d normalised image point / d point, where the miss is zero: the implicit function theorem.
     pub(super) fn d_point(&self) -> Matrix2x3<f64> {
         -self.d_normalised * self.across.transpose()
     }

@@ -15,7 +15,7 @@ pub struct Plane {
     offset_m: f64,
 }
 
-/// Why four numbers are not a plane.
+/// Why four numbers do not describe a plane.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum PlaneError {
     /// The normal is not of unit length.
@@ -29,14 +29,14 @@ pub enum PlaneError {
 /// How far a normal read from a file may be from unit length: six printed decimals.
 const UNIT_TOLERANCE: f64 = 2e-6;
 
-/// How far behind the start of a ray a plane may be met and still count as met, metres: rounding.
+/// How far behind its start a ray may meet a plane and still count as meeting it, metres: rounding.
 const ON_PLANE_M: f64 = 1e-12;
 
 impl Plane {
     /// A plane from a unit normal and its distance from the camera along that normal.
     ///
     /// # Errors
-    /// When a number is not finite, or the normal is longer or shorter than 1 by more than rounding in a file explains.
+    /// When a number is not finite, or the normal differs from length 1 by more than rounding in a file explains.
     pub fn new(normal: Vector3<f64>, offset_m: f64) -> Result<Self, PlaneError> {
         let length = normal.norm();
         if !length.is_finite() || !offset_m.is_finite() {
@@ -73,13 +73,13 @@ impl Plane {
         Self { normal: self.normal, offset_m: self.offset_m + distance_m }
     }
 
-    /// Moves the ray's origin to where its line meets the plane; a plane met backwards is recorded in `lost`.
+    /// Moves the ray's origin to where its line meets the plane; meeting it backwards is recorded in `lost`.
     fn meet(&self, r: &RayWithJacobian) -> Result<RayWithJacobian, NoRay> {
         let Ray { origin, direction } = r.ray;
         let along = self.normal.dot(&direction);
         let distance = -self.signed_distance(&origin) / along;
         if !distance.is_finite() {
-            return Err(NoRay::MissesSurface); // parallel, or a number that is none
+            return Err(NoRay::MissesSurface); // parallel, or NaN
         }
         let n = self.normal.transpose();
         let d_distance: RowVector2<f64> = -(n * r.d_origin + n * r.d_direction * distance) / along;
@@ -87,7 +87,7 @@ impl Plane {
             ray: Ray { origin: origin + direction * distance, direction },
             d_origin: r.d_origin + r.d_direction * distance + direction * d_distance,
             d_direction: r.d_direction,
-            // A ray may start on the plane to rounding (a pane of no thickness).
+            // A ray may start on the plane, to rounding (a pane of zero thickness).
             lost: r.lost.or((distance < -ON_PLANE_M).then_some(NoRay::MissesSurface)),
         })
     }
@@ -132,8 +132,8 @@ pub enum Surface {
 }
 
 impl Surface {
-    /// The ray after this surface. Where it meets the surface backwards, or a mirror's back, the line is continued all
-    /// the same and `lost` says so: a search may pass through such rays on its way to a real one.
+    /// The ray after this surface. Where it meets the surface backwards, or a mirror's back, the line is continued
+    /// nevertheless and `lost` says so: a search may pass through such rays on its way to a real one.
     ///
     /// # Errors
     /// [`NoRay`] when there is no line to continue: the ray is parallel to the surface, or totally reflected.
@@ -153,7 +153,7 @@ impl Surface {
         }
     }
 
-    /// What it makes of a point without refraction: a mirror's image, through a wall the point itself.
+    /// The image of a point without refraction: mirrored by a mirror, unchanged by a wall.
     pub(super) fn mirrored(&self, point: &Point3<f64>) -> Point3<f64> {
         match self {
             Self::Mirror(mirror) => mirror.plane.reflect(point),
@@ -161,7 +161,7 @@ impl Surface {
         }
     }
 
-    /// The same surface with only a part of its refraction: 0 none, 1 all.
+    /// The same surface with a fraction of its refraction: 0 none, 1 all.
     pub(super) fn with_refraction(&self, part: f64) -> Self {
         match self {
             Self::Mirror(_) => *self,
@@ -235,7 +235,7 @@ mod tests {
         }
     }
 
-    /// A wall met along z at z = 1 m, its outside towards the camera.
+    /// A wall met along z at z = 1 m, its outside facing the camera.
     fn wall(thickness_m: f64, index_outside: f64, index_wall: f64, index_inside: f64) -> Surface {
         Surface::Wall(Wall { outer: plane(0.0, 0.0, -1.0, -1.0), thickness_m, index_outside, index_wall, index_inside })
     }
@@ -253,7 +253,7 @@ mod tests {
 
     #[test]
     fn a_point_is_mirrored_in_a_plane() {
-        // In x = 0.5, the point (1, 2, 3) lies 0.5 in front; its image as far behind.
+        // In x = 0.5, the point (1, 2, 3) lies 0.5 in front; its image lies as far behind.
         let mirror = plane(1.0, 0.0, 0.0, 0.5);
         assert_eq!(mirror.signed_distance(&Point3::new(1.0, 2.0, 3.0)), 0.5);
         assert_eq!(mirror.reflect(&Point3::new(1.0, 2.0, 3.0)), Point3::new(0.0, 2.0, 3.0));
@@ -265,7 +265,7 @@ mod tests {
 
     #[test]
     fn a_mirror_turns_a_ray() {
-        // (0.6, 0, 0.8) from the origin meets z = 2 after 2.5 m at x = 1.5 and comes back as (0.6, 0, -0.8).
+        // (0.6, 0, 0.8) from the origin meets z = 2 after 2.5 m at x = 1.5 and returns as (0.6, 0, -0.8).
         let mirror = Surface::Mirror(Mirror { plane: plane(0.0, 0.0, -1.0, -2.0) });
         let out = mirror.apply(&ray(Point3::origin(), 0.6_f64.asin().to_degrees())).unwrap();
         assert!((out.ray.origin - Point3::new(1.5, 0.0, 2.0)).norm() < 1e-15);
@@ -303,7 +303,7 @@ mod tests {
 
     #[test]
     fn a_wall_met_from_inside_undoes_it_met_from_outside() {
-        // The other way round through the wall of the test above: from 32.0367° in the water to 45° in the air.
+        // The reverse, through the wall of the test above: from 32.0367° in the water to 45° in the air.
         let Surface::Wall(outside) = wall(0.005, 1.0, 1.52, 1.333) else { unreachable!() };
         let turned = Surface::Wall(Wall { outer: plane(0.0, 0.0, 1.0, 1.0), ..outside });
         let angle_deg = (0.5_f64.sqrt() / 1.333).asin().to_degrees();
@@ -336,7 +336,7 @@ mod tests {
         assert_eq!(lost(mirror(-1.0), &ray(Point3::new(0.0, 0.0, 1.1), 10.0)), Some(NoRay::MissesSurface));
         let glass = wall(0.005, 1.0, 1.52, 1.333);
         assert_eq!(lost(glass, &ray(Point3::new(0.0, 0.0, 1.1), 10.0)), Some(NoRay::MissesSurface));
-        // On the wall to rounding, and a pane of no thickness: met.
+        // On the wall to rounding, and a pane of zero thickness: met.
         assert_eq!(lost(glass, &ray(Point3::new(0.0, 0.0, 1.0 + 1e-15), 10.0)), None);
         assert_eq!(lost(wall(0.0, 1.0, 1.52, 1.333), &ray(Point3::origin(), 10.0)), None);
         // Parallel: there is no line to go on with.

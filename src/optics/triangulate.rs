@@ -1,8 +1,8 @@
 //! A point from its images in two or more views: the one that minimises the reprojection error in all of them, weighted
-//! by their covariance, with its own covariance and the χ² left.
+//! by their covariances, with its own covariance and the remaining χ².
 //!
 //! Start: the point nearest to all traced rays. Then Gauss-Newton through `OpticalPath::project`, which converges in
-//! two or three steps because the start is already good to the noise.
+//! two or three steps because the start is already accurate to the noise.
 
 use super::OpticalPath;
 use nalgebra::{Matrix2, Matrix3, Point2, Point3, Vector3};
@@ -10,9 +10,9 @@ use nalgebra::{Matrix2, Matrix3, Point2, Point3, Vector3};
 /// One image of the point.
 #[derive(Debug, Clone, Copy)]
 pub struct Sighting<'a> {
-    /// How the view sees.
+    /// The view's optics.
     pub optics: &'a OpticalPath,
-    /// Where, pixels.
+    /// Its pixel.
     pub pixel: Point2<f64>,
     /// Covariance of the pixel, px².
     pub covariance_px2: Matrix2<f64>,
@@ -27,7 +27,7 @@ pub struct Triangulated {
     pub covariance: Matrix3<f64>,
     /// Weighted sum of squared reprojection errors; 2·views − 3 degrees of freedom.
     pub chi2: f64,
-    /// Largest distance between the point and a ray at the start, metres: how far the rays pass each other.
+    /// Largest distance between the starting point and a ray, metres: how far the rays miss each other.
     pub ray_distance_m: f64,
 }
 

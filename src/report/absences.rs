@@ -1,10 +1,10 @@
-//! The plot of what is missing: frames lost by the camera, and misses by reason, as bars on the time axis.
+//! The plot of lost frames and of misses by reason, as bars on the time axis.
 
 use super::chart::{self, PALETTE, css, rounded};
 use super::course::Course;
 use super::html::escape;
 use super::timeline::Bin;
-use crate::sink::{Rgb, spoken};
+use crate::sink::{Rgb, plain_words};
 use plotly::common::{Anchor, Line, Marker, MarkerSymbol, Mode};
 use plotly::layout::{Annotation, HoverMode, Margin};
 use plotly::{Plot, Scatter};
@@ -27,12 +27,12 @@ pub(super) fn absences(course: &Course, time: &str) -> Plot {
     let bins = course.timeline.bins();
     let mut rows = vec![Row { name: "frames lost".into(), colour: PALETTE.gap, bars: gaps(bins) }];
     rows.extend(course.reasons.iter().enumerate().map(|(number, (what, why))| Row {
-        name: format!("{what}: {}", spoken(why)),
+        name: format!("{what}: {}", plain_words(why)),
         colour: PALETTE.miss,
         bars: misses(bins, number),
     }));
     let levels: Vec<f64> = (0..rows.len()).map(|k| -(k as f64)).collect();
-    // Names stand above their rows, inside: so the time axis lines up with those of the other plots.
+    // Names are above their rows, inside the plot, so that the time axis lines up with those of the other plots.
     let names = rows.iter().zip(&levels).map(|(row, level)| {
         Annotation::new()
             .text(escape(&row.name))
@@ -70,7 +70,7 @@ pub(super) fn absences(course: &Course, time: &str) -> Plot {
                 .name(row.name)
                 .mode(Mode::LinesMarkers)
                 .line(Line::new().width(12.0).color(css(row.colour)))
-                // However short a bar is, its ends can be seen.
+                // The ends make even short bars visible.
                 .marker(Marker::new().symbol(MarkerSymbol::LineNSOpen).size(8).color(css(row.colour)))
                 .text_array(text)
                 .hover_template("%{x:.3f} s: %{text}"),
@@ -91,7 +91,7 @@ fn gaps(bins: &[Bin]) -> Vec<Bar> {
         .collect()
 }
 
-/// Bins with a miss of this reason; neighbours without a gap between them make one bar.
+/// Bins with a miss for this reason; neighbours without a gap between them form one bar.
 fn misses(bins: &[Bin], number: usize) -> Vec<Bar> {
     let half_s = chart::half_interval_s(bins);
     let mut bars: Vec<Bar> = Vec::new();

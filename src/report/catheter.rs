@@ -1,4 +1,4 @@
-//! Pages of the catheter's model: a shape, the reach, currents that follow a path.
+//! Pages of the catheter's model: a shape, the reach, currents for a path.
 
 use super::chart::{self, CURVE, PALETTE, css, rounded};
 use super::html::escape;
@@ -83,7 +83,7 @@ pub(crate) fn reach_page(name: &str, catheter: &Catheter, reach: &Reach) -> Stri
     whole("Reach", name, body)
 }
 
-/// The page of a path that is followed; points are one period.
+/// The page of a path to follow; points are one period.
 pub(crate) fn follow_page(
     name: &str,
     catheter: &Catheter,
@@ -158,7 +158,7 @@ fn whole(kind: &str, name: &str, body: String) -> String {
     page::page(&format!("{kind}: {name}"), &(body + &footer))
 }
 
-/// A 3D plot that has room for these points; the catheter hangs.
+/// A 3D plot with room for these points, with the catheter hanging down.
 fn space(points: &[Point3<f64>]) -> Plot {
     let span = |k: usize| {
         let values = points.iter().map(|p| p.coords[k] * 1e3);

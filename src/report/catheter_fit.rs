@@ -9,9 +9,9 @@ use plotly::layout::HoverMode;
 use plotly::{Plot, Scatter};
 
 /// Most points of a curve.
-const MOST_POINTS: usize = 3000;
+const MAX_POINTS: usize = 3000;
 
-/// The page. Of each run: what was seen, what the fitted catheter makes of it, and whether it was fitted to.
+/// The page. For each run: the observation, the fitted catheter's result, and whether it was used in the fit.
 pub(crate) fn page(fit: &Fit, runs: &[(&Run, &Check, bool)], settings: &[(String, String)]) -> String {
     let worst = runs.iter().map(|(_, check, _)| check.tip_rms_m).fold(0.0, f64::max);
     let cards = [
@@ -92,9 +92,9 @@ fn plot(title: &str) -> Plot {
     chart::plot(layout)
 }
 
-/// Every so many frames, so that a curve stays below the most points.
+/// Stride of frames, so that a curve stays within the most points.
 fn stride(run: &Run) -> usize {
-    run.sightings.len().div_ceil(MOST_POINTS).max(1)
+    run.sightings.len().div_ceil(MAX_POINTS).max(1)
 }
 
 fn theta(run: &Run, check: &Check) -> Plot {

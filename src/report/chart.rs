@@ -1,4 +1,4 @@
-//! The look of all plots: one typeface, quiet grids, colours by meaning; and curves from the bins of a timeline.
+//! The look of all plots: one typeface, unobtrusive grids, colours by meaning; and curves from the bins of a timeline.
 
 use super::timeline::{Bin, Extremes};
 use crate::sink::{Palette, Rgb};
@@ -14,7 +14,7 @@ pub(super) const INK: &str = "#24292f";
 pub(super) const QUIET: &str = "#6b7280";
 pub(super) const GRID: &str = "#e8eaed";
 pub(super) const CURVE: Rgb = [0, 92, 148];
-/// Up to this many points a curve also shows them as dots: a lone point makes no line.
+/// Up to this many points a curve also shows them as dots: a single point makes no line.
 const DOTTED_UP_TO: usize = 120;
 
 /// A curve: time and value; `None` breaks the line.
@@ -30,7 +30,7 @@ pub(super) fn css_faint([r, g, b]: Rgb, opacity: f64) -> String {
     format!("rgba({r},{g},{b},{opacity})")
 }
 
-/// Digits that can be seen, no more: the page holds tens of thousands of numbers. What is no number becomes `None`.
+/// Rounds to visible digits: the page has tens of thousands of numbers. NaN and infinity become `None`.
 pub(super) fn rounded(value: f64, digits: i32) -> Option<f64> {
     let scale = 10_f64.powi(digits);
     let rounded = (value * scale).round() / scale;
@@ -61,7 +61,7 @@ pub(super) fn curve(bins: &[Bin], values: impl Iterator<Item = Option<Extremes>>
     points
 }
 
-/// A band between two channels as closed outlines, one for every unbroken piece.
+/// A band between two channels as closed outlines, one for every contiguous piece.
 pub(super) fn band(
     bins: &[Bin],
     low: impl Iterator<Item = Option<Extremes>>,
@@ -117,7 +117,7 @@ pub(super) fn line(
         .hover_template(hover)
 }
 
-/// The time axis of every plot: from the first frame to the last, so that plots below each other line up.
+/// The time axis of every plot: from the first frame to the last, so that stacked plots line up.
 pub(super) fn time_axis(title: &str, bins: &[Bin]) -> Axis {
     let axis = value_axis(title).zero_line(false);
     let (Some(first), Some(last)) = (bins.first(), bins.last()) else { return axis };
@@ -145,7 +145,7 @@ pub(super) fn value_axis(title: &str) -> Axis {
         .zero_line_width(1)
 }
 
-/// The frame of every plot: white, the legend on top.
+/// The frame of every plot: white, with the legend on top.
 pub(super) fn layout() -> Layout {
     Layout::new()
         .auto_size(true)
@@ -157,8 +157,8 @@ pub(super) fn layout() -> Layout {
         .legend(Legend::new().orientation(Orientation::Horizontal).x(0.0).y(1.02).y_anchor(Anchor::Bottom))
 }
 
-/// The axes of a 3D plot around values from smallest to largest, all to one scale: the longest side of the box is 1,
-/// and a flat one still gets some depth.
+/// The axes of a 3D plot around values from smallest to largest, all to the same scale: the longest side of the box is
+/// 1, and a flat one still gets some depth.
 pub(super) fn scene(spans: [(f64, f64); 3], titles: [&str; 3]) -> LayoutScene {
     let longest = spans.iter().map(|(low, high)| high - low).fold(1e-3, f64::max);
     let ranges = spans.map(|(low, high)| {
@@ -175,7 +175,7 @@ pub(super) fn scene(spans: [(f64, f64); 3], titles: [&str; 3]) -> LayoutScene {
     };
     let ([title_x, title_y, title_z], [x, y, z]) = (titles, ranges);
     LayoutScene::new()
-        .drag_mode(DragMode3D::Orbit) // the turntable knows no other upright than +z
+        .drag_mode(DragMode3D::Orbit) // the turntable mode supports only +z as up
         .aspect_mode(AspectMode::Manual)
         .aspect_ratio(AspectRatio::from((side_x, side_y, side_z)))
         .x_axis(axis(title_x, x))
@@ -183,12 +183,12 @@ pub(super) fn scene(spans: [(f64, f64); 3], titles: [&str; 3]) -> LayoutScene {
         .z_axis(axis(title_z, z))
 }
 
-/// Where a 3D plot is looked at from.
+/// Viewpoint of a 3D plot.
 pub(super) fn eye(up: (f64, f64, f64), eye: (f64, f64, f64)) -> Camera {
     Camera::new().up(Up::from(up)).eye(Eye::from(eye)).center(CameraCenter::from((0.0, 0.0, 0.0)))
 }
 
-/// A plot without logo and with the few buttons that help.
+/// A plot without logo and with only the useful buttons.
 pub(super) fn plot(layout: Layout) -> Plot {
     let superfluous = vec![ModeBarButtonName::Select2d, ModeBarButtonName::Lasso2d, ModeBarButtonName::AutoScale2d];
     let mut plot = Plot::new();

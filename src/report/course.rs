@@ -1,4 +1,4 @@
-//! What a report keeps of every frame: values over time, and the paths of the markers.
+//! Data that a report keeps: values over time, and the paths of the markers.
 
 use super::timeline::{Extremes, Timeline};
 use crate::estimate::Estimate;
@@ -7,7 +7,7 @@ use crate::sink::Origin;
 use crate::tally::missing;
 use nalgebra::Point3;
 
-/// Positions kept for the 3D paths; beyond, every second one is dropped.
+/// Most positions kept for the 3D paths; beyond that, every second one is dropped.
 const MAX_PATH: usize = 4096;
 
 /// Everything a report draws.
@@ -20,16 +20,16 @@ pub(super) struct Course {
     origin: Option<Origin>,
     frames: u64,
     pub timeline: Timeline,
-    /// What is missing and why, by the number used in the timeline.
+    /// What is missing and why, indexed as in the timeline.
     pub reasons: Vec<(String, String)>,
     pub path: Path,
 }
 
-/// Places of the markers in some frames, evenly spread: mm, `None` where a marker is missing.
+/// Positions of the markers in some evenly spaced frames: mm, `None` where a marker is missing.
 #[derive(Default)]
 pub(super) struct Path {
     pub places_mm: Vec<Vec<Option<Point3<f64>>>>,
-    /// One frame in this many is kept.
+    /// One in this many frames is kept.
     pub every: u64,
 }
 
@@ -45,7 +45,7 @@ pub(super) enum Channel {
     ThetaSd,
     /// Degrees.
     Polar,
-    /// Degrees from −90 on, see [`without_seam_deg`].
+    /// Degrees from −90, see [`without_seam_deg`].
     Azimuth,
     /// Length of the residual, pixels.
     Residual {
@@ -61,8 +61,8 @@ pub(super) enum Channel {
 
 const ANGLES: usize = 6;
 
-/// An azimuth between −90° and 270°: a swing in a plane stays near 0° and 180°, and noise must not throw it from one
-/// end of the axis to the other.
+/// An azimuth between −90° and 270°: a planar swing stays near 0° and 180°, and noise must not make it jump between the
+/// ends of the axis.
 fn without_seam_deg(azimuth_deg: f64) -> f64 {
     (azimuth_deg + 90.0).rem_euclid(360.0) - 90.0
 }

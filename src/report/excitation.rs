@@ -1,6 +1,6 @@
 //! The page of a signal that excites the catheter: its course and its spectrum.
 //!
-//! In: the signal as it will be played, limits kept. Out: one HTML file that needs no network.
+//! In: the signal as it will be played, within the limits. Out: one HTML file that needs no network.
 
 use super::chart::{self, CURVE, PALETTE, QUIET, css, css_faint, rounded};
 use super::html::escape;
@@ -11,25 +11,25 @@ use plotly::common::{DashType, Line, Mode};
 use plotly::layout::{AxisType, HoverMode, Shape, ShapeLayer, ShapeLine, ShapeType};
 use plotly::{Plot, Scatter};
 
-/// Points of a spectrum, evenly over its logarithm.
+/// Points of a spectrum, evenly spaced on a logarithmic scale.
 const POINTS: f64 = 700.0;
-/// How far below the strongest the spectrum is shown, powers of ten.
+/// Range of the spectrum below its maximum, powers of ten.
 const DEPTH: f64 = 10.0;
 
-/// What the page says beside the signal.
+/// Information besides the signal.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct ExcitationInfo {
     /// The table the signal is in.
     pub table: String,
     /// What it is: `chirp`, `multisine`, `steps`.
     pub kind: String,
-    /// The band that was asked for, Hz, if one was.
+    /// The requested band, Hz, if any.
     pub band_hz: Option<(f64, f64)>,
     /// Further lines: name and value.
     pub settings: Vec<(String, String)>,
 }
 
-/// Shares of the energy: words for a band, and the part of the energy in it.
+/// Fractions of the energy: a band in words, and the fraction in it.
 pub(crate) fn shares(spectrum: &Spectrum, band_hz: Option<(f64, f64)>) -> Vec<(String, f64)> {
     let nyquist_hz = spectrum.step_hz * (spectrum.power_a2.len().saturating_sub(1)) as f64;
     let (from, to) = band_hz.map_or_else(|| spectrum.occupied_hz(), |(a, b)| (a.min(b), a.max(b)));
@@ -42,7 +42,7 @@ pub(crate) fn shares(spectrum: &Spectrum, band_hz: Option<(f64, f64)>) -> Vec<(S
     ]
 }
 
-/// What was cut off, in words.
+/// The clipping, in words.
 pub(crate) fn clipped_words(clipped: &Clipped) -> String {
     let Clipped { what, samples, first_s, last_s, largest_a } = clipped;
     let limit = match what {
@@ -88,7 +88,7 @@ pub(crate) fn page(info: &ExcitationInfo, signal: &Signal, spectrum: &Spectrum, 
     body += &table(1, &["Frequencies", "Share of the energy"], &rows);
     let mut facts = vec![
         ("Length".to_owned(), format!("{} s, {} samples", signal.duration_s(), signal.values_a.len())),
-        ("Rate".to_owned(), format!("{} samples a second", signal.rate)),
+        ("Rate".to_owned(), format!("{} samples per second", signal.rate)),
     ];
     facts.extend(info.settings.iter().cloned());
     body += &format!("<h2>What was made</h2>\n{}", facts_table(&facts));
@@ -116,7 +116,7 @@ fn each_line(spectrum: &Spectrum) -> Vec<(f64, f64)> {
     spectrum.power_a2.iter().enumerate().skip(1).map(|(k, power)| (k as f64 * spectrum.step_hz, *power)).collect()
 }
 
-/// Frequency and spectral density, A²/Hz; lines that fall together on a logarithmic axis are averaged.
+/// Frequency and spectral density, A²/Hz; lines that coincide on a logarithmic axis are averaged.
 fn averaged(spectrum: &Spectrum, nyquist_hz: f64) -> Vec<(f64, f64)> {
     let decades = (nyquist_hz / spectrum.step_hz).log10().max(1.0);
     let bin = |hz: f64| (hz.log10() * POINTS / decades).floor();
@@ -135,14 +135,14 @@ fn averaged(spectrum: &Spectrum, nyquist_hz: f64) -> Vec<(f64, f64)> {
 /// Power over frequency on logarithmic axes.
 fn density(info: &ExcitationInfo, signal: &Signal, spectrum: &Spectrum) -> Plot {
     let nyquist_hz = signal.rate.hz() / 2.0;
-    // Lines of a multisine stand alone: what is between them is rounding, and the mean of some of them means nothing.
+    // Lines of a multisine are isolated: between them is only rounding, and averages of several are meaningless.
     let lines = info.kind == "multisine";
     let means = if lines { each_line(spectrum) } else { averaged(spectrum, nyquist_hz) };
     let top = means.iter().fold(f64::MIN_POSITIVE, |top, (_, power)| power.max(top)).log10();
     let floor = 10_f64.powf(top - DEPTH);
     let shown: Vec<(f64, f64)> = means.into_iter().filter(|(_, power)| *power > floor).collect();
     let (mode, unit) = if lines { (Mode::Markers, "power of each sine, mA²") } else { (Mode::Lines, "mA²/Hz") };
-    // A tenth of a percent can be seen.
+    // A tenth of a percent is visible.
     let short = |value: f64| format!("{value:.4e}").parse::<f64>().ok();
     let (low, high) = (spectrum.step_hz.max(nyquist_hz / 2000.0).log10(), (nyquist_hz * 1.08).log10());
     let mut layout = chart::layout()

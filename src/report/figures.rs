@@ -8,7 +8,7 @@ use plotly::common::{Fill, HoverInfo, Line, Marker, Mode, Visible};
 use plotly::layout::{Axis, AxisRange, HoverMode, Margin};
 use plotly::{Plot, Scatter, Scatter3D};
 
-/// Moments in which the markers are joined by a line in the 3D plot.
+/// Number of moments at which the 3D plot joins the markers by a line.
 const MOMENTS: usize = 9;
 
 /// θ with its σ band above, σ itself below.
@@ -37,7 +37,7 @@ pub(super) fn deflection(course: &Course, time: &str) -> Plot {
     plot
 }
 
-/// Polar angle above, azimuth as dots below: near rest it jumps, and a line would draw bars.
+/// Polar angle above, azimuth as dots below: near rest it jumps, and lines would look like bars.
 pub(super) fn polar(course: &Course, time: &str) -> Plot {
     let bins = course.timeline.bins();
     let layout = chart::layout()
@@ -62,7 +62,7 @@ pub(super) fn polar(course: &Course, time: &str) -> Plot {
 
 /// The paths of the markers in space.
 pub(super) fn paths(course: &Course) -> Plot {
-    // The eye is chosen so that the catheter hangs as it does in the picture.
+    // The viewpoint lets the catheter hang as in the picture.
     let (titles, up, eye) = if course.in_base_frame() {
         (["x, along B0 (mm)", "y (mm)", "z, base to tip (mm)"], (0.0, 0.0, -1.0), (0.43, 1.72, -0.43))
     } else {
@@ -108,7 +108,7 @@ pub(super) fn paths(course: &Course) -> Plot {
     plot
 }
 
-/// Smallest and largest coordinate `k` of all places, mm.
+/// Smallest and largest coordinate `k` of all positions, mm.
 fn span_mm(places: &[Vec<Option<Point3<f64>>>], k: usize) -> (f64, f64) {
     let values = places.iter().flatten().flatten().filter_map(|p| p.coords.as_slice().get(k).copied());
     let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
@@ -127,7 +127,7 @@ pub(super) fn separation(course: &Course, view: usize, time: &str) -> Plot {
     by_marker(course, time, axis, Mode::Lines, "%{y:.2f}", |marker| Channel::Separation { marker, view })
 }
 
-/// One curve a marker; noise reads better as dots than as lines that cross.
+/// One curve per marker; noise is easier to read as dots than as crossing lines.
 fn by_marker(
     course: &Course,
     time: &str,

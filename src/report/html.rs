@@ -2,17 +2,17 @@
 
 use std::fmt;
 
-/// Markup. Text that becomes markup is escaped; only [`Html::raw`] takes its argument as it is.
+/// Markup. Conversion from text escapes it; only [`Html::raw`] takes its argument unchanged.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(super) struct Html(String);
 
 impl Html {
-    /// What is markup already.
+    /// From existing markup.
     pub(super) fn raw(markup: impl Into<String>) -> Self {
         Self(markup.into())
     }
 
-    /// Text in which what stands between backticks is code.
+    /// From text, with code between backticks.
     pub(super) fn with_code(text: &str) -> Self {
         let parts = text.split('`').enumerate();
         Self(
@@ -22,7 +22,7 @@ impl Html {
         )
     }
 
-    /// Text that may take several lines in a cell.
+    /// From text that may wrap in a cell.
     pub(super) fn wrapped(text: &str) -> Self {
         Self(format!("<span class=\"why\">{}</span>", escape(text)))
     }
@@ -52,7 +52,7 @@ impl fmt::Display for Html {
     }
 }
 
-/// Text as HTML. Names in plots need it as well: the plotting library takes some tags in them for markup.
+/// Text as HTML. Names in plots also need it: the plotting library interprets some tags in them.
 pub(super) fn escape(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     for c in text.chars() {

@@ -1,13 +1,13 @@
-//! Pages for people: one HTML file each, that opens without a network.
+//! Pages for people: one HTML file each, which needs no network.
 //!
 //! [`ReportSink`] writes the report of a tracked run: what was tracked, how well, what is missing and why, and plots
-//! that can be zoomed and turned. In: estimates, and three of their pictures. Memory stays small however long the run:
-//! values over time are kept in 4096 bins at most, with the smallest and largest value of each; totals are exact
-//! (medians need 4 bytes a frame and quantity). What it cannot show: frames between the extremes of a long run; they
+//! that can be zoomed and rotated. In: estimates, and three of their pictures. Memory stays small for any length of
+//! run: values over time are kept in at most 4096 bins, with the smallest and largest value of each; totals are exact
+//! (medians need 4 bytes per frame and quantity). What it cannot show: frames between the extremes of a long run; they
 //! are in the log.
 //!
-//! `calibration::page` is that of a rig's calibration, `teaching::page` of what was learned of the bands,
-//! `excitation::page` of a signal, `catheter` of shapes, `validation::page` of runs along a path, `study::page` of an archive.
+//! `calibration::page` is for a rig's calibration, `teaching::page` for the learned bands, `excitation::page` for a
+//! signal, `catheter` for shapes, `validation::page` for runs along a path, `study::page` for an archive.
 
 mod absences;
 pub(crate) mod calibration;
@@ -22,6 +22,7 @@ pub(crate) mod identification;
 mod moments;
 mod page;
 pub(crate) mod plan;
+pub(crate) mod planes;
 pub(crate) mod study;
 pub(crate) mod teaching;
 mod timeline;
@@ -36,10 +37,9 @@ use crate::tally::Tally;
 use course::Course;
 use moments::Moments;
 use std::fs::File;
-use std::io::Write;
 use std::path::{Path, PathBuf};
 
-/// What the head of a report says about the run.
+/// Information about the run in the head of a report.
 #[derive(Debug, Clone, Default)]
 pub struct RunInfo {
     /// Name of the recording or camera.
@@ -48,14 +48,15 @@ pub struct RunInfo {
     pub rig: String,
     /// Further lines: name and value, e.g. options of the command.
     pub settings: Vec<(String, String)>,
-    /// Give positions in the camera frame even where the rig has a base frame.
+    /// Whether to give positions in the camera frame even if the rig has a base frame.
     pub camera_frame: bool,
 }
 
 /// Collects a run and writes its report at the end.
 pub struct ReportSink {
     path: PathBuf,
-    /// Open from the start: a folder that cannot be written shows before the run, not after it. `None` when finished.
+    /// Opened at the start, so that a folder without write access is noticed before the run, not after it. `None` when
+    /// finished.
     file: Option<File>,
     info: RunInfo,
     course: Course,
@@ -86,7 +87,7 @@ impl Sink for ReportSink {
     fn finish(&mut self, tally: &Tally) -> Result<(), SinkError> {
         let Some(mut file) = self.file.take() else { return Ok(()) };
         let pictures = self.moments.section(tally.frames, self.course.origin());
-        let page = tracking::render(&self.info, &self.course, tally, &pictures);
-        file.write_all(page.as_bytes()).map_err(|source| SinkError::Io { path: self.path.clone(), source })
+        let (title, body) = tracking::render(&self.info, &self.course, tally, &pictures);
+        page::write_page(&mut file, &title, &body).map_err(|source| SinkError::Io { path: self.path.clone(), source })
     }
 }

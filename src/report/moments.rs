@@ -1,18 +1,18 @@
 //! The first, the best and the worst frame of a run, and their pictures.
 //!
-//! Best and worst: first by what is missing, then by σ. A picture is copied when its frame is the first, or better or
-//! worse by a twentieth than the one that was kept: three pictures are in memory, and few are ever copied.
+//! Best and worst are judged first by misses, then by σ. A picture is copied when its frame is the first, or a
+//! twentieth better or worse than the one kept: three pictures are in memory, and few are ever copied.
 
 use super::html::Html;
 use super::page;
 use crate::estimate::Estimate;
 use crate::rig::Rig;
-use crate::sink::{Origin, StillError, Stills, spoken};
+use crate::sink::{Origin, StillError, Stills, plain_words};
 use crate::source::{Picture, Window};
 
-/// By this much σ must differ to be another one.
+/// Least ratio of σ to replace a frame.
 const STEP: f64 = 1.05;
-/// Around the bands, as a part of what they span; and at least, pixels.
+/// Margin around the bands, as a fraction of their extent, and at least, pixels.
 const MARGIN: (f64, f64) = (0.15, 50.0);
 
 /// The frames shown.
@@ -31,7 +31,7 @@ struct Moment {
     quality: Quality,
 }
 
-/// How good a frame is: answers that are missing, and σ of the most telling one that is there, radians or metres.
+/// Quality of a frame: the number of misses, and σ of its most important measurement, radians or metres.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Quality {
     missing: usize,
@@ -50,7 +50,7 @@ impl Quality {
         Self { missing, sd }
     }
 
-    /// Worse by so much that it is worth a copy.
+    /// Whether it is worse by enough to be worth a copy.
     fn worse_than(self, other: Self) -> bool {
         self.missing > other.missing || (self.missing == other.missing && self.sd > other.sd * STEP)
     }
@@ -73,7 +73,7 @@ impl Moments {
         let is = |kept: &Option<Moment>, than: fn(Quality, Quality) -> bool| {
             kept.as_ref().is_none_or(|kept| than(quality, kept.quality))
         };
-        // A frame without σ is not the best there is, however little is missing.
+        // A frame without σ is never the best, however few misses it has.
         let best = quality.sd.is_finite() && is(&self.best, |new, kept| kept.worse_than(new));
         let worst = is(&self.worst, Quality::worse_than);
         let keep = |wanted: bool, place: &mut Option<Moment>| {
@@ -86,7 +86,7 @@ impl Moments {
         keep(worst, &mut self.worst);
     }
 
-    /// The section of the page; `frames`: how many the run has.
+    /// The section of the page; `frames`: the number of frames in the run.
     pub(super) fn section(&mut self, frames: u64, origin: Option<Origin>) -> String {
         let title = "<h2>What it saw</h2>\n";
         let Some(first) = &self.first else {
@@ -107,7 +107,8 @@ impl Moments {
         shown.extend(self.worst.as_ref().filter(new).map(|worst| ("Worst frame", worst, part)));
         let mut drawn = shown.into_iter().map(|(name, moment, part)| {
             let at_s = origin.map_or(0.0, |origin| origin.elapsed_s(moment.estimate.stamp.ns));
-            let caption = format!("{name}, at {at_s:.3} s: {}", told(&moment.estimate, &self.names, &self.views));
+            let caption =
+                format!("{name}, at {at_s:.3} s: {}", result_in_words(&moment.estimate, &self.names, &self.views));
             match self.stills.jpeg(&moment.picture, &moment.estimate, part) {
                 Ok(jpeg) => page::picture(&jpeg, caption),
                 Err(error) => not_drawn(&caption, &error),
@@ -130,14 +131,14 @@ fn not_drawn(caption: &str, error: &StillError) -> String {
     format!("<p class=\"note\">{}: not drawn, {}.</p>\n", Html::from(caption), Html::from(error.to_string()))
 }
 
-/// What was found in a frame, in words.
-fn told(estimate: &Estimate, names: &[String], views: &[String]) -> String {
+/// The result of a frame, in words.
+fn result_in_words(estimate: &Estimate, names: &[String], views: &[String]) -> String {
     let views: Vec<&str> = views.iter().map(String::as_str).collect();
     let missing: Vec<String> = names
         .iter()
         .zip(&estimate.markers)
         .filter_map(|(name, marker)| Some((name, marker.position.as_ref().err()?)))
-        .map(|(name, miss)| format!("{name} {}", spoken(&miss.word(&views))))
+        .map(|(name, miss)| format!("{name} {}", plain_words(&miss.word(&views))))
         .collect();
     let angle = match (&estimate.deflection, &estimate.tangent) {
         (Ok(d), _) => {
@@ -155,7 +156,7 @@ fn told(estimate: &Estimate, names: &[String], views: &[String]) -> String {
     }
 }
 
-/// Where the bands are in these frames, with a margin; the whole picture when there are none.
+/// The window around the bands of these frames, with a margin; the whole picture when there are none.
 fn around(moments: &[&Moment], size_px: [u32; 2]) -> Window {
     let bands = moments.iter().flat_map(|m| &m.estimate.markers).flat_map(|m| m.views.iter().flatten());
     let points = bands.flat_map(|band| &band.outline_px).filter(|p| p.x.is_finite() && p.y.is_finite());
@@ -165,7 +166,7 @@ fn around(moments: &[&Moment], size_px: [u32; 2]) -> Window {
     });
     let Some([x0, y0, x1, y1]) = bounds else { return Window::whole(size_px) };
     let margin = ((x1 - x0).max(y1 - y0) * MARGIN.0).max(MARGIN.1);
-    // Casting keeps to the range of the type.
+    // Casting saturates.
     let [x0, y0] = [x0, y0].map(|from| (from - margin) as u32);
     let [x1, y1] = [x1, y1].map(|to| (to + margin) as u32);
     let part = Window { x0, y0, x1, y1 }.clipped(size_px);

@@ -1,23 +1,25 @@
-//! One HTML file that needs nothing else: style, script and data are inside.
+//! A self-contained HTML file with style, script and data.
 
 use super::html::{Html, escape};
 use base64::prelude::{BASE64_STANDARD, Engine as _};
 use plotly::Plot;
+use std::io::{self, Write};
+use std::sync::OnceLock;
 
 /// Style of all pages.
 const STYLE: &str = include_str!("page.css");
-/// Plots side by side in time show the same piece of it: zooming one zooms all.
+/// Links the time axes of plots: zooming one zooms all.
 const LINK: &str = include_str!("link.js");
-/// Plots fit on paper.
+/// Fits plots on paper.
 const PRINT: &str = include_str!("print.js");
-/// Plots are saved as drawings, named after the page and the plot.
+/// Saves plots as vector graphics, named after the page and the plot.
 const SAVE: &str = include_str!("save.js");
 
-/// The browser loads nothing, from anywhere: what the page needs is in it. (3D plots compile their drawing code.)
+/// The browser loads nothing from anywhere: the page is self-contained. (3D plots compile their drawing code.)
 const POLICY: &str = "default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval'; style-src 'unsafe-inline'; \
                       img-src data: blob:";
 
-/// A table of cells, text or markup. The first `words` columns are text, the others are numbers.
+/// A table of cells, text or markup. The first `words` columns are text, the others numbers.
 pub(super) fn table<'a, H, C>(words: usize, heads: &'a [H], rows: &'a [Vec<C>]) -> String
 where
     Html: From<&'a H> + From<&'a C>,
@@ -38,7 +40,7 @@ pub(super) fn figure(id: &str, plot: &Plot, height: u32, linked: bool) -> String
     format!("<div class=\"{class}\" style=\"height:{height}px\">{}</div>\n", plot.to_inline_html(Some(id)))
 }
 
-/// A figure among those that lead a page. `warn` colours it.
+/// A key figure at the top of a page. `warn` colours it.
 pub(super) fn card(name: impl Into<Html>, value: impl Into<Html>, unit: impl Into<Html>, warn: bool) -> String {
     let (name, value, unit) = (name.into(), value.into(), unit.into());
     let class = if warn { " class=\"warn\"" } else { "" };
@@ -56,12 +58,12 @@ where
     format!("<div class=\"scroll\"><table class=\"facts\"><tbody>\n{rows}</tbody></table></div>\n")
 }
 
-/// What would be a sign of trouble in the plot or table above: not a verdict on this one.
+/// What would indicate trouble in the plot or table above; not a verdict on this one.
 pub(super) fn trouble(signs: &str) -> String {
     format!("<p class=\"signs\"><strong>Signs of trouble would be:</strong> {signs}</p>\n")
 }
 
-/// A picture (a JPEG) with words below it.
+/// A picture (a JPEG) with a caption.
 pub(super) fn picture(jpeg: &[u8], caption: impl Into<Html>) -> String {
     let (caption, data) = (caption.into(), BASE64_STANDARD.encode(jpeg));
     format!(
@@ -69,10 +71,10 @@ pub(super) fn picture(jpeg: &[u8], caption: impl Into<Html>) -> String {
     )
 }
 
-/// With a sign, the minus as it is printed.
+/// With a sign, and a typographic minus.
 pub(super) fn signed(value: f64, digits: usize) -> String {
     let text = format!("{value:+.digits$}");
-    // What rounds to zero has no sign.
+    // A value that rounds to zero has no sign.
     let zero = text.chars().all(|c| !c.is_ascii_digit() || c == '0');
     if zero { text.trim_start_matches(['+', '-']).to_owned() } else { text.replace('-', "−") }
 }
@@ -83,26 +85,53 @@ pub(super) fn plural(n: u64, word: &str) -> String {
 
 /// A page around `body`. `title` is text, `body` HTML.
 pub(super) fn page(title: &str, body: &str) -> String {
-    let (title, script) = (escape(title), plotly_script());
-    format!(
-        "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
-         <meta http-equiv=\"Content-Security-Policy\" content=\"{POLICY}\">\n\
-         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
-         <title>{title}</title>\n<style>\n{STYLE}</style>\n{script}\n<script>\n{SAVE}</script>\n</head>\n<body>\n<main>\n{body}\
-         <noscript><p class=\"note\">The plots of this page are drawn by its own script; scripts are switched off here.</p></noscript>\n\
-         </main>\n<script>\n{LINK}{PRINT}</script>\n</body>\n</html>\n"
-    )
+    parts(&escape(title), body).concat()
 }
 
-/// The plotting library as a script element. The crate hands it out together with MathJax, which nothing here uses and
-/// which would load more from elsewhere: the first element alone is taken.
-fn plotly_script() -> String {
+/// Writes the same page. The script is most of it, and is not copied.
+///
+/// # Errors
+/// Those of `out`.
+pub(super) fn write_page(out: &mut impl Write, title: &str, body: &str) -> io::Result<()> {
+    parts(&escape(title), body).iter().try_for_each(|part| out.write_all(part.as_bytes()))
+}
+
+fn parts<'a>(title: &'a str, body: &'a str) -> [&'a str; 16] {
+    [
+        "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
+         <meta http-equiv=\"Content-Security-Policy\" content=\"",
+        POLICY,
+        "\">\n<meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n<title>",
+        title,
+        "</title>\n<style>\n",
+        STYLE,
+        "</style>\n",
+        plotly_script(),
+        "\n<script>\n",
+        SAVE,
+        "</script>\n</head>\n<body>\n<main>\n",
+        body,
+        "<noscript><p class=\"note\">The plots of this page are drawn by its own script; scripts are switched off here.</p>\
+         </noscript>\n</main>\n<script>\n",
+        LINK,
+        PRINT,
+        "</script>\n</body>\n</html>\n",
+    ]
+}
+
+/// The plotting library as a script element, made once. The crate returns it together with MathJax, which is not used
+/// here and would load more from elsewhere, so only the first element is taken.
+fn plotly_script() -> &'static str {
     const END: &str = "</script>";
-    let mut both = Plot::offline_js_sources();
-    if let Some(end) = both.find(END) {
-        both.truncate(end + END.len());
-    }
-    both
+    static SCRIPT: OnceLock<String> = OnceLock::new();
+    SCRIPT.get_or_init(|| {
+        let mut both = Plot::offline_js_sources();
+        if let Some(end) = both.find(END) {
+            both.truncate(end + END.len());
+            both.shrink_to_fit();
+        }
+        both
+    })
 }
 
 #[cfg(test)]

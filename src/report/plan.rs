@@ -5,7 +5,7 @@ use super::chart::{self, CURVE, INK, PALETTE, css, css_faint, rounded};
 use super::html::escape;
 use super::page::{self, card, facts_table, figure, picture, table};
 use crate::optics::Surface;
-use crate::simulate::plan::{Calibrated, Noise, Plan, Planned};
+use crate::simulate::plan::{CalibrationErrorSource, Noise, Plan, Planned};
 use image::codecs::jpeg::JpegEncoder;
 use nalgebra::Point3;
 use plotly::color::NamedColor;
@@ -21,11 +21,11 @@ const JPEG: u8 = 88;
 /// What the errors by the calibration are of, in words.
 pub(crate) fn of_calibration(plan: &Plan) -> String {
     match &plan.calibrated {
-        Calibrated::Noted => "the rig file's own covariance".to_owned(),
-        Calibrated::Expected { pictures, corner_sd_px } => {
+        CalibrationErrorSource::Noted => "the rig file's own covariance".to_owned(),
+        CalibrationErrorSource::Expected { pictures, corner_sd_px } => {
             format!("supposing {pictures} boards in air and {pictures} in the rig, corners good to {corner_sd_px} px")
         }
-        Calibrated::Unknown(why) => format!("not known: {why}"),
+        CalibrationErrorSource::Unknown(why) => format!("not known: {why}"),
     }
 }
 
@@ -35,7 +35,7 @@ fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
     values.get(values.len() / 2).copied()
 }
 
-fn told(value: Option<f64>, scale: f64, digits: usize) -> String {
+fn formatted(value: Option<f64>, scale: f64, digits: usize) -> String {
     value.map_or_else(|| "–".to_owned(), |v| format!("{:.digits$}", v * scale))
 }
 
@@ -51,7 +51,7 @@ pub(crate) fn page(name: &str, plan: &Plan) -> String {
         .iter()
         .enumerate()
         .map(|(k, view)| {
-            format!("{} {}", view.name, told(of(&|pose| pose.views.get(k)?.as_ref().ok().copied()), 1.0, 2))
+            format!("{} {}", view.name, formatted(of(&|pose| pose.views.get(k)?.as_ref().ok().copied()), 1.0, 2))
         })
         .collect();
     let cards = [
@@ -59,21 +59,21 @@ pub(crate) fn page(name: &str, plan: &Plan) -> String {
         card("Scale at the coil", scales.join(", "), "px/mm", false),
         card(
             "σ of the tip",
-            told(of(&|pose| tip(&pose.lossless)), 1e3, 3),
-            format!("mm a coordinate; video {}", told(of(&|pose| tip(&pose.video)), 1e3, 3)),
+            formatted(of(&|pose| tip(&pose.lossless)), 1e3, 3),
+            format!("mm per coordinate; video {}", formatted(of(&|pose| tip(&pose.video)), 1e3, 3)),
             false,
         ),
         card(
             "σ of θ",
-            format!("{}°", told(of(&|pose| theta(&pose.lossless)), 1.0, 3)),
-            format!("a frame; video {}°", told(of(&|pose| theta(&pose.video)), 1.0, 3)),
+            format!("{}°", formatted(of(&|pose| theta(&pose.lossless)), 1.0, 3)),
+            format!("per frame; video {}°", formatted(of(&|pose| theta(&pose.video)), 1.0, 3)),
             false,
         ),
         card(
             "By the calibration",
-            format!("{}°", told(of(&|pose| Some(pose.calibration?.0.to_degrees())), 1.0, 4)),
-            format!("θ; tip {} mm", told(of(&|pose| Some(pose.calibration?.1)), 1e3, 4)),
-            matches!(plan.calibrated, Calibrated::Unknown(_)),
+            format!("{}°", formatted(of(&|pose| Some(pose.calibration?.0.to_degrees())), 1.0, 4)),
+            format!("θ; tip {} mm", formatted(of(&|pose| Some(pose.calibration?.1)), 1e3, 4)),
+            matches!(plan.calibrated, CalibrationErrorSource::Unknown(_)),
         ),
     ];
     let body = format!(
@@ -302,7 +302,7 @@ fn shapes(plan: &Plan) -> String {
     heads.extend(plan.rig.markers.iter().map(|marker| format!("σ {} (mm)", marker.name)));
     heads.extend(plan.rig.views.iter().map(|view| format!("{} (px/mm)", view.name)));
     heads.extend(["calibration: θ (°)", "tip (mm)"].map(str::to_owned));
-    let number = |value: Option<f64>, digits: usize| told(value, 1.0, digits);
+    let number = |value: Option<f64>, digits: usize| formatted(value, 1.0, digits);
     let rows: Vec<Vec<String>> = plan
         .poses
         .iter()

@@ -1,12 +1,12 @@
-//! The page of an archive: how many runs there are, which failed, which stand out, and how groups of them compare.
+//! The page of an archive: number of runs, failures, unusual runs, and a comparison of groups.
 //!
-//! In: the summaries of all runs. Out: one HTML file, with a link to the report of every run that is named.
+//! In: the summaries of all runs. Out: one HTML file, with a link to the report of every run mentioned.
 
 use super::chart::{self, CURVE, css, rounded};
 use super::html::{Html, escape};
 use super::page::{self, card, facts_table, figure, plural, table};
-use crate::archive::outstanding::{Outstanding, median, missed_percent};
 use crate::archive::study::{Run, Study};
+use crate::archive::unusual::{UnusualRun, median, missed_percent};
 use crate::archive::{Measured, Outcome};
 use plotly::common::{Line, Marker, Mode};
 use plotly::layout::HoverMode;
@@ -14,15 +14,15 @@ use plotly::{Plot, Scatter};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Component, Path, PathBuf};
 
-/// A column with more values than this groups nothing.
-const MOST_GROUPS: usize = 40;
-/// Runs that are listed one by one.
-const MOST_LISTED: usize = 2000;
+/// Most different values of a column used for grouping.
+const MAX_GROUPS: usize = 40;
+/// Most runs listed individually.
+const MAX_LISTED: usize = 2000;
 
-/// The page, which will stand in `folder`.
+/// The page, which will be in `folder`.
 pub(crate) fn page(
     study: &Study,
-    outstanding: &[Outstanding],
+    unusual: &[UnusualRun],
     folder: &Path,
     title: &str,
     settings: &[(String, String)],
@@ -43,18 +43,13 @@ pub(crate) fn page(
         card("Frames", frames.to_string(), format!("{hours:.2} hours of recording"), false),
         card("θ known", format!("{share:.2} %"), "of all frames", false),
         card("Drift alarms", alarms.to_string(), "the rig is not as calibrated", alarms > 0),
-        card(
-            "Stand out",
-            outstanding.len().to_string(),
-            plural(outstanding.len() as u64, "run"),
-            !outstanding.is_empty(),
-        ),
+        card("Stand out", unusual.len().to_string(), plural(unusual.len() as u64, "run"), !unusual.is_empty()),
     ];
     body += &format!("<dl class=\"key\">\n{}</dl>\n", cards.concat());
     body += &failures(study, folder);
     body += &unfinished(study);
-    body += &standing_out(study, outstanding, folder);
-    body += &groups(study, outstanding);
+    body += &unusual_runs(study, unusual, folder);
+    body += &groups(study, unusual);
     body += "<h2>Run by run</h2>\n<p>Runs in the order of their folders; the name and the value show where the pointer is.</p>\n";
     body += &figure("plot-sd", &by_run(study, "σ of θ (°)", 4, |m| m.theta.sd_deg), 320, false);
     body += &figure("plot-missed", &by_run(study, "frames without θ (%)", 2, missed_percent), 320, false);
@@ -81,7 +76,7 @@ fn failures(study: &Study, folder: &Path) -> String {
     format!("<h2>Without results</h2>\n<p>{words}</p>\n{}", table(3, &["Run", "Why", "May pass"], &rows))
 }
 
-/// What has no summary, or one that cannot be read.
+/// Runs without a readable summary.
 fn unfinished(study: &Study) -> String {
     let begun = study
         .unfinished
@@ -95,16 +90,16 @@ fn unfinished(study: &Study) -> String {
     }
 }
 
-fn standing_out(study: &Study, outstanding: &[Outstanding], folder: &Path) -> String {
+fn unusual_runs(study: &Study, unusual: &[UnusualRun], folder: &Path) -> String {
     let mut text =
         "<h2>Runs that stand out</h2>\n<p>By what happened in them, and beside the other runs with the same rig: \
                     further from their median than five robust standard deviations.</p>\n"
             .to_owned();
-    let row = |o: &Outstanding| {
+    let row = |o: &UnusualRun| {
         let run = study.runs.get(o.run)?;
-        Some(vec![link(run, folder), Html::wrapped(&o.why.join("; ")), Html::wrapped(&carried(run))])
+        Some(vec![link(run, folder), Html::wrapped(&o.why.join("; ")), Html::wrapped(&manifest_words(run))])
     };
-    let rows: Vec<Vec<Html>> = outstanding.iter().filter_map(row).collect();
+    let rows: Vec<Vec<Html>> = unusual.iter().filter_map(row).collect();
     text += &match rows.is_empty() {
         true => "<p>None.</p>\n".to_owned(),
         false => table(3, &["Run", "Why", "Manifest"], &rows),
@@ -112,21 +107,21 @@ fn standing_out(study: &Study, outstanding: &[Outstanding], folder: &Path) -> St
     text
 }
 
-/// What a manifest says of a run.
-fn carried(run: &Run) -> String {
+/// The manifest's columns of a run.
+fn manifest_words(run: &Run) -> String {
     let words = run.summary.manifest.iter().map(|(name, value)| format!("{name} {value}"));
     words.collect::<Vec<_>>().join(", ")
 }
 
 /// Runs by rig, and by each column of the manifests that groups them.
-fn groups(study: &Study, outstanding: &[Outstanding]) -> String {
+fn groups(study: &Study, unusual: &[UnusualRun]) -> String {
     let mut text = "<h2>Groups of runs</h2>\n<p>σ and residuals are medians over the runs.</p>\n".to_owned();
-    let standing: BTreeSet<usize> = outstanding.iter().map(|o| o.run).collect();
+    let standing: BTreeSet<usize> = unusual.iter().map(|o| o.run).collect();
     text += &group("rig", study, &standing, &|run| Some(run.summary.rig.clone()));
     for column in study.manifest_columns() {
         let value = |run: &Run| run.summary.manifest.get(column).cloned();
         let values: BTreeSet<_> = study.runs.iter().map(value).collect();
-        if values.len() <= MOST_GROUPS && values.len() < study.runs.len() {
+        if values.len() <= MAX_GROUPS && values.len() < study.runs.len() {
             text += &group(column, study, &standing, &value);
         }
     }
@@ -167,7 +162,7 @@ fn group(name: &str, study: &Study, standing: &BTreeSet<usize>, of: &dyn Fn(&Run
     table(1, &heads, &rows)
 }
 
-/// A value of each run.
+/// A plot of one value of each run.
 fn by_run(study: &Study, title: &str, digits: i32, value: impl Fn(&Measured) -> Option<f64>) -> Plot {
     let points = study.runs.iter().enumerate().filter_map(|(at, run)| {
         let value = rounded(value(run.summary.measured.as_ref()?)?, digits)?;
@@ -210,8 +205,8 @@ fn all(study: &Study, folder: &Path) -> String {
             number(measured.largest_rms_px(), 3).into(),
         ]
     };
-    let rows: Vec<Vec<Html>> = study.runs.iter().take(MOST_LISTED).map(row).collect();
-    let more = study.runs.len().saturating_sub(MOST_LISTED);
+    let rows: Vec<Vec<Html>> = study.runs.iter().take(MAX_LISTED).map(row).collect();
+    let more = study.runs.len().saturating_sub(MAX_LISTED);
     let note = match more {
         0 => String::new(),
         more => format!("<p class=\"note\">{more} more are in runs.parquet.</p>\n"),
@@ -230,7 +225,7 @@ fn link(run: &Run, folder: &Path) -> Html {
     Html::raw(format!("<a href=\"{}\">{}</a>", escape(&to), escape(&run.name)))
 }
 
-/// The address of a file, from a page in `folder`; both paths begin at the same place, or are whole.
+/// The address of a file, relative to a page in `folder`; both paths are absolute or relative to the same place.
 fn relative(file: &Path, folder: &Path) -> String {
     let whole = |path: &Path| std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
     let (file, folder) = (plain(&whole(file)), plain(&whole(folder)));
@@ -253,7 +248,7 @@ fn plain(path: &Path) -> PathBuf {
     plain
 }
 
-/// A name as a part of an address.
+/// A name, encoded for an address.
 fn address(name: &str) -> String {
     let plain = |b: u8| b.is_ascii_alphanumeric() || b"-_.~".contains(&b);
     name.bytes().map(|b| if plain(b) { char::from(b).to_string() } else { format!("%{b:02X}") }).collect()

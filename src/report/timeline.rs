@@ -1,8 +1,8 @@
 //! The course of a run in bounded memory: values and misses over time in at most [`MAX_BINS`] bins.
 //!
-//! Every bin holds the same number of frames: one at first; when the bins are used up, neighbours are joined and each
-//! holds twice as many. A bin keeps the smallest and the largest value of every channel with their times, so that no
-//! peak is lost however long the run. Runs of up to [`MAX_BINS`] frames are kept frame by frame.
+//! Every bin holds the same number of frames: one at first; when all bins are used, neighbours are merged and each
+//! holds twice as many. A bin keeps the smallest and the largest value of every channel with their times, so no peak is
+//! lost, however long the run. Runs of up to [`MAX_BINS`] frames are kept frame by frame.
 
 /// More than the pixels across any plot.
 pub(super) const MAX_BINS: usize = 4096;
@@ -28,9 +28,9 @@ pub(super) struct Bin {
     /// Camera frames lost before its first frame, and anywhere in it.
     pub lost_before: u64,
     pub lost: u64,
-    /// One entry a channel; `None`: never measured in this bin.
+    /// One entry per channel; `None`: never measured in this bin.
     pub channels: Vec<Option<Extremes>>,
-    /// Frames missed, by the number of the reason.
+    /// Frames missed, by index of the reason.
     pub misses: Vec<u32>,
 }
 

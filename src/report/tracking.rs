@@ -1,20 +1,20 @@
-//! The words, numbers and plots of a tracking report.
+//! Text, numbers and plots of a tracking report.
 
 use super::RunInfo;
 use super::absences::absences;
 use super::course::{Channel, Course};
 use super::figures;
 use super::html::{Html, escape};
-use super::page::{self, facts_table, figure, page, plural, signed, table, trouble};
-use crate::sink::spoken;
+use super::page::{self, facts_table, figure, plural, signed, table, trouble};
+use crate::sink::plain_words;
 use crate::tally::budget::{Source, together};
 use crate::tally::{AlarmInWords, Drifted, MissCount, Tally};
 use std::collections::BTreeSet;
 
-/// The whole page; `pictures` is a section of it.
-pub(super) fn render(info: &RunInfo, course: &Course, tally: &Tally, pictures: &str) -> String {
+/// The title of the page, and what is on it; `pictures` is a section of it.
+pub(super) fn render(info: &RunInfo, course: &Course, tally: &Tally, pictures: &str) -> (String, String) {
     let any = tally.frames > 0;
-    // The answer comes first, then what is missing, then how far to trust it, then where it came from.
+    // The result comes first, then what is missing, then its reliability, then its origin.
     let mut body = header(info, tally);
     body += &key_figures(course, tally);
     if any && course.has_base() {
@@ -35,7 +35,7 @@ pub(super) fn render(info: &RunInfo, course: &Course, tally: &Tally, pictures: &
          This file needs no network.</footer>\n",
         env!("CARGO_PKG_VERSION")
     );
-    page(&format!("Tracking of {}", info.source), &body)
+    (format!("Tracking of {}", info.source), body)
 }
 
 fn header(info: &RunInfo, tally: &Tally) -> String {
@@ -102,7 +102,7 @@ fn facts(info: &RunInfo, course: &Course, tally: &Tally) -> String {
     if tally.frames > 0 {
         let span_s = tally.last_ns.saturating_sub(tally.first_ns) as f64 * 1e-9;
         let counted = if tally.lost > 0 { " with those lost counted" } else { "" };
-        let rate = tally.rate_hz().map_or(String::new(), |hz| format!(", {hz:.2} frames a second{counted}"));
+        let rate = tally.rate_hz().map_or(String::new(), |hz| format!(", {hz:.2} frames per second{counted}"));
         rows.push(("Duration".to_owned(), format!("{span_s:.3} s{rate}")));
         let origin = course.origin().filter(|o| o.ns != 0);
         let zero = origin.map_or(String::new(), |o| format!("; 0 s on this page is {} ns of it", o.ns));
@@ -166,7 +166,7 @@ fn accuracy(course: &Course, tally: &Tally) -> String {
     )
 }
 
-/// What each source of error adds.
+/// The contribution of each source of error.
 fn error_budget(sources: &[Source]) -> String {
     let line = |name: &str, (theta_rad, tip_m): (f64, f64)| {
         vec![name.to_owned(), format!("{:.4}", theta_rad.to_degrees()), format!("{:.4}", tip_m * 1e3)]
@@ -205,7 +205,7 @@ fn missing(course: &Course, tally: &Tally) -> String {
     }
     let row = |miss: &&MissCount| {
         let MissCount { what, reason, frames } = miss;
-        vec![what.clone(), spoken(reason), frames.to_string(), share(*frames, tally.frames)]
+        vec![what.clone(), plain_words(reason), frames.to_string(), share(*frames, tally.frames)]
     };
     let mut rows: Vec<Vec<String>> = misses.iter().map(row).collect();
     if tally.lost > 0 {
@@ -243,7 +243,7 @@ fn deflection(course: &Course) -> String {
     )
 }
 
-/// Where markers and tangent went.
+/// Motion of the markers and the tangent.
 fn motion(course: &Course) -> String {
     let plot = match course.path.places_mm.iter().any(|p| p.iter().any(Option::is_some)) {
         true => figure("plot-paths", &figures::paths(course), 620, false),
@@ -278,7 +278,7 @@ fn motion(course: &Course) -> String {
     out
 }
 
-/// What each view says, over time.
+/// Results of each view over time.
 fn views(course: &Course, tally: &Tally) -> String {
     let time = time_title(course);
     let each = |kind: &str, draw: &dyn Fn(usize) -> plotly::Plot| -> String {
@@ -303,7 +303,7 @@ fn views(course: &Course, tally: &Tally) -> String {
     )
 }
 
-/// When the rig was found to be no longer as it was calibrated, and what to do.
+/// Drift alarms: when the rig was no longer as calibrated, and what to do.
 fn alarms(course: &Course, tally: &Tally) -> String {
     let alarms: Vec<AlarmInWords> = tally.alarms().collect();
     if alarms.is_empty() {
@@ -334,7 +334,7 @@ fn section(title: &str, words: &str, plots: &str, signs: &str) -> String {
     format!("<h2>{title}</h2>\n<p>{words}</p>\n{plots}{}", trouble(signs))
 }
 
-/// A plot over time, if there is anything of its channel.
+/// A plot over time, if its channel has data.
 fn drawn(
     course: &Course,
     channel: Channel,
@@ -353,7 +353,7 @@ fn time_title(course: &Course) -> &'static str {
     if course.origin().is_some_and(|o| o.ns != 0) { "time since the first frame (s)" } else { "camera time (s)" }
 }
 
-/// How much of the data the curves show.
+/// A note on how much of the data the curves show.
 fn drawing_note(course: &Course) -> String {
     match course.timeline.frames_per_bin() {
         1 => "Every frame is drawn.".to_owned(),

@@ -1,8 +1,8 @@
-//! What a rig means: where its rays go, how its views see each other, whether tracing and projecting agree, and what a
-//! user should know before measuring with it.
+//! What a rig means: where its rays go, how its views relate, whether tracing and projection agree, and what a user
+//! should know before measuring with it.
 //!
-//! Assumption: the views look at one place, near where the rays of their central pixels pass each other. It cannot be
-//! seen here whether the numbers are true, only whether they agree with each other.
+//! Assumption: the views look at one place, near where the rays of their central pixels come closest. This cannot tell
+//! whether the numbers are true, only whether they are consistent.
 
 use super::walk::{central_pixel, grid, walk};
 use super::warnings::warnings;
@@ -14,9 +14,9 @@ pub use super::view_check::{ClosestApproach, ROUND_TRIP_LIMIT_PX, Refraction, Ro
 pub use super::walk::Crossing;
 pub use super::warnings::Warning;
 
-/// Pixels of the test grid are this far apart.
+/// Spacing of the test grid, pixels.
 const GRID_PX: f64 = 16.0;
-/// Distances tried when only one view tells nothing about where the catheter is, metres.
+/// Distances tried when a single view cannot tell where the catheter is, metres.
 const DISTANCES_M: [f64; 3] = [0.1, 0.3, 1.0];
 
 /// The result of [`check`].
@@ -24,22 +24,22 @@ const DISTANCES_M: [f64; 3] = [0.1, 0.3, 1.0];
 pub struct Check {
     /// Full angle of view across the picture's middle row and column, radians; `None` where the lens model folds over.
     pub field_of_view_rad: [Option<f64>; 2],
-    /// One entry a view, in the rig's order.
+    /// One entry per view, in the rig's order.
     pub views: Vec<ViewCheck>,
-    /// Where the central rays of the first two views pass each other.
+    /// Where the central rays of the first two views come closest.
     pub closest_approach: Option<ClosestApproach>,
-    /// What a user should know, the gravest first.
+    /// What a user should know, the most serious first.
     pub warnings: Vec<Warning>,
 }
 
 impl Check {
-    /// Whether every view sees something and its rays lead there and back.
+    /// Whether every view sees something and traces and projects consistently.
     pub fn usable(&self) -> bool {
         self.views.iter().all(|v| v.round_trip.with_ray > 0 && v.round_trip.faithful())
     }
 }
 
-/// Looks at a rig, as far as it has got, from all sides.
+/// Checks everything in a rig, complete or not.
 ///
 /// # Errors
 /// [`NoRay`] when a view has no central ray; a rig that was read from a file has one.
@@ -76,7 +76,7 @@ pub fn check(rig: &Draft) -> Result<Check, NoRay> {
     Ok(Check { field_of_view_rad: field_of_view_rad(&rig.camera), views, closest_approach, warnings })
 }
 
-/// Middle of the shortest connection of two rays; `None` when they are parallel or it lies behind one of them.
+/// Midpoint of the shortest segment between two rays; `None` when they are parallel or it lies behind one of them.
 fn closest_approach(a: &Ray, b: &Ray) -> Option<ClosestApproach> {
     let cos = a.direction.dot(&b.direction);
     let between = b.origin - a.origin;
@@ -99,7 +99,7 @@ fn refraction(view: &View, pixel: &Point2<f64>, crossings: &[Crossing], point: &
         surfaces: view.optics.surfaces.iter().filter(|s| matches!(s, Surface::Mirror(_))).copied().collect(),
     };
     let straight = without_walls.trace(pixel).ok()?;
-    // From the last wall on, by way of the mirrors behind it.
+    // From the last wall on, via the mirrors behind it.
     let stations: Vec<Point3<f64>> = crossings.iter().skip(last).map(|c| c.point).chain([*point]).collect();
     let depth_m: f64 = stations.iter().zip(stations.iter().skip(1)).map(|(a, b)| (b - a).norm()).sum();
     // Near the normal a layer of thickness t and index n seen from index 1 appears t/n thick.

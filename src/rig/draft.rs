@@ -1,4 +1,4 @@
-//! What can be done with a rig file as far as it has got.
+//! Operations on a rig file that may be incomplete.
 
 use super::{Camera, Draft, Rig, RigError, View, file, validate, write};
 use crate::optics::Lens;
@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 impl Draft {
-    /// Of a camera alone.
+    /// A draft with only a camera.
     pub fn of_camera(camera: Camera) -> Self {
         Self {
             camera,
@@ -19,14 +19,14 @@ impl Draft {
         }
     }
 
-    /// The same with another lens. Surfaces, views and base frame were found with the old one and do not belong to the
-    /// new one: they are left out, and where the numbers came from with them. Bands and tube stay.
+    /// The same with another lens. Surfaces, views and base frame were calibrated with the old one and do not fit the
+    /// new one: they are removed, with their provenance. Bands and tube stay.
     pub fn with_lens(self, size_px: [u32; 2], lens: Lens) -> Self {
         let camera = Camera { size_px, lens, ..self.camera };
         Self { markers: self.markers, catheter: self.catheter, ..Self::of_camera(camera) }
     }
 
-    /// The view of this name; `file` stands in the message when there is none.
+    /// The view of this name; `file` is named in the error when there is none.
     ///
     /// # Errors
     /// [`RigError::Value`] with the nearest name.
@@ -53,7 +53,7 @@ impl Draft {
         Self::from_toml_str(&text, path)
     }
 
-    /// As [`Draft::load`] from text; `name` stands for the file in error messages.
+    /// As [`Draft::load`] from text; `name` is the file in error messages.
     ///
     /// # Errors
     /// [`RigError`], as [`Draft::load`].
@@ -61,7 +61,7 @@ impl Draft {
         validate::validate(file::parse(text, name)?, name)
     }
 
-    /// The same, judged as if it had been read from a file; `name` stands for the file in error messages.
+    /// The same draft, checked as if it had been read from a file; `name` is the file in error messages.
     ///
     /// # Errors
     /// [`RigError`], as [`Draft::load`].
@@ -69,8 +69,8 @@ impl Draft {
         Self::from_toml_str(&self.to_toml_string(), name)
     }
 
-    /// What a rig needs beyond this, in the order in which it is found, and the command that finds it; nothing when it
-    /// is whole.
+    /// The parts that a rig still needs, in the order of calibration, each with the command that finds it; empty when
+    /// complete.
     pub fn missing(&self) -> Vec<(&'static str, &'static str)> {
         [
             (self.views.is_empty(), "mirrors, walls and views", "catoptra calibrate rig"),
@@ -82,8 +82,8 @@ impl Draft {
         .collect()
     }
 
-    /// σ of a parameter as the calibrations noted it: of the lens as `focal_x_px`, …, `k3`, of a surface as
-    /// `NAME_offset_m`; `None` when they did not.
+    /// σ of a parameter as the calibrations recorded it: `focal_x_px`, …, `k3` for the lens, `NAME_offset_m` for a
+    /// surface; `None` when they did not.
     pub fn noted_sd(&self, parameter: &str) -> Option<f64> {
         const LENS: [&str; 12] = [
             "focal_x_px",
@@ -111,25 +111,25 @@ impl Draft {
         of_rig().or_else(of_camera).filter(|variance| *variance >= 0.0).map(f64::sqrt)
     }
 
-    /// The rig, when all its parts are there; `name` stands for the file in error messages.
+    /// The rig, when all its parts are there; `name` is the file in error messages.
     ///
     /// # Errors
-    /// [`RigError::Key`] with the part that is missing.
+    /// [`RigError::Key`] with the missing part.
     pub fn complete(self, name: &Path) -> Result<Rig, RigError> {
         validate::complete(self, name)
     }
 
-    /// Writes `rig.toml`: into a new file beside `path`, which then takes its place, so that a reader finds the old
-    /// or the new file, never half of one. Comments of the old file are not kept.
+    /// Writes `rig.toml`: into a new file beside `path`, which then replaces it, so that a reader finds the old or the
+    /// new file, never half of one. Comments of the old file are not kept.
     ///
     /// # Errors
-    /// [`RigError`] when this draft would not be accepted by [`Draft::load`], or the file system refuses.
+    /// [`RigError`] when this draft would not be accepted by [`Draft::load`], or on an error of the file system.
     pub fn save(&self, path: &Path) -> Result<(), RigError> {
         write::save(self, path, false).map(|_| ())
     }
 
-    /// As [`Draft::save`]; another rig that was at `path` before is kept beside it, as `RIG.toml.bak`, `RIG.toml.bak2`,
-    /// …: no backup takes the place of another. Gives the backup's name, if one was needed.
+    /// As [`Draft::save`]; a different rig that was at `path` is kept beside it, as `RIG.toml.bak`, `RIG.toml.bak2`, …:
+    /// no backup replaces another. Returns the backup's name, if one was needed.
     ///
     /// # Errors
     /// As [`Draft::save`]. When the disk is full, no file has changed.
@@ -137,8 +137,8 @@ impl Draft {
         write::save(self, path, true)
     }
 
-    /// The text of `rig.toml`: lengths to 1e-9 mm, directions to 1e-12. What was read from such a text gives the
-    /// same text again.
+    /// The text of `rig.toml`: lengths to 1e-9 mm, directions to 1e-12. Reading this text and writing it again gives
+    /// the same text.
     pub fn to_toml_string(&self) -> String {
         write::to_text(self)
     }

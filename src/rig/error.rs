@@ -1,11 +1,11 @@
-//! [`RigError`]: what is wrong with a rig file, in the words of the file.
+//! [`RigError`]: what is wrong with a rig file, in terms of the file.
 
 use std::path::PathBuf;
 
 /// Why a rig file cannot be read, used or written.
 #[derive(Debug, thiserror::Error)]
 pub enum RigError {
-    /// The file system did not give the file.
+    /// The file cannot be read.
     #[error("cannot read rig file {}", file.display())]
     Read {
         /// Which file.
@@ -23,7 +23,7 @@ pub enum RigError {
         /// What the parser expected.
         message: String,
     },
-    /// A key that means nothing here.
+    /// An unknown key.
     #[error("{}:{line}: unknown key `{key}`, {advice}", file.display())]
     UnknownKey {
         /// Which file.
@@ -32,7 +32,7 @@ pub enum RigError {
         line: usize,
         /// The key.
         key: String,
-        /// The nearest known key, or all of them when none is near.
+        /// The nearest known key, or all of them when none is close.
         advice: String,
     },
     /// A value that cannot be right.
@@ -57,7 +57,7 @@ pub enum RigError {
         /// What is wrong.
         problem: String,
     },
-    /// The file system did not take the file.
+    /// The file cannot be written.
     #[error("cannot write rig file {}", file.display())]
     Write {
         /// Which file.

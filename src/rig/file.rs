@@ -1,5 +1,5 @@
-//! `rig.toml` as it is written: mm, pixels, degrees. Here the text becomes these structs and nothing is judged but its
-//! form: TOML, types, and keys that are not known.
+//! `rig.toml` in its own units: mm, pixels, degrees. The text is parsed into these structs; only its form is checked:
+//! TOML, types, and unknown keys.
 
 use super::RigError;
 use super::error::nearest;
@@ -35,6 +35,7 @@ pub(super) struct CameraFile {
     pub blur_px: Option<f64>,
     pub chroma_offset_px: Option<[f64; 2]>,
     pub exposure_ms: Option<f64>,
+    pub gamma: Option<f64>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
@@ -44,7 +45,7 @@ pub(super) enum SurfaceKind {
     Wall,
 }
 
-/// Flat, with the wall's keys optional: the message about a missing one can then name surface and kind.
+/// Flat, with the wall's keys optional, so that the message about a missing one can name surface and kind.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct SurfaceFile {
@@ -71,7 +72,7 @@ pub(super) struct MarkerFile {
     pub name: String,
     pub length_mm: f64,
     pub centre_mm: Option<f64>,
-    /// The same in all views, as rig files had it before they had `colours`.
+    /// One model for all views, as in rig files before `colours`.
     pub colour: Option<ColourFile>,
     #[serde(default)]
     pub colours: Vec<ViewColourFile>,
@@ -136,14 +137,14 @@ pub(super) fn parse(text: &str, name: &Path) -> Result<RigFile, RigError> {
     })
 }
 
-/// The key that a line gives a value to.
+/// The key that a line assigns.
 fn key_of(line: &str) -> Option<&str> {
     let key = line.split_once('=')?.0.trim();
     let bare = |c: char| c.is_ascii_alphanumeric() || matches!(c, '_' | '-' | '.');
     (!key.is_empty() && key.chars().all(bare)).then_some(key)
 }
 
-/// The parser speaks of Rust's types, users know those of TOML.
+/// The parser names Rust types; users know those of TOML.
 fn in_words_of_the_file(message: &str) -> String {
     let words = [
         ("expected u32", "expected a whole number from 0 on"),
@@ -157,8 +158,8 @@ fn in_words_of_the_file(message: &str) -> String {
     words.iter().fold(message.trim_end().replace('\n', ", "), |text, (rust, plain)| text.replace(rust, plain))
 }
 
-/// Takes serde's "unknown field `a`, expected one of `b`, `c`" apart: the key, and advice. Serde knows the keys of
-/// every struct above, so they need not be listed a second time.
+/// Splits serde's "unknown field `a`, expected one of `b`, `c`" into the key and advice. Serde knows the keys of every
+/// struct above, so they are not listed twice.
 fn unknown_key(message: &str) -> Option<(String, String)> {
     let mut quoted = message.strip_prefix("unknown field ")?.split('`').skip(1).step_by(2);
     let key = quoted.next()?;

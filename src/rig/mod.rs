@@ -4,9 +4,9 @@
 //! holds the same in mm and pixels.
 //!
 //! - [`Rig::load`], [`Rig::save`] and their text forms; [`RigError`] names file, key, value and what would be right.
-//! - [`Draft`]: a rig file as far as it has got. Each calibration reads one and adds its part.
-//! - [`check::check`]: what the rig means in words and numbers, and whether its views work both ways.
-//! - [`formats`]: cameras from and for OpenCV, ROS and Kalibr; views as DLT coefficients.
+//! - [`Draft`]: a rig file that may be incomplete. Each calibration reads one and adds its part.
+//! - [`check::check`]: what the rig means in words and numbers, and whether its views trace and project consistently.
+//! - [`formats`]: cameras read from and written for OpenCV, ROS and Kalibr; views as DLT coefficients.
 
 pub mod check;
 mod draft;
@@ -49,7 +49,7 @@ pub struct Rig {
     pub provenance: toml::Table,
 }
 
-/// A checked rig file of which parts may be missing: `calibrate camera` begins it, each calibration after it reads it
+/// A checked rig file in which parts may be missing: `calibrate camera` begins it, and each later calibration reads it
 /// and adds its part. With views, markers and catheter it is a [`Rig`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct Draft {
@@ -59,7 +59,7 @@ pub struct Draft {
     pub surfaces: BTreeMap<String, Surface>,
     /// Views, in the file's order; none before the mirror is calibrated.
     pub views: Vec<View>,
-    /// Markers, in their order along the tube; none before they were picked.
+    /// Markers, in their order along the tube; none before they are picked.
     pub markers: Vec<Marker>,
     /// The tube, known with the markers.
     pub catheter: Option<Catheter>,
@@ -78,7 +78,7 @@ impl Rig {
         Draft::load(path)?.complete(path)
     }
 
-    /// As [`Rig::load`] from text; `name` stands for the file in error messages.
+    /// As [`Rig::load`] from text; `name` is the file in error messages.
     ///
     /// # Errors
     /// [`RigError`], as [`Rig::load`].
@@ -89,7 +89,7 @@ impl Rig {
     /// Writes `rig.toml`, see [`Draft::save`].
     ///
     /// # Errors
-    /// [`RigError`] when this rig would not be accepted by [`Rig::load`], or the file system refuses.
+    /// [`RigError`] when this rig would not be accepted by [`Rig::load`], or on an error of the file system.
     pub fn save(&self, path: &Path) -> Result<(), RigError> {
         Draft::from(self.clone()).save(path)
     }
@@ -99,11 +99,11 @@ impl Rig {
         Draft::from(self.clone()).to_toml_string()
     }
 
-    /// σ of the base frame's origin along the camera's axes, metres, as `calibrate base` noted it; `None` when it did
-    /// not.
+    /// σ of the base frame's origin along the camera's axes, metres, as `calibrate base` recorded it; `None` when it
+    /// did not.
     pub fn origin_sd_m(&self) -> Option<Vector3<f64>> {
-        let noted = self.provenance.get("base")?.get("origin_sd_mm")?.as_array()?;
-        let sd_mm: Vec<f64> = noted.iter().filter_map(toml::Value::as_float).collect();
+        let recorded = self.provenance.get("base")?.get("origin_sd_mm")?.as_array()?;
+        let sd_mm: Vec<f64> = recorded.iter().filter_map(toml::Value::as_float).collect();
         let sd_mm = <[f64; 3]>::try_from(sd_mm).ok()?;
         sd_mm.iter().all(|sd| sd.is_finite() && *sd > 0.0).then(|| Vector3::from(sd_mm) * 1e-3)
     }
@@ -135,11 +135,14 @@ pub struct Camera {
     pub lens: Lens,
     /// Blur of lens and sensor: standard deviation of the point spread, pixels, once measured.
     pub blur_px: Option<f64>,
-    /// Where chroma samples sit beyond what the stream's siting says, pixels (right, down): recorders often tag one
-    /// siting and sample at another. Zero unless measured.
+    /// Offset of the chroma samples from where the stream's siting puts them, pixels (right, down): recorders often tag
+    /// one siting and sample at another. Zero unless measured.
     pub chroma_offset_px: [f64; 2],
-    /// How long each picture is exposed, seconds, once known: motion blurs it by as much.
+    /// Exposure time of a picture, seconds, once known: motion during it blurs the picture.
     pub exposure_s: Option<f64>,
+    /// Stored values go with light to this power, once measured; where it is not known, the recording's own transfer
+    /// function holds.
+    pub gamma: Option<f64>,
 }
 
 /// One way the camera sees the markers.
@@ -149,9 +152,9 @@ pub struct View {
     pub name: String,
     /// Names of the surfaces, in the order a camera ray meets them.
     pub path: Vec<String>,
-    /// The same with the surfaces themselves.
+    /// The same path with the surfaces themselves.
     pub optics: OpticalPath,
-    /// Where in the picture this view is, pixels, polygon; empty: anywhere.
+    /// Where in the picture this view is: polygon, pixels; empty means anywhere.
     pub region_px: Vec<Point2<f64>>,
 }
 
@@ -165,7 +168,7 @@ pub struct Marker {
     /// Place of its middle along the tube, metres, once known. Only differences matter: `calibrate markers` counts from
     /// the edge of the first band that is nearer to the clamp.
     pub centre_m: Option<f64>,
-    /// How to tell it by its colour, once learned: one model for each view, or one for all of them. Empty before.
+    /// Colour models, once learned: one for each view, or one for all; empty before that.
     pub colours: Vec<ColourModel>,
 }
 
@@ -176,7 +179,7 @@ impl Marker {
     }
 }
 
-/// How a band's colour is told from everything else: the band's colours lie on one side of a few planes in R'G'B'.
+/// Distinguishes a band's colour from everything else: the band's colours lie on one side of a few planes in R'G'B'.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ColourModel {
     /// The planes; at least one.
@@ -190,7 +193,7 @@ pub struct ColourModel {
 pub struct ColourPlane {
     /// Weights of R', G', B'.
     pub weights: Vector3<f64>,
-    /// score = weights·rgb + bias; 1 on the band, 0 on the other colour, both on average.
+    /// score = weights·rgb + bias; on average 1 on the band and 0 on the other colour.
     pub bias: f64,
 }
 
@@ -202,12 +205,12 @@ impl ColourPlane {
 }
 
 impl ColourModel {
-    /// A single plane.
+    /// A model with a single plane.
     pub fn linear(weights: Vector3<f64>, bias: f64, rgb: Vector3<f64>) -> Self {
         Self { planes: vec![ColourPlane { weights, bias }], rgb }
     }
 
-    /// How far another colour is below one of the band's: by the plane that tells the two apart best.
+    /// How far another colour scores below one of the band's, by the plane that separates the two best.
     pub fn separation(&self, own: &Vector3<f64>, other: &Vector3<f64>) -> f64 {
         let apart = self.planes.iter().map(|plane| plane.score(own) - plane.score(other));
         apart.fold(f64::NEG_INFINITY, f64::max)

@@ -1,4 +1,4 @@
-//! Polygons in the picture: inside or not, area, centre of area.
+//! Polygons in the picture: point-in-polygon test, area, centroid.
 
 use nalgebra::Point2;
 
@@ -18,7 +18,7 @@ pub(crate) fn contains(polygon: &[Point2<f64>], point: &Point2<f64>) -> bool {
         == 1
 }
 
-/// Area and centre of area; the centre is not a number when the area is zero.
+/// Area and centroid; the centroid is NaN when the area is zero.
 pub(crate) fn area_and_centre(polygon: &[Point2<f64>]) -> (f64, Point2<f64>) {
     let (mut twice, mut sum) = (0.0, nalgebra::Vector2::zeros());
     for (a, b) in edges(polygon) {

@@ -1,5 +1,5 @@
-//! From the file's numbers to a [`Draft`]: every value is judged here, with its key, and turned into metres. What a
-//! draft must have to be a [`Rig`] is judged here too.
+//! From the file's numbers to a [`Draft`]: every value is checked here, with its key, and converted to metres. What a
+//! draft must have to be a [`Rig`] is checked here too.
 
 use super::error::nearest;
 use super::file::{
@@ -17,7 +17,7 @@ use std::path::Path;
 /// How far unit vectors and rotations may be off: six printed decimals.
 const UNIT_TOLERANCE: f64 = 2e-6;
 
-/// Judges and converts a whole file; `file` stands in the messages.
+/// Checks and converts a whole file; `file` is named in the messages.
 pub(super) fn validate(raw: RigFile, file: &Path) -> Result<Draft, RigError> {
     let check = Check { file };
     let camera = check.camera(&raw.camera)?;
@@ -25,8 +25,8 @@ pub(super) fn validate(raw: RigFile, file: &Path) -> Result<Draft, RigError> {
     for (name, surface) in &raw.surfaces {
         surfaces.insert(name.clone(), check.surface(name, surface)?);
     }
-    check.count("view", raw.views.len(), MOST_VIEWS)?;
-    check.count("marker", raw.markers.len(), MOST_MARKERS)?;
+    check.count("view", raw.views.len(), MAX_VIEWS)?;
+    check.count("marker", raw.markers.len(), MAX_MARKERS)?;
     check.names("view", raw.views.iter().map(|v| v.name.as_str()))?;
     check.names("marker", raw.markers.iter().map(|m| m.name.as_str()))?;
     let views = raw.views.into_iter().map(|v| check.view(v, &camera, &surfaces)).collect::<Result<Vec<_>, _>>()?;
@@ -37,7 +37,7 @@ pub(super) fn validate(raw: RigFile, file: &Path) -> Result<Draft, RigError> {
     Ok(Draft { camera, surfaces, views, markers, catheter, base, provenance: raw.provenance })
 }
 
-/// A draft that has all parts is a rig; `file` stands in the message about one that is missing.
+/// A draft that has all parts is a rig; `file` is named in the message about a missing one.
 pub(super) fn complete(draft: Draft, file: &Path) -> Result<Rig, RigError> {
     let Draft { camera, surfaces, views, markers, catheter, base, provenance } = draft;
     let check = Check { file };
@@ -53,24 +53,26 @@ pub(super) fn complete(draft: Draft, file: &Path) -> Result<Rig, RigError> {
     Ok(Rig { camera, surfaces, views, markers, catheter, base, provenance })
 }
 
-/// Judges values on behalf of one file.
+/// Checks the values of one file.
 struct Check<'a> {
     file: &'a Path,
 }
 
-/// A chroma sample further from its place than this belongs to another luma sample.
+/// A chroma sample displaced by more than this belongs to another luma sample.
 const LARGEST_CHROMA_OFFSET_PX: f64 = 2.0;
 /// Longer than any video camera exposes a picture.
 const LONGEST_EXPOSURE_MS: f64 = 1000.0;
+/// Powers of light that cameras store.
+const GAMMAS: std::ops::RangeInclusive<f64> = 0.2..=1.5;
 /// Nothing is further away: 100 m.
 const FARTHEST_MM: f64 = 1e5;
-/// Weights of samples of 8 bits that still can be computed with; learned ones are below 1.
+/// Largest weight of 8-bit samples that can be computed with; learned ones are below 1.
 const LARGEST_WEIGHT: f64 = 1e3;
-/// Corners of a region: more are no help and take long.
-const MOST_CORNERS: usize = 256;
-/// Views and markers: every pair of a marker's places in two views is tried.
-const MOST_VIEWS: usize = 8;
-const MOST_MARKERS: usize = 16;
+/// Most corners of a region: more do not help and take long.
+const MAX_CORNERS: usize = 256;
+/// Most views and markers: the assignment tries every pair of a marker's places in two views.
+const MAX_VIEWS: usize = 8;
+const MAX_MARKERS: usize = 16;
 
 impl Check<'_> {
     fn value(&self, key: impl Display, value: impl Display, expected: impl Display) -> RigError {
@@ -98,7 +100,7 @@ impl Check<'_> {
         }
     }
 
-    /// Finite numbers up to `most` either way.
+    /// Finite numbers from −`most` to `most`.
     fn within(&self, key: impl Display, values: &[f64], most: f64) -> Result<(), RigError> {
         self.finite(&key, values)?;
         match values.iter().find(|v| v.abs() > most) {
@@ -111,7 +113,7 @@ impl Check<'_> {
         if value.is_finite() && value > 0.0 { Ok(()) } else { Err(self.value(key, value, "a positive number")) }
     }
 
-    /// A unit vector; what rounding in the file has made longer or shorter is put right.
+    /// A unit vector; the rounding of the file is corrected.
     fn unit(&self, key: impl Display, v: [f64; 3]) -> Result<Vector3<f64>, RigError> {
         self.finite(&key, &v)?;
         let length = Vector3::from(v).norm();
@@ -130,7 +132,7 @@ impl Check<'_> {
         Err(self.value(section, format_args!("{found} of them"), format_args!("{most} at most")))
     }
 
-    /// Names that fit into tables and messages; each only once.
+    /// Names that fit into tables and messages; each used once.
     fn names<'n>(&self, section: &str, names: impl Iterator<Item = &'n str>) -> Result<(), RigError> {
         let mut seen: Vec<&str> = Vec::new();
         for name in names {
@@ -188,7 +190,12 @@ impl Check<'_> {
             distortion: raw.distortion,
             denominator,
         };
-        Ok(Camera { size_px: [raw.width_px, raw.height_px], lens, blur_px: raw.blur_px, chroma_offset_px, exposure_s })
+        if let Some(gamma) = raw.gamma.filter(|gamma| !GAMMAS.contains(gamma)) {
+            let expected = format!("a number from {} to {}", GAMMAS.start(), GAMMAS.end());
+            return Err(self.value("camera.gamma", gamma, expected));
+        }
+        let size_px = [raw.width_px, raw.height_px];
+        Ok(Camera { size_px, lens, blur_px: raw.blur_px, chroma_offset_px, exposure_s, gamma: raw.gamma })
     }
 
     fn surface(&self, name: &str, raw: &SurfaceFile) -> Result<Surface, RigError> {
@@ -244,7 +251,7 @@ impl Check<'_> {
             })?;
             optics.surfaces.push(*found);
         }
-        // What lies before the first mirror only bends the ray: the camera must be on that mirror's reflecting side.
+        // Surfaces before the first mirror only bend the ray, so the camera must be on that mirror's reflecting side.
         let first_mirror = raw.path.iter().zip(&optics.surfaces).find(|(_, s)| matches!(s, Surface::Mirror(_)));
         if let Some((surface, mirror)) = first_mirror
             && mirror.plane().offset_m() >= 0.0
@@ -266,11 +273,11 @@ impl Check<'_> {
         if corners.len() < 3 {
             return Err(self.value(key, format!("{corners:?}"), "at least 3 corners, or no such key"));
         }
-        if corners.len() > MOST_CORNERS {
+        if corners.len() > MAX_CORNERS {
             return Err(self.value(
                 key,
                 format_args!("{} corners", corners.len()),
-                format_args!("{MOST_CORNERS} at most"),
+                format_args!("{MAX_CORNERS} at most"),
             ));
         }
         let [right, bottom] = camera.size_px.map(|size| f64::from(size) - 0.5);
@@ -288,7 +295,7 @@ impl Check<'_> {
         Ok(region)
     }
 
-    /// The view's central ray arrives, and leaves every surface into the medium that the next one begins in.
+    /// The view's central ray arrives, and leaves every surface into the medium in which the next one begins.
     fn path_leads_somewhere(&self, view: &View, camera: &Camera) -> Result<(), RigError> {
         let key = format!("view.{}.path", view.name);
         let path = format!("{:?}", view.path);
@@ -393,7 +400,7 @@ impl Check<'_> {
         }
     }
 
-    /// Bands whose place is known follow each other along the tube in the file's order, and do not overlap.
+    /// Bands whose place is known are in the file's order along the tube, and do not overlap.
     fn bands_apart(&self, markers: &[Marker]) -> Result<(), RigError> {
         let mut before: Option<(&str, f64)> = None;
         for marker in markers {

@@ -1,4 +1,4 @@
-//! Along a view's path surface by surface: where one ray meets each, at what angle, between which media.
+//! Follows one ray along a view's path: where it meets each surface, at what angle, between which media.
 
 use super::{Camera, View, polygon};
 use crate::optics::{NoRay, OpticalPath, Ray, Surface};
@@ -15,7 +15,7 @@ pub struct Crossing {
     pub media: Option<(f64, f64)>,
 }
 
-/// Follows the ray of a pixel; gives its crossings and the ray in the marker's medium.
+/// Follows the ray of a pixel; returns its crossings and the ray in the marker's medium.
 pub(crate) fn walk(optics: &OpticalPath, pixel: &Point2<f64>) -> Result<(Vec<Crossing>, Ray), NoRay> {
     let mut so_far = OpticalPath { lens: optics.lens, surfaces: Vec::new() };
     let mut ray = so_far.trace(pixel)?;
@@ -37,13 +37,13 @@ pub(crate) fn walk(optics: &OpticalPath, pixel: &Point2<f64>) -> Result<(Vec<Cro
     Ok((crossings, ray))
 }
 
-/// A step of `step_px` over the picture, border included.
+/// Pixels on a grid of spacing `step_px` over the picture, border included.
 pub(super) fn grid(camera: &Camera, step_px: f64) -> impl Iterator<Item = Point2<f64>> {
     let [columns, rows] = camera.size_px.map(|size| (f64::from(size - 1) / step_px).floor() as u32);
     (0..=rows).flat_map(move |j| (0..=columns).map(move |i| Point2::new(f64::from(i), f64::from(j)) * step_px))
 }
 
-/// The pixel that stands for a view: the centre of its region or, without one, the pixel nearest to the picture's
+/// The pixel that represents a view: the centre of its region or, without one, the pixel nearest to the picture's
 /// centre that has a ray.
 pub(super) fn central_pixel(camera: &Camera, view: &View) -> Result<Point2<f64>, NoRay> {
     if !view.region_px.is_empty() {

@@ -9,17 +9,17 @@ use std::fmt;
 
 /// Beyond this angle a mirror shows little, and a wall reflects more than it lets through.
 const EDGE_ON_RAD: f64 = 75.0 * std::f64::consts::PI / 180.0;
-/// Views nearer in direction than this measure depth badly.
+/// Views closer in direction than this measure depth badly.
 const NARROW_RAD: f64 = 20.0 * std::f64::consts::PI / 180.0;
 
 /// Something a user should know.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Warning {
-    /// Tracing and projecting disagree.
+    /// Tracing and projection disagree.
     RoundTrip {
         /// The view.
         view: String,
-        /// Points without a way back.
+        /// Points that projected to no pixel.
         lost: usize,
         /// Largest error, pixels.
         max_error_px: f64,
@@ -35,14 +35,14 @@ pub enum Warning {
     },
     /// One view gives no depth.
     SingleView,
-    /// A length that hardly is one in millimetres.
+    /// A length that is implausible in millimetres.
     Scale {
-        /// What is so long or short, in words.
+        /// What has this length, in words.
         what: String,
         /// The length, metres.
         length_m: f64,
     },
-    /// The first two views look along nearly the same direction.
+    /// The first two views look in nearly the same direction.
     NarrowAngle {
         /// Angle between the central rays, radians.
         angle_rad: f64,
@@ -61,7 +61,7 @@ pub enum Warning {
         /// Angle between ray and normal, radians.
         incidence_rad: f64,
     },
-    /// A view without a region, where there are several.
+    /// A view without a region, though there are several views.
     NoRegion {
         /// The view.
         view: String,
@@ -78,9 +78,9 @@ pub enum Warning {
         /// The surface.
         surface: String,
     },
-    /// The principal point lies far from the picture's middle.
+    /// The principal point lies far from the picture's centre.
     PrincipalPoint {
-        /// Distance from the middle, pixels.
+        /// Distance from the centre, pixels.
         distance_px: f64,
     },
     /// Markers whose colour has not been learned.
@@ -170,7 +170,7 @@ impl fmt::Display for Warning {
     }
 }
 
-/// All that is found, the gravest first.
+/// All warnings, the most serious first.
 pub(super) fn warnings(rig: &Draft, views: &[ViewCheck], meeting: Option<&ClosestApproach>) -> Vec<Warning> {
     let mut found = Vec::new();
     for (view, checked) in rig.views.iter().zip(views) {
@@ -220,7 +220,7 @@ pub(super) fn warnings(rig: &Draft, views: &[ViewCheck], meeting: Option<&Closes
     };
     found.extend(named(|m| m.colours.is_empty()).map(|markers| Warning::NoColour { markers }));
     found.extend(named(|m| m.centre_m.is_none()).map(|markers| Warning::NoPlace { markers }));
-    // What comes with or after the markers is not missed before them.
+    // Parts that come with or after the markers are not missing before them.
     let begun = !rig.markers.is_empty();
     match &rig.base {
         None => found.extend(begun.then_some(Warning::NoBase)),

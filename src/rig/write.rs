@@ -1,9 +1,9 @@
-//! A [`Draft`] as the text of `rig.toml`, and that text onto the disk in one step.
+//! Writes a [`Draft`] as the text of `rig.toml`, and that text to the disk in one step.
 
-use super::numbers::{decimal, millimetres, rotation_of, settle};
+use super::numbers::{decimal, millimetres, rotation_of, round_stably};
 use super::{Base, Camera, Catheter, ColourPlane, Draft, Marker, RigError, View};
+use crate::atomic_file::NewFile;
 use crate::optics::Surface;
-use crate::whole_file::NewFile;
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use std::fmt::Write as _;
 use std::fs::File;
@@ -36,12 +36,12 @@ pub(super) fn to_text(rig: &Draft) -> String {
 /// See [`Draft::save`] and [`Draft::save_with_backup`].
 pub(super) fn save(rig: &Draft, path: &Path, keep: bool) -> Result<Option<PathBuf>, RigError> {
     let text = rig.to_toml_string();
-    Draft::from_toml_str(&text, path)?; // never replace a good file by one that cannot be read
+    Draft::from_toml_str(&text, path)?; // never replace a good file with one that cannot be read
     let fail = |file: &Path| {
         let file = file.to_path_buf();
         move |source| RigError::Write { file, source }
     };
-    // All that can fill the disk comes before anything is replaced.
+    // Everything that can fill the disk is written before anything is replaced.
     let new = NewFile::write(path, text.as_bytes()).map_err(fail(path))?;
     let mut kept_as = None;
     if keep && path.exists() {
@@ -54,7 +54,7 @@ pub(super) fn save(rig: &Draft, path: &Path, keep: bool) -> Result<Option<PathBu
     Ok(kept_as)
 }
 
-/// Writes `old` beside `path`, under the first free name of a backup.
+/// Writes `old` beside `path`, under the first free backup name.
 fn keep_beside(path: &Path, old: &[u8]) -> Result<PathBuf, RigError> {
     let named = |n: u32| {
         let mut name = path.as_os_str().to_owned();
@@ -66,7 +66,7 @@ fn keep_beside(path: &Path, old: &[u8]) -> Result<PathBuf, RigError> {
         let backup = named(number);
         let written = File::create_new(&backup).and_then(|mut file| {
             let written = file.write_all(old).and_then(|()| file.sync_all());
-            // Half a backup would be taken for one; it is ours, and new.
+            // Half a backup could be mistaken for a whole one; this file is new and ours to remove.
             written.inspect_err(|_| drop(std::fs::remove_file(&backup)))
         });
         match written {
@@ -101,6 +101,9 @@ fn camera(camera: &Camera) -> String {
     }
     if let Some(exposure_s) = camera.exposure_s {
         let _ = writeln!(text, "exposure_ms = {}", decimal(exposure_s * 1e3, 6));
+    }
+    if let Some(gamma) = camera.gamma {
+        let _ = writeln!(text, "gamma = {}", decimal(gamma, 6));
     }
     text
 }
@@ -220,15 +223,15 @@ fn list(items: impl Iterator<Item = String>) -> String {
 }
 
 fn direction(v: &Vector3<f64>) -> String {
-    let settled = settle([v.x, v.y, v.z], |v| Vector3::from(v).normalize().into());
+    let settled = round_stably([v.x, v.y, v.z], |v| Vector3::from(v).normalize().into());
     list(settled.iter().map(|v| decimal(*v, DIRECTION_DECIMALS)))
 }
 
-/// The rotation's matrix, row after row.
+/// The rotation matrix, row-major.
 fn rotation_rows(rotation: &UnitQuaternion<f64>) -> [f64; 9] {
     let rows = |q: &UnitQuaternion<f64>| {
         let m = q.to_rotation_matrix().into_inner();
         [m.m11, m.m12, m.m13, m.m21, m.m22, m.m23, m.m31, m.m32, m.m33]
     };
-    settle(rows(rotation), |read| rows(&rotation_of(&Matrix3::from_row_slice(&read))))
+    round_stably(rows(rotation), |read| rows(&rotation_of(&Matrix3::from_row_slice(&read))))
 }

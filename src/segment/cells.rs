@@ -1,19 +1,19 @@
-//! The picture as cells of 2x2 pixels: the sum of four samples of each channel, whatever their format.
+//! The picture as cells of 2x2 pixels: the sum of four samples of each channel, in any format.
 //!
-//! Channels that are subsampled count each sample as often as it stands for a pixel of the cell, so that a cell's sums
+//! In subsampled channels each sample counts once for every pixel of the cell that it covers, so that a cell's sums
 //! mean the same in all formats. At the right and lower edge of a picture of odd size the last pixel counts twice.
 
 use super::{LARGEST_PX, SegmentError};
 use crate::source::{Picture, Plane};
 use nalgebra::Vector2;
 
-/// Cells handled together.
+/// Cells processed together.
 pub(super) const BLOCK: usize = 32;
 
 /// Sums of one channel over the cells of a block, 0..=1020.
 pub(super) type Sums = [i16; BLOCK];
 
-/// A picture in cells.
+/// A picture as cells.
 pub(super) struct Grid<'a> {
     planes: [Plane<'a>; 3],
     size_px: [u32; 2],
@@ -39,7 +39,7 @@ impl<'a> Grid<'a> {
         }
     }
 
-    /// Cells in a row.
+    /// Cells per row.
     pub(super) fn width(&self) -> usize {
         self.size_px[0].div_ceil(2) as usize
     }
@@ -54,7 +54,7 @@ impl<'a> Grid<'a> {
         self.size_px
     }
 
-    /// Where the samples of channels 1 and 2 sit relative to the middle of their cell, pixels.
+    /// Position of the samples of channels 1 and 2 relative to the centre of their cell, pixels.
     pub(super) fn chroma_shift_px(&self) -> Vector2<f64> {
         let p = &self.planes[1];
         let shift = |scale: u32, offset: f64| offset - (f64::from(scale) - 1.0) / 2.0;
@@ -89,8 +89,8 @@ impl CellRow<'_> {
         [a.sums(first), b.sums(first), c.sums(first)]
     }
 
-    /// For cells x0..x1, appends the samples of channels 1 and 2 less 128, when each cell has one of both: otherwise
-    /// appends nothing and returns false.
+    /// For cells x0..x1, appends the samples of channels 1 and 2 less 128, when each cell has one sample of both;
+    /// otherwise appends nothing and returns false.
     pub(super) fn chroma(&self, x0: usize, x1: usize, channels: &mut [Vec<i16>; 3]) -> bool {
         if !self.chroma_per_cell {
             return false;
@@ -120,9 +120,9 @@ struct RowPair<'a> {
     bottom: &'a [u8],
     step: usize,
     scale_x: usize,
-    /// Samples in a row.
+    /// Samples per row.
     samples: usize,
-    /// Cells in a row.
+    /// Cells per row.
     cells: usize,
 }
 
@@ -184,7 +184,7 @@ impl<'a> RowPair<'a> {
         sums
     }
 
-    /// Appends one sample a cell, `STEP` bytes apart, less 128.
+    /// Appends one sample per cell, `STEP` bytes apart, less 128.
     #[inline]
     fn samples<const STEP: usize>(&self, x0: usize, x1: usize, values: &mut Vec<i16>) {
         let (samples, rest) = self.top.get(x0 * STEP..).unwrap_or_default().as_chunks::<STEP>();

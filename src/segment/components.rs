@@ -5,17 +5,17 @@ use super::scan::Run;
 /// Scratch memory of the grouping.
 #[derive(Debug, Default)]
 pub(super) struct Components {
-    /// Of each run: one of the same component that comes before it, or itself if it is the first.
+    /// For each run: an earlier run of the same component, or itself if it is the first.
     parent: Vec<u32>,
-    /// Of each run: the number of its component.
+    /// For each run: the number of its component.
     label: Vec<u32>,
-    /// Of each component: where the next of its runs goes in `grouped`; in the end, where it ends.
+    /// For each component: where its next run goes in `grouped`; finally, where it ends.
     ends: Vec<usize>,
     grouped: Vec<Run>,
 }
 
 impl Components {
-    /// The components of runs that come in raster order: ordered by their first runs, each in raster order itself.
+    /// The components of runs given in raster order: ordered by their first runs, each in raster order.
     pub(super) fn group(&mut self, runs: &[Run]) -> impl Iterator<Item = &[Run]> {
         self.connect(runs);
         self.sort(runs);
@@ -34,13 +34,13 @@ impl Components {
         self.parent.extend(0..runs.len() as u32);
         let mut above = 0;
         for (i, run) in runs.iter().enumerate() {
-            // Leave behind the runs that neither this one nor a later one can touch.
+            // Skip the runs that neither this one nor a later one can touch.
             while let Some(a) = runs.get(above)
                 && (a.y + 1 < run.y || (a.y + 1 == run.y && a.x1 < run.x0))
             {
                 above += 1;
             }
-            // Cells touch at corners too: a run reaches one cell further on the next row.
+            // Cells also touch at corners: a run reaches one cell further on the next row.
             for (k, _) in runs.iter().enumerate().skip(above).take_while(|(_, a)| a.y + 1 == run.y && a.x0 <= run.x1) {
                 self.unite(k as u32, i as u32);
             }
@@ -59,7 +59,7 @@ impl Components {
         while let Some(&parent) = self.parent.get(i as usize)
             && parent != i
         {
-            // Halve the path for the next who comes.
+            // Path halving, for later searches.
             let grandparent = self.parent.get(parent as usize).copied().unwrap_or(parent);
             if let Some(p) = self.parent.get_mut(i as usize) {
                 *p = grandparent;
@@ -130,7 +130,7 @@ mod tests {
         assert_eq!(sizes(&["##..", "..##", "....", "#..."]), [4, 1]);
         assert_eq!(sizes(&["#.#", "#.#", "###"]), [7]);
         assert_eq!(sizes(&["#.#.#", ".....", "#.#.#"]), [1; 6]);
-        // A spiral and a comb that join late.
+        // A spiral and a comb, which join late.
         assert_eq!(sizes(&["#####", "....#", "###.#", "#...#", "#####"]), [17]);
         assert_eq!(sizes(&["#.#.#.#", "#.#.#.#", "#######", "", "#"]), [15, 1]);
         assert!(sizes(&[]).is_empty());

@@ -1,11 +1,11 @@
-//! A colour model as linear functions of the stored channels, and bounds of them in 16-bit integers.
+//! A colour model as linear functions of the stored channels, and their bounds in 16-bit integers.
 
 use super::THRESHOLD;
 use crate::rig::{ColourModel, ColourPlane};
 use crate::source::Picture;
 use nalgebra::{Matrix3, Vector3};
 
-/// The least of its planes' scores.
+/// The minimum of its planes' scores.
 #[derive(Debug, Clone)]
 pub(super) struct Discriminant {
     pub planes: Vec<Plane>,
@@ -20,13 +20,13 @@ pub(super) struct Plane {
 }
 
 /// The same in 16 bits, for the cell's mean samples less 128: Σ weight·value + offset is ≥ 0 wherever the score exceeds
-/// the threshold, and where it is a little below. No partial sum overflows.
+/// the threshold or is slightly below it. No partial sum overflows.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Screen {
     pub weights: [i16; 3],
     /// For the rounded means of all channels.
     pub offset: i16,
-    /// For exact means of channels 1 and 2, and whatever the first channel is.
+    /// For exact means of channels 1 and 2, and any value of the first channel.
     pub offset_without_first: i16,
 }
 
@@ -63,7 +63,7 @@ impl Discriminant {
         self.planes.iter().map(|plane| plane.score(a, b, c)).fold(f32::INFINITY, f32::min)
     }
 
-    /// What channels 1 and 2 contribute to the score of one cell: to that of the plane that decides.
+    /// The contribution of channels 1 and 2 to the score of one cell, in the plane that decides it.
     pub(super) fn chroma(&self, a: f32, b: f32, c: f32) -> f32 {
         let decides = |p: &&Plane, q: &&Plane| p.score(a, b, c).total_cmp(&q.score(a, b, c));
         self.planes.iter().min_by(decides).map_or(0.0, |plane| plane.weights[1] * b + plane.weights[2] * c)
@@ -82,14 +82,14 @@ impl Screen {
     fn new(weights: &Vector3<f64>, bias: f64) -> Self {
         let zero = bias - f64::from(THRESHOLD);
         let sizes = weights.abs();
-        // Σ w·(value + 128) + zero, with the first channel's values or what they contribute at most (they end at 255).
+        // Σ w·(value + 128) + zero, with the first channel's values or their largest contribution (they end at 255).
         let offset = zero + 128.0 * weights.sum();
         let without_first = zero + 128.0 * (weights.y + weights.z) + 255.0 * weights.x.max(0.0);
-        // The unit of the score, as fine as 16 bits allow; 1500 are left for the slacks below.
+        // The unit of the score, as fine as 16 bits allow; 1500 are reserved for the slacks below.
         let unit = (31_000.0 / (offset.abs().max(without_first.abs()) + 128.0 * sizes.sum())).min(8192.0);
         let scaled = weights * unit;
         let rounded = scaled.map(f64::round);
-        // What rounding the weights can take away, and rounding the means; one for rounding the offset.
+        // Largest loss by rounding the weights and by rounding the means; one more for rounding the offset.
         let by_weights = (scaled - rounded).abs() * 128.0;
         let by_means = sizes.sum() * unit * 0.5;
         let stored = |v: f64| v as i16;
@@ -158,7 +158,7 @@ mod tests {
             if scale == 1.0 && score < THRESHOLD - 0.3 {
                 prop_assert!(full < 0, "score {score}");
             }
-            // One sample a cell: sums are multiples of 4.
+            // One sample per cell: sums are multiples of 4.
             let exact = [sums[0], sums[1] / 4 * 4, sums[2] / 4 * 4];
             let without = sum(&exact.map(|v| v / 4 - 128), 1..3, s.offset_without_first);
             prop_assert!(i16::try_from(without).is_ok());

@@ -1,20 +1,20 @@
 //! Samples of colours -> a colour model for each marker, and how well it separates.
 //!
 //! A plane is a ridge regression of 1 on the marker's samples and 0 on others: on all other classes, or on a single
-//! one. Both halves have equal weight and, among the others, each class one that does not depend on the number of its
-//! samples: 1, and 0.1 if it is another marker. What is not the marker may be lit otherwise than where it was sampled
-//! (a shadow, a dark clamp, a glare): its classes are given an additional spread in brightness, so that the models tell
-//! colours apart, not lights from darks. The regression's scores are then stretched so that they are 1 and 0 on average
-//! as [`ColourPlane`] says: regression alone shrinks both towards their middle. Source: Hastie, Tibshirani, Friedman,
-//! "The Elements of Statistical Learning" (2009), sections 3.4.1 and 4.2.
+//! one. Both halves have equal weight. Among the others each class has a weight that does not depend on its number of
+//! samples: 1, or 0.1 for another marker. Other classes may be lit differently from where they were sampled (a shadow,
+//! a dark clamp, a glare), so they get an additional spread in brightness: the models separate colours, not light from
+//! dark. The regression's scores are then stretched to 1 and 0 on average, as [`ColourPlane`] requires: regression
+//! alone shrinks both towards their mean. Source: Hastie, Tibshirani, Friedman, "The Elements of Statistical Learning"
+//! (2009), sections 3.4.1 and 4.2.
 //!
-//! A model is one plane, or the few that together leave the fewest mistakes, taken one after the other. Which of the
-//! two is decided on samples that neither was learned from; separations are told of such samples, too.
+//! A model is one plane, or the few that together make the fewest mistakes, chosen greedily. Samples that neither was
+//! learned from decide between the two; separations are also reported for such samples.
 
 use crate::rig::{ColourModel, ColourPlane};
 use nalgebra::{Matrix3, Vector3};
 
-/// Samples of one class: a marker, or something that must not be taken for one (tube, background).
+/// Samples of one class: a marker, or something that must not be mistaken for one (tube, background).
 #[derive(Debug, Clone, PartialEq)]
 pub struct ClassSamples {
     /// Its name, for messages.
@@ -25,17 +25,17 @@ pub struct ClassSamples {
     pub rgb: Vec<Vector3<f64>>,
 }
 
-/// What was learned.
+/// The learned models.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Learned {
     /// One model for each marker class, in the order of the classes.
     pub models: Vec<ColourModel>,
-    /// For each marker class, how far each other class is from it, in the order of the classes.
+    /// For each marker class, its separation from each other class, in the order of the classes.
     pub separations: Vec<Separation>,
 }
 
 impl Learned {
-    /// The pair that is separated least: that of the smallest gap.
+    /// The least separated pair: the one with the smallest gap.
     pub fn worst(&self) -> Option<&Separation> {
         self.separations.iter().min_by(|a, b| a.gap().total_cmp(&b.gap()))
     }
@@ -54,9 +54,9 @@ pub struct Separation {
     pub marker_low: f64,
     /// Score that 99 % of the other class' samples stay below.
     pub other_high: f64,
-    /// Share of the marker's samples that are taken for it.
+    /// Fraction of the marker's samples classified as the marker.
     pub hits: f64,
-    /// Share of the other class' samples that are taken for the marker.
+    /// Fraction of the other class' samples classified as the marker.
     pub mistaken: f64,
 }
 
@@ -67,7 +67,7 @@ impl Separation {
         self.marker_low - self.other_high
     }
 
-    /// Whether the threshold of the segmentation, half way from 0 to 1, lies between the two.
+    /// Whether the segmentation threshold, half way from 0 to 1, lies between the two.
     pub fn is_separate(&self) -> bool {
         self.marker_low > THRESHOLD && self.other_high < THRESHOLD
     }
@@ -77,14 +77,14 @@ impl Separation {
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum LearnError {
     /// Not enough samples of a class.
-    #[error("class `{name}` has {found} samples, expected at least {LEAST_SAMPLES}")]
+    #[error("class `{name}` has {found} samples, expected at least {MIN_SAMPLES}")]
     TooFew {
         /// The class.
         name: String,
         /// How many it has.
         found: usize,
     },
-    /// A sample that is no colour.
+    /// A sample that is not a colour.
     #[error("class `{name}` has a sample of R'G'B' ({r}, {g}, {b}), expected finite numbers")]
     NotFinite {
         /// The class.
@@ -96,7 +96,7 @@ pub enum LearnError {
         /// B'.
         b: f64,
     },
-    /// Nothing to learn, or nothing to tell it from.
+    /// No marker to learn, or nothing to separate it from.
     #[error("{markers} marker classes among {classes}, expected at least one marker and one other class")]
     NoContrast {
         /// Marker classes.
@@ -104,43 +104,43 @@ pub enum LearnError {
         /// All classes.
         classes: usize,
     },
-    /// A marker whose mean score is that of everything else.
+    /// A marker with the same mean score as everything else.
     #[error("the colour of `{0}` (mean of its samples) cannot be told from the other classes")]
     SameColour(String),
 }
 
-/// Fewer samples say nothing about a class.
-const LEAST_SAMPLES: usize = 8;
+/// Fewer samples do not represent a class.
+const MIN_SAMPLES: usize = 8;
 
-/// Ridge, as a share of the mean variance of a channel: enough to keep weights small where colours do not vary, too
+/// Ridge, as a fraction of the mean variance of a channel: enough to keep weights small where colours do not vary, too
 /// little to matter where they do.
 const RIDGE: f64 = 1e-3;
 
-/// Relative standard deviation of the brightness at which an other class may be met, beyond what its samples show.
+/// Relative standard deviation of another class' brightness, beyond what its samples show.
 const SHADING: f64 = 0.4;
 
-/// Weight of a class that is another marker, where tube and background weigh 1: those are what borders on the marker
-/// and is to score 0, of other markers it is enough that they score less than the threshold.
-const OTHER_MARKER: f64 = 0.1;
+/// Weight of a class that is another marker, where tube and background weigh 1: those border on the marker and must
+/// score 0, while other markers need only score below the threshold.
+const OTHER_MARKER_WEIGHT: f64 = 0.1;
 
-/// Where the segmentation draws the line.
+/// The segmentation threshold.
 const THRESHOLD: f64 = super::THRESHOLD as f64;
-/// Most planes of a model, and how many fewer mistakes (shares) are worth one more.
-const MOST_PLANES: usize = 4;
-const WORTH_A_PLANE: f64 = 0.003;
-/// Share of a class that is taken for the marker from which on it is of the same paint.
-const SAME_PAINT: f64 = 0.5;
-/// Scores within this of the threshold are unsure.
-const UNSURE: f64 = 0.25;
+/// Most planes of a model, and the reduction of mistakes (fraction) that is worth one more.
+const MAX_PLANES: usize = 4;
+const MIN_PLANE_GAIN: f64 = 0.003;
+/// Fraction of a class classified as the marker above which it counts as the same paint.
+const SAME_PAINT_FRACTION: f64 = 0.5;
+/// Scores this close to the threshold are uncertain.
+const UNCERTAIN_SCORE: f64 = 0.25;
 
-/// A contrast of the regression's mean scores (of 1) below this is rounding.
-const LEAST_CONTRAST: f64 = 1e-6;
+/// Contrast of the regression's mean scores (of 1) below which it is rounding.
+const MIN_CONTRAST: f64 = 1e-6;
 
 /// Learns a model for each marker class.
 ///
 /// # Errors
-/// [`LearnError`] when samples are missing or useless, or a marker has the very colour of the rest. Poor separation is
-/// no error here: it is reported in [`Learned::separations`].
+/// [`LearnError`] when samples are missing or useless, or a marker has exactly the colour of the rest. Poor separation
+/// is not an error: it is reported in [`Learned::separations`].
 pub fn learn(classes: &[ClassSamples]) -> Result<Learned, LearnError> {
     check(classes)?;
     let halves = [0, 1].map(|half| classes.iter().map(|class| class.half(half)).collect::<Vec<_>>());
@@ -149,7 +149,7 @@ pub fn learn(classes: &[ClassSamples]) -> Result<Learned, LearnError> {
         let same_colour = || LearnError::SameColour(class.name.clone());
         let against = choose(&halves, marker).ok_or_else(same_colour)?;
         learned.models.push(model(classes, marker, &against).ok_or_else(same_colour)?);
-        // Learned from one half, the other half is new to it.
+        // Learned from one half and tested on the other.
         let tried = model(&halves[0], marker, &against).ok_or_else(same_colour)?;
         let own = Scores::of(&tried, &halves[1][marker]);
         for (other, class) in halves[1].iter().enumerate().filter(|&(other, _)| other != marker) {
@@ -169,7 +169,7 @@ pub fn learn(classes: &[ClassSamples]) -> Result<Learned, LearnError> {
     Ok(learned)
 }
 
-/// What a plane is learned against.
+/// The classes that a plane is learned against.
 #[derive(Debug, Clone, PartialEq)]
 enum Against {
     /// One class.
@@ -179,7 +179,7 @@ enum Against {
 }
 
 impl ClassSamples {
-    /// Every second stretch of the samples, of eight in each half: neighbours, which are alike, go together.
+    /// Every second block of the samples, eight blocks in each half: similar neighbours stay together.
     fn half(&self, half: usize) -> Self {
         let stretch = self.rgb.len().div_ceil(16).max(1);
         let rgb = self.rgb.chunks(stretch).skip(half).step_by(2).flatten().copied().collect();
@@ -193,8 +193,8 @@ fn model(classes: &[ClassSamples], marker: usize, against: &[Against]) -> Option
 }
 
 /// The planes of the model that makes the fewest mistakes on samples it was not learned from: one against everything,
-/// or those that leave the fewest mistakes in the samples they were learned from. `None` when none tells the marker
-/// from all else.
+/// or those that make the fewest mistakes on the samples they were learned from. `None` when none separates the marker
+/// from everything else.
 fn choose([seen, unseen]: &[Vec<ClassSamples>; 2], marker: usize) -> Option<Vec<Against>> {
     let same = same_paint(seen, marker)?;
     let others = (0..seen.len()).filter(|other| *other != marker && !same.contains(other));
@@ -203,14 +203,14 @@ fn choose([seen, unseen]: &[Vec<ClassSamples>; 2], marker: usize) -> Option<Vec<
         .filter_map(|against| Some((against.clone(), plane(seen, marker, &against)?)))
         .collect();
     let (linear, first) = planes.first().filter(|(against, _)| matches!(against, Against::AllBut(_)))?;
-    let mistakes = |lowest: &Lowest| lowest.mistakes(marker, &same);
+    let mistakes = |lowest: &LowestScores| lowest.mistakes(marker, &same);
     let mut chosen: Vec<&(Against, ColourPlane)> = Vec::new();
-    let mut lowest = Lowest::new(seen);
+    let mut lowest = LowestScores::new(seen);
     let mut left = f64::INFINITY;
-    while chosen.len() < MOST_PLANES {
+    while chosen.len() < MAX_PLANES {
         let tried = planes.iter().map(|candidate| (mistakes(&lowest.with(&candidate.1, seen)), candidate));
         let Some((fewest, best)) = tried.min_by(|a, b| a.0.total_cmp(&b.0)) else { break };
-        if fewest > left - WORTH_A_PLANE {
+        if fewest > left - MIN_PLANE_GAIN {
             break;
         }
         left = fewest;
@@ -218,17 +218,17 @@ fn choose([seen, unseen]: &[Vec<ClassSamples>; 2], marker: usize) -> Option<Vec<
         chosen.push(best);
     }
     let on_unseen = |planes: &mut dyn Iterator<Item = &ColourPlane>| {
-        mistakes(&planes.fold(Lowest::new(unseen), |lowest, plane| lowest.with(plane, unseen)))
+        mistakes(&planes.fold(LowestScores::new(unseen), |lowest, plane| lowest.with(plane, unseen)))
     };
-    if on_unseen(&mut chosen.iter().map(|c| &c.1)) < on_unseen(&mut std::iter::once(first)) - WORTH_A_PLANE {
+    if on_unseen(&mut chosen.iter().map(|c| &c.1)) < on_unseen(&mut std::iter::once(first)) - MIN_PLANE_GAIN {
         Some(chosen.into_iter().map(|c| c.0.clone()).collect())
     } else {
         Some(vec![linear.clone()])
     }
 }
 
-/// Classes that are the marker's own paint elsewhere: whatever is learned, most of their samples are taken for it. Were
-/// they among what it is to differ from, nothing would be left of its colour.
+/// Classes of the marker's own paint: with any model, most of their samples are classified as the marker. Learned
+/// against, they would leave nothing of its colour.
 fn same_paint(classes: &[ClassSamples], marker: usize) -> Option<Vec<usize>> {
     let mut same: Vec<usize> = Vec::new();
     loop {
@@ -238,16 +238,16 @@ fn same_paint(classes: &[ClassSamples], marker: usize) -> Option<Vec<usize>> {
         let others = (0..classes.len()).filter(|k| *k != marker && !classes[*k].is_marker && !same.contains(k));
         let worst = others.map(|k| (mistaken(k), k)).max_by(|a, b| a.0.total_cmp(&b.0));
         match worst {
-            Some((share, class)) if share > SAME_PAINT && same.len() + 2 < classes.len() => same.push(class),
+            Some((share, class)) if share > SAME_PAINT_FRACTION && same.len() + 2 < classes.len() => same.push(class),
             _ => return Some(same),
         }
     }
 }
 
-/// The lowest score of some planes, for each sample of each class.
-struct Lowest(Vec<Vec<f64>>);
+/// The lowest score over some planes, for each sample of each class.
+struct LowestScores(Vec<Vec<f64>>);
 
-impl Lowest {
+impl LowestScores {
     fn new(classes: &[ClassSamples]) -> Self {
         Self(classes.iter().map(|class| vec![f64::INFINITY; class.rgb.len()]).collect())
     }
@@ -259,12 +259,12 @@ impl Lowest {
         Self(self.0.iter().zip(classes).map(lower).collect())
     }
 
-    /// Share of the marker's samples that are missed, and the mean share of the others, but for `same`, that are taken
-    /// for it. A score within `UNSURE` of the threshold is a mistake in part.
+    /// Fraction of the marker's samples that are missed, plus the mean fraction of the others, except `same`, that are
+    /// classified as the marker. A score within `UNCERTAIN_SCORE` of the threshold is a partial mistake.
     fn mistakes(&self, marker: usize, same: &[usize]) -> f64 {
         let share = |scores: &Vec<f64>, is_marker: bool| {
             let sign = if is_marker { 1.0 } else { -1.0 };
-            let mistake = |score: &f64| (0.5 - sign * (score - THRESHOLD) / (2.0 * UNSURE)).clamp(0.0, 1.0);
+            let mistake = |score: &f64| (0.5 - sign * (score - THRESHOLD) / (2.0 * UNCERTAIN_SCORE)).clamp(0.0, 1.0);
             scores.iter().map(mistake).sum::<f64>() / scores.len().max(1) as f64
         };
         let others = (self.0.len() - 1 - same.len()).max(1) as f64;
@@ -280,7 +280,7 @@ fn check(classes: &[ClassSamples]) -> Result<(), LearnError> {
     }
     for class in classes {
         let name = || class.name.clone();
-        if class.rgb.len() < LEAST_SAMPLES {
+        if class.rgb.len() < MIN_SAMPLES {
             return Err(LearnError::TooFew { name: name(), found: class.rgb.len() });
         }
         if let Some(v) = class.rgb.iter().find(|v| !v.iter().all(|c| c.is_finite())) {
@@ -304,7 +304,7 @@ fn plane(classes: &[ClassSamples], marker: usize, against: &Against) -> Option<C
         _ if i == marker => 0.0,
         (_, Against::One(other)) => f64::from(u8::from(i == *other)),
         (_, Against::AllBut(same)) if same.contains(&i) => 0.0,
-        (Some(class), _) if class.is_marker => OTHER_MARKER,
+        (Some(class), _) if class.is_marker => OTHER_MARKER_WEIGHT,
         _ => 1.0,
     };
     let total: f64 = (0..classes.len()).map(weight).sum();
@@ -325,7 +325,7 @@ fn plane(classes: &[ClassSamples], marker: usize, against: &Against) -> Option<C
     let ridge = Matrix3::identity() * (scatter.trace() / 3.0 * RIDGE);
     let raw = (scatter + ridge).try_inverse()? * (own - others) / 4.0;
     let contrast = raw.dot(&(own - others));
-    if contrast.is_nan() || contrast <= LEAST_CONTRAST {
+    if contrast.is_nan() || contrast <= MIN_CONTRAST {
         return None;
     }
     let weights = raw / contrast;
@@ -349,12 +349,12 @@ impl Scores {
         Self { sorted, mean, variance }
     }
 
-    /// Share of the samples above a score.
+    /// Fraction of the samples above a score.
     fn above(&self, score: f64) -> f64 {
         self.sorted.iter().filter(|s| **s > score).count() as f64 / self.sorted.len().max(1) as f64
     }
 
-    /// The nearest sample to this rank (NaN of an empty class, which [`check`] has refused).
+    /// The nearest sample to this rank (NaN for an empty class, which [`check`] has rejected).
     fn quantile(&self, q: f64) -> f64 {
         let rank = (q * (self.sorted.len().saturating_sub(1)) as f64).round() as usize;
         self.sorted.get(rank).copied().unwrap_or(f64::NAN)
@@ -376,10 +376,10 @@ mod tests {
             let all = ColourModel { planes: vec![plane], rgb: model.rgb };
             let mean = |class: &ClassSamples| Scores::of(&all, class).mean;
             assert!((mean(&classes[marker]) - 1.0).abs() < 1e-9);
-            let weight = |c: usize| if c < 3 { OTHER_MARKER } else { 1.0 };
+            let weight = |c: usize| if c < 3 { OTHER_MARKER_WEIGHT } else { 1.0 };
             let others: f64 = (0..5).filter(|&c| c != marker).map(|c| weight(c) * mean(&classes[c])).sum();
             assert!(others.abs() < 1e-9);
-            // What borders on it scores about nought by itself.
+            // What borders on it scores about 0 by itself.
             assert!(mean(&classes[3]).abs() < 0.15 && mean(&classes[4]).abs() < 0.15);
             assert_eq!(model.rgb, statistics(&classes[marker]).0);
         }
@@ -430,7 +430,7 @@ mod tests {
         );
     }
 
-    /// A brick in a band's paint must not turn the band's own colour into something else.
+    /// A brick of a band's paint must not change the band's model.
     #[test]
     fn a_brick_of_the_same_paint_is_left_out_of_account() {
         let mut classes = samples();

@@ -4,19 +4,19 @@
 //! - Out: [`Blob`]s, in the order of searches, markers and the raster.
 //! - Method, per call and without memory of other frames:
 //!   1. `discriminant`: the colour models become linear functions of the stored channels. No colour is converted. Where
-//!      views have models of their own, each is searched for with its own, within the bounds of its region.
-//!   2. `cells`: the picture is seen as cells of 2x2 pixels (4:2:0: one chroma sample and its four luma samples).
-//!   3. `scan`: blocks of cells that cannot reach the threshold are left out in 16-bit integers (from chroma alone in
-//!      4:2:0); what remains is classified cell by cell into runs.
+//!      views have their own models, each is searched with its own, within the bounds of its region.
+//!   2. `cells`: the picture is divided into cells of 2x2 pixels (4:2:0: one chroma sample and its four luma samples).
+//!   3. `scan`: blocks of cells that cannot reach the threshold are ruled out in 16-bit integers (from chroma alone in
+//!      4:2:0); the rest is classified cell by cell into runs.
 //!   4. `components`: 8-connected runs become components.
-//!   5. `moments`: the cells of a component and one ring of cells around it, weighted by how far each is covered, give
-//!      centre, second moments and their uncertainty.
+//!   5. `moments`: the cells of a component and one ring of cells around it, weighted by coverage, give centre, second
+//!      moments and their uncertainty.
 //!   6. `mod@learn`: where the colour models come from.
-//! - Assumes that a marker is told from all else by a few linear functions of R'G'B', and that its image is two cells
-//!   wide or more. Time and memory are linear in the number of cells searched, whatever the picture shows.
+//! - Assumes that a few linear functions of R'G'B' separate a marker from everything else, and that its image is at
+//!   least two cells wide. Time and memory are linear in the number of cells searched, for any picture.
 //! - Cannot tell a marker from a distractor of the same colour, nor two bands whose images touch; the centre is that of
-//!   the visible surface, not of the tube's centre line, and leans to the side that scores higher. The stages after it
-//!   do.
+//!   the visible surface, not of the tube's centre line, and leans to the side that scores higher. The later stages
+//!   handle these.
 
 mod cells;
 mod components;
@@ -39,14 +39,14 @@ use nalgebra::{Matrix2, Point2, Vector2};
 use scan::Scanner;
 use std::collections::HashSet;
 
-/// A score above this counts as the marker: models score 1 on their band and 0 elsewhere on average, so that a cell
-/// counts when more than half of it is covered.
+/// A score above this counts as the marker: models score 1 on their band and 0 elsewhere on average, so a cell counts
+/// when more than half covered.
 pub(crate) const THRESHOLD: f32 = 0.5;
 
-/// Components of fewer cells are specks: compression noise, not bands, which are to be two cells wide or more.
-const LEAST_CELLS: usize = 3;
+/// Components with fewer cells are specks of compression noise; bands are at least two cells wide.
+const MIN_CELLS: usize = 3;
 
-/// Largest width and height, pixels: with it all moments are exact in 64-bit integers.
+/// Largest width and height, pixels: up to it all moments are exact in 64-bit integers.
 const LARGEST_PX: u32 = 16_384;
 
 impl Window {
@@ -74,9 +74,9 @@ struct CellWindow {
 }
 
 impl CellWindow {
-    /// The pixels of its cells and of the ring of cells around them, which measures blobs at its border.
+    /// The pixels of its cells and of the ring of cells around them, which is needed to measure blobs at its border.
     fn with_ring(&self) -> Window {
-        // A grid has at most 8192 cells a side.
+        // A grid has at most 8192 cells per side.
         let px = |cells: usize| 2 * cells as u32;
         let (x0, y0) = (self.x0.saturating_sub(1), self.y0.saturating_sub(1));
         Window { x0: px(x0), y0: px(y0), x1: px(self.x1 + 1), y1: px(self.y1 + 1) }
@@ -92,19 +92,19 @@ impl CellWindow {
     }
 }
 
-/// Where to look for what.
+/// What to search for, and where.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Search {
     /// Index of the marker; `None` for all.
     pub marker: Option<usize>,
-    /// Index of the view, where views have colour models of their own; `None` for all.
+    /// Index of the view, where views have their own colour models; `None` for all.
     pub view: Option<usize>,
-    /// Where; clipped to the picture and widened to whole cells.
+    /// Where to search; clipped to the picture and widened to whole cells.
     pub window: Window,
 }
 
 impl Search {
-    /// Whether this search finds a blob of the whole picture, of `size_px`, without touching the window's border.
+    /// Whether this search finds `blob`, from a whole picture of `size_px`, without touching the window's border.
     pub fn finds_whole(&self, blob: &Blob, size_px: [u32; 2]) -> bool {
         self.marker.is_none_or(|marker| marker == blob.marker)
             && (self.view.is_none() || blob.view.is_none() || self.view == blob.view)
@@ -121,7 +121,7 @@ pub struct Blob {
     pub view: Option<usize>,
     /// Centre of its visible surface, pixels, weighted by coverage.
     pub centre_px: Point2<f64>,
-    /// Covariance of the centre, px²: from noise in partly covered cells; biases of shading and tilt are not in it.
+    /// Covariance of the centre, px²: from noise in partly covered cells, without biases of shading and tilt.
     pub covariance_px2: Matrix2<f64>,
     /// Principal direction, unit; its sign (x > 0, or x = 0 and y > 0) means nothing.
     pub axis: Vector2<f64>,
@@ -131,12 +131,12 @@ pub struct Blob {
     pub width_px: f64,
     /// Covered area, px².
     pub area_px2: f64,
-    /// Mean score of its cells: 1 as learned, just above 0.5 hardly the marker.
+    /// Mean score of its cells: 1 as learned, just above 0.5 barely the marker.
     pub mean_score: f64,
-    /// The pixels of its cells, tight.
+    /// Bounding box of its cells, pixels.
     pub bounds: Window,
-    /// Whether it has a cell on the outermost ring of the window it was found in, where that is not the picture's own
-    /// edge: then it may go on outside. A blob that does not is, bit by bit, the one that a search of the whole picture
+    /// Whether it has a cell on the outermost ring of the window it was found in, unless that is the picture's edge:
+    /// then it may continue outside. A blob that does not is, bit for bit, the one that a search of the whole picture
     /// finds.
     pub touches_border: bool,
 }
@@ -147,7 +147,7 @@ pub enum SegmentError {
     /// The rig lacks a colour model.
     #[error("marker `{0}` has no colour model: learn it with `catoptra calibrate markers`")]
     NoColour(String),
-    /// A colour model with a number that is not usable.
+    /// A colour model with an unusable number.
     #[error(
         "colour model of marker {marker} has weights ({weights}) and bias {bias}, expected finite numbers below 1e6"
     )]
@@ -162,7 +162,7 @@ pub enum SegmentError {
     /// A search for a marker that does not exist.
     #[error("search for marker {marker}, but there are {markers}")]
     NoSuchMarker {
-        /// Index asked for.
+        /// The requested index.
         marker: usize,
         /// How many there are.
         markers: usize,
@@ -170,11 +170,11 @@ pub enum SegmentError {
     /// A grey picture.
     #[error("grey pictures have no colour")]
     Grey,
-    /// A picture that was recorded in parts lacks one.
+    /// A needed part of the picture was not recorded.
     #[error(transparent)]
     NotRecorded(#[from] NotRecorded),
     /// A picture too large for exact moments.
-    #[error("picture of {0}x{1} pixels, expected at most {LARGEST_PX} a side")]
+    #[error("picture of {0}x{1} pixels, expected at most {LARGEST_PX} per side")]
     TooLarge(u32, u32),
 }
 
@@ -194,7 +194,7 @@ pub struct Segmenter {
 #[derive(Debug)]
 struct ViewModels {
     view: Option<usize>,
-    /// Where the view is; `None`: anywhere.
+    /// Where blobs of the view may be; `None`: anywhere.
     bounds: Option<Window>,
     models: Vec<ColourModel>,
     discriminants: Vec<Discriminant>,
@@ -221,8 +221,8 @@ impl Segmenter {
         })
     }
 
-    /// With subsampled chroma taken to sit this far (right, down; pixels) from where the pictures' siting says:
-    /// recorders often tag one siting and sample at another.
+    /// Sets the offset (right, down; pixels) of subsampled chroma from the pictures' siting: recorders often tag one
+    /// siting and sample at another.
     pub fn with_chroma_offset_px(self, offset: [f64; 2]) -> Self {
         Self { chroma_offset_px: offset.into(), ..self }
     }
@@ -254,8 +254,8 @@ impl Segmenter {
         self.blobs(picture, &[Search { marker: None, view: None, window: Window::whole(picture.size_px()) }])
     }
 
-    /// The blobs in some windows, in the order of searches, then markers, then the raster. One that lies whole in
-    /// several windows is given once.
+    /// The blobs in some windows, in the order of searches, then markers, then the raster. One that lies wholly in
+    /// several windows is returned once.
     ///
     /// # Errors
     /// When the picture is grey or too large, when it was not recorded there, or a search names a marker that does not
@@ -283,16 +283,16 @@ impl Segmenter {
                     continue;
                 };
                 let window = window.cells(picture.size_px());
-                picture.look_at(window.with_ring())?;
+                picture.declare_read(window.with_ring())?;
                 self.scanner.scan(&grid, discriminants, window, search.marker);
                 for (marker, (discriminant, runs)) in discriminants.iter().zip(self.scanner.runs()).enumerate() {
                     for component in self.components.group(runs) {
                         let cells: usize = component.iter().map(scan::Run::cells).sum();
-                        if cells < LEAST_CELLS {
+                        if cells < MIN_CELLS {
                             continue;
                         }
                         let blob = self.measure.blob(&grid, (marker, *view), discriminant, component, &window);
-                        // Its place names a blob: two of one marker have no cell in common.
+                        // Its centre identifies a blob: two of one marker share no cell.
                         let (x, y) = (blob.centre_px.x.to_bits(), blob.centre_px.y.to_bits());
                         if alone || self.found.insert((marker, *view, blob.bounds, x, y)) {
                             self.blobs.push(blob);
@@ -320,7 +320,7 @@ impl ViewModels {
     }
 }
 
-/// A band may reach this far out of the region that its centre is in, pixels.
+/// How far a band may extend beyond the region of its centre, pixels.
 const BESIDE_REGION_PX: f64 = 64.0;
 
 /// Where blobs of a view may be; `None`: anywhere.
@@ -331,12 +331,12 @@ fn bounds(view: &View) -> Option<Window> {
         (low, values.fold(f64::NEG_INFINITY, f64::max) + BESIDE_REGION_PX)
     };
     let (x, y) = (reach(|p| p.x), reach(|p| p.y));
-    // From negative numbers on, `as` gives zero.
+    // `as` turns negative numbers into zero.
     let px = |v: f64| v as u32;
     (!view.region_px.is_empty()).then(|| Window { x0: px(x.0), y0: px(y.0), x1: px(x.1.ceil()), y1: px(y.1.ceil()) })
 }
 
-/// What two windows have in common.
+/// The intersection of two windows.
 fn overlap(a: &Window, b: &Window) -> Option<Window> {
     let both = Window { x0: a.x0.max(b.x0), y0: a.y0.max(b.y0), x1: a.x1.min(b.x1), y1: a.y1.min(b.y1) };
     (both.x0 < both.x1 && both.y0 < both.y1).then_some(both)

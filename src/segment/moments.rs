@@ -1,9 +1,9 @@
 //! The cells of a component, and one ring of cells around it, weighted by coverage -> a [`Blob`].
 //!
 //! The coverage of a cell is its score, relative to the level of the component's own cells (a band in the shade scores
-//! less than 1 everywhere), between two floors: what scores below `FLOOR` is noise or a slightly warmer background and
-//! counts nothing, what scores above `1 − FLOOR` is covered whole, so that shading within the band hardly pulls the
-//! centre. The ring is read from the picture even where the window ends. All sums are of integers: exact in any order.
+//! less than 1 everywhere), between two limits: below `FLOOR` it is noise or a slightly warmer background and does not
+//! count; above `1 − FLOOR` the cell is fully covered, so that shading within the band hardly shifts the centre. The
+//! ring is read from the picture even beyond the window. All sums are of integers, exact in any order.
 
 use super::cells::{BLOCK, Grid};
 use super::discriminant::Discriminant;
@@ -11,7 +11,7 @@ use super::scan::{Run, scores};
 use super::{Blob, CellWindow, Window};
 use nalgebra::{Matrix2, Matrix3, Point2, Vector2, Vector3};
 
-/// See the head of this file. Symmetric about one half, so that a straight edge stays in its place.
+/// See the head of this file. Symmetric about one half, so that a straight edge stays in place.
 const FLOOR: f32 = 0.2;
 
 /// Full coverage as an integer. With at most 2^26 cells of coordinates below 2^13, second moments stay below 2^62.
@@ -38,7 +38,7 @@ struct Moments {
 }
 
 impl Moments {
-    /// Adds a stretch of a row, from its own moments along x.
+    /// Adds part of a row, from its own moments along x.
     fn add_row(&mut self, y: i64, [m, x, xx]: [i64; 3]) {
         self.m += m;
         self.x += x;
@@ -48,7 +48,7 @@ impl Moments {
         self.yy += y * y * m;
     }
 
-    /// Mean place; the middle of nothing is (0, 0).
+    /// Mean position; (0, 0) when empty.
     fn mean(&self) -> Vector2<f64> {
         Vector2::new(self.x as f64, self.y as f64) / self.m.max(1) as f64
     }
@@ -120,9 +120,8 @@ impl Measure {
         let spread = covered.about(&mean) * (4.0 / mass) - Matrix2::identity() * CELL_VARIANCE_PX2;
         let (axis, along, across) = principal(&spread);
         let centre = mean * 2.0 + Vector2::repeat(0.5) + grid.chroma_shift_px() * all.chroma_share();
-        // A cell's coverage is off by the noise of its score; cells that are full or empty were clamped and add
-        // nothing.
-        let noise = whole.residual_variance().unwrap_or(UNKNOWN_NOISE).max(LEAST_NOISE) * f64::from(FULL * FULL);
+        // The error of a cell's coverage is the noise of its score; full and empty cells were clamped and add nothing.
+        let noise = whole.residual_variance().unwrap_or(UNKNOWN_NOISE).max(MIN_NOISE) * f64::from(FULL * FULL);
         let gain = 1.0 / f64::from(1.0 - 2.0 * FLOOR);
         let covariance_px2 = edge.about(&mean) * (4.0 * noise * gain * gain / (mass * mass));
         Blob {
@@ -140,8 +139,8 @@ impl Measure {
         }
     }
 
-    /// Hands out all cells of a component and its ring, a stretch of at most a block at a time: row, first cell, number
-    /// of cells, sums.
+    /// Calls `f` for all cells of a component and its ring, at most a block at a time: row, first cell, number of
+    /// cells, sums.
     fn each_dilated_block(
         &mut self,
         grid: &Grid<'_>,
@@ -151,7 +150,7 @@ impl Measure {
         let (Some(first), Some(last)) = (component.first(), component.last()) else { return };
         let (mut from, mut to) = (0, 0);
         for y in first.y.saturating_sub(1)..(last.y + 2).min(grid.height() as u16) {
-            // The runs on this row and the rows above and below it, each one cell longer at both ends.
+            // The runs on this row and the rows above and below it, each extended by one cell at both ends.
             from += component.iter().skip(from).take_while(|r| r.y + 1 < y).count();
             to += component.iter().skip(to).take_while(|r| r.y <= y + 1).count();
             self.intervals.clear();
@@ -174,13 +173,13 @@ impl Measure {
     }
 }
 
-/// Variance of a score that is always there: rounding to 8 bits and coding.
-const LEAST_NOISE: f64 = 0.05 * 0.05;
+/// Least variance of a score: rounding to 8 bits and coding.
+const MIN_NOISE: f64 = 0.05 * 0.05;
 
-/// Variance of a score where a component has too few whole cells to tell.
+/// Variance of a score assumed where a component has too few whole cells to estimate it.
 const UNKNOWN_NOISE: f64 = 0.15 * 0.15;
 
-/// Scores of the whole cells against a plane: what is left is noise, the plane is shading.
+/// Fits a plane to the scores of the whole cells: the plane is shading, the residual noise.
 #[derive(Debug, Default)]
 struct PlaneFit {
     normal: Matrix3<f64>,
@@ -198,7 +197,7 @@ impl PlaneFit {
         self.cells += 1;
     }
 
-    /// `None` when the cells do not span a plane or hardly more than that.
+    /// `None` when there are too few cells to fit a plane and its residuals.
     fn residual_variance(&self) -> Option<f64> {
         let freedom = self.cells.checked_sub(3).filter(|&n| n >= 3)?;
         let plane = self.normal.cholesky()?.solve(&self.right);
@@ -215,7 +214,7 @@ impl ScoreSums {
         self.chroma_score += chroma * score;
     }
 
-    /// Which part of the score's contrast comes from channels 1 and 2: the slope of their term over the score.
+    /// Fraction of the score's contrast from channels 1 and 2: the slope of their term over the score.
     fn chroma_share(&self) -> f64 {
         let variance = self.score2 * self.cells - self.score * self.score;
         let covariance = self.chroma_score * self.cells - self.chroma * self.score;

@@ -1,8 +1,8 @@
 //! Cells -> runs of cells of one marker in one row.
 //!
-//! Two tests: a bound of the score in 16-bit integers, from chroma alone where that is one sample a cell, for all
-//! cells; the score itself for the blocks of cells that are left. The first only ever leaves out what the second would,
-//! so that the outcome of a cell depends on that cell alone.
+//! Two tests: for all cells a bound of the score in 16-bit integers, from chroma alone where that has one sample per
+//! cell; for the remaining blocks of cells the score itself. The first rejects only what the second would, so the
+//! outcome of a cell depends on that cell alone.
 
 use super::cells::{BLOCK, CellRow, Grid, Sums};
 use super::discriminant::Discriminant;
@@ -34,12 +34,12 @@ impl Scanner {
         Self { runs: vec![Vec::new(); markers], screen: RowScreen::default() }
     }
 
-    /// The runs of the last scan, one list a marker.
+    /// The runs of the last scan, one list per marker.
     pub(super) fn runs(&self) -> &[Vec<Run>] {
         &self.runs
     }
 
-    /// Looks for `only` this marker or all of them.
+    /// Searches for `only` this marker, or for all.
     pub(super) fn scan(
         &mut self,
         grid: &Grid<'_>,
@@ -89,7 +89,7 @@ impl Scanner {
                 continue;
             }
             let Some(runs) = self.runs.get_mut(m) else { continue };
-            // A grid has at most 8192 cells a side.
+            // A grid has at most 8192 cells per side.
             let (x, y) = (x as u16, y as u16);
             match runs.last_mut() {
                 Some(run) if run.y == y && run.x1 == x => run.x1 = x + 1,
@@ -99,19 +99,19 @@ impl Scanner {
     }
 }
 
-/// Leaves out the cells of a row that cannot reach the threshold.
+/// Rules out the cells of a row that cannot reach the threshold.
 #[derive(Debug, Default)]
 struct RowScreen {
-    /// Mean samples, less 128, of the channels that are looked at.
+    /// Mean samples, less 128, of the channels used.
     channels: [Vec<i16>; 3],
-    /// Negative where no wanted marker can be. Only the signs mean something.
+    /// Negative where no wanted marker can be. Only the signs matter.
     below: Vec<i16>,
-    /// The same of one marker.
+    /// The same for one marker.
     below_one: Vec<i16>,
 }
 
 impl RowScreen {
-    // Plain loops over whole rows, one marker after the other: these are what the compiler makes vectors of.
+    // Plain loops over whole rows, one marker after another: the compiler vectorises these.
     fn row(&mut self, row: &CellRow<'_>, x0: usize, x1: usize, wanted: &[Discriminant]) {
         self.channels.iter_mut().for_each(Vec::clear);
         self.below.clear();
@@ -144,7 +144,7 @@ impl RowScreen {
         }
     }
 
-    /// Whether one of some cells, counted from the first one screened, may be a marker.
+    /// Whether any of `cells` cells, counted from the first one screened, may be a marker.
     fn may_reach(&self, first: usize, cells: usize) -> bool {
         let below = self.below.get(first..first + cells).unwrap_or_default();
         below.iter().fold(-1, |all, &b| all & b) >= 0

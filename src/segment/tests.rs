@@ -12,7 +12,7 @@ fn segmenter() -> Segmenter {
     Segmenter::new(&models()).unwrap()
 }
 
-/// One band of each colour, and of the coil's a second one.
+/// One band of each colour, and a second one of the coil's.
 fn bands() -> Vec<Band> {
     vec![
         Band::new(0, 40.3, 30.7, 1.4, 12.0, 7.0),
@@ -69,7 +69,7 @@ fn nv12_and_planar_are_the_same_to_the_bit() {
 
 #[test]
 fn chroma_siting_does_not_move_the_centre() {
-    // Averaged over places in the grid of cells, what is left is bias.
+    // Averaged over positions in the grid of cells, the rest is bias.
     let mean = |siting: ChromaSiting| {
         let colour = Colour { siting, ..VIDEO };
         let error: f64 = (0..16)
@@ -122,7 +122,7 @@ fn scatter_is_as_predicted() {
 fn a_distractor_is_another_blob() {
     let mut bands = bands();
     bands.push(Band::new(1, 140.0, 20.0, 0.0, 16.0, 16.0));
-    // Axis and size of a square are as they come: it is only counted.
+    // Axis and size of a square are arbitrary: it is only counted.
     let picture = Scene::new(160, 120, &bands).stored(YUV420, VIDEO);
     let mut segmenter = segmenter();
     let coils = segmenter.all_blobs(&picture).unwrap().iter().filter(|b| b.marker == 1).count();
@@ -168,7 +168,7 @@ fn odd_sizes_end_with_half_cells() {
         check(segmenter().all_blobs(&scene.stored(YUV420, VIDEO)).unwrap(), &bands, 0.25);
         check(segmenter().all_blobs(&scene.stored(RGB, Colour::SRGB)).unwrap(), &bands, 0.2);
     }
-    // A band on the last, half cell of both directions.
+    // A band on the last half cell in both directions.
     let scene = Scene::new(67, 35, &[Band::new(2, 64.0, 31.0, 0.0, 12.0, 12.0)]);
     let mut segmenter = segmenter();
     let blobs = segmenter.all_blobs(&scene.stored(YUV420, VIDEO)).unwrap();
@@ -184,7 +184,7 @@ fn blobs_at_a_window_say_so() {
     let tip = whole.iter().find(|b| b.marker == 2).unwrap();
     let exact = Search { marker: Some(2), view: None, window: tip.bounds };
     let found = segmenter.blobs(&picture, &[exact]).unwrap();
-    // The window ends with the blob: it could go on, but what was found is the same.
+    // The window ends with the blob: it could continue, but the result is the same.
     assert_eq!(found, [Blob { touches_border: true, ..tip.clone() }]);
     let half = Search { window: Window { x1: tip.bounds.x0 + 6, ..tip.bounds }, ..exact };
     assert!(segmenter.blobs(&picture, &[half]).unwrap().iter().all(|b| b.touches_border && b.area_px2 < tip.area_px2));
@@ -233,7 +233,7 @@ proptest! {
             let window = Window { x0, y0, x1: x0 + w, y1: y0 + h };
             let search = Search { marker, view: None, window };
             let found = segmenter.blobs(&picture, &[search]).unwrap();
-            // All that is reported as whole is, to the bit, one of the whole picture, and the search says which.
+            // Each blob reported as whole is identical to one of the whole picture, and the search tells which.
             let inside: Vec<_> = found.iter().filter(|b| !b.touches_border).collect();
             for blob in &inside {
                 prop_assert!(whole.contains(blob), "{blob:?}");

@@ -1,13 +1,13 @@
-//! From the host's clock to the camera's, by frames that have both times.
+//! Maps the host's clock to the camera's, with frames that have both times.
 
-/// The camera's time of any moment of the host's clock.
+/// Camera time of any moment of the host's clock.
 ///
-/// Between two frames it is on the line through both, before the first and behind the last it has the offset there.
-/// Where the camera's clock begins anew, the offset before holds up to the next frame. What it cannot know is the least
-/// delay from exposure to arrival, by which the host's times of all frames are late alike.
+/// Linear between two frames; before the first and after the last with their offsets. If the camera's clock restarts,
+/// the old offset applies up to the next frame. It cannot know the minimum delay from exposure to arrival, by which all
+/// host times are late.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ClockMap {
-    /// (host, camera), in the order of the host's times, at least one.
+    /// (host, camera), in order of host time, at least one.
     pairs: Vec<(i64, i64)>,
 }
 
@@ -25,7 +25,7 @@ impl ClockMap {
         match (before, self.pairs.get(after)) {
             (Some(before), Some(after)) => between(*before, *after, host_ns),
             (Some(end), None) | (None, Some(end)) => end.1.saturating_add(host_ns.saturating_sub(end.0)),
-            // There is one pair at least.
+            // There is at least one pair.
             (None, None) => host_ns,
         }
     }

@@ -4,18 +4,18 @@ use super::SeriesError;
 use super::sheet::Sheet;
 use std::path::Path;
 
-/// Columns of the table at `path`, in the order asked for, one entry a row; `None` where a cell is empty or `nan`.
+/// Columns of the table at `path`, in the requested order, one entry per row; `None` where a cell is empty or `nan`.
 ///
-/// The table has a header or none. A column is asked for by its name in the header or by its number, from 1 (a name
-/// goes before a number). Cells are separated by comma, semicolon, tab or white space; lines that begin with `#` or `%`
-/// are left out.
+/// The header is optional. A column is given by its name in the header or by its number, from 1 (names take
+/// precedence). Cells are separated by comma, semicolon, tab or white space; lines that begin with `#` or `%` are left
+/// out.
 ///
 /// # Errors
-/// When the file cannot be read, a column is not there (the error names the nearest), rows have different widths, or a
-/// cell is no number; with the line.
+/// When the file cannot be read, a column is missing (the error names the nearest), rows have different widths, or a
+/// cell is not a number; with the line.
 pub fn columns(path: &Path, names: &[&str]) -> Result<Vec<Vec<Option<f64>>>, SeriesError> {
     let sheet = Sheet::read(path)?;
-    sheet.rows_are_even()?;
+    sheet.check_row_widths()?;
     let wanted = names.iter().map(|name| sheet.column(name)).collect::<Result<Vec<_>, _>>()?;
     wanted.into_iter().map(|column| sheet.rows.iter().map(|row| sheet.number(row, column)).collect()).collect()
 }

@@ -1,5 +1,4 @@
-//! Tables of coil currents: those that `catoptra live --currents file:` follows, and those that `catoptra excite`
-//! writes.
+//! Tables of coil currents: those followed by `catoptra live --currents file:`, and those written by `catoptra excite`.
 //!
 //! One column is the time, all others are coils, amperes:
 //!
@@ -7,30 +6,32 @@
 //! |---|---|
 //! | `host_ns`, `unix_s` | the host's clock, since 1970: mapped to the camera's by the frames of a live run |
 //! | `stamp_ns` | the camera's clock, nanoseconds |
-//! | `t_s` | seconds since a start that the table does not give; without a start, by the frames' ticks if there are any, else taken for the camera's clock with a notice |
+//! | `t_s` | seconds since a start that is not in the table; if not given either, from the frames' ticks if there are any, else taken for the camera's clock with a notice |
 
 use super::sheet::Sheet;
 use super::{Current, Recording, SeriesError};
+use crate::sink::decimal_seconds;
 use crate::source::times::seconds;
+use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-/// What the times of a table of currents are counted on.
+/// Clock of the times in a table of currents.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum CurrentClock {
     /// The host's clock, since 1970.
     Host,
     /// The camera's clock.
     Camera,
-    /// Since a start that the table does not tell.
+    /// Since a start that is not in the table.
     Start,
 }
 
-/// Currents of all coils from one moment on.
+/// Currents of all coils from a moment on.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CurrentRow {
     /// When, nanoseconds on the table's clock.
     pub time_ns: i64,
-    /// One entry a coil, amperes.
+    /// One entry per coil, amperes.
     pub values_a: Vec<f64>,
 }
 
@@ -39,11 +40,11 @@ pub struct CurrentRow {
 pub struct CurrentTable {
     /// The file it was read from.
     pub path: PathBuf,
-    /// Whose times.
+    /// Clock of its times.
     pub clock: CurrentClock,
     /// Names of the coils' columns, in the order of [`CurrentRow::values_a`].
     pub coils: Vec<String>,
-    /// The rows; their times rise.
+    /// The rows, with increasing times.
     pub rows: Vec<CurrentRow>,
 }
 
@@ -58,7 +59,7 @@ impl CurrentTable {
     /// Reads a table of text, see [`CurrentTable::read`].
     pub(super) fn of_sheet(path: &Path) -> Result<Self, SeriesError> {
         let sheet = Sheet::read(path)?;
-        sheet.rows_are_even()?;
+        sheet.check_row_widths()?;
         let found = TIMES.iter().find_map(|(name, clock)| Some((sheet.find(name)?, *name, *clock)));
         let Some((time, name, clock)) = found else {
             return Err(sheet.wrong(
@@ -76,7 +77,7 @@ impl CurrentTable {
             .map(|(_, name)| name.clone())
             .collect();
         if coils.is_empty() {
-            return Err(sheet.wrong(format!("has no column beside {name}; expected one a coil, amperes")));
+            return Err(sheet.wrong(format!("has only the column {name}; expected one per coil, in amperes")));
         }
         if let Some(milli) = coils.iter().find(|coil| coil.to_ascii_lowercase().ends_with("_ma")) {
             return Err(sheet.wrong(format!("column `{milli}` is in milliamperes; currents are given in amperes")));
@@ -105,10 +106,10 @@ impl CurrentTable {
     }
 
     /// The currents on the camera's clock of `recording`. Times counted from a start begin at `start_ns` of that clock;
-    /// without it they are taken for that clock's own, which [`CurrentTable::assumption`] puts into words.
+    /// without it they are taken for that clock's own, which [`CurrentTable::assumption`] states.
     ///
     /// # Errors
-    /// When the table has the host's times and no frame tells how they stand to the camera's.
+    /// When the table has the host's times and no frame relates them to the camera's.
     pub fn on_camera_clock(&self, recording: &Recording, start_ns: Option<i64>) -> Result<Vec<Current>, SeriesError> {
         let host = self.clock == CurrentClock::Host;
         let clocks = recording.clocks().filter(|_| host);
@@ -140,9 +141,21 @@ impl CurrentTable {
         Ok(self.rows.iter().map(current).collect())
     }
 
-    /// Camera times of the rows by the recording's ticks: where times count from a start that nobody gives. Where the
-    /// count tells commands this close apart, each row has the time at which it was taken; else the first tick is the
-    /// start.
+    /// As text: `t_s`, seconds from the start, and a column a coil, amperes.
+    pub(crate) fn to_text(&self) -> String {
+        let mut text = format!("t_s,{}\r\n", self.coils.join(","));
+        for row in &self.rows {
+            text += &decimal_seconds(row.time_ns);
+            for value in &row.values_a {
+                let _ = write!(text, ",{value}"); // into text it cannot fail
+            }
+            text += "\r\n";
+        }
+        text
+    }
+
+    /// Camera times of the rows by the recording's ticks: if times count from a start that is not given. If the count
+    /// resolves the commands, each row gets the time at which it was taken; otherwise the first tick is the start.
     fn by_ticks(&self, recording: &Recording, start_ns: Option<i64>) -> Result<Option<Vec<i64>>, SeriesError> {
         if self.clock != CurrentClock::Start || start_ns.is_some() {
             return Ok(None);
@@ -151,7 +164,7 @@ impl CurrentTable {
         let (Some(first), Some(tick_ns)) = (self.rows.first(), ticks.times_ns.first()) else { return Ok(None) };
         let pairs = self.rows.iter().zip(self.rows.iter().skip(1));
         let closest = pairs.map(|(a, b)| b.time_ns.saturating_sub(a.time_ns)).min().unwrap_or(i64::MAX);
-        if !ticks.tells(closest) {
+        if !ticks.resolves(closest) {
             let shift = tick_ns.saturating_sub(first.time_ns);
             return Ok(Some(self.rows.iter().map(|row| row.time_ns.saturating_add(shift)).collect()));
         }
@@ -167,7 +180,7 @@ impl CurrentTable {
         Ok(Some(ticks.times_ns))
     }
 
-    /// What has to be taken on trust about the table's times beside this recording, in words.
+    /// What is assumed about the table's times for this recording, in words.
     pub fn assumption(&self, recording: &Recording, start_ns: Option<i64>) -> Option<String> {
         let ticked = recording.frames.iter().any(|frame| frame.tick.is_some());
         match (self.clock, start_ns) {

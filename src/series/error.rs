@@ -1,13 +1,14 @@
-//! Why what was recorded cannot be read back.
+//! Why a recording cannot be read back.
 
 use crate::log::LogError;
+use crate::vetoes::VetoError;
 use std::io;
 use std::path::PathBuf;
 
 /// Why a recording or a table cannot be read.
 #[derive(Debug, thiserror::Error)]
 pub enum SeriesError {
-    /// The file system refuses.
+    /// The file system reports an error.
     #[error("{}: {source}", path.display())]
     Io {
         /// Which file.
@@ -18,7 +19,10 @@ pub enum SeriesError {
     /// A log that cannot be read.
     #[error(transparent)]
     Log(#[from] LogError),
-    /// The content of a file.
+    /// Vetoes that cannot be read.
+    #[error(transparent)]
+    Vetoes(#[from] VetoError),
+    /// Invalid content of a file.
     #[error("{}: {problem}", path.display())]
     Content {
         /// Which file.
@@ -26,7 +30,7 @@ pub enum SeriesError {
         /// What is wrong with it, and what would be right.
         problem: String,
     },
-    /// The content of one line of a table.
+    /// Invalid content of one line of a table.
     #[error("{}, line {line}: {problem}", path.display())]
     Line {
         /// Which file.
@@ -39,7 +43,7 @@ pub enum SeriesError {
 }
 
 impl SeriesError {
-    /// Whether the file is not there: a mistake of whoever named it, not of the system.
+    /// Whether the file does not exist: a mistake of the user, not of the system.
     pub fn is_missing(&self) -> bool {
         match self {
             Self::Io { source, .. } | Self::Log(LogError::Io { source, .. }) => {
@@ -49,7 +53,7 @@ impl SeriesError {
         }
     }
 
-    /// Whether the file system failed; else the file itself is not valid.
+    /// Whether the file system failed; otherwise the file itself is invalid.
     pub fn is_io(&self) -> bool {
         matches!(self, Self::Io { .. } | Self::Log(LogError::Io { .. }))
     }

@@ -1,14 +1,14 @@
-//! Runs as the laboratory behind the paper recorded them with its own tracker (`circle01_01.txt` and others, published
-//! at github.com/eetuna/CRM_ML).
+//! Runs recorded by the paper's laboratory with its own tracker (`circle01_01.txt` and others, published at
+//! github.com/eetuna/CRM_ML).
 //!
-//! A row a frame, metres:
+//! One row per frame, metres:
 //!
 //! ```text
 //! time_s, tick, < base x, y, z >, < coil x, y, z > < tangent x, y, z >, < tip x, y, z >
 //! ```
 //!
-//! Its frame of reference has B0 along y and the straight catheter along z. Here x is along B0 and the origin is where
-//! the base is on average in the frames before the first command, so that (x, y, z) here is (y, −x, z) there.
+//! Its frame of reference has B0 along y and the straight catheter along z. Here x is along B0 and the origin is the
+//! mean position of the base in the frames before the first command, so (x, y, z) here is (y, −x, z) there.
 
 use super::sheet::text_of;
 use super::{Frame, Place, Recording, SeriesError};
@@ -16,7 +16,7 @@ use crate::source::times::parse_seconds_ns;
 use nalgebra::{Point3, Vector3};
 use std::path::Path;
 
-/// Numbers of a row: time, tick, four vectors.
+/// Numbers per row: time, tick, four vectors.
 const NUMBERS: usize = 14;
 /// The tick counts modulo 4.
 const MODULUS: u64 = 4;
@@ -41,9 +41,9 @@ pub(super) fn read(path: &Path) -> Result<Recording, SeriesError> {
     for (index, (line, text)) in lines.iter().enumerate() {
         match row(text) {
             Ok(row) => rows.push(row),
-            // The last line of a tracker that was ended.
+            // The last line of a tracker that was stopped.
             Err(_) if index + 1 == lines.len() && index > 0 && !ended => {
-                cut = Some(format!("line {line} is its last and has no end; it is left out"));
+                cut = Some(format!("the last line ({line}) is incomplete; it is left out"));
             }
             Err(problem) => return Err(SeriesError::Line { path: path.to_owned(), line: *line, problem }),
         }
@@ -81,6 +81,7 @@ pub(super) fn read(path: &Path) -> Result<Recording, SeriesError> {
         frames: frames.collect(),
         currents: Vec::new(),
         cut,
+        vetoed: 0,
     })
 }
 
@@ -105,9 +106,12 @@ fn row(text: &str) -> Result<LabRow, String> {
     if cells.len() != NUMBERS {
         return Err(format!("has {} numbers; {expected}", cells.len()));
     }
-    let stamp_ns = parse_seconds_ns(time).ok_or_else(|| format!("`{time}` is no time in seconds"))?;
-    let tick =
-        tick.parse().ok().filter(|tick| *tick < MODULUS).ok_or_else(|| format!("`{tick}` is no tick from 0 to 3"))?;
+    let stamp_ns = parse_seconds_ns(time).ok_or_else(|| format!("`{time}` is not a time in seconds"))?;
+    let tick = tick
+        .parse()
+        .ok()
+        .filter(|tick| *tick < MODULUS)
+        .ok_or_else(|| format!("`{tick}` is not a tick from 0 to 3"))?;
     let mut numbers = Vec::with_capacity(NUMBERS);
     for cell in vectors {
         numbers
@@ -122,7 +126,7 @@ fn row(text: &str) -> Result<LabRow, String> {
 mod tests {
     use super::*;
 
-    /// The first rows of `circle100_01.txt`, and two further on.
+    /// The first rows of `circle100_01.txt`, and two later ones.
     const ROWS: &str = "\
 117.355835 ,  1 , < 0.085243, 6.128057, 0.012580 >, < 0.081999, 6.117317 , 0.077908 > <-0.035563, -0.211265, 0.976782>, < 0.081301 , 6.110534 , 0.104008 >
 117.372493 ,  1 , < 0.085216, 6.128071, 0.012647 >, < 0.081979, 6.117281 , 0.077816 > <-0.036680, -0.230623, 0.972352>, < 0.081289 , 6.110510 , 0.104026 >
@@ -147,7 +151,7 @@ mod tests {
         let tip = last.places[2].point.unwrap();
         let expected = [6.072618 - 6.128064, -(0.070661 - 0.0852295), 0.079438 - 0.0126135];
         assert!((tip.coords - Vector3::from(expected)).norm() < 1e-9, "{tip}");
-        // One change to 3, and one to 0: modulo 4 the first is two commands.
+        // One change to 3, and one to 0: modulo 4, the first means two commands.
         let ticks = run.ticks().unwrap().unwrap();
         assert_eq!((ticks.times_ns.len(), ticks.modulus), (3, 4));
         assert_eq!(ticks.times_ns[2], (123_885_405_000 + 123_902_064_000) / 2);
@@ -159,7 +163,7 @@ mod tests {
         let run = read_text(torn).unwrap();
         assert_eq!((run.frames.len(), run.cut.is_some()), (3, true));
         let error = read_text(&ROWS.replace(",  3 ,", ",  7 ,")).unwrap_err();
-        assert_eq!(error, "circle.txt, line 3: `7` is no tick from 0 to 3");
+        assert_eq!(error, "circle.txt, line 3: `7` is not a tick from 0 to 3");
         let error = read_text(&ROWS.replacen("0.077816 >", ">", 1)).unwrap_err();
         assert!(error.starts_with("circle.txt, line 2: has 13 numbers; expected time, tick"), "{error}");
         let stuck = read_text(&ROWS.replace(",  3 ,", ",  1 ,").replace(",  0 ,", ",  1 ,")).unwrap();

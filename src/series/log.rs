@@ -12,7 +12,7 @@ use nalgebra::{Point3, Vector3};
 use prost_reflect::{DynamicMessage, Value};
 use std::path::Path;
 
-/// Reads the log at `path`; one that was cut off as far as it goes.
+/// Reads the log at `path`, as far as it goes if it was cut off.
 pub(super) fn read(path: &Path) -> Result<Recording, SeriesError> {
     let mut reader = Reader::default();
     let condition = records::each(path, |record| {
@@ -23,11 +23,19 @@ pub(super) fn read(path: &Path) -> Result<Recording, SeriesError> {
         return Err(LogError::NotOurs { path: path.to_owned() }.into());
     }
     let cut = condition.summary().or(reader.undecoded);
-    // Places are in one frame of reference for all: the base, if the rig had one.
+    // All positions are in one frame of reference: the base, if the rig had one.
     let Reader { clock, markers, frames, currents, in_base, .. } = reader;
     let reference = if in_base { OutputFrame::Base } else { OutputFrame::Camera };
-    let mut recording =
-        Recording { path: path.to_owned(), clock, reference: Some(reference), markers, frames, currents, cut };
+    let mut recording = Recording {
+        path: path.to_owned(),
+        clock,
+        reference: Some(reference),
+        markers,
+        frames,
+        currents,
+        cut,
+        vetoed: 0,
+    };
     if let Some(clocks) = recording.clocks() {
         for current in &mut recording.currents {
             current.stamp_ns = current.host_ns.map(|host_ns| clocks.camera_ns(host_ns));
@@ -44,7 +52,7 @@ struct Reader {
     frames: Vec<Frame>,
     currents: Vec<Current>,
     in_base: bool,
-    /// A message that is not what its schema says.
+    /// A message that does not match its schema.
     undecoded: Option<String>,
 }
 
@@ -98,7 +106,7 @@ impl Reader {
                 .and_then(|tangent| xyz(tangent, "in_base").or_else(|| xyz(tangent, "in_camera")))
                 .map(Vector3::from),
             tangent_sd_rad: tangent.as_ref().and_then(|tangent| float(tangent, "sd_rad")),
-            tick: None,
+            tick: optional_number(message, "tick").and_then(|tick| u64::try_from(tick).ok()),
         });
     }
 }

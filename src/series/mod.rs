@@ -1,12 +1,13 @@
-//! What was recorded, read back: frames with their camera time, θ, places and directions, and coil currents.
+//! Reads recorded runs back: frames with camera time, θ, positions and directions, and coil currents.
 //!
 //! In: a log (`.mcap`) or a table (`.csv`) of this program ([`Recording::read`]), columns of any table of numbers
 //! ([`columns`]), tables of coil currents ([`CurrentTable::read`]). Out: series in SI units and radians, each frame
-//! once and in its order, with the reason where something was not measured. Nothing is interpolated, sorted, or left
-//! out here.
+//! once and in order, with the reason where something was not measured. Nothing is interpolated, sorted, or left out
+//! here; of a frame that a person has vetoed (`vetoes.csv` beside the file) only the time remains, with the reason
+//! `vetoed`.
 //!
-//! Logs that were cut off are read as far as they go, and [`Recording::cut`] says so. A table does not say its clock,
-//! nor, unless its `run.toml` stands beside it, the frame of reference of its places; it looks the same in any frame.
+//! Logs that were cut off are read as far as they go, and [`Recording::cut`] says so. A table does not state its clock
+//! or, without its `run.toml` beside it, the frame of reference of its positions.
 
 mod clocks;
 mod columns;
@@ -21,6 +22,7 @@ mod table;
 mod tests;
 mod ticks;
 
+pub use crate::vetoes::VetoError;
 pub use clocks::ClockMap;
 pub use columns::columns;
 pub use currents::{CurrentClock, CurrentRow, CurrentTable};
@@ -29,6 +31,7 @@ pub use ticks::Ticks;
 
 use crate::log::is_log;
 use crate::sink::OutputFrame;
+use crate::vetoes::{self, VETOED, Vetoes};
 use nalgebra::{Point3, Vector3};
 use std::path::{Path, PathBuf};
 
@@ -37,18 +40,20 @@ use std::path::{Path, PathBuf};
 pub struct Recording {
     /// The file it was read from.
     pub path: PathBuf,
-    /// Name of the camera's clock; `None` when the file does not tell (a table).
+    /// Name of the camera's clock; `None` when the file does not state it (a table).
     pub clock: Option<String>,
-    /// Frame of reference of places and tangents; `None` when the file does not tell.
+    /// Frame of reference of positions and tangents; `None` when the file does not state it.
     pub reference: Option<OutputFrame>,
     /// Names of the markers, in the order of [`Frame::places`].
     pub markers: Vec<String>,
-    /// The frames in their order.
+    /// The frames in order.
     pub frames: Vec<Frame>,
-    /// Coil currents in their order; a table has none.
+    /// Coil currents in order; a table has none.
     pub currents: Vec<Current>,
-    /// Why not all of the file is here, if it ends early or is damaged; the rest is.
+    /// Why part of the file is missing, if it ends early or is damaged; the rest is here.
     pub cut: Option<String>,
+    /// Frames that a person has vetoed: their time alone is here.
+    pub vetoed: usize,
 }
 
 /// One camera frame.
@@ -66,37 +71,37 @@ pub struct Frame {
     pub theta_rad: Option<f64>,
     /// Its standard deviation, radians.
     pub theta_sd_rad: Option<f64>,
-    /// Why θ is missing, or `ok`; tables do not tell.
+    /// Why θ is missing, or `ok`; unknown for tables.
     pub theta_status: Option<String>,
-    /// One entry a marker.
+    /// One entry per marker.
     pub places: Vec<Place>,
     /// Unit direction of the coil, base to tip.
     pub tangent: Option<Vector3<f64>>,
     /// Its standard deviation, radians.
     pub tangent_sd_rad: Option<f64>,
-    /// Count of commands that the frame shows, modulo something: see [`Ticks`].
+    /// Command count visible in the frame, modulo some number: see [`Ticks`].
     pub tick: Option<u64>,
 }
 
 /// A marker in one frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Place {
-    /// Where it is, metres.
+    /// Its position, metres.
     pub point: Option<Point3<f64>>,
     /// Standard deviation of one coordinate on average, metres.
     pub sd_m: Option<f64>,
-    /// `ok`, or the word of the reason why there is no place.
+    /// `ok`, or the reason why there is no position.
     pub status: String,
 }
 
 /// Currents of the coils at one moment.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Current {
-    /// On the host's clock, nanoseconds since 1970, where it was recorded on that.
+    /// On the host's clock, nanoseconds since 1970, if recorded on that.
     pub host_ns: Option<i64>,
-    /// The same on the camera's clock; `None` when no frame tells how the two clocks stand to each other.
+    /// The same on the camera's clock; `None` when no frame relates the two clocks.
     pub stamp_ns: Option<i64>,
-    /// One entry a coil, amperes.
+    /// One entry per coil, amperes.
     pub values_a: Vec<f64>,
 }
 
@@ -104,19 +109,34 @@ impl CurrentTable {
     /// Reads a table of coil currents, or a `.play` list of the laboratory's amplifier.
     ///
     /// # Errors
-    /// When it cannot be read, has no column of times or none of a coil, a value is missing or no number, or times do
-    /// not rise.
+    /// When it cannot be read, lacks a column of times or of a coil, a value is missing or not a number, or times do
+    /// not increase.
     pub fn read(path: &Path) -> Result<Self, SeriesError> {
         if play::is_play(path) { play::read(path) } else { Self::of_sheet(path) }
     }
 }
 
 impl Recording {
-    /// Reads a log, a table, or a run of the laboratory's own tracker; which it is, its content tells.
+    /// Reads a log, a table, or a run of the laboratory's tracker, recognised by its content.
     ///
     /// # Errors
-    /// When the file cannot be read or is neither. A file without a frame is no error.
+    /// When the file cannot be read or is neither, or the vetoes beside it cannot be read. A file without a frame is not
+    /// an error.
     pub fn read(path: &Path) -> Result<Self, SeriesError> {
+        let mut recording = Self::as_measured(path)?;
+        recording.leave_out(&Vetoes::beside(path)?);
+        if recording.vetoed > 0 {
+            let frames = if recording.vetoed == 1 { "1 frame is" } else { &format!("{} frames are", recording.vetoed) };
+            tracing::warn!("{}: {frames} left out: vetoed in {}", path.display(), vetoes::FILE);
+        }
+        Ok(recording)
+    }
+
+    /// As [`Recording::read`], with what was measured in frames that were vetoed.
+    ///
+    /// # Errors
+    /// As [`Recording::read`].
+    pub fn as_measured(path: &Path) -> Result<Self, SeriesError> {
         if is_log(path) {
             log::read(path)
         } else if laboratory::is_laboratory(path) {
@@ -126,10 +146,26 @@ impl Recording {
         }
     }
 
+    /// Takes out what was measured in frames that are vetoed.
+    fn leave_out(&mut self, vetoes: &Vetoes) {
+        for frame in &mut self.frames {
+            if vetoes.of(frame.seq, frame.stamp_ns).is_none() {
+                continue;
+            }
+            self.vetoed += 1;
+            (frame.theta_rad, frame.theta_sd_rad) = (None, None);
+            (frame.tangent, frame.tangent_sd_rad, frame.tick) = (None, None, None);
+            frame.theta_status = Some(VETOED.to_owned());
+            for place in &mut frame.places {
+                *place = Place { point: None, sd_m: None, status: VETOED.to_owned() };
+            }
+        }
+    }
+
     /// Index of the marker `name` in [`Frame::places`].
     ///
     /// # Errors
-    /// When the run has no such marker; the error names those it has.
+    /// When the run has no such marker; the error lists those it has.
     pub fn marker(&self, name: &str) -> Result<usize, SeriesError> {
         self.markers.iter().position(|marker| marker == name).ok_or_else(|| SeriesError::Content {
             path: self.path.clone(),
@@ -140,8 +176,7 @@ impl Recording {
         })
     }
 
-    /// How the host's clock and the camera's stand to each other; `None` when no frame has a host's time (a recording,
-    /// a table).
+    /// The relation of the host's clock to the camera's; `None` when no frame has a host's time (a recording, a table).
     pub fn clocks(&self) -> Option<ClockMap> {
         ClockMap::new(self.frames.iter().filter_map(|frame| Some((frame.host_ns?, frame.stamp_ns))).collect())
     }

@@ -1,19 +1,19 @@
 //! `.play`: lists of currents for the laboratory's amplifier (github.com/tmlcase/catheter_arduino_controller).
 //!
-//! A line `channel, current_mA, delay_ms` for each channel (from 1) that changes, ended by CR LF. Lines of one instant
-//! have delay 0, but for the last, which has the pause until the next instant. Delays are whole milliseconds: times are
-//! rounded to them one by one, so that rounding does not add up. Each channel is 0 until its first line.
+//! A line `channel, current_mA, delay_ms` for each channel (from 1) that changes, ended by CR LF. Lines of the same
+//! instant have delay 0, except the last, which has the pause until the next instant. Delays are whole milliseconds:
+//! times are rounded one by one, so rounding errors do not accumulate. Each channel is 0 until its first line.
 
 use super::{CurrentClock, CurrentRow, CurrentTable, SeriesError};
 use std::fmt::Write as _;
 use std::path::Path;
 
 const NS_PER_MS: i64 = 1_000_000;
-/// The amplifier has fewer.
-const MOST_CHANNELS: usize = 64;
+/// Most channels; the amplifier has fewer.
+pub(crate) const MAX_CHANNELS: usize = 64;
 
-/// Whether a file is such a list, by its name.
-pub(super) fn is_play(path: &Path) -> bool {
+/// Whether a file's name is that of such a list.
+pub(crate) fn is_play(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("play"))
 }
 
@@ -28,9 +28,8 @@ pub(super) fn read(path: &Path) -> Result<CurrentTable, SeriesError> {
         let [channel, current, delay] = cells.as_slice() else {
             return Err(wrong(format!("has {} cells; expected channel, current_mA, delay_ms", cells.len())));
         };
-        let channel = channel.parse().ok().filter(|channel| (1..=MOST_CHANNELS).contains(channel));
-        let channel =
-            channel.ok_or_else(|| wrong(format!("`{}` is no channel from 1 to {MOST_CHANNELS}", cells[0])))?;
+        let channel = channel.parse().ok().filter(|channel| (1..=MAX_CHANNELS).contains(channel));
+        let channel = channel.ok_or_else(|| wrong(format!("`{}` is no channel from 1 to {MAX_CHANNELS}", cells[0])))?;
         let current_ma = current.parse::<f64>().ok().filter(|current| current.is_finite());
         let current_ma = current_ma.ok_or_else(|| wrong(format!("`{current}` is no current in mA")))?;
         let delay_ms = delay.parse::<u32>().map_err(|_| wrong(format!("`{delay}` is no delay in whole ms")))?;
@@ -55,8 +54,8 @@ pub(super) fn read(path: &Path) -> Result<CurrentTable, SeriesError> {
     Ok(CurrentTable { path: path.to_owned(), clock: CurrentClock::Start, coils, rows })
 }
 
-/// Rows of currents (time from the start, nanoseconds, and amperes by channel) as a list. The last row has no end: it
-/// should be zero current.
+/// Rows of currents (time from the start, nanoseconds, and amperes by channel) as a list. The last row has no end, so
+/// it should be zero current.
 pub(crate) fn write<'a>(rows: impl IntoIterator<Item = (i64, &'a [f64])>) -> String {
     let mut text = String::new();
     let mut before: Vec<f64> = Vec::new();
@@ -71,7 +70,7 @@ pub(crate) fn write<'a>(rows: impl IntoIterator<Item = (i64, &'a [f64])>) -> Str
         }
         for (n, k) in changed.iter().enumerate() {
             let delay_ms = if n + 1 == changed.len() { pause_ms } else { 0 };
-            // Writing into text cannot fail; adding 0 takes the sign off a zero.
+            // Writing into text cannot fail; adding 0 removes the sign of a zero.
             let _ = write!(text, "{}, {}, {delay_ms}\r\n", k + 1, (values_a[*k] * 1e6).round() / 1e3 + 0.0);
         }
         before.copy_from_slice(values_a);

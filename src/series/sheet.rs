@@ -1,7 +1,7 @@
-//! A table of text, as it stands in the file: cells, and the line of each row.
+//! A text table as in the file: cells, and the line of each row.
 //!
-//! Cells are separated by comma, semicolon or tab, or else by white space, as the first line shows. Lines that begin
-//! with `#` or `%` and empty lines are left out. The first line is a header unless all its cells are numbers.
+//! Cells are separated by comma, semicolon or tab, or else by white space, as in the first line. Lines that begin with
+//! `#` or `%` and empty lines are left out. The first line is a header unless all its cells are numbers.
 
 use super::SeriesError;
 use crate::rig::nearest;
@@ -11,9 +11,9 @@ use std::fs::File;
 use std::io::{self, Read as _};
 use std::path::{Path, PathBuf};
 
-/// Bytes of a table, at most: a device such as /dev/zero has no end.
+/// Largest table, bytes: a device such as /dev/zero has no end.
 const LARGEST: u64 = 1 << 30;
-/// So much of it shows whether it is text.
+/// Bytes examined to tell whether it is text.
 const BEGINNING: u64 = 4096;
 
 /// A table.
@@ -24,7 +24,7 @@ pub(super) struct Sheet {
     pub(super) header: Option<Vec<String>>,
     pub(super) width: usize,
     pub(super) rows: Vec<Row>,
-    /// Whether the last line has its end: a writer that was killed leaves half a line.
+    /// Whether the last line is terminated: a killed writer leaves half a line.
     pub(super) last_line_ended: bool,
 }
 
@@ -35,7 +35,7 @@ pub(super) struct Row {
     pub(super) cells: Vec<String>,
 }
 
-/// Empty, or the words for a number that is not known.
+/// Whether a cell is empty or a word for an unknown number.
 pub(super) fn is_missing(cell: &str) -> bool {
     cell.is_empty() || cell.eq_ignore_ascii_case("nan") || cell == "-nan"
 }
@@ -49,7 +49,7 @@ impl Sheet {
     /// Reads the table at `path`.
     ///
     /// # Errors
-    /// When it cannot be read, is no text, or has no line.
+    /// When it cannot be read, is not text, or has no line.
     pub(super) fn read(path: &Path) -> Result<Self, SeriesError> {
         let content = |problem: &str| SeriesError::Content { path: path.to_owned(), problem: problem.to_owned() };
         let text = text_of(path)?;
@@ -67,11 +67,11 @@ impl Sheet {
         let header = headed.then(|| rows.remove(0).cells);
         let width = header.as_ref().or(rows.first().map(|row| &row.cells)).map_or(0, Vec::len);
         let sheet = Self { path: path.to_owned(), header, width, rows, last_line_ended: text.ends_with(['\n', '\r']) };
-        sheet.names_are_unlike()?;
+        sheet.check_unique_names()?;
         Ok(sheet)
     }
 
-    fn names_are_unlike(&self) -> Result<(), SeriesError> {
+    fn check_unique_names(&self) -> Result<(), SeriesError> {
         let mut names: Vec<&String> = self.header.iter().flatten().filter(|name| !name.is_empty()).collect();
         names.sort_unstable();
         match names.windows(2).find(|pair| matches!(pair, [a, b] if a == b)) {
@@ -80,8 +80,8 @@ impl Sheet {
         }
     }
 
-    /// Refuses rows of another width than the first line's.
-    pub(super) fn rows_are_even(&self) -> Result<(), SeriesError> {
+    /// Rejects rows with a different number of cells than the first line.
+    pub(super) fn check_row_widths(&self) -> Result<(), SeriesError> {
         match self.rows.iter().find(|row| row.cells.len() != self.width) {
             Some(row) => {
                 Err(self.wrong_at(row, format!("has {} cells, the first line has {}", row.cells.len(), self.width)))
@@ -95,7 +95,7 @@ impl Sheet {
         self.header.as_ref()?.iter().position(|column| column == name)
     }
 
-    /// Index of a column by its name or, if there is none of this name, by its number from 1.
+    /// Index of a column by its name or, if there is none, by its number from 1.
     pub(super) fn column(&self, name: &str) -> Result<usize, SeriesError> {
         if let Some(index) = self.find(name) {
             return Ok(index);
@@ -130,7 +130,7 @@ impl Sheet {
         let cell = row.cells.get(column).map_or("", String::as_str);
         parse_seconds_ns(cell).ok_or_else(|| {
             let (cell, name) = (cell.escape_debug(), self.name_of(column));
-            self.wrong_at(row, format!("`{cell}` in column {name} is no time in seconds, such as 0.0166667"))
+            self.wrong_at(row, format!("`{cell}` in column {name} is not a time in seconds, such as 0.0166667"))
         })
     }
 
@@ -150,7 +150,7 @@ impl Sheet {
         }
     }
 
-    /// What a column is called in messages.
+    /// Name of a column in messages.
     pub(super) fn name_of(&self, column: usize) -> String {
         match self.header.as_ref().and_then(|names| names.get(column)) {
             Some(name) => format!("`{name}`"),
@@ -170,7 +170,7 @@ impl Sheet {
 /// The text of a file.
 ///
 /// # Errors
-/// When it cannot be read, is no text, or larger than any table.
+/// When it cannot be read, is not text, or larger than any table.
 pub(super) fn text_of(path: &Path) -> Result<String, SeriesError> {
     let content = |problem: &str| SeriesError::Content { path: path.to_owned(), problem: problem.to_owned() };
     let bytes = match text_bytes(path) {
@@ -183,7 +183,7 @@ pub(super) fn text_of(path: &Path) -> Result<String, SeriesError> {
     String::from_utf8(bytes).map_err(|_| content("is no text; expected a table of numbers (CSV)"))
 }
 
-/// The file's bytes, one more than [`LARGEST`] at most; `None` when it begins with what no text has.
+/// The file's bytes, at most one more than [`LARGEST`]; `None` when its beginning is not text.
 fn text_bytes(path: &Path) -> io::Result<Option<Vec<u8>>> {
     let mut file = File::open(path)?;
     let mut bytes = Vec::new();
@@ -210,7 +210,8 @@ fn separated(path: &Path, text: &str, separator: u8) -> Result<Vec<Row>, SeriesE
             path: path.to_owned(),
             problem: format!("is no table: {error}"),
         })?;
-        // A record's own position is behind the record before: empty lines and half a line end may stand between.
+        // A record's position is that of the end of the previous one: empty lines and half a line end may be in
+        // between.
         let behind = record.position().map_or(counted, |at| usize::try_from(at.byte()).unwrap_or(counted));
         let is_break = |byte: &&u8| matches!(byte, b'\r' | b'\n');
         let start = behind + bytes.get(behind..).map_or(0, |rest| rest.iter().take_while(is_break).count());
@@ -224,7 +225,7 @@ fn separated(path: &Path, text: &str, separator: u8) -> Result<Vec<Row>, SeriesE
     Ok(rows)
 }
 
-/// Rows whose cells stand apart by white space.
+/// Rows with cells separated by white space.
 fn spaced(text: &str) -> Vec<Row> {
     let lines = (1..).zip(text.lines());
     let data = lines.filter(|(_, line)| !line.trim_start().starts_with(['#', '%']));

@@ -1,7 +1,7 @@
-//! A run from its table: that of this program ([`crate::sink::CsvSink`]), or another with columns of the same names.
+//! A run from its table: this program's ([`crate::sink::CsvSink`]), or another with the same column names.
 //!
-//! Needed are a time (`stamp_ns` or `t_s`) and either `theta_deg` or the three coordinates of a marker (`tip_x_mm`, …;
-//! without a name before them, `x_mm`, they are the tip's). All else may be missing.
+//! Required are a time (`stamp_ns` or `t_s`) and either `theta_deg` or the three coordinates of a marker (`tip_x_mm`,
+//! …; `x_mm` without a name is the tip's). Everything else is optional.
 
 use super::sheet::{Row, Sheet, is_missing};
 use super::{Frame, Place, Recording, SeriesError};
@@ -10,7 +10,7 @@ use crate::sink::OutputFrame;
 use nalgebra::{Point3, Vector3};
 use std::path::Path;
 
-/// What a place without a name belongs to.
+/// Marker of coordinates without a name.
 const UNNAMED: &str = "tip";
 const M_PER_MM: f64 = 1e-3;
 
@@ -25,8 +25,8 @@ struct Marker {
 /// Reads the table at `path`.
 pub(super) fn read(path: &Path) -> Result<Recording, SeriesError> {
     let mut sheet = Sheet::read(path)?;
-    let cut = half_a_line(&mut sheet);
-    sheet.rows_are_even()?;
+    let cut = partial_last_line(&mut sheet);
+    sheet.check_row_widths()?;
     let stamp = sheet.find(columns::STAMP_NS);
     let seconds = sheet.find(columns::T_S);
     if stamp.or(seconds).is_none() {
@@ -84,11 +84,12 @@ pub(super) fn read(path: &Path) -> Result<Recording, SeriesError> {
         frames,
         currents: Vec::new(),
         cut,
+        vetoed: 0,
     })
 }
 
 /// The last line of a table whose writer was killed; it is left out.
-fn half_a_line(sheet: &mut Sheet) -> Option<String> {
+fn partial_last_line(sheet: &mut Sheet) -> Option<String> {
     let width = sheet.width;
     let (rows, last) = (sheet.rows.len(), sheet.rows.last()?);
     let ours = sheet.header.as_ref()?.starts_with(&columns::FIRST.map(str::to_owned));
@@ -96,16 +97,16 @@ fn half_a_line(sheet: &mut Sheet) -> Option<String> {
     let line = last.line;
     torn.then(|| {
         sheet.rows.pop();
-        format!("line {line} is its last and has no end; it is left out")
+        format!("the last line ({line}) is incomplete; it is left out")
     })
 }
 
-/// What columns there are instead, for a message.
+/// The columns that exist, for a message.
 fn there(sheet: &Sheet) -> String {
     sheet.header.as_ref().map_or("; it has no header".to_owned(), |names| format!("; it has {}", names.join(", ")))
 }
 
-/// Columns that make sense together only; `None` when the first is not there.
+/// Columns that belong together; `None` when the first is missing.
 fn all_of(sheet: &Sheet, names: [&str; 3]) -> Result<Option<[usize; 3]>, SeriesError> {
     if sheet.find(names[0]).is_none() {
         return Ok(None);
@@ -155,7 +156,7 @@ fn vector(sheet: &Sheet, row: &Row, columns: [usize; 3]) -> Result<Option<Vector
     }
 }
 
-/// What the `run.toml` beside a table of ours says of its places.
+/// Frame of reference from the `run.toml` beside one of our tables.
 fn reference(path: &Path) -> Option<OutputFrame> {
     let text = std::fs::read_to_string(path.with_file_name("run.toml")).ok()?;
     match text.parse::<toml::Table>().ok()?.get("frame")?.as_str()? {

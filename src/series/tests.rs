@@ -116,11 +116,11 @@ fn a_log_that_was_cut_off_is_read_as_far_as_it_goes() {
                 assert!(recording.cut.is_some() && recording.frames.len() >= before);
                 before = recording.frames.len();
             }
-            // Cut within what stands before the first frame.
+            // Cut before the first frame.
             Err(error) => assert!(error.to_string().contains("/catheter/estimate"), "{error}"),
         }
     }
-    // The last tenth may be index alone.
+    // The last tenth may be only index.
     assert!((50..=120).contains(&before), "{before} frames");
 }
 
@@ -149,7 +149,7 @@ fn half_a_line_at_the_end_of_our_table_is_left_out_and_told() {
     for less in [1, 2, 3, 40] {
         fs::write(&table, &text[..text.len() - less]).unwrap();
         let recording = Recording::read(&table).unwrap();
-        // Without its line feed alone the row is still there.
+        // If only its line feed is missing, the row is complete.
         let frames = if less == 1 { 120 } else { 119 };
         assert_eq!((recording.frames.len(), recording.cut.is_some()), (frames, less > 1), "{less}");
     }
@@ -190,7 +190,7 @@ fn tables_of_others_need_a_time_and_a_measurement() {
     );
     assert_eq!(
         message("t_s,theta_deg\nlate,1\n"),
-        "a.csv, line 2: `late` in column `t_s` is no time in seconds, such as 0.0166667"
+        "a.csv, line 2: `late` in column `t_s` is not a time in seconds, such as 0.0166667"
     );
     assert_eq!(message("stamp_ns,theta_deg\n0.5,1\n"), "a.csv, line 2: `0.5` in column `stamp_ns` is no whole number");
     assert_eq!(message("stamp_ns,theta_deg,gap\n5,1,-1\n"), "a.csv, line 2: the count in column `gap` is negative");
@@ -254,7 +254,7 @@ fn commands_have_the_times_of_ticks() {
         let all = table.on_camera_clock(recording, start).unwrap();
         all.iter().map(|current| current.stamp_ns.unwrap() / 1_000_000).collect()
     };
-    // A frame without a tick is one that is not known.
+    // A frame without a tick is unknown.
     let recording = ticked(&["3", "3", "0", "", "1"]);
     assert_eq!(recording.frames[3].tick, None);
     let error = table.on_camera_clock(&recording, None).unwrap_err().to_string();
@@ -262,10 +262,9 @@ fn commands_have_the_times_of_ticks() {
     let recording = ticked(&["3", "3", "0", "1", "2"]);
     assert_eq!(stamps(&recording, None), [30, 50, 70]);
     assert!(table.assumption(&recording, None).unwrap().contains("the frames' tick"));
-    // Given is given.
+    // A given start takes precedence.
     assert_eq!(stamps(&recording, Some(1_000_000)), [5001, 5031, 5071]);
-    // A lamp that goes on and off does not tell commands 30 ms apart in frames of 20 ms and a late one: its start it
-    // does.
+    // A blinking lamp cannot resolve commands 30 ms apart in frames of 20 ms with a late one, but it gives the start.
     let recording = ticked(&["0", "0", "1", "0", "1"]);
     assert_eq!(recording.ticks().unwrap().unwrap().modulus, 2);
     let close = ticked(&["0", "1", "1", "0", "1"]);
@@ -287,7 +286,7 @@ fn wrong_tables_of_currents_are_refused_with_the_line() {
     };
     let expected = "expected a header with host_ns, unix_s, stamp_ns or t_s, and a column a coil";
     assert_eq!(message("0,1\n"), format!("i.csv: has no times of currents: {expected}"));
-    assert_eq!(message("t_s\n0\n"), "i.csv: has no column beside t_s; expected one a coil, amperes");
+    assert_eq!(message("t_s\n0\n"), "i.csv: has only the column t_s; expected one per coil, in amperes");
     assert_eq!(
         message("t_s,axial_mA\n0,1\n"),
         "i.csv: column `axial_mA` is in milliamperes; currents are given in amperes"

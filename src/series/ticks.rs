@@ -1,28 +1,28 @@
-//! The command clock: a count of commands that the camera sees, frame by frame.
+//! The command clock: a command count visible to the camera, frame by frame.
 //!
-//! The amplifier shows how many commands it has taken, modulo 4 (the laboratory's), or by a lamp that goes on and off
-//! (modulo 2). Where the count changes between two frames, a command was taken between them: its time is known to half
-//! a frame on the camera's own clock, whatever the host's does.
+//! The amplifier displays how many commands it has taken, modulo 4 (the laboratory's), or with a blinking lamp (modulo
+//! 2). Where the count changes between two frames, a command was taken between them: its time is known to half a frame
+//! on the camera's own clock, independent of the host's.
 //!
-//! It aliases: of more commands between two frames than the count can tell, whole turns are lost. [`Ticks::tells`] says
-//! down to which pause it can be relied on.
+//! It aliases: if more commands come between two frames than the count can hold, whole cycles are lost.
+//! [`Ticks::resolves`] tells whether a pause is long enough.
 
 use super::{Recording, SeriesError};
 
-/// Times of commands by the count of commands.
+/// Times of commands from the command count.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Ticks {
     /// Camera time of each command after the first frame, nanoseconds: the middle of the frames between which the count
     /// changed; commands between the same two frames are spread evenly.
     pub times_ns: Vec<i64>,
-    /// What the count is modulo of: 2, 4, or more.
+    /// Modulus of the count: 2, 4, or more.
     pub modulus: u64,
     /// Usual time between frames, nanoseconds.
     pub interval_ns: i64,
 }
 
 impl Recording {
-    /// The times of commands by its frames' ticks; `None` where no frame has one.
+    /// The times of commands from its frames' ticks; `None` if no frame has one.
     ///
     /// # Errors
     /// When the tick never changes.
@@ -65,15 +65,14 @@ impl Recording {
 }
 
 impl Ticks {
-    /// Whether commands this far apart are told one from the other: fewer come between two frames than the count turns
-    /// over at.
-    pub fn tells(&self, pause_ns: i64) -> bool {
-        // A frame that is late holds one more.
+    /// Whether commands this far apart can be resolved: fewer come between two frames than the modulus.
+    pub fn resolves(&self, pause_ns: i64) -> bool {
+        // A late frame may include one more.
         self.interval_ns.saturating_add(pause_ns) < pause_ns.saturating_mul(self.modulus as i64)
     }
 
-    /// Start and pause (nanoseconds) of `commands` commands that were given evenly, from the first on: a line through
-    /// their times. `None` for fewer than two.
+    /// Start and pause (nanoseconds) of `commands` evenly spaced commands, from the first: a line through their times.
+    /// `None` for fewer than two.
     pub fn evenly(&self, commands: usize) -> Option<(i64, f64)> {
         let first = *self.times_ns.first()?;
         let points: Vec<(f64, f64)> =

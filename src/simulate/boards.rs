@@ -1,16 +1,14 @@
-//! Pictures of a chessboard for `calibrate camera` and `calibrate rig`: in air without mirrors, and as the rig shows it.
-//!
-//! The board stands where the catheter is, turned so that all views see its front, tilted to all sides. Each pixel
-//! looks at as many places of it as blur and its own square spread it over.
+//! Pictures of a chessboard as views show it. Each pixel looks at as many places of it as blur and its own square
+//! spread it over.
 
 use super::light::linear;
 use super::look::is_mirrored;
-use super::scene::in_picture;
+use super::scene::is_within;
 use super::sensor::{Reader, Sensor};
-use crate::calibrate::board::{Board, BoardError};
+use crate::calibrate::board::Board;
 use crate::optics::{OpticalPath, Surface};
-use crate::rig::{Rig, View};
-use nalgebra::{Isometry3, Point2, Point3, Rotation3, Translation3, UnitQuaternion, Vector2, Vector3};
+use crate::rig::View;
+use nalgebra::{Isometry3, Point2, Point3, Vector2};
 
 /// Samples a pixel is drawn with.
 const SAMPLES: usize = 48;
@@ -18,138 +16,28 @@ const SAMPLES: usize = 48;
 const DARK: f64 = 46.0;
 const LIGHT: f64 = 205.0;
 const GROUND: f64 = 112.0;
-/// Tilts, degrees: in air, and in the rig, where all views must see the front.
-const TILT_DEG: (f64, f64) = (40.0, 30.0);
-/// Part of the picture's width that a board in air fills.
-const FILLS: (f64, f64) = (0.35, 0.6);
-/// How far from the catheter's middle a board in the rig stands, by its own width.
-const ASIDE: f64 = 0.45;
-/// Poses tried for each picture.
-const ATTEMPTS: usize = 20_000;
-
-/// Where boards stand.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum BoardSet {
-    /// Before the bare camera.
-    Air,
-    /// In the rig, seen in all of its views.
-    Rig,
-}
-
-/// Why there are no pictures.
-#[derive(Debug, thiserror::Error)]
-pub enum BoardsError {
-    /// No pose is seen as a whole.
-    #[error(
-        "no place is found where {views} show a whole board of {width_mm:.0} mm: take a smaller one, or larger regions"
-    )]
-    NoPlace {
-        /// Which views.
-        views: String,
-        /// Its longer side, mm.
-        width_mm: f64,
-    },
-    /// No board at all.
-    #[error(transparent)]
-    Board(#[from] BoardError),
-}
 
 /// Draws boards.
 pub struct Boards {
-    size_px: [usize; 2],
+    size_px: [u32; 2],
     views: Vec<View>,
     board: Board,
     reader: Reader,
     blur_px: f64,
-    set: BoardSet,
-    /// Where boards stand in the rig: middle, and how the camera and mirrors look at it.
-    around: (Point3<f64>, Vector3<f64>),
-    rig: Rig,
 }
 
 impl Boards {
-    /// For a rig; `around` is where the catheter is, camera frame.
-    pub fn new(rig: &Rig, board: Board, set: BoardSet, around: Point3<f64>, blur_px: f64, sensor: Sensor) -> Self {
-        let views = match set {
-            BoardSet::Rig => rig.views.clone(),
-            BoardSet::Air => vec![View {
-                name: "air".to_owned(),
-                path: Vec::new(),
-                optics: OpticalPath { lens: rig.camera.lens, surfaces: Vec::new() },
-                region_px: Vec::new(),
-            }],
-        };
-        let seen = |view: &View| view.optics.project_with_jacobian(&around).ok().map(|seen| seen.ray.direction);
-        let sight: Vector3<f64> = views.iter().filter_map(seen).sum();
-        let sight = sight.try_normalize(1e-6).unwrap_or_else(Vector3::z);
-        let size_px = rig.camera.size_px.map(|n| n as usize);
-        Self {
-            size_px,
-            views,
-            board,
-            reader: Reader::new(sensor),
-            blur_px,
-            set,
-            around: (around, sight),
-            rig: rig.clone(),
-        }
+    /// Of a camera with pictures of this size and these views; `blur_px` is that of lens and pixel together.
+    pub fn new(size_px: [u32; 2], views: Vec<View>, board: Board, blur_px: f64, sensor: Sensor) -> Self {
+        Self { size_px, views, board, reader: Reader::new(sensor), blur_px }
     }
 
-    /// So many poses of the board's middle, camera frame, the same for a seed.
-    ///
-    /// # Errors
-    /// [`BoardsError::NoPlace`] when no pose is seen as a whole.
-    pub fn poses(&self, count: usize, seed: u64) -> Result<Vec<Isometry3<f64>>, BoardsError> {
-        let mut random = fastrand::Rng::with_seed(seed ^ 0x626f_6172);
-        let mut poses = Vec::with_capacity(count);
-        for k in 0..count {
-            let found = (0..ATTEMPTS).find_map(|_| {
-                let pose = self.pose(k, &mut random);
-                self.views.iter().all(|view| self.shows(view, &pose)).then_some(pose)
-            });
-            poses.push(found.ok_or_else(|| BoardsError::NoPlace {
-                views: self.views.iter().map(|view| format!("`{}`", view.name)).collect::<Vec<_>>().join(" and "),
-                width_mm: self.board.columns.max(self.board.rows) as f64 * self.board.square_m * 1e3,
-            })?);
-        }
-        Ok(poses)
+    pub(super) fn views(&self) -> &[View] {
+        &self.views
     }
 
-    fn pose(&self, k: usize, random: &mut fastrand::Rng) -> Isometry3<f64> {
-        let mut uniform = |from: f64, to: f64| from + (to - from) * random.f64();
-        let width_m = (self.board.columns + 1) as f64 * self.board.square_m;
-        let tilt = if self.set == BoardSet::Air { TILT_DEG.0 } else { TILT_DEG.1 };
-        // Tilts go round, so that few pictures have all of them.
-        let round = k as f64 * 2.4 + uniform(-0.4, 0.4);
-        let size = (tilt * uniform(0.55, 1.0)).to_radians();
-        let turn = Rotation3::from_axis_angle(&Vector3::z_axis(), uniform(-10.0, 10.0_f64).to_radians())
-            * Rotation3::from_euler_angles(size * round.sin(), size * round.cos(), 0.0);
-        let (middle, facing) = match self.set {
-            BoardSet::Air => {
-                let lens = &self.rig.camera.lens;
-                let distance_m = lens.focal_px.x * width_m / (uniform(FILLS.0, FILLS.1) * self.size_px[0] as f64);
-                let pixel = Point2::new(
-                    uniform(0.15, 0.85) * self.size_px[0] as f64,
-                    uniform(0.15, 0.85) * self.size_px[1] as f64,
-                );
-                let at = lens.undistort(&pixel).unwrap_or_else(Point2::origin);
-                (Point3::new(at.x, at.y, 1.0) * distance_m, Vector3::z())
-            }
-            BoardSet::Rig => {
-                let mut aside = || uniform(-ASIDE, ASIDE) * width_m;
-                (self.around.0 + Vector3::new(aside(), aside(), aside()), self.around.1)
-            }
-        };
-        // The board's z points away from who looks at its front, its y down.
-        let down = if self.set == BoardSet::Air {
-            Vector3::y()
-        } else {
-            self.rig.base.as_ref().map_or_else(Vector3::y, |b| b.base_from_camera.rotation.inverse() * Vector3::z())
-        };
-        let across = down.cross(&facing).try_normalize(1e-6).unwrap_or_else(Vector3::x);
-        let basis = Rotation3::from_basis_unchecked(&[across, facing.cross(&across), facing]);
-        let turn = UnitQuaternion::from_rotation_matrix(&(basis * turn));
-        Isometry3::from_parts(Translation3::from(middle.coords), turn)
+    pub(super) fn board(&self) -> &Board {
+        &self.board
     }
 
     /// Where a view shows a place of the board, given in squares from corner 0.
@@ -167,19 +55,20 @@ impl Boards {
     }
 
     /// Whether a view shows the front of all of the board, its paper too.
-    fn shows(&self, view: &View, pose: &Isometry3<f64>) -> bool {
+    pub(super) fn shows(&self, view: &View, pose: &Isometry3<f64>) -> bool {
         let (columns, rows) = (self.board.columns as f64, self.board.rows as f64);
         let at = |column: f64, row: f64| self.place(&view.optics, pose, column, row);
         let rim = [(-2.0, -2.0), (columns + 1.0, -2.0), (columns + 1.0, rows + 1.0), (-2.0, rows + 1.0)];
         let rim = rim.map(|(column, row)| at(column, row));
-        let whole = rim.iter().flatten().filter(|p| in_picture(&self.rig, p) && view.contains(p)).count() == rim.len();
+        let whole =
+            rim.iter().flatten().filter(|p| is_within(self.size_px, p) && view.contains(p)).count() == rim.len();
         let [Some(a), Some(b), _, Some(d)] = rim else { return false };
         whole && ((b - a).perp(&(d - a)) > 0.0) != is_flipped(&view.optics)
     }
 
     /// The picture, grey values row by row; `seed` is that of its noise.
     pub fn picture(&self, pose: &Isometry3<f64>, seed: u64) -> Vec<u8> {
-        let [width, height] = self.size_px;
+        let [width, height] = self.size_px.map(|n| n as usize);
         let shade =
             |x: usize, y: usize| 0.9 + 0.16 * x as f64 / width as f64 + 0.05 * (5.0 * y as f64 / height as f64).sin();
         let mut light: Vec<f32> =
@@ -190,7 +79,7 @@ impl Boards {
         for view in views {
             self.draw(&mut light, view, pose);
         }
-        let colours = self.reader.read(self.size_px, seed, |y, to| {
+        let colours = self.reader.read([width, height], seed, |y, to| {
             to.extend(light.iter().skip(y * width).take(width).flat_map(|v| [*v; 3]));
         });
         colours.into_iter().step_by(3).collect()
@@ -202,12 +91,13 @@ impl Boards {
         let rim = [(-2.0, -2.0), (columns + 1.0, -2.0), (columns + 1.0, rows + 1.0), (-2.0, rows + 1.0)];
         let ends = rim.iter().map(|(c, r)| self.place(path, pose, *c, *r)).collect::<Option<Vec<_>>>();
         let Some(ends) = ends else { return };
+        let [width, height] = self.size_px.map(|n| n as usize);
         let bound = |of: fn(&Point2<f64>) -> f64, most: usize| {
             let low = ends.iter().map(of).fold(f64::INFINITY, f64::min) - 4.0 * self.blur_px;
             let high = ends.iter().map(of).fold(f64::NEG_INFINITY, f64::max) + 4.0 * self.blur_px;
             low.floor().clamp(0.0, most as f64) as usize..(high.ceil() + 1.0).clamp(0.0, most as f64) as usize
         };
-        let (xs, ys) = (bound(|p| p.x, self.size_px[0]), bound(|p| p.y, self.size_px[1]));
+        let (xs, ys) = (bound(|p| p.x, width), bound(|p| p.y, height));
         let flipped = is_flipped(path);
         let offsets = offsets(self.blur_px);
         let dim = if is_mirrored(path) { 0.85 } else { 1.0 };
@@ -226,7 +116,7 @@ impl Boards {
                 }
                 let (middle, right, down) = ((a + b + c + d) / 4.0, (b + d - a - c) / 2.0, (c + d - a - b) / 2.0);
                 let from_behind = (right.perp(&down) < 0.0) != flipped;
-                let Some(sample) = light.get_mut(y * self.size_px[0] + x) else { continue };
+                let Some(sample) = light.get_mut(y * width + x) else { continue };
                 let ground = f64::from(*sample);
                 let sum: f64 = offsets
                     .iter()

@@ -64,7 +64,7 @@ impl Look {
     ///
     /// # Errors
     /// [`NoRay`] when a view has no central ray.
-    pub(super) fn of(rig: &Rig, bands_m: Vec<(f64, f64)>, highlight: f64) -> Result<Self, NoRay> {
+    pub(super) fn of(rig: &Rig, bands_m: Vec<(f64, f64)>, lamp: Vector3<f64>, highlight: f64) -> Result<Self, NoRay> {
         let learned: Vec<Vec<Option<Vector3<f64>>>> = (0..rig.views.len())
             .map(|view| rig.markers.iter().map(|marker| marker.colour(view).map(|model| model.rgb)).collect())
             .collect();
@@ -92,9 +92,7 @@ impl Look {
                 background: dimmed(BACKGROUND),
             });
         }
-        // Above and before what the camera looks at, a little to the left.
-        let lamp = Vector3::new(-0.35, -0.75, -0.55).normalize();
-        Ok(Self { views, bands_m, lamp, highlight })
+        Ok(Self { views, bands_m, lamp: lamp.try_normalize(1e-9).unwrap_or_else(|| -Vector3::z()), highlight })
     }
 
     /// Light that a place of the tube sends into a view.

@@ -24,7 +24,7 @@ const STEP_S: f64 = 5e-3;
 
 /// Motions that need no table.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Usual {
+pub enum StandardMotion {
     /// No current.
     Rest,
     /// A growing swing in the plane of B0 and the tube.
@@ -35,7 +35,7 @@ pub enum Usual {
     Lemniscate,
 }
 
-impl Usual {
+impl StandardMotion {
     /// Its currents, for as long as asked for, seconds.
     ///
     /// # Errors
@@ -108,7 +108,7 @@ impl Rod {
     }
 
     /// Goes on to a time, seconds; an earlier one is taken for now.
-    fn go_to(&mut self, time_s: f64) -> Result<(), CatheterError> {
+    fn advance_to(&mut self, time_s: f64) -> Result<(), CatheterError> {
         if time_s > self.now_s {
             let commands = &self.commands;
             let load = |from_s: f64, to_s: f64| Load::currents(commands.mean(from_s, to_s));
@@ -124,14 +124,14 @@ impl Rod {
     /// [`MotionError`] when the motion cannot be computed.
     pub fn exposed(&mut self, time_s: f64, exposure_s: f64) -> Result<Exposed, MotionError> {
         if exposure_s <= 0.0 {
-            self.go_to(time_s)?;
+            self.advance_to(time_s)?;
             return Ok(Exposed::still(&self.line()?));
         }
-        self.go_to(time_s - exposure_s / 2.0)?;
+        self.advance_to(time_s - exposure_s / 2.0)?;
         let begin = self.line()?;
-        self.go_to(time_s)?;
+        self.advance_to(time_s)?;
         let middle = self.line()?;
-        self.go_to(time_s + exposure_s / 2.0)?;
+        self.advance_to(time_s + exposure_s / 2.0)?;
         Ok(Exposed { begin, middle, end: self.line()? })
     }
 }

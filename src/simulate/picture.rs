@@ -21,7 +21,7 @@ const REACH: usize = 3;
 
 /// A tube that moves by this while it is exposed is drawn once more, pixels; and at most so many times.
 const MOTION_PX: f64 = 0.4;
-const MOST_MOMENTS: usize = 24;
+const MAX_MOMENTS: usize = 24;
 
 /// How far below the clamp's edge the tube is drawn, radii: it is seen into the clamp.
 const HIDDEN_RADII: f64 = 4.0;
@@ -115,7 +115,7 @@ impl Renderer {
             Some(seen.d_pixel.norm() / std::f64::consts::SQRT_2)
         });
         let way_px = way_m * px_m.fold(0.0, f64::max);
-        let count = ((way_px / MOTION_PX).ceil() as usize).clamp(1, MOST_MOMENTS);
+        let count = ((way_px / MOTION_PX).ceil() as usize).clamp(1, MAX_MOMENTS);
         let at = |k: usize| exposed.begin.between(&exposed.middle, &exposed.end, (k as f64 + 0.5) / count as f64);
         if count == 1 { vec![exposed.middle.clone()] } else { (0..count).map(at).collect() }
     }

@@ -14,6 +14,8 @@ const BLUR_PX: f64 = 0.55;
 /// The clamp: how much wider than the tube, and its length, metres.
 const CLAMP_RADII: f64 = 2.6;
 const CLAMP_M: f64 = 50e-3;
+/// Above and before what the camera looks at, a little to the left.
+const LAMP: Vector3<f64> = Vector3::new(-0.35, -0.75, -0.55);
 /// Sides of distractors, pixels.
 const DISTRACTOR_PX: (f64, f64) = (8.0, 22.0);
 /// How far from the catheter's images distractors stay, pixels.
@@ -41,6 +43,8 @@ pub struct Scene {
     pub clamp: Clamp,
     /// The camera's sensor.
     pub sensor: Sensor,
+    /// Towards the lamp, camera frame.
+    pub lamp: Vector3<f64>,
     /// Light of a highlight on the tube, 1 being white.
     pub highlight: f64,
     /// How many things in the colours of bands stand around.
@@ -61,6 +65,7 @@ impl Scene {
             rest: rest.clone(),
             clamp: Clamp { radius_m: CLAMP_RADII * rig.catheter.diameter_m / 2.0, length_m: CLAMP_M },
             sensor: Sensor::default(),
+            lamp: LAMP,
             highlight: 0.0,
             distractors: 0,
             seed: 1,
@@ -112,7 +117,7 @@ impl Scene {
     }
 
     pub(super) fn look(&self, rig: &Rig) -> Result<Look, SceneError> {
-        Ok(Look::of(rig, self.bands_m.clone(), self.highlight)?)
+        Ok(Look::of(rig, self.bands_m.clone(), self.lamp, self.highlight)?)
     }
 
     /// Light of what stands still behind everything, R G B of each pixel, sharp.
@@ -179,8 +184,13 @@ impl Scene {
     }
 }
 
-/// Whether a pixel is in the picture.
+/// Whether a pixel is in the rig's pictures.
 pub(super) fn in_picture(rig: &Rig, pixel: &Point2<f64>) -> bool {
-    let [width, height] = rig.camera.size_px.map(f64::from);
+    is_within(rig.camera.size_px, pixel)
+}
+
+/// Whether a pixel is in a picture of this size.
+pub(super) fn is_within(size_px: [u32; 2], pixel: &Point2<f64>) -> bool {
+    let [width, height] = size_px.map(f64::from);
     (-0.5..width - 0.5).contains(&pixel.x) && (-0.5..height - 0.5).contains(&pixel.y)
 }

@@ -12,13 +12,14 @@ use nalgebra::Vector3;
 const NOISE: f64 = 2.0;
 
 /// The rig, able to track pictures of this scene. Colours that are there are kept; chroma is sampled where our pictures
-/// say it is, whatever the recorder did that the rig was calibrated with.
+/// say it is, and light stored as they say, whatever the recorder did that the rig was calibrated with.
 ///
 /// # Errors
 /// [`SceneError`] when a view is lost, or the colours cannot be told apart.
 pub fn taught(rig: &Rig, scene: &Scene) -> Result<Rig, SceneError> {
     let mut new = rig.clone();
     new.camera.chroma_offset_px = [0.0; 2];
+    new.camera.gamma = None;
     if rig.markers.iter().all(|marker| !marker.colours.is_empty()) {
         return Ok(new);
     }

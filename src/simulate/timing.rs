@@ -3,7 +3,7 @@
 /// A camera's clock.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Timing {
-    /// Frames a second.
+    /// Frames per second.
     pub rate_hz: f64,
     /// Standard deviation of an exposure's time about its place in the row, seconds; cut off at 2 σ.
     pub jitter_s: f64,

@@ -25,5 +25,6 @@ pub fn truth(rig: &Rig, seq: u64, stamp: Stamp, line: &CentreLine, centres_m: &[
         markers: centres_m.iter().map(marker).collect(),
         deflection: rig.base.as_ref().map(|base| deflection(&tangent, base)).ok_or(Miss::NoBaseFrame),
         tangent: Ok(tangent),
+        tick: None,
     }
 }

@@ -20,7 +20,7 @@ const SPACING_M: f64 = 2e-3;
 const STEPS: usize = 3;
 
 /// Directions along the line of sight for which the tube's axis counts as across it, at least.
-const LEAST_SINE: f64 = 0.02;
+const MIN_SINE: f64 = 0.02;
 
 /// A place of the tube's surface.
 #[derive(Debug, Clone, Copy)]
@@ -64,7 +64,7 @@ struct Knot {
     pixel: Point2<f64>,
     /// Direction along the axis in the picture.
     along: Vector2<f64>,
-    /// Half width in pixels, and pixels by metre along the axis.
+    /// Half width in pixels, and pixels per metre along the axis.
     half_px: f64,
     along_px_m: f64,
 }
@@ -140,7 +140,7 @@ impl Solid {
     }
 
     /// Calls `visit` with each cell near the axis from `a` to `b`, a place on the tube near by, and the scales there:
-    /// half width and pixels by metre along the axis.
+    /// half width and pixels per metre along the axis.
     fn stretch(
         &self,
         rays: &Rays,
@@ -202,7 +202,7 @@ impl Solid {
             let (place, along) = line.at(arc_m);
             let off = place - ray.origin;
             let (off, across) = (off - d * off.dot(&d), along - d * along.dot(&d));
-            arc_m -= (off.dot(&across) / across.norm_squared().max(LEAST_SINE * LEAST_SINE)).clamp(-radius_m, radius_m);
+            arc_m -= (off.dot(&across) / across.norm_squared().max(MIN_SINE * MIN_SINE)).clamp(-radius_m, radius_m);
         }
         let (place, along) = line.at(arc_m);
         let off = place - ray.origin;
@@ -217,7 +217,7 @@ impl Solid {
         let cover = outline.min(1.0);
         // 2. where it meets the surface, or as near as it comes to it
         let cosine = d.dot(&along);
-        let sine = (1.0 - cosine * cosine).sqrt().max(LEAST_SINE);
+        let sine = (1.0 - cosine * cosine).sqrt().max(MIN_SINE);
         let mut depth_m = towards - (radius_m * radius_m - distance_m * distance_m).max(0.0).sqrt() / sine;
         let mut met_m = arc_m + (depth_m - towards) * cosine;
         let mut normal = ray.at(depth_m) - line.at(met_m).0;
@@ -240,7 +240,7 @@ impl Solid {
         let began = (0.5 + (met_m - self.from_m) / arc_width_m).clamp(0.0, 1.0);
         let (end, facing) = line.at(self.to_m);
         let mut face = 0.0;
-        if within < 1.0 && facing.dot(&d) < -LEAST_SINE {
+        if within < 1.0 && facing.dot(&d) < -MIN_SINE {
             let met = ray.at((end - ray.origin).dot(&facing) / d.dot(&facing));
             let off = met - end;
             // The face is seen obliquely: along the axis' image a cell covers more of it.

@@ -1,16 +1,16 @@
-//! Where zero is on the time axis of files made to be looked at.
+//! Zero of the time axis in files for people.
 
 /// Start of the time axis of an overlay video or a report, nanoseconds of the camera's clock.
 ///
-/// Recordings count from near zero and are shown with their own times. Clocks that count from the start of the computer
-/// or from 1970 would put hours or decades before the first frame: there the axis starts at the first frame.
+/// Recordings count from near zero and are shown with their own times. With clocks that count from the computer's start
+/// or from 1970 the axis would begin hours or decades before the first frame: there it starts at the first frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Origin {
     /// Camera time of zero.
     pub ns: i64,
 }
 
-/// First stamps up to here are shown as they are: one hour.
+/// Latest first stamp that is shown unchanged: one hour.
 const LATEST_OWN_ZERO_NS: i64 = 3_600_000_000_000;
 
 impl Origin {

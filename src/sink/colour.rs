@@ -1,8 +1,8 @@
-//! Pictures of any storage to BGR for drawing, and BGR to what encoders take, by swscale.
+//! Converts pictures of any format to BGR for drawing, and BGR to encoders' formats, with swscale.
 //!
 //! In: a [`Picture`] with its matrix and range. Out: interleaved B'G'R', 8 bits, full range. Grey and RGB are copied
 //! (grey stretched when its range is limited), YUV is converted with the picture's own matrix. Chroma is interpolated
-//! between samples taken at swscale's default siting: up to half a pixel off the picture's, invisible in a drawing.
+//! between samples taken at swscale's default siting: up to half a pixel from the picture's, invisible in a drawing.
 
 use crate::source::{Matrix, Picture, PixelFormat, Plane, Range};
 use ffmpeg_the_third::format::Pixel;
@@ -12,15 +12,16 @@ use ffmpeg_the_third::{Error, ffi, frame};
 /// Converts pictures to BGR; keeps its tables and buffers from picture to picture.
 #[derive(Default)]
 pub(crate) struct ToBgr {
-    /// What the scaler was made for.
+    /// Format that the scaler was made for.
     key: Option<(Pixel, [u32; 2], Matrix, Range)>,
     scaler: Option<Scaler>,
+    quick: bool,
 }
 
 /// Why a picture could not be converted.
 #[derive(Debug)]
 pub(crate) enum ConvertError {
-    /// Chroma subsampling that libav has no name for.
+    /// Chroma subsampling without a libav format.
     Unsupported(PixelFormat),
     /// What libav said.
     Av(Error),
@@ -33,7 +34,12 @@ impl From<Error> for ConvertError {
 }
 
 impl ToBgr {
-    /// Writes the picture as rows of B'G'R' into `bgr`, `stride` bytes a row.
+    /// One that takes a tenth of the time: chroma is that of the nearest sample, and values are rounded to two or so.
+    pub(crate) fn quick() -> Self {
+        Self { quick: true, ..Self::default() }
+    }
+
+    /// Writes the picture as rows of B'G'R' into `bgr`, `stride` bytes per row.
     pub(crate) fn convert(&mut self, picture: &Picture, bgr: &mut [u8], stride: usize) -> Result<(), ConvertError> {
         let pixel = match picture.format() {
             PixelFormat::Grey => {
@@ -74,6 +80,7 @@ impl ToBgr {
                 (pixel, colour.matrix, colour.range),
                 (Pixel::BGR24, colour.matrix, Range::Full),
                 picture.size_px(),
+                if self.quick { Flags::FAST_BILINEAR } else { ACCURATE },
             )?),
         };
         self.key = Some(key);
@@ -92,29 +99,24 @@ impl ToBgr {
     }
 }
 
-/// Converts BGR drawings to what an encoder takes.
+/// Converts BGR drawings to an encoder's format.
 pub(crate) struct FromBgr {
     scaler: Scaler,
     to: Pixel,
 }
 
 impl FromBgr {
-    /// BT.709, limited range, 4:2:0, as videos have it; of an even width and height.
+    /// BT.709, limited range, 4:2:0, as in videos; width and height must be even.
     pub(crate) fn for_video(size_px: [u32; 2]) -> Result<Self, Error> {
         Self::new(Pixel::YUV420P, Matrix::Bt709, Range::Limited, size_px)
     }
 
-    /// BT.601, full range, 4:4:4: JPEG's own, in which lines of one pixel keep their colour.
-    pub(crate) fn for_jpeg(size_px: [u32; 2]) -> Result<Self, Error> {
-        Self::new(Pixel::YUV444P, Matrix::Bt601, Range::Full, size_px)
-    }
-
     fn new(to: Pixel, matrix: Matrix, range: Range, size_px: [u32; 2]) -> Result<Self, Error> {
         let from = (Pixel::BGR24, matrix, Range::Full);
-        Ok(Self { scaler: Scaler::new(from, (to, matrix, range), size_px)?, to })
+        Ok(Self { scaler: Scaler::new(from, (to, matrix, range), size_px, ACCURATE)?, to })
     }
 
-    /// A new frame with the drawing: encoders hold on to frames, so none is written twice.
+    /// A new frame with the drawing: encoders keep references to frames, so none is reused.
     pub(crate) fn convert(&mut self, bgr: &[u8], stride: usize) -> Result<frame::Video, Error> {
         let to_stride = self.scaler.from.stride(0);
         let row_bytes = 3 * self.scaler.from.width() as usize;
@@ -128,6 +130,9 @@ impl FromBgr {
     }
 }
 
+/// Chroma between samples is interpolated, and values are rounded to the nearest.
+const ACCURATE: Flags = Flags::BILINEAR.union(Flags::ACCURATE_RND).union(Flags::FULL_CHR_H_INT);
+
 /// A scaler between two buffers that it owns.
 struct Scaler {
     context: Context,
@@ -140,9 +145,13 @@ struct Scaler {
 unsafe impl Send for Scaler {}
 
 impl Scaler {
-    fn new(from: (Pixel, Matrix, Range), to: (Pixel, Matrix, Range), size: [u32; 2]) -> Result<Self, Error> {
+    fn new(
+        from: (Pixel, Matrix, Range),
+        to: (Pixel, Matrix, Range),
+        size: [u32; 2],
+        flags: Flags,
+    ) -> Result<Self, Error> {
         let [w, h] = size;
-        let flags = Flags::BILINEAR | Flags::ACCURATE_RND | Flags::FULL_CHR_H_INT;
         let mut context = Context::get(from.0, w, h, to.0, w, h, flags)?;
         set_colour(&mut context, (from.1, from.2), (to.1, to.2))?;
         Ok(Self { context, from: allocated(from.0, size)?, to: allocated(to.0, size)? })
@@ -153,7 +162,7 @@ impl Scaler {
     }
 }
 
-/// A frame with its buffers: libav reports a failed allocation by leaving them out.
+/// A frame with its buffers: libav reports a failed allocation by omitting them.
 fn allocated(pixel: Pixel, [w, h]: [u32; 2]) -> Result<frame::Video, Error> {
     let frame = frame::Video::new(pixel, w, h);
     let planes = if pixel == Pixel::BGR24 { 1 } else { 3 };
@@ -228,7 +237,7 @@ mod tests {
 
     const SIZE: [u32; 2] = [32, 16];
 
-    /// A picture of one colour, its samples computed by the definition of the format.
+    /// A picture of one colour, its samples computed from the definition of the format.
     fn uniform(format: PixelFormat, colour: Colour, rgb: [f64; 3]) -> Picture {
         let value = |channel: usize| {
             let (w, c) = colour.channel_from_rgb(format, channel);
@@ -265,19 +274,20 @@ mod tests {
             PixelFormat::RgbPacked { step: 3, order: [0, 1, 2] },
             PixelFormat::RgbPacked { step: 4, order: [2, 1, 0] },
         ];
-        let mut to_bgr = ToBgr::default();
         let stride = 3 * SIZE[0] as usize;
         let mut bgr = vec![0; stride * SIZE[1] as usize];
-        for format in formats {
-            for matrix in [Matrix::Bt601, Matrix::Bt709, Matrix::Bt2020] {
-                for range in [Range::Limited, Range::Full] {
-                    let colour = Colour { matrix, range, siting: ChromaSiting::Left, ..Colour::SRGB };
-                    for rgb in [[200.0, 40.0, 90.0], [30.0, 160.0, 60.0], [20.0, 60.0, 220.0], [250.0; 3]] {
-                        to_bgr.convert(&uniform(format, colour, rgb), &mut bgr, stride).unwrap();
-                        for pixel in bgr.chunks(3) {
-                            let off = [0, 1, 2].map(|i| (f64::from(pixel[2 - i]) - rgb[i]).abs());
-                            assert!(off.iter().all(|o| *o <= 3.0), "{format:?} {colour:?}: {rgb:?} became {pixel:?}");
-                        }
+        for (mut to_bgr, most) in [(ToBgr::default(), 3.0), (ToBgr::quick(), 4.0)] {
+            for (format, matrix, range) in formats.iter().flat_map(|format| {
+                let ranges = [Range::Limited, Range::Full];
+                let all = [Matrix::Bt601, Matrix::Bt709, Matrix::Bt2020].into_iter();
+                all.flat_map(move |matrix| ranges.map(|range| (*format, matrix, range)))
+            }) {
+                let colour = Colour { matrix, range, siting: ChromaSiting::Left, ..Colour::SRGB };
+                for rgb in [[200.0, 40.0, 90.0], [30.0, 160.0, 60.0], [20.0, 60.0, 220.0], [250.0; 3]] {
+                    to_bgr.convert(&uniform(format, colour, rgb), &mut bgr, stride).unwrap();
+                    for pixel in bgr.chunks(3) {
+                        let off = [0, 1, 2].map(|i| (f64::from(pixel[2 - i]) - rgb[i]).abs());
+                        assert!(off.iter().all(|o| *o <= most), "{format:?} {colour:?}: {rgb:?} became {pixel:?}");
                     }
                 }
             }

@@ -1,4 +1,4 @@
-//! The table: one row a camera frame, RFC 4180 (comma, CRLF, quotes only where needed), with a fixed header.
+//! The table: one row per camera frame, RFC 4180 (comma, CRLF, quotes only where needed), with a fixed header.
 //!
 //! | column | meaning |
 //! |---|---|
@@ -7,19 +7,20 @@
 //! | `stamp_ns` | camera time, nanoseconds since the clock's zero |
 //! | `theta_deg`, `theta_sd_deg` | deflection θ and its standard deviation |
 //! | `polar_deg`, `azimuth_deg` | angle between tangent and the base frame's z; direction of the deflection around z |
-//! | `NAME_x_mm`, `NAME_y_mm`, `NAME_z_mm` | place of marker NAME: middle of the band on the tube's centre line |
+//! | `NAME_x_mm`, `NAME_y_mm`, `NAME_z_mm` | position of marker NAME: middle of the band on the tube's centre line |
 //! | `NAME_sd_mm` | standard deviation of one coordinate, on average over the three |
-//! | `NAME_status` | `ok`, or why there is no place: [`Miss::word`](crate::estimate::Miss::word) |
+//! | `NAME_status` | `ok`, or why there is no position: [`Miss::word`](crate::estimate::Miss::word) |
 //! | `tan_x`, `tan_y`, `tan_z` | unit direction of the coil, base to tip |
 //! | `tan_sd_deg` | its standard deviation, on average over the two directions across |
 //! | `gap` | camera frames lost before this one |
+//! | `tick` | only where a lamp is watched: its count of commands, modulo 2 |
 //!
 //! The five columns of a marker are repeated for every marker of the rig, in its order. Positions and the tangent are
-//! in the [`OutputFrame`] asked for; θ, polar and azimuth always are in the base frame. What is not known is an empty
-//! cell. mm are given to 1e-6, degrees to 1e-6, the unit vector to 1e-7: below what the numbers mean, above what would
-//! be lost.
+//! in the requested [`OutputFrame`]; θ, polar and azimuth are always in the base frame. An unknown value is an empty
+//! cell. mm are given to 1e-6, degrees to 1e-6, the unit vector to 1e-7: finer than the measurement, so nothing is
+//! lost.
 //!
-//! Every row is handed to the system before the next frame is looked at: a killed run keeps all rows written. When the
+//! Every row is passed to the system before the next frame is processed: a killed run keeps all rows written. When the
 //! disk is full the table ends with its last complete row.
 
 use super::{OutputFrame, Sink, SinkError, same_error, settle};
@@ -43,30 +44,40 @@ pub struct CsvSink {
     writer: Writer<WholeRows>,
     output_from_camera: Isometry3<f64>,
     views: Vec<String>,
+    ticks: bool,
 }
 
 impl CsvSink {
     /// Creates the file (an existing one is replaced) and writes its header.
     ///
     /// # Errors
-    /// [`SinkError::NoBaseFrame`] when `frame` is the base and the rig has none; [`SinkError::Io`] when the file cannot
-    /// be created or written.
+    /// [`SinkError::NoBaseFrame`] when `frame` is the base frame and the rig has none; [`SinkError::Io`] when the file
+    /// cannot be created or written.
     pub fn create(path: &Path, rig: &Rig, frame: OutputFrame) -> Result<Self, SinkError> {
-        Self::onto(path, rig, frame, || File::create(path).map(Place::File))
+        Self::onto(path, rig, frame, false, || File::create(path).map(Place::File))
     }
 
-    /// The table on standard output.
+    /// As [`CsvSink::create`], with a column for the tick.
     ///
     /// # Errors
     /// As [`CsvSink::create`].
-    pub fn on_stdout(rig: &Rig, frame: OutputFrame) -> Result<Self, SinkError> {
-        Self::onto(Path::new("standard output"), rig, frame, || Ok(Place::Stdout(io::stdout())))
+    pub fn with_ticks(path: &Path, rig: &Rig, frame: OutputFrame) -> Result<Self, SinkError> {
+        Self::onto(path, rig, frame, true, || File::create(path).map(Place::File))
+    }
+
+    /// The table on standard output, with a column for the tick or without.
+    ///
+    /// # Errors
+    /// As [`CsvSink::create`].
+    pub fn on_stdout(rig: &Rig, frame: OutputFrame, ticks: bool) -> Result<Self, SinkError> {
+        Self::onto(Path::new("standard output"), rig, frame, ticks, || Ok(Place::Stdout(io::stdout())))
     }
 
     fn onto(
         path: &Path,
         rig: &Rig,
         frame: OutputFrame,
+        ticks: bool,
         open: impl FnOnce() -> io::Result<Place>,
     ) -> Result<Self, SinkError> {
         let output_from_camera =
@@ -77,8 +88,9 @@ impl CsvSink {
             writer: WriterBuilder::new().terminator(Terminator::CRLF).from_writer(WholeRows::new(place)),
             output_from_camera,
             views: rig.views.iter().map(|view| view.name.clone()).collect(),
+            ticks,
         };
-        sink.record(&table::header(rig.markers.iter().map(|marker| marker.name.as_str())))?;
+        sink.record(&table::header(rig.markers.iter().map(|marker| marker.name.as_str()), ticks))?;
         Ok(sink)
     }
 
@@ -91,7 +103,11 @@ impl CsvSink {
 impl Sink for CsvSink {
     fn write(&mut self, estimate: &Estimate, _: Option<&Picture>) -> Result<(), SinkError> {
         let views: Vec<&str> = self.views.iter().map(String::as_str).collect();
-        self.record(&row(estimate, &self.output_from_camera, &views))
+        let mut cells = row(estimate, &self.output_from_camera, &views);
+        if self.ticks {
+            cells.push(estimate.tick.map_or_else(String::new, |tick| tick.count.to_string()));
+        }
+        self.record(&cells)
     }
 
     fn finish(&mut self, _: &Tally) -> Result<(), SinkError> {
@@ -103,7 +119,7 @@ impl Sink for CsvSink {
     }
 }
 
-/// A file of rows, a `flush` behind each: none is left half written, none is tried again after a failure.
+/// A file of rows, flushed after each: none is left half written, and none is retried after a failure.
 #[derive(Debug)]
 struct WholeRows {
     place: Place,
@@ -145,7 +161,7 @@ impl Write for WholeRows {
                 Ok(bytes.len())
             }
             Err(error) => {
-                // Where this fails too (a pipe, a disk that is gone) there is nothing left to tidy.
+                // If this also fails (a pipe, a lost disk) there is nothing to clean up.
                 if let Place::File(file) = &self.place {
                     let _ = file.set_len(self.complete);
                 }
@@ -161,12 +177,12 @@ impl Write for WholeRows {
     }
 }
 
-/// What the system said, without the wrapping that hides it.
+/// The system's error, without the wrapper that hides it.
 fn system_error(error: csv::Error) -> io::Error {
     match error.into_kind() {
         ErrorKind::Io(source) => source,
         ErrorKind::UnequalLengths { expected_len, len, .. } => {
-            io::Error::other(format!("the frame has {len} cells, the rig's markers ask for {expected_len}"))
+            io::Error::other(format!("the frame has {len} cells, the rig's markers need {expected_len}"))
         }
         other => io::Error::other(format!("{other:?}")),
     }
@@ -214,7 +230,7 @@ fn empty<const N: usize>() -> [String; N] {
     std::array::from_fn(|_| String::new())
 }
 
-/// `value` with `decimals` places, and no sign on a zero.
+/// `value` with `decimals` decimal places, and no sign on a zero.
 pub(crate) fn fixed(value: f64, decimals: usize) -> String {
     let text = format!("{value:.decimals$}");
     match text.strip_prefix('-') {
@@ -223,7 +239,7 @@ pub(crate) fn fixed(value: f64, decimals: usize) -> String {
     }
 }
 
-/// Nanoseconds as decimal seconds, by integer arithmetic: a float would round 64-bit time stamps.
+/// Nanoseconds as decimal seconds, by integer arithmetic: floating point would round 64-bit time stamps.
 pub(crate) fn decimal_seconds(ns: i64) -> String {
     let sign = if ns < 0 { "-" } else { "" };
     let magnitude = ns.unsigned_abs();
@@ -360,7 +376,7 @@ mod tests {
         let mut estimate = plain(0, 0);
         estimate.markers.truncate(2);
         let error = sink.write(&estimate, None).unwrap_err().to_string();
-        assert!(error.contains("the frame has 22 cells, the rig's markers ask for 27"), "{error}");
+        assert!(error.contains("the frame has 22 cells, the rig's markers need 27"), "{error}");
     }
 
     #[test]

@@ -1,12 +1,12 @@
 //! [`RosSink`]: the topics of a log of profile `ros2`, live over DDS, to ROS 2 nodes and to other programs. Pure Rust: no
 //! ROS installation is needed.
 //!
-//! Stamps are on the host's clock; `/camera/time_reference` has the camera's own of every frame. What is on `/tf_static`
-//! is kept for subscribers that come late; `/camera/camera_info` is sent again about once a second. Nothing here waits for
-//! a subscriber: one that cannot follow loses messages.
+//! Stamps are on the host's clock; `/camera/time_reference` has the camera's own for every frame. `/tf_static` is kept
+//! for late subscribers; `/camera/camera_info` is repeated about once a second. Nothing here waits for a subscriber: a
+//! slow one loses messages.
 //!
-//! Discovery and data keep to the loopback interface unless the whole network is asked for. What this cannot do: keep
-//! others on this computer out, and hide from them; DDS has no passwords here.
+//! Discovery and data use only the loopback interface unless the whole network is requested. What this cannot do: keep
+//! out or hide from others on this computer; DDS has no passwords here.
 
 use super::encoder::MessageEncoder;
 use super::ros2::{Body, RosEncoder, RosMessage, RosTopic};
@@ -30,7 +30,7 @@ use std::net::{IpAddr, Ipv4Addr};
 pub struct RosSink {
     messages: MessageEncoder,
     encoder: RosEncoder,
-    /// In the order of the encoder's topics; `None` of those that are never published live.
+    /// In the order of the encoder's topics; `None` for those never published live.
     publishers: Vec<Option<Line>>,
     /// Keep the participant alive.
     _node: Node,
@@ -56,14 +56,14 @@ impl Qos {
         let profile = QosProfile::publisher_default().history(History::KeepLast { depth: self.depth() });
         match self {
             Self::Sensor => profile.reliability_best_effort().durability(Durability::Volatile),
-            // A subscriber that does not confirm holds up nobody.
+            // A subscriber that does not acknowledge delays nobody.
             Self::Reliable => profile.reliability_reliable(WhenFull::Fail).durability(Durability::Volatile),
             Self::Kept => profile.reliability_reliable(WhenFull::Fail).durability(Durability::TransientLocal),
         }
     }
 }
 
-/// A participant of `domain`: on the loopback interface alone, or on all networks.
+/// A participant of `domain`: on the loopback interface only, or on all networks.
 pub(crate) fn context(domain: u16, everywhere: bool) -> Result<Context, String> {
     let builder = DomainParticipantBuilder::new(domain);
     let builder = if everywhere { builder } else { builder.with_only_networks([IpAddr::V4(Ipv4Addr::LOCALHOST)]) };
@@ -78,10 +78,10 @@ pub(crate) fn node(context: &Context, name: &str) -> Result<Node, String> {
 }
 
 impl RosSink {
-    /// Begins to publish in `domain`: to this computer alone, or to all networks.
+    /// Begins to publish in `domain`: to this computer only, or to all networks.
     ///
     /// # Errors
-    /// [`SinkError::Ros`] when the system gives no socket.
+    /// [`SinkError::Ros`] when the system provides no socket.
     pub fn open(domain: u16, everywhere: bool, rig: &Rig) -> Result<Self, SinkError> {
         let encoder = RosEncoder::new(rig).on_host_clock();
         let open = || -> Result<_, String> {
@@ -146,7 +146,7 @@ fn publisher(node: &mut Node, topic: &RosTopic) -> Result<Option<Line>, String> 
         RosType::Pose => Line::Pose(publisher_of(node, topic)?),
         RosType::Time => Line::Time(publisher_of(node, topic)?),
         RosType::Transforms => Line::Transforms(publisher_of(node, topic)?),
-        // Pictures are not taken live, and nothing is wrapped.
+        // Live runs have no pictures and no wrapped messages.
         RosType::Image | RosType::Bytes => return Ok(None),
     }))
 }

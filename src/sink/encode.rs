@@ -1,7 +1,7 @@
 //! A video file of drawings: H.264 in MP4 through libav, every frame at its camera time.
 //!
-//! Times are rounded to whole microseconds (1/60 000 s with the MPEG-4 part 2 encoder, which cannot count finer): at
-//! most 0.5 µs (8.4 µs) from the stamp given, never accumulating. Frame intervals may vary; a gap stays a gap.
+//! Times are rounded to whole microseconds (1/60 000 s with the MPEG-4 part 2 encoder, its finest unit): at most 0.5 µs
+//! (8.4 µs) from the stamp given, never accumulating. Frame intervals may vary; a gap stays a gap.
 
 use super::SinkError;
 use super::clock::Origin;
@@ -10,7 +10,7 @@ use ffmpeg_the_third as av;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
-/// Tried in this order.
+/// Encoders, tried in this order.
 const ENCODERS: [Encoder; 3] = [
     Encoder { name: "libx264", ticks_per_s: 1_000_000, options: &[("preset", "veryfast"), ("crf", "20")] },
     Encoder { name: "libopenh264", ticks_per_s: 1_000_000, options: &[("rc_mode", "quality")] },
@@ -37,25 +37,25 @@ pub(crate) struct VideoFile {
 }
 
 enum Phase {
-    /// No frame yet; the header waits for the time of the first.
+    /// No frame yet; the header needs the time of the first.
     Fresh,
     Running {
         origin: Origin,
         last_tick: i64,
-        /// Last interval, ticks: also the time the last frame is shown for.
+        /// Last interval, ticks: also how long the last frame is shown.
         interval: i64,
     },
     Finished,
 }
 
 impl VideoFile {
-    /// Opens the file and the encoder for BGR pictures of an even width and height.
+    /// Opens the file and the encoder for BGR pictures of even width and height.
     pub(crate) fn create(path: &Path, size_px: [u32; 2]) -> Result<Self, SinkError> {
-        // The standard library's error for a folder that is missing says more than libav's; libav then overwrites.
+        // The standard library's error for a missing folder is clearer than libav's; libav then overwrites the file.
         std::fs::File::create(path).map_err(|source| SinkError::Io { path: path.into(), source })?;
         let fail = |doing| move |source| SinkError::Video { path: path.into(), doing, source };
         av::log::set_level(av::log::Level::Warning);
-        let mut url = OsString::from("file:"); // else a colon in the name would be taken for a protocol
+        let mut url = OsString::from("file:"); // or a colon in the name would be taken for a protocol
         url.push(path);
         let mut output = av::format::output_as(&url, "mp4").map_err(fail("opening"))?;
         let (codec, choice) = find_encoder(path)?;
@@ -71,7 +71,7 @@ impl VideoFile {
         // Rate control only: without it x264 would take the time base for the frame rate.
         settings.set_frame_rate(Some(av::Rational(60, 1)));
         settings.set_gop(KEY_FRAME_EVERY);
-        // Frames leave in the order they came: decoding times are the stamps themselves, the file needs no offset.
+        // Frames leave in order of arrival: decoding times are the stamps themselves, and the file needs no offset.
         settings.set_max_b_frames(0);
         if output.format().flags().contains(av::format::Flags::GLOBAL_HEADER) {
             settings.set_flags(av::codec::Flags::GLOBAL_HEADER);
@@ -99,7 +99,7 @@ impl VideoFile {
         };
         let mut tick = ticks(origin.elapsed_ns(stamp_ns), self.ticks_per_s);
         if tick <= *last_tick {
-            // Two frames cannot be shown at once: the later one moves by the smallest time the file knows.
+            // Two frames cannot be shown at once: the later one moves by the smallest unit of time in the file.
             tracing::warn!(stamp_ns, "frame is not later than the one before; shown one tick after it in the overlay");
             tick = *last_tick + 1;
         }
@@ -115,7 +115,7 @@ impl VideoFile {
         self.drain()
     }
 
-    /// Encodes what is left and completes the file; a second call does nothing.
+    /// Encodes the rest and completes the file; a second call does nothing.
     pub(crate) fn finish(&mut self) -> Result<(), SinkError> {
         match self.phase {
             Phase::Finished => return Ok(()),
@@ -124,7 +124,7 @@ impl VideoFile {
         }
         let flushed = self.encoder.send_eof().map_err(self.failed("encoding")).and_then(|()| self.drain());
         self.phase = Phase::Finished;
-        // The trailer makes what is there playable, whatever the encoder said.
+        // The trailer makes the file playable even if the encoder failed.
         let ended = self.output.write_trailer().map_err(self.failed("completing"));
         flushed.and(ended)
     }
@@ -142,7 +142,7 @@ impl VideoFile {
         Ok(())
     }
 
-    /// Moves what the encoder has ready into the file.
+    /// Moves finished packets from the encoder into the file.
     fn drain(&mut self) -> Result<(), SinkError> {
         let interval = if let Phase::Running { interval, .. } = self.phase { interval } else { 0 };
         let codec_base = av::Rational(1, self.ticks_per_s as i32);
@@ -169,12 +169,12 @@ impl VideoFile {
     }
 }
 
-/// Whether a system error number is EAGAIN, whatever its value here.
+/// Whether a system error number is EAGAIN, whose value depends on the system.
 pub(super) fn would_block(errno: i32) -> bool {
     std::io::Error::from_raw_os_error(errno).kind() == std::io::ErrorKind::WouldBlock
 }
 
-/// Nanoseconds in whole ticks, to the nearest.
+/// Nanoseconds in whole ticks, rounded to nearest.
 fn ticks(ns: i64, ticks_per_s: i64) -> i64 {
     let product = i128::from(ns) * i128::from(ticks_per_s);
     let rounded = (product + 500_000_000).div_euclid(1_000_000_000);

@@ -1,13 +1,13 @@
-//! Who may subscribe: a door before the server of [`PublishSink`](super::PublishSink), which would let any web page in
-//! the user's browser read along.
+//! Access control for the server of [`PublishSink`](super::PublishSink), which alone would let any web page in the
+//! user's browser read along.
 //!
-//! In: connections at the public address. Each sends the head of an HTTP request; it goes on to the server when
+//! In: connections at the public address. Each sends the head of an HTTP request; it is passed on to the server when
 //! - its `Host` is an address, this computer's name or `localhost`: a page whose name was made to point here (DNS
-//!   rebinding) sends its own, and
-//! - it has no `Origin` (a program), or that of Foxglove, of this computer, or one that was allowed.
+//!   rebinding) sends that name, and
+//! - it has no `Origin` (a program), or that of Foxglove, of this computer, or an allowed one.
 //!
-//! The server itself listens at an address of this computer that nobody can guess. What this cannot keep out: programs,
-//! of other computers too if the public address is theirs to reach.
+//! The server itself listens at an unguessable address of this computer. What this cannot keep out: programs, including
+//! those on other computers if they can reach the public address.
 
 use std::io::{self, Read as _, Write as _};
 use std::net::{IpAddr, Ipv4Addr, Shutdown, SocketAddr, TcpListener, TcpStream};
@@ -16,16 +16,16 @@ use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::thread::Builder;
 use std::time::{Duration, Instant};
 
-/// The head of a request is shorter, bytes.
+/// Longest head of a request, bytes.
 const LONGEST_HEAD: usize = 16 * 1024;
-/// A client that takes longer to send it is given up.
-const PATIENCE: Duration = Duration::from_secs(5);
-/// Connections at a time.
-const MOST_CLIENTS: usize = 256;
-/// How often a door that nobody comes to looks whether it is to close.
-const LOOK: Duration = Duration::from_millis(50);
+/// Time that a client may take to send it.
+const REQUEST_TIMEOUT: Duration = Duration::from_secs(5);
+/// Most simultaneous connections.
+const MAX_CLIENTS: usize = 256;
+/// How often an idle gate checks whether it should close.
+const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
-/// An open door.
+/// An open gate.
 pub(super) struct Gate {
     address: SocketAddr,
     shared: Arc<Shared>,
@@ -39,17 +39,17 @@ struct Shared {
     refused: AtomicU64,
 }
 
-/// Who is let in.
+/// Rules of admission.
 struct Rules {
-    /// Further web pages, as `https://lab.example.org`.
+    /// Further allowed web pages, for example `https://lab.example.org`.
     origins: Vec<String>,
     /// Name of this computer.
     name: String,
 }
 
-/// An address of this computer that nobody can guess, for the server behind the door.
+/// An unguessable address of this computer, for the server behind the gate.
 pub(super) fn hidden_address() -> IpAddr {
-    // All of 127.0.0.0/8 is this computer; elsewhere only 127.0.0.1 is sure to be there.
+    // All of 127.0.0.0/8 is this computer; elsewhere only 127.0.0.1 is certain to exist.
     if cfg!(target_os = "linux") {
         let mut random = fastrand::Rng::new();
         IpAddr::V4(Ipv4Addr::new(127, random.u8(1..=254), random.u8(..), random.u8(1..=254)))
@@ -62,7 +62,7 @@ impl Gate {
     /// Listens at `address` for the server at `server`.
     ///
     /// # Errors
-    /// When the address is taken, or not this computer's.
+    /// When the address is in use, or not this computer's.
     pub(super) fn open(address: SocketAddr, server: SocketAddr, origins: &[String]) -> io::Result<Self> {
         let listener = TcpListener::bind(address)?;
         let address = listener.local_addr()?;
@@ -101,13 +101,13 @@ impl Shared {
             match listener.accept() {
                 Ok((client, _)) => {
                     let this = Arc::clone(&self);
-                    if self.clients.fetch_add(1, Ordering::Relaxed) >= MOST_CLIENTS {
+                    if self.clients.fetch_add(1, Ordering::Relaxed) >= MAX_CLIENTS {
                         self.clients.fetch_sub(1, Ordering::Relaxed);
                         self.refuse(client, "503 Service Unavailable", "too many subscribers");
                         continue;
                     }
                     let serve = move || {
-                        // What goes wrong with one client concerns nobody else.
+                        // A failure of one client does not affect the others.
                         let _ = this.serve(client);
                         this.clients.fetch_sub(1, Ordering::Relaxed);
                     };
@@ -115,7 +115,7 @@ impl Shared {
                         self.clients.fetch_sub(1, Ordering::Relaxed);
                     }
                 }
-                Err(_) => std::thread::sleep(LOOK),
+                Err(_) => std::thread::sleep(POLL_INTERVAL),
             }
         }
     }
@@ -127,7 +127,7 @@ impl Shared {
             self.refuse(client, "403 Forbidden", &why);
             return Ok(());
         }
-        let mut server = TcpStream::connect_timeout(&self.server, PATIENCE)?;
+        let mut server = TcpStream::connect_timeout(&self.server, REQUEST_TIMEOUT)?;
         for stream in [&client, &server] {
             stream.set_nodelay(true)?;
             stream.set_read_timeout(None)?;
@@ -153,13 +153,13 @@ impl Shared {
     }
 }
 
-/// Reads up to the empty line.
+/// Reads up to the empty line that ends the head.
 fn read_head(client: &mut TcpStream) -> io::Result<Vec<u8>> {
     let began = Instant::now();
     let mut head = Vec::new();
     let mut bytes = [0; 1024];
     while !head.windows(4).any(|four| four == b"\r\n\r\n") {
-        let left = PATIENCE.checked_sub(began.elapsed()).filter(|left| !left.is_zero());
+        let left = REQUEST_TIMEOUT.checked_sub(began.elapsed()).filter(|left| !left.is_zero());
         client.set_read_timeout(Some(left.ok_or(io::ErrorKind::TimedOut)?))?;
         let got = client.read(&mut bytes)?;
         if got == 0 || head.len() > LONGEST_HEAD {
@@ -171,7 +171,7 @@ fn read_head(client: &mut TcpStream) -> io::Result<Vec<u8>> {
 }
 
 impl Rules {
-    /// Whether a request may go on; if not, why.
+    /// Whether a request is admitted; if not, why.
     fn admits(&self, head: &[u8]) -> Result<(), String> {
         let head = String::from_utf8_lossy(head);
         let all = |name: &str| -> Vec<String> {
@@ -215,7 +215,7 @@ impl Rules {
                 let loopback = host.trim_matches(['[', ']']).parse::<IpAddr>().is_ok_and(|ip| ip.is_loopback());
                 loopback || host == "localhost" || (origin.starts_with("https") && is_foxglove(host))
             }
-            // An application's own pages, such as those of Foxglove's; `null` is that of a file or a frame of any page.
+            // An application's own pages, such as Foxglove's; `null` is the origin of a file or of a frame in any page.
             Some(_) => true,
             None => false,
         }

@@ -1,8 +1,8 @@
-//! The picture of the camera for people, in the log's `/camera/image`: what the annotations lie on.
+//! The camera's picture for people, in the log's `/camera/image`: the background of the annotations.
 //!
-//! In: a [`Picture`] that was tracked. Out: a JPEG of all of it, one a second of camera time: with one of every frame
-//! the log would be ten times as large. Live runs have none: what makes JPEGs takes the time of what records. It is to
-//! be looked at, and nothing reads it back: what is to be tracked again is recorded as windows or as a video.
+//! In: a [`Picture`] that was tracked. Out: a JPEG of the whole picture, one per second of camera time: one for every
+//! frame would make the log ten times as large. Live runs have none: compressing JPEGs would take time from recording.
+//! Nothing reads it back: to be tracked again, pictures are recorded as windows or as a video.
 
 use super::SinkError;
 use super::colour::{ConvertError, ToBgr};
@@ -11,7 +11,7 @@ use crate::estimate::Estimate;
 use crate::log::schema::Topic;
 use crate::source::Picture;
 
-/// Camera time from one picture to the next.
+/// Camera time between pictures.
 const EVERY_NS: u64 = 1_000_000_000;
 
 /// A picture for people.
@@ -23,12 +23,17 @@ pub(crate) struct LoggedImage {
     pub jpeg: Vec<u8>,
 }
 
-/// Takes one picture a second.
-#[derive(Default)]
+/// Takes one picture per second.
 pub(crate) struct ImageTaker {
     last_ns: Option<i64>,
     to_bgr: ToBgr,
     bgr: Vec<u8>,
+}
+
+impl Default for ImageTaker {
+    fn default() -> Self {
+        Self { last_ns: None, to_bgr: ToBgr::quick(), bgr: Vec::new() }
+    }
 }
 
 impl std::fmt::Debug for ImageTaker {
@@ -38,7 +43,7 @@ impl std::fmt::Debug for ImageTaker {
 }
 
 impl ImageTaker {
-    /// The picture, when it is time for one.
+    /// The picture, when one is due.
     ///
     /// # Errors
     /// [`SinkError::Encode`] when it cannot be converted or compressed.

@@ -1,21 +1,20 @@
-//! Pictures for people as JPEG, by libav, whose encoder has vector instructions: a page has three of them for every
-//! recording.
+//! Pictures for people as JPEG, by libav, whose encoder uses vector instructions: a page has three for every recording.
 //!
 //! In: rows of B'G'R'. Out: a file (JFIF), 4:4:4.
 
-use super::colour::FromBgr;
 use super::encode::would_block;
 use ffmpeg_the_third as av;
+use multiversion::multiversion;
 
-/// What libav counts quantiser scales in.
+/// libav's unit of quantiser scales.
 const LAMBDA: i32 = 118;
 
-/// How much is lost: libav's scale of the quantiser, from 2 to 31.
+/// Compression loss: libav's quantiser scale, from 2 to 31.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Loss {
-    /// Lines of one pixel stay sharp.
+    /// One-pixel lines stay sharp.
     Little,
-    /// To look at.
+    /// Good enough to look at.
     Some,
 }
 
@@ -48,9 +47,11 @@ pub(crate) fn encode(bgr: &[u8], stride: usize, size_px: [u32; 2], loss: Loss) -
     options.set("threads", "1");
     options.set("flags", "+bitexact");
     let mut encoder = settings.open_with(options)?;
-    let mut frame = FromBgr::for_jpeg(size_px)?.convert(bgr, stride)?;
-    // The same samples, by the name that this encoder wants for full range, and the scaler warns of.
-    frame.set_format(av::format::Pixel::YUVJ444P);
+    let mut frame = av::frame::Video::new(av::format::Pixel::YUVJ444P, width, height);
+    if frame.planes() < 3 {
+        return Err(av::Error::BufferTooSmall);
+    }
+    fill(&mut frame, bgr, stride);
     frame.set_pts(Some(0));
     frame.set_color_range(av::color::Range::JPEG);
     set_quality(&mut frame, loss);
@@ -67,6 +68,38 @@ pub(crate) fn encode(bgr: &[u8], stride: usize, size_px: [u32; 2], loss: Loss) -
     }
 }
 
+/// The planes of the picture: BT.601 in full range, as JFIF has it.
+fn fill(frame: &mut av::frame::Video, bgr: &[u8], stride: usize) {
+    let width = frame.width() as usize;
+    let mut rows = [0; 3].map(|_: u8| vec![0; width]);
+    for (j, from) in bgr.chunks(stride).take(frame.height() as usize).enumerate() {
+        let [y, cb, cr] = &mut rows;
+        to_ycc(from, y, cb, cr);
+        for (channel, row) in rows.iter().enumerate() {
+            let at = j * frame.stride(channel);
+            if let Some(to) = frame.data_mut(channel).get_mut(at..at + width) {
+                to.copy_from_slice(row);
+            }
+        }
+    }
+}
+
+/// A row of them, in whole numbers with 16 bits behind the point: the same on any machine.
+#[multiversion(targets("x86_64+avx2"))]
+fn to_ycc(bgr: &[u8], y: &mut [u8], cb: &mut [u8], cr: &mut [u8]) {
+    const HALF: i32 = 1 << 15;
+    const MIDDLE: i32 = (128 << 16) + HALF;
+    let (pixels, _) = bgr.as_chunks::<3>();
+    for (((&[b, g, r], y), cb), cr) in pixels.iter().zip(y.iter_mut()).zip(cb.iter_mut()).zip(cr.iter_mut()) {
+        // Not by `map`, which is not inlined here.
+        let (b, g, r) = (i32::from(b), i32::from(g), i32::from(r));
+        *y = ((7471 * b + 38470 * g + 19595 * r + HALF) >> 16) as u8;
+        // Blue alone, or red, rounds to 256.
+        *cb = ((32768 * b - 21710 * g - 11058 * r + MIDDLE) >> 16).min(255) as u8;
+        *cr = ((32768 * r - 27439 * g - 5329 * b + MIDDLE) >> 16).min(255) as u8;
+    }
+}
+
 #[allow(unsafe_code, reason = "the safe wrapper has no call for a frame's quality")]
 fn set_quality(frame: &mut av::frame::Video, loss: Loss) {
     // SAFETY: the frame is alive and borrowed mutably; the field is a plain number.
@@ -77,7 +110,7 @@ fn set_quality(frame: &mut av::frame::Video, loss: Loss) {
 mod tests {
     use super::*;
 
-    /// A red line of one pixel on grey, of an odd size, with rows that are longer than the picture.
+    /// A red one-pixel line on grey, of odd size, with rows longer than the picture.
     #[test]
     fn a_line_of_one_pixel_keeps_its_place_and_colour() {
         let (width, height, stride) = (61_u32, 37_u32, 200_usize);

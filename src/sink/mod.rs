@@ -1,17 +1,17 @@
-//! Where estimates go. A [`Sink`] takes the estimates of a run one by one: it writes a file, sends datagrams or serves
-//! subscribers. However a run ends, what was written before stays readable.
+//! Where estimates go. A [`Sink`] takes the estimates of a run one by one and writes a file, sends datagrams or serves
+//! subscribers. However a run ends, what was written stays readable.
 //!
-//! - [`McapSink`]: the log, everything there is, for Foxglove and for programs.
+//! - [`McapSink`]: the log with everything, for Foxglove and for programs.
 //! - [`PublishSink`]: the topics of the log to live subscribers; [`UdpSink`]: θ to controllers.
-//! - [`CsvSink`]: the table, one row a camera frame, for people and spreadsheets.
-//! - [`OverlaySink`]: the recording with what was found drawn into it; [`PictureVideo`]: the pictures themselves.
+//! - [`CsvSink`]: the table, one row per camera frame, for people and spreadsheets.
+//! - [`OverlaySink`]: the recording with the results drawn into it; [`PictureVideo`]: the pictures themselves.
 
 mod csv;
 mod mcap;
 
 pub use self::csv::CsvSink;
 pub(crate) use self::csv::{decimal_seconds, fixed};
-pub(crate) use self::mcap::{Announced, Filed, RosLog};
+pub(crate) use self::mcap::{FileMessage, FileTopic, RosLog};
 pub use self::mcap::{McapSink, Profile};
 
 mod clock;
@@ -55,12 +55,12 @@ use std::fs::File;
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// The word of a miss ([`crate::estimate::Miss::word`]) as people say it.
-pub fn spoken(word: &str) -> String {
+/// The word of a miss ([`crate::estimate::Miss::word`]) in plain words.
+pub fn plain_words(word: &str) -> String {
     word.replace("not_seen_", "not seen in ").replace('_', " ")
 }
 
-/// Takes the estimates of a run, one camera frame after the other.
+/// Takes the estimates of a run, one camera frame after another.
 pub trait Sink {
     /// Writes one frame. Live runs do not keep the picture: a sink that draws into it cannot be used there.
     ///
@@ -68,7 +68,7 @@ pub trait Sink {
     /// [`SinkError`] when it cannot be written; what was written before stays readable after [`Sink::finish`].
     fn write(&mut self, estimate: &Estimate, picture: Option<&Picture>) -> Result<(), SinkError>;
 
-    /// Writes a coil current; only the log has a place for them.
+    /// Writes a coil current; only the log stores them.
     ///
     /// # Errors
     /// As [`Sink::write`].
@@ -76,8 +76,8 @@ pub trait Sink {
         Ok(())
     }
 
-    /// Writes what was kept of a picture, some frames after its estimate; only the log has a place for it. Whether this
-    /// sink has.
+    /// Writes the recorded windows of a picture, some frames after its estimate; only the log stores them. Returns
+    /// whether this sink did.
     ///
     /// # Errors
     /// As [`Sink::write`].
@@ -85,7 +85,7 @@ pub trait Sink {
         Ok(false)
     }
 
-    /// Writes the count of the run so far: when [`Tally::add`] says so, about once a second.
+    /// Writes the count of the run so far: whenever [`Tally::add`] asks for it, about once a second.
     ///
     /// # Errors
     /// As [`Sink::write`].
@@ -93,7 +93,7 @@ pub trait Sink {
         Ok(())
     }
 
-    /// Completes the file, with the count of the whole run. Called exactly once, after an interrupt or an error too.
+    /// Completes the file, with the count of the whole run. Called exactly once, also after an interrupt or an error.
     ///
     /// # Errors
     /// [`SinkError`] when the end cannot be written.
@@ -103,13 +103,13 @@ pub trait Sink {
 /// Currents of the coils at one moment.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CurrentSample {
-    /// When they flowed, as well as it is known, by the host's clock: nanoseconds since 1970.
+    /// When they flowed, as precisely as known, by the host's clock: nanoseconds since 1970.
     pub host_ns: i64,
-    /// When this computer had them, by the same clock.
+    /// When they arrived here, by the same clock.
     pub arrival_ns: i64,
     /// The sender's own count, if it has one.
     pub seq: Option<u64>,
-    /// One entry a coil, amperes.
+    /// One entry per coil, amperes.
     pub current_a: Vec<f64>,
 }
 
@@ -136,7 +136,7 @@ impl OutputFrame {
 /// Why a result cannot be written.
 #[derive(Debug, thiserror::Error)]
 pub enum SinkError {
-    /// The file system refused.
+    /// The file system reported an error.
     #[error("cannot write {path}: {source}")]
     Io {
         /// Which file.
@@ -144,7 +144,7 @@ pub enum SinkError {
         /// What the system said.
         source: io::Error,
     },
-    /// Positions in the base frame were asked for, from a rig that has none.
+    /// Positions in the base frame were requested with a rig that has none.
     #[error(
         "cannot write {path} in the base frame: the rig has no [base]; measure it with `catoptra calibrate base`, or \
          write the camera frame (--frame camera)"
@@ -153,7 +153,7 @@ pub enum SinkError {
         /// Which file.
         path: PathBuf,
     },
-    /// The video library refused.
+    /// The video library reported an error.
     #[error("cannot write video {path}: {doing}: {source}")]
     Video {
         /// Which file.
@@ -189,7 +189,7 @@ pub enum SinkError {
         /// Width and height in the rig.
         expected: [u32; 2],
     },
-    /// Nobody can subscribe.
+    /// The server cannot be opened.
     #[error("cannot publish at {address}: {reason}; choose another address or port with --publish")]
     Publish {
         /// Where.
@@ -197,7 +197,7 @@ pub enum SinkError {
         /// What the system said.
         reason: String,
     },
-    /// No participant of DDS can be made.
+    /// A DDS participant cannot be created.
     #[cfg(feature = "ros2")]
     #[error("cannot publish to ROS 2 in domain {domain}: {reason}")]
     Ros {
@@ -220,7 +220,7 @@ pub enum SinkError {
         /// Which file.
         path: PathBuf,
     },
-    /// A picture whose samples cannot be turned into colours.
+    /// A picture whose samples cannot be converted to colours.
     #[error("cannot write {path}: no conversion to RGB from {format}")]
     PixelFormat {
         /// Which file.
@@ -236,8 +236,8 @@ impl SinkError {
     }
 }
 
-/// Waits until a finished file is on the disk: some file systems report a lost disk only here. Pipes and devices
-/// cannot.
+/// Waits until a finished file is on the disk: some file systems report a lost disk only here. Does nothing for pipes
+/// and devices.
 fn settle(file: &File) -> io::Result<()> {
     if file.metadata()?.is_file() { file.sync_all() } else { Ok(()) }
 }

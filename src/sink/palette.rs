@@ -1,5 +1,5 @@
-//! Colours that people with any colour vision tell apart: Okabe and Ito, "Color Universal Design" (2008). Vermilion is
-//! kept for what is missing. Markers also carry their names: no meaning rests on a colour alone.
+//! Colours that people with any colour vision can distinguish: Okabe and Ito, "Color Universal Design" (2008).
+//! Vermilion is reserved for misses. Markers also have labels: no meaning depends on colour alone.
 
 /// One colour, R, G, B.
 pub(crate) type Rgb = [u8; 3];
@@ -14,7 +14,7 @@ pub(crate) struct Palette {
 }
 
 impl Palette {
-    /// On dark ground and over pictures.
+    /// On a dark background and over pictures.
     pub(crate) const ON_DARK: Self = Self {
         markers: [[240, 185, 40], [0, 200, 150], [86, 180, 233], [230, 150, 195], [240, 228, 66], [200, 200, 255]],
         miss: [255, 120, 40],

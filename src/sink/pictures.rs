@@ -1,15 +1,14 @@
 //! The pictures of a run as a video: FFV1, without loss, or H.264, in Matroska through libav.
 //!
 //! In: pictures as they were tracked. Out: every picture at its camera time, to the nanosecond, with the tags of its
-//! colours. With FFV1 the samples are those that were tracked (packed RGB and NV12 are put into other orders, nothing
-//! is converted), so that the video is tracked to the same numbers. H.264 keeps a picture's subsampling; RGB becomes
-//! 4:2:0.
+//! colours. With FFV1 the samples are those that were tracked (packed RGB and NV12 are reordered, nothing is
+//! converted), so tracking the video gives the same numbers. H.264 keeps a picture's subsampling; RGB becomes 4:2:0.
 //!
-//! libav's muxer counts in milliseconds. Matroska can do better (`TimestampScale`, RFC 9559 §5.1.2.9): the file is
-//! given stamps in nanoseconds, and the scale in its head is set to match. Every picture is in a cluster of its own,
-//! which is written when the next one begins: a kill loses the last one. A file that was written so has no index. Where
-//! the camera's clock has run for longer than libav can read, the first stamp is zero in the file, and a tag
-//! (`CATOPTRA_ORIGIN_NS`) says what it was.
+//! libav's muxer counts in milliseconds. Matroska allows finer units (`TimestampScale`, RFC 9559 §5.1.2.9): the file
+//! gets stamps in nanoseconds, and the scale in its header is set to match. Every picture is in its own cluster, which
+//! is written when the next one begins: a kill loses the last one. Such a file has no index. Where the camera's clock
+//! has run longer than libav can read, the first stamp in the file is zero, and a tag (`CATOPTRA_ORIGIN_NS`) has its
+//! true value.
 
 use super::colour::{ConvertError, FromBgr, ToBgr};
 use super::encode::would_block;
@@ -38,10 +37,9 @@ pub enum PictureCodec {
 const MILLISECONDS: [u8; 7] = [0x2A, 0xD7, 0xB1, 0x83, 0x0F, 0x42, 0x40];
 /// Bytes of the value.
 const NANOSECONDS: [u8; 3] = [0, 0, 1];
-/// First stamps that are written as they are: libav reads Matroska's times as `f64`, which hold nanoseconds for 104
-/// days.
+/// First stamps that are written unchanged: libav reads Matroska's times as `f64`, which hold nanoseconds for 104 days.
 const EXACT_NS: RangeInclusive<i64> = 0..=1 << 52;
-/// The head of a file is shorter than this, bytes.
+/// Longest header of a file, bytes.
 const HEAD: u64 = 1 << 16;
 
 /// Writes one video of pictures.
@@ -55,21 +53,21 @@ struct Running {
     output: av::format::context::Output,
     encoder: av::encoder::video::Encoder,
     frames: Frames,
-    /// Taken off every stamp, and named in the file.
+    /// Subtracted from every stamp, and recorded in the file.
     origin_ns: i64,
     last_ns: i64,
 }
 
-/// Makes libav's frames of pictures.
+/// Makes libav frames from pictures.
 struct Frames {
     pixel: Pixel,
     layout: (PixelFormat, [u32; 2]),
-    /// For RGB that is to become 4:2:0.
+    /// For converting RGB to 4:2:0.
     converted: Option<(ToBgr, Vec<u8>, FromBgr)>,
 }
 
 impl PictureVideo {
-    /// Makes the file (an existing one is replaced). What is in it is decided by the first picture.
+    /// Creates the file (an existing one is replaced). The first picture determines its format.
     ///
     /// # Errors
     /// When the file cannot be written, or libav lacks the encoder.
@@ -96,7 +94,7 @@ impl PictureVideo {
         settings.set_time_base(av::Rational(1, 1_000_000_000));
         // Rate control only.
         settings.set_frame_rate(Some(av::Rational(60, 1)));
-        // With a picture in a second that stands for itself, as much can be lost at most.
+        // One intra-coded picture per second: at most that much can be lost.
         settings.set_gop(if self.codec == PictureCodec::Ffv1 { 1 } else { 60 });
         settings.set_max_b_frames(0);
         if output.format().flags().contains(av::format::Flags::GLOBAL_HEADER) {
@@ -104,7 +102,7 @@ impl PictureVideo {
         }
         let mut options = av::Dictionary::new();
         let own: &[(&str, &str)] = match self.codec {
-            // Four slices, each with a checksum; two threads at most beside those of the tracker.
+            // Four slices, each with a checksum; at most two threads beside the tracker's.
             PictureCodec::Ffv1 => &[("level", "3"), ("slices", "4"), ("slicecrc", "1"), ("threads", "2")],
             PictureCodec::H264 => &[("preset", "superfast"), ("tune", "zerolatency"), ("crf", "14"), ("threads", "2")],
         };
@@ -124,7 +122,8 @@ impl PictureVideo {
             output.metadata_mut().set(ORIGIN_TAG, origin_ns.to_string());
         }
         let mut options = av::Dictionary::new();
-        // As if live: nothing is written over later. Each cluster has one picture, and goes to the system at once.
+        // As for a live stream: nothing is overwritten later. Each cluster has one picture and is passed to the system
+        // at once.
         let muxing = [("live", "1"), ("write_crc32", "0"), ("cluster_time_limit", "1"), ("flush_packets", "1")];
         for (key, value) in muxing {
             options.set(key, value);
@@ -175,7 +174,7 @@ impl Sink for PictureVideo {
 }
 
 impl Running {
-    /// Moves what the encoder has ready into the file.
+    /// Moves finished packets from the encoder into the file.
     fn drain(&mut self) -> Result<(), av::Error> {
         let mut packet = av::Packet::empty();
         loop {
@@ -194,7 +193,7 @@ impl Running {
     }
 }
 
-/// What [`FromBgr::for_video`] makes.
+/// The output format of [`FromBgr::for_video`].
 const CONVERTED: Colour =
     Colour { matrix: Matrix::Bt709, range: Range::Limited, transfer: Transfer::Bt709, siting: ChromaSiting::Left };
 
@@ -267,7 +266,7 @@ fn copy(plane: &Plane<'_>, to: &mut [u8], (stride, step, first): (usize, usize, 
     }
 }
 
-/// libav's options for what samples mean.
+/// libav's options for the colour tags.
 fn tags(colour: Colour, is_yuv: bool) -> impl Iterator<Item = (&'static str, &'static str)> {
     let matrix = match colour.matrix {
         Matrix::Bt601 => "smpte170m",
@@ -292,15 +291,15 @@ fn tags(colour: Colour, is_yuv: bool) -> impl Iterator<Item = (&'static str, &'s
     all.chain([("colorspace", matrix), ("chroma_sample_location", siting)].into_iter().filter(move |_| is_yuv))
 }
 
-/// Hands the picture that was written last to the system: a kill then does not lose it.
+/// Passes the last picture to the system, so that a kill does not lose it.
 #[allow(unsafe_code, reason = "the binding cannot write the empty packet that asks for it")]
 fn end_cluster(output: &mut av::format::context::Output) -> Result<(), av::Error> {
-    // SAFETY: the context is valid as long as it is borrowed; without a packet the muxer writes out what it holds.
+    // SAFETY: the context is valid as long as it is borrowed; without a packet the muxer flushes.
     let code = unsafe { av::ffi::av_write_frame(output.as_mut_ptr(), std::ptr::null_mut()) };
     if code < 0 { Err(av::Error::from(code)) } else { Ok(()) }
 }
 
-/// Sets the scale of time in the head of the file at `path`.
+/// Sets the time scale in the header of the file at `path`.
 fn count_in_nanoseconds(path: &Path) -> std::io::Result<()> {
     let mut file = OpenOptions::new().read(true).write(true).open(path)?;
     let mut head = Vec::new();

@@ -1,8 +1,8 @@
 //! [`PublishSink`]: the topics of the log over a WebSocket, for Foxglove and for programs (protocol `foxglove.sdk.v1`).
 //!
-//! Who joins late gets at once what was said last on every topic it subscribes to: the rig, and the last frame. Every
-//! client has a line of its own; one that does not read loses its oldest messages there, and costs nobody else
-//! anything. Message times are the host's, as in the log.
+//! A late subscriber immediately gets the last message of every topic it subscribes to: the rig and the last frame.
+//! Every client has its own queue; one that does not read loses its oldest messages without affecting others. Message
+//! times are the host's, as in the log.
 
 use super::encoder::{Message, MessageEncoder, file_time_ns};
 use super::gate::{Gate, hidden_address};
@@ -19,8 +19,8 @@ use foxglove::{
 use std::net::SocketAddr;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-/// Messages that may wait for one client: two seconds of 60 Hz on all topics.
-const MOST_WAITING: usize = 600;
+/// Longest queue of one client, messages: two seconds of 60 Hz on all topics.
+const MAX_WAITING: usize = 600;
 
 /// Serves subscribers.
 pub struct PublishSink {
@@ -29,7 +29,7 @@ pub struct PublishSink {
     address: SocketAddr,
     /// Keeps the channels alive.
     _context: Arc<Context>,
-    board: Arc<Board>,
+    board: Arc<LastMessages>,
     encoder: MessageEncoder,
     begun: bool,
     /// Host's time of the last frame, nanoseconds since 1970.
@@ -39,18 +39,18 @@ pub struct PublishSink {
 /// A message and its time, nanoseconds since 1970.
 type Published = (u64, Vec<u8>);
 
-/// What was said last on each topic, in the order of [`Topic::ALL`].
-struct Board {
+/// The last message of each topic, in the order of [`Topic::ALL`].
+struct LastMessages {
     channels: Vec<Arc<RawChannel>>,
     last: Mutex<Vec<Option<Published>>>,
 }
 
 impl PublishSink {
-    /// Begins to listen at `address`. Web pages are let in if they are Foxglove's or this computer's, or their origin
+    /// Begins to listen at `address`. Web pages are admitted if they are Foxglove's or this computer's, or their origin
     /// is one of `origins`.
     ///
     /// # Errors
-    /// [`SinkError::Publish`] when the address is taken or is not this computer's.
+    /// [`SinkError::Publish`] when the address is in use or is not this computer's.
     pub fn listen(address: SocketAddr, origins: &[String], rig: &Rig) -> Result<Self, SinkError> {
         let refused = |reason: FoxgloveError| SinkError::Publish { address, reason: reason.to_string() };
         let context = Context::new();
@@ -59,12 +59,12 @@ impl PublishSink {
             builder.context(&context).build_raw().map_err(refused)
         };
         let channels: Vec<_> = Topic::ALL.into_iter().map(channel).collect::<Result<_, _>>()?;
-        let board = Arc::new(Board { last: Mutex::new(vec![None; channels.len()]), channels });
+        let board = Arc::new(LastMessages { last: Mutex::new(vec![None; channels.len()]), channels });
         let hidden = hidden_address();
         let server = WebSocketServer::new()
             .name(concat!("catoptra ", env!("CARGO_PKG_VERSION")))
             .bind(hidden.to_string(), 0)
-            .message_backlog_size(MOST_WAITING)
+            .message_backlog_size(MAX_WAITING)
             .listener(Arc::clone(&board) as Arc<dyn ServerListener>)
             .context(&context)
             .start_blocking()
@@ -84,16 +84,16 @@ impl PublishSink {
         })
     }
 
-    /// Where it listens: with the port that the system gave, if port 0 was asked for.
+    /// Where it listens, with the port that the system chose if port 0 was requested.
     pub fn address(&self) -> SocketAddr {
         self.address
     }
 }
 
-impl Board {
+impl LastMessages {
     fn publish(&self, message: Message, time_ns: u64) {
         let Some(at) = Topic::ALL.iter().position(|topic| *topic == message.topic) else { return };
-        // The lock is held while it is said: who subscribes in between gets it once, and not twice.
+        // The lock is held while publishing, so that a client that subscribes meanwhile gets it once, not twice.
         let mut last = self.lock();
         if let (Some(channel), Some(slot)) = (self.channels.get(at), last.get_mut(at)) {
             channel.log_with_meta(&message.bytes, PartialMetadata::with_log_time(time_ns));
@@ -106,7 +106,7 @@ impl Board {
     }
 }
 
-impl ServerListener for Board {
+impl ServerListener for LastMessages {
     fn on_subscribe(&self, client: Client, channel: ChannelView) {
         let last = self.lock();
         let Some(at) = self.channels.iter().position(|known| known.topic() == channel.topic()) else { return };
@@ -136,7 +136,7 @@ impl Sink for PublishSink {
 
     fn finish(&mut self, _: &Tally) -> Result<(), SinkError> {
         if let Some((server, _gate)) = self.server.take() {
-            // Dropped, not waited for: a client that never reads would hold up the end of the run for ever.
+            // Dropped without waiting: a client that never reads would block the end of the run for ever.
             drop(server.stop());
         }
         Ok(())

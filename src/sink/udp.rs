@@ -1,16 +1,16 @@
-//! Datagrams for controllers: one JSON object a frame, sent the moment it is known.
+//! Datagrams for controllers: one JSON object per frame, sent as soon as it is known.
 //!
 //! ```json
 //! {"seq":42,"stamp_ns":1234567890,"clock":"device","host_ns":1700000000123456789,"gap":0,"status":"ok",
 //!  "theta_deg":12.34,"theta_sd_deg":0.11,"polar_deg":12.4,"azimuth_deg":3.1,
 //!  "tip_mm":[1.2,0.1,44.0],"tip_sd_mm":0.05,"frame":"base"}
 //! ```
-//! `seq` counts the frames received, without holes: one that is missing was lost on the way. `stamp_ns` is the camera's
-//! time by `clock`, `host_ns` the same on the clock of the computer that tracks (nanoseconds since 1970; null for a
-//! source without). `gap`: camera frames lost before this one. `status`: `ok`, or why there is no angle; numbers that
-//! are not known are null. `tip_mm` is the last marker of the catheter, in `frame`.
+//! `seq` counts the frames received, without holes: a missing one was lost on the way. `stamp_ns` is the camera's time
+//! by `clock`, `host_ns` the same on the tracking computer's clock (nanoseconds since 1970; null if the source has
+//! none). `gap`: camera frames lost before this one. `status`: `ok`, or why there is no angle; unknown numbers are
+//! null. `tip_mm` is the last marker of the catheter, in `frame`.
 //!
-//! A socket that cannot send (nobody listens, a full buffer) costs a datagram, which is counted, and never waits.
+//! If the socket cannot send (nobody listens, a full buffer) the datagram is dropped and counted; it never waits.
 
 use super::{OutputFrame, Sink, SinkError};
 use crate::estimate::Estimate;
@@ -51,10 +51,10 @@ struct Datagram<'a> {
 }
 
 impl UdpSink {
-    /// Sends to `to`, positions in the base frame where the rig has one.
+    /// Sends to `to`, with positions in the base frame if the rig has one.
     ///
     /// # Errors
-    /// When the system gives no socket.
+    /// When the system provides no socket.
     pub fn to(to: SocketAddr, rig: &Rig) -> std::io::Result<Self> {
         let own: SocketAddr = if to.is_ipv4() { ([0, 0, 0, 0], 0).into() } else { ([0_u16; 8], 0).into() };
         let socket = UdpSocket::bind(own)?;

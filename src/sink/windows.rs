@@ -1,12 +1,12 @@
-//! What is kept of a picture with `--record windows`: the parts that the tracker looked at, without loss.
+//! The parts of a picture kept by `--record windows`: those that the tracker read, without loss.
 //!
-//! In: a [`Picture`] that was tracked. Out: a [`PictureWindows`] message. Each channel is cut as the decoder stored it,
-//! and nothing is converted, so that the same numbers come out when it is tracked again. Each rectangle is a grey PNG:
-//! it was chosen for being read everywhere and because its library is here already. On the sample, decoded from H.264,
-//! its fast mode takes 0.26 ms a frame and makes 87 kB to 23 kB; the best that zlib can do is 20 kB, in 4 ms.
+//! In: a [`Picture`] that was tracked. Out: a [`PictureWindows`] message. Each channel is cut out as the decoder stored
+//! it, without conversion, so that tracking it again gives the same numbers. Each rectangle is a grey PNG, which every
+//! program can read and whose library is already a dependency. On the sample, decoded from H.264, its fast mode takes
+//! 0.26 ms per frame and reduces 87 kB to 23 kB; zlib's best is 20 kB, in 4 ms.
 //!
-//! Now and then a picture is kept whole ([`WHOLE_EVERY_NS`]), and after one that could not be kept: from there on the
-//! log can be tracked without what was before.
+//! A picture is kept whole now and then ([`WHOLE_EVERY_NS`]), and after one that could not be kept: from it on the log
+//! can be tracked without what came before.
 
 use super::SinkError;
 use crate::estimate::Estimate;
@@ -17,13 +17,13 @@ use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder as _, ImageError};
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// Kept around what was looked at, pixels: a rig whose calibration was refined looks some pixels beside.
+/// Margin kept around what was read, pixels: with a refined calibration the tracker reads some pixels off.
 const MARGIN_PX: u32 = 4;
 
-/// Camera time from one picture that is kept whole to the next.
+/// Camera time between pictures that are kept whole.
 const WHOLE_EVERY_NS: u64 = 10_000_000_000;
 
-/// Pictures recorded and pictures lost in a run: counted by the recorder, read by the log and the status line.
+/// Counts of pictures recorded and lost in a run: written by the recorder, read by the log and the status line.
 #[derive(Debug, Default)]
 pub struct PictureCount {
     recorded: AtomicU64,
@@ -36,8 +36,7 @@ impl PictureCount {
         self.recorded.load(Ordering::Relaxed)
     }
 
-    /// Pictures that were tracked, and not recorded because the recorder or the disk were not fast enough, or the disk
-    /// full.
+    /// Pictures that were tracked but not recorded because the recorder or the disk was too slow, or the disk full.
     pub fn dropped(&self) -> u64 {
         self.dropped.load(Ordering::Relaxed)
     }
@@ -51,20 +50,20 @@ impl PictureCount {
     }
 }
 
-/// Decides what is kept of each picture.
+/// Decides which parts of each picture are kept.
 #[derive(Debug, Default)]
 pub(crate) struct WindowRecorder {
-    /// Camera time of the last picture that was kept whole; none, when the next one has to be.
+    /// Camera time of the last picture kept whole; `None` when the next one must be.
     whole_ns: Option<i64>,
 }
 
 impl WindowRecorder {
-    /// A picture was not kept: the tracker remembers a frame that is not in the log.
+    /// Notes that a picture was not kept: the tracker's memory has a frame that is not in the log.
     pub(crate) fn lost_one(&mut self) {
         self.whole_ns = None;
     }
 
-    /// What is kept of `picture`, whose estimate is `estimate`.
+    /// The parts kept of `picture`, whose estimate is `estimate`.
     ///
     /// # Errors
     /// [`SinkError::Encode`] when a part cannot be compressed.
@@ -77,7 +76,7 @@ impl WindowRecorder {
     }
 }
 
-/// Cuts what was looked at out of `picture`, whose estimate is `estimate`; with `whole`, all of it is kept.
+/// Cuts what was read out of `picture`, whose estimate is `estimate`; with `whole`, all of it is kept.
 ///
 /// # Errors
 /// [`SinkError::Encode`] when a part cannot be compressed.
@@ -90,7 +89,7 @@ fn cut(estimate: &Estimate, picture: &Picture, whole: bool) -> Result<PictureWin
         PixelFormat::RgbPlanar | PixelFormat::RgbPacked { .. } => ("rgb", [0, 0]),
         PixelFormat::Grey => ("grey", [0, 0]),
     };
-    let kept = if whole { vec![Window::whole([width, height])] } else { picture.looked_at(MARGIN_PX) };
+    let kept = if whole { vec![Window::whole([width, height])] } else { picture.windows_read(MARGIN_PX) };
     let mut windows = Vec::with_capacity(3 * kept.len());
     for window in kept {
         for (index, plane) in (0_u32..).zip((0..picture.format().channels()).filter_map(|i| picture.plane(i))) {
@@ -120,7 +119,7 @@ fn cut(estimate: &Estimate, picture: &Picture, whole: bool) -> Result<PictureWin
     })
 }
 
-/// The samples of a plane that stand for the pixels of a window.
+/// The samples of a plane that cover the pixels of a window.
 fn part(plane: &Plane<'_>, index: u32, window: &Window) -> Result<PictureWindow, SinkError> {
     let refused = |reason: String| SinkError::Encode { topic: Topic::Windows.name(), reason };
     let [sx, sy] = plane.scale;

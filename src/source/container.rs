@@ -1,4 +1,4 @@
-//! Opens a recording's container and decoder, with errors for people.
+//! Opens a recording's container and decoder, with readable errors.
 
 use std::fs::File;
 use std::path::Path;
@@ -9,14 +9,14 @@ use super::extent::{Extent, extent};
 use super::times::seconds;
 use super::{SourceError, Span};
 
-/// libav writes to stderr by itself. What matters of it is in this module's errors and warnings; the rest is shown to
-/// who asks for debugging.
+/// libav writes to stderr by itself. What matters is in this module's errors and warnings; the rest shows only when
+/// debugging.
 pub(super) fn quiet_libav() {
     let debugging = tracing::enabled!(tracing::Level::DEBUG);
     av::log::set_level(if debugging { av::log::Level::Warning } else { av::log::Level::Quiet });
 }
 
-/// Looks at the file itself: what the operating system says is clearer than what libav makes of it.
+/// Checks the file itself: the operating system's errors are clearer than libav's.
 pub(super) fn measure(path: &Path) -> Result<Extent, SourceError> {
     let io = |error: std::io::Error| match error.kind() {
         std::io::ErrorKind::NotFound => SourceError::NotFound { path: path.to_path_buf() },
@@ -31,21 +31,21 @@ pub(super) fn measure(path: &Path) -> Result<Extent, SourceError> {
 
 pub(super) fn open_input(path: &Path) -> Result<av::format::context::Input, SourceError> {
     let not_a_video = |reason: String| SourceError::NotAVideo { path: path.to_path_buf(), reason };
-    // Without the protocol's name a colon in the path would be taken for one.
+    // Without an explicit protocol a colon in the path would be taken for one.
     let mut url = std::ffi::OsString::from("file:");
     url.push(path);
     let input = av::format::input(&url).map_err(|error| not_a_video(error.to_string()))?;
-    // libav plays plain text as a terminal would show it.
+    // libav renders plain text as a terminal would.
     if input.format().name() == "tty" {
         return Err(not_a_video("it is a text file".to_owned()));
     }
     Ok(input)
 }
 
-/// A stream in a network, or `-` for standard input. Little is read ahead (and kept: no frame is lost
-/// to the look at the stream), and who sends nothing for [`PATIENCE_US`] is given up.
+/// A network stream, or `-` for standard input. Little is read ahead (and it is kept: probing loses no frame), and a
+/// sender that is silent for [`PROBE_TIMEOUT_US`] is given up.
 pub(super) fn open_stream(url: &str) -> Result<av::format::context::Input, SourceError> {
-    let patience = PATIENCE_US.to_string();
+    let patience = PROBE_TIMEOUT_US.to_string();
     let options = [
         ("timeout", patience.as_str()),
         ("rw_timeout", patience.as_str()),
@@ -59,9 +59,9 @@ pub(super) fn open_stream(url: &str) -> Result<av::format::context::Input, Sourc
 }
 
 /// Microseconds.
-const PATIENCE_US: u32 = 3_000_000;
+const PROBE_TIMEOUT_US: u32 = 3_000_000;
 
-/// The video stream, cover pictures of sound files left out.
+/// The video stream; cover pictures of audio files do not count.
 pub(super) fn best_video<'a>(
     path: &Path,
     input: &'a av::format::context::Input,
@@ -110,8 +110,8 @@ pub(super) fn configuration(stream: &av::format::stream::Stream<'_>) -> Vec<u8> 
     }
 }
 
-/// Whether every picture of this codec stands for itself. Of others the decoder must have one thread: with more it does
-/// not say of every damaged picture that it is.
+/// Whether this codec is intra-only. For other codecs the decoder must have one thread: with more it does not report
+/// every damaged picture.
 fn is_intra_only(codec: av::codec::Id) -> bool {
     use av::codec::Id;
     matches!(
@@ -163,12 +163,12 @@ pub(super) fn open_decoder(
     if low_delay {
         context.set_flags(av::codec::Flags::LOW_DELAY);
     }
-    // With every picture, how coarsely it was quantised.
+    // Export with every picture how coarsely it was quantised.
     let options: av::Dictionary = [("export_side_data", "venc_params")].into_iter().collect();
     context.decoder().open_as_with(stream.parameters().id(), options).and_then(|opened| opened.video()).map_err(refused)
 }
 
-/// How many frames to expect: from the index, else from length and rate; exact or a guess, for a progress bar.
+/// How many frames to expect, for a progress bar: from the index, else estimated from length and rate.
 pub(super) fn count_hint(
     input: &av::format::context::Input,
     stream: &av::format::stream::Stream<'_>,

@@ -1,36 +1,36 @@
-//! Camera frames lost between two numbers of a frame counter.
+//! Camera frames lost between two readings of a frame counter.
 //!
-//! In: the counter beside each frame, in the order the frames come, and where the counter begins anew. Out: how many
-//! frames are missing between, or that the counter itself began anew, when nobody knows what is missing.
+//! In: the counter of each frame, in order of arrival, and where the counter wraps. Out: how many frames are missing in
+//! between, or that the counter restarted, so that it is unknown.
 //!
-//! A counter that steps back past its end is believed when less than a quarter of its range is missing. What this
-//! cannot detect: a camera that starts anew in the last quarter of a short counter's range shows as lost frames, and
-//! one that lost more than it can count shows too few.
+//! A counter that goes back is taken to have wrapped when less than a quarter of its range is missing. What this cannot
+//! detect: a camera that restarts in the last quarter of a short counter's range shows as lost frames, and one that
+//! lost more than it can count shows too few.
 
-/// Where a counter begins anew.
+/// Where a counter wraps.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Wrap {
-    /// After 2³² − 1 follows 0 (V4L2).
+    /// 0 follows 2³² − 1 (V4L2).
     Bits32,
-    /// After 2⁶⁴ − 1 follows 0 (USB3 Vision).
+    /// 0 follows 2⁶⁴ − 1 (USB3 Vision).
     Bits64,
-    /// GigE Vision's block number: after 65535 follows 1, as 0 is no number. A camera with extended numbers goes on to
+    /// GigE Vision's block number: 1 follows 65535, as 0 is not used. A camera with extended block numbers goes on to
     /// 65536; then it has 64 bits.
     Block16,
 }
 
-/// What a number says.
+/// What a reading means.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Count {
-    /// The first one.
+    /// The first reading.
     First,
-    /// It follows, and so many are missing between.
+    /// A later one, with this many frames missing in between.
     After(u32),
-    /// The counter began anew, or stood still.
+    /// The counter restarted, or stood still.
     Restart,
 }
 
-/// The numbers of one camera.
+/// The frame counter of one camera.
 #[derive(Debug, Clone)]
 pub(crate) struct FrameCounter {
     wrap: Wrap,
@@ -38,12 +38,12 @@ pub(crate) struct FrameCounter {
 }
 
 impl FrameCounter {
-    /// A counter that has not been read.
+    /// A counter that has not been read yet.
     pub(crate) fn new(wrap: Wrap) -> Self {
         Self { wrap, last: None }
     }
 
-    /// Takes the next number.
+    /// Takes the next reading.
     pub(crate) fn step(&mut self, number: u64) -> Count {
         let Some(last) = self.last.replace(number) else { return Count::First };
         if self.wrap == Wrap::Block16 && number.max(last) > u64::from(u16::MAX) {
@@ -52,7 +52,7 @@ impl FrameCounter {
         if number > last {
             return Count::After(u32::try_from(number - last - 1).unwrap_or(u32::MAX));
         }
-        // Missing between the two when the counter has passed its end.
+        // Frames missing between the two if the counter has wrapped.
         let (first, end) = match self.wrap {
             Wrap::Bits32 => (0, u64::from(u32::MAX)),
             Wrap::Bits64 => (0, u64::MAX),

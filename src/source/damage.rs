@@ -1,23 +1,23 @@
 //! Which decoded pictures can be trusted when a part of the stream is damaged.
 //!
-//! A decoder hides damage: it fills the hole from the pictures before, and all that is predicted from it carries the
-//! trace on, up to the next key frame. A marker would be measured where it was earlier, with nothing to show for it. So
-//! a damaged picture is left out, and with it those decoded after it before the next key frame.
+//! A decoder conceals damage: it fills the hole from earlier pictures, and everything predicted from it inherits the
+//! damage, up to the next key frame. A marker would be measured where it was earlier, with no warning. So a damaged
+//! picture is left out, and with it all that are decoded after it up to the next key frame.
 //!
-//! A B picture may be shown before the damaged picture it was predicted from. So pictures of a stream that has them are
-//! held back by [`REORDER`] others before they are judged.
+//! A B picture may be shown before the damaged picture it was predicted from. So in a stream with B pictures, each is
+//! judged only after [`MAX_REORDER`] more are decoded.
 //!
 //! What this cannot detect: damage that happens to be a valid stream, packets that the container lost, both if the
-//! decoder does not notice. (With several threads FFmpeg's decoders report less of what they noticed: they get one.)
+//! decoder does not notice. (FFmpeg's decoders report less damage with several threads, so they get one.)
 
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Pictures to be held back where a stream shows them in another order than it stores them (H.264 allows 16).
-pub(crate) const REORDER: usize = 16;
-/// Packets stay known for this many others: no decoder holds back more pictures.
+/// Pictures held back where presentation order differs from decoding order (H.264 allows 16).
+pub(crate) const MAX_REORDER: usize = 16;
+/// Packets remembered: no decoder holds back more pictures.
 const HELD_BACK: u64 = 256;
 
-/// Packets in the order they are decoded, by number from 0.
+/// Packets in decoding order, numbered from 0.
 #[derive(Debug, Default)]
 pub(crate) struct DamageLog {
     count: u64,
@@ -28,7 +28,7 @@ pub(crate) struct DamageLog {
 }
 
 impl DamageLog {
-    /// A packet is next to be decoded.
+    /// The next packet to be decoded.
     pub(crate) fn packet(&mut self, pts: Option<i64>, is_key: bool) {
         if is_key {
             self.keys.insert(self.count, pts);
@@ -42,14 +42,14 @@ impl DamageLog {
         }
     }
 
-    /// That packet is damaged, or one of the `before` ones before it.
+    /// The last packet is damaged, or one of the `before` packets before it.
     pub(crate) fn packet_is_damaged(&mut self, before: u64) {
         self.damaged.insert(self.count.saturating_sub(1 + before));
     }
 
-    /// A picture comes out of the decoder, which may say that it is damaged. Its number.
+    /// A picture comes out of the decoder, perhaps marked as damaged; returns its number.
     pub(crate) fn picture(&mut self, pts: Option<i64>, damaged: bool) -> u64 {
-        // Without its time the picture may be the latest packet's.
+        // Without a time the picture may belong to the latest packet.
         let latest = self.count.saturating_sub(1);
         let number = pts.and_then(|pts| self.number_of.remove(&pts)).unwrap_or(latest);
         if damaged {
@@ -58,9 +58,9 @@ impl DamageLog {
         number
     }
 
-    /// Whether picture `number`, shown at `pts`, is sound, as far as is known by now.
+    /// Whether picture `number`, shown at `pts`, is sound, as far as known by now.
     pub(crate) fn is_sound(&self, number: u64, pts: Option<i64>) -> bool {
-        // Pictures decoded after a key frame but shown before it build on the ones before it, too.
+        // Pictures decoded after a key frame but shown before it also depend on those before it.
         let restarts = |key: Option<i64>| key.zip(pts).is_none_or(|(key, pts)| key <= pts);
         let key = self.keys.range(..=number).rev().find(|(_, key)| restarts(**key)).map_or(0, |(key, _)| *key);
         self.damaged.range(key..=number).next().is_none()

@@ -10,13 +10,13 @@ use ffmpeg_the_third::{chroma, color};
 
 use super::{ChromaSiting, Colour, Matrix, Picture, PixelFormat, Quantisation, Range, SourceError, Transfer};
 
-/// Makes pictures of one stream's frames. Frames of the formats of [`Picture`] are kept as they are, without a copy.
+/// Makes pictures of one stream's frames. Frames in a format of [`Picture`] are kept without a copy.
 pub(crate) struct PictureMaker {
     path: PathBuf,
     converter: Option<Converter>,
-    /// Where chroma sits in frames that do not say.
+    /// Chroma siting of frames that do not state it.
     siting: ChromaSiting,
-    /// Whether the coder quantises without libav's decoder saying how coarsely.
+    /// Whether the coder quantises but libav's decoder does not report how coarsely.
     silent: bool,
     warned: Vec<&'static str>,
 }
@@ -25,7 +25,7 @@ pub(crate) struct PictureMaker {
 struct Converter(scaling::Context);
 
 #[allow(unsafe_code, reason = "libswscale keeps no thread-local state; a context is used by one thread at a time here")]
-// SAFETY: the context is owned by the converter alone and reached through `&mut` only.
+// SAFETY: only the converter owns the context, and it is reached only through `&mut`.
 unsafe impl Send for Converter {}
 
 impl PictureMaker {
@@ -39,9 +39,9 @@ impl PictureMaker {
         Self { path, converter: None, siting, silent, warned: Vec::new() }
     }
 
-    /// Where chroma sits in frames that do not say, if the codec is not to decide.
+    /// Sets the chroma siting of frames that do not state it, overriding the codec's default.
     #[cfg(feature = "gstreamer")]
-    pub(crate) fn take_unsaid_siting_as(&mut self, siting: ChromaSiting) {
+    pub(crate) fn set_default_siting(&mut self, siting: ChromaSiting) {
         self.siting = siting;
     }
 
@@ -55,7 +55,7 @@ impl PictureMaker {
         let interlaced = frame.is_interlaced();
         let quantisation = self.quantisation(&frame);
         if let Some(format) = native(pixel) {
-            // Formats stored bottom row first have a negative stride: turned over by swscale.
+            // Formats stored bottom row first have a negative stride: swscale flips them.
             let upright = (0..frame.planes()).all(|i| frame.stride(i).cast_signed() > 0);
             let frame = if upright { frame } else { self.convert(&frame, pixel)? };
             return Ok(Picture::from_decoded(frame, format, colour).quantised(quantisation).interlaced(interlaced));
@@ -112,7 +112,7 @@ impl PictureMaker {
         SourceError::PixelFormat { path: self.path.clone(), format: name(pixel) }
     }
 
-    /// Whether this is the first time.
+    /// Whether `what` occurs for the first time.
     fn first(&mut self, what: &'static str) -> bool {
         let first = !self.warned.contains(&what);
         if first {
@@ -162,7 +162,7 @@ impl PictureMaker {
     fn transfer(&mut self, frame: &Video, is_yuv: bool) -> Transfer {
         use color::TransferCharacteristic as T;
         match frame.color_transfer_characteristic() {
-            // RGB comes from cameras and programs that make pictures for a screen, YUV from video.
+            // RGB comes from cameras and from programs that render for a screen, YUV from video.
             T::Unspecified if !is_yuv => Transfer::Srgb,
             T::BT709 | T::SMPTE170M | T::BT2020_10 | T::BT2020_12 | T::Unspecified => Transfer::Bt709,
             T::IEC61966_2_1 => Transfer::Srgb,
@@ -236,7 +236,7 @@ fn native(pixel: Pixel) -> Option<PixelFormat> {
     })
 }
 
-/// More than 8 bits a sample: the 8-bit format of the same layout. Packed 4:2:2: the same samples in planes.
+/// More than 8 bits per sample: the 8-bit format of the same layout. Packed 4:2:2: the same samples in planes.
 fn convertible(pixel: Pixel) -> Option<(Pixel, PixelFormat)> {
     let name = name(pixel);
     let layout = name.trim_end_matches("le").trim_end_matches("be").trim_end_matches(|c: char| c.is_ascii_digit());

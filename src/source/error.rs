@@ -14,39 +14,39 @@ pub enum SourceError {
     /// No such file or folder.
     #[error("{}: no such file or folder", path.display())]
     NotFound {
-        /// What was asked for.
+        /// The requested path.
         path: PathBuf,
     },
     /// A folder where a video file is wanted.
-    #[error("{}: is a folder, a video file is wanted here", path.display())]
+    #[error("{}: is a folder; expected a video file", path.display())]
     IsFolder {
-        /// What was asked for.
+        /// The requested path.
         path: PathBuf,
     },
     /// A file where a folder of pictures is wanted.
-    #[error("{}: is a file, a folder of pictures is wanted here", path.display())]
+    #[error("{}: is a file; expected a folder of pictures", path.display())]
     IsFile {
-        /// What was asked for.
+        /// The requested path.
         path: PathBuf,
     },
     /// The operating system refuses.
     #[error("{}: cannot be read: {error}", path.display())]
     Io {
-        /// What was asked for.
+        /// The requested path.
         path: PathBuf,
         /// Its reason.
         #[source]
         error: io::Error,
     },
     /// A stream that cannot be had.
-    #[error("{url}: no stream that can be read ({reason})")]
+    #[error("{url}: cannot read the stream ({reason})")]
     Stream {
         /// Its address.
         url: String,
         /// libav's reason.
         reason: String,
     },
-    /// A recorded or piped stream of raw pictures that is not what was stated.
+    /// A recorded or piped stream of raw pictures that is not as stated.
     #[error("{name}: {reason}")]
     Raw {
         /// Where it comes from.
@@ -57,7 +57,7 @@ pub enum SourceError {
     /// A camera that cannot be had, or is lost.
     #[error("{name}: {reason}")]
     Camera {
-        /// Its name as the user gave it.
+        /// Its name, as given by the user.
         name: String,
         /// What is wrong and what would be right.
         reason: String,
@@ -83,7 +83,7 @@ pub enum SourceError {
     NoVideoStream {
         /// The file.
         path: PathBuf,
-        /// Streams there are.
+        /// The streams that exist.
         found: String,
     },
     /// The stream cannot be decoded here.
@@ -150,7 +150,7 @@ pub enum SourceError {
         why: String,
     },
     /// A log, where pictures are wanted.
-    #[error("{}: is a log, whose pictures are in parts at most: it can be tracked, and no more", path.display())]
+    #[error("{}: is a log, which holds parts of its pictures at most; it can only be tracked", path.display())]
     IsLog {
         /// The file.
         path: PathBuf,
@@ -189,9 +189,9 @@ pub enum SourceError {
     EmptySpan {
         /// The recording or folder.
         path: PathBuf,
-        /// Start asked for, seconds.
+        /// Requested start, seconds.
         from_s: Option<f64>,
-        /// End asked for, seconds.
+        /// Requested end, seconds.
         to_s: Option<f64>,
         /// Time of the last frame before it, seconds.
         before_s: Option<f64>,
@@ -201,9 +201,9 @@ pub enum SourceError {
     /// A span that ends before it starts.
     #[error("the span of time from {from_s} s to {to_s} s ends before it starts")]
     Span {
-        /// Start asked for, seconds.
+        /// Requested start, seconds.
         from_s: f64,
-        /// End asked for, seconds.
+        /// Requested end, seconds.
         to_s: f64,
     },
     /// A frame rate stated for a recording.
@@ -213,7 +213,7 @@ pub enum SourceError {
         /// The file.
         path: PathBuf,
     },
-    /// A frame rate that is none.
+    /// Not a frame rate.
     #[error(transparent)]
     Rate(#[from] FrameRateError),
     /// A folder without pictures.
@@ -222,18 +222,18 @@ pub enum SourceError {
     NoPictures {
         /// The folder.
         path: PathBuf,
-        /// What can be done about other pictures that are there.
+        /// How to make other pictures in the folder readable.
         cure: Option<String>,
     },
     /// A folder of pictures without times.
-    #[error("{}: when were these pictures taken? Put a table times.csv beside them (header \"file,t_s\", or \"file,stamp_ns\"; \
+    #[error("{}: the pictures have no times. Put a table times.csv beside them (header \"file,t_s\", or \"file,stamp_ns\"; \
         a row for each picture), or state their rate with --fps", path.display())]
     NoTimes {
         /// The folder.
         path: PathBuf,
     },
     /// A table of times and a stated rate.
-    #[error("{}: has times.csv, and {rate} frames a second are stated: leave out --fps, or move the table away", path.display())]
+    #[error("{}: has times.csv, and {rate} frames per second are stated: leave out --fps, or move the table away", path.display())]
     TwoTimes {
         /// The folder.
         path: PathBuf,
@@ -250,7 +250,7 @@ pub enum SourceError {
         /// What is wrong and what would be right.
         reason: String,
     },
-    /// A picture that the table of times leaves out.
+    /// A picture missing from the table of times.
     #[error("{}: picture {picture} has no row in this table", path.display())]
     NotInTimes {
         /// The table.
@@ -276,7 +276,7 @@ pub enum SourceError {
         /// The file.
         path: PathBuf,
     },
-    /// A time outside of what 64 bits of nanoseconds hold.
+    /// A time outside the range of 64-bit nanoseconds.
     #[error("{}: the time of frame {seq} is beyond 292 years", path.display())]
     TimeRange {
         /// The recording or folder.
@@ -287,8 +287,8 @@ pub enum SourceError {
 }
 
 impl SourceError {
-    /// Whether the frames handed out before this error are the readable part of a recording that ends early: what was
-    /// made of them is worth keeping.
+    /// Whether the frames handed out before this error are the readable part of a recording that ends early, so that
+    /// their results are worth keeping.
     pub fn is_early_end(&self) -> bool {
         matches!(self, Self::Truncated { .. })
     }

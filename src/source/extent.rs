@@ -1,23 +1,23 @@
-//! Whether a recording's file is all there, from the lengths its container declares.
+//! Whether a recording's file is complete, from the lengths its container declares.
 //!
-//! libav reports the plain end of the stream where a file was cut off, so it is asked of the container itself: Matroska
-//! (RFC 9559: EBML elements), MP4 and QuickTime (ISO/IEC 14496-12: boxes) and AVI (RIFF chunks). Only headers are read.
-//! What this cannot detect: a Matroska file of undeclared length that ends between two elements, and damage inside.
+//! libav reports a cut-off file as a normal end of the stream, so the container itself is read: Matroska (RFC 9559:
+//! EBML elements), MP4 and QuickTime (ISO/IEC 14496-12: boxes) and AVI (RIFF chunks). Only headers are read. What this
+//! cannot detect: a Matroska file of undeclared length that ends between two elements, and damage inside.
 
 use std::io::{self, BufReader, ErrorKind, Read, Seek, SeekFrom};
 
-/// How much of a file is there.
+/// How much of a file is present.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Extent {
-    /// All that the container declares.
+    /// Everything that the container declares.
     Whole,
-    /// The container declares no lengths, or is none that is known here.
+    /// The container declares no lengths, or is of an unknown kind.
     Undeclared,
     /// It ends early.
     Short {
         /// Bytes there.
         found_bytes: u64,
-        /// Bytes there should be at least.
+        /// Bytes declared, at least.
         declared_bytes: u64,
     },
     /// An MP4 without its index (the `moov` box), which recorders write last.
@@ -34,7 +34,7 @@ pub(crate) fn extent(file: impl Read + Seek) -> io::Result<Extent> {
     if !walk.read(&mut magic)? {
         return Ok(Extent::Undeclared);
     }
-    walk.go_to(0)?;
+    walk.seek_to(0)?;
     match magic {
         [0x1A, 0x45, 0xDF, 0xA3, ..] => ebml(&mut walk),
         [b'R', b'I', b'F', b'F', _, _, _, _, b'A', b'V', b'I', b' '] => riff(&mut walk),
@@ -47,7 +47,7 @@ pub(crate) fn extent(file: impl Read + Seek) -> io::Result<Extent> {
     }
 }
 
-/// A place in a file of known length.
+/// A position in a file of known length.
 struct Walk<R> {
     file: BufReader<R>,
     at: u64,
@@ -73,20 +73,20 @@ impl<R: Read + Seek> Walk<R> {
         }
     }
 
-    fn go_to(&mut self, at: u64) -> io::Result<()> {
+    fn seek_to(&mut self, at: u64) -> io::Result<()> {
         let by = i128::from(at) - i128::from(self.at);
         self.file.seek_relative(i64::try_from(by).map_err(io::Error::other)?)?;
         self.at = at;
         Ok(())
     }
 
-    /// Goes over `size` bytes; if they are not all there, says so.
+    /// Skips `size` bytes; reports if the file ends first.
     fn skip(&mut self, size: u64) -> io::Result<Option<Extent>> {
         let end = self.at.saturating_add(size);
         if end > self.length {
             return Ok(Some(self.short(end)));
         }
-        self.go_to(end)?;
+        self.seek_to(end)?;
         Ok(None)
     }
 
@@ -94,7 +94,7 @@ impl<R: Read + Seek> Walk<R> {
         Extent::Short { found_bytes: self.length, declared_bytes }
     }
 
-    /// An EBML number of up to `most` bytes, marker kept; with its length in bytes. `Err(extent)` ends the walk.
+    /// An EBML number of up to `most` bytes, marker included, and its length in bytes. `Err(extent)` ends the walk.
     fn number(&mut self, most: u32) -> io::Result<Result<(u64, u32), Extent>> {
         let mut first = [0];
         if !self.read(&mut first)? {
@@ -156,7 +156,7 @@ fn boxes<R: Read + Seek>(walk: &mut Walk<R>) -> io::Result<Extent> {
                 }
                 u64::from_be_bytes(long).saturating_sub(16)
             }
-            // No box: something else follows the last one.
+            // Not a box: something else follows the last one.
             2..8 => break,
             size => u64::from(size) - 8,
         };
@@ -200,7 +200,7 @@ mod tests {
 
     #[test]
     fn matroska_of_declared_length() {
-        // EBML head of 2 bytes, Segment of 6.
+        // EBML header of 2 bytes, Segment of 6.
         let file =
             [&[0x1A, 0x45, 0xDF, 0xA3, 0x82, 0, 0][..], &[0x18, 0x53, 0x80, 0x67, 0x86, 1, 2, 3, 4, 5, 6]].concat();
         assert_eq!(of(&file), Extent::Whole);

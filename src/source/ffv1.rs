@@ -1,15 +1,15 @@
-//! The checksums of FFV1's slices (RFC 9043, 4.9): libav's decoder fills a slice whose checksum differs with the
-//! picture before, and tells nobody.
+//! The checksums of FFV1's slices (RFC 9043, 4.9): libav's decoder fills a slice whose checksum differs from the
+//! previous picture, without reporting it.
 //!
-//! In: the configuration record of the stream, and its packets. Out: whether all slices of a packet are as they were
-//! written. What this cannot detect: anything, in streams without checksums (versions 0 and 1, or `-slicecrc 0`).
+//! In: the configuration record of the stream, and its packets. Out: whether all slices of a packet are intact. What
+//! this cannot detect: anything, in streams without checksums (versions 0 and 1, or `-slicecrc 0`).
 
 /// Where a slice ends: its size in 3 bytes, its state in 1, its checksum in 4.
 const TRAILER: usize = 8;
 /// States of a symbol.
 const CONTEXT: usize = 32;
 
-/// Whether slices carry checksums, by the stream's configuration record; `None` when it cannot be understood.
+/// Whether slices have checksums, from the stream's configuration record; `None` when it cannot be parsed.
 pub(super) fn has_checksums(configuration: &[u8]) -> Option<bool> {
     let mut coder = RangeDecoder::new(configuration.get(..configuration.len().checked_sub(4)?)?)?;
     let mut state = [128; CONTEXT];
@@ -47,7 +47,7 @@ pub(super) fn has_checksums(configuration: &[u8]) -> Option<bool> {
     Some(coder.unsigned(&mut state)? != 0)
 }
 
-/// Whether all slices of `packet`, of a stream with checksums, are as they were written.
+/// Whether all slices of `packet`, from a stream with checksums, are intact.
 pub(super) fn is_sound(packet: &[u8]) -> bool {
     let mut rest = packet;
     while !rest.is_empty() {
@@ -110,7 +110,7 @@ impl<'a> RangeDecoder<'a> {
             self.range = part;
             at(*state, &self.one)
         } else {
-            // A zero in this state is a one in the opposite state.
+            // A zero in this state equals a one in the opposite state.
             0u8.wrapping_sub(at(0u8.wrapping_sub(*state), &self.one))
         };
         if self.range < 0x100 {
@@ -143,7 +143,7 @@ impl<'a> RangeDecoder<'a> {
         u32::try_from(self.symbol(state, false)?).ok()
     }
 
-    /// Goes over the five tables of a set; how many contexts they make.
+    /// Skips the five tables of a set; returns the number of their contexts.
     fn quantization(&mut self) -> Option<u32> {
         let mut count = 1_u32;
         for _ in 0..5 {
@@ -163,11 +163,11 @@ impl<'a> RangeDecoder<'a> {
     }
 }
 
-/// What state follows a one, for each state.
+/// For each state, the state that follows a one.
 fn transitions() -> [u8; 256] {
     const ONE: i64 = 1 << 32;
     const FACTOR: i64 = (0.05 * (1_u64 << 32) as f64) as i64;
-    const MOST: i64 = 256 - 8;
+    const MAX_STATE: i64 = 256 - 8;
     let next = |p: i64| p + (((ONE - p) as i128 * FACTOR as i128 + (ONE / 2) as i128) >> 32) as i64;
     let mut one = [0_u8; 256];
     let mut set = |at: i64, value: i64| {
@@ -180,15 +180,15 @@ fn transitions() -> [u8; 256] {
     let (mut last, mut p) = (0, ONE / 2);
     for _ in 0..128 {
         let state = ((256 * p + ONE / 2) >> 32).max(last + 1);
-        if last != 0 && last < 256 && state <= MOST {
+        if last != 0 && last < 256 && state <= MAX_STATE {
             set(last, state);
         }
         p = next(p);
         last = state;
     }
-    for state in 256 - MOST..=MOST {
+    for state in 256 - MAX_STATE..=MAX_STATE {
         let p = next((state * ONE + 128) >> 8);
-        set(state, ((256 * p + ONE / 2) >> 32).max(state + 1).min(MOST));
+        set(state, ((256 * p + ONE / 2) >> 32).max(state + 1).min(MAX_STATE));
     }
     one
 }

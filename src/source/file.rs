@@ -3,11 +3,11 @@
 //! In: a file in any container that libav reads. Out: every frame that can be decoded, in the order of presentation, as
 //! the decoder stored it (no copy, no colour conversion), with the container's own time stamp to the nanosecond: the
 //! presentation time stamp times the stream's time base, never frame number ÷ rate, unless the user states the rate of
-//! a raw stream, which has no times. A rotation the container asks for is not done: calibration holds for the sensor's
-//! own rows and columns.
+//! a raw stream, which has no times. A rotation in the container is not applied: calibration refers to the sensor's own
+//! rows and columns.
 //!
-//! A stamp that is not later than those before is handed on as it is and named in a warning. Damaged pictures are left
-//! out (see `damage`), counted in the gap of the next frame and named. A recording that ends early gives all its
+//! A stamp that is not later than those before is passed on unchanged, with a warning. Damaged pictures are left out
+//! (see `damage`) with a warning, and counted in the gap of the next frame. A recording that ends early gives all its
 //! readable frames, then [`SourceError::Truncated`].
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
@@ -19,7 +19,7 @@ use ffmpeg_the_third as av;
 use super::container::{
     best_video, configuration, count_hint, measure, open_decoder, open_input, open_stream, quiet_libav,
 };
-use super::damage::{DamageLog, REORDER};
+use super::damage::{DamageLog, MAX_REORDER};
 use super::decoded::{PictureMaker, is_damaged, is_left_out};
 use super::extent::Extent;
 use super::gaps::plausible_period_ns;
@@ -33,15 +33,15 @@ use super::{
 /// How a recording is read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct VideoOptions {
-    /// Threads of the decoder; 0 for one a core. Where pictures are predicted from others it is one, whatever is asked
-    /// for: with more, FFmpeg (5.1 at least) reports less of the damage that it notices.
+    /// Threads of the decoder; 0 for one per core. Where pictures are predicted from others it is always one: with
+    /// more, FFmpeg (at least 5.1) reports less of the damage that it notices.
     pub decoder_threads: usize,
-    /// Part of the recording that is read.
+    /// Part of the recording to read.
     pub span: Span,
     /// Frame rate of a raw stream, which has no times: frame i was taken at i / rate ([`Clock::StatedRate`]).
     pub stated_rate: Option<FrameRate>,
-    /// Whether damaged pictures are handed on, marked ([`Picture::is_damaged`]), instead of left out: their times are
-    /// known.
+    /// Whether damaged pictures, whose times are known, are passed on marked ([`Picture::is_damaged`]) instead of left
+    /// out.
     pub keep_damaged: bool,
 }
 
@@ -59,26 +59,26 @@ pub struct VideoFile {
     stream: usize,
     time_base: av::Rational,
     start_pts: i64,
-    /// Of a raw stream, and how many of its frames were decoded.
+    /// Stated rate of a raw stream, and how many of its frames were decoded.
     stated: Option<(FrameRate, u64)>,
-    /// Camera time of the container's zero, see [`ORIGIN_TAG`].
+    /// Camera time at the container's zero, see [`ORIGIN_TAG`].
     origin_ns: i64,
     decoder: av::decoder::Video,
     pictures: PictureMaker,
     damage: DamageLog,
     keep_damaged: bool,
-    /// What packets can be checked for before they are decoded.
+    /// How packets can be checked before decoding.
     check: PacketCheck,
-    /// Steps of the quantiser that packets named whose pictures have not come yet.
+    /// Quantiser steps of packets whose pictures have not been decoded yet.
     steps: BTreeMap<i64, f64>,
-    /// Times of packets that were damaged, for which no picture has come yet.
+    /// Times of damaged packets that have given no picture yet.
     undecoded: BTreeSet<i64>,
-    /// What pictures are, for those that could not be decoded.
+    /// Format and colours, for pictures that could not be decoded.
     layout: Option<(PixelFormat, Colour)>,
-    /// Decoded frames and their numbers in the log of damage, before they are judged.
+    /// Decoded frames not judged yet, with their numbers in the damage log.
     held: VecDeque<(av::frame::Video, u64)>,
     stamps: StampWatch,
-    /// Camera frames lost or left out since the last frame handed on.
+    /// Camera frames lost or left out since the last frame passed on.
     missing: u32,
     span: Span,
     size_px: [u32; 2],
@@ -90,16 +90,16 @@ pub struct VideoFile {
     ends_early: Option<String>,
     faults: StreamFaults,
     seq: u64,
-    /// Live: when the latest packets were read, by their presentation time; and that of the last frame handed on.
+    /// Live: when the latest packets were read, by presentation time; and that of the last frame passed on.
     read_at: VecDeque<(i64, Instant)>,
     arrival: Option<Instant>,
-    /// Times of packets that have no presentation time (AVI), in the order of decoding: pictures take them in turn.
+    /// Times of packets without a presentation time (AVI), in decoding order: pictures take them in turn.
     in_turn: VecDeque<i64>,
-    /// Whether frames at the end are left out by the recording itself.
+    /// Whether the recording itself trims frames at the end.
     trimmed: bool,
     /// Packets read since the beginning; `None` after a jump.
     packets: Option<i64>,
-    /// Latest stamps decoded: of all, before the span, and the first after it.
+    /// Stamps decoded: the latest of all, the latest before the span, and the first after it.
     seen_ns: Option<i64>,
     before_ns: Option<i64>,
     after_ns: Option<i64>,
@@ -109,7 +109,7 @@ pub struct VideoFile {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Phase {
     Reading,
-    /// No more packets: the decoder hands out what it holds.
+    /// No more packets: the decoder is being drained.
     Draining,
     Ended,
 }
@@ -118,21 +118,20 @@ enum Phase {
 const RAW_STREAMS: [&str; 11] =
     ["h264", "hevc", "vvc", "obu", "m4v", "mpegvideo", "mjpeg", "mjpeg_2000", "vc1", "dirac", "cavsvideo"];
 
-/// Name of the tag that holds what the camera's clock said at the container's zero, nanoseconds: a video recorded by
-/// this program has it where the clock counts from a distant past, which containers hold with some hundred nanoseconds
-/// at best.
+/// Tag with the camera's clock at the container's zero, nanoseconds. Videos recorded by this program have it when the
+/// clock counts from a distant past, which containers resolve to some hundred nanoseconds at best.
 pub(crate) const ORIGIN_TAG: &str = "CATOPTRA_ORIGIN_NS";
 
-/// Frames that are stored before one that is shown earlier, at most (H.264).
-const MOST_REORDERED: i64 = 16;
-/// Packets of a stream whose arrival is remembered: more than any encoder reorders.
-const MOST_ARRIVALS: usize = 64;
-/// Damaged packets whose pictures are waited for.
-const MOST_UNDECODED: usize = 1000;
-/// Packets in a row that cannot be read before the rest is given up.
+/// Most frames that are stored before one that is shown earlier (H.264).
+const MAX_REORDERED: i64 = 16;
+/// Packets of a stream whose arrival times are remembered: more than any encoder reorders.
+const MAX_ARRIVALS: usize = 64;
+/// Most damaged packets whose pictures are awaited.
+const MAX_UNDECODED: usize = 1000;
+/// Unreadable packets in a row after which the rest is given up.
 const UNREADABLE: u32 = 1000;
 
-/// What the packets of a stream can be checked for before they are decoded: their decoders conceal damage.
+/// How the packets of a stream can be checked before decoding: their decoders conceal damage.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum PacketCheck {
     None,
@@ -156,7 +155,7 @@ impl PacketCheck {
         }
     }
 
-    /// Whether the packet is sound, and the step of the quantiser that it names.
+    /// Whether the packet is sound, and the quantiser step that it states.
     fn examine(self, packet: &[u8]) -> (bool, Option<f64>) {
         match self {
             Self::None => (true, None),
@@ -179,7 +178,7 @@ impl VideoFile {
     /// Opens the best video stream of the recording at `path`.
     ///
     /// # Errors
-    /// When there is no such file, it is no video or its video cannot be decoded; when the span ends before it starts.
+    /// When there is no such file, it is not a video or cannot be decoded, or the span ends before it starts.
     pub fn open(path: impl AsRef<Path>, options: VideoOptions) -> Result<Self, SourceError> {
         let path = path.as_ref().to_path_buf();
         options.span.check()?;
@@ -193,7 +192,7 @@ impl VideoFile {
         };
         let input = open_input(&path)?;
         match (RAW_STREAMS.contains(&input.format().name()), options.stated_rate) {
-            // libav would make times up from a rate of its own.
+            // libav would invent times from a rate of its own.
             (true, None) => return Err(SourceError::NoTime { path, seq: 0 }),
             (false, Some(_)) => return Err(SourceError::RateOfVideo { path }),
             _ => {}
@@ -209,7 +208,7 @@ impl VideoFile {
     /// Opens the live stream at `url`: frames leave the decoder at once, and may change their size.
     ///
     /// # Errors
-    /// When nobody answers there, or what comes is no video that can be decoded.
+    /// When nobody answers, or the data is not a video that can be decoded.
     pub(super) fn stream(url: &str) -> Result<Self, SourceError> {
         quiet_libav();
         let options = VideoOptions { keep_damaged: true, ..VideoOptions::default() };
@@ -280,13 +279,13 @@ impl VideoFile {
         })
     }
 
-    /// When the packet of the last frame handed on was read, in a stream.
+    /// When the packet of the last frame passed on was read, in a stream.
     pub(super) fn arrival(&self) -> Option<Instant> {
         self.arrival
     }
 
-    /// Goes to a key frame from which the frame at `from_ns` can be decoded: libav's index may lead to one that is
-    /// shown later, so the first frame that comes out decides.
+    /// Seeks to a key frame from which the frame at `from_ns` can be decoded. libav's index may lead to one that is
+    /// shown later, so the first decoded frame decides.
     fn seek(&mut self, from_ns: i64, threads: usize) -> Result<(), SourceError> {
         for margin_s in [0, 2, 10, 60] {
             let to_us = from_ns.saturating_sub(self.origin_ns) / 1000 - margin_s * 1_000_000;
@@ -309,7 +308,7 @@ impl VideoFile {
                 }
             }
         }
-        // Not to be searched, or the span starts before the first frame: read from the start.
+        // Not seekable, or the span starts before the first frame: read from the start.
         self.input = open_input(&self.path)?;
         let stream = best_video(&self.path, &self.input)?;
         self.decoder = open_decoder(&self.path, &stream, threads, false)?;
@@ -328,17 +327,17 @@ impl VideoFile {
                 Ok(()) => return Some(frame),
                 Err(av::Error::Eof) => return None,
                 Err(av::Error::Other { .. }) if self.phase == Phase::Reading => self.feed(),
-                // Draining, a decoder that wants more input has nothing more to give.
+                // While draining, a decoder that wants more input has no more frames.
                 Err(av::Error::Other { .. }) => return None,
                 Err(error) => self.damaged_packet(error, true),
             }
         }
     }
 
-    /// The next frame in order of showing, when all that may damage it is decoded.
-    fn next_held(&mut self) -> Option<(av::frame::Video, u64)> {
-        // Live, what will turn out damaged later is not waited for.
-        let ahead = if self.decoder.has_b_frames() && self.clock == Clock::Container { REORDER } else { 0 };
+    /// The next frame in presentation order, once everything that could damage it is decoded.
+    fn next_in_order(&mut self) -> Option<(av::frame::Video, u64)> {
+        // Live: do not wait for what may turn out damaged later.
+        let ahead = if self.decoder.has_b_frames() && self.clock == Clock::Container { MAX_REORDER } else { 0 };
         while self.held.len() <= ahead {
             let Some(frame) = self.decode() else { break };
             let pts = frame.pts().or(frame.timestamp());
@@ -374,12 +373,12 @@ impl VideoFile {
                     self.note_arrival(&packet);
                     self.packets = self.packets.map(|packets| packets + 1);
                     // An MP4's edit list may leave out frames at the end, and libav then drops them. But where the
-                    // length of the last frame was not known, the list ends at its start, and it would be dropped too.
-                    // Setting the flags that the binding knows clears the one that says so; frames before the
-                    // recording's start stay out.
+                    // length of the last frame was unknown, the list ends at its start, and it would be dropped too.
+                    // Setting the flags that the binding knows clears the discard flag; frames before the recording's
+                    // start stay out.
                     if is_left_out(&packet) && packet.pts().is_some_and(|pts| pts >= self.start_pts) {
                         let frames = self.input.stream(self.stream).map_or(0, |stream| stream.frames());
-                        let more = self.packets.is_some_and(|packets| packets + MOST_REORDERED < frames);
+                        let more = self.packets.is_some_and(|packets| packets + MAX_REORDERED < frames);
                         if packet.duration() <= 1 && !more && !self.trimmed {
                             packet.set_flags(packet.flags());
                         }
@@ -395,7 +394,7 @@ impl VideoFile {
                         self.damaged_packet(av::Error::InvalidData, false);
                         continue;
                     }
-                    // The decoder would hide it.
+                    // The decoder would conceal the damage.
                     let (sound, step) = self.check.examine(packet.data().unwrap_or_default());
                     self.steps.extend(pts.zip(step));
                     if !sound {
@@ -418,7 +417,7 @@ impl VideoFile {
                     self.ends_early.get_or_insert_with(|| format!("reading failed: {error}"));
                 }
             }
-            // What fails here shows as a decoder without frames.
+            // A failure here shows as a decoder without frames.
             let _ = self.decoder.send_eof();
             self.phase = Phase::Draining;
             return;
@@ -429,24 +428,24 @@ impl VideoFile {
         if self.clock == Clock::Stream
             && let Some(pts) = packet.pts()
         {
-            if self.read_at.len() == MOST_ARRIVALS {
+            if self.read_at.len() == MAX_ARRIVALS {
                 self.read_at.pop_front();
             }
             self.read_at.push_back((pts, Instant::now()));
         }
     }
 
-    /// A packet is lost: the latest, or with `by_decoder` one that a thread of the decoder was still at.
+    /// A packet is lost: the latest, or with `by_decoder` one that a decoder thread was still working on.
     fn damaged_packet(&mut self, error: av::Error, by_decoder: bool) {
         let threads = if by_decoder { self.decoder.threading().count as u64 } else { 1 };
         self.damage.packet_is_damaged(threads.saturating_sub(1));
         if by_decoder {
-            // No picture takes its turn.
+            // No picture will take its time.
             self.in_turn.pop_back();
         }
         self.faults.damaged_packets += 1;
-        // Times that make no sense never come up.
-        if self.undecoded.len() > MOST_UNDECODED {
+        // Nonsensical times are never reached.
+        if self.undecoded.len() > MAX_UNDECODED {
             self.undecoded.pop_last();
         }
         // At a cut the last packet is expected to be broken, and the end is reported.
@@ -459,7 +458,7 @@ impl VideoFile {
         }
     }
 
-    /// Where reading has come to, for a person.
+    /// The current position, for messages.
     fn at(&self) -> String {
         self.seen_ns.map_or_else(|| "the start".to_owned(), |ns| format!("{} s", seconds(ns)))
     }
@@ -500,7 +499,7 @@ impl VideoFile {
         Ok(Timestamp { ns, clock: self.clock })
     }
 
-    /// The stream has ended: whole, early, or with nothing in it.
+    /// The stream has ended: complete, early, or empty.
     fn end(&mut self) -> Result<Option<Frame>, SourceError> {
         self.phase = Phase::Ended;
         self.faults.report(&self.path);
@@ -547,7 +546,7 @@ impl VideoFile {
     /// The next frame of the span that is not damaged.
     fn next_sound(&mut self) -> Result<Option<Frame>, SourceError> {
         while self.phase != Phase::Ended {
-            let next = self.next_held();
+            let next = self.next_in_order();
             let until = next.as_ref().map_or(Some(i64::MAX), |(frame, _)| frame.pts().or(frame.timestamp()));
             if let Some(frame) = self.undecoded_before(until)? {
                 next.into_iter().for_each(|next| self.held.push_front(next));
@@ -622,7 +621,7 @@ impl VideoFile {
         frame
     }
 
-    /// The frame of a damaged packet that gave no picture, if there is one before `pts`.
+    /// The frame of a damaged packet that gave no picture, if one comes before `pts`.
     fn undecoded_before(&mut self, pts: Option<i64>) -> Result<Option<Frame>, SourceError> {
         if self.stated.is_some() {
             return Ok(None);

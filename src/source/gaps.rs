@@ -1,35 +1,34 @@
 //! Camera frames lost between two frames, from time stamps alone.
 //!
-//! In: the stamps in the order the frames come, the resolution of the clock (tick) and the period the recording
-//! declares, if it does. Out: how many camera frames are missing before each one.
+//! In: the stamps in the order of arrival, the resolution of the clock (tick) and the period the recording declares, if
+//! it does. Out: how many camera frames are missing before each one.
 //!
-//! Method. The camera's period is the declared one as long as the steps bear it out (most are whole multiples of it and
+//! Method. The camera's period is the declared one as long as the steps confirm it (most are whole multiples of it and
 //! some are the period itself), else the median of the last [`WINDOW`] steps, refined to their mean. A step of k
-//! periods lost k − 1 frames. Only steps that came before are looked at, so a live run and the same run recorded give
-//! the same numbers.
+//! periods lost k − 1 frames. Only earlier steps are used, so a live run and its recording give the same numbers.
 //!
 //! Assumptions: less than half of the frames are lost where no rate is declared; the rate holds for half a window
-//! (after a change to a slower rate the steps count as losses until the median has followed). Where no rate is
-//! declared, the first eight steps cannot be judged and count as whole.
+//! (after a change to a slower rate the steps count as losses until the median has adapted). Where no rate is declared,
+//! the first eight steps cannot be judged and count as without loss.
 //!
-//! A recording of truly varying rate has no period to miss: where more than a quarter of the steps are no whole
-//! multiples of the median, only a step over [`HOLE`] medians is counted, in medians. What this cannot detect: frames
-//! lost when a clock stamps them at a constant rate as they arrive.
+//! A recording of truly variable rate has no period: where more than a quarter of the steps are not whole multiples of
+//! the median, only steps over [`GAP_MEDIANS`] medians are counted, in medians. What this cannot detect: frames lost
+//! when a clock stamps them at a constant rate as they arrive.
 
 use std::collections::VecDeque;
 
 /// Steps that are remembered.
 pub(crate) const WINDOW: usize = 61;
-/// A step of this many medians is a hole even where the rate varies.
-pub(crate) const HOLE: f64 = 4.0;
+/// A step of this many medians is a gap even where the rate varies.
+pub(crate) const GAP_MEDIANS: f64 = 4.0;
 /// Steps needed before the period is estimated.
-const ENOUGH: usize = 8;
-/// Steps for which a declared period is taken at its word.
-const TRUSTED: usize = 8;
-/// Part of a period by which a step may be off a whole multiple.
-const JITTER: f64 = 0.2;
-/// Frames at most this many periods late are out of order; further back, the clock was set anew.
-const REORDER: f64 = 8.0;
+const MIN_STEPS: usize = 8;
+/// Steps during which a declared period is trusted.
+const DECLARED_STEPS: usize = 8;
+/// Fraction of a period by which a step may differ from a whole multiple.
+const JITTER_TOLERANCE: f64 = 0.2;
+/// Frames at most this many periods late are out of order; further back, the clock was reset.
+const MAX_REORDER_PERIODS: f64 = 8.0;
 
 /// How regular the steps have been.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -51,20 +50,20 @@ pub(crate) enum Rhythm {
 /// How a stamp follows the one before.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Order {
-    /// The first one.
+    /// The first stamp.
     First,
     /// Later than all before.
     Later,
     /// The same time again.
     Same,
-    /// Earlier than the latest, by so much: out of order, or the clock was set back.
+    /// Earlier than the latest: out of order, or the clock was set back.
     Earlier {
         /// How much earlier than the latest stamp.
         by_ns: i64,
     },
 }
 
-/// What one stamp says.
+/// What one stamp tells.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Step {
     /// Camera frames lost before this one; 0 where the stamp is not later than those before.
@@ -73,7 +72,7 @@ pub(crate) struct Step {
     pub order: Order,
 }
 
-/// Counts lost frames, see the module.
+/// Counts lost frames, see the module's documentation.
 #[derive(Debug, Clone)]
 pub(crate) struct GapCounter {
     declared_ns: Option<f64>,
@@ -103,7 +102,9 @@ impl GapCounter {
         }
         if step_ns < 0 {
             let late_frame = match rhythm {
-                Rhythm::Steady { period_ns: p } | Rhythm::Varying { median_ns: p } => -step_ns as f64 <= REORDER * p,
+                Rhythm::Steady { period_ns: p } | Rhythm::Varying { median_ns: p } => {
+                    -step_ns as f64 <= MAX_REORDER_PERIODS * p
+                }
                 Rhythm::Unknown => false,
             };
             if !late_frame {
@@ -115,7 +116,7 @@ impl GapCounter {
         let gap = match rhythm {
             Rhythm::Unknown => 0.0,
             Rhythm::Steady { period_ns } => lost(period_ns),
-            Rhythm::Varying { median_ns } if step_ns as f64 > HOLE * median_ns => lost(median_ns),
+            Rhythm::Varying { median_ns } if step_ns as f64 > GAP_MEDIANS * median_ns => lost(median_ns),
             Rhythm::Varying { .. } => 0.0,
         };
         if self.steps_ns.len() == WINDOW {
@@ -123,7 +124,7 @@ impl GapCounter {
         }
         self.steps_ns.push_back(step_ns);
         self.latest_ns = Some(stamp_ns);
-        // A float cast saturates: a gap below 0 (a short step) is none.
+        // A float cast saturates: a negative gap (a short step) becomes 0.
         Step { gap: gap as u32, order: Order::Later }
     }
 
@@ -132,11 +133,11 @@ impl GapCounter {
         let count = self.steps_ns.len();
         if let Some(period_ns) = self.declared_ns {
             let single = self.steps_ns.iter().filter(|&&s| self.periods(s, period_ns) == Some(1.0)).count();
-            if count < TRUSTED || (single * 8 >= count && self.is_regular(period_ns)) {
+            if count < DECLARED_STEPS || (single * 8 >= count && self.is_regular(period_ns)) {
                 return Rhythm::Steady { period_ns };
             }
         }
-        let Some(median_ns) = self.median_ns().filter(|_| count >= ENOUGH) else {
+        let Some(median_ns) = self.median_ns().filter(|_| count >= MIN_STEPS) else {
             return Rhythm::Unknown;
         };
         if !self.is_regular(median_ns) {
@@ -157,31 +158,31 @@ impl GapCounter {
         self.steps_ns.len()
     }
 
-    /// The lower median: among few steps, a gap is less likely than a whole step.
+    /// The lower median: among few steps, a gap is less likely than a regular step.
     fn median_ns(&self) -> Option<f64> {
         let mut sorted: Vec<i64> = self.steps_ns.iter().copied().collect();
         sorted.sort_unstable();
         sorted.get(sorted.len().saturating_sub(1) / 2).map(|&m| m as f64)
     }
 
-    /// Of how many periods the step is, if of a whole number.
+    /// How many periods the step has, if a whole number.
     fn periods(&self, step_ns: i64, period_ns: f64) -> Option<f64> {
         let k = (step_ns as f64 / period_ns).round().max(1.0);
         let off_ns = (step_ns as f64 - k * period_ns).abs();
         // Either stamp is up to half a tick off.
-        (off_ns <= JITTER * period_ns + self.tick_ns).then_some(k)
+        (off_ns <= JITTER_TOLERANCE * period_ns + self.tick_ns).then_some(k)
     }
 
-    /// Of few steps all, of many three quarters are whole multiples.
+    /// Whether all of few steps, or three quarters of many, are whole multiples.
     fn is_regular(&self, period_ns: f64) -> bool {
         let odd = self.steps_ns.iter().filter(|&&s| self.periods(s, period_ns).is_none()).count();
-        odd * 4 <= self.steps_ns.len().saturating_sub(ENOUGH)
+        odd * 4 <= self.steps_ns.len().saturating_sub(MIN_STEPS)
     }
 }
 
-/// The period of a declared rate, if it can be a camera's: between 0.1 and 10000 frames a second, and the average rate
-/// the container gives neither above it nor below 60 % of it. Rates as (numerator, denominator). libav gives for
-/// recordings of variable rate often that of the clock's ticks, and no average or a much lower one.
+/// The period of a declared rate, if it can be a camera's: between 0.1 and 10000 frames per second, and the average
+/// rate the container gives neither above it nor below 60 % of it. Rates as (numerator, denominator). For recordings of
+/// variable rate libav often gives the rate of the clock's ticks, and no average or a much lower one.
 pub(crate) fn plausible_period_ns(rate: (i32, i32), average: (i32, i32)) -> Option<f64> {
     let hertz = |(n, d): (i32, i32)| (n > 0 && d > 0).then(|| f64::from(n) / f64::from(d));
     let rate = hertz(rate).filter(|r| (0.1..=1e4).contains(r))?;

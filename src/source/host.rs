@@ -1,31 +1,31 @@
-//! The clock of this computer, and the camera's time on it.
+//! The host's clock, and the camera's time on it.
 //!
-//! [`HostClock`] counts nanoseconds since 1970 and cannot be set back: the computer's time of day at the start of the
-//! run, and from there its monotonic clock. A step of the time of day (NTP, a user) does not show.
+//! [`HostClock`] counts nanoseconds since 1970 and cannot be set back: it starts at the computer's time of day and
+//! follows its monotonic clock from there. A step of the time of day (NTP, a user) does not affect it.
 //!
-//! [`ClockFit`] maps the stamps of another clock to it. In: (stamp, arrival) of every frame, as they come. Out: the
-//! host's time at which that frame was stamped, up to the least delay there is between stamp and arrival, which no
-//! clock that is not wired to the camera can know.
+//! [`ClockFit`] maps the stamps of another clock to it. In: (stamp, arrival) of every frame, as they arrive. Out: the
+//! host's time at which that frame was stamped, up to the minimum delay between stamp and arrival, which only a clock
+//! wired to the camera could know.
 //!
-//! Method. Offset = arrival − stamp = constant + drift + delay, and a delay is never less than its least value: the
-//! truth lies on the lower envelope. The least offset of each second is kept for two minutes; the line is the edge of
-//! their lower convex hull that spans the middle of them (it lies below all points at the least sum of distances: Moon,
+//! Method. Offset = arrival − stamp = constant + drift + delay, and the delay never falls below its minimum: the truth
+//! lies on the lower envelope. The least offset of each second is kept for two minutes; the line is the edge of their
+//! lower convex hull that spans the middle of them (it lies below all points at the least sum of distances: Moon,
 //! Skelly and Towsley, IEEE INFOCOM 1999, doi:10.1109/INFCOM.1999.749287). In the first seconds the drift is taken as
-//! zero. What arrives before the line says (a clock that stepped) begins a new fit.
+//! zero. An arrival before the line (a clock that stepped) begins a new fit.
 
 use std::collections::VecDeque;
 use std::time::{Instant, SystemTime, UNIX_EPOCH};
 
-/// A frame on the clock of this computer, nanoseconds since 1970.
+/// A frame's times on the host's clock, nanoseconds since 1970.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct HostTime {
-    /// When the frame was here, whole, before it was decoded.
+    /// When the frame had arrived completely, before decoding.
     pub arrival_ns: i64,
-    /// The frame's own stamp, mapped to this clock: rises from frame to frame.
+    /// The frame's own stamp, mapped to this clock; increases from frame to frame.
     pub stamp_ns: i64,
 }
 
-/// The clock of this computer.
+/// The host's clock.
 #[derive(Debug, Clone, Copy)]
 pub struct HostClock {
     started: Instant,
@@ -33,7 +33,7 @@ pub struct HostClock {
 }
 
 impl HostClock {
-    /// Set by the computer's time of day, now. It is asked this once.
+    /// Starts at the computer's time of day, which is read only once.
     pub fn start() -> Self {
         Self::set_by(SystemTime::now)
     }
@@ -53,22 +53,22 @@ impl HostClock {
         self.at_ns(Instant::now())
     }
 
-    /// The same, of a moment that was kept.
+    /// The same for an earlier instant.
     pub fn at_ns(&self, moment: Instant) -> i64 {
         let elapsed = moment.saturating_duration_since(self.started);
         self.started_ns.saturating_add(i64::try_from(elapsed.as_nanos()).unwrap_or(i64::MAX))
     }
 }
 
-/// Stamps are gathered in bins of this length.
+/// Length of the bins of stamps.
 const BIN_NS: i64 = 1_000_000_000;
-/// So many bins are remembered.
+/// Bins remembered.
 const BINS: usize = 120;
-/// Drift is not told from delay before so much of the stamps' time has passed.
-const SETTLED_NS: i64 = 10 * BIN_NS;
-/// No crystal drifts by more.
-const MOST_DRIFT: f64 = 500e-6;
-/// A stamp this far from what the fit says was not made by the same clock, or the clock was set.
+/// Time of the stamps before which drift cannot be told from delay.
+const MIN_DRIFT_SPAN_NS: i64 = 10 * BIN_NS;
+/// No crystal drifts more.
+const MAX_DRIFT: f64 = 500e-6;
+/// A stamp this far from the fit comes from another clock, or the clock was set.
 const STEP_NS: i64 = 2_000_000_000;
 
 /// The mapping of another clock to the host's.
@@ -92,19 +92,19 @@ impl ClockFit {
         }
         self.add(stamp_ns, offset);
         let mapped = stamp_ns.saturating_add(self.offset_at(stamp_ns).unwrap_or(offset)).min(arrival_ns);
-        // A better fit may say an earlier time than the frame before was given.
+        // An improved fit may give an earlier time than the previous frame got.
         let stamp_ns = self.last.map_or(mapped, |last| mapped.max(last.stamp_ns.saturating_add(1)));
         let time = HostTime { arrival_ns, stamp_ns };
         self.last = Some(time);
         time
     }
 
-    /// How often the other clock was found to have been set, or to have begun anew.
+    /// How often the other clock was found to have been set or restarted.
     pub fn restarts(&self) -> u64 {
         self.restarts
     }
 
-    /// How much faster than the host's clock the other one runs, parts in one; `None` in the first seconds.
+    /// How much faster than the host's clock the other one runs, as a fraction; `None` in the first seconds.
     pub fn drift(&self) -> Option<f64> {
         let (from, to) = self.edge()?;
         (from != to).then(|| -slope(from, to))
@@ -134,10 +134,10 @@ impl ClockFit {
         Some(from.1.saturating_add(beyond as i64))
     }
 
-    /// Two points of the line; the same one twice while the drift is not known.
+    /// Two points of the line; the same one twice while the drift is unknown.
     fn edge(&self) -> Option<((i64, i64), (i64, i64))> {
         let (first, last) = (*self.least.front()?, *self.least.back()?);
-        if last.0.saturating_sub(first.0) < SETTLED_NS {
+        if last.0.saturating_sub(first.0) < MIN_DRIFT_SPAN_NS {
             let least = *self.least.iter().min_by_key(|(_, offset)| *offset)?;
             return Some((least, least));
         }
@@ -156,7 +156,7 @@ impl ClockFit {
             [from, to] if to.0 >= middle => Some((*from, *to)),
             _ => None,
         })?;
-        (slope(edge.0, edge.1).abs() <= MOST_DRIFT).then_some(edge).or(Some((last, last)))
+        (slope(edge.0, edge.1).abs() <= MAX_DRIFT).then_some(edge).or(Some((last, last)))
     }
 }
 
@@ -169,12 +169,12 @@ fn slope(from: (i64, i64), to: (i64, i64)) -> f64 {
 mod tests {
     use super::*;
 
-    /// Frames of a camera that runs `drift` fast, that arrive at least 5 ms late, mostly more.
+    /// Frames of a camera whose clock is fast by `drift`, arriving at least 5 ms late, mostly more.
     fn frames(drift: f64, seconds: i64) -> impl Iterator<Item = (i64, i64, i64)> {
         (0..60 * seconds).map(move |k| {
             let taken_ns = 1_700_000_000_000_000_000 + k * 16_666_667;
             let stamp_ns = 77_000_000_000 + ((k * 16_666_667) as f64 * (1.0 + drift)) as i64;
-            // A delay that is least once in 17 frames, with a burst now and then.
+            // A delay that is smallest once in 17 frames, with occasional bursts.
             let late_ns = 5_000_000 + (k * 7 % 17) * 400_000 + if k % 211 == 100 { 90_000_000 } else { 0 };
             (stamp_ns, taken_ns + late_ns, taken_ns)
         })
@@ -214,7 +214,7 @@ mod tests {
         assert_eq!(fit.restarts(), 1);
     }
 
-    /// The computer's time of day is set by an hour while a camera runs: neither arrivals nor mapped stamps show it.
+    /// The time of day is set by an hour while a camera runs: neither arrivals nor mapped stamps change.
     #[test]
     fn a_step_of_the_time_of_day_does_not_show() {
         let hour = std::time::Duration::from_secs(3600);
@@ -235,7 +235,7 @@ mod tests {
                 last = Some(time);
             }
             assert_eq!(fit.restarts(), 0);
-            // A clock that is started now sees it.
+            // A clock started now has it.
             let later = HostClock::set_by(|| time_of_day);
             assert_eq!((later.started_ns - clock.started_ns).abs(), 3_600_000_000_000);
         }

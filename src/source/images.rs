@@ -1,16 +1,16 @@
 //! Folders of pictures.
 //!
 //! In: a folder of PNG, JPEG, TIFF, BMP or PNM pictures, and their times: a table `times.csv` beside them, or a stated
-//! frame rate. Out: the pictures as frames, in the order of the table, or of their names as people count (`img2` before
-//! `img10`).
+//! frame rate. Out: the pictures as frames, in the order of the table, or in natural order of their names (`img2`
+//! before `img10`).
 //!
-//! Grey and RGB of 8 bits are taken as they are, 16 bits are reduced to 8 (a warning says so), transparency is ignored.
-//! They are taken for sRGB. A JPEG comes as the RGB its decoder makes of it. A rotation asked for in EXIF data is not
-//! done: calibration holds for the sensor's own rows and columns.
+//! 8-bit grey and RGB are taken as they are, 16 bits are reduced to 8 with a warning, transparency is ignored. All are
+//! taken for sRGB. A JPEG is the RGB that its decoder gives. A rotation in EXIF data is not applied: calibration refers
+//! to the sensor's own rows and columns.
 //!
 //! `times.csv`: a header line with `file` (the picture's name in this folder) and `t_s` (seconds, decimal, read
-//! exactly) or `stamp_ns` (whole nanoseconds; it counts if both are there); further columns are ignored. One row a
-//! picture, times rising.
+//! exactly) or `stamp_ns` (whole nanoseconds; it wins if both are there); other columns are ignored. One row per
+//! picture, in rising order of time.
 
 use std::cmp::Ordering;
 use std::collections::BTreeSet;
@@ -21,7 +21,7 @@ use image::DynamicImage;
 
 use super::gaps::GapCounter;
 use super::jpeg;
-use super::names::{PICTURE_ENDINGS, cure_for_pictures};
+use super::names::{PICTURE_ENDINGS, conversion_advice};
 use super::times::{FrameRate, parse_seconds_ns, seconds};
 use super::{
     Clock, Colour, Frame, FrameSource, Picture, PictureError, PixelFormat, Quantisation, SourceError, Span,
@@ -60,10 +60,10 @@ pub struct ImageFolder {
 }
 
 impl ImageFolder {
-    /// Lists the pictures of the folder and their times; `span` leaves out those before and after it.
+    /// Lists the pictures of the folder and their times; those outside `span` are left out.
     ///
     /// # Errors
-    /// When the folder, its pictures or their times cannot be read or do not fit together.
+    /// When the folder, its pictures or their times cannot be read or are inconsistent.
     pub fn open(folder: impl AsRef<Path>, timing: ImageTiming, span: Span) -> Result<Self, SourceError> {
         let folder = folder.as_ref().to_path_buf();
         span.check()?;
@@ -94,7 +94,7 @@ impl ImageFolder {
             return Err(SourceError::EmptySpan { path: folder, from_s, to_s, before_s, after_s });
         };
         let path = folder.join(name);
-        // The first one that can be read says how large they are.
+        // The first readable one sets the size.
         let size = |(name, _): &(String, i64)| {
             let reader = image::ImageReader::open(folder.join(name)).ok()?.with_guessed_format().ok()?;
             reader.into_dimensions().ok()
@@ -118,7 +118,7 @@ impl ImageFolder {
         })
     }
 
-    /// Whether pictures that cannot be read are handed on, marked ([`Picture::is_damaged`]), instead of left out.
+    /// Whether unreadable pictures are passed on marked ([`Picture::is_damaged`]) instead of left out.
     #[must_use]
     pub fn keeping_damaged(mut self, keep: bool) -> Self {
         self.keep_damaged = keep;
@@ -213,7 +213,7 @@ impl FrameSource for ImageFolder {
     }
 }
 
-/// How many pictures a TIFF file has; 0 for other files and for those that do not say. Two are told from many.
+/// How many pictures a TIFF file has; 0 for other files and for those that do not say. Counts no further than two.
 fn tiff_pages(bytes: &[u8]) -> usize {
     let little = match bytes.first_chunk() {
         Some(b"II*\0") => true,
@@ -231,7 +231,7 @@ fn tiff_pages(bytes: &[u8]) -> usize {
     if next(first).is_some_and(|second| second != first && number(second, 2).is_some()) { 2 } else { 1 }
 }
 
-/// `None` for samples that are no whole numbers.
+/// `None` for samples that are not integers.
 fn picture(decoded: DynamicImage) -> Option<Result<Picture, PictureError>> {
     let (width, height) = (decoded.width(), decoded.height());
     let rgb = |step| PixelFormat::RgbPacked { step, order: [0, 1, 2] };
@@ -272,16 +272,16 @@ fn picture_names(folder: &Path) -> Result<Vec<String>, SourceError> {
         }
     }
     if names.is_empty() {
-        return Err(SourceError::NoPictures { path: folder.to_path_buf(), cure: cure_for_pictures(folder) });
+        return Err(SourceError::NoPictures { path: folder.to_path_buf(), cure: conversion_advice(folder) });
     }
-    if let Some(cure) = cure_for_pictures(folder) {
+    if let Some(cure) = conversion_advice(folder) {
         tracing::warn!("{}: {cure}", folder.display());
     }
     names.sort_by(|a, b| natural_order(a, b));
     Ok(names)
 }
 
-/// As people count: runs of digits are compared as numbers.
+/// Natural order: runs of digits compare as numbers.
 fn natural_order(a: &str, b: &str) -> Ordering {
     let (mut x, mut y) = (a, b);
     loop {
@@ -303,7 +303,7 @@ fn natural_order(a: &str, b: &str) -> Ordering {
     }
 }
 
-/// The digits `text` starts with, without leading zeros, and what follows.
+/// The leading digits of `text`, without leading zeros, and the rest.
 fn leading_number(text: &str) -> (&str, &str) {
     let end = text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len());
     let (digits, rest) = text.split_at(end);
@@ -329,7 +329,7 @@ fn warn_of_missing_numbers(folder: &Path, names: &[String]) {
     }
 }
 
-/// The table's rows, checked against the pictures there are.
+/// The table's rows, checked against the pictures in the folder.
 fn read_table(table: &Path, names: &[String]) -> Result<Vec<(String, i64)>, SourceError> {
     let wrong = |line: u64, reason: String| SourceError::Times { path: table.to_path_buf(), line, reason };
     let csv_error = |error: csv::Error| {
@@ -379,7 +379,7 @@ fn read_table(table: &Path, names: &[String]) -> Result<Vec<(String, i64)>, Sour
     }
 }
 
-/// The coarsest power of ten that all times are multiples of: the resolution they were written with.
+/// The largest power of ten that divides all times: the resolution they were written with.
 fn resolution_ns(rows: &[(String, i64)]) -> f64 {
     let mut tick = 1_000_000_000;
     while tick > 1 && rows.iter().any(|(_, ns)| ns % tick != 0) {

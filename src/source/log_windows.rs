@@ -1,12 +1,12 @@
 //! The pictures in a log that was recorded with `--record windows`, to be tracked again.
 //!
-//! In: a log of this program. Out: a frame for every row of the log, in their order, with stamp, gap and host's time as
-//! they are there. Of each picture there is what the log holds, to the last bit; the rest is black, and
-//! [`Picture::look_at`] refuses it. A frame whose picture was not recorded (it was not tracked, or the recorder fell
-//! behind) has nothing of it.
+//! In: a log of this program. Out: a frame for every row of the log, in order, with the log's stamp, gap and host time.
+//! The recorded parts of each picture are exact to the last bit; the rest is black, and [`Picture::declare_read`]
+//! refuses it. A frame whose picture was not recorded (it was not tracked, or the recorder fell behind) has no
+//! recorded part.
 //!
-//! What is kept of a picture follows its row in the log after some frames. Rows wait for it; none comes any more when
-//! that of a later frame is there.
+//! The windows of a picture follow its row in the log, some frames later. Rows wait for them until those of a later
+//! frame arrive.
 
 use super::{
     ChromaSiting, Clock, Colour, Frame, FrameSource, HostTime, Matrix, Picture, PixelFormat, Quantisation, Range,
@@ -23,20 +23,20 @@ use std::collections::VecDeque;
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
-/// Pictures of other sizes are damage: longest side and number of pixels.
+/// Larger pictures are damage: longest side and number of pixels.
 const LARGEST_PX: u32 = 1 << 14;
-const MOST_PX: u64 = 1 << 27;
+const MAX_PX: u64 = 1 << 27;
 
 /// The pictures in a log.
 pub struct LogWindows {
     path: PathBuf,
     records: Records,
     decoder: MessageDecoder,
-    /// Rows whose picture has not come yet, the oldest first.
+    /// Rows whose picture has not been read yet, oldest first.
     rows: VecDeque<Row>,
-    /// What all pictures are.
+    /// Layout of all pictures.
     layout: Layout,
-    /// Number of the last row taken, in the log's own count.
+    /// Number of the last row read, in the log's own count.
     last: Option<u64>,
     /// Number of the last frame whose windows were read.
     windows_to: Option<u64>,
@@ -66,7 +66,7 @@ impl LogWindows {
     /// Opens the log at `path`.
     ///
     /// # Errors
-    /// When it cannot be read, is no log, or holds no pictures; when the span ends before it starts.
+    /// When it cannot be read, is not a log, holds no pictures, or the span ends before it starts.
     pub fn open(path: &Path, span: Span) -> Result<Self, SourceError> {
         span.check()?;
         let layout = Layout { size_px: [0; 2], format: PixelFormat::Grey, colour: Colour::SRGB };
@@ -84,7 +84,7 @@ impl LogWindows {
             last_good_ns: None,
         };
         let mut again = false;
-        // The first one that can be understood says what they are.
+        // The first one that can be parsed sets the layout.
         while source.layout.size_px == [0; 2] {
             let read = source.read()?;
             if !read
@@ -92,7 +92,7 @@ impl LogWindows {
                 && !source.records.condition().damage.is_empty()
                 && !again
             {
-                // Names of topics that are damaged at the beginning stand at the end once more.
+                // Topic names that are damaged at the beginning are repeated at the end.
                 again = true;
                 source.records = Records::open(path)?;
                 (source.rows, source.windows_to) = (VecDeque::new(), None);
@@ -117,13 +117,13 @@ impl LogWindows {
         if let Some(estimate) = self.decoder.decoded(header.channel_id, Topic::Estimate, data) {
             match row(&estimate) {
                 Ok(row) => self.rows.push_back(row),
-                // It has no time, and so no row; the frame after it counts it as missing.
+                // It has no time, and so no row; the next frame counts it as missing.
                 Err(reason) => tracing::warn!("{}: frame {}: {reason}", self.path.display(), header.sequence),
             }
         } else if let Some(windows) = self.decoder.decoded(header.channel_id, Topic::Windows, data) {
             let seq = number(&windows, "seq").and_then(|n| u64::try_from(n).ok()).unwrap_or(0);
             self.windows_to = Some(seq);
-            // Without its row it has no time, and is no frame of this log.
+            // Without a row it has no time, and is not a frame of this log.
             if let Some(row) = self.rows.iter_mut().rev().find(|row| row.seq == seq) {
                 row.windows = Some(windows);
             }
@@ -131,14 +131,14 @@ impl LogWindows {
         Ok(true)
     }
 
-    /// The next row with all there is of it; `None` at the end.
+    /// The next row with its recorded windows; `None` at the end.
     fn next_row(&mut self) -> Result<Option<Row>, SourceError> {
         loop {
             let complete = |row: &Row| row.windows.is_some() || self.windows_to.is_some_and(|to| to > row.seq);
             if self.rows.front().is_some_and(complete) || !self.read()? {
                 let mut row = self.rows.pop_front();
                 if let Some(row) = &mut row {
-                    // Rows that the log lacks are frames lost to who reads it.
+                    // Rows missing in the log are lost frames.
                     let lacking = self.last.map_or(0, |last| row.seq.saturating_sub(last + 1));
                     row.gap = row.gap.saturating_add(u32::try_from(lacking).unwrap_or(u32::MAX));
                     self.last = Some(row.seq);
@@ -222,7 +222,7 @@ impl FrameSource for LogWindows {
     }
 }
 
-/// The row that an estimate stands for.
+/// The row of an estimate message.
 fn row(estimate: &DynamicMessage) -> Result<Row, String> {
     let whole = |field: &str| number(estimate, field).ok_or_else(|| format!("its row has no `{field}`"));
     let name = text(estimate, "clock").ok_or("its row names no clock")?;
@@ -247,7 +247,7 @@ fn layout_of(message: &DynamicMessage) -> Result<Layout, String> {
         n.filter(|n| (1..=LARGEST_PX).contains(n)).ok_or_else(|| format!("`{field}` is not 1 to {LARGEST_PX}"))
     };
     let size_px = [side("width")?, side("height")?];
-    if size_px.iter().map(|n| u64::from(*n)).product::<u64>() > MOST_PX {
+    if size_px.iter().map(|n| u64::from(*n)).product::<u64>() > MAX_PX {
         return Err(format!("its size is {}x{} pixels", size_px[0], size_px[1]));
     }
     let log2 = |field: &str| {
@@ -276,7 +276,7 @@ fn layout_of(message: &DynamicMessage) -> Result<Layout, String> {
     })
 }
 
-/// `None` when nothing is said.
+/// `None` when the message has none.
 fn quantisation_of(message: &DynamicMessage) -> Option<Quantisation> {
     if !message.has_field_by_name("quantisation") {
         return None;
@@ -292,7 +292,7 @@ fn quantisation_of(message: &DynamicMessage) -> Option<Quantisation> {
     })
 }
 
-/// Width and height of a plane in samples, and pixels a sample.
+/// Width and height of a plane in samples, and pixels per sample.
 fn plane_size(layout: &Layout, plane: usize) -> ([usize; 2], [u32; 2]) {
     let log2 = match layout.format {
         PixelFormat::Yuv { chroma_log2 } if plane > 0 => chroma_log2,
@@ -321,7 +321,7 @@ fn picture_of(layout: Layout, planes: Vec<Vec<u8>>) -> Result<Picture, String> {
     Picture::from_planes(width, height, layout.format, layout.colour, planes).map_err(|e| e.to_string())
 }
 
-/// Puts a window in its place; which plane it is of, and the pixels it stands for.
+/// Copies a window into its plane; returns the plane and the pixels that it covers.
 fn paste(planes: &mut [Vec<u8>], layout: &Layout, window: &DynamicMessage) -> Result<(usize, Window), String> {
     let whole = |field: &str| {
         number(window, field).and_then(|n| u32::try_from(n).ok()).ok_or_else(|| format!("a window has no `{field}`"))

@@ -1,9 +1,9 @@
-//! Where frames come from: recorded video, folders of pictures, logs that hold parts of their pictures; cameras and
-//! streams while they run ([`live`]).
+//! Where frames come from: recorded video, folders of pictures, logs that hold parts of their pictures, and live
+//! cameras and streams ([`live`]).
 //!
 //! A [`Frame`] is a [`Picture`] with the camera's time and the count of camera frames lost before it. Pictures are
-//! handed on as they were decoded: planar YUV stays planar YUV, no colour is converted ([`Picture::plane`] tells how
-//! samples map to places in the picture, [`Picture::colour`] how they map to colours).
+//! passed on as decoded: planar YUV stays planar YUV, colours are not converted ([`Picture::plane`] tells how samples
+//! map to places in the picture, [`Picture::colour`] how they map to colours).
 
 mod container;
 pub(crate) mod counter;
@@ -36,7 +36,7 @@ pub use file::{VideoFile, VideoOptions};
 pub use host::HostTime;
 pub use images::{ImageFolder, ImageTiming};
 pub use log_windows::LogWindows;
-pub(crate) use names::cure_for_pictures;
+pub(crate) use names::conversion_advice;
 pub use open::{SourceOptions, open, open_to_track};
 pub use picture::{
     ChromaSiting, Colour, Matrix, Picture, PictureError, PixelFormat, Plane, Range, RgbFromStored, Transfer,
@@ -46,12 +46,12 @@ pub use reads::NotRecorded;
 pub use times::{FrameRate, FrameRateError};
 pub use window::Window;
 
-/// Goes over the lengths that a container declares.
+/// Reads the lengths that a container declares.
 pub(crate) fn extent_of(bytes: &[u8]) {
     let _ = extent::extent(std::io::Cursor::new(bytes));
 }
 
-/// Checks a coded picture as those of a stream are.
+/// Checks a coded picture, as done for those of a stream.
 pub(crate) fn checked_packet(bytes: &[u8]) {
     let _ = (jpeg::examine(bytes).damage, jpeg::is_cut_off(bytes), ffv1::is_sound(bytes), ffv1::has_checksums(bytes));
 }
@@ -63,14 +63,14 @@ pub enum Clock {
     Container,
     /// No clock at all: the user stated a frame rate (`--fps`) for a folder of pictures.
     StatedRate,
-    /// Presentation time in a live stream, since the stream's own zero.
+    /// Presentation time in a live stream, from the stream's own zero.
     Stream,
     /// The kernel's monotonic clock as the driver of a V4L2 camera stamped the buffer: start of the exposure or end of
-    /// the transfer, as the driver says.
+    /// the transfer, as the driver declares.
     V4l2Monotonic,
     /// The camera's own clock.
     Device,
-    /// None but that of the arrival here: the last resort, with all the delays of the way.
+    /// The host's clock at arrival: the last resort, with all delays of the way.
     HostArrival,
 }
 
@@ -105,8 +105,8 @@ pub struct Frame {
     pub picture: Picture,
 }
 
-/// A stream of frames in the order they were taken. Stamps rise, except where the recording itself has them wrong; the
-/// source warns then and hands on what is there.
+/// A stream of frames in the order they were taken. Stamps increase, except where the recording itself has them wrong;
+/// the source then warns and passes them on.
 pub trait FrameSource {
     /// The next frame; `None` at the end of the stream.
     ///
@@ -131,17 +131,17 @@ pub trait FrameSource {
 pub struct StreamFaults {
     /// Packets that could not be read or decoded.
     pub damaged_packets: u64,
-    /// Pictures that are damaged or built on damaged ones: left out, or handed on as such.
+    /// Pictures that are damaged or predicted from damaged ones: left out, or passed on as such.
     pub pictures_left_out: u64,
-    /// Frames with the stamp of the one before.
+    /// Frames with the same stamp as the one before.
     pub repeated_stamps: u64,
-    /// Frames with a stamp earlier than one before.
+    /// Frames with a stamp earlier than a previous one.
     pub backward_stamps: u64,
     /// Frames without a presentation time, where the decoder's best estimate is taken.
     pub guessed_stamps: u64,
     /// Frames before the first time stamp of a live stream, which are left out.
     pub unstamped: u64,
-    /// How often a live stream was away.
+    /// Interruptions of a live stream.
     pub interruptions: u64,
 }
 
@@ -157,7 +157,7 @@ impl StreamFaults {
         self.interruptions += other.interruptions;
     }
 
-    /// Warns of what there is more than one of: the first of each was named when it came.
+    /// Warns of faults that occurred more than once: the first of each was reported at once.
     fn report(&self, path: &Path) {
         let counts = [
             (self.damaged_packets, "damaged packets"),

@@ -1,18 +1,18 @@
-//! The words for clocks and colours in files, both ways, and the names that picture files have.
+//! The names of clocks and colours in files, both ways, and the extensions of picture files.
 
 use super::{ChromaSiting, Clock, Matrix, Range, Transfer};
 use std::path::{Path, PathBuf};
 
-/// Endings of the names of files that are taken for pictures.
+/// Extensions of files that are read as pictures.
 pub(crate) const PICTURE_ENDINGS: [&str; 9] = ["png", "jpg", "jpeg", "tif", "tiff", "bmp", "pgm", "ppm", "pnm"];
 
-/// Endings of pictures that are not read.
+/// Extensions of pictures that are not supported.
 const OTHER_PICTURES: [&str; 16] = [
     "webp", "jp2", "j2k", "jpf", "jpx", "jpm", "heic", "heif", "avif", "jxl", "gif", "exr", "dng", "cr2", "nef", "tga",
 ];
 
-/// How to get from pictures in a folder that are not read to such that are: `None` when none are there.
-pub(crate) fn cure_for_pictures(folder: &Path) -> Option<String> {
+/// How to convert unsupported pictures in a folder; `None` when there are none.
+pub(crate) fn conversion_advice(folder: &Path) -> Option<String> {
     let names = std::fs::read_dir(folder).ok()?.filter_map(|entry| Some(entry.ok()?.path()));
     let ending = |path: PathBuf| Some(path.extension()?.to_str()?.to_owned());
     let is_other = |ending: &String| OTHER_PICTURES.contains(&ending.to_ascii_lowercase().as_str());
@@ -37,7 +37,7 @@ macro_rules! names {
                 match self { $(Self::$value => $name),+ }
             }
 
-            /// What has this name in files.
+            /// The value with this name in files.
             pub fn by_name(name: &str) -> Option<Self> {
                 match name { $($name => Some(Self::$value),)+ _ => None }
             }

@@ -3,16 +3,16 @@
 use super::{FrameRate, FrameSource, ImageFolder, ImageTiming, LogWindows, SourceError, Span, VideoFile, VideoOptions};
 use std::path::Path;
 
-/// How frames are read, whatever they come from.
+/// How frames are read, from any kind of source.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct SourceOptions {
-    /// Part that is read.
+    /// Part to read.
     pub span: Span,
     /// Frame rate the user states for a folder of pictures without times, or a raw stream.
     pub stated_rate: Option<FrameRate>,
-    /// Threads of the video decoder; 0 for one a core.
+    /// Threads of the video decoder; 0 for one per core.
     pub decoder_threads: usize,
-    /// Whether damaged pictures are handed on, marked, instead of left out.
+    /// Whether damaged pictures are passed on, marked, instead of left out.
     pub keep_damaged: bool,
 }
 
@@ -26,7 +26,7 @@ impl Default for SourceOptions {
 /// Opens a recorded video (a file) or a folder of pictures.
 ///
 /// # Errors
-/// [`SourceError`] when it cannot be opened, or is none.
+/// [`SourceError`] when it cannot be opened, or is not one.
 pub fn open(path: impl AsRef<Path>, options: SourceOptions) -> Result<Box<dyn FrameSource + Send>, SourceError> {
     let path = path.as_ref();
     if crate::log::is_log(path) {
@@ -40,11 +40,11 @@ pub fn open(path: impl AsRef<Path>, options: SourceOptions) -> Result<Box<dyn Fr
     Ok(Box::new(VideoFile::open(path, VideoOptions { decoder_threads, span, stated_rate, keep_damaged })?))
 }
 
-/// As [`open`], and logs that hold the windows of their pictures ([`LogWindows`]): good for a
-/// [`Tracker`](crate::track::Tracker), which asks whether there is what it looks at, and for nothing else.
+/// As [`open`], and logs that hold the windows of their pictures ([`LogWindows`]): only for a
+/// [`Tracker`](crate::track::Tracker), which checks that what it looks at was recorded.
 ///
 /// # Errors
-/// [`SourceError`] when it cannot be opened, or is none.
+/// [`SourceError`] when it cannot be opened, or is not one.
 pub fn open_to_track(
     path: impl AsRef<Path>,
     options: SourceOptions,

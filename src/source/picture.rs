@@ -16,9 +16,9 @@ pub enum PixelFormat {
     Nv12,
     /// R, G, B as three planes.
     RgbPlanar,
-    /// Interleaved R, G, B with `step` bytes a pixel (3 or 4) and the place of each channel in it.
+    /// Interleaved R, G, B with `step` bytes per pixel (3 or 4) and the position of each channel in it.
     RgbPacked {
-        /// Bytes a pixel.
+        /// Bytes per pixel.
         step: u8,
         /// Byte of R, G and B within the pixel.
         order: [u8; 3],
@@ -39,7 +39,7 @@ pub enum Matrix {
 }
 
 impl Matrix {
-    /// Weights of R and B in luma (that of G is what is left to 1).
+    /// Weights of R and B in luma (G has the rest to 1).
     pub fn luma_weights(self) -> (f64, f64) {
         match self {
             Self::Bt601 => (0.299, 0.114),
@@ -69,12 +69,12 @@ pub enum Transfer {
     Linear,
 }
 
-/// Where a chroma sample sits relative to the luma samples it belongs to.
+/// Position of a chroma sample relative to its luma samples.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ChromaSiting {
     /// Horizontally on the left luma column, vertically between two rows (MPEG-2, H.264 default).
     Left,
-    /// In the middle of its luma samples (JPEG, MPEG-1).
+    /// At the centre of its luma samples (JPEG, MPEG-1).
     Center,
     /// On the top left luma sample.
     TopLeft,
@@ -93,7 +93,7 @@ pub struct Colour {
     pub siting: ChromaSiting,
 }
 
-/// One channel of a picture. Sample (i, j) lies at byte `j·stride + i·step` of `data` and stands for the place
+/// One channel of a picture. Sample (i, j) lies at byte `j·stride + i·step` of `data` and represents the point
 /// `(i·scale_x + offset_x, j·scale_y + offset_y)` in pixels.
 #[derive(Debug, Clone, Copy)]
 pub struct Plane<'a> {
@@ -107,7 +107,7 @@ pub struct Plane<'a> {
     pub width: usize,
     /// Rows.
     pub height: usize,
-    /// Pixels a sample, in x and y (1, 2 or 4).
+    /// Pixels per sample, in x and y (1, 2 or 4).
     pub scale: [u32; 2],
     /// Place of sample (0, 0) in pixels.
     pub offset: [f64; 2],
@@ -151,14 +151,14 @@ pub struct Picture {
     pub(super) reads: Reads,
 }
 
-/// What of a picture there is, and what of it was looked at (`reads.rs`).
+/// Which parts of a picture exist, and which were read (`reads.rs`).
 #[derive(Debug, Default)]
 pub(super) struct Reads {
-    /// The parts that there are; `None` for all.
+    /// The parts that were recorded; `None` for all.
     pub(super) there: Option<Vec<Window>>,
     /// Whether what it shows cannot be trusted.
     pub(super) damaged: bool,
-    /// Whether it is made of two pictures, row by row.
+    /// Whether it interleaves the rows of two pictures.
     pub(super) interlaced: bool,
     pub(super) read: Mutex<Vec<Window>>,
 }
@@ -169,14 +169,14 @@ impl std::fmt::Debug for Picture {
     }
 }
 
-/// Who owns the samples: no copy is made of what libav decoded.
+/// The owner of the samples: what libav decoded is not copied.
 enum Storage {
     /// Byte planes without padding between rows.
     Bytes(Vec<Vec<u8>>),
     Decoded(ffmpeg_the_third::frame::Video),
 }
 
-/// Why samples are not a picture.
+/// Why samples do not form a picture.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum PictureError {
     /// A plane is missing or has the wrong number of bytes.
@@ -193,7 +193,7 @@ pub enum PictureError {
         /// Height of the picture.
         height: u32,
     },
-    /// A pixel format that is not read without conversion.
+    /// A pixel format that needs conversion.
     #[error("pixel format {0} is not supported")]
     Format(String),
     /// Width or height is zero.
@@ -220,7 +220,7 @@ impl PixelFormat {
         }
     }
 
-    /// Of channel `i`: storage plane, first byte in it, bytes a sample, subsampling as log2.
+    /// Storage of channel `i`: plane, first byte in it, bytes per sample, subsampling as log2.
     fn layout(self, i: usize) -> (usize, usize, usize, [u8; 2]) {
         let sub = if i == 0 { [0, 0] } else { self.chroma_log2() };
         match self {
@@ -234,7 +234,7 @@ impl PixelFormat {
 }
 
 impl Colour {
-    /// sRGB pictures, as files of pictures hold them.
+    /// sRGB, as in picture files.
     pub const SRGB: Self =
         Self { matrix: Matrix::Bt709, range: Range::Full, transfer: Transfer::Srgb, siting: ChromaSiting::Center };
 
@@ -267,7 +267,7 @@ impl Colour {
 }
 
 impl Picture {
-    /// A picture from byte planes without padding: one a stored plane of `format`.
+    /// A picture from byte planes without padding, one for each stored plane of `format`.
     ///
     /// # Errors
     /// When a plane is missing or has the wrong size.
@@ -298,7 +298,7 @@ impl Picture {
         Ok(picture)
     }
 
-    /// A dark picture in the place of one that could not be decoded.
+    /// A dark picture in place of one that could not be decoded.
     pub(crate) fn missing(
         [width, height]: [u32; 2],
         format: PixelFormat,
@@ -325,20 +325,20 @@ impl Picture {
         Self { width, height, format, colour, storage, quantisation: None, reads: Reads::default() }
     }
 
-    /// The same picture, with what its coder says of how it quantised it.
+    /// The same picture with its coder's quantisation.
     #[must_use]
     pub fn quantised(mut self, quantisation: Option<Quantisation>) -> Self {
         self.quantisation = quantisation.map(Box::new);
         self
     }
 
-    /// How coarsely its coder quantised it; `None` when that is not known, or it was not.
+    /// How coarsely its coder quantised it; `None` when unknown or lossless.
     pub fn quantisation(&self) -> Option<&Quantisation> {
         self.quantisation.as_deref()
     }
 
-    /// A copy that keeps nothing of the decoder's: a plane for each channel. `None` when the decoder gave less than it
-    /// said.
+    /// A copy independent of the decoder, with a plane for each channel. `None` when the decoder gave less than it
+    /// declared.
     pub(crate) fn copied(&self) -> Option<Self> {
         let format = match self.format {
             PixelFormat::Nv12 => PixelFormat::Yuv { chroma_log2: [1, 1] },
@@ -346,7 +346,7 @@ impl Picture {
             other => other,
         };
         let samples = |plane: Plane<'_>| -> Vec<u8> {
-            // Row by row: byte by byte it shows in the time of a short recording.
+            // Row by row: byte by byte is noticeably slower on a short recording.
             let mut all = Vec::with_capacity(plane.width * plane.height);
             for row in (0..plane.height).filter_map(|j| plane.row(j)) {
                 match plane.step {

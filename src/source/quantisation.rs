@@ -1,33 +1,33 @@
 //! How coarsely a coder quantised a picture.
 //!
-//! A coder keeps the coefficients of its transform in whole steps, and leaves out what is not worth its bits. It says
-//! how large the steps were, block by block; libav's decoders hand that on for H.264, VP9, MPEG-2 and MPEG-4 (not for H.265
-//! and AV1). The transforms are orthonormal, so that a step of a coefficient is one of stored values, too.
+//! A coder rounds the coefficients of its transform to whole steps, and drops what is not worth the bits. The stream
+//! states the steps, block by block; libav's decoders export them for H.264, VP9, MPEG-2 and MPEG-4 (not for H.265 and
+//! AV1). The transforms are orthonormal, so a step of a coefficient is also one of stored values.
 
 use super::Window;
 use ffmpeg_the_third::frame::Video;
 use ffmpeg_the_third::frame::side_data::Type;
 
-/// Steps of the quantiser, block by block. A level q stands for a step of 2^((q − 4) / 6) stored units, as in H.264
-/// (ITU-T H.264, table 8-15): six levels double it.
+/// Quantiser steps, block by block. A level q means a step of 2^((q − 4) / 6) stored units, as in H.264 (ITU-T H.264,
+/// table 8-15): six levels double it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Quantisation {
     /// Side of a block, pixels.
     pub block_px: u32,
-    /// Blocks in a row.
+    /// Blocks per row.
     pub columns: u32,
-    /// Levels, row after row.
+    /// Levels, row-major.
     pub levels: Vec<u8>,
-    /// Whether pictures are predicted from others, so that an error may stay.
+    /// Whether pictures are predicted from others, so that errors may persist.
     pub predicted: bool,
 }
 
-/// Step of one level, stored units.
+/// Step of a level, stored units.
 fn step(level: u8) -> f64 {
     ((f64::from(level) - 4.0) / 6.0).exp2()
 }
 
-/// The nearest level of a step.
+/// The level nearest to a step.
 fn level(step: f64) -> u8 {
     // `as` saturates.
     (4.0 + 6.0 * step.max(1e-3).log2()).round() as u8
@@ -48,7 +48,7 @@ impl Quantisation {
         (count > 0).then(|| (sum / f64::from(count)).sqrt())
     }
 
-    /// The same step everywhere, in a picture that stands for itself.
+    /// The same step everywhere, in an intra-coded picture.
     pub(crate) fn of_step(step: f64, size_px: [u32; 2]) -> Self {
         Self { predicted: false, ..Self::uniform(level(step), size_px) }
     }
@@ -57,18 +57,18 @@ impl Quantisation {
         Self { block_px: width.max(height).max(1), columns: 1, levels: vec![level], predicted: true }
     }
 
-    /// What is assumed of a coder that quantises, but does not say how coarsely: what H.264 has around edges at crf 22 or so.
+    /// Assumed for a coder whose quantisation is unknown: what H.264 has around edges at crf 22 or so.
     pub(crate) fn assumed(size_px: [u32; 2]) -> Self {
         Self::uniform(ASSUMED, size_px)
     }
 
-    /// What the decoder says of a frame; `None` when it says nothing, and for pictures without loss.
+    /// The quantisation that the decoder exports for a frame; `None` when it exports none, and for lossless pictures.
     pub(crate) fn of(frame: &Video) -> Option<Self> {
         let data = frame.side_data(Type::VIDEO_ENC_PARAMS)?;
         Self::parsed(data.data(), [frame.width(), frame.height()])
     }
 
-    /// From libav's `AVVideoEncParams`, which says itself where its blocks start and how large they are.
+    /// From libav's `AVVideoEncParams`, which states where its blocks start and how large they are.
     fn parsed(data: &[u8], [width, height]: [u32; 2]) -> Option<Self> {
         const WORD: usize = size_of::<usize>();
         let int = |at: usize| Some(i32::from_ne_bytes(data.get(at..at + 4)?.try_into().ok()?));
@@ -104,7 +104,7 @@ impl Quantisation {
     }
 }
 
-/// Level of a coder that does not say it.
+/// Level assumed for a coder that does not state it.
 const ASSUMED: u8 = 29;
 /// Side of a macroblock.
 const BLOCK_PX: u32 = 16;
@@ -114,7 +114,7 @@ const H264: i32 = 1;
 const MPEG2: i32 = 2;
 
 /// Step of VP9's quantiser for an index of 0 to 255: its table of steps for coefficients other than the mean, eight
-/// times as large (VP9 Bitstream Specification 0.6, `ac_qlookup`), is met within a tenth.
+/// times as large (VP9 Bitstream Specification 0.6, `ac_qlookup`), is matched to within 10 %.
 fn vp9_step(index: i32) -> f64 {
     let i = f64::from(index.clamp(0, 255));
     if i <= 95.0 { (i + 7.0) / 8.0 } else { 102.0 / 8.0 * ((i - 95.0) * VP9_GROWTH).exp() }

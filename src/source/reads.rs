@@ -1,8 +1,8 @@
-//! What of a picture there is, and what of it was looked at.
+//! Which parts of a picture were recorded, and which were read.
 //!
-//! The tracker looks at small parts of a picture, and says before it does ([`Picture::look_at`]). Two things come of
-//! it: a recorder can keep those parts alone ([`Picture::looked_at`]), and of a picture that was kept in parts the
-//! others are never taken for something that the camera saw: to look there is refused.
+//! The tracker reads small parts of a picture, and declares them first ([`Picture::declare_read`]). This has two uses:
+//! a recorder can keep only those parts ([`Picture::windows_read`]), and the missing parts of such a picture are never
+//! taken for something that the camera saw: reading there is refused.
 
 use super::{Picture, Window};
 use std::sync::PoisonError;
@@ -14,7 +14,7 @@ use std::sync::PoisonError;
     area.x0, area.x1.saturating_sub(1), area.y0, area.y1.saturating_sub(1)
 )]
 pub struct NotRecorded {
-    /// What was to be looked at, pixels.
+    /// The area wanted, pixels.
     pub area: Window,
 }
 
@@ -25,19 +25,19 @@ impl Picture {
         self
     }
 
-    /// The same picture, which is known to be damaged: its frame has a time, and no measurement.
+    /// The same picture, marked as damaged: its frame has a time but no measurement.
     pub(crate) fn marked_damaged(mut self) -> Self {
         self.reads.damaged = true;
         self
     }
 
-    /// The same picture, which is known to be made of two that were taken one after the other.
+    /// The same picture, marked as interlaced or not.
     pub(crate) fn interlaced(mut self, interlaced: bool) -> Self {
         self.reads.interlaced = interlaced;
         self
     }
 
-    /// Whether its odd rows were taken at another time than its even ones.
+    /// Whether its odd and even rows were taken at different times.
     pub fn is_interlaced(&self) -> bool {
         self.reads.interlaced
     }
@@ -47,17 +47,17 @@ impl Picture {
         self.reads.damaged
     }
 
-    /// The parts that there are; `None` for all of it.
+    /// The parts that were recorded; `None` for all of it.
     pub fn recorded(&self) -> Option<&[Window]> {
         self.reads.there.as_deref()
     }
 
-    /// To be called before samples are used: those of the pixels in `area` (a sample of a subsampled channel belongs to
-    /// all pixels it stands for). Parts of `area` outside the picture do not matter.
+    /// Must be called before using samples of the pixels in `area` (a sample of a subsampled channel belongs to all
+    /// pixels it covers). Parts of `area` outside the picture do not matter.
     ///
     /// # Errors
-    /// When not all of them are there.
-    pub fn look_at(&self, area: Window) -> Result<(), NotRecorded> {
+    /// When not all of them were recorded.
+    pub fn declare_read(&self, area: Window) -> Result<(), NotRecorded> {
         let area = area.clipped(self.size_px());
         if let Some(there) = &self.reads.there
             && !area.grown(0, self.coarsest()).clipped(self.size_px()).without(there).is_empty()
@@ -68,15 +68,15 @@ impl Picture {
         Ok(())
     }
 
-    /// What was looked at, and `margin_px` around it: windows that do not overlap and cut no sample of a subsampled
-    /// channel. Depends on the set of areas looked at, not on their order.
-    pub fn looked_at(&self, margin_px: u32) -> Vec<Window> {
+    /// What was read, plus `margin_px` on all sides: windows that do not overlap and split no sample of a subsampled
+    /// channel. Depends on the set of areas read, not on their order.
+    pub fn windows_read(&self, margin_px: u32) -> Vec<Window> {
         let step = self.coarsest();
         let mut areas: Vec<Window> = {
             let read = self.reads.read.lock().unwrap_or_else(PoisonError::into_inner);
             read.iter().map(|area| area.grown(margin_px, step).clipped(self.size_px())).collect()
         };
-        // Large ones first: they hold most of the others.
+        // Large ones first: they contain most of the others.
         areas.sort_by_key(|w| (std::cmp::Reverse(w.pixels()), w.y0, w.x0, w.y1, w.x1));
         let mut windows = Vec::with_capacity(areas.len());
         for area in areas {
@@ -85,7 +85,7 @@ impl Picture {
         windows
     }
 
-    /// Pixels a sample, of the channel that has fewest.
+    /// Pixels per sample of the coarsest channel.
     fn coarsest(&self) -> u32 {
         (0..self.format().channels()).filter_map(|i| self.plane(i)).flat_map(|plane| plane.scale).max().unwrap_or(1)
     }
@@ -109,25 +109,25 @@ mod tests {
     fn what_was_looked_at_is_kept_in_whole_samples_and_once() {
         let picture = picture();
         for area in [window(3, 3, 7, 9), window(5, 1, 9, 5), window(20, 10, 60, 60), window(4, 4, 5, 5)] {
-            picture.look_at(area).unwrap();
+            picture.declare_read(area).unwrap();
         }
-        let kept = picture.looked_at(0);
+        let kept = picture.windows_read(0);
         assert_eq!(kept.iter().map(Window::pixels).sum::<u64>(), 6 * 8 + 6 * 6 - 4 * 4 + 12 * 6);
         assert!(kept.iter().all(|w| [w.x0, w.y0, w.x1, w.y1].iter().all(|v| v % 2 == 0)), "{kept:?}");
-        // With a margin the same windows would do for all that was looked at.
-        let again = super::tests::picture().of_parts(picture.looked_at(4));
-        again.look_at(window(1, 0, 9, 13)).unwrap();
+        // With a margin, the same windows cover all that was read.
+        let again = super::tests::picture().of_parts(picture.windows_read(4));
+        again.declare_read(window(1, 0, 9, 13)).unwrap();
     }
 
     #[test]
     fn what_is_not_there_is_not_looked_at() {
         let parts = picture().of_parts(vec![window(0, 0, 8, 8), window(8, 0, 16, 16)]);
-        parts.look_at(window(2, 2, 16, 8)).unwrap();
-        parts.look_at(window(40, 40, 50, 50)).unwrap();
-        let refused = parts.look_at(window(2, 2, 9, 9)).unwrap_err();
+        parts.declare_read(window(2, 2, 16, 8)).unwrap();
+        parts.declare_read(window(40, 40, 50, 50)).unwrap();
+        let refused = parts.declare_read(window(2, 2, 9, 9)).unwrap_err();
         assert_eq!(refused.to_string(), "columns 2 to 8 of rows 2 to 8 are wanted, which were not recorded");
-        let refused = parts.look_at(window(15, 0, 17, 1)).unwrap_err();
+        let refused = parts.declare_read(window(15, 0, 17, 1)).unwrap_err();
         assert_eq!(refused.area, window(15, 0, 17, 1));
-        assert_eq!(parts.looked_at(0), [window(2, 2, 16, 8)]);
+        assert_eq!(parts.windows_read(0), [window(2, 2, 16, 8)]);
     }
 }

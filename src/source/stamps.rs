@@ -1,10 +1,10 @@
-//! Camera frames lost between stamps, with a word to the user on stamps that are not in order.
+//! Camera frames lost between stamps, with warnings about stamps that are out of order.
 
 use super::StreamFaults;
 use super::gaps::{GapCounter, Order, Rhythm, Step, WINDOW};
 use super::times::seconds;
 
-/// A [`GapCounter`] that counts in a [`StreamFaults`] what is odd, and warns of the first of each kind.
+/// A [`GapCounter`] that counts irregular stamps in a [`StreamFaults`], and warns of the first of each kind.
 pub(super) struct StampWatch {
     name: String,
     gaps: GapCounter,
@@ -35,7 +35,7 @@ impl StampWatch {
         step.gap
     }
 
-    /// The same as a second opinion beside a frame counter: none are lost where the stamps do not tell clearly.
+    /// The same as a second opinion to a frame counter: 0 where the stamps are not clear.
     pub(super) fn clear_gap(&mut self, ns: i64, seq: u64, faults: &mut StreamFaults) -> u32 {
         let steady = matches!(self.gaps.rhythm(), Rhythm::Steady { .. });
         let step = self.step(ns, seq, faults);

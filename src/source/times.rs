@@ -1,15 +1,15 @@
-//! Times as people and containers write them, to whole nanoseconds without going through floating point.
+//! Converts times written by people and containers to whole nanoseconds, without floating point.
 
 use std::fmt;
 use std::str::FromStr;
 
-/// Seconds of nanoseconds: the double nearest to their decimal, so that 150 ms are printed as 0.15.
+/// Nanoseconds in seconds: the double nearest to the decimal, so that 150 ms prints as 0.15.
 pub fn seconds(ns: i64) -> f64 {
     ns as f64 / 1e9
 }
 
-/// `count` units of `numerator / denominator` seconds in nanoseconds, to the nearest (a half away from zero);
-/// `None` when the denominator is not positive or the time does not fit 292 years.
+/// `count` units of `numerator / denominator` seconds in nanoseconds, rounded to nearest (halves away from zero);
+/// `None` when the denominator is not positive or the time exceeds 292 years.
 pub fn ticks_to_ns(count: i64, numerator: i64, denominator: i64) -> Option<i64> {
     if denominator <= 0 {
         return None;
@@ -19,7 +19,7 @@ pub fn ticks_to_ns(count: i64, numerator: i64, denominator: i64) -> Option<i64> 
 }
 
 /// Seconds in decimal notation (`12`, `0.0166667`, `-1.5e-3`) in nanoseconds: exact, digits below a nanosecond rounded
-/// to the nearest; `None` when it is no such number.
+/// to nearest; `None` when it is not such a number.
 pub fn parse_seconds_ns(text: &str) -> Option<i64> {
     let text = text.trim();
     let (number, exponent) = match text.split_once(['e', 'E']) {
@@ -47,7 +47,7 @@ pub fn parse_seconds_ns(text: &str) -> Option<i64> {
         _ if digits == 0 => Some(0),
         (true, scale) => i64::try_from(digits.checked_mul(scale?)?).ok(),
         (false, Some(scale)) => divide_to_nearest(digits, scale),
-        // Smaller than 10^-38 of its own digits.
+        // Less than 10^-38 of its digits' value.
         (false, None) => Some(0),
     }
 }
@@ -58,20 +58,22 @@ fn divide_to_nearest(value: i128, divisor: i128) -> Option<i64> {
     i64::try_from(if up { quotient + value.signum() } else { quotient }).ok()
 }
 
-/// Frames a second as an exact fraction: `60`, `59.94` or `60000/1001`.
+/// Frames per second as an exact fraction: `60`, `59.94` or `60000/1001`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct FrameRate {
     frames: i64,
     seconds: i64,
 }
 
-/// Text that is no frame rate.
+/// Text that is not a frame rate.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("\"{0}\" is not a frame rate: give frames a second above 0 and up to 1000000, such as 60, 59.94 or 60000/1001")]
+#[error(
+    "\"{0}\" is not a frame rate: give frames per second above 0 and up to 1000000, such as 60, 59.94 or 60000/1001"
+)]
 pub struct FrameRateError(String);
 
 impl FrameRate {
-    /// Frames a second.
+    /// Frames per second.
     pub fn hz(self) -> f64 {
         self.frames as f64 / self.seconds as f64
     }
@@ -93,7 +95,7 @@ impl FromStr for FrameRate {
     fn from_str(text: &str) -> Result<Self, FrameRateError> {
         let fraction = || match text.split_once('/') {
             Some((n, d)) => Some((n.trim().parse().ok()?, d.trim().parse().ok()?)),
-            // A decimal number of frames a second has the form of one of seconds: in billionths.
+            // A decimal frame rate is parsed like decimal seconds, in billionths.
             None => Some((parse_seconds_ns(text)?, 1_000_000_000)),
         };
         match fraction() {
@@ -123,7 +125,7 @@ mod tests {
         assert_eq!(ticks_to_ns(17, 1, 1000), Some(17_000_000));
         assert_eq!(ticks_to_ns(1, 1001, 60000), Some(16_683_333));
         assert_eq!(ticks_to_ns(2, 1001, 60000), Some(33_366_667));
-        // A day at 90 kHz, where a double would still be right and a float long wrong.
+        // A day at 90 kHz: a double would still be exact, a float long wrong.
         assert_eq!(ticks_to_ns(86_400 * 90_000 + 1, 1, 90_000), Some(86_400_000_011_111));
         assert_eq!(ticks_to_ns(1, 1, 2_000_000_000), Some(1));
         assert_eq!(ticks_to_ns(i64::MAX, 1, 1), None);

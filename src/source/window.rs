@@ -1,4 +1,4 @@
-//! Rectangles of pixels, and what is left of one when others are taken out of it.
+//! Rectangles of pixels, and the rest of one when others are subtracted.
 
 use nalgebra::Point2;
 
@@ -16,13 +16,13 @@ pub struct Window {
 }
 
 impl Window {
-    /// All of a picture of this width and height.
+    /// A whole picture of this width and height.
     pub fn whole([x1, y1]: [u32; 2]) -> Self {
         Self { x0: 0, y0: 0, x1, y1 }
     }
 
-    /// The window of `radius_px` around a place (pixels that reach outside a picture do not matter; a place that is not
-    /// finite gives an empty one).
+    /// The window of `radius_px` around a point (parts outside the picture do not matter; a point that is not finite
+    /// gives an empty window).
     pub fn around(centre: &Point2<f64>, radius_px: f64) -> Self {
         // `as` saturates: what lies left of the picture becomes 0, NaN too.
         Self {
@@ -48,19 +48,19 @@ impl Window {
         u64::from(self.width()) * u64::from(self.height())
     }
 
-    /// What of it lies in a picture of this size.
+    /// Its part within a picture of this size.
     pub(crate) fn clipped(&self, [width, height]: [u32; 2]) -> Self {
         Self { x0: self.x0.min(width), y0: self.y0.min(height), x1: self.x1.min(width), y1: self.y1.min(height) }
     }
 
-    /// Larger by `by_px` on all sides, then to whole multiples of `step`.
+    /// Enlarged by `by_px` on all sides, then to whole multiples of `step`.
     pub(crate) fn grown(&self, by_px: u32, step: u32) -> Self {
         let down = |v: u32| v.saturating_sub(by_px) / step * step;
         let up = |v: u32| v.saturating_add(by_px).div_ceil(step).saturating_mul(step);
         Self { x0: down(self.x0), y0: down(self.y0), x1: up(self.x1), y1: up(self.y1) }
     }
 
-    /// What is left of it when `others` are taken away: rectangles that do not overlap.
+    /// The rest of it without `others`: rectangles that do not overlap.
     pub(crate) fn without<'a>(&self, others: impl IntoIterator<Item = &'a Self>) -> Vec<Self> {
         let mut left = vec![*self];
         left.retain(|window| window.pixels() > 0);

@@ -1,7 +1,7 @@
 //! What the page may ask: a name and JSON in, JSON or a picture out.
 
 use super::desk::Desk;
-use super::{Refusal, Reply, boards, review, teach, veto};
+use super::{Refusal, Reply, board_camera, boards, review, teach, veto};
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
@@ -27,7 +27,11 @@ pub(super) fn answer(desk: &Desk, name: &str, body: &[u8]) -> Result<Reply, Refu
         "board/find" => boards::find(desk, &read(body)?),
         "board/judge" => boards::judge(desk, &read(body)?),
         "board/save" => boards::save(desk, &read(body)?),
+        "camera/look" => desk.camera()?.look(&read(body)?),
+        "camera/judge" => board_camera::judge(desk, &read(body)?),
+        "camera/take" => board_camera::take(desk, &read(body)?),
         "watch" => Ok(desk.watch()?.rows(&read(body)?)),
+        "watch/record" => desk.watch()?.record(&read(body)?),
         "watch/picture" => desk.watch()?.picture(&read(body)?),
         _ => Err(Refusal { status: 404, words: "there is nothing here".to_owned() }),
     }
@@ -44,6 +48,7 @@ fn state(desk: &Desk) -> Value {
         "version": env!("CARGO_PKG_VERSION"),
         "root": desk.places.root(),
         "live": desk.watch.as_ref().map(super::Watch::about),
+        "camera": desk.camera.as_ref().map(super::Camera::about),
         "recording": shown(&desk.start.recording),
         "rig": shown(&desk.start.rig),
         "run": shown(&desk.start.run),

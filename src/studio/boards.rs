@@ -4,18 +4,19 @@
 use super::command::{Setting, arguments, typed};
 use super::desk::Desk;
 use super::{Refusal, Reply, shown};
+use crate::atomic_file;
 use crate::calibrate::board::Board;
-use crate::calibrate::rig::calibrate_rig;
 use crate::calibrate::rig::expected_error::{Expected, Verdict, verdict};
 use crate::calibrate::rig::initial::BoardsPicture;
-use crate::whole_file;
+use crate::calibrate::rig::{RigOptions, calibrate_rig};
+use crate::rig::Draft;
 use base64::prelude::{BASE64_STANDARD, Engine as _};
 use serde::Deserialize;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
 /// Pictures that are taken at most.
-const MOST_PICTURES: usize = 200;
+const MAX_PICTURES: usize = 200;
 /// Endings of pictures that can be dropped in.
 const ENDINGS: [&str; 8] = ["png", "jpg", "jpeg", "tif", "tiff", "bmp", "pgm", "ppm"];
 
@@ -87,7 +88,7 @@ pub(super) fn pictures(desk: &Desk, asked: &FolderAsked) -> Result<Reply, Refusa
         }
     }
     found.sort();
-    found.truncate(MOST_PICTURES);
+    found.truncate(MAX_PICTURES);
     Ok(Reply::Json(json!({ "folder": desk.places.shown(&folder), "pictures": found })))
 }
 
@@ -118,14 +119,7 @@ pub(super) fn keep(desk: &Desk, asked: &Dropped) -> Result<Reply, Refusal> {
     if image::guess_format(&bytes).is_err() {
         return Err(Refusal::wrong(format!("{}: is no picture", asked.name)));
     }
-    let folder = desk.places.to_write(&asked.folder)?;
-    let failed = |path: &Path, error: std::io::Error| Refusal {
-        status: 500,
-        words: format!("{}: cannot be written: {error}", path.display()),
-    };
-    if !folder.exists() {
-        std::fs::create_dir(&folder).map_err(|error| failed(&folder, error))?;
-    }
+    let folder = folder(desk, &asked.folder)?;
     let path = desk.places.to_write(&folder.join(name).to_string_lossy())?;
     match std::fs::read(&path) {
         Ok(there) if there == bytes => {}
@@ -135,9 +129,22 @@ pub(super) fn keep(desk: &Desk, asked: &Dropped) -> Result<Reply, Refusal> {
                 desk.places.shown(&path)
             )));
         }
-        Err(_) => whole_file::write(&path, &bytes).map_err(|error| failed(&path, error))?,
+        Err(_) => atomic_file::write(&path, &bytes).map_err(|error| unwritten(&path, &error))?,
     }
     Ok(Reply::Json(json!({ "picture": desk.places.shown(&path) })))
+}
+
+/// A folder for pictures, made where it is not there.
+pub(super) fn folder(desk: &Desk, text: &str) -> Result<PathBuf, Refusal> {
+    let folder = desk.places.to_write(text)?;
+    if !folder.exists() {
+        std::fs::create_dir(&folder).map_err(|error| unwritten(&folder, &error))?;
+    }
+    Ok(folder)
+}
+
+pub(super) fn unwritten(path: &Path, error: &std::io::Error) -> Refusal {
+    Refusal { status: 500, words: format!("{}: cannot be written: {error}", path.display()) }
 }
 
 /// What the page's form says.
@@ -158,8 +165,8 @@ pub(super) struct Form {
 impl Form {
     /// The options of the command, and the pictures with their whole paths.
     fn settings(&self, desk: &Desk) -> Result<(Vec<Setting>, Vec<PathBuf>), Refusal> {
-        if self.pictures.len() > MOST_PICTURES {
-            return Err(Refusal::wrong(format!("{} pictures: expected at most {MOST_PICTURES}", self.pictures.len())));
+        if self.pictures.len() > MAX_PICTURES {
+            return Err(Refusal::wrong(format!("{} pictures: expected at most {MAX_PICTURES}", self.pictures.len())));
         }
         let paths = self.pictures.iter().map(|picture| desk.places.existing(picture)).collect::<Result<_, _>>()?;
         let mut settings =
@@ -179,33 +186,59 @@ impl Form {
 
 /// How good a rig would be that is calibrated from these pictures.
 pub(super) fn judge(desk: &Desk, form: &Form) -> Result<Reply, Refusal> {
-    let (settings, paths) = form.settings(desk)?;
-    let named: Vec<&str> = form.pictures.iter().map(String::as_str).collect();
-    let arguments = arguments(&desk.places, &named, &settings);
-    let (draft, options) = (desk.verbs()?.rig_to_calibrate)(&arguments).map_err(Refusal::wrong)?;
-    let board = board_of(&form.board)?;
-    let mut found = Vec::new();
-    for path in &paths {
-        let searched = desk.boards.search(path, &board, form.mirrors.min(8) + 1)?;
-        if searched.size_px != draft.camera.size_px {
-            let [[w, h], [we, he]] = [searched.size_px, draft.camera.size_px];
-            let name = desk.places.shown(path);
-            return Err(Refusal::wrong(format!(
-                "{name} has {w}x{h} pixels, but {} was calibrated for {we}x{he}",
-                form.rig
-            )));
+    let bench = CalibrationInput::of(desk, form)?;
+    Ok(Reply::Json(match bench.verdict(&bench.found) {
+        Ok(judged) => json!({ "pictures": bench.found.len(), "verdict": judged.as_ref().map(in_numbers) }),
+        Err(error) => json!({ "pictures": bench.found.len(), "error": error }),
+    }))
+}
+
+/// What a rig is calibrated from: the page's form, read, and the boards in its pictures.
+pub(super) struct CalibrationInput {
+    pub(super) board: Board,
+    /// Images of the board that a picture has at most.
+    pub(super) most: usize,
+    pub(super) found: Vec<BoardsPicture>,
+    draft: Draft,
+    options: RigOptions,
+}
+
+impl CalibrationInput {
+    pub(super) fn of(desk: &Desk, form: &Form) -> Result<Self, Refusal> {
+        let (settings, paths) = form.settings(desk)?;
+        let mut named: Vec<&str> = form.pictures.iter().map(String::as_str).collect();
+        if named.is_empty() {
+            // The command wants one; it is not read here.
+            named.push(".");
         }
-        if let Ok(images) = &searched.images {
-            let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-            found.push(BoardsPicture { name, size_px: searched.size_px, images: images.clone() });
+        let arguments = arguments(&desk.places, &named, &settings);
+        let (draft, options) = (desk.verbs()?.rig_to_calibrate)(&arguments).map_err(Refusal::wrong)?;
+        let (board, most) = (board_of(&form.board)?, form.mirrors.min(8) + 1);
+        let mut found = Vec::new();
+        for path in &paths {
+            let searched = desk.boards.search(path, &board, most)?;
+            if searched.size_px != draft.camera.size_px {
+                let [[w, h], [we, he]] = [searched.size_px, draft.camera.size_px];
+                let name = desk.places.shown(path);
+                return Err(Refusal::wrong(format!(
+                    "{name} has {w}x{h} pixels, but {} was calibrated for {we}x{he}",
+                    form.rig
+                )));
+            }
+            if let Ok(images) = &searched.images {
+                let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+                found.push(BoardsPicture { name, size_px: searched.size_px, images: images.clone() });
+            }
         }
+        Ok(Self { board, most, found, draft, options })
     }
-    let done = match calibrate_rig(&board, &draft.camera.lens, &found, &options) {
-        Ok(done) => done,
-        Err(error) => return Ok(Reply::Json(json!({ "pictures": found.len(), "error": error.to_string() }))),
-    };
-    let judged = verdict(&done.solution, &done.corners, &board.centred_points());
-    Ok(Reply::Json(json!({ "pictures": found.len(), "verdict": judged.as_ref().map(in_numbers) })))
+
+    /// How good a rig would be that is calibrated from these pictures, or why it cannot be.
+    pub(super) fn verdict(&self, pictures: &[BoardsPicture]) -> Result<Option<Verdict>, String> {
+        let done = calibrate_rig(&self.board, &self.draft.camera.lens, pictures, &self.options);
+        let done = done.map_err(|error| error.to_string())?;
+        Ok(verdict(&done.solution, &done.corners, &self.board.centred_points()))
+    }
 }
 
 fn in_numbers(judged: &Verdict) -> Value {
@@ -243,6 +276,6 @@ pub(super) fn save(desk: &Desk, asked: &Save) -> Result<Reply, Refusal> {
     if asked.dry {
         return Ok(Reply::Json(json!({ "command": command })));
     }
-    let told = (desk.verbs()?.calibrate_rig)(&arguments(&desk.places, &named, &settings));
-    Ok(Reply::Json(json!({ "command": command, "told": told, "out": desk.places.shown(&out) })))
+    let result = (desk.verbs()?.calibrate_rig)(&arguments(&desk.places, &named, &settings));
+    Ok(Reply::Json(json!({ "command": command, "told": result, "out": desk.places.shown(&out) })))
 }

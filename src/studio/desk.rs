@@ -1,5 +1,6 @@
 //! All that the page works with, and keeps open.
 
+use super::camera::Camera;
 use super::places::Places;
 use super::reel::Reel;
 use super::run::{Run, Runs};
@@ -11,7 +12,7 @@ use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// Recordings that stay open.
-const MOST_REELS: usize = 3;
+const MAX_REELS: usize = 3;
 
 /// All that the page works with.
 pub(crate) struct Desk {
@@ -19,6 +20,8 @@ pub(crate) struct Desk {
     pub(super) start: Start,
     pub(super) verbs: Option<Verbs>,
     pub(super) watch: Option<Watch>,
+    /// A camera that pictures of a board are taken with.
+    pub(super) camera: Option<Camera>,
     pub(super) boards: Boards,
     runs: Runs,
     reels: Mutex<Vec<Arc<Reel>>>,
@@ -32,6 +35,7 @@ impl Desk {
             start,
             verbs: Some(verbs),
             watch: None,
+            camera: None,
             boards: Boards::default(),
             runs: Runs::default(),
             reels: Mutex::default(),
@@ -46,10 +50,22 @@ impl Desk {
             start,
             verbs: None,
             watch: Some(watch),
+            camera: None,
             boards: Boards::default(),
             runs: Runs::default(),
             reels: Mutex::default(),
         }
+    }
+
+    /// With a camera that pictures of a board are taken with.
+    pub(crate) fn with_camera(mut self, camera: Camera) -> Self {
+        self.camera = Some(camera);
+        self
+    }
+
+    pub(super) fn camera(&self) -> Result<&Camera, Refusal> {
+        let none = || Refusal::wrong("there is no camera: start `catoptra studio /dev/video0 --rig RIG.toml`");
+        self.camera.as_ref().ok_or_else(none)
     }
 
     pub(super) fn verbs(&self) -> Result<&Verbs, Refusal> {
@@ -88,7 +104,7 @@ impl Desk {
         }
         let options = SourceOptions { stated_rate: self.stated_rate(path), ..SourceOptions::default() };
         let reel = Reel::open(path, options)?;
-        if reels.len() >= MOST_REELS {
+        if reels.len() >= MAX_REELS {
             reels.remove(0);
         }
         reels.push(Arc::clone(&reel));

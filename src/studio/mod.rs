@@ -13,7 +13,9 @@
 
 mod api;
 mod assets;
+mod board_camera;
 mod boards;
+mod camera;
 mod command;
 mod desk;
 mod guard;
@@ -29,6 +31,7 @@ mod teach;
 mod veto;
 mod watch;
 
+pub(crate) use camera::Camera;
 pub(crate) use desk::Desk;
 pub(crate) use places::Places;
 pub(crate) use server::Server;
@@ -40,7 +43,7 @@ use std::path::PathBuf;
 
 /// What a verb of the command line came to.
 #[derive(Debug, Clone, Default, serde::Serialize)]
-pub(crate) struct Told {
+pub(crate) struct VerbResult {
     /// Its exit code.
     pub code: u8,
     /// What it printed.
@@ -52,7 +55,7 @@ pub(crate) struct Told {
 }
 
 /// A verb, with the arguments that stand after its name.
-pub(crate) type Verb = Box<dyn Fn(&[String]) -> Told + Send + Sync>;
+pub(crate) type Verb = Box<dyn Fn(&[String]) -> VerbResult + Send + Sync>;
 /// The rig that a verb would begin with, or what is wrong with its arguments.
 pub(crate) type RigOf = Box<dyn Fn(&[String]) -> Result<Rig, String> + Send + Sync>;
 

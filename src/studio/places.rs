@@ -6,7 +6,7 @@ use serde::Serialize;
 use std::path::{Component, Path, PathBuf};
 
 /// Entries of a folder that are listed.
-const MOST_LISTED: usize = 2000;
+const MAX_LISTED: usize = 2000;
 /// Endings of recordings that are offered; others can be typed.
 const RECORDINGS: [&str; 8] = ["mkv", "mp4", "avi", "mov", "webm", "m4v", "mpg", "ts"];
 
@@ -45,7 +45,7 @@ impl Places {
 
     /// A file or folder that is there.
     pub(super) fn existing(&self, text: &str) -> Result<PathBuf, Refusal> {
-        let path = self.root.join(plain(text)?);
+        let path = self.root.join(checked_name(text)?);
         let refused = || {
             let root = self.root.display();
             Refusal::forbidden(format!("{text}: is not below {root}, where the studio was started"))
@@ -63,7 +63,7 @@ impl Places {
 
     /// A file that may be written: in a folder that is there, or one that is there already.
     pub(super) fn to_write(&self, text: &str) -> Result<PathBuf, Refusal> {
-        let path = self.root.join(plain(text)?);
+        let path = self.root.join(checked_name(text)?);
         if path.exists() || path.is_symlink() {
             return self.existing(text);
         }
@@ -90,7 +90,7 @@ impl Places {
         let folder = self.existing(text)?;
         let unread = |error: std::io::Error| Refusal::wrong(format!("{text}: cannot be read: {error}"));
         let mut entries = Vec::new();
-        for entry in std::fs::read_dir(&folder).map_err(unread)?.take(MOST_LISTED) {
+        for entry in std::fs::read_dir(&folder).map_err(unread)?.take(MAX_LISTED) {
             let path = entry.map_err(unread)?.path();
             let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
             let ending = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
@@ -119,7 +119,7 @@ fn climbs(path: &Path) -> bool {
     path.components().any(|part| part == Component::ParentDir)
 }
 
-fn plain(text: &str) -> Result<&str, Refusal> {
+fn checked_name(text: &str) -> Result<&str, Refusal> {
     match text {
         "" => Err(Refusal::wrong("a file is missing: choose one")),
         _ if text.contains('\0') => Err(Refusal::wrong("the name of a file has a zero in it")),

@@ -14,11 +14,11 @@ use std::thread::Builder;
 
 /// Memory of the frames that are kept, bytes, and how many at least.
 const KEPT_BYTES: usize = 120_000_000;
-const LEAST_KEPT: usize = 4;
+const MIN_KEPT: usize = 4;
 /// Frames further ahead than this are jumped to.
-const AHEAD: usize = 40;
+const SEEK_BEYOND: usize = 40;
 /// Frames before the one asked for that are decoded with it: who steps, steps back too.
-const BEFORE: usize = 5;
+const DECODED_BEFORE: usize = 5;
 
 /// A recording that is open.
 pub(super) struct Reel {
@@ -27,7 +27,7 @@ pub(super) struct Reel {
     size_px: [u32; 2],
     hint: Option<u64>,
     index: Arc<Index>,
-    hand: Mutex<Hand>,
+    hand: Mutex<ReelState>,
 }
 
 /// The times of its frames.
@@ -49,7 +49,7 @@ pub(super) struct Indexed {
 }
 
 #[derive(Default)]
-struct Hand {
+struct ReelState {
     /// Gives the frames from this number on.
     reader: Option<(usize, Box<dyn FrameSource + Send>)>,
     kept: VecDeque<(usize, Arc<Frame>)>,
@@ -70,7 +70,7 @@ impl Reel {
         let first = first.ok_or_else(|| Refusal::wrong(format!("{}: has no frame", path.display())))?;
         let index = Arc::new(Index::default());
         lock(&index.state).stamps_ns.push(first.stamp.ns);
-        let mut hand = Hand { reader: Some((1, source)), ..Hand::default() };
+        let mut hand = ReelState { reader: Some((1, source)), ..ReelState::default() };
         hand.kept.push_back((0, Arc::new(first)));
         let reel = Self { path: path.to_owned(), options, size_px, hint, index, hand: Mutex::new(hand) };
         let (index, path) = (Arc::clone(&reel.index), path.to_owned());
@@ -154,7 +154,7 @@ impl Index {
     }
 }
 
-impl Hand {
+impl ReelState {
     fn frame(&mut self, reel: &Reel, i: usize) -> Result<Arc<Frame>, Refusal> {
         if let Some((_, frame)) = self.kept.iter().find(|(of, _)| *of == i) {
             return Ok(Arc::clone(frame));
@@ -162,14 +162,14 @@ impl Hand {
         let (from_ns, from, count) = {
             let index = lock(&reel.index.state);
             let count = index.stamps_ns.len();
-            let from = i.saturating_sub(BEFORE);
+            let from = i.saturating_sub(DECODED_BEFORE);
             (index.stamps_ns.get(from).copied(), from, count)
         };
         let beyond = || Refusal::wrong(format!("frame {i}: expected one of the {count} that are known so far"));
         if i >= count {
             return Err(beyond());
         }
-        if !self.reader.as_ref().is_some_and(|(next, _)| (*next..*next + AHEAD).contains(&i)) {
+        if !self.reader.as_ref().is_some_and(|(next, _)| (*next..*next + SEEK_BEYOND).contains(&i)) {
             let span = Span { from_ns, to_ns: None };
             // A stated rate counts from the first picture that is read.
             let (from, span) = if reel.options.stated_rate.is_some() { (0, Span::default()) } else { (from, span) };
@@ -200,7 +200,7 @@ impl Hand {
 
     fn keep(&mut self, reel: &Reel, number: usize, frame: &Arc<Frame>) {
         let [width, height] = reel.size_px.map(|size| size as usize);
-        let most = (KEPT_BYTES / (width * height * 2).max(1)).max(LEAST_KEPT);
+        let most = (KEPT_BYTES / (width * height * 2).max(1)).max(MIN_KEPT);
         self.kept.retain(|(of, _)| *of != number);
         self.kept.push_back((number, Arc::clone(frame)));
         while self.kept.len() > most {

@@ -18,7 +18,7 @@ const LOG: &str = "log.mcap";
 const TABLE: &str = "track.csv";
 
 /// Runs that stay in memory.
-const MOST_RUNS: usize = 2;
+const MAX_RUNS: usize = 2;
 
 /// Runs that were read.
 #[derive(Default)]
@@ -37,7 +37,7 @@ impl Runs {
             }
         }
         let run = Arc::new(Run::read(folder)?);
-        if runs.len() >= MOST_RUNS {
+        if runs.len() >= MAX_RUNS {
             runs.remove(0);
         }
         runs.push(Arc::clone(&run));
@@ -146,7 +146,7 @@ impl Run {
     }
 
     fn table(&mut self, path: &Path) -> Result<(), Refusal> {
-        let table = Recording::read(path).map_err(Refusal::wrong)?;
+        let table = Recording::as_measured(path).map_err(Refusal::wrong)?;
         self.markers = table.markers;
         self.cut = table.cut;
         self.note = Some(format!("there is no {LOG}: outlines, residuals and the scene are not known"));

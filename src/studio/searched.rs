@@ -8,7 +8,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::SystemTime;
 
 /// What is kept at most.
-const MOST_KEPT: usize = 400;
+const MAX_KEPT: usize = 400;
 
 /// What was found in pictures: nothing is searched twice.
 #[derive(Default)]
@@ -38,7 +38,7 @@ impl Boards {
         let size_px = grey.size_px();
         let found = Arc::new(Searched { path: path.to_owned(), changed, board: words, most, size_px, images });
         let mut all = lock();
-        if all.len() >= MOST_KEPT {
+        if all.len() >= MAX_KEPT {
             all.remove(0);
         }
         all.push(Arc::clone(&found));

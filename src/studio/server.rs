@@ -19,15 +19,15 @@ use std::time::Duration;
 use tokio::sync::oneshot;
 
 /// What the page sends is shorter, bytes.
-const MOST_BODY: usize = 256 * 1024;
+const MAX_BODY: usize = 256 * 1024;
 /// But for a picture that is dropped in.
-const MOST_PICTURE: usize = 48 * 1024 * 1024;
+const MAX_PICTURE: usize = 48 * 1024 * 1024;
 /// A header that says what a picture is of.
 const ABOUT: HeaderName = HeaderName::from_static("x-about");
 /// Requests that are worked on at once.
-const MOST_AT_WORK: usize = 6;
+const MAX_CONCURRENT_REQUESTS: usize = 6;
 /// How long requests may take when the server ends.
-const PATIENCE: Duration = Duration::from_millis(300);
+const SHUTDOWN_TIMEOUT: Duration = Duration::from_millis(300);
 
 /// What every answer says to the browser: nothing but the page's own files is run, shown or asked.
 const HEADERS: [(HeaderName, &str); 7] = [
@@ -72,7 +72,7 @@ impl Server {
         let shared = Shared { desk: Arc::new(desk), guard };
         let runtime = tokio::runtime::Builder::new_current_thread()
             .enable_io()
-            .max_blocking_threads(MOST_AT_WORK)
+            .max_blocking_threads(MAX_CONCURRENT_REQUESTS)
             .thread_name("studio work")
             .build()?;
         let (stop, stopped) = oneshot::channel::<()>();
@@ -85,7 +85,7 @@ impl Server {
             runtime.spawn(async move { served.await });
             // Gone is as good as told.
             let _ = runtime.block_on(stopped);
-            runtime.shutdown_timeout(PATIENCE);
+            runtime.shutdown_timeout(SHUTDOWN_TIMEOUT);
         })?;
         Ok(Self { url, stop: Some(stop), thread: Some(thread) })
     }
@@ -109,9 +109,9 @@ impl Drop for Server {
 fn router(shared: Shared) -> Router {
     Router::new()
         .route("/api/{*name}", routing::any(answer))
-        .route("/api/board/keep", routing::any(answer).layer(DefaultBodyLimit::max(MOST_PICTURE)))
+        .route("/api/board/keep", routing::any(answer).layer(DefaultBodyLimit::max(MAX_PICTURE)))
         .fallback(asset)
-        .layer(DefaultBodyLimit::max(MOST_BODY))
+        .layer(DefaultBodyLimit::max(MAX_BODY))
         .layer(from_fn_with_state(shared.clone(), guarded))
         .with_state(shared)
 }
@@ -128,10 +128,10 @@ async fn guarded(State(shared): State<Shared>, request: Request, next: Next) -> 
 }
 
 fn refused((status, words): Refused) -> Response {
-    told(&Refusal { status, words: words.to_owned() })
+    error_response(&Refusal { status, words: words.to_owned() })
 }
 
-fn told(refusal: &Refusal) -> Response {
+fn error_response(refusal: &Refusal) -> Response {
     let status = StatusCode::from_u16(refusal.status).unwrap_or(StatusCode::BAD_REQUEST);
     let body = serde_json::json!({ "error": refusal.words }).to_string();
     (status, [(header::CONTENT_TYPE, "application/json")], body).into_response()
@@ -153,7 +153,7 @@ async fn answer(State(shared): State<Shared>, uri: Uri, body: Bytes) -> Response
     };
     let reply = match tokio::task::spawn_blocking(work).await {
         Ok(Ok(reply)) => reply,
-        Ok(Err(refusal)) => return told(&refusal),
+        Ok(Err(refusal)) => return error_response(&refusal),
         Err(_) => return refused((500, "this failed within the program: please report it")),
     };
     match reply {

@@ -13,7 +13,7 @@ use serde_json::{Value, json};
 use std::sync::Arc;
 
 /// Names, bands and corners that are taken at most.
-const MOST: usize = 64;
+const MAX_ENTRIES: usize = 64;
 
 /// What the page's form says.
 #[derive(Debug, Deserialize)]
@@ -61,8 +61,8 @@ impl Form {
     fn check(&self) -> Result<(), Refusal> {
         let counts = [self.bands.len(), self.regions.len(), self.picks.len()];
         let corners = self.regions.iter().map(|region| region.corners.len());
-        if counts.into_iter().chain(corners).any(|count| count > MOST) {
-            return Err(Refusal::wrong(format!("expected at most {MOST} bands, regions, corners and picks")));
+        if counts.into_iter().chain(corners).any(|count| count > MAX_ENTRIES) {
+            return Err(Refusal::wrong(format!("expected at most {MAX_ENTRIES} bands, regions, corners and picks")));
         }
         for band in &self.bands {
             // What separates the parts of a pick.
@@ -372,11 +372,11 @@ pub(super) fn save(desk: &Desk, asked: &Save) -> Result<Reply, Refusal> {
     if asked.dry {
         return Ok(Reply::Json(json!({ "command": command })));
     }
-    let told = (desk.verbs()?.teach)(&arguments(&desk.places, &[&form.recording], &settings));
+    let result = (desk.verbs()?.teach)(&arguments(&desk.places, &[&form.recording], &settings));
     let page = out.with_extension("markers.html");
     Ok(Reply::Json(json!({
         "command": command,
-        "told": told,
+        "told": result,
         "out": desk.places.shown(&out),
         "page": page.exists().then(|| desk.places.shown(&page)),
     })))

@@ -1,9 +1,9 @@
 //! A live run while it goes on: its last rows, how it goes, and a picture now and then.
 
 use super::{Refusal, Reply, scene, shown};
-use crate::live::{Latest, stand_back};
+use crate::live::{Latest, RecordSwitch, lower_priority};
 use crate::rig::Rig;
-use crate::sink::{ToBgr, spoken};
+use crate::sink::{ToBgr, plain_words};
 use base64::prelude::{BASE64_STANDARD, Engine as _};
 use nalgebra::Isometry3;
 use serde::Deserialize;
@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 
 /// Pictures are no wider, pixels, and no more often, however many pages ask.
 const WIDTH_PX: u32 = 640;
-const LEAST_BETWEEN: Duration = Duration::from_millis(150);
+const MIN_INTERVAL: Duration = Duration::from_millis(150);
 
 /// A live run.
 pub(crate) struct Watch {
@@ -22,10 +22,17 @@ pub(crate) struct Watch {
     source: String,
     folder: String,
     made: Mutex<Made>,
+    record: Option<Record>,
+}
+
+/// Recording of pictures that the page begins and ends.
+struct Record {
+    switch: Arc<RecordSwitch>,
+    /// How it can be recorded.
+    record_words: Vec<&'static str>,
 }
 
 /// The picture that was made last, for all pages.
-#[derive(Default)]
 struct Made {
     to_bgr: ToBgr,
     at: Option<Instant>,
@@ -36,8 +43,15 @@ struct Made {
 impl Watch {
     /// The run of `rig` that leaves its last rows in `latest`.
     pub(crate) fn new(latest: Arc<Latest>, rig: &Rig, source: &str, folder: &str) -> Self {
+        let made = Made { to_bgr: ToBgr::quick(), at: None, seq: 0, reply: Value::Null };
         let (rig, source, folder) = (rig.clone(), source.to_owned(), folder.to_owned());
-        Self { latest, rig, source, folder, made: Mutex::default() }
+        Self { latest, rig, source, folder, made: Mutex::new(made), record: None }
+    }
+
+    /// Pictures of it are recorded, in one of these ways, when `switch` is turned.
+    pub(crate) fn recording(mut self, switch: Arc<RecordSwitch>, record_words: Vec<&'static str>) -> Self {
+        self.record = Some(Record { switch, record_words });
+        self
     }
 
     /// What does not change.
@@ -49,6 +63,7 @@ impl Watch {
             "markers": self.rig.markers.iter().map(|m| &m.name).collect::<Vec<_>>(),
             "views": self.rig.views.iter().map(|v| &v.name).collect::<Vec<_>>(),
             "in_base": self.rig.base.is_some(),
+            "hows": self.record.as_ref().map(|record| &record.record_words),
         })
     }
 }
@@ -64,6 +79,13 @@ pub(super) struct RowsAsked {
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
+pub(super) struct RecordAsked {
+    on: bool,
+    how: String,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub(super) struct PictureAsked {
     /// Number of the picture that the page has.
     after: Option<u64>,
@@ -72,7 +94,7 @@ pub(super) struct PictureAsked {
 impl Watch {
     /// Rows that are new, and how it goes.
     pub(super) fn rows(&self, asked: &RowsAsked) -> Reply {
-        stand_back();
+        lower_priority();
         let views: Vec<&str> = self.rig.views.iter().map(|v| v.name.as_str()).collect();
         let to_base = self.rig.base.as_ref().map_or(Isometry3::identity(), |base| base.base_from_camera);
         let rows: Vec<Value> = self
@@ -88,7 +110,7 @@ impl Watch {
                 "host_s": row.host.map(|host| host.arrival_ns as f64 * 1e-9),
                 "gap": row.gap,
                 "theta_deg": row.deflection.as_ref().ok().map(|d| [d.theta_rad, d.theta_sd_rad].map(f64::to_degrees)),
-                "status": row.deflection.as_ref().err().map(|miss| spoken(&miss.word(&views))),
+                "status": row.deflection.as_ref().err().map(|miss| plain_words(&miss.word(&views))),
                 "tip_mm": tip_mm.map(|p| [p.x, p.y, p.z]),
             })
         })
@@ -97,6 +119,7 @@ impl Watch {
         let currents = self.latest.currents_after(currents_after);
         let status = self.latest.status();
         let ms = |us: u64| us as f64 * 1e-3;
+        let recording = self.record.as_ref().map(|record| record.switch.state());
         Reply::Json(json!({
             "rows": rows,
             "currents": currents.iter().map(|sample| json!({
@@ -108,6 +131,7 @@ impl Watch {
                 "max_ms": ms(status.latency.max_us),
                 "backlog": status.backlog, "unlogged": status.unlogged, "pictures": status.pictures,
                 "not_shown": self.latest.missed(),
+                "recording": recording,
                 "alarms": status.alarms.iter().map(|alarm| json!({
                     "t_s": alarm.ns as f64 * 1e-9, "what": alarm.what, "advice": alarm.advice,
                 })).collect::<Vec<_>>(),
@@ -115,11 +139,27 @@ impl Watch {
         }))
     }
 
+    /// Begins or ends the recording of pictures.
+    pub(super) fn record(&self, asked: &RecordAsked) -> Result<Reply, Refusal> {
+        let none = || Refusal::wrong("pictures of this run cannot be recorded from here");
+        let record = self.record.as_ref().ok_or_else(none)?;
+        if !record.record_words.contains(&asked.how.as_str()) {
+            let known = record.record_words.join(", ");
+            return Err(Refusal::wrong(format!("{}: expected a way to record, one of {known}", asked.how)));
+        }
+        if asked.on {
+            record.switch.start(&asked.how);
+        } else {
+            record.switch.stop();
+        }
+        Ok(Reply::Json(json!(record.switch.state())))
+    }
+
     /// The newest picture, scaled, with the outlines of its bands; nothing when there is none that is newer.
     pub(super) fn picture(&self, asked: &PictureAsked) -> Result<Reply, Refusal> {
-        stand_back();
+        lower_priority();
         let mut made = self.made.lock().unwrap_or_else(PoisonError::into_inner);
-        if made.at.is_none_or(|at| at.elapsed() >= LEAST_BETWEEN)
+        if made.at.is_none_or(|at| at.elapsed() >= MIN_INTERVAL)
             && let Some((estimate, picture)) = self.latest.picture()
             && (made.at.is_none() || estimate.seq > made.seq)
         {

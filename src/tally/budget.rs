@@ -1,53 +1,53 @@
-//! The error budget of a run: what each source of error adds to θ and to the tip in the base frame, 1σ, typical of the
-//! run.
+//! The error budget of a run: the contribution of each source of error to θ and to the tip in the base frame, 1σ,
+//! typical of the run.
 //!
-//! - *image noise*: median over the frames of the tracker's own σ, of one frame. Averages out over frames; the rest
-//!   does not.
-//! - *calibration*: what the rig's covariance makes of the places where the catheter was
+//! - *image noise*: median over the frames of the tracker's own σ, for one frame. It averages out over frames; the
+//!   others do not.
+//! - *calibration*: the effect of the rig's covariance at the places where the catheter was
 //!   (`crate::calibrate::rig::share`).
-//! - *base frame*: σ of its origin and axes, as `calibrate base` noted them.
-//! - *time stamps*: their step (the largest that all stamps are multiples of), evenly spread, times the RMS speed. It
-//!   matters to dynamics, not to where the catheter was. Not known of stamps that are times of arrival.
+//! - *base frame*: σ of its origin and axes, as `calibrate base` recorded them.
+//! - *time stamps*: their resolution (the largest step that all stamps are multiples of), uniformly distributed, times
+//!   the RMS speed. It matters for dynamics, not for positions. Unknown for stamps that are arrival times.
 //!
-//! Cannot tell: what no σ holds, such as a mirror that was moved, or places outside the boards' volume.
+//! Cannot tell: errors that no σ covers, such as a moved mirror, or places outside the boards' volume.
 
 use crate::calibrate::rig::share::{Pose, share};
 use crate::estimate::Estimate;
 use crate::rig::{Draft, Rig};
 use nalgebra::Vector3;
 
-/// Moments that are kept, at most, spread evenly over the run.
-const MOST: usize = 256;
-/// Clock of stamps that say when a frame arrived, not when it was exposed.
+/// Most moments kept, spread evenly over the run.
+const MAX_MOMENTS: usize = 256;
+/// Clock of stamps that give the arrival of a frame, not its exposure.
 const ARRIVAL: &str = "host_arrival";
 
-/// Something that errors come from, and what it adds to θ, radians, and to the tip, metres (root of the trace).
+/// A source of error, and its contribution to θ, radians, and to the tip, metres (root of the trace).
 #[derive(Debug, Clone, PartialEq)]
 pub struct Source {
     /// What it is.
     pub name: &'static str,
-    /// θ and tip, or why that is not known.
+    /// θ and tip, or why they are unknown.
     pub share: Result<(f64, f64), String>,
 }
 
-/// What is gathered for it while the run goes on.
+/// Data collected for the budget during the run.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Gathered {
+pub(super) struct BudgetData {
     rig: Option<Draft>,
     coil: usize,
     tip: usize,
     poses: Vec<Pose>,
     stride: u64,
     seen: u64,
-    /// Stamp, θ and tip of the frame before.
+    /// Stamp, θ and tip of the previous frame.
     last: Option<(i64, f64, Vector3<f64>)>,
     step_ns: u64,
     first_ns: Option<i64>,
-    /// Sums of squares of the speeds of θ and of the tip, less what noise makes of them; how many.
+    /// Sums of squared speeds of θ and of the tip, less the part of noise; their number.
     speeds: (f64, f64, u64),
 }
 
-impl Gathered {
+impl BudgetData {
     pub(super) fn new(rig: &Rig) -> Self {
         let coil = rig.catheter.coil;
         let tip = rig.catheter.end.unwrap_or(rig.markers.len().saturating_sub(1));
@@ -83,7 +83,7 @@ impl Gathered {
             self.poses.push(Pose { coil: coil.point, tangent: tangent.direction, tip: tip.point });
         }
         self.seen += 1;
-        if self.poses.len() > MOST {
+        if self.poses.len() > MAX_MOMENTS {
             let mut even = false;
             self.poses.retain(|_| {
                 even = !even;
@@ -94,7 +94,7 @@ impl Gathered {
     }
 
     /// `noise`: median σ of θ, radians, and of a coordinate of the tip, metres; `clock` of the stamps. `None` without a
-    /// base frame or a frame that was answered.
+    /// base frame or a measured frame.
     pub(super) fn budget(&self, noise: Option<(f64, f64)>, clock: &str) -> Option<Vec<Source>> {
         let rig = self.rig.as_ref()?;
         let (theta_rad, tip_m) = noise?;
@@ -109,16 +109,16 @@ impl Gathered {
     }
 
     fn of_base(&self, rig: &Draft) -> Result<(f64, f64), String> {
-        let noted = |key: &str| {
+        let recorded = |key: &str| {
             let list = rig.provenance.get("base")?.get(key)?.as_array()?;
             let numbers: Vec<f64> = list.iter().filter_map(toml::Value::as_float).collect();
             Some(Vector3::from(<[f64; 3]>::try_from(numbers).ok()?))
         };
         let missing = || "the rig file holds no σ of its base frame".to_owned();
-        let origin_m = noted("origin_sd_mm").ok_or_else(missing)? * 1e-3;
-        let axes_rad = noted("axes_sd_deg").ok_or_else(missing)?.map(f64::to_radians);
+        let origin_m = recorded("origin_sd_mm").ok_or_else(missing)? * 1e-3;
+        let axes_rad = recorded("axes_sd_deg").ok_or_else(missing)?.map(f64::to_radians);
         let base_from_camera = rig.base.as_ref().ok_or_else(missing)?.base_from_camera;
-        // A turn ω moves what is at r by ω × r.
+        // A rotation ω moves a point at r by ω × r.
         let of_turn = |pose: &Pose| {
             let r = (base_from_camera * pose.tip).coords;
             (0..3).map(|i| axes_rad[i].powi(2) * (r.norm_squared() - r[i] * r[i])).sum::<f64>()
@@ -141,14 +141,14 @@ impl Gathered {
     }
 }
 
-/// All that is known, together: θ, radians, and tip, metres.
+/// All known contributions combined: θ, radians, and tip, metres.
 pub fn together(sources: &[Source]) -> (f64, f64) {
     let squares = sources.iter().filter_map(|source| source.share.as_ref().ok());
     let (theta, tip) = squares.fold((0.0, 0.0), |sum, own| (sum.0 + own.0 * own.0, sum.1 + own.1 * own.1));
     (theta.sqrt(), tip.sqrt())
 }
 
-/// The largest number of which both are multiples.
+/// Greatest common divisor.
 fn common(a: u64, b: u64) -> u64 {
     if b == 0 { a } else { common(b, a % b) }
 }

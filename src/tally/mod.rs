@@ -1,20 +1,20 @@
-//! The one count of a run: how many frames were answered, how well, why the others were not, and whether the rig is
+//! The one count of a run: how many frames were measured, how well, why the others were not, and whether the rig is
 //! still as it was calibrated.
 //!
-//! Who drives a run counts every frame once, in its order ([`Tally::add`]); the summary on the terminal, the status
-//! line, the report and `/health` are views of it. Counts and ranges are exact; medians need 4 bytes a frame and
-//! quantity, so that an hour at 60 Hz with three markers takes 4 MB. [`Totals`] are the counts alone, small enough to
-//! be handed on every second.
+//! Whatever drives a run counts every frame once, in order ([`Tally::add`]); the summary on the terminal, the status
+//! line, the report and `/health` are views of it. Counts and ranges are exact; medians need 4 bytes per frame and
+//! quantity, so that an hour at 60 Hz with three markers takes 4 MB. [`Totals`] are only the counts, small enough to
+//! pass on every second.
 
 pub mod budget;
 mod drift;
 
 pub use drift::{Drift, DriftAlarm, Drifted};
 
-use crate::estimate::{Estimate, Miss};
+use crate::estimate::{Estimate, Miss, Spot, Tick};
 use crate::rig::Rig;
 
-/// Camera time from one report of the totals to the next.
+/// Camera time between reports of the totals.
 const REPORT_EVERY_NS: u64 = 1_000_000_000;
 
 /// The count of a run.
@@ -34,23 +34,25 @@ pub struct Tally {
     pub last_ns: i64,
     /// Name of the camera's clock.
     pub clock: &'static str,
-    /// One entry a marker, in the rig's order.
+    /// One entry per marker, in the rig's order.
     pub markers: Vec<MarkerTally>,
     /// Deflection θ.
     pub theta: AngleTally,
     /// Direction of the coil; its range is not kept.
     pub tangent: AngleTally,
-    /// In the order they came up first; that the rig has no base frame is among them.
+    /// The lamp that shows commands; `None` where none is watched.
+    pub ticks: Option<TickTally>,
+    /// In order of first occurrence, including that the rig has no base frame.
     misses: Vec<MissCount>,
-    /// Camera time of the last totals that were reported, nanoseconds.
+    /// Camera time of the last report of the totals, nanoseconds.
     reported_ns: Option<i64>,
-    /// Whether the rig is as it was calibrated.
+    /// Whether the rig is still as it was calibrated.
     pub drift: Drift,
-    moments: budget::Gathered,
+    moments: budget::BudgetData,
     views: Vec<String>,
 }
 
-/// How often one thing was missed for one reason.
+/// How often one quantity was missed for one reason.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 pub struct MissCount {
     /// A marker's name, `tangent` or `deflection`.
@@ -74,14 +76,14 @@ pub struct Totals {
     pub gaps: u64,
     /// Frames with a deflection.
     pub deflections: u64,
-    /// What was missing and why, in the order it came up first.
+    /// What was missing and why, in order of first occurrence.
     pub misses: Vec<MissCount>,
     /// All drift alarms.
     pub alarms: Vec<DriftAlarm>,
 }
 
 /// What is missing in a frame, as (what, reason): a marker's name, `tangent` or `deflection`, and the word for the
-/// reason. That a rig has no base frame is no miss of a frame.
+/// reason. That a rig has no base frame does not count as a miss of a frame.
 pub(crate) fn missing(estimate: &Estimate, markers: &[String], views: &[String]) -> Vec<(String, String)> {
     let views: Vec<&str> = views.iter().map(String::as_str).collect();
     let known = |(_, miss): &(&str, &Miss)| **miss != Miss::NoBaseFrame;
@@ -120,7 +122,7 @@ pub struct MarkerTally {
     pub answered: u64,
     /// σ of a coordinate in every answered frame, mm: f32 keeps an hour of 60 Hz below 1 MB.
     sd_mm: Vec<f32>,
-    /// One entry a view, in the rig's order.
+    /// One entry per view, in the rig's order.
     pub views: Vec<ViewTally>,
 }
 
@@ -148,6 +150,37 @@ pub struct AngleTally {
     pub range_deg: Option<(f64, f64)>,
 }
 
+/// A lamp that shows commands.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TickTally {
+    /// Frames in which it was seen.
+    pub seen: u64,
+    /// How often it changed.
+    pub changes: u64,
+    /// Least and greatest brightness, stored units.
+    pub level: (f64, f64),
+    /// The last frame's.
+    last: Tick,
+}
+
+impl TickTally {
+    fn first(tick: Tick) -> Self {
+        Self { seen: 0, changes: 0, level: (tick.level, tick.level), last: tick }
+    }
+
+    fn add(&mut self, tick: Tick) {
+        self.seen += 1;
+        self.changes += u64::from(tick.count != self.last.count);
+        self.level = (self.level.0.min(tick.level), self.level.1.max(tick.level));
+        self.last = tick;
+    }
+
+    /// Where the lamp is.
+    pub fn spot(&self) -> Spot {
+        self.last.spot
+    }
+}
+
 impl Tally {
     /// For runs with this rig.
     pub fn new(rig: &Rig) -> Self {
@@ -157,13 +190,13 @@ impl Tally {
             markers: rig.markers.iter().map(|m| marker(&m.name)).collect(),
             views: rig.views.iter().map(|v| v.name.clone()).collect(),
             drift: Drift::new(rig),
-            moments: budget::Gathered::new(rig),
+            moments: budget::BudgetData::new(rig),
             ..Self::default()
         }
     }
 
-    /// Counts a frame. Whether the totals are to be reported now: a second of camera time has passed since they were,
-    /// or a drift alarm is raised.
+    /// Counts a frame. Returns whether to report the totals now: a second of camera time has passed since the last
+    /// report, or a drift alarm is raised.
     pub fn add(&mut self, estimate: &Estimate) -> bool {
         if self.frames == 0 {
             self.first_ns = estimate.stamp.ns;
@@ -207,6 +240,9 @@ impl Tally {
                 self.theta.range_deg = Some((low.min(theta), high.max(theta)));
             }
         }
+        if let Some(tick) = estimate.tick {
+            self.ticks.get_or_insert_with(|| TickTally::first(tick)).add(tick);
+        }
         self.moments.add(estimate);
         let alarmed = !self.drift.add(estimate).is_empty();
         let angle_known = matches!(estimate.deflection, Ok(_) | Err(Miss::NoBaseFrame));
@@ -232,7 +268,8 @@ impl Tally {
         }
     }
 
-    /// What each source of error adds to θ and to the tip in the base frame; `None` without a base frame, or an answer.
+    /// The contribution of each source of error to θ and to the tip in the base frame; `None` without a base frame or a
+    /// measurement.
     pub fn budget(&self) -> Option<Vec<budget::Source>> {
         let tip = self.markers.get(self.moments.tip()).and_then(MarkerTally::median_sd_mm);
         let noise = self.theta.median_sd_deg().zip(tip).map(|(deg, mm)| (deg.to_radians(), mm * 1e-3));
@@ -252,7 +289,7 @@ impl Tally {
         }
     }
 
-    /// What is missing and why, by name. That the rig has no base frame is no miss of a frame.
+    /// What is missing and why, by name. That the rig has no base frame does not count as a miss of a frame.
     pub fn misses(&self) -> Vec<&MissCount> {
         let no_base = Miss::NoBaseFrame.word(&[]);
         let mut misses: Vec<_> = self.misses.iter().filter(|miss| miss.reason != no_base).collect();
@@ -278,7 +315,7 @@ impl Tally {
         reasons
     }
 
-    /// Frames a second over the whole run, those lost by the camera counted too.
+    /// Frames per second over the whole run, including those lost by the camera.
     pub fn rate_hz(&self) -> Option<f64> {
         let span_s = (self.last_ns.saturating_sub(self.first_ns)) as f64 * 1e-9;
         (self.frames > 1 && span_s > 0.0).then(|| (self.frames - 1 + self.lost) as f64 / span_s)
@@ -343,7 +380,7 @@ mod tests {
     fn totals_are_due_every_second_and_count_everything() {
         let mut tally = Tally::new(&fixture::rig());
         let mut due = (0..150).filter(|&seq| tally.add(&fixture::eventful(seq, -500_000_000)));
-        // 60 frames a second less the 3 lost before frame 40.
+        // 60 frames per second less the 3 lost before frame 40.
         assert_eq!(due.by_ref().map(|seq| seq + 1).collect::<Vec<_>>(), [58, 118]);
         let totals = tally.totals();
         assert_eq!((totals.frames, totals.lost, totals.gaps, totals.deflections), (150, 3, 1, 120));

@@ -1,4 +1,8 @@
-//! Pictures for tests: rotated rectangles of colour, coverage by supersampling, stored in any format, with noise.
+//! Flat drawings for tests of segmentation and of picture formats: rotated rectangles of colour, coverage by
+//! supersampling, stored in any format, with noise.
+//!
+//! No renderer of rigs, which is [`catoptra::simulate`]: these tests need blobs of which centre, axis, length and width
+//! in pixels are exact, and every way to store samples that a decoder may hand on.
 
 use super::random::Random;
 use catoptra::rig::ColourModel;
@@ -49,7 +53,7 @@ pub(crate) struct Scene {
 }
 
 impl Scene {
-    /// Bands before a background that is a little darker on the left.
+    /// Bands in front of a background that is slightly darker on the left.
     pub(crate) fn new(width: usize, height: usize, bands: &[Band]) -> Self {
         const FINE: usize = 8;
         let mut rgb = Vec::with_capacity(width * height);
@@ -75,7 +79,7 @@ impl Scene {
         Self { width, height, rgb }
     }
 
-    /// Gaussian noise on all channels, always the same for a seed.
+    /// Adds Gaussian noise on all channels, reproducible by seed.
     pub(crate) fn noisy(mut self, sd: f64, seed: u64) -> Self {
         let mut random = Random::new(seed);
         for pixel in &mut self.rgb {

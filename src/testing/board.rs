@@ -1,17 +1,20 @@
-//! Draws pictures of chessboards in perspective, with exact corners.
+//! Flat drawings of chessboards in perspective, with exact corners, for tests of their detection.
+//!
+//! No renderer of rigs, which is [`catoptra::simulate`]: these tests need boards that no rig shows (cut, printed wrong,
+//! at any scale, several in one picture, markers between the squares), blurred, moved and stained as the test says.
 
 use catoptra::calibrate::board::Board;
 use catoptra::calibrate::board::Grey;
 use nalgebra::{Matrix3, Point2, Rotation3, Vector3};
 
-/// Samples a pixel is drawn with, no two in one row or column: edges along the pixels' rows are as smooth as others.
+/// Samples per pixel, no two in one row or column, so that edges along rows are as smooth as others.
 const FINE: usize = 16;
-/// Grey values of dark squares, light squares and paper, the ground.
+/// Grey values of dark squares, light squares and paper, the background.
 const DARK: f64 = 45.0;
 const LIGHT: f64 = 205.0;
 const GROUND: f64 = 120.0;
 
-/// Where a board is in a picture: columns and rows to pixels.
+/// Position of a board in a picture: columns and rows to pixels.
 #[derive(Clone)]
 pub(crate) struct Placed {
     pub(crate) board: Board,
@@ -19,8 +22,8 @@ pub(crate) struct Placed {
 }
 
 impl Placed {
-    /// Seen by a pinhole of `focal_px`: the middle of the board at `middle_px`, its squares about `square_px` large
-    /// there, turned about the board's x, y and z axes (degrees, in this order), seen in a mirror or not.
+    /// Seen by a pinhole of `focal_px`: the board's centre at `middle_px`, its squares about `square_px` large there,
+    /// rotated about the board's x, y and z axes (degrees, in this order), seen in a mirror or not.
     pub(crate) fn new(board: &str, middle_px: [f64; 2], square_px: f64, turn_deg: [f64; 3], mirrored: bool) -> Self {
         let board: Board = board.parse().unwrap();
         let focal_px = 60.0 * square_px;
@@ -49,7 +52,8 @@ impl Placed {
         Point2::from_homogeneous(self.picture_from_board * Vector3::new(column, row, 1.0)).unwrap()
     }
 
-    /// The grey value of the board's plane; `None` beyond its paper, half a square around the outer squares.
+    /// The grey value of the board's plane; `None` beyond its paper, which extends half a square around the outer
+    /// squares.
     fn grey(&self, column: f64, row: f64) -> Option<f64> {
         let (columns, rows) = (self.board.columns as f64, self.board.rows as f64);
         let within =
@@ -69,7 +73,7 @@ pub(crate) struct Canvas {
     pub(crate) width: usize,
     pub(crate) height: usize,
     pub(crate) samples: Vec<f64>,
-    /// Where a pixel would be without distortion.
+    /// Maps a pixel to its position without distortion.
     pub(crate) straight: fn(Point2<f64>) -> Point2<f64>,
 }
 
@@ -78,7 +82,7 @@ impl Canvas {
         Self { width, height, samples: vec![GROUND; width * height], straight: |p| p }
     }
 
-    /// Boards drawn into a picture, pixels being squares around whole numbers.
+    /// Draws boards into a picture; pixels are squares around integers.
     pub(crate) fn with(width: usize, height: usize, boards: &[Placed]) -> Self {
         let mut canvas = Self::new(width, height);
         for board in boards {
@@ -91,7 +95,7 @@ impl Canvas {
         self.draw_as(board, |column, row| board.grey(column, row));
     }
 
-    /// Draws what has the given grey at columns and rows of the board's inner corners, `None` beside it.
+    /// Draws a pattern given by its grey at columns and rows of the board's inner corners, `None` outside.
     pub(crate) fn draw_as(&mut self, board: &Placed, grey: impl Fn(f64, f64) -> Option<f64>) {
         let back = board.picture_from_board.try_inverse().unwrap();
         let (c, r) = (board.board.columns as f64 + 0.5, board.board.rows as f64 + 0.5);
@@ -116,7 +120,7 @@ impl Canvas {
         }
     }
 
-    /// A Gaussian blur.
+    /// Applies a Gaussian blur.
     pub(crate) fn blurred(mut self, sigma_px: f64) -> Self {
         let reach = (4.0 * sigma_px).ceil() as i64;
         let kernel: Vec<f64> = (-reach..=reach).map(|i| (-0.5 * (i as f64 / sigma_px).powi(2)).exp()).collect();
@@ -135,7 +139,7 @@ impl Canvas {
         self
     }
 
-    /// Moved to the right by a number of pixels while it was taken.
+    /// Adds motion to the right by a number of pixels during the exposure.
     pub(crate) fn moved(mut self, pixels: usize) -> Self {
         for row in self.samples.chunks_mut(self.width) {
             let old = row.to_vec();
@@ -146,7 +150,7 @@ impl Canvas {
         self
     }
 
-    /// Grey values from a rule: column, row and value to a new value.
+    /// Maps grey values by a rule: column, row and value to a new value.
     pub(crate) fn changed(mut self, rule: impl Fn(f64, f64, f64) -> f64) -> Self {
         for (i, value) in self.samples.iter_mut().enumerate() {
             *value = rule((i % self.width) as f64, (i / self.width) as f64, *value);
@@ -154,9 +158,9 @@ impl Canvas {
         self
     }
 
-    /// Noise of this standard deviation, the same each time.
+    /// Adds noise of this standard deviation, the same each time.
     pub(crate) fn noisy(mut self, sd: f64) -> Self {
-        // Not of `Random`: with some of its draws a part of a board is taken for a smaller board, see
+        // Not from `Random`: with some of its draws part of a board is taken for a smaller board, see
         // `calibrate_board.rs`.
         let mut state = 0x2545_f491_4f6c_dd1d_u64;
         let mut uniform = || {

@@ -6,7 +6,7 @@ use catoptra::rig::{Base, Camera, Catheter, ColourModel, Marker, Rig, View};
 use catoptra::source::{Clock, Timestamp};
 use nalgebra::{Isometry3, Matrix2, Matrix3, Point2, Point3, Translation3, UnitQuaternion, Vector2, Vector3};
 
-/// Markers base, coil (no colour learned) and tip, views direct and mirror, a base frame that is turned and moved.
+/// Markers base, coil (no colour learned) and tip, views direct and mirror, a rotated and shifted base frame.
 pub(crate) fn rig() -> Rig {
     let lens = Lens {
         focal_px: Vector2::new(2712.4, 2706.9),
@@ -27,7 +27,14 @@ pub(crate) fn rig() -> Rig {
         colours: rgb.map(|rgb| ColourModel::linear(Vector3::zeros(), 0.0, rgb.into())).into_iter().collect(),
     };
     Rig {
-        camera: Camera { size_px: [1280, 1024], lens, blur_px: None, chroma_offset_px: [0.0; 2], exposure_s: None },
+        camera: Camera {
+            size_px: [1280, 1024],
+            lens,
+            blur_px: None,
+            chroma_offset_px: [0.0; 2],
+            exposure_s: None,
+            gamma: None,
+        },
         surfaces: Default::default(),
         views: vec![view("direct"), view("mirror")],
         markers: vec![
@@ -48,7 +55,7 @@ pub(crate) fn rig() -> Rig {
     }
 }
 
-/// A catheter that swings at 1 Hz; frame `seq` of a run, complete.
+/// A catheter that swings at 1 Hz: complete frame `seq` of a run.
 pub(crate) fn complete(seq: u64, stamp_ns: i64) -> Estimate {
     let camera_from_base = rig().base.map_or_else(Isometry3::identity, |b| b.base_from_camera.inverse());
     let theta = 0.6 * (seq as f64 * 0.105).sin();
@@ -84,10 +91,11 @@ pub(crate) fn complete(seq: u64, stamp_ns: i64) -> Estimate {
             polar_rad: direction_in_base.z.acos(),
             azimuth_rad: direction_in_base.y.atan2(direction_in_base.x),
         }),
+        tick: None,
     }
 }
 
-/// Frame `seq` of a 60 Hz run from `first_ns` on, in which things go wrong in every way there is.
+/// Frame `seq` of a 60 Hz run from `first_ns` on, with every kind of fault.
 pub(crate) fn eventful(seq: u64, first_ns: i64) -> Estimate {
     let lost = if seq >= 40 { 3 } else { 0 };
     let mut estimate = complete(seq, first_ns + (seq + lost) as i64 * 16_666_667);

@@ -1,11 +1,10 @@
-//! What tests are made of: a made-up run, pictures of which every detail is known, and numbers drawn at random.
+//! Helpers for tests: a made-up run, pictures with known details, and random numbers.
 //!
-//! Compiled for tests only: for those of the library, and once more for those in `tests/`, which include this folder.
-//! So it names the library from outside, and uses what is public.
+//! Compiled only for tests: for those of the library, and again for those in `tests/`, which include this folder. So it
+//! names the library from outside and uses only its public items.
 
 pub(crate) mod bands;
 pub(crate) mod board;
 pub(crate) mod fixture;
 pub(crate) mod random;
-pub(crate) mod scene;
-pub(crate) mod tube;
+pub(crate) mod two_views;

@@ -1,9 +1,8 @@
-//! The source of random numbers of tests: the same for the same seed, on every machine.
+//! Random numbers for tests: reproducible by seed, on every machine.
 //!
-//! Drawn boards (`board`, `scene`) and the simulated calibrations keep older generators of their own, and say why
-//! there.
+//! Flat boards (`board`) and the simulated calibrations keep their own older generators, for the reasons given there.
 
-/// Numbers drawn one after the other.
+/// A generator of random numbers.
 pub(crate) struct Random(fastrand::Rng);
 
 impl Random {
@@ -16,12 +15,12 @@ impl Random {
         self.0.f64()
     }
 
-    /// Of mean 0 and variance 1 (Box and Muller, doi:10.1214/aoms/1177706645).
+    /// Normal with mean 0 and variance 1 (Box and Muller, doi:10.1214/aoms/1177706645).
     pub(crate) fn normal(&mut self) -> f64 {
         (-2.0 * (1.0 - self.uniform()).ln()).sqrt() * (std::f64::consts::TAU * self.uniform()).cos()
     }
 
-    /// So many of mean 0 and variance 1.
+    /// `count` of them, with mean 0 and variance 1.
     pub(crate) fn normals(&mut self, count: usize) -> Vec<f64> {
         (0..count).map(|_| self.normal()).collect()
     }

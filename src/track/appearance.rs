@@ -2,20 +2,20 @@
 //!
 //! Across the tube, u is the signed distance from the image of the axis and w the half width, both in pixels. A lit
 //! Lambertian cylinder shows S(x) = 1 + m₁ x + m₂ (√(1−x²) − π/4) + m₃ x√(1−x²) + m₄ (x² − 1/3), x = u/w: with x = sin
-//! φ these are the harmonics of the angle φ around it up to the second, which is all that light from afar, however it
-//! is spread and whatever of the tube it leaves in the dark, shows to a few per cent (Ramamoorthi and Hanrahan 2001,
-//! doi:10.1364/JOSAA.18.002448). It is blurred by the lens (Gaussian of σ pixels) through the moments
+//! φ these are the harmonics of the angle φ around it up to the second, which describe any distant light, including one
+//! that leaves part of the tube dark, to a few per cent (Ramamoorthi and Hanrahan 2001, doi:10.1364/JOSAA.18.002448).
+//! It is blurred by the lens (Gaussian of σ pixels) through the moments
 //!
 //! Mₙ = ∫ xⁿ G(u − wx) w dx over [−1, 1]; Mₙ = (u/w) Mₙ₋₁ + (n−1)(σ/w)² Mₙ₋₂ − (σ²/w)(g₊ − (−1)ⁿ⁻¹ g₋), g± = G(w ∓ u).
 //!
-//! A tube that bends turns under the lamps: m₁ changes along it in proportion to the angle φ that its direction has
-//! turned by since the reference band (tube.rs), m₁ + g·φ.
+//! A bending tube turns relative to the lamps: m₁ changes along it in proportion to the angle φ by which its direction
+//! has turned since the reference band (tube.rs), m₁ + g·φ.
 //!
 //! Along the tube, colours change at rings. The near side of a ring lies `bulge·√(1−x²)` further along the axis than
-//! its centre, so that edges are curved; each edge is blurred by the same σ. The tube's end shows its cap when it
-//! points at the camera. Behind everything lies a background with a linear gradient.
+//! its centre, so edges are curved; each edge is blurred by the same σ. The tube's end shows its cap when it points at
+//! the camera. The background has a linear gradient.
 //!
-//! Cannot represent: specular highlights that move along the tube, shadows with edges across a band, objects in front.
+//! Cannot represent: specular highlights that move along the tube, shadow edges across a band, objects in front.
 
 use crate::track::light::gauss;
 
@@ -24,12 +24,12 @@ use crate::track::light::gauss;
 pub(crate) struct Layout {
     /// Arc lengths of the rings, metres, ascending: neighbour | band | neighbour | band …
     pub rings_m: Vec<f64>,
-    /// The last ring is the end of the tube.
+    /// Whether the last ring is the end of the tube.
     pub ends: bool,
 }
 
 impl Layout {
-    /// Stretches of one colour.
+    /// Number of stretches of one colour.
     pub(crate) fn segments(&self) -> usize {
         self.rings_m.len() + usize::from(!self.ends)
     }
@@ -73,7 +73,7 @@ const P1: f32 = 0.946_274;
 const P3: f32 = -0.120_801;
 const P5: f32 = -0.664_405;
 
-/// Weight beyond an edge and its derivatives along u and v (pixels), and with the ring's bulge.
+/// Weight beyond an edge and its derivatives with respect to u and v (pixels) and the ring's bulge.
 #[derive(Clone, Copy, Default)]
 pub(crate) struct Edge {
     pub weight: f32,
@@ -101,7 +101,7 @@ impl Edge {
     }
 }
 
-/// How much of each part is seen along the tube: the segment before the nearest ring, the one behind it, what lies
+/// How much is seen of each part along the tube: the segment before the nearest ring, the one after it, the region
 /// beyond the tube's end, and its cap.
 pub(crate) struct Edges {
     pub before: Edge,
@@ -111,7 +111,7 @@ pub(crate) struct Edges {
 }
 
 impl Edges {
-    /// Far from any ring.
+    /// Values far from any ring.
     #[inline(always)]
     pub(crate) fn away(is_before: bool) -> Self {
         let before = if is_before { 1.0 } else { 0.0 };
@@ -119,10 +119,11 @@ impl Edges {
         Self { before, behind, outline: Edge::NONE, cap: Edge::NONE }
     }
 
-    /// At x half widths aside of the axis and `from_ring` pixels beyond the ring, or the tube's end if it `ENDS` there.
+    /// Values at x half widths from the axis and `from_ring` pixels beyond the ring, or the tube's end if it `ENDS`
+    /// there.
     #[inline(always)]
     pub(crate) fn at_ring<const ENDS: bool>(x: f32, half: f32, from_ring: f32, bulge: f32, blur_px: f32) -> Self {
-        // The ring's near side is displaced by `bulge·root`; root is kept off its infinite slope at the outline.
+        // The ring's near side is displaced by `bulge·root`; root is kept away from its infinite slope at the outline.
         let root = (1.0 - x * x).max(0.0).sqrt();
         let d_root = if x.abs() < 1.0 { -x / (half * root.max(0.3)) } else { 0.0 };
         let edge_at = |bulge: f32, sign: f32| {
@@ -141,7 +142,7 @@ impl Edges {
     }
 }
 
-/// The blurred profile across the tube: coverage, and what m₁ to m₄ multiply, with derivatives along u.
+/// The blurred profile across the tube: coverage, and the factors of m₁ to m₄, with derivatives with respect to u.
 pub(crate) struct Across {
     pub cover: f32,
     pub shades: [f32; HARMONICS],
@@ -227,7 +228,7 @@ mod tests {
         }
     }
 
-    /// A lamp from the side lights part of what is seen; the rest has the room's light only.
+    /// A lamp from the side lights part of the visible surface; the rest has only the room's light.
     #[test]
     fn a_tube_half_in_the_dark_is_shaded_to_a_few_per_cent() {
         let lit = |x: f64, from: f64| 0.5 + 0.5 * (x * from.sin() + (1.0 - x * x).sqrt() * from.cos()).max(0.0);
@@ -243,7 +244,7 @@ mod tests {
             let from = degrees.to_radians();
             assert!(off(from, 5) < 0.03, "{degrees}°: {}", off(from, 5));
         }
-        // The first harmonics alone do not do.
+        // The first harmonics alone are not enough.
         assert!(off(90_f64.to_radians(), 3) > 0.04, "{}", off(90_f64.to_radians(), 3));
     }
 

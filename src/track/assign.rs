@@ -1,9 +1,9 @@
 //! Which blob is which marker in which view. Holds ALL memory of earlier frames.
 //!
-//! For each marker every combination of one blob a view is triangulated; what remains are candidates whose rays meet
-//! and whose blobs have the size of the band at that distance. The markers are then chosen together, along the tube, by
-//! dynamic programming: reprojection error, size, distance from where the marker was, and whether neighbours on the
-//! tube are as far apart as the tube allows. A second choice nearly as good somewhere else makes a marker ambiguous.
+//! For each marker every combination of one blob per view is triangulated; candidates are those whose rays meet and
+//! whose blobs have the band's size at that distance. The markers are then chosen together, along the tube, by dynamic
+//! programming: reprojection error, size, distance from where the marker was, and whether the tube allows the distance
+//! of neighbours. A second choice elsewhere that is nearly as good makes a marker ambiguous.
 //!
 //! Cannot detect: a distractor of the same colour, size and place along the tube, seen in all views.
 
@@ -14,30 +14,30 @@ use crate::segment::{Blob, Search, Window};
 use crate::source::Timestamp;
 use nalgebra::{Matrix2, Matrix2x3, Point3, Vector2};
 
-/// A blob's centre is that of the visible surface, not of the band: about this far off, pixels, and for tubes that are
-/// wide in the picture this many half widths.
+/// A blob's centre is that of the visible surface, not of the band: its error is about this many pixels, and for tubes
+/// that are wide in the picture this many half widths.
 const CENTRE_SD_PX: f64 = 1.0;
 const CENTRE_SD_HALF_WIDTHS: f64 = 0.3;
 /// χ² per degree of freedom beyond which rays do not meet.
 const MEET_CHI2: f64 = 16.0;
-/// A blob may show this much less or more than the band's outline (foreshortening, shading, partial cover).
+/// A blob may show this much less or more than the band's outline (foreshortening, shading, partial occlusion).
 const SIZE_RATIO: (f64, f64) = (0.2, 3.0);
-/// Blobs considered for a marker in a view, largest first; fewer where many views would make more combinations than
-/// this.
-const MOST_BLOBS: usize = 8;
-const MOST_COMBINATIONS: usize = 6561;
-/// How fast a marker may move, and the uncertainty of where it was.
+/// Most blobs considered for a marker in a view, largest first; fewer where many views would give more combinations
+/// than this.
+const MAX_BLOBS: usize = 8;
+const MAX_COMBINATIONS: usize = 6561;
+/// Highest speed of a marker, and the uncertainty of its last position.
 const FASTEST_M_S: f64 = 0.8;
 const PLACE_SD_M: f64 = 5e-3;
-/// A place older than this is forgotten.
+/// An older position is forgotten.
 const MEMORY_S: f64 = 0.25;
-/// Cost of leaving a marker out, and of leaving a view out of one.
+/// Cost of leaving out a marker, and of leaving out a view of one.
 const MISSING_COST: f64 = 40.0;
 const MISSING_VIEW_COST: f64 = 10.0;
-/// Two choices further apart than this are different places; the second must cost this much more.
+/// Two choices further apart than this are different positions; the second must cost this much more.
 const DIFFERENT_M: f64 = 3e-3;
 const CLEAR_COST: f64 = 4.0;
-/// Longest plausible distance of neighbouring bands whose places along the tube are unknown, metres.
+/// Longest plausible distance between neighbouring bands whose places along the tube are unknown, metres.
 const LONGEST_GAP_M: f64 = 0.3;
 
 /// A marker found.
@@ -78,7 +78,7 @@ impl Assigner {
         (0.0..MEMORY_S).contains(&age).then_some((point, age))
     }
 
-    /// Where to look for each marker in each view; `None` when a marker's place is not known well enough.
+    /// Where to search for each marker in each view; `None` when a marker's position is too uncertain.
     pub(crate) fn windows(&self, rig: &Rig, stamp: Timestamp) -> Option<Vec<Search>> {
         let mut windows = Vec::with_capacity(rig.markers.len() * rig.views.len());
         for (m, marker) in rig.markers.iter().enumerate() {
@@ -93,7 +93,7 @@ impl Assigner {
         Some(windows)
     }
 
-    /// Chooses a blob a view for every marker, or says why not.
+    /// Chooses one blob per view for every marker, or says why not.
     pub(crate) fn assign(&self, rig: &Rig, blobs: &[Blob], stamp: Timestamp) -> Vec<Result<Assigned, Miss>> {
         let mut rejected = vec![None; rig.markers.len()];
         let candidates: Vec<Vec<Candidate>> =
@@ -103,7 +103,8 @@ impl Assigner {
         (0..rig.markers.len())
             .map(|m| {
                 let Some(chosen) = best.choice[m] else {
-                    // A thing of its colour elsewhere may be on a ray that passes another: first, is the band hidden?
+                    // An object of its colour elsewhere may be on a ray that nearly meets another, so check first
+                    // whether the band is hidden.
                     let hidden = unseen(rig, m, blobs, &self.expected(rig, m, stamp, place));
                     let last = rig.views.len().saturating_sub(1);
                     return Err(match (hidden, rejected[m].take()) {
@@ -124,7 +125,7 @@ impl Assigner {
             .collect()
     }
 
-    /// About where a marker is, and how far from there it may be: where it was, and near its neighbours on the tube.
+    /// Where a marker is expected, with radii: near its last position, and near its neighbours on the tube.
     fn expected(
         &self,
         rig: &Rig,
@@ -139,7 +140,7 @@ impl Assigner {
         recent.into_iter().chain(neighbours.into_iter().flatten().filter_map(reached)).collect()
     }
 
-    /// Combinations of blobs whose rays meet where a band of the marker's size would look like them.
+    /// Combinations of blobs whose rays meet where the marker's band would have their size.
     fn candidates(
         &self,
         rig: &Rig,
@@ -163,7 +164,7 @@ impl Assigner {
                     Err(_) => {}
                 }
             }
-            // Next combination, as on an odometer.
+            // Next combination, like an odometer.
             let Some(turn) = (0..choice.len()).find(|&v| choice[v] < per_view[v].len()) else { break };
             choice[turn] += 1;
             choice[..turn].fill(0);
@@ -214,13 +215,13 @@ impl Assigner {
     }
 }
 
-/// Scale of the picture at a point, across the line of sight, from d pixel / d point.
+/// Image scale at a point, across the line of sight, from d pixel / d point.
 fn px_per_m(d_pixel: &Matrix2x3<f64>) -> f64 {
     d_pixel.norm() / std::f64::consts::SQRT_2
 }
 
-/// One thing in the picture cannot be two views of a marker (views without a region share the picture, and each may
-/// have found it with a colour model of its own).
+/// One object in the picture cannot be two views of a marker (views without a region share the picture, and each may
+/// have found it with its own colour model).
 fn distinct(picked: &[Option<usize>], blobs: &[Blob]) -> bool {
     let centre = |blob: &usize| blobs[*blob].centre_px;
     let same = |a: &usize, b: &usize| a == b || (centre(a) - centre(b)).norm() < CENTRE_SD_PX;
@@ -238,17 +239,17 @@ fn in_view(marker: usize, (v, view): (usize, &View), blobs: &[Blob]) -> Vec<usiz
     list
 }
 
-/// How many blobs are considered in each of so many views.
+/// Most blobs considered per view, for this number of views.
 fn most_blobs(views: usize) -> usize {
     let fits = |blobs: &usize| {
         let all = u32::try_from(views).ok().and_then(|views| (blobs + 1).checked_pow(views));
-        all.is_some_and(|all| all <= MOST_COMBINATIONS)
+        all.is_some_and(|all| all <= MAX_COMBINATIONS)
     };
-    (1..=MOST_BLOBS).rev().find(fits).unwrap_or(1)
+    (1..=MAX_BLOBS).rev().find(fits).unwrap_or(1)
 }
 
-/// The first view in which a marker has no blob near all places where it is expected; `None` if all have.
-/// Views without a region share the picture: there only the place says in which one a blob is missing.
+/// The first view in which a marker has no blob near all places where it is expected; `None` if all have. Views without
+/// a region share the picture: there only the position tells in which one a blob is missing.
 fn unseen(rig: &Rig, marker: usize, blobs: &[Blob], expected: &[(Point3<f64>, f64)]) -> Option<usize> {
     let sees = |v: usize| {
         let view = &rig.views[v];
@@ -259,7 +260,7 @@ fn unseen(rig: &Rig, marker: usize, blobs: &[Blob], expected: &[(Point3<f64>, f6
         let near: Vec<_> = near.collect();
         let is_near =
             |b: &usize| near.iter().all(|(pixel, reach_px)| (blobs[*b].centre_px - pixel).norm() <= *reach_px);
-        in_view(marker, (v, view), blobs).iter().take(MOST_BLOBS).any(is_near)
+        in_view(marker, (v, view), blobs).iter().take(MAX_BLOBS).any(is_near)
     };
     (0..rig.views.len()).find(|&v| !sees(v))
 }
@@ -269,10 +270,10 @@ struct Choice {
     cost: f64,
 }
 
-/// The cheapest choice of one candidate, or none, a marker; neighbours on the tube must be as far apart as it allows.
-/// `except`: a marker that must not be near a place.
+/// The cheapest choice of one candidate, or none, per marker; the tube must allow the distance of neighbours. `except`:
+/// a marker that must not be near a position.
 fn choose(rig: &Rig, candidates: &[Vec<Candidate>], except: Option<(usize, Point3<f64>)>) -> Choice {
-    // States of marker m: its candidates, then "none". A "none" hands the last chosen neighbour on unchecked.
+    // States of marker m: its candidates, then "none". A "none" passes on the last chosen neighbour unchecked.
     let mut costs: Vec<Vec<f64>> = Vec::with_capacity(candidates.len());
     let mut from: Vec<Vec<usize>> = Vec::with_capacity(candidates.len());
     for (m, list) in candidates.iter().enumerate() {
@@ -313,7 +314,7 @@ fn choose(rig: &Rig, candidates: &[Vec<Candidate>], except: Option<(usize, Point
     Choice { choice, cost }
 }
 
-/// Cost of marker `p` at candidate `j` and the next marker on the tube at `k`: infinite where the tube cannot reach.
+/// Cost of marker `p` at candidate `j` and the next marker on the tube at `k`: infinite where the tube is too short.
 fn apart(rig: &Rig, p: usize, before: &[Candidate], j: usize, list: &[Candidate], k: usize) -> f64 {
     let (Some(a), Some(b)) = (before.get(j), list.get(k)) else { return 0.0 };
     let distance = (a.assigned.point - b.assigned.point).norm();
@@ -321,7 +322,7 @@ fn apart(rig: &Rig, p: usize, before: &[Candidate], j: usize, list: &[Candidate]
     if (shortest..longest(rig, p)).contains(&distance) { 0.0 } else { f64::INFINITY }
 }
 
-/// The largest distance of marker `p` from the next one that the tube between them allows, metres.
+/// Largest distance of marker `p` from the next one that the tube between them allows, metres.
 fn longest(rig: &Rig, p: usize) -> f64 {
     match (rig.markers[p].centre_m, rig.markers[p + 1].centre_m) {
         (Some(a), Some(b)) => (b - a).abs() * 1.05 + 2e-3,
@@ -329,7 +330,8 @@ fn longest(rig: &Rig, p: usize) -> f64 {
     }
 }
 
-/// Direction in space whose image runs along `axes[v]` in each view, up to sign; `None` when the views leave it open.
+/// Direction in space whose image runs along `axes[v]` in each view, up to sign; `None` when the views do not determine
+/// it.
 pub(crate) fn direction_of_axes(
     views: &[(&View, Vector2<f64>)],
     point: &Point3<f64>,

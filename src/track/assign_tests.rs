@@ -1,15 +1,15 @@
-//! Assignment on made-up blobs: exact projections of bands, and of other things of their colours.
+//! Assignment on made-up blobs: exact projections of bands, and of other objects of their colours.
 
 use crate::estimate::Miss;
 use crate::rig::{Rig, View};
 use crate::segment::{Blob, Window};
 use crate::source::{Clock, Timestamp};
 use crate::testing::fixture;
-use crate::testing::tube::views;
+use crate::testing::two_views::views;
 use crate::track::assign::Assigner;
 use nalgebra::{Matrix2, Point2, Point3, Vector3};
 
-/// Base, coil and tip on a tube of 3.2 mm; two views through water, side by side in the picture, 2 px/mm.
+/// Base, coil and tip on a 3.2 mm tube; two views through water, side by side in the picture, 2 px/mm.
 fn rig() -> Rig {
     let mut rig = fixture::rig();
     for (view, (optics, x)) in rig.views.iter_mut().zip(views().into_iter().zip([0.0, 160.0])) {
@@ -28,7 +28,7 @@ fn places(aside_m: f64) -> [Point3<f64>; 3] {
     [6e-3, 85e-3, 107e-3].map(|s| Point3::new(1e-3 + aside_m, -0.05 + s, 1.35))
 }
 
-/// What a view shows of a thing of a marker's colour and `length_m` at a place.
+/// The image in a view of an object of a marker's colour and of `length_m` at a place.
 fn blob(rig: &Rig, marker: usize, view: &View, place: Point3<f64>, length_m: f64) -> Blob {
     let seen = view.optics.project_with_jacobian(&place).unwrap();
     let axis = (seen.d_pixel * Vector3::y()).normalize();
@@ -49,7 +49,7 @@ fn blob(rig: &Rig, marker: usize, view: &View, place: Point3<f64>, length_m: f64
     }
 }
 
-/// A thing of a marker's colour and size, in all views.
+/// An object of a marker's colour and size, in all views.
 fn thing(rig: &Rig, marker: usize, place: Point3<f64>) -> Vec<Blob> {
     rig.views.iter().map(|view| blob(rig, marker, view, place, rig.markers[marker].length_m)).collect()
 }
@@ -58,7 +58,7 @@ fn tube(rig: &Rig, places: [Point3<f64>; 3]) -> Vec<Blob> {
     places.into_iter().enumerate().flat_map(|(m, place)| thing(rig, m, place)).collect()
 }
 
-/// The tube with one band covered in one view.
+/// The tube with one band hidden in one view.
 fn covered(rig: &Rig, marker: usize, view: usize) -> Vec<Blob> {
     let mut blobs = tube(rig, places(0.0));
     blobs.remove(marker * rig.views.len() + view);
@@ -76,7 +76,7 @@ fn after_a_frame(rig: &Rig) -> Assigner {
     assigner
 }
 
-/// What was found: how far each marker is from its place, millimetres, or its miss.
+/// The result: distance of each marker from its true place, millimetres, or its miss.
 fn off_mm(assigner: &Assigner, rig: &Rig, blobs: &[Blob]) -> Vec<Result<f64, Miss>> {
     let found = assigner.assign(rig, blobs, at(17));
     found.into_iter().zip(places(0.0)).map(|(found, place)| found.map(|a| (a.point - place).norm() * 1e3)).collect()
@@ -109,7 +109,7 @@ fn a_reflection_in_one_view_and_a_thing_of_another_size_are_left_out() {
     let mut blobs = tube(&rig, places(0.0));
     // Of the right size, but no ray of the other view meets its own.
     blobs.insert(0, blob(&rig, 1, &rig.views[0], Point3::new(-0.02, 0.02, 1.35), 12e-3));
-    // A long rod through the coil's own place in neither view, met by rays, four bands long.
+    // A long rod, away from the coil in both views; its rays meet, but it is four bands long.
     blobs.extend(rig.views.iter().map(|view| blob(&rig, 1, view, Point3::new(0.02, 0.03, 1.35), 48e-3)));
     assert!(all_found(&off_mm(&Assigner::new(&rig), &rig, &blobs)));
 }
@@ -128,8 +128,8 @@ fn a_covered_band_is_missed_in_the_view_that_does_not_show_it() {
     }
 }
 
-/// A brick of the band's colour elsewhere in the view that hides the band: its ray passes that of the band, but what is
-/// the matter is that the band is hidden.
+/// A brick of the band's colour elsewhere in the view that hides the band: its ray nearly meets the band's, but the
+/// reason is that the band is hidden.
 #[test]
 fn a_brick_elsewhere_is_no_sight_of_a_covered_band() {
     let rig = rig();
@@ -148,7 +148,7 @@ fn a_brick_elsewhere_is_no_sight_of_a_covered_band() {
 fn two_places_as_good_as_each_other_are_ambiguous_until_one_is_remembered() {
     let rig = rig();
     let mut blobs = tube(&rig, places(0.0));
-    // Half way down to the coil, where a bent tube could have its base as well.
+    // Half way down to the coil, where a bent tube could also have its base.
     blobs.extend(thing(&rig, 0, places(0.0)[0] + Vector3::new(0.0, 0.045, 0.0)));
     let found = off_mm(&Assigner::new(&rig), &rig, &blobs);
     assert_eq!(found[0], Err(Miss::Ambiguous { candidates: 2 }));
@@ -159,7 +159,7 @@ fn two_places_as_good_as_each_other_are_ambiguous_until_one_is_remembered() {
 #[test]
 fn a_third_view_stands_in_for_a_covered_one() {
     let mut rig = rig();
-    // The same mirror view once more, further to the right in the picture.
+    // The same mirror view again, further to the right in the picture.
     let mut third = View { name: "second mirror".into(), ..rig.views[1].clone() };
     third.optics.lens.principal_point_px.x += 160.0;
     third.region_px.iter_mut().for_each(|corner| corner.x += 160.0);
@@ -181,7 +181,7 @@ fn what_was_seen_long_ago_opens_no_window() {
     assert!(assigner.windows(&rig, at(-17)).is_none(), "time that runs backwards is no memory");
 }
 
-/// Eight views that share the picture, and many things of each colour: more combinations than can be tried.
+/// Eight views that share the picture, and many objects of each colour: more combinations than can be tried.
 #[test]
 fn many_views_of_many_things_are_gone_through_soon() {
     let mut rig = rig();

@@ -1,8 +1,8 @@
-//! The model of appearance.rs at many pixels of a view: what each stored channel should be, and its derivatives.
+//! The model of appearance.rs at many pixels of a view: the predicted stored channels and their derivatives.
 //!
-//! Pixels are taken in chunks between the same two knots, so that all that depends on the tube is the same numbers for
-//! them, or changes linearly along it. Each step is a plain loop over a chunk, compiled for the processor's widest
-//! vectors and chosen when the program runs; the numbers are the same to the last bit whichever it is.
+//! Pixels are processed in chunks between the same two knots, so that everything that depends on the tube is constant
+//! for them, or changes linearly along it. Each step is a plain loop over a chunk, compiled for several vector widths
+//! and selected at run time; the results are identical to the last bit.
 
 use crate::track::appearance::{
     Across, BACKGROUND, CAP, Edges, FIXED, GRADIENT, HARMONICS, Layout, PER_SEGMENT, SHADING, TURNING,
@@ -18,10 +18,10 @@ use multiversion::multiversion;
 use nalgebra::Vector2;
 use wide::f32x4;
 
-/// Beyond this many σ from the tube only background is seen.
+/// Beyond this many σ of blur from the tube only background is seen.
 const FAR_SIGMAS: f32 = 4.5;
 
-/// What a view's pixels are predicted from.
+/// Everything that a view's pixels are predicted from.
 pub(crate) struct Scene<'a> {
     pub image: &'a TubeImage,
     pub layout: &'a Layout,
@@ -30,7 +30,7 @@ pub(crate) struct Scene<'a> {
     pub encoding: &'a Encoding,
 }
 
-/// What is the same for all pixels of a view.
+/// Values common to all pixels of a view.
 struct Light<'a> {
     background: [f32; 3],
     gradient: [f32; 2],
@@ -42,7 +42,7 @@ struct Light<'a> {
     encoding: &'a Encoding,
 }
 
-/// What changes in proportion to the way from one knot to the next: value at the first, and the difference.
+/// A quantity that changes linearly from one knot to the next: value at the first, and the difference.
 type Linear = [f32; 2];
 
 #[inline(always)]
@@ -50,9 +50,9 @@ fn at([value, change]: Linear, f: f32) -> f32 {
     value + change * f
 }
 
-/// The tube between two knots and nearest to one ring. All that changes along it does so linearly, but for the axis.
+/// The tube between two knots and nearest to one ring. Everything but the axis changes linearly along it.
 pub(crate) struct Piece {
-    /// Powers' coefficients, pixels from the patch's middle.
+    /// Polynomial coefficients, pixels from the patch's centre.
     axis: [[f32; 2]; 4],
     half: Linear,
     bulge: Linear,
@@ -61,17 +61,17 @@ pub(crate) struct Piece {
     swept: [Linear; 2],
     /// Arc length from the ring, metres.
     from_ring_m: Linear,
-    /// The ring is the end of the tube.
+    /// Whether the ring is the end of the tube.
     ends: bool,
-    /// Light of the segments before the ring and behind it.
+    /// Light of the segments before and after the ring.
     segments: [[f32; 3]; 2],
 }
 
 impl Piece {
-    /// σ of the blur, with the motion's share, across the axis (0) or along it (1), pixels.
+    /// σ of the blur, with that of motion, across the axis (0) or along it (1), pixels.
     #[inline(always)]
     fn blur(&self, way: usize, f: f32, blur_px2: f32) -> f32 {
-        // Beyond the knots the share must not become less than nothing.
+        // Extrapolated beyond the knots, the motion's part must not become negative.
         (blur_px2 + at(self.swept[way], f).max(0.0)).sqrt()
     }
 }
@@ -125,7 +125,7 @@ impl<'a> Scene<'a> {
 
 /// Most pixels that are evaluated together. All belong to one [`Piece`].
 pub(crate) const CHUNK: usize = 32;
-/// They come in groups of so many.
+/// Pixels per vector.
 const WIDTH: usize = 8;
 
 /// A number for each pixel.
@@ -133,27 +133,27 @@ const WIDTH: usize = 8;
 #[repr(align(32))]
 struct Lanes([f32; CHUNK]);
 
-/// What the model says of some pixels, before it is weighed for a stored channel.
+/// The model's values at some pixels, before they are weighted for a stored channel.
 #[derive(Default)]
 struct Chunk {
-    /// How many, and how many with copies of the last that fill up a vector.
+    /// Number of pixels, and the number including copies of the last that fill up a vector.
     count: usize,
     lanes: usize,
-    /// Place relative to the patch's middle.
+    /// Position relative to the patch's centre.
     x: Lanes,
     y: Lanes,
     /// Fraction of the way from knot to knot, and distance from the axis, pixels.
     f: Lanes,
     u: Lanes,
-    /// How much is seen of the background, of the light of the segment before the ring, and of the one behind it.
+    /// How much is seen of the background, of the light of the segment before the ring, and of the one after it.
     parts: [Lanes; 3],
     /// Their derivatives along u and v, and with the ring's bulge.
     d_u: [Lanes; 3],
     d_v: [Lanes; 3],
     d_bulge: [Lanes; 3],
-    /// What m₁ to m₄ multiply.
+    /// The factors of m₁ to m₄.
     shades: [Lanes; HARMONICS],
-    /// How much of what is shaded belongs to either segment.
+    /// How much of the shaded light belongs to each segment.
     shaded: [Lanes; 2],
     capped: Lanes,
     turn: [Lanes; 2],
@@ -163,14 +163,14 @@ struct Chunk {
     seen: Seen,
 }
 
-/// Rows of some pixels: a number for each pixel in each column, and a row for each pixel.
+/// Rows of some pixels: by column, with a number for each pixel, and by pixel.
 #[derive(Default)]
 struct Rows {
     columns: [Lanes; ROW],
     rows: [Row; CHUNK],
 }
 
-/// Evaluates the pixels of a view, a chunk at a time.
+/// Evaluates the model at a view's pixels, one chunk at a time.
 pub(crate) struct Evaluator<'a> {
     light: Light<'a>,
     chunk: Box<Chunk>,
@@ -182,7 +182,8 @@ impl<'a> Evaluator<'a> {
         Self { light: scene.light(), chunk: Box::default(), rows: Box::default() }
     }
 
-    /// Evaluates the model at up to [`CHUNK`] pixels of a piece, whose feet follow; what of the tube they see.
+    /// Evaluates the model at up to [`CHUNK`] pixels of a piece, updates their feet, and returns what they see of the
+    /// tube.
     pub(crate) fn evaluate(&mut self, piece: &Piece, pixels: &mut [Pixel]) -> Seen {
         let chunk = &mut *self.chunk;
         chunk.count = pixels.len();
@@ -200,7 +201,8 @@ impl<'a> Evaluator<'a> {
         chunk.seen
     }
 
-    /// What a stored channel, a sum of R'G'B' with `weights`, should be at the pixels evaluated last, the first of these.
+    /// Predicted values of a stored channel, a sum of R'G'B' with `weights`, at the pixels evaluated last, in the first
+    /// entries.
     pub(crate) fn values(&self, weights: &[f32; 3]) -> [f32; CHUNK] {
         let [r, g, b] = &self.chunk.value;
         std::array::from_fn(|i| weights[0] * r.0[i] + weights[1] * g.0[i] + weights[2] * b.0[i])
@@ -227,7 +229,7 @@ impl<'a> Evaluator<'a> {
     }
 }
 
-/// Places the pixels beside the tube, and evaluates what they see of it.
+/// Locates the pixels relative to the tube, and evaluates what they see of it.
 #[multiversion(targets("x86_64+avx2"))]
 fn evaluate(chunk: &mut Chunk, piece: &Piece, light: &Light<'_>) {
     chunk.seen = place(chunk, piece, light.blur_px2);
@@ -243,7 +245,7 @@ fn evaluate(chunk: &mut Chunk, piece: &Piece, light: &Light<'_>) {
     store(chunk, piece, light);
 }
 
-/// The nearest points of the axis, one Newton step from where they were; and what of the tube is seen.
+/// The nearest points of the axis, by one Newton step from the last ones, and what is seen of the tube.
 #[inline(always)]
 fn place(chunk: &mut Chunk, piece: &Piece, blur_px2: f32) -> Seen {
     let (mut tube, mut ring, mut behind) = (0_u32, 0_u32, 0_u32);
@@ -319,7 +321,7 @@ fn show(chunk: &mut Chunk, piece: &Piece, light: &Light<'_>, edges: impl Fn(f32,
     }
 }
 
-/// Light as it is stored.
+/// Encodes light as stored values.
 #[inline(always)]
 fn store(chunk: &mut Chunk, piece: &Piece, light: &Light<'_>) {
     let n = chunk.lanes.min(CHUNK);
@@ -334,7 +336,7 @@ fn store(chunk: &mut Chunk, piece: &Piece, light: &Light<'_>) {
     }
 }
 
-/// Light to its stored value and slope. (A function of its own, for the compiler to know that they lie apart.)
+/// Light to its stored value and slope. (A separate function, so that the compiler knows they do not overlap.)
 #[multiversion(targets("x86_64+avx2"))]
 fn encode(n: usize, encoding: &Encoding, value: &mut Lanes, slope: &mut Lanes) {
     for i in 0..n.min(CHUNK) {
@@ -369,7 +371,7 @@ fn weigh(chunk: &Chunk, piece: &Piece, light: &Light<'_>, weights: &[f32; 3], ro
         let sum = |light: &[f32; 3]| slopes[0] * light[0] + slopes[1] * light[1] + slopes[2] * light[2];
         let lights = [sum(&background), sum(&before), sum(&behind)];
         let by = |d: &[Lanes; 3]| lights[0] * d[0].0[i] + lights[1] * d[1].0[i] + lights[2] * d[2].0[i];
-        // Divided among the knots.
+        // Distributed over the two knots.
         let f = chunk.f.0[i];
         let (across, along, bulge) = (-by(&chunk.d_u), -by(&chunk.d_v), by(&chunk.d_bulge));
         row[ROW_ACROSS].0[i] = across - across * f;
@@ -397,14 +399,14 @@ fn weigh(chunk: &Chunk, piece: &Piece, light: &Light<'_>, weights: &[f32; 3], ro
 mod tests {
     use super::*;
     use crate::source::Transfer;
-    use crate::testing::tube::{BLUR_PX, views};
+    use crate::testing::two_views::{BLUR_PX, views};
     use crate::track::normal::{colour, shifted};
     use crate::track::tube::TubeShape;
     use nalgebra::{Point3, Vector3};
 
     const WEIGHTS: [f32; 3] = [0.21, 0.72, 0.07];
 
-    /// A tube that ends, with one ring before.
+    /// A tube with its end, and one ring before it.
     fn image() -> (TubeImage, Layout) {
         let shape = TubeShape::straight(Point3::new(0.001, -0.004, 1.35), &Vector3::new(0.2, 1.0, 0.3), 6e-3);
         let image = TubeImage::of(&shape, 1.6e-3, &views()[0], (-9e-3, 12e-3), 3e-3, None, None).unwrap();
@@ -418,7 +420,7 @@ mod tests {
         colours
     }
 
-    /// All pixels around a span, moved by so much.
+    /// All pixels around a span, moved by `by`.
     fn pixels(image: &TubeImage, span: &Span, by: Vector2<f64>) -> Vec<Pixel> {
         let middle = image.knots[span.knot].pixel.coords
             + (image.knots[span.knot + 1].pixel - image.knots[span.knot].pixel) / 2.0;
@@ -431,7 +433,7 @@ mod tests {
         let (mut evaluator, piece) = (Evaluator::new(scene), scene.piece(span, &Vector2::zeros()));
         let (mut rows, mut values) = (Vec::new(), Vec::new());
         for pixels in pixels.chunks_mut(CHUNK) {
-            // The feet are found in some steps.
+            // The feet converge in a few steps.
             (0..3).for_each(|_| {
                 evaluator.evaluate(&piece, pixels);
             });
@@ -478,7 +480,7 @@ mod tests {
                 };
                 compare(&format!("colour {parameter}"), &found, changed(-step), changed(step), step as f32);
             }
-            // The picture moved one way is the pixels moved the other way; the background stays.
+            // Moving the picture one way equals moving the pixels the other way; the background stays.
             let flat = {
                 let mut flat = colours.clone();
                 flat[GRADIENT..SHADING].fill(0.0);

@@ -1,4 +1,4 @@
-//! From the coil's tangent to the angles of deflection, with their σ.
+//! Angles of deflection from the coil's tangent, with their σ.
 //!
 //! With t in the base frame: θ = atan2(t·x, t·z), polar = acos(t·z), azimuth = atan2(t·y, t·x). In the plane of B0 and
 //! the tangent at rest θ is the paper's 90° − φ (sin θ = t·B0; Tuna et al. 2018, Eq. 6).
@@ -70,7 +70,7 @@ mod tests {
     fn sigma_of_theta_is_that_of_the_tangent_in_the_plane_and_grows_out_of_it() {
         let d = deflection(&tangent_in_base(Vector3::new(0.5, 0.0, 0.75_f64.sqrt())), &base());
         assert!((d.theta_sd_rad - 1e-2).abs() < 1e-9);
-        // Tilted out of the plane by 60°, only half the tangent lies in it: an error of it turns θ twice as far.
+        // Tilted out of the plane by 60°, only half the tangent lies in it: its error turns θ twice as far.
         let tilted = Rotation3::from_axis_angle(&Vector3::x_axis(), -60_f64.to_radians()) * Vector3::z();
         let d = deflection(&tangent_in_base(tilted), &base());
         assert!((d.theta_sd_rad - 2e-2).abs() < 1e-9);

@@ -1,5 +1,5 @@
-//! The samples of a patch against the image model: residuals and derivatives, their normal equations, and how the
-//! residuals themselves scatter.
+//! Compares the samples of a patch with the image model: residuals and derivatives, their normal equations, and the
+//! scatter of the residuals.
 
 use crate::source::Window;
 use crate::track::appearance::Layout;
@@ -11,6 +11,7 @@ use crate::track::patch::{Channel, Group, Patch, Pixel, Strip};
 use crate::track::slip::Slips;
 use crate::track::tube::{SHAPE, ShapeBy, ShapeStep};
 use crate::track::tube_image::TubeImage;
+use multiversion::multiversion;
 use nalgebra::SMatrix;
 use std::cmp::Ordering;
 
@@ -20,14 +21,14 @@ const HUBER: f32 = 3.5;
 /// Standard deviation of a sample, per channel: near the tube, and in the background.
 pub(crate) type Noise = [[f64; 2]; 3];
 
-/// One stored sample of one channel against the model.
+/// One stored sample of one channel compared with the model.
 #[derive(Clone, Copy)]
 struct Residual {
     /// Derivatives of the prediction.
     row: Row,
     /// Stored minus predicted.
     value: f32,
-    /// The cell among those that share errors, and the strip.
+    /// Its cell of correlated errors, and its strip.
     cell: u32,
     strip: u16,
     channel: u8,
@@ -37,14 +38,14 @@ struct Residual {
 }
 
 impl Residual {
-    /// Of a sample whose middle pixel is in this strip.
+    /// The residual of a sample whose middle pixel is in this strip.
     fn new(row: Row, value: f32, channel: &Channel, (pixel, strip): (&Pixel, usize), seen: Seen) -> Self {
         let (cell, strip, class) = (pixel.cell, strip as u16, pixel.class());
         Self { row, value, cell, strip, channel: channel.number, class, seen }
     }
 }
 
-/// Weighs residuals by their noise, and counts their cost.
+/// Weights residuals by their noise, and sums their cost.
 struct Scale {
     per_sigma: [[f32; 2]; 3],
     /// Σ of the robust cost.
@@ -72,7 +73,7 @@ impl Scale {
         per_sigma * per_sigma * (HUBER / z.max(HUBER))
     }
 
-    /// Sums of squares of the residuals weighed. Outliers do not raise the noise that they are judged by.
+    /// Sums of squares of the weighted residuals. Outliers do not raise the noise by which they are judged.
     fn squares(&self, noise: &Noise) -> Squares {
         let mut squares = self.squares;
         for (squares, noise) in squares.iter_mut().flatten().zip(noise.iter().flatten()) {
@@ -82,13 +83,13 @@ impl Scale {
     }
 }
 
-/// How the residuals of a view scatter, and what a coder adds.
+/// Scatter of a view's residuals, and what a coder adds.
 pub(crate) struct Scattered {
     /// Covariance of the shape.
     pub covariance: SMatrix<f64, SHAPE, SHAPE>,
     pub slips: Slips,
-    /// Variance of a coder's errors over that of the noise the samples are weighed by: mean over what each sample says
-    /// about where the band lies.
+    /// Variance of a coder's errors over that of the noise the samples are weighed by: mean, weighted by each sample's
+    /// information about the band's position.
     pub coded: f64,
 }
 
@@ -97,8 +98,7 @@ pub(crate) struct Comparison {
     patch: Patch,
     residuals: Vec<Residual>,
     sums: Sums,
-    /// Of each pixel: what of the tube it sees; and a row of each channel that is not stored at every pixel, with what
-    /// it should be.
+    /// For each pixel: what it sees of the tube; and for each subsampled channel its row and predicted value.
     seen: Vec<Seen>,
     rows: Vec<(Vec<Row>, Vec<f32>)>,
 }
@@ -112,21 +112,24 @@ impl Comparison {
     pub(crate) fn new(patch: Patch) -> Self {
         let values = patch.groups.iter().map(|group| group.samples.len() * group.channels.len()).sum();
         let sums = Sums::new(patch.strips.len());
-        let seen = vec![Seen::Nothing; patch.pixels.len()];
+        let pixels = patch.pixels.len();
         let apart = patch.groups.iter().filter(|group| !group.whole).flat_map(|group| &group.channels);
-        let rows = apart.map(|_| (vec![[0.0; ROW]; patch.pixels.len()], vec![0.0; patch.pixels.len()])).collect();
-        Self { patch, residuals: Vec::with_capacity(values), sums, seen, rows }
+        let rows = apart.map(|_| (Vec::with_capacity(pixels), Vec::with_capacity(pixels))).collect();
+        Self { patch, residuals: Vec::with_capacity(values), sums, seen: Vec::with_capacity(pixels), rows }
     }
 
-    /// Evaluates the model at all pixels, and compares it with all samples. Unless it is to `derive`, the derivatives
-    /// stay those of the last time.
+    /// Evaluates the model at all pixels, and compares it with all samples. Without `derive`, the previous derivatives
+    /// are kept.
     pub(crate) fn render(&mut self, scene: &Scene<'_>, derive: bool) {
-        if derive {
-            self.residuals.clear();
-        }
         let Self { patch, residuals, seen, rows, .. } = self;
+        if derive {
+            residuals.clear();
+            seen.clear();
+            rows.iter_mut().for_each(|(rows, _)| rows.clear());
+        }
+        rows.iter_mut().for_each(|(_, values)| values.clear());
         let mut evaluator = Evaluator::new(scene);
-        // Which residual is next.
+        // Index of the next residual.
         let mut next = 0;
         for (strip, Strip { span, pixels }) in patch.strips.iter().enumerate() {
             let piece = scene.piece(span, &patch.middle);
@@ -134,7 +137,7 @@ impl Comparison {
                 let last = pixels.end.min(first + CHUNK);
                 let sees = evaluator.evaluate(&piece, &mut patch.pixels[first..last]);
                 if derive {
-                    seen[first..last].fill(sees);
+                    seen.resize(last, sees);
                 }
                 let pixels = &patch.pixels[first..last];
                 let mut apart = rows.iter_mut();
@@ -144,8 +147,8 @@ impl Comparison {
                         let rows = if derive { evaluator.rows(&piece, &channel.weights) } else { &[] };
                         if !group.whole {
                             if let Some((of_rows, of_values)) = apart.next() {
-                                of_rows[first..first + rows.len()].copy_from_slice(rows);
-                                of_values[first..last].copy_from_slice(predicted);
+                                of_rows.extend_from_slice(rows);
+                                of_values.extend_from_slice(predicted);
                             }
                             continue;
                         }
@@ -169,7 +172,7 @@ impl Comparison {
         for group in self.patch.groups.iter().filter(|group| !group.whole) {
             for (k, (channel, rows)) in group.channels.iter().zip(apart.by_ref()).enumerate() {
                 for (i, sample) in group.samples.iter().enumerate() {
-                    let taps = group.taps(i).iter();
+                    let taps = group.parts(i).iter().flat_map(|part| &group.taps[part.range()]);
                     let predicted = taps.map(|&(at, weight)| weight * rows.1[at as usize]).sum::<f32>();
                     let value = sample.values[k] - predicted - channel.constant;
                     if !derive {
@@ -178,8 +181,8 @@ impl Comparison {
                         continue;
                     }
                     let pixel = &self.patch.pixels[sample.pixel as usize];
-                    let (row, seen) = self.blend(group, i, &rows.0);
                     let place = (pixel, self.patch.strip_of(pixel));
+                    let (row, seen) = self.blend(group, i, &rows.0);
                     self.residuals.push(Residual::new(row, value, channel, place, seen));
                 }
             }
@@ -192,23 +195,26 @@ impl Comparison {
         let middle = &patch.pixels[group.samples[sample].pixel as usize];
         let strip = patch.strip_of(middle);
         let (mut sum, mut seen) = ([0.0; ROW], Seen::Nothing);
-        let mut add = |weight: f32, row: &Row| sum.iter_mut().zip(row).for_each(|(sum, value)| *sum += weight * value);
-        for &(at, weight) in group.taps(sample) {
-            let at = at as usize;
-            let other = patch.strip_of(&patch.pixels[at]);
-            if other == strip || sees[at] == Seen::Nothing {
-                seen = seen.and(sees[at]);
-                add(weight, &rows[at]);
+        for part in group.parts(sample) {
+            let taps = &group.taps[part.range()];
+            let sees = taps.iter().fold(Seen::Nothing, |seen, (at, _)| seen.and(sees[*at as usize]));
+            let other = part.strip as usize;
+            if other == strip || sees == Seen::Nothing {
+                blend_rows(rows, taps, &mut sum);
+                seen = seen.and(sees);
                 continue;
             }
-            let (row, sees) = carried(&rows[at], sees[at], (patch.ring(other), patch.ring(strip)), middle.f);
+            let mut row = [0.0; ROW];
+            blend_rows(rows, taps, &mut row);
+            let (row, sees) = on_strip(row, sees, (patch.ring(other), patch.ring(strip)), middle.f);
             seen = seen.and(sees);
-            add(weight, &row);
+            sum.iter_mut().zip(row).for_each(|(sum, value)| *sum += value);
         }
         (sum, seen)
     }
 
-    /// Sums of squares of the residuals; outliers, judged by `noise`, must not raise the noise that they are judged by.
+    /// Sums of squares of the residuals; outliers, judged by `noise`, must not raise the noise by which they are
+    /// judged.
     pub(crate) fn squares(&self, noise: &Noise) -> Squares {
         let mut scale = Scale::of(noise);
         for residual in &self.residuals {
@@ -229,7 +235,7 @@ impl Comparison {
         Normal { cost: scale.cost, squares: scale.squares(noise), ..self.sums.take(spans, image, layout) }
     }
 
-    /// The equations `before` with the gradient of the rendered model.
+    /// The equations of `before` with the gradient of the rendered model.
     pub(crate) fn gradient(&self, before: &Normal, image: &TubeImage, layout: &Layout, noise: &Noise) -> Normal {
         let mut scale = Scale::of(noise);
         let mut sums = vec![[0.0; ROW]; self.patch.strips.len()];
@@ -242,9 +248,9 @@ impl Comparison {
         Normal { cost: scale.cost, squares: scale.squares(noise), ..equations }
     }
 
-    /// Covariance of J'Wr as the residuals themselves show it: products of the sums over cells, which keeps what
-    /// neighbouring samples and channels have in common (a cluster-robust "sandwich"; White 1980, doi:10.2307/1912934,
-    /// Liang and Zeger 1986, doi:10.1093/biomet/73.1.13). `of_shape` and `of_colours` map parameters to shape.
+    /// Empirical covariance of J'Wr: products of the sums over cells, which keeps the correlation between neighbouring
+    /// samples and channels (a cluster-robust "sandwich"; White 1980, doi:10.2307/1912934, Liang and Zeger 1986,
+    /// doi:10.1093/biomet/73.1.13). `of_shape` and `of_colours` map parameters to shape.
     pub(crate) fn scatter(
         &self,
         image: &TubeImage,
@@ -256,9 +262,9 @@ impl Comparison {
     ) -> Scattered {
         let mut scale = Scale::of(noise);
         let mut slips = Slips::new(layout, self.patch.strips.len());
-        // Channels at samplings of their own are luma and chroma.
+        // Channels with different sampling are luma and chroma.
         let slipping = self.patch.groups.len() > 1;
-        // What is within a cell is summed before it is mapped.
+        // Samples within a cell are summed before the mapping.
         let mut sums = vec![[0.0; ROW]; self.patch.cells.len()];
         let (mut said, mut coded) = (0.0, 0.0);
         for residual in &self.residuals {
@@ -297,11 +303,23 @@ impl Comparison {
     }
 }
 
-/// A row as if it were of a strip nearby, with what it sees. `rings`: its own, and the other strip's.
-fn carried(row: &Row, seen: Seen, (own, ring): (usize, usize), f: f32) -> (Row, Seen) {
-    let mut row = *row;
+/// Adds rows, each with a weight.
+#[multiversion(targets("x86_64+avx2"))]
+fn blend_rows(rows: &[Row], taps: &[(u32, f32)], sum: &mut Row) {
+    let mut all = *sum;
+    for &(at, weight) in taps {
+        let row = &rows[at as usize];
+        for k in 0..ROW {
+            all[k] += weight * row[k];
+        }
+    }
+    *sum = all;
+}
+
+/// A row converted to a nearby strip, with what it sees. `rings`: its own, and the other strip's.
+fn on_strip(mut row: Row, seen: Seen, (own, ring): (usize, usize), f: f32) -> (Row, Seen) {
     divide(&mut row, f);
-    // Beyond the middle between two rings the same segment is the other one of the pair.
+    // Beyond the midpoint between two rings the same segment is the other one of the pair.
     let seen = match own.cmp(&ring) {
         Ordering::Equal => seen,
         Ordering::Greater => {

@@ -1,7 +1,7 @@
-//! What a finished minimisation is worth: covariance of the shape, and what each view alone would say.
+//! Uncertainty of a finished minimisation: covariance of the shape, and the result of each view alone.
 //!
-//! Covariance: H⁻¹ M H⁻¹ with M from the residuals themselves, because errors of a decoder are correlated between
-//! neighbours and stronger near edges; and what the image model gets wrong without any residual showing it.
+//! Covariance: H⁻¹ M H⁻¹ with M from the residuals themselves, because decoder errors are correlated between neighbours
+//! and stronger near edges; plus errors of the image model that no residual shows.
 
 use crate::track::equations::Eliminated;
 use crate::track::fit::{TubeFit, ViewFit};
@@ -13,12 +13,12 @@ use crate::track::slip::Seen;
 use crate::track::stretch::Stretch;
 use crate::track::tube::{SHAPE, ShapeStep};
 use crate::track::tube_image::TubeImage;
-use crate::track::view::LEAST_NOISE;
+use crate::track::view::MIN_NOISE;
 use nalgebra::{Matrix2, Matrix3x2, SMatrix, Vector2};
 use rayon::prelude::*;
 
 impl Round<'_> {
-    /// Covariance of the shape, and what each view alone would say.
+    /// Covariance of the shape, and the result of each view alone.
     pub(crate) fn conclude(&self, minimum: Minimum) -> Result<TubeFit, NoFit> {
         let Minimum { state, step, end } = minimum;
         let normals = &state.equations.views;
@@ -26,7 +26,7 @@ impl Round<'_> {
         let seen = seen.ok_or(NoFit::NotConverged)?;
         let information = seen.iter().fold(shape_prior(), |sum, view| sum + view.shape);
         let plain = information.cholesky().ok_or(NoFit::NotConverged)?.inverse();
-        // The priors' own share of the information is not in the residuals.
+        // The residuals do not contain the priors' information.
         let mut covariance = plain * shape_prior() * plain;
         let compared = self.views.par_iter().zip(&state.guess.images).zip(&seen);
         let scatter = compared.map(|((view, image), eliminated)| {
@@ -75,7 +75,7 @@ fn misfit(normals: &[Normal]) -> f64 {
     let classes = normals.iter().flat_map(|n| n.squares.iter().flatten()).filter(|(_, count)| *count > 0);
     let (sum, samples) = classes.fold((0.0, 0.0), |(sum, samples), (squares, count)| {
         let count = *count as f64;
-        (sum + count * (squares / count).max(LEAST_NOISE.powi(2)).ln(), samples + count)
+        (sum + count * (squares / count).max(MIN_NOISE.powi(2)).ln(), samples + count)
     });
     sum / samples.max(1.0)
 }
@@ -86,12 +86,12 @@ fn rms(squares: &Squares) -> f64 {
     (sum / count.max(1) as f64).sqrt()
 }
 
-/// Shift of the reference band in space, across the line of sight, for a shift of its image.
+/// Shift of the reference band in space, across the line of sight, per shift of its image.
 fn point_from_pixel(image: &TubeImage) -> Matrix3x2<f64> {
     image.at_arc(0.0).d_point.pseudo_inverse(1e-12).unwrap_or_else(|_| Matrix3x2::zeros())
 }
 
-/// By how much a view alone would shift the image of the reference band, and the covariance of that.
+/// The shift of the reference band's image that a view alone would give, and its covariance.
 fn own_shift(
     point_from_pixel: &Matrix3x2<f64>,
     view: &Eliminated,
@@ -105,7 +105,7 @@ fn own_shift(
     }
 }
 
-/// What the image model may get wrong in a view, as changes of shape, one standard deviation each: the band shifted
+/// Possible errors of the image model in a view, as changes of shape of one standard deviation each: the band shifted
 /// along and across, and the stretch turned in the picture.
 fn unmodelled(
     image: &TubeImage,
@@ -120,8 +120,9 @@ fn unmodelled(
     let along_error_px = if stretch.at_clamp { error.along_at_clamp_px } else { error.along_px };
     modes.fixed_view_mut::<3, 1>(0, 0).copy_from(&(point_from_pixel * along * along_error_px));
     modes.fixed_view_mut::<3, 1>(0, 1).copy_from(&(point_from_pixel * across * error.across_px));
-    // d pixel / d tangent some way along the tube is that of a point moved by so much times the change of tangent. Of
-    // all changes that turn the image this far, the least: the tube need not lean towards the camera for it.
+    // d pixel / d tangent at a distance along the tube is that of a point moved by the distance times the change of
+    // tangent. Of all changes that turn the image this far it takes the smallest: the tube need not lean towards the
+    // camera.
     let half = (stretch.range_m.1 - stretch.range_m.0) / 2.0;
     let reach = half.min(stretch.range_m.1);
     let turned = image.at_arc(reach);

@@ -1,8 +1,8 @@
-//! Normal equations of all views: the shape is common, the colours are each view's own and are eliminated first.
+//! Normal equations of all views: the shape is common; the colours belong to each view and are eliminated first.
 //!
 //! With H the matrix of the shape, C and X those of a view's colours alone and with the shape, g and c the gradients:
-//! (H − Σ X C⁻¹ Xᵀ) · shape = g − Σ X C⁻¹ c, then colours = C⁻¹ (c − Xᵀ · shape). Thirteen unknowns remain of some
-//! fifty.
+//! (H − Σ X C⁻¹ Xᵀ) · shape = g − Σ X C⁻¹ c, then colours = C⁻¹ (c − Xᵀ · shape). Of some fifty unknowns thirteen
+//! remain.
 
 use crate::track::normal::Normal;
 use crate::track::tube::{SHAPE, ShapeBy, ShapeStep};
@@ -14,7 +14,7 @@ pub(crate) struct Equations {
     /// Information of the shape's prior, and its gradient.
     pub prior: SMatrix<f64, SHAPE, SHAPE>,
     pub prior_gradient: ShapeStep,
-    /// Each view's, with the prior of its colours.
+    /// Those of each view, with the prior of its colours.
     pub views: Vec<Normal>,
     pub cost: f64,
 }
@@ -24,22 +24,22 @@ pub(crate) struct Equations {
 pub(crate) struct Step {
     pub shape: ShapeStep,
     pub colours: Vec<DVector<f64>>,
-    /// By how much it would lower the cost, were the model linear.
-    pub promise: f64,
+    /// Predicted decrease of the cost, if the model were linear.
+    pub predicted_decrease: f64,
 }
 
 /// A view with its colours eliminated.
 pub(crate) struct Eliminated {
-    /// What the view says about the shape.
+    /// The view's information about the shape.
     pub shape: SMatrix<f64, SHAPE, SHAPE>,
-    /// X C⁻¹: its transpose says how the colours follow the shape.
+    /// X C⁻¹: its transpose gives how the colours follow the shape.
     pub following: ShapeBy,
     /// C⁻¹ c.
     own: DVector<f64>,
 }
 
 impl Normal {
-    /// Eliminates the colours, the diagonals first raised by the part `damping`; `None` when they are singular.
+    /// Eliminates the colours, with the diagonals first increased by the fraction `damping`; `None` when singular.
     pub(crate) fn eliminate(&self, damping: f64) -> Option<Eliminated> {
         let factor = damped(self.colours.clone(), damping).cholesky()?;
         let following = factor.solve(&self.cross.transpose()).transpose();
@@ -49,7 +49,7 @@ impl Normal {
         Some(Eliminated { shape, following, own })
     }
 
-    /// The shape's gradient after a step, of which it is linear.
+    /// The shape's gradient after a step, in which it is linear.
     pub(crate) fn shape_gradient_after(&self, shape: &ShapeStep, colours: &DVector<f64>) -> ShapeStep {
         self.shape_gradient - self.shape * shape - &self.cross * colours
     }
@@ -67,11 +67,11 @@ impl Equations {
         }
         let step = shape.cholesky()?.solve(&gradient);
         let colours: Vec<DVector<f64>> = views.iter().map(|view| &view.own - view.following.tr_mul(&step)).collect();
-        let mut promise = step.dot(&self.prior_gradient);
+        let mut predicted_decrease = step.dot(&self.prior_gradient);
         for (colours, normal) in colours.iter().zip(&self.views) {
-            promise += step.dot(&normal.shape_gradient) + colours.dot(&normal.colour_gradient);
+            predicted_decrease += step.dot(&normal.shape_gradient) + colours.dot(&normal.colour_gradient);
         }
-        Some(Step { shape: step, colours, promise })
+        Some(Step { shape: step, colours, predicted_decrease })
     }
 }
 

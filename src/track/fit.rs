@@ -1,12 +1,12 @@
-//! Least squares of a stretch of tube against the pictures of all views at once.
+//! Fits a stretch of tube to the pictures of all views at once, by least squares.
 //!
-//! In: where the bands are to a few tenths of a pixel. Out: centre line with covariance, and what each view says.
-//! Unknown are the shape (tube.rs, common to all views) and the colours of each view (appearance.rs); all samples of
-//! all views are compared with the model in one minimisation (round.rs), so that what one view cannot see another
-//! decides, through the refracted rays. Two rounds: the first settles the shape on every fifth pixel with a stated
-//! noise, the second selects all samples anew and weighs them by the noise that they show.
+//! In: where the bands are to a few tenths of a pixel. Out: centre line with covariance, and the residuals of each
+//! view. Unknown are the shape (tube.rs, common to all views) and the colours of each view (appearance.rs); all samples
+//! of all views are compared with the model in one minimisation (round.rs), so that each view determines what the
+//! others cannot see, through the refracted rays. Two rounds: the first fits the shape to every fifth pixel with an
+//! assumed noise; the second selects all samples again and weights them by their observed noise.
 //!
-//! Assumption, a weak prior that enters the covariance (covariance.rs): beside the coil the curvature grows from nil,
+//! Assumption, a weak prior that enters the covariance (covariance.rs): beside the coil the curvature grows from zero,
 //! by no more than some 15 /m in a centimetre (tube.rs).
 
 use crate::optics::OpticalPath;
@@ -23,13 +23,13 @@ use crate::track::view::{View, Weighing};
 use nalgebra::{Matrix2, SMatrix, Vector2};
 use rayon::prelude::*;
 
-/// The first round ends when a step lowers the cost (a χ²) by less than this: the next would lower it by less than what
-/// the other samples move.
-const SETTLED: f64 = 300.0;
-/// So does the second: what remains after that step is a hundredth.
-const ENOUGH: f64 = 10.0;
+/// The first round ends when a step lowers the cost (a χ²) by less than this: the next would lower it by less than the
+/// change due to the other samples.
+const COARSE_TOLERANCE: f64 = 300.0;
+/// The same for the second: the decrease left after that step is a hundredth.
+const FINE_TOLERANCE: f64 = 10.0;
 
-/// What one view says about the stretch.
+/// The result of one view.
 #[derive(Debug, Clone)]
 pub(crate) struct ViewFit {
     pub image: TubeImage,
@@ -45,16 +45,16 @@ pub(crate) struct ViewFit {
 #[derive(Debug, Clone)]
 pub(crate) struct TubeFit {
     pub shape: TubeShape,
-    /// Of noise, and of what the image model gets wrong.
+    /// From noise and errors of the image model.
     pub covariance: SMatrix<f64, SHAPE, SHAPE>,
-    /// Of independent noise alone, of the size that the residuals have.
+    /// From independent noise alone, as large as the residuals.
     pub bound: SMatrix<f64, SHAPE, SHAPE>,
-    /// How far chroma was seen to have slipped, and what a slip of one square pixel adds to the covariance.
+    /// The observed slip of chroma, and what a slip of one square pixel adds to the covariance.
     pub slip: Seen,
     pub slip_covariance: SMatrix<f64, SHAPE, SHAPE>,
     pub views: Vec<ViewFit>,
-    /// Mean over the samples of ln σ², σ the RMS residual of their channel and view: −2 log likelihood a sample, up to
-    /// a constant. Smaller explains the pictures better.
+    /// Mean over the samples of ln σ², σ the RMS residual of their channel and view: −2 log likelihood per sample, up
+    /// to a constant. Smaller fits the pictures better.
     pub misfit: f64,
 }
 
@@ -77,43 +77,33 @@ pub(crate) fn fit(
     };
     // 1. settle
     let mut guess = Guess::new(stretch, paths, start.clone(), Vec::new(), sweep, &[])?;
-    let mut settling = round(&guess, (Density::Fifth, Weighing::Stated))?;
-    guess.colours = settling.views.iter().map(|view| view.expected_colours.clone()).collect();
-    let settled = settling.minimise(guess, SETTLED)?.end;
+    let mut coarse_round = round(&guess, (Density::Fifth, Weighing::Stated))?;
+    guess.colours = coarse_round.views.iter().map(|view| view.expected_colours.clone()).collect();
+    let coarse = coarse_round.minimise(guess, COARSE_TOLERANCE)?.end;
     // 2. measure
-    let mut measuring = round(&settled, (Density::All, Weighing::Own))?;
-    let minimum = measuring.minimise(settled, ENOUGH)?;
-    measuring.conclude(minimum)
+    let mut fine_round = round(&coarse, (Density::All, Weighing::Own))?;
+    let minimum = fine_round.minimise(coarse, FINE_TOLERANCE)?;
+    fine_round.conclude(minimum)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::source::{Colour, PixelFormat, Window};
+    use crate::simulate::Sensor;
+    use crate::source::{PixelFormat, Window};
     use crate::testing::random::Random;
-    use crate::testing::tube::{BLUR_PX, Tube, picture, views};
+    use crate::testing::two_views::{BLUR_PX, TRANSFER, Tube, views};
     use crate::track::appearance::Layout;
     use crate::track::image_model::ModelError;
     use crate::track::light::Encoding;
     use crate::track::tube::ShapeStep;
-    use nalgebra::{Point3, Vector3};
+    use nalgebra::Vector3;
 
-    fn tube(direction: Vector3<f64>) -> Tube {
-        Tube {
-            centre: Point3::new(0.001, -0.004, 1.35),
-            direction: direction.normalize(),
-            radius_m: 1.6e-3,
-            bands: vec![(-6e-3, 6e-3, [0.05, 0.3, 0.1]), (19e-3, 25e-3, [0.04, 0.08, 0.35])],
-            end_m: 25e-3,
-            lamp: Vector3::new(-0.4, -0.5, -0.8),
-        }
-    }
-
-    /// The image model is trusted wholly, so that the covariance is that of the noise alone.
+    /// The image model is assumed exact, so that the covariance is that of the noise alone.
     fn model() -> ImageModel {
         let error =
             ModelError { across_px: 0.0, along_px: 0.0, turn_px: 0.0, along_at_clamp_px: 0.0, ..ModelError::FULL };
-        let encoding = Encoding::new(Colour::SRGB.transfer);
+        let encoding = Encoding::new(TRANSFER);
         ImageModel { encoding, blur_px: BLUR_PX, chroma_offset_px: [0.0; 2], error }
     }
 
@@ -126,7 +116,7 @@ mod tests {
         }
     }
 
-    fn fit_drawn(tube: &Tube, drawn: &[f64], noise: f64, seed: u64) -> Result<TubeFit, NoFit> {
+    fn fit_drawn(tube: &Tube, sensor: Sensor, seed: u64) -> Result<TubeFit, NoFit> {
         let mut dice = Random::new(seed ^ 77);
         let mut off = || Vector3::new(dice.normal(), dice.normal(), dice.normal());
         let start = TubeShape::straight(tube.centre + off() * 0.15e-3, &(tube.direction + off() * 0.02), 6e-3);
@@ -134,7 +124,7 @@ mod tests {
         fit(
             &stretch(),
             &start,
-            &picture(drawn, noise, seed),
+            &tube.picture(sensor, seed),
             &[&paths[0], &paths[1]],
             &[stretch().range_m; 2],
             &model(),
@@ -145,8 +135,8 @@ mod tests {
     #[test]
     fn a_drawn_tube_is_found_to_a_few_hundredths_of_a_pixel() {
         for direction in [Vector3::new(0.1, 1.0, 0.05), Vector3::new(-0.5, 0.8, 0.4), Vector3::new(0.3, 0.9, -0.5)] {
-            let tube = tube(direction);
-            let found = fit_drawn(&tube, &tube.draw(&views()), 0.0, 1).unwrap();
+            let tube = Tube::along(direction);
+            let found = fit_drawn(&tube, Sensor::IDEAL, 1).unwrap();
             for s in [0.0, 22e-3] {
                 let error = (found.shape.at(s).0 - (tube.centre + tube.direction * s)).norm();
                 assert!(error < 25e-6, "{direction:?}, {s} m: {} mm", error * 1e3);
@@ -156,42 +146,32 @@ mod tests {
         }
     }
 
-    /// Each view sees where light and dark meet. With the first harmonics of the light alone the tube is off by 15 to
-    /// 20 µm.
+    /// Each view sees the boundary between light and dark. With the first harmonics of the light alone the tube is off
+    /// by 15 to 20 µm.
     #[test]
     fn a_lamp_at_the_side_does_not_pull_the_tube() {
         for degrees in [30.0_f64, 120.0, 210.0, 240.0, 330.0] {
             let (z, x) = degrees.to_radians().sin_cos();
-            let tube = Tube { lamp: Vector3::new(x, -0.3, z), ..tube(Vector3::new(0.1, 1.0, 0.05)) };
-            let found = fit_drawn(&tube, &tube.draw(&views()), 0.0, 1).unwrap();
+            let tube = Tube { lamp: Vector3::new(x, -0.3, z), ..Tube::along(Vector3::new(0.1, 1.0, 0.05)) };
+            let found = fit_drawn(&tube, Sensor::IDEAL, 1).unwrap();
             let error = (found.shape.centre - tube.centre).norm();
             assert!(error < 10e-6, "lamp at {degrees}°: {:.1} µm", error * 1e6);
         }
     }
 
-    /// A tube that moves by 8 px aside and along itself while the picture is exposed: averaged over the way, and fitted
-    /// with and without knowing of it.
+    /// A tube that moves by 8 px sideways and along itself during the exposure: fitted with and without knowing it.
     #[test]
     fn motion_blur_is_modelled() {
-        let still = tube(Vector3::new(0.1, 1.0, 0.05));
+        let still = Tube::along(Vector3::new(0.1, 1.0, 0.05));
         let way = Vector3::new(2.0e-3, 1.0e-3, 0.5e-3);
-        let moments = 15;
-        let drawn: Vec<Vec<f64>> = (0..moments)
-            .map(|i| {
-                let part = (f64::from(i) + 0.5) / f64::from(moments) - 0.5;
-                Tube { centre: still.centre + way * part, ..tube(still.direction) }.draw(&views())
-            })
-            .collect();
-        let mean: Vec<f64> =
-            (0..drawn[0].len()).map(|k| drawn.iter().map(|d| d[k]).sum::<f64>() / f64::from(moments)).collect();
         let paths = views();
         let start = TubeShape::straight(still.centre, &still.direction, 6e-3);
-        // Twice as far since the frame before.
+        // Twice as far since the previous frame.
         let sweep = Sweep {
             before: start.moved(&ShapeStep::from_fn(|i, _| if i < 3 { -2.0 * way[i] } else { 0.0 })),
             share: 0.5,
         };
-        let picture = picture(&mean, 1.0, 6);
+        let picture = still.moving(way, Sensor::default(), 6);
         let fitted = |sweep: Option<&Sweep>| {
             fit(&stretch(), &start, &picture, &[&paths[0], &paths[1]], &[stretch().range_m; 2], &model(), sweep)
                 .unwrap()
@@ -203,19 +183,18 @@ mod tests {
         assert!(rms(&known) < 0.6 * rms(&unknown), "{} against {}", rms(&known), rms(&unknown));
     }
 
-    /// A tube 24 px wide, from a start 5 px aside and turned by 3°.
+    /// A tube 24 px wide, from a start 5 px off and turned by 3°.
     #[test]
     fn a_wide_tube_is_found_from_afar() {
-        let tube = Tube { radius_m: 6e-3, ..tube(Vector3::new(0.1, 1.0, 0.05)) };
+        let tube = Tube { radius_m: 6e-3, ..Tube::along(Vector3::new(0.1, 1.0, 0.05)) };
         let stretch = Stretch { radius_m: 6e-3, ..stretch() };
-        let drawn = tube.draw(&views());
         let aside = tube.centre + Vector3::new(2.0e-3, 0.0, 1.5e-3);
         let start = TubeShape::straight(aside, &(tube.direction + Vector3::new(0.05, 0.0, -0.03)), 6e-3);
         let paths = views();
         let found = fit(
             &stretch,
             &start,
-            &picture(&drawn, 1.0, 3),
+            &tube.picture(Sensor::default(), 3),
             &[&paths[0], &paths[1]],
             &[stretch.range_m; 2],
             &model(),
@@ -227,16 +206,15 @@ mod tests {
 
     #[test]
     fn what_lies_outside_of_the_patches_changes_nothing_and_without_them_there_is_no_fit() {
-        let tube = tube(Vector3::new(0.1, 1.0, 0.05));
-        let drawn = tube.draw(&views());
+        let tube = Tube::along(Vector3::new(0.1, 1.0, 0.05));
         let paths = views();
         let start = TubeShape::straight(tube.centre, &tube.direction, 6e-3);
         let fitted = |picture: &Picture| {
             fit(&stretch(), &start, picture, &[&paths[0], &paths[1]], &[stretch().range_m; 2], &model(), None)
         };
-        let all = picture(&drawn, 1.0, 4);
+        let all = tube.picture(Sensor::default(), 4);
         let expected = fitted(&all).unwrap();
-        let patches = all.looked_at(0);
+        let patches = all.windows_read(0);
         let [width, height] = all.size_px();
         assert!(patches.iter().map(Window::pixels).sum::<u64>() < u64::from(width * height) / 2, "{patches:?}");
         let planes = (0..3).map(|i| {
@@ -255,19 +233,20 @@ mod tests {
             Picture::from_planes(width, height, PixelFormat::RgbPlanar, all.colour(), planes.collect()).unwrap();
         let found = fitted(&other.of_parts(patches.clone())).unwrap();
         assert_eq!(format!("{:?}", found.shape), format!("{:?}", expected.shape));
-        let fewer = picture(&drawn, 1.0, 4).of_parts(patches[1..].to_vec());
+        let fewer = tube.picture(Sensor::default(), 4).of_parts(patches[1..].to_vec());
         assert_eq!(fitted(&fewer).unwrap_err(), NoFit::NotRecorded);
     }
 
     #[test]
     fn the_covariance_is_that_of_the_scatter_under_noise() {
-        let tube = tube(Vector3::new(0.2, 1.0, 0.3));
-        let drawn = tube.draw(&views());
-        let exact = fit_drawn(&tube, &drawn, 0.0, 1).unwrap().shape;
+        let tube = Tube::along(Vector3::new(0.2, 1.0, 0.3));
+        let exact = fit_drawn(&tube, Sensor::IDEAL, 1).unwrap().shape;
+        // Noise of four stored units.
+        let noisy = Sensor { full_well_e: Some(1100.0), ..Sensor::default() };
         let (mut place, mut turn) = (0.0, 0.0);
         let draws = 16;
         for seed in 0..draws {
-            let found = fit_drawn(&tube, &drawn, 4.0, seed + 100).unwrap();
+            let found = fit_drawn(&tube, noisy, seed + 100).unwrap();
             let e = found.shape.centre - exact.centre;
             let c = found.covariance.fixed_view::<3, 3>(0, 0);
             place += (e.transpose() * c.try_inverse().unwrap() * e)[0] / 3.0 / draws as f64;
@@ -275,7 +254,7 @@ mod tests {
             let c = found.covariance.fixed_view::<2, 2>(3, 3);
             turn += (t.transpose() * c.try_inverse().unwrap() * t)[0] / 2.0 / draws as f64;
         }
-        // 48 and 32 normalised squares: their mean is within 0.5 of 1 but once in a hundred times.
+        // 48 and 32 normalised squares: their mean is within 0.5 of 1 in 99 of 100 cases.
         assert!((0.5..1.6).contains(&place), "normalised error squared of the place {place}");
         assert!((0.5..1.6).contains(&turn), "normalised error squared of the tangent {turn}");
     }

@@ -1,38 +1,37 @@
-//! How pictures are modelled, and what the model gets wrong.
+//! Parameters of the image model, and its errors.
 
 use crate::source::Picture;
 use crate::track::light::Encoding;
 
-/// How pictures are modelled, the same for all views.
+/// Parameters of the image model, the same for all views.
 #[derive(Debug)]
 pub(crate) struct ImageModel {
     pub encoding: Encoding,
     /// Lens and sensor blur, σ in pixels.
     pub blur_px: f64,
-    /// Where chroma samples sit beyond what the stream says, pixels.
+    /// Offset of the chroma samples from where the stream puts them, pixels.
     pub chroma_offset_px: [f64; 2],
     pub error: ModelError,
 }
 
-/// What the image model gets wrong without any residual showing it, pixels: shifts of the band across and along the
-/// tube, and turns (by this much at half the stretch's length). Enters the covariance for each view on its own.
+/// Errors of the image model that no residual shows, pixels: shifts of the band across and along the tube, and turns
+/// (by this much at half the stretch's length). They enter the covariance for each view separately.
 ///
 /// Measured: on drawn RGB pictures without noise the fit is off by 0.01 to 0.03 px (directional light, blur); on H.264
-/// with subsampled chroma by 0.03 px beyond what its residuals say, and beside a clamp, where light and colour change
-/// within a few pixels of the band's edge, by 0.12 px along the tube. What a coder moves is its quantisation's doing,
-/// and so is what it leaves as residuals: beyond the RMS residual at which that was measured it is taken to grow with
-/// them.
+/// with subsampled chroma by 0.03 px more than its residuals explain, and beside a clamp, where light and colour change
+/// within a few pixels of the band's edge, by 0.12 px along the tube. Quantisation causes both a coder's shifts and its
+/// residuals, so beyond the RMS residual of that measurement the error is assumed to grow with them.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct ModelError {
     pub across_px: f64,
     pub along_px: f64,
     pub turn_px: f64,
     pub along_at_clamp_px: f64,
-    /// RMS residual beyond which all of it grows in proportion, stored units.
+    /// RMS residual beyond which all errors grow in proportion, stored units.
     pub coding_rms: f64,
-    /// Of errors that change from frame to frame more than all this says, the share of the variance that does not: a
-    /// coder leaves what it has moved until it is worth its bits to put it right. Measured at crf 24: autocorrelations
-    /// of 0.1 to 0.5 from one frame to the next.
+    /// Of errors beyond all this that vary from frame to frame, the fraction of the variance that persists: a coder
+    /// leaves an error until correcting it is worth the bits. Measured at crf 24: autocorrelations of 0.1 to 0.5 from
+    /// one frame to the next.
     pub persisting: f64,
 }
 
@@ -55,7 +54,7 @@ impl ModelError {
         coding_rms: f64::INFINITY,
         persisting: 0.0,
     };
-    /// For pictures with subsampled chroma of which nothing is known: they may come out of a recorder that quantises.
+    /// For pictures with subsampled chroma of unknown origin: a recorder may have quantised them.
     pub(crate) const CODED: Self = Self {
         across_px: 0.029,
         along_px: 0.029,
@@ -74,8 +73,7 @@ impl ModelError {
         }
     }
 
-    /// Of a recording as a whole: what stays the same in all frames, that of a coder's errors too which stay while the
-    /// tube does.
+    /// Errors common to all frames of a recording, including a coder's errors that stay while the tube does not move.
     pub(crate) fn lasting(picture: &Picture) -> Self {
         match Self::of(picture) {
             full if full == Self::FULL => full,
@@ -83,22 +81,22 @@ impl ModelError {
         }
     }
 
-    /// How many times as large it is where the residuals have this RMS.
+    /// Factor by which it grows for residuals of this RMS.
     pub(crate) fn growth(&self, rms: f64) -> f64 {
         (rms / self.coding_rms).max(1.0)
     }
 }
 
-/// What a coder's quantiser counts for as noise of the samples, in squares of stored units, for a step of it.
+/// Variance of the samples equivalent to a coder's quantiser of this step, in squared stored units.
 ///
 /// A coder that weighs bits against errors leaves a block where it was, or moves it by a wrong vector, as long as that
-/// costs less than the bits that would put it right: squared errors of up to λ R, where λ ≈ 0.14 step² (H.264's
-/// reference model: 0.85 · 2^((q − 12) / 3)) and R is some eight bits. All samples of the block then tell the same wrong
-/// place, and no residual shows it. Spread evenly up to that limit and over two directions, it is a shift of variance
-/// κ step² / Σ g² for gradients g of the block, κ ≈ 0.14 · 8 / 4: that of independent noise of variance κ step². Over
-/// recordings coded from crf 10 to 30 errors agree with σ to within a factor of 1.5 (`scripts/compare_formats.py`).
+/// costs less than the bits to correct it: squared errors of up to λ R, where λ ≈ 0.14 step² (H.264's reference model:
+/// 0.85 · 2^((q − 12) / 3)) and R is some eight bits. All samples of the block then give the same wrong position, and
+/// no residual shows it. Spread evenly up to that limit and over two directions, it is a shift of variance κ step² / Σ
+/// g² for gradients g of the block, κ ≈ 0.14 · 8 / 4: that of independent noise of variance κ step². Over recordings
+/// coded from crf 10 to 30 errors agree with σ to within a factor of 1.5 (`scripts/compare_formats.py`).
 ///
-/// A picture that stands for itself has only each coefficient's own rounding: κ = 1/12.
+/// An intra-coded picture has only the rounding of each coefficient: κ = 1/12.
 pub(crate) fn coder_variance(step: f64, predicted: bool) -> f64 {
     let kappa = if predicted { 0.3 } else { 1.0 / 12.0 };
     kappa * step * step

@@ -1,14 +1,14 @@
 //! Functions of the image model: the Gaussian integral, and the transfer function from linear light to stored R'G'B'.
 //!
-//! Each is written for one number and without branches, so that a loop over many of them is compiled to vectors.
+//! Each handles one number without branches, so that the compiler vectorises loops over them.
 
 use crate::source::Transfer;
 
-/// e^x to 2e-7 of itself, for x up to 88: Cephes' `expf` (S. L. Moshier, Methods and Programs for Mathematical
-/// Functions, 1989).
+/// e^x to a relative error of 2e-7, for x up to 88: Cephes' `expf` (S. L. Moshier, Methods and Programs for
+/// Mathematical Functions, 1989).
 #[inline(always)]
 pub(crate) fn exp(x: f32) -> f32 {
-    // Added and taken away again, it rounds to a whole number, which stands in its lowest bits meanwhile.
+    // Adding and subtracting it rounds to an integer, which is in the lowest bits in between.
     const ROUND: f32 = 12_582_912.0;
     let x = x.clamp(-87.0, 88.0);
     let rounded = x * std::f32::consts::LOG2_E + ROUND;
@@ -19,7 +19,7 @@ pub(crate) fn exp(x: f32) -> f32 {
     p * f32::from_bits(rounded.to_bits().wrapping_add(127) << 23)
 }
 
-/// ln x to 2e-7, for positive x that are not tiny: Cephes' `logf`.
+/// ln x to 2e-7, for positive x that is not tiny: Cephes' `logf`.
 #[inline(always)]
 pub(crate) fn ln(x: f32) -> f32 {
     // x = m 2^e, m within √½ to √2.
@@ -50,8 +50,7 @@ const FRAC_2_SQRT_TAU: f32 = std::f32::consts::FRAC_2_SQRT_PI * std::f32::consts
 /// Linear light (0 black, 1 white) to stored R'G'B' (0..255) and back.
 #[derive(Debug)]
 pub(crate) struct Encoding {
-    transfer: Transfer,
-    /// Stored is `scale · light^exponent − offset`, and below `toe` of light it is `slope · light`.
+    /// The stored value is `scale · light^exponent − offset`, and `slope · light` below `toe`.
     scale: f32,
     exponent: f32,
     offset: f32,
@@ -67,7 +66,14 @@ impl Encoding {
             Transfer::Srgb => (1.055, 1.0 / 2.4, 0.055, 0.003_130_8, 12.92),
             Transfer::Linear => (1.0, 1.0, 0.0, f32::INFINITY, 1.0),
         };
-        Self { transfer, scale: 255.0 * scale, exponent, offset: 255.0 * offset, toe, slope: 255.0 * slope }
+        Self { scale: 255.0 * scale, exponent, offset: 255.0 * offset, toe, slope: 255.0 * slope }
+    }
+
+    /// Stored is light to the power of `gamma`, and in proportion to light where that would be too steep.
+    pub(crate) fn power(gamma: f64) -> Self {
+        const TOE: f64 = 0.002;
+        let slope = 255.0 * TOE.powf(gamma - 1.0);
+        Self { scale: 255.0, exponent: gamma as f32, offset: 0.0, toe: TOE as f32, slope: slope as f32 }
     }
 
     /// Stored value and its slope per unit of light.
@@ -81,14 +87,9 @@ impl Encoding {
 
     /// Light of a stored value.
     pub(crate) fn decode(&self, stored: f64) -> f64 {
-        let v = (stored / 255.0).max(0.0);
-        match self.transfer {
-            Transfer::Bt709 if v < 0.081 => v / 4.5,
-            Transfer::Bt709 => ((v + 0.099) / 1.099).powf(1.0 / 0.45),
-            Transfer::Srgb if v < 0.04045 => v / 12.92,
-            Transfer::Srgb => ((v + 0.055) / 1.055).powf(2.4),
-            Transfer::Linear => v,
-        }
+        let [scale, exponent, offset, slope] = [self.scale, self.exponent, self.offset, self.slope].map(f64::from);
+        let (stored, in_toe) = (stored.max(0.0), stored.max(0.0) / slope);
+        if in_toe < f64::from(self.toe) { in_toe } else { ((stored + offset) / scale).powf(1.0 / exponent) }
     }
 }
 

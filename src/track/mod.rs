@@ -11,6 +11,7 @@ mod covariance;
 mod equations;
 mod fit;
 mod image_model;
+mod lamp;
 mod light;
 mod motion;
 mod no_fit;

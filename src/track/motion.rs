@@ -1,17 +1,17 @@
-//! Whether a band can have come from where it was: what the motion before does not allow is a miss and no measurement.
+//! Rejects implausible motion: a position that the earlier motion does not allow becomes a miss.
 //!
-//! In: an estimate, and which bands were fitted together. Each place, and the coil's direction, is predicted from the
-//! last two that were accepted (position and velocity, over the time between). What is off by more than σ of both,
-//! stamps, and accelerations can explain is refused, and with it what was fitted together with it. The greatest
-//! acceleration is learned from the recording itself: so many times what is usual among the second differences of all
-//! that was measured, refused or not; never less than a catheter can do that sets out from rest.
+//! In: an estimate, and which bands were fitted together. Each position, and the coil's direction, is predicted from
+//! the last two accepted (position and velocity). A deviation that both σ, errors of the stamps and accelerations
+//! cannot explain is refused, together with all bands of the same fit. The largest acceleration is learned from the
+//! recording itself: a multiple of the typical second difference of all measurements, refused or not, but never less
+//! than a catheter can reach from rest.
 //!
-//! A place that is real comes again: when [`AGREE`] measurements in a row fit to each other, they are taken for the
-//! motion from there on. After [`MEMORY_S`] without a measurement, or when time goes backwards, anything is possible
-//! again.
+//! A real position recurs: when [`MIN_AGREEING`] measurements in a row are consistent, the motion continues from them.
+//! After [`MEMORY_S`] without a measurement, or when time goes backwards, anything is possible again.
 //!
-//! Cannot detect: what moves a band by less than that (5.6 mm from rest at 60 Hz, more at lower rates and after gaps);
-//! a wrong place that stays; jumps where more than one measurement in ten is wrong; anything in the first frames.
+//! Cannot detect: errors that move a band by less than that (5.6 mm from rest at 60 Hz, more at lower rates and after
+//! gaps); a wrong position that persists; jumps where more than one measurement in ten is wrong; anything in the first
+//! frames.
 
 use crate::estimate::{Estimate, MarkerEstimate, Miss};
 use crate::source::Timestamp;
@@ -20,37 +20,41 @@ use std::collections::VecDeque;
 
 /// Motion before this is forgotten.
 const MEMORY_S: f64 = 0.25;
-/// Acceleration of bands that is possible at any time, m/s², and of the unit direction, rad/s²: twice what the fastest
-/// recordings have.
+/// Acceleration of bands that is always possible, m/s², and of the unit direction, rad/s²: twice that of the fastest
+/// recordings.
 const ALWAYS_POSSIBLE: (f64, f64) = (20.0, 300.0);
-/// Two of three accelerations are below the usual one, and so many times of it is possible. The largest of a swing is
-/// 1.2 times the usual one, of swings that come and go 4 times.
-const TIMES_USUAL: f64 = 8.0;
-/// Second differences that say what is usual: the last of them, and how few are too few to judge by.
-const REMEMBERED: usize = 61;
-const ENOUGH: usize = 8;
-/// By so much may stamps be off.
-const STAMPS_S: f64 = 0.015;
-/// Standard deviations that chance may explain.
-const CHANCE: f64 = 6.0;
-/// So many predictions in a row must come true among refused measurements.
-const AGREE: u32 = 2;
+/// Two thirds of the accelerations are below the usual one, and up to this multiple of it is possible. The peak is 1.2
+/// times the usual one in a steady swing, and 4 times in intermittent swings.
+const MAX_TIMES_USUAL: f64 = 8.0;
+/// Number of recent second differences that define the usual one, and the fewest needed.
+const HISTORY_LENGTH: usize = 61;
+const MIN_HISTORY: usize = 8;
+/// Largest error of the stamps.
+const STAMP_ERROR_S: f64 = 0.015;
+/// Standard deviations attributable to chance.
+const CHANCE_SD: f64 = 6.0;
+/// Correct predictions in a row needed among refused measurements.
+const MIN_AGREEING: u32 = 2;
 
-/// All that is known of how a rig's bands and its coil's direction move.
+/// Motion of a rig's bands and of its coil's direction.
 #[derive(Debug)]
 pub(crate) struct Motion {
-    markers: Vec<Course>,
-    tangent: Course,
+    markers: Vec<QuantityMotion>,
+    tangent: QuantityMotion,
     coil: usize,
 }
 
 impl Motion {
-    /// For so many markers, of which `coil` has the direction.
+    /// For this many markers, of which `coil` has the direction.
     pub(crate) fn new(markers: usize, coil: usize) -> Self {
-        Self { markers: vec![Course::new(ALWAYS_POSSIBLE.0); markers], tangent: Course::new(ALWAYS_POSSIBLE.1), coil }
+        Self {
+            markers: vec![QuantityMotion::new(ALWAYS_POSSIBLE.0); markers],
+            tangent: QuantityMotion::new(ALWAYS_POSSIBLE.1),
+            coil,
+        }
     }
 
-    /// Takes what is not plausible out of an estimate; `together` are the markers that were fitted together.
+    /// Turns implausible measurements of an estimate into misses; `together` are the markers that were fitted together.
     pub(crate) fn check<'a>(&mut self, estimate: &mut Estimate, together: impl Iterator<Item = &'a [(usize, f64)]>) {
         let stamp = estimate.stamp;
         let mut times: Vec<Option<f64>> = Vec::with_capacity(self.markers.len());
@@ -78,11 +82,11 @@ impl Motion {
     }
 }
 
-/// Where something was, in its own unit.
+/// A position, in its own unit.
 #[derive(Debug, Clone, Copy)]
 struct Place {
     at: Vector3<f64>,
-    /// Of all coordinates together.
+    /// Sum over all coordinates.
     variance: f64,
     ns: i64,
 }
@@ -97,16 +101,16 @@ impl Place {
     }
 }
 
-/// The last places of a motion, the latest first: two to predict from, and one more to know how fast it was.
+/// The last positions, latest first: two for the prediction, and one more for the speed.
 #[derive(Debug, Clone, Copy, Default)]
 struct Last([Option<Place>; 3]);
 
-/// What a place is beside its prediction.
-struct Beside {
+/// A position compared with its prediction.
+struct Deviation {
     off: f64,
-    /// What σ and stamps explain.
+    /// Deviation that σ and stamps explain.
     explained: f64,
-    /// Distance for each unit of acceleration.
+    /// Distance per unit of acceleration.
     per_acceleration: f64,
 }
 
@@ -116,7 +120,7 @@ impl Last {
     }
 
     /// `None` when nothing can be predicted.
-    fn beside(&self, place: &Place) -> Option<Beside> {
+    fn beside(&self, place: &Place) -> Option<Deviation> {
         let [last, before, earlier] = self.0;
         let (last, before) = (last?, before?);
         let (ahead_s, step_s) = (place.seconds_since(&last), last.seconds_since(&before));
@@ -125,44 +129,44 @@ impl Last {
         }
         let ratio = ahead_s / step_s;
         let velocity = (last.at - before.at) / step_s;
-        // A picture that was shown twice stood still.
+        // A repeated picture shows no motion.
         let earlier = earlier.map_or(0.0, |earlier| (before.at - earlier.at).norm() / before.seconds_since(&earlier));
         let speed = if earlier.is_finite() { velocity.norm().max(earlier) } else { velocity.norm() };
         let variance = place.variance + (1.0 + ratio).powi(2) * last.variance + ratio.powi(2) * before.variance;
-        Some(Beside {
+        Some(Deviation {
             off: (last.at + velocity * ahead_s - place.at).norm(),
-            explained: CHANCE * variance.sqrt() + STAMPS_S * speed,
+            explained: CHANCE_SD * variance.sqrt() + STAMP_ERROR_S * speed,
             per_acceleration: ahead_s * (ahead_s + step_s) / 2.0,
         })
     }
 }
 
-/// The course of one thing.
+/// The motion of one quantity.
 #[derive(Debug, Clone)]
-struct Course {
+struct QuantityMotion {
     always_possible: f64,
     accepted: Last,
-    /// Of all that was measured.
+    /// All measured positions.
     measured: Last,
     accelerations: VecDeque<f64>,
-    /// Predictions from what was measured that have come true in a row.
+    /// Correct predictions in a row from what was measured.
     agree: u32,
 }
 
-impl Course {
+impl QuantityMotion {
     fn new(always_possible: f64) -> Self {
         let (accepted, measured) = (Last::default(), Last::default());
         Self { always_possible, accepted, measured, accelerations: VecDeque::new(), agree: 0 }
     }
 
-    /// `None` for what is plausible; else how many times what is possible it is off.
+    /// `None` if plausible; else its deviation as a multiple of what is possible.
     fn judge(&mut self, place: Place) -> Option<f64> {
         let possible = self.possible();
-        let times = |beside: &Beside| beside.off / (beside.explained + possible * beside.per_acceleration);
+        let times = |beside: &Deviation| beside.off / (beside.explained + possible * beside.per_acceleration);
         match self.measured.beside(&place) {
             Some(beside) => {
                 self.agree = if times(&beside) <= 1.0 { self.agree + 1 } else { 0 };
-                if self.accelerations.len() == REMEMBERED {
+                if self.accelerations.len() == HISTORY_LENGTH {
                     self.accelerations.pop_front();
                 }
                 self.accelerations.push_back(beside.off / beside.per_acceleration);
@@ -171,7 +175,7 @@ impl Course {
         }
         self.measured.push(place);
         let refused = self.accepted.beside(&place).map(|beside| times(&beside)).filter(|times| *times > 1.0);
-        if refused.is_some() && self.agree >= AGREE {
+        if refused.is_some() && self.agree >= MIN_AGREEING {
             self.accepted = self.measured;
             return None;
         }
@@ -181,15 +185,15 @@ impl Course {
         refused
     }
 
-    /// The greatest acceleration that is plausible.
+    /// The largest plausible acceleration.
     fn possible(&self) -> f64 {
-        if self.accelerations.len() < ENOUGH {
+        if self.accelerations.len() < MIN_HISTORY {
             return f64::INFINITY;
         }
         let mut sorted: Vec<f64> = self.accelerations.iter().copied().collect();
         let index = sorted.len() * 2 / 3;
         let (_, usual, _) = sorted.select_nth_unstable_by(index, f64::total_cmp);
-        (TIMES_USUAL * *usual).max(self.always_possible)
+        (MAX_TIMES_USUAL * *usual).max(self.always_possible)
     }
 }
 
@@ -201,10 +205,10 @@ mod tests {
     const SD_M: f64 = 5e-5;
     const NONE: [usize; 0] = [];
 
-    /// Numbers of the refused among places at times, with noise.
+    /// Indices of the refused among positions at given times, with noise.
     fn refused(places: impl IntoIterator<Item = (f64, Vector3<f64>)>) -> Vec<usize> {
         let mut random = Random::new(4);
-        let mut course = Course::new(ALWAYS_POSSIBLE.0);
+        let mut course = QuantityMotion::new(ALWAYS_POSSIBLE.0);
         let judged = places.into_iter().map(|(t_s, at)| {
             let at = at + Vector3::from_fn(|_, _| SD_M * random.normal());
             course.judge(Place { at, variance: 3.0 * SD_M * SD_M, ns: (t_s * 1e9) as i64 }).is_some()
@@ -216,28 +220,28 @@ mod tests {
         (0..count).map(|k| k as f64 / 60.0)
     }
 
-    /// So far out and back, so many times a second.
+    /// A swing of this amplitude and frequency.
     fn swing(amplitude_m: f64, hz: f64) -> impl Fn(f64) -> Vector3<f64> {
         move |t_s| Vector3::new(0.0, 0.0, 1.3 + amplitude_m * (std::f64::consts::TAU * hz * t_s).sin())
     }
 
     #[test]
     fn motions_of_catheters_are_plausible_from_their_first_frame_on() {
-        // The last is a vibration of 17 g, which no frame before tells of.
+        // The last is a vibration of 17 g, which no earlier frame foretells.
         for (amplitude_m, hz) in [(0.0, 0.0), (0.04, 0.3), (0.04, 3.0), (0.01, 8.0), (0.02, 15.0)] {
             let at = swing(amplitude_m, hz);
             assert_eq!(refused(frames(600).map(|t| (t, at(t)))), NONE, "{amplitude_m} m, {hz} Hz");
             let lossy = frames(600).enumerate().filter(|(k, _)| k * 7919 % 10 > 2).map(|(_, t)| (t, at(t)));
             assert_eq!(refused(lossy), NONE, "{amplitude_m} m, {hz} Hz, frames lost");
         }
-        // It sets out from a long rest: a step of the current, critically damped, 40 mm at 3 Hz.
+        // A start after a long rest: a step of the current, critically damped, 40 mm at 3 Hz.
         let rate = std::f64::consts::TAU * 3.0;
         let step = |t: f64| 0.04 * (1.0 - (1.0 + rate * t) * (-rate * t).exp());
         let from_rest = frames(600).map(|t| (t, Vector3::new(step((t - 5.0).max(0.0)), 0.0, 1.3)));
         assert_eq!(refused(from_rest), NONE);
     }
 
-    /// The true motions of the sample recordings, whole and with frames lost, from any frame on.
+    /// The true motions of the sample recordings, complete and with lost frames, starting at any frame.
     #[test]
     fn no_motion_of_the_samples_is_refused() {
         for name in ["planar", "circle", "rest"] {
@@ -252,7 +256,7 @@ mod tests {
             ] {
                 for (first, every, lost) in [(0, 1, 0), (37, 1, 0), (11, 2, 0), (5, 1, 3), (20, 3, 2), (50, 4, 0)] {
                     let mut random = Random::new(first as u64);
-                    let mut course = Course::new(always);
+                    let mut course = QuantityMotion::new(always);
                     for (k, row) in rows.iter().enumerate().skip(first).step_by(every) {
                         if lost > 0 && k * 7919 % 10 < lost {
                             continue;

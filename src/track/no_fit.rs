@@ -3,12 +3,12 @@
 /// Why there is no fit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum NoFit {
-    /// The stretch is not, or not wholly enough, inside a view's picture.
+    /// The stretch is not, or not sufficiently, inside a view's picture.
     OutOfPicture,
-    /// The equations are singular, or the iteration does not settle.
+    /// The equations are singular, or the iteration does not converge.
     NotConverged,
-    /// The picture was recorded in parts, and lacks one.
+    /// A needed part of the picture was not recorded.
     NotRecorded,
-    /// A coder quantised the picture there too coarsely.
+    /// The coder quantised the picture there too coarsely.
     TooCoarse,
 }

@@ -1,10 +1,10 @@
 //! Normal equations of a view: short rows of derivatives, summed in small dense blocks for each piece of the tube, then
-//! taken to the parameters, the colours apart from the shape.
+//! mapped to the parameters, with colours separate from the shape.
 //!
-//! Between two knots all of a sample's dependence on the shape is that of six numbers: where these two knots lie across
-//! and along the axis, and how far their rings bulge. A sample that sees one segment only depends on two of them, and
-//! on one colour; one of the background on none. Rows and blocks are in single precision, which doubles their speed: a block sums some hundred rows,
-//! and what is lost is a millionth of what the noise makes of them.
+//! Between two knots a sample depends on the shape through only six numbers: the positions of these two knots across
+//! and along the axis, and the bulges of their rings. A sample that sees only one segment depends on two of them and on
+//! one colour; one of the background on none. Rows and blocks are in single precision, which doubles the speed: a block
+//! sums some hundred rows, and the loss is a millionth of the effect of noise.
 
 use crate::track::appearance::{BACKGROUND, CAP, FIXED, GRADIENT, Layout, PER_SEGMENT, SHADES, SHADING};
 use crate::track::tube::{SHAPE, ShapeBy, ShapeStep};
@@ -12,7 +12,7 @@ use crate::track::tube_image::TubeImage;
 use multiversion::multiversion;
 use nalgebra::{DMatrix, DVector, SMatrix};
 
-/// Which part of the tube: between a knot and the next, nearest to one ring.
+/// A part of the tube: between a knot and the next, nearest to one ring.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Span {
     pub knot: usize,
@@ -20,35 +20,38 @@ pub(crate) struct Span {
     pub ring: usize,
 }
 
-/// What of the tube is seen: nothing, the segment before the nearest ring, the one behind it, or both and the ring.
+/// What is seen of the tube: nothing, the segment before the nearest ring, the one after it, or both and the ring. A bit
+/// stands for each segment.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[repr(u8)]
 pub(crate) enum Seen {
     #[default]
-    Nothing,
-    Before,
-    Behind,
-    Ring,
+    Nothing = 0,
+    Before = 1,
+    Behind = 2,
+    Ring = 3,
 }
 
 impl Seen {
-    /// What both see together.
+    /// The union of both.
     pub(crate) fn and(self, other: Self) -> Self {
-        match (self, other) {
-            (Self::Nothing, seen) | (seen, Self::Nothing) => seen,
-            (a, b) if a == b => a,
+        match self as u8 | other as u8 {
+            0 => Self::Nothing,
+            1 => Self::Before,
+            2 => Self::Behind,
             _ => Self::Ring,
         }
     }
 }
 
-/// Length of a row, of the part that a sample away from rings touches, and of the one that a sample of the background
-/// does; all are whole vectors.
+/// Length of a row, of the part used by a sample away from rings, and of the part used by one of the background; all
+/// are whole vectors.
 pub(crate) const ROW: usize = 24;
 const PLAIN: usize = 16;
 const OUTSIDE: usize = 8;
-/// Derivatives of one sample's prediction, all that a plain sample has first: both knots across; background; its
-/// gradient; shading and its changes; colour of the segment before the nearest ring, and of the one behind it; cap;
-/// both knots along; their bulge.
+/// Derivatives of one sample's prediction, those of a plain sample first: both knots across; background; its gradient;
+/// shading and its changes; colour of the segment before the nearest ring, and of the one after it; cap; both knots
+/// along; their bulge.
 pub(crate) type Row = [f32; ROW];
 
 pub(crate) const ROW_ACROSS: usize = 0;
@@ -61,8 +64,8 @@ pub(crate) const ROW_CAP: usize = ROW_BEHIND + PER_SEGMENT;
 pub(crate) const ROW_ALONG: usize = ROW_CAP + 1;
 pub(crate) const ROW_BULGE: usize = ROW_ALONG + 2;
 
-/// Divides what moves the tube's image among the knots anew: `f` is the fraction of the way from the first knot to the
-/// second.
+/// Redistributes the derivatives that move the tube's image over the knots: `f` is the fraction of the way from the
+/// first knot to the second.
 pub(crate) fn divide(row: &mut Row, f: f32) {
     for at in [ROW_ACROSS, ROW_ALONG, ROW_BULGE] {
         let all = row[at] + row[at + 1];
@@ -71,7 +74,7 @@ pub(crate) fn divide(row: &mut Row, f: f32) {
     }
 }
 
-/// By how much a sample's prediction changes when its picture is shifted by a pixel across the tube, and along it.
+/// Change of a sample's prediction when the picture is shifted by a pixel across the tube, and along it.
 pub(crate) fn shifted(row: &Row) -> [f32; 2] {
     [ROW_ACROSS, ROW_ALONG].map(|at| row[at] + row[at + 1])
 }
@@ -80,8 +83,8 @@ pub(crate) fn shifted(row: &Row) -> [f32; 2] {
 const MOVES: [usize; 6] = [ROW_ACROSS, ROW_ACROSS + 1, ROW_ALONG, ROW_ALONG + 1, ROW_BULGE, ROW_BULGE + 1];
 const PLAIN_MOVES: [usize; 2] = [ROW_ACROSS, ROW_ACROSS + 1];
 
-/// The colour that element `i` of a row at `ring` belongs to; `None` for the shape, for what fills up the row, and for
-/// a segment that there is not.
+/// The colour that element `i` of a row at `ring` belongs to; `None` for the shape, for padding, and for a segment that
+/// does not exist.
 pub(crate) fn colour(i: usize, ring: usize, layout: &Layout) -> Option<usize> {
     let segment = |j: usize, c: usize| (j < layout.segments()).then_some(FIXED + PER_SEGMENT * j + c);
     match i {
@@ -95,7 +98,7 @@ pub(crate) fn colour(i: usize, ring: usize, layout: &Layout) -> Option<usize> {
     }
 }
 
-/// How the shape moves a knot and the next, for each of [`MOVES`]; filled up to whole vectors.
+/// How the shape moves a knot and the next, for each of [`MOVES`]; padded to whole vectors.
 fn moves(image: &TubeImage, knot: usize) -> [Padded; MOVES.len()] {
     std::array::from_fn(|i| {
         let mut padded = [0.0; PADDED];
@@ -104,12 +107,12 @@ fn moves(image: &TubeImage, knot: usize) -> [Padded; MOVES.len()] {
     })
 }
 
-/// Shape parameters, filled up to whole vectors.
+/// Shape parameters, padded to whole vectors.
 type Padded = [f64; PADDED];
 const PADDED: usize = SHAPE.next_multiple_of(4);
 
-/// What an error of the prediction moves the shape by, for each element of a row: `of_shape` and `of_colours` say it
-/// of the parameters.
+/// How much an error of the prediction moves the shape, for each element of a row: `of_shape` and `of_colours` give it
+/// for the parameters.
 pub(crate) fn influence(
     image: &TubeImage,
     span: &Span,
@@ -133,7 +136,7 @@ pub(crate) fn influence(
     influence
 }
 
-/// Sums over a view's samples: J'WJ, J'Wr and the robust cost. Of the symmetric J'WJ of the colours only the lower
+/// Sums over a view's samples: J'WJ, J'Wr and the robust cost. The symmetric J'WJ of the colours has only its lower
 /// triangle.
 #[derive(Debug, Clone)]
 pub(crate) struct Normal {
@@ -164,7 +167,7 @@ impl Normal {
         }
     }
 
-    /// The same with another gradient, sums of rows in each span times their residuals.
+    /// The same with another gradient, from the sums of rows times residuals in each span.
     pub(crate) fn with_gradient<'a>(
         &self,
         sums: impl Iterator<Item = (&'a Span, &'a Row)>,
@@ -190,8 +193,8 @@ impl Normal {
         normal
     }
 
-    /// Adds a block and empties it. The first of `moves` are how the shape moves the elements of its rows that are `at`;
-    /// `colours` are the others that count, with the colours they belong to.
+    /// Adds a block and empties it. The first of `moves` give how the shape moves the row elements `at`; `colours` are
+    /// the other elements in use, with their colours.
     fn take<const N: usize, const S: usize>(
         &mut self,
         block: &mut Block<N>,
@@ -224,7 +227,7 @@ impl Normal {
     }
 }
 
-/// The sum of the first of `moves`, each `by` as much.
+/// The sum of the first of `moves`, weighted by `by`.
 #[inline(always)]
 fn combined<const S: usize>(moves: &[Padded; MOVES.len()], by: [f64; S]) -> Padded {
     let mut sum = [0.0; PADDED];
@@ -240,8 +243,8 @@ pub(crate) type Weighed<'a> = (&'a Row, f32, f32);
 /// Rows that are summed together, so that each sum is loaded and stored once for all of them.
 const BATCH: usize = 8;
 
-/// Sums of rows: J'WJ, of which what lies on the diagonal and above is used, and J'Wr. Rows wait until there is a batch
-/// of them.
+/// Sums of rows: J'WJ, of which the upper triangle with the diagonal is used, and J'Wr. Rows are collected into
+/// batches.
 struct Block<const N: usize> {
     hessian: [[f32; N]; N],
     gradient: [f32; N],
@@ -267,7 +270,7 @@ impl<const N: usize> Default for Block<N> {
 }
 
 impl<const N: usize> Block<N> {
-    /// Adds what `columns` takes of each row.
+    /// Adds the columns that `columns` selects from each row.
     fn add<'a>(&mut self, samples: impl Iterator<Item = Weighed<'a>>, columns: impl Fn(&Row, &mut [f32; N])) {
         self.used = true;
         for (row, residual, weight) in samples {
@@ -307,8 +310,8 @@ fn accumulate<const N: usize>(
             weighed[r][i] *= weights[r];
         }
     }
-    // Plain loops, which the compiler makes vectors of wherever it inlines. A whole square: the half that is not needed
-    // costs less than loops of different lengths.
+    // Plain loops, which the compiler vectorises wherever it inlines. The whole square: the unneeded half costs less
+    // than loops of different lengths.
     let [a, b, c, d, e, f, g, h] = rows;
     let [wa, wb, wc, wd, we, wf, wg, wh] = &weighed;
     let [ra, rb, rc, rd, re, rf, rg, rh] = residuals;
@@ -324,8 +327,7 @@ fn accumulate<const N: usize>(
     }
 }
 
-/// Sums of a view's samples: of the background, and in each span before and behind the ring that is nearest to them,
-/// and at it.
+/// Sums of a view's samples: of the background, and in each span before, after and at the ring nearest to them.
 #[derive(Default)]
 pub(crate) struct Sums {
     background: Block<OUTSIDE>,
@@ -334,35 +336,39 @@ pub(crate) struct Sums {
 
 #[derive(Default)]
 struct SpanSums {
-    plain: [Block<PLAIN>; 2],
-    at_ring: Block<ROW>,
+    plain: [Option<Box<Block<PLAIN>>>; 2],
+    at_ring: Option<Box<Block<ROW>>>,
 }
 
 impl Sums {
-    /// For so many spans.
+    /// For this many spans.
     pub(crate) fn new(spans: usize) -> Self {
         let mut sums = Self::default();
         sums.spans.resize_with(spans, SpanSums::default);
         sums
     }
 
-    /// Adds samples of a span that see the same of the tube.
+    /// Adds samples of a span that see the same part of the tube.
     pub(crate) fn add<'a>(&mut self, span: usize, seen: Seen, samples: impl Iterator<Item = Weighed<'a>>) {
         let Some(SpanSums { plain, at_ring }) = self.spans.get_mut(span) else { return };
         match seen {
             Seen::Nothing => self.background.add(samples, |row, outside| {
-                outside[..ROW_SHADING - ROW_BACKGROUND].copy_from_slice(&row[ROW_BACKGROUND..ROW_SHADING]);
+                for (to, value) in outside.iter_mut().zip(&row[ROW_BACKGROUND..ROW_SHADING]) {
+                    *to = *value;
+                }
             }),
-            Seen::Before => plain[0].add(samples, |row, plain| plain.copy_from_slice(&row[..PLAIN])),
-            Seen::Behind => plain[1].add(samples, |row, plain| {
-                plain[..ROW_BEFORE].copy_from_slice(&row[..ROW_BEFORE]);
+            Seen::Before => plain[0].get_or_insert_default().add(samples, |row, plain| {
+                *plain = *row.first_chunk().unwrap_or(&[0.0; PLAIN]);
+            }),
+            Seen::Behind => plain[1].get_or_insert_default().add(samples, |row, plain| {
+                *plain = *row.first_chunk().unwrap_or(&[0.0; PLAIN]);
                 plain[ROW_BEFORE..].copy_from_slice(&row[ROW_BEHIND..ROW_CAP]);
             }),
-            Seen::Ring => at_ring.add(samples, |row, all| *all = *row),
+            Seen::Ring => at_ring.get_or_insert_default().add(samples, |row, all| *all = *row),
         }
     }
 
-    /// The sums of all parameters; the cost and squares are the caller's to add. They are left empty.
+    /// The sums for all parameters, which are then reset; the caller adds cost and squares.
     pub(crate) fn take<'a>(
         &mut self,
         spans: impl Iterator<Item = &'a Span>,
@@ -373,10 +379,11 @@ impl Sums {
         for (SpanSums { plain, at_ring }, span) in self.spans.iter_mut().zip(spans) {
             let moves = moves(image, span.knot);
             let colours = |ring: usize, end: usize| (0..end).filter_map(move |i| Some((i, colour(i, ring, layout)?)));
-            if at_ring.used {
+            if let Some(at_ring) = at_ring.as_mut().filter(|block| block.used) {
                 normal.take(at_ring, MOVES, &moves, colours(span.ring, ROW));
             }
-            for (side, block) in plain.iter_mut().enumerate().filter(|(_, block)| block.used) {
+            let plain = plain.iter_mut().enumerate().filter_map(|(side, block)| Some((side, block.as_mut()?)));
+            for (side, block) in plain.filter(|(_, block)| block.used) {
                 normal.take(block, PLAIN_MOVES, &moves, colours(span.ring + side, ROW_BEHIND));
             }
         }

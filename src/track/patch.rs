@@ -1,4 +1,4 @@
-//! The part of a view's picture that the image model is compared with: pixels, and the stored samples made of them.
+//! The part of a view's picture compared with the image model: pixels, and the stored samples formed from them.
 //!
 //! Stored samples (Y, U, V at their own sampling, or R, G, B) are taken as they are: the model is evaluated at every
 //! pixel, in stored R'G'B', and a subsampled chroma sample is the mean of its neighbourhood with triangular weights as
@@ -13,30 +13,30 @@ use crate::track::tube_image::TubeImage;
 use nalgebra::{Point2, Vector2, Vector3};
 use std::ops::Range;
 
-/// Background taken into account on either side of the tube, pixels.
+/// Background included on either side of the tube, pixels.
 const MARGIN_PX: f64 = 5.0;
 
 /// Side of the square over which the errors of neighbouring samples are taken to be correlated, pixels: the smallest
 /// transform block of H.264 and JPEG's chroma.
 const CELL_PX: usize = 4;
 
-/// Samples whose distance from the tube's outline is below this are "near": they carry the tube's own grain and most of
-/// the coding error.
+/// Samples closer to the tube's outline than this are "near": they carry the tube's own texture and most of the coding
+/// error.
 const NEAR_PX: f64 = 1.0;
 
-/// Further from the outline, or from a ring, only one colour is seen. It decides about the order of work alone.
+/// Further from the outline, or from a ring, only one colour is seen. This affects only the order of work.
 const OUT_OF_SIGHT_PX: f64 = 2.5;
 
-/// Which pixels are taken.
+/// Which pixels are used.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Density {
-    /// Every fifth, a knight's move from the next: a fifth of the work, and every row and column has its share.
+    /// Every fifth, a knight's move apart: a fifth of the work, spread over all rows and columns.
     Fifth,
     All,
 }
 
 impl Density {
-    /// How many pixels there are to one that is taken.
+    /// Pixels per pixel used.
     fn period(self) -> i64 {
         match self {
             Self::Fifth => 5,
@@ -44,29 +44,29 @@ impl Density {
         }
     }
 
-    /// Where in the pattern a pixel is: 0 for the ones that are taken.
+    /// Phase of a pixel in the pattern: 0 for those used.
     fn phase(self, x: i64, y: i64) -> usize {
         (x + 2 * y).rem_euclid(self.period()) as usize
     }
 }
 
-/// A pixel that the model is evaluated at.
+/// A pixel at which the model is evaluated.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Pixel {
-    /// Relative to the patch's middle.
+    /// Position relative to the patch's centre.
     pub x: f32,
     pub y: f32,
     /// The nearest point of the axis when last evaluated, as the fraction of the way between its span's knots.
     pub f: f32,
     /// Signed distance from the axis when selected, pixels.
     u: f32,
-    /// Its cell among those that share errors.
+    /// Its cell of correlated errors.
     pub cell: u32,
     near: bool,
 }
 
 impl Pixel {
-    /// For tests: a pixel relative to the middle, near the tube.
+    /// For tests: a pixel near the tube, relative to the centre.
     #[cfg(test)]
     pub(crate) fn at(place: Vector2<f64>, f: f32) -> Self {
         Self { x: place.x as f32, y: place.y as f32, f, u: 0.0, cell: 0, near: true }
@@ -84,14 +84,28 @@ pub(crate) struct Strip {
     pub pixels: Range<usize>,
 }
 
-/// A place where channels are stored.
+/// A point where channels are stored.
 pub(crate) struct Sample {
-    /// Stored values, one a channel of the group.
+    /// Stored values, one per channel of the group.
     pub values: [f32; 3],
-    /// Index of the pixel, or of the middle one of its neighbourhood.
+    /// Index of the pixel, or of the central one of its neighbourhood.
     pub pixel: u32,
     /// Where its neighbourhood starts in the group's list.
-    first_tap: u32,
+    first_part: u32,
+}
+
+/// The part of a sample's neighbourhood that is in one strip.
+pub(crate) struct Part {
+    pub strip: u32,
+    /// Its pixels and their weights among the group's.
+    taps: Range<u32>,
+}
+
+impl Part {
+    /// Its place among the group's taps.
+    pub(crate) fn range(&self) -> Range<usize> {
+        self.taps.start as usize..self.taps.end as usize
+    }
 }
 
 /// A stored channel: number, weights of R'G'B', constant.
@@ -102,22 +116,24 @@ pub(crate) struct Channel {
     pub constant: f32,
 }
 
-/// Channels sampled at the same places: Y; U and V; R, G and B.
+/// Channels sampled at the same points: Y; U and V; R, G and B.
 pub(crate) struct Group {
     pub channels: Vec<Channel>,
-    /// In the order of the pixels where it is whole.
+    /// In the order of the pixels if `whole`.
     pub samples: Vec<Sample>,
-    /// Each pixel has its own sample.
+    /// Whether each pixel has its own sample.
     pub whole: bool,
-    /// Pixels (indices) and weights of the samples' neighbourhoods, one after the other; none where it is whole.
-    taps: Vec<(u32, f32)>,
+    /// The samples' neighbourhoods, strip by strip, one after another; none if `whole`.
+    parts: Vec<Part>,
+    /// Pixels (indices) and weights of the parts, one after another.
+    pub taps: Vec<(u32, f32)>,
 }
 
 impl Group {
     /// A sample's neighbourhood; the next sample's starts where it ends.
-    pub(crate) fn taps(&self, sample: usize) -> &[(u32, f32)] {
-        let end = self.samples.get(sample + 1).map_or(self.taps.len(), |next| next.first_tap as usize);
-        &self.taps[self.samples[sample].first_tap as usize..end]
+    pub(crate) fn parts(&self, sample: usize) -> &[Part] {
+        let end = self.samples.get(sample + 1).map_or(self.parts.len(), |next| next.first_part as usize);
+        &self.parts[self.samples[sample].first_part as usize..end]
     }
 }
 
@@ -125,28 +141,28 @@ impl Group {
 pub(crate) struct Patch {
     pub middle: Vector2<f64>,
     pub window: Window,
-    /// Ordered by strips, and within each by what of the tube they see.
+    /// Ordered by strips, and within each by what they see of the tube.
     pub pixels: Vec<Pixel>,
     pub strips: Vec<Strip>,
     pub groups: Vec<Group>,
-    /// Parts of squares that share errors, each within one strip: strip and square.
+    /// Cells of correlated errors, each the part of a square within one strip: strip and square.
     pub cells: Vec<(usize, usize)>,
     /// How many squares there are.
     pub squares: usize,
 }
 
-/// The rectangle that holds a patch, and which of its pixels are taken.
+/// The bounding rectangle of a patch, and which of its pixels are used.
 struct Field {
     corner: [i64; 2],
     width: usize,
     height: usize,
-    /// Index of the pixel that is taken at each place.
+    /// Index of the used pixel at each position.
     index: Vec<Option<u32>>,
 }
 
 impl Field {
-    /// Around the knots of `image` between the knot coordinates `first` and `last`; `None` when nothing of it lies in
-    /// the picture.
+    /// The field around the knots of `image` between the knot coordinates `first` and `last`; `None` when no part of it
+    /// lies in the picture.
     fn around(image: &TubeImage, (first, last): (f64, f64), [w, h]: [u32; 2]) -> Option<(Self, Vector2<f64>)> {
         let inside =
             image.knots.iter().enumerate().filter(|(i, _)| *i as f64 >= first - 1.0 && *i as f64 <= last + 1.0);
@@ -168,25 +184,25 @@ impl Field {
 
     /// Its pixels.
     fn window(&self) -> Window {
-        // Clipped to the picture when it was made.
+        // Was clipped to the picture.
         let [x0, y0] = self.corner.map(|v| v as u32);
         Window { x0, y0, x1: x0 + self.width as u32, y1: y0 + self.height as u32 }
     }
 
-    /// The columns between two places in the picture.
+    /// The columns between two positions in the picture.
     fn columns(&self, (from, to): (f64, f64)) -> Range<usize> {
         let column = |x: f64| (x - self.corner[0] as f64).clamp(0.0, self.width as f64) as usize;
         column(from.ceil())..column(to.floor() + 1.0)
     }
 
-    /// The pixel taken at a place relative to the corner.
+    /// The pixel used at a position relative to the corner.
     fn at(&self, x: i64, y: i64) -> Option<u32> {
         let inside = (0..self.width as i64).contains(&x) && (0..self.height as i64).contains(&y);
         if inside { self.index[y as usize * self.width + x as usize] } else { None }
     }
 }
 
-/// A pixel that is taken.
+/// A pixel that is used.
 struct Place {
     pixel: Point2<f64>,
     column: usize,
@@ -234,7 +250,7 @@ struct Spans<'a> {
     layout: &'a Layout,
     /// Along the tube.
     list: Vec<Span>,
-    /// Behind each knot: index of its first span, and the last one's.
+    /// After each knot: index of the first span, and of the last.
     behind: Vec<(usize, usize)>,
 }
 
@@ -251,7 +267,7 @@ impl<'a> Spans<'a> {
         Self { image, layout, list, behind }
     }
 
-    /// Which one a place on the tube is in, and how many pixels beyond its ring.
+    /// The span of a place on the tube, and its distance beyond the ring, pixels.
     fn of(&self, place: &Place) -> (usize, f64) {
         let knot = (place.knot.max(0.0) as usize).min(self.behind.len() - 1);
         let (first, last) = self.behind[knot];
@@ -262,8 +278,8 @@ impl<'a> Spans<'a> {
     }
 }
 
-/// Which pixels around a subsampled channel's sample it is made of: offsets and weights, the middle pixel first. One
-/// list for each phase that the sample may have in the pattern of the pixels that are taken.
+/// The pixels that make up a sample of a subsampled channel: offsets and weights, the central pixel first. One list for
+/// each phase of the sample in the pattern of used pixels.
 fn neighbourhoods(plane: &Plane<'_>, chroma_offset_px: [f64; 2], density: Density) -> Vec<Vec<(i64, i64, f32)>> {
     let axis_taps = |axis: usize| -> Vec<(i64, f64)> {
         let scale = f64::from(plane.scale[axis]);
@@ -297,10 +313,10 @@ impl Patch {
         self.strips[strip].span.ring
     }
 
-    /// Selects the samples beside the tube and on it between the arc lengths `range_m`.
+    /// Selects the samples on and beside the tube between the arc lengths `range_m`.
     ///
     /// # Errors
-    /// When nothing of it lies in the picture, or not all of it was recorded.
+    /// When no part of it lies in the picture, or not all of it was recorded.
     pub(crate) fn select(
         picture: &Picture,
         image: &TubeImage,
@@ -312,7 +328,7 @@ impl Patch {
         let range = (image.knot_of(range_m.0), image.knot_of(range_m.1));
         let (mut field, middle) = Field::around(image, range, picture.size_px()).ok_or(NoFit::OutOfPicture)?;
         let window = field.window();
-        picture.look_at(window).map_err(|_| NoFit::NotRecorded)?;
+        picture.declare_read(window).map_err(|_| NoFit::NotRecorded)?;
         let places = field.places(image, range, density);
         let mut patch = Self {
             middle,
@@ -325,7 +341,7 @@ impl Patch {
         };
         patch.order(&places, &Spans::new(image, layout), &mut field);
         let channels: Vec<usize> = (0..picture.format().channels()).collect();
-        // Channels of one sampling make a group.
+        // Channels with the same sampling form a group.
         let scale = |c: &usize| picture.plane(*c).map(|plane| plane.scale);
         for alike in channels.chunk_by(|a, b| scale(a) == scale(b)) {
             let added = patch.add_group(picture, alike, chroma_offset_px, &field, density);
@@ -334,11 +350,11 @@ impl Patch {
         Ok(patch)
     }
 
-    /// Takes pixels strip by strip, within each in the order of what they see, and numbers them in the field.
+    /// Orders pixels by strip, then by what they see, and numbers them in the field.
     fn order(&mut self, places: &[Place], spans: &Spans<'_>, field: &mut Field) {
         let across = field.width / CELL_PX + 1;
         self.squares = across * (field.height / CELL_PX + 1);
-        // Nothing of the tube; the segment before the ring; the ring; the segment behind it.
+        // Nothing of the tube; the segment before the ring; the ring; the segment after it.
         const SIGHTS: usize = 4;
         let sight = |place: &Place, from_ring: f64| {
             if place.outside > OUT_OF_SIGHT_PX {
@@ -349,7 +365,7 @@ impl Patch {
                 if from_ring < 0.0 { 1 } else { 3 }
             }
         };
-        // Counted, then placed: their order within each is that of the picture.
+        // Counting sort: the order within each is that of the picture.
         let keys: Vec<usize> = places
             .iter()
             .map(|place| {
@@ -420,13 +436,13 @@ impl Patch {
             Some(values)
         };
         let mut samples = Vec::with_capacity(self.pixels.len());
-        let mut around = Vec::new();
+        let (mut around, mut parts, mut near) = (Vec::new(), Vec::new(), Vec::new());
         let whole = plane.scale == [1, 1];
         if whole {
             for pixel in &self.pixels {
                 let place = |relative: f32, middle: f64| (f64::from(relative) + middle + 0.5) as usize;
                 let values = stored(place(pixel.x, self.middle.x), place(pixel.y, self.middle.y))?;
-                samples.push(Sample { values, pixel: samples.len() as u32, first_tap: 0 });
+                samples.push(Sample { values, pixel: samples.len() as u32, first_part: 0 });
             }
         } else {
             let neighbourhoods = neighbourhoods(plane, chroma_offset_px, density);
@@ -443,7 +459,7 @@ impl Patch {
                 let columns = (x0 / sx)..=((x0 + field.width as i64 - 1) / sx);
                 columns.map(move |i| (i, j))
             });
-            // In the order of the pixels in their middles.
+            // In the order of their central pixels.
             let mut places: Vec<_> = places
                 .filter_map(|(i, j)| Some((taps(i, j).next()??.0, i, j)))
                 .filter(|&(_, i, j)| taps(i, j).all(|tap| tap.is_some()))
@@ -451,16 +467,25 @@ impl Patch {
             places.sort_unstable();
             for (pixel, i, j) in places {
                 if let Some(values) = stored(i as usize, j as usize) {
-                    samples.push(Sample { values, pixel, first_tap: around.len() as u32 });
-                    around.extend(taps(i, j).flatten());
+                    samples.push(Sample { values, pixel, first_part: parts.len() as u32 });
+                    near.clear();
+                    near.extend(
+                        taps(i, j).flatten().map(|(at, weight)| (self.strip_of(&self.pixels[at as usize]), at, weight)),
+                    );
+                    near.sort_unstable_by_key(|(strip, at, _)| (*strip, *at));
+                    for part in near.chunk_by(|a, b| a.0 == b.0) {
+                        let first = around.len() as u32;
+                        around.extend(part.iter().map(|(_, at, weight)| (*at, *weight)));
+                        parts.push(Part { strip: part[0].0 as u32, taps: first..around.len() as u32 });
+                    }
                 }
             }
         }
-        self.groups.push(Group { channels, samples, whole, taps: around });
+        self.groups.push(Group { channels, samples, whole, parts, taps: around });
         Some(())
     }
 
-    /// What colours look like: means over what lies well inside each segment, and well outside the tube.
+    /// Initial colours: means over pixels well inside each segment, and well outside the tube.
     pub(crate) fn colours(
         &self,
         picture: &Picture,
@@ -505,7 +530,8 @@ impl Patch {
         };
         let background = mean(sums.last()?)?;
         for (class, sum) in sums.iter().enumerate() {
-            // A segment too short to show its own colour starts from the next but one: bands and bare tube alternate.
+            // A segment too short to show its own colour starts from that of the next but one: bands and bare tube
+            // alternate.
             let alike = [class.wrapping_sub(2), class + 2].into_iter().find_map(|j| mean(sums[..segments].get(j)?));
             let light = mean(sum).or(alike).unwrap_or(background);
             let at = if class == segments { BACKGROUND } else { FIXED + PER_SEGMENT * class };

@@ -1,5 +1,5 @@
-//! One least-squares minimisation over fixed samples (Levenberg-Marquardt): shape and colours that explain the
-//! pictures.
+//! One least-squares minimisation over fixed samples (Levenberg-Marquardt): finds the shape and colours that fit the
+//! pictures best.
 
 use crate::optics::OpticalPath;
 use crate::source::Picture;
@@ -18,14 +18,13 @@ const KNOT_M: f64 = 3e-3;
 /// Prior σ of the shape's parameters: centre and tangent are free; of the curvature's derivatives, 1/m² and 1/m³. It
 /// reaches 15 /m, half a right angle over 5 cm, within a centimetre.
 const BEND_SD: [f64; BENDS] = [1500.0, 3e5];
-/// Over so short a way derivatives hardly change: a tenth of the blur, pixels (RMS along the stretch).
+/// Over such a short distance derivatives hardly change: a tenth of the blur, pixels (RMS along the stretch).
 const CLOSE_PX: f64 = 0.05;
 /// Most need three; a wide tube whose start is some pixels off needs thirty.
 const MAX_EVALUATIONS: usize = 40;
-/// Levenberg's damping: at the start, and the least: lower ones make no difference to a step, but take long to come
-/// back from.
+/// Levenberg's damping: initial, and least: smaller values do not change a step but take long to recover from.
 const DAMPING: f64 = 1e-4;
-const LEAST_DAMPING: f64 = 1e-6;
+const MIN_DAMPING: f64 = 1e-6;
 
 /// What is compared.
 pub(crate) struct Round<'a> {
@@ -40,12 +39,12 @@ pub(crate) struct Round<'a> {
 /// Shape and colours, and what they look like.
 pub(crate) struct Guess {
     pub shape: TubeShape,
-    /// Of each view.
+    /// For each view.
     pub colours: Vec<Vec<f64>>,
     pub images: Vec<TubeImage>,
 }
 
-/// A guess, and what the samples say about it.
+/// A guess and its comparison with the samples.
 pub(crate) struct State {
     pub guess: Guess,
     pub equations: Equations,
@@ -60,10 +59,10 @@ pub(crate) struct Minimum {
 }
 
 impl Guess {
-    /// `nearby` are images of the same stretch that may be much like its own; there need not be any.
+    /// `nearby` are images of the same stretch that may be similar; it may be empty.
     ///
     /// # Errors
-    /// When a part of it cannot be seen.
+    /// When part of it cannot be seen.
     pub(crate) fn new(
         stretch: &Stretch,
         paths: &[&OpticalPath],
@@ -93,7 +92,8 @@ pub(crate) fn shape_prior() -> SMatrix<f64, SHAPE, SHAPE> {
 }
 
 impl Round<'_> {
-    /// Goes on until a step promises to lower the cost (a χ²) by less than `enough`. That one is taken untried.
+    /// Iterates until the predicted decrease of the cost (a χ²) is less than `enough`. That last step is taken without
+    /// evaluation.
     pub(crate) fn minimise(&mut self, start: Guess, enough: f64) -> Result<Minimum, NoFit> {
         let mut state = self.evaluate(start, None);
         let mut damping = DAMPING;
@@ -101,19 +101,19 @@ impl Round<'_> {
         for _ in 0..MAX_EVALUATIONS {
             let step = state.equations.step(damping).ok_or(NoFit::NotConverged)?;
             let next = self.moved(&state.guess, &step);
-            if step.promise < enough {
+            if step.predicted_decrease < enough {
                 // The comparisons must be those of the state that is returned.
                 if rejected {
                     state = self.evaluate(state.guess, None);
                 }
                 return Ok(Minimum { state, step, end: next? });
             }
-            // After a step that was rejected the comparisons' derivatives may be those of where it led.
+            // After a rejected step the comparisons' derivatives may be those of its end.
             let before = (!rejected).then_some(&state);
             match next.map(|guess| self.evaluate(guess, before)) {
                 Ok(next) if next.equations.cost <= state.equations.cost => {
                     state = next;
-                    damping = (damping * 0.1).max(LEAST_DAMPING);
+                    damping = (damping * 0.1).max(MIN_DAMPING);
                     rejected = false;
                 }
                 _ => {
@@ -133,8 +133,8 @@ impl Round<'_> {
         Guess::new(self.stretch, self.paths, guess.shape.moved(&step.shape), colours, self.sweep, &guess.images)
     }
 
-    /// Compares all views, and adds the prior of the shape. Close to the state `before`, which was evaluated last, the
-    /// derivatives are its.
+    /// Compares all views, and adds the prior of the shape. Close to the state `before`, which was evaluated last, its
+    /// derivatives are reused.
     fn evaluate(&mut self, guess: Guess, before: Option<&State>) -> State {
         let Self { stretch, picture, model, .. } = *self;
         let close = |before: &&State| {

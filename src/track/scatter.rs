@@ -1,30 +1,30 @@
-//! How far measurements scatter from frame to frame, compared with what their covariance says.
+//! Scatter of measurements from frame to frame, compared with their covariance.
 //!
-//! A coder moves what it does not think worth its bits, a whole band at once, and no residual shows that. But it moves
-//! it differently in every frame, while a catheter moves smoothly: over a fraction of a second its way is a polynomial
-//! of time, and the divided difference of the next higher order leaves the errors alone,
+//! A coder displaces what is not worth its bits, a whole band at once, and no residual shows that. But it does so
+//! differently in every frame, while a catheter moves smoothly: over a fraction of a second its motion is a polynomial
+//! of time, and the divided difference of the next higher order leaves only the errors,
 //!
 //! y = Σ cᵢ xᵢ, cᵢ = 1 / Π_{j≠i} (tᵢ − tⱼ), E|y|² = Σ cᵢ² tr Cᵢ.
 //!
-//! The mean of |y|² over its expectation, of the recent frames, is by how much the covariance is too small.
+//! The mean of |y|² over its expectation, for the recent frames, is the factor by which the covariance is too small.
 //!
-//! Errors that stay the same from frame to frame do not show. What is seen beyond the expectation is taken to be the
-//! share of all such errors that the image model says does change (image_model.rs).
+//! Errors that persist from frame to frame do not show. The excess over the expectation is taken to be the fraction of
+//! such errors that changes, as given by the image model (image_model.rs).
 
 use crate::source::Timestamp;
 use nalgebra::{Matrix3, Vector3};
 use std::collections::VecDeque;
 
-/// Order of the difference: at 60 Hz a swing of 3 Hz and 40 mm leaves 1 µm of it, errors of 30 µm all that they are.
+/// Order of the difference: at 60 Hz it reduces a swing of 3 Hz and 40 mm to 1 µm but keeps errors of 30 µm whole.
 const ORDER: usize = 6;
-/// Frames further apart than this in all have more in their way than a polynomial, nanoseconds.
+/// Longest span of frames over which the motion is a polynomial, nanoseconds.
 const LONGEST_NS: i64 = 250_000_000;
-/// Frames after which what was seen counts for half.
+/// Half-life of an observation, frames.
 const HALF_LIFE: f64 = 10.0;
-/// What is known before any frame: as good as the covariance says, worth this many frames.
+/// Prior: the covariance is right, with the weight of this many frames.
 const PRIOR_FRAMES: f64 = 1.0;
 
-/// What was measured of one quantity, and how it scattered.
+/// Measurements of one quantity, and their scatter.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Scatter {
     recent: VecDeque<(i64, Vector3<f64>, f64)>,
@@ -33,8 +33,8 @@ pub(crate) struct Scatter {
 }
 
 impl Scatter {
-    /// Adds a measurement; the factor, 1 or more, by which its covariance is too small. Of errors beyond it the share
-    /// `persisting` of their variance stays from frame to frame.
+    /// Adds a measurement; returns the factor, 1 or more, by which its covariance is too small. Of errors beyond it,
+    /// the fraction `persisting` of their variance persists from frame to frame.
     pub(crate) fn add(
         &mut self,
         stamp: Timestamp,
@@ -65,7 +65,7 @@ impl Scatter {
         let (mut difference, mut expected) = (Vector3::zeros(), 0.0);
         for (i, (t, value, trace)) in self.recent.iter().enumerate() {
             let others = self.recent.iter().enumerate().filter(|(j, _)| *j != i);
-            // Seconds over the span, lest the product leave what a float can hold.
+            // Times are divided by the span, so that the product stays within range.
             let c = 1.0 / others.map(|(_, other)| (seconds(*t) - seconds(other.0)) * 60.0).product::<f64>();
             difference += value * c;
             expected += c * c * trace;
@@ -81,7 +81,8 @@ mod tests {
     use crate::source::Clock;
     use crate::testing::random::Random;
 
-    /// A swing at 2 Hz and 40 mm, seen every 60th of a second or so with errors of `sd`, said to be of `said`, metres.
+    /// A swing of 40 mm at 2 Hz, measured about every 60th of a second with errors of `sd` that are stated as `said`,
+    /// metres.
     fn factor(sd: f64, said: f64, persisting: f64) -> f64 {
         let mut dice = Random::new(5);
         let mut scatter = Scatter::default();

@@ -1,17 +1,17 @@
-//! How far chroma has slipped against luma, measured on the bands themselves.
+//! How far chroma has slipped relative to luma, measured on the bands themselves.
 //!
-//! A coder stores chroma at half the resolution, quantises it coarsely and leaves it where it was while luma moves on:
-//! the colour of a band may lie a pixel beside its shape. No residual shows that where the band is known by its colour
-//! alone; but elsewhere luma holds the tube, and what chroma is off there is what it may be off everywhere.
+//! A coder stores chroma at half the resolution, quantises it coarsely and leaves it behind while luma moves on: the
+//! colour of a band may lie a pixel away from its shape. No residual shows that where only its colour defines the band;
+//! but elsewhere luma fixes the tube, and the error of chroma there indicates its error everywhere.
 //!
-//! A slip δ of a band's chroma, across or along, leaves residuals t δ, t what a shift of one pixel changes. The fit
-//! follows it with the response v of its shape, by h = a·v pixels at the band, so that the residuals still show δ' = Σ
-//! w r t / Σ w t² = (1 − h) δ, with variance 1 / Σ w t² of their noise. Over all bands, directions and views:
+//! A slip δ of a band's chroma, across or along, leaves residuals t δ, where t is the change for a shift of one pixel.
+//! The fit follows it with the response v of its shape, by h = a·v pixels at the band, so the residuals still show δ' =
+//! Σ w r t / Σ w t² = (1 − h) δ, with variance 1 / Σ w t² of their noise. Over all bands, directions and views:
 //!
 //! s² = Σ (δ'² − 1 / Σ w t²) / Σ (1 − h)², and s² Σ v vᵀ is what it adds to the covariance.
 //!
-//! What all bands of all views have in common is no error of the coder: the chroma samples sit elsewhere than the
-//! recording says, or than where they sat when the rig was taught. That mean is taken out of the frames that follow.
+//! A slip common to all bands of all views is not the coder's: the chroma samples are not where the recording says, or
+//! not where they were when the rig was taught. That mean is removed from the following frames.
 
 use crate::track::appearance::Layout;
 use crate::track::normal::{ROW, Row, shifted};
@@ -19,13 +19,13 @@ use crate::track::tube::{SHAPE, ShapeStep};
 use crate::track::tube_image::TubeImage;
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 
-/// What one view says of the slips of its bands.
+/// The slips of one view's bands.
 pub(crate) struct Slips {
     bands: Vec<[Slip; 2]>,
-    /// Of each strip, sums that wait for their map: of which band, and the rows in both directions.
+    /// For each strip, sums not mapped yet: the band, and the rows in both directions.
     waiting: Vec<Option<(usize, [[f32; ROW]; 2])>>,
     pub seen: Seen,
-    /// Covariance of the shape for a variance of one square pixel.
+    /// Covariance of the shape per slip variance of one square pixel.
     pub covariance: SMatrix<f64, SHAPE, SHAPE>,
 }
 
@@ -39,7 +39,7 @@ struct Slip {
     information: f64,
 }
 
-/// Squares of slips that were seen, and how many they count for.
+/// Squares of observed slips, and their effective number.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(crate) struct Seen {
     pub squares_px2: f64,
@@ -49,12 +49,12 @@ pub(crate) struct Seen {
     pub pull: Vector2<f64>,
 }
 
-/// What a single slip tells about the mean: it has errors of its own of this much, pixels.
+/// Standard deviation of a single slip about the mean, pixels.
 const OWN_SD_PX: f64 = 0.2;
-/// What is known of the mean before any is seen, pixels.
+/// Prior standard deviation of the mean, pixels.
 const PRIOR_SD_PX: f64 = 0.3;
-/// More than any siting is off by, pixels.
-const MOST_PX: f64 = 1.0;
+/// Largest possible error of the siting, pixels.
+const MAX_PX: f64 = 1.0;
 
 impl Seen {
     /// Variance of a slip, px².
@@ -69,7 +69,7 @@ impl Seen {
         self.pull += other.pull;
     }
 
-    /// The same, measured by an offset that has this much of the slip in it already.
+    /// The same, measured with an offset that already contains this much of the slip.
     pub(crate) fn beyond(&self, offset_px: &Vector2<f64>) -> Self {
         Self { pull: self.pull + self.information * offset_px, ..*self }
     }
@@ -78,10 +78,10 @@ impl Seen {
     pub(crate) fn mean_px(&self) -> Vector2<f64> {
         let information = self.information + Matrix2::identity() / PRIOR_SD_PX.powi(2);
         let mean = information.cholesky().map_or_else(Vector2::zeros, |factor| factor.solve(&self.pull));
-        mean.map(|px| px.clamp(-MOST_PX, MOST_PX))
+        mean.map(|px| px.clamp(-MAX_PX, MAX_PX))
     }
 
-    /// The same, its squares counting for less; the mean is that of the whole run.
+    /// The same with less weight on its squares; the mean remains that of the whole run.
     pub(crate) fn faded(&self, by: f64) -> Self {
         Self { squares_px2: self.squares_px2 * by, count: self.count * by, ..*self }
     }
@@ -108,7 +108,7 @@ impl Slips {
         }
     }
 
-    /// Takes what was added of a strip to the shape.
+    /// Maps the sums of a strip to the shape.
     pub(crate) fn map(&mut self, strip: usize, map: &SMatrix<f64, SHAPE, ROW>) {
         let Some((band, rows)) = self.waiting[strip].take() else { return };
         for (slip, row) in self.bands[band].iter_mut().zip(rows) {
@@ -116,7 +116,7 @@ impl Slips {
         }
     }
 
-    /// Sums it all up.
+    /// Computes the totals.
     pub(crate) fn finish(&mut self, image: &TubeImage, layout: &Layout) {
         for (band, rings) in self.bands.iter().zip(layout.rings_m.chunks(2)) {
             let middle = image.at_arc(rings.iter().sum::<f64>() / rings.len() as f64);

@@ -1,15 +1,15 @@
 //! Which bands are fitted together, and where along the tube.
 //!
-//! The coil and the bands close to it on the tube make one stretch: the tube between them ties them together. Any other
-//! band is a stretch of its own. A band further than [`JOINED_DIAMETERS`] from the coil, or at an unknown place, is not
-//! joined: over such a length one curvature is no fair description of a tube.
+//! The coil and the bands close to it on the tube form one stretch: the tube between them ties them together. Any other
+//! band is its own stretch. A band further than [`JOINED_DIAMETERS`] from the coil, or at an unknown place, is not
+//! joined: over such a length one curvature does not describe a tube well.
 
 use crate::rig::Rig;
 use crate::track::appearance::Layout;
 
 /// Longest tube between two bands that are fitted together, in diameters.
 const JOINED_DIAMETERS: f64 = 6.0;
-/// Tube beside the bands that is fitted too, in diameters.
+/// Tube beside the bands that is also fitted, in diameters.
 const BESIDE_DIAMETERS: f64 = 4.0;
 /// The same above the first band, where a clamp may be near, and beside a band whose neighbour's place is unknown.
 const CAUTIOUS_DIAMETERS: (f64, f64) = (0.5, 2.0);
@@ -23,7 +23,7 @@ pub(crate) struct Stretch {
     /// Arc lengths between which samples are used, metres.
     pub range_m: (f64, f64),
     pub radius_m: f64,
-    /// A clamp may be close to the first band.
+    /// Whether a clamp may be close to the first band.
     pub at_clamp: bool,
 }
 
@@ -32,15 +32,15 @@ pub(crate) struct Stretch {
 pub(crate) struct Group {
     /// The markers, along the tube, each with the arc length of its middle from that of the first reference, metres.
     pub members: Vec<(usize, f64)>,
-    /// The one whose tangent is a parameter.
+    /// The marker whose tangent is a parameter.
     pub reference: usize,
     /// Half of the straight part around the reference, metres.
     pub straight_half_m: f64,
     pub stretch: Stretch,
 }
 
-/// Groups the markers that were found. `together` says of two markers whether both are seen in two views at least, and
-/// of one and the same whether it was found at all: what is fitted together needs two views in which all of it is seen.
+/// Groups the markers that were found. `together` tells for two markers whether at least two views show both, and for
+/// one marker given twice whether it was found: a group needs two views that show all of it.
 pub(crate) fn groups(rig: &Rig, together: impl Fn(usize, usize) -> bool) -> Vec<Group> {
     let coil = rig.catheter.coil;
     let mut joined = vec![false; rig.markers.len()];
@@ -68,9 +68,9 @@ pub(crate) fn groups(rig: &Rig, together: impl Fn(usize, usize) -> bool) -> Vec<
 }
 
 struct Gap {
-    /// From middle to middle along the tube, positive towards the tip.
+    /// Distance between centres along the tube, positive towards the tip.
     arc_m: f64,
-    /// Tube between the bands.
+    /// Length of tube between the bands.
     gap_m: f64,
 }
 
@@ -162,7 +162,7 @@ mod tests {
         assert_eq!(members(&groups(&rig(), found([false, true, false]))), [vec![1]]);
     }
 
-    /// With three views, coil and tip may be seen in two each and only one of them be the same.
+    /// With three views, coil and tip may be seen in two each with only one in common.
     #[test]
     fn bands_without_two_views_in_common_are_fitted_apart() {
         assert_eq!(members(&groups(&rig(), |a, b| a == b)), [vec![1], vec![0], vec![2]]);

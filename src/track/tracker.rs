@@ -1,10 +1,10 @@
 //! [`Tracker`]: one frame in, one estimate out. Composes segment, assign, and the fit of the tube.
 //!
-//! Blobs are looked for in windows around the places of the last frames; when not all markers are found there, in the
-//! whole picture. Which of the two happened never changes a result: a blob counts only when it lies wholly inside its
-//! window, and then it is the same one that a search of the whole picture finds.
+//! Blobs are searched in windows around the last positions; when not all markers are found there, in the whole picture.
+//! The result is the same either way: a blob counts only when it lies wholly inside its window, and then it is the same
+//! one that a search of the whole picture finds.
 
-use crate::estimate::{BandObservation, Estimate, MarkerEstimate, Miss, Position, Tangent};
+use crate::estimate::{BandObservation, Estimate, MarkerEstimate, Miss, Position, Spot, Tangent};
 use crate::optics::OpticalPath;
 use crate::rig::Rig;
 use crate::segment::{Blob, SegmentError, Segmenter};
@@ -14,6 +14,7 @@ use crate::track::assign::{Assigned, Assigner, direction_of_axes};
 use crate::track::coil::deflection;
 use crate::track::fit::{TubeFit, ViewFit, fit};
 use crate::track::image_model::{ImageModel, ModelError};
+use crate::track::lamp::Lamp;
 use crate::track::light::Encoding;
 use crate::track::motion::Motion;
 use crate::track::no_fit::NoFit;
@@ -28,35 +29,36 @@ use rayon::prelude::*;
 
 /// Blur assumed for a rig whose blur has not been measured: a sharp lens and square pixels.
 const DEFAULT_BLUR_PX: f64 = 0.6;
-/// A fit that ends this far from where it started has left its band: pixels, and half widths of a tube that is wide in
-/// the picture, because the start is the middle of the visible surface, which lies up to π/4 half widths from that of
-/// the band.
-const MOST_MOVED: (f64, f64) = (4.0, 1.2);
-/// Least separation of the fitted colour of a band from its surroundings (1: as learned).
-const LEAST_SEPARATION: f64 = 0.3;
+/// A fit that ends this far from its start has left its band: pixels, and half widths of a tube that is wide in the
+/// picture, because it starts from the centre of the visible surface, up to π/4 half widths from that of the band.
+const MAX_MOVED: (f64, f64) = (4.0, 1.2);
+/// Least separation of a band's fitted colour from its surroundings (1: as learned).
+const MIN_SEPARATION: f64 = 0.3;
 /// Views disagree when their own shifts exceed this χ² and this many pixels.
-const DISAGREE: (f64, f64) = (36.0, 0.7);
+const DISAGREEMENT: (f64, f64) = (36.0, 0.7);
 
-/// Beyond this the way since says little about the speed now, seconds.
-const MOST_SINCE_S: f64 = 0.06;
+/// Oldest position that still tells the current speed, seconds.
+const MAX_SPEED_AGE_S: f64 = 0.06;
 
-/// Residuals and sizes of a band's blobs further above the usual than this, standard deviations of all views together:
-/// something is in front of it, or it is not the band.
-const TOO_UNUSUAL: f64 = 4.5;
-/// Size alone says nothing: it changes with light and motion, too.
-const MOST_OF_SIZE: f64 = 3.0;
+/// Residuals and sizes of a band's blobs may exceed the usual by this many standard deviations, all views together;
+/// beyond it something is in front of the band, or it is not the band.
+const MAX_UNUSUAL_SD: f64 = 4.5;
+/// Cap on the size's part: alone it is no evidence, as it also changes with light and motion.
+const MAX_SIZE_TERM: f64 = 3.0;
 
-/// Blur by motion beyond which blobs may mislead the fit: variance, px². Two pixels of way.
+/// Motion blur beyond which blobs may mislead the fit: variance, px², of a motion by two pixels.
 const BLURRED_PX2: f64 = 4.0 / 12.0;
 
-/// What was seen of chroma's slip counts for half after this many frames.
+/// Half-life of observed chroma slips, frames.
 const SLIP_FRAMES: f64 = 20.0;
 
 /// How to track.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct TrackOptions {
-    /// Search every picture whole instead of in windows: slower, same numbers.
+    /// Search whole pictures instead of windows: slower, same numbers.
     pub full_frame: bool,
+    /// A lamp in the picture that goes on or off with every command to the coils.
+    pub tick_led: Option<Spot>,
 }
 
 /// Why a frame cannot be tracked at all.
@@ -65,9 +67,9 @@ pub enum TrackError {
     /// The pictures do not belong to this rig.
     #[error("the picture has {found:?} pixels, but the rig was calibrated for {expected:?}")]
     Size {
-        /// Of the picture.
+        /// Size of the picture.
         found: [u32; 2],
-        /// Of the rig.
+        /// Size in the rig.
         expected: [u32; 2],
     },
     /// The picture cannot be segmented, or the rig has no colours.
@@ -84,16 +86,17 @@ pub struct Tracker {
     model: ImageModel,
     transfer: Transfer,
     slip: Seen,
-    /// How far chroma was seen to sit from where the rig says, pixels.
+    /// Observed offset of chroma from the rig's, pixels.
     mean_slip_px: Vector2<f64>,
     usual: Usual,
-    /// How much larger bands are expected than their blobs are.
+    /// Ratio of a band's expected size to its blob's.
     usual_size: Usual,
-    /// Of the position of each marker, then of the tangent.
+    /// Scatter of the position of each marker, then of the tangent.
     scatter: Vec<Scatter>,
-    /// Of each marker that is the reference of a group: where the tube was, and when.
+    /// For each marker that is the reference of a group: where the tube was, and when.
     before: Vec<Option<(Timestamp, TubeShape)>>,
     motion: Motion,
+    lamp: Option<Lamp>,
 }
 
 /// Blobs of a picture, and which of them each marker is.
@@ -120,7 +123,7 @@ impl Tracker {
             segmenter: Segmenter::for_rig(rig)?,
             assigner: Assigner::new(rig),
             model: ImageModel {
-                encoding: Encoding::new(transfer),
+                encoding: rig.camera.gamma.map_or_else(|| Encoding::new(transfer), Encoding::power),
                 blur_px: rig.camera.blur_px.unwrap_or(DEFAULT_BLUR_PX),
                 chroma_offset_px: rig.camera.chroma_offset_px,
                 error: ModelError::CODED,
@@ -133,6 +136,7 @@ impl Tracker {
             before: vec![None; rig.markers.len()],
             scatter: vec![Scatter::default(); rig.markers.len() + 1],
             motion: Motion::new(rig.markers.len(), rig.catheter.coil),
+            lamp: options.tick_led.map(Lamp::new),
             rig: rig.clone(),
             options,
         })
@@ -158,12 +162,18 @@ impl Tracker {
         if picture.is_interlaced() {
             return Ok(Estimate::missed(frame, &self.rig, &Miss::Interlaced));
         }
-        if picture.colour().transfer != self.transfer {
+        let tick = self.lamp.as_mut().and_then(|lamp| lamp.step(picture));
+        Ok(Estimate { tick, ..self.measure(frame)? })
+    }
+
+    fn measure(&mut self, frame: &Frame) -> Result<Estimate, TrackError> {
+        let picture = &frame.picture;
+        if picture.colour().transfer != self.transfer && self.rig.camera.gamma.is_none() {
             self.transfer = picture.colour().transfer;
             self.model.encoding = Encoding::new(self.transfer);
         }
         self.model.error = ModelError::of(picture);
-        // A sample that shows what is to the left of it sits to the left.
+        // A sample that shows what is to its left is located further left.
         let taught = self.rig.camera.chroma_offset_px;
         self.model.chroma_offset_px = [0, 1].map(|axis| taught[axis] - self.mean_slip_px[axis]);
         // 1. blobs and their assignment to markers and views
@@ -177,7 +187,7 @@ impl Tracker {
         self.keep_shapes(frame.stamp, &fitted);
         // 3. positions, tangent, deflection
         let mut estimate = self.estimate(frame, &assigned, &fitted);
-        // 4. what the motion before does not allow is no measurement
+        // 4. implausible motion becomes a miss
         self.motion.check(&mut estimate, fitted.iter().map(|f| f.group.members.as_slice()));
         self.widen(&mut estimate);
         if let (Ok(tangent), Some(base)) = (&estimate.tangent, &self.rig.base) {
@@ -191,8 +201,8 @@ impl Tracker {
         Ok(estimate)
     }
 
-    /// How badly the tube's model explains the picture around the bands (mean ln σ² of the residuals, all groups of
-    /// equal weight); `None` when not all could be fitted. Memory is neither used nor changed.
+    /// How badly the tube's model fits the picture around the bands (mean ln σ² of the residuals, all groups of equal
+    /// weight); `None` when not all could be fitted. Neither uses nor changes the memory.
     pub(crate) fn misfit(&mut self, frame: &Frame) -> Option<f64> {
         let (assigned, fitted) = self.fit_alone(frame)?;
         let misfits =
@@ -201,7 +211,7 @@ impl Tracker {
             .then(|| misfits.iter().sum::<f64>() / misfits.len() as f64)
     }
 
-    /// The same of a frame that follows another one closely: the motion between them blurs it.
+    /// The same for a frame that closely follows another: the motion between them blurs it.
     pub(crate) fn misfit_after(&mut self, before: &Frame, frame: &Frame) -> Option<f64> {
         self.before.fill(None);
         let (_, fitted) = self.fit_alone(before)?;
@@ -211,7 +221,7 @@ impl Tracker {
         misfit
     }
 
-    /// Finds and fits the bands of a frame as if nothing were known of where they were.
+    /// Finds and fits the bands of a frame without any memory.
     #[expect(clippy::type_complexity, reason = "what `fit_groups` takes and gives")]
     fn fit_alone(&mut self, frame: &Frame) -> Option<(Vec<Result<Assigned, Miss>>, Vec<Fitted>)> {
         let blobs = self.segmenter.all_blobs(&frame.picture).ok()?.to_vec();
@@ -220,7 +230,7 @@ impl Tracker {
         Some((assigned, fitted))
     }
 
-    /// Keeps where the tube is, for the frames that follow.
+    /// Remembers where the tube is, for later frames.
     fn keep_shapes(&mut self, stamp: Timestamp, fitted: &[Fitted]) {
         for Fitted { group, result, .. } in fitted {
             if let Ok(fit) = result {
@@ -266,8 +276,8 @@ impl Tracker {
             .collect()
     }
 
-    /// What the frames before say about the fits of this one: how far chroma slips, how well bands are usually
-    /// explained, and how much of them is seen.
+    /// Judges the fits of a frame by the frames before: slip of chroma, usual residuals of the bands, and how much of
+    /// them is seen.
     fn judge(&mut self, fitted: &mut [Fitted], blobs: &[Blob], assigned: &[Result<Assigned, Miss>]) {
         self.slip = self.slip.faded(0.5_f64.powf(1.0 / SLIP_FRAMES));
         for fit in fitted.iter().filter_map(|f| f.result.as_ref().ok()) {
@@ -288,11 +298,11 @@ impl Tracker {
             let sizes: Vec<_> = views.iter().zip(&fit.views).map(|(&v, view)| missing(v, view)).collect();
             let signs = views.iter().zip(&fit.views).zip(&sizes).map(|((&v, view), size)| {
                 let of_size =
-                    size.map_or(0.0, |size| self.usual_size.above(group.reference, v, size)).min(MOST_OF_SIZE);
+                    size.map_or(0.0, |size| self.usual_size.above(group.reference, v, size)).min(MAX_SIZE_TERM);
                 self.usual.above(group.reference, v, view.rms).hypot(of_size)
             });
             let signs: Vec<f64> = signs.collect();
-            if signs.iter().map(|sign| sign * sign).sum::<f64>().sqrt() > TOO_UNUSUAL
+            if signs.iter().map(|sign| sign * sign).sum::<f64>().sqrt() > MAX_UNUSUAL_SD
                 && let Some((i, _)) = signs.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1))
             {
                 let view = &fit.views[i];
@@ -309,7 +319,7 @@ impl Tracker {
         }
     }
 
-    /// Widens covariances to how far positions and tangent scatter from frame to frame.
+    /// Widens covariances to match the scatter of positions and tangent from frame to frame.
     fn widen(&mut self, estimate: &mut Estimate) {
         let (stamp, persisting) = (estimate.stamp, self.model.error.persisting);
         for (marker, scatter) in estimate.markers.iter_mut().zip(&mut self.scatter) {
@@ -351,7 +361,7 @@ impl Tracker {
         };
         let start = TubeShape::straight(reference.point, &direction, group.straight_half_m);
         let first = fit_from(&start);
-        // Blurred or half hidden blobs say little about the direction: that of a moment ago may be nearer.
+        // Blurred or half-hidden blobs tell little about the direction: the previous one may be closer.
         let unsure = match &first {
             Ok(fit) => fit.views.iter().any(|view| view.image.at_arc(0.0).swept.sum() > BLURRED_PX2),
             Err(miss) => matches!(miss, Miss::PoorFit { .. } | Miss::NotConverged),
@@ -364,15 +374,15 @@ impl Tracker {
         }
     }
 
-    /// Where the tube of a group was last, and how long ago, seconds, if that says something about now.
+    /// Where the tube of a group was last, and how long ago, seconds, if recent enough.
     fn recent(&self, group: &Group, stamp: Timestamp) -> Option<(&TubeShape, f64)> {
         let (then, before) = self.before[group.reference].as_ref()?;
         let since_s = (stamp.ns - then.ns) as f64 * 1e-9;
-        (since_s > 0.0 && since_s < MOST_SINCE_S).then_some((before, since_s))
+        (since_s > 0.0 && since_s < MAX_SPEED_AGE_S).then_some((before, since_s))
     }
 
-    /// Between which arc lengths the tube of a group shows in a view: where the next band does not, what hides it may
-    /// begin right behind this one.
+    /// Arc lengths between which a view shows the tube of a group: where it does not show the next band, whatever hides
+    /// that may begin right after this one.
     fn seen_range(&self, group: &Group, assigned: &[Result<Assigned, Miss>], view: usize) -> (f64, f64) {
         let hidden = |m: usize| match assigned.get(m) {
             None => false,
@@ -410,7 +420,7 @@ impl Tracker {
             .collect();
         match (direction_of_axes(&axes, &here.point), chord) {
             (Some(axis), Some(chord)) => Some(if axis.dot(&chord) < 0.0 { -axis } else { axis }),
-            // Without a neighbour the sign is open: along gravity or, failing that, down in the picture.
+            // Without a neighbour the sign is undetermined: along gravity or, failing that, down in the picture.
             (Some(axis), None) => {
                 let down =
                     self.rig.base.as_ref().map_or(Vector3::y(), |base| base.base_from_camera.inverse() * Vector3::z());
@@ -420,7 +430,7 @@ impl Tracker {
         }
     }
 
-    /// Whether the fit is one of the bands it started from, given as arc lengths and places, and all views agree on it.
+    /// Whether the fit is still on the bands it started from, given as arc lengths and positions, and all views agree.
     fn accept(&self, group: &Group, views: &[usize], starts: &[(f64, Point3<f64>)], fit: &TubeFit) -> Result<(), Miss> {
         for (&v, view) in views.iter().zip(&fit.views) {
             let pixel = |point| self.rig.views[v].optics.project(&point).map_err(|_| Miss::NotConverged);
@@ -430,7 +440,7 @@ impl Tracker {
             }
             let knot = view.image.at_arc(0.0);
             let separation = self.least_separation(group, v, &view.colours);
-            if !(moved <= MOST_MOVED.0.max(MOST_MOVED.1 * knot.half_width) && separation >= LEAST_SEPARATION) {
+            if !(moved <= MAX_MOVED.0.max(MAX_MOVED.1 * knot.half_width) && separation >= MIN_SEPARATION) {
                 return Err(Miss::PoorFit { moved_px: moved, separation });
             }
         }
@@ -442,7 +452,7 @@ impl Tracker {
             })
             .sum();
         let shift = fit.views.iter().map(|v| v.residual_px.norm()).fold(0.0, f64::max);
-        if chi2 > DISAGREE.0 && shift > DISAGREE.1 {
+        if chi2 > DISAGREEMENT.0 && shift > DISAGREEMENT.1 {
             let px_per_m = fit.views.iter().map(|v| v.image.at_arc(0.0).scale).fold(f64::INFINITY, f64::min);
             return Err(Miss::RaysDiverge { distance_m: shift / px_per_m });
         }
@@ -454,7 +464,7 @@ impl Tracker {
         (0..group.members.len()).map(|i| self.separation(group, i, view, colours)).fold(f64::INFINITY, f64::min)
     }
 
-    /// How far a band's fitted colour is from the most similar of its neighbours and background.
+    /// Separation of a band's fitted colour from the most similar of its neighbours and background.
     fn separation(&self, group: &Group, member: usize, view: usize, colours: &[f64]) -> f64 {
         let Some(model) = self.rig.markers[group.members[member].0].colour(view) else { return 0.0 };
         let rgb = |at: usize| Vector3::from_fn(|c, _| f64::from(self.model.encoding.encode(colours[at + c] as f32).0));
@@ -497,7 +507,8 @@ impl Tracker {
             Ok(_) => Err(Miss::NoBaseFrame),
             Err(miss) => Err(miss.clone()),
         };
-        Estimate { seq: frame.seq, stamp: frame.stamp, gap: frame.gap, host: frame.host, markers, tangent, deflection }
+        let Frame { seq, stamp, gap, host, .. } = *frame;
+        Estimate { seq, stamp, gap, host, markers, tangent, deflection, tick: None }
     }
 
     fn marker(&self, group: &Group, member: usize, s: f64, views: &[usize], fit: &TubeFit) -> MarkerEstimate {
@@ -529,9 +540,9 @@ impl Tracker {
     }
 }
 
-/// Standard deviation of the direction of the axis in the picture, from the covariance of the shape.
+/// Standard deviation of the axis' direction in the picture, from the covariance of the shape.
 fn axis_sd_rad(image: &TubeImage, s: f64, covariance: &SMatrix<f64, SHAPE, SHAPE>) -> f64 {
-    // The direction turns by the difference of two neighbouring knots' displacement across, over their distance.
+    // The direction turns by the difference of two neighbouring knots' lateral displacements over their distance.
     let i = (image.knot_of(s).floor().max(0.0) as usize).min(image.knots.len().saturating_sub(2));
     let (a, b) = (&image.knots[i], &image.knots[i + 1]);
     let along = b.pixel - a.pixel;
@@ -555,7 +566,7 @@ mod tests {
     use super::*;
     use crate::rig::ColourModel;
     use crate::testing::fixture;
-    use crate::testing::tube::{BLUR_PX, Tube, picture, views};
+    use crate::testing::two_views::{BLUR_PX, Tube, views};
 
     /// Coil and tip are fitted together, but each must stay where it was found.
     #[test]
@@ -570,15 +581,8 @@ mod tests {
             (marker.length_m, marker.centre_m) = (length_m, Some(centre_m));
             marker.colours = vec![ColourModel::linear(weights.into(), 0.0, Vector3::zeros())];
         }
-        let tube = Tube {
-            centre: Point3::new(0.001, -0.004, 1.35),
-            direction: Vector3::new(0.1, 1.0, 0.05).normalize(),
-            radius_m: 1.6e-3,
-            bands: vec![(-6e-3, 6e-3, [0.05, 0.3, 0.1]), (19e-3, 25e-3, [0.04, 0.08, 0.35])],
-            end_m: 25e-3,
-            lamp: Vector3::new(-0.4, -0.5, -0.8),
-        };
-        let picture = picture(&tube.draw(&views()), 1.0, 5);
+        let tube = Tube::along(Vector3::new(0.1, 1.0, 0.05));
+        let picture = tube.picture(crate::simulate::Sensor::default(), 5);
         let mut tracker = Tracker::new(&rig, TrackOptions::default()).unwrap();
         tracker.model.encoding = Encoding::new(picture.colour().transfer);
         let frame = Frame {

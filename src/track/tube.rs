@@ -1,27 +1,28 @@
 //! The centre line of a stretch of tube around one or more bands.
 //!
 //! s is the arc length from the middle of the reference band, metres, positive towards the tip. The reference band is
-//! straight over |s| ≤ h (a coil is rigid; h = 0 for a soft band). Beyond it the tube bends: its curvature begins with
-//! nil, because what holds the coil stiffens the tube beside it too, and is κ'σ + ½κ''σ² after the arc σ, on either
-//! side its own, two components across the tangent t. Its integral φ turns the direction:
+//! straight over |s| ≤ h (a coil is rigid; h = 0 for a soft band). Beyond it the tube bends: its curvature starts at
+//! zero, because what holds the coil also stiffens the tube beside it, and is κ'σ + ½κ''σ² after the arc σ, separately
+//! on either side, with two components across the tangent t. Its integral φ turns the direction:
 //!
 //! T(s) = t (1 − ½|φ|²) + N φ, X(s) = c + t (s − ½∫|φ|²) + N ∫φ.
 //!
-//! Good to |φ|⁴/24: 2 µm over 15 mm at 0.3 rad.
+//! Accurate to |φ|⁴/24: 2 µm over 15 mm at 0.3 rad.
 
 use nalgebra::{Const, Dyn, Matrix3, Matrix3x2, OMatrix, Point3, SMatrix, SVector, Vector2, Vector3};
 
-/// Derivatives of the curvature by the arc length on one side of the straight part: the first and the second.
+/// Number of derivatives of the curvature with respect to arc length on one side of the straight part: first and
+/// second.
 pub(crate) const BENDS: usize = 2;
 
-/// Where the bends above and below the straight part begin among the parameters.
+/// Index of the bends above and below the straight part among the parameters.
 const ABOVE: usize = 5;
 const BELOW: usize = ABOVE + 2 * BENDS;
 
 /// Number of shape parameters: centre (3), tangent (2), bends above and below (2 each).
 pub(crate) const SHAPE: usize = BELOW + 2 * BENDS;
 
-/// The first bend is the σ² of the turn over 2!, the second the σ³ over 3!.
+/// Power of σ with the first bend: the turn has σ² / 2! with it and σ³ / 3! with the second.
 const POWER: usize = 2;
 const FACTORIALS: [f64; BENDS] = [2.0, 6.0];
 
@@ -72,7 +73,7 @@ impl TubeShape {
         self.frame.fixed_columns::<2>(0).into()
     }
 
-    /// The bends among the parameters, the others nil.
+    /// The bends among the parameters, the others zero.
     pub(crate) fn bends(&self) -> ShapeStep {
         let mut parameters = ShapeStep::zeros();
         for (i, bend) in self.above.iter().chain(&self.below).enumerate() {
@@ -127,8 +128,7 @@ impl TubeShape {
         d
     }
 
-    /// How far beyond the straight part, and what bends the tube there: the place among the parameters, and their
-    /// values.
+    /// Distance beyond the straight part, and the bends there: their index among the parameters and their values.
     fn beyond(&self, s: f64) -> (f64, usize, &[Vector2<f64>; BENDS]) {
         let sigma = s - s.clamp(-self.straight_half_m, self.straight_half_m);
         if sigma > 0.0 { (sigma, BELOW, &self.below) } else { (sigma, ABOVE, &self.above) }
@@ -166,14 +166,14 @@ mod tests {
         }
     }
 
-    /// Of a curvature that grows in proportion to the arc: a clothoid, integrated in small steps.
+    /// With curvature proportional to the arc the tube is a clothoid; compared with one integrated in small steps.
     #[test]
     fn a_growing_curvature_is_a_clothoid() {
         let shape = TubeShape {
             below: [Vector2::new(4000.0, 0.0), Vector2::zeros()],
             ..TubeShape::straight(Point3::origin(), &Vector3::z(), 6e-3)
         };
-        // 10 mm after 6 mm of straight: 0.2 rad.
+        // 10 mm after a straight part of 6 mm: 0.2 rad.
         let (point, direction, _) = shape.at(16e-3);
         let steps = 1000;
         let turn = |i: i32| 2000.0 * ((f64::from(i) + 0.5) / f64::from(steps) * 10e-3).powi(2);

@@ -6,7 +6,7 @@ use crate::optics::{NoRay, OpticalPath, Projection};
 use crate::track::tube::{SHAPE, ShapeStep, TubeShape};
 use nalgebra::{Matrix2x3, Point2, Point3, SMatrix, Vector2, Vector3};
 
-/// A pixel's place relative to the tube.
+/// A pixel's position relative to the tube.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Foot {
     /// Knot coordinate of the nearest point of the axis.
@@ -15,7 +15,8 @@ pub(crate) struct Foot {
     pub u: f64,
 }
 
-/// What of the image moves with the shape: place across the axis, place along it, bulge of the rings.
+/// Number of local quantities that change with the shape: position across the axis, position along it, bulge of the
+/// rings.
 pub(crate) const LOCAL: usize = 3;
 
 /// Image of one point of the centre line.
@@ -31,16 +32,16 @@ pub(crate) struct Knot {
     pub scale: f64,
     /// Half width of the tube across its axis, pixels.
     pub half_width: f64,
-    /// How far the near side of a ring is displaced along the axis against its centre, pixels (signed, along `along`).
+    /// Displacement of a ring's near side along the axis relative to its centre, pixels (signed, along `along`).
     pub bulge: f64,
-    /// Angles that the tube's direction has turned by since the reference band, radians.
+    /// Angles by which the tube's direction has turned since the reference band, radians.
     pub turn: Vector2<f64>,
     /// Variance that the motion during the exposure adds to the blur, across the axis and along it, px².
     pub swept: Vector2<f64>,
     /// d pixel / d shape parameters.
     pub d_pixel: SMatrix<f64, 2, SHAPE>,
-    /// By how much the place across and along the axis, and the bulge, change with the shape parameters, pixels. A tube
-    /// that turns towards the camera shows its rings rounder.
+    /// Derivatives of the position across and along the axis, and of the bulge, with respect to the shape parameters,
+    /// pixels. A tube that turns towards the camera shows rounder rings.
     pub d_local: [ShapeStep; LOCAL],
     /// d pixel / d point, pixels per metre.
     pub d_point: Matrix2x3<f64>,
@@ -48,10 +49,10 @@ pub(crate) struct Knot {
     projected: Projection,
 }
 
-/// Over so short a way a projection is linear: to 1e-4 px, for cameras half a metre away and more.
+/// Over such a short distance a projection is linear to 1e-4 px, for cameras at least half a metre away.
 const LINEAR_M: f64 = 0.2e-3;
 
-/// How far the tube moves during the exposure: a part of the way since an earlier frame.
+/// Motion of the tube during the exposure: a fraction of its motion since an earlier frame.
 #[derive(Debug, Clone)]
 pub(crate) struct Sweep {
     /// Where it was.
@@ -61,7 +62,7 @@ pub(crate) struct Sweep {
 }
 
 impl Sweep {
-    /// Way of the point at an arc length, metres.
+    /// Motion of the point at an arc length, metres.
     fn way(&self, arc_m: f64, now: &Point3<f64>) -> Vector3<f64> {
         (now - self.before.at(arc_m).0) * self.share
     }
@@ -81,8 +82,8 @@ pub(crate) struct TubeImage {
 }
 
 impl TubeImage {
-    /// Projects the centre line from `range.0` to `range.1` (metres of arc) at about `spacing_m`. `nearby` is an image of
-    /// the same stretch that may be much like it.
+    /// Projects the centre line from `range.0` to `range.1` (metres of arc) at about `spacing_m`. `nearby` is an image
+    /// of the same stretch that may be much like it.
     ///
     /// # Errors
     /// [`NoRay`] when a part of it cannot be seen in this view.
@@ -275,7 +276,7 @@ mod tests {
     /// Its own sight of a moved tube would change it too, but by a thousandth of what a turn does.
     #[test]
     fn the_rings_bulge_turns_with_the_tube() {
-        let [path, _] = crate::testing::tube::views();
+        let [path, _] = crate::testing::two_views::views();
         let shape = TubeShape {
             above: [Vector2::new(-900.0, 1200.0), Vector2::new(3e4, 5e4)],
             below: [Vector2::new(1500.0, -600.0), Vector2::new(-4e4, 2e4)],

@@ -1,19 +1,19 @@
-//! What is usual of a band in a view, to know when something is wrong: how well the image model explains its pictures,
+//! Usual values for a band in a view, to notice when something is wrong: how well the image model fits its pictures,
 //! and how large its blob is.
 //!
-//! A thing in front of a part of a band, or a coder that did not follow it, leaves residuals that the model has no
-//! words for, or less of the band, and pulls it aside by more than noise would. Each quantity is compared with those of
-//! the frames before, as a logarithm with its own scatter.
+//! An object in front of part of a band, or a coder that did not follow it, leaves residuals that the model cannot
+//! explain, or shows less of the band, and shifts it by more than noise would. The logarithm of each quantity is
+//! compared with those of earlier frames and their scatter.
 //!
-//! Cannot detect: what was there from the first frame on, or looks like the band.
+//! Cannot detect: anything present from the first frame on, or that looks like the band.
 
 use crate::rig::Rig;
 
-/// Frames before the first comparison, and over which is averaged.
-const FIRST: f64 = 8.0;
-const MOST: f64 = 60.0;
-/// Least standard deviation ever assumed: 5 % and less is chance.
-const LEAST_SD: f64 = 0.05;
+/// Frames before the first comparison, and frames to average over.
+const MIN_FRAMES: f64 = 8.0;
+const AVERAGED_FRAMES: f64 = 60.0;
+/// Least standard deviation assumed: 5 % or less is chance.
+const MIN_SD: f64 = 0.05;
 
 #[derive(Debug, Clone, Copy, Default)]
 struct Level {
@@ -22,7 +22,7 @@ struct Level {
     variance: f64,
 }
 
-/// Of each marker that is the reference of a stretch, in each view.
+/// For each marker that is the reference of a stretch, in each view.
 #[derive(Debug)]
 pub(crate) struct Usual {
     levels: Vec<Vec<Level>>,
@@ -33,20 +33,20 @@ impl Usual {
         Self { levels: vec![vec![Level::default(); rig.views.len()]; rig.markers.len()] }
     }
 
-    /// By how many standard deviations a value is above what is usual; 0 below it, and while too little is known.
+    /// Standard deviations by which a value exceeds the usual one; 0 below it, and while too little is known.
     pub(crate) fn above(&self, marker: usize, view: usize, value: f64) -> f64 {
         match self.levels.get(marker).and_then(|views| views.get(view)) {
-            Some(level) if level.frames >= FIRST => {
-                ((value.ln() - level.mean) / level.variance.sqrt().max(LEAST_SD)).max(0.0)
+            Some(level) if level.frames >= MIN_FRAMES => {
+                ((value.ln() - level.mean) / level.variance.sqrt().max(MIN_SD)).max(0.0)
             }
             _ => 0.0,
         }
     }
 
-    /// Adds one that was accepted.
+    /// Adds an accepted value.
     pub(crate) fn add(&mut self, marker: usize, view: usize, value: f64) {
         let Some(level) = self.levels.get_mut(marker).and_then(|views| views.get_mut(view)) else { return };
-        level.frames = (level.frames + 1.0).min(MOST);
+        level.frames = (level.frames + 1.0).min(AVERAGED_FRAMES);
         let off = value.max(f64::MIN_POSITIVE).ln() - level.mean;
         level.mean += off / level.frames;
         level.variance += (off * off * (1.0 - 1.0 / level.frames) - level.variance) / level.frames;

@@ -1,4 +1,4 @@
-//! One view in a round of the fit: its samples, the noise they are weighed by, and what its colours may be.
+//! One view in a round of the fit: its samples, their noise, and the prior of its colours.
 
 use crate::source::Picture;
 use crate::track::appearance::{CAP, GRADIENT, Layout, SHADING, TURNING};
@@ -11,33 +11,33 @@ use crate::track::patch::{Density, Patch};
 use crate::track::stretch::Stretch;
 use crate::track::tube_image::TubeImage;
 
-/// Prior σ of colours about what they look like (linear light, 1 = white), of the background's gradient per pixel, of
-/// shading, its change per radian that the tube turns by, cap.
+/// Prior σ of colours about their initial values (linear light, 1 = white), of the background's gradient per pixel, of
+/// shading, of its change per radian of turn, and of the cap.
 const COLOUR_SD: f64 = 0.15;
 const GRADIENT_SD: f64 = 0.02;
 const SHADING_SD: f64 = 0.2;
 const TURNING_SD: f64 = 1.0;
 const CAP_SD: f64 = 0.5;
-/// Noise assumed before any is known, stored units; and the least ever assumed (rounding to integers and little more).
+/// Noise assumed initially, stored units; and the least ever assumed (little more than rounding to integers).
 const START_NOISE: f64 = 2.5;
-pub(crate) const LEAST_NOISE: f64 = 0.5;
+pub(crate) const MIN_NOISE: f64 = 0.5;
 
-/// Step of a quantiser beyond which the errors it leaves are no longer those that σ knows (image_model.rs), stored units.
+/// Quantiser step beyond which σ no longer covers its errors (image_model.rs), stored units.
 const COARSEST: f64 = 51.0;
 
-/// How the samples are weighed.
+/// How the samples are weighted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Weighing {
-    /// By a stated noise.
+    /// By an assumed noise.
     Stated,
-    /// By the noise that their residuals have when first compared.
+    /// By the noise of their residuals in the first comparison.
     Own,
 }
 
 /// A view's samples.
 pub(crate) struct View {
     pub comparison: Comparison,
-    /// By their looks.
+    /// Initial colours, from the picture.
     pub expected_colours: Vec<f64>,
     pub noise: Noise,
     weighing: Weighing,
@@ -47,7 +47,7 @@ impl View {
     /// Selects the samples around an image of the stretch between two arc lengths.
     ///
     /// # Errors
-    /// When it is not in the picture, or not all of it was recorded.
+    /// When it is outside the picture, or not all of it was recorded.
     pub(crate) fn select(
         stretch: &Stretch,
         range_m: (f64, f64),
@@ -65,8 +65,8 @@ impl View {
         Ok(Self { comparison: Comparison::new(patch), expected_colours, noise: start_noise(picture), weighing })
     }
 
-    /// Renders the view and sums its normal equations, the prior of its colours included. With equations of `before`,
-    /// the last ones of much the same image, derivatives are taken from there.
+    /// Renders the view and sums its normal equations, the prior of its colours included. With the equations `before`,
+    /// the last ones of a very similar image, derivatives are taken from them.
     pub(crate) fn compare(
         &mut self,
         image: &TubeImage,
@@ -91,7 +91,7 @@ impl View {
             }
         };
         for (i, (value, expected)) in colours.iter().zip(&self.expected_colours).enumerate() {
-            // That keeps a colour in bounds when hardly a sample shows it.
+            // This keeps a colour in bounds when hardly any sample shows it.
             let (known, sd) = prior(i);
             let (offset, weight) = (value - known.unwrap_or(*expected), sd.powi(-2));
             normal.colour_gradient[i] -= weight * offset;
@@ -101,7 +101,7 @@ impl View {
     }
 }
 
-/// Prior of a colour: its value, where it is not what it looks like, and σ.
+/// Prior of a colour: its value, unless that is the initial one, and σ.
 fn prior(colour: usize) -> (Option<f64>, f64) {
     match colour {
         GRADIENT..SHADING => (Some(0.0), GRADIENT_SD),
@@ -112,24 +112,24 @@ fn prior(colour: usize) -> (Option<f64>, f64) {
     }
 }
 
-/// A subsampled channel's errors are common to about as many samples as it has pixels a sample: a codec quantises them
-/// in the same small blocks. Measured sums of their autocorrelation are 4 to 6 for 4:2:0, 1.5 for luma.
+/// Errors of a subsampled channel are common to about as many samples as it has pixels per sample: a codec quantises
+/// them in the same small blocks. Measured sums of their autocorrelation are 4 to 6 for 4:2:0, 1.5 for luma.
 fn correlated(picture: &Picture, channel: usize) -> f64 {
     picture.plane(channel).map_or(1.0, |plane| f64::from(plane.scale[0] * plane.scale[1]).sqrt())
 }
 
-/// Noise before any is known.
+/// Noise assumed initially.
 fn start_noise(picture: &Picture) -> Noise {
     [0, 1, 2].map(|c| [START_NOISE * correlated(picture, c).sqrt(); 2])
 }
 
-/// Noise that residuals have; where there are none, as at the start.
+/// Noise of the residuals; the initial one where there are none.
 fn noise_of(squares: &Squares, picture: &Picture) -> Noise {
     let mut noise = start_noise(picture);
     for (c, (sigma, squares)) in noise.iter_mut().zip(squares).enumerate() {
         for (sigma, (sum, count)) in sigma.iter_mut().zip(squares) {
             if *count > 0 {
-                *sigma = (sum / *count as f64).sqrt().max(LEAST_NOISE) * correlated(picture, c);
+                *sigma = (sum / *count as f64).sqrt().max(MIN_NOISE) * correlated(picture, c);
             }
         }
     }

@@ -1,29 +1,28 @@
 //! Rigid alignment of two sets of points without scaling.
 //!
-//! In: pairs of points. Out: rotation and translation that take the first of each pair nearest to the second, in the
-//! mean of squares, by the singular value decomposition of their covariance (Arun, Huang and Blostein, IEEE TPAMI 9,
-//! 1987, doi:10.1109/TPAMI.1987.4767965). A reflection is never given: where it would fit better, the direction of the
-//! smallest singular value is turned (Umeyama, IEEE TPAMI 13, 1991).
+//! In: pairs of points. Out: rotation and translation that map the first of each pair to the second with the least mean
+//! square, by the singular value decomposition of their covariance (Arun, Huang and Blostein, IEEE TPAMI 9, 1987,
+//! doi:10.1109/TPAMI.1987.4767965). It never gives a reflection: where one would fit better, the direction of the
+//! smallest singular value is flipped (Umeyama, IEEE TPAMI 13, 1991).
 //!
-//! What it hides: on a circle, a motion that lags behind looks like one that is turned about the circle's axis, and is
-//! turned back.
+//! What it hides: on a circle, a motion that lags looks like one rotated about the circle's axis, and is rotated back.
 
 use nalgebra::{Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
 
-/// A rigid motion that takes observed points to desired ones.
+/// A rigid motion that maps observed points to desired ones.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Alignment {
     /// Rotation, about the origin.
     pub rotation: Rotation3<f64>,
     /// Translation after it, metres.
     pub translation_m: Vector3<f64>,
-    /// Root mean square of the distances that are left, metres.
+    /// Root mean square of the remaining distances, metres.
     pub rms_m: f64,
 }
 
 impl Alignment {
-    /// The one that fits pairs (from, to) best; `None` for fewer than three, or where they are all on one line, because
-    /// a turn about the line is open then.
+    /// The best fit to pairs (from, to); `None` for fewer than three, or if they are all on one line, because the
+    /// rotation about it is then undetermined.
     pub(crate) fn of(pairs: &[(Point3<f64>, Point3<f64>)]) -> Option<Self> {
         if pairs.len() < 3 {
             return None;
@@ -51,7 +50,7 @@ impl Alignment {
         self.rotation * point + self.translation_m
     }
 
-    /// Angle of the rotation, radians, and its axis; no axis without a rotation.
+    /// Angle of the rotation, radians, and its axis, if there is a rotation.
     pub(crate) fn angle_axis(&self) -> (f64, Option<Vector3<f64>>) {
         // The quaternion's angle keeps its digits near zero, where the matrix's loses half of them.
         let turn = UnitQuaternion::from_rotation_matrix(&self.rotation);
@@ -67,7 +66,7 @@ fn centroids(pairs: &[(Point3<f64>, Point3<f64>)]) -> (Point3<f64>, Point3<f64>)
     (from.into(), to.into())
 }
 
-/// Root mean square; 0 of nothing.
+/// Root mean square; 0 if empty.
 pub(super) fn rms(values: impl Iterator<Item = f64>) -> f64 {
     let (count, sum) = values.fold((0_u64, 0.0), |(count, sum), value| (count + 1, sum + value * value));
     if count == 0 { 0.0 } else { (sum / count as f64).sqrt() }

@@ -1,13 +1,13 @@
 //! The circle nearest to points in a plane.
 //!
 //! Start: Kåsa's, linear least squares in x² + y² + a x + b y + c (IEEE Trans. Instrum. Meas. 25, 1976,
-//! doi:10.1109/TIM.1976.6312298), which is drawn to smaller circles where only an arc is seen. Then Gauss-Newton on the
-//! distances of the points from the circle.
+//! doi:10.1109/TIM.1976.6312298), which is biased towards smaller circles where only an arc is seen. Then Gauss-Newton
+//! on the distances of the points from the circle.
 
 use nalgebra::{Matrix3, Point2, Vector2, Vector3};
 
-/// Steps of the refinement at most; a handful is usual.
-const MOST_STEPS: usize = 100;
+/// Most steps of the refinement; a handful is usual.
+const MAX_STEPS: usize = 100;
 
 /// A circle.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -22,7 +22,7 @@ pub(crate) struct Circle {
 
 impl Circle {
     /// The circle with the least sum of squared distances of the points from it. `None` for fewer than three points,
-    /// points on a line, or where the refinement does not settle.
+    /// points on a line, or if the refinement does not converge.
     pub(crate) fn through(points: &[Point2<f64>]) -> Option<Self> {
         if points.len() < 3 {
             return None;
@@ -36,14 +36,14 @@ impl Circle {
         }
         let scaled: Vec<Vector2<f64>> = points.iter().map(|p| (p - mean) / scale).collect();
         let mut circle = kasa(&scaled)?;
-        for _ in 0..MOST_STEPS {
+        for _ in 0..MAX_STEPS {
             let step = gauss_newton(&scaled, &circle)?;
             circle += step;
             if step.norm() < 1e-13 * circle.z.abs().max(1.0) {
                 break;
             }
         }
-        // A line is a circle without end.
+        // A line is a circle of infinite radius.
         if !(circle.iter().all(|value| value.is_finite()) && circle.z > 0.0 && circle.z < 1e4) {
             return None;
         }
@@ -65,7 +65,7 @@ fn kasa(points: &[Vector2<f64>]) -> Option<Vector3<f64>> {
         normal += row * row.transpose();
         right -= row * p.norm_squared();
     }
-    // The smallest singular value tells points on a line.
+    // The smallest singular value reveals points on a line.
     let svd = normal.svd(true, true);
     if svd.singular_values.z < 1e-12 * svd.singular_values.x {
         return None;

@@ -17,7 +17,7 @@ pub(crate) enum ValidateError {
         /// What is wrong with it, and what would be right.
         problem: String,
     },
-    /// An observed run that does not fit what was asked.
+    /// An observed run that does not fit the request.
     #[error("{}: {problem}", path.display())]
     Run {
         /// Its file.

@@ -1,15 +1,15 @@
-//! By how many points an observed motion lags behind the periodic one that was commanded.
+//! Lag of an observed motion behind the commanded periodic one, in points.
 //!
-//! In: one period of the desired path; observed points with the number of the command each belongs to, some may be
-//! missing. Out: the lag at which both correlate best, all three coordinates together, to a fraction of a point.
+//! In: one period of the desired path; observed points with their command numbers, some possibly missing. Out: the lag
+//! with the highest correlation, all three coordinates together, to a fraction of a point.
 //!
-//! Method. ρ(τ) = Σ (y_k − ȳ)·(x_{k−τ} − x̄) / (|y| |x|), x continued as it was commanded, period after period; both
-//! means and both norms are those of the pairs that there are. So every lag is judged by the same points, other than in
-//! a plain cross-correlation of two finite pieces, where those that overlap more win (at four periods of 200 points
-//! that is 1.3 points, 2.3°). The peak is that of the parabola through the best lag and its neighbours.
+//! Method. ρ(τ) = Σ (y_k − ȳ)·(x_{k−τ} − x̄) / (|y| |x|), x continued periodically, as commanded; means and norms are
+//! those of the available pairs. So every lag is judged by the same points, unlike in a plain cross-correlation of two
+//! finite pieces, which favours larger overlap (for four periods of 200 points by 1.3 points, 2.3°). The peak is that
+//! of the parabola through the best lag and its neighbours.
 //!
-//! What it cannot know: how many whole periods are missing (lags are between minus and plus half a period), and whether
-//! a circle lags or is turned about its axis.
+//! What it cannot know: the number of whole periods (lags are within ± half a period), and whether a circle lags or is
+//! rotated about its axis.
 
 use nalgebra::{Point3, Vector3};
 
@@ -22,7 +22,7 @@ pub(crate) struct Lag {
     pub correlation: f64,
 }
 
-/// Numbers of commands and observed points against one period of the path; `None` without a motion.
+/// The lag of observed points, with command numbers, relative to one period of the path; `None` without motion.
 pub(crate) fn lag(period: &[Point3<f64>], observed: &[(usize, Point3<f64>)]) -> Option<Lag> {
     let n = period.len();
     if n < 3 || observed.len() < 3 {
@@ -49,12 +49,12 @@ pub(crate) fn lag(period: &[Point3<f64>], observed: &[(usize, Point3<f64>)]) -> 
     let curvature = before - 2.0 * peak + after;
     let fraction = if curvature < 0.0 { (before - after) / (2.0 * curvature) } else { 0.0 };
     let points = best as f64 + fraction.clamp(-0.5, 0.5);
-    // Late by more than half a period is early.
+    // More than half a period late counts as early.
     let half = n as f64 / 2.0;
     Some(Lag { points: if points > half { points - n as f64 } else { points }, correlation: peak })
 }
 
-/// Adds whole turns so that no phase is more than half a turn from the one before; `None` is left out. Degrees.
+/// Adds whole turns so that no phase differs by more than half a turn from the previous one, skipping `None`. Degrees.
 pub(crate) fn unwrap(phases_deg: &mut [Option<f64>]) {
     let mut last: Option<f64> = None;
     for phase in phases_deg.iter_mut().flatten() {

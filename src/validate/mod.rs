@@ -1,22 +1,22 @@
-//! Open-loop runs along a desired path: how far the catheter was from it, and how it responded at each speed.
+//! Open-loop runs along a desired path: errors of the catheter, and its response at each speed.
 //!
-//! The experiment is that of Section IV of the paper: a path of (200) points a period is commanded point by point, each
-//! held for a *pause*, four periods long, once for every pause time. In: the desired path and the tracked runs. Out,
-//! for each run: errors with and without rigid alignment (Table II), and the response at 1/period as magnitude and
+//! The experiment is that of Section IV of the paper: a path with (200) points per period is commanded point by point,
+//! each held for a *pause*, for four periods, once for every pause time. In: the desired path and the tracked runs.
+//! Out, for each run: errors with and without rigid alignment (Table II), and the response at 1/period as magnitude and
 //! phase (Eqs. 8 to 10, Fig. 11).
 //!
-//! Method, a file each: one observed point a command (`pauses`), rigid alignment (`align`), plane and circle (`plane`,
-//! `circle`), lag by cross-correlation in space (`lag`), the start of the commands (`start_time`).
+//! Method, with one file for each step: one observed point per command (`pauses`), rigid alignment (`align`), plane and
+//! circle (`plane`, `circle`), lag by cross-correlation in space (`lag`), the start of the commands (`start_time`).
 //!
 //! Conventions. Everything is in the base frame, metres. The error of a run is the root mean square distance in space.
-//! A run's alignment takes observed points to desired ones. Phase is negative for a response that is late: φ = −360° ·
-//! Δt / T. An observed point belongs to the middle of its pause, so that a catheter that followed at once would have
-//! phase 0 and magnitude 0 dB.
+//! A run's alignment maps observed points to desired ones. Phase is negative for a late response: φ = −360° · Δt / T.
+//! An observed point belongs to the middle of its pause, so a catheter that followed instantly would have phase 0 and
+//! magnitude 0 dB.
 //!
-//! What it cannot detect. Alignment hides lag on a circle, because a circle that lags is a circle that is turned; the
-//! error without alignment, the rotation, and the phase (which is measured without alignment) show it. In turn a base
-//! frame that is turned about the circle's axis adds its angle to all phases alike. The first command's time enters the
-//! phase fully: 1 ms is 0.36° at 1 Hz.
+//! What it cannot detect. Alignment hides lag on a circle, because a lagging circle equals a rotated one; the error
+//! without alignment, the rotation, and the phase (which is measured without alignment) show it. Conversely, a base
+//! frame rotated about the circle's axis adds its angle to all phases. An error of the first command's time goes fully
+//! into the phase: 1 ms is 0.36° at 1 Hz.
 
 mod align;
 mod circle;
@@ -58,7 +58,7 @@ pub(crate) struct Validation {
 /// Evaluates runs along a path.
 ///
 /// # Errors
-/// The first run that does not fit or has too little in it.
+/// The first run that does not fit or has too little data.
 pub(crate) fn validate(
     path: DesiredPath,
     observed: &[Observed<'_>],
@@ -73,7 +73,7 @@ pub(crate) fn validate(
     }
     let mut runs =
         observed.iter().map(|observed| run::evaluate(&path, observed, &options)).collect::<Result<Vec<_>, _>>()?;
-    // Over rising frequency.
+    // By rising frequency.
     runs.sort_by(|a, b| b.pause_s.total_cmp(&a.pause_s));
     let mut phases: Vec<Option<f64>> = runs.iter().map(|run| run.phase_deg).collect();
     unwrap(&mut phases);

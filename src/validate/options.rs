@@ -5,29 +5,29 @@ use super::spline::Interpolation;
 /// How runs are evaluated.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Options {
-    /// Periods that are left out at the beginning, while the motion settles.
+    /// Periods left out at the beginning, while the motion settles.
     pub skip: usize,
     /// The marker that follows the path; the tip if none is named.
     pub marker: Option<String>,
     /// Which frames of a pause count.
     pub average: Average,
-    /// How to go from frame to frame where pauses are shorter than the time between frames.
+    /// Interpolation between frames where pauses are shorter than the time between frames.
     pub interpolation: Interpolation,
 }
 
-/// Which frames of a pause make its point, where frames come at least as often as pauses.
+/// Which frames of a pause are averaged, where there is at least one frame per pause.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(crate) enum Average {
     /// All.
     #[default]
     All,
-    /// Those of its second half, as the laboratory does: nearer to where the catheter comes to rest. Such a point is a
-    /// quarter of the pause later, which the phase takes into account.
+    /// Those of its second half, as in the laboratory: closer to where the catheter comes to rest. Such a point is a
+    /// quarter of a pause later, which the phase takes into account.
     SecondHalf,
 }
 
 impl Average {
-    /// The part of a pause that is left out at its beginning.
+    /// Fraction of a pause left out at its beginning.
     pub(super) fn left_out(self) -> f64 {
         match self {
             Self::All => 0.0,

@@ -1,4 +1,4 @@
-//! The desired path: one period of points, commanded one after the other, again and again.
+//! The desired path: one period of points, commanded repeatedly one after another.
 
 use super::circle::Circle;
 use super::error::ValidateError;
@@ -8,12 +8,13 @@ use nalgebra::{Point3, Vector3};
 use std::path::{Path, PathBuf};
 
 const M_PER_MM: f64 = 1e-3;
-/// An hour at 1 ms is less.
-const MOST_COMMANDS: usize = 4_000_000;
-/// Points of one period and of the next are the same if they are nearer than this, metres.
+/// More than an hour at 1 ms.
+const MAX_COMMANDS: usize = 4_000_000;
+/// Points of one period and the next count as equal if they are closer than this, metres.
 const SAME_M: f64 = 1e-6;
-/// A circle is what deviates from one by less than this part of its radius, and goes round without a larger gap.
-const ROUND: f64 = 0.05;
+/// A path counts as a circle if it deviates from one by less than this fraction of its radius, and closes without a
+/// larger gap.
+const CIRCLE_TOLERANCE: f64 = 0.05;
 const GAP_RAD: f64 = std::f64::consts::FRAC_PI_3;
 
 /// A desired path.
@@ -29,7 +30,7 @@ pub(crate) struct DesiredPath {
     pub periods: usize,
     /// The plane nearest to it.
     pub plane: Plane,
-    /// The circle in that plane, if the path is one.
+    /// The circle in that plane, if the path is a circle.
     pub circle: Option<Circle>,
 }
 
@@ -37,7 +38,7 @@ impl DesiredPath {
     /// Reads columns `x_mm`, `y_mm`, `z_mm` (base frame) and, if they are there, `tan_x`, `tan_y`, `tan_z`.
     ///
     /// The rows are one period, commanded `periods` times (4 as in the paper, if not given). With `per_period` the file
-    /// may hold several periods, which must be alike; it is then commanded as it stands there.
+    /// may hold several periods, which must be alike; it is then commanded as given.
     ///
     /// # Errors
     /// When the file cannot be read, a value is missing, there are fewer than 3 points, they lie on a line, or periods
@@ -54,17 +55,17 @@ impl DesiredPath {
                     )
                 })?,
             ),
-            // Without these columns the directions are not known.
+            // Without these columns the directions are unknown.
             Err(ValidateError::Series(SeriesError::Content { .. })) => None,
             Err(other) => return Err(other),
         };
         let rows = points.len();
         let length = per_period.unwrap_or(rows);
         if length < 3 {
-            return Err(wrong(format!("has {length} points a period; a path needs 3 or more")));
+            return Err(wrong(format!("has {length} points per period; a path needs 3 or more")));
         }
         if rows < length || !rows.is_multiple_of(length) {
-            return Err(wrong(format!("has {rows} rows, which is no multiple of {length} points a period")));
+            return Err(wrong(format!("has {rows} rows, which is no multiple of {length} points per period")));
         }
         let in_file = rows / length;
         if let Some(k) = (length..rows).find(|k| match (points.get(*k), points.get(k % length)) {
@@ -90,8 +91,8 @@ impl DesiredPath {
         if periods == 0 {
             return Err(wrong("is commanded 0 times; 1 period or more is needed".to_owned()));
         }
-        if length.saturating_mul(periods) > MOST_COMMANDS {
-            return Err(wrong(format!("{length} points, {periods} times, are more than {MOST_COMMANDS} commands")));
+        if length.saturating_mul(periods) > MAX_COMMANDS {
+            return Err(wrong(format!("{length} points, {periods} times, are more than {MAX_COMMANDS} commands")));
         }
         points.truncate(length);
         if let Some(tangents) = &mut tangents {
@@ -104,7 +105,7 @@ impl DesiredPath {
         Ok(Self { file: file.to_owned(), points, tangents, periods, plane, circle })
     }
 
-    /// Points that are commanded in all.
+    /// Total number of points commanded.
     pub(crate) fn commands(&self) -> usize {
         self.points.len() * self.periods
     }
@@ -135,7 +136,7 @@ fn vectors(file: &Path, names: [&str; 3]) -> Result<Vec<Vector3<f64>>, ValidateE
     .collect()
 }
 
-/// The circle that the path is, if it is one.
+/// The path's circle, if it is one.
 fn circle(points: &[Point3<f64>], plane: &Plane) -> Option<Circle> {
     let flat: Vec<_> = points.iter().map(|point| plane.flat(point)).collect();
     let circle = Circle::through(&flat)?;
@@ -143,5 +144,5 @@ fn circle(points: &[Point3<f64>], plane: &Plane) -> Option<Circle> {
     angles.sort_by(f64::total_cmp);
     let first = angles.first().map(|first| first + std::f64::consts::TAU);
     let gap = angles.iter().zip(angles.iter().skip(1).copied().chain(first)).map(|(a, b)| b - a).fold(0.0, f64::max);
-    (circle.rms_m.hypot(plane.rms_m) < ROUND * circle.radius_m && gap < GAP_RAD).then_some(circle)
+    (circle.rms_m.hypot(plane.rms_m) < CIRCLE_TOLERANCE * circle.radius_m && gap < GAP_RAD).then_some(circle)
 }

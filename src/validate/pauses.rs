@@ -1,18 +1,18 @@
-//! From camera frames to one observed point a command.
+//! From camera frames to one observed point per command.
 //!
-//! A command is held for a pause. Where camera frames come at least as often, those within the pause are averaged.
-//! Where the pause is shorter than the time between frames, the motion is [interpolated](super::Interpolation) between
-//! frames at the middle of each pause, which is where an average belongs too. A command without a frame in its pause,
-//! or between frames of which one or more are missing, has no point: nothing is made up across a gap, and nothing is
-//! extrapolated.
+//! A command is held for a pause. Where there is at least one camera frame per pause, the frames within it are
+//! averaged. Where the pause is shorter than the time between frames, the motion is
+//! [interpolated](super::Interpolation) between frames at the middle of each pause, where an average also belongs. A
+//! command without a frame in its pause, or between frames with a gap, has no point: nothing is interpolated across a
+//! gap, and nothing is extrapolated.
 
 use super::spline::{Curve, Interpolation};
 use nalgebra::Vector3;
 
-/// Frames further apart than this many of their usual intervals have one missing between them.
+/// Frames further apart than this many usual intervals have a gap between them.
 const GAP: f64 = 1.5;
 
-/// When commands are held: number k from `start_ns + k · pause_ns` on, for `pause_ns`.
+/// Times of the commands: number k is held from `start_ns + k · pause_ns` for `pause_ns`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Window {
     pub(super) start_ns: i64,
@@ -20,14 +20,16 @@ pub(super) struct Window {
     pub(super) commands: usize,
 }
 
-/// What was seen of one command.
+/// The observation of one command.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Mean {
     pub(super) value: Vector3<f64>,
-    /// Frames it is the mean of; 0 if it is interpolated.
+    /// Frames averaged; 0 if interpolated.
     pub(super) frames: usize,
     /// Sum of the squared distances of these frames from it.
     pub(super) squares: f64,
+    /// How much later than the middle of the pause these frames are in the mean, in pauses.
+    pub(super) later: f64,
 }
 
 /// A value at a camera time.
@@ -43,8 +45,8 @@ impl Window {
         self.start_ns.saturating_add(self.pause_ns.saturating_mul(i64::try_from(k).unwrap_or(i64::MAX)))
     }
 
-    /// Mean of the samples within each pause, without this part of it at its beginning; samples are in the order of
-    /// their times.
+    /// Mean of the samples within each pause, without the fraction `left_out` at its beginning; samples are in order of
+    /// time.
     pub(super) fn averaged(&self, samples: &[Sample], left_out: f64) -> Vec<Option<Mean>> {
         let late_ns = (self.pause_ns as f64 * left_out).round() as i64;
         (0..self.commands)
@@ -54,7 +56,9 @@ impl Window {
                 let inside = samples.get(from..to).filter(|inside| !inside.is_empty())?;
                 let value = inside.iter().map(|(_, v)| v).sum::<Vector3<f64>>() / inside.len() as f64;
                 let squares = inside.iter().map(|(_, v)| (v - value).norm_squared()).sum();
-                Some(Mean { value, frames: inside.len(), squares })
+                let time_s = inside.iter().map(|(ns, _)| self.seconds(*ns)).sum::<f64>() / inside.len() as f64;
+                let later = (time_s - self.middle_s(k)) / (self.pause_ns as f64 * 1e-9);
+                Some(Mean { value, frames: inside.len(), squares, later })
             })
             .collect()
     }
@@ -65,14 +69,18 @@ impl Window {
         let curve = Curve::through(times_s, samples.iter().map(|(_, v)| *v).collect(), how);
         (0..self.commands)
             .map(|k| {
-                let middle_s = self.seconds(self.at_ns(k)) + self.pause_ns as f64 * 0.5e-9;
-                let (value, apart_s) = curve.at(middle_s)?;
-                (apart_s < GAP * interval_s).then_some(Mean { value, frames: 0, squares: 0.0 })
+                let (value, apart_s) = curve.at(self.middle_s(k))?;
+                (apart_s < GAP * interval_s).then_some(Mean { value, frames: 0, squares: 0.0, later: 0.0 })
             })
             .collect()
     }
 
-    /// Since the start: small numbers keep their digits.
+    /// The middle of pause `k`, relative to the start.
+    fn middle_s(&self, k: usize) -> f64 {
+        self.seconds(self.at_ns(k)) + self.pause_ns as f64 * 0.5e-9
+    }
+
+    /// Relative to the start: small numbers keep their digits.
     fn seconds(&self, ns: i64) -> f64 {
         ns.saturating_sub(self.start_ns) as f64 * 1e-9
     }
@@ -99,11 +107,21 @@ mod tests {
         // On a boundary a frame belongs to the pause that begins.
         let samples = [at(99, 9.0), at(100, 1.0), at(120, 3.0), at(150, 5.0), at(260, 7.0), at(300, 9.0)];
         let found = window.averaged(&samples, 0.0);
-        let expected = |x: f64, frames, squares| Some(Mean { value: Vector3::new(x, 0.0, 0.0), frames, squares });
-        assert_eq!(found, [expected(2.0, 2, 2.0), expected(5.0, 1, 0.0), None, expected(7.0, 1, 0.0)]);
+        let expected = |x: f64, frames, squares, later: f64| {
+            let value = Vector3::new(x, 0.0, 0.0);
+            move |mean: &Option<Mean>| {
+                mean.is_some_and(|mean| {
+                    (mean.value, mean.frames, mean.squares) == (value, frames, squares)
+                        && (mean.later - later).abs() < 1e-9
+                })
+            }
+        };
+        // Means of 100 and 120, 150, 260 ms, in pauses of 50 ms from 100 ms on.
+        assert!(expected(2.0, 2, 2.0, -0.3)(&found[0]) && expected(5.0, 1, 0.0, -0.5)(&found[1]), "{found:?}");
+        assert!(found[2].is_none() && expected(7.0, 1, 0.0, -0.3)(&found[3]), "{found:?}");
         assert_eq!(window.end_ns(), 300 * MS);
         let late = window.averaged(&samples, 0.4);
-        assert_eq!(late, [expected(3.0, 1, 0.0), None, None, None]);
+        assert!(expected(3.0, 1, 0.0, -0.1)(&late[0]) && late[1..].iter().all(Option::is_none), "{late:?}");
     }
 
     #[test]

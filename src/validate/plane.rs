@@ -1,15 +1,15 @@
-//! The plane nearest to points in space.
+//! The least-squares plane of points in space.
 
 use nalgebra::{DMatrix, Point2, Point3, Vector3};
 
-/// A plane with axes in it.
+/// A plane with axes.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Plane {
     /// The mean of the points.
     pub centre: Point3<f64>,
     /// Unit normal.
     pub normal: Vector3<f64>,
-    /// Unit axes in the plane; with the normal they are right-handed.
+    /// Unit axes in the plane; right-handed together with the normal.
     pub axes: [Vector3<f64>; 2],
     /// Root mean square of the points' distances from it, metres.
     pub rms_m: f64,
@@ -36,16 +36,16 @@ impl Plane {
         Some(Self { centre, normal: first.cross(&second), axes: [first, second], rms_m })
     }
 
-    /// The same plane with its axes along those of another, as nearly as can be, and its normal to the same side.
+    /// The same plane with its axes as close as possible to another's, and its normal to the same side.
     pub(crate) fn along(self, other: &Self) -> Self {
         let normal = if self.normal.dot(&other.normal) < 0.0 { -self.normal } else { self.normal };
         let flat = other.axes[0] - normal * normal.dot(&other.axes[0]);
-        // Planes at right angles may have no such axis.
+        // Perpendicular planes may have no such axis.
         let Some(first) = flat.try_normalize(1e-9) else { return self };
         Self { normal, axes: [first, normal.cross(&first)], ..self }
     }
 
-    /// A point's place in the plane, from its centre.
+    /// A point's coordinates in the plane, from its centre.
     pub(crate) fn flat(&self, point: &Point3<f64>) -> Point2<f64> {
         let from = point - self.centre;
         Point2::new(from.dot(&self.axes[0]), from.dot(&self.axes[1]))

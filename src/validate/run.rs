@@ -14,17 +14,18 @@ use super::step::Step;
 use crate::series::{Frame, Recording};
 use crate::sink::OutputFrame;
 use crate::source::times::seconds;
+use crate::vetoes::VETOED;
 use nalgebra::{Point3, Vector3};
 use std::path::PathBuf;
 
-/// An axis that the desired path moves along by less than this part of the largest has no gain.
+/// An axis along which the desired path moves by less than this fraction of the largest has no gain.
 const STILL_AXIS: f64 = 0.02;
-/// Below this correlation the observed motion is not of the path's shape.
-const WEAK: f64 = 0.5;
-/// Frames a period below which amplitudes suffer.
+/// Below this correlation the observed motion does not have the path's shape.
+const WEAK_CORRELATION: f64 = 0.5;
+/// Frames per period below which amplitudes suffer.
 const FEW_FRAMES: f64 = 8.0;
 
-/// An observed run as it was asked for.
+/// An observed run to evaluate.
 #[derive(Debug)]
 pub(crate) struct Observed<'a> {
     /// The run.
@@ -35,12 +36,12 @@ pub(crate) struct Observed<'a> {
     pub start_ns: Option<i64>,
 }
 
-/// What the magnitude is the ratio of.
+/// The sizes whose ratio is the magnitude.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Size {
     /// Radii of the fitted circles, Eq. 8 of the paper.
     CircleRadius,
-    /// Root mean square distances of the points from their mean, for paths that are no circle.
+    /// Root mean square distances of the points from their mean, for paths that are not circles.
     RmsSize,
 }
 
@@ -61,9 +62,9 @@ pub(crate) struct Magnitude {
     pub db: f64,
     /// What is compared.
     pub of: Size,
-    /// Of the observed points, metres.
+    /// Size of the observed points, metres.
     pub observed_m: f64,
-    /// Of the desired points, metres.
+    /// Size of the desired points, metres.
     pub desired_m: f64,
 }
 
@@ -82,47 +83,51 @@ pub(crate) struct Run {
     pub start_ns: i64,
     /// How that is known.
     pub start_from: StartFrom,
-    /// Whether points are interpolated between frames, because the pause is shorter than their interval; else averaged.
+    /// Whether points are interpolated, because the pause is shorter than the frame interval, instead of averaged.
     pub interpolated: bool,
     /// Usual time between camera frames, seconds.
     pub interval_s: f64,
-    /// Camera frames while the commands were given; those that lost the marker; those that the camera lost.
+    /// Camera frames while the commands were given.
     pub frames: usize,
-    /// Of these, frames without the marker's place.
+    /// Of these, frames without the marker's position.
     pub frames_missed: usize,
+    /// Of these, frames that a person has vetoed.
+    pub frames_vetoed: usize,
     /// Camera frames lost among them.
     pub frames_lost: u64,
-    /// Commands that count, in their order.
+    /// Commands that count, in order.
     pub steps: Vec<Step>,
     /// Of these, commands without a point.
     pub left_out: usize,
-    /// Rotation and translation from observed to desired, and the error that is left.
+    /// Rotation and translation from observed to desired, and the remaining error.
     pub alignment: Alignment,
     /// Root mean square error without alignment, metres.
     pub rms_unaligned_m: f64,
-    /// Standard deviation of the observed coordinate over that of the desired one; `None` for an axis the path does not
-    /// move along.
+    /// Ratio of the standard deviations of observed and desired coordinate; `None` for an axis along which the path
+    /// does not move.
     pub gain: [Option<f64>; 3],
     /// Size of the response.
     pub magnitude: Option<Magnitude>,
     /// The plane of the observed points.
     pub plane: Option<Plane>,
-    /// The circle in it, if the path is one.
+    /// The circle in it, if the path is a circle.
     pub circle: Option<Circle>,
-    /// By how much it lags behind, unless the start was searched for.
+    /// Its lag, unless the start was searched for.
     pub lag: Option<Lag>,
-    /// Phase, degrees: negative for a response that is late. Unwrapped over rising frequency by [`super::validate`].
+    /// Phase, degrees: negative for a late response. Unwrapped over rising frequency by [`super::validate`].
     pub phase_deg: Option<f64>,
-    /// How far the motion still is from a periodic one; `None` when no period follows another.
+    /// How far the motion still is from a periodic one; `None` with fewer than two periods.
     pub settling: Option<Settling>,
     /// Root mean square angle between observed and desired direction of the coil, radians, where the path has
     /// directions.
     pub tangent_rms_rad: Option<f64>,
     /// Root mean square distance of frames from the mean of their pause, metres: noise, and motion within the pause.
     pub scatter_m: Option<f64>,
-    /// The tracker's own σ of a coordinate, root mean square, metres.
+    /// The tracker's σ of a coordinate, root mean square, metres.
     pub sd_m: Option<f64>,
-    /// What the reader must know of this run.
+    /// What that noise makes of the magnitude, in parts of it, and of the phase, radians: σ of both.
+    pub response_sd: Option<f64>,
+    /// Notes about this run for the reader.
     pub notes: Vec<String>,
 }
 
@@ -147,7 +152,7 @@ pub(super) fn evaluate(path: &DesiredPath, observed: &Observed<'_>, options: &Op
     }
     let pause_ns = window.pause_ns;
 
-    // 2. one point a command
+    // 2. one point per command
     let interpolated = seconds(pause_ns) < interval_s;
     let mean = |samples: &[Sample]| {
         if interpolated {
@@ -189,19 +194,24 @@ pub(super) fn evaluate(path: &DesiredPath, observed: &Observed<'_>, options: &Op
         .and_then(|plane| Circle::through(&points.iter().map(|point| plane.flat(point)).collect::<Vec<_>>()));
     let magnitude = magnitude(path, &points, &wanted, circle.as_ref());
     let numbered: Vec<(usize, Point3<f64>)> = steps.iter().filter_map(|s| Some((s.k, s.observed?))).collect();
-    // What is seen late in a pause belongs to later than its middle.
-    let later = if interpolated { 0.0 } else { options.average.left_out() / 2.0 };
+    // Frames that lie late in their pauses show what comes later than their middle.
+    let later: Vec<f64> = means.iter().skip(skipped).flatten().map(|mean| mean.later).collect();
+    let later = later.iter().sum::<f64>() / later.len().max(1) as f64;
     let lag = if start_from == StartFrom::Search { None } else { lag(&path.points, &numbered) };
     let lag = lag.map(|lag| Lag { points: lag.points + later, ..lag });
     let phase_deg = lag.map(|lag| -360.0 * lag.points / path.points.len() as f64);
 
-    // 5. what the numbers rest on
+    // 5. basis of the numbers
     let period_s = seconds(pause_ns) * path.points.len() as f64;
     let settling = Settling::of(path, &steps, plane.as_ref(), sd_m(&inside, marker));
     notes.extend(settling.as_ref().and_then(Settling::note));
     notes.extend(weak_correlation(lag.as_ref()));
     notes.extend(few_frames(period_s / interval_s));
     let has_place = |frame: &&&Frame| frame.places.get(marker).is_some_and(|place| place.point.is_some());
+    let sd_m = sd_m(&inside, marker);
+    let from_ns = window.start_ns.saturating_add(pause_ns.saturating_mul(i64::try_from(skipped).unwrap_or(i64::MAX)));
+    let seen = inside.iter().filter(has_place).filter(|frame| frame.stamp_ns >= from_ns).count();
+    let vetoed = |frame: &&&Frame| frame.places.get(marker).is_some_and(|place| place.status == VETOED);
     Ok(Run {
         file: recording.path.clone(),
         marker: name,
@@ -213,6 +223,7 @@ pub(super) fn evaluate(path: &DesiredPath, observed: &Observed<'_>, options: &Op
         interval_s,
         frames: inside.len(),
         frames_missed: inside.len() - inside.iter().filter(has_place).count(),
+        frames_vetoed: inside.iter().filter(vetoed).count(),
         frames_lost: inside.iter().skip(1).map(|frame| frame.gap).sum(),
         left_out,
         alignment,
@@ -226,7 +237,8 @@ pub(super) fn evaluate(path: &DesiredPath, observed: &Observed<'_>, options: &Op
         settling,
         tangent_rms_rad: tangent_rms_rad(path, recording, skipped, mean),
         scatter_m: scatter_m(means.iter().skip(skipped).flatten()),
-        sd_m: sd_m(&inside, marker),
+        response_sd: response_sd(sd_m, seen, magnitude.as_ref()),
+        sd_m,
         notes,
         steps,
     })
@@ -244,7 +256,7 @@ fn marked(recording: &Recording, options: &Options) -> Result<Marked, ValidateEr
     in_order(&recording.frames).map_err(wrong)?;
     if recording.reference == Some(OutputFrame::Camera) {
         let advice = "track it again with a rig that has a [base], and without `--frame camera`";
-        return Err(wrong(format!("its places are in the camera frame, the path is in the base frame: {advice}")));
+        return Err(wrong(format!("its positions are in the camera frame, the path is in the base frame: {advice}")));
     }
     let marker = marker(recording, options)?;
     let name = recording.markers.get(marker).cloned().unwrap_or_default();
@@ -264,7 +276,7 @@ fn marked(recording: &Recording, options: &Options) -> Result<Marked, ValidateEr
 struct Timing<'a> {
     window: Window,
     start_from: StartFrom,
-    /// What to know of the start.
+    /// A note about the start.
     note: Option<String>,
     inside: Vec<&'a Frame>,
     /// Usual time between these frames, seconds.
@@ -276,7 +288,7 @@ fn timing<'a>(path: &DesiredPath, observed: &Observed<'a>, samples: &[Sample]) -
     let wrong = |problem: String| ValidateError::Run { path: recording.path.clone(), problem };
     let pause_ns = (observed.pause_s * 1e9).round();
     if !(1.0..1e15).contains(&pause_ns) {
-        return Err(wrong(format!("a pause of {} s is none: it must be above 0", observed.pause_s)));
+        return Err(wrong(format!("a pause of {} s is not valid: it must be above 0", observed.pause_s)));
     }
     let pause_ns = pause_ns as i64;
     let by_ticks = match observed.start_ns {
@@ -320,22 +332,22 @@ fn timing<'a>(path: &DesiredPath, observed: &Observed<'a>, samples: &[Sample]) -
 }
 
 fn weak_correlation(lag: Option<&Lag>) -> Option<String> {
-    let weak = lag.filter(|lag| lag.correlation < WEAK)?;
+    let weak = lag.filter(|lag| lag.correlation < WEAK_CORRELATION)?;
     Some(format!("the motion hardly correlates with the path ({:.2}): its phase means little", weak.correlation))
 }
 
 fn few_frames(per_period: f64) -> Option<String> {
-    (per_period < FEW_FRAMES).then(|| format!("{per_period:.1} camera frames a period: too few for a good amplitude"))
+    (per_period < FEW_FRAMES).then(|| format!("{per_period:.1} camera frames per period: too few for a good amplitude"))
 }
 
-/// Refuses frames whose times do not rise.
+/// Rejects frames whose times do not increase.
 fn in_order(frames: &[Frame]) -> Result<(), String> {
     if frames.is_empty() {
         return Err("has no frame".to_owned());
     }
     match frames.iter().zip(frames.iter().skip(1)).find(|(before, after)| after.stamp_ns <= before.stamp_ns) {
         Some((before, after)) => Err(format!(
-            "frame {} ({} s) is not later than frame {} ({} s): the camera's clock began anew; use the part before or behind",
+            "frame {} ({} s) is not later than frame {} ({} s): the camera's clock restarted; use the part before or after",
             after.seq,
             seconds(after.stamp_ns),
             before.seq,
@@ -345,7 +357,7 @@ fn in_order(frames: &[Frame]) -> Result<(), String> {
     }
 }
 
-/// The marker asked for; else the tip, else the last.
+/// The requested marker, else the tip, else the last.
 fn marker(recording: &Recording, options: &Options) -> Result<usize, ValidateError> {
     match &options.marker {
         Some(name) => Ok(recording.marker(name)?),
@@ -381,7 +393,7 @@ fn spread(points: &[Point3<f64>]) -> Vector3<f64> {
     (squares / count).map(f64::sqrt)
 }
 
-/// Spread of each coordinate, observed over desired.
+/// Ratio of the spreads of each coordinate, observed to desired.
 fn gain(observed: &[Point3<f64>], desired: &[Point3<f64>]) -> [Option<f64>; 3] {
     let (observed, desired) = (spread(observed), spread(desired));
     let largest = desired.max();
@@ -403,7 +415,7 @@ fn magnitude(
     db.is_finite().then_some(Magnitude { db, of, observed_m, desired_m })
 }
 
-/// Angles between the directions seen and desired.
+/// RMS angle between observed and desired directions.
 fn tangent_rms_rad(
     path: &DesiredPath,
     recording: &Recording,
@@ -420,6 +432,12 @@ fn tangent_rms_rad(
         .filter_map(|(k, mean)| Some(mean.as_ref()?.value.angle(&path.tangent(k)?)))
         .collect();
     (!angles.is_empty()).then(|| rms(angles.into_iter()))
+}
+
+/// σ of a size and of a turn from `frames` places with independent errors of `sd_m` in each coordinate: one coordinate
+/// of each counts, along the radius for the one and across it for the other.
+fn response_sd(sd_m: Option<f64>, frames: usize, magnitude: Option<&Magnitude>) -> Option<f64> {
+    Some(sd_m? / (frames as f64).sqrt() / magnitude?.observed_m).filter(|sd| sd.is_finite())
 }
 
 fn scatter_m<'a>(means: impl Iterator<Item = &'a Mean>) -> Option<f64> {

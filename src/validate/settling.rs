@@ -1,8 +1,8 @@
-//! Whether a motion has become periodic: until then its size is not that of the response.
+//! Whether a motion has become periodic; until then its size is not that of the steady response.
 //!
 //! In: the points of all counted periods. Out: by how much each point of the last period differs from the one a period
-//! before, and the size of the last period alone. Both circle fit and phase take all counted periods together, so a
-//! mean that still drifts makes the circle larger.
+//! before, and the size of the last period alone. Circle fit and phase use all counted periods together, so a drifting
+//! mean makes the circle larger.
 
 use super::circle::Circle;
 use super::path::DesiredPath;
@@ -10,26 +10,26 @@ use super::plane::Plane;
 use super::step::Step;
 use nalgebra::Point3;
 
-/// A motion that changes by more than this part of its size from period to period has not settled.
-const CHANGES: f64 = 0.1;
-/// Differences up to so many σ are noise.
+/// A motion that changes by more than this fraction of its size between periods has not settled.
+const SETTLED_FRACTION: f64 = 0.1;
+/// Differences up to this many σ are noise.
 const NOISE: f64 = 3.0;
 
-/// The last period beside the one before.
+/// Comparison of the last period with the one before.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Settling {
     /// Root mean square distance between points of the last period and those a period before, metres.
     pub change_m: f64,
     /// Root mean square distance of the last period's points from their mean, metres.
     pub size_m: f64,
-    /// Root mean square distance that the tracker's noise alone makes, metres.
+    /// Root mean square distance expected from the tracker's noise alone, metres.
     pub noise_m: f64,
     /// Magnitude of the last period alone, dB, where the path is a circle.
     pub last_db: Option<f64>,
 }
 
 impl Settling {
-    /// Of the steps that count. `sd_m`: the tracker's σ of a coordinate.
+    /// From the steps that count. `sd_m`: the tracker's σ of a coordinate.
     pub(super) fn of(path: &DesiredPath, steps: &[Step], plane: Option<&Plane>, sd_m: Option<f64>) -> Option<Self> {
         let length = path.points.len();
         let last_first = steps.len().checked_sub(length).filter(|first| *first >= length)?;
@@ -58,10 +58,10 @@ impl Settling {
 
     /// Whether the motion still changes from period to period.
     pub(crate) fn is_unsettled(&self) -> bool {
-        self.change_m > CHANGES * self.size_m && self.change_m > NOISE * self.noise_m
+        self.change_m > SETTLED_FRACTION * self.size_m && self.change_m > NOISE * self.noise_m
     }
 
-    /// What to know of it.
+    /// A note about it.
     pub(super) fn note(&self) -> Option<String> {
         let last = self.last_db.map_or(String::new(), |db| format!(" (the last period alone has {db:.1} dB)"));
         self.is_unsettled().then(|| {

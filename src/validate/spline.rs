@@ -1,12 +1,12 @@
 //! Interpolation of a motion between camera frames.
 //!
-//! A cubic spline through all frames, twice continuously differentiable, straight at its ends
-//! (`scipy.interpolate.CubicSpline` with `bc_type="natural"`); or straight lines. On a circle of 12 frames a turn,
-//! straight lines take 0.2 dB off the radius, the spline 0.002 dB.
+//! A cubic spline through all frames, twice continuously differentiable, with zero curvature at its ends
+//! (`scipy.interpolate.CubicSpline` with `bc_type="natural"`); or straight lines. On a circle with 12 frames per turn,
+//! straight lines reduce the radius by 0.2 dB, the spline by 0.002 dB.
 
 use nalgebra::Vector3;
 
-/// How to go from frame to frame.
+/// Interpolation between frames.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(crate) enum Interpolation {
     /// A cubic spline.
@@ -16,7 +16,7 @@ pub(crate) enum Interpolation {
     Linear,
 }
 
-/// A motion through frames.
+/// An interpolated motion.
 #[derive(Debug)]
 pub(super) struct Curve {
     /// Seconds, rising.
@@ -36,14 +36,14 @@ impl Curve {
         Self { times_s, values, bends }
     }
 
-    /// The value at a time, and how far apart the frames around it are; `None` before the first and behind the last.
+    /// The value at a time, and the interval between the frames around it; `None` before the first and after the last.
     pub(super) fn at(&self, t_s: f64) -> Option<(Vector3<f64>, f64)> {
         let after = self.times_s.partition_point(|time| *time <= t_s);
         let k = after.checked_sub(1)?;
         let (t0, y0, m0) = (*self.times_s.get(k)?, self.values.get(k)?, self.bends.get(k)?);
         let Some(((t1, y1), m1)) = self.times_s.get(after).zip(self.values.get(after)).zip(self.bends.get(after))
         else {
-            // The last frame itself is no extrapolation.
+            // At the last frame itself there is no extrapolation.
             return (t0 == t_s).then_some((*y0, 0.0));
         };
         let h = t1 - t0;
@@ -65,7 +65,7 @@ fn natural(times_s: &[f64], values: &[Vector3<f64>]) -> Vec<Vector3<f64>> {
         let pivot = 2.0 * (h0 + h1) - h0 * upper;
         rows.push((h1 / pivot, ((s1 - s0) * 6.0 - right * *h0) / pivot));
     }
-    // Backward, from the straight end on.
+    // Backward, from the straight end.
     let mut bends = vec![Vector3::zeros(); values.len()];
     let mut next = Vector3::zeros();
     for (bend, (upper, right)) in bends.iter_mut().rev().skip(1).zip(rows.iter().rev()) {

@@ -1,13 +1,11 @@
-//! When the first command was given, where nobody says it.
+//! Time of the first command, if it is not given.
 //!
-//! - From the frames' ticks: the first change of the count of commands. Where commands come slowly enough for the
-//!   count, a line through the times of all of them gives start and pause, which an amplifier keeps to a few parts in a
-//!   thousand.
-//! - From the coil currents in the log: the first moment at which a current differs from the first one logged, or the
-//!   first one itself when it is not zero and changes within 1.5 pauses.
-//! - Else by a search over the record: the start at which the observed motion correlates best with the whole commanded
-//!   one. That absorbs the lag of the catheter: no phase can be measured from such a start, and errors are without the
-//!   lag too.
+//! - From the frames' ticks: the first change of the command count. If commands are slow enough for the count, a line
+//!   through the times of all of them gives start and pause, which an amplifier keeps to a few parts in a thousand.
+//! - From the coil currents in the log: the first time at which a current differs from the first one logged, or the
+//!   first one itself if it is not zero and changes within 1.5 pauses.
+//! - Otherwise by a search over the record: the start at which the observed motion correlates best with the whole
+//!   commanded one. That absorbs the catheter's lag: such a start gives no phase, and errors also exclude the lag.
 
 use super::path::DesiredPath;
 use super::pauses::{Sample, Window};
@@ -20,7 +18,7 @@ use nalgebra::Vector3;
 pub(crate) enum StartFrom {
     /// It was given.
     Given,
-    /// The camera saw the count of commands change.
+    /// The camera saw the command count change.
     Ticks,
     /// The first change of a coil current in the log.
     Currents,
@@ -40,16 +38,16 @@ impl StartFrom {
     }
 }
 
-/// Points of the path that are looked at for each start.
-const LOOKED_AT: usize = 400;
-/// Starts that are tried in a long record.
-const MOST_STARTS: i64 = 10_000;
-/// Currents that differ by less are the same, amperes.
-const SAME_A: f64 = 1e-6;
-/// Pauses by ticks that differ from what was asked for by more than this part are of other commands.
-const MOST_OFF: f64 = 0.05;
+/// Points of the path evaluated for each start.
+const POINTS_EVALUATED: usize = 400;
+/// Most starts tried in a long record.
+const MAX_STARTS: i64 = 10_000;
+/// Currents that differ by less count as equal, amperes.
+const CURRENT_TOLERANCE_A: f64 = 1e-6;
+/// Pauses from ticks that differ from the requested one by more than this fraction belong to other commands.
+const PAUSE_TOLERANCE: f64 = 0.05;
 
-/// Start and pause (nanoseconds) by the ticks of the frames, and what to know of them; `None` without ticks.
+/// Start and pause (nanoseconds) from the frames' ticks, and a note about them; `None` without ticks.
 pub(super) fn from_ticks(
     recording: &Recording,
     pause_ns: i64,
@@ -57,7 +55,7 @@ pub(super) fn from_ticks(
 ) -> Result<Option<(i64, i64, Option<String>)>, SeriesError> {
     let Some(ticks) = recording.ticks()? else { return Ok(None) };
     let Some(first_ns) = ticks.times_ns.first().copied() else { return Ok(None) };
-    if !ticks.tells(pause_ns) {
+    if !ticks.resolves(pause_ns) {
         let note = format!(
             "a count of commands modulo {} aliases at this pause: only the start is taken from it",
             ticks.modulus
@@ -66,7 +64,7 @@ pub(super) fn from_ticks(
     }
     let Some((start_ns, measured_ns)) = ticks.evenly(commands) else { return Ok(Some((first_ns, pause_ns, None))) };
     let off = measured_ns / pause_ns as f64 - 1.0;
-    if off.abs() > MOST_OFF {
+    if off.abs() > PAUSE_TOLERANCE {
         let note = format!(
             "by the ticks a command was held for {:.3} ms, not {:.3} ms: check --pause; only the start is taken from them",
             measured_ns * 1e-6,
@@ -79,29 +77,29 @@ pub(super) fn from_ticks(
     Ok(Some((start_ns, measured_ns.round() as i64, fewer)))
 }
 
-/// The first change of a coil current, camera time; the first current itself where it is not zero and not held for
-/// longer than a command: then it is one.
+/// The first change of a coil current, camera time; or the first current itself if it is not zero and not held longer
+/// than a command: then it is one.
 pub(super) fn from_currents(currents: &[Current], pause_ns: i64) -> Option<i64> {
     let first = currents.first()?;
     let differs = |current: &&Current| {
         let mut pairs = current.values_a.iter().zip(&first.values_a);
-        pairs.any(|(a, b)| (a - b).abs() > SAME_A) || current.values_a.len() != first.values_a.len()
+        pairs.any(|(a, b)| (a - b).abs() > CURRENT_TOLERANCE_A) || current.values_a.len() != first.values_a.len()
     };
     let change_ns = currents.iter().find(differs).and_then(|current| current.stamp_ns)?;
-    let flows = first.values_a.iter().any(|value| value.abs() > SAME_A);
+    let flows = first.values_a.iter().any(|value| value.abs() > CURRENT_TOLERANCE_A);
     let is_command = |first_ns: &i64| flows && 2 * change_ns.saturating_sub(*first_ns) <= 3 * pause_ns;
     first.stamp_ns.filter(is_command).or(Some(change_ns))
 }
 
 /// The start at which the motion correlates best with the path; `None` when the record is shorter than all commands, or
-/// does not move. Good to about one point of 200 a period.
+/// does not move. Accurate to about one point of 200 per period.
 pub(super) fn by_search(path: &DesiredPath, samples: &[Sample], pause_ns: i64) -> Option<i64> {
     let (first_ns, last_ns) = (samples.first()?.0, samples.last()?.0);
     let window = Window { start_ns: first_ns, pause_ns, commands: path.commands() };
     let slack_ns = last_ns.checked_sub(window.end_ns()).filter(|slack| *slack >= 0)?;
     let times_s = samples.iter().map(|(ns, _)| (ns - first_ns) as f64 * 1e-9).collect();
     let curve = Curve::through(times_s, samples.iter().map(|(_, v)| *v).collect(), Interpolation::Linear);
-    let every = path.commands().div_ceil(LOOKED_AT);
+    let every = path.commands().div_ceil(POINTS_EVALUATED);
     let commands: Vec<(f64, Vector3<f64>)> = (0..path.commands())
         .step_by(every)
         .map(|k| ((k as f64 + 0.5) * pause_ns as f64 * 1e-9, path.point(k).coords))
@@ -113,13 +111,13 @@ pub(super) fn by_search(path: &DesiredPath, samples: &[Sample], pause_ns: i64) -
     };
     // A long record is searched coarsely first.
     let fine_ns = (pause_ns.saturating_mul(path.points.len() as i64) / 200).max(1);
-    let coarse_ns = fine_ns.max(slack_ns / MOST_STARTS);
+    let coarse_ns = fine_ns.max(slack_ns / MAX_STARTS);
     let near_ns = best(0, slack_ns, coarse_ns)?;
     let (from_ns, to_ns) = ((near_ns - coarse_ns).max(0), (near_ns + coarse_ns).min(slack_ns));
     best(from_ns, to_ns, fine_ns).map(|ns| first_ns + ns)
 }
 
-/// Correlation of the motion from `offset_s` on with the commands; `None` without a motion.
+/// Correlation of the motion from `offset_s` on with the commands; `None` without motion.
 fn correlation(curve: &Curve, commands: &[(f64, Vector3<f64>)], offset_s: f64) -> Option<f64> {
     let pairs: Vec<(Vector3<f64>, Vector3<f64>)> =
         commands.iter().filter_map(|(t_s, x)| Some((*x, curve.at(offset_s + t_s)?.0))).collect();

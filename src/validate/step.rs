@@ -1,8 +1,8 @@
-//! One command and what was seen of it.
+//! One command and its observation.
 
 use nalgebra::Point3;
 
-/// One command and what was seen of it.
+/// One command and its observation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Step {
     /// Its number, from 0.
@@ -15,6 +15,6 @@ pub(crate) struct Step {
     pub observed: Option<Point3<f64>>,
     /// The same after the alignment.
     pub aligned: Option<Point3<f64>>,
-    /// Camera frames it is the mean of; 0 if it is interpolated.
+    /// Camera frames averaged; 0 if interpolated.
     pub frames: usize,
 }

@@ -40,20 +40,20 @@ fn desired(of: fn(usize) -> Point3<f64>) -> DesiredPath {
     DesiredPath::read(&file, None, None).unwrap()
 }
 
-/// What is wrong with a simulated run.
+/// Faults of a simulated run.
 #[derive(Clone, Copy)]
 struct Spoiled {
     noise_m: f64,
     missing: f64,
     seed: u64,
-    /// Periods that were commanded before the first that counts.
+    /// Periods commanded before the first one that counts.
     run_in: usize,
 }
 
 const CLEAN: Spoiled = Spoiled { noise_m: 0.0, missing: 0.0, seed: 0, run_in: 20 };
 
-/// Four periods of commands, each held for a pause, followed by a first-order lag (exactly, whatever the pause), seen
-/// at 60 Hz.
+/// Four periods of commands, each held for a pause, followed by a first-order lag (exactly, for any pause), observed at
+/// 60 Hz.
 fn simulate(of: fn(usize) -> Point3<f64>, pause_s: f64, corner_hz: f64, spoiled: Spoiled) -> Recording {
     let mut random = Random::new(spoiled.seed);
     let rate = TAU * corner_hz;
@@ -99,6 +99,7 @@ fn simulate(of: fn(usize) -> Point3<f64>, pause_s: f64, corner_hz: f64, spoiled:
         frames,
         currents: Vec::new(),
         cut: None,
+        vetoed: 0,
     }
 }
 
@@ -139,7 +140,7 @@ fn magnitude_and_phase_of_lagged_circles_without_noise() {
         let (found_db, found_deg) = (run.magnitude.unwrap().db, run.phase_deg.unwrap());
         println!("{:>5} ms: {:+.4} dB, {:+.3}°", run.pause_s * 1e3, found_db - db, found_deg - deg);
         assert!((found_db - db).abs() < 0.01, "{}: {found_db} dB, {db} dB", run.pause_s);
-        // At 50 and 100 ms frames keep their places within the pause, here 4 ms before its middle on average.
+        // At 50 and 100 ms frames keep their positions within the pause, here 4 ms before its middle on average.
         assert!((found_deg - deg).abs() < 0.2, "{}: {found_deg}°, {deg}°", run.pause_s);
         assert_eq!(run.magnitude.unwrap().of, Size::CircleRadius);
     }
@@ -182,7 +183,7 @@ fn the_second_half_of_a_pause_is_nearer_and_its_phase_the_same() {
     let (all, second) =
         (evaluated(circle, CORNER_HZ, CLEAN, Options::default()), evaluated(circle, CORNER_HZ, CLEAN, late));
     for (all, second) in all.runs.iter().zip(&second.runs).filter(|(run, _)| run.pause_s > 0.03) {
-        // As long as a lag of this catheter is, a quarter of a pause is not: 0.0125 s of 0.12 s.
+        // A quarter of a pause is short compared with this catheter's lag: 0.0125 s to 0.12 s.
         assert!(
             second.rms_unaligned_m < 0.95 * all.rms_unaligned_m,
             "{} {}",
@@ -194,8 +195,8 @@ fn the_second_half_of_a_pause_is_nearer_and_its_phase_the_same() {
     }
 }
 
-/// The amplifier holds each point 0.3 % longer than asked, and nobody says when it began: ticks do, to a fraction of a
-/// frame.
+/// The amplifier holds each point 0.3 % longer than asked, and its start is not given: ticks give it, to a fraction of
+/// a frame.
 #[test]
 fn ticks_give_start_and_pause() {
     let true_pause_s = 0.05 * 1.003;
@@ -218,13 +219,13 @@ fn ticks_give_start_and_pause() {
     assert!((run.pause_s - true_pause_s).abs() < 2e-6, "{}", run.pause_s);
     let (_, deg) = truth(run.frequency_hz, CORNER_HZ);
     assert!((run.phase_deg.unwrap() - deg).abs() < 0.3, "{:?} {deg}", run.phase_deg);
-    // By the pause as asked for, commands and frames drift apart: 0.12 s in the end.
+    // With the requested pause, commands and frames drift apart, by 0.12 s at the end.
     let drifted = evaluate(&recording, 0.05, Some(START_NS));
     assert!((drifted.phase_deg.unwrap() - deg).abs() > 1.0, "{:?} {deg}", drifted.phase_deg);
-    // Modulo 4 does not tell commands 4 ms apart.
+    // Modulo 4 cannot resolve commands 4 ms apart.
     let aliased = start_time::from_ticks(&recording, 4_000_000, 800).unwrap().unwrap();
     assert!(aliased.2.unwrap().contains("modulo 4 aliases at this pause"));
-    // A count that stands still is no clock.
+    // A count that never changes is not a clock.
     for frame in &mut recording.frames {
         frame.tick = Some(1);
     }
@@ -261,7 +262,8 @@ fn alignment_absorbs_a_pure_lag_on_a_circle_and_the_rest_of_the_result_shows_it(
     let (angle, axis) = run.alignment.angle_axis();
     assert!((angle.to_degrees() - 45.0).abs() < 1e-4, "{}°", angle.to_degrees());
     assert!((axis.unwrap().dot(&run.plane.unwrap().normal).abs() - 1.0).abs() < 1e-6);
-    assert!((run.phase_deg.unwrap() + 45.0).abs() < 0.01 && run.magnitude.unwrap().db.abs() < 1e-4);
+    // This one jumps from point to point; the phase counts as for one that moves on within a pause, here up to 0.15° apart.
+    assert!((run.phase_deg.unwrap() + 45.0).abs() < 0.15 && run.magnitude.unwrap().db.abs() < 1e-4);
     for gain in run.gain {
         assert!(gain.is_none_or(|gain| (gain - 1.0).abs() < 1e-3));
     }
@@ -315,7 +317,7 @@ fn noise_and_the_trackers_own_sigma_are_told() {
 fn the_start_is_taken_from_currents_or_searched_for() {
     let pause_s = 0.02;
     let mut recording = simulate(circle, pause_s, CORNER_HZ, Spoiled { run_in: 0, ..CLEAN });
-    // Two seconds of rest before and behind.
+    // Two seconds of rest before and after.
     let rest = |from_ns: i64, point: Point3<f64>| {
         (0..120).map(move |k| Frame {
             stamp_ns: from_ns + k * 16_666_667,
@@ -336,7 +338,7 @@ fn the_start_is_taken_from_currents_or_searched_for() {
     let found = one(&recording, None);
     assert_eq!((found.start_from, found.phase_deg), (StartFrom::Search, None));
     assert!(found.notes[0].contains("absorbs the lag"), "{:?}", found.notes);
-    // It is late by the catheter's lag: 10° at 0.25 Hz are 0.12 s.
+    // It is late by the catheter's lag: 10° at 0.25 Hz is 0.12 s.
     let late_s = (found.start_ns - START_NS) as f64 * 1e-9;
     assert!((0.08..0.16).contains(&late_s), "{late_s} s");
 
@@ -396,7 +398,10 @@ fn what_cannot_be_used_is_told_with_its_numbers() {
     assert!(half.contains("of 600 commands have a point, less than half of a period of 200"), "{half}");
     let still = |r: &mut Recording| r.frames.iter_mut().for_each(|f| f.places[0].point = Some(Point3::origin()));
     assert!(message(still, given).contains("lie on a line or do not move"));
-    assert_eq!(refused(&good, 0.0, given, Options::default()), "20ms.csv: a pause of 0 s is none: it must be above 0");
+    assert_eq!(
+        refused(&good, 0.0, given, Options::default()),
+        "20ms.csv: a pause of 0 s is not valid: it must be above 0"
+    );
     let marker = Options { marker: Some("coil".to_owned()), ..Options::default() };
     assert!(refused(&good, 0.02, given, marker).contains("has no marker `coil`; it has tip"));
     let skip = Options { skip: 4, ..Options::default() };
@@ -440,13 +445,13 @@ fn paths_are_read_with_their_periods_and_directions() {
     assert_eq!((path.points.len(), path.periods), (4, 2));
     assert_eq!(
         read(&twice, Some(3), None).unwrap_err(),
-        "path.csv: has 8 rows, which is no multiple of 3 points a period"
+        "path.csv: has 8 rows, which is no multiple of 3 points per period"
     );
     assert!(
         read(&twice, Some(2), None)
             .unwrap_err()
             .contains("point 3 is not where point 1 is: the period is not 2 points")
-            || read(&twice, Some(2), None).unwrap_err().contains("has 2 points a period")
+            || read(&twice, Some(2), None).unwrap_err().contains("has 2 points per period")
     );
     assert!(
         read(&twice, Some(4), Some(3))
@@ -461,7 +466,7 @@ fn paths_are_read_with_their_periods_and_directions() {
 fn paths_that_are_none_are_refused() {
     assert_eq!(
         read("x_mm,y_mm,z_mm\n0,0,0\n1,0,0\n", None, None).unwrap_err(),
-        "path.csv: has 2 points a period; a path needs 3 or more"
+        "path.csv: has 2 points per period; a path needs 3 or more"
     );
     let line = read("x_mm,y_mm,z_mm\n0,0,0\n1,1,1\n2,2,2\n3,3,3\n", None, None).unwrap_err();
     assert_eq!(line, "path.csv: its points lie on a line or are all the same: a turn about it would be open");

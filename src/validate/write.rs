@@ -7,7 +7,7 @@ use std::fmt::Write as _;
 
 const MM_PER_M: f64 = 1e3;
 
-/// One run, in the units of the table: mm, degrees, ms. What is not known is absent.
+/// One run, in the units of the table: mm, degrees, ms. Unknown values are absent.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub(crate) struct Row {
     /// The run's file.
@@ -28,6 +28,8 @@ pub(crate) struct Row {
     pub frames: usize,
     /// Of these, without the marker.
     pub frames_missed: usize,
+    /// Of these, vetoed by a person.
+    pub frames_vetoed: usize,
     /// Lost by the camera.
     pub frames_lost: u64,
     /// Commands that count.
@@ -60,6 +62,8 @@ pub(crate) struct Row {
     pub gain_z: Option<f64>,
     /// Eq. 8, or the ratio of sizes.
     pub magnitude_db: Option<f64>,
+    /// Its σ by the tracker's own noise.
+    pub magnitude_sd_db: Option<f64>,
     /// `circle_radius` or `rms_size`.
     pub magnitude_of: Option<&'static str>,
     /// Size observed.
@@ -74,9 +78,11 @@ pub(crate) struct Row {
     pub lag_ms: Option<f64>,
     /// Eq. 10, negative when late, unwrapped.
     pub phase_deg: Option<f64>,
+    /// Its σ by the tracker's own noise.
+    pub phase_sd_deg: Option<f64>,
     /// Correlation at that lag.
     pub correlation: Option<f64>,
-    /// By how much the last period differs from the one before, in parts of its size.
+    /// Difference of the last period from the one before, relative to its size.
     pub period_change: Option<f64>,
     /// Magnitude of the last period alone, where the path is a circle.
     pub last_period_db: Option<f64>,
@@ -84,9 +90,9 @@ pub(crate) struct Row {
     pub tangent_rms_deg: Option<f64>,
     /// Distance of frames from the mean of their pause.
     pub scatter_mm: Option<f64>,
-    /// The tracker's own σ of a coordinate.
+    /// The tracker's σ of a coordinate.
     pub sd_mm: Option<f64>,
-    /// What the reader must know.
+    /// Notes for the reader.
     pub notes: String,
 }
 
@@ -107,6 +113,7 @@ impl Row {
             points_are: if run.interpolated { "interpolated" } else { "averaged" },
             frames: run.frames,
             frames_missed: run.frames_missed,
+            frames_vetoed: run.frames_vetoed,
             frames_lost: run.frames_lost,
             points: run.steps.len(),
             points_left_out: run.left_out,
@@ -123,6 +130,7 @@ impl Row {
             gain_y: run.gain[1],
             gain_z: run.gain[2],
             magnitude_db: run.magnitude.map(|m| m.db),
+            magnitude_sd_db: run.response_sd.map(|sd| 20.0 * (1.0 + sd).log10()),
             magnitude_of: run.magnitude.map(|m| m.of.word()),
             observed_size_mm: run.magnitude.map(|m| mm(m.observed_m)),
             desired_size_mm: run.magnitude.map(|m| mm(m.desired_m)),
@@ -130,6 +138,7 @@ impl Row {
             plane_rms_mm: run.plane.map(|plane| mm(plane.rms_m)),
             lag_ms: run.lag.map(|lag| lag.points * run.pause_s * 1e3),
             phase_deg: run.phase_deg,
+            phase_sd_deg: run.phase_deg.and(run.response_sd).map(f64::to_degrees),
             correlation: run.lag.map(|lag| lag.correlation),
             period_change: run.settling.map(|settling| settling.change_m / settling.size_m),
             last_period_db: run.settling.and_then(|settling| settling.last_db),
@@ -141,7 +150,7 @@ impl Row {
     }
 }
 
-/// What `validation.json` holds.
+/// Content of `validation.json`.
 #[derive(Debug, Serialize)]
 struct Document {
     version: &'static str,
@@ -161,7 +170,7 @@ struct PathPart {
 }
 
 impl Validation {
-    /// Name of the path, for tables: its file without ending.
+    /// Name of the path for tables: its file name without extension.
     pub(crate) fn name(&self) -> String {
         self.path.file.file_stem().map_or_else(|| "path".to_owned(), |name| name.to_string_lossy().into_owned())
     }
@@ -169,7 +178,7 @@ impl Validation {
     /// `validation.json`.
     ///
     /// # Errors
-    /// When a number cannot be written, which JSON has no word for.
+    /// When a number cannot be represented in JSON.
     pub(crate) fn json(&self) -> serde_json::Result<String> {
         let path = &self.path;
         let document = Document {
@@ -188,10 +197,10 @@ impl Validation {
         serde_json::to_string_pretty(&document).map(|text| text + "\n")
     }
 
-    /// `validation.csv`: one row a run.
+    /// `validation.csv`: one row per run.
     ///
     /// # Errors
-    /// None that is known: it is written to memory.
+    /// None are known: it is written to memory.
     pub(crate) fn csv(&self) -> Result<String, csv::Error> {
         let mut writer = csv::WriterBuilder::new().terminator(csv::Terminator::CRLF).from_writer(Vec::new());
         for run in &self.runs {
@@ -201,7 +210,7 @@ impl Validation {
         Ok(String::from_utf8_lossy(&bytes).into_owned())
     }
 
-    /// Errors over pause times in the layout of Table II of the paper, as Markdown; further rows say what that table
+    /// Errors over pause times in the layout of Table II of the paper, as Markdown; further rows show what that table
     /// hides.
     pub(crate) fn table(&self) -> String {
         let rows: Vec<Row> = self.runs.iter().map(Row::of).collect();
@@ -227,7 +236,7 @@ impl Validation {
 }
 
 impl Run {
-    /// The run's points: one row a command, mm; what is not known is empty.
+    /// The run's points: one row per command, mm; unknown values are empty.
     pub(crate) fn points_csv(&self) -> String {
         let axes = ["x", "y", "z"];
         let names = ["desired", "observed", "aligned"].map(|of| axes.map(|axis| format!("{of}_{axis}_mm")).join(","));

@@ -1,6 +1,6 @@
-//! How near the tracker comes to the truth of the sample recordings, which the renderer gave exactly.
+//! Accuracy of the tracker on the sample recordings, whose exact truth comes from the renderer.
 //!
-//! `make accuracy` prints the figures in tables: bias apart from scatter, for each marker and view.
+//! `make accuracy` prints the figures in tables: bias and scatter separately, for each marker and view.
 
 use crate::support::truth::score::{Limits, Score, rms_and_aligned};
 use crate::support::truth::{MARKERS, frames, rig, track, truth};
@@ -10,8 +10,7 @@ use catoptra::track::TrackOptions;
 use nalgebra::Vector3;
 use std::sync::OnceLock;
 
-/// A sixth above what was reached when this was written: who comes here has made something worse. Lower them when
-/// something has become better.
+/// A sixth above the values when this was written: exceeding them means a regression. Lower them after an improvement.
 const REACHED_IN_PLANAR: Limits =
     Limits { points_mm: [0.090, 0.041, 0.055], worst_mm: 0.22, tangent_deg: 0.20, theta_deg: 0.135 };
 const REACHED_IN_CIRCLE: Limits =
@@ -42,8 +41,8 @@ fn circle() -> &'static Tracked {
     CIRCLE.get_or_init(|| Tracked::of("circle"))
 }
 
-/// The predicted σ is the real one: normalised errors average to 1. What a coder leaves in the wrong place is known in
-/// size, not in how much of it a band gets: that of the base, which hardly moves, gets less.
+/// The predicted σ is the real one: normalised errors average to 1. The size of a coder's errors is known, but not how
+/// much of them a band gets: the base, which hardly moves, gets less.
 fn covariances_match(run: &str, score: &Score) {
     let points = MARKERS.iter().zip(&score.points_mm).map(|(name, errors)| (*name, errors.normalised()));
     let angles = [("tangent", score.tangent_deg.normalised()), ("θ", score.theta_deg.normalised())];
@@ -76,8 +75,8 @@ fn nothing_has_become_worse() {
     REACHED_IN_CIRCLE.hold_for(&circle().score);
 }
 
-/// The tank's walls taken out of the paths of the rays, camera and mirror as they are: what a tool that ignores the
-/// water measures. The renderer's author found 7.15 mm, 0.93 mm after alignment and 0.9° with the true pixels.
+/// The tank's walls removed from the rays' paths, with camera and mirror unchanged: the result of a tool that ignores
+/// the water. The renderer's author found 7.15 mm, 0.93 mm after alignment and 0.9° with the true pixels.
 #[test]
 fn rays_taken_for_straight_are_millimetres_off() {
     let mut rig = rig();
@@ -122,7 +121,7 @@ fn assert_same(what: &str, found: &[Estimate], expected: &[Estimate]) {
 
 #[test]
 fn windows_and_whole_pictures_give_the_same_estimates() {
-    let whole = track(&rig(), TrackOptions { full_frame: true }, frames("circle").take(60));
+    let whole = track(&rig(), TrackOptions { full_frame: true, ..TrackOptions::default() }, frames("circle").take(60));
     assert_eq!(whole.len(), 60);
     assert_same("whole pictures", &whole, &circle().estimates);
 }

@@ -1,9 +1,8 @@
-//! Who imports whom in `src`: only what ARCHITECTURE.md allows, and never in a circle. Code that is only compiled for
-//! tests is free.
+//! Imports between modules of `src`: only those that ARCHITECTURE.md allows, and never circular. Test-only code is
+//! exempt.
 //!
-//! Reads the tokens of every file. A path counts where it begins with `crate`, `super`, `self` or a module of the same
-//! file; an item that is re-exported counts as one of the file that defines it. Paths that a macro puts together are
-//! not seen.
+//! Reads the tokens of every file. A path counts if it begins with `crate`, `super`, `self` or a module of the same
+//! file; a re-exported item counts for the file that defines it. Paths built by macros are not seen.
 
 use proc_macro2::{Delimiter, TokenStream, TokenTree};
 use std::collections::{BTreeMap, BTreeSet};

@@ -1,4 +1,4 @@
-//! Many recordings in one command: `track --manifest`, `--resume`, and what is beside the results.
+//! Many recordings in one command: `track --manifest`, `--resume`, and other files beside the results.
 
 use crate::support::command::*;
 use std::collections::BTreeMap;
@@ -61,8 +61,8 @@ impl Archive {
     fn planned(&self, words: &str) -> BTreeMap<String, String> {
         let output = self.track(&format!("--dry-run --resume {words}"));
         ended_with(&output, 0);
-        let told = stdout(&output);
-        let lines = told.lines().filter_map(|line| line.strip_prefix("track\t")?.split_once('\t'));
+        let printed = stdout(&output);
+        let lines = printed.lines().filter_map(|line| line.strip_prefix("track\t")?.split_once('\t'));
         lines.map(|(name, why)| (name.to_owned(), why.to_owned())).collect()
     }
 }
@@ -158,7 +158,7 @@ fn what_is_done_is_left_out_until_something_changes() {
     let before = timeless(&archive.path("runs"));
     let again = archive.track("--resume");
     assert!(ended_with(&again, 1).contains("error: none: as before: none.mkv"), "{}", stderr(&again));
-    assert!(stdout(&again).contains("3 left out"), "{}", stdout(&again));
+    assert!(stdout(&again).contains("3 skipped"), "{}", stdout(&again));
     assert!(timeless(&archive.path("runs")) == before);
 
     let planned = |name: &str| archive.planned("").remove(name).unwrap_or_else(|| "left out".to_owned());
@@ -279,7 +279,7 @@ fn bad_manifests_and_wrong_usage_are_told_before_anything_is_done() {
     refused(&long, "runs.tsv:100002: the name \"r5\" is that of line 7 already");
     for (words, part) in [
         ("track a.mkv b.mkv --rig rig.toml", "with -o"),
-        ("track d/a.mkv e/a.mkv --rig rig.toml -o runs", "have one name, a"),
+        ("track d/a.mkv e/a.mkv --rig rig.toml -o runs", "have the same name, a"),
         ("track a.mkv b.mkv --rig rig.toml -o rig.toml", "is a file"),
         ("track a.mkv b.mkv --rig rig.toml -o runs --csv", "--csv is for one recording"),
         ("track a.mkv --manifest runs.tsv -o runs", "cannot be used with"),

@@ -1,4 +1,4 @@
-//! `catoptra calibrate base` as a user runs it: the sample's base frame beside the truth, and when it is refused.
+//! `catoptra calibrate base` as a user runs it: the sample's base frame compared with the truth, and refusals.
 
 use crate::support::command::{Place, ended_with, names, pictures, rig, sample, stdout};
 use crate::support::encode;
@@ -175,7 +175,7 @@ fn a_recording_without_colour_is_refused() {
         &place.path("grey.mkv"),
         &Recording { size_px: [1280, 1024], pts: &pts, b_frames: 0, ..Recording::default() },
     );
-    let grey = "grey.mkv: pictures are grey; markers are told by their colour";
+    let grey = "grey.mkv: pictures are grey; markers are recognised by their colour";
     refused(&place, 2, &place.path("grey.mkv"), &B0, &[grey]);
     let args = ["--planar", "grey.mkv"];
     refused(&place, 2, &sample("rest.mkv"), &args, &[grey]);

@@ -1,4 +1,4 @@
-//! Boards found in drawn pictures, whose corners are known exactly, and in files.
+//! Detection of boards in drawn pictures with exactly known corners, and in files.
 
 use crate::support::board::{Canvas, Placed};
 use catoptra::calibrate::board::{Board, BoardError, BoardImage, Flaw, find_boards};

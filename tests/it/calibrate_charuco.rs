@@ -1,9 +1,8 @@
-//! ChArUco boards: OpenCV's own, photographed by OpenCV's own camera or drawn here; what is found against where they
-//! are.
+//! ChArUco boards: OpenCV's own, in OpenCV's photographs or drawn here; detected corners compared with true ones.
 
 use crate::support::board::{Canvas, Placed};
 use crate::support::charuco::{Printed, data};
-use catoptra::calibrate::board::{Board, BoardError, BoardImage, Unread, find_boards};
+use catoptra::calibrate::board::{Board, BoardError, BoardImage, CharucoNotFound, find_boards};
 use catoptra::calibrate::board::{Grey, Rows};
 use nalgebra::Point2;
 
@@ -98,7 +97,7 @@ fn one(picture: &Grey, board: &Board) -> BoardImage {
     found.remove(0)
 }
 
-fn unread(picture: &Grey, text: &str) -> (Unread, String) {
+fn unread(picture: &Grey, text: &str) -> (CharucoNotFound, String) {
     match find_boards(picture, &board(text), 2) {
         Err(error @ BoardError::NoCharuco { .. }) => {
             let message = error.to_string();
@@ -185,10 +184,10 @@ fn what_was_said_wrongly_of_a_board_is_told() {
 fn opencvs_legacy_pattern_is_told_and_never_guessed() {
     for mirrored in [false, true] {
         let (why, message) = unread(&large(1, mirrored), PRINTS[2].1);
-        assert_eq!(why, Unread::Layout { legacy: false });
+        assert_eq!(why, CharucoNotFound::Layout { legacy: false });
         assert!(message.contains("leave out `:legacy`"), "{message}");
         let (why, message) = unread(&large(2, mirrored), PRINTS[1].1);
-        assert_eq!(why, Unread::Layout { legacy: true });
+        assert_eq!(why, CharucoNotFound::Layout { legacy: true });
         assert!(message.contains("add `:legacy` to the board"), "{message}");
     }
     // With an odd number of rows there is no difference.
@@ -218,13 +217,13 @@ fn part_of_a_board_is_enough_unless_it_is_too_little() {
     }
     let (picture, _) = whole(|x, y, v| if x > 400.0 || y > 250.0 { 90.0 } else { v });
     let (why, message) = unread(&picture, FIVE);
-    assert!(matches!(why, Unread::FewCorners { .. }), "{message}");
+    assert!(matches!(why, CharucoNotFound::FewCorners { .. }), "{message}");
     let (why, _) = unread(&Canvas::new(640, 480).noisy(3.0).grey(), FIVE);
-    assert!(matches!(why, Unread::NoMarkers { .. }));
+    assert!(matches!(why, CharucoNotFound::NoMarkers { .. }));
     // A chessboard has no markers.
     let chessboard = Placed::new("9x6:12mm", [400.0, 300.0], 40.0, [15.0, -20.0, 10.0], false);
     let (why, _) = unread(&Canvas::with(800, 600, &[chessboard]).blurred(0.7).noisy(2.0).grey(), FIVE);
-    assert!(matches!(why, Unread::NoMarkers { .. }), "{why:?}");
+    assert!(matches!(why, CharucoNotFound::NoMarkers { .. }), "{why:?}");
 }
 
 #[test]

@@ -1,5 +1,6 @@
-//! `catoptra calibrate camera` and `calibrate rig` with a ChArUco board, as a user runs them: pictures drawn of a board
-//! of OpenCV's, by a camera with distortion, directly and in a mirror in air, some of them cut off or covered in part.
+//! `catoptra calibrate camera` and `calibrate rig` with a ChArUco board, as a user runs them: drawn pictures of one of
+//! OpenCV's boards, by a camera with distortion, directly and in a mirror in air, some of them cut off or partly
+//! covered.
 
 use crate::support::board::{Canvas, Placed};
 use crate::support::charuco::Printed;
@@ -178,13 +179,14 @@ fn boards_seen_in_a_mirror_only_are_told_and_not_used() {
         save(&pictures.join(format!("{i}.png")), &[board], None);
     }
     let size_px = SIZE.map(|n| n as u32);
-    let camera = Camera { size_px, lens: lens(), blur_px: None, chroma_offset_px: [0.0; 2], exposure_s: None };
+    let camera =
+        Camera { size_px, lens: lens(), blur_px: None, chroma_offset_px: [0.0; 2], exposure_s: None, gamma: None };
     Draft::of_camera(camera).save(&folder.path().join("lens.toml")).unwrap();
     let refused = |args: &[&str], says: &str| {
         let output = catoptra(folder.path(), args);
-        let told = text(&output);
-        assert_eq!(output.status.code(), Some(3), "{told}");
-        assert!(told.matches(says).count() == 3, "{told}");
+        let output_text = text(&output);
+        assert_eq!(output.status.code(), Some(3), "{output_text}");
+        assert!(output_text.matches(says).count() == 3, "{output_text}");
         assert!(!folder.path().join("rig.toml").exists());
     };
     let rig = ["calibrate", "rig", "mirror", "--rig", "lens.toml", "--out", "rig.toml", "--board"];

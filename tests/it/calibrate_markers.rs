@@ -1,9 +1,9 @@
-//! `catoptra calibrate markers` as a user runs it: what a rig without colours learns from a click near each band,
-//! what that is worth on another recording, and when it refuses.
+//! `catoptra calibrate markers` as a user runs it: what a rig without colours learns from a click near each band, how
+//! well that works on another recording, and refusals.
 
 use crate::support::truth;
 use crate::support::truth::score::{Limits, Score};
-use crate::support::truth::{file, frames, recording, track};
+use crate::support::truth::{frames, recording, track, untaught_rig};
 use catoptra::rig::Rig;
 use catoptra::track::TrackOptions;
 use std::path::{Path, PathBuf};
@@ -21,16 +21,8 @@ struct Bench {
 
 impl Bench {
     fn new() -> Self {
-        let mut table: toml::Table =
-            std::fs::read_to_string(file("sample_frames/truth/rig.toml")).unwrap().parse().unwrap();
-        let camera = table["camera"].as_table_mut().unwrap();
-        assert!(camera.remove("blur_px").is_some() && camera.remove("chroma_offset_px").is_some());
-        for marker in table["marker"].as_array_mut().unwrap() {
-            let marker = marker.as_table_mut().unwrap();
-            assert!(marker.remove("colour").is_some() && marker.remove("centre_mm").is_some());
-        }
         let folder = tempfile::tempdir().unwrap();
-        std::fs::write(folder.path().join("bare.toml"), table.to_string()).unwrap();
+        std::fs::write(folder.path().join("bare.toml"), untaught_rig()).unwrap();
         Self { folder }
     }
 
@@ -144,7 +136,7 @@ fn picks_in_another_order_are_told() {
 fn a_failure_leaves_a_page() {
     let bench = Bench::new();
     let said = ended_with(&bench.pick("rest", [BASE, COIL, "tip@560,480:6mm"]), 3);
-    assert!(said.contains("learned.markers.html shows what was seen"), "{said}");
+    assert!(said.contains("see learned.markers.html for what was found"), "{said}");
     let page = std::fs::read_to_string(bench.folder.path().join("learned.markers.html")).unwrap();
     assert!(page.contains("Not learned: nothing like a band of 6.0 mm"), "what the page says first");
 }
@@ -157,6 +149,14 @@ fn a_tube_of_another_thickness_is_noticed() {
     let output = bench.calibrate(&[&args[..], &["--pick", BASE, "--pick", COIL, "--pick", TIP]].concat());
     let said = format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
     assert!(said.contains("mm thick, not 2.00 mm"), "{said}");
+}
+
+#[test]
+fn a_band_of_another_length_is_noticed() {
+    let bench = Bench::new();
+    let output = bench.pick("rest", [BASE, "coil@431,565:6mm", TIP]);
+    let said = format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+    assert!(said.contains("band `coil` looks 1") && said.contains("mm long, not 6.0 mm"), "{said}");
 }
 
 #[test]
@@ -206,7 +206,7 @@ fn wrong_arguments_are_named() {
         (&[&["none.mkv"], &rig, &tube, &picks], "none.mkv"),
         (
             &[&[video], &rig, &tube, &picks[..5], &["tip@880,600:6mm"]],
-            "view `direct`; it lies in that of `mirror`, say so: --pick NAME@mirror:X,Y",
+            "view `direct`; it is in view `mirror`: write --pick NAME@mirror:X,Y",
         ),
         (
             &[&[video], &rig, &tube, &picks, &["--coil", "coils"]],
@@ -260,7 +260,7 @@ fn the_recording_and_other_files_are_not_taken_for_a_rig_to_replace() {
     let args = ["rest.mkv", "--rig", "bare.toml", "--tube", "3.2mm", "--out", "rest.mkv"];
     let picks = ["--pick", BASE, "--pick", COIL, "--pick", TIP];
     let said = ended_with(&bench.calibrate(&[&args[..], &picks].concat()), 2);
-    assert!(said.contains("rest.mkv: is there and no rig file"), "{said}");
+    assert!(said.contains("rest.mkv: exists and is not a rig file"), "{said}");
     assert_eq!(std::fs::read(&video).unwrap(), before);
     assert!(!bench.folder.path().join("rest.mkv.bak").exists());
 }

@@ -1,5 +1,5 @@
-//! `catoptra calibrate mirror` as a user runs it: a mirror that was bumped is put right from an ordinary recording, and
-//! what the recording leaves open is refused.
+//! `catoptra calibrate mirror` as a user runs it: a bumped mirror is corrected from an ordinary recording, and a
+//! recording that does not determine it is refused.
 
 use crate::support::command::{Place, ended_with, sample, stdout};
 use crate::support::moved_mirror::moved;
@@ -99,12 +99,12 @@ fn a_mirror_that_stands_where_the_rig_says_stays_there() {
     assert_eq!(Rig::load(&place.rig).unwrap(), rig(), "the rig that was read is left alone");
     // A move within its σ is none: a place known from boards is not given up for one from bands.
     assert_eq!(found.surfaces["side_mirror"], rig().surfaces["side_mirror"]);
-    let told = stdout(&output);
-    assert!(told.contains("stands where the rig has it"), "{told}");
+    let printed = stdout(&output);
+    assert!(printed.contains("the mirror has not moved"), "{printed}");
     for part in
         ["turned up or down", "shifted along its normal", "length coil-tip 22.00 ± 0.02 mm", "written: new.toml"]
     {
-        assert!(told.contains(part), "{part} is not in {told}");
+        assert!(printed.contains(part), "{part} is not in {printed}");
     }
 }
 

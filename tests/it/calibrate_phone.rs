@@ -1,8 +1,8 @@
-//! Photographs of a telephone, in air, of a board in front of two mirrors: `catoptra calibrate camera` and
-//! `calibrate rig --mirrors 2` on JPEGs of 12 megapixels with orientation tags, the board small in them and not in
+//! Photographs by a telephone, in air, of a board in front of two mirrors: `catoptra calibrate camera` and
+//! `calibrate rig --mirrors 2` on 12-megapixel JPEGs with orientation tags, in which the board is small and not in
 //! every mirror.
 
-use crate::support::scene::{Scene, pose};
+use crate::support::boards::{Scene, noise, pose};
 use catoptra::calibrate::geometry::{Geometry, tilt_axes};
 use catoptra::optics::{Lens, Mirror, Plane, Surface};
 use catoptra::rig::Draft;
@@ -46,8 +46,8 @@ fn scene() -> Scene {
             vec![[1500.0, 2130.0], [2900.0, 2130.0], [3100.0, 2980.0], [1300.0, 2980.0]],
         ],
         board: BOARD.parse().unwrap(),
-        blur_px: 0.9,
-        noise: 4.0,
+        blur_px: 0.95,
+        sensor: noise(4.0),
     }
 }
 
@@ -131,11 +131,11 @@ fn photographs_of_12_megapixels_with_two_mirrors_are_calibrated_from_end_to_end(
     let (output, seconds) =
         catoptra(folder.path(), &["calibrate", "camera", "lens", "--board", BOARD, "--out", "phone.toml"]);
     assert_eq!(output.status.code(), Some(0));
-    println!("calibrate camera: {:.2} s a picture", seconds / lens_poses.len() as f64);
+    println!("calibrate camera: {:.2} s per picture", seconds / lens_poses.len() as f64);
     let args = ["calibrate", "rig", "rig", "--board", BOARD, "--rig", "phone.toml", "--mirrors", "2"];
     let (output, seconds) = catoptra(folder.path(), &args);
     assert_eq!(output.status.code(), Some(0));
-    println!("calibrate rig: {:.2} s a picture", seconds / rig_poses.len() as f64);
+    println!("calibrate rig: {:.2} s per picture", seconds / rig_poses.len() as f64);
 
     let found = Draft::load(&folder.path().join("phone.toml")).unwrap();
     assert_eq!(found.camera.size_px, scene.size_px, "the pictures as stored");
@@ -162,9 +162,9 @@ fn photographs_of_12_megapixels_with_two_mirrors_are_calibrated_from_end_to_end(
         hold(&format!("{name} distance"), offset, covariance, index(&format!("{name}_offset_m")));
     }
     // Every picture is used, or named with the reason; 54 corners for each view that shows all of the board.
-    let told = String::from_utf8_lossy(&output.stdout);
+    let printed = String::from_utf8_lossy(&output.stdout);
     for (i, shown) in shown.iter().enumerate() {
-        let line = told.lines().find(|line| line.starts_with(&format!("IMG_{i:04}.jpg"))).unwrap();
+        let line = printed.lines().find(|line| line.starts_with(&format!("IMG_{i:04}.jpg"))).unwrap();
         let corners = 54 * (1 + shown.iter().filter(|s| **s).count());
         let as_it_should = match corners {
             54 => line.contains("left out: it shows the board only once"),

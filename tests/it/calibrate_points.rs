@@ -1,4 +1,4 @@
-//! `catoptra calibrate rig --points`: a mirror from marked points, of a plate of dots and of a frame in space, in air.
+//! `catoptra calibrate rig --points`: a mirror from marked points on a plate of dots and on a frame in space, in air.
 
 use crate::support::random::Random;
 use catoptra::optics::{Lens, Mirror, OpticalPath, Plane, Surface};
@@ -62,8 +62,14 @@ fn frame() -> Vec<Point3<f64>> {
 }
 
 fn calibrate(folder: &Path, points: &str, more: &[&str]) -> Output {
-    let camera =
-        Camera { size_px: [1280, 1024], lens: lens(), blur_px: None, chroma_offset_px: [0.0; 2], exposure_s: None };
+    let camera = Camera {
+        size_px: [1280, 1024],
+        lens: lens(),
+        blur_px: None,
+        chroma_offset_px: [0.0; 2],
+        exposure_s: None,
+        gamma: None,
+    };
     Draft::of_camera(camera).save(&folder.join("camera.toml")).unwrap();
     std::fs::write(folder.join("points.csv"), points).unwrap();
     let mut command = Command::new(env!("CARGO_BIN_EXE_catoptra"));

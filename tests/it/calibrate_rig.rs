@@ -1,5 +1,5 @@
-//! `catoptra calibrate camera` and `calibrate rig` as a user runs them, on the sample rig's pictures of a board: what
-//! they find against the renderer's truth, and what they refuse. What tracking with it is worth: `sample_rig.rs`.
+//! `catoptra calibrate camera` and `calibrate rig` as a user runs them, on the sample rig's pictures of a board:
+//! results compared with the renderer's truth, and refusals. `sample_rig.rs` tests tracking with the result.
 
 use crate::support::truth::{file, rig};
 use catoptra::calibrate::geometry::tilt_axes;
@@ -149,7 +149,7 @@ fn a_lens_from_elsewhere_is_taken_for_exact() {
     let args = ["calibrate", "rig", &sample("mirror"), "--board", "9x6:12mm", "--rig", "rig.toml", "--glass", "5mm"];
     let output = catoptra(folder.path(), &args);
     assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
-    assert!(text(&output.stdout).contains("the lens is taken for exact"));
+    assert!(text(&output.stdout).contains("the lens is taken as exact"));
     let found = Draft::load(&folder.path().join("rig.toml")).unwrap();
     assert_eq!(found.camera.lens, rig().camera.lens);
     assert_eq!(found.provenance["rig"]["parameters"].as_array().unwrap().len(), 9);
@@ -162,10 +162,10 @@ fn bad_input_is_named() {
     let folder = tempfile::tempdir().unwrap();
     let picture = |name: &str| file("calibration/dev_tank/intrinsics").join(name).to_string_lossy().into_owned();
     let refused = |code: i32, part: &str, output: &Output| {
-        let told = text(&output.stdout) + &text(&output.stderr);
-        assert_eq!(output.status.code(), Some(code), "{told}");
-        assert!(told.contains(part), "{told:?} lacks {part:?}");
-        assert!(!told.contains("panicked"), "{told}");
+        let output_text = text(&output.stdout) + &text(&output.stderr);
+        assert_eq!(output.status.code(), Some(code), "{output_text}");
+        assert!(output_text.contains(part), "{output_text:?} lacks {part:?}");
+        assert!(!output_text.contains("panicked"), "{output_text}");
         assert!(!folder.path().join("rig.toml").exists());
     };
     refused(2, "nothing.png", &camera(folder.path(), &["nothing.png"], "rig.toml"));
@@ -197,7 +197,7 @@ fn bad_input_is_named() {
     // Boards that no mirror shows, mirrors that no picture shows.
     refused(3, "it shows the board only once", &rig(&[&picture("00.png"), "--glass", "5mm"]));
     let [a, b, c] = ["00.png", "04.png", "08.png"].map(|name| format!("{}/{name}", sample("mirror")));
-    refused(3, "in the pictures: 1, asked for were 2", &rig(&[&a, &b, &c, "--glass", "5mm", "--mirrors", "2"]));
+    refused(3, "in 1 mirrors, expected 2", &rig(&[&a, &b, &c, "--glass", "5mm", "--mirrors", "2"]));
     refused(2, "--glass <5mm>", &rig(&[&sample("mirror"), "--tank", "254x254x267mm"]));
     refused(2, "expected 0 to 50", &rig(&[&sample("mirror"), "--glass", "5mm", "--temperature", "99"]));
     refused(2, "no surface `wall`", &rig(&[&a, &b, &c, "--glass", "5mm", "--distance", "wall=1264mm:2mm"]));

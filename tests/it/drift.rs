@@ -1,4 +1,4 @@
-//! The drift alarm on the sample recordings: raised when the mirror is not where the rig says, not raised when it is.
+//! The drift alarm on the sample recordings: raised if and only if the mirror is not where the rig says.
 
 use crate::support::command::{Place, ended_with, sample, stdout};
 use crate::support::moved_mirror::moved;
@@ -12,8 +12,8 @@ use catoptra::track::TrackOptions;
 fn alarms(rig: &Rig, run: &str, most: usize) -> (Vec<Estimate>, Vec<DriftAlarm>) {
     let estimates = track(rig, TrackOptions::default(), frames(run).take(most));
     let mut drift = Drift::new(rig);
-    let told = estimates.iter().flat_map(|estimate| drift.add(estimate).to_vec()).collect();
-    (estimates, told)
+    let raised = estimates.iter().flat_map(|estimate| drift.add(estimate).to_vec()).collect();
+    (estimates, raised)
 }
 
 fn calibrated() -> Rig {
@@ -39,9 +39,9 @@ fn a_mirror_turned_or_shifted_enough_is_noticed_by_the_views_within_two_seconds(
     for (turn_deg, shift_mm, expected_px) in
         [([0.05, 0.0], 0.0, 0.46), ([0.0, 2.5], 0.0, 0.30), ([0.0, 0.0], 15.0, 0.38)]
     {
-        let (_, told) = alarms(&moved(&rig(), turn_deg, shift_mm), "planar", 150);
-        let of_views: Vec<&DriftAlarm> = told.iter().filter(|alarm| !is_of_base(alarm)).collect();
-        let [alarm] = of_views[..] else { panic!("{turn_deg:?} {shift_mm}: {told:?}") };
+        let (_, raised) = alarms(&moved(&rig(), turn_deg, shift_mm), "planar", 150);
+        let of_views: Vec<&DriftAlarm> = raised.iter().filter(|alarm| !is_of_base(alarm)).collect();
+        let [alarm] = of_views[..] else { panic!("{turn_deg:?} {shift_mm}: {raised:?}") };
         assert!(alarm.seq < 120, "{alarm:?}");
         let Drifted::Views { size_px, .. } = alarm.what else { panic!("{alarm:?}") };
         assert!((size_px - expected_px).abs() < 0.15 * expected_px, "{turn_deg:?} {shift_mm}: {alarm:?}");
@@ -49,9 +49,9 @@ fn a_mirror_turned_or_shifted_enough_is_noticed_by_the_views_within_two_seconds(
         assert!((alarm.size_m * 1e3 * 1.67 / size_px - 1.0).abs() < 0.1, "{alarm:?}");
     }
     // So far that the tracker refuses to take the two images for one band.
-    let (estimates, told) = alarms(&moved(&rig(), [0.3, 0.0], 0.0), "planar", 150);
+    let (estimates, raised) = alarms(&moved(&rig(), [0.3, 0.0], 0.0), "planar", 150);
     assert!(estimates.iter().all(|estimate| estimate.markers[1].position.is_err()));
-    let [alarm] = told[..] else { panic!("{told:?}") };
+    let [alarm] = raised[..] else { panic!("{raised:?}") };
     assert_eq!((alarm.seq, alarm.what), (59, Drifted::Apart));
     assert!(alarm.size_m > 0.4e-3, "{alarm:?}");
 }
@@ -62,7 +62,7 @@ fn a_mirror_turned_or_shifted_enough_is_noticed_by_the_views_within_two_seconds(
 fn what_the_views_do_not_notice_the_base_band_does() {
     for (turn_deg, shift_mm, expected_mm) in [([0.0, 0.3], 0.0, 8.2), ([0.0, 0.0], 3.0, 3.83), ([0.0, 0.0], 1.0, 1.28)]
     {
-        let (estimates, told) = alarms(&moved(&rig(), turn_deg, shift_mm), "planar", 70);
+        let (estimates, raised) = alarms(&moved(&rig(), turn_deg, shift_mm), "planar", 70);
         let (mut found, mut expected) = (Vec::new(), Vec::new());
         for (estimate, truth) in estimates.iter().zip(truth("planar")) {
             for (marker, point) in estimate.markers.iter().zip(truth.points) {
@@ -74,7 +74,7 @@ fn what_the_views_do_not_notice_the_base_band_does() {
         let what = format!("{turn_deg:?} {shift_mm} mm: {rms_mm} mm off, {aligned_mm} mm after alignment");
         assert!((rms_mm / expected_mm - 1.0).abs() < 0.15 && aligned_mm < 0.2, "{what}");
 
-        let [alarm] = told[..] else { panic!("{what}: {told:?}") };
+        let [alarm] = raised[..] else { panic!("{what}: {raised:?}") };
         assert!(is_of_base(&alarm) && alarm.seq == 59, "{what}: {alarm:?}");
         assert!((alarm.size_m * 1e3 / expected_mm - 1.0).abs() < 0.15, "{what}: {alarm:?}");
     }
@@ -83,12 +83,12 @@ fn what_the_views_do_not_notice_the_base_band_does() {
 /// What docs/log.md tells of the rig that has its origin's σ: noticed from 0.015° and 0.3 mm.
 #[test]
 fn a_calibrated_rig_notices_half_a_millimetre_at_the_base_band() {
-    let told = |turn_deg: f64, shift_mm: f64| {
-        let (_, told) = alarms(&moved(&calibrated(), [0.0, turn_deg], shift_mm), "planar", 70);
-        told.iter().map(DriftAlarm::word).collect::<Vec<_>>()
+    let raised = |turn_deg: f64, shift_mm: f64| {
+        let (_, raised) = alarms(&moved(&calibrated(), [0.0, turn_deg], shift_mm), "planar", 70);
+        raised.iter().map(DriftAlarm::word).collect::<Vec<_>>()
     };
-    assert_eq!((told(-0.02, 0.0), told(0.0, 0.4)), (vec!["base_moved"], vec!["base_moved"]));
-    assert_eq!((told(0.005, 0.0), told(0.0, -0.1)), (vec![], vec![]));
+    assert_eq!((raised(-0.02, 0.0), raised(0.0, 0.4)), (vec!["base_moved"], vec!["base_moved"]));
+    assert_eq!((raised(0.005, 0.0), raised(0.0, -0.1)), (vec![], vec![]));
 }
 
 #[test]
@@ -122,7 +122,7 @@ fn the_command_tells_of_the_base_band_too() {
     let output = place.track(&sample("planar.mkv"), &["--to", "1.1"]);
     let said = ended_with(&output, 0);
     for part in
-        ["at 0.983 s: the base band stands 2.5", "the catheter's clamp have moved", "`catoptra calibrate base` anew"]
+        ["at 0.983 s: the base band stands 2.5", "the catheter's clamp have moved", "`catoptra calibrate base` again"]
     {
         assert!(said.contains(part), "{part} is not in {said}");
     }
@@ -131,13 +131,13 @@ fn the_command_tells_of_the_base_band_too() {
     for part in [
         "<strong>The base band is not where it was: see Residuals.</strong>",
         "<td class=\"text\">0.983 s</td><td class=\"text\">the base band stands 2.5",
-        "<code>catoptra calibrate base</code> anew.</p>",
+        "<code>catoptra calibrate base</code> again.</p>",
     ] {
         assert!(report.contains(part), "{part} is not in the report");
     }
     assert!(!report.contains("The views do not fit together"), "that is another alarm");
     let log = std::fs::read(place.path("out/log.mcap")).unwrap();
     let health = mcap::MessageStream::new(&log).unwrap().map(Result::unwrap).filter(|m| m.channel.topic == "/health");
-    let told: Vec<_> = health.map(|m| String::from_utf8_lossy(&m.data).contains("base_moved")).collect();
-    assert_eq!(told, [true, true]);
+    let raised: Vec<_> = health.map(|m| String::from_utf8_lossy(&m.data).contains("base_moved")).collect();
+    assert_eq!(raised, [true, true]);
 }

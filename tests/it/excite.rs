@@ -1,4 +1,4 @@
-//! `catoptra excite` from end to end: tables that play the paper's chirp and others, limits, and what is refused.
+//! `catoptra excite` from end to end: tables of the paper's chirp and other signals, limits, and refusals.
 
 use crate::support::python;
 use catoptra::series::CurrentTable;
@@ -31,7 +31,7 @@ fn without_options_it_is_the_papers_chirp() {
     let peak = table.rows.iter().fold(0.0_f64, |peak, row| peak.max(row.values_a[0].abs()));
     assert!((peak - 0.1).abs() < 1e-5);
     for part in
-        ["peak           100.0 mA", "crest factor   1.41", "largest slew   4.88 A/s", "rows a period  7.5, at 8 Hz"]
+        ["peak           100.0 mA", "crest factor   1.41", "largest slew   4.88 A/s", "rows/period    7.5, at 8 Hz"]
     {
         assert!(message.contains(part), "`{part}` is not in {message}");
     }
@@ -76,10 +76,40 @@ fn several_coils_have_a_column_each_and_only_a_table_is_replaced() {
     fs::write(folder.path().join("notes.csv"), "Tuesday\n").unwrap();
     let output = excite(folder.path(), &["chirp", "-o", "notes.csv"]);
     assert_eq!(output.status.code(), Some(2));
-    assert!(stderr(&output).contains("notes.csv: is there and not a table of this command"), "{}", stderr(&output));
+    assert!(stderr(&output).contains("notes.csv: exists and is not a table of this command"), "{}", stderr(&output));
     let output = excite(folder.path(), &["chirp", "-o", "none/i.csv"]);
     assert_eq!(output.status.code(), Some(2));
     assert!(stderr(&output).contains("there is no such folder"), "{}", stderr(&output));
+}
+
+/// Currents to a microampere, times to half a millisecond, which do not add up.
+#[test]
+fn a_list_for_the_amplifier_plays_the_same_currents() {
+    let folder = tempfile::tempdir().unwrap();
+    let chirp = ["chirp", "--duration", "20s", "--amplitude", "80mA"];
+    let (table, _) = made(folder.path(), &chirp);
+    let list = |args: &[&str]| excite(folder.path(), &[&chirp[..], args].concat());
+    for _ in 0..2 {
+        let output = list(&["--coils", "channel_3,channel_1", "-o", "i.play"]);
+        assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    }
+    let played = CurrentTable::read(&folder.path().join("i.play")).unwrap();
+    assert_eq!(played.coils, ["channel_1", "channel_2", "channel_3"]);
+    assert_eq!(played.rows.len(), table.rows.len());
+    for (row, exact) in played.rows.iter().zip(&table.rows) {
+        assert!((row.time_ns - exact.time_ns).abs() <= 500_000, "{} ns, {} ns", row.time_ns, exact.time_ns);
+        assert!((row.values_a[2] - exact.values_a[0]).abs() <= 0.51e-6 && row.values_a[..2] == [0.0; 2]);
+    }
+    assert_eq!(played.rows.last().unwrap().values_a, [0.0; 3]);
+    let output = list(&["--rate", "1000", "-o", "fast.play"]);
+    assert_eq!(output.status.code(), Some(2));
+    assert!(stderr(&output).contains("its delays are whole milliseconds"), "{}", stderr(&output));
+    let output = list(&["--coils", "channel_2,side", "-o", "twice.play"]);
+    assert_eq!(output.status.code(), Some(2));
+    assert!(stderr(&output).contains("all different, as channel_3"), "{}", stderr(&output));
+    fs::write(folder.path().join("notes.play"), "Tuesday\n").unwrap();
+    let output = list(&["-o", "notes.play"]);
+    assert!(stderr(&output).contains("notes.play: exists and is not a table of this command"), "{}", stderr(&output));
 }
 
 /// scipy makes the same chirps.

@@ -1,4 +1,4 @@
-//! What a new user meets: results where they were asked for, nothing lost, and a plain word where something cannot
+//! A new user's experience: results in the requested place, nothing lost, and clear messages where something cannot
 //! work.
 
 use crate::support::command::*;
@@ -97,7 +97,7 @@ fn shells_and_manuals_know_every_command() {
     }
     ended_with(&catoptra(&place, &["man", "man1"]), 0);
     let page = std::fs::read_to_string(place.path("man1/catoptra-track.1")).unwrap();
-    assert!(page.contains("full\\-frame") && page.contains("Example:"), "{page}");
+    assert!(page.contains("tick\\-led") && page.contains("Example:"), "{page}");
     assert!(place.path("man1/catoptra.1").exists() && place.path("man1/catoptra-calibrate-rig.1").exists());
 }
 

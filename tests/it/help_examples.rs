@@ -1,4 +1,4 @@
-//! Every example that a `--help` prints runs as it is printed, in a folder with the sample in it.
+//! Every example printed by a `--help` runs exactly as printed, in a folder with the sample.
 
 #![cfg(unix)]
 
@@ -63,8 +63,8 @@ fn every_example_of_every_help_runs_as_printed() {
             .args(["-c", &example])
             .output()
             .unwrap();
-        let told = String::from_utf8_lossy(&output.stdout).into_owned() + &String::from_utf8_lossy(&output.stderr);
-        assert_eq!(output.status.code(), Some(0), "{example}\n{told}");
+        let printed = String::from_utf8_lossy(&output.stdout).into_owned() + &String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(0), "{example}\n{printed}");
         println!(
             "{:.1} s: {}",
             began.elapsed().as_secs_f64(),

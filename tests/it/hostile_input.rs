@@ -1,4 +1,5 @@
-//! Small files that ask for much: each is refused soon, with a message that names it, and costs no other.
+//! Small files that demand huge resources: each is refused quickly, with a message that names it, without affecting
+//! others.
 
 use crate::support::command::*;
 use std::path::Path;
@@ -28,9 +29,9 @@ fn a_header_that_asks_for_90_gigabytes_costs_its_picture_and_no_other() {
         &["calibrate", "camera", "large.pgm", "air.png", "--board", "9x6:12mm", "--out", "rig.toml"],
         folder.path(),
     );
-    let told = stderr(&output);
-    assert!(output.status.code().is_some_and(|code| code <= 3), "{:?} {told}", output.status);
-    assert!(told.contains("large.pgm") && told.contains("300000x300000"), "{told}");
+    let printed = stderr(&output);
+    assert!(output.status.code().is_some_and(|code| code <= 3), "{:?} {printed}", output.status);
+    assert!(printed.contains("large.pgm") && printed.contains("300000x300000"), "{printed}");
 }
 
 /// OpenCV's detector would look at each for seconds.
@@ -91,7 +92,7 @@ fn numbers_in_a_rig_that_nothing_can_be_are_refused() {
 fn sources_of_currents_that_cannot_be_are_wrong_usage() {
     let place = Place::new();
     for (from, expected) in [
-        ("file:/dev/zero", "no currents can be had"),
+        ("file:/dev/zero", "cannot receive currents"),
         ("file:nowhere.csv", "No such file"),
         ("udp:0", "port"),
         ("udp:evil", "port"),

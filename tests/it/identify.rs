@@ -1,4 +1,4 @@
-//! The paper's chain on records whose truth is known: made by scipy, with Eq. 7 inside Eq. 6 (`sample_dynamics`).
+//! The paper's chain on records with known truth, made by scipy, with Eq. 7 inside Eq. 6 (`sample_dynamics`).
 
 use serde_json::Value;
 use std::path::{Path, PathBuf};

@@ -172,7 +172,10 @@ fn nothing_is_written_over_that_is_not_a_result_of_the_same_record() {
     fs::copy(folder.join("good.csv"), folder.join("signals.csv")).unwrap();
     let before = fs::read(folder.join("signals.csv")).unwrap();
     let (code, message) = identify(folder, &[&["signals.csv"], &COLUMNS, &SECOND, &["-o", "."]]);
-    assert!(code == 2 && message.contains("signals.csv: would be written over, and is read by this run"), "{message}");
+    assert!(
+        code == 2 && message.contains("signals.csv: is an input of this run and would be overwritten"),
+        "{message}"
+    );
     assert_eq!(fs::read(folder.join("signals.csv")).unwrap(), before);
     // The page of another command.
     fs::create_dir(folder.join("run")).unwrap();

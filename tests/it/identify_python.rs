@@ -1,5 +1,5 @@
-//! `catoptra identify` against numpy and scipy, and against python-control and slycot where Python has them: the same
-//! records, identified again by other methods. tests/python/identify.py makes them and compares.
+//! `catoptra identify` against numpy and scipy, and against python-control and slycot if installed: the same records,
+//! identified by other methods. tests/python/identify.py makes them and compares.
 
 use crate::support::python;
 use serde_json::Value;

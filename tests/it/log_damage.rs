@@ -1,4 +1,4 @@
-//! Logs that are damaged: every changed bit is noticed or changes nothing, and what is sound is saved.
+//! Damaged logs: every changed bit is detected or has no effect, and intact parts are recovered.
 
 use crate::support::{command::*, fixture};
 use catoptra::log::{Info, Repaired, repair};
@@ -85,8 +85,8 @@ fn what_lies_behind_a_hole_is_saved() {
         let mut damaged = bytes.clone();
         damaged[hole..hole + 4096].fill(0);
         std::fs::write(&path, &damaged).unwrap();
-        let told = stdout(&command("info", &path));
-        assert!(told.contains("damaged at byte") && told.contains("log repair"), "{told}");
+        let printed = stdout(&command("info", &path));
+        assert!(printed.contains("damaged at byte") && printed.contains("log repair"), "{printed}");
         let Repaired::Mended { messages: saved, unknown, condition, kept_as } = repair(&path).unwrap() else {
             panic!("the damage at {part} is not noticed")
         };
@@ -164,7 +164,7 @@ fn topics_of_other_programs_are_kept() {
     std::fs::write(&path, &bytes[..bytes.len() - 100]).unwrap();
     let output = command("repair", &path);
     ended_with(&output, 0);
-    assert!(stdout(&output).contains("50 messages saved"), "{}", stdout(&output));
+    assert!(stdout(&output).contains("50 messages recovered"), "{}", stdout(&output));
 }
 
 #[test]
@@ -175,8 +175,8 @@ fn a_log_that_is_being_written_is_not_repaired() {
     for seq in 0..90 {
         log.write(&fixture::complete(seq, seq as i64 * 16_666_667), None).unwrap();
     }
-    let told = stdout(&command("info", &path));
-    assert!(told.contains("is still being written") && !told.contains("repair"), "{told}");
+    let printed = stdout(&command("info", &path));
+    assert!(printed.contains("is still being written") && !printed.contains("repair"), "{printed}");
     let output = command("repair", &path);
     ended_with(&output, 1);
     assert!(stderr(&output).contains("is still being written"), "{}", stderr(&output));

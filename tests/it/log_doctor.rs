@@ -1,5 +1,5 @@
-//! Logs examined by the rules of `mcap doctor` (tests/python/doctor.py): of a live run with windows, of a recording,
-//! repaired ones.
+//! Logs examined by the rules of `mcap doctor` (tests/python/doctor.py): logs of a live run with windows and of a
+//! recording, and repaired ones.
 
 use crate::support::command::*;
 use crate::support::python;
@@ -23,9 +23,12 @@ fn logs_of_recordings_and_of_live_runs_are_healthy_and_so_are_repaired_ones() {
     let Some(python) = python::interpreter() else { return };
     let place = Place::new();
     ended_with(&place.track(&sample("planar.mkv"), &["--to", "1.2", "--record", "windows"]), 0);
-    let told = healthy(&python, &place.path("out/log.mcap"));
-    assert_eq!((&told["topics"]["/catheter/estimate"], &told["topics"]["/camera/windows"]), (&73.into(), &73.into()));
-    assert_eq!((&told["warnings"], &told["out_of_order"]), (&serde_json::json!([]), &0.into()));
+    let printed = healthy(&python, &place.path("out/log.mcap"));
+    assert_eq!(
+        (&printed["topics"]["/catheter/estimate"], &printed["topics"]["/camera/windows"]),
+        (&73.into(), &73.into())
+    );
+    assert_eq!((&printed["warnings"], &printed["out_of_order"]), (&serde_json::json!([]), &0.into()));
 
     let live = Command::new(env!("CARGO_BIN_EXE_catoptra"))
         .current_dir(place.folder.path())
@@ -37,8 +40,8 @@ fn logs_of_recordings_and_of_live_runs_are_healthy_and_so_are_repaired_ones() {
         .unwrap();
     ended_with(&live, 0);
     let log = place.path("live/log.mcap");
-    let told = healthy(&python, &log);
-    assert!(told["topics"]["/camera/windows"].as_u64().unwrap() > 50, "{told}");
+    let printed = healthy(&python, &log);
+    assert!(printed["topics"]["/camera/windows"].as_u64().unwrap() > 50, "{printed}");
 
     // Cut in the middle it is sick, repaired it is not.
     let bytes = std::fs::read(&log).unwrap();

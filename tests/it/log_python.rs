@@ -1,34 +1,21 @@
-//! The log read by someone else's code: Python's `mcap` with `mcap-protobuf-support` decodes every message and finds
-//! the numbers of the table. What was logged is made up, with everything in it that a log can hold; track_python.rs has
-//! a real one.
+//! The log read by independent code: Python's `mcap` with `mcap-protobuf-support` decodes every message and finds the
+//! numbers of the table. The logged run is made up and contains everything that a log can hold; track_python.rs has a
+//! real one.
 
 use crate::support::fixture;
+use crate::support::made_up::write_run;
 use crate::support::python;
 use catoptra::rig::Rig;
-use catoptra::sink::{CsvSink, McapSink, OutputFrame, Sink};
-use catoptra::tally::Tally;
+use catoptra::sink::{CsvSink, McapSink, OutputFrame};
 use std::path::Path;
 use std::process::Output;
 
 use crate::support::python::{agreed, interpreter};
 
-const FRAMES: u64 = 200;
-
 fn write(folder: &Path, rig: &Rig, frame: OutputFrame) {
-    let mut log = McapSink::create(&folder.join("run.mcap"), rig, "# the rig\n", "frame = \"base\"\n").unwrap();
-    let mut table = CsvSink::create(&folder.join("run.csv"), rig, frame).unwrap();
-    let mut tally = Tally::new(rig);
-    for seq in 0..FRAMES {
-        // From a negative stamp through 0, as containers have them.
-        let estimate = fixture::eventful(seq, -3 * 16_666_667);
-        log.write(&estimate, None).unwrap();
-        if tally.add(&estimate) {
-            log.write_totals(&tally.totals()).unwrap();
-        }
-        table.write(&estimate, None).unwrap();
-    }
-    log.finish(&tally).unwrap();
-    table.finish(&tally).unwrap();
+    let log = McapSink::create(&folder.join("run.mcap"), rig, "# the rig\n", "frame = \"base\"\n").unwrap();
+    let table = CsvSink::create(&folder.join("run.csv"), rig, frame).unwrap();
+    write_run(log, table, rig, false);
 }
 
 fn compare(python: &str, folder: &Path, frame: &str) -> Output {
@@ -40,7 +27,7 @@ fn python_decodes_every_message_and_finds_the_numbers_of_the_table() {
     let Some(python) = interpreter() else { return };
     let folder = tempfile::tempdir().unwrap();
     write(folder.path(), &fixture::rig(), OutputFrame::Base);
-    let told = agreed(&compare(&python, folder.path(), "base"));
+    let printed = agreed(&compare(&python, folder.path(), "base"));
     for part in [
         "\"frames\": 200",
         "\"/camera/annotations\": 200, \"/camera/calibration\": 1",
@@ -49,7 +36,7 @@ fn python_decodes_every_message_and_finds_the_numbers_of_the_table() {
         "\"attachments\": [\"options.toml\", \"rig.toml\"]",
         "\"clock\": \"container\"",
     ] {
-        assert!(told.contains(part), "{part} is not in {told}");
+        assert!(printed.contains(part), "{part} is not in {printed}");
     }
 }
 
@@ -62,8 +49,8 @@ fn in_the_camera_frame_and_without_a_base() {
     let mut rig = fixture::rig();
     rig.base = None;
     write(folder.path(), &rig, OutputFrame::Camera);
-    let told = agreed(&compare(&python, folder.path(), "camera"));
-    assert!(!told.contains("/tf"), "{told}");
+    let printed = agreed(&compare(&python, folder.path(), "camera"));
+    assert!(!printed.contains("/tf"), "{printed}");
 }
 
 /// The comparison can fail: one digit of one number of the table is changed.
@@ -80,6 +67,6 @@ fn a_changed_digit_is_found() {
     lines[101] = cells.join(",");
     std::fs::write(&path, lines.join("\r\n")).unwrap();
     let output = compare(&python, folder.path(), "base");
-    let told = String::from_utf8_lossy(&output.stderr);
-    assert!(!output.status.success() && told.contains("frame 100, tip_y_mm"), "{told}");
+    let printed = String::from_utf8_lossy(&output.stderr);
+    assert!(!output.status.success() && printed.contains("frame 100, tip_y_mm"), "{printed}");
 }

@@ -1,22 +1,15 @@
-//! Logs of profile `ros2`, read with other people's code (`rosbags`, `mcap-ros2-support`) by `tests/python/read_ros2.py`,
+//! Logs of profile `ros2`, read with independent code (`rosbags`, `mcap-ros2-support`) by `tests/python/read_ros2.py`,
 //! and with our own.
 
 use crate::support::command::*;
-use crate::support::fixture;
+use crate::support::made_up::write_run;
 use crate::support::python::{agreed, interpreter_with};
-use catoptra::estimate::Estimate;
 use catoptra::log::{Repaired, repair};
 use catoptra::rig::Rig;
 use catoptra::series::Recording;
-use catoptra::sink::{CsvSink, CurrentSample, McapSink, OutputFrame, Profile, Sink};
-use catoptra::source::HostTime;
-use catoptra::tally::Tally;
+use catoptra::sink::{CsvSink, McapSink, OutputFrame, Profile};
 use std::path::Path;
 use std::process::{Command, Output};
-
-const FRAMES: u64 = 200;
-/// The host's time of a frame before its camera time.
-const HOST_NS: i64 = 1_795_188_826_000_000_123;
 
 fn python() -> Option<String> {
     interpreter_with(&["rosbags.rosbag2", "mcap_ros2", "numpy"])
@@ -27,30 +20,13 @@ fn compare(python: &str, log: &Path, table: &Path, live: bool) -> Output {
     Command::new(python).arg(script).args([log, table]).args(live.then_some("--live")).output().unwrap()
 }
 
-/// A made-up run with everything in it that a log can hold, from a negative stamp through 0.
+/// A made-up run.
 fn write(profile: Profile, folder: &Path, rig: &Rig, live: bool) {
     rig.save(&folder.join("rig.toml")).unwrap();
     let text = std::fs::read_to_string(folder.join("rig.toml")).unwrap();
-    let mut log = McapSink::of_profile(profile, &folder.join("run.mcap"), rig, &text, "frame = \"base\"\n").unwrap();
-    let mut table = CsvSink::create(&folder.join("run.csv"), rig, OutputFrame::Base).unwrap();
-    let mut tally = Tally::new(rig);
-    for seq in 0..FRAMES {
-        let mut estimate: Estimate = fixture::eventful(seq, -3 * 16_666_667);
-        if live {
-            let stamp_ns = HOST_NS + estimate.stamp.ns;
-            estimate.host = Some(HostTime { stamp_ns, arrival_ns: stamp_ns + 1_234_567 });
-            let current_a = vec![0.1 * seq as f64, -0.25];
-            let host_ns = stamp_ns - 5;
-            log.write_current(&CurrentSample { host_ns, arrival_ns: host_ns + 9, seq: Some(seq), current_a }).unwrap();
-        }
-        log.write(&estimate, None).unwrap();
-        if tally.add(&estimate) {
-            log.write_totals(&tally.totals()).unwrap();
-        }
-        table.write(&estimate, None).unwrap();
-    }
-    log.finish(&tally).unwrap();
-    table.finish(&tally).unwrap();
+    let log = McapSink::of_profile(profile, &folder.join("run.mcap"), rig, &text, "frame = \"base\"\n").unwrap();
+    let table = CsvSink::create(&folder.join("run.csv"), rig, OutputFrame::Base).unwrap();
+    write_run(log, table, rig, live);
 }
 
 #[test]
@@ -59,18 +35,18 @@ fn two_libraries_decode_every_message_and_find_the_numbers_of_the_table() {
     for live in [false, true] {
         let folder = tempfile::tempdir().unwrap();
         write(Profile::Ros2, folder.path(), &rig(), live);
-        let told = agreed(&compare(&python, &folder.path().join("run.mcap"), &folder.path().join("run.csv"), live));
+        let printed = agreed(&compare(&python, &folder.path().join("run.mcap"), &folder.path().join("run.csv"), live));
         for part in [
             "\"/catheter/base/pose\": 180, \"/catheter/coil/pose\": 180, \"/catheter/deflection\": 200",
             "\"/catheter/markers\": 200, \"/catheter/tip/pose\": 180, ",
             "\"/diagnostics\": 5, \"/health\": 5",
             "\"chain\": [[\"catheter_base_link\", \"camera_link\"], [\"camera_link\", \"camera_optical_frame\"]]",
         ] {
-            assert!(told.contains(part), "{part} is not in {told}");
+            assert!(printed.contains(part), "{part} is not in {printed}");
         }
         let of_live = "\"/camera/time_reference\": 200";
-        assert_eq!(told.contains(of_live), live, "{told}");
-        assert_eq!(told.contains("\"/coil/current\": 200, \"/coil/joint_states\": 200"), live, "{told}");
+        assert_eq!(printed.contains(of_live), live, "{printed}");
+        assert_eq!(printed.contains("\"/coil/current\": 200, \"/coil/joint_states\": 200"), live, "{printed}");
     }
 }
 
@@ -82,7 +58,7 @@ fn a_changed_digit_is_found() {
     write(Profile::Ros2, folder.path(), &rig(), false);
     let path = folder.path().join("run.csv");
     let whole = std::fs::read_to_string(&path).unwrap();
-    for (column, told) in [(2, "stamps of all frames"), (18, "frame 100, tip_y_mm")] {
+    for (column, message) in [(2, "stamps of all frames"), (18, "frame 100, tip_y_mm")] {
         let mut lines: Vec<String> = whole.lines().map(str::to_owned).collect();
         let mut cells: Vec<String> = lines[101].split(',').map(str::to_owned).collect();
         let digit = cells[column].pop().unwrap().to_digit(10).unwrap();
@@ -91,7 +67,7 @@ fn a_changed_digit_is_found() {
         std::fs::write(&path, lines.join("\r\n")).unwrap();
         let output = compare(&python, &folder.path().join("run.mcap"), &path, false);
         let said = stderr(&output);
-        assert!(!output.status.success() && said.contains(told), "{said}");
+        assert!(!output.status.success() && said.contains(message), "{said}");
     }
 }
 
@@ -158,8 +134,8 @@ fn a_recording_tracked_for_ros_is_read_by_all_and_tracked_again() {
     let summary = std::fs::read_to_string(place.path("out/summary.json")).unwrap();
     assert!(summary.contains("\"profile\": \"ros2\""), "{summary}");
     let Some(python) = python() else { return };
-    let told = agreed(&compare(&python, &log, &place.path("out/track.csv"), false));
-    assert!(told.contains("\"/camera/image/compressed\": 1, \"/camera/windows\": 19"), "{told}");
+    let printed = agreed(&compare(&python, &log, &place.path("out/track.csv"), false));
+    assert!(printed.contains("\"/camera/image/compressed\": 1, \"/camera/windows\": 19"), "{printed}");
 }
 
 /// Topic, times, number and bytes of every message, topic by topic.
@@ -200,10 +176,10 @@ fn a_converted_log_has_the_messages_that_the_run_would_have_written() {
     // Nothing is written over, and it is not done twice.
     let before = std::fs::read(&out).unwrap();
     let said = ended_with(&convert(&own.path().join("run.mcap"), &out), 2);
-    assert!(said.contains("ros2.mcap: is there already"), "{said}");
+    assert!(said.contains("ros2.mcap: already exists"), "{said}");
     let said = ended_with(&convert(&out, &own.path().join("twice.mcap")), 2);
     assert!(said.contains("ros2.mcap: is of profile ros2 already"), "{said}");
     assert!(std::fs::read(&out).unwrap() == before && !own.path().join("twice.mcap").exists());
     let said = ended_with(&convert(&own.path().join("run.csv"), &own.path().join("new.mcap")), 2);
-    assert!(said.contains("run.csv: is no log"), "{said}");
+    assert!(said.contains("run.csv: is not a log"), "{said}");
 }

@@ -1,5 +1,5 @@
-//! `catoptra log convert` to tables: CSV byte for byte as the run wrote it; Parquet and MAT 5 with the same numbers, read
-//! with other people's code (`pyarrow`, `polars`, `scipy`) by `tests/python/read_tables.py`.
+//! `catoptra log convert` to tables: CSV byte for byte as written by the run; Parquet and MAT 5 with the same numbers,
+//! read with independent code (`pyarrow`, `polars`, `scipy`) by `tests/python/read_tables.py`.
 
 use crate::support::command::*;
 use crate::support::fixture;
@@ -84,13 +84,13 @@ fn other_libraries_find_the_numbers_of_the_table() {
     for ending in ["parquet", "mat"] {
         ended_with(&convert(place.path(), &format!("run.mcap --profile {ending} -o out.{ending}")), 0);
     }
-    let told = agreed(&read(
+    let printed = agreed(&read(
         &python,
         &table,
         &[&place.path().join("out.parquet"), &place.path().join("out.mat"), &place.path().join("out-currents.parquet")],
     ));
-    assert!(told.contains("\"out.parquet\": 150") && told.contains("\"out.mat\": 150"), "{told}");
-    assert!(told.contains("\"out-currents.parquet\": 150"), "{told}");
+    assert!(printed.contains("\"out.parquet\": 150") && printed.contains("\"out.mat\": 150"), "{printed}");
+    assert!(printed.contains("\"out-currents.parquet\": 150"), "{printed}");
     // The comparison can fail.
     let text = std::fs::read_to_string(&table).unwrap();
     let mut lines: Vec<String> = text.lines().map(str::to_owned).collect();
@@ -109,9 +109,9 @@ fn other_libraries_find_the_numbers_of_the_tables_in_a_study() {
     ended_with(&output, 0);
     let mut collect = Command::new(env!("CARGO_BIN_EXE_catoptra"));
     ended_with(&collect.current_dir(place.folder.path()).args(["collect", "out", "-o", "study"]).output().unwrap(), 0);
-    let told = agreed(&read(&python, &place.path("out/track.csv"), &[&place.path("study/frames.parquet")]));
+    let printed = agreed(&read(&python, &place.path("out/track.csv"), &[&place.path("study/frames.parquet")]));
     let rows = place.table().rows.len();
-    assert!(rows > 4 && told.contains(&format!("\"frames.parquet\": {rows}")), "{told}");
+    assert!(rows > 4 && printed.contains(&format!("\"frames.parquet\": {rows}")), "{printed}");
 }
 
 #[test]
@@ -122,21 +122,21 @@ fn what_cannot_be_converted_is_refused_and_nothing_is_written() {
     std::fs::write(place.path().join("mine.csv"), "mine").unwrap();
     std::fs::write(place.path().join("new-currents.csv"), "mine").unwrap();
     let there = names(place.path());
-    for (words, told) in [
+    for (words, message) in [
         (
             "bare.mcap --profile csv -o out.csv",
             "has no places in the base frame: its rig has none; convert with --frame",
         ),
-        ("run.mcap --profile csv -o mine.csv", "mine.csv: is there already; give another name"),
-        ("run.mcap --profile csv -o new.csv", "new-currents.csv: is there already"),
+        ("run.mcap --profile csv -o mine.csv", "mine.csv: already exists; choose another name"),
+        ("run.mcap --profile csv -o new.csv", "new-currents.csv: already exists"),
         ("run.mcap --profile mat -o none/out.mat", "none/out.mat: cannot be written: No such file"),
         ("bare.mcap --profile ros2 -o out.mcap", "bare.mcap: has no rig.toml attached"),
-        ("mine.csv --profile csv -o out.csv", "mine.csv: is no log"),
+        ("mine.csv --profile csv -o out.csv", "mine.csv: is not a log"),
         ("none.mcap --profile csv -o out.csv", "none.mcap: No such file"),
-        ("run.mcap --profile csv -o run.mcap", "run.mcap: is there already"),
+        ("run.mcap --profile csv -o run.mcap", "run.mcap: already exists"),
     ] {
         let said = ended_with(&convert(place.path(), words), 2);
-        assert!(said.contains(told), "{words}: {said}");
+        assert!(said.contains(message), "{words}: {said}");
         assert_eq!(names(place.path()), there, "{words}");
     }
     ended_with(&convert(place.path(), "bare.mcap --profile csv --frame camera -o out.csv"), 0);

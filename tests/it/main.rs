@@ -1,6 +1,6 @@
-//! The library and the command as users meet them, from end to end: one program, as each links OpenCV and FFmpeg anew.
+//! End-to-end tests of the library and the command: one program, because each one links OpenCV and FFmpeg again.
 //!
-//! One of its files alone: `cargo test --test it calibrate_base::`. What runs against the clock is in `tests/realtime`.
+//! To run a single file: `cargo test --test it calibrate_base::`. Timing-dependent tests are in `tests/realtime`.
 
 #![allow(
     clippy::unwrap_used,
@@ -38,6 +38,7 @@ mod hostile_input;
 mod identify;
 mod identify_applied;
 mod identify_bad_input;
+mod identify_planes;
 mod identify_python;
 mod log_damage;
 mod log_doctor;
@@ -51,6 +52,7 @@ mod optics_dev_tank;
 mod optics_properties;
 mod outcomes;
 mod overlay;
+mod paper;
 mod record_video;
 mod record_windows;
 mod report;
@@ -69,4 +71,5 @@ mod track_python;
 mod track_recordings;
 mod track_run;
 mod validate;
+mod vetoes;
 mod workflow;

@@ -1,6 +1,6 @@
-//! The Rust version that Cargo.toml declares: no dependency wants a newer one, and who installs is told the same.
+//! The Rust version that Cargo.toml declares: no dependency needs a newer one, and the installation instructions agree.
 //!
-//! That the code itself keeps to it is seen by Clippy (`incompatible_msrv`).
+//! Clippy checks the code itself (`incompatible_msrv`).
 
 use serde_json::Value;
 use std::path::Path;

@@ -1,5 +1,5 @@
-//! Recordings and pictures that are damaged, or as other programs write them: what cannot be trusted is not measured,
-//! and every frame whose time is known has its row.
+//! Damaged recordings and pictures, and those of other programs: untrustworthy pictures are not measured, and every
+//! frame with a known time has its row.
 
 use crate::support::command::*;
 use crate::support::encode::{Recording, write};

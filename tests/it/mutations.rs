@@ -1,5 +1,5 @@
 //! Damaged and hostile input of every kind: seeded mutations of sound files, none of which may make the program panic,
-//! take long, or fill the memory. `CATOPTRA_MUTATIONS=N` tries N times as many as usual.
+//! take long, or exhaust memory. `CATOPTRA_MUTATIONS=N` tries N times as many.
 
 use crate::support::{command::*, fixture};
 use catoptra::fuzz::{TARGETS, Target};
@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 /// No input may take longer; some machines are slow, or busy.
 const LONGEST: Duration = Duration::from_secs(20);
 /// Nor may memory grow beyond this, bytes.
-const MOST_MEMORY: u64 = 2 << 30;
+const MAX_MEMORY: u64 = 2 << 30;
 
 fn repository(path: &str) -> Vec<u8> {
     std::fs::read(Path::new(env!("CARGO_MANIFEST_DIR")).join(path)).unwrap()
@@ -215,7 +215,7 @@ fn no_input_makes_it_panic_or_take_long_or_fill_the_memory() {
     let count: usize = TARGETS.into_iter().map(|target| withstands(target, folder.path())).sum();
     let memory = peak_memory().zip(before).map_or(0, |(after, before)| after.saturating_sub(before));
     println!("{count} inputs, {} MB", memory >> 20);
-    assert!(memory < MOST_MEMORY, "{} MB", memory >> 20);
+    assert!(memory < MAX_MEMORY, "{} MB", memory >> 20);
 }
 
 /// What was found once, and must not come back: a name of its kind each (`rig_import-…`).

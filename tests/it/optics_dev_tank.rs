@@ -1,5 +1,5 @@
-//! The optics against pictures made by someone else's: corners of a board, path-traced through air, glass, water and a
-//! mirror, found in the picture and projected by us from where they exactly are.
+//! The optics compared with pictures by an independent path tracer: corners of a board seen through air, glass, water
+//! and a mirror, detected in the picture and projected from their exact positions.
 
 use catoptra::calibrate::board::{Board, find_boards};
 use catoptra::calibrate::board::{Grey, Rows};

@@ -1,5 +1,5 @@
-//! What must hold for every rig: over random lenses, mirrors, walls, pixels and points. Draws are keyed by the test's
-//! name.
+//! Properties that must hold for every rig: tested over random lenses, mirrors, walls, pixels and points, seeded by the
+//! test's name.
 
 use crate::support::optics::{Case, DICE, Element, PATHS, build, reference};
 use catoptra::optics::{Mirror, OpticalPath, Plane, Surface, Wall};

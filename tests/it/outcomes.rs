@@ -1,4 +1,4 @@
-//! `--json`: one outcome for programs, on stdout, whatever happened.
+//! `--json`: one outcome for programs on stdout, whatever happened.
 
 use serde_json::Value;
 use std::path::Path;

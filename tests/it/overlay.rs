@@ -1,4 +1,4 @@
-//! The overlay video, read back with libav: times, numbers of frames, and what is drawn where.
+//! The overlay video, read back with libav: times, frame counts, and the positions of what is drawn.
 
 use crate::support::synthetic;
 use catoptra::estimate::Miss;

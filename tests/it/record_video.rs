@@ -1,4 +1,4 @@
-//! `--record ffv1` and `h264`: pictures in a video that is tracked as any other.
+//! `--record ffv1` and `h264`: pictures in a video that can be tracked like any other.
 
 use crate::support::command::*;
 use catoptra::pipeline;

@@ -1,4 +1,4 @@
-//! `--record windows`: what the tracker looks at is all it needs, and a log that holds it is tracked again to the same
+//! `--record windows`: the windows are all that the tracker needs, and tracking a log with them again gives the same
 //! numbers.
 
 use crate::support::command::*;
@@ -54,7 +54,7 @@ fn what_lies_outside_of_what_was_looked_at_changes_nothing() {
         let mut smallest = u64::MAX;
         while let Some(frame) = source.next_frame().unwrap() {
             let expected = written(&with_all.step(&frame).unwrap());
-            let there = frame.picture.looked_at(0);
+            let there = frame.picture.windows_read(0);
             smallest = smallest.min(there.iter().map(Window::pixels).sum());
             let picture = with_rubbish_outside(&frame.picture, &there, frame.seq as u8);
             let found = with_parts.step(&Frame { picture, ..frame }).unwrap();
@@ -186,10 +186,10 @@ fn the_command_tracks_a_log_again_with_the_rig_that_is_in_it() {
     ended_with(&command(&["out/log.mcap", "-o", "later", "--from", "0.25"]), 3);
     assert!(table("later").lines().skip(1).all(|row| row.contains("not_recorded")));
 
-    let told = ended_with(&command(&["out/log.mcap", "-o", "whole", "--full-frame"]), 2);
-    assert!(told.contains("--full-frame"), "{told}");
-    let told = ended_with(&command(&["again/log.mcap"]), 2);
-    assert!(told.contains("holds no pictures") && told.contains("--record windows"), "{told}");
-    let told = ended_with(&command(&[sample("planar.mkv").to_str().unwrap()]), 2);
-    assert!(told.contains("--rig RIG.toml"), "{told}");
+    let printed = ended_with(&command(&["out/log.mcap", "-o", "whole", "--full-frame"]), 2);
+    assert!(printed.contains("--full-frame"), "{printed}");
+    let printed = ended_with(&command(&["again/log.mcap"]), 2);
+    assert!(printed.contains("holds no pictures") && printed.contains("--record windows"), "{printed}");
+    let printed = ended_with(&command(&[sample("planar.mkv").to_str().unwrap()]), 2);
+    assert!(printed.contains("--rig RIG.toml"), "{printed}");
 }

@@ -1,5 +1,5 @@
-//! The report: the numbers given are on the page, nothing is loaded from elsewhere, and runs without answers are
-//! reports too.
+//! The report: the given numbers are on the page, nothing is loaded from elsewhere, and runs without measurements also
+//! have reports.
 
 use crate::support::synthetic;
 use catoptra::estimate::{Estimate, Miss};
@@ -85,7 +85,7 @@ fn the_numbers_given_are_on_the_page() {
     assert!(page.contains("<h1>swing &lt;1&gt; &amp; &quot;2&quot;.mkv</h1>"));
     assert!(page.contains("<td>Threads</td><td>2</td>") && page.contains(env!("CARGO_PKG_VERSION")));
     assert!(page.contains("52 of 57 frames are answered completely; the camera lost 3 frames more in 1 gap."));
-    assert!(page.contains("60.00 frames a second with those lost counted"));
+    assert!(page.contains("60.00 frames per second with those lost counted"));
     // Misses by reason, gaps.
     let cell = |words: [&str; 2], n: u32, share: &str| {
         format!("<td class=\"text\">{}</td><td class=\"text\">{}</td><td>{n}</td><td>{share}</td>", words[0], words[1])

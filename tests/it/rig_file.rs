@@ -1,4 +1,4 @@
-//! Rig files from end to end: read, judged, written, explained by `catoptra rig check`.
+//! Rig files from end to end: read, checked, written, explained by `catoptra rig check`.
 
 use catoptra::optics::{Mirror, Plane, Surface};
 use catoptra::rig::check::{Warning, check};

@@ -1,4 +1,4 @@
-//! Cameras and views from and for other tools: as those write them, there and back, and what is refused.
+//! Cameras and views from and for other tools: in those tools' own form, round trips, and refusals.
 
 use catoptra::optics::Lens;
 use catoptra::rig::formats::{Format, dlt};
@@ -84,7 +84,7 @@ fn camera() -> Camera {
         distortion: [-0.11, 0.14, 0.0006, -0.0004, 0.0],
         denominator: [0.0; 3],
     };
-    Camera { size_px: [1280, 1024], lens, blur_px: None, chroma_offset_px: [0.0; 2], exposure_s: None }
+    Camera { size_px: [1280, 1024], lens, blur_px: None, chroma_offset_px: [0.0; 2], exposure_s: None, gamma: None }
 }
 
 #[test]
@@ -213,7 +213,7 @@ proptest! {
                 denominator = [0.0; 3];
             }
             let lens = Lens { focal_px: focal.into(), principal_point_px: centre.into(), distortion, denominator };
-            let camera = Camera { size_px, lens, blur_px: None, chroma_offset_px: [0.0; 2], exposure_s: None };
+            let camera = Camera { size_px, lens, blur_px: None, chroma_offset_px: [0.0; 2], exposure_s: None, gamma: None };
             let text = format.write(&Draft::of_camera(camera.clone()), None, Path::new("rig.toml")).unwrap();
             prop_assert_eq!(Format::guess(&text, Path::new("f")).unwrap(), format);
             prop_assert_eq!(format.read(&text, Path::new("f")).unwrap(), camera);
@@ -407,7 +407,7 @@ fn the_command_refuses_with_exit_code_2() {
         (&["export", &air, "--format", "matlab"], "possible values: opencv, ros, kalibr, dlt"),
         (&["import", "no_such.yaml", "--out", &place("new.toml")], "cannot read no_such.yaml"),
         (&["import", ros, "--format", "kalibr", "--out", &place("new.toml")], "cam0: missing, expected the camera"),
-        (&["import", ros, "--out", &place("notes.toml")], "is there and no rig file"),
+        (&["import", ros, "--out", &place("notes.toml")], "exists and is not a rig file"),
     ];
     for (arguments, expected) in cases {
         let (code, stdout, stderr) = said(&catoptra(&[&["rig"], *arguments].concat()));

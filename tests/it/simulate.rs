@@ -1,5 +1,5 @@
-//! `catoptra simulate` and `catoptra plan` from end to end: what is rendered is tracked to its truth, boards calibrate to
-//! the rig they were drawn with, the same seed gives the same files, and what cannot be seen is told.
+//! `catoptra simulate` and `catoptra plan` from end to end: rendered recordings are tracked to their truth, boards
+//! calibrate to the rig they were drawn with, the same seed gives the same files, and what cannot be seen is reported.
 
 use catoptra::rig::Rig;
 use catoptra::series::Recording;
@@ -29,9 +29,9 @@ fn simulate(folder: &Path, rig: &Path, args: &[&str]) -> Output {
 }
 
 fn refused(output: &Output, what: &str) {
-    let told = String::from_utf8_lossy(&output.stderr);
-    assert_eq!(output.status.code(), Some(2), "{told}");
-    assert!(told.contains(what), "{what:?} is not in {told}");
+    let printed = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{printed}");
+    assert!(printed.contains(what), "{what:?} is not in {printed}");
 }
 
 /// Errors over their σ, squared, and the largest error of a marker (metres).
@@ -161,14 +161,14 @@ fn what_cannot_be_seen_is_refused_with_the_reason() {
     let turned = "normal = [-0.707106781187, 0.0, -0.707106781187]\noffset_mm = -4412.346314604";
     let away =
         changed("away.toml", turned, "normal = [0.707106781187, 0.0, -0.707106781187]\noffset_mm = -4412.346314604");
-    let told = String::from_utf8_lossy(&run(&away).stderr).into_owned();
-    assert_eq!(run(&away).status.code(), Some(2), "{told}");
-    assert!(told.contains("mirror"), "{told}");
+    let printed = String::from_utf8_lossy(&run(&away).stderr).into_owned();
+    assert_eq!(run(&away).status.code(), Some(2), "{printed}");
+    assert!(printed.contains("mirror"), "{printed}");
     // Camera inside the tank.
     let inside = changed("inside.toml", "offset_mm = -5973.0", "offset_mm = 200.0");
-    let told = String::from_utf8_lossy(&run(&inside).stderr).into_owned();
-    assert_eq!(run(&inside).status.code(), Some(2), "{told}");
-    assert!(told.contains("front_wall"), "{told}");
+    let printed = String::from_utf8_lossy(&run(&inside).stderr).into_owned();
+    assert_eq!(run(&inside).status.code(), Some(2), "{printed}");
+    assert!(printed.contains("front_wall"), "{printed}");
     // No places along the tube; no base.
     let places = changed("places.toml", "centre_mm = 91.8\n", "");
     refused(&run(&places), "marker `coil` has no centre_mm");

@@ -1,4 +1,4 @@
-//! Folders of pictures: their order, their times, and what is wrong with them.
+//! Folders of pictures: their order, times, and faults.
 
 use std::path::Path;
 
@@ -121,9 +121,10 @@ fn what_is_wrong_is_named_with_file_and_line() {
     for name in ["a.webp", "b.WEBP", "c.jp2"] {
         std::fs::write(at(name), "another kind of picture").unwrap();
     }
-    let told = error(TABLE);
+    let printed = error(TABLE);
     assert!(
-        told.contains("3 pictures ending in WEBP, jp2, webp cannot be read") && told.contains("mogrify -format png")
+        printed.contains("3 pictures ending in WEBP, jp2, webp cannot be read")
+            && printed.contains("mogrify -format png")
     );
     for i in 1..=3 {
         grey(folder.path(), &format!("{i}.png"), i);
@@ -151,7 +152,7 @@ fn what_is_wrong_is_named_with_file_and_line() {
         let found = error(TABLE);
         assert!(found.contains(expected), "{found}");
     }
-    assert!(error(stated("60")).contains("has times.csv, and 60 frames a second are stated"));
+    assert!(error(stated("60")).contains("has times.csv, and 60 frames per second are stated"));
     std::fs::remove_file(at("times.csv")).unwrap();
 
     GrayImage::from_pixel(8, 7, Luma([0])).save(at("4.png")).unwrap();

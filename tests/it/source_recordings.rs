@@ -1,4 +1,4 @@
-//! Recordings as they come from cameras and disks: pixel formats, cut off, damaged, or no recordings at all.
+//! Recordings from cameras and disks: pixel formats, cut off, damaged, or not recordings at all.
 
 use std::path::{Path, PathBuf};
 
@@ -267,7 +267,7 @@ fn what_is_no_recording_is_refused_with_the_reason() {
     assert!(open_error(at("sound.wav")).contains("sound.wav: has no video stream"));
 
     let error = VideoFile::open(folder.path(), VideoOptions::default()).unwrap_err().to_string();
-    assert!(error.contains("is a folder, a video file is wanted here"), "{error}");
+    assert!(error.contains("is a folder; expected a video file"), "{error}");
 
     let path = at("own:time.mkv");
     write(&path, &Recording { pts: &[0, 20, 40], ..Recording::default() });
@@ -285,8 +285,11 @@ fn a_raw_stream_needs_its_rate_and_takes_it() {
         [("raw.h264", "libx264", Pixel::YUV420P, 2), ("raw.mjpeg", "mjpeg", Pixel::YUVJ420P, 0)]
     {
         let (path, _) = written(folder.path(), name, &Recording { encoder, pixel, b_frames, ..Recording::default() });
-        let told = open_error(&path);
-        assert!(told.contains(name) && told.contains("has no time stamp") && told.contains("--fps"), "{told}");
+        let printed = open_error(&path);
+        assert!(
+            printed.contains(name) && printed.contains("has no time stamp") && printed.contains("--fps"),
+            "{printed}"
+        );
         let stated_rate = Some("50".parse().unwrap());
         let mut source = source::open(&path, SourceOptions { stated_rate, ..SourceOptions::default() }).unwrap();
         let frames: Vec<Frame> = std::iter::from_fn(|| source.next_frame().unwrap()).collect();
@@ -301,7 +304,7 @@ fn a_raw_stream_needs_its_rate_and_takes_it() {
     }
     let (path, _) = written(folder.path(), "with_times.mkv", &Recording::default());
     let stated_rate = Some("50".parse().unwrap());
-    let told =
+    let printed =
         source::open(&path, SourceOptions { stated_rate, ..SourceOptions::default() }).err().unwrap().to_string();
-    assert!(told.contains("has its own time stamps"), "{told}");
+    assert!(printed.contains("has its own time stamps"), "{printed}");
 }

@@ -1,4 +1,4 @@
-//! What is done to a recording beyond handing it on is said, once.
+//! Every change to a recording's content is reported, once.
 
 use std::io::Write;
 use std::path::Path;
@@ -137,6 +137,6 @@ fn a_recording_that_asks_to_be_turned_is_named() {
         bytes[matrix + 4 * place..][..4].copy_from_slice(&value.to_be_bytes());
     }
     std::fs::write(&path, bytes).unwrap();
-    let told = warnings(&path, SourceOptions::default());
-    assert!(matches!(told.as_slice(), [only] if only.contains("turn or mirror its pictures")), "{told:?}");
+    let printed = warnings(&path, SourceOptions::default());
+    assert!(matches!(printed.as_slice(), [only] if only.contains("turn or mirror its pictures")), "{printed:?}");
 }

@@ -1,28 +1,28 @@
-//! `catoptra studio`: what its server refuses, bands taught by clicks to the very file of the command line, runs looked
-//! through, and all of it in a browser.
+//! `catoptra studio`: requests that its server refuses, bands taught by clicks with the same file as from the command
+//! line, reviewing runs, and all of it in a browser.
 
+use crate::support::browser::browser_and_python;
 use crate::support::studio::Studio;
+use crate::support::truth::{file, untaught_rig};
 use serde_json::{Value, json};
-use std::io::Write as _;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::Command;
 
-fn file(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join(name)
+/// Fails unless the command that was shown, run in a shell, writes what the page wrote into `clicked.toml`.
+fn typed_writes_the_same(folder: &Path, command: &str) {
+    let typed = command.replace("clicked.toml", "typed.toml");
+    let program = Path::new(env!("CARGO_BIN_EXE_catoptra")).parent().unwrap();
+    let path = format!("{}:{}", program.display(), std::env::var("PATH").unwrap());
+    let output = Command::new("sh").current_dir(folder).env("PATH", path).args(["-c", &typed]).output().unwrap();
+    assert!(output.status.success(), "{typed}\n{}", String::from_utf8_lossy(&output.stderr));
+    let read = |name: &str| std::fs::read(folder.join(name)).unwrap();
+    assert_eq!(read("clicked.toml"), read("typed.toml"));
 }
 
 /// A folder with the sample in it, and its rig before the bands are taught.
 fn bench() -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
-    let mut table: toml::Table =
-        std::fs::read_to_string(file("sample_frames/truth/rig.toml")).unwrap().parse().unwrap();
-    let camera = table["camera"].as_table_mut().unwrap();
-    assert!(camera.remove("blur_px").is_some() && camera.remove("chroma_offset_px").is_some());
-    for marker in table["marker"].as_array_mut().unwrap() {
-        let marker = marker.as_table_mut().unwrap();
-        assert!(marker.remove("colour").is_some() && marker.remove("centre_mm").is_some());
-    }
-    std::fs::write(folder.path().join("bare.toml"), table.to_string()).unwrap();
+    std::fs::write(folder.path().join("bare.toml"), untaught_rig()).unwrap();
     for name in ["planar.mkv", "rest.mkv"] {
         std::fs::copy(file("sample_frames").join(name), folder.path().join(name)).unwrap();
     }
@@ -95,11 +95,11 @@ fn hostile_requests_are_refused_and_the_page_is_served_on() {
         refused("teach/save", save(|_| {}, "link.toml"), "is not below");
     }
     // Words of the command line, where they belong.
-    let told = studio.json("teach/save", &save(|form| form["tube_mm"] = (-1.0).into(), "new.toml"))["told"].clone();
-    assert_eq!(told["code"], 2);
-    let told =
+    let result = studio.json("teach/save", &save(|form| form["tube_mm"] = (-1.0).into(), "new.toml"))["told"].clone();
+    assert_eq!(result["code"], 2);
+    let result =
         studio.json("teach/save", &save(|form| form["recording"] = "bare.toml".into(), "new.toml"))["told"].clone();
-    assert_eq!(told["code"], 2, "{told}");
+    assert_eq!(result["code"], 2, "{result}");
     assert!(!folder.path().join("new.toml").exists());
     // A name that is markup is a name: in JSON, which no browser takes for a page.
     let mut script = form("rest.mkv", 0);
@@ -125,13 +125,7 @@ fn clicks_teach_the_rig_that_the_command_shown_teaches() {
     assert!(saved["told"]["text"].as_str().unwrap().contains("written:"));
     let command = saved["command"].as_str().unwrap().to_owned();
     assert!(command.contains("--pick coil@direct:431,565:12mm") && command.contains("--at 0.0"), "{command}");
-    let typed = command.replace("clicked.toml", "typed.toml");
-    let program = Path::new(env!("CARGO_BIN_EXE_catoptra")).parent().unwrap();
-    let path = format!("{}:{}", program.display(), std::env::var("PATH").unwrap());
-    let output = Command::new("sh").current_dir(folder.path()).env("PATH", path).args(["-c", &typed]).output().unwrap();
-    assert!(output.status.success(), "{typed}\n{}", String::from_utf8_lossy(&output.stderr));
-    let read = |name: &str| std::fs::read(folder.path().join(name)).unwrap();
-    assert_eq!(read("clicked.toml"), read("typed.toml"));
+    typed_writes_the_same(folder.path(), &command);
     assert!(folder.path().join("clicked.markers.html").exists());
 }
 
@@ -262,25 +256,6 @@ fn a_run_is_looked_through_and_frames_are_vetoed() {
     assert!(run["note"].as_str().unwrap().contains("no log.mcap") && run["t_s"].as_array().unwrap().len() == rows);
 }
 
-/// A browser and a Python that drives it. With both named, by `CATOPTRA_BROWSER` and `CATOPTRA_PYTHON`, they must do;
-/// else Debian's Chromium is taken, and where something is missing the test is left out, and says so.
-fn browser_and_python() -> Option<(String, String)> {
-    let [browser, python] = ["CATOPTRA_BROWSER", "CATOPTRA_PYTHON"].map(|name| std::env::var(name).ok());
-    let must = browser.is_some() && python.is_some();
-    let browser = browser.unwrap_or_else(|| "/usr/bin/chromium".to_owned());
-    let python = python.unwrap_or_else(|| "python3".to_owned());
-    let probe = Command::new(&python).args(["-c", "import playwright"]).output();
-    let missing = match probe {
-        _ if !Path::new(&browser).exists() => format!("there is no browser {browser}"),
-        Ok(probe) if probe.status.success() => return Some((browser, python)),
-        _ => format!("{python} cannot import playwright; what to install is in the Makefile"),
-    };
-    assert!(!must, "{missing}");
-    // Past the test harness, which keeps what a passing test prints to itself.
-    std::io::stderr().write_all(format!("SKIPPED: {missing}\n").as_bytes()).unwrap();
-    None
-}
-
 #[test]
 fn a_browser_teaches_by_clicks_and_looks_through_a_run() {
     let Some((browser, python)) = browser_and_python() else { return };
@@ -300,13 +275,7 @@ fn a_browser_teaches_by_clicks_and_looks_through_a_run() {
     println!("{said}");
     // As the command writes it for the same clicks.
     let command = said.lines().skip_while(|line| *line != "command:").skip(1).take_while(|line| *line != "end");
-    let typed = command.collect::<Vec<_>>().join("\n").replace("clicked.toml", "typed.toml");
-    let program = Path::new(env!("CARGO_BIN_EXE_catoptra")).parent().unwrap();
-    let path = format!("{}:{}", program.display(), std::env::var("PATH").unwrap());
-    let output = Command::new("sh").current_dir(folder.path()).env("PATH", path).args(["-c", &typed]).output().unwrap();
-    assert!(output.status.success(), "{typed}\n{}", String::from_utf8_lossy(&output.stderr));
-    let read = |name: &str| std::fs::read(folder.path().join(name)).unwrap();
-    assert_eq!(read("clicked.toml"), read("typed.toml"));
+    typed_writes_the_same(folder.path(), &command.collect::<Vec<_>>().join("\n"));
     let vetoes = std::fs::read_to_string(folder.path().join("run/vetoes.csv")).unwrap();
     assert!(vetoes.contains("vetoed,<b>a hand</b>"), "{vetoes}");
 }
@@ -361,13 +330,7 @@ fn pictures_of_a_board_are_dropped_in_and_the_rig_gets_better_as_they_come() {
     // The command that is shown gives the same rig.
     let saved = studio.json("board/save", &json!({ "form": board_form(&kept), "out": "clicked.toml", "dry": false }));
     assert_eq!(saved["told"]["code"], 0, "{saved}");
-    let typed = saved["command"].as_str().unwrap().replace("clicked.toml", "typed.toml");
-    let program = Path::new(env!("CARGO_BIN_EXE_catoptra")).parent().unwrap();
-    let path = format!("{}:{}", program.display(), std::env::var("PATH").unwrap());
-    let output = Command::new("sh").current_dir(folder.path()).env("PATH", path).args(["-c", &typed]).output().unwrap();
-    assert!(output.status.success(), "{typed}\n{}", String::from_utf8_lossy(&output.stderr));
-    let read = |name: &str| std::fs::read(folder.path().join(name)).unwrap();
-    assert_eq!(read("clicked.toml"), read("typed.toml"));
+    typed_writes_the_same(folder.path(), saved["command"].as_str().unwrap());
 }
 
 fn board_form(pictures: &[String]) -> Value {
@@ -380,4 +343,88 @@ fn board_form(pictures: &[String]) -> Value {
 fn base64(bytes: &[u8]) -> String {
     use base64::prelude::{BASE64_STANDARD, Engine as _};
     BASE64_STANDARD.encode(bytes)
+}
+
+/// Pictures of a board as a camera gives them: each stands for a second, one of them again, and then the board moves.
+fn filmed(folder: &Path, names: &[std::path::PathBuf]) {
+    let pictures = folder.join("camera");
+    std::fs::create_dir(&pictures).unwrap();
+    let mut times = "file,t_s\n".to_owned();
+    let mut count = 0;
+    let mut show = |path: &Path, frames: usize| {
+        for _ in 0..frames {
+            let name = format!("{count:03}.png");
+            std::fs::copy(path, pictures.join(&name)).unwrap();
+            times += &format!("{name},{:.3}\n", f64::from(count) * 0.25);
+            count += 1;
+        }
+    };
+    show(&names[0], 8);
+    show(&names[1], 8);
+    show(&names[0], 8);
+    // It moves: another place in every picture.
+    names[2..6].iter().for_each(|path| show(path, 1));
+    show(&names[6], 40);
+    std::fs::write(pictures.join("times.csv"), times).unwrap();
+}
+
+#[test]
+fn a_camera_takes_a_picture_when_the_board_stands_still_where_it_was_not_before() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut rig: toml::Table = std::fs::read_to_string(file("calibration/dev_tank/rig.toml")).unwrap().parse().unwrap();
+    rig.retain(|key, _| ["camera", "provenance"].contains(&key));
+    rig["provenance"].as_table_mut().unwrap().retain(|key, _| key == "camera");
+    std::fs::write(folder.path().join("camera.toml"), rig.to_string()).unwrap();
+    let mut names: Vec<_> =
+        std::fs::read_dir(file("calibration/dev_tank/mirror")).unwrap().map(|e| e.unwrap().path()).collect();
+    names.retain(|path| path.extension().is_some_and(|ending| ending == "png"));
+    names.sort();
+    filmed(folder.path(), &names);
+    let none = Studio::start(folder.path(), &["--rig", "camera.toml"]);
+    let refused = none.ask("camera/take", &json!({ "folder": "boards", "seq": null }));
+    assert!(refused.status == 400 && String::from_utf8_lossy(&refused.body).contains("there is no camera"));
+    drop(none);
+    let studio = Studio::start(folder.path(), &["camera", "--realtime", "--rig", "camera.toml"]);
+    assert_eq!(studio.json("state", &json!({}))["camera"], json!({ "name": "camera", "size": [1280, 1024] }));
+    let (mut taken, mut whys, mut last) = (Vec::<String>::new(), Vec::<String>::new(), Value::Null);
+    let began = std::time::Instant::now();
+    while began.elapsed().as_secs() < 40 {
+        let judged = studio.ask("camera/judge", &board_form(&taken));
+        if judged.status == 503 {
+            continue;
+        }
+        let judged = judged.json();
+        let why = judged["why"].as_str().unwrap_or_else(|| panic!("{judged}"));
+        whys.push(why.to_owned());
+        if judged["take"] == true {
+            assert_eq!(judged["images"].as_array().unwrap().len(), 2, "{judged}");
+            let kept = studio.json("camera/take", &json!({ "folder": "boards", "seq": judged["seq"] }));
+            taken.push(kept["picture"].as_str().unwrap().to_owned());
+        }
+        // Once more where it ended: nothing is taken there again.
+        if taken.len() == 3 && whys.len() > 8 && last == judged["seq"] {
+            break;
+        }
+        last = judged["seq"].clone();
+    }
+    whys.dedup();
+    println!("{whys:#?}");
+    assert_eq!(taken, ["boards/camera-001.png", "boards/camera-002.png", "boards/camera-003.png"], "{whys:#?}");
+    assert!(whys.iter().any(|why| why.contains("it is where it was in camera-001.png")), "{whys:#?}");
+    assert!(whys.iter().any(|why| why == "hold the board still"), "{whys:#?}");
+    // What was kept is what the camera saw, and by hand another is taken under the next number.
+    let kept = |name: &str| image::open(folder.path().join("boards").join(name)).unwrap().into_rgb8();
+    for (name, from) in [("camera-001.png", &names[0]), ("camera-002.png", &names[1]), ("camera-003.png", &names[6])] {
+        assert_eq!(kept(name), image::open(from).unwrap().into_rgb8(), "{name}");
+    }
+    let by_hand = studio.json("camera/take", &json!({ "folder": "boards", "seq": null }));
+    assert_eq!(by_hand["picture"], "boards/camera-004.png");
+    let look = studio.json("camera/look", &json!({ "after": null }));
+    assert!(look["jpeg"].as_str().unwrap().len() > 1000, "{look}");
+    // In a browser, by the button and by the key.
+    let Some((browser, python)) = browser_and_python() else { return };
+    let script = file("tests/python/studio_camera.py");
+    let output = Command::new(python).arg(script).args([&browser, &studio.url()]).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    assert!(folder.path().join("boards/camera-006.png").exists());
 }

@@ -1,4 +1,4 @@
-//! Every frame of a recording comes with the container's own time, the last ones too, and lost frames are counted.
+//! Every frame of a recording has the container's own time, including the last ones, and lost frames are counted.
 
 use crate::support::encode;
 use std::path::Path;
@@ -24,7 +24,7 @@ fn stamps(frames: &[Frame]) -> Vec<i64> {
     frames.iter().map(|f| f.stamp.ns).collect()
 }
 
-/// Luma tells which frame it is: the pattern moves by 3 a frame.
+/// Luma tells which frame it is: the pattern moves by 3 per frame.
 fn assert_is_frame(frame: &Frame, i: usize) {
     let plane = frame.picture.plane(0).unwrap();
     for (x, y) in [(5, 5), (20, 11), (33, 30)] {
@@ -54,7 +54,7 @@ fn assert_gaps(frames: &[Frame], kept: &[i64]) {
 #[test]
 fn every_frame_has_the_containers_time_in_any_container_and_time_base() {
     let folder = tempfile::tempdir().unwrap();
-    // Container, time base asked for, units a frame, time base the container makes of it.
+    // Container, time base asked for, units per frame, time base the container makes of it.
     let cases = [
         ("mkv", (1, 1000), None, (1, 1000)),
         ("mkv", (1, 15360), Some(256), (1, 1000)),

@@ -1,9 +1,11 @@
-//! `catoptra track` with what it cannot use: the exit code, what it says, and what it leaves behind.
+//! `catoptra track` with unusable input: the exit code, the message, and the files left behind.
 
 use crate::support::command;
 use crate::support::command::*;
+use crate::support::encode::{Recording, write};
 use catoptra::optics::Surface;
 use catoptra::rig::Rig;
+use ffmpeg_the_third::format::Pixel;
 use std::path::Path;
 use std::process::Command;
 
@@ -54,6 +56,23 @@ fn a_truncated_recording_is_tracked_to_its_last_good_frame() {
     let warning = format!("{frames} frames could be read, the last one at {last_s} s");
     assert!(said.contains("ends early") && said.contains(&warning), "{warning} is not in {said}");
     assert_eq!(command::frames(&place.path("out/overlay.mp4")).len(), frames);
+}
+
+#[test]
+fn colour_for_every_fourth_pixel_only_is_warned_of() {
+    let place = Place::new();
+    let recording = Recording {
+        size_px: [1280, 1024],
+        pts: &[0, 17, 33],
+        encoder: "ffv1",
+        pixel: Pixel::YUV411P,
+        chroma: 100,
+        ..Recording::default()
+    };
+    write(&place.path("dv.mkv"), &recording);
+    let said = ended_with(&place.track(Path::new("dv.mkv"), &[]), 3);
+    assert!(said.contains("dv.mkv: colour is stored for every 4 pixels only (4:1:1)"), "{said}");
+    assert_eq!(place.frames_in_all_files(), 3);
 }
 
 #[test]
@@ -170,7 +189,7 @@ fn files_of_others_and_inputs_are_not_written_over() {
 
     let rig = std::fs::read(&place.rig).unwrap();
     let said = ended_with(&place.track(&sample("rest.mkv"), &["--csv=rig.toml"]), 2);
-    assert!(said.contains("would be written over"), "{said}");
+    assert!(said.contains("would be overwritten"), "{said}");
     assert_eq!(std::fs::read(&place.rig).unwrap(), rig);
 }
 

@@ -1,4 +1,4 @@
-//! Motions that cannot be: pictures of another time between others.
+//! Impossible motion: pictures of another time inserted among others.
 
 use crate::support::command::*;
 use catoptra::estimate::Miss;
@@ -15,7 +15,7 @@ fn a_jump_that_the_motion_before_does_not_allow_is_no_measurement() {
     frames.truncate(16);
     frames[13].picture = elsewhere.picture;
     let tracked = |full_frame: bool| {
-        let mut tracker = Tracker::new(&rig(), TrackOptions { full_frame }).unwrap();
+        let mut tracker = Tracker::new(&rig(), TrackOptions { full_frame, ..TrackOptions::default() }).unwrap();
         frames.iter().map(|frame| tracker.step(frame).unwrap()).collect::<Vec<_>>()
     };
     let estimates = tracked(false);

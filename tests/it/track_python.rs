@@ -1,4 +1,4 @@
-//! The log of a real run, read by someone else's code: Python decodes every message and finds the numbers of the table.
+//! The log of a real run, read by independent code: Python decodes every message and finds the numbers of the table.
 
 use crate::support::python::{agreed, compare, interpreter};
 use std::path::Path;
@@ -22,13 +22,13 @@ fn python_finds_the_numbers_of_the_table_in_the_log_of_a_recording() {
             .unwrap();
         assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
         let found = compare(&python, &folder.path().join("log.mcap"), &folder.path().join("track.csv"), frame);
-        let told = agreed(&found);
+        let printed = agreed(&found);
         for part in [
             format!("\"frames\": {frames}"),
             format!("\"/catheter/deflection\": {frames}, \"/catheter/estimate\": {frames}"),
             "\"attachments\": [\"options.toml\", \"rig.toml\"]".to_owned(),
         ] {
-            assert!(told.contains(&part), "{part} is not in {told}");
+            assert!(printed.contains(&part), "{part} is not in {printed}");
         }
     }
 }

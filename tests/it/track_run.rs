@@ -1,4 +1,4 @@
-//! `catoptra track` on the sample recordings: what is in its files, and what does not change it.
+//! `catoptra track` on the sample recordings: the content of its files, and what does not affect them.
 
 use crate::support::command::*;
 use nalgebra::Vector3;
@@ -40,13 +40,13 @@ fn every_frame_is_answered_near_the_truth_and_is_in_every_file() {
     for source in ["image_noise", "time_stamps", "together"] {
         assert!(budget[source]["theta_deg"].as_float().unwrap() >= 0.0, "{run}");
     }
-    let told = stdout(&output);
+    let printed = stdout(&output);
     for part in ["25 frames, 0.000 s to 0.400 s; the camera lost none", "results in out", "overlay.mp4"] {
-        assert!(told.contains(part), "{part} is not in {told}");
+        assert!(printed.contains(part), "{part} is not in {printed}");
     }
-    let row = |name: &str| told.lines().find(|line| line.trim_start().starts_with(name)).unwrap().to_owned();
-    assert!(row("tip").contains("25  100.0 %") && row("tip").contains(" mm"), "{told}");
-    assert!(row("deflection").contains("from "), "{told}");
+    let row = |name: &str| printed.lines().find(|line| line.trim_start().starts_with(name)).unwrap().to_owned();
+    assert!(row("tip").contains("25  100.0 %") && row("tip").contains(" mm"), "{printed}");
+    assert!(row("deflection").contains("from "), "{printed}");
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! `catoptra validate` from end to end: logs and tables of the same run, everything it writes, and what it refuses.
+//! `catoptra validate` from end to end: logs and tables of the same run, all outputs, and refusals.
 
 use crate::support::fixture;
 use crate::support::python;
@@ -165,6 +165,22 @@ fn everything_is_written_and_an_earlier_result_is_replaced() {
 }
 
 #[test]
+fn a_model_is_drawn_beside_the_runs() {
+    let folder = tempfile::tempdir().unwrap();
+    for (model, name) in [("eq7", "Eq. 7"), ("lag.toml", "lag.toml")] {
+        fs::write(folder.path().join("lag.toml"), "num = [1.0]\nden = [0.05, 1.0]\n").unwrap();
+        let output = bundled(folder.path(), &["-o", "out", "--model", model]);
+        assert!(output.status.success(), "{}", stderr(&output));
+        let page = fs::read_to_string(folder.path().join("out/report.html")).unwrap();
+        let plot = page.split("id=\"plot-magnitude\"").nth(1).unwrap();
+        assert!(plot.contains(name), "{model}");
+    }
+    let output = bundled(folder.path(), &["-o", "out", "--model", "none.json"]);
+    assert_eq!(output.status.code(), Some(2));
+    assert!(stderr(&output).contains("none.json"), "{}", stderr(&output));
+}
+
+#[test]
 fn a_report_of_another_command_is_not_written_over() {
     let folder = tempfile::tempdir().unwrap();
     fs::create_dir(folder.path().join("out")).unwrap();
@@ -193,7 +209,7 @@ fn wrong_usage_and_wrong_files_are_refused_before_anything_is_written() {
     refused(
         &[&[slow.as_str()], desired("two.csv").as_slice()].concat(),
         2,
-        "two.csv: has 2 points a period; a path needs 3",
+        "two.csv: has 2 points per period; a path needs 3",
     );
     refused(&[&[slow.as_str()], desired("line.csv").as_slice()].concat(), 2, "line.csv: its points lie on a line");
     refused(&[&[slow.as_str()], desired("none.csv").as_slice()].concat(), 2, "none.csv: ");

@@ -89,8 +89,8 @@ fn the_script_of_the_job_array_settles_a_shard_and_tries_again_what_may_pass() {
 #[test]
 fn snakemake_takes_a_manifest_to_tables() {
     let Some(snakemake) = std::env::var_os("CATOPTRA_SNAKEMAKE") else {
-        let told = b"SKIPPED: CATOPTRA_SNAKEMAKE does not name Snakemake 9\n";
-        std::io::stderr().write_all(told).unwrap();
+        let message = b"SKIPPED: CATOPTRA_SNAKEMAKE does not name Snakemake 9\n";
+        std::io::stderr().write_all(message).unwrap();
         return;
     };
     let place = Place::new();

@@ -1,11 +1,12 @@
-"""What `catoptra identify` finds, found again by numpy and scipy, and by python-control and slycot where they can be imported.
+"""Checks the results of `catoptra identify` with numpy and scipy, and with python-control and slycot if installed.
 
     identify.py make DIR       writes a table of a simulated record for every case, and cases.json: name and arguments of each
-    identify.py check DIR      compares the results in DIR/<name> with the second source; prints the largest difference of each kind
+    identify.py check DIR      compares DIR/<name> with independent results; prints the largest difference of each kind
 
-The second sources share no method with the program: coefficients and covariance by Householder's QR with 64 bits of mantissa on the whole
-regression matrix; Hankel singular values and balanced truncation by the singular value decomposition of the Hankel matrix of
-the impulse response (whose balanced realisation is Ho and Kalman's); simulations by scipy.signal.lfilter; H(s) by scipy.linalg.logm.
+The independent computations share no method with the program: coefficients and covariance by Householder QR with 64
+bits of mantissa on the whole regression matrix; Hankel singular values and balanced truncation by the singular value
+decomposition of the Hankel matrix of the impulse response (whose balanced realisation is Ho and Kalman's); simulations
+by scipy.signal.lfilter; H(s) by scipy.linalg.logm.
 """
 
 import csv

@@ -1,4 +1,4 @@
-"""Reads a log with other people's code and compares it with the table of the same run.
+"""Reads a log with independent code and compares it with the table of the same run.
 
     python read_log.py LOG.mcap TABLE.csv [--frame base|camera]
 
@@ -15,24 +15,9 @@ import sys
 from collections import Counter
 from decimal import Decimal
 
+from compared import DEGREE, MM, UNIT, Difference, near, same
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
-
-MM, DEGREE, UNIT = 0.5001e-6, 0.5001e-6, 0.5001e-7  # half of the last digit
-
-
-class Difference(Exception):
-    pass
-
-
-def same(what, found, expected):
-    if found != expected:
-        raise Difference(f"{what}: {found!r} in one place, {expected!r} in the other")
-
-
-def near(what, found, expected, tolerance):
-    if not abs(found - expected) <= tolerance:  # NaN is a difference
-        raise Difference(f"{what}: {found!r} in one place, {expected!r} in the other (tolerance {tolerance})")
 
 
 def cell(what, row, column, value, tolerance):

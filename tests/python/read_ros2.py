@@ -1,10 +1,10 @@
-"""Reads a log of profile ros2 with other people's code, twice, and compares it with the table of the same run.
+"""Reads a log of profile ros2 with two independent libraries, and compares it with the table of the same run.
 
     python read_ros2.py LOG.mcap TABLE.csv [--live]
 
-Decodes EVERY message with `rosbags` and with `mcap-ros2-support` (both from PyPI): both must find the same, their types
-must be those that ROS 2 Jazzy has (by their hashes), times must be those of the table to the nanosecond, numbers those of
-the table to its last digit. Prints one line of JSON; exit code 1 and the first difference when something does not agree.
+Decodes EVERY message with `rosbags` and with `mcap-ros2-support` (both from PyPI): both must agree, the types must be
+those of ROS 2 Jazzy (by their hashes), times must match the table to the nanosecond, and numbers to its last digit.
+Prints one line of JSON; exit code 1 and the first difference when something does not agree.
 """
 
 import argparse
@@ -15,28 +15,14 @@ import sys
 from collections import Counter
 
 import numpy
+from compared import DEGREE, MM, UNIT, Difference, near, same
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-MM, DEGREE, UNIT = 0.5001e-6, 0.5001e-6, 0.5001e-7  # half of the last digit
 ANY_ANGLE = math.pi**2 / 3
 OURS = {"/catheter/estimate", "/coil/current", "/camera/windows", "/health"}
-
-
-class Difference(Exception):
-    pass
-
-
-def same(what, found, expected):
-    if found != expected:
-        raise Difference(f"{what}: {found!r} in one place, {expected!r} in the other")
-
-
-def near(what, found, expected, tolerance):
-    if not abs(found - expected) <= tolerance:  # NaN is a difference
-        raise Difference(f"{what}: {found!r} in one place, {expected!r} in the other (tolerance {tolerance})")
 
 
 def nanoseconds(stamp):

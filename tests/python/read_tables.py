@@ -1,9 +1,9 @@
-"""Reads tables in Parquet and MAT 5 with other people's code and compares them with the table of the same run.
+"""Reads tables in Parquet and MAT 5 with independent libraries and compares them with the table of the same run.
 
     python read_tables.py TABLE.csv FILE.parquet|FILE.mat…
 
-Parquet with `pyarrow` and with `polars`, MAT with `scipy`: every column of the table must be there with its numbers, to the
-table's last digit; whole numbers and words exactly; what is empty there must be missing here. Prints one line of JSON;
+Parquet with `pyarrow` and with `polars`, MAT with `scipy`: every column of the table must be there with its numbers, to
+the table's last digit; integers and words exactly; empty cells of the table must be missing. Prints one line of JSON;
 exit code 1 and the first difference when something does not agree.
 """
 

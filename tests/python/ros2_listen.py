@@ -2,9 +2,9 @@
 
     python ros2_listen.py DEFINITIONS.mcap DOMAIN [--send-currents]
 
-The types are made from the definitions in a log of profile ros2. On the loopback interface only. Prints `matched` when
-every topic has its publisher; ends when its standard input does, and then prints one line of JSON: for each topic its
-messages in the order in which they came. With --send-currents it publishes currents on /amplifier/joint_states meanwhile.
+The types are made from the definitions in a log of profile ros2. Uses the loopback interface only. Prints `matched`
+when every topic has its publisher; ends when its standard input does, and then prints one line of JSON: the messages of
+each topic in order of arrival. With --send-currents it publishes currents on /amplifier/joint_states meanwhile.
 """
 
 import json

@@ -6,10 +6,12 @@
 The studio serves the sample rest.mkv with a rig without colours as bare.toml, and the folder of a run as `run`. Prints
 the command that the page shows, between `command:` and `end`. With --boards, pictures of a board are dropped in. With
 --pictures it also writes the views as pictures, light and dark; with --measure it clicks N times on the bands and prints
-how long a mask took; with --page the page's own files are taken from a folder, to try them before they are built in.
+how long a mask took; with --page the page's own files are taken from a folder, to try them before they are built in. With --picks
+another recording than the sample is taught, or measured with --measure, and no more is tried.
 """
 
 import argparse
+import re
 import statistics
 import sys
 import time
@@ -17,13 +19,14 @@ from pathlib import Path
 
 from playwright.sync_api import expect, sync_playwright
 
+SIZE = [1280, 1024]
 PICKS = {"base": (431, 408), "coil": (431, 565), "tip": (430, 607)}
 
 
 def screen(page, x, y):
     """Where a pixel of the picture is on the screen: the stage shows it whole."""
     box = page.locator(".stage canvas").bounding_box()
-    size = (1280, 1024)
+    size = SIZE
     scale = min(box["width"] / size[0], box["height"] / size[1])
     left = box["x"] + (box["width"] - size[0] * scale) / 2
     top = box["y"] + (box["height"] - size[1] * scale) / 2
@@ -79,6 +82,16 @@ def teach(page, save):
     page.wait_for_selector(".view[data-preview]")
     expect(page.locator("#said")).to_contain_text("All bands are measured in this frame")
     expect(page.locator("#told")).to_contain_text("good: ")
+    # What is as in the rig is not in the command.
+    page.fill("#rigid", "15")
+    page.fill("#exposure", "2.5")
+    expect(page.locator("#command")).to_contain_text("--rigid 15mm")
+    expect(page.locator("#command")).to_contain_text("--exposure 2.5ms")
+    if not save:
+        page.fill("#rigid", "")
+        page.fill("#exposure", "")
+        expect(page.locator("#command")).not_to_contain_text("--rigid")
+        expect(page.locator("#command")).not_to_contain_text("--exposure")
     page.fill("#out", "clicked.toml")
     expect(page.locator("#command")).to_contain_text("--out clicked.toml")
     if save:
@@ -155,7 +168,13 @@ def main():
     parser.add_argument("--measure", type=int, default=0)
     parser.add_argument("--boards", type=Path)
     parser.add_argument("--page", type=Path)
+    parser.add_argument("--picks", help="clicks of another recording, as base@431,408,coil@431,565,tip@430,607; it is taught or measured, and no more")
+    parser.add_argument("--size", help="of its pictures, as 2448x2048")
     args = parser.parse_args()
+    if args.picks:
+        found = re.findall(r"(\w+)@([\d.]+),([\d.]+)", args.picks)
+        SIZE[:] = [int(part) for part in args.size.split("x")] if args.size else SIZE
+        PICKS.update((name, (round(float(x)), round(float(y)))) for name, x, y in found)
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=args.browser, args=["--no-sandbox", "--disable-gpu"])
         problems = []
@@ -168,12 +187,18 @@ def main():
             if args.measure:
                 measure(page, args.measure)
                 page.get_by_role("button", name="Clear all picks").click()
+            if args.measure and args.picks:
+                page.close()
+                break
             command = teach(page, save=scheme == "light")
             small = small_text(page)
             if args.pictures:
                 page.screenshot(path=args.pictures / f"studio-teach-{scheme}.jpg", type="jpeg", quality=72)
             if scheme == "light":
                 print(f"command:\n{command}\nend")
+            if args.picks:
+                page.close()
+                break
             if args.boards:
                 calibrate(page, args.boards, 8 if args.pictures else 4)
                 small += small_text(page)

@@ -2,7 +2,7 @@
 """Subscribes to every topic of a running `catoptra live --publish`, decodes all messages with the schemas that the server
 sends, and prints one JSON object: messages by topic, and θ of each frame as (seq, radians or null).
 
-Other people's code: `websockets` and `protobuf`.
+Uses independent libraries: `websockets` and `protobuf`.
 """
 
 import argparse

@@ -1,10 +1,11 @@
-"""Validation along a desired path, by numpy and scipy alone.
+"""Validation along a desired path, with only numpy and scipy.
 
     validate.py make DIR PAUSE_MS…     writes circle.csv (the path) and a simulated run <pause>ms.csv for each pause time
-    validate.py check DIR RESULT       evaluates the runs of RESULT/validation.csv anew and compares every number
+    validate.py check DIR RESULT       evaluates the runs of RESULT/validation.csv again and compares every number
 
-The simulated catheter follows the commands with a first-order lag (corner 1.3 Hz), 0.96 of the way, turned by 3 degrees about the y axis
-and moved; it is seen at 60 Hz with a noise of 0.05 mm, some frames miss the tip and some are lost. Commands begin at 1.5 s.
+The simulated catheter follows the commands with a first-order lag (corner 1.3 Hz), scaled by 0.96, rotated by 3 degrees
+about the y axis and shifted; it is observed at 60 Hz with 0.05 mm of noise, some frames miss the tip and some are lost.
+Commands begin at 1.5 s.
 """
 
 import csv
@@ -76,7 +77,8 @@ def close(name, found, expected, within):
 
 
 def points_of(run, pause, start_ns):
-    """One observed point a command, NaN where there is none; as docs/validate.md describes it."""
+    """One observed point per command, NaN where there is none, and by how much its frames are later than the middle of the
+    pause, in pauses; as docs/validate.md describes it."""
     from scipy.interpolate import CubicSpline
 
     stamps = np.array([int(row["stamp_ns"]) for row in run])
@@ -89,11 +91,13 @@ def points_of(run, pause, start_ns):
     known = ~np.isnan(places[:, 0])
     t, places = t[known], places[known]
     points = np.full((commands, 3), np.nan)
+    later = np.zeros(commands)
     if pause >= interval:
         number = np.floor(t / pause + 1e-12).astype(int)
         for k in range(commands):
             if np.any(number == k):
                 points[k] = places[number == k].mean(axis=0)
+                later[k] = t[number == k].mean() / pause - (k + 0.5)
     else:
         spline = CubicSpline(t, places, bc_type="natural")
         middle = (np.arange(commands) + 0.5) * pause
@@ -101,7 +105,7 @@ def points_of(run, pause, start_ns):
         for k in range(commands):
             if 0 < after[k] < len(t) and t[after[k]] - t[after[k] - 1] < 1.5 * interval:
                 points[k] = spline(middle[k])
-    return points
+    return points, later
 
 
 def circle_radius(points):
@@ -139,7 +143,7 @@ def check(folder, result):
         pause_ms = float(row["pause_ms"])
         close("pause in the JSON", entry["pause_ms"], pause_ms, 0)
         run = list(csv.DictReader(open(folder / f"{pause_ms:g}ms.csv")))
-        points = points_of(run, pause_ms * 1e-3, int(START_S * 1e9))[N:]
+        points, later = (all[N:] for all in points_of(run, pause_ms * 1e-3, int(START_S * 1e9)))
         known = ~np.isnan(points[:, 0])
         numbers = np.arange(N, N * PERIODS)[known]
         observed, wanted = points[known], desired[numbers % N]
@@ -158,7 +162,7 @@ def check(folder, result):
         close("radius", float(row["observed_size_mm"]), radius, 1e-6)
         close("off the plane", float(row["plane_rms_mm"]), off_plane, 1e-6)
         close("magnitude", float(row["magnitude_db"]), 20 * np.log10(radius / wanted_radius), 1e-6)
-        lag = lag_points(desired, observed, numbers)
+        lag = lag_points(desired, observed, numbers) + later[known].mean()
         close("lag", float(row["lag_ms"]), lag * pause_ms, 1e-6)
         close("phase", (float(row["phase_deg"]) + 360 * lag / N + 180) % 360 - 180, 0, 1e-6)
         print(f"{pause_ms:g} ms: {row['rms_aligned_mm']} mm, {row['magnitude_db']} dB, {row['phase_deg']} degrees agree")

@@ -1,4 +1,4 @@
-//! What becomes of the rig file when `catoptra calibrate` does not come to its end: Ctrl-C, a full disk.
+//! The rig file after `catoptra calibrate` is cut short: by Ctrl-C, or a full disk.
 
 #![cfg(unix)]
 

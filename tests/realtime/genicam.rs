@@ -1,4 +1,4 @@
-//! A GigE Vision camera with frames of the sample in it: Aravis' own fake one, on the loopback interface.
+//! A GigE Vision camera with frames of the sample: Aravis' own fake camera, on the loopback interface.
 #![cfg(feature = "genicam")]
 #![allow(unsafe_code, reason = "the binding does not offer the fake camera's own pictures")]
 
@@ -200,11 +200,11 @@ fn the_command_tracks_a_gige_camera_and_warns_of_what_it_does_otherwise() {
     command.current_dir(place.folder.path()).args(["live", "genicam:", "-o", "out", "--duration", "3", "--rig"]);
     command.arg(&place.rig).args(["--fps", "30", "--format", "BayerRG8", "--exposure", "8", "--gain", "1e12"]);
     let output = command.output().unwrap();
-    let told = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(output.status.success(), "{told}");
-    assert!(told.contains("gain: ") && !told.contains("exposure: "), "{told}");
+    let printed = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.success(), "{printed}");
+    assert!(printed.contains("gain: ") && !printed.contains("exposure: "), "{printed}");
     let table = Table::read(&place.path("out/track.csv"));
-    assert!(table.rows.len() > 40, "{} rows\n{told}", table.rows.len());
+    assert!(table.rows.len() > 40, "{} rows\n{printed}", table.rows.len());
 }
 
 /// CPU seconds and resident megabytes of a process, now.

@@ -1,4 +1,4 @@
-//! The live runner: rows of frames that were tracked, passed over or of another size; sinks that fail; ends of a run.
+//! The live runner: rows of frames that were tracked, skipped or of another size; failing sinks; ends of a run.
 
 use crate::support::command::*;
 use catoptra::estimate::Estimate;

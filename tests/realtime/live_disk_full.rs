@@ -1,7 +1,7 @@
-//! Disks that fill up under a live run: pictures stop first, estimates go on, the user is told, and all that was
-//! written is read.
+//! Disks that fill up under a live run: pictures stop first, estimates continue, the user is told, and everything
+//! written can be read.
 //!
-//! A limit on the size of files needs no rights; a small disk of its own (tmpfs) needs root, and is left out, visibly,
+//! A limit on the size of files needs no rights; a small disk of its own (tmpfs) needs root, and is visibly skipped
 //! without.
 
 #![cfg(target_os = "linux")]
@@ -69,9 +69,9 @@ fn a_video_that_meets_a_limit_ends_there_and_every_row_is_written() {
     let out = place.path("out");
     // 6 MB in blocks of 512 bytes: report and log fit, 60 pictures do not.
     let output = live(&place, &out, "trap '' XFSZ; ulimit -f 12000;", "--record ffv1");
-    let told = ended_with(&output, 1);
-    assert!(told.contains("pictures.mkv") && told.contains("no more pictures are recorded"), "{told}");
-    assert_eq!(told.matches("no more pictures are recorded").count(), 1, "{told}");
+    let printed = ended_with(&output, 1);
+    assert!(printed.contains("pictures.mkv") && printed.contains("no more pictures are recorded"), "{printed}");
+    assert_eq!(printed.matches("no more pictures are recorded").count(), 1, "{printed}");
     assert_eq!(place.frames_in_all_files(), 300);
     assert!(stdout(&output).contains("lost to the recording"), "{}", stdout(&output));
 
@@ -104,8 +104,8 @@ fn pictures_stop_while_there_is_room_for_the_log() {
     let Some(disk) = Disk::new(&place, 18_000_000) else { return };
     let out = disk.0.join("out");
     let output = live(&place, &out, "", "--record windows --keep-free 0.013");
-    let told = ended_with(&output, 0);
-    assert_eq!(told.matches("no more pictures are recorded, the log goes on").count(), 1, "{told}");
+    let printed = ended_with(&output, 0);
+    assert_eq!(printed.matches("no more pictures are recorded, the log continues").count(), 1, "{printed}");
     let log = out.join("log.mcap");
     assert_eq!(logged(&log), (0..300).collect::<Vec<_>>());
     let topics = Info::read(&log).unwrap().topics;
@@ -126,8 +126,8 @@ fn a_full_disk_is_told_and_what_was_written_before_is_read() {
     let Some(disk) = Disk::new(&place, 500_000) else { return };
     let out = disk.0.join("out");
     let output = live(&place, &out, "", "");
-    let told = ended_with(&output, 1);
-    assert!(told.contains("log.mcap") && told.contains("No space left"), "{told}");
+    let printed = ended_with(&output, 1);
+    assert!(printed.contains("log.mcap") && printed.contains("No space left"), "{printed}");
     // Of three seconds, the estimates until the disk was full.
     let kept = logged_so_far(&out.join("log.mcap"));
     assert!(kept.len() > 60, "{} rows", kept.len());
@@ -146,8 +146,8 @@ fn without_room_kept_for_it_the_log_ends_with_the_pictures_and_both_are_read() {
     let Some(disk) = Disk::new(&place, 12_000_000) else { return };
     let out = disk.0.join("out");
     let output = live(&place, &out, "", "--record ffv1 --keep-free 0.000001");
-    let told = ended_with(&output, 1);
-    assert!(told.contains("pictures.mkv") && told.contains("log.mcap"), "{told}");
+    let printed = ended_with(&output, 1);
+    assert!(printed.contains("pictures.mkv") && printed.contains("log.mcap"), "{printed}");
     let rows: BTreeSet<u32> = logged_so_far(&out.join("log.mcap")).into_iter().collect();
     assert!(rows.len() > 20, "{} rows", rows.len());
     let mut video = catoptra::source::open(out.join("pictures.mkv"), Default::default()).unwrap();

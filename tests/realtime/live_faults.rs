@@ -1,4 +1,5 @@
-//! Cameras whose numbers and times go wrong under a live run: every frame keeps its row, is tracked, and is in the log.
+//! Cameras whose counters and times go wrong during a live run: every frame keeps its row, is tracked, and is in the
+//! log.
 
 use crate::support::command::*;
 use catoptra::live::{self, LiveSummary, Outputs, Until};
@@ -122,6 +123,6 @@ fn a_tracker_that_is_too_slow_leaves_rows_and_measures_the_newest() {
     let ok = (0..40).filter(|row| word(&run, *row) == "ok").count();
     assert!(skipped > 0 && ok > 0 && skipped + ok == 40, "{skipped} skipped, {ok} ok");
     assert_eq!(word(&run, 39), "ok");
-    let told: u64 = run.info.misses.iter().filter(|((what, _), _)| what == "coil").map(|(_, n)| n).sum();
-    assert_eq!(told, skipped as u64);
+    let missed: u64 = run.info.misses.iter().filter(|((what, _), _)| what == "coil").map(|(_, n)| n).sum();
+    assert_eq!(missed, skipped as u64);
 }

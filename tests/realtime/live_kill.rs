@@ -1,6 +1,6 @@
-//! `catoptra live` killed at random instants: every frame that was sent to a controller more than a second before is in
-//! the log, and its picture in log or video if those are recorded; `catoptra log repair` makes the log whole. Six
-//! instants; `CATOPTRA_KILLS=50` for more.
+//! `catoptra live` killed at random instants: every frame that was sent to a controller more than a second earlier is
+//! in the log, and its picture in log or video if recorded; `catoptra log repair` repairs the log. Six instants;
+//! `CATOPTRA_KILLS=50` for more.
 
 use crate::support::command::*;
 use std::collections::BTreeSet;
@@ -91,15 +91,15 @@ fn all_that_is_older_than_a_second_survives_a_kill_at_any_instant() {
         let repair = Command::new(env!("CARGO_BIN_EXE_catoptra")).args(["log", "repair"]).arg(&log).output().unwrap();
         if kept.is_empty() {
             // Nothing to save: the file is left alone.
-            let told = ended_with(&repair, 1);
-            assert!(told.contains("no message in it can be read"), "{told}");
+            let printed = ended_with(&repair, 1);
+            assert!(printed.contains("no message in it can be read"), "{printed}");
             continue;
         }
         ended_with(&repair, 0);
         let info = Command::new(env!("CARGO_BIN_EXE_catoptra")).args(["log", "info"]).arg(&log).output().unwrap();
-        let told = stdout(&info);
+        let printed = stdout(&info);
         let frames = format!("{} frames", kept.len());
-        assert!(told.contains("complete, with index") && told.contains(&frames), "{told}");
+        assert!(printed.contains("complete, with index") && printed.contains(&frames), "{printed}");
         assert_eq!(logged(&log).into_iter().map(u64::from).collect::<BTreeSet<_>>(), kept);
     }
 }

@@ -1,5 +1,5 @@
-//! `catoptra live` on a machine whose processor others want, too: 20 busy loops in sessions of their own, as other
-//! terminals are. They take the whole machine for two minutes: `scripts/robustness.sh` runs them, `make test` does not.
+//! `catoptra live` on a loaded machine: 20 busy loops in separate sessions, like other terminals. They take the whole
+//! machine for two minutes: `scripts/robustness.sh` runs them, `make test` does not.
 
 use crate::support::command::*;
 use ffmpeg_the_third as av;
@@ -33,7 +33,7 @@ impl Drop for Load {
 }
 
 /// The sample many times, one behind the other, without decoding it.
-fn looped(times: i64, to: &Path) {
+pub(crate) fn looped(times: i64, to: &Path) {
     let mut output = av::format::output(to).unwrap();
     let (mut added, mut decoded) = (0, i64::MIN);
     for k in 0..times {
@@ -90,12 +90,12 @@ fn at_a_load_of_20_no_frame_is_skipped_where_the_system_lets_it_go_first() {
     let load = Load::of(Duration::from_secs(90));
     let output = live(&place, &recording, "live", &["--duration", "60"]).output().unwrap();
     drop(load);
-    let told = ended_with(&output, 0);
+    let printed = ended_with(&output, 0);
     let table = Table::read(&place.path("live/track.csv"));
     let count = |word: &str| table.rows.iter().filter(|row| row["coil_status"] == word).count();
     let (rows, skipped, jumps) = (table.rows.len(), count("skipped_overload"), count("implausible_motion"));
     let lost: u64 = table.rows.iter().map(|row| row["gap"].parse::<u64>().unwrap()).sum();
-    let raised = told.contains("raised priority") && !told.contains("within this session only");
+    let raised = printed.contains("raised priority") && !printed.contains("within this session only");
     println!("{rows} frames, {skipped} skipped, {lost} lost, {jumps} jumps of 12 seams; first: {raised}");
     // Each is counted; and none is skipped where nothing may go before it.
     assert!(rows > 3300, "{rows} rows in 60 s");

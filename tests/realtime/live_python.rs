@@ -1,5 +1,5 @@
-//! A live run as others see it: its topics by a WebSocket client of Python, its datagrams, its log by Python's `mcap`,
-//! and the table of the same recording tracked offline.
+//! A live run as other programs see it: its topics by a Python WebSocket client, its datagrams, its log by Python's
+//! `mcap`, and the table of the same recording tracked offline.
 
 use crate::support::command::*;
 use crate::support::python;
@@ -44,8 +44,8 @@ fn subscribers_controllers_log_and_table_say_the_same() {
 
     // The log, whole and equal to the table, by someone else's code.
     let (log, table) = (place.path("out/log.mcap"), place.path("out/track.csv"));
-    let told = python::agreed(&python::compare(&interpreter, &log, &table, "base"));
-    assert!(told.contains("\"clock\": \"container\""), "{told}");
+    let printed = python::agreed(&python::compare(&interpreter, &log, &table, "base"));
+    assert!(printed.contains("\"clock\": \"container\""), "{printed}");
     let rows = place.table().rows;
     let seqs: Vec<usize> = rows.iter().map(|row| row["seq"].parse().unwrap()).collect();
     assert_eq!(seqs, (0..rows.len()).collect::<Vec<_>>());

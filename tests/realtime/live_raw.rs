@@ -1,4 +1,4 @@
-//! Raw pictures on a pipe, by a sender that keeps its pace.
+//! Raw pictures on a pipe, from a sender that keeps its own pace.
 
 use crate::support::command::*;
 use rustix::process::{Pid, Signal, kill_process};
@@ -89,6 +89,6 @@ fn a_run_without_a_single_frame_is_no_result() {
     let pipe = live.stdin.take();
     let output = live.wait_with_output().unwrap();
     drop(pipe);
-    let told = ended_with(&output, 3);
-    assert!(told.contains("not a single frame came"), "{told}");
+    let printed = ended_with(&output, 3);
+    assert!(printed.contains("no frame was received"), "{printed}");
 }

@@ -1,8 +1,9 @@
-//! Pictures recorded live: tracked again to the same numbers, and the first to give way when disk or recorder are slow.
+//! Pictures recorded live: tracking them again gives the same numbers, and they are dropped first when disk or recorder
+//! are slow.
 
 use crate::support::command::*;
 use catoptra::estimate::Estimate;
-use catoptra::live::{self, LiveSummary, Outputs, RecordTo, Recording, Until};
+use catoptra::live::{self, LiveSummary, Outputs, RecordSwitch, RecordTo, Recording, SwitchedRecording, Until};
 use catoptra::log::Info;
 use catoptra::pipeline;
 use catoptra::sink::{CsvSink, McapSink, OutputFrame, PictureCodec, PictureCount, PictureVideo, Sink, SinkError};
@@ -107,7 +108,7 @@ impl Files {
             Box::new(more.clone()),
         ];
         let folder = self.place.path().to_owned();
-        let recording = Recording { to, count: Arc::clone(&self.count), folder, keep_free_bytes };
+        let recording = Recording { to, count: Arc::clone(&self.count), folder, keep_free_bytes, switch: None };
         Outputs { files, pictures: Some(recording), ..Outputs::default() }
     }
 
@@ -218,8 +219,8 @@ fn a_disk_that_is_too_slow_costs_pictures_and_no_row_and_the_rest_is_tracked_aga
     let skipped = live.iter().filter(|row| row.contains("skipped_overload")).count();
     assert_eq!(same_where_recorded(&live, &again), skipped + dropped as usize);
     // `/health` says it too.
-    let told = last_health(&files.path("log.mcap"));
-    assert_eq!(told, (recorded, dropped));
+    let counted = last_health(&files.path("log.mcap"));
+    assert_eq!(counted, (recorded, dropped));
 }
 
 /// Pictures recorded and dropped as the log's last message of `/health` has them.
@@ -302,4 +303,112 @@ fn when_the_disk_is_short_no_picture_is_recorded_and_every_row_is() {
     assert_eq!(rows.written.load(Ordering::SeqCst), 19);
     let error = LogWindows::open(&files.path("log.mcap"), Span::default()).err().unwrap();
     assert!(matches!(error, SourceError::LogWithoutPictures { .. }), "{error}");
+}
+
+/// Frames of each stretch that is recorded, and how.
+const STRETCHES: [(std::ops::Range<u64>, &str); 3] = [(10..25, "ffv1"), (30..38, "windows"), (40..52, "ffv1")];
+
+#[test]
+fn of_stretches_that_are_begun_and_ended_every_picture_is_recorded_and_no_other() {
+    let (files, rows) = (Files::new(), Rows::default());
+    let switch = Arc::new(RecordSwitch::new(None));
+    let due = {
+        let (written, count, switch) = (Arc::clone(&rows.written), Arc::clone(&files.count), Arc::clone(&switch));
+        move |seq: u64| {
+            let before: u64 =
+                STRETCHES.iter().map(|(frames, _)| frames.clone().filter(|n| *n < seq).count() as u64).sum();
+            if written.load(Ordering::SeqCst) != seq || count.recorded() != before {
+                return false;
+            }
+            for (frames, how) in &STRETCHES {
+                if seq == frames.start {
+                    // The row of the frame before is written; its picture is passed by a moment later.
+                    std::thread::sleep(Duration::from_millis(30));
+                    switch.start(how);
+                } else if seq == frames.end {
+                    switch.stop();
+                }
+            }
+            true
+        }
+    };
+    let folder = files.place.path().to_owned();
+    let place = move |how: &str| {
+        if how == "windows" {
+            return Ok((RecordTo::Log, "the log".to_owned()));
+        }
+        let name = ["a.mkv", "b.mkv"].into_iter().find(|name| !folder.join(name).exists()).unwrap().to_owned();
+        let video = PictureVideo::create(&folder.join(&name), PictureCodec::Ffv1)?;
+        Ok((RecordTo::Video(Box::new(video)), name))
+    };
+    let mut outputs = files.outputs(RecordTo::Nowhere, 0, &rows);
+    outputs.pictures.as_mut().unwrap().switch =
+        Some(SwitchedRecording { switch: Arc::clone(&switch), place: Box::new(place) });
+    let summary = run(camera(900_000_000, due), outputs);
+    assert_eq!((summary.run.tally.frames, summary.pictures), (55, Some((15 + 8 + 12, 0))));
+    assert_eq!(switch.state().places, ["a.mkv", "the log", "b.mkv"]);
+    // Videos: these frames, without loss, with their stamps.
+    let all: Vec<Frame> = camera(900_000_000, |_| true).recording.collect();
+    for (name, recorded) in [("a.mkv", 10..25), ("b.mkv", 40..52)] {
+        let kept = frames(&files.path(name));
+        let expected: Vec<&Frame> = all.iter().filter(|frame| recorded.contains(&frame.seq)).collect();
+        assert_eq!(kept.len(), expected.len(), "{name}");
+        for (kept, expected) in kept.iter().zip(expected) {
+            assert_eq!(kept.stamp.ns, expected.stamp.ns, "{name}");
+            for (a, b) in (0..3).map(|i| (kept.picture.plane(i).unwrap(), expected.picture.plane(i).unwrap())) {
+                assert!((0..a.height).all(|y| a.row(y).unwrap() == b.row(y).unwrap()), "{name} at {}", kept.stamp.ns);
+            }
+        }
+    }
+    // The log: its part is tracked again as if the run had begun there, the rest says that it is not there.
+    let (live, again) = files.both(&files.path("log.mcap"));
+    let missing: Vec<usize> = (0..55).filter(|seq| again[seq + 1].contains("not_recorded")).collect();
+    assert_eq!(missing, (0..30).chain(38..55).collect::<Vec<_>>());
+    assert_eq!(same_where_recorded(&live, &again), 47);
+}
+
+#[test]
+fn a_stretch_that_cannot_be_recorded_is_told_and_the_next_one_is() {
+    let (files, rows) = (Files::new(), Rows::default());
+    let switch = Arc::new(RecordSwitch::new(None));
+    // Turned before there is a run.
+    switch.start("windows");
+    let due = {
+        let (written, count, switch) = (Arc::clone(&rows.written), Arc::clone(&files.count), Arc::clone(&switch));
+        move |seq: u64| {
+            if written.load(Ordering::SeqCst) != seq {
+                return false;
+            }
+            // Those of before are recorded, all of them.
+            if seq == 5 && count.recorded() != 5 {
+                return false;
+            }
+            if [10, 20, 30].contains(&seq) {
+                std::thread::sleep(Duration::from_millis(30));
+            }
+            match seq {
+                10 => switch.start("nowhere"),
+                5 | 20 => switch.stop(),
+                30 => switch.start("windows"),
+                _ => {}
+            }
+            true
+        }
+    };
+    let place = |how: &str| match how {
+        "windows" => Ok((RecordTo::Log, "the log".to_owned())),
+        _ => Err(SinkError::NoEncoder { path: "x.mkv".into(), tried: how.to_owned() }),
+    };
+    let mut outputs = files.outputs(RecordTo::Nowhere, 0, &rows);
+    outputs.pictures.as_mut().unwrap().switch =
+        Some(SwitchedRecording { switch: Arc::clone(&switch), place: Box::new(place) });
+    let summary = run(camera(900_000_000, due), outputs);
+    let (recorded, dropped) = summary.pictures.unwrap();
+    assert!(recorded > 5 && dropped >= 10 && recorded + dropped == 40, "{recorded} recorded, {dropped} not");
+    assert!(
+        matches!(summary.run.sink_failures.as_slice(), [SinkError::NoEncoder { .. }]),
+        "{:?}",
+        summary.run.sink_failures
+    );
+    assert_eq!((switch.state().places, switch.state().problem), (vec!["the log".to_owned()], None));
 }

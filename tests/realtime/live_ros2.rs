@@ -1,5 +1,5 @@
-//! `catoptra live --ros2`: another implementation of DDS, Eclipse Cyclone DDS, gets every frame in its order, with the numbers
-//! of the log.
+//! `catoptra live --ros2`: another implementation of DDS, Eclipse Cyclone DDS, gets every frame in order, with the
+//! log's numbers.
 //!
 //! 10 seconds at 60 Hz; with `CATOPTRA_MINUTE=1` a minute.
 
@@ -79,8 +79,8 @@ fn another_implementation_of_dds_gets_every_frame_in_its_order() {
     }
     drop(pipe);
     let output = live.wait_with_output().unwrap();
-    let told = stderr(&output);
-    assert!(matches!(output.status.code(), Some(0 | 3)), "{told}");
+    let printed = stderr(&output);
+    assert!(matches!(output.status.code(), Some(0 | 3)), "{printed}");
     drop(listener.stdin.take());
     let mut text = String::new();
     heard.read_to_string(&mut text).unwrap();

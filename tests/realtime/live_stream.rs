@@ -1,4 +1,4 @@
-//! Streams from a network, served by the test itself: whole, interrupted, of another size in the middle, not there.
+//! Streams from a network, served by the test itself: complete, interrupted, changing size, absent.
 
 use crate::support::command::sample;
 use crate::support::encode::{Recording, write};

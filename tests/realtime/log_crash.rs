@@ -1,4 +1,4 @@
-//! What is left of a log when the run ends badly: killed, out of disk, never started.
+//! What remains of a log when the run ends badly: killed, disk full, never started.
 
 use crate::support::fixture;
 use catoptra::sink::{CsvSink, McapSink, OutputFrame, Sink, SinkError};
@@ -82,7 +82,7 @@ fn program_that_stalls() {
     std::thread::sleep(Duration::from_secs(60));
 }
 
-/// A third of a second of frames, then a stall: camera time flushes nothing, only the clock on the wall can.
+/// A third of a second of frames, then a stall: camera time flushes nothing, only wall-clock time can.
 #[test]
 fn a_killed_run_keeps_all_that_is_older_than_a_second() {
     let folder = tempfile::tempdir().unwrap();
@@ -124,7 +124,7 @@ fn a_finished_log_has_index_attachments_and_metadata() {
     assert_eq!(statistics.message_end_time, 102 * 16_666_667 - 50_000_000);
     let topics: BTreeSet<&str> = summary.channels.values().map(|c| c.topic.as_str()).collect();
     assert_eq!(topics.len(), 10);
-    // Four messages a frame; calibration and transform; health after one second and at the end.
+    // Four messages per frame; calibration and transform; health after one second and at the end.
     assert_eq!(statistics.message_count, 4 * 100 + 2 + 2);
 
     let texts: Vec<(String, String)> = summary
@@ -234,13 +234,13 @@ fn a_disk_that_fills_up_keeps_what_was_written() {
         .env("CATOPTRA_TEST_FOLDER", folder.path())
         .output()
         .unwrap();
-    let told = String::from_utf8(output.stdout).unwrap();
-    let written: Vec<(usize, &str)> = told
+    let printed = String::from_utf8(output.stdout).unwrap();
+    let written: Vec<(usize, &str)> = printed
         .lines()
         .filter_map(|line| line.split_once("written ")?.1.split_once(' '))
         .map(|(frames, error)| (frames.parse().unwrap(), error))
         .collect();
-    let [(logged, log_error), (rows, table_error)] = written[..] else { panic!("{told}") };
+    let [(logged, log_error), (rows, table_error)] = written[..] else { panic!("{printed}") };
     assert!(log_error.contains("run.mcap: File too large"), "{log_error}");
     assert!(table_error.contains("run.csv: File too large"), "{table_error}");
 

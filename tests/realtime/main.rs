@@ -1,6 +1,6 @@
-//! What runs against the clock: live runs at a camera's pace, signals and kills at an instant, devices that are played.
+//! Timing-dependent tests: live runs at a camera's pace, timed signals and kills, simulated devices.
 //!
-//! A program apart from `tests/it`: Cargo runs one after the other, so that no calibration takes the processors from a
+//! A separate program from `tests/it`: Cargo runs one after another, so that no calibration takes the processors from a
 //! camera that must not lose a frame.
 
 #![allow(
@@ -28,6 +28,7 @@ mod live_raw;
 mod live_record;
 #[cfg(feature = "ros2")]
 mod live_ros2;
+mod live_simulated;
 mod live_stream;
 mod log_crash;
 mod publish;

@@ -1,4 +1,4 @@
-//! Subscribers over WebSocket: late ones, ones that never read, and many that come and go.
+//! Subscribers over WebSocket: late ones, some that never read, and many that come and go.
 
 use crate::support::fixture;
 use catoptra::sink::{PublishSink, Sink};
@@ -84,7 +84,7 @@ fn a_subscriber_that_never_reads_costs_nothing() {
         publisher.write(&fixture::complete(seq, 1 + seq as i64), None).unwrap();
     }
     assert!(began.elapsed() < Duration::from_secs(30), "{:?}", began.elapsed());
-    // Who reads gets what is new.
+    // A client that reads gets new messages.
     while next(&mut reader).1 != 3600 {}
     publisher.finish(&Tally::default()).unwrap();
 }

@@ -1,4 +1,4 @@
-//! Ctrl-C in the middle of `catoptra track`: everything so far is safely written.
+//! Ctrl-C in the middle of `catoptra track`: all results so far are safely written.
 
 #![cfg(unix)]
 
@@ -26,8 +26,8 @@ fn interrupted_by(signal: &str) {
     assert!((9..300).contains(&frames), "{frames} frames");
     assert_eq!(command::frames(&place.path("out/overlay.mp4")).len(), frames);
     let last_s = *place.table().numbers("t_s").last().unwrap();
-    let told = format!("{frames} frames are tracked and written, the last one at {last_s} s");
-    assert!(said.contains("interrupted: ") && said.contains(&told), "{told} is not in {said}");
+    let printed = format!("{frames} frames are tracked and written, the last one at {last_s} s");
+    assert!(said.contains("interrupted: ") && said.contains(&printed), "{printed} is not in {said}");
     assert!(stdout(&output).contains(&format!("{frames} frames, 0.000 s to ")), "{}", stdout(&output));
 }
 

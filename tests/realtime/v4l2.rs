@@ -1,4 +1,4 @@
-//! A V4L2 camera, played by a library that stands between the command and the kernel: none is needed to run this.
+//! A V4L2 camera, simulated by a library between the command and the kernel: no camera is needed.
 #![cfg(target_os = "linux")]
 
 use crate::support::command::{Place, Table};
@@ -41,19 +41,19 @@ fn a_v4l2_camera_is_set_up_read_back_counted_and_taken_up_again_after_it_was_unp
     let place = Place::new();
     let Some(driver) = driver(&place) else { return };
     let output = live(&place, &driver, &["--fps", "50", "--exposure", "8", "--gain", "400", "--duration", "4"]);
-    let told = String::from_utf8_lossy(&output.stderr).into_owned();
+    let printed = String::from_utf8_lossy(&output.stderr).into_owned();
     // Grey pictures: all is well but that no marker is seen.
-    assert_eq!(output.status.code(), Some(3), "{told}");
-    assert!(told.contains("gain: 400 asked, the camera takes 100"), "{told}");
-    assert!(told.contains("white_balance_automatic (0: off): the camera refuses 0"), "{told}");
-    assert!(!told.contains("exposure: ") && !told.contains("frame rate: "), "{told}");
-    assert!(told.contains("the start of the exposure"), "{told}");
-    assert!(told.contains("is left out (the driver marks it as damaged)"), "{told}");
-    assert!(told.contains("the camera is lost") && told.contains("the camera is back"), "{told}");
+    assert_eq!(output.status.code(), Some(3), "{printed}");
+    assert!(printed.contains("gain: 400 requested, the camera uses 100"), "{printed}");
+    assert!(printed.contains("white_balance_automatic (0: off): the camera refuses 0"), "{printed}");
+    assert!(!printed.contains("exposure: ") && !printed.contains("frame rate: "), "{printed}");
+    assert!(printed.contains("the start of the exposure"), "{printed}");
+    assert!(printed.contains("is left out (the driver marks it as damaged)"), "{printed}");
+    assert!(printed.contains("the camera is lost") && printed.contains("the camera is back"), "{printed}");
     let table = Table::read(&place.path("out/track.csv"));
     // Of buffers 0..60 of the first connection, 20 and 21 never come and 30 is damaged; then the camera is unplugged.
     let gaps: Vec<(usize, &str)> =
         table.rows.iter().map(|row| row["gap"].as_str()).enumerate().filter(|(_, gap)| *gap != "0").collect();
-    assert_eq!(gaps[..2], [(20, "2"), (28, "1")], "{told}");
+    assert_eq!(gaps[..2], [(20, "2"), (28, "1")], "{printed}");
     assert!(table.rows.len() > 60, "{} rows", table.rows.len());
 }

@@ -1,4 +1,4 @@
-//! `catoptra track` as a user runs it, and its files read back with other people's code.
+//! `catoptra track` as a user runs it, and its files read back with independent code.
 
 use catoptra::rig::Rig;
 use catoptra::source::{Frame, SourceOptions};

@@ -1,4 +1,4 @@
-//! Writes recordings for tests through libav's encoders, so that only the libraries are needed.
+//! Writes recordings for tests through libav's encoders, so that no other program is needed.
 
 use std::path::Path;
 
@@ -22,6 +22,8 @@ pub(crate) struct Recording<'a> {
     pub(crate) pixel: av::format::Pixel,
     /// Tags: matrix and range.
     pub(crate) colour: (av::color::Space, av::color::Range),
+    /// Samples of all planes but the first.
+    pub(crate) chroma: u8,
     /// Write the index of an MP4 in front.
     pub(crate) index_first: bool,
 }
@@ -37,6 +39,7 @@ impl Default for Recording<'_> {
             encoder: "libx264",
             pixel: av::format::Pixel::YUV420P,
             colour: (av::color::Space::BT709, av::color::Range::MPEG),
+            chroma: 128,
             index_first: false,
         }
     }
@@ -116,7 +119,7 @@ pub(crate) fn write(path: &Path, recording: &Recording<'_>) -> Written {
     };
     let mut frame = av::frame::Video::new(recording.pixel, w, h);
     for (i, &time) in recording.pts.iter().enumerate() {
-        frame = draw(frame, i);
+        frame = draw(frame, recording.chroma, i);
         frame.set_pts(Some(time));
         encoder.send_frame(&frame).unwrap();
         collect(&mut encoder);
@@ -131,12 +134,12 @@ pub(crate) fn write(path: &Path, recording: &Recording<'_>) -> Written {
     Written { time_base: (stored.0, stored.1), pts, reordered }
 }
 
-/// The first plane with the moving pattern, others grey.
-fn draw(mut frame: av::frame::Video, i: usize) -> av::frame::Video {
+/// The first plane with the moving pattern, others even.
+fn draw(mut frame: av::frame::Video, chroma: u8, i: usize) -> av::frame::Video {
     let (stride, width) = (frame.stride(0), frame.width() as usize);
     let bytes = frame.data(0).len();
     for plane in 1..frame.planes() {
-        frame.data_mut(plane).fill(128);
+        frame.data_mut(plane).fill(chroma);
     }
     let deep = frame.format().descriptor().is_some_and(|d| d.name().contains("10"));
     for y in 0..bytes / stride {

@@ -1,8 +1,11 @@
-//! What tests share: samples and their truth, pictures and runs that are made up, the command as a user runs it.
+//! Helpers for tests: samples and their truth, made-up pictures and runs, the command as a user runs it.
 
+pub(crate) mod boards;
+pub(crate) mod browser;
 pub(crate) mod charuco;
 pub(crate) mod command;
 pub(crate) mod encode;
+pub(crate) mod made_up;
 pub(crate) mod moved_mirror;
 pub(crate) mod optics;
 pub(crate) mod python;
@@ -12,4 +15,4 @@ pub(crate) mod truth;
 
 #[path = "../../src/testing/mod.rs"]
 mod testing;
-pub(crate) use testing::{board, fixture, random, scene};
+pub(crate) use testing::{board, fixture, random};

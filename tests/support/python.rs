@@ -1,7 +1,8 @@
-//! Logs read by someone else's code: Python's `mcap` with `mcap-protobuf-support`, by `tests/python/read_log.py`.
+//! Logs read by independent code: Python's `mcap` with `mcap-protobuf-support`, by `tests/python/read_log.py`.
 //!
-//! Needs `pip install mcap mcap-protobuf-support websockets numpy scipy`, and other tests what they name (the Makefile has
-//! all), in the interpreter named by `CATOPTRA_PYTHON` or `python3`. Skipped, and said so, where they are missing; a failure there when `CI=true`.
+//! Needs `pip install mcap mcap-protobuf-support websockets numpy scipy`, and other tests need what they name (the
+//! Makefile has all), in the interpreter named by `CATOPTRA_PYTHON` or `python3`. Skipped with a message where they are
+//! missing; a failure there when `CI=true`.
 
 use std::io::Write;
 use std::path::Path;
@@ -22,10 +23,10 @@ pub(crate) fn interpreter_with(modules: &[&str]) -> Option<String> {
         Ok(output) => String::from_utf8_lossy(&output.stderr).lines().last().unwrap_or("").to_owned(),
         Err(error) => error.to_string(),
     };
-    let told = format!("{python} cannot import {modules} ({missing}); what to install is in the Makefile");
-    assert!(std::env::var("CI").as_deref() != Ok("true"), "{told}");
+    let printed = format!("{python} cannot import {modules} ({missing}); what to install is in the Makefile");
+    assert!(std::env::var("CI").as_deref() != Ok("true"), "{printed}");
     // Past the test harness, which keeps what a passing test prints to itself.
-    std::io::stderr().write_all(format!("SKIPPED: {told}\n").as_bytes()).unwrap();
+    std::io::stderr().write_all(format!("SKIPPED: {printed}\n").as_bytes()).unwrap();
     None
 }
 

@@ -1,4 +1,5 @@
-//! The studio's server as a page reaches it, and as pages and programs that it must refuse do: over a plain connection.
+//! Requests to the studio's server over a plain connection, as from its page, and from pages and programs that it must
+//! refuse.
 
 use serde_json::{Value, json};
 use std::io::{BufRead, BufReader, Read, Write};

@@ -1,5 +1,5 @@
-//! A made-up run for tests of what is drawn and reported: a rig with a tank and a mirror, and estimates whose
-//! pixels are exact projections of a swinging catheter.
+//! A made-up run for tests of drawings and reports: a rig with a tank and a mirror, and estimates whose pixels are
+//! exact projections of a swinging catheter.
 
 use catoptra::estimate::{BandObservation, Deflection, Estimate, MarkerEstimate, Miss, Position, Tangent};
 use catoptra::optics::{Lens, Mirror, OpticalPath, Plane, Surface, Wall};
@@ -61,7 +61,14 @@ pub(crate) fn rig() -> Rig {
     let turn = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes));
     let origin = turn * Point3::from(rest_base());
     Rig {
-        camera: Camera { size_px: [1280, 1024], lens, blur_px: None, chroma_offset_px: [0.0; 2], exposure_s: None },
+        camera: Camera {
+            size_px: [1280, 1024],
+            lens,
+            blur_px: None,
+            chroma_offset_px: [0.0; 2],
+            exposure_s: None,
+            gamma: None,
+        },
         surfaces,
         views,
         markers: vec![marker("base", 6.0, 6.0), marker("coil", 12.0, 85.0), marker("tip", 6.0, 107.0)],
@@ -138,6 +145,7 @@ pub(crate) fn estimate(
         markers,
         tangent: Ok(Tangent { direction, covariance: across * TANGENT_SD_RAD.powi(2), bound: Matrix3::zeros() }),
         deflection,
+        tick: None,
     }
 }
 

@@ -1,21 +1,21 @@
 //! `catoptra calibrate base`: the base frame, from a recording at rest and the direction of B0.
 //!
-//! In: what the tracker measures in a recording at rest and, unless B0's direction is known, in one of a swing in the
-//! plane of B0 and the tangent at rest. Out: the frame's transform, B0, and how far they can be trusted.
+//! In: the tracker's measurements of a recording at rest and, unless B0's direction is known, of a swing in the plane
+//! of B0 and the tangent at rest. Out: the frame's transform, B0, and their covariances.
 //!
 //! 1. Origin: mean position of the first marker, the one next to the clamp. z: mean tangent of the coil. Both must be
-//!    at rest; how their covariance comes about stands in `settled.rs`.
-//! 2. x: along B0 made orthogonal to z. From a swing B0 is taken for the direction in its plane at right angles to z.
+//!    at rest; `at_rest.rs` explains their covariance.
+//! 2. x: along B0 made orthogonal to z. From a swing, B0 is taken to be the direction in its plane at right angles to
+//!    z.
 //! 3. y = z × x.
 //!
-//! The covariances are those of the measurement in the camera frame for an exact rig. What the calibration of lens,
-//! mirror and walls leaves open moves the frame together with all that is measured in it: displacements and θ do not
-//! see it.
+//! The covariances are those of the measurement in the camera frame for an exact rig. The uncertainty of lens, mirror
+//! and walls moves the frame together with everything measured in it, so displacements and θ are not affected.
 //!
 //! Cannot detect: the sign of B0 (pictures do not show it: the first deflection of the swing is taken for positive), a
-//! swing in the wrong plane, a rest that is not that of the catheter without current.
+//! swing in the wrong plane, a rest position with current on.
 
-mod settled;
+mod at_rest;
 mod swing;
 
 pub use swing::Swing;
@@ -24,45 +24,45 @@ use crate::estimate::{Miss, Position, Tangent};
 use crate::rig::{Base, Rig};
 use crate::source::{FrameSource, SourceError, Timestamp};
 use crate::track::{TrackError, TrackOptions, Tracker};
+use at_rest::{BLOCKS, NotAtRest, RestMean, mean_at_rest};
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
-use settled::{BLOCKS, Settled, Unrest, settled};
 use std::fmt;
-use swing::{LEAST_SWING_RAD, NoPlane};
+use swing::{MIN_SWING_RAD, NoPlane};
 
-/// B0 closer to the tangent at rest than this leaves x open: 5° make ten times the tangent's error of it.
-const LEAST_ANGLE_RAD: f64 = 5.0 * std::f64::consts::PI / 180.0;
-/// Motion that does no harm to the frame whatever the σ of the pictures: metres, radians.
-const TREMOR: (f64, f64) = (0.05e-3, 0.1 * std::f64::consts::PI / 180.0);
+/// B0 closer to the tangent at rest than this leaves x undetermined: at 5° its error is ten times the tangent's.
+const MIN_ANGLE_RAD: f64 = 5.0 * std::f64::consts::PI / 180.0;
+/// Motion that does not harm the frame, whatever the σ of the pictures: metres, radians.
+const MOTION_TOLERANCE: (f64, f64) = (0.05e-3, 0.1 * std::f64::consts::PI / 180.0);
 
-/// What a recording shows of base band and coil.
+/// Measurements of base band and coil in a recording.
 #[derive(Debug, Clone, Default)]
 pub struct Observed {
     /// Frames in the recording.
     pub frames: usize,
-    /// The base band, where it was measured; in their order in time.
+    /// Positions of the base band, where measured; in order of time.
     pub base: Vec<Position>,
-    /// The coil's tangent, where it was measured.
+    /// The coil's tangents, where measured.
     pub tangents: Vec<(Timestamp, Tangent)>,
-    /// The first reasons why base band and tangent were not.
+    /// The first reasons why base band and tangent were not measured.
     pub first_miss: [Option<Miss>; 2],
 }
 
 /// Where B0's direction comes from.
 #[derive(Debug, Clone, Copy)]
 pub enum Field<'a> {
-    /// It is known: a vector in the camera frame of any length, and the σ of its turn about the tangent at rest,
+    /// It is known: a vector in the camera frame of any length, and the σ of its angle about the tangent at rest,
     /// radians.
     Known(Vector3<f64>, f64),
     /// From a swing in the plane of B0 and the tangent at rest.
     Swing {
-        /// What was seen of it.
+        /// Measurements of the swing.
         observed: &'a Observed,
         /// Whether the first deflection is towards B0.
         first_is_positive: bool,
     },
 }
 
-/// The base frame and how far it can be trusted.
+/// The base frame and its covariances.
 #[derive(Debug, Clone)]
 pub struct BaseCalibration {
     /// The frame; gravity is not known here.
@@ -71,9 +71,10 @@ pub struct BaseCalibration {
     pub origin: Point3<f64>,
     /// Covariance of the origin in the camera frame, m².
     pub origin_covariance: Matrix3<f64>,
-    /// Covariance of the frame's turn about its own axes x, y, z, rad². The turn about y is the error of θ's zero.
+    /// Covariance of the frame's rotation about its own axes x, y, z, rad². The rotation about y is the error of θ's
+    /// zero.
     pub axes_covariance: Matrix3<f64>,
-    /// The swing, when B0 comes from one.
+    /// The swing, if B0 comes from one.
     pub swing: Option<Swing>,
 }
 
@@ -86,7 +87,7 @@ pub enum Run {
     Planar,
 }
 
-/// What is measured of a recording.
+/// A quantity measured in a recording.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Quantity {
     /// Position of the base band.
@@ -105,8 +106,8 @@ impl fmt::Display for Quantity {
 }
 
 impl Quantity {
-    /// A value of its own, for people.
-    fn told(self, value: f64) -> String {
+    /// A value of this quantity, for people.
+    fn with_unit(self, value: f64) -> String {
         match self {
             Self::Base => format!("{:.3} mm", value * 1e3),
             Self::Tangent => format!("{:.2}°", value.to_degrees()),
@@ -117,7 +118,7 @@ impl Quantity {
 /// Why there is no base frame.
 #[derive(Debug, thiserror::Error)]
 pub enum BaseError {
-    /// A recording broke.
+    /// A recording failed.
     #[error(transparent)]
     Source(#[from] SourceError),
     /// The pictures do not belong to the rig, or the rig has no colours.
@@ -130,9 +131,9 @@ pub enum BaseError {
     TooFew {
         /// Which recording.
         run: Run,
-        /// What was not measured.
+        /// The quantity that was not measured.
         quantity: Quantity,
-        /// Frames in which it was.
+        /// Frames in which it was measured.
         measured: usize,
         /// Frames in all.
         frames: usize,
@@ -142,37 +143,37 @@ pub enum BaseError {
     /// Motion in a recording at rest.
     #[error(
         "not at rest: {quantity} scatters by {} (RMS), {} would be the limit of noise; wait until catheter and water are still",
-        quantity.told(*rms), quantity.told(*allowed)
+        quantity.with_unit(*rms), quantity.with_unit(*allowed)
     )]
     Moves {
         /// What moves.
         quantity: Quantity,
         /// RMS scatter in the worst direction, metres or radians.
         rms: f64,
-        /// What would have been let pass.
+        /// The limit.
         allowed: f64,
     },
     /// Slow motion in a recording at rest.
     #[error(
         "not at rest: {quantity} drifts by {} from the first to the last fifth of the recording, {} would be the limit of \
          noise; wait until it has settled, and see that nothing slips",
-        quantity.told(*by), quantity.told(*allowed)
+        quantity.with_unit(*by), quantity.with_unit(*allowed)
     )]
     Drifts {
         /// What drifts.
         quantity: Quantity,
         /// From the first to the last fifth of the recording, metres or radians.
         by: f64,
-        /// What would have been let pass.
+        /// The limit.
         allowed: f64,
     },
     /// A planar run that moves too little.
     #[error(
         "the coil is deflected from rest by {:.1}° at most: {:.0}° or more are needed to find the plane of its swing",
-        largest_rad.to_degrees(), LEAST_SWING_RAD.to_degrees()
+        largest_rad.to_degrees(), MIN_SWING_RAD.to_degrees()
     )]
     HardlyMoves {
-        /// All but one frame in twenty stay below this, radians.
+        /// 95 % of the frames stay below this, radians.
         largest_rad: f64,
     },
     /// A planar run that is not planar.
@@ -187,7 +188,7 @@ pub enum BaseError {
         /// RMS deflection across it beyond the noise, radians.
         across_rad: f64,
     },
-    /// B0 says nothing of x.
+    /// B0 does not determine x.
     #[error(
         "B0 = {:.4}, {:.4}, {:.4} lies at {:.1}° to the tangent at rest, {:.4}, {:.4}, {:.4}: expected a direction across it; \
          both are in the camera frame (x right, y down, z forward)",
@@ -201,7 +202,7 @@ pub enum BaseError {
         /// Angle between their lines, radians.
         angle_rad: f64,
     },
-    /// A vector that is no direction.
+    /// A vector without a direction.
     #[error("B0 = {0}, {1}, {2}: expected finite numbers that are not all 0", b0.x, b0.y, b0.z)]
     NoDirection {
         /// As given.
@@ -209,11 +210,11 @@ pub enum BaseError {
     },
 }
 
-/// Tracks a recording to its end; `progress` is told how many frames are done. One that ends early is as good as far as
-/// it goes.
+/// Tracks a recording to its end; `progress` gets the number of frames done. One that ends early is valid as far as it
+/// goes.
 ///
 /// # Errors
-/// When the recording breaks or does not fit the rig.
+/// When the recording fails or does not fit the rig.
 pub fn observe(rig: &Rig, source: &mut dyn FrameSource, mut progress: impl FnMut(u64)) -> Result<Observed, BaseError> {
     let mut tracker = Tracker::new(rig, TrackOptions::default())?;
     let mut observed = Observed::default();
@@ -248,7 +249,7 @@ pub fn observe(rig: &Rig, source: &mut dyn FrameSource, mut progress: impl FnMut
     Ok(observed)
 }
 
-/// The base frame from what was seen at rest and B0's direction.
+/// The base frame from the measurements at rest and B0's direction.
 ///
 /// # Errors
 /// [`BaseError`], with the numbers.
@@ -256,15 +257,15 @@ pub fn calibrate_base(rest: &Observed, field: Field<'_>) -> Result<BaseCalibrati
     enough(rest, Run::Rest, Quantity::Base)?;
     enough(rest, Run::Rest, Quantity::Tangent)?;
     let places: Vec<_> = rest.base.iter().map(|p| (p.point.coords, p.covariance)).collect();
-    let origin = settled(&places, TREMOR.0).map_err(|unrest| moving(Quantity::Base, unrest))?;
+    let origin = mean_at_rest(&places, MOTION_TOLERANCE.0).map_err(|motion| moving(Quantity::Base, motion))?;
     let directions: Vec<_> = rest.tangents.iter().map(|(_, t)| (t.direction, with_length(t))).collect();
-    let tangent = settled(&directions, TREMOR.1).map_err(|unrest| moving(Quantity::Tangent, unrest))?;
+    let tangent = mean_at_rest(&directions, MOTION_TOLERANCE.1).map_err(|motion| moving(Quantity::Tangent, motion))?;
     let z = tangent.mean.normalize();
 
     let (x, b0, turn_sd_rad, turn_with_z, swing) = match field {
         Field::Known(b0, sd_rad) => {
             let (b0, x) = across_z(b0, &z)?;
-            // B0 stays where it is when z is wrong: the closer to z, the more of z's error turns x.
+            // B0 does not depend on z: the closer it is to z, the more z's error turns x.
             (x, b0, sd_rad, b0.dot(&z) / b0.dot(&x), None)
         }
         Field::Swing { observed, first_is_positive } => {
@@ -300,10 +301,10 @@ fn enough(observed: &Observed, run: Run, quantity: Quantity) -> Result<(), BaseE
     Ok(())
 }
 
-fn moving(quantity: Quantity, unrest: Unrest) -> BaseError {
-    match unrest {
-        Unrest::Scatter { rms, allowed } => BaseError::Moves { quantity, rms, allowed },
-        Unrest::Drift { by, allowed } => BaseError::Drifts { quantity, by, allowed },
+fn moving(quantity: Quantity, motion: NotAtRest) -> BaseError {
+    match motion {
+        NotAtRest::Scatter { rms, allowed } => BaseError::Moves { quantity, rms, allowed },
+        NotAtRest::Drift { by, allowed } => BaseError::Drifts { quantity, by, allowed },
     }
 }
 
@@ -316,13 +317,13 @@ impl From<NoPlane> for BaseError {
     }
 }
 
-/// Covariance of a tangent made regular: a unit vector has none along itself, where the one across it will do.
+/// Covariance of a tangent made regular: a unit vector has none along itself; the one across is used there.
 fn with_length(tangent: &Tangent) -> Matrix3<f64> {
     let t = tangent.direction;
     tangent.covariance + t * t.transpose() * tangent.sd_rad().powi(2)
 }
 
-/// B0 as unit vector, and what of it is at right angles to z, as unit vector.
+/// B0 and its part at right angles to z, as unit vectors.
 fn across_z(b0: Vector3<f64>, z: &Vector3<f64>) -> Result<(Vector3<f64>, Vector3<f64>), BaseError> {
     // The largest component first: squares of very large or small numbers are not finite, or 0.
     let largest = b0.amax();
@@ -332,15 +333,15 @@ fn across_z(b0: Vector3<f64>, z: &Vector3<f64>) -> Result<(Vector3<f64>, Vector3
     let b0 = (b0 / largest).normalize();
     let x = b0 - z * b0.dot(z);
     let angle_rad = x.norm().atan2(b0.dot(z).abs());
-    if angle_rad < LEAST_ANGLE_RAD {
+    if angle_rad < MIN_ANGLE_RAD {
         return Err(BaseError::Along { b0, tangent: *z, angle_rad });
     }
     Ok((b0, x.normalize()))
 }
 
-/// Turns of the frame about its axes. An error (a, b) of z along x and y is a turn by −b about x and by a about y; a
-/// turn about x takes x along about z by `turn_with_z`.
-fn axes_covariance(tangent: &Settled, rotation: &Matrix3<f64>, turn_sd_rad: f64, turn_with_z: f64) -> Matrix3<f64> {
+/// Rotations of the frame about its axes. An error (a, b) of z along x and y is a rotation by −b about x and by a about
+/// y; a rotation about x also turns x about z by `turn_with_z`.
+fn axes_covariance(tangent: &RestMean, rotation: &Matrix3<f64>, turn_sd_rad: f64, turn_with_z: f64) -> Matrix3<f64> {
     let of_z = rotation * tangent.covariance * rotation.transpose();
     let turns = Matrix3::new(0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, -turn_with_z, 0.0);
     let mut covariance = turns * of_z * turns.transpose();

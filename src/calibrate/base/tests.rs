@@ -20,7 +20,7 @@ fn origin() -> Vector3<f64> {
     Vector3::new(-0.1, -0.05, 1.4)
 }
 
-/// Deflected by `theta` in the plane and by `across` out of it, and measured with an error of so many σ.
+/// Deflected by `theta` in the plane and by `across` out of it, and measured with an `error` in σ.
 fn tangent(theta: f64, across: f64, error: [f64; 2]) -> Tangent {
     let axes = axes();
     let [x, y, z] = [0, 1, 2].map(|i| axes.row(i).transpose());
@@ -72,10 +72,10 @@ fn towards(observed: &Observed) -> Field<'_> {
     Field::Swing { observed, first_is_positive: true }
 }
 
-/// Turns about the true axes x, y, z that take the true frame to the one found.
+/// Rotations about the true axes x, y, z from the true frame to the one found.
 fn turns(found: &BaseCalibration) -> Vector3<f64> {
     let rotation = found.base.base_from_camera.rotation.to_rotation_matrix();
-    // camera_from_found = camera_from_true · (turn in the true frame)
+    // camera_from_found = camera_from_true · (rotation in the true frame)
     let turn = Rotation3::from_matrix_unchecked(axes()) * rotation.inverse();
     turn.scaled_axis()
 }
@@ -96,8 +96,8 @@ fn the_frame_of_exact_recordings_is_exact() {
     assert!(turns(&found).norm() < 1e-9 && (found.base.b0 - b0.normalize()).norm() < 1e-12);
 }
 
-/// RMS of error/σ of the frame's turns about its axes, of the origin's coordinates, and of all turns together, over
-/// recordings whose errors are one for all frames of a pose.
+/// RMS of error/σ of the frame's rotations about its axes, of the origin's coordinates, and of all rotations together,
+/// over recordings in which all frames of a pose share one error.
 fn calibrated(angles: &[(f64, f64)], field: impl Fn(&Observed) -> Field<'_>) -> ([f64; 3], [f64; 3], f64) {
     const RUNS: usize = 400;
     let mut random = gaussian(7);
@@ -114,7 +114,7 @@ fn calibrated(angles: &[(f64, f64)], field: impl Fn(&Observed) -> Field<'_>) -> 
             error.component_div(&covariance.diagonal().map(f64::sqrt)).map(|v| v * v / RUNS as f64)
         };
         turned += over_sd(turns(&found), &found.axes_covariance);
-        // Of rank 2 when B0 is exact: then the three turns hang together, to first order.
+        // Of rank 2 when B0 is exact: then the three rotations are dependent, to first order.
         let information = found.axes_covariance.pseudo_inverse(1e-12).unwrap();
         let (turns, rank) = (turns(&found), found.axes_covariance.rank(1e-12));
         chi2 += turns.dot(&(information * turns)) / (rank * RUNS) as f64;
@@ -127,14 +127,14 @@ fn calibrated(angles: &[(f64, f64)], field: impl Fn(&Observed) -> Field<'_>) -> 
 #[test]
 fn predicted_sigmas_are_those_of_many_recordings() {
     let both_sides: Vec<(f64, f64)> = sine(126, 0.5).collect();
-    // To one side an error of z turns x as well.
+    // On one side, an error of z also turns x.
     let one_side: Vec<(f64, f64)> = both_sides.iter().map(|(theta, _)| (theta.abs(), 0.0)).collect();
     let known: fn(&Observed) -> Field<'_> = |_| Field::Known(axes().transpose() * Vector3::new(1.0, 0.0, 0.8), 0.0);
     let found: fn(&Observed) -> Field<'_> = |run| towards(run);
     for (what, angles, field) in
         [("both sides", &both_sides, found), ("one side", &one_side, found), ("known", &both_sides, known)]
     {
-        // The last is that of all turns together, with their correlations.
+        // The last is for all rotations together, with their correlations.
         let (turns, origin, together) = calibrated(angles, field);
         for ratio in turns.into_iter().chain(origin).chain([together]) {
             assert!((0.8..1.25).contains(&ratio), "{what}: {turns:?} {origin:?} {together}");
@@ -163,7 +163,7 @@ fn the_sign_is_that_of_the_first_deflection_seen_twice() {
     let (b0, negative) = away(&swing(sine(150, 0.5)), false);
     assert!(b0 < -0.99);
     assert!((negative.range_rad[0] + 0.5).abs() < 1e-3);
-    // A single frame to the other side is a mistake, and so is nothing below 3°.
+    // A single frame to the other side is a mistake, and deflections below 3° do not count.
     let odd = [(0.04, 0.0), (0.04, 0.0), (-0.2, 0.0), (0.0, 0.0)].into_iter().chain(sine(150, 0.5));
     let (b0, found) = away(&swing(odd), true);
     assert!(b0 > 0.99);
@@ -218,7 +218,7 @@ fn too_little_measured_is_refused_with_the_reason() {
 fn swings_without_a_plane_are_refused_with_their_size() {
     let small = swing(sine(150, 4.5 * DEGREE));
     assert!(refused(&still(20), towards(&small)).to_string().contains("deflected from rest by 4.5° at most"));
-    // One frame that is far off is no swing.
+    // One frame far off is not a swing.
     let mut spike = swing(sine(150, 1.0 * DEGREE));
     spike.tangents[50].1 = tangent(0.5, 0.0, [0.0; 2]);
     assert!(matches!(refused(&still(20), towards(&spike)), BaseError::HardlyMoves { .. }));

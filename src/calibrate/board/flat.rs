@@ -1,13 +1,13 @@
-//! A flat board in a picture, as if lenses did not distort: the homography from places on it to pixels.
+//! A flat board in a picture, ignoring lens distortion: the homography from points on it to pixels.
 
 use nalgebra::{DMatrix, Matrix2, Matrix3, Point2, Vector2, Vector3};
 
-/// Places with less extent than this in one direction (RMS, squares) are in a line.
-const IN_LINE: f64 = 0.1;
+/// Points with a smaller extent in one direction (RMS, squares) are in a line.
+const LINE_TOLERANCE: f64 = 0.1;
 
-/// From places on the board to pixels, by least squares of the linear equations in normalised coordinates. The third
-/// coordinate of what it maps is positive before the camera. `None` with fewer than four pairs, or when all are in a
-/// line.
+/// From points on the board to pixels, by least squares of the linear equations in normalised coordinates. The third
+/// coordinate of a mapped point is positive in front of the camera. `None` with fewer than four pairs, or when all are
+/// in a line.
 pub(super) fn homography(pairs: &[(Point2<f64>, Point2<f64>)]) -> Option<Matrix3<f64>> {
     if pairs.len() < 4 || in_line(pairs.iter().map(|(place, _)| *place)) {
         return None;
@@ -34,22 +34,22 @@ pub(super) fn homography(pairs: &[(Point2<f64>, Point2<f64>)]) -> Option<Matrix3
     let least = eigen.eigenvectors.column(eigen.eigenvalues.imin());
     let normalised = Matrix3::from_row_iterator(least.iter().copied());
     let homography = from_picture.try_inverse()? * normalised * from_board;
-    // Its sign is open: positive in the middle of the places, so that it is negative behind the camera.
+    // Its sign is free: made positive at the centre of the points, so that it is negative behind the camera.
     let (mean, _) = scatter(pairs.iter().map(|(place, _)| *place));
     let sign = (homography * Point2::from(mean).to_homogeneous()).z.signum();
     Some(homography * sign)
 }
 
-/// A place in columns and rows to pixels; `None` behind the camera.
+/// A point in columns and rows to pixels; `None` behind the camera.
 pub(super) fn map(board_in_picture: &Matrix3<f64>, column: f64, row: f64) -> Option<Point2<f64>> {
     let p = board_in_picture * Vector3::new(column, row, 1.0);
     (p.z > 0.0).then(|| Point2::new(p.x / p.z, p.y / p.z))
 }
 
-/// Whether places, in squares, are all in a line: no pose follows from them.
+/// Whether all points, in squares, are in a line, which determines no pose.
 pub(super) fn in_line(places: impl Iterator<Item = Point2<f64>> + Clone) -> bool {
     let (_, scatter) = scatter(places);
-    !scatter.symmetric_eigenvalues().iter().all(|square| *square > IN_LINE * IN_LINE)
+    !scatter.symmetric_eigenvalues().iter().all(|square| *square > LINE_TOLERANCE * LINE_TOLERANCE)
 }
 
 /// Mean and covariance of points.

@@ -1,4 +1,4 @@
-//! A grey picture from a file, for finding boards in.
+//! A grey picture from a file, for finding boards.
 
 use std::io::{Cursor, ErrorKind};
 use std::path::{Path, PathBuf};
@@ -8,26 +8,26 @@ use nalgebra::Point2;
 
 use crate::source::jpeg;
 
-/// Why a picture cannot be had.
+/// Why a picture cannot be read.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum GreyError {
     /// No such file.
     #[error("{}: no such picture", path.display())]
     NotFound {
-        /// What was asked for.
+        /// The requested path.
         path: PathBuf,
     },
     /// The operating system refuses.
     #[error("{}: cannot be read: {source}", path.display())]
     Io {
-        /// What was asked for.
+        /// The requested path.
         path: PathBuf,
         /// Its reason.
         source: std::io::Error,
     },
     /// Not a picture that can be decoded.
-    #[error("{}: is no picture that can be read, or not all of it is there ({source}); PNG, JPEG, TIFF, BMP and PNM are", path.display())]
+    #[error("{}: is not a readable picture, or is incomplete ({source}); PNG, JPEG, TIFF, BMP and PNM are read", path.display())]
     Undecodable {
         /// The file.
         path: PathBuf,
@@ -35,7 +35,7 @@ pub enum GreyError {
         source: image::ImageError,
     },
     /// More pixels than any camera has.
-    #[error("{}: says that it has {width}x{height} pixels; up to {} million are read", path.display(), MOST_PX / 1_000_000)]
+    #[error("{}: declares {width}x{height} pixels; up to {} million are read", path.display(), MAX_PX / 1_000_000)]
     TooLarge {
         /// The file.
         path: PathBuf,
@@ -52,7 +52,7 @@ pub enum GreyError {
         /// What is wrong.
         what: &'static str,
     },
-    /// A file that was not copied to its end.
+    /// A file that was not copied completely.
     #[error("{}: the file ends before the picture does: copy it again, or leave it out", path.display())]
     CutOff {
         /// The file.
@@ -61,19 +61,19 @@ pub enum GreyError {
 }
 
 /// The largest sensors have 151 million pixels.
-const MOST_PX: u64 = 160_000_000;
+const MAX_PX: u64 = 160_000_000;
 
-/// Which rows and columns a picture is read in, when its EXIF data ask for it to be turned.
+/// Orientation in which a picture is read, if its EXIF data specify a rotation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Rows {
-    /// Turned as asked, as viewers show it.
+    /// Rotated as specified, as viewers show it.
     #[default]
     AsShown,
     /// The sensor's own, as recordings and [folders of pictures](crate::source::ImageFolder) are read.
     AsStored,
 }
 
-/// Samples of 8 bits, row by row without padding; grey values as stored (not linear light).
+/// 8-bit samples, row-major without padding; grey values as stored (not linear light).
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Grey {
     width: u32,
@@ -88,9 +88,9 @@ impl Grey {
         (fits && !samples.is_empty()).then_some(Self { width, height, samples })
     }
 
-    /// Reads PNG, JPEG, TIFF, BMP or PNM, whatever the name's ending says: grey or colour (luma of BT.709),
-    /// transparency ignored. Deeper samples than 8 bits are scaled so that the brightest becomes 255: sensors of 10 or
-    /// 12 bits often fill only the lower part of 16.
+    /// Reads PNG, JPEG, TIFF, BMP or PNM, whatever its extension: grey or colour (luma of BT.709), transparency
+    /// ignored. Samples of more than 8 bits are scaled so that the brightest becomes 255: sensors of 10 or 12 bits
+    /// often fill only the lower part of 16.
     ///
     /// # Errors
     /// [`GreyError`], which names the file.
@@ -110,7 +110,7 @@ impl Grey {
         let reader = ImageReader::new(Cursor::new(bytes)).with_guessed_format().map_err(io)?;
         let mut decoder = reader.into_decoder().map_err(undecodable)?;
         let (width, height) = decoder.dimensions();
-        if u64::from(width) * u64::from(height) > MOST_PX {
+        if u64::from(width) * u64::from(height) > MAX_PX {
             return Err(GreyError::TooLarge { path: path.to_path_buf(), width, height });
         }
         let orientation = decoder.orientation().map_err(undecodable)?;
@@ -134,7 +134,7 @@ impl Grey {
         &self.samples
     }
 
-    /// The grey value at a place, bilinear between pixel centres; `None` outside of them.
+    /// The grey value at a point, bilinear between pixel centres; `None` outside them.
     pub(crate) fn at(&self, place: Point2<f64>) -> Option<f64> {
         let (x, y) = (place.x.floor(), place.y.floor());
         let sample = |x: f64, y: f64| {

@@ -1,11 +1,11 @@
-//! Calibration boards, and where their corners are in a picture.
+//! Calibration boards, and the detection of their corners in a picture.
 //!
-//! - In: a [`Grey`] picture, a [`Board`], how many images of it there may be (direct and by way of mirrors).
+//! - In: a [`Grey`] picture, a [`Board`], how many images of it there may be (direct and in mirrors).
 //! - Out: a [`BoardImage`] for each that was found: its inner corners to a few hundredths of a pixel, in the board's
 //!   order.
 //! - Method: chessboards by OpenCV's sector-based detector on the picture at several sizes and on parts of it
 //!   (`search`), ChArUco boards by their markers (`charuco`); each corner is then refined in the picture itself, and
-//!   what is no regular grid of squares alternating dark and light is refused (`judge`).
+//!   anything but a regular grid of alternating dark and light squares is rejected (`judge`).
 //! - Assumes that all inner corners of a chessboard are in the picture; of a ChArUco board a part is enough. Lens
 //!   distortion may bend the board, but smoothly.
 //! - Cannot tell a chessboard from its mirror image (the pattern is mirror symmetric): [`Board::orders`].
@@ -17,13 +17,13 @@ mod judge;
 mod search;
 mod text;
 
-pub use charuco::{Charuco, Dictionary, Unread};
+pub use charuco::{Charuco, CharucoNotFound, Dictionary};
 pub use grey::{Grey, GreyError, Rows};
 pub use judge::Flaw;
 
 use nalgebra::{Point2, Point3, Vector3};
 
-/// Inner corners along one side, fewest and most. OpenCV's detector wants three.
+/// Inner corners along one side, fewest and most. OpenCV's detector needs three.
 const CORNERS: std::ops::RangeInclusive<usize> = 3..=99;
 
 /// Two pictures whose corners differ by less than this, RMS in pixels, are the same picture.
@@ -39,14 +39,13 @@ pub enum Pattern {
     Charuco(Charuco),
 }
 
-/// A flat calibration board: inner corners and size of a square. Written `9x6:12mm` (inner corners in a row x in a
-/// column : square), or `charuco:5x7:30mm:22mm:DICT_4X4_50` (SQUARES in a row x in a column : square : marker :
-/// dictionary).
+/// A flat calibration board: inner corners and size of a square. Written `9x6:12mm` (inner corners per row x per column
+/// : square), or `charuco:5x7:30mm:22mm:DICT_4X4_50` (SQUARES per row x per column : square : marker : dictionary).
 #[derive(Debug, Clone, PartialEq)]
 pub struct Board {
-    /// Inner corners in a row.
+    /// Inner corners per row.
     pub columns: usize,
-    /// Inner corners in a column.
+    /// Inner corners per column.
     pub rows: usize,
     /// Side of a square.
     pub square_m: f64,
@@ -56,23 +55,23 @@ pub struct Board {
 
 impl Board {
     /// The inner corners in the board's frame, metres: corner (c, r) has index `r * columns + c` and lies at
-    /// `(c, r, 0) * square_m`. Looked at from the front, x runs right and y down, z into the board.
+    /// `(c, r, 0) * square_m`. Seen from the front, x points right, y down, z into the board.
     pub fn points(&self) -> Vec<Point3<f64>> {
         let place = |i: usize| Point3::new((i % self.columns) as f64, (i / self.columns) as f64, 0.0) * self.square_m;
         (0..self.columns * self.rows).map(place).collect()
     }
 
-    /// The inner corners about the board's centre, where a turn of the pose moves them least.
+    /// The inner corners relative to the board's centre, where a rotation of the pose moves them least.
     pub fn centred_points(&self) -> Vec<Point3<f64>> {
         let points = self.points();
         let centre = points.iter().map(|p| p.coords).sum::<Vector3<f64>>() / points.len().max(1) as f64;
         points.into_iter().map(|p| p - centre).collect()
     }
 
-    /// What the corners of a mirror image may be: for each possible order, the corner of [`Board::points`] that stands
-    /// at each index, when the direct image of the same board is taken as it was found. Columns run backwards, or rows
-    /// do; both together would be half a turn. The colours leave one of the two when one of columns and rows is odd,
-    /// the other even. Markers tell for certain which corner is which: there is the order of the board only.
+    /// Possible corner orders of a mirror image: for each order, the corner of [`Board::points`] at each index, if the
+    /// direct image of the same board is taken as found. Either columns or rows run backwards; both together would be a
+    /// half turn. The colours exclude one of the two when one of columns and rows is odd and the other even. Markers
+    /// identify every corner, so there is only the board's own order.
     pub fn orders(&self) -> Vec<Vec<usize>> {
         let (columns, rows) = (self.columns, self.rows);
         if matches!(self.kind, Pattern::Charuco(_)) {
@@ -85,7 +84,7 @@ impl Board {
             };
             (0..columns * rows).map(corner).collect()
         };
-        // Backwards, an even number of columns begins with a square of the same colour, an odd one does not.
+        // Reversed, an even number of columns begins with a square of the same colour, an odd one does not.
         match (columns % 2, rows % 2) {
             (0, 1) => vec![backwards(true)],
             (1, 0) => vec![backwards(false)],
@@ -94,7 +93,7 @@ impl Board {
     }
 
     /// # Errors
-    /// When it is no board that can be found and told which way round it is.
+    /// When it is not a board that can be found with a unique orientation.
     fn check(&self) -> Result<(), BoardError> {
         let (columns, rows, square_m) = (self.columns, self.rows, self.square_m);
         if !(square_m > 0.0 && square_m.is_finite()) {
@@ -102,7 +101,7 @@ impl Board {
         }
         match self.kind {
             Pattern::Charuco(own @ Charuco { marker_m, dictionary, .. }) => {
-                let few = columns.min(rows) < 2 || columns * rows < charuco::FEWEST;
+                let few = columns.min(rows) < 2 || columns * rows < charuco::MIN_CORNERS;
                 if few || columns.max(rows) > *CORNERS.end() {
                     return Err(BoardError::Squares { columns: columns + 1, rows: rows + 1 });
                 }
@@ -127,13 +126,12 @@ impl Board {
     }
 }
 
-/// Finds images of the board, `most` of them at most, at least one. Those of a chessboard are in the order they are
-/// found in, and whole. Of a ChArUco board at most one that is not mirrored comes first, the nearest, then mirrored
-/// ones, the fullest first.
+/// Finds images of the board, at most `most` and at least one. Those of a chessboard are complete and in order of
+/// detection. Of a ChArUco board at most one unmirrored image comes first, the nearest, then mirrored ones, the most
+/// complete first.
 ///
 /// # Errors
-/// When there is none (with what is there instead, if that can be told), the board is none that can be found, or OpenCV
-/// fails.
+/// When there is none (with what is there instead, if that can be told), the board cannot be used, or OpenCV fails.
 pub fn find_boards(picture: &Grey, board: &Board, most: usize) -> Result<Vec<BoardImage>, BoardError> {
     board.check()?;
     match &board.kind {
@@ -156,32 +154,32 @@ pub struct BoardPicture {
 
 /// One image of the board in a picture.
 ///
-/// Those of a ChArUco board are the corners that are seen. The corners of a chessboard are in the order a direct image
-/// has: in the picture, the way from columns to rows turns like the way from x (right) to y (down). Where columns and
-/// rows are not both odd or both even, the square between the first two columns and rows is dark, and so is the outer
-/// one diagonal to corner 0; else rows run to the right (straight up and down: downwards), and which end comes first
-/// means nothing.
+/// A ChArUco board's are the visible corners. The corners of a chessboard are in the order of a direct image: in the
+/// picture, columns to rows turn in the same sense as x (right) to y (down). If one of columns and rows is odd and the
+/// other even, the square between the first two columns and rows is dark, and so is the outer one diagonal to corner 0;
+/// otherwise rows run to the right (if vertical: downwards), and which end comes first is arbitrary.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BoardImage {
-    /// Index into [`Board::points`], and the place in the picture: pixel (0, 0) is the centre of the top-left one.
+    /// Index into [`Board::points`], and position in the picture: pixel (0, 0) is the centre of the top-left one.
     pub corners: Vec<(usize, Point2<f64>)>,
-    /// Whether it is a mirror image, where the picture alone tells: a ChArUco board's does, a chessboard's does not.
+    /// Whether it is a mirror image, where the picture alone tells: it does for a ChArUco board, but not for a
+    /// chessboard.
     pub mirrored: Option<bool>,
     /// Side of a square in the picture: median over the board, pixels.
     pub square_px: f64,
-    /// From 10 to 90 % of the way from dark to light, across the edges of squares, pixels: median over the board, of
-    /// columns or rows, whichever is blurred more. A sharp picture has 1.5 to 2.5; corners get worse from a third of a
-    /// square on.
+    /// Width from 10 to 90 % across the edges of squares, pixels: median over the board, along columns or rows,
+    /// whichever is more blurred. A sharp picture has 1.5 to 2.5; corners get worse from a third of a square.
     pub edge_px: f64,
-    /// From dark to light squares: median over the board, grey values of 0 to 255.
+    /// Contrast of dark and light squares: median over the board, grey values from 0 to 255.
     pub contrast: f64,
 }
 
-/// Edges wider than this part of a square are blurred: corners of such a board are good to tenths of a pixel at best.
+/// Edges wider than this fraction of a square are blurred: the corners of such a board are accurate to tenths of a
+/// pixel at best.
 const BLURRED: f64 = 0.35;
 
 impl BoardImage {
-    /// Whether both show the same corners at the same places: the same picture, given twice.
+    /// Whether both show the same corners at the same places: that is, the same picture given twice.
     pub(crate) fn is_same_as(&self, other: &Self) -> bool {
         let (own, others) = (&self.corners, &other.corners);
         let squares_px2 = || own.iter().zip(others).map(|(a, b)| (a.1 - b.1).norm_squared());
@@ -190,7 +188,7 @@ impl BoardImage {
             && (squares_px2().sum::<f64>() / (2 * own.len()).max(1) as f64).sqrt() < SAME_PX
     }
 
-    /// Whether the board is too blurred to calibrate with: its edges, compared with its squares.
+    /// Whether the board is too blurred to calibrate with: compares its edges with its squares.
     pub fn is_blurred(&self) -> bool {
         self.edge_px > BLURRED * self.square_px
     }
@@ -200,7 +198,7 @@ impl BoardImage {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum BoardError {
-    /// Words that do not describe a board.
+    /// A text that does not describe a board.
     #[error("`{text}` is not a board: {problem}. Write {}", text::form(.text))]
     Text {
         /// What was given.
@@ -214,9 +212,9 @@ pub enum BoardError {
         corners, are counted for these boards)"
     )]
     Squares {
-        /// In a row.
+        /// Per row.
         columns: usize,
-        /// In a column.
+        /// Per column.
         rows: usize,
     },
     /// Markers that do not fit into squares.
@@ -233,24 +231,24 @@ pub enum BoardError {
     Markers {
         /// On the board.
         markers: usize,
-        /// What they should be from.
+        /// The dictionary they should be from.
         dictionary: Dictionary,
     },
     /// No such ChArUco board in the picture.
     #[error("no board {board} found{why}")]
     NoCharuco {
-        /// As asked for.
+        /// As requested.
         board: String,
         /// What is there instead.
-        why: Unread,
+        why: CharucoNotFound,
     },
     /// Too few corners, or too many.
-    #[error("a board of {columns}x{rows} inner corners cannot be found: from {} to {} a side can (inner corners, where four \
+    #[error("a board of {columns}x{rows} inner corners cannot be found: from {} to {} per side can (inner corners, where four \
         squares meet: one fewer than squares)", CORNERS.start(), CORNERS.end())]
     Corners {
-        /// In a row.
+        /// Per row.
         columns: usize,
-        /// In a column.
+        /// Per column.
         rows: usize,
     },
     /// A board that looks the same turned by 90°.
@@ -259,10 +257,10 @@ pub enum BoardError {
         cannot tell which corner is which; take one with more columns than rows, for example 9x6"
     )]
     Square {
-        /// In a row and in a column.
+        /// Per row and per column.
         columns: usize,
     },
-    /// A square of no size.
+    /// A square without a valid size.
     #[error("squares of {square_m} m: expected a length above 0")]
     SquareSize {
         /// Side of a square.
@@ -271,9 +269,9 @@ pub enum BoardError {
     /// No such board in the picture.
     #[error("no board of {columns}x{rows} inner corners found{}", instead(*seen, flaw.as_ref()))]
     NotFound {
-        /// In a row, as asked for.
+        /// Per row, as requested.
         columns: usize,
-        /// In a column, as asked for.
+        /// Per column, as requested.
         rows: usize,
         /// Columns and rows of a grid that was seen instead.
         seen: Option<[usize; 2]>,
@@ -291,7 +289,7 @@ fn instead(seen: Option<[usize; 2]>, flaw: Option<&Flaw>) -> String {
             "; there is a grid of {columns}x{rows}: is the number of corners right (inner ones are counted), and is no part \
              of the board hidden?"
         ),
-        (None, Some(flaw)) => format!("; the grid that was seen is none: {flaw}"),
+        (None, Some(flaw)) => format!("; the grid found is not a board: {flaw}"),
         (None, None) => String::new(),
     }
 }

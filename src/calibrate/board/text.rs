@@ -1,4 +1,4 @@
-//! Boards as people write them, and back.
+//! Parses and formats descriptions of boards.
 
 use std::fmt;
 use std::str::FromStr;
@@ -6,7 +6,7 @@ use std::str::FromStr;
 use crate::calibrate::board::{Board, BoardError, Charuco, Pattern};
 use crate::calibrate::length_m;
 
-/// What a text should be that is no board.
+/// The expected form, for a text that is not a board.
 pub(super) fn form(text: &str) -> &'static str {
     if is_charuco(text) {
         "charuco:COLUMNSxROWS:SQUARE:MARKER:DICTIONARY, counting squares (not inner corners), for example \
@@ -68,7 +68,7 @@ fn charuco(text: &str) -> Result<Board, &'static str> {
 
 impl fmt::Display for Board {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        // Twelve digits: 12 mm are not written 12.000000000000002.
+        // Twelve digits, so that 12 mm is not written 12.000000000000002.
         let mm = |length_m: f64| (length_m * 1e12).round() / 1e9;
         let Self { columns, rows, square_m, kind } = self;
         match kind {

@@ -1,23 +1,23 @@
-//! How well shared unknowns are known when the corners of a picture are off together.
+//! Uncertainty of the shared unknowns when errors of corners within a picture are correlated.
 //!
-//! In: the normal equations at the solution, a block a picture. Out: [`Clustered`].
+//! In: the normal equations at the solution, with one block per picture. Out: [`Clustered`].
 //!
-//! Least squares supposes that each corner is off by itself. Real ones are not: a board is not flat, its print not
-//! square, blur and the lens model pull whole neighbourhoods the same way. But what one picture is off says little of
-//! the next, so that the pictures are the independent witnesses, each a cluster of corners, and how much the solution
-//! changes when one is left out says how well it is known, whatever binds the corners within it.
+//! Least squares assumes independent errors of the corners. Real ones are correlated: a board is not flat, its print
+//! not square, and blur and the lens model shift whole neighbourhoods the same way. But the errors of different
+//! pictures are nearly independent, so each picture is a cluster of corners, and how much the solution changes when one
+//! is left out tells its uncertainty, whatever the correlation within it.
 //!
 //! With H = Σ Hᵢ + prior the information, hᵢ the part of it that is picture i's, and gᵢ its pull on the solution (all
-//! poses eliminated), leaving out picture i moves the solution by (H − Hᵢ)⁻¹ gᵢ. The covariance by these moves, the
-//! jackknife's, is right for many pictures. Of a dozen it knows each direction from few moves, and of fewer than there
-//! are unknowns some not at all. It is therefore averaged with a second one, which counts as [`PRIOR_PICTURES`]
-//! pictures: the shape that independent corners would give, enlarged by one factor, the *design effect*. That is the
-//! mean square of all pulls, each enlarged by (1 − hᵢ)^−½ for what the picture itself has pulled the solution, which is
-//! without bias for few pictures.
+//! poses eliminated), leaving out picture i moves the solution by (H − Hᵢ)⁻¹ gᵢ. The covariance of these moves, the
+//! jackknife's, is right for many pictures. With a dozen, each direction is estimated from few moves, and with fewer
+//! than the number of unknowns some are not estimated at all. It is therefore averaged with a second one, which counts
+//! as [`PRIOR_PICTURES`] pictures: the covariance for independent corners, enlarged by one factor, the *design effect*.
+//! That is the mean square of all pulls, each enlarged by (1 − hᵢ)^−½ for the picture's own pull on the solution, which
+//! is unbiased for few pictures.
 //!
-//! What is known beside the pictures is as well known as it is said to be.
+//! Priors are assumed to be as accurate as stated.
 //!
-//! Cannot tell: what is wrong in all pictures alike, such as one bent board seen always from the same side.
+//! Cannot tell: errors common to all pictures, such as one bent board always seen from the same side.
 //!
 //! Sources: Kish, "Survey Sampling" (1965) (design effect); Bell & McCaffrey, "Bias reduction in standard errors for
 //! linear regression with multi-stage samples", Survey Methodology 28 (2002) (the enlarged pulls, both ways); the
@@ -26,34 +26,34 @@
 use crate::calibrate::least_squares::Equations;
 use nalgebra::{DMatrix, DVector};
 
-/// As many pictures as this say in advance that errors have the shape that independent ones would have.
+/// Weight, in pictures, of the prior that errors have the covariance of independent ones.
 const PRIOR_PICTURES: f64 = 4.0;
-/// The least that the other pictures are taken to say of a direction, as part of all: what one picture alone
-/// determines, leaving it out cannot tell.
-const LEAST_OTHERS: f64 = 0.01;
+/// Least fraction of the information on a direction attributed to the other pictures: for what one picture alone
+/// determines, leaving it out tells nothing.
+const MIN_OTHERS: f64 = 0.01;
 
-/// How well shared unknowns are known.
+/// Uncertainty of the shared unknowns.
 #[derive(Debug, Clone)]
 pub(crate) struct Clustered {
     /// Their covariance.
     pub(crate) covariance: DMatrix<f64>,
-    /// What it would be if every corner were off by itself.
+    /// The covariance for independent corners.
     pub(crate) noise: DMatrix<f64>,
-    /// What the equations take it for: pictures and priors weighted against each other as they are, see
+    /// The covariance according to the equations, with pictures and priors weighted as they are, see
     /// [`Self::design_effect`].
     pub(crate) weighted: DMatrix<f64>,
-    /// For each picture, how it pulls at the unknowns, in directions and units in which independent corners would know
-    /// them all to one; enlarged for few pictures.
+    /// For each picture, its pull on the unknowns, in coordinates in which independent corners would give unit
+    /// covariance; enlarged for few pictures.
     pub(crate) pulls: Vec<DVector<f64>>,
-    /// By how much the variance exceeds that of independent corners, over all directions; 1 or more.
+    /// Ratio of the variance to that of independent corners, over all directions; 1 or more.
     pub(crate) design_effect: f64,
 }
 
 impl Clustered {
-    /// From the equations at a solution, corners in units of their noise. Priors, that is what belongs to no block,
-    /// have been given `prior_weight` times the weight that their standard deviations ask for.
+    /// From the equations at a solution, corners in units of their noise. Priors, the equations without a block, have
+    /// `prior_weight` times the weight of their standard deviations.
     ///
-    /// `None` when the equations leave a direction open.
+    /// `None` when the equations leave a direction undetermined.
     pub(crate) fn of(equations: &Equations, prior_weight: f64) -> Option<Self> {
         let unknowns = equations.information()?;
         let size = unknowns.nrows();
@@ -64,14 +64,14 @@ impl Clustered {
             .map(|(information, pull)| (&whitening * information * whitening.transpose(), &whitening * pull))
             .collect();
         let count = pictures.len() as f64;
-        // In whitened unknowns, the part of the information that is the pictures' and the part that is the priors'.
+        // In whitened unknowns, the information from the pictures and from the priors.
         let nothing = || DMatrix::<f64>::zeros(size, size);
         let seen = pictures.iter().fold(nothing(), |sum, (part, _)| sum + part);
         let prior = DMatrix::identity(size, size) - &seen;
         let enlarged = |power: f64| {
             pictures.iter().map(move |(part, pull)| {
                 let own = part.clone().symmetric_eigen();
-                let by = own.eigenvalues.map(|part| (1.0 - part).max(LEAST_OTHERS).powf(power));
+                let by = own.eigenvalues.map(|part| (1.0 - part).max(MIN_OTHERS).powf(power));
                 &own.eigenvectors * (own.eigenvectors.tr_mul(pull)).component_mul(&by)
             })
         };

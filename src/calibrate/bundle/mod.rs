@@ -1,16 +1,16 @@
-//! Bundle adjustment: the geometry and the poses of the board that explain all corners of all pictures best.
+//! Bundle adjustment: the geometry and the poses of the board that best fit all corners of all pictures.
 //!
-//! In: a start, corners seen, prior knowledge. Out: [`Solution`] with the geometry's covariance and what every corner
-//! left.
+//! In: an initial state, detected corners, priors. Out: [`Solution`] with the geometry's covariance and the residual of
+//! every corner.
 //!
 //! Minimised is Σ ρ(|corner − projection| / σ) + w Σ ((known − value)/sd)², ρ Huber's (`least_squares.rs`): the
-//! geometry is shared by all pictures, and so is the board's bend (`shape.rs`), the six parameters of its pose are each
-//! picture's own. σ, the noise of a corner, is taken from the corners themselves and the whole repeated.
+//! geometry is shared by all pictures, and so is the board's bend (`shape.rs`), the six parameters of its pose belong
+//! to one picture each. σ, the noise of a corner, is estimated from the corners themselves and the whole repeated.
 //!
-//! The covariance of the geometry has all poses free. It supposes that what a picture's corners are off says nothing of
-//! the next picture's, but not that they are off each by itself (`clusters.rs`): a board that is not quite flat, blur
-//! and a lens that is not quite the model's bind them. Where such errors make the pictures worse witnesses than the
-//! noise of their corners says, the priors are given as much more weight, and the whole repeated.
+//! The covariance of the geometry has all poses free. It assumes that errors of different pictures are independent, but
+//! not those of the corners within one (`clusters.rs`): a board that is not quite flat, blur and an imperfect lens
+//! model correlate them. Where such errors make the pictures less informative than the noise of their corners suggests,
+//! the priors get correspondingly more weight, and the whole is repeated.
 
 pub(crate) mod clusters;
 pub(crate) mod outliers;
@@ -21,47 +21,47 @@ pub(crate) mod shape;
 use crate::calibrate::bundle::clusters::Clustered;
 use crate::calibrate::bundle::prior::{Equation, Prior};
 use crate::calibrate::geometry::{Geometry, Parameter, Projector};
-use crate::calibrate::least_squares::{End, Equations, Loss, Row, Step, Stuck, minimise};
+use crate::calibrate::least_squares::{End, Equations, Loss, Row, SearchError, Step, minimise};
 use crate::optics::NoRay;
 use nalgebra::{DMatrix, DVector, Isometry3, Matrix3, Point2, Point3, Vector2, Vector3};
 use pose::{by_pose, turned};
 use shape::Shape;
 
-/// A corner further off than so many σ says nothing about σ.
+/// Corners further off than this many σ are not used to estimate σ.
 const OUTLIER: f64 = 4.0;
-/// Noise assumed at first, pixels; the least ever assumed (corners made by a program have none).
+/// Noise assumed initially, pixels, and the least ever assumed (synthetic corners have none).
 const START_SD_PX: f64 = 0.5;
-const LEAST_SD_PX: f64 = 1e-6;
-const MOST_ROUNDS: usize = 6;
-/// Rounds end when noise and weight of the priors change by less than these parts.
-const SETTLED: (f64, f64) = (0.01, 0.1);
-/// Of a round.
-const END: End = End { enough: (1e-9, 1e-9), most_steps: 200 };
-/// Of a round with a rational lens: its numerator and denominator trade off along a long flat valley. What is left of
-/// the way is a thousandth of σ.
-const RATIONAL_END: End = End { enough: (1e-7, 1e-6), most_steps: 2000 };
+const MIN_SD_PX: f64 = 1e-6;
+const MAX_ROUNDS: usize = 6;
+/// Rounds end when noise and weight of the priors change by less than these fractions.
+const ROUND_TOLERANCE: (f64, f64) = (0.01, 0.1);
+/// End of a round.
+const END: End = End { tolerance: (1e-9, 1e-9), max_steps: 200 };
+/// End of a round with a rational lens: its numerator and denominator trade off along a long flat valley. The remaining
+/// distance is a thousandth of σ.
+const RATIONAL_END: End = End { tolerance: (1e-7, 1e-6), max_steps: 2000 };
 
 /// A corner of the board in a view of a picture.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Corner {
-    /// Index of the picture, that is of the pose.
+    /// Index of the picture, and so of the pose.
     pub picture: usize,
     /// Index of the view.
     pub view: usize,
-    /// The corner, board frame, metres; the board's frame is best put in its middle.
+    /// The corner, board frame, metres; the board's frame is best placed at its centre.
     pub place: Point3<f64>,
-    /// Where it was found.
+    /// Its detected position.
     pub pixel: Point2<f64>,
-    /// σ of its coordinates over [`Solution::corner_sd_px`]: 1 for corners that are all alike.
+    /// σ of its coordinates over [`Solution::corner_sd_px`]: 1 if all corners are equally accurate.
     pub relative_sd: f64,
 }
 
-/// What is to be solved, and where the search starts.
+/// The problem, and the start of the search.
 #[derive(Debug, Clone)]
 pub(crate) struct Bundle {
     /// Lens, surfaces, views.
     pub geometry: Geometry,
-    /// What of the geometry may change.
+    /// Free parameters of the geometry.
     pub free: Vec<Parameter>,
     /// For each picture, camera_from_board.
     pub poses: Vec<Isometry3<f64>>,
@@ -69,28 +69,28 @@ pub(crate) struct Bundle {
     pub names: Vec<String>,
     /// All corners.
     pub corners: Vec<Corner>,
-    /// What else is known.
+    /// Priors.
     pub known: Vec<Prior>,
     /// The board's shape, found with the rest.
     pub shape: Shape,
 }
 
-/// The answer.
+/// The solution.
 #[derive(Debug, Clone)]
 pub struct Solution {
     /// Lens, surfaces, views.
     pub geometry: Geometry,
-    /// What of the geometry was free, in the order of the covariance.
+    /// Free parameters of the geometry, in the order of the covariance.
     pub free: Vec<Parameter>,
-    /// Covariance of `free`; tilts about [`super::geometry::tilt_axes`] of the solved surfaces.
+    /// Covariance of `free`; tilts are about [`super::geometry::tilt_axes`] of the solved surfaces.
     pub covariance: DMatrix<f64>,
-    /// What it would be if each corner were off by itself: the share of noise. What is beyond it is the model's.
+    /// The covariance for independent corners: the part of noise. The rest comes from the model.
     pub noise_covariance: DMatrix<f64>,
-    /// What the search took it for, pictures and priors weighted as they were.
+    /// The covariance according to the search, with pictures and priors weighted as they were.
     pub(crate) weighted_covariance: DMatrix<f64>,
-    /// For each picture, how it pulls at the solution, see [`Clustered::pulls`].
+    /// For each picture, its pull on the solution, see [`Clustered::pulls`].
     pub(crate) pulls: Vec<DVector<f64>>,
-    /// By how much the variance exceeds that of independent corners, over all directions of the parameters; 1 or more.
+    /// Ratio of the variance to that of independent corners, over all directions of the parameters; 1 or more.
     pub design_effect: f64,
     /// For each picture, camera_from_board.
     pub poses: Vec<Isometry3<f64>>,
@@ -100,7 +100,7 @@ pub struct Solution {
     pub residuals_px: Vec<Vector2<f64>>,
     /// Noise of one coordinate of a corner, pixels.
     pub corner_sd_px: f64,
-    /// What else was known.
+    /// Priors that were used.
     pub known: Vec<Prior>,
     /// The board's shape.
     pub shape: Shape,
@@ -108,26 +108,26 @@ pub struct Solution {
     pub shape_covariance: Matrix3<f64>,
 }
 
-/// Why there is no answer.
+/// Why there is no solution.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum NoSolution {
-    /// The start does not show a corner.
-    #[error("{picture} cannot show the board there, {why}: are tank, distances and mirrors as they were given?")]
+    /// The initial state does not show a corner.
+    #[error("the board cannot be seen in {picture}, {why}: are tank, distances and mirrors correct?")]
     NotSeen {
         /// The picture's name.
         picture: String,
         /// Why.
         why: NoRay,
     },
-    /// The corners leave a direction open.
-    #[error("the pictures leave the solution open")]
+    /// The corners leave a direction undetermined.
+    #[error("the pictures do not determine the solution")]
     Singular,
-    /// The search did not settle.
-    #[error("the search did not settle after {} steps", END.most_steps)]
+    /// The search did not converge.
+    #[error("the search did not converge in {} steps", END.max_steps)]
     NotConverged,
 }
 
-/// Where the search is.
+/// State of the search.
 #[derive(Clone)]
 struct State {
     geometry: Geometry,
@@ -136,19 +136,19 @@ struct State {
 }
 
 impl Bundle {
-    /// Solves from where `self` starts.
+    /// Solves, starting from `self`.
     ///
     /// # Errors
-    /// [`NoSolution`] when the start does not show the board, or the pictures do not determine the geometry.
+    /// [`NoSolution`] when the initial state does not show the board, or the pictures do not determine the geometry.
     pub(crate) fn solve(self) -> Result<Solution, NoSolution> {
         let (mut at, mut sd_px) = self.searched(START_SD_PX, 1.0, self.start())?;
         let mut known = self.clustered(&at, sd_px, 1.0)?;
         let mut prior_weight = 1.0;
-        for _ in 0..MOST_ROUNDS {
-            if self.known.is_empty() || (known.design_effect / prior_weight - 1.0).abs() < SETTLED.1 {
+        for _ in 0..MAX_ROUNDS {
+            if self.known.is_empty() || (known.design_effect / prior_weight - 1.0).abs() < ROUND_TOLERANCE.1 {
                 break;
             }
-            // Where another weight leads nowhere, the answer stands that there is: its covariance holds for any weight.
+            // If another weight fails, the current solution stands: its covariance holds for any weight.
             let weight = known.design_effect;
             let Ok((next, next_sd_px)) = self.searched(sd_px, weight, at.clone()) else { break };
             let Ok(next_known) = self.clustered(&next, next_sd_px, weight) else { break };
@@ -175,7 +175,7 @@ impl Bundle {
         })
     }
 
-    /// As [`Self::solve`], without asking how well anything is known: where the search ends, to start another from.
+    /// As [`Self::solve`], without covariances: the end of the search, as the start of another.
     ///
     /// # Errors
     /// As [`Self::solve`].
@@ -184,7 +184,7 @@ impl Bundle {
         Ok(Self { geometry, poses, shape, ..self })
     }
 
-    /// Found − projected where `self` stands, for each corner.
+    /// Found − projected in the state of `self`, for each corner.
     pub(crate) fn left_px(&self) -> Result<Vec<Vector2<f64>>, NoSolution> {
         self.residuals_px(&self.start())
     }
@@ -193,16 +193,16 @@ impl Bundle {
         State { geometry: self.geometry.clone(), poses: self.poses.clone(), shape: self.shape }
     }
 
-    /// The least cost, and the noise of a corner there; `sd_px` is the noise assumed at first.
+    /// The minimum cost, and the noise of a corner there; `sd_px` is the noise assumed initially.
     fn searched(&self, mut sd_px: f64, prior_weight: f64, mut at: State) -> Result<(State, f64), NoSolution> {
         let end = if self.geometry.lens.is_rational() { RATIONAL_END } else { END };
-        for _ in 0..=MOST_ROUNDS {
+        for _ in 0..=MAX_ROUNDS {
             let equations = |at: &State| self.equations(at, sd_px, prior_weight);
             (at, _) = minimise(end, at, equations, |at, step| Ok(self.stepped(at, step)))?;
             let found = self.noise(&self.residuals_px(&at)?);
-            let settled = (found / sd_px - 1.0).abs() < SETTLED.0 || found == LEAST_SD_PX;
+            let converged = (found / sd_px - 1.0).abs() < ROUND_TOLERANCE.0 || found == MIN_SD_PX;
             sd_px = found;
-            if settled {
+            if converged {
                 break;
             }
         }
@@ -239,8 +239,7 @@ impl Bundle {
         NoSolution::NotSeen { picture: self.names.get(corner.picture).cloned().unwrap_or_default(), why }
     }
 
-    /// σ of a corner's coordinate: first from the median of the residuals, then from all that are no outliers by that
-    /// one.
+    /// σ of a corner's coordinate: first from the median of the residuals, then from all that are not outliers by that.
     fn noise(&self, residuals_px: &[Vector2<f64>]) -> f64 {
         let unknowns = self.free.len() + 3 + 6 * self.poses.len();
         let coordinates = (2 * residuals_px.len()) as f64;
@@ -253,7 +252,7 @@ impl Bundle {
         let limit = OUTLIER.powi(2) * median / (2.0 * std::f64::consts::LN_2);
         let inliers: Vec<f64> = squares.into_iter().filter(|s| *s <= limit).collect();
         let mean = inliers.iter().sum::<f64>() / inliers.len().max(1) as f64;
-        (mean / 2.0 / freedom).sqrt().max(LEAST_SD_PX)
+        (mean / 2.0 / freedom).sqrt().max(MIN_SD_PX)
     }
 
     fn equations(&self, at: &State, sd_px: f64, prior_weight: f64) -> Result<Equations, NoSolution> {
@@ -302,7 +301,7 @@ impl Bundle {
 }
 
 impl Solution {
-    /// What is to be solved when only some of the pictures, by their indices, are asked, from here.
+    /// The problem with only some of the pictures, by their indices, starting from here.
     pub(crate) fn of_pictures(&self, pictures: &[usize], corners: &[Corner]) -> Bundle {
         let now = |old: usize| pictures.iter().position(|picture| *picture == old);
         let known = self.known.iter().filter_map(|known| match *known {
@@ -323,12 +322,12 @@ impl Solution {
     }
 }
 
-impl From<Stuck<Self>> for NoSolution {
-    fn from(stuck: Stuck<Self>) -> Self {
-        match stuck {
-            Stuck::Start(why) => why,
-            Stuck::Singular => Self::Singular,
-            Stuck::NotSettled => Self::NotConverged,
+impl From<SearchError<Self>> for NoSolution {
+    fn from(error: SearchError<Self>) -> Self {
+        match error {
+            SearchError::Start(why) => why,
+            SearchError::Singular => Self::Singular,
+            SearchError::NotConverged => Self::NotConverged,
         }
     }
 }
@@ -340,7 +339,7 @@ pub(super) mod tests {
     use crate::calibrate::tests::gaussian;
     use nalgebra::{Translation3, UnitQuaternion, Vector6};
 
-    /// Twelve small boards in the water, seen directly and in the mirror, and a start that is off.
+    /// Twelve small boards in the water, seen directly and in the mirror, and an inaccurate start.
     fn pictures(
         geometry: &Geometry,
         sd_px: f64,
@@ -368,7 +367,7 @@ pub(super) mod tests {
         (poses, corners)
     }
 
-    /// What a laboratory has, a calibrated lens and a tape measure, each `errors` times its standard deviation off.
+    /// Typical priors of a laboratory, a calibrated lens and a tape measure, each off by `errors` standard deviations.
     fn known(errors: f64, random: &mut impl FnMut() -> f64) -> Vec<Prior> {
         let truth = geometry();
         let sd = [3.0, 3.0, 2.0, 2.0, 0.02, 0.3, 5e-4, 5e-4, 1.0];
@@ -437,7 +436,7 @@ pub(super) mod tests {
         let mut behind = bundle(&geometry(), 0.0, 0.0, 1);
         behind.poses[3].translation.vector.z = -1.0;
         let error = behind.solve().unwrap_err().to_string();
-        assert!(error.starts_with("03.png cannot show the board there, "), "{error}");
+        assert!(error.starts_with("the board cannot be seen in 03.png, "), "{error}");
     }
 
     #[test]
@@ -456,7 +455,7 @@ pub(super) mod tests {
         assert!(chi2 < 0.5, "moved by {chi2} of its covariance");
     }
 
-    /// The spread of every parameter over many calibrations is its predicted σ, and nothing is biased.
+    /// The scatter of every parameter over many calibrations equals its predicted σ, without bias.
     #[test]
     fn predicted_deviations_are_those_of_many_calibrations() {
         const RUNS: u64 = 150;
@@ -474,9 +473,8 @@ pub(super) mod tests {
         }
     }
 
-    /// Corners of a picture that are off together, by a field of its own across its boards: the deviations predicted
-    /// are those of many calibrations still, for a dozen pictures and for few, and noise alone explains a part of them
-    /// only.
+    /// With correlated errors of each picture's corners, a smooth field across its boards, the predicted σ still equals
+    /// the scatter of many calibrations, for a dozen pictures and for few, and noise alone explains only a part.
     #[test]
     fn deviations_hold_when_the_corners_of_a_picture_are_off_together() {
         const RUNS: u64 = 40;
@@ -513,7 +511,7 @@ pub(super) mod tests {
         }
     }
 
-    /// A bent board shows: the bend is found to within its σ, and the geometry is as good as with a flat one.
+    /// A bent board is recognised: the bend is found to within its σ, and the geometry is as good as with a flat one.
     #[test]
     fn a_bent_board_is_found_and_does_not_bend_the_geometry() {
         const RUNS: u64 = 20;
@@ -524,7 +522,7 @@ pub(super) mod tests {
             let bent = Shape { bend_m: [2e-4, -1e-4, 1e-4], ..bundle.shape };
             let projector = Projector::new(&truth, &[]);
             let mut flat = bundle.clone().solve().unwrap();
-            // What the bend moves in each picture, seen from where its board about is.
+            // Displacement by the bend in each picture, seen from the approximate pose of its board.
             for corner in &mut bundle.corners {
                 let pose = flat.poses[corner.picture];
                 let of = |place: Point3<f64>| projector.pixel(corner.view, &(pose * place)).unwrap();

@@ -1,17 +1,17 @@
-//! What each picture leaves of the solution, and which picture does not belong to the others.
+//! Residuals of each picture, and which picture is inconsistent with the others.
 
 use nalgebra::{Isometry3, Point2, Vector2};
 
-/// A picture whose RMS residual is this many times that of the median picture is left out, if it is also so many
+/// A picture is left out if its RMS residual is this many times that of the median picture and also exceeds this many
 /// pixels.
 const OUTLIER: (f64, f64) = (4.0, 0.3);
 
-/// What a picture says of the solution.
+/// A picture's part in the solution.
 #[derive(Debug, Clone)]
 pub struct UsedPicture {
     /// Its name.
     pub name: String,
-    /// camera_from_board, origin in the board's middle, metres.
+    /// camera_from_board, origin at the board's centre, metres.
     pub pose: Isometry3<f64>,
     /// For each corner: where it was found, and found − projected, pixels.
     pub corners: Vec<(Point2<f64>, Vector2<f64>)>,
@@ -34,7 +34,7 @@ pub enum LeftOut {
     Off {
         /// RMS of its residuals.
         rms_px: f64,
-        /// Of the median picture.
+        /// That of the median picture.
         median_px: f64,
     },
     /// It is not sharp.
@@ -42,7 +42,7 @@ pub enum LeftOut {
         "it is blurred: edges {edge_px:.0} px wide on squares of {square_px:.0} px; hold the board still, focus, more light"
     )]
     Blurred {
-        /// From dark to light.
+        /// Width of its edges.
         edge_px: f64,
         /// Side of a square.
         square_px: f64,
@@ -50,12 +50,12 @@ pub enum LeftOut {
     /// The board is seen in a mirror.
     #[error("its board is mirrored: pictures must be taken without a mirror, and by a camera that does not flip them")]
     Mirrored,
-    /// It was given before.
+    /// It was already given.
     #[error("it is the same picture as {0}")]
     Duplicate(String),
 }
 
-/// Pictures left out, a line each.
+/// Pictures left out, one line each.
 pub(crate) fn left_out_lines<T: std::fmt::Display>(left_out: &[(String, T)]) -> String {
     left_out.iter().map(|(name, why)| format!("\n  {name}: {why}")).collect()
 }
@@ -66,7 +66,7 @@ pub(crate) fn rms(residuals: impl Iterator<Item = Vector2<f64>>) -> f64 {
     (sum / count.max(1) as f64).sqrt()
 }
 
-/// The picture that is much further off than the others.
+/// The picture that fits much worse than the others.
 pub(crate) fn worst_picture(pictures: &[UsedPicture]) -> Option<(usize, LeftOut)> {
     let mut sorted: Vec<f64> = pictures.iter().map(UsedPicture::rms_px).collect();
     sorted.sort_by(f64::total_cmp);

@@ -1,4 +1,4 @@
-//! Poses of the board: steps, derivatives, and what OpenCV calls a pose.
+//! Poses of the board: steps, derivatives, and conversion from OpenCV's form.
 
 use nalgebra::{Isometry3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3, Vector6};
 use opencv::core::{Mat, MatTraitConst};
@@ -19,7 +19,7 @@ pub(crate) fn by_pose(pose: &Isometry3<f64>, place: &Point3<f64>, d_place: &Vect
     Vector6::new(d_place.x, d_place.y, d_place.z, turn.x, turn.y, turn.z)
 }
 
-/// A pose as OpenCV gives it: rotation vector and translation, three numbers each.
+/// A pose from OpenCV's rotation vector and translation, three numbers each.
 pub(crate) fn pose_from_opencv(turn: &Mat, shift: &Mat) -> opencv::Result<Isometry3<f64>> {
     let vector = |mat: &Mat| -> opencv::Result<Vector3<f64>> {
         Ok(Vector3::new(*mat.at::<f64>(0)?, *mat.at::<f64>(1)?, *mat.at::<f64>(2)?))

@@ -1,4 +1,5 @@
-//! [`Prior`]: what is known of a rig beside the pictures of boards, with how well, as equations of the adjustment.
+//! [`Prior`]: knowledge of a rig from other sources than pictures of boards, with its σ, as equations of the
+//! adjustment.
 
 use super::pose::turned;
 use crate::calibrate::geometry::{Geometry, Parameter};
@@ -20,14 +21,14 @@ pub enum Prior {
         surface: usize,
         /// |offset|.
         distance_m: f64,
-        /// How well.
+        /// Its σ.
         sd_m: f64,
     },
-    /// Two walls stand at right angles.
+    /// Two walls are at right angles.
     Square {
         /// Indices of the surfaces.
         surfaces: [usize; 2],
-        /// How well.
+        /// Its σ.
         sd_rad: f64,
     },
     /// The outer faces of two opposite walls are this far apart.
@@ -36,14 +37,14 @@ pub enum Prior {
         surfaces: [usize; 2],
         /// Distance.
         distance_m: f64,
-        /// How well.
+        /// Its σ.
         sd_m: f64,
     },
     /// The refractive index inside the walls.
     IndexInside {
         /// Value.
         index: f64,
-        /// How well.
+        /// Its σ.
         sd: f64,
     },
     /// The board of a picture is taped flat to the outer face of a wall.
@@ -52,25 +53,25 @@ pub enum Prior {
         picture: usize,
         /// Index of the surface.
         surface: usize,
-        /// How well the board's plane is the wall's, at points of the board's half size from its middle.
+        /// σ of the board's distance from the wall's plane, at points half the board's size from its centre.
         sd_m: f64,
-        /// Half size of the board, where `sd_m` holds.
+        /// Half the board's size, where `sd_m` applies.
         half_m: f64,
     },
 }
 
-/// One equation: residual in standard deviations and the derivatives of the prediction.
+/// One equation: residual in standard deviations and derivatives of the prediction.
 pub(crate) struct Equation {
     pub(crate) residual: f64,
     pub(crate) by_geometry: DVector<f64>,
     pub(crate) by_pose: Option<(usize, Vector6<f64>)>,
 }
 
-/// Step of central differences: the values are smooth functions of few parameters.
+/// Step of central differences: the functions are smooth with few parameters.
 const STEP: f64 = 1e-6;
 
 impl Prior {
-    /// Value minus what is known, in standard deviations; several for a lens and a taped board.
+    /// Value minus prior, in standard deviations; several for a lens and a taped board.
     fn values(&self, geometry: &Geometry, poses: &[Isometry3<f64>]) -> Vec<f64> {
         let plane = |surface: usize| geometry.surfaces[surface].1.plane();
         match self {

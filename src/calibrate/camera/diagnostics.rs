@@ -1,4 +1,4 @@
-//! What speaks against a lens, although the pictures gave one.
+//! Reasons to doubt a lens that was calibrated.
 //!
 //! In: a calibration and its pictures. Out: [`CameraDiagnostic`]s.
 
@@ -7,7 +7,7 @@ use super::models::Model;
 use crate::optics::Lens;
 use nalgebra::Point2;
 
-/// What to do about a lens that wants another model.
+/// What to do about a lens that needs another model.
 fn advice(model: Model) -> &'static str {
     match model {
         Model::Brown => "calibrate with --lens 5",
@@ -16,16 +16,16 @@ fn advice(model: Model) -> &'static str {
     }
 }
 
-/// Boards that reach less far than this part of the way from the principal point to the corners of the picture.
-const LEAST_REACH: f64 = 0.6;
-/// A bend is told that is so many σ from none, and at least this part of the board's half width.
-const BENT: (f64, f64) = (4.0, 1e-3);
+/// Least extent of the boards, as a fraction of the distance from the principal point to the corners of the picture.
+const MIN_REACH: f64 = 0.6;
+/// A bend is reported if it is this many σ from zero and at least this fraction of the board's half width.
+const BEND_REPORTED: (f64, f64) = (4.0, 1e-3);
 
-/// A reason not to take the lens as it is.
+/// A reason not to accept the lens as it is.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum CameraDiagnostic {
-    /// Two groups of pictures with a lens of their own each.
+    /// Two groups of pictures with different lenses.
     #[error(
         "the pictures fall into two groups with different lenses, of {0:.1} and {1:.1} px focal length, centre ({2:.1}, {3:.1}) and \
          ({4:.1}, {5:.1}): are they of two cameras, or was focus or zoom moved? One group: {names}",
@@ -46,14 +46,14 @@ pub enum CameraDiagnostic {
     Model {
         /// Which.
         model: Model,
-        /// That of this lens.
+        /// The model of this lens.
         own: Model,
         /// RMS of a coordinate on held-out pictures with it.
         own_px: f64,
         /// With the other model.
         other_px: f64,
     },
-    /// Boards in the middle only.
+    /// Boards only in the centre of the picture.
     #[error(
         "the boards reach {percent:.0} % of the way from the middle to the corners of the picture: further out the distortion is \
          a guess (k3 = {k3:.3} ± {k3_sd:.3}); take pictures with the board in the corners too"
@@ -66,7 +66,7 @@ pub enum CameraDiagnostic {
         /// Its σ.
         k3_sd: f64,
     },
-    /// A distortion that is none at the edge of the picture.
+    /// A distortion that is invalid at the edge of the picture.
     #[error(
         "the distortion folds over inside the picture: corner ({x:.0}, {y:.0}) has no direction; take pictures with the board \
          in the corners, or do not use them"
@@ -83,16 +83,16 @@ pub enum CameraDiagnostic {
          It is allowed for; one on glass or aluminium gives a better lens"
     )]
     Bent {
-        /// Highest to lowest corner.
+        /// Height from lowest to highest corner.
         sag_mm: f64,
-        /// Of the board's longer side.
+        /// The same in per cent of the board's longer side.
         percent: f64,
-        /// How sure it is.
+        /// Its significance, in σ.
         sigmas: f64,
     },
 }
 
-/// Those that the result itself shows; `places`: the board's corners, the middle in the origin.
+/// Those that follow from the result itself; `places`: the board's corners, with the centre at the origin.
 pub(super) fn diagnose(done: &CameraCalibration, places: &[nalgebra::Point3<f64>]) -> Vec<CameraDiagnostic> {
     let mut all = Vec::new();
     let [right, bottom] = done.size_px.map(|size| f64::from(size) - 1.0);
@@ -100,7 +100,7 @@ pub(super) fn diagnose(done: &CameraCalibration, places: &[nalgebra::Point3<f64>
     let away = |pixel: &Point2<f64>| (pixel - done.lens.principal_point_px).norm();
     let furthest = corners.iter().map(away).fold(0.0, f64::max);
     let reached = done.used.iter().flat_map(|p| &p.corners).map(|(pixel, _)| away(pixel)).fold(0.0, f64::max);
-    if reached < LEAST_REACH * furthest {
+    if reached < MIN_REACH * furthest {
         all.push(CameraDiagnostic::Reach {
             percent: 100.0 * reached / furthest,
             k3: done.lens.distortion[4],
@@ -113,7 +113,7 @@ pub(super) fn diagnose(done: &CameraCalibration, places: &[nalgebra::Point3<f64>
     let bend = nalgebra::Vector3::from(done.shape.bend_m);
     let sigmas = done.shape_covariance.cholesky().map_or(0.0, |known| bend.dot(&known.solve(&bend)).sqrt());
     let (sag_m, half_m) = (done.shape.sag_m(places), done.shape.half_m);
-    if sigmas > BENT.0 && sag_m > BENT.1 * half_m {
+    if sigmas > BEND_REPORTED.0 && sag_m > BEND_REPORTED.1 * half_m {
         all.push(CameraDiagnostic::Bent { sag_mm: sag_m * 1e3, percent: 50.0 * sag_m / half_m, sigmas });
     }
     all

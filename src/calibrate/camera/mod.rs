@@ -1,17 +1,16 @@
 //! `catoptra calibrate camera`: the lens from pictures of a board in air.
 //!
-//! In: the corners of a board in pictures without mirror and water. Out: the lens with its covariance, and what each
-//! picture says of it.
+//! In: the corners of a board in pictures without mirror and water. Out: the lens with its covariance, and each
+//! picture's residuals.
 //!
-//! OpenCV's `calibrateCamera` gives the start; the answer and its covariance are those of our own bundle adjustment
-//! (OpenCV's standard deviations are wrong in older versions). A picture whose corners lie much further off than those
-//! of the others is left out, with its reason. Refused are sets that leave the lens open: too few pictures, all boards
+//! OpenCV's `calibrateCamera` gives the start; the solution and its covariance come from our own bundle adjustment
+//! (OpenCV's standard deviations are wrong in older versions). A picture whose corners fit much worse than those of the
+//! others is left out, with the reason. Sets that do not determine the lens are refused: too few pictures, all boards
 //! parallel.
 //!
-//! What speaks against the lens all the same is among its [`diagnostics`].
+//! Remaining doubts about the lens are among its [`diagnostics`].
 //!
-//! Cannot detect: squares that are not as large as said (the lens does not depend on their size, distances do), or not
-//! square.
+//! Cannot detect: squares of another size than stated (the lens does not depend on it, distances do), or not square.
 
 pub mod diagnostics;
 pub mod models;
@@ -33,20 +32,20 @@ use opencv::calib3d;
 use opencv::core::{Mat, MatTraitConst, Point2f, Point3f, Size, TermCriteria, TermCriteria_Type, Vector};
 use two_lenses::{TwoLenses, two_lenses};
 
-/// Fewest pictures: three boards at different tilts determine a lens without distortion; with it, five is a beginning.
+/// Fewest pictures: three boards at different tilts determine a lens without distortion; with it, five are the minimum.
 const FEWEST_PICTURES: usize = 5;
-/// Boards that are all closer in direction than this leave the focal length open.
-const LEAST_TILT_RAD: f64 = 10.0 * std::f64::consts::PI / 180.0;
-/// A focal length known less well than this part of it is not known.
-const LEAST_KNOWN: f64 = 0.02;
+/// Boards that all differ less in direction leave the focal length undetermined.
+const MIN_TILT_RAD: f64 = 10.0 * std::f64::consts::PI / 180.0;
+/// A focal length with a larger relative σ counts as unknown.
+const MIN_KNOWN: f64 = 0.02;
 
-/// How many coefficients of distortion a lens has.
+/// Number of distortion coefficients of a lens.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum LensModel {
     /// k1, k2, p1, p2, k3.
     #[default]
     Five,
-    /// The same and k4, k5, k6 of the rational model: for wide angles, with boards out to the corners.
+    /// The same and k4, k5, k6 of the rational model: for wide angles, with boards reaching the corners.
     Eight,
 }
 
@@ -59,7 +58,7 @@ impl LensModel {
     }
 }
 
-/// The lens and how well it is known.
+/// The lens and its uncertainty.
 #[derive(Debug, Clone)]
 pub struct CameraCalibration {
     /// Size of the pictures, pixels.
@@ -68,9 +67,9 @@ pub struct CameraCalibration {
     pub lens: Lens,
     /// Covariance of fx, fy, cx, cy, k1, k2, p1, p2, k3, and k4, k5, k6 of a rational lens.
     pub covariance: DMatrix<f64>,
-    /// What it would be if each corner were off by itself: the share of noise. What is beyond it is the model's.
+    /// The covariance for independent corners: the part of noise. The rest comes from the model.
     pub noise_covariance: DMatrix<f64>,
-    /// By how much the variance exceeds that of independent corners, over all parameters; 1 or more.
+    /// Ratio of the variance to that of independent corners, over all parameters; 1 or more.
     pub design_effect: f64,
     /// Noise of one coordinate of a corner, pixels.
     pub corner_sd_px: f64,
@@ -78,12 +77,12 @@ pub struct CameraCalibration {
     pub shape: Shape,
     /// See `shape`.
     pub shape_covariance: Matrix3<f64>,
-    /// For each picture that was used: its name, the board's pose (camera_from_board, origin in the board's middle),
-    /// each corner's place in the picture and its residual, pixels.
+    /// For each picture used: its name, the board's pose (camera_from_board, origin at the board's centre), each
+    /// corner's position in the picture and its residual, pixels.
     pub used: Vec<UsedPicture>,
     /// Pictures left out, and why.
     pub left_out: Vec<(String, LeftOut)>,
-    /// What speaks against the lens.
+    /// Reasons to doubt the lens.
     pub diagnostics: Vec<CameraDiagnostic>,
 }
 
@@ -136,8 +135,8 @@ pub enum CameraError {
         /// Value.
         focal_px: f64,
     },
-    /// OpenCV refused.
-    #[error("no first guess of the lens: {0}")]
+    /// OpenCV failed.
+    #[error("no initial estimate of the lens: {0}")]
     Start(#[from] opencv::Error),
     /// The adjustment failed.
     #[error(
@@ -149,7 +148,7 @@ pub enum CameraError {
 /// Calibrates the lens.
 ///
 /// # Errors
-/// [`CameraError`] when the pictures do not belong together or leave the lens open.
+/// [`CameraError`] when the pictures are inconsistent or do not determine the lens.
 pub fn calibrate_camera(
     board: &Board,
     pictures: &[BoardPicture],
@@ -180,7 +179,7 @@ pub fn calibrate_camera(
     }
 }
 
-/// All pictures but those that are blurred or show the same as an earlier one.
+/// All pictures except those that are blurred or duplicate an earlier one.
 fn usable(pictures: &[BoardPicture]) -> (Vec<&BoardPicture>, Vec<(String, LeftOut)>) {
     let (mut used, mut left_out): (Vec<&BoardPicture>, _) = (Vec::new(), Vec::new());
     for picture in pictures {
@@ -198,7 +197,7 @@ fn usable(pictures: &[BoardPicture]) -> (Vec<&BoardPicture>, Vec<(String, LeftOu
     (used, left_out)
 }
 
-/// The gravest first.
+/// The most serious first.
 fn diagnose(
     board: &Board,
     used: &[&BoardPicture],
@@ -235,7 +234,7 @@ fn adjust(
     let places = board.centred_points();
     let (lens, poses) = start(&places, used, size_px, model)?;
     let spread = spread_rad(&poses);
-    if spread < LEAST_TILT_RAD {
+    if spread < MIN_TILT_RAD {
         return Err(CameraError::Parallel { spread_deg: spread.to_degrees() });
     }
     let corners: Vec<Corner> = used
@@ -253,7 +252,7 @@ fn adjust(
     Ok((bundle.solve()?, corners))
 }
 
-/// OpenCV's answer.
+/// OpenCV's solution, as the start.
 fn start(
     places: &[Point3<f64>],
     used: &[&BoardPicture],
@@ -315,7 +314,7 @@ fn conclude(
 ) -> Result<CameraCalibration, CameraError> {
     for axis in 0..2 {
         let (sd_px, focal_px) = (solved.covariance[(axis, axis)].sqrt(), solved.geometry.lens.focal_px[axis]);
-        if sd_px.is_nan() || sd_px > LEAST_KNOWN * focal_px {
+        if sd_px.is_nan() || sd_px > MIN_KNOWN * focal_px {
             return Err(CameraError::Open { sd_px, focal_px });
         }
     }

@@ -1,10 +1,10 @@
-//! Whether another lens model would show pictures better that it has not seen.
+//! Whether another lens model would fit held-out pictures better.
 //!
-//! In: boards in pictures. Out: for each [`Model`], how far off the corners of held-out pictures are.
+//! In: boards in pictures. Out: for each [`Model`], the residuals of the corners of held-out pictures.
 //!
-//! The pictures are parted into `FOLDS`; each part is held out in turn, the lens found from the rest by OpenCV, and the
-//! pose of the held-out boards, and nothing else, from their corners. A model with too few parameters leaves more of
-//! them, one with too many as well.
+//! The pictures are split into `FOLDS`; each is held out in turn, OpenCV calibrates the lens from the rest, and only
+//! the poses of the held-out boards are fitted to their corners. Models with too few or too many parameters leave
+//! larger residuals.
 
 use crate::calibrate::board::BoardPicture;
 use nalgebra::Point3;
@@ -13,18 +13,18 @@ use opencv::core::{Mat, MatExprTraitConst, Point2f, Point3f, Size, TermCriteria,
 use rayon::prelude::*;
 
 const FOLDS: usize = 5;
-/// Of a lens's search.
-const MOST_STEPS: i32 = 100;
-const LEAST_STEP: f64 = 1e-9;
-/// Another model is better when it leaves less than this part, and of at least half of the pictures less.
-const BETTER: f64 = 0.93;
+/// Most steps of a lens's search.
+const MAX_STEPS: i32 = 100;
+const MIN_STEP: f64 = 1e-9;
+/// Another model is better when its residual is below this fraction, and smaller for at least half of the pictures.
+const BETTER_BELOW: f64 = 0.93;
 
 /// A lens model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Model {
-    /// Brown's with five parameters, which a rig has unless it is told otherwise.
+    /// Brown's with five parameters, a rig's default.
     Brown,
-    /// OpenCV's rational one with eight, which a rig can have too.
+    /// OpenCV's rational one with eight, which a rig can also have.
     Rational,
     /// OpenCV's fisheye, Kannala and Brandt's with four.
     Fisheye,
@@ -40,8 +40,7 @@ impl std::fmt::Display for Model {
     }
 }
 
-/// The model that shows held-out pictures clearly better than `own`: RMS of a coordinate with `own` and with it,
-/// pixels.
+/// The model that fits held-out pictures clearly better than `own`: RMS of a coordinate with `own` and with it, pixels.
 pub(crate) fn better(
     places: &[Point3<f64>],
     used: &[&BoardPicture],
@@ -56,14 +55,14 @@ pub(crate) fn better(
     let rms = |each: &[f64]| (each.iter().map(|e| e * e).sum::<f64>() / each.len().max(1) as f64).sqrt();
     let clearly = |each: &&Vec<f64>| {
         let closer = each.iter().zip(by_own).filter(|(other, own)| other < own).count();
-        rms(each) < BETTER * rms(by_own) && 2 * closer >= by_own.len()
+        rms(each) < BETTER_BELOW * rms(by_own) && 2 * closer >= by_own.len()
     };
     let others = models.into_iter().skip(1).zip(others).filter_map(|(model, each)| Some((model, each.as_ref()?)));
     let better = others.filter(|(_, each)| clearly(each)).min_by(|a, b| rms(a.1).total_cmp(&rms(b.1)))?;
     Some((better.0, rms(by_own), rms(better.1)))
 }
 
-/// RMS of a coordinate in each picture, held out, in the order of their folds.
+/// RMS of a coordinate in each picture when held out, in the order of the folds.
 fn held_out(
     places: &[Point3<f64>],
     used: &[&BoardPicture],
@@ -93,7 +92,7 @@ fn held_out(
     Ok(all)
 }
 
-/// A lens as OpenCV has it.
+/// A lens in OpenCV's form.
 struct Found {
     model: Model,
     matrix: Mat,
@@ -112,8 +111,8 @@ impl Found {
         let size = Size::new(size_px[0] as i32, size_px[1] as i32);
         let end = TermCriteria {
             typ: TermCriteria_Type::COUNT as i32 + TermCriteria_Type::EPS as i32,
-            max_count: MOST_STEPS,
-            epsilon: LEAST_STEP,
+            max_count: MAX_STEPS,
+            epsilon: MIN_STEP,
         };
         let (k, d) = (&mut matrix, &mut distortion);
         match model {
@@ -129,7 +128,7 @@ impl Found {
         Ok(Self { model, matrix, distortion })
     }
 
-    /// RMS of a coordinate of a board whose pose is not known.
+    /// RMS of a coordinate of a board whose pose is fitted.
     fn left_px(&self, object: &Vector<Point3f>, image: &Vector<Point2f>) -> opencv::Result<f64> {
         let (mut turn, mut shift) = (Mat::default(), Mat::default());
         let mut there = Vector::<Point2f>::new();
@@ -146,7 +145,7 @@ impl Found {
         }
         let square = |(a, b): (Point2f, Point2f)| f64::from(a.x - b.x).powi(2) + f64::from(a.y - b.y).powi(2);
         let sum: f64 = image.iter().zip(there.iter()).map(square).sum();
-        // Six numbers of the pose are the picture's own.
+        // Each picture has six pose parameters.
         Ok((sum / (2.0 * image.len() as f64 - 6.0).max(1.0)).sqrt())
     }
 }

@@ -1,5 +1,5 @@
-//! σ of the lens against scatter, on corners found in photographs that others took: halves of a set, calibrated apart,
-//! differ by what their σ say.
+//! σ of the lens against scatter, on corners from other people's photographs: halves of a set, calibrated separately,
+//! differ as their σ predict.
 
 use crate::calibrate::board::BoardPicture;
 use crate::calibrate::board::{Board, BoardImage};
@@ -12,7 +12,7 @@ use crate::calibrate::tests::gaussian;
 use nalgebra::Point2;
 use std::path::Path;
 
-/// A set of tests/data/real_boards.
+/// A set from tests/data/real_boards.
 pub(crate) fn pictures(set: &str, size_px: [u32; 2]) -> Vec<BoardPicture> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/real_boards").join(set);
     let text = std::fs::read_to_string(path).unwrap();
@@ -30,8 +30,8 @@ pub(crate) fn pictures(set: &str, size_px: [u32; 2]) -> Vec<BoardPicture> {
     pictures
 }
 
-/// What some of the pictures say alone, from the answer of all of them.
-fn of_some(board: &Board, pictures: &[BoardPicture], all: &CameraCalibration, some: &[usize]) -> Solution {
+/// The solution of some of the pictures, started from that of all.
+fn solved_with(board: &Board, pictures: &[BoardPicture], all: &CameraCalibration, some: &[usize]) -> Solution {
     let places = board.centred_points();
     let corner = |(own, picture): (usize, &usize)| {
         let corners = pictures[*picture].image.corners.clone().into_iter();
@@ -71,7 +71,7 @@ fn halves_of_real_sets_differ_by_what_their_deviations_say() {
             order.sort_by(|a, b| a.0.total_cmp(&b.0));
             let order: Vec<usize> = order.into_iter().map(|(_, i)| i).collect();
             let (a, b) = order.split_at(order.len() / 2);
-            let [a, b] = [a, b].map(|half| of_some(&board, &pictures, &all, half));
+            let [a, b] = [a, b].map(|half| solved_with(&board, &pictures, &all, half));
             for (i, parameter) in Parameter::of_lens(&all.lens).iter().copied().enumerate() {
                 let off = (a.geometry.value(parameter) - b.geometry.value(parameter)).powi(2);
                 squares += off / (a.covariance[(i, i)] + b.covariance[(i, i)]) / (9 * SPLITS) as f64;
@@ -97,43 +97,44 @@ fn halves_of_real_sets_differ_by_what_their_deviations_say() {
     }
 }
 
-fn told(board: &str, pictures: &[BoardPicture]) -> Vec<CameraDiagnostic> {
+fn diagnosed(board: &str, pictures: &[BoardPicture]) -> Vec<CameraDiagnostic> {
     let done = calibrate_camera(&board.parse().unwrap(), pictures, LensModel::Five).unwrap();
     println!("f {:.2}, {} pictures: {:?}", done.lens.focal_px, done.used.len(), done.diagnostics);
     done.diagnostics
 }
 
-/// OpenCV's pair of cameras looks at one board: their pictures, mixed, are told apart to the last one.
+/// OpenCV's pair of cameras looks at one board: mixed together, their pictures are separated without a mistake.
 #[test]
 fn pictures_of_two_cameras_are_told_apart() {
     let [left, right] = ["chess_9x6_left.csv", "chess_9x6.csv"].map(|set| pictures(set, [640, 480]));
     for alone in [&left, &right] {
-        let told = told("9x6:25mm", alone);
-        assert!(!told.iter().any(|d| matches!(d, CameraDiagnostic::TwoLenses { .. })), "{told:?}");
+        let diagnosed = diagnosed("9x6:25mm", alone);
+        assert!(!diagnosed.iter().any(|d| matches!(d, CameraDiagnostic::TwoLenses { .. })), "{diagnosed:?}");
     }
-    let told = told("9x6:25mm", &[left, right].concat());
-    let Some(CameraDiagnostic::TwoLenses { names, .. }) = told.first() else { panic!("{told:?}") };
+    let diagnosed = diagnosed("9x6:25mm", &[left, right].concat());
+    let Some(CameraDiagnostic::TwoLenses { names, .. }) = diagnosed.first() else { panic!("{diagnosed:?}") };
     assert!(names.len() == 11 && names.iter().all(|name| name.starts_with("left")), "{names:?}");
 }
 
 #[test]
 fn a_bent_board_and_a_wide_angle_are_told() {
-    let of_chess = told("10x7:160mm", &pictures("chess_10x7.csv", [1920, 1080]));
+    let of_chess = diagnosed("10x7:160mm", &pictures("chess_10x7.csv", [1920, 1080]));
     let [CameraDiagnostic::Bent { sag_mm, .. }] = of_chess.as_slice() else { panic!("{of_chess:?}") };
     assert!((2.0..6.0).contains(sag_mm), "{sag_mm}");
-    let of_charuco = told("charuco:18x9:20mm:15mm:DICT_4X4_250", &pictures("charuco_18x9.csv", [1280, 720]));
+    let of_charuco = diagnosed("charuco:18x9:20mm:15mm:DICT_4X4_250", &pictures("charuco_18x9.csv", [1280, 720]));
     assert!(matches!(of_charuco.first(), Some(CameraDiagnostic::Model { .. })), "{of_charuco:?}");
 }
 
-/// The same pictures as the middle of larger ones.
+/// The same pictures as the centre of larger ones.
 #[test]
 fn boards_in_the_middle_only_are_told() {
     let mut pictures = pictures("chess_9x6.csv", [640, 480]);
-    let reaches = |told: &[CameraDiagnostic]| told.iter().any(|d| matches!(d, CameraDiagnostic::Reach { .. }));
-    assert!(!reaches(&told("9x6:25mm", &pictures)));
+    let reaches =
+        |diagnosed: &[CameraDiagnostic]| diagnosed.iter().any(|d| matches!(d, CameraDiagnostic::Reach { .. }));
+    assert!(!reaches(&diagnosed("9x6:25mm", &pictures)));
     for picture in &mut pictures {
         picture.size_px = [1600, 1200];
         picture.image.corners.iter_mut().for_each(|(_, pixel)| *pixel += nalgebra::Vector2::new(480.0, 360.0));
     }
-    assert!(reaches(&told("9x6:25mm", &pictures)));
+    assert!(reaches(&diagnosed("9x6:25mm", &pictures)));
 }

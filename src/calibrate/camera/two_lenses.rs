@@ -1,16 +1,15 @@
-//! Whether pictures fall into two groups that each want a lens of their own: two cameras, or one whose focus or zoom
-//! was moved.
+//! Whether pictures fall into two groups with different lenses: two cameras, or one whose focus or zoom was changed.
 //!
-//! In: a solution and its corners. Out: [`TwoLenses`], when one lens is clearly not enough.
+//! In: a solution and its corners. Out: [`TwoLenses`], when one lens clearly does not fit.
 //!
-//! Pictures are first parted by the direction in which they pull at the one lens most differently; each group is then
-//! solved by itself and every picture goes to the lens that leaves less of it, until none changes. Any set can be
-//! parted so; of two lenses is spoken when they differ by far more than their covariances say, which hold what the
-//! pictures of one camera scatter, and leave much less of the corners than one.
+//! Pictures are first split by the direction in which their pulls on the single lens differ most; each group is then
+//! solved separately and every picture moves to the lens with the smaller residual, until none changes. Any set can be
+//! split like this; two lenses are reported only if they differ by far more than their covariances, which include the
+//! scatter of one camera's pictures, and fit the corners much better than one.
 //!
-//! Cannot tell: groups of fewer than four pictures; lenses closer than what else is wrong in the pictures. Of OpenCV's
-//! pair of cameras, 15 px apart in centre, a mixture of halves is told, five pictures among twelve of the other are
-//! not.
+//! Cannot tell: groups of fewer than four pictures; lenses that differ less than other errors of the pictures. For
+//! OpenCV's pair of cameras, with centres 15 px apart, a half-and-half mixture is detected, five pictures among twelve
+//! of the other are not.
 
 use crate::calibrate::bundle::{Bundle, Corner, Solution};
 use crate::calibrate::geometry::Parameter;
@@ -18,14 +17,14 @@ use crate::optics::Lens;
 use nalgebra::{DMatrix, DVector};
 
 /// Fewest pictures of a group.
-const FEWEST: usize = 4;
-const MOST_ROUNDS: usize = 8;
-/// The lenses differ by so many times what their covariances say, χ² by its freedom: pictures of one camera, parted as
-/// badly as they can be, reach 10.
-const APART: f64 = 15.0;
-/// One lens leaves so many times the squares that two leave.
-const LEFT: f64 = 1.25;
-/// A corner counts as no further off than so many σ.
+const MIN_PICTURES: usize = 4;
+const MAX_ROUNDS: usize = 8;
+/// Least difference of the lenses relative to their covariances, χ² per degree of freedom: pictures of one camera,
+/// split in the worst way, reach 10.
+const MIN_CHI2: f64 = 15.0;
+/// Least ratio of the sums of squares of one lens and of two.
+const MIN_COST_RATIO: f64 = 1.25;
+/// Residuals are capped at this many σ.
 const OUTLIER: f64 = 4.0;
 
 /// Two groups of pictures, and the lens of each.
@@ -37,7 +36,7 @@ pub(crate) struct TwoLenses {
     pub(crate) lenses: [Lens; 2],
 }
 
-/// Looks for two groups.
+/// Searches for two groups.
 pub(crate) fn two_lenses(solved: &Solution, corners: &[Corner]) -> Option<TwoLenses> {
     let all = squares(solved, &solved.geometry.lens, corners)?.iter().sum::<f64>();
     let starts = starts(&solved.pulls)?;
@@ -50,20 +49,20 @@ pub(crate) fn two_lenses(solved: &Solution, corners: &[Corner]) -> Option<TwoLen
     );
     let together = (&a.covariance + &b.covariance).cholesky()?;
     let apart = off.dot(&together.solve(&off)) / off.len() as f64;
-    (apart > APART && all > LEFT * best.left)
+    (apart > MIN_CHI2 && all > MIN_COST_RATIO * best.left)
         .then_some(TwoLenses { groups: best.groups, lenses: [a.geometry.lens, b.geometry.lens] })
 }
 
 /// Pictures in two groups.
-struct Parted {
+struct Split {
     groups: [Vec<usize>; 2],
     solutions: [Solution; 2],
-    /// Squares that the better lens of each picture leaves.
+    /// Sum of squares with the better lens for each picture.
     left: f64,
 }
 
-/// Halves of the pictures by each of the two directions in which they pull most differently; whether each is of the
-/// first.
+/// Splits the pictures by each of the two directions in which their pulls differ most; whether each picture is in the
+/// first half.
 fn starts(pulls: &[DVector<f64>]) -> Option<Vec<Vec<bool>>> {
     let size = pulls.first()?.len();
     let matrix = DMatrix::from_fn(pulls.len(), size, |row, column| pulls[row][column]);
@@ -78,12 +77,12 @@ fn starts(pulls: &[DVector<f64>]) -> Option<Vec<Vec<bool>>> {
     Some((0..along.ncols().min(2)).map(half).collect())
 }
 
-fn part(solved: &Solution, corners: &[Corner], mut first: Vec<bool>) -> Option<Parted> {
-    let mut best: Option<Parted> = None;
-    for _ in 0..MOST_ROUNDS {
+fn part(solved: &Solution, corners: &[Corner], mut first: Vec<bool>) -> Option<Split> {
+    let mut best: Option<Split> = None;
+    for _ in 0..MAX_ROUNDS {
         let group = |which: bool| (0..first.len()).filter(|i| first[*i] == which).collect::<Vec<usize>>();
         let groups = [group(true), group(false)];
-        if groups.iter().any(|group| group.len() < FEWEST) {
+        if groups.iter().any(|group| group.len() < MIN_PICTURES) {
             break;
         }
         let of = |group: &Vec<usize>| solved.of_pictures(group, corners).solve().ok();
@@ -92,7 +91,7 @@ fn part(solved: &Solution, corners: &[Corner], mut first: Vec<bool>) -> Option<P
         let (Some(by_a), Some(by_b)) = (by_a, by_b) else { break };
         let left = by_a.iter().zip(&by_b).map(|(a, b)| a.min(*b)).sum();
         if best.as_ref().is_none_or(|best| left < best.left) {
-            best = Some(Parted { groups, solutions: [a, b], left });
+            best = Some(Split { groups, solutions: [a, b], left });
         }
         let next: Vec<bool> = by_a.iter().zip(&by_b).map(|(a, b)| a < b).collect();
         if next == first {
@@ -103,7 +102,7 @@ fn part(solved: &Solution, corners: &[Corner], mut first: Vec<bool>) -> Option<P
     best
 }
 
-/// For each picture, the squares that a lens leaves, its pose being free.
+/// For each picture, the sum of squares with a lens, its pose being free.
 fn squares(solved: &Solution, lens: &Lens, corners: &[Corner]) -> Option<Vec<f64>> {
     let all: Vec<usize> = (0..solved.poses.len()).collect();
     let mut bundle: Bundle = solved.of_pictures(&all, corners);

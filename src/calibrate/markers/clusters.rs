@@ -1,19 +1,19 @@
-//! A few clusters of colours: tube, grounds, clamp, other things around a band.
+//! A few clusters of colours: tube, backgrounds, clamp, other objects around a band.
 //!
-//! k-means from starts far apart. Each cluster is a class of its own: the tube is a few per cent of what surrounds a
-//! band, and would drown in one class with the ground.
+//! k-means from starts far apart. Each cluster is its own class: the tube is only a few per cent of a band's
+//! surroundings and would drown in one class with the background.
 
 use nalgebra::Vector3;
 
-/// Rounds to find them.
+/// Iterations.
 const ROUNDS: usize = 8;
-/// Colours that decide where the clusters are.
-const DECIDING: usize = 4000;
+/// Colours used to find the clusters.
+const MAX_SAMPLES: usize = 4000;
 
-/// At most `count` clusters, as lists; the same colours give the same ones.
+/// At most `count` clusters, as lists; deterministic.
 pub(crate) fn clusters(colours: &[Vector3<f64>], count: usize) -> Vec<Vec<Vector3<f64>>> {
     let deciding: Vec<Vector3<f64>> =
-        colours.iter().step_by(colours.len().div_ceil(DECIDING).max(1)).copied().collect();
+        colours.iter().step_by(colours.len().div_ceil(MAX_SAMPLES).max(1)).copied().collect();
     let mean = |list: &[Vector3<f64>]| list.iter().sum::<Vector3<f64>>() / list.len().max(1) as f64;
     let mut centres = vec![mean(&deciding)];
     let distance = |colour: &Vector3<f64>, centres: &[Vector3<f64>]| {
@@ -36,7 +36,7 @@ pub(crate) fn clusters(colours: &[Vector3<f64>], count: usize) -> Vec<Vec<Vector
     nearest(colours, &centres).into_iter().filter(|list| !list.is_empty()).collect()
 }
 
-/// The colours that are nearest to each centre.
+/// The colours nearest to each centre.
 fn nearest(colours: &[Vector3<f64>], centres: &[Vector3<f64>]) -> Vec<Vec<Vector3<f64>>> {
     let mut lists = vec![Vec::new(); centres.len()];
     for colour in colours {

@@ -7,7 +7,7 @@ use crate::track::TrackError;
 /// Why the markers cannot be calibrated.
 #[derive(Debug, thiserror::Error)]
 pub enum MarkersError {
-    /// The recording broke.
+    /// The recording failed.
     #[error(transparent)]
     Source(#[from] SourceError),
     /// No frame at all.
@@ -25,12 +25,12 @@ pub enum MarkersError {
         x: f64,
         /// Pixel.
         y: f64,
-        /// Of the picture.
+        /// Size of the picture.
         width: u32,
-        /// Of the picture.
+        /// Size of the picture.
         height: u32,
     },
-    /// A click beside the view that it should be in.
+    /// A click outside its view.
     #[error("pick {name}@{x},{y} lies outside region_px of view `{view}`{}", also_in(other.as_deref()))]
     OutsideView {
         /// Marker.
@@ -61,10 +61,10 @@ pub enum MarkersError {
         x: f64,
         /// Pixel.
         y: f64,
-        /// What was looked for.
+        /// What was searched for.
         band: String,
     },
-    /// Two bands clicked in one place.
+    /// Two bands clicked at one place.
     #[error("`{}` and `{}` were picked on one band: pick each on its own", names[0], names[1])]
     OneBand {
         /// Markers.
@@ -79,7 +79,7 @@ pub enum MarkersError {
         /// Markers, as given.
         names: String,
     },
-    /// Places that no tube joins.
+    /// Places that no tube connects.
     #[error(
         "what was picked is not on one tube: nothing on the lines of sight is as near to each other as its bands are"
     )]
@@ -90,7 +90,7 @@ pub enum MarkersError {
          walls where they were?"
     )]
     NoVolume,
-    /// A band that the camera shows at its limit.
+    /// A band that is over- or underexposed.
     #[error("`{name}` is overexposed in view `{view}`: {advice}")]
     Overexposed {
         /// Marker.
@@ -100,7 +100,7 @@ pub enum MarkersError {
         /// What to do.
         advice: String,
     },
-    /// A band whose colour is another's.
+    /// Bands whose colours cannot be told apart.
     #[error(
         "colours that cannot be told apart: {0}. Choose bands of purer or other colours, more even light, or take the other \
          thing of that colour out of the picture"
@@ -111,7 +111,7 @@ pub enum MarkersError {
     TooSeldom {
         /// Marker.
         name: String,
-        /// Frames in which it was.
+        /// Frames in which it was measured.
         answered: usize,
         /// Frames looked at.
         frames: usize,
@@ -139,5 +139,5 @@ pub enum MarkersError {
 }
 
 fn also_in(other: Option<&str>) -> String {
-    other.map_or(String::new(), |other| format!("; it lies in that of `{other}`, say so: --pick NAME@{other}:X,Y"))
+    other.map_or(String::new(), |other| format!("; it is in view `{other}`: write --pick NAME@{other}:X,Y"))
 }

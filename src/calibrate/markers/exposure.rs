@@ -1,22 +1,22 @@
-//! How a band is exposed: whether the camera could tell its colour at all.
+//! How a band is exposed: whether the camera could record its colour.
 
 use nalgebra::Vector3;
 
-/// Of one band in one view.
+/// Exposure of one band in one view.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Exposure {
     /// The value that 95 % of the samples' brightest channels stay below, R'G'B' 0..255.
     pub level: f64,
-    /// Share of the samples that are at the end of the scale.
+    /// Fraction of the samples at the end of the scale.
     pub clipped: f64,
 }
 
-/// From here on a channel is at its end, and below this it is lost in the noise.
-const END: f64 = 251.0;
-const DIM: f64 = 60.0;
-/// Shares of clipped samples that are worth a word, and that leave no colour to learn.
-const SOME: f64 = 0.03;
-const MOST: f64 = 0.5;
+/// Level from which a channel is saturated, and level below which it is lost in the noise.
+const SATURATED: f64 = 251.0;
+const DARK: f64 = 60.0;
+/// Fractions of clipped samples that are worth a warning, and that leave no colour to learn.
+const WARN_FRACTION: f64 = 0.03;
+const LOST_FRACTION: f64 = 0.5;
 
 impl Exposure {
     /// `None` without samples.
@@ -24,24 +24,24 @@ impl Exposure {
         let mut brightest: Vec<f64> = rgb.iter().map(|v| v.max()).collect();
         brightest.sort_by(f64::total_cmp);
         let level = *brightest.get(brightest.len() * 95 / 100)?;
-        let clipped = brightest.iter().filter(|v| **v >= END).count() as f64 / brightest.len() as f64;
+        let clipped = brightest.iter().filter(|v| **v >= SATURATED).count() as f64 / brightest.len() as f64;
         Some(Self { level: level.clamp(0.0, 255.0), clipped })
     }
 
-    /// The band has no colour of its own: the camera shows it at its limit.
+    /// Whether the band's colour is lost: it is over- or underexposed.
     pub fn is_lost(&self) -> bool {
-        self.clipped > MOST
+        self.clipped > LOST_FRACTION
     }
 
     /// What to do about it; `None` when it is fine.
     pub fn advice(&self) -> Option<String> {
-        if self.clipped > SOME {
+        if self.clipped > WARN_FRACTION {
             return Some(format!(
                 "{:.0} % of its pixels are at the end of the scale: halve the exposure",
                 self.clipped * 100.0
             ));
         }
-        (self.level < DIM)
+        (self.level < DARK)
             .then(|| format!("it reaches {:.0} of 255 only: double the exposure or the light", self.level))
     }
 }

@@ -1,4 +1,5 @@
-//! The picked frame: bands found by geometry, colours from them, and whether the tracker measures those bands.
+//! The picked frame: finds bands by geometry, learns colours from them, and checks that the tracker measures the same
+//! bands.
 
 use super::error::MarkersError;
 use super::learned::{ViewColours, learn_views, set_models};
@@ -20,7 +21,7 @@ pub(super) fn learn_located(
     let names: Vec<String> = rig.markers.iter().map(|m| m.name.clone()).collect();
     let samples = views.iter().enumerate().map(|(v, view)| {
         let mut samples = Samples::new(view, names.clone());
-        let place = |(m, candidate): (usize, &Candidate)| Some(Place::look(m, candidate.looks[v].as_ref()?));
+        let place = |(m, candidate): (usize, &Candidate)| Some(Place::of_match(m, candidate.matches[v].as_ref()?));
         samples.add(&frame.picture, &located.iter().enumerate().filter_map(place).collect::<Vec<_>>());
         samples
     });
@@ -29,7 +30,7 @@ pub(super) fn learn_located(
     Ok(learned)
 }
 
-/// The tracker must measure the very bands that were located.
+/// Checks that the tracker measures the bands that were located.
 pub(super) fn confirm(
     rig: &Rig,
     clicks: &[Vec<Near>],
@@ -55,16 +56,16 @@ pub(super) fn confirm(
             let also = if also.is_empty() { String::new() } else { format!(" (nor can {})", also.join(", ")) };
             return Err(not_measured(format!("{}{also}", why(rig, info, miss))));
         }
-        let looks = located.get(m).map(|candidate| candidate.looks.as_slice()).unwrap_or_default();
-        for ((seen, look), view) in marker.views.iter().zip(looks).zip(&names) {
-            let (Ok(seen), Some(look)) = (seen, look) else { continue };
-            let away = (seen.centre_px - look.centre).norm();
-            if away > look.size.length / 2.0 + look.size.width {
+        let matches = located.get(m).map(|candidate| candidate.matches.as_slice()).unwrap_or_default();
+        for ((seen, matched), view) in marker.views.iter().zip(matches).zip(&names) {
+            let (Ok(seen), Some(matched)) = (seen, matched) else { continue };
+            let away = (seen.centre_px - matched.centre).norm();
+            if away > matched.size.length / 2.0 + matched.size.width {
                 return Err(not_measured(format!(
                     "it is at {:.0},{:.0} in view `{view}`, but what has its colour and fits a length of {:.1} mm is at \
                      {:.0},{:.0}",
-                    look.centre.x,
-                    look.centre.y,
+                    matched.centre.x,
+                    matched.centre.y,
                     info.length_m * 1e3,
                     seen.centre_px.x,
                     seen.centre_px.y,
@@ -75,7 +76,7 @@ pub(super) fn confirm(
     Ok(estimate)
 }
 
-/// What was not found, as the one who clicked should hear it.
+/// What was not found, in words for the user who clicked.
 pub(super) fn explained(rig: &Rig, clicks: &[Vec<Near>], why: NotFound) -> MarkersError {
     let view_name = |v: usize| rig.views.get(v).map_or_else(String::new, |view| view.name.clone());
     let click = |marker: usize, view: usize| {
@@ -89,7 +90,7 @@ pub(super) fn explained(rig: &Rig, clicks: &[Vec<Near>], why: NotFound) -> Marke
             let (x, y) = click(marker, view);
             MarkersError::NoBand { name: name(marker), view: view_name(view), x, y, band: band(marker) }
         }
-        NotFound::OneView { marker, view, look } => {
+        NotFound::OneView { marker, view, matched } => {
             let (x, y) = click(marker, view);
             let others: Vec<String> =
                 (0..rig.views.len()).filter(|v| *v != view).map(|v| format!("`{}`", view_name(v))).collect();
@@ -97,8 +98,8 @@ pub(super) fn explained(rig: &Rig, clicks: &[Vec<Near>], why: NotFound) -> Marke
                 "a band is seen at {:.0},{:.0}, but along its line of sight nothing like {} is seen in {}: is it hidden or \
                  too dark there, or does a region leave it out? Are mirror and walls in the rig where they were? A pick there \
                  too says where it is: --pick {}@VIEW:X,Y",
-                look.centre.x,
-                look.centre.y,
+                matched.centre.x,
+                matched.centre.y,
                 band(marker),
                 others.join(" or "),
                 name(marker),
@@ -118,7 +119,7 @@ fn band(rig: &Rig, marker: &Marker) -> String {
     format!("a band of {:.1} mm on a tube of {:.1} mm", marker.length_m * 1e3, rig.catheter.diameter_m * 1e3)
 }
 
-/// A miss as the one who clicked should hear it.
+/// A miss, in words for the user who clicked.
 fn why(rig: &Rig, marker: &Marker, miss: &Miss) -> String {
     let band = band(rig, marker);
     match miss {
@@ -135,20 +136,31 @@ fn why(rig: &Rig, marker: &Marker, miss: &Miss) -> String {
              walls in the rig are where they were",
             distance_m * 1e3
         ),
-        _ => format!("what is there does not look like {band}: are length and diameter right?"),
+        Miss::Interlaced => {
+            "its odd and even rows were taken at different times (interlaced video): record progressive frames"
+                .to_owned()
+        }
+        Miss::TooCoarse => {
+            "the recorder compressed the picture too coarsely there: record at crf 20 or better".to_owned()
+        }
+        Miss::Damaged => "the frame is damaged: pick the bands in another one (--at)".to_owned(),
+        Miss::NotRecorded => {
+            "the log holds only the parts of the picture that were looked at, and the band is not in them".to_owned()
+        }
+        _ => format!("the object there does not look like {band}: are length and diameter right?"),
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::calibrate::markers::locate::{Look, Size};
+    use crate::calibrate::markers::locate::{BandMatch, Size};
     use crate::segment::Segmenter;
     use crate::source::{Clock, Colour, Picture, PixelFormat, Timestamp};
     use crate::testing::fixture;
     use nalgebra::{Point2, Point3, Vector2, Vector3};
 
-    /// A white tube with three bands, 7 px wide, in 4:2:0; its edges are as soft as a lens makes them.
+    /// A white tube with three bands, 7 px wide, in 4:2:0; with edges as soft as through a lens.
     fn hanging_on(ground: [f64; 3]) -> Frame {
         const SIZE: [usize; 2] = [120, 280];
         let albedo = |y: f64| match y {
@@ -187,28 +199,42 @@ mod tests {
         Frame { seq: 0, stamp: Timestamp { ns: 0, clock: Clock::Container }, gap: 0, host: None, picture }
     }
 
-    /// On a dark ground a band's blob reaches into the tube beside it; learning from it must not draw the tube in.
+    /// The bands of that tube, off by as much as a band's location may be.
+    fn located() -> [Candidate; 3] {
+        [(37.5, 11.0), (201.0, 22.0), (248.0, 12.0)].map(|(y, length)| {
+            let matched = BandMatch {
+                centre: Point2::new(60.0, y),
+                axis: Vector2::y(),
+                size: Size { length, width: 7.0 },
+                score: 1.0,
+                colour: Vector3::zeros(),
+                ends: [Vector3::zeros(); 2],
+                grounds: [Vector3::zeros(); 2],
+            };
+            Candidate { point: Point3::origin(), matches: vec![Some(matched)], score: 1.0 }
+        })
+    }
+
+    #[test]
+    fn a_frame_in_which_nothing_can_be_measured_is_not_blamed_on_the_band() {
+        let frame = hanging_on([0.13, 0.13, 0.12]);
+        let mut rig = fixture::rig();
+        rig.views.truncate(1);
+        rig.camera.size_px = frame.picture.size_px();
+        learn_located(&mut rig, &located(), &frame).unwrap();
+        let interlaced = Frame { picture: frame.picture.interlaced(true), ..frame };
+        let refused = confirm(&rig, &[], &located(), &interlaced).unwrap_err().to_string();
+        assert!(refused.contains("interlaced") && !refused.contains("diameter"), "{refused}");
+    }
+
+    /// On a dark background a band's blob reaches into the tube beside it; learning from it must not include the tube.
     #[test]
     fn bands_stay_bands_whatever_they_hang_before() {
         for ground in [[0.02, 0.02, 0.018], [0.13, 0.13, 0.12], [0.4, 0.39, 0.36]] {
             let frame = hanging_on(ground);
             let mut rig = fixture::rig();
             rig.views.truncate(1);
-            let candidate = |y: f64, length: f64| {
-                let look = Look {
-                    centre: Point2::new(60.0, y),
-                    axis: Vector2::y(),
-                    size: Size { length, width: 7.0 },
-                    score: 1.0,
-                    colour: Vector3::zeros(),
-                    ends: [Vector3::zeros(); 2],
-                    grounds: [Vector3::zeros(); 2],
-                };
-                Candidate { point: Point3::origin(), looks: vec![Some(look)], score: 1.0 }
-            };
-            // As far off as a band is located.
-            let located = [candidate(37.5, 11.0), candidate(201.0, 22.0), candidate(248.0, 12.0)];
-            learn_located(&mut rig, &located, &frame).unwrap();
+            learn_located(&mut rig, &located(), &frame).unwrap();
             for marker in &rig.markers {
                 let white = marker.colour(0).unwrap().score(&Vector3::repeat(190.0));
                 assert!(white < 0.3, "{ground:?}: the tube scores {white:.2} as `{}`", marker.name);

@@ -1,5 +1,5 @@
-//! What makes the pictures fit best: places of the bands along the tube, blur of the lens, offset of the chroma
-//! samples, exposure.
+//! Parameters fitted to the pictures: places of the bands along the tube, blur of the lens, offset of the chroma
+//! samples, gamma, exposure.
 
 use crate::calibrate::markers::line_search::minimise;
 use crate::calibrate::markers::{MarkersError, track};
@@ -8,30 +8,37 @@ use crate::rig::Rig;
 use crate::source::Frame;
 use crate::track::{TrackOptions, Tracker};
 
-/// Frames that decide.
+/// Frames used for the fit.
 const TUNING_FRAMES: usize = 12;
 
-/// How far the tube between two bands may be from an arc of a circle: its length beyond that of the chord is uncertain
-/// by this much of chord · ψ², where ψ is the angle between the chord and the coil's tangent (an arc is longer by 1/6
+/// How far the tube between two bands may deviate from a circular arc: its excess length over the chord is uncertain by
+/// this fraction of chord · ψ², where ψ is the angle between the chord and the coil's tangent (an arc is longer by 1/6
 /// of it).
 const NO_ARC: f64 = 0.2;
-/// σ of a distance of two bands in one frame at least, metres.
-const LEAST_SD_M: f64 = 0.05e-3;
-/// Exposures that are tried, from none to the whole interval between two frames.
+/// Least σ of the distance of two bands in one frame, metres.
+const MIN_SD_M: f64 = 0.05e-3;
+/// Number of exposures tried, from zero to the whole interval between two frames.
 const EXPOSURES: usize = 9;
-/// A frame and its follower are no further apart than this, seconds; an exposure counts from so many σ, and this share
-/// of their interval, on: blur of a tenth of the way is none.
+/// Longest time between a frame and its follower, seconds; and the least exposure that counts, in σ and as a fraction
+/// of their interval: blur over a tenth of the motion is negligible.
 const LONGEST_PAIR_S: f64 = 0.06;
-const LEAST_EXPOSURE_SDS: f64 = 3.0;
-const LEAST_EXPOSURE: f64 = 0.1;
-/// Independent thirds of the frames whose results say how well a distance is known, and the least σ said of it, metres.
+const MIN_EXPOSURE_SDS: f64 = 3.0;
+const MIN_EXPOSURE: f64 = 0.1;
+/// Where the search for gamma begins, its step, and its limits; it counts from a mean ln σ² of the residuals that is
+/// smaller by this much, and by this many σ of the difference.
+const FIRST_GAMMA: f64 = 0.5;
+const GAMMA_STEP: f64 = 0.1;
+const GAMMAS: (f64, f64) = (0.25, 1.4);
+const MIN_GAIN: f64 = 0.002;
+const MIN_GAIN_SDS: f64 = 3.0;
+/// Independent thirds of the frames, whose results give the σ of a distance, and its least σ, metres.
 const PARTS: usize = 3;
-const LEAST_FITTED_SD_M: f64 = 0.01e-3;
+const MIN_FITTED_SD_M: f64 = 0.01e-3;
 
-/// Places along the tube that the rig does not know, counted from the outer edge of the first band, and the σ of the
-/// distance of each from the one before, metres; `None` where it was known or is not found.
+/// Finds places along the tube that the rig lacks, from the outer edge of the first band; returns the σ of each one's
+/// distance from the one before, metres; `None` where it was known or is not found.
 ///
-/// An arc is measured as a chord: all frames count, those in which the tube is straight most.
+/// An arc is measured as a chord: all frames count, most of all those in which the tube is straight.
 pub(super) fn place_bands(rig: &mut Rig, frames: &[Frame]) -> Result<Vec<Option<f64>>, MarkersError> {
     let mut sd_m = vec![None; rig.markers.len()];
     if rig.markers.iter().all(|m| m.centre_m.is_some()) {
@@ -50,7 +57,7 @@ pub(super) fn place_bands(rig: &mut Rig, frames: &[Frame]) -> Result<Vec<Option<
         }
         rig.markers[m].centre_m = Some(at);
     }
-    // What the pictures show where bands are fitted together says more.
+    // Where bands are fitted together, the pictures give more information.
     let some = every(frames, TUNING_FRAMES);
     for m in (1..rig.markers.len()).filter(|&m| m == coil || m == coil + 1) {
         let start = rig.markers[m].centre_m.unwrap_or(at) - rig.markers[m - 1].centre_m.unwrap_or(0.0);
@@ -64,20 +71,20 @@ pub(super) fn place_bands(rig: &mut Rig, frames: &[Frame]) -> Result<Vec<Option<
         let parts = (0..PARTS).map(|part| -> Option<f64> {
             let frames: Vec<&Frame> = some.iter().skip(part).step_by(PARTS).copied().collect();
             let best = minimise(start, 0.2e-3, (start * 0.9, start * 1.1), |arc| misfit(&shifted(arc), &frames))?;
-            // No curvature: the two are not fitted together, so that the pictures say nothing about it.
+            // No curvature: the two are not fitted together, so the pictures do not determine it.
             (best.curvature > 0.0).then_some(best.at)
         });
         if let Some(parts) = parts.collect::<Option<Vec<f64>>>() {
             let (mean, sd) = mean_of_parts(&parts);
-            sd_m[m] = Some(sd.max(LEAST_FITTED_SD_M));
+            sd_m[m] = Some(sd.max(MIN_FITTED_SD_M));
             *rig = shifted(mean);
         }
     }
     Ok(sd_m)
 }
 
-/// σ along the chord that the places of a marker and the one before it have, the same in all frames: what the image
-/// model gets wrong at a band's end does not average out, metres.
+/// σ along the chord of the positions of a marker and the one before it, common to all frames, because errors of the
+/// image model at a band's end do not average out, metres.
 fn places_sd_m(estimates: &[Estimate], m: usize) -> f64 {
     let variances: Vec<f64> = estimates
         .iter()
@@ -91,11 +98,11 @@ fn places_sd_m(estimates: &[Estimate], m: usize) -> f64 {
     (variances.iter().sum::<f64>() / variances.len().max(1) as f64).sqrt()
 }
 
-/// Arc between a marker and the one before it, as if it were one of a circle, and chord · ψ², metres.
+/// Circular arc between a marker and the one before it, and chord · ψ², metres.
 fn arc(estimate: &Estimate, m: usize, beside_coil: bool) -> Option<(f64, f64)> {
     let place = |m: usize| Some(estimate.markers.get(m)?.position.as_ref().ok()?.point);
     let chord = place(m)? - place(m - 1)?;
-    // Only beside the coil is a tangent known; elsewhere the chord has to do.
+    // A tangent is known only beside the coil; elsewhere the chord must do.
     let angle = match &estimate.tangent {
         Ok(tangent) if beside_coil => tangent.direction.angle(&chord),
         _ => 0.0,
@@ -104,46 +111,71 @@ fn arc(estimate: &Estimate, m: usize, beside_coil: bool) -> Option<(f64, f64)> {
     Some((chord.norm() * stretched, chord.norm() * angle * angle))
 }
 
-/// The arc and its σ from those of all frames; where no tangent says how bent the tube is, the longest chords count.
+/// The arc and its σ from those of all frames; where no tangent gives the bend of the tube, the longest chords count.
 fn combined(arcs: &[(f64, f64)], bend_is_known: bool) -> Option<(f64, f64)> {
     if !bend_is_known {
         let mut chords: Vec<f64> = arcs.iter().map(|arc| arc.0).collect();
         chords.sort_by(f64::total_cmp);
         let long = *chords.get(chords.len() * 9 / 10)?;
         let median = *chords.get(chords.len() / 2)?;
-        return Some((long, (long - median).max(LEAST_SD_M)));
+        return Some((long, (long - median).max(MIN_SD_M)));
     }
-    let weight = |bend: f64| 1.0 / (LEAST_SD_M.powi(2) + (NO_ARC * bend).powi(2));
+    let weight = |bend: f64| 1.0 / (MIN_SD_M.powi(2) + (NO_ARC * bend).powi(2));
     let sum: f64 = arcs.iter().map(|arc| weight(arc.1)).sum();
     let mean = |of: &dyn Fn(&(f64, f64)) -> f64| arcs.iter().map(|arc| weight(arc.1) * of(arc)).sum::<f64>() / sum;
     let at = mean(&|arc| arc.0);
     let effective = sum.powi(2) / arcs.iter().map(|arc| weight(arc.1).powi(2)).sum::<f64>();
     let scatter = (mean(&|arc| (arc.0 - at).powi(2)) / effective.max(1.0)).sqrt();
-    // The bend is off in the same sense in all frames.
+    // The error of the bend has the same sign in all frames.
     let shape = mean(&|arc| NO_ARC * arc.1);
-    (!arcs.is_empty()).then(|| (at, (scatter.powi(2) + shape.powi(2) + (0.3 * LEAST_SD_M).powi(2)).sqrt()))
+    (!arcs.is_empty()).then(|| (at, (scatter.powi(2) + shape.powi(2) + (0.3 * MIN_SD_M).powi(2)).sqrt()))
 }
 
-/// Blur, chroma offset and, unless it is stated, exposure. Motion looks like blur: with it known, blur is looked for
-/// again.
+/// Blur, chroma offset, gamma and, unless it is stated, exposure. A wrong gamma and motion both look like blur: once they
+/// are known, blur is fitted again.
 pub(super) fn tune(rig: &mut Rig, frames: &[Frame], followers: &[Frame]) -> Result<(), MarkersError> {
-    sharpen(rig, frames, followers)?;
+    sharpen(rig, frames, followers);
+    rig.camera.gamma = gamma(rig, frames, followers);
+    if rig.camera.gamma.is_some() {
+        sharpen(rig, frames, followers);
+    }
     if rig.camera.exposure_s.is_none() {
         rig.camera.exposure_s = exposure_s(rig, frames, followers)?;
         if rig.camera.exposure_s.is_some() {
-            sharpen(rig, frames, followers)?;
+            sharpen(rig, frames, followers);
         }
     }
     Ok(())
 }
 
-/// Blur and chroma offset.
-fn sharpen(rig: &mut Rig, frames: &[Frame], followers: &[Frame]) -> Result<(), MarkersError> {
+/// The power of light that the camera stores, where it explains the pictures clearly better than the transfer function
+/// that the recording declares: cameras for machine vision store light as it is and say nothing, and converted
+/// recordings are often tagged wrongly. Light mixes at the edges of bands and tube, so they show it.
+fn gamma(rig: &Rig, frames: &[Frame], followers: &[Frame]) -> Option<f64> {
     let some = every(frames, TUNING_FRAMES);
-    let misfit = |rig: &Rig, some: &[&Frame]| match rig.camera.exposure_s {
-        None => misfit(rig, some),
-        Some(_) => moving_misfit(rig, some, followers),
+    let with = |gamma: f64| {
+        let mut changed = rig.clone();
+        changed.camera.gamma = Some(gamma);
+        changed
     };
+    // Each third of the frames: the best power, and by how much it explains them better than what is declared.
+    let parts = (0..PARTS).map(|part| {
+        let frames: Vec<&Frame> = some.iter().skip(part).step_by(PARTS).copied().collect();
+        let misfit = |rig: &Rig| misfit_of(rig, &frames, followers);
+        let best = minimise(FIRST_GAMMA, GAMMA_STEP, GAMMAS, |gamma| misfit(&with(gamma)))?;
+        Some((best.at, misfit(rig)? - misfit(&with(best.at))?))
+    });
+    let (gammas, gains): (Vec<f64>, Vec<f64>) = parts.collect::<Option<Vec<_>>>()?.into_iter().unzip();
+    let ((gamma, sd), (gain, gain_sd)) = (mean_of_parts(&gammas), mean_of_parts(&gains));
+    tracing::debug!("gamma {gamma:.3} ± {sd:.3}, better by {gain:.4} ± {gain_sd:.4} than what is declared");
+    let clearly = gain > MIN_GAIN.max(MIN_GAIN_SDS * gain_sd);
+    clearly.then(|| (gamma * 1e3).round() / 1e3)
+}
+
+/// Blur and chroma offset.
+fn sharpen(rig: &mut Rig, frames: &[Frame], followers: &[Frame]) {
+    let some = every(frames, TUNING_FRAMES);
+    let misfit = |rig: &Rig| misfit_of(rig, &some, followers);
     let subsampled = some.first().is_some_and(|f| f.picture.plane(1).is_some_and(|plane| plane.scale != [1, 1]));
     let mut blur = rig.camera.blur_px.unwrap_or(0.6);
     // Blur and offsets hardly depend on each other: a second pass only polishes.
@@ -154,7 +186,7 @@ fn sharpen(rig: &mut Rig, frames: &[Frame], followers: &[Frame]) -> Result<(), M
             changed.camera.blur_px = Some(blur);
             changed
         };
-        if let Some(best) = minimise(blur, 0.1 * finer, (0.3, 3.0), |b| misfit(&with_blur(b), &some)) {
+        if let Some(best) = minimise(blur, 0.1 * finer, (0.3, 3.0), |b| misfit(&with_blur(b))) {
             blur = best.at;
         }
         *rig = with_blur(blur);
@@ -165,21 +197,28 @@ fn sharpen(rig: &mut Rig, frames: &[Frame], followers: &[Frame]) -> Result<(), M
                 changed
             };
             let start = rig.camera.chroma_offset_px[axis];
-            let best = subsampled
-                .then(|| minimise(start, 0.3 * finer, (-1.5, 1.5), |offset| misfit(&with_offset(offset), &some)));
+            let best =
+                subsampled.then(|| minimise(start, 0.3 * finer, (-1.5, 1.5), |offset| misfit(&with_offset(offset))));
             if let Some(best) = best.flatten() {
                 *rig = with_offset(best.at);
             }
         }
     }
-    // Three decimals are more than the pictures can tell.
+    // Three decimals are beyond the accuracy.
     let round = |v: f64| (v * 1e3).round() / 1e3;
     rig.camera.blur_px = rig.camera.blur_px.map(round);
     rig.camera.chroma_offset_px = rig.camera.chroma_offset_px.map(round);
-    Ok(())
 }
 
-/// The same of the frames that follow these closely, motion blur included; of those that none follows, their own.
+/// How badly the rig explains the pictures, their motion blur included where the exposure is known.
+fn misfit_of(rig: &Rig, frames: &[&Frame], followers: &[Frame]) -> Option<f64> {
+    match rig.camera.exposure_s {
+        None => misfit(rig, frames),
+        Some(_) => moving_misfit(rig, frames, followers),
+    }
+}
+
+/// The same for the closely following frames, motion blur included; for frames without one, their own.
 fn moving_misfit(rig: &Rig, frames: &[&Frame], followers: &[Frame]) -> Option<f64> {
     let mut tracker = Tracker::new(rig, TrackOptions::default()).ok()?;
     let misfit = |frame: &Frame| {
@@ -192,8 +231,8 @@ fn moving_misfit(rig: &Rig, frames: &[&Frame], followers: &[Frame]) -> Option<f6
     mean_of_most(frames, misfit)
 }
 
-/// Exposure of the pictures, seconds, from how motion blurs the frames in which the tube moves fastest; `None` when it
-/// does not show: too little motion, or too short an exposure.
+/// Exposure of the pictures, seconds, from the motion blur of the frames in which the tube moves fastest; `None` when
+/// it cannot be seen: too little motion, or too short an exposure.
 fn exposure_s(rig: &Rig, frames: &[Frame], followers: &[Frame]) -> Result<Option<f64>, MarkersError> {
     let mut all: Vec<&Frame> = frames.iter().chain(followers).collect();
     all.sort_by_key(|frame| frame.stamp.ns);
@@ -218,7 +257,7 @@ fn exposure_s(rig: &Rig, frames: &[Frame], followers: &[Frame]) -> Result<Option
     moving.sort_by(|a, b| b.0.total_cmp(&a.0));
     let Some(&(_, interval_s, ..)) = moving.first() else { return Ok(None) };
     let step_s = interval_s / (EXPOSURES - 1) as f64;
-    // How well each exposure explains each pair; a pair that one of them cannot explain at all says nothing.
+    // How well each exposure fits each pair; a pair that one of them cannot fit at all is not used.
     let curve = |(_, _, before, frame): &(f64, f64, &Frame, &Frame)| -> Option<Vec<f64>> {
         let misfit = |i: usize| {
             let mut changed = rig.clone();
@@ -240,8 +279,8 @@ fn exposure_s(rig: &Rig, frames: &[Frame], followers: &[Frame]) -> Result<Option
         .collect();
     let (mean, sd) = mean_of_parts(&parts);
     tracing::debug!("exposure from thirds of {} pairs of frames: {parts:?} s", curves.len());
-    let seen = mean > LEAST_EXPOSURE_SDS * sd && mean > LEAST_EXPOSURE * interval_s;
-    // Microseconds are more than the pictures can tell.
+    let seen = mean > MIN_EXPOSURE_SDS * sd && mean > MIN_EXPOSURE * interval_s;
+    // Microseconds are beyond the accuracy.
     Ok(seen.then(|| (mean * 1e6).round() / 1e6))
 }
 
@@ -250,19 +289,19 @@ fn every(frames: &[Frame], count: usize) -> Vec<&Frame> {
     frames.iter().step_by(frames.len().div_ceil(count).max(1)).collect()
 }
 
-/// How badly the rig explains the pictures: the mean of the fits' misfits; `None` when a frame cannot be fitted.
+/// How badly the rig fits the pictures: the mean misfit; `None` when a frame cannot be fitted.
 fn misfit(rig: &Rig, frames: &[&Frame]) -> Option<f64> {
     let mut tracker = Tracker::new(rig, TrackOptions::default()).ok()?;
     mean_of_most(frames, |frame| tracker.misfit(frame))
 }
 
-/// The mean of what can be evaluated, unless that is half of the frames or less.
+/// The mean over the frames that can be evaluated; `None` if they are half or fewer.
 fn mean_of_most(frames: &[&Frame], misfit: impl FnMut(&Frame) -> Option<f64>) -> Option<f64> {
     let misfits: Vec<f64> = frames.iter().copied().filter_map(misfit).collect();
     (misfits.len() * 2 > frames.len()).then(|| misfits.iter().sum::<f64>() / misfits.len() as f64)
 }
 
-/// The mean of independent results, and its standard deviation by how they differ.
+/// The mean of independent results, and its standard deviation from their scatter.
 fn mean_of_parts(parts: &[f64]) -> (f64, f64) {
     let count = parts.len() as f64;
     let mean = parts.iter().sum::<f64>() / count;

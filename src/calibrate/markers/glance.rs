@@ -1,8 +1,8 @@
-//! What clicks show before anything is learned from the whole recording: for the page on which bands are picked.
+//! What a click shows before anything is learned from the whole recording, for the page on which bands are picked.
 //!
-//! [`glance`] takes one click: the rectangle that looks like the band there, the colour of what is in it against what is
-//! beside it, and the patch of that colour. [`preview`] takes a click on every band and does with that one frame what
-//! [`calibrate_markers`](super::calibrate_markers) begins with.
+//! [`glance`] takes one click and gives the rectangle that looks like the band there, its colour against its
+//! surroundings, and the blob of that colour. [`preview`] takes a click on every band and does the first steps of
+//! [`calibrate_markers`](super::calibrate_markers) with that one frame.
 
 use super::error::MarkersError;
 use super::exposure::Exposure;
@@ -17,18 +17,18 @@ use crate::segment::{Blob, Search, Segmenter, THRESHOLD};
 use crate::source::{Frame, Picture, Window};
 use nalgebra::Point2;
 
-/// What is taken for a band, from one click alone.
+/// The presumed band at one click.
 #[derive(Debug, Clone)]
 pub(crate) struct Glance {
     /// Where it is.
     pub rectangle: Rectangle,
-    /// Contrast with its surroundings: 1 is what shading and noise do.
+    /// Contrast with its surroundings: 1 is the level of shading and noise.
     pub contrast: f64,
-    /// Its colour against what is beside it, with the classes that it is told from.
+    /// Its colour against its surroundings, with the classes that it is separated from.
     pub colours: ViewColours,
-    /// The patch of that colour in the rectangle, if there is one.
+    /// The blob of that colour in the rectangle, if there is one.
     pub blob: Option<Blob>,
-    /// Where the mask is worth looking at.
+    /// Window of the mask.
     pub window: Window,
 }
 
@@ -44,26 +44,26 @@ impl Glance {
     }
 }
 
-/// How far around the rectangle patches are looked for, pixels.
+/// How far around the rectangle blobs are searched, pixels.
 const AROUND_PX: f64 = 60.0;
 
-/// Looks at one click, in a picture and its [`Pixels`].
+/// Examines one click in a picture and its [`Pixels`].
 ///
 /// # Errors
-/// When the click is outside of its view, nothing there looks like the band, or its colour is that of what is beside.
+/// When the click is outside of its view, nothing there looks like the band, or its colour is that of its surroundings.
 pub(crate) fn glance(rig: &Rig, pick: &Pick, picture: &Picture, pixels: &Pixels) -> Result<Glance, MarkersError> {
     let near = pick::near(rig, pick)?;
     let marker = rig.marker(&pick.name).ok_or_else(|| MarkersError::NoPick(pick.name.clone()))?;
-    let look = at_click(rig, pixels, marker, &near).map_err(|why| {
+    let matched = at_click(rig, pixels, marker, &near).map_err(|why| {
         let clicks: Vec<Vec<_>> =
             (0..rig.markers.len()).map(|m| if m == marker { vec![near] } else { Vec::new() }).collect();
         first::explained(rig, &clicks, why)
     })?;
     let view = rig.views.get(near.view).ok_or(MarkersError::NoVolume)?;
     let mut samples = Samples::new(view, vec![pick.name.clone()]);
-    samples.add(picture, &[Place::look(0, &look)]);
+    samples.add(picture, &[Place::of_match(0, &matched)]);
     let colours = learn_views(&[samples])?.pop().ok_or(MarkersError::NoFrame)?;
-    let rectangle = Rectangle::of_look(&look);
+    let rectangle = Rectangle::of_match(&matched);
     let window = around(&rectangle, picture.size_px());
     let blob = match colours.learned.models.first() {
         Some(model) => {
@@ -76,7 +76,7 @@ pub(crate) fn glance(rig: &Rig, pick: &Pick, picture: &Picture, pixels: &Pixels)
         }
         None => None,
     };
-    Ok(Glance { rectangle, contrast: look.score, colours, blob, window })
+    Ok(Glance { rectangle, contrast: matched.score, colours, blob, window })
 }
 
 fn around(rectangle: &Rectangle, size_px: [u32; 2]) -> Window {
@@ -87,8 +87,8 @@ fn around(rectangle: &Rectangle, size_px: [u32; 2]) -> Window {
     Window { x0: low(c.x), y0: low(c.y), x1: high(c.x), y1: high(c.y) }.clipped(size_px)
 }
 
-/// Pixels of a window that count as the marker, as runs `[y, from, to]`, `to` exclusive. Each pixel by the samples that
-/// are nearest to it.
+/// Pixels of a window that count as the marker, as runs `[y, from, to]`, `to` exclusive. Each pixel is judged by its
+/// nearest samples.
 pub(crate) fn mask(picture: &Picture, model: &ColourModel, window: Window) -> Vec<[u32; 3]> {
     let Some(rgb) = picture.rgb_from_stored() else { return Vec::new() };
     let window = window.clipped(picture.size_px());
@@ -111,12 +111,12 @@ pub(crate) fn mask(picture: &Picture, model: &ColourModel, window: Window) -> Ve
     runs
 }
 
-/// What the picked frame alone tells.
+/// Results from the picked frame alone.
 #[derive(Debug)]
 pub(crate) struct Preview {
-    /// As far as it got; without frame and outcome.
+    /// The results so far, without frame and outcome.
     pub teaching: Teaching,
-    /// What the tracker measures with the colours of this frame, if it came to that.
+    /// The tracker's measurement with the colours of this frame, if it got that far.
     pub estimate: Option<Estimate>,
     /// Why the bands cannot be learned from it.
     pub problem: Option<MarkersError>,
@@ -127,6 +127,6 @@ pub(crate) fn preview(rig: &Rig, picks: &[Pick], options: &MarkersOptions, frame
     let mut teaching = Teaching::new(rig, picks, options);
     let clicks = pick::in_rig_order(&teaching.rig, picks);
     let learned = clicks.and_then(|clicks| teaching.learn_picked(&clicks, frame, pixels));
-    let estimate = teaching.look_again(frame);
+    let estimate = teaching.evaluate_frame(frame);
     Preview { teaching, estimate, problem: learned.err() }
 }

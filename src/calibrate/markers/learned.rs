@@ -6,7 +6,7 @@ use super::samples::Samples;
 use crate::rig::Rig;
 use crate::segment::{Learned, Separation, learn};
 
-/// What was learned of the colours in one view.
+/// The colours learned in one view.
 #[derive(Debug, Clone)]
 pub struct ViewColours {
     /// Names of the classes that the separations refer to, the markers first.
@@ -17,8 +17,8 @@ pub struct ViewColours {
     pub exposure: Vec<Option<Exposure>>,
 }
 
-/// Fewer samples of a band in a view say nothing: its colour is then taken from all views.
-const LEAST_SAMPLES: usize = 12;
+/// Least samples of a band in a view; with fewer, its colour is taken from all views.
+const MIN_SAMPLES: usize = 12;
 
 /// A model for each marker in each view.
 pub(super) fn learn_views(samples: &[Samples<'_>]) -> Result<Vec<ViewColours>, MarkersError> {
@@ -29,7 +29,7 @@ pub(super) fn learn_views(samples: &[Samples<'_>]) -> Result<Vec<ViewColours>, M
             let exposure = classes.iter().filter(|c| c.is_marker).enumerate().map(|(m, _)| Exposure::of(view.band(m)));
             let exposure = exposure.collect();
             for (m, class) in classes.iter_mut().enumerate().filter(|(_, class)| class.is_marker) {
-                if class.rgb.len() < LEAST_SAMPLES {
+                if class.rgb.len() < MIN_SAMPLES {
                     class.rgb = samples.iter().flat_map(|view| view.band(m)).copied().collect();
                 }
             }
@@ -49,22 +49,22 @@ pub(super) fn set_models(rig: &mut Rig, views: &[ViewColours]) {
     }
 }
 
-/// What a separation means for finding a band by its colour.
+/// How well a separation allows finding a band by its colour.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Verdict {
-    /// Hardly a sample is mistaken.
+    /// Hardly any sample is misclassified.
     Good,
-    /// Some are: enough for a band, which has a dozen samples or more.
+    /// Some are: good enough for a band, which has at least a dozen samples.
     Fair,
-    /// Too many are, or the other one is as good a band.
+    /// Too many are, or the other class would pass as the band.
     Poor,
 }
 
-/// Shares of the band's samples that are found, and of the other's that are mistaken, for each verdict.
+/// Fractions of the band's samples that are found, and of the other's that are misclassified, for each verdict.
 const GOOD: (f64, f64) = (0.95, 0.02);
 const FAIR: (f64, f64) = (0.6, 0.25);
 
-/// Judges one.
+/// Judges a separation.
 pub fn verdict(separation: &Separation) -> Verdict {
     let is = |(hits, mistaken): (f64, f64)| separation.hits >= hits && separation.mistaken <= mistaken;
     if is(GOOD) {

@@ -1,6 +1,7 @@
 //! The smallest value of a noisy, smooth function of one parameter: bracketed by steps, then the vertex of a parabola.
 
-/// Parameter at the minimum and its standard deviation were the function a χ² (2 over the second derivative, root).
+/// Parameter at the minimum, and its standard deviation if the function were a χ² (root of 2 over the second
+/// derivative).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Minimum {
     pub at: f64,
@@ -8,11 +9,11 @@ pub(crate) struct Minimum {
 }
 
 /// Steps along the parameter before giving up on a bracket.
-const MOST_STEPS: usize = 8;
+const MAX_STEPS: usize = 8;
 
 /// Minimises `f` from `start` by steps of `step`, within `range`; `None` when `f` cannot be evaluated at the start.
 ///
-/// At a limit of the range the limit itself is given.
+/// At a limit of the range it returns the limit itself.
 pub(crate) fn minimise(
     start: f64,
     step: f64,
@@ -22,7 +23,7 @@ pub(crate) fn minimise(
     let mut middle = (start, f(start)?);
     let mut low = evaluate(start - step, range, &mut f);
     let mut high = evaluate(start + step, range, &mut f);
-    for _ in 0..MOST_STEPS {
+    for _ in 0..MAX_STEPS {
         if let Some(l) = low.filter(|l| l.1 < middle.1) {
             (high, middle) = (Some(middle), l);
             low = evaluate(middle.0 - step, range, &mut f);

@@ -1,7 +1,7 @@
 //! Whether the pictures show a tube of the given diameter and bands of the given lengths.
 //!
-//! Across a band, and along it, each colour is so much band and so much ground (or tube). The sum of the shares is the
-//! band's width or length in pixels, however blurred the picture is.
+//! Across a band, and along it, each colour is a mixture of band and background (or tube). The sum of the band's
+//! fractions is its width or length in pixels, however blurred the picture is.
 
 use super::locate::pixels::{Pixels, Yuv};
 use crate::estimate::{BandObservation, Estimate};
@@ -9,18 +9,18 @@ use crate::rig::Rig;
 use crate::source::Frame;
 use nalgebra::Vector2;
 
-/// A measure that the pictures contradict.
+/// A dimension that the pictures contradict.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Contradicted {
-    /// The band whose length it is by name; `None`: it is the tube's diameter.
+pub struct ContradictedDimension {
+    /// Name of the band whose length it is; `None` for the tube's diameter.
     pub band: Option<String>,
     /// As given, metres.
     pub given_m: f64,
-    /// As it looks, metres.
+    /// As seen, metres.
     pub seen_m: f64,
 }
 
-impl std::fmt::Display for Contradicted {
+impl std::fmt::Display for ContradictedDimension {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let (given, seen) = (self.given_m * 1e3, self.seen_m * 1e3);
         match &self.band {
@@ -30,22 +30,22 @@ impl std::fmt::Display for Contradicted {
     }
 }
 
-/// What is seen may be this much less or more than what was given: shading on a round tube takes and adds some.
-const PLAUSIBLE: (f64, f64) = (0.75, 1.33);
+/// Plausible ratios of seen to given: shading on a round tube changes the apparent size.
+const PLAUSIBLE_RATIO: (f64, f64) = (0.75, 1.33);
 /// Frames that are measured.
 const FRAMES: usize = 6;
-/// Distance of the places looked at, pixels, and contrast that is needed to tell shares.
+/// Spacing of the sample points, pixels, and contrast needed to determine fractions.
 const STEP_PX: f64 = 0.25;
-const CLEAR: f64 = 2.0;
-/// The band's own colour is looked for in this share of it, and the colour beside it from this far off its edge on,
+const MIN_CONTRAST: f64 = 2.0;
+/// Fraction of the band where its own colour is sampled, and distance from its edge where the colour beside it is,
 /// pixels.
 const CORE: f64 = 0.25;
 const BESIDE_PX: (f64, f64) = (2.5, 5.0);
-/// Where that is the band's own colour still, further out, up to this many times the length expected.
-const FURTHEST: f64 = 3.0;
+/// If that is still the band's colour, search further out, up to this many times the expected length.
+const MAX_SEARCH_LENGTHS: f64 = 3.0;
 
-/// Measures of the rig that are not those in the pictures.
-pub(super) fn contradicted(rig: &Rig, frames: &[Frame], estimates: &[Estimate]) -> Vec<Contradicted> {
+/// Dimensions in the rig that differ from those in the pictures.
+pub(super) fn contradicted(rig: &Rig, frames: &[Frame], estimates: &[Estimate]) -> Vec<ContradictedDimension> {
     let mut widths = Vec::new();
     let mut lengths = vec![Vec::new(); rig.markers.len()];
     let every = frames.len().div_ceil(FRAMES).max(1);
@@ -61,7 +61,7 @@ pub(super) fn contradicted(rig: &Rig, frames: &[Frame], estimates: &[Estimate]) 
     let judged = |ratios: &mut Vec<f64>, band: Option<String>, given_m: f64| {
         ratios.sort_by(f64::total_cmp);
         let ratio = *ratios.get(ratios.len() / 2)?;
-        (!(PLAUSIBLE.0..PLAUSIBLE.1).contains(&ratio)).then_some(Contradicted {
+        (!(PLAUSIBLE_RATIO.0..PLAUSIBLE_RATIO.1).contains(&ratio)).then_some(ContradictedDimension {
             band,
             given_m,
             seen_m: given_m * ratio,
@@ -73,11 +73,11 @@ pub(super) fn contradicted(rig: &Rig, frames: &[Frame], estimates: &[Estimate]) 
     tube.into_iter().chain(bands).collect()
 }
 
-/// A line over a band, and the direction in which colours are averaged.
+/// A line across a band, and the direction in which colours are averaged.
 struct Profile<'a> {
     band: &'a BandObservation,
     line: Vector2<f64>,
-    /// Half of what is expected along the line, pixels, and half of what is averaged across it.
+    /// Half the expected length along the line, pixels, and half the averaging width across it.
     half: f64,
     beside: f64,
 }
@@ -98,7 +98,7 @@ impl<'a> Profile<'a> {
         Self::new(band, band.axis)
     }
 
-    /// Mean colour at some places along the line.
+    /// Mean colour over part of the line.
     fn colour(&self, pixels: &Pixels, (from, to): (f64, f64)) -> Option<Yuv> {
         let across = Vector2::new(-self.line.y, self.line.x);
         let along = (0..=4).map(|i| from + (to - from) * f64::from(i) / 4.0);
@@ -109,12 +109,12 @@ impl<'a> Profile<'a> {
         pixels.mean(self.band.centre_px, &places)
     }
 
-    /// Where the line has left the band on one side, and the colour there; `None` where all of it looks like the band.
+    /// Where the line leaves the band on one side, and the colour there; `None` if all of it looks like the band.
     fn beside(&self, pixels: &Pixels, core: &Yuv, side: f64) -> Option<(f64, Yuv)> {
         let mut edge = self.half;
-        while edge <= FURTHEST * self.half {
+        while edge <= MAX_SEARCH_LENGTHS * self.half {
             let colour = self.colour(pixels, (side * (edge + BESIDE_PX.0), side * (edge + BESIDE_PX.1)))?;
-            if pixels.contrast(core, &colour) >= CLEAR {
+            if pixels.contrast(core, &colour) >= MIN_CONTRAST {
                 return Some((edge, colour));
             }
             edge += BESIDE_PX.1 - BESIDE_PX.0;
@@ -122,7 +122,7 @@ impl<'a> Profile<'a> {
         None
     }
 
-    /// Length of what is seen along the line over that which is expected; `None` where the colours are too alike.
+    /// Ratio of seen to expected length along the line; `None` where the colours are too similar.
     fn ratio(&self, pixels: &Pixels) -> Option<f64> {
         let core = self.colour(pixels, (-CORE * self.half, CORE * self.half))?;
         let mut seen = 0.0;

@@ -1,16 +1,16 @@
-//! `catoptra calibrate markers`: what the tracker must know of the bands, from a click near each in one view.
+//! `catoptra calibrate markers`: what the tracker must know about the bands, from a click near each in one view.
 //!
 //! In: a recording, a rig with its optics and band lengths, clicks. Out: the rig with colour models for each view,
-//! places of the bands along the tube, blur and chroma offset of the camera; and what was seen on the way, for a page
-//! that shows it.
+//! places of the bands along the tube, blur and chroma offset of the camera; and intermediate results, for the page
+//! that shows them.
 //!
-//! 1. `locate`: in the picked frame, the bands are found by their size and the tube's, in all views together.
-//! 2. What is in them and beside them gives colours. With those the tracker must measure the very same bands.
-//! 3. Frames from the whole recording are tracked, and the colours learned again from all bands in all views.
-//! 4. Blur of the lens, offset of the chroma samples, and unknown distances between bands close to the coil are those
-//!    that explain the pictures best; so are diameter and lengths, compared with the ones given.
+//! 1. `locate`: in the picked frame, the bands are found by their size and the tube's, in all views jointly.
+//! 2. Colours are learned from the bands and their surroundings. With them the tracker must measure the same bands.
+//! 3. Frames from the whole recording are tracked, and the colours are learned again from all bands in all views.
+//! 4. Blur of the lens, offset of the chroma samples, and unknown distances between bands close to the coil are fitted
+//!    to the pictures; so are diameter and lengths, which are compared with the given ones.
 //!
-//! Nothing that an earlier run learned goes in: the same recording and clicks give the same rig.
+//! Nothing learned in an earlier run is used: the same recording and clicks give the same rig.
 
 mod clusters;
 mod error;
@@ -31,7 +31,7 @@ pub use error::MarkersError;
 pub use exposure::Exposure;
 pub(crate) use glance::{glance, mask, preview};
 pub use learned::{Verdict, ViewColours, verdict};
-pub use measures::Contradicted;
+pub use measures::ContradictedDimension;
 pub use pick::Pick;
 pub use regions::ProposedRegion;
 pub use seen::{Rectangle, SeenBlob};
@@ -47,22 +47,22 @@ use locate::pixels::Pixels;
 use locate::{Near, locate};
 use samples::{Place, Samples};
 
-/// What a run saw, and how it ended.
+/// Results of a calibration, intermediate and final.
 #[derive(Debug)]
 pub struct Teaching {
-    /// The rig as far as it was learned.
+    /// The rig as learned so far.
     pub rig: Rig,
     /// The clicks.
     pub picks: Vec<Pick>,
-    /// The frame that they were made in, once it was read.
+    /// The frame of the clicks, once read.
     pub frame: Option<Frame>,
     /// Where each marker was located in each view, by marker.
     pub located: Vec<Vec<Option<Rectangle>>>,
     /// The colours learned in each view.
     pub views: Vec<ViewColours>,
-    /// What has a band's colour in that frame.
+    /// Blobs of the bands' colours in that frame.
     pub blobs: Vec<SeenBlob>,
-    /// Regions that would leave out what is not the catheter.
+    /// Regions that would exclude everything but the catheter.
     pub regions: Vec<ProposedRegion>,
     /// What was learned, or why nothing was.
     pub outcome: Result<MarkersCalibration, MarkersError>,
@@ -77,28 +77,28 @@ pub struct MarkersCalibration {
     pub answered: Vec<usize>,
     /// For each marker that was missed, the first reason.
     pub first_miss: Vec<Option<Miss>>,
-    /// σ of each band's distance from the one before it along the tube, metres; `None` where it was not measured.
+    /// σ of each band's distance from the one before it along the tube, metres; `None` where not measured.
     pub centre_sd_m: Vec<Option<f64>>,
-    /// Measures that the pictures contradict.
-    pub contradicted: Vec<Contradicted>,
+    /// Dimensions that the pictures contradict.
+    pub contradicted: Vec<ContradictedDimension>,
 }
 
-/// Frames looked at, spread over the recording.
-const MOST_FRAMES: usize = 48;
-/// Share of the frames in which each band must be measured.
-const LEAST_ANSWERED: f64 = 0.5;
+/// Most frames used, spread over the recording.
+const MAX_FRAMES: usize = 48;
+/// Fraction of the frames in which each band must be measured.
+const MIN_ANSWERED: f64 = 0.5;
 
-/// What [`calibrate_markers`] is told beside picks.
+/// Options of [`calibrate_markers`] besides picks.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct MarkersOptions {
-    /// The picks were made in the first frame that is this much or more after the recording's first one, nanoseconds.
+    /// The picks were made in the first frame at least this long after the recording's first one, nanoseconds.
     pub after_ns: i64,
-    /// How long each picture is exposed, seconds; learned from motion blur when it is not given.
+    /// Exposure time of each picture, seconds; learned from motion blur if not given.
     pub exposure_s: Option<f64>,
 }
 
-/// Learns the markers of `rig`. Their colours, and the camera's blur and chroma offset, are left out of account; so are
-/// places along the tube unless they are there. `picks` has a click a marker or more.
+/// Learns the markers of `rig`. Any colours, and the camera's blur and chroma offset, are ignored; given places along
+/// the tube are used. `picks` has at least one click per marker.
 pub fn calibrate_markers(
     rig: &Rig,
     picks: &[Pick],
@@ -111,12 +111,13 @@ pub fn calibrate_markers(
 }
 
 impl Teaching {
-    /// Before anything is learned.
+    /// The state before anything is learned.
     fn new(rig: &Rig, picks: &[Pick], options: &MarkersOptions) -> Self {
         let mut rig = rig.clone();
         rig.camera.blur_px = None;
         rig.camera.chroma_offset_px = [0.0; 2];
         rig.camera.exposure_s = options.exposure_s;
+        rig.camera.gamma = None;
         rig.markers.iter_mut().for_each(|marker| marker.colours.clear());
         Self {
             rig,
@@ -132,14 +133,14 @@ impl Teaching {
 
     fn learn(&mut self, after_ns: i64, source: &mut dyn FrameSource) -> Result<MarkersCalibration, MarkersError> {
         let clicks = pick::in_rig_order(&self.rig, &self.picks)?;
-        let spread = spread_with(source, MOST_FRAMES, after_ns)?;
+        let spread = spread_with(source, MAX_FRAMES, after_ns)?;
         let (mut frames, followers) = (spread.frames, spread.followers);
         if spread.wanted >= frames.len() {
             return Err(MarkersError::NoFrame);
         }
         let learned = self.learn_from(&clicks, &frames, &followers, spread.wanted);
         let frame = frames.swap_remove(spread.wanted);
-        self.look_again(&frame);
+        self.evaluate_frame(&frame);
         self.frame = Some(frame);
         learned
     }
@@ -176,7 +177,7 @@ impl Teaching {
         Ok(done)
     }
 
-    /// What the picked frame alone tells; the tracker must measure the bands that were located in it.
+    /// Learns from the picked frame alone; the tracker must measure the bands that were located in it.
     fn learn_picked(&mut self, clicks: &[Vec<Near>], frame: &Frame, pixels: &Pixels) -> Result<(), MarkersError> {
         let rig = &mut self.rig;
         let located = locate(rig, pixels, clicks).map_err(|why| first::explained(rig, clicks, why))?;
@@ -192,7 +193,7 @@ impl Teaching {
         first::confirm(rig, clicks, &located, frame).map(drop)
     }
 
-    /// What is learned must be of use.
+    /// Checks that the result is usable.
     fn usable(&self, done: &MarkersCalibration) -> Result<(), MarkersError> {
         let pairs = self.alike(done);
         if !pairs.is_empty() {
@@ -200,7 +201,7 @@ impl Teaching {
         }
         let names: Vec<&str> = self.rig.views.iter().map(|v| v.name.as_str()).collect();
         for (m, answered) in done.answered.iter().enumerate() {
-            if (*answered as f64) < LEAST_ANSWERED * done.frames as f64 {
+            if (*answered as f64) < MIN_ANSWERED * done.frames as f64 {
                 let reason = done.first_miss[m]
                     .as_ref()
                     .map_or(String::new(), |miss| format!(" ({})", miss.word(&names).replace('_', " ")));
@@ -211,7 +212,7 @@ impl Teaching {
         Ok(())
     }
 
-    /// Bands whose colour is that of another band, or of what is beside it and keeps it from being measured.
+    /// Bands whose colour is that of another band, or of surroundings that keep it from being measured.
     fn alike(&self, done: &MarkersCalibration) -> Vec<String> {
         let markers = self.rig.markers.len();
         let mut pairs: Vec<String> = Vec::new();
@@ -228,8 +229,8 @@ impl Teaching {
         pairs
     }
 
-    /// What the picked frame shows to the colours as they are now.
-    fn look_again(&mut self, frame: &Frame) -> Option<Estimate> {
+    /// Evaluates the picked frame with the current colours.
+    fn evaluate_frame(&mut self, frame: &Frame) -> Option<Estimate> {
         if self.rig.markers.iter().any(|marker| marker.colours.is_empty()) {
             return None;
         }
@@ -253,7 +254,7 @@ fn learn_everywhere(rig: &mut Rig, frames: &[Frame]) -> Result<Vec<ViewColours>,
     let mut samples: Vec<Samples<'_>> = views.iter().map(|view| Samples::new(view, names.clone())).collect();
     for (estimate, frame) in track(rig, frames)?.iter().zip(frames) {
         for (v, samples) in samples.iter_mut().enumerate() {
-            // A marker that is somewhere unknown would teach that its band is background.
+            // A marker at an unknown place would teach that its band is background.
             let places: Option<Vec<_>> =
                 estimate.markers.iter().enumerate().map(|(m, e)| place(rig, (m, v), e)).collect();
             if let Some(places) = places {
@@ -266,8 +267,8 @@ fn learn_everywhere(rig: &mut Rig, frames: &[Frame]) -> Result<Vec<ViewColours>,
     Ok(learned)
 }
 
-/// Where a marker is in a view: measured, or where the other views say (`Some(None)`: out of sight); `None` when its
-/// position is not known.
+/// Where a marker is in a view: measured, or predicted from the other views (`Some(None)`: out of sight); `None` when
+/// its position is unknown.
 fn place(rig: &Rig, (m, v): (usize, usize), estimate: &MarkerEstimate) -> Option<Option<Place>> {
     let point = estimate.position.as_ref().ok()?.point;
     let seen: &Result<BandObservation, Miss> = estimate.views.get(v)?;

@@ -10,13 +10,13 @@ use nalgebra::Point2;
 pub struct Pick {
     /// Name of the marker.
     pub name: String,
-    /// Index of the view that it was made in.
+    /// Index of its view.
     pub view: usize,
-    /// A place on the band or a few pixels beside it, pixels.
+    /// A point on the band or a few pixels beside it, pixels.
     pub pixel: Point2<f64>,
 }
 
-/// The clicks of each of the rig's markers, in its order, each inside the view it should be in.
+/// The clicks of each of the rig's markers, in its order, each inside its view.
 pub(super) fn in_rig_order(rig: &Rig, picks: &[Pick]) -> Result<Vec<Vec<Near>>, MarkersError> {
     rig.markers
         .iter()

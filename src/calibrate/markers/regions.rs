@@ -1,4 +1,4 @@
-//! Regions that hold all that the tube can reach, where other things of the bands' colours lie outside of it.
+//! Regions that contain everything the tube can reach, proposed where other objects of the bands' colours lie outside.
 
 use super::seen::SeenBlob;
 use crate::estimate::Estimate;
@@ -12,18 +12,17 @@ pub struct ProposedRegion {
     pub view: usize,
     /// Its corners, whole pixels.
     pub from: Point2<f64>,
-    /// The opposite one.
+    /// The opposite corner.
     pub to: Point2<f64>,
-    /// Things of a band's colour in the view that it leaves out.
+    /// Objects of a band's colour in the view that it excludes.
     pub leaves_out: usize,
 }
 
-/// The tube may swing this far beyond what its length says, metres, and above its first band by this share of its
-/// length.
+/// Margin of the swing beyond the tube's length, metres, and above its first band, as a fraction of its length.
 const MARGIN_M: f64 = 10e-3;
 const ABOVE: f64 = 0.15;
 
-/// A region for each view where one leaves out other things. All of the volume that the tube can reach stays in.
+/// A region for each view where one excludes other objects. It contains the whole volume that the tube can reach.
 pub(super) fn propose(rig: &Rig, estimate: &Estimate, blobs: &[SeenBlob]) -> Vec<ProposedRegion> {
     let place = |m: usize| estimate.markers.get(m)?.position.as_ref().ok().map(|p| p.point);
     let count = rig.markers.len();
@@ -55,7 +54,7 @@ pub(super) fn propose(rig: &Rig, estimate: &Estimate, blobs: &[SeenBlob]) -> Vec
     (0..rig.views.len()).filter_map(view).collect()
 }
 
-/// Directions all over the sphere but its top, which is opposite to `down`.
+/// Directions all over the sphere except its top, opposite to `down`.
 fn sphere(down: &Vector3<f64>) -> impl Iterator<Item = Vector3<f64>> {
     let turn = Rotation3::rotation_between(&Vector3::z(), down).unwrap_or_else(Rotation3::identity);
     let rings = (0..=12).map(|i| -ABOVE + (1.0 + ABOVE) * f64::from(i) / 12.0);

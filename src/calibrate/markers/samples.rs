@@ -1,26 +1,26 @@
-//! Colour samples of bands, of what lies beside them, and of the rest of a view.
+//! Colour samples of bands, of their surroundings, and of the rest of a view.
 
 use crate::calibrate::markers::clusters::clusters;
-use crate::calibrate::markers::locate::Look;
+use crate::calibrate::markers::locate::BandMatch;
 use crate::estimate::BandObservation;
 use crate::rig::View;
 use crate::segment::ClassSamples;
 use crate::source::{Picture, RgbFromStored};
 use nalgebra::{Point2, Vector2, Vector3};
 
-/// Pixels nearer than this to an edge of a band are mixed from both sides; of a narrow one its inner half has to do.
+/// Pixels closer than this to a band's edge mix both sides; for a narrow band the inner half must do.
 const EDGE_PX: f64 = 1.2;
 /// How far beside a band its surroundings are sampled, pixels.
 const BESIDE_PX: f64 = 14.0;
 /// Grid over the view, pixels.
 const GRID_PX: usize = 8;
-/// Clusters of what lies beside a band, and of the rest of a view.
+/// Clusters of a band's surroundings, and of the rest of a view.
 const CLUSTERS: (usize, usize) = (3, 5);
 
-/// Fewer samples of a colour are no class.
-const LEAST_SAMPLES: usize = 12;
+/// Least samples of a class.
+const MIN_SAMPLES: usize = 12;
 
-/// Samples of one view by class: each marker, what is beside each marker, elsewhere.
+/// Samples of one view by class: each marker, the surroundings of each marker, elsewhere.
 pub(crate) struct Samples<'a> {
     view: &'a View,
     names: Vec<String>,
@@ -29,7 +29,7 @@ pub(crate) struct Samples<'a> {
     elsewhere: Vec<Vector3<f64>>,
 }
 
-/// A rectangle along an axis: where a band is taken to be, or where one may be that is not measured (no marker).
+/// A rectangle along an axis: a presumed band, or where an unmeasured one may be (no marker).
 pub(crate) struct Place {
     marker: Option<usize>,
     centre: Point2<f64>,
@@ -39,13 +39,13 @@ pub(crate) struct Place {
 }
 
 impl Place {
-    pub(crate) fn look(marker: usize, look: &Look) -> Self {
+    pub(crate) fn of_match(marker: usize, matched: &BandMatch) -> Self {
         Self {
             marker: Some(marker),
-            centre: look.centre,
-            axis: look.axis,
-            half_length: look.size.length / 2.0,
-            half_width: look.size.width / 2.0,
+            centre: matched.centre,
+            axis: matched.axis,
+            half_length: matched.size.length / 2.0,
+            half_width: matched.size.width / 2.0,
         }
     }
 
@@ -62,12 +62,12 @@ impl Place {
         }
     }
 
-    /// Where a band is expected that was not measured there: no sample of anything.
+    /// Where a band is expected but was not measured: gives no samples.
     pub(crate) fn hidden(centre: Point2<f64>, reach: f64) -> Self {
         Self { marker: None, centre, axis: Vector2::x(), half_length: reach, half_width: reach }
     }
 
-    /// How far inside the rectangle only the band is seen, pixels.
+    /// Distance inside the rectangle from which only the band is seen, pixels.
     fn edge(&self) -> f64 {
         EDGE_PX.min(0.5 * self.half_length.min(self.half_width))
     }
@@ -131,8 +131,8 @@ impl<'a> Samples<'a> {
         let class = |name: String, is_marker, rgb: Vec<_>| ClassSamples { name, is_marker, rgb };
         let bands = self.names.iter().zip(&self.bands).map(|(name, rgb)| class(name.clone(), true, rgb.clone()));
         let parts = |name: String, colours: &[Vector3<f64>], count: usize| -> Vec<ClassSamples> {
-            let parts = clusters(colours, count).into_iter().filter(|part| part.len() >= LEAST_SAMPLES);
-            parts.map(|rgb| class(format!("{name}, {}", looks(&rgb)), false, rgb)).collect()
+            let parts = clusters(colours, count).into_iter().filter(|part| part.len() >= MIN_SAMPLES);
+            parts.map(|rgb| class(format!("{name}, {}", mean_colour(&rgb)), false, rgb)).collect()
         };
         let beside = self.names.iter().zip(&self.beside);
         let beside = beside.flat_map(|(name, rgb)| parts(format!("beside {name}"), rgb, CLUSTERS.0));
@@ -141,7 +141,7 @@ impl<'a> Samples<'a> {
 }
 
 /// The mean colour in words.
-fn looks(rgb: &[Vector3<f64>]) -> String {
+fn mean_colour(rgb: &[Vector3<f64>]) -> String {
     let mean = rgb.iter().sum::<Vector3<f64>>() / rgb.len().max(1) as f64;
     format!("{:.0} {:.0} {:.0}", mean.x, mean.y, mean.z)
 }

@@ -1,6 +1,6 @@
-//! What a frame shows in the bands' colours: the bands, and other things, with the reason why they are none.
+//! What a frame shows in the bands' colours: the bands, and other objects with the reason why they are not bands.
 
-use super::locate::Look;
+use super::locate::BandMatch;
 use super::locate::candidates::{Candidate, px_per_m};
 use crate::estimate::Estimate;
 use crate::rig::Rig;
@@ -8,27 +8,27 @@ use crate::segment::{Blob, Segmenter, Window};
 use crate::source::Frame;
 use nalgebra::{Point2, Vector2};
 
-/// A rectangle that a view shows of a band.
+/// The rectangle of a band in a view.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Rectangle {
     /// Its middle, pixels.
     pub centre: Point2<f64>,
     /// Unit vector along the band.
     pub axis: Vector2<f64>,
-    /// Along the axis, pixels.
+    /// Length along the axis, pixels.
     pub length: f64,
-    /// Across it, pixels.
+    /// Width across it, pixels.
     pub width: f64,
 }
 
 impl Rectangle {
-    /// Of each view.
+    /// Rectangle in each view.
     pub(super) fn of(candidate: &Candidate) -> Vec<Option<Self>> {
-        candidate.looks.iter().map(|look| look.as_ref().map(Self::of_look)).collect()
+        candidate.matches.iter().map(|matched| matched.as_ref().map(Self::of_match)).collect()
     }
 
-    pub(super) fn of_look(look: &Look) -> Self {
-        Self { centre: look.centre, axis: look.axis, length: look.size.length, width: look.size.width }
+    pub(super) fn of_match(matched: &BandMatch) -> Self {
+        Self { centre: matched.centre, axis: matched.axis, length: matched.size.length, width: matched.size.width }
     }
 
     /// Its corners, in turn.
@@ -56,7 +56,7 @@ pub struct SeenBlob {
     pub rejected: Option<String>,
 }
 
-/// Larger and smaller than a band by so much is none.
+/// Plausible size of a band's blob relative to the expected one.
 const SIZE_RATIO: (f64, f64) = (0.2, 3.0);
 
 /// All blobs inside the views' regions, judged by what the tracker measured in the same frame.

@@ -1,21 +1,21 @@
-//! `catoptra calibrate mirror`: where a bumped mirror stands now, from the bands of an ordinary recording, without a
+//! `catoptra calibrate mirror`: finds a bumped mirror's new position from the bands of an ordinary recording, without a
 //! board.
 //!
-//! In: a recording in which the catheter moves, a rig of which one mirror is no longer right, known lengths. Out: the
-//! rig with the mirror put right, and how well that is known. Lens and walls are taken for exact.
+//! In: a recording in which the catheter moves, a rig in which one mirror has moved, known lengths. Out: the rig with
+//! the corrected mirror, with covariance. Lens and walls are assumed exact.
 //!
-//! 1. In every view's region the largest blob of each marker's colour is its band: good to a pixel, and no rays need
-//!    meet. The mirror nearest to the old one for which they do is the start.
-//! 2. With it the tracker measures the bands to hundredths of a pixel, each by itself: a rig that knows the distances
-//!    of bands would make its own errors fit. The adjustment of `meeting` follows, and both are repeated until the
-//!    mirror stays.
+//! 1. In every view's region the largest blob of each marker's colour is taken as its band: accurate to a pixel, even
+//!    if rays do not meet. The start is the mirror nearest to the old one for which they do.
+//! 2. With it the tracker measures the bands to hundredths of a pixel, each separately: with the known distances of
+//!    bands, the rig would make its own errors fit. The adjustment of `ray_bundle` follows, and both are repeated until
+//!    the mirror converges.
 //!
-//! What determines the answer: rays of two views meet or miss each other in one direction only. That gives the mirror's
-//! turn across this direction to a few hundredths of a degree; its other turn and its distance follow from how the miss
-//! changes over the picture, weakly, and from a known length. These two move the answer as a whole, by millimetres, and
-//! hardly change displacements.
+//! What determines the result: the rays of two views can miss each other in only one direction. That gives the mirror's
+//! rotation across this direction to a few hundredths of a degree; its other rotation and its distance follow weakly
+//! from how the miss changes over the picture, and from a known length. These two shift the result as a whole, by
+//! millimetres, and hardly change displacements.
 //!
-//! Cannot detect: a camera, wall or tank that moved as well, other than by views that go on disagreeing.
+//! Cannot detect: a camera, wall or tank that also moved, unless the views still disagree.
 
 mod ray_bundle;
 
@@ -33,66 +33,65 @@ use crate::source::{Frame, FrameSource, SourceError};
 use crate::track::{ModelError, TrackError, TrackOptions, Tracker};
 use nalgebra::{DMatrix, DVector, Matrix2, Vector3};
 
-/// Frames used, spread over the recording: errors that differ from frame to frame are then far below those that do not.
+/// Frames used, spread over the recording: random errors are then far below systematic ones.
 const FRAMES: usize = 60;
-/// A blob's centre is about this far from the band's, pixels.
+/// Approximate distance of a blob's centre from the band's, pixels.
 const BLOB_SD_PX: f64 = 1.0;
-/// How far a mirror that was bumped may have moved, for the start: turns in radians, shift in metres. Blobs tell the
-/// first turn, and the rest hardly at all; it is left to the rounds after the start.
+/// How far a bumped mirror may have moved, for the start: rotations in radians, shift in metres. Blobs determine the
+/// first rotation, and the rest hardly at all; later rounds determine it.
 const BUMP_SD: [f64; 3] = [0.05, 0.01, 5e-3];
-/// Bands that stand further apart than this many diameters of the tube do not have a length known from the rig: it
-/// bends.
+/// Bands further apart than this many tube diameters have no known distance, because the tube bends.
 const STIFF_DIAMETERS: f64 = 8.0;
-/// How well the rig's places of the bands along the tube are known, each distance.
+/// σ of each distance between the rig's places of the bands along the tube.
 pub const RIG_LENGTH_SD_M: f64 = 0.05e-3;
-/// Scatter of the distance in a single frame: what the bend's estimate leaves.
+/// Scatter of the distance in a single frame: the error of the bend's estimate.
 const LENGTH_SCATTER_M: f64 = 0.02e-3;
-const MOST_ROUNDS: usize = 12;
-/// A mirror stays when a round moves it by less than this part of its σ.
-const STAYS: f64 = 0.1;
-/// Beyond these σ the data leave the mirror open, radians and metres: displacements would be off by two parts in a
-/// thousand and more.
-const OPEN: (f64, f64) = (3.5e-3, 3.5e-3);
-/// Bands that the views still see this far apart, RMS, contradict each other: pixels.
+const MAX_ROUNDS: usize = 12;
+/// The mirror has converged when a round moves it by less than this fraction of its σ.
+const SHIFT_TOLERANCE: f64 = 0.1;
+/// Beyond these σ the mirror counts as undetermined, radians and metres: displacements would be off by at least two
+/// parts in a thousand.
+const UNDETERMINED_SD: (f64, f64) = (3.5e-3, 3.5e-3);
+/// Remaining disagreement of the views, RMS, beyond which they contradict each other: pixels.
 const DISAGREE_PX: f64 = 0.5;
 
 /// Which length to use.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Length {
-    /// Distances of bands close to the coil, as the rig has them.
+    /// Distances of bands close to the coil, from the rig.
     OfRig,
-    /// None: rays alone.
+    /// None, only rays.
     None,
     /// This one.
     Given(KnownLength),
 }
 
-/// The mirror's new place.
+/// The mirror's new position.
 #[derive(Debug, Clone)]
 pub struct MirrorCalibration {
     /// The mirror's name.
     pub name: String,
-    /// The rig with the mirror put right.
+    /// The rig with the corrected mirror.
     pub rig: Rig,
-    /// Where it was.
+    /// Its old plane.
     pub before: Plane,
-    /// Where it is.
+    /// Its new plane.
     pub after: Plane,
-    /// Covariance of its turns about [`tilt_axes`] (up or down, left or right; radians) and its offset (metres).
+    /// Covariance of its rotations about [`tilt_axes`] (up or down, left or right; radians) and its offset (metres).
     pub covariance: DMatrix<f64>,
     /// Frames used.
     pub frames: usize,
     /// Bands measured in two views, in all these frames.
     pub bands: usize,
-    /// By how much the views disagree about a band, RMS, pixels: with the mirror as it was, and as it is; infinite when
-    /// a band has no ray.
+    /// Disagreement of the views about a band, RMS, pixels: with the old mirror and the new one; infinite when a band
+    /// has no ray.
     pub disagreement_px: [f64; 2],
-    /// Lengths used, each with the value that the recording would rather have, metres.
+    /// Lengths used, each with the value preferred by the recording, metres.
     pub lengths: Vec<(KnownLength, f64)>,
 }
 
-/// χ² of three degrees of freedom that chance exceeds once in twenty times.
-const CHANCE: f64 = 7.815;
+/// 95 % quantile of χ² with three degrees of freedom.
+const CHI2_3_95: f64 = 7.815;
 
 /// Why the mirror cannot be calibrated.
 #[derive(Debug, thiserror::Error)]
@@ -100,21 +99,21 @@ pub enum MirrorError {
     /// The rig has no such mirror.
     #[error("the rig has no mirror `{name}`; it has {}", list(known))]
     NoMirror {
-        /// What was asked for.
+        /// The requested name.
         name: String,
-        /// What there is.
+        /// Mirrors in the rig.
         known: Vec<String>,
     },
-    /// Which of several mirrors was not said.
+    /// Several mirrors, and none was named.
     #[error("the rig has {} mirrors ({}): say with --mirror which one was bumped", known.len(), list(known))]
     WhichMirror {
-        /// What there is.
+        /// Mirrors in the rig.
         known: Vec<String>,
     },
     /// Views that share the picture.
-    #[error("view `{0}` has no region_px: whose image is whose cannot be told when rays do not meet")]
+    #[error("view `{0}` has no region_px: images cannot be assigned to views when rays do not meet")]
     NoRegion(String),
-    /// The recording broke.
+    /// The recording failed.
     #[error(transparent)]
     Source(#[from] SourceError),
     /// The picture does not belong to the rig.
@@ -123,18 +122,16 @@ pub enum MirrorError {
     /// The picture cannot be segmented.
     #[error(transparent)]
     Segment(#[from] SegmentError),
-    /// Too little to see.
-    #[error(
-        "bands are seen in two views at once in only {seen} of {frames} frames; at least {LEAST_FRAMES} are needed"
-    )]
+    /// Too few bands are seen.
+    #[error("bands are seen in two views at once in only {seen} of {frames} frames; at least {MIN_FRAMES} are needed")]
     TooFew {
         /// Frames with such bands.
         seen: usize,
         /// Frames looked at.
         frames: usize,
     },
-    /// The start or the adjustment has no answer.
-    #[error("no place of the mirror was found that fits what the views show; was more than the mirror moved?")]
+    /// The start or the adjustment has no solution.
+    #[error("no position of the mirror fits what the views show; was more than the mirror moved?")]
     NoAnswer,
     /// The views still contradict each other.
     #[error(
@@ -146,24 +143,24 @@ pub enum MirrorError {
     #[error(
         "the recording leaves the mirror open: σ {turn_deg:.2}° and {shift_mm:.1} mm (at most {:.1}° and {:.1} mm are of use). The \
          catheter must move through all of the views, and a known length helps",
-        OPEN.0.to_degrees(), OPEN.1 * 1e3
+        UNDETERMINED_SD.0.to_degrees(), UNDETERMINED_SD.1 * 1e3
     )]
     Open {
-        /// σ of the worse turn, degrees.
+        /// σ of the worse rotation, degrees.
         turn_deg: f64,
         /// σ of the offset, mm.
         shift_mm: f64,
     },
 }
 
-/// Fewer frames than this say nothing about what changes over the picture.
-const LEAST_FRAMES: usize = 10;
+/// Least number of frames, to see changes over the picture.
+const MIN_FRAMES: usize = 10;
 
 fn list(names: &[String]) -> String {
     if names.is_empty() { "none".to_owned() } else { names.join(", ") }
 }
 
-/// Finds where mirror `name` (`None`: the only one) of `rig` stands in the recording `source`.
+/// Finds the position of mirror `name` (`None`: the only one) of `rig` in the recording `source`.
 ///
 /// # Errors
 /// [`MirrorError`].
@@ -197,15 +194,15 @@ pub fn calibrate_mirror(
         moments: &moments,
     };
     let mut geometry = start.solve().ok_or(MirrorError::NoAnswer)?.geometry;
-    for _ in 0..MOST_ROUNDS {
+    for _ in 0..MAX_ROUNDS {
         let moved = with_mirror(rig, &name, geometry.surfaces[surface].1);
         let moments = bands(&moved, &lengths, &frames)?;
         let met = adjust(&moved, &free, &lengths, &moments, &frames).ok_or(MirrorError::NoAnswer)?;
         let step = moved_by(&geometry.surfaces[surface].1.plane(), &met.geometry.surfaces[surface].1.plane());
         geometry = met.geometry.clone();
         let within = |part: f64| (0..3).all(|i| step[i].abs() < part * met.covariance[(i, i)].sqrt());
-        // What is open need not settle to be known for it.
-        if within(STAYS) || (within(1.0) && is_open(&met.covariance).is_some()) {
+        // An undetermined mirror is recognised before convergence.
+        if within(SHIFT_TOLERANCE) || (within(1.0) && is_open(&met.covariance).is_some()) {
             let disagreement_px =
                 [&old, &geometry].map(|g| disagreement_px(g, &moments, rig.markers.len()).unwrap_or(f64::INFINITY));
             let done = MirrorCalibration {
@@ -226,23 +223,21 @@ pub fn calibrate_mirror(
 }
 
 impl MirrorCalibration {
-    /// σ of the turns, radians, and of the offset, metres.
+    /// σ of the rotations, radians, and of the offset, metres.
     pub fn sd(&self) -> [f64; 3] {
         [0, 1, 2].map(|i| self.covariance[(i, i)].max(0.0).sqrt())
     }
 
-    /// By how much the mirror moved: turned up or down and to the left or right, radians; shifted along its normal,
-    /// metres.
+    /// Motion of the mirror: rotation up or down and left or right, radians; shift along its normal, metres.
     pub fn moved(&self) -> [f64; 3] {
         moved_by(&self.before, &self.after)
     }
 
-    /// Whether it moved by more than chance makes of a mirror that stands still, once in twenty times: χ² of the turns
-    /// and the shift together.
+    /// Whether it moved significantly, at the 5 % level: χ² of the rotations and the shift together.
     pub fn has_moved(&self) -> bool {
         let moved = DVector::from_row_slice(&self.moved());
         let chi2 = self.covariance.clone().cholesky().map(|root| moved.dot(&root.solve(&moved)));
-        chi2.is_none_or(|chi2| chi2 > CHANCE)
+        chi2.is_none_or(|chi2| chi2 > CHI2_3_95)
     }
 }
 
@@ -256,15 +251,15 @@ fn judged(done: MirrorCalibration) -> Result<MirrorCalibration, MirrorError> {
     }
 }
 
-/// σ of the worse turn and of the shift, if they are too large to be of use.
+/// σ of the worse rotation and of the shift, if they are too large to be useful.
 fn is_open(covariance: &DMatrix<f64>) -> Option<[f64; 2]> {
     let [a, b, shift] = [0, 1, 2].map(|i| covariance[(i, i)].sqrt());
     let turn = a.max(b);
-    // Numbers that are none are open too.
-    (!(turn <= OPEN.0 && shift <= OPEN.1)).then_some([turn, shift])
+    // NaN also counts as undetermined.
+    (!(turn <= UNDETERMINED_SD.0 && shift <= UNDETERMINED_SD.1)).then_some([turn, shift])
 }
 
-/// Turns about [`tilt_axes`] of the first plane, and shift, from one plane to another.
+/// Rotations about [`tilt_axes`] of the first plane, and shift, from one plane to another.
 fn moved_by(from: &Plane, to: &Plane) -> [f64; 3] {
     let axis: Vector3<f64> = from.normal().cross(&to.normal());
     let turn = if axis.norm() > 0.0 { axis.normalize() * from.normal().angle(&to.normal()) } else { axis };
@@ -352,7 +347,7 @@ fn blobs(rig: &Rig, frames: &[Frame]) -> Result<Vec<Moment>, MirrorError> {
     enough(moments)
 }
 
-/// The bands as the tracker measures them, each by itself.
+/// The bands as the tracker measures them, each separately.
 fn bands(rig: &Rig, lengths: &[KnownLength], frames: &[Frame]) -> Result<Vec<Moment>, MirrorError> {
     let mut apart = rig.clone();
     apart.markers.iter_mut().for_each(|marker| marker.centre_m = None);
@@ -387,13 +382,12 @@ fn in_two_views(sights: Vec<Sight>) -> Vec<Sight> {
 
 fn enough(moments: Vec<Moment>) -> Result<Vec<Moment>, MirrorError> {
     let seen = moments.iter().filter(|moment| !moment.sights.is_empty()).count();
-    if seen < LEAST_FRAMES { Err(MirrorError::TooFew { seen, frames: moments.len() }) } else { Ok(moments) }
+    if seen < MIN_FRAMES { Err(MirrorError::TooFew { seen, frames: moments.len() }) } else { Ok(moments) }
 }
 
-/// By how much the bend makes the distance of two bands shorter than the tube between them, metres. From the angle ψ
-/// between the coil's direction and the chord: the tube is straight as far as the coil is, h, and an arc over what is
-/// left, ℓ = L − h, so that ψ = κℓ²/2L and the chord is shorter by κ²(ℓ³/6 − ℓ⁴/8L). `None` when a band or the
-/// direction is missing.
+/// How much shorter the bend makes the distance of two bands than the tube between them, metres. From the angle ψ
+/// between the coil's direction and the chord: the tube is straight over the coil's part h, and an arc over the rest, ℓ
+/// = L − h, so ψ = κℓ²/2L and the chord is shorter by κ²(ℓ³/6 − ℓ⁴/8L). `None` when a band or the direction is missing.
 fn shorter_m(rig: &Rig, length: &KnownLength, estimate: &Estimate) -> Option<f64> {
     let coil = rig.catheter.coil;
     let [a, b] = length.markers;

@@ -1,35 +1,35 @@
-//! Reasons not to believe a calibration's verdict: it supposes that the model is right and corners are off by noise
-//! alone, and what is left of the corners can contradict that.
+//! Reasons to doubt a calibration's verdict: it assumes that the model is right and corners have only noise, which the
+//! residuals may contradict.
 //!
 //! In: a calibration, the check on held-out pictures. Out: [`Diagnostic`]s.
 //!
-//! Residuals of noise have nothing in common with their neighbours'; a bent mirror, a lens of another kind, water that
-//! was not said to be there leave residuals that follow one another across the picture ([`neighbourhoods`]).
+//! Residuals of pure noise are uncorrelated between neighbours; a bent mirror, a lens of another kind, or undeclared
+//! water leave residuals that are correlated across the picture ([`neighbourhoods`]).
 //!
-//! Cannot tell: errors of the model that other parameters take up, such as a wrong thickness of the glass.
+//! Cannot tell: errors of the model that other parameters absorb, such as a wrong thickness of the glass.
 
 use crate::calibrate::bundle::prior::Prior;
 use crate::calibrate::bundle::{NoSolution, Solution};
 use crate::calibrate::rig::RigCalibration;
-use crate::calibrate::rig::held_out::{HeldOut, Off};
+use crate::calibrate::rig::held_out::{HeldOut, LengthErrors};
 use nalgebra::{DMatrix, DVector, Point2, Vector2};
 use std::collections::BTreeMap;
 
-/// Neighbourhoods along the longer side of a view, and fewest corners for their mean to say something.
-const ALONG: f64 = 7.0;
-const FEWEST: usize = 6;
-/// Means of neighbourhoods so many times as long as noise makes them are no noise: of 20 neighbourhoods, five standard
-/// deviations of what noise does.
-const TOGETHER: f64 = 1.5;
-/// What was known and what the pictures say contradict each other beyond so many standard deviations.
-pub(crate) const CONTRADICTS: f64 = 3.0;
-/// What the pictures say of a value is compared when it is at least this part of all that is known of it.
+/// Neighbourhoods along the longer side of a view, and fewest corners for a meaningful mean.
+const NEIGHBOURHOODS_ALONG: f64 = 7.0;
+const MIN_CORNERS: usize = 6;
+/// Ratio of neighbourhood means to those of noise above which they are not noise: for 20 neighbourhoods, five standard
+/// deviations.
+const CORRELATED_ABOVE: f64 = 1.5;
+/// Priors and pictures contradict each other beyond this many standard deviations.
+pub(crate) const CONTRADICTION_SD: f64 = 3.0;
+/// The pictures' information on a value is compared if it is at least this fraction of all information on it.
 const REDUNDANT: f64 = 1e-3;
 
 /// A reason.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum Diagnostic {
-    /// Residuals that follow one another.
+    /// Correlated residuals.
     #[error(
         "corners of the {view} view that are neighbours are off together, {times:.1} times as much as noise explains: is there \
          water or glass that was not given, a mirror that is not flat, another lens or focus than calibrated, squares of another \
@@ -38,10 +38,10 @@ pub enum Diagnostic {
     Together {
         /// Name of the view.
         view: String,
-        /// Length of the neighbourhoods' means, by what noise makes of them.
+        /// Length of the neighbourhoods' means, relative to noise.
         times: f64,
     },
-    /// Lengths that are off.
+    /// Wrong lengths.
     #[error(
         "lengths of {nominal_mm:.0} mm on held-out boards are off {times:.1} times as much as noise explains: is a board bent, or \
          was one moved during the exposure?"
@@ -49,10 +49,10 @@ pub enum Diagnostic {
     Lengths {
         /// The length.
         nominal_mm: f64,
-        /// RMS error, by what noise makes of it.
+        /// RMS error, relative to noise.
         times: f64,
     },
-    /// Something known that is far from what the pictures say.
+    /// A prior that is far from what the pictures give.
     #[error(
         "the pictures contradict {what} as it was given, by {off:.1} σ: is it right, and the size of the squares? Were pictures \
          flipped or turned, or taken with another lens?"
@@ -60,15 +60,15 @@ pub enum Diagnostic {
     Prior {
         /// What.
         what: String,
-        /// By how many standard deviations.
+        /// Difference in standard deviations.
         off: f64,
     },
 }
 
-/// Corners close together in a view.
+/// Corners close to each other in a view.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Neighbourhood {
-    /// Mean place, pixels.
+    /// Mean position, pixels.
     pub middle: Point2<f64>,
     /// Mean residual, pixels.
     pub mean_px: Vector2<f64>,
@@ -76,34 +76,34 @@ pub(crate) struct Neighbourhood {
     pub count: usize,
 }
 
-/// Everything that speaks against the verdict.
+/// All reasons to doubt the verdict.
 pub fn diagnose(done: &RigCalibration, held: &[Result<HeldOut, NoSolution>]) -> Vec<Diagnostic> {
     let mut doubts = Vec::new();
     for (view, (name, _)) in done.solution.geometry.views.iter().enumerate() {
-        if let Some(times) = together(&residuals(done, view)).filter(|times| *times > TOGETHER) {
+        if let Some(times) = neighbour_correlation(&residuals(done, view)).filter(|times| *times > CORRELATED_ABOVE) {
             doubts.push(Diagnostic::Together { view: name.clone(), times });
         }
     }
     let lengths = [
-        Off::of(held.iter().flatten().flat_map(|h| &h.edges)),
-        Off::of(held.iter().flatten().flat_map(|h| &h.diagonals)),
+        LengthErrors::of(held.iter().flatten().flat_map(|h| &h.edges)),
+        LengthErrors::of(held.iter().flatten().flat_map(|h| &h.diagonals)),
     ];
-    for off in lengths.into_iter().flatten().filter(Off::beyond_noise) {
+    for off in lengths.into_iter().flatten().filter(LengthErrors::beyond_noise) {
         doubts.push(Diagnostic::Lengths { nominal_mm: off.nominal_m * 1e3, times: off.rms_m / off.noise_m });
     }
     for known in &done.solution.known {
-        if let Some(off) = contradiction(&done.solution, known).filter(|off| *off > CONTRADICTS) {
+        if let Some(off) = contradiction(&done.solution, known).filter(|off| *off > CONTRADICTION_SD) {
             doubts.push(Diagnostic::Prior { what: known.what(&done.solution.geometry), off });
         }
     }
     doubts
 }
 
-/// How far what was given is from what all the rest says, in standard deviations of the two together; of several
-/// values, their χ² as that of one (Fisher). `None` when the rest says next to nothing.
+/// Distance of a prior from the result of everything else, in their combined standard deviations; for several values,
+/// their χ² converted to that of one (Fisher). `None` when the rest has next to no information.
 ///
-/// A residual that is left of what was given is small where the pictures say little: it must be seen against its own
-/// covariance. Poses are taken as they came out.
+/// A prior's residual is small where the pictures have little information, so it is compared with its own covariance.
+/// Poses are taken as solved.
 pub(crate) fn contradiction(solution: &Solution, known: &Prior) -> Option<f64> {
     let rows = known.rows(&solution.geometry, &solution.poses, &solution.free);
     let residuals = DVector::from_iterator(rows.len(), rows.iter().map(|row| row.residual));
@@ -112,7 +112,7 @@ pub(crate) fn contradiction(solution: &Solution, known: &Prior) -> Option<f64> {
         by_geometry.row_mut(i).tr_copy_from(&row.by_geometry);
     }
     let seen = |covariance: &DMatrix<f64>| &by_geometry * covariance * by_geometry.transpose();
-    // The value given has gone into the solution with the weight that the search gave it.
+    // The prior entered the solution with the weight of the search.
     let one = DMatrix::identity(rows.len(), rows.len());
     let left = (one - seen(&solution.weighted_covariance) * 2.0 + seen(&solution.covariance)).symmetric_eigen();
     let directions = left.eigenvalues.iter().zip(left.eigenvectors.column_iter());
@@ -128,7 +128,7 @@ pub(crate) fn contradiction(solution: &Solution, known: &Prior) -> Option<f64> {
     }
 }
 
-/// Places and residuals of a view's corners, pixels.
+/// Positions and residuals of a view's corners, pixels.
 pub(crate) fn residuals(done: &RigCalibration, view: usize) -> Vec<(Point2<f64>, Vector2<f64>)> {
     let all = done.corners.iter().zip(&done.solution.residuals_px);
     all.filter(|(c, _)| c.view == view).map(|(c, residual)| (c.pixel, *residual)).collect()
@@ -140,7 +140,7 @@ pub(crate) fn neighbourhoods(residuals: &[(Point2<f64>, Vector2<f64>)]) -> Vec<N
         residuals.iter().fold(Vector2::repeat(start), |b, (p, _)| b.zip_map(&p.coords, pick))
     };
     let (low, high) = (bound(f64::min, f64::INFINITY), bound(f64::max, f64::NEG_INFINITY));
-    let side = ((high - low).max() / ALONG).max(1.0);
+    let side = ((high - low).max() / NEIGHBOURHOODS_ALONG).max(1.0);
     let mut squares = BTreeMap::new();
     for (place, residual) in residuals {
         let at = (place.coords - low) / side;
@@ -152,7 +152,7 @@ pub(crate) fn neighbourhoods(residuals: &[(Point2<f64>, Vector2<f64>)]) -> Vec<N
     }
     squares
         .into_values()
-        .filter(|(.., count)| *count >= FEWEST)
+        .filter(|(.., count)| *count >= MIN_CORNERS)
         .map(|(places, sum, count)| {
             let n = count as f64;
             Neighbourhood { middle: Point2::from(places / n), mean_px: sum / n, count }
@@ -160,9 +160,9 @@ pub(crate) fn neighbourhoods(residuals: &[(Point2<f64>, Vector2<f64>)]) -> Vec<N
         .collect()
 }
 
-/// How many times as long the means of neighbourhoods are as independent residuals of the same RMS would make them;
-/// `None` without neighbourhoods or residuals.
-pub(crate) fn together(residuals: &[(Point2<f64>, Vector2<f64>)]) -> Option<f64> {
+/// Length of the neighbourhoods' means relative to those of independent residuals with the same RMS; `None` without
+/// neighbourhoods or residuals.
+pub(crate) fn neighbour_correlation(residuals: &[(Point2<f64>, Vector2<f64>)]) -> Option<f64> {
     let means = neighbourhoods(residuals);
     let mean_square = residuals.iter().map(|(_, r)| r.norm_squared()).sum::<f64>() / residuals.len().max(1) as f64;
     let sum = means.iter().map(|n| n.mean_px.norm_squared() * n.count as f64).sum::<f64>();
@@ -177,7 +177,7 @@ mod tests {
     use crate::calibrate::geometry::tests::geometry;
     use crate::testing::random::Random;
 
-    /// Against solving without what was given: the difference of the two answers by their deviations together.
+    /// Compared with solving without the prior: the difference of the two solutions over their combined deviations.
     #[test]
     fn a_contradiction_is_the_distance_from_what_the_rest_says() {
         let truth = geometry();
@@ -200,10 +200,10 @@ mod tests {
             let Prior::Distance { distance_m, .. } = given(off_m) else { unreachable!() };
             let expected = (says_m - distance_m).abs() / sd_m.hypot(2e-3);
             let found = contradiction(&solved, &given(off_m)).unwrap();
-            // How far corners of a picture are off together is an estimate of its own in either.
+            // The correlation within pictures is estimated separately in each.
             assert!((found - expected).abs() < 0.05 + 0.2 * expected, "{off_m}: {found}, expected {expected}");
-            // The lens agrees in any case: it was drawn as it is said to be.
-            assert!(contradiction(&solved, &solved.known[0]).unwrap() < CONTRADICTS);
+            // The lens agrees in any case: it was drawn from its stated covariance.
+            assert!(contradiction(&solved, &solved.known[0]).unwrap() < CONTRADICTION_SD);
         }
     }
 
@@ -217,13 +217,13 @@ mod tests {
             (0..900).map(|i| (at(i), bent(&at(i)) + Vector2::new(noise(), noise()))).collect()
         };
         for _ in 0..20 {
-            let even = together(&field(0.0)).unwrap();
+            let even = neighbour_correlation(&field(0.0)).unwrap();
             assert!((0.75..1.3).contains(&even), "{even}");
         }
-        // As large as the noise's standard deviation, 0.058 px.
-        let bent = together(&field(0.058)).unwrap();
-        assert!(bent > TOGETHER, "{bent}");
-        assert!(together(&field(0.0)[..5]).is_none());
-        assert!(together(&[(Point2::origin(), Vector2::zeros()); 9]).is_none());
+        // As large as the standard deviation of the noise, 0.058 px.
+        let bent = neighbour_correlation(&field(0.058)).unwrap();
+        assert!(bent > CORRELATED_ABOVE, "{bent}");
+        assert!(neighbour_correlation(&field(0.0)[..5]).is_none());
+        assert!(neighbour_correlation(&[(Point2::origin(), Vector2::zeros()); 9]).is_none());
     }
 }

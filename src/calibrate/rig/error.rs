@@ -1,6 +1,6 @@
 //! Why mirrors and walls cannot be calibrated.
 
-use super::sufficient::Lacking;
+use super::sufficient::InsufficientPictures;
 use crate::calibrate::bundle::NoSolution;
 use crate::calibrate::bundle::outliers::left_out_lines;
 use crate::calibrate::geometry::Geometry;
@@ -17,21 +17,21 @@ pub enum RigCalibrationError {
     TooFew {
         /// How many.
         found: usize,
-        /// Those that do not, and why.
+        /// Pictures that were left out, and why.
         left_out: Vec<(String, String)>,
     },
-    /// Fewer mirrors than asked for.
-    #[error("mirrors that show the board in the pictures: {found}, asked for were {expected} (--mirrors)")]
+    /// Fewer mirrors than requested.
+    #[error("the pictures show the board in {found} mirrors, expected {expected} (--mirrors)")]
     Mirrors {
         /// How many.
         found: usize,
         /// How many there should be.
         expected: usize,
     },
-    /// Pictures that are not enough.
+    /// Insufficient pictures.
     #[error(transparent)]
-    Lacking(#[from] Lacking),
-    /// Boards before the wall behind which they are.
+    InsufficientPictures(#[from] InsufficientPictures),
+    /// Boards in front of the wall that they should be behind.
     #[error(
         "by the size of its squares the board ({board}) of {name} is {nearest_mm:.0} mm from the camera, before front_wall at \
          {distance_mm:.0} mm: is one of the two wrong?"
@@ -46,15 +46,15 @@ pub enum RigCalibrationError {
         /// Distance of the wall, as given.
         distance_mm: f64,
     },
-    /// A distance, or a board, of a surface that does not exist.
+    /// A distance or a board for a surface that does not exist.
     #[error("there is no surface `{name}`; there are {known}")]
     NoSurface {
-        /// As asked for.
+        /// As requested.
         name: String,
-        /// Those there are.
+        /// Existing surfaces.
         known: String,
     },
-    /// A taped board that is not seen as its wall is.
+    /// A taped board that is not seen the same way as its wall.
     #[error("{name}: the board on {wall} is {}", if *.mirrored { "seen directly, that wall in the mirror" } else { "seen in a \
         mirror, that wall directly" })]
     Taped {
@@ -65,13 +65,13 @@ pub enum RigCalibrationError {
         /// Whether it should be mirrored.
         mirrored: bool,
     },
-    /// OpenCV refused.
+    /// OpenCV failed.
     #[error("no first guess: {0}")]
     OpenCv(#[from] opencv::Error),
-    /// No plane.
+    /// Not a plane.
     #[error("no first guess: {0}")]
     Plane(#[from] PlaneError),
-    /// The covariance of the lens is none.
+    /// The covariance of the lens is invalid.
     #[error("the covariance of the lens is not positive")]
     LensCovariance,
     /// The adjustment failed.

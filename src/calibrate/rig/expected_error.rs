@@ -1,17 +1,18 @@
-//! The verdict on a calibration: how far off in space what is measured with it will be, and what would make it better.
+//! The verdict on a calibration: the expected 3D error of measurements with it, and what would improve it.
 //!
-//! In: a solved geometry with covariance. Out: for places all over the working volume, the expected error, in parts:
+//! In: a solved geometry with covariance. Out: the expected error at points all over the working volume, in parts:
 //!
-//! - *systematic, absolute*: errors of the geometry move the triangulated place by δX = −(AᵀA)⁻¹AᵀB δp, A and B the
-//!   derivatives of all views' pixels by place and parameters; so its covariance is K Σ Kᵀ.
-//! - *systematic, relative*: the same after the rigid motion of the whole volume that explains most of it is taken out.
-//!   It is what remains in the base frame, which is measured with the same geometry: of displacements, of angles.
+//! - *systematic, absolute*: errors of the geometry move the triangulated point by δX = −(AᵀA)⁻¹AᵀB δp = K δp, A and B
+//!   the derivatives of all views' pixels with respect to point and parameters; so its covariance is K Σ Kᵀ.
+//! - *systematic, relative*: the same after removing the best-fitting rigid motion of the whole volume. It is what
+//!   remains of errors of displacements and angles in the base frame, which is measured with the same geometry.
 //! - *random*: corner noise in each frame, σ²(AᵀA)⁻¹.
 //!
 //! Errors are 1σ of the distance in space (root of the trace). Weak directions of a calibration behind water mostly
-//! move everything together: large absolute, tiny relative errors are the rule, and the relative ones matter to angles.
+//! move everything together: large absolute and tiny relative errors are the rule, and the relative ones matter for
+//! angles.
 //!
-//! Cannot tell: what the model leaves out (bent mirrors and walls, dispersion, a moved tank, a wrong index).
+//! Cannot tell: what the model omits (bent mirrors and walls, dispersion, a moved tank, a wrong index).
 
 use crate::calibrate::bundle::pose::by_pose;
 use crate::calibrate::bundle::prior::Prior;
@@ -20,32 +21,32 @@ use crate::calibrate::geometry::{Geometry, Parameter, Projector};
 use crate::calibrate::least_squares::{Equations, Loss, Row};
 use nalgebra::{DMatrix, Isometry3, Matrix3, Matrix3xX, Point3, Translation3, UnitQuaternion, Vector3};
 
-/// Places along each side of the working volume.
+/// Points along each side of the working volume.
 const PLACES: usize = 5;
 
-/// Expected errors at one place.
+/// Expected errors at one point.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Expected {
     /// Where, camera frame, metres.
     pub place: Point3<f64>,
     /// Systematic error in the camera frame, metres.
     pub absolute_m: f64,
-    /// Systematic error that no rigid motion of the volume takes out, metres.
+    /// Systematic error that no rigid motion of the volume removes, metres.
     pub relative_m: f64,
-    /// Error by the noise of one frame, metres.
+    /// Error from the noise of one frame, metres.
     pub random_m: f64,
 }
 
-/// Something to add to a calibration, and the median errors over the volume then.
+/// A possible addition to a calibration, and the median errors over the volume with it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Suggestion {
     /// What to add, in words.
     pub what: String,
-    /// What it has in common with others that help much the same: the tilt of a board, or a surface.
+    /// Group of similar suggestions: the tilt of a board, or a surface.
     pub kind: String,
     /// Systematic error in the camera frame, metres.
     pub absolute_m: f64,
-    /// Systematic error that no rigid motion of the volume takes out, metres.
+    /// Systematic error that no rigid motion of the volume removes, metres.
     pub relative_m: f64,
 }
 
@@ -56,12 +57,12 @@ pub struct Verdict {
     pub expected: Vec<Expected>,
     /// Noise of a pixel coordinate that `Expected::random_m` is for.
     pub pixel_sd_px: f64,
-    /// The direction in which the whole volume is least well placed, camera frame, unit, and how well, metres.
+    /// The direction in which the position of the whole volume is least certain, camera frame, unit, and its σ, metres.
     pub weakest: (Vector3<f64>, f64),
-    /// Systematic errors of the angle between directions in different places, radians, median and worst: how
-    /// differently the geometry turns what lies between neighbouring places, about one axis across it.
+    /// Systematic errors of the angle between directions at different points, radians, median and worst: how
+    /// differently the geometry rotates the lines between neighbouring points, about one axis across them.
     pub angle_rad: (f64, f64),
-    /// What would help, the most for the camera frame first.
+    /// Suggestions, the most helpful for the camera frame first.
     pub helpful: Vec<Suggestion>,
 }
 
@@ -71,7 +72,7 @@ impl Verdict {
         median_and_worst(self.expected.iter().map(of).collect())
     }
 
-    /// The box of places that is judged: its lowest and its highest corner, camera frame, metres.
+    /// The box of points evaluated: its lowest and its highest corner, camera frame, metres.
     pub fn extent(&self) -> [Vector3<f64>; 2] {
         let bound = |pick: fn(f64, f64) -> f64, start: f64| {
             self.expected.iter().fold(Vector3::repeat(start), |b, e| b.zip_map(&e.place.coords, pick))
@@ -108,19 +109,19 @@ fn median_and_worst(mut values: Vec<f64>) -> (f64, f64) {
     (at(values.len() / 2), at(values.len().saturating_sub(1)))
 }
 
-/// How places answer to errors of the parameters.
+/// Sensitivity of points to errors of the parameters.
 struct Volume {
     places: Vec<Point3<f64>>,
-    /// d place / d parameters, three rows a place; after rigid motions are taken out in `relative`.
+    /// d point / d parameters, three rows per point; with rigid motions removed in `relative`.
     absolute: DMatrix<f64>,
     relative: DMatrix<f64>,
-    /// (AᵀA)⁻¹ of each place, m²/px².
+    /// (AᵀA)⁻¹ of each point, m²/px².
     random: Vec<Matrix3<f64>>,
 }
 
-/// Judges a solution over the volume that the boards filled. `places`: the corners of all boards, camera frame.
+/// Judges a solution over the volume covered by the boards. `places`: the corners of all boards, camera frame.
 ///
-/// `None` when fewer than four places of the volume are seen by two views.
+/// `None` when two views see fewer than four points of the volume.
 pub fn verdict(solution: &Solution, corners: &[Corner], board: &[Point3<f64>]) -> Option<Verdict> {
     let filled: Vec<Point3<f64>> = corners.iter().map(|c| solution.poses[c.picture] * c.place).collect();
     let volume = Volume::of(&solution.geometry, &solution.free, &grid(&filled))?;
@@ -159,7 +160,8 @@ pub fn verdict(solution: &Solution, corners: &[Corner], board: &[Point3<f64>]) -
     })
 }
 
-/// A grid over the box that some places fill, each side cut a little short: its corners were never filled.
+/// A grid over the bounding box of some points, with each side slightly shortened because its corners were never
+/// covered.
 fn grid(filled: &[Point3<f64>]) -> Vec<Point3<f64>> {
     let bound = |pick: fn(f64, f64) -> f64, start: f64| {
         filled.iter().fold(Vector3::repeat(start), |b, p| b.zip_map(&p.coords, pick))
@@ -200,12 +202,12 @@ impl Volume {
         Some(Self { places: seen_places, absolute, relative, random })
     }
 
-    /// σ of the angle by which the line from each place to the next one of the grid is turned, without the common
-    /// motion, about one axis across it, radians.
+    /// σ of the rotation of the line from each grid point to the next, without the common motion, about one axis across
+    /// it, radians.
     fn turns(&self, covariance: &DMatrix<f64>) -> Vec<f64> {
         let pairs = (0..self.places.len()).flat_map(|a| (a + 1..self.places.len()).map(move |b| (a, b)));
         let apart = |(a, b): (usize, usize)| self.places[b] - self.places[a];
-        // Neighbours differ in one coordinate of the grid; of each axis, the nearest.
+        // Neighbours differ in one grid coordinate; the nearest along each axis counts.
         let along = |way: &Vector3<f64>| (0..3).find(|k| way.norm() - way[*k].abs() < 1e-9 * way.norm());
         let mut step = [f64::INFINITY; 3];
         for way in pairs.clone().map(apart) {
@@ -239,7 +241,7 @@ impl Volume {
     }
 }
 
-/// How a place, triangulated from all views that show it, answers to errors of the parameters, −(AᵀA)⁻¹AᵀB, and
+/// Sensitivity of a point, triangulated from all views that show it, to errors of the parameters, −(AᵀA)⁻¹AᵀB, and
 /// (AᵀA)⁻¹; `None` when fewer than two views show it.
 pub(crate) fn answer(
     projector: &Projector,
@@ -263,7 +265,7 @@ pub(crate) fn answer(
     Some((-(inverse * pull), inverse))
 }
 
-/// Displacements of places with their best common rigid motion taken out, column by column: K − G(GᵀG)⁻¹GᵀK.
+/// Displacements of points without their best common rigid motion, column by column: K − G(GᵀG)⁻¹GᵀK.
 fn without_rigid_motion(displacements: &DMatrix<f64>, places: &[Point3<f64>]) -> Option<DMatrix<f64>> {
     let middle = places.iter().map(|p| p.coords).sum::<Vector3<f64>>() / places.len() as f64;
     let mut rigid = DMatrix::zeros(3 * places.len(), 6);
@@ -275,7 +277,7 @@ fn without_rigid_motion(displacements: &DMatrix<f64>, places: &[Point3<f64>]) ->
     Some(displacements - &rigid * (inverse * rigid.tr_mul(displacements)))
 }
 
-/// For each place, the root of the trace of its covariance, metres.
+/// For each point, the root of the trace of its covariance, metres.
 fn spreads(by_parameters: &DMatrix<f64>, covariance: &DMatrix<f64>) -> Vec<f64> {
     let through = by_parameters * covariance;
     let variance = |row: usize| through.row(row).dot(&by_parameters.row(row));
@@ -284,7 +286,7 @@ fn spreads(by_parameters: &DMatrix<f64>, covariance: &DMatrix<f64>) -> Vec<f64> 
         .collect()
 }
 
-/// What could be added, and the information it would bring.
+/// A possible addition, and its information.
 struct Candidate {
     what: String,
     kind: String,
@@ -340,8 +342,8 @@ fn candidates(solution: &Solution, places: &[Point3<f64>], board: &[Point3<f64>]
     list
 }
 
-/// What a picture of the board in a pose tells of the geometry, its pose unknown. `None` when not all views show all of
-/// it.
+/// Information about the geometry from a picture of the board in a pose that is itself unknown. `None` when not all
+/// views show all of it.
 fn information(
     projector: &Projector,
     solution: &Solution,
@@ -360,7 +362,7 @@ fn information(
             }
         }
     }
-    // Its corners will be off together as those of the others are.
+    // Its corners' errors will be correlated like those of the others.
     Some(equations.information()? / (solution.corner_sd_px.powi(2) * solution.design_effect))
 }
 
@@ -370,7 +372,7 @@ mod tests {
 
     #[test]
     fn a_twist_turns_neighbours_by_its_angle_times_their_distance() {
-        // A cube of 3 x 3 x 3 places 20 mm apart; one parameter twists it about z: by p radians for each metre along z.
+        // A cube of 3 x 3 x 3 points 20 mm apart; one parameter twists it about z: by p radians per metre along z.
         let at = |i: usize| Point3::new((i % 3) as f64 - 1.0, (i / 3 % 3) as f64 - 1.0, (i / 9) as f64 - 1.0) * 0.02;
         let places: Vec<Point3<f64>> = (0..27).map(at).collect();
         let mut twist = DMatrix::zeros(81, 1);
@@ -399,10 +401,10 @@ mod tests {
             relative_m,
         };
         let all = [suggestion("a", 1.0, 9.0), suggestion("b", 2.0, 8.0), suggestion("a", 3.0, 7.0)];
-        let told = |error: fn(&Suggestion) -> f64| {
+        let best = |error: fn(&Suggestion) -> f64| {
             best_of_each(&all, error).into_iter().map(|s| s.what.clone()).collect::<Vec<_>>()
         };
-        assert_eq!(told(|s| s.absolute_m), ["a 1", "b 2"]);
-        assert_eq!(told(|s| s.relative_m), ["a 3", "b 2"]);
+        assert_eq!(best(|s| s.absolute_m), ["a 1", "b 2"]);
+        assert_eq!(best(|s| s.relative_m), ["a 3", "b 2"]);
     }
 }

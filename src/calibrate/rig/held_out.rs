@@ -1,26 +1,27 @@
-//! A check that needs no model of the errors: lengths on boards, measured with a rig that never saw their picture.
+//! A check without an error model: lengths on boards, measured with a rig that was calibrated without their picture.
 //!
 //! In: a solution and its corners. Out: for each picture, [`HeldOut`].
 //!
-//! Each picture is left out in turn and the rest solved again, from the full solution. Every corner that two views of
-//! the picture show is then triangulated as the tracker would; distances between corners are known from the board, and
-//! the rays of the views should meet. Errors of the corners alone explain [`Length::noise_sd_m`]; what is beyond it is
-//! the rig's.
+//! Each picture is held out in turn and the rest solved again, starting from the full solution. Every corner that two
+//! views of the picture show is then triangulated as in the tracker; distances between corners are known from the
+//! board, and the rays of the views should meet. The noise of the corners alone explains [`Length::noise_sd_m`]; the
+//! excess is the rig's.
 //!
-//! Cannot tell: what moves everything together (it changes no length), a wrong size of the squares (the boards of the
-//! other pictures have it too).
+//! Cannot tell: a common motion of everything (it changes no length), a wrong size of the squares (it affects all
+//! pictures).
 
 use crate::calibrate::bundle::{Corner, NoSolution, Solution};
 use crate::optics::{Sighting, triangulate};
 use nalgebra::{Matrix2, Matrix3, Point3};
 use rayon::prelude::*;
 
-/// Lengths within this part of the shortest or the longest are edges of squares, or diagonals of the board.
+/// Lengths within this fraction of the shortest or the longest count as edges of squares or diagonals of the board.
 const SAME_LENGTH: f64 = 0.01;
-/// Lengths further off than so many times what noise explains are off by more; few lengths must be further off yet.
+/// Ratio of the error of lengths to the explained noise above which it is more than noise; with few lengths it must be
+/// larger still.
 const BEYOND_NOISE: f64 = 1.3;
-/// Lengths that are off by less than this part of what noise explains have ends that are off together.
-const TOGETHER: f64 = 0.7;
+/// Ratio of the error of lengths to the explained noise below which the errors of their ends are correlated.
+const CORRELATED_BELOW: f64 = 0.7;
 
 /// A length on the board.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -29,30 +30,29 @@ pub struct Length {
     pub nominal_m: f64,
     /// As measured, metres.
     pub measured_m: f64,
-    /// What the noise of its two corners makes of it, 1σ, metres.
+    /// Error from the noise of its two corners, 1σ, metres.
     pub noise_sd_m: f64,
 }
 
-/// What a picture says of the rig found without it.
+/// Check of a rig with a picture that was held out.
 #[derive(Debug, Clone, PartialEq)]
 pub struct HeldOut {
     /// Between neighbouring corners.
     pub edges: Vec<Length>,
-    /// Between corners as far from each other as the board has them.
+    /// Between the corners furthest apart on the board.
     pub diagonals: Vec<Length>,
-    /// By how much all lengths of the board come out too long, as part of them; `None` without lengths.
+    /// Relative scale error of all lengths of the board, positive if too long; `None` without lengths.
     pub scale: Option<f64>,
-    /// For each corner, how far the rays of the views pass the place nearest to them all, metres; as the tracker counts
-    /// it.
+    /// For each corner, the distance of the views' rays from the point nearest to them all, metres, as in the tracker.
     pub rays_m: Vec<f64>,
 }
 
-/// How far lengths are off.
+/// Errors of lengths.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Off {
-    /// How many lengths.
+pub(crate) struct LengthErrors {
+    /// Number of lengths.
     pub count: usize,
-    /// Their mean as printed, metres.
+    /// Mean printed length, metres.
     pub nominal_m: f64,
     /// RMS and largest of measured − printed, metres.
     pub rms_m: f64,
@@ -64,8 +64,8 @@ pub(crate) struct Off {
     pub noise_m: f64,
 }
 
-impl Off {
-    /// Of some lengths; `None` when there are none.
+impl LengthErrors {
+    /// Errors of some lengths; `None` when there are none.
     pub(crate) fn of<'a>(lengths: impl IntoIterator<Item = &'a Length>) -> Option<Self> {
         let lengths: Vec<&Length> = lengths.into_iter().collect();
         let count = lengths.len();
@@ -81,21 +81,21 @@ impl Off {
         })
     }
 
-    /// Whether they are off by so much less than noise explains that what is wrong with their ends is no noise.
+    /// Whether the errors are so far below the explained noise that those of their ends are correlated.
     pub(crate) fn below_noise(&self) -> bool {
-        self.rms_m < self.noise_m * TOGETHER.min(1.0 - 3.0 / (2.0 * self.count as f64).sqrt())
+        self.rms_m < self.noise_m * CORRELATED_BELOW.min(1.0 - 3.0 / (2.0 * self.count as f64).sqrt())
     }
 
-    /// Whether they are off by more than noise, which makes an RMS scatter by 1/√(2·count) of itself.
+    /// Whether the errors exceed noise, given that an RMS scatters by 1/√(2·count) of itself.
     pub(crate) fn beyond_noise(&self) -> bool {
         self.rms_m > self.noise_m * BEYOND_NOISE.max(1.0 + 3.0 / (2.0 * self.count as f64).sqrt())
     }
 }
 
-/// Leaves out each picture in turn. In the order of the solution's pictures.
+/// Holds out each picture in turn, in the order of the solution's pictures.
 ///
 /// # Errors
-/// For a picture: `NoSolution` when the others alone leave the rig open.
+/// For a picture: `NoSolution` when the others alone do not determine the rig.
 pub fn held_out(solution: &Solution, corners: &[Corner]) -> Vec<Result<HeldOut, NoSolution>> {
     (0..solution.poses.len())
         .into_par_iter()
@@ -107,7 +107,7 @@ pub fn held_out(solution: &Solution, corners: &[Corner]) -> Vec<Result<HeldOut, 
         .collect()
 }
 
-/// Triangulates the corners of a picture and takes the lengths between them.
+/// Triangulates the corners of a picture and measures the lengths between them.
 fn measure(picture: usize, others: &Solution, corners: &[Corner], corner_sd_px: f64) -> HeldOut {
     let paths: Vec<_> = (0..others.geometry.views.len()).map(|view| others.geometry.path(view)).collect();
     let mut seen: Vec<(Point3<f64>, Vec<Sighting<'_>>)> = Vec::new();
@@ -171,7 +171,8 @@ mod tests {
         assert_eq!(pictures.len(), 12);
         for held in pictures {
             // Boards of 5 x 4 corners, 16 mm apart.
-            let (edges, diagonals) = (Off::of(&held.edges).unwrap(), Off::of(&held.diagonals).unwrap());
+            let (edges, diagonals) =
+                (LengthErrors::of(&held.edges).unwrap(), LengthErrors::of(&held.diagonals).unwrap());
             assert_eq!((edges.count, diagonals.count, held.rays_m.len()), (4 * 4 + 5 * 3, 2, 20));
             assert!((edges.nominal_m - 0.016).abs() < 1e-12 && (diagonals.nominal_m - 0.080).abs() < 1e-12);
             assert!(
@@ -185,7 +186,7 @@ mod tests {
     #[test]
     fn lengths_are_off_by_what_the_noise_of_the_corners_explains() {
         let pictures = all(0.1, 5);
-        let edges = Off::of(pictures.iter().flat_map(|p| &p.edges)).unwrap();
+        let edges = LengthErrors::of(pictures.iter().flat_map(|p| &p.edges)).unwrap();
         assert_eq!(edges.count, 12 * 31);
         assert!((0.85..1.2).contains(&(edges.rms_m / edges.noise_m)), "{edges:?}");
         assert!(!edges.beyond_noise() && !edges.below_noise());
@@ -196,7 +197,7 @@ mod tests {
     fn a_board_of_another_size_shows_in_its_own_picture() {
         let truth = geometry();
         let mut bundle = bundle(&truth, 0.0, 0.0, 3);
-        // Half of a per cent larger than it is said to be: its corners are seen further out.
+        // Half a per cent larger than stated: its corners are seen further out.
         for corner in bundle.corners.iter_mut().filter(|c| c.picture == 4) {
             corner.place = Point3::from(corner.place.coords / 1.005);
         }
@@ -205,7 +206,7 @@ mod tests {
         let held = pictures[4].as_ref().unwrap();
         let scale = held.scale.unwrap();
         assert!((scale - 0.005).abs() < 1e-6, "{scale}");
-        let edges = Off::of(&held.edges).unwrap();
+        let edges = LengthErrors::of(&held.edges).unwrap();
         assert!(edges.beyond_noise());
         assert!((edges.mean_m - 0.005 * edges.nominal_m).abs() < 1e-8);
     }
@@ -215,7 +216,7 @@ mod tests {
         let mut bundle = bundle(&geometry(), 0.0, 0.0, 3);
         bundle.poses.truncate(2);
         bundle.names.truncate(2);
-        // One square: 4 corners in 2 views, 16 equations a picture for 6 unknowns of its pose.
+        // One square: 4 corners in 2 views, 16 equations per picture for 6 unknowns of its pose.
         bundle.corners.retain(|c| c.picture < 2 && c.place.x < -0.01 && c.place.y < 0.0);
         let corners = bundle.corners.clone();
         assert_eq!(corners.len(), 16);

@@ -1,13 +1,13 @@
-//! First guess of a rig from pictures that show a board directly and in mirrors, as if there were no water.
+//! Initial rig from pictures that show a board directly and in mirrors, ignoring water.
 //!
-//! In: images of the board in each picture, the lens. Out: which image is which view, in which order its corners are,
-//! about where the mirrors are and the boards.
+//! In: images of the board in each picture, the lens. Out: the view of each image, the order of its corners, and
+//! approximate positions of mirrors and boards.
 //!
-//! Every image gives a pose of the (virtual) board. Light takes a longer way by a mirror than straight, so the nearest
-//! image of a picture is the direct one, of those that are not seen to be mirrored. Each other image is a reflection of
-//! it: corresponding corners are joined by lines that are all parallel to the mirror's normal and halved by its plane;
-//! only the right order of corners makes them parallel. Planes that agree are the same mirror. Behind water distances
-//! come out a quarter short: good enough for a start.
+//! Every image gives a pose of the (virtual) board. The path via a mirror is longer than the straight one, so the
+//! nearest image of a picture that is not recognised as mirrored is the direct one. Every other image is a reflection
+//! of it: lines between corresponding corners are all parallel to the mirror's normal and bisected by its plane; only
+//! the right order of corners makes them parallel. Planes that agree are the same mirror. Behind water distances come
+//! out a quarter too short: good enough for a start.
 
 use crate::calibrate::board::{Board, BoardImage};
 use crate::calibrate::bundle::pose::pose_from_opencv;
@@ -17,12 +17,12 @@ use opencv::calib3d;
 use opencv::core::{Mat, MatExprTraitConst, Point2f, Point3f, Vector};
 
 /// Lines between the corners of an image and of its reflection may be this far from parallel (tangent of the angle,
-/// RMS): refraction that is not known yet bends them; a wrong order of corners is far beyond.
+/// RMS): unmodelled refraction bends them; a wrong order of corners gives far more.
 const PARALLEL: f64 = 0.2;
 /// Planes whose normals differ by more than this are different mirrors.
 const SAME_MIRROR_RAD: f64 = 20.0 * std::f64::consts::PI / 180.0;
 
-/// Places of corners on the board, and where they are in the picture.
+/// Positions of corners on the board and in the picture.
 type Corners = Vec<(Point3<f64>, Point2<f64>)>;
 
 /// A picture with all images of the board in it.
@@ -36,37 +36,37 @@ pub struct BoardsPicture {
     pub images: Vec<BoardImage>,
 }
 
-/// A picture whose images are told apart.
+/// A picture whose images are assigned to views.
 #[derive(Debug, Clone)]
-pub(crate) struct Sorted {
+pub(crate) struct SortedPicture {
     /// Index of the picture.
     pub(crate) picture: usize,
-    /// For each view (0 direct, then the mirrors) the image there; the direct one is always there.
+    /// The image in each view (0 direct, then the mirrors); the direct one always exists.
     pub(crate) views: Vec<Option<Image>>,
 }
 
 /// An image of the board.
 #[derive(Debug, Clone)]
 pub(crate) struct Image {
-    /// Corners of the board, in the direct image's order, and where they are in the picture.
+    /// Corners of the board, in the direct image's order, and their positions in the picture.
     pub(crate) corners: Vec<(Point3<f64>, Point2<f64>)>,
-    /// For each of them σ over that of the others; empty where all are alike.
+    /// Relative σ of each corner; empty when all are equal.
     pub(crate) relative_sd: Vec<f64>,
-    /// Pose of the (virtual) board as if in air, camera_from_board, origin in the board's middle.
+    /// Pose of the (virtual) board as if in air, camera_from_board, origin at the board's centre.
     pub(crate) pose: Isometry3<f64>,
 }
 
-/// The first guess.
+/// The initial rig.
 #[derive(Debug, Clone)]
 pub(crate) struct Initial {
     /// For each mirror: unit normal to the camera's side, offset in metres.
     pub(crate) mirrors: Vec<(Vector3<f64>, f64)>,
-    pub(crate) pictures: Vec<Sorted>,
+    pub(crate) pictures: Vec<SortedPicture>,
     /// Pictures that cannot be used, and why.
     pub(crate) left_out: Vec<(usize, Unusable)>,
 }
 
-/// Why a picture says nothing about mirrors.
+/// Why a picture has no information about mirrors.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub(crate) enum Unusable {
     /// No direct image.
@@ -78,26 +78,26 @@ pub(crate) enum Unusable {
          not hidden?"
     )]
     Once,
-    /// Images that are the wrong way round.
+    /// Images with the wrong handedness.
     #[error(
         "its direct image of the board is mirrored and the one in a mirror is not: the picture was flipped, by the camera's \
          software or afterwards; take it unflipped"
     )]
     Flipped,
-    /// It was given before.
+    /// It was already given.
     #[error("it is the same picture as {0}")]
     Duplicate(String),
-    /// Images that are not sharp.
+    /// Blurred images.
     #[error(
         "it is blurred: edges {edge_px:.0} px wide on squares of {square_px:.0} px; hold the board still, focus, more light"
     )]
     Blurred {
-        /// From dark to light.
+        /// Width of its edges.
         edge_px: f64,
         /// Side of a square.
         square_px: f64,
     },
-    /// Two images that are no reflections of each other.
+    /// Two images that are not reflections of each other.
     #[error(
         "its images of the board are no reflections of one another (lines between their corners are {:.0}° from \
          parallel): are they of one board, and is the mirror flat?", .spread.atan().to_degrees()
@@ -122,7 +122,7 @@ struct Reflection {
     image: Image,
 }
 
-/// Tells views and mirrors apart; `mirrors` is how many there are.
+/// Assigns images to views and mirrors; `mirrors` is the number of mirrors.
 pub(crate) fn start(board: &Board, lens: &Lens, pictures: &[BoardsPicture], mirrors: usize) -> opencv::Result<Initial> {
     let places = board.centred_points();
     let mut left_out = Vec::new();
@@ -184,12 +184,12 @@ pub(crate) fn start(board: &Board, lens: &Lens, pictures: &[BoardsPicture], mirr
         direct.push((picture, Image { corners: corners.clone(), relative_sd: Vec::new(), pose: *nearest }));
     }
     let groups = group(&reflections, mirrors);
-    let mut sorted: Vec<Sorted> = direct
+    let mut sorted: Vec<SortedPicture> = direct
         .into_iter()
         .map(|(picture, image)| {
             let mut views = vec![None; groups.len() + 1];
             views[0] = Some(image);
-            Sorted { picture, views }
+            SortedPicture { picture, views }
         })
         .collect();
     for (mirror, members) in groups.iter().enumerate() {
@@ -221,7 +221,7 @@ fn same_images(a: &BoardsPicture, b: &BoardsPicture) -> bool {
     a.images.len() == b.images.len() && a.images.iter().zip(&b.images).all(|(a, b)| a.is_same_as(b))
 }
 
-/// Places and pixels of an image's corners; `order` says which corner stands at each index.
+/// Places and pixels of an image's corners; `order` gives the corner at each index.
 pub(crate) fn ordered(
     places: &[Point3<f64>],
     image: &BoardImage,
@@ -251,8 +251,8 @@ pub(crate) fn pose(lens: &Lens, corners: &[(Point3<f64>, Point2<f64>)]) -> openc
     pose_from_opencv(&turn, &shift)
 }
 
-/// The plane halfway between points and their reflections: how far the lines between them are from parallel, the normal
-/// to the points' side, the offset.
+/// The plane halfway between points and their reflections: deviation of the lines between them from parallel, the
+/// normal towards the points' side, the offset.
 pub(super) fn mirror_between(pairs: impl Iterator<Item = (Point3<f64>, Point3<f64>)>) -> (f64, Vector3<f64>, f64) {
     let pairs: Vec<_> = pairs.collect();
     let count = pairs.len().max(1) as f64;
@@ -264,8 +264,7 @@ pub(super) fn mirror_between(pairs: impl Iterator<Item = (Point3<f64>, Point3<f6
     (aside.sqrt() / mean.norm(), normal, normal.dot(&middle))
 }
 
-/// The reflections of each of the mirrors that most pictures show, at most `mirrors`, in the order from left to right
-/// in the picture.
+/// The reflections in each of the most frequent mirrors, at most `mirrors`, from left to right in the picture.
 fn group(reflections: &[Reflection], mirrors: usize) -> Vec<Vec<&Reflection>> {
     let mut left: Vec<&Reflection> = reflections.iter().collect();
     let mut groups: Vec<Vec<&Reflection>> = Vec::new();

@@ -1,13 +1,13 @@
 //! `catoptra calibrate rig`: mirrors and walls from pictures that show a board directly and in the mirrors.
 //!
-//! In: images of the board in each picture ([`BoardsPicture`]), the lens with its covariance, what else is known of the
-//! tank. Out: surfaces and views of the rig, their covariance, and what each picture leaves.
+//! In: images of the board in each picture ([`BoardsPicture`]), the lens with its covariance, priors about the tank.
+//! Out: surfaces and views of the rig, their covariance, and the residuals of each picture.
 //!
-//! 1. `start`: which image is which view, about where the mirrors are, as if in air.
-//! 2. Where there is a tank, walls are put between camera and boards: the front wall across the line of sight, and for
-//!    each mirror beside the tank the wall through which it looks. Several distances are tried.
-//! 3. `super::bundle`: all at once. The best of the tries counts; a picture that fits much worse than the others is
-//!    left out.
+//! 1. `start`: which image is which view, and approximate mirrors, as if in air.
+//! 2. With a tank, walls are placed between camera and boards: the front wall across the line of sight, and for each
+//!    mirror beside the tank the wall in front of it. Several distances are tried.
+//! 3. `super::bundle`: adjusts everything jointly. The best attempt counts; a picture that fits much worse than the
+//!    others is left out.
 //!
 //! Assumes that a board is either in the medium behind the walls in all pictures, or in air in all of them.
 //! Cannot detect: a wrong refractive index or glass thickness (they trade off against distances), a wrong size of the
@@ -44,27 +44,27 @@ use crate::calibrate::geometry::Parameter;
 use crate::optics::{Lens, OpticalPath};
 use crate::rig::{Draft, View};
 use error::FEWEST_PICTURES;
-use initial::{Initial, Sorted, Unusable, start};
+use initial::{Initial, SortedPicture, Unusable, start};
 use nalgebra::{Point2, Vector2};
 use regions::regions;
-use sufficient::{determined, shown};
+use sufficient::{check_views, determined};
 use taped::Taped;
 use walls::{first_geometry, held, known};
 
-/// Walls are first put this far in front of the nearest corner, metres.
+/// Initial distances of walls in front of the nearest corner, metres.
 const MARGINS_M: [f64; 3] = [0.03, 0.08, 0.15];
 
-/// How far off the distance of a board from a single view may be.
+/// Relative error of a board's distance from a single view.
 const POSE_ERROR: f64 = 0.02;
 
-/// The rig's optics and how well they are known.
+/// The rig's optics with their covariance.
 #[derive(Debug, Clone)]
 pub struct RigCalibration {
     /// The solution.
     pub solution: Solution,
-    /// The corners it explains.
+    /// The corners used.
     pub corners: Vec<Corner>,
-    /// For each picture that was used, its index among those given and what it leaves.
+    /// For each picture used, its index among those given and its residuals.
     pub used: Vec<(usize, UsedPicture)>,
     /// Pictures left out, and why.
     pub left_out: Vec<(String, String)>,
@@ -73,7 +73,7 @@ pub struct RigCalibration {
 /// Calibrates mirrors and walls.
 ///
 /// # Errors
-/// [`RigCalibrationError`] when the pictures do not show enough, or do not belong together.
+/// [`RigCalibrationError`] when the pictures do not show enough, or are inconsistent.
 pub fn calibrate_rig(
     board: &Board,
     lens: &Lens,
@@ -86,7 +86,7 @@ pub fn calibrate_rig(
     adjusted(&target, lens, start, pictures.iter().map(|p| p.name.clone()).collect(), options)
 }
 
-/// Calibrates mirrors and walls from points that were marked by hand or found elsewhere.
+/// Calibrates mirrors and walls from points that were marked by hand or found by other tools.
 ///
 /// # Errors
 /// As [`calibrate_rig`].
@@ -100,13 +100,13 @@ pub fn calibrate_rig_from_points(
     adjusted(&target, lens, points.start(lens)?, points.names(), options)
 }
 
-/// What pictures show.
+/// The target in the pictures.
 struct Target<'a> {
-    /// Before it is found.
+    /// Prior of its shape.
     shape: Shape,
     /// For messages.
     words: String,
-    /// Where it is one; boards that are taped to walls are no other.
+    /// The board, if it is one; taped boards must be the same.
     board: Option<&'a Board>,
 }
 
@@ -128,7 +128,7 @@ fn adjusted(
         if start.mirrors.len() < options.mirrors {
             return Err(RigCalibrationError::Mirrors { found: start.mirrors.len(), expected: options.mirrors });
         }
-        shown(&start)?;
+        check_views(&start)?;
         before_wall(target, &start, options, &name)?;
         let names: Vec<String> = start.pictures.iter().map(|sorted| name(sorted.picture)).collect();
         let (solution, corners) = best(target, lens, &start, &names, options)?;
@@ -151,8 +151,8 @@ fn adjusted(
     }
 }
 
-/// A wall at a measured distance, and boards that by their size are nearer: light goes straight to the wall, so that a
-/// board behind it never seems to be before it, whatever its tilt.
+/// Checks for a wall at a measured distance with boards that, by their size, are nearer: light goes straight to the
+/// wall, so a board behind it never appears in front of it, whatever its tilt.
 fn before_wall(
     target: &Target<'_>,
     start: &Initial,
@@ -161,7 +161,7 @@ fn before_wall(
 ) -> Result<(), RigCalibrationError> {
     let measured = options.distances_m.iter().find(|(name, ..)| name == "front_wall");
     let Some((_, distance_m, sd_m)) = measured.filter(|_| options.tank.is_some()) else { return Ok(()) };
-    let nearest = |sorted: &Sorted| {
+    let nearest = |sorted: &SortedPicture| {
         let image = sorted.views.first()?.as_ref()?;
         image.corners.iter().map(|(place, _)| (image.pose * place).coords.norm()).reduce(f64::min)
     };
@@ -184,7 +184,7 @@ fn by_picture(corners: &[Corner], solution: &Solution, picture: usize) -> Vec<(P
     all.filter(|(corner, _)| corner.picture == picture).map(|(corner, residual)| (corner.pixel, *residual)).collect()
 }
 
-/// The best of the adjustments that start from walls at several distances.
+/// The best adjustment of those started with walls at several distances.
 fn best(
     target: &Target<'_>,
     lens: &Lens,
@@ -246,7 +246,7 @@ fn best(
             (Err(_), Ok(_)) => {}
         }
     }
-    // Taped boards and the views that show them have done their work: they are no part of the rig.
+    // Taped boards and their views are no longer needed: they are not part of the rig.
     let mut solution = best?;
     solution.geometry.views.truncate(1 + start.mirrors.len());
     solution.poses.truncate(start.pictures.len());
@@ -256,8 +256,8 @@ fn best(
     Ok((solution, seen))
 }
 
-/// The rig file with the mirrors, walls and views found in place of those it had. Its base frame was found with the old
-/// ones and is left out.
+/// The rig file with its mirrors, walls and views replaced by the new ones. Its base frame was found with the old ones
+/// and is removed.
 pub fn into_draft(mut draft: Draft, done: &RigCalibration) -> Draft {
     let geometry = &done.solution.geometry;
     draft.camera.lens = geometry.lens;

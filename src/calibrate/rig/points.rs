@@ -1,16 +1,16 @@
-//! Points that were marked by hand, or found by another program, in place of boards: a dot plate, a frame of known
+//! Points that were marked by hand, or found by another program, instead of boards: a dot plate, a frame of known
 //! points.
 //!
-//! In: a table, a row a point in a view of a picture. Out: a `Initial` as from pictures of boards, to be adjusted
-//! alike.
+//! In: a table with one row per point in a view of a picture. Out: an `Initial` as from pictures of boards, to be
+//! adjusted in the same way.
 //!
 //! Columns `picture`, `view` (`direct`, `mirror`, or `mirror_1`, `mirror_2`, … from left to right), `u_px`, `v_px`,
-//! `x_mm`, `y_mm`, `z_mm` (in the target's own frame, the same in all pictures) and, if wanted, `sd_px`: how well the
-//! point was marked, one coordinate. The pictures differ by where the target was, which is found with the rest.
+//! `x_mm`, `y_mm`, `z_mm` (in the target's own frame, the same in all pictures) and optionally `sd_px`: σ of one
+//! coordinate of the marked point. The target's pose differs between pictures and is also fitted.
 //!
-//! Cannot detect: a target that is not what the table says in a way that scaling explains.
+//! Cannot detect: a target whose true dimensions differ from the table by a scale factor.
 
-use super::initial::{Image, Initial, Sorted, Unusable, mirror_between, mirrors_alike};
+use super::initial::{Image, Initial, SortedPicture, Unusable, mirror_between, mirrors_alike};
 use crate::calibrate::bundle::pose::pose_from_opencv;
 use crate::optics::Lens;
 use nalgebra::{Isometry3, Point2, Point3, Vector3};
@@ -18,21 +18,22 @@ use opencv::calib3d;
 use opencv::core::{Mat, MatExprTraitConst, Point2f, Point3f, Vector};
 use std::path::{Path, PathBuf};
 
-/// Fewest points of a target in a view: a pose has six numbers, two a point, and one more point contradicts it.
-const FEWEST: usize = 4;
-/// A target is flat when its points are so near to its plane, as part of its size.
-const FLAT: f64 = 1e-6;
+/// Fewest points of a target in a view: a pose has six unknowns, a point gives two equations, and one more point is
+/// needed as a check.
+const MIN_POINTS: usize = 4;
+/// A target counts as flat if its points are this close to its plane, as a fraction of its size.
+const FLATNESS: f64 = 1e-6;
 const M_PER_MM: f64 = 1e-3;
 
 /// Why a table cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum PointsError {
-    /// The file system did not give it.
+    /// The file cannot be read.
     #[error("cannot read the points {}: {source}", file.display())]
     Read {
         /// Which file.
         file: PathBuf,
-        /// What the system, or the reader of tables, said.
+        /// What the system or the CSV reader said.
         source: csv::Error,
     },
     /// A column is missing.
@@ -64,7 +65,7 @@ pub enum PointsError {
 struct Marked {
     place: Point3<f64>,
     pixel: Point2<f64>,
-    /// σ of a coordinate over the mean of all.
+    /// σ of a coordinate relative to the mean σ.
     relative_sd: f64,
 }
 
@@ -80,14 +81,14 @@ struct PointsPicture {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Points {
     pictures: Vec<PointsPicture>,
-    /// All places, their middle in the origin, metres.
+    /// All points of the target, with their centre at the origin, metres.
     places: Vec<Point3<f64>>,
-    /// Mean of the σ that were given, pixels.
+    /// Mean of the given σ, pixels.
     given_sd_px: Option<f64>,
 }
 
 impl Points {
-    /// Reads a table for a rig with so many mirrors.
+    /// Reads a table for a rig with this number of mirrors.
     ///
     /// # Errors
     /// [`PointsError`] with line, column and value.
@@ -167,7 +168,7 @@ impl Points {
         Ok(points)
     }
 
-    /// Puts the middle of all places into the origin, and takes σ relative to their mean.
+    /// Moves the centre of all points to the origin, and makes σ relative to their mean.
     fn centre(&mut self, mean_sd: f64) {
         let all = || self.pictures.iter().flat_map(|p| p.views.iter().flatten());
         let mut places: Vec<Point3<f64>> = Vec::new();
@@ -194,34 +195,33 @@ impl Points {
         self.pictures.iter().map(|p| p.name.clone()).collect()
     }
 
-    /// Mean of the σ that were given, pixels.
+    /// Mean of the given σ, pixels.
     pub fn given_sd_px(&self) -> Option<f64> {
         self.given_sd_px
     }
 
-    /// Whether all places lie in the plane z = 0.
+    /// Whether all points lie in the plane z = 0.
     pub(crate) fn is_flat(&self) -> bool {
         let size = self.places.iter().map(|p| p.coords.norm()).fold(0.0, f64::max);
-        self.places.iter().all(|p| p.z.abs() <= FLAT * size)
+        self.places.iter().all(|p| p.z.abs() <= FLATNESS * size)
     }
 
-    /// Where targets and mirrors are, about, as if in air.
+    /// Approximate positions of targets and mirrors, as if in air.
     pub(crate) fn start(&self, lens: &Lens) -> opencv::Result<Initial> {
         let mut left_out = Vec::new();
         let mut pictures = Vec::new();
         let views = self.pictures.iter().map(|p| p.views.len()).max().unwrap_or(1);
         let mut planes: Vec<Vec<(Vector3<f64>, f64)>> = vec![Vec::new(); views - 1];
         for (picture, own) in self.pictures.iter().enumerate() {
-            let enough = |view: &&Vec<Marked>| view.len() >= FEWEST;
+            let enough = |view: &&Vec<Marked>| view.len() >= MIN_POINTS;
             let Some(direct) = own.views.first().filter(enough) else {
                 left_out.push((picture, Unusable::OnlyMirrored));
                 continue;
             };
             let here = self.pose(lens, direct, 1.0)?;
-            let mut sorted = Sorted { picture, views: vec![None; views] };
+            let mut sorted = SortedPicture { picture, views: vec![None; views] };
             for (view, marked) in own.views.iter().enumerate().skip(1).filter(|(_, marked)| enough(marked)) {
-                // What a mirror shows is turned about and reflected in the target's own plane, which a flat one does
-                // not show.
+                // A mirror image is a rotated target reflected in its own plane, which a flat target does not show.
                 let there = self.pose(lens, marked, -1.0)?;
                 let folded = |p: &Point3<f64>| Point3::new(p.x, p.y, -p.z);
                 let pairs = self.places.iter().map(|p| (here * p, there * folded(p)));

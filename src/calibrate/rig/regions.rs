@@ -6,17 +6,16 @@ use crate::rig::polygon;
 use nalgebra::{Point2, Rotation2, Vector2};
 use std::f64::consts::TAU;
 
-/// A view reaches beyond its boards by this part of their extent, to every side: further out nothing is known of its
-/// rays.
+/// A view extends beyond its boards by this fraction of their size on every side: further out its rays are unknown.
 const BEYOND: f64 = 0.5;
 
-/// Pixels without a ray are looked for in steps of this, and cut off by lines in one of so many directions.
+/// Step of the search for pixels without a ray, and number of directions of the lines that cut them off.
 const STEP_PX: f64 = 4.0;
 const DIRECTIONS: usize = 32;
 
-/// Where each view is in the picture: around its boards, cut along lines halfway to the boards of the other views, and
-/// without what has no ray, past the edge of a wall or of a mirror. Two views whose boards no line across their centres
-/// parts are not cut.
+/// The region of each view in the picture: around its boards, cut along lines halfway to the boards of the other views,
+/// and without pixels that have no ray, beyond the edge of a wall or a mirror. Two views are not cut if no line
+/// perpendicular to the line between their centres separates their boards.
 pub(crate) fn regions(corners: &[Corner], views: &[OpticalPath], size_px: [u32; 2]) -> Vec<Vec<Point2<f64>>> {
     let of_view = |view: usize| corners.iter().filter(move |c| c.view == view).map(|c| c.pixel.coords);
     let centre = |view: usize| of_view(view).sum::<Vector2<f64>>() / of_view(view).count().max(1) as f64;
@@ -44,14 +43,14 @@ pub(crate) fn regions(corners: &[Corner], views: &[OpticalPath], size_px: [u32; 
                 }
             }
             let boards: Vec<Vector2<f64>> = of_view(view).collect();
-            seeing(region, &boards, |pixel| optics.trace(pixel).is_ok())
+            visible_part(region, &boards, |pixel| optics.trace(pixel).is_ok())
         })
         .collect()
 }
 
-/// The part of a region whose pixels have rays: what has none is cut off by the straight line that leaves the most and
-/// all of the boards. Where no line does, the region stays: it is for `rig check` to complain.
-fn seeing(
+/// The part of a region whose pixels have rays: the rest is cut off by the straight line that keeps the most, and all
+/// of the boards. If no line does, the region is kept, and `rig check` warns.
+fn visible_part(
     region: Vec<Point2<f64>>,
     boards: &[Vector2<f64>],
     has_ray: impl Fn(&Point2<f64>) -> bool,
@@ -141,15 +140,15 @@ mod tests {
         let boards = [Vector2::new(120.0, 60.0), Vector2::new(300.0, 250.0)];
         // The edge of a wall, a line from (40, 0) to (80, 300).
         let has_ray = |p: &Point2<f64>| p.x > 40.0 + p.y * 40.0 / 300.0;
-        let found = seeing(region.clone(), &boards, has_ray);
+        let found = visible_part(region.clone(), &boards, has_ray);
         assert!(inside(&found).all(|p| has_ray(&p)), "{found:?}");
         assert!(boards.iter().all(|p| polygon::contains(&found, &Point2::from(*p))), "{found:?}");
         // 340 x 300 px² have a ray.
         let area = polygon::area_and_centre(&found).0;
         assert!(area > 0.95 * 340.0 * 300.0, "{area}");
-        assert_eq!(seeing(region.clone(), &boards, |_| true), region);
-        // Among the boards no line cuts it off.
-        assert_eq!(seeing(region.clone(), &boards, |p| (p - Point2::new(200.0, 150.0)).norm() > 9.0), region);
+        assert_eq!(visible_part(region.clone(), &boards, |_| true), region);
+        // A blind spot among the boards cannot be cut off by a line.
+        assert_eq!(visible_part(region.clone(), &boards, |p| (p - Point2::new(200.0, 150.0)).norm() > 9.0), region);
     }
 
     #[test]

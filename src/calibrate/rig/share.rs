@@ -1,24 +1,24 @@
-//! What the errors of a rig's calibration do to a catheter that it measures, at the places where it is.
+//! Effect of a rig's calibration errors on a measured catheter, at the places where it was.
 //!
 //! In: a rig file with the covariance that `calibrate rig` wrote into it; base, coil and tip of a recording. Out:
 //! [`Share`].
 //!
-//! A place that is triangulated moves by K δp when the geometry is off by δp (`expected_error`). Tip and θ are measured
-//! in the base frame, which was found with the same geometry at the rest position: what both have in common drops out,
+//! A triangulated point moves by K δp for an error δp of the geometry (`expected_error`). Tip and θ are measured in the
+//! base frame, which was found with the same geometry at rest, so common errors cancel,
 //!
 //!   δθ = (y × t)·δt − (y × z)·δz,   δtip = K(tip) − K(origin) − (z × δz) × (tip − origin),
 //!
 //! with y and z the base frame's axes and δt the difference of K at both ends of a short piece along the tangent t.
 //!
-//! Cannot tell: what no covariance holds (a moved mirror, a bent wall). Outside the boards' volume the covariance
-//! itself says less than it seems to.
+//! Cannot tell: errors that no covariance covers (a moved mirror, a bent wall). Outside the boards' volume the
+//! covariance itself is less reliable.
 
 use super::expected_error::answer;
 use crate::calibrate::geometry::{Geometry, Parameter, Projector};
 use crate::rig::Draft;
 use nalgebra::{DMatrix, Matrix3xX, Point3, Vector3};
 
-/// Half the piece along which the tangent is looked at, metres.
+/// Half the length over which the tangent's error is evaluated, metres.
 const HALF_M: f64 = 5e-3;
 
 /// A catheter at one moment, camera frame.
@@ -32,18 +32,19 @@ pub(crate) struct Pose {
     pub tip: Point3<f64>,
 }
 
-/// 1σ by the calibration, over the moments asked for.
+/// 1σ from the calibration, over the given moments.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Share {
     /// θ, radians: median and largest.
     pub theta_rad: (f64, f64),
     /// The tip in the base frame, root of the trace, metres: median and largest.
     pub tip_m: (f64, f64),
-    /// How far the catheter leaves the box that the boards filled at most, metres; `None` when the file does not say.
+    /// Largest distance of the catheter outside the box covered by the boards, metres; `None` when the file does not
+    /// state it.
     pub outside_m: Option<f64>,
 }
 
-/// Why there is none.
+/// Why there is no result.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub(crate) enum NoShare {
     /// No base frame.
@@ -52,18 +53,18 @@ pub(crate) enum NoShare {
     /// No covariance.
     #[error("the rig file does not hold the covariance that `catoptra calibrate rig` writes into [provenance.rig]")]
     Covariance,
-    /// Nothing to look at.
+    /// No positions.
     #[error("no place is seen by two views")]
     Place,
 }
 
-/// The share of the calibration at these moments.
+/// The contribution of the calibration at these moments.
 ///
 /// # Errors
 /// [`NoShare`].
 pub(crate) fn share(rig: &Draft, poses: &[Pose]) -> Result<Share, NoShare> {
     let base = rig.base.as_ref().ok_or(NoShare::Base)?;
-    let (geometry, free, covariance) = noted(rig).ok_or(NoShare::Covariance)?;
+    let (geometry, free, covariance) = recorded_geometry(rig).ok_or(NoShare::Covariance)?;
     let projector = Projector::new(&geometry, &free);
     let moved = |place: &Point3<f64>| Some(answer(&projector, &geometry, place)?.0);
     let turned = |place: &Point3<f64>, way: &Vector3<f64>| {
@@ -74,7 +75,7 @@ pub(crate) fn share(rig: &Draft, poses: &[Pose]) -> Result<Share, NoShare> {
     let [y, z] = [Vector3::y(), Vector3::z()].map(|axis| camera_from_base.rotation * axis);
     let at_rest = || Some((moved(&origin)?, turned(&origin, &z)?));
     let (of_origin, of_z) = at_rest().ok_or(NoShare::Place)?;
-    // δ of the frame's turn: z × δz.
+    // Rotation error of the frame: z × δz.
     let of_turn = z.cross_matrix() * &of_z;
     let one = |pose: &Pose| -> Option<[f64; 2]> {
         let of_t = turned(&pose.coil, &pose.tangent)?;
@@ -96,8 +97,8 @@ pub(crate) fn share(rig: &Draft, poses: &[Pose]) -> Result<Share, NoShare> {
     Ok(Share { theta_rad: over(0), tip_m: over(1), outside_m: outside_m(rig, poses) })
 }
 
-/// As `calibrate rig` noted it: parameters of the rig's own geometry and their covariance.
-pub(crate) fn noted(rig: &Draft) -> Option<(Geometry, Vec<Parameter>, DMatrix<f64>)> {
+/// Parameters of the rig's geometry and their covariance, as recorded by `calibrate rig`.
+pub(crate) fn recorded_geometry(rig: &Draft) -> Option<(Geometry, Vec<Parameter>, DMatrix<f64>)> {
     let table = rig.provenance.get("rig")?;
     let surfaces: Vec<_> = rig.surfaces.iter().map(|(name, surface)| (name.clone(), *surface)).collect();
     let index = |name: &str| surfaces.iter().position(|(own, _)| own == name);
@@ -117,8 +118,7 @@ pub(crate) fn noted(rig: &Draft) -> Option<(Geometry, Vec<Parameter>, DMatrix<f6
     Some((Geometry { lens: rig.camera.lens, surfaces, views }, free, covariance))
 }
 
-/// The box of places, camera frame, metres, that the boards filled, as `calibrate rig` noted it: lowest and highest
-/// corner.
+/// The box covered by the boards, as recorded by `calibrate rig`: lowest and highest corner, camera frame, metres.
 pub(crate) fn volume_m(rig: &Draft) -> Option<[Vector3<f64>; 2]> {
     let corners = rig.provenance.get("rig")?.get("volume_mm")?.as_array()?;
     let corner = |i: usize| {

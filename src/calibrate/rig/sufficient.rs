@@ -1,9 +1,9 @@
-//! Whether pictures are enough for a rig, by how they were taken and by the covariance of what they gave.
+//! Whether pictures suffice for a rig, by how they were taken and by the resulting covariance.
 //!
-//! Boards that are all parallel are refused whatever the covariance: as long as board and camera are at hand, tilting
-//! costs nothing, and angles gain the double (rendered boards in a tank: σ 0.009° with parallel ones, 0.004° with
-//! tilted ones). Boards at one depth are not refused for that: tilted ones determine as much as others, there and for a
-//! lens; where they do not, the covariance shows it.
+//! Boards that are all parallel are refused whatever the covariance: while board and camera are at hand, tilting costs
+//! nothing, and it makes angles twice as accurate (rendered boards in a tank: σ 0.009° with parallel ones, 0.004° with
+//! tilted ones). Boards at a single depth are accepted: if tilted, they determine as much as others, here and for a
+//! lens; if not, the covariance shows it.
 
 use crate::calibrate::bundle::Solution;
 use crate::calibrate::bundle::pose::spread_rad;
@@ -11,20 +11,20 @@ use crate::calibrate::geometry::Parameter;
 use crate::calibrate::rig::initial::{Initial, Unusable};
 use nalgebra::Vector3;
 
-/// Fewest pictures of the board in each mirror: one alone has nothing that contradicts it.
-const FEWEST_OF_MIRROR: usize = 2;
-/// When more than this part of the pictures shows the mirror elsewhere, none can be relied on.
-const MOST_ELSEWHERE: f64 = 0.25;
-/// Boards that are all closer in direction than this are parallel. Half of what a lens needs: mirrors show the board
-/// from another side in every picture.
-const LEAST_TILT_RAD: f64 = 5.0 * std::f64::consts::PI / 180.0;
-/// A surface is not known whose normal is open by more, radians, or its distance by more than this part of the boards':
-/// the covariance holds for small errors, and all that the verdict says with it.
-const LEAST_KNOWN: (f64, f64) = (3.0 * std::f64::consts::PI / 180.0, 0.1);
+/// Fewest pictures of the board in each mirror: one alone has nothing to check it against.
+const MIN_MIRROR_PICTURES: usize = 2;
+/// When more than this fraction of the pictures shows the mirror elsewhere, none is reliable.
+const MAX_ELSEWHERE: f64 = 0.25;
+/// Boards that all differ less in direction count as parallel. Half of what a lens needs, because mirrors show the
+/// board from another side in every picture.
+const MIN_TILT_RAD: f64 = 5.0 * std::f64::consts::PI / 180.0;
+/// Largest σ of a surface's normal, radians, and of its distance, as a fraction of the boards': the covariance, and
+/// with it the verdict, is valid only for small errors.
+const MIN_KNOWN: (f64, f64) = (3.0 * std::f64::consts::PI / 180.0, 0.1);
 
 /// What pictures lack.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum Lacking {
+pub enum InsufficientPictures {
     /// Mirrors that moved, or pictures that were flipped.
     #[error(
         "in {elsewhere} of {all} pictures the mirror stands otherwise than in the rest: was it moved, were pictures flipped \
@@ -36,9 +36,9 @@ pub enum Lacking {
         /// Pictures with a board in a mirror.
         all: usize,
     },
-    /// A mirror that hardly a picture shows.
+    /// A mirror that too few pictures show.
     #[error(
-        "mirror {number} from the left shows the board in {found} picture only; at least {FEWEST_OF_MIRROR} are needed, 10 are \
+        "mirror {number} from the left shows the board in {found} picture only; at least {MIN_MIRROR_PICTURES} are needed, 10 are \
          good"
     )]
     Mirror {
@@ -56,7 +56,7 @@ pub enum Lacking {
         /// Largest angle between two boards.
         spread_deg: f64,
     },
-    /// A surface that remains open.
+    /// A surface that is not determined.
     #[error(
         "the pictures leave {surface} open: by {tilt_deg:.1}° and {offset_mm:.0} mm (1σ). They are {count}, with boards within \
          {spread_deg:.0}° of parallel and {depth_mm:.0} mm of one depth: take more, sharp ones, tilted to all sides, near and \
@@ -73,33 +73,33 @@ pub enum Lacking {
         count: usize,
         /// Largest angle between two boards.
         spread_deg: f64,
-        /// From the nearest board's middle to the farthest one's.
+        /// From the nearest board's centre to the farthest one's.
         depth_mm: f64,
     },
 }
 
-/// Judged before the adjustment.
-pub(crate) fn shown(start: &Initial) -> Result<(), Lacking> {
+/// Checks before the adjustment.
+pub(crate) fn check_views(start: &Initial) -> Result<(), InsufficientPictures> {
     let elsewhere = start.left_out.iter().filter(|(_, why)| *why == Unusable::OtherMirror).count();
     let all = elsewhere + start.pictures.len();
-    if elsewhere as f64 > MOST_ELSEWHERE * all as f64 {
-        return Err(Lacking::OneRig { elsewhere, all });
+    if elsewhere as f64 > MAX_ELSEWHERE * all as f64 {
+        return Err(InsufficientPictures::OneRig { elsewhere, all });
     }
     for number in 1..=start.mirrors.len() {
         let found = start.pictures.iter().filter(|own| own.views.get(number).is_some_and(Option::is_some)).count();
-        if found < FEWEST_OF_MIRROR {
-            return Err(Lacking::Mirror { number, found });
+        if found < MIN_MIRROR_PICTURES {
+            return Err(InsufficientPictures::Mirror { number, found });
         }
     }
     Ok(())
 }
 
-/// Judged after the adjustment.
-pub(crate) fn determined(solution: &Solution) -> Result<(), Lacking> {
+/// Checks after the adjustment.
+pub(crate) fn determined(solution: &Solution) -> Result<(), InsufficientPictures> {
     let spread_rad = spread_rad(&solution.poses);
     let spread_deg = spread_rad.to_degrees();
-    if spread_rad < LEAST_TILT_RAD {
-        return Err(Lacking::Tilt { spread_deg });
+    if spread_rad < MIN_TILT_RAD {
+        return Err(InsufficientPictures::Tilt { spread_deg });
     }
     let middles: Vec<Vector3<f64>> = solution.poses.iter().map(|pose| pose.translation.vector).collect();
     let count = middles.len();
@@ -109,8 +109,8 @@ pub(crate) fn determined(solution: &Solution) -> Result<(), Lacking> {
     for (surface, (name, _)) in solution.geometry.surfaces.iter().enumerate() {
         let [a, b, offset_m] = Parameter::of_surface(surface).map(|parameter| solution.sd(parameter));
         let tilt_rad = a.max(b);
-        if tilt_rad.is_nan() || offset_m.is_nan() || tilt_rad > LEAST_KNOWN.0 || offset_m > LEAST_KNOWN.1 * away_m {
-            return Err(Lacking::Open {
+        if tilt_rad.is_nan() || offset_m.is_nan() || tilt_rad > MIN_KNOWN.0 || offset_m > MIN_KNOWN.1 * away_m {
+            return Err(InsufficientPictures::Open {
                 surface: name.clone(),
                 tilt_deg: tilt_rad.to_degrees(),
                 offset_mm: offset_m * 1e3,

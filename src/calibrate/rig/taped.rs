@@ -1,4 +1,4 @@
-//! Boards taped flat to a wall: pictures that pin the wall.
+//! Boards taped flat to a wall: pictures that fix the wall's position.
 
 use super::error::{RigCalibrationError, surface};
 use super::initial::{ordered, pose};
@@ -10,10 +10,10 @@ use crate::optics::{Lens, Plane, Surface};
 use nalgebra::{Isometry3, Point2, Point3, Translation3, Unit, UnitQuaternion, Vector3};
 use std::f64::consts::PI;
 
-/// How flat a board is taped to a wall, metres.
+/// σ of a taped board's distance from its wall, metres.
 const TAPED_SD_M: f64 = 2e-4;
 
-/// A board taped to a wall, as a picture more.
+/// A board taped to a wall, as an additional picture.
 pub(crate) struct Taped {
     name: String,
     surface: usize,
@@ -24,8 +24,7 @@ pub(crate) struct Taped {
 }
 
 impl Taped {
-    /// The board is seen by the way that leads to the wall: past the surfaces in front of it in the first view through
-    /// it.
+    /// The board is seen along the path to the wall: via the surfaces before it in the first view through it.
     pub(crate) fn new(
         board: &Board,
         lens: &Lens,
@@ -58,8 +57,8 @@ impl Taped {
         let order = if odd { board.orders().into_iter().next() } else { None };
         let corners = ordered(&places, &picture.image, order.as_deref());
         let mut seen = pose(lens, &corners)?;
-        // The board itself, not its reflection. I − 2nnᵀ is minus half a turn about n, and what a flat board's mirror
-        // image lacks to a rotation, diag(1, 1, −1), is minus half a turn about z.
+        // The board itself, not its reflection. I − 2nnᵀ is minus half a turn about n, and the factor that turns a flat
+        // board's mirror image into a rotation, diag(1, 1, −1), is minus half a turn about z.
         for plane in &mirrors {
             let over = UnitQuaternion::from_axis_angle(&Unit::new_normalize(plane.normal()), PI);
             let half_turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), PI);

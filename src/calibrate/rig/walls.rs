@@ -1,4 +1,4 @@
-//! The walls of the tank: where they are put before the adjustment, and what is known of them beside the pictures.
+//! The walls of the tank: their initial positions, and their priors.
 
 use super::error::{RigCalibrationError, surface};
 use super::initial::Initial;
@@ -8,21 +8,21 @@ use crate::calibrate::geometry::{Geometry, Parameter};
 use crate::optics::{Lens, Mirror, Plane, PlaneError, Surface, Wall};
 use nalgebra::{Isometry3, Point3, Translation3, Vector3};
 
-/// While searching, walls are held to where they were put, metres, and to right angles, radians; the answer knows
-/// nothing of it.
-const HELD: (f64, f64) = (0.05, 3e-3);
-/// How square a glass box is, radians, and how true to size, metres: what its makers keep.
+/// During the search, walls are held near their initial positions, metres, and right angles, radians; the final
+/// solution is free of this.
+const HOLD_SD: (f64, f64) = (0.05, 3e-3);
+/// Manufacturing tolerances of a glass box: squareness, radians, and size, metres.
 const SQUARE_SD_RAD: f64 = 3e-3;
 const SIZE_SD_M: f64 = 1e-3;
 /// Refractive index of water at 589 nm from 0 to 50 °C in steps of 10 °C (CRC Handbook of Chemistry and Physics).
 const WATER: [f64; 6] = [1.33395, 1.33369, 1.33299, 1.33192, 1.33051, 1.32894];
 
-/// Names of the mirrors and of their views: without a number where there is only one.
+/// Names of the mirrors and of their views: without a number if there is only one.
 pub(super) fn numbered(name: &str, index: usize, count: usize) -> String {
     if count == 1 { name.to_owned() } else { format!("{name}_{}", index + 1) }
 }
 
-/// Surfaces, views and poses to start from; walls `margin_m` in front of the nearest corner.
+/// Initial surfaces, views and poses; walls are `margin_m` in front of the nearest corner.
 pub(super) fn first_geometry(
     lens: &Lens,
     start: &Initial,
@@ -83,7 +83,7 @@ pub(super) fn first_geometry(
     Ok((Geometry { lens: *lens, surfaces, views }, poses))
 }
 
-/// The plane halfway between what a board and its reflection behind a wall are when refraction is made good.
+/// The plane halfway between a board and its reflection behind a wall, after correcting for refraction.
 fn plane_in_water(start: &Initial, view: usize, front: &Wall) -> Result<Plane, PlaneError> {
     let (mut across, mut middles) = (Vector3::zeros(), Vec::new());
     for sorted in &start.pictures {
@@ -100,15 +100,15 @@ fn plane_in_water(start: &Initial, view: usize, front: &Wall) -> Result<Plane, P
 }
 
 impl Wall {
-    /// About where a point is that seems to be at `apparent` through this wall: what is behind it seems nearer, by the
-    /// index.
+    /// Approximate true position of a point that appears at `apparent` through this wall: things behind it appear
+    /// nearer, by the index.
     fn lengthened(&self, apparent: &Point3<f64>) -> Point3<f64> {
         let behind = (-self.outer.signed_distance(apparent)).max(0.0);
         apparent + apparent.coords.normalize() * (behind * (self.index_inside - 1.0))
     }
 }
 
-/// How far the corners of all boards reach along a direction.
+/// Extent of the corners of all boards along a direction.
 fn outermost(start: &Initial, poses: &[Isometry3<f64>], direction: &Vector3<f64>) -> f64 {
     let corners = start.pictures.iter().zip(poses).flat_map(|(sorted, pose)| {
         sorted.views.iter().flatten().flat_map(|image| &image.corners).map(move |(place, _)| (pose * place).coords)
@@ -128,7 +128,7 @@ impl Tank {
     }
 }
 
-/// What is known beside the pictures.
+/// The priors.
 pub(super) fn known(geometry: &Geometry, options: &RigOptions) -> Result<Vec<Prior>, RigCalibrationError> {
     let mut known = Vec::new();
     if let Some(covariance) = &options.lens_covariance {
@@ -150,7 +150,7 @@ pub(super) fn known(geometry: &Geometry, options: &RigOptions) -> Result<Vec<Pri
         if across {
             return Prior::Square { surfaces, sd_rad: SQUARE_SD_RAD };
         }
-        // The front wall is the first one; what is opposite to it is the depth away.
+        // The front wall is the first one; the opposite wall is at the depth's distance.
         let distance_m = if surfaces[0] == 0 { depth_m } else { width_m };
         Prior::Apart { surfaces, distance_m, sd_m: SIZE_SD_M }
     }));
@@ -162,22 +162,22 @@ fn walls(geometry: &Geometry) -> impl Iterator<Item = usize> {
     surfaces.filter(|(_, (_, surface))| matches!(surface, Surface::Wall(_))).map(|(index, _)| index)
 }
 
-/// All pairs of walls, and whether they stand across each other (else they are opposite).
+/// All pairs of walls, and whether they are perpendicular (otherwise opposite).
 fn pairs_of_walls(geometry: &Geometry) -> impl Iterator<Item = ([usize; 2], bool)> {
     let normal = |surface: usize| geometry.surfaces[surface].1.plane().normal();
     let pairs = walls(geometry).flat_map(|a| walls(geometry).filter(move |b| *b > a).map(move |b| [a, b]));
     pairs.map(move |[a, b]| ([a, b], normal(a).dot(&normal(b)).abs() < std::f64::consts::FRAC_1_SQRT_2))
 }
 
-/// What keeps the search near its start.
+/// Priors that keep the search near its start.
 pub(super) fn held(geometry: &Geometry) -> Vec<Prior> {
     let distance_m = |surface: usize| geometry.surfaces[surface].1.plane().offset_m().abs();
     walls(geometry)
-        .map(|surface| Prior::Distance { surface, distance_m: distance_m(surface), sd_m: HELD.0 })
+        .map(|surface| Prior::Distance { surface, distance_m: distance_m(surface), sd_m: HOLD_SD.0 })
         .chain(
             pairs_of_walls(geometry)
                 .filter(|(_, across)| *across)
-                .map(|(surfaces, _)| Prior::Square { surfaces, sd_rad: HELD.1 }),
+                .map(|(surfaces, _)| Prior::Square { surfaces, sd_rad: HOLD_SD.1 }),
         )
         .collect()
 }

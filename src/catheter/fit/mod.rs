@@ -31,7 +31,7 @@ use moving::Moving;
 use nalgebra::{DMatrix, DVector};
 pub use parameter::Parameter;
 pub use search::Open;
-use search::{Found, Stuck, least_determined, minimise};
+use search::{Found, SearchError, least_determined, minimise};
 pub use still::Pause;
 use still::Still;
 
@@ -58,7 +58,7 @@ pub struct FitOptions {
     /// Of the motion.
     pub accuracy: Accuracy,
     /// What the tracker says of itself: noise where no pause shows it.
-    pub told: Option<Noise>,
+    pub stated_noise: Option<Noise>,
 }
 
 /// A value with its standard deviation, SI units.
@@ -134,11 +134,11 @@ pub fn fit(catheter: &Catheter, delay_s: f64, runs: &[Run], options: &FitOptions
     let wrong = |what: &str| CatheterError::Fit(what.to_owned());
     // 1. shapes at rest
     let (pauses, unsettled, scatter) = still::pauses(runs, options.settle_s, delay_s);
-    let noise = match (scatter, options.told) {
+    let noise = match (scatter, options.stated_noise) {
         (Some((point_m, angle_rad)), _) if point_m > 0.0 && angle_rad > 0.0 => {
             Noise { point_m, angle_rad, missing: 0.0 }
         }
-        (_, Some(told)) => told,
+        (_, Some(stated_noise)) => stated_noise,
         _ => {
             return Err(wrong(
                 "no pause shows the noise: record some seconds at rest, or give runs with the tracker's own σ",
@@ -190,15 +190,15 @@ pub fn fit(catheter: &Catheter, delay_s: f64, runs: &[Run], options: &FitOptions
 fn determined(
     parameters: &mut Vec<Parameter>,
     mut open: Option<&mut Vec<Open>>,
-    search: impl Fn(&[Parameter]) -> Result<Found, Stuck>,
+    search: impl Fn(&[Parameter]) -> Result<Found, SearchError>,
 ) -> Result<Found, CatheterError> {
     loop {
-        let found = search(parameters).map_err(|stuck| {
-            CatheterError::Fit(match stuck {
-                Stuck::Start => {
+        let found = search(parameters).map_err(|error| {
+            CatheterError::Fit(match error {
+                SearchError::Start => {
                     "the catheter has no shape at some of the runs' currents: give one that is nearer".to_owned()
                 }
-                Stuck::NotSettled => "the search does not settle: give a catheter that is nearer".to_owned(),
+                SearchError::NotConverged => "the search does not settle: give a catheter that is nearer".to_owned(),
             })
         })?;
         let Some(least) = least_determined(parameters, &found.information) else { return Ok(found) };

@@ -49,6 +49,18 @@ impl Parameter {
         Self::Delay,
     ];
 
+    /// Fitted unless asked otherwise: the drag of slow motion is known from theory, and hard to tell from the damping.
+    pub const DEFAULT: [Self; 8] = [
+        Self::Young,
+        Self::Shear,
+        Self::Alignment,
+        Self::CurvatureX,
+        Self::CurvatureY,
+        Self::Damping,
+        Self::Drag,
+        Self::Delay,
+    ];
+
     /// Whether shapes at rest depend on it.
     pub fn is_static(self) -> bool {
         matches!(self, Self::Young | Self::Shear | Self::Alignment | Self::CurvatureX | Self::CurvatureY)

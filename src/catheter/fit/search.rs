@@ -2,19 +2,19 @@
 //!
 //! Levenberg and Marquardt's method; derivatives are central differences. Coordinates are in units of how far off a
 //! parameter may be before anything is measured ([`Parameter::open`]): the data's information is then compared with 1.
-//! What an eigenvector of it tells with less than [`DETERMINED`] is left open.
+//! What an eigenvector of it tells with less than [`DETERMINED_INFORMATION`] is left open.
 
 use super::parameter::Parameter;
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 use rayon::prelude::*;
 
 /// A direction is determined when the data narrow it to less than a fifth of what is open beforehand.
-const DETERMINED: f64 = 25.0;
+const DETERMINED_INFORMATION: f64 = 25.0;
 /// What has a share of at least this in a direction is named with it.
-const SHARE: f64 = 0.4;
-const MOST_STEPS: usize = 25;
+const NAMED_SHARE: f64 = 0.4;
+const MAX_STEPS: usize = 25;
 /// A step that promises to lower the sum of squares by less than this is the last.
-const ENOUGH: f64 = 1e-3;
+const COST_TOLERANCE: f64 = 1e-3;
 
 /// Residuals in standard deviations at a point; `None` where the model has none (a shape that snaps).
 pub(super) trait Residuals: Sync {
@@ -52,11 +52,11 @@ impl Open {
 
 /// Why there is no answer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Stuck {
+pub(super) enum SearchError {
     /// The start has no residuals.
     Start,
     /// It did not settle.
-    NotSettled,
+    NotConverged,
 }
 
 /// Jacobian in units of [`Parameter::open`].
@@ -78,13 +78,17 @@ fn jacobian(parameters: &[Parameter], model: &impl Residuals, at: &DVector<f64>,
 }
 
 /// Goes from `start` to where the sum of squares is least.
-pub(super) fn minimise(parameters: &[Parameter], model: &impl Residuals, start: DVector<f64>) -> Result<Found, Stuck> {
+pub(super) fn minimise(
+    parameters: &[Parameter],
+    model: &impl Residuals,
+    start: DVector<f64>,
+) -> Result<Found, SearchError> {
     let open = DVector::from_iterator(parameters.len(), parameters.iter().map(|p| p.open()));
     let mut at = start;
-    let mut residuals = model.at(&at).ok_or(Stuck::Start)?;
+    let mut residuals = model.at(&at).ok_or(SearchError::Start)?;
     let mut damping = 1e-3;
-    for _ in 0..MOST_STEPS {
-        let by = jacobian(parameters, model, &at, residuals.len()).ok_or(Stuck::Start)?;
+    for _ in 0..MAX_STEPS {
+        let by = jacobian(parameters, model, &at, residuals.len()).ok_or(SearchError::Start)?;
         let information = by.tr_mul(&by);
         let gradient = -by.tr_mul(&residuals);
         let cost = residuals.norm_squared();
@@ -96,8 +100,8 @@ pub(super) fn minimise(parameters: &[Parameter], model: &impl Residuals, start: 
                 matrix[(k, k)] += damping * (information[(k, k)] + 1.0);
             }
             let Some(step) = matrix.cholesky().map(|matrix| matrix.solve(&gradient)) else { break };
-            let promised = step.dot(&gradient);
-            if promised < ENOUGH {
+            let predicted_decrease = step.dot(&gradient);
+            if predicted_decrease < COST_TOLERANCE {
                 return Ok(Found { coordinates: at, residuals, information });
             }
             let next = &at + step.component_mul(&open);
@@ -115,20 +119,20 @@ pub(super) fn minimise(parameters: &[Parameter], model: &impl Residuals, start: 
             return Ok(Found { coordinates: at, residuals, information });
         }
     }
-    Err(Stuck::NotSettled)
+    Err(SearchError::NotConverged)
 }
 
 /// The parameter that the data tell least of, if they do not determine it.
 pub(super) fn least_determined(parameters: &[Parameter], information: &DMatrix<f64>) -> Option<Open> {
     let eigen = SymmetricEigen::new(information.clone());
     let (least, value) = eigen.eigenvalues.iter().enumerate().min_by(|a, b| a.1.total_cmp(b.1))?;
-    if *value >= DETERMINED {
+    if *value >= DETERMINED_INFORMATION {
         return None;
     }
     let direction = eigen.eigenvectors.column(least).into_owned();
     let mut shares: Vec<(f64, Parameter)> = direction.iter().map(|v| v.abs()).zip(parameters.iter().copied()).collect();
     shares.sort_by(|a, b| b.0.total_cmp(&a.0));
     let (_, parameter) = *shares.first()?;
-    let with = shares.iter().skip(1).filter(|(share, _)| *share >= SHARE).map(|(_, p)| *p).collect();
+    let with = shares.iter().skip(1).filter(|(share, _)| *share >= NAMED_SHARE).map(|(_, p)| *p).collect();
     Some(Open { parameter, with })
 }

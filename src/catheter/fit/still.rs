@@ -11,10 +11,10 @@ use crate::catheter::shape::Shape;
 use nalgebra::{DVector, Point3, Vector3};
 
 /// Fewer frames than this say nothing of their scatter.
-const FEWEST: usize = 5;
+const MIN_FRAMES: usize = 5;
 /// A pause whose halves differ by more than so many σ of the difference, and by more than this part of the scatter, has
 /// not settled.
-const DIFFERS: (f64, f64) = (5.0, 0.5);
+const UNSETTLED: (f64, f64) = (5.0, 0.5);
 
 /// A pause in which the catheter had come to rest.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -70,7 +70,7 @@ pub(super) fn pauses(runs: &[Run], settle_s: f64, delay_s: f64) -> (Vec<Pause>, 
             let to_s = f64::min(to_s + delay_s, last_s + 1e-9);
             let inside = run.sightings.iter().filter(|s| s.time_s >= from_s && s.time_s < to_s);
             let seen: Vec<Seen> = inside.filter_map(Seen::of).collect();
-            if seen.len() < 2 * FEWEST {
+            if seen.len() < 2 * MIN_FRAMES {
                 continue;
             }
             let n = seen.len() as f64;
@@ -84,7 +84,7 @@ pub(super) fn pauses(runs: &[Run], settle_s: f64, delay_s: f64) -> (Vec<Pause>, 
             let sd_m = (squares / (6.0 * (n - 1.0))).sqrt();
             let (early, late) = seen.split_at(half);
             let apart = (mean(early, |s| s.tip) - mean(late, |s| s.tip)).norm();
-            if apart > DIFFERS.0 * sd_m * 2.0 / n.sqrt() && apart > DIFFERS.1 * sd_m {
+            if apart > UNSETTLED.0 * sd_m * 2.0 / n.sqrt() && apart > UNSETTLED.1 * sd_m {
                 unsettled += 1;
                 continue;
             }

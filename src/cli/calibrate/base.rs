@@ -46,7 +46,7 @@ enum Sign {
     Negative,
 }
 
-/// A vector that has a direction.
+/// A non-zero vector.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Direction(Vector3<f64>);
 
@@ -66,13 +66,13 @@ impl FromStr for Direction {
 }
 
 impl Direction {
-    /// The unit vector; by its largest component first, whose square may not be finite.
+    /// The unit vector; divides by the largest component first, whose square may not be finite.
     fn unit(self) -> Vector3<f64> {
         (self.0 / self.0.amax()).normalize()
     }
 }
 
-/// B0's direction without a swing.
+/// B0's direction, known without a swing.
 struct KnownField {
     /// Camera frame, any length.
     direction: Vector3<f64>,
@@ -85,7 +85,7 @@ struct KnownField {
 }
 
 impl BaseArgs {
-    /// The rig file that is written.
+    /// The rig file to write.
     pub(super) fn out(&self) -> &PathBuf {
         self.out.as_ref().unwrap_or(&self.rig)
     }
@@ -96,7 +96,7 @@ pub(super) fn run(args: &BaseArgs, quiet: bool, print: impl Fn(&str) -> Result<(
     let mut rig = Rig::load(&args.rig)?;
     can_be_written(out)?;
     let known = if args.planar.is_some() { None } else { Some(known_field(args, &rig)?) };
-    // Both are opened before one is tracked: a mistyped name is told at once.
+    // Both are opened before tracking, so that a mistyped name is reported at once.
     let open = |path: &Path| {
         let options = SourceOptions { stated_rate: args.fps, ..SourceOptions::default() };
         fitting::open_to_track((path, options), (&args.rig, &rig))
@@ -114,7 +114,7 @@ pub(super) fn run(args: &BaseArgs, quiet: bool, print: impl Fn(&str) -> Result<(
         Some(known) => Field::Known(known.direction, known.turn_sd_rad),
         None => Field::Swing { observed: &planar, first_is_positive: args.first == Sign::Positive },
     };
-    let done = calibrate_base(&rest, field).map_err(|e| failure(&rig, concerned(args, known.as_ref(), &e), e))?;
+    let done = calibrate_base(&rest, field).map_err(|e| failure(&rig, subject(args, known.as_ref(), &e), e))?;
 
     print(&describe(args, known.as_ref(), &rest, &planar, &done))?;
     let gravity = args.gravity.map(Direction::unit).or_else(|| rig.base.as_ref()?.gravity);
@@ -124,7 +124,7 @@ pub(super) fn run(args: &BaseArgs, quiet: bool, print: impl Fn(&str) -> Result<(
     print(&format!("\n{written}\n"))
 }
 
-/// From the command line, or else the rig's.
+/// From the command line, or else from the rig.
 fn known_field(args: &BaseArgs, rig: &Rig) -> Result<KnownField, Failure> {
     if let Some(Direction(direction)) = args.b0 {
         return Ok(KnownField { direction, turn_sd_rad: 0.0, name: "--b0".into(), from: "given by --b0".into() });
@@ -136,7 +136,7 @@ fn known_field(args: &BaseArgs, rig: &Rig) -> Result<KnownField, Failure> {
              its direction in the camera frame (x right, y down, z forward)"
         )));
     };
-    // As this command wrote it: what the b0 of then came from, and the σ of the frame's turn about z.
+    // As written by this command: the source of the earlier b0, and the σ of the frame's rotation about z.
     let before = rig.provenance.get("base").and_then(|base| base.as_table());
     let from = before.and_then(|table| table.get("b0_from")?.as_str()).unwrap_or("the rig file");
     let turn_sd_deg = before.and_then(|table| table.get("axes_sd_deg")?.as_array()?.get(2)?.as_float());
@@ -149,7 +149,7 @@ fn known_field(args: &BaseArgs, rig: &Rig) -> Result<KnownField, Failure> {
 }
 
 /// The file or option that an error is about.
-fn concerned(args: &BaseArgs, known: Option<&KnownField>, error: &BaseError) -> String {
+fn subject(args: &BaseArgs, known: Option<&KnownField>, error: &BaseError) -> String {
     let of_planar = matches!(
         error,
         BaseError::HardlyMoves { .. } | BaseError::NotPlanar { .. } | BaseError::TooFew { run: Run::Planar, .. }
@@ -161,9 +161,9 @@ fn concerned(args: &BaseArgs, known: Option<&KnownField>, error: &BaseError) -> 
     }
 }
 
-fn failure(rig: &Rig, concerned: impl std::fmt::Display, error: BaseError) -> Failure {
+fn failure(rig: &Rig, subject: impl std::fmt::Display, error: BaseError) -> Failure {
     let (exit, more) = match &error {
-        // It names its file.
+        // It already names its file.
         BaseError::Source(_) => return Failure::new(Exit::Failed, error),
         BaseError::Track(_) | BaseError::Along { .. } | BaseError::NoDirection { .. } => (Exit::Usage, String::new()),
         BaseError::TooFew { miss: Some(miss), .. } => {
@@ -176,7 +176,7 @@ fn failure(rig: &Rig, concerned: impl std::fmt::Display, error: BaseError) -> Fa
         | BaseError::HardlyMoves { .. }
         | BaseError::NotPlanar { .. } => (Exit::Unusable, String::new()),
     };
-    Failure::new(exit, format!("{concerned}: {error}{more}"))
+    Failure::new(exit, format!("{subject}: {error}{more}"))
 }
 
 /// σ of a covariance's three coordinates.
@@ -272,10 +272,10 @@ fn describe(
     }
     match known {
         Some(known) if args.b0.is_none() => {
-            let exact = if known.turn_sd_rad > 0.0 { "" } else { ", taken for exact" };
-            let _ = writeln!(text, "B0 is kept as it was{exact}; it is from: {}", known.from);
+            let exact = if known.turn_sd_rad > 0.0 { "" } else { ", taken as exact" };
+            let _ = writeln!(text, "B0 is unchanged{exact} (source: {})", known.from);
         }
-        Some(_) => text.push_str("B0 is taken for exact: only its direction counts, it is written with length 1\n"),
+        Some(_) => text.push_str("B0 is taken as exact: only its direction counts, it is written with length 1\n"),
         None => {}
     }
     text

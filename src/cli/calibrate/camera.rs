@@ -1,7 +1,7 @@
 //! `catoptra calibrate camera`: pictures of a board to the lens.
 
 use super::super::{Exit, Failure};
-use super::pictures::{self, Searched};
+use super::pictures::{self, SearchedPicture};
 use super::{can_be_written, left_out, save};
 use crate::calibrate::board::Board;
 use crate::calibrate::board::BoardPicture;
@@ -30,7 +30,7 @@ pub(super) struct CameraArgs {
 pub(super) fn run(args: &CameraArgs, quiet: bool, print: impl Fn(&str) -> Result<(), Failure>) -> Result<(), Failure> {
     can_be_written(&args.out)?;
 
-    // An old file that cannot be read is told before the work, not after.
+    // An unreadable old file is reported before the work, not after.
     let old = args.out.exists().then(|| Draft::load(&args.out)).transpose()?;
     let searched = pictures::search(&args.pictures, &args.board, 1, quiet)?;
     let found: Vec<BoardPicture> = searched
@@ -60,6 +60,7 @@ pub(super) fn run(args: &CameraArgs, quiet: bool, print: impl Fn(&str) -> Result
             blur_px: None,
             chroma_offset_px: [0.0; 2],
             exposure_s: None,
+            gamma: None,
         }),
     };
     let mut provenance = pictures::provenance("camera", &args.board, &searched)?;
@@ -83,7 +84,7 @@ fn lens_model(text: &str) -> Result<LensModel, String> {
     }
 }
 
-fn describe(searched: &[Searched], done: &CameraCalibration) -> String {
+fn describe(searched: &[SearchedPicture], done: &CameraCalibration) -> String {
     let mut text = pictures::table(searched, done.used.iter(), &done.left_out, done.corner_sd_px);
     let _ = writeln!(
         text,

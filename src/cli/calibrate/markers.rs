@@ -3,6 +3,7 @@
 use super::super::units::duration_s;
 use super::super::{Exit, Failure, fitting, interrupt, outcome};
 use super::{Length, can_be_written, save, usage};
+use crate::atomic_file;
 use crate::calibrate::markers::{
     MarkersCalibration, MarkersError, MarkersOptions, Pick, ProposedRegion, Teaching, Verdict, calibrate_markers,
     verdict,
@@ -10,7 +11,6 @@ use crate::calibrate::markers::{
 use crate::report::teaching::{self, TeachingInfo};
 use crate::rig::{Catheter, Draft, Marker, Rig, View};
 use crate::source::{FrameRate, SourceOptions};
-use crate::whole_file;
 use nalgebra::Point2;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -92,7 +92,7 @@ impl FromStr for PickArg {
     }
 }
 
-/// Where a view is, as written.
+/// The region of a view, as written.
 #[derive(Debug, Clone, PartialEq)]
 struct RegionArg {
     view: String,
@@ -115,11 +115,11 @@ impl FromStr for RegionArg {
     }
 }
 
-/// An exposure that a camera may have.
+/// Parses a plausible exposure.
 fn exposure_s(text: &str) -> Result<f64, String> {
     duration_s(text).and_then(|s| match s > 0.0 && s <= 1.0 {
         true => Ok(s),
-        false => Err(format!("`{text}`: expected more than 0 and 1 s at most")),
+        false => Err(format!("`{text}`: expected more than 0 s and at most 1 s")),
     })
 }
 
@@ -130,7 +130,7 @@ fn pixel(text: &str) -> Option<Point2<f64>> {
 }
 
 impl MarkersArgs {
-    /// The rig file that is written.
+    /// The rig file to write.
     pub(super) fn out(&self) -> &PathBuf {
         self.out.as_ref().unwrap_or(&self.rig)
     }
@@ -149,13 +149,13 @@ pub(super) fn run(args: &MarkersArgs, print: impl Fn(&str) -> Result<(), Failure
     let options = MarkersOptions { after_ns: (args.at * 1e9) as i64, exposure_s: args.exposure };
     let mut done = calibrate_markers(&rig, &picks, &options, &mut frames);
     let page_path = out.with_extension("markers.html");
-    // Without a frame there is nothing to see.
+    // Without a frame there is nothing to show.
     let page = done.frame.is_some().then(|| teaching::page(&info(args, out), &done));
     if let Err(error) = done.outcome {
         let note = match &page {
             Some(page) => {
                 save_page(page, &page_path)?;
-                format!("\nno rig was written; {} shows what was seen", page_path.display())
+                format!("\nno rig was written; see {} for what was found", page_path.display())
             }
             None => String::new(),
         };
@@ -176,13 +176,13 @@ pub(super) fn run(args: &MarkersArgs, print: impl Fn(&str) -> Result<(), Failure
 
 fn save_page(page: &str, path: &Path) -> Result<(), Failure> {
     let _whole = interrupt::wait();
-    whole_file::write(path, page.as_bytes())
+    atomic_file::write(path, page.as_bytes())
         .map_err(|e| Failure::new(Exit::Failed, format!("{} cannot be written: {e}", path.display())))?;
     outcome::wrote(path);
     Ok(())
 }
 
-/// What the page says of the run.
+/// Information about the run for the page.
 fn info(args: &MarkersArgs, out: &Path) -> TeachingInfo {
     let mm = |length_m: f64| format!("{} mm", length_m * 1e3);
     let mut settings = vec![
@@ -214,7 +214,7 @@ fn picks(args: &MarkersArgs, rig: &Rig) -> Result<Vec<Pick>, Failure> {
         if picks[..i].iter().any(|other| other.name == pick.name && other.view == pick.view) {
             let view = rig.views.get(pick.view).map_or("", |view| view.name.as_str());
             return Err(usage(format!(
-                "--pick {}: two picks of this band in view {view}, expected one a view",
+                "--pick {}: two picks of this band in view {view}, expected one per view",
                 pick.name
             )));
         }
@@ -227,8 +227,8 @@ fn no_such_view(option: &str, name: &str, views: &[View], rig: &Path) -> Failure
     usage(format!("{option} {name}: no such view in {}; it has {}", rig.display(), known.join(", ")))
 }
 
-/// The rig file with the regions and the markers of this command. Roles of the bands that it has already are kept, and
-/// places along the tube that somebody wrote into it.
+/// The rig file with the regions and the markers of this command. Existing roles of the bands are kept, and places
+/// along the tube that were written by hand.
 pub(super) fn rig_with_picks(args: &MarkersArgs) -> Result<Rig, Failure> {
     let mut draft = Draft::load(&args.rig)?;
     for region in &args.regions {
@@ -295,7 +295,7 @@ fn bands(args: &MarkersArgs) -> Result<Vec<(&str, f64)>, Failure> {
     bands.into_iter().map(|band| Ok((band.0, length(band)?))).collect()
 }
 
-/// Whether the places along the tube were written by somebody: nobody learned them.
+/// Whether the places along the tube were written by hand, not learned.
 fn places_of(draft: &Draft) -> bool {
     let learned = draft.provenance.get("markers").and_then(|markers| markers.get("places"));
     match draft.provenance.get("markers") {
@@ -309,7 +309,7 @@ fn places_are_given(args: &MarkersArgs) -> Result<bool, Failure> {
     Ok(places_of(&draft) && draft.markers.iter().any(|marker| marker.centre_m.is_some()))
 }
 
-/// The tube and the roles of its bands: as asked for, else those of the rig, else the usual ones.
+/// The tube and the roles of its bands: as requested, else those of the rig, else the usual ones.
 fn catheter(args: &MarkersArgs, draft: &Draft, names: &[&str]) -> Result<Catheter, Failure> {
     let picked = |option: &str, name: &str| {
         let index = names.iter().position(|n| *n == name);
@@ -339,7 +339,7 @@ fn failure(args: &MarkersArgs, error: MarkersError, note: &str) -> Failure {
         | MarkersError::Outside { .. }
         | MarkersError::OutsideView { .. }
         | MarkersError::Track(_) => Exit::Usage,
-        // It names its file.
+        // It already names its file.
         MarkersError::Source(_) => return Failure::new(Exit::Failed, error),
         MarkersError::NoFrame => Exit::Failed,
         _ => Exit::Unusable,
@@ -378,6 +378,13 @@ fn describe(done: &Teaching) -> String {
         "\nblur of lens and sensor {:.2} px; chroma samples sit {x:+.2}, {y:+.2} px beside where the recording says",
         camera.blur_px.unwrap_or(f64::NAN)
     );
+    if let Some(gamma) = camera.gamma {
+        let _ = writeln!(
+            text,
+            "stored values go with light to the power of {gamma:.2}: that explains the pictures better than the transfer \
+             function that the recording declares"
+        );
+    }
     let _ = match camera.exposure_s {
         Some(exposure_s) => writeln!(text, "exposure {:.1} ms: motion blur is modelled", exposure_s * 1e3),
         None => writeln!(
@@ -386,7 +393,7 @@ fn describe(done: &Teaching) -> String {
         ),
     };
     for measure in done.outcome.iter().flat_map(|learned| &learned.contradicted) {
-        let _ = writeln!(text, "warning: {measure}: is what was given right?");
+        let _ = writeln!(text, "warning: {measure}: check the given value");
     }
     for region in &done.regions {
         let _ = writeln!(text, "{}", proposal(&done.rig, region));
@@ -428,7 +435,7 @@ fn describe_bands(rig: &Rig, learned: &MarkersCalibration) -> String {
     text
 }
 
-/// The other colours that come nearest to each band's, in each view.
+/// How many of the other colours closest to each band's are shown, in each view.
 const NEAREST: usize = 2;
 
 fn describe_colours(done: &Teaching) -> String {

@@ -1,4 +1,4 @@
-//! `catoptra calibrate mirror`: a recording and the rig of before to where the mirror stands now.
+//! `catoptra calibrate mirror`: a recording and the old rig to the mirror's new position.
 
 use super::super::{Exit, Failure, fitting};
 use super::{Length, can_be_written, save, usage};
@@ -59,7 +59,7 @@ impl FromStr for LengthArg {
 impl LengthArg {
     fn of(&self, rig: &Rig) -> Result<mirror::Length, Failure> {
         let Self::Between { ends, length_m, sd_m } = self else { return Ok(mirror::Length::None) };
-        // Names may have hyphens of their own.
+        // Names may contain hyphens.
         let split = |(at, _): (usize, &str)| Some([rig.marker(&ends[..at])?, rig.marker(&ends[at + 1..])?]);
         match ends.match_indices('-').find_map(split) {
             Some(markers) if markers[0] != markers[1] => {
@@ -74,7 +74,7 @@ impl LengthArg {
 }
 
 impl MirrorArgs {
-    /// The rig file that is written.
+    /// The rig file to write.
     pub(super) fn out(&self) -> &PathBuf {
         self.out.as_ref().unwrap_or(&self.rig)
     }
@@ -91,8 +91,8 @@ pub(super) fn run(args: &MirrorArgs, print: impl Fn(&str) -> Result<(), Failure>
     print(&describe(&done))?;
     let provenance = provenance(args, &done).into();
     if !done.has_moved() {
-        // A move within its σ would replace a good place by one that is known worse.
-        print("It stands where the rig has it, within what this recording can tell: it is left there.\n")?;
+        // A move within its σ would replace a good position by a less certain one.
+        print("Within its uncertainty the mirror has not moved: its position is kept.\n")?;
         if out == &args.rig {
             return print(&format!("\n{} is as it was\n", out.display()));
         }
@@ -105,7 +105,7 @@ pub(super) fn run(args: &MirrorArgs, print: impl Fn(&str) -> Result<(), Failure>
 
 fn failure(args: &MirrorArgs, error: MirrorError) -> Failure {
     let exit = match error {
-        // It names its file.
+        // It already names its file.
         MirrorError::Source(_) => return Failure::new(Exit::Failed, error),
         MirrorError::NoMirror { .. }
         | MirrorError::WhichMirror { .. }
@@ -154,10 +154,10 @@ fn describe(done: &MirrorCalibration) -> String {
     for (length, found_m) in &done.lengths {
         let [a, b] = length.markers.map(|m| done.rig.markers.get(m).map_or("", |marker| marker.name.as_str()));
         let (known, sd, found) = (length.length_m * 1e3, length.sd_m * 1e3, found_m * 1e3);
-        let _ = writeln!(text, "\nlength {a}-{b} {known:.2} ± {sd:.2} mm; the rays would rather have {found:.2} mm");
+        let _ = writeln!(text, "\nlength {a}-{b} {known:.2} ± {sd:.2} mm; the rays give {found:.2} mm");
     }
-    text += "\nlens and walls were taken for exact. Left or right and the shift move all places together, by millimetres; displacements \
-             and angles hardly see them.\n";
+    text += "\nlens and walls were taken as exact. A turn to the left or right and the shift move all positions together, by \
+             millimetres; displacements and angles hardly change.\n";
     if done.rig.base.is_some() && done.has_moved() {
         text += "The base frame was measured with the mirror as it was: measure it again (catoptra calibrate base).\n";
     }

@@ -1,4 +1,4 @@
-//! `catoptra calibrate`: from pictures and recordings to a rig file, a file a step.
+//! `catoptra calibrate`: from pictures and recordings to a rig file, with one file for each step.
 
 mod base;
 mod camera;
@@ -99,14 +99,14 @@ fn calibrate(args: &Args, quiet: bool, outcome: &Outcome) -> Result<(), Failure>
         Command::Mirror(args) => (mirror::run(args, print), args.out()),
     };
     if ended.is_ok() {
-        // As it is now, every number with its provenance.
+        // As it is now, with the provenance of every number.
         let read = || std::fs::read_to_string(rig).ok()?.parse::<toml::Table>().ok();
         outcome.found(|| read().and_then(|rig| serde_json::to_value(rig).ok()).unwrap_or_default());
     }
     ended
 }
 
-/// `catoptra calibrate markers` with these arguments; what it prints goes to `print`.
+/// `catoptra calibrate markers` with these arguments; its output goes to `print`.
 pub(in crate::cli) fn teach(arguments: &[String], print: impl Fn(&str) -> Result<(), Failure>) -> Result<(), Failure> {
     markers::run(&parsed(arguments)?, print)
 }
@@ -116,12 +116,12 @@ pub(in crate::cli) fn rig_to_teach(arguments: &[String]) -> Result<Rig, Failure>
     markers::rig_with_picks(&parsed(arguments)?)
 }
 
-/// `catoptra calibrate rig` with these arguments; what it prints goes to `print`.
+/// `catoptra calibrate rig` with these arguments; its output goes to `print`.
 pub(in crate::cli) fn rig(arguments: &[String], print: impl Fn(&str) -> Result<(), Failure>) -> Result<(), Failure> {
     rig::run(&parsed(arguments)?, true, print)
 }
 
-/// The rig file that these arguments begin with, and what they say of the rig.
+/// The initial rig file of these arguments, and the options that they set.
 pub(in crate::cli) fn rig_to_calibrate(arguments: &[String]) -> Result<(Draft, RigOptions), Failure> {
     let args: rig::RigArgs = parsed(arguments)?;
     let draft = Draft::load(&args.rig)?;
@@ -129,20 +129,20 @@ pub(in crate::cli) fn rig_to_calibrate(arguments: &[String]) -> Result<(Draft, R
     Ok((draft, options))
 }
 
-/// Arguments of a verb as if they had been typed.
+/// Parses arguments of a verb as if typed.
 fn parsed<T: clap::Args>(arguments: &[String]) -> Result<T, Failure> {
     let command = T::augment_args(clap::Command::new("catoptra"));
     let arguments = ["catoptra"].into_iter().chain(arguments.iter().map(String::as_str));
     let parsed = command.try_get_matches_from(arguments).and_then(|matches| T::from_arg_matches(&matches));
     parsed.map_err(|error| {
         let said = error.to_string();
-        // Usage and hints are for who types.
+        // Usage and hints are only for the terminal.
         let first = said.split("\n\n").next().unwrap_or_default();
         usage(first.strip_prefix("error: ").unwrap_or(first).to_owned())
     })
 }
 
-/// A length as people write it, in metres.
+/// A length with unit, in metres.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Length(f64);
 
@@ -156,7 +156,7 @@ impl FromStr for Length {
     }
 }
 
-/// Refuses, before any work, to write where nothing can be written, or over what is no rig.
+/// Checks before any work that the file can be written and would replace only a rig.
 pub(super) fn can_be_written(out: &Path) -> Result<(), Failure> {
     let refused = |what: &str| Err(usage(format!("{}: {what}", out.display())));
     let folder = out.parent().filter(|folder| *folder != Path::new(""));
@@ -168,12 +168,12 @@ pub(super) fn can_be_written(out: &Path) -> Result<(), Failure> {
     }
     let is_rig = |text: String| text.parse::<toml::Table>().is_ok_and(|t| t.is_empty() || t.contains_key("camera"));
     if out.exists() && !std::fs::read_to_string(out).is_ok_and(is_rig) {
-        return refused("is there and no rig file; give another name with --out");
+        return refused("exists and is not a rig file; choose another name with --out");
     }
     Ok(())
 }
 
-/// Writes the rig; another one that was there is kept beside it. What was written, in words.
+/// Writes the rig, keeping a different one that was there as a backup; returns what was written, in words.
 pub(super) fn save(rig: &Draft, path: &Path) -> Result<String, Failure> {
     let _whole = interrupt::wait();
     let kept_as = rig.save_with_backup(path)?;
@@ -182,7 +182,7 @@ pub(super) fn save(rig: &Draft, path: &Path) -> Result<String, Failure> {
     Ok(format!("written: {}{kept}", path.display()))
 }
 
-/// What a new lens takes from a rig, in words.
+/// What a new lens removes from a rig, in words.
 pub(super) fn left_out(old: &Draft) -> Option<&'static str> {
     let something = !old.surfaces.is_empty() || !old.views.is_empty() || old.base.is_some();
     something

@@ -1,4 +1,4 @@
-//! Pictures of boards, as the command line names them: read, searched, told about.
+//! Pictures of boards from the command line: reads, searches and reports them.
 
 use super::super::progress::Progress;
 use super::super::{Exit, Failure};
@@ -14,14 +14,14 @@ use std::fmt::{Display, Write as _};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
-/// Endings of files that a folder's pictures have.
+/// Extensions of pictures in a folder.
 const ENDINGS: [&str; 10] = ["png", "jpg", "jpeg", "tif", "tiff", "bmp", "pgm", "ppm", "pbm", "pnm"];
 
-/// Corners that are off by more than this, pixels, and so many σ, are astray.
-const ASTRAY: (f64, f64) = (1.5, 8.0);
+/// Corners off by more than this, pixels, and this many σ, are astray.
+const OUTLIER: (f64, f64) = (1.5, 8.0);
 
-/// A picture in which boards were looked for.
-pub(super) struct Searched {
+/// A picture that was searched for boards.
+pub(super) struct SearchedPicture {
     pub(super) path: PathBuf,
     /// Its name in tables: the file's, or the whole path where two files have the same.
     pub(super) name: String,
@@ -30,8 +30,8 @@ pub(super) struct Searched {
     pub(super) images: Result<Vec<BoardImage>, String>,
 }
 
-/// What a calibration from pictures of a board says of its inputs.
-pub(super) fn provenance(step: &str, board: &Board, searched: &[Searched]) -> Result<toml::Table, Failure> {
+/// Provenance of a calibration from pictures of a board.
+pub(super) fn provenance(step: &str, board: &Board, searched: &[SearchedPicture]) -> Result<toml::Table, Failure> {
     let mut hashes = toml::Table::new();
     for picture in searched {
         hashes.insert(picture.name.clone(), hash(&picture.path)?.into());
@@ -43,7 +43,7 @@ pub(super) fn provenance(step: &str, board: &Board, searched: &[Searched]) -> Re
     Ok(table)
 }
 
-/// The same of a table of points.
+/// The same for a table of points.
 pub(super) fn provenance_of_points(step: &str, file: &Path) -> Result<toml::Table, Failure> {
     let name = file.file_name().unwrap_or(file.as_os_str()).to_string_lossy().into_owned();
     Ok(toml::Table::from_iter([
@@ -60,15 +60,16 @@ pub(super) fn hash(path: &Path) -> Result<String, Failure> {
     Ok(Sha256::digest(&bytes).iter().map(|byte| format!("{byte:02x}")).collect())
 }
 
-/// Pictures without a board, a line each.
-pub(super) fn not_found(searched: &[Searched]) -> String {
-    let line = |s: &Searched| s.images.as_ref().err().map(|why| format!("{:<24} left out: {why}\n", s.name.clone()));
+/// Pictures without a board, one line each.
+pub(super) fn not_found(searched: &[SearchedPicture]) -> String {
+    let line =
+        |s: &SearchedPicture| s.images.as_ref().err().map(|why| format!("{:<24} left out: {why}\n", s.name.clone()));
     searched.iter().filter_map(line).collect()
 }
 
-/// What became of every picture: what a calibration left in it, or why it was left out.
+/// The result for every picture: its residual, or why it was left out.
 pub(super) fn table<'a>(
-    searched: &[Searched],
+    searched: &[SearchedPicture],
     used: impl Iterator<Item = &'a UsedPicture>,
     left_out: &[(String, impl Display)],
     corner_sd_px: f64,
@@ -82,7 +83,7 @@ pub(super) fn table<'a>(
         let largest = picture.corners.iter().map(|(_, r)| r.norm()).fold(0.0, f64::max);
         let (name, count, rms) = (&picture.name, picture.corners.len(), picture.rms_px());
         let point = rms * SQRT_2;
-        let far = |off_px: f64| off_px > ASTRAY.0.max(ASTRAY.1 * corner_sd_px);
+        let far = |off_px: f64| off_px > OUTLIER.0.max(OUTLIER.1 * corner_sd_px);
         let far: Vec<_> = picture.corners.iter().filter(|(_, off)| far(off.norm())).collect();
         if let Some((at, off)) = far.iter().max_by(|a, b| a.1.norm().total_cmp(&b.1.norm())) {
             let _ = writeln!(
@@ -107,7 +108,7 @@ pub(super) fn table<'a>(
     text + &astray
 }
 
-/// An RMS of one coordinate, and the one that OpenCV tells: of points, √2 times as large.
+/// An RMS of one coordinate, and OpenCV's, which is of points and √2 times as large.
 pub(super) fn rms(coordinate_px: f64) -> String {
     format!("{coordinate_px:.3} px in x and in y ({:.3} px as OpenCV counts, of points)", coordinate_px * SQRT_2)
 }
@@ -116,7 +117,12 @@ pub(super) fn rms(coordinate_px: f64) -> String {
 ///
 /// # Errors
 /// A file that is no picture, a folder without one.
-pub(super) fn search(paths: &[PathBuf], board: &Board, most: usize, quiet: bool) -> Result<Vec<Searched>, Failure> {
+pub(super) fn search(
+    paths: &[PathBuf],
+    board: &Board,
+    most: usize,
+    quiet: bool,
+) -> Result<Vec<SearchedPicture>, Failure> {
     let mut files = Vec::new();
     for path in paths {
         if path.is_dir() { files.extend(in_folder(path)?) } else { files.push(path.clone()) }
@@ -130,7 +136,7 @@ pub(super) fn search(paths: &[PathBuf], board: &Board, most: usize, quiet: bool)
             let grey = Grey::load(&path, Rows::AsStored).map_err(|e| Failure::new(Exit::Usage, e))?;
             let images = find_boards(&grey, board, most).map_err(|e| e.to_string());
             progress.lock().unwrap_or_else(PoisonError::into_inner).one_more();
-            Ok(Searched { size_px: grey.size_px(), path, name, images })
+            Ok(SearchedPicture { size_px: grey.size_px(), path, name, images })
         })
         .collect()
 }
@@ -157,7 +163,7 @@ fn in_folder(folder: &Path) -> Result<Vec<PathBuf>, Failure> {
     }
     files.sort();
     if files.is_empty() {
-        let cure = source::cure_for_pictures(folder).map(|cure| format!("; {cure}")).unwrap_or_default();
+        let cure = source::conversion_advice(folder).map(|cure| format!("; {cure}")).unwrap_or_default();
         let text = format!("{}: no pictures in this folder ({}){cure}", folder.display(), ENDINGS.join(", "));
         return Err(Failure::new(Exit::Usage, text));
     }
@@ -169,7 +175,7 @@ mod tests {
     use super::*;
     use nalgebra::{Isometry3, Point2, Vector2};
 
-    /// As a marker of a ChArUco board that is taken for its neighbour leaves it.
+    /// As when a marker of a ChArUco board is taken for its neighbour.
     #[test]
     fn a_corner_that_is_far_off_is_told_with_its_place() {
         let corner = |off: f64| (Point2::new(312.4, 208.0), Vector2::new(off, 0.0));

@@ -2,14 +2,14 @@
 
 use super::super::progress::during;
 use super::super::{Exit, Failure, interrupt, outcome, provenance};
-use super::pictures::{self, Searched};
+use super::pictures::{self, SearchedPicture};
 use super::{Length, can_be_written, save, usage};
-use crate::calibrate::board::Board;
-use crate::calibrate::board::BoardPicture;
+use crate::atomic_file;
+use crate::calibrate::board::{Board, BoardPicture, Grey, Rows};
 use crate::calibrate::geometry::Parameter;
 use crate::calibrate::rig::diagnostics::diagnose;
 use crate::calibrate::rig::expected_error::{Verdict, verdict};
-use crate::calibrate::rig::held_out::{HeldOut, Off, held_out};
+use crate::calibrate::rig::held_out::{HeldOut, LengthErrors, held_out};
 use crate::calibrate::rig::initial::BoardsPicture;
 use crate::calibrate::rig::{
     Points, RigCalibration, RigCalibrationError, RigOptions, Tank, calibrate_rig, calibrate_rig_from_points,
@@ -17,15 +17,14 @@ use crate::calibrate::rig::{
 };
 use crate::report::calibration::{self, CalibrationInfo};
 use crate::rig::Draft;
-use crate::whole_file;
 use nalgebra::{DMatrix, Point3};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
-/// Points may be off by so many times what was said of them, or less by as much.
-const OTHERWISE: f64 = 1.5;
-/// How well the index is known beforehand when it is to be fitted.
+/// Largest ratio between the points' residuals and their stated σ, either way.
+const SD_RATIO_TOLERANCE: f64 = 1.5;
+/// Prior σ of the index when it is fitted.
 const INDEX_SD: f64 = 5e-3;
 
 #[derive(Debug, clap::Args)]
@@ -121,7 +120,7 @@ fn wall_arg(text: &str) -> Result<(String, PathBuf), String> {
 }
 
 impl RigArgs {
-    /// The rig file that is written.
+    /// The rig file to write.
     pub(super) fn out(&self) -> &PathBuf {
         self.out.as_ref().unwrap_or(&self.rig)
     }
@@ -153,7 +152,7 @@ pub(super) fn run(args: &RigArgs, quiet: bool, print: impl Fn(&str) -> Result<()
     for doubt in diagnose(&done, &held) {
         print(&format!("doubt: {doubt}\n"))?;
     }
-    let page = calibration::page(&info(args, out, &seen), &done, judged.as_ref(), &held);
+    let page = calibration::page(&info(args, out, &seen, &done), &done, judged.as_ref(), &held);
     let mut rig = into_draft(draft, &done);
     rig.provenance.insert("rig".into(), provenance(&seen, &done, judged.as_ref())?.into());
     let written = save(&rig, out)?;
@@ -162,16 +161,16 @@ pub(super) fn run(args: &RigArgs, quiet: bool, print: impl Fn(&str) -> Result<()
     print(&format!("\n{written}\n         {} (how good it is, for a browser)\n", page_path.display()))
 }
 
-/// What the rig is calibrated from.
+/// The data that the rig is calibrated from.
 enum Seen {
     /// Boards in pictures.
-    Boards { board: Board, searched: Vec<Searched>, found: Vec<BoardsPicture> },
+    Boards { board: Board, searched: Vec<SearchedPicture>, found: Vec<BoardsPicture> },
     /// A table of points.
     Points { file: PathBuf, points: Points },
 }
 
 impl Seen {
-    fn searched(&self) -> &[Searched] {
+    fn searched(&self) -> &[SearchedPicture] {
         match self {
             Self::Boards { searched, .. } => searched,
             Self::Points { .. } => &[],
@@ -193,7 +192,7 @@ impl Seen {
     }
 }
 
-/// Looks for boards in the pictures, those taped to walls too, or reads the points.
+/// Searches the pictures for boards, including those taped to walls, or reads the points.
 fn seen(args: &RigArgs, draft: &Draft, options: &mut RigOptions, quiet: bool) -> Result<Seen, Failure> {
     if let Some(file) = &args.points {
         let points = Points::read(file, args.mirrors).map_err(|e| Failure::new(Exit::Usage, e))?;
@@ -226,14 +225,14 @@ fn seen(args: &RigArgs, draft: &Draft, options: &mut RigOptions, quiet: bool) ->
 
 fn save_page(page: &str, path: &Path) -> Result<(), Failure> {
     let _whole = interrupt::wait();
-    whole_file::write(path, page.as_bytes())
+    atomic_file::write(path, page.as_bytes())
         .map_err(|e| Failure::new(Exit::Failed, format!("the rig is written, {} cannot be: {e}", path.display())))?;
     outcome::wrote(path);
     Ok(())
 }
 
-/// What the page says of the run.
-fn info(args: &RigArgs, out: &Path, seen: &Seen) -> CalibrationInfo {
+/// Information about the run for the page.
+fn info(args: &RigArgs, out: &Path, seen: &Seen, done: &RigCalibration) -> CalibrationInfo {
     let mm = |length_m: f64| format!("{:.2} mm", length_m * 1e3);
     let searched = seen.searched();
     let mut settings = vec![match seen {
@@ -250,11 +249,18 @@ fn info(args: &RigArgs, out: &Path, seen: &Seen) -> CalibrationInfo {
     }
     let not_found = searched.iter().filter_map(|s| Some((s.name.clone(), s.images.as_ref().err()?.clone()))).collect();
     settings.extend(provenance::of_this_run());
-    CalibrationInfo { rig: out.display().to_string(), settings, not_found }
+    // Read again: all pictures kept in memory would be gigabytes.
+    let again = |name: String| {
+        let picture = searched.iter().find(|s| s.name == name)?;
+        let grey = Grey::load(&picture.path, Rows::AsStored).map_err(|error| error.to_string());
+        Some((name, grey))
+    };
+    let boards = calibration::shown(done).into_iter().filter_map(again).collect();
+    CalibrationInfo { rig: out.display().to_string(), settings, not_found, boards }
 }
 
-/// Pictures must be of the size that the lens was calibrated for.
-fn fits(picture: &Searched, args: &RigArgs, draft: &Draft) -> Result<(), Failure> {
+/// Checks that pictures have the size that the lens was calibrated for.
+fn fits(picture: &SearchedPicture, args: &RigArgs, draft: &Draft) -> Result<(), Failure> {
     let (found, expected) = (picture.size_px, draft.camera.size_px);
     if found == expected {
         return Ok(());
@@ -298,8 +304,8 @@ pub(super) fn options(args: &RigArgs, draft: &Draft) -> Result<RigOptions, Failu
     })
 }
 
-/// A warning when pictures have served for the lens already.
-fn shared_pictures(draft: &Draft, searched: &[Searched]) -> Result<Option<String>, Failure> {
+/// A warning when pictures were already used for the lens.
+fn shared_pictures(draft: &Draft, searched: &[SearchedPicture]) -> Result<Option<String>, Failure> {
     let of_lens = draft.provenance.get("camera").and_then(|camera| camera.get("inputs_sha256")?.as_table());
     let Some(of_lens) = of_lens else { return Ok(None) };
     let mut names = Vec::new();
@@ -319,7 +325,7 @@ fn shared_pictures(draft: &Draft, searched: &[Searched]) -> Result<Option<String
     }))
 }
 
-/// As `calibrate camera` wrote it.
+/// As written by `calibrate camera`.
 fn lens_covariance(draft: &Draft) -> Option<DMatrix<f64>> {
     let rows = draft.provenance.get("camera")?.get("lens_covariance")?.as_array()?;
     let numbers: Vec<f64> =
@@ -372,11 +378,11 @@ fn describe(seen: &Seen, done: &RigCalibration, judged: Option<&Verdict>, option
     );
     if let Seen::Points { points, .. } = seen
         && let Some(given_px) = points.given_sd_px()
-        && !(1.0 / OTHERWISE..OTHERWISE).contains(&(solution.corner_sd_px / given_px))
+        && !(1.0 / SD_RATIO_TOLERANCE..SD_RATIO_TOLERANCE).contains(&(solution.corner_sd_px / given_px))
     {
         let _ = writeln!(
             text,
-            "warning: points were said to be good to {given_px:.2} px, and are off by {:.2}: σ below are by what they are",
+            "warning: points were stated to be good to {given_px:.2} px, but are off by {:.2}: σ below are based on the latter",
             solution.corner_sd_px
         );
     }
@@ -406,7 +412,7 @@ fn describe(seen: &Seen, done: &RigCalibration, judged: Option<&Verdict>, option
     }
     if options.lens_covariance.is_none() {
         text +=
-            "\nthe rig file has no covariance of the lens (calibrate camera writes it): the lens is taken for exact\n";
+            "\nthe rig file has no covariance of the lens (calibrate camera writes it): the lens is taken as exact\n";
     }
     if options.index_sd.is_some() {
         let _ = writeln!(
@@ -463,10 +469,10 @@ fn describe_verdict(judged: &Verdict) -> String {
     text
 }
 
-/// A line of the check on pictures that were left out in turn.
+/// A line about the check on held-out pictures.
 fn describe_held_out<'a>(held: impl Iterator<Item = &'a HeldOut> + Clone) -> String {
-    let edges = Off::of(held.clone().flat_map(|h| &h.edges));
-    let diagonals = Off::of(held.clone().flat_map(|h| &h.diagonals));
+    let edges = LengthErrors::of(held.clone().flat_map(|h| &h.edges));
+    let diagonals = LengthErrors::of(held.clone().flat_map(|h| &h.diagonals));
     let (Some(edges), Some(diagonals)) = (edges, diagonals) else { return String::new() };
     format!(
         "held out in turn, {} edges of {:.1} mm are off by {:.3} mm RMS (corner noise explains {:.3}), {} diagonals of \

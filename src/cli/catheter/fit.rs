@@ -17,17 +17,6 @@ use std::path::{Path, PathBuf};
 
 const NS_PER_S: f64 = 1e9;
 const FILES: [&str; 3] = ["catheter.toml", "fit.csv", "fit.html"];
-/// Fitted unless asked otherwise: the drag of slow motion is known from theory, and hard to tell from the damping.
-const USUAL: [Parameter; 8] = [
-    Parameter::Young,
-    Parameter::Shear,
-    Parameter::Alignment,
-    Parameter::CurvatureX,
-    Parameter::CurvatureY,
-    Parameter::Damping,
-    Parameter::Drag,
-    Parameter::Delay,
-];
 
 #[derive(Debug, clap::Args)]
 pub(super) struct FitArgs {
@@ -53,7 +42,7 @@ pub(super) struct FitArgs {
     /// What to fit; what the data do not determine is then an error
     #[arg(long, value_name = "NAMES", value_delimiter = ',', value_parser = parameter)]
     parameters: Vec<Parameter>,
-    /// So long after a change of currents the catheter has come to rest
+    /// Time from a change of currents until the catheter is at rest
     #[arg(long, value_name = "T", default_value = "3s", value_parser = duration_s)]
     settle: f64,
     /// Use shapes at rest only
@@ -72,10 +61,9 @@ fn seconds_ns(text: &str) -> Result<i64, String> {
 }
 
 fn parameter(text: &str) -> Result<Parameter, String> {
-    Parameter::ALL
-        .into_iter()
-        .find(|p| p.name() == text.trim())
-        .ok_or_else(|| format!("`{text}` is none; there are {}", Parameter::ALL.map(Parameter::name).join(", ")))
+    Parameter::ALL.into_iter().find(|p| p.name() == text.trim()).ok_or_else(|| {
+        format!("`{text}` is not a parameter; parameters are {}", Parameter::ALL.map(Parameter::name).join(", "))
+    })
 }
 
 fn usage(text: impl Into<String>) -> Failure {
@@ -102,11 +90,12 @@ impl FitArgs {
         };
         let fitted = read(&self.runs, &self.currents)?;
         let judged: Vec<Run> = read(&self.validate, &self.validate_currents)?.into_iter().map(|(run, _)| run).collect();
-        let told = fitted.iter().find_map(|(_, told)| *told);
+        let stated_noise = fitted.iter().find_map(|(_, stated_noise)| *stated_noise);
         let runs: Vec<Run> = fitted.into_iter().map(|(run, _)| run).collect();
         let accuracy = Accuracy { step_s: self.step, ..Accuracy::default() };
-        let parameters = if self.parameters.is_empty() { USUAL.to_vec() } else { self.parameters.clone() };
-        let options = FitOptions { parameters, settle_s: self.settle, only_still: self.only_still, accuracy, told };
+        let parameters = if self.parameters.is_empty() { Parameter::DEFAULT.to_vec() } else { self.parameters.clone() };
+        let options =
+            FitOptions { parameters, settle_s: self.settle, only_still: self.only_still, accuracy, stated_noise };
         let result = fit(&catheter, 0.0, &runs, &options).map_err(unusable)?;
         let open: Vec<String> = result.open.iter().map(|open| open.sentence()).collect();
         if !self.parameters.is_empty() && !open.is_empty() {
@@ -146,7 +135,7 @@ impl FitArgs {
             tracing::warn!("{}: not all of it can be read: {why}", file.display());
         }
         if recording.reference == Some(crate::sink::OutputFrame::Camera) {
-            return Err(wrong("its places are in the camera frame; track it without `--frame camera`"));
+            return Err(wrong("its positions are in the camera frame; track it without `--frame camera`"));
         }
         let (coil, tip) = (recording.marker("coil").map_err(unreadable)?, recording.marker("tip").map_err(unreadable)?);
         let mut commands: Vec<(i64, Vec<f64>)> = Vec::new();
@@ -193,15 +182,15 @@ impl FitArgs {
             })
             .collect();
         if sightings.windows(2).any(|pair| matches!(pair, [a, b] if b.time_s <= a.time_s)) {
-            return Err(wrong("its frames' times do not rise: the camera's clock began anew"));
+            return Err(wrong("its frames' times do not rise: the camera's clock restarted"));
         }
         if !sightings.iter().any(|s| s.tip.is_some()) {
             return Err(wrong("no frame has a place of the tip"));
         }
         let sd_m = rms(recording.frames.iter().filter_map(|f| f.places.get(tip)?.sd_m));
         let sd_rad = rms(recording.frames.iter().filter_map(|f| f.tangent_sd_rad));
-        let told = sd_m.zip(sd_rad).map(|(point_m, angle_rad)| Noise { point_m, angle_rad, missing: 0.0 });
-        Ok((Run { name: file.display().to_string(), commands, sightings }, told))
+        let stated_noise = sd_m.zip(sd_rad).map(|(point_m, angle_rad)| Noise { point_m, angle_rad, missing: 0.0 });
+        Ok((Run { name: file.display().to_string(), commands, sightings }, stated_noise))
     }
 
     fn summary(&self, fit: &Fit, own: &[Check], other: &[Check]) -> String {

@@ -9,7 +9,7 @@ use super::output::{is_free, save};
 use super::units::{current_a, duration_s};
 use super::{Exit, Failure, interrupt, output};
 use crate::calibrate::length_m;
-use crate::catheter::{Catheter, CatheterError, Followed, Load, Target, equilibrium, follow, reach};
+use crate::catheter::{Catheter, CatheterError, Followed, Load, Target, equilibrium, follow, harmonics, reach};
 use crate::report::catheter as pages;
 use crate::series::{SeriesError, columns, play};
 use clap::Subcommand;
@@ -41,7 +41,7 @@ Example:
     #[command(after_help = "\
 DIR gets desired.csv (for validate), follow.html and for each pause currents_PAUSE.csv (for live
 and identify) and .play (for the amplifier). A drawing in x and y is projected along z on what the
-tip reaches; of a path with z the nearest points are followed. What is out of reach is told.
+tip reaches; of a path with z the nearest points are followed. Says what is out of reach.
 Example:
   catoptra catheter follow circle --centre 28mm,0mm --radius 8mm --pause 20ms,100ms -o circle")]
     Follow(FollowArgs),
@@ -55,8 +55,8 @@ Example:
     /// Stiffness, alignment, curvature at rest, damping and drag from tracked runs
     #[command(after_help = "\
 Shapes at rest come first, then all frames in motion. DIR gets catheter.toml, fit.csv and fit.html.
-What the runs do not determine stays as it was, and is named with the experiment that would tell
-it. Exit code 3: something asked for with --parameters is not determined.
+What the runs do not determine stays as it was, and is named with the experiment that would
+determine it. Exit code 3: something asked for with --parameters is not determined.
 Example:
   catoptra catheter fit sample_dynamics/catheter_run.csv --settle 2s \\
     --currents sample_dynamics/catheter_currents.csv --parameters young,shear,damping,drag -o fit")]
@@ -110,10 +110,10 @@ struct FollowArgs {
     /// Points of a circle or lemniscate
     #[arg(long, value_name = "N", default_value_t = 200, value_parser = clap::value_parser!(u32).range(3..=100_000))]
     points: u32,
-    /// How often the path is gone through
+    /// How many times the path is repeated
     #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u32).range(1..=1000))]
     periods: u32,
-    /// How long each point is held; several make a table each
+    /// How long each point is held; several give one table each
     #[arg(long, value_name = "T,T,…", value_delimiter = ',', value_parser = duration_s, default_value = "20ms")]
     pause: Vec<f64>,
     /// Names of the coils' columns
@@ -257,7 +257,7 @@ impl FollowArgs {
             return Err(Failure::new(Exit::Usage, text));
         };
         let tables: Vec<(f64, String)> = self.pause.iter().map(|s| (*s, format!("currents_{}ms", s * 1e3))).collect();
-        let mut names = vec!["desired.csv".to_owned(), "follow.html".to_owned()];
+        let mut names = ["desired.csv", "response.csv", "follow.html"].map(str::to_owned).to_vec();
         names.extend(tables.iter().flat_map(|(_, table)| [format!("{table}.csv"), format!("{table}.play")]));
         prepare(&self.out, &names)?;
         let targets = self.targets()?;
@@ -273,6 +273,16 @@ impl FollowArgs {
             let list = play::write(rows.iter().map(|(time_ns, i)| (*time_ns, i.as_slice())));
             save(&self.out.join(format!("{table}.play")), &list)?;
         }
+        let mut csv = "pause_ms,frequency_hz,magnitude_db,phase_deg\r\n".to_owned();
+        let harmonics = harmonics(&catheter, &followed, &self.pause).unwrap_or_else(|why| {
+            tracing::warn!("response.csv is empty: about the mean of the path's currents {why}");
+            Vec::new()
+        });
+        for h in harmonics {
+            let (db, deg) = (20.0 * h.magnitude.log10(), h.phase_rad.to_degrees());
+            let _ = write!(csv, "{},{:.9},{db:.6},{deg:.6}\r\n", h.pause_s * 1e3, h.frequency_hz);
+        }
+        save(&self.out.join("response.csv"), &csv)?;
         let page = pages::follow_page(&name, &catheter, &self.path, &targets, &followed);
         save(&self.out.join("follow.html"), &page)?;
         let off: Vec<f64> = followed.iter().map(|f| f.off_m * 1e3).collect();

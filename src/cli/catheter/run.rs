@@ -11,8 +11,8 @@ use nalgebra::{Point3, Vector3};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-/// Most frames: an hour at a thousand a second.
-const MOST_FRAMES: f64 = 3.6e6;
+/// Most frames: an hour at a thousand per second.
+const MAX_FRAMES: f64 = 3.6e6;
 const NS_PER_S: f64 = 1e9;
 
 #[derive(Debug, clap::Args)]
@@ -24,13 +24,13 @@ pub(super) struct RunArgs {
     currents: PathBuf,
     #[command(flatten)]
     columns: Columns,
-    /// Camera frames a second
+    /// Camera frames per second
     #[arg(long, value_name = "F", default_value = "60Hz", value_parser = frequency_hz)]
     rate: f64,
     /// Length of the record [default: one second beyond the last command]
     #[arg(long, value_name = "T", value_parser = duration_s)]
     duration: Option<f64>,
-    /// How much later than told the currents flow
+    /// Delay of the currents behind their commanded times
     #[arg(long, value_name = "T", value_parser = duration_s)]
     delay: Option<f64>,
     /// Relaxation time of the tube's material instead of the file's
@@ -42,7 +42,7 @@ pub(super) struct RunArgs {
     /// Noise of a tracker: σ of a coordinate in mm, and of a direction in degrees
     #[arg(long, value_name = "MM,DEG", value_delimiter = ',', num_args = 1)]
     noise: Vec<f64>,
-    /// Part of the frames in which nothing is seen, percent
+    /// Percentage of frames in which nothing is seen
     #[arg(long, value_name = "%", default_value_t = 0.0)]
     missing: f64,
     /// Seed of noise and missing frames
@@ -57,7 +57,7 @@ pub(super) struct RunArgs {
 }
 
 /// Which columns of currents belong to which coil.
-#[derive(Debug, clap::Args)]
+#[derive(Debug, Default, clap::Args)]
 pub(in super::super) struct Columns {
     /// Columns of the coils x, y, z; `-` for a coil without current [default: x_a,y_a,z_a, or the table's three columns
     /// in their order, or its only one for the axial coil z]
@@ -143,8 +143,8 @@ impl RunArgs {
         }
         let duration_s = self.duration.unwrap_or(end_s + 1.0);
         let frames = (duration_s * self.rate).floor() + 1.0;
-        if frames > MOST_FRAMES {
-            return Err(usage(format!("{frames} frames are more than {MOST_FRAMES}; shorten --duration")));
+        if frames > MAX_FRAMES {
+            return Err(usage(format!("{frames} frames are more than {MAX_FRAMES}; shorten --duration")));
         }
         let accuracy = Accuracy { step_s: self.step, ..Accuracy::default() };
         let times_s = (0..frames as u64).map(|k| k as f64 / self.rate);
@@ -170,7 +170,7 @@ impl RunArgs {
 
 /// The table of a tracked run.
 fn rows(sightings: &[Sighting], noise: Noise) -> String {
-    let mut text = table::header(["base", "coil", "tip"].into_iter()).join(",") + "\r\n";
+    let mut text = table::header(["base", "coil", "tip"].into_iter(), false).join(",") + "\r\n";
     let sd = |value: f64| if value > 0.0 { format!("{value:.6}") } else { String::new() };
     let (point_sd, angle_sd) = (sd(noise.point_m * 1e3), sd(noise.angle_rad.to_degrees()));
     for (k, at) in sightings.iter().enumerate() {
@@ -209,7 +209,7 @@ fn summary(name: &str, moments: &[Moment], rate: f64, out: &Path) -> String {
     let (low, high) = theta.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), t| (low.min(t), high.max(t)));
     let fastest = moments.iter().map(|m| m.tip_velocity_m_s.norm()).fold(0.0, f64::max);
     format!(
-        "{name}: {} frames, {rate} a second\n\n  θ                {low:.2}° to {high:.2}°\n  \
+        "{name}: {} frames, {rate} per second\n\n  θ                {low:.2}° to {high:.2}°\n  \
          tip              up to {:.1} mm/s\n\nwritten: {}\n",
         moments.len(),
         fastest * 1e3,

@@ -1,7 +1,7 @@
-//! `catoptra identify --model`: a saved model on records that it was not made from.
+//! `catoptra identify --model`: a saved model on other records.
 
 use super::args::{Args, REPORT};
-use super::{put, tell};
+use super::{report_files, write_file};
 use crate::cli::outcome::Outcome;
 use crate::cli::{Exit, Failure, interrupt};
 use crate::identify::applied::{Applied, apply};
@@ -36,17 +36,17 @@ pub(super) fn run(
         let mut written = export::write_applied(&args.out, data, &done, &saved, provenance)
             .map_err(|e| Failure::new(Exit::Failed, e))?;
         let page = args.out.join(REPORT);
-        put(&page, identification::applied_page(data, &done, &saved, provenance).as_bytes())?;
+        write_file(&page, identification::applied_page(data, &done, &saved, provenance).as_bytes())?;
         written.push(page);
         written
     };
-    tell(outcome, &written);
+    report_files(outcome, &written);
     outcome.print(&summary(&done, &saved, provenance, &written))
 }
 
 fn summary(done: &Applied, saved: &Saved, provenance: &Provenance, written: &[PathBuf]) -> String {
     let mut text = String::new();
-    // Nothing is lost when a line cannot be formatted into memory.
+    // Formatting into memory cannot fail.
     let _ = describe(&mut text, done, saved, provenance);
     for path in written {
         let _ = writeln!(text, "written: {}", path.display());

@@ -1,4 +1,4 @@
-//! Arguments of `catoptra identify`, and the settings that they stand for.
+//! Arguments of `catoptra identify`, and the settings they give.
 
 use crate::cli::outcome::HiddenJson;
 use crate::cli::results::Results;
@@ -21,8 +21,8 @@ use std::path::PathBuf;
 pub(super) const REPORT: &str = "report.html";
 /// Orders searched when none are given, as far as the data allow.
 const ORDERS: RangeInclusive<usize> = 1..=20;
-/// Samples that each coefficient of a searched model must have.
-const SAMPLES_A_COEFFICIENT: usize = 10;
+/// Fewest samples per coefficient of a searched model.
+const SAMPLES_PER_COEFFICIENT: usize = 10;
 
 /// Arguments of `catoptra identify`. There are many: each has one line of help.
 #[derive(Debug, clap::Args)]
@@ -31,7 +31,7 @@ pub(crate) struct Args {
     /// Logs or tables of `track` and `live`, or with --input and --output any tables of numbers
     #[arg(value_name = "RECORD", required = true, hide = true)]
     pub(super) records: Vec<PathBuf>,
-    /// Coil, field and pendulum: Eq. 6 makes a torque of current and θ
+    /// Coil, field and pendulum, for the net torque of Eq. 6
     #[arg(long, value_name = "PLANT.toml", conflicts_with_all = ["input", "output"])]
     pub(super) plant: Option<PathBuf>,
     /// Coil currents of each record, where its log has none
@@ -40,7 +40,10 @@ pub(crate) struct Args {
     /// The coil that moved it, counted from 0
     #[arg(long, value_name = "N", default_value_t = 0, conflicts_with = "output")]
     pub(super) coil: usize,
-    /// Commands act so much later; `auto`: as estimated
+    /// Both angles from all coils: motion that leaves the plane of B0
+    #[arg(long, conflicts_with_all = ["plant", "input", "train", "test", "decimate", "resample", "na", "select", "repeats", "model"])]
+    pub(super) planes: bool,
+    /// Commands act this much later; `auto`: as estimated
     #[arg(long, value_name = "T|auto", default_value = "0", allow_hyphen_values = true, conflicts_with = "output")]
     pub(super) delay: DelayArg,
     /// Column of the input, name or number; `current` of a log: no Eq. 6
@@ -64,17 +67,17 @@ pub(crate) struct Args {
     /// Judge by samples C to D−1 of the record
     #[arg(long, value_name = "C:D")]
     pub(super) test: Option<Range>,
-    /// Take off, as fitted data have it: none, mean, linear
+    /// Remove mean or trend: none, mean, linear
     #[arg(long, value_name = "WHAT", value_enum, default_value_t = DetrendArg::None)]
     pub(super) detrend: DetrendArg,
-    /// Keep every N-th sample behind a low-pass filter
+    /// Keep every N-th sample after a low-pass filter
     #[arg(long, value_name = "N", value_parser = count(1, 10_000))]
     pub(super) decimate: Option<usize>,
     /// Allow uneven times: outputs are interpolated
     #[arg(long)]
     pub(super) resample: bool,
     /// Angles in a row that Eq. 6 may interpolate
-    #[arg(long, value_name = "N", default_value_t = 6, value_parser = count(0, 100_000))]
+    #[arg(long, value_name = "N", default_value_t = 6, value_parser = count(0, 100_000), hide = true)]
     pub(super) bridge: usize,
     /// Order, or orders to search, na = nb [default: 1:20 or less]
     #[arg(long, value_name = "N|A:B")]
@@ -88,7 +91,7 @@ pub(crate) struct Args {
     /// Delay in samples, at least 1 with Eq. 6 [default: 1:5]
     #[arg(long, value_name = "N|A:B")]
     pub(super) nk: Option<Span>,
-    /// By aic, mdl, prediction, simulation [default: the last it can]
+    /// By aic, mdl, prediction, simulation [default: the last possible]
     #[arg(long, value_name = "WHAT", value_enum)]
     pub(super) select: Option<Select>,
     /// Full order by arx, oe (output error), iv (instruments)
@@ -97,9 +100,9 @@ pub(crate) struct Args {
     /// State simulations begin in: rest, estimated
     #[arg(long, value_name = "STATE", value_enum, default_value_t = StartArg::Rest)]
     pub(super) start: StartArg,
-    /// Order to reduce to
-    #[arg(long, value_name = "N|auto", default_value = "2")]
-    pub(super) reduce: TargetArg,
+    /// Order to reduce to [default: 2; with --planes auto, per angle]
+    #[arg(long, value_name = "N|auto")]
+    pub(super) reduce: Option<TargetArg>,
     /// Reduce so that the gain at zero frequency is kept
     #[arg(long)]
     pub(super) match_dc: bool,
@@ -263,12 +266,12 @@ fn positive(text: &str) -> Result<f64, String> {
 }
 
 impl Args {
-    /// With Eq. 6: the input holds the angle of the same time, so the delay is one sample at least.
+    /// With Eq. 6: the input contains the angle of the same time, so the delay is at least one sample.
     fn fed_back(&self) -> bool {
         self.plant.is_some()
     }
 
-    /// The folder, whose files are those of earlier results of the same records or none.
+    /// The output folder, which must be empty or have earlier results of the same records.
     pub(super) fn results(&self) -> Results<'_> {
         let tables = self.validate.iter().chain(&self.plant).chain(&self.currents).chain(&self.model);
         Results {
@@ -276,7 +279,7 @@ impl Args {
             command: "identify",
             recordings: &self.records,
             inputs: self.records.iter().chain(tables).map(PathBuf::as_path).collect(),
-            files: export::FILES.into_iter().chain([REPORT]).map(str::to_owned).collect(),
+            files: export::FILES.into_iter().chain(["response.csv", REPORT]).map(str::to_owned).collect(),
         }
     }
 
@@ -304,12 +307,30 @@ impl Args {
                 EstimatorArg::Iv => Estimator::Instrumental,
             },
             initial_state: self.initial_state(),
-            target: self.reduce.0,
+            target: self.reduce.map_or(Target::Order(2), |target| target.0),
             removal: if self.match_dc { Removal::MatchDc } else { Removal::Truncate },
             all_frequencies: self.all_frequencies,
             bootstrap: self.bootstrap,
             repeats: self.repeats.map(|r| r.0),
         })
+    }
+
+    /// Lowest and highest order with `--planes`.
+    pub(super) fn planes_orders(&self) -> (usize, usize) {
+        self.order.map_or((*ORDERS.start(), *ORDERS.end()), |span| (span.from, span.to))
+    }
+
+    /// Delay with `--planes`, samples.
+    pub(super) fn planes_delay(&self) -> usize {
+        self.nk.map_or(1, |span| span.from)
+    }
+
+    /// States for each angle with `--planes`; `None` for as few as do.
+    pub(super) fn planes_keep(&self) -> Option<usize> {
+        match self.reduce?.0 {
+            Target::Order(order) => Some(order),
+            Target::Auto => None,
+        }
     }
 
     pub(super) fn initial_state(&self) -> InitialState {
@@ -327,7 +348,7 @@ impl Args {
         }
     }
 
-    /// All orders and delays asked for.
+    /// All requested orders and delays.
     fn candidates(&self, samples: usize, delays: RangeInclusive<usize>) -> Result<Vec<Orders>, Failure> {
         let none = |what: &str| Failure::new(Exit::Usage, format!("{what} 0: a model needs one coefficient at least"));
         let with_delays = |na: usize, nb: usize| delays.clone().map(move |nk| Orders { na, nb, nk });
@@ -348,7 +369,7 @@ impl Args {
             Some(span) if span.from == 0 => return Err(none("--order")),
             Some(span) => span.all(),
             None => {
-                let most = (samples / (2 * SAMPLES_A_COEFFICIENT)).clamp(1, *ORDERS.end());
+                let most = (samples / (2 * SAMPLES_PER_COEFFICIENT)).clamp(1, *ORDERS.end());
                 *ORDERS.start()..=most
             }
         };

@@ -1,20 +1,21 @@
-//! `catoptra identify`: a log, or a table of any two columns, to the dynamics of what moved.
+//! `catoptra identify`: a log, or any two columns of a table, to a dynamic model.
 
 mod apply;
 mod args;
+mod planes;
 mod reading;
 mod words;
 
 pub(crate) use args::Args;
 
 use super::{Exit, Failure, interrupt};
+use crate::atomic_file;
 use crate::cli::outcome::{self, Outcome};
 use crate::cli::progress::Stages;
-use crate::identify::chain::identify_telling;
+use crate::identify::chain::identify_with_progress;
 use crate::identify::data::Data;
 use crate::identify::{IdentifyError, export};
 use crate::report::identification;
-use crate::whole_file;
 use std::path::{Path, PathBuf};
 
 pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
@@ -25,9 +26,12 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
 fn identify(args: &Args, quiet: bool, outcome: &Outcome) -> Result<(), Failure> {
     let results = args.results();
     results.check()?;
+    if args.planes {
+        return planes::run(args, outcome);
+    }
     // 1. signals
     let stages = Stages::new(quiet);
-    stages.tell("reading the records");
+    stages.begin("reading the records");
     let (data, provenance) = reading::read(args)?;
     if let Some(model) = &args.model {
         return apply::run(args, model, &data, &provenance, outcome);
@@ -35,8 +39,9 @@ fn identify(args: &Args, quiet: bool, outcome: &Outcome) -> Result<(), Failure> 
     let samples: usize = data.training.iter().map(crate::identify::data::Record::observed).sum();
     let settings = args.settings(samples, !data.validation.is_empty())?;
     // 2. models
-    let done = identify_telling(&data, &settings, &|what| stages.tell(what)).map_err(|error| failure(&data, error))?;
-    stages.tell("writing the results");
+    let done =
+        identify_with_progress(&data, &settings, &|what| stages.begin(what)).map_err(|error| failure(&data, error))?;
+    stages.begin("writing the results");
     for diagnostic in &done.diagnostics {
         tracing::warn!("{diagnostic}");
     }
@@ -47,13 +52,13 @@ fn identify(args: &Args, quiet: bool, outcome: &Outcome) -> Result<(), Failure> 
         let mut written =
             export::write(&args.out, &data, &done, &provenance).map_err(|e| Failure::new(Exit::Failed, e))?;
         let page = args.out.join(args::REPORT);
-        put(&page, identification::page(&data, &done, &provenance).as_bytes())?;
+        write_file(&page, identification::page(&data, &done, &provenance).as_bytes())?;
         written.push(page);
         written
     };
     drop(stages);
-    // 4. words
-    tell(outcome, &written);
+    // 4. text
+    report_files(outcome, &written);
     outcome.print(&words::summary(&data, &done, &provenance, &written))?;
     if done.models.iter().any(|m| m.role == crate::identify::modelled::Role::Full && !m.is_stable()) {
         let text = "the model of full order is unstable: what was written describes it and is not to be relied on";
@@ -62,20 +67,20 @@ fn identify(args: &Args, quiet: bool, outcome: &Outcome) -> Result<(), Failure> 
     Ok(())
 }
 
-/// Files and model, for programs.
-fn tell(outcome: &Outcome, written: &[PathBuf]) {
+/// Reports files and model, for programs.
+fn report_files(outcome: &Outcome, written: &[PathBuf]) {
     written.iter().for_each(|path| outcome::wrote(path));
     let model = written.iter().find(|path| path.ends_with("model.json"));
     let read = |path: &PathBuf| serde_json::from_str(&std::fs::read_to_string(path).ok()?).ok();
     outcome.found(|| model.and_then(read).unwrap_or_default());
 }
 
-fn put(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
-    whole_file::write(path, bytes)
+fn write_file(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
+    atomic_file::write(path, bytes)
         .map_err(|e| Failure::new(Exit::Failed, format!("cannot write {}: {e}", path.display())))
 }
 
-/// With the records it is about.
+/// A failure that names its records.
 fn failure(data: &Data, error: IdentifyError) -> Failure {
     let exit = match error {
         IdentifyError::Nothing { .. } | IdentifyError::Still { .. } => return Failure::new(Exit::Usage, error),

@@ -1,4 +1,4 @@
-//! Files to signals: read, put on a grid, cut, thinned, detrended; and a summary of each record.
+//! From files to signals: reads, grids, cuts, decimates and detrends them; and a summary of each record.
 
 use super::super::provenance;
 use super::args::{Args, DelayArg, Range};
@@ -16,9 +16,9 @@ use crate::identify::recorded::Observed;
 use crate::series::{CurrentTable, Recording, SeriesError, columns};
 use std::path::Path;
 
-/// Periods of the records may differ by this part.
+/// Largest relative difference of the records' periods.
 const SAME_PERIOD: f64 = 0.01;
-/// Samples of the result that decimation needs.
+/// Fewest samples after decimation.
 const DECIMATION_NEEDS: usize = 11;
 /// The input of a log without Eq. 6.
 const CURRENT: &str = "current";
@@ -38,7 +38,7 @@ struct Read {
     summary: RecordSummary,
 }
 
-/// Data to identify from and to judge by, made ready.
+/// Prepared data for identification and validation.
 pub(super) fn read(args: &Args) -> Result<(Data, Provenance), Failure> {
     let files: Vec<&Path> = args.records.iter().chain(&args.validate).map(AsRef::as_ref).collect();
     let ranges = args.train.is_some() || args.test.is_some();
@@ -56,11 +56,11 @@ pub(super) fn read(args: &Args) -> Result<(Data, Provenance), Failure> {
     let mut all = Vec::new();
     for (k, file) in files.iter().enumerate() {
         let mut read = if args.output.is_some() {
-            any_table(args, file)?
+            from_table(args, file)?
         } else {
             recorded(args, file, args.currents.get(k).map(AsRef::as_ref), plant)?
         };
-        // A model that is applied is judged by all records.
+        // An applied model is judged by all records.
         read.summary.training = args.model.is_none() && k < args.records.len();
         all.push(read);
     }
@@ -91,7 +91,7 @@ pub(super) fn read(args: &Args) -> Result<(Data, Provenance), Failure> {
             let whole = part;
             let part = args.decimate.map_or_else(|| whole.clone(), |n| decimate(&whole, n, period_s));
             if part.observed() == 0 {
-                return Err(usage(format!("{}: {}", part.name, why_empty(&whole, args))));
+                return Err(usage(format!("{}: {}", part.name, empty_reason(&whole, args))));
             }
             summaries.push(RecordSummary { training, ..described(&part, &summary, period_s, args) });
             if training { data.training.push(part) } else { data.validation.push(part) }
@@ -104,21 +104,21 @@ pub(super) fn read(args: &Args) -> Result<(Data, Provenance), Failure> {
     Ok((data, provenance(args, summaries)))
 }
 
-/// Data that were fitted are no judge.
+/// Warns if fitted data are also used for validation.
 fn warn_of_training_data_in_validation(args: &Args) {
     if let (Some(train), Some(test)) = (args.train, args.test) {
         let (from, to) = (train.from.max(test.from), train.to.min(test.to));
         if from < to {
-            tracing::warn!("--train and --test share samples {from} to {}: what was fitted is no judge", to - 1);
+            tracing::warn!("--train and --test share samples {from} to {}: fitted data cannot judge the model", to - 1);
         }
     }
     for file in args.validate.iter().filter(|file| args.records.contains(file)) {
-        tracing::warn!("{}: is fitted and judged by: what was fitted is no judge", file.display());
+        tracing::warn!("{}: is fitted and judged by: fitted data cannot judge the model", file.display());
     }
 }
 
-/// Why nothing is left of a record, or of the part of one.
-fn why_empty(part: &Record, args: &Args) -> String {
+/// Why nothing is left of a record, or of a part of one.
+fn empty_reason(part: &Record, args: &Args) -> String {
     match (part.segments.iter().map(|s| s.len()).max(), args.decimate) {
         (Some(longest), Some(n)) if part.observed() > 0 => format!(
             "--decimate {n} leaves nothing: its filter needs {} samples without a hole, and the longest stretch has {longest}",
@@ -133,7 +133,7 @@ fn described(part: &Record, read: &RecordSummary, period_s: f64, args: &Args) ->
     RecordSummary {
         name: part.name.clone(),
         samples: part.observed(),
-        stretches: part.segments.len(),
+        segments: part.segments.len(),
         initial_state: if part.is_from_rest() { args.initial_state() } else { InitialState::Estimated },
         duration_s: part.segments.iter().map(|s| s.len()).sum::<usize>() as f64 * period_s * factor as f64,
         ..read.clone()
@@ -162,8 +162,8 @@ fn one_period(all: &[Read]) -> Result<(), Failure> {
     }
 }
 
-/// Columns of any table.
-fn any_table(args: &Args, file: &Path) -> Result<Read, Failure> {
+/// A record from columns of any table.
+fn from_table(args: &Args, file: &Path) -> Result<Read, Failure> {
     let (Some(input), Some(output)) = (&args.input, &args.output) else {
         return Err(usage("--input and --output go together"));
     };
@@ -183,7 +183,7 @@ fn any_table(args: &Args, file: &Path) -> Result<Read, Failure> {
     let missed = output.iter().filter(|y| y.is_none()).count();
     let series = Series { name: name.clone(), time_s, drive, output, plant: None };
     let (record, grid, bridged) = on_grid(args, &series)?;
-    // Stated exactly, it is not estimated from its own multiples.
+    // A stated period is exact and need not be estimated.
     let period_s = args.period.unwrap_or(grid.period_s);
     let summary = RecordSummary {
         name,
@@ -205,7 +205,7 @@ fn on_grid(args: &Args, series: &Series) -> Result<(Record, Grid, usize), Failur
     Ok((record, grid, bridged))
 }
 
-/// θ and currents of a run.
+/// A record from θ and currents of a run.
 fn recorded(args: &Args, file: &Path, table: Option<&Path>, plant: Option<Plant>) -> Result<Read, Failure> {
     let name = file.display().to_string();
     if plant.is_none() && args.input.as_deref() != Some(CURRENT) {
@@ -250,6 +250,7 @@ fn recorded(args: &Args, file: &Path, table: Option<&Path>, plant: Option<Plant>
         jitter_s: grid.jitter_s,
         lost,
         missed,
+        vetoed: recording.vetoed,
         bridged,
         delay: apparent,
         ..RecordSummary::default()
@@ -257,13 +258,13 @@ fn recorded(args: &Args, file: &Path, table: Option<&Path>, plant: Option<Plant>
     Ok(Read { record, summary })
 }
 
-/// How late the output is, looked for around the delay that is given.
+/// The apparent delay of the output, searched around the given one.
 fn apparent_delay(args: &Args, observed: &Observed, held: &Held, plant: Option<Plant>) -> Option<Delay> {
     let period_s = observed.grid().ok()?.period_s;
     let given_s = if let DelayArg::Given(seconds) = args.delay { seconds } else { 0.0 };
-    // All delays are judged by the same samples: those whose commands are known with any of them.
+    // All delays are judged by the same samples: those whose commands are known for every delay.
     let held = held.zero_before();
-    let known_s = held.span_s()?.0 + given_s + (delay::REACH + 2.0) * period_s;
+    let known_s = held.span_s()?.0 + given_s + (delay::MAX_DELAY + 2.0) * period_s;
     let cut_off = known_s > *observed.time_s.first()?;
     let observed = if cut_off { observed.from(known_s) } else { observed.clone() };
     let found = delay::estimate(period_s, |delay_s| {
@@ -283,13 +284,13 @@ fn apparent_delay(args: &Args, observed: &Observed, held: &Held, plant: Option<P
     Some(Delay { delay_s: given_s + found.delay_s, ..found })
 }
 
-/// Takes trends off. `one_record`: all parts are of the same record, whose line goes on.
+/// Removes trends. `one_record`: all parts belong to one record with a common line.
 fn detrend(data: &mut Data, what: Detrend, one_record: bool) {
     let period_s = data.period_s;
     if what == Detrend::None {
         return;
     }
-    // Where nothing is fitted, each record has its own trend.
+    // If nothing is fitted, each record has its own trend.
     if data.training.is_empty() {
         for record in &mut data.validation {
             let trend = Trend::of(&record.segments, period_s, what == Detrend::Linear);

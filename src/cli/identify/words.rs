@@ -1,4 +1,4 @@
-//! The result in words, for the terminal.
+//! The result as text for the terminal.
 
 use crate::identify::continuous::{Continuous, Conversion};
 use crate::identify::data::Data;
@@ -9,10 +9,10 @@ use crate::identify::provenance::Provenance;
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
-/// All of it.
+/// The whole text.
 pub(super) fn summary(data: &Data, done: &Identification, provenance: &Provenance, written: &[PathBuf]) -> String {
     let mut text = String::new();
-    // Nothing is lost when a line cannot be formatted into memory.
+    // Formatting into memory cannot fail.
     let _ = describe(&mut text, data, done, provenance);
     for path in written {
         let _ = writeln!(text, "written: {}", path.display());
@@ -24,11 +24,16 @@ fn describe(text: &mut String, data: &Data, done: &Identification, provenance: &
     for record in &provenance.records {
         let role = if record.training { "fitted" } else { "judged by" };
         write!(text, "{}: {role}, {} samples", record.name, record.samples)?;
-        if record.stretches > 1 {
-            write!(text, " in {} stretches", record.stretches)?;
+        if record.segments > 1 {
+            write!(text, " in {} stretches", record.segments)?;
         }
         write!(text, ", {:.1} s", record.duration_s)?;
-        for (count, what) in [(record.lost, "lost"), (record.missed, "missed"), (record.bridged, "bridged")] {
+        for (count, what) in [
+            (record.lost, "lost"),
+            (record.missed, "missed"),
+            (record.vetoed, "of these vetoed"),
+            (record.bridged, "bridged"),
+        ] {
             if count > 0 {
                 write!(text, ", {count} {what}")?;
             }
@@ -47,7 +52,7 @@ fn describe(text: &mut String, data: &Data, done: &Identification, provenance: &
     if let Some(criterion) = done.criterion {
         write!(text, ", the best of {} by {}", done.candidates.len(), format!("{criterion:?}").to_lowercase())?;
     }
-    writeln!(text, "; {:.6} s a sample", data.period_s)?;
+    writeln!(text, "; {:.6} s per sample", data.period_s)?;
     table_1(text, done, provenance)?;
     for model in done.models.iter().rev() {
         if let Some(h) = &model.continuous {
@@ -67,7 +72,7 @@ fn describe(text: &mut String, data: &Data, done: &Identification, provenance: &
     writeln!(text)
 }
 
-/// As Table I of the paper.
+/// In the form of Table I of the paper.
 fn table_1(text: &mut String, done: &Identification, provenance: &Provenance) -> std::fmt::Result {
     write!(text, "\n{:<36}", "simulation error, % of energy")?;
     for model in &done.models {

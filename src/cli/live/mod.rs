@@ -1,42 +1,44 @@
 //! `catoptra live`: a camera, tracked while it runs; θ to controllers and subscribers, everything to the log.
 
+mod recording;
 mod ros;
+mod simulated;
 mod status;
 
-use super::results::{unlike_others, whole_path};
+use super::camera::{SourceArgs, positive};
+use super::results::{unique_text, whole_path};
 use super::run::folder::{Files, Run};
 use super::run::{LogFor, Logged, Record, Reference, load_rig, open_sinks, pool, print_warnings, summary, verdict};
 use super::studio::{self, Listen};
 use super::{Exit, Failure, fitting, interrupt, output, provenance};
-use crate::live::{self, CurrentSource, LiveSummary, Outputs, Priority, RecordTo, Recording, Until};
+use crate::estimate::Spot;
+use crate::live::{self, CurrentSource, LiveSummary, Outputs, Priority, RecordSwitch, Until};
 use crate::pipeline::End;
 use crate::report::RunInfo;
 use crate::rig::Rig;
 use crate::sink::{PublishSink, Sink, UdpSink};
 use crate::source::host::HostClock;
-use crate::source::live::{Camera, CameraSettings, Paced, RawFormat, RawPictures, Stream};
 use crate::source::times::parse_seconds_ns;
-use crate::source::{self, FrameRate, FrameSource, SourceOptions};
 use crate::studio::Watch;
 use crate::track::{TrackOptions, Tracker};
 use clap::builder::RangedU64ValueParser;
+use simulated::Simulated;
 use status::StatusLine;
 use std::fmt::Write as _;
 use std::io::ErrorKind;
 use std::net::{SocketAddr, ToSocketAddrs as _};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
-/// Free space that is left to the log, gigabytes: more than an hour of it at 60 Hz.
+/// Free space reserved for the log, gigabytes: more than an hour at 60 Hz.
 const KEEP_FREE_GB: f64 = 2.0;
 
 /// Arguments of `catoptra live`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// /dev/video0, genicam:NAME, gst:PIPELINE, rtsp://…, http://…, udp://… or another stream, - for standard input, a
-    /// recording with --realtime
+    /// recording with --realtime, sim:MOTION to simulate
     #[arg(value_name = "SOURCE")]
     source: String,
     /// The rig file, with colours and base frame
@@ -45,24 +47,8 @@ pub(crate) struct Args {
     /// Folder for the results [default: live-1, live-2, …]
     #[arg(short, long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// Play a recording at its own pace
-    #[arg(long, conflicts_with = "raw")]
-    realtime: bool,
-    /// Raw pictures on standard input, as 1280x1024:bayer_rg8@60
-    #[arg(long, value_name = "FORMAT")]
-    raw: Option<RawFormat>,
-    /// Camera: frames per second
-    #[arg(long, value_name = "RATE")]
-    fps: Option<FrameRate>,
-    /// Camera: exposure time in milliseconds
-    #[arg(long, value_name = "MS", value_parser = positive)]
-    exposure: Option<f64>,
-    /// Camera: gain, in its own unit
-    #[arg(long, value_name = "G", value_parser = finite, allow_negative_numbers = true)]
-    gain: Option<f64>,
-    /// Camera: pixel format, such as bayer_rg8 or MJPG
-    #[arg(long, value_name = "FORMAT")]
-    format: Option<String>,
+    #[command(flatten)]
+    from: SourceArgs,
     /// Send θ to a controller, one JSON datagram per frame
     #[arg(long, value_name = "HOST:PORT", value_parser = receiver)]
     udp: Option<SocketAddr>,
@@ -77,9 +63,12 @@ pub(crate) struct Args {
     allow_origin: Vec<String>,
     #[command(flatten)]
     ros: ros::RosArgs,
-    /// Coil currents: udp:PORT, serial:DEVICE@BAUD, file:CSV or ros2:/TOPIC
+    /// Currents: udp:PORT, serial:DEV@BAUD, file:CSV, LIST.play, ros2:/TOPIC
     #[arg(long, value_name = "FROM")]
     currents: Option<CurrentSource>,
+    /// Watch a lamp that each command switches: x,y,radius
+    #[arg(long, value_name = "X,Y,R")]
+    tick_led: Option<Spot>,
     /// Largest plausible current, amperes
     #[arg(long, value_name = "A", value_parser = positive, default_value_t = 10.0, requires = "currents")]
     current_limit: f64,
@@ -90,7 +79,7 @@ pub(crate) struct Args {
     #[arg(long, value_enum, value_name = "FOR", default_value_t = LogFor::Foxglove, hide_possible_values = true)]
     profile: LogFor,
     /// Record no pictures when less is free on the disk, GB [default: 2]
-    #[arg(long, value_name = "GB", value_parser = positive, requires = "record")]
+    #[arg(long, value_name = "GB", value_parser = positive, requires = "record", hide = true)]
     keep_free: Option<f64>,
     /// Stop after T seconds
     #[arg(long, value_name = "T", value_parser = duration)]
@@ -114,7 +103,7 @@ fn address(text: &str) -> Result<SocketAddr, String> {
     found.next().ok_or_else(|| "no such host".to_owned())
 }
 
-/// `ws://HOST:PORT`, `HOST:PORT`, `:PORT` or `PORT`; this computer alone when no host is named.
+/// `ws://HOST:PORT`, `HOST:PORT`, `:PORT` or `PORT`; only this computer if no host is given.
 fn listening(text: &str) -> Result<SocketAddr, String> {
     let place = text.strip_prefix("ws://").unwrap_or(text).trim_end_matches('/');
     let port = place.strip_prefix(':').unwrap_or(place);
@@ -124,14 +113,6 @@ fn listening(text: &str) -> Result<SocketAddr, String> {
     address(place)
 }
 
-fn finite(text: &str) -> Result<f64, String> {
-    text.parse().ok().filter(|x: &f64| x.is_finite()).ok_or_else(|| "expected a number".to_owned())
-}
-
-fn positive(text: &str) -> Result<f64, String> {
-    finite(text).ok().filter(|x| *x > 0.0).ok_or_else(|| "expected a number above 0, such as 8.5".to_owned())
-}
-
 fn duration(text: &str) -> Result<Duration, String> {
     let ns = parse_seconds_ns(text).and_then(|ns| u64::try_from(ns).ok()).filter(|ns| *ns > 0);
     ns.map(Duration::from_nanos).ok_or_else(|| "expected seconds above 0, such as 600".to_owned())
@@ -139,9 +120,16 @@ fn duration(text: &str) -> Result<Duration, String> {
 
 pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     let until = Until { stop: interrupt::watch()?, duration: args.duration };
-    // 1. everything is judged before anything is written
-    let (rig, rig_toml) = load_rig(&args.rig, args.frame)?;
-    let tracker = Tracker::new(&rig, TrackOptions::default())
+    // 1. everything is checked before anything is written
+    let (mut rig, mut rig_toml) = load_rig(&args.rig, args.frame)?;
+    let simulated = args.simulated(&rig)?;
+    if let Some(simulated) = &simulated {
+        rig.clone_from(&simulated.rig);
+        rig_toml = rig.to_toml_string();
+    }
+    let rig = rig;
+    fitting::check_spot(args.tick_led, (&args.rig, &rig))?;
+    let tracker = Tracker::new(&rig, TrackOptions { tick_led: args.tick_led, ..TrackOptions::default() })
         .map_err(|e| Failure::new(Exit::Usage, format!("{}: {e}", args.rig.display())))?;
     print_warnings(&args.rig, &rig)?;
     let controllers = args.controllers(&rig)?;
@@ -154,36 +142,42 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     let clock = HostClock::start();
     let currents = args.currents.as_ref().map(|from| {
         let refused = |e: std::io::Error| {
-            // The file that was named is the wrong one, or there is none.
+            // The named file is wrong or does not exist.
             let invalid = [ErrorKind::InvalidData, ErrorKind::NotFound, ErrorKind::IsADirectory].contains(&e.kind());
             let exit = if invalid { Exit::Usage } else { Exit::Failed };
-            Failure::new(exit, format!("{from}: no currents can be had: {e}"))
+            Failure::new(exit, format!("{from}: cannot receive currents: {e}"))
         };
         let from = args.ros.of_currents(from)?;
         from.open(args.current_limit, clock, &until.stop).map_err(refused)
     });
     let currents = currents.transpose()?;
-    let source = args.open(rig.camera.size_px, clock, &until.stop)?;
+    let source = match simulated {
+        Some(simulated) => {
+            let rate_hz = args.from.fps.map(|rate| rate.hz());
+            simulated.start(&args.source, rate_hz, args.from.exposure.map(|ms| ms * 1e-3), clock, &until.stop)?
+        }
+        None => args.from.open(&args.source, rig.camera.size_px, clock, &until.stop)?,
+    };
     fitting::check_size(&args.source, source.size_px(), (&args.rig, &rig))?;
     let files = Files::new(&args.folder(), None, false).recording(args.record);
     let latest = args.studio.is_some().then(|| Arc::new(live::Latest::default()));
-    let watch = |latest: &Arc<live::Latest>| {
-        Watch::new(Arc::clone(latest), &rig, &args.source, &files.folder.display().to_string())
+    let switch = args.studio.is_some().then(|| Arc::new(recording::switch(args.record)));
+    let watch = |(latest, switch): (&Arc<live::Latest>, &Arc<RecordSwitch>)| {
+        let folder = files.folder.display().to_string();
+        Watch::new(Arc::clone(latest), &rig, &args.source, &folder)
+            .recording(Arc::clone(switch), recording::record_words())
     };
-    let watched = args.studio.as_ref().zip(latest.as_ref());
-    let _studio = watched.map(|(listen, latest)| studio::show_live(listen, watch(latest))).transpose()?;
+    let watched = args.studio.as_ref().zip(latest.as_ref().zip(switch.as_ref()));
+    let _studio = watched.map(|(listen, run)| studio::show_live(listen, watch(run))).transpose()?;
     // 2. the files
     let run = args.described();
     let run_toml = run.to_toml()?;
     let _held = files.prepare_new(&run, &[&args.rig])?;
-    let logged = Logged { record: args.record, profile: args.profile, ..Logged::default() };
+    let (counts, ticks) = (args.studio.is_some(), args.tick_led.is_some());
+    let logged = Logged { record: args.record, profile: args.profile, counts, ticks, ..Logged::default() };
     let opened = open_sinks(&files, &rig, [&rig_toml, &run_toml], args.frame, args.info(), logged)?;
-    let pictures = args.record.map(|_| Recording {
-        to: opened.video.map_or(RecordTo::Log, RecordTo::Video),
-        count: opened.count,
-        folder: files.folder.clone(),
-        keep_free_bytes: (args.keep_free.unwrap_or(KEEP_FREE_GB) * 1e9) as u64,
-    });
+    let keep_free_bytes = (args.keep_free.unwrap_or(KEEP_FREE_GB) * 1e9) as u64;
+    let pictures = recording::of(args.record, opened.video, opened.count, &files.folder, keep_free_bytes, switch);
     // 3. the run
     let publisher = publisher.map(|sink| Box::new(sink) as Box<dyn Sink + Send>);
     let subscribers = subscribers.into_iter().chain(publisher).collect();
@@ -194,14 +188,14 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     let live = live::run(source, tracker, pool, outputs, clock, &until, show)
         .map_err(|e| Failure::new(Exit::Failed, format!("cannot start a thread: {e}")))?;
     drop(line);
-    // 4. what came of it
+    // 4. the result
     if let Some(sources) = live.run.tally.budget() {
         files.add_budget(&run, &sources)?;
     }
     if !quiet {
         let mut text = String::new();
         summary::summary(&mut text, &args.source, &live.run, &files, &rig)
-            .and_then(|()| text.write_str(&lines(&live)))
+            .and_then(|()| text.write_str(&lines(&live, args.record.is_some())))
             .map_err(|e| Failure::new(Exit::Failed, format!("cannot describe the run: {e}")))?;
         output::print(&text)?;
     }
@@ -210,14 +204,14 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
         return Err(Failure::new(Exit::Failed, text));
     }
     if live.run.tally.frames == 0 && matches!(live.run.end, End::Complete) {
-        let text = format!("{}: not a single frame came", args.source);
+        let text = format!("{}: no frame was received", args.source);
         return Err(Failure::new(Exit::Unusable, text));
     }
     verdict(&args.source, &rig, live.run)
 }
 
-/// The part of the summary that only a live run has.
-fn lines(summary: &LiveSummary) -> String {
+/// The part of the summary specific to a live run.
+fn lines(summary: &LiveSummary, recorded_from_the_beginning: bool) -> String {
     let latency = summary.latency;
     let ms = |us: u64| us as f64 * 1e-3;
     let mut text = format!(
@@ -234,9 +228,10 @@ fn lines(summary: &LiveSummary) -> String {
     let interruptions = summary.run.source.interruptions;
     if interruptions > 0 {
         let times = if interruptions == 1 { "once".to_owned() } else { format!("{interruptions} times") };
-        text += &format!("the stream broke off {times}\n");
+        text += &format!("the stream was interrupted {times}\n");
     }
-    if let Some((recorded, dropped)) = summary.pictures {
+    let pictures = summary.pictures.filter(|(recorded, dropped)| recorded_from_the_beginning || recorded + dropped > 0);
+    if let Some((recorded, dropped)) = pictures {
         let lost = if dropped == 0 { "none lost".to_owned() } else { format!("{dropped} lost to the recording") };
         text += &format!("{recorded} pictures recorded, {lost}\n");
     }
@@ -246,24 +241,8 @@ fn lines(summary: &LiveSummary) -> String {
     text
 }
 
-/// Standard input without the small buffer of the standard library, and as a pipe that holds half a picture.
-#[cfg(unix)]
-fn standard_input() -> Result<Box<dyn std::io::Read + Send>, Failure> {
-    use std::os::fd::AsFd as _;
-    let refused = |e: std::io::Error| Failure::new(Exit::Usage, format!("standard input: {e}"));
-    let input = std::io::stdin().as_fd().try_clone_to_owned().map_err(refused)?;
-    // Refused where it is no pipe.
-    let _ = rustix::pipe::fcntl_setpipe_size(&input, 1 << 20);
-    Ok(Box::new(std::fs::File::from(input)))
-}
-
-#[cfg(not(unix))]
-fn standard_input() -> Result<Box<dyn std::io::Read + Send>, Failure> {
-    Ok(Box::new(std::io::stdin()))
-}
-
 impl Args {
-    /// Who is told θ the moment it is known.
+    /// The controllers that get θ immediately.
     fn controllers(&self, rig: &Rig) -> Result<Vec<Box<dyn Sink + Send>>, Failure> {
         let mut controllers: Vec<Box<dyn Sink + Send>> = Vec::new();
         if let Some(to) = self.udp {
@@ -274,73 +253,22 @@ impl Args {
         Ok(controllers)
     }
 
-    fn open(
-        &self,
-        size_px: [u32; 2],
-        clock: HostClock,
-        stop: &Arc<AtomicBool>,
-    ) -> Result<Box<dyn FrameSource + Send>, Failure> {
-        let usage = |text: String| Failure::new(Exit::Usage, text);
-        let invalid = |e: source::SourceError| Failure::new(Exit::Usage, e);
-        if !self.realtime && self.raw.is_none() {
-            let settings = || CameraSettings {
-                size_px,
-                rate: self.fps,
-                exposure_s: self.exposure.map(|ms| ms * 1e-3),
-                gain: self.gain,
-                format: self.format.clone(),
-            };
-            if let Some(id) = self.source.strip_prefix("genicam:") {
-                return Ok(Box::new(Camera::genicam(id, settings(), clock, Arc::clone(stop)).map_err(invalid)?));
-            }
-            if self.source.starts_with("/dev/") {
-                let path = Path::new(&self.source);
-                return Ok(Box::new(Camera::v4l2(path, settings(), clock, Arc::clone(stop)).map_err(invalid)?));
-            }
+    /// What is to be simulated instead of a camera.
+    fn simulated(&self, rig: &Rig) -> Result<Option<Simulated>, Failure> {
+        let Some(motion) = self.source.strip_prefix("sim:").filter(|_| !self.from.realtime && self.from.raw.is_none())
+        else {
+            return Ok(None);
+        };
+        let known = ["fps", "exposure"];
+        if let Some((option, _)) = self.from.settings().iter().find(|(name, _)| !known.contains(name)) {
+            let text =
+                format!("{}: --{option} is for real cameras; --fps and --exposure are for this one", self.source);
+            return Err(Failure::new(Exit::Usage, text));
         }
-        if let (Some(text), false, None) = (self.source.strip_prefix("gst:"), self.realtime, self.raw)
-            && self.camera_options().is_empty()
-        {
-            return Ok(Box::new(Camera::gstreamer(text, clock, Arc::clone(stop)).map_err(invalid)?));
-        }
-        if let Some((option, _)) = self.camera_options().first() {
-            return Err(usage(format!(
-                "{}: --{option} is for cameras, /dev/video0 or genicam:; this source is as it comes",
-                self.source
-            )));
-        }
-        if let Some(format) = self.raw {
-            if self.source != "-" {
-                return Err(usage(format!(
-                    "{}: --raw describes what is on standard input: give - as the source",
-                    self.source
-                )));
-            }
-            return Ok(Box::new(RawPictures::new("standard input", standard_input()?, format, clock)));
-        }
-        if self.realtime {
-            let recording = source::open_to_track(&self.source, SourceOptions::default()).map_err(invalid)?;
-            return Ok(Box::new(Paced::new(recording, clock, Arc::clone(stop))));
-        }
-        if Path::new(&self.source).exists() {
-            let advice = "is a file or folder: play it at its own pace with --realtime, or use `catoptra track`";
-            return Err(usage(format!("{}: {advice}", self.source)));
-        }
-        Ok(Box::new(Stream::open(&self.source, clock, Arc::clone(stop)).map_err(invalid)?))
+        Simulated::of((&self.rig, rig), motion, self.duration).map(Some)
     }
 
-    /// What was asked of a camera.
-    fn camera_options(&self) -> Vec<(&'static str, String)> {
-        let options = [
-            ("fps", self.fps.map(|rate| rate.to_string())),
-            ("exposure", self.exposure.map(|ms| format!("{ms} ms"))),
-            ("gain", self.gain.map(|gain| gain.to_string())),
-            ("format", self.format.clone()),
-        ];
-        options.into_iter().filter_map(|(name, value)| Some((name, value?))).collect()
-    }
-
-    /// The folder asked for, or the first free one.
+    /// The requested folder, or the first free one.
     fn folder(&self) -> PathBuf {
         let free = || (1..).map(|n| PathBuf::from(format!("live-{n}"))).find(|folder| !folder.exists());
         self.out.clone().or_else(free).unwrap_or_else(|| "live".into())
@@ -351,19 +279,20 @@ impl Args {
             command: "live".to_owned(),
             version: env!("CARGO_PKG_VERSION").to_owned(),
             recording: self.source.clone(),
-            rig: unlike_others(&whole_path(&self.rig)),
+            rig: unique_text(&whole_path(&self.rig)),
             frame: self.frame.word().to_owned(),
             from_s: None,
             to_s: None,
-            fps: self.raw.map(|format| format.rate).or(self.fps).map(|rate| rate.to_string()),
+            fps: self.from.raw.map(|format| format.rate).or(self.from.fps).map(|rate| rate.to_string()),
             full_frame: false,
             record: self.record.map(|record| record.word().to_owned()),
             profile: self.profile.unusual(),
+            tick_led: self.tick_led.map(|spot| spot.to_string()),
         }
     }
 
     fn info(&self) -> RunInfo {
-        let camera = self.camera_options().into_iter().map(|(name, value)| (name.to_owned(), value));
+        let camera = self.from.settings().into_iter().map(|(name, value)| (name.to_owned(), value));
         RunInfo {
             source: self.source.clone(),
             rig: self.rig.display().to_string(),

@@ -1,14 +1,15 @@
-//! `catoptra live --ros2`: the topics live over DDS. Builds without the feature `ros2` say what is missing.
+//! `catoptra live --ros2`: the topics live over DDS. Builds without the feature `ros2` say so.
 
 use super::super::{Exit, Failure};
 use crate::live::CurrentSource;
 use crate::rig::Rig;
+use crate::series::CurrentTable;
 use crate::sink::Sink;
 use clap::builder::RangedU64ValueParser;
 
 /// The largest domain whose ports exist on every system.
 const LAST_DOMAIN: u64 = 101;
-/// What ROS itself takes the domain from.
+/// The variable from which ROS takes the domain.
 const DOMAIN_VARIABLE: &str = "ROS_DOMAIN_ID";
 
 /// Options of `catoptra live` for ROS 2.
@@ -16,14 +17,14 @@ const DOMAIN_VARIABLE: &str = "ROS_DOMAIN_ID";
 pub(super) struct RosArgs {
     /// Publish to ROS 2: local (this computer) or network [default: local]
     #[arg(long, value_enum, value_name = "WHERE", num_args = 0..=1, default_missing_value = "local", hide_possible_values = true)]
-    ros2: Option<Reach>,
+    ros2: Option<NetworkScope>,
     /// ROS 2: the domain [default: ROS_DOMAIN_ID, or 0]
     #[arg(long, value_name = "N", value_parser = RangedU64ValueParser::<u16>::new().range(0..=LAST_DOMAIN))]
     domain: Option<u16>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-enum Reach {
+enum NetworkScope {
     Local,
     Network,
 }
@@ -45,24 +46,28 @@ impl RosArgs {
     /// The topics, if they are wanted.
     ///
     /// # Errors
-    /// When there can be no participant, or this build has no DDS.
+    /// When no participant can be created, or this build has no DDS.
     pub(super) fn open(&self, rig: &Rig) -> Result<Option<Box<dyn Sink + Send>>, Failure> {
         let Some(reach) = self.ros2 else { return Ok(None) };
         let domain = self.domain()?;
-        published(domain, reach == Reach::Network, rig).map(Some)
+        published(domain, reach == NetworkScope::Network, rig).map(Some)
     }
 
-    /// The source of currents, in the domain and on the networks of the others.
+    /// The source of currents, in the domain and on the networks of the others; a list is read.
     ///
     /// # Errors
-    /// When the domain makes no sense.
+    /// When the domain is invalid, or a list cannot be read.
     pub(super) fn of_currents(&self, from: &CurrentSource) -> Result<CurrentSource, Failure> {
         match from {
             CurrentSource::Ros2 { topic, .. } => Ok(CurrentSource::Ros2 {
                 topic: topic.clone(),
                 domain: self.domain()?,
-                everywhere: self.ros2 == Some(Reach::Network),
+                everywhere: self.ros2 == Some(NetworkScope::Network),
             }),
+            CurrentSource::Play { list, .. } => {
+                let table = CurrentTable::read(list).map_err(|e| Failure::new(Exit::Usage, e))?.to_text();
+                Ok(CurrentSource::Play { list: list.clone(), table })
+            }
             other => Ok(other.clone()),
         }
     }

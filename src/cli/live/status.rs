@@ -6,13 +6,13 @@ use crate::live::{Status, free_bytes};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-/// Left on the disk, seconds of this run at its present rate: worth a word, each once.
-const SHORT_S: [f64; 3] = [1800.0, 300.0, 60.0];
+/// Remaining time until the disk is full at the present rate, seconds, at each of which one warning is given.
+const WARN_AT_S: [f64; 3] = [1800.0, 300.0, 60.0];
 
-/// Bytes: hardly enough for what an operating system does by itself.
-const LITTLE: u64 = 500_000_000;
+/// Bytes: hardly enough for the operating system itself.
+const NEARLY_FULL_BYTES: u64 = 500_000_000;
 
-/// One line that says how it goes, on a terminal only.
+/// One status line, on a terminal only.
 pub(super) struct StatusLine {
     source: String,
     folder: PathBuf,
@@ -47,7 +47,7 @@ impl StatusLine {
         self.warned_alarms = status.alarms.len();
         if status.skipped > 0 && !self.warned_skipped {
             self.warned_skipped = true;
-            tracing::warn!("{source}: the tracker does not keep up: frames are passed over, each has its row");
+            tracing::warn!("{source}: the tracker does not keep up: frames are skipped, each still has its row");
         }
         let elapsed_s = self.last.elapsed().as_secs_f64().max(1e-3);
         self.last = Instant::now();
@@ -69,7 +69,7 @@ impl StatusLine {
         if status.backlog > 60 {
             text += &format!(" · {} rows wait for it", status.backlog);
         }
-        if let Some((recorded, dropped)) = status.pictures {
+        if let Some((recorded, dropped)) = status.pictures.filter(|(recorded, dropped)| recorded + dropped > 0) {
             text += &format!(" · {recorded} pictures");
             if dropped > 0 {
                 text += &format!(", {dropped} lost");
@@ -87,13 +87,13 @@ impl StatusLine {
 
     fn warn_of_short_disk(&mut self, free: u64) {
         let (began, free_then) = self.began;
-        // The first seconds give no rate.
-        if began.elapsed().as_secs() < 30 && free > LITTLE {
+        // The first seconds do not give a rate.
+        if began.elapsed().as_secs() < 30 && free > NEARLY_FULL_BYTES {
             return;
         }
         let per_second = free_then.saturating_sub(free) as f64 / began.elapsed().as_secs_f64().max(1.0);
         let left_s = free as f64 / per_second.max(1.0);
-        let short = SHORT_S.iter().filter(|limit| left_s < **limit).count();
+        let short = WARN_AT_S.iter().filter(|limit| left_s < **limit).count();
         if short > self.warned_short {
             self.warned_short = short;
             tracing::warn!("{}: the disk is full in {:.0} minutes at this rate", self.folder.display(), left_s / 60.0);

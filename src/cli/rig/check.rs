@@ -1,4 +1,4 @@
-//! `catoptra rig check`: a rig file in words and numbers.
+//! `catoptra rig check`: describes a rig file in words and numbers.
 
 use super::super::progress::Progress;
 use super::super::run::two_views;
@@ -13,8 +13,8 @@ use nalgebra::Vector3;
 use std::fmt::{self, Write as _};
 use std::path::Path;
 
-/// Moments of a recording that are looked at, at most.
-const MOST_MOMENTS: usize = 200;
+/// Most moments of a recording evaluated.
+const MAX_MOMENTS: usize = 200;
 
 pub(super) fn run(file: &Path, recording: Option<&Path>, quiet: bool) -> Result<(), Failure> {
     let rig = Draft::load(file)?;
@@ -34,11 +34,14 @@ pub(super) fn run(file: &Path, recording: Option<&Path>, quiet: bool) -> Result<
     }
     Err(Failure::new(
         Exit::Unusable,
-        format!("{}: a view does not lead to points and back within {ROUND_TRIP_LIMIT_PX} px", file.display()),
+        format!(
+            "{}: projection and ray tracing of a view disagree by more than {ROUND_TRIP_LIMIT_PX} px",
+            file.display()
+        ),
     ))
 }
 
-/// How good the calibration is at the places where the catheter is in a recording.
+/// Quality of the calibration at the catheter's positions in a recording.
 fn at_the_catheter(file: &Path, draft: &Draft, recording: &Path, quiet: bool) -> Result<String, Failure> {
     let unusable = |e: &dyn fmt::Display| Failure::new(Exit::Unusable, format!("{}: {e}", recording.display()));
     let rig = draft.clone().complete(file)?;
@@ -58,7 +61,7 @@ fn at_the_catheter(file: &Path, draft: &Draft, recording: &Path, quiet: bool) ->
         progress.at(frames);
     }
     drop(progress);
-    let every = poses.len().div_ceil(MOST_MOMENTS).max(1);
+    let every = poses.len().div_ceil(MAX_MOMENTS).max(1);
     let some: Vec<Pose> = poses.iter().copied().step_by(every).collect();
     let share = share(draft, &some).map_err(|e| unusable(&e))?;
     let mut text = format!("\nthe calibration's share of errors at the catheter in {} (1σ)", recording.display());
@@ -189,23 +192,27 @@ fn camera(out: &mut String, rig: &Draft, checked: &Check) -> fmt::Result {
         Some(blur) => writeln!(out, "  blur             {blur:.2} px")?,
         None => writeln!(out, "  blur             not known")?,
     }
+    match camera.gamma {
+        Some(gamma) => writeln!(out, "  gamma            {gamma:.3}")?,
+        None => writeln!(out, "  gamma            as recordings declare")?,
+    }
     match camera.exposure_s {
         Some(exposure_s) => writeln!(out, "  exposure         {:.2} ms", exposure_s * 1e3)?,
         None => writeln!(out, "  exposure         not known: motion blur is not modelled")?,
     }
     let [right, down] = camera.chroma_offset_px;
-    writeln!(out, "  chroma samples   {right:+.2}, {down:+.2} px beside where recordings say")
+    writeln!(out, "  chroma samples   {right:+.2}, {down:+.2} px from where recordings say")
 }
 
 fn surfaces(out: &mut String, rig: &Draft) -> fmt::Result {
     writeln!(out, "\nsurfaces")?;
     if rig.surfaces.is_empty() {
-        writeln!(out, "  none: in air, seen directly")?;
+        writeln!(out, "  none (air, no refraction)")?;
     }
     for (name, surface) in &rig.surfaces {
         let plane = surface.plane();
         let tilt = plane.normal().z.abs().min(1.0).acos().to_degrees();
-        // A plane along the optical axis crosses it far away or never: then its distance says more.
+        // A plane along the optical axis crosses it far away or never; then its distance is more useful.
         let on_axis_m = plane.offset_m() / plane.normal().z;
         let crossing = match on_axis_m {
             z if z > 0.0 && tilt < 80.0 => format!(", met {:.1} mm along it", z * 1e3),

@@ -6,7 +6,7 @@ use crate::rig::formats::{Format, dlt};
 use std::path::PathBuf;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-enum To {
+enum ExportFormat {
     Opencv,
     Ros,
     Kalibr,
@@ -20,7 +20,7 @@ pub(super) struct ExportArgs {
     rig: PathBuf,
     /// The format to write
     #[arg(long)]
-    format: To,
+    format: ExportFormat,
     /// dlt: write this view only
     #[arg(long, value_name = "NAME")]
     view: Option<String>,
@@ -36,10 +36,10 @@ pub(super) fn run(args: &ExportArgs, note: impl Fn(&str)) -> Result<(), Failure>
     let rig = Draft::load(&args.rig)?;
     let view = args.view.as_deref();
     let format = match args.format {
-        To::Opencv => Some(Format::OpenCv),
-        To::Ros => Some(Format::Ros),
-        To::Kalibr => Some(Format::Kalibr),
-        To::Dlt => None,
+        ExportFormat::Opencv => Some(Format::OpenCv),
+        ExportFormat::Ros => Some(Format::Ros),
+        ExportFormat::Kalibr => Some(Format::Kalibr),
+        ExportFormat::Dlt => None,
     };
     let (text, said) = match format {
         Some(format) => {
@@ -76,7 +76,7 @@ pub(super) fn run(args: &ExportArgs, note: impl Fn(&str)) -> Result<(), Failure>
     Ok(())
 }
 
-/// What a file holds, in words.
+/// Content of a file, in words.
 fn described(rig: &Draft, format: Option<Format>, view: Option<&str>) -> String {
     match format {
         Some(format) => format!("the camera as {format}"),
@@ -87,7 +87,7 @@ fn described(rig: &Draft, format: Option<Format>, view: Option<&str>) -> String 
     }
 }
 
-/// What the numbers of a DLT mean: the file has no place for it.
+/// Meaning of a DLT's numbers, which the file cannot hold.
 fn frame(rig: &Draft, view: Option<&str>, first: u8) -> String {
     let views = match view {
         Some(view) => view.to_owned(),

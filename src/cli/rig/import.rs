@@ -1,4 +1,4 @@
-//! `catoptra rig import`: a camera calibrated elsewhere begins a rig file.
+//! `catoptra rig import`: begins a rig file with a camera that was calibrated elsewhere.
 
 use super::super::calibrate::{can_be_written, left_out, save};
 use super::{Exit, Failure};
@@ -10,7 +10,7 @@ use std::path::PathBuf;
 use std::str::FromStr;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-enum From {
+enum ImportFormat {
     Opencv,
     Ros,
     Kalibr,
@@ -23,7 +23,7 @@ pub(super) struct ImportArgs {
     file: PathBuf,
     /// Its format [default: recognised from its content]
     #[arg(long)]
-    format: Option<From>,
+    format: Option<ImportFormat>,
     /// σ of fx, fy, cx, cy, k1, k2, p1, p2, k3 (k4, k5, k6), as the other program gives them: pixels for the first four
     #[arg(long, value_name = "σ,σ,…", value_parser = Deviations::from_str)]
     sd: Option<Deviations>,
@@ -32,7 +32,7 @@ pub(super) struct ImportArgs {
     out: PathBuf,
 }
 
-/// σ of the nine numbers of a lens, or of the twelve of a rational one.
+/// σ of the nine parameters of a lens, or of the twelve of a rational one.
 #[derive(Debug, Clone, PartialEq)]
 struct Deviations(Vec<f64>);
 
@@ -59,9 +59,9 @@ pub(super) fn run(args: &ImportArgs, note: impl Fn(&str)) -> Result<(), Failure>
     let text = std::fs::read_to_string(&args.file)
         .map_err(|e| Failure::new(Exit::Usage, format!("cannot read {}: {e}", args.file.display())))?;
     let format = match args.format {
-        Some(From::Opencv) => Format::OpenCv,
-        Some(From::Ros) => Format::Ros,
-        Some(From::Kalibr) => Format::Kalibr,
+        Some(ImportFormat::Opencv) => Format::OpenCv,
+        Some(ImportFormat::Ros) => Format::Ros,
+        Some(ImportFormat::Kalibr) => Format::Kalibr,
         None => {
             let format = Format::guess(&text, &args.file)?;
             note(&format!("{}: read as {format}", args.file.display()));
@@ -99,7 +99,7 @@ pub(super) fn run(args: &ImportArgs, note: impl Fn(&str)) -> Result<(), Failure>
     let known = match args.sd {
         Some(_) => "its σ count as independent of each other: `calibrate rig` knows the lens as well as they say",
         None => {
-            "the lens came without σ (--sd): `calibrate rig` takes it for exact, and its verdict knows nothing of the lens's errors"
+            "the lens came without σ (--sd): `calibrate rig` takes it as exact, and its verdict does not include the lens's errors"
         }
     };
     note(&format!("{written}\n{known}"));

@@ -1,4 +1,4 @@
-//! `catoptra rig`: what a rig file means, and its way to and from other tools.
+//! `catoptra rig`: explains rig files, and exchanges them with other tools.
 
 mod check;
 mod export;
@@ -54,7 +54,7 @@ Example:
 pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     let note = |text: &str| {
         if !quiet {
-            // Nobody to tell when stderr is gone; the result still counts.
+            // Without stderr nothing can be printed; the result still counts.
             let _ = writeln!(super::progress::stderr(), "{text}");
         }
     };

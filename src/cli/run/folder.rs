@@ -1,16 +1,16 @@
 //! The output folder of a run, and what may be replaced in it.
 //!
-//! A folder that this command wrote is known by its `run.toml`: which recording, which rig, which options. Results of
-//! the same recording are replaced, files of an earlier run that the new one does not write are removed (an old overlay
-//! beside a new log would tell lies). Results of another recording, and files that are not of this command, are never
-//! touched: the run is refused before any work.
+//! A folder written by this command is recognised by its `run.toml`: recording, rig, options. Results of the same
+//! recording are replaced, and files of an earlier run that the new one does not write are removed (an old overlay
+//! beside a new log would be misleading). Results of another recording, and files of other origin, are never touched:
+//! the run is refused before any work.
 
 use super::super::results::{self, Owner, RUN, whole_path};
 use super::super::{Exit, Failure};
 use super::options::Record;
 use crate::archive::{FileRecord, SUMMARY};
+use crate::atomic_file;
 use crate::tally::budget::{Source, together};
-use crate::whole_file;
 use serde::{Deserialize, Serialize};
 use std::ffi::OsStr;
 use std::fs;
@@ -23,9 +23,9 @@ const REPORT: &str = "report.html";
 const OVERLAY: &str = "overlay.mp4";
 /// The video of the pictures.
 pub(in crate::cli) const PICTURES: &str = "pictures.mkv";
-/// Instead of the name of a table: stdout.
+/// In place of the name of a table: stdout.
 const STDOUT: &str = "-";
-/// All that a run may write into its folder. The summary comes first: where others are removed, it is gone already.
+/// All files that a run may write into its folder. The summary comes first, so that it is removed before the others.
 const ALL: [&str; 7] = [SUMMARY, RUN, LOG, TABLE, REPORT, OVERLAY, PICTURES];
 
 /// The files of a run.
@@ -42,7 +42,8 @@ pub(in crate::cli) struct Files {
     pub(in crate::cli) pictures: Option<PathBuf>,
 }
 
-/// What was run: `run.toml`, and the options attached to the log. Options that do not change results are not in it.
+/// Description of the run: `run.toml`, and the options attached to the log. Options that do not affect results are not
+/// included.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(in crate::cli) struct Run {
     /// Which command wrote it.
@@ -56,7 +57,7 @@ pub(in crate::cli) struct Run {
     pub(in crate::cli) frame: String,
     pub(in crate::cli) from_s: Option<f64>,
     pub(in crate::cli) to_s: Option<f64>,
-    /// Frames a second as stated by the user.
+    /// Frames per second as stated by the user.
     pub(in crate::cli) fps: Option<String>,
     pub(in crate::cli) full_frame: bool,
     /// What was recorded of the pictures.
@@ -65,6 +66,9 @@ pub(in crate::cli) struct Run {
     /// Whom the log is for, if not Foxglove.
     #[serde(default)]
     pub(in crate::cli) profile: Option<String>,
+    /// Where the lamp is that shows commands.
+    #[serde(default)]
+    pub(in crate::cli) tick_led: Option<String>,
 }
 
 impl Run {
@@ -74,7 +78,7 @@ impl Run {
     }
 }
 
-/// Whether a file is empty or begins as our tables do.
+/// Whether a file is empty or begins like our tables.
 fn is_table(path: &Path) -> bool {
     let begin = b"seq,t_s,";
     let mut found = Vec::new();
@@ -82,7 +86,7 @@ fn is_table(path: &Path) -> bool {
     read.is_ok() && (found.is_empty() || found == begin)
 }
 
-/// Where results go when the user does not say: a folder here, named after the recording.
+/// The default folder for results: in the working directory, named after the recording.
 pub(in crate::cli) fn default_folder(recording: &Path) -> PathBuf {
     let whole = whole_path(recording);
     let name = if recording.is_dir() { whole.file_name() } else { whole.file_stem() };
@@ -92,7 +96,7 @@ pub(in crate::cli) fn default_folder(recording: &Path) -> PathBuf {
 }
 
 impl Files {
-    /// In `folder`; the table at `table` if that is given.
+    /// Files in `folder`, with the table at `table` if given.
     pub(in crate::cli) fn new(folder: &Path, table: Option<&Path>, overlay: bool) -> Self {
         let file = |name: &str| folder.join(name);
         Self {
@@ -123,19 +127,19 @@ impl Files {
     /// Makes the folder ready for `run`, whose `inputs` no file may take the place of.
     ///
     /// # Errors
-    /// [`Exit::Usage`] when something is there that must not be replaced, [`Exit::Failed`] when the folder cannot be
+    /// [`Exit::Usage`] when something exists that must not be replaced, [`Exit::Failed`] when the folder cannot be
     /// written, or another process is writing there.
-    pub(in crate::cli) fn prepare(&self, run: &Run, inputs: &[&Path]) -> Result<Held, Failure> {
+    pub(in crate::cli) fn prepare(&self, run: &Run, inputs: &[&Path]) -> Result<FolderLock, Failure> {
         let places = self.all().map(PathBuf::as_path).filter(|path| *path != Path::new(STDOUT));
-        results::spare_inputs(places, inputs)?;
+        results::refuse_to_overwrite_inputs(places, inputs)?;
         self.places_are_free()?;
         let earlier = self.earlier_run(run)?;
         let cannot = |path: &Path, e: io::Error| {
             Failure::because(Exit::Failed, format!("cannot write to the output folder {}: {e}", path.display()), e)
         };
         fs::create_dir_all(&self.folder).map_err(|e| cannot(&self.folder, e))?;
-        let held = Held::take(&self.folder)?;
-        for path in self.half_written().map_err(|e| cannot(&self.folder, e))? {
+        let held = FolderLock::take(&self.folder)?;
+        for path in self.partial_files().map_err(|e| cannot(&self.folder, e))? {
             fs::remove_file(&path).map_err(|e| cannot(&path, e))?;
         }
         if let Some(earlier) = earlier {
@@ -154,14 +158,14 @@ impl Files {
             }
         }
         let path = self.folder.join(RUN);
-        // Whole or not at all: half of it would not say whose folder this is.
-        let text = format!("# What these results are of.\n{}", run.to_toml()?);
-        whole_file::write(&path, text.as_bytes()).map_err(|e| cannot(&path, e))?;
+        // All or nothing: half of it would not identify the folder.
+        let text = format!("# Origin of these results.\n{}", run.to_toml()?);
+        atomic_file::write(&path, text.as_bytes()).map_err(|e| cannot(&path, e))?;
         Ok(held)
     }
 
-    /// What a run that was killed had begun to write beside a file of its own.
-    fn half_written(&self) -> io::Result<Vec<PathBuf>> {
+    /// Partial files that a killed run left beside its own.
+    fn partial_files(&self) -> io::Result<Vec<PathBuf>> {
         let mut found = Vec::new();
         for entry in fs::read_dir(&self.folder)? {
             let entry = entry?;
@@ -197,7 +201,7 @@ impl Files {
     /// # Errors
     /// [`Exit::Failed`] when it cannot be written.
     pub(in crate::cli) fn add_budget(&self, run: &Run, sources: &[Source]) -> Result<(), Failure> {
-        let mut text = format!("# What these results are of.\n{}", run.to_toml()?);
+        let mut text = format!("# Origin of these results.\n{}", run.to_toml()?);
         text += "\n# What each source of error adds to θ and to the tip in the base frame, 1σ.\n[error_budget]\n";
         let all = sources.iter().filter_map(|source| Some((source.name, *source.share.as_ref().ok()?)));
         for (name, (theta_rad, tip_m)) in all.chain([("together", together(sources))]) {
@@ -205,7 +209,7 @@ impl Files {
             text += &format!("{key} = {{ theta_deg = {:.6}, tip_mm = {:.6} }}\n", theta_rad.to_degrees(), tip_m * 1e3);
         }
         let path = self.folder.join(RUN);
-        whole_file::write(&path, text.as_bytes())
+        atomic_file::write(&path, text.as_bytes())
             .map_err(|e| Failure::because(Exit::Failed, format!("cannot write {}: {e}", path.display()), e))
     }
 
@@ -213,7 +217,7 @@ impl Files {
     ///
     /// # Errors
     /// As [`Files::prepare`].
-    pub(in crate::cli) fn prepare_new(&self, run: &Run, inputs: &[&Path]) -> Result<Held, Failure> {
+    pub(in crate::cli) fn prepare_new(&self, run: &Run, inputs: &[&Path]) -> Result<FolderLock, Failure> {
         if let Some(there) = ALL.iter().find(|name| self.folder.join(name).exists()) {
             let text =
                 format!("{}: has a {there} of an earlier run; choose another folder with -o", self.folder.display());
@@ -222,7 +226,7 @@ impl Files {
         self.prepare(run, inputs)
     }
 
-    /// Refuses a folder that is a file, and a table that would take the place of another file.
+    /// Refuses a folder that is a file, and a table that would replace another file.
     fn places_are_free(&self) -> Result<(), Failure> {
         let refused = |text: String| Err(Failure::new(Exit::Usage, text));
         if self.folder.exists() && !self.folder.is_dir() {
@@ -240,9 +244,9 @@ impl Files {
         if self.table.is_dir() {
             return refused(format!("{table}: is a folder; give the name of a file with --csv"));
         }
-        // What is no ordinary file, /dev/stdout say, cannot be lost.
+        // Something other than a regular file, such as /dev/stdout, cannot be lost.
         if self.table != self.folder.join(TABLE) && self.table.is_file() && !is_table(&self.table) {
-            return refused(format!("{table}: is there and no table of this command; choose another with --csv"));
+            return refused(format!("{table}: exists and is not a table of this command; choose another with --csv"));
         }
         Ok(())
     }
@@ -257,17 +261,18 @@ impl Files {
     }
 }
 
-/// A folder that no other process of this program writes to while this lives.
+/// A lock on a folder against other processes of this program.
 #[derive(Debug)]
 #[must_use = "the folder is held as long as this lives"]
-pub(in crate::cli) struct Held(
+pub(in crate::cli) struct FolderLock(
     #[cfg(unix)]
     #[allow(dead_code, reason = "closing it gives the folder free")]
     Option<fs::File>,
 );
 
-impl Held {
-    /// Two runs in one folder would write into each other's files: one that a scheduler has given up may live on.
+impl FolderLock {
+    /// Two runs in one folder would write into each other's files: one that a scheduler has abandoned may still be
+    /// running.
     #[cfg(unix)]
     fn take(folder: &Path) -> Result<Self, Failure> {
         use rustix::fs::{FlockOperation, flock};
@@ -278,7 +283,7 @@ impl Held {
                 let text = format!("{}: another process is writing results there", folder.display());
                 Err(Failure::because(Exit::Failed, text, io::Error::from(error)))
             }
-            // Not all file systems know how.
+            // Not supported by all file systems.
             Err(_) => Ok(Self(None)),
         }
     }
@@ -306,6 +311,7 @@ mod tests {
             full_frame: false,
             record: None,
             profile: None,
+            tick_led: None,
         }
     }
 
@@ -373,11 +379,11 @@ mod tests {
     #[test]
     #[cfg(unix)]
     fn names_that_are_no_text_stay_apart() {
-        use super::super::super::results::unlike_others;
+        use super::super::super::results::unique_text;
         use std::os::unix::ffi::OsStrExt as _;
-        let [e, è] = [b"/caf\xe9", b"/caf\xe8"].map(|name| unlike_others(Path::new(OsStr::from_bytes(name))));
+        let [e, è] = [b"/caf\xe9", b"/caf\xe8"].map(|name| unique_text(Path::new(OsStr::from_bytes(name))));
         assert_ne!(e, è);
-        assert_eq!(unlike_others(Path::new("/café")), "/café");
+        assert_eq!(unique_text(Path::new("/café")), "/café");
     }
 
     #[test]

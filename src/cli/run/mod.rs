@@ -1,4 +1,4 @@
-//! What tracking a recording and tracking live have in common: the rig, the files, how a run ends.
+//! Common parts of offline and live tracking: the rig, the files, the end of a run.
 
 pub(super) mod folder;
 mod options;
@@ -7,7 +7,7 @@ pub(super) mod summary;
 pub(super) use options::{LogFor, Record, Reference};
 
 use super::{Exit, Failure};
-use crate::archive::passing::passes;
+use crate::archive::transient::is_transient;
 use crate::log;
 use crate::log::schema::RIG_ATTACHMENT;
 use crate::pipeline::{End, Summary};
@@ -20,7 +20,7 @@ use folder::{Files, PICTURES};
 use std::path::Path;
 use std::sync::Arc;
 
-/// The threads that fit, for `threads` of them; 0 for one a core.
+/// A pool of `threads` threads for the fits; 0 for one per core.
 pub(super) fn pool(threads: usize) -> Result<rayon::ThreadPool, Failure> {
     rayon::ThreadPoolBuilder::new()
         .num_threads(threads)
@@ -31,7 +31,7 @@ pub(super) fn pool(threads: usize) -> Result<rayon::ThreadPool, Failure> {
 /// The rig in `file`, and its text.
 pub(super) fn load_rig(file: &Path, reference: Reference) -> Result<(Rig, String), Failure> {
     let text = std::fs::read_to_string(file).map_err(|source| RigError::Read { file: file.to_owned(), source })?;
-    understood(file, text, reference)
+    parse_rig(file, text, reference)
 }
 
 /// The rig that is attached to the log `file`, and its text.
@@ -41,10 +41,10 @@ pub(super) fn rig_of_log(file: &Path, reference: Reference) -> Result<(Rig, Stri
         let text = format!("{}: has no rig.toml attached: name the rig with --rig", file.display());
         return Err(Failure::new(Exit::Usage, text));
     }
-    understood(file, text, reference)
+    parse_rig(file, text, reference)
 }
 
-fn understood(file: &Path, text: String, reference: Reference) -> Result<(Rig, String), Failure> {
+fn parse_rig(file: &Path, text: String, reference: Reference) -> Result<(Rig, String), Failure> {
     let rig = Rig::from_toml_str(&text, file)?;
     two_views(file, &rig.views)?;
     if OutputFrame::from(reference).output_from_camera(&rig).is_none() {
@@ -55,7 +55,7 @@ fn understood(file: &Path, text: String, reference: Reference) -> Result<(Rig, S
     Ok((rig, text))
 }
 
-/// Refuses a rig that can measure nothing: a single view shows a direction, not a place.
+/// Refuses a rig that can measure nothing: a single view shows a direction, not a position.
 pub(super) fn two_views(file: &Path, views: &[View]) -> Result<(), Failure> {
     let [view] = views else { return Ok(()) };
     let text = format!(
@@ -67,17 +67,17 @@ pub(super) fn two_views(file: &Path, views: &[View]) -> Result<(), Failure> {
     Err(Failure::new(Exit::Usage, text))
 }
 
-/// What `catoptra rig check` would warn of: who never asked must not learn it from the results.
+/// Prints the warnings of `catoptra rig check`, so that a user who never ran it does not learn them from the results.
 pub(super) fn print_warnings(file: &Path, rig: &Rig) -> Result<(), Failure> {
     rig_warnings(file, rig)?.iter().for_each(|warning| tracing::warn!("{warning}"));
     Ok(())
 }
 
-/// As [`print_warnings`], not printed.
+/// As [`print_warnings`], without printing.
 pub(super) fn rig_warnings(file: &Path, rig: &Rig) -> Result<Vec<String>, Failure> {
     let rig_file = file.display();
     let checked = check(&rig.clone().into()).map_err(|e| Failure::new(Exit::Usage, format!("{rig_file}: {e}")))?;
-    // Without a base the user has asked for the camera's frame.
+    // Without a base, the user has requested the camera frame.
     let warnings = checked.warnings.iter().filter(|warning| **warning != Warning::NoBase);
     Ok(warnings.map(|warning| format!("{rig_file}: {warning}")).collect())
 }
@@ -90,15 +90,19 @@ pub(super) struct Opened {
     pub(super) count: Arc<PictureCount>,
 }
 
-/// How a log is written.
+/// How to write a log.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Logged {
     pub(super) record: Option<Record>,
     pub(super) profile: LogFor,
+    /// Whether pictures are counted all the same when none are recorded from the beginning.
+    pub(super) counts: bool,
     /// Whether it is given pictures, to cut them itself.
     pub(super) cuts: bool,
     /// Whether the same frames give the same bytes; a run that is killed may then lose more than its last second.
     pub(super) repeatable: bool,
+    /// Whether a lamp is watched that shows commands.
+    pub(super) ticks: bool,
 }
 
 /// Opens the files of a run.
@@ -110,13 +114,15 @@ pub(super) fn open_sinks(
     info: RunInfo,
     logged: Logged,
 ) -> Result<Opened, Failure> {
-    let Logged { record, profile, cuts, repeatable } = logged;
+    let Logged { record, profile, counts, cuts, repeatable, ticks } = logged;
     let count = Arc::new(PictureCount::default());
     let open = || -> Result<Opened, SinkError> {
         let mut log = McapSink::of_profile(profile.into(), &files.log, rig, rig_toml, run_toml)?;
         if let Some(record) = record {
             let what = record.codec().map_or(record.word(), |_| PICTURES);
             log = log.with_pictures(what, Arc::clone(&count));
+        } else if counts {
+            log = log.with_picture_count(Arc::clone(&count));
         }
         if repeatable {
             log = log.by_camera_time();
@@ -127,7 +133,8 @@ pub(super) fn open_sinks(
         let mut sinks: Vec<Box<dyn Sink + Send>> = vec![
             Box::new(log),
             Box::new(match files.table_on_stdout() {
-                true => CsvSink::on_stdout(rig, reference.into())?,
+                true => CsvSink::on_stdout(rig, reference.into(), ticks)?,
+                false if ticks => CsvSink::with_ticks(&files.table, rig, reference.into())?,
                 false => CsvSink::create(&files.table, rig, reference.into())?,
             }),
             Box::new(ReportSink::create(&files.report, rig, info.clone())?),
@@ -154,9 +161,9 @@ pub(super) fn verdict(source: &str, rig: &Rig, summary: Summary) -> Result<(), F
     if !summary.sink_failures.is_empty() {
         let errors: Vec<_> = summary.sink_failures.iter().map(SinkError::to_string).collect();
         let text = format!("{}; the other files are complete: {so_far}", errors.join("; "));
-        // One that may pass says whether the run may be tried again.
+        // A transient one tells that the run may be repeated.
         let mut failures = summary.sink_failures;
-        let which = failures.iter().position(|failure| passes(failure)).unwrap_or(0);
+        let which = failures.iter().position(|failure| is_transient(failure)).unwrap_or(0);
         return Err(Failure::because(Exit::Failed, text, failures.swap_remove(which)));
     }
     match summary.end {

@@ -1,4 +1,4 @@
-//! Options that tracking a recording and tracking live share.
+//! Options shared by offline and live tracking.
 
 use crate::sink::{OutputFrame, PictureCodec, Profile};
 
@@ -46,7 +46,7 @@ impl From<LogFor> for Profile {
 }
 
 impl LogFor {
-    /// The word for it, unless it is what a log is for when nobody says.
+    /// The word for it, unless it is the default.
     pub(in crate::cli) fn unusual(self) -> Option<String> {
         match self {
             Self::Foxglove => None,
@@ -73,8 +73,16 @@ impl Record {
         }
     }
 
-    /// How whole pictures are compressed, if they are recorded.
-    pub(super) fn codec(self) -> Option<PictureCodec> {
+    /// All, the one that keeps all that tracking needs in the least space first.
+    pub(in crate::cli) const ALL: [Self; 3] = [Self::Windows, Self::Ffv1, Self::H264];
+
+    /// The one with this word.
+    pub(in crate::cli) fn of_word(word: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|record| record.word() == word)
+    }
+
+    /// Codec of whole pictures, if they are recorded.
+    pub(in crate::cli) fn codec(self) -> Option<PictureCodec> {
         match self {
             Self::Windows => None,
             Self::Ffv1 => Some(PictureCodec::Ffv1),

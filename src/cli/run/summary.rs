@@ -3,14 +3,14 @@
 use super::folder::Files;
 use crate::pipeline::Summary;
 use crate::rig::Rig;
-use crate::sink::spoken;
+use crate::sink::plain_words;
 use crate::source::times::seconds;
 use crate::tally::budget::together;
-use crate::tally::{AlarmInWords, Tally};
+use crate::tally::{AlarmInWords, Tally, TickTally};
 use std::fmt::{self, Write as _};
 use std::path::PathBuf;
 
-/// A warning for every alarm beyond the first `known` ones; how many there are now.
+/// Prints a warning for every alarm beyond the first `known` ones; returns the number of alarms.
 pub(in crate::cli) fn new_alarms(tally: &Tally, recording: &str, known: usize) -> usize {
     tally.alarms().skip(known).for_each(|alarm| warn_of_alarm(&alarm, recording));
     tally.drift.alarms().len()
@@ -61,11 +61,23 @@ pub(in crate::cli) fn summary(
         }
         writeln!(out, "{}", line("together", together(&sources)))?;
     }
+    if let Some(ticks) = &tally.ticks {
+        let TickTally { seen, changes, level: (low, high), .. } = ticks;
+        writeln!(out, "\n  tick       {changes} changes in {seen} frames, brightness {low:.0} to {high:.0} of 255")?;
+        if *changes == 0 {
+            let at = ticks.spot();
+            writeln!(
+                out,
+                "the lamp at {at} never changed: is it there (--tick-led x,y,r; the overlay shows the disc), does it go on and \
+                 off with every command, and were there any? Without changes there are no times of commands"
+            )?;
+        }
+    }
     for AlarmInWords { ns, what, advice } in tally.alarms() {
         writeln!(out, "\nfrom {:.3} s on {what}: {advice}", seconds(ns))?;
     }
     let took_s = run.elapsed.as_secs_f64();
-    writeln!(out, "\ntracked in {took_s:.1} s, {:.0} frames a second", tally.frames as f64 / took_s.max(1e-9))?;
+    writeln!(out, "\ntracked in {took_s:.1} s, {:.0} frames per second", tally.frames as f64 / took_s.max(1e-9))?;
     writeln!(out, "results in {}", files.folder.display())?;
     let named: [(Option<&PathBuf>, &str); 5] = [
         (Some(&files.table), "one row a frame"),
@@ -109,11 +121,12 @@ fn share(part: u64, whole: u64) -> String {
 
 /// Why `what` is missing, and in how many frames: `12 not seen in mirror, 1 ambiguous`.
 fn reasons(tally: &Tally, what: &str) -> String {
-    let said: Vec<_> = tally.reasons(what).iter().map(|(word, frames)| format!("{frames} {}", spoken(word))).collect();
+    let said: Vec<_> =
+        tally.reasons(what).iter().map(|(word, frames)| format!("{frames} {}", plain_words(word))).collect();
     said.join(", ")
 }
 
-/// Why the run is of no use, if it is of none: a marker was never located, or the direction of the coil never known.
+/// Why the run is unusable, if so: a marker was never located, or the coil's direction was never measured.
 pub(in crate::cli) fn unusable(rig: &Rig, tally: &Tally) -> Option<String> {
     let never: Vec<_> = tally.markers.iter().filter(|m| m.answered == 0).map(|m| m.name.as_str()).collect();
     let frames = match tally.frames {

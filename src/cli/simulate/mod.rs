@@ -1,5 +1,6 @@
 //! `catoptra simulate`: recordings and calibration pictures of a rig, with their truth.
 
+mod motion;
 mod writer;
 
 use super::catheter::Columns;
@@ -8,25 +9,21 @@ use super::results::Results;
 use super::units::{duration_s, frequency_hz};
 use super::{Exit, Failure, interrupt, output};
 use crate::calibrate::board::Board;
-use crate::catheter::{Catheter, Commands};
+use crate::catheter::Catheter;
 use crate::rig::Rig;
-use crate::series::{CurrentTable, Recording};
 use crate::simulate::{
-    BoardSet, Boards, CentreLine, Exposed, Mount, Renderer, Rod, Scene, Sensor, Stamp, Timing, Usual, line_through,
-    taught,
+    BoardPoses, BoardSet, Mount, Renderer, Scene, Sensor, StandardMotion, Timing, noise_seed, taught,
 };
-use nalgebra::{Point3, Vector3};
+pub(in crate::cli) use motion::Source;
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use writer::{Codec, Taken, Writer};
 
-/// Most frames: an hour at a thousand a second.
-const MOST_FRAMES: f64 = 3.6e6;
 /// Frames that are drawn side by side, and wait for the encoder.
 const BATCH: usize = 8;
 /// Exposure where neither rig nor options say it, seconds.
-const EXPOSURE_S: f64 = 2e-3;
+pub(in crate::cli) const EXPOSURE_S: f64 = 2e-3;
 
 /// Arguments of `catoptra simulate`.
 #[derive(Debug, clap::Args)]
@@ -37,12 +34,12 @@ pub(crate) struct Args {
     /// rest, planar, circle, lemniscate, a table of currents, or a tracked run's table
     #[arg(long, value_name = "MOTION", default_value = "planar")]
     motion: String,
-    /// The catheter [default: the paper's, as long as the bands say]
+    /// The catheter [default: the paper's, with the bands' lengths]
     #[arg(long, value_name = "CATHETER.toml")]
     catheter: Option<PathBuf>,
     #[command(flatten)]
     columns: Columns,
-    /// Frames a second
+    /// Frames per second
     #[arg(long, value_name = "F", default_value = "60Hz", value_parser = frequency_hz)]
     fps: f64,
     /// Length [default: 9 s; 1 s at rest, or beyond the last current]
@@ -57,22 +54,22 @@ pub(crate) struct Args {
     /// Exposure; 0 freezes every frame [default: the rig's, or 2 ms]
     #[arg(long, value_name = "T", value_parser = time_or_none_s)]
     exposure: Option<f64>,
-    /// Electrons of full white and of reading, 0,0 without noise
+    /// Electrons of full white and of read noise; 0,0: no noise
     #[arg(long, value_name = "FULL,READ", value_delimiter = ',', num_args = 1, default_value = "10000,5")]
     noise: Vec<f64>,
     /// Each pixel sees one colour only
     #[arg(long)]
     bayer: bool,
-    /// Light of the highlight on the tube, 0 to 1
+    /// Strength of the highlight on the tube, 0 to 1
     #[arg(long, value_name = "PART", default_value_t = 0.03)]
     highlight: f64,
-    /// Things in the bands' colours that stand around
+    /// Objects in the bands' colours in the background
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u8).range(..=100))]
     distractors: u8,
-    /// σ of the frames' times about even ones
+    /// σ of the frames' times about even spacing
     #[arg(long, value_name = "T", default_value = "0", value_parser = time_or_none_s)]
     jitter: f64,
-    /// Part of the frames that are lost, percent
+    /// Percentage of frames that are lost
     #[arg(long, value_name = "%", default_value_t = 0.0)]
     lost: f64,
     /// N pictures of a board in air and N in the rig instead of a recording
@@ -118,26 +115,6 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     }
 }
 
-/// What moves the catheter.
-enum Source {
-    Rod(Box<Rod>, CentreLine, f64),
-    /// Times, seconds, and lines.
-    Poses(Vec<(Stamp, CentreLine)>),
-}
-
-impl Source {
-    fn rest(&self) -> &CentreLine {
-        match self {
-            Self::Rod(_, rest, _) => rest,
-            Self::Poses(poses) => {
-                // Never empty: see `Args::poses`.
-                #[allow(clippy::indexing_slicing, reason = "`Args::poses` gives one at least")]
-                &poses[0].1
-            }
-        }
-    }
-}
-
 impl Args {
     fn sensor(&self) -> Result<Sensor, Failure> {
         match *self.noise.as_slice() {
@@ -158,36 +135,8 @@ impl Args {
     }
 
     fn source(&self, rig: &Rig, mount: &Mount) -> Result<Source, Failure> {
-        let usual = match self.motion.as_str() {
-            "rest" => Some((Usual::Rest, 1.0)),
-            "planar" => Some((Usual::Planar, 9.0)),
-            "circle" => Some((Usual::Circle, 9.0)),
-            "lemniscate" => Some((Usual::Lemniscate, 9.0)),
-            _ => None,
-        };
-        let (commands, duration_s): (Commands, f64) = match usual {
-            Some((usual, default_s)) => {
-                let duration_s = self.duration.unwrap_or(default_s);
-                (usual.commands(&mount.catheter, duration_s).map_err(usage)?, duration_s)
-            }
-            None => {
-                let file = Path::new(&self.motion);
-                if !file.exists() {
-                    let text = "is neither rest, planar, circle nor lemniscate, and no such file";
-                    return Err(usage(format!("--motion {}: {text}", file.display())));
-                }
-                if let Some(poses) = poses(rig, mount, file)? {
-                    return Ok(Source::Poses(poses));
-                }
-                let table = CurrentTable::read(file).map_err(usage)?;
-                let commands = self.columns.commands(&mount.catheter, &table, 0.0)?;
-                let (_, end_s) = commands.span_s();
-                (commands, self.duration.unwrap_or(end_s + 1.0))
-            }
-        };
-        let rod = Rod::at_rest(mount, commands).map_err(usage)?;
-        let rest = rod.line().map_err(usage)?;
-        Ok(Source::Rod(Box::new(rod), rest, duration_s))
+        let usual_s = |usual| if usual == StandardMotion::Rest { 1.0 } else { 9.0 };
+        Source::of((rig, mount), &self.motion, &self.columns, self.duration, usual_s)
     }
 
     fn recording(
@@ -200,16 +149,7 @@ impl Args {
     ) -> Result<(), Failure> {
         let exposure_s = self.exposure_s(rig)?;
         let timing = Timing { rate_hz: self.fps, jitter_s: self.jitter, lost: self.lost / 100.0, seed: self.seed };
-        let stamps: Vec<Stamp> = match &source {
-            Source::Poses(poses) => poses.iter().map(|(stamp, _)| *stamp).collect(),
-            Source::Rod(_, _, duration_s) => {
-                let frames = (duration_s * self.fps + 1e-9).floor();
-                if frames > MOST_FRAMES {
-                    return Err(usage(format!("{frames} frames are more than {MOST_FRAMES}; shorten --duration")));
-                }
-                timing.stamps((frames as u64).max(1)).collect()
-            }
-        };
+        let stamps = source.stamps(timing)?;
         let renderer = Renderer::new(rig, scene).map_err(|e| usage(format!("{}: {e}", self.rig.display())))?;
         let mut files = self.codec.files(stamps.len());
         files.extend(["truth.csv", "rig.toml"].map(str::to_owned));
@@ -225,24 +165,15 @@ impl Args {
                 break;
             }
             let first = done;
-            let lines = batch.iter().enumerate().map(|(k, stamp)| match &mut source {
-                Source::Rod(rod, ..) => {
-                    let at = rod.exposed(stamp.ns as f64 * 1e-9, exposure_s);
-                    at.map_err(|e| Failure::new(Exit::Failed, e.to_string()))
-                }
-                Source::Poses(poses) => {
-                    let line = poses.get(first as usize + k).map(|(_, line)| Exposed::still(line));
-                    line.ok_or_else(|| Failure::new(Exit::Failed, "a pose is missing".to_owned()))
-                }
+            let lines = batch.iter().enumerate().map(|(k, stamp)| {
+                let line = source.exposed(first as usize + k, *stamp, exposure_s);
+                line.map_err(|e| Failure::new(Exit::Failed, e.to_string()))
             });
             let lines = lines.collect::<Result<Vec<_>, Failure>>()?;
             let drawn: Vec<_> = lines
                 .par_iter()
                 .enumerate()
-                .map(|(k, line)| {
-                    let seed = self.seed.wrapping_mul(0x2545_f491_4f6c_dd1d) ^ (first + k as u64);
-                    renderer.picture(line, seed, self.codec.stored())
-                })
+                .map(|(k, line)| renderer.picture(line, noise_seed(self.seed, first + k as u64), self.codec.stored()))
                 .collect();
             for ((stamp, line), picture) in batch.iter().zip(lines).zip(drawn) {
                 let picture = picture.map_err(|e| Failure::new(Exit::Failed, e.to_string()))?;
@@ -256,7 +187,7 @@ impl Args {
         let took_s = began.elapsed().as_secs_f64();
         if !quiet {
             output::print(&format!(
-                "{done} frames in {took_s:.1} s, {:.1} a second\n\nwritten: {}, truth.csv, rig.toml in {}\n",
+                "{done} frames in {took_s:.1} s, {:.1} per second\n\nwritten: {}, truth.csv, rig.toml in {}\n",
                 done as f64 / took_s,
                 self.codec.name(),
                 self.out.display()
@@ -294,8 +225,10 @@ impl Args {
         files.push("rig.toml".to_owned());
         let mut planned = Vec::new();
         for (set, where_) in sets {
-            let boards = Boards::new(rig, board.clone(), where_, middle, blur_px, scene.sensor);
-            let poses = boards.poses(count, self.seed).map_err(|e| usage(format!("{}: {e}", self.rig.display())))?;
+            let standing = BoardPoses::new(rig, where_, middle);
+            let boards = standing.boards(board.clone(), blur_px, scene.sensor);
+            let poses =
+                standing.poses(&boards, count, self.seed).map_err(|e| usage(format!("{}: {e}", self.rig.display())))?;
             planned.push((set, boards, poses));
         }
         self.results(files).take()?;
@@ -324,44 +257,4 @@ impl Args {
         }
         output::print(&format!("written: air*.png, rig*.png ({count} each) and rig.toml in {}\n", self.out.display()))
     }
-}
-
-/// Stamps and lines of a table of a tracked run; `None` when it is none.
-fn poses(rig: &Rig, mount: &Mount, file: &Path) -> Result<Option<Vec<(Stamp, CentreLine)>>, Failure> {
-    let wrong = |what: String| usage(format!("{}: {what}", file.display()));
-    let head = std::fs::read(file).map_err(|e| wrong(format!("cannot be read: {e}")))?;
-    if !head.starts_with(b"seq,t_s,stamp_ns") {
-        return Ok(None);
-    }
-    let run = Recording::read(file).map_err(usage)?;
-    let Some(base) = &rig.base else { return Err(wrong("the rig has no [base]".to_owned())) };
-    let camera_from_base = base.base_from_camera.inverse();
-    let order = rig.markers.iter().map(|marker| run.markers.iter().position(|name| *name == marker.name));
-    let order: Vec<Option<usize>> = order.collect();
-    let mut lines: Vec<(Stamp, CentreLine)> = Vec::with_capacity(run.frames.len());
-    let mut skipped = 0;
-    for frame in &run.frames {
-        let places: Vec<Option<Point3<f64>>> = order
-            .iter()
-            .map(|k| k.and_then(|k| frame.places.get(k)).and_then(|place| place.point).map(|p| camera_from_base * p))
-            .collect();
-        let tangent: Option<Vector3<f64>> = frame.tangent.map(|t| camera_from_base * t);
-        let Some(line) = tangent.and_then(|t| line_through(rig, mount, &places, &t)) else {
-            skipped += 1;
-            continue;
-        };
-        let gap = u32::try_from(frame.gap).unwrap_or(u32::MAX).saturating_add(std::mem::take(&mut skipped));
-        if lines.last().is_some_and(|(before, _)| before.ns >= frame.stamp_ns) {
-            let text = format!(
-                "time does not rise at seq {} ({} ns): expected later than the row before",
-                frame.seq, frame.stamp_ns
-            );
-            return Err(wrong(text));
-        }
-        lines.push((Stamp { ns: frame.stamp_ns, gap }, line));
-    }
-    if lines.is_empty() {
-        return Err(wrong("has no frame with all places and the tangent".to_owned()));
-    }
-    Ok(Some(lines))
 }

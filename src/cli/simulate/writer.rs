@@ -11,7 +11,7 @@ use std::sync::mpsc::{SyncSender, sync_channel};
 use std::thread::JoinHandle;
 
 /// Pictures that wait for the encoder.
-const WAITING: usize = 8;
+const QUEUE_LENGTH: usize = 8;
 
 /// How pictures are stored.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
@@ -65,7 +65,7 @@ pub(super) struct Writer {
 
 impl Writer {
     pub(super) fn start(folder: &Path, codec: Codec, rig: &Rig, centres_m: &[f64]) -> Result<Self, Failure> {
-        let (frames, taken) = sync_channel::<Taken>(WAITING);
+        let (frames, taken) = sync_channel::<Taken>(QUEUE_LENGTH);
         let (folder, rig, centres_m) = (folder.to_owned(), rig.clone(), centres_m.to_vec());
         let work = move || {
             let mut files = Files::create(&folder, codec, &rig)?;
@@ -146,7 +146,7 @@ impl Files {
             Pictures::Video(mut video) => video.finish(&none).map_err(|e| e.to_string()),
             Pictures::Folder(folder, times) => {
                 let path = folder.join("times.csv");
-                crate::whole_file::write(&path, times.as_bytes()).map_err(|e| format!("{}: {e}", path.display()))
+                crate::atomic_file::write(&path, times.as_bytes()).map_err(|e| format!("{}: {e}", path.display()))
             }
         }
     }

@@ -1,4 +1,4 @@
-//! Many recordings: which they are, and what came of them.
+//! Tracking of many recordings: the list, and the outcomes.
 
 use super::super::output;
 use super::super::progress::{Progress, stderr};
@@ -24,7 +24,7 @@ pub(super) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     let (at_once, threads) = shares(args.jobs, args.threads);
     let batch = Batch { jobs: &jobs, threads, resume: args.resume, dry_run: args.dry_run, interrupt: &interrupt };
     let mut progress = Progress::of(Some(jobs.len() as u64), "recordings", quiet);
-    let mut came = Came::default();
+    let mut came = Outcomes::default();
     batch.run(at_once.min(jobs.len()), |at, done| {
         progress.one_more();
         if let Some(job) = jobs.get(at) {
@@ -61,7 +61,7 @@ fn entries(args: &Args) -> Result<Vec<(Entry, Options)>, Failure> {
         let entry = Entry { rig: entry.rig.or_else(|| args.rig.clone()), ..entry };
         match args.options.with(&entry.options) {
             Ok(options) => Ok((entry, options)),
-            // Only a manifest has options of a line.
+            // Only a manifest has options per line.
             Err(why) => {
                 let manifest = args.manifest.as_deref().unwrap_or(Path::new(""));
                 Err(usage(format!("{}:{}: {why}", manifest.display(), entry.line)))
@@ -79,7 +79,7 @@ fn named(sources: &[PathBuf]) -> Result<Vec<Entry>, String> {
     for (source, (line, name)) in sources.iter().zip(sources.iter().enumerate().map(entry)) {
         is_name(&name).map_err(|why| format!("{}: {why}", source.display()))?;
         if let Some(other) = seen.insert(name.clone(), source) {
-            let both = format!("{} and {} have one name, {name}", other.display(), source.display());
+            let both = format!("{} and {} have the same name, {name}", other.display(), source.display());
             return Err(format!(
                 "{both}, and the folder of results is named after it: use --manifest with a column `name`"
             ));
@@ -90,7 +90,7 @@ fn named(sources: &[PathBuf]) -> Result<Vec<Entry>, String> {
     Ok(entries)
 }
 
-/// Where the folders of all recordings go.
+/// The parent of all recordings' folders.
 fn folder(args: &Args) -> Result<PathBuf, Failure> {
     let refused = |text: String| Err(Failure::new(Exit::Usage, text));
     match &args.out {
@@ -102,7 +102,7 @@ fn folder(args: &Args) -> Result<PathBuf, Failure> {
     }
 }
 
-/// Recordings at a time, and threads of each: as many together as there are cores, unless both are asked for.
+/// Simultaneous recordings, and threads for each: together one per core, unless both are given.
 fn shares(jobs: Option<usize>, threads: Option<usize>) -> (usize, usize) {
     let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
     match (jobs, threads) {
@@ -112,9 +112,9 @@ fn shares(jobs: Option<usize>, threads: Option<usize>) -> (usize, usize) {
     }
 }
 
-/// What came of all.
+/// Outcomes of all recordings.
 #[derive(Default)]
-struct Came {
+struct Outcomes {
     tracked: u64,
     /// Left out: their results are there.
     left_out: u64,
@@ -126,7 +126,7 @@ struct Came {
     planned: BTreeMap<usize, (bool, String)>,
 }
 
-impl Came {
+impl Outcomes {
     fn add(&mut self, at: usize, name: &str, done: &Done) {
         match done {
             Done::Planned { run, why } => {
@@ -149,11 +149,11 @@ impl Came {
     fn fail(&mut self, name: &str, message: &str, retryable: bool) {
         self.failed += 1;
         self.retryable += u64::from(retryable);
-        // Without stderr there is still the summary.
+        // Without stderr, the summary remains.
         let _ = writeln!(stderr(), "error: {name}: {message}");
     }
 
-    /// What would be done, a line each.
+    /// What would be done, one line each.
     fn plan(&self, jobs: &[Job]) -> String {
         let lines = self.planned.iter().filter_map(|(at, (run, why))| {
             let name = &jobs.get(*at)?.entry.name;
@@ -169,14 +169,14 @@ impl Came {
         let took_s = took.as_secs_f64();
         let mut text = format!("{tracked} recordings tracked, {frames} frames, in {took_s:.1} s");
         if *tracked > 0 {
-            text += &format!(": {:.2} recordings a second", *tracked as f64 / took_s.max(1e-9));
+            text += &format!(": {:.2} recordings per second", *tracked as f64 / took_s.max(1e-9));
         }
         text += "\n";
         if *left_out > 0 {
-            text += &format!("{left_out} left out: their results are there\n");
+            text += &format!("{left_out} skipped: their results exist\n");
         }
         if *failed > 0 {
-            text += &format!("{failed} failed, of which {retryable} may pass when tried again\n");
+            text += &format!("{failed} failed, of which {retryable} may succeed when retried\n");
         }
         text + &format!("results in {}, a folder for each, with summary.json written last\n", folder.display())
     }

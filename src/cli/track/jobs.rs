@@ -1,18 +1,18 @@
-//! The work of a batch: a few threads, each taking one recording after the other.
+//! The work of a batch: a few threads, each taking one recording after another.
 //!
-//! A recording that fails, or makes the program panic, ends alone. A library that brings the whole process down ends all
-//! that is under way; what was finished stays, and `--resume` goes on behind it.
+//! A recording that fails or panics does not affect the others. A library that kills the whole process ends all running
+//! ones; finished ones remain, and `--resume` continues after them.
 
 use super::super::provenance;
-use super::super::results::unlike_others;
+use super::super::results::unique_text;
 use super::super::run::folder::Files;
 use super::super::run::pool;
-use super::super::warned::{Warned, Work};
-use super::one::{self, Loaded, Over, Request};
+use super::super::warned::{Warnings, Work};
+use super::one::{self, FinishedRun, LoadedRig, Request};
 use super::options::Options;
 use super::{Exit, Failure};
-use crate::archive::{Entry, Hashes, Now, RunSummary, Staleness, hash, staleness};
-use crate::contained::contained;
+use crate::archive::{CurrentInputs, Entry, Hashes, RunSummary, Staleness, hash, staleness};
+use crate::catch_panic::catch_panic;
 use rayon::ThreadPool;
 use std::collections::HashMap;
 use std::io;
@@ -30,7 +30,7 @@ pub(super) struct Job {
     pub(super) folder: PathBuf,
 }
 
-/// What came of one.
+/// Outcome of one recording.
 pub(super) enum Done {
     /// Would be done, and why; or not.
     Planned {
@@ -53,12 +53,12 @@ impl From<&Failure> for Done {
     fn from(failure: &Failure) -> Self {
         match failure.exit() {
             Exit::Interrupted => Self::Interrupted,
-            _ => Self::Failed { message: failure.message(), retryable: failure.passes() },
+            _ => Self::Failed { message: failure.message(), retryable: failure.is_transient() },
         }
     }
 }
 
-/// All that is to be done.
+/// The whole batch.
 pub(super) struct Batch<'a> {
     pub(super) jobs: &'a [Job],
     /// Of each recording.
@@ -68,7 +68,7 @@ pub(super) struct Batch<'a> {
     pub(super) interrupt: &'a AtomicBool,
 }
 
-/// What several recordings have in common.
+/// Data shared by several recordings.
 struct Common {
     program: Option<String>,
     libraries: String,
@@ -76,41 +76,41 @@ struct Common {
 }
 
 /// A rig file, read once.
-type SharedRig = OnceLock<(Option<String>, Result<Loaded, Failure>)>;
+type SharedRig = OnceLock<(Option<String>, Result<LoadedRig, Failure>)>;
 
 impl Batch<'_> {
     /// Does all of it, `at_once` at a time; `done` is told of each, in the thread of the caller.
     ///
     /// # Errors
-    /// When the system gives no thread; recordings that fail are told, and are no error.
+    /// When the system cannot start a thread; recordings that fail are reported, and are not an error.
     pub(super) fn run(&self, at_once: usize, mut done: impl FnMut(usize, Done)) -> Result<(), Failure> {
         let common = Common { program: hash::of_program().ok(), libraries: one::libraries(), rigs: Mutex::default() };
         let next = AtomicUsize::new(0);
         let pools = (0..at_once.max(1)).map(|_| pool(self.threads)).collect::<Result<Vec<_>, _>>()?;
         std::thread::scope(|scope| {
-            let (tell, told) = channel();
+            let (sender, receiver) = channel();
             for pool in &pools {
-                let (tell, next, common) = (tell.clone(), &next, &common);
+                let (sender, next, common) = (sender.clone(), &next, &common);
                 std::thread::Builder::new()
                     .name("job".to_owned())
-                    .spawn_scoped(scope, move || self.work(pool, next, common, &tell))
+                    .spawn_scoped(scope, move || self.work(pool, next, common, &sender))
                     .map_err(|e| Failure::because(Exit::Failed, format!("cannot start a thread: {e}"), e))?;
             }
-            drop(tell);
-            told.into_iter().for_each(|(at, what)| done(at, what));
+            drop(sender);
+            receiver.into_iter().for_each(|(at, what)| done(at, what));
             Ok(())
         })
     }
 
-    /// Takes one job after the other, until there are none or it is asked to end.
-    fn work(&self, pool: &ThreadPool, next: &AtomicUsize, common: &Common, tell: &Sender<(usize, Done)>) {
+    /// Takes one job after another, until there are none or it is interrupted.
+    fn work(&self, pool: &ThreadPool, next: &AtomicUsize, common: &Common, sender: &Sender<(usize, Done)>) {
         loop {
             let at = next.fetch_add(1, Ordering::Relaxed);
             let Some(job) = self.jobs.get(at) else { return };
             let what = if self.interrupt.load(Ordering::Relaxed) {
                 Done::Interrupted
             } else {
-                contained(|| self.job(job, pool, common)).unwrap_or_else(|| Done::Failed {
+                catch_panic(|| self.job(job, pool, common)).unwrap_or_else(|| Done::Failed {
                     message: format!(
                         "{}: makes the program panic, which is a fault of the program; please report it",
                         job.entry.recording.display()
@@ -118,7 +118,7 @@ impl Batch<'_> {
                     retryable: false,
                 })
             };
-            if tell.send((at, what)).is_err() {
+            if sender.send((at, what)).is_err() {
                 return;
             }
         }
@@ -139,7 +139,7 @@ impl Batch<'_> {
             program: common.program.clone(),
         };
         if self.resume || self.dry_run {
-            let now = Now { sha256: hashes.clone(), libraries: common.libraries.clone() };
+            let now = CurrentInputs { sha256: hashes.clone(), libraries: common.libraries.clone() };
             let found = staleness(&job.folder, &now);
             if self.dry_run {
                 let same = matches!(found, Staleness::Same(_));
@@ -153,7 +153,7 @@ impl Batch<'_> {
         let work = Work::new();
         let attempt = Attempt { job, pool, threads: self.threads, work: &work, hashes, began };
         match (recording, loaded) {
-            (Err(error), _) => attempt.refused(&no_recording(&job.entry.recording, error), &[]),
+            (Err(error), _) => attempt.refused(&recording_error(&job.entry.recording, error), &[]),
             (Ok(_), Some(Ok(rig))) => attempt.track(rig, self.interrupt),
             (Ok(_), Some(Err(failure))) => attempt.refused(failure, &[]),
             (Ok(_), None) => attempt.refused(&Failure::new(Exit::Failed, "the rig was not read"), &[]),
@@ -161,8 +161,8 @@ impl Batch<'_> {
     }
 }
 
-/// In the words of the source, which would have said it.
-fn no_recording(recording: &Path, error: io::Error) -> Failure {
+/// With the same message as the source would give.
+fn recording_error(recording: &Path, error: io::Error) -> Failure {
     match error.kind() {
         io::ErrorKind::NotFound => {
             Failure::new(Exit::Usage, format!("{}: no such file or folder", recording.display()))
@@ -171,7 +171,7 @@ fn no_recording(recording: &Path, error: io::Error) -> Failure {
     }
 }
 
-/// Results that are there: only what the manifest says of them may be new.
+/// Existing results: only the manifest's columns may be new.
 fn with_columns(mut summary: RunSummary, job: &Job) -> Done {
     if summary.manifest != job.entry.columns || summary.name != job.entry.name {
         summary.manifest.clone_from(&job.entry.columns);
@@ -184,20 +184,20 @@ fn with_columns(mut summary: RunSummary, job: &Job) -> Done {
 }
 
 impl Common {
-    /// The rig of a job, read once for all that have the same.
+    /// The rig of a job, read once for all jobs with the same.
     fn rig(&self, job: &Job) -> Arc<SharedRig> {
         let file = job.entry.rig.clone();
         let key = (file.clone().unwrap_or_else(|| job.entry.recording.clone()), job.options.frame().word());
         let shared = {
             let mut rigs = self.rigs.lock().unwrap_or_else(PoisonError::into_inner);
             match file {
-                // That of a log is of no other.
+                // The rig of a log is not shared.
                 None => Arc::default(),
                 Some(_) => Arc::clone(rigs.entry(key).or_default()),
             }
         };
         shared.get_or_init(|| {
-            let read = Loaded::read(file.as_deref(), &job.entry.recording, &job.options);
+            let read = LoadedRig::read(file.as_deref(), &job.entry.recording, &job.options);
             let hash = match (&read, &file) {
                 (Ok(rig), _) => Some(hash::of_bytes(rig.toml.as_bytes())),
                 (Err(_), Some(file)) => hash::of_file(file).ok(),
@@ -212,7 +212,7 @@ impl Common {
     }
 }
 
-/// A recording on its way.
+/// A recording being tracked.
 struct Attempt<'a> {
     job: &'a Job,
     pool: &'a ThreadPool,
@@ -229,12 +229,12 @@ impl Attempt<'_> {
     }
 
     /// Tracks it.
-    fn track(self, rig: &Loaded, interrupt: &AtomicBool) -> Done {
+    fn track(self, rig: &LoadedRig, interrupt: &AtomicBool) -> Done {
         let Job { entry, options, folder } = self.job;
         let (files, source) = (self.files(), entry.recording.as_path());
-        let words = ["track".to_owned(), unlike_others(source), "--rig".to_owned(), unlike_others(&rig.file)];
+        let words = ["track".to_owned(), unique_text(source), "--rig".to_owned(), unique_text(&rig.file)];
         let words = words.into_iter().chain(options.words());
-        let command = provenance::of_command(words.chain(["-o".to_owned(), unlike_others(folder)]));
+        let command = provenance::of_command(words.chain(["-o".to_owned(), unique_text(folder)]));
         let (threads, pool) = (self.threads, self.pool);
         let request = Request { source, rig, options, files: &files, threads, pool, repeatable: true, command };
         let ready = match self.work.within(|| request.open()) {
@@ -243,7 +243,7 @@ impl Attempt<'_> {
         };
         let _held = match request.prepare() {
             Ok(held) => held,
-            // The folder is another's: nothing is written there, not even why.
+            // The folder belongs to something else: nothing is written there, not even the reason.
             Err(failure) => return Done::from(&failure),
         };
         let alarms = one::alarms(source.display().to_string());
@@ -258,7 +258,7 @@ impl Attempt<'_> {
         self.over(&files, verdict.as_ref().err(), measured, (&rig.file, rig.warnings.clone()), frames)
     }
 
-    /// It cannot be tracked, and its folder says why.
+    /// Records in its folder why it cannot be tracked.
     fn refused(self, failure: &Failure, warnings: &[String]) -> Done {
         let Job { entry, options, .. } = self.job;
         let files = self.files();
@@ -285,8 +285,8 @@ impl Attempt<'_> {
         frames: u64,
     ) -> Done {
         let Job { entry, options, folder } = self.job;
-        let warned: Warned = self.work.warned();
-        let over = Over {
+        let warned: Warnings = self.work.warned();
+        let over = FinishedRun {
             name: entry.name.clone(),
             source: &entry.recording,
             rig,

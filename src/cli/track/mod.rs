@@ -13,7 +13,7 @@ use super::{Exit, Failure, interrupt, output, provenance};
 use crate::archive::{Hashes, hash};
 use crate::tally::Tally;
 use clap::builder::RangedU64ValueParser;
-use one::{Loaded, Over, Request};
+use one::{FinishedRun, LoadedRig, Request};
 use options::Options;
 use std::io::Write as _;
 use std::path::PathBuf;
@@ -42,7 +42,7 @@ pub(crate) struct Args {
     /// Many recordings: a table with columns recording, rig and others (docs/cluster.md)
     #[arg(long, value_name = "RUNS.tsv")]
     manifest: Option<PathBuf>,
-    /// Many recordings: so many at a time [default: cores / threads]
+    /// Many recordings: how many at a time [default: cores / threads]
     #[arg(long, value_name = "N", value_parser = RangedU64ValueParser::<usize>::new().range(1..=256))]
     jobs: Option<usize>,
     /// Many recordings: leave out those whose results would be the same
@@ -71,8 +71,8 @@ impl Args {
 fn single(args: &Args, source: &PathBuf, quiet: bool) -> Result<(), Failure> {
     let interrupt = interrupt::watch()?;
     let (began, work) = (Instant::now(), Work::new());
-    // 1. everything is judged before anything is written
-    let rig = Loaded::read(args.rig.as_deref(), source, &args.options)?;
+    // 1. everything is checked before anything is written
+    let rig = LoadedRig::read(args.rig.as_deref(), source, &args.options)?;
     let threads = args.threads.unwrap_or(0);
     let pool = pool(threads)?;
     let folder = args.out.clone().unwrap_or_else(|| folder::default_folder(source));
@@ -85,7 +85,7 @@ fn single(args: &Args, source: &PathBuf, quiet: bool) -> Result<(), Failure> {
     rig.warnings.iter().for_each(|warning| tracing::warn!("{warning}"));
     // 2. the files
     let _held = request.prepare()?;
-    // 3. the run; what it is made from is read meanwhile
+    // 3. the run; its inputs are hashed meanwhile
     let mut progress = Progress::of_frames(ready.frame_count_hint(), quiet);
     let mut alarms = one::alarms(source.display().to_string());
     let watch = |tally: &Tally| {
@@ -103,7 +103,7 @@ fn single(args: &Args, source: &PathBuf, quiet: bool) -> Result<(), Failure> {
         (tracked, hashes.join().unwrap_or_default())
     });
     drop(progress);
-    // 4. what came of it
+    // 4. the result
     let mut text = String::new();
     let recording = source.display().to_string();
     let (measured, verdict) = match tracked {
@@ -118,19 +118,19 @@ fn single(args: &Args, source: &PathBuf, quiet: bool) -> Result<(), Failure> {
     let name = folder.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
     let warned = (rig.warnings.clone(), work.warned());
     let columns = std::collections::BTreeMap::new();
-    let over = Over { name, source, rig: &rig.file, options, columns, hashes, measured, warned, began };
+    let over = FinishedRun { name, source, rig: &rig.file, options, columns, hashes, measured, warned, began };
     let saved = over.summary(&files, verdict.as_ref().err()).and_then(|summary| match summary {
         Some(summary) => one::save(&summary, &folder),
         None => Ok(()),
     });
     if !quiet && !text.is_empty() {
-        // The table may be on stdout.
+        // The table may go to stdout.
         if files.table_on_stdout() {
             let _ = write!(super::progress::stderr(), "{text}");
         } else {
             output::print(&text)?;
         }
     }
-    // Why the run failed comes before why that could not be noted.
+    // The reason of the failure comes before the reason why it could not be recorded.
     verdict.and(saved)
 }

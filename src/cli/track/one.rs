@@ -1,9 +1,9 @@
 //! One recording: from the first look at it to its summary.
 
-use super::super::results::{unlike_others, whole_path};
-use super::super::run::folder::{Files, Held, Run};
+use super::super::results::{unique_text, whole_path};
+use super::super::run::folder::{Files, FolderLock, Run};
 use super::super::run::{Logged, load_rig, open_sinks, rig_of_log, rig_warnings, summary, verdict};
-use super::super::warned::{Warned, Work};
+use super::super::warned::{Warnings, Work};
 use super::super::{Exit, Failure, fitting, provenance};
 use super::options::Options;
 use crate::archive::{Failed, Hashes, Measured, Outcome, RunSummary, SCHEMA, early_end, hash};
@@ -22,7 +22,7 @@ use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
 /// A rig, as it was read.
-pub(super) struct Loaded {
+pub(super) struct LoadedRig {
     /// Where it is from: a rig file, or a log.
     pub(super) file: PathBuf,
     pub(super) rig: Rig,
@@ -31,7 +31,7 @@ pub(super) struct Loaded {
     pub(super) warnings: Vec<String>,
 }
 
-impl Loaded {
+impl LoadedRig {
     /// The rig in `file`; that of the log `source` when there is none.
     ///
     /// # Errors
@@ -53,10 +53,10 @@ impl Loaded {
 /// A recording that is to be tracked.
 pub(super) struct Request<'a> {
     pub(super) source: &'a Path,
-    pub(super) rig: &'a Loaded,
+    pub(super) rig: &'a LoadedRig,
     pub(super) options: &'a Options,
     pub(super) files: &'a Files,
-    /// Threads of the decoder, 0 for one a core.
+    /// Threads of the decoder, 0 for one per core.
     pub(super) threads: usize,
     /// Those of the tracker.
     pub(super) pool: &'a ThreadPool,
@@ -67,12 +67,12 @@ pub(super) struct Request<'a> {
 }
 
 /// A recording at its first frame, and the tracker for it. Nothing is written yet.
-pub(super) struct Ready {
+pub(super) struct PreparedRun {
     tracker: Tracker,
     source: fitting::Peeked,
 }
 
-impl Ready {
+impl PreparedRun {
     /// How many frames there are, as far as the recording says.
     pub(super) fn frame_count_hint(&self) -> Option<u64> {
         self.source.frame_count_hint()
@@ -84,13 +84,15 @@ impl Request<'_> {
     ///
     /// # Errors
     /// [`Exit::Usage`] when recording and rig cannot be used, or do not fit.
-    pub(super) fn open(&self) -> Result<Ready, Failure> {
+    pub(super) fn open(&self) -> Result<PreparedRun, Failure> {
         if self.options.full_frame && is_log(self.source) {
             let text = "holds parts of its pictures: they cannot be searched whole, leave out --full-frame";
             return Err(Failure::new(Exit::Usage, format!("{}: {text}", self.source.display())));
         }
-        let Loaded { file, rig, .. } = self.rig;
-        let tracker = Tracker::new(rig, TrackOptions { full_frame: self.options.full_frame })
+        let LoadedRig { file, rig, .. } = self.rig;
+        let (full_frame, tick_led) = (self.options.full_frame, self.options.tick_led);
+        fitting::check_spot(tick_led, (file, rig))?;
+        let tracker = Tracker::new(rig, TrackOptions { full_frame, tick_led })
             .map_err(|e| Failure::new(Exit::Usage, format!("{}: {e}", file.display())))?;
         let (span, stated_rate) = (self.options.span(), self.options.fps);
         let options = SourceOptions { span, stated_rate, decoder_threads: self.threads, ..SourceOptions::default() };
@@ -101,14 +103,14 @@ impl Request<'_> {
             source.described(),
             self.pool.current_num_threads()
         );
-        Ok(Ready { tracker, source })
+        Ok(PreparedRun { tracker, source })
     }
 
     /// Makes the folder ready.
     ///
     /// # Errors
     /// As [`Files::prepare`].
-    pub(super) fn prepare(&self) -> Result<Held, Failure> {
+    pub(super) fn prepare(&self) -> Result<FolderLock, Failure> {
         self.files.prepare(&self.described(), &[self.source, &self.rig.file])
     }
 
@@ -118,16 +120,17 @@ impl Request<'_> {
     /// When nothing could be tracked: the files cannot be opened, or the system gives no thread.
     pub(super) fn track(
         &self,
-        ready: Ready,
+        ready: PreparedRun,
         work: &Work,
         interrupt: &AtomicBool,
         watch: impl FnMut(&Tally) + Send,
     ) -> Result<Summary, Failure> {
-        let Ready { mut tracker, source } = ready;
+        let PreparedRun { mut tracker, source } = ready;
         let run = self.described();
         let run_toml = run.to_toml()?;
         let (record, profile) = (self.options.record, self.options.profile());
-        let logged = Logged { record, profile, cuts: true, repeatable: self.repeatable };
+        let ticks = self.options.tick_led.is_some();
+        let logged = Logged { record, profile, cuts: true, repeatable: self.repeatable, ticks, ..Logged::default() };
         let texts = [self.rig.toml.as_str(), run_toml.as_str()];
         let opened = open_sinks(self.files, &self.rig.rig, texts, self.options.frame(), self.info(), logged)?;
         let sinks = opened.sinks.into_iter().chain(opened.video).collect();
@@ -147,7 +150,7 @@ impl Request<'_> {
         let settings = [
             options.from.map(|ns| ("From".to_owned(), format!("{} s", seconds(ns)))),
             options.to.map(|ns| ("To".to_owned(), format!("{} s", seconds(ns)))),
-            options.fps.map(|rate| ("Stated frame rate".to_owned(), format!("{rate} a second"))),
+            options.fps.map(|rate| ("Stated frame rate".to_owned(), format!("{rate} per second"))),
             options.full_frame.then(|| ("Search".to_owned(), "every picture whole".to_owned())),
         ];
         RunInfo {
@@ -165,7 +168,7 @@ impl Request<'_> {
 
 /// What is run, as `run.toml` has it.
 pub(super) fn described(source: &Path, rig: &Path, options: &Options) -> Run {
-    let whole = |path: &Path| unlike_others(&whole_path(path));
+    let whole = |path: &Path| unique_text(&whole_path(path));
     Run {
         command: "track".to_owned(),
         version: env!("CARGO_PKG_VERSION").to_owned(),
@@ -178,11 +181,12 @@ pub(super) fn described(source: &Path, rig: &Path, options: &Options) -> Run {
         full_frame: options.full_frame,
         record: options.record.map(|record| record.word().to_owned()),
         profile: options.profile().unusual(),
+        tick_led: options.tick_led.map(|spot| spot.to_string()),
     }
 }
 
 /// A run that is over, for its summary.
-pub(super) struct Over<'a> {
+pub(super) struct FinishedRun<'a> {
     pub(super) name: String,
     pub(super) source: &'a Path,
     pub(super) rig: &'a Path,
@@ -192,11 +196,11 @@ pub(super) struct Over<'a> {
     /// What was measured, and why the recording ended early.
     pub(super) measured: Option<(Measured, Option<String>)>,
     /// Of the rig, then of the run.
-    pub(super) warned: (Vec<String>, Warned),
+    pub(super) warned: (Vec<String>, Warnings),
     pub(super) began: Instant,
 }
 
-impl Over<'_> {
+impl FinishedRun<'_> {
     /// The summary, to be written last. None of a run that was interrupted: it is not over.
     ///
     /// # Errors
@@ -208,7 +212,7 @@ impl Over<'_> {
                 Exit::Interrupted => return Ok(None),
                 Exit::Unusable => (Outcome::Unusable, Some(Failed { message: failure.message(), retryable: false })),
                 Exit::Failed | Exit::Usage => {
-                    (Outcome::Failed, Some(Failed { message: failure.message(), retryable: failure.passes() }))
+                    (Outcome::Failed, Some(Failed { message: failure.message(), retryable: failure.is_transient() }))
                 }
             },
         };
@@ -216,7 +220,7 @@ impl Over<'_> {
             Failure::because(Exit::Failed, format!("{}: cannot be read: {e}", files.folder.display()), e)
         };
         let run = described(self.source, self.rig, self.options);
-        let (mut warnings, Warned { warnings: own, more }) = self.warned;
+        let (mut warnings, Warnings { warnings: own, more }) = self.warned;
         warnings.extend(own);
         let (measured, ends_early) = self.measured.map_or((None, None), |(measured, early)| (Some(measured), early));
         Ok(Some(RunSummary {

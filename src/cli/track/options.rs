@@ -1,6 +1,7 @@
 //! Options of one recording: from the command line for all of them, from a manifest for one.
 
 use super::super::run::{LogFor, Record, Reference};
+use crate::estimate::Spot;
 use crate::source::times::{parse_seconds_ns, seconds};
 use crate::source::{FrameRate, Span};
 use clap::Parser;
@@ -30,8 +31,11 @@ pub(crate) struct Options {
     /// Frames per second of a folder of pictures without times.csv, or of a raw stream (.h264)
     #[arg(long, value_name = "F", allow_hyphen_values = true)]
     pub(super) fps: Option<FrameRate>,
+    /// Watch a lamp that each command switches: x,y,radius
+    #[arg(long, value_name = "X,Y,R")]
+    pub(super) tick_led: Option<Spot>,
     /// Search the whole of every picture: slower, same results
-    #[arg(long)]
+    #[arg(long, hide = true)]
     pub(super) full_frame: bool,
 }
 
@@ -56,7 +60,7 @@ impl Options {
         let line = Line::try_parse_from(text.split_whitespace()).map_err(|error| {
             let said = error.to_string();
             let said = said.lines().next().unwrap_or_default().trim_start_matches("error: ");
-            format!("options `{text}`: {said}; for a line of a manifest there are --overlay, --record, --profile, --frame, --from, --to, --fps and --full-frame")
+            format!("options `{text}`: {said}; for a line of a manifest there are --overlay, --record, --profile, --frame, --from, --to, --fps, --tick-led and --full-frame")
         })?;
         let own = line.options;
         Ok(Self {
@@ -67,6 +71,7 @@ impl Options {
             from: own.from.or(self.from),
             to: own.to.or(self.to),
             fps: own.fps.or(self.fps),
+            tick_led: own.tick_led.or(self.tick_led),
             full_frame: own.full_frame || self.full_frame,
         })
     }
@@ -96,6 +101,7 @@ impl Options {
             ("from_ns", self.from.map(|ns| ns.to_string())),
             ("to_ns", self.to.map(|ns| ns.to_string())),
             ("fps", self.fps.map(|rate| rate.to_string())),
+            ("tick_led", self.tick_led.map(|spot| spot.to_string())),
             ("full_frame", self.full_frame.then(|| "true".to_owned())),
         ];
         all.into_iter().filter_map(|(name, value)| Some((name.to_owned(), value?))).collect()
@@ -110,6 +116,7 @@ impl Options {
             ("--from", self.from.map(|ns| seconds(ns).to_string())),
             ("--to", self.to.map(|ns| seconds(ns).to_string())),
             ("--fps", self.fps.map(|rate| rate.to_string())),
+            ("--tick-led", self.tick_led.map(|spot| spot.to_string())),
         ];
         let mut words: Vec<String> = Vec::new();
         words.extend(self.overlay.then(|| "--overlay".to_owned()));

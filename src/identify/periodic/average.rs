@@ -1,32 +1,32 @@
-//! Periods averaged: input and output of each line, with the covariance that the differences of periods show.
+//! Averages periods: input and output of each line, with their covariance from the differences of periods.
 //!
-//! In: stretches of a record whose input repeats. Out: a mean over periods for each line that the input excites, and
+//! In: segments of a record whose input repeats. Out: a mean over periods for each line that the input excites, and
 //! the variances of the means (Pintelon and Schoukens, System Identification: A Frequency Domain Approach, 2nd ed.,
-//! section 2.5). Noise is told apart from what the system does without any model of either, and whatever repeats, noise
-//! that Eq. 6 carries from the output to the input included, has its variance and covariance.
+//! section 2.5). Noise is separated from the system's response without a model of either; noise that Eq. 6 carries from
+//! the output to the input is included in variances and covariance.
 
 use super::super::data::Segment;
 use nalgebra::Complex;
 use rustfft::FftPlanner;
 use std::f64::consts::TAU;
 
-/// Periods that are needed: with fewer the variance of a variance has no end.
-pub(crate) const FEWEST: usize = 4;
-/// A line counts from this part of the strongest line's power on.
-const POWER: f64 = 1e-4;
-/// And from so many times the power that noise puts into its mean.
-const ABOVE_NOISE: f64 = 100.0;
-/// A period in which a larger part of the outputs is missing is left out.
-const MISSING: f64 = 0.1;
-/// A period may be longer or shorter than whole samples by this part of one.
-const WHOLE: f64 = 0.1;
+/// Fewest periods: with fewer, the variance of a variance is infinite.
+pub(crate) const MIN_PERIODS: usize = 4;
+/// Least power of a line, as a fraction of the strongest line's.
+const MIN_POWER: f64 = 1e-4;
+/// Least power of a line, as a multiple of the noise in its mean.
+const MIN_SNR: f64 = 100.0;
+/// Largest fraction of missing outputs in a period that is used.
+const MAX_MISSING: f64 = 0.1;
+/// Largest deviation of a period from whole samples, in samples.
+const WHOLE_TOLERANCE: f64 = 0.1;
 
 /// One line.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Line {
     /// Hz.
     pub frequency_hz: f64,
-    /// Radians a sample.
+    /// Radians per sample.
     pub angle: f64,
     /// Mean over the periods.
     pub input: Complex<f64>,
@@ -60,27 +60,27 @@ impl Line {
 pub struct Averaged {
     /// Lines that the input excites.
     pub lines: Vec<Line>,
-    /// Samples of a period.
+    /// Samples per period.
     pub samples: usize,
     /// Periods left out at the beginning.
     pub skipped: usize,
     /// Periods averaged.
     pub periods: usize,
-    /// Whole periods that were not: cut by a hole, or too many outputs missing.
+    /// Whole periods that were not averaged: cut by a hole, or with too many outputs missing.
     pub left_out: usize,
-    /// By how much the first of them differs from the others, in parts of what noise explains (1).
+    /// Deviation of the first averaged period from the others, relative to noise (1).
     pub first_off: f64,
 }
 
-/// Averages the stretches of one record, whose input repeats every `repeats_s`; the first `skip` periods, counted from
+/// Averages the segments of one record, whose input repeats every `repeats_s`; the first `skip` periods, counted from
 /// the record's beginning, are left out while the system settles.
 ///
 /// # Errors
-/// In words: the period is no whole number of samples, or too few periods are left.
+/// A message: the period is not a whole number of samples, or too few periods are left.
 pub(crate) fn average(segments: &[Segment], period_s: f64, repeats_s: f64, skip: usize) -> Result<Averaged, String> {
     let exact = repeats_s / period_s;
     let samples = exact.round().max(0.0) as usize;
-    if samples < 8 || (exact - samples as f64).abs() > WHOLE {
+    if samples < 8 || (exact - samples as f64).abs() > WHOLE_TOLERANCE {
         return Err(format!(
             "a period of {repeats_s} s is {exact:.2} samples of {period_s:.6} s, and must be a whole number of them, 8 at least: \
              --resample --period {:.8} makes it one",
@@ -101,18 +101,18 @@ pub(crate) fn average(segments: &[Segment], period_s: f64, repeats_s: f64, skip:
         let inside = |s: &&Segment| s.first <= from && from + samples <= s.first + s.len();
         let whole = segments.iter().find(inside).map(|s| {
             let part = |signal: &[f64]| signal[from - s.first..from - s.first + samples].to_vec();
-            // By how much the period really begins later.
+            // The remaining fraction of a sample by which the period begins later.
             Period { input: part(&s.input), output: part(&s.output), late: place(period) - from as f64 }
         });
-        let seen = |p: &Period| p.output.iter().filter(|y| y.is_nan()).count() as f64 <= MISSING * samples as f64;
+        let seen = |p: &Period| p.output.iter().filter(|y| y.is_nan()).count() as f64 <= MAX_MISSING * samples as f64;
         match whole.filter(seen) {
             Some(period) => periods.push(period),
             None => left_out += 1,
         }
     }
-    if periods.len() < FEWEST {
+    if periods.len() < MIN_PERIODS {
         return Err(format!(
-            "{} whole periods of {repeats_s} s are left behind the first {skip} ({left_out} more have holes), and {FEWEST} are needed, \
+            "{} whole periods of {repeats_s} s are left behind the first {skip} ({left_out} more have holes), and {MIN_PERIODS} are needed, \
              better 7",
             periods.len()
         ));
@@ -130,13 +130,13 @@ pub(crate) fn average(segments: &[Segment], period_s: f64, repeats_s: f64, skip:
         buffer.iter().enumerate().take(samples.div_ceil(2)).map(turned).collect()
     };
     let spectra: Vec<_> = periods.iter().map(|p| (spectrum(&p.input, p.late), spectrum(&p.output, p.late))).collect();
-    // 3. means and what scatters about them
+    // 3. means and the scatter about them
     let all: Vec<Line> =
         (1..samples.div_ceil(2)).map(|k| line(&spectra, k, repeats_s, samples, 1.0 / (1.0 - missing))).collect();
     let strongest = all.iter().map(|l| l.input.norm_sqr()).fold(0.0, f64::max);
     let excited = |l: &Line| {
         let power = l.input.norm_sqr();
-        power > POWER * strongest && power > ABOVE_NOISE * l.input_variance
+        power > MIN_POWER * strongest && power > MIN_SNR * l.input_variance
     };
     let first_off = first_off(&spectra, |k| k.checked_sub(1).and_then(|k| all.get(k)).is_some_and(excited));
     let lines: Vec<Line> = all.into_iter().filter(excited).collect();
@@ -152,8 +152,7 @@ struct Period {
 /// Of input and output.
 type Spectra = (Vec<Complex<f64>>, Vec<Complex<f64>>);
 
-/// Puts into each missing output what the other periods have there, and says what part was missing: so much less
-/// scatters.
+/// Fills each missing output from the other periods; returns the fraction missing, by which the scatter is reduced.
 fn fill(periods: &mut [Period], samples: usize) -> Result<f64, String> {
     let mut missing = 0;
     for t in 0..samples {
@@ -172,7 +171,7 @@ fn line(spectra: &[Spectra], k: usize, repeats_s: f64, samples: usize, scale: f6
     let m = spectra.len() as f64;
     let mean = |of: fn(&Spectra, usize) -> Complex<f64>| spectra.iter().map(|s| of(s, k)).sum::<Complex<f64>>() / m;
     let (input, output) = (mean(|s, k| s.0[k]), mean(|s, k| s.1[k]));
-    // Of the mean: the scatter of one period over the number of periods.
+    // Variance of the mean: that of one period over the number of periods.
     let of_mean = scale / (m * (m - 1.0));
     let off = || spectra.iter().map(|s| (s.0[k] - input, s.1[k] - output));
     Line {
@@ -186,7 +185,7 @@ fn line(spectra: &[Spectra], k: usize, repeats_s: f64, samples: usize, scale: f6
     }
 }
 
-/// How far the output of the first period is from the mean of the others, over what their scatter predicts.
+/// Deviation of the first period's output from the mean of the others, relative to their scatter.
 fn first_off(spectra: &[Spectra], counts: impl Fn(usize) -> bool) -> f64 {
     let Some(((_, first), others)) = spectra.split_first() else { return 1.0 };
     let m = others.len() as f64;

@@ -1,61 +1,61 @@
-//! B/A fitted to lines by maximum likelihood, noise on input and output and their covariance as the periods showed
-//! them.
+//! B/A fitted to lines by maximum likelihood, with noise on input and output, and their covariance, as observed over
+//! the periods.
 //!
-//! Smallest is Σ |A Y − B U|² / (σ_Y² |A|² + σ_U² |B|² − 2 Re(σ_YU² A B*)) (Pintelon and Schoukens, System
-//! Identification: A Frequency Domain Approach, 2nd ed., chapters 9 and 12): by Gauss-Newton with damping, from models
-//! given and from Sanathanan and Koerner's iteration (IEEE TAC 8, 1963, doi:10.1109/TAC.1963.1105517). With an input
-//! that is held the lines of the samples follow B/A exactly, and H(s) of it is the maximum likelihood H(s) too.
+//! Minimises Σ |A Y − B U|² / (σ_Y² |A|² + σ_U² |B|² − 2 Re(σ_YU² A B*)) (Pintelon and Schoukens, System
+//! Identification: A Frequency Domain Approach, 2nd ed., chapters 9 and 12): by damped Gauss-Newton, from given models
+//! and from Sanathanan and Koerner's iteration (IEEE TAC 8, 1963, doi:10.1109/TAC.1963.1105517). With a held input the
+//! lines of the samples follow B/A exactly, and its H(s) is also the maximum likelihood H(s).
 
 use super::super::estimated::Estimated;
 use super::super::model::{Orders, Polynomials};
 use super::super::output_error::damped_step;
 use super::super::regression::{Triangle, solve};
 use super::super::uncertainty::Covariance;
-use super::average::{Averaged, FEWEST, Line};
+use super::average::{Averaged, Line, MIN_PERIODS};
 use nalgebra::Complex;
 
-const MOST_STEPS: usize = 200;
-const SETTLED: f64 = 1e-14;
+const MAX_STEPS: usize = 200;
+const COST_TOLERANCE: f64 = 1e-14;
 /// Rounds of Sanathanan and Koerner's iteration; it need not converge.
 const ROUNDS: usize = 20;
-/// Noise of the arithmetic, beside both signals.
+/// Rounding noise, relative to both signals.
 const ROUNDING: f64 = 1e-12;
 
-/// What was found.
+/// The result.
 #[derive(Debug, Clone)]
 pub(crate) struct Found {
     pub(crate) estimated: Estimated,
-    /// What is left, over what noise explains (1).
+    /// Residual relative to noise (1).
     pub(crate) left: f64,
-    /// σ of `left` where noise alone is left.
+    /// σ of `left` for noise alone.
     pub(crate) left_sd: f64,
     pub(crate) steps: usize,
-    pub(crate) settled: bool,
+    pub(crate) converged: bool,
 }
 
-/// The model of these orders nearest to the lines of all records. Nothing when no stable model is found to begin from,
-/// or the lines do not determine it.
+/// The model of these orders nearest to the lines of all records. `None` when there is no stable initial model, or the
+/// lines do not determine it.
 pub(crate) fn fit(records: &[Averaged], orders: Orders, initial: &[Polynomials]) -> Option<Found> {
     let lines: Vec<&Line> = records.iter().flat_map(|r| &r.lines).collect();
     let parameters = orders.parameters();
-    // Two numbers a line.
+    // Two numbers per line.
     if 2 * lines.len() <= parameters {
         return None;
     }
     let iterated = sanathanan_koerner(&lines, orders);
     let same = |model: &&Polynomials| model.orders() == orders && model.is_stable();
     let all = initial.iter().filter(same).chain(iterated.as_ref().filter(|m| m.is_stable()));
-    let (model, steps, settled) = all
+    let (model, steps, converged) = all
         .filter_map(|model| descend(&lines, model))
         .min_by(|a, b| cost(&lines, &a.0).total_cmp(&cost(&lines, &b.0)))?;
     let solution = solve(triangle(&lines, &model))?;
-    // Variances from M periods: what is left is larger by (M−1)/(M−2) than with variances that are known, and the
-    // model's covariance by (M−2)/(M−3), which J ᵀJ hides by (M−1)/(M−2) more (section 10.9).
-    let m = records.iter().map(|r| r.periods).min().unwrap_or(FEWEST).max(FEWEST) as f64;
+    // With variances from M periods the residual is larger by (M−1)/(M−2) than with known ones, and the model's
+    // covariance by (M−2)/(M−3), which JᵀJ underestimates by another (M−1)/(M−2) (section 10.9).
+    let m = records.iter().map(|r| r.periods).min().unwrap_or(MIN_PERIODS).max(MIN_PERIODS) as f64;
     let free = lines.len() as f64 - 0.5 * parameters as f64;
     let left = cost(&lines, &model) / (free * (m - 1.0) / (m - 2.0));
     let left_sd = ((m - 1.0) / (m - 3.0) / free).sqrt();
-    // Real and imaginary part have half of the variance each. What noise does not explain makes σ wider.
+    // Real and imaginary part have half the variance each. A residual beyond noise widens σ.
     let scale = (0.5 * (m - 1.0) / (m - 3.0) * left.max(1.0)).sqrt();
     let estimated = Estimated {
         covariance: Covariance::from_factor(solution.inverse * scale),
@@ -64,29 +64,29 @@ pub(crate) fn fit(records: &[Averaged], orders: Orders, initial: &[Polynomials])
         condition: solution.condition,
         model,
     };
-    Some(Found { estimated, left, left_sd, steps, settled })
+    Some(Found { estimated, left, left_sd, steps, converged })
 }
 
-/// Gauss and Newton's way down from `initial`; never to an unstable model.
+/// Gauss-Newton from `initial`; never goes to an unstable model.
 fn descend(lines: &[&Line], initial: &Polynomials) -> Option<(Polynomials, usize, bool)> {
     let mut model = initial.clone();
     let mut best = cost(lines, &model);
-    let (mut damping, mut steps, mut settled) = (1e-4, 0, false);
-    while steps < MOST_STEPS && !settled {
+    let (mut damping, mut steps, mut converged) = (1e-4, 0, false);
+    while steps < MAX_STEPS && !converged {
         steps += 1;
         let step = damped_step(&triangle(lines, &model), damping)?;
         let trial = model.with_parameters((model.parameters() + step).as_slice());
         let there = if trial.is_stable() { cost(lines, &trial) } else { f64::INFINITY };
         if there < best {
-            settled = best - there <= SETTLED * best;
+            converged = best - there <= COST_TOLERANCE * best;
             (model, best) = (trial, there);
             damping = f64::max(damping * 0.1, 1e-12);
         } else {
-            settled = damping > 1e8;
+            converged = damping > 1e8;
             damping *= 10.0;
         }
     }
-    best.is_finite().then_some((model, steps, settled))
+    best.is_finite().then_some((model, steps, converged))
 }
 
 fn cost(lines: &[&Line], model: &Polynomials) -> f64 {
@@ -94,7 +94,7 @@ fn cost(lines: &[&Line], model: &Polynomials) -> f64 {
     if sum.is_finite() { sum } else { f64::INFINITY }
 }
 
-/// A Y − B U of one line.
+/// A Y − B U for one line.
 struct Residual {
     a: Complex<f64>,
     b: Complex<f64>,
@@ -115,7 +115,7 @@ impl Residual {
     }
 }
 
-/// Derivatives of −ε and ε itself, ε = (A Y − B U)/σ: two rows a line.
+/// Derivatives of −ε and ε itself, ε = (A Y − B U)/σ: two rows per line.
 fn triangle(lines: &[&Line], model: &Polynomials) -> nalgebra::DMatrix<f64> {
     let (na, nb, nk) = (model.na(), model.nb(), model.nk);
     let mut triangle = Triangle::new(na + nb + 1);
@@ -141,7 +141,7 @@ fn triangle(lines: &[&Line], model: &Polynomials) -> nalgebra::DMatrix<f64> {
     triangle.finish()
 }
 
-/// Linear least squares, weighed anew by the σ that the model before predicts.
+/// Linear least squares, reweighted by the σ that the previous model predicts.
 fn sanathanan_koerner(lines: &[&Line], orders: Orders) -> Option<Polynomials> {
     let Orders { na, nb, nk } = orders;
     let mut best: Option<(f64, Polynomials)> = None;
@@ -162,7 +162,7 @@ fn sanathanan_koerner(lines: &[&Line], orders: Orders) -> Option<Polynomials> {
         let Some(solution) = solve(triangle.finish()) else { break };
         let next = Polynomials::of(solution.parameters.as_slice(), na, nk);
         let value = cost(lines, &next);
-        // A stable one can be refined.
+        // Prefer a stable one, which can be refined.
         let better = |(least, before): &(f64, Polynomials)| (next.is_stable(), -value) > (before.is_stable(), -least);
         if best.as_ref().is_none_or(better) {
             best = Some((value, next.clone()));

@@ -3,11 +3,11 @@
 //! ```text
 //!  periods ─▶ average ─▶ lines with their noise ─▶ likelihood ─▶ B/A with covariance, and what noise does not explain
 //! ```
-//! What repeats is the system's, what does not is noise: no model of the noise is needed, none is assumed but that it
-//! is not correlated from period to period. Feedback (Eq. 6) does no harm, because noise that the input has from the
-//! output shows in their covariance.
+//! What repeats is the system's response, the rest is noise: no noise model is needed, only that noise is uncorrelated
+//! between periods. Feedback (Eq. 6) does no harm, because noise in the input from the output is part of their
+//! covariance.
 //!
-//! It cannot notice what repeats with the input and is not linear; `left` above 1 is a sign of it, and widens σ.
+//! It cannot separate non-linear response that repeats with the input; `left` above 1 is a sign of it, and widens σ.
 
 mod average;
 mod likelihood;
@@ -22,28 +22,28 @@ use super::initial::initial_models;
 use super::model::{Orders, Polynomials};
 use super::reduce::Target;
 
-/// Orders that `auto` tries.
-const MOST: usize = 6;
+/// Highest order that `auto` tries.
+const MAX_ORDER: usize = 6;
 
-/// That the input repeats.
+/// Declares that the input repeats.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Repeats {
-    /// After so many seconds.
+    /// Period, seconds.
     pub every_s: f64,
     /// Periods left out at the beginning of a record, while the system settles.
     pub skip: usize,
 }
 
-/// The model, and what it rests on.
+/// The model, and the data it is based on.
 #[derive(Debug, Clone)]
 pub struct Periodic {
     /// The model.
     pub refined: Refined,
     /// The records, averaged.
     pub records: Vec<Averaged>,
-    /// What the model leaves of the lines, over what noise explains (1).
+    /// Residual of the lines relative to noise (1).
     pub left: f64,
-    /// σ of `left` where noise alone is left.
+    /// σ of `left` for noise alone.
     pub left_sd: f64,
 }
 
@@ -54,11 +54,11 @@ impl Periodic {
     }
 }
 
-/// Fits a model of `target` states to all records; the delay is the one of `delays` that leaves least. `others`: models
-/// to begin from beside its own.
+/// Fits a model of `target` states to all records; the delay is the one of `delays` with the smallest residual.
+/// `others`: additional initial models.
 ///
 /// # Errors
-/// In words: the input does not repeat so often, or its lines do not determine the model.
+/// A message: the input does not repeat often enough, or its lines do not determine the model.
 pub(crate) fn fit(
     records: &[Record],
     period_s: f64,
@@ -75,9 +75,9 @@ pub(crate) fn fit(
     let lines = averaged.iter().map(|r| r.lines.len()).sum::<usize>() as f64;
     let orders = match target {
         Target::Order(n) => n..=n,
-        Target::Auto => 1..=MOST,
+        Target::Auto => 1..=MAX_ORDER,
     };
-    // ln of what is left, and what each coefficient must bring (minimum description length).
+    // ln of the residual, plus the penalty for each coefficient (minimum description length).
     let value = |left: f64, parameters: usize| left.ln() + parameters as f64 * (2.0 * lines).ln() / (2.0 * lines);
     let mut best: Option<(f64, likelihood::Found)> = None;
     for n in orders {
@@ -98,8 +98,8 @@ pub(crate) fn fit(
              more periods, or a stronger input may do"
         )
     })?;
-    let likelihood::Found { estimated, left, left_sd, steps, settled } = found;
-    Ok(Periodic { refined: Refined { estimated, steps, settled }, records: averaged, left, left_sd })
+    let likelihood::Found { estimated, left, left_sd, steps, converged } = found;
+    Ok(Periodic { refined: Refined { estimated, steps, converged }, records: averaged, left, left_sd })
 }
 
 impl Periodic {

@@ -1,4 +1,4 @@
-//! Periods with known noise: exact without it, and σ against the scatter of many records.
+//! Periods with known noise: exact without it, and σ compared with the scatter of many records.
 
 use super::super::continuous::{Continuous, Conversion};
 use super::super::data::{Record, Segment};
@@ -65,7 +65,7 @@ fn a_delay_and_the_order_are_found() {
     assert_eq!(found.estimated().model.orders(), Orders { na: 2, nb: 2, nk: 3 });
 }
 
-/// Noise on both signals, and on both together: mean square of error/σ over many records, 1 with a spread of √(2/150).
+/// Noise on both signals, and common noise: mean square of error/σ over many records, 1 ± √(2/150).
 #[test]
 fn sigma_is_as_large_as_the_scatter() {
     const DRAWS: u64 = 150;
@@ -85,7 +85,7 @@ fn sigma_is_as_large_as_the_scatter() {
             for (sum, (error, sd)) in sums.iter_mut().zip(errors.zip(h.standard_errors.unwrap())) {
                 *sum += (error / sd).powi(2) / DRAWS as f64;
             }
-            // The lines' own σ; of ln|H|, variances from few periods have a heavy tail: (M−1)/(M−2) on the average.
+            // The lines' own σ; for ln|H|, variances from few periods have a heavy tail: (M−1)/(M−2) on average.
             let tail = (periods as f64 - 2.0) / (periods as f64 - 3.0);
             let lines = found.lines().map(|l| {
                 let truth = truth().sampled(PERIOD_S).response(l.angle);
@@ -107,7 +107,7 @@ fn missing_outputs_and_holes_cost_periods_and_nothing_else() {
     let mut holed = whole.clone();
     let segment = &mut holed.segments[0];
     (0..segment.len()).step_by(41).for_each(|t| segment.output[t] = f64::NAN);
-    // A stretch ends in the fifth period, the next begins 10 samples later.
+    // A segment ends in the fifth period, the next begins 10 samples later.
     let (a, b) = (segment.part(0, 1100, PERIOD_S), segment.part(1110, segment.len(), PERIOD_S));
     holed.segments = vec![a, Segment { from_rest: false, ..b }];
     let (found, all) = (fit_two(&[holed], 2), fit_two(&[whole], 2));

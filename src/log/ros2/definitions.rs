@@ -1,10 +1,10 @@
-//! What the ROS 2 messages are, as text (`ros2msg`): the fields and constants of `common_interfaces`, which have been the
-//! same from Humble to Jazzy. A schema has its own text and, behind it, those of all that it is made of.
+//! The definitions of the ROS 2 messages as text (`ros2msg`): the fields and constants of `common_interfaces`, which
+//! are unchanged from Humble to Jazzy. A schema has its own text, followed by those of all types it uses.
 
 /// Between the texts of a schema.
 const RULE: &str = "================================================================================";
 
-/// Text of one message by its full name, without what it is made of.
+/// Text of one message by its full name, without the types it uses.
 fn own(name: &str) -> &'static str {
     match name {
         "builtin_interfaces/Duration" | "builtin_interfaces/Time" => "int32 sec\nuint32 nanosec\n",
@@ -59,7 +59,7 @@ fn own(name: &str) -> &'static str {
     }
 }
 
-/// Text of the message `name`, and of all that it is made of, each once.
+/// Text of the message `name`, and of all types it uses, each once.
 pub(crate) fn whole(name: &str) -> String {
     let mut all = vec![name];
     let mut at = 0;

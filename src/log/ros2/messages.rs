@@ -1,11 +1,11 @@
-//! The ROS 2 messages that are written, as structs: field for field those of `common_interfaces`, in their order, which
-//! is all that CDR knows. Their texts are in [`definitions`](super::definitions); what goes into them, in `sink::ros2`.
+//! The ROS 2 messages that are written, as structs: the same fields as in `common_interfaces`, in the same order, which
+//! is all that matters in CDR. Their texts are in [`definitions`](super::definitions); `sink::ros2` fills them.
 
 use serde::de::{Error, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::fmt;
 
-/// `builtin_interfaces/Time` and `Duration`: whole seconds, rounded down, and nanoseconds from there.
+/// `builtin_interfaces/Time` and `Duration`: whole seconds, rounded down, and the remaining nanoseconds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub(crate) struct Time {
     pub sec: i32,
@@ -13,7 +13,7 @@ pub(crate) struct Time {
 }
 
 impl Time {
-    /// Nanoseconds as ROS has them: exact, before zero too. `None` beyond 68 years from the clock's zero, which 32 bits
+    /// Nanoseconds in ROS form: exact, also before zero. `None` beyond 68 years from the clock's zero, which 32 bits
     /// cannot hold.
     pub(crate) fn of_ns(ns: i64) -> Option<Self> {
         const SECOND: i64 = 1_000_000_000;
@@ -68,7 +68,8 @@ pub(crate) struct Pose {
     pub orientation: Quaternion,
 }
 
-/// `geometry_msgs/PoseWithCovarianceStamped`; its covariance is by rows: x, y, z, and turns about the axes of the frame.
+/// `geometry_msgs/PoseWithCovarianceStamped`; its covariance is row-major: x, y, z, and rotations about the axes of the
+/// frame.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub(crate) struct PoseWithCovarianceStamped {
     pub header: Header,
@@ -77,7 +78,7 @@ pub(crate) struct PoseWithCovarianceStamped {
     pub covariance: [f64; 36],
 }
 
-/// An array of fixed length; serde's own end at 32.
+/// An array of fixed length; serde supports only up to 32.
 fn without_length<S: Serializer>(numbers: &[f64; 36], serializer: S) -> Result<S::Ok, S::Error> {
     use serde::ser::SerializeTuple as _;
     let mut tuple = serializer.serialize_tuple(numbers.len())?;

@@ -1,13 +1,14 @@
-//! What a log of profile `ros2` is: an MCAP file whose messages are all CDR, with their definitions, as rosbag2 has it.
+//! The format of a log of profile `ros2`: an MCAP file whose messages are all CDR, with their definitions, as in
+//! rosbag2.
 //!
-//! Its topics are ROS's own ([`RosType`], made by `sink::ros2`), and those of [`super::schema`] that are read back, each
-//! message [wrapped](wrap) into a `std_msgs/UInt8MultiArray`: rosbag2 refuses files in which some messages are not CDR.
-//! What the bytes are, the metadata of the channel say.
+//! Its topics are ROS's own ([`RosType`], made by `sink::ros2`), and those of [`super::schema`] that are read back,
+//! each message [wrapped](wrap) into a `std_msgs/UInt8MultiArray`: rosbag2 refuses files in which some messages are not
+//! CDR. The metadata of the channel say what the bytes are.
 
 mod definitions;
 pub(crate) mod messages;
 
-use crate::contained::contained;
+use crate::catch_panic::catch_panic;
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD as BASE64;
 use cdr_encoding::{from_bytes, to_writer};
@@ -17,15 +18,15 @@ use std::collections::BTreeMap;
 
 /// The file's profile.
 pub(crate) const PROFILE: &str = "ros2";
-/// How messages are written.
+/// Encoding of messages.
 pub(crate) const ENCODING: &str = "cdr";
-/// How schemas are written.
+/// Encoding of schemas.
 pub(crate) const SCHEMA_ENCODING: &str = "ros2msg";
 
 /// Before every message: CDR, little endian, no options.
 const LITTLE_ENDIAN: [u8; 4] = [0, 1, 0, 0];
 
-/// In the metadata of a channel: what subscribers are promised.
+/// In the metadata of a channel: the quality of service offered.
 const QOS_KEY: &str = "offered_qos_profiles";
 /// In the metadata of a channel whose messages are wrapped: the Protobuf message in them,
 const WRAPPED_KEY: &str = "catoptra.protobuf.message";
@@ -62,7 +63,7 @@ impl RosType {
         }
     }
 
-    /// As schemas are called.
+    /// Name of its schema.
     pub(crate) fn name(self) -> String {
         let (package, name) = self.parts();
         format!("{package}/msg/{name}")
@@ -75,14 +76,14 @@ impl RosType {
     }
 }
 
-/// What subscribers of a topic are promised.
+/// Quality of service of a topic.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Qos {
-    /// As sensors have it: what is lost is lost, nobody waits for it.
+    /// For sensors: lost messages are not sent again.
     Sensor,
-    /// What is lost is sent again: the listeners of transforms, RViz and the diagnostics ask for it.
+    /// Lost messages are sent again: transform listeners, RViz and the diagnostics require it.
     Reliable,
-    /// As [`Qos::Reliable`], and the last message is kept for those who come late.
+    /// As [`Qos::Reliable`], and the last message is kept for late subscribers.
     Kept,
 }
 
@@ -96,10 +97,10 @@ impl Qos {
         }
     }
 
-    /// As the metadata of a channel have it.
+    /// In the form of a channel's metadata.
     pub(crate) fn metadata(self) -> BTreeMap<String, String> {
-        // As numbers, which all versions read: 1 is keep last, reliable, transient local, automatic; 2 is best effort,
-        // volatile.
+        // As numbers, which all versions can read: 1 is keep last, reliable, transient local, automatic; 2 is best
+        // effort, volatile.
         let (reliability, durability) = match self {
             Self::Sensor => (2, 2),
             Self::Reliable => (1, 2),
@@ -134,7 +135,7 @@ pub(crate) fn wrap(protobuf: &[u8]) -> Result<Vec<u8>, String> {
     cdr(&UInt8MultiArray { data: Octets(protobuf.to_vec()), ..UInt8MultiArray::default() })
 }
 
-/// The Protobuf message in one that was [wrapped](wrap); `None` if it is none.
+/// The Protobuf message in one that was [wrapped](wrap); `None` if it was not.
 pub(crate) fn unwrap(message: &[u8]) -> Option<Vec<u8>> {
     let (head, body) = message.split_first_chunk::<4>()?;
     let little = match head {
@@ -142,7 +143,7 @@ pub(crate) fn unwrap(message: &[u8]) -> Option<Vec<u8>> {
         [0, 0, _, _] => false,
         _ => return None,
     };
-    let array = contained(|| match little {
+    let array = catch_panic(|| match little {
         true => from_bytes::<UInt8MultiArray, byteorder::LittleEndian>(body),
         false => from_bytes::<UInt8MultiArray, byteorder::BigEndian>(body),
     });
@@ -159,7 +160,7 @@ pub(crate) fn wrapped(message: &str, descriptors: &[u8]) -> BTreeMap<String, Str
     metadata
 }
 
-/// What [`wrapped`] says of a channel, if its messages are wrapped: their type and its descriptors.
+/// The type and descriptors that [`wrapped`] recorded for a channel, if its messages are wrapped.
 pub(crate) fn is_wrapped(metadata: &BTreeMap<String, String>) -> Option<(&str, Vec<u8>)> {
     Some((metadata.get(WRAPPED_KEY)?, BASE64.decode(metadata.get(DESCRIPTORS_KEY)?).ok()?))
 }
@@ -201,7 +202,7 @@ mod tests {
         assert_eq!(unwrap(&whole), None);
     }
 
-    /// By hand, from the specification: alignment counts from behind the four bytes at the beginning.
+    /// By hand, from the specification: alignment counts from after the first four bytes.
     #[test]
     fn a_message_has_the_bytes_that_the_specification_has() {
         let message = JointState {
@@ -215,7 +216,7 @@ mod tests {
             &[1, 0, 0, 0, 2, 0, 0, 0],
             &[3, 0, 0, 0, b'a', b'b', 0, 0],
             &[1, 0, 0, 0, 3, 0, 0, 0, 0xce, 0xb8, 0, 0],
-            // One number; it stands at a multiple of eight.
+            // One number, at a multiple of eight.
             &[1, 0, 0, 0],
             &[0, 0, 0, 0, 0, 0, 0xf0, 0x3f],
             &[0, 0, 0, 0, 0, 0, 0, 0],

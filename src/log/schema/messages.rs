@@ -1,32 +1,32 @@
 //! The project's own messages in Protobuf, of the package `catoptra`: `Estimate`, `Deflection`, `Health`, `Current` and
 //! `PictureWindows`.
 //!
-//! The schema is made from the Rust types and travels in every log: read messages by field name. Field numbers are the
-//! order of the fields and may differ between versions of the program. Places and directions are Foxglove's types
-//! (`foxglove.Point3`, `Vector3`, `Point2`, `Vector2`), matrices are lists by rows. What is not known is absent, and
-//! its status says why.
+//! The schema is derived from the Rust types and stored in every log: read messages by field name. Field numbers follow
+//! the order of the fields and may differ between versions of the program. Positions and directions are Foxglove's
+//! types (`foxglove.Point3`, `Vector3`, `Point2`, `Vector2`), matrices are row-major lists. An unknown value is absent,
+//! and its status says why.
 
 use foxglove::Encode;
 use foxglove::bytes::Bytes;
 use foxglove::messages::{Point2, Point3, Vector2, Vector3};
 
-/// Everything measured in one camera frame: the [estimate](crate::estimate::Estimate) but for the outlines, which are
+/// Everything measured in one camera frame: the [estimate](crate::estimate::Estimate) without the outlines, which are
 /// in `/camera/annotations`.
 #[derive(Debug, Clone, PartialEq, Encode)]
 pub(crate) struct Estimate {
     /// Number of the frame among those received, from 0.
     pub seq: u64,
-    /// Camera time, nanoseconds since the clock's zero: exact, negative too.
+    /// Camera time, nanoseconds since the clock's zero: exact, also when negative.
     pub stamp_ns: i64,
     /// Which clock.
     pub clock: String,
     /// Camera frames lost before this one.
     pub gap: u32,
-    /// Live: the camera time on the clock of the host, nanoseconds since 1970, up to the least delay of the way here.
+    /// Live: the camera time on the clock of the host, nanoseconds since 1970, up to the minimum transport delay.
     pub host_stamp_ns: Option<i64>,
     /// Live: when the frame had arrived, on the same clock.
     pub arrival_ns: Option<i64>,
-    /// One entry a marker, in the rig's order.
+    /// One entry per marker, in the rig's order.
     pub markers: Vec<Marker>,
     /// Whether the direction of the coil is known.
     pub tangent_status: Status,
@@ -36,6 +36,8 @@ pub(crate) struct Estimate {
     pub deflection_status: Status,
     /// Deflection of the coil in the base frame.
     pub deflection: Option<Angles>,
+    /// Count of commands that a lamp in the picture shows, modulo 2.
+    pub tick: Option<u32>,
 }
 
 /// What was kept of one picture: the parts that the tracker looked at, as the decoder stored them.
@@ -51,9 +53,9 @@ pub struct PictureWindows {
     pub width: u32,
     /// Height of the picture, pixels.
     pub height: u32,
-    /// What planes 0, 1, 2 are: `yuv` or `rgb`.
+    /// Meaning of planes 0, 1, 2: `yuv` or `rgb`.
     pub planes: String,
-    /// log2 of the pixels a chroma sample stands for, in x; 0 for `rgb`.
+    /// log2 of the pixels per chroma sample in x; 0 for `rgb`.
     pub chroma_log2_x: u32,
     /// The same in y.
     pub chroma_log2_y: u32,
@@ -63,24 +65,24 @@ pub struct PictureWindows {
     pub range: String,
     /// From light to stored numbers: `bt709`, `srgb`, `linear`.
     pub transfer: String,
-    /// Where chroma samples sit: `left`, `center`, `top_left`.
+    /// Siting of chroma samples: `left`, `center`, `top_left`.
     pub siting: String,
     /// The parts. They do not overlap, and are the same for all planes.
     pub windows: Vec<PictureWindow>,
-    /// How coarsely the picture was quantised before it came here; absent when that is not known, or it was not.
+    /// How coarsely the picture had been quantised; absent when unknown or lossless.
     pub quantisation: Option<PictureQuantisation>,
 }
 
-/// Steps of a coder's quantiser, block by block.
+/// Quantiser steps of a coder, block by block.
 #[derive(Debug, Clone, PartialEq, Encode)]
 pub struct PictureQuantisation {
     /// Side of a block, pixels.
     pub block_px: u32,
-    /// Blocks in a row.
+    /// Blocks per row.
     pub columns: u32,
     /// Whether pictures were predicted from others.
     pub predicted: bool,
-    /// A byte q a block, row after row: the step is 2^((q − 4) / 6) stored units.
+    /// One byte q per block, row-major: the step is 2^((q − 4) / 6) stored units.
     pub levels: Bytes,
 }
 
@@ -93,7 +95,7 @@ pub struct PictureWindow {
     pub x: u32,
     /// First row.
     pub y: u32,
-    /// Samples in a row.
+    /// Samples per row.
     pub width: u32,
     /// Rows.
     pub height: u32,
@@ -106,13 +108,13 @@ pub struct PictureWindow {
 /// Currents of the coils at one moment of the host's clock: that of `host_stamp_ns` in [`Estimate`].
 #[derive(Debug, Clone, PartialEq, Encode)]
 pub(crate) struct Current {
-    /// When they flowed, as well as it is known, nanoseconds since 1970.
+    /// When they flowed, as precisely as known, nanoseconds since 1970.
     pub host_ns: i64,
-    /// When the computer that tracks had them, nanoseconds since 1970.
+    /// When they arrived at the tracking computer, nanoseconds since 1970.
     pub arrival_ns: i64,
     /// The sender's own count.
     pub seq: Option<u64>,
-    /// One entry a coil, amperes.
+    /// One entry per coil, amperes.
     pub current_a: Vec<f64>,
 }
 
@@ -121,9 +123,9 @@ pub(crate) struct Current {
 pub(crate) struct Status {
     /// `ok` or the word of the miss, as in the table.
     pub word: String,
-    /// For `ambiguous`: how many ways fit as well.
+    /// For `ambiguous`: how many assignments fit equally well.
     pub candidates: Option<u64>,
-    /// For `rays_diverge`: how far the rays pass each other, metres.
+    /// For `rays_diverge`: distance between the rays, metres.
     pub distance_m: Option<f64>,
     /// For `poor_fit`: how far the fit moved from where the blob was, pixels.
     pub moved_px: Option<f64>,
@@ -136,7 +138,7 @@ pub(crate) struct Status {
 pub(crate) struct Marker {
     /// Its name in the rig.
     pub name: String,
-    /// Whether its place is known.
+    /// Whether its position is known.
     pub status: Status,
     /// Middle of the band on the tube's centre line.
     pub position: Option<Position>,
@@ -217,14 +219,14 @@ pub(crate) struct Angles {
     pub azimuth_rad: f64,
 }
 
-/// The deflection alone, small, for plots and controllers: one a frame.
+/// Only the deflection, for plots and controllers: one per frame.
 #[derive(Debug, Clone, PartialEq, Encode)]
 pub(crate) struct Deflection {
     /// Number of the frame.
     pub seq: u64,
     /// Camera time, nanoseconds since the clock's zero.
     pub stamp_ns: i64,
-    /// θ, radians. NaN when not measured: an absent number would read as 0 in most languages, and look like rest.
+    /// θ, radians. NaN when not measured: an absent number would read as 0 in most languages and look like rest.
     pub theta_rad: f64,
     /// Its standard deviation, radians; NaN when not measured.
     pub theta_sd_rad: f64,
@@ -232,7 +234,7 @@ pub(crate) struct Deflection {
     pub status: String,
 }
 
-/// How the run goes: totals from its beginning.
+/// State of the run: totals since its beginning.
 #[derive(Debug, Clone, PartialEq, Default, Encode)]
 pub(crate) struct Health {
     /// Camera time of the last frame counted, nanoseconds.
@@ -249,13 +251,13 @@ pub(crate) struct Health {
     pub misses: Vec<MissCount>,
     /// When the views began to disagree by more than noise and models explain; none in a good run.
     pub drifts: Vec<DriftAlarm>,
-    /// Pictures recorded, whole or in windows; absent when none were to be.
+    /// Pictures recorded, whole or in windows; absent when none were requested.
     pub pictures_recorded: Option<u64>,
-    /// Pictures that were to be recorded and were not, because recorder or disk were too slow or the disk full.
+    /// Pictures that should have been recorded but were not, because recorder or disk were too slow or the disk full.
     pub pictures_dropped: Option<u64>,
 }
 
-/// Something has begun to be wrong: mirror, camera, tank or clamp have moved since the calibration.
+/// Drift has begun: mirror, camera, tank or clamp have moved since the calibration.
 #[derive(Debug, Clone, PartialEq, Encode)]
 pub(crate) struct DriftAlarm {
     /// Number of the frame at which it was noticed.
@@ -263,25 +265,25 @@ pub(crate) struct DriftAlarm {
     /// Camera time of that frame, nanoseconds.
     pub stamp_ns: i64,
     /// `views_disagree`, `rays_apart` (they disagree so much that rays do not meet at all) or `base_moved` (the base
-    /// band is not in the origin of the base frame).
+    /// band is not at the origin of the base frame).
     pub kind: String,
     /// In words.
     pub what: String,
-    /// The view with the largest mean residual, for `views_disagree`, else empty. Of two views either may be the wrong
-    /// one.
+    /// The view with the largest mean residual, for `views_disagree`, else empty. With two views, either may be the
+    /// wrong one.
     pub view: String,
-    /// By how much the views disagree in the mean, pixels: the largest so far. For `views_disagree` only.
+    /// Mean disagreement of the views, pixels: the largest so far. For `views_disagree` only.
     pub size_px: Option<f64>,
     /// Its standard deviation.
     pub sd_px: Option<f64>,
-    /// By how much in space, metres: the views at the bands (a lower bound for `rays_apart`), or the base band from the
-    /// origin.
+    /// Size in space, metres: distance of the views' rays at the bands (a lower bound for `rays_apart`), or of the base
+    /// band from the origin.
     pub size_m: f64,
     /// Standard deviation of the base band's distance, metres. For `base_moved` only.
     pub sd_m: Option<f64>,
 }
 
-/// How often one thing was missed for one reason.
+/// How often one quantity was missed for one reason.
 #[derive(Debug, Clone, PartialEq, Encode)]
 pub(crate) struct MissCount {
     /// A marker's name, `tangent` or `deflection`.

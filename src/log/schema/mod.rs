@@ -1,5 +1,5 @@
-//! What a run leaves behind, defined once: the topics of a log and their messages ([`messages`]), the names of its
-//! attachments and metadata, and the columns of the table. Sinks write by it, readers read by it.
+//! The output of a run, defined once for writers and readers: the topics of a log and their messages ([`messages`]),
+//! the names of its attachments and metadata, and the columns of the table.
 //!
 //! | topic | schema | what | when |
 //! |---|---|---|---|
@@ -9,12 +9,12 @@
 //! | `/camera/annotations` | `foxglove.ImageAnnotations` | outline, centre and label of every band | every frame |
 //! | `/camera/image` | `foxglove.CompressedImage` | the whole picture, JPEG: to look at | every second, with pictures |
 //! | `/camera/calibration` | `foxglove.CameraCalibration` | intrinsics, `plumb_bob` | once |
-//! | `/tf` | `foxglove.FrameTransform` | place of frame `camera` in frame `base`, if there is one | once |
+//! | `/tf` | `foxglove.FrameTransform` | pose of frame `camera` in frame `base`, if there is one | once |
 //! | `/coil/current` | `catoptra.Current` | currents of the coils, on the host's clock | live, when given |
 //! | `/camera/windows` | `catoptra.PictureWindows` | what the tracker looked at | with `--record windows` |
 //! | `/health` | `catoptra.Health` | counts, misses by reason, drift alarms | every second, and at the end |
 //!
-//! The windows of a picture follow its estimate after some frames. A drift alarm brings a `/health` of its own.
+//! The windows of a picture follow its estimate after some frames. A drift alarm triggers an extra `/health` message.
 
 pub(crate) mod messages;
 mod protobuf;

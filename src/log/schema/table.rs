@@ -16,12 +16,12 @@ pub(crate) const TANGENT: [&str; 3] = ["tan_x", "tan_y", "tan_z"];
 pub(crate) const TANGENT_SD_DEG: &str = "tan_sd_deg";
 /// Camera frames lost before the frame.
 pub(crate) const GAP: &str = "gap";
-/// Count of commands that the frame shows, where something shows it; not among the columns of every run.
+/// Command count visible in the frame: the last column of runs in which something displays it.
 pub(crate) const TICK: &str = "tick";
 
-/// A marker's columns begin with its name and `_`, and end so: its place,
+/// A marker's columns begin with its name and `_`, followed by these: its position,
 pub(crate) const PLACE_MM: [&str; 3] = ["x_mm", "y_mm", "z_mm"];
-/// the standard deviation of it,
+/// its standard deviation,
 pub(crate) const PLACE_SD_MM: &str = "sd_mm";
 /// and `ok`, or why there is none.
 pub(crate) const PLACE_STATUS: &str = "status";
@@ -29,8 +29,8 @@ pub(crate) const PLACE_STATUS: &str = "status";
 /// The first columns: a table that begins with them is one of this program.
 pub(crate) const FIRST: [&str; 3] = [SEQ, T_S, STAMP_NS];
 
-/// The header of the table of a run with these markers.
-pub(crate) fn header<'a>(markers: impl Iterator<Item = &'a str>) -> Vec<String> {
+/// The header of the table of a run with these markers, with a tick or without.
+pub(crate) fn header<'a>(markers: impl Iterator<Item = &'a str>, ticks: bool) -> Vec<String> {
     let angles = [THETA_DEG, THETA_SD_DEG, "polar_deg", "azimuth_deg"];
     let place = || PLACE_MM.into_iter().chain([PLACE_SD_MM, PLACE_STATUS]);
     let markers = markers.flat_map(|name| place().map(move |column| format!("{name}_{column}")));
@@ -38,5 +38,6 @@ pub(crate) fn header<'a>(markers: impl Iterator<Item = &'a str>) -> Vec<String> 
     let mut header = [names(&FIRST), names(&angles)].concat();
     header.extend(markers);
     header.extend([names(&TANGENT), names(&[TANGENT_SD_DEG, GAP])].concat());
+    header.extend(ticks.then(|| TICK.to_owned()));
     header
 }

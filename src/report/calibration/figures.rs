@@ -11,17 +11,17 @@ use plotly::common::{
 use plotly::layout::{Annotation, AxisConstrain, BarMode, HoverMode, Margin, RangeMode};
 use plotly::{Bar, HeatMap, Plot, Scatter, Scatter3D};
 
-/// A long residual is drawn this part of the view's longer side long.
+/// Drawn length of a long residual, as a fraction of the view's longer side.
 const DRAWN: f64 = 0.1;
 
-/// Errors at places (metres) in the camera frame, over the outlines of the boards.
+/// Errors at points (metres) in the camera frame, with the outlines of the boards.
 pub(super) fn errors(errors_m: &[(Point3<f64>, f64)], boards: &[Vec<Point3<f64>>]) -> Plot {
     let titles = ["x, right (mm)", "y, down (mm)", "z, forward (mm)"];
     let all = || errors_m.iter().map(|(place, _)| place).chain(boards.iter().flatten());
     let spans = [0, 1, 2].map(|k| {
         all().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), p| (low.min(p[k] * 1e3), high.max(p[k] * 1e3)))
     });
-    // Looked at as the camera does, from its upper right.
+    // Seen in the camera's direction, from its upper right.
     let scene = chart::scene(spans, titles).camera(chart::eye((0.0, -1.0, 0.0), (1.35, -1.1, -1.95)));
     let layout = chart::layout()
         .scene(scene)
@@ -47,7 +47,7 @@ pub(super) fn errors(errors_m: &[(Point3<f64>, f64)], boards: &[Vec<Point3<f64>>
     let [x, y, z] = [0, 1, 2].map(|k| errors_m.iter().map(|(p, _)| rounded(p[k] * 1e3, 2)).collect::<Vec<_>>());
     let errors_mm: Vec<f64> = errors_m.iter().map(|(_, error)| rounded(error * 1e3, 5).unwrap_or(0.0)).collect();
     let texts = errors_mm.iter().map(|mm| format!("{mm:.4} mm")).collect::<Vec<_>>();
-    // From 0: a volume that is equally good everywhere has one colour.
+    // From 0, so that a uniform volume has one colour.
     let worst = errors_mm.iter().copied().fold(0.0, f64::max);
     plot.add_trace(
         Scatter3D::new(x, y, z)
@@ -90,7 +90,7 @@ fn bounds(arrows: &[Arrow]) -> (Vector2<f64>, Vector2<f64>) {
     (bound(f64::min, f64::INFINITY), bound(f64::max, f64::NEG_INFINITY))
 }
 
-/// How many times too long residuals are drawn, in all views: 1, 2 or 5 times a power of ten.
+/// Magnification of residuals in all views: 1, 2 or 5 times a power of ten.
 pub(super) fn magnification(views: &[Vec<Arrow>]) -> f64 {
     let mut lengths: Vec<f64> = views.iter().flatten().map(|(_, r)| r.norm()).collect();
     lengths.sort_by(f64::total_cmp);
@@ -111,12 +111,12 @@ fn round_down(value: f64) -> f64 {
     [5.0, 2.0].into_iter().find(|step| value >= step * power).unwrap_or(1.0) * power
 }
 
-/// Residuals of a view where they are in the picture, `times` too long; means of neighbourhoods in bold.
+/// Residuals of a view at their positions in the picture, magnified by `times`; means of neighbourhoods in bold.
 pub(super) fn residuals(done: &RigCalibration, view: usize, arrows: &[Arrow], times: f64) -> Plot {
     let (low, high) = bounds(arrows);
     let margin = (high - low).max() * 0.07;
     let range = |from: f64, to: f64| vec![rounded(from, 1).unwrap_or(0.0), rounded(to, 1).unwrap_or(1.0)];
-    // A bar of the size of a usual residual, below the corners.
+    // A scale bar of the size of a typical residual, below the corners.
     let sample_px = round_down((high - low).max() * 0.12 / times);
     let (left, below) = (low.x, high.y + margin * 0.9);
     let layout = chart::layout()
@@ -192,7 +192,7 @@ pub(super) fn residuals(done: &RigCalibration, view: usize, arrows: &[Arrow], ti
 pub(super) fn by_picture(done: &RigCalibration, views: &[(String, Vec<Arrow>)]) -> Plot {
     let names: Vec<String> = done.used.iter().map(|(_, used)| escape(&used.name)).collect();
     let axis = chart::value_axis("RMS of a coordinate (px)").range_mode(RangeMode::ToZero);
-    // Names are no numbers, whatever they look like.
+    // Names are not numbers, even if they look like it.
     let each = chart::value_axis("").type_(plotly::layout::AxisType::Category).tick_angle(-40.0);
     let layout = chart::layout()
         .bar_mode(BarMode::Group)
@@ -207,7 +207,7 @@ pub(super) fn by_picture(done: &RigCalibration, views: &[(String, Vec<Arrow>)]) 
                 .filter(|(of, _)| *of == picture)
                 .map(|(_, (_, r))| r.norm_squared())
                 .collect();
-            // A picture that this view does not show has no bar.
+            // A picture not seen in this view has no bar.
             rounded((own.iter().sum::<f64>() / (2 * own.len()) as f64).sqrt(), 4)
         };
         plot.add_trace(
@@ -236,7 +236,7 @@ pub(super) fn correlations(names: &[String], correlations: &DMatrix<f64>) -> Plo
     let axis = || chart::value_axis("").zero_line(false).show_grid(false).type_(plotly::layout::AxisType::Category);
     let layout = chart::layout()
         .x_axis(axis().tick_angle(-50.0).constrain(AxisConstrain::Domain))
-        // The first on top, as in a table.
+        // The first at the top, as in a table.
         .y_axis(axis().range(vec![names.len() as f64 - 0.5, -0.5]).scale_anchor("x").constrain(AxisConstrain::Domain))
         .hover_mode(HoverMode::Closest)
         .margin(Margin::new().left(170).right(10).top(12).bottom(150));

@@ -1,29 +1,32 @@
-//! The page of a rig's calibration: how well positions will be known, why, and what would make them better.
+//! The page of a rig's calibration: the expected accuracy of positions, the reasons, and what would improve it.
 //!
-//! In: the calibration, its verdict, what the check on held-out pictures gave. Out: one HTML file that needs no
-//! network.
+//! In: the calibration, its verdict, the check on held-out pictures. Out: one HTML file that needs no network.
 
+mod boards;
 mod figures;
 pub(super) mod set_up;
 mod tables;
 mod words;
 
+pub(crate) use boards::shown;
+
 use super::html::{Html, escape};
 use super::page::{self, card, facts_table, figure, plural, signed, table, trouble};
+use crate::calibrate::board::Grey;
 use crate::calibrate::bundle::NoSolution;
 use crate::calibrate::rig::RigCalibration;
 use crate::calibrate::rig::diagnostics::{self, Diagnostic, diagnose};
 use crate::calibrate::rig::expected_error::{Expected, Suggestion, Verdict};
-use crate::calibrate::rig::held_out::{HeldOut, Off};
+use crate::calibrate::rig::held_out::{HeldOut, LengthErrors};
 use nalgebra::{Point3, Vector3};
 use words::{along, degrees, exact_mm, in_words, mm};
 
 /// Suggestions shown of each kind.
 const SUGGESTIONS: usize = 5;
-/// Correlations told in words: those at least so strong, at most so many.
+/// Correlations described in words: least strength, and most of them.
 const STRONG: (f64, usize) = (0.9, 6);
 
-/// What the page says of the run beside its result.
+/// Information about the run besides its result.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct CalibrationInfo {
     /// The rig file.
@@ -32,6 +35,8 @@ pub(crate) struct CalibrationInfo {
     pub settings: Vec<(String, String)>,
     /// Pictures in which no board was found, and why.
     pub not_found: Vec<(String, String)>,
+    /// The pictures of [`shown`] by name, or why one cannot be read.
+    pub boards: Vec<(String, Result<Grey, String>)>,
 }
 
 /// The whole page. `held`: for each picture used, in the order of `done.used`.
@@ -41,7 +46,7 @@ pub(crate) fn page(
     verdict: Option<&Verdict>,
     held: &[Result<HeldOut, NoSolution>],
 ) -> String {
-    // The answer comes first, then what it rests on, then what would make it better, then where it came from.
+    // The result comes first, then its basis, then what would improve it, then its origin.
     let mut body = header(info, verdict, &diagnose(done, held));
     body += &cards(verdict, held);
     if let Some(verdict) = verdict {
@@ -54,6 +59,7 @@ pub(crate) fn page(
     }
     body += &set_up(done);
     body += &residuals(done);
+    body += &boards::section(done, &info.boards);
     body += &parameters(done);
     body += &left_out(info, done);
     body += &facts(info, done);
@@ -125,7 +131,7 @@ fn cards(verdict: Option<&Verdict>, held: &[Result<HeldOut, NoSolution>]) -> Str
         let (median, worst) = verdict.angle_rad;
         cards += &card("Angles", degrees(median), format!("worst {}", degrees(worst)), false);
     }
-    if let Some(edges) = Off::of(held.iter().flatten().flat_map(|h| &h.edges)) {
+    if let Some(edges) = LengthErrors::of(held.iter().flatten().flat_map(|h| &h.edges)) {
         cards += &card(
             format!("Held-out {:.1} mm lengths", edges.nominal_m * 1e3),
             mm(edges.rms_m),
@@ -169,7 +175,7 @@ fn which_matters(verdict: &Verdict) -> String {
          averages out over frames, what the calibration adds does not. Bands are no corners: their own σ is in the report of \
          each tracking.</p>\n\
          <p class=\"note\">All are 1σ: twice as much is no surprise. And all suppose that mirrors and walls are flat, that squares, glass and refractive indices are \
-         what was given, and that camera, mirror and tank stay where they were: who moves one of them calibrates again.</p>\n",
+         what was given, and that camera, mirror and tank stay where they were: calibrate again after moving one of them.</p>\n",
         mm(relative),
         degrees(verdict.angle_rad.0),
         mm(absolute),
@@ -224,7 +230,7 @@ fn outlines(done: &RigCalibration) -> Vec<Vec<Point3<f64>>> {
     done.solution.poses.iter().map(outline).collect()
 }
 
-/// Camera, mirrors, walls and boards to scale.
+/// The set-up of camera, mirrors, walls and boards, to scale.
 fn set_up(done: &RigCalibration) -> String {
     let boards = outlines(done);
     let drawn = |id: &str, title: &str, axes, titles| {
@@ -244,8 +250,8 @@ fn set_up(done: &RigCalibration) -> String {
 
 fn held_out(done: &RigCalibration, held: &[Result<HeldOut, NoSolution>]) -> String {
     let good = || held.iter().flatten();
-    let edges = Off::of(good().flat_map(|h| &h.edges));
-    let diagonals = Off::of(good().flat_map(|h| &h.diagonals));
+    let edges = LengthErrors::of(good().flat_map(|h| &h.edges));
+    let diagonals = LengthErrors::of(good().flat_map(|h| &h.diagonals));
     let mut text = "<h2>Checked on held-out pictures</h2>\n\
          <p>Each picture was left out in turn, the rig solved from the others, and the board in the picture left out measured \
          with that rig as the tracker would. The lengths on the board are known: this check needs no model of the errors.</p>\n"
@@ -322,9 +328,10 @@ fn residuals(done: &RigCalibration) -> String {
         .iter()
         .enumerate()
         .map(|(view, (name, arrows))| {
-            let common = diagnostics::together(arrows).map_or("too few corners for means".to_owned(), |times| {
-                format!("means {times:.1} times as long as noise makes them")
-            });
+            let common = diagnostics::neighbour_correlation(arrows)
+                .map_or("too few corners for means".to_owned(), |times| {
+                    format!("means {times:.1} times as long as noise makes them")
+                });
             let plot = figures::residuals(done, view, arrows, times);
             format!(
                 "<div><h3>{}: {common}</h3>\n{}</div>\n",
@@ -357,17 +364,17 @@ fn parameters(done: &RigCalibration) -> String {
         .filter(|(r, ..)| r.abs() >= STRONG.0)
         .collect();
     strong.sort_by(|a, b| b.0.abs().total_cmp(&a.0.abs()));
-    let told: Vec<String> = strong
+    let strongest: Vec<String> = strong
         .iter()
         .take(STRONG.1)
         .filter_map(|(r, j, i)| {
             Some(format!("{} and {} ({})", escape(names.get(*j)?), escape(names.get(*i)?), signed(*r, 2)))
         })
         .collect();
-    let told = if told.is_empty() {
+    let strongest = if strongest.is_empty() {
         "No two are tied closely.".to_owned()
     } else {
-        format!("Tied most closely: {}.", told.join(", "))
+        format!("Tied most closely: {}.", strongest.join(", "))
     };
     let height = 200 + 26 * names.len() as u32;
     format!(
@@ -375,7 +382,7 @@ fn parameters(done: &RigCalibration) -> String {
          <h3>Correlations</h3>\n\
          <p>How errors of two parameters go together: +1 always alike, −1 always opposite, 0 independent. Strong ones are the rule: \
          distances of walls and mirrors change the pictures much alike, and so do the terms of the distortion. Each alone is then \
-         known badly, what matters of both together well. {told}</p>\n{}",
+         known badly, what matters of both together well. {strongest}</p>\n{}",
         tables::surfaces(solution),
         tables::lens(solution),
         tables::known(solution),

@@ -10,10 +10,10 @@ use plotly::common::{HoverInfo, Line, Marker, MarkerSymbol, Mode};
 use plotly::layout::{AxisConstrain, HoverMode};
 use plotly::{Plot, Scatter};
 
-/// A plane is drawn beyond what light meets of it by this part.
+/// How far a plane is drawn beyond the part that light meets, as a fraction.
 const BEYOND: f64 = 0.08;
 
-/// Where a light path from the camera through `pixel` meets each of its surfaces, camera first; as far as it does.
+/// Where a light path from the camera through `pixel` meets each of its surfaces, camera first, as far as it goes.
 pub(in crate::report) fn met(path: &OpticalPath, pixel: &Point2<f64>) -> Vec<Point3<f64>> {
     let mut points = vec![Point3::origin()];
     for (k, surface) in path.surfaces.iter().enumerate() {
@@ -32,7 +32,7 @@ fn on_plane(ray: &Ray, surface: &Surface) -> Option<Point3<f64>> {
     (t.is_finite() && t > 0.0).then(|| ray.at(t))
 }
 
-/// Of each surface, where the light of all corners meets it.
+/// For each surface, where the light of all corners meets it.
 fn lit(solution: &Solution, corners: &[Corner]) -> Vec<Vec<Point3<f64>>> {
     let mut all = vec![Vec::new(); solution.geometry.surfaces.len()];
     for (view, (_, surfaces)) in solution.geometry.views.iter().enumerate() {
@@ -48,7 +48,7 @@ fn lit(solution: &Solution, corners: &[Corner]) -> Vec<Vec<Point3<f64>>> {
     all
 }
 
-/// The two of some points that are farthest apart in the drawing, and a little beyond.
+/// The ends of some points in the drawing, slightly extended.
 pub(in crate::report) fn ends(points: &[[f64; 2]]) -> Option<[[f64; 2]; 2]> {
     let n = points.len().max(1) as f64;
     let [x, y] = [0, 1].map(|k| points.iter().map(|p| p[k]).sum::<f64>() / n);
@@ -57,7 +57,7 @@ pub(in crate::report) fn ends(points: &[[f64; 2]]) -> Option<[[f64; 2]; 2]> {
         let (u, v) = (p[0] - x, p[1] - y);
         (xx, xy, yy) = (xx + u * u, xy + u * v, yy + v * v);
     }
-    // Along the direction in which they scatter most.
+    // Along the direction of largest scatter.
     let angle = 0.5 * (2.0 * xy).atan2(xx - yy);
     let (cos, sin) = (angle.cos(), angle.sin());
     let along = points.iter().map(|p| (p[0] - x) * cos + (p[1] - y) * sin);
@@ -67,8 +67,8 @@ pub(in crate::report) fn ends(points: &[[f64; 2]]) -> Option<[[f64; 2]; 2]> {
     (high > low).then(|| [at(low - margin), at(high + margin)])
 }
 
-/// Seen along the third axis: `axes` are those of the camera frame that the drawing has to the right and upwards, the
-/// second with its sign.
+/// Seen along the third axis: `axes` are the camera frame's axes that point right and up in the drawing, the second
+/// with its sign.
 pub(super) fn drawing(
     done: &RigCalibration,
     boards: &[Vec<Point3<f64>>],
@@ -92,7 +92,7 @@ pub(super) fn drawing(
         let mut line = Vec::new();
         for (picture, pose) in done.solution.poses.iter().enumerate() {
             let own = done.corners.iter().filter(|c| c.view == view && c.picture == picture);
-            // The middle of the board stands for all of it.
+            // The board's centre represents it.
             let middle = own.min_by(|a, b| a.place.coords.norm().total_cmp(&b.place.coords.norm()));
             if let Some(corner) = middle {
                 line.extend(met(&path, &corner.pixel).iter().map(|p| Some(flat(p))));

@@ -6,8 +6,8 @@ use crate::calibrate::bundle::prior::Prior;
 use crate::calibrate::bundle::{NoSolution, Solution};
 use crate::calibrate::geometry::{Geometry, Parameter};
 use crate::calibrate::rig::RigCalibration;
-use crate::calibrate::rig::diagnostics::{CONTRADICTS, contradiction};
-use crate::calibrate::rig::held_out::{HeldOut, Length, Off};
+use crate::calibrate::rig::diagnostics::{CONTRADICTION_SD, contradiction};
+use crate::calibrate::rig::held_out::{HeldOut, Length, LengthErrors};
 use nalgebra::DMatrix;
 
 fn surface_name(geometry: &Geometry, surface: usize) -> &str {
@@ -30,7 +30,7 @@ pub(super) fn short_name(geometry: &Geometry, parameter: Parameter) -> String {
     }
 }
 
-/// σ of a parameter; `None` where it was held.
+/// σ of a parameter; `None` if it was fixed.
 fn sd(solution: &Solution, parameter: Parameter) -> Option<f64> {
     let at = solution.free.iter().position(|p| *p == parameter)?;
     Some(solution.covariance.get((at, at))?.sqrt())
@@ -69,7 +69,7 @@ pub(super) fn surfaces(solution: &Solution) -> String {
     format!("<h3>Mirrors and walls</h3>\n{}{index}", table(1, &heads, &rows))
 }
 
-/// The lens now, and as it was before the mirrors' pictures.
+/// The lens now, and before the mirrors' pictures.
 pub(super) fn lens(solution: &Solution) -> String {
     const ROWS: [(&str, usize); 12] = [
         ("focal length x, fx (px)", 2),
@@ -114,12 +114,12 @@ pub(super) fn lens(solution: &Solution) -> String {
     )
 }
 
-/// Without plus; the minus as it is printed.
+/// Without a plus sign, and with a typographic minus.
 fn signless(value: f64, digits: usize) -> String {
     signed(value, digits).trim_start_matches('+').to_owned()
 }
 
-/// What was known beside the pictures, and whether they agree.
+/// The priors, and whether the pictures agree.
 pub(super) fn known(solution: &Solution) -> String {
     let geometry = &solution.geometry;
     let offset_m = |surface: usize| geometry.value(Parameter::Offset { surface });
@@ -148,7 +148,7 @@ pub(super) fn known(solution: &Solution) -> String {
                 Prior::Taped { sd_m, .. } => (mm(0.0, *sd_m), "–".to_owned()),
             };
             let off = contradiction(solution, known).map_or(Html::from("–"), |off| {
-                let class = if off > CONTRADICTS { " class=\"miss\"" } else { "" };
+                let class = if off > CONTRADICTION_SD { " class=\"miss\"" } else { "" };
                 Html::raw(format!("<span{class}>{off:.1}</span>"))
             });
             vec![known.what(geometry).into(), given.into(), found.into(), off]
@@ -159,7 +159,7 @@ pub(super) fn known(solution: &Solution) -> String {
     }
     format!(
         "<h3>What else was known</h3>\n<p>Off: how far what was given is from what everything else says, in σ of the two \
-         together. Above {CONTRADICTS} the pictures contradict it: measure again.</p>\n{}",
+         together. Above {CONTRADICTION_SD} the pictures contradict it: measure again.</p>\n{}",
         table(1, &["What", "Given", "Came out", "Off (σ)"], &rows)
     )
 }
@@ -170,7 +170,7 @@ pub(super) fn correlations(covariance: &DMatrix<f64>) -> DMatrix<f64> {
     covariance.component_div(&(&sd * sd.transpose()))
 }
 
-/// The check on held-out pictures, a row a picture.
+/// The check on held-out pictures, one row per picture.
 pub(super) fn held_out(done: &RigCalibration, held: &[Result<HeldOut, NoSolution>]) -> String {
     let mut rows: Vec<Vec<Html>> = done
         .used
@@ -218,7 +218,7 @@ fn row(name: &str, edges: &[Length], diagonals: &[Length], scale: Option<f64>, r
     let mm = |value_m: Option<f64>| {
         value_m.filter(|v| v.is_finite()).map_or(Html::from("–"), |v| format!("{:.3}", v * 1e3).into())
     };
-    let (edges, diagonals) = (Off::of(edges), Off::of(diagonals));
+    let (edges, diagonals) = (LengthErrors::of(edges), LengthErrors::of(diagonals));
     let mut sorted = rays_m.to_vec();
     sorted.sort_by(f64::total_cmp);
     vec![

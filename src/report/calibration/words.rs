@@ -1,9 +1,9 @@
-//! Lengths, angles and directions as a calibration's page says them.
+//! Formats lengths, angles and directions for a calibration's page.
 
 use super::super::page::signed;
 use nalgebra::Vector3;
 
-/// A direction of the camera frame in words, where it is one of the axes.
+/// A direction of the camera frame in words, if along one of the axes.
 pub(super) fn in_words(direction: &Vector3<f64>) -> Option<&'static str> {
     let names = ["to the left or right", "up or down", "along the line of sight"];
     let axis = direction.iamax();
@@ -19,7 +19,7 @@ pub(super) fn along(direction: &Vector3<f64>) -> String {
     }
 }
 
-/// Metres as millimetres with two digits that count, and the unit.
+/// Metres as millimetres with two significant digits, and the unit.
 pub(super) fn mm(value_m: f64) -> String {
     two_digits(value_m * 1e3, " mm")
 }

@@ -50,7 +50,7 @@ pub(crate) fn applied_page(data: &Data, done: &Applied, saved: &Saved, provenanc
              input excited. Dotted: half of the sampling rate.</p>\n";
     body += &figure("plot-magnitude", &figures::magnitude(data, &shown), 360, true);
     body += &figure("plot-phase", &figures::phase(data, &shown), 300, true);
-    body += "<h2>Where it is from</h2>\n";
+    body += "<h2>Origin</h2>\n";
     body += &records_table(provenance);
     body += &facts_table(&facts_rows(provenance, &done.models));
     body += &format!("<footer>Catoptra {}. This file needs no network.</footer>\n", env!("CARGO_PKG_VERSION"));

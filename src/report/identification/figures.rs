@@ -18,20 +18,20 @@ use plotly::layout::{AxisType, HoverMode, Shape, ShapeLayer, ShapeLine, ShapeTyp
 use plotly::{Bar, Layout, Plot, Scatter};
 use std::f64::consts::TAU;
 
-/// Samples of a magnified course.
+/// Samples in a magnified section.
 const MAGNIFIED: usize = 300;
-/// Dots of the response without a model, where its coherence is at least this.
+/// Least coherence at which dots of the model-free response are shown.
 const COHERENT: f64 = 0.05;
 
-/// What plots over time and frequency show.
+/// Content of the plots over time and frequency.
 pub(super) struct Shown<'a> {
     /// The models.
     pub(super) models: &'a [Modelled],
-    /// The one to use.
+    /// The model to use.
     pub(super) leading: Option<Role>,
     /// The response without a model.
     pub(super) spectrum: Option<&'a Spectrum>,
-    /// The lines of averaged periods, where the input repeats: they stand in place of the spectrum's dots.
+    /// The lines of averaged periods, if the input repeats: they replace the spectrum's dots.
     pub(super) lines: &'a [SpectralLine],
 }
 
@@ -44,7 +44,7 @@ fn colour(role: Role) -> Rgb {
     }
 }
 
-/// Numbers with six digits that count, whatever their size.
+/// Rounds to six significant digits.
 fn short(value: f64) -> Option<f64> {
     let text = format!("{value:.5e}");
     text.parse().ok().filter(|v: &f64| v.is_finite())
@@ -54,11 +54,11 @@ fn with_unit(name: &str, unit: &str) -> String {
     if unit.is_empty() { name.to_owned() } else { format!("{name} ({unit})") }
 }
 
-/// The whole of a record, what the models leave of it, and its middle.
+/// A whole record, the models' residuals, and a magnified section from the middle.
 pub(super) fn courses(data: &Data, done: &Shown<'_>, provenance: &Provenance, record: &Record) -> (Plot, Plot, Plot) {
     let kind = Kind::Simulation(provenance.initial_state);
     let (mut whole, mut errors) = (Timeline::default(), Timeline::default());
-    // The axis shows the leading model's errors whole: those of a model that runs away are cut.
+    // The axis covers the leading model's errors; those of a diverging model are clipped.
     let leading = done.leading;
     let mut largest_left = 0.0_f64;
     let longest = record.segments.iter().max_by_key(|s| s.len());
@@ -80,7 +80,7 @@ pub(super) fn courses(data: &Data, done: &Shown<'_>, provenance: &Provenance, re
             errors.push(time_s, lost, &errors_now, &[]);
         }
     }
-    // What runs away would flatten all others.
+    // A diverging model would flatten all others.
     let largest = record.segments.iter().flat_map(|s| &s.output).fold(0.0_f64, |m, y| m.max(y.abs())) * 1.15;
     let layout = || {
         chart::layout().x_axis(chart::value_axis("Time (s)").zero_line(false)).y_axis(
@@ -126,7 +126,7 @@ pub(super) fn courses(data: &Data, done: &Shown<'_>, provenance: &Provenance, re
     (all, left, middle)
 }
 
-/// A plot over frequency, with the excited band and half of the sampling rate.
+/// A plot over frequency, with the excited band and half the sampling rate.
 fn over_frequency(data: &Data, done: &Shown<'_>, title: &str, last: bool) -> Layout {
     let nyquist = 0.5 / data.period_s;
     let lowest = done.models.first().and_then(|m| m.bode.first()).map_or(nyquist * 1e-3, |p| p.frequency_hz);
@@ -224,10 +224,10 @@ fn responses(
     plot
 }
 
-/// Frequency, ln gain, phase and the σ of both, of the response without a model: of averaged periods where there are
-/// any, of the spectrum where it is coherent otherwise.
+/// Frequency, ln gain, phase and the σ of both, of the response without a model: from averaged periods if there are
+/// any, otherwise from the coherent part of the spectrum.
 fn dots(done: &Shown<'_>) -> Vec<(f64, f64, f64, f64)> {
-    // A turn more or less is no difference: that of the first model there.
+    // Phases are made continuous with the first model's, up to whole turns.
     let turned = |frequency_hz: f64, phase: f64| {
         let near = done.models.last().and_then(|model| {
             let off = |q: &&BodePoint| (q.frequency_hz - frequency_hz).abs();
@@ -244,7 +244,7 @@ fn dots(done: &Shown<'_>) -> Vec<(f64, f64, f64, f64)> {
     }
     let points = || done.spectrum.iter().flat_map(|s| s.points.iter().enumerate());
     let followed = unwrapped(points().map(|(_, p)| p.response.arg()));
-    // Followed over the excited band, where it is known.
+    // Unwrapped over the excited band, where it is known.
     let first = points().find(|(_, p)| p.coherence > 0.5);
     let turns = first.map_or(0.0, |(k, p)| turned(p.frequency_hz, followed[k]) - followed[k]);
     let coherent = points().filter(|(_, p)| p.coherence > COHERENT);
@@ -286,7 +286,7 @@ pub(super) fn coherence(data: &Data, done: &Shown<'_>) -> Plot {
     plot
 }
 
-/// What decides, over the order, a line for each delay.
+/// The criterion over the order, with a line for each delay.
 pub(super) fn orders(done: &Identification, judged: bool) -> Plot {
     let value = |c: &crate::identify::search::Candidate| {
         if judged { c.simulation.map(|e| e.error_percent) } else { Some(c.mdl) }

@@ -1,6 +1,6 @@
-//! The page of an identification: the models, how well they reproduce the data, and how far to trust them.
+//! The page of an identification: the models, how well they reproduce the data, and how reliable they are.
 //!
-//! In: data, result, and where they are from. Out: one HTML file that needs no network.
+//! In: data, result, and their origin. Out: one HTML file that needs no network.
 
 mod applied;
 mod figures;
@@ -21,7 +21,7 @@ use std::collections::BTreeMap;
 
 /// The whole page.
 pub(crate) fn page(data: &Data, done: &Identification, provenance: &Provenance) -> String {
-    // The answer comes first, then how good it is, then what it rests on.
+    // The result comes first, then its quality, then its basis.
     let lines: Vec<_> = done.periodic.iter().flat_map(|p| p.lines().copied()).collect();
     let shown = Shown {
         models: &done.models,
@@ -44,7 +44,7 @@ pub(crate) fn page(data: &Data, done: &Identification, provenance: &Provenance) 
     page::page(&format!("Dynamics of {}", provenance.title), &body)
 }
 
-/// Up to five digits, and powers of ten where they are shorter.
+/// Up to five digits, and powers of ten where shorter.
 fn number(value: f64) -> Html {
     let size = value.abs();
     if value == 0.0 {
@@ -211,7 +211,7 @@ fn transfer_functions(done: &Identification) -> String {
         text += &format!("<p class=\"note\">Poles {} rad/s; zeros {} rad/s.</p>\n", list(&poles), list(&zeros));
     }
     if !any {
-        return format!("{text}<p>There is none: see above.</p>\n");
+        return format!("{text}<p>None: see above.</p>\n");
     }
     text + &table(2, &["Model", "Coefficient", "Value", "Standard error", "of the value"], &rows)
 }
@@ -334,7 +334,7 @@ fn orders(done: &Identification) -> String {
             let counts = [c.orders.na, c.orders.nb, c.orders.nk].map(|n| n.to_string().into());
             let mark = if c.orders == done.orders { "chosen" } else { "" };
             let criteria = [number(c.aic), number(c.mdl)];
-            // Without data to judge by there are no errors, and no columns for them.
+            // Without validation data there are no errors, and no columns for them.
             let errors = judged.then(|| [error(c.prediction), error(c.simulation)]);
             let last = [format!("{:.5}", c.largest_pole).into(), mark.into()];
             counts.into_iter().chain(criteria).chain(errors.into_iter().flatten()).chain(last).collect()
@@ -350,7 +350,7 @@ fn orders(done: &Identification) -> String {
     )
 }
 
-/// Of the stable candidates of each na and nb the one with the smallest simulation error, or MDL; and the one chosen.
+/// For each na and nb the stable candidate with the smallest simulation error, or MDL; and the one chosen.
 fn of_each_order(done: &Identification, judged: bool) -> Vec<&Candidate> {
     let value = |c: &Candidate| if judged { c.simulation.map_or(f64::NAN, |e| e.error_percent) } else { c.mdl };
     let mut best: BTreeMap<(usize, usize), &Candidate> = BTreeMap::new();
@@ -367,7 +367,7 @@ fn reduction(done: &Identification) -> String {
     let Ok(reduced) = &done.reduced else { return String::new() };
     let kept = reduced.model.order();
     let bound = if reduced.error_bound.is_finite() {
-        format!("The reduced response differs nowhere by more than {}.", number(reduced.error_bound))
+        format!("The reduced response differs by at most {}.", number(reduced.error_bound))
     } else {
         "Balanced for the excited band alone: no bound holds outside of it.".to_owned()
     };
@@ -391,14 +391,14 @@ fn residuals(done: &Identification) -> String {
     )
 }
 
-/// The records as they were read.
+/// The records as read.
 fn records_table(provenance: &Provenance) -> String {
     let row = |r: &RecordSummary| {
         vec![
             r.name.clone(),
             if r.training { "fitted" } else { "judged by" }.to_owned(),
             r.samples.to_string(),
-            r.stretches.to_string(),
+            r.segments.to_string(),
             r.lost.to_string(),
             r.missed.to_string(),
             r.bridged.to_string(),
@@ -440,10 +440,10 @@ fn facts(done: &Identification, provenance: &Provenance) -> String {
     let mut lines = facts_rows(provenance, &done.models);
     let condition = Html::raw(format!("{} of the regressors of ARX", number(done.arx.condition)));
     lines.push(("Condition".into(), condition));
-    format!("<h2>Where it is from</h2>\n{}{}", records_table(provenance), facts_table(&lines))
+    format!("<h2>Origin</h2>\n{}{}", records_table(provenance), facts_table(&lines))
 }
 
-/// Averaged periods: what they rest on.
+/// Averaged periods: their data.
 fn periods(done: &Identification) -> String {
     let Some(found) = &done.periodic else { return String::new() };
     let rows: Vec<Vec<String>> = found

@@ -2,10 +2,10 @@
 
 use crate::calibrate::markers::{SeenBlob, Teaching, Verdict, verdict};
 
-/// Other colours named of a band at most.
-const NAMED: usize = 3;
-/// Things told to be covered at most.
-const THINGS: usize = 4;
+/// Most other colours named for a band.
+const MAX_NAMED: usize = 3;
+/// Most objects suggested to be covered.
+const MAX_OBJECTS: usize = 4;
 
 /// Most helpful first.
 pub(super) fn advice(done: &Teaching) -> Vec<String> {
@@ -35,8 +35,8 @@ pub(super) fn advice(done: &Teaching) -> Vec<String> {
             } else {
                 "A purer paint, more even light, or less of that colour in the picture."
             };
-            let named: Vec<String> = others.iter().take(NAMED).map(|name| format!("`{name}`")).collect();
-            let more = if others.len() > NAMED { " and others" } else { "" };
+            let named: Vec<String> = others.iter().take(MAX_NAMED).map(|name| format!("`{name}`")).collect();
+            let more = if others.len() > MAX_NAMED { " and others" } else { "" };
             all.push(format!(
                 "View `{}`: `{}` is hardly told from {}{more} by colour. {advice}",
                 view_name(v),
@@ -56,7 +56,7 @@ pub(super) fn advice(done: &Teaching) -> Vec<String> {
             if region.leaves_out == 1 { "one thing".to_owned() } else { format!("{} things", region.leaves_out) }
         ));
     }
-    // What a region would leave out need not be covered.
+    // Objects outside a region need not be covered.
     let kept = |blob: &&SeenBlob| {
         done.regions.iter().filter(|region| region.view == blob.view).all(|region| {
             let (p, a, b) = (blob.centre, region.from, region.to);
@@ -65,7 +65,7 @@ pub(super) fn advice(done: &Teaching) -> Vec<String> {
     };
     let mut things: Vec<&SeenBlob> = done.blobs.iter().filter(|blob| blob.rejected.is_some()).filter(kept).collect();
     things.sort_by(|a, b| b.area_px2.total_cmp(&a.area_px2));
-    for blob in things.into_iter().take(THINGS) {
+    for blob in things.into_iter().take(MAX_OBJECTS) {
         all.push(format!(
             "Cover the thing in the colour of `{}` at {:.0},{:.0} in view `{}`, or take it out of the picture.",
             marker_name(blob.marker),

@@ -9,7 +9,7 @@ use plotly::common::{DashType, Line, Marker, MarkerSymbol, Mode};
 use plotly::layout::{Axis, HoverMode, Shape, ShapeLine, ShapeType};
 use plotly::{Plot, Scatter};
 
-/// Scores at which the samples of each band end, and those of all other colours.
+/// Limits of the scores of each band's samples, and of those of all other colours.
 pub(super) fn separations(view: &ViewColours, markers: &[Band]) -> Plot {
     let threshold = Shape::new()
         .shape_type(ShapeType::Line)

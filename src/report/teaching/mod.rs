@@ -1,4 +1,4 @@
-//! The page of what `calibrate markers` learned, or of what it saw when it learned nothing.
+//! The page of what `calibrate markers` learned, or of what it saw when it failed.
 //!
 //! In: the teaching, with the frame of the picks. Out: one HTML file that needs no network.
 
@@ -15,7 +15,7 @@ use nalgebra::Point2;
 use picture::Shown;
 use std::fmt::Write as _;
 
-/// What the page says of the run beside its result.
+/// Information about the run besides its result.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct TeachingInfo {
     /// The rig file.
@@ -24,11 +24,11 @@ pub(crate) struct TeachingInfo {
     pub settings: Vec<(String, String)>,
 }
 
-/// Half the side of a close-up at least, pixels, and how far it reaches beyond the band.
+/// Least half side of a close-up, pixels, and its margin beyond the band.
 const CLOSE_UP_PX: (f64, f64) = (20.0, 10.0);
 
-/// Things of the bands' colours that are listed.
-const MOST_THINGS: usize = 24;
+/// Most objects of the bands' colours that are listed.
+const MAX_OBJECTS: usize = 24;
 
 /// The whole page.
 pub(crate) fn page(info: &TeachingInfo, done: &Teaching) -> String {
@@ -75,6 +75,9 @@ fn cards(done: &Teaching) -> String {
             let few = answered * 10 < learned.frames * 9;
             cards += &card(&marker.name, format!("{answered} of {}", learned.frames), "frames measured", few);
         }
+        if let Some(gamma) = done.rig.camera.gamma {
+            cards += &card("Gamma", format!("{gamma:.2}"), "", false);
+        }
         if let Some(exposure_s) = done.rig.camera.exposure_s {
             cards += &card("Exposure", format!("{:.1}", exposure_s * 1e3), "ms", false);
         }
@@ -94,7 +97,7 @@ fn help(done: &Teaching) -> String {
     format!("<h2>What would help, most first</h2>\n<ol>\n{items}</ol>\n")
 }
 
-/// Colour of a marker as it is drawn.
+/// Drawing colour of a marker.
 fn colour(marker: usize) -> String {
     css(Palette::ON_DARK.marker(marker))
 }
@@ -103,7 +106,7 @@ fn points(corners: impl IntoIterator<Item = Point2<f64>>) -> String {
     corners.into_iter().map(|p| format!("{:.1},{:.1} ", p.x, p.y)).collect()
 }
 
-/// The frame with regions, clicks, what was located, and what has a band's colour.
+/// The frame with regions, clicks, located bands, and blobs of the bands' colours.
 fn whole_frame(done: &Teaching, shown: &Shown) -> String {
     let Some(picture) = shown.whole() else { return String::new() };
     let [width, height] = shown.size();
@@ -191,7 +194,7 @@ fn clicks(done: &Teaching, arm: f64) -> String {
     drawn
 }
 
-/// Each band in each view, large, and as its colour model sees it.
+/// Each band in each view, magnified, and as its colour model sees it.
 fn close_ups(done: &Teaching, shown: &Shown) -> String {
     let mut figures = String::new();
     for (m, marker) in done.rig.markers.iter().enumerate() {
@@ -251,18 +254,18 @@ fn window(located: Option<Rectangle>, pick: Option<Point2<f64>>, [width, height]
     Some([x, y, side.min(width - x), side.min(height - y)])
 }
 
-/// What has a band's colour.
+/// The list of objects with a band's colour.
 fn things(done: &Teaching) -> String {
     if done.blobs.is_empty() {
         return String::new();
     }
-    // The bands first, then what is largest.
+    // The bands first, then by size.
     let mut blobs: Vec<_> = done.blobs.iter().collect();
     blobs.sort_by(|a, b| a.rejected.is_some().cmp(&b.rejected.is_some()).then(b.area_px2.total_cmp(&a.area_px2)));
-    let more = blobs.len().saturating_sub(MOST_THINGS);
+    let more = blobs.len().saturating_sub(MAX_OBJECTS);
     let rows: Vec<Vec<Html>> = blobs
         .into_iter()
-        .take(MOST_THINGS)
+        .take(MAX_OBJECTS)
         .map(|blob| {
             let name = done.rig.markers.get(blob.marker).map_or("", |m| m.name.as_str());
             let view = done.rig.views.get(blob.view).map_or("", |v| v.name.as_str());

@@ -1,4 +1,4 @@
-//! Pictures for a page, inside the page.
+//! Pictures embedded in a page.
 
 use crate::rig::ColourModel;
 use crate::source::Picture;
@@ -8,7 +8,7 @@ use image::codecs::png::PngEncoder;
 use image::{ExtendedColorType, ImageEncoder, RgbImage};
 use nalgebra::Vector3;
 
-/// Quality of pictures that are shown as a whole.
+/// JPEG quality of whole pictures.
 const QUALITY: u8 = 85;
 
 /// A picture in R'G'B'.
@@ -37,7 +37,7 @@ impl Shown {
         [self.pixels.width(), self.pixels.height()]
     }
 
-    /// All of it, as the address of an image element.
+    /// The whole picture, as a data URL.
     pub(super) fn whole(&self) -> Option<String> {
         let mut bytes = Vec::new();
         let [width, height] = self.size();
@@ -46,7 +46,7 @@ impl Shown {
         Some(format!("data:image/jpeg;base64,{}", BASE64_STANDARD.encode(bytes)))
     }
 
-    /// A part of it, without loss.
+    /// Part of it, lossless.
     pub(super) fn part(&self, x: u32, y: u32, width: u32, height: u32) -> Option<String> {
         png(&image::imageops::crop_imm(&self.pixels, x, y, width, height).to_image())
     }

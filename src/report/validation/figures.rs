@@ -12,10 +12,10 @@ use plotly::layout::{
 use plotly::{Plot, Scatter, Scatter3D};
 use std::f64::consts::TAU;
 
-/// Runs shown at first; more would hide each other.
+/// Runs shown initially; more would hide each other.
 const SHOWN: usize = 3;
 
-/// From dark to light over the runs, fastest first: the stops of viridis that can be seen on white.
+/// From dark to light over the runs, fastest first: the stops of viridis that are visible on white.
 fn colour(index: usize, count: usize) -> Rgb {
     const STOPS: [[f64; 3]; 5] =
         [[68.0, 1.0, 84.0], [59.0, 82.0, 139.0], [33.0, 145.0, 140.0], [70.0, 178.0, 100.0], [170.0, 190.0, 30.0]];
@@ -25,7 +25,7 @@ fn colour(index: usize, count: usize) -> Rgb {
     [0, 1, 2].map(|c| (a[c] + (b[c] - a[c]) * part).round() as u8)
 }
 
-/// The slowest, the fastest and the one in the middle are shown at first.
+/// The slowest, the fastest and the middle one are shown initially.
 fn visible(index: usize, count: usize) -> Visible {
     let first = count <= SHOWN || [0, count / 2, count - 1].contains(&index);
     if first { Visible::True } else { Visible::LegendOnly }
@@ -64,7 +64,7 @@ fn dots(x: Vec<Option<f64>>, y: Vec<Option<f64>>, colour: Rgb) -> Trace {
         .connect_gaps(false)
 }
 
-/// A model's response, over which the runs' dots lie.
+/// A model's response, behind the runs' dots.
 fn model_trace(plot: &mut Plot, model: Option<&ModelLine>, of: impl Fn(&(f64, f64, f64)) -> f64, unit: &str) {
     let Some(model) = model else { return };
     let (x, y) = model.points.iter().map(|p| (rounded(p.0, 5), rounded(of(p), 4))).unzip();
@@ -77,7 +77,7 @@ fn model_trace(plot: &mut Plot, model: Option<&ModelLine>, of: impl Fn(&(f64, f6
     );
 }
 
-/// Magnitude over frequency, and where it is 3 dB below the slowest run's; the model's too.
+/// Magnitude over frequency, and where it is 3 dB below the slowest run's; also for the model.
 pub(super) fn magnitude(validation: &Validation, model: Option<&ModelLine>) -> Plot {
     let x = validation.runs.iter().rev().map(|run| rounded(run.frequency_hz, 5)).collect();
     let y = validation.runs.iter().rev().map(|run| rounded(run.magnitude?.db, 4)).collect();
@@ -170,7 +170,7 @@ pub(super) fn space(validation: &Validation, aligned: bool) -> Plot {
         all.iter()
             .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), p| (low.min(p[k] * 1e3), high.max(p[k] * 1e3)))
     });
-    // The catheter hangs: z, along it, points down.
+    // The catheter hangs: its z axis points down.
     let scene =
         chart::scene(spans, ["x (mm)", "y (mm)", "z (mm)"]).camera(chart::eye((0.0, 0.0, -1.0), (1.35, 1.35, -1.2)));
     let layout = chart::layout()
@@ -203,7 +203,7 @@ pub(super) fn space(validation: &Validation, aligned: bool) -> Plot {
     plot
 }
 
-/// One run, aligned, over the path, both flattened into the plane of the path (Fig. 12).
+/// One run, aligned, over the path, both projected into the plane of the path (Fig. 12).
 pub(super) fn one_run(validation: &Validation, index: usize, run: &Run) -> Plot {
     let axis = |title: &str| chart::value_axis(title).constrain(AxisConstrain::Domain).zero_line(false);
     let layout = chart::layout()
@@ -232,7 +232,7 @@ pub(super) fn one_run(validation: &Validation, index: usize, run: &Run) -> Plot 
     plot
 }
 
-/// Fitted circles in their planes, all around one centre (Fig. 10).
+/// Fitted circles in their planes, all with the same centre (Fig. 10).
 pub(super) fn circles(validation: &Validation) -> Plot {
     let axis = |title: &str| chart::value_axis(title).constrain(AxisConstrain::Domain);
     let layout = chart::layout()

@@ -9,10 +9,10 @@ use super::page::{self, card, facts_table, figure, plural, signed, table, troubl
 use crate::source::times::seconds;
 use crate::validate::{Row, Run, Size, Validation};
 
-/// What the page says beside the runs: name and value, for example options of the command.
+/// Information besides the runs: name and value, for example options of the command.
 pub(crate) type Settings = Vec<(String, String)>;
 
-/// The response of a model beside that of the runs.
+/// The response of a model, to compare with the runs.
 pub(crate) struct ModelLine {
     /// For the legend.
     pub(crate) name: String,
@@ -23,11 +23,11 @@ pub(crate) struct ModelLine {
 impl ModelLine {
     /// Points of the line.
     const POINTS: usize = 120;
-    /// It reaches so much further than the runs.
+    /// Factor by which it extends beyond the runs.
     const BEYOND: f64 = 1.5;
 
-    /// `response` over the frequencies of the runs and a little beyond, its magnitude moved so that it is that of the
-    /// slowest run there: what the runs measure is relative to the path, and has no unit of the model's.
+    /// `response` over the frequencies of the runs and a little beyond, its magnitude shifted to match the slowest run:
+    /// the runs' magnitude is relative to the path and does not have the model's unit.
     pub(crate) fn of(
         name: String,
         validation: &Validation,
@@ -42,7 +42,7 @@ impl ModelLine {
         let mut last = 0.0_f64;
         let at = |k: usize| {
             let f = low * (high / low).powf(k as f64 / (Self::POINTS - 1) as f64);
-            // Followed from the lowest frequency on.
+            // Unwrapped from the lowest frequency.
             let phase = response(f)?.arg().to_degrees();
             last = phase + 360.0 * ((last - phase) / 360.0).round();
             Some((f, db(f)? + moved, last))
@@ -51,7 +51,7 @@ impl ModelLine {
     }
 }
 
-/// A drop of this much is where the bandwidth ends, dB.
+/// Drop that defines the bandwidth, dB.
 const DROP_DB: f64 = -3.0;
 
 /// The whole page.
@@ -71,10 +71,10 @@ pub(crate) fn page(validation: &Validation, settings: &Settings, model: Option<&
     page::page(&format!("Validation along {}", validation.name()), &body)
 }
 
-/// Where the magnitude is 3 dB below that of the slowest run, Hz: on the line between two runs over the logarithm of
-/// frequency. `None` when it does not fall so far.
+/// Where the magnitude is 3 dB below that of the slowest run, Hz: interpolated between two runs over the logarithm of
+/// frequency. `None` when it does not fall that far.
 pub(crate) fn bandwidth_hz(validation: &Validation) -> Option<f64> {
-    // The motion along any other path has several frequencies, and no response at one of them.
+    // The motion along any other path has several frequencies, and no response at a single one.
     validation.path.circle?;
     let points: Vec<(f64, f64)> =
         validation.runs.iter().rev().filter_map(|run| Some((run.frequency_hz.ln(), run.magnitude?.db))).collect();
@@ -90,11 +90,11 @@ fn mm(m: f64) -> String {
 }
 
 /// A value with this many digits, a dash without one.
-fn plain(value: Option<f64>, digits: usize) -> String {
+fn number_or_dash(value: Option<f64>, digits: usize) -> String {
     value.map_or_else(|| "–".to_owned(), |value| format!("{value:.digits$}"))
 }
 
-/// The same with its sign.
+/// The same with a sign.
 fn with_sign(value: Option<f64>, digits: usize) -> String {
     value.map_or_else(|| "–".to_owned(), |value| signed(value, digits))
 }
@@ -103,7 +103,7 @@ fn pause(run: &Run) -> String {
     format!("{} ms", short(run.pause_s * 1e3))
 }
 
-/// As many digits as it has, three behind the point at most.
+/// As many digits as needed, at most three decimals.
 fn short(value: f64) -> String {
     ((value * 1e3).round() / 1e3).to_string()
 }
@@ -169,8 +169,8 @@ fn errors(validation: &Validation) -> String {
                 format!("{:.3}", row.rms_unaligned_mm),
                 format!("{:.1}", row.rotation_deg),
                 format!("{:.2}", row.offset_x_mm.hypot(row.offset_y_mm).hypot(row.offset_z_mm)),
-                [row.gain_x, row.gain_y, row.gain_z].map(|g| plain(g, 3)).join(", "),
-                plain(row.tangent_rms_deg, 2),
+                [row.gain_x, row.gain_y, row.gain_z].map(|g| number_or_dash(g, 3)).join(", "),
+                number_or_dash(row.tangent_rms_deg, 2),
             ]
         })
         .collect();
@@ -222,10 +222,10 @@ fn response(validation: &Validation, model: Option<&ModelLine>) -> String {
                 with_sign(row.magnitude_db, 3),
                 with_sign(row.phase_deg, 2),
                 with_sign(row.lag_ms, 1),
-                plain(row.correlation, 4),
-                plain(row.observed_size_mm, 3),
-                plain(row.circle_rms_mm, 3),
-                plain(row.plane_rms_mm, 3),
+                number_or_dash(row.correlation, 4),
+                number_or_dash(row.observed_size_mm, 3),
+                number_or_dash(row.circle_rms_mm, 3),
+                number_or_dash(row.plane_rms_mm, 3),
             ]
         })
         .collect();
@@ -308,8 +308,8 @@ fn frames(validation: &Validation) -> String {
                 row.frames.to_string().into(),
                 format!("{} + {}", row.frames_missed, row.frames_lost).into(),
                 format!("{} of {}", row.points_left_out, row.points).into(),
-                plain(row.scatter_mm, 3).into(),
-                plain(row.sd_mm, 3).into(),
+                number_or_dash(row.scatter_mm, 3).into(),
+                number_or_dash(row.sd_mm, 3).into(),
             ]
         })
         .collect();
@@ -343,7 +343,7 @@ fn facts(validation: &Validation, settings: &Settings) -> String {
     let mut rows = vec![
         ("Path".to_owned(), path.file.display().to_string()),
         ("Marker".to_owned(), validation.runs.first().map_or_else(String::new, |run| run.marker.clone())),
-        ("Points".to_owned(), format!("{} a period, {} periods", path.points.len(), path.periods)),
+        ("Points".to_owned(), format!("{} per period, {} periods", path.points.len(), path.periods)),
     ];
     rows.extend(settings.iter().cloned());
     rows.push(("Version".to_owned(), format!("Catoptra {}", env!("CARGO_PKG_VERSION"))));

@@ -4,29 +4,30 @@
 //! Abdel-Aziz and Karara, "Direct linear transformation from comparator coordinates into object space coordinates"
 //! (1971), doi:10.14358/PERS.81.2.103.
 //!
-//! A mirror makes of the camera a mirrored one, which is as good a DLT as any, left-handed. A wall bends rays so that
-//! they have no common centre, and distortion bends lines: no DLT.
+//! A mirror gives a mirrored camera, which has a valid, left-handed DLT. A wall leaves the rays no common centre, and
+//! distortion bends lines: neither has a DLT.
 
 use super::super::{Draft, RigError, View};
 use crate::optics::Surface;
 use nalgebra::{Matrix3x4, Matrix4, Vector3, Vector4};
 use std::path::Path;
 
-/// How far in front of the lens, along the optical axis, the origin is put when a rig has no base frame, metres. In the
-/// lens it cannot be: the denominator is 1 in the origin, and the depth is 0 in the lens.
+/// How far in front of the lens, along the optical axis, the origin is put when a rig has no base frame, metres. It
+/// cannot be in the lens: the denominator is 1 at the origin, and the depth is 0 in the lens.
 pub const ORIGIN_M: f64 = 1.0;
 
-/// A depth of the origin below which the coefficients would be rounding, metres.
-const LEAST_DEPTH_M: f64 = 1e-6;
+/// Depth of the origin below which the coefficients would be rounding noise, metres.
+const MIN_DEPTH_M: f64 = 1e-6;
 
-/// The coefficients of all views, or of the one named, as DLTdv reads them: eleven lines, a column a view, commas.
+/// The coefficients of all views, or of the one named, as DLTdv reads them: eleven lines, one column per view,
+/// separated by commas.
 ///
 /// X, Y, Z are millimetres, in the base frame when the rig has one, else in the camera's with its origin moved
-/// [`ORIGIN_M`] forward. u goes right and v down; `first_pixel` is what both are in the centre of the top-left pixel: 0
-/// as in a rig, 1 as MATLAB and DLTdv count. `name` stands for the rig in error messages.
+/// [`ORIGIN_M`] forward. u goes right and v down; `first_pixel` is the value of both at the centre of the top-left
+/// pixel: 0 as in a rig, 1 as in MATLAB and DLTdv. `name` is the rig in error messages.
 ///
 /// # Errors
-/// [`RigError`] for a view that is no DLT, with the wall, the distortion or the origin that is in the way.
+/// [`RigError`] for a view that has no DLT, naming the wall, the distortion or the origin that prevents it.
 pub fn write(rig: &Draft, view: Option<&str>, first_pixel: f64, name: &Path) -> Result<String, RigError> {
     let views = match view {
         Some(view) => vec![rig.view(view, name)?],
@@ -85,7 +86,7 @@ fn coefficients(rig: &Draft, view: &View, first_pixel: f64, name: &Path) -> Resu
     let millimetres = Matrix4::from_diagonal(&Vector4::new(1e-3, 1e-3, 1e-3, 1.0));
     let p = projection * image_from_camera * camera_from_world * millimetres;
     let depth_m = p.m34;
-    if depth_m.abs() < LEAST_DEPTH_M {
+    if depth_m.abs() < MIN_DEPTH_M {
         let expected =
             format!("an origin of the frame before or behind the lens: it lies {depth_m:.1e} m from its plane");
         return wrong(format!("view.{}", view.name), format!("{:?}", view.path), expected);

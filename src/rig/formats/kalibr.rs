@@ -48,7 +48,7 @@ pub(super) fn read(root: &Node<'_>) -> Result<Camera, RigError> {
     camera(&intrinsics, size_px.into(), [fx, fy, cx, cy], ([k1, k2, p1, p2, 0.0], [0.0; 3]))
 }
 
-/// The camera as a chain of one; `name` stands for the rig in error messages.
+/// The camera as a chain of one; `name` is the rig in error messages.
 ///
 /// # Errors
 /// [`RigError::Value`] when the lens has a k3 or is rational.

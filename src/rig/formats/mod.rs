@@ -1,9 +1,8 @@
 //! Cameras as other tools write them: OpenCV, ROS, Kalibr; and a view as DLT coefficients.
 //!
 //! Text in, text out, no files. The first three hold a camera: picture size, focal lengths, principal point,
-//! distortion. Nothing of mirrors and walls: a ray that is reflected or refracted has no place in them. [`dlt`] holds a
-//! view with all its mirrors, but neither a wall nor a distortion. What a format cannot hold is refused, with the
-//! numbers.
+//! distortion, but no mirrors or walls: they cannot express a reflected or refracted ray. [`dlt`] holds a view with all
+//! its mirrors, but neither walls nor distortion. What a format cannot hold is refused, with the numbers.
 //!
 //! All of them count pixels from the centre of the top-left one, as a rig does.
 
@@ -42,15 +41,15 @@ impl fmt::Display for Format {
 }
 
 impl Format {
-    /// Which format a text is in; `name` stands for the file in error messages.
+    /// Which format a text is in; `name` is the file in error messages.
     ///
     /// # Errors
-    /// [`RigError::Syntax`] when it is no YAML, or says nothing that one of the formats would say.
+    /// [`RigError::Syntax`] when it is not YAML, or has no key of any of the formats.
     pub fn guess(text: &str, name: &Path) -> Result<Self, RigError> {
         let yaml = yaml::parse(text, name)?;
         let root = Node::root(&yaml, name);
         let has = |names: &[&str]| root.get(names).is_some();
-        // Old ROS drivers wrote through OpenCV: what ROS alone says comes before OpenCV's marks.
+        // Old ROS drivers wrote through OpenCV: keys that only ROS uses are checked before OpenCV's.
         if !kalibr::cameras(&root).is_empty() {
             Ok(Self::Kalibr)
         } else if has(&["distortion_model", "camera_name", "rectification_matrix"]) {
@@ -66,10 +65,10 @@ impl Format {
         }
     }
 
-    /// The camera of a text in this format; `name` stands for the file in error messages.
+    /// The camera in a text of this format; `name` is the file in error messages.
     ///
     /// # Errors
-    /// [`RigError`] with key and value: a text that is not of this format, a lens that a rig cannot hold.
+    /// [`RigError`] with key and value: a text not in this format, or a lens that a rig cannot hold.
     pub fn read(self, text: &str, name: &Path) -> Result<Camera, RigError> {
         let yaml = yaml::parse(text, name)?;
         let root = Node::root(&yaml, name);
@@ -80,12 +79,12 @@ impl Format {
         }
     }
 
-    /// The camera of a rig as a text in this format, all digits kept; `name` stands for the rig in error messages.
+    /// The camera of a rig as a text in this format, with all digits; `name` is the rig in error messages.
     ///
-    /// With `view` it must be one that the camera sees directly and in air: the camera is all that these formats hold.
+    /// `view`, if given, must be seen directly and in air: these formats hold only a camera.
     ///
     /// # Errors
-    /// [`RigError::Value`] with what the format has no place for.
+    /// [`RigError::Value`] with what the format cannot hold.
     pub fn write(self, rig: &Draft, view: Option<&str>, name: &Path) -> Result<String, RigError> {
         if let Some(view) = view {
             let view = rig.view(view, name)?;
@@ -132,7 +131,7 @@ fn from_matrices(root: &Node<'_>) -> Result<Camera, RigError> {
 const COEFFICIENTS: [&str; 14] =
     ["k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4", "tau_x", "tau_y"];
 
-/// k1, k2, p1, p2, k3 and k4, k5, k6 of a list that may be shorter, or longer by coefficients that are zero.
+/// k1, k2, p1, p2, k3 and k4, k5, k6 from a list that may be shorter, or longer if the rest is zero.
 fn distortion(node: &Node<'_>) -> Result<([f64; 5], [f64; 3]), RigError> {
     let values = node.numbers()?;
     if !matches!(values.len(), 4 | 5 | 8 | 12 | 14) {
@@ -152,7 +151,7 @@ fn distortion(node: &Node<'_>) -> Result<([f64; 5], [f64; 3]), RigError> {
     Ok((distortion, denominator))
 }
 
-/// A camera whose numbers describe a lens; `node` is where they stand.
+/// A camera whose numbers describe a lens; `node` is their place in the file.
 fn camera(
     node: &Node<'_>,
     size_px: [u32; 2],
@@ -162,17 +161,17 @@ fn camera(
     let lens =
         Lens { focal_px: Vector2::new(fx, fy), principal_point_px: Point2::new(cx, cy), distortion, denominator };
     lens.validate().map_err(|e| node.wrong(format!("a lens: {e}")))?;
-    Ok(Camera { size_px, lens, blur_px: None, chroma_offset_px: [0.0; 2], exposure_s: None })
+    Ok(Camera { size_px, lens, blur_px: None, chroma_offset_px: [0.0; 2], exposure_s: None, gamma: None })
 }
 
-/// Numbers with all their digits, `1, 2.5` as `1.0, 2.5`. Never with an exponent: readers of YAML 1.1 take 1e-5 for a
-/// word.
+/// Numbers with all their digits, `1, 2.5` as `1.0, 2.5`. Never with an exponent: YAML 1.1 readers take 1e-5 for a
+/// string.
 fn list(values: &[f64]) -> String {
     let shown = values.iter().map(|v| if v.fract() == 0.0 { format!("{v:.1}") } else { v.to_string() });
     shown.collect::<Vec<_>>().join(", ")
 }
 
-/// The camera matrix, row after row.
+/// The camera matrix, row-major.
 fn matrix(lens: &Lens) -> [f64; 9] {
     let (f, c) = (lens.focal_px, lens.principal_point_px);
     [f.x, 0.0, c.x, 0.0, f.y, c.y, 0.0, 0.0, 1.0]

@@ -6,7 +6,7 @@ use super::{from_matrices, list, matrix};
 use crate::rig::{Camera, RigError};
 
 pub(super) fn read(root: &Node<'_>) -> Result<Camera, RigError> {
-    // Older files say no model and mean plumb_bob; rational_polynomial has three coefficients more.
+    // Older files name no model and mean plumb_bob; rational_polynomial has three more coefficients.
     if let Some(model) = root.get(&["distortion_model"])
         && !matches!(model.word()?, "plumb_bob" | "rational_polynomial")
     {
@@ -24,7 +24,7 @@ pub(super) fn read(root: &Node<'_>) -> Result<Camera, RigError> {
     Ok(camera)
 }
 
-/// Rectification is none, and the projection matrix the camera's own.
+/// There is no rectification; the projection matrix is the camera's own.
 pub(super) fn write(camera: &Camera) -> String {
     let [width, height] = camera.size_px;
     let lens = &camera.lens;

@@ -1,14 +1,14 @@
-//! A YAML text, walked with the place in mind: what is missing or wrong is told with its key and value.
+//! Walks a YAML text and keeps track of the place, so that errors name key and value.
 
 use super::super::RigError;
 use std::path::Path;
 use yaml_rust2::parser::{Event, Parser};
 use yaml_rust2::{Yaml, YamlLoader};
 
-/// The first document of a YAML text; `file` stands in the messages.
+/// The first document of a YAML text; `file` is named in the messages.
 ///
-/// OpenCV writes `%YAML:1.0` on top, which YAML 1.2 knows no more, and older versions no `---` after it: that line is
-/// left out.
+/// OpenCV writes `%YAML:1.0` on top, which YAML 1.2 no longer allows, and older versions wrote no `---` after it: that
+/// line is skipped.
 ///
 /// # Errors
 /// [`RigError::Syntax`] with the line.
@@ -29,8 +29,8 @@ pub(super) fn parse(text: &str, file: &Path) -> Result<Yaml, RigError> {
     }
 }
 
-/// Refuses what a description of a camera does not need and a small file can fill the memory with: values that stand
-/// for others (`*name`), and nesting without end.
+/// Rejects what a camera description does not need and what lets a small file fill the memory: aliases (`*name`) and
+/// unlimited nesting.
 fn check(text: &str) -> Result<(), (usize, String)> {
     const DEEPEST: usize = 32;
     let mut parser = Parser::new_from_str(text);
@@ -53,7 +53,7 @@ fn check(text: &str) -> Result<(), (usize, String)> {
     }
 }
 
-/// A value and where it stands.
+/// A value and its place.
 #[derive(Debug, Clone)]
 pub(super) struct Node<'a> {
     file: &'a Path,
@@ -67,7 +67,7 @@ impl<'a> Node<'a> {
     }
 
     /// The entry under one of these names, whichever comes first. `camera_matrix`, `cameraMatrix` and `Camera_Matrix`
-    /// are one name: OpenCV's own samples write all three.
+    /// count as one name: OpenCV's own samples write all three.
     pub(super) fn get(&self, names: &[&str]) -> Option<Self> {
         let plain = |name: &str| name.replace('_', "").to_ascii_lowercase();
         let entries = self.value.as_hash()?;
@@ -80,7 +80,7 @@ impl<'a> Node<'a> {
         Some(self.under(key, value))
     }
 
-    /// As [`Node::get`]; without it the file does not say enough.
+    /// As [`Node::get`]; an error when it is missing.
     pub(super) fn need(&self, names: &[&str], what: &str) -> Result<Self, RigError> {
         let name = names.first().copied().unwrap_or_default();
         self.get(names).ok_or_else(|| RigError::Key {
@@ -90,7 +90,7 @@ impl<'a> Node<'a> {
         })
     }
 
-    /// All entries with a name.
+    /// All entries that have a name.
     pub(super) fn entries(&self) -> Vec<(&'a str, Self)> {
         let entries = self.value.as_hash().into_iter().flatten();
         entries.filter_map(|(key, value)| Some((key.as_str()?, self.under(key.as_str()?, value)))).collect()
@@ -104,12 +104,12 @@ impl<'a> Node<'a> {
         if self.key.is_empty() { key.to_owned() } else { format!("{}.{key}", self.key) }
     }
 
-    /// The value as the file writes it, or near to it.
+    /// The value as the file writes it, or nearly so.
     fn shown(&self) -> String {
         show(self.value)
     }
 
-    /// This value is wrong, and what would be right.
+    /// The error that this value is wrong, with what would be right.
     pub(super) fn wrong(&self, expected: impl Into<String>) -> RigError {
         RigError::Value {
             file: self.file.to_path_buf(),
@@ -129,12 +129,12 @@ impl<'a> Node<'a> {
 
     /// A count of pixels.
     pub(super) fn pixels(&self) -> Result<u32, RigError> {
-        // Some writers make `1280.` of it.
+        // Some programs write `1280.`.
         let whole = number(self.value).filter(|v| v.fract() == 0.0 && (1.0..=65_535.0).contains(v));
         whole.map(|v| v as u32).ok_or_else(|| self.wrong("a whole number from 1 to 65535"))
     }
 
-    /// `[a, b, …]`, or a matrix with `rows`, `cols` and `data`, row after row.
+    /// `[a, b, …]`, or a matrix with `rows`, `cols` and row-major `data`.
     pub(super) fn numbers(&self) -> Result<Vec<f64>, RigError> {
         if self.value.as_hash().is_some() {
             let data = self.need(&["data"], "the numbers of the matrix")?;
@@ -169,7 +169,7 @@ fn show(value: &Yaml) -> String {
         Yaml::Integer(whole) => whole.to_string(),
         Yaml::Boolean(yes) => yes.to_string(),
         Yaml::Array(items) => format!("[{}]", items.iter().map(show).collect::<Vec<_>>().join(", ")),
-        // Of a matrix its numbers.
+        // A matrix shows its numbers.
         Yaml::Hash(_) if !value["data"].is_badvalue() => show(&value["data"]),
         Yaml::Hash(_) => "{…}".to_owned(),
         Yaml::Null | Yaml::BadValue | Yaml::Alias(_) => "nothing".to_owned(),

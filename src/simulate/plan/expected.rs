@@ -1,17 +1,17 @@
 //! The calibration to be expected of a rig that has none: boards in air and in the rig, as `catoptra simulate --boards`
 //! draws them, their corners projected, with noise, and adjusted as `calibrate` does.
 
-use super::super::boards::{BoardSet, Boards};
+use super::super::board_poses::{BoardPoses, BoardSet};
 use super::super::centre_line::CentreLine;
 use super::super::mount::Mount;
 use super::super::sensor::Sensor;
-use super::Calibrated;
+use super::CalibrationErrorSource;
 use crate::calibrate::board::Board;
 use crate::calibrate::bundle::prior::Prior;
 use crate::calibrate::bundle::shape::Shape;
 use crate::calibrate::bundle::{Bundle, Corner};
 use crate::calibrate::geometry::{Geometry, Parameter};
-use crate::calibrate::rig::share::noted;
+use crate::calibrate::rig::share::recorded_geometry;
 use crate::optics::Surface;
 use crate::rig::{Draft, Rig};
 use nalgebra::Point2;
@@ -25,13 +25,18 @@ const CORNER_SD_PX: f64 = 0.06;
 const TAPE_SD_M: f64 = 2e-3;
 
 /// The rig with a covariance of its geometry: its own, or that to be expected.
-pub(super) fn with_covariance(draft: &Draft, rig: &Rig, mount: &Mount, rest: &CentreLine) -> (Draft, Calibrated) {
-    if noted(draft).is_some() {
-        return (draft.clone(), Calibrated::Noted);
+pub(super) fn with_covariance(
+    draft: &Draft,
+    rig: &Rig,
+    mount: &Mount,
+    rest: &CentreLine,
+) -> (Draft, CalibrationErrorSource) {
+    if recorded_geometry(draft).is_some() {
+        return (draft.clone(), CalibrationErrorSource::Noted);
     }
     match expected(draft, rig, mount, rest) {
-        Ok(with) => (with, Calibrated::Expected { pictures: PICTURES, corner_sd_px: CORNER_SD_PX }),
-        Err(why) => (draft.clone(), Calibrated::Unknown(why)),
+        Ok(with) => (with, CalibrationErrorSource::Expected { pictures: PICTURES, corner_sd_px: CORNER_SD_PX }),
+        Err(why) => (draft.clone(), CalibrationErrorSource::Unknown(why)),
     }
 }
 
@@ -50,8 +55,9 @@ fn expected(draft: &Draft, rig: &Rig, mount: &Mount, rest: &CentreLine) -> Resul
     let mut random = fastrand::Rng::with_seed(11);
     let (mut poses, mut corners) = (Vec::new(), Vec::new());
     for (set, shown) in [(BoardSet::Air, vec![air]), (BoardSet::Rig, (0..air).collect())] {
-        let boards = Boards::new(rig, board.clone(), set, around, 0.55, Sensor::IDEAL);
-        for pose in boards.poses(PICTURES, 5).map_err(|e| e.to_string())? {
+        let standing = BoardPoses::new(rig, set, around);
+        let boards = standing.boards(board.clone(), 0.55, Sensor::IDEAL);
+        for pose in standing.poses(&boards, PICTURES, 5).map_err(|e| e.to_string())? {
             for view in &shown {
                 let path = geometry.path(*view);
                 for place in &places {

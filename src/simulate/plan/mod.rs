@@ -79,7 +79,7 @@ pub struct Planned {
     pub tip: Point3<f64>,
     /// The centre line, camera frame.
     pub line: CentreLine,
-    /// For each view: pixels by millimetre across the tube at the coil, or why a band is not seen.
+    /// For each view: pixels per millimetre across the tube at the coil, or why a band is not seen.
     pub views: Vec<Result<f64, Unseen>>,
     /// Errors by noise, of a picture without loss; or what the tracker misses.
     pub lossless: Result<Noise, String>,
@@ -98,7 +98,7 @@ impl Planned {
 
 /// Where the error by the calibration comes from.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Calibrated {
+pub enum CalibrationErrorSource {
     /// The rig file's own covariance.
     Noted,
     /// Of boards that are supposed to be taken: so many in air and in the rig, corners good to this, pixels.
@@ -124,7 +124,7 @@ pub struct Plan {
     /// Settings of the currents that have no stable shape.
     pub without_shape: usize,
     /// What the errors by the calibration are of.
-    pub calibrated: Calibrated,
+    pub calibrated: CalibrationErrorSource,
     /// What would make it better, the best first.
     pub suggestions: Vec<Suggestion>,
     /// R'G'B' of the picture at rest.
@@ -201,7 +201,7 @@ fn planned(
         let mut tracker = Tracker::new(rig, TrackOptions::default())?;
         let stamp = Timestamp { ns: 0, clock: Clock::Container };
         let estimate = tracker.step(&Frame { seq: 0, stamp, gap: 0, host: None, picture })?;
-        Ok(said(rig, &estimate))
+        Ok(stated_noise(rig, &estimate))
     };
     let bytes = renderer.bytes(&exposed, seed);
     let video = noise(as_video(&bytes, renderer.size_px())?)?;
@@ -228,7 +228,7 @@ fn planned(
 }
 
 /// What the tracker says of its own errors.
-fn said(rig: &Rig, estimate: &Estimate) -> Result<Noise, String> {
+fn stated_noise(rig: &Rig, estimate: &Estimate) -> Result<Noise, String> {
     let views: Vec<&str> = rig.views.iter().map(|view| view.name.as_str()).collect();
     let missed =
         |marker: &str, miss: &crate::estimate::Miss| format!("{marker}: {}", miss.word(&views).replace('_', " "));

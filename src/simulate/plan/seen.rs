@@ -27,7 +27,7 @@ pub enum Unseen {
     NoRay(#[from] NoRay),
 }
 
-/// Pixels by millimetre across the tube at the coil, when all bands are seen.
+/// Pixels per millimetre across the tube at the coil, when all bands are seen.
 pub(super) fn seen(rig: &Rig, mount: &Mount, line: &CentreLine, view: usize) -> Result<f64, Unseen> {
     let Some(own) = rig.views.get(view) else { return Err(Unseen::Region) };
     let radius_m = rig.catheter.diameter_m / 2.0;
@@ -59,7 +59,7 @@ pub(super) fn seen(rig: &Rig, mount: &Mount, line: &CentreLine, view: usize) -> 
     Ok(across(own, &place, &direction)?.1 / 1e3)
 }
 
-/// Pixel, and pixels by metre across the tube.
+/// Pixel, and pixels per metre across the tube.
 fn across(view: &View, place: &Point3<f64>, direction: &Vector3<f64>) -> Result<(Point2<f64>, f64), NoRay> {
     let seen = view.optics.project_with_jacobian(place)?;
     let side = direction.cross(&seen.ray.direction).try_normalize(1e-9).unwrap_or_else(Vector3::x);

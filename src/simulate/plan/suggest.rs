@@ -9,7 +9,7 @@ use crate::rig::Rig;
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Unit, Vector3};
 
 /// Only what helps by this much is told.
-const HELPS: f64 = 0.95;
+const HELPFUL_BELOW: f64 = 0.95;
 
 /// A change, and what it does.
 #[derive(Debug, Clone, PartialEq)]
@@ -39,7 +39,7 @@ pub(super) fn suggestions(rig: &Rig, mount: &Mount, poses: &[Planned]) -> Vec<Su
         let mut other = rig.clone();
         other.camera.lens.focal_px *= factor;
         refit(&mut other);
-        all.push((format!("a lens {factor} times as long, or a camera with pixels as much smaller"), still(other)));
+        all.push((format!("a lens {factor} times as long, or pixels smaller by that factor"), still(other)));
     }
     let middle = tips.iter().map(|tip| tip.coords).sum::<Vector3<f64>>() / tips.len().max(1) as f64;
     for part in [0.15, 0.3] {
@@ -58,16 +58,16 @@ pub(super) fn suggestions(rig: &Rig, mount: &Mount, poses: &[Planned]) -> Vec<Su
             }
         }
     }
-    let mut told: Vec<Suggestion> = all
+    let mut helpful: Vec<Suggestion> = all
         .into_iter()
         .filter_map(|(what, other)| {
             let (then, seen) = other.judged(&tips)?;
             Some(Suggestion { what, part: then / own, seen: (seen, tips.len()) })
         })
-        .filter(|suggestion| suggestion.part < HELPS && suggestion.seen.0 >= seen_now)
+        .filter(|suggestion| suggestion.part < HELPFUL_BELOW && suggestion.seen.0 >= seen_now)
         .collect();
-    told.sort_by(|a, b| a.part.total_cmp(&b.part));
-    told
+    helpful.sort_by(|a, b| a.part.total_cmp(&b.part));
+    helpful
 }
 
 fn still(rig: Rig) -> Other {

@@ -1,4 +1,5 @@
-//! The picture's side: `foxglove.CameraCalibration`, and what was found in each frame as `foxglove.ImageAnnotations`.
+//! Messages about the picture: `foxglove.CameraCalibration`, and the bands of each frame as
+//! `foxglove.ImageAnnotations`.
 
 use super::convert::{Names, timestamp};
 use super::scene::{CAMERA_FRAME, colour};
@@ -16,12 +17,12 @@ const CORNER_TO_CENTRE_PX: f64 = 0.5;
 const DOT_PX: f64 = 3.0;
 const STROKE_PX: f64 = 1.0;
 const FONT_PX: f64 = 14.0;
-/// A label sits this far right of and above its band.
+/// Offset of a label to the right of and above its band.
 const LABEL_OFFSET_PX: f64 = 10.0;
 const LABEL: Color = Color { r: 1.0, g: 1.0, b: 1.0, a: 1.0 };
 const LABEL_BACKGROUND: Color = Color { r: 0.0, g: 0.0, b: 0.0, a: 0.6 };
 
-/// Intrinsics as `plumb_bob`, whose five parameters are the lens' own, or as `rational_polynomial` with eight. As in
+/// Intrinsics as `plumb_bob`, whose five parameters are the lens's own, or as `rational_polynomial` with eight. As in
 /// ROS, the principal point counts from the centre of the top-left pixel.
 pub(super) fn calibration(camera: &Camera, stamp_ns: i64) -> CameraCalibration {
     let (f, c) = (camera.lens.focal_px, camera.lens.principal_point_px);
@@ -39,7 +40,7 @@ pub(super) fn calibration(camera: &Camera, stamp_ns: i64) -> CameraCalibration {
     }
 }
 
-/// The picture itself: with its frame's time, as the annotations have it.
+/// The picture itself: with its frame's time, like the annotations.
 pub(super) fn image(image: &LoggedImage) -> CompressedImage {
     CompressedImage {
         timestamp: Some(timestamp(image.stamp_ns)),
@@ -49,7 +50,7 @@ pub(super) fn image(image: &LoggedImage) -> CompressedImage {
     }
 }
 
-/// The markers' colours, to draw with.
+/// The markers' colours for drawing.
 pub(super) fn colours(rig: &Rig) -> Vec<Color> {
     rig.markers.iter().map(colour).collect()
 }

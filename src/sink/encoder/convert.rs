@@ -9,7 +9,7 @@ use crate::tally::{self, Drifted};
 use foxglove::messages::{Point2, Point3, Timestamp, Vector2, Vector3};
 use nalgebra::{Isometry3, Matrix3};
 
-/// What messages need to know of the rig.
+/// What messages need from the rig.
 #[derive(Debug, Clone)]
 pub(super) struct Names {
     markers: Vec<String>,
@@ -77,6 +77,7 @@ impl Names {
                 polar_rad: d.polar_rad,
                 azimuth_rad: d.azimuth_rad,
             }),
+            tick: estimate.tick.map(|tick| u32::from(tick.count)),
         }
     }
 
@@ -172,13 +173,13 @@ pub(super) fn vector3(v: &nalgebra::Vector3<f64>) -> Vector3 {
     Vector3 { x: v.x, y: v.y, z: v.z }
 }
 
-/// Camera time as the time of an MCAP message, which has no place for a negative one, and some readers and writers take
-/// 0 for "no time": frames at or before the clock's zero are filed at 1 ns, in their order.
+/// Camera time as the time of an MCAP message, which cannot be negative; some readers and writers also take 0 for "no
+/// time", so frames at or before the clock's zero are filed at 1 ns, in their order.
 pub(in crate::sink) fn file_time_ns(stamp_ns: i64) -> u64 {
     u64::try_from(stamp_ns).unwrap_or(0).max(1)
 }
 
-/// Camera time in Foxglove's messages: exact from 0 to the year 2106, the nearer end outside.
+/// Camera time in Foxglove's messages: exact from 0 to the year 2106, clamped outside.
 pub(super) fn timestamp(stamp_ns: i64) -> Timestamp {
     let ns = u64::try_from(stamp_ns).unwrap_or(0);
     let nsec = u32::try_from(ns % 1_000_000_000).ok();

@@ -5,7 +5,7 @@ use crate::log::schema::messages::{Health, MissCount};
 use crate::sink::PictureCount;
 use crate::tally::Totals;
 
-/// The message; with the counts of pictures if any are recorded.
+/// The message, with the counts of pictures if any are recorded.
 pub(super) fn health(names: &Names, totals: &Totals, pictures: Option<&PictureCount>) -> Health {
     let miss = |miss: &crate::tally::MissCount| MissCount {
         what: miss.what.clone(),

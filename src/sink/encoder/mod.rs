@@ -1,7 +1,7 @@
 //! [`MessageEncoder`]: the messages of a run, topic by topic, the same in the log and to live subscribers.
 //!
-//! In: estimates, totals and coil currents, and the rig. Out: encoded [`Message`]s, each with its [`Topic`]. Times of
-//! messages are the caller's: a log has one more than a subscriber.
+//! In: estimates, totals and coil currents, and the rig. Out: encoded [`Message`]s, each with its [`Topic`]. The caller
+//! sets the times of messages: a log has one more than a subscriber.
 
 mod camera;
 mod convert;
@@ -38,7 +38,7 @@ impl Message {
     }
 }
 
-/// Makes messages of estimates.
+/// Makes messages from estimates.
 #[derive(Debug)]
 pub(super) struct MessageEncoder {
     names: Names,
@@ -65,7 +65,7 @@ impl MessageEncoder {
         self.pictures = Some(count);
     }
 
-    /// What holds for the whole run, with the time of a frame.
+    /// The messages that hold for the whole run, with the time of a frame.
     pub(super) fn rig(&self, stamp_ns: i64) -> Result<Vec<Message>, SinkError> {
         let calibration = Message::of(Topic::Calibration, &camera::calibration(&self.camera, stamp_ns))?;
         let transform = scene::camera_in_base(&self.names, stamp_ns);
@@ -124,7 +124,7 @@ impl MessageEncoder {
         Message::of(Topic::Image, &camera::image(image))
     }
 
-    /// What was kept of a picture.
+    /// The recorded windows of a picture.
     pub(super) fn windows(kept: &PictureWindows) -> Result<Message, SinkError> {
         Message::of(Topic::Windows, &Catoptra(kept.clone()))
     }

@@ -12,7 +12,7 @@ use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 pub(super) const CAMERA_FRAME: &str = "camera";
 pub(super) const BASE_FRAME: &str = "base";
 
-/// Bands are drawn this much thicker than the tube, to be seen on it.
+/// Bands are drawn this much thicker than the tube, to be visible on it.
 const BAND_OVER_TUBE: f64 = 1.3;
 /// Length of the arrow along the coil's direction, metres.
 const ARROW_M: f64 = 0.015;
@@ -20,7 +20,7 @@ const TUBE: Color = Color { r: 0.92, g: 0.92, b: 0.92, a: 1.0 };
 const ARROW: Color = Color { r: 0.95, g: 0.35, b: 0.1, a: 1.0 };
 const COLOUR_NOT_LEARNED: Color = Color { r: 0.5, g: 0.5, b: 0.5, a: 1.0 };
 
-/// What of the rig is needed to draw an estimate.
+/// What drawing an estimate needs from the rig.
 #[derive(Debug)]
 pub(super) struct Scene {
     frame_id: &'static str,
@@ -46,7 +46,7 @@ impl Scene {
         }
     }
 
-    /// One entity a frame, which replaces that of the frame before: what was not measured is not drawn.
+    /// One entity per frame, which replaces that of the previous frame: what was not measured is not drawn.
     pub(super) fn update(&self, estimate: &Estimate) -> SceneUpdate {
         let places: Vec<Option<Point3<f64>>> = estimate
             .markers
@@ -74,7 +74,7 @@ impl Scene {
                     top_scale: 1.0,
                     color: Some(color),
                 }),
-                // The direction of the other bands is not measured: no cylinder that would claim one.
+                // The direction of the other bands is not measured: no cylinder, which would claim one.
                 None => entity.spheres.push(SpherePrimitive {
                     pose: Some(pose(place, &UnitQuaternion::identity())),
                     size: Some(Size { x: width, y: width, z: width }),
@@ -97,7 +97,7 @@ impl Scene {
     }
 
     fn arrow(&self, from: &Point3<f64>, direction: &Vector3<f64>) -> ArrowPrimitive {
-        // An arrow lies along its pose's x axis; exactly against it any half turn will do.
+        // An arrow lies along its pose's x axis; for the exact opposite, any half turn will do.
         let rotation = UnitQuaternion::rotation_between(&Vector3::x(), direction)
             .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::z_axis(), std::f64::consts::PI));
         ArrowPrimitive {

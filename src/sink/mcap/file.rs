@@ -1,14 +1,14 @@
-//! [`LogFile`]: an MCAP file of which everything older than [`FLUSH_AFTER`] survives a kill at any instant.
+//! [`LogFile`]: an MCAP file in which everything older than [`FLUSH_AFTER`] survives a kill at any instant.
 //!
-//! Messages gather in a chunk in memory and reach the file as whole chunks, so an unfinished file is a series of
-//! complete records (at worst with one torn at its end). A chunk is closed when [`FLUSH_AFTER`] of camera time is in it
-//! (the caller's part, see [`LogFile::message`]) and when its first message has waited that long by the clock on the
-//! wall, which a small thread watches: a camera that stalls must not keep its last frames in memory.
+//! Messages are collected in a chunk in memory and reach the file as whole chunks, so an unfinished file is a series of
+//! complete records (at worst with one torn at its end). A chunk is closed when it spans [`FLUSH_AFTER`] of camera time
+//! (by the caller, see [`LogFile::message`]) and when its first message has waited that long in wall-clock time, which
+//! a small thread watches: a stalled camera must not keep its last frames in memory.
 //!
-//! Chunks are compressed with zstd, in the thread that writes: at 60 Hz with three markers in two views a log would
-//! grow by 25 MB a minute without.
+//! Chunks are compressed with zstd, in the thread that writes: without compression a log would grow by 25 MB per minute
+//! at 60 Hz with three markers in two views.
 
-use super::form::{Announced, Filed};
+use super::form::{FileMessage, FileTopic};
 use crate::sink::{SinkError, same_error, settle};
 use mcap::records::{MessageHeader, Metadata};
 use mcap::write::NoSeek;
@@ -22,7 +22,7 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-/// How long a message may stay in memory: half of the second that is promised.
+/// How long a message may stay in memory: half of the guaranteed second.
 pub(super) const FLUSH_AFTER: Duration = Duration::from_millis(500);
 
 /// Largest chunk, bytes. More than [`FLUSH_AFTER`] of 60 Hz tracking.
@@ -54,7 +54,7 @@ struct Shared {
 }
 
 struct OpenFile {
-    /// Gone once the file is finished or lost.
+    /// `None` once the file is finished or lost.
     writer: Option<Writer>,
     /// When the oldest message in memory was written.
     waiting_since: Option<Instant>,
@@ -81,7 +81,7 @@ impl LogFile {
     pub(super) fn create(path: &Path, profile: &str) -> Result<Self, SinkError> {
         let lost = |source| SinkError::io(path, source);
         let file = File::create(path).map_err(lost)?;
-        // Held as long as the file is open: so that nobody repairs a log that is being written.
+        // Held while the file is open, so that nobody repairs a log that is being written.
         #[cfg(unix)]
         if let Err(error) = rustix::fs::flock(&file, rustix::fs::FlockOperation::NonBlockingLockExclusive) {
             tracing::debug!("{}: cannot be locked: {error}", path.display());
@@ -105,13 +105,13 @@ impl LogFile {
         Ok(Self { path: path.to_owned(), shared, flusher: Some(flusher), channels: Vec::new() })
     }
 
-    /// Adds topics; their schemas travel in the file.
-    pub(super) fn announce(&mut self, topics: &[Announced]) -> Result<(), SinkError> {
+    /// Adds topics; their schemas are stored in the file.
+    pub(super) fn announce(&mut self, topics: &[FileTopic]) -> Result<(), SinkError> {
         self.channels = topics.iter().map(|topic| self.announced(topic)).collect::<Result<_, _>>()?;
         Ok(())
     }
 
-    fn announced(&self, topic: &Announced) -> Result<u16, SinkError> {
+    fn announced(&self, topic: &FileTopic) -> Result<u16, SinkError> {
         self.with_writer(|writer| {
             let schema = match &topic.schema {
                 Some((name, encoding, data)) => writer.add_schema(name, encoding, data)?,
@@ -122,7 +122,7 @@ impl LogFile {
     }
 
     /// Writes a message. Call [`LogFile::flush`] by camera time.
-    pub(super) fn message(&mut self, message: &Filed, sequence: u32, times: Times) -> Result<(), SinkError> {
+    pub(super) fn message(&mut self, message: &FileMessage, sequence: u32, times: Times) -> Result<(), SinkError> {
         let Some(&channel_id) = self.channels.get(message.channel) else {
             let unknown = io::Error::other(format!("topic {} was not announced", message.channel));
             return Err(SinkError::io(&self.path, unknown));
@@ -154,7 +154,7 @@ impl LogFile {
         self.with_writer(|writer| writer.write_metadata(&Metadata { name: name.to_owned(), metadata }))
     }
 
-    /// Hands everything written so far to the system.
+    /// Passes everything written so far to the system.
     pub(super) fn flush(&mut self) -> Result<(), SinkError> {
         self.shared.lock().waiting_since = None;
         self.with_writer(Writer::flush)
@@ -164,19 +164,20 @@ impl LogFile {
     pub(super) fn finish(&mut self) -> Result<(), SinkError> {
         self.stop_flusher();
         self.with_writer(|writer| writer.finish().map(drop))?;
-        // A second call would find the writer gone: it is taken so that nothing can be written behind the end.
+        // A second call would find the writer gone: it is taken so that nothing can be written after the end.
         let Some(writer) = self.shared.lock().writer.take() else { return Ok(()) };
         let settled =
             writer.into_inner().into_inner().into_inner().map_err(|e| e.into_error()).and_then(|file| settle(&file));
         settled.map_err(|source| SinkError::io(&self.path, source))
     }
 
-    /// Runs `action` unless the file is lost; an error loses it for good, and is given again to every later call.
+    /// Runs `action` unless the file is lost; after an error it is lost for good, and every later call returns the
+    /// error again.
     fn with_writer<T>(&self, action: impl FnOnce(&mut Writer) -> McapResult<T>) -> Result<T, SinkError> {
         self.shared.lock().run(action).map_err(|source| SinkError::io(&self.path, source))
     }
 
-    /// From here on nothing is flushed by the clock on the wall.
+    /// From here on nothing is flushed by wall-clock time.
     pub(super) fn stop_flusher(&mut self) {
         self.shared.lock().closed = true;
         self.shared.changed.notify_one();
@@ -189,14 +190,14 @@ impl LogFile {
 }
 
 impl Drop for LogFile {
-    /// An unfinished file gets its end too (the writer's own `drop` does it); errors can no longer be told to anyone.
+    /// An unfinished file also gets its end (the writer's own `drop` does it); errors can no longer be reported.
     fn drop(&mut self) {
         self.stop_flusher();
     }
 }
 
 impl Shared {
-    /// The state; a thread that panicked with it leaves it as it was, which is no reason to lose the log.
+    /// The state; a thread that panicked while holding it left it intact, so the log need not be lost.
     fn lock(&self) -> MutexGuard<'_, OpenFile> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -209,7 +210,7 @@ impl Shared {
                 None => self.changed.wait(state).unwrap_or_else(PoisonError::into_inner),
                 Some(Duration::ZERO) => {
                     state.waiting_since = None;
-                    // The failure is kept in the state: the next call from outside reports it.
+                    // The failure is kept in the state: the caller's next call reports it.
                     let _ = state.run(Writer::flush);
                     state
                 }
@@ -237,7 +238,7 @@ impl OpenFile {
     }
 }
 
-/// What the system said, without the wrapping that hides it.
+/// The system's error, without the wrapper that hides it.
 fn system_error(error: McapError) -> io::Error {
     match error {
         McapError::Io(source) => source,

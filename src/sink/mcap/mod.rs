@@ -1,5 +1,5 @@
-//! The log: MCAP with Protobuf messages, readable by Foxglove and by every language that has an `mcap` package; or with
-//! those of ROS 2 ([`Profile::Ros2`]).
+//! The log: MCAP with Protobuf messages, readable by Foxglove and in every language with an `mcap` package; or with ROS
+//! 2 messages ([`Profile::Ros2`]).
 //!
 //! Its topics and messages are those of [`log::schema`](crate::log::schema), or those of
 //! [`log::ros2`](crate::log::ros2).
@@ -12,18 +12,18 @@
 //! The publish time of a message is the camera's time stamp of its frame, in nanoseconds since that clock's zero. Its
 //! log time is the same, and in a live run the host's time of the frame's arrival, nanoseconds since 1970. The
 //! container cannot hold negative times, and 0 is taken for "no time" by some programs: frames stamped at or before 0
-//! are filed at 1 ns, in their order. `stamp_ns` in the project's own messages is exact always; `timestamp` in
-//! Foxglove's is exact from 0 up and 0 before. The sequence number of a message is that of its frame.
+//! are filed at 1 ns, in their order. `stamp_ns` in the project's own messages is always exact; `timestamp` in
+//! Foxglove's is exact from 0 up and 0 before that. The sequence number of a message is that of its frame.
 //!
 //! # After a crash
-//! Whatever ends the run, all messages older than a second can be read: see `file.rs` for how. A log without its end
-//! has no index; `mcap recover` makes one.
+//! However the run ends, all messages older than a second can be read (see `file.rs`). A log without its end has no
+//! index; `mcap recover` makes one.
 
 mod file;
 mod form;
 
 pub use form::Profile;
-pub(crate) use form::{Announced, Filed, RosLog};
+pub(crate) use form::{FileMessage, FileTopic, RosLog};
 
 use super::encoder::{MessageEncoder, file_time_ns};
 use super::{CurrentSample, ImageTaker, PictureCount, Sink, SinkError, WindowRecorder};
@@ -68,7 +68,7 @@ impl McapSink {
         Self::of_profile(Profile::default(), path, rig, rig_toml, options_toml)
     }
 
-    /// As [`McapSink::create`], for others than Foxglove.
+    /// As [`McapSink::create`], for any profile.
     ///
     /// # Errors
     /// [`SinkError::Io`] when the file cannot be created or written.
@@ -99,25 +99,31 @@ impl McapSink {
         })
     }
 
-    /// The run records pictures: `what` goes into the metadata (`windows`, or the name of the video), their count into
-    /// `/health`.
+    /// For a run that records pictures: `what` goes into the metadata (`windows`, or the name of the video), their
+    /// count into `/health`.
     #[must_use]
     pub fn with_pictures(mut self, what: &str, count: Arc<PictureCount>) -> Self {
         self.pictures = Some(what.to_owned());
+        self.with_picture_count(count)
+    }
+
+    /// Their count goes into `/health`: recording may begin later.
+    #[must_use]
+    pub fn with_picture_count(mut self, count: Arc<PictureCount>) -> Self {
         self.encoder.set_picture_count(Arc::clone(&count));
         self.count = Some(count);
         self
     }
 
-    /// Hands frames to the system by camera time alone, not by the clock on the wall as well: the same frames give the
-    /// same bytes, however long they take. A run that is killed may lose more than its last second.
+    /// Flushes by camera time only, not also by wall-clock time: the same frames give the same bytes, however long they
+    /// take. A killed run may then lose more than its last second.
     #[must_use]
     pub fn by_camera_time(mut self) -> Self {
         self.file.stop_flusher();
         self
     }
 
-    /// Keeps the windows of the pictures that [`Sink::write`] is given.
+    /// Keeps the windows of the pictures passed to [`Sink::write`].
     #[must_use]
     pub fn with_windows(mut self) -> Self {
         self.windows = Some(WindowRecorder::default());
@@ -131,7 +137,7 @@ impl McapSink {
         said.into_iter().filter_map(|(key, value)| Some((key.to_owned(), value?.to_owned()))).collect()
     }
 
-    /// What is said once, before the first frame.
+    /// Writes the messages that come once, before the first frame.
     fn begin(&mut self, estimate: &Estimate, seq: u32, times: Times) -> Result<(), SinkError> {
         self.file.metadata(METADATA, self.about(Some(estimate.stamp.clock.name())))?;
         self.put(&self.form.rig(&self.encoder, estimate.stamp.ns)?, seq, times)?;
@@ -139,11 +145,11 @@ impl McapSink {
         Ok(())
     }
 
-    fn put(&mut self, messages: &[Filed], seq: u32, times: Times) -> Result<(), SinkError> {
+    fn put(&mut self, messages: &[FileMessage], seq: u32, times: Times) -> Result<(), SinkError> {
         messages.iter().try_for_each(|message| self.file.message(message, seq, times))
     }
 
-    /// Hands the frames so far to the system, when enough camera time is in them.
+    /// Passes the frames so far to the system when they span enough camera time.
     fn flush_if_due(&mut self) -> Result<(), SinkError> {
         if u128::from(self.last_ns.abs_diff(self.flushed_ns)) < FLUSH_AFTER.as_nanos() {
             return Ok(());
@@ -159,7 +165,7 @@ impl Sink for McapSink {
         let publish_ns = file_time_ns(estimate.stamp.ns);
         let log_ns = estimate.host.map_or(publish_ns, |host| file_time_ns(host.arrival_ns));
         let times = Times { log_ns, publish_ns };
-        // The format counts messages in 32 bits: two years of frames at 60 Hz, then from 0 again.
+        // The format counts messages in 32 bits: two years of frames at 60 Hz, then it restarts at 0.
         let seq = (estimate.seq & u64::from(u32::MAX)) as u32;
         if self.last.is_none() {
             self.begin(estimate, seq, times)?;

@@ -1,8 +1,8 @@
-//! The overlay video: the recording with what was measured drawn into it, and a strip below with θ over time.
+//! The overlay video: the recording with the measurements drawn into it, and a strip below with θ over time.
 //!
 //! In: estimates and the pictures they come from. Out: an MP4 file with every frame at its camera time (see
-//! [`super::encode`] for the rounding). The video is higher than the picture by the strip (a fifth): nothing of the
-//! picture is covered but by outlines, crosses, names and the tangent's arrow. Lines and text grow with the picture.
+//! [`super::encode`] for the rounding). The strip (a fifth of the height) is added below the picture: only outlines,
+//! crosses, names and the tangent's arrow cover the picture itself. Lines and text scale with the picture.
 
 mod pen;
 mod scene;
@@ -25,13 +25,13 @@ use pen::Canvas;
 use scene::Scene;
 use std::path::{Path, PathBuf};
 
-/// Height of the strip as a part of the picture's.
+/// Height of the strip as a fraction of the picture's.
 const STRIP_PART: f64 = 0.2;
-/// No strip is lower than this, pixels: below, its text cannot be read.
+/// Least height of the strip, pixels, for its text to be readable.
 const STRIP_MIN_PX: i32 = 120;
 /// Height of a picture in which lines are one pixel wide and names eleven pixels high.
 const UNIT_HEIGHT_PX: f64 = 1024.0;
-/// Units of small pictures: text at half size can just be read.
+/// Least unit, for small pictures: text at half size is just readable.
 const UNIT_MIN: f64 = 0.6;
 
 /// Writes the overlay video.
@@ -43,13 +43,13 @@ pub struct OverlaySink {
     history: strip::History,
     origin: Option<Origin>,
     to_bgr: ToBgr,
-    /// The picture before anything is drawn, for the magnified pieces.
+    /// The picture before drawing, for the magnified pieces.
     clean: Mat,
     canvas: Canvas,
     video: VideoFile,
 }
 
-/// Where things stand in the video, pixels.
+/// Layout of the video, pixels.
 struct Layout {
     strip: Rect,
     numbers: Rect,
@@ -61,7 +61,7 @@ impl OverlaySink {
     /// Opens `path` (an .mp4) for recordings of the rig's camera.
     ///
     /// # Errors
-    /// [`SinkError`] when the file cannot be written or no encoder is there.
+    /// [`SinkError`] when the file cannot be written or there is no encoder.
     pub fn create(path: &Path, rig: &Rig) -> Result<Self, SinkError> {
         let [width, height] = rig.camera.size_px;
         let draw = |source| SinkError::Draw { path: path.into(), source };
@@ -106,7 +106,7 @@ impl OverlaySink {
     fn missing(&self, estimate: &Estimate) -> Vec<String> {
         let views = self.scene.view_names();
         let say = |what: &str, miss: &crate::estimate::Miss| {
-            let why = super::spoken(&miss.word(&views));
+            let why = super::plain_words(&miss.word(&views));
             format!("{what}: {why}")
         };
         let markers = estimate.markers.iter().enumerate();
@@ -152,7 +152,7 @@ impl Layout {
     fn new(strip: Rect, unit: f64, views: usize) -> Self {
         let margin = (10.0 * unit) as i32;
         let inner = Rect::new(margin, strip.y + margin, strip.width - 2 * margin, strip.height - 2 * margin);
-        // As many magnified pieces as fit into two fifths of the width; multiples of the zoom keep its pixels square.
+        // As many magnified pieces as fit into two fifths of the width; multiples of the zoom keep the pixels square.
         let side = inner.height / 4 * 4;
         let count = views.min((inner.width * 2 / 5 / (side + margin).max(1)).max(0) as usize);
         let insets: Vec<Rect> = (1..=count)
@@ -166,12 +166,12 @@ impl Layout {
     }
 }
 
-/// Width of a line in a picture so high, pixels.
+/// Width of a line in a picture of this height, pixels.
 fn unit(height: u32) -> f64 {
     (f64::from(height) / UNIT_HEIGHT_PX).max(UNIT_MIN)
 }
 
-/// Pixels as OpenCV counts them. Beyond 2^24 no encoder goes: kept there, so that sums cannot overflow.
+/// Pixels as OpenCV counts them. Clamped to 2^24, beyond which no encoder goes, so that sums cannot overflow.
 fn whole(pixels: u32) -> i32 {
     pixels.min(1 << 24) as i32
 }

@@ -1,5 +1,5 @@
-//! Drawing on a BGR picture with sub-pixel places: lines, areas and text with a dark rim, so that they read on any
-//! ground.
+//! Drawing on a BGR picture with sub-pixel positions: lines, areas and text with a dark rim, readable on any
+//! background.
 
 use crate::sink::palette::Rgb;
 use nalgebra::{Point2, Vector2};
@@ -9,7 +9,7 @@ use opencv::{Result, imgproc};
 
 /// Fractional bits of OpenCV's drawing coordinates.
 const SHIFT: i32 = 4;
-/// Nothing is drawn further out than this: far beyond any picture, far below what overflows.
+/// Limit of coordinates: far beyond any picture, far below overflow.
 const FARTHEST_PX: f64 = 50_000.0;
 /// Height of a capital letter of OpenCV's simplex font at scale 1, pixels.
 const CAPITAL_PX: f64 = 21.0;
@@ -19,11 +19,11 @@ const RIM: Rgb = [0, 0, 0];
 /// A picture to draw on, with the size of one unit of line width and text in it.
 pub(super) struct Canvas {
     pub(super) bgr: Mat,
-    /// Pixels a unit: 1 for a picture 1024 pixels high, more in larger ones.
+    /// Pixels per unit: 1 for a picture 1024 pixels high, more in larger ones.
     pub(super) unit: f64,
 }
 
-/// How text is set relative to its place.
+/// Alignment of text relative to its position.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Anchor {
     Left,
@@ -42,7 +42,7 @@ impl Canvas {
         ((units * self.unit).round() as i32).max(1)
     }
 
-    /// A line through points; parts that lie outside numbers or picture are left out.
+    /// A line through points; parts that are not finite or outside the picture are left out.
     pub(super) fn path(&mut self, points: &[Point2<f64>], closed: bool, colour: Rgb, units: f64) -> Result<()> {
         let Some(fixed) = fixed(points) else { return Ok(()) };
         let lines = Vector::<Vector<Point>>::from_iter([fixed]);
@@ -78,7 +78,7 @@ impl Canvas {
         let triangle = [*tip, back + across * length * 0.4, back - across * length * 0.4];
         let mut line = shaft.to_vec();
         if let Some(end) = line.last_mut() {
-            *end = back; // the line must not stick out of the tip
+            *end = back; // the line must not protrude from the tip
         }
         self.path_rimmed(&line, false, colour, units)?;
         self.path(&triangle, true, RIM, 2.0)?;
@@ -129,7 +129,7 @@ impl Canvas {
         Ok(())
     }
 
-    /// Signs that OpenCV's fonts lack, drawn from the strokes they consist of.
+    /// Signs that OpenCV's fonts lack, drawn stroke by stroke.
     fn glyph(&mut self, glyph: char, at: Point2<f64>, size: f64, colour: Rgb, stroke: i32) -> Result<()> {
         let width = glyph_width(glyph, size);
         let middle = at.x + width / 2.0;
@@ -164,7 +164,7 @@ enum Run<'a> {
     Glyph(char),
 }
 
-/// Text cut where a sign of our own stands.
+/// Text split at our own signs.
 fn runs(text: &str) -> impl Iterator<Item = Run<'_>> {
     const OWN: [char; 3] = ['θ', '°', '±'];
     text.split_inclusive(OWN).flat_map(|part| {

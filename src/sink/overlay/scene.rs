@@ -1,10 +1,10 @@
-//! What is drawn into the picture: outlines, centres and names of the bands, and the coil's tangent, in every view.
+//! Draws into the picture: outlines, centres and names of the bands, and the coil's tangent, in every view.
 //!
-//! The band itself stays visible: crosses are open in the middle, names stand beside the tube, and the arrow starts
+//! The band itself stays visible: crosses are open in the middle, names are beside the tube, and the arrow starts
 //! beyond the last marker. The magnified pieces beside the graph show the coil with its outline.
 
 use super::pen::{Anchor, Canvas};
-use crate::estimate::{BandObservation, Estimate};
+use crate::estimate::{BandObservation, Estimate, Spot, Tick};
 use crate::optics::OpticalPath;
 use crate::rig::Rig;
 use crate::sink::palette::{Palette, Rgb};
@@ -15,15 +15,15 @@ use opencv::{Result, imgproc};
 
 const PALETTE: Palette = Palette::ON_DARK;
 const ARROW: Rgb = [255, 255, 255];
-/// How long the arrow is on the catheter, metres, and how far it keeps from the last marker.
+/// Length of the arrow on the catheter, metres, and its distance from the last marker.
 const ARROW_M: f64 = 0.025;
 const ARROW_GAP_M: f64 = 0.004;
-/// Refraction bends straight lines slightly: the arrow is projected in this many pieces.
+/// Pieces in which the arrow is projected, because refraction slightly bends straight lines.
 const ARROW_PIECES: u32 = 4;
 /// Magnification of the coil beside the graph.
 const ZOOM: i32 = 4;
 
-/// What of the rig is needed to draw.
+/// What drawing needs from the rig.
 pub(super) struct Scene {
     marker_names: Vec<String>,
     half_lengths_m: Vec<f64>,
@@ -79,7 +79,7 @@ impl Scene {
         for (i, band) in bands() {
             self.label(canvas, i, band)?;
         }
-        Ok(())
+        estimate.tick.iter().try_for_each(|tick| lamp(canvas, tick))
     }
 
     /// The marker's name beside the band, on the side to the right of the tube.
@@ -98,7 +98,7 @@ impl Scene {
         canvas.text(baseline, name, CAPITALS, PALETTE.marker(marker), Anchor::Centre)
     }
 
-    /// The tangent's arrow in one view; `None` when it is not known or no ray arrives.
+    /// The tangent's arrow in one view; `None` when unknown or no ray arrives.
     fn arrow_px(&self, estimate: &Estimate, optics: &OpticalPath) -> Option<Vec<Point2<f64>>> {
         let tangent = estimate.tangent.as_ref().ok()?.direction;
         let coil = estimate.markers.get(self.coil)?.position.as_ref().ok()?.point;
@@ -141,7 +141,7 @@ impl Scene {
             imgproc::resize(&source, &mut large, place.size(), 0.0, 0.0, imgproc::INTER_NEAREST)?;
             large.copy_to(&mut target)?;
             if let Some(band) = band {
-                // Centres of pixels lie at whole numbers in both pictures.
+                // Pixel centres are at integers in both pictures.
                 let zoom = Vector2::new(
                     f64::from(place.width) / f64::from(piece.width),
                     f64::from(place.height) / f64::from(piece.height),
@@ -178,7 +178,21 @@ impl Scene {
     }
 }
 
-/// How far a band's outline reaches from its centre, pixels.
+/// The lamp that shows commands: a ring around it, thick when it is on, and its count.
+fn lamp(canvas: &mut Canvas, tick: &Tick) -> Result<()> {
+    let Spot { x_px, y_px, radius_px } = tick.spot;
+    let middle = Point2::new(f64::from(x_px), f64::from(y_px));
+    let ring = |k: i32| {
+        let (sin, cos) = (std::f64::consts::TAU * f64::from(k) / 32.0).sin_cos();
+        middle + Vector2::new(cos, sin) * (f64::from(radius_px) + 1.0)
+    };
+    let ring: Vec<Point2<f64>> = (0..32).map(ring).collect();
+    canvas.path_rimmed(&ring, true, ARROW, if tick.count == 1 { 3.0 } else { 1.0 })?;
+    let below = Point2::new(middle.x, middle.y + f64::from(radius_px) + 16.0 * canvas.unit);
+    canvas.text(below, &format!("tick {}", tick.count), 9.0, ARROW, Anchor::Centre)
+}
+
+/// Extent of a band's outline from its centre, pixels.
 struct Reach {
     across_axis: Vector2<f64>,
     along: f64,

@@ -1,4 +1,4 @@
-//! Single pictures with what was found drawn into them, as the overlay video has it: for pages.
+//! Single pictures with the results drawn into them as in the overlay video, for pages.
 
 use super::super::colour::{ConvertError, ToBgr};
 use super::super::jpeg::{self, Loss};
@@ -34,10 +34,10 @@ pub(crate) enum StillError {
 
 impl Stills {
     pub(crate) fn new(rig: &Rig) -> Self {
-        Self { size_px: rig.camera.size_px, scene: Scene::new(rig), to_bgr: ToBgr::default() }
+        Self { size_px: rig.camera.size_px, scene: Scene::new(rig), to_bgr: ToBgr::quick() }
     }
 
-    /// The picture with outlines, names and the tangent's arrow, cut to `part`, as a JPEG.
+    /// The picture with outlines, names and the tangent's arrow, cropped to `part`, as a JPEG.
     ///
     /// # Errors
     /// [`StillError`] when the picture is not of the rig's camera, or cannot be converted, drawn into or compressed.

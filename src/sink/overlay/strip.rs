@@ -17,9 +17,9 @@ const TEXT: Rgb = [232, 234, 237];
 const QUIET: Rgb = [165, 170, 178];
 const CURVE: Rgb = [120, 200, 250];
 const BAND: Rgb = [48, 86, 116];
-/// How much of the past the graph shows, seconds.
+/// Time span of the graph, seconds.
 const WINDOW_S: f64 = 5.0;
-/// Ends of the θ axis, degrees: the first that holds all angles so far, so that the scale never jumps back.
+/// Ends of the θ axis, degrees: the smallest that covers all angles so far, so that the scale never shrinks.
 const LIMITS_DEG: [f64; 9] = [5.0, 10.0, 20.0, 30.0, 45.0, 60.0, 90.0, 120.0, 180.0];
 
 /// θ of the last seconds.
@@ -34,7 +34,7 @@ struct Moment {
     /// θ and σ, degrees.
     theta_deg: Option<(f64, f64)>,
     gap: u32,
-    /// Any marker or the angle is missing.
+    /// Whether any marker or the angle is missing.
     missed: bool,
 }
 
@@ -48,7 +48,7 @@ impl History {
         }
         let missed = estimate.deflection.is_err() || estimate.markers.iter().any(|m| m.position.is_err());
         self.moments.push_back(Moment { t_s, theta_deg, gap: estimate.gap, missed });
-        // One moment older than the window stays: the line enters from the left edge.
+        // One older moment is kept, so that the line enters from the left edge.
         while self.moments.get(1).is_some_and(|m| m.t_s < t_s - WINDOW_S) {
             self.moments.pop_front();
         }
@@ -59,7 +59,7 @@ impl History {
     }
 }
 
-/// Paints the ground of the whole strip.
+/// Fills the background of the whole strip.
 pub(super) fn clear(canvas: &mut Canvas, place: Rect) -> Result<()> {
     canvas.block(place, GROUND)
 }

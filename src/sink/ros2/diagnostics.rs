@@ -1,4 +1,4 @@
-//! How the run goes, for `rqt_robot_monitor` and the like: totals, what was missed and why, drift.
+//! State of the run, for `rqt_robot_monitor` and the like: totals, misses with reasons, drift.
 
 use crate::log::ros2::messages::{DiagnosticStatus, KeyValue};
 use crate::log::schema::messages::Health;

@@ -1,18 +1,18 @@
 //! Poses with their covariances.
 //!
-//! The z axis of the coil's frame lies along its tangent, and the frame is turned there from the frame of the poses by
-//! the shortest way: a turn about the tube itself is not measured. What is not measured has the variance of an angle that
-//! may be anything, π²/3: large, and yet a covariance that a filter can invert (infinity and NaN are not).
+//! The z axis of the coil's frame lies along its tangent, reached from the frame of the poses by the shortest rotation:
+//! rotation about the tube itself is not measured. An unmeasured angle has the variance of a uniform one, π²/3: large,
+//! yet invertible for a filter (infinity and NaN are not).
 
 use crate::log::ros2::messages::{Pose, Quaternion, Xyz};
 use crate::log::schema::messages::{Position, Tangent};
 use nalgebra::{Isometry3, Matrix3, Quaternion as Turn, Unit, UnitQuaternion, Vector3};
 
-/// Turns the axes of pictures (x right, y down, z forward) into those of bodies (x forward, y left, z up).
+/// Rotates the axes of pictures (x right, y down, z forward) into those of bodies (x forward, y left, z up).
 pub(super) const CAMERA_FROM_OPTICAL: UnitQuaternion<f64> =
     Unit::new_unchecked(Turn::from_vector(nalgebra::Vector4::new(-0.5, 0.5, -0.5, 0.5)));
 
-/// Variance of an angle of which nothing is known, rad².
+/// Variance of an unknown angle, rad².
 pub(super) const ANY_ANGLE_RAD2: f64 = std::f64::consts::PI * std::f64::consts::PI / 3.0;
 
 /// Pose and covariance of a marker, in the base frame if `based`. `None` when the message lacks a part.
@@ -39,13 +39,14 @@ pub(super) fn oriented(position: &Position, tangent: Option<&Tangent>, based: bo
     Some((Pose { position, orientation: quaternion(&orientation) }, by_rows(&place, &turned)))
 }
 
-/// The shortest turn of z to `t`; exactly against z any half turn will do.
+/// The shortest rotation of z to `t`; for the exact opposite of z, any half turn will do.
 pub(super) fn turn_to(t: &Vector3<f64>) -> UnitQuaternion<f64> {
     UnitQuaternion::rotation_between(&Vector3::z(), t)
         .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI))
 }
 
-/// Of a direction's covariance that of the turn about the axes of its frame: δω = t × δt, and anything along t.
+/// Covariance of the rotation about the axes of the frame, from that of the direction: δω = t × δt, and any angle about
+/// t.
 fn covariance_of_turn(t: &Vector3<f64>, direction: &Matrix3<f64>) -> Matrix3<f64> {
     let cross = t.cross_matrix();
     cross * direction * cross.transpose() + t * t.transpose() * ANY_ANGLE_RAD2
@@ -65,7 +66,7 @@ fn matrix(by_rows: &[f64]) -> Option<Matrix3<f64>> {
     (by_rows.len() == 9).then(|| Matrix3::from_row_slice(by_rows))
 }
 
-/// Both blocks; that they depend on each other is not known.
+/// Both blocks; their correlation is unknown.
 fn by_rows(place: &Matrix3<f64>, turned: &Matrix3<f64>) -> [f64; 36] {
     std::array::from_fn(|k| {
         let (row, column) = (k / 6, k % 6);
@@ -91,7 +92,7 @@ mod tests {
         }
     }
 
-    /// Turns drawn from the covariance move the tangent as its own covariance says.
+    /// Rotations drawn from the covariance scatter the tangent as its own covariance states.
     #[test]
     fn the_covariance_of_the_turn_is_that_of_the_direction() {
         let t = Vector3::new(0.4, -0.2, 0.8).normalize();

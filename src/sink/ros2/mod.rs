@@ -1,7 +1,7 @@
 //! [`RosEncoder`]: the ROS 2 messages of a run, for a log of profile `ros2` and for live subscribers.
 //!
 //! In: the project's own messages ([`crate::log::schema::messages`]) and the rig. Out: [`RosMessage`]s. Metres and
-//! radians (REP 103). docs/ros2.md says what the topics are, and why each type was chosen.
+//! radians (REP 103). docs/ros2.md describes the topics, and why each type was chosen.
 //!
 //! | frame | parent | where |
 //! |---|---|---|
@@ -11,7 +11,7 @@
 //! | `catheter_NAME_band` | the frame of the poses | marker NAME, when it is located |
 //!
 //! Poses are in the base frame, or in `camera_optical_frame` if the rig has none. What was not measured has no message,
-//! except on `/catheter/deflection`, which has one for every frame: NaN there.
+//! except on `/catheter/deflection`, which has one for every frame, with NaN.
 
 mod diagnostics;
 mod geometry;
@@ -33,7 +33,7 @@ use scene::Scene;
 const BASE_LINK: &str = "catheter_base_link";
 /// The camera as a body.
 const CAMERA_LINK: &str = "camera_link";
-/// The camera as its pictures have it.
+/// The camera with the axes of its pictures.
 const OPTICAL_FRAME: &str = "camera_optical_frame";
 
 /// A topic.
@@ -43,19 +43,19 @@ pub(crate) struct RosTopic {
     pub(crate) name: String,
     /// Type of its messages.
     pub(crate) of: RosType,
-    /// What its subscribers are promised.
+    /// Its quality of service.
     pub(crate) qos: Qos,
 }
 
 /// A message.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct RosMessage {
-    /// Which of [`RosEncoder::topics`].
+    /// Index in [`RosEncoder::topics`].
     pub(crate) topic: usize,
     pub(crate) body: Body,
 }
 
-/// What is in a message.
+/// Content of a message.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) enum Body {
     CameraInfo(Box<CameraInfo>),
@@ -69,7 +69,7 @@ pub(crate) enum Body {
 }
 
 impl RosMessage {
-    /// As a file has it.
+    /// The encoded message, as in a file.
     ///
     /// # Errors
     /// [`SinkError::Encode`].
@@ -88,7 +88,7 @@ impl RosMessage {
     }
 }
 
-// The topics that every run has, by their places in the list; behind them a pose for each marker.
+// Indices of the topics that every run has; after them comes a pose for each marker.
 const TF_STATIC: usize = 0;
 const TF: usize = 1;
 const CAMERA_INFO: usize = 2;
@@ -110,7 +110,7 @@ pub(crate) struct RosEncoder {
     camera: Camera,
     base_from_camera: Option<Isometry3<f64>>,
     scene: Scene,
-    /// Whether stamps are the host's, where a frame has one.
+    /// Whether stamps are the host's, where a frame has them.
     on_host: bool,
 }
 
@@ -143,7 +143,7 @@ impl RosEncoder {
         }
     }
 
-    /// With stamps on the host's clock, as everything else has them that is live: in a log they are the camera's.
+    /// With stamps on the host's clock, as in all live output; in a log they are the camera's.
     #[cfg(feature = "ros2")]
     #[must_use]
     pub(crate) fn on_host_clock(self) -> Self {
@@ -155,7 +155,7 @@ impl RosEncoder {
         estimate.host_stamp_ns.filter(|_| self.on_host).unwrap_or(estimate.stamp_ns)
     }
 
-    /// All topics; messages name theirs by its place here.
+    /// All topics; messages refer to them by index.
     pub(crate) fn topics(&self) -> &[RosTopic] {
         &self.topics
     }
@@ -165,10 +165,10 @@ impl RosEncoder {
         if self.base_from_camera.is_some() { BASE_LINK } else { OPTICAL_FRAME }
     }
 
-    /// What holds for the whole run, with the time of a frame.
+    /// The messages that hold for the whole run, with the time of a frame.
     ///
     /// # Errors
-    /// [`SinkError::Encode`] when the time is further from the clock's zero than ROS can say.
+    /// [`SinkError::Encode`] when the time is further from the clock's zero than ROS can express.
     pub(crate) fn rig(&self, stamp_ns: i64) -> Result<Vec<RosMessage>, SinkError> {
         let link_from_optical = Isometry3::from_parts(Default::default(), CAMERA_FROM_OPTICAL);
         let transform = |parent: &str, child: &str, place: &Isometry3<f64>| -> Result<TransformStamped, SinkError> {
@@ -227,7 +227,7 @@ impl RosEncoder {
             let Some((pose, covariance)) = oriented(position, tangent, based) else { continue };
             let message = PoseWithCovarianceStamped { header: header.clone(), pose, covariance };
             messages.push(RosMessage { topic: FIRST_POSE + index, body: Body::Pose(Box::new(message)) });
-            // The coil's frame does not turn to where nothing was measured.
+            // The coil's frame needs a measured direction.
             if index != self.coil || tangent.is_some() {
                 transforms.push(TransformStamped {
                     header: header.clone(),
@@ -256,7 +256,7 @@ impl RosEncoder {
         Ok(RosMessage { topic: DIAGNOSTICS, body: Body::Diagnostics(DiagnosticArray { header, status }) })
     }
 
-    /// Currents of the coils: a joint for each, whose effort is its current.
+    /// Currents of the coils: one joint for each, with the current as effort.
     ///
     /// # Errors
     /// As [`RosEncoder::rig`].
@@ -270,7 +270,7 @@ impl RosEncoder {
         Ok(RosMessage { topic: CURRENTS, body: Body::Joints(joints) })
     }
 
-    /// A picture for people, and the camera beside it, as viewers want it.
+    /// A picture for people, with the camera info that viewers expect beside it.
     ///
     /// # Errors
     /// As [`RosEncoder::rig`].
@@ -292,7 +292,7 @@ fn deflection(estimate: &Estimate, header: Header) -> JointState {
     }
 }
 
-/// How the camera's clock stands to the host's.
+/// Relation of the camera's clock to the host's.
 fn clocks(estimate: &Estimate, host_ns: i64) -> Result<TimeReference, SinkError> {
     Ok(TimeReference {
         header: header(host_ns, OPTICAL_FRAME)?,
@@ -315,8 +315,7 @@ fn header(stamp_ns: i64, frame_id: &str) -> Result<Header, SinkError> {
     Ok(Header { stamp: time(stamp_ns)?, frame_id: frame_id.to_owned() })
 }
 
-/// Names as ROS allows them in topics: letters, digits and `_`, no digit first; those that would be the same are
-/// numbered.
+/// Names made valid for ROS topics: letters, digits and `_`, no digit first; duplicates are numbered.
 fn tokens<'a>(names: impl Iterator<Item = &'a str>) -> Vec<String> {
     let mut all: Vec<String> = Vec::new();
     for name in names {

@@ -1,4 +1,4 @@
-//! The 3D view for RViz: `visualization_msgs/MarkerArray`, one a frame. What was not measured is removed.
+//! The 3D view for RViz: `visualization_msgs/MarkerArray`, one per frame. What was not measured is removed.
 
 use super::geometry::{quaternion, turn_to};
 use crate::log::ros2::messages::{ColorRGBA, CompressedImage, Header, Marker, MarkerArray, MeshFile, Pose, Time, Xyz};
@@ -13,7 +13,7 @@ const LINE_STRIP: i32 = 4;
 const ADD: i32 = 0;
 const DELETE: i32 = 2;
 
-/// Bands are drawn this much thicker than the tube, to be seen on it.
+/// Bands are drawn this much thicker than the tube, to be visible on it.
 const BAND_OVER_TUBE: f64 = 1.3;
 /// Length of the arrow along the coil's direction, metres.
 const ARROW_M: f64 = 0.015;
@@ -21,10 +21,10 @@ const TUBE: ColorRGBA = ColorRGBA { r: 0.92, g: 0.92, b: 0.92, a: 1.0 };
 const DIRECTION: ColorRGBA = ColorRGBA { r: 0.95, g: 0.35, b: 0.1, a: 1.0 };
 const NOT_LEARNED: ColorRGBA = ColorRGBA { r: 0.5, g: 0.5, b: 0.5, a: 1.0 };
 
-/// What of the rig is needed to draw an estimate.
+/// What drawing an estimate needs from the rig.
 #[derive(Debug)]
 pub(super) struct Scene {
-    /// Names of the markers, as the rig has them.
+    /// Names of the markers, as in the rig.
     pub(super) names: Vec<String>,
     diameter_m: f64,
     coil: usize,
@@ -82,7 +82,7 @@ impl Scene {
                     color,
                     ..gone
                 },
-                // The direction of the other bands is not measured: no cylinder that would claim one.
+                // The direction of the other bands is not measured: no cylinder, which would claim one.
                 (Some(place), None) => Marker {
                     r#type: SPHERE,
                     action: ADD,
@@ -112,7 +112,7 @@ impl Scene {
     }
 }
 
-/// A marker that is removed.
+/// A message that removes a marker.
 fn empty(header: &Header, id: i32) -> Marker {
     Marker {
         header: header.clone(),

@@ -29,14 +29,14 @@ fn the_coil_points_along_its_tangent_and_the_others_say_that_they_do_not_know() 
     let t = estimate.tangent.unwrap().in_base.unwrap();
     assert!((turn(&coil.pose) * Vector3::z() - Vector3::new(t.x, t.y, t.z)).norm() < 1e-12);
     assert_eq!((coil.header.frame_id.as_str(), coil.header.stamp.ns()), ("catheter_base_link", -7));
-    // The place's own block, as the fixture has it in the base frame, and none between the two.
+    // The position's block, as in the fixture's base frame, and no correlation with the rotation.
     for (at, variance) in [(0, 1e-10), (7, 4e-10), (14, 25e-10), (3, 0.0), (18, 0.0)] {
         assert!((coil.covariance[at] - variance).abs() < 1e-20, "{at}: {}", coil.covariance[at]);
     }
     let tip = pose(&messages, FIRST_POSE + 2).unwrap();
     assert_eq!([21, 28, 35].map(|at| tip.covariance[at]), [geometry::ANY_ANGLE_RAD2; 3]);
     assert_eq!(turn(&tip.pose), UnitQuaternion::identity());
-    // θ is the turn about y.
+    // θ is the rotation about y.
     let theta = estimate.deflection.unwrap().theta_rad;
     let z = turn(&coil.pose) * Vector3::z();
     assert!((z.x.atan2(z.z) - theta).abs() < 1e-12);
@@ -62,7 +62,7 @@ fn frames_that_lead_from_camera_to_base() {
 fn what_was_not_measured_has_no_message_and_is_removed_from_view() {
     let rig = fixture::rig();
     let encoder = RosEncoder::new(&rig);
-    // Frame 5 lacks the coil, and with it its direction; frame 8 its direction alone.
+    // Frame 5 lacks the coil, and thus its direction; frame 8 only the direction.
     let without_coil = encoder.estimate(&message(&rig, &fixture::eventful(5, 0))).unwrap();
     assert!(pose(&without_coil, FIRST_POSE + 1).is_none() && pose(&without_coil, FIRST_POSE).is_some());
     let Body::Joints(angles) = &without_coil[0].body else { panic!() };

@@ -1,10 +1,10 @@
-//! Whether a JPEG picture is whole: decoders fill what is missing or damaged and say nothing.
+//! Whether a JPEG picture is complete: decoders silently fill in what is missing or damaged.
 //!
-//! The codes of a sequential picture (ITU-T T.81) are gone through without making samples of them: every code must
-//! exist, every block must be one that samples can have, the mean brightness may take no step in the middle of a row,
-//! and the data must end with the last block. More than half of all changed bits show: behind a changed bit the codes
-//! are read out of step. What this cannot detect: a changed bit that leaves the codes in step, which changes one
-//! coefficient; anything in progressive and arithmetic-coded pictures.
+//! The codes of a sequential picture (ITU-T T.81) are parsed without decoding samples: every code must exist, every
+//! block must be possible for 8-bit samples, the mean brightness may not step in the middle of a row, and the data must
+//! end with the last block. More than half of all changed bits are detected: after a changed bit the codes are read out
+//! of step. What this cannot detect: a changed bit that leaves the codes in step, which changes one coefficient;
+//! anything in progressive and arithmetic-coded pictures.
 
 mod samples;
 mod steps;
@@ -19,13 +19,13 @@ const RESTART_INTERVAL: u8 = 0xdd;
 const START_OF_SCAN: u8 = 0xda;
 const RESTART: std::ops::RangeInclusive<u8> = 0xd0..=0xd7;
 const END_OF_IMAGE: [u8; 2] = [0xff, 0xd9];
-/// Coefficients of 8-bit samples are smaller, but for rounding.
+/// Coefficients of 8-bit samples are smaller, apart from rounding.
 const LARGEST_COEFFICIENT: i32 = 1200;
-const LEFT_OVER: &str = "there is more coded picture than the picture has blocks";
-const RANGE: &str = "there are samples out of range";
+const EXCESS_DATA: &str = "there is more coded picture than the picture has blocks";
+const OUT_OF_RANGE: &str = "there are samples out of range";
 
-/// Whether it is a JPEG whose picture does not end. In the coded picture the end mark cannot occur by chance (ITU-T
-/// T.81, B.1.1.5); before it, in a thumbnail, it can: segments are stepped over.
+/// Whether it is a JPEG without an end marker. The marker cannot occur by chance in coded data (ITU-T T.81, B.1.1.5),
+/// but it can in a thumbnail before it, so segments are skipped.
 pub(crate) fn is_cut_off(bytes: &[u8]) -> bool {
     let Some(mut rest) = bytes.strip_prefix(&START_OF_IMAGE) else { return false };
     loop {
@@ -38,31 +38,31 @@ pub(crate) fn is_cut_off(bytes: &[u8]) -> bool {
                 let Some(next) = rest.get(length..) else { return true };
                 rest = next;
             }
-            // No segment: too short, or no JPEG that a decoder takes; it says why.
+            // Not a segment: too short, or a JPEG that the decoder rejects, with its reason.
             _ => return rest.len() < 4,
         }
     }
 }
 
-/// What a JPEG picture's data say about it.
+/// What a JPEG picture's data tell.
 pub(crate) struct Examined {
-    /// What is wrong with its codes, as far as that can be told.
+    /// What is wrong with its codes, if that can be told.
     pub damage: Option<&'static str>,
-    /// Step of the quantiser for luma, stored units: RMS over the coefficients that bands and edges live in.
+    /// Quantiser step for luma, stored units: RMS over the coefficients that represent bands and edges.
     pub step: Option<f64>,
 }
 
-/// Coefficients that count for the step, in the order they are stored: all but the mean, up to four waves a block.
-const COUNTING: std::ops::RangeInclusive<usize> = 1..=14;
+/// Coefficients that count for the step, in stored order: all but the mean, up to four waves per block.
+const COUNTED_COEFFICIENTS: std::ops::RangeInclusive<usize> = 1..=14;
 
-/// Goes through a JPEG picture; of other files nothing is said.
+/// Examines a JPEG picture; other files give an empty result.
 pub(crate) fn examine(bytes: &[u8]) -> Examined {
     let mut picture = Picture::default();
     let damage = picture.read(bytes).err();
     Examined { damage, step: picture.step() }
 }
 
-/// The step of the quantiser alone, without going through the codes.
+/// Only the quantiser step, without parsing the codes.
 #[cfg(target_os = "linux")]
 pub(crate) fn step(bytes: &[u8]) -> Option<f64> {
     let scan = bytes.windows(2).position(|two| two == [0xff, START_OF_SCAN])?;
@@ -71,7 +71,7 @@ pub(crate) fn step(bytes: &[u8]) -> Option<f64> {
     picture.step()
 }
 
-/// What the segments before a scan say.
+/// What the segments before a scan define.
 #[derive(Default)]
 struct Picture {
     size_px: [usize; 2],
@@ -94,11 +94,11 @@ impl Picture {
     fn step(&self) -> Option<f64> {
         let luma = self.components.first().map_or(0, |component| component.quantization);
         let table = self.quantization.get(luma).copied().flatten()?;
-        let squares: f64 = table[COUNTING].iter().map(|step| f64::from(*step).powi(2)).sum();
-        Some((squares / COUNTING.count() as f64).sqrt())
+        let squares: f64 = table[COUNTED_COEFFICIENTS].iter().map(|step| f64::from(*step).powi(2)).sum();
+        Some((squares / COUNTED_COEFFICIENTS.count() as f64).sqrt())
     }
 
-    /// Goes through all scans; `Ok` too when nothing can be told.
+    /// Parses all scans; also `Ok` when nothing can be told.
     fn read(&mut self, bytes: &[u8]) -> Result<(), &'static str> {
         let Some(mut rest) = bytes.strip_prefix(&START_OF_IMAGE) else { return Ok(()) };
         loop {
@@ -113,7 +113,7 @@ impl Picture {
                         HUFFMAN => self.huffman(body).ok_or("a table of codes is damaged")?,
                         QUANTIZATION => self.quantization(body).ok_or("a table of quantization is damaged")?,
                         0xc0 | 0xc1 => self.frame(body).ok_or("the head of the picture is damaged")?,
-                        // Progressive, lossless, arithmetic: not looked into.
+                        // Progressive, lossless, arithmetic: not examined.
                         0xc2..=0xcf if *code != 0xc8 && *code != 0xcc => return Ok(()),
                         RESTART_INTERVAL => {
                             let every = body.first_chunk().ok_or("a segment is cut off")?;
@@ -178,7 +178,7 @@ impl Picture {
         (self.components.len() == usize::from(*count) && self.size_px.iter().all(|n| *n > 0)).then_some(())
     }
 
-    /// Goes through the codes of a scan; what follows it, or `None` when nothing can be told.
+    /// Parses the codes of a scan; returns what follows it, or `None` when nothing can be told.
     fn scan<'a>(&self, head: &[u8], coded: &'a [u8]) -> Result<Option<&'a [u8]>, &'static str> {
         const HEAD: &str = "the head of a scan is damaged";
         let (count, rest) = head.split_first().ok_or(HEAD)?;
@@ -189,7 +189,7 @@ impl Picture {
             let table = |tables: &'_ [Option<Table>; 4], at: u8| tables.get(usize::from(at)).cloned().flatten();
             let (direct, others) = (table(&self.direct, tables >> 4), table(&self.others, tables & 15));
             let quantization = self.quantization.get(component.quantization).copied().flatten();
-            // Motion JPEG may leave out the tables that everybody has.
+            // Motion JPEG may omit the standard tables.
             let (Some(direct), Some(others), Some(quantization)) = (direct, others, quantization) else {
                 return Ok(None);
             };
@@ -202,7 +202,7 @@ impl Picture {
         let most = [most(0), most(1)];
         let alone = parts.len() == 1;
         let units: usize = match parts.first() {
-            // Blocks of a component by itself are not padded to whole units.
+            // Blocks of a single component are not padded to whole units.
             Some((component, ..)) if alone => {
                 (0..2).map(|i| (self.size_px[i] * component.sampling[i]).div_ceil(most[i]).div_ceil(8)).product()
             }
@@ -228,7 +228,7 @@ impl Picture {
                 for _ in 0..blocks {
                     let coefficients = block(&mut bits, direct, others, quantization, before)?;
                     if !allowed.allow(&coefficients) {
-                        return Err(RANGE);
+                        return Err(OUT_OF_RANGE);
                     }
                     sum += coefficients[0];
                 }
@@ -256,11 +256,11 @@ fn block(
         |value: i32, k: usize| value.saturating_abs().saturating_sub(1).saturating_mul(step(k)) <= LARGEST_COEFFICIENT;
     let size = direct.next(bits)?;
     if size > 11 {
-        return Err(RANGE);
+        return Err(OUT_OF_RANGE);
     }
     *before += bits.value(size)?;
     if !fits(*before, 0) {
-        return Err(RANGE);
+        return Err(OUT_OF_RANGE);
     }
     let mut coefficients = [0; 64];
     coefficients[0] = before.saturating_mul(step(0));
@@ -281,7 +281,7 @@ fn block(
         }
         let value = bits.value(size)?;
         if !fits(value, k) {
-            return Err(RANGE);
+            return Err(OUT_OF_RANGE);
         }
         coefficients[k] = value.saturating_mul(step(k));
         k += 1;
@@ -294,7 +294,7 @@ fn block(
 struct Table {
     /// For codes of up to 8 bits, by the next 8 bits: length and value.
     short: Box<[(u8, u8); 256]>,
-    /// For each length: the first code, and the values of all.
+    /// For each length, the first code and the values of all codes.
     long: Vec<(u32, Vec<u8>)>,
 }
 
@@ -354,7 +354,7 @@ impl<'a> Bits<'a> {
         Self { rest, held: 0, count: 0 }
     }
 
-    /// Takes bytes in, up to a marker.
+    /// Reads bytes, up to a marker.
     fn fill(&mut self) {
         while self.count <= 48 {
             let byte = match self.rest {
@@ -384,7 +384,7 @@ impl<'a> Bits<'a> {
         Ok((self.held >> left) & ((1 << count) - 1))
     }
 
-    /// A value of so many bits; the upper half of them is positive.
+    /// A value of `size` bits; the upper half of the codes is positive.
     fn value(&mut self, size: u8) -> Result<i32, &'static str> {
         if size == 0 {
             return Ok(0);
@@ -393,7 +393,7 @@ impl<'a> Bits<'a> {
         Ok(if value < 1 << (size - 1) { value - (1 << size) + 1 } else { value })
     }
 
-    /// Goes over restart marker number `index`.
+    /// Skips restart marker number `index`.
     fn restart(&mut self, index: usize) -> Result<(), &'static str> {
         const MISSING: &str = "a restart marker is missing";
         self.fill();
@@ -409,21 +409,21 @@ impl<'a> Bits<'a> {
         }
     }
 
-    /// The end of the scan: no more than padding may be left of it. What follows.
+    /// The end of the scan: only padding may be left. Returns what follows.
     fn end(mut self) -> Result<&'a [u8], &'static str> {
         self.fill();
         let padding = |byte: u64| byte == 0 || byte == 0xff;
-        // Of the last byte that is begun: ones (T.81, F.1.2.3), with some encoders zeros.
+        // The padding of the last byte is ones (T.81, F.1.2.3), with some encoders zeros.
         let (begun, ones) = (self.count % 8, (1 << (self.count % 8)) - 1);
         let rest = (self.held >> (self.count - begun)) & ones;
         if rest != 0 && rest != ones {
-            return Err(LEFT_OVER);
+            return Err(EXCESS_DATA);
         }
         self.count -= begun;
         while self.count >= 8 {
             self.count -= 8;
             if !padding((self.held >> self.count) & 0xff) {
-                return Err(LEFT_OVER);
+                return Err(EXCESS_DATA);
             }
             self.fill();
         }
@@ -438,7 +438,7 @@ mod tests {
     fn jpeg() -> Vec<u8> {
         let mut bytes = Vec::new();
         let mut encoder = image::codecs::jpeg::JpegEncoder::new_with_quality(&mut bytes, 90);
-        // A thumbnail with an end of its own.
+        // A thumbnail with its own end marker.
         image::ImageEncoder::set_exif_metadata(&mut encoder, vec![0xff, 0xd8, 0xff, 0xd9]).unwrap();
         encoder.encode_image(&image::GrayImage::from_fn(64, 48, |x, y| image::Luma([(x * y) as u8]))).unwrap();
         bytes
@@ -461,7 +461,7 @@ mod tests {
         }
     }
 
-    /// Colour pictures with structure, grey ones, with and without subsampling.
+    /// Colour and grey pictures with structure, with and without subsampling.
     fn sound() -> Vec<Vec<u8>> {
         let pixel = |x: u32, y: u32| [(x * 3 + y) as u8, (x ^ y) as u8, (y * 2) as u8];
         let colour = image::RgbImage::from_fn(75, 52, |x, y| image::Rgb(pixel(x, y)));
@@ -492,7 +492,7 @@ mod tests {
         assert!(changed > 300 && noticed * 10 > changed * 4, "{noticed} of {changed}");
     }
 
-    /// A part of a picture as cameras take them, about the catheter.
+    /// Part of a real camera picture, around the catheter.
     #[test]
     fn in_a_camera_s_picture_more_is_noticed() {
         use crate::source::{FrameSource as _, VideoFile, VideoOptions};

@@ -1,29 +1,29 @@
-//! Whether the coefficients of a block can be those of samples.
+//! Whether a block's coefficients are possible for 8-bit samples.
 //!
-//! Samples have 8 bits, and each coefficient of the picture that was coded lies within a step of its quantization
-//! (T.81, A.3.4) beside the one that is stored. The transform keeps distances (it is orthonormal): the block as stored
-//! can be no further from one with samples in range than the steps allow.
+//! Samples have 8 bits, and each coefficient of the original picture lies within one quantization step (T.81, A.3.4) of
+//! the stored one. The transform is orthonormal and keeps distances, so the stored block can be no further from one
+//! with samples in range than the steps allow.
 
 use std::f32::consts::{FRAC_1_SQRT_2, PI};
 
-/// Largest sample beside the middle of the range, and what decoders round.
-const MOST: f32 = 128.5;
-/// By so many steps may an encoder have been off: half is rounding, and some leave out what is small.
-const STEPS: f32 = 0.75;
+/// Largest distance of a sample from mid-range, with the decoder's rounding.
+const MAX_DEVIATION: f32 = 128.5;
+/// Largest error of an encoder, in steps: half is rounding, and some drop small coefficients.
+const MAX_CODER_ERROR: f32 = 0.75;
 
-/// Where the k-th coefficient of a scan stands: row and column (T.81, figure A.6).
+/// Row and column of the k-th coefficient of a scan (T.81, figure A.6).
 const ZIGZAG: [u8; 64] = [
     0, 1, 8, 16, 9, 2, 3, 10, 17, 24, 32, 25, 18, 11, 4, 5, 12, 19, 26, 33, 40, 48, 41, 34, 27, 20, 13, 6, 7, 14, 21,
     28, 35, 42, 49, 56, 57, 50, 43, 36, 29, 22, 15, 23, 30, 37, 44, 51, 58, 59, 52, 45, 38, 31, 39, 46, 53, 60, 61, 54,
     47, 55, 62, 63,
 ];
 
-/// What samples a table of quantization allows.
+/// The samples that a quantization table allows.
 #[derive(Clone)]
 pub(super) struct Samples {
-    /// cos((2x + 1) u π / 16) with the factors of the transform, by x and u.
+    /// cos((2x + 1) u π / 16) with the transform's factors, indexed by x and u.
     basis: [[f32; 8]; 8],
-    /// Square of how far off the samples of a sound block may be.
+    /// Square of the largest deviation of a sound block's samples.
     tolerance: f32,
 }
 
@@ -35,16 +35,16 @@ impl Samples {
                 factor / 2.0 * ((2 * x + 1) as f32 * u as f32 * PI / 16.0).cos()
             })
         });
-        Self { basis, tolerance: quantization.iter().map(|q| (STEPS * *q as f32).powi(2)).sum() }
+        Self { basis, tolerance: quantization.iter().map(|q| (MAX_CODER_ERROR * *q as f32).powi(2)).sum() }
     }
 
-    /// Whether such coefficients, in the order of the scan and multiplied by their steps, can be those of samples.
+    /// Whether these coefficients, in scan order and multiplied by their steps, are possible for 8-bit samples.
     pub(super) fn allow(&self, coefficients: &[i32; 64]) -> bool {
         // Most blocks are far from either end of the range.
         let [direct, others @ ..] = coefficients;
         let most =
             direct.unsigned_abs() as f32 / 8.0 + others.iter().map(|c| c.unsigned_abs() as f32 / 4.0).sum::<f32>();
-        if most <= MOST {
+        if most <= MAX_DEVIATION {
             return true;
         }
         let mut rows = [[0.0; 8]; 8];
@@ -58,7 +58,7 @@ impl Samples {
         for basis in &self.basis {
             for x in 0..8 {
                 let sample: f32 = rows.iter().zip(basis).map(|(row, factor)| row[x] * factor).sum();
-                off += (sample.abs() - MOST).max(0.0).powi(2);
+                off += (sample.abs() - MAX_DEVIATION).max(0.0).powi(2);
             }
         }
         off <= self.tolerance
@@ -77,7 +77,7 @@ mod tests {
             pairs.iter().for_each(|(k, value)| block[*k] = *value);
             block
         };
-        // A field as bright as can be, a board of black and white, and what is beyond by less than the steps.
+        // The brightest field, a black and white board, and values out of range by less than the steps.
         assert!(fine.allow(&block(&[(0, 1016)])));
         assert!(fine.allow(&block(&[(0, 1040)])));
         let edge = [0, 1, 2, 3, 4, 5, 6, 7].map(|x| if x < 4 { -128.0 } else { 127.0 });
@@ -89,7 +89,7 @@ mod tests {
             })
             .collect();
         assert!(fine.allow(&block(&of_edge)), "{of_edge:?}");
-        // Both far brighter in the mean and with a large wave on it.
+        // A far too bright mean, alone and with a large wave on it.
         assert!(!fine.allow(&block(&[(0, 1200)])));
         assert!(!fine.allow(&block(&[(0, 700), (1, 700)])));
         assert!(Samples::new(&[99; 64]).allow(&block(&[(0, 700), (1, 700)])));

@@ -1,35 +1,35 @@
-//! Whether the mean brightness of a picture's blocks takes a step in the middle of a row, and stays there.
+//! Whether the mean brightness of a picture's blocks steps in the middle of a row, and stays there.
 //!
-//! The mean of a block is stored as the difference to the block before. Where one such difference is damaged, all
-//! blocks after it are off by the same amount: against the row above, the rest of this row and the beginning of the
-//! next, up to the same column. No edge of a thing looks like that, because edges go on in the row below and do not
-//! begin anew at its start.
+//! The mean of a block is stored as the difference from the block before. Where one such difference is damaged, all
+//! later blocks are off by the same amount: compared with the row above, the rest of this row and the beginning of the
+//! next, up to the same column. No edge of an object looks like that, because it continues in the row below instead of
+//! starting again at its beginning.
 //!
 //! Cannot detect: steps smaller than the structure of the picture, in the first and last rows, and near the sides.
 
 /// Smallest step, in units of stored means (eight are one level of brightness).
-const LEAST: i32 = 24;
-/// This part of the blocks may be otherwise, on either side.
-const OTHERWISE: usize = 20;
-/// So much larger than the structure of the picture must a step be.
-const TIMES: i32 = 2;
-/// Rows of fewer blocks say nothing.
-const NARROW: usize = 10;
+const MIN_STEP: i32 = 24;
+/// One in so many blocks may be an exception, on either side.
+const BLOCKS_PER_EXCEPTION: usize = 20;
+/// How many times larger than the picture's structure a step must be.
+const MIN_STEP_RATIO: i32 = 2;
+/// Rows with fewer blocks are too short to judge.
+const MIN_BLOCKS_PER_ROW: usize = 10;
 
-/// Whether there is such a step in blocks that stand in rows of so many.
+/// Whether there is such a step in blocks in rows of `width`.
 pub(super) fn has_step(means: &[i32], width: usize) -> bool {
-    if width < NARROW {
+    if width < MIN_BLOCKS_PER_ROW {
         return false;
     }
     let above: Vec<i32> =
         means.iter().skip(width).zip(means).map(|(here, above)| here.saturating_sub(*above)).collect();
     let margin = width / 10 + 1;
     let mut sorted = Vec::with_capacity(width);
-    // The value that a small part of a row's length of blocks is below, or above.
+    // The value that only a small part of a row's length of blocks is below, or above.
     let mut beyond = |from: usize, sign: i32, above_it: bool| {
         sorted.clear();
         sorted.extend(above.get(from..from + width)?.iter().map(|difference| sign * difference));
-        let index = if above_it { width - 1 - width / OTHERWISE } else { width / OTHERWISE };
+        let index = if above_it { width - 1 - width / BLOCKS_PER_EXCEPTION } else { width / BLOCKS_PER_EXCEPTION };
         Some(*sorted.select_nth_unstable(index).1)
     };
     // `above[at]` belongs to block `at + width`.
@@ -37,13 +37,13 @@ pub(super) fn has_step(means: &[i32], width: usize) -> bool {
         let column = at % width;
         let (Some(here), Some(before)) = (means.get(at + width), means.get(at + width - 1)) else { return false };
         let aside = here.saturating_sub(*before);
-        if column < margin || column + margin > width || aside.saturating_abs() < LEAST {
+        if column < margin || column + margin > width || aside.saturating_abs() < MIN_STEP {
             return false;
         }
         let sign = aside.signum();
-        let Some(step) = beyond(at, sign, false).filter(|step| *step >= LEAST) else { return false };
+        let Some(step) = beyond(at, sign, false).filter(|step| *step >= MIN_STEP) else { return false };
         let usual = [at - width, at + width].map(|from| beyond(from, sign, true).unwrap_or(0));
-        usual.iter().all(|usual| step > TIMES * usual) && aside.saturating_abs() > step / 2
+        usual.iter().all(|usual| step > MIN_STEP_RATIO * usual) && aside.saturating_abs() > step / 2
     })
 }
 
@@ -62,7 +62,7 @@ mod tests {
         let gradient = |x: usize, y: usize| (5 * x + 3 * y) as i32 + (x * 7 + y * 13) as i32 % 5;
         assert!(!has_step(&picture(gradient), SIZE[0]));
         for edge in [
-            // A horizontal edge; one that begins in the middle; a tilted one; a bright thing.
+            // A horizontal edge; one that begins in the middle; a tilted one; a bright object.
             &(|_: usize, y: usize| if y > 12 { 400 } else { 0 }) as &dyn Fn(usize, usize) -> i32,
             &|x, y| if y > 12 && x > 17 { 400 } else { 0 },
             &|x, y| if 40 * y + x > 500 { 400 } else { 0 }.min((40 * y + x).abs_diff(500) as i32 * 10),

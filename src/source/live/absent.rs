@@ -1,4 +1,4 @@
-//! Cameras that this build cannot have: what to do about it.
+//! Stand-ins for cameras that this build does not support; they say what to do about it.
 
 use super::super::SourceError;
 use super::super::host::HostClock;
@@ -10,10 +10,10 @@ use std::sync::atomic::AtomicBool;
 
 #[cfg(not(feature = "genicam"))]
 impl Camera {
-    /// A GenICam camera, in a build that has them.
+    /// A GenICam camera, in a build that supports them.
     ///
     /// # Errors
-    /// Always: how to build one.
+    /// Always: how to build with them.
     pub fn genicam(
         id: &str,
         _settings: CameraSettings,
@@ -31,7 +31,7 @@ impl Camera {
     /// A GStreamer pipeline, in a build that has them.
     ///
     /// # Errors
-    /// Always: how to build one.
+    /// Always: how to build with them.
     pub fn gstreamer(text: &str, _clock: HostClock, _stop: Arc<AtomicBool>) -> Result<Self, SourceError> {
         let reason = "this catoptra was built without GStreamer; install libgstreamer1.0-dev and \
                       libgstreamer-plugins-base1.0-dev (Debian, Ubuntu; elsewhere GStreamer 1.18 or newer), then build with: \
@@ -52,7 +52,7 @@ impl Camera {
         _clock: HostClock,
         _stop: Arc<AtomicBool>,
     ) -> Result<Self, SourceError> {
-        let reason = "cameras under /dev exist on Linux; here take a stream, or raw pictures on standard input (--raw)";
+        let reason = "cameras under /dev exist only on Linux; use a stream, or raw pictures on standard input (--raw)";
         Err(SourceError::Camera { name: path.display().to_string(), reason: reason.to_owned() })
     }
 }

@@ -1,12 +1,12 @@
-//! A camera on this computer or its network: what all of them have in common.
+//! A camera on this computer or its network: what all kinds have in common.
 //!
-//! In: buffers of one connection to a camera, each with a frame counter, a stamp and a picture or the reason why there
-//! is none. Out: frames. Lost frames are what the counter leaves out; a picture that is no good is left out and counted
-//! as lost too. A counter that the driver makes, not the camera, sees only what reaches the driver: there the stamps
-//! have a say where they tell clearly. A counter that begins anew says nothing of what is missing.
+//! In: the buffers of a connection to a camera, each with a frame counter, a stamp and a picture or the reason why
+//! there is none. Out: frames. Lost frames are those that the counter skips; an unusable picture is left out and also
+//! counted as lost. A counter of the driver, not the camera, sees only what reaches the driver, so the stamps also
+//! count where they are clear. A counter that restarts does not tell what is missing.
 //!
-//! A camera that is lost, or silent for [`SILENCE`], is opened again, once a second, and set up as at first; the
-//! interruption is counted, what was lost in it is not known.
+//! A camera that is lost, or silent for [`SILENCE`], is reopened, trying once a second, and set up as before; the
+//! interruption is counted, but the frames lost in it are unknown.
 
 use super::super::counter::{Count, FrameCounter, Wrap};
 use super::super::host::{ClockFit, HostClock};
@@ -17,56 +17,56 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-/// How long a connection may wait before it looks whether it shall stop.
+/// How long a connection may wait before it checks the stop flag.
 const WAIT: Duration = Duration::from_millis(100);
-/// A camera that sends nothing for so long is lost.
+/// A camera that is silent for this long is lost.
 const SILENCE: Duration = Duration::from_secs(5);
 
-/// What came of one exposure.
-pub(super) struct Taken {
+/// The result of one exposure.
+pub(super) struct CapturedFrame {
     /// The frame counter.
     pub(super) number: u64,
-    /// When it was exposed; `None` when nobody says.
+    /// When it was exposed; `None` when unknown.
     pub(super) stamp: Option<Timestamp>,
-    /// When the whole buffer was here.
+    /// When the whole buffer had arrived.
     pub(super) arrival: Instant,
-    /// Time from stamp to arrival, where both are of one clock.
+    /// Time from stamp to arrival, where both are on the same clock.
     pub(super) age: Option<Duration>,
     /// The picture, or what is wrong with it.
     pub(super) picture: Result<Picture, String>,
 }
 
-/// A camera that is open, until it is lost.
+/// An open camera, until it is lost.
 pub(super) trait Connection: Send {
-    /// The next buffer; `None` when there is none within `wait`.
+    /// The next buffer; `None` when none arrives within `wait`.
     ///
     /// # Errors
     /// When the camera is lost.
-    fn next(&mut self, wait: Duration) -> Result<Option<Taken>, SourceError>;
+    fn next(&mut self, wait: Duration) -> Result<Option<CapturedFrame>, SourceError>;
 
     /// Width and height of its pictures, pixels.
     fn size_px(&self) -> [u32; 2];
 
-    /// Where the frame counter begins anew.
+    /// Where the frame counter wraps.
     fn wrap(&self) -> Wrap;
 
-    /// Whether the driver counts, not the camera.
+    /// Whether the frame counter is the driver's, not the camera's.
     fn driver_counts(&self) -> bool;
 
-    /// Whether nothing will come any more, and that is as it should be.
+    /// Whether it has ended regularly.
     fn ended(&self) -> bool {
         false
     }
 }
 
-/// Opens the camera, and sets it up.
+/// Opens and sets up the camera.
 pub(super) type Open = Box<dyn FnMut() -> Result<Box<dyn Connection>, SourceError> + Send>;
 
 /// A camera.
 pub struct Camera {
     name: String,
     open: Open,
-    /// `None` while it is away.
+    /// `None` while the camera is lost.
     session: Option<Session>,
     size_px: [u32; 2],
     clock: HostClock,
@@ -78,14 +78,14 @@ pub struct Camera {
     unstamped_named: bool,
 }
 
-/// What begins anew with each connection.
+/// State of one connection.
 struct Session {
     connection: Box<dyn Connection>,
     counter: FrameCounter,
     stamps: StampWatch,
-    /// When the last buffer came.
+    /// When the last buffer arrived.
     heard: Instant,
-    /// Frames lost or left out since the last one handed on.
+    /// Frames lost or left out since the last one passed on.
     missing: u32,
 }
 
@@ -104,7 +104,7 @@ impl std::fmt::Debug for Camera {
 }
 
 impl Camera {
-    /// The camera that `open` opens, called `name`.
+    /// The camera that `open` opens; `name` is for messages.
     pub(super) fn start(
         name: &str,
         mut open: Open,
@@ -129,7 +129,7 @@ impl Camera {
     }
 
     /// The next buffer with a good picture; the reason when the camera is lost.
-    fn taken(&mut self) -> Result<Option<(Taken, Picture)>, String> {
+    fn taken(&mut self) -> Result<Option<(CapturedFrame, Picture)>, String> {
         let Some(session) = &mut self.session else { return Ok(None) };
         let mut taken = match session.connection.next(WAIT) {
             Ok(Some(taken)) => taken,
@@ -143,7 +143,7 @@ impl Camera {
             Count::After(lost) => session.missing = session.missing.saturating_add(lost),
             Count::Restart => {
                 tracing::warn!(
-                    "{}: the camera's frame counter began anew at {}: what was lost there is not known",
+                    "{}: the camera's frame counter restarted at {}: what was lost there is not known",
                     self.name,
                     taken.number
                 );
@@ -163,7 +163,7 @@ impl Camera {
         }
     }
 
-    fn frame(&mut self, taken: &Taken, picture: Picture) -> Frame {
+    fn frame(&mut self, taken: &CapturedFrame, picture: Picture) -> Frame {
         let arrival_ns = self.clock.at_ns(taken.arrival);
         let stamp = taken.stamp.unwrap_or_else(|| {
             if !self.unstamped_named {
@@ -242,24 +242,24 @@ mod tests {
         Picture::from_planes(2, 2, PixelFormat::Grey, Colour::SRGB, vec![vec![0; 4]]).unwrap()
     }
 
-    /// Frame `number` of a camera of 60 Hz.
-    fn good(number: u64) -> Taken {
+    /// Frame `number` of a 60 Hz camera.
+    fn good(number: u64) -> CapturedFrame {
         let stamp = Some(Timestamp { ns: number as i64 * 16_666_667, clock: Clock::Device });
-        Taken { number, stamp, arrival: Instant::now(), age: None, picture: Ok(picture()) }
+        CapturedFrame { number, stamp, arrival: Instant::now(), age: None, picture: Ok(picture()) }
     }
 
-    fn bad(number: u64) -> Taken {
-        Taken { picture: Err("half of it is missing".to_owned()), ..good(number) }
+    fn bad(number: u64) -> CapturedFrame {
+        CapturedFrame { picture: Err("half of it is missing".to_owned()), ..good(number) }
     }
 
-    /// Gives what it holds, then is lost.
+    /// Gives its frames, then is lost.
     struct Script {
-        buffers: VecDeque<Taken>,
+        buffers: VecDeque<CapturedFrame>,
         driver_counts: bool,
     }
 
     impl Connection for Script {
-        fn next(&mut self, _wait: Duration) -> Result<Option<Taken>, SourceError> {
+        fn next(&mut self, _wait: Duration) -> Result<Option<CapturedFrame>, SourceError> {
             let lost = || SourceError::Camera { name: "script".to_owned(), reason: "unplugged".to_owned() };
             self.buffers.pop_front().map(Some).ok_or_else(lost)
         }
@@ -277,8 +277,8 @@ mod tests {
         }
     }
 
-    /// A camera of these connections, one after the other, and its stop flag.
-    fn camera(connections: Vec<Vec<Taken>>, driver_counts: bool) -> (Camera, Arc<AtomicBool>) {
+    /// A camera with these connections in turn, and its stop flag.
+    fn camera(connections: Vec<Vec<CapturedFrame>>, driver_counts: bool) -> (Camera, Arc<AtomicBool>) {
         let stop = Arc::new(AtomicBool::new(false));
         let left = Mutex::new(VecDeque::from(connections));
         let open: Open = Box::new(move || {
@@ -314,8 +314,8 @@ mod tests {
 
     #[test]
     fn stamps_tell_what_never_reached_a_driver_that_counts_by_itself() {
-        // The driver counts on without a gap; four exposures are missing before the last.
-        let taken = |k: u64| Taken { number: k, ..good(if k < 20 { k } else { k + 4 }) };
+        // The driver's counter has no gap; four exposures are missing before the last.
+        let taken = |k: u64| CapturedFrame { number: k, ..good(if k < 20 { k } else { k + 4 }) };
         for (driver_counts, expected) in [(true, 4), (false, 0)] {
             let (mut camera, _) = camera(vec![(0..21).map(taken).collect()], driver_counts);
             let gaps: Vec<u32> = (0..21).map(|_| next(&mut camera).gap).collect();
@@ -340,7 +340,7 @@ mod tests {
 
     #[test]
     fn a_stamp_of_this_computer_s_own_clock_is_as_old_as_it_says() {
-        let old = Taken { age: Some(Duration::from_millis(30)), ..good(1) };
+        let old = CapturedFrame { age: Some(Duration::from_millis(30)), ..good(1) };
         let (mut camera, _) = camera(vec![vec![old]], true);
         let host = next(&mut camera).host.unwrap();
         assert_eq!(host.arrival_ns - host.stamp_ns, 30_000_000);
@@ -348,7 +348,7 @@ mod tests {
 
     #[test]
     fn a_camera_without_a_clock_is_stamped_on_arrival() {
-        let (mut camera, _) = camera(vec![vec![Taken { stamp: None, ..good(1) }]], false);
+        let (mut camera, _) = camera(vec![vec![CapturedFrame { stamp: None, ..good(1) }]], false);
         let frame = next(&mut camera);
         let host = frame.host.unwrap();
         assert_eq!(

@@ -1,14 +1,14 @@
 //! GenICam cameras, GigE Vision and USB3 Vision, through Aravis.
 //!
-//! Stamps are the camera's own clock; the frame counter is the camera's own, too. Aravis asks a GigE camera again for
-//! packets that were lost; a picture that still has holes is left out and counted. A trigger stays as the camera has
-//! it, unless a frame rate is asked for: then Aravis switches it off.
+//! Stamps and frame counter are the camera's own. Aravis requests lost packets from a GigE camera again; a picture that
+//! is still incomplete is left out and counted. The trigger stays as the camera has it, unless a frame rate is
+//! requested: then Aravis switches it off.
 
 use super::super::counter::Wrap;
 use super::super::decoded::PictureMaker;
 use super::super::host::HostClock;
 use super::super::{Clock, SourceError, Timestamp};
-use super::camera::{Camera, Connection, Taken};
+use super::camera::{Camera, CapturedFrame, Connection};
 use super::samples;
 use super::settings::{Asked, CameraSettings, plain};
 use aravis::{Aravis, Buffer, BufferStatus, prelude::*};
@@ -19,18 +19,18 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, LazyLock, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-/// Buffers that Aravis may fill before one is taken: a quarter of a second at 60 Hz.
+/// Buffers that Aravis may fill ahead: a quarter of a second at 60 Hz.
 const BUFFERS: usize = 16;
-/// What would change colours or brightness by itself.
+/// Controls that would change colours or brightness by themselves.
 const AUTOMATIC: [&str; 3] = ["ExposureAuto", "GainAuto", "BalanceWhiteAuto"];
 
-/// How YUV is meant: matrix and range (GenICam Pixel Format Naming Convention: full range unless a standard is named).
+/// Meaning of YUV: matrix and range (GenICam Pixel Format Naming Convention: full range unless a standard is named).
 type Yuv = Option<(Space, Range)>;
 const FULL_601: Yuv = Some((Space::SMPTE170M, Range::JPEG));
 const LIMITED_601: Yuv = Some((Space::SMPTE170M, Range::MPEG));
 const LIMITED_709: Yuv = Some((Space::BT709, Range::MPEG));
 
-/// Formats that are read, the best first.
+/// Supported formats, the best first.
 const FORMATS: [(&str, Pixel, Yuv); 17] = [
     ("BayerRG8", Pixel::BAYER_RGGB8, None),
     ("BayerGB8", Pixel::BAYER_GBRG8, None),
@@ -51,12 +51,12 @@ const FORMATS: [(&str, Pixel, Yuv); 17] = [
     ("YUV422Packed", Pixel::UYVY422, FULL_601),
 ];
 
-/// Aravis lets its list of cameras be read by one at a time.
+/// Only one thread at a time may read Aravis's list of cameras.
 static ARAVIS: LazyLock<Mutex<Option<Aravis>>> = LazyLock::new(|| Mutex::new(Aravis::initialize().ok()));
 
 impl Camera {
     /// The GenICam camera called `id`, as `arv-tool` lists it (identifier, model, serial number or address), or the
-    /// first one when that is empty.
+    /// first camera when `id` is empty.
     ///
     /// # Errors
     /// When there is none, or its pictures cannot be read.
@@ -76,7 +76,7 @@ impl Camera {
     }
 }
 
-/// A camera that sends.
+/// A camera that is streaming.
 struct Session {
     name: String,
     camera: aravis::Camera,
@@ -122,7 +122,7 @@ impl Session {
             device.connect_control_lost(move |_| lost.store(true, Ordering::Relaxed));
         }
         let stream = camera.create_stream().map_err(said("gives no stream"))?;
-        let payload = camera.payload().map_err(said("does not tell the size of its pictures"))? as usize;
+        let payload = camera.payload().map_err(said("does not report the size of its pictures"))? as usize;
         for _ in 0..BUFFERS {
             stream.push_buffer(Buffer::new_allocate(payload));
         }
@@ -137,7 +137,7 @@ impl Session {
         Ok(Self { name: name.to_owned(), camera, stream, pictures, pixel, yuv, size_px, wrap, lost })
     }
 
-    fn taken(&mut self, buffer: &Buffer, arrival: Instant) -> Option<Taken> {
+    fn taken(&mut self, buffer: &Buffer, arrival: Instant) -> Option<CapturedFrame> {
         let picture = match buffer.status() {
             BufferStatus::Success => {
                 let (padding, _) = buffer.image_padding();
@@ -152,19 +152,19 @@ impl Session {
                     self.pictures.picture(frame).map_err(|e| e.to_string())
                 })
             }
-            // Nothing was received into it.
+            // The buffer received nothing.
             BufferStatus::Cleared | BufferStatus::Aborted | BufferStatus::Unknown => return None,
             BufferStatus::Timeout | BufferStatus::MissingPackets => Err("packets of it are missing".to_owned()),
             other => Err(format!("{other:?}")),
         };
         let stamp = i64::try_from(buffer.timestamp()).ok().filter(|ns| *ns != 0);
         let stamp = stamp.map(|ns| Timestamp { ns, clock: Clock::Device });
-        Some(Taken { number: buffer.frame_id(), stamp, arrival, age: None, picture })
+        Some(CapturedFrame { number: buffer.frame_id(), stamp, arrival, age: None, picture })
     }
 }
 
 impl Connection for Session {
-    fn next(&mut self, wait: Duration) -> Result<Option<Taken>, SourceError> {
+    fn next(&mut self, wait: Duration) -> Result<Option<CapturedFrame>, SourceError> {
         if self.lost.load(Ordering::Relaxed) {
             return Err(SourceError::Camera { name: self.name.clone(), reason: "it does not answer".to_owned() });
         }
@@ -196,7 +196,7 @@ impl Drop for Session {
     }
 }
 
-/// Names of each camera there is, the one that Aravis opens it by first.
+/// Names of each available camera; the first is the one that Aravis opens it by.
 fn listed() -> Vec<Vec<String>> {
     let aravis = ARAVIS.lock().unwrap_or_else(PoisonError::into_inner);
     let devices = aravis.as_ref().map(Aravis::get_device_list).unwrap_or_default();
@@ -204,9 +204,9 @@ fn listed() -> Vec<Vec<String>> {
     names.map(|names| names.iter().map(|name| name.to_string_lossy().into_owned()).collect()).collect()
 }
 
-/// Sets what was asked for and locks the rest; warns of what the camera does otherwise.
+/// Sets what was requested and locks the rest; warns where the camera deviates.
 fn set_up(name: &str, camera: &aravis::Camera, settings: &CameraSettings) -> Result<(Pixel, Yuv), String> {
-    let format = camera.pixel_format_as_string().map_err(|e| format!("does not tell its pixel format: {e}"))?;
+    let format = camera.pixel_format_as_string().map_err(|e| format!("does not report its pixel format: {e}"))?;
     let offered = camera.dup_available_pixel_formats_as_strings().unwrap_or_default();
     let offered: Vec<&str> = offered.iter().map(|name| name.as_str()).collect();
     let wanted = choose(&format, &offered, settings.format.as_deref())?;
@@ -214,12 +214,12 @@ fn set_up(name: &str, camera: &aravis::Camera, settings: &CameraSettings) -> Res
         let refused = |e| format!("pixel format {wanted}: the camera refuses it and stays at {format} ({e})");
         camera.set_pixel_format_from_string(wanted).map_err(refused)?;
     }
-    let got = camera.pixel_format_as_string().map_err(|e| format!("does not tell its pixel format: {e}"))?;
+    let got = camera.pixel_format_as_string().map_err(|e| format!("does not report its pixel format: {e}"))?;
     let (_, pixel, yuv) = readable(&got).ok_or_else(|| unreadable(&got, &offered))?;
     if plain(&got) != plain(wanted) {
-        tracing::warn!("{name}: pixel format: {wanted} asked, the camera takes {got}");
+        tracing::warn!("{name}: pixel format: {wanted} requested, the camera uses {got}");
     }
-    // A refusal shows: the source says what size its pictures have, and the caller judges it.
+    // A refusal is noticed: the source reports its picture size, and the caller checks it.
     let [width, height] = settings.size_px.map(|n| i32::try_from(n).unwrap_or(i32::MAX));
     if let Ok((x, y, w, h)) = camera.region()
         && (w, h) != (width, height)
@@ -231,24 +231,28 @@ fn set_up(name: &str, camera: &aravis::Camera, settings: &CameraSettings) -> Res
         let set = camera.set_string(feature, "Off");
         match camera.string(feature) {
             Ok(got) if got == "Off" => {}
-            Ok(got) => tracing::warn!("{name}: {feature}: Off asked, the camera takes {got}{}", in_brackets(set.err())),
+            Ok(got) => {
+                tracing::warn!("{name}: {feature}: Off requested, the camera uses {got}{}", in_brackets(set.err()))
+            }
             Err(error) => {
-                tracing::warn!("{name}: {feature}: Off asked, and the camera does not tell what it takes ({error})")
+                tracing::warn!(
+                    "{name}: {feature}: Off requested, and the camera does not report what it uses ({error})"
+                )
             }
         }
     }
-    let told = |objection: Option<String>| objection.into_iter().for_each(|text| tracing::warn!("{name}: {text}"));
+    let warn_of = |objection: Option<String>| objection.into_iter().for_each(|text| tracing::warn!("{name}: {text}"));
     if let Some(exposure_s) = settings.exposure_s {
         let asked = Asked { what: "exposure", unit: " ms", value: exposure_s * 1e3 };
         let set = camera.set_exposure_time(exposure_s * 1e6);
-        told(asked.objection(set, camera.exposure_time().map(|us| us * 1e-3)));
+        warn_of(asked.objection(set, camera.exposure_time().map(|us| us * 1e-3)));
     }
     if let Some(value) = settings.gain {
-        told(Asked { what: "gain", unit: "", value }.objection(camera.set_gain(value), camera.gain()));
+        warn_of(Asked { what: "gain", unit: "", value }.objection(camera.set_gain(value), camera.gain()));
     }
     if let Some(rate) = settings.rate {
         let asked = Asked { what: "frame rate", unit: " Hz", value: rate.hz() };
-        told(asked.objection(camera.set_frame_rate(rate.hz()), camera.frame_rate()));
+        warn_of(asked.objection(camera.set_frame_rate(rate.hz()), camera.frame_rate()));
     }
     let number = |read: Result<f64, _>, scale: f64| read.map_or("?".to_owned(), |x| format!("{:.3}", x * scale));
     tracing::info!(
@@ -279,7 +283,7 @@ fn unreadable(format: &str, offered: &[&str]) -> String {
     format!("pixel format {format} cannot be read: {} can; the camera has {}", read.join(", "), offered.join(", "))
 }
 
-/// The pixel format to set: what was asked for, else the present one when it can be read, else the best that can.
+/// The pixel format to set: the requested one, else the current one if supported, else the best that is.
 fn choose<'a>(present: &'a str, offered: &[&'a str], asked: Option<&str>) -> Result<&'a str, String> {
     if let Some(asked) = asked {
         let found = offered.iter().chain([&present]).find(|name| plain(name) == plain(asked));

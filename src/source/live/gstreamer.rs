@@ -1,17 +1,17 @@
-//! GStreamer pipelines: `gst:PIPELINE`, whatever GStreamer reads and whatever is done to it before.
+//! GStreamer pipelines: `gst:PIPELINE`, any source and processing that GStreamer supports.
 //!
-//! The pipeline is written as for `gst-launch-1.0`, without a sink; one is added that takes pictures as they are, in
-//! the formats that are read here. A stamp is the buffer's presentation time, since the pipeline's own zero: in a live
-//! pipeline the pipeline's clock when the source took it, of a file the file's time ([`Clock::Stream`]). Frames are
-//! counted by the buffers' `offset` where they have a frame's number there, and by their stamps.
+//! The pipeline is written as for `gst-launch-1.0`, without a sink; one is added that takes pictures unchanged in the
+//! supported formats. A stamp is the buffer's presentation time, from the pipeline's own zero: in a live pipeline the
+//! pipeline's clock at capture, for a file the file's time ([`Clock::Stream`]). Lost frames are counted by the buffers'
+//! `offset` where it holds a frame number, and by their stamps.
 //!
-//! A pipeline that fails is started again, once a second. One that has ended has ended for good.
+//! A pipeline that fails is restarted, trying once a second. One that ends has ended for good.
 
 use super::super::counter::Wrap;
 use super::super::decoded::PictureMaker;
 use super::super::host::HostClock;
 use super::super::{ChromaSiting, Clock, Picture, SourceError, Timestamp};
-use super::camera::{Camera, Connection, Taken};
+use super::camera::{Camera, CapturedFrame, Connection};
 use super::samples;
 use ffmpeg_the_third::codec::Id;
 use ffmpeg_the_third::color::{Range, Space, TransferCharacteristic};
@@ -28,7 +28,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
-/// Formats that are read.
+/// Supported formats.
 const FORMATS: [(&str, VideoFormat, Pixel); 15] = [
     ("I420", VideoFormat::I420, Pixel::YUV420P),
     ("NV12", VideoFormat::Nv12, Pixel::NV12),
@@ -55,16 +55,16 @@ const MOSAICS: [(&str, Pixel); 4] = [
     ("gbrg", Pixel::BAYER_GBRG8),
 ];
 
-/// How long a pipeline may take until its first picture: a network camera takes some seconds.
-const START: Duration = Duration::from_secs(15);
-/// Pictures that may wait in the sink; then the pipeline waits.
-const WAITING: u32 = 8;
+/// How long a pipeline may take to its first picture: a network camera takes some seconds.
+const START_TIMEOUT: Duration = Duration::from_secs(15);
+/// Pictures queued in the sink before the pipeline waits.
+const QUEUE_LENGTH: u32 = 8;
 
 impl Camera {
-    /// The pipeline described by `text`, as `videotestsrc ! video/x-raw,format=I420`.
+    /// The pipeline described by `text`, for example `videotestsrc ! video/x-raw,format=I420`.
     ///
     /// # Errors
-    /// When it cannot be made, or gives no picture that can be read.
+    /// When it cannot be built, or gives no supported picture.
     pub fn gstreamer(text: &str, clock: HostClock, stop: Arc<AtomicBool>) -> Result<Self, SourceError> {
         let name = format!("gst:{text}");
         let (text, called) = (text.to_owned(), name.clone());
@@ -76,7 +76,7 @@ impl Camera {
     }
 }
 
-/// What the pictures of a pipeline are.
+/// Format of a pipeline's pictures.
 struct Layout {
     size_px: [u32; 2],
     pixel: Pixel,
@@ -85,16 +85,16 @@ struct Layout {
     caps: gst::Caps,
 }
 
-/// A pipeline that runs; it is stopped with the value.
+/// A running pipeline; dropping it stops the pipeline.
 struct Session {
     name: String,
     pipeline: gst::Element,
     sink: AppSink,
     pictures: PictureMaker,
     layout: Layout,
-    /// Taken to learn what pictures are.
+    /// The sample that was taken to learn the format.
     first: Option<(gst::Sample, Instant)>,
-    /// Pictures so far, where buffers have no number.
+    /// Pictures so far, where buffers have no frame number.
     count: u64,
     ended: bool,
 }
@@ -102,7 +102,7 @@ struct Session {
 impl Session {
     fn open(name: &str, text: &str) -> Result<Self, String> {
         gst::init().map_err(|e| format!("GStreamer does not start: {e}"))?;
-        let described = format!("{text} ! appsink name=catoptra_sink sync=false max-buffers={WAITING}");
+        let described = format!("{text} ! appsink name=catoptra_sink sync=false max-buffers={QUEUE_LENGTH}");
         let pipeline = gst::parse::launch(&described)
             .map_err(|e| format!("{e}; write it as for gst-launch-1.0, without a sink at its end"))?;
         let bin = pipeline.downcast_ref::<gst::Bin>().ok_or("it is no pipeline")?;
@@ -125,7 +125,7 @@ impl Session {
         let began = Instant::now();
         while session.first.is_none() {
             session.first = session.pull(Duration::from_millis(100))?;
-            if session.ended || began.elapsed() > START {
+            if session.ended || began.elapsed() > START_TIMEOUT {
                 let seconds = began.elapsed().as_secs();
                 return Err(format!(
                     "it has given no picture in {seconds} s{}",
@@ -136,13 +136,13 @@ impl Session {
         if let Some((sample, _)) = &session.first {
             session.layout = layout(sample)?;
             if let Some(info) = &session.layout.info {
-                session.pictures.take_unsaid_siting_as(siting(info));
+                session.pictures.set_default_siting(siting(info));
             }
         }
         Ok(session)
     }
 
-    /// The next sample and when it was here; `None` when there is none in time, or no more.
+    /// The next sample and its arrival; `None` when none arrives in time, or at the end.
     fn pull(&mut self, wait: Duration) -> Result<Option<(gst::Sample, Instant)>, String> {
         let wait = ClockTime::from_nseconds(u64::try_from(wait.as_nanos()).unwrap_or(u64::MAX));
         if let Some(sample) = self.sink.try_pull_sample(wait) {
@@ -179,7 +179,7 @@ impl Session {
         let frame = match info {
             Some(info) => of_video(buffer, info, *pixel)?,
             None => {
-                // Rows of a mosaic are whole numbers of four bytes.
+                // Rows of a mosaic are multiples of four bytes.
                 let map = buffer.map_readable().map_err(|e| e.to_string())?;
                 let padding = (4 - size_px[0] as usize % 4) % 4;
                 samples::of_buffer(&map, *pixel, *size_px, padding).ok_or("the buffer is too short")?
@@ -198,7 +198,7 @@ impl Drop for Session {
 }
 
 impl Connection for Session {
-    fn next(&mut self, wait: Duration) -> Result<Option<Taken>, SourceError> {
+    fn next(&mut self, wait: Duration) -> Result<Option<CapturedFrame>, SourceError> {
         let taken = match self.first.take() {
             Some(first) => Some(first),
             None => {
@@ -213,12 +213,12 @@ impl Connection for Session {
         };
         let buffer = sample.buffer();
         let stamp = buffer.and_then(gst::BufferRef::pts).and_then(|pts| i64::try_from(pts.nseconds()).ok());
-        // `offset` is many things; it is the number of a frame where it ends at the next one.
+        // `offset` has several meanings; it is a frame number where `offset_end` is the next one.
         let numbered = buffer.filter(|buffer| buffer.offset().checked_add(1) == Some(buffer.offset_end()));
         let number = numbered.map_or(self.count, gst::BufferRef::offset);
         self.count = number.wrapping_add(1);
         let stamp = stamp.map(|ns| Timestamp { ns, clock: Clock::Stream });
-        Ok(Some(Taken { number, stamp, arrival, age: None, picture }))
+        Ok(Some(CapturedFrame { number, stamp, arrival, age: None, picture }))
     }
 
     fn size_px(&self) -> [u32; 2] {
@@ -238,7 +238,7 @@ impl Connection for Session {
     }
 }
 
-/// What the sink takes.
+/// The caps that the sink accepts.
 fn wanted() -> gst::Caps {
     let raw = gst::Caps::builder("video/x-raw").field("format", gst::List::new(FORMATS.map(|(name, ..)| name))).build();
     let mosaic = gst::Caps::builder("video/x-bayer").field("format", gst::List::new(MOSAICS.map(|(name, _)| name)));
@@ -273,7 +273,7 @@ fn layout(sample: &gst::Sample) -> Result<Layout, String> {
     Ok(Layout { size_px: [info.width(), info.height()], pixel: *pixel, info: Some(info), caps: caps.clone() })
 }
 
-/// A copy of a raw picture, with what it says of its colours.
+/// A copy of a raw picture, with its colour tags.
 fn of_video(buffer: &gst::BufferRef, info: &VideoInfo, pixel: Pixel) -> Result<Video, String> {
     let mapped = VideoFrameRef::from_buffer_ref_readable(buffer, info).map_err(|e| e.to_string())?;
     let mut frame = Video::new(pixel, info.width(), info.height());
@@ -292,7 +292,7 @@ fn of_video(buffer: &gst::BufferRef, info: &VideoInfo, pixel: Pixel) -> Result<V
         VideoColorMatrix::Bt601 => frame.set_color_space(Space::SMPTE170M),
         VideoColorMatrix::Bt709 => frame.set_color_space(Space::BT709),
         VideoColorMatrix::Bt2020 => frame.set_color_space(Space::BT2020NCL),
-        // What is left unsaid is decided, and told, as for a recording.
+        // Missing tags are filled in, with a warning, as for a recording.
         _ => {}
     }
     match colours.range() {
@@ -308,7 +308,7 @@ fn of_video(buffer: &gst::BufferRef, info: &VideoInfo, pixel: Pixel) -> Result<V
     Ok(frame)
 }
 
-/// Where chroma samples sit.
+/// Siting of the chroma samples.
 fn siting(info: &VideoInfo) -> ChromaSiting {
     let site = info.chroma_site();
     match (site.contains(VideoChromaSite::H_COSITED), site.contains(VideoChromaSite::V_COSITED)) {

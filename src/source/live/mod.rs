@@ -1,9 +1,8 @@
-//! Where frames come from while they are taken: cameras, streams, raw pictures on a pipe, recordings played at their
-//! own pace.
+//! Live sources: cameras, streams, raw pictures on a pipe, recordings played at their own pace.
 //!
-//! A live source waits for its frames. It gives them the host's time ([`super::HostTime`]) beside the camera's, and
-//! goes on after an interruption that a camera or a network survives. Set its `stop` flag, and it ends at the next
-//! frame or within some seconds of silence.
+//! A live source waits for its frames. It gives them the host's time ([`super::HostTime`]) as well as the camera's, and
+//! continues after an interruption if camera or network come back. When its `stop` flag is set, it ends at the next
+//! frame or after some seconds of silence.
 
 #[cfg(not(all(target_os = "linux", feature = "genicam", feature = "gstreamer")))]
 mod absent;

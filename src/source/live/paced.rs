@@ -1,7 +1,7 @@
-//! A recording played at its own pace: each frame is handed on when as much time has passed here as in the recording.
+//! A recording played at its own pace: each frame is passed on when as much time has passed here as in the recording.
 //!
-//! Frames are decoded before they are due. Who takes them too late gets them as they are, late, until the pace is met
-//! again: this source drops nothing.
+//! Frames are decoded before they are due. A slow consumer gets them late until it has caught up: this source drops
+//! nothing.
 
 use super::super::host::{ClockFit, HostClock};
 use super::super::{Frame, FrameSource, SourceError, StreamFaults};
@@ -15,12 +15,12 @@ pub struct Paced {
     clock: HostClock,
     fit: ClockFit,
     stop: Arc<AtomicBool>,
-    /// When the first frame was handed on, and its stamp.
+    /// When the first frame was passed on, and its stamp.
     began: Option<(Instant, i64)>,
 }
 
-/// How long it sleeps before it looks whether it shall stop.
-const NAP: Duration = Duration::from_millis(50);
+/// How long it sleeps before it checks the stop flag.
+const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
 impl Paced {
     /// Plays `recording`.
@@ -41,7 +41,7 @@ impl Paced {
             if rest.is_zero() {
                 return true;
             }
-            std::thread::sleep(rest.min(NAP));
+            std::thread::sleep(rest.min(POLL_INTERVAL));
         }
     }
 }

@@ -1,8 +1,7 @@
-//! Raw pictures on a pipe, one behind the other without any head: `1280x1024:bayer_rg8@60`.
+//! Raw pictures on a pipe, one after another without headers: `1280x1024:bayer_rg8@60`.
 //!
-//! Such a pipe has no clock: frames are stamped as they arrive ([`Clock::HostArrival`]), with all the delays of the
-//! way, and lost frames show only as long steps. A camera program that knows the times should write a container instead
-//! (`-`).
+//! Such a pipe has no clock: frames are stamped on arrival ([`Clock::HostArrival`]), with all delays of the way, and
+//! lost frames show only as long steps. A camera program that knows the times should write a container instead (`-`).
 
 use super::super::decoded::PictureMaker;
 use super::super::host::HostClock;
@@ -16,13 +15,13 @@ use ffmpeg_the_third::frame::Video;
 use std::io::{ErrorKind, Read};
 use std::str::FromStr;
 
-/// What is on the pipe, written `WIDTHxHEIGHT:FORMAT@RATE`.
+/// Format of the data on the pipe, written `WIDTHxHEIGHT:FORMAT@RATE`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RawFormat {
     /// Width and height, pixels.
     pub size_px: [u32; 2],
     pixel: Pixel,
-    /// Frames a second.
+    /// Frames per second.
     pub rate: FrameRate,
 }
 
@@ -44,10 +43,10 @@ impl FromStr for RawFormat {
     }
 }
 
-/// Frames after a stall whose arrival says nothing: as many as may have waited.
+/// Frames after a stall whose arrival means nothing: as many as may have queued.
 const SETTLING: u32 = 16;
 
-/// Raw pictures out of a pipe.
+/// Raw pictures from a pipe.
 pub struct RawPictures {
     name: String,
     pipe: Box<dyn Read + Send>,
@@ -65,7 +64,7 @@ pub struct RawPictures {
 }
 
 impl RawPictures {
-    /// Reads from `pipe`, called `name` in messages.
+    /// Reads from `pipe`; `name` is for messages.
     pub fn new(name: &str, pipe: Box<dyn Read + Send>, format: RawFormat, clock: HostClock) -> Self {
         let stamps = StampWatch::new(name.to_owned(), format.rate.stamp_ns(1).map(|ns| ns as f64), 0.0);
         let pictures = PictureMaker::new(name.into(), Id::RAWVIDEO);
@@ -84,7 +83,7 @@ impl RawPictures {
         }
     }
 
-    /// Fills the planes of `frame`, each at once where its rows have no padding; false at the end of the pipe.
+    /// Fills the planes of `frame`, each in one read where its rows have no padding; false at the end of the pipe.
     fn fill(&mut self, frame: &mut Video) -> Result<bool, SourceError> {
         let mut begun = false;
         for plane in 0..frame.planes() {
@@ -111,7 +110,7 @@ impl RawPictures {
     }
 }
 
-/// Reads until `bytes` are full or the pipe ends; how many there are.
+/// Reads until `bytes` is full or the pipe ends; returns how many were read.
 fn read_all(pipe: &mut impl Read, bytes: &mut [u8]) -> std::io::Result<usize> {
     let mut got = 0;
     while let Some(rest) = bytes.get_mut(got..).filter(|rest| !rest.is_empty()) {
@@ -134,7 +133,7 @@ impl FrameSource for RawPictures {
         }
         let ns = self.clock.now_ns();
         let gap = self.stamps.gap(ns, self.seq, &mut self.faults);
-        // While this program itself stood still, frames waited on the pipe.
+        // While this program was stalled, frames queued on the pipe.
         let stalled_ns = self.stalls.total_ns();
         self.since_stall = if stalled_ns > self.stalled_ns { 0 } else { self.since_stall.saturating_add(1) };
         self.stalled_ns = stalled_ns;
@@ -210,7 +209,7 @@ mod tests {
 
     #[test]
     fn a_picture_whose_rows_have_no_padding_is_cut_too() {
-        // Rows of 64 bytes are as libav stores them: all of a plane is read at once.
+        // Rows of 64 bytes are stored as libav does: a plane is read at once.
         let frames = read(vec![7; 64 * 16 * 3 / 2 + 64 * 5], "64x16:nv12@60");
         let Ok(Some(first)) = &frames[0] else { panic!("{:?}", frames[0]) };
         assert_eq!(first.picture.plane(0).unwrap().row(15).unwrap(), [7; 64]);

@@ -4,10 +4,10 @@ use super::super::SourceError;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-/// Time between two tries.
+/// Time between two attempts.
 const RETRY: Duration = Duration::from_secs(1);
 
-/// Opens the `what` called `name`, once a second, until that succeeds; `None` when asked to stop.
+/// Tries to open the `what` called `name` once a second until that succeeds; `None` when asked to stop.
 pub(super) fn until_back<T>(
     name: &str,
     what: &str,

@@ -1,9 +1,9 @@
-//! Raw pictures: names of their formats, where their samples lie, and how they get into libav's frames.
+//! Raw pictures: names of their formats, layout of their samples, and copying them into libav's frames.
 
 use ffmpeg_the_third::format::Pixel;
 use ffmpeg_the_third::frame::Video;
 
-/// Names of pixel formats as GenICam and FFmpeg have them, for people to write.
+/// Names of pixel formats for users, as GenICam and FFmpeg spell them.
 const FORMATS: [(&str, Pixel); 16] = [
     ("bayer_rg8", Pixel::BAYER_RGGB8),
     ("bayer_bg8", Pixel::BAYER_BGGR8),
@@ -23,10 +23,10 @@ const FORMATS: [(&str, Pixel); 16] = [
     ("uyvy422", Pixel::UYVY422),
 ];
 
-/// The format of that name.
+/// The format of this name.
 ///
 /// # Errors
-/// All names, when it is none of them.
+/// The list of all names, when it is none of them.
 pub(super) fn by_name(name: &str) -> Result<Pixel, String> {
     let small = name.to_ascii_lowercase();
     FORMATS.iter().find(|(known, _)| *known == small).map(|(_, pixel)| *pixel).ok_or_else(|| {
@@ -50,8 +50,8 @@ pub(super) fn row_bytes(pixel: Pixel, plane: usize, width: usize) -> usize {
     }
 }
 
-/// The picture of a camera's buffer: its planes one behind the other, rows of the first `padding` bytes longer than
-/// their samples, those of the others in proportion. `None` when the buffer is too short for it.
+/// The picture of a camera's buffer: its planes one after another, rows of the first `padding` bytes longer than their
+/// samples, those of the others in proportion. `None` when the buffer is too short.
 pub(super) fn of_buffer(bytes: &[u8], pixel: Pixel, size_px: [u32; 2], padding: usize) -> Option<Video> {
     let [width, height] = size_px;
     let mut frame = Video::new(pixel, width, height);

@@ -1,16 +1,16 @@
-//! What a camera is told to do, and what is said of what it does instead.
+//! Settings requested of a camera, and warnings where it does something else.
 //!
-//! A camera may refuse a value, or take the nearest one it has. So each value is read back, and compared.
+//! A camera may refuse a value, or take the nearest one it has, so each value is read back and compared.
 
 use super::super::FrameRate;
 
-/// What the user asks of a camera; what is `None` stays as the camera has it. Exposure, gain, white balance and focus
-/// are locked in any case: colours and geometry must not change by themselves.
+/// What the user requests of a camera; `None` leaves the camera's value. Exposure, gain, white balance and focus are
+/// locked in any case: colours and geometry must not change by themselves.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CameraSettings {
     /// Width and height, pixels: those that the rig was calibrated with.
     pub size_px: [u32; 2],
-    /// Frames a second.
+    /// Frames per second.
     pub rate: Option<FrameRate>,
     /// Exposure time, seconds.
     pub exposure_s: Option<f64>,
@@ -20,33 +20,33 @@ pub struct CameraSettings {
     pub format: Option<String>,
 }
 
-/// Part of a value by which a camera may round it without a word.
+/// Fraction of a value by which a camera may round it without a warning.
 const ROUNDING: f64 = 0.01;
 
-/// A number asked of a camera.
+/// A number requested of a camera.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Asked {
-    /// What it is, as `exposure`.
+    /// What it is, for example `exposure`.
     pub(super) what: &'static str,
-    /// Behind the number, as ` ms`.
+    /// Its unit after the number, for example ` ms`.
     pub(super) unit: &'static str,
     /// The number.
     pub(super) value: f64,
 }
 
 impl Asked {
-    /// What to warn of, when the camera was `set` to it and `got` was read back then.
+    /// The warning to give when the camera was `set` to it and `got` was read back.
     pub(super) fn objection<E: ToString>(self, set: Result<(), E>, got: Result<f64, E>) -> Option<String> {
         let Self { what, unit, value } = self;
         let shown = |x: f64| format!("{}{unit}", (x * 1e4).round() / 1e4);
         match (set.map_err(|e| e.to_string()), got) {
             (Ok(()), Ok(got)) if (got - value).abs() <= ROUNDING * value.abs() => None,
-            (Ok(()), Ok(got)) => Some(format!("{what}: {} asked, the camera takes {}", shown(value), shown(got))),
+            (Ok(()), Ok(got)) => Some(format!("{what}: {} requested, the camera uses {}", shown(value), shown(got))),
             (Err(reason), Ok(got)) => {
                 Some(format!("{what}: the camera refuses {} ({reason}) and stays at {}", shown(value), shown(got)))
             }
             (Ok(()), Err(e)) => Some(format!(
-                "{what}: {} asked, and the camera does not tell what it takes ({})",
+                "{what}: {} requested, and the camera does not report what it uses ({})",
                 shown(value),
                 e.to_string()
             )),
@@ -55,7 +55,7 @@ impl Asked {
     }
 }
 
-/// A name of a pixel format without what distinguishes `BayerRG8` from `bayer_rg8`.
+/// A normalised name of a pixel format: `BayerRG8` and `bayer_rg8` become the same.
 pub(super) fn plain(name: &str) -> String {
     name.chars().filter(char::is_ascii_alphanumeric).collect::<String>().to_ascii_lowercase()
 }
@@ -77,11 +77,11 @@ mod tests {
 
     #[test]
     fn another_value_than_asked_is_named_with_both() {
-        assert_eq!(objection(Ok(()), Ok(16.666_66)).unwrap(), "exposure: 8 ms asked, the camera takes 16.6667 ms");
+        assert_eq!(objection(Ok(()), Ok(16.666_66)).unwrap(), "exposure: 8 ms requested, the camera uses 16.6667 ms");
         let refused = objection(Err("read only"), Ok(10.0)).unwrap();
         assert_eq!(refused, "exposure: the camera refuses 8 ms (read only) and stays at 10 ms");
         let silent = objection(Ok(()), Err("write only")).unwrap();
-        assert_eq!(silent, "exposure: 8 ms asked, and the camera does not tell what it takes (write only)");
+        assert_eq!(silent, "exposure: 8 ms requested, and the camera does not report what it uses (write only)");
         assert_eq!(
             objection(Err("no such node"), Err("x")).unwrap(),
             "exposure: the camera refuses 8 ms (no such node)"

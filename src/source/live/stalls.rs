@@ -1,19 +1,19 @@
-//! Time in which this program itself stood still: it was stopped, or the computer slept or was too busy.
+//! Time in which this program was stalled: stopped, or the computer slept or was too busy.
 //!
-//! A thread looks at the clock every [`TICK`]; what passes beyond is time in which nothing here ran. Frames that wait
-//! on a pipe meanwhile arrive late, and are not lost. Who asks may have been woken before that thread: what it has not
-//! counted yet counts too.
+//! A thread reads the clock every [`POLL_INTERVAL`]; any excess is time in which nothing here ran. Frames that queued
+//! on a pipe meanwhile arrive late but are not lost. The caller may have been woken before that thread, so time that it
+//! has not counted yet is added.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Weak};
 use std::thread::Builder;
 use std::time::{Duration, Instant};
 
-const TICK: Duration = Duration::from_millis(20);
-/// Less is ordinary delay.
-const WORTH_COUNTING: Duration = Duration::from_millis(100);
+const POLL_INTERVAL: Duration = Duration::from_millis(20);
+/// Shorter stalls are ordinary delay.
+const MIN_STALL: Duration = Duration::from_millis(100);
 
-/// Watches as long as it lives.
+/// Watches for stalls until it is dropped.
 #[derive(Debug)]
 pub(super) struct Stalls {
     count: Arc<Count>,
@@ -24,7 +24,7 @@ pub(super) struct Stalls {
 struct Count {
     began: Instant,
     total_ns: AtomicU64,
-    /// When the thread last looked, since it began.
+    /// When the thread last read the clock, since its start.
     looked_ns: AtomicU64,
 }
 
@@ -33,16 +33,16 @@ impl Count {
         self.began.elapsed().as_nanos() as u64
     }
 
-    /// What has passed since the thread last looked, beyond what it sleeps.
+    /// Time since the thread last read the clock, beyond its sleep.
     fn late_ns(&self) -> u64 {
         let late = self.now_ns().saturating_sub(self.looked_ns.load(Ordering::Acquire));
-        let late = late.saturating_sub(TICK.as_nanos() as u64);
-        if u128::from(late) >= WORTH_COUNTING.as_nanos() { late } else { 0 }
+        let late = late.saturating_sub(POLL_INTERVAL.as_nanos() as u64);
+        if u128::from(late) >= MIN_STALL.as_nanos() { late } else { 0 }
     }
 }
 
 impl Stalls {
-    /// Begins to watch; without a thread for it nothing is ever counted.
+    /// Begins to watch; if no thread can be started, nothing is counted.
     pub(super) fn watch() -> Self {
         let count =
             Arc::new(Count { began: Instant::now(), total_ns: AtomicU64::new(0), looked_ns: AtomicU64::new(0) });
@@ -53,7 +53,7 @@ impl Stalls {
                 count.total_ns.fetch_add(late_ns, Ordering::Relaxed);
                 count.looked_ns.store(count.now_ns(), Ordering::Release);
                 drop(count);
-                std::thread::sleep(TICK);
+                std::thread::sleep(POLL_INTERVAL);
             }
         };
         let watched = Builder::new().name("stalls".to_owned()).spawn(watch).is_ok();
@@ -63,7 +63,7 @@ impl Stalls {
         Self { count, watched }
     }
 
-    /// How long it has stood still so far, nanoseconds.
+    /// Total time stalled so far, nanoseconds.
     pub(super) fn total_ns(&self) -> u64 {
         if !self.watched {
             return 0;

@@ -1,9 +1,9 @@
 //! Live streams through libav: `rtsp://`, `http://`, `udp://`, `tcp://`, `srt://`, or a container on standard input
 //! (`-`).
 //!
-//! A stream in a network that ends or falls silent is opened again, once a second, until it is back or the run is
-//! stopped. Its stamps may begin anew then: the gap before its first frame is not known and counts as none, the
-//! interruption is counted ([`StreamFaults::interruptions`]). Standard input ends for good.
+//! A network stream that ends or falls silent is reopened, trying once a second, until it is back or the run is
+//! stopped. Its stamps may restart: the gap before its first frame is unknown and counts as 0, the interruption is
+//! counted ([`StreamFaults::interruptions`]). Standard input ends for good.
 
 use super::super::host::{ClockFit, HostClock};
 use super::super::{Frame, FrameSource, SourceError, StreamFaults, VideoFile};
@@ -15,14 +15,14 @@ use std::time::Instant;
 /// A live stream.
 pub struct Stream {
     url: String,
-    /// `None` while it is away.
+    /// `None` while the stream is lost.
     input: Option<VideoFile>,
     size_px: [u32; 2],
     clock: HostClock,
     fit: ClockFit,
     stop: Arc<AtomicBool>,
     seq: u64,
-    /// Of the inputs that have ended.
+    /// Faults of inputs that have ended.
     past: StreamFaults,
 }
 
@@ -30,7 +30,7 @@ impl Stream {
     /// Opens the stream at `url`, `-` for standard input.
     ///
     /// # Errors
-    /// When nobody answers, or there is no video in it.
+    /// When nobody answers, or the stream has no video.
     pub fn open(url: &str, clock: HostClock, stop: Arc<AtomicBool>) -> Result<Self, SourceError> {
         let input = VideoFile::stream(url)?;
         let size_px = input.size_px();

@@ -1,15 +1,15 @@
-//! V4L2 cameras on Linux: `/dev/video0`, or better its lasting name under `/dev/v4l/by-id`.
+//! V4L2 cameras on Linux: `/dev/video0`, or better, its persistent name under `/dev/v4l/by-id`.
 //!
-//! The kernel stamps each buffer by its monotonic clock, at the start of the exposure or the end of the transfer as the
-//! driver says; the same clock runs here, so a stamp's age is known exactly. Buffers are counted by the driver. Not
-//! read: devices that give their planes apart (multi-planar, as of some phones' processors).
+//! The kernel stamps each buffer with its monotonic clock, at the start of the exposure or the end of the transfer as
+//! the driver declares; the program reads the same clock, so a stamp's age is known exactly. The driver counts buffers.
+//! Not supported: devices with separate planes (multi-planar, as on some phone processors).
 
 use super::super::counter::Wrap;
 use super::super::decoded::{PictureMaker, is_damaged};
 use super::super::host::HostClock;
 use super::super::jpeg::{self, is_cut_off};
 use super::super::{Clock, Quantisation, SourceError, Timestamp};
-use super::camera::{Camera, Connection, Taken};
+use super::camera::{Camera, CapturedFrame, Connection};
 use super::samples;
 use super::settings::{Asked, CameraSettings};
 use super::v4l2_setup::{self as setup, Layout, Offer, letters};
@@ -30,7 +30,7 @@ use v4l::io::traits::{CaptureStream, Stream as _};
 use v4l::video::Capture as _;
 use v4l::{Device, Format, FourCC, Fraction, capability};
 
-/// Buffers that the driver may fill before one is taken.
+/// Buffers that the driver may fill ahead.
 const BUFFERS: u32 = 8;
 
 impl Camera {
@@ -54,7 +54,7 @@ impl Camera {
     }
 }
 
-/// A camera that sends.
+/// A camera that is streaming.
 struct Session {
     name: String,
     stream: Stream<'static>,
@@ -107,7 +107,7 @@ impl Session {
         SourceError::Camera { name: self.name.clone(), reason: error.to_string() }
     }
 
-    /// Says once which moment the driver stamps.
+    /// Reports once which moment the driver stamps.
     fn name_sources(&mut self, flags: Flags) {
         if std::mem::replace(&mut self.sources_named, true) {
             return;
@@ -119,8 +119,8 @@ impl Session {
 }
 
 impl Connection for Session {
-    fn next(&mut self, wait: Duration) -> Result<Option<Taken>, SourceError> {
-        // The binding's own time-out leaves its queue in disorder: a buffer is asked for when there is one only.
+    fn next(&mut self, wait: Duration) -> Result<Option<CapturedFrame>, SourceError> {
+        // The binding's own time-out corrupts its queue, so a buffer is requested only when there is one.
         let wait_ms = i32::try_from(wait.as_millis()).unwrap_or(i32::MAX);
         match self.stream.handle().poll(POLLIN, wait_ms) {
             Ok(0) => return Ok(None),
@@ -153,7 +153,7 @@ impl Connection for Session {
         let stamp = stamp(&meta);
         let now_ns = now.tv_sec.saturating_mul(1_000_000_000).saturating_add(now.tv_nsec);
         let age = stamp.and_then(|stamp| u64::try_from(now_ns.saturating_sub(stamp.ns)).ok()).map(Duration::from_nanos);
-        Ok(Some(Taken { number: meta.sequence.into(), stamp, arrival, age, picture }))
+        Ok(Some(CapturedFrame { number: meta.sequence.into(), stamp, arrival, age, picture }))
     }
 
     fn size_px(&self) -> [u32; 2] {
@@ -169,15 +169,14 @@ impl Connection for Session {
     }
 }
 
-/// `poll(2)`: there is something to read.
+/// `poll(2)`: data can be read.
 const POLLIN: i16 = 1;
 
-/// Starts to send. All buffers but the first are queued here; the binding queues that one when it is asked for a
-/// picture.
+/// Starts streaming. All buffers but the first are queued here; the binding queues that one when asked for a picture.
 fn started(device: &Device) -> io::Result<Stream<'static>> {
     let mut stream = Stream::with_buffers(device, Type::VideoCapture, BUFFERS)?;
     stream.set_timeout(Duration::from_secs(1));
-    // The driver may have given less than were asked for.
+    // The driver may have granted fewer than requested.
     (1..BUFFERS as usize).try_for_each(|index| stream.queue(index)).or_else(|error| match error.raw_os_error() {
         Some(INVALID) => Ok(()),
         _ => Err(error),
@@ -189,7 +188,7 @@ fn started(device: &Device) -> io::Result<Stream<'static>> {
 /// `errno(3)`: no such buffer.
 const INVALID: i32 = 22;
 
-/// The kernel's stamp; `None` when it is of another clock than the monotonic one.
+/// The kernel's stamp; `None` when it is not of the monotonic clock.
 fn stamp(meta: &Metadata) -> Option<Timestamp> {
     if meta.flags & Flags::TIMESTAMP_MASK != Flags::TIMESTAMP_MONOTONIC {
         return None;
@@ -198,7 +197,7 @@ fn stamp(meta: &Metadata) -> Option<Timestamp> {
     Some(Timestamp { ns, clock: Clock::V4l2Monotonic })
 }
 
-/// The picture in a buffer, with the colour tags of the driver.
+/// The picture in a buffer, with the driver's colour tags.
 fn video(
     bytes: &[u8],
     layout: Layout,
@@ -228,7 +227,7 @@ fn video(
     }
 }
 
-/// Colours as V4L2 means them; its defaults are those of `linux/videodev2.h` (V4L2_MAP_*_DEFAULT).
+/// Colour tags as V4L2 defines them; the defaults are those of `linux/videodev2.h` (V4L2_MAP_*_DEFAULT).
 fn tag(frame: &mut av::frame::Video, format: &Format) {
     use av::color::{Range, Space, TransferCharacteristic as Curve};
     let full = match format.quantization {
@@ -256,10 +255,10 @@ fn jpeg_decoder() -> Result<av::decoder::Video, String> {
     av::codec::Context::new_with_codec(codec).decoder().video().map_err(|e| format!("no decoder of JPEG: {e}"))
 }
 
-/// Sets format and size; what the camera takes.
+/// Sets format and size; returns what the camera accepted.
 fn set_format(name: &str, device: &Device, settings: &CameraSettings) -> Result<Format, String> {
     let [width, height] = settings.size_px;
-    let descriptions = device.enum_formats().map_err(|e| format!("does not tell its pixel formats: {e}"))?;
+    let descriptions = device.enum_formats().map_err(|e| format!("does not report its pixel formats: {e}"))?;
     let offers: Vec<Offer> = descriptions.iter().map(|d| offer(device, d.fourcc, settings.size_px)).collect();
     let code = setup::choose(&offers, settings.format.as_deref(), settings.rate)?;
     let wanted = Format::new(width, height, FourCC::new(&code));
@@ -268,7 +267,7 @@ fn set_format(name: &str, device: &Device, settings: &CameraSettings) -> Result<
         .map_err(|e| format!("the camera refuses {width}x{height} pixels of {}: {e}", letters(code)))?;
     if got.fourcc.repr != code {
         let (asked, taken) = (letters(code), letters(got.fourcc.repr));
-        tracing::warn!("{name}: pixel format: {asked} asked, the camera takes {taken}");
+        tracing::warn!("{name}: pixel format: {asked} requested, the camera uses {taken}");
     }
     Ok(got)
 }
@@ -316,7 +315,7 @@ fn set_rate(name: &str, device: &Device, settings: &CameraSettings) {
     asked.objection(set, got).into_iter().for_each(|text| tracing::warn!("{name}: {text}"));
 }
 
-/// Seconds a frame, in the 32 bits that V4L2 has: 59.94 is 59 940 000 000 / 1 000 000 000 here.
+/// Seconds per frame, in V4L2's 32-bit fraction: 59.94 is 59 940 000 000 / 1 000 000 000 here.
 fn interval((mut frames, mut seconds): (i64, i64)) -> Fraction {
     while frames % 10 == 0 && seconds % 10 == 0 && seconds > 0 {
         (frames, seconds) = (frames / 10, seconds / 10);
@@ -369,7 +368,7 @@ mod tests {
         let mut decoder = jpeg_decoder().unwrap();
         let jpeg = format(b"MJPG", 64, 48, 0);
         for _ in 0..3 {
-            // A driver may hand on more than the picture.
+            // A driver may pass on more than the picture.
             let padded = [&bytes[..], &[0; 16]].concat();
             let frame = video(&padded, Layout::Jpeg, Some(&mut decoder), &jpeg).unwrap();
             assert_eq!((frame.width(), frame.height()), (64, 48));

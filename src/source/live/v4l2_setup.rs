@@ -1,4 +1,4 @@
-//! How a V4L2 camera is set up: which pixel format, and which controls are set to what. Nothing here touches a device.
+//! Set-up of a V4L2 camera: its pixel format and the values of its controls. Nothing here touches a device.
 
 use super::super::FrameRate;
 use super::settings::{Asked, CameraSettings, plain};
@@ -14,7 +14,7 @@ pub(super) enum Layout {
     Jpeg,
 }
 
-/// Formats that are read, those that lose least first: code, name and layout.
+/// Supported formats, those that lose least first: code, name and layout.
 const FORMATS: [([u8; 4], &str, Layout); 15] = [
     (*b"RGGB", "bayer_rg8", Layout::Raw(Pixel::BAYER_RGGB8)),
     (*b"GBRG", "bayer_gb8", Layout::Raw(Pixel::BAYER_GBRG8)),
@@ -33,7 +33,7 @@ const FORMATS: [([u8; 4], &str, Layout); 15] = [
     (*b"JPEG", "jpeg", Layout::Jpeg),
 ];
 
-/// How a format is read, if it is.
+/// How a format is read, if supported.
 pub(super) fn layout(code: [u8; 4]) -> Option<Layout> {
     FORMATS.iter().find(|(known, ..)| *known == code).map(|(.., layout)| *layout)
 }
@@ -43,9 +43,9 @@ pub(super) fn layout(code: [u8; 4]) -> Option<Layout> {
 pub(super) struct Offer {
     /// Its code.
     pub(super) code: [u8; 4],
-    /// Whether it comes in the size that is wanted; `true` when the driver does not say.
+    /// Whether it is available in the wanted size; `true` when the driver does not say.
     pub(super) has_size: bool,
-    /// Most frames a second at that size; `None` when the driver does not say.
+    /// Highest frame rate at that size, hertz; `None` when the driver does not say.
     pub(super) most_hz: Option<f64>,
 }
 
@@ -54,7 +54,7 @@ pub(super) fn letters(code: [u8; 4]) -> String {
     String::from_utf8_lossy(&code).trim_end().to_owned()
 }
 
-/// The format to set: the one asked for, else the one that loses least among those of this size that are fast enough,
+/// The format to set: the requested one, else the one that loses least among those of this size that are fast enough,
 /// else the fastest of this size.
 pub(super) fn choose(offers: &[Offer], asked: Option<&str>, rate: Option<FrameRate>) -> Result<[u8; 4], String> {
     let names: Vec<String> = offers.iter().map(|offer| letters(offer.code)).collect();
@@ -73,7 +73,7 @@ pub(super) fn choose(offers: &[Offer], asked: Option<&str>, rate: Option<FrameRa
     let rank = |offer: &Offer| FORMATS.iter().position(|(code, ..)| *code == offer.code);
     let mut readable: Vec<&Offer> = offers.iter().filter(|offer| offer.has_size && rank(offer).is_some()).collect();
     readable.sort_by_key(|offer| rank(offer));
-    // A driver that states 59.94 for 60 is not too slow.
+    // A driver that states 59.94 is fast enough for 60.
     let wanted_hz = rate.map_or(0.0, |rate| 0.99 * rate.hz());
     let fast = readable.iter().find(|offer| offer.most_hz.is_none_or(|hz| hz >= wanted_hz));
     let fastest = || {
@@ -96,15 +96,15 @@ fn unreadable(what: &str, has: &str) -> String {
     format!("{what} that can be read (in colour: {}); the camera has {has}", read.join(", "))
 }
 
-/// A control to be set.
+/// A control to set.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Control {
     pub(super) id: u32,
     pub(super) value: i64,
     asked: Asked,
-    /// The number of the user a unit of the control is.
+    /// The user's value of one unit of the control.
     scale: f64,
-    /// Whether the user asked for it: else a camera that has no such control is fine as it is.
+    /// Whether the user requested it; otherwise a camera without this control is fine.
     required: bool,
 }
 
@@ -119,7 +119,7 @@ mod id {
     pub(super) const FOCUS_AUTO: u32 = 0x009a_090c;
 }
 
-/// What is set, in this order: what moves by itself is locked before values are set.
+/// The controls to set, in this order: automatic ones are locked before values are set.
 pub(super) fn controls(settings: &CameraSettings) -> Vec<Control> {
     let lock = |id, what, value: i64| {
         let asked = Asked { what, unit: "", value: value as f64 };
@@ -136,7 +136,7 @@ pub(super) fn controls(settings: &CameraSettings) -> Vec<Control> {
     let whole = |x: f64| x.round() as i64;
     if let Some(exposure_s) = settings.exposure_s {
         let asked = Asked { what: "exposure", unit: " ms", value: exposure_s * 1e3 };
-        // The control counts 100 µs.
+        // The control's unit is 100 µs.
         let value = whole(exposure_s * 1e4).max(1);
         all.push(Control { id: id::EXPOSURE_ABSOLUTE, value, asked, scale: 0.1, required: true });
     }
@@ -148,7 +148,7 @@ pub(super) fn controls(settings: &CameraSettings) -> Vec<Control> {
 }
 
 impl Control {
-    /// Sets it by `set`, reads it back by `get`, and says what is otherwise.
+    /// Sets it with `set`, reads it back with `get`, and reports any difference.
     pub(super) fn apply(
         self,
         set: impl FnOnce(u32, i64) -> io::Result<()>,
@@ -206,7 +206,7 @@ mod tests {
         assert!(error.contains("no pictures of this size"), "{error}");
     }
 
-    /// A camera with these controls; `fixed` cannot be set, a gain has at most 100.
+    /// A camera with these controls; `fixed` cannot be set, the gain is at most 100.
     struct Controls {
         values: RefCell<BTreeMap<u32, i64>>,
         fixed: Vec<u32>,
@@ -254,12 +254,14 @@ mod tests {
     fn what_the_camera_refuses_or_takes_otherwise_is_named_with_both_values() {
         let values = [(id::EXPOSURE_AUTO, 3), (id::GAIN, 0)].into_iter().collect();
         let camera = Controls { values: RefCell::new(values), fixed: vec![id::EXPOSURE_AUTO] };
-        let told = camera.apply_all(&settings(Some(0.008), Some(400.0)));
-        assert_eq!(told.len(), 3, "{told:?}");
+        let objections = camera.apply_all(&settings(Some(0.008), Some(400.0)));
+        assert_eq!(objections.len(), 3, "{objections:?}");
         assert!(
-            told[0].starts_with("exposure_auto") && told[0].contains("refuses 1") && told[0].ends_with("stays at 3")
+            objections[0].starts_with("exposure_auto")
+                && objections[0].contains("refuses 1")
+                && objections[0].ends_with("stays at 3")
         );
-        assert!(told[1].starts_with("exposure: the camera refuses 8 ms"), "{}", told[1]);
-        assert_eq!(told[2], "gain: 400 asked, the camera takes 100");
+        assert!(objections[1].starts_with("exposure: the camera refuses 8 ms"), "{}", objections[1]);
+        assert_eq!(objections[2], "gain: 400 requested, the camera uses 100");
     }
 }

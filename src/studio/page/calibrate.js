@@ -1,8 +1,11 @@
 // Pictures of a board as they arrive: corners, what they cover, and how far off the rig would be.
 
-import { ask, askPicture, choose, complain, css, el, fill, latest, onPage, overPicture, say } from "./common.js";
+import { ask, askPicture, bitmap, choose, complain, css, el, fill, latest, onPage, overPicture, say } from "./common.js";
 import { Stage } from "./stage.js";
 
+// A look at the camera, and a search for the board in its picture, no more often.
+const LOOK_MS = 150;
+const JUDGE_MS = 200;
 const KINDS = /\.(png|jpe?g|tiff?|bmp|pgm|ppm)$/i;
 const mm = (value) => `${value < 0.1 ? value.toFixed(3) : value.toFixed(2)} mm`;
 
@@ -17,7 +20,7 @@ function base64(file) {
 
 export class Calibrate {
   constructor(state) {
-    Object.assign(this, { rig: state.rig, size: [4, 3], pictures: [], chosen: -1, verdicts: [] });
+    Object.assign(this, { rig: state.rig, size: [4, 3], pictures: [], chosen: -1, verdicts: [], camera: state.camera, live: Boolean(state.camera), seen: [], shown: false });
     this.stage = new Stage("The picture with the corners that were found.", { paint: (context, px) => this.paint(context, px) });
     this.load = latest((i) => this.show(i));
     this.judge = latest(() => this.judgeAll());
@@ -25,7 +28,64 @@ export class Calibrate {
   }
 
   enter() {
-    if (!this.pictures.length) say("Drop in pictures of the board, or choose a folder of them.");
+    this.there = true;
+    if (this.camera && !this.begun) {
+      this.begun = true;
+      this.look();
+      this.judgeCamera();
+    }
+    if (!this.pictures.length) say(this.camera ? "Hold the board into the picture." : "Drop in pictures of the board, or choose a folder of them.");
+  }
+
+  leave() {
+    this.there = false;
+  }
+
+  /** What the camera sees, as long as no picture that was taken is looked at. */
+  async look() {
+    try {
+      const reply = this.there && this.live && !document.hidden ? await ask("camera/look", { after: this.seq ?? null }) : null;
+      if (reply && this.live) {
+        this.seq = reply.seq;
+        this.size = this.camera.size;
+        this.stage.show(await bitmap(reply.jpeg), this.size);
+        this.element.dataset.look = reply.seq;
+        if (reply.ended && !this.cameraEnded) say(`${this.camera.name}: ${reply.ended}`, true);
+        this.cameraEnded = reply.ended;
+      }
+    } catch (error) {
+      complain(error);
+    }
+    setTimeout(() => this.look(), LOOK_MS);
+  }
+
+  /** Looks for the board; takes its picture when that is asked for and worth it. */
+  async judgeCamera() {
+    try {
+      if (this.there && this.byItself.checked && this.rig && !document.hidden && !this.cameraEnded) {
+        const judged = await ask("camera/judge", this.form());
+        this.seen = this.byItself.checked ? judged.images : [];
+        this.cameraSays.textContent = judged.take ? `Taken: ${judged.why}.` : judged.why;
+        if (this.live) this.stage.redraw();
+        if (judged.take && this.byItself.checked) await this.takePicture(judged.seq);
+      }
+    } catch (error) {
+      this.cameraSays.textContent = error.message;
+      complain(error);
+    }
+    setTimeout(() => this.judgeCamera(), JUDGE_MS);
+  }
+
+  async takePicture(seq = null) {
+    const { picture } = await ask("camera/take", { folder: this.folder.value, seq });
+    await this.add(picture, seq === null);
+    this.element.dataset.taken = String((Number(this.element.dataset.taken) || 0) + 1);
+  }
+
+  /** The camera again, after a picture that was taken. */
+  watch() {
+    [this.live, this.chosen, this.seq] = [true, -1, null];
+    this.tell();
   }
 
   build() {
@@ -48,6 +108,15 @@ export class Calibrate {
     this.saveButton = el("button", { type: "button", class: "main", id: "rigsave", onclick: () => this.save() }, "Calibrate and save");
     this.command = latest(() => this.showCommand());
     const files = el("input", { type: "file", multiple: true, accept: "image/*", id: "files", onchange: () => this.take([...files.files]).catch(complain) });
+    this.byItself = el("input", { id: "byitself", type: "checkbox", onchange: () => { this.seen = []; this.cameraSays.textContent = ""; } });
+    this.cameraSays = el("p", { class: "quiet", id: "camerasays", "aria-live": "polite" });
+    const camera = this.camera ? el("section", {},
+      el("h2", {}, `Camera ${this.camera.name}`),
+      el("div", { class: "row" },
+        el("button", { type: "button", class: "main", id: "takepicture", onclick: () => this.takePicture().catch(complain) }, "Take a picture"),
+        el("button", { type: "button", onclick: () => this.watch() }, "Show the camera")),
+      el("label", { for: "byitself" }, this.byItself, "take one when the board stands still and tells something new"),
+      this.cameraSays) : null;
     const left = el("div", { class: "left" }, this.stage.element, el("div", { class: "below" },
       el("div", {}, this.cover, el("p", { class: "quiet" }, "What the corners of all pictures cover.")),
       el("section", { class: "grow" }, el("h2", {}, "How far off the rig would be"), this.verdict)));
@@ -57,6 +126,7 @@ export class Calibrate {
         field("board", "Board", this.board), field("mirrors", "Mirrors", this.mirrors), field("glass", "Glass", this.glass),
         field("tank", "Tank", this.tank), field("water", "Water, °C", this.water),
         el("label", { for: "inside" }, this.inside, "the mirrors stand in the tank")),
+      camera,
       el("section", {},
         el("h2", {}, "Pictures"),
         el("div", { class: "row" }, el("label", { for: "files" }, "Add", files)),
@@ -90,12 +160,13 @@ export class Calibrate {
     for (const picture of pictures) await this.add(picture);
   }
 
-  async add(path) {
+  async add(path, look = true) {
     if (this.pictures.some((picture) => picture.path === path)) return;
     const picture = { path, found: null, used: true };
     this.pictures.push(picture);
     await this.find(picture);
-    this.go(this.pictures.indexOf(picture));
+    // Who holds the board goes on looking at the camera.
+    if (look) this.go(this.pictures.indexOf(picture));
     this.judge();
   }
 
@@ -189,13 +260,14 @@ export class Calibrate {
 
   go(i) {
     if (i < 0 || i >= this.pictures.length) return;
-    this.chosen = i;
+    [this.chosen, this.live] = [i, false];
     this.load(i);
     this.tell();
   }
 
   async show(i) {
     const picture = await askPicture("board/show", { picture: this.pictures[i].path });
+    if (this.live) return;
     this.size = [picture.width, picture.height];
     this.stage.show(picture, this.size);
     this.element.dataset.shown = i;
@@ -203,7 +275,8 @@ export class Calibrate {
 
   key(event) {
     if (event.target.closest("button, input") && [" ", "Enter"].includes(event.key)) return false;
-    if (event.key === "ArrowLeft") this.go(this.chosen - 1);
+    if (event.key === "t" && this.camera) this.takePicture().catch(complain);
+    else if (event.key === "ArrowLeft") this.go(this.chosen - 1);
     else if (event.key === "ArrowRight") this.go(this.chosen + 1);
     else if (event.key === "Home") this.go(0);
     else if (event.key === "End") this.go(this.pictures.length - 1);
@@ -213,7 +286,7 @@ export class Calibrate {
   }
 
   paint(context, px) {
-    const images = this.pictures[this.chosen]?.found?.images ?? [];
+    const images = this.live ? this.seen.map((corners) => ({ corners })) : this.pictures[this.chosen]?.found?.images ?? [];
     images.forEach((image, k) => {
       context.strokeStyle = overPicture(k);
       context.lineWidth = 1.6 * px;

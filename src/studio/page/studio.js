@@ -29,6 +29,8 @@ const KEYS = [
   ["m", "masks on and off"],
   ["+ − 0", "larger, smaller, whole: picture, plot, scene"],
   ["v", "veto the frame (Review)"],
+  ["t", "take a picture (Calibrate, with a camera)"],
+  ["r", "begin and end recording (Watch)"],
 ];
 
 function help() {
@@ -58,7 +60,7 @@ try {
     return button;
   });
   fill(tabs, ...buttons);
-  const first = state.live ? 0 : state.run ? 2 : 1;
+  const first = state.live || state.camera ? 0 : state.run ? 2 : 1;
   show(views[first][1], buttons[first]);
   document.body.dataset.ready = "yes";
 } catch (error) {

@@ -11,6 +11,7 @@ const middle = (corners) => corners && [0, 1].map((k) => corners.reduce((sum, c)
 // A close-up on the screen, and what it shows, pixels.
 const CLOSE = 96;
 const CLOSE_PX = 44;
+const number = (input) => (input.value === "" ? null : Number(input.value));
 const tenth = (v) => Math.round(v * 10) / 10;
 
 export class Teach {
@@ -56,6 +57,9 @@ export class Teach {
     this.maskBox = el("input", { type: "checkbox", checked: true, onchange: () => { this.masks = this.maskBox.checked; this.closer(); this.stage.redraw(); } });
     this.regionBox = el("input", { type: "checkbox", checked: true, onchange: () => { this.showRegions = this.regionBox.checked; this.stage.redraw(); } });
     this.tube = el("input", { class: "short", id: "tube", type: "number", min: 0.1, step: 0.1, value: 3.2, oninput: () => this.changed() });
+    // As the rig has it, unless something else is said.
+    const optional = (id) => el("input", { class: "short", id, type: "number", min: 0.1, step: 0.1, placeholder: "–", oninput: () => this.changed() });
+    [this.rigid, this.exposure] = [optional("rigid"), optional("exposure")];
     this.coil = el("select", { id: "coil", onchange: () => { this.chosen.coil = this.coil.value; this.changed(); } });
     this.end = el("select", { id: "end", onchange: () => { this.chosen.end = this.end.value; this.changed(); } });
     this.bandList = el("div", { id: "bands" });
@@ -77,8 +81,8 @@ export class Teach {
           el("label", { for: "view" }, "Clicks are in view", this.viewChoice),
           el("label", {}, this.maskBox, "masks"),
           el("label", {}, this.regionBox, "regions (drag corners)"),
-          el("button", { type: "button", onclick: () => this.stage.zoomAt(this.stage.cross ?? this.stage.middle ?? this.size.map((v) => v / 2), 1.6) }, "larger"),
-          el("button", { type: "button", onclick: () => this.stage.reset() }, "whole"))));
+          el("button", { type: "button", onclick: () => this.stage.zoomAt(this.stage.cross ?? this.stage.middle ?? this.size.map((v) => v / 2), 1.6) }, "zoom in"),
+          el("button", { type: "button", onclick: () => this.stage.reset() }, "whole picture"))));
     const side = el("div", { class: "side" },
       el("section", {},
         el("div", { class: "row" }, el("b", {}, "Recording"), this.names.recording, opener("Recordings", ["recording"], (path) => this.openRecording(path))),
@@ -92,7 +96,10 @@ export class Teach {
         el("div", { class: "row" },
           el("label", { for: "tube" }, "Tube", this.tube, "mm"),
           el("label", { for: "coil" }, "Coil", this.coil),
-          el("label", { for: "end" }, "Ends the tube", this.end))),
+          el("label", { for: "end" }, "Ends the tube", this.end)),
+        el("div", { class: "row" },
+          el("label", { for: "rigid", title: "length of the stiff part around the middle of the coil, if longer than its band; empty: as the rig has it" }, "Stiff length at the coil", this.rigid, "mm"),
+          el("label", { for: "exposure", title: "empty: learned from the recording, where motion blur shows" }, "Exposure time", this.exposure, "ms"))),
       el("section", {}, el("h2", {}, "What is seen"), this.told),
       el("section", {}, el("details", {}, el("summary", {}, "Regions of the views"), this.regionList)),
       el("section", {},
@@ -137,7 +144,8 @@ export class Teach {
     if (rig.bands.length) this.bands = rig.bands.map(({ name, length_mm }) => ({ name, length_mm }));
     if (rig.tube_mm) this.tube.value = rig.tube_mm;
     [this.rigCoil, this.rigEnd, this.chosen] = [rig.coil, rig.end, {}];
-    fill(this.viewChoice, el("option", { value: "" }, "by region"), ...this.views.map((v) => el("option", { value: v.name }, v.name)));
+    [this.rigRigid, this.rigid.value, this.exposure.value] = [rig.rigid_mm, rig.rigid_mm ?? "", ""];
+    fill(this.viewChoice, el("option", { value: "" }, "automatic"), ...this.views.map((v) => el("option", { value: v.name }, v.name)));
     this.view = "";
     this.clear();
     this.listBands();
@@ -215,7 +223,7 @@ export class Teach {
       bands: this.bands.map(({ name, length_mm }) => ({ name, length_mm: Number(length_mm) })),
       coil: this.coil.value === usual.coil ? null : this.coil.value,
       end: this.end.value === usual.end ? null : this.end.value,
-      rigid_mm: null, exposure_ms: null,
+      rigid_mm: number(this.rigid) === (this.rigRigid ?? null) ? null : number(this.rigid), exposure_ms: number(this.exposure),
       regions: [...this.regions].map(([view, corners]) => ({ view, corners: corners.map((c) => c.map(tenth)) })),
       picks: this.picks.map(({ band, view, x, y }) => ({ band, view, x, y })),
     };
@@ -226,6 +234,7 @@ export class Teach {
     if (!this.recording || !this.rig) return say("A recording and a rig file are needed first.", true);
     const band = this.bands[this.now]?.name;
     if (!band) return say("Add a band first.", true);
+    if (x < 0 || y < 0 || x > this.size[0] - 1 || y > this.size[1] - 1) return say("That is outside of the picture.");
     if (this.picks.some((pick) => pick.frame !== this.frame)) {
       this.clear();
       say("Picks are of one frame: those of the other frame are gone.");
@@ -250,8 +259,8 @@ export class Teach {
     say("Looking in all views …");
     const form = this.form();
     const whole = await ask("teach/preview", form);
-    // Picks may have changed meanwhile.
-    if (JSON.stringify(form) !== JSON.stringify(this.form())) return;
+    // Picks may have changed meanwhile, or are being learned.
+    if (this.saveButton.disabled || JSON.stringify(form) !== JSON.stringify(this.form())) return;
     this.whole = whole;
     this.element.dataset.preview = String((Number(this.element.dataset.preview) || 0) + 1);
     if (whole.error) say(whole.error, true);
@@ -411,8 +420,8 @@ export class Teach {
     const rows = [];
     const row = (name, view, exposure, worst) => rows.push(el("tr", {},
       el("td", {}, name), el("td", {}, view),
-      el("td", { class: exposure?.advice ? "bad" : "" }, exposure ? exposure.advice ?? `fine, to ${exposure.level.toFixed(0)} of 255` : "–"),
-      el("td", { class: worst?.verdict === "TOO ALIKE" ? "bad" : "" }, worst ? `${worst.verdict}: ${percent(worst.hits)} found, ${percent(worst.mistaken)} of ${other(worst.other)} mistaken` : "–")));
+      el("td", { class: exposure?.advice ? "bad" : "" }, exposure ? exposure.advice ?? `fine, brightest ${exposure.level.toFixed(0)} of 255` : "–"),
+      el("td", { class: worst?.verdict === "TOO ALIKE" ? "bad" : "" }, worst ? `${worst.verdict}: ${percent(worst.hits)} found, ${percent(worst.mistaken)} of ${other(worst.other)} taken for it` : "–")));
     if (this.whole) {
       for (const view of this.whole.views) for (const band of view.bands) row(band.name, view.name, band.exposure, band.separations?.[0]);
     } else {
@@ -425,7 +434,7 @@ export class Teach {
       const { blob } = look;
       parts.push(el("p", {}, `Patch of its colour: ${blob.length_px.toFixed(1)} × ${blob.width_px.toFixed(1)} px, centre ${blob.centre[0].toFixed(2)}, ${blob.centre[1].toFixed(2)}, σ ${blob.sd_px.toFixed(2)} px. Contrast ${look.contrast.toFixed(1)}.`));
     }
-    if (rows.length) parts.push(el("table", {}, el("tr", {}, ["Band", "View", "Exposure", "Colour (threshold 0.5)"].map((t) => el("th", {}, t))), rows));
+    if (rows.length) parts.push(el("table", {}, el("tr", {}, ["Band", "View", "Brightness", "Colour (threshold 0.5)"].map((t) => el("th", {}, t))), rows));
     const others = this.whole?.blobs.filter((blob) => blob.rejected) ?? [];
     if (others.length) {
       parts.push(el("h2", {}, "Not the bands"), el("ul", {}, others.slice(0, 12).map((blob) =>
@@ -435,7 +444,7 @@ export class Teach {
     for (const region of this.whole?.regions ?? []) {
       const [[x0, y0], [x1, y1]] = region.corners;
       const corners = [[x0, y0], [x1, y0], [x1, y1], [x0, y1]];
-      parts.push(el("p", {}, `A smaller region of ${region.view} leaves out ${region.leaves_out} of them. `,
+      parts.push(el("p", {}, `A smaller region of ${region.view}, which must still hold the whole motion, leaves out ${region.leaves_out} of them. `,
         el("button", { type: "button", onclick: () => this.setRegion(region.view, corners) }, "Take it")));
     }
     fill(this.told, ...parts);
@@ -560,19 +569,25 @@ export class Teach {
 
   async save() {
     this.saveButton.disabled = true;
-    say("Learning from the whole recording …");
+    const began = performance.now();
+    const busy = () => say(`Learning from the whole recording … ${((performance.now() - began) / 1000).toFixed(0)} s`);
+    busy();
+    const clock = setInterval(busy, 1000);
     fill(this.result, el("p", { class: "quiet" }, "Learning from the whole recording …"));
     try {
       const done = await ask("teach/save", { form: this.form(), out: this.out.value, dry: false });
+      clearInterval(clock);
       const good = done.told.code === 0;
       fill(this.result,
         el("p", { class: good ? "good" : "bad" }, good ? `Saved: ${done.out}` : done.told.error),
         done.told.warnings.length ? el("ul", {}, done.told.warnings.map((w) => el("li", {}, w))) : null,
+        good ? el("p", { class: "quiet" }, `Next: catoptra track ${this.recording} --rig ${done.out} (with --frame camera where the rig has no base frame)`) : null,
         done.page ? el("p", { class: "quiet" }, `What was seen, as a page: ${done.page}`) : null,
         done.told.text ? el("pre", {}, done.told.text.trim()) : null);
       this.result.dataset.code = done.told.code;
       say(good ? `Saved: ${done.out}` : done.told.error, !good);
     } catch (error) {
+      clearInterval(clock);
       fill(this.result, el("p", { class: "bad" }, error.message));
       complain(error);
     }

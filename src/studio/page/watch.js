@@ -25,13 +25,18 @@ export class Watch {
     this.figures = el("div", { class: "figures" });
     this.alarms = el("div", { id: "alarms", "aria-live": "assertive" });
     this.pause = el("button", { type: "button", "aria-pressed": "false", onclick: () => this.hold() }, "Hold the picture");
-    const { source, folder } = this.live;
+    const { source, folder, hows } = this.live;
+    this.record = el("button", { type: "button", id: "record", "aria-pressed": "false", onclick: () => this.turn() }, "Record pictures");
+    const how = { windows: "parts around the bands, into the log", ffv1: "whole, without loss (large)", h264: "whole, H.264" };
+    this.how = el("select", { id: "how", "aria-label": "how pictures are recorded" }, (hows ?? []).map((word) => el("option", { value: word }, `${word}: ${how[word] ?? ""}`)));
+    this.recorded = el("div", { id: "recorded", "aria-live": "polite" });
     this.element = el("div", { class: "view watch" },
       el("div", { class: "left" }, this.stage.element,
         el("div", {}, this.theta.element, this.tip.element,
           el("div", { class: "legend" }, AXES.map((axis, k) => el("span", {}, swatch(onPage(k)), `tip ${axis}`))), this.coils.element)),
       el("div", { class: "side" },
         el("section", {}, el("div", { class: "quiet" }, `${source} into ${folder}`), this.big, this.pause),
+        hows ? el("section", {}, el("h2", {}, "Recording of pictures"), el("div", { class: "row" }, this.record, this.how), this.recorded) : null,
         el("section", {}, el("h2", {}, "How it goes"), this.figures),
         el("section", {}, el("h2", {}, "Alarms"), this.alarms)));
     this.begun = false;
@@ -45,9 +50,39 @@ export class Watch {
   }
 
   key(event) {
-    if (event.key !== " " || event.target.closest("button")) return false;
-    this.hold();
+    if (event.key === "r" && this.live.hows) this.turn();
+    else if (event.key === " " && !event.target.closest("button")) this.hold();
+    else return false;
     return true;
+  }
+
+  /** Begins or ends the recording of pictures. */
+  async turn() {
+    const on = !this.recording?.on;
+    try {
+      this.tellRecording(await ask("watch/record", { on, how: this.how.value }));
+      say(on ? "Pictures are recorded." : "Recording of pictures has ended. The log continues.");
+    } catch (error) {
+      complain(error);
+    }
+  }
+
+  tellRecording(state, pictures) {
+    if (!state) return;
+    this.recording = state;
+    this.record.textContent = state.on ? "Stop recording" : "Record pictures";
+    this.record.setAttribute("aria-pressed", String(state.on));
+    this.how.disabled = state.on;
+    if (state.on) this.how.value = state.how;
+    this.element.dataset.recording = String(state.on);
+    const places = [...new Set(state.places)].join(", ");
+    const counts = pictures ? `${pictures[0]} recorded, ${pictures[1]} not` : "";
+    const said = [state.on ? "on" : "off", places, counts, state.problem].join();
+    if (said === this.recordingSaid) return;
+    this.recordingSaid = said;
+    fill(this.recorded,
+      el("p", { class: "quiet" }, state.on ? `Recording into ${state.places.at(-1) ?? "…"}. ${counts}` : places ? `Not recording. Recorded so far: ${places}. ${counts}` : "Not recording."),
+      state.problem ? el("p", { class: "bad" }, state.problem) : null);
   }
 
   hold() {
@@ -87,6 +122,7 @@ export class Watch {
   }
 
   take({ rows, currents, status }) {
+    this.tellRecording(status.recording, status.pictures);
     this.rows.push(...rows);
     this.currents.push(...currents);
     const last = this.rows.at(-1);
@@ -121,7 +157,6 @@ export class Watch {
       [ms(status.p50_ms), "arrival to θ, median"], [ms(status.p99_ms), "99 of 100 within"], [ms(status.max_ms), "longest"],
       [missed.length, `without θ in ${SECONDS} s`], [status.backlog, "rows wait for the disk"],
     ];
-    if (status.pictures) figures.push([status.pictures.join(" / "), "pictures recorded / not"]);
     if (status.unlogged) figures.push([status.unlogged, "rows not logged"]);
     if (status.not_shown) figures.push([status.not_shown, "rows only in the log"]);
     fill(this.figures, ...figures.map(([value, name]) => el("div", {}, el("b", {}, String(value)), el("span", {}, name))));

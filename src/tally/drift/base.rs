@@ -1,28 +1,28 @@
-//! Does the base band still rest in the origin of the base frame?
+//! Is the base band still at the origin of the base frame?
 //!
-//! It is clamped: its place is where `calibrate base` found it, whatever the catheter does. So it shows what two views
-//! cannot tell from each other, a mirror shifted along its normal or turned to the left or right, and a camera that
-//! moved with its mirror.
+//! It is clamped, so it stays where `calibrate base` found it, whatever the catheter does. So it reveals what two views
+//! alone cannot: a mirror shifted along its normal or turned left or right, and a camera that moved together with its
+//! mirror.
 //!
-//! Method: the band's place is averaged over blocks of frames, weighted by its covariance, and the blocks over the last
-//! few seconds. It has moved when the distance from the origin is both certain, by the σ of the origin, that of this
-//! run, and the scatter of the blocks, and larger than what a band that is close to its clamp may give way to a bent
-//! tube.
+//! Method: the band's position is averaged over blocks of frames, weighted by its covariance, and the blocks over the
+//! last few seconds. It has moved when its distance from the origin is both significant, given the σ of the origin,
+//! that of this run and the scatter of the blocks, and larger than a band close to its clamp may move when the tube
+//! bends.
 //!
-//! What it cannot detect: whether it was the clamp or the camera that moved; what leaves this one place where it was,
-//! as a mirror turned about an axis through the image of the band does.
+//! What it cannot detect: whether it was the clamp or the camera that moved; changes that leave this one point in
+//! place, such as a mirror turned about an axis through the image of the band.
 
 use crate::estimate::Estimate;
 use crate::rig::Rig;
-use crate::tally::drift::{Drifted, Finding, OVER, Window, mean};
+use crate::tally::drift::{ALARM_RELEASE, Drifted, Finding, Window, mean};
 use nalgebra::{Matrix3, Point3, Vector3};
 
-/// A distance is certain beyond this many of its standard deviations. They hold the systematic errors: no more is
-/// needed.
-const CERTAIN: f64 = 4.0;
-/// Less may be the tube's bending at the band. On the sample, the band comes out up to 0.09 mm from the origin.
-const LEAST_M: f64 = 0.3e-3;
-/// σ of an origin that comes without, along each axis, metres: twice what the sample's recording at rest gives.
+/// A distance is significant beyond this many standard deviations, which include the systematic errors.
+const SIGNIFICANT_SD: f64 = 4.0;
+/// Smaller distances may come from the tube's bending at the band. On the sample, the band is measured up to 0.09 mm
+/// from the origin.
+const MIN_M: f64 = 0.3e-3;
+/// σ assumed for an origin without one, along each axis, metres: twice that of the sample's recording at rest.
 const STATED_SD_M: f64 = 0.1e-3;
 
 /// Watches the first marker, the one next to the clamp.
@@ -35,7 +35,7 @@ pub(crate) struct BaseBand {
     window: Window<Block>,
 }
 
-/// Σ C⁻¹ and Σ C⁻¹ x, x the place of the band from the origin, camera frame, metres.
+/// Σ C⁻¹ and Σ C⁻¹ x, with x the band's offset from the origin, camera frame, metres.
 #[derive(Debug, Clone, Default)]
 struct Block(Matrix3<f64>, Vector3<f64>);
 
@@ -44,8 +44,8 @@ impl BaseBand {
     pub(crate) fn new(rig: &Rig) -> Option<Self> {
         let origin = rig.base.as_ref()?.base_from_camera.inverse() * Point3::origin();
         let sd_m = rig.origin_sd_m().unwrap_or_else(|| Vector3::repeat(STATED_SD_M));
-        // The origin's, and as much again: what the image model gets wrong about the band is the same in all frames of
-        // a run.
+        // The origin's variance, and as much again: errors of the image model about the band are the same in all frames
+        // of a run.
         let systematic = Matrix3::from_diagonal(&sd_m.map(|sd| 2.0 * sd * sd));
         Some(Self { origin, systematic, window: Window::default() })
     }
@@ -61,7 +61,7 @@ impl BaseBand {
         }
     }
 
-    /// Ends a block; what the last ones say.
+    /// Ends a block; returns the finding of the last ones.
     pub(crate) fn found(&mut self) -> Option<Finding> {
         let blocks = self.window.close().iter();
         let means: Vec<Vector3<f64>> =
@@ -72,8 +72,8 @@ impl BaseBand {
         Some(Finding {
             what: Drifted::Base { sd_m },
             size_m,
-            raises: size_m > CERTAIN * sd_m && size_m > LEAST_M,
-            ends: size_m <= OVER * LEAST_M,
+            raises: size_m > SIGNIFICANT_SD * sd_m && size_m > MIN_M,
+            ends: size_m <= ALARM_RELEASE * MIN_M,
         })
     }
 }

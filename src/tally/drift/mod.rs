@@ -1,12 +1,11 @@
-//! [`Drift`]: is the rig still as it was calibrated? A mirror, camera or tank that was moved since shows in what does
-//! not average out.
+//! [`Drift`]: is the rig still as it was calibrated? A mirror, camera or tank that has moved since shows in errors that
+//! do not average out.
 //!
-//! In: the estimates of a run, in order. Out: a [`DriftAlarm`] when something has begun to be wrong. Estimates are only
-//! read.
+//! In: the estimates of a run, in order. Out: a [`DriftAlarm`] when drift begins. Estimates are only read.
 //!
-//! Two things are watched, each over the last few seconds, block by block of frames:
+//! Two things are watched, each over the last few seconds, in blocks of frames:
 //! - whether the views agree on where the bands are (`views`);
-//! - whether the base band rests in the origin of the base frame, if the rig has one (`base`).
+//! - whether the base band is at the origin of the base frame, if the rig has one (`base`).
 //!
 //! What neither can detect: camera, mirror, tank and clamp that moved together.
 
@@ -24,32 +23,32 @@ use views::Views;
 /// Frames of a block. Measured on the sample, the autocorrelation of residuals is 0.35 from frame to frame and below
 /// 0.15 after ten.
 const BLOCK: u32 = 10;
-/// Blocks looked back at, at most and at least: 3 s and 1 s at 60 Hz.
+/// Blocks to look back at, most and fewest: 3 s and 1 s at 60 Hz.
 const BLOCKS: (usize, usize) = (18, 6);
-/// An alarm is over when what it is about has fallen below this part of what raises one.
-const OVER: f64 = 0.5;
+/// An alarm ends when its quantity falls below this fraction of what raises one.
+const ALARM_RELEASE: f64 = 0.5;
 
-/// Watches a run.
+/// Watches a run for drift.
 #[derive(Debug, Clone, Default)]
 pub struct Drift {
     frames: u64,
     views: Views,
     base: Option<BaseBand>,
-    /// For views and base band, the alarm that lasts.
+    /// The active alarm of the views, and of the base band.
     lasting: [Option<usize>; 2],
     alarms: Vec<DriftAlarm>,
 }
 
-/// Something has begun to be wrong.
+/// Drift has begun.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DriftAlarm {
     /// Number of the frame at which it was noticed.
     pub seq: u64,
     /// Camera time of that frame.
     pub stamp: Timestamp,
-    /// What is wrong; with its numbers when it was largest.
+    /// What is wrong, with its numbers at their largest.
     pub what: Drifted,
-    /// By how much in space, metres, when it was largest: at the bands. A lower bound when rays do not meet.
+    /// Its size in space at the bands, metres, at its largest. A lower bound when rays do not meet.
     pub size_m: f64,
 }
 
@@ -58,16 +57,16 @@ pub struct DriftAlarm {
 pub enum Drifted {
     /// The views disagree.
     Views {
-        /// The view with the largest mean residual. When there are but two, the other may as well be the wrong one.
+        /// The view with the largest mean residual. With only two views, the other may equally be the wrong one.
         view: usize,
-        /// By how much they disagree in the mean, pixels.
+        /// Their mean disagreement, pixels.
         size_px: f64,
         /// Its standard deviation.
         sd_px: f64,
     },
-    /// The views disagree so much that their rays are not taken for those of one band: there are no residuals.
+    /// The views disagree so much that their rays do not meet in one band: there are no residuals.
     Apart,
-    /// The base band is not where the base frame has its origin.
+    /// The base band is not at the origin of the base frame.
     Base {
         /// Standard deviation of the distance, metres.
         sd_m: f64,
@@ -75,8 +74,8 @@ pub enum Drifted {
 }
 
 impl DriftAlarm {
-    /// What has happened, as half a sentence: `views direct and mirror disagree by 0.45 px (0.27 mm, σ 0.01 px)`;
-    /// `views` are the rig's view names.
+    /// What has happened, as a phrase: `views direct and mirror disagree by 0.45 px (0.27 mm, σ 0.01 px)`; `views` are
+    /// the rig's view names.
     pub fn words(&self, views: &[&str]) -> String {
         let mm = self.size_m * 1e3;
         match self.what {
@@ -107,7 +106,7 @@ impl DriftAlarm {
             Drifted::Base { .. } => {
                 "camera, mirror, tank or the catheter's clamp have moved since. If it was a mirror, put it right with \
                  `catoptra calibrate mirror --from-markers VIDEO --rig RIG.toml`; then, or if the clamp was, run \
-                 `catoptra calibrate base` anew"
+                 `catoptra calibrate base` again"
             }
         }
     }
@@ -122,13 +121,13 @@ impl DriftAlarm {
     }
 }
 
-/// What the last blocks say of one of the things watched.
+/// What the last blocks tell about one of the watched quantities.
 struct Finding {
     what: Drifted,
     size_m: f64,
-    /// Whether it is certain, and large enough for an alarm.
+    /// Whether it is significant, and large enough for an alarm.
     raises: bool,
-    /// Whether an alarm that lasts is over.
+    /// Whether an active alarm ends.
     ends: bool,
 }
 
@@ -143,7 +142,7 @@ impl Drift {
         &self.alarms
     }
 
-    /// Adds a frame; the alarms that it raises: one when something has begun to be wrong, once until it is over.
+    /// Adds a frame; returns the alarms that it raises: one when drift begins, and no other until it is over.
     pub fn add(&mut self, estimate: &Estimate) -> &[DriftAlarm] {
         let before = self.alarms.len();
         self.frames += 1;
@@ -178,7 +177,7 @@ fn follow(lasting: &mut Option<usize>, alarms: &mut Vec<DriftAlarm>, found: Opti
     }
 }
 
-/// The last blocks and the one that is being filled.
+/// The last blocks and the one being filled.
 #[derive(Debug, Clone, Default)]
 struct Window<B> {
     open: B,
@@ -186,7 +185,7 @@ struct Window<B> {
 }
 
 impl<B: Default> Window<B> {
-    /// Ends the open block; the blocks to look back at.
+    /// Ends the open block; returns the blocks to look back at.
     fn close(&mut self) -> &VecDeque<B> {
         self.blocks.push_back(std::mem::take(&mut self.open));
         if self.blocks.len() > BLOCKS.0 {
@@ -196,7 +195,8 @@ impl<B: Default> Window<B> {
     }
 }
 
-/// The mean of blocks' means, and the standard deviation of its length by their scatter; `None` when there are too few.
+/// The mean of blocks' means, and the standard deviation of its length from their scatter; `None` when there are too
+/// few.
 fn mean<const D: usize>(means: &[SVector<f64, D>]) -> Option<(SVector<f64, D>, f64)> {
     if means.len() < BLOCKS.1 {
         return None;

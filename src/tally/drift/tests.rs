@@ -1,4 +1,4 @@
-//! Made-up runs with residuals and places of known mean and noise.
+//! Made-up runs with residuals and positions of known mean and noise.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking, its own functions too")]
 
 use super::*;
@@ -16,7 +16,7 @@ fn alarms_of(rig: &Rig, frames: u64, mut change: impl FnMut(&mut Estimate, f64))
     let mut drift = Drift::new(rig);
     let mut dice = Random::new(3);
     let mut noise = 0.0;
-    let told = (0..frames)
+    let raised = (0..frames)
         .flat_map(|seq| {
             let mut estimate = fixture::complete(seq, seq as i64 * 16_666_667);
             noise = 0.4 * noise + dice.normal() * 0.09;
@@ -24,7 +24,7 @@ fn alarms_of(rig: &Rig, frames: u64, mut change: impl FnMut(&mut Estimate, f64))
             drift.add(&estimate).to_vec()
         })
         .collect();
-    (drift, told)
+    (drift, raised)
 }
 
 fn set(estimate: &mut Estimate, mean: f64, noise: f64) {
@@ -37,28 +37,28 @@ fn set(estimate: &mut Estimate, mean: f64, noise: f64) {
 
 #[test]
 fn noise_and_what_models_leave_is_no_drift() {
-    let (_, told) = alarms(20_000, |estimate, noise| set(estimate, 0.05, noise));
-    assert_eq!(told, []);
-    // Rare wild frames, and numbers that are none.
-    let (_, told) = alarms(2_000, |estimate, noise| {
+    let (_, raised) = alarms(20_000, |estimate, noise| set(estimate, 0.05, noise));
+    assert_eq!(raised, []);
+    // Rare wild frames, and NaN.
+    let (_, raised) = alarms(2_000, |estimate, noise| {
         let wild = if estimate.seq % 50 == 7 { 2.0 } else { 0.0 };
         set(estimate, wild, noise);
         if estimate.seq % 9 == 2 {
             set(estimate, f64::NAN, 0.0);
         }
     });
-    assert_eq!(told, []);
+    assert_eq!(raised, []);
 }
 
 #[test]
 fn views_that_part_are_told_once_with_their_distance() {
-    let (drift, told) = alarms(900, |estimate, noise| {
+    let (drift, raised) = alarms(900, |estimate, noise| {
         let mean = if (300..600).contains(&estimate.seq) { 0.4 } else { 0.0 };
         set(estimate, mean, noise);
     });
-    let [alarm] = told[..] else { panic!("{told:?}") };
+    let [alarm] = raised[..] else { panic!("{raised:?}") };
     assert!((330..480).contains(&alarm.seq), "{alarm:?}");
-    // Afterwards the largest is kept: 0.4 px in each of two views.
+    // The largest value is kept: 0.4 px in each of two views.
     let [alarm] = drift.alarms()[..] else { panic!("{:?}", drift.alarms()) };
     let Drifted::Views { size_px, sd_px, .. } = alarm.what else { panic!("{alarm:?}") };
     assert!((size_px - 0.8).abs() < 0.1 && sd_px < 0.05, "{alarm:?}");
@@ -71,10 +71,10 @@ fn views_that_part_are_told_once_with_their_distance() {
 
 #[test]
 fn a_second_parting_is_told_again() {
-    let (drift, told) = alarms(1800, |estimate, noise| {
+    let (drift, raised) = alarms(1800, |estimate, noise| {
         set(estimate, if estimate.seq / 300 % 2 == 1 { 0.5 } else { 0.0 }, noise);
     });
-    assert_eq!((told.len(), drift.alarms().len()), (3, 3));
+    assert_eq!((raised.len(), drift.alarms().len()), (3, 3));
 }
 
 #[test]
@@ -84,23 +84,23 @@ fn rays_that_do_not_meet_at_all_are_told_and_one_strange_thing_is_not() {
             estimate.markers[m].position = Err(Miss::RaysDiverge { distance_m: 0.004 });
         }
     };
-    let (_, told) = alarms(300, |estimate, _| missing(estimate, &[1, 2]));
-    let [alarm] = told[..] else { panic!("{told:?}") };
+    let (_, raised) = alarms(300, |estimate, _| missing(estimate, &[1, 2]));
+    let [alarm] = raised[..] else { panic!("{raised:?}") };
     assert_eq!((alarm.seq, alarm.what), (59, Drifted::Apart));
     assert!((alarm.size_m - 0.004).abs() < 1e-12);
-    let (_, told) = alarms(300, |estimate, _| missing(estimate, &[2]));
-    assert_eq!(told, []);
+    let (_, raised) = alarms(300, |estimate, _| missing(estimate, &[2]));
+    assert_eq!(raised, []);
 }
 
 #[test]
 fn less_than_a_second_is_not_judged() {
-    let (_, told) = alarms(59, |estimate, noise| set(estimate, 2.0, noise));
-    assert_eq!(told, []);
-    let (_, told) = alarms(60, |estimate, noise| set(estimate, 2.0, noise));
-    assert_eq!(told.len(), 1);
+    let (_, raised) = alarms(59, |estimate, noise| set(estimate, 2.0, noise));
+    assert_eq!(raised, []);
+    let (_, raised) = alarms(60, |estimate, noise| set(estimate, 2.0, noise));
+    assert_eq!(raised.len(), 1);
 }
 
-/// Moves the base band away from the origin, mm, along a direction that is none of the axes.
+/// Moves the base band away from the origin, mm, along a direction off the axes.
 fn shift_base(estimate: &mut Estimate, mm: f64) {
     let along = Vector3::new(2.0, -1.0, 2.0) / 3.0;
     estimate.markers[0].position.as_mut().unwrap().point += along * mm * 1e-3;
@@ -108,12 +108,12 @@ fn shift_base(estimate: &mut Estimate, mm: f64) {
 
 #[test]
 fn a_base_band_away_from_its_origin_is_told_once_with_its_distance() {
-    let (drift, told) = alarms(900, |estimate, noise| {
+    let (drift, raised) = alarms(900, |estimate, noise| {
         set(estimate, 0.0, noise);
         let mm = if (300..600).contains(&estimate.seq) { 0.8 } else { 0.0 };
         shift_base(estimate, mm + noise);
     });
-    let [alarm] = told[..] else { panic!("{told:?}") };
+    let [alarm] = raised[..] else { panic!("{raised:?}") };
     assert!((330..480).contains(&alarm.seq), "{alarm:?}");
     let [alarm] = drift.alarms()[..] else { panic!("{:?}", drift.alarms()) };
     assert!((alarm.size_m - 0.8e-3).abs() < 0.05e-3, "{alarm:?}");
@@ -131,11 +131,11 @@ fn a_base_band_away_from_its_origin_is_told_once_with_its_distance() {
 
 #[test]
 fn a_base_band_that_sways_or_rests_within_its_deviation_is_not_told() {
-    let (_, told) = alarms(2_000, |estimate, _| shift_base(estimate, (estimate.seq as f64 * 0.105).sin()));
-    assert_eq!(told, []);
-    let (_, told) = alarms(300, |estimate, _| shift_base(estimate, 0.28));
-    assert_eq!(told, []);
-    // The same distance counts or not by what the rig file says of its origin.
+    let (_, raised) = alarms(2_000, |estimate, _| shift_base(estimate, (estimate.seq as f64 * 0.105).sin()));
+    assert_eq!(raised, []);
+    let (_, raised) = alarms(300, |estimate, _| shift_base(estimate, 0.28));
+    assert_eq!(raised, []);
+    // Whether the same distance counts depends on the origin's σ in the rig file.
     let known_to = |sd_mm: f64| {
         let mut rig = fixture::rig();
         rig.provenance = toml::from_str(&format!("[base]\norigin_sd_mm = [{sd_mm:?}, {sd_mm:?}, {sd_mm:?}]")).unwrap();
@@ -147,17 +147,17 @@ fn a_base_band_that_sways_or_rests_within_its_deviation_is_not_told() {
 #[test]
 fn a_rig_without_base_frame_has_no_origin_to_rest_in() {
     let rig = Rig { base: None, ..fixture::rig() };
-    let (_, told) = alarms_of(&rig, 300, |estimate, _| shift_base(estimate, 5.0));
-    assert_eq!(told, []);
+    let (_, raised) = alarms_of(&rig, 300, |estimate, _| shift_base(estimate, 5.0));
+    assert_eq!(raised, []);
 }
 
 #[test]
 fn views_and_base_band_are_told_apart() {
-    let (_, told) = alarms(600, |estimate, noise| {
+    let (_, raised) = alarms(600, |estimate, noise| {
         set(estimate, if estimate.seq >= 100 { 0.4 } else { 0.0 }, noise);
         shift_base(estimate, if estimate.seq >= 300 { 2.0 } else { 0.0 });
     });
-    let words: Vec<&str> = told.iter().map(DriftAlarm::word).collect();
+    let words: Vec<&str> = raised.iter().map(DriftAlarm::word).collect();
     assert_eq!(words, ["views_disagree", "base_moved"]);
-    assert!(told[0].seq < 300 && told[1].seq >= 300, "{told:?}");
+    assert!(raised[0].seq < 300 && raised[1].seq >= 300, "{raised:?}");
 }

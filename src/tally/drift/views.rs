@@ -1,43 +1,42 @@
 //! Do the views agree on where the bands are?
 //!
-//! Method: the residuals of all bands (a view alone minus the common answer) are averaged over blocks of frames,
+//! Method: the residuals of all bands (a view alone minus the common result) are averaged over blocks of frames,
 //! weighted by their covariance, and the blocks over the last few seconds. Views disagree when that mean is both
-//! certain, many σ by the scatter of the blocks (which are longer than the errors of a recording are correlated), and
-//! larger than what the models of picture and tube leave. When they are so far apart that the tracker takes the bands
-//! in them for different things, there are no residuals: then frames without a meeting of rays count.
+//! significant, many σ by the scatter of the blocks (which are longer than the correlation of a recording's errors),
+//! and larger than the errors of the image and tube models. When they are so far apart that the tracker takes their
+//! bands for different objects, there are no residuals: then the frames in which rays do not meet count.
 //!
-//! What it cannot detect: two views have but one direction in which they can contradict each other, across the plane of
-//! camera, mirrored camera and band (up and down for a mirror beside the tank). What moves the image along that plane,
-//! a mirror shifted along its normal or turned about an axis across that plane, changes the answer, not the residual; a
-//! camera and mirror that moved together change neither. Nor can it tell which of two views is wrong.
+//! What it cannot detect: two views can contradict each other in only one direction, across the plane of camera,
+//! mirrored camera and band (up and down for a mirror beside the tank). Whatever moves the image within that plane,
+//! such as a mirror shifted along its normal or turned about an axis across that plane, changes the result but not the
+//! residual; a camera and mirror that moved together change neither. Nor can it tell which of two views is wrong.
 
 use crate::estimate::{Estimate, Miss};
 use crate::optics::OpticalPath;
 use crate::rig::Rig;
-use crate::tally::drift::{BLOCKS, Drifted, Finding, OVER, Window, mean};
+use crate::tally::drift::{ALARM_RELEASE, BLOCKS, Drifted, Finding, Window, mean};
 use nalgebra::{Matrix2, Point3, Vector2};
 use std::collections::VecDeque;
 
-/// A mean is certain beyond this many of its standard deviations.
-const CERTAIN: f64 = 6.0;
-/// Views of a true rig were seen to disagree by up to 0.09 px in the mean (the sample at rest), models of the picture
-/// by 0.1 px.
-const LEAST_PX: f64 = 0.3;
+/// A mean is significant beyond this many standard deviations.
+const SIGNIFICANT_SD: f64 = 6.0;
+/// The views of a correct rig disagree by up to 0.09 px in the mean (the sample at rest), image models by 0.1 px.
+const MIN_PX: f64 = 0.3;
 
 /// Watches the residuals.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Views {
     optics: Vec<OpticalPath>,
     window: Window<Block>,
-    /// Where a band was last, camera frame, metres: for the scale of the picture.
+    /// Last position of a band, camera frame, metres: for the image scale.
     place: Option<Point3<f64>>,
 }
 
 #[derive(Debug, Clone, Default)]
 struct Block {
     frames: u32,
-    /// Frames in which at least half of the markers were refused because rays do not meet, and the sum of how far they
-    /// miss.
+    /// Frames in which at least half of the markers were refused because rays do not meet, and the sum of the
+    /// distances.
     apart: u32,
     apart_sum_m: f64,
     /// For each view Σ C⁻¹ and Σ C⁻¹ r.
@@ -55,7 +54,7 @@ impl Views {
         self.place = place.map(|position| position.point).or(self.place);
     }
 
-    /// Ends a block; what the last ones say.
+    /// Ends a block; returns the finding of the last ones.
     pub(crate) fn found(&mut self) -> Option<Finding> {
         let blocks = self.window.close();
         if let Some(size_m) = apart_m(blocks) {
@@ -69,8 +68,8 @@ impl Views {
             })
             .collect();
         means.sort_by(|a, b| b.1.total_cmp(&a.1));
-        // A disagreement is shared out between two views in opposite directions, each keeping the more the less it is
-        // certain of itself: it is the sum of both, and so is its standard deviation.
+        // A disagreement is split between two views in opposite directions, with more for the less certain one: it is
+        // the sum of both, and so is its standard deviation.
         let [(view, first, first_sd), (_, second, second_sd), ..] = means[..] else { return None };
         let seen = self.optics.get(view)?.project_with_jacobian(&self.place?).ok()?;
         let px_per_m = seen.d_pixel.norm() / std::f64::consts::SQRT_2;
@@ -78,13 +77,13 @@ impl Views {
         Some(Finding {
             what: Drifted::Views { view, size_px, sd_px },
             size_m: size_px / px_per_m,
-            raises: size_px > CERTAIN * sd_px && size_px > LEAST_PX,
-            ends: size_px <= OVER * LEAST_PX,
+            raises: size_px > SIGNIFICANT_SD * sd_px && size_px > MIN_PX,
+            ends: size_px <= ALARM_RELEASE * MIN_PX,
         })
     }
 }
 
-/// How far rays miss each other, metres, when they do not meet at all in most of the frames.
+/// Mean distance between rays, metres, when they do not meet in most of the frames.
 fn apart_m(blocks: &VecDeque<Block>) -> Option<f64> {
     let frames: u32 = blocks.iter().map(|block| block.frames).sum();
     let apart: u32 = blocks.iter().map(|block| block.apart).sum();

@@ -1,4 +1,4 @@
-//! Random but valid rigs for the tests of the optics: each surface is put in the way of one pixel's ray.
+//! Random but valid rigs for the tests of the optics: each surface is placed in the path of one pixel's ray.
 
 pub(crate) mod reference;
 

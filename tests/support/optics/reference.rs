@@ -1,6 +1,6 @@
-//! The optics a second time, by other means and sharing no code with the library: Snell by the sines of the angles,
-//! with complex numbers so that derivatives come by the complex step (exact to rounding: no difference is taken); and
-//! the path of least optical length (Fermat), found without Snell.
+//! An independent implementation of the optics that shares no code with the library: Snell's law with the sines of the
+//! angles, in complex numbers for derivatives by the complex step (exact to rounding, without differences); and the
+//! path of least optical length (Fermat), without Snell's law.
 
 use super::{Case, Element};
 use catoptra::optics::{Lens, Surface};

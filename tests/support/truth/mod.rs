@@ -1,4 +1,4 @@
-//! The sample recordings beside their truth, which the renderer gave: in the camera frame, in mm there and metres here.
+//! The sample recordings and their truth from the renderer: in the camera frame, in mm there and metres here.
 
 pub(crate) mod score;
 
@@ -26,6 +26,19 @@ pub(crate) struct Truth {
 /// A file of the repository.
 pub(crate) fn file(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join(name)
+}
+
+/// The sample's rig file before its bands are taught: no colours, no places along the tube, no blur.
+pub(crate) fn untaught_rig() -> String {
+    let mut table: toml::Table =
+        std::fs::read_to_string(file("sample_frames/truth/rig.toml")).unwrap().parse().unwrap();
+    let camera = table["camera"].as_table_mut().unwrap();
+    assert!(camera.remove("blur_px").is_some() && camera.remove("chroma_offset_px").is_some());
+    for marker in table["marker"].as_array_mut().unwrap() {
+        let marker = marker.as_table_mut().unwrap();
+        assert!(marker.remove("colour").is_some() && marker.remove("centre_mm").is_some());
+    }
+    table.to_string()
 }
 
 /// A recording of the sample.

@@ -1,4 +1,4 @@
-//! How far estimates are from the truth: bias apart from scatter, and whether the predicted covariance says so.
+//! Errors of estimates: bias and scatter separately, and whether the predicted covariance matches them.
 
 use super::{MARKERS, Truth};
 use catoptra::estimate::Estimate;

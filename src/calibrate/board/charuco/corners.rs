@@ -1,4 +1,4 @@
-//! The inner corners of a board whose markers are known: where neighbouring markers and corners have them, refined in
+//! The inner corners of a board whose markers are known: predicted from neighbouring markers and corners and refined in
 //! the picture, from the markers outwards as far as squares alternate.
 
 use nalgebra::{Matrix3, Point2, Vector2};
@@ -11,16 +11,16 @@ use crate::calibrate::board::flat::{homography, map, median};
 use crate::calibrate::board::grey::Grey;
 use crate::calibrate::board::search::{WINDOW, WINDOW_PX, refined};
 
-/// Markers and corners within so many columns and rows tell where a corner is.
+/// Markers and corners within this many columns and rows predict a corner.
 const NEAR: f64 = 2.1;
-/// A corner may be so far from where its neighbours have it, squares: what is further is another edge.
-const MOVED: f64 = 0.25;
-/// The squares around a corner must differ by this part of what the markers have.
-const ALTERNATE: f64 = 0.3;
-/// Half a turn may change what is around a corner by this part of what the markers have (RMS): noise, small squares and
-/// their perspective make up to 0.15, a thumb's edge 0.3.
+/// Largest distance of a corner from its prediction, squares: anything further is another edge.
+const MAX_SHIFT: f64 = 0.25;
+/// The squares around a corner must differ by this fraction of the markers' contrast.
+const MIN_ALTERNATION: f64 = 0.3;
+/// A half turn may change a corner's surroundings by this fraction of the markers' contrast (RMS): noise, small squares
+/// and their perspective give up to 0.15, the edge of a thumb 0.3.
 const ASYMMETRIC: f64 = 0.2;
-/// Where the grey of a dark square is taken, from its corner on, squares.
+/// Where the grey of a dark square is sampled, from its corner, squares.
 const INSIDE: f64 = 0.25;
 
 /// A board in a picture, while its corners are found.
@@ -32,7 +32,7 @@ pub(super) struct Search<'a> {
 }
 
 impl Search<'_> {
-    /// Each inner corner, row by row; `None` where it is not seen.
+    /// All inner corners, row-major; `None` where not seen.
     pub(super) fn corners(&self) -> Result<Vec<Option<Point2<f64>>>> {
         let [columns, rows] = self.layout.squares.map(|n| n - 1);
         let of_markers = self.layout.pairs(self.markers);
@@ -55,7 +55,7 @@ impl Search<'_> {
         }
     }
 
-    /// The corner near where a homography has it; `None` when there is none.
+    /// The corner near its place by a homography; `None` when there is none.
     fn corner(&self, place: Point2<f64>, flat: &Matrix3<f64>) -> Result<Option<Point2<f64>>> {
         let beside = [(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)].map(|(x, y)| place + Vector2::new(x, y));
         let (Some(expected), Some(beside)) =
@@ -64,17 +64,17 @@ impl Search<'_> {
             return Ok(None);
         };
         let square_px = beside.iter().map(|p| (p - expected).norm()).fold(f64::INFINITY, f64::min);
-        // The window should not reach the markers; of few and blurred pixels, a larger one.
+        // The window should not reach the markers; with few and blurred pixels it is larger.
         let half_px = (WINDOW.min(self.layout.plain()) * square_px).max(f64::from(WINDOW_PX.0));
         for half_px in [half_px, half_px + 1.0, half_px + 2.0] {
-            let reach = half_px.min(f64::from(WINDOW_PX.1)) + MOVED * square_px + 1.0;
+            let reach = half_px.min(f64::from(WINDOW_PX.1)) + MAX_SHIFT * square_px + 1.0;
             let ends = [(-reach, -reach), (reach, reach)].map(|(x, y)| expected + Vector2::new(x, y));
             if ends.into_iter().any(|end| self.picture.at(end).is_none()) {
                 return Ok(None);
             }
             let corner = refined(self.pixels, expected, half_px)?;
             let moved = corner - expected;
-            if moved.norm() < MOVED * square_px
+            if moved.norm() < MAX_SHIFT * square_px
                 && self.alternates(place, flat, moved)
                 && self.is_symmetric(corner, half_px)
             {
@@ -84,8 +84,8 @@ impl Search<'_> {
         Ok(None)
     }
 
-    /// Whether half a turn leaves a corner's surroundings the same: not where something covers a part of them, and
-    /// draws the corner aside.
+    /// Whether a half turn leaves a corner's surroundings the same: not where something covers a part of them and
+    /// shifts the corner.
     fn is_symmetric(&self, corner: Point2<f64>, half_px: f64) -> bool {
         let reach = half_px.min(f64::from(WINDOW_PX.1)) as i32;
         let (mut sum, mut count) = (0.0, 0);
@@ -100,13 +100,13 @@ impl Search<'_> {
         (sum / f64::from(count)).sqrt() < ASYMMETRIC * self.contrast()
     }
 
-    /// Of the markers: their median.
+    /// Median contrast of the markers.
     fn contrast(&self) -> f64 {
         median(self.markers.iter().map(|marker| marker.contrast).collect())
     }
 
-    /// Whether the squares around a corner are dark and light in turn, as the board has them. `moved`: how far it is
-    /// from where the homography has it.
+    /// Whether the squares around a corner alternate between dark and light as on the board. `moved`: its distance from
+    /// its place by the homography.
     fn alternates(&self, place: Point2<f64>, flat: &Matrix3<f64>, moved: Vector2<f64>) -> bool {
         let grey = |u: f64, v: f64| self.picture.at(map(flat, place.x + u, place.y + v)? + moved);
         let (mut darkest, mut lightest) = (f64::INFINITY, f64::NEG_INFINITY);
@@ -126,6 +126,6 @@ impl Search<'_> {
                 }
             }
         }
-        darkest - lightest > ALTERNATE * self.contrast()
+        darkest - lightest > MIN_ALTERNATION * self.contrast()
     }
 }

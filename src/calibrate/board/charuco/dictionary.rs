@@ -1,14 +1,14 @@
-//! Dictionaries of markers: which pattern is which number.
+//! Dictionaries of markers: which pattern has which number.
 //!
-//! A marker is a square of cells, dark or light, within a dark rim one cell wide. Its word has a bit a cell, row by row
-//! from the upper left, the first the highest, light 1. The words are those of OpenCV's predefined dictionaries
-//! (`dictionaries.txt`, which names their source and licence).
+//! A marker is a square of cells, dark or light, within a dark rim one cell wide. Its word has one bit per cell,
+//! row-major from the upper left, the first being the highest, light 1. The words are those of OpenCV's predefined
+//! dictionaries (`dictionaries.txt`, which names their source and licence).
 
 use std::fmt;
 use std::str::FromStr;
 use std::sync::LazyLock;
 
-/// What the smaller dictionaries of a family are: its first words.
+/// Sizes of the dictionaries of a family: each consists of its first words.
 const SIZES: [usize; 4] = [50, 100, 250, 1000];
 
 struct Family {
@@ -39,7 +39,7 @@ pub struct Dictionary {
 }
 
 impl Dictionary {
-    /// All there are.
+    /// All dictionaries.
     pub fn all() -> impl Iterator<Item = Self> {
         let whole = |(family, f): (usize, &Family)| Self { family, size: f.words.len() };
         FAMILIES.iter().enumerate().map(whole).flat_map(|whole| {
@@ -53,13 +53,13 @@ impl Dictionary {
         Self::all().filter(|dictionary| dictionary.size == dictionary.whole().map_or(0, <[u64]>::len))
     }
 
-    /// The smallest of the same family that has a marker of this number.
+    /// The smallest of the same family that contains this marker number.
     pub(super) fn with(self, id: usize) -> Self {
         Self::all().find(|other| other.family == self.family && other.size > id).unwrap_or(self)
     }
 
-    /// Whether the words of one are the first words of the other.
-    pub(super) fn is_akin(self, other: Self) -> bool {
+    /// Whether one dictionary's words are the first words of the other.
+    pub(super) fn is_same_family(self, other: Self) -> bool {
         self.family == other.family
     }
 
@@ -98,7 +98,7 @@ impl fmt::Display for Dictionary {
 impl FromStr for Dictionary {
     type Err = ();
 
-    /// As OpenCV calls it; without `DICT_`, and in small letters, too.
+    /// OpenCV's name, optionally without `DICT_` and in lower case.
     fn from_str(text: &str) -> Result<Self, ()> {
         let bare = |name: &str| {
             let name = name.trim().to_ascii_uppercase();

@@ -1,25 +1,25 @@
-//! Which marker is in which square, and markers that are so in a picture: images of the board.
+//! Which marker is in which square, and sets of markers in a picture with that arrangement: images of the board.
 //!
 //! Places on the board are in squares, the first inner corner at (0, 0): the square in column C and row R, counted from
-//! 0 at the upper left, reaches from (C − 1, R − 1) to (C, R).
+//! 0 at the upper left, extends from (C − 1, R − 1) to (C, R).
 
 use nalgebra::{Matrix3, Point2};
 
 use crate::calibrate::board::charuco::markers::Marker;
 use crate::calibrate::board::flat::{homography, map};
 
-/// Markers within so many columns and rows tell where another one must be.
+/// Markers within this many columns and rows predict another one.
 const NEAR: f64 = 4.0;
-/// So many of them do, the nearest.
+/// How many of them are used, the nearest.
 const NEAREST: usize = 5;
-/// A marker's corners may be so far from where its neighbours have them, squares. Its number tells which square it is
-/// in: what must be told apart are images of the board.
-const APART: f64 = 0.5;
+/// Largest distance of a marker's corners from their prediction, squares. Its number identifies its square; this
+/// separates different images of the board.
+const MAX_SHIFT: f64 = 0.5;
 
 /// The squares of a board.
 #[derive(Debug, Clone)]
 pub(super) struct Layout {
-    /// Squares in a row, and in a column.
+    /// Squares per row and per column.
     pub(super) squares: [usize; 2],
     /// Whether the square at the upper left is light.
     pub(super) light_first: bool,
@@ -32,7 +32,7 @@ impl Layout {
     pub(super) fn square(&self, id: usize) -> Option<(usize, usize)> {
         let [columns, rows] = self.squares;
         let first = usize::from(!self.light_first);
-        // Two rows together have as many markers as columns.
+        // Two rows together have one marker per column.
         let (pair, rest) = (id / columns, id % columns);
         let upper = (columns - first).div_ceil(2);
         let (row, column) =
@@ -50,12 +50,12 @@ impl Layout {
         (column + row).is_multiple_of(2) == self.light_first
     }
 
-    /// The part of a square that is free of its marker, along each side.
+    /// Width of the margin between square and marker, in squares.
     pub(super) fn plain(&self) -> f64 {
         (1.0 - self.marker) / 2.0
     }
 
-    /// The middle of a marker.
+    /// The centre of a marker.
     pub(super) fn middle(&self, id: usize) -> Option<Point2<f64>> {
         let (column, row) = self.square(id)?;
         Some(Point2::new(column as f64 - 0.5, row as f64 - 0.5))
@@ -68,7 +68,7 @@ impl Layout {
         Some(ends.map(|(x, y)| middle + nalgebra::Vector2::new(x, y)))
     }
 
-    /// Corners on the board and in the picture, of markers that are on it.
+    /// Corners on the board and in the picture, for markers that are on it.
     pub(super) fn pairs<'a>(
         &'a self,
         markers: impl IntoIterator<Item = &'a Marker>,
@@ -88,7 +88,7 @@ impl Layout {
         homography(&self.pairs(near.into_iter().take(NEAREST).map(|(_, marker)| marker)))
     }
 
-    /// Whether a marker is where the others of an image have it.
+    /// Whether a marker is where the others of an image predict it.
     fn fits(&self, image: &[Marker], marker: &Marker) -> bool {
         let off = || {
             let (middle, corners) = (self.middle(marker.id)?, self.corners(marker.id)?);
@@ -99,12 +99,12 @@ impl Layout {
             let off = there.iter().zip(&marker.corners).map(|(a, b)| (a - b).norm()).fold(0.0, f64::max);
             Some(off / square_px)
         };
-        image.iter().all(|own| own.id != marker.id) && off().is_some_and(|off| off < APART)
+        image.iter().all(|own| own.id != marker.id) && off().is_some_and(|off| off < MAX_SHIFT)
     }
 
-    /// Images of the board, the one with most markers first: of the markers read (one quadrilateral may have several
-    /// readings), those that are all direct, or all mirrored, and where each other's places on the board have them. At
-    /// least two each.
+    /// Images of the board, the one with most markers first: sets of the markers read (one quadrilateral may have
+    /// several readings) that are all direct or all mirrored and agree on their places on the board, with at least two
+    /// each.
     pub(super) fn images(&self, markers: &[Marker]) -> Vec<Vec<Marker>> {
         let mut left: Vec<&Marker> = markers.iter().filter(|marker| marker.id < self.count()).collect();
         left.sort_by(|a, b| a.wrong.cmp(&b.wrong).then(b.side_px().total_cmp(&a.side_px())));
@@ -118,7 +118,7 @@ impl Layout {
             }
         }
         images.sort_by_key(|image: &Vec<Marker>| std::cmp::Reverse(image.len()));
-        // A quadrilateral is a marker of one image only: of the larger.
+        // A quadrilateral belongs to one image only, the larger one.
         let mut own: Vec<Vec<Marker>> = Vec::new();
         for mut image in images {
             image.retain(|marker| !own.iter().flatten().any(|other| other.is_at(marker)));
@@ -129,7 +129,7 @@ impl Layout {
         own
     }
 
-    /// The markers that fit to one, and to those that fit.
+    /// The markers that fit the seed, and those that fit them in turn.
     fn grown(&self, seed: &Marker, markers: &[&Marker]) -> Vec<Marker> {
         let mut image = vec![seed.clone()];
         loop {
@@ -150,7 +150,7 @@ impl Layout {
 mod tests {
     use super::*;
 
-    /// The squares as `getObjPoints` of OpenCV's boards has them.
+    /// The squares as in `getObjPoints` of OpenCV's boards.
     #[test]
     fn markers_are_counted_through_the_light_squares() {
         let squares = |squares, light_first| {

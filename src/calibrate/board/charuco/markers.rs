@@ -1,8 +1,7 @@
 //! Markers in a picture: dark quadrilaterals in light surroundings, read cell by cell.
 //!
-//! OpenCV has a detector of its own, up to 4.6 in a module that many systems leave out and from 4.7 on under other
-//! names. And it does not find mirrored markers. What is needed of it is little: outlines, and which word stands in
-//! them.
+//! OpenCV has its own detector, up to 4.6 in a module that many systems omit and from 4.7 under other names, and it
+//! does not find mirrored markers. Only little of it is needed: outlines, and the words in them.
 
 use nalgebra::{Point2, Vector2};
 use opencv::Result;
@@ -15,24 +14,24 @@ use crate::calibrate::board::flat::{homography, map, median};
 use crate::calibrate::board::grey::Grey;
 use crate::calibrate::board::search::SEEN_PX;
 
-/// Sides of the windows whose mean parts dark from light, pixels of the picture as it is seen; and by how many grey
-/// values dark must be below it.
+/// Sides of the windows whose mean separates dark from light, pixels of the scaled picture; and by how many grey values
+/// dark must be below it.
 const WINDOWS: [(i32, f64); 4] = [(9, 7.0), (23, 7.0), (9, 3.0), (35, 3.0)];
 /// Least side of a marker, pixels.
-const LEAST_PX: f64 = 8.0;
-/// An outline is a quadrilateral when it is within this part of its length of one.
-const STRAIGHT: f64 = 0.04;
-/// Share at each end of a side that is left out of the line along it: corners are round in blurred pictures.
-const ENDS: f64 = 0.15;
-/// Least difference of a marker's rim and of what is around it, grey values.
-const LEAST_CONTRAST: f64 = 8.0;
-/// Share of the cells of the rim that may be light, and of those around it that may be dark.
-const UNCLEAN: f64 = 0.15;
+const MIN_PX: f64 = 8.0;
+/// An outline counts as a quadrilateral if it deviates by less than this fraction of its length.
+const STRAIGHTNESS: f64 = 0.04;
+/// Fraction at each end of a side that is left out of its line fit: corners are round in blurred pictures.
+const END_FRACTION: f64 = 0.15;
+/// Least contrast between a marker's rim and its surroundings, grey values.
+const MIN_CONTRAST: f64 = 8.0;
+/// Fraction of the rim's cells that may be light, and of those around it that may be dark.
+const MAX_WRONG_CELLS: f64 = 0.15;
 
-/// A convex quadrilateral, darker than what is around it; its corners clockwise (from x to y), pixels.
+/// A convex quadrilateral, darker than its surroundings; its corners clockwise (from x to y), pixels.
 pub(super) struct Quad([Point2<f64>; 4]);
 
-/// A word that was read in a quadrilateral, the first cell at its first corner, rows along the way to the second.
+/// A word read in a quadrilateral, with the first cell at its first corner and rows towards the second.
 pub(super) struct Reading {
     corners: [Point2<f64>; 4],
     word: u64,
@@ -47,9 +46,9 @@ pub(super) struct Marker {
     /// Upper left, upper right, lower right, lower left as printed; pixels.
     pub(super) corners: [Point2<f64>; 4],
     pub(super) mirrored: bool,
-    /// Cells that were read otherwise than the dictionary has them.
+    /// Cells that differ from the dictionary.
     pub(super) wrong: u32,
-    /// From dark to light, grey values.
+    /// Contrast between dark and light, grey values.
     pub(super) contrast: f64,
 }
 
@@ -76,7 +75,7 @@ fn side_px(corners: &[Point2<f64>; 4]) -> f64 {
     (0..4).map(|i| (corners[(i + 1) % 4] - corners[i]).norm()).sum::<f64>() / 4.0
 }
 
-/// All quadrilaterals, of the picture at several sizes: small is quick and not noisy, large shows small ones.
+/// All quadrilaterals, from the picture at several scales: small is fast and less noisy, large shows small ones.
 pub(super) fn quads(pixels: &Mat) -> Result<Vec<Quad>> {
     let (width, height) = (pixels.cols(), pixels.rows());
     let long = width.max(height);
@@ -97,7 +96,7 @@ pub(super) fn quads(pixels: &Mat) -> Result<Vec<Quad>> {
             imgproc::find_contours_def(&dark, &mut outlines, imgproc::RETR_LIST, imgproc::CHAIN_APPROX_NONE)?;
             for outline in outlines {
                 if let Some(corners) = quad(&outline)? {
-                    // Pixel centres are at whole numbers: their edges, at halves, coincide.
+                    // Pixel centres are at integers: pixel edges, at halves, coincide.
                     let half = Vector2::repeat(0.5);
                     let whole = |c: Point2<f64>| Point2::from((c.coords + half).component_div(&scale) - half);
                     found.push(Quad(corners.map(whole)));
@@ -110,12 +109,12 @@ pub(super) fn quads(pixels: &Mat) -> Result<Vec<Quad>> {
 
 /// The corners of an outline that is a quadrilateral around dark pixels.
 fn quad(outline: &Vector<Point>) -> Result<Option<[Point2<f64>; 4]>> {
-    if (outline.len() as f64) < 3.5 * LEAST_PX {
+    if (outline.len() as f64) < 3.5 * MIN_PX {
         return Ok(None);
     }
     let mut ends = Vector::<Point>::new();
-    imgproc::approx_poly_dp(outline, &mut ends, STRAIGHT * imgproc::arc_length(outline, true)?, true)?;
-    // Outlines of dark are traced one way round, those of holes in it the other way.
+    imgproc::approx_poly_dp(outline, &mut ends, STRAIGHTNESS * imgproc::arc_length(outline, true)?, true)?;
+    // Outlines of dark areas are traced one way round, those of holes the other way.
     let around_dark = imgproc::contour_area(outline, true)? < 0.0;
     if ends.len() != 4 || !around_dark || !imgproc::is_contour_convex(&ends)? {
         return Ok(None);
@@ -142,12 +141,12 @@ fn quad(outline: &Vector<Point>) -> Result<Option<[Point2<f64>; 4]>> {
     let sides = [b - a, c - b, d - c, a - d].map(|side| side.norm());
     let least = sides.into_iter().fold(f64::INFINITY, f64::min);
     let most = sides.into_iter().fold(0.0, f64::max);
-    Ok((least > LEAST_PX / 2.0 && side > LEAST_PX && most < 5.0 * least).then_some([a, b, c, d]))
+    Ok((least > MIN_PX / 2.0 && side > MIN_PX && most < 5.0 * least).then_some([a, b, c, d]))
 }
 
-/// The line through the outline between two of its points, but for the ends: a point and a direction.
+/// The line through the outline between two of its points, without the ends: a point and a direction.
 fn line(outline: &[Point], from: usize, to: usize) -> Option<(Point2<f64>, Vector2<f64>)> {
-    let end = ((to.checked_sub(from)?) as f64 * ENDS) as usize;
+    let end = ((to.checked_sub(from)?) as f64 * END_FRACTION) as usize;
     let points = (from + end..=to - end).filter_map(|i| outline.get(i % outline.len()));
     let points: Vec<_> = points.map(|p| Vector2::new(f64::from(p.x), f64::from(p.y))).collect();
     let mean = points.iter().sum::<Vector2<f64>>() / points.len() as f64;
@@ -162,8 +161,8 @@ fn meet((a, along_a): (Point2<f64>, Vector2<f64>), (b, along_b): (Point2<f64>, V
 }
 
 impl Quad {
-    /// The word in it, taken for a marker of `cells` a side; `around`: how far the light around a marker reaches, as
-    /// part of its side. `None` when it has no dark rim in light surroundings.
+    /// The word in it, read as a marker with `cells` per side; `around`: width of the light margin around a marker, as
+    /// a fraction of its side. `None` when it has no dark rim in light surroundings.
     pub(super) fn read(&self, picture: &Grey, cells: usize, around: f64) -> Option<Reading> {
         let Self(corners) = *self;
         let n = cells as f64 + 2.0;
@@ -188,9 +187,9 @@ impl Quad {
         let (dark, light) = (median(rim.clone()), median(outside.clone()));
         let limit = (dark + light) / 2.0;
         let unclean = |greys: &[f64], wrong: &dyn Fn(f64) -> bool| {
-            greys.iter().filter(|grey| wrong(**grey)).count() as f64 > UNCLEAN * greys.len() as f64
+            greys.iter().filter(|grey| wrong(**grey)).count() as f64 > MAX_WRONG_CELLS * greys.len() as f64
         };
-        if light - dark < LEAST_CONTRAST || unclean(&rim, &|g| g > limit) || unclean(&outside, &|g| g < limit) {
+        if light - dark < MIN_CONTRAST || unclean(&rim, &|g| g > limit) || unclean(&outside, &|g| g < limit) {
             return None;
         }
         let mut word = 0;
@@ -202,7 +201,7 @@ impl Quad {
 }
 
 impl Reading {
-    /// All markers it may be, with up to `most_wrong` cells read wrong: turned, and in a mirror.
+    /// All markers it may be, with up to `most_wrong` wrong cells, in all rotations and mirrored.
     pub(super) fn markers(&self, dictionary: Dictionary, most_wrong: u32) -> Vec<Marker> {
         let [a, b, c, d] = self.corners;
         let mut found = Vec::new();
@@ -219,7 +218,7 @@ impl Reading {
                 }
             }
             corners.rotate_left(1);
-            // Rows along the old columns, the last column the first row.
+            // Old columns become rows, the last column first.
             word = self.permuted(word, |row, column| (column, self.cells - 1 - row));
         }
         found

@@ -1,12 +1,11 @@
-//! ChArUco boards: chessboards with a marker in each light square, of which a part is enough.
+//! ChArUco boards: chessboards with a marker in each light square. A part of the board is enough.
 //!
 //! - In: a picture, the board. Out: for each image of the board the corners that are seen, by their true indices, and
 //!   whether it is mirrored.
-//! - Method: quadrilaterals are read as markers, direct and mirrored (`markers`); those that are where each other's
-//!   numbers have them are an image (`layout`). Corners are looked for where markers and corners beside them have them,
-//!   and refined in the picture itself (`corners`). The same tests as for chessboards judge them; a corner astray is
-//!   dropped.
-//! - Why there is none, as far as it can be told: `unread`.
+//! - Method: quadrilaterals are read as markers, direct and mirrored (`markers`); those whose positions agree with
+//!   their numbers form an image (`layout`). Corners are predicted from neighbouring markers and corners and refined in
+//!   the picture itself (`corners`). They must pass the same tests as chessboards; a stray corner is dropped.
+//! - Why there is none, if that can be told: `unread`.
 //! - Cannot tell: a board of OpenCV's other layout when the markers of a single row are seen.
 
 mod corners;
@@ -16,7 +15,7 @@ mod markers;
 mod unread;
 
 pub use dictionary::Dictionary;
-pub use unread::Unread;
+pub use unread::CharucoNotFound;
 
 use nalgebra::Point2;
 use opencv::Result;
@@ -30,22 +29,22 @@ use crate::calibrate::board::{Board, BoardImage};
 use corners::Search;
 use layout::Layout;
 use markers::{Marker, Quad, quads};
-use unread::Clues;
+use unread::Evidence;
 
-/// Fewest corners that say something: a pose and more.
-pub(super) const FEWEST: usize = 6;
-/// One in so many cells may be read wrong; where markers are tells them apart.
-const WRONG: usize = 16;
+/// Fewest useful corners: more than a pose needs.
+pub(super) const MIN_CORNERS: usize = 6;
+/// One in this many cells may be read wrong; the markers' positions resolve mistakes.
+const CELLS_PER_ERROR: usize = 16;
 
-/// What a ChArUco board has beside its squares.
+/// What a ChArUco board has in addition to its squares.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Charuco {
     /// Side of a marker, with its dark rim.
     pub marker_m: f64,
-    /// Where its markers are from; they are counted from 0 on.
+    /// Dictionary of its markers, which are numbered from 0.
     pub dictionary: Dictionary,
-    /// As OpenCV laid boards out before 4.7, and does with `setLegacyPattern`: where the number of rows of squares is
-    /// even, the square at the upper left is light. Where it is odd, nothing is different.
+    /// OpenCV's layout before 4.7 and with `setLegacyPattern`: for an even number of rows of squares, the upper left
+    /// square is light. For an odd number there is no difference.
     pub legacy: bool,
 }
 
@@ -62,8 +61,8 @@ impl Charuco {
     }
 }
 
-/// Finds images of the board: at most one that is not mirrored, the nearest, and mirrored ones, `most` in all. At least
-/// one.
+/// Finds images of the board: at most one direct image, the nearest, and mirrored ones, up to `most` in all and at
+/// least one.
 ///
 /// # Errors
 /// Why there is none.
@@ -72,25 +71,25 @@ pub(super) fn find(
     board: &Board,
     charuco: &Charuco,
     most: usize,
-) -> Result<std::result::Result<Vec<BoardImage>, Unread>> {
+) -> Result<std::result::Result<Vec<BoardImage>, CharucoNotFound>> {
     let pixels = pixels(picture)?;
     let layout = charuco.layout(board);
     let quads = quads(&pixels)?;
     let around = layout.plain() / layout.marker;
     let markers = read(picture, &quads, around, charuco.dictionary);
     let images = layout.images(&markers);
-    let clues = Clues { picture, quads: &quads, layout: &layout, dictionary: charuco.dictionary, markers: &markers };
+    let clues = Evidence { picture, quads: &quads, layout: &layout, dictionary: charuco.dictionary, markers: &markers };
     if let Some(wrong) = clues.other_board(&images) {
         return Ok(Err(wrong));
     }
     let (mut found, mut why) = (Vec::new(), None);
-    for markers in images.iter().filter(|image| clues.strangers(image) < image.len()) {
+    for markers in images.iter().filter(|image| clues.foreign_markers(image) < image.len()) {
         match image(picture, &pixels, &layout, markers)? {
             Ok(image) => found.push(image),
             Err(flaw) => why = why.or(Some(flaw)),
         }
     }
-    // The nearest is the direct one; another one that is not mirrored was reflected twice.
+    // The nearest is the direct one; another unmirrored one was reflected twice.
     found.sort_by(|a: &BoardImage, b| {
         let key = |image: &BoardImage| image.mirrored == Some(true);
         key(a).cmp(&key(b)).then(b.corners.len().cmp(&a.corners.len())).then(b.square_px.total_cmp(&a.square_px))
@@ -102,9 +101,9 @@ pub(super) fn find(
     if found.is_empty() { Ok(Err(why.unwrap_or_else(|| clues.nothing()))) } else { Ok(Ok(found)) }
 }
 
-/// All that quadrilaterals may be in a dictionary, each reading once.
+/// All markers of a dictionary that the quadrilaterals may be, each reading once.
 fn read(picture: &Grey, quads: &[Quad], around: f64, dictionary: Dictionary) -> Vec<Marker> {
-    let most_wrong = (dictionary.cells().pow(2) / WRONG) as u32;
+    let most_wrong = (dictionary.cells().pow(2) / CELLS_PER_ERROR) as u32;
     let mut markers: Vec<Marker> = Vec::new();
     for reading in quads.iter().filter_map(|quad| quad.read(picture, dictionary.cells(), around)) {
         for marker in reading.markers(dictionary, most_wrong) {
@@ -127,16 +126,16 @@ fn image(
     pixels: &Mat,
     layout: &Layout,
     markers: &[Marker],
-) -> Result<std::result::Result<BoardImage, Unread>> {
+) -> Result<std::result::Result<BoardImage, CharucoNotFound>> {
     let mirrored = markers.iter().any(|marker| marker.mirrored);
     let corners = Search { picture, pixels, layout, markers }.corners()?;
     let size = layout.squares.map(|n| n - 1);
-    let few = |corners: usize| Unread::FewCorners { corners, markers: markers.len() };
+    let few = |corners: usize| CharucoNotFound::FewCorners { corners, markers: markers.len() };
     let Some(mut grid) = Grid::part(picture, size, corners, layout.plain(), mirrored) else { return Ok(Err(few(0))) };
     loop {
         let places = grid.seen().map(|((c, r), _)| Point2::new(c as f64, r as f64));
         let count = places.clone().count();
-        if count < FEWEST || in_line(places) {
+        if count < MIN_CORNERS || in_line(places) {
             return Ok(Err(few(count)));
         }
         match grid.judge_corners() {
@@ -151,7 +150,7 @@ fn image(
             }
             Err(Flaw::Astray { column, row, .. }) => grid.without(column, row),
             Err(Flaw::Scattered) => return Ok(Err(few(count))),
-            Err(flaw) => return Ok(Err(Unread::Flaw(flaw))),
+            Err(flaw) => return Ok(Err(CharucoNotFound::Flaw(flaw))),
         }
     }
 }

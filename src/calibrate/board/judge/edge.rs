@@ -1,4 +1,4 @@
-//! How wide the edges of a grid's squares are: blur.
+//! Width of the edges of a grid's squares, a measure of blur.
 
 use nalgebra::Point2;
 
@@ -9,8 +9,8 @@ use crate::calibrate::board::judge::Grid;
 const PROFILE: usize = 64;
 
 impl Grid<'_> {
-    /// From 10 to 90 % across the edges of squares, pixels: median of those along columns, and of those along rows, the
-    /// wider of the two (a picture that moved is blurred in one direction).
+    /// Width from 10 to 90 % across the edges of squares, pixels: the median along columns or along rows, whichever is
+    /// wider (motion blurs in one direction).
     pub(crate) fn edge_px(&self) -> f64 {
         let widths = |aside: usize, below: usize| {
             let width = |(c, r)| self.width_px((c, r), (c + aside, r + below));
@@ -25,7 +25,7 @@ impl Grid<'_> {
         let (dark, light) = if grey_a < grey_b { (a, b) } else { (b, a) };
         let middle = |(c, r): (usize, usize)| Point2::new(c as f64 + 0.5, r as f64 + 0.5);
         let (from, step) = (middle(dark), middle(light) - middle(dark));
-        // From the middle of the dark square to that of the light one, or of what is plain there.
+        // From the centre of the dark square to that of the light one, or of its plain margin.
         let whole = self.plain >= 0.5;
         let reach = if whole { 1.0 } else { 0.5 + self.plain / 2.0 };
         let at = |i: usize| from + step * (reach * i as f64 / PROFILE as f64);
@@ -38,7 +38,7 @@ impl Grid<'_> {
             let (a, b) = (level(*profile.get(i)?), level(*profile.get(i + 1)?));
             Some((i as f64 - a / (b - a)) * reach / PROFILE as f64)
         };
-        // A print close behind the edge disturbs the light half: the dark one counts twice then.
+        // Print close to the edge disturbs the light half: then the dark one counts twice.
         let share = if whole { crossing(0.9)? - crossing(0.1)? } else { 2.0 * (crossing(0.5)? - crossing(0.1)?) };
         let [corner_a, aside, across_a, below] = self.square(a.0, a.1)?;
         let [corner_b, _, across_b, _] = self.square(b.0, b.1)?;

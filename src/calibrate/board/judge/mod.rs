@@ -1,4 +1,4 @@
-//! Whether corners that were found are those of a board, and how well it can be seen.
+//! Whether detected corners form a board, and how well it can be seen.
 
 mod edge;
 
@@ -7,25 +7,26 @@ use nalgebra::{Matrix3, Point2, Vector2};
 use crate::calibrate::board::flat::{homography, map, median};
 use crate::calibrate::board::grey::Grey;
 
-/// A homography must explain the corners to this share of a square (RMS): distortion bends a board, but not more.
-const BENT: f64 = 0.25;
-/// How far a corner may be from where its neighbours have it: this share of a square, or so many pixels if that is
-/// more.
-const ASTRAY: (f64, f64) = (0.08, 1.0);
-/// Least difference of dark and light squares, grey values (median).
-pub(super) const LEAST_CONTRAST: f64 = 8.0;
-/// Squares beyond the outermost ones, alternating with this share of the board's contrast, are part of a larger board.
-const GOES_ON: f64 = 0.5;
-/// How far beyond a line of corners that is: squares on both sides of it, thin ones at the rim too.
+/// A homography must fit the corners to this fraction of a square (RMS): distortion bends a board no more than that.
+const MAX_BEND: f64 = 0.25;
+/// Largest distance of a corner from its neighbours' prediction: this fraction of a square, or this many pixels if that
+/// is more.
+const OUTLIER: (f64, f64) = (0.08, 1.0);
+/// Least contrast of dark and light squares, grey values (median).
+pub(super) const MIN_CONTRAST: f64 = 8.0;
+/// Squares beyond the outermost ones that alternate with this fraction of the board's contrast belong to a larger
+/// board.
+const CONTINUATION_CONTRAST: f64 = 0.5;
+/// How far beyond a line of corners to look, in squares, including for thin ones at the rim.
 const BESIDE: [f64; 2] = [0.5, 0.18];
-/// How far its outline is from the corners, in squares: the outer squares and a little of the rim.
+/// Distance of the outline from the corners, in squares: the outer squares and a little of the rim.
 const RIM: f64 = 1.2;
 
-/// Why a grid of corners is refused.
+/// Why a grid of corners is rejected.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum Flaw {
-    /// Cells that are no convex quadrilaterals of one orientation.
+    /// A cell that is not a convex quadrilateral with the common orientation.
     #[error("its corners are not in order at column {column}, row {row}")]
     Folded {
         /// Column of the cell, from 0.
@@ -33,8 +34,8 @@ pub enum Flaw {
         /// Row of the cell, from 0.
         row: usize,
     },
-    /// A grid that is no flat board.
-    #[error("no flat board looks like it: corners are off by {rms_px:.1} px (RMS), squares have {square_px:.1} px")]
+    /// A grid that is not a flat board.
+    #[error("it does not match a flat board: corners are off by {rms_px:.1} px (RMS), squares have {square_px:.1} px")]
     Bent {
         /// RMS distance from the best homography, pixels.
         rms_px: f64,
@@ -51,7 +52,7 @@ pub enum Flaw {
         /// How far off, pixels.
         off_px: f64,
     },
-    /// Squares that are not dark and light in turn.
+    /// Squares that do not alternate between dark and light.
     #[error("dark and light do not alternate at column {column}, row {row}")]
     Colours {
         /// Column of a square, from 0.
@@ -59,8 +60,8 @@ pub enum Flaw {
         /// Row of a square, from 0.
         row: usize,
     },
-    /// Hardly any difference of dark and light.
-    #[error("its squares differ by {contrast:.0} grey values of 255; {LEAST_CONTRAST} are needed")]
+    /// Hardly any contrast between dark and light.
+    #[error("its squares differ by {contrast:.0} grey values of 255; {MIN_CONTRAST} are needed")]
     Faint {
         /// Median difference of dark and light squares.
         contrast: f64,
@@ -68,35 +69,35 @@ pub enum Flaw {
     /// No two whole squares side by side.
     #[error("no two neighbouring squares are seen whole")]
     Scattered,
-    /// A part of a larger board.
-    #[error("the board goes on beyond it")]
+    /// Part of a larger board.
+    #[error("it is only part of a larger board")]
     Larger {
-        /// Inner corners in a row that can be seen.
+        /// Inner corners visible per row.
         columns: usize,
-        /// Inner corners in a column that can be seen.
+        /// Inner corners visible per column.
         rows: usize,
     },
 }
 
-/// What a homography leaves of each corner, pixels; `None` where none is seen.
+/// Residual of each corner to a homography, pixels; `None` where none is seen.
 type Left = Vec<Option<Vector2<f64>>>;
 
-/// Corners of a grid, row by row, and the picture they are in.
+/// Corners of a grid, row-major, and their picture.
 pub(crate) struct Grid<'a> {
     picture: &'a Grey,
     columns: usize,
     rows: usize,
     /// `None` where a corner is not seen.
     corners: Vec<Option<Point2<f64>>>,
-    /// How far from its sides a square is of one grey at least, in squares.
+    /// Width of a square's plain margin, at least, in squares.
     plain: f64,
-    /// In the picture, the way from columns to rows turns against that from x to y.
+    /// Whether the rotation from columns to rows in the picture is opposite to that from x to y.
     mirrored: bool,
 }
 
 impl<'a> Grid<'a> {
     /// A whole grid of plain squares. `None` when the number of corners is not columns times rows, there are fewer than
-    /// three in a line, or one is not in the picture.
+    /// three in a line, or one is outside the picture.
     pub(crate) fn new(picture: &'a Grey, columns: usize, rows: usize, corners: Vec<Point2<f64>>) -> Option<Self> {
         let whole = columns > 2 && rows > 2 && corners.len() == columns * rows;
         let corners: Vec<_> = corners.into_iter().map(Some).collect();
@@ -110,8 +111,8 @@ impl<'a> Grid<'a> {
         })
     }
 
-    /// A grid of which some corners are seen, in a mirror maybe, and whose squares are printed on but for `plain` (in
-    /// squares) along their sides. `None` when the number of corners, seen or not, is not columns times rows.
+    /// A grid with some corners visible, possibly in a mirror, whose squares have print except for a margin of `plain`
+    /// (in squares). `None` when the number of corners, seen or not, is not columns times rows.
     pub(crate) fn part(
         picture: &'a Grey,
         [columns, rows]: [usize; 2],
@@ -122,19 +123,19 @@ impl<'a> Grid<'a> {
         (corners.len() == columns * rows).then_some(Self { picture, columns, rows, corners, plain, mirrored })
     }
 
-    /// The same grid with its corners elsewhere, one for one; `None` as in [`Grid::new`].
+    /// The same grid with other corner positions, one for one; `None` as in [`Grid::new`].
     pub(crate) fn with_corners(&self, corners: Vec<Point2<f64>>) -> Option<Self> {
         Self::new(self.picture, self.columns, self.rows, corners)
     }
 
-    /// Columns for rows.
+    /// Columns and rows swapped.
     pub(crate) fn transposed(&self) -> Self {
         let corners = (0..self.columns).flat_map(|c| (0..self.rows).map(move |r| (c, r))).map(|(c, r)| self.at(c, r));
         Self { columns: self.rows, rows: self.columns, corners: corners.collect(), ..*self }
     }
 
-    /// All parts of it with so many columns and rows: where a rim looks like one more row of squares, the board is one
-    /// of them.
+    /// All parts of it with this many columns and rows: where the rim looks like another row of squares, the board is
+    /// one of them.
     pub(crate) fn windows(&self, [columns, rows]: [usize; 2]) -> Vec<Self> {
         if columns > self.columns || rows > self.rows {
             return Vec::new();
@@ -153,18 +154,18 @@ impl<'a> Grid<'a> {
         [self.columns, self.rows]
     }
 
-    /// Corners that are seen: column and row, pixels.
+    /// Visible corners: column and row, pixels.
     pub(crate) fn seen(&self) -> impl Iterator<Item = ((usize, usize), Point2<f64>)> + Clone + '_ {
         let columns = self.columns;
         self.corners.iter().enumerate().filter_map(move |(i, corner)| Some(((i % columns, i / columns), (*corner)?)))
     }
 
-    /// Corners that are seen, with their indices.
+    /// Visible corners with their indices.
     pub(crate) fn into_corners(self) -> Vec<(usize, Point2<f64>)> {
         self.corners.into_iter().enumerate().filter_map(|(i, corner)| Some((i, corner?))).collect()
     }
 
-    /// Forgets a corner.
+    /// Removes a corner.
     pub(crate) fn without(&mut self, column: usize, row: usize) {
         if let Some(corner) = self.corners.get_mut(row * self.columns + column) {
             *corner = None;
@@ -177,12 +178,12 @@ impl<'a> Grid<'a> {
         if inside { self.corners.get(r * self.columns + c).copied().flatten() } else { None }
     }
 
-    /// The corners of a square, around it from the upper left.
+    /// The corners of a square, going around from the upper left.
     fn square(&self, c: usize, r: usize) -> Option<[Point2<f64>; 4]> {
         Some([self.at(c, r)?, self.at(c + 1, r)?, self.at(c + 1, r + 1)?, self.at(c, r + 1)?])
     }
 
-    /// Columns and rows of all squares all of whose corners are seen.
+    /// Columns and rows of all squares whose corners are all visible.
     fn squares(&self) -> impl Iterator<Item = (usize, usize)> + '_ {
         let columns = self.columns - 1;
         (0..self.rows - 1)
@@ -197,7 +198,7 @@ impl<'a> Grid<'a> {
         around.into_iter().filter_map(distance).fold(f64::INFINITY, f64::min)
     }
 
-    /// Corners that are seen, each with the distance of its nearest neighbour, pixels.
+    /// Visible corners, each with the distance to its nearest neighbour, pixels.
     pub(crate) fn with_nearest_px(&self) -> impl Iterator<Item = (Point2<f64>, f64)> + '_ {
         self.seen().map(|((c, r), corner)| (corner, self.nearest_px(c, r, corner)))
     }
@@ -230,7 +231,7 @@ impl<'a> Grid<'a> {
         }
     }
 
-    /// The grey value at a place given in columns and rows within the grid, bilinear from the corners around it.
+    /// The grey value at a point given in columns and rows within the grid, bilinear from the corners around it.
     fn grey(&self, column: f64, row: f64) -> Option<f64> {
         let c = (column.max(0.0) as usize).min(self.columns - 2);
         let r = (row.max(0.0) as usize).min(self.rows - 2);
@@ -240,7 +241,7 @@ impl<'a> Grid<'a> {
         self.picture.at(above + v * (beneath - above))
     }
 
-    /// The mean of a few places in the plain part of a square.
+    /// The mean grey of a few points in the plain part of a square.
     fn square_grey(&self, c: usize, r: usize) -> Option<f64> {
         let off = 0.5 - self.plain / 2.0;
         let places = [(-off, 0.0), (off, 0.0), (0.0, -off), (0.0, off)];
@@ -248,7 +249,8 @@ impl<'a> Grid<'a> {
         Some(sum? / places.len() as f64)
     }
 
-    /// Its corners and outer squares, and a little of the rim: a quadrilateral, or the corners' own where that is none.
+    /// Outline of its corners, outer squares and a little of the rim: a quadrilateral, or that of the corners alone if
+    /// it cannot be built.
     pub(crate) fn outline(&self) -> Vec<Point2<f64>> {
         let (right, bottom) = ((self.columns - 1) as f64, (self.rows - 1) as f64);
         let ends = [(-RIM, -RIM), (right + RIM, -RIM), (right + RIM, bottom + RIM), (-RIM, bottom + RIM)];
@@ -261,21 +263,21 @@ impl<'a> Grid<'a> {
         })
     }
 
-    /// Over all squares between corners.
+    /// Mean grey over all squares between corners.
     pub(crate) fn mean_grey(&self) -> f64 {
         let greys: Vec<f64> = self.squares().filter_map(|(c, r)| self.square_grey(c, r)).collect();
         greys.iter().sum::<f64>() / greys.len().max(1) as f64
     }
 
-    /// Whether this is a board; its contrast. Corners must be in order ([`Grid::put_in_order`]).
+    /// Checks that this is a board; returns its contrast. Corners must be in order ([`Grid::put_in_order`]).
     pub(crate) fn judge(&self) -> Result<f64, Flaw> {
         let (board_in_picture, contrast) = self.judge_corners()?;
         self.check_end(&board_in_picture, contrast)?;
         Ok(contrast)
     }
 
-    /// Whether this is a board or a part of one: columns and rows to pixels, its contrast (positive where (0, 0) is
-    /// dark).
+    /// Checks that this is a board or part of one; returns the homography from columns and rows to pixels and the
+    /// contrast (positive if (0, 0) is dark).
     pub(crate) fn judge_corners(&self) -> Result<(Matrix3<f64>, f64), Flaw> {
         if self.squares().next().is_none() {
             return Err(Flaw::Scattered);
@@ -287,7 +289,7 @@ impl<'a> Grid<'a> {
         Ok((board_in_picture, contrast))
     }
 
-    /// All squares convex and of one orientation.
+    /// Checks that all squares are convex with one orientation.
     fn check_order(&self) -> Result<(), Flaw> {
         let sense = if self.mirrored { -1.0 } else { 1.0 };
         let handed = |(c, r): &(usize, usize)| {
@@ -303,7 +305,8 @@ impl<'a> Grid<'a> {
         }
     }
 
-    /// A homography explains the corners up to distortion: it (columns and rows to pixels), and what it leaves, pixels.
+    /// Checks that a homography fits the corners up to distortion; returns it (columns and rows to pixels) and the
+    /// residuals, pixels.
     fn check_flatness(&self) -> Result<(Matrix3<f64>, Left), Flaw> {
         let square_px = self.square_px();
         let bent = |rms_px: f64| Flaw::Bent { rms_px, square_px };
@@ -315,12 +318,12 @@ impl<'a> Grid<'a> {
         }
         let squares = off.iter().flatten().map(Vector2::norm_squared);
         let rms_px = (squares.clone().sum::<f64>() / squares.count() as f64).sqrt();
-        if rms_px > BENT * square_px { Err(bent(rms_px)) } else { Ok((flat, off)) }
+        if rms_px > MAX_BEND * square_px { Err(bent(rms_px)) } else { Ok((flat, off)) }
     }
 
-    /// Distortion leaves each corner where its neighbours have it.
+    /// Checks that each corner is where its neighbours predict it, as under smooth distortion.
     fn check_smoothness(&self, off: &[Option<Vector2<f64>>]) -> Result<(), Flaw> {
-        // What a line of corners, row or column, expects of the one at `pos` in it.
+        // Prediction for the corner at `pos` from its line of corners, row or column.
         let expected = |i: usize, pos: usize, step: usize, len: usize| {
             let at = |steps: isize| {
                 let inside = pos.checked_add_signed(steps).is_some_and(|pos| pos < len);
@@ -330,13 +333,13 @@ impl<'a> Grid<'a> {
             let beyond = |way: isize| Some(2.0 * at(way)? - at(2 * way)?);
             between.or_else(|| beyond(1)).or_else(|| beyond(-1))
         };
-        // All that can tell must find it astray: beside a corner that is, one does.
+        // All available predictions must find it astray: beside a stray corner, one of them does.
         let astray = |((column, row), corner): ((usize, usize), Point2<f64>)| {
             let i = row * self.columns + column;
             let here = off.get(i).copied().flatten()?;
             let lines = [expected(i, column, 1, self.columns), expected(i, row, self.columns, self.rows)];
             let off_px = lines.into_iter().flatten().map(|there| (here - there).norm()).reduce(f64::min)?;
-            let most = (ASTRAY.0 * self.nearest_px(column, row, corner)).max(ASTRAY.1);
+            let most = (OUTLIER.0 * self.nearest_px(column, row, corner)).max(OUTLIER.1);
             (off_px > most).then_some(Flaw::Astray { column, row, off_px })
         };
         let off_px = |flaw: &Flaw| if let Flaw::Astray { off_px, .. } = flaw { *off_px } else { 0.0 };
@@ -344,7 +347,7 @@ impl<'a> Grid<'a> {
         worst.map_or(Ok(()), Err)
     }
 
-    /// Neighbouring squares differ, always the same way round; the median difference.
+    /// Checks that neighbouring squares differ consistently; returns the median difference.
     fn check_colours(&self) -> Result<f64, Flaw> {
         let grey = |c: usize, r: usize| self.square_grey(c, r).ok_or(Flaw::Colours { column: c, row: r });
         let mut steps = Vec::new();
@@ -363,21 +366,23 @@ impl<'a> Grid<'a> {
         let middle = median(steps.iter().map(|s| s.0).collect());
         match steps.iter().find(|s| s.0 * middle <= 0.0) {
             Some((_, column, row)) => Err(Flaw::Colours { column: *column, row: *row }),
-            None if middle.abs() < LEAST_CONTRAST => Err(Flaw::Faint { contrast: middle.abs() }),
+            None if middle.abs() < MIN_CONTRAST => Err(Flaw::Faint { contrast: middle.abs() }),
             None => Ok(middle),
         }
     }
 
-    /// The board ends with the squares around the outermost corners. `contrast`: positive where (0, 0) is dark.
+    /// Checks that the board ends with the squares around the outermost corners. `contrast`: positive where (0, 0) is
+    /// dark.
     fn check_end(&self, board_in_picture: &Matrix3<f64>, contrast: f64) -> Result<(), Flaw> {
-        // A few places in a square: noise of one pixel does not decide. Those of one depth lie side by side.
+        // A few points in a square, so that the noise of one pixel does not decide. Those of one depth lie side by
+        // side.
         let grey = |column: f64, row: f64, (across, down): (f64, f64)| {
             let places = [-0.2, -0.1, 0.0, 0.1, 0.2];
             let at = |off: f64| self.picture.at(map(board_in_picture, column + off * across, row + off * down)?);
             Some(places.into_iter().map(at).sum::<Option<f64>>()? / places.len() as f64)
         };
-        // Squares side by side beyond the board: whether the steps from one to the next have the right sign and,
-        // together, size.
+        // Adjacent squares beyond the board: whether the steps between them have the right sign and, together, the
+        // right size.
         let alternate = |squares: Vec<(Option<f64>, i64)>| {
             let step = |pair: &[(Option<f64>, i64)]| match pair {
                 [(Some(here), place), (Some(next), _)] => {
@@ -388,11 +393,11 @@ impl<'a> Grid<'a> {
             let steps: Option<Vec<f64>> = squares.windows(2).map(step).collect();
             steps.is_some_and(|steps| {
                 let mean = steps.iter().sum::<f64>() / steps.len().max(1) as f64;
-                mean > GOES_ON && steps.iter().all(|step| *step > 0.0)
+                mean > CONTINUATION_CONTRAST && steps.iter().all(|step| *step > 0.0)
             })
         };
         let (columns, rows) = (self.columns as i64, self.rows as i64);
-        // Outer squares may be thin, and are not asked: those between the first corner and the last are.
+        // Outer squares may be thin and are skipped: only those between the first corner and the last count.
         let beyond_column = |c: i64| {
             let depths = BESIDE.map(|depth| if c < 0 { (c + 1) as f64 - depth } else { c as f64 + depth });
             let along = |depth: f64| (0..rows - 1).map(move |r| (grey(depth, r as f64 + 0.5, (0.0, 1.0)), c + r));
@@ -419,7 +424,7 @@ impl<'a> Grid<'a> {
     }
 }
 
-/// The sign of a square's turn in the chequer.
+/// The sign of a square in the chequer.
 fn sign(c: usize, r: usize) -> f64 {
     if (c + r).is_multiple_of(2) { 1.0 } else { -1.0 }
 }
@@ -430,7 +435,7 @@ mod tests {
 
     const SQUARE: f64 = 20.0;
 
-    /// A chequer over the whole picture but for a white rim around 6x5 squares from (40, 40) on, in slight perspective.
+    /// A chequer over the whole picture except for a white rim around 6x5 squares from (40, 40), in slight perspective.
     fn place(c: f64, r: f64) -> Point2<f64> {
         Point2::new(60.0 + SQUARE * c, 60.0 + SQUARE * r) / (1.0 + 0.004 * c + 0.002 * r)
     }
@@ -495,7 +500,7 @@ mod tests {
         swapped.swap(6, 7);
         assert!(matches!(judged(&picture, 5, 4, swapped), Err(Flaw::Folded { .. })));
 
-        // Folded along the middle, as a sheet is: every square still convex.
+        // Folded along the middle like a sheet: every square is still convex.
         let mut folded = corners(5, 4);
         folded.iter_mut().for_each(|c| c.x += 0.9 * (c.y - 90.0).abs());
         assert!(matches!(judged(&picture, 5, 4, folded), Err(Flaw::Bent { .. })));
@@ -526,7 +531,7 @@ mod tests {
 
     #[test]
     fn thin_outer_squares_are_seen_beyond_a_part_and_end_a_whole_board() {
-        // Its outer squares have a third of their width, as where a print was cut.
+        // Its outer squares have a third of their width, as if the print was trimmed.
         let thin = |c: f64, r: f64| {
             let inside = (-0.33..4.33).contains(&c) && (-0.33..3.33).contains(&r);
             if inside { board(c, r) } else { 200 }

@@ -1,39 +1,40 @@
-//! Whether a tube is seen between two bands: along a curve from one to the next, in each view, something of the tube's
-//! width that differs from the ground on both sides.
+//! Whether a tube is seen between two bands: in each view, along a curve from one to the next, something of the tube's
+//! width that differs from the background on both sides.
 
 use super::candidates::Candidate;
 use super::pixels::Pixels;
-use super::template::Look;
+use super::template::BandMatch;
 use crate::rig::Rig;
 use nalgebra::{Point2, Vector2};
 
-/// Distance of places looked at along the curve, pixels.
+/// Spacing of points along the curve, pixels.
 const STEP_PX: f64 = 3.0;
-/// How far the tube may run beside the curve, half widths.
+/// Lateral offsets of the tube from the curve, half widths.
 const ASIDE: [f64; 5] = [0.0, -0.8, 0.8, -1.6, 1.6];
-/// More contrast than this between two pieces of tube makes no difference.
-const MOST_DIFFERENT: f64 = 5.0;
-/// Contrast with both grounds that counts as a tube.
-const CLEAR: f64 = 1.5;
+/// Cap of the contrast between two pieces of tube.
+const MAX_DIFFERENT: f64 = 5.0;
+/// Contrast with the background on both sides that counts as a tube.
+const TUBE_CONTRAST: f64 = 1.5;
 
-/// What speaks for a tube from one band to the next: the share of the way along which one is seen, and how different it
-/// looks where it leaves the one and where it reaches the other (of what lies between two bands, which may look like a
-/// band too, the ends have the colours of those bands). Means over the views that see both.
+/// Evidence for a tube from one band to the next: the fraction of the distance along which one is seen, and how
+/// different it looks at its two ends (what lies between two bands may look like a band too, but its ends have the
+/// colours of those bands). Means over the views that see both.
 pub(super) fn tube_between(rig: &Rig, pixels: &Pixels, before: &Candidate, behind: &Candidate) -> (f64, f64) {
     let (mut share, mut different, mut views) = (0.0, 0.0, 0.0_f64);
     for v in 0..rig.views.len() {
-        if let (Some(a), Some(b)) = (&before.looks[v], &behind.looks[v]) {
+        if let (Some(a), Some(b)) = (&before.matches[v], &behind.matches[v]) {
             let chord = b.centre - a.centre;
-            let facing = |look: &Look, way: Vector2<f64>| look.ends[usize::from(look.axis.dot(&way) > 0.0)];
+            let facing =
+                |matched: &BandMatch, way: Vector2<f64>| matched.ends[usize::from(matched.axis.dot(&way) > 0.0)];
             share += seen(pixels, a, b);
-            different += pixels.contrast(&facing(a, chord), &facing(b, -chord)).min(MOST_DIFFERENT);
+            different += pixels.contrast(&facing(a, chord), &facing(b, -chord)).min(MAX_DIFFERENT);
             views += 1.0;
         }
     }
     (share / views.max(1.0), different / views.max(1.0))
 }
 
-fn seen(pixels: &Pixels, a: &Look, b: &Look) -> f64 {
+fn seen(pixels: &Pixels, a: &BandMatch, b: &BandMatch) -> f64 {
     let chord = b.centre - a.centre;
     let length = chord.norm();
     let along = |axis: &Vector2<f64>| if axis.dot(&chord) < 0.0 { -axis * length } else { axis * length };
@@ -62,7 +63,7 @@ fn seen(pixels: &Pixels, a: &Look, b: &Look) -> f64 {
             let grounds = [mean(row(half + 1.2, half + 3.2)), mean(row(-half - 3.2, -half - 1.2))];
             match (tube, grounds) {
                 (Some(tube), [Some(left), Some(right)]) => {
-                    pixels.contrast(&tube, &left) > CLEAR && pixels.contrast(&tube, &right) > CLEAR
+                    pixels.contrast(&tube, &left) > TUBE_CONTRAST && pixels.contrast(&tube, &right) > TUBE_CONTRAST
                 }
                 _ => false,
             }

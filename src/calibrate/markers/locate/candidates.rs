@@ -1,13 +1,12 @@
-//! Where one band may be: places near the click that look like it, each with the places along its line of sight where
+//! Where one band may be: places near the click that look like it, each with the points along its line of sight where
 //! the other views show the same.
 //!
-//! The line of sight is a curve in the other views, bent by refraction: it is traced, point by point. At each point the
-//! band has a known size, and a colour that differs from the tube's at its ends as it does in the view that was
-//! clicked.
+//! The line of sight is a curve in the other views, bent by refraction: it is traced point by point. At each point the
+//! band has a known size, and its colour differs from the tube's at its ends in the same way as in the clicked view.
 
 use super::Near;
 use super::pixels::{Pixels, Yuv};
-use super::template::{Look, Size, Templates, refined};
+use super::template::{BandMatch, Size, Templates, refined};
 use crate::optics::{Sighting, triangulate};
 use crate::rig::{Rig, View};
 use nalgebra::{Matrix2, Point2, Point3};
@@ -15,52 +14,52 @@ use std::collections::HashMap;
 
 /// How far from the band a click may be, pixels.
 const REACH_PX: f64 = 5.5;
-/// Distance from the click that halves a place's score, about, pixels.
+/// Distance from the click that about halves a place's score, pixels.
 const CLOSE_PX: f64 = 5.0;
-/// Score of what hardly looks like a band, and the share of the best one's that a candidate needs.
-pub(crate) const LEAST_SCORE: f64 = 1.2;
+/// Score of something that hardly looks like a band, and the fraction of the best score that a candidate needs.
+pub(crate) const MIN_SCORE: f64 = 1.2;
 const SHARE: f64 = 0.4;
-/// Places kept of a click, and of a band.
-const MOST_LOOKS: usize = 6;
-const MOST_PLACES: usize = 16;
-/// Places closer than this show the same thing, pixels.
+/// Most places kept for a click, and for a band.
+const MAX_MATCHES: usize = 6;
+const MAX_PLACES: usize = 16;
+/// Places closer than this show the same object, pixels.
 const SAME_PX: f64 = 4.0;
-/// A band this wide, pixels, is missed by who looks at every second pixel only.
+/// Bands up to this width, pixels, could be missed when looking only at every second pixel.
 const NARROW_PX: f64 = 6.0;
-/// How far beside the line of sight a view may show the band, pixels: a look's centre is good to a pixel or two.
+/// How far from the line of sight a view may show the band, pixels: a match's centre is accurate to a pixel or two.
 const BESIDE_PX: i32 = 3;
-/// A colour's difference from the tube may be so much another one in another view, relative, and in units of luma.
+/// How much a colour's difference from the tube may vary between views, relative, and in units of luma.
 const LIKE: (f64, f64) = (0.45, 0.03);
-/// Depths tried first, metres, and how finely.
+/// Depths tried first, metres, and their spacing.
 const FARTHEST_M: f64 = 5.0;
 const DEPTH_STEP_M: f64 = 4e-3;
 
-/// A band at a place.
+/// A band at a point.
 #[derive(Debug, Clone)]
 pub(crate) struct Candidate {
     pub point: Point3<f64>,
-    /// What each view shows of it.
-    pub looks: Vec<Option<Look>>,
+    /// Its match in each view.
+    pub matches: Vec<Option<BandMatch>>,
     pub score: f64,
 }
 
-/// What of a picture the search needs.
+/// What the search needs of a picture.
 pub(crate) struct Search<'a> {
     pub rig: &'a Rig,
     pub pixels: &'a Pixels,
-    /// Sizes of one metre squared in each view, about: pixels a metre where all views see.
+    /// Approximate image scale in each view, pixels per metre, where all views see.
     pub scale: Vec<f64>,
 }
 
-/// The band's looks at pixels of a view, each worked out once.
-pub(crate) struct Looks<'a> {
+/// The band's matches at pixels of a view, each computed once.
+pub(crate) struct MatchCache<'a> {
     pixels: &'a Pixels,
     templates: Templates,
-    known: HashMap<(i32, i32), Option<Look>>,
+    known: HashMap<(i32, i32), Option<BandMatch>>,
 }
 
-impl Looks<'_> {
-    fn at(&mut self, x: i32, y: i32) -> Option<Look> {
+impl MatchCache<'_> {
+    fn at(&mut self, x: i32, y: i32) -> Option<BandMatch> {
         let Self { pixels, templates, known } = self;
         *known.entry((x, y)).or_insert_with(|| templates.best(pixels, Point2::new(f64::from(x), f64::from(y))))
     }
@@ -72,75 +71,81 @@ impl Search<'_> {
         Size { length: length_m * scale, width: self.rig.catheter.diameter_m * scale }
     }
 
-    pub(crate) fn looks(&self, view: usize, length_m: f64) -> Looks<'_> {
-        Looks { pixels: self.pixels, templates: Templates::new(self.size(view, length_m)), known: HashMap::new() }
+    pub(crate) fn match_cache(&self, view: usize, length_m: f64) -> MatchCache<'_> {
+        MatchCache { pixels: self.pixels, templates: Templates::new(self.size(view, length_m)), known: HashMap::new() }
     }
 
-    /// What may be a band of this length near a click, best first; places `step` pixels apart are looked at.
-    pub(crate) fn near_click(&self, near: &Near, length_m: f64, step: usize) -> Vec<Look> {
+    /// Possible bands of this length near a click, best first; examines places `step` pixels apart.
+    pub(crate) fn near_click(&self, near: &Near, length_m: f64, step: usize) -> Vec<BandMatch> {
         let size = self.size(near.view, length_m);
-        let mut looks = self.looks(near.view, length_m);
+        let mut matches = self.match_cache(near.view, length_m);
         let reach = (size.length / 2.0 + REACH_PX).ceil() as i32;
         let (x, y) = (near.pixel.x.round() as i32, near.pixel.y.round() as i32);
         let places = move || (-reach..=reach).step_by(step);
         let around = places().flat_map(|dy| places().map(move |dx| (x + dx, y + dy)));
         let view = &self.rig.views[near.view];
         let found = around.filter_map(|(x, y)| {
-            let look = looks.at(x, y).filter(|look| view.contains(&look.centre))?;
-            let away = away(&look, &near.pixel);
-            let score = look.score * (-(away / CLOSE_PX).powi(2) * 0.7).exp();
-            (away <= REACH_PX).then_some(Look { score, ..look })
+            let matched = matches.at(x, y).filter(|matched| view.contains(&matched.centre))?;
+            let away = away(&matched, &near.pixel);
+            let score = matched.score * (-(away / CLOSE_PX).powi(2) * 0.7).exp();
+            (away <= REACH_PX).then_some(BandMatch { score, ..matched })
         });
         distinct(found.collect())
     }
 
-    /// Places in space where a look may be: along its line of sight, where the other views show such a band. `others`
-    /// are the looks of all views.
-    pub(crate) fn places(&self, look: &Look, near: &[Near], view: usize, others: &mut [Looks<'_>]) -> Vec<Candidate> {
-        let Ok(ray) = self.rig.views[view].optics.trace(&look.centre) else { return Vec::new() };
+    /// Possible points of a match in space: along its line of sight, where the other views show such a band. `others`
+    /// are the matches of all views.
+    pub(crate) fn places(
+        &self,
+        matched: &BandMatch,
+        near: &[Near],
+        view: usize,
+        others: &mut [MatchCache<'_>],
+    ) -> Vec<Candidate> {
+        let Ok(ray) = self.rig.views[view].optics.trace(&matched.centre) else { return Vec::new() };
         let mut found: Vec<Candidate> = Vec::new();
         let mut depth = 0.0;
         while depth < FARTHEST_M {
             let point = ray.at(depth);
             let mut step: f64 = DEPTH_STEP_M;
-            let mut looks = vec![None; self.rig.views.len()];
-            looks[view] = Some(*look);
-            let mut score = look.score;
+            let mut matches = vec![None; self.rig.views.len()];
+            matches[view] = Some(*matched);
+            let mut score = matched.score;
             for (v, others) in others.iter_mut().enumerate().filter(|(v, _)| *v != view) {
                 let other = &self.rig.views[v];
                 let Ok(seen) = other.optics.project_with_jacobian(&point) else { continue };
                 if !other.contains(&seen.pixel) {
                     continue;
                 }
-                // One pixel a step.
+                // One pixel per step.
                 step = step.min(1.0 / (seen.d_pixel * ray.direction).norm().max(1.0));
                 let clicked = near.iter().find(|near| near.view == v).map(|near| near.pixel);
-                if let Some(best) = best_beside(others, look, &seen.pixel, clicked) {
+                if let Some(best) = best_beside(others, matched, &seen.pixel, clicked) {
                     score += best.score;
-                    looks[v] = Some(best);
+                    matches[v] = Some(best);
                 }
             }
-            if looks.iter().flatten().count() > 1 {
-                found.push(Candidate { point, looks, score });
+            if matches.iter().flatten().count() > 1 {
+                found.push(Candidate { point, matches, score });
             }
             depth += step;
         }
         self.best_places(found)
     }
 
-    /// The best ones, each a place of its own in the views, and triangulated from them.
+    /// The best distinct ones, triangulated from the views.
     fn best_places(&self, mut found: Vec<Candidate>) -> Vec<Candidate> {
         found.sort_by(|a, b| b.score.total_cmp(&a.score));
         let mut kept: Vec<Candidate> = Vec::new();
         for candidate in found {
-            if kept.len() >= MOST_PLACES {
+            if kept.len() >= MAX_PLACES {
                 break;
             }
-            let same = |a: &Option<Look>, b: &Option<Look>| match (a, b) {
+            let same = |a: &Option<BandMatch>, b: &Option<BandMatch>| match (a, b) {
                 (Some(a), Some(b)) => (a.centre - b.centre).norm() < SAME_PX,
                 _ => true,
             };
-            if kept.iter().any(|k| k.looks.iter().zip(&candidate.looks).all(|(a, b)| same(a, b))) {
+            if kept.iter().any(|k| k.matches.iter().zip(&candidate.matches).all(|(a, b)| same(a, b))) {
                 continue;
             }
             kept.extend(self.triangulated(candidate));
@@ -153,9 +158,9 @@ impl Search<'_> {
             .rig
             .views
             .iter()
-            .zip(&candidate.looks)
-            .filter_map(|(view, look)| {
-                let pixel = look.as_ref()?.centre;
+            .zip(&candidate.matches)
+            .filter_map(|(view, matched)| {
+                let pixel = matched.as_ref()?.centre;
                 Some(Sighting { optics: &view.optics, pixel, covariance_px2: Matrix2::identity() })
             })
             .collect();
@@ -163,57 +168,62 @@ impl Search<'_> {
         Some(Candidate { point: met.point, ..candidate })
     }
 
-    /// Places so far apart, pixels, are near enough to each other to find a wide band between them.
+    /// Spacing of places, pixels, that is still fine enough to find a band.
     pub(crate) fn coarse(&self, view: usize, length_m: f64) -> usize {
         (self.size(view, length_m).width / NARROW_PX).clamp(1.0, 4.0) as usize
     }
 
-    /// A look in a view, made better.
-    pub(crate) fn refined_look(&self, view: usize, look: Look, length_m: f64) -> Look {
-        refined(self.pixels, look, self.size(view, length_m).length)
+    /// A refined match in a view.
+    pub(crate) fn refined_match(&self, view: usize, matched: BandMatch, length_m: f64) -> BandMatch {
+        refined(self.pixels, matched, self.size(view, length_m).length)
     }
 
-    /// The same with looks made better; what does not become a better one stays.
+    /// The same candidate with refined matches; those that do not improve are kept.
     pub(crate) fn refined(&self, candidate: &Candidate, length_m: f64) -> Option<Candidate> {
-        let looks = candidate.looks.iter().enumerate();
-        let looks = looks.map(|(v, look)| look.map(|look| self.refined_look(v, look, length_m)));
-        self.triangulated(Candidate { looks: looks.collect(), ..candidate.clone() })
+        let matches = candidate.matches.iter().enumerate();
+        let matches = matches.map(|(v, matched)| matched.map(|matched| self.refined_match(v, matched, length_m)));
+        self.triangulated(Candidate { matches: matches.collect(), ..candidate.clone() })
     }
 }
 
-/// Distance of a pixel from the rectangle of a look, pixels.
-fn away(look: &Look, pixel: &Point2<f64>) -> f64 {
-    let off = pixel - look.centre;
-    let along = (off.dot(&look.axis).abs() - look.size.length / 2.0).max(0.0);
-    let across = ((look.axis.x * off.y - look.axis.y * off.x).abs() - look.size.width / 2.0).max(0.0);
+/// Distance of a pixel from the rectangle of a match, pixels.
+fn away(matched: &BandMatch, pixel: &Point2<f64>) -> f64 {
+    let off = pixel - matched.centre;
+    let along = (off.dot(&matched.axis).abs() - matched.size.length / 2.0).max(0.0);
+    let across = ((matched.axis.x * off.y - matched.axis.y * off.x).abs() - matched.size.width / 2.0).max(0.0);
     along.hypot(across)
 }
 
-/// The look beside a pixel that is most like `look`.
-fn best_beside(looks: &mut Looks<'_>, look: &Look, pixel: &Point2<f64>, clicked: Option<Point2<f64>>) -> Option<Look> {
+/// The match near a pixel that is most similar to `matched`.
+fn best_beside(
+    matches: &mut MatchCache<'_>,
+    matched: &BandMatch,
+    pixel: &Point2<f64>,
+    clicked: Option<Point2<f64>>,
+) -> Option<BandMatch> {
     let (x, y) = (pixel.x.round() as i32, pixel.y.round() as i32);
     let around = (-BESIDE_PX..=BESIDE_PX).flat_map(|dy| (-BESIDE_PX..=BESIDE_PX).map(move |dx| (x + dx, y + dy)));
     around
         .filter_map(|(x, y)| {
-            let other = looks.at(x, y)?;
+            let other = matches.at(x, y)?;
             if clicked.is_some_and(|clicked| away(&other, &clicked) > REACH_PX) {
                 return None;
             }
             let aside = (other.centre - pixel).norm() / 2.0;
-            let score = other.score * likeness(look, &other) * (-0.5 * aside * aside).exp();
-            (other.score >= LEAST_SCORE).then_some(Look { score, ..other })
+            let score = other.score * likeness(matched, &other) * (-0.5 * aside * aside).exp();
+            (other.score >= MIN_SCORE).then_some(BandMatch { score, ..other })
         })
         .max_by(|a, b| a.score.total_cmp(&b.score))
 }
 
-/// How alike the colours of two looks are, 0 to 1: by how their chroma differs from that of the tube at their ends,
-/// which is lit by the same light.
-fn likeness(a: &Look, b: &Look) -> f64 {
-    let tint = |look: &Look| -> (f64, f64) {
+/// Similarity of the colours of two matches, 0 to 1: compares their chroma differences from the tube at their ends,
+/// which is in the same light.
+fn likeness(a: &BandMatch, b: &BandMatch) -> f64 {
+    let tint = |matched: &BandMatch| -> (f64, f64) {
         let share = |c: &Yuv| (c.y / c.x.max(8.0), c.z / c.x.max(8.0));
-        // The end that is brighter is the tube; the other one may be ground or clamp.
-        let end = if look.ends[0].x > look.ends[1].x { look.ends[0] } else { look.ends[1] };
-        let ((u, v), (eu, ev)) = (share(&look.colour), share(&end));
+        // The brighter end is the tube; the other one may be background or clamp.
+        let end = if matched.ends[0].x > matched.ends[1].x { matched.ends[0] } else { matched.ends[1] };
+        let ((u, v), (eu, ev)) = (share(&matched.colour), share(&end));
         (u - eu, v - ev)
     };
     let ((au, av), (bu, bv)) = (tint(a), tint(b));
@@ -222,23 +232,23 @@ fn likeness(a: &Look, b: &Look) -> f64 {
     (-0.5 * apart * apart).exp()
 }
 
-/// The best of looks that are not the same one.
-fn distinct(mut looks: Vec<Look>) -> Vec<Look> {
-    looks.sort_by(|a, b| b.score.total_cmp(&a.score));
-    let least = looks.first().map_or(f64::INFINITY, |best| (best.score * SHARE).max(LEAST_SCORE));
-    let mut kept: Vec<Look> = Vec::new();
-    for look in looks {
-        if kept.len() >= MOST_LOOKS || look.score < least {
+/// The best matches without duplicates.
+fn distinct(mut matches: Vec<BandMatch>) -> Vec<BandMatch> {
+    matches.sort_by(|a, b| b.score.total_cmp(&a.score));
+    let least = matches.first().map_or(f64::INFINITY, |best| (best.score * SHARE).max(MIN_SCORE));
+    let mut kept: Vec<BandMatch> = Vec::new();
+    for matched in matches {
+        if kept.len() >= MAX_MATCHES || matched.score < least {
             break;
         }
-        if kept.iter().all(|k| (k.centre - look.centre).norm() >= SAME_PX) {
-            kept.push(look);
+        if kept.iter().all(|k| (k.centre - matched.centre).norm() >= SAME_PX) {
+            kept.push(matched);
         }
     }
     kept
 }
 
-/// Pixels a metre in a view at a point.
+/// Image scale of a view at a point, pixels per metre.
 pub(crate) fn px_per_m(view: &View, point: &Point3<f64>) -> Option<f64> {
     let seen = view.optics.project_with_jacobian(point).ok()?;
     Some(seen.d_pixel.norm() / std::f64::consts::SQRT_2)

@@ -1,12 +1,12 @@
-//! Where the bands are in one frame, from a click near each: before any colour is known.
+//! Where the bands are in one frame, from a click near each, before any colour is known.
 //!
-//! In: the rig's optics, tube and band lengths, clicks in one view or several. Out: for each band its place in space
-//! and the rectangle that each view shows of it.
+//! In: the rig's optics, tube and band lengths, clicks in one or several views. Out: for each band its position in
+//! space and its rectangle in each view.
 //!
 //! 1. `template`: near a click, the rectangles that look like a band of this size on a tube.
 //! 2. `candidates`: along each one's line of sight, bent by refraction, where the other views show the same.
-//! 3. Here: one candidate a band, all together, so that neighbours are no further apart than a tube reaches, the tube
-//!    does not fold back, and (`between`) a tube is seen between them.
+//! 3. Here: one candidate per band, chosen jointly so that the tube can span the distance between neighbours, does not
+//!    fold back, and (`between`) is seen between them.
 //!
 //! A brick in a band's colour is too large for the rectangle, or has no tube beside it.
 
@@ -15,7 +15,7 @@ pub(crate) mod candidates;
 pub(crate) mod pixels;
 mod template;
 
-pub(crate) use template::Look;
+pub(crate) use template::BandMatch;
 #[cfg(test)]
 pub(crate) use template::Size;
 
@@ -25,7 +25,7 @@ use candidates::{Candidate, Search, px_per_m};
 use nalgebra::{Point2, Point3};
 use pixels::Pixels;
 
-/// A click: in which view, and where.
+/// A click: its view and pixel.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Near {
     pub view: usize,
@@ -37,29 +37,29 @@ pub(crate) struct Near {
 pub(crate) enum NotFound {
     /// Nothing near the click looks like a band.
     Nothing { marker: usize, view: usize },
-    /// What does is seen in one view only.
-    OneView { marker: usize, view: usize, look: Box<Look> },
-    /// The clicks of two bands are on one.
+    /// It is seen in one view only.
+    OneView { marker: usize, view: usize, matched: Box<BandMatch> },
+    /// The clicks of two bands are on the same band.
     OneBand { markers: [usize; 2] },
     /// The bands are on one tube, but in another order.
     Order,
-    /// No choice of one place a band makes a tube.
+    /// No choice of one place per band forms a tube.
     NoTube,
-    /// No place is seen by two views.
+    /// No point is seen by two views.
     NoVolume,
 }
 
-/// Longest plausible distance of neighbouring bands, metres.
+/// Longest plausible distance between neighbouring bands, metres.
 const LONGEST_GAP_M: f64 = 0.3;
-/// Places of a band considered.
-const MOST_PLACES: usize = 24;
-/// Partial choices kept while bands are added one by one.
-const MOST_CHOICES: usize = 200;
-/// What a tube all the way between two bands is worth, beside the scores of the bands.
+/// Most places considered per band.
+const MAX_PLACES: usize = 24;
+/// Most partial choices kept while bands are added one by one.
+const MAX_CHOICES: usize = 200;
+/// Score for a tube seen all the way between two bands.
 const TUBE_SCORE: f64 = 6.0;
-/// What a fold in the tube costs.
+/// Penalty for a fold in the tube.
 const FOLD_SCORE: f64 = 2.0;
-/// Clicks of two bands this much closer than their middles can be are on one of them.
+/// Fraction of the least distance of two bands' centres below which their clicks are on the same band.
 const ONE_BAND: f64 = 0.5;
 
 /// Finds all bands of `rig`; `clicks` has those of each band.
@@ -80,17 +80,17 @@ pub(crate) fn locate(rig: &Rig, pixels: &Pixels, clicks: &[Vec<Near>]) -> Result
     Ok(refined.collect())
 }
 
-/// The best look of the band `marker` near one click, before any other view is asked.
-pub(crate) fn at_click(rig: &Rig, pixels: &Pixels, marker: usize, near: &Near) -> Result<Look, NotFound> {
+/// The best match of the band `marker` near one click, before using other views.
+pub(crate) fn at_click(rig: &Rig, pixels: &Pixels, marker: usize, near: &Near) -> Result<BandMatch, NotFound> {
     let clicks = [vec![*near]];
     let search = Search { rig, pixels, scale: scales(rig, &clicks).ok_or(NotFound::NoVolume)? };
     let length_m = rig.markers[marker].length_m;
-    let looks = search.near_click(near, length_m, search.coarse(near.view, length_m));
-    let best = looks.first().ok_or(NotFound::Nothing { marker, view: near.view })?;
-    Ok(search.refined_look(near.view, *best, length_m))
+    let matches = search.near_click(near, length_m, search.coarse(near.view, length_m));
+    let best = matches.first().ok_or(NotFound::Nothing { marker, view: near.view })?;
+    Ok(search.refined_match(near.view, *best, length_m))
 }
 
-/// Two bands that were clicked in one place.
+/// Two bands that were clicked at one place.
 fn on_one_band(search: &Search<'_>, clicks: &[Vec<Near>]) -> Option<[usize; 2]> {
     let pairs = (0..clicks.len()).flat_map(|a| (a + 1..clicks.len()).map(move |b| [a, b]));
     let mut pairs = pairs.filter(|[a, b]| {
@@ -105,20 +105,20 @@ fn on_one_band(search: &Search<'_>, clicks: &[Vec<Near>]) -> Option<[usize; 2]> 
 fn of_band(search: &Search<'_>, marker: usize, near: &[Near]) -> Result<Vec<Candidate>, NotFound> {
     let length_m = search.rig.markers[marker].length_m;
     let Some(first) = near.first() else { return Err(NotFound::NoVolume) };
-    let looks = search.near_click(first, length_m, 1);
-    let best = *looks.first().ok_or(NotFound::Nothing { marker, view: first.view })?;
-    let mut others: Vec<_> = (0..search.rig.views.len()).map(|v| search.looks(v, length_m)).collect();
+    let matches = search.near_click(first, length_m, 1);
+    let best = *matches.first().ok_or(NotFound::Nothing { marker, view: first.view })?;
+    let mut others: Vec<_> = (0..search.rig.views.len()).map(|v| search.match_cache(v, length_m)).collect();
     let mut places: Vec<Candidate> =
-        looks.iter().flat_map(|look| search.places(look, near, first.view, &mut others)).collect();
+        matches.iter().flat_map(|matched| search.places(matched, near, first.view, &mut others)).collect();
     places.sort_by(|a, b| b.score.total_cmp(&a.score));
-    places.truncate(MOST_PLACES);
+    places.truncate(MAX_PLACES);
     if places.is_empty() {
-        return Err(NotFound::OneView { marker, view: first.view, look: Box::new(best) });
+        return Err(NotFound::OneView { marker, view: first.view, matched: Box::new(best) });
     }
     Ok(places)
 }
 
-/// Pixels a metre in each view, where those clicked and another one see.
+/// Image scale in each view, pixels per metre, where the clicked views and another one see.
 fn scales(rig: &Rig, clicks: &[Vec<Near>]) -> Option<Vec<f64>> {
     let mut points: Vec<Point3<f64>> = Vec::new();
     for near in clicks.iter().flatten() {
@@ -147,10 +147,10 @@ fn scales(rig: &Rig, clicks: &[Vec<Near>]) -> Option<Vec<f64>> {
     (0..rig.views.len()).map(scale).collect()
 }
 
-/// One candidate a band: those of the best score that can be on one tube.
+/// One candidate per band: the best-scoring ones that can be on one tube.
 fn choose(rig: &Rig, pixels: &Pixels, candidates: &[Vec<Candidate>]) -> Result<Vec<Candidate>, NotFound> {
     let mut choices: Vec<(f64, Vec<&Candidate>)> = vec![(0.0, Vec::new())];
-    // A tube that folds back is none; but where that is by far the best choice, the bands are in another order.
+    // A tube does not fold back; if that is by far the best choice, the bands are in another order.
     let folds = |a: &Candidate, b: &Candidate, c: &Candidate| (b.point - a.point).dot(&(c.point - b.point)) < 0.0;
     for (m, list) in candidates.iter().enumerate() {
         let mut longer: Vec<(f64, Vec<&Candidate>)> = Vec::new();
@@ -176,7 +176,7 @@ fn choose(rig: &Rig, pixels: &Pixels, candidates: &[Vec<Candidate>]) -> Result<V
             }
         }
         longer.sort_by(|a, b| b.0.total_cmp(&a.0));
-        longer.truncate(MOST_CHOICES);
+        longer.truncate(MAX_CHOICES);
         choices = longer;
     }
     let (_, best) = choices.into_iter().next().ok_or(NotFound::NoTube)?;

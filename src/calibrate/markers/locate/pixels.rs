@@ -6,13 +6,13 @@ use nalgebra::{Point2, Vector2, Vector3};
 /// Y', and B' − Y' and R' − Y' scaled to the same range (ITU-R BT.709-6 §3), full range: luma 0..255, chroma around 0.
 pub(crate) type Yuv = Vector3<f64>;
 
-/// Differences that say nothing, as a share of the luma: shading of a round tube, texture of a ground.
+/// Insignificant differences, as a fraction of the luma: shading of a round tube, texture of a background.
 const LUMA_SHARE: f64 = 0.08;
 const CHROMA_SHARE: f64 = 0.02;
 /// The least noise of luma and chroma, stored units.
-const LEAST_NOISE: [f64; 2] = [2.0, 1.0];
+const MIN_NOISE: [f64; 2] = [2.0, 1.0];
 
-/// A picture, a colour a pixel.
+/// A picture with one colour per pixel.
 pub(crate) struct Pixels {
     width: usize,
     height: usize,
@@ -39,12 +39,13 @@ impl Pixels {
                 yuv.push([luma, (b - luma) / 1.8556, (r - luma) / 1.5748].map(|v| v as f32));
             }
         }
-        let mut pixels = Self { width, height, yuv, noise: LEAST_NOISE };
+        let mut pixels = Self { width, height, yuv, noise: MIN_NOISE };
         pixels.noise = pixels.measured_noise();
         Some(pixels)
     }
 
-    /// Of luma and chroma: from differences of pixels four apart (chroma may be stored for every second one only).
+    /// Noise of luma and chroma, from differences of pixels four apart (chroma may be stored only for every second
+    /// one).
     fn measured_noise(&self) -> [f64; 2] {
         let (mut luma, mut chroma) = (Vec::new(), Vec::new());
         for y in (0..self.height).step_by(7) {
@@ -64,11 +65,11 @@ impl Pixels {
                 differences.get(differences.len() / 2).map_or(0.0, |median| median / 0.954)
             })
             .iter()
-            .zip(LEAST_NOISE)
+            .zip(MIN_NOISE)
             .map(|(found, least)| found.max(least))
             .collect::<Vec<_>>()
             .try_into()
-            .unwrap_or(LEAST_NOISE)
+            .unwrap_or(MIN_NOISE)
     }
 
     /// Colour of the nearest pixel.
@@ -80,7 +81,7 @@ impl Pixels {
         self.yuv.get(y as usize * self.width + x as usize).map(|v| Vector3::from(v.map(f64::from)))
     }
 
-    /// Mean colour of some places around a centre; `None` when one lies outside of the picture.
+    /// Mean colour at some points around a centre; `None` when one lies outside the picture.
     pub(crate) fn mean(&self, centre: Point2<f64>, offsets: &[Vector2<f64>]) -> Option<Yuv> {
         let mut sum = Vector3::zeros();
         for offset in offsets {
@@ -89,7 +90,7 @@ impl Pixels {
         (!offsets.is_empty()).then(|| sum / offsets.len() as f64)
     }
 
-    /// How much of a mixture of two colours is the first one, in units in which both channels' noise is the same.
+    /// Fraction of the first colour in a mixture of two, in units in which luma and chroma have equal noise.
     pub(crate) fn share(&self, mixed: &Yuv, first: &Yuv, second: &Yuv) -> f64 {
         let light = first.x.max(second.x).max(0.0);
         let (luma, chroma) = (self.noise[0] + LUMA_SHARE * light, self.noise[1] + CHROMA_SHARE * light);
@@ -98,7 +99,7 @@ impl Pixels {
         off.dot(&way) / way.norm_squared().max(1e-9)
     }
 
-    /// How different two colours are: 1 is what shading and noise do.
+    /// How different two colours are: 1 is the level of shading and noise.
     pub(crate) fn contrast(&self, a: &Yuv, b: &Yuv) -> f64 {
         let light = a.x.max(b.x).max(0.0);
         let (luma, chroma) = (self.noise[0] + LUMA_SHARE * light, self.noise[1] + CHROMA_SHARE * light);

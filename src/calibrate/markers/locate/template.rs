@@ -1,9 +1,9 @@
-//! How much a place in a picture looks like a band: a rectangle of one colour, of the size that a band has there, on a
-//! tube that goes on at its ends in another colour, before a ground of yet another one.
+//! How much a place in a picture looks like a band: a rectangle of one colour and of the band's size there, on a tube
+//! that continues at its ends in another colour, in front of a background of yet another one.
 //!
-//! No colour is known. What is compared are means: of the rectangle, of both grounds beside it, of both ends. The score
-//! is the harmonic mean of the rectangle's contrasts with those four (one that is missing spoils it), less how much its
-//! colour changes along it.
+//! No colour is known. It compares means: of the rectangle, of the background on both sides, of both ends. The score is
+//! the harmonic mean of the rectangle's contrasts with those four (a single weak one spoils it), less the colour change
+//! along it.
 
 use super::pixels::{Pixels, Yuv};
 use nalgebra::{Point2, Rotation2, Vector2};
@@ -15,16 +15,16 @@ pub(crate) struct Size {
     pub width: f64,
 }
 
-/// What a place looks like.
+/// Appearance of a place.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Look {
+pub(crate) struct BandMatch {
     pub centre: Point2<f64>,
     /// Unit vector along the band, up to its sign.
     pub axis: Vector2<f64>,
     pub size: Size,
-    /// Contrast with its surroundings in units of what shading and noise do.
+    /// Contrast with its surroundings, in units of shading and noise.
     pub score: f64,
-    /// Mean colour of the band, and of what is at its ends.
+    /// Mean colour of the band, and of its two ends.
     pub colour: Yuv,
     pub ends: [Yuv; 2],
     pub grounds: [Yuv; 2],
@@ -34,23 +34,23 @@ pub(crate) struct Look {
 pub(crate) struct Template {
     axis: Vector2<f64>,
     size: Size,
-    /// Of the band that is not tilted, pixels.
+    /// Of the untilted band, pixels.
     length: f64,
     thirds: [Vec<Vector2<f64>>; 3],
     grounds: [Vec<Vector2<f64>>; 2],
     ends: [Vec<Vector2<f64>>; 2],
 }
 
-/// Angles looked at in half a turn, and shares of the length that a band may show when it is tilted towards the camera.
+/// Number of angles over a half turn, and apparent fractions of the length of a band tilted towards the camera.
 const ANGLES: usize = 12;
 const FORESHORTENED: [f64; 3] = [1.0, 0.8, 0.6];
-/// Edges are soft: so far from them, pixels, only one side is seen.
+/// Edges are soft: beyond this distance, pixels, only one side is seen.
 const SOFT_PX: f64 = 1.2;
-/// Distance of the places looked at, pixels.
+/// Spacing of the sample points, pixels.
 const SAMPLE_PX: f64 = 1.4;
-/// Contrast of a single place with single ones on either side below which a template is not worth a closer look.
-const HOPELESS: f64 = 0.8;
-/// How far beside the band the ground is looked at, pixels.
+/// Contrast of the centre point with single points on either side below which a template is rejected early.
+const MIN_EARLY_CONTRAST: f64 = 0.8;
+/// Distance from the band at which the background is sampled, pixels.
 const GROUND_PX: f64 = 3.0;
 
 impl Template {
@@ -64,7 +64,7 @@ impl Template {
             places(vs).flat_map(|v| places(us).map(move |u| turn * Vector2::new(v, u))).collect()
         };
         let (half, long) = (size.width / 2.0, size.length / 2.0);
-        // Of a narrow or short band its inner half has to do.
+        // For a narrow or short band the inner half must do.
         let (inside, along) = ((half - SOFT_PX).max(half * 0.5), (long - SOFT_PX).max(long * 0.5));
         let end = (long + SOFT_PX, long + SOFT_PX + (size.length * 0.3).clamp(2.0, 5.0));
         let ground = (half + SOFT_PX, half + SOFT_PX + GROUND_PX);
@@ -79,20 +79,21 @@ impl Template {
         }
     }
 
-    /// Whether single places, in the middle and on either side, leave hope.
-    fn may_be(&self, pixels: &Pixels, centre: Point2<f64>) -> bool {
+    /// Quick test with single points, at the centre and on either side.
+    fn passes_quick_test(&self, pixels: &Pixels, centre: Point2<f64>) -> bool {
         let aside = Vector2::new(-self.axis.y, self.axis.x) * (self.size.width / 2.0 + SOFT_PX + GROUND_PX / 2.0);
         let (here, left, right) = (pixels.at(centre), pixels.at(centre - aside), pixels.at(centre + aside));
         match (here, left, right) {
             (Some(here), Some(left), Some(right)) => {
-                pixels.contrast(&here, &left) > HOPELESS && pixels.contrast(&here, &right) > HOPELESS
+                pixels.contrast(&here, &left) > MIN_EARLY_CONTRAST
+                    && pixels.contrast(&here, &right) > MIN_EARLY_CONTRAST
             }
             _ => false,
         }
     }
 
     /// `None` at the edge of the picture.
-    fn look(&self, pixels: &Pixels, centre: Point2<f64>) -> Option<Look> {
+    fn match_at(&self, pixels: &Pixels, centre: Point2<f64>) -> Option<BandMatch> {
         let mean = |places: &Vec<Vector2<f64>>| pixels.mean(centre, places);
         let thirds = [mean(&self.thirds[0])?, mean(&self.thirds[1])?, mean(&self.thirds[2])?];
         let colour = (thirds[0] + thirds[1] + thirds[2]) / 3.0;
@@ -104,13 +105,13 @@ impl Template {
             .contrast(&thirds[0], &thirds[2])
             .max(pixels.contrast(&thirds[0], &thirds[1]))
             .max(pixels.contrast(&thirds[1], &thirds[2]));
-        // Of two that stand out equally, the one that covers more of the band.
+        // Of two with equal contrast, prefer the one that covers more of the band.
         let score = (harmonic - 0.5 * uneven) * (self.size.length / self.length).sqrt();
-        Some(Look { centre, axis: self.axis, size: self.size, score, colour, ends, grounds })
+        Some(BandMatch { centre, axis: self.axis, size: self.size, score, colour, ends, grounds })
     }
 }
 
-/// Templates of a band of one size at all angles, each tilted towards the camera by nothing and more.
+/// Templates of a band of one size at all angles, each with several tilts towards the camera.
 pub(crate) struct Templates {
     all: Vec<[Template; FORESHORTENED.len()]>,
 }
@@ -122,17 +123,17 @@ impl Templates {
         Self { all: angles.map(|angle| sizes.map(|each| Template::new(angle, each, size.length))).collect() }
     }
 
-    /// The best look of a place; `None` at the edge of the picture.
-    pub(crate) fn best(&self, pixels: &Pixels, centre: Point2<f64>) -> Option<Look> {
-        let hopeful = self.all.iter().filter(|[first, ..]| first.may_be(pixels, centre)).flatten();
-        let looks = hopeful.filter_map(|template| template.look(pixels, centre));
-        looks.max_by(|a, b| a.score.total_cmp(&b.score))
+    /// The best match of a place; `None` at the edge of the picture.
+    pub(crate) fn best(&self, pixels: &Pixels, centre: Point2<f64>) -> Option<BandMatch> {
+        let hopeful = self.all.iter().filter(|[first, ..]| first.passes_quick_test(pixels, centre)).flatten();
+        let matches = hopeful.filter_map(|template| template.match_at(pixels, centre));
+        matches.max_by(|a, b| a.score.total_cmp(&b.score))
     }
 }
 
-/// A look made better by small moves, turns and changes of length.
-pub(crate) fn refined(pixels: &Pixels, look: Look, length: f64) -> Look {
-    let mut best = look;
+/// A match refined by small shifts, rotations and changes of length.
+pub(crate) fn refined(pixels: &Pixels, matched: BandMatch, length: f64) -> BandMatch {
+    let mut best = matched;
     for step in [1.0, 1.0, 1.0, 0.5] {
         let angle = best.axis.y.atan2(best.axis.x);
         let around = best;
@@ -141,9 +142,9 @@ pub(crate) fn refined(pixels: &Pixels, look: Look, length: f64) -> Look {
                 let size = Size { length: (around.size.length * grow).min(length), ..around.size };
                 let template = Template::new(angle + turn * step * 0.13, size, length);
                 for (du, dv) in (-2..=2).flat_map(|du| (-2..=2).map(move |dv| (f64::from(du), f64::from(dv)))) {
-                    let look = template.look(pixels, around.centre + Vector2::new(du, dv) * (0.5 * step));
-                    if let Some(look) = look.filter(|look| look.score > best.score) {
-                        best = look;
+                    let matched = template.match_at(pixels, around.centre + Vector2::new(du, dv) * (0.5 * step));
+                    if let Some(matched) = matched.filter(|matched| matched.score > best.score) {
+                        best = matched;
                     }
                 }
             }

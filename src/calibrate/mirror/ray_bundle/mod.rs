@@ -1,14 +1,15 @@
-//! The adjustment without a board: surfaces and places of bands such that the rays of all views meet.
+//! The adjustment without a board: finds surfaces and positions of bands such that the rays of all views meet.
 //!
-//! In: a start, where each view saw bands at some moments, known lengths. Out: [`RayBundleSolution`] with the free
-//! parameters' covariance.
+//! In: an initial state, where each view saw bands at some moments, known lengths. Out: [`RayBundleSolution`] with the
+//! free parameters' covariance.
 //!
 //! Minimised is Σ ρ(|seen − projection − error of the band model|) + Σ ((known length − distance)/σ)², ρ Huber's
-//! (`least_squares.rs`): surfaces and errors are shared by all moments, the places of its bands are each moment's own.
+//! (`least_squares.rs`): surfaces and errors are shared by all moments, the positions of the bands belong to each
+//! moment.
 //!
-//! What the image model gets wrong about a band in a view is the same in every frame and does not average out: it is a
-//! parameter of its own, along and across the band, known to be 0 within its σ. So is the error of a known length. The
-//! covariance holds these errors as well; it takes everything that is not free for exact.
+//! The error of the image model for a band in a view is the same in every frame and does not average out, so it is a
+//! parameter, along and across the band, with prior 0 and its σ. So is the error of a known length. The covariance
+//! includes these errors; everything that is not free is assumed exact.
 
 use crate::calibrate::geometry::{Geometry, Parameter, Projector};
 use crate::calibrate::least_squares::{End, Equations, Loss, Row, Step, minimise};
@@ -16,10 +17,10 @@ use crate::optics::NoRay;
 use crate::optics::{Sighting, triangulate};
 use nalgebra::{DMatrix, DVector, Matrix2, Point2, Point3, Vector2, Vector3};
 
-/// Steps of the places alone after each step of what is common.
+/// Steps of the positions alone after each step of the shared unknowns.
 const PLACE_STEPS: usize = 2;
-/// Of the search.
-const END: End = End { enough: (0.0, 1e-6), most_steps: 100 };
+/// End of the search.
+const END: End = End { tolerance: (0.0, 1e-6), max_steps: 100 };
 
 /// A band in a view.
 #[derive(Debug, Clone, Copy)]
@@ -41,10 +42,10 @@ pub(crate) struct Moment {
     pub(crate) shorter_m: Vec<Option<f64>>,
 }
 
-/// A length that bending does not change, or by a known amount.
+/// A length that bending does not change, or only by a known amount.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct KnownLength {
-    /// Between the middles of these markers (indices).
+    /// Between the centres of these markers (indices).
     pub markers: [usize; 2],
     /// The length, metres.
     pub length_m: f64,
@@ -52,14 +53,14 @@ pub struct KnownLength {
     pub sd_m: f64,
 }
 
-/// What is to be solved, and where the search starts.
+/// The problem, and the start of the search.
 #[derive(Debug, Clone)]
 pub(crate) struct RayBundle<'a> {
     pub(crate) geometry: Geometry,
     pub(crate) free: Vec<Parameter>,
-    /// Standard deviations about where the search starts, of the free parameters; `None` when they are wholly free.
+    /// Prior standard deviations of the free parameters about the start; `None` when they are completely free.
     pub(crate) prior_sd: Option<Vec<f64>>,
-    /// For each marker, what the image model may get wrong along and across it, pixels.
+    /// For each marker, σ of the image model's error along and across it, pixels.
     pub(crate) model_sd_px: Vec<[f64; 2]>,
     pub(crate) lengths: &'a [KnownLength],
     /// Scatter of a single frame's distance about a known length, metres.
@@ -67,17 +68,17 @@ pub(crate) struct RayBundle<'a> {
     pub(crate) moments: &'a [Moment],
 }
 
-/// The answer.
+/// The solution.
 #[derive(Debug, Clone)]
 pub(crate) struct RayBundleSolution {
     pub(crate) geometry: Geometry,
-    /// Of the free parameters.
+    /// Covariance of the free parameters.
     pub(crate) covariance: DMatrix<f64>,
     /// Corrections of the known lengths, metres.
     pub(crate) length_errors_m: Vec<f64>,
 }
 
-/// Where the search is.
+/// State of the search.
 #[derive(Clone)]
 struct State {
     geometry: Geometry,
@@ -98,7 +99,7 @@ impl State {
 }
 
 impl RayBundle<'_> {
-    /// Solves from where `self` starts; `None` when the sightings do not determine the answer.
+    /// Solves, starting from `self`; `None` when the sightings do not determine the solution.
     pub(crate) fn solve(self) -> Option<RayBundleSolution> {
         let count = self.free.len() + 2 * self.views() * self.model_sd_px.len() + self.lengths.len();
         let places = self.moments.iter().map(|moment| places(&self.geometry, moment, self.model_sd_px.len())).collect();
@@ -117,13 +118,13 @@ impl RayBundle<'_> {
         self.geometry.views.len()
     }
 
-    /// Index of the error along a band in a view; that across it follows.
+    /// Index of the error along a band in a view; the one across it follows.
     fn model_error(&self, sight: &Sight) -> usize {
         self.free.len() + 2 * (sight.marker * self.views() + sight.view)
     }
 
-    /// After a step of what is common, with the places that fit it best: a mirror's weak directions move all places by
-    /// millimetres on curves, which straight steps of the places would leave.
+    /// The state after a step of the shared unknowns, with the positions that fit it best: a mirror's weak directions
+    /// move all positions by millimetres along curves, which straight steps of the positions would leave.
     fn stepped(&self, state: &State, step: &Step) -> Result<State, NoRay> {
         let free = &step.shared.as_slice()[..self.free.len()];
         let geometry = state.geometry.stepped(&self.free, free);
@@ -229,18 +230,18 @@ impl RayBundle<'_> {
     }
 }
 
-/// How many unknowns of its own a moment has.
+/// Number of a moment's own unknowns.
 fn unknowns(places: &[Option<Point3<f64>>]) -> usize {
     3 * places.iter().flatten().count()
 }
 
-/// First index of a marker's place among a moment's own unknowns.
+/// First index of a marker's position among a moment's own unknowns.
 fn slot(places: &[Option<Point3<f64>>], marker: usize) -> Option<usize> {
     places.get(marker)?.as_ref()?;
     Some(unknowns(places.get(..marker)?))
 }
 
-/// Where the bands of a moment are, by a geometry: those seen in two views.
+/// Positions of a moment's bands with a geometry, for those seen in two views.
 pub(crate) fn places(geometry: &Geometry, moment: &Moment, markers: usize) -> Vec<Option<Point3<f64>>> {
     let paths: Vec<_> = (0..geometry.views.len()).map(|view| geometry.path(view)).collect();
     let place = |marker: usize| {
@@ -255,8 +256,8 @@ pub(crate) fn places(geometry: &Geometry, moment: &Moment, markers: usize) -> Ve
     (0..markers).map(place).collect()
 }
 
-/// By how much the views disagree about where bands are, RMS, pixels: for each band, the root of the sum over its views
-/// of the squared distance between where it is seen and where the place that fits all views best is projected to.
+/// Disagreement of the views about the bands, RMS, pixels: for each band, the root of the sum over its views of the
+/// squared distance between its pixel and the projection of the position that fits all views best.
 pub(crate) fn disagreement_px(geometry: &Geometry, moments: &[Moment], markers: usize) -> Option<f64> {
     let paths: Vec<_> = (0..geometry.views.len()).map(|view| geometry.path(view)).collect();
     let (mut sum, mut bands) = (0.0, 0);

@@ -10,7 +10,7 @@ const FRAME_SD_PX: f64 = 0.1;
 const MODEL_SD_PX: [f64; 2] = [0.03, 0.03];
 const LENGTH: KnownLength = KnownLength { markers: [1, 2], length_m: 22e-3, sd_m: 0.05e-3 };
 
-/// A tube of three bands that swings, as seen by a rig, with errors as the adjustment supposes them.
+/// A swinging tube with three bands, as seen by a rig, with errors as the adjustment assumes them.
 fn swing(seen_by: &Geometry, errors: f64, seed: u64) -> (Vec<Moment>, KnownLength) {
     let mut noise = gaussian(seed);
     let model: Vec<Vector2<f64>> =
@@ -56,7 +56,7 @@ fn bumped(truth: &Geometry) -> Geometry {
     truth.stepped(&Parameter::of_surface(MIRROR), &steps)
 }
 
-/// Turn about x, y, z and shift.
+/// Rotations up or down and left or right, and shift.
 fn error(found: &Geometry, truth: &Geometry) -> [f64; 3] {
     let (found, truth) = (found.surfaces[MIRROR].1.plane(), truth.surfaces[MIRROR].1.plane());
     let turn = truth.normal().cross(&found.normal());
@@ -88,7 +88,7 @@ fn predicted_errors_are_those_made() {
             squares[i] += e * e / met.covariance[(i, i)] / RUNS as f64;
         }
     }
-    // The spread of a mean of 60 squares is 0.18.
+    // The σ of a mean of 60 squares is 0.18.
     for (what, square) in ["up or down", "left or right", "shift"].into_iter().zip(squares) {
         assert!((0.6..1.55).contains(&square), "{what}: {square}");
     }
@@ -102,7 +102,7 @@ fn a_length_helps_and_one_place_alone_is_open() {
     let without = solved(truth.clone(), &moments, &[]).unwrap();
     let [with, without] = [with, without].map(|met| met.covariance[(2, 2)].sqrt());
     assert!(with < 0.9 * without, "{with} {without}");
-    // One band that does not move: a turn and the shift do the same to it.
+    // One band that does not move: a rotation and the shift have the same effect on it.
     let still: Vec<Moment> = moments
         .iter()
         .map(|m| Moment { sights: m.sights.iter().filter(|s| s.marker == 0).copied().collect(), ..Moment::default() })

@@ -1,40 +1,40 @@
-//! The mean of something that should be at rest, and how far it can be trusted.
+//! The mean of something that should be at rest, and its covariance.
 //!
-//! Pictures of a scene that does not move have the same errors again and again: the encoder repeats a picture, samples
-//! and the band's edges stay where they are. So the covariance of one frame, as the tracker predicts it, is not divided
-//! by the number of frames. What the frames show of their own accord is the scatter of the means of [`BLOCKS`]
-//! stretches of the recording: noise and tremor average out within a stretch, slow motion does not, and is not divided
-//! by their number either. The larger of the two counts, in every direction.
+//! Pictures of a motionless scene repeat the same errors: the encoder repeats a picture, and samples and the band's
+//! edges do not move. So the covariance of one frame, as predicted by the tracker, is not divided by the number of
+//! frames. The empirical estimate is the scatter of the means of [`BLOCKS`] blocks of the recording: noise and tremor
+//! average out within a block, slow motion does not, and it is not divided by their number either. The larger of the
+//! two counts, in every direction.
 
 use nalgebra::{Matrix3, SymmetricEigen, U3, Vector3};
 
-/// Stretches of a recording at rest; fewer frames than this tell nothing about it.
+/// Blocks of a recording at rest, and the fewest frames.
 pub(super) const BLOCKS: usize = 5;
-/// Scatter of single frames that is motion: so many predicted σ.
+/// Scatter of single frames that counts as motion, in predicted σ.
 const SCATTER_SD: f64 = 3.0;
-/// Difference between first and last stretch that is drift: so many predicted σ of a difference (√2 of a single σ,
-/// because errors may be the same within a stretch and others in the next).
+/// Difference between first and last block that counts as drift, in predicted σ of a difference (√2 of a single σ,
+/// because errors may be the same within a block and differ in the next).
 const DRIFT_SD: f64 = 4.0;
 
 /// A mean at rest.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Settled {
+pub(super) struct RestMean {
     pub(super) mean: Vector3<f64>,
     pub(super) covariance: Matrix3<f64>,
 }
 
 /// Why it is not at rest. Units of the values given.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) enum Unrest {
+pub(super) enum NotAtRest {
     /// Frames scatter (RMS, in the worst direction) by more than `allowed`.
     Scatter { rms: f64, allowed: f64 },
-    /// First and last stretch differ by more than `allowed`.
+    /// First and last block differ by more than `allowed`.
     Drift { by: f64, allowed: f64 },
 }
 
-/// The mean of `values` (each with the covariance predicted for it) in their order in time, at least [`BLOCKS`]. Motion
-/// below `tolerance`, in their unit, is let pass whatever their σ.
-pub(super) fn settled(values: &[(Vector3<f64>, Matrix3<f64>)], tolerance: f64) -> Result<Settled, Unrest> {
+/// The mean of `values` (each with the covariance predicted for it) in order of time, at least [`BLOCKS`]. Motion below
+/// `tolerance`, in their unit, is accepted whatever their σ.
+pub(super) fn mean_at_rest(values: &[(Vector3<f64>, Matrix3<f64>)], tolerance: f64) -> Result<RestMean, NotAtRest> {
     let mean = mean_of(values);
     let predicted: Matrix3<f64> = values.iter().map(|(_, c)| c).sum::<Matrix3<f64>>() / values.len() as f64;
     let scatter = scatter_of(values.iter().map(|(v, _)| v - mean));
@@ -42,7 +42,7 @@ pub(super) fn settled(values: &[(Vector3<f64>, Matrix3<f64>)], tolerance: f64) -
     let (ratio, direction) = largest_ratio(&scatter, &(predicted * SCATTER_SD.powi(2) + tolerated));
     if ratio > 1.0 {
         let rms = along(&scatter, &direction);
-        return Err(Unrest::Scatter { rms, allowed: rms / ratio.sqrt() });
+        return Err(NotAtRest::Scatter { rms, allowed: rms / ratio.sqrt() });
     }
     let blocks: Vec<Vector3<f64>> = (0..BLOCKS)
         .filter_map(|i| values.get(i * values.len() / BLOCKS..(i + 1) * values.len() / BLOCKS))
@@ -53,11 +53,11 @@ pub(super) fn settled(values: &[(Vector3<f64>, Matrix3<f64>)], tolerance: f64) -
         let outer = drift * drift.transpose();
         let (ratio, _) = largest_ratio(&outer, &(predicted * 2.0 * DRIFT_SD.powi(2) + tolerated));
         if ratio > 1.0 {
-            return Err(Unrest::Drift { by: drift.norm(), allowed: drift.norm() / ratio.sqrt() });
+            return Err(NotAtRest::Drift { by: drift.norm(), allowed: drift.norm() / ratio.sqrt() });
         }
     }
     let between = scatter_of(blocks.iter().map(|block| block - mean));
-    Ok(Settled { mean, covariance: larger(&predicted, &between) })
+    Ok(RestMean { mean, covariance: larger(&predicted, &between) })
 }
 
 fn mean_of(values: &[(Vector3<f64>, Matrix3<f64>)]) -> Vector3<f64> {
@@ -81,8 +81,8 @@ fn largest_ratio(a: &Matrix3<f64>, b: &Matrix3<f64>) -> (f64, Vector3<f64>) {
     (eigen.eigenvalues[at], (inverse.transpose() * eigen.eigenvectors.column(at)).normalize())
 }
 
-/// A covariance that is nowhere smaller than `a`, nor than `b`: in the axes in which `a` is the unit matrix and `b`
-/// diagonal, the larger of the two on each.
+/// A covariance that is nowhere smaller than `a` or `b`: in the axes in which `a` is the unit matrix and `b` diagonal,
+/// the larger of the two on each.
 fn larger(a: &Matrix3<f64>, b: &Matrix3<f64>) -> Matrix3<f64> {
     let Some(Whitened { root, eigen, .. }) = whitened(b, a) else { return a + b };
     let axes = root * eigen.eigenvectors;
@@ -129,21 +129,21 @@ mod tests {
         assert!((ratio - 4.0).abs() < 1e-12 && (direction.y.abs() - 1.0).abs() < 1e-12);
     }
 
-    /// `count` values along x: what `x` gives for each, σ 1.
+    /// `count` values along x: given by `x`, with σ 1.
     fn course(count: usize, x: impl Fn(usize) -> f64) -> Vec<(Vector3<f64>, Matrix3<f64>)> {
         (0..count).map(|i| (Vector3::new(x(i), 0.0, 5.0), Matrix3::identity())).collect()
     }
 
     #[test]
     fn what_repeats_does_not_average_out_and_what_trembles_does() {
-        let still = settled(&course(100, |_| 2.0), 0.0).unwrap();
+        let still = mean_at_rest(&course(100, |_| 2.0), 0.0).unwrap();
         assert_eq!(still.mean, Vector3::new(2.0, 0.0, 5.0));
         assert!((still.covariance - Matrix3::identity()).norm() < 1e-12);
         // Twice the predicted σ, but from frame to frame: the mean is as good as before.
-        let trembling = settled(&course(100, |i| if i % 2 == 0 { 2.0 } else { -2.0 }), 0.0).unwrap();
+        let trembling = mean_at_rest(&course(100, |i| if i % 2 == 0 { 2.0 } else { -2.0 }), 0.0).unwrap();
         assert!((trembling.covariance - Matrix3::identity()).norm() < 1e-12);
-        // The same in steps that last: no stretch knows the mean better than that.
-        let stepping = settled(&course(100, |i| if (i / 20) % 2 == 0 { 2.0 } else { -2.0 }), 0.0).unwrap();
+        // The same in lasting steps: no block knows the mean better than that.
+        let stepping = mean_at_rest(&course(100, |i| if (i / 20) % 2 == 0 { 2.0 } else { -2.0 }), 0.0).unwrap();
         assert!((stepping.covariance[(0, 0)] - 4.8).abs() < 1e-9, "{}", stepping.covariance);
         assert!((stepping.covariance[(1, 1)] - 1.0).abs() < 1e-9);
     }
@@ -151,12 +151,12 @@ mod tests {
     #[test]
     fn motion_and_drift_are_told_with_their_size_unless_below_the_tolerance() {
         let swinging = course(100, |i| 5.0 * (0.7 * i as f64).sin());
-        let Err(Unrest::Scatter { rms, allowed }) = settled(&swinging, 0.0) else { panic!("it swings") };
+        let Err(NotAtRest::Scatter { rms, allowed }) = mean_at_rest(&swinging, 0.0) else { panic!("it swings") };
         assert!((rms - 12.5_f64.sqrt()).abs() < 0.1 && (allowed - 3.0).abs() < 1e-9, "{rms}, {allowed}");
-        assert!(settled(&swinging, 5.0).is_ok());
+        assert!(mean_at_rest(&swinging, 5.0).is_ok());
         let creeping = course(100, |i| 0.09 * i as f64);
-        let Err(Unrest::Drift { by, allowed }) = settled(&creeping, 0.0) else { panic!("it drifts") };
+        let Err(NotAtRest::Drift { by, allowed }) = mean_at_rest(&creeping, 0.0) else { panic!("it drifts") };
         assert!((by - 7.2).abs() < 1e-9 && (allowed - 32_f64.sqrt()).abs() < 1e-9, "{by}, {allowed}");
-        assert!(settled(&creeping, 5.0).is_ok());
+        assert!(mean_at_rest(&creeping, 5.0).is_ok());
     }
 }

@@ -1,4 +1,4 @@
-//! Runs that stand out: by what happened in them, and beside other runs with the same rig.
+//! Runs that stand out, by their events or compared with other runs with the same rig.
 
 use super::study::Study;
 use super::{Measured, Outcome};
@@ -6,18 +6,19 @@ use std::collections::BTreeMap;
 
 /// A run that stands out, and why.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Outstanding {
+pub(crate) struct UnusualRun {
     /// Its number in the study.
     pub(crate) run: usize,
     pub(crate) why: Vec<String>,
 }
 
-/// Runs with the same rig of which at least so many are needed to say what is usual.
-const ENOUGH: usize = 5;
-/// Further from the median than this many robust standard deviations is not usual.
-const UNUSUAL: f64 = 5.0;
+/// Fewest runs with the same rig that define what is usual.
+const MIN_RUNS: usize = 5;
+/// Distance from the median, in robust standard deviations, beyond which a run is unusual.
+const UNUSUAL_SD: f64 = 5.0;
 
-/// What is compared: name, unit, digits, smallest difference that matters, value; and whether small ones stand out too.
+/// A quantity to compare: name, unit, digits, smallest relevant difference, value; and whether small values also stand
+/// out.
 type Compared = (&'static str, &'static str, usize, f64, fn(&Measured) -> Option<f64>, bool);
 
 const COMPARED: [Compared; 6] = [
@@ -29,15 +30,15 @@ const COMPARED: [Compared; 6] = [
     ("smallest θ", "°", 1, 1.0, |m| m.theta.min_deg, true),
 ];
 
-/// Of all frames, percent.
+/// Missed frames in percent of all.
 pub(crate) fn missed_percent(measured: &Measured) -> Option<f64> {
     let frames = measured.frames as f64;
     (frames > 0.0).then(|| 100.0 * (frames - measured.theta.answered as f64) / frames)
 }
 
-/// Runs that stand out: by what happened in them, and beside the other runs with the same rig. A run that failed is none
-/// of them: it has nothing to compare.
-pub(crate) fn outstanding(study: &Study) -> Vec<Outstanding> {
+/// Runs that stand out, by their events or compared with other runs with the same rig. Failed runs are not included:
+/// they have nothing to compare.
+pub(crate) fn unusual_runs(study: &Study) -> Vec<UnusualRun> {
     let mut found: BTreeMap<usize, Vec<String>> = BTreeMap::new();
     let mut rigs: BTreeMap<&Option<String>, Vec<(usize, &Measured)>> = BTreeMap::new();
     for (at, run) in study.runs.iter().enumerate() {
@@ -59,13 +60,13 @@ pub(crate) fn outstanding(study: &Study) -> Vec<Outstanding> {
         }
         rigs.entry(&summary.sha256.rig).or_default().push((at, measured));
     }
-    for runs in rigs.values().filter(|runs| runs.len() >= ENOUGH) {
+    for runs in rigs.values().filter(|runs| runs.len() >= MIN_RUNS) {
         for (name, unit, digits, least, value, both) in COMPARED {
             let values: Vec<(usize, f64)> =
                 runs.iter().filter_map(|(at, m)| Some((*at, value(m)?))).filter(|(_, v)| v.is_finite()).collect();
             let middle = median(values.iter().map(|(_, v)| *v).collect());
             let spread = 1.4826 * median(values.iter().map(|(_, v)| (v - middle).abs()).collect());
-            let limit = (UNUSUAL * spread).max(least);
+            let limit = (UNUSUAL_SD * spread).max(least);
             for (at, v) in values {
                 if v - middle > limit || both && middle - v > limit {
                     let why = format!("{name} {v:.digits$}{unit}, usual {middle:.digits$}{unit}");
@@ -74,10 +75,10 @@ pub(crate) fn outstanding(study: &Study) -> Vec<Outstanding> {
             }
         }
     }
-    found.into_iter().map(|(run, why)| Outstanding { run, why }).collect()
+    found.into_iter().map(|(run, why)| UnusualRun { run, why }).collect()
 }
 
-/// The middle one; 0 of none.
+/// The median; 0 if empty.
 pub(crate) fn median(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     let at = |k: usize| values.get(k).copied().unwrap_or(0.0);
@@ -107,11 +108,11 @@ mod tests {
     #[test]
     fn a_run_unlike_the_others_with_its_rig_stands_out() {
         let mut study = study(&[0.10, 0.11, 0.105, 0.10, 0.30, 0.107]);
-        let found = outstanding(&study);
-        assert_eq!(found, [Outstanding { run: 4, why: vec!["σ of θ 0.300°, usual 0.106°".to_owned()] }]);
-        // With another rig it has nothing beside it.
+        let found = unusual_runs(&study);
+        assert_eq!(found, [UnusualRun { run: 4, why: vec!["σ of θ 0.300°, usual 0.106°".to_owned()] }]);
+        // With another rig there is nothing to compare it with.
         study.runs[4].summary.sha256.rig = Some("other".to_owned());
-        assert_eq!(outstanding(&study), []);
+        assert_eq!(unusual_runs(&study), []);
     }
 
     #[test]
@@ -122,7 +123,7 @@ mod tests {
         study.runs[1].summary.ends_early = Some("cut off".into());
         study.runs[2].summary.outcome = Outcome::Failed;
         study.runs[2].summary.ends_early = Some("cut off".into());
-        let found: Vec<_> = outstanding(&study).into_iter().map(|o| (o.run, o.why.join(","))).collect();
+        let found: Vec<_> = unusual_runs(&study).into_iter().map(|o| (o.run, o.why.join(","))).collect();
         assert_eq!(found, [(0, "1 drift alarms".to_owned()), (1, "ends early".to_owned())]);
     }
 

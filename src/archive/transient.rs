@@ -1,24 +1,24 @@
-//! Failures that pass: of disks and networks, not of what was read.
+//! Transient failures: of disks and networks, not of the data.
 
 use std::error::Error;
 use std::io::{self, ErrorKind};
 
-/// Error numbers of Linux that [`ErrorKind`] has no stable name for: input/output error, too many open files (of the
-/// system, of the process).
+/// Error numbers of Linux that [`ErrorKind`] has no stable name for: input/output error, too many open files (in the
+/// system, in the process).
 #[cfg(target_os = "linux")]
-const PASSING: [i32; 3] = [5, 23, 24];
+const TRANSIENT_ERRORS: [i32; 3] = [5, 23, 24];
 #[cfg(not(target_os = "linux"))]
-const PASSING: [i32; 0] = [];
+const TRANSIENT_ERRORS: [i32; 0] = [];
 
-/// Whether the same run may well succeed another time: somewhere in the chain of causes there is a full disk, a network
-/// or a file system that is away.
-pub(crate) fn passes(error: &(dyn Error + 'static)) -> bool {
+/// Whether the same run may succeed another time: the chain of causes contains a full disk, or an unavailable network
+/// or file system.
+pub(crate) fn is_transient(error: &(dyn Error + 'static)) -> bool {
     let mut cause = Some(error);
     while let Some(this) = cause {
         if this.downcast_ref::<io::Error>().is_some_and(of_system) {
             return true;
         }
-        // What the system said to libav.
+        // The system's error behind libav's.
         if let Some(ffmpeg_the_third::Error::Other { errno }) = this.downcast_ref() {
             return of_system(&io::Error::from_raw_os_error(*errno));
         }
@@ -49,7 +49,7 @@ fn of_system(error: &io::Error) -> bool {
             | ErrorKind::OutOfMemory
             | ErrorKind::FileTooLarge
     );
-    kind || error.raw_os_error().is_some_and(|number| PASSING.contains(&number))
+    kind || error.raw_os_error().is_some_and(|number| TRANSIENT_ERRORS.contains(&number))
 }
 
 #[cfg(test)]
@@ -60,11 +60,11 @@ mod tests {
     #[test]
     fn disks_and_networks_pass_and_what_was_read_does_not() {
         let full = || io::Error::from(ErrorKind::StorageFull);
-        assert!(passes(&full()));
-        assert!(passes(&SinkError::Io { path: "a".into(), source: full() }));
-        assert!(!passes(&io::Error::from(ErrorKind::NotFound)));
-        assert!(!passes(&io::Error::from(ErrorKind::InvalidData)));
-        assert!(!passes(&SinkError::NoBaseFrame { path: "a".into() }));
+        assert!(is_transient(&full()));
+        assert!(is_transient(&SinkError::Io { path: "a".into(), source: full() }));
+        assert!(!is_transient(&io::Error::from(ErrorKind::NotFound)));
+        assert!(!is_transient(&io::Error::from(ErrorKind::InvalidData)));
+        assert!(!is_transient(&SinkError::NoBaseFrame { path: "a".into() }));
     }
 
     #[test]
@@ -72,10 +72,10 @@ mod tests {
     fn numbers_of_the_system_are_known() {
         for (number, expected) in [(28, true), (5, true), (116, true), (122, true), (30, true), (2, false), (13, false)]
         {
-            assert_eq!(passes(&io::Error::from_raw_os_error(number)), expected, "{number}");
+            assert_eq!(is_transient(&io::Error::from_raw_os_error(number)), expected, "{number}");
             let source = ffmpeg_the_third::Error::Other { errno: number };
             let video = SinkError::Video { path: "a".into(), doing: "opening", source };
-            assert_eq!(passes(&video), expected, "{number} from libav");
+            assert_eq!(is_transient(&video), expected, "{number} from libav");
         }
     }
 }

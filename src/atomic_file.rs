@@ -1,18 +1,18 @@
-//! Files that take their place whole: whoever looks finds the old one or the new one, never half of one.
+//! Atomic replacement of files: a reader finds the old file or the new one, never half of one.
 
 use std::fs::{self, File};
 use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
 
-/// Writes a file whole, in the place of one that may be there.
+/// Writes a file in one step, replacing any that exists.
 ///
 /// # Errors
-/// The system's, a full disk for example; what was there is still there.
+/// The system's, for example a full disk; the old file is then unchanged.
 pub(crate) fn write(place: &Path, bytes: &[u8]) -> io::Result<()> {
     NewFile::write(place, bytes)?.put_in_place()
 }
 
-/// A new file beside the one whose place it is to take; gone again unless it was [put in place](NewFile::put_in_place).
+/// A new file beside the one that it will replace; removed again unless it was [put in place](NewFile::put_in_place).
 #[derive(Debug)]
 pub(crate) struct NewFile {
     beside: PathBuf,
@@ -20,17 +20,17 @@ pub(crate) struct NewFile {
 }
 
 impl NewFile {
-    /// Writes it as far as the disk.
+    /// Writes it and flushes it to the disk.
     ///
     /// # Errors
-    /// The system's, a full disk for example.
+    /// The system's, for example a full disk.
     pub(crate) fn write(place: &Path, bytes: &[u8]) -> io::Result<Self> {
         let (new, mut file) = Self::begin(place)?;
         file.write_all(bytes).and_then(|()| file.sync_all())?;
         Ok(new)
     }
 
-    /// Opens it, for what is too large to be written at once. Who writes it sees to it that it reaches the disk.
+    /// Opens it, for content too large to write at once. The caller must flush it to the disk.
     ///
     /// # Errors
     /// The system's.
@@ -42,7 +42,7 @@ impl NewFile {
         Ok((new, file))
     }
 
-    /// Takes its place.
+    /// Replaces the old file.
     ///
     /// # Errors
     /// The system's.
@@ -53,7 +53,7 @@ impl NewFile {
 
 impl Drop for NewFile {
     fn drop(&mut self) {
-        // In place it is no longer here; where it was never made it cannot be removed either.
+        // Fails when the file is already in place, or was never made.
         let _ = fs::remove_file(&self.beside);
     }
 }

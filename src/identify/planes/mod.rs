@@ -1,0 +1,445 @@
+//! Motion in two planes: from the currents of several coils to both angles, one model for all.
+//!
+//! In: records of both angles and of the coils' currents, on even times ([`Motion`]). Out: [`Planes`]: a model of ARX
+//! form of all outputs and inputs together, fitted by least squares (Ljung, System Identification, 2nd ed., section
+//! 4.2), and the same with fewer states, reduced as one system, so that what both planes share is there once.
+//!
+//! Steps. Means of the fitted records are taken off: the model is about the point around which the catheter moved.
+//! 1. Orders from 1 to the most asked for, `na` = `nb`, are fitted; the order is the one that simulates the judging
+//!    records best, or by minimum description length where there are none.
+//! 2. The model in observer form is balanced for the frequencies that the currents contain, where the records determine
+//!    it, and truncated (`reduce.rs` has the sources).
+//! 3. Simulations begin in the state that fits the record best: what moved before is not known.
+//!
+//! Cannot tell: what is not linear about that point. A side coil along B0 bends nothing by itself; about a bend it
+//! does.
+
+mod arx;
+mod system;
+mod write;
+
+pub(crate) use system::System;
+
+use super::data::Segment;
+use super::recorded::{Observed, RecordedError};
+use super::spectrum::spectrum;
+use crate::series::{Current, Recording};
+use arx::Regression;
+use nalgebra::{DMatrix, DVector};
+use std::f64::consts::{PI, TAU};
+
+/// Angles of the coil's tangent t in the planes x-z and y-z: atan2(t·x, t·z) and atan2(t·y, t·z).
+pub(crate) const OUTPUTS: [&str; 2] = ["theta_x", "theta_y"];
+/// A current that varies by less is held still, amperes.
+const STILL_A: f64 = 1e-6;
+/// Error energy of a reduced model at most, over that of the full one, when the number of states is not given.
+const NEARLY: f64 = 1.25;
+/// Samples for each coefficient of an output.
+const SAMPLES_PER_COEFFICIENT: usize = 5;
+
+/// Why there is no model.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum PlanesError {
+    /// A record.
+    #[error(transparent)]
+    Recorded(#[from] RecordedError),
+    /// Times that are no grid.
+    #[error(transparent)]
+    Grid(#[from] super::grid::GridError),
+    /// No direction of the coil.
+    #[error("{name}: the coil's tangent is in none of its {frames} frames; both angles are taken from it")]
+    NoTangent {
+        /// The record.
+        name: String,
+        /// Its frames.
+        frames: usize,
+    },
+    /// Nothing moves it.
+    #[error("{name}: none of the coils' currents changes; there is nothing to identify from")]
+    Still {
+        /// The record.
+        name: String,
+    },
+    /// Too little data, or currents that cannot be told apart.
+    #[error("{0}")]
+    Undetermined(String),
+    /// A model that cannot be reduced.
+    #[error(
+        "the model of order {order} is not stable, and cannot be reduced: choose a lower --order, or longer records"
+    )]
+    Unstable {
+        /// Its order.
+        order: usize,
+    },
+}
+
+/// A record on even times.
+#[derive(Debug, Clone)]
+pub(crate) struct Motion {
+    pub(crate) name: String,
+    pub(crate) period_s: f64,
+    /// Camera time of the first sample, seconds of the record.
+    pub(crate) start_s: f64,
+    /// A row a sample: mean of each coil's current from it to the next, amperes.
+    pub(crate) input: DMatrix<f64>,
+    /// A row a sample: both angles, radians; NaN where they were not observed.
+    pub(crate) output: DMatrix<f64>,
+}
+
+impl Motion {
+    /// Of a run and its currents; `names` are those of the coils. Commands act `delay_s` later than they say. Before
+    /// the first command no current flows.
+    ///
+    /// # Errors
+    /// [`PlanesError`].
+    pub(crate) fn of(
+        recording: &Recording,
+        (source, currents): (&str, &[Current]),
+        coils: &[usize],
+        delay_s: f64,
+    ) -> Result<Self, PlanesError> {
+        let name = recording.path.display().to_string();
+        let angles = |part: usize| {
+            let mut same = recording.clone();
+            for frame in &mut same.frames {
+                frame.theta_rad = frame.tangent.map(|t| t[part].atan2(t.z));
+            }
+            same
+        };
+        if recording.frames.iter().all(|frame| frame.tangent.is_none()) && !recording.frames.is_empty() {
+            return Err(PlanesError::NoTangent { name, frames: recording.frames.len() });
+        }
+        let observed = [Observed::of(&angles(0))?, Observed::of(&angles(1))?];
+        let [first, _] = &observed;
+        let held = coils.iter().map(|coil| Ok(first.commands(source, currents, *coil)?.zero_before()));
+        let held = held.collect::<Result<Vec<_>, PlanesError>>()?;
+        let Some(one) = held.first() else { return Err(PlanesError::Still { name }) };
+        let series = observed.each_ref().map(|own| own.series(one, None, delay_s));
+        let [a, b] = series;
+        let series = [a?, b?];
+        let grid = super::grid::Grid::of(&name, &series[0].time_s)?;
+        let samples = grid.places.last().map_or(0, |last| last + 1);
+        let start_s = series[0].time_s.first().copied().unwrap_or(0.0);
+        let mut output = DMatrix::from_element(samples, OUTPUTS.len(), f64::NAN);
+        for (column, own) in series.iter().enumerate() {
+            for (place, value) in grid.places.iter().zip(&own.output) {
+                output[(*place, column)] = value.unwrap_or(f64::NAN);
+            }
+        }
+        let at = |place: usize| start_s + place as f64 * grid.period_s - delay_s;
+        let input = DMatrix::from_fn(samples, held.len(), |place, coil| {
+            let held = held.get(coil).and_then(|held| held.mean(at(place), at(place + 1)));
+            held.unwrap_or(0.0)
+        });
+        Ok(Self { name, period_s: grid.period_s, start_s, input, output })
+    }
+
+    /// Less these means.
+    fn about(&self, mean: &Means) -> Self {
+        let mut same = self.clone();
+        same.input.row_iter_mut().for_each(|mut row| row -= mean.input.transpose());
+        same.output.row_iter_mut().for_each(|mut row| row -= mean.output.transpose());
+        same
+    }
+
+    /// Samples of which both angles are known.
+    fn seen(&self) -> impl Iterator<Item = usize> + '_ {
+        (0..self.output.nrows()).filter(|row| self.output.row(*row).iter().all(|v| v.is_finite()))
+    }
+}
+
+/// The point that a model is about.
+#[derive(Debug, Clone)]
+pub(crate) struct Means {
+    pub(crate) input: DVector<f64>,
+    pub(crate) output: DVector<f64>,
+}
+
+/// What to fit.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Settings {
+    /// Lowest and highest order to try.
+    pub(crate) orders: (usize, usize),
+    /// Delay, samples, one at least.
+    pub(crate) delay: usize,
+    /// States to keep; `None`: as few as simulate the fitted records nearly as well as all.
+    pub(crate) keep: Option<usize>,
+}
+
+/// How well a model simulates a record.
+#[derive(Debug, Clone)]
+pub(crate) struct RecordFit {
+    pub(crate) name: String,
+    /// Whether it was fitted.
+    pub(crate) fitted: bool,
+    /// Energy of the error as a part of the angle's about its mean, percent: of each output, by the full model and by
+    /// the reduced one.
+    pub(crate) full: [f64; 2],
+    pub(crate) reduced: [f64; 2],
+    /// Simulated angles, radians.
+    pub(crate) full_rad: DMatrix<f64>,
+    pub(crate) reduced_rad: DMatrix<f64>,
+}
+
+/// What came out.
+#[derive(Debug, Clone)]
+pub(crate) struct Planes {
+    pub(crate) period_s: f64,
+    /// Order and delay of the fitted model.
+    pub(crate) order: usize,
+    pub(crate) delay: usize,
+    /// Coefficients of each output.
+    pub(crate) coefficients: usize,
+    /// Orders tried, and what each came to: error of the judging records' simulation, percent, or the description
+    /// length.
+    pub(crate) tried: Vec<(usize, f64)>,
+    /// What `tried` is of.
+    pub(crate) by_simulation: bool,
+    pub(crate) means: Means,
+    pub(crate) full: System,
+    pub(crate) reduced: System,
+    /// Hankel singular values of the full model in the band that the currents excite, the largest first.
+    pub(crate) hankel: Vec<f64>,
+    /// σ of the equation's residual, radians, by output.
+    pub(crate) residual_rad: [f64; 2],
+    pub(crate) judged: Vec<RecordFit>,
+}
+
+/// Columns of the coils that move in any record.
+pub(crate) fn moving(records: &[Motion]) -> Vec<usize> {
+    let coils = records.first().map_or(0, |record| record.input.ncols());
+    let moves = |coil: &usize| {
+        records.iter().any(|record| {
+            let column = record.input.column(*coil);
+            column.max() - column.min() > STILL_A
+        })
+    };
+    (0..coils).filter(moves).collect()
+}
+
+/// Fits and reduces.
+///
+/// # Errors
+/// [`PlanesError`].
+pub(crate) fn identify(training: &[Motion], judging: &[Motion], settings: Settings) -> Result<Planes, PlanesError> {
+    let undetermined = |what: String| PlanesError::Undetermined(what);
+    let Some(first) = training.first() else { return Err(undetermined("there is no record".to_owned())) };
+    let means = means(training);
+    let fitted: Vec<Motion> = training.iter().map(|record| record.about(&means)).collect();
+    let judging: Vec<Motion> = judging.iter().map(|record| record.about(&means)).collect();
+    let (coils, outputs) = (first.input.ncols(), OUTPUTS.len());
+    let seen: usize = fitted.iter().map(|record| record.seen().count()).sum();
+    let most = (seen / SAMPLES_PER_COEFFICIENT / (coils + outputs)).min(settings.orders.1);
+    if most < settings.orders.0 {
+        return Err(undetermined(format!(
+            "{seen} samples of both angles are too few for order {} with {coils} coils: {} at least",
+            settings.orders.0,
+            settings.orders.0 * SAMPLES_PER_COEFFICIENT * (coils + outputs)
+        )));
+    }
+    // 1. orders
+    let regression = Regression::of(&fitted, most, settings.delay);
+    let mut tried = Vec::new();
+    let mut best: Option<(f64, arx::Fitted)> = None;
+    for order in settings.orders.0..=most {
+        let Some(found) = regression.fit(order) else { continue };
+        let cost = if judging.is_empty() {
+            found.description_length
+        } else {
+            error_percent(&found.system, &judging).unwrap_or(f64::INFINITY)
+        };
+        tried.push((order, cost));
+        if cost.is_finite() && best.as_ref().is_none_or(|(least, _)| cost < *least) {
+            best = Some((cost, found));
+        }
+    }
+    let Some((_, found)) = best else {
+        return Err(undetermined(
+            "the records do not tell the coils apart: their currents depend on each other, or move too little; let each of \
+             them change on its own (catoptra excite multisine, with other seeds)"
+                .to_owned(),
+        ));
+    };
+    // 2. fewer states, together
+    let unstable = || PlanesError::Unstable { order: found.order };
+    let in_band = found.system.balanced(Some(excited(&fitted))).ok_or_else(unstable)?;
+    // What is balanced for a band may become unstable.
+    let reduce = |keep: usize| {
+        let reduced = found.system.truncated(&in_band, keep);
+        if reduced.is_stable() {
+            Some(reduced)
+        } else {
+            Some(found.system.truncated(&found.system.balanced(None)?, keep))
+        }
+    };
+    let reduced = match settings.keep {
+        Some(keep) => reduce(keep).ok_or_else(unstable)?,
+        None => {
+            let enough = error_percent(&found.system, &fitted).ok_or_else(unstable)? * NEARLY;
+            let mut candidates = (outputs..found.system.order()).filter_map(reduce);
+            let near = |system: &System| error_percent(system, &fitted).is_some_and(|error| error <= enough);
+            candidates.find(near).unwrap_or_else(|| found.system.clone())
+        }
+    };
+    // 3. what they are worth
+    let judge = |record: &Motion, fitted: bool| {
+        let (full, small) = (found.system.simulated(record)?, reduced.simulated(record)?);
+        let about = |mut rad: DMatrix<f64>| {
+            rad.row_iter_mut().for_each(|mut row| row += means.output.transpose());
+            rad
+        };
+        Some(RecordFit {
+            name: record.name.clone(),
+            fitted,
+            full: percent(record, &full),
+            reduced: percent(record, &small),
+            full_rad: about(full),
+            reduced_rad: about(small),
+        })
+    };
+    let all = fitted.iter().map(|record| (record, true)).chain(judging.iter().map(|record| (record, false)));
+    let judged = all.map(|(record, fitted)| judge(record, fitted)).collect::<Option<Vec<_>>>();
+    Ok(Planes {
+        period_s: first.period_s,
+        order: found.order,
+        delay: settings.delay,
+        coefficients: found.coefficients,
+        tried,
+        by_simulation: !judging.is_empty(),
+        judged: judged.ok_or_else(unstable)?,
+        residual_rad: found.residual_rad,
+        full: found.system,
+        means,
+        reduced,
+        hankel: in_band.values,
+    })
+}
+
+/// Mean error of the simulation over records and outputs; `None` when one grows without end.
+fn error_percent(system: &System, records: &[Motion]) -> Option<f64> {
+    let error = |record: &Motion| {
+        let all = percent(record, &system.simulated(record)?);
+        Some(all.iter().sum::<f64>() / all.len() as f64)
+    };
+    let all = records.iter().map(error).collect::<Option<Vec<f64>>>()?;
+    Some(all.iter().sum::<f64>() / all.len().max(1) as f64)
+}
+
+/// The frequencies that contain the energy of the currents, of any coil, radians per sample; all when the records are too
+/// short to say.
+fn excited(records: &[Motion]) -> (f64, f64) {
+    let coils = records.first().map_or(0, |record| record.input.ncols());
+    let bands = (0..coils).filter_map(|coil| {
+        let segment = |record: &Motion| Segment {
+            first: 0,
+            start_s: 0.0,
+            instrument: None,
+            input: record.input.column(coil).iter().copied().collect(),
+            output: record.output.column(0).iter().copied().collect(),
+            from_rest: false,
+        };
+        // A sample as the unit of time.
+        spectrum(&records.iter().map(segment).collect::<Vec<_>>(), 1.0).map(|found| found.excited_hz)
+    });
+    let widest = bands.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)));
+    widest.map_or((0.0, PI), |(low, high)| (TAU * low, TAU * high))
+}
+
+fn means(records: &[Motion]) -> Means {
+    let (coils, outputs) = records.first().map_or((0, 0), |first| (first.input.ncols(), first.output.ncols()));
+    let (mut input, mut output, mut count) = (DVector::zeros(coils), DVector::zeros(outputs), 0.0);
+    for record in records {
+        for row in record.seen() {
+            input += record.input.row(row).transpose();
+            output += record.output.row(row).transpose();
+            count += 1.0;
+        }
+    }
+    Means { input: input / f64::max(count, 1.0), output: output / f64::max(count, 1.0) }
+}
+
+/// Energy of the error, percent of the output's own about its mean.
+fn percent(record: &Motion, simulated: &DMatrix<f64>) -> [f64; 2] {
+    std::array::from_fn(|output| {
+        let (measured, model) = (record.output.column(output), simulated.column(output));
+        let pairs = || measured.iter().zip(model.iter()).filter(|(y, _)| y.is_finite());
+        let mean = pairs().map(|(y, _)| y).sum::<f64>() / pairs().count().max(1) as f64;
+        let error: f64 = pairs().map(|(y, m)| (y - m).powi(2)).sum();
+        100.0 * error / pairs().map(|(y, _)| (y - mean).powi(2)).sum::<f64>()
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::random::Random;
+
+    /// Two coupled oscillators, two inputs: the truth of these tests.
+    fn truth() -> System {
+        let turn = |size: f64, angle: f64| [size * angle.cos(), size * angle.sin()];
+        let ([a, b], [c, d]) = (turn(0.95, 0.2), turn(0.9, 0.45));
+        #[rustfmt::skip]
+        let a = DMatrix::from_row_slice(4, 4, &[
+            a, b, 0.02, 0.0,
+            -b, a, 0.0, 0.01,
+            0.0, 0.0, c, d,
+            0.0, 0.0, -d, c,
+        ]);
+        let b = DMatrix::from_row_slice(4, 2, &[0.3, 0.0, 0.1, 0.05, 0.0, 0.4, 0.05, -0.2]);
+        let c = DMatrix::from_row_slice(2, 4, &[1.0, 0.2, 0.1, 0.0, -0.1, 0.0, 1.0, 0.3]);
+        System { a, b, c }
+    }
+
+    fn record(samples: usize, noise: f64, seed: u64) -> Motion {
+        let mut random = Random::new(seed);
+        let mut held = [0.0; 2];
+        let input = DMatrix::from_fn(2, samples, |coil, _| {
+            if random.uniform() < 0.2 {
+                held[coil] = random.normal();
+            }
+            held[coil]
+        });
+        let mut record = Motion {
+            name: "made up".to_owned(),
+            period_s: 1.0 / 60.0,
+            start_s: 0.0,
+            input: input.transpose(),
+            output: DMatrix::zeros(samples, 2),
+        };
+        record.output = truth().run(&DVector::zeros(4), &record.input);
+        record.output.iter_mut().for_each(|y| *y += noise * random.normal());
+        // A frame in forty is missing.
+        (0..samples).filter(|k| k % 40 == 17).for_each(|k| record.output[(k, 0)] = f64::NAN);
+        record
+    }
+
+    #[test]
+    fn a_system_of_four_states_is_found_with_its_response() {
+        let settings = Settings { orders: (1, 6), delay: 1, keep: Some(4) };
+        let found = identify(&[record(3000, 1e-3, 1)], &[record(1500, 1e-3, 2)], settings).unwrap();
+        assert!(
+            found.judged.iter().all(|j| j.full.iter().chain(&j.reduced).all(|p| *p < 0.1)),
+            "{:?}",
+            found.judged[1].full
+        );
+        assert!(found.hankel[3] / found.hankel[4..].first().copied().unwrap_or(1e-9) > 5.0, "{:?}", found.hankel);
+        for omega in [0.0, 0.05, 0.2, 0.45, 1.0] {
+            let (near, exact) = (found.reduced.response(omega).unwrap(), truth().response(omega).unwrap());
+            let size = exact.iter().map(|v| v.norm()).fold(0.0, f64::max);
+            let off = (near - exact).iter().map(|v| v.norm()).fold(0.0, f64::max);
+            assert!(off < 0.03 * size, "{omega}: {off} of {size}");
+        }
+    }
+
+    #[test]
+    fn currents_that_go_together_are_not_told_apart() {
+        let mut same = record(2000, 1e-3, 3);
+        let first = same.input.column(0).into_owned();
+        same.input.set_column(1, &first);
+        let error = identify(&[same], &[], Settings { orders: (1, 4), delay: 1, keep: Some(4) }).unwrap_err();
+        assert!(error.to_string().contains("do not tell the coils apart"), "{error}");
+        let few =
+            identify(&[record(30, 1e-3, 4)], &[], Settings { orders: (4, 6), delay: 1, keep: Some(4) }).unwrap_err();
+        assert!(few.to_string().contains("too few for order 4"), "{few}");
+    }
+}

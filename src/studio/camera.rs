@@ -1,0 +1,134 @@
+//! A camera that runs while pictures of a board are taken: its newest frame, and nothing else of it.
+
+use super::{Refusal, Reply, shown};
+use crate::calibrate::board::BoardImage;
+use crate::sink::ToBgr;
+use crate::source::{Frame, FrameSource};
+use base64::prelude::{BASE64_STANDARD, Engine as _};
+use serde::Deserialize;
+use serde_json::{Value, json};
+use std::io;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::{Builder, JoinHandle};
+use std::time::Instant;
+
+/// Pictures that are looked at are no wider, pixels.
+const WIDTH_PX: u32 = 960;
+
+/// A camera that runs until this is dropped.
+pub(crate) struct Camera {
+    name: String,
+    size_px: [u32; 2],
+    newest: Arc<Mutex<Newest>>,
+    to_bgr: Mutex<ToBgr>,
+    looked: Mutex<Option<SearchedFrame>>,
+    /// The flag that the source watches, too.
+    stop: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+/// A frame in which a board was looked for, and what was in it.
+pub(super) struct SearchedFrame {
+    pub(super) frame: Arc<Frame>,
+    pub(super) images: Vec<BoardImage>,
+    /// When the board was seen for the first time where it is now.
+    pub(super) since: Instant,
+}
+
+#[derive(Default)]
+struct Newest {
+    frame: Option<Arc<Frame>>,
+    /// Why there are no more, when that is so.
+    ended: Option<String>,
+}
+
+impl Camera {
+    /// Takes frames out of `source`, which watches `stop`.
+    ///
+    /// # Errors
+    /// When the system gives no thread.
+    pub(crate) fn start(
+        name: &str,
+        mut source: Box<dyn FrameSource + Send>,
+        stop: &Arc<AtomicBool>,
+    ) -> io::Result<Self> {
+        let newest = Arc::new(Mutex::new(Newest::default()));
+        let size_px = source.size_px();
+        let (shared, flag) = (Arc::clone(&newest), Arc::clone(stop));
+        let thread = Builder::new().name("camera".to_owned()).spawn(move || {
+            let ended = loop {
+                if flag.load(Ordering::Relaxed) {
+                    break "the studio has ended".to_owned();
+                }
+                match source.next_frame() {
+                    Ok(Some(frame)) => lock(&shared).frame = Some(Arc::new(frame)),
+                    Ok(None) => break "it has ended; its last picture is shown".to_owned(),
+                    Err(error) => break error.to_string(),
+                }
+            };
+            lock(&shared).ended = Some(ended);
+        })?;
+        let (name, stop) = (name.to_owned(), Arc::clone(stop));
+        let (to_bgr, looked) = (Mutex::default(), Mutex::default());
+        Ok(Self { name, size_px, newest, to_bgr, looked, stop, thread: Some(thread) })
+    }
+
+    /// What does not change.
+    pub(super) fn about(&self) -> Value {
+        json!({ "name": self.name, "size": self.size_px })
+    }
+
+    /// The newest frame.
+    pub(super) fn newest(&self) -> Result<Arc<Frame>, Refusal> {
+        let newest = lock(&self.newest);
+        let none = || {
+            let why = newest.ended.as_deref().unwrap_or("no picture has come yet");
+            Refusal { status: 503, words: format!("{}: {why}", self.name) }
+        };
+        newest.frame.clone().ok_or_else(none)
+    }
+
+    /// The frame that was looked at last.
+    pub(super) fn looked(&self) -> MutexGuard<'_, Option<SearchedFrame>> {
+        lock(&self.looked)
+    }
+
+    /// Its picture, whole.
+    pub(super) fn rgb(&self, frame: &Frame) -> Result<image::RgbImage, Refusal> {
+        shown::rgb(&mut lock(&self.to_bgr), &frame.picture)
+    }
+
+    /// The newest picture, scaled; nothing when the page has it.
+    pub(super) fn look(&self, asked: &LookAsked) -> Result<Reply, Refusal> {
+        let frame = self.newest()?;
+        let ended = lock(&self.newest).ended.clone();
+        if asked.after == Some(frame.seq) && ended.is_none() {
+            return Ok(Reply::Nothing);
+        }
+        let jpeg = shown::jpeg(&mut lock(&self.to_bgr), &frame.picture, Some(WIDTH_PX))?;
+        Ok(Reply::Json(json!({ "seq": frame.seq, "jpeg": BASE64_STANDARD.encode(jpeg), "ended": ended })))
+    }
+}
+
+impl Drop for Camera {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Relaxed);
+        // What is asleep in a driver is not waited for: the process ends soon.
+        if let Some(thread) = self.thread.take().filter(JoinHandle::is_finished) {
+            // A panic there is told by the thread itself.
+            let _ = thread.join();
+        }
+    }
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct LookAsked {
+    /// Number of the picture that the page has.
+    after: Option<u64>,
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
