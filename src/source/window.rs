@@ -60,6 +60,13 @@ impl Window {
         Self { x0: down(self.x0), y0: down(self.y0), x1: up(self.x1), y1: up(self.y1) }
     }
 
+    /// Without a frame of `by_px` on all sides; what is left may be empty.
+    pub(crate) fn shrunk(&self, by_px: u32) -> Self {
+        let [x0, y0] = [self.x0, self.y0].map(|v| v.saturating_add(by_px));
+        let [x1, y1] = [self.x1, self.y1].map(|v| v.saturating_sub(by_px));
+        Self { x0, y0, x1: x1.max(x0), y1: y1.max(y0) }
+    }
+
     /// The rest of it without `others`: rectangles that do not overlap.
     pub(crate) fn without<'a>(&self, others: impl IntoIterator<Item = &'a Self>) -> Vec<Self> {
         let mut left = vec![*self];
@@ -116,6 +123,8 @@ mod tests {
         let window = Window { x0: 3, y0: 9, x1: 13, y1: 16 };
         assert_eq!(window.grown(2, 4), Window { x0: 0, y0: 4, x1: 16, y1: 20 });
         assert_eq!(window.grown(0, 1), window);
+        assert_eq!(window.shrunk(3), Window { x0: 6, y0: 12, x1: 10, y1: 13 });
+        assert_eq!(window.shrunk(4).pixels(), 0);
         assert_eq!(window.grown(2, 4).clipped([14, 18]), Window { x0: 0, y0: 4, x1: 14, y1: 18 });
     }
 }

@@ -7,8 +7,8 @@
 use crate::estimate::{BandObservation, Estimate, MarkerEstimate, Miss, Position, Spot, Tangent};
 use crate::optics::OpticalPath;
 use crate::rig::Rig;
-use crate::segment::{Blob, SegmentError, Segmenter};
-use crate::source::{Frame, Timestamp, Transfer};
+use crate::segment::{Blob, Search, SegmentError, Segmenter};
+use crate::source::{Frame, NotRecorded, Timestamp, Transfer, Window};
 use crate::track::appearance::{FIXED, PER_SEGMENT};
 use crate::track::assign::{Assigned, Assigner, direction_of_axes};
 use crate::track::coil::deflection;
@@ -48,6 +48,9 @@ const MAX_SIZE_TERM: f64 = 3.0;
 
 /// Motion blur beyond which blobs may mislead the fit: variance, px², of a motion by two pixels.
 const BLURRED_PX2: f64 = 4.0 / 12.0;
+
+/// What a search reads around its window: a cell of two pixels on each side, and what rounds both to whole cells.
+const RING_PX: u32 = 4;
 
 /// Half-life of observed chroma slips, frames.
 const SLIP_FRAMES: f64 = 20.0;
@@ -256,9 +259,24 @@ impl Tracker {
                 return Ok(Found { blobs, assigned });
             }
         }
-        let blobs = self.segmenter.all_blobs(picture)?.to_vec();
+        let blobs = match self.segmenter.all_blobs(picture) {
+            Err(SegmentError::NotRecorded(why)) => return self.find_in_parts(frame, why),
+            blobs => blobs?.to_vec(),
+        };
         let assigned = self.assigner.assign(&self.rig, &blobs, frame.stamp);
         Ok(Found { blobs, assigned })
+    }
+
+    /// Bands that lie whole in the parts of a picture that were recorded: how a log is followed whose beginning is lost
+    /// or left out. It counts only when all are there: no other tells what is behind what was not recorded.
+    fn find_in_parts(&mut self, frame: &Frame, why: NotRecorded) -> Result<Found, SegmentError> {
+        let inner = |part: &Window| Search { marker: None, view: None, window: part.shrunk(RING_PX) };
+        let searches = frame.picture.recorded().unwrap_or_default().iter().map(inner);
+        let searches: Vec<_> = searches.filter(|search| search.window.pixels() > 0).collect();
+        let mut blobs = self.segmenter.blobs(&frame.picture, &searches)?.to_vec();
+        blobs.retain(|blob| !blob.touches_border);
+        let assigned = self.assigner.assign(&self.rig, &blobs, frame.stamp);
+        if assigned.iter().all(Result::is_ok) { Ok(Found { blobs, assigned }) } else { Err(why.into()) }
     }
 
     fn fit_groups(&self, frame: &Frame, blobs: &[Blob], assigned: &[Result<Assigned, Miss>]) -> Vec<Fitted> {
