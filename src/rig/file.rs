@@ -72,6 +72,8 @@ pub(super) struct MarkerFile {
     pub name: String,
     pub length_mm: f64,
     pub centre_mm: Option<f64>,
+    #[serde(default)]
+    pub usual_residuals: Vec<f64>,
     /// One model for all views, as in rig files before `colours`.
     pub colour: Option<ColourFile>,
     #[serde(default)]

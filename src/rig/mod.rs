@@ -170,6 +170,9 @@ pub struct Marker {
     pub centre_m: Option<f64>,
     /// Colour models, once learned: one for each view, or one for all; empty before that.
     pub colours: Vec<ColourModel>,
+    /// How well the tube's model fits its pictures in each view, once learned: root mean square residual, grey values;
+    /// empty before that, and for a band that is not fitted by itself.
+    pub usual_residuals: Vec<f64>,
 }
 
 impl Marker {

@@ -332,6 +332,13 @@ impl Check<'_> {
                 return Err(self.value(key("centre_mm"), centre, expected));
             }
         }
+        for residual in &raw.usual_residuals {
+            self.positive(key("usual_residuals"), *residual)?;
+        }
+        if !raw.usual_residuals.is_empty() && raw.usual_residuals.len() != views.len() {
+            let expected = format!("{} numbers, one for each view", views.len());
+            return Err(self.value(key("usual_residuals"), format_args!("{:?}", raw.usual_residuals), expected));
+        }
         if let Some(colour) = &raw.colour {
             self.within(key("colour.discriminant_rgb"), &colour.discriminant_rgb, LARGEST_WEIGHT)?;
             self.within(key("colour.bias"), &[colour.bias], 1e3 * LARGEST_WEIGHT)?;
@@ -354,6 +361,7 @@ impl Check<'_> {
             length_m: raw.length_mm / 1e3,
             centre_m: raw.centre_mm.map(|centre| centre / 1e3),
             colours,
+            usual_residuals: raw.usual_residuals,
             name: raw.name,
         })
     }

@@ -21,6 +21,7 @@ pub(crate) fn rig() -> Rig {
         region_px: Vec::new(),
     };
     let marker = |name: &str, length_m: f64, rgb: Option<[f64; 3]>| Marker {
+        usual_residuals: Vec::new(),
         name: name.to_owned(),
         length_m,
         centre_m: None,

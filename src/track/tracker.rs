@@ -134,7 +134,7 @@ impl Tracker {
             transfer,
             slip: Seen::default(),
             mean_slip_px: Vector2::zeros(),
-            usual: Usual::new(rig),
+            usual: Usual::learned(rig),
             usual_size: Usual::new(rig),
             before: vec![None; rig.markers.len()],
             scatter: vec![Scatter::default(); rig.markers.len() + 1],
@@ -202,6 +202,12 @@ impl Tracker {
             }
         }
         Ok(estimate)
+    }
+
+    /// The residual that is usual for a band in each view, RMS in grey values; empty while too few frames were measured,
+    /// and for a band that is fitted together with another.
+    pub(crate) fn usual_residuals(&self, marker: usize) -> Vec<f64> {
+        self.usual.values(marker).unwrap_or_default()
     }
 
     /// How badly the tube's model fits the picture around the bands (mean ln σ² of the residuals, all groups of equal
@@ -303,6 +309,11 @@ impl Tracker {
         }
         let variance_px2 = self.slip.variance_px2();
         self.mean_slip_px = self.slip.mean_px();
+        let residuals = fitted.iter().flat_map(|Fitted { group, views, result }| {
+            let of_views = result.iter().flat_map(|fit| &fit.views);
+            views.iter().zip(of_views).map(|(v, view)| (group.reference, *v, view.rms))
+        });
+        let common = self.usual.common(residuals);
         for Fitted { group, views, result } in fitted {
             let Ok(fit) = result else { continue };
             fit.covariance += fit.slip_covariance * variance_px2;
@@ -316,8 +327,8 @@ impl Tracker {
             let sizes: Vec<_> = views.iter().zip(&fit.views).map(|(&v, view)| missing(v, view)).collect();
             let signs = views.iter().zip(&fit.views).zip(&sizes).map(|((&v, view), size)| {
                 let of_size =
-                    size.map_or(0.0, |size| self.usual_size.above(group.reference, v, size)).min(MAX_SIZE_TERM);
-                self.usual.above(group.reference, v, view.rms).hypot(of_size)
+                    size.map_or(0.0, |size| self.usual_size.above(group.reference, v, size, 0.0)).min(MAX_SIZE_TERM);
+                self.usual.above(group.reference, v, view.rms, common).hypot(of_size)
             });
             let signs: Vec<f64> = signs.collect();
             if signs.iter().map(|sign| sign * sign).sum::<f64>().sqrt() > MAX_UNUSUAL_SD

@@ -3,20 +3,30 @@
 //!
 //! An object in front of part of a band, or a coder that did not follow it, leaves residuals that the model cannot
 //! explain, or shows less of the band, and shifts it by more than noise would. The logarithm of each quantity is
-//! compared with those of earlier frames and their scatter.
+//! compared with those of earlier frames and their scatter. Residuals of a run's first frames are compared with those
+//! that were learned with the rig, apart from a factor common to all bands and views: noise and coding differ between
+//! recordings, an object in front of one band does not.
 //!
-//! Cannot detect: anything present from the first frame on, or that looks like the band.
+//! Cannot detect: what looks like the band; and, with a rig that has no learned residuals, anything present from the
+//! first frame on.
 
 use crate::rig::Rig;
 
 /// Frames before the first comparison, and frames to average over.
 const MIN_FRAMES: f64 = 8.0;
 const AVERAGED_FRAMES: f64 = 60.0;
+/// Frames for which what was learned counts, at most: what lasts longer is how this recording is.
+const COMPARED_FRAMES: u32 = 30;
+/// Standard deviation of ln(residual) about what was learned.
+const LEARNED_SD: f64 = 0.12;
 /// Least standard deviation assumed: 5 % or less is chance.
 const MIN_SD: f64 = 0.05;
 
 #[derive(Debug, Clone, Copy, Default)]
 struct Level {
+    /// What was learned with the rig, and how often it was asked for.
+    learned: Option<f64>,
+    compared: u32,
     frames: f64,
     mean: f64,
     variance: f64,
@@ -33,14 +43,47 @@ impl Usual {
         Self { levels: vec![vec![Level::default(); rig.views.len()]; rig.markers.len()] }
     }
 
-    /// Standard deviations by which a value exceeds the usual one; 0 below it, and while too little is known.
-    pub(crate) fn above(&self, marker: usize, view: usize, value: f64) -> f64 {
-        match self.levels.get(marker).and_then(|views| views.get(view)) {
-            Some(level) if level.frames >= MIN_FRAMES => {
-                ((value.ln() - level.mean) / level.variance.sqrt().max(MIN_SD)).max(0.0)
-            }
-            _ => 0.0,
-        }
+    /// The same, beginning with the residuals that were learned with the rig.
+    pub(crate) fn learned(rig: &Rig) -> Self {
+        let level = |m: usize, v: usize| Level {
+            learned: rig.markers[m].usual_residuals.get(v).map(|residual| residual.ln()),
+            ..Level::default()
+        };
+        let levels = |m: usize| (0..rig.views.len()).map(|v| level(m, v)).collect();
+        Self { levels: (0..rig.markers.len()).map(levels).collect() }
+    }
+
+    /// ln of the factor by which all values of a frame exceed what was learned: that of the smallest. 0 if nothing was.
+    pub(crate) fn common(&self, values: impl Iterator<Item = (usize, usize, f64)>) -> f64 {
+        let beyond = values.filter_map(|(m, v, value)| Some(value.ln() - self.level(m, v)?.learned?));
+        beyond.min_by(f64::total_cmp).unwrap_or(0.0)
+    }
+
+    /// Standard deviations by which a value exceeds the usual one, where all values of the frame exceed what was learned
+    /// by `common`; 0 below it, and while too little is known.
+    pub(crate) fn above(&mut self, marker: usize, view: usize, value: f64, common: f64) -> f64 {
+        let Some(level) = self.levels.get_mut(marker).and_then(|views| views.get_mut(view)) else { return 0.0 };
+        let (mean, sd) = if level.frames >= MIN_FRAMES {
+            (level.mean, level.variance.sqrt().max(MIN_SD))
+        } else if let Some(learned) = level.learned
+            && level.compared < COMPARED_FRAMES
+        {
+            level.compared += 1;
+            (learned + common, LEARNED_SD)
+        } else {
+            return 0.0;
+        };
+        ((value.ln() - mean) / sd).max(0.0)
+    }
+
+    /// The usual value of a marker in each view; `None` where too little is known.
+    pub(crate) fn values(&self, marker: usize) -> Option<Vec<f64>> {
+        let value = |level: &Level| (level.frames >= MIN_FRAMES).then(|| level.mean.exp());
+        self.levels.get(marker)?.iter().map(value).collect()
+    }
+
+    fn level(&self, marker: usize, view: usize) -> Option<&Level> {
+        self.levels.get(marker)?.get(view)
     }
 
     /// Adds an accepted value.
@@ -61,11 +104,28 @@ mod tests {
     #[test]
     fn what_is_twice_the_usual_is_too_much_and_scatter_is_not() {
         let mut usual = Usual::new(&fixture::rig());
-        assert!(usual.above(1, 0, 100.0) < 1e-12, "nothing is known yet");
+        assert!(usual.above(1, 0, 100.0, 0.0) < 1e-12 && usual.values(1).is_none(), "nothing is known yet");
         for i in 0..40 {
             usual.add(1, 0, 4.0 + 0.4 * f64::from(i * 7 % 5 - 2));
         }
-        assert!(usual.above(1, 0, 5.2) < 4.0 && usual.above(1, 0, 8.0) > 4.0);
-        assert!(usual.above(1, 1, 8.0) < 1e-12 && usual.above(9, 9, 8.0) < 1e-12);
+        assert!(usual.above(1, 0, 5.2, 0.0) < 4.0 && usual.above(1, 0, 8.0, 0.0) > 4.0);
+        assert!(usual.above(1, 1, 8.0, 0.0) < 1e-12 && usual.above(9, 9, 8.0, 0.0) < 1e-12);
+    }
+
+    #[test]
+    fn the_first_frames_are_compared_with_what_was_learned() {
+        let mut rig = fixture::rig();
+        rig.markers[1].usual_residuals = vec![4.0, 5.0];
+        let mut usual = Usual::learned(&rig);
+        // Twice the noise in both views is a noisy recording; in one, something is in front of the band.
+        let common = usual.common([(1, 0, 8.0), (1, 1, 10.5), (0, 0, 90.0)].into_iter());
+        assert!(usual.above(1, 0, 8.0, common) < 0.1 && usual.above(1, 1, 10.5, common) < 1.0);
+        let common = usual.common([(1, 0, 4.2), (1, 1, 9.4)].into_iter());
+        assert!(usual.above(1, 1, 9.4, common) > 4.5 && usual.above(1, 0, 4.2, common) < 0.1);
+        // What lasts is how this recording is; and what was seen counts more than what was learned.
+        assert!((0..40).map(|_| usual.above(1, 1, 9.4, common)).next_back() == Some(0.0));
+        (0..8).for_each(|_| usual.add(1, 0, 8.0));
+        assert!(usual.above(1, 0, 8.1, 0.0) < 1.0 && (usual.levels[1][0].mean.exp() - 8.0).abs() < 1e-9);
+        assert!(usual.values(1).is_none() && usual.values(0).is_none(), "not known in all views");
     }
 }

@@ -49,6 +49,7 @@ pub(crate) fn rig() -> Rig {
     };
     let views = vec![view("direct", &["front_wall"]), view("mirror", &["side_mirror", "side_wall"])];
     let marker = |name: &str, length_mm: f64, centre_mm: f64| Marker {
+        usual_residuals: Vec::new(),
         name: name.into(),
         length_m: length_mm * 1e-3,
         centre_m: Some(centre_mm * 1e-3),

@@ -119,6 +119,7 @@ impl Teaching {
         rig.camera.exposure_s = options.exposure_s;
         rig.camera.gamma = None;
         rig.markers.iter_mut().for_each(|marker| marker.colours.clear());
+        rig.markers.iter_mut().for_each(|marker| marker.usual_residuals.clear());
         Self {
             rig,
             picks: picks.to_vec(),
@@ -162,7 +163,11 @@ impl Teaching {
         if let Ok(views) = learn_everywhere(rig, frames) {
             self.views = views;
         }
-        let estimates = track(rig, frames)?;
+        let mut tracker = Tracker::new(rig, TrackOptions::default())?;
+        let estimates = frames.iter().map(|frame| tracker.step(frame)).collect::<Result<Vec<_>, _>>()?;
+        for (m, marker) in rig.markers.iter_mut().enumerate() {
+            marker.usual_residuals = tracker.usual_residuals(m);
+        }
         let answered = |m: usize| estimates.iter().filter(|e| e.markers[m].position.is_ok()).count();
         let first_miss = |m: usize| estimates.iter().find_map(|e| e.markers[m].position.as_ref().err().cloned());
         let markers = 0..rig.markers.len();

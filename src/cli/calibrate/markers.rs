@@ -262,6 +262,7 @@ pub(super) fn rig_with_picks(args: &MarkersArgs) -> Result<Rig, Failure> {
         length_m,
         centre_m: centre_m(name),
         colours: Vec::new(),
+        usual_residuals: Vec::new(),
     };
     draft.markers = bands.iter().map(marker).collect();
     draft.catheter = Some(catheter);
