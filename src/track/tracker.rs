@@ -52,6 +52,9 @@ const BLURRED_PX2: f64 = 4.0 / 12.0;
 /// What a search reads around its window: a cell of two pixels on each side, and what rounds both to whole cells.
 const RING_PX: u32 = 4;
 
+/// A residual that exceeds the usual by this factor may be that of a fit that went astray.
+const UNUSUAL_RESIDUAL: f64 = 1.35;
+
 /// Half-life of observed chroma slips, frames.
 const SLIP_FRAMES: f64 = 20.0;
 
@@ -390,17 +393,35 @@ impl Tracker {
         };
         let start = TubeShape::straight(reference.point, &direction, group.straight_half_m);
         let first = fit_from(&start);
-        // Blurred or half-hidden blobs tell little about the direction: the previous one may be closer.
-        let unsure = match &first {
-            Ok(fit) => fit.views.iter().any(|view| view.image.at_arc(0.0).swept.sum() > BLURRED_PX2),
-            Err(miss) => matches!(miss, Miss::PoorFit { .. } | Miss::NotConverged),
+        // Blurred or half-hidden blobs tell little about the direction: the previous one may be closer, or the way from
+        // the band before.
+        let blurred = |fit: &TubeFit| fit.views.iter().any(|view| view.image.at_arc(0.0).swept.sum() > BLURRED_PX2);
+        let unusual = |fit: &TubeFit| {
+            let ratios = views.iter().zip(&fit.views).map(|(v, view)| self.usual.ratio(group.reference, *v, view.rms));
+            ratios.fold(0.0, f64::max) > UNUSUAL_RESIDUAL
         };
-        let Some((before, _)) = before.filter(|_| unsure) else { return first };
-        match (first, fit_from(&TubeShape { centre: reference.point, ..before.clone() })) {
-            (Ok(first), Ok(second)) if second.misfit < first.misfit => Ok(second),
-            (Err(_), Ok(second)) => Ok(second),
-            (first, _) => first,
-        }
+        let (blurred, unusual) = match &first {
+            Ok(fit) => (blurred(fit), unusual(fit)),
+            Err(miss) => [matches!(miss, Miss::PoorFit { .. } | Miss::NotConverged); 2].into(),
+        };
+        let previous = before.filter(|_| blurred || unusual);
+        let previous = previous.map(|(before, _)| TubeShape { centre: reference.point, ..before.clone() });
+        let bent = self.bent_direction(assigned, group.reference).filter(|_| unusual);
+        let bent = bent.map(|direction| TubeShape::straight(reference.point, &direction, group.straight_half_m));
+        [previous, bent].iter().flatten().fold(first, |best, start| match (best, fit_from(start)) {
+            (Ok(best), Ok(fit)) if fit.misfit < best.misfit => Ok(fit),
+            (Err(_), Ok(fit)) => Ok(fit),
+            (best, _) => best,
+        })
+    }
+
+    /// Direction at a marker of a tube bent uniformly from the marker before, where it hangs as it does at rest: it
+    /// turns twice as far as the chord. Without a base frame, the direction of the chord.
+    fn bent_direction(&self, assigned: &[Result<Assigned, Miss>], marker: usize) -> Option<Vector3<f64>> {
+        let before = assigned.get(marker.checked_sub(1)?)?.as_ref().ok()?;
+        let chord = (assigned[marker].as_ref().ok()?.point - before.point).try_normalize(0.0)?;
+        let rest = self.rig.base.as_ref().map(|base| base.base_from_camera.inverse() * Vector3::z());
+        Some(rest.map_or(chord, |rest| chord * (2.0 * chord.dot(&rest)) - rest))
     }
 
     /// Where the tube of a group was last, and how long ago, seconds, if recent enough.

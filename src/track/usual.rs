@@ -76,6 +76,13 @@ impl Usual {
         ((value.ln() - mean) / sd).max(0.0)
     }
 
+    /// By which factor a value exceeds the usual or learned one; 1 while neither is known.
+    pub(crate) fn ratio(&self, marker: usize, view: usize, value: f64) -> f64 {
+        let level = self.level(marker, view);
+        let usual = level.and_then(|l| if l.frames >= MIN_FRAMES { Some(l.mean) } else { l.learned });
+        usual.map_or(1.0, |usual| value / usual.exp())
+    }
+
     /// The usual value of a marker in each view; `None` where too little is known.
     pub(crate) fn values(&self, marker: usize) -> Option<Vec<f64>> {
         let value = |level: &Level| (level.frames >= MIN_FRAMES).then(|| level.mean.exp());
@@ -122,6 +129,7 @@ mod tests {
         assert!(usual.above(1, 0, 8.0, common) < 0.1 && usual.above(1, 1, 10.5, common) < 1.0);
         let common = usual.common([(1, 0, 4.2), (1, 1, 9.4)].into_iter());
         assert!(usual.above(1, 1, 9.4, common) > 4.5 && usual.above(1, 0, 4.2, common) < 0.1);
+        assert!((usual.ratio(1, 0, 8.0) - 2.0).abs() < 1e-9 && (usual.ratio(0, 0, 8.0) - 1.0).abs() < 1e-9);
         // What lasts is how this recording is; and what was seen counts more than what was learned.
         assert!((0..40).map(|_| usual.above(1, 1, 9.4, common)).next_back() == Some(0.0));
         (0..8).for_each(|_| usual.add(1, 0, 8.0));
