@@ -1,6 +1,7 @@
 //! Parameters fitted to the pictures: places of the bands along the tube, blur of the lens, offset of the chroma
 //! samples, gamma, exposure.
 
+use crate::calibrate::markers::compared::{Compared, LONGEST_PAIR_S, clipped_mean};
 use crate::calibrate::markers::line_search::minimise;
 use crate::calibrate::markers::{MarkersError, track};
 use crate::estimate::{Estimate, MarkerEstimate};
@@ -19,9 +20,9 @@ const NO_ARC: f64 = 0.2;
 const MIN_SD_M: f64 = 0.05e-3;
 /// Number of exposures tried, from zero to the whole interval between two frames.
 const EXPOSURES: usize = 9;
-/// Longest time between a frame and its follower, seconds; and the least exposure that counts, in σ and as a fraction
-/// of their interval: blur over a tenth of the motion is negligible.
-const LONGEST_PAIR_S: f64 = 0.06;
+/// Pairs of frames that it is fitted to, the fastest; the least that counts, in σ and as a fraction of the interval: blur
+/// over a tenth of the motion is negligible.
+const EXPOSURE_PAIRS: usize = 24;
 const MIN_EXPOSURE_SDS: f64 = 3.0;
 const MIN_EXPOSURE: f64 = 0.1;
 /// Where the search for gamma begins, its step, and its limits; it counts from a mean ln σ² of the residuals that is
@@ -70,7 +71,8 @@ pub(super) fn place_bands(rig: &mut Rig, frames: &[Frame]) -> Result<Vec<Option<
         };
         let parts = (0..PARTS).map(|part| -> Option<f64> {
             let frames: Vec<&Frame> = some.iter().skip(part).step_by(PARTS).copied().collect();
-            let best = minimise(start, 0.2e-3, (start * 0.9, start * 1.1), |arc| misfit(&shifted(arc), &frames))?;
+            let compared = Compared::with(rig, frames, &[]);
+            let best = minimise(start, 0.2e-3, (start * 0.9, start * 1.1), |arc| compared.excess(&shifted(arc)))?;
             // No curvature: the two are not fitted together, so the pictures do not determine it.
             (best.curvature > 0.0).then_some(best.at)
         });
@@ -161,9 +163,9 @@ fn gamma(rig: &Rig, frames: &[Frame], followers: &[Frame]) -> Option<f64> {
     // Each third of the frames: the best power, and by how much it explains them better than what is declared.
     let parts = (0..PARTS).map(|part| {
         let frames: Vec<&Frame> = some.iter().skip(part).step_by(PARTS).copied().collect();
-        let misfit = |rig: &Rig| misfit_of(rig, &frames, followers);
-        let best = minimise(FIRST_GAMMA, GAMMA_STEP, GAMMAS, |gamma| misfit(&with(gamma)))?;
-        Some((best.at, misfit(rig)? - misfit(&with(best.at))?))
+        let compared = Compared::with(rig, frames, followers);
+        let best = minimise(FIRST_GAMMA, GAMMA_STEP, GAMMAS, |gamma| compared.excess(&with(gamma)))?;
+        Some((best.at, -compared.excess(&with(best.at))?))
     });
     let (gammas, gains): (Vec<f64>, Vec<f64>) = parts.collect::<Option<Vec<_>>>()?.into_iter().unzip();
     let ((gamma, sd), (gain, gain_sd)) = (mean_of_parts(&gammas), mean_of_parts(&gains));
@@ -175,18 +177,18 @@ fn gamma(rig: &Rig, frames: &[Frame], followers: &[Frame]) -> Option<f64> {
 /// Blur and chroma offset.
 fn sharpen(rig: &mut Rig, frames: &[Frame], followers: &[Frame]) {
     let some = every(frames, TUNING_FRAMES);
-    let misfit = |rig: &Rig| misfit_of(rig, &some, followers);
     let subsampled = some.first().is_some_and(|f| f.picture.plane(1).is_some_and(|plane| plane.scale != [1, 1]));
     let mut blur = rig.camera.blur_px.unwrap_or(0.6);
     // Blur and offsets hardly depend on each other: a second pass only polishes.
     for pass in 0..2 {
         let finer = if pass == 0 { 1.0 } else { 0.5 };
+        let compared = Compared::with(rig, some.clone(), followers);
         let with_blur = |blur: f64| {
             let mut changed = rig.clone();
             changed.camera.blur_px = Some(blur);
             changed
         };
-        if let Some(best) = minimise(blur, 0.1 * finer, (0.3, 3.0), |b| misfit(&with_blur(b))) {
+        if let Some(best) = minimise(blur, 0.1 * finer, (0.3, 3.0), |b| compared.excess(&with_blur(b))) {
             blur = best.at;
         }
         *rig = with_blur(blur);
@@ -198,7 +200,7 @@ fn sharpen(rig: &mut Rig, frames: &[Frame], followers: &[Frame]) {
             };
             let start = rig.camera.chroma_offset_px[axis];
             let best =
-                subsampled.then(|| minimise(start, 0.3 * finer, (-1.5, 1.5), |offset| misfit(&with_offset(offset))));
+                subsampled.then(|| minimise(start, 0.3 * finer, (-1.5, 1.5), |at| compared.excess(&with_offset(at))));
             if let Some(best) = best.flatten() {
                 *rig = with_offset(best.at);
             }
@@ -208,27 +210,6 @@ fn sharpen(rig: &mut Rig, frames: &[Frame], followers: &[Frame]) {
     let round = |v: f64| (v * 1e3).round() / 1e3;
     rig.camera.blur_px = rig.camera.blur_px.map(round);
     rig.camera.chroma_offset_px = rig.camera.chroma_offset_px.map(round);
-}
-
-/// How badly the rig explains the pictures, their motion blur included where the exposure is known.
-fn misfit_of(rig: &Rig, frames: &[&Frame], followers: &[Frame]) -> Option<f64> {
-    match rig.camera.exposure_s {
-        None => misfit(rig, frames),
-        Some(_) => moving_misfit(rig, frames, followers),
-    }
-}
-
-/// The same for the closely following frames, motion blur included; for frames without one, their own.
-fn moving_misfit(rig: &Rig, frames: &[&Frame], followers: &[Frame]) -> Option<f64> {
-    let mut tracker = Tracker::new(rig, TrackOptions::default()).ok()?;
-    let misfit = |frame: &Frame| {
-        let next = followers.get(followers.partition_point(|next| next.stamp.ns <= frame.stamp.ns));
-        match next.filter(|next| ((next.stamp.ns - frame.stamp.ns) as f64) < LONGEST_PAIR_S * 1e9) {
-            Some(next) => tracker.misfit_after(frame, next),
-            None => tracker.misfit(frame),
-        }
-    };
-    mean_of_most(frames, misfit)
 }
 
 /// Exposure of the pictures, seconds, from the motion blur of the frames in which the tube moves fastest; `None` when
@@ -264,16 +245,19 @@ fn exposure_s(rig: &Rig, frames: &[Frame], followers: &[Frame]) -> Result<Option
             changed.camera.exposure_s = Some(i as f64 * step_s);
             Tracker::new(&changed, TrackOptions::default()).ok()?.misfit_after(before, frame)
         };
-        (0..EXPOSURES).map(misfit).collect()
+        let misfits = (0..EXPOSURES).map(misfit).collect::<Option<Vec<_>>>()?;
+        let mut sorted = misfits.clone();
+        sorted.sort_by(f64::total_cmp);
+        Some(misfits.iter().map(|misfit| misfit - sorted[EXPOSURES / 2]).collect())
     };
-    let curves: Vec<Vec<f64>> = moving.iter().filter_map(curve).take(TUNING_FRAMES).collect();
+    let curves: Vec<Vec<f64>> = moving.iter().filter_map(curve).take(EXPOSURE_PAIRS).collect();
     if curves.len() < 2 * PARTS {
         return Ok(None);
     }
     let parts: Vec<f64> = (0..PARTS)
         .filter_map(|part| {
-            let sum = |i: usize| curves.iter().skip(part).step_by(PARTS).map(|curve| curve[i]).sum::<f64>();
-            let at = |s: f64| Some(sum((s / step_s).round() as usize));
+            let all = |i: usize| curves.iter().skip(part).step_by(PARTS).map(|curve| curve[i]).collect::<Vec<_>>();
+            let at = |s: f64| Some(clipped_mean(&all((s / step_s).round() as usize)));
             Some(minimise(step_s * (EXPOSURES / 2) as f64, step_s, (0.0, interval_s * (1.0 + 1e-9)), at)?.at)
         })
         .collect();
@@ -287,18 +271,6 @@ fn exposure_s(rig: &Rig, frames: &[Frame], followers: &[Frame]) -> Result<Option
 /// At most `count` of the frames, spread evenly.
 fn every(frames: &[Frame], count: usize) -> Vec<&Frame> {
     frames.iter().step_by(frames.len().div_ceil(count).max(1)).collect()
-}
-
-/// How badly the rig fits the pictures: the mean misfit; `None` when a frame cannot be fitted.
-fn misfit(rig: &Rig, frames: &[&Frame]) -> Option<f64> {
-    let mut tracker = Tracker::new(rig, TrackOptions::default()).ok()?;
-    mean_of_most(frames, |frame| tracker.misfit(frame))
-}
-
-/// The mean over the frames that can be evaluated; `None` if they are half or fewer.
-fn mean_of_most(frames: &[&Frame], misfit: impl FnMut(&Frame) -> Option<f64>) -> Option<f64> {
-    let misfits: Vec<f64> = frames.iter().copied().filter_map(misfit).collect();
-    (misfits.len() * 2 > frames.len()).then(|| misfits.iter().sum::<f64>() / misfits.len() as f64)
 }
 
 /// The mean of independent results, and its standard deviation from their scatter.

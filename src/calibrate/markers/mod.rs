@@ -13,6 +13,7 @@
 //! Nothing learned in an earlier run is used: the same recording and clicks give the same rig.
 
 mod clusters;
+mod compared;
 mod error;
 mod exposure;
 mod first;

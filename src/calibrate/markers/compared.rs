@@ -1,0 +1,69 @@
+//! Which of two rigs explains the same frames better.
+
+use crate::rig::Rig;
+use crate::source::Frame;
+use crate::track::{TrackOptions, Tracker};
+
+/// Longest time between a frame and its follower, seconds.
+pub(super) const LONGEST_PAIR_S: f64 = 0.06;
+/// A difference beyond this many times the median one is that of a fit that ended elsewhere, and says nothing of the
+/// rig.
+const CLIPPED: f64 = 3.0;
+
+/// Frames, and how badly a first rig explains each.
+pub(super) struct Compared<'a> {
+    frames: Vec<&'a Frame>,
+    followers: &'a [Frame],
+    first: Vec<Option<f64>>,
+}
+
+impl<'a> Compared<'a> {
+    /// `followers`: frames that closely follow some of `frames`, in order; they show motion blur.
+    pub(super) fn with(rig: &Rig, frames: Vec<&'a Frame>, followers: &'a [Frame]) -> Self {
+        let mut compared = Self { frames, followers, first: Vec::new() };
+        compared.first = compared.misfits(rig);
+        compared
+    }
+
+    /// By how much `rig` explains the frames worse than the first one, mean ln σ² of the residuals; `None` when half of
+    /// the frames or fewer can be fitted with both.
+    pub(super) fn excess(&self, rig: &Rig) -> Option<f64> {
+        let both = self.misfits(rig).into_iter().zip(&self.first);
+        let differences: Vec<f64> = both.filter_map(|(misfit, first)| Some(misfit? - (*first)?)).collect();
+        (differences.len() * 2 > self.frames.len()).then(|| clipped_mean(&differences))
+    }
+
+    /// Of each frame, motion blur included where the exposure and its follower are known.
+    fn misfits(&self, rig: &Rig) -> Vec<Option<f64>> {
+        let Ok(mut tracker) = Tracker::new(rig, TrackOptions::default()) else { return vec![None; self.frames.len()] };
+        let misfit = |frame: &&Frame| {
+            let next = self.followers.get(self.followers.partition_point(|next| next.stamp.ns <= frame.stamp.ns));
+            let close = |next: &&Frame| ((next.stamp.ns - frame.stamp.ns) as f64) < LONGEST_PAIR_S * 1e9;
+            match next.filter(close).filter(|_| rig.camera.exposure_s.is_some()) {
+                Some(next) => tracker.misfit_after(frame, next),
+                None => tracker.misfit(frame),
+            }
+        };
+        self.frames.iter().map(misfit).collect()
+    }
+}
+
+/// The mean, with a bounded influence of each value.
+pub(super) fn clipped_mean(values: &[f64]) -> f64 {
+    let mut sizes: Vec<f64> = values.iter().map(|value| value.abs()).collect();
+    sizes.sort_by(f64::total_cmp);
+    let limit = CLIPPED * sizes.get(sizes.len() / 2).copied().unwrap_or(0.0);
+    values.iter().map(|value| value.clamp(-limit, limit)).sum::<f64>() / values.len().max(1) as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_wild_value_counts_little() {
+        assert!((clipped_mean(&[0.02, -0.01, 0.015, 0.01, 0.02]) - 0.011).abs() < 1e-12);
+        assert!(clipped_mean(&[-0.02, -0.01, -0.015, -0.01, 5.0]) < 0.0);
+        assert!(clipped_mean(&[]).abs() < f64::MIN_POSITIVE);
+    }
+}
