@@ -16,6 +16,7 @@ import argparse
 import csv
 import os
 import pathlib
+import re
 import shlex
 import shutil
 import subprocess
@@ -61,7 +62,11 @@ DEGRADATIONS = {
     "white balance drifts": f"-vf format=yuv444p,eq=gamma_r='1+0.15*t':gamma_b='1-0.15*t':eval=frame {AS_RGB}",
     "gamma 1.3": f"-vf lutrgb=r=gammaval(1/1.3):g=gammaval(1/1.3):b=gammaval(1/1.3) {AS_RGB}",
     "colours half grey": f"-vf format=yuv444p,hue=s=0.5 {AS_RGB}",
+    "half the size": f"-vf scale=iw/2:ih/2:flags=area {AS_RGB}",
+    "twice the size": f"-vf scale=iw*2:ih*2:flags=spline {AS_RGB}",
+    "a bar passes": f"-filter_complex color=c=0x5a5650:s=30x260:r=60[bar];[0:v][bar]overlay=x=250+200*t:y=500:shortest=1:format=gbrp {AS_RGB}",
 }
+SIZES = {"half the size": 0.5, "twice the size": 2.0}
 
 
 def encode(source, target, how):
@@ -70,6 +75,22 @@ def encode(source, target, how):
         return
     command = ["ffmpeg", "-v", "error", "-y", "-i", str(source), "-fps_mode", "passthrough", *shlex.split(how), str(target)]
     subprocess.run(command, check=True)
+
+
+def resized(rig, by):
+    """The text of a rig file for pictures that are larger by this factor."""
+    def numbers(change):
+        return lambda found: found[1] + re.sub(r"[-\d.]+", lambda n: f"{change(float(n[0])):.9g}", found[2])
+
+    for key in ("width_px", "height_px", "focal_px", "blur_px"):
+        rig = re.sub(rf"(?m)^({key} = )(.*)$", numbers(lambda v: v * by), rig)
+    for key in ("principal_point_px", "region_px"):
+        rig = re.sub(rf"(?m)^({key} = )(.*)$", numbers(lambda v: (v + 0.5) * by - 0.5), rig)
+    return rig
+
+
+def resized_picks(options, by):
+    return re.sub(r"(@(?:\w+:)?)(\d+),(\d+)", lambda p: f"{p[1]}{round(int(p[2]) * by)},{round(int(p[3]) * by)}", options)
 
 
 def aligned(truth, track):
@@ -156,10 +177,13 @@ def main():
                 videos[run] = keep / f"{run}_{''.join(c if c.isalnum() else '_' for c in name)}.mkv"
                 if not videos[run].exists():
                     encode(arguments.recordings / f"{run}.mkv", videos[run], how)
-            print(f"| {name} | given |", cells(truth, videos["circle"], arguments.rig, catoptra, work / f"given{number}"), flush=True)
+            size = SIZES.get(name, 1.0)
+            given = work / f"given{number}.toml"
+            given.write_text(resized(arguments.rig.read_text(), size))
+            print(f"| {name} | given |", cells(truth, videos["circle"], given, catoptra, work / f"given{number}"), flush=True)
             rig = work / f"rig{number}.toml"
-            shutil.copy(arguments.rig, rig)
-            taught = subprocess.run([catoptra, "calibrate", "markers", str(videos["planar"]), "--rig", str(rig), *shlex.split(arguments.teach)],
+            shutil.copy(given, rig)
+            taught = subprocess.run([catoptra, "calibrate", "markers", str(videos["planar"]), "--rig", str(rig), *shlex.split(resized_picks(arguments.teach, size))],
                                     capture_output=True, text=True)
             if taught.returncode:
                 reason = next((l for l in taught.stderr.splitlines() if "error" in l.lower()), "?")

@@ -11,6 +11,9 @@ use crate::rig::{Marker, Rig};
 use crate::source::Frame;
 use crate::track::{TrackOptions, Tracker};
 
+/// A band whose image is narrower has too few whole cells of two pixels to be told from noise.
+const LEAST_WIDTH_PX: f64 = 4.0;
+
 /// Colours of the bands as they were located in one frame.
 pub(super) fn learn_located(
     rig: &mut Rig,
@@ -45,6 +48,7 @@ pub(super) fn confirm(
             let (x, y) = near.map_or((f64::NAN, f64::NAN), |near| (near.pixel.x, near.pixel.y));
             MarkersError::NotMeasured { name: info.name.clone(), x, y, reason }
         };
+        let matches = located.get(m).map(|candidate| candidate.matches.as_slice()).unwrap_or_default();
         if let Err(miss) = &marker.position {
             let also: Vec<String> = estimate
                 .markers
@@ -54,9 +58,12 @@ pub(super) fn confirm(
                 .map(|(_, other)| format!("`{}`", other.name))
                 .collect();
             let also = if also.is_empty() { String::new() } else { format!(" (nor can {})", also.join(", ")) };
-            return Err(not_measured(format!("{}{also}", why(rig, info, miss))));
+            let narrow = match miss {
+                Miss::NotSeen { view } => matches.get(*view).and_then(|matched| narrow(matched.as_ref()?.size.width)),
+                _ => None,
+            };
+            return Err(not_measured(format!("{}{also}{}", why(rig, info, miss), narrow.unwrap_or_default())));
         }
-        let matches = located.get(m).map(|candidate| candidate.matches.as_slice()).unwrap_or_default();
         for ((seen, matched), view) in marker.views.iter().zip(matches).zip(&names) {
             let (Ok(seen), Some(matched)) = (seen, matched) else { continue };
             let away = (seen.centre_px - matched.centre).norm();
@@ -74,6 +81,15 @@ pub(super) fn confirm(
         }
     }
     Ok(estimate)
+}
+
+/// What helps a band whose image is too narrow for its colour to be found.
+fn narrow(width_px: f64) -> Option<String> {
+    (width_px < LEAST_WIDTH_PX).then(|| {
+        format!(
+            ": it is only {width_px:.1} pixels wide there, and some {LEAST_WIDTH_PX:.0} are needed: record larger pictures,              or use a longer lens"
+        )
+    })
 }
 
 /// What was not found, in words for the user who clicked.
@@ -201,11 +217,15 @@ mod tests {
 
     /// The bands of that tube, off by as much as a band's location may be.
     fn located() -> [Candidate; 3] {
+        located_of_width(7.0)
+    }
+
+    fn located_of_width(width: f64) -> [Candidate; 3] {
         [(37.5, 11.0), (201.0, 22.0), (248.0, 12.0)].map(|(y, length)| {
             let matched = BandMatch {
                 centre: Point2::new(60.0, y),
                 axis: Vector2::y(),
-                size: Size { length, width: 7.0 },
+                size: Size { length, width },
                 score: 1.0,
                 colour: Vector3::zeros(),
                 ends: [Vector3::zeros(); 2],
@@ -225,6 +245,19 @@ mod tests {
         let interlaced = Frame { picture: frame.picture.interlaced(true), ..frame };
         let refused = confirm(&rig, &[], &located(), &interlaced).unwrap_err().to_string();
         assert!(refused.contains("interlaced") && !refused.contains("diameter"), "{refused}");
+    }
+
+    #[test]
+    fn a_band_that_is_too_narrow_to_be_found_is_said_to_be() {
+        let frame = hanging_on([0.13, 0.13, 0.12]);
+        let mut rig = fixture::rig();
+        rig.views.truncate(1);
+        learn_located(&mut rig, &located(), &frame).unwrap();
+        let mut other = rig.clone();
+        other.markers.iter_mut().flat_map(|m| &mut m.colours).flat_map(|c| &mut c.planes).for_each(|p| p.bias -= 9.0);
+        let refused = |width| confirm(&other, &[], &located_of_width(width), &frame).unwrap_err().to_string();
+        assert!(refused(3.2).contains("only 3.2 pixels wide"), "{}", refused(3.2));
+        assert!(!refused(7.0).contains("pixels wide"), "{}", refused(7.0));
     }
 
     /// On a dark background a band's blob reaches into the tube beside it; learning from it must not include the tube.
