@@ -76,8 +76,8 @@ def table(path):
         return list(csv.DictReader(file))
 
 
-def one_try(number, at_px, folder, draft, work):
-    """The reason why it does not teach, or the errors by recording and quantity."""
+def one_try(number, at_px, folder, draft, work, known):
+    """The reason why it does not teach, or the errors by recording and quantity; `known`: those of rigs before it."""
     chance = random.Random(number)
     picks = []
     for name, length in BANDS.items():
@@ -88,6 +88,13 @@ def one_try(number, at_px, folder, draft, work):
     taught = run("calibrate", "markers", folder / "planar.mkv", "--rig", draft, "--tube", "3.2mm", "--rigid", "14mm", *picks, "-o", rig)
     if taught.returncode:
         return taught.stderr.strip().splitlines()[0] + " | " + " ".join(picks[1::2]), {}
+    text = rig.read_text()
+    if text not in known:
+        known[text] = tracked(number, rig, folder, work)
+    return known[text]
+
+
+def tracked(number, rig, folder, work):
     based = run("calibrate", "base", folder / "rest.mkv", "--rig", rig, "--planar", folder / "planar.mkv")
     if based.returncode:
         return based.stderr.strip().splitlines()[0], {}
@@ -126,14 +133,14 @@ def main():
         must("calibrate", "camera", folder / "intrinsics", "--board", "9x6:12mm", "-o", draft)
         tank = ["--tank", "254x254x267mm", "--glass", "5mm"] if truth["tank"] else []
         must("calibrate", "rig", folder / "mirror", "--board", "9x6:12mm", "--rig", draft, *tank)
-        tries = []
+        tries, known = [], {}
         for number in range(arguments.first, arguments.first + arguments.tries):
-            reason, found = one_try(number, at_px, folder, draft, work)
+            reason, found = one_try(number, at_px, folder, draft, work, known)
             if reason:
                 print(f"try {number}: {reason}", flush=True)
             tries.append(found)
     taught = [found for found in tries if found]
-    print(f"{folder.name}: {len(taught)} of {len(tries)} tries taught")
+    print(f"{folder.name}: {len(taught)} of {len(tries)} tries taught, {len(known)} different rigs")
     print("| recording | | RMS error, median (largest) of the tries | NSE | answers beyond 5 σ, most |\n|---|---|---|---|---|")
     for recording, quantity in sorted({key for found in taught for key in found}):
         here = np.array([found[recording, quantity] for found in taught if (recording, quantity) in found])

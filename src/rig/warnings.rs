@@ -2,15 +2,17 @@
 
 use super::view_check::{ClosestApproach, ViewCheck};
 use super::walk::grid;
-use super::{Base, Draft, Marker, polygon};
+use super::{Base, Draft, Marker, View, polygon};
 use crate::optics::Surface;
-use nalgebra::Point2;
+use nalgebra::{Point2, Point3};
 use std::fmt;
 
 /// Beyond this angle a mirror shows little, and a wall reflects more than it lets through.
 const EDGE_ON_RAD: f64 = 75.0 * std::f64::consts::PI / 180.0;
 /// Views closer in direction than this measure depth badly.
 const NARROW_RAD: f64 = 20.0 * std::f64::consts::PI / 180.0;
+/// Narrower images of the tube are tracked worse than σ says (docs/formats.md).
+const LEAST_TUBE_PX: f64 = 4.0;
 
 /// Something a user should know.
 #[derive(Debug, Clone, PartialEq)]
@@ -41,6 +43,13 @@ pub enum Warning {
         what: String,
         /// The length, metres.
         length_m: f64,
+    },
+    /// The tube's image is so narrow that σ of what is measured on it is too small.
+    NarrowTube {
+        /// The view.
+        view: String,
+        /// Width of the tube in it, pixels.
+        width_px: f64,
     },
     /// The first two views look in nearly the same direction.
     NarrowAngle {
@@ -119,6 +128,13 @@ impl fmt::Display for Warning {
             Self::Scale { what, length_m } => {
                 write!(f, "{what} {} mm: are all lengths in the file millimetres?", (length_m * 1e6).round() / 1e3)
             }
+            Self::NarrowTube { view, width_px } => {
+                write!(
+                    f,
+                    "view {view}: the tube is {width_px:.1} pixels wide; below {LEAST_TUBE_PX:.0} some frames are missed and σ is \
+                     too small: use larger pictures or a longer lens"
+                )
+            }
             Self::NarrowAngle { angle_rad } => {
                 write!(
                     f,
@@ -191,6 +207,7 @@ pub(super) fn warnings(rig: &Draft, views: &[ViewCheck], meeting: Option<&Closes
         }
     }
     found.extend(scales(rig, views));
+    found.extend(narrow_tubes(rig, views, meeting));
     found.extend((views.len() == 1).then_some(Warning::SingleView));
     if let Some(ClosestApproach { angle_rad, .. }) = meeting
         && *angle_rad < NARROW_RAD
@@ -228,6 +245,25 @@ pub(super) fn warnings(rig: &Draft, views: &[ViewCheck], meeting: Option<&Closes
     }
     found.extend((begun && rig.camera.blur_px.is_none()).then_some(Warning::NoBlur));
     found
+}
+
+/// Views that show the tube too small: at the base frame's origin or, before it is known, where the views meet.
+fn narrow_tubes(rig: &Draft, views: &[ViewCheck], meeting: Option<&ClosestApproach>) -> Vec<Warning> {
+    let Some(catheter) = rig.catheter.as_ref().filter(|_| rig.base.is_some() || meeting.is_some()) else {
+        return Vec::new();
+    };
+    let width_px = |view: &View, checked: &ViewCheck| {
+        let base = rig.base.as_ref().map(|base| base.base_from_camera.inverse() * Point3::origin());
+        let point = base.unwrap_or_else(|| checked.ray.at(checked.working_distance_m));
+        // Pixels per metre, the mean of both directions across the ray.
+        let scale = view.optics.project_with_jacobian(&point).ok()?.d_pixel.norm() / std::f64::consts::SQRT_2;
+        Some(scale * catheter.diameter_m)
+    };
+    let narrow = rig.views.iter().zip(views).filter_map(|(view, checked)| {
+        let width_px = width_px(view, checked).filter(|width| *width < LEAST_TUBE_PX)?;
+        Some(Warning::NarrowTube { view: view.name.clone(), width_px })
+    });
+    narrow.collect()
 }
 
 /// Lengths that no rig has, most often metres or centimetres written where millimetres are meant.

@@ -372,6 +372,8 @@ fn warnings_say_what_is_missing_or_odd() {
     any(&warned(&changed("b0 = [1.0, 0.0, 0.0]", "b0 = [0.0, 0.0, -1.0]")), "b0 is 90.0° off");
     any(&warned(&changed("[640.0, 512.0]", "[440.0, 512.0]")), "principal point is 200 px");
     any(&warned(&changed("[740.0, 612.0]", "[900.0, 612.0]")), "the regions of direct and mirror overlap");
+    assert!(!warned(RIG).iter().any(|w| w.contains("pixels wide")));
+    any(&warned(&changed("diameter_mm = 3.2", "diameter_mm = 1.6")), "view mirror: the tube is 3.");
     let region = "region_px = [[540.0, 412.0], [740.0, 412.0], [740.0, 612.0], [540.0, 612.0]]\n";
     any(&warned(&changed(region, "")), "view direct has no region_px");
     let base = RIG.find("[base]").unwrap();

@@ -252,6 +252,7 @@ mod tests {
         let frame = hanging_on([0.13, 0.13, 0.12]);
         let mut rig = fixture::rig();
         rig.views.truncate(1);
+        rig.camera.size_px = frame.picture.size_px();
         learn_located(&mut rig, &located(), &frame).unwrap();
         let mut other = rig.clone();
         other.markers.iter_mut().flat_map(|m| &mut m.colours).flat_map(|c| &mut c.planes).for_each(|p| p.bias -= 9.0);
