@@ -335,7 +335,8 @@ impl Check<'_> {
         for residual in &raw.usual_residuals {
             self.positive(key("usual_residuals"), *residual)?;
         }
-        if !raw.usual_residuals.is_empty() && raw.usual_residuals.len() != views.len() {
+        // A file whose views were left out, because the lens changed, keeps what its bands had in them.
+        if !raw.usual_residuals.is_empty() && !views.is_empty() && raw.usual_residuals.len() != views.len() {
             let expected = format!("{} numbers, one for each view", views.len());
             return Err(self.value(key("usual_residuals"), format_args!("{:?}", raw.usual_residuals), expected));
         }

@@ -158,8 +158,9 @@ fn marker(first: bool, marker: &Marker, views: &[View]) -> String {
     if let Some(centre_m) = marker.centre_m {
         let _ = writeln!(text, "centre_mm = {}", millimetres(centre_m));
     }
-    if !marker.usual_residuals.is_empty() {
-        let _ = writeln!(text, "usual_residuals = {}", list(marker.usual_residuals.iter().map(|v| decimal(*v, 3))));
+    let residuals = &marker.usual_residuals;
+    if !residuals.is_empty() && (views.is_empty() || views.len() == residuals.len()) {
+        let _ = writeln!(text, "usual_residuals = {}", list(residuals.iter().map(|v| decimal(*v, 3))));
     }
     let models = &marker.colours;
     for (i, colour) in models.iter().enumerate() {

@@ -178,6 +178,16 @@ fn mistakes_are_named() {
             "centre_mm = 93.0",
             &["marker.tip.centre_mm = 93.0", "reaches to 91.0 mm", "94.0 or more"],
         ),
+        (
+            "centre_mm = 85.0",
+            "centre_mm = 85.0\nusual_residuals = [3.0]",
+            &["marker.coil.usual_residuals = [3.0]", "2 numbers, one for each view"],
+        ),
+        (
+            "centre_mm = 85.0",
+            "centre_mm = 85.0\nusual_residuals = [3.0, -1.0]",
+            &["marker.coil.usual_residuals = -1", "positive"],
+        ),
         ("bias = -0.25", "bias = nan", &["marker.base.colour.bias = NaN", "finite"]),
         ("[150.0, 120.0, 40.0]", "[150.0, 420.0, 40.0]", &["marker.base.colour.rgb", "0 to 255"]),
         ("[0.012, -0.004, -0.011]", "[0.0, 0.0, 0.0]", &["marker.base.colour.discriminant_rgb", "not all zero"]),
