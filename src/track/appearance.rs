@@ -125,10 +125,12 @@ impl Edges {
     pub(crate) fn at_ring<const ENDS: bool>(x: f32, half: f32, from_ring: f32, bulge: f32, blur_px: f32) -> Self {
         // The ring's near side is displaced by `bulge·root`; root is kept away from its infinite slope at the outline.
         let root = (1.0 - x * x).max(0.0).sqrt();
-        let d_root = if x.abs() < 1.0 { -x / (half * root.max(0.3)) } else { 0.0 };
+        let d_root = -x / (half * root.max(0.3));
+        let d_root = if x.abs() < 1.0 { d_root } else { 0.0 };
+        let per_blur = 1.0 / blur_px;
         let edge_at = |bulge: f32, sign: f32| {
-            let (weight, density) = gauss((from_ring - bulge * root) / blur_px);
-            let density = density / blur_px;
+            let (weight, density) = gauss((from_ring - bulge * root) * per_blur);
+            let density = density * per_blur;
             Edge { weight, d_u: -density * bulge * d_root, d_v: density, d_bulge: -density * sign * root }
         };
         let near = edge_at(bulge, 1.0);
@@ -153,10 +155,10 @@ pub(crate) struct Across {
 impl Across {
     #[inline(always)]
     pub(crate) fn new(u: f32, half: f32, sigma: f32) -> Self {
-        let (phi_left, g_left) = gauss((u + half) / sigma);
-        let (phi_right, g_right) = gauss((u - half) / sigma);
-        let (g_left, g_right) = (g_left / sigma, g_right / sigma);
-        let per_half = 1.0 / half;
+        let (per_sigma, per_half) = (1.0 / sigma, 1.0 / half);
+        let (phi_left, g_left) = gauss((u + half) * per_sigma);
+        let (phi_right, g_right) = gauss((u - half) * per_sigma);
+        let (g_left, g_right) = (g_left * per_sigma, g_right * per_sigma);
         let ratio = per_half * per_half * (sigma * sigma);
         let x = u * per_half;
         // (σ²/w) of the sum and of the difference of both edges.

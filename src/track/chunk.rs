@@ -7,12 +7,13 @@
 use crate::track::appearance::{
     Across, BACKGROUND, CAP, Edges, FIXED, GRADIENT, HARMONICS, Layout, PER_SEGMENT, SHADING, TURNING,
 };
+use crate::track::image_model::ImageModel;
 use crate::track::light::Encoding;
 use crate::track::normal::{
     ROW, ROW_ACROSS, ROW_ALONG, ROW_BACKGROUND, ROW_BEFORE, ROW_BEHIND, ROW_BULGE, ROW_CAP, ROW_GRADIENT, ROW_SHADING,
     Row, Seen, Span,
 };
-use crate::track::patch::Pixel;
+use crate::track::stretch::Stretch;
 use crate::track::tube_image::{Knot, TubeImage};
 use multiversion::multiversion;
 use nalgebra::Vector2;
@@ -30,8 +31,8 @@ pub(crate) struct Scene<'a> {
     pub encoding: &'a Encoding,
 }
 
-/// Values common to all pixels of a view.
-struct Light<'a> {
+/// Values common to all points of a view.
+pub(crate) struct Light<'a> {
     background: [f32; 3],
     gradient: [f32; 2],
     shades: [f32; HARMONICS],
@@ -58,7 +59,8 @@ pub(crate) struct Piece {
     bulge: Linear,
     scale: Linear,
     turn: [Linear; 2],
-    swept: [Linear; 2],
+    /// Variance of the motion and of the samples' neighbourhoods, across the axis and along it, px².
+    blurred: [Linear; 2],
     /// Arc length from the ring, metres.
     from_ring_m: Linear,
     /// Whether the ring is the end of the tube.
@@ -68,11 +70,11 @@ pub(crate) struct Piece {
 }
 
 impl Piece {
-    /// σ of the blur, with that of motion, across the axis (0) or along it (1), pixels.
+    /// σ of all blur, across the axis (0) or along it (1), pixels.
     #[inline(always)]
     fn blur(&self, way: usize, f: f32, blur_px2: f32) -> f32 {
         // Extrapolated beyond the knots, the motion's part must not become negative.
-        (blur_px2 + at(self.swept[way], f).max(0.0)).sqrt()
+        (blur_px2 + at(self.blurred[way], f).max(0.0)).sqrt()
     }
 }
 
@@ -85,7 +87,12 @@ impl Light<'_> {
 }
 
 impl<'a> Scene<'a> {
-    fn light(&self) -> Light<'a> {
+    pub(crate) fn new(image: &'a TubeImage, colours: &'a [f64], stretch: &'a Stretch, model: &'a ImageModel) -> Self {
+        let ImageModel { encoding, blur_px, .. } = model;
+        Self { image, layout: &stretch.layout, colours, blur_px: *blur_px, encoding }
+    }
+
+    pub(crate) fn light(&self) -> Light<'a> {
         let colour = |i: usize| self.colours[i] as f32;
         Light {
             background: std::array::from_fn(|c| colour(BACKGROUND + c)),
@@ -98,10 +105,16 @@ impl<'a> Scene<'a> {
         }
     }
 
-    /// The part of the tube in a span, relative to `middle`.
-    pub(crate) fn piece(&self, place: &Span, middle: &Vector2<f64>) -> Piece {
+    /// The part of the tube in a span, relative to `middle`, seen by samples that are spread over their neighbourhoods
+    /// with these variances along x and y, px².
+    pub(crate) fn piece(&self, place: &Span, middle: &Vector2<f64>, spread_px2: &Vector2<f64>) -> Piece {
         let Self { image, layout, colours, .. } = self;
         let (a, b) = (&image.knots[place.knot], &image.knots[place.knot + 1]);
+        let spread = |knot: &Knot| {
+            let unit = knot.along / knot.scale;
+            let [across, along] = [Vector2::new(-unit.y, unit.x), unit].map(|way| way.component_mul(&way));
+            Vector2::new(across.dot(spread_px2), along.dot(spread_px2))
+        };
         let linear = |of: &dyn Fn(&Knot) -> f64| [of(a) as f32, (of(b) - of(a)) as f32];
         let [start, rest @ ..] = image.piece(place.knot);
         let axis = [start - middle, rest[0], rest[1], rest[2]].map(|v| [v.x as f32, v.y as f32]);
@@ -115,7 +128,7 @@ impl<'a> Scene<'a> {
             bulge: linear(&|knot| knot.bulge),
             scale: linear(&|knot| knot.scale),
             turn: [linear(&|knot| knot.turn.x), linear(&|knot| knot.turn.y)],
-            swept: [linear(&|knot| knot.swept.x), linear(&|knot| knot.swept.y)],
+            blurred: [linear(&|knot| knot.swept.x + spread(knot).x), linear(&|knot| knot.swept.y + spread(knot).y)],
             from_ring_m: linear(&|knot| knot.arc_m - layout.rings_m[place.ring]),
             ends: layout.ends && place.ring + 1 == layout.rings_m.len(),
             segments: [light(place.ring), light(place.ring + 1)],
@@ -123,26 +136,26 @@ impl<'a> Scene<'a> {
     }
 }
 
-/// Most pixels that are evaluated together. All belong to one [`Piece`].
+/// Most points that are evaluated together. All belong to one [`Piece`].
 pub(crate) const CHUNK: usize = 32;
-/// Pixels per vector.
-const WIDTH: usize = 8;
+/// Points are filled up to a multiple of this.
+const WIDTH: usize = 16;
 
-/// A number for each pixel.
-#[derive(Default)]
-#[repr(align(32))]
+/// A number for each point.
+#[derive(Clone, Default)]
+#[repr(align(64))]
 struct Lanes([f32; CHUNK]);
 
-/// The model's values at some pixels, before they are weighted for a stored channel.
-#[derive(Default)]
-struct Chunk {
-    /// Number of pixels, and the number including copies of the last that fill up a vector.
-    count: usize,
+/// Some points of a piece and the model's values there, before they are weighted for a stored channel.
+#[derive(Clone, Default)]
+pub(crate) struct Chunk {
+    /// Number of points, including copies of the last that fill up a vector.
     lanes: usize,
     /// Position relative to the patch's centre.
     x: Lanes,
     y: Lanes,
-    /// Fraction of the way from knot to knot, and distance from the axis, pixels.
+    /// The nearest point of the axis when last evaluated, as the fraction of the way from knot to knot, and the distance
+    /// from it, pixels.
     f: Lanes,
     u: Lanes,
     /// How much is seen of the background, of the light of the segment before the ring, and of the one after it.
@@ -160,64 +173,51 @@ struct Chunk {
     /// Stored R'G'B' and its slope per unit of light.
     value: [Lanes; 3],
     slope: [Lanes; 3],
-    seen: Seen,
+    /// What the points see of the tube.
+    pub seen: Seen,
 }
 
-/// Rows of some pixels: by column, with a number for each pixel, and by pixel.
+impl Chunk {
+    /// Takes up to [`CHUNK`] points, at least one, given relative to the patch's centre, and their feet.
+    pub(crate) fn set(&mut self, x: &[f32], y: &[f32], f: &[f32]) {
+        let count = x.len().min(CHUNK);
+        self.lanes = count.next_multiple_of(WIDTH).min(CHUNK);
+        let Self { lanes, x: to_x, y: to_y, f: to_f, .. } = self;
+        for (to, from) in [(to_x, x), (to_y, y), (to_f, f)] {
+            to.0[..count].copy_from_slice(&from[..count]);
+            to.0[count..*lanes].fill(from[count - 1]);
+        }
+    }
+
+    /// Evaluates the model at its points.
+    pub(crate) fn evaluate(&mut self, piece: &Piece, light: &Light<'_>) {
+        evaluate(self, piece, light);
+    }
+
+    /// Predicted values of a stored channel, a sum of R'G'B' with `weights`.
+    pub(crate) fn values(&self, weights: &[f32; 3]) -> [f32; CHUNK] {
+        let [r, g, b] = &self.value;
+        std::array::from_fn(|i| weights[0] * r.0[i] + weights[1] * g.0[i] + weights[2] * b.0[i])
+    }
+}
+
+/// Rows of a chunk: by column, with a number for each point, and by point.
 #[derive(Default)]
-struct Rows {
+pub(crate) struct Rows {
     columns: [Lanes; ROW],
     rows: [Row; CHUNK],
 }
 
-/// Evaluates the model at a view's pixels, one chunk at a time.
-pub(crate) struct Evaluator<'a> {
-    light: Light<'a>,
-    chunk: Box<Chunk>,
-    rows: Box<Rows>,
-}
-
-impl<'a> Evaluator<'a> {
-    pub(crate) fn new(scene: &Scene<'a>) -> Self {
-        Self { light: scene.light(), chunk: Box::default(), rows: Box::default() }
-    }
-
-    /// Evaluates the model at up to [`CHUNK`] pixels of a piece, updates their feet, and returns what they see of the
-    /// tube.
-    pub(crate) fn evaluate(&mut self, piece: &Piece, pixels: &mut [Pixel]) -> Seen {
-        let chunk = &mut *self.chunk;
-        chunk.count = pixels.len();
-        chunk.lanes = chunk.count.next_multiple_of(WIDTH);
-        let padded = pixels.iter().chain(pixels.last().into_iter().cycle());
-        for (i, pixel) in padded.take(chunk.lanes.min(CHUNK)).enumerate() {
-            chunk.x.0[i] = pixel.x;
-            chunk.y.0[i] = pixel.y;
-            chunk.f.0[i] = pixel.f;
-        }
-        evaluate(chunk, piece, &self.light);
-        for (i, pixel) in pixels.iter_mut().enumerate() {
-            pixel.f = chunk.f.0[i];
-        }
-        chunk.seen
-    }
-
-    /// Predicted values of a stored channel, a sum of R'G'B' with `weights`, at the pixels evaluated last, in the first
-    /// entries.
-    pub(crate) fn values(&self, weights: &[f32; 3]) -> [f32; CHUNK] {
-        let [r, g, b] = &self.chunk.value;
-        std::array::from_fn(|i| weights[0] * r.0[i] + weights[1] * g.0[i] + weights[2] * b.0[i])
-    }
-
-    /// Its rows.
-    pub(crate) fn rows(&mut self, piece: &Piece, weights: &[f32; 3]) -> &[Row] {
-        let Rows { columns, rows } = &mut *self.rows;
-        if self.chunk.seen == Seen::Nothing {
-            columns.iter_mut().for_each(|column| column.0.fill(0.0));
-        }
-        weigh(&self.chunk, piece, &self.light, weights, columns);
-        let count = self.chunk.count.min(CHUNK);
-        for first in (0..count).step_by(4) {
-            for (k, four) in columns.as_chunks::<4>().0.iter().enumerate() {
+impl Rows {
+    /// Those of a stored channel, a sum of R'G'B' with `weights`: whole batches of points. Of each row the first
+    /// [`Seen::width`] elements are valid.
+    pub(crate) fn of(&mut self, chunk: &Chunk, piece: &Piece, light: &Light<'_>, weights: &[f32; 3]) -> &[Row] {
+        let Self { columns, rows } = self;
+        weigh(chunk, piece, light, weights, columns);
+        let lanes = chunk.lanes.min(CHUNK);
+        let columns = &columns.as_chunks::<4>().0[..chunk.seen.width() / 4];
+        for first in (0..lanes).step_by(4) {
+            for (k, four) in columns.iter().enumerate() {
                 let part = |lanes: &Lanes| f32x4::new(lanes.0.as_chunks::<4>().0[first / 4]);
                 let four = [part(&four[0]), part(&four[1]), part(&four[2]), part(&four[3])];
                 for (row, values) in rows[first..first + 4].iter_mut().zip(f32x4::transpose(four)) {
@@ -225,12 +225,12 @@ impl<'a> Evaluator<'a> {
                 }
             }
         }
-        &rows[..count]
+        &rows[..lanes]
     }
 }
 
 /// Locates the pixels relative to the tube, and evaluates what they see of it.
-#[multiversion(targets("x86_64+avx2"))]
+#[multiversion(targets("x86_64+avx512f+avx512bw+avx512dq+avx512vl", "x86_64+avx2"))]
 fn evaluate(chunk: &mut Chunk, piece: &Piece, light: &Light<'_>) {
     chunk.seen = place(chunk, piece, light.blur_px2);
     match (chunk.seen, piece.ends) {
@@ -248,26 +248,29 @@ fn evaluate(chunk: &mut Chunk, piece: &Piece, light: &Light<'_>) {
 /// The nearest points of the axis, by one Newton step from the last ones, and what is seen of the tube.
 #[inline(always)]
 fn place(chunk: &mut Chunk, piece: &Piece, blur_px2: f32) -> Seen {
-    let (mut tube, mut ring, mut behind) = (0_u32, 0_u32, 0_u32);
     let [a, b, c, d] = piece.axis;
-    for i in 0..chunk.lanes.min(CHUNK) {
+    let n = chunk.lanes.min(CHUNK);
+    for i in 0..n {
         let f = chunk.f.0[i];
         let axis = |k: usize| a[k] + (b[k] + (c[k] + d[k] * f) * f) * f;
         let slope = |k: usize| b[k] + (c[k] * 2.0 + d[k] * 3.0 * f) * f;
         let (off, along) = ([chunk.x.0[i] - axis(0), chunk.y.0[i] - axis(1)], [slope(0), slope(1)]);
         let per_square = 1.0 / (along[0] * along[0] + along[1] * along[1]);
-        let f = f + (off[0] * along[0] + off[1] * along[1]) * per_square;
-        let u = (along[0] * off[1] - along[1] * off[0]) * per_square.sqrt();
-        chunk.f.0[i] = f;
-        chunk.u.0[i] = u;
-        let far = |way: usize| FAR_SIGMAS * piece.blur(way, f, blur_px2);
-        let from_ring = at(piece.from_ring_m, f) * at(piece.scale, f);
-        let on_tube = u.abs() <= at(piece.half, f) + far(0);
-        let at_ring = from_ring.abs() - at(piece.bulge, f).abs() <= far(1);
-        tube += u32::from(on_tube);
-        ring += u32::from(on_tube & at_ring);
-        behind += u32::from(on_tube & (from_ring > 0.0));
+        chunk.f.0[i] = f + (off[0] * along[0] + off[1] * along[1]) * per_square;
+        chunk.u.0[i] = (along[0] * off[1] - along[1] * off[0]) * per_square.sqrt();
     }
+    // Counts of points on the tube, at the ring, and on the tube behind it, a byte each.
+    let mut counts = 0_u32;
+    for i in 0..n {
+        let (f, u) = (chunk.f.0[i], chunk.u.0[i]);
+        let far = [0, 1].map(|way| FAR_SIGMAS * piece.blur(way, f, blur_px2));
+        let from_ring = at(piece.from_ring_m, f) * at(piece.scale, f);
+        let on_tube = u32::from(u.abs() <= at(piece.half, f) + far[0]);
+        let at_ring = u32::from(from_ring.abs() - at(piece.bulge, f).abs() <= far[1]);
+        let behind = u32::from(from_ring > 0.0);
+        counts += on_tube * (1 + (at_ring << 8) + (behind << 16));
+    }
+    let [tube, ring, behind, _] = counts.to_le_bytes();
     if tube == 0 {
         Seen::Nothing
     } else if ring > 0 || (behind > 0 && behind < tube) {
@@ -337,15 +340,15 @@ fn store(chunk: &mut Chunk, piece: &Piece, light: &Light<'_>) {
 }
 
 /// Light to its stored value and slope. (A separate function, so that the compiler knows they do not overlap.)
-#[multiversion(targets("x86_64+avx2"))]
+#[multiversion(targets("x86_64+avx512f+avx512bw+avx512dq+avx512vl", "x86_64+avx2"))]
 fn encode(n: usize, encoding: &Encoding, value: &mut Lanes, slope: &mut Lanes) {
     for i in 0..n.min(CHUNK) {
         (value.0[i], slope.0[i]) = encoding.encode(value.0[i]);
     }
 }
 
-/// Rows of a stored channel, a sum of R'G'B' with `weights`: a number for each pixel in each column.
-#[multiversion(targets("x86_64+avx2"))]
+/// Rows of a stored channel, a sum of R'G'B' with `weights`: a number for each pixel in each column in use.
+#[multiversion(targets("x86_64+avx512f+avx512bw+avx512dq+avx512vl", "x86_64+avx2"))]
 fn weigh(chunk: &Chunk, piece: &Piece, light: &Light<'_>, weights: &[f32; 3], row: &mut [Lanes; ROW]) {
     let n = chunk.lanes.min(CHUNK);
     for i in 0..n {
@@ -359,10 +362,15 @@ fn weigh(chunk: &Chunk, piece: &Piece, light: &Light<'_>, weights: &[f32; 3], ro
         row[ROW_GRADIENT].0[i] = all * chunk.x.0[i];
         row[ROW_GRADIENT + 1].0[i] = all * chunk.y.0[i];
     }
-    if chunk.seen == Seen::Nothing {
+    let seen = chunk.seen;
+    if seen == Seen::Nothing {
+        row[ROW_ACROSS].0 = [0.0; CHUNK];
+        row[ROW_ACROSS + 1].0 = [0.0; CHUNK];
+        row[ROW_SHADING].0 = [0.0; CHUNK];
         return;
     }
     let [before, behind] = piece.segments;
+    let own = if seen == Seen::Behind { &chunk.parts[2] } else { &chunk.parts[1] };
     for i in 0..n {
         let slopes =
             [weights[0] * chunk.slope[0].0[i], weights[1] * chunk.slope[1].0[i], weights[2] * chunk.slope[2].0[i]];
@@ -373,13 +381,9 @@ fn weigh(chunk: &Chunk, piece: &Piece, light: &Light<'_>, weights: &[f32; 3], ro
         let by = |d: &[Lanes; 3]| lights[0] * d[0].0[i] + lights[1] * d[1].0[i] + lights[2] * d[2].0[i];
         // Distributed over the two knots.
         let f = chunk.f.0[i];
-        let (across, along, bulge) = (-by(&chunk.d_u), -by(&chunk.d_v), by(&chunk.d_bulge));
+        let across = -by(&chunk.d_u);
         row[ROW_ACROSS].0[i] = across - across * f;
         row[ROW_ACROSS + 1].0[i] = across * f;
-        row[ROW_ALONG].0[i] = along - along * f;
-        row[ROW_ALONG + 1].0[i] = along * f;
-        row[ROW_BULGE].0[i] = bulge - bulge * f;
-        row[ROW_BULGE + 1].0[i] = bulge * f;
         let albedo = lights[1] * chunk.shaded[0].0[i] + lights[2] * chunk.shaded[1].0[i];
         for (k, shades) in chunk.shades.iter().enumerate() {
             row[ROW_SHADING + k].0[i] = shades.0[i] * albedo;
@@ -387,9 +391,29 @@ fn weigh(chunk: &Chunk, piece: &Piece, light: &Light<'_>, weights: &[f32; 3], ro
         let first = chunk.shades[0].0[i] * albedo;
         row[ROW_SHADING + HARMONICS].0[i] = first * chunk.turn[0].0[i];
         row[ROW_SHADING + HARMONICS + 1].0[i] = first * chunk.turn[1].0[i];
+        for c in 0..3 {
+            row[ROW_BEFORE + c].0[i] = own.0[i] * slopes[c];
+        }
+    }
+    if seen != Seen::Ring {
+        return;
+    }
+    for i in 0..n {
+        let slopes =
+            [weights[0] * chunk.slope[0].0[i], weights[1] * chunk.slope[1].0[i], weights[2] * chunk.slope[2].0[i]];
+        let (x, y) = (chunk.x.0[i], chunk.y.0[i]);
+        let background = [light.background(0, x, y), light.background(1, x, y), light.background(2, x, y)];
+        let sum = |light: &[f32; 3]| slopes[0] * light[0] + slopes[1] * light[1] + slopes[2] * light[2];
+        let lights = [sum(&background), sum(&before), sum(&behind)];
+        let by = |d: &[Lanes; 3]| lights[0] * d[0].0[i] + lights[1] * d[1].0[i] + lights[2] * d[2].0[i];
+        let f = chunk.f.0[i];
+        let (along, bulge) = (-by(&chunk.d_v), by(&chunk.d_bulge));
+        row[ROW_ALONG].0[i] = along - along * f;
+        row[ROW_ALONG + 1].0[i] = along * f;
+        row[ROW_BULGE].0[i] = bulge - bulge * f;
+        row[ROW_BULGE + 1].0[i] = bulge * f;
         row[ROW_CAP].0[i] = chunk.capped.0[i] * lights[1];
         for c in 0..3 {
-            row[ROW_BEFORE + c].0[i] = chunk.parts[1].0[i] * slopes[c];
             row[ROW_BEHIND + c].0[i] = chunk.parts[2].0[i] * slopes[c];
         }
     }
@@ -400,7 +424,7 @@ mod tests {
     use super::*;
     use crate::source::Transfer;
     use crate::testing::two_views::{BLUR_PX, views};
-    use crate::track::normal::{colour, shifted};
+    use crate::track::normal::{add_row, colour, shifted};
     use crate::track::tube::TubeShape;
     use nalgebra::{Point3, Vector3};
 
@@ -420,25 +444,31 @@ mod tests {
         colours
     }
 
-    /// All pixels around a span, moved by `by`.
-    fn pixels(image: &TubeImage, span: &Span, by: Vector2<f64>) -> Vec<Pixel> {
+    /// All pixels around a span, moved by `by`: x and y.
+    fn pixels(image: &TubeImage, span: &Span, by: Vector2<f64>) -> [Vec<f32>; 2] {
         let middle = image.knots[span.knot].pixel.coords
             + (image.knots[span.knot + 1].pixel - image.knots[span.knot].pixel) / 2.0;
         let places = (-9..=9).flat_map(|j| (-3..=3).map(move |i| Vector2::new(f64::from(j), f64::from(i))));
-        places.map(|place| Pixel::at(place + middle + by, 0.5)).collect()
+        let places: Vec<_> = places.map(|place| place + middle + by).collect();
+        [0, 1].map(|axis| places.iter().map(|place| place[axis] as f32).collect())
     }
 
-    /// Rows and values of the pixels.
-    fn evaluated(scene: &Scene<'_>, span: &Span, pixels: &mut [Pixel]) -> (Vec<Row>, Vec<f32>) {
-        let (mut evaluator, piece) = (Evaluator::new(scene), scene.piece(span, &Vector2::zeros()));
-        let (mut rows, mut values) = (Vec::new(), Vec::new());
-        for pixels in pixels.chunks_mut(CHUNK) {
+    /// Rows and values of the pixels, and what they see.
+    fn evaluated(scene: &Scene<'_>, span: &Span, [x, y]: &[Vec<f32>; 2]) -> (Vec<(Row, Seen)>, Vec<f32>) {
+        let (light, piece) = (scene.light(), scene.piece(span, &Vector2::zeros(), &Vector2::zeros()));
+        let (mut rows, mut values, mut buffer) = (Vec::new(), Vec::new(), Rows::default());
+        for (x, y) in x.chunks(CHUNK).zip(y.chunks(CHUNK)) {
+            let mut chunk = Chunk::default();
+            chunk.set(x, y, &vec![0.5; x.len()]);
             // The feet converge in a few steps.
-            (0..3).for_each(|_| {
-                evaluator.evaluate(&piece, pixels);
-            });
-            values.extend_from_slice(&evaluator.values(&WEIGHTS)[..pixels.len()]);
-            rows.extend_from_slice(evaluator.rows(&piece, &WEIGHTS));
+            (0..3).for_each(|_| chunk.evaluate(&piece, &light));
+            values.extend_from_slice(&chunk.values(&WEIGHTS)[..x.len()]);
+            let own = buffer.of(&chunk, &piece, &light, &WEIGHTS);
+            rows.extend(own[..x.len()].iter().map(|row| {
+                let mut all = [0.0; ROW];
+                add_row(&mut all, row, chunk.seen, 1.0);
+                (all, chunk.seen)
+            }));
         }
         (rows, values)
     }
@@ -451,7 +481,7 @@ mod tests {
         for span in [Span { knot: 1, ring: 0 }, Span { knot: 3, ring: 0 }, Span { knot: 5, ring: 1 }] {
             let evaluated = |colours: &[f64], by| {
                 let scene = Scene { image: &image, layout: &layout, colours, blur_px: BLUR_PX, encoding: &encoding };
-                evaluated(&scene, &span, &mut pixels(&image, &span, by))
+                evaluated(&scene, &span, &pixels(&image, &span, by))
             };
             let of = |colours: &[f64], by| evaluated(colours, by).1;
             let (rows, _) = evaluated(&colours, Vector2::zeros());
@@ -475,7 +505,7 @@ mod tests {
                 };
                 let mut column = (0..ROW).filter(|i| colour(*i, span.ring, &layout) == Some(parameter));
                 let found: Vec<f32> = match column.next_back() {
-                    Some(column) => rows.iter().map(|row| row[column]).collect(),
+                    Some(column) => rows.iter().map(|(row, _)| row[column]).collect(),
                     None => vec![0.0; rows.len()],
                 };
                 compare(&format!("colour {parameter}"), &found, changed(-step), changed(step), step as f32);
@@ -489,7 +519,7 @@ mod tests {
             let (rows, _) = evaluated(&flat, Vector2::zeros());
             let along = image.knots[span.knot].along / image.knots[span.knot].scale;
             for (k, way) in [Vector2::new(-along.y, along.x), along].into_iter().enumerate() {
-                let found: Vec<f32> = rows.iter().map(|row| shifted(row)[k]).collect();
+                let found: Vec<f32> = rows.iter().map(|(row, seen)| shifted(row, *seen)[k]).collect();
                 compare(["across", "along"][k], &found, of(&flat, way * 0.01), of(&flat, way * -0.01), 0.01);
             }
             assert!(largest > 10.0, "{span:?} shows nothing: {largest}");

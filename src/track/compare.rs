@@ -1,87 +1,24 @@
-//! Compares the samples of a patch with the image model: residuals and derivatives, their normal equations, and the
-//! scatter of the residuals.
+//! Comparison of a patch with the image model: residuals, their normal equations, and the scatter of the residuals.
+//!
+//! [`Comparison::render`] evaluates the model and compares it with all samples. Derivatives are formed from it chunk by
+//! chunk, where they are summed, and not kept.
 
 use crate::source::Window;
-use crate::track::appearance::Layout;
-use crate::track::chunk::{CHUNK, Evaluator, Scene};
-use crate::track::normal::{
-    Normal, ROW, ROW_BEFORE, ROW_BEHIND, ROW_CAP, Row, Seen, Squares, Sums, Weighed, divide, influence, shifted,
-};
-use crate::track::patch::{Channel, Group, Patch, Pixel, Strip};
+use crate::track::chunk::{CHUNK, Chunk, Rows, Scene};
+use crate::track::normal::{Normal, ROW, Row, Seen, Squares, Sums, add_row, influence, shifted};
+use crate::track::patch::{Layer, Patch};
 use crate::track::slip::Slips;
 use crate::track::tube::{SHAPE, ShapeBy, ShapeStep};
-use crate::track::tube_image::TubeImage;
 use multiversion::multiversion;
 use nalgebra::SMatrix;
-use std::cmp::Ordering;
+use std::ops::Range;
+use std::sync::{Mutex, PoisonError};
 
 /// Residuals beyond this many σ count linearly (Huber).
 const HUBER: f32 = 3.5;
 
 /// Standard deviation of a sample, per channel: near the tube, and in the background.
 pub(crate) type Noise = [[f64; 2]; 3];
-
-/// One stored sample of one channel compared with the model.
-#[derive(Clone, Copy)]
-struct Residual {
-    /// Derivatives of the prediction.
-    row: Row,
-    /// Stored minus predicted.
-    value: f32,
-    /// Its cell of correlated errors, and its strip.
-    cell: u32,
-    strip: u16,
-    channel: u8,
-    /// 0 near the tube, 1 in the background.
-    class: u8,
-    seen: Seen,
-}
-
-impl Residual {
-    /// The residual of a sample whose middle pixel is in this strip.
-    fn new(row: Row, value: f32, channel: &Channel, (pixel, strip): (&Pixel, usize), seen: Seen) -> Self {
-        let (cell, strip, class) = (pixel.cell, strip as u16, pixel.class());
-        Self { row, value, cell, strip, channel: channel.number, class, seen }
-    }
-}
-
-/// Weights residuals by their noise, and sums their cost.
-struct Scale {
-    per_sigma: [[f32; 2]; 3],
-    /// Σ of the robust cost.
-    cost: f64,
-    /// In units of the noise.
-    squares: Squares,
-}
-
-impl Scale {
-    fn of(noise: &Noise) -> Self {
-        let per_sigma = noise.map(|classes| classes.map(|sigma| (1.0 / sigma) as f32));
-        Self { per_sigma, cost: 0.0, squares: Squares::default() }
-    }
-
-    /// Weight of a residual.
-    fn weigh(&mut self, residual: &Residual) -> f32 {
-        let (channel, class) = (usize::from(residual.channel), usize::from(residual.class));
-        let per_sigma = self.per_sigma[channel][class];
-        let z = residual.value.abs() * per_sigma;
-        let inside = z.min(HUBER);
-        self.cost += f64::from(inside * (2.0 * z - inside));
-        let (total, count) = &mut self.squares[channel][class];
-        *total += f64::from(inside * inside);
-        *count += 1;
-        per_sigma * per_sigma * (HUBER / z.max(HUBER))
-    }
-
-    /// Sums of squares of the weighted residuals. Outliers do not raise the noise by which they are judged.
-    fn squares(&self, noise: &Noise) -> Squares {
-        let mut squares = self.squares;
-        for (squares, noise) in squares.iter_mut().flatten().zip(noise.iter().flatten()) {
-            squares.0 *= noise * noise;
-        }
-        squares
-    }
-}
 
 /// Scatter of a view's residuals, and what a coder adds.
 pub(crate) struct Scattered {
@@ -93,14 +30,148 @@ pub(crate) struct Scattered {
     pub coded: f64,
 }
 
+/// Some points of a layer that are evaluated together.
+#[derive(Default)]
+struct Bunch {
+    span: usize,
+    points: Range<usize>,
+    chunk: Chunk,
+}
+
+/// The points of a layer, in bunches. They are large, and many in every frame: those of earlier frames are used again.
+struct Bunches {
+    list: Vec<Bunch>,
+    used: usize,
+}
+
+/// Bunches in no use; more than these are dropped.
+static SPARE: Mutex<Vec<Vec<Bunch>>> = Mutex::new(Vec::new());
+const MAX_SPARE: usize = 32;
+
+impl Bunches {
+    fn of(layer: &Layer) -> Self {
+        let list = SPARE.lock().unwrap_or_else(PoisonError::into_inner).pop().unwrap_or_default();
+        let mut bunches = Self { list, used: 0 };
+        let Layer { x, y, f, strips, .. } = layer;
+        for strip in strips {
+            let Range { start, end } = strip.points;
+            for first in (start..end).step_by(CHUNK) {
+                if bunches.used == bunches.list.len() {
+                    bunches.list.push(Bunch::default());
+                }
+                let bunch = &mut bunches.list[bunches.used];
+                bunches.used += 1;
+                (bunch.span, bunch.points) = (strip.span, first..end.min(first + CHUNK));
+                let here = || bunch.points.clone();
+                bunch.chunk.set(&x[here()], &y[here()], &f[here()]);
+            }
+        }
+        bunches
+    }
+
+    /// Those of each span together.
+    fn by_span(&self) -> impl Iterator<Item = &[Bunch]> {
+        self.list[..self.used].chunk_by(|a, b| a.span == b.span)
+    }
+
+    fn by_span_mut(&mut self) -> impl Iterator<Item = &mut [Bunch]> {
+        self.list[..self.used].chunk_by_mut(|a, b| a.span == b.span)
+    }
+}
+
+impl Drop for Bunches {
+    fn drop(&mut self) {
+        let mut spare = SPARE.lock().unwrap_or_else(PoisonError::into_inner);
+        if spare.len() < MAX_SPARE {
+            spare.push(std::mem::take(&mut self.list));
+        }
+    }
+}
+
+/// The samples of a channel compared with the model.
+struct Compared {
+    /// Predicted at each pixel.
+    predicted: Vec<f32>,
+    /// Stored minus predicted, in the order of the layer's points.
+    residuals: Vec<f32>,
+    weights: Vec<f32>,
+}
+
+/// Sums over the samples of a view, weighted.
+struct Weighed {
+    /// Robust cost.
+    cost: f64,
+    /// Of the residuals. Outliers do not raise the noise by which they are judged.
+    squares: Squares,
+}
+
 /// A patch compared with the model.
 pub(crate) struct Comparison {
     patch: Patch,
-    residuals: Vec<Residual>,
+    /// The points of the pixels, then those of the other layers.
+    bunches: Vec<Bunches>,
+    /// For each of them, 1 near the tube, 0 in the background.
+    near: Vec<Vec<f32>>,
+    /// The channels of the pixels, then those of the other layers.
+    channels: Vec<Compared>,
     sums: Sums,
-    /// For each pixel: what it sees of the tube; and for each subsampled channel its row and predicted value.
-    seen: Vec<Seen>,
-    rows: Vec<(Vec<Row>, Vec<f32>)>,
+    rows: Box<Rows>,
+}
+
+/// Sums of weighted derivatives, by which the scatter of the residuals is judged.
+struct Scores {
+    /// Rows times residuals, summed over each cell.
+    cells: Vec<Row>,
+    slips: Slips,
+    /// Information about the band's position, and the same times the weights.
+    said: f64,
+    coded: f64,
+}
+
+impl Scores {
+    /// Adds points that are nearest to `ring`.
+    fn add(&mut self, part: &Part<'_>, ring: usize) {
+        let [said, coded] = add_to_cells(&mut self.cells, part);
+        self.said += said;
+        self.coded += coded;
+        if part.apart {
+            for (row, residual, weight, _) in part.samples() {
+                self.slips.add((part.span, ring), (row, part.seen), residual, weight);
+            }
+        }
+    }
+}
+
+/// Some points of a strip, and what the model says of one of their channels.
+struct Part<'a> {
+    span: usize,
+    points: Range<usize>,
+    seen: Seen,
+    /// Whether the channel is stored apart from the pixels.
+    apart: bool,
+    cells: &'a [u32],
+    compared: &'a Compared,
+    /// Derivatives, padded to whole batches.
+    rows: &'a [Row],
+}
+
+impl Part<'_> {
+    /// Residuals and weights, padded with weights of zero.
+    fn padded(&self) -> [[f32; CHUNK]; 2] {
+        let mut padded = [[0.0; CHUNK]; 2];
+        for (to, from) in padded.iter_mut().zip([&self.compared.residuals, &self.compared.weights]) {
+            to[..self.points.len()].copy_from_slice(&from[self.points.clone()]);
+        }
+        padded
+    }
+
+    /// Each point's row, residual, weight and cell.
+    fn samples(&self) -> impl Iterator<Item = (&Row, f32, f32, u32)> {
+        let Compared { residuals, weights, .. } = self.compared;
+        let here = self.points.clone();
+        let values = residuals[here.clone()].iter().zip(&weights[here.clone()]).zip(&self.cells[here]);
+        self.rows.iter().zip(values).map(|(row, ((residual, weight), cell))| (row, *residual, *weight, *cell))
+    }
 }
 
 impl Comparison {
@@ -110,186 +181,175 @@ impl Comparison {
     }
 
     pub(crate) fn new(patch: Patch) -> Self {
-        let values = patch.groups.iter().map(|group| group.samples.len() * group.channels.len()).sum();
-        let sums = Sums::new(patch.strips.len());
-        let pixels = patch.pixels.len();
-        let apart = patch.groups.iter().filter(|group| !group.whole).flat_map(|group| &group.channels);
-        let rows = apart.map(|_| (Vec::with_capacity(pixels), Vec::with_capacity(pixels))).collect();
-        Self { patch, residuals: Vec::with_capacity(values), sums, seen: Vec::with_capacity(pixels), rows }
+        let pixels = patch.pixels.x.len();
+        let of = |layer: &Layer| {
+            let points = layer.x.len();
+            let compared = move || Compared {
+                predicted: vec![0.0; pixels],
+                residuals: vec![0.0; points],
+                weights: vec![0.0; points],
+            };
+            layer.channels.iter().map(|_| compared()).collect::<Vec<_>>()
+        };
+        let near = |layer: &Layer| layer.near().map(|near| if near { 1.0 } else { 0.0 }).collect();
+        let layers = || [&patch.pixels].into_iter().chain(&patch.samples);
+        let near = layers().map(near).collect();
+        let bunches = layers().map(Bunches::of).collect();
+        let channels = layers().flat_map(of).collect();
+        let sums = Sums::new(patch.spans.len());
+        Self { patch, bunches, near, channels, sums, rows: Box::default() }
     }
 
-    /// Evaluates the model at all pixels, and compares it with all samples. Without `derive`, the previous derivatives
-    /// are kept.
-    pub(crate) fn render(&mut self, scene: &Scene<'_>, derive: bool) {
-        let Self { patch, residuals, seen, rows, .. } = self;
-        if derive {
-            residuals.clear();
-            seen.clear();
-            rows.iter_mut().for_each(|(rows, _)| rows.clear());
-        }
-        rows.iter_mut().for_each(|(_, values)| values.clear());
-        let mut evaluator = Evaluator::new(scene);
-        // Index of the next residual.
-        let mut next = 0;
-        for (strip, Strip { span, pixels }) in patch.strips.iter().enumerate() {
-            let piece = scene.piece(span, &patch.middle);
-            for first in pixels.clone().step_by(CHUNK) {
-                let last = pixels.end.min(first + CHUNK);
-                let sees = evaluator.evaluate(&piece, &mut patch.pixels[first..last]);
-                if derive {
-                    seen.resize(last, sees);
-                }
-                let pixels = &patch.pixels[first..last];
-                let mut apart = rows.iter_mut();
-                for group in &patch.groups {
-                    for (k, channel) in group.channels.iter().enumerate() {
-                        let predicted = &evaluator.values(&channel.weights)[..pixels.len()];
-                        let rows = if derive { evaluator.rows(&piece, &channel.weights) } else { &[] };
-                        if !group.whole {
-                            if let Some((of_rows, of_values)) = apart.next() {
-                                of_rows.extend_from_slice(rows);
-                                of_values.extend_from_slice(predicted);
-                            }
-                            continue;
-                        }
-                        let samples = &group.samples[first..last];
-                        let values = predicted.iter().zip(samples).map(|(p, s)| s.values[k] - p - channel.constant);
-                        if derive {
-                            let of_pixels = rows.iter().zip(values).zip(pixels);
-                            let of = |((row, value), pixel): ((&Row, f32), &Pixel)| {
-                                Residual::new(*row, value, channel, (pixel, strip), sees)
-                            };
-                            residuals.extend(of_pixels.map(of));
-                        } else {
-                            residuals[next..].iter_mut().zip(values).for_each(|(old, value)| old.value = value);
-                            next += pixels.len();
-                        }
+    /// Evaluates the model at all pixels, and compares it with all samples.
+    pub(crate) fn render(&mut self, scene: &Scene<'_>) {
+        let Self { patch, bunches, channels, .. } = self;
+        let Patch { middle, spans, pixels, samples, .. } = &*patch;
+        let stored: Vec<_> = [pixels].into_iter().chain(samples).flat_map(|layer| layer.channels.clone()).collect();
+        let light = scene.light();
+        for (i, (layer, bunches)) in [pixels].into_iter().chain(samples).zip(bunches).enumerate() {
+            for bunches in bunches.by_span_mut() {
+                let piece = scene.piece(&spans[bunches[0].span], middle, &layer.spread_px2);
+                for Bunch { points, chunk, .. } in bunches {
+                    chunk.evaluate(&piece, &light);
+                    // All channels are predicted at the pixels.
+                    for (channel, compared) in stored.iter().zip(&mut *channels).filter(|_| i == 0) {
+                        let values = chunk.values(&channel.weights);
+                        compared.predicted[points.clone()].copy_from_slice(&values[..points.len()]);
                     }
                 }
             }
         }
-        let mut apart = self.rows.iter();
-        for group in self.patch.groups.iter().filter(|group| !group.whole) {
-            for (k, (channel, rows)) in group.channels.iter().zip(apart.by_ref()).enumerate() {
-                for (i, sample) in group.samples.iter().enumerate() {
-                    let taps = group.parts(i).iter().flat_map(|part| &group.taps[part.range()]);
-                    let predicted = taps.map(|&(at, weight)| weight * rows.1[at as usize]).sum::<f32>();
-                    let value = sample.values[k] - predicted - channel.constant;
-                    if !derive {
-                        self.residuals[next].value = value;
-                        next += 1;
-                        continue;
+        let mut channels = channels.iter_mut();
+        for layer in [pixels].into_iter().chain(samples) {
+            for ((channel, stored), compared) in layer.channels.iter().zip(&layer.stored).zip(&mut channels) {
+                let Compared { predicted, residuals, .. } = compared;
+                if layer.is_whole() {
+                    for ((residual, stored), predicted) in residuals.iter_mut().zip(stored).zip(&*predicted) {
+                        *residual = stored - predicted - channel.constant;
                     }
-                    let pixel = &self.patch.pixels[sample.pixel as usize];
-                    let place = (pixel, self.patch.strip_of(pixel));
-                    let (row, seen) = self.blend(group, i, &rows.0);
-                    self.residuals.push(Residual::new(row, value, channel, place, seen));
+                    continue;
+                }
+                for ((residual, stored), taps) in residuals.iter_mut().zip(stored).zip(layer.neighbourhoods()) {
+                    let mean: f32 = taps.iter().map(|&(at, weight)| weight * predicted[at as usize]).sum();
+                    *residual = stored - mean - channel.constant;
                 }
             }
         }
     }
 
-    /// The rows of a sample's pixels, weighted by its taps, and what it sees.
-    fn blend(&self, group: &Group, sample: usize, rows: &[Row]) -> (Row, Seen) {
-        let Self { patch, seen: sees, .. } = self;
-        let middle = &patch.pixels[group.samples[sample].pixel as usize];
-        let strip = patch.strip_of(middle);
-        let (mut sum, mut seen) = ([0.0; ROW], Seen::Nothing);
-        for part in group.parts(sample) {
-            let taps = &group.taps[part.range()];
-            let sees = taps.iter().fold(Seen::Nothing, |seen, (at, _)| seen.and(sees[*at as usize]));
-            let other = part.strip as usize;
-            if other == strip || sees == Seen::Nothing {
-                blend_rows(rows, taps, &mut sum);
-                seen = seen.and(sees);
-                continue;
+    /// Weights the residuals by their noise.
+    fn weigh(&mut self, noise: &Noise) -> Weighed {
+        let mut weighed = Weighed { cost: 0.0, squares: Squares::default() };
+        let layers = [&self.patch.pixels].into_iter().chain(&self.patch.samples).zip(&self.near);
+        let mut channels = self.channels.iter_mut();
+        for (layer, near) in layers {
+            let near_count = layer.near().filter(|near| *near).count();
+            for (channel, compared) in layer.channels.iter().zip(&mut channels) {
+                let noise = &noise[usize::from(channel.number)];
+                let per_sigma = noise.map(|sigma| (1.0 / sigma) as f32);
+                let (mut cost, mut inside) = (0.0, [0.0; 2]);
+                let Compared { residuals, weights, .. } = compared;
+                let parts = weights.chunks_mut(CHUNK).zip(residuals.chunks(CHUNK)).zip(near.chunks(CHUNK));
+                for ((weights, residuals), near) in parts {
+                    let [of_all, of_near, of_far] = weigh(weights, residuals, near, per_sigma);
+                    cost += f64::from(of_all);
+                    inside[0] += f64::from(of_near);
+                    inside[1] += f64::from(of_far);
+                }
+                weighed.cost += cost;
+                let counts = [near_count, near.len() - near_count];
+                let squares = &mut weighed.squares[usize::from(channel.number)];
+                for (i, (sum, count)) in squares.iter_mut().enumerate() {
+                    *sum += inside[i] * noise[i] * noise[i];
+                    *count += counts[i];
+                }
             }
-            let mut row = [0.0; ROW];
-            blend_rows(rows, taps, &mut row);
-            let (row, sees) = on_strip(row, sees, (patch.ring(other), patch.ring(strip)), middle.f);
-            seen = seen.and(sees);
-            sum.iter_mut().zip(row).for_each(|(sum, value)| *sum += value);
         }
-        (sum, seen)
+        weighed
     }
 
     /// Sums of squares of the residuals; outliers, judged by `noise`, must not raise the noise by which they are
     /// judged.
-    pub(crate) fn squares(&self, noise: &Noise) -> Squares {
-        let mut scale = Scale::of(noise);
-        for residual in &self.residuals {
-            scale.weigh(residual);
-        }
-        scale.squares(noise)
+    pub(crate) fn squares(&mut self, noise: &Noise) -> Squares {
+        self.weigh(noise).squares
     }
 
-    /// Normal equations of the rendered model.
-    pub(crate) fn normal(&mut self, image: &TubeImage, layout: &Layout, noise: &Noise) -> Normal {
-        let mut scale = Scale::of(noise);
-        for run in self.residuals.chunk_by(|a, b| (a.strip, a.seen) == (b.strip, b.seen)) {
-            let weighed =
-                run.iter().map(|residual| -> Weighed<'_> { (&residual.row, residual.value, scale.weigh(residual)) });
-            self.sums.add(usize::from(run[0].strip), run[0].seen, weighed);
+    /// Forms the derivatives of all samples, of the model as it was rendered.
+    fn derive(&mut self, scene: &Scene<'_>, mut take: impl FnMut(&mut Sums, &Part<'_>)) {
+        let Self { patch, bunches, channels, sums, rows, .. } = self;
+        let Patch { middle, spans, pixels, samples, .. } = patch;
+        let light = scene.light();
+        let mut channels = &channels[..];
+        for (layer, bunches) in [&*pixels].into_iter().chain(&*samples).zip(bunches) {
+            let (own, others) = channels.split_at(layer.channels.len());
+            channels = others;
+            let (apart, cells) = (!layer.is_whole(), &layer.cells);
+            for bunches in bunches.by_span() {
+                let piece = scene.piece(&spans[bunches[0].span], middle, &layer.spread_px2);
+                for Bunch { span, points, chunk } in bunches {
+                    for (channel, compared) in layer.channels.iter().zip(own) {
+                        let rows = rows.of(chunk, &piece, &light, &channel.weights);
+                        let (span, points, seen) = (*span, points.clone(), chunk.seen);
+                        take(sums, &Part { span, points, seen, apart, cells, compared, rows });
+                    }
+                }
+            }
         }
-        let spans = self.patch.strips.iter().map(|strip| &strip.span);
-        Normal { cost: scale.cost, squares: scale.squares(noise), ..self.sums.take(spans, image, layout) }
     }
 
-    /// The equations of `before` with the gradient of the rendered model.
-    pub(crate) fn gradient(&self, before: &Normal, image: &TubeImage, layout: &Layout, noise: &Noise) -> Normal {
-        let mut scale = Scale::of(noise);
-        let mut sums = vec![[0.0; ROW]; self.patch.strips.len()];
-        for residual in &self.residuals {
-            let by = scale.weigh(residual) * residual.value;
-            sums[usize::from(residual.strip)].iter_mut().zip(&residual.row).for_each(|(sum, value)| *sum += by * value);
-        }
-        let spans = self.patch.strips.iter().map(|strip| &strip.span);
-        let equations = before.with_gradient(spans.zip(&sums), image, layout);
-        Normal { cost: scale.cost, squares: scale.squares(noise), ..equations }
+    /// Normal equations of the model as it was rendered.
+    pub(crate) fn normal(&mut self, scene: &Scene<'_>, noise: &Noise) -> Normal {
+        let Weighed { cost, squares } = self.weigh(noise);
+        self.derive(scene, |sums, part| {
+            let [residuals, weights] = part.padded();
+            let (count, rows) = (part.rows.len(), part.rows);
+            sums.add(part.span, part.seen, rows, &residuals[..count], &weights[..count]);
+        });
+        Normal { cost, squares, ..self.sums.take(&self.patch.spans, scene.image, scene.layout) }
+    }
+
+    /// The equations of `before` with the gradient of the model as it was rendered.
+    pub(crate) fn gradient(&mut self, before: &Normal, scene: &Scene<'_>, noise: &Noise) -> Normal {
+        let Weighed { cost, squares } = self.weigh(noise);
+        let mut sums = vec![[0.0; ROW]; self.patch.spans.len()];
+        self.derive(scene, |_, part| add_gradient(&mut sums[part.span], part));
+        let equations = before.with_gradient(self.patch.spans.iter().zip(&sums), scene.image, scene.layout);
+        Normal { cost, squares, ..equations }
+    }
+
+    /// What the scatter is judged by, with the weights of the last equations.
+    fn scores(&mut self, scene: &Scene<'_>) -> Scores {
+        let slips = Slips::new(scene.layout, self.patch.spans.len());
+        let cells = vec![[0.0; ROW]; self.patch.cells.len()];
+        let mut scores = Scores { cells, slips, said: 0.0, coded: 0.0 };
+        let rings: Vec<usize> = self.patch.spans.iter().map(|span| span.ring).collect();
+        self.derive(scene, |_, part| scores.add(part, rings[part.span]));
+        scores
     }
 
     /// Empirical covariance of J'Wr: products of the sums over cells, which keeps the correlation between neighbouring
     /// samples and channels (a cluster-robust "sandwich"; White 1980, doi:10.2307/1912934, Liang and Zeger 1986,
     /// doi:10.1093/biomet/73.1.13). `of_shape` and `of_colours` map parameters to shape.
     pub(crate) fn scatter(
-        &self,
-        image: &TubeImage,
-        layout: &Layout,
-        noise: &Noise,
+        &mut self,
+        scene: &Scene<'_>,
         of_shape: &SMatrix<f64, SHAPE, SHAPE>,
         of_colours: &ShapeBy,
         coder_variance: f64,
     ) -> Scattered {
-        let mut scale = Scale::of(noise);
-        let mut slips = Slips::new(layout, self.patch.strips.len());
-        // Channels with different sampling are luma and chroma.
-        let slipping = self.patch.groups.len() > 1;
-        // Samples within a cell are summed before the mapping.
-        let mut sums = vec![[0.0; ROW]; self.patch.cells.len()];
-        let (mut said, mut coded) = (0.0, 0.0);
-        for residual in &self.residuals {
-            let weight = scale.weigh(residual);
-            let [across, along] = shifted(&residual.row);
-            let says = f64::from(weight * (across * across + along * along));
-            said += says;
-            coded += says * f64::from(weight);
-            let by = weight * residual.value;
-            sums[residual.cell as usize].iter_mut().zip(&residual.row).for_each(|(sum, value)| *sum += by * value);
-            if slipping && residual.channel > 0 {
-                let strip = usize::from(residual.strip);
-                slips.add((strip, self.patch.ring(strip)), &residual.row, residual.value, weight);
-            }
-        }
-        let mut squares = vec![ShapeStep::zeros(); self.patch.squares];
-        for cells in self.patch.cells.iter().zip(&sums).collect::<Vec<_>>().chunk_by(|a, b| a.0.0 == b.0.0) {
-            let strip = cells[0].0.0;
-            let map = influence(image, &self.patch.strips[strip].span, layout, of_shape, of_colours);
+        let Scores { cells, mut slips, said, coded } = self.scores(scene);
+        let Patch { spans, cells: places, squares, .. } = &self.patch;
+        let Scene { image, layout, .. } = *scene;
+        let mut squares = vec![ShapeStep::zeros(); *squares];
+        for cells in places.iter().zip(&cells).collect::<Vec<_>>().chunk_by(|a, b| a.0.0 == b.0.0) {
+            let span = cells[0].0.0;
+            let map = influence(image, &spans[span], layout, of_shape, of_colours);
             for ((_, square), sum) in cells {
                 for (by, from) in sum.iter().zip(map.column_iter()) {
                     squares[*square].axpy(f64::from(*by), &from, 1.0);
                 }
             }
-            slips.map(strip, &map);
+            slips.map(span, &map);
         }
         slips.finish(image, layout);
         let mut covariance = SMatrix::<f64, SHAPE, SHAPE>::zeros();
@@ -303,35 +363,46 @@ impl Comparison {
     }
 }
 
-/// Adds rows, each with a weight.
-#[multiversion(targets("x86_64+avx2"))]
-fn blend_rows(rows: &[Row], taps: &[(u32, f32)], sum: &mut Row) {
-    let mut all = *sum;
-    for &(at, weight) in taps {
-        let row = &rows[at as usize];
-        for k in 0..ROW {
-            all[k] += weight * row[k];
-        }
+/// Adds rows times residuals.
+#[multiversion(targets("x86_64+avx512f+avx512bw+avx512dq+avx512vl", "x86_64+avx2"))]
+fn add_gradient(sum: &mut Row, part: &Part<'_>) {
+    for (row, residual, weight, _) in part.samples() {
+        add_row(sum, row, part.seen, weight * residual);
     }
-    *sum = all;
 }
 
-/// A row converted to a nearby strip, with what it sees. `rings`: its own, and the other strip's.
-fn on_strip(mut row: Row, seen: Seen, (own, ring): (usize, usize), f: f32) -> (Row, Seen) {
-    divide(&mut row, f);
-    // Beyond the midpoint between two rings the same segment is the other one of the pair.
-    let seen = match own.cmp(&ring) {
-        Ordering::Equal => seen,
-        Ordering::Greater => {
-            row.copy_within(ROW_BEFORE..ROW_BEHIND, ROW_BEHIND);
-            row[ROW_BEFORE..ROW_BEHIND].fill(0.0);
-            if seen == Seen::Before { Seen::Behind } else { Seen::Ring }
+/// Adds rows times residuals to their cells; returns the information about the band's position, and the same times the
+/// weights.
+#[multiversion(targets("x86_64+avx512f+avx512bw+avx512dq+avx512vl", "x86_64+avx2"))]
+fn add_to_cells(cells: &mut [Row], part: &Part<'_>) -> [f64; 2] {
+    let (mut said, mut coded) = (0.0, 0.0);
+    for (row, residual, weight, cell) in part.samples() {
+        let [across, along] = shifted(row, part.seen);
+        let says = weight * (across * across + along * along);
+        said += f64::from(says);
+        coded += f64::from(says * weight);
+        add_row(&mut cells[cell as usize], row, part.seen, weight * residual);
+    }
+    [said, coded]
+}
+
+/// Weights of up to [`CHUNK`] residuals, near the tube (1) or not (0), by their inverse σ there. Returns sums in units
+/// of the noise: robust cost; squares held at the limit, near and far.
+#[multiversion(targets("x86_64+avx512f+avx512bw+avx512dq+avx512vl", "x86_64+avx2"))]
+fn weigh(weights: &mut [f32], residuals: &[f32], near: &[f32], [of_near, of_far]: [f32; 2]) -> [f32; 3] {
+    // Sums of eight, so that the order of the additions does not depend on the vectors' width.
+    let mut sums = [[0.0_f32; 8]; 3];
+    let parts = weights.chunks_mut(8).zip(residuals.chunks(8)).zip(near.chunks(8));
+    for ((weights, residuals), near) in parts {
+        for (i, ((weight, residual), near)) in weights.iter_mut().zip(residuals).zip(near).enumerate() {
+            let per_sigma = if *near > 0.0 { of_near } else { of_far };
+            let z = residual.abs() * per_sigma;
+            let inside = z.min(HUBER);
+            sums[0][i] += inside * (2.0 * z - inside);
+            sums[1][i] += inside * inside * near;
+            sums[2][i] += inside * inside * (1.0 - near);
+            *weight = per_sigma * per_sigma * (HUBER / z.max(HUBER));
         }
-        Ordering::Less => {
-            row.copy_within(ROW_BEHIND..ROW_CAP, ROW_BEFORE);
-            row[ROW_BEHIND..ROW_CAP].fill(0.0);
-            if seen == Seen::Behind { Seen::Before } else { Seen::Ring }
-        }
-    };
-    (row, seen)
+    }
+    sums.map(|sum| sum.iter().sum())
 }

@@ -3,6 +3,7 @@
 //! Covariance: H⁻¹ M H⁻¹ with M from the residuals themselves, because decoder errors are correlated between neighbours
 //! and stronger near edges; plus errors of the image model that no residual shows.
 
+use crate::track::chunk::Scene;
 use crate::track::equations::Eliminated;
 use crate::track::fit::{TubeFit, ViewFit};
 use crate::track::image_model::{ModelError, coder_variance};
@@ -19,23 +20,26 @@ use rayon::prelude::*;
 
 impl Round<'_> {
     /// Covariance of the shape, and the result of each view alone.
-    pub(crate) fn conclude(&self, minimum: Minimum) -> Result<TubeFit, NoFit> {
+    pub(crate) fn conclude(self, minimum: Minimum) -> Result<TubeFit, NoFit> {
         let Minimum { state, step, end } = minimum;
         let normals = &state.equations.views;
-        let seen = normals.iter().map(|normal| normal.eliminate(0.0)).collect::<Option<Vec<_>>>();
+        let seen = normals.iter().map(|normal| normal.hessian.eliminate(0.0)).collect::<Option<Vec<_>>>();
         let seen = seen.ok_or(NoFit::NotConverged)?;
         let information = seen.iter().fold(shape_prior(), |sum, view| sum + view.shape);
         let plain = information.cholesky().ok_or(NoFit::NotConverged)?.inverse();
         // The residuals do not contain the priors' information.
         let mut covariance = plain * shape_prior() * plain;
-        let compared = self.views.par_iter().zip(&state.guess.images).zip(&seen);
-        let scatter = compared.map(|((view, image), eliminated)| {
+        let Round { mut views, stretch, picture, model, .. } = self;
+        let Guess { images, colours, .. } = &state.guess;
+        let compared = views.par_iter_mut().zip(images).zip(colours).zip(&seen);
+        let scatter = compared.map(|(((view, image), colours), eliminated)| {
             let of_colours = -plain * &eliminated.following;
-            let quantised = self.picture.quantisation();
+            let quantised = picture.quantisation();
             let coder_variance = quantised
                 .and_then(|q| Some(coder_variance(q.step_in(view.comparison.window())?, q.predicted)))
                 .unwrap_or(0.0);
-            view.comparison.scatter(image, &self.stretch.layout, &view.noise, &plain, &of_colours, coder_variance)
+            let scene = Scene::new(image, colours, stretch, model);
+            view.comparison.scatter(&scene, &plain, &of_colours, coder_variance)
         });
         let (mut slip, mut slip_covariance) = (Seen::default(), SMatrix::zeros());
         for (scattered, view) in scatter.collect::<Vec<_>>().into_iter().zip(&seen) {
@@ -46,8 +50,8 @@ impl Round<'_> {
         let Guess { shape, colours, images } = end;
         let points: Vec<_> = images.iter().map(point_from_pixel).collect();
         for (((image, point), view), normal) in images.iter().zip(&points).zip(&seen).zip(normals) {
-            let error = self.model.error.growth(rms(&normal.squares));
-            let moved = plain * view.shape * unmodelled(image, point, self.stretch, &self.model.error) * error;
+            let error = model.error.growth(rms(&normal.squares));
+            let moved = plain * view.shape * unmodelled(image, point, stretch, &model.error) * error;
             covariance += moved * moved.transpose();
         }
         let inflation = (covariance.fixed_view::<3, 3>(0, 0).trace() / plain.fixed_view::<3, 3>(0, 0).trace()).max(1.0);

@@ -4,9 +4,10 @@
 //! (H − Σ X C⁻¹ Xᵀ) · shape = g − Σ X C⁻¹ c, then colours = C⁻¹ (c − Xᵀ · shape). Of some fifty unknowns thirteen
 //! remain.
 
-use crate::track::normal::Normal;
+use crate::track::normal::{Hessian, Normal};
 use crate::track::tube::{SHAPE, ShapeBy, ShapeStep};
-use nalgebra::{DVector, SMatrix};
+use nalgebra::{Cholesky, DVector, Dyn, SMatrix};
+use std::sync::Arc;
 
 /// The sums over all views, priors included.
 #[derive(Debug, Clone)]
@@ -29,44 +30,63 @@ pub(crate) struct Step {
 }
 
 /// A view with its colours eliminated.
+#[derive(Debug)]
 pub(crate) struct Eliminated {
     /// The view's information about the shape.
     pub shape: SMatrix<f64, SHAPE, SHAPE>,
     /// X C⁻¹: its transpose gives how the colours follow the shape.
     pub following: ShapeBy,
-    /// C⁻¹ c.
-    own: DVector<f64>,
+    /// Factor of C.
+    colours: Cholesky<f64, Dyn>,
+    damping: f64,
+}
+
+impl Hessian {
+    /// Eliminates the colours, with the diagonals first increased by the fraction `damping`; `None` when singular.
+    pub(crate) fn eliminate(&self, damping: f64) -> Option<Eliminated> {
+        let colours = damped(self.colours.clone(), damping).cholesky()?;
+        let following = colours.solve(&self.cross.transpose()).transpose();
+        let mut shape = damped(self.shape, damping);
+        shape -= &following * self.cross.transpose();
+        Some(Eliminated { shape, following, colours, damping })
+    }
 }
 
 impl Normal {
-    /// Eliminates the colours, with the diagonals first increased by the fraction `damping`; `None` when singular.
-    pub(crate) fn eliminate(&self, damping: f64) -> Option<Eliminated> {
-        let factor = damped(self.colours.clone(), damping).cholesky()?;
-        let following = factor.solve(&self.cross.transpose()).transpose();
-        let own = factor.solve(&self.colour_gradient);
-        let mut shape = damped(self.shape, damping);
-        shape -= &following * self.cross.transpose();
-        Some(Eliminated { shape, following, own })
-    }
-
     /// The shape's gradient after a step, in which it is linear.
     pub(crate) fn shape_gradient_after(&self, shape: &ShapeStep, colours: &DVector<f64>) -> ShapeStep {
-        self.shape_gradient - self.shape * shape - &self.cross * colours
+        self.shape_gradient - self.hessian.shape * shape - &self.hessian.cross * colours
+    }
+
+    /// With the colours eliminated: as `before`, if that is of the same matrix and damped no less.
+    fn eliminated(&self, damping: f64, before: Option<&Known>) -> Option<Known> {
+        let known = before.filter(|(of, known)| Arc::ptr_eq(of, &self.hessian) && known.damping >= damping);
+        match known {
+            Some(known) => Some(known.clone()),
+            None => Some((Arc::clone(&self.hessian), Arc::new(self.hessian.eliminate(damping)?))),
+        }
     }
 }
 
+/// A matrix and its elimination.
+pub(crate) type Known = (Arc<Hessian>, Arc<Eliminated>);
+
 impl Equations {
-    /// Levenberg's step; `None` when the equations are singular.
-    pub(crate) fn step(&self, damping: f64) -> Option<Step> {
+    /// Levenberg's step; `None` when the equations are singular. `known` are the views' last eliminations.
+    pub(crate) fn step(&self, damping: f64, known: &mut Vec<Known>) -> Option<Step> {
         let mut shape = damped(self.prior, damping);
         let mut gradient = self.prior_gradient;
-        let views = self.views.iter().map(|view| view.eliminate(damping)).collect::<Option<Vec<_>>>()?;
-        for (view, normal) in views.iter().zip(&self.views) {
+        let eliminated = |(i, view): (usize, &Normal)| view.eliminated(damping, known.get(i));
+        *known = self.views.iter().enumerate().map(eliminated).collect::<Option<Vec<_>>>()?;
+        for ((_, view), normal) in known.iter().zip(&self.views) {
             shape += view.shape;
-            gradient += normal.shape_gradient - &normal.cross * &view.own;
+            gradient += normal.shape_gradient - &view.following * &normal.colour_gradient;
         }
         let step = shape.cholesky()?.solve(&gradient);
-        let colours: Vec<DVector<f64>> = views.iter().map(|view| &view.own - view.following.tr_mul(&step)).collect();
+        let follow = |((_, view), normal): (&Known, &Normal)| {
+            view.colours.solve(&normal.colour_gradient) - view.following.tr_mul(&step)
+        };
+        let colours: Vec<DVector<f64>> = known.iter().zip(&self.views).map(follow).collect();
         let mut predicted_decrease = step.dot(&self.prior_gradient);
         for (colours, normal) in colours.iter().zip(&self.views) {
             predicted_decrease += step.dot(&normal.shape_gradient) + colours.dot(&normal.colour_gradient);

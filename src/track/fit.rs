@@ -25,7 +25,7 @@ use rayon::prelude::*;
 
 /// The first round ends when a step lowers the cost (a χ²) by less than this: the next would lower it by less than the
 /// change due to the other samples.
-const COARSE_TOLERANCE: f64 = 300.0;
+const COARSE_TOLERANCE: f64 = 1000.0;
 /// The same for the second: the decrease left after that step is a hundredth.
 const FINE_TOLERANCE: f64 = 10.0;
 
@@ -77,7 +77,7 @@ pub(crate) fn fit(
     };
     // 1. settle
     let mut guess = Guess::new(stretch, paths, start.clone(), Vec::new(), sweep, &[])?;
-    let mut coarse_round = round(&guess, (Density::Fifth, Weighing::Stated))?;
+    let mut coarse_round = round(&guess, (Density::Fifth, Weighing::Assumed))?;
     guess.colours = coarse_round.views.iter().map(|view| view.expected_colours.clone()).collect();
     let coarse = coarse_round.minimise(guess, COARSE_TOLERANCE)?.end;
     // 2. measure

@@ -12,6 +12,7 @@ mod equations;
 mod fit;
 mod image_model;
 mod lamp;
+mod last;
 mod light;
 mod motion;
 mod no_fit;

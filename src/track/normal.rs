@@ -11,6 +11,7 @@ use crate::track::tube::{SHAPE, ShapeBy, ShapeStep};
 use crate::track::tube_image::TubeImage;
 use multiversion::multiversion;
 use nalgebra::{DMatrix, DVector, SMatrix};
+use std::sync::Arc;
 
 /// A part of the tube: between a knot and the next, nearest to one ring.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -20,26 +21,23 @@ pub(crate) struct Span {
     pub ring: usize,
 }
 
-/// What is seen of the tube: nothing, the segment before the nearest ring, the one after it, or both and the ring. A bit
-/// stands for each segment.
+/// What is seen of the tube: nothing, the segment before the nearest ring, the one after it, or both and the ring.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-#[repr(u8)]
 pub(crate) enum Seen {
     #[default]
-    Nothing = 0,
-    Before = 1,
-    Behind = 2,
-    Ring = 3,
+    Nothing,
+    Before,
+    Behind,
+    Ring,
 }
 
 impl Seen {
-    /// The union of both.
-    pub(crate) fn and(self, other: Self) -> Self {
-        match self as u8 | other as u8 {
-            0 => Self::Nothing,
-            1 => Self::Before,
-            2 => Self::Behind,
-            _ => Self::Ring,
+    /// How many elements of a row are in use.
+    pub(crate) fn width(self) -> usize {
+        match self {
+            Self::Nothing => OUTSIDE,
+            Self::Before | Self::Behind => PLAIN,
+            Self::Ring => ROW,
         }
     }
 }
@@ -50,8 +48,8 @@ pub(crate) const ROW: usize = 24;
 const PLAIN: usize = 16;
 const OUTSIDE: usize = 8;
 /// Derivatives of one sample's prediction, those of a plain sample first: both knots across; background; its gradient;
-/// shading and its changes; colour of the segment before the nearest ring, and of the one after it; cap; both knots
-/// along; their bulge.
+/// shading and its changes; colour of the segment before the nearest ring, or of the only one that is seen; colour of the
+/// one after the ring; cap; both knots along; their bulge. Elements beyond [`Seen::width`] have no meaning.
 pub(crate) type Row = [f32; ROW];
 
 pub(crate) const ROW_ACROSS: usize = 0;
@@ -64,19 +62,28 @@ pub(crate) const ROW_CAP: usize = ROW_BEHIND + PER_SEGMENT;
 pub(crate) const ROW_ALONG: usize = ROW_CAP + 1;
 pub(crate) const ROW_BULGE: usize = ROW_ALONG + 2;
 
-/// Redistributes the derivatives that move the tube's image over the knots: `f` is the fraction of the way from the
-/// first knot to the second.
-pub(crate) fn divide(row: &mut Row, f: f32) {
-    for at in [ROW_ACROSS, ROW_ALONG, ROW_BULGE] {
-        let all = row[at] + row[at + 1];
-        row[at + 1] = all * f;
-        row[at] = all - row[at + 1];
+/// Adds a row, multiplied by `by`, to a sum of rows in which each segment has its own elements.
+#[inline(always)]
+pub(crate) fn add_row(sum: &mut Row, row: &Row, seen: Seen, by: f32) {
+    let mut add = |to: std::ops::Range<usize>, from: usize| {
+        sum[to.clone()].iter_mut().zip(&row[from..]).for_each(|(sum, value)| *sum += by * value);
+    };
+    match seen {
+        Seen::Nothing => add(0..OUTSIDE, 0),
+        Seen::Before => add(0..PLAIN, 0),
+        Seen::Behind => {
+            add(0..ROW_BEFORE, 0);
+            add(ROW_BEHIND..ROW_CAP, ROW_BEFORE);
+        }
+        Seen::Ring => add(0..ROW, 0),
     }
 }
 
 /// Change of a sample's prediction when the picture is shifted by a pixel across the tube, and along it.
-pub(crate) fn shifted(row: &Row) -> [f32; 2] {
-    [ROW_ACROSS, ROW_ALONG].map(|at| row[at] + row[at + 1])
+#[inline(always)]
+pub(crate) fn shifted(row: &Row, seen: Seen) -> [f32; 2] {
+    let of = |at: usize| row[at] + row[at + 1];
+    [of(ROW_ACROSS), if seen == Seen::Ring { of(ROW_ALONG) } else { 0.0 }]
 }
 
 /// The elements of a row that move the shape: all of them, and those of a plain sample.
@@ -136,14 +143,11 @@ pub(crate) fn influence(
     influence
 }
 
-/// Sums over a view's samples: J'WJ, J'Wr and the robust cost. The symmetric J'WJ of the colours has only its lower
-/// triangle.
+/// Sums over a view's samples: J'WJ, J'Wr and the robust cost.
 #[derive(Debug, Clone)]
 pub(crate) struct Normal {
-    pub shape: SMatrix<f64, SHAPE, SHAPE>,
-    /// Shape (rows) and colours (columns).
-    pub cross: ShapeBy,
-    pub colours: DMatrix<f64>,
+    /// Shared by equations that differ in the gradient alone.
+    pub hessian: Arc<Hessian>,
     pub shape_gradient: ShapeStep,
     pub colour_gradient: DVector<f64>,
     pub cost: f64,
@@ -151,22 +155,20 @@ pub(crate) struct Normal {
     pub squares: Squares,
 }
 
+/// J'WJ of a view.
+#[derive(Debug, Clone)]
+pub(crate) struct Hessian {
+    pub shape: SMatrix<f64, SHAPE, SHAPE>,
+    /// Shape (rows) and colours (columns).
+    pub cross: ShapeBy,
+    /// Symmetric, only its lower triangle.
+    pub colours: DMatrix<f64>,
+}
+
 /// Sum of squared residuals and their count: per channel, near the tube and in the background.
 pub(crate) type Squares = [[(f64, usize); 2]; 3];
 
 impl Normal {
-    fn zeros(colours: usize) -> Self {
-        Self {
-            shape: SMatrix::zeros(),
-            cross: ShapeBy::zeros(colours),
-            colours: DMatrix::zeros(colours, colours),
-            shape_gradient: ShapeStep::zeros(),
-            colour_gradient: DVector::zeros(colours),
-            cost: 0.0,
-            squares: Squares::default(),
-        }
-    }
-
     /// The same with another gradient, from the sums of rows times residuals in each span.
     pub(crate) fn with_gradient<'a>(
         &self,
@@ -175,9 +177,10 @@ impl Normal {
         layout: &Layout,
     ) -> Self {
         let mut normal = Self {
+            hessian: Arc::clone(&self.hessian),
             shape_gradient: ShapeStep::zeros(),
             colour_gradient: DVector::zeros(layout.colours()),
-            ..self.clone()
+            ..*self
         };
         for (span, sum) in sums {
             for (moves, i) in moves(image, span.knot).iter().zip(MOVES) {
@@ -192,39 +195,6 @@ impl Normal {
         }
         normal
     }
-
-    /// Adds a block and empties it. The first of `moves` give how the shape moves the row elements `at`; `colours` are
-    /// the other elements in use, with their colours.
-    fn take<const N: usize, const S: usize>(
-        &mut self,
-        block: &mut Block<N>,
-        at: [usize; S],
-        moves: &[Padded; MOVES.len()],
-        colours: impl Iterator<Item = (usize, usize)>,
-    ) {
-        block.flush();
-        let sum = |i: usize, j: usize| f64::from(block.hessian[i.min(j)][i.max(j)]);
-        let Self { shape, cross, shape_gradient, colour_gradient, colours: all, .. } = self;
-        for (own, i) in moves.iter().zip(at) {
-            let gradient = f64::from(block.gradient[i]);
-            let moved = combined(moves, at.map(|j| sum(i, j)));
-            shape_gradient.as_mut_slice().iter_mut().zip(own).for_each(|(sum, by)| *sum += by * gradient);
-            for (column, by) in shape.as_mut_slice().chunks_exact_mut(SHAPE).zip(own) {
-                column.iter_mut().zip(&moved).for_each(|(sum, value)| *sum += by * value);
-            }
-        }
-        let colours: Vec<(usize, usize)> = colours.collect();
-        let (rows, cross, all) = (all.nrows(), cross.as_mut_slice(), all.as_mut_slice());
-        for (first, &(i, colour)) in colours.iter().enumerate() {
-            colour_gradient[colour] += f64::from(block.gradient[i]);
-            let moved = combined(moves, at.map(|j| sum(i, j)));
-            cross[colour * SHAPE..][..SHAPE].iter_mut().zip(&moved).for_each(|(sum, value)| *sum += value);
-            for &(j, other) in &colours[first..] {
-                all[colour.min(other) * rows + colour.max(other)] += sum(i, j);
-            }
-        }
-        block.clear();
-    }
 }
 
 /// The sum of the first of `moves`, weighted by `by`.
@@ -237,93 +207,126 @@ fn combined<const S: usize>(moves: &[Padded; MOVES.len()], by: [f64; S]) -> Padd
     sum
 }
 
-/// A sample's row, residual and weight.
-pub(crate) type Weighed<'a> = (&'a Row, f32, f32);
+/// Blocks mapped to the parameters; those of the shape are padded.
+struct Mapped {
+    shape: [Padded; SHAPE],
+    shape_gradient: Padded,
+    cross: Vec<Padded>,
+    colour_gradient: DVector<f64>,
+}
+
+/// Maps a block. The first of `moves` give how the shape moves the row elements `at`; `colours` are those of the other
+/// elements.
+#[multiversion(targets("x86_64+avx512f+avx512bw+avx512dq+avx512vl", "x86_64+avx2"))]
+fn map<const N: usize, const S: usize>(
+    mapped: &mut Mapped,
+    block: &Block<N>,
+    at: [usize; S],
+    moves: &[Padded; MOVES.len()],
+    colours: &[Option<usize>; ROW],
+) {
+    let Mapped { shape, shape_gradient, cross, colour_gradient } = mapped;
+    let sum = |i: usize, j: usize| f64::from(block.hessian[i.min(j)][i.max(j)]);
+    for (own, i) in moves.iter().zip(at) {
+        let gradient = f64::from(block.gradient[i]);
+        let moved = combined(moves, at.map(|j| sum(i, j)));
+        shape_gradient.iter_mut().zip(own).for_each(|(sum, by)| *sum += by * gradient);
+        for (column, by) in shape.iter_mut().zip(own) {
+            column.iter_mut().zip(&moved).for_each(|(sum, value)| *sum += by * value);
+        }
+    }
+    for (i, colour) in colours[..N].iter().enumerate() {
+        let Some(colour) = *colour else { continue };
+        colour_gradient[colour] += f64::from(block.gradient[i]);
+        let moved = combined(moves, at.map(|j| sum(i, j)));
+        cross[colour].iter_mut().zip(&moved).for_each(|(sum, value)| *sum += value);
+    }
+}
+
+/// Sums of blocks that belong to the same colours.
+type Own<const N: usize> = [[f64; N]; N];
+
+fn add<const N: usize>(sum: &mut Own<N>, block: &Block<N>) {
+    for (sum, row) in sum.iter_mut().zip(&block.hessian) {
+        sum.iter_mut().zip(row).for_each(|(sum, value)| *sum += f64::from(*value));
+    }
+}
+
+/// Adds what belongs to `colours` to their lower triangle.
+fn spread<const N: usize>(sum: &Own<N>, colours: &[Option<usize>; ROW], into: &mut DMatrix<f64>) {
+    for (i, row) in sum.iter().enumerate() {
+        let Some(colour) = colours[i] else { continue };
+        for (value, other) in row.iter().zip(&colours[..N]).skip(i) {
+            if let Some(other) = *other {
+                into[(colour.max(other), colour.min(other))] += value;
+            }
+        }
+    }
+}
 
 /// Rows that are summed together, so that each sum is loaded and stored once for all of them.
 const BATCH: usize = 8;
 
-/// Sums of rows: J'WJ, of which the upper triangle with the diagonal is used, and J'Wr. Rows are collected into
-/// batches.
+/// Sums of rows: J'WJ, of which the upper triangle with the diagonal is used, and J'Wr.
 struct Block<const N: usize> {
     hessian: [[f32; N]; N],
     gradient: [f32; N],
-    waiting: [[f32; N]; BATCH],
-    residuals: [f32; BATCH],
-    weights: [f32; BATCH],
-    count: usize,
     used: bool,
 }
 
 impl<const N: usize> Default for Block<N> {
     fn default() -> Self {
-        Self {
-            hessian: [[0.0; N]; N],
-            gradient: [0.0; N],
-            waiting: [[0.0; N]; BATCH],
-            residuals: [0.0; BATCH],
-            weights: [0.0; BATCH],
-            count: 0,
-            used: false,
-        }
+        Self { hessian: [[0.0; N]; N], gradient: [0.0; N], used: false }
     }
 }
 
 impl<const N: usize> Block<N> {
-    /// Adds the columns that `columns` selects from each row.
-    fn add<'a>(&mut self, samples: impl Iterator<Item = Weighed<'a>>, columns: impl Fn(&Row, &mut [f32; N])) {
+    /// Adds whole batches of rows, with their residuals and weights.
+    fn add(&mut self, rows: &[Row], residuals: &[f32], weights: &[f32]) {
         self.used = true;
-        for (row, residual, weight) in samples {
-            columns(row, &mut self.waiting[self.count]);
-            (self.residuals[self.count], self.weights[self.count]) = (residual, weight);
-            self.count += 1;
-            if self.count == BATCH {
-                self.flush();
-            }
+        let batches = rows.as_chunks().0.iter().zip(residuals.as_chunks().0).zip(weights.as_chunks().0);
+        for ((rows, residuals), weights) in batches {
+            accumulate(self, rows, residuals, weights);
         }
     }
 
-    fn flush(&mut self) {
-        self.weights[self.count..].fill(0.0);
-        self.count = 0;
-        accumulate(&mut self.hessian, &mut self.gradient, &self.waiting, &self.residuals, &self.weights);
-    }
-
     fn clear(&mut self) {
-        (self.hessian, self.gradient, self.used) = ([[0.0; N]; N], [0.0; N], false);
+        *self = Self::default();
     }
 }
 
 /// Adds the products of the rows with each other and with the residuals.
-#[expect(clippy::needless_range_loop, reason = "plain loops become vectors")]
-#[multiversion(targets("x86_64+avx2"))]
+#[multiversion(targets("x86_64+avx512f+avx512bw+avx512dq+avx512vl", "x86_64+avx2"))]
 fn accumulate<const N: usize>(
-    hessian: &mut [[f32; N]; N],
-    gradient: &mut [f32; N],
-    rows: &[[f32; N]; BATCH],
+    block: &mut Block<N>,
+    rows: &[Row; BATCH],
     residuals: &[f32; BATCH],
     weights: &[f32; BATCH],
 ) {
-    let mut weighed = *rows;
+    let Block { hessian, gradient, .. } = block;
+    let mut weighed = [[0.0; N]; BATCH];
     for r in 0..BATCH {
         for i in 0..N {
-            weighed[r][i] *= weights[r];
+            weighed[r][i] = rows[r][i] * weights[r];
         }
     }
+    // Kept in memory, from where a number is spread over a vector at no cost.
+    let [wa, wb, wc, wd, we, wf, wg, wh] = std::hint::black_box(&weighed);
+    let [ra, rb, rc, rd, re, rf, rg, rh] = residuals;
+    let [a, b, c, d, e, f, g, h] = rows;
     // Plain loops, which the compiler vectorises wherever it inlines. The whole square: the unneeded half costs less
     // than loops of different lengths.
-    let [a, b, c, d, e, f, g, h] = rows;
-    let [wa, wb, wc, wd, we, wf, wg, wh] = &weighed;
-    let [ra, rb, rc, rd, re, rf, rg, rh] = residuals;
-    for i in 0..N {
-        let (pa, pb, pc, pd) = (wa[i], wb[i], wc[i], wd[i]);
-        let (pe, pf, pg, ph) = (we[i], wf[i], wg[i], wh[i]);
-        let sums = &mut hessian[i];
+    for (i, sums) in hessian.iter_mut().enumerate() {
         for j in 0..N {
-            let first = pa * a[j] + pb * b[j] + pc * c[j] + pd * d[j];
-            sums[j] += first + pe * e[j] + pf * f[j] + pg * g[j] + ph * h[j];
+            let first = (wa[i] * a[j] + wb[i] * b[j]) + (wc[i] * c[j] + wd[i] * d[j]);
+            let second = (we[i] * e[j] + wf[i] * f[j]) + (wg[i] * g[j] + wh[i] * h[j]);
+            sums[j] += first + second;
         }
-        gradient[i] += pa * ra + pb * rb + pc * rc + pd * rd + pe * re + pf * rf + pg * rg + ph * rh;
+    }
+    for j in 0..N {
+        let first = (wa[j] * ra + wb[j] * rb) + (wc[j] * rc + wd[j] * rd);
+        let second = (we[j] * re + wf[j] * rf) + (wg[j] * rg + wh[j] * rh);
+        gradient[j] += first + second;
     }
 }
 
@@ -348,49 +351,70 @@ impl Sums {
         sums
     }
 
-    /// Adds samples of a span that see the same part of the tube.
-    pub(crate) fn add<'a>(&mut self, span: usize, seen: Seen, samples: impl Iterator<Item = Weighed<'a>>) {
+    /// Adds samples of a span that see the same part of the tube: whole batches, with weights of zero where there is
+    /// none.
+    pub(crate) fn add(&mut self, span: usize, seen: Seen, rows: &[Row], residuals: &[f32], weights: &[f32]) {
         let Some(SpanSums { plain, at_ring }) = self.spans.get_mut(span) else { return };
         match seen {
-            Seen::Nothing => self.background.add(samples, |row, outside| {
-                for (to, value) in outside.iter_mut().zip(&row[ROW_BACKGROUND..ROW_SHADING]) {
-                    *to = *value;
-                }
-            }),
-            Seen::Before => plain[0].get_or_insert_default().add(samples, |row, plain| {
-                *plain = *row.first_chunk().unwrap_or(&[0.0; PLAIN]);
-            }),
-            Seen::Behind => plain[1].get_or_insert_default().add(samples, |row, plain| {
-                *plain = *row.first_chunk().unwrap_or(&[0.0; PLAIN]);
-                plain[ROW_BEFORE..].copy_from_slice(&row[ROW_BEHIND..ROW_CAP]);
-            }),
-            Seen::Ring => at_ring.get_or_insert_default().add(samples, |row, all| *all = *row),
+            Seen::Nothing => self.background.add(rows, residuals, weights),
+            Seen::Before => plain[0].get_or_insert_default().add(rows, residuals, weights),
+            Seen::Behind => plain[1].get_or_insert_default().add(rows, residuals, weights),
+            Seen::Ring => at_ring.get_or_insert_default().add(rows, residuals, weights),
         }
     }
 
     /// The sums for all parameters, which are then reset; the caller adds cost and squares.
-    pub(crate) fn take<'a>(
-        &mut self,
-        spans: impl Iterator<Item = &'a Span>,
-        image: &TubeImage,
-        layout: &Layout,
-    ) -> Normal {
-        let mut normal = Normal::zeros(layout.colours());
+    pub(crate) fn take(&mut self, spans: &[Span], image: &TubeImage, layout: &Layout) -> Normal {
+        let colours = layout.colours();
+        let mut mapped = Mapped {
+            shape: [[0.0; PADDED]; SHAPE],
+            shape_gradient: [0.0; PADDED],
+            cross: vec![[0.0; PADDED]; colours],
+            colour_gradient: DVector::zeros(colours),
+        };
+        let rings = layout.rings_m.len();
+        let elements = |ring: usize| std::array::from_fn(|i| colour(i, ring, layout));
+        let of_rings: Vec<[Option<usize>; ROW]> = (0..=rings).map(elements).collect();
+        let mut at_rings = vec![[[0.0; ROW]; ROW]; rings];
+        let mut plains = vec![[[0.0; PLAIN]; PLAIN]; rings + 1];
         for (SpanSums { plain, at_ring }, span) in self.spans.iter_mut().zip(spans) {
             let moves = moves(image, span.knot);
-            let colours = |ring: usize, end: usize| (0..end).filter_map(move |i| Some((i, colour(i, ring, layout)?)));
-            if let Some(at_ring) = at_ring.as_mut().filter(|block| block.used) {
-                normal.take(at_ring, MOVES, &moves, colours(span.ring, ROW));
+            if let Some(block) = at_ring.as_mut().filter(|block| block.used) {
+                map(&mut mapped, block, MOVES, &moves, &of_rings[span.ring]);
+                add(&mut at_rings[span.ring], block);
+                block.clear();
             }
-            let plain = plain.iter_mut().enumerate().filter_map(|(side, block)| Some((side, block.as_mut()?)));
-            for (side, block) in plain.filter(|(_, block)| block.used) {
-                normal.take(block, PLAIN_MOVES, &moves, colours(span.ring + side, ROW_BEHIND));
+            for (segment, block) in (span.ring..).zip(plain) {
+                if let Some(block) = block.as_mut().filter(|block| block.used) {
+                    map(&mut mapped, block, PLAIN_MOVES, &moves, &of_rings[segment]);
+                    add(&mut plains[segment], block);
+                    block.clear();
+                }
             }
         }
-        if self.background.used {
-            let colours = (ROW_BACKGROUND..ROW_SHADING).filter_map(|i| colour(i, 0, layout)).enumerate();
-            normal.take(&mut self.background, [], &Default::default(), colours);
+        let mut all = DMatrix::zeros(colours, colours);
+        at_rings.iter().zip(&of_rings).for_each(|(sum, own)| spread(sum, own, &mut all));
+        plains.iter().zip(&of_rings).for_each(|(sum, own)| spread(sum, own, &mut all));
+        let own = std::array::from_fn(|i| of_rings[0][i].filter(|_| (ROW_BACKGROUND..ROW_SHADING).contains(&i)));
+        map(&mut mapped, &self.background, [], &Default::default(), &own);
+        let mut sum = [[0.0; OUTSIDE]; OUTSIDE];
+        add(&mut sum, &self.background);
+        spread(&sum, &own, &mut all);
+        self.background.clear();
+
+        let Mapped { shape, shape_gradient, cross, colour_gradient } = mapped;
+        let unpadded = |padded: &Padded| ShapeStep::from_column_slice(&padded[..SHAPE]);
+        let hessian = Hessian {
+            shape: SMatrix::from_columns(&shape.map(|column| unpadded(&column))),
+            cross: ShapeBy::from_fn(colours, |i, j| cross[j][i]),
+            colours: all,
+        };
+        Normal {
+            hessian: Arc::new(hessian),
+            shape_gradient: unpadded(&shape_gradient),
+            colour_gradient,
+            cost: 0.0,
+            squares: Squares::default(),
         }
-        normal
     }
 }

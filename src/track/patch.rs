@@ -1,8 +1,8 @@
-//! The part of a view's picture compared with the image model: pixels, and the stored samples formed from them.
+//! The part of a view's picture compared with the image model: its pixels, and the stored samples formed from them.
 //!
 //! Stored samples (Y, U, V at their own sampling, or R, G, B) are taken as they are: the model is evaluated at every
 //! pixel, in stored R'G'B', and a subsampled chroma sample is the mean of its neighbourhood with triangular weights as
-//! wide as the sampling.
+//! wide as the sampling. Only its derivatives are those at its own place, through a blur as wide as its neighbourhood.
 
 use crate::source::{Picture, Plane, Window};
 use crate::track::appearance::{BACKGROUND, CAP, FIXED, Layout, PER_SEGMENT};
@@ -50,62 +50,11 @@ impl Density {
     }
 }
 
-/// A pixel at which the model is evaluated.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Pixel {
-    /// Position relative to the patch's centre.
-    pub x: f32,
-    pub y: f32,
-    /// The nearest point of the axis when last evaluated, as the fraction of the way between its span's knots.
-    pub f: f32,
-    /// Signed distance from the axis when selected, pixels.
-    u: f32,
-    /// Its cell of correlated errors.
-    pub cell: u32,
-    near: bool,
-}
-
-impl Pixel {
-    /// For tests: a pixel near the tube, relative to the centre.
-    #[cfg(test)]
-    pub(crate) fn at(place: Vector2<f64>, f: f32) -> Self {
-        Self { x: place.x as f32, y: place.y as f32, f, u: 0.0, cell: 0, near: true }
-    }
-
-    /// 0 near the tube, 1 in the background.
-    pub(crate) fn class(&self) -> u8 {
-        u8::from(!self.near)
-    }
-}
-
-/// Pixels that lie between the same two knots, next to the same ring.
+/// Points that lie between the same two knots, next to the same ring.
 pub(crate) struct Strip {
-    pub span: Span,
-    pub pixels: Range<usize>,
-}
-
-/// A point where channels are stored.
-pub(crate) struct Sample {
-    /// Stored values, one per channel of the group.
-    pub values: [f32; 3],
-    /// Index of the pixel, or of the central one of its neighbourhood.
-    pub pixel: u32,
-    /// Where its neighbourhood starts in the group's list.
-    first_part: u32,
-}
-
-/// The part of a sample's neighbourhood that is in one strip.
-pub(crate) struct Part {
-    pub strip: u32,
-    /// Its pixels and their weights among the group's.
-    taps: Range<u32>,
-}
-
-impl Part {
-    /// Its place among the group's taps.
-    pub(crate) fn range(&self) -> Range<usize> {
-        self.taps.start as usize..self.taps.end as usize
-    }
+    /// Index of its span.
+    pub span: usize,
+    pub points: Range<usize>,
 }
 
 /// A stored channel: number, weights of R'G'B', constant.
@@ -116,24 +65,69 @@ pub(crate) struct Channel {
     pub constant: f32,
 }
 
-/// Channels sampled at the same points: Y; U and V; R, G and B.
-pub(crate) struct Group {
+/// Points at which the same channels are stored: pixels with Y or R, G and B; samples of U and V. Ordered by strips,
+/// and within each by what they see of the tube.
+#[derive(Default)]
+pub(crate) struct Layer {
     pub channels: Vec<Channel>,
-    /// In the order of the pixels if `whole`.
-    pub samples: Vec<Sample>,
-    /// Whether each pixel has its own sample.
-    pub whole: bool,
-    /// The samples' neighbourhoods, strip by strip, one after another; none if `whole`.
-    parts: Vec<Part>,
-    /// Pixels (indices) and weights of the parts, one after another.
-    pub taps: Vec<(u32, f32)>,
+    /// Stored values of each channel.
+    pub stored: Vec<Vec<f32>>,
+    /// Positions relative to the patch's centre, pixels.
+    pub x: Vec<f32>,
+    pub y: Vec<f32>,
+    /// The nearest points of the axis when last evaluated, as fractions of the way between their spans' knots.
+    pub f: Vec<f32>,
+    /// Distances from the tube's outline when selected, negative on the tube, pixels.
+    outside: Vec<f32>,
+    /// Cells of correlated errors.
+    pub cells: Vec<u32>,
+    pub strips: Vec<Strip>,
+    /// Variance of the samples' neighbourhoods along x and y, px².
+    pub spread_px2: Vector2<f64>,
+    /// Neighbourhoods of the samples, one after another: pixels and weights. None if each pixel has its own sample.
+    taps: Vec<(u32, f32)>,
+    /// Where they end.
+    ends: Vec<u32>,
 }
 
-impl Group {
-    /// A sample's neighbourhood; the next sample's starts where it ends.
-    pub(crate) fn parts(&self, sample: usize) -> &[Part] {
-        let end = self.samples.get(sample + 1).map_or(self.parts.len(), |next| next.first_part as usize);
-        &self.parts[self.samples[sample].first_part as usize..end]
+impl Layer {
+    /// Makes room for so many points more.
+    fn reserve(&mut self, points: usize) {
+        for values in [&mut self.x, &mut self.y, &mut self.f, &mut self.outside] {
+            values.reserve(points);
+        }
+        self.cells.reserve(points);
+    }
+
+    /// Adds a point in a span.
+    #[inline]
+    fn push(&mut self, place: Vector2<f64>, f: f32, outside: f32, (cell, span): (u32, usize)) {
+        let here = self.x.len();
+        self.x.push(place.x as f32);
+        self.y.push(place.y as f32);
+        self.f.push(f);
+        self.outside.push(outside);
+        self.cells.push(cell);
+        match self.strips.last_mut() {
+            Some(strip) if strip.span == span => strip.points.end = here + 1,
+            _ => self.strips.push(Strip { span, points: here..here + 1 }),
+        }
+    }
+
+    /// Whether each pixel has its own sample.
+    pub(crate) fn is_whole(&self) -> bool {
+        self.spread_px2 == Vector2::zeros()
+    }
+
+    /// For each point, whether it is near the tube.
+    pub(crate) fn near(&self) -> impl Iterator<Item = bool> {
+        self.outside.iter().map(|outside| f64::from(*outside) <= NEAR_PX)
+    }
+
+    /// The neighbourhoods of subsampled points: pixels and weights.
+    pub(crate) fn neighbourhoods(&self) -> impl Iterator<Item = &[(u32, f32)]> {
+        let starts = std::iter::once(0).chain(self.ends.iter().copied());
+        starts.zip(&self.ends).map(|(start, end)| &self.taps[start as usize..*end as usize])
     }
 }
 
@@ -141,11 +135,12 @@ impl Group {
 pub(crate) struct Patch {
     pub middle: Vector2<f64>,
     pub window: Window,
-    /// Ordered by strips, and within each by what they see of the tube.
-    pub pixels: Vec<Pixel>,
-    pub strips: Vec<Strip>,
-    pub groups: Vec<Group>,
-    /// Cells of correlated errors, each the part of a square within one strip: strip and square.
+    pub spans: Vec<Span>,
+    /// All pixels; without channels if all are subsampled.
+    pub pixels: Layer,
+    /// Samples of subsampled channels.
+    pub samples: Vec<Layer>,
+    /// Cells of correlated errors, each the part of a square within one span, in their order: span and square.
     pub cells: Vec<(usize, usize)>,
     /// How many squares there are.
     pub squares: usize,
@@ -156,9 +151,15 @@ struct Field {
     corner: [i64; 2],
     width: usize,
     height: usize,
-    /// Index of the used pixel at each position.
-    index: Vec<Option<u32>>,
+    /// Index of the used pixel at each position, rows of `stride` with a border.
+    index: Vec<u32>,
+    stride: usize,
 }
+
+/// Around a field: as far as a sample's neighbourhood reaches.
+const BORDER: usize = 8;
+/// No pixel.
+const NONE: u32 = u32::MAX;
 
 impl Field {
     /// The field around the knots of `image` between the knot coordinates `first` and `last`; `None` when no part of it
@@ -179,7 +180,9 @@ impl Field {
             return None;
         }
         let (width, height) = ((x1 - corner[0] + 1) as usize, (y1 - corner[1] + 1) as usize);
-        Some((Self { corner, width, height, index: vec![None; width * height] }, (low + high) / 2.0))
+        let stride = width + 2 * BORDER;
+        let index = vec![NONE; stride * (height + 2 * BORDER)];
+        Some((Self { corner, width, height, index, stride }, (low + high) / 2.0))
     }
 
     /// Its pixels.
@@ -195,53 +198,31 @@ impl Field {
         column(from.ceil())..column(to.floor() + 1.0)
     }
 
-    /// The pixel used at a position relative to the corner.
-    fn at(&self, x: i64, y: i64) -> Option<u32> {
-        let inside = (0..self.width as i64).contains(&x) && (0..self.height as i64).contains(&y);
-        if inside { self.index[y as usize * self.width + x as usize] } else { None }
+    /// Where the index of a position relative to the corner is kept, which is at most a border's width outside.
+    fn place(&self, x: i64, y: i64) -> usize {
+        let border = BORDER as i64;
+        (y + border) as usize * self.stride + (x + border) as usize
+    }
+
+    /// The used pixel at a place moved by some columns and rows.
+    fn beside(&self, place: usize, (dx, dy): (i64, i64)) -> Option<u32> {
+        let at = place.checked_add_signed((dy * self.stride as i64 + dx) as isize)?;
+        self.index.get(at).copied().filter(|pixel| *pixel != NONE)
     }
 }
 
 /// A pixel that is used.
+#[derive(Clone, Copy)]
 struct Place {
-    pixel: Point2<f64>,
-    column: usize,
-    row: usize,
-    /// Nearest point of the axis as a knot coordinate, and signed distance from it, pixels.
-    knot: f64,
-    u: f64,
+    column: u32,
+    row: u32,
+    /// Index of its span, and what it sees of the tube there (see [`Spans::sight`]).
+    span: u32,
+    sight: u32,
+    /// Nearest point of the axis, as the fraction of the way between the span's knots.
+    f: f32,
     /// Distance from the tube's outline, negative on the tube, pixels.
-    outside: f64,
-}
-
-impl Field {
-    /// The pixels within the margin of the tube between two knot coordinates.
-    fn places(&self, image: &TubeImage, range: (f64, f64), density: Density) -> Vec<Place> {
-        let mut places = Vec::with_capacity(self.index.len() / 2);
-        let reach = image.greatest_half_width() + MARGIN_PX + image.sagitta();
-        for row in 0..self.height {
-            let y = self.corner[1] + row as i64;
-            // One step from the neighbour's foot is enough.
-            let mut left = None;
-            for column in self.columns(image.strip(y as f64, reach)) {
-                let x = self.corner[0] + column as i64;
-                if density.phase(x, y) != 0 {
-                    continue;
-                }
-                let pixel = Point2::new(x as f64, y as f64);
-                let foot = match left {
-                    Some(knot) => image.foot(&pixel, knot, 1),
-                    None => image.foot(&pixel, image.chord_foot(&pixel).0, 3),
-                };
-                left = Some(foot.knot);
-                let outside = foot.u.abs() - image.half_width(foot.knot);
-                if foot.knot >= range.0 && foot.knot <= range.1 && outside <= MARGIN_PX {
-                    places.push(Place { pixel, column, row, knot: foot.knot, u: foot.u, outside });
-                }
-            }
-        }
-        places
-    }
+    outside: f32,
 }
 
 /// The spans of a tube's image.
@@ -253,6 +234,9 @@ struct Spans<'a> {
     /// After each knot: index of the first span, and of the last.
     behind: Vec<(usize, usize)>,
 }
+
+/// Numbers of [`Spans::sight`].
+const SIGHTS: usize = 4;
 
 impl<'a> Spans<'a> {
     fn new(image: &'a TubeImage, layout: &'a Layout) -> Self {
@@ -267,14 +251,85 @@ impl<'a> Spans<'a> {
         Self { image, layout, list, behind }
     }
 
-    /// The span of a place on the tube, and its distance beyond the ring, pixels.
-    fn of(&self, place: &Place) -> (usize, f64) {
-        let knot = (place.knot.max(0.0) as usize).min(self.behind.len() - 1);
-        let (first, last) = self.behind[knot];
-        let arc_m = self.image.arc_m(place.knot);
-        let strip = (first + self.layout.nearest_ring(arc_m).saturating_sub(self.list[first].ring)).min(last);
-        let from_ring_m = arc_m - self.layout.rings_m[self.list[strip].ring];
-        (strip, from_ring_m * self.image.knots[knot].scale)
+    /// The span of a knot coordinate.
+    fn of(&self, knot: f64) -> usize {
+        let (first, last) = self.behind[(knot.max(0.0) as usize).min(self.behind.len() - 1)];
+        if first == last {
+            return first;
+        }
+        let ring = self.layout.nearest_ring(self.image.arc_m(knot));
+        (first + ring.saturating_sub(self.list[first].ring)).min(last)
+    }
+
+    /// What is seen at a knot coordinate of a span: 0 nothing of the tube, 1 the segment before the ring, 2 the ring, 3
+    /// the segment after it.
+    fn sight(&self, span: usize, knot: f64, outside: f64) -> u32 {
+        let Span { knot: first, ring } = self.list[span];
+        let from_ring = (self.image.arc_m(knot) - self.layout.rings_m[ring]) * self.image.knots[first].scale;
+        if outside > OUT_OF_SIGHT_PX {
+            0
+        } else if from_ring.abs() < OUT_OF_SIGHT_PX {
+            2
+        } else {
+            if from_ring < 0.0 { 1 } else { 3 }
+        }
+    }
+
+    /// The pixels of a field within the margin of the tube between two knot coordinates.
+    fn places(&self, field: &Field, range: (f64, f64), density: Density) -> Vec<Place> {
+        let image = self.image;
+        let mut places = Vec::with_capacity(field.width * field.height / 2);
+        let reach = image.greatest_half_width() + MARGIN_PX + image.sagitta();
+        for row in 0..field.height {
+            let y = field.corner[1] + row as i64;
+            // One step from the neighbour's foot is enough.
+            let mut left = None;
+            for column in field.columns(image.strip(y as f64, reach)) {
+                let x = field.corner[0] + column as i64;
+                if density.phase(x, y) != 0 {
+                    continue;
+                }
+                let pixel = Point2::new(x as f64, y as f64);
+                let foot = match left {
+                    Some(knot) => image.foot(&pixel, knot, 1),
+                    None => image.foot(&pixel, image.chord_foot(&pixel).0, 3),
+                };
+                left = Some(foot.knot);
+                let outside = foot.u.abs() - image.half_width(foot.knot);
+                if foot.knot >= range.0 && foot.knot <= range.1 && outside <= MARGIN_PX {
+                    let span = self.of(foot.knot);
+                    places.push(Place {
+                        column: column as u32,
+                        row: row as u32,
+                        span: span as u32,
+                        sight: self.sight(span, foot.knot, outside),
+                        f: (foot.knot - self.list[span].knot as f64) as f32,
+                        outside: outside as f32,
+                    });
+                }
+            }
+        }
+        places
+    }
+
+    /// The places by spans, then by what they see; within each in the order of the picture.
+    fn ordered(&self, places: &[Place]) -> Vec<Place> {
+        // Counting sort.
+        let key = |place: &Place| place.span as usize * SIGHTS + place.sight as usize;
+        let mut ends = vec![0; self.list.len() * SIGHTS];
+        places.iter().for_each(|place| ends[key(place)] += 1);
+        let mut end = 0;
+        for count in &mut ends {
+            end += *count;
+            *count = end - *count;
+        }
+        let mut ordered = places.to_vec();
+        for place in places {
+            let next = &mut ends[key(place)];
+            ordered[*next] = *place;
+            *next += 1;
+        }
+        ordered
     }
 }
 
@@ -303,16 +358,6 @@ fn neighbourhoods(plane: &Plane<'_>, chroma_offset_px: [f64; 2], density: Densit
 }
 
 impl Patch {
-    /// Index of the strip that a pixel is in.
-    pub(crate) fn strip_of(&self, pixel: &Pixel) -> usize {
-        self.cells[pixel.cell as usize].0
-    }
-
-    /// The ring that a strip is nearest to.
-    pub(crate) fn ring(&self, strip: usize) -> usize {
-        self.strips[strip].span.ring
-    }
-
     /// Selects the samples on and beside the tube between the arc lengths `range_m`.
     ///
     /// # Errors
@@ -329,160 +374,120 @@ impl Patch {
         let (mut field, middle) = Field::around(image, range, picture.size_px()).ok_or(NoFit::OutOfPicture)?;
         let window = field.window();
         picture.declare_read(window).map_err(|_| NoFit::NotRecorded)?;
-        let places = field.places(image, range, density);
+        let spans = Spans::new(image, layout);
+        let places = spans.ordered(&spans.places(&field, range, density));
+        let across = field.width / CELL_PX + 1;
         let mut patch = Self {
             middle,
             window,
-            pixels: Vec::new(),
-            strips: Vec::new(),
-            groups: Vec::new(),
+            spans: spans.list,
+            pixels: Layer::default(),
+            samples: Vec::new(),
             cells: Vec::new(),
-            squares: 0,
+            squares: across * (field.height / CELL_PX + 1),
         };
-        patch.order(&places, &Spans::new(image, layout), &mut field);
+        patch.add_pixels(&places, &mut field, across);
         let channels: Vec<usize> = (0..picture.format().channels()).collect();
-        // Channels with the same sampling form a group.
+        // Channels with the same sampling form a layer.
         let scale = |c: &usize| picture.plane(*c).map(|plane| plane.scale);
         for alike in channels.chunk_by(|a, b| scale(a) == scale(b)) {
-            let added = patch.add_group(picture, alike, chroma_offset_px, &field, density);
-            added.ok_or(NoFit::OutOfPicture)?;
+            let planes = alike.iter().map(|&c| picture.plane(c)).collect::<Option<Vec<_>>>();
+            let planes = planes.ok_or(NoFit::OutOfPicture)?;
+            let whole = planes[0].scale == [1, 1];
+            let channel = |&number: &usize| {
+                let (weights, constant) = picture.colour().channel_from_rgb(picture.format(), number);
+                Channel { number: number as u8, weights: weights.map(|w| w as f32), constant: constant as f32 }
+            };
+            let channels = alike.iter().map(channel);
+            if whole {
+                patch.pixels.channels.extend(channels);
+                let at =
+                    places.iter().map(|p| [field.corner[0] + i64::from(p.column), field.corner[1] + i64::from(p.row)]);
+                patch.pixels.stored.extend(stored(&planes, at).ok_or(NoFit::OutOfPicture)?);
+            } else {
+                let channels = channels.collect();
+                let layer = patch.subsampled(channels, &planes, chroma_offset_px, &places, &field, density);
+                patch.samples.push(layer.ok_or(NoFit::OutOfPicture)?);
+            }
         }
         Ok(patch)
     }
 
-    /// Orders pixels by strip, then by what they see, and numbers them in the field.
-    fn order(&mut self, places: &[Place], spans: &Spans<'_>, field: &mut Field) {
-        let across = field.width / CELL_PX + 1;
-        self.squares = across * (field.height / CELL_PX + 1);
-        // Nothing of the tube; the segment before the ring; the ring; the segment after it.
-        const SIGHTS: usize = 4;
-        let sight = |place: &Place, from_ring: f64| {
-            if place.outside > OUT_OF_SIGHT_PX {
-                0
-            } else if from_ring.abs() < OUT_OF_SIGHT_PX {
-                2
-            } else {
-                if from_ring < 0.0 { 1 } else { 3 }
-            }
-        };
-        // Counting sort: the order within each is that of the picture.
-        let keys: Vec<usize> = places
-            .iter()
-            .map(|place| {
-                let (strip, from_ring) = spans.of(place);
-                strip * SIGHTS + sight(place, from_ring)
-            })
-            .collect();
-        let mut ends = vec![0; spans.list.len() * SIGHTS];
-        keys.iter().for_each(|key| ends[*key] += 1);
-        let mut end = 0;
-        for count in &mut ends {
-            end += *count;
-            *count = end - *count;
-        }
-        let mut order = vec![0; places.len()];
-        for (i, key) in keys.iter().enumerate() {
-            order[ends[*key]] = i;
-            ends[*key] += 1;
-        }
-        self.pixels.reserve_exact(places.len());
+    /// Takes the pixels, numbers them in the field, and divides them into cells.
+    fn add_pixels(&mut self, places: &[Place], field: &mut Field, across: usize) {
         let mut last_in = vec![0; self.squares];
-        for (span, ends) in spans.list.iter().zip(ends.chunks(SIGHTS)) {
-            let (first, first_cell) = (self.pixels.len(), self.cells.len());
-            for place in order[first..ends[SIGHTS - 1]].iter().map(|i| &places[*i]) {
-                let square = place.row / CELL_PX * across + place.column / CELL_PX;
-                let cell = &mut last_in[square];
-                if *cell < first_cell || self.cells.get(*cell).is_none_or(|cell| cell.1 != square) {
-                    *cell = self.cells.len();
-                    self.cells.push((self.strips.len(), square));
-                }
-                field.index[place.row * field.width + place.column] = Some(self.pixels.len() as u32);
-                self.pixels.push(Pixel {
-                    x: (place.pixel.x - self.middle.x) as f32,
-                    y: (place.pixel.y - self.middle.y) as f32,
-                    f: (place.knot - span.knot as f64) as f32,
-                    u: place.u as f32,
-                    cell: *cell as u32,
-                    near: place.outside <= NEAR_PX,
-                });
+        self.pixels.reserve(places.len());
+        for (i, place) in places.iter().enumerate() {
+            let (column, row, span) = (place.column as usize, place.row as usize, place.span as usize);
+            let square = row / CELL_PX * across + column / CELL_PX;
+            let cell = &mut last_in[square];
+            if self.cells.get(*cell).is_none_or(|cell| *cell != (span, square)) {
+                *cell = self.cells.len();
+                self.cells.push((span, square));
             }
-            if self.pixels.len() > first {
-                self.strips.push(Strip { span: *span, pixels: first..self.pixels.len() });
-            }
+            let at = field.place(column as i64, row as i64);
+            field.index[at] = i as u32;
+            let at = Vector2::new((field.corner[0] + column as i64) as f64, (field.corner[1] + row as i64) as f64);
+            self.pixels.push(at - self.middle, place.f, place.outside, (*cell as u32, span));
         }
     }
 
-    fn add_group(
-        &mut self,
-        picture: &Picture,
-        channels: &[usize],
+    /// The samples of subsampled channels whose neighbourhoods are used, in the order of their central pixels; `None`
+    /// when one is outside the planes.
+    fn subsampled(
+        &self,
+        channels: Vec<Channel>,
+        planes: &[Plane<'_>],
         chroma_offset_px: [f64; 2],
+        places: &[Place],
         field: &Field,
         density: Density,
-    ) -> Option<()> {
-        let planes = channels.iter().map(|&c| picture.plane(c)).collect::<Option<Vec<_>>>()?;
+    ) -> Option<Layer> {
         let plane = planes.first()?;
-        let channel = |&number: &usize| {
-            let (weights, constant) = picture.colour().channel_from_rgb(picture.format(), number);
-            Channel { number: number as u8, weights: weights.map(|w| w as f32), constant: constant as f32 }
-        };
-        let channels = channels.iter().map(channel).collect();
-        // Stored values in a column and row of the planes.
-        let stored = |column: usize, row: usize| {
-            let mut values = [0.0; 3];
-            for (value, plane) in values.iter_mut().zip(&planes) {
-                *value = f32::from(*plane.row(row)?.get(column * plane.step)?);
-            }
-            Some(values)
-        };
-        let mut samples = Vec::with_capacity(self.pixels.len());
-        let (mut around, mut parts, mut near) = (Vec::new(), Vec::new(), Vec::new());
-        let whole = plane.scale == [1, 1];
-        if whole {
-            for pixel in &self.pixels {
-                let place = |relative: f32, middle: f64| (f64::from(relative) + middle + 0.5) as usize;
-                let values = stored(place(pixel.x, self.middle.x), place(pixel.y, self.middle.y))?;
-                samples.push(Sample { values, pixel: samples.len() as u32, first_part: 0 });
-            }
-        } else {
-            let neighbourhoods = neighbourhoods(plane, chroma_offset_px, density);
-            let [sx, sy] = plane.scale.map(i64::from);
-            let [x0, y0] = field.corner;
-            let taps = |i: i64, j: i64| {
-                let tap = move |&(dx, dy, weight): &(i64, i64, f32)| {
-                    Some((field.at(i * sx - x0 + dx, j * sy - y0 + dy)?, weight))
-                };
-                neighbourhoods[density.phase(i * sx, j * sy)].iter().map(tap)
-            };
-            let rows = (y0 / sy)..=((y0 + field.height as i64 - 1) / sy);
-            let places = rows.flat_map(|j| {
-                let columns = (x0 / sx)..=((x0 + field.width as i64 - 1) / sx);
-                columns.map(move |i| (i, j))
-            });
-            // In the order of their central pixels.
-            let mut places: Vec<_> = places
-                .filter_map(|(i, j)| Some((taps(i, j).next()??.0, i, j)))
-                .filter(|&(_, i, j)| taps(i, j).all(|tap| tap.is_some()))
-                .collect();
-            places.sort_unstable();
-            for (pixel, i, j) in places {
-                if let Some(values) = stored(i as usize, j as usize) {
-                    samples.push(Sample { values, pixel, first_part: parts.len() as u32 });
-                    near.clear();
-                    near.extend(
-                        taps(i, j).flatten().map(|(at, weight)| (self.strip_of(&self.pixels[at as usize]), at, weight)),
-                    );
-                    near.sort_unstable_by_key(|(strip, at, _)| (*strip, *at));
-                    for part in near.chunk_by(|a, b| a.0 == b.0) {
-                        let first = around.len() as u32;
-                        around.extend(part.iter().map(|(_, at, weight)| (*at, *weight)));
-                        parts.push(Part { strip: part[0].0 as u32, taps: first..around.len() as u32 });
-                    }
+        let [sx, sy] = plane.scale.map(i64::from);
+        let spread = |scale: i64| if scale > 1 { (scale * scale) as f64 / 6.0 } else { 0.0 };
+        let spread_px2 = Vector2::new(spread(sx), spread(sy));
+        let mut layer = Layer { channels, spread_px2, ..Layer::default() };
+        let all = neighbourhoods(plane, chroma_offset_px, density);
+        let off =
+            [0, 1].map(|axis| if plane.scale[axis] > 1 { plane.offset[axis] + chroma_offset_px[axis] } else { 0.0 });
+        // As many as there are if all pixels are used.
+        let samples = places.len() / (sx * sy) as usize;
+        let mut at = Vec::with_capacity(samples);
+        layer.reserve(samples);
+        layer.ends.reserve(samples);
+        layer.taps.reserve(samples * all.iter().map(Vec::len).max().unwrap_or(0));
+        for (pixel, place) in places.iter().enumerate() {
+            let (x, y) = (field.corner[0] + i64::from(place.column), field.corner[1] + i64::from(place.row));
+            for (phase, taps) in all.iter().enumerate() {
+                let Some(&(dx, dy, _)) = taps.first() else { continue };
+                // Scales are powers of two.
+                let (left, top) = (x - dx, y - dy);
+                if (left & (sx - 1)) != 0 || (top & (sy - 1)) != 0 || density.phase(left, top) != phase {
+                    continue;
                 }
+                let (i, j) = (left / sx, top / sy);
+                if left < 0 || top < 0 || i >= plane.width as i64 || j >= plane.height as i64 {
+                    continue;
+                }
+                let first = layer.taps.len();
+                let here = field.place(left - field.corner[0], top - field.corner[1]);
+                layer
+                    .taps
+                    .extend(taps.iter().map_while(|&(dx, dy, weight)| Some((field.beside(here, (dx, dy))?, weight))));
+                if layer.taps.len() - first < taps.len() {
+                    layer.taps.truncate(first);
+                    continue;
+                }
+                layer.ends.push(layer.taps.len() as u32);
+                let centre = Vector2::new(left as f64 + off[0], top as f64 + off[1]);
+                let (cell, span) = (self.pixels.cells[pixel], place.span as usize);
+                layer.push(centre - self.middle, place.f, place.outside, (cell, span));
+                at.push([i, j]);
             }
         }
-        self.groups.push(Group { channels, samples, whole, parts, taps: around });
-        Some(())
+        layer.stored = stored(planes, at.into_iter())?;
+        Some(layer)
     }
 
     /// Initial colours: means over pixels well inside each segment, and well outside the tube.
@@ -495,27 +500,27 @@ impl Patch {
     ) -> Option<Vec<f64>> {
         let segments = layout.segments();
         let mut sums = vec![[(0.0, 0_usize); 3]; segments + 1];
-        for group in &self.groups {
-            for sample in &group.samples {
-                let pixel = &self.pixels[sample.pixel as usize];
-                let knot = self.strips[self.strip_of(pixel)].span.knot as f64 + f64::from(pixel.f);
-                let (u, half_width) = (f64::from(pixel.u).abs(), image.half_width(knot));
-                let s = image.arc_m(knot);
-                let scale = image.scale(knot);
-                let from = |ring: &f64| (s - ring) * scale;
-                let ends_before = layout.ends && layout.rings_m.last().is_some_and(|end| from(end) > 2.0);
-                let class = if u > half_width + 1.5 || ends_before {
-                    segments
-                } else if u < (half_width - 1.0).max(0.5) && layout.rings_m.iter().all(|ring| from(ring).abs() > 1.5) {
-                    layout.rings_m.iter().filter(|ring| from(ring) > 0.0).count()
-                } else {
-                    continue;
-                };
-                if let Some(sum) = sums.get_mut(class) {
-                    for (channel, value) in group.channels.iter().zip(sample.values) {
-                        let (total, count) = &mut sum[usize::from(channel.number)];
-                        *total += f64::from(value);
-                        *count += 1;
+        for layer in [&self.pixels].into_iter().chain(&self.samples) {
+            for Strip { span, points } in &layer.strips {
+                let Span { knot, ring } = self.spans[*span];
+                let is_end = layout.ends && ring + 1 == layout.rings_m.len();
+                for i in points.clone() {
+                    let knot = knot as f64 + f64::from(layer.f[i]);
+                    let from_ring = (image.arc_m(knot) - layout.rings_m[ring]) * image.scale(knot);
+                    let outside = f64::from(layer.outside[i]);
+                    let class = if outside > 1.5 || (is_end && from_ring > 2.0) {
+                        segments
+                    } else if outside < (0.5 - image.half_width(knot)).max(-1.0) && from_ring.abs() > 1.5 {
+                        ring + usize::from(from_ring > 0.0)
+                    } else {
+                        continue;
+                    };
+                    if let Some(sum) = sums.get_mut(class) {
+                        for (channel, stored) in layer.channels.iter().zip(&layer.stored) {
+                            let (total, count) = &mut sum[usize::from(channel.number)];
+                            *total += f64::from(stored[i]);
+                            *count += 1;
+                        }
                     }
                 }
             }
@@ -540,4 +545,16 @@ impl Patch {
         colours[CAP] = 1.0;
         Some(colours)
     }
+}
+
+/// Stored values of each of some planes at columns and rows; `None` when one is outside.
+fn stored(planes: &[Plane<'_>], at: impl Iterator<Item = [i64; 2]> + Clone) -> Option<Vec<Vec<f32>>> {
+    let of = |plane: &Plane<'_>| {
+        let value = |[column, row]: [i64; 2]| {
+            let column = usize::try_from(column).ok()?;
+            Some(f32::from(*plane.row(usize::try_from(row).ok()?)?.get(column * plane.step)?))
+        };
+        at.clone().map(value).collect()
+    };
+    planes.iter().map(of).collect()
 }

@@ -3,6 +3,7 @@
 
 use crate::optics::OpticalPath;
 use crate::source::Picture;
+use crate::track::chunk::Scene;
 use crate::track::equations::{Equations, Step};
 use crate::track::image_model::ImageModel;
 use crate::track::no_fit::NoFit;
@@ -18,8 +19,11 @@ const KNOT_M: f64 = 3e-3;
 /// Prior σ of the shape's parameters: centre and tangent are free; of the curvature's derivatives, 1/m² and 1/m³. It
 /// reaches 15 /m, half a right angle over 5 cm, within a centimetre.
 const BEND_SD: [f64; BENDS] = [1500.0, 3e5];
-/// Over such a short distance derivatives hardly change: a tenth of the blur, pixels (RMS along the stretch).
-const CLOSE_PX: f64 = 0.05;
+/// Over such a short distance the matrix of the equations hardly changes: half of the blur, pixels (RMS along the
+/// stretch).
+const CLOSE_PX: f64 = 0.12;
+/// A step this short ends a round: what it leaves is its square over the blur, a thousandth of a pixel.
+const SETTLED_PX: f64 = 0.03;
 /// Most need three; a wide tube whose start is some pixels off needs thirty.
 const MAX_EVALUATIONS: usize = 40;
 /// Levenberg's damping: initial, and least: smaller values do not change a step but take long to recover from.
@@ -81,6 +85,13 @@ impl Guess {
     }
 }
 
+impl Guess {
+    /// How far it is from another, pixels: RMS along the stretch, in the view that shows it largest.
+    fn moved(&self, other: &Self) -> f64 {
+        self.images.iter().zip(&other.images).map(|(a, b)| a.distance(b)).fold(0.0, f64::max)
+    }
+}
+
 /// Information of the shape's prior.
 pub(crate) fn shape_prior() -> SMatrix<f64, SHAPE, SHAPE> {
     const FREE: usize = 5;
@@ -92,16 +103,18 @@ pub(crate) fn shape_prior() -> SMatrix<f64, SHAPE, SHAPE> {
 }
 
 impl Round<'_> {
-    /// Iterates until the predicted decrease of the cost (a χ²) is less than `enough`. That last step is taken without
-    /// evaluation.
+    /// Iterates until a step is short, or lowers the cost (a χ²) by less than `enough`, as far as can be predicted. That
+    /// last step is taken without evaluation.
     pub(crate) fn minimise(&mut self, start: Guess, enough: f64) -> Result<Minimum, NoFit> {
         let mut state = self.evaluate(start, None);
         let mut damping = DAMPING;
         let mut rejected = false;
+        let mut known = Vec::new();
         for _ in 0..MAX_EVALUATIONS {
-            let step = state.equations.step(damping).ok_or(NoFit::NotConverged)?;
+            let step = state.equations.step(damping, &mut known).ok_or(NoFit::NotConverged)?;
             let next = self.moved(&state.guess, &step);
-            if step.predicted_decrease < enough {
+            let settled = next.as_ref().is_ok_and(|next| next.moved(&state.guess) < SETTLED_PX);
+            if settled || step.predicted_decrease < enough {
                 // The comparisons must be those of the state that is returned.
                 if rejected {
                     state = self.evaluate(state.guess, None);
@@ -133,20 +146,16 @@ impl Round<'_> {
         Guess::new(self.stretch, self.paths, guess.shape.moved(&step.shape), colours, self.sweep, &guess.images)
     }
 
-    /// Compares all views, and adds the prior of the shape. Close to the state `before`, which was evaluated last, its
-    /// derivatives are reused.
+    /// Compares all views, and adds the prior of the shape. Close to the state `before` only the gradient is new.
     fn evaluate(&mut self, guess: Guess, before: Option<&State>) -> State {
         let Self { stretch, picture, model, .. } = *self;
-        let close = |before: &&State| {
-            let moved = guess.images.iter().zip(&before.guess.images).map(|(a, b)| a.distance(b));
-            moved.fold(0.0, f64::max) < CLOSE_PX
-        };
-        let before = before.filter(close).map(|before| &before.equations.views);
+        let before =
+            before.filter(|before| guess.moved(&before.guess) < CLOSE_PX).map(|before| &before.equations.views);
         let seen = self.views.par_iter_mut().zip(&guess.images).zip(&guess.colours).enumerate();
         let views: Vec<_> = seen
             .map(|(i, ((view, image), colours))| {
                 let before = before.and_then(|normals| normals.get(i));
-                view.compare(image, colours, &stretch.layout, picture, model, before)
+                view.compare(&Scene::new(image, colours, stretch, model), picture, before)
             })
             .collect();
         let prior = shape_prior();

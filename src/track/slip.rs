@@ -14,7 +14,7 @@
 //! not where they were when the rig was taught. That mean is removed from the following frames.
 
 use crate::track::appearance::Layout;
-use crate::track::normal::{ROW, Row, shifted};
+use crate::track::normal::{ROW, Row, Seen as Sight, add_row, shifted};
 use crate::track::tube::{SHAPE, ShapeStep};
 use crate::track::tube_image::TubeImage;
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
@@ -22,7 +22,7 @@ use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 /// The slips of one view's bands.
 pub(crate) struct Slips {
     bands: Vec<[Slip; 2]>,
-    /// For each strip, sums not mapped yet: the band, and the rows in both directions.
+    /// For each span, sums not mapped yet: the band, and the rows in both directions.
     waiting: Vec<Option<(usize, [[f32; ROW]; 2])>>,
     pub seen: Seen,
     /// Covariance of the shape per slip variance of one square pixel.
@@ -88,29 +88,35 @@ impl Seen {
 }
 
 impl Slips {
-    pub(crate) fn new(layout: &Layout, strips: usize) -> Self {
+    pub(crate) fn new(layout: &Layout, spans: usize) -> Self {
         Self {
             bands: vec![<[Slip; 2]>::default(); layout.rings_m.len().div_ceil(2)],
-            waiting: vec![None; strips],
+            waiting: vec![None; spans],
             seen: Seen::default(),
             covariance: SMatrix::zeros(),
         }
     }
 
-    /// Adds a chroma sample of a strip that is nearest to `ring`.
-    pub(crate) fn add(&mut self, (strip, ring): (usize, usize), row: &Row, residual: f32, weight: f32) {
+    /// Adds a chroma sample of a span that is nearest to `ring`.
+    pub(crate) fn add(
+        &mut self,
+        (span, ring): (usize, usize),
+        (row, sight): (&Row, Sight),
+        residual: f32,
+        weight: f32,
+    ) {
         let Some(band) = self.bands.get_mut(ring / 2) else { return };
-        let (_, rows) = self.waiting[strip].get_or_insert((ring / 2, [[0.0; ROW]; 2]));
-        for ((slip, sum), by) in band.iter_mut().zip(rows).zip(shifted(row)) {
+        let (_, rows) = self.waiting[span].get_or_insert((ring / 2, [[0.0; ROW]; 2]));
+        for ((slip, sum), by) in band.iter_mut().zip(rows).zip(shifted(row, sight)) {
             slip.pull += f64::from(weight * residual * by);
             slip.information += f64::from(weight * by * by);
-            sum.iter_mut().zip(row).for_each(|(sum, value)| *sum += weight * by * value);
+            add_row(sum, row, sight, weight * by);
         }
     }
 
-    /// Maps the sums of a strip to the shape.
-    pub(crate) fn map(&mut self, strip: usize, map: &SMatrix<f64, SHAPE, ROW>) {
-        let Some((band, rows)) = self.waiting[strip].take() else { return };
+    /// Maps the sums of a span to the shape.
+    pub(crate) fn map(&mut self, span: usize, map: &SMatrix<f64, SHAPE, ROW>) {
+        let Some((band, rows)) = self.waiting[span].take() else { return };
         for (slip, row) in self.bands[band].iter_mut().zip(rows) {
             slip.response += map * SVector::from(row.map(f64::from));
         }

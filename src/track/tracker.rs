@@ -15,6 +15,7 @@ use crate::track::coil::deflection;
 use crate::track::fit::{TubeFit, ViewFit, fit};
 use crate::track::image_model::{ImageModel, ModelError};
 use crate::track::lamp::Lamp;
+use crate::track::last::Last;
 use crate::track::light::Encoding;
 use crate::track::motion::Motion;
 use crate::track::no_fit::NoFit;
@@ -37,9 +38,6 @@ const MIN_SEPARATION: f64 = 0.3;
 /// Views disagree when their own shifts exceed this χ² and this many pixels.
 const DISAGREEMENT: (f64, f64) = (36.0, 0.7);
 
-/// Oldest position that still tells the current speed, seconds.
-const MAX_SPEED_AGE_S: f64 = 0.06;
-
 /// Residuals and sizes of a band's blobs may exceed the usual by this many standard deviations, all views together;
 /// beyond it something is in front of the band, or it is not the band.
 const MAX_UNUSUAL_SD: f64 = 4.5;
@@ -52,7 +50,9 @@ const BLURRED_PX2: f64 = 4.0 / 12.0;
 /// What a search reads around its window: a cell of two pixels on each side, and what rounds both to whole cells.
 const RING_PX: u32 = 4;
 
-/// A residual that exceeds the usual by this factor may be that of a fit that went astray.
+/// A fit that continues the last may have inherited its faults when its residual exceeds the usual by this many standard
+/// deviations; any fit may have gone astray when it does by this factor.
+const CONTINUED_SD: f64 = 2.0;
 const UNUSUAL_RESIDUAL: f64 = 1.35;
 
 /// Half-life of observed chroma slips, frames.
@@ -99,8 +99,8 @@ pub struct Tracker {
     usual_size: Usual,
     /// Scatter of the position of each marker, then of the tangent.
     scatter: Vec<Scatter>,
-    /// For each marker that is the reference of a group: where the tube was, and when.
-    before: Vec<Option<(Timestamp, TubeShape)>>,
+    /// For each marker that is the reference of a group: its last fit.
+    before: Vec<Option<Last>>,
     motion: Motion,
     lamp: Option<Lamp>,
 }
@@ -246,7 +246,8 @@ impl Tracker {
     fn keep_shapes(&mut self, stamp: Timestamp, fitted: &[Fitted]) {
         for Fitted { group, result, .. } in fitted {
             if let Ok(fit) = result {
-                self.before[group.reference] = Some((stamp, fit.shape.clone()));
+                let before = &mut self.before[group.reference];
+                *before = Some(Last::new(stamp, group, &fit.shape, before.as_ref()));
             }
         }
     }
@@ -378,7 +379,8 @@ impl Tracker {
         let direction = self.start_direction(blobs, assigned, group).ok_or(Miss::NotConverged)?;
         let paths: Vec<&OpticalPath> = views.iter().map(|&v| &self.rig.views[v].optics).collect();
         let ranges: Vec<_> = views.iter().map(|&v| self.seen_range(group, assigned, v)).collect();
-        let before = self.recent(group, frame.stamp);
+        let last = self.before[group.reference].as_ref();
+        let before = last.and_then(|last| Some((&last.shape, last.age_s(frame.stamp)?)));
         let sweep = before
             .zip(self.rig.camera.exposure_s)
             .map(|((before, since_s), exposure_s)| Sweep { before: before.clone(), share: exposure_s / since_s });
@@ -391,14 +393,24 @@ impl Tracker {
             })?;
             self.accept(group, views, &starts, &fit).map(|()| fit)
         };
-        let start = TubeShape::straight(reference.point, &direction, group.straight_half_m);
-        let first = fit_from(&start);
+        let residuals =
+            |fit: &TubeFit| views.iter().copied().zip(fit.views.iter().map(|view| view.rms)).collect::<Vec<_>>();
+        let is_usual = |fit: &TubeFit| {
+            let beyond = |(v, rms)| self.usual.beyond(group.reference, v, rms);
+            residuals(fit).into_iter().all(|residual| beyond(residual).is_some_and(|sd| sd < CONTINUED_SD))
+        };
+        let continued = last.and_then(|last| last.continued(frame.stamp, group)).as_ref().map(fit_from);
+        match continued {
+            Some(Ok(fit)) if is_usual(&fit) => return Ok(fit),
+            _ => {}
+        }
+        let straight = |direction| TubeShape::straight(reference.point, &direction, group.straight_half_m);
+        let first = fit_from(&straight(direction));
         // Blurred or half-hidden blobs tell little about the direction: the previous one may be closer, or the way from
         // the band before.
         let blurred = |fit: &TubeFit| fit.views.iter().any(|view| view.image.at_arc(0.0).swept.sum() > BLURRED_PX2);
         let unusual = |fit: &TubeFit| {
-            let ratios = views.iter().zip(&fit.views).map(|(v, view)| self.usual.ratio(group.reference, *v, view.rms));
-            ratios.fold(0.0, f64::max) > UNUSUAL_RESIDUAL
+            residuals(fit).into_iter().any(|(v, rms)| self.usual.ratio(group.reference, v, rms) > UNUSUAL_RESIDUAL)
         };
         let (blurred, unusual) = match &first {
             Ok(fit) => (blurred(fit), unusual(fit)),
@@ -407,8 +419,9 @@ impl Tracker {
         let previous = before.filter(|_| blurred || unusual);
         let previous = previous.map(|(before, _)| TubeShape { centre: reference.point, ..before.clone() });
         let bent = self.bent_direction(assigned, group.reference).filter(|_| unusual);
-        let bent = bent.map(|direction| TubeShape::straight(reference.point, &direction, group.straight_half_m));
-        [previous, bent].iter().flatten().fold(first, |best, start| match (best, fit_from(start)) {
+        let bent = bent.map(straight);
+        let others = [previous, bent].into_iter().flatten().map(|start| fit_from(&start));
+        continued.into_iter().chain(others).fold(first, |best, other| match (best, other) {
             (Ok(best), Ok(fit)) if fit.misfit < best.misfit => Ok(fit),
             (Err(_), Ok(fit)) => Ok(fit),
             (best, _) => best,
@@ -422,13 +435,6 @@ impl Tracker {
         let chord = (assigned[marker].as_ref().ok()?.point - before.point).try_normalize(0.0)?;
         let rest = self.rig.base.as_ref().map(|base| base.base_from_camera.inverse() * Vector3::z());
         Some(rest.map_or(chord, |rest| chord * (2.0 * chord.dot(&rest)) - rest))
-    }
-
-    /// Where the tube of a group was last, and how long ago, seconds, if recent enough.
-    fn recent(&self, group: &Group, stamp: Timestamp) -> Option<(&TubeShape, f64)> {
-        let (then, before) = self.before[group.reference].as_ref()?;
-        let since_s = (stamp.ns - then.ns) as f64 * 1e-9;
-        (since_s > 0.0 && since_s < MAX_SPEED_AGE_S).then_some((before, since_s))
     }
 
     /// Arc lengths between which a view shows the tube of a group: where it does not show the next band, whatever hides

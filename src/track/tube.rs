@@ -128,6 +128,16 @@ impl TubeShape {
         d
     }
 
+    /// The step that moves its centre and tangent to those of another shape.
+    pub(crate) fn step_to(&self, other: &Self) -> ShapeStep {
+        let (t, across) = (other.tangent(), self.across().tr_mul(&other.tangent()));
+        let tilt = across.try_normalize(0.0).map_or(across, |way| way * across.norm().atan2(t.dot(&self.tangent())));
+        let mut step = ShapeStep::zeros();
+        step.fixed_rows_mut::<3>(0).copy_from(&(other.centre - self.centre));
+        step.fixed_rows_mut::<2>(3).copy_from(&tilt);
+        step
+    }
+
     /// Distance beyond the straight part, and the bends there: their index among the parameters and their values.
     fn beyond(&self, s: f64) -> (f64, usize, &[Vector2<f64>; BENDS]) {
         let sigma = s - s.clamp(-self.straight_half_m, self.straight_half_m);
@@ -203,6 +213,16 @@ mod tests {
                 assert!(error < 1e-4 * difference.norm() + 1e-9, "s {s} parameter {k}: {difference} {}", d.column(k));
             }
         }
+    }
+
+    #[test]
+    fn the_step_to_a_shape_moves_there() {
+        let shape = bent();
+        let there = TubeShape::straight(Point3::new(-0.09, 0.03, 1.39), &Vector3::new(0.5, 0.8, 0.1), 6e-3);
+        let moved = shape.moved(&shape.step_to(&there));
+        assert!((moved.centre - there.centre).norm() < 1e-12 && moved.tangent().angle(&there.tangent()) < 1e-7);
+        assert_eq!(moved.below, shape.below);
+        assert!(shape.step_to(&shape).norm() < 1e-12);
     }
 
     #[test]

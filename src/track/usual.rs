@@ -83,6 +83,15 @@ impl Usual {
         usual.map_or(1.0, |usual| value / usual.exp())
     }
 
+    /// By how many standard deviations a value exceeds the usual or learned one, all scatter of the latter being that of
+    /// chance; `None` while neither is known.
+    pub(crate) fn beyond(&self, marker: usize, view: usize, value: f64) -> Option<f64> {
+        let level = self.level(marker, view)?;
+        let usual = (level.frames >= MIN_FRAMES).then(|| (level.mean, level.variance.sqrt().max(MIN_SD)));
+        let (mean, sd) = usual.or(level.learned.map(|learned| (learned, MIN_SD)))?;
+        Some((value.ln() - mean) / sd)
+    }
+
     /// The usual value of a marker in each view; `None` where too little is known.
     pub(crate) fn values(&self, marker: usize) -> Option<Vec<f64>> {
         let value = |level: &Level| (level.frames >= MIN_FRAMES).then(|| level.mean.exp());
@@ -130,6 +139,8 @@ mod tests {
         let common = usual.common([(1, 0, 4.2), (1, 1, 9.4)].into_iter());
         assert!(usual.above(1, 1, 9.4, common) > 4.5 && usual.above(1, 0, 4.2, common) < 0.1);
         assert!((usual.ratio(1, 0, 8.0) - 2.0).abs() < 1e-9 && (usual.ratio(0, 0, 8.0) - 1.0).abs() < 1e-9);
+        assert!(usual.beyond(1, 0, 4.0).is_some_and(|sd| sd.abs() < 1e-9) && usual.beyond(0, 0, 8.0).is_none());
+        assert!(usual.beyond(1, 0, 4.4).is_some_and(|sd| (1.8..2.0).contains(&sd)));
         // What lasts is how this recording is; and what was seen counts more than what was learned.
         for _ in 0..COMPARED_FRAMES {
             usual.above(1, 1, 9.4, common);

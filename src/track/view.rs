@@ -1,7 +1,7 @@
 //! One view in a round of the fit: its samples, their noise, and the prior of its colours.
 
 use crate::source::Picture;
-use crate::track::appearance::{CAP, GRADIENT, Layout, SHADING, TURNING};
+use crate::track::appearance::{CAP, GRADIENT, SHADING, TURNING};
 use crate::track::chunk::Scene;
 use crate::track::compare::{Comparison, Noise};
 use crate::track::image_model::ImageModel;
@@ -10,6 +10,7 @@ use crate::track::normal::{Normal, Squares};
 use crate::track::patch::{Density, Patch};
 use crate::track::stretch::Stretch;
 use crate::track::tube_image::TubeImage;
+use std::sync::Arc;
 
 /// Prior σ of colours about their initial values (linear light, 1 = white), of the background's gradient per pixel, of
 /// shading, of its change per radian of turn, and of the cap.
@@ -29,7 +30,7 @@ const COARSEST: f64 = 51.0;
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Weighing {
     /// By an assumed noise.
-    Stated,
+    Assumed,
     /// By the noise of their residuals in the first comparison.
     Own,
 }
@@ -39,8 +40,9 @@ pub(crate) struct View {
     pub comparison: Comparison,
     /// Initial colours, from the picture.
     pub expected_colours: Vec<f64>,
-    pub noise: Noise,
-    weighing: Weighing,
+    noise: Noise,
+    /// Whether the noise is that of the next comparison.
+    own_noise: bool,
 }
 
 impl View {
@@ -62,31 +64,24 @@ impl View {
         }
         let expected_colours = patch.colours(picture, image, &stretch.layout, &model.encoding);
         let expected_colours = expected_colours.ok_or(NoFit::OutOfPicture)?;
-        Ok(Self { comparison: Comparison::new(patch), expected_colours, noise: start_noise(picture), weighing })
+        let (noise, own_noise) = (start_noise(picture), weighing == Weighing::Own);
+        Ok(Self { comparison: Comparison::new(patch), expected_colours, noise, own_noise })
     }
 
     /// Renders the view and sums its normal equations, the prior of its colours included. With the equations `before`,
-    /// the last ones of a very similar image, derivatives are taken from them.
-    pub(crate) fn compare(
-        &mut self,
-        image: &TubeImage,
-        colours: &[f64],
-        layout: &Layout,
-        picture: &Picture,
-        model: &ImageModel,
-        before: Option<&Normal>,
-    ) -> Normal {
-        let ImageModel { encoding, blur_px, .. } = model;
-        self.comparison.render(&Scene { image, layout, colours, blur_px: *blur_px, encoding }, before.is_none());
-        if self.weighing == Weighing::Own {
+    /// the last ones of a very similar image, only the gradient is new.
+    pub(crate) fn compare(&mut self, scene: &Scene<'_>, picture: &Picture, before: Option<&Normal>) -> Normal {
+        self.comparison.render(scene);
+        if std::mem::take(&mut self.own_noise) {
             self.noise = noise_of(&self.comparison.squares(&self.noise), picture);
-            self.weighing = Weighing::Stated;
         }
+        let colours = scene.colours;
         let mut normal = match before {
-            Some(before) => self.comparison.gradient(before, image, layout, &self.noise),
+            Some(before) => self.comparison.gradient(before, scene, &self.noise),
             None => {
-                let mut normal = self.comparison.normal(image, layout, &self.noise);
-                (0..colours.len()).for_each(|i| normal.colours[(i, i)] += prior(i).1.powi(-2));
+                let mut normal = self.comparison.normal(scene, &self.noise);
+                let own = &mut Arc::make_mut(&mut normal.hessian).colours;
+                (0..colours.len()).for_each(|i| own[(i, i)] += prior(i).1.powi(-2));
                 normal
             }
         };
