@@ -2,7 +2,7 @@
 # make test      all tests; with other cameras and ROS 2, too: make test FEATURES=genicam,gstreamer,ros2
 # make examples  run the programs in examples/
 # make lint      formatting and lints, as CI checks them
-# make bench     measure speed beside OpenCV and the bare decoder
+# make bench     measure speed beside OpenCV and the bare decoder; writes benches/RESULTS.md
 # make accuracy  errors against the truth of the sample recordings, in tables
 # make paper     the paper's experiment with a simulated catheter, as a page; two circles also as rendered pictures
 # make paper-fast  the same without pictures and with short chirps, in seconds
@@ -43,7 +43,7 @@ lint: deps
 	$(CARGO) clippy --locked --all-targets -- -D warnings
 
 bench: deps
-	$(CARGO) bench --locked --bench '*'
+	CARGO="$(CARGO)" scripts/bench
 
 accuracy: deps
 	$(CARGO) test --locked --test it accuracy:: -- --nocapture --test-threads 1

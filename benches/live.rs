@@ -1,7 +1,7 @@
 //! The highest rate at which a live run loses nothing, and its latency: pictures of the sample, decoded in advance,
 //! delivered like a camera's, θ received as datagrams.
 //!
-//! `cargo bench --bench live`, or with rates: `cargo bench --bench live -- 60 500`. Needs some gigabytes of memory.
+//! `cargo bench --bench live`, or with rates and seconds: `cargo bench --bench live -- 60:60 500:5`.
 
 #![allow(clippy::unwrap_used, clippy::print_stdout, reason = "a measurement fails by panicking, and prints")]
 
@@ -9,19 +9,34 @@ use catoptra::live::{self, Outputs, Until};
 use catoptra::rig::Rig;
 use catoptra::sink::{McapSink, Sink, UdpSink};
 use catoptra::source::host::HostClock;
-use catoptra::source::{Clock, Frame, FrameSource, HostTime, SourceError, Timestamp, VideoFile, VideoOptions};
+use catoptra::source::{
+    Clock, Frame, FrameSource, HostTime, Picture, SourceError, Timestamp, VideoFile, VideoOptions,
+};
 use catoptra::track::{TrackOptions, Tracker};
 use std::collections::BTreeMap;
 use std::net::UdpSocket;
 use std::path::Path;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-/// How long each rate is tried.
-const SECONDS: f64 = 2.0;
+/// What is tried: rates, Hz, each for so many seconds.
+const TRIED: [(f64, f64); 9] = [
+    (60.0, 60.0),
+    (600.0, 60.0),
+    (120.0, 5.0),
+    (240.0, 5.0),
+    (360.0, 5.0),
+    (480.0, 5.0),
+    (720.0, 5.0),
+    (900.0, 5.0),
+    (1200.0, 5.0),
+];
 
-/// Delivers frames from memory, each when due.
+/// Delivers copies of pictures, each when due: forwards and backwards, so that the catheter does not jump.
 struct Memory {
-    frames: std::vec::IntoIter<Frame>,
+    pictures: Arc<Vec<Picture>>,
+    next: u64,
+    count: u64,
     began: Option<Instant>,
     period: Duration,
     clock: HostClock,
@@ -29,9 +44,15 @@ struct Memory {
 
 impl FrameSource for Memory {
     fn next_frame(&mut self) -> Result<Option<Frame>, SourceError> {
-        let Some(frame) = self.frames.next() else { return Ok(None) };
+        if self.next == self.count {
+            return Ok(None);
+        }
+        let seq = self.next;
+        self.next += 1;
+        let last = self.pictures.len() as u64 - 1;
+        let picture = copy(&self.pictures[(last - (seq % (2 * last)).abs_diff(last)) as usize]);
         let began = *self.began.get_or_insert_with(Instant::now);
-        let due = began + self.period * frame.seq as u32;
+        let due = began + self.period * seq as u32;
         // Sleeps like a thread waiting for a camera, except for the last bit.
         while let Some(rest) = due.checked_duration_since(Instant::now()) {
             if rest > Duration::from_micros(150) {
@@ -41,8 +62,9 @@ impl FrameSource for Memory {
             }
         }
         let arrival_ns = self.clock.now_ns();
-        let stamp = Timestamp { ns: (self.period * frame.seq as u32).as_nanos() as i64, clock: Clock::Device };
-        Ok(Some(Frame { stamp, host: Some(HostTime { arrival_ns, stamp_ns: arrival_ns }), ..frame }))
+        let stamp = Timestamp { ns: (self.period * seq as u32).as_nanos() as i64, clock: Clock::Device };
+        let host = Some(HostTime { arrival_ns, stamp_ns: arrival_ns });
+        Ok(Some(Frame { seq, stamp, gap: 0, host, picture }))
     }
 
     fn size_px(&self) -> [u32; 2] {
@@ -54,16 +76,23 @@ impl FrameSource for Memory {
     }
 }
 
-/// `count` frames of the sample, repeated: it ends as it begins.
-fn decoded(count: usize) -> Vec<Frame> {
-    let mut all = Vec::with_capacity(count);
-    while all.len() < count {
-        let mut recording = VideoFile::open("sample_frames/planar.mkv", VideoOptions::default()).unwrap();
-        while let Some(frame) = recording.next_frame().unwrap().filter(|_| all.len() < count) {
-            all.push(Frame { seq: all.len() as u64, ..frame });
-        }
-    }
-    all
+/// A picture of its own, as a camera's would be.
+fn copy(picture: &Picture) -> Picture {
+    let [width, height] = picture.size_px();
+    let plane = |i: usize| {
+        let plane = picture.plane(i).unwrap();
+        let mut bytes = Vec::with_capacity(plane.width * plane.height);
+        (0..plane.height).for_each(|j| bytes.extend_from_slice(plane.row(j).unwrap()));
+        bytes
+    };
+    let planes = (0..picture.format().channels()).map(plane).collect();
+    Picture::from_planes(width, height, picture.format(), picture.colour(), planes).unwrap()
+}
+
+/// The sample's pictures.
+fn decoded() -> Arc<Vec<Picture>> {
+    let mut recording = VideoFile::open("sample_frames/planar.mkv", VideoOptions::default()).unwrap();
+    Arc::new(std::iter::from_fn(|| recording.next_frame().unwrap()).map(|frame| frame.picture).collect())
 }
 
 struct Outcome {
@@ -74,9 +103,9 @@ struct Outcome {
     cpu: f64,
 }
 
-fn tried(rig: &Rig, hz: f64, folder: &Path) -> Outcome {
-    let count = (hz * SECONDS) as usize;
-    let frames = decoded(count).into_iter();
+fn tried(rig: &Rig, (hz, seconds): (f64, f64), pictures: &Arc<Vec<Picture>>, folder: &Path) -> Outcome {
+    let count = (hz * seconds) as usize;
+    let pictures = Arc::clone(pictures);
     let receiver = UdpSocket::bind("127.0.0.1:0").unwrap();
     receiver.set_read_timeout(Some(Duration::from_millis(700))).unwrap();
     let controllers: Vec<Box<dyn Sink + Send>> =
@@ -102,7 +131,8 @@ fn tried(rig: &Rig, hz: f64, folder: &Path) -> Outcome {
     let outputs = Outputs { files: vec![log], controllers, ..Outputs::default() };
     let pool = rayon::ThreadPoolBuilder::new().build().unwrap();
     let tracker = Tracker::new(rig, TrackOptions::default()).unwrap();
-    let source = Memory { frames, began: None, period: Duration::from_secs_f64(1.0 / hz), clock };
+    let period = Duration::from_secs_f64(1.0 / hz);
+    let source = Memory { pictures, next: 0, count: count as u64, began: None, period, clock };
     let (cpu, began) = (cpu_time::ProcessTime::now(), Instant::now());
     let summary = live::run(Box::new(source), tracker, pool, outputs, clock, &Until::default(), |_| {}).unwrap();
     let cpu = cpu.elapsed().as_secs_f64() / began.elapsed().as_secs_f64();
@@ -115,19 +145,27 @@ fn tried(rig: &Rig, hz: f64, folder: &Path) -> Outcome {
 }
 
 fn main() {
-    let rates: Vec<f64> = std::env::args().filter_map(|arg| arg.parse().ok()).collect();
-    let rates = if rates.is_empty() { vec![60.0, 120.0, 200.0, 300.0, 400.0, 500.0, 600.0, 700.0] } else { rates };
+    let asked = std::env::args().filter_map(|arg| {
+        let (hz, seconds) = arg.split_once(':')?;
+        Some((hz.parse().ok()?, seconds.parse().ok()?))
+    });
+    let asked: Vec<(f64, f64)> = asked.collect();
+    let all = if asked.is_empty() { TRIED.to_vec() } else { asked };
+    let pictures = decoded();
     let rig = Rig::load(Path::new("sample_frames/truth/rig.toml")).unwrap();
     let place = tempfile::tempdir().unwrap();
     println!(
         "1280 x 1024 from memory, {} cores; milliseconds from arrival to θ at the receiver",
         rayon::current_num_threads()
     );
-    println!("{:>6} {:>8} {:>6} {:>7} {:>7} {:>7} {:>6}", "Hz", "skipped", "lost", "p50", "p99", "max", "cores");
-    for hz in rates {
-        let Outcome { skipped, lost, latency_ms, cpu } = tried(&rig, hz, place.path());
+    println!(
+        "{:>6} {:>6} {:>8} {:>6} {:>7} {:>7} {:>7} {:>6}",
+        "Hz", "s", "skipped", "lost", "p50", "p99", "max", "cores"
+    );
+    for (hz, seconds) in all {
+        let Outcome { skipped, lost, latency_ms, cpu } = tried(&rig, (hz, seconds), &pictures, place.path());
         let at = |share: f64| latency_ms.get((share * latency_ms.len() as f64) as usize).or(latency_ms.last());
         let [p50, p99, max] = [0.5, 0.99, 1.0].map(|share| at(share).copied().unwrap_or(f64::NAN));
-        println!("{hz:>6} {skipped:>8} {lost:>6} {p50:>7.2} {p99:>7.2} {max:>7.2} {cpu:>6.2}");
+        println!("{hz:>6} {seconds:>6} {skipped:>8} {lost:>6} {p50:>7.2} {p99:>7.2} {max:>7.2} {cpu:>6.2}");
     }
 }

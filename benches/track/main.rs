@@ -1,13 +1,16 @@
 //! Speed of tracking: each stage compared with a typical OpenCV script, then whole runs compared with plain decoding of
-//! the same file.
+//! the same file, then the program itself.
 //!
 //! Everything compared runs in this process on the same frames, alternately; only the ratios matter. Stages are
 //! measured in thread CPU time, which stops while another program has the core. Whole runs are measured in wall-clock
 //! time, because threads wait for each other: use an idle machine, or compare their CPU time, which is also printed.
 
-#![allow(clippy::print_stdout, reason = "a bench prints its result")]
+#![allow(clippy::print_stdout, clippy::unwrap_used, reason = "a bench prints its result, and fails by panicking")]
 
+#[path = "../../tests/support/looped.rs"]
+mod looped;
 mod opencv_script;
+mod program;
 mod stages;
 mod whole_runs;
 
@@ -20,9 +23,11 @@ use std::time::Duration;
 fn main() -> Result<(), Box<dyn Error + Send + Sync>> {
     let repository = Path::new(env!("CARGO_MANIFEST_DIR"));
     let recording = repository.join("sample_frames/planar.mkv");
-    let rig = Rig::load(&repository.join("calibration/dev_tank/rig.toml"))?;
+    let rig_file = repository.join("calibration/dev_tank/rig.toml");
+    let rig = Rig::load(&rig_file)?;
     stages::print(&recording, &rig)?;
-    whole_runs::print(&recording, &rig)
+    whole_runs::print(&recording, &rig)?;
+    program::print(&recording, &rig_file)
 }
 
 /// Durations of repeated runs, in CPU time of the calling thread.

@@ -45,12 +45,14 @@ pub(crate) fn print(recording: &Path, rig: &Rig) -> Result<(), Box<dyn Error + S
         let job = Job { recording: recording.to_path_buf(), rig: rig.clone(), threads };
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build()?;
         let rounds = (0..ROUNDS).map(|_| pool.install(|| round(&job))).collect::<Result<Vec<_>, _>>()?;
-        println!("\n{title:42}{:>16}{:>20}{:>15}", "frames per second", "of bare decoding", "CPU per frame");
+        println!("\n{title:42}{:>16}{:>27}{:>15}", "frames per second", "of bare decoding", "CPU per frame");
         for (i, (name, _)) in WAYS.iter().enumerate() {
             let rate = median(rounds.iter().map(|round| round[i].rate));
-            let ratio = median(rounds.iter().map(|round| round[i].rate / round[0].rate));
+            let ratios = || rounds.iter().map(|round| round[i].rate / round[0].rate);
+            let (low, high) = ratios().fold((f64::INFINITY, 0.0_f64), |(low, high), r| (low.min(r), high.max(r)));
+            let ratio = format!("{:.2} ({low:.2} to {high:.2})", median(ratios()));
             let cpu_ms = median(rounds.iter().map(|round| round[i].cpu_ms));
-            println!("{name:42}{rate:>16.0}{ratio:>20.2}{cpu_ms:>12.2} ms");
+            println!("{name:42}{rate:>16.0}{ratio:>27}{cpu_ms:>12.2} ms");
         }
     }
     Ok(())

@@ -2,7 +2,7 @@
 //! machine for two minutes: `scripts/robustness.sh` runs them, `make test` does not.
 
 use crate::support::command::*;
-use ffmpeg_the_third as av;
+use crate::support::looped::looped;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
@@ -32,43 +32,6 @@ impl Drop for Load {
     }
 }
 
-/// The sample many times, one behind the other, without decoding it.
-pub(crate) fn looped(times: i64, to: &Path) {
-    let mut output = av::format::output(to).unwrap();
-    let (mut added, mut decoded) = (0, i64::MIN);
-    for k in 0..times {
-        let mut input = av::format::input(sample("planar.mkv")).unwrap();
-        let (index, from) = {
-            let stream = input.streams().best(av::media::Type::Video).unwrap();
-            if k == 0 {
-                output.add_stream(av::encoder::find(av::codec::Id::None)).unwrap().set_parameters(stream.parameters());
-                output.write_header().unwrap();
-            }
-            (stream.index(), stream.time_base())
-        };
-        let stored = output.stream(0).unwrap().time_base();
-        let mut last = 0;
-        let mut packet = av::Packet::empty();
-        while packet.read(&mut input).is_ok() {
-            if packet.stream() != index {
-                continue;
-            }
-            packet.rescale_ts(from, stored);
-            last = last.max(packet.pts().unwrap());
-            packet.set_pts(packet.pts().map(|pts| pts + added));
-            // Where two meet, the first of the next is decoded before the last of this is shown.
-            decoded = packet.dts().map_or(decoded, |dts| dts + added).max(decoded.saturating_add(1));
-            packet.set_dts(Some(decoded));
-            packet.set_position(-1);
-            packet.set_stream(0);
-            packet.write_interleaved(&mut output).unwrap();
-        }
-        // Matroska counts milliseconds; 17 more is a frame.
-        added += last + 17;
-    }
-    output.write_trailer().unwrap();
-}
-
 fn live(place: &Place, recording: &Path, folder: &str, more: &[&str]) -> Command {
     let mut live = Command::new(env!("CARGO_BIN_EXE_catoptra"));
     live.current_dir(place.folder.path()).arg("-v").arg("live").arg(recording).args([
@@ -86,7 +49,7 @@ fn live(place: &Place, recording: &Path, folder: &str, more: &[&str]) -> Command
 fn at_a_load_of_20_no_frame_is_skipped_where_the_system_lets_it_go_first() {
     let place = Place::new();
     let recording = place.path("long.mkv");
-    looped(13, &recording);
+    looped(&sample("planar.mkv"), 13, &recording);
     let load = Load::of(Duration::from_secs(90));
     let output = live(&place, &recording, "live", &["--duration", "60"]).output().unwrap();
     drop(load);

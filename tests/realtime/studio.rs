@@ -1,6 +1,7 @@
 //! `catoptra live --studio`: watching pages, and requests that must be refused, during a run that loses nothing.
 
 use crate::support::command::*;
+use crate::support::looped::looped;
 use crate::support::studio::Studio;
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
@@ -90,7 +91,7 @@ fn recording_is_begun_and_ended_by_the_page_each_stretch_whole_and_none_over_ano
     let _alone = alone();
     let place = Place::new();
     let long = place.path("long.mkv");
-    crate::live_load::looped(4, &long);
+    looped(&sample("planar.mkv"), 4, &long);
     let mut command = Command::new(env!("CARGO_BIN_EXE_catoptra"));
     command.current_dir(place.folder.path()).arg("live").arg(&long).args(["--realtime", "--rig"]);
     command.arg(&place.rig).args(["-o", "out", "--studio", "--duration", "12"]);
@@ -174,7 +175,7 @@ fn two_pages_in_a_browser_watch_and_record_and_no_row_is_lost() {
     let Some((browser, python)) = crate::support::browser::browser_and_python() else { return };
     let place = Place::new();
     let long = place.path("long.mkv");
-    crate::live_load::looped(6, &long);
+    looped(&sample("planar.mkv"), 6, &long);
     // The browser is there before the run begins: it takes its time on a busy machine.
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/python/studio_watch.py");
     let mut watcher = Command::new(python)
