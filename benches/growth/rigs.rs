@@ -110,8 +110,8 @@ fn rig(setup: &Setup) -> Result<Rig, Box<dyn Error + Send + Sync>> {
             let behind_m = aside_m * [1.0, 0.6, 1.7][(view - 1) % 3];
             let way = Vector3::new(aside_m, 0.0, behind_m);
             let normal = -way.normalize();
-            let plane = Plane::new(normal, normal.dot(&(tube + way / 2.0).coords));
-            let mirror = Surface::Mirror(Mirror { plane: plane.ok_or("a mirror has no normal")? });
+            let plane = Plane::new(normal, normal.dot(&(tube + way / 2.0).coords))?;
+            let mirror = Surface::Mirror(Mirror { plane });
             path.push(format!("mirror{view}"));
             surfaces.insert(format!("mirror{view}"), mirror);
         }

@@ -15,7 +15,10 @@ const LENGTHS: [i64; 3] = [1, 10, 60];
 /// Measures and prints.
 pub(crate) fn print(recording: &Path, rig: &Path) -> Result<(), Box<dyn Error + Send + Sync>> {
     let starts = (0..STARTS).map(|_| first_row_ms(recording, rig)).collect::<Result<Vec<_>, _>>()?;
-    println!("\nfrom the start of `catoptra track` to its first row: {:.0} ms (median of {STARTS})", median(starts.into_iter()));
+    println!(
+        "\nfrom the start of `catoptra track` to its first row: {:.0} ms (median of {STARTS})",
+        median(starts.into_iter())
+    );
     println!("\n{:>10}{:>20}", "frames", "most memory, MB");
     let place = tempfile::tempdir()?;
     for times in LENGTHS {

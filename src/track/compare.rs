@@ -46,7 +46,7 @@ struct Bunches {
 
 /// Bunches in no use; more than these are dropped.
 static SPARE: Mutex<Vec<Vec<Bunch>>> = Mutex::new(Vec::new());
-const MAX_SPARE: usize = 32;
+const MAX_SPARE: usize = 16;
 
 impl Bunches {
     fn of(layer: &Layer) -> Self {
