@@ -22,7 +22,10 @@ pub(crate) fn write(
         .x_label_area_size(42)
         .y_label_area_size(56)
         .build_cartesian_2d(range(|p| p.0, 1.05).log_scale(), range(|p| p.1, 1.5).log_scale())?;
-    chart.configure_mesh().x_desc(what).y_desc("ms per frame, one thread").light_line_style(WHITE).draw()?;
+    let short = |v: &f64| if *v < 0.95 { format!("{v:.1}") } else { format!("{v:.0}") };
+    let mut mesh = chart.configure_mesh();
+    mesh.x_desc(what).y_desc("ms per frame, one thread").light_line_style(WHITE);
+    mesh.x_label_formatter(&|_| String::new()).y_label_formatter(&short).draw()?;
     for (i, (name, line)) in lines.iter().enumerate() {
         let colour = Palette99::pick(i).to_rgba();
         chart
@@ -30,6 +33,10 @@ pub(crate) fn write(
             .label(*name)
             .legend(move |(x, y)| PathElement::new([(x, y), (x + 18, y)], colour.stroke_width(2)));
     }
+    // What grows is written below the points of the last line, not at the axis.
+    let named =
+        |point: &(f64, f64)| EmptyElement::at(*point) + Text::new(point.0.to_string(), (-4, 7), ("sans-serif", 11));
+    chart.draw_series(lines.last().iter().flat_map(|(_, line)| line).map(named))?;
     chart.configure_series_labels().position(SeriesLabelPosition::UpperLeft).border_style(BLACK.mix(0.3)).draw()?;
     area.present()?;
     Ok(())
