@@ -1,8 +1,8 @@
 //! The highest rate at which a live run loses nothing, and its latency: pictures of the sample, decoded in advance,
 //! delivered like a camera's, θ received as datagrams.
 //!
-//! `cargo bench --bench live`, or with rates and seconds: `cargo bench --bench live -- 60:60 500:5`. 1000 pictures need 2 GB
-//! of memory.
+//! `cargo bench --bench live`, or with rates and seconds: `cargo bench --bench live -- 60:60 500:5`. 1000 pictures need
+//! 2 GB of memory.
 
 #![allow(clippy::unwrap_used, clippy::print_stdout, reason = "a measurement fails by panicking, and prints")]
 

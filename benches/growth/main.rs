@@ -7,14 +7,15 @@
 
 mod plot;
 mod rigs;
+#[path = "../support/stopwatch.rs"]
+mod stopwatch;
 
 use catoptra::segment::Segmenter;
-use catoptra::source::Frame;
 use catoptra::track::{TrackOptions, Tracker};
-use cpu_time::ThreadTime;
 use rigs::{Recording, Setup};
 use std::error::Error;
 use std::path::{Path, PathBuf};
+use stopwatch::Stopwatch;
 
 /// Growth of the cost by this much more than in proportion counts as no longer linear.
 const BEYOND_LINEAR: f64 = 1.2;
@@ -101,27 +102,13 @@ fn cost(value: f64, setup: &Setup) -> Result<Cost, Box<dyn Error + Send + Sync>>
     let Recording { rig, frames } = Recording::of(setup)?;
     let one_thread = rayon::ThreadPoolBuilder::new().num_threads(1).build()?;
     let (mut tracker, mut segmenter) = (Tracker::new(&rig, TrackOptions::default())?, Segmenter::for_rig(&rig)?);
-    let (mut steps, mut segments, mut answered) = (Vec::new(), Vec::new(), 0);
+    let (mut steps, mut segments, mut answered) = (Stopwatch::default(), Stopwatch::default(), 0);
     for frame in &frames {
-        let (time, estimate) = one_thread.install(|| timed(|| tracker.step(frame)));
-        answered += usize::from(estimate?.tangent.is_ok());
-        steps.push(time);
-        let (time, blobs) = timed(|| segmenter.all_blobs(&frame.picture).map(<[_]>::len));
-        blobs?;
-        segments.push(time);
+        let estimate = one_thread.install(|| steps.time(|| tracker.step(frame)))?;
+        answered += usize::from(estimate.tangent.is_ok());
+        segments.time(|| segmenter.all_blobs(&frame.picture).map(<[_]>::len))?;
     }
-    Ok(Cost { value, step_ms: median(steps), segment_ms: median(segments), answered: (answered, frames.len()) })
-}
-
-fn timed<T>(run: impl FnOnce() -> T) -> (f64, T) {
-    let start = ThreadTime::now();
-    let result = std::hint::black_box(run());
-    (start.elapsed().as_secs_f64() * 1e3, result)
-}
-
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
+    Ok(Cost { value, step_ms: steps.median_ms(), segment_ms: segments.median_ms(), answered: (answered, frames.len()) })
 }
 
 fn plotted(folder: &Path, growth: &Growth, costs: &[Cost]) -> Result<(), Box<dyn Error + Send + Sync>> {
@@ -129,6 +116,3 @@ fn plotted(folder: &Path, growth: &Growth, costs: &[Cost]) -> Result<(), Box<dyn
     let lines = [("Tracker::step", line(|c| c.step_ms)), ("segmentation of the whole picture", line(|c| c.segment_ms))];
     plot::write(&folder.join(format!("growth_{}.svg", growth.file)), growth.name, &lines)
 }
-
-/// For `rigs`: what it makes.
-type Frames = Vec<Frame>;

@@ -1,7 +1,6 @@
-//! Rigs in air, and what their cameras record: a straight tube with bands of many colours, swinging about its clamp, seen
-//! directly and in mirrors that put its images beside each other.
+//! Rigs in air, and what their cameras record: a straight tube with bands of many colours, swinging about its clamp,
+//! seen directly and in mirrors that put its images beside each other.
 
-use super::Frames;
 use catoptra::optics::{Lens, Mirror, OpticalPath, Plane, Surface};
 use catoptra::rig::{Camera, Catheter, Marker, Rig, View};
 use catoptra::segment::{ClassSamples, learn};
@@ -41,7 +40,7 @@ impl Default for Setup {
 /// A rig with learned colours, and pictures of it.
 pub(crate) struct Recording {
     pub rig: Rig,
-    pub frames: Frames,
+    pub frames: Vec<Frame>,
 }
 
 impl Recording {

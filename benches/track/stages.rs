@@ -1,7 +1,7 @@
 //! Each stage of a frame compared with OpenCV's script on the same frame, one thread each, alternating frame by frame.
 
-use super::Stopwatch;
 use super::opencv_script::{Script, i420};
+use super::stopwatch::Stopwatch;
 use catoptra::estimate::Estimate;
 use catoptra::rig::Rig;
 use catoptra::segment::{Search, Segmenter, Window};

@@ -142,20 +142,20 @@ pub(crate) const CHUNK: usize = 32;
 const WIDTH: usize = 16;
 
 /// A number for each point.
-#[derive(Clone, Default)]
+#[derive(Default)]
 #[repr(align(64))]
 struct Lanes([f32; CHUNK]);
 
 /// Some points of a piece and the model's values there, before they are weighted for a stored channel.
-#[derive(Clone, Default)]
+#[derive(Default)]
 pub(crate) struct Chunk {
     /// Number of points, including copies of the last that fill up a vector.
     lanes: usize,
     /// Position relative to the patch's centre.
     x: Lanes,
     y: Lanes,
-    /// The nearest point of the axis when last evaluated, as the fraction of the way from knot to knot, and the distance
-    /// from it, pixels.
+    /// The nearest point of the axis when last evaluated, as the fraction of the way from knot to knot, and the
+    /// distance from it, pixels.
     f: Lanes,
     u: Lanes,
     /// How much is seen of the background, of the light of the segment before the ring, and of the one after it.
@@ -198,6 +198,21 @@ impl Chunk {
     pub(crate) fn values(&self, weights: &[f32; 3]) -> [f32; CHUNK] {
         let [r, g, b] = &self.value;
         std::array::from_fn(|i| weights[0] * r.0[i] + weights[1] * g.0[i] + weights[2] * b.0[i])
+    }
+
+    /// Change of such a value per unit of light, R, G and B, at a point.
+    #[inline(always)]
+    fn slopes(&self, i: usize, weights: &[f32; 3]) -> [f32; 3] {
+        [weights[0] * self.slope[0].0[i], weights[1] * self.slope[1].0[i], weights[2] * self.slope[2].0[i]]
+    }
+
+    /// What the background there, the segment before the ring and the one after it would add to the value.
+    #[inline(always)]
+    fn lights(&self, i: usize, slopes: [f32; 3], piece: &Piece, light: &Light<'_>) -> [f32; 3] {
+        let (x, y) = (self.x.0[i], self.y.0[i]);
+        let background = [light.background(0, x, y), light.background(1, x, y), light.background(2, x, y)];
+        let [before, behind] = &piece.segments;
+        [&background, before, behind].map(|light| slopes[0] * light[0] + slopes[1] * light[1] + slopes[2] * light[2])
     }
 }
 
@@ -352,8 +367,7 @@ fn encode(n: usize, encoding: &Encoding, value: &mut Lanes, slope: &mut Lanes) {
 fn weigh(chunk: &Chunk, piece: &Piece, light: &Light<'_>, weights: &[f32; 3], row: &mut [Lanes; ROW]) {
     let n = chunk.lanes.min(CHUNK);
     for i in 0..n {
-        let slopes =
-            [weights[0] * chunk.slope[0].0[i], weights[1] * chunk.slope[1].0[i], weights[2] * chunk.slope[2].0[i]];
+        let slopes = chunk.slopes(i, weights);
         let uncovered = chunk.parts[0].0[i];
         let all = (slopes[0] + slopes[1] + slopes[2]) * uncovered;
         for c in 0..3 {
@@ -369,15 +383,10 @@ fn weigh(chunk: &Chunk, piece: &Piece, light: &Light<'_>, weights: &[f32; 3], ro
         row[ROW_SHADING].0 = [0.0; CHUNK];
         return;
     }
-    let [before, behind] = piece.segments;
     let own = if seen == Seen::Behind { &chunk.parts[2] } else { &chunk.parts[1] };
     for i in 0..n {
-        let slopes =
-            [weights[0] * chunk.slope[0].0[i], weights[1] * chunk.slope[1].0[i], weights[2] * chunk.slope[2].0[i]];
-        let (x, y) = (chunk.x.0[i], chunk.y.0[i]);
-        let background = [light.background(0, x, y), light.background(1, x, y), light.background(2, x, y)];
-        let sum = |light: &[f32; 3]| slopes[0] * light[0] + slopes[1] * light[1] + slopes[2] * light[2];
-        let lights = [sum(&background), sum(&before), sum(&behind)];
+        let slopes = chunk.slopes(i, weights);
+        let lights = chunk.lights(i, slopes, piece, light);
         let by = |d: &[Lanes; 3]| lights[0] * d[0].0[i] + lights[1] * d[1].0[i] + lights[2] * d[2].0[i];
         // Distributed over the two knots.
         let f = chunk.f.0[i];
@@ -399,12 +408,8 @@ fn weigh(chunk: &Chunk, piece: &Piece, light: &Light<'_>, weights: &[f32; 3], ro
         return;
     }
     for i in 0..n {
-        let slopes =
-            [weights[0] * chunk.slope[0].0[i], weights[1] * chunk.slope[1].0[i], weights[2] * chunk.slope[2].0[i]];
-        let (x, y) = (chunk.x.0[i], chunk.y.0[i]);
-        let background = [light.background(0, x, y), light.background(1, x, y), light.background(2, x, y)];
-        let sum = |light: &[f32; 3]| slopes[0] * light[0] + slopes[1] * light[1] + slopes[2] * light[2];
-        let lights = [sum(&background), sum(&before), sum(&behind)];
+        let slopes = chunk.slopes(i, weights);
+        let lights = chunk.lights(i, slopes, piece, light);
         let by = |d: &[Lanes; 3]| lights[0] * d[0].0[i] + lights[1] * d[1].0[i] + lights[2] * d[2].0[i];
         let f = chunk.f.0[i];
         let (along, bulge) = (-by(&chunk.d_v), by(&chunk.d_bulge));

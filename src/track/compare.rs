@@ -192,10 +192,9 @@ impl Comparison {
             layer.channels.iter().map(|_| compared()).collect::<Vec<_>>()
         };
         let near = |layer: &Layer| layer.near().map(|near| if near { 1.0 } else { 0.0 }).collect();
-        let layers = || [&patch.pixels].into_iter().chain(&patch.samples);
-        let near = layers().map(near).collect();
-        let bunches = layers().map(Bunches::of).collect();
-        let channels = layers().flat_map(of).collect();
+        let near = patch.layers().map(near).collect();
+        let bunches = patch.layers().map(Bunches::of).collect();
+        let channels = patch.layers().flat_map(of).collect();
         let sums = Sums::new(patch.spans.len());
         Self { patch, bunches, near, channels, sums, rows: Box::default() }
     }
@@ -203,16 +202,16 @@ impl Comparison {
     /// Evaluates the model at all pixels, and compares it with all samples.
     pub(crate) fn render(&mut self, scene: &Scene<'_>) {
         let Self { patch, bunches, channels, .. } = self;
-        let Patch { middle, spans, pixels, samples, .. } = &*patch;
-        let stored: Vec<_> = [pixels].into_iter().chain(samples).flat_map(|layer| layer.channels.clone()).collect();
+        let Patch { middle, spans, .. } = &*patch;
         let light = scene.light();
-        for (i, (layer, bunches)) in [pixels].into_iter().chain(samples).zip(bunches).enumerate() {
+        for (i, (layer, bunches)) in patch.layers().zip(bunches).enumerate() {
+            // All channels are predicted at the pixels, which come first.
+            let at_pixels = || patch.layers().flat_map(|layer| &layer.channels).filter(|_| i == 0);
             for bunches in bunches.by_span_mut() {
                 let piece = scene.piece(&spans[bunches[0].span], middle, &layer.spread_px2);
                 for Bunch { points, chunk, .. } in bunches {
                     chunk.evaluate(&piece, &light);
-                    // All channels are predicted at the pixels.
-                    for (channel, compared) in stored.iter().zip(&mut *channels).filter(|_| i == 0) {
+                    for (channel, compared) in at_pixels().zip(&mut *channels) {
                         let values = chunk.values(&channel.weights);
                         compared.predicted[points.clone()].copy_from_slice(&values[..points.len()]);
                     }
@@ -220,7 +219,7 @@ impl Comparison {
             }
         }
         let mut channels = channels.iter_mut();
-        for layer in [pixels].into_iter().chain(samples) {
+        for layer in patch.layers() {
             for ((channel, stored), compared) in layer.channels.iter().zip(&layer.stored).zip(&mut channels) {
                 let Compared { predicted, residuals, .. } = compared;
                 if layer.is_whole() {
@@ -240,9 +239,8 @@ impl Comparison {
     /// Weights the residuals by their noise.
     fn weigh(&mut self, noise: &Noise) -> Weighed {
         let mut weighed = Weighed { cost: 0.0, squares: Squares::default() };
-        let layers = [&self.patch.pixels].into_iter().chain(&self.patch.samples).zip(&self.near);
         let mut channels = self.channels.iter_mut();
-        for (layer, near) in layers {
+        for (layer, near) in self.patch.layers().zip(&self.near) {
             let near_count = layer.near().filter(|near| *near).count();
             for (channel, compared) in layer.channels.iter().zip(&mut channels) {
                 let noise = &noise[usize::from(channel.number)];
@@ -277,10 +275,10 @@ impl Comparison {
     /// Forms the derivatives of all samples, of the model as it was rendered.
     fn derive(&mut self, scene: &Scene<'_>, mut take: impl FnMut(&mut Sums, &Part<'_>)) {
         let Self { patch, bunches, channels, sums, rows, .. } = self;
-        let Patch { middle, spans, pixels, samples, .. } = patch;
+        let Patch { middle, spans, .. } = &*patch;
         let light = scene.light();
         let mut channels = &channels[..];
-        for (layer, bunches) in [&*pixels].into_iter().chain(&*samples).zip(bunches) {
+        for (layer, bunches) in patch.layers().zip(bunches) {
             let (own, others) = channels.split_at(layer.channels.len());
             channels = others;
             let (apart, cells) = (!layer.is_whole(), &layer.cells);

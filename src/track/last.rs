@@ -41,8 +41,8 @@ impl Last {
     }
 }
 
-/// A rate as it goes on: as much of it as was kept of the rate before. For a smooth motion that is all, for the noise of
-/// something at rest nothing.
+/// A rate as it goes on: as much of it as was kept of the rate before. For a smooth motion that is all, for the noise
+/// of something at rest nothing.
 fn kept(rate: &ShapeStep, before: &ShapeStep) -> ShapeStep {
     let mut kept = *rate;
     // Centre and tangent.

@@ -48,8 +48,8 @@ pub(crate) const ROW: usize = 24;
 const PLAIN: usize = 16;
 const OUTSIDE: usize = 8;
 /// Derivatives of one sample's prediction, those of a plain sample first: both knots across; background; its gradient;
-/// shading and its changes; colour of the segment before the nearest ring, or of the only one that is seen; colour of the
-/// one after the ring; cap; both knots along; their bulge. Elements beyond [`Seen::width`] have no meaning.
+/// shading and its changes; colour of the segment before the nearest ring, or of the only one that is seen; colour of
+/// the one after the ring; cap; both knots along; their bulge. Elements beyond [`Seen::width`] have no meaning.
 pub(crate) type Row = [f32; ROW];
 
 pub(crate) const ROW_ACROSS: usize = 0;

@@ -75,7 +75,7 @@ pub(crate) struct Layer {
     /// Positions relative to the patch's centre, pixels.
     pub x: Vec<f32>,
     pub y: Vec<f32>,
-    /// The nearest points of the axis when last evaluated, as fractions of the way between their spans' knots.
+    /// The nearest points of the axis when selected, as fractions of the way between their spans' knots.
     pub f: Vec<f32>,
     /// Distances from the tube's outline when selected, negative on the tube, pixels.
     outside: Vec<f32>,
@@ -358,6 +358,11 @@ fn neighbourhoods(plane: &Plane<'_>, chroma_offset_px: [f64; 2], density: Densit
 }
 
 impl Patch {
+    /// The pixels, then the samples of subsampled channels.
+    pub(crate) fn layers(&self) -> impl Iterator<Item = &Layer> {
+        [&self.pixels].into_iter().chain(&self.samples)
+    }
+
     /// Selects the samples on and beside the tube between the arc lengths `range_m`.
     ///
     /// # Errors
@@ -500,7 +505,7 @@ impl Patch {
     ) -> Option<Vec<f64>> {
         let segments = layout.segments();
         let mut sums = vec![[(0.0, 0_usize); 3]; segments + 1];
-        for layer in [&self.pixels].into_iter().chain(&self.samples) {
+        for layer in self.layers() {
             for Strip { span, points } in &layer.strips {
                 let Span { knot, ring } = self.spans[*span];
                 let is_end = layout.ends && ring + 1 == layout.rings_m.len();

@@ -19,8 +19,8 @@ const KNOT_M: f64 = 3e-3;
 /// Prior σ of the shape's parameters: centre and tangent are free; of the curvature's derivatives, 1/m² and 1/m³. It
 /// reaches 15 /m, half a right angle over 5 cm, within a centimetre.
 const BEND_SD: [f64; BENDS] = [1500.0, 3e5];
-/// Over such a short distance the matrix of the equations hardly changes: half of the blur, pixels (RMS along the
-/// stretch).
+/// Over such a short distance the matrix of the equations hardly changes: a fifth of the blur, pixels (RMS along the
+/// stretch). Further away a step by the old one converges slowly.
 const CLOSE_PX: f64 = 0.12;
 /// A step this short ends a round: what it leaves is its square over the blur, a thousandth of a pixel.
 const SETTLED_PX: f64 = 0.03;
@@ -83,9 +83,7 @@ impl Guess {
         let images = paths.iter().enumerate().map(image).collect::<Result<_, _>>().map_err(|_| NoFit::OutOfPicture)?;
         Ok(Self { shape, colours, images })
     }
-}
 
-impl Guess {
     /// How far it is from another, pixels: RMS along the stretch, in the view that shows it largest.
     fn moved(&self, other: &Self) -> f64 {
         self.images.iter().zip(&other.images).map(|(a, b)| a.distance(b)).fold(0.0, f64::max)
@@ -103,8 +101,8 @@ pub(crate) fn shape_prior() -> SMatrix<f64, SHAPE, SHAPE> {
 }
 
 impl Round<'_> {
-    /// Iterates until a step is short, or lowers the cost (a χ²) by less than `enough`, as far as can be predicted. That
-    /// last step is taken without evaluation.
+    /// Iterates until a step is short, or lowers the cost (a χ²) by less than `enough`, as far as can be predicted.
+    /// That last step is taken without evaluation.
     pub(crate) fn minimise(&mut self, start: Guess, enough: f64) -> Result<Minimum, NoFit> {
         let mut state = self.evaluate(start, None);
         let mut damping = DAMPING;

@@ -50,8 +50,8 @@ const BLURRED_PX2: f64 = 4.0 / 12.0;
 /// What a search reads around its window: a cell of two pixels on each side, and what rounds both to whole cells.
 const RING_PX: u32 = 4;
 
-/// A fit that continues the last may have inherited its faults when its residual exceeds the usual by this many standard
-/// deviations; any fit may have gone astray when it does by this factor.
+/// A fit that continues the last may have inherited its faults when its residual exceeds the usual by this many
+/// standard deviations; any fit may have gone astray when it does by this factor.
 const CONTINUED_SD: f64 = 2.0;
 const UNUSUAL_RESIDUAL: f64 = 1.35;
 
@@ -393,11 +393,9 @@ impl Tracker {
             })?;
             self.accept(group, views, &starts, &fit).map(|()| fit)
         };
-        let residuals =
-            |fit: &TubeFit| views.iter().copied().zip(fit.views.iter().map(|view| view.rms)).collect::<Vec<_>>();
         let is_usual = |fit: &TubeFit| {
-            let beyond = |(v, rms)| self.usual.beyond(group.reference, v, rms);
-            residuals(fit).into_iter().all(|residual| beyond(residual).is_some_and(|sd| sd < CONTINUED_SD))
+            let beyond = |(v, view): (&usize, &ViewFit)| self.usual.beyond(group.reference, *v, view.rms);
+            views.iter().zip(&fit.views).all(|seen| beyond(seen).is_some_and(|sd| sd < CONTINUED_SD))
         };
         let continued = last.and_then(|last| last.continued(frame.stamp, group)).as_ref().map(fit_from);
         match continued {
@@ -410,7 +408,8 @@ impl Tracker {
         // the band before.
         let blurred = |fit: &TubeFit| fit.views.iter().any(|view| view.image.at_arc(0.0).swept.sum() > BLURRED_PX2);
         let unusual = |fit: &TubeFit| {
-            residuals(fit).into_iter().any(|(v, rms)| self.usual.ratio(group.reference, v, rms) > UNUSUAL_RESIDUAL)
+            let ratio = |(v, view): (&usize, &ViewFit)| self.usual.ratio(group.reference, *v, view.rms);
+            views.iter().zip(&fit.views).any(|seen| ratio(seen) > UNUSUAL_RESIDUAL)
         };
         let (blurred, unusual) = match &first {
             Ok(fit) => (blurred(fit), unusual(fit)),

@@ -32,6 +32,18 @@ struct Level {
     variance: f64,
 }
 
+impl Level {
+    /// Mean and scatter of the logarithms, once enough frames were seen.
+    fn seen(&self) -> Option<(f64, f64)> {
+        (self.frames >= MIN_FRAMES).then(|| (self.mean, self.variance.sqrt().max(MIN_SD)))
+    }
+
+    /// The same, or what was learned, as if it scattered by chance alone.
+    fn usual(&self) -> Option<(f64, f64)> {
+        self.seen().or(self.learned.map(|learned| (learned, MIN_SD)))
+    }
+}
+
 /// For each marker that is the reference of a stretch, in each view.
 #[derive(Debug)]
 pub(crate) struct Usual {
@@ -63,8 +75,8 @@ impl Usual {
     /// by `common`; 0 below it, and while too little is known.
     pub(crate) fn above(&mut self, marker: usize, view: usize, value: f64, common: f64) -> f64 {
         let Some(level) = self.levels.get_mut(marker).and_then(|views| views.get_mut(view)) else { return 0.0 };
-        let (mean, sd) = if level.frames >= MIN_FRAMES {
-            (level.mean, level.variance.sqrt().max(MIN_SD))
+        let (mean, sd) = if let Some(seen) = level.seen() {
+            seen
         } else if let Some(learned) = level.learned
             && level.compared < COMPARED_FRAMES
         {
@@ -79,16 +91,12 @@ impl Usual {
     /// By which factor a value exceeds the usual or learned one; 1 while neither is known.
     pub(crate) fn ratio(&self, marker: usize, view: usize, value: f64) -> f64 {
         let level = self.level(marker, view);
-        let usual = level.and_then(|l| if l.frames >= MIN_FRAMES { Some(l.mean) } else { l.learned });
-        usual.map_or(1.0, |usual| value / usual.exp())
+        level.and_then(Level::usual).map_or(1.0, |(mean, _)| value / mean.exp())
     }
 
-    /// By how many standard deviations a value exceeds the usual or learned one, all scatter of the latter being that of
-    /// chance; `None` while neither is known.
+    /// By how many standard deviations a value exceeds the usual or learned one; `None` while neither is known.
     pub(crate) fn beyond(&self, marker: usize, view: usize, value: f64) -> Option<f64> {
-        let level = self.level(marker, view)?;
-        let usual = (level.frames >= MIN_FRAMES).then(|| (level.mean, level.variance.sqrt().max(MIN_SD)));
-        let (mean, sd) = usual.or(level.learned.map(|learned| (learned, MIN_SD)))?;
+        let (mean, sd) = self.level(marker, view)?.usual()?;
         Some((value.ln() - mean) / sd)
     }
 
