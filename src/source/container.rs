@@ -7,13 +7,14 @@ use ffmpeg_the_third as av;
 
 use super::extent::{Extent, extent};
 use super::times::seconds;
-use super::{SourceError, Span};
+use super::{SourceError, Span, messages};
 
 /// libav writes to stderr by itself. What matters is in this module's errors and warnings; the rest shows only when
 /// debugging.
 pub(super) fn quiet_libav() {
     let debugging = tracing::enabled!(tracing::Level::DEBUG);
     av::log::set_level(if debugging { av::log::Level::Warning } else { av::log::Level::Quiet });
+    messages::listen();
 }
 
 /// Checks the file itself: the operating system's errors are clearer than libav's.
@@ -110,13 +111,14 @@ pub(super) fn configuration(stream: &av::format::stream::Stream<'_>) -> Vec<u8> 
     }
 }
 
-/// Whether this codec is intra-only. For other codecs the decoder must have one thread: with more it does not report
-/// every damaged picture.
-fn is_intra_only(codec: av::codec::Id) -> bool {
+/// Whether a decoder of several threads reports as much damage as one of a single thread. Of the codecs that predict
+/// pictures from others only H.264 is known to (see `messages`).
+fn reports_with_threads(codec: av::codec::Id) -> bool {
     use av::codec::Id;
     matches!(
         codec,
-        Id::MJPEG
+        Id::H264
+            | Id::MJPEG
             | Id::FFV1
             | Id::PNG
             | Id::HUFFYUV
@@ -126,6 +128,32 @@ fn is_intra_only(codec: av::codec::Id) -> bool {
             | Id::DNXHD
             | Id::RAWVIDEO
     )
+}
+
+/// Most pictures that an H.264 decoder holds back.
+const MAX_DELAY: i32 = 16;
+
+/// Threads for a decoder, 0 for one per core.
+///
+/// H.264 with reordered pictures: a thread that gives out the picture of another copies its quantisers, though they may
+/// not all be known yet. So pictures are held back until that thread must be done.
+#[allow(unsafe_code, reason = "the binding only reads this field")]
+fn set_threads(context: &mut av::codec::Context, codec: av::codec::Id, threads: usize) {
+    let mut threading = av::threading::Config::kind(av::threading::Type::Frame);
+    threading.count = match threads {
+        _ if !reports_with_threads(codec) => 1,
+        0 => std::thread::available_parallelism().map_or(1, usize::from),
+        threads => threads,
+    };
+    // SAFETY: the context is valid and not open yet; the decoder takes at least this delay.
+    let delay = unsafe { &mut (*context.as_mut_ptr()).has_b_frames };
+    if codec == av::codec::Id::H264 && *delay > 0 {
+        threading.count = threading.count.min(usize::try_from(MAX_DELAY - *delay).unwrap_or(0)).max(1);
+        if threading.count > 1 {
+            *delay += threading.count as i32;
+        }
+    }
+    context.set_threading(threading);
 }
 
 pub(super) fn open_decoder(
@@ -157,9 +185,7 @@ pub(super) fn open_decoder(
         );
     }
     let mut context = av::codec::Context::from_parameters(stream.parameters()).map_err(refused)?;
-    let mut threading = av::threading::Config::kind(av::threading::Type::Frame);
-    threading.count = if is_intra_only(stream.parameters().id()) { threads } else { 1 };
-    context.set_threading(threading);
+    set_threads(&mut context, stream.parameters().id(), threads);
     if low_delay {
         context.set_flags(av::codec::Flags::LOW_DELAY);
     }

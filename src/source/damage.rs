@@ -4,16 +4,14 @@
 //! damage, up to the next key frame. A marker would be measured where it was earlier, with no warning. So a damaged
 //! picture is left out, and with it all that are decoded after it up to the next key frame.
 //!
-//! A B picture may be shown before the damaged picture it was predicted from. So in a stream with B pictures, each is
-//! judged only after [`MAX_REORDER`] more are decoded.
+//! A B picture may be shown before the damaged picture it was predicted from. But it is decoded later, and by then the
+//! decoder has said that it conceals damage (see `messages`).
 //!
 //! What this cannot detect: damage that happens to be a valid stream, packets that the container lost, both if the
-//! decoder does not notice. (FFmpeg's decoders report less damage with several threads, so they get one.)
+//! decoder does not notice.
 
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Pictures held back where presentation order differs from decoding order (H.264 allows 16).
-pub(crate) const MAX_REORDER: usize = 16;
 /// Packets remembered: no decoder holds back more pictures.
 const HELD_BACK: u64 = 256;
 
@@ -24,27 +22,62 @@ pub(crate) struct DamageLog {
     /// Key frames: number and time.
     keys: BTreeMap<u64, Option<i64>>,
     damaged: BTreeSet<u64>,
+    /// Packets with an error that may give a picture nevertheless.
+    suspects: BTreeSet<u64>,
+    /// Those that have given no picture yet, by time.
     number_of: BTreeMap<i64, u64>,
 }
 
 impl DamageLog {
-    /// The next packet to be decoded.
-    pub(crate) fn packet(&mut self, pts: Option<i64>, is_key: bool) {
+    /// The next packet to be decoded; returns its number.
+    pub(crate) fn packet(&mut self, pts: Option<i64>, is_key: bool) -> u64 {
         if is_key {
             self.keys.insert(self.count, pts);
         }
         if let Some(pts) = pts {
             self.number_of.insert(pts, self.count);
         }
+        let number = self.count;
         self.count += 1;
         if self.count.is_multiple_of(HELD_BACK) {
             self.forget_before(self.count.saturating_sub(HELD_BACK));
         }
+        number
     }
 
-    /// The last packet is damaged, or one of the `before` packets before it.
-    pub(crate) fn packet_is_damaged(&mut self, before: u64) {
-        self.damaged.insert(self.count.saturating_sub(1 + before));
+    /// Damage was concealed in packet `number`, or with `suspect`, it is damaged if it gives no picture.
+    pub(crate) fn noticed(&mut self, number: u64, suspect: bool) {
+        if suspect { &mut self.suspects } else { &mut self.damaged }.insert(number);
+    }
+
+    /// The packet that was read `before` packets before the last one is damaged; returns its time.
+    pub(crate) fn packet_is_damaged(&mut self, before: u64) -> Option<i64> {
+        let number = self.count.saturating_sub(1 + before);
+        self.damaged.insert(number);
+        self.number_of.iter().find(|(_, of)| **of == number).map(|(pts, _)| *pts)
+    }
+
+    /// The stream has ended: only the last `count` packets stay suspects. The errors of others were returned.
+    pub(crate) fn suspect_last(&mut self, count: u64) {
+        self.suspects = self.suspects.split_off(&self.count.saturating_sub(count));
+    }
+
+    /// Times of the suspects that have given no picture though one of a later time, or the end, is reached. They are
+    /// damaged.
+    pub(crate) fn failed_before(&mut self, pts: Option<i64>) -> Vec<i64> {
+        if self.suspects.is_empty() {
+            return Vec::new();
+        }
+        let Self { number_of, suspects, damaged, .. } = self;
+        let before = number_of.range(..pts.unwrap_or(i64::MAX));
+        let failed: Vec<_> = before.filter(|(_, number)| suspects.remove(number)).collect();
+        damaged.extend(failed.iter().map(|(_, number)| **number));
+        failed.into_iter().map(|(pts, _)| *pts).collect()
+    }
+
+    /// Whether an error is known to be that of a suspect.
+    pub(crate) fn has_suspects(&self) -> bool {
+        !self.suspects.is_empty()
     }
 
     /// A picture comes out of the decoder, perhaps marked as damaged; returns its number.
@@ -70,6 +103,7 @@ impl DamageLog {
         let key = self.keys.range(..=number).rev().nth(1).map_or(0, |(key, _)| *key);
         self.keys = self.keys.split_off(&key);
         self.damaged = self.damaged.split_off(&key);
+        self.suspects = self.suspects.split_off(&number);
         self.number_of.retain(|_, n| *n >= number);
     }
 }
@@ -146,5 +180,24 @@ mod tests {
         log.packet_is_damaged(3);
         let numbers = [1, 2].map(|pts| log.picture(Some(pts), false));
         assert_eq!(numbers.map(|n| log.is_sound(n, None)), [true, false]);
+    }
+
+    #[test]
+    fn a_suspect_is_damaged_if_a_later_picture_comes_before_its_own() {
+        let mut log = DamageLog::default();
+        for pts in [0, 3, 1, 2, 4, 5] {
+            log.packet(Some(pts), pts == 0);
+        }
+        // The packets of 3 and 2.
+        log.noticed(1, true);
+        log.noticed(3, true);
+        let mut failed = Vec::new();
+        for pts in [0, 1, 3, 4, 5] {
+            log.picture(Some(pts), false);
+            failed.extend(log.failed_before(Some(pts)));
+        }
+        assert_eq!(failed, [2]);
+        assert!(log.failed_before(None).is_empty());
+        assert_eq!([1, 3].map(|number| log.is_sound(number, None)), [true, false]);
     }
 }

@@ -19,10 +19,11 @@ use ffmpeg_the_third as av;
 use super::container::{
     best_video, configuration, count_hint, measure, open_decoder, open_input, open_stream, quiet_libav,
 };
-use super::damage::{DamageLog, MAX_REORDER};
+use super::damage::DamageLog;
 use super::decoded::{PictureMaker, is_damaged, is_left_out};
 use super::extent::Extent;
 use super::gaps::plausible_period_ns;
+use super::messages::{Messages, Said};
 use super::stamps::StampWatch;
 use super::times::{seconds, ticks_to_ns};
 use super::{
@@ -33,8 +34,7 @@ use super::{
 /// How a recording is read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct VideoOptions {
-    /// Threads of the decoder; 0 for one per core. Where pictures are predicted from others it is always one: with
-    /// more, FFmpeg (at least 5.1) reports less of the damage that it notices.
+    /// Threads of the decoder; 0 for one per core. Some codecs always have one (`container`).
     pub decoder_threads: usize,
     /// Part of the recording to read.
     pub span: Span,
@@ -66,6 +66,7 @@ pub struct VideoFile {
     decoder: av::decoder::Video,
     pictures: PictureMaker,
     damage: DamageLog,
+    messages: Messages,
     keep_damaged: bool,
     /// How packets can be checked before decoding.
     check: PacketCheck,
@@ -95,6 +96,8 @@ pub struct VideoFile {
     arrival: Option<Instant>,
     /// Times of packets without a presentation time (AVI), in decoding order: pictures take them in turn.
     in_turn: VecDeque<i64>,
+    /// Presentation time of the latest picture.
+    latest_pts: Option<i64>,
     /// Whether the recording itself trims frames at the end.
     trimmed: bool,
     /// Packets read since the beginning; `None` after a jump.
@@ -253,6 +256,7 @@ impl VideoFile {
             origin_ns,
             decoder,
             damage: DamageLog::default(),
+            messages: Messages::default(),
             keep_damaged: options.keep_damaged,
             check,
             steps: BTreeMap::new(),
@@ -270,6 +274,7 @@ impl VideoFile {
             read_at: VecDeque::new(),
             arrival: None,
             in_turn: VecDeque::new(),
+            latest_pts: None,
             trimmed: false,
             packets: Some(0),
             seen_ns: None,
@@ -294,7 +299,7 @@ impl VideoFile {
             }
             self.decoder.flush();
             self.ahead = None;
-            self.damage = DamageLog::default();
+            (self.damage, self.messages) = Default::default();
             self.undecoded.clear();
             self.in_turn.clear();
             self.trimmed = false;
@@ -312,7 +317,8 @@ impl VideoFile {
         self.input = open_input(&self.path)?;
         let stream = best_video(&self.path, &self.input)?;
         self.decoder = open_decoder(&self.path, &stream, threads, false)?;
-        (self.damage, self.ahead, self.phase) = (DamageLog::default(), None, Phase::Reading);
+        (self.damage, self.messages) = Default::default();
+        (self.ahead, self.phase) = (None, Phase::Reading);
         Ok(())
     }
 
@@ -323,7 +329,11 @@ impl VideoFile {
         }
         let mut frame = av::frame::Video::empty();
         loop {
-            match self.decoder.receive_frame(&mut frame) {
+            let received = self.decoder.receive_frame(&mut frame);
+            for (number, said) in self.messages.take() {
+                self.damage.noticed(number, said == Said::Error);
+            }
+            match received {
                 Ok(()) => return Some(frame),
                 Err(av::Error::Eof) => return None,
                 Err(av::Error::Other { .. }) if self.phase == Phase::Reading => self.feed(),
@@ -334,12 +344,16 @@ impl VideoFile {
         }
     }
 
-    /// The next frame in presentation order, once everything that could damage it is decoded.
+    /// The next frame in presentation order. The last ones wait for each other: a decoder that is drained may be late to
+    /// say that a packet failed.
     fn next_in_order(&mut self) -> Option<(av::frame::Video, u64)> {
-        // Live: do not wait for what may turn out damaged later.
-        let ahead = if self.decoder.has_b_frames() && self.clock == Clock::Container { MAX_REORDER } else { 0 };
-        while self.held.len() <= ahead {
-            let Some(frame) = self.decode() else { break };
+        while self.held.is_empty() || self.phase == Phase::Draining {
+            let next = self.decode();
+            if self.phase == Phase::Draining {
+                let until = next.as_ref().and_then(|frame| frame.pts().or(frame.timestamp()));
+                self.undecoded.extend(self.damage.failed_before(until));
+            }
+            let Some(frame) = next else { break };
             let pts = frame.pts().or(frame.timestamp());
             let number = self.damage.picture(pts, is_damaged(&frame));
             pts.inspect(|pts| {
@@ -388,9 +402,9 @@ impl VideoFile {
                     if packet.pts().is_none() && self.clock == Clock::Container {
                         self.in_turn.extend(packet.dts());
                     }
-                    self.damage.packet(pts, packet.is_key());
+                    let number = self.damage.packet(pts, packet.is_key());
+                    self.messages.packet(&mut self.decoder, number);
                     if packet.is_corrupt() {
-                        self.undecoded.extend(pts);
                         self.damaged_packet(av::Error::InvalidData, false);
                         continue;
                     }
@@ -398,11 +412,9 @@ impl VideoFile {
                     let (sound, step) = self.check.examine(packet.data().unwrap_or_default());
                     self.steps.extend(pts.zip(step));
                     if !sound {
-                        self.undecoded.extend(pts);
                         self.damaged_packet(av::Error::InvalidData, false);
                     }
                     if let Err(error) = self.decoder.send_packet(&packet) {
-                        self.undecoded.extend(pts);
                         self.damaged_packet(error, true);
                     }
                     return;
@@ -420,6 +432,7 @@ impl VideoFile {
             // A failure here shows as a decoder without frames.
             let _ = self.decoder.send_eof();
             self.phase = Phase::Draining;
+            self.damage.suspect_last(self.packets_in_work());
             return;
         }
     }
@@ -437,8 +450,12 @@ impl VideoFile {
 
     /// A packet is lost: the latest, or with `by_decoder` one that a decoder thread was still working on.
     fn damaged_packet(&mut self, error: av::Error, by_decoder: bool) {
-        let threads = if by_decoder { self.decoder.threading().count as u64 } else { 1 };
-        self.damage.packet_is_damaged(threads.saturating_sub(1));
+        // A decoder of several threads returns a packet's error when it is given a later one; when it is drained, only its
+        // messages tell whose it is.
+        let later = if by_decoder { self.packets_in_work() } else { 0 };
+        if self.phase == Phase::Reading || !self.damage.has_suspects() {
+            self.undecoded.extend(self.damage.packet_is_damaged(later));
+        }
         if by_decoder {
             // No picture will take its time.
             self.in_turn.pop_back();
@@ -456,6 +473,11 @@ impl VideoFile {
                 self.at()
             );
         }
+    }
+
+    /// Packets that the decoder's threads may still be at work on.
+    fn packets_in_work(&self) -> u64 {
+        self.decoder.threading().count.saturating_sub(1) as u64
     }
 
     /// The current position, for messages.
@@ -483,12 +505,14 @@ impl VideoFile {
                         self.at()
                     );
                 }
-                self.in_turn.pop_front().or(guess).unwrap_or_default()
+                // Of a recording's pictures, libav's guess depends on the number of threads; a repeated time is seen to be one.
+                let latest = self.latest_pts.filter(|_| self.clock == Clock::Container);
+                self.in_turn.pop_front().or(latest).or(guess).unwrap_or_default()
             }
             (None, _) => return Err(SourceError::NoTime { path: self.path.clone(), seq: self.seq }),
         };
         let stamp = self.timed(ticks)?;
-        self.seen_ns = Some(stamp.ns);
+        (self.latest_pts, self.seen_ns) = (Some(ticks), Some(stamp.ns));
         Ok(stamp)
     }
 

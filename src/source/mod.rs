@@ -19,6 +19,7 @@ pub(crate) mod images;
 pub(crate) mod jpeg;
 pub mod live;
 mod log_windows;
+mod messages;
 mod names;
 mod open;
 mod picture;

@@ -2,9 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
+use crate::support::command::sample;
 use crate::support::encode::{Recording, luma, write};
 use catoptra::source::{
-    self, Frame, FrameSource, Matrix, PixelFormat, Range, SourceError, SourceOptions, StreamFaults, VideoFile,
+    self, Frame, FrameSource, Matrix, PixelFormat, Range, SourceError, SourceOptions, Span, StreamFaults, VideoFile,
     VideoOptions,
 };
 use ffmpeg_the_third::color;
@@ -307,4 +308,26 @@ fn a_raw_stream_needs_its_rate_and_takes_it() {
     let printed =
         source::open(&path, SourceOptions { stated_rate, ..SourceOptions::default() }).err().unwrap().to_string();
     assert!(printed.contains("has its own time stamps"), "{printed}");
+}
+
+/// The sample's pictures are reordered, and each says how coarsely it was quantised.
+#[test]
+fn the_number_of_threads_does_not_change_a_picture_or_its_quantisation() {
+    let read = |decoder_threads| {
+        let span = Span { from_ns: None, to_ns: Some(1_500_000_000) };
+        let options = VideoOptions { decoder_threads, span, ..VideoOptions::default() };
+        let mut source = VideoFile::open(sample("planar.mkv"), options).unwrap();
+        let mut frames = Vec::new();
+        while let Some(frame) = source.next_frame().unwrap() {
+            let luma = frame.picture.plane(0).unwrap();
+            let rows = (0..luma.height).step_by(16).flat_map(|y| luma.row(y).unwrap().to_vec());
+            frames.push((frame.stamp, frame.picture.quantisation().unwrap().clone(), rows.collect::<Vec<_>>()));
+        }
+        frames
+    };
+    let one = read(1);
+    assert_eq!(one.len(), 91);
+    for threads in [2, 3, 8] {
+        assert!(read(threads) == one, "{threads} threads");
+    }
 }

@@ -21,48 +21,49 @@ const ZIGZAG: [u8; 64] = [
 /// The samples that a quantization table allows.
 #[derive(Clone)]
 pub(super) struct Samples {
-    /// cos((2x + 1) u π / 16) with the transform's factors, indexed by x and u.
-    basis: [[f32; 8]; 8],
+    /// cos((2x + 1) u π / 16) with the transform's factors, indexed by u and x.
+    waves: [[f32; 8]; 8],
     /// Square of the largest deviation of a sound block's samples.
     tolerance: f32,
 }
 
 impl Samples {
     pub(super) fn new(quantization: &[i32; 64]) -> Self {
-        let basis = std::array::from_fn(|x| {
-            std::array::from_fn(|u| {
+        let waves = std::array::from_fn(|u| {
+            std::array::from_fn(|x| {
                 let factor = if u == 0 { FRAC_1_SQRT_2 } else { 1.0 };
                 factor / 2.0 * ((2 * x + 1) as f32 * u as f32 * PI / 16.0).cos()
             })
         });
-        Self { basis, tolerance: quantization.iter().map(|q| (MAX_CODER_ERROR * *q as f32).powi(2)).sum() }
+        Self { waves, tolerance: quantization.iter().map(|q| (MAX_CODER_ERROR * *q as f32).powi(2)).sum() }
     }
 
     /// Whether these coefficients, in scan order and multiplied by their steps, are possible for 8-bit samples.
     pub(super) fn allow(&self, coefficients: &[i32; 64]) -> bool {
         // Most blocks are far from either end of the range.
         let [direct, others @ ..] = coefficients;
-        let most =
-            direct.unsigned_abs() as f32 / 8.0 + others.iter().map(|c| c.unsigned_abs() as f32 / 4.0).sum::<f32>();
-        if most <= MAX_DEVIATION {
+        let waves: u32 = others.iter().map(|c| c.unsigned_abs()).sum();
+        if direct.unsigned_abs() as f32 / 8.0 + waves as f32 / 4.0 <= MAX_DEVIATION {
             return true;
         }
         let mut rows = [[0.0; 8]; 8];
         for (coefficient, at) in coefficients.iter().zip(ZIGZAG).filter(|(c, _)| **c != 0) {
             let (v, u) = (usize::from(at / 8), usize::from(at % 8));
-            for (x, basis) in self.basis.iter().enumerate() {
-                rows[v][x] += *coefficient as f32 * basis[u];
-            }
+            add(&mut rows[v], &self.waves[u], *coefficient as f32);
         }
-        let mut off = 0.0;
-        for basis in &self.basis {
-            for x in 0..8 {
-                let sample: f32 = rows.iter().zip(basis).map(|(row, factor)| row[x] * factor).sum();
-                off += (sample.abs() - MAX_DEVIATION).max(0.0).powi(2);
-            }
+        let mut off = [0.0; 8];
+        for y in 0..8 {
+            let mut samples = [0.0; 8];
+            rows.iter().zip(&self.waves).for_each(|(row, wave)| add(&mut samples, row, wave[y]));
+            off.iter_mut().zip(samples).for_each(|(off, s)| *off += (s.abs() - MAX_DEVIATION).max(0.0).powi(2));
         }
-        off <= self.tolerance
+        off.iter().sum::<f32>() <= self.tolerance
     }
+}
+
+/// Adds a row, multiplied by `by`, to another.
+fn add(to: &mut [f32; 8], row: &[f32; 8], by: f32) {
+    to.iter_mut().zip(row).for_each(|(to, value)| *to += by * value);
 }
 
 #[cfg(test)]
@@ -83,9 +84,9 @@ mod tests {
         let edge = [0, 1, 2, 3, 4, 5, 6, 7].map(|x| if x < 4 { -128.0 } else { 127.0 });
         let of_edge: Vec<(usize, i32)> = (0..8)
             .map(|u| {
-                let sum: f32 = (0..8).map(|x| fine.basis[x][u] * edge[x]).sum();
+                let sum: f32 = (0..8).map(|x| fine.waves[u][x] * edge[x]).sum();
                 let k = ZIGZAG.iter().position(|at| usize::from(*at) == u).unwrap();
-                (k, (sum * 8.0 * fine.basis[0][0]).round() as i32)
+                (k, (sum * 8.0 * fine.waves[0][0]).round() as i32)
             })
             .collect();
         assert!(fine.allow(&block(&of_edge)), "{of_edge:?}");

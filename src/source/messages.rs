@@ -1,0 +1,114 @@
+//! What libav says of a decoder's packets.
+//!
+//! A decoder that conceals damage marks the picture, and one that gives up a packet returns an error. With several
+//! threads the mark is lost when another thread gives the picture out (H.264 with B pictures, FFmpeg 5 and 6), and an
+//! error when it comes among the last packets. The messages that libav logs at that moment are not lost. Each packet
+//! has a key, which libav hands to the thread that decodes it, and with the thread's messages back to us.
+
+use ffmpeg_the_third as av;
+use std::collections::{BTreeMap, VecDeque};
+use std::ffi::{CStr, c_char, c_int, c_void};
+use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+/// What a message says of a packet.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Said {
+    /// An error: the packet may give no picture.
+    Error,
+    /// Its picture has holes, which were filled.
+    Concealed,
+}
+
+/// What a message of concealed damage begins with.
+const CONCEALING: &[u8] = b"concealing ";
+/// Packets remembered: more than there can be threads.
+const REMEMBERED: usize = 256;
+
+/// The next packet's key; 0 is none.
+static NEXT: AtomicUsize = AtomicUsize::new(1);
+/// What was said of packets, by key, and no decoder has asked for yet.
+static HEARD: Mutex<BTreeMap<usize, Said>> = Mutex::new(BTreeMap::new());
+
+/// Keys of a decoder's latest packets, and their numbers.
+#[derive(Debug, Default)]
+pub(super) struct Messages {
+    packets: VecDeque<(usize, u64)>,
+}
+
+impl Messages {
+    /// The next packet that `decoder` is given has this number.
+    #[allow(unsafe_code, reason = "the binding does not offer this field")]
+    pub(super) fn packet(&mut self, decoder: &mut av::decoder::Video, number: u64) {
+        if self.packets.len() == REMEMBERED {
+            self.packets.pop_front();
+        }
+        let key = NEXT.fetch_add(1, Relaxed);
+        self.packets.push_back((key, number));
+        // SAFETY: the decoder owns a valid context; the field is the user's, and libav only copies it.
+        unsafe { (*decoder.as_mut_ptr()).opaque = std::ptr::without_provenance_mut(key) };
+    }
+
+    /// What was said since the last time, with the packets' numbers.
+    pub(super) fn take(&mut self) -> Vec<(u64, Said)> {
+        let mut heard = heard();
+        if heard.is_empty() {
+            return Vec::new();
+        }
+        self.packets.iter().filter_map(|(key, number)| Some((*number, heard.remove(key)?))).collect()
+    }
+}
+
+impl Drop for Messages {
+    fn drop(&mut self) {
+        self.take();
+    }
+}
+
+fn heard() -> MutexGuard<'static, BTreeMap<usize, Said>> {
+    HEARD.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Begins to listen to libav.
+#[allow(unsafe_code, reason = "a callback for a C library")]
+pub(super) fn listen() {
+    // SAFETY: the callback is thread-safe, does not unwind, and lives as long as the program.
+    unsafe { av::ffi::av_log_set_callback(Some(hear)) };
+}
+
+#[cfg(all(unix, target_arch = "x86_64"))]
+type Arguments = *mut av::ffi::__va_list_tag;
+#[cfg(not(all(unix, target_arch = "x86_64")))]
+type Arguments = av::ffi::va_list;
+
+/// Notes what matters, and passes every message on to libav's own callback.
+///
+/// # Safety
+/// As for that one: `context` is null or points to a struct that begins with a pointer to its class, and `format` is a
+/// C string.
+#[allow(unsafe_code, reason = "a callback of a C library")]
+#[allow(improper_ctypes_definitions, reason = "on some platforms the binding takes the list of arguments for an array")]
+unsafe extern "C" fn hear(context: *mut c_void, level: c_int, format: *const c_char, arguments: Arguments) {
+    // SAFETY: see above.
+    unsafe {
+        let said = if CStr::from_ptr(format).to_bytes().starts_with(CONCEALING) {
+            Some(Said::Concealed)
+        } else {
+            (level <= av::ffi::AV_LOG_ERROR as c_int).then_some(Said::Error)
+        };
+        if let Some(said) = said
+            && !context.is_null()
+            && *context.cast::<*const av::ffi::AVClass>() == av::ffi::avcodec_get_class()
+        {
+            // Contexts of this class are those of coders.
+            let key = (*context.cast::<av::ffi::AVCodecContext>()).opaque.addr();
+            // Another library's decoders may keep something else there.
+            if (1..NEXT.load(Relaxed)).contains(&key) {
+                let mut heard = heard();
+                let worst = heard.entry(key).or_insert(said);
+                *worst = said.max(*worst);
+            }
+        }
+        av::ffi::av_log_default_callback(context, level, format, arguments);
+    }
+}
