@@ -1,5 +1,17 @@
 //! The command `catoptra`: arguments in, exit code out.
 
 fn main() -> std::process::ExitCode {
+    #[cfg(all(target_os = "linux", target_env = "gnu"))]
+    give_back_pictures();
     catoptra::cli::run()
+}
+
+/// Freed pictures go back to the system at once. Left alone, glibc raises its limit for that with the first one that is
+/// freed, later ones lie between small blocks, and memory grows with the length of a recording.
+#[cfg(all(target_os = "linux", target_env = "gnu"))]
+#[allow(unsafe_code, reason = "no safe binding to the setting")]
+fn give_back_pictures() {
+    const BYTES: libc::c_int = 1 << 20;
+    // SAFETY: a setting of the allocator, with a valid value, before there is a second thread.
+    unsafe { libc::mallopt(libc::M_MMAP_THRESHOLD, BYTES) };
 }
