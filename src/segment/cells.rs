@@ -5,13 +5,14 @@
 
 use super::{LARGEST_PX, SegmentError};
 use crate::source::{Picture, Plane};
+use multiversion::multiversion;
 use nalgebra::Vector2;
 
-/// Cells processed together.
+/// Cells summed and classified together: as many as an integer has bits.
 pub(super) const BLOCK: usize = 32;
 
-/// Sums of one channel over the cells of a block, 0..=1020.
-pub(super) type Sums = [i16; BLOCK];
+/// Sums of one channel over `N` cells, 0..=1020.
+pub(super) type Sums<const N: usize> = [i16; N];
 
 /// A picture as cells.
 pub(super) struct Grid<'a> {
@@ -75,6 +76,60 @@ impl<'a> Grid<'a> {
     }
 }
 
+/// The sums of a picture's cells, taken a block at a time when first asked for: the cells of a component and of the
+/// ring around it are asked for again and again.
+#[derive(Debug, Default)]
+pub(super) struct CellSums {
+    /// Per channel; rows end with a block that stays unknown.
+    channels: [Vec<i16>; 3],
+    /// For each block.
+    known: Vec<bool>,
+    blocks_per_row: usize,
+}
+
+impl CellSums {
+    /// Forgets the last picture.
+    pub(super) fn clear(&mut self, grid: &Grid<'_>) {
+        self.blocks_per_row = grid.width().div_ceil(BLOCK) + 1;
+        let blocks = self.blocks_per_row * grid.height();
+        self.known.clear();
+        self.known.resize(blocks, false);
+        self.channels.iter_mut().for_each(|channel| channel.resize(blocks * BLOCK, 0));
+    }
+
+    /// Sums of all channels over `cells` cells from cell (x, y) on, at most `N` and within the picture; the rest of
+    /// the `N` is arbitrary.
+    #[inline(always)]
+    pub(super) fn of<const N: usize>(&mut self, grid: &Grid<'_>, x: usize, y: usize, cells: usize) -> [&Sums<N>; 3] {
+        let row = y * self.blocks_per_row;
+        for block in x / BLOCK..(x + cells).div_ceil(BLOCK) {
+            if let Some(known) = self.known.get_mut(row + block)
+                && !std::mem::replace(known, true)
+            {
+                sum(&grid.row(y), block, (row + block) * BLOCK, &mut self.channels);
+            }
+        }
+        let at = row * BLOCK + x;
+        let [a, b, c] = &self.channels;
+        [part(a, at), part(b, at), part(c, at)]
+    }
+}
+
+#[inline(always)]
+fn part<const N: usize>(channel: &[i16], at: usize) -> &Sums<N> {
+    channel.get(at..).and_then(<[_]>::first_chunk).unwrap_or(const { &[0; N] })
+}
+
+/// Writes the sums of a block of a row to place `at` of the channels.
+#[multiversion(targets("x86_64+avx512f+avx512bw+avx512dq+avx512vl", "x86_64+avx2"))]
+fn sum(row: &CellRow<'_>, block: usize, at: usize, channels: &mut [Vec<i16>; 3]) {
+    for (channel, sums) in channels.iter_mut().zip(row.sums(block * BLOCK)) {
+        if let Some(place) = channel.get_mut(at..at + BLOCK) {
+            place.copy_from_slice(&sums);
+        }
+    }
+}
+
 /// One row of cells.
 pub(super) struct CellRow<'a> {
     channels: [RowPair<'a>; 3],
@@ -83,8 +138,8 @@ pub(super) struct CellRow<'a> {
 
 impl CellRow<'_> {
     /// Sums of all channels over the cells from `first` on; cells outside the picture repeat the last one.
-    #[inline]
-    pub(super) fn sums(&self, first: usize) -> [Sums; 3] {
+    #[inline(always)]
+    fn sums(&self, first: usize) -> [Sums<BLOCK>; 3] {
         let [a, b, c] = &self.channels;
         [a.sums(first), b.sums(first), c.sums(first)]
     }
@@ -145,8 +200,8 @@ impl<'a> RowPair<'a> {
         }
     }
 
-    #[inline]
-    fn sums(&self, first: usize) -> Sums {
+    #[inline(always)]
+    fn sums(&self, first: usize) -> Sums<BLOCK> {
         let fast = match (self.scale_x, self.step) {
             (1, 1) => self.whole_block::<2, 1>(first),
             (1, 3) => self.whole_block::<6, 3>(first),
@@ -160,7 +215,7 @@ impl<'a> RowPair<'a> {
 
     /// Sums where a cell takes `BYTES` of a row and has its samples at bytes 0 and `SECOND`; `None` near the edge.
     #[inline(always)]
-    fn whole_block<const BYTES: usize, const SECOND: usize>(&self, first: usize) -> Option<Sums> {
+    fn whole_block<const BYTES: usize, const SECOND: usize>(&self, first: usize) -> Option<Sums<BLOCK>> {
         let range = first * BYTES..(first + BLOCK) * BYTES;
         let (top, _) = self.top.get(range.clone())?.as_chunks::<BYTES>();
         let (bottom, _) = self.bottom.get(range)?.as_chunks::<BYTES>();
@@ -171,7 +226,7 @@ impl<'a> RowPair<'a> {
         Some(sums)
     }
 
-    fn any_block(&self, first: usize) -> Sums {
+    fn any_block(&self, first: usize) -> Sums<BLOCK> {
         let at = |row: &[u8], x: usize| {
             let sample = (x / self.scale_x).min(self.samples.saturating_sub(1));
             row.get(sample * self.step).map_or(0, |&v| i16::from(v))
@@ -191,5 +246,35 @@ impl<'a> RowPair<'a> {
         values.extend(samples.iter().take(x1 - x0).map(|sample| i16::from(sample[0]) - 128));
         // The last sample of a row may be followed by nothing.
         values.extend(rest.first().filter(|_| samples.len() < x1 - x0).map(|&sample| i16::from(sample) - 128));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::source::PixelFormat;
+    use crate::testing::bands::{VIDEO, YUV420};
+
+    #[test]
+    fn sums_are_those_of_any_block() {
+        let (width, height) = (131, 5);
+        let mut random = fastrand::Rng::with_seed(1);
+        let mut sums = CellSums::default();
+        for (format, chroma) in [(YUV420, 66 * 3), (PixelFormat::Yuv { chroma_log2: [0, 0] }, 131 * 5)] {
+            let planes = [131 * 5, chroma, chroma].map(|n| (0..n).map(|_| random.u8(..)).collect::<Vec<_>>());
+            let picture = Picture::from_planes(width, height, format, VIDEO, planes.to_vec()).unwrap();
+            let grid = Grid::new(&picture, Vector2::zeros()).unwrap();
+            // The second picture is not mixed up with the first.
+            sums.clear(&grid);
+            for y in 0..grid.height() {
+                let row = grid.row(y);
+                for (x, cells) in (0..grid.width()).flat_map(|x| (1..=8).map(move |cells| (x, cells))) {
+                    let cells = cells.min(grid.width() - x);
+                    for (found, pair) in sums.of::<8>(&grid, x, y, cells).iter().zip(&row.channels) {
+                        assert_eq!(found[..cells], pair.any_block(x)[..cells], "{cells} cells from ({x}, {y}) on");
+                    }
+                }
+            }
+        }
     }
 }

@@ -1,6 +1,7 @@
 //! A colour model as linear functions of the stored channels, and their bounds in 16-bit integers.
 
 use super::THRESHOLD;
+use super::cells::Sums;
 use crate::rig::{ColourModel, ColourPlane};
 use crate::source::Picture;
 use nalgebra::{Matrix3, Vector3};
@@ -63,10 +64,32 @@ impl Discriminant {
         self.planes.iter().map(|plane| plane.score(a, b, c)).fold(f32::INFINITY, f32::min)
     }
 
-    /// The contribution of channels 1 and 2 to the score of one cell, in the plane that decides it.
-    pub(super) fn chroma(&self, a: f32, b: f32, c: f32) -> f32 {
-        let decides = |p: &&Plane, q: &&Plane| p.score(a, b, c).total_cmp(&q.score(a, b, c));
-        self.planes.iter().min_by(decides).map_or(0.0, |plane| plane.weights[1] * b + plane.weights[2] * c)
+    /// The scores of the first `n` cells.
+    #[inline(always)]
+    pub(super) fn scores<const N: usize>(&self, n: usize, [a, b, c]: [&Sums<N>; 3]) -> [f32; N] {
+        let mut scores = [f32::INFINITY; N];
+        for plane in &self.planes {
+            for i in 0..n.min(N) {
+                scores[i] = scores[i].min(plane.score(a[i].into(), b[i].into(), c[i].into()));
+            }
+        }
+        scores
+    }
+
+    /// The contributions of channels 1 and 2 to the scores of the first `n` cells, in the planes that decide them.
+    #[inline(always)]
+    pub(super) fn chroma<const N: usize>(&self, n: usize, [a, b, c]: [&Sums<N>; 3]) -> [f32; N] {
+        let mut least = [f32::INFINITY; N];
+        let mut chroma = [0.0; N];
+        for plane in &self.planes {
+            for i in 0..n.min(N) {
+                let score = plane.score(a[i].into(), b[i].into(), c[i].into());
+                let decides = score.total_cmp(&least[i]).is_lt();
+                least[i] = if decides { score } else { least[i] };
+                chroma[i] = if decides { plane.chroma(b[i].into(), c[i].into()) } else { chroma[i] };
+            }
+        }
+        chroma
     }
 }
 
@@ -75,6 +98,12 @@ impl Plane {
     #[inline(always)]
     pub(super) fn score(&self, a: f32, b: f32, c: f32) -> f32 {
         (self.weights[0] * a + self.weights[1] * b) + self.weights[2] * c + self.bias
+    }
+
+    /// What channels 1 and 2 contribute to it.
+    #[inline(always)]
+    fn chroma(&self, b: f32, c: f32) -> f32 {
+        self.weights[1] * b + self.weights[2] * c
     }
 }
 

@@ -5,9 +5,10 @@
 //! - Method, per call and without memory of other frames:
 //!   1. `discriminant`: the colour models become linear functions of the stored channels. No colour is converted. Where
 //!      views have their own models, each is searched with its own, within the bounds of its region.
-//!   2. `cells`: the picture is divided into cells of 2x2 pixels (4:2:0: one chroma sample and its four luma samples).
+//!   2. `cells`: the picture is divided into cells of 2x2 pixels (4:2:0: one chroma sample and its four luma samples);
+//!      their sums are taken once, where they are needed.
 //!   3. `scan`: blocks of cells that cannot reach the threshold are ruled out in 16-bit integers (from chroma alone in
-//!      4:2:0); the rest is classified cell by cell into runs.
+//!      4:2:0); the rest is classified into runs.
 //!   4. `components`: 8-connected runs become components.
 //!   5. `moments`: the cells of a component and one ring of cells around it, weighted by coverage, give centre, second
 //!      moments and their uncertainty.
@@ -32,7 +33,7 @@ pub use learn::{ClassSamples, LearnError, Learned, Separation, learn};
 use crate::rig::{ColourModel, Marker, Rig, View};
 pub use crate::source::Window;
 use crate::source::{NotRecorded, Picture};
-use cells::Grid;
+use cells::{CellSums, Grid};
 use components::Components;
 use discriminant::Discriminant;
 use nalgebra::{Matrix2, Point2, Vector2};
@@ -183,6 +184,7 @@ pub enum SegmentError {
 pub struct Segmenter {
     views: Vec<ViewModels>,
     chroma_offset_px: Vector2<f64>,
+    sums: CellSums,
     scanner: Scanner,
     components: Components,
     measure: moments::Measure,
@@ -212,6 +214,7 @@ impl Segmenter {
     fn with_views(views: Vec<ViewModels>) -> Result<Self, SegmentError> {
         Ok(Self {
             chroma_offset_px: Vector2::zeros(),
+            sums: CellSums::default(),
             scanner: Scanner::new(views.first().map_or(0, |view| view.models.len())),
             views,
             components: Components::default(),
@@ -272,6 +275,7 @@ impl Segmenter {
                 view.discriminants.push(Discriminant::new(model, picture).ok_or(SegmentError::Grey)?);
             }
         }
+        self.sums.clear(&grid);
         self.blobs.clear();
         self.found.clear();
         let alone = searches.len() == 1;
@@ -284,14 +288,15 @@ impl Segmenter {
                 };
                 let window = window.cells(picture.size_px());
                 picture.declare_read(window.with_ring())?;
-                self.scanner.scan(&grid, discriminants, window, search.marker);
+                self.scanner.scan(&grid, &mut self.sums, discriminants, window, search.marker);
                 for (marker, (discriminant, runs)) in discriminants.iter().zip(self.scanner.runs()).enumerate() {
                     for component in self.components.group(runs) {
                         let cells: usize = component.iter().map(scan::Run::cells).sum();
                         if cells < MIN_CELLS {
                             continue;
                         }
-                        let blob = self.measure.blob(&grid, (marker, *view), discriminant, component, &window);
+                        let blob =
+                            self.measure.blob(&grid, &mut self.sums, (marker, *view), discriminant, component, &window);
                         // Its centre identifies a blob: two of one marker share no cell.
                         let (x, y) = (blob.centre_px.x.to_bits(), blob.centre_px.y.to_bits());
                         if alone || self.found.insert((marker, *view, blob.bounds, x, y)) {

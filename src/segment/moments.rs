@@ -3,12 +3,14 @@
 //! The coverage of a cell is its score, relative to the level of the component's own cells (a band in the shade scores
 //! less than 1 everywhere), between two limits: below `FLOOR` it is noise or a slightly warmer background and does not
 //! count; above `1 − FLOOR` the cell is fully covered, so that shading within the band hardly shifts the centre. The
-//! ring is read from the picture even beyond the window. All sums are of integers, exact in any order.
+//! ring is read from the picture even beyond the window. Moments are sums of integers, exact in any order; scores are
+//! summed in raster order.
 
-use super::cells::{BLOCK, Grid};
+use super::cells::{CellSums, Grid, Sums};
 use super::discriminant::Discriminant;
-use super::scan::{Run, scores};
+use super::scan::Run;
 use super::{Blob, CellWindow, Window};
+use multiversion::multiversion;
 use nalgebra::{Matrix2, Matrix3, Point2, Vector2, Vector3};
 
 /// See the head of this file. Symmetric about one half, so that a straight edge stays in place.
@@ -17,6 +19,12 @@ const FLOOR: f32 = 0.2;
 /// Full coverage as an integer. With at most 2^26 cells of coordinates below 2^13, second moments stay below 2^62.
 const FULL: f32 = 1024.0;
 
+/// Cells measured together: about as many as a band and its ring have.
+const BATCH: usize = 64;
+
+/// Cells gathered together: bands and specks are a few cells wide.
+const BLOCK: usize = 8;
+
 /// Variance added along an axis by averaging over a cell of 2 px, px².
 const CELL_VARIANCE_PX2: f64 = 4.0 / 12.0;
 
@@ -24,6 +32,52 @@ const CELL_VARIANCE_PX2: f64 = 4.0 / 12.0;
 #[derive(Debug, Default)]
 pub(super) struct Measure {
     intervals: Vec<(u16, u16)>,
+    batch: Batch,
+}
+
+/// Cells of any rows.
+#[derive(Debug)]
+struct Batch {
+    x: [i32; BATCH],
+    y: [i32; BATCH],
+    sums: [Sums<BATCH>; 3],
+    cells: usize,
+}
+
+impl Default for Batch {
+    fn default() -> Self {
+        Self { x: [0; BATCH], y: [0; BATCH], sums: [[0; BATCH]; 3], cells: 0 }
+    }
+}
+
+impl Batch {
+    /// Adds cells x0..x1 of row `y`; calls `full` when there is no room for more.
+    #[inline(always)]
+    fn add(&mut self, grid: &Grid<'_>, sums: &mut CellSums, [x0, x1]: [u16; 2], y: u16, mut full: impl FnMut(&Self)) {
+        for x in (x0..x1).step_by(BLOCK) {
+            if self.cells + BLOCK > BATCH {
+                full(self);
+                self.cells = 0;
+            }
+            let cells = BLOCK.min(usize::from(x1 - x));
+            // Whole blocks are copied; what is too much is overwritten by the next.
+            let place = self.cells..self.cells + BLOCK;
+            for (to, from) in self.sums.iter_mut().zip(sums.of::<BLOCK>(grid, x.into(), y.into(), cells)) {
+                to.get_mut(place.clone()).unwrap_or_default().copy_from_slice(from);
+            }
+            for (to, x) in self.x.get_mut(place.clone()).unwrap_or_default().iter_mut().zip(i32::from(x)..) {
+                *to = x;
+            }
+            self.y.get_mut(place).unwrap_or_default().fill(y.into());
+            self.cells += cells;
+        }
+    }
+
+    /// Number of cells rounded up to what processors take at once; the last ones are arbitrary.
+    #[inline(always)]
+    fn lanes(&self) -> usize {
+        self.cells.next_multiple_of(16).min(BATCH)
+    }
 }
 
 /// Zeroth to second moments of weights over cells.
@@ -38,14 +92,19 @@ struct Moments {
 }
 
 impl Moments {
-    /// Adds part of a row, from its own moments along x.
-    fn add_row(&mut self, y: i64, [m, x, xx]: [i64; 3]) {
-        self.m += m;
-        self.x += x;
-        self.y += y * m;
-        self.xx += xx;
-        self.xy += y * x;
-        self.yy += y * y * m;
+    /// Adds the first `n` cells of a batch, by their places from an origin.
+    #[inline(always)]
+    fn add(&mut self, n: usize, batch: &Batch, origin: [i32; 2], weights: &[i32; BATCH]) {
+        for i in 0..n.min(BATCH) {
+            let (x, y) = (batch.x[i] - origin[0], batch.y[i] - origin[1]);
+            let [by_x, by_y] = [weights[i] * x, weights[i] * y];
+            self.m += i64::from(weights[i]);
+            self.x += i64::from(by_x);
+            self.y += i64::from(by_y);
+            self.xx += i64::from(by_x) * i64::from(x);
+            self.xy += i64::from(by_x) * i64::from(y);
+            self.yy += i64::from(by_y) * i64::from(y);
+        }
     }
 
     /// Mean position; (0, 0) when empty.
@@ -72,48 +131,27 @@ struct ScoreSums {
     chroma_score: f64,
 }
 
+/// What is summed over the cells of a component and its ring.
+#[derive(Debug, Default)]
+struct Dilated {
+    covered: Moments,
+    /// Of the partly covered cells, each counted as one.
+    edge: Moments,
+    whole: PlaneFit,
+    all: ScoreSums,
+}
+
 impl Measure {
     pub(super) fn blob(
         &mut self,
         grid: &Grid<'_>,
+        cells: &mut CellSums,
         (marker, view): (usize, Option<usize>),
         discriminant: &Discriminant,
         component: &[Run],
         window: &CellWindow,
     ) -> Blob {
-        let own = member_scores(grid, discriminant, component);
-        // The mean weighted by the score itself: partly covered cells count less. Positive, as all own scores are.
-        let level = (own.score2 / own.score) as f32;
-        let mut covered = Moments::default();
-        let mut edge = Moments::default();
-        let mut all = ScoreSums::default();
-        let mut whole = PlaneFit::default();
-        let origin = component.first().map_or((0, 0), |r| (i64::from(r.x0), i64::from(r.y)));
-        self.each_dilated_block(grid, component, |y, x, cells, sums| {
-            let scores = scores(sums, discriminant);
-            let mut weights = [0_i32; BLOCK];
-            for (weight, score) in weights.iter_mut().zip(&scores) {
-                let alpha = ((score / level - FLOOR) / (1.0 - 2.0 * FLOOR)).clamp(0.0, 1.0);
-                *weight = (alpha * FULL + 0.5) as i32;
-            }
-            let (mut row, mut row_edge) = ([0_i64; 3], [0_i64; 3]);
-            for (k, (&weight, &score)) in weights.iter().zip(&scores).enumerate().take(cells) {
-                let at = (x + k) as i64;
-                let weight = i64::from(weight);
-                row = [row[0] + weight, row[1] + weight * at, row[2] + weight * at * at];
-                let partly = i64::from(weight > 0 && weight < FULL as i64);
-                row_edge = [row_edge[0] + partly, row_edge[1] + partly * at, row_edge[2] + partly * at * at];
-                if weight == FULL as i64 {
-                    whole.add(at - origin.0, y as i64 - origin.1, f64::from(score / level));
-                }
-                let [a, b, c] = [sums[0][k], sums[1][k], sums[2][k]].map(f32::from);
-                let chroma = f64::from(discriminant.chroma(a, b, c));
-                all.add(f64::from(score), chroma);
-            }
-            covered.add_row(y as i64, row);
-            edge.add_row(y as i64, row_edge);
-        });
-
+        let (own, Dilated { covered, edge, whole, all }) = add_up(grid, cells, discriminant, component, self);
         let mean = covered.mean();
         let mass = covered.m.max(1) as f64;
         // Cell (i, j) is centred at pixel (2i + 0.5, 2j + 0.5).
@@ -138,37 +176,89 @@ impl Measure {
             touches_border: window.is_touched_by(&extent(component), grid.size_px()),
         }
     }
+}
 
-    /// Calls `f` for all cells of a component and its ring, at most a block at a time: row, first cell, number of
-    /// cells, sums.
-    fn each_dilated_block(
-        &mut self,
-        grid: &Grid<'_>,
-        component: &[Run],
-        mut block: impl FnMut(usize, usize, usize, &[[i16; BLOCK]; 3]),
-    ) {
-        let (Some(first), Some(last)) = (component.first(), component.last()) else { return };
-        let (mut from, mut to) = (0, 0);
-        for y in first.y.saturating_sub(1)..(last.y + 2).min(grid.height() as u16) {
-            // The runs on this row and the rows above and below it, each extended by one cell at both ends.
-            from += component.iter().skip(from).take_while(|r| r.y + 1 < y).count();
-            to += component.iter().skip(to).take_while(|r| r.y <= y + 1).count();
-            self.intervals.clear();
-            let near = component.get(from..to).unwrap_or_default();
-            self.intervals.extend(near.iter().map(|r| (r.x0.saturating_sub(1), (r.x1 + 1).min(grid.width() as u16))));
-            self.intervals.sort_unstable();
-            let row = grid.row(usize::from(y));
-            let mut done = 0;
-            for &(x0, x1) in &self.intervals {
-                let x1 = usize::from(x1);
-                let mut x = usize::from(x0).max(done);
-                while x < x1 {
-                    let cells = BLOCK.min(x1 - x);
-                    block(usize::from(y), x, cells, &row.sums(x));
-                    x += cells;
-                }
-                done = done.max(x1);
-            }
+/// Sums over the component's own cells, and over these and the ring.
+#[multiversion(targets("x86_64+avx512f+avx512bw+avx512dq+avx512vl", "x86_64+avx2"))]
+fn add_up(
+    grid: &Grid<'_>,
+    sums: &mut CellSums,
+    discriminant: &Discriminant,
+    component: &[Run],
+    Measure { intervals, batch }: &mut Measure,
+) -> (ScoreSums, Dilated) {
+    let mut own = ScoreSums::default();
+    let mut add = |batch: &Batch| {
+        let scores = discriminant.scores(batch.lanes(), batch.sums.each_ref());
+        scores.iter().take(batch.cells).for_each(|&score| own.add(score.into(), 0.0));
+    };
+    batch.cells = 0;
+    for run in component {
+        batch.add(grid, sums, [run.x0, run.x1], run.y, &mut add);
+    }
+    add(batch);
+    // The mean weighted by the score itself: partly covered cells count less. Positive, as all own scores are.
+    let level = (own.score2 / own.score) as f32;
+    let origin = component.first().map_or([0, 0], |r| [i32::from(r.x0), i32::from(r.y)]);
+    let mut dilated = Dilated::default();
+    let mut add = |batch: &Batch| dilated.add(batch, discriminant, level, origin);
+    batch.cells = 0;
+    each_dilated_interval(grid, component, intervals, |interval, y| batch.add(grid, sums, interval, y, &mut add));
+    add(batch);
+    (own, dilated)
+}
+
+impl Dilated {
+    #[inline(always)]
+    fn add(&mut self, batch: &Batch, discriminant: &Discriminant, level: f32, origin: [i32; 2]) {
+        let n = batch.lanes();
+        let scores = discriminant.scores(n, batch.sums.each_ref());
+        let chroma = discriminant.chroma(n, batch.sums.each_ref());
+        let [mut weights, mut partly, mut whole] = [[0; BATCH]; 3];
+        let mut whole_scores = [0.0; BATCH];
+        for i in 0..n {
+            let relative = scores[i] / level;
+            let alpha = ((relative - FLOOR) / (1.0 - 2.0 * FLOOR)).clamp(0.0, 1.0);
+            let weight = if i < batch.cells { (alpha * FULL + 0.5) as i32 } else { 0 };
+            let is_whole = weight == FULL as i32;
+            weights[i] = weight;
+            whole[i] = i32::from(is_whole);
+            partly[i] = i32::from(weight > 0 && !is_whole);
+            whole_scores[i] = if is_whole { relative } else { 0.0 };
+        }
+        self.covered.add(n, batch, [0, 0], &weights);
+        self.edge.add(n, batch, [0, 0], &partly);
+        self.whole.cells.add(n, batch, origin, &whole);
+        for i in 0..batch.cells.min(BATCH) {
+            self.all.add(scores[i].into(), chroma[i].into());
+            self.whole.add_score([batch.x[i] - origin[0], batch.y[i] - origin[1]], whole_scores[i].into());
+        }
+    }
+}
+
+/// Calls `add` for all cells of a component and its ring: first and last column, half-open, and row.
+#[inline(always)]
+fn each_dilated_interval(
+    grid: &Grid<'_>,
+    component: &[Run],
+    intervals: &mut Vec<(u16, u16)>,
+    mut add: impl FnMut([u16; 2], u16),
+) {
+    let (Some(first), Some(last)) = (component.first(), component.last()) else { return };
+    let (width, height) = (grid.width() as u16, grid.height() as u16);
+    let (mut from, mut to) = (0, 0);
+    for y in first.y.saturating_sub(1)..(last.y + 2).min(height) {
+        // The runs on this row and the rows above and below it, each extended by one cell at both ends.
+        from += component.iter().skip(from).take_while(|r| r.y + 1 < y).count();
+        to += component.iter().skip(to).take_while(|r| r.y <= y + 1).count();
+        intervals.clear();
+        let near = component.get(from..to).unwrap_or_default();
+        intervals.extend(near.iter().map(|r| (r.x0.saturating_sub(1), (r.x1 + 1).min(width))));
+        intervals.sort_unstable();
+        let mut done = 0;
+        for &(x0, x1) in intervals.iter() {
+            add([x0.max(done), x1], y);
+            done = done.max(x1);
         }
     }
 }
@@ -182,30 +272,32 @@ const UNKNOWN_NOISE: f64 = 0.15 * 0.15;
 /// Fits a plane to the scores of the whole cells: the plane is shading, the residual noise.
 #[derive(Debug, Default)]
 struct PlaneFit {
-    normal: Matrix3<f64>,
+    /// Where the cells are.
+    cells: Moments,
     right: Vector3<f64>,
     squares: f64,
-    cells: u32,
 }
 
 impl PlaneFit {
-    fn add(&mut self, x: i64, y: i64, score: f64) {
-        let row = Vector3::new(1.0, x as f64, y as f64);
-        self.normal += row * row.transpose();
-        self.right += row * score;
+    /// Adds the score of a whole cell at (x, y), or 0 for another cell.
+    #[inline(always)]
+    fn add_score(&mut self, [x, y]: [i32; 2], score: f64) {
+        self.right += Vector3::new(1.0, x.into(), y.into()) * score;
         self.squares += score * score;
-        self.cells += 1;
     }
 
     /// `None` when there are too few cells to fit a plane and its residuals.
     fn residual_variance(&self) -> Option<f64> {
-        let freedom = self.cells.checked_sub(3).filter(|&n| n >= 3)?;
-        let plane = self.normal.cholesky()?.solve(&self.right);
-        Some((self.squares - plane.dot(&self.right)).max(0.0) / f64::from(freedom))
+        let Moments { m, x, y, xx, xy, yy } = self.cells;
+        let freedom = (m >= 6).then_some(m - 3)?;
+        let normal = Matrix3::new(m, x, y, x, xx, xy, y, xy, yy).map(|sum| sum as f64);
+        let plane = normal.cholesky()?.solve(&self.right);
+        Some((self.squares - plane.dot(&self.right)).max(0.0) / freedom as f64)
     }
 }
 
 impl ScoreSums {
+    #[inline(always)]
     fn add(&mut self, score: f64, chroma: f64) {
         self.cells += 1.0;
         self.score += score;
@@ -220,18 +312,6 @@ impl ScoreSums {
         let covariance = self.chroma_score * self.cells - self.chroma * self.score;
         if variance > 0.0 { (covariance / variance).clamp(0.0, 1.0) } else { 0.0 }
     }
-}
-
-fn member_scores(grid: &Grid<'_>, discriminant: &Discriminant, component: &[Run]) -> ScoreSums {
-    let mut own = ScoreSums::default();
-    for run in component {
-        let row = grid.row(usize::from(run.y));
-        for x in (run.x0..run.x1).step_by(BLOCK) {
-            let scores = scores(&row.sums(usize::from(x)), discriminant);
-            scores.iter().take(usize::from(run.x1 - x)).for_each(|&s| own.add(f64::from(s), 0.0));
-        }
-    }
-    own
 }
 
 /// Principal direction and the variances along and across it.

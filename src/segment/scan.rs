@@ -4,9 +4,11 @@
 //! cell; for the remaining blocks of cells the score itself. The first rejects only what the second would, so the
 //! outcome of a cell depends on that cell alone.
 
-use super::cells::{BLOCK, CellRow, Grid, Sums};
+use super::cells::{BLOCK, CellRow, CellSums, Grid, Sums};
 use super::discriminant::Discriminant;
 use super::{CellWindow, THRESHOLD};
+use multiversion::multiversion;
+use std::ops::Range;
 
 /// Cells x0..x1 of row y.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -43,6 +45,7 @@ impl Scanner {
     pub(super) fn scan(
         &mut self,
         grid: &Grid<'_>,
+        sums: &mut CellSums,
         discriminants: &[Discriminant],
         window: CellWindow,
         only: Option<usize>,
@@ -55,47 +58,59 @@ impl Scanner {
         for y in window.y0..window.y1 {
             let row = grid.row(y);
             self.screen.row(&row, window.x0, window.x1, wanted);
-            for x in (window.x0..window.x1).step_by(BLOCK) {
-                let cells = BLOCK.min(window.x1 - x);
-                if self.screen.may_reach(x - window.x0, cells) {
-                    self.classify(&row.sums(x), discriminants, only, y, x, cells);
+            let mut x = window.x0;
+            while x < window.x1 {
+                let end = (x + 1).next_multiple_of(BLOCK).min(window.x1);
+                if self.screen.may_reach(x - window.x0, end - x) {
+                    let sums = sums.of(grid, x, y, end - x);
+                    classify(sums, y, x..end, discriminants, only, &mut self.runs);
                 }
+                x = end;
             }
         }
     }
+}
 
-    fn classify(
-        &mut self,
-        sums: &[Sums; 3],
-        discriminants: &[Discriminant],
-        only: Option<usize>,
-        y: usize,
-        x: usize,
-        cells: usize,
-    ) {
-        let mut best = [THRESHOLD; BLOCK];
-        let mut marker = [u32::MAX; BLOCK];
-        for (m, discriminant) in (0_u32..).zip(discriminants) {
-            let scores = scores(sums, discriminant);
-            for (i, &score) in scores.iter().enumerate() {
-                let better = score > best[i];
-                best[i] = if better { score } else { best[i] };
-                marker[i] = if better { m } else { marker[i] };
-            }
+/// Adds the runs of a block of row `y`: each cell belongs to the marker with the highest score above the threshold.
+#[multiversion(targets("x86_64+avx512f+avx512bw+avx512dq+avx512vl", "x86_64+avx2"))]
+fn classify(
+    sums: [&Sums<BLOCK>; 3],
+    y: usize,
+    cells: Range<usize>,
+    discriminants: &[Discriminant],
+    only: Option<usize>,
+    runs: &mut [Vec<Run>],
+) {
+    let mut best = [THRESHOLD; BLOCK];
+    let mut marker = [u32::MAX; BLOCK];
+    for (m, discriminant) in (0..).zip(discriminants) {
+        let scores = discriminant.scores(BLOCK, sums);
+        for (i, &score) in scores.iter().enumerate() {
+            let better = score > best[i];
+            best[i] = if better { score } else { best[i] };
+            marker[i] = if better { m } else { marker[i] };
         }
-        for (x, &m) in (x..x + cells).zip(&marker) {
-            let m = m as usize;
-            if only.is_some_and(|only| only != m) {
-                continue;
-            }
-            let Some(runs) = self.runs.get_mut(m) else { continue };
-            // A grid has at most 8192 cells per side.
-            let (x, y) = (x as u16, y as u16);
-            match runs.last_mut() {
-                Some(run) if run.y == y && run.x1 == x => run.x1 = x + 1,
-                _ => runs.push(Run { y, x0: x, x1: x + 1 }),
-            }
+    }
+    // A grid has at most 8192 cells per side.
+    let (x, y) = (cells.start as u16, y as u16);
+    for (m, runs) in runs.iter_mut().enumerate().filter(|(m, _)| only.is_none_or(|only| only == *m)) {
+        let own = (0..cells.len()).zip(&marker).fold(0, |own, (i, &marker)| own | u32::from(marker == m as u32) << i);
+        add_runs(runs, y, x, own);
+    }
+}
+
+/// Adds the runs of set bits of `cells`, the lowest of which is cell `x` of row `y`.
+fn add_runs(runs: &mut Vec<Run>, y: u16, x: u16, mut cells: u32) {
+    while cells != 0 {
+        let first = cells.trailing_zeros();
+        let length = (cells >> first).trailing_ones();
+        let (x0, x1) = (x + first as u16, x + (first + length) as u16);
+        match runs.last_mut() {
+            Some(run) if run.y == y && run.x1 == x0 => run.x1 = x1,
+            _ => runs.push(Run { y, x0, x1 }),
         }
+        // The carry clears the lowest run.
+        cells &= cells.wrapping_add(1 << first);
     }
 }
 
@@ -151,15 +166,23 @@ impl RowScreen {
     }
 }
 
-/// The scores of a block.
-#[inline(always)]
-pub(super) fn scores(sums: &[Sums; 3], discriminant: &Discriminant) -> [f32; BLOCK] {
-    let mut scores = [0.0; BLOCK];
-    scores.fill(f32::INFINITY);
-    for plane in &discriminant.planes {
-        for (i, score) in scores.iter_mut().enumerate() {
-            *score = score.min(plane.score(f32::from(sums[0][i]), f32::from(sums[1][i]), f32::from(sums[2][i])));
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        /// Two blocks of each of two rows, at most one of them full.
+        #[test]
+        fn runs_are_those_of_cell_by_cell(blocks in prop::collection::vec(any::<u32>(), 4), full in 0..5_usize) {
+            let (mut runs, mut expected) = (Vec::new(), Vec::new());
+            for (k, &cells) in blocks.iter().enumerate() {
+                let cells = if k == full { u32::MAX } else { cells };
+                let (y, x) = (k as u16 / 2, 32 * (k as u16 % 2));
+                add_runs(&mut runs, y, x, cells);
+                (0..32).filter(|i| cells >> i & 1 == 1).for_each(|i| add_runs(&mut expected, y, x + i, 1));
+            }
+            prop_assert_eq!(runs, expected);
         }
     }
-    scores
 }
