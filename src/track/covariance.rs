@@ -23,7 +23,7 @@ impl Round<'_> {
     pub(crate) fn conclude(self, minimum: Minimum) -> Result<TubeFit, NoFit> {
         let Minimum { state, step, end } = minimum;
         let normals = &state.equations.views;
-        let seen = normals.iter().map(|normal| normal.hessian.eliminate(0.0)).collect::<Option<Vec<_>>>();
+        let seen = normals.par_iter().map(|normal| normal.hessian.eliminate(0.0)).collect::<Option<Vec<_>>>();
         let seen = seen.ok_or(NoFit::NotConverged)?;
         let information = seen.iter().fold(shape_prior(), |sum, view| sum + view.shape);
         let plain = information.cholesky().ok_or(NoFit::NotConverged)?.inverse();

@@ -7,6 +7,7 @@
 use crate::track::normal::{Hessian, Normal};
 use crate::track::tube::{SHAPE, ShapeBy, ShapeStep};
 use nalgebra::{Cholesky, DVector, Dyn, SMatrix};
+use rayon::prelude::*;
 use std::sync::Arc;
 
 /// The sums over all views, priors included.
@@ -77,7 +78,7 @@ impl Equations {
         let mut shape = damped(self.prior, damping);
         let mut gradient = self.prior_gradient;
         let eliminated = |(i, view): (usize, &Normal)| view.eliminated(damping, known.get(i));
-        *known = self.views.iter().enumerate().map(eliminated).collect::<Option<Vec<_>>>()?;
+        *known = self.views.par_iter().enumerate().map(eliminated).collect::<Option<Vec<_>>>()?;
         for ((_, view), normal) in known.iter().zip(&self.views) {
             shape += view.shape;
             gradient += normal.shape_gradient - &view.following * &normal.colour_gradient;

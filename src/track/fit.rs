@@ -13,7 +13,7 @@ use crate::optics::OpticalPath;
 use crate::source::Picture;
 use crate::track::image_model::ImageModel;
 use crate::track::no_fit::NoFit;
-use crate::track::patch::Density;
+use crate::track::places::Density;
 use crate::track::round::{Guess, Round};
 use crate::track::slip::Seen;
 use crate::track::stretch::Stretch;

@@ -18,6 +18,7 @@ mod motion;
 mod no_fit;
 mod normal;
 mod patch;
+mod places;
 mod round;
 mod scatter;
 mod slip;

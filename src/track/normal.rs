@@ -197,12 +197,16 @@ impl Normal {
     }
 }
 
-/// The sum of the first of `moves`, weighted by `by`.
+/// The sum of the first of `moves`, each weighted by element `i` of its column.
 #[inline(always)]
-fn combined<const S: usize>(moves: &[Padded; MOVES.len()], by: [f64; S]) -> Padded {
+fn combined<const N: usize, const S: usize>(
+    moves: &[Padded; MOVES.len()],
+    columns: &[[f64; N]; S],
+    i: usize,
+) -> Padded {
     let mut sum = [0.0; PADDED];
-    for (moves, by) in moves.iter().zip(by) {
-        sum.iter_mut().zip(moves).for_each(|(sum, value)| *sum += by * value);
+    for (moves, column) in moves.iter().zip(columns) {
+        sum.iter_mut().zip(moves).for_each(|(sum, value)| *sum += column[i] * value);
     }
     sum
 }
@@ -226,19 +230,30 @@ fn map<const N: usize, const S: usize>(
     colours: &[Option<usize>; ROW],
 ) {
     let Mapped { shape, shape_gradient, cross, colour_gradient } = mapped;
-    let sum = |i: usize, j: usize| f64::from(block.hessian[i.min(j)][i.max(j)]);
+    // The columns of what moves the shape. (Loops: closures would not be compiled for the wide vectors.)
+    let mut with = [[0.0; N]; S];
+    for (column, j) in with.iter_mut().zip(at) {
+        for (i, (sum, row)) in column.iter_mut().zip(&block.hessian).enumerate() {
+            *sum = f64::from(if i < j { row[j] } else { block.hessian[j][i] });
+        }
+    }
+    let mut moved = [[0.0; PADDED]; S];
+    for (moved, i) in moved.iter_mut().zip(at) {
+        *moved = combined(moves, &with, i);
+    }
     for (own, i) in moves.iter().zip(at) {
         let gradient = f64::from(block.gradient[i]);
-        let moved = combined(moves, at.map(|j| sum(i, j)));
         shape_gradient.iter_mut().zip(own).for_each(|(sum, by)| *sum += by * gradient);
-        for (column, by) in shape.iter_mut().zip(own) {
-            column.iter_mut().zip(&moved).for_each(|(sum, value)| *sum += by * value);
+    }
+    for (i, column) in shape.iter_mut().enumerate() {
+        for (own, moved) in moves.iter().zip(&moved) {
+            column.iter_mut().zip(moved).for_each(|(sum, value)| *sum += own[i] * value);
         }
     }
     for (i, colour) in colours[..N].iter().enumerate() {
         let Some(colour) = *colour else { continue };
         colour_gradient[colour] += f64::from(block.gradient[i]);
-        let moved = combined(moves, at.map(|j| sum(i, j)));
+        let moved = combined(moves, &with, i);
         cross[colour].iter_mut().zip(&moved).for_each(|(sum, value)| *sum += value);
     }
 }

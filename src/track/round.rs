@@ -80,7 +80,8 @@ impl Guess {
         let image = |(i, path): (usize, &&OpticalPath)| {
             TubeImage::of(&shape, stretch.radius_m, path, range, KNOT_M, sweep, nearby.get(i))
         };
-        let images = paths.iter().enumerate().map(image).collect::<Result<_, _>>().map_err(|_| NoFit::OutOfPicture)?;
+        let images = paths.par_iter().enumerate().map(image).collect::<Result<_, _>>();
+        let images = images.map_err(|_| NoFit::OutOfPicture)?;
         Ok(Self { shape, colours, images })
     }
 

@@ -162,10 +162,15 @@ fn hermite(a: &Knot, b: &Knot, spacing_m: f64) -> [Vector2<f64>; 4] {
 }
 
 impl TubeImage {
+    /// Index of the knot before `knot`, at most the last but one. (By way of `u32`, which is faster.)
+    #[inline]
+    pub(crate) fn before(&self, knot: f64) -> usize {
+        (knot as u32 as usize).min(self.pieces.len() - 1)
+    }
+
     /// Index of the knot before `knot`, and the fraction of the way to the next (0..1, held at both ends).
     fn between(&self, knot: f64) -> (usize, f64) {
-        let last = self.knots.len() - 2;
-        let i = (knot.max(0.0) as usize).min(last);
+        let i = self.before(knot);
         (i, (knot - i as f64).clamp(0.0, 1.0))
     }
 
@@ -176,17 +181,10 @@ impl TubeImage {
         a + (b - a) * f
     }
 
-    /// Pixels per metre along the axis at a knot coordinate.
-    pub(crate) fn scale(&self, knot: f64) -> f64 {
-        let (i, f) = self.between(knot);
-        let (a, b) = (self.knots[i].scale, self.knots[i + 1].scale);
-        a + (b - a) * f
-    }
-
     /// Pixel and derivative per knot at a knot coordinate, straight beyond the ends.
     fn axis(&self, knot: f64) -> (Point2<f64>, Vector2<f64>) {
         let held = knot.clamp(0.0, self.pieces.len() as f64);
-        let i = (held as usize).min(self.pieces.len() - 1);
+        let i = self.before(held);
         let f = held - i as f64;
         let [a, b, c, d] = &self.pieces[i];
         let slope = b + (c * 2.0 + d * (3.0 * f)) * f;
@@ -229,6 +227,7 @@ impl TubeImage {
     /// The nearest point of the axis to a pixel. `steps` Newton steps from the knot coordinate `start`; one is enough
     /// when the tube has moved by less than a pixel since. The last step follows the tangent: over less than a knot the
     /// axis bends by nothing that matters.
+    #[inline]
     pub(crate) fn foot(&self, pixel: &Point2<f64>, start: f64, steps: usize) -> Foot {
         let mut knot = start;
         for _ in 1..steps {
