@@ -30,6 +30,9 @@ const TRIED: [(f64, f64); 9] = [
     (600.0, 10.0),
 ];
 
+/// Frames of the first run that are looked at.
+const SLOWEST: usize = 20;
+
 /// Delivers pictures, each when due.
 struct Memory {
     pictures: std::iter::Enumerate<std::vec::IntoIter<Picture>>,
@@ -86,23 +89,23 @@ fn decoded() -> Vec<Picture> {
     std::iter::from_fn(|| recording.next_frame().unwrap()).map(|frame| frame.picture).collect()
 }
 
-/// So many of them, forwards and backwards, so that the catheter does not jump.
-fn repeated(pictures: &[Picture], count: usize) -> Vec<Picture> {
+/// Number `i` of them, taken forwards and backwards, so that the catheter does not jump.
+fn repeated(pictures: &[Picture], i: usize) -> Picture {
     let last = pictures.len() - 1;
-    (0..count).map(|i| copy(&pictures[last - (i % (2 * last)).abs_diff(last)])).collect()
+    copy(&pictures[last - (i % (2 * last)).abs_diff(last)])
 }
 
 struct Outcome {
     skipped: u64,
     lost: usize,
-    /// Sorted, milliseconds.
-    latency_ms: Vec<f64>,
+    /// By frame, milliseconds.
+    latency_ms: BTreeMap<u64, f64>,
     cpu: f64,
 }
 
 fn tried(rig: &Rig, (hz, seconds): (f64, f64), pictures: &[Picture], folder: &Path) -> Outcome {
     let count = (hz * seconds) as usize;
-    let pictures = repeated(pictures, count).into_iter().enumerate();
+    let pictures: Vec<Picture> = (0..count).map(|i| repeated(pictures, i)).collect();
     let receiver = UdpSocket::bind("127.0.0.1:0").unwrap();
     receiver.set_read_timeout(Some(Duration::from_millis(700))).unwrap();
     let controllers: Vec<Box<dyn Sink + Send>> =
@@ -129,16 +132,41 @@ fn tried(rig: &Rig, (hz, seconds): (f64, f64), pictures: &[Picture], folder: &Pa
     let pool = rayon::ThreadPoolBuilder::new().build().unwrap();
     let tracker = Tracker::new(rig, TrackOptions::default()).unwrap();
     let period = Duration::from_secs_f64(1.0 / hz);
-    let source = Memory { pictures, began: None, period, clock };
+    let source = Memory { pictures: pictures.into_iter().enumerate(), began: None, period, clock };
     let (cpu, began) = (cpu_time::ProcessTime::now(), Instant::now());
     let summary = live::run(Box::new(source), tracker, pool, outputs, clock, &Until::default(), |_| {}).unwrap();
     let cpu = cpu.elapsed().as_secs_f64() / began.elapsed().as_secs_f64();
     let received = received.join().unwrap();
     let reasons = summary.run.tally.reasons("tangent");
     let skipped = reasons.iter().find(|(word, _)| *word == "skipped_overload").map_or(0, |(_, n)| *n);
-    let mut latency_ms: Vec<f64> = received.values().filter(|(_, ok)| *ok).map(|(ms, _)| *ms).collect();
-    latency_ms.sort_by(f64::total_cmp);
-    Outcome { skipped, lost: count - received.len(), latency_ms, cpu }
+    let lost = count - received.len();
+    let latency_ms = received.into_iter().filter(|(_, (_, ok))| *ok).map(|(seq, (ms, _))| (seq, ms)).collect();
+    Outcome { skipped, lost, latency_ms, cpu }
+}
+
+/// The slowest frames of a run: what of their latency is computation, when the same frames are tracked one right after
+/// another, and what is waiting: for a processor, for other threads, for a cache that the pause left cold.
+fn print_slowest(rig: &Rig, hz: f64, pictures: &[Picture], latency_ms: &BTreeMap<u64, f64>) {
+    let pool = rayon::ThreadPoolBuilder::new().build().unwrap();
+    let mut tracker = Tracker::new(rig, TrackOptions::default()).unwrap();
+    let mut frames: Vec<(u64, f64, f64)> = Vec::new();
+    for seq in 0..latency_ms.last_key_value().map_or(0, |(last, _)| last + 1) {
+        let stamp = Timestamp { ns: (seq as f64 * 1e9 / hz) as i64, clock: Clock::Device };
+        let frame = Frame { seq, stamp, gap: 0, host: None, picture: repeated(pictures, seq as usize) };
+        let began = Instant::now();
+        pool.install(|| tracker.step(&frame)).unwrap();
+        let step_ms = began.elapsed().as_secs_f64() * 1e3;
+        frames.extend(latency_ms.get(&seq).map(|ms| (seq, *ms, step_ms)));
+    }
+    frames.sort_by(|a, b| b.1.total_cmp(&a.1));
+    println!("\nthe {SLOWEST} slowest at {hz} Hz, milliseconds");
+    println!("{:>8} {:>9} {:>18} {:>9}", "frame", "latency", "Tracker::step", "the rest");
+    for (seq, ms, step_ms) in frames.iter().take(SLOWEST) {
+        println!("{seq:>8} {ms:>9.2} {step_ms:>18.2} {:>9.2}", ms - step_ms);
+    }
+    frames.sort_by(|a, b| a.2.total_cmp(&b.2));
+    let [p50, p99] = [0.5, 0.99].map(|share| frames[(share * frames.len() as f64) as usize].2);
+    println!("Tracker::step of all frames: p50 {p50:.2}, p99 {p99:.2}");
 }
 
 fn main() {
@@ -159,10 +187,17 @@ fn main() {
         "{:>6} {:>6} {:>8} {:>6} {:>7} {:>7} {:>7} {:>6}",
         "Hz", "s", "skipped", "lost", "p50", "p99", "max", "cores"
     );
+    let mut slowest = None;
     for (hz, seconds) in all {
         let Outcome { skipped, lost, latency_ms, cpu } = tried(&rig, (hz, seconds), &pictures, place.path());
-        let at = |share: f64| latency_ms.get((share * latency_ms.len() as f64) as usize).or(latency_ms.last());
+        let mut sorted: Vec<f64> = latency_ms.values().copied().collect();
+        sorted.sort_by(f64::total_cmp);
+        let at = |share: f64| sorted.get((share * sorted.len() as f64) as usize).or(sorted.last());
         let [p50, p99, max] = [0.5, 0.99, 1.0].map(|share| at(share).copied().unwrap_or(f64::NAN));
         println!("{hz:>6} {seconds:>6} {skipped:>8} {lost:>6} {p50:>7.2} {p99:>7.2} {max:>7.2} {cpu:>6.2}");
+        slowest.get_or_insert((hz, latency_ms));
+    }
+    if let Some((hz, latency_ms)) = slowest {
+        print_slowest(&rig, hz, &pictures, &latency_ms);
     }
 }
