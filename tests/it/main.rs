@@ -40,6 +40,7 @@ mod identify_applied;
 mod identify_bad_input;
 mod identify_planes;
 mod identify_python;
+mod instructions;
 mod log_damage;
 mod log_doctor;
 mod log_python;
