@@ -95,10 +95,11 @@ impl Moments {
     /// Adds the first `n` cells of a batch, by their places from an origin.
     #[inline(always)]
     fn add(&mut self, n: usize, batch: &Batch, origin: [i32; 2], weights: &[i32; BATCH]) {
-        for i in 0..n.min(BATCH) {
-            let (x, y) = (batch.x[i] - origin[0], batch.y[i] - origin[1]);
-            let [by_x, by_y] = [weights[i] * x, weights[i] * y];
-            self.m += i64::from(weights[i]);
+        let n = n.min(BATCH);
+        for ((&weight, x), y) in weights[..n].iter().zip(&batch.x[..n]).zip(&batch.y[..n]) {
+            let (x, y) = (x - origin[0], y - origin[1]);
+            let [by_x, by_y] = [weight * x, weight * y];
+            self.m += i64::from(weight);
             self.x += i64::from(by_x);
             self.y += i64::from(by_y);
             self.xx += i64::from(by_x) * i64::from(x);
