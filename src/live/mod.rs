@@ -22,7 +22,6 @@ mod latest;
 mod listener;
 mod pictures;
 mod priority;
-mod processors;
 mod queue;
 mod status;
 mod switch;
@@ -47,7 +46,6 @@ use crate::tally::{Tally, Totals};
 use crate::track::{TrackError, Tracker};
 use pictures::Pictures;
 use priority::{SessionPriority, Urgency, run_as};
-use processors::keep_apart;
 use queue::{Next, Queue};
 use status::Counters;
 use std::io;
@@ -164,10 +162,7 @@ pub fn run(
             .spawn(move || log_currents(&samples, &log, &subscribers, latest.as_deref(), &stop))
     });
     let currents = currents.transpose()?;
-    pool.broadcast(|worker| {
-        run_as(Urgency::Tracker);
-        keep_apart(worker.index(), worker.num_threads());
-    });
+    pool.broadcast(|_| run_as(Urgency::Tracker));
     let tracking = {
         let (queue, counters) = (Arc::clone(&queue), Arc::clone(&counters));
         let controllers = outputs.controllers.into_iter().map(|sink| (sink, true)).collect();
