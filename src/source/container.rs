@@ -139,7 +139,9 @@ const MAX_DELAY: i32 = 16;
 /// not all be known yet. So pictures are held back until that thread must be done.
 #[allow(unsafe_code, reason = "the binding only reads this field")]
 fn set_threads(context: &mut av::codec::Context, codec: av::codec::Id, threads: usize) {
-    let mut threading = av::threading::Config::kind(av::threading::Type::Frame);
+    // FFV1 decodes one picture after another, but the slices of each side by side.
+    let kind = if codec == av::codec::Id::FFV1 { av::threading::Type::Slice } else { av::threading::Type::Frame };
+    let mut threading = av::threading::Config::kind(kind);
     threading.count = match threads {
         _ if !reports_with_threads(codec) => 1,
         0 => std::thread::available_parallelism().map_or(1, usize::from),

@@ -477,7 +477,8 @@ impl VideoFile {
 
     /// Packets that the decoder's threads may still be at work on.
     fn packets_in_work(&self) -> u64 {
-        self.decoder.threading().count.saturating_sub(1) as u64
+        let threading = self.decoder.threading();
+        if threading.kind == av::threading::Type::Frame { threading.count.saturating_sub(1) as u64 } else { 0 }
     }
 
     /// The current position, for messages.
