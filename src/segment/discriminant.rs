@@ -76,20 +76,20 @@ impl Discriminant {
         scores
     }
 
-    /// The contributions of channels 1 and 2 to the scores of the first `n` cells, in the planes that decide them.
+    /// The scores of the first `n` cells, and what channels 1 and 2 contribute to them, in the planes that decide them.
     #[inline(always)]
-    pub(super) fn chroma<const N: usize>(&self, n: usize, [a, b, c]: [&Sums<N>; 3]) -> [f32; N] {
-        let mut least = [f32::INFINITY; N];
+    pub(super) fn scores_and_chroma<const N: usize>(&self, n: usize, [a, b, c]: [&Sums<N>; 3]) -> [[f32; N]; 2] {
+        let mut scores = [f32::INFINITY; N];
         let mut chroma = [0.0; N];
         for plane in &self.planes {
             for i in 0..n.min(N) {
                 let score = plane.score(a[i].into(), b[i].into(), c[i].into());
-                let decides = score.total_cmp(&least[i]).is_lt();
-                least[i] = if decides { score } else { least[i] };
+                let decides = score < scores[i];
+                scores[i] = if decides { score } else { scores[i] };
                 chroma[i] = if decides { plane.chroma(b[i].into(), c[i].into()) } else { chroma[i] };
             }
         }
-        chroma
+        [scores, chroma]
     }
 }
 

@@ -23,7 +23,7 @@ const FULL: f32 = 1024.0;
 const BATCH: usize = 64;
 
 /// Cells gathered together: bands and specks are a few cells wide.
-const BLOCK: usize = 8;
+const GROUP: usize = 8;
 
 /// Variance added along an axis by averaging over a cell of 2 px, px².
 const CELL_VARIANCE_PX2: f64 = 4.0 / 12.0;
@@ -54,15 +54,15 @@ impl Batch {
     /// Adds cells x0..x1 of row `y`; calls `full` when there is no room for more.
     #[inline(always)]
     fn add(&mut self, grid: &Grid<'_>, sums: &mut CellSums, [x0, x1]: [u16; 2], y: u16, mut full: impl FnMut(&Self)) {
-        for x in (x0..x1).step_by(BLOCK) {
-            if self.cells + BLOCK > BATCH {
+        for x in (x0..x1).step_by(GROUP) {
+            if self.cells + GROUP > BATCH {
                 full(self);
                 self.cells = 0;
             }
-            let cells = BLOCK.min(usize::from(x1 - x));
-            // Whole blocks are copied; what is too much is overwritten by the next.
-            let place = self.cells..self.cells + BLOCK;
-            for (to, from) in self.sums.iter_mut().zip(sums.of::<BLOCK>(grid, x.into(), y.into(), cells)) {
+            let cells = GROUP.min(usize::from(x1 - x));
+            // Whole groups are copied; what is too much is overwritten by the next.
+            let place = self.cells..self.cells + GROUP;
+            for (to, from) in self.sums.iter_mut().zip(sums.of::<GROUP>(grid, x.into(), y.into(), cells)) {
                 to.get_mut(place.clone()).unwrap_or_default().copy_from_slice(from);
             }
             for (to, x) in self.x.get_mut(place.clone()).unwrap_or_default().iter_mut().zip(i32::from(x)..) {
@@ -146,13 +146,13 @@ impl Measure {
     pub(super) fn blob(
         &mut self,
         grid: &Grid<'_>,
-        cells: &mut CellSums,
+        sums: &mut CellSums,
         (marker, view): (usize, Option<usize>),
         discriminant: &Discriminant,
         component: &[Run],
         window: &CellWindow,
     ) -> Blob {
-        let (own, Dilated { covered, edge, whole, all }) = add_up(grid, cells, discriminant, component, self);
+        let (own, Dilated { covered, edge, whole, all }) = add_up(grid, sums, discriminant, component, self);
         let mean = covered.mean();
         let mass = covered.m.max(1) as f64;
         // Cell (i, j) is centred at pixel (2i + 0.5, 2j + 0.5).
@@ -213,8 +213,7 @@ impl Dilated {
     #[inline(always)]
     fn add(&mut self, batch: &Batch, discriminant: &Discriminant, level: f32, origin: [i32; 2]) {
         let n = batch.lanes();
-        let scores = discriminant.scores(n, batch.sums.each_ref());
-        let chroma = discriminant.chroma(n, batch.sums.each_ref());
+        let [scores, chroma] = discriminant.scores_and_chroma(n, batch.sums.each_ref());
         let [mut weights, mut partly, mut whole] = [[0; BATCH]; 3];
         let mut whole_scores = [0.0; BATCH];
         for i in 0..n {

@@ -9,8 +9,8 @@ use super::extent::{Extent, extent};
 use super::times::seconds;
 use super::{SourceError, Span, messages};
 
-/// libav writes to stderr by itself. What matters is in this module's errors and warnings; the rest shows only when
-/// debugging.
+/// libav writes to stderr by itself. What matters is in this module's errors and warnings, and what it says of packets
+/// is heard; the rest shows only when debugging.
 pub(super) fn quiet_libav() {
     let debugging = tracing::enabled!(tracing::Level::DEBUG);
     av::log::set_level(if debugging { av::log::Level::Warning } else { av::log::Level::Quiet });
@@ -130,8 +130,8 @@ fn reports_with_threads(codec: av::codec::Id) -> bool {
     )
 }
 
-/// Most pictures that an H.264 decoder holds back.
-const MAX_DELAY: i32 = 16;
+/// Most frames that are stored before one that is shown earlier (H.264).
+pub(super) const MAX_REORDERED: i32 = 16;
 
 /// Threads for a decoder, 0 for one per core.
 ///
@@ -150,7 +150,7 @@ fn set_threads(context: &mut av::codec::Context, codec: av::codec::Id, threads: 
     // SAFETY: the context is valid and not open yet; the decoder takes at least this delay.
     let delay = unsafe { &mut (*context.as_mut_ptr()).has_b_frames };
     if codec == av::codec::Id::H264 && *delay > 0 {
-        threading.count = threading.count.min(usize::try_from(MAX_DELAY - *delay).unwrap_or(0)).max(1);
+        threading.count = threading.count.min(usize::try_from(MAX_REORDERED - *delay).unwrap_or(0)).max(1);
         if threading.count > 1 {
             *delay += threading.count as i32;
         }

@@ -10,6 +10,7 @@
 //! What this cannot detect: damage that happens to be a valid stream, packets that the container lost, both if the
 //! decoder does not notice.
 
+use super::messages::Said;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Packets remembered: no decoder holds back more pictures.
@@ -45,9 +46,13 @@ impl DamageLog {
         number
     }
 
-    /// Damage was concealed in packet `number`, or with `suspect`, it is damaged if it gives no picture.
-    pub(crate) fn noticed(&mut self, number: u64, suspect: bool) {
-        if suspect { &mut self.suspects } else { &mut self.damaged }.insert(number);
+    /// The decoder said this of packet `number`.
+    pub(super) fn heard(&mut self, number: u64, said: Said) {
+        let packets = match said {
+            Said::Error => &mut self.suspects,
+            Said::Concealed => &mut self.damaged,
+        };
+        packets.insert(number);
     }
 
     /// The packet that was read `before` packets before the last one is damaged; returns its time.
@@ -189,8 +194,8 @@ mod tests {
             log.packet(Some(pts), pts == 0);
         }
         // The packets of 3 and 2.
-        log.noticed(1, true);
-        log.noticed(3, true);
+        log.heard(1, Said::Error);
+        log.heard(3, Said::Error);
         let mut failed = Vec::new();
         for pts in [0, 1, 3, 4, 5] {
             log.picture(Some(pts), false);

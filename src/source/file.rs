@@ -17,13 +17,13 @@ use std::time::Instant;
 use ffmpeg_the_third as av;
 
 use super::container::{
-    best_video, configuration, count_hint, measure, open_decoder, open_input, open_stream, quiet_libav,
+    MAX_REORDERED, best_video, configuration, count_hint, measure, open_decoder, open_input, open_stream, quiet_libav,
 };
 use super::damage::DamageLog;
 use super::decoded::{PictureMaker, is_damaged, is_left_out};
 use super::extent::Extent;
 use super::gaps::plausible_period_ns;
-use super::messages::{Messages, Said};
+use super::messages::Messages;
 use super::stamps::StampWatch;
 use super::times::{seconds, ticks_to_ns};
 use super::{
@@ -125,14 +125,17 @@ const RAW_STREAMS: [&str; 11] =
 /// clock counts from a distant past, which containers resolve to some hundred nanoseconds at best.
 pub(crate) const ORIGIN_TAG: &str = "CATOPTRA_ORIGIN_NS";
 
-/// Most frames that are stored before one that is shown earlier (H.264).
-const MAX_REORDERED: i64 = 16;
 /// Packets of a stream whose arrival times are remembered: more than any encoder reorders.
 const MAX_ARRIVALS: usize = 64;
 /// Most damaged packets whose pictures are awaited.
 const MAX_UNDECODED: usize = 1000;
 /// Unreadable packets in a row after which the rest is given up.
 const UNREADABLE: u32 = 1000;
+
+/// Its presentation time, or libav's guess.
+fn time_of(frame: &av::frame::Video) -> Option<i64> {
+    frame.pts().or(frame.timestamp())
+}
 
 /// How the packets of a stream can be checked before decoding: their decoders conceal damage.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -331,7 +334,7 @@ impl VideoFile {
         loop {
             let received = self.decoder.receive_frame(&mut frame);
             for (number, said) in self.messages.take() {
-                self.damage.noticed(number, said == Said::Error);
+                self.damage.heard(number, said);
             }
             match received {
                 Ok(()) => return Some(frame),
@@ -344,17 +347,17 @@ impl VideoFile {
         }
     }
 
-    /// The next frame in presentation order. The last ones wait for each other: a decoder that is drained may be late to
-    /// say that a packet failed.
+    /// The next frame in presentation order. The last ones wait for each other: a decoder that is drained may be late
+    /// to say that a packet failed.
     fn next_in_order(&mut self) -> Option<(av::frame::Video, u64)> {
         while self.held.is_empty() || self.phase == Phase::Draining {
             let next = self.decode();
             if self.phase == Phase::Draining {
-                let until = next.as_ref().and_then(|frame| frame.pts().or(frame.timestamp()));
+                let until = next.as_ref().and_then(time_of);
                 self.undecoded.extend(self.damage.failed_before(until));
             }
             let Some(frame) = next else { break };
-            let pts = frame.pts().or(frame.timestamp());
+            let pts = time_of(&frame);
             let number = self.damage.picture(pts, is_damaged(&frame));
             pts.inspect(|pts| {
                 self.undecoded.remove(pts);
@@ -392,7 +395,7 @@ impl VideoFile {
                     // start stay out.
                     if is_left_out(&packet) && packet.pts().is_some_and(|pts| pts >= self.start_pts) {
                         let frames = self.input.stream(self.stream).map_or(0, |stream| stream.frames());
-                        let more = self.packets.is_some_and(|packets| packets + MAX_REORDERED < frames);
+                        let more = self.packets.is_some_and(|packets| packets + i64::from(MAX_REORDERED) < frames);
                         if packet.duration() <= 1 && !more && !self.trimmed {
                             packet.set_flags(packet.flags());
                         }
@@ -450,8 +453,8 @@ impl VideoFile {
 
     /// A packet is lost: the latest, or with `by_decoder` one that a decoder thread was still working on.
     fn damaged_packet(&mut self, error: av::Error, by_decoder: bool) {
-        // A decoder of several threads returns a packet's error when it is given a later one; when it is drained, only its
-        // messages tell whose it is.
+        // A decoder of several threads returns a packet's error when it is given a later one; when it is drained, only
+        // its messages tell whose it is.
         let later = if by_decoder { self.packets_in_work() } else { 0 };
         if self.phase == Phase::Reading || !self.damage.has_suspects() {
             self.undecoded.extend(self.damage.packet_is_damaged(later));
@@ -506,7 +509,8 @@ impl VideoFile {
                         self.at()
                     );
                 }
-                // Of a recording's pictures, libav's guess depends on the number of threads; a repeated time is seen to be one.
+                // Of a recording's pictures, libav's guess depends on the number of threads; a repeated time is seen
+                // to be one.
                 let latest = self.latest_pts.filter(|_| self.clock == Clock::Container);
                 self.in_turn.pop_front().or(latest).or(guess).unwrap_or_default()
             }
@@ -572,7 +576,7 @@ impl VideoFile {
     fn next_sound(&mut self) -> Result<Option<Frame>, SourceError> {
         while self.phase != Phase::Ended {
             let next = self.next_in_order();
-            let until = next.as_ref().map_or(Some(i64::MAX), |(frame, _)| frame.pts().or(frame.timestamp()));
+            let until = next.as_ref().map_or(Some(i64::MAX), |(frame, _)| time_of(frame));
             if let Some(frame) = self.undecoded_before(until)? {
                 next.into_iter().for_each(|next| self.held.push_front(next));
                 return Ok(Some(frame));
@@ -601,7 +605,7 @@ impl VideoFile {
                 return self.end();
             }
             self.missing = self.missing.saturating_add(self.stamps.gap(stamp.ns, self.seq, &mut self.faults));
-            let sound = self.damage.is_sound(number, decoded.pts().or(decoded.timestamp()));
+            let sound = self.damage.is_sound(number, time_of(&decoded));
             if !sound {
                 self.leave_out(stamp);
                 if !self.keep_damaged {
@@ -621,7 +625,7 @@ impl VideoFile {
             }
             self.arrival =
                 decoded.pts().and_then(|pts| self.read_at.iter().rev().find(|(of, _)| *of == pts)).map(|(_, at)| *at);
-            let step = decoded.pts().or(decoded.timestamp()).and_then(|pts| self.steps.remove(&pts));
+            let step = time_of(&decoded).and_then(|pts| self.steps.remove(&pts));
             let picture = self.pictures.picture(decoded)?;
             let picture = match step {
                 Some(step) => {
