@@ -144,6 +144,13 @@ fn tried(rig: &Rig, (hz, seconds): (f64, f64), pictures: &[Picture], folder: &Pa
     Outcome { skipped, lost, latency_ms, cpu }
 }
 
+fn p50_p99_max(values: impl Iterator<Item = f64>) -> [f64; 3] {
+    let mut sorted: Vec<f64> = values.collect();
+    sorted.sort_by(f64::total_cmp);
+    let at = |share: f64| sorted.get((share * sorted.len() as f64) as usize).or(sorted.last());
+    [0.5, 0.99, 1.0].map(|share| at(share).copied().unwrap_or(f64::NAN))
+}
+
 /// The slowest frames of a run: what of their latency is computation, when the same frames are tracked one right after
 /// another, and what is waiting: for a processor, for other threads, for a cache that the pause left cold.
 fn print_slowest(rig: &Rig, hz: f64, pictures: &[Picture], latency_ms: &BTreeMap<u64, f64>) {
@@ -164,8 +171,7 @@ fn print_slowest(rig: &Rig, hz: f64, pictures: &[Picture], latency_ms: &BTreeMap
     for (seq, ms, step_ms) in frames.iter().take(SLOWEST) {
         println!("{seq:>8} {ms:>9.2} {step_ms:>18.2} {:>9.2}", ms - step_ms);
     }
-    frames.sort_by(|a, b| a.2.total_cmp(&b.2));
-    let [p50, p99] = [0.5, 0.99].map(|share| frames[(share * frames.len() as f64) as usize].2);
+    let [p50, p99, _] = p50_p99_max(frames.iter().map(|frame| frame.2));
     println!("Tracker::step of all frames: p50 {p50:.2}, p99 {p99:.2}");
 }
 
@@ -190,10 +196,7 @@ fn main() {
     let mut slowest = None;
     for (hz, seconds) in all {
         let Outcome { skipped, lost, latency_ms, cpu } = tried(&rig, (hz, seconds), &pictures, place.path());
-        let mut sorted: Vec<f64> = latency_ms.values().copied().collect();
-        sorted.sort_by(f64::total_cmp);
-        let at = |share: f64| sorted.get((share * sorted.len() as f64) as usize).or(sorted.last());
-        let [p50, p99, max] = [0.5, 0.99, 1.0].map(|share| at(share).copied().unwrap_or(f64::NAN));
+        let [p50, p99, max] = p50_p99_max(latency_ms.values().copied());
         println!("{hz:>6} {seconds:>6} {skipped:>8} {lost:>6} {p50:>7.2} {p99:>7.2} {max:>7.2} {cpu:>6.2}");
         slowest.get_or_insert((hz, latency_ms));
     }

@@ -1,6 +1,6 @@
 //! Many recordings in one command: `track --manifest`, `--resume`, and other files beside the results.
 
-use crate::support::command::*;
+use crate::support::{command::*, skipped};
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -319,7 +319,6 @@ impl Drop for Disk {
 #[test]
 #[cfg(target_os = "linux")]
 fn a_disk_that_is_full_for_one_run_stops_that_run_only_and_it_may_pass() {
-    use std::io::Write as _;
     let archive = Archive::with(
         "rest\tA\tSAMPLES/rest.mkv\t--to 0\ncircle\tA\tSAMPLES/circle.mkv\t--to 0.05\nplanar\tB\tSAMPLES/planar.mkv\t--to 0\n",
     );
@@ -328,7 +327,7 @@ fn a_disk_that_is_full_for_one_run_stops_that_run_only_and_it_may_pass() {
     // Larger than the log of a few frames, smaller than a report.
     let mounted = Command::new("mount").args(["-t", "tmpfs", "-o", "size=1m", "tmpfs"]).arg(&place).output();
     if !mounted.is_ok_and(|done| done.status.success()) {
-        std::io::stderr().write_all(b"SKIPPED: a small disk can be made by root only\n").unwrap();
+        skipped("a small disk can be made by root only");
         return;
     }
     let disk = Disk(place);

@@ -1,12 +1,12 @@
-//! How many instructions a frame takes, counted by Valgrind: unlike times, they depend neither on the machine nor on its
-//! load. Without Valgrind, or built incrementally, which makes other code, nothing is counted; CI counts.
+//! How many instructions a frame takes, counted by Valgrind: unlike times, they depend neither on the machine nor on
+//! its load. Without Valgrind, or built incrementally, which makes other code, nothing is counted; CI counts.
 
 use crate::support::command::{rig, sample};
+use crate::support::skipped;
 use catoptra::segment::Segmenter;
 use catoptra::source::{Frame, FrameSource, VideoFile, VideoOptions};
 use catoptra::track::{TrackOptions, Tracker};
 use std::hint::black_box;
-use std::io::Write as _;
 use std::process::Command;
 
 /// Frames counted.
@@ -67,18 +67,14 @@ fn counted(function: &str) -> f64 {
 #[test]
 #[cfg(target_arch = "x86_64")]
 fn a_frame_takes_no_more_instructions_than_it_did() {
-    let why = if option_env!("CARGO_INCREMENTAL") != Some("0") {
-        "built without CARGO_INCREMENTAL=0"
-    } else if !is_x86_feature_detected!("avx2") {
-        "no AVX2"
-    } else if Command::new("valgrind").arg("--version").output().is_err() {
-        "no valgrind"
-    } else {
-        ""
-    };
-    if !why.is_empty() {
-        std::io::stderr().write_all(format!("SKIPPED: instructions are not counted: {why}\n").as_bytes()).unwrap();
-        return;
+    if option_env!("CARGO_INCREMENTAL") != Some("0") {
+        return skipped("instructions are not counted: built without CARGO_INCREMENTAL=0");
+    }
+    if !is_x86_feature_detected!("avx2") {
+        return skipped("instructions are not counted: no AVX2");
+    }
+    if Command::new("valgrind").arg("--version").output().is_err() {
+        return skipped("instructions are not counted: no valgrind");
     }
     for (function, expected) in [("counted_step", STEP), ("counted_segmentation", SEGMENTATION)] {
         let count = counted(function);

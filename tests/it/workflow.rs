@@ -2,10 +2,9 @@
 
 #![cfg(unix)]
 
-use crate::support::command::*;
 use crate::support::python;
+use crate::support::{command::*, skipped};
 use std::fs;
-use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
@@ -89,8 +88,7 @@ fn the_script_of_the_job_array_settles_a_shard_and_tries_again_what_may_pass() {
 #[test]
 fn snakemake_takes_a_manifest_to_tables() {
     let Some(snakemake) = std::env::var_os("CATOPTRA_SNAKEMAKE") else {
-        let message = b"SKIPPED: CATOPTRA_SNAKEMAKE does not name Snakemake 9\n";
-        std::io::stderr().write_all(message).unwrap();
+        skipped("CATOPTRA_SNAKEMAKE does not name Snakemake 9");
         return;
     };
     let place = Place::new();

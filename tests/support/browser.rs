@@ -1,6 +1,5 @@
 //! A browser that the studio is tried in.
 
-use std::io::Write as _;
 use std::path::Path;
 use std::process::Command;
 
@@ -18,7 +17,6 @@ pub(crate) fn browser_and_python() -> Option<(String, String)> {
         _ => format!("{python} cannot import playwright; what to install is in the Makefile"),
     };
     assert!(!must, "{missing}");
-    // Past the test harness, which keeps what a passing test prints to itself.
-    std::io::stderr().write_all(format!("SKIPPED: {missing}\n").as_bytes()).unwrap();
+    super::skipped(&missing);
     None
 }
