@@ -16,8 +16,9 @@ use std::time::Instant;
 
 use ffmpeg_the_third as av;
 
+use super::check::{Checked, PacketCheck};
 use super::container::{
-    MAX_REORDERED, best_video, configuration, count_hint, measure, open_decoder, open_input, open_stream, quiet_libav,
+    MAX_REORDERED, best_video, count_hint, measure, open_decoder, open_input, open_stream, quiet_libav,
 };
 use super::damage::DamageLog;
 use super::decoded::{PictureMaker, is_damaged, is_left_out};
@@ -28,7 +29,7 @@ use super::stamps::StampWatch;
 use super::times::{seconds, ticks_to_ns};
 use super::{
     Clock, Colour, Frame, FrameRate, FrameSource, Picture, PixelFormat, Quantisation, SourceError, Span, StreamFaults,
-    Timestamp, ffv1, jpeg,
+    Timestamp,
 };
 
 /// How a recording is read.
@@ -137,43 +138,6 @@ fn time_of(frame: &av::frame::Video) -> Option<i64> {
     frame.pts().or(frame.timestamp())
 }
 
-/// How the packets of a stream can be checked before decoding: their decoders conceal damage.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum PacketCheck {
-    None,
-    Ffv1,
-    Jpeg,
-}
-
-impl PacketCheck {
-    fn of(path: &Path, stream: &av::format::stream::Stream<'_>) -> Self {
-        match stream.parameters().id() {
-            av::codec::Id::FFV1 if ffv1::has_checksums(&configuration(stream)) == Some(true) => Self::Ffv1,
-            av::codec::Id::FFV1 => {
-                tracing::warn!(
-                    "{}: its pictures (FFV1) have no checksums: damage in them cannot be noticed",
-                    path.display()
-                );
-                Self::None
-            }
-            av::codec::Id::MJPEG => Self::Jpeg,
-            _ => Self::None,
-        }
-    }
-
-    /// Whether the packet is sound, and the quantiser step that it states.
-    fn examine(self, packet: &[u8]) -> (bool, Option<f64>) {
-        match self {
-            Self::None => (true, None),
-            Self::Ffv1 => (ffv1::is_sound(packet), None),
-            Self::Jpeg => {
-                let jpeg::Examined { damage, step } = jpeg::examine(packet);
-                (damage.is_none(), step)
-            }
-        }
-    }
-}
-
 impl std::fmt::Debug for VideoFile {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "VideoFile({}, {:?} px, {:?})", self.path.display(), self.size_px, self.phase)
@@ -234,7 +198,7 @@ impl VideoFile {
             let declared_ns = stated_ns.or_else(|| plausible_period_ns((rate.0, rate.1), (average.0, average.1)));
             let decoder = open_decoder(&path, &stream, options.decoder_threads, clock == Clock::Stream)?;
             let hint = count_hint(&input, &stream, options.span);
-            let check = PacketCheck::of(&path, &stream);
+            let check = PacketCheck::of(&path, &stream, options.decoder_threads);
             (stream.index(), decoder, stream.time_base(), stream.start_time(), declared_ns, hint, check)
         };
         let origin_ns = match input.metadata().get(ORIGIN_TAG) {
@@ -412,12 +376,12 @@ impl VideoFile {
                         continue;
                     }
                     // The decoder would conceal the damage.
-                    let (sound, step) = self.check.examine(packet.data().unwrap_or_default());
+                    let Checked { sound, step, sent } = self.check.send(&packet, &mut self.decoder);
                     self.steps.extend(pts.zip(step));
                     if !sound {
                         self.damaged_packet(av::Error::InvalidData, false);
                     }
-                    if let Err(error) = self.decoder.send_packet(&packet) {
+                    if let Err(error) = sent {
                         self.damaged_packet(error, true);
                     }
                     return;

@@ -5,6 +5,7 @@
 //! passed on as decoded: planar YUV stays planar YUV, colours are not converted ([`Picture::plane`] tells how samples
 //! map to places in the picture, [`Picture::colour`] how they map to colours).
 
+mod check;
 mod container;
 pub(crate) mod counter;
 mod damage;
