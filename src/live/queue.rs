@@ -10,8 +10,8 @@ use std::collections::VecDeque;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-/// Pictures that may wait: memory is bounded.
-pub const MAX_WAITING: usize = 16;
+/// Pictures that may wait: memory is bounded. At 600 Hz so many come within `MAX_AGE`.
+pub const MAX_WAITING: usize = 32;
 /// So many may wait however long: a decoder hands on in bursts.
 const ALWAYS_KEPT: usize = 3;
 /// More may wait as long as the oldest is no older than this: a fast camera's frames are caught up with before they are
@@ -140,10 +140,10 @@ mod tests {
         let queue = Queue::new(&fixture::rig());
         let began = Instant::now();
         let push = |seq: u64| queue.push_at(began + Duration::from_millis(1) * seq as u32, frame(seq));
-        (0..16).for_each(push);
+        (0..32).for_each(push);
         assert_eq!(taken(&queue), (vec![], Some(0)));
-        (16..18).for_each(push);
-        assert_eq!(taken(&queue), ((1..17).collect(), Some(17)));
+        (32..34).for_each(push);
+        assert_eq!(taken(&queue), ((1..33).collect(), Some(33)));
     }
 
     #[test]

@@ -141,9 +141,14 @@ fn the_same_pictures_give_the_same_rows_live_and_offline_to_the_last_bit() {
 fn frames_that_come_faster_than_they_are_tracked_keep_their_rows() {
     let rows = Rows::default();
     let mut frames: Vec<Frame> = Vec::new();
-    let mut source = recording();
-    while let Some(frame) = source.next_frame().unwrap() {
-        frames.push(frame);
+    // More than may wait.
+    for second in 0..3 {
+        let mut source = recording();
+        while let Some(mut frame) = source.next_frame().unwrap() {
+            frame.seq = frames.len() as u64;
+            frame.stamp.ns += second * 1_000_000_000;
+            frames.push(frame);
+        }
     }
     let count = frames.len() as u64;
     let mut frames = frames.into_iter();
