@@ -139,7 +139,7 @@ impl<'a> Scene<'a> {
 /// Most points that are evaluated together. All belong to one [`Piece`].
 pub(crate) const CHUNK: usize = 32;
 /// Points are filled up to a multiple of this.
-const WIDTH: usize = 16;
+const WIDTH: usize = 8;
 
 /// A number for each point.
 #[derive(Default)]

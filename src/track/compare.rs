@@ -6,9 +6,10 @@
 use crate::source::Window;
 use crate::track::chunk::{CHUNK, Chunk, Rows, Scene};
 use crate::track::normal::{Normal, ROW, Row, Seen, Squares, Sums, add_row, influence, shifted};
+use crate::track::padded::{PADDED, Padded, products, unpadded_square};
 use crate::track::patch::{Layer, Patch};
 use crate::track::slip::Slips;
-use crate::track::tube::{SHAPE, ShapeBy, ShapeStep};
+use crate::track::tube::{SHAPE, ShapeBy};
 use multiversion::multiversion;
 use nalgebra::SMatrix;
 use std::ops::Range;
@@ -38,35 +39,31 @@ struct Bunch {
     chunk: Chunk,
 }
 
-/// The points of a layer, in bunches. They are large, and many in every frame: those of earlier frames are used again.
+/// The points of a layer, in bunches. More may be there, of earlier comparisons.
+#[derive(Default)]
 struct Bunches {
     list: Vec<Bunch>,
     used: usize,
 }
 
-/// Bunches in no use; more than these are dropped.
-static SPARE: Mutex<Vec<Vec<Bunch>>> = Mutex::new(Vec::new());
-const MAX_SPARE: usize = 16;
-
 impl Bunches {
-    fn of(layer: &Layer) -> Self {
-        let list = SPARE.lock().unwrap_or_else(PoisonError::into_inner).pop().unwrap_or_default();
-        let mut bunches = Self { list, used: 0 };
+    /// Takes the points of a layer.
+    fn fill(&mut self, layer: &Layer) {
+        self.used = 0;
         let Layer { x, y, f, strips, .. } = layer;
         for strip in strips {
             let Range { start, end } = strip.points;
             for first in (start..end).step_by(CHUNK) {
-                if bunches.used == bunches.list.len() {
-                    bunches.list.push(Bunch::default());
+                if self.used == self.list.len() {
+                    self.list.push(Bunch::default());
                 }
-                let bunch = &mut bunches.list[bunches.used];
-                bunches.used += 1;
+                let bunch = &mut self.list[self.used];
+                self.used += 1;
                 (bunch.span, bunch.points) = (strip.span, first..end.min(first + CHUNK));
                 let here = || bunch.points.clone();
                 bunch.chunk.set(&x[here()], &y[here()], &f[here()]);
             }
         }
-        bunches
     }
 
     /// Those of each span together.
@@ -79,16 +76,51 @@ impl Bunches {
     }
 }
 
-impl Drop for Bunches {
-    fn drop(&mut self) {
-        let mut spare = SPARE.lock().unwrap_or_else(PoisonError::into_inner);
-        if spare.len() < MAX_SPARE {
-            spare.push(std::mem::take(&mut self.list));
+/// The memory of a comparison, of which there are many in every frame: that of earlier ones is used again.
+#[derive(Default)]
+struct Memory {
+    /// The points of the pixels, then those of the other layers.
+    bunches: Vec<Bunches>,
+    /// For each of them, 1 near the tube, 0 in the background.
+    near: Vec<Vec<f32>>,
+    /// The channels of the pixels, then those of the other layers.
+    channels: Vec<Compared>,
+    sums: Sums,
+    rows: Box<Rows>,
+}
+
+/// Memories in no use; more than these are dropped.
+static SPARE: Mutex<Vec<Memory>> = Mutex::new(Vec::new());
+const MAX_SPARE: usize = 16;
+
+impl Memory {
+    fn of(patch: &Patch) -> Self {
+        let spare = SPARE.lock().unwrap_or_else(PoisonError::into_inner).pop();
+        let mut memory = spare.unwrap_or_default();
+        let Self { bunches, near, channels, sums, .. } = &mut memory;
+        let layers = patch.layers().count();
+        bunches.resize_with(layers, Bunches::default);
+        near.resize_with(layers, Vec::new);
+        for ((layer, bunches), near) in patch.layers().zip(bunches).zip(near) {
+            bunches.fill(layer);
+            near.clear();
+            near.extend(layer.near().map(|near| if near { 1.0 } else { 0.0 }));
         }
+        let points = patch.layers().flat_map(|layer| layer.channels.iter().map(|_| layer.x.len()));
+        let points: Vec<usize> = points.collect();
+        channels.resize_with(points.len(), Compared::default);
+        for (compared, points) in channels.iter_mut().zip(points) {
+            compared.predicted.resize(patch.pixels.x.len(), 0.0);
+            compared.residuals.resize(points, 0.0);
+            compared.weights.resize(points, 0.0);
+        }
+        sums.resize(patch.spans.len());
+        memory
     }
 }
 
 /// The samples of a channel compared with the model.
+#[derive(Default)]
 struct Compared {
     /// Predicted at each pixel.
     predicted: Vec<f32>,
@@ -108,14 +140,22 @@ struct Weighed {
 /// A patch compared with the model.
 pub(crate) struct Comparison {
     patch: Patch,
-    /// The points of the pixels, then those of the other layers.
-    bunches: Vec<Bunches>,
-    /// For each of them, 1 near the tube, 0 in the background.
-    near: Vec<Vec<f32>>,
-    /// The channels of the pixels, then those of the other layers.
-    channels: Vec<Compared>,
-    sums: Sums,
-    rows: Box<Rows>,
+    memory: Memory,
+    /// Those of the last equations, if they were kept.
+    scores: Option<Scores>,
+}
+
+impl Drop for Comparison {
+    fn drop(&mut self) {
+        // A panic may have left sums behind.
+        if std::thread::panicking() {
+            return;
+        }
+        let mut spare = SPARE.lock().unwrap_or_else(PoisonError::into_inner);
+        if spare.len() < MAX_SPARE {
+            spare.push(std::mem::take(&mut self.memory));
+        }
+    }
 }
 
 /// Sums of weighted derivatives, by which the scatter of the residuals is judged.
@@ -129,14 +169,18 @@ struct Scores {
 }
 
 impl Scores {
-    /// Adds points that are nearest to `ring`.
-    fn add(&mut self, part: &Part<'_>, ring: usize) {
+    fn new(patch: &Patch, scene: &Scene<'_>) -> Self {
+        let cells = vec![[0.0; ROW]; patch.cells.len()];
+        Self { cells, slips: Slips::new(scene.layout, patch.spans.len()), said: 0.0, coded: 0.0 }
+    }
+
+    fn add(&mut self, part: &Part<'_>) {
         let [said, coded] = add_to_cells(&mut self.cells, part);
         self.said += said;
         self.coded += coded;
         if part.apart {
             for (row, residual, weight, _) in part.samples() {
-                self.slips.add((part.span, ring), (row, part.seen), residual, weight);
+                self.slips.add((part.span, part.ring), (row, part.seen), residual, weight);
             }
         }
     }
@@ -145,6 +189,8 @@ impl Scores {
 /// Some points of a strip, and what the model says of one of their channels.
 struct Part<'a> {
     span: usize,
+    /// The ring nearest to them.
+    ring: usize,
     points: Range<usize>,
     seen: Seen,
     /// Whether the channel is stored apart from the pixels.
@@ -181,27 +227,13 @@ impl Comparison {
     }
 
     pub(crate) fn new(patch: Patch) -> Self {
-        let pixels = patch.pixels.x.len();
-        let of = |layer: &Layer| {
-            let points = layer.x.len();
-            let compared = move || Compared {
-                predicted: vec![0.0; pixels],
-                residuals: vec![0.0; points],
-                weights: vec![0.0; points],
-            };
-            layer.channels.iter().map(|_| compared()).collect::<Vec<_>>()
-        };
-        let near = |layer: &Layer| layer.near().map(|near| if near { 1.0 } else { 0.0 }).collect();
-        let near = patch.layers().map(near).collect();
-        let bunches = patch.layers().map(Bunches::of).collect();
-        let channels = patch.layers().flat_map(of).collect();
-        let sums = Sums::new(patch.spans.len());
-        Self { patch, bunches, near, channels, sums, rows: Box::default() }
+        let memory = Memory::of(&patch);
+        Self { patch, memory, scores: None }
     }
 
     /// Evaluates the model at all pixels, and compares it with all samples.
     pub(crate) fn render(&mut self, scene: &Scene<'_>) {
-        let Self { patch, bunches, channels, .. } = self;
+        let Self { patch, memory: Memory { bunches, channels, .. }, .. } = self;
         let Patch { middle, spans, .. } = &*patch;
         let light = scene.light();
         for (i, (layer, bunches)) in patch.layers().zip(bunches).enumerate() {
@@ -239,8 +271,9 @@ impl Comparison {
     /// Weights the residuals by their noise.
     fn weigh(&mut self, noise: &Noise) -> Weighed {
         let mut weighed = Weighed { cost: 0.0, squares: Squares::default() };
-        let mut channels = self.channels.iter_mut();
-        for (layer, near) in self.patch.layers().zip(&self.near) {
+        let Memory { near, channels, .. } = &mut self.memory;
+        let mut channels = channels.iter_mut();
+        for (layer, near) in self.patch.layers().zip(&*near) {
             let near_count = layer.near().filter(|near| *near).count();
             for (channel, compared) in layer.channels.iter().zip(&mut channels) {
                 let noise = &noise[usize::from(channel.number)];
@@ -274,7 +307,7 @@ impl Comparison {
 
     /// Forms the derivatives of all samples, of the model as it was rendered.
     fn derive(&mut self, scene: &Scene<'_>, mut take: impl FnMut(&mut Sums, &Part<'_>)) {
-        let Self { patch, bunches, channels, sums, rows, .. } = self;
+        let Self { patch, memory: Memory { bunches, channels, sums, rows, .. }, .. } = self;
         let Patch { middle, spans, .. } = &*patch;
         let light = scene.light();
         let mut channels = &channels[..];
@@ -287,42 +320,39 @@ impl Comparison {
                 for Bunch { span, points, chunk } in bunches {
                     for (channel, compared) in layer.channels.iter().zip(own) {
                         let rows = rows.of(chunk, &piece, &light, &channel.weights);
-                        let (span, points, seen) = (*span, points.clone(), chunk.seen);
-                        take(sums, &Part { span, points, seen, apart, cells, compared, rows });
+                        let (points, seen) = (points.clone(), chunk.seen);
+                        let (span, ring) = (*span, spans[*span].ring);
+                        take(sums, &Part { span, ring, points, seen, apart, cells, compared, rows });
                     }
                 }
             }
         }
     }
 
-    /// Normal equations of the model as it was rendered.
-    pub(crate) fn normal(&mut self, scene: &Scene<'_>, noise: &Noise) -> Normal {
+    /// Normal equations of the model as it was rendered. `for_scatter` keeps what its scatter is judged by.
+    pub(crate) fn normal(&mut self, scene: &Scene<'_>, noise: &Noise, for_scatter: bool) -> Normal {
         let Weighed { cost, squares } = self.weigh(noise);
+        let mut scores = for_scatter.then(|| Scores::new(&self.patch, scene));
         self.derive(scene, |sums, part| {
             let [residuals, weights] = part.padded();
             let (count, rows) = (part.rows.len(), part.rows);
             sums.add(part.span, part.seen, rows, &residuals[..count], &weights[..count]);
+            if let Some(scores) = &mut scores {
+                scores.add(part);
+            }
         });
-        Normal { cost, squares, ..self.sums.take(&self.patch.spans, scene.image, scene.layout) }
+        self.scores = scores;
+        Normal { cost, squares, ..self.memory.sums.take(&self.patch.spans, scene.image, scene.layout) }
     }
 
     /// The equations of `before` with the gradient of the model as it was rendered.
     pub(crate) fn gradient(&mut self, before: &Normal, scene: &Scene<'_>, noise: &Noise) -> Normal {
         let Weighed { cost, squares } = self.weigh(noise);
+        self.scores = None;
         let mut sums = vec![[0.0; ROW]; self.patch.spans.len()];
         self.derive(scene, |_, part| add_gradient(&mut sums[part.span], part));
         let equations = before.with_gradient(self.patch.spans.iter().zip(&sums), scene.image, scene.layout);
         Normal { cost, squares, ..equations }
-    }
-
-    /// What the scatter is judged by, with the weights of the last equations.
-    fn scores(&mut self, scene: &Scene<'_>) -> Scores {
-        let slips = Slips::new(scene.layout, self.patch.spans.len());
-        let cells = vec![[0.0; ROW]; self.patch.cells.len()];
-        let mut scores = Scores { cells, slips, said: 0.0, coded: 0.0 };
-        let rings: Vec<usize> = self.patch.spans.iter().map(|span| span.ring).collect();
-        self.derive(scene, |_, part| scores.add(part, rings[part.span]));
-        scores
     }
 
     /// Empirical covariance of J'Wr: products of the sums over cells, which keeps the correlation between neighbouring
@@ -335,27 +365,25 @@ impl Comparison {
         of_colours: &ShapeBy,
         coder_variance: f64,
     ) -> Scattered {
-        let Scores { cells, mut slips, said, coded } = self.scores(scene);
+        let scores = self.scores.take().unwrap_or_else(|| {
+            let mut scores = Scores::new(&self.patch, scene);
+            self.derive(scene, |_, part| scores.add(part));
+            scores
+        });
+        let Scores { cells, mut slips, said, coded } = scores;
         let Patch { spans, cells: places, squares, .. } = &self.patch;
         let Scene { image, layout, .. } = *scene;
-        let mut squares = vec![ShapeStep::zeros(); *squares];
+        let mut squares = vec![[0.0; PADDED]; *squares];
         for cells in places.iter().zip(&cells).collect::<Vec<_>>().chunk_by(|a, b| a.0.0 == b.0.0) {
             let span = cells[0].0.0;
             let map = influence(image, &spans[span], layout, of_shape, of_colours);
             for ((_, square), sum) in cells {
-                for (by, from) in sum.iter().zip(map.column_iter()) {
-                    squares[*square].axpy(f64::from(*by), &from, 1.0);
-                }
+                add_mapped(&mut squares[*square], sum, &map);
             }
             slips.map(span, &map);
         }
         slips.finish(image, layout);
-        let mut covariance = SMatrix::<f64, SHAPE, SHAPE>::zeros();
-        for square in &squares {
-            for (by, mut column) in square.iter().zip(covariance.column_iter_mut()) {
-                column.axpy(*by, square, 1.0);
-            }
-        }
+        let covariance = unpadded_square(&products(&squares));
         let coded = if said > 0.0 { coder_variance * coded / said } else { 0.0 };
         Scattered { covariance, slips, coded }
     }
@@ -382,6 +410,16 @@ fn add_to_cells(cells: &mut [Row], part: &Part<'_>) -> [f64; 2] {
         add_row(&mut cells[cell as usize], row, part.seen, weight * residual);
     }
     [said, coded]
+}
+
+/// Adds a sum of rows, mapped to the shape.
+#[multiversion(targets("x86_64+avx512f+avx512bw+avx512dq+avx512vl", "x86_64+avx2"))]
+fn add_mapped(square: &mut Padded, sum: &Row, map: &[Padded; ROW]) {
+    for (by, column) in sum.iter().zip(map) {
+        for (sum, value) in square.iter_mut().zip(column) {
+            *sum += f64::from(*by) * value;
+        }
+    }
 }
 
 /// Weights of up to [`CHUNK`] residuals, near the tube (1) or not (0), by their inverse σ there. Returns sums in units

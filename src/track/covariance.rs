@@ -33,7 +33,7 @@ impl Round<'_> {
         let Guess { images, colours, .. } = &state.guess;
         let compared = views.par_iter_mut().zip(images).zip(colours).zip(&seen);
         let scatter = compared.map(|(((view, image), colours), eliminated)| {
-            let of_colours = -plain * &eliminated.following;
+            let of_colours = -plain * eliminated.following();
             let quantised = picture.quantisation();
             let coder_variance = quantised
                 .and_then(|q| Some(coder_variance(q.step_in(view.comparison.window())?, q.predicted)))

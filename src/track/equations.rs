@@ -2,9 +2,10 @@
 //!
 //! With H the matrix of the shape, C and X those of a view's colours alone and with the shape, g and c the gradients:
 //! (H − Σ X C⁻¹ Xᵀ) · shape = g − Σ X C⁻¹ c, then colours = C⁻¹ (c − Xᵀ · shape). Of some fifty unknowns thirteen
-//! remain.
+//! remain. With C = L Lᵀ and Y = L⁻¹ Xᵀ, X C⁻¹ Xᵀ = Yᵀ Y.
 
 use crate::track::normal::{Hessian, Normal};
+use crate::track::padded::{Padded, products, solve_lower, solve_upper, unpadded, unpadded_square, weighted};
 use crate::track::tube::{SHAPE, ShapeBy, ShapeStep};
 use nalgebra::{Cholesky, DVector, Dyn, SMatrix};
 use rayon::prelude::*;
@@ -35,9 +36,9 @@ pub(crate) struct Step {
 pub(crate) struct Eliminated {
     /// The view's information about the shape.
     pub shape: SMatrix<f64, SHAPE, SHAPE>,
-    /// X C⁻¹: its transpose gives how the colours follow the shape.
-    pub following: ShapeBy,
-    /// Factor of C.
+    /// Y, by rows.
+    half: Vec<Padded>,
+    /// Factor L of C.
     colours: Cholesky<f64, Dyn>,
     damping: f64,
 }
@@ -46,17 +47,40 @@ impl Hessian {
     /// Eliminates the colours, with the diagonals first increased by the fraction `damping`; `None` when singular.
     pub(crate) fn eliminate(&self, damping: f64) -> Option<Eliminated> {
         let colours = damped(self.colours.clone(), damping).cholesky()?;
-        let following = colours.solve(&self.cross.transpose()).transpose();
-        let mut shape = damped(self.shape, damping);
-        shape -= &following * self.cross.transpose();
-        Some(Eliminated { shape, following, colours, damping })
+        let mut half = self.cross.clone();
+        solve_lower(colours.l_dirty(), &mut half);
+        let shape = damped(self.shape, damping) - unpadded_square(&products(&half));
+        Some(Eliminated { shape, half, colours, damping })
+    }
+}
+
+impl Eliminated {
+    /// X C⁻¹: its transpose gives how the colours follow the shape.
+    pub(crate) fn following(&self) -> ShapeBy {
+        let mut rows = self.half.clone();
+        solve_upper(self.colours.l_dirty(), &mut rows);
+        ShapeBy::from_columns(&rows.iter().map(unpadded).collect::<Vec<_>>())
+    }
+
+    /// L⁻¹ c, and X C⁻¹ c.
+    fn halved(&self, gradient: &DVector<f64>) -> Option<(DVector<f64>, ShapeStep)> {
+        let halved = self.colours.l_dirty().solve_lower_triangular(gradient)?;
+        let shape = weighted(&self.half, halved.iter().copied());
+        Some((halved, shape))
+    }
+
+    /// The colours' step that follows one of the shape, from L⁻¹ c.
+    fn colours_after(&self, shape: &ShapeStep, mut halved: DVector<f64>) -> Option<DVector<f64>> {
+        halved.iter_mut().zip(&self.half).for_each(|(value, row)| *value -= unpadded(row).dot(shape));
+        self.colours.l_dirty().tr_solve_lower_triangular_mut(&mut halved).then_some(halved)
     }
 }
 
 impl Normal {
     /// The shape's gradient after a step, in which it is linear.
     pub(crate) fn shape_gradient_after(&self, shape: &ShapeStep, colours: &DVector<f64>) -> ShapeStep {
-        self.shape_gradient - self.hessian.shape * shape - &self.hessian.cross * colours
+        let of_colours = weighted(&self.hessian.cross, colours.iter().copied());
+        self.shape_gradient - self.hessian.shape * shape - of_colours
     }
 
     /// With the colours eliminated: as `before`, if that is of the same matrix and damped no less.
@@ -79,15 +103,16 @@ impl Equations {
         let mut gradient = self.prior_gradient;
         let eliminated = |(i, view): (usize, &Normal)| view.eliminated(damping, known.get(i));
         *known = self.views.par_iter().enumerate().map(eliminated).collect::<Option<Vec<_>>>()?;
+        let mut halves = Vec::with_capacity(known.len());
         for ((_, view), normal) in known.iter().zip(&self.views) {
+            let (halved, moved) = view.halved(&normal.colour_gradient)?;
             shape += view.shape;
-            gradient += normal.shape_gradient - &view.following * &normal.colour_gradient;
+            gradient += normal.shape_gradient - moved;
+            halves.push(halved);
         }
         let step = shape.cholesky()?.solve(&gradient);
-        let follow = |((_, view), normal): (&Known, &Normal)| {
-            view.colours.solve(&normal.colour_gradient) - view.following.tr_mul(&step)
-        };
-        let colours: Vec<DVector<f64>> = known.iter().zip(&self.views).map(follow).collect();
+        let follow = |((_, view), halved): (&Known, DVector<f64>)| view.colours_after(&step, halved);
+        let colours = known.iter().zip(halves).map(follow).collect::<Option<Vec<_>>>()?;
         let mut predicted_decrease = step.dot(&self.prior_gradient);
         for (colours, normal) in colours.iter().zip(&self.views) {
             predicted_decrease += step.dot(&normal.shape_gradient) + colours.dot(&normal.colour_gradient);

@@ -19,7 +19,7 @@ use crate::track::slip::Seen;
 use crate::track::stretch::Stretch;
 use crate::track::tube::{SHAPE, TubeShape};
 use crate::track::tube_image::{Sweep, TubeImage};
-use crate::track::view::{View, Weighing};
+use crate::track::view::{Selection, View, Weighing};
 use nalgebra::{Matrix2, SMatrix, Vector2};
 use rayon::prelude::*;
 
@@ -28,6 +28,11 @@ use rayon::prelude::*;
 const COARSE_TOLERANCE: f64 = 1000.0;
 /// The same for the second: the decrease left after that step is a hundredth.
 const FINE_TOLERANCE: f64 = 10.0;
+/// Background beside the tube in the first round, pixels: its place is uncertain.
+const SETTLING_PX: f64 = 5.0;
+/// First rounds that end within this of each other's fits lead to the same minimum, pixels: they are off by 0.1 px, and
+/// other minima are further away.
+const SAME_PX: f64 = 0.35;
 
 /// The result of one view.
 #[derive(Debug, Clone)]
@@ -58,32 +63,80 @@ pub(crate) struct TubeFit {
     pub misfit: f64,
 }
 
-/// Fits `stretch`, starting from `start`, to `picture` as seen through `paths`, each between its own arc lengths of
-/// `ranges_m`.
-pub(crate) fn fit(
-    stretch: &Stretch,
-    start: &TubeShape,
-    picture: &Picture,
-    paths: &[&OpticalPath],
-    ranges_m: &[(f64, f64)],
-    model: &ImageModel,
-    sweep: Option<&Sweep>,
-) -> Result<TubeFit, NoFit> {
-    let round = |guess: &Guess, how: (Density, Weighing)| {
-        let select =
-            |(image, range_m): (&TubeImage, &(f64, f64))| View::select(stretch, *range_m, image, picture, model, how);
-        let views = guess.images.par_iter().zip(ranges_m).map(select).collect::<Result<Vec<_>, _>>()?;
+/// What a stretch is fitted to.
+pub(crate) struct Fitting<'a> {
+    pub stretch: &'a Stretch,
+    pub picture: &'a Picture,
+    /// Of each view.
+    pub paths: &'a [&'a OpticalPath],
+    /// Arc lengths between which each view shows the stretch.
+    pub ranges_m: &'a [(f64, f64)],
+    pub model: &'a ImageModel,
+    pub sweep: Option<&'a Sweep>,
+    /// Background beside the tube that the second round uses, pixels.
+    pub margin_px: f64,
+}
+
+/// Where the first round ended.
+pub(crate) struct Settled {
+    guess: Guess,
+    /// The views' initial colours.
+    expected: Vec<Option<Vec<f64>>>,
+}
+
+impl Settled {
+    /// Whether a fit ended so close, at all edges of its bands, that this one would as well.
+    pub(crate) fn is_at(&self, fit: &TubeFit, stretch: &Stretch) -> bool {
+        let images = self.guess.images.iter().zip(&fit.views);
+        let off_px = |(image, view): (&TubeImage, &ViewFit)| {
+            let off = |ring: &f64| (image.at_arc(*ring).pixel - view.image.at_arc(*ring).pixel).norm();
+            stretch.layout.rings_m.iter().map(off).fold(0.0, f64::max)
+        };
+        images.map(off_px).all(|off| off < SAME_PX)
+    }
+}
+
+impl Fitting<'_> {
+    /// Fits the stretch, starting from `start`.
+    pub(crate) fn fit(&self, start: &TubeShape) -> Result<TubeFit, NoFit> {
+        self.measure(self.settle(start)?)
+    }
+
+    /// The first round.
+    pub(crate) fn settle(&self, start: &TubeShape) -> Result<Settled, NoFit> {
+        let mut guess = Guess::new(self.stretch, self.paths, start.clone(), Vec::new(), self.sweep, &[])?;
+        let unknown = vec![None; self.paths.len()];
+        let mut round = self.round(
+            &guess,
+            Selection { density: Density::Fifth, margin_px: SETTLING_PX, weighing: Weighing::Assumed },
+            unknown,
+        )?;
+        guess.colours = round.views.iter().map(|view| view.expected_colours.clone()).collect();
+        let guess = round.minimise(guess, COARSE_TOLERANCE)?.end;
+        Ok(Settled { guess, expected: round.views.into_iter().map(|view| Some(view.expected_colours)).collect() })
+    }
+
+    /// The second round.
+    pub(crate) fn measure(&self, settled: Settled) -> Result<TubeFit, NoFit> {
+        let Settled { guess, expected } = settled;
+        let mut round = self.round(
+            &guess,
+            Selection { density: Density::All, margin_px: self.margin_px, weighing: Weighing::Own },
+            expected,
+        )?;
+        let minimum = round.minimise(guess, FINE_TOLERANCE)?;
+        round.conclude(minimum)
+    }
+
+    /// Selects samples around a guess.
+    fn round(&self, guess: &Guess, how: Selection, expected: Vec<Option<Vec<f64>>>) -> Result<Round<'_>, NoFit> {
+        let Self { stretch, picture, paths, model, sweep, ranges_m, .. } = *self;
+        let seen = guess.images.par_iter().zip(ranges_m).zip(expected);
+        let views = seen
+            .map(|((image, range_m), expected)| View::select(stretch, *range_m, image, picture, model, how, expected));
+        let views = views.collect::<Result<Vec<_>, _>>()?;
         Ok(Round { stretch, paths, picture, model, sweep, views })
-    };
-    // 1. settle
-    let mut guess = Guess::new(stretch, paths, start.clone(), Vec::new(), sweep, &[])?;
-    let mut coarse_round = round(&guess, (Density::Fifth, Weighing::Assumed))?;
-    guess.colours = coarse_round.views.iter().map(|view| view.expected_colours.clone()).collect();
-    let coarse = coarse_round.minimise(guess, COARSE_TOLERANCE)?.end;
-    // 2. measure
-    let mut fine_round = round(&coarse, (Density::All, Weighing::Own))?;
-    let minimum = fine_round.minimise(coarse, FINE_TOLERANCE)?;
-    fine_round.conclude(minimum)
+    }
 }
 
 #[cfg(test)]
@@ -120,16 +173,14 @@ mod tests {
         let mut dice = Random::new(seed ^ 77);
         let mut off = || Vector3::new(dice.normal(), dice.normal(), dice.normal());
         let start = TubeShape::straight(tube.centre + off() * 0.15e-3, &(tube.direction + off() * 0.02), 6e-3);
-        let paths = views();
-        fit(
-            &stretch(),
-            &start,
-            &tube.picture(sensor, seed),
-            &[&paths[0], &paths[1]],
-            &[stretch().range_m; 2],
-            &model(),
-            None,
-        )
+        fit(&stretch(), &start, &tube.picture(sensor, seed), None)
+    }
+
+    fn fit(stretch: &Stretch, start: &TubeShape, picture: &Picture, sweep: Option<&Sweep>) -> Result<TubeFit, NoFit> {
+        let (paths, ranges_m, model) = (views(), [stretch.range_m; 2], model());
+        let paths = [&paths[0], &paths[1]];
+        Fitting { stretch, picture, paths: &paths, ranges_m: &ranges_m, model: &model, sweep, margin_px: 4.0 }
+            .fit(start)
     }
 
     #[test]
@@ -164,7 +215,6 @@ mod tests {
     fn motion_blur_is_modelled() {
         let still = Tube::along(Vector3::new(0.1, 1.0, 0.05));
         let way = Vector3::new(2.0e-3, 1.0e-3, 0.5e-3);
-        let paths = views();
         let start = TubeShape::straight(still.centre, &still.direction, 6e-3);
         // Twice as far since the previous frame.
         let sweep = Sweep {
@@ -172,10 +222,7 @@ mod tests {
             share: 0.5,
         };
         let picture = still.moving(way, Sensor::default(), 6);
-        let fitted = |sweep: Option<&Sweep>| {
-            fit(&stretch(), &start, &picture, &[&paths[0], &paths[1]], &[stretch().range_m; 2], &model(), sweep)
-                .unwrap()
-        };
+        let fitted = |sweep: Option<&Sweep>| fit(&stretch(), &start, &picture, sweep).unwrap();
         let (known, unknown) = (fitted(Some(&sweep)), fitted(None));
         let error = (known.shape.centre - still.centre).norm();
         assert!(error < 40e-6, "{:.1} µm", error * 1e6);
@@ -190,28 +237,37 @@ mod tests {
         let stretch = Stretch { radius_m: 6e-3, ..stretch() };
         let aside = tube.centre + Vector3::new(2.0e-3, 0.0, 1.5e-3);
         let start = TubeShape::straight(aside, &(tube.direction + Vector3::new(0.05, 0.0, -0.03)), 6e-3);
-        let paths = views();
-        let found = fit(
-            &stretch,
-            &start,
-            &tube.picture(Sensor::default(), 3),
-            &[&paths[0], &paths[1]],
-            &[stretch.range_m; 2],
-            &model(),
-            None,
-        )
-        .unwrap();
+        let found = fit(&stretch, &start, &tube.picture(Sensor::default(), 3), None).unwrap();
         assert!((found.shape.centre - tube.centre).norm() < 0.05e-3);
+    }
+
+    #[test]
+    fn a_first_round_tells_whether_it_ends_at_a_fit() {
+        let tube = Tube::along(Vector3::new(0.1, 1.0, 0.05));
+        let moved = Tube { centre: tube.centre + Vector3::x() * 0.5e-3, ..Tube::along(tube.direction) };
+        let (paths, ranges_m, model, stretch) = (views(), [stretch().range_m; 2], model(), stretch());
+        let paths = [&paths[0], &paths[1]];
+        let pictures = [&tube, &moved].map(|tube| tube.picture(Sensor::default(), 5));
+        let [here, there] = pictures.each_ref().map(|picture| Fitting {
+            stretch: &stretch,
+            picture,
+            paths: &paths,
+            ranges_m: &ranges_m,
+            model: &model,
+            sweep: None,
+            margin_px: 4.0,
+        });
+        let start = TubeShape::straight(tube.centre + Vector3::x() * 0.2e-3, &tube.direction, 6e-3);
+        let fit = here.fit(&start).unwrap();
+        assert!(here.settle(&start).unwrap().is_at(&fit, &stretch));
+        assert!(!there.settle(&start).unwrap().is_at(&fit, &stretch));
     }
 
     #[test]
     fn what_lies_outside_of_the_patches_changes_nothing_and_without_them_there_is_no_fit() {
         let tube = Tube::along(Vector3::new(0.1, 1.0, 0.05));
-        let paths = views();
         let start = TubeShape::straight(tube.centre, &tube.direction, 6e-3);
-        let fitted = |picture: &Picture| {
-            fit(&stretch(), &start, picture, &[&paths[0], &paths[1]], &[stretch().range_m; 2], &model(), None)
-        };
+        let fitted = |picture: &Picture| fit(&stretch(), &start, picture, None);
         let all = tube.picture(Sensor::default(), 4);
         let expected = fitted(&all).unwrap();
         let patches = all.windows_read(0);

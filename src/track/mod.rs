@@ -17,6 +17,7 @@ mod light;
 mod motion;
 mod no_fit;
 mod normal;
+mod padded;
 mod patch;
 mod places;
 mod round;

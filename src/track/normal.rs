@@ -7,6 +7,7 @@
 //! sums some hundred rows, and the loss is a millionth of the effect of noise.
 
 use crate::track::appearance::{BACKGROUND, CAP, FIXED, GRADIENT, Layout, PER_SEGMENT, SHADES, SHADING};
+use crate::track::padded::{PADDED, Padded, PaddedSquare, padded, unpadded, unpadded_square};
 use crate::track::tube::{SHAPE, ShapeBy, ShapeStep};
 use crate::track::tube_image::TubeImage;
 use multiversion::multiversion;
@@ -105,18 +106,14 @@ pub(crate) fn colour(i: usize, ring: usize, layout: &Layout) -> Option<usize> {
     }
 }
 
-/// How the shape moves a knot and the next, for each of [`MOVES`]; padded to whole vectors.
-fn moves(image: &TubeImage, knot: usize) -> [Padded; MOVES.len()] {
-    std::array::from_fn(|i| {
-        let mut padded = [0.0; PADDED];
-        padded[..SHAPE].copy_from_slice(image.knots[knot + i % 2].d_local[i / 2].as_slice());
-        padded
-    })
+/// How the shape moves a knot and the next, for each of [`MOVES`].
+fn moved(image: &TubeImage, knot: usize) -> [&ShapeStep; MOVES.len()] {
+    std::array::from_fn(|i| &image.knots[knot + i % 2].d_local[i / 2])
 }
 
-/// Shape parameters, padded to whole vectors.
-type Padded = [f64; PADDED];
-const PADDED: usize = SHAPE.next_multiple_of(4);
+fn moves(image: &TubeImage, knot: usize) -> [Padded; MOVES.len()] {
+    moved(image, knot).map(|moves| padded(moves.as_slice()))
+}
 
 /// How much an error of the prediction moves the shape, for each element of a row: `of_shape` and `of_colours` give it
 /// for the parameters.
@@ -126,19 +123,15 @@ pub(crate) fn influence(
     layout: &Layout,
     of_shape: &SMatrix<f64, SHAPE, SHAPE>,
     of_colours: &ShapeBy,
-) -> SMatrix<f64, SHAPE, ROW> {
-    let mut influence = SMatrix::<f64, SHAPE, ROW>::zeros();
-    for (i, mut column) in influence.column_iter_mut().enumerate() {
+) -> [Padded; ROW] {
+    let mut influence = [[0.0; PADDED]; ROW];
+    for (i, column) in influence.iter_mut().enumerate() {
         if let Some(at) = colour(i, span.ring, layout) {
-            column.copy_from(&of_colours.column(at));
+            *column = padded(of_colours.column(at).as_slice());
         }
     }
-    let moves = moves(image, span.knot);
-    for (i, moves) in MOVES.iter().zip(&moves) {
-        let mut column = influence.column_mut(*i);
-        for (by, from) in moves.iter().zip(of_shape.column_iter()) {
-            column.axpy(*by, &from, 1.0);
-        }
+    for (at, moves) in MOVES.into_iter().zip(moved(image, span.knot)) {
+        influence[at] = padded((of_shape * moves).as_slice());
     }
     influence
 }
@@ -159,8 +152,8 @@ pub(crate) struct Normal {
 #[derive(Debug, Clone)]
 pub(crate) struct Hessian {
     pub shape: SMatrix<f64, SHAPE, SHAPE>,
-    /// Shape (rows) and colours (columns).
-    pub cross: ShapeBy,
+    /// For each colour, its products with the shape.
+    pub cross: Vec<Padded>,
     /// Symmetric, only its lower triangle.
     pub colours: DMatrix<f64>,
 }
@@ -211,9 +204,9 @@ fn combined<const N: usize, const S: usize>(
     sum
 }
 
-/// Blocks mapped to the parameters; those of the shape are padded.
+/// Blocks mapped to the parameters.
 struct Mapped {
-    shape: [Padded; SHAPE],
+    shape: PaddedSquare,
     shape_gradient: Padded,
     cross: Vec<Padded>,
     colour_gradient: DVector<f64>,
@@ -360,10 +353,8 @@ struct SpanSums {
 
 impl Sums {
     /// For this many spans.
-    pub(crate) fn new(spans: usize) -> Self {
-        let mut sums = Self::default();
-        sums.spans.resize_with(spans, SpanSums::default);
-        sums
+    pub(crate) fn resize(&mut self, spans: usize) {
+        self.spans.resize_with(spans, SpanSums::default);
     }
 
     /// Adds samples of a span that see the same part of the tube: whole batches, with weights of zero where there is
@@ -418,14 +409,8 @@ impl Sums {
         self.background.clear();
 
         let Mapped { shape, shape_gradient, cross, colour_gradient } = mapped;
-        let unpadded = |padded: &Padded| ShapeStep::from_column_slice(&padded[..SHAPE]);
-        let hessian = Hessian {
-            shape: SMatrix::from_columns(&shape.map(|column| unpadded(&column))),
-            cross: ShapeBy::from_fn(colours, |i, j| cross[j][i]),
-            colours: all,
-        };
         Normal {
-            hessian: Arc::new(hessian),
+            hessian: Arc::new(Hessian { shape: unpadded_square(&shape), cross, colours: all }),
             shape_gradient: unpadded(&shape_gradient),
             colour_gradient,
             cost: 0.0,

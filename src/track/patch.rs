@@ -108,7 +108,7 @@ pub(crate) struct Patch {
     pub samples: Vec<Layer>,
     /// Cells of correlated errors, each the part of a square within one span, in their order: span and square.
     pub cells: Vec<(usize, usize)>,
-    /// How many squares there are.
+    /// How many squares have cells.
     pub squares: usize,
 }
 
@@ -169,7 +169,7 @@ impl Patch {
         [&self.pixels].into_iter().chain(&self.samples)
     }
 
-    /// Selects the samples on and beside the tube between the arc lengths `range_m`.
+    /// Selects the samples on the tube, and up to `margin_px` beside it, between the arc lengths `range_m`.
     ///
     /// # Errors
     /// When no part of it lies in the picture, or not all of it was recorded.
@@ -180,17 +180,19 @@ impl Patch {
         range_m: (f64, f64),
         chroma_offset_px: [f64; 2],
         density: Density,
+        margin_px: f64,
     ) -> Result<Self, NoFit> {
         let range = (image.knot_of(range_m.0), image.knot_of(range_m.1));
-        let (mut field, middle) = Field::around(image, range, picture.size_px()).ok_or(NoFit::OutOfPicture)?;
+        let (mut field, middle) =
+            Field::around(image, range, picture.size_px(), margin_px).ok_or(NoFit::OutOfPicture)?;
         let window = field.window();
         picture.declare_read(window).map_err(|_| NoFit::NotRecorded)?;
         let spans = Spans::new(image, layout);
         let places = spans.ordered(&spans.places(&field, range, density));
         field.number(&places);
         let across = field.width / CELL_PX + 1;
-        let squares = across * (field.height / CELL_PX + 1);
-        let (cells, of_places) = cells(&places, across, squares);
+        let all_squares = across * (field.height / CELL_PX + 1);
+        let (cells, squares, of_places) = cells(&places, across, all_squares);
         let mut patch = Self {
             middle,
             window,
@@ -351,22 +353,27 @@ impl Patch {
     }
 }
 
-/// Divides places into cells; returns these, and that of each place. `across` squares are in a row, `squares` in all.
-fn cells(places: &[Place], across: usize, squares: usize) -> (Vec<(usize, usize)>, Vec<u32>) {
-    let mut cells = Vec::new();
-    let mut last_in = vec![0; squares];
+/// Divides places into cells; returns these, how many squares they are in, and the cell of each place. `across` of
+/// `all_squares` are in a row.
+fn cells(places: &[Place], across: usize, all_squares: usize) -> (Vec<(usize, usize)>, usize, Vec<u32>) {
+    let mut cells: Vec<(usize, usize)> = Vec::with_capacity(places.len() / CELL_PX);
+    // The last cell in each square.
+    let mut last = vec![NONE; all_squares];
+    let mut squares = 0;
     let of = |place: &Place| {
         let [column, row] = place.at.map(|v| v as usize);
-        let own = (place.span as usize, row / CELL_PX * across + column / CELL_PX);
-        let cell: &mut usize = &mut last_in[own.1];
-        if cells.get(*cell).is_none_or(|cell| *cell != own) {
-            *cell = cells.len();
-            cells.push(own);
+        let last = &mut last[row / CELL_PX * across + column / CELL_PX];
+        let (span, known) = (place.span as usize, cells.get(*last as usize).copied());
+        if known.is_none_or(|(of, _)| of != span) {
+            let square = known.map_or(squares, |(_, square)| square);
+            squares = squares.max(square + 1);
+            *last = cells.len() as u32;
+            cells.push((span, square));
         }
-        *cell as u32
+        *last
     };
     let of_places = places.iter().map(of).collect();
-    (cells, of_places)
+    (cells, squares, of_places)
 }
 
 /// Stored values of each of some planes at columns and rows within them; `None` when there is no such data.

@@ -7,9 +7,6 @@ use crate::track::tube_image::{Foot, TubeImage};
 use nalgebra::{Point2, Vector2};
 use std::ops::Range;
 
-/// Background included on either side of the tube, pixels.
-const MARGIN_PX: f64 = 5.0;
-
 /// Further from the outline, or from a ring, only one colour is seen. This affects only the order of work.
 const OUT_OF_SIGHT_PX: f64 = 2.5;
 
@@ -50,6 +47,8 @@ pub(crate) struct Field {
     pub corner: [i64; 2],
     pub width: usize,
     pub height: usize,
+    /// Background included on either side of the tube, pixels.
+    margin_px: f64,
     /// Index of the used pixel at each position, rows of `stride` with a border.
     index: Vec<u32>,
     stride: usize,
@@ -67,12 +66,13 @@ impl Field {
         image: &TubeImage,
         (first, last): (f64, f64),
         [w, h]: [u32; 2],
+        margin_px: f64,
     ) -> Option<(Self, Vector2<f64>)> {
         let inside =
             image.knots.iter().enumerate().filter(|(i, _)| *i as f64 >= first - 1.0 && *i as f64 <= last + 1.0);
         let (mut low, mut high) = (Vector2::repeat(f64::INFINITY), Vector2::repeat(f64::NEG_INFINITY));
         for (_, knot) in inside {
-            let reach = Vector2::repeat(knot.half_width + MARGIN_PX + 1.0);
+            let reach = Vector2::repeat(knot.half_width + margin_px + 1.0);
             low = low.inf(&(knot.pixel.coords - reach));
             high = high.sup(&(knot.pixel.coords + reach));
         }
@@ -85,7 +85,7 @@ impl Field {
         let (width, height) = ((x1 - corner[0] + 1) as usize, (y1 - corner[1] + 1) as usize);
         let stride = width + 2 * BORDER;
         let index = vec![NONE; stride * (height + 2 * BORDER)];
-        Some((Self { corner, width, height, index, stride }, (low + high) / 2.0))
+        Some((Self { corner, width, height, margin_px, index, stride }, (low + high) / 2.0))
     }
 
     /// Its pixels.
@@ -207,7 +207,7 @@ impl<'a> Spans<'a> {
     /// The pixels of a field within the margin of the tube between two knot coordinates.
     pub(crate) fn places(&self, field: &Field, range: (f64, f64), density: Density) -> Vec<Place> {
         let mut places = Vec::with_capacity(field.width * field.height / 2);
-        let reach = self.image.greatest_half_width() + MARGIN_PX + self.image.sagitta();
+        let reach = self.image.greatest_half_width() + field.margin_px + self.image.sagitta();
         let mut feet = vec![[Foot::default(); ROWS]; field.width];
         for first in (0..field.height).step_by(ROWS) {
             let rows: [_; ROWS] = std::array::from_fn(|i| self.columns(field, first + i, reach, density));
@@ -226,7 +226,7 @@ impl<'a> Spans<'a> {
             }
             for (i, columns) in rows.into_iter().enumerate() {
                 for (column, feet) in columns.step_by(density.period() as usize).zip(&feet) {
-                    places.extend(self.place([column as u32, (first + i) as u32], &feet[i], range));
+                    places.extend(self.place([column as u32, (first + i) as u32], &feet[i], range, field.margin_px));
                 }
             }
         }
@@ -246,10 +246,10 @@ impl<'a> Spans<'a> {
 
     /// The place of a pixel; `None` outside the margin or the range.
     #[inline]
-    fn place(&self, at: [u32; 2], foot: &Foot, range: (f64, f64)) -> Option<Place> {
+    fn place(&self, at: [u32; 2], foot: &Foot, range: (f64, f64), margin_px: f64) -> Option<Place> {
         let Foot { knot, u } = *foot;
         let outside = u.abs() - self.image.half_width(knot);
-        if !(knot >= range.0 && knot <= range.1 && outside <= MARGIN_PX) {
+        if !(knot >= range.0 && knot <= range.1 && outside <= margin_px) {
             return None;
         }
         let span = self.of(knot);

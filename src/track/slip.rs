@@ -15,9 +15,10 @@
 
 use crate::track::appearance::Layout;
 use crate::track::normal::{ROW, Row, Seen as Sight, add_row, shifted};
+use crate::track::padded::{Padded, weighted};
 use crate::track::tube::{SHAPE, ShapeStep};
 use crate::track::tube_image::TubeImage;
-use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
+use nalgebra::{Matrix2, SMatrix, Vector2};
 
 /// The slips of one view's bands.
 pub(crate) struct Slips {
@@ -115,10 +116,10 @@ impl Slips {
     }
 
     /// Maps the sums of a span to the shape.
-    pub(crate) fn map(&mut self, span: usize, map: &SMatrix<f64, SHAPE, ROW>) {
+    pub(crate) fn map(&mut self, span: usize, map: &[Padded; ROW]) {
         let Some((band, rows)) = self.waiting[span].take() else { return };
         for (slip, row) in self.bands[band].iter_mut().zip(rows) {
-            slip.response += map * SVector::from(row.map(f64::from));
+            slip.response += weighted(map, row.map(f64::from));
         }
     }
 

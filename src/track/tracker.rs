@@ -12,7 +12,7 @@ use crate::source::{Frame, NotRecorded, Timestamp, Transfer, Window};
 use crate::track::appearance::{FIXED, PER_SEGMENT};
 use crate::track::assign::{Assigned, Assigner, direction_of_axes};
 use crate::track::coil::deflection;
-use crate::track::fit::{TubeFit, ViewFit, fit};
+use crate::track::fit::{Fitting, TubeFit, ViewFit};
 use crate::track::image_model::{ImageModel, ModelError};
 use crate::track::lamp::Lamp;
 use crate::track::last::Last;
@@ -54,6 +54,11 @@ const RING_PX: u32 = 4;
 /// standard deviations; any fit may have gone astray when it does by this factor.
 const CONTINUED_SD: f64 = 2.0;
 const UNUSUAL_RESIDUAL: f64 = 1.35;
+
+/// Background beside the tube that is fitted, pixels: as far as blur and neighbourhoods of chroma show the tube. Where
+/// models are compared, more of it tells what is noise.
+const TRACKED_PX: f64 = 4.0;
+const COMPARED_PX: f64 = 5.0;
 
 /// Half-life of observed chroma slips, frames.
 const SLIP_FRAMES: f64 = 20.0;
@@ -188,7 +193,7 @@ impl Tracker {
             found => found?,
         };
         // 2. the tube around them, fitted to the pictures of all views
-        let mut fitted = self.fit_groups(frame, &blobs, &assigned);
+        let mut fitted = self.fit_groups(frame, &blobs, &assigned, TRACKED_PX);
         self.judge(&mut fitted, &blobs, &assigned);
         self.keep_shapes(frame.stamp, &fitted);
         // 3. positions, tangent, deflection
@@ -238,7 +243,7 @@ impl Tracker {
     fn fit_alone(&mut self, frame: &Frame) -> Option<(Vec<Result<Assigned, Miss>>, Vec<Fitted>)> {
         let blobs = self.segmenter.all_blobs(&frame.picture).ok()?.to_vec();
         let assigned = Assigner::new(&self.rig).assign(&self.rig, &blobs, frame.stamp);
-        let fitted = self.fit_groups(frame, &blobs, &assigned);
+        let fitted = self.fit_groups(frame, &blobs, &assigned, COMPARED_PX);
         Some((assigned, fitted))
     }
 
@@ -289,7 +294,13 @@ impl Tracker {
         if assigned.iter().all(Result::is_ok) { Ok(Found { blobs, assigned }) } else { Err(why.into()) }
     }
 
-    fn fit_groups(&self, frame: &Frame, blobs: &[Blob], assigned: &[Result<Assigned, Miss>]) -> Vec<Fitted> {
+    fn fit_groups(
+        &self,
+        frame: &Frame,
+        blobs: &[Blob],
+        assigned: &[Result<Assigned, Miss>],
+        margin_px: f64,
+    ) -> Vec<Fitted> {
         let sees = |m: usize, v: usize| assigned[m].as_ref().is_ok_and(|a| a.blobs[v].is_some());
         let views = 0..self.rig.views.len();
         let together = |a: usize, b: usize| views.clone().filter(|&v| sees(a, v) && sees(b, v)).count() >= 2;
@@ -298,7 +309,7 @@ impl Tracker {
             .map(|group| {
                 let views: Vec<usize> =
                     views.clone().filter(|&v| group.members.iter().all(|&(m, _)| sees(m, v))).collect();
-                let result = self.fit_group(frame, blobs, assigned, &group, &views);
+                let result = self.fit_group(frame, (blobs, assigned), &group, &views, margin_px);
                 Fitted { group, views, result }
             })
             .collect()
@@ -368,10 +379,10 @@ impl Tracker {
     fn fit_group(
         &self,
         frame: &Frame,
-        blobs: &[Blob],
-        assigned: &[Result<Assigned, Miss>],
+        (blobs, assigned): (&[Blob], &[Result<Assigned, Miss>]),
         group: &Group,
         views: &[usize],
+        margin_px: f64,
     ) -> Result<TubeFit, Miss> {
         let reference = assigned[group.reference].as_ref().map_err(Clone::clone)?;
         let starts = group.members.iter().map(|&(m, s)| Ok((s, assigned[m].as_ref().map_err(Clone::clone)?.point)));
@@ -384,8 +395,16 @@ impl Tracker {
         let sweep = before
             .zip(self.rig.camera.exposure_s)
             .map(|((before, since_s), exposure_s)| Sweep { before: before.clone(), share: exposure_s / since_s });
-        let fit_from = |start: &TubeShape| {
-            let fit = fit(&group.stretch, start, &frame.picture, &paths, &ranges, &self.model, sweep.as_ref());
+        let fitting = Fitting {
+            stretch: &group.stretch,
+            picture: &frame.picture,
+            paths: &paths,
+            ranges_m: &ranges,
+            model: &self.model,
+            sweep: sweep.as_ref(),
+            margin_px,
+        };
+        let accepted = |fit: Result<TubeFit, NoFit>| {
             let fit = fit.map_err(|why| match why {
                 NoFit::OutOfPicture | NoFit::NotConverged => Miss::NotConverged,
                 NoFit::NotRecorded => Miss::NotRecorded,
@@ -393,6 +412,7 @@ impl Tracker {
             })?;
             self.accept(group, views, &starts, &fit).map(|()| fit)
         };
+        let fit_from = |start: &TubeShape| accepted(fitting.fit(start));
         let is_usual = |fit: &TubeFit| {
             let beyond = |(v, view): (&usize, &ViewFit)| self.usual.beyond(group.reference, *v, view.rms);
             views.iter().zip(&fit.views).all(|seen| beyond(seen).is_some_and(|sd| sd < CONTINUED_SD))
@@ -402,8 +422,6 @@ impl Tracker {
             Some(Ok(fit)) if is_usual(&fit) => return Ok(fit),
             _ => {}
         }
-        let straight = |direction| TubeShape::straight(reference.point, &direction, group.straight_half_m);
-        let first = fit_from(&straight(direction));
         // Blurred or half-hidden blobs tell little about the direction: the previous one may be closer, or the way from
         // the band before.
         let blurred = |fit: &TubeFit| fit.views.iter().any(|view| view.image.at_arc(0.0).swept.sum() > BLURRED_PX2);
@@ -411,6 +429,14 @@ impl Tracker {
             let ratio = |(v, view): (&usize, &ViewFit)| self.usual.ratio(group.reference, *v, view.rms);
             views.iter().zip(&fit.views).any(|seen| ratio(seen) > UNUSUAL_RESIDUAL)
         };
+        let straight = |direction| TubeShape::straight(reference.point, &direction, group.straight_half_m);
+        let settled = fitting.settle(&straight(direction));
+        let is_same = |fit: &TubeFit| settled.as_ref().is_ok_and(|settled| settled.is_at(fit, &group.stretch));
+        match continued {
+            Some(Ok(fit)) if !blurred(&fit) && !unusual(&fit) && is_same(&fit) => return Ok(fit),
+            _ => {}
+        }
+        let first = accepted(settled.and_then(|settled| fitting.measure(settled)));
         let (blurred, unusual) = match &first {
             Ok(fit) => (blurred(fit), unusual(fit)),
             Err(miss) => [matches!(miss, Miss::PoorFit { .. } | Miss::NotConverged); 2].into(),
@@ -651,7 +677,7 @@ mod tests {
             let at = |point| Ok(Assigned { point, blobs: vec![None, None] });
             let assigned = [Err(Miss::NotSeen { view: 0 }), at(tube.centre), at(tip)];
             let group = groups(&rig, |a, b| a > 0 && b > 0).remove(0);
-            tracker.fit_group(&frame, &[], &assigned, &group, &[0, 1])
+            tracker.fit_group(&frame, (&[], &assigned), &group, &[0, 1], TRACKED_PX)
         };
         let tip = tube.centre + tube.direction * 22e-3;
         assert!(fit_with_tip_at(tip).is_ok());

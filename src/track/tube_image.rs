@@ -99,56 +99,55 @@ impl TubeImage {
         let steps = ((range.1 - range.0) / spacing_m).ceil().max(1.0);
         let spacing_m = (range.1 - range.0) / steps;
         let mut beside = None;
-        let knots: Vec<Knot> = (0..=steps as usize)
-            .map(|i| {
-                let arc_m = range.0 + i as f64 * spacing_m;
-                let (point, direction, d) = shape.at(arc_m);
-                let known = nearby.and_then(|image| image.knots.get(i)).map(|knot| knot.projected);
-                let known = known.filter(|known| (point - known.point).norm_squared() < LINEAR_M * LINEAR_M);
-                let seen = match (known, &beside) {
-                    (Some(known), _) => known,
-                    (None, Some(beside)) => optics.project_beside(&point, beside)?,
-                    (None, None) => optics.project_with_jacobian(&point)?,
-                };
-                beside = Some(seen);
-                let pixel = seen.pixel + seen.d_pixel * (point - seen.point);
-                let along: Vector2<f64> = seen.d_pixel * direction;
-                let unit = along.normalize();
-                // The outline is where the line of sight grazes the tube: across both. The nearest side faces the
-                // camera.
-                let sight = seen.ray.direction;
-                let side = direction.cross(&sight).normalize();
-                let near = side.cross(&direction).normalize();
-                let near = if near.dot(&sight) > 0.0 { -near } else { near };
-                let half = seen.d_pixel * side * radius_m;
-                let half_width = (half.x * unit.y - half.y * unit.x).abs();
-                let bulge = (seen.d_pixel * near * radius_m).dot(&unit);
-                // Moving along the line of sight moves no pixel: bulge = radius · |along| · cos / sin of the angle
-                // between.
-                let d_direction = shape.d_direction(arc_m);
-                let (cos, sin) = (direction.dot(&sight), direction.cross(&sight).norm());
-                let d_bulge = (sight.transpose() * d_direction * (along.norm() / sin.powi(3))
-                    + unit.transpose() * seen.d_pixel * d_direction * (cos / sin))
-                    * radius_m;
-                let d_pixel = seen.d_pixel * d;
-                let across = Vector2::new(-unit.y, unit.x);
-                let way = sweep.map_or(Vector2::zeros(), |sweep| seen.d_pixel * sweep.way(arc_m, &point));
-                Ok(Knot {
-                    arc_m,
-                    pixel,
-                    along,
-                    scale: along.norm(),
-                    half_width,
-                    bulge,
-                    turn: shape.across().tr_mul(&direction),
-                    swept: Vector2::new(way.dot(&across), way.dot(&unit)).map(|way| way * way / 12.0),
-                    d_local: [d_pixel.tr_mul(&across), d_pixel.tr_mul(&unit), d_bulge.transpose()],
-                    d_pixel,
-                    d_point: seen.d_pixel,
-                    projected: seen,
-                })
-            })
-            .collect::<Result<_, NoRay>>()?;
+        let mut knots = Vec::with_capacity(steps as usize + 1);
+        for i in 0..=steps as usize {
+            let arc_m = range.0 + i as f64 * spacing_m;
+            let (point, direction, d) = shape.at(arc_m);
+            let known = nearby.and_then(|image| image.knots.get(i)).map(|knot| knot.projected);
+            let known = known.filter(|known| (point - known.point).norm_squared() < LINEAR_M * LINEAR_M);
+            let seen = match (known, &beside) {
+                (Some(known), _) => known,
+                (None, Some(beside)) => optics.project_beside(&point, beside)?,
+                (None, None) => optics.project_with_jacobian(&point)?,
+            };
+            beside = Some(seen);
+            let pixel = seen.pixel + seen.d_pixel * (point - seen.point);
+            let along: Vector2<f64> = seen.d_pixel * direction;
+            let unit = along.normalize();
+            // The outline is where the line of sight grazes the tube: across both. The nearest side faces the
+            // camera.
+            let sight = seen.ray.direction;
+            let side = direction.cross(&sight).normalize();
+            let near = side.cross(&direction).normalize();
+            let near = if near.dot(&sight) > 0.0 { -near } else { near };
+            let half = seen.d_pixel * side * radius_m;
+            let half_width = (half.x * unit.y - half.y * unit.x).abs();
+            let bulge = (seen.d_pixel * near * radius_m).dot(&unit);
+            // Moving along the line of sight moves no pixel: bulge = radius · |along| · cos / sin of the angle
+            // between.
+            let d_direction = shape.d_direction(arc_m);
+            let (cos, sin) = (direction.dot(&sight), direction.cross(&sight).norm());
+            let d_bulge = (sight.transpose() * d_direction * (along.norm() / sin.powi(3))
+                + unit.transpose() * seen.d_pixel * d_direction * (cos / sin))
+                * radius_m;
+            let d_pixel = seen.d_pixel * d;
+            let across = Vector2::new(-unit.y, unit.x);
+            let way = sweep.map_or(Vector2::zeros(), |sweep| seen.d_pixel * sweep.way(arc_m, &point));
+            knots.push(Knot {
+                arc_m,
+                pixel,
+                along,
+                scale: along.norm(),
+                half_width,
+                bulge,
+                turn: shape.across().tr_mul(&direction),
+                swept: Vector2::new(way.dot(&across), way.dot(&unit)).map(|way| way * way / 12.0),
+                d_local: [d_pixel.tr_mul(&across), d_pixel.tr_mul(&unit), d_bulge.transpose()],
+                d_pixel,
+                d_point: seen.d_pixel,
+                projected: seen,
+            });
+        }
         let pieces = knots.windows(2).map(|pair| hermite(&pair[0], &pair[1], spacing_m)).collect();
         Ok(Self { first_m: range.0, spacing_m, knots, pieces })
     }

@@ -36,18 +36,29 @@ pub(crate) enum Weighing {
     Own,
 }
 
+/// How the samples are selected and weighted.
+#[derive(Clone, Copy)]
+pub(crate) struct Selection {
+    pub density: Density,
+    /// Background on either side of the tube, pixels.
+    pub margin_px: f64,
+    pub weighing: Weighing,
+}
+
 /// A view's samples.
 pub(crate) struct View {
     pub comparison: Comparison,
     /// Initial colours, from the picture.
     pub expected_colours: Vec<f64>,
     noise: Noise,
-    /// Whether the noise is that of the next comparison.
-    own_noise: bool,
+    weighing: Weighing,
+    /// Whether it was compared before.
+    compared: bool,
 }
 
 impl View {
-    /// Selects the samples around an image of the stretch between two arc lengths.
+    /// Selects the samples around an image of the stretch between two arc lengths. The initial colours are looked up in
+    /// the picture unless they are known.
     ///
     /// # Errors
     /// When it is outside the picture, or not all of it was recorded.
@@ -57,30 +68,35 @@ impl View {
         image: &TubeImage,
         picture: &Picture,
         model: &ImageModel,
-        (density, weighing): (Density, Weighing),
+        Selection { density, margin_px, weighing }: Selection,
+        known_colours: Option<Vec<f64>>,
     ) -> Result<Self, NoFit> {
-        let patch = Patch::select(picture, image, &stretch.layout, range_m, model.chroma_offset_px, density)?;
+        let offset_px = model.chroma_offset_px;
+        let patch = Patch::select(picture, image, &stretch.layout, range_m, offset_px, density, margin_px)?;
         if picture.quantisation().and_then(|q| q.step_in(&patch.window)).is_some_and(|step| step > COARSEST) {
             return Err(NoFit::TooCoarse);
         }
-        let expected_colours = patch.colours(picture, image, &stretch.layout, &model.encoding);
-        let expected_colours = expected_colours.ok_or(NoFit::OutOfPicture)?;
-        let (noise, own_noise) = (start_noise(picture), weighing == Weighing::Own);
-        Ok(Self { comparison: Comparison::new(patch), expected_colours, noise, own_noise })
+        let shown = || patch.colours(picture, image, &stretch.layout, &model.encoding);
+        let expected_colours = known_colours.or_else(shown).ok_or(NoFit::OutOfPicture)?;
+        let (comparison, noise) = (Comparison::new(patch), start_noise(picture));
+        Ok(Self { comparison, expected_colours, noise, weighing, compared: false })
     }
 
     /// Renders the view and sums its normal equations, the prior of its colours included. With the equations `before`,
     /// the last ones of a very similar image, only the gradient is new.
     pub(crate) fn compare(&mut self, scene: &Scene<'_>, picture: &Picture, before: Option<&Normal>) -> Normal {
         self.comparison.render(scene);
-        if std::mem::take(&mut self.own_noise) {
+        let is_first = !std::mem::replace(&mut self.compared, true);
+        if is_first && self.weighing == Weighing::Own {
             self.noise = noise_of(&self.comparison.squares(&self.noise), picture);
         }
         let colours = scene.colours;
         let mut normal = match before {
             Some(before) => self.comparison.gradient(before, scene, &self.noise),
             None => {
-                let mut normal = self.comparison.normal(scene, &self.noise);
+                // The first comparison of a fit is hardly ever its last.
+                let for_scatter = !is_first && self.weighing == Weighing::Own;
+                let mut normal = self.comparison.normal(scene, &self.noise, for_scatter);
                 let own = &mut Arc::make_mut(&mut normal.hessian).colours;
                 (0..colours.len()).for_each(|i| own[(i, i)] += prior(i).1.powi(-2));
                 normal
