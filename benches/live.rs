@@ -17,8 +17,8 @@ use std::net::UdpSocket;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-/// What is tried: rates, Hz, each for so many seconds.
-const TRIED: [(f64, f64); 9] = [
+/// What is tried: rates, Hz, each for so many seconds. (Memory is for ten seconds at 600 Hz.)
+const TRIED: [(f64, f64); 15] = [
     (60.0, 60.0),
     (120.0, 4.0),
     (240.0, 4.0),
@@ -26,8 +26,14 @@ const TRIED: [(f64, f64); 9] = [
     (360.0, 4.0),
     (420.0, 4.0),
     (480.0, 4.0),
-    (600.0, 4.0),
     (600.0, 10.0),
+    (600.0, 10.0),
+    (600.0, 10.0),
+    (600.0, 10.0),
+    (600.0, 10.0),
+    (600.0, 10.0),
+    (720.0, 4.0),
+    (900.0, 4.0),
 ];
 
 /// Frames of the first run that are looked at.

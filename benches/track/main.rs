@@ -11,6 +11,7 @@
 mod looped;
 mod opencv_script;
 mod program;
+mod recoded;
 mod stages;
 #[path = "../support/stopwatch.rs"]
 mod stopwatch;
@@ -20,12 +21,23 @@ use catoptra::rig::Rig;
 use std::error::Error;
 use std::path::Path;
 
+/// Other coders are slow.
+const RECODED_FRAMES: usize = 100;
+
 fn main() -> Result<(), Box<dyn Error + Send + Sync>> {
     let repository = Path::new(env!("CARGO_MANIFEST_DIR"));
     let recording = repository.join("sample_frames/planar.mkv");
     let rig_file = repository.join("calibration/dev_tank/rig.toml");
     let rig = Rig::load(&rig_file)?;
     stages::print(&recording, &rig)?;
+    println!("\n{}: H.264", recording.file_name().unwrap_or_default().display());
     whole_runs::print(&recording, &rig)?;
+    let folder = tempfile::tempdir()?;
+    for coder in ["ffv1", "mjpeg"] {
+        let to = folder.path().join(coder).with_extension("mkv");
+        recoded::recoded(&recording, RECODED_FRAMES, coder, &to)?;
+        println!("\nthe first {RECODED_FRAMES} frames, by the coder {coder}");
+        whole_runs::print(&to, &rig)?;
+    }
     program::print(&recording, &rig_file)
 }

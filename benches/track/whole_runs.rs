@@ -93,7 +93,12 @@ impl Job {
         let stream = input.streams().best(av::media::Type::Video).ok_or("no video")?;
         let index = stream.index();
         let mut context = av::codec::Context::from_parameters(stream.parameters())?;
-        let mut threading = av::threading::Config::kind(av::threading::Type::Frame);
+        // As fast as libav can: FFV1's threads share each picture.
+        let is_ffv1 = context.id() == av::codec::Id::FFV1;
+        let mut threading = av::threading::Config::kind(match is_ffv1 {
+            true => av::threading::Type::Slice,
+            false => av::threading::Type::Frame,
+        });
         threading.count = self.threads;
         context.set_threading(threading);
         let mut decoder = context.decoder().video()?;
