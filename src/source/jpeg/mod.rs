@@ -6,9 +6,11 @@
 //! of step. What this cannot detect: a changed bit that leaves the codes in step, which changes one coefficient;
 //! anything in progressive and arithmetic-coded pictures.
 
+mod codes;
 mod samples;
 mod steps;
 
+use codes::{Bits, Block, BlockCoder, Table};
 use samples::Samples;
 use steps::has_step;
 
@@ -17,11 +19,9 @@ const HUFFMAN: u8 = 0xc4;
 const QUANTIZATION: u8 = 0xdb;
 const RESTART_INTERVAL: u8 = 0xdd;
 const START_OF_SCAN: u8 = 0xda;
-const RESTART: std::ops::RangeInclusive<u8> = 0xd0..=0xd7;
 const END_OF_IMAGE: [u8; 2] = [0xff, 0xd9];
 /// Coefficients of 8-bit samples are smaller, apart from rounding.
 const LARGEST_COEFFICIENT: i32 = 1200;
-const EXCESS_DATA: &str = "there is more coded picture than the picture has blocks";
 const OUT_OF_RANGE: &str = "there are samples out of range";
 
 /// Whether it is a JPEG without an end marker. The marker cannot occur by chance in coded data (ITU-T T.81, B.1.1.5),
@@ -88,6 +88,16 @@ struct Component {
     /// Blocks in an interleaved unit.
     sampling: [usize; 2],
     quantization: usize,
+}
+
+/// A component in a scan.
+struct Part<'a> {
+    /// Blocks in a unit of the scan.
+    sampling: [usize; 2],
+    coder: BlockCoder<'a>,
+    allowed: Samples,
+    /// The mean brightness of its blocks in each unit.
+    means: Vec<i32>,
 }
 
 impl Picture {
@@ -186,248 +196,59 @@ impl Picture {
         for two in rest.chunks_exact(2).take(usize::from(*count)) {
             let [id, tables] = two else { return Err(HEAD) };
             let component = self.components.iter().find(|c| c.id == *id).ok_or(HEAD)?;
-            let table = |tables: &'_ [Option<Table>; 4], at: u8| tables.get(usize::from(at)).cloned().flatten();
-            let (direct, others) = (table(&self.direct, tables >> 4), table(&self.others, tables & 15));
-            let quantization = self.quantization.get(component.quantization).copied().flatten();
+            let direct = self.direct.get(usize::from(tables >> 4)).and_then(Option::as_ref);
+            let others = self.others.get(usize::from(tables & 15)).and_then(Option::as_ref);
+            let steps = self.quantization.get(component.quantization).and_then(Option::as_ref);
             // Motion JPEG may omit the standard tables.
-            let (Some(direct), Some(others), Some(quantization)) = (direct, others, quantization) else {
-                return Ok(None);
-            };
-            parts.push((*component, direct, others, quantization));
-        }
-        if parts.is_empty() || parts.len() != usize::from(*count) {
-            return Err(HEAD);
+            let (Some(direct), Some(others), Some(steps)) = (direct, others, steps) else { return Ok(None) };
+            parts.push(Part {
+                sampling: component.sampling,
+                coder: BlockCoder::new(direct, others, steps),
+                allowed: Samples::new(steps),
+                means: Vec::new(),
+            });
         }
         let most = |axis: usize| self.components.iter().map(|c| c.sampling[axis]).max().unwrap_or(1);
         let most = [most(0), most(1)];
-        let alone = parts.len() == 1;
-        let units: usize = match parts.first() {
-            // Blocks of a single component are not padded to whole units.
-            Some((component, ..)) if alone => {
-                (0..2).map(|i| (self.size_px[i] * component.sampling[i]).div_ceil(most[i]).div_ceil(8)).product()
+        let across = |axis: usize, sampling: usize| (self.size_px[axis] * sampling).div_ceil(most[axis]).div_ceil(8);
+        // Blocks of a single component are not padded to whole units.
+        let [width, height] = match &mut parts[..] {
+            [] => return Err(HEAD),
+            [alone] => {
+                let blocks = [0, 1].map(|axis| across(axis, alone.sampling[axis]));
+                alone.sampling = [1, 1];
+                blocks
             }
-            _ => (0..2).map(|i| self.size_px[i].div_ceil(8 * most[i])).product(),
+            _ => [0, 1].map(|axis| self.size_px[axis].div_ceil(8 * most[axis])),
         };
-        let width = match parts.first() {
-            Some((component, ..)) if alone => (self.size_px[0] * component.sampling[0]).div_ceil(most[0]).div_ceil(8),
-            _ => self.size_px[0].div_ceil(8 * most[0]),
-        };
-        let allowed: Vec<Samples> = parts.iter().map(|(.., quantization)| Samples::new(quantization)).collect();
+        if parts.len() != usize::from(*count) {
+            return Err(HEAD);
+        }
         let mut bits = Bits::new(coded);
-        let mut direct_before = vec![0; parts.len()];
-        let mut means = vec![Vec::new(); parts.len()];
-        for unit in 0..units {
+        let mut block = Block::EMPTY;
+        for unit in 0..width * height {
             if self.restart_every > 0 && unit > 0 && unit % self.restart_every == 0 {
                 bits.restart(unit / self.restart_every - 1)?;
-                direct_before.fill(0);
+                parts.iter_mut().for_each(|part| part.coder.restart());
             }
-            let of_parts = parts.iter().zip(&allowed).zip(&mut direct_before).zip(&mut means);
-            for ((((component, direct, others, quantization), allowed), before), means) in of_parts {
-                let blocks = if alone { 1 } else { component.sampling[0] * component.sampling[1] };
+            for part in &mut parts {
+                let blocks = part.sampling[0] * part.sampling[1];
                 let mut sum = 0;
                 for _ in 0..blocks {
-                    let coefficients = block(&mut bits, direct, others, quantization, before)?;
-                    if !allowed.allow(&coefficients) {
+                    part.coder.read(&mut bits, &mut block)?;
+                    if !part.allowed.allow(&block) {
                         return Err(OUT_OF_RANGE);
                     }
-                    sum += coefficients[0];
+                    sum += block.mean;
                 }
-                means.push(sum / blocks as i32);
+                part.means.push(sum / blocks as i32);
             }
         }
         let rest = bits.end()?;
-        if means.iter().any(|means| has_step(means, width)) {
+        if parts.iter().any(|part| has_step(&part.means, width)) {
             return Err("the brightness of all that follows a block is off");
         }
         Ok(Some(rest))
-    }
-}
-
-/// A block's coefficients, in the order of the scan, multiplied by their steps.
-fn block(
-    bits: &mut Bits<'_>,
-    direct: &Table,
-    others: &Table,
-    quantization: &[i32; 64],
-    before: &mut i32,
-) -> Result<[i32; 64], &'static str> {
-    let step = |k: usize| quantization.get(k).copied().unwrap_or(1);
-    let fits =
-        |value: i32, k: usize| value.saturating_abs().saturating_sub(1).saturating_mul(step(k)) <= LARGEST_COEFFICIENT;
-    let size = direct.next(bits)?;
-    if size > 11 {
-        return Err(OUT_OF_RANGE);
-    }
-    *before += bits.value(size)?;
-    if !fits(*before, 0) {
-        return Err(OUT_OF_RANGE);
-    }
-    let mut coefficients = [0; 64];
-    coefficients[0] = before.saturating_mul(step(0));
-    let mut k = 1;
-    while k < 64 {
-        let code = others.next(bits)?;
-        let (run, size) = (usize::from(code >> 4), code & 15);
-        if size == 0 {
-            if run != 15 {
-                break;
-            }
-            k += 16;
-            continue;
-        }
-        k += run;
-        if k > 63 {
-            return Err("a block has too many coefficients");
-        }
-        let value = bits.value(size)?;
-        if !fits(value, k) {
-            return Err(OUT_OF_RANGE);
-        }
-        coefficients[k] = value.saturating_mul(step(k));
-        k += 1;
-    }
-    if k > 64 { Err("a block has too many coefficients") } else { Ok(coefficients) }
-}
-
-/// A table of Huffman codes.
-#[derive(Clone)]
-struct Table {
-    /// For codes of up to 8 bits, by the next 8 bits: length and value.
-    short: Box<[(u8, u8); 256]>,
-    /// For each length, the first code and the values of all codes.
-    long: Vec<(u32, Vec<u8>)>,
-}
-
-impl Table {
-    fn new(counts: &[u8; 16], values: &[u8]) -> Option<Self> {
-        let mut table = Self { short: Box::new([(0, 0); 256]), long: Vec::with_capacity(16) };
-        let (mut code, mut values) = (0_u32, values.iter());
-        for (length, count) in (1_u32..).zip(counts) {
-            let these: Vec<u8> = values.by_ref().take(usize::from(*count)).copied().collect();
-            if length <= 8 {
-                for (k, value) in (code..).zip(&these) {
-                    let from = (k << (8 - length)) as usize;
-                    table.short.get_mut(from..from + (1 << (8 - length)))?.fill((length as u8, *value));
-                }
-            }
-            let after = code + these.len() as u32;
-            if after > 1 << length {
-                return None;
-            }
-            table.long.push((code, these));
-            code = after << 1;
-        }
-        Some(table)
-    }
-
-    fn next(&self, bits: &mut Bits<'_>) -> Result<u8, &'static str> {
-        bits.fill();
-        let index = if bits.count >= 8 { bits.held >> (bits.count - 8) } else { bits.held << (8 - bits.count) } & 0xff;
-        if let Some((length, value)) = self.short.get(index as usize).copied()
-            && length > 0
-            && u32::from(length) <= bits.count
-        {
-            bits.count -= u32::from(length);
-            return Ok(value);
-        }
-        let mut code = 0;
-        for (first, values) in &self.long {
-            code = (code << 1) | bits.bit()?;
-            let value = code.checked_sub(*first).and_then(|k| values.get(k as usize));
-            if let Some(value) = value {
-                return Ok(*value);
-            }
-        }
-        Err("there is a code that no table has")
-    }
-}
-
-/// The bits of a scan.
-struct Bits<'a> {
-    rest: &'a [u8],
-    held: u64,
-    count: u32,
-}
-
-impl<'a> Bits<'a> {
-    fn new(rest: &'a [u8]) -> Self {
-        Self { rest, held: 0, count: 0 }
-    }
-
-    /// Reads bytes, up to a marker.
-    fn fill(&mut self) {
-        while self.count <= 48 {
-            let byte = match self.rest {
-                [0xff, 0, rest @ ..] => {
-                    self.rest = rest;
-                    0xff
-                }
-                [0xff, ..] | [] => return,
-                [byte, rest @ ..] => {
-                    self.rest = rest;
-                    *byte
-                }
-            };
-            self.held = (self.held << 8) | u64::from(byte);
-            self.count += 8;
-        }
-    }
-
-    fn bit(&mut self) -> Result<u32, &'static str> {
-        self.bits(1).map(|bit| bit as u32)
-    }
-
-    fn bits(&mut self, count: u8) -> Result<u64, &'static str> {
-        self.fill();
-        let left = self.count.checked_sub(count.into()).ok_or("the coded picture ends early")?;
-        self.count = left;
-        Ok((self.held >> left) & ((1 << count) - 1))
-    }
-
-    /// A value of `size` bits; the upper half of the codes is positive.
-    fn value(&mut self, size: u8) -> Result<i32, &'static str> {
-        if size == 0 {
-            return Ok(0);
-        }
-        let value = self.bits(size)? as i32;
-        Ok(if value < 1 << (size - 1) { value - (1 << size) + 1 } else { value })
-    }
-
-    /// Skips restart marker number `index`.
-    fn restart(&mut self, index: usize) -> Result<(), &'static str> {
-        const MISSING: &str = "a restart marker is missing";
-        self.fill();
-        if self.count >= 8 {
-            return Err(MISSING);
-        }
-        match self.rest {
-            [0xff, code, rest @ ..] if RESTART.contains(code) && usize::from(code & 7) == index % 8 => {
-                *self = Self::new(rest);
-                Ok(())
-            }
-            _ => Err(MISSING),
-        }
-    }
-
-    /// The end of the scan: only padding may be left. Returns what follows.
-    fn end(mut self) -> Result<&'a [u8], &'static str> {
-        self.fill();
-        let padding = |byte: u64| byte == 0 || byte == 0xff;
-        // The padding of the last byte is ones (T.81, F.1.2.3), with some encoders zeros.
-        let (begun, ones) = (self.count % 8, (1 << (self.count % 8)) - 1);
-        let rest = (self.held >> (self.count - begun)) & ones;
-        if rest != 0 && rest != ones {
-            return Err(EXCESS_DATA);
-        }
-        self.count -= begun;
-        while self.count >= 8 {
-            self.count -= 8;
-            if !padding((self.held >> self.count) & 0xff) {
-                return Err(EXCESS_DATA);
-            }
-            self.fill();
-        }
-        Ok(self.rest)
     }
 }
 

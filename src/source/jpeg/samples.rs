@@ -4,7 +4,9 @@
 //! the stored one. The transform is orthonormal and keeps distances, so the stored block can be no further from one
 //! with samples in range than the steps allow.
 
+use super::codes::Block;
 use std::f32::consts::{FRAC_1_SQRT_2, PI};
+use std::iter;
 
 /// Largest distance of a sample from mid-range, with the decoder's rounding.
 const MAX_DEVIATION: f32 = 128.5;
@@ -38,18 +40,16 @@ impl Samples {
         Self { waves, tolerance: quantization.iter().map(|q| (MAX_CODER_ERROR * *q as f32).powi(2)).sum() }
     }
 
-    /// Whether these coefficients, in scan order and multiplied by their steps, are possible for 8-bit samples.
-    pub(super) fn allow(&self, coefficients: &[i32; 64]) -> bool {
+    /// Whether a block is possible for 8-bit samples.
+    pub(super) fn allow(&self, block: &Block) -> bool {
         // Most blocks are far from either end of the range.
-        let [direct, others @ ..] = coefficients;
-        let waves: u32 = others.iter().map(|c| c.unsigned_abs()).sum();
-        if direct.unsigned_abs() as f32 / 8.0 + waves as f32 / 4.0 <= MAX_DEVIATION {
+        if block.mean.unsigned_abs() as f32 / 8.0 + block.sum as f32 / 4.0 <= MAX_DEVIATION {
             return true;
         }
         let mut rows = [[0.0; 8]; 8];
-        for (coefficient, at) in coefficients.iter().zip(ZIGZAG).filter(|(c, _)| **c != 0) {
-            let (v, u) = (usize::from(at / 8), usize::from(at % 8));
-            add(&mut rows[v], &self.waves[u], *coefficient as f32);
+        for (k, value) in iter::once((0, block.mean)).chain(block.waves()) {
+            let Some((v, u)) = ZIGZAG.get(k).map(|at| (usize::from(at / 8), usize::from(at % 8))) else { continue };
+            add(&mut rows[v], &self.waves[u], value as f32);
         }
         let mut off = [0.0; 8];
         for y in 0..8 {
@@ -73,14 +73,9 @@ mod tests {
     #[test]
     fn samples_in_range_are_allowed_and_others_are_not() {
         let fine = Samples::new(&[4; 64]);
-        let block = |pairs: &[(usize, i32)]| {
-            let mut block = [0; 64];
-            pairs.iter().for_each(|(k, value)| block[*k] = *value);
-            block
-        };
         // The brightest field, a black and white board, and values out of range by less than the steps.
-        assert!(fine.allow(&block(&[(0, 1016)])));
-        assert!(fine.allow(&block(&[(0, 1040)])));
+        assert!(fine.allow(&Block::of(&[(0, 1016)])));
+        assert!(fine.allow(&Block::of(&[(0, 1040)])));
         let edge = [0, 1, 2, 3, 4, 5, 6, 7].map(|x| if x < 4 { -128.0 } else { 127.0 });
         let of_edge: Vec<(usize, i32)> = (0..8)
             .map(|u| {
@@ -89,10 +84,10 @@ mod tests {
                 (k, (sum * 8.0 * fine.waves[0][0]).round() as i32)
             })
             .collect();
-        assert!(fine.allow(&block(&of_edge)), "{of_edge:?}");
+        assert!(fine.allow(&Block::of(&of_edge)), "{of_edge:?}");
         // A far too bright mean, alone and with a large wave on it.
-        assert!(!fine.allow(&block(&[(0, 1200)])));
-        assert!(!fine.allow(&block(&[(0, 700), (1, 700)])));
-        assert!(Samples::new(&[99; 64]).allow(&block(&[(0, 700), (1, 700)])));
+        assert!(!fine.allow(&Block::of(&[(0, 1200)])));
+        assert!(!fine.allow(&Block::of(&[(0, 700), (1, 700)])));
+        assert!(Samples::new(&[99; 64]).allow(&Block::of(&[(0, 700), (1, 700)])));
     }
 }
