@@ -428,17 +428,28 @@ fn add_mapped(square: &mut Padded, sum: &Row, map: &[Padded; ROW]) {
 fn weigh(weights: &mut [f32], residuals: &[f32], near: &[f32], [of_near, of_far]: [f32; 2]) -> [f32; 3] {
     // Sums of eight, so that the order of the additions does not depend on the vectors' width.
     let mut sums = [[0.0_f32; 8]; 3];
-    let parts = weights.chunks_mut(8).zip(residuals.chunks(8)).zip(near.chunks(8));
-    for ((weights, residuals), near) in parts {
-        for (i, ((weight, residual), near)) in weights.iter_mut().zip(residuals).zip(near).enumerate() {
-            let per_sigma = if *near > 0.0 { of_near } else { of_far };
-            let z = residual.abs() * per_sigma;
+    let (eights, last) = residuals.as_chunks::<8>();
+    let (near_eights, near_last) = near.as_chunks::<8>();
+    let (to_eights, to_last) = weights.as_chunks_mut::<8>();
+    let mut weigh = |residuals: &[f32; 8], near: &[f32; 8]| {
+        let mut weights = [0.0; 8];
+        for i in 0..8 {
+            let per_sigma = if near[i] > 0.0 { of_near } else { of_far };
+            let z = residuals[i].abs() * per_sigma;
             let inside = z.min(HUBER);
             sums[0][i] += inside * (2.0 * z - inside);
-            sums[1][i] += inside * inside * near;
-            sums[2][i] += inside * inside * (1.0 - near);
-            *weight = per_sigma * per_sigma * (HUBER / z.max(HUBER));
+            sums[1][i] += inside * inside * near[i];
+            sums[2][i] += inside * inside * (1.0 - near[i]);
+            weights[i] = per_sigma * per_sigma * (HUBER / z.max(HUBER));
         }
+        weights
+    };
+    for ((to, residuals), near) in to_eights.iter_mut().zip(eights).zip(near_eights) {
+        *to = weigh(residuals, near);
     }
+    // Filled up with residuals of zero, which add nothing.
+    let [residuals, near] = [last, near_last].map(|last| std::array::from_fn(|i| last.get(i).copied().unwrap_or(0.0)));
+    let weights = weigh(&residuals, &near);
+    to_last.iter_mut().zip(weights).for_each(|(to, weight)| *to = weight);
     sums.map(|sum| sum.iter().sum())
 }
