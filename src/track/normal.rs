@@ -279,6 +279,7 @@ const BATCH: usize = 8;
 struct Block<const N: usize> {
     hessian: [[f32; N]; N],
     gradient: [f32; N],
+    /// Whether anything was added; if not, the sums are not those of this time.
     used: bool,
 }
 
@@ -291,21 +292,28 @@ impl<const N: usize> Default for Block<N> {
 impl<const N: usize> Block<N> {
     /// Adds whole batches of rows, with their residuals and weights.
     fn add(&mut self, rows: &[Row], residuals: &[f32], weights: &[f32]) {
-        self.used = true;
         let batches = rows.as_chunks().0.iter().zip(residuals.as_chunks().0).zip(weights.as_chunks().0);
         for ((rows, residuals), weights) in batches {
-            accumulate(self, rows, residuals, weights);
+            if self.used {
+                accumulate::<N, false>(self, rows, residuals, weights);
+            } else {
+                accumulate::<N, true>(self, rows, residuals, weights);
+                self.used = true;
+            }
         }
     }
 
     fn clear(&mut self) {
-        *self = Self::default();
+        self.used = false;
     }
 }
 
-/// Adds the products of the rows with each other and with the residuals.
+/// Elements that are summed in one vector.
+const LANES: usize = 8;
+
+/// Adds the products of the rows with each other and with the residuals; the first ones replace the sums.
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512dq+avx512vl", "x86_64+avx2"))]
-fn accumulate<const N: usize>(
+fn accumulate<const N: usize, const FIRST: bool>(
     block: &mut Block<N>,
     rows: &[Row; BATCH],
     residuals: &[f32; BATCH],
@@ -319,22 +327,39 @@ fn accumulate<const N: usize>(
         }
     }
     // Kept in memory, from where a number is spread over a vector at no cost.
-    let [wa, wb, wc, wd, we, wf, wg, wh] = std::hint::black_box(&weighed);
-    let [ra, rb, rc, rd, re, rf, rg, rh] = residuals;
-    let [a, b, c, d, e, f, g, h] = rows;
-    // Plain loops, which the compiler vectorises wherever it inlines. The whole square: the unneeded half costs less
-    // than loops of different lengths.
-    for (i, sums) in hessian.iter_mut().enumerate() {
-        for j in 0..N {
-            let first = (wa[i] * a[j] + wb[i] * b[j]) + (wc[i] * c[j] + wd[i] * d[j]);
-            let second = (we[i] * e[j] + wf[i] * f[j]) + (wg[i] * g[j] + wh[i] * h[j]);
-            sums[j] += first + second;
-        }
+    let weighed = std::hint::black_box(&weighed);
+    products::<N, 0, FIRST>(hessian, weighed, rows);
+    if N > LANES {
+        products::<N, LANES, FIRST>(hessian, weighed, rows);
     }
+    if N > 2 * LANES {
+        products::<N, { 2 * LANES }, FIRST>(hessian, weighed, rows);
+    }
+    let [wa, wb, wc, wd, we, wf, wg, wh] = weighed;
+    let [ra, rb, rc, rd, re, rf, rg, rh] = residuals;
     for j in 0..N {
         let first = (wa[j] * ra + wb[j] * rb) + (wc[j] * rc + wd[j] * rd);
         let second = (we[j] * re + wf[j] * rf) + (wg[j] * rg + wh[j] * rh);
-        gradient[j] += first + second;
+        let sum = first + second;
+        gradient[j] = if FIRST { sum } else { gradient[j] + sum };
+    }
+}
+
+/// The products of some elements of the rows, as many as are summed in one vector, with these and all later ones.
+#[inline(always)]
+fn products<const N: usize, const FROM: usize, const FIRST: bool>(
+    hessian: &mut [[f32; N]; N],
+    [wa, wb, wc, wd, we, wf, wg, wh]: &[[f32; N]; BATCH],
+    [a, b, c, d, e, f, g, h]: &[Row; BATCH],
+) {
+    // Plain loops, which the compiler vectorises wherever it inlines.
+    for i in FROM..FROM + LANES {
+        for j in FROM..N {
+            let first = (wa[i] * a[j] + wb[i] * b[j]) + (wc[i] * c[j] + wd[i] * d[j]);
+            let second = (we[i] * e[j] + wf[i] * f[j]) + (wg[i] * g[j] + wh[i] * h[j]);
+            let sum = first + second;
+            hessian[i][j] = if FIRST { sum } else { hessian[i][j] + sum };
+        }
     }
 }
 
