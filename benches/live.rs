@@ -36,6 +36,9 @@ const TRIED: [(f64, f64); 15] = [
     (900.0, 4.0),
 ];
 
+/// Where the catheter turns by itself in the sample: from its beginning, at rest, to here and back it moves as it can.
+const TURNS_AT: usize = 287;
+
 /// Frames of the first run that are looked at.
 const SLOWEST: usize = 20;
 
@@ -89,13 +92,14 @@ fn copy(picture: &Picture) -> Picture {
     Picture::from_planes(width, height, picture.format(), picture.colour(), planes).unwrap()
 }
 
-/// The sample's pictures.
+/// The sample's pictures, as far as they are used.
 fn decoded() -> Vec<Picture> {
     let mut recording = VideoFile::open("sample_frames/planar.mkv", VideoOptions::default()).unwrap();
-    std::iter::from_fn(|| recording.next_frame().unwrap()).map(|frame| frame.picture).collect()
+    let frames = std::iter::from_fn(|| recording.next_frame().unwrap());
+    frames.take(TURNS_AT + 1).map(|frame| frame.picture).collect()
 }
 
-/// Number `i` of them, taken forwards and backwards, so that the catheter does not jump.
+/// Number `i` of them, taken forwards and backwards, so that the catheter neither jumps nor turns at once.
 fn repeated(pictures: &[Picture], i: usize) -> Picture {
     let last = pictures.len() - 1;
     copy(&pictures[last - (i % (2 * last)).abs_diff(last)])
