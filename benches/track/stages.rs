@@ -29,7 +29,8 @@ struct Times {
 
 /// Measures and prints.
 pub(crate) fn print(recording: &Path, rig: &Rig) -> Result<(), Box<dyn Error + Send + Sync>> {
-    let one_thread = rayon::ThreadPoolBuilder::new().num_threads(1).build()?;
+    // This one, so that all stages run where the script does.
+    let one_thread = rayon::ThreadPoolBuilder::new().num_threads(1).use_current_thread().build()?;
     let mut source = source::open(recording, SourceOptions { decoder_threads: 1, ..SourceOptions::default() })?;
     let mut script = Script::new()?;
     let mut segmenter = Segmenter::for_rig(rig)?;

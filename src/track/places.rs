@@ -345,3 +345,68 @@ fn feet(
         *outside = u.abs() - (half + change * f.clamp(0.0, 1.0));
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::two_views::views;
+    use crate::track::tube::TubeShape;
+    use nalgebra::{Point2, Point3, Vector3};
+    use std::collections::BTreeMap;
+
+    const MARGIN_PX: f64 = 4.0;
+
+    /// Distance of a pixel from the outline, and the knot coordinate of the nearest point of the axis, by trial.
+    fn nearest(image: &TubeImage, pixel: Point2<f64>) -> (f64, f64) {
+        const STEPS: usize = 200;
+        let all = (0..(image.knots.len() - 1) * STEPS).map(|i| {
+            let (knot, f) = (i / STEPS, (i % STEPS) as f64 / STEPS as f64);
+            let [a, b, c, d] = image.piece(knot);
+            let half = image.knots[knot].half_width * (1.0 - f) + image.knots[knot + 1].half_width * f;
+            ((pixel.coords - (a + (b + (c + d * f) * f) * f)).norm(), half, knot as f64 + f)
+        });
+        let (distance, half, knot) = all.min_by(|a, b| a.0.total_cmp(&b.0)).unwrap();
+        (distance - half, knot)
+    }
+
+    #[test]
+    fn each_pixel_within_the_margin_is_found_once_and_at_its_nearest_point() {
+        let layout = Layout { rings_m: vec![-6e-3, 6e-3, 19e-3], ends: true };
+        let directions = [(0.1, 1.0, 0.05), (1.0, 0.02, 0.1), (-0.7, -0.6, 0.3), (0.0, 1.0, 0.0)];
+        for (path, (x, y, z)) in views().iter().flat_map(|path| directions.map(|way| (path, way))) {
+            let shape = TubeShape {
+                above: [Vector2::new(-900.0, 1200.0), Vector2::new(3e4, 5e4)],
+                below: [Vector2::new(1500.0, -600.0), Vector2::new(-4e4, 2e4)],
+                ..TubeShape::straight(Point3::new(0.001, -0.004, 1.35), &Vector3::new(x, y, z), 6e-3)
+            };
+            let image = TubeImage::of(&shape, 1.6e-3, path, (-20e-3, 25e-3), 3e-3, None, None).unwrap();
+            let range = (1.3, image.knots.len() as f64 - 2.6);
+            let (field, _) = Field::around(&image, range, [320, 160], MARGIN_PX).unwrap();
+            let spans = Spans::new(&image, &layout);
+            let places = spans.places(&field, range, Density::All);
+            assert!(places.is_sorted_by_key(|place| place.span));
+            let found: BTreeMap<_, _> = places.iter().map(|place| (field.pixel(place), place)).collect();
+            assert_eq!(found.len(), places.len(), "a pixel is found twice");
+            let mut inside = 0;
+            for at in (0..160).flat_map(|y| (0..320).map(move |x| [x, y])) {
+                let (outside, knot) = nearest(&image, Point2::new(at[0] as f64, at[1] as f64));
+                let within = (MARGIN_PX - outside).min(10.0 * (knot - range.0)).min(10.0 * (range.1 - knot));
+                match found.get(&at) {
+                    Some(place) => {
+                        assert!(within > -0.1, "{at:?} is {outside} px outside, at {knot}");
+                        let of_place = spans.list[place.span as usize].knot as f64 + f64::from(place.f);
+                        assert!((of_place - knot).abs() < 0.01, "{at:?}: {of_place}, not {knot}");
+                        assert!((f64::from(place.outside) - outside).abs() < 0.01, "{at:?}");
+                        inside += 1;
+                    }
+                    None => assert!(within < 0.1, "{at:?} is missing, {outside} px outside, at {knot}"),
+                }
+            }
+            assert!(inside > 500, "{inside}");
+            let fifth = spans.places(&field, range, Density::Fifth);
+            let expected =
+                places.iter().map(|place| field.pixel(place)).filter(|[x, y]| Density::Fifth.phase(*x, *y) == 0);
+            assert!(fifth.iter().map(|place| field.pixel(place)).eq(expected));
+        }
+    }
+}
