@@ -426,12 +426,14 @@ impl Sums {
         let mut all = DMatrix::zeros(colours, colours);
         at_rings.iter().zip(&of_rings).for_each(|(sum, own)| spread(sum, own, &mut all));
         plains.iter().zip(&of_rings).for_each(|(sum, own)| spread(sum, own, &mut all));
-        let own = std::array::from_fn(|i| of_rings[0][i].filter(|_| (ROW_BACKGROUND..ROW_SHADING).contains(&i)));
-        map(&mut mapped, &self.background, [], &Default::default(), &own);
-        let mut sum = [[0.0; OUTSIDE]; OUTSIDE];
-        add(&mut sum, &self.background);
-        spread(&sum, &own, &mut all);
-        self.background.clear();
+        if self.background.used {
+            let own = std::array::from_fn(|i| of_rings[0][i].filter(|_| (ROW_BACKGROUND..ROW_SHADING).contains(&i)));
+            map(&mut mapped, &self.background, [], &Default::default(), &own);
+            let mut sum = [[0.0; OUTSIDE]; OUTSIDE];
+            add(&mut sum, &self.background);
+            spread(&sum, &own, &mut all);
+            self.background.clear();
+        }
 
         let Mapped { shape, shape_gradient, cross, colour_gradient } = mapped;
         Normal {

@@ -373,6 +373,7 @@ mod tests {
     fn each_pixel_within_the_margin_is_found_once_and_at_its_nearest_point() {
         let layout = Layout { rings_m: vec![-6e-3, 6e-3, 19e-3], ends: true };
         let directions = [(0.1, 1.0, 0.05), (1.0, 0.02, 0.1), (-0.7, -0.6, 0.3), (0.0, 1.0, 0.0)];
+        let mut compared = 0;
         for (path, (x, y, z)) in views().iter().flat_map(|path| directions.map(|way| (path, way))) {
             let shape = TubeShape {
                 above: [Vector2::new(-900.0, 1200.0), Vector2::new(3e4, 5e4)],
@@ -380,6 +381,11 @@ mod tests {
                 ..TubeShape::straight(Point3::new(0.001, -0.004, 1.35), &Vector3::new(x, y, z), 6e-3)
             };
             let image = TubeImage::of(&shape, 1.6e-3, path, (-20e-3, 25e-3), 3e-3, None, None).unwrap();
+            // Seen from its end, many points of the axis are near to a pixel.
+            if image.knots.iter().any(|knot| knot.scale < 1500.0) {
+                continue;
+            }
+            compared += 1;
             let range = (1.3, image.knots.len() as f64 - 2.6);
             let (field, _) = Field::around(&image, range, [320, 160], MARGIN_PX).unwrap();
             let spans = Spans::new(&image, &layout);
@@ -408,5 +414,6 @@ mod tests {
                 places.iter().map(|place| field.pixel(place)).filter(|[x, y]| Density::Fifth.phase(*x, *y) == 0);
             assert!(fifth.iter().map(|place| field.pixel(place)).eq(expected));
         }
+        assert!(compared >= 6, "{compared}");
     }
 }
