@@ -431,7 +431,7 @@ fn weigh(weights: &mut [f32], residuals: &[f32], near: &[f32], [of_near, of_far]
     let (eights, last) = residuals.as_chunks::<8>();
     let (near_eights, near_last) = near.as_chunks::<8>();
     let (to_eights, to_last) = weights.as_chunks_mut::<8>();
-    let mut weigh = |residuals: &[f32; 8], near: &[f32; 8]| {
+    let mut weigh_eight = |residuals: &[f32; 8], near: &[f32; 8]| {
         let mut weights = [0.0; 8];
         for i in 0..8 {
             let per_sigma = if near[i] > 0.0 { of_near } else { of_far };
@@ -445,11 +445,11 @@ fn weigh(weights: &mut [f32], residuals: &[f32], near: &[f32], [of_near, of_far]
         weights
     };
     for ((to, residuals), near) in to_eights.iter_mut().zip(eights).zip(near_eights) {
-        *to = weigh(residuals, near);
+        *to = weigh_eight(residuals, near);
     }
     // Filled up with residuals of zero, which add nothing.
     let [residuals, near] = [last, near_last].map(|last| std::array::from_fn(|i| last.get(i).copied().unwrap_or(0.0)));
-    let weights = weigh(&residuals, &near);
+    let weights = weigh_eight(&residuals, &near);
     to_last.iter_mut().zip(weights).for_each(|(to, weight)| *to = weight);
     sums.map(|sum| sum.iter().sum())
 }

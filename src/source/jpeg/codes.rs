@@ -1,9 +1,9 @@
 //! The Huffman codes of a sequential scan (ITU-T T.81, F.2.2), and the bits that they are read from.
 
-use super::{LARGEST_COEFFICIENT, OUT_OF_RANGE};
-
 const EXCESS_DATA: &str = "there is more coded picture than the picture has blocks";
 const RESTART: std::ops::RangeInclusive<u8> = 0xd0..=0xd7;
+/// Coefficients of 8-bit samples are smaller, apart from rounding.
+const LARGEST_COEFFICIENT: i32 = 1200;
 /// Most bits of a difference of means of 8-bit samples.
 const MOST_DIRECT_BITS: u8 = 11;
 /// Codes of up to so many bits are looked up at once, with their value if it is within them too.
@@ -26,7 +26,7 @@ impl From<Fault> for &'static str {
             Fault::EndsEarly => "the coded picture ends early",
             Fault::NoCode => "there is a code that no table has",
             Fault::TooMany => "a block has too many coefficients",
-            Fault::OutOfRange => OUT_OF_RANGE,
+            Fault::OutOfRange => "there are samples out of range",
         }
     }
 }

@@ -10,7 +10,7 @@ mod codes;
 mod samples;
 mod steps;
 
-use codes::{Bits, Block, BlockCoder, Table};
+use codes::{Bits, Block, BlockCoder, Fault, Table};
 use samples::Samples;
 use steps::has_step;
 
@@ -20,9 +20,6 @@ const QUANTIZATION: u8 = 0xdb;
 const RESTART_INTERVAL: u8 = 0xdd;
 const START_OF_SCAN: u8 = 0xda;
 const END_OF_IMAGE: [u8; 2] = [0xff, 0xd9];
-/// Coefficients of 8-bit samples are smaller, apart from rounding.
-const LARGEST_COEFFICIENT: i32 = 1200;
-const OUT_OF_RANGE: &str = "there are samples out of range";
 
 /// Whether it is a JPEG without an end marker. The marker cannot occur by chance in coded data (ITU-T T.81, B.1.1.5),
 /// but it can in a thumbnail before it, so segments are skipped.
@@ -237,7 +234,7 @@ impl Picture {
                 for _ in 0..blocks {
                     part.coder.read(&mut bits, &mut block)?;
                     if !part.allowed.allow(&block) {
-                        return Err(OUT_OF_RANGE);
+                        return Err(Fault::OutOfRange.into());
                     }
                     sum += block.mean;
                 }
