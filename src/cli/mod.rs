@@ -39,9 +39,10 @@ use flood::Flood;
 use std::ffi::OsStr;
 use std::io::{IsTerminal as _, Write as _};
 use std::process::ExitCode;
+use tracing_subscriber::Layer as _;
+use tracing_subscriber::filter::{LevelFilter, Targets};
 use tracing_subscriber::layer::SubscriberExt as _;
 use tracing_subscriber::util::SubscriberInitExt as _;
-use tracing_subscriber::{EnvFilter, Layer as _};
 use warned::{Both, Collector};
 
 /// Track a steerable catheter in 3D with one camera and a mirror, through glass and water
@@ -189,18 +190,18 @@ pub fn run() -> ExitCode {
 
 fn log_to_stderr(verbose: u8, quiet: bool) {
     let level = match (quiet, verbose) {
-        (true, _) => "error",
-        (false, 0) => "warn",
-        (false, 1) => "info",
-        (false, _) => "debug",
+        (true, _) => LevelFilter::ERROR,
+        (false, 0) => LevelFilter::WARN,
+        (false, 1) => LevelFilter::INFO,
+        (false, _) => LevelFilter::DEBUG,
     };
-    let libraries = if level == "error" { "error" } else { "warn" };
+    let libraries = level.min(LevelFilter::WARN);
     let layer = tracing_subscriber::fmt::layer()
         .with_writer(progress::stderr)
         .with_ansi(std::io::stderr().is_terminal() && wants_colour())
         .with_target(false)
         .without_time()
-        .with_filter(Both(EnvFilter::new(format!("{libraries},catoptra={level}")), Flood::default()));
+        .with_filter(Both(Targets::new().with_default(libraries).with_target("catoptra", level), Flood::default()));
     tracing_subscriber::registry().with(layer).with(Collector.with_filter(warned::seen())).init();
 }
 
