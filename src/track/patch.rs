@@ -188,7 +188,7 @@ impl Patch {
         let window = field.window();
         picture.declare_read(window).map_err(|_| NoFit::NotRecorded)?;
         let spans = Spans::new(image, layout);
-        let places = spans.ordered(&spans.places(&field, range, density));
+        let places = spans.places(&field, range, density);
         field.number(&places);
         let across = field.width / CELL_PX + 1;
         let all_squares = across * (field.height / CELL_PX + 1);

@@ -3,15 +3,16 @@
 use crate::source::Window;
 use crate::track::appearance::Layout;
 use crate::track::normal::Span;
-use crate::track::tube_image::{Foot, TubeImage};
-use nalgebra::{Point2, Vector2};
+use crate::track::tube_image::{Knot, TubeImage};
+use multiversion::multiversion;
+use nalgebra::Vector2;
 use std::ops::Range;
 
 /// Further from the outline, or from a ring, only one colour is seen. This affects only the order of work.
 const OUT_OF_SIGHT_PX: f64 = 2.5;
 
-/// Rows of pixels whose feet are found in turns: in a row each waits for the one before.
-const ROWS: usize = 4;
+/// How far the borders of a piece may turn into it at its sides, pixels.
+const SLACK_PX: f64 = 1.0;
 
 /// Which pixels are used.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -95,17 +96,6 @@ impl Field {
         Window { x0, y0, x1: x0 + self.width as u32, y1: y0 + self.height as u32 }
     }
 
-    /// The columns between two positions in the picture.
-    fn columns(&self, (from, to): (f64, f64)) -> Range<usize> {
-        let column = |x: f64| (x - self.corner[0] as f64).clamp(0.0, self.width as f64) as usize;
-        column(from.ceil())..column(to.floor() + 1.0)
-    }
-
-    /// Picture coordinates of a column and row.
-    fn point(&self, column: usize, row: usize) -> Point2<f64> {
-        Point2::new((self.corner[0] + column as i64) as f64, (self.corner[1] + row as i64) as f64)
-    }
-
     /// Picture coordinates of a place.
     pub(crate) fn pixel(&self, place: &Place) -> [i64; 2] {
         let [column, row] = place.at.map(i64::from);
@@ -142,9 +132,8 @@ impl Field {
 pub(crate) struct Place {
     /// Column and row in the field.
     pub at: [u32; 2],
-    /// Index of its span, and what it sees of the tube there (see [`Spans::sight`]).
+    /// Index of its span.
     pub span: u32,
-    sight: u32,
     /// Nearest point of the axis, as the fraction of the way between the span's knots.
     pub f: f32,
     /// Distance from the tube's outline, negative on the tube, pixels.
@@ -157,8 +146,6 @@ pub(crate) struct Spans<'a> {
     layout: &'a Layout,
     /// Along the tube.
     pub list: Vec<Span>,
-    /// Arc length of each one's ring, metres, and pixels per metre.
-    rings: Vec<(f64, f64)>,
     /// After each knot: index of the first span, and of the last.
     behind: Vec<(usize, usize)>,
 }
@@ -176,26 +163,58 @@ impl<'a> Spans<'a> {
             (first, list.len() - 1)
         });
         let behind = behind.collect();
-        let rings = list.iter().map(|span| (layout.rings_m[span.ring], image.knots[span.knot].scale)).collect();
-        Self { image, layout, list, rings, behind }
+        Self { image, layout, list, behind }
     }
 
-    /// The span of a knot coordinate.
-    fn of(&self, knot: f64) -> usize {
-        let (first, last) = self.behind[self.image.before(knot)];
-        if first == last {
-            return first;
+    /// The pixels of a field within the margin of the tube between two knot coordinates: by spans, then by what they
+    /// see, within each in the order of the picture.
+    pub(crate) fn places(&self, field: &Field, range: (f64, f64), density: Density) -> Vec<Place> {
+        let mut places = Vec::with_capacity(field.width * field.height / 2);
+        let mut found = Found::default();
+        let mut ends = Vec::new();
+        let last = (range.1.ceil() as usize).min(self.behind.len());
+        for (knot, (first_span, last_span)) in self.behind.iter().enumerate().take(last).skip(range.0 as usize) {
+            found.search(field, self.image, knot, density);
+            let ends_at = [range.0, range.1].map(|end| (end - knot as f64) as f32);
+            ends.clear();
+            ends.resize((last_span - first_span + 1) * SIGHTS, 0);
+            found.list.clear();
+            for (at, (f, outside)) in found.at.iter().zip(found.f.iter().zip(&found.outside)) {
+                if !(*f >= ends_at[0] && *f <= ends_at[1] && f64::from(*outside) <= field.margin_px) {
+                    continue;
+                }
+                let arc_m = self.image.arc_m(knot as f64 + f64::from(*f));
+                let mut span = *first_span;
+                if first_span < last_span {
+                    let ring = self.layout.nearest_ring(arc_m);
+                    span = (span + ring.saturating_sub(self.list[span].ring)).min(*last_span);
+                }
+                let group = (span - first_span) * SIGHTS + self.sight(span, arc_m, *outside);
+                ends[group] += 1;
+                found.list.push((group, Place { at: *at, span: span as u32, f: *f, outside: *outside }));
+            }
+            // Counting sort.
+            let mut end = places.len();
+            for count in &mut ends {
+                end += *count;
+                *count = end - *count;
+            }
+            places.resize(end, Place { at: [0; 2], span: 0, f: 0.0, outside: 0.0 });
+            for (group, place) in &found.list {
+                let next = &mut ends[*group];
+                places[*next] = *place;
+                *next += 1;
+            }
         }
-        let ring = self.layout.nearest_ring(self.image.arc_m(knot));
-        (first + ring.saturating_sub(self.list[first].ring)).min(last)
+        places
     }
 
-    /// What is seen at a knot coordinate of a span: 0 nothing of the tube, 1 the segment before the ring, 2 the ring, 3
-    /// the segment after it.
-    fn sight(&self, span: usize, knot: f64, outside: f64) -> u32 {
-        let (ring_m, scale) = self.rings[span];
-        let from_ring = (self.image.arc_m(knot) - ring_m) * scale;
-        if outside > OUT_OF_SIGHT_PX {
+    /// What is seen at an arc length of a span: 0 nothing of the tube, 1 the segment before the ring, 2 the ring, 3 the
+    /// segment after it.
+    fn sight(&self, span: usize, arc_m: f64, outside: f32) -> usize {
+        let Span { knot, ring } = self.list[span];
+        let from_ring = (arc_m - self.layout.rings_m[ring]) * self.image.knots[knot].scale;
+        if f64::from(outside) > OUT_OF_SIGHT_PX {
             0
         } else if from_ring.abs() < OUT_OF_SIGHT_PX {
             2
@@ -203,77 +222,198 @@ impl<'a> Spans<'a> {
             if from_ring < 0.0 { 1 } else { 3 }
         }
     }
+}
 
-    /// The pixels of a field within the margin of the tube between two knot coordinates.
-    pub(crate) fn places(&self, field: &Field, range: (f64, f64), density: Density) -> Vec<Place> {
-        let mut places = Vec::with_capacity(field.width * field.height / 2);
-        let reach = self.image.greatest_half_width() + field.margin_px + self.image.sagitta();
-        let mut feet = vec![[Foot::default(); ROWS]; field.width];
-        for first in (0..field.height).step_by(ROWS) {
-            let rows: [_; ROWS] = std::array::from_fn(|i| self.columns(field, first + i, reach, density));
-            let longest = rows.iter().map(Range::len).max().unwrap_or(0);
-            let mut left: Option<[Foot; ROWS]> = None;
-            for (along, feet) in (0..longest).step_by(density.period() as usize).zip(&mut feet) {
-                for (i, columns) in rows.iter().enumerate().filter(|(_, columns)| along < columns.len()) {
-                    let pixel = field.point(columns.start + along, first + i);
-                    // One step from the neighbour's foot is enough.
-                    feet[i] = match left {
-                        Some(left) => self.image.foot(&pixel, left[i].knot, 1),
-                        None => self.image.foot(&pixel, self.image.chord_foot(&pixel).0, 3),
-                    };
-                }
-                left = Some(*feet);
+/// The pixels around the axis between two knots.
+#[derive(Default)]
+struct Found {
+    /// Column and row in the field, and position relative to the first knot.
+    at: Vec<[u32; 2]>,
+    x: Vec<f32>,
+    y: Vec<f32>,
+    /// The nearest point of the axis, and the distance from the outline.
+    f: Vec<f32>,
+    outside: Vec<f32>,
+    /// Those that are used, and where each belongs.
+    list: Vec<(usize, Place)>,
+}
+
+impl Found {
+    /// Takes the pixels between the lines across the tube at a knot and at the next, and some more beside the margin.
+    /// Each pixel lies between one pair of such lines.
+    fn search(&mut self, field: &Field, image: &TubeImage, knot: usize, density: Density) {
+        let (a, b) = (&image.knots[knot], &image.knots[knot + 1]);
+        let [_, _, square, cube] = image.piece(knot);
+        let half_width = a.half_width.max(b.half_width);
+        // The axis lies within this of the straight line between the knots.
+        let sagitta = (square.norm() + 2.0 * cube.norm()) / 4.0;
+        let reach = half_width + field.margin_px + sagitta;
+        let chord = b.pixel - a.pixel;
+        let sides = [a, b].map(|knot| Vector2::new(-knot.along.y, knot.along.x) * ((reach + SLACK_PX) / knot.scale));
+        let corners = [a.pixel.y - sides[0].y, a.pixel.y + sides[0].y, b.pixel.y - sides[1].y, b.pixel.y + sides[1].y];
+        let [top, bottom] = [corners.into_iter().reduce(f64::min), corners.into_iter().reduce(f64::max)]
+            .map(|y| y.unwrap_or(0.0) - field.corner[1] as f64);
+        self.at.clear();
+        self.x.clear();
+        self.y.clear();
+        let row = |y: f64| y.clamp(0.0, field.height as f64) as usize;
+        for row in row(top.ceil())..row(bottom.floor() + 1.0) {
+            let y = field.corner[1] + row as i64;
+            let from_a = y as f64 - a.pixel.y;
+            let (middle, half) = (a.pixel.x + chord.x / chord.y * from_a, (chord.norm() * reach / chord.y).abs());
+            let beside = if middle.is_finite() && half.is_finite() {
+                column((middle - half).ceil())..column((middle + half).floor() + 1.0)
+            } else {
+                -FAR..FAR
+            };
+            let in_field = field.corner[0]..field.corner[0] + field.width as i64;
+            let parts = [beside, ahead(a, y as f64), complement(ahead(b, y as f64))];
+            let Range { start, end } = parts.into_iter().fold(in_field, |all, part| common(&all, &part));
+            let start = start + density.ahead(start, y) as i64;
+            for x in (start..end).step_by(density.period() as usize) {
+                self.at.push([(x - field.corner[0]) as u32, row as u32]);
+                self.x.push((x as f64 - a.pixel.x) as f32);
+                self.y.push(from_a as f32);
             }
-            for (i, columns) in rows.into_iter().enumerate() {
-                for (column, feet) in columns.step_by(density.period() as usize).zip(&feet) {
-                    places.extend(self.place([column as u32, (first + i) as u32], &feet[i], range, field.margin_px));
+        }
+        self.f.resize(self.x.len(), 0.0);
+        self.outside.resize(self.x.len(), 0.0);
+        let powers = [image.piece(knot)[1], *square, *cube].map(|power| [power.x as f32, power.y as f32]);
+        let half = [a.half_width as f32, (b.half_width - a.half_width) as f32];
+        feet(&powers, half, &self.x, &self.y, &mut self.f, &mut self.outside);
+    }
+}
+
+/// Further than any column.
+const FAR: i64 = 1 << 40;
+
+fn column(x: f64) -> i64 {
+    (x as i64).clamp(-FAR, FAR)
+}
+
+/// The columns of a row at or ahead of the line across the tube at a knot: from or up to the line, or all, or none.
+fn ahead(knot: &Knot, y: f64) -> Range<i64> {
+    let (along, below) = (knot.along, y - knot.pixel.y);
+    let line = knot.pixel.x - below * (along.y / along.x);
+    if along.x > 0.0 && line.is_finite() {
+        column(line.ceil())..FAR
+    } else if along.x < 0.0 && line.is_finite() {
+        -FAR..column(line.floor() + 1.0)
+    } else if below * along.y >= 0.0 {
+        -FAR..FAR
+    } else {
+        FAR..FAR
+    }
+}
+
+/// All other columns.
+fn complement(ahead: Range<i64>) -> Range<i64> {
+    if ahead.start > -FAR { -FAR..ahead.start } else { ahead.end..FAR }
+}
+
+fn common(a: &Range<i64>, b: &Range<i64>) -> Range<i64> {
+    a.start.max(b.start)..a.end.min(b.end)
+}
+
+/// The feet of pixels on a piece of the axis, given by the powers' coefficients, and their distances from the outline,
+/// which is half a width, changing linearly, away.
+#[multiversion(targets("x86_64+avx512f+avx512bw+avx512dq+avx512vl", "x86_64+avx2"))]
+fn feet(
+    [b, c, d]: &[[f32; 2]; 3],
+    [half, change]: [f32; 2],
+    x: &[f32],
+    y: &[f32],
+    feet: &mut [f32],
+    outside: &mut [f32],
+) {
+    let chord = [b[0] + c[0] + d[0], b[1] + c[1] + d[1]];
+    let per_chord = 1.0 / (chord[0] * chord[0] + chord[1] * chord[1]);
+    for (((x, y), foot), outside) in x.iter().zip(y).zip(feet).zip(outside) {
+        let (x, y) = (*x, *y);
+        let mut f = (x * chord[0] + y * chord[1]) * per_chord;
+        let mut u = 0.0;
+        // Two Newton steps from the straight line's foot.
+        for _ in 0..2 {
+            let axis = |k: usize| (b[k] + (c[k] + d[k] * f) * f) * f;
+            let slope = |k: usize| b[k] + (c[k] * 2.0 + d[k] * 3.0 * f) * f;
+            let (off, along) = ([x - axis(0), y - axis(1)], [slope(0), slope(1)]);
+            let per_square = 1.0 / (along[0] * along[0] + along[1] * along[1]);
+            f += (off[0] * along[0] + off[1] * along[1]) * per_square;
+            u = (along[0] * off[1] - along[1] * off[0]) * per_square.sqrt();
+        }
+        *foot = f;
+        *outside = u.abs() - (half + change * f.clamp(0.0, 1.0));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::two_views::views;
+    use crate::track::tube::TubeShape;
+    use nalgebra::{Point2, Point3, Vector3};
+    use std::collections::BTreeMap;
+
+    const MARGIN_PX: f64 = 4.0;
+
+    /// Distance of a pixel from the outline, and the knot coordinate of the nearest point of the axis, by trial.
+    fn nearest(image: &TubeImage, pixel: Point2<f64>) -> (f64, f64) {
+        const STEPS: usize = 200;
+        let all = (0..(image.knots.len() - 1) * STEPS).map(|i| {
+            let (knot, f) = (i / STEPS, (i % STEPS) as f64 / STEPS as f64);
+            let [a, b, c, d] = image.piece(knot);
+            let half = image.knots[knot].half_width * (1.0 - f) + image.knots[knot + 1].half_width * f;
+            ((pixel.coords - (a + (b + (c + d * f) * f) * f)).norm(), half, knot as f64 + f)
+        });
+        let (distance, half, knot) = all.min_by(|a, b| a.0.total_cmp(&b.0)).unwrap();
+        (distance - half, knot)
+    }
+
+    #[test]
+    fn each_pixel_within_the_margin_is_found_once_and_at_its_nearest_point() {
+        let layout = Layout { rings_m: vec![-6e-3, 6e-3, 19e-3], ends: true };
+        let directions = [(0.1, 1.0, 0.05), (1.0, 0.02, 0.1), (-0.7, -0.6, 0.3), (0.0, 1.0, 0.0)];
+        let mut compared = 0;
+        for (path, (x, y, z)) in views().iter().flat_map(|path| directions.map(|way| (path, way))) {
+            let shape = TubeShape {
+                above: [Vector2::new(-900.0, 1200.0), Vector2::new(3e4, 5e4)],
+                below: [Vector2::new(1500.0, -600.0), Vector2::new(-4e4, 2e4)],
+                ..TubeShape::straight(Point3::new(0.001, -0.004, 1.35), &Vector3::new(x, y, z), 6e-3)
+            };
+            let image = TubeImage::of(&shape, 1.6e-3, path, (-20e-3, 25e-3), 3e-3, None, None).unwrap();
+            // Seen from its end, many points of the axis are near to a pixel.
+            if image.knots.iter().any(|knot| knot.scale < 1500.0) {
+                continue;
+            }
+            compared += 1;
+            let range = (1.3, image.knots.len() as f64 - 2.6);
+            let (field, _) = Field::around(&image, range, [320, 160], MARGIN_PX).unwrap();
+            let spans = Spans::new(&image, &layout);
+            let places = spans.places(&field, range, Density::All);
+            assert!(places.is_sorted_by_key(|place| place.span));
+            let found: BTreeMap<_, _> = places.iter().map(|place| (field.pixel(place), place)).collect();
+            assert_eq!(found.len(), places.len(), "a pixel is found twice");
+            let mut inside = 0;
+            for at in (0..160).flat_map(|y| (0..320).map(move |x| [x, y])) {
+                let (outside, knot) = nearest(&image, Point2::new(at[0] as f64, at[1] as f64));
+                let within = (MARGIN_PX - outside).min(10.0 * (knot - range.0)).min(10.0 * (range.1 - knot));
+                match found.get(&at) {
+                    Some(place) => {
+                        assert!(within > -0.1, "{at:?} is {outside} px outside, at {knot}");
+                        let of_place = spans.list[place.span as usize].knot as f64 + f64::from(place.f);
+                        assert!((of_place - knot).abs() < 0.01, "{at:?}: {of_place}, not {knot}");
+                        assert!((f64::from(place.outside) - outside).abs() < 0.01, "{at:?}");
+                        inside += 1;
+                    }
+                    None => assert!(within < 0.1, "{at:?} is missing, {outside} px outside, at {knot}"),
                 }
             }
+            assert!(inside > 500, "{inside}");
+            let fifth = spans.places(&field, range, Density::Fifth);
+            let expected =
+                places.iter().map(|place| field.pixel(place)).filter(|[x, y]| Density::Fifth.phase(*x, *y) == 0);
+            assert!(fifth.iter().map(|place| field.pixel(place)).eq(expected));
         }
-        places
-    }
-
-    /// The columns of a row within `reach` pixels of the line between the ends of the axis, from the first that is
-    /// used.
-    fn columns(&self, field: &Field, row: usize, reach: f64, density: Density) -> Range<usize> {
-        if row >= field.height {
-            return 0..0;
-        }
-        let y = field.corner[1] + row as i64;
-        let Range { start, end } = field.columns(self.image.strip(y as f64, reach));
-        start + density.ahead(field.corner[0] + start as i64, y)..end
-    }
-
-    /// The place of a pixel; `None` outside the margin or the range.
-    #[inline]
-    fn place(&self, at: [u32; 2], foot: &Foot, range: (f64, f64), margin_px: f64) -> Option<Place> {
-        let Foot { knot, u } = *foot;
-        let outside = u.abs() - self.image.half_width(knot);
-        if !(knot >= range.0 && knot <= range.1 && outside <= margin_px) {
-            return None;
-        }
-        let span = self.of(knot);
-        let f = (knot - self.list[span].knot as f64) as f32;
-        Some(Place { at, span: span as u32, sight: self.sight(span, knot, outside), f, outside: outside as f32 })
-    }
-
-    /// The places by spans, then by what they see; within each in the order of the picture.
-    pub(crate) fn ordered(&self, places: &[Place]) -> Vec<Place> {
-        // Counting sort.
-        let key = |place: &Place| place.span as usize * SIGHTS + place.sight as usize;
-        let mut ends = vec![0; self.list.len() * SIGHTS];
-        places.iter().for_each(|place| ends[key(place)] += 1);
-        let mut end = 0;
-        for count in &mut ends {
-            end += *count;
-            *count = end - *count;
-        }
-        let mut ordered = places.to_vec();
-        for place in places {
-            let next = &mut ends[key(place)];
-            ordered[*next] = *place;
-            *next += 1;
-        }
-        ordered
+        assert!(compared >= 6, "{compared}");
     }
 }

@@ -6,15 +6,6 @@ use crate::optics::{NoRay, OpticalPath, Projection};
 use crate::track::tube::{SHAPE, ShapeStep, TubeShape};
 use nalgebra::{Matrix2x3, Point2, Point3, SMatrix, Vector2, Vector3};
 
-/// A pixel's position relative to the tube.
-#[derive(Debug, Clone, Copy, Default)]
-pub(crate) struct Foot {
-    /// Knot coordinate of the nearest point of the axis.
-    pub knot: f64,
-    /// Signed distance from the axis, pixels.
-    pub u: f64,
-}
-
 /// Number of local quantities that change with the shape: position across the axis, position along it, bulge of the
 /// rings.
 pub(crate) const LOCAL: usize = 3;
@@ -161,10 +152,9 @@ fn hermite(a: &Knot, b: &Knot, spacing_m: f64) -> [Vector2<f64>; 4] {
 }
 
 impl TubeImage {
-    /// Index of the knot before `knot`, at most the last but one. (By way of `u32`, which is faster.)
-    #[inline]
-    pub(crate) fn before(&self, knot: f64) -> usize {
-        (knot as u32 as usize).min(self.pieces.len() - 1)
+    /// Index of the knot before `knot`, at most the last but one.
+    fn before(&self, knot: f64) -> usize {
+        (knot as usize).min(self.pieces.len() - 1)
     }
 
     /// Index of the knot before `knot`, and the fraction of the way to the next (0..1, held at both ends).
@@ -174,7 +164,7 @@ impl TubeImage {
     }
 
     /// Half width of the tube at a knot coordinate, pixels.
-    pub(crate) fn half_width(&self, knot: f64) -> f64 {
+    fn half_width(&self, knot: f64) -> f64 {
         let (i, f) = self.between(knot);
         let (a, b) = (self.knots[i].half_width, self.knots[i + 1].half_width);
         a + (b - a) * f
@@ -194,48 +184,6 @@ impl TubeImage {
     pub(crate) fn distance(&self, other: &Self) -> f64 {
         let apart = self.knots.iter().zip(&other.knots).map(|(a, b)| (a.pixel - b.pixel).norm_squared());
         (apart.sum::<f64>() / self.knots.len() as f64).sqrt()
-    }
-
-    /// Knot coordinate and distance aside, pixels, from the straight line between the first and the last knot.
-    pub(crate) fn chord_foot(&self, pixel: &Point2<f64>) -> (f64, f64) {
-        let (a, b) = (&self.knots[0], &self.knots[self.knots.len() - 1]);
-        let chord = b.pixel - a.pixel;
-        let off = pixel - a.pixel;
-        let knot = off.dot(&chord) / chord.norm_squared() * (self.knots.len() - 1) as f64;
-        (knot, (chord.x * off.y - chord.y * off.x) / chord.norm())
-    }
-
-    /// From where to where a row of the picture is within `reach` pixels of that line.
-    pub(crate) fn strip(&self, y: f64, reach: f64) -> (f64, f64) {
-        let (a, b) = (&self.knots[0], &self.knots[self.knots.len() - 1]);
-        let chord = b.pixel - a.pixel;
-        let (middle, half) = (a.pixel.x + chord.x / chord.y * (y - a.pixel.y), (chord.norm() * reach / chord.y).abs());
-        if middle.is_finite() && half.is_finite() { (middle - half, middle + half) } else { (f64::MIN, f64::MAX) }
-    }
-
-    /// Greatest distance of the axis from the straight line between its ends, pixels.
-    pub(crate) fn sagitta(&self) -> f64 {
-        self.knots.iter().map(|k| self.chord_foot(&k.pixel).1.abs()).fold(0.0, f64::max)
-    }
-
-    /// Greatest half width, pixels.
-    pub(crate) fn greatest_half_width(&self) -> f64 {
-        self.knots.iter().map(|k| k.half_width).fold(0.0, f64::max)
-    }
-
-    /// The nearest point of the axis to a pixel. `steps` Newton steps from the knot coordinate `start`; one is enough
-    /// when the tube has moved by less than a pixel since. The last step follows the tangent: over less than a knot the
-    /// axis bends by nothing that matters.
-    #[inline]
-    pub(crate) fn foot(&self, pixel: &Point2<f64>, start: f64, steps: usize) -> Foot {
-        let mut knot = start;
-        for _ in 1..steps {
-            let (at, d) = self.axis(knot);
-            knot += (pixel - at).dot(&d) / d.norm_squared();
-        }
-        let (at, d) = self.axis(knot);
-        let (off, per_length) = (pixel - at, 1.0 / d.norm());
-        Foot { knot: knot + off.dot(&d) * per_length * per_length, u: (d.x * off.y - d.y * off.x) * per_length }
     }
 
     /// Arc length of a knot coordinate, metres.
