@@ -28,9 +28,14 @@ impl<'a> Compared<'a> {
     /// By how much `rig` explains the frames worse than the first one, mean ln σ² of the residuals; `None` when half of
     /// the frames or fewer can be fitted with both.
     pub(super) fn excess(&self, rig: &Rig) -> Option<f64> {
+        self.excesses(rig).map(|excesses| mean(&clipped(&excesses)))
+    }
+
+    /// The same for each frame that can be fitted with both.
+    pub(super) fn excesses(&self, rig: &Rig) -> Option<Vec<f64>> {
         let both = self.misfits(rig).into_iter().zip(&self.first);
         let differences: Vec<f64> = both.filter_map(|(misfit, first)| Some(misfit? - (*first)?)).collect();
-        (differences.len() * 2 > self.frames.len()).then(|| clipped_mean(&differences))
+        (differences.len() * 2 > self.frames.len()).then_some(differences)
     }
 
     /// Of each frame, motion blur included where the exposure and its follower are known.
@@ -48,12 +53,16 @@ impl<'a> Compared<'a> {
     }
 }
 
-/// The mean, with a bounded influence of each value.
-pub(super) fn clipped_mean(values: &[f64]) -> f64 {
+/// The values, the largest reduced, so that each has a bounded influence on their mean.
+pub(super) fn clipped(values: &[f64]) -> Vec<f64> {
     let mut sizes: Vec<f64> = values.iter().map(|value| value.abs()).collect();
     sizes.sort_by(f64::total_cmp);
     let limit = CLIPPED * sizes.get(sizes.len() / 2).copied().unwrap_or(0.0);
-    values.iter().map(|value| value.clamp(-limit, limit)).sum::<f64>() / values.len().max(1) as f64
+    values.iter().map(|value| value.clamp(-limit, limit)).collect()
+}
+
+pub(super) fn mean(values: &[f64]) -> f64 {
+    values.iter().sum::<f64>() / values.len().max(1) as f64
 }
 
 #[cfg(test)]
@@ -62,8 +71,8 @@ mod tests {
 
     #[test]
     fn one_wild_value_counts_little() {
-        assert!((clipped_mean(&[0.02, -0.01, 0.015, 0.01, 0.02]) - 0.011).abs() < 1e-12);
-        assert!(clipped_mean(&[-0.02, -0.01, -0.015, -0.01, 5.0]) < 0.0);
-        assert!(clipped_mean(&[]).abs() < f64::MIN_POSITIVE);
+        assert!((mean(&clipped(&[0.02, -0.01, 0.015, 0.01, 0.02])) - 0.011).abs() < 1e-12);
+        assert!(mean(&clipped(&[-0.02, -0.01, -0.015, -0.01, 5.0])) < 0.0);
+        assert!(mean(&clipped(&[])).abs() < f64::MIN_POSITIVE);
     }
 }

@@ -1,7 +1,7 @@
 //! Parameters fitted to the pictures: places of the bands along the tube, blur of the lens, offset of the chroma
 //! samples, gamma, exposure.
 
-use crate::calibrate::markers::compared::{Compared, LONGEST_PAIR_S, clipped_mean};
+use crate::calibrate::markers::compared::{Compared, LONGEST_PAIR_S, clipped, mean};
 use crate::calibrate::markers::line_search::minimise;
 use crate::calibrate::markers::{MarkersError, track};
 use crate::estimate::{Estimate, MarkerEstimate};
@@ -9,8 +9,9 @@ use crate::rig::Rig;
 use crate::source::Frame;
 use crate::track::{TrackOptions, Tracker};
 
-/// Frames used for the fit.
+/// Frames used for the fit, and for the decision whether a gamma is needed.
 const TUNING_FRAMES: usize = 12;
+const JUDGING_FRAMES: usize = 48;
 
 /// How far the tube between two bands may deviate from a circular arc: its excess length over the chord is uncertain by
 /// this fraction of chord · ψ², where ψ is the angle between the chord and the coil's tangent (an arc is longer by 1/6
@@ -30,7 +31,7 @@ const MIN_EXPOSURE: f64 = 0.1;
 const FIRST_GAMMA: f64 = 0.5;
 const GAMMA_STEP: f64 = 0.1;
 const GAMMAS: (f64, f64) = (0.25, 1.4);
-const MIN_GAIN: f64 = 0.002;
+const MIN_GAIN: f64 = 0.001;
 const MIN_GAIN_SDS: f64 = 3.0;
 /// Independent thirds of the frames, whose results give the σ of a distance, and its least σ, metres.
 const PARTS: usize = 3;
@@ -160,15 +161,16 @@ fn gamma(rig: &Rig, frames: &[Frame], followers: &[Frame]) -> Option<f64> {
         changed.camera.gamma = Some(gamma);
         changed
     };
-    // Each third of the frames: the best power, and by how much it explains them better than what is declared.
-    let parts = (0..PARTS).map(|part| {
+    let gammas = (0..PARTS).map(|part| {
         let frames: Vec<&Frame> = some.iter().skip(part).step_by(PARTS).copied().collect();
         let compared = Compared::with(rig, frames, followers);
-        let best = minimise(FIRST_GAMMA, GAMMA_STEP, GAMMAS, |gamma| compared.excess(&with(gamma)))?;
-        Some((best.at, -compared.excess(&with(best.at))?))
+        Some(minimise(FIRST_GAMMA, GAMMA_STEP, GAMMAS, |gamma| compared.excess(&with(gamma)))?.at)
     });
-    let (gammas, gains): (Vec<f64>, Vec<f64>) = parts.collect::<Option<Vec<_>>>()?.into_iter().unzip();
-    let ((gamma, sd), (gain, gain_sd)) = (mean_of_parts(&gammas), mean_of_parts(&gains));
+    let (gamma, sd) = mean_of_parts(&gammas.collect::<Option<Vec<_>>>()?);
+    // By how much it explains each frame better than what is declared: a few would tell too little of the scatter.
+    let excesses = Compared::with(rig, every(frames, JUDGING_FRAMES), followers).excesses(&with(gamma))?;
+    let gains: Vec<f64> = excesses.into_iter().map(|excess| -excess).collect();
+    let (gain, gain_sd) = mean_of_parts(&clipped(&gains));
     tracing::debug!("gamma {gamma:.3} ± {sd:.3}, better by {gain:.4} ± {gain_sd:.4} than what is declared");
     let clearly = gain > MIN_GAIN.max(MIN_GAIN_SDS * gain_sd);
     clearly.then(|| (gamma * 1e3).round() / 1e3)
@@ -257,7 +259,7 @@ fn exposure_s(rig: &Rig, frames: &[Frame], followers: &[Frame]) -> Result<Option
     let parts: Vec<f64> = (0..PARTS)
         .filter_map(|part| {
             let all = |i: usize| curves.iter().skip(part).step_by(PARTS).map(|curve| curve[i]).collect::<Vec<_>>();
-            let at = |s: f64| Some(clipped_mean(&all((s / step_s).round() as usize)));
+            let at = |s: f64| Some(mean(&clipped(&all((s / step_s).round() as usize))));
             Some(minimise(step_s * (EXPOSURES / 2) as f64, step_s, (0.0, interval_s * (1.0 + 1e-9)), at)?.at)
         })
         .collect();
