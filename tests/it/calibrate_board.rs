@@ -1,7 +1,6 @@
 //! Detection of boards in drawn pictures with exactly known corners, and in files.
 
 use crate::support::board::{Canvas, Placed};
-use crate::support::exif::with_orientation;
 use catoptra::calibrate::board::{Board, BoardError, BoardImage, Flaw, find_boards};
 use catoptra::calibrate::board::{Grey, GreyError, Rows};
 use image::ImageEncoder;
@@ -120,10 +119,10 @@ fn a_photograph_of_12_megapixels_with_a_small_board_and_turned_by_exif() {
     let canvas = Canvas::with(4032, 3024, std::slice::from_ref(&placed)).noisy(4.0);
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("photo.jpg");
-    let mut jpeg = Vec::new();
-    let encoder = image::codecs::jpeg::JpegEncoder::new_with_quality(&mut jpeg, 90);
+    let mut encoder = image::codecs::jpeg::JpegEncoder::new_with_quality(std::fs::File::create(&path).unwrap(), 90);
+    // TIFF header, little endian, one directory with one entry: orientation (0x112), short, 1 value, 6.
+    encoder.set_exif_metadata(b"II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0\x06\0\0\0\0\0\0\0".to_vec()).unwrap();
     encoder.write_image(&canvas.bytes(), 4032, 3024, image::ExtendedColorType::L8).unwrap();
-    std::fs::write(&path, with_orientation(&jpeg, 6)).unwrap();
 
     let stored = Grey::load(&path, Rows::AsStored).unwrap();
     assert_eq!(stored.size_px(), [4032, 3024]);

@@ -3,7 +3,6 @@
 //! every mirror.
 
 use crate::support::boards::{Scene, noise, pose};
-use crate::support::exif::with_orientation;
 use catoptra::calibrate::geometry::{Geometry, tilt_axes};
 use catoptra::optics::{Lens, Mirror, Plane, Surface};
 use catoptra::rig::Draft;
@@ -59,10 +58,13 @@ fn store(picture: &image::GrayImage, path: &Path, orientation: u8) {
         let grey = u16::from(picture.get_pixel(x, y).0[0]);
         image::Rgb([grey.min(255) as u8, (grey * 98 / 100) as u8, (grey * 92 / 100) as u8])
     });
-    let mut jpeg = Vec::new();
-    let encoder = image::codecs::jpeg::JpegEncoder::new_with_quality(&mut jpeg, 88);
+    let file = std::io::BufWriter::new(std::fs::File::create(path).unwrap());
+    let mut encoder = image::codecs::jpeg::JpegEncoder::new_with_quality(file, 88);
+    // TIFF header, little endian, one directory with one entry: orientation (0x112), short, 1 value.
+    let mut exif = b"II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0\x01\0\0\0\0\0\0\0".to_vec();
+    exif[18] = orientation;
+    encoder.set_exif_metadata(exif).unwrap();
     encoder.write_image(&colour, colour.width(), colour.height(), image::ExtendedColorType::Rgb8).unwrap();
-    std::fs::write(path, with_orientation(&jpeg, orientation)).unwrap();
 }
 
 fn take(scene: &Scene, poses: &[Isometry3<f64>], folder: &Path, orientation: impl Fn(usize) -> u8 + Sync) {

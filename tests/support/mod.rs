@@ -5,7 +5,6 @@ pub(crate) mod browser;
 pub(crate) mod charuco;
 pub(crate) mod command;
 pub(crate) mod encode;
-pub(crate) mod exif;
 pub(crate) mod looped;
 pub(crate) mod made_up;
 pub(crate) mod moved_mirror;
