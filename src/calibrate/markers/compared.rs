@@ -28,7 +28,7 @@ impl<'a> Compared<'a> {
     /// By how much `rig` explains the frames worse than the first one, mean ln σ² of the residuals; `None` when half of
     /// the frames or fewer can be fitted with both.
     pub(super) fn excess(&self, rig: &Rig) -> Option<f64> {
-        self.excesses(rig).map(|excesses| mean(&clipped(&excesses)))
+        self.excesses(rig).map(|excesses| clipped_mean(&excesses))
     }
 
     /// The same for each frame that can be fitted with both.
@@ -61,8 +61,8 @@ pub(super) fn clipped(values: &[f64]) -> Vec<f64> {
     values.iter().map(|value| value.clamp(-limit, limit)).collect()
 }
 
-pub(super) fn mean(values: &[f64]) -> f64 {
-    values.iter().sum::<f64>() / values.len().max(1) as f64
+pub(super) fn clipped_mean(values: &[f64]) -> f64 {
+    clipped(values).iter().sum::<f64>() / values.len().max(1) as f64
 }
 
 #[cfg(test)]
@@ -71,8 +71,8 @@ mod tests {
 
     #[test]
     fn one_wild_value_counts_little() {
-        assert!((mean(&clipped(&[0.02, -0.01, 0.015, 0.01, 0.02])) - 0.011).abs() < 1e-12);
-        assert!(mean(&clipped(&[-0.02, -0.01, -0.015, -0.01, 5.0])) < 0.0);
-        assert!(mean(&clipped(&[])).abs() < f64::MIN_POSITIVE);
+        assert!((clipped_mean(&[0.02, -0.01, 0.015, 0.01, 0.02]) - 0.011).abs() < 1e-12);
+        assert!(clipped_mean(&[-0.02, -0.01, -0.015, -0.01, 5.0]) < 0.0);
+        assert!(clipped_mean(&[]).abs() < f64::MIN_POSITIVE);
     }
 }

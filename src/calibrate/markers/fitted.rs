@@ -1,7 +1,7 @@
 //! Parameters fitted to the pictures: places of the bands along the tube, blur of the lens, offset of the chroma
 //! samples, gamma, exposure.
 
-use crate::calibrate::markers::compared::{Compared, LONGEST_PAIR_S, clipped, mean};
+use crate::calibrate::markers::compared::{Compared, LONGEST_PAIR_S, clipped, clipped_mean};
 use crate::calibrate::markers::line_search::minimise;
 use crate::calibrate::markers::{MarkersError, track};
 use crate::estimate::{Estimate, MarkerEstimate};
@@ -259,7 +259,7 @@ fn exposure_s(rig: &Rig, frames: &[Frame], followers: &[Frame]) -> Result<Option
     let parts: Vec<f64> = (0..PARTS)
         .filter_map(|part| {
             let all = |i: usize| curves.iter().skip(part).step_by(PARTS).map(|curve| curve[i]).collect::<Vec<_>>();
-            let at = |s: f64| Some(mean(&clipped(&all((s / step_s).round() as usize))));
+            let at = |s: f64| Some(clipped_mean(&all((s / step_s).round() as usize)));
             Some(minimise(step_s * (EXPOSURES / 2) as f64, step_s, (0.0, interval_s * (1.0 + 1e-9)), at)?.at)
         })
         .collect();
