@@ -103,6 +103,7 @@ impl Edge {
 
 /// How much is seen of each part along the tube: the segment before the nearest ring, the one after it, the region
 /// beyond the tube's end, and its cap.
+#[derive(Clone, Copy)]
 pub(crate) struct Edges {
     pub before: Edge,
     pub behind: Edge,

@@ -250,12 +250,9 @@ fn evaluate(chunk: &mut Chunk, piece: &Piece, light: &Light<'_>) {
     chunk.seen = place(chunk, piece, light.blur_px2);
     match (chunk.seen, piece.ends) {
         (Seen::Nothing, _) => chunk.parts = [1.0, 0.0, 0.0].map(|part| Lanes([part; CHUNK])),
-        (Seen::Before | Seen::Behind, _) => {
-            let is_before = chunk.seen == Seen::Before;
-            show(chunk, piece, light, |_, _, _, _, _| Edges::away(is_before));
-        }
-        (Seen::Ring, false) => show(chunk, piece, light, Edges::at_ring::<false>),
-        (Seen::Ring, true) => show(chunk, piece, light, Edges::at_ring::<true>),
+        (Seen::Before | Seen::Behind, _) => show::<false, false>(chunk, piece, light),
+        (Seen::Ring, false) => show::<true, false>(chunk, piece, light),
+        (Seen::Ring, true) => show::<true, true>(chunk, piece, light),
     }
     store(chunk, piece, light);
 }
@@ -299,9 +296,11 @@ fn place(chunk: &mut Chunk, piece: &Piece, blur_px2: f32) -> Seen {
     }
 }
 
-/// How much is seen of each part, in linear light.
+/// How much is seen of each part, in linear light: away from rings, or `AT_RING`, where the tube may end (`ENDS`). (Not
+/// by closures, which were not inlined, and so not vectorised.)
 #[inline(always)]
-fn show(chunk: &mut Chunk, piece: &Piece, light: &Light<'_>, edges: impl Fn(f32, f32, f32, f32, f32) -> Edges) {
+fn show<const AT_RING: bool, const ENDS: bool>(chunk: &mut Chunk, piece: &Piece, light: &Light<'_>) {
+    let away = Edges::away(chunk.seen == Seen::Before);
     for i in 0..chunk.lanes.min(CHUNK) {
         let (f, u) = (chunk.f.0[i], chunk.u.0[i]);
         let half = at(piece.half, f);
@@ -312,9 +311,12 @@ fn show(chunk: &mut Chunk, piece: &Piece, light: &Light<'_>, edges: impl Fn(f32,
             shape[0] * m1 + shape[1] * light.shades[1] + shape[2] * light.shades[2] + shape[3] * light.shades[3]
         };
         let (shade, d_shade) = (across.cover + lit(&across.shades), across.d_cover + lit(&across.d_shades));
-        let from_ring = at(piece.from_ring_m, f) * at(piece.scale, f);
-        let Edges { before, behind, outline, cap } =
-            edges(u / half, half, from_ring, at(piece.bulge, f), piece.blur(1, f, light.blur_px2));
+        let Edges { before, behind, outline, cap } = if AT_RING {
+            let from_ring = at(piece.from_ring_m, f) * at(piece.scale, f);
+            Edges::at_ring::<ENDS>(u / half, half, from_ring, at(piece.bulge, f), piece.blur(1, f, light.blur_px2))
+        } else {
+            away
+        };
         let (capped, d_capped) = (across.cover * light.cap, across.d_cover * light.cap);
         chunk.parts[0].0[i] = 1.0 - across.cover * (1.0 - outline.weight);
         chunk.parts[1].0[i] = shade * before.weight + capped * cap.weight;

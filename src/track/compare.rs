@@ -179,9 +179,7 @@ impl Scores {
         self.said += said;
         self.coded += coded;
         if part.apart {
-            for (row, residual, weight, _) in part.samples() {
-                self.slips.add((part.span, part.ring), (row, part.seen), residual, weight);
-            }
+            add_to_slips(&mut self.slips, part);
         }
     }
 }
@@ -410,6 +408,14 @@ fn add_to_cells(cells: &mut [Row], part: &Part<'_>) -> [f64; 2] {
         add_row(&mut cells[cell as usize], row, part.seen, weight * residual);
     }
     [said, coded]
+}
+
+/// Adds samples of chroma to the slips they show.
+#[multiversion(targets("x86_64+avx512f+avx512bw+avx512dq+avx512vl", "x86_64+avx2"))]
+fn add_to_slips(slips: &mut Slips, part: &Part<'_>) {
+    for (row, residual, weight, _) in part.samples() {
+        slips.add((part.span, part.ring), (row, part.seen), residual, weight);
+    }
 }
 
 /// Adds a sum of rows, mapped to the shape.

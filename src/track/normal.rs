@@ -254,6 +254,7 @@ fn map<const N: usize, const S: usize>(
 /// Sums of blocks that belong to the same colours.
 type Own<const N: usize> = [[f64; N]; N];
 
+#[multiversion(targets("x86_64+avx512f+avx512bw+avx512dq+avx512vl", "x86_64+avx2"))]
 fn add<const N: usize>(sum: &mut Own<N>, block: &Block<N>) {
     for (sum, row) in sum.iter_mut().zip(&block.hessian) {
         sum.iter_mut().zip(row).for_each(|(sum, value)| *sum += f64::from(*value));

@@ -99,6 +99,7 @@ impl Slips {
     }
 
     /// Adds a chroma sample of a span that is nearest to `ring`.
+    #[inline(always)]
     pub(crate) fn add(
         &mut self,
         (span, ring): (usize, usize),
