@@ -1,5 +1,6 @@
 //! From blobs to an estimate: assignment, the fit of the tube to all views, the coil's tangent.
 
+mod answer;
 mod appearance;
 mod assign;
 #[cfg(test)]
@@ -9,8 +10,11 @@ mod coil;
 mod compare;
 mod covariance;
 mod equations;
+mod find;
 mod fit;
+mod group_fit;
 mod image_model;
+mod judge;
 mod lamp;
 mod last;
 mod light;
@@ -22,6 +26,7 @@ mod patch;
 mod places;
 mod round;
 mod scatter;
+mod separation;
 mod slip;
 mod stretch;
 mod tracker;

@@ -1,0 +1,90 @@
+//! Judges the fits of a frame by those of the frames before: what is unusual hides the band, or is not the band.
+
+use crate::estimate::Miss;
+use crate::rig::Rig;
+use crate::track::find::Found;
+use crate::track::fit::ViewFit;
+use crate::track::group_fit::Fitted;
+use crate::track::light::Encoding;
+use crate::track::separation;
+use crate::track::slip::Seen;
+use crate::track::usual::Usual;
+use nalgebra::Vector2;
+
+/// Residuals and sizes of a band's blobs may exceed the usual by this many standard deviations, all views together;
+/// beyond it something is in front of the band, or it is not the band.
+const MAX_UNUSUAL_SD: f64 = 4.5;
+/// Cap on the size's part: alone it is no evidence, as it also changes with light and motion.
+const MAX_SIZE_TERM: f64 = 3.0;
+
+/// Half-life of observed chroma slips, frames.
+const SLIP_FRAMES: f64 = 20.0;
+
+/// What is known from the frames before.
+pub(crate) struct Judge {
+    /// Residuals of each band in each view.
+    pub usual: Usual,
+    /// Ratio of a band's expected size to its blob's.
+    usual_size: Usual,
+    slip: Seen,
+    /// Observed offset of chroma from the rig's, pixels.
+    pub mean_slip_px: Vector2<f64>,
+}
+
+impl Judge {
+    pub(crate) fn new(rig: &Rig) -> Self {
+        Self {
+            usual: Usual::learned(rig),
+            usual_size: Usual::new(rig),
+            slip: Seen::default(),
+            mean_slip_px: Vector2::zeros(),
+        }
+    }
+
+    /// Adds the slip of chroma to the covariances, and refuses fits with unusual residuals or of too little of a band.
+    pub(crate) fn judge(&mut self, rig: &Rig, encoding: &Encoding, found: &Found, fitted: &mut [Fitted]) {
+        self.slip = self.slip.faded(0.5_f64.powf(1.0 / SLIP_FRAMES));
+        for fit in fitted.iter().filter_map(|f| f.result.as_ref().ok()) {
+            self.slip.add(&fit.slip.beyond(&self.mean_slip_px));
+        }
+        let variance_px2 = self.slip.variance_px2();
+        self.mean_slip_px = self.slip.mean_px();
+        let residuals = fitted.iter().flat_map(|Fitted { group, views, result }| {
+            let of_views = result.iter().flat_map(|fit| &fit.views);
+            views.iter().zip(of_views).map(|(v, view)| (group.reference, *v, view.rms))
+        });
+        let common = self.usual.common(residuals);
+        for Fitted { group, views, result } in fitted {
+            let Ok(fit) = result else { continue };
+            fit.covariance += fit.slip_covariance * variance_px2;
+            // Expected area of the reference band over that of its blob.
+            let missing = |v: usize, view: &ViewFit| {
+                let blob = found.assigned[group.reference].as_ref().ok()?.blobs[v]?;
+                let knot = view.image.at_arc(0.0);
+                let expected = 2.0 * knot.half_width * knot.scale * rig.markers[group.reference].length_m;
+                Some(expected / found.blobs[blob].area_px2)
+            };
+            let sizes: Vec<_> = views.iter().zip(&fit.views).map(|(&v, view)| missing(v, view)).collect();
+            let signs = views.iter().zip(&fit.views).zip(&sizes).map(|((&v, view), size)| {
+                let of_size =
+                    size.map_or(0.0, |size| self.usual_size.above(group.reference, v, size, 0.0)).min(MAX_SIZE_TERM);
+                self.usual.above(group.reference, v, view.rms, common).hypot(of_size)
+            });
+            let signs: Vec<f64> = signs.collect();
+            if signs.iter().map(|sign| sign * sign).sum::<f64>().sqrt() > MAX_UNUSUAL_SD
+                && let Some((i, _)) = signs.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1))
+            {
+                let view = &fit.views[i];
+                let separation = separation::least(rig, encoding, group, views[i], &view.colours);
+                *result = Err(Miss::PoorFit { moved_px: view.residual_px.norm(), separation });
+                continue;
+            }
+            for ((v, view), size) in views.iter().zip(&fit.views).zip(sizes) {
+                self.usual.add(group.reference, *v, view.rms);
+                if let Some(size) = size {
+                    self.usual_size.add(group.reference, *v, size);
+                }
+            }
+        }
+    }
+}
