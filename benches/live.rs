@@ -50,20 +50,23 @@ struct Memory {
     clock: HostClock,
 }
 
+/// Sleeps like a thread waiting for a camera, except for the last bit.
+fn wait_until(due: Instant) {
+    while let Some(rest) = due.checked_duration_since(Instant::now()) {
+        if rest > Duration::from_micros(150) {
+            std::thread::sleep(rest - Duration::from_micros(100));
+        } else {
+            std::hint::spin_loop();
+        }
+    }
+}
+
 impl FrameSource for Memory {
     fn next_frame(&mut self) -> Result<Option<Frame>, SourceError> {
         let Some((seq, picture)) = self.pictures.next() else { return Ok(None) };
         let seq = seq as u64;
         let began = *self.began.get_or_insert_with(Instant::now);
-        let due = began + self.period * seq as u32;
-        // Sleeps like a thread waiting for a camera, except for the last bit.
-        while let Some(rest) = due.checked_duration_since(Instant::now()) {
-            if rest > Duration::from_micros(150) {
-                std::thread::sleep(rest - Duration::from_micros(100));
-            } else {
-                std::hint::spin_loop();
-            }
-        }
+        wait_until(began + self.period * seq as u32);
         let arrival_ns = self.clock.now_ns();
         let stamp = Timestamp { ns: (self.period * seq as u32).as_nanos() as i64, clock: Clock::Device };
         let host = Some(HostTime { arrival_ns, stamp_ns: arrival_ns });
@@ -123,8 +126,7 @@ fn tried(rig: &Rig, (hz, seconds): (f64, f64), pictures: &[Picture], folder: &Pa
     let clock = HostClock::start();
     let received = std::thread::spawn(move || {
         // A controller is on another machine, or has the same priority.
-        #[cfg(target_os = "linux")]
-        let _ = rustix::process::setpriority_process(Some(rustix::thread::gettid()), -15);
+        set_priority(-15);
         let (mut bytes, mut at) = ([0; 4096], BTreeMap::new());
         while let Ok(length) = receiver.recv(&mut bytes) {
             let now_ns = clock.now_ns();
@@ -152,6 +154,40 @@ fn tried(rig: &Rig, (hz, seconds): (f64, f64), pictures: &[Picture], folder: &Pa
     let lost = count - received.len();
     let latency_ms = received.into_iter().filter(|(_, (_, ok))| *ok).map(|(seq, (ms, _))| (seq, ms)).collect();
     Outcome { skipped, lost, latency_ms, cpu }
+}
+
+/// How far this thread goes before others, where it may ("nice").
+fn set_priority(nice: i32) {
+    #[cfg(target_os = "linux")]
+    let _ = rustix::process::setpriority_process(Some(rustix::thread::gettid()), nice);
+    #[cfg(not(target_os = "linux"))]
+    let _ = nice;
+}
+
+/// Latencies of datagrams that are sent when a frame would arrive, milliseconds: what the machine takes for waking two
+/// threads, and how long it stands still.
+fn of_machine(hz: f64, seconds: f64) -> Vec<f64> {
+    let receiver = UdpSocket::bind("127.0.0.1:0").unwrap();
+    receiver.set_read_timeout(Some(Duration::from_millis(700))).unwrap();
+    let sender = UdpSocket::bind("127.0.0.1:0").unwrap();
+    sender.connect(receiver.local_addr().unwrap()).unwrap();
+    let began = Instant::now();
+    let received = std::thread::spawn(move || {
+        set_priority(-15);
+        let (mut due, mut late) = ([0; 8], Vec::new());
+        while receiver.recv(&mut due).is_ok() {
+            late.push((began.elapsed().as_nanos() as f64 - u64::from_le_bytes(due) as f64) * 1e-6);
+        }
+        late
+    });
+    set_priority(-15);
+    for i in 1..=(hz * seconds) as u32 {
+        let due = Duration::from_secs_f64(f64::from(i) / hz);
+        wait_until(began + due);
+        sender.send(&(due.as_nanos() as u64).to_le_bytes()).unwrap();
+    }
+    set_priority(0);
+    received.join().unwrap()
 }
 
 fn p50_p99_max(values: impl Iterator<Item = f64>) -> [f64; 3] {
@@ -203,6 +239,10 @@ fn main() {
         "{:>6} {:>6} {:>8} {:>6} {:>7} {:>7} {:>7} {:>6}",
         "Hz", "s", "skipped", "lost", "p50", "p99", "max", "cores"
     );
+    for hz in [60.0, 600.0] {
+        let [p50, p99, max] = p50_p99_max(of_machine(hz, 20.0).into_iter());
+        println!("{hz:>6} {:>6} nothing tracked  {p50:>7.2} {p99:>7.2} {max:>7.2}", 20);
+    }
     let mut slowest = None;
     for (hz, seconds) in all {
         let Outcome { skipped, lost, latency_ms, cpu } = tried(&rig, (hz, seconds), &pictures, place.path());

@@ -10,6 +10,7 @@ mod container;
 pub(crate) mod counter;
 mod damage;
 mod decoded;
+mod decoding;
 mod error;
 mod extent;
 mod ffv1;

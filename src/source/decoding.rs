@@ -1,0 +1,362 @@
+//! A recording's pictures as libav decodes them: in the order of presentation, with what is known of their damage.
+//!
+//! In: the packets of a container. Out: decoded frames, the times of packets that gave none, and what their packets
+//! state. Which of them are passed on, and when they were taken, `file` decides.
+
+use super::check::{Checked, PacketCheck};
+use super::container::{MAX_REORDERED, best_video, open_decoder, open_input};
+use super::damage::DamageLog;
+use super::decoded::{is_damaged, is_left_out};
+use super::messages::Messages;
+use super::times::seconds;
+use super::{Clock, SourceError};
+use ffmpeg_the_third as av;
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::path::PathBuf;
+use std::time::Instant;
+
+/// Packets of a stream whose arrival times are remembered: more than any encoder reorders.
+const MAX_ARRIVALS: usize = 64;
+/// Most damaged packets whose pictures are awaited.
+const MAX_UNDECODED: usize = 1000;
+/// Unreadable packets in a row after which the rest is given up.
+const UNREADABLE: u32 = 1000;
+
+/// A picture out of the decoder.
+pub(super) struct Decoded {
+    pub frame: av::frame::Video,
+    /// In the damage log.
+    number: u64,
+}
+
+impl Decoded {
+    /// Its presentation time, or libav's guess.
+    pub(super) fn pts(&self) -> Option<i64> {
+        time_of(&self.frame)
+    }
+}
+
+fn time_of(frame: &av::frame::Video) -> Option<i64> {
+    frame.pts().or(frame.timestamp())
+}
+
+/// The pictures of a stream.
+pub(super) struct Decoding {
+    path: PathBuf,
+    clock: Clock,
+    input: av::format::context::Input,
+    stream: usize,
+    start_pts: i64,
+    threads: usize,
+    decoder: av::decoder::Video,
+    damage: DamageLog,
+    messages: Messages,
+    /// How packets can be checked before decoding.
+    check: PacketCheck,
+    /// Quantiser steps of packets whose pictures have not been decoded yet.
+    steps: BTreeMap<i64, f64>,
+    /// Times of damaged packets that have given no picture yet.
+    undecoded: BTreeSet<i64>,
+    /// Decoded pictures not judged yet.
+    held: VecDeque<Decoded>,
+    /// A frame decoded while looking for the start of the span.
+    ahead: Option<av::frame::Video>,
+    /// No more packets: the decoder is being drained.
+    draining: bool,
+    /// Why the recording is known to end early.
+    pub ends_early: Option<String>,
+    /// How many packets could not be read or decoded.
+    pub damaged_packets: u64,
+    /// Camera time of the latest picture, for messages.
+    pub reached_ns: Option<i64>,
+    /// Live: when the latest packets were read, by presentation time.
+    read_at: VecDeque<(i64, Instant)>,
+    /// Times of packets without a presentation time (AVI), in decoding order: pictures take them in turn.
+    in_turn: VecDeque<i64>,
+    /// Whether the recording itself trims frames at the end.
+    trimmed: bool,
+    /// Packets read since the beginning; `None` after a jump.
+    packets: Option<i64>,
+}
+
+impl Decoding {
+    /// Of the best video stream of `input`. That of a [`Clock::Stream`] is live: frames leave the decoder at once.
+    ///
+    /// # Errors
+    /// When there is none, or it cannot be decoded.
+    pub(super) fn new(
+        path: PathBuf,
+        input: av::format::context::Input,
+        threads: usize,
+        clock: Clock,
+    ) -> Result<Self, SourceError> {
+        let stream = best_video(&path, &input)?;
+        let decoder = open_decoder(&path, &stream, threads, clock == Clock::Stream)?;
+        let check = PacketCheck::of(&path, &stream, threads);
+        Ok(Self {
+            stream: stream.index(),
+            start_pts: stream.start_time(),
+            path,
+            clock,
+            input,
+            threads,
+            decoder,
+            damage: DamageLog::default(),
+            messages: Messages::default(),
+            check,
+            steps: BTreeMap::new(),
+            undecoded: BTreeSet::new(),
+            held: VecDeque::new(),
+            ahead: None,
+            draining: false,
+            ends_early: None,
+            damaged_packets: 0,
+            reached_ns: None,
+            read_at: VecDeque::new(),
+            in_turn: VecDeque::new(),
+            trimmed: false,
+            packets: Some(0),
+        })
+    }
+
+    pub(super) fn decoder(&self) -> &av::decoder::Video {
+        &self.decoder
+    }
+
+    pub(super) fn input(&self) -> &av::format::context::Input {
+        &self.input
+    }
+
+    /// What the container says of the stream.
+    pub(super) fn stream(&self) -> Option<av::format::stream::Stream<'_>> {
+        self.input.stream(self.stream)
+    }
+
+    /// Jumps to the last key frame before a time of the container, microseconds; returns whether the input can.
+    pub(super) fn seek(&mut self, to_us: i64) -> bool {
+        if self.input.seek(to_us, ..=to_us).is_err() {
+            return false;
+        }
+        self.decoder.flush();
+        self.forget();
+        self.packets = None;
+        true
+    }
+
+    /// Starts again from the beginning.
+    ///
+    /// # Errors
+    /// When the file cannot be opened any more.
+    pub(super) fn restart(&mut self) -> Result<(), SourceError> {
+        self.input = open_input(&self.path)?;
+        let stream = best_video(&self.path, &self.input)?;
+        self.decoder = open_decoder(&self.path, &stream, self.threads, self.clock == Clock::Stream)?;
+        self.forget();
+        self.packets = Some(0);
+        Ok(())
+    }
+
+    /// Forgets what was read.
+    fn forget(&mut self) {
+        (self.damage, self.messages) = Default::default();
+        self.steps.clear();
+        self.undecoded.clear();
+        self.held.clear();
+        self.in_turn.clear();
+        self.ahead = None;
+        self.draining = false;
+        self.trimmed = false;
+    }
+
+    /// Gives back a frame of [`Self::decode`], to be the next one.
+    pub(super) fn keep_ahead(&mut self, frame: av::frame::Video) {
+        self.ahead = Some(frame);
+    }
+
+    /// Gives back a picture of [`Self::next_picture`], to be the next one.
+    pub(super) fn put_back(&mut self, picture: Decoded) {
+        self.held.push_front(picture);
+    }
+
+    /// Whether a picture is sound, as far as known by now.
+    pub(super) fn is_sound(&self, picture: &Decoded) -> bool {
+        self.damage.is_sound(picture.number, picture.pts())
+    }
+
+    /// The time of a damaged packet that gave no picture, if there is one before `pts`; each is returned once.
+    pub(super) fn failed_before(&mut self, pts: Option<i64>) -> Option<i64> {
+        // At a cut the last packets are expected to be broken.
+        let pts = pts.filter(|pts| *pts != i64::MAX || self.ends_early.is_none())?;
+        let first = self.undecoded.first().copied().filter(|first| *first < pts)?;
+        self.undecoded.remove(&first);
+        Some(first)
+    }
+
+    /// The quantiser step that the packet of a picture stated.
+    pub(super) fn step_of(&mut self, picture: &Decoded) -> Option<f64> {
+        self.steps.remove(&picture.pts()?)
+    }
+
+    /// When the packet of a live picture was read.
+    pub(super) fn arrival_of(&self, picture: &Decoded) -> Option<Instant> {
+        let pts = picture.frame.pts()?;
+        self.read_at.iter().rev().find(|(of, _)| *of == pts).map(|(_, at)| *at)
+    }
+
+    /// The time of the next packet without a presentation time.
+    pub(super) fn next_in_turn(&mut self) -> Option<i64> {
+        self.in_turn.pop_front()
+    }
+
+    /// The next frame out of the decoder; `None` when it has no more.
+    pub(super) fn decode(&mut self) -> Option<av::frame::Video> {
+        if let Some(frame) = self.ahead.take() {
+            return Some(frame);
+        }
+        let mut frame = av::frame::Video::empty();
+        loop {
+            let received = self.decoder.receive_frame(&mut frame);
+            for (number, said) in self.messages.take() {
+                self.damage.heard(number, said);
+            }
+            match received {
+                Ok(()) => return Some(frame),
+                Err(av::Error::Eof) => return None,
+                Err(av::Error::Other { .. }) if !self.draining => self.feed(),
+                // While draining, a decoder that wants more input has no more frames.
+                Err(av::Error::Other { .. }) => return None,
+                Err(error) => self.damaged_packet(error, true),
+            }
+        }
+    }
+
+    /// The next frame in presentation order. The last ones wait for each other: a decoder that is drained may be late
+    /// to say that a packet failed.
+    pub(super) fn next_picture(&mut self) -> Option<Decoded> {
+        while self.held.is_empty() || self.draining {
+            let next = self.decode();
+            if self.draining {
+                let until = next.as_ref().and_then(time_of);
+                self.undecoded.extend(self.damage.failed_before(until));
+            }
+            let Some(frame) = next else { break };
+            let pts = time_of(&frame);
+            let number = self.damage.picture(pts, is_damaged(&frame));
+            pts.inspect(|pts| {
+                self.undecoded.remove(pts);
+            });
+            self.held.push_back(Decoded { frame, number });
+        }
+        self.held.pop_front()
+    }
+
+    /// Gives the decoder the stream's next packet.
+    fn feed(&mut self) {
+        let mut unreadable = 0;
+        loop {
+            let mut packet = av::Packet::empty();
+            match packet.read(&mut self.input) {
+                Ok(()) if packet.stream() != self.stream => continue,
+                Ok(()) => {
+                    self.note_arrival(&packet);
+                    self.packets = self.packets.map(|packets| packets + 1);
+                    // An MP4's edit list may leave out frames at the end, and libav then drops them. But where the
+                    // length of the last frame was unknown, the list ends at its start, and it would be dropped too.
+                    // Setting the flags that the binding knows clears the discard flag; frames before the recording's
+                    // start stay out.
+                    if is_left_out(&packet) && packet.pts().is_some_and(|pts| pts >= self.start_pts) {
+                        let frames = self.stream().map_or(0, |stream| stream.frames());
+                        let more = self.packets.is_some_and(|packets| packets + i64::from(MAX_REORDERED) < frames);
+                        if packet.duration() <= 1 && !more && !self.trimmed {
+                            packet.set_flags(packet.flags());
+                        }
+                        self.trimmed = true;
+                    }
+                    let pts = packet.pts().or(packet.dts());
+                    if packet.pts().is_none() && self.clock == Clock::Container {
+                        self.in_turn.extend(packet.dts());
+                    }
+                    let number = self.damage.packet(pts, packet.is_key());
+                    self.messages.packet(&mut self.decoder, number);
+                    if packet.is_corrupt() {
+                        self.damaged_packet(av::Error::InvalidData, false);
+                        continue;
+                    }
+                    // The decoder would conceal the damage.
+                    let Checked { sound, step, sent } = self.check.send(&packet, &mut self.decoder);
+                    self.steps.extend(pts.zip(step));
+                    if !sound {
+                        self.damaged_packet(av::Error::InvalidData, false);
+                    }
+                    if let Err(error) = sent {
+                        self.damaged_packet(error, true);
+                    }
+                    return;
+                }
+                Err(av::Error::InvalidData) if self.ends_early.is_none() && unreadable < UNREADABLE => {
+                    unreadable += 1;
+                    self.damaged_packet(av::Error::InvalidData, false);
+                    continue;
+                }
+                Err(av::Error::Eof) => {}
+                Err(error) => {
+                    self.ends_early.get_or_insert_with(|| format!("reading failed: {error}"));
+                }
+            }
+            // A failure here shows as a decoder without frames.
+            let _ = self.decoder.send_eof();
+            self.draining = true;
+            self.damage.suspect_last(self.packets_in_work());
+            return;
+        }
+    }
+
+    fn note_arrival(&mut self, packet: &av::Packet) {
+        if self.clock == Clock::Stream
+            && let Some(pts) = packet.pts()
+        {
+            if self.read_at.len() == MAX_ARRIVALS {
+                self.read_at.pop_front();
+            }
+            self.read_at.push_back((pts, Instant::now()));
+        }
+    }
+
+    /// A packet is lost: the latest, or with `by_decoder` one that a decoder thread was still working on.
+    fn damaged_packet(&mut self, error: av::Error, by_decoder: bool) {
+        // A decoder of several threads returns a packet's error when it is given a later one; when it is drained, only
+        // its messages tell whose it is.
+        let later = if by_decoder { self.packets_in_work() } else { 0 };
+        if !self.draining || !self.damage.has_suspects() {
+            self.undecoded.extend(self.damage.packet_is_damaged(later));
+        }
+        if by_decoder {
+            // No picture will take its time.
+            self.in_turn.pop_back();
+        }
+        self.damaged_packets += 1;
+        // Nonsensical times are never reached.
+        if self.undecoded.len() > MAX_UNDECODED {
+            self.undecoded.pop_last();
+        }
+        // At a cut the last packet is expected to be broken, and the end is reported.
+        if self.damaged_packets == 1 && self.ends_early.is_none() {
+            tracing::warn!(
+                "{}: a damaged packet after {} is left out ({error}); more are counted",
+                self.path.display(),
+                self.at()
+            );
+        }
+    }
+
+    /// Packets that the decoder's threads may still be at work on.
+    fn packets_in_work(&self) -> u64 {
+        let threading = self.decoder.threading();
+        if threading.kind == av::threading::Type::Frame { threading.count.saturating_sub(1) as u64 } else { 0 }
+    }
+
+    /// The current position, for messages.
+    pub(super) fn at(&self) -> String {
+        self.reached_ns.map_or_else(|| "the start".to_owned(), |ns| format!("{} s", seconds(ns)))
+    }
+}
