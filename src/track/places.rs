@@ -11,6 +11,10 @@ use std::ops::Range;
 /// Further from the outline, or from a ring, only one colour is seen. This affects only the order of work.
 const OUT_OF_SIGHT_PX: f64 = 2.5;
 
+/// Further than this inside the outline and away from rings, pixels, there are only colours to be learned, for which
+/// every fifth pixel is enough.
+const INSIDE_PX: f64 = 4.0;
+
 /// How far the borders of a piece may turn into it at its sides, pixels.
 const SLACK_PX: f64 = 1.0;
 
@@ -179,6 +183,8 @@ impl<'a> Spans<'a> {
             ends.clear();
             ends.resize((last_span - first_span + 1) * SIGHTS, 0);
             found.list.clear();
+            let (a, b) = (&self.image.knots[knot], &self.image.knots[knot + 1]);
+            let around_ring_px = INSIDE_PX + a.bulge.abs().max(b.bulge.abs());
             for (at, (f, outside)) in found.at.iter().zip(found.f.iter().zip(&found.outside)) {
                 if !(*f >= ends_at[0] && *f <= ends_at[1] && f64::from(*outside) <= field.margin_px) {
                     continue;
@@ -188,6 +194,13 @@ impl<'a> Spans<'a> {
                 if first_span < last_span {
                     let ring = self.layout.nearest_ring(arc_m);
                     span = (span + ring.saturating_sub(self.list[span].ring)).min(*last_span);
+                }
+                let from_ring = (arc_m - self.layout.rings_m[self.list[span].ring]) * a.scale;
+                if f64::from(*outside) < -INSIDE_PX && from_ring.abs() > around_ring_px {
+                    let [x, y] = [0, 1].map(|axis| field.corner[axis] + i64::from(at[axis]));
+                    if Density::Fifth.phase(x, y) != 0 {
+                        continue;
+                    }
                 }
                 let group = (span - first_span) * SIGHTS + self.sight(span, arc_m, *outside);
                 ends[group] += 1;
@@ -367,6 +380,34 @@ mod tests {
         });
         let (distance, half, knot) = all.min_by(|a, b| a.0.total_cmp(&b.0)).unwrap();
         (distance - half, knot)
+    }
+
+    /// A tube 24 px wide: all pixels beside its outline and around its ring, every fifth of the others.
+    #[test]
+    fn inside_a_wide_tube_every_fifth_pixel_is_used() {
+        let layout = Layout { rings_m: vec![0.0], ends: false };
+        let shape = TubeShape::straight(Point3::new(0.001, -0.004, 1.35), &Vector3::new(0.1, 1.0, 0.05), 6e-3);
+        let image = TubeImage::of(&shape, 6e-3, &views()[0], (-30e-3, 30e-3), 3e-3, None, None).unwrap();
+        let range = (1.0, image.knots.len() as f64 - 2.0);
+        let (field, _) = Field::around(&image, range, [320, 160], MARGIN_PX).unwrap();
+        let spans = Spans::new(&image, &layout);
+        let places = spans.places(&field, range, Density::All);
+        let found: std::collections::BTreeSet<_> = places.iter().map(|place| field.pixel(place)).collect();
+        let (mut kept, mut inside) = (0, 0);
+        for at in (0..160).flat_map(|y| (0..320).map(move |x| [x, y])) {
+            let (outside, knot) = nearest(&image, Point2::new(at[0] as f64, at[1] as f64));
+            let in_range = knot > range.0 + 0.1 && knot < range.1 - 0.1 && outside < MARGIN_PX - 0.1;
+            let knots = &image.knots[knot as usize];
+            let from_ring = (image.arc_m(knot) * knots.scale).abs() - knots.bulge.abs();
+            if in_range && (outside > 0.1 - INSIDE_PX || from_ring < INSIDE_PX - 1.0) {
+                assert!(found.contains(&at), "{at:?}, {outside} px outside, {from_ring} px from the ring");
+                kept += 1;
+            } else if in_range && outside < -0.1 - INSIDE_PX && from_ring > INSIDE_PX + 1.0 {
+                assert_eq!(found.contains(&at), Density::Fifth.phase(at[0], at[1]) == 0, "{at:?}");
+                inside += 1;
+            }
+        }
+        assert!(kept > 500 && inside > 500, "{kept}, {inside}");
     }
 
     #[test]
