@@ -4,12 +4,12 @@
 //! state. Which of them are passed on, and when they were taken, `file` decides.
 
 use super::check::{Checked, PacketCheck};
-use super::container::{MAX_REORDERED, best_video, open_decoder, open_input};
+use super::container::{MAX_REORDERED, best_video, count_hint, open_decoder, open_input};
 use super::damage::DamageLog;
 use super::decoded::{is_damaged, is_left_out};
 use super::messages::Messages;
 use super::times::seconds;
-use super::{Clock, SourceError};
+use super::{Clock, SourceError, Span};
 use ffmpeg_the_third as av;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::path::PathBuf;
@@ -46,7 +46,10 @@ pub(super) struct Decoding {
     clock: Clock,
     input: av::format::context::Input,
     stream: usize,
+    pub time_base: av::Rational,
     start_pts: i64,
+    /// Frame rates that the container states: of the stream, and on average.
+    pub rates: [av::Rational; 2],
     threads: usize,
     decoder: av::decoder::Video,
     damage: DamageLog,
@@ -95,7 +98,9 @@ impl Decoding {
         let check = PacketCheck::of(&path, &stream, threads);
         Ok(Self {
             stream: stream.index(),
+            time_base: stream.time_base(),
             start_pts: stream.start_time(),
+            rates: [stream.rate(), stream.avg_frame_rate()],
             path,
             clock,
             input,
@@ -127,9 +132,9 @@ impl Decoding {
         &self.input
     }
 
-    /// What the container says of the stream.
-    pub(super) fn stream(&self) -> Option<av::format::stream::Stream<'_>> {
-        self.input.stream(self.stream)
+    /// About how many frames a span has, if the container tells.
+    pub(super) fn count_hint(&self, span: Span) -> Option<u64> {
+        count_hint(&self.input, &self.input.stream(self.stream)?, span)
     }
 
     /// Jumps to the last key frame before a time of the container, microseconds; returns whether the input can.
@@ -265,7 +270,7 @@ impl Decoding {
                     // Setting the flags that the binding knows clears the discard flag; frames before the recording's
                     // start stay out.
                     if is_left_out(&packet) && packet.pts().is_some_and(|pts| pts >= self.start_pts) {
-                        let frames = self.stream().map_or(0, |stream| stream.frames());
+                        let frames = self.input.stream(self.stream).map_or(0, |stream| stream.frames());
                         let more = self.packets.is_some_and(|packets| packets + i64::from(MAX_REORDERED) < frames);
                         if packet.duration() <= 1 && !more && !self.trimmed {
                             packet.set_flags(packet.flags());

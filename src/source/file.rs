@@ -15,7 +15,7 @@ use std::time::Instant;
 
 use ffmpeg_the_third as av;
 
-use super::container::{count_hint, measure, open_input, open_stream, quiet_libav};
+use super::container::{measure, open_input, open_stream, quiet_libav};
 use super::decoded::PictureMaker;
 use super::decoding::{Decoded, Decoding};
 use super::extent::Extent;
@@ -52,7 +52,6 @@ pub struct VideoFile {
     path: PathBuf,
     clock: Clock,
     decoding: Decoding,
-    time_base: av::Rational,
     /// Stated rate of a raw stream, and how many of its frames were decoded.
     stated: Option<(FrameRate, u64)>,
     /// Camera time at the container's zero, see [`ORIGIN_TAG`].
@@ -142,35 +141,32 @@ impl VideoFile {
         clock: Clock,
     ) -> Result<Self, SourceError> {
         let decoding = Decoding::new(path.clone(), input, options.decoder_threads, clock)?;
-        let (input, stream) = (decoding.input(), decoding.stream());
-        let rates = stream.as_ref().map(|stream| [stream.rate(), stream.avg_frame_rate()].map(|rate| (rate.0, rate.1)));
+        let [rate, average] = decoding.rates.map(|rate| (rate.0, rate.1));
         let stated_ns = options.stated_rate.and_then(|rate| Some(rate.stamp_ns(1)? as f64));
-        let declared_ns = stated_ns.or_else(|| rates.and_then(|[rate, average]| plausible_period_ns(rate, average)));
-        let frame_count_hint = stream.as_ref().and_then(|stream| count_hint(input, stream, options.span));
-        let time_base = stream.map_or(av::Rational(0, 1), |stream| stream.time_base());
-        let origin_ns = match input.metadata().get(ORIGIN_TAG) {
+        let declared_ns = stated_ns.or_else(|| plausible_period_ns(rate, average));
+        let origin_ns = match decoding.input().metadata().get(ORIGIN_TAG) {
             Some(text) => text.parse().map_err(|_| SourceError::NotAVideo {
                 path: path.clone(),
                 reason: format!("its tag {ORIGIN_TAG} is `{text}`, expected whole nanoseconds"),
             })?,
             None => 0,
         };
+        let time_base = decoding.time_base;
         let tick_ns = 1e9 * f64::from(time_base.0) / f64::from(time_base.1.max(1));
         Ok(Self {
             pictures: PictureMaker::new(path.clone(), decoding.decoder().id()),
             size_px: [decoding.decoder().width(), decoding.decoder().height()],
             stamps: StampWatch::new(path.display().to_string(), declared_ns, tick_ns),
+            frame_count_hint: decoding.count_hint(options.span),
             path,
             clock,
             decoding,
-            time_base,
             stated: options.stated_rate.map(|rate| (rate, 0)),
             origin_ns,
             keep_damaged: options.keep_damaged,
             layout: None,
             missing: 0,
             span: options.span,
-            frame_count_hint,
             ended: false,
             faults: StreamFaults::default(),
             seq: 0,
@@ -257,7 +253,8 @@ impl VideoFile {
     }
 
     fn timed(&self, ticks: i64) -> Result<Timestamp, SourceError> {
-        let ns = ticks_to_ns(ticks, self.time_base.0.into(), self.time_base.1.into())
+        let av::Rational(numerator, denominator) = self.decoding.time_base;
+        let ns = ticks_to_ns(ticks, numerator.into(), denominator.into())
             .and_then(|ns| ns.checked_add(self.origin_ns))
             .ok_or_else(|| SourceError::TimeRange { path: self.path.clone(), seq: self.seq })?;
         Ok(Timestamp { ns, clock: self.clock })

@@ -4,7 +4,8 @@
 //! view. Unknown are the shape (tube.rs, common to all views) and the colours of each view (appearance.rs); all samples
 //! of all views are compared with the model in one minimisation (round.rs), so that each view determines what the
 //! others cannot see, through the refracted rays. Two rounds: the first fits the shape to every fifth pixel with an
-//! assumed noise; the second selects all samples again and weights them by their observed noise.
+//! assumed noise; the second selects samples again, all that tell where the tube is, and weights them by their observed
+//! noise.
 //!
 //! Assumption, a weak prior that enters the covariance (covariance.rs): beside the coil the curvature grows from zero,
 //! by no more than some 15 /m in a centimetre (tube.rs).

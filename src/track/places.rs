@@ -23,6 +23,7 @@ const SLACK_PX: f64 = 1.0;
 pub(crate) enum Density {
     /// Every fifth, a knight's move apart: a fifth of the work, spread over all rows and columns.
     Fifth,
+    /// All but those deep inside a wide tube, of which every fifth.
     All,
 }
 
@@ -154,7 +155,7 @@ pub(crate) struct Spans<'a> {
     behind: Vec<(usize, usize)>,
 }
 
-/// Numbers of [`Spans::sight`].
+/// Numbers of [`sight`].
 const SIGHTS: usize = 4;
 
 impl<'a> Spans<'a> {
@@ -195,16 +196,17 @@ impl<'a> Spans<'a> {
                     let ring = self.layout.nearest_ring(arc_m);
                     span = (span + ring.saturating_sub(self.list[span].ring)).min(*last_span);
                 }
-                let from_ring = (arc_m - self.layout.rings_m[self.list[span].ring]) * a.scale;
-                if f64::from(*outside) < -INSIDE_PX && from_ring.abs() > around_ring_px {
-                    let [x, y] = [0, 1].map(|axis| field.corner[axis] + i64::from(at[axis]));
+                let place = Place { at: *at, span: span as u32, f: *f, outside: *outside };
+                let from_ring_px = (arc_m - self.layout.rings_m[self.list[span].ring]) * a.scale;
+                if f64::from(*outside) < -INSIDE_PX && from_ring_px.abs() > around_ring_px {
+                    let [x, y] = field.pixel(&place);
                     if Density::Fifth.phase(x, y) != 0 {
                         continue;
                     }
                 }
-                let group = (span - first_span) * SIGHTS + self.sight(span, arc_m, *outside);
+                let group = (span - first_span) * SIGHTS + sight(from_ring_px, *outside);
                 ends[group] += 1;
-                found.list.push((group, Place { at: *at, span: span as u32, f: *f, outside: *outside }));
+                found.list.push((group, place));
             }
             // Counting sort.
             let mut end = places.len();
@@ -221,19 +223,17 @@ impl<'a> Spans<'a> {
         }
         places
     }
+}
 
-    /// What is seen at an arc length of a span: 0 nothing of the tube, 1 the segment before the ring, 2 the ring, 3 the
-    /// segment after it.
-    fn sight(&self, span: usize, arc_m: f64, outside: f32) -> usize {
-        let Span { knot, ring } = self.list[span];
-        let from_ring = (arc_m - self.layout.rings_m[ring]) * self.image.knots[knot].scale;
-        if f64::from(outside) > OUT_OF_SIGHT_PX {
-            0
-        } else if from_ring.abs() < OUT_OF_SIGHT_PX {
-            2
-        } else {
-            if from_ring < 0.0 { 1 } else { 3 }
-        }
+/// What is seen so far along the tube from a ring and from the outline: 0 nothing of the tube, 1 the segment before the
+/// ring, 2 the ring, 3 the segment after it.
+fn sight(from_ring_px: f64, outside: f32) -> usize {
+    if f64::from(outside) > OUT_OF_SIGHT_PX {
+        0
+    } else if from_ring_px.abs() < OUT_OF_SIGHT_PX {
+        2
+    } else {
+        if from_ring_px < 0.0 { 1 } else { 3 }
     }
 }
 
