@@ -9,6 +9,7 @@ use crate::estimate::Estimate;
 use crate::rig::Rig;
 use crate::sink::{Origin, StillError, Stills, plain_words};
 use crate::source::{Picture, Window};
+use rayon::prelude::*;
 
 /// Least ratio of σ to replace a frame.
 const STEP: f64 = 1.05;
@@ -87,7 +88,7 @@ impl Moments {
     }
 
     /// The section of the page; `frames`: the number of frames in the run.
-    pub(super) fn section(&mut self, frames: u64, origin: Option<Origin>) -> String {
+    pub(super) fn section(&self, frames: u64, origin: Option<Origin>) -> String {
         let title = "<h2>What it saw</h2>\n";
         let Some(first) = &self.first else {
             return match frames {
@@ -105,7 +106,8 @@ impl Moments {
         let new = |moment: &&Moment| moment.estimate.seq != first.estimate.seq;
         shown.extend(self.best.as_ref().filter(new).map(|best| ("Best frame", best, part)));
         shown.extend(self.worst.as_ref().filter(new).map(|worst| ("Worst frame", worst, part)));
-        let mut drawn = shown.into_iter().map(|(name, moment, part)| {
+        // The run waits for them.
+        let drawn = shown.into_par_iter().map(|(name, moment, part)| {
             let at_s = origin.map_or(0.0, |origin| origin.elapsed_s(moment.estimate.stamp.ns));
             let caption =
                 format!("{name}, at {at_s:.3} s: {}", result_in_words(&moment.estimate, &self.names, &self.views));
@@ -114,6 +116,7 @@ impl Moments {
                 Err(error) => not_drawn(&caption, &error),
             }
         });
+        let mut drawn = drawn.collect::<Vec<_>>().into_iter();
         let (whole, cut) = (drawn.next().unwrap_or_default(), drawn.collect::<String>());
         let pictures = if cut.is_empty() { whole } else { format!("{whole}<div class=\"pair\">\n{cut}</div>\n") };
         format!(

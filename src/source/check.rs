@@ -3,8 +3,9 @@
 use super::container::configuration;
 use super::{ffv1, jpeg};
 use ffmpeg_the_third as av;
-use std::panic::resume_unwind;
 use std::path::Path;
+use std::sync::Arc;
+use std::sync::mpsc::{Receiver, Sender, channel};
 use std::thread;
 
 /// How the packets of a stream can be checked.
@@ -15,26 +16,32 @@ enum How {
     Jpeg,
 }
 
-/// The check of a stream's packets.
-#[derive(Debug, Clone, Copy)]
+/// The check of a stream's packets, which has a thread of its own: packets are checked while others are decoded.
 pub(super) struct PacketCheck {
     how: How,
-    /// Whether it has a thread of its own, beside the decoder's.
-    beside: bool,
+    /// To the thread; `None` when there is nothing to check, or the system gives none.
+    jobs: Option<Sender<Job>>,
 }
 
-/// A packet that was checked, and given to the decoder.
-pub(super) struct Checked {
+/// A packet, and where the verdict goes.
+type Job = (Arc<av::Packet>, Sender<Verdict>);
+
+/// A packet that is being checked.
+pub(super) struct InCheck {
+    pub packet: Arc<av::Packet>,
+    verdict: Option<Receiver<Verdict>>,
+}
+
+/// What is known of a packet before it is decoded.
+#[derive(Clone, Copy)]
+pub(super) struct Verdict {
     pub sound: bool,
     /// The quantiser step that it states.
     pub step: Option<f64>,
-    /// What the decoder says.
-    pub sent: Result<(), av::Error>,
 }
 
 impl PacketCheck {
-    /// That of a stream whose decoder may have this many threads, 0 for one per core.
-    pub(super) fn of(path: &Path, stream: &av::format::stream::Stream<'_>, threads: usize) -> Self {
+    pub(super) fn of(path: &Path, stream: &av::format::stream::Stream<'_>) -> Self {
         let how = match stream.parameters().id() {
             av::codec::Id::FFV1 if ffv1::has_checksums(&configuration(stream)) == Some(true) => How::Ffv1,
             av::codec::Id::FFV1 => {
@@ -47,36 +54,50 @@ impl PacketCheck {
             av::codec::Id::MJPEG => How::Jpeg,
             _ => How::Not,
         };
-        Self { how, beside: threads != 1 && how != How::Not }
-    }
-
-    /// Checks a packet, and gives it to its decoder.
-    pub(super) fn send(self, packet: &av::Packet, decoder: &mut av::decoder::Video) -> Checked {
-        let data = packet.data().unwrap_or_default();
-        let examine = || self.examine(data);
-        if !self.beside {
-            let (sound, step) = examine();
-            return Checked { sound, step, sent: decoder.send_packet(packet) };
+        if how == How::Not {
+            return Self { how, jobs: None };
         }
-        thread::scope(|scope| {
-            let own = thread::Builder::new().spawn_scoped(scope, examine);
-            let sent = decoder.send_packet(packet);
-            let (sound, step) = match own {
-                Ok(own) => own.join().unwrap_or_else(|panic| resume_unwind(panic)),
-                Err(_) => examine(),
-            };
-            Checked { sound, step, sent }
-        })
+        let (jobs, taken) = channel::<Job>();
+        let check = move || {
+            for (packet, answer) in taken {
+                // Nobody waits for it after a jump.
+                let _ = answer.send(how.examine(&packet));
+            }
+        };
+        let thread = thread::Builder::new().name("check".to_owned()).spawn(check);
+        Self { how, jobs: thread.ok().map(|_| jobs) }
     }
 
-    /// Whether the packet is sound, and the quantiser step that it states.
-    fn examine(self, packet: &[u8]) -> (bool, Option<f64>) {
-        match self.how {
-            How::Not => (true, None),
-            How::Ffv1 => (ffv1::is_sound(packet), None),
-            How::Jpeg => {
-                let jpeg::Examined { damage, step } = jpeg::examine(packet);
-                (damage.is_none(), step)
+    /// Whether it has a thread, so that packets are best given to it some time before their verdicts are needed.
+    pub(super) fn has_thread(&self) -> bool {
+        self.jobs.is_some()
+    }
+
+    /// Begins to check a packet.
+    pub(super) fn begin(&self, packet: av::Packet) -> InCheck {
+        let packet = Arc::new(packet);
+        let (answer, verdict) = channel();
+        let sent = self.jobs.as_ref().is_some_and(|jobs| jobs.send((Arc::clone(&packet), answer)).is_ok());
+        InCheck { packet, verdict: sent.then_some(verdict) }
+    }
+
+    /// The verdict on a packet, as soon as there is one.
+    pub(super) fn verdict(&self, InCheck { packet, verdict }: &InCheck) -> Verdict {
+        // Without a thread it is checked here.
+        let answer = verdict.as_ref().and_then(|verdict| verdict.recv().ok());
+        answer.unwrap_or_else(|| self.how.examine(packet))
+    }
+}
+
+impl How {
+    fn examine(self, packet: &av::Packet) -> Verdict {
+        let data = packet.data().unwrap_or_default();
+        match self {
+            Self::Not => Verdict { sound: true, step: None },
+            Self::Ffv1 => Verdict { sound: ffv1::is_sound(data), step: None },
+            Self::Jpeg => {
+                let jpeg::Examined { damage, step } = jpeg::examine(data);
+                Verdict { sound: damage.is_none(), step }
             }
         }
     }

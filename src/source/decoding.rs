@@ -3,7 +3,7 @@
 //! In: the packets of a container. Out: decoded frames, the times of packets that gave none, and what their packets
 //! state. Which of them are passed on, and when they were taken, `file` decides.
 
-use super::check::{Checked, PacketCheck};
+use super::check::{InCheck, PacketCheck, Verdict};
 use super::container::{MAX_REORDERED, best_video, count_hint, open_decoder, open_input};
 use super::damage::DamageLog;
 use super::decoded::{is_damaged, is_left_out};
@@ -19,6 +19,9 @@ use std::time::Instant;
 const MAX_ARRIVALS: usize = 64;
 /// Most damaged packets whose pictures are awaited.
 const MAX_UNDECODED: usize = 1000;
+/// Packets that are read before they are decoded, so that they can be checked meanwhile. Threads may have to wait for a
+/// processor as long as some pictures take.
+const READ_AHEAD: usize = 4;
 /// Unreadable packets in a row after which the rest is given up.
 const UNREADABLE: u32 = 1000;
 
@@ -54,8 +57,9 @@ pub(super) struct Decoding {
     decoder: av::decoder::Video,
     damage: DamageLog,
     messages: Messages,
-    /// How packets can be checked before decoding.
     check: PacketCheck,
+    /// Packets read and not decoded yet; the last entry may be why there is none.
+    read: VecDeque<Result<InCheck, av::Error>>,
     /// Quantiser steps of packets whose pictures have not been decoded yet.
     steps: BTreeMap<i64, f64>,
     /// Times of damaged packets that have given no picture yet.
@@ -95,7 +99,7 @@ impl Decoding {
     ) -> Result<Self, SourceError> {
         let stream = best_video(&path, &input)?;
         let decoder = open_decoder(&path, &stream, threads, clock == Clock::Stream)?;
-        let check = PacketCheck::of(&path, &stream, threads);
+        let check = PacketCheck::of(&path, &stream);
         Ok(Self {
             stream: stream.index(),
             time_base: stream.time_base(),
@@ -109,6 +113,7 @@ impl Decoding {
             damage: DamageLog::default(),
             messages: Messages::default(),
             check,
+            read: VecDeque::new(),
             steps: BTreeMap::new(),
             undecoded: BTreeSet::new(),
             held: VecDeque::new(),
@@ -164,6 +169,7 @@ impl Decoding {
     /// Forgets what was read.
     fn forget(&mut self) {
         (self.damage, self.messages) = Default::default();
+        self.read.clear();
         self.steps.clear();
         self.undecoded.clear();
         self.held.clear();
@@ -259,24 +265,9 @@ impl Decoding {
     fn feed(&mut self) {
         let mut unreadable = 0;
         loop {
-            let mut packet = av::Packet::empty();
-            match packet.read(&mut self.input) {
-                Ok(()) if packet.stream() != self.stream => continue,
-                Ok(()) => {
-                    self.note_arrival(&packet);
-                    self.packets = self.packets.map(|packets| packets + 1);
-                    // An MP4's edit list may leave out frames at the end, and libav then drops them. But where the
-                    // length of the last frame was unknown, the list ends at its start, and it would be dropped too.
-                    // Setting the flags that the binding knows clears the discard flag; frames before the recording's
-                    // start stay out.
-                    if is_left_out(&packet) && packet.pts().is_some_and(|pts| pts >= self.start_pts) {
-                        let frames = self.input.stream(self.stream).map_or(0, |stream| stream.frames());
-                        let more = self.packets.is_some_and(|packets| packets + i64::from(MAX_REORDERED) < frames);
-                        if packet.duration() <= 1 && !more && !self.trimmed {
-                            packet.set_flags(packet.flags());
-                        }
-                        self.trimmed = true;
-                    }
+            match self.next_packet() {
+                Ok(next) => {
+                    let packet = &*next.packet;
                     let pts = packet.pts().or(packet.dts());
                     if packet.pts().is_none() && self.clock == Clock::Container {
                         self.in_turn.extend(packet.dts());
@@ -287,8 +278,9 @@ impl Decoding {
                         self.damaged_packet(av::Error::InvalidData, false);
                         continue;
                     }
-                    // The decoder would conceal the damage.
-                    let Checked { sound, step, sent } = self.check.send(&packet, &mut self.decoder);
+                    let sent = self.decoder.send_packet(packet);
+                    // The decoder conceals the damage.
+                    let Verdict { sound, step } = self.check.verdict(&next);
                     self.steps.extend(pts.zip(step));
                     if !sound {
                         self.damaged_packet(av::Error::InvalidData, false);
@@ -314,6 +306,40 @@ impl Decoding {
             self.damage.suspect_last(self.packets_in_work());
             return;
         }
+    }
+
+    /// The stream's next packet. Of a recording some more are read and their check begins; live, they have not come yet.
+    fn next_packet(&mut self) -> Result<InCheck, av::Error> {
+        let ahead = if self.check.has_thread() && self.clock != Clock::Stream { READ_AHEAD } else { 0 };
+        while self.read.len() <= ahead && !matches!(self.read.back(), Some(Err(_))) {
+            let packet = self.read_packet().map(|packet| self.check.begin(packet));
+            self.read.push_back(packet);
+        }
+        self.read.pop_front().unwrap_or(Err(av::Error::Eof))
+    }
+
+    fn read_packet(&mut self) -> Result<av::Packet, av::Error> {
+        let mut packet = av::Packet::empty();
+        loop {
+            packet.read(&mut self.input)?;
+            if packet.stream() == self.stream {
+                break;
+            }
+        }
+        self.note_arrival(&packet);
+        self.packets = self.packets.map(|packets| packets + 1);
+        // An MP4's edit list may leave out frames at the end, and libav then drops them. But where the length of the
+        // last frame was unknown, the list ends at its start, and it would be dropped too. Setting the flags that the
+        // binding knows clears the discard flag; frames before the recording's start stay out.
+        if is_left_out(&packet) && packet.pts().is_some_and(|pts| pts >= self.start_pts) {
+            let frames = self.input.stream(self.stream).map_or(0, |stream| stream.frames());
+            let more = self.packets.is_some_and(|packets| packets + i64::from(MAX_REORDERED) < frames);
+            if packet.duration() <= 1 && !more && !self.trimmed {
+                packet.set_flags(packet.flags());
+            }
+            self.trimmed = true;
+        }
+        Ok(packet)
     }
 
     fn note_arrival(&mut self, packet: &av::Packet) {

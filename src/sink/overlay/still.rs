@@ -14,7 +14,6 @@ use opencv::prelude::*;
 pub(crate) struct Stills {
     size_px: [u32; 2],
     scene: Scene,
-    to_bgr: ToBgr,
 }
 
 /// Why there is no drawing.
@@ -34,20 +33,20 @@ pub(crate) enum StillError {
 
 impl Stills {
     pub(crate) fn new(rig: &Rig) -> Self {
-        Self { size_px: rig.camera.size_px, scene: Scene::new(rig), to_bgr: ToBgr::quick() }
+        Self { size_px: rig.camera.size_px, scene: Scene::new(rig) }
     }
 
     /// The picture with outlines, names and the tangent's arrow, cropped to `part`, as a JPEG.
     ///
     /// # Errors
     /// [`StillError`] when the picture is not of the rig's camera, or cannot be converted, drawn into or compressed.
-    pub(crate) fn jpeg(&mut self, picture: &Picture, estimate: &Estimate, part: Window) -> Result<Vec<u8>, StillError> {
+    pub(crate) fn jpeg(&self, picture: &Picture, estimate: &Estimate, part: Window) -> Result<Vec<u8>, StillError> {
         if picture.size_px() != self.size_px {
             return Err(StillError::Size { found: picture.size_px(), expected: self.size_px });
         }
         let [width, height] = self.size_px;
         let mut canvas = Canvas::new([whole(width), whole(height)], unit(height))?;
-        self.to_bgr.convert(picture, canvas.bgr.data_bytes_mut()?, 3 * width as usize).map_err(|e| match e {
+        ToBgr::quick().convert(picture, canvas.bgr.data_bytes_mut()?, 3 * width as usize).map_err(|e| match e {
             ConvertError::Unsupported(format) => StillError::PixelFormat(format!("{format:?}")),
             ConvertError::Av(error) => StillError::Colour(error),
         })?;

@@ -216,10 +216,9 @@ impl<'a> Bits<'a> {
 pub(super) struct BlockCoder<'a> {
     direct: &'a Table,
     others: &'a Table,
-    /// Of each coefficient, in the order of the scan.
-    steps: &'a [i32; 64],
-    /// The largest values that samples of 8 bits can have, apart from rounding.
-    largest: [i32; 64],
+    /// Of each coefficient, in the order of the scan: its step, and the largest value that samples of 8 bits can have,
+    /// apart from rounding. A damaged code can point beyond the 64th, where none but zero is possible.
+    limits: [(i32, i32); 128],
     /// The mean of the block before.
     before: i32,
 }
@@ -259,18 +258,20 @@ impl Block {
     /// Adds one of the 63 others.
     fn push(&mut self, k: usize, value: i32) {
         // One for each place at most: `k` only grows.
-        if let (Some(place), Some(to)) = (self.places.get_mut(self.count), self.values.get_mut(self.count)) {
-            (*place, *to) = (k as u8, value);
-            self.count += 1;
-            self.sum += value.unsigned_abs();
-        }
+        let at = self.count % 64;
+        (self.places[at], self.values[at]) = (k as u8, value);
+        self.count += 1;
+        self.sum += value.unsigned_abs();
     }
 }
 
 impl<'a> BlockCoder<'a> {
-    pub(super) fn new(direct: &'a Table, others: &'a Table, steps: &'a [i32; 64]) -> Self {
-        let largest = steps.map(|step| LARGEST_COEFFICIENT / step.max(1) + 1);
-        Self { direct, others, steps, largest, before: 0 }
+    pub(super) fn new(direct: &'a Table, others: &'a Table, steps: &[i32; 64]) -> Self {
+        let mut limits = [(0, 0); 128];
+        for (limits, step) in limits.iter_mut().zip(steps) {
+            *limits = (*step, LARGEST_COEFFICIENT / step.max(&1) + 1);
+        }
+        Self { direct, others, limits, before: 0 }
     }
 
     /// After a restart marker.
@@ -279,21 +280,24 @@ impl<'a> BlockCoder<'a> {
     }
 
     /// Reads the next block.
+    #[inline(always)]
     pub(super) fn read(&mut self, bits: &mut Bits<'_>, block: &mut Block) -> Result<(), Fault> {
         let result = self.coefficients(bits, block);
         if bits.count < 0 { Err(Fault::EndsEarly) } else { result }
     }
 
+    #[inline(always)]
     fn coefficients(&mut self, bits: &mut Bits<'_>, block: &mut Block) -> Result<(), Fault> {
         let (size, difference) = self.direct.next(bits)?;
         if size > MOST_DIRECT_BITS {
             return Err(Fault::OutOfRange);
         }
         self.before += difference;
-        if self.before.abs() > self.largest[0] {
+        let (step, largest) = self.limits[0];
+        if self.before.abs() > largest {
             return Err(Fault::OutOfRange);
         }
-        block.clear(self.before * self.steps[0]);
+        block.clear(self.before * step);
         let mut k = 1;
         while k < 64 {
             let (code, value) = self.others.next(bits)?;
@@ -305,11 +309,9 @@ impl<'a> BlockCoder<'a> {
                 continue;
             }
             k += usize::from(code >> 4);
-            let (Some(largest), Some(step)) = (self.largest.get(k), self.steps.get(k)) else {
-                return Err(Fault::TooMany);
-            };
-            if value.abs() > *largest {
-                return Err(Fault::OutOfRange);
+            let (step, largest) = self.limits[k % 128];
+            if value.abs() > largest {
+                return Err(if k < 64 { Fault::OutOfRange } else { Fault::TooMany });
             }
             block.push(k, value * step);
             k += 1;

@@ -41,11 +41,14 @@ impl Samples {
     }
 
     /// Whether a block is possible for 8-bit samples.
+    #[inline]
     pub(super) fn allow(&self, block: &Block) -> bool {
         // Most blocks are far from either end of the range.
-        if block.mean.unsigned_abs() as f32 / 8.0 + block.sum as f32 / 4.0 <= MAX_DEVIATION {
-            return true;
-        }
+        block.mean.unsigned_abs() as f32 / 8.0 + block.sum as f32 / 4.0 <= MAX_DEVIATION || self.allow_samples(block)
+    }
+
+    #[cold]
+    fn allow_samples(&self, block: &Block) -> bool {
         let mut rows = [[0.0; 8]; 8];
         for (k, value) in iter::once((0, block.mean)).chain(block.waves()) {
             let Some((v, u)) = ZIGZAG.get(k).map(|at| (usize::from(at / 8), usize::from(at % 8))) else { continue };

@@ -41,7 +41,12 @@ pub(super) fn has_step(means: &[i32], width: usize) -> bool {
             return false;
         }
         let sign = aside.signum();
-        let Some(step) = beyond(at, sign, false).filter(|step| *step >= MIN_STEP) else { return false };
+        // Hardly any place has a row of steps after it, and the first few differences tell.
+        let mut smaller = above.iter().skip(at).take(width).filter(|difference| sign * **difference < MIN_STEP);
+        if smaller.nth(width / BLOCKS_PER_EXCEPTION).is_some() {
+            return false;
+        }
+        let Some(step) = beyond(at, sign, false) else { return false };
         let usual = [at - width, at + width].map(|from| beyond(from, sign, true).unwrap_or(0));
         usual.iter().all(|usual| step > MIN_STEP_RATIO * usual) && aside.saturating_abs() > step / 2
     })
