@@ -48,6 +48,10 @@ FORMATS = {
     "FFV1 4:4:4, 2020": "-vf scale=out_color_matrix=bt2020:out_range=tv:flags=accurate_rnd+full_chroma_int -color_range tv"
     " -colorspace bt2020nc -c:v ffv1 -level 3 -pix_fmt yuv444p",
     "FFV1 RGB": "-c:v ffv1 -level 3 -pix_fmt bgr0",
+    # Copies: one coder after the other.
+    "H.264 4:2:0 crf 20, then FFV1": [f"{TO_709} {TAGS} {H264} 20", "-c:v ffv1 -level 3"],
+    "H.264 4:2:0 crf 20, then RGB, chroma in pairs": [f"{TO_709} {TAGS} {H264} 20", "-vf scale=flags=neighbor,format=bgr0 -c:v ffv1 -level 3"],
+    "H.264 4:2:0 crf 20, then Motion JPEG q 2": [f"{TO_709} {TAGS} {H264} 20", "-c:v mjpeg -q:v 2 -pix_fmt yuvj420p"],
     "FFV1 RGB from Bayer": "-vf format=bayer_rggb8,format=gbrp -c:v ffv1 -level 3 -pix_fmt bgr0",
 }
 
@@ -73,8 +77,12 @@ def encode(source, target, how):
     if how is None:
         shutil.copy(source, target)
         return
-    command = ["ffmpeg", "-v", "error", "-y", "-i", str(source), "-fps_mode", "passthrough", *shlex.split(how), str(target)]
-    subprocess.run(command, check=True)
+    steps = [how] if isinstance(how, str) else how
+    for number, step in enumerate(steps, 1):
+        to = target if number == len(steps) else target.with_suffix(f".{number}.mkv")
+        command = ["ffmpeg", "-v", "error", "-y", "-i", str(source), "-fps_mode", "passthrough", *shlex.split(step), str(to)]
+        subprocess.run(command, check=True)
+        source = to
 
 
 def resized(rig, by):

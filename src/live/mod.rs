@@ -334,6 +334,7 @@ fn track_all(tracker: &mut Tracker, queue: &Queue, out: &mut RowOutputs) -> Opti
                 return Some(End::Track { seq, stamp, error });
             }
         }
+        tracker.warning().iter().for_each(|warning| tracing::warn!("{warning}"));
     }
 }
 

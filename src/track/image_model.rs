@@ -20,7 +20,9 @@ pub(crate) struct ImageModel {
 /// Measured: on drawn RGB pictures without noise the fit is off by 0.01 to 0.03 px (directional light, blur); on H.264
 /// with subsampled chroma by 0.03 px more than its residuals explain, and beside a clamp, where light and colour change
 /// within a few pixels of the band's edge, by 0.12 px along the tube. Quantisation causes both a coder's shifts and its
-/// residuals, so beyond the RMS residual of that measurement the error is assumed to grow with them.
+/// residuals, so beyond the RMS residual of that measurement the error is assumed to grow with them. All were measured
+/// at a blur of half a pixel. They are errors of how blurred edges are modelled, so with more blur they are larger: in
+/// pictures enlarged to 1.5, 2 and 3 times their size, errors agree with σ as they do at the original size.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct ModelError {
     pub across_px: f64,
@@ -34,6 +36,9 @@ pub(crate) struct ModelError {
     /// one frame to the next.
     pub persisting: f64,
 }
+
+/// Blur of the pictures in which the errors were measured, pixels.
+const MEASURED_BLUR_PX: f64 = 0.55;
 
 impl ModelError {
     /// For pictures with full chroma.
@@ -64,9 +69,10 @@ impl ModelError {
         persisting: 0.5,
     };
 
-    pub(crate) fn of(picture: &Picture) -> Self {
+    /// Those of a picture; `converted` tells that it was made from one with subsampled chroma (pairs.rs).
+    pub(crate) fn of(picture: &Picture, converted: bool) -> Self {
         let subsampled = picture.plane(1).is_some_and(|plane| plane.scale != [1, 1]);
-        match (picture.quantisation(), subsampled) {
+        match (picture.quantisation(), subsampled || converted) {
             (Some(_), _) => Self::QUANTISED,
             (None, true) => Self::CODED,
             (None, false) => Self::FULL,
@@ -74,11 +80,17 @@ impl ModelError {
     }
 
     /// Errors common to all frames of a recording, including a coder's errors that stay while the tube does not move.
-    pub(crate) fn lasting(picture: &Picture) -> Self {
-        match Self::of(picture) {
-            full if full == Self::FULL => full,
-            _ => Self::CODED,
-        }
+    pub(crate) fn lasting(self) -> Self {
+        if self == Self::FULL { self } else { Self::CODED }
+    }
+
+    /// The same in pictures of this blur.
+    pub(crate) fn blurred(self, blur_px: f64) -> Self {
+        let by = (blur_px / MEASURED_BLUR_PX).max(1.0);
+        let Self { across_px, along_px, turn_px, along_at_clamp_px, .. } = self;
+        let [across_px, along_px, turn_px, along_at_clamp_px] =
+            [across_px, along_px, turn_px, along_at_clamp_px].map(|error| by * error);
+        Self { across_px, along_px, turn_px, along_at_clamp_px, ..self }
     }
 
     /// Factor by which it grows for residuals of this RMS.
@@ -111,5 +123,13 @@ mod tests {
         assert!((ModelError::CODED.growth(1.0) - 1.0).abs() < 1e-12);
         assert!((ModelError::CODED.growth(2.0 * ModelError::CODED.coding_rms) - 2.0).abs() < 1e-12);
         assert!((ModelError::FULL.growth(20.0) - 1.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn twice_the_blur_has_twice_the_errors_and_less_blur_the_same() {
+        let twice = ModelError::QUANTISED.blurred(2.0 * MEASURED_BLUR_PX);
+        assert!((twice.across_px - 2.0 * ModelError::QUANTISED.across_px).abs() < 1e-12);
+        assert!((twice.along_at_clamp_px - 2.0 * ModelError::QUANTISED.along_at_clamp_px).abs() < 1e-12);
+        assert_eq!(ModelError::FULL.blurred(0.3), ModelError::FULL);
     }
 }

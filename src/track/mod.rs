@@ -22,6 +22,7 @@ mod motion;
 mod no_fit;
 mod normal;
 mod padded;
+mod pairs;
 mod patch;
 mod places;
 mod round;

@@ -3,7 +3,7 @@
 use crate::estimate::{Estimate, Miss, Spot};
 use crate::rig::Rig;
 use crate::segment::SegmentError;
-use crate::source::{Frame, Timestamp, Transfer};
+use crate::source::{Frame, Picture, Timestamp, Transfer};
 use crate::track::answer;
 use crate::track::coil::deflection;
 use crate::track::find::{Finder, Found};
@@ -14,6 +14,7 @@ use crate::track::lamp::Lamp;
 use crate::track::last::Last;
 use crate::track::light::Encoding;
 use crate::track::motion::Motion;
+use crate::track::pairs::Pairs;
 use crate::track::scatter::Scatter;
 
 /// Blur assumed for a rig whose blur has not been measured: a sharp lens and square pixels.
@@ -61,6 +62,8 @@ pub struct Tracker {
     /// For each marker that is the reference of a group: its last fit.
     before: Vec<Option<Last>>,
     motion: Motion,
+    pairs: Pairs,
+    warned: bool,
     lamp: Option<Lamp>,
 }
 
@@ -84,6 +87,8 @@ impl Tracker {
             before: vec![None; rig.markers.len()],
             scatter: vec![Scatter::default(); rig.markers.len() + 1],
             motion: Motion::new(rig.markers.len(), rig.catheter.coil),
+            pairs: Pairs::default(),
+            warned: false,
             lamp: options.tick_led.map(Lamp::new),
             rig: rig.clone(),
         })
@@ -119,7 +124,6 @@ impl Tracker {
             self.transfer = picture.colour().transfer;
             self.model.encoding = Encoding::new(self.transfer);
         }
-        self.model.error = ModelError::of(picture);
         // A sample that shows what is to its left is located further left.
         let taught = self.rig.camera.chroma_offset_px;
         self.model.chroma_offset_px = [0, 1].map(|axis| taught[axis] - self.judge.mean_slip_px[axis]);
@@ -128,6 +132,8 @@ impl Tracker {
             Err(SegmentError::NotRecorded(_)) => return Ok(Estimate::missed(frame, &self.rig, &Miss::NotRecorded)),
             found => found?,
         };
+        self.pairs.add(picture, &found.blobs);
+        self.model.error = ModelError::of(picture, self.pairs.are_alike()).blurred(self.model.blur_px);
         // 2. the tube around them, fitted to the pictures of all views
         let mut fitted = self.fit(frame, &found, TRACKED_PX);
         self.judge.judge(&self.rig, &self.model.encoding, &found, &mut fitted);
@@ -146,6 +152,20 @@ impl Tracker {
             }
         }
         Ok(estimate)
+    }
+
+    /// What to warn of in the pictures, once.
+    pub fn warning(&mut self) -> Option<&'static str> {
+        let new = self.pairs.are_alike() && !std::mem::replace(&mut self.warned, true);
+        new.then_some(
+            "every two pixels of these pictures have the same chroma: they were made from a video with subsampled chroma, \
+             and what its coder lost cannot be seen in them; σ assumes what is usual: track the video itself",
+        )
+    }
+
+    /// Errors of the image model common to all frames so far, of which `picture` is one.
+    pub(crate) fn lasting_error(&self, picture: &Picture) -> ModelError {
+        ModelError::of(picture, self.pairs.are_alike()).lasting().blurred(self.model.blur_px)
     }
 
     /// The residual that is usual for a band in each view, RMS in grey values; empty while too few frames were measured,

@@ -49,6 +49,26 @@ fn every_frame_is_answered_near_the_truth_and_is_in_every_file() {
     assert!(row("deflection").contains("from "), "{printed}");
 }
 
+/// Nothing in PNG files says that a coder had changed them, but it had.
+#[test]
+fn pictures_extracted_from_a_video_are_no_better_than_the_video() {
+    let place = Place::new();
+    let of_video = place.track(&sample("planar.mkv"), &["--to", "0.1"]);
+    assert_eq!(ended_with(&of_video, 0), "");
+    let video = place.table();
+    let copy = Place::new();
+    let folder = copy.path("extracted");
+    pictures("planar.mkv", video.numbers("seq").len(), &folder);
+    let said = ended_with(&copy.track(&folder, &[]), 0);
+    assert_eq!(said.matches("have the same chroma").count(), 1, "{said}");
+    let extracted = copy.table();
+    for column in ["base_sd_mm", "coil_sd_mm", "tip_sd_mm", "tan_sd_deg"] {
+        for (copied, original) in extracted.numbers(column).iter().zip(video.numbers(column)) {
+            assert!(*copied > 0.8 * original, "{column} is {copied}, but {original} in the video");
+        }
+    }
+}
+
 #[test]
 fn the_base_frame_turns_and_shifts_the_camera_frame() {
     let place = Place::new();

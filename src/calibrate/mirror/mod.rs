@@ -196,8 +196,8 @@ pub fn calibrate_mirror(
     let mut geometry = start.solve().ok_or(MirrorError::NoAnswer)?.geometry;
     for _ in 0..MAX_ROUNDS {
         let moved = with_mirror(rig, &name, geometry.surfaces[surface].1);
-        let moments = bands(&moved, &lengths, &frames)?;
-        let met = adjust(&moved, &free, &lengths, &moments, &frames).ok_or(MirrorError::NoAnswer)?;
+        let (moments, error) = bands(&moved, &lengths, &frames)?;
+        let met = adjust(&moved, &free, &lengths, &moments, &error).ok_or(MirrorError::NoAnswer)?;
         let step = moved_by(&geometry.surfaces[surface].1.plane(), &met.geometry.surfaces[surface].1.plane());
         geometry = met.geometry.clone();
         let within = |part: f64| (0..3).all(|i| step[i].abs() < part * met.covariance[(i, i)].sqrt());
@@ -347,8 +347,8 @@ fn blobs(rig: &Rig, frames: &[Frame]) -> Result<Vec<Moment>, MirrorError> {
     enough(moments)
 }
 
-/// The bands as the tracker measures them, each separately.
-fn bands(rig: &Rig, lengths: &[KnownLength], frames: &[Frame]) -> Result<Vec<Moment>, MirrorError> {
+/// The bands as the tracker measures them, each separately, and the errors that all frames have in common.
+fn bands(rig: &Rig, lengths: &[KnownLength], frames: &[Frame]) -> Result<(Vec<Moment>, ModelError), MirrorError> {
     let mut apart = rig.clone();
     apart.markers.iter_mut().for_each(|marker| marker.centre_m = None);
     let mut tracker = Tracker::new(&apart, TrackOptions::default())?;
@@ -373,7 +373,9 @@ fn bands(rig: &Rig, lengths: &[KnownLength], frames: &[Frame]) -> Result<Vec<Mom
         let shorter_m = lengths.iter().map(|length| shorter_m(rig, length, &estimate)).collect();
         moments.push(Moment { sights, shorter_m });
     }
-    enough(moments)
+    let seen = moments.len();
+    let first = frames.first().ok_or(MirrorError::TooFew { seen, frames: seen })?;
+    Ok((enough(moments)?, tracker.lasting_error(&first.picture)))
 }
 
 fn in_two_views(sights: Vec<Sight>) -> Vec<Sight> {
@@ -412,9 +414,8 @@ fn adjust(
     free: &[Parameter],
     lengths: &[KnownLength],
     moments: &[Moment],
-    frames: &[Frame],
+    error: &ModelError,
 ) -> Option<RayBundleSolution> {
-    let error = ModelError::lasting(&frames.first()?.picture);
     let model_sd_px = (0..rig.markers.len()).map(|marker| {
         let along = if marker == 0 { error.along_at_clamp_px } else { error.along_px };
         [along, error.across_px]
