@@ -308,7 +308,8 @@ impl Decoding {
         }
     }
 
-    /// The stream's next packet. Of a recording some more are read and their check begins; live, they have not come yet.
+    /// The stream's next packet. Of a recording some more are read, and their check begins; live, they have not come
+    /// yet.
     fn next_packet(&mut self) -> Result<InCheck, av::Error> {
         let ahead = if self.check.has_thread() && self.clock != Clock::Stream { READ_AHEAD } else { 0 };
         while self.read.len() <= ahead && !matches!(self.read.back(), Some(Err(_))) {

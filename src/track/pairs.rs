@@ -27,10 +27,12 @@ impl Pairs {
     /// Adds the surroundings of blobs, if the picture has full chroma.
     pub(crate) fn add(&mut self, picture: &Picture, blobs: &[Blob]) {
         for blob in blobs {
-            self.add_window(picture, &blob.bounds).unwrap_or_default();
+            // Other pictures tell nothing.
+            let _ = self.add_window(picture, &blob.bounds);
         }
     }
 
+    /// `None` when the picture has no full chroma.
     fn add_window(&mut self, picture: &Picture, bounds: &Window) -> Option<()> {
         let planes = [picture.plane(0)?, picture.plane(1)?, picture.plane(2)?];
         if planes.iter().any(|plane| plane.scale != [1, 1]) {
@@ -56,7 +58,8 @@ impl Pairs {
         Some(())
     }
 
-    /// Whether both pixels of each pair have the same chroma. Pictures that were cut may begin with the second of a pair.
+    /// Whether both pixels of each pair have the same chroma. Pictures that were cut may begin with the second of a
+    /// pair.
     pub(crate) fn are_alike(&self) -> bool {
         let [even, odd] = self.changes;
         even.max(odd) > LEAST_BETWEEN && even.min(odd) < MOST_WITHIN * even.max(odd)
@@ -67,7 +70,7 @@ impl Pairs {
 mod tests {
     use super::*;
     use crate::simulate::Sensor;
-    use crate::source::PixelFormat;
+    use crate::source::{Colour, PixelFormat};
     use crate::testing::two_views::Tube;
     use nalgebra::Vector3;
 
@@ -106,15 +109,13 @@ mod tests {
 
     #[test]
     fn grey_and_subsampled_pictures_tell_nothing() {
-        let grey = Picture::from_planes(
-            4,
-            2,
-            PixelFormat::Yuv { chroma_log2: [1, 1] },
-            crate::source::Colour::SRGB,
-            vec![vec![9; 8], vec![1, 200], vec![1, 200]],
-        );
-        let mut pairs = Pairs::default();
-        assert_eq!(pairs.add_window(&grey.unwrap(), &Window { x0: 0, y0: 0, x1: 4, y1: 2 }), None);
-        assert!(!pairs.are_alike());
+        let subsampled = (PixelFormat::Yuv { chroma_log2: [1, 1] }, vec![vec![9; 8], vec![1, 200], vec![1, 200]]);
+        let grey = (PixelFormat::Grey, vec![vec![1, 1, 200, 200, 1, 1, 200, 200]]);
+        for (format, planes) in [subsampled, grey] {
+            let picture = Picture::from_planes(4, 2, format, Colour::SRGB, planes).unwrap();
+            let mut pairs = Pairs::default();
+            assert_eq!(pairs.add_window(&picture, &Window { x0: 0, y0: 0, x1: 4, y1: 2 }), None);
+            assert!(!pairs.are_alike());
+        }
     }
 }

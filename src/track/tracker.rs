@@ -158,8 +158,8 @@ impl Tracker {
     pub fn warning(&mut self) -> Option<&'static str> {
         let new = self.pairs.are_alike() && !std::mem::replace(&mut self.warned, true);
         new.then_some(
-            "every two pixels of these pictures have the same chroma: they were made from pictures with subsampled chroma, \
-             and what a coder lost there cannot be seen in them; σ assumes what is usual: track the original",
+            "every two pixels of these pictures have the same chroma: they were made from pictures with subsampled \
+             chroma, and what a coder lost there cannot be seen in them; σ assumes what is usual: track the original",
         )
     }
 

@@ -373,9 +373,9 @@ fn bands(rig: &Rig, lengths: &[KnownLength], frames: &[Frame]) -> Result<(Vec<Mo
         let shorter_m = lengths.iter().map(|length| shorter_m(rig, length, &estimate)).collect();
         moments.push(Moment { sights, shorter_m });
     }
-    let seen = moments.len();
-    let first = frames.first().ok_or(MirrorError::TooFew { seen, frames: seen })?;
-    Ok((enough(moments)?, tracker.lasting_error(&first.picture)))
+    let moments = enough(moments)?;
+    let first = frames.first().ok_or(MirrorError::NoAnswer)?;
+    Ok((moments, tracker.lasting_error(&first.picture)))
 }
 
 fn in_two_views(sights: Vec<Sight>) -> Vec<Sight> {
