@@ -8,6 +8,7 @@ use ffmpeg_the_third::frame::Video;
 use ffmpeg_the_third::software::scaling;
 use ffmpeg_the_third::{chroma, color};
 
+use super::last_coded::LastCoded;
 use super::{ChromaSiting, Colour, Matrix, Picture, PixelFormat, Quantisation, Range, SourceError, Transfer};
 
 /// Makes pictures of one stream's frames. Frames in a format of [`Picture`] are kept without a copy.
@@ -18,6 +19,7 @@ pub(crate) struct PictureMaker {
     siting: ChromaSiting,
     /// Whether the coder quantises but libav's decoder does not report how coarsely.
     silent: bool,
+    last_coded: LastCoded,
     warned: Vec<&'static str>,
 }
 
@@ -36,7 +38,7 @@ impl PictureMaker {
         };
         let silent =
             matches!(codec, Id::HEVC | Id::AV1 | Id::VP8 | Id::THEORA | Id::VVC | Id::WMV2 | Id::WMV3 | Id::VC1);
-        Self { path, converter: None, siting, silent, warned: Vec::new() }
+        Self { path, converter: None, siting, silent, last_coded: LastCoded::default(), warned: Vec::new() }
     }
 
     /// Sets the chroma siting of frames that do not state it, overriding the codec's default.
@@ -50,15 +52,26 @@ impl PictureMaker {
     /// # Errors
     /// [`SourceError::PixelFormat`], [`SourceError::Matrix`].
     pub(crate) fn picture(&mut self, frame: Video) -> Result<Picture, SourceError> {
-        let pixel = frame.format();
         let colour = self.colour(&frame)?;
         let interlaced = frame.is_interlaced();
-        let quantisation = self.quantisation(&frame);
+        let stated = Quantisation::of(&frame);
+        let (frame, format) = self.stored(frame)?;
+        let size_px = [frame.width(), frame.height()];
+        let picture = Picture::from_decoded(frame, format, colour).interlaced(interlaced);
+        let quantisation = match stated {
+            Some(stated) => Some(self.last_coded.quantisation(&picture, stated)),
+            None => self.silent.then(|| self.assumed(size_px)),
+        };
+        Ok(picture.quantised(quantisation))
+    }
+
+    /// A frame in a format of [`Picture`].
+    fn stored(&mut self, frame: Video) -> Result<(Video, PixelFormat), SourceError> {
+        let pixel = frame.format();
         if let Some(format) = native(pixel) {
             // Formats stored bottom row first have a negative stride: swscale flips them.
             let upright = (0..frame.planes()).all(|i| frame.stride(i).cast_signed() > 0);
-            let frame = if upright { frame } else { self.convert(&frame, pixel)? };
-            return Ok(Picture::from_decoded(frame, format, colour).quantised(quantisation).interlaced(interlaced));
+            return Ok((if upright { frame } else { self.convert(&frame, pixel)? }, format));
         }
         let Some((reduced, format)) = convertible(pixel) else {
             return Err(self.unsupported(pixel));
@@ -71,22 +84,18 @@ impl PictureMaker {
                 name(reduced)
             );
         }
-        let frame = self.convert(&frame, reduced)?;
-        Ok(Picture::from_decoded(frame, format, colour).quantised(quantisation).interlaced(interlaced))
+        Ok((self.convert(&frame, reduced)?, format))
     }
 
-    fn quantisation(&mut self, frame: &Video) -> Option<Quantisation> {
-        let quantisation = Quantisation::of(frame);
-        if quantisation.is_some() || !self.silent {
-            return quantisation;
-        }
+    /// Quantisation where the coder quantises but the decoder does not report it.
+    fn assumed(&mut self, size_px: [u32; 2]) -> Quantisation {
         if self.first("quantisation") {
             tracing::warn!(
                 "{}: how coarsely its coder quantised is not known; σ assumes what is usual for H.264 at crf 22",
                 self.path.display()
             );
         }
-        Some(Quantisation::assumed([frame.width(), frame.height()]))
+        Quantisation::assumed(size_px)
     }
 
     fn convert(&mut self, frame: &Video, to: Pixel) -> Result<Video, SourceError> {

@@ -19,6 +19,7 @@ pub(crate) mod gaps;
 pub mod host;
 pub(crate) mod images;
 pub(crate) mod jpeg;
+mod last_coded;
 pub mod live;
 mod log_windows;
 mod messages;

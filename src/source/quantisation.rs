@@ -83,9 +83,6 @@ impl Quantisation {
             MPEG2 => |q| level(2.0 * f64::from(q)),
             _ => return None,
         };
-        if count == 0 {
-            return Some(Self::uniform(level_of(base), [width, height]));
-        }
         let columns = width.div_ceil(BLOCK_PX);
         let mut levels = vec![level_of(base); columns as usize * height.div_ceil(BLOCK_PX) as usize];
         for i in 0..count {

@@ -3,7 +3,8 @@
 //! For each marker every combination of one blob per view is triangulated; candidates are those whose rays meet and
 //! whose blobs have the band's size at that distance. The markers are then chosen together, along the tube, by dynamic
 //! programming: reprojection error, size, distance from where the marker was, and whether the tube allows the distance
-//! of neighbours. A second choice elsewhere that is nearly as good makes a marker ambiguous.
+//! of neighbours. A second choice that is nearly as good, with the marker elsewhere or with another marker in its stead,
+//! makes it ambiguous.
 //!
 //! Cannot detect: a distractor of the same colour, size and place along the tube, seen in all views.
 
@@ -31,8 +32,9 @@ const FASTEST_M_S: f64 = 0.8;
 const PLACE_SD_M: f64 = 5e-3;
 /// An older position is forgotten.
 const MEMORY_S: f64 = 0.25;
-/// Cost of leaving out a marker, and of leaving out a view of one.
-const MISSING_COST: f64 = 40.0;
+/// Cost of leaving out a marker, and of leaving out a view of one. (22 of it are those of any place for a marker that
+/// was not seen recently.)
+const MISSING_COST: f64 = 62.0;
 const MISSING_VIEW_COST: f64 = 10.0;
 /// Two choices further apart than this are different positions; the second must cost this much more.
 const DIFFERENT_M: f64 = 3e-3;
@@ -83,7 +85,7 @@ impl Assigner {
         let mut windows = Vec::with_capacity(rig.markers.len() * rig.views.len());
         for (m, marker) in rig.markers.iter().enumerate() {
             let (point, age) = self.recent(m, stamp)?;
-            let reach_m = PLACE_SD_M + FASTEST_M_S * age + marker.length_m;
+            let reach_m = reach_m(age) + marker.length_m;
             for (v, view) in rig.views.iter().enumerate() {
                 let seen = view.optics.project_with_jacobian(&point).ok()?;
                 let reach_px = reach_m * px_per_m(&seen.d_pixel);
@@ -115,7 +117,7 @@ impl Assigner {
                 };
                 let here = &candidates[m][chosen].assigned;
                 let elsewhere = choose(rig, &candidates, Some((m, here.point)));
-                if elsewhere.choice[m].is_some() && elsewhere.cost < best.cost + CLEAR_COST {
+                if elsewhere.cost < best.cost + CLEAR_COST {
                     let close =
                         candidates[m].iter().filter(|c| c.cost < candidates[m][chosen].cost + CLEAR_COST).count();
                     return Err(Miss::Ambiguous { candidates: close.max(2) });
@@ -134,7 +136,7 @@ impl Assigner {
         place: impl Fn(usize) -> Option<Point3<f64>>,
     ) -> Vec<(Point3<f64>, f64)> {
         let recent = self.recent(marker, stamp);
-        let recent = recent.map(|(point, age)| (point, PLACE_SD_M + FASTEST_M_S * age + rig.markers[marker].length_m));
+        let recent = recent.map(|(point, age)| (point, reach_m(age) + rig.markers[marker].length_m));
         let neighbours = [marker.checked_sub(1), Some(marker + 1).filter(|&n| n < rig.markers.len())];
         let reached = |n: usize| Some((place(n)?, longest(rig, n.min(marker))));
         recent.into_iter().chain(neighbours.into_iter().flatten().filter_map(reached)).collect()
@@ -208,11 +210,19 @@ impl Assigner {
             }
             cost += (ratio.ln() / 0.5).powi(2);
         }
-        if let Some((place, age)) = self.recent(marker, stamp) {
-            cost += ((met.point - place).norm() / (PLACE_SD_M + FASTEST_M_S * age)).powi(2);
-        }
+        // −2 log likelihood of the place, as far as it differs between candidates: the longer a marker was not seen, the
+        // less a candidate says.
+        let recent = self.recent(marker, stamp);
+        let reach_m = reach_m(recent.map_or(MEMORY_S, |(_, age)| age));
+        let off = recent.map_or(0.0, |(place, _)| (met.point - place).norm() / reach_m);
+        cost += off.powi(2) + 6.0 * (reach_m / PLACE_SD_M).ln();
         Ok(Candidate { assigned: Assigned { point: met.point, blobs: picked.to_vec() }, cost })
     }
+}
+
+/// How far a marker may be from where it was.
+fn reach_m(age_s: f64) -> f64 {
+    PLACE_SD_M + FASTEST_M_S * age_s
 }
 
 /// Image scale at a point, across the line of sight, from d pixel / d point.

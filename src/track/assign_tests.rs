@@ -156,6 +156,23 @@ fn two_places_as_good_as_each_other_are_ambiguous_until_one_is_remembered() {
     assert!(all_found(&off_mm(&after_a_frame(&rig), &rig, &blobs)));
 }
 
+/// A coder may leave the tip where it was in one view. The tube does not reach from the coil to where the views then
+/// meet.
+#[test]
+fn of_two_bands_that_cannot_both_be_right_the_one_just_seen_is_and_without_memory_neither() {
+    let rig = rig();
+    let mut blobs = tube(&rig, places(0.0))[..4].to_vec();
+    blobs.extend(thing(&rig, 2, places(0.0)[2] + Vector3::new(0.02, 0.0, 0.0)));
+    let mut assigner = after_a_frame(&rig);
+    assigner.remember(2, places(0.0)[2], at(-130));
+    let found = off_mm(&assigner, &rig, &blobs);
+    assert!(found[0].is_ok() && found[1].is_ok() && found[2].is_err(), "{found:?}");
+    let found = off_mm(&Assigner::new(&rig), &rig, &blobs);
+    let ambiguous = Err(Miss::Ambiguous { candidates: 2 });
+    assert!(found[0].is_ok() && (found[1] == ambiguous || found[2] == ambiguous), "{found:?}");
+    assert!(found[1].is_err() && found[2].is_err(), "{found:?}");
+}
+
 #[test]
 fn a_third_view_stands_in_for_a_covered_one() {
     let mut rig = rig();
