@@ -157,7 +157,7 @@ fn optional_float(message: &DynamicMessage, field: &str) -> Option<f64> {
     message.has_field_by_name(field).then(|| float(message, field)).flatten()
 }
 
-fn floats(message: &DynamicMessage, field: &str) -> Vec<f64> {
+pub(crate) fn floats(message: &DynamicMessage, field: &str) -> Vec<f64> {
     let values = message.get_field_by_name(field);
     values.as_deref().and_then(Value::as_list).unwrap_or(&[]).iter().filter_map(Value::as_f64).collect()
 }

@@ -115,6 +115,7 @@ fn cut(estimate: &Estimate, picture: &Picture, whole: bool) -> Result<PictureWin
             columns: q.columns,
             predicted: q.predicted,
             levels: q.levels.clone().into(),
+            channels: q.channels.to_vec(),
         }),
     })
 }

@@ -1,6 +1,7 @@
 //! Checks of packets whose decoders conceal damage.
 
 use super::container::configuration;
+use super::jpeg::Steps;
 use super::{ffv1, jpeg};
 use ffmpeg_the_third as av;
 use std::path::Path;
@@ -36,8 +37,8 @@ pub(super) struct InCheck {
 #[derive(Clone, Copy)]
 pub(super) struct Verdict {
     pub sound: bool,
-    /// The quantiser step that it states.
-    pub step: Option<f64>,
+    /// The quantiser steps that it states.
+    pub steps: Option<Steps>,
 }
 
 impl PacketCheck {
@@ -93,11 +94,11 @@ impl How {
     fn examine(self, packet: &av::Packet) -> Verdict {
         let data = packet.data().unwrap_or_default();
         match self {
-            Self::Not => Verdict { sound: true, step: None },
-            Self::Ffv1 => Verdict { sound: ffv1::is_sound(data), step: None },
+            Self::Not => Verdict { sound: true, steps: None },
+            Self::Ffv1 => Verdict { sound: ffv1::is_sound(data), steps: None },
             Self::Jpeg => {
-                let jpeg::Examined { damage, step } = jpeg::examine(data);
-                Verdict { sound: damage.is_none(), step }
+                let jpeg::Examined { damage, steps } = jpeg::examine(data);
+                Verdict { sound: damage.is_none(), steps }
             }
         }
     }

@@ -7,6 +7,7 @@ use super::check::{InCheck, PacketCheck, Verdict};
 use super::container::{MAX_REORDERED, best_video, count_hint, open_decoder, open_input};
 use super::damage::DamageLog;
 use super::decoded::{is_damaged, is_left_out};
+use super::jpeg::Steps;
 use super::messages::Messages;
 use super::times::seconds;
 use super::{Clock, SourceError, Span};
@@ -61,7 +62,7 @@ pub(super) struct Decoding {
     /// Packets read and not decoded yet; the last entry may be why there is none.
     read: VecDeque<Result<InCheck, av::Error>>,
     /// Quantiser steps of packets whose pictures have not been decoded yet.
-    steps: BTreeMap<i64, f64>,
+    steps: BTreeMap<i64, Steps>,
     /// Times of damaged packets that have given no picture yet.
     undecoded: BTreeSet<i64>,
     /// Decoded pictures not judged yet.
@@ -203,8 +204,8 @@ impl Decoding {
         Some(first)
     }
 
-    /// The quantiser step that the packet of a picture stated.
-    pub(super) fn step_of(&mut self, picture: &Decoded) -> Option<f64> {
+    /// The quantiser steps that the packet of a picture stated.
+    pub(super) fn steps_of(&mut self, picture: &Decoded) -> Option<Steps> {
         self.steps.remove(&picture.pts()?)
     }
 
@@ -280,8 +281,8 @@ impl Decoding {
                     }
                     let sent = self.decoder.send_packet(packet);
                     // The decoder conceals the damage.
-                    let Verdict { sound, step } = self.check.verdict(&next);
-                    self.steps.extend(pts.zip(step));
+                    let Verdict { sound, steps } = self.check.verdict(&next);
+                    self.steps.extend(pts.zip(steps));
                     if !sound {
                         self.damaged_packet(av::Error::InvalidData, false);
                     }

@@ -23,8 +23,7 @@ use super::gaps::plausible_period_ns;
 use super::stamps::StampWatch;
 use super::times::{seconds, ticks_to_ns};
 use super::{
-    Clock, Colour, Frame, FrameRate, FrameSource, Picture, PixelFormat, Quantisation, SourceError, Span, StreamFaults,
-    Timestamp,
+    Clock, Colour, Frame, FrameRate, FrameSource, Picture, PixelFormat, SourceError, Span, StreamFaults, Timestamp,
 };
 
 /// How a recording is read.
@@ -354,13 +353,10 @@ impl VideoFile {
                 });
             }
             self.arrival = self.decoding.arrival_of(&decoded);
-            let step = self.decoding.step_of(&decoded);
+            let steps = self.decoding.steps_of(&decoded);
             let picture = self.pictures.picture(decoded.frame)?;
-            let picture = match step {
-                Some(step) => {
-                    let quantisation = Quantisation::of_step(step, picture.size_px());
-                    picture.quantised(Some(quantisation))
-                }
+            let picture = match steps {
+                Some(steps) => picture.of_jpeg(&steps),
                 None => picture,
             };
             self.layout = Some((picture.format(), picture.colour()));

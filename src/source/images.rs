@@ -24,8 +24,7 @@ use super::jpeg;
 use super::names::{PICTURE_ENDINGS, conversion_advice};
 use super::times::{FrameRate, parse_seconds_ns, seconds};
 use super::{
-    Clock, Colour, Frame, FrameSource, Picture, PictureError, PixelFormat, Quantisation, SourceError, Span,
-    StreamFaults, Timestamp,
+    Clock, Colour, Frame, FrameSource, Picture, PictureError, PixelFormat, SourceError, Span, StreamFaults, Timestamp,
 };
 
 /// Name of the table of times.
@@ -132,7 +131,7 @@ impl ImageFolder {
         if jpeg::is_cut_off(&bytes) {
             return Err(unreadable("the file ends before the picture does".to_owned()));
         }
-        let jpeg::Examined { damage, step } = jpeg::examine(&bytes);
+        let jpeg::Examined { damage, steps } = jpeg::examine(&bytes);
         if let Some(what) = damage {
             return Err(unreadable(what.to_owned()));
         }
@@ -152,10 +151,10 @@ impl ImageFolder {
             );
         }
         match picture(decoded) {
-            Some(Ok(picture)) => {
-                let quantisation = step.map(|step| Quantisation::of_step(step, picture.size_px()));
-                Ok(picture.quantised(quantisation))
-            }
+            Some(Ok(picture)) => Ok(match steps {
+                Some(steps) => picture.of_jpeg(&steps),
+                None => picture,
+            }),
             Some(Err(error)) => Err(unreadable(error.to_string())),
             None => Err(unreadable("its samples are not whole numbers of 8 or 16 bits".to_owned())),
         }

@@ -92,7 +92,7 @@ mod tests {
     }
 
     fn stated(level: u8) -> Quantisation {
-        Quantisation { block_px: 16, columns: 3, levels: vec![level; 6], predicted: true }
+        Quantisation { block_px: 16, columns: 3, levels: vec![level; 6], channels: [1.0; 3], predicted: true }
     }
 
     #[test]

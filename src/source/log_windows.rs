@@ -16,6 +16,7 @@ use crate::log::decoder::MessageDecoder;
 use crate::log::fields::{number, text};
 use crate::log::records::Records;
 use crate::log::schema::{Topic, WINDOW_FORMAT};
+use crate::log::typed::floats;
 use image::{ImageFormat, ImageReader};
 use mcap::records::Record;
 use prost_reflect::{DynamicMessage, Value};
@@ -289,6 +290,8 @@ fn quantisation_of(message: &DynamicMessage) -> Option<Quantisation> {
         columns: unsigned("columns")?,
         predicted: said.get_field_by_name("predicted")?.as_bool()?,
         levels: said.get_field_by_name("levels")?.as_bytes()?.to_vec(),
+        // Older logs have none.
+        channels: floats(said, "channels").try_into().unwrap_or([1.0; 3]),
     })
 }
 

@@ -1,5 +1,6 @@
 //! A picture as the camera or decoder delivered it, and how its samples map to places and colours.
 
+use super::jpeg::Steps;
 use super::{Quantisation, Window};
 use nalgebra::{Matrix3, Vector3};
 use std::sync::Mutex;
@@ -325,6 +326,22 @@ impl Picture {
         Self { width, height, format, colour, storage, quantisation: None, reads: Reads::default() }
     }
 
+    /// The same picture, which was a JPEG with these quantiser steps.
+    pub(crate) fn of_jpeg(self, steps: &Steps) -> Self {
+        let [luma, cb, cr] = steps.channels;
+        let channels = match self.format {
+            format if format.is_yuv() => steps.channels,
+            PixelFormat::Grey => [luma; 3],
+            // Rec. ITU-T T.871, 7: errors of chroma in R, G and B. They are common to all pixels of a sample.
+            _ => [[0.0, 1.402], [0.344, 0.714], [1.772, 0.0]].map(|[of_cb, of_cr]| {
+                let chroma = (of_cb * cb).powi(2) + (of_cr * cr).powi(2);
+                (luma.powi(2) + steps.chroma_px * chroma).sqrt()
+            }),
+        };
+        let quantisation = Quantisation::of_steps(channels, self.size_px());
+        self.quantised(Some(quantisation))
+    }
+
     /// The same picture with its coder's quantisation.
     #[must_use]
     pub fn quantised(mut self, quantisation: Option<Quantisation>) -> Self {
@@ -434,6 +451,28 @@ mod tests {
     use super::*;
 
     const YUV420: PixelFormat = PixelFormat::Yuv { chroma_log2: [1, 1] };
+
+    /// A step of chroma is worth as much in red and blue as T.871's matrix makes of it.
+    #[test]
+    fn a_picture_that_was_a_jpeg_has_the_steps_of_its_stored_channels() {
+        let steps = Steps { channels: [8.0, 16.0, 16.0], chroma_px: 4.0 };
+        let everywhere = Window { x0: 0, y0: 0, x1: 4, y1: 4 };
+        let found = |format, planes: &[usize]| {
+            let planes = planes.iter().map(|samples| vec![0; *samples]).collect();
+            let picture = Picture::from_planes(4, 4, format, Colour::SRGB, planes).unwrap().of_jpeg(&steps);
+            picture.quantisation().unwrap().steps_in(&everywhere).unwrap()
+        };
+        let close = |found: [f64; 3], expected: [f64; 3]| {
+            assert!(found.iter().zip(expected).all(|(a, b)| (a / b - 1.0).abs() < 1e-9), "{found:?}, not {expected:?}");
+        };
+        close(found(PixelFormat::Yuv { chroma_log2: [1, 1] }, &[16, 4, 4]), [8.0, 16.0, 16.0]);
+        close(found(PixelFormat::Grey, &[16]), [8.0; 3]);
+        let with = |chroma: f64| (64.0 + 4.0 * 256.0 * chroma).sqrt();
+        close(
+            found(PixelFormat::RgbPlanar, &[16; 3]),
+            [with(1.402_f64.powi(2)), with(0.628_132), with(1.772_f64.powi(2))],
+        );
+    }
 
     #[test]
     fn a_copy_has_the_samples_of_every_storage() {

@@ -10,7 +10,7 @@ use ffmpeg_the_third::frame::side_data::Type;
 
 /// Quantiser steps, block by block. A level q means a step of 2^((q − 4) / 6) stored units, as in H.264 (ITU-T H.264,
 /// table 8-15): six levels double it.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Quantisation {
     /// Side of a block, pixels.
     pub block_px: u32,
@@ -18,6 +18,8 @@ pub struct Quantisation {
     pub columns: u32,
     /// Levels, row-major.
     pub levels: Vec<u8>,
+    /// Steps of the stored channels, relative to those of the levels.
+    pub channels: [f64; 3],
     /// Whether pictures are predicted from others, so that errors may persist.
     pub predicted: bool,
 }
@@ -48,13 +50,27 @@ impl Quantisation {
         (count > 0).then(|| (sum / f64::from(count)).sqrt())
     }
 
-    /// The same step everywhere, in an intra-coded picture.
-    pub(crate) fn of_step(step: f64, size_px: [u32; 2]) -> Self {
-        Self { predicted: false, ..Self::uniform(level(step), size_px) }
+    /// The same for each stored channel.
+    pub(crate) fn steps_in(&self, window: &Window) -> Option<[f64; 3]> {
+        let step = self.step_in(window)?;
+        Some(self.channels.map(|by| by * step))
+    }
+
+    /// The same steps everywhere, in an intra-coded picture, for each stored channel.
+    pub(crate) fn of_steps(channels: [f64; 3], size_px: [u32; 2]) -> Self {
+        let level = level(channels[0]);
+        let channels = channels.map(|channel| channel / step(level));
+        Self { predicted: false, channels, ..Self::uniform(level, size_px) }
     }
 
     fn uniform(level: u8, [width, height]: [u32; 2]) -> Self {
-        Self { block_px: width.max(height).max(1), columns: 1, levels: vec![level], predicted: true }
+        Self {
+            block_px: width.max(height).max(1),
+            columns: 1,
+            levels: vec![level],
+            channels: [1.0; 3],
+            predicted: true,
+        }
     }
 
     /// Assumed for a coder whose quantisation is unknown: what H.264 has around edges at crf 22 or so.
@@ -97,7 +113,7 @@ impl Quantisation {
                 }
             }
         }
-        Some(Self { block_px: BLOCK_PX, columns, levels, predicted: true })
+        Some(Self { block_px: BLOCK_PX, columns, levels, channels: [1.0; 3], predicted: true })
     }
 }
 

@@ -163,21 +163,21 @@ struct Scores {
     /// Rows times residuals, summed over each cell.
     cells: Vec<Row>,
     slips: Slips,
-    /// Information about the band's position, and the same times the weights.
+    /// Information about the band's position, and by channel the same times the weights.
     said: f64,
-    coded: f64,
+    coded: [f64; 3],
 }
 
 impl Scores {
     fn new(patch: &Patch, scene: &Scene<'_>) -> Self {
         let cells = vec![[0.0; ROW]; patch.cells.len()];
-        Self { cells, slips: Slips::new(scene.layout, patch.spans.len()), said: 0.0, coded: 0.0 }
+        Self { cells, slips: Slips::new(scene.layout, patch.spans.len()), said: 0.0, coded: [0.0; 3] }
     }
 
     fn add(&mut self, part: &Part<'_>) {
         let [said, coded] = add_to_cells(&mut self.cells, part);
         self.said += said;
-        self.coded += coded;
+        self.coded[usize::from(part.channel)] += coded;
         if part.apart {
             add_to_slips(&mut self.slips, part);
         }
@@ -191,7 +191,8 @@ struct Part<'a> {
     ring: usize,
     points: Range<usize>,
     seen: Seen,
-    /// Whether the channel is stored apart from the pixels.
+    /// The stored channel, and whether it is stored apart from the pixels.
+    channel: u8,
     apart: bool,
     cells: &'a [u32],
     compared: &'a Compared,
@@ -320,7 +321,8 @@ impl Comparison {
                         let rows = rows.of(chunk, &piece, &light, &channel.weights);
                         let (points, seen) = (points.clone(), chunk.seen);
                         let (span, ring) = (*span, spans[*span].ring);
-                        take(sums, &Part { span, ring, points, seen, apart, cells, compared, rows });
+                        let channel = channel.number;
+                        take(sums, &Part { span, ring, points, seen, channel, apart, cells, compared, rows });
                     }
                 }
             }
@@ -355,13 +357,14 @@ impl Comparison {
 
     /// Empirical covariance of J'Wr: products of the sums over cells, which keeps the correlation between neighbouring
     /// samples and channels (a cluster-robust "sandwich"; White 1980, doi:10.2307/1912934, Liang and Zeger 1986,
-    /// doi:10.1093/biomet/73.1.13). `of_shape` and `of_colours` map parameters to shape.
+    /// doi:10.1093/biomet/73.1.13). `of_shape` and `of_colours` map parameters to shape; `coder_variances` are those of
+    /// the stored channels.
     pub(crate) fn scatter(
         &mut self,
         scene: &Scene<'_>,
         of_shape: &SMatrix<f64, SHAPE, SHAPE>,
         of_colours: &ShapeBy,
-        coder_variance: f64,
+        coder_variances: [f64; 3],
     ) -> Scattered {
         let scores = self.scores.take().unwrap_or_else(|| {
             let mut scores = Scores::new(&self.patch, scene);
@@ -382,7 +385,8 @@ impl Comparison {
         }
         slips.finish(image, layout);
         let covariance = unpadded_square(&products(&squares));
-        let coded = if said > 0.0 { coder_variance * coded / said } else { 0.0 };
+        let coded: f64 = coded.iter().zip(coder_variances).map(|(coded, variance)| coded * variance).sum();
+        let coded = if said > 0.0 { coded / said } else { 0.0 };
         Scattered { covariance, slips, coded }
     }
 }

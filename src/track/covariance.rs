@@ -35,11 +35,12 @@ impl Round<'_> {
         let scatter = compared.map(|(((view, image), colours), eliminated)| {
             let of_colours = -plain * eliminated.following();
             let quantised = picture.quantisation();
-            let coder_variance = quantised
-                .and_then(|q| Some(coder_variance(q.step_in(view.comparison.window())?, q.predicted)))
-                .unwrap_or(0.0);
+            let coder_variances = quantised.and_then(|q| {
+                let steps = q.steps_in(view.comparison.window())?;
+                Some(steps.map(|step| coder_variance(step, q.predicted)))
+            });
             let scene = Scene::new(image, colours, stretch, model);
-            view.comparison.scatter(&scene, &plain, &of_colours, coder_variance)
+            view.comparison.scatter(&scene, &plain, &of_colours, coder_variances.unwrap_or_default())
         });
         let (mut slip, mut slip_covariance) = (Seen::default(), SMatrix::zeros());
         for (scattered, view) in scatter.collect::<Vec<_>>().into_iter().zip(&seen) {

@@ -109,7 +109,7 @@ impl ModelError {
 /// coded from crf 10 to 30 errors agree with σ to within a factor of 1.5 (`scripts/compare_formats.py`).
 ///
 /// An intra-coded picture has only the rounding of each coefficient: κ = 1/12.
-pub(crate) fn coder_variance(step: f64, predicted: bool) -> f64 {
+pub(crate) const fn coder_variance(step: f64, predicted: bool) -> f64 {
     let kappa = if predicted { 0.3 } else { 1.0 / 12.0 };
     kappa * step * step
 }

@@ -4,7 +4,7 @@ use crate::source::Picture;
 use crate::track::appearance::{CAP, GRADIENT, SHADING, TURNING};
 use crate::track::chunk::Scene;
 use crate::track::compare::{Comparison, Noise};
-use crate::track::image_model::ImageModel;
+use crate::track::image_model::{ImageModel, coder_variance};
 use crate::track::no_fit::NoFit;
 use crate::track::normal::{Normal, Squares};
 use crate::track::patch::Patch;
@@ -24,8 +24,9 @@ const CAP_SD: f64 = 0.5;
 const START_NOISE: f64 = 2.5;
 pub(crate) const MIN_NOISE: f64 = 0.5;
 
-/// Quantiser step beyond which σ no longer covers its errors (image_model.rs), stored units.
-const COARSEST: f64 = 51.0;
+/// Variance of a coder beyond which σ no longer covers its errors: that of predicted pictures with a quantiser step of
+/// 51, squared stored units.
+const COARSEST: f64 = coder_variance(51.0, true);
 
 /// How the samples are weighted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -73,7 +74,8 @@ impl View {
     ) -> Result<Self, NoFit> {
         let offset_px = model.chroma_offset_px;
         let patch = Patch::select(picture, image, &stretch.layout, range_m, offset_px, density, margin_px)?;
-        if picture.quantisation().and_then(|q| q.step_in(&patch.window)).is_some_and(|step| step > COARSEST) {
+        let coded = picture.quantisation().and_then(|q| Some(coder_variance(q.step_in(&patch.window)?, q.predicted)));
+        if coded.is_some_and(|variance| variance > COARSEST) {
             return Err(NoFit::TooCoarse);
         }
         let shown = || patch.colours(picture, image, &stretch.layout, &model.encoding);

@@ -84,6 +84,8 @@ pub struct PictureQuantisation {
     pub predicted: bool,
     /// One byte q per block, row-major: the step is 2^((q − 4) / 6) stored units.
     pub levels: Bytes,
+    /// Steps of the three channels, relative to those; all 1 when absent.
+    pub channels: Vec<f64>,
 }
 
 /// A rectangle of one plane's samples.

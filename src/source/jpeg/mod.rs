@@ -7,10 +7,13 @@
 //! anything in progressive and arithmetic-coded pictures.
 
 mod codes;
+mod quantiser;
 mod samples;
 mod steps;
 
 use codes::{Bits, Block, BlockCoder, Fault, Table};
+pub(crate) use quantiser::Steps;
+use quantiser::step_at_edges;
 use samples::Samples;
 use steps::has_step;
 
@@ -45,27 +48,23 @@ pub(crate) fn is_cut_off(bytes: &[u8]) -> bool {
 pub(crate) struct Examined {
     /// What is wrong with its codes, if that can be told.
     pub damage: Option<&'static str>,
-    /// Quantiser step for luma, stored units: RMS over the coefficients that represent bands and edges.
-    pub step: Option<f64>,
+    pub steps: Option<Steps>,
 }
-
-/// Coefficients that count for the step, in stored order: all but the mean, up to four waves per block.
-const COUNTED_COEFFICIENTS: std::ops::RangeInclusive<usize> = 1..=14;
 
 /// Examines a JPEG picture; other files give an empty result.
 pub(crate) fn examine(bytes: &[u8]) -> Examined {
     let mut picture = Picture::default();
     let damage = picture.read(bytes).err();
-    Examined { damage, step: picture.step() }
+    Examined { damage, steps: picture.steps() }
 }
 
-/// Only the quantiser step, without parsing the codes.
+/// Only the quantiser steps, without parsing the codes.
 #[cfg(target_os = "linux")]
-pub(crate) fn step(bytes: &[u8]) -> Option<f64> {
+pub(crate) fn steps(bytes: &[u8]) -> Option<Steps> {
     let scan = bytes.windows(2).position(|two| two == [0xff, START_OF_SCAN])?;
     let mut picture = Picture::default();
     picture.read(bytes.get(..scan)?).ok()?;
-    picture.step()
+    picture.steps()
 }
 
 /// What the segments before a scan define.
@@ -98,11 +97,12 @@ struct Part<'a> {
 }
 
 impl Picture {
-    fn step(&self) -> Option<f64> {
-        let luma = self.components.first().map_or(0, |component| component.quantization);
-        let table = self.quantization.get(luma).copied().flatten()?;
-        let squares: f64 = table[COUNTED_COEFFICIENTS].iter().map(|step| f64::from(*step).powi(2)).sum();
-        Some((squares / COUNTED_COEFFICIENTS.count() as f64).sqrt())
+    fn steps(&self) -> Option<Steps> {
+        let of = |component: &Component| self.quantization.get(component.quantization)?.as_ref().map(step_at_edges);
+        let luma = self.components.first()?;
+        let [cb, cr] = [1, 2].map(|i| self.components.get(i).unwrap_or(luma));
+        let area = |component: &Component| component.sampling.iter().product::<usize>() as f64;
+        Some(Steps { channels: [of(luma)?, of(cb)?, of(cr)?], chroma_px: area(luma) / area(cb) })
     }
 
     /// Parses all scans; also `Ok` when nothing can be told.

@@ -8,7 +8,7 @@ use super::super::counter::Wrap;
 use super::super::decoded::{PictureMaker, is_damaged};
 use super::super::host::HostClock;
 use super::super::jpeg::{self, is_cut_off};
-use super::super::{Clock, Quantisation, SourceError, Timestamp};
+use super::super::{Clock, SourceError, Timestamp};
 use super::camera::{Camera, CapturedFrame, Connection};
 use super::samples;
 use super::settings::{Asked, CameraSettings};
@@ -141,11 +141,8 @@ impl Connection for Session {
         } else {
             video(bytes, self.layout, self.jpeg.as_mut(), &self.format)
                 .and_then(|frame| self.pictures.picture(frame).map_err(|e| e.to_string()))
-                .map(|picture| match (self.layout, jpeg::step(bytes)) {
-                    (Layout::Jpeg, Some(step)) => {
-                        let quantisation = Quantisation::of_step(step, picture.size_px());
-                        picture.quantised(Some(quantisation))
-                    }
+                .map(|picture| match (self.layout, jpeg::steps(bytes)) {
+                    (Layout::Jpeg, Some(steps)) => picture.of_jpeg(&steps),
                     _ => picture,
                 })
         };
