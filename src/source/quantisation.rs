@@ -4,7 +4,6 @@
 //! states the steps, block by block; libav's decoders export them for H.264, VP9, MPEG-2 and MPEG-4 (not for H.265 and
 //! AV1). The transforms are orthonormal, so a step of a coefficient is also one of stored values.
 
-use super::Window;
 use ffmpeg_the_third::frame::Video;
 use ffmpeg_the_third::frame::side_data::Type;
 
@@ -36,23 +35,11 @@ fn level(step: f64) -> u8 {
 }
 
 impl Quantisation {
-    /// RMS of the steps in a window, stored units; `None` when it lies outside.
-    pub fn step_in(&self, window: &Window) -> Option<f64> {
-        let (mut sum, mut count) = (0.0, 0_u32);
-        let blocks = |from: u32, to: u32| (from / self.block_px)..to.div_ceil(self.block_px);
-        for row in blocks(window.y0, window.y1) {
-            for column in blocks(window.x0, window.x1.min(self.columns.saturating_mul(self.block_px))) {
-                let Some(q) = self.levels.get(row as usize * self.columns as usize + column as usize) else { break };
-                sum += step(*q).powi(2);
-                count += 1;
-            }
-        }
-        (count > 0).then(|| (sum / f64::from(count)).sqrt())
-    }
-
-    /// The same for each stored channel.
-    pub(crate) fn steps_in(&self, window: &Window) -> Option<[f64; 3]> {
-        let step = self.step_in(window)?;
+    /// Steps of the stored channels at a pixel, stored units; `None` when it lies outside.
+    pub fn steps_at(&self, [x, y]: [u32; 2]) -> Option<[f64; 3]> {
+        let [column, row] = [x, y].map(|at| at / self.block_px);
+        let level = self.levels.get(row as usize * self.columns as usize + column as usize);
+        let step = step(*level.filter(|_| column < self.columns)?);
         Some(self.channels.map(|by| by * step))
     }
 
@@ -153,23 +140,24 @@ mod tests {
     }
 
     #[test]
-    fn the_step_of_a_window_is_that_of_its_blocks() {
+    fn the_step_at_a_pixel_is_that_of_its_block() {
         let bytes = encoded(H264, 22, &[[16, 0, 16, 16, 6], [0, 16, 32, 16, -6]]);
         let found = Quantisation::parsed(&bytes, [40, 30]).unwrap();
         assert_eq!((found.columns, &found.levels), (3, &vec![22, 28, 22, 16, 16, 22]));
-        let at = |x0, y0| found.step_in(&Window { x0, y0, x1: x0 + 4, y1: y0 + 4 }).unwrap();
         // H.264, table 8-15: level 22 has a step of 8, six more double it.
-        assert!((at(0, 0) - 8.0).abs() < 1e-9 && (at(16, 0) - 16.0).abs() < 1e-9 && (at(4, 20) - 4.0).abs() < 1e-9);
-        let both = found.step_in(&Window { x0: 12, y0: 0, x1: 20, y1: 8 }).unwrap();
-        assert!((both - 160.0_f64.sqrt()).abs() < 1e-9, "{both}");
-        assert_eq!(found.step_in(&Window { x0: 100, y0: 100, x1: 110, y1: 110 }), None);
+        for (pixel, step) in [([0, 0], 8.0), ([16, 0], 16.0), ([31, 15], 16.0), ([4, 20], 4.0), ([39, 29], 8.0)] {
+            let at = found.steps_at(pixel).unwrap();
+            assert!(at.iter().all(|at| (at - step).abs() < 1e-9), "{pixel:?}: {at:?}");
+        }
+        assert_eq!([found.steps_at([48, 0]), found.steps_at([0, 32])], [None, None]);
     }
 
     #[test]
     fn without_blocks_the_base_holds_everywhere_and_what_is_cut_off_says_nothing() {
-        let everywhere = Window { x0: 0, y0: 0, x1: 640, y1: 480 };
         let step = |kind, base| {
-            Quantisation::parsed(&encoded(kind, base, &[]), [640, 480]).unwrap().step_in(&everywhere).unwrap()
+            let found = Quantisation::parsed(&encoded(kind, base, &[]), [640, 480]).unwrap();
+            assert_eq!(found.steps_at([0, 0]), found.steps_at([639, 479]));
+            found.steps_at([0, 0]).unwrap()[0]
         };
         assert!((step(MPEG2, 4) / 8.0 - 1.0).abs() < 0.06);
         // VP9's table: 32 at index 25, 203 at 137, 1828 at 255.

@@ -3,7 +3,6 @@
 //! [`Comparison::render`] evaluates the model and compares it with all samples. Derivatives are formed from it chunk by
 //! chunk, where they are summed, and not kept.
 
-use crate::source::Window;
 use crate::track::chunk::{CHUNK, Chunk, Rows, Scene};
 use crate::track::normal::{Normal, ROW, Row, Seen, Squares, Sums, add_row, influence, shifted};
 use crate::track::padded::{PADDED, Padded, products, unpadded_square};
@@ -163,21 +162,20 @@ struct Scores {
     /// Rows times residuals, summed over each cell.
     cells: Vec<Row>,
     slips: Slips,
-    /// Information about the band's position, and by channel the same times the weights.
+    /// Information about the band's position, and by cell and channel the same times the weights.
     said: f64,
-    coded: [f64; 3],
+    coded: Vec<[f32; 3]>,
 }
 
 impl Scores {
     fn new(patch: &Patch, scene: &Scene<'_>) -> Self {
-        let cells = vec![[0.0; ROW]; patch.cells.len()];
-        Self { cells, slips: Slips::new(scene.layout, patch.spans.len()), said: 0.0, coded: [0.0; 3] }
+        let cells = patch.cells.len();
+        let slips = Slips::new(scene.layout, patch.spans.len());
+        Self { cells: vec![[0.0; ROW]; cells], slips, said: 0.0, coded: vec![[0.0; 3]; cells] }
     }
 
     fn add(&mut self, part: &Part<'_>) {
-        let [said, coded] = add_to_cells(&mut self.cells, part);
-        self.said += said;
-        self.coded[usize::from(part.channel)] += coded;
+        self.said += add_to_cells(&mut self.cells, &mut self.coded, part);
         if part.apart {
             add_to_slips(&mut self.slips, part);
         }
@@ -220,11 +218,6 @@ impl Part<'_> {
 }
 
 impl Comparison {
-    /// The rectangle of its samples, pixels.
-    pub(crate) fn window(&self) -> &Window {
-        &self.patch.window
-    }
-
     pub(crate) fn new(patch: Patch) -> Self {
         let memory = Memory::of(&patch);
         Self { patch, memory, scores: None }
@@ -358,13 +351,13 @@ impl Comparison {
     /// Empirical covariance of J'Wr: products of the sums over cells, which keeps the correlation between neighbouring
     /// samples and channels (a cluster-robust "sandwich"; White 1980, doi:10.2307/1912934, Liang and Zeger 1986,
     /// doi:10.1093/biomet/73.1.13). `of_shape` and `of_colours` map parameters to shape; `coder_variances` are those of
-    /// the stored channels.
+    /// the stored channels at a pixel.
     pub(crate) fn scatter(
         &mut self,
         scene: &Scene<'_>,
         of_shape: &SMatrix<f64, SHAPE, SHAPE>,
         of_colours: &ShapeBy,
-        coder_variances: [f64; 3],
+        coder_variances: impl Fn([u32; 2]) -> [f64; 3],
     ) -> Scattered {
         let scores = self.scores.take().unwrap_or_else(|| {
             let mut scores = Scores::new(&self.patch, scene);
@@ -372,9 +365,9 @@ impl Comparison {
             scores
         });
         let Scores { cells, mut slips, said, coded } = scores;
-        let Patch { spans, cells: places, squares, .. } = &self.patch;
+        let Patch { spans, cells: places, squares: pixels, .. } = &self.patch;
         let Scene { image, layout, .. } = *scene;
-        let mut squares = vec![[0.0; PADDED]; *squares];
+        let mut squares = vec![[0.0; PADDED]; pixels.len()];
         for cells in places.iter().zip(&cells).collect::<Vec<_>>().chunk_by(|a, b| a.0.0 == b.0.0) {
             let span = cells[0].0.0;
             let map = influence(image, &spans[span], layout, of_shape, of_colours);
@@ -385,7 +378,11 @@ impl Comparison {
         }
         slips.finish(image, layout);
         let covariance = unpadded_square(&products(&squares));
-        let coded: f64 = coded.iter().zip(coder_variances).map(|(coded, variance)| coded * variance).sum();
+        let variances: Vec<_> = pixels.iter().map(|pixel| coder_variances(*pixel)).collect();
+        let of_cell = |((_, square), coded): (&(usize, usize), &[f32; 3])| -> f64 {
+            coded.iter().zip(variances[*square]).map(|(coded, variance)| f64::from(*coded) * variance).sum()
+        };
+        let coded: f64 = places.iter().zip(&coded).map(of_cell).sum();
         let coded = if said > 0.0 { coded / said } else { 0.0 };
         Scattered { covariance, slips, coded }
     }
@@ -399,19 +396,19 @@ fn add_gradient(sum: &mut Row, part: &Part<'_>) {
     }
 }
 
-/// Adds rows times residuals to their cells; returns the information about the band's position, and the same times the
-/// weights.
+/// Adds rows times residuals to their cells, and the information about the band's position times the weights; returns
+/// that information.
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512dq+avx512vl", "x86_64+avx2"))]
-fn add_to_cells(cells: &mut [Row], part: &Part<'_>) -> [f64; 2] {
-    let (mut said, mut coded) = (0.0, 0.0);
+fn add_to_cells(cells: &mut [Row], coded: &mut [[f32; 3]], part: &Part<'_>) -> f64 {
+    let mut said = 0.0;
     for (row, residual, weight, cell) in part.samples() {
         let [across, along] = shifted(row, part.seen);
         let says = weight * (across * across + along * along);
         said += f64::from(says);
-        coded += f64::from(says * weight);
+        coded[cell as usize][usize::from(part.channel)] += says * weight;
         add_row(&mut cells[cell as usize], row, part.seen, weight * residual);
     }
-    [said, coded]
+    said
 }
 
 /// Adds samples of chroma to the slips they show.

@@ -34,13 +34,12 @@ impl Round<'_> {
         let compared = views.par_iter_mut().zip(images).zip(colours).zip(&seen);
         let scatter = compared.map(|(((view, image), colours), eliminated)| {
             let of_colours = -plain * eliminated.following();
-            let quantised = picture.quantisation();
-            let coder_variances = quantised.and_then(|q| {
-                let steps = q.steps_in(view.comparison.window())?;
-                Some(steps.map(|step| coder_variance(step, q.predicted)))
-            });
+            let coder_variances = |pixel| {
+                let steps = picture.quantisation().and_then(|q| Some((q.steps_at(pixel)?, q.predicted)));
+                steps.map_or([0.0; 3], |(steps, predicted)| steps.map(|step| coder_variance(step, predicted)))
+            };
             let scene = Scene::new(image, colours, stretch, model);
-            view.comparison.scatter(&scene, &plain, &of_colours, coder_variances.unwrap_or_default())
+            view.comparison.scatter(&scene, &plain, &of_colours, coder_variances)
         });
         let (mut slip, mut slip_covariance) = (Seen::default(), SMatrix::zeros());
         for (scattered, view) in scatter.collect::<Vec<_>>().into_iter().zip(&seen) {

@@ -110,7 +110,7 @@ impl ModelError {
 ///
 /// An intra-coded picture has only the rounding of each coefficient: κ = 1/12.
 pub(crate) const fn coder_variance(step: f64, predicted: bool) -> f64 {
-    let kappa = if predicted { 0.3 } else { 1.0 / 12.0 };
+    let kappa = if predicted { 0.28 } else { 1.0 / 12.0 };
     kappa * step * step
 }
 

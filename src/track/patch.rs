@@ -108,8 +108,8 @@ pub(crate) struct Patch {
     pub samples: Vec<Layer>,
     /// Cells of correlated errors, each the part of a square within one span, in their order: span and square.
     pub cells: Vec<(usize, usize)>,
-    /// How many squares have cells.
-    pub squares: usize,
+    /// A pixel of each square that has cells.
+    pub squares: Vec<[u32; 2]>,
 }
 
 /// The strips of places ordered by spans.
@@ -193,6 +193,7 @@ impl Patch {
         let across = field.width / CELL_PX + 1;
         let all_squares = across * (field.height / CELL_PX + 1);
         let (cells, squares, of_places) = cells(&places, across, all_squares);
+        let squares = squares.iter().map(|place| field.pixel(place).map(|v| v as u32)).collect();
         let mut patch = Self {
             middle,
             window,
@@ -353,20 +354,22 @@ impl Patch {
     }
 }
 
-/// Divides places into cells; returns these, how many squares they are in, and the cell of each place. `across` of
-/// `all_squares` are in a row.
-fn cells(places: &[Place], across: usize, all_squares: usize) -> (Vec<(usize, usize)>, usize, Vec<u32>) {
+/// Divides places into cells; returns these, a place in each of the squares they are in, and the cell of each place.
+/// `across` of `all_squares` are in a row.
+fn cells(places: &[Place], across: usize, all_squares: usize) -> (Vec<(usize, usize)>, Vec<Place>, Vec<u32>) {
     let mut cells: Vec<(usize, usize)> = Vec::with_capacity(places.len() / CELL_PX);
     // The last cell in each square.
     let mut last = vec![NONE; all_squares];
-    let mut squares = 0;
+    let mut squares = Vec::new();
     let of = |place: &Place| {
         let [column, row] = place.at.map(|v| v as usize);
         let last = &mut last[row / CELL_PX * across + column / CELL_PX];
         let (span, known) = (place.span as usize, cells.get(*last as usize).copied());
         if known.is_none_or(|(of, _)| of != span) {
-            let square = known.map_or(squares, |(_, square)| square);
-            squares = squares.max(square + 1);
+            let square = known.map_or(squares.len(), |(_, square)| square);
+            if square == squares.len() {
+                squares.push(*place);
+            }
             *last = cells.len() as u32;
             cells.push((span, square));
         }

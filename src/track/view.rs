@@ -1,6 +1,6 @@
 //! One view in a round of the fit: its samples, their noise, and the prior of its colours.
 
-use crate::source::Picture;
+use crate::source::{Picture, Quantisation};
 use crate::track::appearance::{CAP, GRADIENT, SHADING, TURNING};
 use crate::track::chunk::Scene;
 use crate::track::compare::{Comparison, Noise};
@@ -74,8 +74,7 @@ impl View {
     ) -> Result<Self, NoFit> {
         let offset_px = model.chroma_offset_px;
         let patch = Patch::select(picture, image, &stretch.layout, range_m, offset_px, density, margin_px)?;
-        let coded = picture.quantisation().and_then(|q| Some(coder_variance(q.step_in(&patch.window)?, q.predicted)));
-        if coded.is_some_and(|variance| variance > COARSEST) {
+        if picture.quantisation().is_some_and(|q| coded_variance(q, &patch) > COARSEST) {
             return Err(NoFit::TooCoarse);
         }
         let shown = || patch.colours(picture, image, &stretch.layout, &model.encoding);
@@ -113,6 +112,14 @@ impl View {
         }
         normal
     }
+}
+
+/// Mean variance of a coder's errors around the tube.
+fn coded_variance(quantisation: &Quantisation, patch: &Patch) -> f64 {
+    let steps = patch.squares.iter().filter_map(|pixel| quantisation.steps_at(*pixel));
+    let variances = steps.map(|steps| coder_variance(steps[0], quantisation.predicted));
+    let (sum, count) = variances.fold((0.0, 0), |(sum, count), variance| (sum + variance, count + 1));
+    sum / f64::from(count.max(1))
 }
 
 /// Prior of a colour: its value, unless that is the initial one, and σ.
