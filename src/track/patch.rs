@@ -4,7 +4,7 @@
 //! pixel, in stored R'G'B', and a subsampled chroma sample is the mean of its neighbourhood with triangular weights as
 //! wide as the sampling. Only its derivatives are those at its own place, through a blur as wide as its neighbourhood.
 
-use crate::source::{Picture, Plane, Window};
+use crate::source::{Picture, Plane};
 use crate::track::appearance::{BACKGROUND, CAP, FIXED, Layout, PER_SEGMENT};
 use crate::track::light::Encoding;
 use crate::track::no_fit::NoFit;
@@ -100,7 +100,6 @@ impl Layer {
 /// The part of a view's picture around a stretch of tube.
 pub(crate) struct Patch {
     pub middle: Vector2<f64>,
-    pub window: Window,
     pub spans: Vec<Span>,
     /// All pixels; without channels if all are subsampled.
     pub pixels: Layer,
@@ -185,8 +184,7 @@ impl Patch {
         let range = (image.knot_of(range_m.0), image.knot_of(range_m.1));
         let (mut field, middle) =
             Field::around(image, range, picture.size_px(), margin_px).ok_or(NoFit::OutOfPicture)?;
-        let window = field.window();
-        picture.declare_read(window).map_err(|_| NoFit::NotRecorded)?;
+        picture.declare_read(field.window()).map_err(|_| NoFit::NotRecorded)?;
         let spans = Spans::new(image, layout);
         let places = spans.places(&field, range, density);
         field.number(&places);
@@ -196,7 +194,6 @@ impl Patch {
         let squares = squares.iter().map(|place| field.pixel(place).map(|v| v as u32)).collect();
         let mut patch = Self {
             middle,
-            window,
             spans: spans.list,
             pixels: Layer::of_pixels(&places, &field, &middle, of_places),
             samples: Vec::new(),
