@@ -42,10 +42,10 @@ impl LastCoded {
 /// `coded`.
 fn compare(plane: &Plane<'_>, rows: &mut Vec<u8>, quantisation: &Quantisation, coded: &mut [bool]) {
     let [width, height] = plane.scale.map(|scale| (quantisation.block_px / scale) as usize);
-    let inner = inner(width);
-    let (block, inner) = (width * plane.step, inner.start * plane.step..inner.end * plane.step);
+    let (block, inner) = (width * plane.step, compared(width));
+    let inner = inner.start * plane.step..inner.end * plane.step;
     let length = plane.row(0).map_or(0, <[u8]>::len);
-    let (used, columns) = (self::inner(height).step_by(APART), quantisation.columns.max(1) as usize);
+    let (used, columns) = (compared(height).step_by(APART), quantisation.columns.max(1) as usize);
     rows.resize(coded.len().div_ceil(columns) * used.len() * length, 0);
     let mut before = rows.chunks_exact_mut(length.max(1));
     for (j, coded) in coded.chunks_mut(columns).enumerate() {
@@ -64,7 +64,7 @@ fn compare(plane: &Plane<'_>, rows: &mut Vec<u8>, quantisation: &Quantisation, c
 
 /// The samples of a block's side that are compared: smoothing of the blocks' edges changes the others in skipped blocks
 /// too.
-fn inner(side: usize) -> std::ops::Range<usize> {
+fn compared(side: usize) -> std::ops::Range<usize> {
     let smoothed = if side >= 16 { 3 } else { 1 };
     smoothed..side.saturating_sub(smoothed)
 }

@@ -277,6 +277,9 @@ fn layout_of(message: &DynamicMessage) -> Result<Layout, String> {
     })
 }
 
+/// No coder quantises one channel so much more coarsely than another.
+const LARGEST_RATIO: f64 = 1000.0;
+
 /// `None` when the message has none.
 fn quantisation_of(message: &DynamicMessage) -> Option<Quantisation> {
     if !message.has_field_by_name("quantisation") {
@@ -285,13 +288,15 @@ fn quantisation_of(message: &DynamicMessage) -> Option<Quantisation> {
     let said = message.get_field_by_name("quantisation")?;
     let said = said.as_message()?;
     let unsigned = |field: &str| number(said, field).and_then(|n| u32::try_from(n).ok()).filter(|n| *n > 0);
+    // Older logs have none.
+    let channels = <[f64; 3]>::try_from(floats(said, "channels")).ok();
+    let channels = channels.filter(|all| all.iter().all(|by| (0.0..=LARGEST_RATIO).contains(by)));
     Some(Quantisation {
         block_px: unsigned("block_px")?,
         columns: unsigned("columns")?,
         predicted: said.get_field_by_name("predicted")?.as_bool()?,
         levels: said.get_field_by_name("levels")?.as_bytes()?.to_vec(),
-        // Older logs have none.
-        channels: floats(said, "channels").try_into().unwrap_or([1.0; 3]),
+        channels: channels.unwrap_or([1.0; 3]),
     })
 }
 

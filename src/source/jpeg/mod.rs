@@ -76,6 +76,7 @@ struct Picture {
     direct: [Option<Table>; 4],
     others: [Option<Table>; 4],
     restart_every: usize,
+    is_progressive: bool,
 }
 
 #[derive(Clone, Copy)]
@@ -117,11 +118,18 @@ impl Picture {
                     let body = rest.get(4..length).ok_or("a segment is cut off")?;
                     rest = rest.get(length..).unwrap_or_default();
                     match *code {
+                        HUFFMAN | RESTART_INTERVAL if self.is_progressive => {}
+                        START_OF_SCAN if self.is_progressive => return Ok(()),
                         HUFFMAN => self.huffman(body).ok_or("a table of codes is damaged")?,
                         QUANTIZATION => self.quantization(body).ok_or("a table of quantization is damaged")?,
                         0xc0 | 0xc1 => self.frame(body).ok_or("the head of the picture is damaged")?,
-                        // Progressive, lossless, arithmetic: not examined.
-                        0xc2..=0xcf if *code != 0xc8 && *code != 0xcc => return Ok(()),
+                        // Of progressive pictures only the steps are told.
+                        0xc2 => {
+                            self.frame(body).ok_or("the head of the picture is damaged")?;
+                            self.is_progressive = true;
+                        }
+                        // Lossless, arithmetic: not examined.
+                        0xc3..=0xcf if *code != 0xc8 && *code != 0xcc => return Ok(()),
                         RESTART_INTERVAL => {
                             let every = body.first_chunk().ok_or("a segment is cut off")?;
                             self.restart_every = u16::from_be_bytes(*every).into();
@@ -291,6 +299,23 @@ mod tests {
         };
         let pictures = [colour.into(), grey.into()];
         pictures.iter().flat_map(|picture| [20, 75, 100].map(|quality| encoded(quality, picture))).collect()
+    }
+
+    #[test]
+    fn a_coarser_picture_has_larger_steps_and_a_progressive_one_the_same() {
+        let pictures = sound();
+        let [coarse, fine] = [0, 1].map(|i| examine(&pictures[i]).steps.unwrap());
+        assert!(
+            coarse.channels[1] > coarse.channels[0] && coarse.channels[0] > 3.0 * fine.channels[0],
+            "{coarse:?} {fine:?}"
+        );
+        assert!((coarse.chroma_px - 1.0).abs() < 1e-9, "{coarse:?}");
+        // Marked as progressive, and as 4:2:0.
+        let mut progressive = pictures[0].clone();
+        let head = progressive.windows(2).position(|two| two == [0xff, 0xc0]).unwrap();
+        (progressive[head + 1], progressive[head + 11]) = (0xc2, 0x22);
+        let Examined { damage, steps } = examine(&progressive);
+        assert_eq!((damage, steps), (None, Some(Steps { chroma_px: 4.0, ..coarse })));
     }
 
     #[test]
