@@ -338,7 +338,7 @@ impl Picture {
                 (luma.powi(2) + steps.chroma_px * chroma).sqrt()
             }),
         };
-        let quantisation = Quantisation::of_steps(channels, self.size_px());
+        let quantisation = Quantisation::of_steps(luma, channels, self.size_px());
         self.quantised(Some(quantisation))
     }
 

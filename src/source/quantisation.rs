@@ -35,17 +35,22 @@ fn level(step: f64) -> u8 {
 }
 
 impl Quantisation {
-    /// Steps of the stored channels at a pixel, stored units; `None` when it lies outside.
-    pub fn steps_at(&self, [x, y]: [u32; 2]) -> Option<[f64; 3]> {
+    /// Step of luma at a pixel, stored units; `None` when it lies outside.
+    pub fn step_at(&self, [x, y]: [u32; 2]) -> Option<f64> {
         let [column, row] = [x, y].map(|at| at / self.block_px);
         let level = self.levels.get(row as usize * self.columns as usize + column as usize);
-        let step = step(*level.filter(|_| column < self.columns)?);
+        Some(step(*level.filter(|_| column < self.columns)?))
+    }
+
+    /// Steps of the stored channels there.
+    pub fn steps_at(&self, pixel: [u32; 2]) -> Option<[f64; 3]> {
+        let step = self.step_at(pixel)?;
         Some(self.channels.map(|by| by * step))
     }
 
-    /// The same steps everywhere, in an intra-coded picture, for each stored channel.
-    pub(crate) fn of_steps(channels: [f64; 3], size_px: [u32; 2]) -> Self {
-        let level = level(channels[0]);
+    /// The same steps everywhere, in an intra-coded picture, of luma and of each stored channel.
+    pub(crate) fn of_steps(luma: f64, channels: [f64; 3], size_px: [u32; 2]) -> Self {
+        let level = level(luma);
         let channels = channels.map(|channel| channel / step(level));
         Self { predicted: false, channels, ..Self::uniform(level, size_px) }
     }

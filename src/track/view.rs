@@ -114,10 +114,10 @@ impl View {
     }
 }
 
-/// Mean variance of a coder's errors around the tube.
+/// Mean variance of a coder's errors of luma around the tube.
 fn coded_variance(quantisation: &Quantisation, patch: &Patch) -> f64 {
-    let steps = patch.squares.iter().filter_map(|pixel| quantisation.steps_at(*pixel));
-    let variances = steps.map(|steps| coder_variance(steps[0], quantisation.predicted));
+    let steps = patch.squares.iter().filter_map(|pixel| quantisation.step_at(*pixel));
+    let variances = steps.map(|step| coder_variance(step, quantisation.predicted));
     let (sum, count) = variances.fold((0.0, 0), |(sum, count), variance| (sum + variance, count + 1));
     sum / f64::from(count.max(1))
 }
