@@ -3,8 +3,8 @@
 //! For each marker every combination of one blob per view is triangulated; candidates are those whose rays meet and
 //! whose blobs have the band's size at that distance. The markers are then chosen together, along the tube, by dynamic
 //! programming: reprojection error, size, distance from where the marker was, and whether the tube allows the distance
-//! of neighbours. A second choice that is nearly as good, with the marker elsewhere or with another marker in its stead,
-//! makes it ambiguous.
+//! of neighbours. A second choice that is nearly as good, with the marker elsewhere or with another marker in its
+//! stead, makes it ambiguous.
 //!
 //! Cannot detect: a distractor of the same colour, size and place along the tube, seen in all views.
 
@@ -210,8 +210,8 @@ impl Assigner {
             }
             cost += (ratio.ln() / 0.5).powi(2);
         }
-        // −2 log likelihood of the place, as far as it differs between candidates: the longer a marker was not seen, the
-        // less a candidate says.
+        // −2 log likelihood of the place, as far as it differs between candidates: the longer a marker was not seen,
+        // the less a candidate says.
         let recent = self.recent(marker, stamp);
         let reach_m = reach_m(recent.map_or(MEMORY_S, |(_, age)| age));
         let off = recent.map_or(0.0, |(place, _)| (met.point - place).norm() / reach_m);
