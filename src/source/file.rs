@@ -354,11 +354,7 @@ impl VideoFile {
             }
             self.arrival = self.decoding.arrival_of(&decoded);
             let steps = self.decoding.steps_of(&decoded);
-            let picture = self.pictures.picture(decoded.frame)?;
-            let picture = match steps {
-                Some(steps) => picture.of_jpeg(&steps),
-                None => picture,
-            };
+            let picture = self.pictures.picture(decoded.frame)?.of_jpeg(steps.as_ref());
             self.layout = Some((picture.format(), picture.colour()));
             let picture = if sound { picture } else { picture.marked_damaged() };
             if sound {

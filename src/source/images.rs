@@ -151,10 +151,7 @@ impl ImageFolder {
             );
         }
         match picture(decoded) {
-            Some(Ok(picture)) => Ok(match steps {
-                Some(steps) => picture.of_jpeg(&steps),
-                None => picture,
-            }),
+            Some(Ok(picture)) => Ok(picture.of_jpeg(steps.as_ref())),
             Some(Err(error)) => Err(unreadable(error.to_string())),
             None => Err(unreadable("its samples are not whole numbers of 8 or 16 bits".to_owned())),
         }

@@ -326,14 +326,19 @@ impl Picture {
         Self { width, height, format, colour, storage, quantisation: None, reads: Reads::default() }
     }
 
-    /// The same picture, which was a JPEG with these quantiser steps.
-    pub(crate) fn of_jpeg(self, steps: &Steps) -> Self {
+    /// The same picture, which was a JPEG with these quantiser steps, if they are known.
+    pub(crate) fn of_jpeg(self, steps: Option<&Steps>) -> Self {
+        let Some(steps) = steps else { return self };
         let [luma, cb, cr] = steps.channels;
+        // R', G' and B' per Cb and Cr. Rec. ITU-T T.871, 7.
+        let (kr, kb) = Matrix::Bt601.luma_weights();
+        let (red, blue, kg) = (2.0 - 2.0 * kr, 2.0 - 2.0 * kb, 1.0 - kr - kb);
+        let rgb_from_chroma = [[0.0, red], [kb / kg * blue, kr / kg * red], [blue, 0.0]];
         let channels = match self.format {
             format if format.is_yuv() => steps.channels,
             PixelFormat::Grey => [luma; 3],
-            // Rec. ITU-T T.871, 7: errors of chroma in R, G and B. They are common to all pixels of a sample.
-            _ => [[0.0, 1.402], [0.344, 0.714], [1.772, 0.0]].map(|[of_cb, of_cr]| {
+            // Errors of chroma are common to all pixels of a sample.
+            _ => rgb_from_chroma.map(|[of_cb, of_cr]| {
                 let chroma = (of_cb * cb).powi(2) + (of_cr * cr).powi(2);
                 (luma.powi(2) + steps.chroma_px * chroma).sqrt()
             }),
@@ -458,18 +463,18 @@ mod tests {
         let steps = Steps { channels: [8.0, 16.0, 16.0], chroma_px: 4.0 };
         let found = |format, planes: &[usize]| {
             let planes = planes.iter().map(|samples| vec![0; *samples]).collect();
-            let picture = Picture::from_planes(4, 4, format, Colour::SRGB, planes).unwrap().of_jpeg(&steps);
+            let picture = Picture::from_planes(4, 4, format, Colour::SRGB, planes).unwrap().of_jpeg(Some(&steps));
             picture.quantisation().unwrap().steps_at([3, 3]).unwrap()
         };
         let close = |found: [f64; 3], expected: [f64; 3]| {
-            assert!(found.iter().zip(expected).all(|(a, b)| (a / b - 1.0).abs() < 1e-9), "{found:?}, not {expected:?}");
+            assert!(found.iter().zip(expected).all(|(a, b)| (a / b - 1.0).abs() < 1e-6), "{found:?}, not {expected:?}");
         };
         close(found(PixelFormat::Yuv { chroma_log2: [1, 1] }, &[16, 4, 4]), [8.0, 16.0, 16.0]);
         close(found(PixelFormat::Grey, &[16]), [8.0; 3]);
         let with = |chroma: f64| (64.0 + 4.0 * 256.0 * chroma).sqrt();
         close(
             found(PixelFormat::RgbPlanar, &[16; 3]),
-            [with(1.402_f64.powi(2)), with(0.628_132), with(1.772_f64.powi(2))],
+            [with(1.402_f64.powi(2)), with(0.344_136_f64.powi(2) + 0.714_136_f64.powi(2)), with(1.772_f64.powi(2))],
         );
     }
 

@@ -239,8 +239,8 @@ impl Patch {
         let plane = planes.first()?;
         let [sx, sy] = plane.scale.map(i64::from);
         let all = neighbourhoods(plane, chroma_offset_px, density, field);
-        // As many as there are if all pixels are used.
-        let samples = places.len() / (sx * sy) as usize;
+        // As many as there are, but for those deep inside a wide tube.
+        let samples = places.len() * density.period() as usize / (sx * sy) as usize;
         let (mut at, mut central) = (Vec::with_capacity(samples), Vec::with_capacity(samples));
         let mut ends = Vec::with_capacity(samples);
         let mut taps = Vec::with_capacity(samples * all.iter().map(|n| n.taps.len()).max().unwrap_or(0));
@@ -357,7 +357,7 @@ fn cells(places: &[Place], across: usize, all_squares: usize) -> (Vec<(usize, us
     let mut cells: Vec<(usize, usize)> = Vec::with_capacity(places.len() / CELL_PX);
     // The last cell in each square.
     let mut last = vec![NONE; all_squares];
-    let mut squares = Vec::new();
+    let mut squares = Vec::with_capacity(places.len() / CELL_PX);
     let of = |place: &Place| {
         let [column, row] = place.at.map(|v| v as usize);
         let last = &mut last[row / CELL_PX * across + column / CELL_PX];

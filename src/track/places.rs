@@ -160,7 +160,7 @@ const SIGHTS: usize = 4;
 
 impl<'a> Spans<'a> {
     pub(crate) fn new(image: &'a TubeImage, layout: &'a Layout) -> Self {
-        let mut list = Vec::new();
+        let mut list = Vec::with_capacity(image.knots.len() + layout.rings_m.len());
         let behind = image.knots.windows(2).enumerate().map(|(knot, pair)| {
             let first = list.len();
             let rings = layout.nearest_ring(pair[0].arc_m)..=layout.nearest_ring(pair[1].arc_m);
@@ -175,7 +175,9 @@ impl<'a> Spans<'a> {
     /// see, within each in the order of the picture.
     pub(crate) fn places(&self, field: &Field, range: (f64, f64), density: Density) -> Vec<Place> {
         let mut places = Vec::with_capacity(field.width * field.height / 2);
-        let mut found = Found::default();
+        // A piece's share of the field, and as much again where it is at an angle.
+        let pixels = 2 * field.width * field.height / self.behind.len().max(1) / density.period() as usize;
+        let mut found = Found::with_capacity(pixels);
         let mut ends = Vec::new();
         let last = (range.1.ceil() as usize).min(self.behind.len());
         for (knot, (first_span, last_span)) in self.behind.iter().enumerate().take(last).skip(range.0 as usize) {
@@ -238,7 +240,6 @@ fn sight(from_ring_px: f64, outside: f32) -> usize {
 }
 
 /// The pixels around the axis between two knots.
-#[derive(Default)]
 struct Found {
     /// Column and row in the field, and position relative to the first knot.
     at: Vec<[u32; 2]>,
@@ -252,6 +253,11 @@ struct Found {
 }
 
 impl Found {
+    fn with_capacity(pixels: usize) -> Self {
+        let [x, y, f, outside] = std::array::from_fn(|_| Vec::with_capacity(pixels));
+        Self { at: Vec::with_capacity(pixels), x, y, f, outside, list: Vec::with_capacity(pixels) }
+    }
+
     /// Takes the pixels between the lines across the tube at a knot and at the next, and some more beside the margin.
     /// Each pixel lies between one pair of such lines.
     fn search(&mut self, field: &Field, image: &TubeImage, knot: usize, density: Density) {

@@ -136,15 +136,13 @@ impl Connection for Session {
         };
         let (arrival, now) = (Instant::now(), clock_gettime(ClockId::Monotonic));
         let bytes = bytes.get(..meta.bytesused as usize).unwrap_or(bytes);
+        let steps = if self.layout == Layout::Jpeg { jpeg::steps(bytes) } else { None };
         let picture = if meta.flags.contains(Flags::ERROR) {
             Err("the driver marks it as damaged".to_owned())
         } else {
             video(bytes, self.layout, self.jpeg.as_mut(), &self.format)
                 .and_then(|frame| self.pictures.picture(frame).map_err(|e| e.to_string()))
-                .map(|picture| match (self.layout, jpeg::steps(bytes)) {
-                    (Layout::Jpeg, Some(steps)) => picture.of_jpeg(&steps),
-                    _ => picture,
-                })
+                .map(|picture| picture.of_jpeg(steps.as_ref()))
         };
         self.name_sources(meta.flags);
         let stamp = stamp(&meta);
