@@ -226,6 +226,8 @@ pub enum Miss {
     TooCoarse,
     /// Odd and even rows of the picture were taken at different times.
     Interlaced,
+    /// The picture is the one before once more, although the bands move.
+    Repeated,
 }
 
 impl Miss {
@@ -246,6 +248,7 @@ impl Miss {
             Self::Damaged => "damaged".into(),
             Self::TooCoarse => "too_coarse".into(),
             Self::Interlaced => "interlaced".into(),
+            Self::Repeated => "repeated".into(),
         }
     }
 }

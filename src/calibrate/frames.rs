@@ -11,8 +11,10 @@ pub(crate) struct Spread {
     pub frames: Vec<Frame>,
     /// Further frames, each directly after one of those, in order of time.
     pub followers: Vec<Frame>,
-    /// Index of the requested frame.
-    pub wanted: usize,
+    /// Index of the requested frame; `None` when the recording ends before.
+    pub wanted: Option<usize>,
+    /// From the first frame to the last, nanoseconds.
+    pub length_ns: i64,
 }
 
 /// At most `most` frames, spread evenly over the recording, including the first.
@@ -20,8 +22,7 @@ pub(super) fn spread(source: &mut dyn FrameSource, most: usize) -> Result<Vec<Fr
     Ok(spread_with(source, most, 0)?.frames)
 }
 
-/// As [`spread`], including the first frame at least `after_ns` after the start, or the last one if the recording ends
-/// before.
+/// As [`spread`], including the first frame at least `after_ns` after the start.
 pub(super) fn spread_with(source: &mut dyn FrameSource, most: usize, after_ns: i64) -> Result<Spread, SourceError> {
     let [width, height] = source.size_px();
     // Each with its follower.
@@ -31,7 +32,7 @@ pub(super) fn spread_with(source: &mut dyn FrameSource, most: usize, after_ns: i
     let mut frames: Vec<(u64, Frame)> = Vec::new();
     let mut followers: Vec<(u64, Frame)> = Vec::new();
     let mut wanted: Option<Frame> = None;
-    let mut wanted_ns = None;
+    let (mut start_ns, mut length_ns) = (None, 0);
     let mut number = 0;
     loop {
         let frame = match source.next_frame() {
@@ -44,8 +45,8 @@ pub(super) fn spread_with(source: &mut dyn FrameSource, most: usize, after_ns: i
             }
             Err(error) => return Err(error),
         };
-        let from_ns: i64 = *wanted_ns.get_or_insert(frame.stamp.ns.saturating_add(after_ns));
-        if wanted.is_none() && frame.stamp.ns >= from_ns {
+        length_ns = frame.stamp.ns.saturating_sub(*start_ns.get_or_insert(frame.stamp.ns));
+        if wanted.is_none() && length_ns >= after_ns {
             wanted = Some(frame);
         } else if number % stride == 0 {
             frames.push((number, frame));
@@ -64,11 +65,10 @@ pub(super) fn spread_with(source: &mut dyn FrameSource, most: usize, after_ns: i
     }
     let unnumbered = |numbered: Vec<(u64, Frame)>| numbered.into_iter().map(|(_, frame)| frame).collect::<Vec<_>>();
     let (mut frames, followers) = (unnumbered(frames), unnumbered(followers));
-    let Some(frame) = wanted else {
-        let last = frames.len().saturating_sub(1);
-        return Ok(Spread { frames, followers, wanted: last });
-    };
-    let wanted = frames.partition_point(|f| f.stamp.ns < frame.stamp.ns);
-    frames.insert(wanted, frame);
-    Ok(Spread { frames, followers, wanted })
+    let wanted = wanted.map(|frame| {
+        let at = frames.partition_point(|f| f.stamp.ns < frame.stamp.ns);
+        frames.insert(at, frame);
+        at
+    });
+    Ok(Spread { frames, followers, wanted, length_ns })
 }

@@ -14,6 +14,7 @@
 
 use super::listener::Listener;
 use crate::sink::CurrentSample;
+use crate::source::current_columns::{CurrentColumns, TimeColumn};
 use crate::source::host::HostClock;
 use crate::source::times::{parse_seconds_ns, seconds};
 use serde::Deserialize;
@@ -138,7 +139,7 @@ impl CurrentSource {
             clock,
             samples,
             limit_a,
-            header: None,
+            columns: None,
             wrong: 0,
             implausible: 0,
             full: 0,
@@ -193,34 +194,17 @@ fn serial(_: &Path, _: u32) -> io::Result<File> {
     Err(io::Error::other("serial lines are read on Linux and macOS only; send datagrams (udp:PORT) instead"))
 }
 
-/// What the times of a table are.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum TimeColumn {
-    HostNs,
-    UnixSeconds,
-    /// Seconds since the run began.
-    RunSeconds,
-}
-
-/// Which columns a table has.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-struct Header {
-    time: usize,
-    times: TimeColumn,
-}
-
-impl Header {
-    fn of(line: &str) -> Result<Self, String> {
-        let columns: Vec<&str> = line.trim().split(',').map(str::trim).collect();
-        let at = |name: &str| columns.iter().position(|column| *column == name);
-        let known =
-            [("host_ns", TimeColumn::HostNs), ("unix_s", TimeColumn::UnixSeconds), ("t_s", TimeColumn::RunSeconds)];
-        known.into_iter().find_map(|(name, times)| Some(Self { time: at(name)?, times })).ok_or_else(|| {
-            format!(
-                "the header `{}` has no column host_ns (nanoseconds since 1970), unix_s (seconds since 1970) or t_s (seconds since the run began)",
-                line.trim()
-            )
-        })
+/// The columns of a table with this first line.
+fn columns(line: &str) -> Result<CurrentColumns, String> {
+    let line = line.trim_start_matches('\u{feff}').trim();
+    let names: Vec<&str> = line.split(',').map(str::trim).collect();
+    match CurrentColumns::of(&names) {
+        Ok(CurrentColumns { times: TimeColumn::StampNs, .. }) => Err("times of the camera (stamp_ns) are not known \
+             before its frames: give host_ns (nanoseconds since 1970), unix_s (seconds since 1970) or t_s (seconds \
+             since the run began)"
+            .to_owned()),
+        Ok(columns) => Ok(columns),
+        Err(problem) => Err(format!("the first line, `{line}`, {problem}")),
     }
 }
 
@@ -239,7 +223,8 @@ struct Parser {
     samples: SyncSender<CurrentSample>,
     /// Largest plausible current, amperes.
     limit_a: f64,
-    header: Option<Header>,
+    /// Of a table.
+    columns: Option<CurrentColumns>,
     wrong: u64,
     implausible: u64,
     full: u64,
@@ -254,7 +239,7 @@ impl Parser {
         let mut header = String::new();
         // Of a file without lines not all is read.
         (&mut reader).take(LONGEST_HEADER).read_line(&mut header)?;
-        self.header = Some(Header::of(&header).map_err(|e| io::Error::new(ErrorKind::InvalidData, e))?);
+        self.columns = Some(columns(&header).map_err(|e| io::Error::new(ErrorKind::InvalidData, e))?);
         Ok(reader)
     }
 
@@ -295,6 +280,13 @@ impl Parser {
         let (mut bytes, mut line) = ([0; 4096], Vec::new());
         while !stop.load(Ordering::Relaxed) {
             match from.read(&mut bytes) {
+                // A table that counts from the start was complete before it: its last line may lack an end.
+                Ok(0) if self.is_timed_from_start() && !line.is_empty() => {
+                    if self.wait_until_due(&line, stop) {
+                        self.take(&line);
+                        line.clear();
+                    }
+                }
                 Ok(0) => std::thread::sleep(STOP_POLL_INTERVAL),
                 Ok(length) => {
                     for &byte in bytes.iter().take(length) {
@@ -318,6 +310,10 @@ impl Parser {
                 }
             }
         }
+        if self.columns.is_some() && !self.is_timed_from_start() && !line.is_empty() {
+            let rest = String::from_utf8_lossy(&line);
+            tracing::warn!("{}: the last line, `{}`, is not logged: it has no end", self.name, rest.escape_debug());
+        }
         self.report();
     }
 
@@ -332,10 +328,17 @@ impl Parser {
         self.report();
     }
 
+    /// Whether it is a table whose times count from the beginning of the run.
+    fn is_timed_from_start(&self) -> bool {
+        self.columns.as_ref().is_some_and(|columns| columns.times == TimeColumn::StartSeconds)
+    }
+
     /// Waits for the time of a row of a table that is counted from the beginning of the run; `false` when the run ends
     /// before.
     fn wait_until_due(&self, bytes: &[u8], stop: &AtomicBool) -> bool {
-        let Some(Header { times: TimeColumn::RunSeconds, .. }) = self.header else { return true };
+        if !self.is_timed_from_start() {
+            return true;
+        }
         let Some(sample) = self.sample(bytes, 0) else { return true };
         while !stop.load(Ordering::Relaxed) {
             let left_ns = u64::try_from(sample.host_ns.saturating_sub(self.clock.now_ns())).unwrap_or(0);
@@ -390,7 +393,7 @@ impl Parser {
     /// be those of an earlier start of the program that writes it.)
     fn is_plausible(&self, sample: &CurrentSample) -> bool {
         let in_time = sample.host_ns.abs_diff(sample.arrival_ns) <= MAX_SAMPLE_AGE_NS.unsigned_abs();
-        (in_time || self.header.is_some()) && sample.current_a.iter().all(|a| a.abs() <= self.limit_a)
+        (in_time || self.columns.is_some()) && sample.current_a.iter().all(|a| a.abs() <= self.limit_a)
     }
 
     /// Says at the end what was left out.
@@ -412,7 +415,7 @@ impl Parser {
 
     fn sample(&self, bytes: &[u8], arrival_ns: i64) -> Option<CurrentSample> {
         let text = std::str::from_utf8(bytes).ok()?.trim();
-        let sample = match (self.header, text.starts_with('{')) {
+        let sample = match (&self.columns, text.starts_with('{')) {
             (None, true) => {
                 let Json { current_a, seq, host_ns } = serde_json::from_str(text).ok()?;
                 CurrentSample { host_ns: host_ns.unwrap_or(arrival_ns), arrival_ns, seq, current_a }
@@ -422,16 +425,20 @@ impl Parser {
                 let current_a = numbers.map(|cell| cell.parse().ok()).collect::<Option<_>>()?;
                 CurrentSample { host_ns: arrival_ns, arrival_ns, seq: None, current_a }
             }
-            (Some(header), _) => {
+            (Some(columns), _) => {
                 let cells: Vec<&str> = text.split(',').map(str::trim).collect();
-                let time = cells.get(header.time)?;
-                let host_ns = match header.times {
+                if cells.len() != columns.width {
+                    return None;
+                }
+                let time = cells.get(columns.time)?;
+                let host_ns = match columns.times {
                     TimeColumn::HostNs => time.parse().ok()?,
                     TimeColumn::UnixSeconds => parse_seconds_ns(time)?,
-                    TimeColumn::RunSeconds => self.clock.started_ns().saturating_add(parse_seconds_ns(time)?),
+                    TimeColumn::StartSeconds => self.clock.started_ns().saturating_add(parse_seconds_ns(time)?),
+                    TimeColumn::StampNs => return None,
                 };
-                let currents = cells.iter().enumerate().filter(|(column, _)| *column != header.time);
-                let current_a = currents.map(|(_, cell)| cell.parse().ok()).collect::<Option<_>>()?;
+                let currents = columns.coils.iter().map(|column| cells.get(*column)?.parse().ok());
+                let current_a = currents.collect::<Option<_>>()?;
                 CurrentSample { host_ns, arrival_ns, seq: None, current_a }
             }
         };
@@ -449,7 +456,7 @@ pub(crate) fn currents_of(bytes: &[u8]) {
             clock: HostClock::start(),
             samples,
             limit_a: 10.0,
-            header: header.and_then(|header| Header::of(header).ok()),
+            columns: header.and_then(|header| columns(header).ok()),
             wrong: 0,
             implausible: 0,
             full: 0,
@@ -457,7 +464,7 @@ pub(crate) fn currents_of(bytes: &[u8]) {
         };
         bytes.split(|byte| *byte == b'\n').for_each(|line| parser.take(line));
     }
-    let _ = Header::of(&String::from_utf8_lossy(bytes));
+    let _ = columns(&String::from_utf8_lossy(bytes));
 }
 
 #[cfg(test)]
@@ -465,12 +472,12 @@ mod tests {
     use super::*;
     use std::io::Write as _;
 
-    fn parser(header: Option<Header>) -> (Parser, Receiver<CurrentSample>) {
+    fn parser(columns: Option<CurrentColumns>) -> (Parser, Receiver<CurrentSample>) {
         let (samples, line) = sync_channel(16);
         let clock = HostClock::start();
         let name = "test".to_owned();
         let senders = BTreeMap::new();
-        (Parser { name, clock, samples, limit_a: 10.0, header, wrong: 0, implausible: 0, full: 0, senders }, line)
+        (Parser { name, clock, samples, limit_a: 10.0, columns, wrong: 0, implausible: 0, full: 0, senders }, line)
     }
 
     #[test]
@@ -545,7 +552,8 @@ mod tests {
         let source = CurrentSource::File(table.path().to_owned());
         let error = source.open(10.0, HostClock::start(), &Arc::default()).unwrap_err().to_string();
         assert!(error.contains("`i1,i2`") && error.contains("host_ns"), "{error}");
-        assert_eq!(Header::of("unix_s, i1"), Ok(Header { time: 0, times: TimeColumn::UnixSeconds }));
+        assert_eq!(columns("\u{feff}unix_s, i1\r\n").map(|columns| (columns.time, columns.coils)), Ok((0, vec![1])));
+        assert!(columns("stamp_ns,i1").unwrap_err().contains("host_ns"));
     }
 
     #[test]
@@ -562,6 +570,28 @@ mod tests {
         stop.store(true, Ordering::Relaxed);
         // The row whose time has not come is no sample, and holds nothing up.
         assert!(samples.recv_timeout(Duration::from_secs(10)).is_err());
+    }
+
+    #[test]
+    fn the_last_row_of_an_excitation_counts_without_a_line_end() {
+        let (mut parser, samples) = parser(columns("t_s,i1").ok());
+        let stop = Arc::new(AtomicBool::new(false));
+        let ends = Arc::clone(&stop);
+        let reading = std::thread::spawn(move || parser.lines(Cursor::new("0,0.1\n0.05,0.2"), &stop));
+        let next = || samples.recv_timeout(Duration::from_secs(10)).unwrap().current_a;
+        assert_eq!((next(), next()), (vec![0.1], vec![0.2]));
+        ends.store(true, Ordering::Relaxed);
+        reading.join().unwrap();
+    }
+
+    /// A further column of times is no coil, and a row without all cells no sample.
+    #[test]
+    fn rows_of_a_table_have_its_columns() {
+        let (parser, _line) = parser(columns("host_ns,t_s,i1,i2").ok());
+        let of = |text: &str| parser.sample(text.as_bytes(), 99);
+        let full = of("5,0.1,0.3,-0.4").unwrap();
+        assert_eq!((full.host_ns, full.current_a), (5, vec![0.3, -0.4]));
+        assert_eq!((of("5,0.1,0.3"), of("5,0.1,0.3,-0.4,0.5")), (None, None));
     }
 
     #[test]

@@ -98,8 +98,10 @@ pub struct LiveSummary {
     pub run: Summary,
     /// From arrival to θ sent, all tracked frames.
     pub latency: Latency,
-    /// Rows that were not logged because the disk was too slow for minutes.
-    pub unlogged: u64,
+    /// Frames that were not logged because the disk was too slow for minutes.
+    pub unlogged_frames: u64,
+    /// The same of samples of currents.
+    pub unlogged_currents: u64,
     /// Rows that subscribers were not given because they would have waited.
     pub unpublished: u64,
     /// Pictures recorded, and pictures lost to the recording; `None` when none were to be.
@@ -179,7 +181,7 @@ pub fn run(
         std::thread::sleep(POLL_INTERVAL);
         if reported.elapsed() >= REPORT_INTERVAL {
             reported += REPORT_INTERVAL;
-            let (waiting, unlogged) = (backlog.waiting(), backlog.unlogged());
+            let (waiting, unlogged) = (backlog.waiting(), backlog.unlogged_frames() + backlog.unlogged_currents());
             let status = Status { backlog: waiting, unlogged, pictures: counted(), ..counters.status() };
             outputs.latest.iter().for_each(|latest| latest.put_status(&status));
             watch(&status);
@@ -227,7 +229,8 @@ pub fn run(
     Ok(LiveSummary {
         run: Summary { tally, source: source_faults, elapsed: began.elapsed(), end, sink_failures },
         latency,
-        unlogged: backlog.unlogged(),
+        unlogged_frames: backlog.unlogged_frames(),
+        unlogged_currents: backlog.unlogged_currents(),
         unpublished: unpublished.iter().map(|missed| missed.load(Ordering::Relaxed)).sum(),
         pictures: counted(),
         priority: session.obtained,

@@ -253,8 +253,11 @@ impl Recorder {
                 }
                 let kept = self.windows.keep(&taken.estimate, &taken.picture)?;
                 // Counted when it is written.
-                self.log.put(Entry::Windows(Box::new(kept), Arc::clone(&self.recording.count)));
-                Ok(true)
+                let has_room = self.log.put(Entry::Windows(Box::new(kept), Arc::clone(&self.recording.count)));
+                if !has_room {
+                    self.windows.lost_one();
+                }
+                Ok(has_room)
             }
         }
     }

@@ -11,12 +11,12 @@ use crate::tally::Totals;
 use std::io;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
-use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 use std::thread::{Builder, JoinHandle};
 
 /// Rows that may wait: more than two minutes at 60 Hz, some 50 MB.
 pub const MAX_ROWS: usize = 8192;
-/// So many that wait are worth a word.
+/// So many that wait are warned of.
 const WARN_BACKLOG: usize = MAX_ROWS / 16;
 
 /// What is logged.
@@ -33,7 +33,8 @@ pub(super) enum Entry {
 #[derive(Debug, Default)]
 pub(super) struct Backlog {
     waiting: AtomicUsize,
-    unlogged: AtomicU64,
+    unlogged_frames: AtomicU64,
+    unlogged_currents: AtomicU64,
     sinks_alive: AtomicUsize,
 }
 
@@ -43,9 +44,27 @@ impl Backlog {
         self.waiting.load(Ordering::Relaxed)
     }
 
-    /// Rows that were not logged because the line was full.
-    pub(super) fn unlogged(&self) -> u64 {
-        self.unlogged.load(Ordering::Relaxed)
+    /// Frames that were not logged because the line was full.
+    pub(super) fn unlogged_frames(&self) -> u64 {
+        self.unlogged_frames.load(Ordering::Relaxed)
+    }
+
+    /// The same of samples of currents.
+    pub(super) fn unlogged_currents(&self) -> u64 {
+        self.unlogged_currents.load(Ordering::Relaxed)
+    }
+
+    fn count_unlogged(&self, entry: &Entry) {
+        let count = match entry {
+            Entry::Frame(..) => &self.unlogged_frames,
+            Entry::Current(_) => &self.unlogged_currents,
+            // The recorder counts its own.
+            Entry::Windows(..) => return,
+        };
+        count.fetch_add(1, Ordering::Relaxed);
+        if self.unlogged_frames() + self.unlogged_currents() == 1 {
+            tracing::error!("the disk has been too slow for minutes: rows are not logged any more, and counted");
+        }
     }
 
     /// Sinks that still write.
@@ -54,7 +73,7 @@ impl Backlog {
     }
 }
 
-/// The near end of the line.
+/// The sending end of the line.
 #[derive(Debug, Clone)]
 pub(super) struct Log {
     entries: SyncSender<Entry>,
@@ -62,7 +81,7 @@ pub(super) struct Log {
 }
 
 impl Log {
-    /// Starts the thread; it ends when the last near end is gone, and gives the sinks back, with what went wrong.
+    /// Starts the thread; it ends when the last sender is gone, and gives the sinks back, with what went wrong.
     pub(super) fn start(sinks: Vec<Box<dyn Sink + Send>>) -> io::Result<(Self, JoinHandle<Written>)> {
         let (entries, line) = sync_channel(MAX_ROWS);
         let backlog = Arc::new(Backlog { sinks_alive: AtomicUsize::new(sinks.len()), ..Backlog::default() });
@@ -71,19 +90,20 @@ impl Log {
         Ok((Self { entries, backlog }, thread))
     }
 
-    /// Puts an entry into the line; never waits.
-    pub(super) fn put(&self, entry: Entry) {
+    /// Puts an entry into the line; never waits. Whether there was room for it.
+    pub(super) fn put(&self, entry: Entry) -> bool {
         let waiting = self.backlog.waiting.fetch_add(1, Ordering::Relaxed) + 1;
-        if self.entries.try_send(entry).is_err() {
+        if let Err(TrySendError::Full(entry) | TrySendError::Disconnected(entry)) = self.entries.try_send(entry) {
             self.backlog.waiting.fetch_sub(1, Ordering::Relaxed);
-            if self.backlog.unlogged.fetch_add(1, Ordering::Relaxed) == 0 {
-                tracing::error!("the disk has been too slow for minutes: rows are not logged any more, and counted");
-            }
-        } else if waiting == WARN_BACKLOG {
+            self.backlog.count_unlogged(&entry);
+            return false;
+        }
+        if waiting == WARN_BACKLOG {
             tracing::warn!(
                 "the disk falls behind: {waiting} rows wait to be written, {MAX_ROWS} can; nothing is lost yet"
             );
         }
+        true
     }
 
     pub(super) fn backlog(&self) -> Arc<Backlog> {

@@ -1,6 +1,6 @@
 //! Tables of coil currents: those followed by `catoptra live --currents file:`, and those written by `catoptra excite`.
 //!
-//! One column is the time, all others are coils, amperes:
+//! One column is the time, all others are coils, amperes; of several times the first of these counts:
 //!
 //! | column | time |
 //! |---|---|
@@ -11,6 +11,7 @@
 use super::sheet::Sheet;
 use super::{Current, Recording, SeriesError};
 use crate::sink::decimal_seconds;
+use crate::source::current_columns::{CurrentColumns, TimeColumn};
 use crate::source::times::seconds;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -48,44 +49,25 @@ pub struct CurrentTable {
     pub rows: Vec<CurrentRow>,
 }
 
-const TIMES: [(&str, CurrentClock); 4] = [
-    ("host_ns", CurrentClock::Host),
-    ("unix_s", CurrentClock::Host),
-    ("stamp_ns", CurrentClock::Camera),
-    ("t_s", CurrentClock::Start),
-];
-
 impl CurrentTable {
     /// Reads a table of text, see [`CurrentTable::read`].
     pub(super) fn of_sheet(path: &Path) -> Result<Self, SeriesError> {
         let sheet = Sheet::read(path)?;
         sheet.check_row_widths()?;
-        let found = TIMES.iter().find_map(|(name, clock)| Some((sheet.find(name)?, *name, *clock)));
-        let Some((time, name, clock)) = found else {
-            return Err(sheet.wrong(
-                "has no times of currents: expected a header with host_ns, unix_s, stamp_ns or t_s, and a column a coil"
-                    .to_owned(),
-            ));
+        let names = sheet.header.as_deref().unwrap_or_default();
+        let columns = CurrentColumns::of(names).map_err(|problem| sheet.wrong(problem))?;
+        let coils: Vec<String> = columns.coils.iter().filter_map(|column| names.get(*column).cloned()).collect();
+        let clock = match columns.times {
+            TimeColumn::HostNs | TimeColumn::UnixSeconds => CurrentClock::Host,
+            TimeColumn::StampNs => CurrentClock::Camera,
+            TimeColumn::StartSeconds => CurrentClock::Start,
         };
-        let columns: Vec<usize> = (0..sheet.width).filter(|column| *column != time).collect();
-        let coils: Vec<String> = sheet
-            .header
-            .iter()
-            .flatten()
-            .enumerate()
-            .filter(|(k, _)| *k != time)
-            .map(|(_, name)| name.clone())
-            .collect();
-        if coils.is_empty() {
-            return Err(sheet.wrong(format!("has only the column {name}; expected one per coil, in amperes")));
-        }
-        if let Some(milli) = coils.iter().find(|coil| coil.to_ascii_lowercase().ends_with("_ma")) {
-            return Err(sheet.wrong(format!("column `{milli}` is in milliamperes; currents are given in amperes")));
-        }
         let mut rows: Vec<CurrentRow> = Vec::with_capacity(sheet.rows.len());
         for row in &sheet.rows {
-            let time_ns =
-                if name.ends_with("_ns") { sheet.integer(row, time)? } else { sheet.seconds_ns(row, time)? };
+            let time_ns = match columns.times {
+                TimeColumn::HostNs | TimeColumn::StampNs => sheet.integer(row, columns.time)?,
+                TimeColumn::UnixSeconds | TimeColumn::StartSeconds => sheet.seconds_ns(row, columns.time)?,
+            };
             if let Some(before) = rows.last().filter(|before| before.time_ns >= time_ns) {
                 let (now, then) = (seconds(time_ns), seconds(before.time_ns));
                 return Err(
@@ -97,7 +79,7 @@ impl CurrentTable {
                     sheet.wrong_at(row, format!("the current in column {} is missing", sheet.name_of(*column)))
                 })
             };
-            rows.push(CurrentRow { time_ns, values_a: columns.iter().map(value).collect::<Result<_, _>>()? });
+            rows.push(CurrentRow { time_ns, values_a: columns.coils.iter().map(value).collect::<Result<_, _>>()? });
         }
         if rows.is_empty() {
             return Err(sheet.wrong("has a header and no row".to_owned()));
@@ -170,7 +152,8 @@ impl CurrentTable {
         }
         if ticks.times_ns.len() != self.rows.len() {
             let problem = format!(
-                "has {} rows, and {} counts {} commands by its ticks: one row is one command; give the list that was sent, or                  the start",
+                "has {} rows, and {} counts {} commands by its ticks: one row is one command; give the list that was sent, \
+                 or the start",
                 self.rows.len(),
                 recording.path.display(),
                 ticks.times_ns.len()

@@ -4,6 +4,7 @@
 //! instant have delay 0, except the last, which has the pause until the next instant. Delays are whole milliseconds:
 //! times are rounded one by one, so rounding errors do not accumulate. Each channel is 0 until its first line.
 
+use super::sheet::text_of;
 use super::{CurrentClock, CurrentRow, CurrentTable, SeriesError};
 use std::fmt::Write as _;
 use std::path::Path;
@@ -19,7 +20,7 @@ pub(crate) fn is_play(path: &Path) -> bool {
 
 /// The list as a table: `t_s` from 0, a column `channel_N` for each channel up to the highest.
 pub(super) fn read(path: &Path) -> Result<CurrentTable, SeriesError> {
-    let text = std::fs::read_to_string(path).map_err(|source| SeriesError::Io { path: path.to_owned(), source })?;
+    let text = text_of(path)?;
     let mut changes: Vec<(i64, usize, f64)> = Vec::new();
     let mut time_ns = 0_i64;
     for (line, content) in (1..).zip(text.lines()).filter(|(_, content)| !content.trim().is_empty()) {

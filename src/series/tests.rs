@@ -286,7 +286,7 @@ fn wrong_tables_of_currents_are_refused_with_the_line() {
     };
     let expected = "expected a header with host_ns, unix_s, stamp_ns or t_s, and a column a coil";
     assert_eq!(message("0,1\n"), format!("i.csv: has no times of currents: {expected}"));
-    assert_eq!(message("t_s\n0\n"), "i.csv: has only the column t_s; expected one per coil, in amperes");
+    assert_eq!(message("t_s\n0\n"), "i.csv: has only times, in the column t_s; expected a column per coil, in amperes");
     assert_eq!(
         message("t_s,axial_mA\n0,1\n"),
         "i.csv: column `axial_mA` is in milliamperes; currents are given in amperes"

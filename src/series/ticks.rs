@@ -8,6 +8,10 @@
 //! [`Ticks::resolves`] tells whether a pause is long enough.
 
 use super::{Recording, SeriesError};
+use crate::source::times::seconds;
+
+/// Commands of a run, at most: 1 kHz for hours.
+const MAX_COMMANDS: u64 = 10_000_000;
 
 /// Times of commands from the command count.
 #[derive(Debug, Clone, PartialEq)]
@@ -25,7 +29,7 @@ impl Recording {
     /// The times of commands from its frames' ticks; `None` if no frame has one.
     ///
     /// # Errors
-    /// When the tick never changes.
+    /// When the tick never changes, or counts more commands than a run can have.
     pub fn ticks(&self) -> Result<Option<Ticks>, SeriesError> {
         let seen: Vec<(i64, u64)> = self.frames.iter().filter_map(|f| Some((f.stamp_ns, f.tick?))).collect();
         let (Some(first), Some(most)) = (seen.first(), seen.iter().map(|(_, tick)| *tick).max()) else {
@@ -50,7 +54,17 @@ impl Recording {
         let mut times_ns = Vec::new();
         let pairs = || seen.iter().zip(seen.iter().skip(1));
         for ((from_ns, from), (to_ns, to)) in pairs() {
-            let taken = (to + modulus - from) % modulus;
+            let taken = if to >= from { to - from } else { modulus - from + to };
+            if taken > MAX_COMMANDS - times_ns.len() as u64 {
+                return Err(SeriesError::Content {
+                    path: self.path.clone(),
+                    problem: format!(
+                        "its tick counts more than {MAX_COMMANDS} commands (from {from} to {to} between two frames, at \
+                         {} s): the column `tick` is no count of commands; remove it to go by the clock",
+                        seconds(*to_ns)
+                    ),
+                });
+            }
             let apart_ns = to_ns.saturating_sub(*from_ns) as f64;
             for k in 0..taken {
                 let part = (k as f64 + 0.5) / taken as f64;
@@ -68,7 +82,8 @@ impl Ticks {
     /// Whether commands this far apart can be resolved: fewer come between two frames than the modulus.
     pub fn resolves(&self, pause_ns: i64) -> bool {
         // A late frame may include one more.
-        self.interval_ns.saturating_add(pause_ns) < pause_ns.saturating_mul(self.modulus as i64)
+        self.interval_ns.saturating_add(pause_ns)
+            < pause_ns.saturating_mul(i64::try_from(self.modulus).unwrap_or(i64::MAX))
     }
 
     /// Start and pause (nanoseconds) of `commands` evenly spaced commands, from the first: a line through their times.

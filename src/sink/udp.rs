@@ -118,6 +118,9 @@ impl Sink for UdpSink {
     }
 
     fn finish(&mut self, _: &Tally) -> Result<(), SinkError> {
+        if self.unsent > 1 {
+            tracing::warn!("{} datagrams could not be sent", self.unsent);
+        }
         Ok(())
     }
 }

@@ -17,10 +17,26 @@ pub(crate) struct PictureMaker {
     converter: Option<Converter>,
     /// Chroma siting of frames that do not state it.
     siting: ChromaSiting,
-    /// Whether the coder quantises but libav's decoder does not report how coarsely.
-    silent: bool,
+    /// Whether the coder loses nothing to speak of, so that no quantisation need be assumed where none is stated.
+    loses_little: bool,
     last_coded: LastCoded,
     warned: Vec<&'static str>,
+}
+
+/// Whether a coder is lossless, or made for editing and so fine that its errors stay below those of the image model
+/// (measured: docs/formats.md). The steps of Motion JPEG are read from its tables.
+fn loses_little(codec: Id) -> bool {
+    let is_lossless = matches!(
+        codec,
+        Id::RAWVIDEO | Id::WRAPPED_AVFRAME | Id::V210 | Id::V308 | Id::V408 | Id::V410 | Id::Y41P | Id::AYUV | Id::R210
+    ) || matches!(
+        codec,
+        Id::FFV1 | Id::HUFFYUV | Id::FFVHUFF | Id::UTVIDEO | Id::MAGICYUV | Id::LAGARITH | Id::SHEERVIDEO | Id::LJPEG
+    ) || matches!(
+        codec,
+        Id::PNG | Id::APNG | Id::TIFF | Id::BMP | Id::PPM | Id::PGM | Id::DPX | Id::TARGA | Id::SGI | Id::QTRLE
+    ) || matches!(codec, Id::ZLIB | Id::MSZH | Id::ZMBV | Id::LOCO | Id::VBLE | Id::CLLC);
+    is_lossless || matches!(codec, Id::PRORES | Id::DNXHD | Id::CFHD | Id::JPEG2000 | Id::MJPEG)
 }
 
 /// swscale from one format and size to another.
@@ -36,9 +52,8 @@ impl PictureMaker {
             Id::MJPEG | Id::MPEG1VIDEO => ChromaSiting::Center,
             _ => ChromaSiting::Left,
         };
-        let silent =
-            matches!(codec, Id::HEVC | Id::AV1 | Id::VP8 | Id::THEORA | Id::VVC | Id::WMV2 | Id::WMV3 | Id::VC1);
-        Self { path, converter: None, siting, silent, last_coded: LastCoded::default(), warned: Vec::new() }
+        let loses_little = loses_little(codec);
+        Self { path, converter: None, siting, loses_little, last_coded: LastCoded::default(), warned: Vec::new() }
     }
 
     /// Sets the chroma siting of frames that do not state it, overriding the codec's default.
@@ -60,7 +75,7 @@ impl PictureMaker {
         let picture = Picture::from_decoded(frame, format, colour).interlaced(interlaced);
         let quantisation = match stated {
             Some(stated) => Some(self.last_coded.quantisation(&picture, stated)),
-            None => self.silent.then(|| self.assumed(size_px)),
+            None => (!self.loses_little).then(|| self.assumed(size_px)),
         };
         Ok(picture.quantised(quantisation))
     }
@@ -295,6 +310,20 @@ mod tests {
 
     fn maker() -> PictureMaker {
         PictureMaker::new("test.mkv".into(), Id::H264)
+    }
+
+    #[test]
+    fn a_coder_is_lossy_unless_it_is_known_not_to_be() {
+        let quantised = |codec| {
+            let mut maker = PictureMaker::new("test.mkv".into(), codec);
+            maker.picture(Video::new(Pixel::YUV420P, 16, 8)).unwrap().quantisation().is_some()
+        };
+        for codec in [Id::HEVC, Id::AV1, Id::RV40, Id::DVVIDEO, Id::H264, Id::MSMPEG4V3] {
+            assert!(quantised(codec), "{codec:?}");
+        }
+        for codec in [Id::RAWVIDEO, Id::FFV1, Id::PRORES, Id::MJPEG] {
+            assert!(!quantised(codec), "{codec:?}");
+        }
     }
 
     #[test]

@@ -103,7 +103,7 @@ impl GapCounter {
         if step_ns < 0 {
             let late_frame = match rhythm {
                 Rhythm::Steady { period_ns: p } | Rhythm::Varying { median_ns: p } => {
-                    -step_ns as f64 <= MAX_REORDER_PERIODS * p
+                    -(step_ns as f64) <= MAX_REORDER_PERIODS * p
                 }
                 Rhythm::Unknown => false,
             };

@@ -11,7 +11,7 @@
 //! lies on the lower envelope. The least offset of each second is kept for two minutes; the line is the edge of their
 //! lower convex hull that spans the middle of them (it lies below all points at the least sum of distances: Moon,
 //! Skelly and Towsley, IEEE INFOCOM 1999, doi:10.1109/INFCOM.1999.749287). In the first seconds the drift is taken as
-//! zero. An arrival before the line (a clock that stepped) begins a new fit.
+//! zero. An offset more than two seconds from the line (a clock that was set) begins a new fit.
 
 use std::collections::VecDeque;
 use std::time::{Instant, SystemTime, UNIX_EPOCH};

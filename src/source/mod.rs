@@ -8,6 +8,7 @@
 mod check;
 mod container;
 pub(crate) mod counter;
+pub(crate) mod current_columns;
 mod damage;
 mod decoded;
 mod decoding;

@@ -23,7 +23,7 @@ pub fn ticks_to_ns(count: i64, numerator: i64, denominator: i64) -> Option<i64> 
 pub fn parse_seconds_ns(text: &str) -> Option<i64> {
     let text = text.trim();
     let (number, exponent) = match text.split_once(['e', 'E']) {
-        Some((number, exponent)) => (number, exponent.parse::<i32>().ok().filter(|e| e.abs() <= 40)?),
+        Some((number, exponent)) => (number, exponent.parse::<i32>().ok().filter(|e| e.unsigned_abs() <= 40)?),
         None => (text, 0),
     };
     let (negative, number) = match number.strip_prefix('-') {

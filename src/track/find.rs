@@ -29,6 +29,12 @@ pub(crate) struct Found {
 }
 
 impl Found {
+    /// Around each band that was found, in each view.
+    pub(crate) fn windows(&self) -> Vec<Window> {
+        let blobs = self.assigned.iter().flatten().flat_map(|assigned| assigned.blobs.iter().flatten());
+        blobs.map(|blob| self.blobs[*blob].bounds).collect()
+    }
+
     /// Whether all markers are there.
     pub(crate) fn is_complete(&self) -> bool {
         self.assigned.iter().all(Result::is_ok)

@@ -27,8 +27,8 @@ use rayon::prelude::*;
 const MAX_MOVED: (f64, f64) = (4.0, 1.2);
 /// Least separation of a band's fitted colour from its surroundings (1: as learned).
 const MIN_SEPARATION: f64 = 0.3;
-/// Views disagree when their own shifts exceed this χ² and this many pixels.
-const DISAGREEMENT: (f64, f64) = (36.0, 0.7);
+/// Views disagree when their own shifts exceed this χ² per degree of freedom and this many pixels.
+pub(crate) const DISAGREEMENT: (f64, f64) = (36.0, 0.7);
 
 /// Motion blur beyond which blobs may mislead the fit: variance, px², of a motion by two pixels.
 const BLURRED_PX2: f64 = 4.0 / 12.0;
@@ -216,15 +216,8 @@ impl GroupFitting<'_> {
                 return Err(Miss::PoorFit { moved_px: moved, separation });
             }
         }
-        let chi2: f64 = fit
-            .views
-            .iter()
-            .filter_map(|v| {
-                Some((v.residual_px.transpose() * v.residual_covariance_px2.try_inverse()? * v.residual_px)[0])
-            })
-            .sum();
         let shift = fit.views.iter().map(|v| v.residual_px.norm()).fold(0.0, f64::max);
-        if chi2 > DISAGREEMENT.0 && shift > DISAGREEMENT.1 {
+        if fit.disagreement() > DISAGREEMENT.0 && shift > DISAGREEMENT.1 {
             let px_per_m = fit.views.iter().map(|v| v.image.at_arc(0.0).scale).fold(f64::INFINITY, f64::min);
             return Err(Miss::RaysDiverge { distance_m: shift / px_per_m });
         }

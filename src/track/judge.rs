@@ -4,7 +4,7 @@ use crate::estimate::Miss;
 use crate::rig::Rig;
 use crate::track::find::Found;
 use crate::track::fit::ViewFit;
-use crate::track::group_fit::Fitted;
+use crate::track::group_fit::{DISAGREEMENT, Fitted};
 use crate::track::light::Encoding;
 use crate::track::separation;
 use crate::track::slip::Seen;
@@ -17,6 +17,11 @@ const MAX_UNUSUAL_SD: f64 = 4.5;
 /// Cap on the size's part: alone it is no evidence, as it also changes with light and motion.
 const MAX_SIZE_TERM: f64 = 3.0;
 
+/// Frames over which the disagreement of the views is averaged.
+const DISAGREEMENT_FRAMES: f64 = 8.0;
+/// Mean disagreement that is no chance: it is 1, with a standard deviation of 0.4.
+const MAX_DISAGREEMENT: f64 = 9.0;
+
 /// Half-life of observed chroma slips, frames.
 const SLIP_FRAMES: f64 = 20.0;
 
@@ -26,6 +31,8 @@ pub(crate) struct Judge {
     pub usual: Usual,
     /// Ratio of a band's expected size to its blob's.
     usual_size: Usual,
+    /// Of the fits of each reference marker: mean disagreement of the views, as χ² per degree of freedom.
+    disagreement: Vec<f64>,
     slip: Seen,
     /// Observed offset of chroma from the rig's, pixels.
     pub mean_slip_px: Vector2<f64>,
@@ -36,12 +43,18 @@ impl Judge {
         Self {
             usual: Usual::learned(rig),
             usual_size: Usual::new(rig),
+            disagreement: vec![1.0; rig.markers.len()],
             slip: Seen::default(),
             mean_slip_px: Vector2::zeros(),
         }
     }
 
-    /// Adds the slip of chroma to the covariances, and refuses fits with unusual residuals or of too little of a band.
+    /// Whether the views lastingly disagree about a band.
+    pub(crate) fn views_disagree(&self) -> bool {
+        self.disagreement.iter().any(|mean| *mean > MAX_DISAGREEMENT)
+    }
+
+    /// Adds the slip of chroma and the views' disagreement to the covariances, and refuses fits with unusual residuals or of too little of a band.
     pub(crate) fn judge(&mut self, rig: &Rig, encoding: &Encoding, found: &Found, fitted: &mut [Fitted]) {
         self.slip = self.slip.faded(0.5_f64.powf(1.0 / SLIP_FRAMES));
         for fit in fitted.iter().filter_map(|f| f.result.as_ref().ok()) {
@@ -57,6 +70,10 @@ impl Judge {
         for Fitted { group, views, result } in fitted {
             let Ok(fit) = result else { continue };
             fit.covariance += fit.slip_covariance * variance_px2;
+            // Views that lastingly disagree do not show one moment, or not what the rig says; chance is 1.
+            let mean = &mut self.disagreement[group.reference];
+            *mean += (fit.disagreement().min(DISAGREEMENT.0) - *mean) / DISAGREEMENT_FRAMES;
+            fit.covariance *= (*mean - 1.0).max(1.0);
             // Expected area of the reference band over that of its blob.
             let missing = |v: usize, view: &ViewFit| {
                 let blob = found.assigned[group.reference].as_ref().ok()?.blobs[v]?;

@@ -25,6 +25,7 @@ mod padded;
 mod pairs;
 mod patch;
 mod places;
+mod repeats;
 mod round;
 mod scatter;
 mod separation;

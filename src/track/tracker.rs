@@ -15,6 +15,7 @@ use crate::track::last::Last;
 use crate::track::light::Encoding;
 use crate::track::motion::Motion;
 use crate::track::pairs::Pairs;
+use crate::track::repeats::Repeats;
 use crate::track::scatter::Scatter;
 
 /// Blur assumed for a rig whose blur has not been measured: a sharp lens and square pixels.
@@ -24,6 +25,11 @@ const DEFAULT_BLUR_PX: f64 = 0.6;
 /// models are compared, more of it tells what is noise.
 const TRACKED_PX: f64 = 4.0;
 const COMPARED_PX: f64 = 5.0;
+
+const PAIRED_CHROMA: &str = "every two pixels of these pictures have the same chroma: they were made from pictures with subsampled chroma, and \
+     what a coder lost there cannot be seen in them; σ assumes what is usual: track the original";
+const VIEWS_DISAGREE: &str = "the views do not agree on where a band is, by far more than noise explains: they do not show the same moment, or \
+     camera, mirror or tank have moved; σ is widened by as much";
 
 /// How to track.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -62,8 +68,10 @@ pub struct Tracker {
     /// For each marker that is the reference of a group: its last fit.
     before: Vec<Option<Last>>,
     motion: Motion,
+    repeats: Repeats,
     pairs: Pairs,
-    warned: bool,
+    /// What was warned of.
+    warned: Vec<&'static str>,
     lamp: Option<Lamp>,
 }
 
@@ -87,8 +95,9 @@ impl Tracker {
             before: vec![None; rig.markers.len()],
             scatter: vec![Scatter::default(); rig.markers.len() + 1],
             motion: Motion::new(rig.markers.len(), rig.catheter.coil),
+            repeats: Repeats::default(),
             pairs: Pairs::default(),
-            warned: false,
+            warned: Vec::new(),
             lamp: options.tick_led.map(Lamp::new),
             rig: rig.clone(),
         })
@@ -113,6 +122,9 @@ impl Tracker {
         }
         if picture.is_interlaced() {
             return Ok(Estimate::missed(frame, &self.rig, &Miss::Interlaced));
+        }
+        if self.repeats.is_repeated(picture, frame.stamp) {
+            return Ok(Estimate::missed(frame, &self.rig, &Miss::Repeated));
         }
         let tick = self.lamp.as_mut().and_then(|lamp| lamp.step(picture));
         Ok(Estimate { tick, ..self.measure(frame)? })
@@ -151,16 +163,16 @@ impl Tracker {
                 self.finder.remember(m, position.point, frame.stamp);
             }
         }
+        self.repeats.remember(picture, found.windows(), &estimate);
         Ok(estimate)
     }
 
-    /// What to warn of in the pictures, once.
+    /// What to warn of in the pictures, each once.
     pub fn warning(&mut self) -> Option<&'static str> {
-        let new = self.pairs.are_alike() && !std::mem::replace(&mut self.warned, true);
-        new.then_some(
-            "every two pixels of these pictures have the same chroma: they were made from pictures with subsampled \
-             chroma, and what a coder lost there cannot be seen in them; σ assumes what is usual: track the original",
-        )
+        let seen = [(self.pairs.are_alike(), PAIRED_CHROMA), (self.judge.views_disagree(), VIEWS_DISAGREE)];
+        let new = seen.into_iter().find(|(seen, what)| *seen && !self.warned.contains(what))?.1;
+        self.warned.push(new);
+        Some(new)
     }
 
     /// Errors of the image model common to all frames so far, of which `picture` is one.

@@ -214,7 +214,7 @@ fn a_disk_that_is_too_slow_costs_pictures_and_no_row_and_the_rest_is_tracked_aga
     let summary = run(camera(4_000_000_000, every(Duration::from_millis(16))), files.outputs(RecordTo::Log, 0, &rows));
     let (recorded, dropped) = summary.pictures.unwrap();
     assert!(recorded > 20 && dropped > 10, "{recorded} recorded, {dropped} dropped");
-    assert_eq!((rows.written.load(Ordering::SeqCst), summary.unlogged), (241, 0));
+    assert_eq!((rows.written.load(Ordering::SeqCst), summary.unlogged_frames), (241, 0));
     let (live, again) = files.both(&files.path("log.mcap"));
     let skipped = live.iter().filter(|row| row.contains("skipped_overload")).count();
     assert_eq!(same_where_recorded(&live, &again), skipped + dropped as usize);

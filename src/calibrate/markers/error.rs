@@ -13,6 +13,14 @@ pub enum MarkersError {
     /// No frame at all.
     #[error("the recording has no frame")]
     NoFrame,
+    /// The frame with the clicks would be after the last.
+    #[error("there is no frame {at_s} s after the first (--at): the last one is {length_s} s after it")]
+    BeyondEnd {
+        /// From the first frame to the one asked for, seconds.
+        at_s: f64,
+        /// From the first frame to the last, seconds.
+        length_s: f64,
+    },
     /// A click for a marker that the rig does not have.
     #[error("no pick for marker `{0}` of the rig: every marker needs one")]
     NoPick(String),

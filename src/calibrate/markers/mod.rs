@@ -40,6 +40,7 @@ pub use seen::{Rectangle, SeenBlob};
 use crate::calibrate::frames::spread_with;
 use crate::estimate::{BandObservation, Estimate, MarkerEstimate, Miss};
 use crate::rig::Rig;
+use crate::source::times::seconds;
 use crate::source::{Frame, FrameSource};
 use crate::track::{TrackOptions, Tracker};
 use fitted::{place_bands, tune};
@@ -137,11 +138,14 @@ impl Teaching {
         let clicks = pick::in_rig_order(&self.rig, &self.picks)?;
         let spread = spread_with(source, MAX_FRAMES, after_ns)?;
         let (mut frames, followers) = (spread.frames, spread.followers);
-        if spread.wanted >= frames.len() {
-            return Err(MarkersError::NoFrame);
-        }
-        let learned = self.learn_from(&clicks, &frames, &followers, spread.wanted);
-        let frame = frames.swap_remove(spread.wanted);
+        let Some(wanted) = spread.wanted else {
+            return Err(match frames.as_slice() {
+                [] => MarkersError::NoFrame,
+                _ => MarkersError::BeyondEnd { at_s: seconds(after_ns), length_s: seconds(spread.length_ns) },
+            });
+        };
+        let learned = self.learn_from(&clicks, &frames, &followers, wanted);
+        let frame = frames.swap_remove(wanted);
         self.evaluate_frame(&frame);
         self.frame = Some(frame);
         learned

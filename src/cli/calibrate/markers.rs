@@ -312,22 +312,31 @@ fn places_are_given(args: &MarkersArgs) -> Result<bool, Failure> {
 
 /// The tube and the roles of its bands: as requested, else those of the rig, else the usual ones.
 fn catheter(args: &MarkersArgs, draft: &Draft, names: &[&str]) -> Result<Catheter, Failure> {
-    let picked = |option: &str, name: &str| {
-        let index = names.iter().position(|n| *n == name);
-        index.ok_or_else(|| {
+    let index = |name: &str| names.iter().position(|n| *n == name);
+    let given = |option: &str, name: &str| {
+        index(name).ok_or_else(|| {
             usage(format!("{option} {name}: no such band of this command; picked are {}", names.join(", ")))
+        })
+    };
+    let kept = |option: &str, role: &str, name: &str| {
+        index(name).ok_or_else(|| {
+            let picked = names.join(", ");
+            usage(format!("`{name}`, {role} in the rig, is not picked; picked are {picked}: pick it, or give {option}"))
         })
     };
     let old = draft.catheter.as_ref();
     let old_name = |marker: usize| draft.markers.get(marker).map(|m| m.name.as_str());
-    let coil = match args.coil.as_deref().or(old.and_then(|old| old_name(old.coil))) {
-        Some(name) => picked("--coil", name)?,
-        None => names.iter().position(|n| *n == "coil").unwrap_or(usize::from(names.len() > 1)),
+    let coil = match (args.coil.as_deref(), old.and_then(|old| old_name(old.coil))) {
+        (Some(name), _) => given("--coil", name)?,
+        (None, Some(name)) => kept("--coil", "the coil", name)?,
+        (None, None) => index("coil").unwrap_or(usize::from(names.len() > 1)),
     };
     let end = match (args.end.as_deref(), old) {
         (Some("none"), _) => None,
-        (Some(name), _) => Some(picked("--end", name)?),
-        (None, Some(old)) => old.end.and_then(old_name).map(|name| picked("--end", name)).transpose()?,
+        (Some(name), _) => Some(given("--end", name)?),
+        (None, Some(old)) => {
+            old.end.and_then(old_name).map(|name| kept("--end", "the end of the tube", name)).transpose()?
+        }
         (None, None) => names.len().checked_sub(1),
     };
     let rigid_m = args.rigid.map(|rigid| rigid.0).or(old.and_then(|old| old.rigid_m));
@@ -337,6 +346,7 @@ fn catheter(args: &MarkersArgs, draft: &Draft, names: &[&str]) -> Result<Cathete
 fn failure(args: &MarkersArgs, error: MarkersError, note: &str) -> Failure {
     let exit = match error {
         MarkersError::NoPick(_)
+        | MarkersError::BeyondEnd { .. }
         | MarkersError::Outside { .. }
         | MarkersError::OutsideView { .. }
         | MarkersError::Track(_) => Exit::Usage,

@@ -79,7 +79,7 @@ pub(crate) struct Args {
     #[arg(long, value_enum, value_name = "FOR", default_value_t = LogFor::Foxglove, hide_possible_values = true)]
     profile: LogFor,
     /// Record no pictures when less is free on the disk, GB [default: 2]
-    #[arg(long, value_name = "GB", value_parser = positive, requires = "record", hide = true)]
+    #[arg(long, value_name = "GB", value_parser = positive, requires = "record")]
     keep_free: Option<f64>,
     /// Stop after T seconds
     #[arg(long, value_name = "T", value_parser = duration)]
@@ -199,8 +199,10 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
             .map_err(|e| Failure::new(Exit::Failed, format!("cannot describe the run: {e}")))?;
         output::print(&text)?;
     }
-    if live.unlogged > 0 {
-        let text = format!("{} frames are missing in the files: the disk was too slow", live.unlogged);
+    let missing = [("frames", live.unlogged_frames), ("samples of currents", live.unlogged_currents)];
+    let missing: Vec<_> = missing.iter().filter(|(_, n)| *n > 0).map(|(what, n)| format!("{what}: {n}")).collect();
+    if !missing.is_empty() {
+        let text = format!("missing in the files, because the disk was too slow: {}", missing.join(", "));
         return Err(Failure::new(Exit::Failed, text));
     }
     if live.run.tally.frames == 0 && matches!(live.run.end, End::Complete) {

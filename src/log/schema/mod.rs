@@ -8,7 +8,7 @@
 //! | `/scene` | `foxglove.SceneUpdate` | tube, bands and coil direction, in the base frame if there is one | every frame |
 //! | `/camera/annotations` | `foxglove.ImageAnnotations` | outline, centre and label of every band | every frame |
 //! | `/camera/image` | `foxglove.CompressedImage` | the whole picture, JPEG: to look at | every second, with pictures |
-//! | `/camera/calibration` | `foxglove.CameraCalibration` | intrinsics, `plumb_bob` | once |
+//! | `/camera/calibration` | `foxglove.CameraCalibration` | intrinsics, `plumb_bob` or `rational_polynomial` | once |
 //! | `/tf` | `foxglove.FrameTransform` | pose of frame `camera` in frame `base`, if there is one | once |
 //! | `/coil/current` | `catoptra.Current` | currents of the coils, on the host's clock | live, when given |
 //! | `/camera/windows` | `catoptra.PictureWindows` | what the tracker looked at | with `--record windows` |

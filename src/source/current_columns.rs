@@ -1,0 +1,79 @@
+//! Columns of a table of coil currents: one is the time, all others are coils, amperes.
+
+/// What the times of a table are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum TimeColumn {
+    /// The host's clock, nanoseconds since 1970.
+    HostNs,
+    /// The host's clock, seconds since 1970.
+    UnixSeconds,
+    /// The camera's clock, nanoseconds.
+    StampNs,
+    /// Seconds since a start that is not in the table.
+    StartSeconds,
+}
+
+/// Their names; of several in a table the first here counts.
+const TIMES: [(&str, TimeColumn); 4] = [
+    ("host_ns", TimeColumn::HostNs),
+    ("unix_s", TimeColumn::UnixSeconds),
+    ("stamp_ns", TimeColumn::StampNs),
+    ("t_s", TimeColumn::StartSeconds),
+];
+
+/// Which column is what.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct CurrentColumns {
+    pub time: usize,
+    pub times: TimeColumn,
+    /// Those of the coils, at least one.
+    pub coils: Vec<usize>,
+    /// Cells in a row.
+    pub width: usize,
+}
+
+impl CurrentColumns {
+    /// The columns with these names.
+    ///
+    /// # Errors
+    /// When there is no time or no coil, or a current in another unit: what is wrong, to follow the name of the table.
+    pub(crate) fn of<S: AsRef<str>>(names: &[S]) -> Result<Self, String> {
+        let at = |wanted: &str| names.iter().position(|name| name.as_ref() == wanted);
+        let Some((time, times)) = TIMES.iter().find_map(|(name, times)| Some((at(name)?, *times))) else {
+            return Err("has no times of currents: expected a header with host_ns, unix_s, stamp_ns or t_s, and a \
+                        column a coil"
+                .to_owned());
+        };
+        let is_time = |name: &str| TIMES.iter().any(|(known, _)| *known == name);
+        let coils: Vec<usize> = (0..names.len()).filter(|i| !is_time(names[*i].as_ref())).collect();
+        if coils.is_empty() {
+            let time = names[time].as_ref();
+            return Err(format!("has only times, in the column {time}; expected a column per coil, in amperes"));
+        }
+        let in_ma = |name: &&str| name.to_ascii_lowercase().ends_with("_ma");
+        if let Some(milli) = coils.iter().map(|i| names[*i].as_ref()).find(in_ma) {
+            return Err(format!("column `{milli}` is in milliamperes; currents are given in amperes"));
+        }
+        Ok(Self { time, times, coils, width: names.len() })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_column_is_the_time_and_no_time_is_a_coil() {
+        let of = |header: &str| CurrentColumns::of(&header.split(',').collect::<Vec<_>>());
+        let columns = of("i1,t_s,i2,host_ns").unwrap();
+        assert_eq!((columns.time, columns.times, columns.coils), (3, TimeColumn::HostNs, vec![0, 2]));
+        for (header, expected) in [
+            ("i1,i2", "has no times of currents"),
+            ("t_s", "has only times, in the column t_s"),
+            ("t_s,stamp_ns", "has only times, in the column stamp_ns"),
+            ("t_s,i1,Coil_mA", "column `Coil_mA` is in milliamperes"),
+        ] {
+            assert!(of(header).unwrap_err().contains(expected), "{header}");
+        }
+    }
+}
