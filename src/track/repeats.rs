@@ -6,7 +6,8 @@
 //! repeated only if a band moved between the two different pictures before, and with such a coder only for
 //! [`AT_REST_S`]: after that the catheter has come to rest.
 //!
-//! Cannot detect: repeated pictures that were coded again, and a stall that begins at rest.
+//! Cannot detect: repeated pictures that were coded again, a stall that begins at rest, and what repeats the first
+//! picture of a run.
 
 use crate::estimate::{Estimate, Position};
 use crate::source::{Picture, Timestamp, Window};

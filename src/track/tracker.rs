@@ -154,6 +154,8 @@ impl Tracker {
         let mut estimate = answer::estimate(&self.rig, &self.model.encoding, frame, &found.assigned, &fitted);
         // 4. implausible motion becomes a miss
         self.motion.check(&mut estimate, fitted.iter().map(|f| f.group.members.as_slice()));
+        // Before σ is widened: pictures that repeat scatter.
+        self.repeats.remember(picture, found.windows(), &estimate);
         self.widen(&mut estimate);
         if let (Ok(tangent), Some(base)) = (&estimate.tangent, &self.rig.base) {
             estimate.deflection = Ok(deflection(tangent, base));
@@ -163,7 +165,6 @@ impl Tracker {
                 self.finder.remember(m, position.point, frame.stamp);
             }
         }
-        self.repeats.remember(picture, found.windows(), &estimate);
         Ok(estimate)
     }
 
