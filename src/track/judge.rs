@@ -54,7 +54,8 @@ impl Judge {
         self.disagreement.iter().any(|mean| *mean > MAX_DISAGREEMENT)
     }
 
-    /// Adds the slip of chroma and the views' disagreement to the covariances, and refuses fits with unusual residuals or of too little of a band.
+    /// Adds the slip of chroma and the views' disagreement to the covariances, and refuses fits with unusual residuals
+    /// or of too little of a band.
     pub(crate) fn judge(&mut self, rig: &Rig, encoding: &Encoding, found: &Found, fitted: &mut [Fitted]) {
         self.slip = self.slip.faded(0.5_f64.powf(1.0 / SLIP_FRAMES));
         for fit in fitted.iter().filter_map(|f| f.result.as_ref().ok()) {

@@ -26,10 +26,11 @@ const DEFAULT_BLUR_PX: f64 = 0.6;
 const TRACKED_PX: f64 = 4.0;
 const COMPARED_PX: f64 = 5.0;
 
-const PAIRED_CHROMA: &str = "every two pixels of these pictures have the same chroma: they were made from pictures with subsampled chroma, and \
-     what a coder lost there cannot be seen in them; σ assumes what is usual: track the original";
-const VIEWS_DISAGREE: &str = "the views do not agree on where a band is, by far more than noise explains: they do not show the same moment, or \
-     camera, mirror or tank have moved; σ is widened by as much";
+const PAIRED_CHROMA: &str = "every two pixels of these pictures have the same chroma: they were made from pictures \
+     with subsampled chroma, and what a coder lost there cannot be seen in them; σ assumes what is usual: track the \
+     original";
+const VIEWS_DISAGREE: &str = "the views do not agree on where a band is, by far more than noise explains: they do \
+     not show the same moment, or camera, mirror or tank have moved; σ is widened by as much";
 
 /// How to track.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]

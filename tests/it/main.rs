@@ -64,6 +64,7 @@ mod simulate;
 mod source_images;
 mod source_recordings;
 mod source_warnings;
+mod stale_pictures;
 mod studio;
 mod time_stamps;
 mod track_bad_input;
