@@ -77,7 +77,7 @@ pub(crate) struct Args {
     #[arg(long)]
     pub(super) resample: bool,
     /// Angles in a row that Eq. 6 may interpolate
-    #[arg(long, value_name = "N", default_value_t = 6, value_parser = count(0, 100_000))]
+    #[arg(long, value_name = "N", default_value_t = 6, value_parser = count(0, 100_000), hide = true)]
     pub(super) bridge: usize,
     /// Order, or orders to search, na = nb [default: 1:20 or less]
     #[arg(long, value_name = "N|A:B")]
@@ -86,7 +86,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "N|A:B", conflicts_with = "order")]
     pub(super) na: Option<Span>,
     /// Inputs, in place of --order
-    #[arg(long, value_name = "N|A:B", conflicts_with = "order")]
+    #[arg(long, value_name = "N|A:B", conflicts_with = "order", hide = true)]
     pub(super) nb: Option<Span>,
     /// Delay in samples, at least 1 with Eq. 6 [default: 1:5]
     #[arg(long, value_name = "N|A:B")]

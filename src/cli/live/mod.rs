@@ -79,7 +79,7 @@ pub(crate) struct Args {
     #[arg(long, value_enum, value_name = "FOR", default_value_t = LogFor::Foxglove, hide_possible_values = true)]
     profile: LogFor,
     /// Record no pictures when less is free on the disk, GB [default: 2]
-    #[arg(long, value_name = "GB", value_parser = positive, requires = "record")]
+    #[arg(long, value_name = "GB", value_parser = positive, requires = "record", hide = true)]
     keep_free: Option<f64>,
     /// Stop after T seconds
     #[arg(long, value_name = "T", value_parser = duration)]

@@ -35,7 +35,7 @@ pub(crate) struct Options {
     #[arg(long, value_name = "X,Y,R")]
     pub(super) tick_led: Option<Spot>,
     /// Search the whole of every picture: slower, same results
-    #[arg(long)]
+    #[arg(long, hide = true)]
     pub(super) full_frame: bool,
 }
 
