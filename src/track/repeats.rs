@@ -31,30 +31,28 @@ struct Shown {
     /// Where its bands were found, and what it shows there.
     windows: Vec<Window>,
     checksum: u32,
-}
-
-/// What is known of a band.
-#[derive(Debug, Clone, Default)]
-struct Band {
-    /// Its last position, and the sum of its variances, m and m².
-    place: Option<(Vector3<f64>, f64)>,
-    /// Whether it had moved there.
+    /// Whether one of them had moved.
     moving: bool,
 }
 
+/// The last position of a band, and the sum of its variances, m and m².
+#[derive(Debug, Clone, Default)]
+struct Band(Option<(Vector3<f64>, f64)>);
+
 impl Band {
-    fn measured(&mut self, position: &Position) {
+    /// Whether it has moved to this position, which is remembered.
+    fn has_moved(&mut self, position: &Position) -> bool {
         let (here, variance) = (position.point.coords, position.covariance.trace());
-        if let Some((then, then_variance)) = self.place.replace((here, variance)) {
-            self.moving = (here - then).norm_squared() > MOVED_SD.powi(2) * (then_variance + variance);
-        }
+        self.0.replace((here, variance)).is_some_and(|(then, then_variance)| {
+            (here - then).norm_squared() > MOVED_SD.powi(2) * (then_variance + variance)
+        })
     }
 }
 
 impl Repeats {
     /// Whether a picture shows again what the last one showed, and cannot be of its own time.
     pub(crate) fn is_repeated(&self, picture: &Picture, stamp: Timestamp) -> bool {
-        let Some(last) = self.last.as_ref().filter(|_| self.bands.iter().any(|band| band.moving)) else { return false };
+        let Some(last) = self.last.as_ref().filter(|last| last.moving) else { return false };
         let since_s = stamp.ns.saturating_sub(last.stamp.ns) as f64 * 1e-9;
         let predicted = picture.quantisation().is_some_and(|quantisation| quantisation.predicted);
         (!predicted || since_s < AT_REST_S) && checksum(picture, &last.windows) == Some(last.checksum)
@@ -63,12 +61,14 @@ impl Repeats {
     /// Remembers a picture that was measured, its bands in `windows`.
     pub(crate) fn remember(&mut self, picture: &Picture, windows: Vec<Window>, estimate: &Estimate) {
         self.bands.resize(estimate.markers.len(), Band::default());
+        let mut moving = false;
         for (band, marker) in self.bands.iter_mut().zip(&estimate.markers) {
             if let Ok(position) = &marker.position {
-                band.measured(position);
+                moving |= band.has_moved(position);
             }
         }
-        self.last = checksum(picture, &windows).map(|checksum| Shown { stamp: estimate.stamp, windows, checksum });
+        self.last =
+            checksum(picture, &windows).map(|checksum| Shown { stamp: estimate.stamp, windows, checksum, moving });
     }
 }
 
