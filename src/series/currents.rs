@@ -152,8 +152,8 @@ impl CurrentTable {
         }
         if ticks.times_ns.len() != self.rows.len() {
             let problem = format!(
-                "has {} rows, and {} counts {} commands by its ticks: one row is one command; give the list that was sent, \
-                 or the start",
+                "has {} rows, and {} counts {} commands by its ticks: one row is one command; give the list \
+                 that was sent, or the start",
                 self.rows.len(),
                 recording.path.display(),
                 ticks.times_ns.len()

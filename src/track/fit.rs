@@ -65,15 +65,18 @@ pub(crate) struct TubeFit {
 }
 
 impl TubeFit {
-    /// By how much the views disagree: χ² of the shifts that they alone would give, per degree of freedom. They measure
-    /// two coordinates each of a point in space.
+    /// By how much the views disagree: χ² of the shifts that they alone would give.
     pub(crate) fn disagreement(&self) -> f64 {
         let chi2 = |view: &ViewFit| {
             let information = view.residual_covariance_px2.try_inverse()?;
             Some((view.residual_px.transpose() * information * view.residual_px)[0])
         };
-        let freedom = (2 * self.views.len()).saturating_sub(3).max(1);
-        self.views.iter().filter_map(chi2).sum::<f64>() / freedom as f64
+        self.views.iter().filter_map(chi2).sum()
+    }
+
+    /// Degrees of freedom of that: views measure two coordinates each of a point in space.
+    pub(crate) fn freedom(&self) -> f64 {
+        (2 * self.views.len()).saturating_sub(3).max(1) as f64
     }
 }
 

@@ -27,7 +27,7 @@ use rayon::prelude::*;
 const MAX_MOVED: (f64, f64) = (4.0, 1.2);
 /// Least separation of a band's fitted colour from its surroundings (1: as learned).
 const MIN_SEPARATION: f64 = 0.3;
-/// Views disagree when their own shifts exceed this χ² per degree of freedom and this many pixels.
+/// Views disagree when their own shifts exceed this χ² and this many pixels.
 pub(crate) const DISAGREEMENT: (f64, f64) = (36.0, 0.7);
 
 /// Motion blur beyond which blobs may mislead the fit: variance, px², of a motion by two pixels.

@@ -73,7 +73,8 @@ impl Judge {
             fit.covariance += fit.slip_covariance * variance_px2;
             // Views that lastingly disagree do not show one moment, or not what the rig says; chance is 1.
             let mean = &mut self.disagreement[group.reference];
-            *mean += (fit.disagreement().min(DISAGREEMENT.0) - *mean) / DISAGREEMENT_FRAMES;
+            let now = (fit.disagreement() / fit.freedom()).min(DISAGREEMENT.0);
+            *mean += (now - *mean) / DISAGREEMENT_FRAMES;
             fit.covariance *= (*mean - 1.0).max(1.0);
             // Expected area of the reference band over that of its blob.
             let missing = |v: usize, view: &ViewFit| {

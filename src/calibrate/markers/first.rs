@@ -87,8 +87,8 @@ pub(super) fn confirm(
 fn narrow(width_px: f64) -> Option<String> {
     (width_px < LEAST_WIDTH_PX).then(|| {
         format!(
-            ": it is only {width_px:.1} pixels wide there, and some {LEAST_WIDTH_PX:.0} are needed: record larger pictures, \
-             or use a longer lens"
+            ": it is only {width_px:.1} pixels wide there, and some {LEAST_WIDTH_PX:.0} are needed: record larger \
+             pictures, or use a longer lens"
         )
     })
 }
