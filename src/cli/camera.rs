@@ -70,7 +70,6 @@ impl SourceArgs {
         clock: HostClock,
         stop: &Arc<AtomicBool>,
     ) -> Result<Box<dyn FrameSource + Send>, Failure> {
-        let usage = |text: String| Failure::new(Exit::Usage, text);
         let invalid = |e: source::SourceError| Failure::new(Exit::Usage, e);
         if !self.realtime && self.raw.is_none() {
             let settings = || CameraSettings {
@@ -94,13 +93,15 @@ impl SourceArgs {
             return Ok(Box::new(Camera::gstreamer(text, clock, Arc::clone(stop)).map_err(invalid)?));
         }
         if let Some((option, _)) = self.settings().first() {
-            return Err(usage(format!(
+            return Err(Failure::usage(format!(
                 "{name}: --{option} is for cameras, /dev/video0 or genicam:; this source is as it comes"
             )));
         }
         if let Some(format) = self.raw {
             if name != "-" {
-                return Err(usage(format!("{name}: --raw describes what is on standard input: give - as the source")));
+                return Err(Failure::usage(format!(
+                    "{name}: --raw describes what is on standard input: give - as the source"
+                )));
             }
             return Ok(Box::new(RawPictures::new("standard input", standard_input()?, format, clock)));
         }
@@ -110,7 +111,7 @@ impl SourceArgs {
         }
         if Path::new(name).exists() {
             let advice = "is a file or folder: play it at its own pace with --realtime, or use `catoptra track`";
-            return Err(usage(format!("{name}: {advice}")));
+            return Err(Failure::usage(format!("{name}: {advice}")));
         }
         Ok(Box::new(Stream::open(name, clock, Arc::clone(stop)).map_err(invalid)?))
     }

@@ -2,6 +2,7 @@
 
 use crate::archive::transient::is_transient;
 use crate::rig::RigError;
+use crate::series::SeriesError;
 use std::error::Error;
 use std::fmt;
 use std::process::ExitCode;
@@ -40,6 +41,10 @@ pub(crate) struct Failure {
 impl Failure {
     pub(crate) fn new(exit: Exit, error: impl Into<Box<dyn Error + Send + Sync>>) -> Self {
         Self { exit, error: error.into() }
+    }
+
+    pub(crate) fn usage(error: impl Into<Box<dyn Error + Send + Sync>>) -> Self {
+        Self::new(Exit::Usage, error)
     }
 
     /// With its own text, which includes `cause`: nothing is printed twice, and the cause is kept.
@@ -94,6 +99,13 @@ impl fmt::Display for Failure {
 impl From<RigError> for Failure {
     fn from(error: RigError) -> Self {
         let exit = if matches!(error, RigError::Write { .. }) { Exit::Failed } else { Exit::Usage };
+        Self::new(exit, error)
+    }
+}
+
+impl From<SeriesError> for Failure {
+    fn from(error: SeriesError) -> Self {
+        let exit = if error.is_io() && !error.is_missing() { Exit::Failed } else { Exit::Usage };
         Self::new(exit, error)
     }
 }

@@ -2,7 +2,7 @@
 
 use super::output::{is_free, print, save};
 use super::progress::Progress;
-use super::{Exit, Failure, interrupt};
+use super::{Failure, interrupt};
 use crate::catheter::Catheter;
 use crate::report::plan as page;
 use crate::rig::Rig;
@@ -30,9 +30,9 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     interrupt::end_at_once()?;
     is_free(&args.out, "<!doctype html>", "a page")?;
     let rig = Rig::load(&args.rig)?;
-    let usage = |text: String| Failure::new(Exit::Usage, text);
-    let catheter = args.catheter.as_deref().map(Catheter::load).transpose().map_err(|e| usage(e.to_string()))?;
-    let of_rig = |text: String| usage(format!("{}: {text}", args.rig.display()));
+    let catheter =
+        args.catheter.as_deref().map(Catheter::load).transpose().map_err(|e| Failure::usage(e.to_string()))?;
+    let of_rig = |text: String| Failure::usage(format!("{}: {text}", args.rig.display()));
     let mount = Mount::of(&rig, catheter.as_ref()).map_err(|e| of_rig(e.to_string()))?;
     let progress = Mutex::new(Progress::of(None, "shapes", quiet));
     let watch = || progress.lock().unwrap_or_else(PoisonError::into_inner).one_more();

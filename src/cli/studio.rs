@@ -1,11 +1,11 @@
 //! `catoptra studio`: the page in the browser.
 
 use super::camera::{self, SourceArgs};
+use super::units::seconds;
 use super::warned::Work;
 use super::{Exit, Failure, calibrate, interrupt, output, progress};
 use crate::rig::Draft;
 use crate::source::host::HostClock;
-use crate::source::times::parse_seconds_ns;
 use crate::studio::{Camera, Desk, Places, Server, Start, VerbResult, Verbs, Watch};
 use std::io::Write as _;
 use std::net::{SocketAddr, ToSocketAddrs as _};
@@ -38,7 +38,7 @@ pub(crate) struct Args {
     #[command(flatten)]
     from: SourceArgs,
     /// Stop after T seconds
-    #[arg(long, value_name = "T", value_parser = duration)]
+    #[arg(long, value_name = "T", value_parser = seconds)]
     duration: Option<Duration>,
 }
 
@@ -51,16 +51,16 @@ impl Args {
 
     /// Opens the camera. Its pictures must be of the size that the rig's camera was calibrated for.
     fn camera(&self, name: &str, stop: &Arc<AtomicBool>) -> Result<Camera, Failure> {
-        let usage = |text: String| Failure::new(Exit::Usage, text);
         let rig = self.rig.as_deref();
-        let rig =
-            rig.ok_or_else(|| usage(format!("{name}: name the rig file with --rig: it says how large pictures are")))?;
+        let rig = rig.ok_or_else(|| {
+            Failure::usage(format!("{name}: name the rig file with --rig: it says how large pictures are"))
+        })?;
         let [width, height] = Draft::load(rig)?.camera.size_px;
         let source = self.from.open(name, [width, height], HostClock::start(), stop)?;
         let [w, h] = source.size_px();
         if [w, h] != [width, height] {
             let rig = rig.display();
-            return Err(usage(format!(
+            return Err(Failure::usage(format!(
                 "{name}: pictures of {w}x{h} pixels, but the camera in {rig} has {width}x{height}; a calibration holds \
                  for one size only"
             )));
@@ -93,17 +93,11 @@ impl FromStr for Listen {
     }
 }
 
-fn duration(text: &str) -> Result<Duration, String> {
-    let ns = parse_seconds_ns(text).and_then(|ns| u64::try_from(ns).ok()).filter(|ns| *ns > 0);
-    ns.map(Duration::from_nanos).ok_or_else(|| "expected seconds above 0, such as 600".to_owned())
-}
-
 pub(crate) fn run(args: &Args) -> Result<(), Failure> {
     let stop = interrupt::watch()?;
-    let usage = |text: String| Failure::new(Exit::Usage, text);
     let live = args.live_source();
     for path in args.source.iter().filter(|_| live.is_none()).chain(&args.rig) {
-        std::fs::metadata(path).map_err(|e| usage(format!("{}: cannot be read: {e}", path.display())))?;
+        std::fs::metadata(path).map_err(|e| Failure::usage(format!("{}: cannot be read: {e}", path.display())))?;
     }
     let whole = |path: &Option<PathBuf>| path.as_ref().and_then(|path| path.canonicalize().ok());
     let (source, rig) = (whole(&args.source).filter(|_| live.is_none()), whole(&args.rig));

@@ -1,5 +1,8 @@
 //! Parses quantities: a number and its unit.
 
+use crate::source::times::parse_seconds_ns;
+use std::time::Duration;
+
 /// A current in amperes; the unit must be there, because a missing one is off by a thousand.
 pub(super) fn current_a(text: &str) -> Result<f64, String> {
     const UNITS: &[(&str, f64)] = &[("mA", 1e-3), ("A", 1.0)];
@@ -22,6 +25,22 @@ pub(super) fn frequency_hz(text: &str) -> Result<f64, String> {
 pub(super) fn duration_s(text: &str) -> Result<f64, String> {
     let value = with_unit(text, &[("ms", 1e-3), ("min", 60.0), ("s", 1.0), ("", 1.0)]);
     value.filter(|s| *s > 0.0).ok_or_else(|| format!("`{text}` is no time above 0: write for example 20ms or 300s"))
+}
+
+/// A time in seconds, or none: 0.
+pub(super) fn duration_or_none_s(text: &str) -> Result<f64, String> {
+    if matches!(text.trim(), "0" | "0s" | "0ms") { Ok(0.0) } else { duration_s(text) }
+}
+
+/// A time in plain seconds, exact to the nanosecond as stamps are; it may be below 0.
+pub(super) fn seconds_ns(text: &str) -> Result<i64, String> {
+    parse_seconds_ns(text).ok_or_else(|| "expected seconds, such as 12 or 3.25".to_owned())
+}
+
+/// Plain seconds above 0.
+pub(super) fn seconds(text: &str) -> Result<Duration, String> {
+    let ns = parse_seconds_ns(text).and_then(|ns| u64::try_from(ns).ok()).filter(|ns| *ns > 0);
+    ns.map(Duration::from_nanos).ok_or_else(|| "expected seconds above 0, such as 600".to_owned())
 }
 
 /// A change of current, amperes per second.

@@ -2,14 +2,13 @@
 
 use super::outcome::{self, Json, Outcome};
 use super::results::Results;
-use super::units::duration_s;
+use super::units::{duration_s, seconds_ns};
 use super::{Exit, Failure, interrupt, provenance};
 use crate::atomic_file;
 use crate::identify::Plant;
 use crate::identify::saved::Saved;
 use crate::report::validation::{self, ModelLine};
 use crate::series::Recording;
-use crate::source::times::parse_seconds_ns;
 use crate::validate::{Average, DesiredPath, Interpolation, Observed, Options, ValidateError, Validation, validate};
 use clap::ValueEnum;
 use std::collections::BTreeMap;
@@ -71,10 +70,6 @@ enum Frames {
 enum InterpolationArg {
     Spline,
     Linear,
-}
-
-fn seconds_ns(text: &str) -> Result<i64, String> {
-    parse_seconds_ns(text).ok_or_else(|| "expected seconds, such as 12 or 3.25".to_owned())
 }
 
 const TABLE: &str = "validation.csv";

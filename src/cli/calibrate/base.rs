@@ -2,7 +2,7 @@
 
 use super::super::progress::Progress;
 use super::super::{Exit, Failure, fitting};
-use super::{can_be_written, save, usage};
+use super::{can_be_written, save};
 use crate::calibrate::base::{BaseCalibration, BaseError, Field, Observed, Run, calibrate_base, observe};
 use crate::rig::{Base, Rig};
 use crate::source::{FrameRate, FrameSource as _, SourceOptions};
@@ -131,7 +131,7 @@ fn known_field(args: &BaseArgs, rig: &Rig) -> Result<KnownField, Failure> {
     }
     let file = args.rig.display();
     let Some(base) = &rig.base else {
-        return Err(usage(format!(
+        return Err(Failure::usage(format!(
             "{file} has no [base] with a b0 yet: give --planar VIDEO, a recording of a swing in the plane of B0, or --b0 X,Y,Z, \
              its direction in the camera frame (x right, y down, z forward)"
         )));

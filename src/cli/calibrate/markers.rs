@@ -2,7 +2,7 @@
 
 use super::super::units::duration_s;
 use super::super::{Exit, Failure, fitting, interrupt, outcome};
-use super::{Length, can_be_written, save, usage};
+use super::{Length, can_be_written, save};
 use crate::atomic_file;
 use crate::calibrate::markers::{
     MarkersCalibration, MarkersError, MarkersOptions, Pick, ProposedRegion, Teaching, Verdict, calibrate_markers,
@@ -141,7 +141,10 @@ pub(super) fn run(args: &MarkersArgs, print: impl Fn(&str) -> Result<(), Failure
     let rig = rig_with_picks(args)?;
     can_be_written(out)?;
     if !(args.at.is_finite() && args.at >= 0.0) {
-        return Err(usage(format!("--at {}: expected seconds from the recording's start, 0 or more", args.at)));
+        return Err(Failure::usage(format!(
+            "--at {}: expected seconds from the recording's start, 0 or more",
+            args.at
+        )));
     }
     let picks = picks(args, &rig)?;
     let options = SourceOptions { stated_rate: args.fps, ..SourceOptions::default() };
@@ -213,7 +216,7 @@ fn picks(args: &MarkersArgs, rig: &Rig) -> Result<Vec<Pick>, Failure> {
     for (i, pick) in picks.iter().enumerate() {
         if picks[..i].iter().any(|other| other.name == pick.name && other.view == pick.view) {
             let view = rig.views.get(pick.view).map_or("", |view| view.name.as_str());
-            return Err(usage(format!(
+            return Err(Failure::usage(format!(
                 "--pick {}: two picks of this band in view {view}, expected one per view",
                 pick.name
             )));
@@ -224,7 +227,7 @@ fn picks(args: &MarkersArgs, rig: &Rig) -> Result<Vec<Pick>, Failure> {
 
 fn no_such_view(option: &str, name: &str, views: &[View], rig: &Path) -> Failure {
     let known: Vec<&str> = views.iter().map(|v| v.name.as_str()).collect();
-    usage(format!("{option} {name}: no such view in {}; it has {}", rig.display(), known.join(", ")))
+    Failure::usage(format!("{option} {name}: no such view in {}; it has {}", rig.display(), known.join(", ")))
 }
 
 /// The rig file with the regions and the markers of this command. Existing roles of the bands are kept, and places
@@ -245,7 +248,7 @@ pub(super) fn rig_with_picks(args: &MarkersArgs) -> Result<Rig, Failure> {
         names
     };
     if names != before && sorted(&names) == sorted(&before) {
-        return Err(usage(format!(
+        return Err(Failure::usage(format!(
             "the picks are in the order {}, but in {} the bands follow each other as {}: give the picks in their order along the \
              tube, from the clamp to the tip (if the file is wrong, take its [[marker]] parts out)",
             names.join(", "),
@@ -268,7 +271,9 @@ pub(super) fn rig_with_picks(args: &MarkersArgs) -> Result<Rig, Failure> {
     draft.catheter = Some(catheter);
     let checked = draft.checked(&args.rig);
     Ok(checked
-        .map_err(|error| usage(format!("{error} (with the bands, tube, regions, coil and end of this command)")))?
+        .map_err(|error| {
+            Failure::usage(format!("{error} (with the bands, tube, regions, coil and end of this command)"))
+        })?
         .complete(&args.rig)?)
 }
 
@@ -280,7 +285,7 @@ fn bands(args: &MarkersArgs) -> Result<Vec<(&str, f64)>, Failure> {
             None => bands.push((&pick.name, pick.length_m)),
             Some((name, length)) => match (*length, pick.length_m) {
                 (Some(a), Some(b)) if a != b => {
-                    return Err(usage(format!(
+                    return Err(Failure::usage(format!(
                         "--pick {name}: two lengths for one band, {} and {} mm",
                         a * 1e3,
                         b * 1e3
@@ -291,7 +296,7 @@ fn bands(args: &MarkersArgs) -> Result<Vec<(&str, f64)>, Failure> {
         }
     }
     let length = |(name, length): (&'_ str, Option<f64>)| {
-        length.ok_or_else(|| usage(format!("--pick {name}: its length is missing: write NAME@X,Y:LENGTH")))
+        length.ok_or_else(|| Failure::usage(format!("--pick {name}: its length is missing: write NAME@X,Y:LENGTH")))
     };
     bands.into_iter().map(|band| Ok((band.0, length(band)?))).collect()
 }
@@ -315,13 +320,15 @@ fn catheter(args: &MarkersArgs, draft: &Draft, names: &[&str]) -> Result<Cathete
     let index = |name: &str| names.iter().position(|n| *n == name);
     let given = |option: &str, name: &str| {
         index(name).ok_or_else(|| {
-            usage(format!("{option} {name}: no such band of this command; picked are {}", names.join(", ")))
+            Failure::usage(format!("{option} {name}: no such band of this command; picked are {}", names.join(", ")))
         })
     };
     let kept = |option: &str, role: &str, name: &str| {
         index(name).ok_or_else(|| {
             let picked = names.join(", ");
-            usage(format!("`{name}`, {role} in the rig, is not picked; picked are {picked}: pick it, or give {option}"))
+            Failure::usage(format!(
+                "`{name}`, {role} in the rig, is not picked; picked are {picked}: pick it, or give {option}"
+            ))
         })
     };
     let old = draft.catheter.as_ref();

@@ -1,7 +1,7 @@
 //! `catoptra calibrate mirror`: a recording and the old rig to the mirror's new position.
 
 use super::super::{Exit, Failure, fitting};
-use super::{Length, can_be_written, save, usage};
+use super::{Length, can_be_written, save};
 use crate::calibrate::mirror::KnownLength;
 use crate::calibrate::mirror::{self, MirrorCalibration, MirrorError, RIG_LENGTH_SD_M, calibrate_mirror};
 use crate::rig::Rig;
@@ -67,7 +67,7 @@ impl LengthArg {
             }
             _ => {
                 let known: Vec<&str> = rig.markers.iter().map(|m| m.name.as_str()).collect();
-                Err(usage(format!("--length {ends}: not two markers of the rig; it has {}", known.join(", "))))
+                Err(Failure::usage(format!("--length {ends}: not two markers of the rig; it has {}", known.join(", "))))
             }
         }
     }
@@ -111,7 +111,7 @@ fn failure(args: &MirrorArgs, error: MirrorError) -> Failure {
         | MirrorError::WhichMirror { .. }
         | MirrorError::NoRegion(_)
         | MirrorError::Track(_)
-        | MirrorError::Segment(_) => return usage(format!("{}: {error}", args.rig.display())),
+        | MirrorError::Segment(_) => return Failure::usage(format!("{}: {error}", args.rig.display())),
         MirrorError::TooFew { .. } | MirrorError::NoAnswer | MirrorError::Disagree(_) | MirrorError::Open { .. } => {
             Exit::Unusable
         }

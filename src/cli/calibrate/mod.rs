@@ -8,7 +8,7 @@ mod pictures;
 mod rig;
 
 use super::outcome::{self, HiddenJson, Outcome};
-use super::{Exit, Failure, interrupt};
+use super::{Failure, interrupt};
 use crate::calibrate::length_m;
 use crate::calibrate::rig::RigOptions;
 use crate::rig::{Draft, Rig};
@@ -138,7 +138,7 @@ fn parsed<T: clap::Args>(arguments: &[String]) -> Result<T, Failure> {
         let said = error.to_string();
         // Usage and hints are only for the terminal.
         let first = said.split("\n\n").next().unwrap_or_default();
-        usage(first.strip_prefix("error: ").unwrap_or(first).to_owned())
+        Failure::usage(first.strip_prefix("error: ").unwrap_or(first).to_owned())
     })
 }
 
@@ -158,7 +158,7 @@ impl FromStr for Length {
 
 /// Checks before any work that the file can be written and would replace only a rig.
 pub(super) fn can_be_written(out: &Path) -> Result<(), Failure> {
-    let refused = |what: &str| Err(usage(format!("{}: {what}", out.display())));
+    let refused = |what: &str| Err(Failure::usage(format!("{}: {what}", out.display())));
     let folder = out.parent().filter(|folder| *folder != Path::new(""));
     if folder.is_some_and(|folder| !folder.is_dir()) {
         return refused("there is no such folder to write the rig to");
@@ -187,10 +187,6 @@ pub(super) fn left_out(old: &Draft) -> Option<&'static str> {
     let something = !old.surfaces.is_empty() || !old.views.is_empty() || old.base.is_some();
     something
         .then_some("mirror, walls, views and base frame of the old file were found with the old lens and are left out")
-}
-
-fn usage(text: String) -> Failure {
-    Failure::new(Exit::Usage, text)
 }
 
 #[cfg(test)]

@@ -3,7 +3,7 @@
 use super::super::progress::during;
 use super::super::{Exit, Failure, interrupt, outcome, provenance};
 use super::pictures::{self, SearchedPicture};
-use super::{Length, can_be_written, save, usage};
+use super::{Length, can_be_written, save};
 use crate::atomic_file;
 use crate::calibrate::board::{Board, BoardPicture, Grey, Rows};
 use crate::calibrate::geometry::Parameter;
@@ -199,7 +199,7 @@ fn seen(args: &RigArgs, draft: &Draft, options: &mut RigOptions, quiet: bool) ->
         return Ok(Seen::Points { file: file.clone(), points });
     }
     let Some(board) = args.board.clone() else {
-        return Err(usage("give --board with the pictures, or --points in place of both".to_owned()));
+        return Err(Failure::usage("give --board with the pictures, or --points in place of both"));
     };
     for (name, path) in &args.walls {
         for found in pictures::search(std::slice::from_ref(path), &board, 1, quiet)? {
@@ -267,7 +267,7 @@ fn fits(picture: &SearchedPicture, args: &RigArgs, draft: &Draft) -> Result<(), 
     }
     let (path, rig) = (picture.path.display(), args.rig.display());
     let [found, expected] = [found, expected].map(|[width, height]| format!("{width}x{height}"));
-    Err(usage(format!(
+    Err(Failure::usage(format!(
         "{path} has {found} pixels, but {rig} was calibrated for {expected}: pictures must be as the camera stored them, neither \
          resized nor turned"
     )))
@@ -275,16 +275,16 @@ fn fits(picture: &SearchedPicture, args: &RigArgs, draft: &Draft) -> Result<(), 
 
 pub(super) fn options(args: &RigArgs, draft: &Draft) -> Result<RigOptions, Failure> {
     if args.mirrors == 0 {
-        return Err(usage("--mirrors 0: a rig needs a mirror, one or more".into()));
+        return Err(Failure::usage("--mirrors 0: a rig needs a mirror, one or more"));
     }
     let tank = args
         .glass
         .map(|glass| {
             if !(1.0..=3.0).contains(&args.index_glass) {
-                return Err(usage(format!("--index-glass {}: expected 1 to 3", args.index_glass)));
+                return Err(Failure::usage(format!("--index-glass {}: expected 1 to 3", args.index_glass)));
             }
             let index_inside = water_index(args.temperature)
-                .ok_or_else(|| usage(format!("--temperature {}: expected 0 to 50 °C", args.temperature)))?;
+                .ok_or_else(|| Failure::usage(format!("--temperature {}: expected 0 to 50 °C", args.temperature)))?;
             Ok(Tank {
                 glass_m: glass.0,
                 index_glass: args.index_glass,

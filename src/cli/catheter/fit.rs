@@ -1,7 +1,7 @@
 //! `catoptra catheter fit`: the catheter's parameters from tracked runs.
 
 use super::super::output::save;
-use super::super::units::duration_s;
+use super::super::units::{duration_s, seconds_ns};
 use super::super::{Exit, Failure, output, provenance};
 use super::run::Columns;
 use super::{Common, failure, prepare};
@@ -9,8 +9,7 @@ use crate::catheter::{
     Accuracy, Catheter, CatheterError, Check, Commands, Fit, FitOptions, Noise, Parameter, Run, Sighting, check, fit,
 };
 use crate::report::catheter_fit;
-use crate::series::{CurrentTable, Recording, SeriesError};
-use crate::source::times::parse_seconds_ns;
+use crate::series::{CurrentTable, Recording};
 use nalgebra::Vector3;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -56,18 +55,10 @@ pub(super) struct FitArgs {
     out: PathBuf,
 }
 
-fn seconds_ns(text: &str) -> Result<i64, String> {
-    parse_seconds_ns(text).ok_or_else(|| "expected seconds, such as 12 or 3.25".to_owned())
-}
-
 fn parameter(text: &str) -> Result<Parameter, String> {
     Parameter::ALL.into_iter().find(|p| p.name() == text.trim()).ok_or_else(|| {
         format!("`{text}` is not a parameter; parameters are {}", Parameter::ALL.map(Parameter::name).join(", "))
     })
-}
-
-fn usage(text: impl Into<String>) -> Failure {
-    Failure::new(Exit::Usage, text.into())
 }
 
 impl FitArgs {
@@ -78,7 +69,7 @@ impl FitArgs {
         ] {
             if !tables.is_empty() && tables.len() != runs.len() {
                 let (tables, runs) = (tables.len(), runs.len());
-                return Err(usage(format!(
+                return Err(Failure::usage(format!(
                     "{flag}: {tables} tables for {runs} runs; give one for each, in their order"
                 )));
             }
@@ -129,26 +120,28 @@ impl FitArgs {
 
     /// A run, and what its tracker says of the noise.
     fn read(&self, catheter: &Catheter, file: &Path, table: Option<&PathBuf>) -> Result<(Run, Option<Noise>), Failure> {
-        let wrong = |problem: &str| usage(format!("{}: {problem}", file.display()));
-        let recording = Recording::read(file).map_err(unreadable)?;
+        let wrong = |problem: &str| Failure::usage(format!("{}: {problem}", file.display()));
+        let recording = Recording::read(file)?;
         if let Some(why) = &recording.cut {
             tracing::warn!("{}: not all of it can be read: {why}", file.display());
         }
         if recording.reference == Some(crate::sink::OutputFrame::Camera) {
             return Err(wrong("its positions are in the camera frame; track it without `--frame camera`"));
         }
-        let (coil, tip) = (recording.marker("coil").map_err(unreadable)?, recording.marker("tip").map_err(unreadable)?);
+        let (coil, tip) = (recording.marker("coil")?, recording.marker("tip")?);
         let mut commands: Vec<(i64, Vec<f64>)> = Vec::new();
         let coils = match table {
             Some(table) => {
-                let table = CurrentTable::read(table).map_err(unreadable)?;
+                let table = CurrentTable::read(table)?;
                 if let Some(assumption) = table.assumption(&recording, self.start) {
                     tracing::warn!("{}: {assumption}", table.path.display());
                 }
-                for current in table.on_camera_clock(&recording, self.start).map_err(unreadable)? {
+                for current in table.on_camera_clock(&recording, self.start)? {
                     commands.extend(current.stamp_ns.map(|ns| (ns, current.values_a)));
                 }
-                self.columns.of(&table.coils).map_err(|why| usage(format!("{}: {why}", table.path.display())))?
+                self.columns
+                    .of(&table.coils)
+                    .map_err(|why| Failure::usage(format!("{}: {why}", table.path.display())))?
             }
             None => {
                 commands.extend(recording.currents.iter().filter_map(|c| Some((c.stamp_ns?, c.values_a.clone()))));
@@ -229,11 +222,6 @@ impl FitArgs {
 fn rms(values: impl Iterator<Item = f64>) -> Option<f64> {
     let values: Vec<f64> = values.filter(|v| *v > 0.0).collect();
     (!values.is_empty()).then(|| (values.iter().map(|v| v * v).sum::<f64>() / values.len() as f64).sqrt())
-}
-
-fn unreadable(error: SeriesError) -> Failure {
-    let exit = if error.is_io() && !error.is_missing() { Exit::Failed } else { Exit::Usage };
-    Failure::new(exit, error)
 }
 
 fn unusable(error: CatheterError) -> Failure {

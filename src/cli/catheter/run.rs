@@ -1,7 +1,7 @@
 //! `catoptra catheter run`: what a camera would record of the catheter under given currents.
 
 use super::super::output::{is_free, print, save};
-use super::super::units::{duration_s, frequency_hz};
+use super::super::units::{duration_or_none_s, duration_s, frequency_hz};
 use super::super::{Exit, Failure};
 use super::{Common, failure};
 use crate::catheter::{Accuracy, Catheter, Commands, Moment, Noise, Sighting, record, seen};
@@ -65,10 +65,6 @@ pub(in super::super) struct Columns {
     coils: Vec<String>,
 }
 
-fn duration_or_none_s(text: &str) -> Result<f64, String> {
-    if matches!(text.trim(), "0" | "0s" | "0ms") { Ok(0.0) } else { duration_s(text) }
-}
-
 impl Columns {
     /// The currents, later than told by `shift_s`.
     pub(in super::super) fn commands(
@@ -119,14 +115,13 @@ impl Columns {
 
 impl RunArgs {
     pub(super) fn run(&self, quiet: bool) -> Result<(), Failure> {
-        let usage = |text: String| Failure::new(Exit::Usage, text);
         is_free(&self.out, &format!("{},", table::FIRST.join(",")), "a table of a run")?;
         let tip_n = match *self.tip_force_mn.as_slice() {
             [] => Vector3::zeros(),
             [x, y, z] if [x, y, z].iter().all(|v| v.is_finite()) => Vector3::new(x, y, z) / 1e3,
-            _ => return Err(usage("--tip-force-mn: expected three numbers such as 0,0,0.1".to_owned())),
+            _ => return Err(Failure::usage("--tip-force-mn: expected three numbers such as 0,0,0.1".to_owned())),
         };
-        let noise = self.noise().map_err(usage)?;
+        let noise = self.noise().map_err(Failure::usage)?;
         let (name, mut catheter) = self.common.load()?;
         if let Some(damping_s) = self.damping {
             catheter.motion.damping_s = damping_s;
@@ -139,12 +134,12 @@ impl RunArgs {
         let commands = self.columns.commands(&catheter, &table, delay_s - since_s)?;
         let (begin_s, end_s) = commands.span_s();
         if begin_s < 0.0 {
-            return Err(usage(format!("{}: begins before 0 s", self.currents.display())));
+            return Err(Failure::usage(format!("{}: begins before 0 s", self.currents.display())));
         }
         let duration_s = self.duration.unwrap_or(end_s + 1.0);
         let frames = (duration_s * self.rate).floor() + 1.0;
         if frames > MAX_FRAMES {
-            return Err(usage(format!("{frames} frames are more than {MAX_FRAMES}; shorten --duration")));
+            return Err(Failure::usage(format!("{frames} frames are more than {MAX_FRAMES}; shorten --duration")));
         }
         let accuracy = Accuracy { step_s: self.step, ..Accuracy::default() };
         let times_s = (0..frames as u64).map(|k| k as f64 / self.rate);

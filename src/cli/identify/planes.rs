@@ -56,14 +56,13 @@ pub(super) fn run(args: &Args, outcome: &Outcome) -> Result<(), Failure> {
 }
 
 fn settings(args: &Args) -> Result<Settings, Failure> {
-    let usage = |text: &str| Failure::new(Exit::Usage, text.to_owned());
     let orders = args.planes_orders();
     let delay = args.planes_delay();
     if orders.0 == 0 {
-        return Err(usage("--order 0: a model needs one coefficient at least"));
+        return Err(Failure::usage("--order 0: a model needs one coefficient at least"));
     }
     if delay == 0 {
-        return Err(usage("--nk 0: a current cannot act before it flows; the least is 1"));
+        return Err(Failure::usage("--nk 0: a current cannot act before it flows; the least is 1"));
     }
     // So many for each angle.
     Ok(Settings { orders, delay, keep: args.planes_keep().map(|states| OUTPUTS.len() * states) })
@@ -71,16 +70,15 @@ fn settings(args: &Args) -> Result<Settings, Failure> {
 
 /// Names of the coils, and all records, those to judge by last.
 fn read(args: &Args) -> Result<(Vec<String>, Vec<Motion>), Failure> {
-    let usage = |text: String| Failure::new(Exit::Usage, text);
     let files: Vec<&Path> = args.records.iter().chain(&args.validate).map(AsRef::as_ref).collect();
     if !args.currents.is_empty() && args.currents.len() != files.len() {
         let (tables, records) = (args.currents.len(), files.len());
-        return Err(usage(format!(
+        return Err(Failure::usage(format!(
             "--currents: {tables} tables for {records} records; give one for each, in their order"
         )));
     }
     let DelayArg::Given(delay_s) = args.delay else {
-        return Err(usage("--delay auto: with --planes give the delay, or leave it to --nk".to_owned()));
+        return Err(Failure::usage("--delay auto: with --planes give the delay, or leave it to --nk"));
     };
     let mut names: Option<Vec<String>> = None;
     let mut records: Vec<Motion> = Vec::new();
@@ -100,12 +98,12 @@ fn read(args: &Args) -> Result<(Vec<String>, Vec<Motion>), Failure> {
         };
         if let Some(first) = names.as_ref().filter(|first| **first != coils) {
             let (first, these) = (first.join(", "), coils.join(", "));
-            return Err(usage(format!("{source}: has the coils {these}, the first record has {first}")));
+            return Err(Failure::usage(format!("{source}: has the coils {these}, the first record has {first}")));
         }
         let all: Vec<usize> = (0..coils.len()).collect();
         let record = Motion::of(&recording, (&source, &currents), &all, delay_s).map_err(failure)?;
         if let Some(first) = records.first().filter(|r| (record.period_s / r.period_s - 1.0).abs() > SAME_PERIOD) {
-            return Err(usage(format!(
+            return Err(Failure::usage(format!(
                 "{}: samples are {:.6} s apart, and {:.6} s in {}: records that belong together have one period",
                 record.name, record.period_s, first.period_s, first.name
             )));

@@ -2,7 +2,7 @@
 
 use super::super::provenance;
 use super::args::{Args, DelayArg, Range};
-use crate::cli::{Exit, Failure};
+use crate::cli::Failure;
 use crate::identify::data::Data;
 use crate::identify::data::Record;
 use crate::identify::delay::{self, Delay};
@@ -13,7 +13,7 @@ use crate::identify::plant::Plant;
 use crate::identify::prepare::{Detrend, Trend, decimate};
 use crate::identify::provenance::{Provenance, RecordSummary};
 use crate::identify::recorded::Observed;
-use crate::series::{CurrentTable, Recording, SeriesError, columns};
+use crate::series::{CurrentTable, Recording, columns};
 use std::path::Path;
 
 /// Largest relative difference of the records' periods.
@@ -22,15 +22,6 @@ const SAME_PERIOD: f64 = 0.01;
 const DECIMATION_NEEDS: usize = 11;
 /// The input of a log without Eq. 6.
 const CURRENT: &str = "current";
-
-fn usage(error: impl Into<Box<dyn std::error::Error + Send + Sync>>) -> Failure {
-    Failure::new(Exit::Usage, error)
-}
-
-fn unreadable(error: SeriesError) -> Failure {
-    let exit = if error.is_io() && !error.is_missing() { Exit::Failed } else { Exit::Usage };
-    Failure::new(exit, error)
-}
 
 /// A record on its grid.
 struct Read {
@@ -44,15 +35,15 @@ pub(super) fn read(args: &Args) -> Result<(Data, Provenance), Failure> {
     let ranges = args.train.is_some() || args.test.is_some();
     let applied = args.model.is_some();
     if ranges && args.records.len() > 1 {
-        return Err(usage("--train and --test take parts of one record; there are several"));
+        return Err(Failure::usage("--train and --test take parts of one record; there are several"));
     }
     if !args.currents.is_empty() && args.currents.len() != files.len() {
         let (tables, records) = (args.currents.len(), files.len());
-        return Err(usage(format!(
+        return Err(Failure::usage(format!(
             "--currents: {tables} tables for {records} records; give one for each, in their order"
         )));
     }
-    let plant = args.plant.as_deref().map(Plant::load).transpose().map_err(usage)?;
+    let plant = args.plant.as_deref().map(Plant::load).transpose().map_err(Failure::usage)?;
     let mut all = Vec::new();
     for (k, file) in files.iter().enumerate() {
         let mut read = if args.output.is_some() {
@@ -91,7 +82,7 @@ pub(super) fn read(args: &Args) -> Result<(Data, Provenance), Failure> {
             let whole = part;
             let part = args.decimate.map_or_else(|| whole.clone(), |n| decimate(&whole, n, period_s));
             if part.observed() == 0 {
-                return Err(usage(format!("{}: {}", part.name, empty_reason(&whole, args))));
+                return Err(Failure::usage(format!("{}: {}", part.name, empty_reason(&whole, args))));
             }
             summaries.push(RecordSummary { training, ..described(&part, &summary, period_s, args) });
             if training { data.training.push(part) } else { data.validation.push(part) }
@@ -144,7 +135,7 @@ fn within(record: &Record, range: Range) -> Result<(), Failure> {
     let has = record.span();
     if range.to > has {
         let Range { from, to } = range;
-        return Err(usage(format!("{}: has {has} samples, and {from}:{to} were asked for", record.name)));
+        return Err(Failure::usage(format!("{}: has {has} samples, and {from}:{to} were asked for", record.name)));
     }
     Ok(())
 }
@@ -154,7 +145,7 @@ fn one_period(all: &[Read]) -> Result<(), Failure> {
     let other = |read: &&Read| (read.summary.period_s / first.summary.period_s - 1.0).abs() > SAME_PERIOD;
     match all.iter().find(other) {
         None => Ok(()),
-        Some(read) => Err(usage(format!(
+        Some(read) => Err(Failure::usage(format!(
             "{}: samples are {:.6} s apart, and {:.6} s in {}: records that belong together have one period (--resample --period gives \
              them one)",
             read.summary.name, read.summary.period_s, first.summary.period_s, first.summary.name
@@ -165,20 +156,22 @@ fn one_period(all: &[Read]) -> Result<(), Failure> {
 /// A record from columns of any table.
 fn from_table(args: &Args, file: &Path) -> Result<Read, Failure> {
     let (Some(input), Some(output)) = (&args.input, &args.output) else {
-        return Err(usage("--input and --output go together"));
+        return Err(Failure::usage("--input and --output go together"));
     };
     let name = file.display().to_string();
     let names: Vec<&str> = [input.as_str(), output.as_str()].into_iter().chain(args.time.as_deref()).collect();
-    let mut values = columns(file, &names).map_err(unreadable)?.into_iter();
+    let mut values = columns(file, &names)?.into_iter();
     let (drive, output) = (values.next().unwrap_or_default(), values.next().unwrap_or_default());
     let time_s = match (values.next(), args.period) {
         (Some(times), _) => times
             .into_iter()
             .enumerate()
-            .map(|(row, t)| t.ok_or_else(|| usage(format!("{name}: the time of row {} is missing", row + 1))))
+            .map(|(row, t)| t.ok_or_else(|| Failure::usage(format!("{name}: the time of row {} is missing", row + 1))))
             .collect::<Result<Vec<_>, _>>()?,
         (None, Some(period)) => (0..drive.len()).map(|k| k as f64 * period).collect(),
-        (None, None) => return Err(usage("the time from row to row is not known: give --period S, or --time COLUMN")),
+        (None, None) => {
+            return Err(Failure::usage("the time from row to row is not known: give --period S, or --time COLUMN"));
+        }
     };
     let missed = output.iter().filter(|y| y.is_none()).count();
     let series = Series { name: name.clone(), time_s, drive, output, plant: None };
@@ -198,9 +191,9 @@ fn from_table(args: &Args, file: &Path) -> Result<Read, Failure> {
 }
 
 fn on_grid(args: &Args, series: &Series) -> Result<(Record, Grid, usize), Failure> {
-    let resampled = args.resample.then(|| resample(series, args.period)).transpose().map_err(usage)?;
+    let resampled = args.resample.then(|| resample(series, args.period)).transpose().map_err(Failure::usage)?;
     let series = resampled.as_ref().unwrap_or(series);
-    let grid = Grid::of(&series.name, &series.time_s).map_err(usage)?;
+    let grid = Grid::of(&series.name, &series.time_s).map_err(Failure::usage)?;
     let (record, bridged) = cut(series, &grid, args.bridge);
     Ok((record, grid, bridged))
 }
@@ -209,38 +202,38 @@ fn on_grid(args: &Args, series: &Series) -> Result<(Record, Grid, usize), Failur
 fn recorded(args: &Args, file: &Path, table: Option<&Path>, plant: Option<Plant>) -> Result<Read, Failure> {
     let name = file.display().to_string();
     if plant.is_none() && args.input.as_deref() != Some(CURRENT) {
-        return Err(usage(format!(
+        return Err(Failure::usage(format!(
             "{name}: what moves it? Give --plant PLANT.toml (Eq. 6, for logs), --input current (the current itself), or the columns \
              of a table with --input, --output and --period"
         )));
     }
-    let recording = Recording::read(file).map_err(unreadable)?;
+    let recording = Recording::read(file)?;
     if let Some(why) = &recording.cut {
         tracing::warn!("{name}: not all of it can be read: {why}");
     }
-    let observed = Observed::of(&recording).map_err(usage)?;
+    let observed = Observed::of(&recording).map_err(Failure::usage)?;
     let (source, currents) = match table {
         None => (name.clone(), recording.currents.clone()),
         Some(table) => {
-            let read = CurrentTable::read(table).map_err(unreadable)?;
+            let read = CurrentTable::read(table)?;
             if let Some(assumed) = read.assumption(&recording, None) {
                 tracing::info!("{}: {assumed}", table.display());
             }
-            (table.display().to_string(), read.on_camera_clock(&recording, None).map_err(unreadable)?)
+            (table.display().to_string(), read.on_camera_clock(&recording, None)?)
         }
     };
-    let held = observed.commands(&source, &currents, args.coil).map_err(usage)?;
+    let held = observed.commands(&source, &currents, args.coil).map_err(Failure::usage)?;
     let apparent = apparent_delay(args, &observed, &held, plant);
     let delay_s = match (args.delay, &apparent) {
         (DelayArg::Given(seconds), _) => seconds,
         (DelayArg::Auto, Some(delay)) => delay.delay_s,
         (DelayArg::Auto, None) => {
-            return Err(usage(format!(
+            return Err(Failure::usage(format!(
                 "{name}: no delay between commands and output could be estimated; give it with --delay"
             )));
         }
     };
-    let series = observed.series(&held, plant, delay_s).map_err(usage)?;
+    let series = observed.series(&held, plant, delay_s).map_err(Failure::usage)?;
     let lost = series.output.len() - observed.theta_rad.len();
     let missed = observed.theta_rad.iter().filter(|theta| theta.is_none()).count();
     let (record, grid, bridged) = on_grid(args, &series)?;

@@ -10,6 +10,7 @@ use super::results::{unique_text, whole_path};
 use super::run::folder::{Files, Run};
 use super::run::{LogFor, Logged, Record, Reference, load_rig, open_sinks, pool, print_warnings, summary, verdict};
 use super::studio::{self, Listen};
+use super::units::seconds;
 use super::{Exit, Failure, fitting, interrupt, output, provenance};
 use crate::estimate::Spot;
 use crate::live::{self, CurrentSource, LiveSummary, Outputs, Priority, RecordSwitch, Until};
@@ -18,7 +19,6 @@ use crate::report::RunInfo;
 use crate::rig::Rig;
 use crate::sink::{PublishSink, Sink, UdpSink};
 use crate::source::host::HostClock;
-use crate::source::times::parse_seconds_ns;
 use crate::studio::Watch;
 use crate::track::{TrackOptions, Tracker};
 use clap::builder::RangedU64ValueParser;
@@ -82,7 +82,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "GB", value_parser = positive, requires = "record", hide = true)]
     keep_free: Option<f64>,
     /// Stop after T seconds
-    #[arg(long, value_name = "T", value_parser = duration)]
+    #[arg(long, value_name = "T", value_parser = seconds)]
     duration: Option<Duration>,
     /// Frame of table and report: base or camera
     #[arg(long, value_enum, default_value_t = Reference::Base, hide_possible_values = true)]
@@ -111,11 +111,6 @@ fn listening(text: &str) -> Result<SocketAddr, String> {
         return Ok(SocketAddr::from(([127, 0, 0, 1], port)));
     }
     address(place)
-}
-
-fn duration(text: &str) -> Result<Duration, String> {
-    let ns = parse_seconds_ns(text).and_then(|ns| u64::try_from(ns).ok()).filter(|ns| *ns > 0);
-    ns.map(Duration::from_nanos).ok_or_else(|| "expected seconds above 0, such as 600".to_owned())
 }
 
 pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {

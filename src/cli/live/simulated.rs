@@ -49,15 +49,14 @@ impl Simulated {
         clock: HostClock,
         stop: &Arc<AtomicBool>,
     ) -> Result<Box<dyn FrameSource + Send>, Failure> {
-        let usage = |text: String| Failure::new(Exit::Usage, text);
         let rate_hz = rate_hz.unwrap_or(RATE_HZ);
         let exposure_s = exposure_s.or(self.rig.camera.exposure_s).unwrap_or(EXPOSURE_S);
         if exposure_s * rate_hz > 1.0 {
             let text = format!("{name}: an exposure of {} ms is longer than a frame at {rate_hz} Hz", exposure_s * 1e3);
-            return Err(usage(text));
+            return Err(Failure::usage(text));
         }
         let stamps = self.motion.stamps(Timing { rate_hz, jitter_s: 0.0, lost: 0.0, seed: SEED })?;
-        let renderer = Renderer::new(&self.rig, &self.scene).map_err(|e| usage(format!("{name}: {e}")))?;
+        let renderer = Renderer::new(&self.rig, &self.scene).map_err(|e| Failure::usage(format!("{name}: {e}")))?;
         let mut motion = self.motion;
         let lines = Box::new(move |k, stamp| motion.exposed(k, stamp, exposure_s));
         let live = LiveScene::start(name, renderer, lines, (stamps, SEED), clock, Arc::clone(stop));

@@ -6,7 +6,7 @@ mod writer;
 use super::catheter::Columns;
 use super::progress::Progress;
 use super::results::Results;
-use super::units::{duration_s, frequency_hz};
+use super::units::{duration_or_none_s, duration_s, frequency_hz};
 use super::{Exit, Failure, interrupt, output};
 use crate::calibrate::board::Board;
 use crate::catheter::Catheter;
@@ -52,7 +52,7 @@ pub(crate) struct Args {
     #[arg(long, value_enum, default_value_t = Codec::H264)]
     codec: Codec,
     /// Exposure; 0 freezes every frame [default: the rig's, or 2 ms]
-    #[arg(long, value_name = "T", value_parser = time_or_none_s)]
+    #[arg(long, value_name = "T", value_parser = duration_or_none_s)]
     exposure: Option<f64>,
     /// Electrons of full white and of read noise; 0,0: no noise
     #[arg(long, value_name = "FULL,READ", value_delimiter = ',', num_args = 1, default_value = "10000,5")]
@@ -67,7 +67,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u8).range(..=100))]
     distractors: u8,
     /// σ of the frames' times about even spacing
-    #[arg(long, value_name = "T", default_value = "0", value_parser = time_or_none_s)]
+    #[arg(long, value_name = "T", default_value = "0", value_parser = duration_or_none_s)]
     jitter: f64,
     /// Percentage of frames that are lost
     #[arg(long, value_name = "%", default_value_t = 0.0)]
@@ -83,19 +83,12 @@ pub(crate) struct Args {
     out: PathBuf,
 }
 
-fn time_or_none_s(text: &str) -> Result<f64, String> {
-    if matches!(text.trim(), "0" | "0s" | "0ms") { Ok(0.0) } else { duration_s(text) }
-}
-
-fn usage(text: impl std::fmt::Display) -> Failure {
-    Failure::new(Exit::Usage, text.to_string())
-}
-
 pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     let asked = interrupt::watch()?;
     let rig = Rig::load(&args.rig)?;
-    let catheter = args.catheter.as_deref().map(Catheter::load).transpose().map_err(usage)?;
-    let of_rig = |e: &dyn std::fmt::Display| usage(format!("{}: {e}", args.rig.display()));
+    let catheter =
+        args.catheter.as_deref().map(Catheter::load).transpose().map_err(|e| Failure::usage(e.to_string()))?;
+    let of_rig = |e: &dyn std::fmt::Display| Failure::usage(format!("{}: {e}", args.rig.display()));
     let mount = Mount::of(&rig, catheter.as_ref()).map_err(|e| of_rig(&e))?;
     let source = args.source(&rig, &mount)?;
     let mut scene = Scene::of(&rig, &mount, source.rest()).map_err(|e| of_rig(&e))?;
@@ -103,11 +96,14 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     scene.distractors = usize::from(args.distractors);
     scene.seed = args.seed;
     if !(0.0..=1.0).contains(&args.highlight) {
-        return Err(usage(format!("--highlight {}: expected a part from 0 to 1", args.highlight)));
+        return Err(Failure::usage(format!("--highlight {}: expected a part from 0 to 1", args.highlight)));
     }
     scene.highlight = args.highlight;
     if !(0.0..=90.0).contains(&args.lost) {
-        return Err(usage(format!("--lost {}: expected a part of the frames from 0 to 90 percent", args.lost)));
+        return Err(Failure::usage(format!(
+            "--lost {}: expected a part of the frames from 0 to 90 percent",
+            args.lost
+        )));
     }
     match args.boards {
         Some(count) => args.boards(&rig, &scene, usize::from(count), (&asked, quiet)),
@@ -121,7 +117,9 @@ impl Args {
             [full, read] if full >= 0.0 && read >= 0.0 && full.is_finite() && read.is_finite() => {
                 Ok(Sensor { full_well_e: (full > 0.0).then_some(full), read_e: read, mosaic: self.bayer })
             }
-            _ => Err(usage("--noise: expected two numbers of electrons not below 0, FULL,READ such as 10000,5")),
+            _ => {
+                Err(Failure::usage("--noise: expected two numbers of electrons not below 0, FULL,READ such as 10000,5"))
+            }
         }
     }
 
@@ -129,7 +127,7 @@ impl Args {
         let exposure_s = self.exposure.or(rig.camera.exposure_s).unwrap_or(EXPOSURE_S);
         if exposure_s * self.fps > 1.0 {
             let text = format!("an exposure of {} ms is longer than a frame at {} Hz", exposure_s * 1e3, self.fps);
-            return Err(usage(text));
+            return Err(Failure::usage(text));
         }
         Ok(exposure_s)
     }
@@ -150,7 +148,7 @@ impl Args {
         let exposure_s = self.exposure_s(rig)?;
         let timing = Timing { rate_hz: self.fps, jitter_s: self.jitter, lost: self.lost / 100.0, seed: self.seed };
         let stamps = source.stamps(timing)?;
-        let renderer = Renderer::new(rig, scene).map_err(|e| usage(format!("{}: {e}", self.rig.display())))?;
+        let renderer = Renderer::new(rig, scene).map_err(|e| Failure::usage(format!("{}: {e}", self.rig.display())))?;
         let mut files = self.codec.files(stamps.len());
         files.extend(["truth.csv", "rig.toml"].map(str::to_owned));
         let results = self.results(files);
@@ -216,7 +214,7 @@ impl Args {
         count: usize,
         (asked, quiet): (&AtomicBool, bool),
     ) -> Result<(), Failure> {
-        let board: Board = self.board.parse().map_err(|e| usage(format!("--board {}: {e}", self.board)))?;
+        let board: Board = self.board.parse().map_err(|e| Failure::usage(format!("--board {}: {e}", self.board)))?;
         let blur_px = rig.camera.blur_px.unwrap_or(0.55);
         let middle = scene.rest.at(scene.length_m / 2.0).0;
         let name = |set: &str, k: usize| format!("{set}{k:03}.png");
@@ -227,8 +225,9 @@ impl Args {
         for (set, where_) in sets {
             let standing = BoardPoses::new(rig, where_, middle);
             let boards = standing.boards(board.clone(), blur_px, scene.sensor);
-            let poses =
-                standing.poses(&boards, count, self.seed).map_err(|e| usage(format!("{}: {e}", self.rig.display())))?;
+            let poses = standing
+                .poses(&boards, count, self.seed)
+                .map_err(|e| Failure::usage(format!("{}: {e}", self.rig.display())))?;
             planned.push((set, boards, poses));
         }
         self.results(files).take()?;

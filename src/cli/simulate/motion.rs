@@ -1,6 +1,5 @@
 //! What moves the catheter: a usual motion, currents, or a tracked run.
 
-use super::usage;
 use crate::catheter::Commands;
 use crate::cli::Failure;
 use crate::cli::catheter::Columns;
@@ -42,25 +41,25 @@ impl Source {
         let (commands, duration_s): (Commands, f64) = match usual {
             Some(usual) => {
                 let duration_s = duration_s.unwrap_or_else(|| usual_s(usual));
-                (usual.commands(&mount.catheter, duration_s).map_err(usage)?, duration_s)
+                (usual.commands(&mount.catheter, duration_s).map_err(Failure::usage)?, duration_s)
             }
             None => {
                 let file = Path::new(motion);
                 if !file.exists() {
                     let text = "is neither rest, planar, circle nor lemniscate, and no such file";
-                    return Err(usage(format!("motion {}: {text}", file.display())));
+                    return Err(Failure::usage(format!("motion {}: {text}", file.display())));
                 }
                 if let Some(poses) = poses(rig, mount, file)? {
                     return Ok(Self::Poses(poses));
                 }
-                let table = CurrentTable::read(file).map_err(usage)?;
+                let table = CurrentTable::read(file).map_err(Failure::usage)?;
                 let commands = columns.commands(&mount.catheter, &table, 0.0)?;
                 let (_, end_s) = commands.span_s();
                 (commands, duration_s.unwrap_or(end_s + 1.0))
             }
         };
-        let rod = Rod::at_rest(mount, commands).map_err(usage)?;
-        let rest = rod.line().map_err(usage)?;
+        let rod = Rod::at_rest(mount, commands).map_err(Failure::usage)?;
+        let rest = rod.line().map_err(Failure::usage)?;
         Ok(Self::Rod(Box::new(rod), rest, duration_s))
     }
 
@@ -83,7 +82,9 @@ impl Source {
             Self::Rod(_, _, duration_s) => {
                 let frames = (duration_s * timing.rate_hz + 1e-9).floor();
                 if frames > MAX_FRAMES {
-                    return Err(usage(format!("{frames} frames are more than {MAX_FRAMES}; shorten --duration")));
+                    return Err(Failure::usage(format!(
+                        "{frames} frames are more than {MAX_FRAMES}; shorten --duration"
+                    )));
                 }
                 Ok(timing.stamps((frames as u64).max(1)).collect())
             }
@@ -104,12 +105,12 @@ impl Source {
 
 /// Stamps and lines of a table of a tracked run; `None` when it is none.
 fn poses(rig: &Rig, mount: &Mount, file: &Path) -> Result<Option<Vec<(Stamp, CentreLine)>>, Failure> {
-    let wrong = |what: String| usage(format!("{}: {what}", file.display()));
+    let wrong = |what: String| Failure::usage(format!("{}: {what}", file.display()));
     let head = std::fs::read(file).map_err(|e| wrong(format!("cannot be read: {e}")))?;
     if !head.starts_with(b"seq,t_s,stamp_ns") {
         return Ok(None);
     }
-    let run = Recording::read(file).map_err(usage)?;
+    let run = Recording::read(file).map_err(Failure::usage)?;
     let Some(base) = &rig.base else { return Err(wrong("the rig has no [base]".to_owned())) };
     let camera_from_base = base.base_from_camera.inverse();
     let order = rig.markers.iter().map(|marker| run.markers.iter().position(|name| *name == marker.name));

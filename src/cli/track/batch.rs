@@ -43,9 +43,10 @@ pub(super) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
 
 /// The recordings, each with its options.
 fn entries(args: &Args) -> Result<Vec<(Entry, Options)>, Failure> {
-    let usage = |text: String| Failure::new(Exit::Usage, text);
     if args.csv.is_some() {
-        return Err(usage("--csv is for one recording: of many, each has its track.csv in its folder".to_owned()));
+        return Err(Failure::usage(
+            "--csv is for one recording: of many, each has its track.csv in its folder".to_owned(),
+        ));
     }
     let entries = match &args.manifest {
         Some(file) => Manifest::read(file)
@@ -55,7 +56,7 @@ fn entries(args: &Args) -> Result<Vec<(Entry, Options)>, Failure> {
                 Failure::new(if away { Exit::Failed } else { Exit::Usage }, e)
             })?
             .entries,
-        None => named(&args.sources).map_err(usage)?,
+        None => named(&args.sources).map_err(Failure::usage)?,
     };
     let options = |entry: Entry| {
         let entry = Entry { rig: entry.rig.or_else(|| args.rig.clone()), ..entry };
@@ -64,7 +65,7 @@ fn entries(args: &Args) -> Result<Vec<(Entry, Options)>, Failure> {
             // Only a manifest has options per line.
             Err(why) => {
                 let manifest = args.manifest.as_deref().unwrap_or(Path::new(""));
-                Err(usage(format!("{}:{}: {why}", manifest.display(), entry.line)))
+                Err(Failure::usage(format!("{}:{}: {why}", manifest.display(), entry.line)))
             }
         }
     };

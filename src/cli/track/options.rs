@@ -1,8 +1,9 @@
 //! Options of one recording: from the command line for all of them, from a manifest for one.
 
 use super::super::run::{LogFor, Record, Reference};
+use super::super::units::seconds_ns;
 use crate::estimate::Spot;
-use crate::source::times::{parse_seconds_ns, seconds};
+use crate::source::times::seconds;
 use crate::source::{FrameRate, Span};
 use clap::Parser;
 use std::collections::BTreeMap;
@@ -37,10 +38,6 @@ pub(crate) struct Options {
     /// Search the whole of every picture: slower, same results
     #[arg(long, hide = true)]
     pub(super) full_frame: bool,
-}
-
-fn seconds_ns(text: &str) -> Result<i64, String> {
-    parse_seconds_ns(text).ok_or_else(|| "expected seconds, such as 12 or 3.25".to_owned())
 }
 
 /// A line of a manifest.
