@@ -2,12 +2,12 @@
 
 use super::super::progress::Progress;
 use super::super::{Exit, Failure};
+use crate::archive::hash;
 use crate::calibrate::board::grey::{Grey, Rows};
 use crate::calibrate::board::{Board, BoardImage, find_boards};
 use crate::calibrate::bundle::outliers::UsedPicture;
 use crate::source;
 use rayon::prelude::*;
-use sha2::{Digest as _, Sha256};
 use std::collections::BTreeMap;
 use std::f64::consts::SQRT_2;
 use std::fmt::{Display, Write as _};
@@ -34,7 +34,7 @@ pub(super) struct SearchedPicture {
 pub(super) fn provenance(step: &str, board: &Board, searched: &[SearchedPicture]) -> Result<toml::Table, Failure> {
     let mut hashes = toml::Table::new();
     for picture in searched {
-        hashes.insert(picture.name.clone(), hash(&picture.path)?.into());
+        hashes.insert(picture.name.clone(), hash_of(&picture.path)?.into());
     }
     let mut table = toml::Table::new();
     table.insert("made_by".into(), format!("catoptra {} calibrate {step}", env!("CARGO_PKG_VERSION")).into());
@@ -49,15 +49,13 @@ pub(super) fn provenance_of_points(step: &str, file: &Path) -> Result<toml::Tabl
     Ok(toml::Table::from_iter([
         ("made_by".to_owned(), format!("catoptra {} calibrate {step}", env!("CARGO_PKG_VERSION")).into()),
         ("points".to_owned(), name.clone().into()),
-        ("inputs_sha256".to_owned(), toml::Table::from_iter([(name, hash(file)?.into())]).into()),
+        ("inputs_sha256".to_owned(), toml::Table::from_iter([(name, hash_of(file)?.into())]).into()),
     ]))
 }
 
-/// SHA-256 of a file, as hexadecimal digits.
-pub(super) fn hash(path: &Path) -> Result<String, Failure> {
-    let bytes =
-        std::fs::read(path).map_err(|e| Failure::new(Exit::Failed, format!("cannot read {}: {e}", path.display())))?;
-    Ok(Sha256::digest(&bytes).iter().map(|byte| format!("{byte:02x}")).collect())
+/// SHA-256 of a file.
+pub(super) fn hash_of(path: &Path) -> Result<String, Failure> {
+    hash::of_file(path).map_err(|e| Failure::new(Exit::Failed, format!("cannot read {}: {e}", path.display())))
 }
 
 /// Pictures without a board, one line each.

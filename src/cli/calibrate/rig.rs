@@ -310,7 +310,7 @@ fn shared_pictures(draft: &Draft, searched: &[SearchedPicture]) -> Result<Option
     let Some(of_lens) = of_lens else { return Ok(None) };
     let mut names = Vec::new();
     for picture in searched.iter().filter(|picture| picture.images.is_ok()) {
-        let hash = pictures::hash(&picture.path)?;
+        let hash = pictures::hash_of(&picture.path)?;
         if of_lens.values().any(|known| known.as_str() == Some(&hash)) {
             names.push(picture.name.as_str());
         }

@@ -2,10 +2,10 @@
 
 use super::super::calibrate::{can_be_written, left_out, save};
 use super::{Exit, Failure};
+use crate::archive::hash;
 use crate::calibrate::geometry::Parameter;
 use crate::rig::Draft;
 use crate::rig::formats::Format;
-use sha2::{Digest as _, Sha256};
 use std::path::PathBuf;
 use std::str::FromStr;
 
@@ -78,12 +78,12 @@ pub(super) fn run(args: &ImportArgs, note: impl Fn(&str)) -> Result<(), Failure>
         }
         None => Draft::of_camera(camera),
     };
-    let hash: String = Sha256::digest(text.as_bytes()).iter().map(|byte| format!("{byte:02x}")).collect();
+    let sha256 = hash::of_bytes(text.as_bytes());
     let file = args.file.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let mut provenance = toml::Table::from_iter([
         ("made_by".to_owned(), format!("catoptra {} rig import", env!("CARGO_PKG_VERSION")).into()),
         ("format".to_owned(), format.to_string().into()),
-        ("inputs_sha256".to_owned(), toml::Table::from_iter([(file, hash.into())]).into()),
+        ("inputs_sha256".to_owned(), toml::Table::from_iter([(file, sha256.into())]).into()),
     ]);
     if let Some(Deviations(sd)) = &args.sd {
         let n = Parameter::of_lens(&draft.camera.lens).len();
