@@ -119,6 +119,8 @@ pub(crate) mod vetoes;
 
 mod catch_panic;
 
+mod median;
+
 #[doc(hidden)]
 pub mod fuzz;
 

@@ -4,6 +4,7 @@ use super::output::{is_free, print, save};
 use super::progress::Progress;
 use super::{Failure, interrupt};
 use crate::catheter::Catheter;
+use crate::median::upper_median;
 use crate::report::plan as page;
 use crate::rig::Rig;
 use crate::simulate::Mount;
@@ -43,18 +44,12 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     if quiet { Ok(()) } else { print(&format!("{}\nwritten: {}\n", summary(&name, &plan), args.out.display())) }
 }
 
-fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
-    let mut values: Vec<f64> = values.collect();
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied()
-}
-
 fn summary(name: &str, plan: &Plan) -> String {
     let seen = plan.poses.iter().filter(|pose| pose.is_seen()).count();
     let mut text = format!("{name}: {seen} of {} shapes are seen in all views\n\n", plan.poses.len());
     // Writing into text cannot fail.
     for (k, view) in plan.rig.views.iter().enumerate() {
-        let scale = median(plan.poses.iter().filter_map(|pose| pose.views.get(k)?.as_ref().ok().copied()));
+        let scale = upper_median(plan.poses.iter().filter_map(|pose| pose.views.get(k)?.as_ref().ok().copied()));
         let unseen = plan.poses.iter().filter_map(|pose| pose.views.get(k)?.as_ref().err());
         let mut reasons: Vec<(String, usize)> = Vec::new();
         for why in unseen.map(ToString::to_string) {
@@ -67,7 +62,7 @@ fn summary(name: &str, plan: &Plan) -> String {
         let scale = scale.map_or_else(|| "sees none of them".to_owned(), |px| format!("{px:.2} px/mm"));
         let _ = writeln!(text, "  view {:<10} {scale}{reasons}", view.name);
     }
-    let noise = |of: &dyn Fn(&Planned) -> Option<f64>| median(plan.poses.iter().filter_map(of));
+    let noise = |of: &dyn Fn(&Planned) -> Option<f64>| upper_median(plan.poses.iter().filter_map(of));
     let formatted = |value: Option<f64>, scale: f64, unit: &str| {
         value.map_or_else(|| "-".to_owned(), |v| format!("{:.3}{unit}", v * scale))
     };
@@ -85,8 +80,8 @@ fn summary(name: &str, plan: &Plan) -> String {
         let b = noise(&|pose| pose.video.as_ref().ok().map(of));
         let _ = writeln!(text, "  {name:<22} {:>12} {:>12}", formatted(a, 1.0, "°"), formatted(b, 1.0, "°"));
     }
-    let theta = median(plan.poses.iter().filter_map(|pose| Some(pose.calibration?.0)));
-    let tip = median(plan.poses.iter().filter_map(|pose| Some(pose.calibration?.1)));
+    let theta = upper_median(plan.poses.iter().filter_map(|pose| Some(pose.calibration?.0)));
+    let tip = upper_median(plan.poses.iter().filter_map(|pose| Some(pose.calibration?.1)));
     let _ = writeln!(
         text,
         "\n  by the calibration: θ {}, tip {} ({})",

@@ -4,6 +4,7 @@ use super::calibration::set_up::{ends, met};
 use super::chart::{self, CURVE, INK, PALETTE, css, css_faint, rounded};
 use super::html::escape;
 use super::page::{self, card, facts_table, figure, picture, table};
+use crate::median::upper_median;
 use crate::optics::Surface;
 use crate::simulate::plan::{CalibrationErrorSource, Noise, Plan, Planned};
 use image::codecs::jpeg::JpegEncoder;
@@ -29,12 +30,6 @@ pub(crate) fn of_calibration(plan: &Plan) -> String {
     }
 }
 
-fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
-    let mut values: Vec<f64> = values.filter(|v| v.is_finite()).collect();
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied()
-}
-
 fn formatted(value: Option<f64>, scale: f64, digits: usize) -> String {
     value.map_or_else(|| "–".to_owned(), |v| format!("{:.digits$}", v * scale))
 }
@@ -42,7 +37,9 @@ fn formatted(value: Option<f64>, scale: f64, digits: usize) -> String {
 /// The page.
 pub(crate) fn page(name: &str, plan: &Plan) -> String {
     let seen = plan.poses.iter().filter(|pose| pose.is_seen()).count();
-    let of = |get: &dyn Fn(&Planned) -> Option<f64>| median(plan.poses.iter().filter_map(get));
+    let of = |get: &dyn Fn(&Planned) -> Option<f64>| {
+        upper_median(plan.poses.iter().filter_map(get).filter(|v| v.is_finite()))
+    };
     let tip = |noise: &Result<Noise, String>| noise.as_ref().ok()?.place_m.last().copied();
     let theta = |noise: &Result<Noise, String>| Some(noise.as_ref().ok()?.theta_rad.to_degrees());
     let scales: Vec<String> = plan

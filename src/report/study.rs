@@ -6,8 +6,9 @@ use super::chart::{self, CURVE, css, rounded};
 use super::html::{Html, escape};
 use super::page::{self, card, facts_table, figure, plural, table};
 use crate::archive::study::{Run, Study};
-use crate::archive::unusual::{UnusualRun, median, missed_percent};
+use crate::archive::unusual::{UnusualRun, missed_percent};
 use crate::archive::{Measured, Outcome};
+use crate::median::median;
 use plotly::common::{Line, Marker, Mode};
 use plotly::layout::HoverMode;
 use plotly::{Plot, Scatter};
@@ -135,9 +136,9 @@ fn group(name: &str, study: &Study, standing: &BTreeSet<usize>, of: &dyn Fn(&Run
     }
     let row = |(value, runs): (&String, &Vec<(usize, &Run)>)| {
         let measured = || runs.iter().filter_map(|(_, run)| run.summary.measured.as_ref());
-        let median = |get: &dyn Fn(&Measured) -> Option<f64>, digits: usize| {
-            let values: Vec<f64> = measured().filter_map(get).filter(|v| v.is_finite()).collect();
-            if values.is_empty() { "–".to_owned() } else { format!("{:.digits$}", median(values)) }
+        let middle = |get: &dyn Fn(&Measured) -> Option<f64>, digits: usize| {
+            let values = measured().filter_map(get).filter(|v| v.is_finite());
+            median(values).map_or("–".to_owned(), |v| format!("{v:.digits$}"))
         };
         let end = |pick: fn(f64, f64) -> f64, get: fn(&Measured) -> Option<f64>| {
             measured().filter_map(get).reduce(pick).map_or("–".to_owned(), |v| format!("{v:.1}°"))
@@ -150,9 +151,9 @@ fn group(name: &str, study: &Study, standing: &BTreeSet<usize>, of: &dyn Fn(&Run
             runs.len().to_string().into(),
             failed.to_string().into(),
             out.to_string().into(),
-            median(&|m| m.theta.sd_deg, 3).into(),
-            median(&missed_percent, 2).into(),
-            median(&Measured::largest_rms_px, 3).into(),
+            middle(&|m| m.theta.sd_deg, 3).into(),
+            middle(&missed_percent, 2).into(),
+            middle(&Measured::largest_rms_px, 3).into(),
             alarms.to_string().into(),
             format!("{} to {}", end(f64::min, |m| m.theta.min_deg), end(f64::max, |m| m.theta.max_deg)).into(),
         ]

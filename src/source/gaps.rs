@@ -137,7 +137,7 @@ impl GapCounter {
                 return Rhythm::Steady { period_ns };
             }
         }
-        let Some(median_ns) = self.median_ns().filter(|_| count >= MIN_STEPS) else {
+        let Some(median_ns) = self.lower_median_ns().filter(|_| count >= MIN_STEPS) else {
             return Rhythm::Unknown;
         };
         if !self.is_regular(median_ns) {
@@ -158,8 +158,8 @@ impl GapCounter {
         self.steps_ns.len()
     }
 
-    /// The lower median: among few steps, a gap is less likely than a regular step.
-    fn median_ns(&self) -> Option<f64> {
+    /// Of an even count, the lower of the two in the middle: among few steps, a gap is less likely than a regular step.
+    fn lower_median_ns(&self) -> Option<f64> {
         let mut sorted: Vec<i64> = self.steps_ns.iter().copied().collect();
         sorted.sort_unstable();
         sorted.get(sorted.len().saturating_sub(1) / 2).map(|&m| m as f64)

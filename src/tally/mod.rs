@@ -12,6 +12,7 @@ mod drift;
 pub use drift::{Drift, DriftAlarm, Drifted};
 
 use crate::estimate::{Estimate, Miss, Spot, Tick};
+use crate::median::median;
 use crate::rig::Rig;
 
 /// Camera time between reports of the totals.
@@ -325,14 +326,14 @@ impl Tally {
 impl MarkerTally {
     /// Median σ of a coordinate, mm.
     pub fn median_sd_mm(&self) -> Option<f64> {
-        median(&self.sd_mm)
+        median(self.sd_mm.iter().copied().map(f64::from))
     }
 }
 
 impl AngleTally {
     /// Median σ, degrees.
     pub fn median_sd_deg(&self) -> Option<f64> {
-        median(&self.sd_deg)
+        median(self.sd_deg.iter().copied().map(f64::from))
     }
 }
 
@@ -357,18 +358,6 @@ fn push_finite(list: &mut Vec<f32>, value: f64) {
     if value.is_finite() {
         list.push(value as f32);
     }
-}
-
-fn median(values: &[f32]) -> Option<f64> {
-    let mut sorted = values.to_vec();
-    let middle = sorted.len().checked_sub(1)? / 2;
-    let (_, low, above) = sorted.select_nth_unstable_by(middle, f32::total_cmp);
-    let low = f64::from(*low);
-    if values.len() % 2 == 1 {
-        return Some(low);
-    }
-    let high = above.iter().copied().min_by(f32::total_cmp)?;
-    Some((low + f64::from(high)) / 2.0)
 }
 
 #[cfg(test)]
@@ -423,13 +412,6 @@ mod tests {
         tally.add(&estimate);
         assert!(tally.misses().is_empty() && tally.complete == 1);
         assert_eq!(tally.totals().misses.len(), 1);
-    }
-
-    #[test]
-    fn medians_of_odd_even_and_none() {
-        assert_eq!(median(&[3.0, 1.0, 2.0]), Some(2.0));
-        assert_eq!(median(&[4.0, 1.0, 3.0, 2.0]), Some(2.5));
-        assert_eq!(median(&[]), None);
     }
 
     #[test]

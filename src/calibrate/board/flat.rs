@@ -1,5 +1,6 @@
 //! A flat board in a picture, ignoring lens distortion: the homography from points on it to pixels.
 
+use crate::median::upper_median;
 use nalgebra::{DMatrix, Matrix2, Matrix3, Point2, Vector2, Vector3};
 
 /// Points with a smaller extent in one direction (RMS, squares) are in a line.
@@ -60,7 +61,7 @@ fn scatter(points: impl Iterator<Item = Point2<f64>> + Clone) -> (Vector2<f64>, 
     (mean, off.map(|d| d * d.transpose()).sum::<Matrix2<f64>>() / count)
 }
 
-pub(super) fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
+/// The upper median; NaN of none, which passes no comparison.
+pub(super) fn median_or_nan(values: impl IntoIterator<Item = f64>) -> f64 {
+    upper_median(values).unwrap_or(f64::NAN)
 }

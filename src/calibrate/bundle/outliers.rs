@@ -1,5 +1,6 @@
 //! Residuals of each picture, and which picture is inconsistent with the others.
 
+use crate::median::upper_median;
 use nalgebra::{Isometry3, Point2, Vector2};
 
 /// A picture is left out if its RMS residual is this many times that of the median picture and also exceeds this many
@@ -68,9 +69,7 @@ pub(crate) fn rms(residuals: impl Iterator<Item = Vector2<f64>>) -> f64 {
 
 /// The picture that fits much worse than the others.
 pub(crate) fn worst_picture(pictures: &[UsedPicture]) -> Option<(usize, LeftOut)> {
-    let mut sorted: Vec<f64> = pictures.iter().map(UsedPicture::rms_px).collect();
-    sorted.sort_by(f64::total_cmp);
-    let median_px = *sorted.get(sorted.len() / 2)?;
+    let median_px = upper_median(pictures.iter().map(UsedPicture::rms_px))?;
     let (index, rms_px) = pictures.iter().map(UsedPicture::rms_px).enumerate().max_by(|a, b| a.1.total_cmp(&b.1))?;
     let off = rms_px > OUTLIER.0 * median_px && rms_px > OUTLIER.1;
     off.then_some((index, LeftOut::Off { rms_px, median_px }))

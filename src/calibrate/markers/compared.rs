@@ -1,5 +1,6 @@
 //! Which of two rigs explains the same frames better.
 
+use crate::median::upper_median;
 use crate::rig::Rig;
 use crate::source::Frame;
 use crate::track::{TrackOptions, Tracker};
@@ -55,9 +56,7 @@ impl<'a> Compared<'a> {
 
 /// The values, the largest reduced, so that each has a bounded influence on their mean.
 pub(super) fn clipped(values: &[f64]) -> Vec<f64> {
-    let mut sizes: Vec<f64> = values.iter().map(|value| value.abs()).collect();
-    sizes.sort_by(f64::total_cmp);
-    let limit = CLIPPED * sizes.get(sizes.len() / 2).copied().unwrap_or(0.0);
+    let limit = CLIPPED * upper_median(values.iter().map(|value| value.abs())).unwrap_or(0.0);
     values.iter().map(|value| value.clamp(-limit, limit)).collect()
 }
 

@@ -5,6 +5,7 @@
 
 use super::locate::pixels::{Pixels, Yuv};
 use crate::estimate::{BandObservation, Estimate};
+use crate::median::upper_median;
 use crate::rig::Rig;
 use crate::source::Frame;
 use nalgebra::Vector2;
@@ -58,17 +59,16 @@ pub(super) fn contradicted(rig: &Rig, frames: &[Frame], estimates: &[Estimate]) 
             }
         }
     }
-    let judged = |ratios: &mut Vec<f64>, band: Option<String>, given_m: f64| {
-        ratios.sort_by(f64::total_cmp);
-        let ratio = *ratios.get(ratios.len() / 2)?;
+    let judged = |ratios: Vec<f64>, band: Option<String>, given_m: f64| {
+        let ratio = upper_median(ratios)?;
         (!(PLAUSIBLE_RATIO.0..PLAUSIBLE_RATIO.1).contains(&ratio)).then_some(ContradictedDimension {
             band,
             given_m,
             seen_m: given_m * ratio,
         })
     };
-    let tube = judged(&mut widths, None, rig.catheter.diameter_m);
-    let bands = rig.markers.iter().zip(&mut lengths);
+    let tube = judged(widths, None, rig.catheter.diameter_m);
+    let bands = rig.markers.iter().zip(lengths);
     let bands = bands.filter_map(|(marker, ratios)| judged(ratios, Some(marker.name.clone()), marker.length_m));
     tube.into_iter().chain(bands).collect()
 }

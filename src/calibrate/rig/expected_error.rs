@@ -19,6 +19,7 @@ use crate::calibrate::bundle::prior::Prior;
 use crate::calibrate::bundle::{Corner, Solution};
 use crate::calibrate::geometry::{Geometry, Parameter, Projector};
 use crate::calibrate::least_squares::{Equations, Loss, Row};
+use crate::median::upper_median_and_largest;
 use nalgebra::{DMatrix, Isometry3, Matrix3, Matrix3xX, Point3, Translation3, UnitQuaternion, Vector3};
 
 /// Points along each side of the working volume.
@@ -69,7 +70,7 @@ pub struct Verdict {
 impl Verdict {
     /// Median and largest of one kind of error over the volume.
     pub fn median_and_worst(&self, of: impl Fn(&Expected) -> f64) -> (f64, f64) {
-        median_and_worst(self.expected.iter().map(of).collect())
+        upper_median_and_largest(self.expected.iter().map(of).collect())
     }
 
     /// The box of points evaluated: its lowest and its highest corner, camera frame, metres.
@@ -103,12 +104,6 @@ fn best_of_each(all: &[Suggestion], error: impl Fn(&Suggestion) -> f64) -> Vec<&
     kept
 }
 
-fn median_and_worst(mut values: Vec<f64>) -> (f64, f64) {
-    values.sort_by(f64::total_cmp);
-    let at = |i: usize| values.get(i).copied().unwrap_or(f64::NAN);
-    (at(values.len() / 2), at(values.len().saturating_sub(1)))
-}
-
 /// Sensitivity of points to errors of the parameters.
 struct Volume {
     places: Vec<Point3<f64>>,
@@ -126,7 +121,7 @@ pub fn verdict(solution: &Solution, corners: &[Corner], board: &[Point3<f64>]) -
     let filled: Vec<Point3<f64>> = corners.iter().map(|c| solution.poses[c.picture] * c.place).collect();
     let volume = Volume::of(&solution.geometry, &solution.free, &grid(&filled))?;
     let medians = |covariance: &DMatrix<f64>| {
-        let median = |k: &DMatrix<f64>| median_and_worst(spreads(k, covariance)).0;
+        let median = |k: &DMatrix<f64>| upper_median_and_largest(spreads(k, covariance)).0;
         (median(&volume.absolute), median(&volume.relative))
     };
     let expected = volume
@@ -155,7 +150,7 @@ pub fn verdict(solution: &Solution, corners: &[Corner], board: &[Point3<f64>]) -
         expected,
         pixel_sd_px: solution.corner_sd_px,
         weakest: volume.weakest(&solution.covariance),
-        angle_rad: median_and_worst(volume.turns(&solution.covariance)),
+        angle_rad: upper_median_and_largest(volume.turns(&solution.covariance)),
         helpful,
     })
 }

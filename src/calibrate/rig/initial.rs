@@ -11,6 +11,7 @@
 
 use crate::calibrate::board::{Board, BoardImage};
 use crate::calibrate::bundle::pose::pose_from_opencv;
+use crate::median::upper_median;
 use crate::optics::Lens;
 use nalgebra::{Isometry3, Point2, Point3, Vector3};
 use opencv::calib3d;
@@ -291,7 +292,5 @@ fn plane(members: &[&Reflection]) -> (Vector3<f64>, f64) {
 /// Mean normal and median offset of planes.
 pub(super) fn mirrors_alike(planes: &[(Vector3<f64>, f64)]) -> (Vector3<f64>, f64) {
     let normal = planes.iter().map(|p| p.0).sum::<Vector3<f64>>().normalize();
-    let mut offsets: Vec<f64> = planes.iter().map(|p| p.1).collect();
-    offsets.sort_by(f64::total_cmp);
-    (normal, offsets.get(offsets.len() / 2).copied().unwrap_or_default())
+    (normal, upper_median(planes.iter().map(|p| p.1)).unwrap_or_default())
 }

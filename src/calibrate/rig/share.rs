@@ -15,6 +15,7 @@
 
 use super::expected_error::answer;
 use crate::calibrate::geometry::{Geometry, Parameter, Projector};
+use crate::median::upper_median_and_largest;
 use crate::rig::Draft;
 use nalgebra::{DMatrix, Matrix3xX, Point3, Vector3};
 
@@ -89,11 +90,7 @@ pub(crate) fn share(rig: &Draft, poses: &[Pose]) -> Result<Share, NoShare> {
     if each.is_empty() {
         return Err(NoShare::Place);
     }
-    let over = |which: usize| {
-        let mut values: Vec<f64> = each.iter().map(|both| both[which]).collect();
-        values.sort_by(f64::total_cmp);
-        (values[values.len() / 2], values[values.len() - 1])
-    };
+    let over = |which: usize| upper_median_and_largest(each.iter().map(|both| both[which]).collect());
     Ok(Share { theta_rad: over(0), tip_m: over(1), outside_m: outside_m(rig, poses) })
 }
 

@@ -8,6 +8,7 @@ use crate::calibrate::geometry::{Geometry, Parameter};
 use crate::calibrate::rig::RigCalibration;
 use crate::calibrate::rig::diagnostics::{CONTRADICTION_SD, contradiction};
 use crate::calibrate::rig::held_out::{HeldOut, Length, LengthErrors};
+use crate::median::upper_median;
 use nalgebra::DMatrix;
 
 fn surface_name(geometry: &Geometry, surface: usize) -> &str {
@@ -219,8 +220,6 @@ fn row(name: &str, edges: &[Length], diagonals: &[Length], scale: Option<f64>, r
         value_m.filter(|v| v.is_finite()).map_or(Html::from("–"), |v| format!("{:.3}", v * 1e3).into())
     };
     let (edges, diagonals) = (LengthErrors::of(edges), LengthErrors::of(diagonals));
-    let mut sorted = rays_m.to_vec();
-    sorted.sort_by(f64::total_cmp);
     vec![
         Html::from(name),
         mm(edges.map(|o| o.rms_m)),
@@ -229,7 +228,7 @@ fn row(name: &str, edges: &[Length], diagonals: &[Length], scale: Option<f64>, r
         mm(diagonals.map(|o| o.rms_m)),
         mm(diagonals.map(|o| o.noise_m)),
         scale.map_or("–".into(), |scale| signed(scale * 100.0, 3).into()),
-        mm(sorted.get(sorted.len() / 2).copied()),
-        mm(sorted.last().copied()),
+        mm(upper_median(rays_m.iter().copied())),
+        mm(rays_m.iter().copied().max_by(f64::total_cmp)),
     ]
 }

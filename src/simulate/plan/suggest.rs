@@ -4,6 +4,7 @@
 use super::super::mount::Mount;
 use super::super::scene::in_picture;
 use super::Planned;
+use crate::median::upper_median;
 use crate::optics::{Mirror, OpticalPath, Plane, Surface};
 use crate::rig::Rig;
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Unit, Vector3};
@@ -124,9 +125,9 @@ fn turned(rig: &Rig, name: &str, mirror: &Mirror, shown: &Point3<f64>, angle_rad
 impl Other {
     /// Median of σ of the tip over the shapes of which all views show it, for noise of one pixel, metres; and how many.
     fn judged(&self, tips: &[Point3<f64>]) -> Option<(f64, usize)> {
-        let mut found: Vec<f64> = tips.iter().filter_map(|tip| self.spread_m(&(self.moved * tip))).collect();
-        found.sort_by(f64::total_cmp);
-        Some((found.get(found.len() / 2).copied()?, found.len()))
+        let found: Vec<f64> = tips.iter().filter_map(|tip| self.spread_m(&(self.moved * tip))).collect();
+        let count = found.len();
+        Some((upper_median(found)?, count))
     }
 
     fn spread_m(&self, tip: &Point3<f64>) -> Option<f64> {

@@ -7,7 +7,7 @@ use opencv::core::Mat;
 
 use crate::calibrate::board::charuco::layout::Layout;
 use crate::calibrate::board::charuco::markers::Marker;
-use crate::calibrate::board::flat::{homography, map, median};
+use crate::calibrate::board::flat::{homography, map, median_or_nan};
 use crate::calibrate::board::grey::Grey;
 use crate::calibrate::board::search::{WINDOW, WINDOW_PX, refined};
 
@@ -102,7 +102,7 @@ impl Search<'_> {
 
     /// Median contrast of the markers.
     fn contrast(&self) -> f64 {
-        median(self.markers.iter().map(|marker| marker.contrast).collect())
+        median_or_nan(self.markers.iter().map(|marker| marker.contrast))
     }
 
     /// Whether the squares around a corner alternate between dark and light as on the board. `moved`: its distance from

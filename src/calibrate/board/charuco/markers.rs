@@ -10,7 +10,7 @@ use opencv::imgproc;
 use opencv::prelude::*;
 
 use crate::calibrate::board::charuco::dictionary::Dictionary;
-use crate::calibrate::board::flat::{homography, map, median};
+use crate::calibrate::board::flat::{homography, map, median_or_nan};
 use crate::calibrate::board::grey::Grey;
 use crate::calibrate::board::search::SEEN_PX;
 
@@ -184,7 +184,7 @@ impl Quad {
             [(at, -off), (at, n + off), (-off, at), (n + off, at)]
         });
         let outside: Vec<f64> = outside.map(|(x, y)| grey(x, y)).collect::<Option<_>>()?;
-        let (dark, light) = (median(rim.clone()), median(outside.clone()));
+        let (dark, light) = (median_or_nan(rim.iter().copied()), median_or_nan(outside.iter().copied()));
         let limit = (dark + light) / 2.0;
         let unclean = |greys: &[f64], wrong: &dyn Fn(f64) -> bool| {
             greys.iter().filter(|grey| wrong(**grey)).count() as f64 > MAX_WRONG_CELLS * greys.len() as f64

@@ -4,7 +4,7 @@ use crate::calibrate::board::charuco::dictionary::Dictionary;
 use crate::calibrate::board::charuco::layout::Layout;
 use crate::calibrate::board::charuco::markers::{Marker, Quad};
 use crate::calibrate::board::charuco::{MIN_CORNERS, read};
-use crate::calibrate::board::flat::{homography, map, median};
+use crate::calibrate::board::flat::{homography, map, median_or_nan};
 use crate::calibrate::board::grey::Grey;
 use crate::calibrate::board::judge::Flaw;
 
@@ -201,8 +201,8 @@ impl Evidence<'_> {
             let around = corners.iter().zip(corners.iter().cycle().skip(1));
             ratios.extend(around.map(|(a, b)| (b - a).norm()));
         }
-        let (found, asked) = (median(ratios), self.layout.marker);
-        let pixel = median(image.iter().map(|marker| asked / marker.side_px()).collect());
+        let (found, asked) = (median_or_nan(ratios), self.layout.marker);
+        let pixel = median_or_nan(image.iter().map(|marker| asked / marker.side_px()));
         (image.len() >= MIN_MARKERS && (found - asked).abs() > SIZE_TOLERANCE * asked + pixel).then_some(found)
     }
 

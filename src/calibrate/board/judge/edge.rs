@@ -2,7 +2,7 @@
 
 use nalgebra::Point2;
 
-use crate::calibrate::board::flat::median;
+use crate::calibrate::board::flat::median_or_nan;
 use crate::calibrate::board::judge::Grid;
 
 /// Steps of a profile across an edge.
@@ -14,7 +14,7 @@ impl Grid<'_> {
     pub(crate) fn edge_px(&self) -> f64 {
         let widths = |aside: usize, below: usize| {
             let width = |(c, r)| self.width_px((c, r), (c + aside, r + below));
-            median(self.squares().filter_map(width).collect())
+            median_or_nan(self.squares().filter_map(width))
         };
         widths(1, 0).max(widths(0, 1))
     }

@@ -4,7 +4,7 @@ mod edge;
 
 use nalgebra::{Matrix3, Point2, Vector2};
 
-use crate::calibrate::board::flat::{homography, map, median};
+use crate::calibrate::board::flat::{homography, map, median_or_nan};
 use crate::calibrate::board::grey::Grey;
 
 /// A homography must fit the corners to this fraction of a square (RMS): distortion bends a board no more than that.
@@ -206,7 +206,7 @@ impl<'a> Grid<'a> {
     /// Side of a square: median of all sides, pixels.
     pub(crate) fn square_px(&self) -> f64 {
         let sides = self.squares().filter_map(|(c, r)| self.square(c, r));
-        median(sides.flat_map(|[corner, aside, _, below]| [(aside - corner).norm(), (below - corner).norm()]).collect())
+        median_or_nan(sides.flat_map(|[corner, aside, _, below]| [(aside - corner).norm(), (below - corner).norm()]))
     }
 
     /// Puts the corners in the order that [`super::BoardImage`] describes.
@@ -363,7 +363,7 @@ impl<'a> Grid<'a> {
         if steps.is_empty() {
             return Err(Flaw::Scattered);
         }
-        let middle = median(steps.iter().map(|s| s.0).collect());
+        let middle = median_or_nan(steps.iter().map(|s| s.0));
         match steps.iter().find(|s| s.0 * middle <= 0.0) {
             Some((_, column, row)) => Err(Flaw::Colours { column: *column, row: *row }),
             None if middle.abs() < MIN_CONTRAST => Err(Flaw::Faint { contrast: middle.abs() }),

@@ -19,6 +19,7 @@ pub(crate) use template::BandMatch;
 #[cfg(test)]
 pub(crate) use template::Size;
 
+use crate::median::upper_median;
 use crate::rig::Rig;
 use between::tube_between;
 use candidates::{Candidate, Search, px_per_m};
@@ -139,11 +140,7 @@ fn scales(rig: &Rig, clicks: &[Vec<Near>]) -> Option<Vec<f64>> {
         let seen: Vec<Point3<f64>> = depths.collect();
         points.extend(seen.get(seen.len() / 2));
     }
-    let scale = |view: usize| {
-        let mut scales: Vec<f64> = points.iter().filter_map(|point| px_per_m(&rig.views[view], point)).collect();
-        scales.sort_by(f64::total_cmp);
-        scales.get(scales.len() / 2).copied()
-    };
+    let scale = |view: usize| upper_median(points.iter().filter_map(|point| px_per_m(&rig.views[view], point)));
     (0..rig.views.len()).map(scale).collect()
 }
 

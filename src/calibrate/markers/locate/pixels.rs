@@ -1,5 +1,6 @@
 //! A picture as colours at pixels, and how different two colours are.
 
+use crate::median::upper_median;
 use crate::source::Picture;
 use nalgebra::{Point2, Vector2, Vector3};
 
@@ -59,11 +60,8 @@ impl Pixels {
             }
         }
         [luma, chroma]
-            .map(|mut differences| {
-                differences.sort_by(f64::total_cmp);
-                // The median of |difference| of two normal values is 0.954 σ.
-                differences.get(differences.len() / 2).map_or(0.0, |median| median / 0.954)
-            })
+            // The median of |difference| of two normal values is 0.954 σ.
+            .map(|differences| upper_median(differences).map_or(0.0, |median| median / 0.954))
             .iter()
             .zip(MIN_NOISE)
             .map(|(found, least)| found.max(least))
