@@ -20,7 +20,7 @@ use crate::track::{TrackError, Tracker};
 use std::io;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
-use std::thread::{Builder, ScopedJoinHandle};
+use std::thread::{self, Builder};
 use std::time::{Duration, Instant};
 use tracing::Span;
 
@@ -127,8 +127,8 @@ pub fn run(
         // Without a receiver the source stops at its next frame; without a sender the sinks write what is queued and
         // finish.
         drop((frames, result_in));
-        let (source, source_end) = joined(reader);
-        let (sinks, mut sink_failures) = joined(writer);
+        let (source, source_end) = returned(reader.join());
+        let (sinks, mut sink_failures) = returned(writer.join());
         sink_failures.extend(finish_all(sinks, &tally));
         let end = match (stopped, source_end) {
             (Some(end), _) => end,
@@ -214,9 +214,9 @@ pub(crate) fn finish_all(sinks: Vec<OpenSink>, tally: &Tally) -> Vec<SinkError> 
     sinks.into_iter().filter_map(finish).collect()
 }
 
-/// What a thread returned; a panic is resumed in this thread.
-fn joined<T>(thread: ScopedJoinHandle<'_, T>) -> T {
-    thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+/// What a joined thread returned; a panic is resumed in this thread.
+pub(crate) fn returned<T>(joined: thread::Result<T>) -> T {
+    joined.unwrap_or_else(|panic| std::panic::resume_unwind(panic))
 }
 
 #[cfg(test)]

@@ -38,7 +38,7 @@ pub use switch::{RecordState, RecordSwitch};
 pub use writer::MAX_ROWS;
 
 use crate::estimate::{Estimate, Miss};
-use crate::pipeline::{End, OpenSink, Summary, finish_all};
+use crate::pipeline::{End, OpenSink, Summary, finish_all, returned};
 use crate::sink::{CurrentSample, Sink, SinkError};
 use crate::source::host::HostClock;
 use crate::source::{FrameSource, Picture, SourceError, StreamFaults, Timestamp};
@@ -207,17 +207,17 @@ pub fn run(
     }
     // What is asleep in a driver is not waited for: the process ends soon.
     stop.store(true, Ordering::Relaxed);
-    let taken = camera.is_finished().then(|| joined(camera));
+    let taken = camera.is_finished().then(|| returned(camera.join()));
     let (source_faults, source_end) = taken.unwrap_or_default();
-    let (tracked, controllers) = joined(tracking);
-    currents.into_iter().for_each(joined);
-    let unrecorded = recorder.and_then(joined);
-    let (sinks, mut sink_failures) = joined(writer);
+    let (tracked, controllers) = returned(tracking.join());
+    currents.into_iter().for_each(|thread| returned(thread.join()));
+    let unrecorded = recorder.and_then(|thread| returned(thread.join()));
+    let (sinks, mut sink_failures) = returned(writer.join());
     let (tally, latency) = counters.totals();
     sink_failures.extend(finish_all(sinks, &tally));
     sink_failures.extend(unrecorded);
     finish_all(controllers, &tally).iter().for_each(RowOutputs::report);
-    for sink in publishers.into_iter().filter_map(joined) {
+    for sink in publishers.into_iter().filter_map(|thread| returned(thread.join())) {
         finish_all(vec![(sink, true)], &tally).iter().for_each(Subscribers::report);
     }
     let end = match (tracked, interrupted, source_end) {
@@ -394,9 +394,4 @@ impl Subscribers {
     fn put_current(&self, sample: &CurrentSample) {
         let _ = self.line.try_send(Published::Current(sample.clone()));
     }
-}
-
-/// What a thread returned; its panic goes on in this thread.
-fn joined<T>(thread: JoinHandle<T>) -> T {
-    thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
 }
