@@ -121,6 +121,8 @@ mod catch_panic;
 
 mod median;
 
+mod plural;
+
 #[doc(hidden)]
 pub mod fuzz;
 

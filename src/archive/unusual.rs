@@ -3,6 +3,7 @@
 use super::study::Study;
 use super::{Measured, Outcome};
 use crate::median::median;
+use crate::plural::plural;
 use std::collections::BTreeMap;
 
 /// A run that stands out, and why.
@@ -48,13 +49,13 @@ pub(crate) fn unusual_runs(study: &Study) -> Vec<UnusualRun> {
             continue;
         };
         let counted = [
-            (measured.drift_alarms.len() as u64, "drift alarms"),
-            (measured.lost, "camera frames lost"),
-            (measured.faults.damaged_packets, "damaged packets"),
-            (measured.faults.damaged_pictures, "damaged pictures"),
+            (measured.drift_alarms.len() as u64, "drift alarm", ""),
+            (measured.lost, "camera frame", " lost"),
+            (measured.faults.damaged_packets, "damaged packet", ""),
+            (measured.faults.damaged_pictures, "damaged picture", ""),
         ];
-        let mut why: Vec<String> =
-            counted.iter().filter(|(count, _)| *count > 0).map(|(count, what)| format!("{count} {what}")).collect();
+        let counted = counted.into_iter().filter(|(count, ..)| *count > 0);
+        let mut why: Vec<String> = counted.map(|(count, what, how)| plural(count, what) + how).collect();
         why.extend(summary.ends_early.is_some().then(|| "ends early".to_owned()));
         if !why.is_empty() {
             found.entry(at).or_default().extend(why);
@@ -114,6 +115,6 @@ mod tests {
         study.runs[2].summary.outcome = Outcome::Failed;
         study.runs[2].summary.ends_early = Some("cut off".into());
         let found: Vec<_> = unusual_runs(&study).into_iter().map(|o| (o.run, o.why.join(","))).collect();
-        assert_eq!(found, [(0, "1 drift alarms".to_owned()), (1, "ends early".to_owned())]);
+        assert_eq!(found, [(0, "1 drift alarm".to_owned()), (1, "ends early".to_owned())]);
     }
 }

@@ -7,6 +7,7 @@ use crate::archive::Outcome;
 use crate::archive::study::{Study, StudyError};
 use crate::archive::unusual::unusual_runs;
 use crate::atomic_file;
+use crate::plural::plural;
 use crate::report::study;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -77,7 +78,7 @@ fn failure(error: StudyError) -> Failure {
 }
 
 fn summary(study: &Study, frames: u64, unusual: usize, out: &Path) -> String {
-    let mut text = format!("{} runs, {frames} frames\n", study.runs.len());
+    let mut text = format!("{}, {}\n", plural(study.runs.len(), "run"), plural(frames, "frame"));
     let failed: Vec<_> = study.runs.iter().filter(|run| run.summary.outcome != Outcome::Tracked).collect();
     // Writing to memory cannot fail.
     for run in &failed {

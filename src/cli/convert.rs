@@ -4,6 +4,7 @@ use super::run::Reference;
 use super::{Exit, Failure, output};
 use crate::convert::{ConvertError, Converted, Target, convert};
 use crate::log::LogError;
+use crate::plural::plural;
 use std::io::ErrorKind;
 use std::path::PathBuf;
 
@@ -49,9 +50,9 @@ pub(super) fn run(args: &Args) -> Result<(), Failure> {
 
 fn summary(converted: &Converted) -> String {
     let files: Vec<_> = converted.files.iter().map(|file| file.display().to_string()).collect();
-    let mut text = format!("{}: {} frames", files.join(", "), converted.frames);
+    let mut text = format!("{}: {}", files.join(", "), plural(converted.frames, "frame"));
     if converted.currents > 0 {
-        text += &format!(", currents at {} times", converted.currents);
+        text += &format!(", currents at {}", plural(converted.currents, "time"));
     }
     text += "\n";
     if !converted.left_out.is_empty() {

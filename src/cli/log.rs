@@ -2,6 +2,7 @@
 
 use super::{Exit, Failure, convert, output};
 use crate::log::{Condition, Info, LogError, Repaired, repair};
+use crate::plural::plural;
 use crate::sink::plain_words;
 use crate::source::times::seconds;
 use clap::Subcommand;
@@ -59,11 +60,13 @@ pub(crate) fn run(args: &Args) -> Result<(), Failure> {
         Command::Repair { file } => match repair(file).map_err(failure)? {
             Repaired::WasWhole => output::print(&format!("{}: is complete, nothing to repair\n", file.display())),
             Repaired::Mended { messages, unknown, condition, kept_as } => {
-                let mut text = format!("{}: repaired, {messages} messages recovered\n", file.display());
+                let mut text = format!("{}: repaired, {} recovered\n", file.display(), plural(messages, "message"));
                 damage(&mut text, &condition)
                     .map_err(|e| Failure::new(Exit::Failed, format!("cannot describe the log: {e}")))?;
-                if unknown > 0 {
-                    text += &format!("  {unknown} messages are left out: their topic is unknown\n");
+                match unknown {
+                    0 => {}
+                    1 => text += "  1 message is left out: its topic is unknown\n",
+                    n => text += &format!("  {n} messages are left out: their topic is unknown\n"),
                 }
                 text += &format!("  the broken file is kept as {}\n", kept_as.display());
                 output::print(&text)
@@ -129,7 +132,8 @@ fn describe(out: &mut String, name: &str, info: &Info) -> fmt::Result {
     }
     if let Some((first, last)) = info.span_ns {
         let clock = without_control_characters(info.clock.as_deref().unwrap_or("unknown"));
-        writeln!(out, "\n  {} frames, {:.3} s to {:.3} s, clock {clock}", info.frames, seconds(first), seconds(last))?;
+        let frames = plural(info.frames, "frame");
+        writeln!(out, "\n  {frames}, {:.3} s to {:.3} s, clock {clock}", seconds(first), seconds(last))?;
     } else {
         writeln!(out, "\n  no frame")?;
     }
@@ -137,7 +141,7 @@ fn describe(out: &mut String, name: &str, info: &Info) -> fmt::Result {
         writeln!(out, "  by the host's clock {:.3} s, from {} on", seconds(last - first), date(first))?;
     }
     let (gaps, lost) = info.gaps;
-    writeln!(out, "  {lost} camera frames lost in {gaps} gaps")?;
+    writeln!(out, "  {} lost in {}", plural(lost, "camera frame"), plural(gaps, "gap"))?;
     for (count, what) in
         [(info.rows_missing, "rows are missing"), (info.not_later, "stamps are not later than the one before")]
     {

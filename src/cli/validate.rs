@@ -7,6 +7,7 @@ use super::{Exit, Failure, interrupt, provenance};
 use crate::atomic_file;
 use crate::identify::Plant;
 use crate::identify::saved::Saved;
+use crate::plural::plural;
 use crate::report::validation::{self, ModelLine};
 use crate::series::Recording;
 use crate::validate::{Average, DesiredPath, Interpolation, Observed, Options, ValidateError, Validation, validate};
@@ -86,13 +87,13 @@ fn evaluate(args: &Args, outcome: &Outcome) -> Result<(), Failure> {
     // 1. everything is checked before anything is written
     let runs = args.observed.len();
     if args.pause.len() != runs {
-        let text =
-            format!("{runs} runs and {} pause times: give --pause once for each run, in their order", args.pause.len());
+        let (runs, times) = (plural(runs, "run"), plural(args.pause.len(), "pause time"));
+        let text = format!("{runs} and {times}: give --pause once for each run, in their order");
         return Err(Failure::new(Exit::Usage, text));
     }
     if args.start.len() > 1 && args.start.len() != runs {
-        let text =
-            format!("{runs} runs and {} starts: give --start once for all runs, or once for each", args.start.len());
+        let (runs, starts) = (plural(runs, "run"), plural(args.start.len(), "start"));
+        let text = format!("{runs} and {starts}: give --start once for all runs, or once for each");
         return Err(Failure::new(Exit::Usage, text));
     }
     args.results().check()?;

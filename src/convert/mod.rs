@@ -14,6 +14,7 @@ use crate::log::LogError;
 use crate::log::decoder::MessageDecoder;
 use crate::log::records;
 use crate::log::schema::Topic;
+use crate::plural::plural;
 use crate::sink::{OutputFrame, SinkError};
 use mcap::records::{MessageHeader, Record};
 use prost_reflect::DynamicMessage;
@@ -163,5 +164,5 @@ fn each_message(
 
 /// A line about messages of a topic that are left out.
 fn left_out(topic: &str, messages: u64, why: &str) -> String {
-    format!("{topic}, {messages} messages: {why}")
+    format!("{topic}, {}: {why}", plural(messages, "message"))
 }

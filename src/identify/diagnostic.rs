@@ -218,6 +218,9 @@ impl fmt::Display for Diagnostic {
                  positive; what is given is Tustin's approximation, for low frequencies only"
             ),
             Self::NotReduced { why } => write!(f, "there is no reduced model: {why}"),
+            Self::FewerStates { asked, has: 1 } => {
+                write!(f, "reduced to order {asked}: the full model has only 1 state that matters, and it is kept")
+            }
             Self::FewerStates { asked, has } => write!(
                 f,
                 "reduced to order {asked}: the full model has only {has} states that matter, and they are all kept"

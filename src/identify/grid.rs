@@ -6,6 +6,7 @@
 
 use super::data::{Record, Segment};
 use super::plant::Plant;
+use crate::plural::plural;
 
 /// Largest deviation of an interval from whole periods, in periods.
 const TOLERANCE: f64 = 0.25;
@@ -33,7 +34,7 @@ pub(crate) struct Series {
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub(crate) enum GridError {
     /// Too few samples for a grid.
-    #[error("{name}: has {samples} samples; at least 2 are needed")]
+    #[error("{name}: has {}; at least 2 are needed", plural(*samples, "sample"))]
     TooFew {
         /// The record.
         name: String,

@@ -6,6 +6,7 @@
 use super::grid::{Grid, GridError, Series};
 use super::hold::Held;
 use super::plant::Plant;
+use crate::plural::plural;
 use crate::series::{Current, Recording};
 
 /// Interval, in periods, beyond which frames were lost.
@@ -40,7 +41,7 @@ pub(crate) enum RecordedError {
         name: String,
     },
     /// A coil that does not exist.
-    #[error("{name}: has currents of {coils} coils, and coil {coil} was asked for; they are counted from 0")]
+    #[error("{name}: has currents of {}, and coil {coil} was asked for; they are counted from 0", plural(*coils, "coil"))]
     NoCoil {
         /// The recording or table.
         name: String,

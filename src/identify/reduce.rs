@@ -102,9 +102,8 @@ fn reduce_prompt(model: &Polynomials, how: Reduction) -> Result<Reduced, Identif
         Target::Order(order) => match order.checked_sub(fixed) {
             Some(keep) if order > 0 => keep.min(rank),
             _ => {
-                return Err(not_reduced(format!(
-                    "order {order} asked, and {fixed} states are unstable and must be kept"
-                )));
+                let states = if fixed == 1 { "1 state is".to_owned() } else { format!("{fixed} states are") };
+                return Err(not_reduced(format!("order {order} asked, and {states} unstable and must be kept")));
             }
         },
     };

@@ -4,6 +4,7 @@ use super::chart::{self, CURVE, PALETTE, css, rounded};
 use super::html::escape;
 use super::page::{self, card, facts_table, figure, table};
 use crate::catheter::{Catheter, Followed, Reach, Sensitivity, Shape, Target};
+use crate::plural::plural;
 use nalgebra::Point3;
 use plotly::common::{HoverInfo, Line, Marker, Mode};
 use plotly::layout::{HoverMode, Margin};
@@ -100,7 +101,7 @@ pub(crate) fn follow_page(
         card(
             "Largest current",
             format!("{:.1} mA", peak_a * 1e3),
-            format!("{at_limit} points at the limit"),
+            format!("{} at the limit", plural(at_limit, "point")),
             at_limit > 0,
         ),
     ];

@@ -7,6 +7,7 @@ use super::html::escape;
 use super::page::{self, card, facts_table, figure, table};
 use super::timeline::Timeline;
 use crate::excite::{Change, Clipped, Signal, Spectrum};
+use crate::plural::plural;
 use plotly::common::{DashType, Line, Mode};
 use plotly::layout::{AxisType, HoverMode, Shape, ShapeLayer, ShapeLine, ShapeType};
 use plotly::{Plot, Scatter};
@@ -50,7 +51,8 @@ pub(crate) fn clipped_words(clipped: &Clipped) -> String {
         Change::Slew => "limit of slew",
     };
     format!(
-        "{limit}: {samples} samples changed, from {first_s:.3} s to {last_s:.3} s, by up to {:.1} mA",
+        "{limit}: {} changed, from {first_s:.3} s to {last_s:.3} s, by up to {:.1} mA",
+        plural(*samples, "sample"),
         largest_a * 1e3
     )
 }

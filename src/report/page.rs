@@ -79,10 +79,6 @@ pub(super) fn signed(value: f64, digits: usize) -> String {
     if zero { text.trim_start_matches(['+', '-']).to_owned() } else { text.replace('-', "−") }
 }
 
-pub(super) fn plural(n: u64, word: &str) -> String {
-    if n == 1 { format!("1 {word}") } else { format!("{n} {word}s") }
-}
-
 /// A page around `body`. `title` is text, `body` HTML.
 pub(super) fn page(title: &str, body: &str) -> String {
     parts(&escape(title), body).concat()

@@ -4,11 +4,12 @@
 
 use super::chart::{self, CURVE, css, rounded};
 use super::html::{Html, escape};
-use super::page::{self, card, facts_table, figure, plural, table};
+use super::page::{self, card, facts_table, figure, table};
 use crate::archive::study::{Run, Study};
 use crate::archive::unusual::{UnusualRun, missed_percent};
 use crate::archive::{Measured, Outcome};
 use crate::median::median;
+use crate::plural::plural;
 use plotly::common::{Line, Marker, Mode};
 use plotly::layout::HoverMode;
 use plotly::{Plot, Scatter};
@@ -44,7 +45,7 @@ pub(crate) fn page(
         card("Frames", frames.to_string(), format!("{hours:.2} hours of recording"), false),
         card("θ known", format!("{share:.2} %"), "of all frames", false),
         card("Drift alarms", alarms.to_string(), "the rig is not as calibrated", alarms > 0),
-        card("Stand out", unusual.len().to_string(), plural(unusual.len() as u64, "run"), !unusual.is_empty()),
+        card("Stand out", unusual.len().to_string(), plural(unusual.len(), "run"), !unusual.is_empty()),
     ];
     body += &format!("<dl class=\"key\">\n{}</dl>\n", cards.concat());
     body += &failures(study, folder);

@@ -4,6 +4,7 @@ use super::view_check::{ClosestApproach, ViewCheck};
 use super::walk::grid;
 use super::{Base, Draft, Marker, View, polygon};
 use crate::optics::Surface;
+use crate::plural::plural;
 use nalgebra::{Point2, Point3};
 use std::fmt;
 
@@ -118,8 +119,9 @@ impl fmt::Display for Warning {
         match self {
             Self::RoundTrip { view, lost, max_error_px } => write!(
                 f,
-                "view {view}: pixels do not come back to themselves ({lost} points lost, largest error {max_error_px:.1e} \
-                 px): do not measure with this rig"
+                "view {view}: pixels do not come back to themselves ({} lost, largest error {max_error_px:.1e} px): do \
+                 not measure with this rig",
+                plural(*lost, "point")
             ),
             Self::PartlyBlind { view, without_ray, pixels } => {
                 write!(f, "view {view}: {without_ray} of {pixels} grid pixels have no ray; check surfaces and region")

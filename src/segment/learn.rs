@@ -11,6 +11,7 @@
 //! A model is one plane, or the few that together make the fewest mistakes, chosen greedily. Samples that neither was
 //! learned from decide between the two; separations are also reported for such samples.
 
+use crate::plural::plural;
 use crate::rig::{ColourModel, ColourPlane};
 use nalgebra::{Matrix3, Vector3};
 
@@ -77,7 +78,7 @@ impl Separation {
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum LearnError {
     /// Not enough samples of a class.
-    #[error("class `{name}` has {found} samples, expected at least {MIN_SAMPLES}")]
+    #[error("class `{name}` has {}, expected at least {MIN_SAMPLES}", plural(*found, "sample"))]
     TooFew {
         /// The class.
         name: String,

@@ -16,6 +16,7 @@ use crate::log::ros2::messages::{
     CameraInfo, DiagnosticArray, JointState, MarkerArray, PoseWithCovarianceStamped, TFMessage, TimeReference,
 };
 use crate::log::ros2::{Qos, RosType};
+use crate::plural::plural;
 use crate::rig::Rig;
 use crate::source::Picture;
 use crate::tally::{Tally, Totals};
@@ -189,7 +190,7 @@ impl Sink for RosSink {
     fn finish(&mut self, tally: &Tally) -> Result<(), SinkError> {
         self.write_totals(&tally.totals())?;
         if self.unsent > 0 {
-            tracing::warn!("{} messages could not be sent to ROS 2", self.unsent);
+            tracing::warn!("{} could not be sent to ROS 2", plural(self.unsent, "message"));
         }
         Ok(())
     }

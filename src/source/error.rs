@@ -1,5 +1,6 @@
 //! Why frames cannot be had.
 
+use crate::plural::plural;
 use std::io;
 use std::path::PathBuf;
 
@@ -296,7 +297,7 @@ impl SourceError {
 
 fn last_good(frames: u64, last_good_s: Option<f64>) -> String {
     match last_good_s {
-        Some(s) => format!("{frames} frames could be read, the last one at {s} s"),
+        Some(s) => format!("{} could be read, the last one at {s} s", plural(frames, "frame")),
         None => "no frame could be read".to_owned(),
     }
 }

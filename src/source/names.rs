@@ -1,6 +1,7 @@
 //! The names of clocks and colours in files, both ways, and the extensions of picture files.
 
 use super::{ChromaSiting, Clock, Matrix, Range, Transfer};
+use crate::plural::plural;
 use std::path::{Path, PathBuf};
 
 /// Extensions of files that are read as pictures.
@@ -21,7 +22,7 @@ pub(crate) fn conversion_advice(folder: &Path) -> Option<String> {
     endings.sort();
     endings.dedup();
     let first = endings.first()?;
-    let pictures = if count == 1 { "1 picture".to_owned() } else { format!("{count} pictures") };
+    let pictures = plural(count, "picture");
     let all = endings.join(", ");
     Some(format!(
         "{pictures} ending in {all} cannot be read: make PNG of them, which loses nothing, for example with ImageMagick: \

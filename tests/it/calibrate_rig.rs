@@ -197,7 +197,7 @@ fn bad_input_is_named() {
     // Boards that no mirror shows, mirrors that no picture shows.
     refused(3, "it shows the board only once", &rig(&[&picture("00.png"), "--glass", "5mm"]));
     let [a, b, c] = ["00.png", "04.png", "08.png"].map(|name| format!("{}/{name}", sample("mirror")));
-    refused(3, "in 1 mirrors, expected 2", &rig(&[&a, &b, &c, "--glass", "5mm", "--mirrors", "2"]));
+    refused(3, "in 1 mirror, expected 2", &rig(&[&a, &b, &c, "--glass", "5mm", "--mirrors", "2"]));
     refused(2, "--glass <5mm>", &rig(&[&sample("mirror"), "--tank", "254x254x267mm"]));
     refused(2, "expected 0 to 50", &rig(&[&sample("mirror"), "--glass", "5mm", "--temperature", "99"]));
     refused(2, "no surface `wall`", &rig(&[&a, &b, &c, "--glass", "5mm", "--distance", "wall=1264mm:2mm"]));

@@ -304,7 +304,7 @@ fn pictures_that_are_all_flipped_contradict_a_lens_that_is_off_the_middle() {
 #[test]
 fn more_mirrors_than_there_are_is_refused_with_how_many_there_are() {
     let set = Set::changed("mirror", &[0, 2, 4], |_, picture| picture);
-    let parts = ["the pictures show the board in 1 mirrors, expected 2 (--mirrors)"];
+    let parts = ["the pictures show the board in 1 mirror, expected 2 (--mirrors)"];
     set.refused(&set.rig(&["set"], &["--mirrors", "2"]), 3, &parts);
     set.refused(&set.rig(&["set"], &["--mirrors", "0"]), 2, &["--mirrors 0", "one or more"]);
 }

@@ -314,7 +314,7 @@ fn a_gain_and_a_model_of_fewer_states_than_asked_are_whole() {
     );
     let (code, message) =
         identify(folder, &[&["good.csv"], &COLUMNS, &["--na", "1", "--nb", "1", "--nk", "1", "-o", "one"]]);
-    assert!(code == 0 && message.contains("has only 1 states that matter"), "{message}");
+    assert!(code == 0 && message.contains("has only 1 state that matters"), "{message}");
     let one = model(folder, "one");
     assert_eq!((one["reduced"]["order"].clone(), one["reduced"]["den_z"].clone()), (1.into(), one["arx"]["a"].clone()));
     assert!(one["continuous"]["num"][0].as_f64().is_some());

@@ -5,6 +5,7 @@ use crate::calibrate::bundle::NoSolution;
 use crate::calibrate::bundle::outliers::left_out_lines;
 use crate::calibrate::geometry::Geometry;
 use crate::optics::PlaneError;
+use crate::plural::plural;
 
 /// Fewest pictures with two images of the board.
 pub(super) const FEWEST_PICTURES: usize = 3;
@@ -13,7 +14,11 @@ pub(super) const FEWEST_PICTURES: usize = 3;
 #[derive(Debug, thiserror::Error)]
 pub enum RigCalibrationError {
     /// Too few usable pictures.
-    #[error("{found} pictures show the board directly and in a mirror, at least {FEWEST_PICTURES} are needed, 10 to 20 are good{}", left_out_lines(.left_out))]
+    #[error(
+        "{} the board directly and in a mirror, at least {FEWEST_PICTURES} are needed, 10 to 20 are good{}",
+        if *found == 1 { "1 picture shows".to_owned() } else { format!("{found} pictures show") },
+        left_out_lines(.left_out)
+    )]
     TooFew {
         /// How many.
         found: usize,
@@ -21,7 +26,7 @@ pub enum RigCalibrationError {
         left_out: Vec<(String, String)>,
     },
     /// Fewer mirrors than requested.
-    #[error("the pictures show the board in {found} mirrors, expected {expected} (--mirrors)")]
+    #[error("the pictures show the board in {}, expected {expected} (--mirrors)", plural(*found, "mirror"))]
     Mirrors {
         /// How many.
         found: usize,

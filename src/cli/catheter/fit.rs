@@ -8,6 +8,7 @@ use super::{Common, failure, prepare};
 use crate::catheter::{
     Accuracy, Catheter, CatheterError, Check, Commands, Fit, FitOptions, Noise, Parameter, Run, Sighting, check, fit,
 };
+use crate::plural::plural;
 use crate::report::catheter_fit;
 use crate::series::{CurrentTable, Recording};
 use nalgebra::Vector3;
@@ -68,10 +69,8 @@ impl FitArgs {
             ("--validate-currents", &self.validate_currents, &self.validate),
         ] {
             if !tables.is_empty() && tables.len() != runs.len() {
-                let (tables, runs) = (tables.len(), runs.len());
-                return Err(Failure::usage(format!(
-                    "{flag}: {tables} tables for {runs} runs; give one for each, in their order"
-                )));
+                let (tables, runs) = (plural(tables.len(), "table"), plural(runs.len(), "run"));
+                return Err(Failure::usage(format!("{flag}: {tables} for {runs}; give one for each, in their order")));
             }
         }
         prepare(&self.out, &FILES)?;

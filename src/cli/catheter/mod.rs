@@ -10,6 +10,7 @@ use super::units::{current_a, duration_s};
 use super::{Exit, Failure, interrupt, output};
 use crate::calibrate::length_m;
 use crate::catheter::{Catheter, CatheterError, Followed, Load, Target, equilibrium, follow, harmonics, reach};
+use crate::plural::plural;
 use crate::report::catheter as pages;
 use crate::series::{SeriesError, columns, play};
 use clap::Subcommand;
@@ -288,7 +289,12 @@ impl FollowArgs {
         let off: Vec<f64> = followed.iter().map(|f| f.off_m * 1e3).collect();
         let rms = (off.iter().map(|v| v * v).sum::<f64>() / off.len() as f64).sqrt();
         let peak_ma = followed.iter().map(|f| f.currents_a.amax()).fold(0.0, f64::max) * 1e3;
-        let mut text = format!("{}, {} points, {} periods: {name}\n\n", self.path, followed.len(), self.periods);
+        let mut text = format!(
+            "{}, {}, {}: {name}\n\n",
+            self.path,
+            plural(followed.len(), "point"),
+            plural(self.periods, "period")
+        );
         let _ = writeln!(
             text,
             "  distance from the path to the tip   RMS {rms:.3} mm, largest {:.3} mm",
@@ -299,7 +305,8 @@ impl FollowArgs {
         if far > 0 {
             let _ = writeln!(
                 text,
-                "  out of reach                        {far} points; desired.csv has where the tip gets to"
+                "  out of reach                        {}; desired.csv has where the tip gets to",
+                plural(far, "point")
             );
         }
         let _ = writeln!(text, "\nwritten: {} in {}", names.join(", "), self.out.display());

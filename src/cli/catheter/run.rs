@@ -6,6 +6,7 @@ use super::super::{Exit, Failure};
 use super::{Common, failure};
 use crate::catheter::{Accuracy, Catheter, Commands, Moment, Noise, Sighting, record, seen};
 use crate::log::schema::table;
+use crate::plural::plural;
 use crate::series::CurrentTable;
 use nalgebra::{Point3, Vector3};
 use std::fmt::Write as _;
@@ -204,9 +205,9 @@ fn summary(name: &str, moments: &[Moment], rate: f64, out: &Path) -> String {
     let (low, high) = theta.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), t| (low.min(t), high.max(t)));
     let fastest = moments.iter().map(|m| m.tip_velocity_m_s.norm()).fold(0.0, f64::max);
     format!(
-        "{name}: {} frames, {rate} per second\n\n  θ                {low:.2}° to {high:.2}°\n  \
+        "{name}: {}, {rate} per second\n\n  θ                {low:.2}° to {high:.2}°\n  \
          tip              up to {:.1} mm/s\n\nwritten: {}\n",
-        moments.len(),
+        plural(moments.len(), "frame"),
         fastest * 1e3,
         out.display()
     )

@@ -5,6 +5,7 @@ use super::write_file;
 use crate::cli::outcome::Outcome;
 use crate::cli::{Exit, Failure, interrupt};
 use crate::identify::planes::{Motion, OUTPUTS, Planes, PlanesError, Settings, identify, moving};
+use crate::plural::plural;
 use crate::report::planes as page;
 use crate::series::{CurrentTable, Recording};
 use std::fmt::Write as _;
@@ -72,10 +73,8 @@ fn settings(args: &Args) -> Result<Settings, Failure> {
 fn read(args: &Args) -> Result<(Vec<String>, Vec<Motion>), Failure> {
     let files: Vec<&Path> = args.records.iter().chain(&args.validate).map(AsRef::as_ref).collect();
     if !args.currents.is_empty() && args.currents.len() != files.len() {
-        let (tables, records) = (args.currents.len(), files.len());
-        return Err(Failure::usage(format!(
-            "--currents: {tables} tables for {records} records; give one for each, in their order"
-        )));
+        let (tables, records) = (plural(args.currents.len(), "table"), plural(files.len(), "record"));
+        return Err(Failure::usage(format!("--currents: {tables} for {records}; give one for each, in their order")));
     }
     let DelayArg::Given(delay_s) = args.delay else {
         return Err(Failure::usage("--delay auto: with --planes give the delay, or leave it to --nk"));
@@ -117,13 +116,17 @@ fn read(args: &Args) -> Result<(Vec<String>, Vec<Motion>), Failure> {
 fn words(found: &Planes, coils: &[String], out: &Path) -> String {
     let mut text = format!("both angles from {}: order {}", coils.join(", "), found.order);
     // Writing into text cannot fail.
-    let _ =
-        writeln!(text, " ({} coefficients each), reduced to {} states\n", found.coefficients, found.reduced.order());
     let _ = writeln!(
         text,
-        "  error energy of the simulation, percent   order {:<3}          {} states",
+        " ({} coefficients each), reduced to {}\n",
+        found.coefficients,
+        plural(found.reduced.order(), "state")
+    );
+    let _ = writeln!(
+        text,
+        "  error energy of the simulation, percent   order {:<3}          {}",
         found.order,
-        found.reduced.order()
+        plural(found.reduced.order(), "state")
     );
     for judged in &found.judged {
         let _ = writeln!(

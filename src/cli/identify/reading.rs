@@ -13,6 +13,7 @@ use crate::identify::plant::Plant;
 use crate::identify::prepare::{Detrend, Trend, decimate};
 use crate::identify::provenance::{Provenance, RecordSummary};
 use crate::identify::recorded::Observed;
+use crate::plural::plural;
 use crate::series::{CurrentTable, Recording, columns};
 use std::path::Path;
 
@@ -38,10 +39,8 @@ pub(super) fn read(args: &Args) -> Result<(Data, Provenance), Failure> {
         return Err(Failure::usage("--train and --test take parts of one record; there are several"));
     }
     if !args.currents.is_empty() && args.currents.len() != files.len() {
-        let (tables, records) = (args.currents.len(), files.len());
-        return Err(Failure::usage(format!(
-            "--currents: {tables} tables for {records} records; give one for each, in their order"
-        )));
+        let (tables, records) = (plural(args.currents.len(), "table"), plural(files.len(), "record"));
+        return Err(Failure::usage(format!("--currents: {tables} for {records}; give one for each, in their order")));
     }
     let plant = args.plant.as_deref().map(Plant::load).transpose().map_err(Failure::usage)?;
     let mut all = Vec::new();

@@ -15,6 +15,7 @@ use super::{Exit, Failure, fitting, interrupt, output, provenance};
 use crate::estimate::Spot;
 use crate::live::{self, CurrentSource, LiveSummary, Outputs, Priority, RecordSwitch, Until};
 use crate::pipeline::End;
+use crate::plural::plural;
 use crate::report::RunInfo;
 use crate::rig::Rig;
 use crate::sink::{PublishSink, Sink, UdpSink};
@@ -230,10 +231,11 @@ fn lines(summary: &LiveSummary, recorded_from_the_beginning: bool) -> String {
     let pictures = summary.pictures.filter(|(recorded, dropped)| recorded_from_the_beginning || recorded + dropped > 0);
     if let Some((recorded, dropped)) = pictures {
         let lost = if dropped == 0 { "none lost".to_owned() } else { format!("{dropped} lost to the recording") };
-        text += &format!("{recorded} pictures recorded, {lost}\n");
+        text += &format!("{} recorded, {lost}\n", plural(recorded, "picture"));
     }
     if summary.unpublished > 0 {
-        text += &format!("subscribers missed {} frames; the log has them\n", summary.unpublished);
+        let them = if summary.unpublished == 1 { "it" } else { "them" };
+        text += &format!("subscribers missed {}; the log has {them}\n", plural(summary.unpublished, "frame"));
     }
     text
 }

@@ -3,6 +3,7 @@
 use super::super::progress::Line;
 use super::super::run::summary::warn_of_alarm;
 use crate::live::{Status, free_bytes};
+use crate::plural::plural;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -70,7 +71,7 @@ impl StatusLine {
             text += &format!(" · {} rows wait for it", status.backlog);
         }
         if let Some((recorded, dropped)) = status.pictures.filter(|(recorded, dropped)| recorded + dropped > 0) {
-            text += &format!(" · {recorded} pictures");
+            text += &format!(" · {}", plural(recorded, "picture"));
             if dropped > 0 {
                 text += &format!(", {dropped} lost");
             }

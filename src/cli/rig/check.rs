@@ -5,6 +5,7 @@ use super::super::run::two_views;
 use super::super::{Exit, Failure, fitting, output};
 use crate::calibrate::rig::share::{Pose, share, volume_m};
 use crate::optics::{Surface, Wall};
+use crate::plural::plural;
 use crate::rig::check::{Check, ROUND_TRIP_LIMIT_PX, ViewCheck, check};
 use crate::rig::{Base, Camera, Draft, View};
 use crate::source::{FrameSource as _, SourceOptions};
@@ -138,13 +139,13 @@ fn describe(out: &mut String, file: &Path, rig: &Draft, checked: &Check) -> fmt:
         let distances: Vec<_> = trip.distances_m.iter().map(|d| format!("{:.0}", d * 1e3)).collect();
         writeln!(
             out,
-            "  {:<10} {} of {} pixels have a ray; at {} mm: largest error {:.1e} px, {} points lost",
+            "  {:<10} {} of {} pixels have a ray; at {} mm: largest error {:.1e} px, {} lost",
             view.name,
             trip.with_ray,
             trip.pixels,
             distances.join(", "),
             trip.max_error_px,
-            trip.lost
+            plural(trip.lost, "point")
         )?;
     }
     if !rig.provenance.is_empty() {

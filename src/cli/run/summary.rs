@@ -2,6 +2,7 @@
 
 use super::folder::Files;
 use crate::pipeline::Summary;
+use crate::plural::plural;
 use crate::rig::Rig;
 use crate::sink::plain_words;
 use crate::source::times::seconds;
@@ -63,7 +64,8 @@ pub(in crate::cli) fn summary(
     }
     if let Some(ticks) = &tally.ticks {
         let TickTally { seen, changes, level: (low, high), .. } = ticks;
-        writeln!(out, "\n  tick       {changes} changes in {seen} frames, brightness {low:.0} to {high:.0} of 255")?;
+        let (changed, frames) = (plural(*changes, "change"), plural(*seen, "frame"));
+        writeln!(out, "\n  tick       {changed} in {frames}, brightness {low:.0} to {high:.0} of 255")?;
         if *changes == 0 {
             let at = ticks.spot();
             writeln!(

@@ -10,6 +10,7 @@ use super::units::{duration_or_none_s, duration_s, frequency_hz};
 use super::{Exit, Failure, interrupt, output};
 use crate::calibrate::board::Board;
 use crate::catheter::Catheter;
+use crate::plural::plural;
 use crate::rig::Rig;
 use crate::simulate::{
     BoardPoses, BoardSet, Mount, Renderer, Scene, Sensor, StandardMotion, Timing, noise_seed, taught,
@@ -185,7 +186,8 @@ impl Args {
         let took_s = began.elapsed().as_secs_f64();
         if !quiet {
             output::print(&format!(
-                "{done} frames in {took_s:.1} s, {:.1} per second\n\nwritten: {}, truth.csv, rig.toml in {}\n",
+                "{} in {took_s:.1} s, {:.1} per second\n\nwritten: {}, truth.csv, rig.toml in {}\n",
+                plural(done, "frame"),
                 done as f64 / took_s,
                 self.codec.name(),
                 self.out.display()
@@ -194,7 +196,7 @@ impl Args {
         if done < stamps.len() as u64 {
             return Err(Failure::new(
                 Exit::Interrupted,
-                format!("interrupted after {done} of {} frames", stamps.len()),
+                format!("interrupted after {done} of {}", plural(stamps.len(), "frame")),
             ));
         }
         Ok(())

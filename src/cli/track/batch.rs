@@ -6,6 +6,7 @@ use super::jobs::{Batch, Done, Job};
 use super::options::Options;
 use super::{Args, Exit, Failure, interrupt};
 use crate::archive::{Entry, Manifest, ManifestError, Outcome, default_name, is_name};
+use crate::plural::plural;
 use std::collections::{BTreeMap, HashMap};
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
@@ -162,13 +163,14 @@ impl Outcomes {
         });
         let text: String = lines.collect();
         let run = self.planned.values().filter(|(run, _)| *run).count();
-        format!("{text}{run} of {} recordings would be tracked\n", jobs.len())
+        format!("{text}{run} of {} would be tracked\n", plural(jobs.len(), "recording"))
     }
 
     fn summary(&self, folder: &Path, took: Duration) -> String {
         let Self { tracked, left_out, failed, retryable, frames, .. } = self;
         let took_s = took.as_secs_f64();
-        let mut text = format!("{tracked} recordings tracked, {frames} frames, in {took_s:.1} s");
+        let (recordings, frames) = (plural(*tracked, "recording"), plural(*frames, "frame"));
+        let mut text = format!("{recordings} tracked, {frames}, in {took_s:.1} s");
         if *tracked > 0 {
             text += &format!(": {:.2} recordings per second", *tracked as f64 / took_s.max(1e-9));
         }
@@ -191,7 +193,8 @@ impl Outcomes {
         match self.failed {
             0 => Ok(()),
             failed => {
-                let text = format!("{failed} of {all} recordings failed; the summary.json of each says why");
+                let text =
+                    format!("{failed} of {} failed; the summary.json of each says why", plural(all, "recording"));
                 Err(Failure::new(Exit::Failed, text))
             }
         }

@@ -11,13 +11,14 @@ mod words;
 pub(crate) use boards::shown;
 
 use super::html::{Html, escape};
-use super::page::{self, card, facts_table, figure, plural, signed, table, trouble};
+use super::page::{self, card, facts_table, figure, signed, table, trouble};
 use crate::calibrate::board::Grey;
 use crate::calibrate::bundle::NoSolution;
 use crate::calibrate::rig::RigCalibration;
 use crate::calibrate::rig::diagnostics::{self, Diagnostic, diagnose};
 use crate::calibrate::rig::expected_error::{Expected, Suggestion, Verdict};
 use crate::calibrate::rig::held_out::{HeldOut, LengthErrors};
+use crate::plural::plural;
 use nalgebra::{Point3, Vector3};
 use words::{along, degrees, exact_mm, in_words, mm};
 
@@ -208,7 +209,7 @@ fn over_the_volume(done: &RigCalibration, verdict: &Verdict) -> String {
         "<h2>Over the working volume</h2>\n\
          <p>Expected error at {} all over the volume that the boards filled; grey outlines are the boards. Colours begin at 0 \
          in both plots, and each has its own scale. Drag to turn.</p>\n<div class=\"pair\">\n{}{}</div>\n{}{}",
-        plural(verdict.expected.len() as u64, "place"),
+        plural(verdict.expected.len(), "place"),
         plot("plot-relative", "Base frame (relative)", relative),
         plot("plot-absolute", "Camera frame (absolute)", absolute),
         table(1, &["Expected error (1σ)", "Median (mm)", "Worst (mm)", "Worst place (mm)"], &rows),
@@ -272,10 +273,10 @@ fn held_out(done: &RigCalibration, held: &[Result<HeldOut, NoSolution>]) -> Stri
     text += &format!(
         "<p>{} of {:.1} mm are off by {} RMS, {} of {:.1} mm by {}; noise alone explains {} and {}. {judged} All boards together \
          come out {} in 100 mm.</p>\n",
-        plural(edges.count as u64, "edge"),
+        plural(edges.count, "edge"),
         edges.nominal_m * 1e3,
         mm(edges.rms_m),
-        plural(diagonals.count as u64, "diagonal"),
+        plural(diagonals.count, "diagonal"),
         diagonals.nominal_m * 1e3,
         mm(diagonals.rms_m),
         mm(edges.noise_m),
@@ -399,7 +400,7 @@ fn left_out(info: &CalibrationInfo, done: &RigCalibration) -> String {
         .collect();
     let used = done.used.len();
     let text = if rows.is_empty() {
-        format!("<p>None: all {} count.</p>\n", plural(used as u64, "picture"))
+        format!("<p>None: all {} count.</p>\n", plural(used, "picture"))
     } else {
         format!("<p>{used} of {} count.</p>\n{}", used + rows.len(), table(2, &["Picture", "Why it does not"], &rows))
     };

@@ -8,7 +8,7 @@ mod figures;
 pub(crate) use applied::applied_page;
 
 use super::html::{Html, escape};
-use super::page::{self, card, facts_table, figure, plural, table};
+use super::page::{self, card, facts_table, figure, table};
 use crate::identify::continuous::{Continuous, Conversion};
 use crate::identify::data::Data;
 use crate::identify::fit::{InitialState, Kind};
@@ -16,6 +16,7 @@ use crate::identify::identification::{Fit, Identification};
 use crate::identify::modelled::{ContinuousEstimate, Modelled, Role};
 use crate::identify::provenance::{Provenance, RecordSummary};
 use crate::identify::search::Candidate;
+use crate::plural::plural;
 use figures::Shown;
 use std::collections::BTreeMap;
 
@@ -94,7 +95,7 @@ fn header(done: &Identification, provenance: &Provenance) -> String {
         escape(&provenance.output),
         orders.na,
         orders.nb,
-        plural(orders.nk as u64, "sample")
+        plural(orders.nk, "sample")
     );
     let diagnostics: String =
         done.diagnostics.iter().map(|diagnostic| format!("<li>{}</li>\n", escape(&diagnostic.to_string()))).collect();
@@ -373,7 +374,7 @@ fn reduction(done: &Identification) -> String {
     };
     format!(
         "<h2>Reduction</h2>\n<p>Hankel singular values: how much each state of the full model carries from input to output. {} kept. {bound}</p>\n{}",
-        plural(kept as u64, "state"),
+        plural(kept, "state"),
         figure("plot-hankel", &figures::hankel(reduced, kept), 260, false)
     )
 }

@@ -8,8 +8,9 @@ mod picture;
 
 use super::chart::css;
 use super::html::{Html, escape};
-use super::page::{self, card, facts_table, figure, plural, table};
+use super::page::{self, card, facts_table, figure, table};
 use crate::calibrate::markers::{Rectangle, Teaching, Verdict, verdict};
+use crate::plural::plural;
 use crate::sink::Palette;
 use nalgebra::Point2;
 use picture::Shown;
@@ -56,9 +57,9 @@ fn header(info: &TeachingInfo, done: &Teaching) -> String {
     let verdict = match &done.outcome {
         Ok(learned) => format!(
             "Learned {} in {}, from {}.",
-            plural(done.rig.markers.len() as u64, "band"),
-            plural(done.rig.views.len() as u64, "view"),
-            plural(learned.frames as u64, "frame")
+            plural(done.rig.markers.len(), "band"),
+            plural(done.rig.views.len(), "view"),
+            plural(learned.frames, "frame")
         ),
         Err(error) => format!("Not learned: {}.", Html::with_code(&error.to_string())),
     };

@@ -5,7 +5,8 @@
 mod figures;
 
 use super::html::{Html, escape};
-use super::page::{self, card, facts_table, figure, plural, signed, table, trouble};
+use super::page::{self, card, facts_table, figure, signed, table, trouble};
+use crate::plural::plural;
 use crate::source::times::seconds;
 use crate::validate::{Row, Run, Size, Validation};
 
@@ -127,7 +128,7 @@ fn header(validation: &Validation) -> String {
         "<header>\n<p class=\"kind\">Catoptra validation</p>\n<h1>{}</h1>\n<p class=\"verdict\">{} along the path: {spread} from \
          it after rigid alignment, up to {} without.{response}</p>\n</header>\n",
         escape(&validation.name()),
-        plural(validation.runs.len() as u64, "run"),
+        plural(validation.runs.len(), "run"),
         mm(unaligned)
     )
 }
@@ -185,6 +186,7 @@ fn errors(validation: &Validation) -> String {
     ];
     let of = validation.path.periods;
     let left_out = match validation.options.skip {
+        0 if of == 1 => "The only period counts.".to_owned(),
         0 => format!("All {of} periods count."),
         1 => format!("The first of {of} periods is left out, while the motion settles."),
         n => format!("The first {n} of {of} periods are left out, while the motion settles."),
@@ -343,7 +345,7 @@ fn facts(validation: &Validation, settings: &Settings) -> String {
     let mut rows = vec![
         ("Path".to_owned(), path.file.display().to_string()),
         ("Marker".to_owned(), validation.runs.first().map_or_else(String::new, |run| run.marker.clone())),
-        ("Points".to_owned(), format!("{} per period, {} periods", path.points.len(), path.periods)),
+        ("Points".to_owned(), format!("{} per period, {}", path.points.len(), plural(path.periods, "period"))),
     ];
     rows.extend(settings.iter().cloned());
     rows.push(("Version".to_owned(), format!("Catoptra {}", env!("CARGO_PKG_VERSION"))));

@@ -2,6 +2,7 @@
 
 use crate::log::ros2::messages::{DiagnosticStatus, KeyValue};
 use crate::log::schema::messages::Health;
+use crate::plural::plural;
 
 const OK: u8 = 0;
 const WARN: u8 = 1;
@@ -18,7 +19,8 @@ pub(super) fn status(health: &Health, markers: &[String]) -> Vec<DiagnosticStatu
     frames.extend(health.pictures_recorded.map(|n| value("pictures_recorded", n)));
     frames.extend(health.pictures_dropped.map(|n| value("pictures_dropped", n)));
     let lossy = health.lost_frames > 0 || health.pictures_dropped.is_some_and(|n| n > 0);
-    let message = format!("{} frames, {} lost in {} gaps", health.frames, health.lost_frames, health.gaps);
+    let (all, gaps) = (plural(health.frames, "frame"), plural(health.gaps, "gap"));
+    let message = format!("{all}, {} lost in {gaps}", health.lost_frames);
     let mut all = vec![one("frames", if lossy { WARN } else { OK }, message, frames)];
 
     for what in markers.iter().map(String::as_str).chain(["tangent", "deflection"]) {
@@ -29,7 +31,7 @@ pub(super) fn status(health: &Health, markers: &[String]) -> Vec<DiagnosticStatu
             n if n < health.frames => WARN,
             _ => ERROR,
         };
-        let message = format!("not measured in {missed} of {} frames", health.frames);
+        let message = format!("not measured in {missed} of {}", plural(health.frames, "frame"));
         let message = if missed == 0 { "measured in all frames".to_owned() } else { message };
         all.push(one(what, level, message, misses.iter().map(|miss| value(&miss.reason, miss.frames)).collect()));
     }
