@@ -27,7 +27,7 @@ struct Encoder {
 }
 
 /// Writes one video file.
-pub(crate) struct VideoFile {
+pub(crate) struct VideoWriter {
     path: PathBuf,
     output: av::format::context::Output,
     encoder: av::encoder::video::Encoder,
@@ -48,7 +48,7 @@ enum Phase {
     Finished,
 }
 
-impl VideoFile {
+impl VideoWriter {
     /// Opens the file and the encoder for BGR pictures of even width and height.
     pub(crate) fn create(path: &Path, size_px: [u32; 2]) -> Result<Self, SinkError> {
         // The standard library's error for a missing folder is clearer than libav's; libav then overwrites the file.

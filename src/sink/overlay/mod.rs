@@ -13,7 +13,7 @@ pub(crate) use still::{StillError, Stills};
 
 use super::clock::Origin;
 use super::colour::{ConvertError, ToBgr};
-use super::encode::VideoFile;
+use super::encode::VideoWriter;
 use super::{Sink, SinkError};
 use crate::estimate::Estimate;
 use crate::rig::Rig;
@@ -46,7 +46,7 @@ pub struct OverlaySink {
     /// The picture before drawing, for the magnified pieces.
     clean: Mat,
     canvas: Canvas,
-    video: VideoFile,
+    video: VideoWriter,
 }
 
 /// Layout of the video, pixels.
@@ -73,7 +73,7 @@ impl OverlaySink {
         let layout = Layout::new(Rect::new(0, h, video_w, video_h - h), unit, rig.views.len());
         let canvas = Canvas::new([video_w, video_h], unit).map_err(draw)?;
         let clean = Canvas::new([w, h], unit).map_err(draw)?.bgr;
-        let video = VideoFile::create(path, [video_w.unsigned_abs(), video_h.unsigned_abs()])?;
+        let video = VideoWriter::create(path, [video_w.unsigned_abs(), video_h.unsigned_abs()])?;
         Ok(Self {
             path: path.into(),
             size_px: rig.camera.size_px,
