@@ -20,6 +20,9 @@ const ENDINGS: [&str; 10] = ["png", "jpg", "jpeg", "tif", "tiff", "bmp", "pgm", 
 /// Corners off by more than this, pixels, and this many σ, are astray.
 const OUTLIER: (f64, f64) = (1.5, 8.0);
 
+/// A reason is repeated for so many pictures; of more, so many are named.
+const FEW: usize = 3;
+
 /// A picture that was searched for boards.
 pub(super) struct SearchedPicture {
     pub(super) path: PathBuf,
@@ -58,11 +61,36 @@ pub(super) fn hash_of(path: &Path) -> Result<String, Failure> {
     hash::of_file(path).map_err(|e| Failure::new(Exit::Failed, format!("cannot read {}: {e}", path.display())))
 }
 
-/// Pictures without a board, one line each.
+/// Pictures without a board, a line for each or for each reason.
 pub(super) fn not_found(searched: &[SearchedPicture]) -> String {
-    let line =
-        |s: &SearchedPicture| s.images.as_ref().err().map(|why| format!("{:<24} left out: {why}\n", s.name.clone()));
-    searched.iter().filter_map(line).collect()
+    left_out_lines(searched.iter().filter_map(|s| Some((s.name.clone(), s.images.as_ref().err()?))))
+}
+
+fn left_out_lines<T: Display>(left_out: impl IntoIterator<Item = (String, T)>) -> String {
+    let line = |(names, why): (Vec<String>, String)| {
+        if let [name] = names.as_slice() {
+            return format!("{name:<24} left out: {why}\n");
+        }
+        let (count, more) = (format!("{} pictures", names.len()), names.len().saturating_sub(FEW));
+        let first: Vec<_> = names.into_iter().take(FEW).collect();
+        format!("{count:<24} left out: {why} ({} and {more} more)\n", first.join(", "))
+    };
+    by_reason(left_out).into_iter().map(line).collect()
+}
+
+/// Pictures with the reason why they were left out, in their order; those of a reason that more than a few share are
+/// together, in the place of the first.
+fn by_reason<T: Display>(left_out: impl IntoIterator<Item = (String, T)>) -> Vec<(Vec<String>, String)> {
+    let all: Vec<(String, String)> = left_out.into_iter().map(|(name, why)| (name, why.to_string())).collect();
+    let mut together: Vec<(Vec<String>, String)> = Vec::new();
+    for (name, why) in &all {
+        let shared = all.iter().filter(|(_, other)| other == why).count() > FEW;
+        match together.iter_mut().find(|(_, other)| shared && other == why) {
+            Some((names, _)) => names.push(name.clone()),
+            None => together.push((vec![name.clone()], why.clone())),
+        }
+    }
+    together
 }
 
 /// The result for every picture: its residual, or why it was left out.
@@ -100,9 +128,7 @@ pub(super) fn table<'a>(
         let _ = writeln!(text, "{name:<24} {count:>7} {rms:>11.3} {point:>12.3} {largest:>12.3}");
     }
     text += &not_found(searched);
-    for (name, why) in left_out {
-        let _ = writeln!(text, "{name:<24} left out: {why}");
-    }
+    text += &left_out_lines(left_out.iter().map(|(name, why)| (name.clone(), why)));
     text + &astray
 }
 
@@ -192,5 +218,16 @@ mod tests {
               They hardly count"
             ]
         );
+    }
+
+    #[test]
+    fn a_reason_that_many_pictures_share_is_said_once() {
+        let left_out =
+            |why: &[&str]| left_out_lines((0..).zip(why).map(|(k, why): (u32, _)| (format!("{k}.png"), *why)));
+        let line = |what: &str, rest: &str| format!("{what:<24} left out: {rest}\n");
+        let few = [line("0.png", "dark"), line("1.png", "flat"), line("2.png", "dark"), line("3.png", "dark")];
+        assert_eq!(left_out(&["dark", "flat", "dark", "dark"]), few.concat());
+        let many = [line("4 pictures", "dark (0.png, 2.png, 3.png and 1 more)"), line("1.png", "flat")];
+        assert_eq!(left_out(&["dark", "flat", "dark", "dark", "dark"]), many.concat());
     }
 }
