@@ -1,9 +1,11 @@
 //! `catoptra excite`: a table of coil currents, and its spectrum.
 
-use super::output::{is_free, save};
+use super::output::{is_free, is_free_for_page, save};
 use super::units::{current_a, duration_s, frequency_hz, positive_current_a, slew_a_s};
 use super::{Exit, Failure, interrupt, output, provenance};
-use crate::excite::{Chirp, Clipped, ExciteError, Limits, Multisine, Order, Phases, Signal, Spectrum, Steps, Sweep};
+use crate::excite::{
+    Chirp, Clipped, ExciteError, Limits, Multisine, Order, Phases, Signal, Spectrum, Steps, Sweep, is_own_table,
+};
 use crate::report::excitation::{self, ExcitationInfo};
 use crate::series::{CurrentTable, play};
 use crate::source::FrameRate;
@@ -187,12 +189,13 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     common.check_names()?;
     let page = common.report.as_ref().map(|file| file.clone().unwrap_or_else(|| common.out.with_extension("html")));
     let channels = common.channels(&made.signal)?;
-    // A list is replaced, whoever has written it.
-    if channels.is_none() || CurrentTable::read(&common.out).is_err() {
-        is_free(&common.out, "t_s,", "a table of this command")?;
-    }
+    let is_own = |text: &str| match channels {
+        Some(_) => CurrentTable::read(&common.out).is_ok_and(|list| is_own_list(&list)),
+        None => is_own_table(text),
+    };
+    is_free(&common.out, is_own, "a table of this command")?;
     if let Some(page) = &page {
-        is_free(page, "<!doctype html>", "a page")?;
+        is_free_for_page(page)?;
     }
     let spectrum = Spectrum::of(&made.signal);
     let text = match &channels {
@@ -282,6 +285,14 @@ fn list(signal: &Signal, channels: &[usize]) -> String {
     };
     let rows: Vec<(i64, Vec<f64>)> = (0..).zip(signal.values_a.iter().chain(std::iter::once(&0.0))).map(row).collect();
     play::write(rows.iter().map(|(time_ns, values_a)| (*time_ns, values_a.as_slice())))
+}
+
+/// Whether a list can be one of this command: lists do not say who wrote them, but its own have one coil's currents
+/// alone, and zero at the end. Others, for example of a path, are somebody's experiment.
+fn is_own_list(list: &CurrentTable) -> bool {
+    let used = |coil: usize| list.rows.iter().any(|row| row.values_a.get(coil).is_some_and(|value| *value != 0.0));
+    let at_zero = list.rows.last().is_some_and(|row| row.values_a.iter().all(|value| *value == 0.0));
+    at_zero && (0..list.coils.len()).filter(|coil| used(*coil)).count() <= 1
 }
 
 fn line(name: &str, value: impl ToString) -> (String, String) {

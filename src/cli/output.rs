@@ -16,8 +16,8 @@ pub(super) fn print(text: &str) -> Result<(), Failure> {
     }
 }
 
-/// Refuses to overwrite a file of another kind, or to write where there is no folder.
-pub(super) fn is_free(path: &Path, begins: &str, kind: &str) -> Result<(), Failure> {
+/// Refuses to overwrite a file whose text is not `kind`, or to write where there is no folder.
+pub(super) fn is_free(path: &Path, is_kind: impl Fn(&str) -> bool, kind: &str) -> Result<(), Failure> {
     let refused = |what: String| Err(Failure::new(Exit::Usage, format!("{}: {what}", path.display())));
     let folder = path.parent().filter(|folder| *folder != Path::new(""));
     if folder.is_some_and(|folder| !folder.is_dir()) {
@@ -26,11 +26,16 @@ pub(super) fn is_free(path: &Path, begins: &str, kind: &str) -> Result<(), Failu
     if path.is_dir() {
         return refused("is a folder; give the name of a file".to_owned());
     }
-    let same = |text: String| text.is_empty() || text.starts_with(begins);
+    let same = |text: String| text.is_empty() || is_kind(&text);
     if path.is_file() && !std::fs::read_to_string(path).is_ok_and(same) {
         return refused(format!("exists and is not {kind}; choose another name"));
     }
     Ok(())
+}
+
+/// The same for a page of this program.
+pub(super) fn is_free_for_page(path: &Path) -> Result<(), Failure> {
+    is_free(path, |text| text.starts_with("<!doctype html>"), "a page")
 }
 
 /// Writes a file in one step.

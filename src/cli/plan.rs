@@ -1,6 +1,6 @@
 //! `catoptra plan`: how well a rig will measure, before it is built.
 
-use super::output::{is_free, print, save};
+use super::output::{is_free_for_page, print, save};
 use super::progress::Progress;
 use super::{Failure, interrupt};
 use crate::catheter::Catheter;
@@ -29,7 +29,7 @@ pub(crate) struct Args {
 
 pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     interrupt::end_at_once()?;
-    is_free(&args.out, "<!doctype html>", "a page")?;
+    is_free_for_page(&args.out)?;
     let rig = Rig::load(&args.rig)?;
     let catheter =
         args.catheter.as_deref().map(Catheter::load).transpose().map_err(|e| Failure::usage(e.to_string()))?;

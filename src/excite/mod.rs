@@ -24,6 +24,7 @@ pub(crate) use limits::{Change, Clipped, Limits};
 pub(crate) use multisine::{Multisine, Phases};
 pub(crate) use spectrum::Spectrum;
 pub(crate) use steps::{Order, Steps};
+pub(crate) use write::is_own_table;
 
 use crate::source::FrameRate;
 use crate::source::times::seconds;

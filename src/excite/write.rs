@@ -20,6 +20,23 @@ impl Signal {
     }
 }
 
+/// Whether a text is written like [`Signal::table`]. Its header alone says little: tables of recorded currents have it
+/// as well, and must not be replaced.
+pub(crate) fn is_own_table(text: &str) -> bool {
+    let mut lines = text.split_terminator("\r\n");
+    let columns =
+        lines.next().filter(|header| header.starts_with("t_s,")).map_or(0, |header| header.split(',').count());
+    let exact = |cell: &str| cell.split_once('.').is_some_and(|(_, digits)| digits.len() == 9);
+    let mut last = "";
+    let all = lines.all(|line| {
+        let mut cells = line.split(',');
+        let first = [cells.next(), cells.next()].map(Option::unwrap_or_default);
+        last = first[1];
+        first.into_iter().all(exact) && line.split(',').count() == columns && cells.all(|other| other == "0")
+    });
+    all && last == "0.000000000"
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -41,5 +58,23 @@ mod tests {
         assert_eq!((table.clock, table.rows.len()), (CurrentClock::Start, 5));
         assert_eq!(table.coils, ["axial_a", "side_a"]);
         assert_eq!((table.rows[2].time_ns, &table.rows[2].values_a), (33_333_333, &vec![-0.05, 0.0]));
+    }
+
+    #[test]
+    fn its_own_tables_are_told_from_those_of_others() {
+        let signal = Signal { rate: "60".parse().unwrap(), values_a: vec![0.0, 0.1, -0.05] };
+        let own = signal.table(&["axial_a".to_owned(), "side_a".to_owned()]);
+        assert!(is_own_table(&own) && is_own_table(&signal.table(&["current_a".to_owned()])));
+        // Recorded, two coils in use, cut off, another table, notes.
+        let others = [
+            "t_s,axial_a\r\n0.000000,0.100000\r\n0.016667,0.000000\r\n".to_owned(),
+            own.replace(",0\r\n", ",0.02\r\n"),
+            own.lines().take(3).map(|line| format!("{line}\r\n")).collect(),
+            "t_s,y\r\n".to_owned(),
+            "t_s, as we call it\n".to_owned(),
+        ];
+        for other in others {
+            assert!(!is_own_table(&other), "{other}");
+        }
     }
 }

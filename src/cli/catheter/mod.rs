@@ -5,7 +5,7 @@ mod run;
 
 pub(super) use run::Columns;
 
-use super::output::{is_free, save};
+use super::output::{is_free_for_page, save};
 use super::units::{current_a, duration_s};
 use super::{Exit, Failure, interrupt, output};
 use crate::calibrate::length_m;
@@ -173,7 +173,7 @@ impl ShapeArgs {
             return Err(Failure::new(Exit::Usage, text));
         };
         if let Some(out) = &self.out {
-            is_free(out, "<!doctype html>", "a page")?;
+            is_free_for_page(out)?;
         }
         let (name, catheter) = self.common.load()?;
         let shape = equilibrium(&catheter, &Load::currents(Vector3::new(x, y, z))).map_err(failure)?;

@@ -116,7 +116,8 @@ impl Columns {
 
 impl RunArgs {
     pub(super) fn run(&self, quiet: bool) -> Result<(), Failure> {
-        is_free(&self.out, &format!("{},", table::FIRST.join(",")), "a table of a run")?;
+        let begins = format!("{},", table::FIRST.join(","));
+        is_free(&self.out, |text| text.starts_with(&begins), "a table of a run")?;
         let tip_n = match *self.tip_force_mn.as_slice() {
             [] => Vector3::zeros(),
             [x, y, z] if [x, y, z].iter().all(|v| v.is_finite()) => Vector3::new(x, y, z) / 1e3,
