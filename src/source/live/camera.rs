@@ -6,7 +6,8 @@
 //! count where they are clear. A counter that restarts does not tell what is missing.
 //!
 //! A camera that is lost, or silent for [`SILENCE`], is reopened, trying once a second, and set up as before; the
-//! interruption is counted, but the frames lost in it are unknown.
+//! interruption is counted, but the frames lost in it are unknown. Those lost before it are in the gap of the
+//! frame after it.
 
 use super::super::counter::{Count, FrameCounter, Wrap};
 use super::super::host::{ClockFit, HostClock};
@@ -74,6 +75,8 @@ pub struct Camera {
     stop: Arc<AtomicBool>,
     last_host_ns: i64,
     seq: u64,
+    /// Frames lost or left out since the last one passed on; also those before the camera was lost.
+    missing: u32,
     faults: StreamFaults,
     unstamped_named: bool,
 }
@@ -85,15 +88,13 @@ struct Session {
     stamps: StampWatch,
     /// When the last buffer arrived.
     heard: Instant,
-    /// Frames lost or left out since the last one passed on.
-    missing: u32,
 }
 
 impl Session {
     fn new(name: &str, connection: Box<dyn Connection>) -> Self {
         let counter = FrameCounter::new(connection.wrap());
         let stamps = StampWatch::new(name.to_owned(), None, 0.0);
-        Self { connection, counter, stamps, heard: Instant::now(), missing: 0 }
+        Self { connection, counter, stamps, heard: Instant::now() }
     }
 }
 
@@ -123,6 +124,7 @@ impl Camera {
             stop,
             last_host_ns: i64::MIN,
             seq: 0,
+            missing: 0,
             faults: StreamFaults::default(),
             unstamped_named: false,
         })
@@ -140,7 +142,7 @@ impl Camera {
         session.heard = Instant::now();
         match session.counter.step(taken.number) {
             Count::First => {}
-            Count::After(lost) => session.missing = session.missing.saturating_add(lost),
+            Count::After(lost) => self.missing = self.missing.saturating_add(lost),
             Count::Restart => {
                 tracing::warn!(
                     "{}: the camera's frame counter restarted at {}: what was lost there is not known",
@@ -152,7 +154,7 @@ impl Camera {
         match std::mem::replace(&mut taken.picture, Err(String::new())) {
             Ok(picture) => Ok(Some((taken, picture))),
             Err(reason) => {
-                session.missing = session.missing.saturating_add(1);
+                self.missing = self.missing.saturating_add(1);
                 self.faults.pictures_left_out += 1;
                 if self.faults.pictures_left_out == 1 {
                     let number = taken.number;
@@ -172,10 +174,9 @@ impl Camera {
             }
             Timestamp { ns: arrival_ns, clock: Clock::HostArrival }
         });
-        let mut gap = 0;
+        let mut gap = std::mem::take(&mut self.missing);
         if let Some(session) = &mut self.session {
             let by_stamps = session.stamps.clear_gap(stamp.ns, self.seq, &mut self.faults);
-            gap = std::mem::take(&mut session.missing);
             if session.connection.driver_counts() {
                 gap = gap.max(by_stamps);
             }
@@ -336,6 +337,14 @@ mod tests {
         assert!(camera.next_frame().unwrap().is_none());
         assert_eq!(camera.faults().interruptions, 2);
         setter.join().unwrap();
+    }
+
+    #[test]
+    fn frames_lost_just_before_the_camera_count_when_it_is_back() {
+        // 6 and 9 are bad, 7 and 8 lost.
+        let (mut camera, _) = camera(vec![vec![good(5), bad(6), bad(9)], vec![good(1), good(2)]], false);
+        let gaps: Vec<u32> = (0..3).map(|_| next(&mut camera).gap).collect();
+        assert_eq!(gaps, [0, 4, 0]);
     }
 
     #[test]
