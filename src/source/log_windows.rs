@@ -17,7 +17,8 @@ use crate::log::fields::{number, text};
 use crate::log::records::Records;
 use crate::log::schema::{Topic, WINDOW_FORMAT};
 use crate::log::typed::floats;
-use image::{ImageFormat, ImageReader};
+use image::codecs::png::PngDecoder;
+use image::{ColorType, ImageDecoder as _, Limits};
 use mcap::records::Record;
 use prost_reflect::{DynamicMessage, Value};
 use std::collections::VecDeque;
@@ -350,13 +351,9 @@ fn paste(planes: &mut [Vec<u8>], layout: &Layout, window: &DynamicMessage) -> Re
     }
     let data = window.get_field_by_name("data");
     let data = data.as_deref().and_then(Value::as_bytes).ok_or("a window has no `data`")?;
-    let decoded = ImageReader::with_format(Cursor::new(data), ImageFormat::Png).decode().map_err(|e| e.to_string())?;
-    let grey = decoded.as_luma8().ok_or("a window's PNG is not grey of 8 bits")?;
-    if grey.dimensions() != (width, height) {
-        return Err(format!("a window's PNG has {:?} samples, expected {width}x{height}", grey.dimensions()));
-    }
+    let grey = samples(data, (width, height))?;
     let rows = plane.chunks_exact_mut(plane_width).skip(y as usize);
-    for (to, from) in rows.zip(grey.as_raw().chunks_exact(width as usize)) {
+    for (to, from) in rows.zip(grey.chunks_exact(width as usize)) {
         if let Some(to) = to.get_mut(x as usize..(x + width) as usize) {
             to.copy_from_slice(from);
         }
@@ -364,8 +361,51 @@ fn paste(planes: &mut [Vec<u8>], layout: &Layout, window: &DynamicMessage) -> Re
     Ok((index, Window { x0: x * sx, y0: y * sy, x1: (x + width) * sx, y1: (y + height) * sy }))
 }
 
+/// The samples of a window, of the size that the log says: a damaged or hostile PNG may be of any, and is not decoded.
+fn samples(png: &[u8], (width, height): (u32, u32)) -> Result<Vec<u8>, String> {
+    let decoder = PngDecoder::with_limits(Cursor::new(png), Limits::default()).map_err(|e| e.to_string())?;
+    if decoder.dimensions() != (width, height) {
+        return Err(format!("a window's PNG has {:?} samples, expected {width}x{height}", decoder.dimensions()));
+    }
+    if decoder.color_type() != ColorType::L8 {
+        return Err("a window's PNG is not grey of 8 bits".to_owned());
+    }
+    let mut samples = vec![0; width as usize * height as usize];
+    decoder.read_image(&mut samples).map_err(|e| e.to_string())?;
+    Ok(samples)
+}
+
 fn list(message: &DynamicMessage, field: &str) -> Vec<DynamicMessage> {
     let field = message.get_field_by_name(field);
     let all = field.as_deref().and_then(Value::as_list).unwrap_or_default();
     all.iter().filter_map(|value| value.as_message().cloned()).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use image::{DynamicImage, ImageFormat};
+
+    fn png(image: impl Into<DynamicImage>) -> Vec<u8> {
+        let mut png = Cursor::new(Vec::new());
+        image.into().write_to(&mut png, ImageFormat::Png).unwrap();
+        png.into_inner()
+    }
+
+    #[test]
+    fn a_window_of_another_size_is_refused_by_its_header() {
+        let mut other = png(image::GrayImage::new(3000, 2000));
+        // Nothing is left to decode.
+        other.truncate(60);
+        assert_eq!(samples(&other, (8, 4)).unwrap_err(), "a window's PNG has (3000, 2000) samples, expected 8x4");
+        assert!(samples(&other, (3000, 2000)).is_err());
+    }
+
+    #[test]
+    fn samples_are_those_of_a_grey_png() {
+        let grey = image::GrayImage::from_fn(8, 4, |x, y| image::Luma([(31 * x + 7 * y) as u8]));
+        assert_eq!(samples(&png(grey.clone()), (8, 4)).unwrap(), grey.into_raw());
+        let colour = png(image::RgbImage::new(8, 4));
+        assert_eq!(samples(&colour, (8, 4)).unwrap_err(), "a window's PNG is not grey of 8 bits");
+    }
 }
