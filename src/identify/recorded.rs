@@ -41,7 +41,9 @@ pub(crate) enum RecordedError {
         name: String,
     },
     /// A coil that does not exist.
-    #[error("{name}: has currents of {}, and coil {coil} was asked for; they are counted from 0", plural(*coils, "coil"))]
+    #[error(
+        "{name}: has currents of {}, and coil {coil} was asked for; they are counted from 0", plural(*coils, "coil")
+    )]
     NoCoil {
         /// The recording or table.
         name: String,
