@@ -29,6 +29,7 @@ mod repeats;
 mod round;
 mod scatter;
 mod separation;
+mod shake;
 mod slip;
 mod stretch;
 mod tracker;

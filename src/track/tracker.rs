@@ -17,6 +17,7 @@ use crate::track::motion::Motion;
 use crate::track::pairs::Pairs;
 use crate::track::repeats::Repeats;
 use crate::track::scatter::Scatter;
+use crate::track::shake::Shake;
 
 /// Blur assumed for a rig whose blur has not been measured: a sharp lens and square pixels.
 const DEFAULT_BLUR_PX: f64 = 0.6;
@@ -31,6 +32,8 @@ const PAIRED_CHROMA: &str = "every two pixels of these pictures have the same ch
      original";
 const VIEWS_DISAGREE: &str = "the views do not agree on where a band is, by far more than noise explains: they do \
      not show the same moment, or camera, mirror or tank have moved; σ is widened by as much";
+const SHAKES: &str = "the base band, which should rest, shakes by more than its σ: camera, mirror, tank or clamp \
+     vibrate; σ of all positions is widened by as much";
 
 /// How to track.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -69,6 +72,7 @@ pub struct Tracker {
     /// For each marker that is the reference of a group: its last fit.
     before: Vec<Option<Last>>,
     motion: Motion,
+    shake: Shake,
     repeats: Repeats,
     pairs: Pairs,
     /// What was warned of.
@@ -96,6 +100,7 @@ impl Tracker {
             before: vec![None; rig.markers.len()],
             scatter: vec![Scatter::default(); rig.markers.len() + 1],
             motion: Motion::new(rig.markers.len(), rig.catheter.coil),
+            shake: Shake::default(),
             repeats: Repeats::default(),
             pairs: Pairs::default(),
             warned: Vec::new(),
@@ -157,6 +162,7 @@ impl Tracker {
         self.motion.check(&mut estimate, fitted.iter().map(|f| f.group.members.as_slice()));
         // Before σ is widened: pictures that repeat scatter.
         self.repeats.remember(picture, found.windows(), &estimate);
+        self.add_shake(&mut estimate);
         self.widen(&mut estimate);
         if let (Ok(tangent), Some(base)) = (&estimate.tangent, &self.rig.base) {
             estimate.deflection = Ok(deflection(tangent, base));
@@ -171,7 +177,11 @@ impl Tracker {
 
     /// What to warn of in the pictures, each once.
     pub fn warning(&mut self) -> Option<&'static str> {
-        let seen = [(self.pairs.are_alike(), PAIRED_CHROMA), (self.judge.views_disagree(), VIEWS_DISAGREE)];
+        let seen = [
+            (self.pairs.are_alike(), PAIRED_CHROMA),
+            (self.judge.views_disagree(), VIEWS_DISAGREE),
+            (self.shake.is_seen(), SHAKES),
+        ];
         let new = seen.into_iter().find(|(seen, what)| *seen && !self.warned.contains(what))?.1;
         self.warned.push(new);
         Some(new)
@@ -226,6 +236,20 @@ impl Tracker {
                 let before = &mut self.before[group.reference];
                 *before = Some(Last::new(stamp, group, &fit.shape, before.as_ref()));
             }
+        }
+    }
+
+    /// Adds the shake of the base band to the covariances of all positions. Only a rig with a base frame says that the
+    /// band rests: it is the first.
+    fn add_shake(&mut self, estimate: &mut Estimate) {
+        let stamp = estimate.stamp;
+        let base = estimate.markers.first().filter(|_| self.rig.base.is_some());
+        if let Some(Ok(base)) = base.map(|base| &base.position) {
+            self.shake.add(stamp, base.point.coords, &base.covariance);
+        }
+        let shake = self.shake.at(stamp);
+        for position in estimate.markers.iter_mut().filter_map(|marker| marker.position.as_mut().ok()) {
+            position.covariance += shake;
         }
     }
 

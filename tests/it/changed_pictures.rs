@@ -1,4 +1,4 @@
-//! Pictures that do not show the moment of their stamp: repeated ones, and views that are out of step.
+//! Pictures that do not show the scene at their time: repeated ones, views out of step, a camera that shakes.
 
 use crate::support::command::{rig, sample};
 use catoptra::estimate::Estimate;
@@ -30,6 +30,19 @@ fn composed(left: &Picture, right: &Picture, column: u32) -> Picture {
     let planes = (0..left.format().channels()).map(plane).collect();
     let [width, height] = left.size_px();
     Picture::from_planes(width, height, left.format(), left.colour(), planes).unwrap()
+}
+
+/// The picture moved to the right by a number of pixels, which is a multiple of a chroma sample's.
+fn moved(picture: &Picture, by_px: i64) -> Picture {
+    let plane = |i: usize| {
+        let plane = picture.plane(i).unwrap();
+        let by = by_px / i64::from(plane.scale[0]);
+        let from = |x: usize| (x as i64 - by).clamp(0, plane.width as i64 - 1) as usize;
+        (0..plane.height).flat_map(|j| (0..plane.width).map(move |x| plane.row(j).unwrap()[from(x)])).collect()
+    };
+    let planes = (0..picture.format().channels()).map(plane).collect();
+    let [width, height] = picture.size_px();
+    Picture::from_planes(width, height, picture.format(), picture.colour(), planes).unwrap()
 }
 
 /// The estimates, and whether there was a warning.
@@ -72,4 +85,29 @@ fn views_out_of_step_widen_sigma_and_are_warned_of() {
     let ((sound, silent), (stale, warned)) = (tracked(&frames), tracked(&late));
     assert!(!silent && warned);
     assert!(sd_m(&stale) > 3.0 * sd_m(&sound), "{} and {}", sd_m(&stale), sd_m(&sound));
+}
+
+/// By two pixels either way, four times a second.
+#[test]
+fn a_shaking_camera_widens_sigma_by_as_much_and_is_warned_of() {
+    let still = swing();
+    let shaken: Vec<Frame> = still
+        .iter()
+        .enumerate()
+        .map(|(k, frame)| Frame { picture: moved(&frame.picture, if k / 8 % 2 == 0 { 2 } else { -2 }), ..*frame })
+        .collect();
+    let ((still, silent), (shaken, warned)) = (tracked(&still), tracked(&shaken));
+    assert!(!silent && warned);
+    let squares = |skipped: usize| {
+        let both = still.iter().zip(&shaken).skip(skipped).flat_map(|(a, b)| a.markers.iter().zip(&b.markers));
+        let errors = both.filter_map(|(a, b)| {
+            let (truth, found) = (a.position.as_ref().ok()?, b.position.as_ref().ok()?);
+            Some(((found.point - truth.point).norm() / found.sd_m()).powi(2) / 3.0)
+        });
+        let errors: Vec<f64> = errors.collect();
+        (errors.iter().sum::<f64>() / errors.len() as f64, errors.len())
+    };
+    // The first move is at the ninth frame.
+    let (mean, count) = squares(12);
+    assert!(count > 60 && (0.2..3.0).contains(&mean), "{mean} of {count} positions");
 }
