@@ -162,7 +162,6 @@ impl Tracker {
         self.motion.check(&mut estimate, fitted.iter().map(|f| f.group.members.as_slice()));
         // Before σ is widened: pictures that repeat scatter.
         self.repeats.remember(picture, found.windows(), &estimate);
-        self.add_shake(&mut estimate);
         self.widen(&mut estimate);
         if let (Ok(tangent), Some(base)) = (&estimate.tangent, &self.rig.base) {
             estimate.deflection = Ok(deflection(tangent, base));
@@ -239,26 +238,19 @@ impl Tracker {
         }
     }
 
-    /// Adds the shake of the base band to the covariances of all positions. Only a rig with a base frame says that the
-    /// band rests: it is the first.
-    fn add_shake(&mut self, estimate: &mut Estimate) {
-        let stamp = estimate.stamp;
+    /// Widens covariances to match the scatter of positions and tangent from frame to frame, and those of positions by
+    /// the shake of the base band. Only a rig with a base frame says that this band, the first, rests.
+    fn widen(&mut self, estimate: &mut Estimate) {
+        let (stamp, persisting) = (estimate.stamp, self.model.error.persisting);
         let base = estimate.markers.first().filter(|_| self.rig.base.is_some());
         if let Some(Ok(base)) = base.map(|base| &base.position) {
             self.shake.add(stamp, base.point.coords, &base.covariance);
         }
         let shake = self.shake.at(stamp);
-        for position in estimate.markers.iter_mut().filter_map(|marker| marker.position.as_mut().ok()) {
-            position.covariance += shake;
-        }
-    }
-
-    /// Widens covariances to match the scatter of positions and tangent from frame to frame.
-    fn widen(&mut self, estimate: &mut Estimate) {
-        let (stamp, persisting) = (estimate.stamp, self.model.error.persisting);
         for (marker, scatter) in estimate.markers.iter_mut().zip(&mut self.scatter) {
             if let Ok(position) = &mut marker.position {
                 position.covariance *= scatter.add(stamp, position.point.coords, &position.covariance, persisting);
+                position.covariance += shake;
             }
         }
         if let (Ok(tangent), Some(scatter)) = (&mut estimate.tangent, self.scatter.last_mut()) {
