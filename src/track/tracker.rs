@@ -33,7 +33,7 @@ const PAIRED_CHROMA: &str = "every two pixels of these pictures have the same ch
 const VIEWS_DISAGREE: &str = "the views do not agree on where a band is, by far more than noise explains: they do \
      not show the same moment, or camera, mirror or tank have moved; σ is widened by as much";
 const SHAKES: &str = "the base band, which should rest, shakes by more than its σ: camera, mirror, tank or clamp \
-     vibrate; σ of all positions is widened by as much";
+     vibrate, or the pictures were processed; σ of all positions is widened by as much";
 
 /// How to track.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]

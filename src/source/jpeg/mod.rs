@@ -61,9 +61,8 @@ pub(crate) fn examine(bytes: &[u8]) -> Examined {
 /// Only the quantiser steps, without parsing the codes.
 #[cfg(target_os = "linux")]
 pub(crate) fn steps(bytes: &[u8]) -> Option<Steps> {
-    let scan = bytes.windows(2).position(|two| two == [0xff, START_OF_SCAN])?;
-    let mut picture = Picture::default();
-    picture.read(bytes.get(..scan)?).ok()?;
+    let mut picture = Picture { without_codes: true, ..Picture::default() };
+    picture.read(bytes).ok()?;
     picture.steps()
 }
 
@@ -76,7 +75,8 @@ struct Picture {
     direct: [Option<Table>; 4],
     others: [Option<Table>; 4],
     restart_every: usize,
-    is_progressive: bool,
+    /// Whether to leave its codes alone: of progressive pictures only the steps are told.
+    without_codes: bool,
 }
 
 #[derive(Clone, Copy)]
@@ -118,15 +118,14 @@ impl Picture {
                     let body = rest.get(4..length).ok_or("a segment is cut off")?;
                     rest = rest.get(length..).unwrap_or_default();
                     match *code {
-                        HUFFMAN | RESTART_INTERVAL if self.is_progressive => {}
-                        START_OF_SCAN if self.is_progressive => return Ok(()),
+                        HUFFMAN | RESTART_INTERVAL if self.without_codes => {}
+                        START_OF_SCAN if self.without_codes => return Ok(()),
                         HUFFMAN => self.huffman(body).ok_or("a table of codes is damaged")?,
                         QUANTIZATION => self.quantization(body).ok_or("a table of quantization is damaged")?,
                         0xc0 | 0xc1 => self.frame(body).ok_or("the head of the picture is damaged")?,
-                        // Of progressive pictures only the steps are told.
                         0xc2 => {
                             self.frame(body).ok_or("the head of the picture is damaged")?;
-                            self.is_progressive = true;
+                            self.without_codes = true;
                         }
                         // Lossless, arithmetic: not examined.
                         0xc3..=0xcf if *code != 0xc8 && *code != 0xcc => return Ok(()),
@@ -310,6 +309,13 @@ mod tests {
             "{coarse:?} {fine:?}"
         );
         assert!((coarse.chroma_px - 1.0).abs() < 1e-9, "{coarse:?}");
+        // A segment before it may contain what begins a scan.
+        #[cfg(target_os = "linux")]
+        {
+            let mut commented = pictures[0].clone();
+            commented.splice(2..2, [0xff, 0xfe, 0, 6, 0xff, START_OF_SCAN, 0, 0]);
+            assert_eq!(steps(&commented), Some(coarse));
+        }
         // Marked as progressive, and as 4:2:0.
         let mut progressive = pictures[0].clone();
         let head = progressive.windows(2).position(|two| two == [0xff, 0xc0]).unwrap();
