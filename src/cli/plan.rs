@@ -31,8 +31,7 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     interrupt::end_at_once()?;
     is_free_for_page(&args.out)?;
     let rig = Rig::load(&args.rig)?;
-    let catheter =
-        args.catheter.as_deref().map(Catheter::load).transpose().map_err(|e| Failure::usage(e.to_string()))?;
+    let catheter = args.catheter.as_deref().map(Catheter::load).transpose().map_err(Failure::usage)?;
     let of_rig = |text: String| Failure::usage(format!("{}: {text}", args.rig.display()));
     let mount = Mount::of(&rig, catheter.as_ref()).map_err(|e| of_rig(e.to_string()))?;
     let progress = Mutex::new(Progress::of(None, "shapes", quiet));

@@ -6,7 +6,8 @@
 //! a base that is pushed steadily does not shake.
 //!
 //! Cannot tell: vibration that moves only the picture of other bands; motion slower than the half second, which the
-//! tally's drift alarms see; shake too small beside the base's own covariance.
+//! tally's drift alarms see; shake too small beside the base's own covariance; shake from a base band so far from its
+//! clamp that it moves with the tube.
 
 use crate::source::Timestamp;
 use nalgebra::{Matrix3, Vector3};

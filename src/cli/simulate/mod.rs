@@ -87,8 +87,7 @@ pub(crate) struct Args {
 pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     let asked = interrupt::watch()?;
     let rig = Rig::load(&args.rig)?;
-    let catheter =
-        args.catheter.as_deref().map(Catheter::load).transpose().map_err(|e| Failure::usage(e.to_string()))?;
+    let catheter = args.catheter.as_deref().map(Catheter::load).transpose().map_err(Failure::usage)?;
     let of_rig = |e: &dyn std::fmt::Display| Failure::usage(format!("{}: {e}", args.rig.display()));
     let mount = Mount::of(&rig, catheter.as_ref()).map_err(|e| of_rig(&e))?;
     let source = args.source(&rig, &mount)?;
