@@ -1,6 +1,6 @@
 //! Live sources as they are named on the command line, by `live` and `studio`.
 
-use super::{Exit, Failure};
+use super::Failure;
 use crate::source::host::HostClock;
 use crate::source::live::{Camera, CameraSettings, Paced, RawFormat, RawPictures, Stream};
 use crate::source::{self, FrameRate, FrameSource, SourceOptions};
@@ -43,7 +43,7 @@ pub(super) fn positive(text: &str) -> Result<f64, String> {
 #[cfg(unix)]
 fn standard_input() -> Result<Box<dyn std::io::Read + Send>, Failure> {
     use std::os::fd::AsFd as _;
-    let refused = |e: std::io::Error| Failure::new(Exit::Usage, format!("standard input: {e}"));
+    let refused = |e: std::io::Error| Failure::usage(format!("standard input: {e}"));
     let input = std::io::stdin().as_fd().try_clone_to_owned().map_err(refused)?;
     // Fails if it is not a pipe.
     let _ = rustix::pipe::fcntl_setpipe_size(&input, 1 << 20);
@@ -70,7 +70,6 @@ impl SourceArgs {
         clock: HostClock,
         stop: &Arc<AtomicBool>,
     ) -> Result<Box<dyn FrameSource + Send>, Failure> {
-        let invalid = |e: source::SourceError| Failure::new(Exit::Usage, e);
         if !self.realtime && self.raw.is_none() {
             let settings = || CameraSettings {
                 size_px,
@@ -80,17 +79,17 @@ impl SourceArgs {
                 format: self.format.clone(),
             };
             if let Some(id) = name.strip_prefix("genicam:") {
-                return Ok(Box::new(Camera::genicam(id, settings(), clock, Arc::clone(stop)).map_err(invalid)?));
+                return Ok(Box::new(Camera::genicam(id, settings(), clock, Arc::clone(stop)).map_err(Failure::usage)?));
             }
             if name.starts_with("/dev/") {
                 let path = Path::new(name);
-                return Ok(Box::new(Camera::v4l2(path, settings(), clock, Arc::clone(stop)).map_err(invalid)?));
+                return Ok(Box::new(Camera::v4l2(path, settings(), clock, Arc::clone(stop)).map_err(Failure::usage)?));
             }
         }
         if let (Some(text), false, None) = (name.strip_prefix("gst:"), self.realtime, self.raw)
             && self.settings().is_empty()
         {
-            return Ok(Box::new(Camera::gstreamer(text, clock, Arc::clone(stop)).map_err(invalid)?));
+            return Ok(Box::new(Camera::gstreamer(text, clock, Arc::clone(stop)).map_err(Failure::usage)?));
         }
         if let Some((option, _)) = self.settings().first() {
             return Err(Failure::usage(format!(
@@ -106,14 +105,14 @@ impl SourceArgs {
             return Ok(Box::new(RawPictures::new("standard input", standard_input()?, format, clock)));
         }
         if self.realtime {
-            let recording = source::open_to_track(name, SourceOptions::default()).map_err(invalid)?;
+            let recording = source::open_to_track(name, SourceOptions::default()).map_err(Failure::usage)?;
             return Ok(Box::new(Paced::new(recording, clock, Arc::clone(stop))));
         }
         if Path::new(name).exists() {
             let advice = "is a file or folder: play it at its own pace with --realtime, or use `catoptra track`";
             return Err(Failure::usage(format!("{name}: {advice}")));
         }
-        Ok(Box::new(Stream::open(name, clock, Arc::clone(stop)).map_err(invalid)?))
+        Ok(Box::new(Stream::open(name, clock, Arc::clone(stop)).map_err(Failure::usage)?))
     }
 
     /// The options for a camera.

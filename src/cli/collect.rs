@@ -35,13 +35,13 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     let results = Results { folder: &args.out, command: "collect", recordings: &args.folders, inputs, files };
     results.check()?;
     if let Some(missing) = args.folders.iter().find(|folder| !folder.is_dir()) {
-        return Err(Failure::new(Exit::Usage, format!("{}: no such folder", missing.display())));
+        return Err(Failure::usage(format!("{}: no such folder", missing.display())));
     }
     let study = Study::find(&args.folders).map_err(failure)?;
     if study.runs.is_empty() {
         let folders: Vec<String> = args.folders.iter().map(|folder| folder.display().to_string()).collect();
         let text = "no summary.json in it or below: give folders that `catoptra track` wrote";
-        return Err(Failure::new(Exit::Usage, format!("{}: {text}", folders.join(", "))));
+        return Err(Failure::usage(format!("{}: {text}", folders.join(", "))));
     }
     study.unfinished.iter().for_each(|folder| {
         tracing::warn!("{}: has no summary.json: not finished, or not of `track`; it is left out", folder.display());

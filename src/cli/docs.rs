@@ -30,7 +30,7 @@ pub(super) fn completions(args: &CompletionsArgs) -> Result<(), Failure> {
 pub(super) fn man(args: &ManArgs) -> Result<(), Failure> {
     let folder = &args.folder;
     if folder.is_file() {
-        return Err(Failure::new(Exit::Usage, format!("{}: is a file; give a folder", folder.display())));
+        return Err(Failure::usage(format!("{}: is a file; give a folder", folder.display())));
     }
     std::fs::create_dir_all(folder)
         .and_then(|()| clap_mangen::generate_to(Cli::command().disable_help_subcommand(true), folder))

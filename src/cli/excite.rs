@@ -2,7 +2,7 @@
 
 use super::output::{is_free, is_free_for_page, save};
 use super::units::{current_a, duration_s, frequency_hz, positive_current_a, slew_a_s};
-use super::{Exit, Failure, interrupt, output, provenance};
+use super::{Failure, interrupt, output, provenance};
 use crate::excite::{
     Chirp, Clipped, ExciteError, Limits, Multisine, Order, Phases, Signal, Spectrum, Steps, Sweep, is_own_table,
 };
@@ -180,11 +180,10 @@ struct DescribedSignal {
 
 pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     interrupt::end_at_once()?;
-    let refused = |error: ExciteError| Failure::new(Exit::Usage, error);
     let (common, made) = match &args.command {
-        Command::Chirp(args) => (&args.common, args.made().map_err(refused)?),
-        Command::Multisine(args) => (&args.common, args.made().map_err(refused)?),
-        Command::Steps(args) => (&args.common, args.made().map_err(refused)?),
+        Command::Chirp(args) => (&args.common, args.made().map_err(Failure::usage)?),
+        Command::Multisine(args) => (&args.common, args.made().map_err(Failure::usage)?),
+        Command::Steps(args) => (&args.common, args.made().map_err(Failure::usage)?),
     };
     common.check_names()?;
     let page = common.report.as_ref().map(|file| file.clone().unwrap_or_else(|| common.out.with_extension("html")));
@@ -232,7 +231,7 @@ impl Common {
         let odd = |name: &&str| name.is_empty() || name.contains([',', '"', '\n', '\r']) || *name != name.trim();
         if twice || names.iter().any(odd) {
             let text = "--coils: names of columns, all different and not t_s, such as axial_a,side_a";
-            return Err(Failure::new(Exit::Usage, text));
+            return Err(Failure::usage(text));
         }
         Ok(())
     }
@@ -242,7 +241,7 @@ impl Common {
         if !play::is_play(&self.out) {
             return Ok(None);
         }
-        let usage = |text: String| Failure::new(Exit::Usage, format!("{}: {text}", self.out.display()));
+        let usage = |text: String| Failure::usage(format!("{}: {text}", self.out.display()));
         let rate_hz = signal.rate.hz();
         if rate_hz > MAX_PLAYED_HZ {
             let text = format!("its delays are whole milliseconds, {rate_hz} rows per second are too many: --rate 500");

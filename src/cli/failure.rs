@@ -43,6 +43,7 @@ impl Failure {
         Self { exit, error: error.into() }
     }
 
+    /// Wrong arguments or files.
     pub(crate) fn usage(error: impl Into<Box<dyn Error + Send + Sync>>) -> Self {
         Self::new(Exit::Usage, error)
     }

@@ -1,6 +1,6 @@
 //! Opens sources that fit a rig: of its size, in colour, with at least one frame.
 
-use super::{Exit, Failure};
+use super::Failure;
 use crate::estimate::Spot;
 use crate::rig::Rig;
 use crate::source::{self, Frame, FrameSource, Picture, PixelFormat, SourceError, SourceOptions, StreamFaults};
@@ -13,7 +13,7 @@ const MIN_LUMA_SPREAD: u8 = 24;
 /// The recording or folder `source`, at its first frame; `rig` with the file it is from.
 ///
 /// # Errors
-/// [`Exit::Usage`] when it cannot be read or does not fit.
+/// [`super::Exit::Usage`] when it cannot be read or does not fit.
 pub(super) fn open((source, options): (&Path, SourceOptions), rig: (&Path, &Rig)) -> Result<Peeked, Failure> {
     fitting(source, source::open(source, options), rig)
 }
@@ -31,14 +31,13 @@ fn fitting(
     opened: Result<Box<dyn FrameSource + Send>, SourceError>,
     (rig_file, rig): (&Path, &Rig),
 ) -> Result<Peeked, Failure> {
-    let invalid = |e: SourceError| Failure::new(Exit::Usage, e);
     let name = source.display();
-    let opened = opened.map_err(invalid)?;
+    let opened = opened.map_err(Failure::usage)?;
     check_size(&name.to_string(), opened.size_px(), (rig_file, rig))?;
-    let peeked = Peeked::new(opened).map_err(invalid)?;
+    let peeked = Peeked::new(opened).map_err(Failure::usage)?;
     if peeked.first.as_ref().is_some_and(|frame| is_grey(&frame.picture)) {
         let text = format!("{name}: pictures are grey; markers are recognised by their colour");
-        return Err(Failure::new(Exit::Usage, text));
+        return Err(Failure::usage(text));
     }
     if let Some(PixelFormat::Yuv { chroma_log2: [x, y] }) = peeked.first.as_ref().map(|frame| frame.picture.format())
         && x.max(y) > 1
@@ -94,7 +93,7 @@ fn is_grey(picture: &Picture) -> bool {
 /// Refuses pictures, of the source called `name`, that have not the size of those of the rig's camera.
 ///
 /// # Errors
-/// [`Exit::Usage`].
+/// [`super::Exit::Usage`].
 pub(super) fn check_size(name: &str, size_px: [u32; 2], (rig_file, rig): (&Path, &Rig)) -> Result<(), Failure> {
     let ([width, height], expected) = (size_px, rig.camera.size_px);
     if size_px == expected {
@@ -106,7 +105,7 @@ pub(super) fn check_size(name: &str, size_px: [u32; 2], (rig_file, rig): (&Path,
         expected[0],
         expected[1]
     );
-    Err(Failure::new(Exit::Usage, text))
+    Err(Failure::usage(text))
 }
 
 /// Whether a lamp is in the rig's pictures.
@@ -116,7 +115,7 @@ pub(super) fn check_spot(spot: Option<Spot>, (rig_file, rig): (&Path, &Rig)) -> 
         Some(spot) if spot.x_px >= width || spot.y_px >= height || spot.radius_px > width.max(height) => {
             let text =
                 format!("--tick-led {spot}: outside of the pictures of {}, {width}x{height}", rig_file.display());
-            Err(Failure::new(Exit::Usage, text))
+            Err(Failure::usage(text))
         }
         _ => Ok(()),
     }

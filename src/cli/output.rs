@@ -18,7 +18,7 @@ pub(super) fn print(text: &str) -> Result<(), Failure> {
 
 /// Refuses to overwrite a file whose text is not `kind`, or to write where there is no folder.
 pub(super) fn is_free(path: &Path, is_kind: impl Fn(&str) -> bool, kind: &str) -> Result<(), Failure> {
-    let refused = |what: String| Err(Failure::new(Exit::Usage, format!("{}: {what}", path.display())));
+    let refused = |what: String| Err(Failure::usage(format!("{}: {what}", path.display())));
     let folder = path.parent().filter(|folder| *folder != Path::new(""));
     if folder.is_some_and(|folder| !folder.is_dir()) {
         return refused("there is no such folder to write to".to_owned());

@@ -43,7 +43,7 @@ pub(super) fn refuse_to_overwrite_inputs<'a>(
     match files.find(taken) {
         Some(input) => {
             let refused = format!("{}: is an input of this run and would be overwritten", input.display());
-            Err(Failure::new(Exit::Usage, refused))
+            Err(Failure::usage(refused))
         }
         None => Ok(()),
     }
@@ -60,11 +60,11 @@ pub(super) fn earlier_run<'a>(
     mut all: impl Iterator<Item = &'a str>,
 ) -> Result<Option<String>, Failure> {
     if folder.exists() && !folder.is_dir() {
-        return Err(Failure::new(Exit::Usage, format!("{}: is a file; choose a folder with -o", folder.display())));
+        return Err(Failure::usage(format!("{}: is a file; choose a folder with -o", folder.display())));
     }
     let refused = |what: String| {
         let advice = "choose another folder with -o, or move them away";
-        Err(Failure::new(Exit::Usage, format!("{}: {what}: {advice}", folder.display())))
+        Err(Failure::usage(format!("{}: {what}: {advice}", folder.display())))
     };
     let text = fs::read_to_string(folder.join(RUN)).ok();
     let earlier = text.and_then(|text| Some((toml::from_str::<Owner>(&text).ok()?, text)));

@@ -89,16 +89,16 @@ fn evaluate(args: &Args, outcome: &Outcome) -> Result<(), Failure> {
     if args.pause.len() != runs {
         let (runs, times) = (plural(runs, "run"), plural(args.pause.len(), "pause time"));
         let text = format!("{runs} and {times}: give --pause once for each run, in their order");
-        return Err(Failure::new(Exit::Usage, text));
+        return Err(Failure::usage(text));
     }
     if args.start.len() > 1 && args.start.len() != runs {
         let (runs, starts) = (plural(runs, "run"), plural(args.start.len(), "start"));
         let text = format!("{runs} and {starts}: give --start once for all runs, or once for each");
-        return Err(Failure::new(Exit::Usage, text));
+        return Err(Failure::usage(text));
     }
     args.results().check()?;
-    let saved = args.model.as_deref().map(Saved::read).transpose().map_err(|e| Failure::new(Exit::Usage, e))?;
-    let plant = args.plant.as_deref().map(Plant::load).transpose().map_err(|e| Failure::new(Exit::Usage, e))?;
+    let saved = args.model.as_deref().map(Saved::read).transpose().map_err(Failure::usage)?;
+    let plant = args.plant.as_deref().map(Plant::load).transpose().map_err(Failure::usage)?;
     let path = DesiredPath::read(&args.desired, args.points_per_period, args.periods).map_err(failure)?;
     let recordings = args
         .observed

@@ -157,7 +157,7 @@ pub(super) fn search(
         .into_par_iter()
         .zip(names)
         .map(|(path, name)| {
-            let grey = Grey::load(&path, Rows::AsStored).map_err(|e| Failure::new(Exit::Usage, e))?;
+            let grey = Grey::load(&path, Rows::AsStored).map_err(Failure::usage)?;
             let images = find_boards(&grey, board, most).map_err(|e| e.to_string());
             progress.lock().unwrap_or_else(PoisonError::into_inner).one_more();
             Ok(SearchedPicture { size_px: grey.size_px(), path, name, images })
@@ -176,7 +176,7 @@ fn names(files: &[PathBuf]) -> Vec<String> {
 }
 
 fn in_folder(folder: &Path) -> Result<Vec<PathBuf>, Failure> {
-    let fail = |e: std::io::Error| Failure::new(Exit::Usage, format!("cannot read folder {}: {e}", folder.display()));
+    let fail = |e: std::io::Error| Failure::usage(format!("cannot read folder {}: {e}", folder.display()));
     let mut files = Vec::new();
     for entry in folder.read_dir().map_err(fail)? {
         let path = entry.map_err(fail)?.path();
@@ -189,7 +189,7 @@ fn in_folder(folder: &Path) -> Result<Vec<PathBuf>, Failure> {
     if files.is_empty() {
         let cure = source::conversion_advice(folder).map(|cure| format!("; {cure}")).unwrap_or_default();
         let text = format!("{}: no pictures in this folder ({}){cure}", folder.display(), ENDINGS.join(", "));
-        return Err(Failure::new(Exit::Usage, text));
+        return Err(Failure::usage(text));
     }
     Ok(files)
 }

@@ -195,7 +195,7 @@ impl Seen {
 /// Searches the pictures for boards, including those taped to walls, or reads the points.
 fn seen(args: &RigArgs, draft: &Draft, options: &mut RigOptions, quiet: bool) -> Result<Seen, Failure> {
     if let Some(file) = &args.points {
-        let points = Points::read(file, args.mirrors).map_err(|e| Failure::new(Exit::Usage, e))?;
+        let points = Points::read(file, args.mirrors).map_err(Failure::usage)?;
         return Ok(Seen::Points { file: file.clone(), points });
     }
     let Some(board) = args.board.clone() else {

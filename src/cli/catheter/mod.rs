@@ -170,7 +170,7 @@ impl ShapeArgs {
         let &[x, y, z] = self.currents.as_slice() else {
             let text =
                 format!("--currents: {} given, expected three: X,Y,Z such as 0mA,0mA,100mA", self.currents.len());
-            return Err(Failure::new(Exit::Usage, text));
+            return Err(Failure::usage(text));
         };
         if let Some(out) = &self.out {
             is_free_for_page(out)?;
@@ -255,7 +255,7 @@ impl FollowArgs {
         let (name, catheter) = self.common.load()?;
         let [a, b, c] = self.coils.as_slice() else {
             let text = format!("--coils: {} names, expected three", self.coils.len());
-            return Err(Failure::new(Exit::Usage, text));
+            return Err(Failure::usage(text));
         };
         let tables: Vec<(f64, String)> = self.pause.iter().map(|s| (*s, format!("currents_{}ms", s * 1e3))).collect();
         let mut names = ["desired.csv", "response.csv", "follow.html"].map(str::to_owned).to_vec();
@@ -316,7 +316,7 @@ impl FollowArgs {
     fn targets(&self) -> Result<Vec<Target>, Failure> {
         let &[x, y] = self.centre.as_slice() else {
             let text = format!("--centre: {} lengths, expected X,Y such as 28mm,0mm", self.centre.len());
-            return Err(Failure::new(Exit::Usage, text));
+            return Err(Failure::usage(text));
         };
         let turns = (0..self.points).map(|k| f64::from(k) / f64::from(self.points) * TAU);
         let across = |dx: f64, dy: f64| Target::Across([x + self.radius * dx, y + self.radius * dy]);
@@ -343,16 +343,16 @@ impl FollowArgs {
 
 /// Points of a path, in mm: with z in space, without across the tube.
 fn from_table(file: &Path) -> Result<Vec<Target>, Failure> {
-    let wrong = |what: String| Failure::new(Exit::Usage, format!("{}: {what}", file.display()));
+    let wrong = |what: String| Failure::usage(format!("{}: {what}", file.display()));
     if !file.exists() {
         return Err(wrong("is neither circle nor lemniscate, and no such file".to_owned()));
     }
-    let flat = columns(file, &["x_mm", "y_mm"]).map_err(|e| Failure::new(Exit::Usage, e))?;
+    let flat = columns(file, &["x_mm", "y_mm"]).map_err(Failure::usage)?;
     let height = match columns(file, &["z_mm"]) {
         Ok(height) => Some(height),
         // There is no such column.
         Err(SeriesError::Content { .. }) => None,
-        Err(other) => return Err(Failure::new(Exit::Usage, other)),
+        Err(other) => return Err(Failure::usage(other)),
     };
     let at = |column: Option<&Vec<Option<f64>>>, k: usize| {
         column.and_then(|c| c.get(k).copied().flatten()).map(|mm| mm / 1e3)
@@ -380,7 +380,7 @@ fn desired(followed: &[Followed]) -> String {
 
 /// Makes the folder; refuses one that has other files than those of this command.
 fn prepare(folder: &Path, own: &[impl AsRef<str>]) -> Result<(), Failure> {
-    let refused = |what: String| Failure::new(Exit::Usage, format!("{}: {what}", folder.display()));
+    let refused = |what: String| Failure::usage(format!("{}: {what}", folder.display()));
     if folder.exists() && !folder.is_dir() {
         return Err(refused("is a file; give the name of a folder".to_owned()));
     }

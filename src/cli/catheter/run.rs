@@ -1,8 +1,8 @@
 //! `catoptra catheter run`: what a camera would record of the catheter under given currents.
 
+use super::super::Failure;
 use super::super::output::{is_free, print, save};
 use super::super::units::{duration_or_none_s, duration_s, frequency_hz};
-use super::super::{Exit, Failure};
 use super::{Common, failure};
 use crate::catheter::{Accuracy, Catheter, Commands, Moment, Noise, Sighting, record, seen};
 use crate::log::schema::table;
@@ -75,14 +75,14 @@ impl Columns {
         shift_s: f64,
     ) -> Result<Commands, Failure> {
         let file = table.path.display();
-        let columns = self.of(&table.coils).map_err(|why| Failure::new(Exit::Usage, format!("{file}: {why}")))?;
+        let columns = self.of(&table.coils).map_err(|why| Failure::usage(format!("{file}: {why}")))?;
         let value = |row: &[f64], column: Option<usize>| column.and_then(|k| row.get(k)).copied().unwrap_or(0.0);
         let rows = table.rows.iter().map(|row| {
             let time_s = row.time_ns as f64 / NS_PER_S + shift_s;
             (time_s, Vector3::from(columns.map(|column| value(&row.values_a, column))))
         });
         let rows: Vec<(f64, Vector3<f64>)> = rows.collect();
-        Commands::new(catheter, rows).map_err(|e| Failure::new(Exit::Usage, format!("{file}: {e}")))
+        Commands::new(catheter, rows).map_err(|e| Failure::usage(format!("{file}: {e}")))
     }
 
     /// Indices of the coils' columns among these names.
@@ -128,7 +128,7 @@ impl RunArgs {
         if let Some(damping_s) = self.damping {
             catheter.motion.damping_s = damping_s;
         }
-        let table = CurrentTable::read(&self.currents).map_err(|e| Failure::new(Exit::Usage, e))?;
+        let table = CurrentTable::read(&self.currents).map_err(Failure::usage)?;
         // Times of the host or the camera begin anew.
         let first_s = table.rows.first().map_or(0.0, |row| row.time_ns as f64 / NS_PER_S);
         let since_s = if table.clock == crate::series::CurrentClock::Start { 0.0 } else { first_s };

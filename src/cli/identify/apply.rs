@@ -21,7 +21,7 @@ pub(super) fn run(
     provenance: &Provenance,
     outcome: &Outcome,
 ) -> Result<(), Failure> {
-    let saved = Saved::read(model).map_err(|e| Failure::new(Exit::Usage, e))?;
+    let saved = Saved::read(model).map_err(Failure::usage)?;
     let with_unit = |name: &str, unit: &str| if unit.is_empty() { name.to_owned() } else { format!("{name} ({unit})") };
     let input = with_unit(&provenance.input, &provenance.input_unit);
     let of_output = with_unit(&provenance.output, &provenance.output_unit);

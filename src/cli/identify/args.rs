@@ -1,9 +1,9 @@
 //! Arguments of `catoptra identify`, and the settings they give.
 
+use crate::cli::Failure;
 use crate::cli::outcome::HiddenJson;
 use crate::cli::results::Results;
 use crate::cli::units::duration_s;
-use crate::cli::{Exit, Failure};
 use crate::identify::Repeats;
 use crate::identify::export;
 use crate::identify::fit::InitialState;
@@ -287,12 +287,12 @@ impl Args {
         let delays = self.nk.map_or(1..=5, Span::all);
         if self.fed_back() && *delays.start() == 0 {
             let text = "--nk 0: with Eq. 6 the torque holds the angle of the same sample, which would explain itself; the least is 1";
-            return Err(Failure::new(Exit::Usage, text));
+            return Err(Failure::usage(text));
         }
         let select = self.select;
         if !judged && matches!(select, Some(Select::Prediction | Select::Simulation)) {
             let text = "--select: there are no data to judge by; give --validate or --test, or select by mdl or aic";
-            return Err(Failure::new(Exit::Usage, text));
+            return Err(Failure::usage(text));
         }
         let candidates = self.candidates(samples, delays)?;
         let choice = match *candidates {
@@ -350,11 +350,11 @@ impl Args {
 
     /// All requested orders and delays.
     fn candidates(&self, samples: usize, delays: RangeInclusive<usize>) -> Result<Vec<Orders>, Failure> {
-        let none = |what: &str| Failure::new(Exit::Usage, format!("{what} 0: a model needs one coefficient at least"));
+        let none = |what: &str| Failure::usage(format!("{what} 0: a model needs one coefficient at least"));
         let with_delays = |na: usize, nb: usize| delays.clone().map(move |nk| Orders { na, nb, nk });
         if self.na.is_some() || self.nb.is_some() {
             let (Some(na), Some(nb)) = (self.na, self.nb) else {
-                return Err(Failure::new(Exit::Usage, "--na and --nb go together"));
+                return Err(Failure::usage("--na and --nb go together"));
             };
             if nb.from == 0 {
                 return Err(none("--nb"));

@@ -83,8 +83,8 @@ fn write_file(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
 /// A failure that names its records.
 fn failure(data: &Data, error: IdentifyError) -> Failure {
     let exit = match error {
-        IdentifyError::Nothing { .. } | IdentifyError::Still { .. } => return Failure::new(Exit::Usage, error),
-        IdentifyError::NotPeriodic { .. } => return Failure::new(Exit::Usage, error),
+        IdentifyError::Nothing { .. } | IdentifyError::Still { .. } => return Failure::usage(error),
+        IdentifyError::NotPeriodic { .. } => return Failure::usage(error),
         IdentifyError::TooShort { .. } | IdentifyError::TooShortToJudge { .. } => Exit::Usage,
         IdentifyError::Dependent { .. }
         | IdentifyError::Unstable { .. }

@@ -82,11 +82,11 @@ fn read(args: &Args) -> Result<(Vec<String>, Vec<Motion>), Failure> {
     let mut names: Option<Vec<String>> = None;
     let mut records: Vec<Motion> = Vec::new();
     for (k, file) in files.iter().enumerate() {
-        let recording = Recording::read(file).map_err(|e| Failure::new(Exit::Usage, e))?;
+        let recording = Recording::read(file).map_err(Failure::usage)?;
         let (source, coils, currents) = match args.currents.get(k) {
             Some(table) => {
-                let read = CurrentTable::read(table).map_err(|e| Failure::new(Exit::Usage, e))?;
-                let on_camera = read.on_camera_clock(&recording, None).map_err(|e| Failure::new(Exit::Usage, e))?;
+                let read = CurrentTable::read(table).map_err(Failure::usage)?;
+                let on_camera = read.on_camera_clock(&recording, None).map_err(Failure::usage)?;
                 (table.display().to_string(), read.coils, on_camera)
             }
             None => {

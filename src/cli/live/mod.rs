@@ -126,7 +126,7 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     let rig = rig;
     fitting::check_spot(args.tick_led, (&args.rig, &rig))?;
     let tracker = Tracker::new(&rig, TrackOptions { tick_led: args.tick_led, ..TrackOptions::default() })
-        .map_err(|e| Failure::new(Exit::Usage, format!("{}: {e}", args.rig.display())))?;
+        .map_err(|e| Failure::usage(format!("{}: {e}", args.rig.display())))?;
     print_warnings(&args.rig, &rig)?;
     let controllers = args.controllers(&rig)?;
     let subscribers = args.ros.open(&rig)?;
@@ -262,7 +262,7 @@ impl Args {
         if let Some((option, _)) = self.from.settings().iter().find(|(name, _)| !known.contains(name)) {
             let text =
                 format!("{}: --{option} is for real cameras; --fps and --exposure are for this one", self.source);
-            return Err(Failure::new(Exit::Usage, text));
+            return Err(Failure::usage(text));
         }
         Simulated::of((&self.rig, rig), motion, self.duration).map(Some)
     }

@@ -1,6 +1,6 @@
 //! `catoptra live --ros2`: the topics live over DDS. Builds without the feature `ros2` say so.
 
-use super::super::{Exit, Failure};
+use super::super::Failure;
 use crate::live::CurrentSource;
 use crate::rig::Rig;
 use crate::series::CurrentTable;
@@ -39,7 +39,7 @@ impl RosArgs {
         domain.ok_or_else(|| {
             let wrong =
                 format!("{DOMAIN_VARIABLE} is `{text}`, expected a number from 0 to {LAST_DOMAIN}; or give --domain");
-            Failure::new(Exit::Usage, wrong)
+            Failure::usage(wrong)
         })
     }
 
@@ -65,7 +65,7 @@ impl RosArgs {
                 everywhere: self.ros2 == Some(NetworkScope::Network),
             }),
             CurrentSource::Play { list, .. } => {
-                let table = CurrentTable::read(list).map_err(|e| Failure::new(Exit::Usage, e))?.to_text();
+                let table = CurrentTable::read(list).map_err(Failure::usage)?.to_text();
                 Ok(CurrentSource::Play { list: list.clone(), table })
             }
             other => Ok(other.clone()),
@@ -75,7 +75,8 @@ impl RosArgs {
 
 #[cfg(feature = "ros2")]
 fn published(domain: u16, everywhere: bool, rig: &Rig) -> Result<Box<dyn Sink + Send>, Failure> {
-    let sink = crate::sink::RosSink::open(domain, everywhere, rig).map_err(|e| Failure::new(Exit::Failed, e))?;
+    let sink =
+        crate::sink::RosSink::open(domain, everywhere, rig).map_err(|e| Failure::new(super::super::Exit::Failed, e))?;
     let where_to = if everywhere { "all networks" } else { "this computer alone" };
     tracing::info!("ROS 2: the topics are in domain {domain}, on {where_to}");
     Ok(Box::new(sink))
@@ -84,5 +85,5 @@ fn published(domain: u16, everywhere: bool, rig: &Rig) -> Result<Box<dyn Sink + 
 #[cfg(not(feature = "ros2"))]
 fn published(_: u16, _: bool, _: &Rig) -> Result<Box<dyn Sink + Send>, Failure> {
     let text = "--ros2: this build knows no ROS 2; build with `cargo build --release --features ros2`";
-    Err(Failure::new(Exit::Usage, text))
+    Err(Failure::usage(text))
 }

@@ -30,7 +30,7 @@ impl Simulated {
     /// `motion` is what is behind `sim:`.
     pub(super) fn of(rig: (&Path, &Rig), motion: &str, duration: Option<Duration>) -> Result<Self, Failure> {
         let (file, rig) = rig;
-        let of_rig = |e: &dyn std::fmt::Display| Failure::new(Exit::Usage, format!("{}: {e}", file.display()));
+        let of_rig = |e: &dyn std::fmt::Display| Failure::usage(format!("{}: {e}", file.display()));
         let mount = Mount::of(rig, None).map_err(|e| of_rig(&e))?;
         // A second more: the run's time begins before the first frame's.
         let duration_s = duration.map(|duration| duration.as_secs_f64() + 1.0);

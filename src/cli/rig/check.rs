@@ -48,11 +48,11 @@ fn at_the_catheter(file: &Path, draft: &Draft, recording: &Path, quiet: bool) ->
     let rig = draft.clone().complete(file)?;
     let mut source = fitting::open_to_track((recording, SourceOptions::default()), (file, &rig))?;
     let mut progress = Progress::of_frames(source.frame_count_hint(), quiet);
-    let mut tracker = Tracker::new(&rig, TrackOptions::default()).map_err(|e| Failure::new(Exit::Usage, e))?;
+    let mut tracker = Tracker::new(&rig, TrackOptions::default()).map_err(Failure::usage)?;
     let mut poses = Vec::new();
     let mut frames = 0;
     while let Some(frame) = source.next_frame().map_err(|e| Failure::new(Exit::Failed, e))? {
-        let estimate = tracker.step(&frame).map_err(|e| Failure::new(Exit::Usage, e))?;
+        let estimate = tracker.step(&frame).map_err(Failure::usage)?;
         let tip = rig.catheter.end.unwrap_or(rig.markers.len().saturating_sub(1));
         let place = |marker: usize| estimate.markers.get(marker)?.position.as_ref().ok().map(|p| p.point);
         if let (Some(coil), Some(tip), Ok(tangent)) = (place(rig.catheter.coil), place(tip), &estimate.tangent) {

@@ -44,7 +44,7 @@ pub(super) fn run(args: &ExportArgs, note: impl Fn(&str)) -> Result<(), Failure>
     let (text, said) = match format {
         Some(format) => {
             if args.first_pixel.is_some() {
-                return Err(Failure::new(Exit::Usage, format!("--first-pixel is for dlt: {format} counts from 0")));
+                return Err(Failure::usage(format!("--first-pixel is for dlt: {format} counts from 0")));
             }
             let names: Vec<&str> = rig.surfaces.keys().map(String::as_str).collect();
             let missing = format!(
@@ -62,7 +62,7 @@ pub(super) fn run(args: &ExportArgs, note: impl Fn(&str)) -> Result<(), Failure>
     match &args.out {
         Some(out) => {
             if same(out, &args.rig) {
-                return Err(Failure::new(Exit::Usage, format!("{} is the rig itself; give another -o", out.display())));
+                return Err(Failure::usage(format!("{} is the rig itself; give another -o", out.display())));
             }
             std::fs::write(out, &text)
                 .map_err(|e| Failure::new(Exit::Failed, format!("cannot write {}: {e}", out.display())))?;

@@ -1,7 +1,7 @@
 //! `catoptra rig import`: begins a rig file with a camera that was calibrated elsewhere.
 
 use super::super::calibrate::{can_be_written, left_out, save};
-use super::{Exit, Failure};
+use super::Failure;
 use crate::archive::hash;
 use crate::calibrate::geometry::Parameter;
 use crate::rig::Draft;
@@ -57,7 +57,7 @@ pub(super) fn run(args: &ImportArgs, note: impl Fn(&str)) -> Result<(), Failure>
     can_be_written(&args.out)?;
     let old = args.out.exists().then(|| Draft::load(&args.out)).transpose()?;
     let text = std::fs::read_to_string(&args.file)
-        .map_err(|e| Failure::new(Exit::Usage, format!("cannot read {}: {e}", args.file.display())))?;
+        .map_err(|e| Failure::usage(format!("cannot read {}: {e}", args.file.display())))?;
     let format = match args.format {
         Some(ImportFormat::Opencv) => Format::OpenCv,
         Some(ImportFormat::Ros) => Format::Ros,
@@ -89,7 +89,7 @@ pub(super) fn run(args: &ImportArgs, note: impl Fn(&str)) -> Result<(), Failure>
         let n = Parameter::of_lens(&draft.camera.lens).len();
         if sd.len() != n {
             let text = format!("--sd: {} σ, and this lens has {n} numbers", sd.len());
-            return Err(Failure::new(Exit::Usage, text));
+            return Err(Failure::usage(text));
         }
         let row = |i: usize| (0..n).map(|k| if k == i { sd[i] * sd[i] } else { 0.0 }).collect::<Vec<f64>>();
         provenance.insert("lens_covariance".into(), (0..n).map(|i| row(i).into()).collect::<Vec<toml::Value>>().into());

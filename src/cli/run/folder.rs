@@ -221,14 +221,14 @@ impl Files {
         if let Some(there) = ALL.iter().find(|name| self.folder.join(name).exists()) {
             let text =
                 format!("{}: has a {there} of an earlier run; choose another folder with -o", self.folder.display());
-            return Err(Failure::new(Exit::Usage, text));
+            return Err(Failure::usage(text));
         }
         self.prepare(run, inputs)
     }
 
     /// Refuses a folder that is a file, and a table that would replace another file.
     fn places_are_free(&self) -> Result<(), Failure> {
-        let refused = |text: String| Err(Failure::new(Exit::Usage, text));
+        let refused = |text: String| Err(Failure::usage(text));
         if self.folder.exists() && !self.folder.is_dir() {
             return refused(format!("{}: is a file; choose a folder with -o", self.folder.display()));
         }
@@ -256,7 +256,7 @@ impl Files {
         let owner = Owner { command: run.command.clone(), recording: run.recording.clone() };
         let Some(text) = results::earlier_run(&self.folder, &owner, ALL.into_iter())? else { return Ok(None) };
         let earlier = toml::from_str(&text)
-            .map_err(|e| Failure::new(Exit::Usage, format!("{}: {}", self.folder.join(RUN).display(), e.message())))?;
+            .map_err(|e| Failure::usage(format!("{}: {}", self.folder.join(RUN).display(), e.message())))?;
         Ok(Some(earlier))
     }
 }

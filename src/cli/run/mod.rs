@@ -36,10 +36,10 @@ pub(super) fn load_rig(file: &Path, reference: Reference) -> Result<(Rig, String
 
 /// The rig that is attached to the log `file`, and its text.
 pub(super) fn rig_of_log(file: &Path, reference: Reference) -> Result<(Rig, String), Failure> {
-    let text = log::attached(file, RIG_ATTACHMENT).map_err(|e| Failure::new(Exit::Usage, e))?.unwrap_or_default();
+    let text = log::attached(file, RIG_ATTACHMENT).map_err(Failure::usage)?.unwrap_or_default();
     if text.trim().is_empty() {
         let text = format!("{}: has no rig.toml attached: name the rig with --rig", file.display());
-        return Err(Failure::new(Exit::Usage, text));
+        return Err(Failure::usage(text));
     }
     parse_rig(file, text, reference)
 }
@@ -50,7 +50,7 @@ fn parse_rig(file: &Path, text: String, reference: Reference) -> Result<(Rig, St
     if OutputFrame::from(reference).output_from_camera(&rig).is_none() {
         let missing = "has no [base]: measure it with `catoptra calibrate base`, or track in the camera's frame with \
                        --frame camera";
-        return Err(Failure::new(Exit::Usage, format!("{}: {missing}", file.display())));
+        return Err(Failure::usage(format!("{}: {missing}", file.display())));
     }
     Ok((rig, text))
 }
@@ -64,7 +64,7 @@ pub(super) fn two_views(file: &Path, views: &[View]) -> Result<(), Failure> {
         file.display(),
         view.name
     );
-    Err(Failure::new(Exit::Usage, text))
+    Err(Failure::usage(text))
 }
 
 /// Prints the warnings of `catoptra rig check`, so that a user who never ran it does not learn them from the results.
@@ -76,7 +76,7 @@ pub(super) fn print_warnings(file: &Path, rig: &Rig) -> Result<(), Failure> {
 /// As [`print_warnings`], without printing.
 pub(super) fn rig_warnings(file: &Path, rig: &Rig) -> Result<Vec<String>, Failure> {
     let rig_file = file.display();
-    let checked = check(&rig.clone().into()).map_err(|e| Failure::new(Exit::Usage, format!("{rig_file}: {e}")))?;
+    let checked = check(&rig.clone().into()).map_err(|e| Failure::usage(format!("{rig_file}: {e}")))?;
     // Without a base, the user has requested the camera frame.
     let warnings = checked.warnings.iter().filter(|warning| **warning != Warning::NoBase);
     Ok(warnings.map(|warning| format!("{rig_file}: {warning}")).collect())

@@ -94,7 +94,7 @@ fn named(sources: &[PathBuf]) -> Result<Vec<Entry>, String> {
 
 /// The parent of all recordings' folders.
 fn folder(args: &Args) -> Result<PathBuf, Failure> {
-    let refused = |text: String| Err(Failure::new(Exit::Usage, text));
+    let refused = |text: String| Err(Failure::usage(text));
     match &args.out {
         None => refused("name the folder for the results of all recordings with -o".to_owned()),
         Some(folder) if folder.exists() && !folder.is_dir() => {

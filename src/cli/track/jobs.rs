@@ -164,9 +164,7 @@ impl Batch<'_> {
 /// With the same message as the source would give.
 fn recording_error(recording: &Path, error: io::Error) -> Failure {
     match error.kind() {
-        io::ErrorKind::NotFound => {
-            Failure::new(Exit::Usage, format!("{}: no such file or folder", recording.display()))
-        }
+        io::ErrorKind::NotFound => Failure::usage(format!("{}: no such file or folder", recording.display())),
         _ => Failure::because(Exit::Usage, format!("{}: cannot be read: {error}", recording.display()), error),
     }
 }

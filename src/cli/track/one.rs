@@ -42,7 +42,7 @@ impl LoadedRig {
             None if is_log(source) => (source, rig_of_log(source, options.frame())?),
             None => {
                 let text = "needs a rig: name it with --rig RIG.toml (only a log brings its own)";
-                return Err(Failure::new(Exit::Usage, format!("{}: {text}", source.display())));
+                return Err(Failure::usage(format!("{}: {text}", source.display())));
             }
         };
         let warnings = rig_warnings(file, &rig)?;
@@ -87,13 +87,13 @@ impl Request<'_> {
     pub(super) fn open(&self) -> Result<PreparedRun, Failure> {
         if self.options.full_frame && is_log(self.source) {
             let text = "holds parts of its pictures: they cannot be searched whole, leave out --full-frame";
-            return Err(Failure::new(Exit::Usage, format!("{}: {text}", self.source.display())));
+            return Err(Failure::usage(format!("{}: {text}", self.source.display())));
         }
         let LoadedRig { file, rig, .. } = self.rig;
         let (full_frame, tick_led) = (self.options.full_frame, self.options.tick_led);
         fitting::check_spot(tick_led, (file, rig))?;
         let tracker = Tracker::new(rig, TrackOptions { full_frame, tick_led })
-            .map_err(|e| Failure::new(Exit::Usage, format!("{}: {e}", file.display())))?;
+            .map_err(|e| Failure::usage(format!("{}: {e}", file.display())))?;
         let (span, stated_rate) = (self.options.span(), self.options.fps);
         let options = SourceOptions { span, stated_rate, decoder_threads: self.threads, ..SourceOptions::default() };
         let source = fitting::open_to_track((self.source, options), (file, rig))?;
