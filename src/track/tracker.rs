@@ -242,8 +242,8 @@ impl Tracker {
     /// the shake of the base band. Only a rig with a base frame says that this band, the first, rests.
     fn widen(&mut self, estimate: &mut Estimate) {
         let (stamp, persisting) = (estimate.stamp, self.model.error.persisting);
-        let base = estimate.markers.first().filter(|_| self.rig.base.is_some());
-        if let Some(Ok(base)) = base.map(|base| &base.position) {
+        let base = estimate.markers.first().map(|base| &base.position);
+        if let (Some(Ok(base)), Some(_)) = (base, &self.rig.base) {
             self.shake.add(stamp, base.point.coords, &base.covariance);
         }
         let shake = self.shake.at(stamp);

@@ -19,30 +19,31 @@ fn swing() -> Vec<Frame> {
     frames.skip(FIRST).take(COUNT).map(lossless).collect()
 }
 
+/// A picture like another, with rows of its own: by channel and number.
+fn with_rows(picture: &Picture, row: impl Fn(usize, usize) -> Vec<u8>) -> Picture {
+    let plane = |i: usize| (0..picture.plane(i).unwrap().height).flat_map(|j| row(i, j)).collect();
+    let planes = (0..picture.format().channels()).map(plane).collect();
+    let [width, height] = picture.size_px();
+    Picture::from_planes(width, height, picture.format(), picture.colour(), planes).unwrap()
+}
+
 /// The columns of one picture before `column`, those of another behind it.
 fn composed(left: &Picture, right: &Picture, column: u32) -> Picture {
-    let plane = |i: usize| {
+    with_rows(left, |i, j| {
         let (left, right) = (left.plane(i).unwrap(), right.plane(i).unwrap());
         let at = (column / left.scale[0]) as usize;
-        let row = |j: usize| [&left.row(j).unwrap()[..at], &right.row(j).unwrap()[at..left.width]].concat();
-        (0..left.height).flat_map(row).collect()
-    };
-    let planes = (0..left.format().channels()).map(plane).collect();
-    let [width, height] = left.size_px();
-    Picture::from_planes(width, height, left.format(), left.colour(), planes).unwrap()
+        [&left.row(j).unwrap()[..at], &right.row(j).unwrap()[at..left.width]].concat()
+    })
 }
 
 /// The picture moved to the right by a number of pixels, which is a multiple of a chroma sample's.
 fn moved(picture: &Picture, by_px: i64) -> Picture {
-    let plane = |i: usize| {
+    with_rows(picture, |i, j| {
         let plane = picture.plane(i).unwrap();
         let by = by_px / i64::from(plane.scale[0]);
         let from = |x: usize| (x as i64 - by).clamp(0, plane.width as i64 - 1) as usize;
-        (0..plane.height).flat_map(|j| (0..plane.width).map(move |x| plane.row(j).unwrap()[from(x)])).collect()
-    };
-    let planes = (0..picture.format().channels()).map(plane).collect();
-    let [width, height] = picture.size_px();
-    Picture::from_planes(width, height, picture.format(), picture.colour(), planes).unwrap()
+        (0..plane.width).map(|x| plane.row(j).unwrap()[from(x)]).collect()
+    })
 }
 
 /// The estimates, and whether there was a warning.
