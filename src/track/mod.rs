@@ -12,6 +12,7 @@ mod covariance;
 mod equations;
 mod find;
 mod fit;
+mod focus;
 mod group_fit;
 mod image_model;
 mod judge;

@@ -13,7 +13,7 @@
 //! gaps); a wrong position that persists; jumps where more than one measurement in ten is wrong; anything in the first
 //! frames.
 
-use crate::estimate::{Estimate, MarkerEstimate, Miss};
+use crate::estimate::{Estimate, MarkerEstimate, Miss, Position};
 use crate::source::Timestamp;
 use nalgebra::Vector3;
 use std::collections::VecDeque;
@@ -60,7 +60,7 @@ impl Motion {
         let mut times: Vec<Option<f64>> = Vec::with_capacity(self.markers.len());
         for (course, marker) in self.markers.iter_mut().zip(&estimate.markers) {
             let place = marker.position.as_ref().ok();
-            times.push(place.and_then(|p| course.judge(Place::new(p.point.coords, p.covariance.trace(), stamp))));
+            times.push(place.and_then(|position| course.judge(Place::of(position, stamp))));
         }
         let direction = estimate.tangent.as_ref().ok();
         let turned = direction.and_then(|t| self.tangent.judge(Place::new(t.direction, t.covariance.trace(), stamp)));
@@ -84,10 +84,10 @@ impl Motion {
 
 /// A position, in its own unit.
 #[derive(Debug, Clone, Copy)]
-struct Place {
-    at: Vector3<f64>,
+pub(super) struct Place {
+    pub at: Vector3<f64>,
     /// Sum over all coordinates.
-    variance: f64,
+    pub variance: f64,
     ns: i64,
 }
 
@@ -96,7 +96,17 @@ impl Place {
         Self { at, variance, ns: stamp.ns }
     }
 
-    fn seconds_since(&self, before: &Self) -> f64 {
+    /// That of a band, m.
+    pub(super) fn of(position: &Position, stamp: Timestamp) -> Self {
+        Self::new(position.point.coords, position.covariance.trace(), stamp)
+    }
+
+    /// Whether it is further from another than so many standard deviations of their difference.
+    pub(super) fn is_off(&self, other: &Self, sd: f64) -> bool {
+        (self.at - other.at).norm_squared() > sd.powi(2) * (self.variance + other.variance)
+    }
+
+    pub(super) fn seconds_since(&self, before: &Self) -> f64 {
         self.ns.saturating_sub(before.ns) as f64 * 1e-9
     }
 }

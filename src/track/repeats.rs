@@ -6,23 +6,36 @@
 //! repeated only if a band moved between the two different pictures before, and with such a coder only for
 //! [`AT_REST_S`]: after that the catheter has come to rest.
 //!
-//! Cannot detect: repeated pictures that were coded again, a stall that begins at rest, and what repeats the first
-//! picture of a run.
+//! A repeated picture that was coded again, or has noise of its own, is told by its positions: bands that moved, and
+//! were not slowing down to a stop, are exactly where they were. A swing that turns slows down first. This too ends
+//! after [`AT_REST_S`], as a catheter can be stopped by a wall.
+//!
+//! Cannot detect: repeated pictures that were coded again while the bands were hardly moving or about to turn, a stall
+//! that begins at rest, and what repeats the first two pictures of a run.
 
 use crate::estimate::{Estimate, Position};
 use crate::source::{Picture, Timestamp, Window};
-use nalgebra::Vector3;
+use crate::track::motion::Place;
 
-/// With a coder that predicts, equal pictures after this time show a catheter at rest, seconds.
+/// Equal pictures by a coder that predicts, and positions that stay, show after this time that the catheter rests,
+/// seconds.
 const AT_REST_S: f64 = 0.25;
 /// Standard deviations of the difference of two positions beyond which a band has moved.
 const MOVED_SD: f64 = 4.0;
+/// A band that moved steadily stands still if it moves by less than this part of what it would have, and may do so with
+/// another band if by less than the second: its motion blur is taken for that of a band at rest.
+const STILL: f64 = 0.1;
+const HARDLY: f64 = 0.25;
+/// It moved steadily if, with its present acceleration too, it would move by at least this part of that.
+const STEADY: f64 = 0.5;
 
 /// The last picture that was measured.
 #[derive(Debug, Default)]
 pub(crate) struct Repeats {
     last: Option<Shown>,
     bands: Vec<Band>,
+    /// Whether the bands have stood still since then.
+    standing: bool,
 }
 
 #[derive(Debug)]
@@ -35,17 +48,60 @@ struct Shown {
     moving: bool,
 }
 
-/// The last position of a band, and the sum of its variances, m and m².
+/// The last place of a band, and two more before it from which it had moved away, latest first.
 #[derive(Debug, Clone, Default)]
-struct Band(Option<(Vector3<f64>, f64)>);
+struct Band([Option<Place>; 3]);
+
+/// What a band that moved does.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Course {
+    /// It is where it was, although nothing slowed it down.
+    Stands,
+    /// It moves on.
+    Moves,
+    /// It hardly moves, or did not before either.
+    Rests,
+}
 
 impl Band {
-    /// Whether it has moved to this position, which is remembered.
-    fn has_moved(&mut self, position: &Position) -> bool {
-        let (here, variance) = (position.point.coords, position.covariance.trace());
-        self.0.replace((here, variance)).is_some_and(|(then, then_variance)| {
-            (here - then).norm_squared() > MOVED_SD.powi(2) * (then_variance + variance)
-        })
+    /// Remembers a place; whether the band has moved to it.
+    fn has_moved(&mut self, place: Place) -> bool {
+        let [last, before, _] = self.0;
+        let is_off = |from: Option<Place>, place: &Place| from.is_some_and(|from| place.is_off(&from, MOVED_SD));
+        match last {
+            // Where it stood, or what was a repeated picture, counts once.
+            Some(stood) if before.is_some() && !is_off(before, &stood) => self.0[0] = Some(place),
+            _ => self.0 = [Some(place), last, before],
+        }
+        is_off(last, &place)
+    }
+
+    /// What it does if it is at this place now.
+    fn course(&self, now: &Place) -> Course {
+        let Some(last) = &self.0[0] else { return Course::Moves };
+        let moved_m = (now.at - last.at).norm();
+        match self.expected_m(now) {
+            Some(way_m) if moved_m < STILL * way_m => Course::Stands,
+            Some(way_m) if moved_m < HARDLY * way_m => Course::Rests,
+            None if !now.is_off(last, MOVED_SD) => Course::Rests,
+            _ => Course::Moves,
+        }
+    }
+
+    /// How far it would have moved by now; `None` if it did not move before, or slowed down, or that is not known.
+    fn expected_m(&self, now: &Place) -> Option<f64> {
+        let [Some(last), Some(before), Some(earlier)] = &self.0 else { return None };
+        let [ahead_s, step_s, earlier_s] =
+            [now.seconds_since(last), last.seconds_since(before), before.seconds_since(earlier)];
+        if ![ahead_s, step_s, earlier_s].iter().all(|time_s| (1e-6..AT_REST_S).contains(time_s)) {
+            return None;
+        }
+        let velocity = (last.at - before.at) / step_s;
+        let acceleration = (velocity - (before.at - earlier.at) / earlier_s) / ((step_s + earlier_s) / 2.0);
+        let steady = velocity * ahead_s;
+        let predicted = steady + acceleration * (ahead_s * (ahead_s + step_s) / 2.0);
+        let moved = steady.norm_squared() > MOVED_SD.powi(2) * (last.variance + before.variance);
+        (moved && predicted.dot(&steady) > STEADY * steady.norm_squared()).then(|| steady.norm())
     }
 }
 
@@ -58,18 +114,36 @@ impl Repeats {
         (!predicted || since_s < AT_REST_S) && checksum(picture, &last.windows) == Some(last.checksum)
     }
 
+    /// Whether the bands of a picture are where they were in the last one that was measured, although they moved: it
+    /// repeats that one, coded again or with other noise. Asked of every picture, before it is remembered.
+    pub(crate) fn stands_still(&mut self, estimate: &Estimate) -> bool {
+        let since_s = |last: &Shown| estimate.stamp.ns.saturating_sub(last.stamp.ns) as f64 * 1e-9;
+        let recent = self.last.as_ref().is_some_and(|last| since_s(last) < AT_REST_S);
+        let courses = self.bands.iter().zip(places(estimate)).filter_map(|(band, place)| Some(band.course(&place?)));
+        let courses: Vec<Course> = courses.collect();
+        let stands = courses.contains(&Course::Stands) || self.standing && courses.contains(&Course::Rests);
+        self.standing = recent && stands && !courses.contains(&Course::Moves);
+        self.standing
+    }
+
     /// Remembers a picture that was measured, its bands in `windows`.
     pub(crate) fn remember(&mut self, picture: &Picture, windows: Vec<Window>, estimate: &Estimate) {
         self.bands.resize(estimate.markers.len(), Band::default());
         let mut moving = false;
-        for (band, marker) in self.bands.iter_mut().zip(&estimate.markers) {
-            if let Ok(position) = &marker.position {
-                moving |= band.has_moved(position);
+        for (band, place) in self.bands.iter_mut().zip(places(estimate)) {
+            if let Some(place) = place {
+                moving |= band.has_moved(place);
             }
         }
         self.last =
             checksum(picture, &windows).map(|checksum| Shown { stamp: estimate.stamp, windows, checksum, moving });
     }
+}
+
+/// Where each band of an estimate is.
+fn places(estimate: &Estimate) -> impl Iterator<Item = Option<Place>> {
+    let place = |position: &Position| Place::of(position, estimate.stamp);
+    estimate.markers.iter().map(move |marker| marker.position.as_ref().ok().map(place))
 }
 
 /// Of the samples in some windows of a picture; `None` when there are none, or not all were recorded.
@@ -100,7 +174,10 @@ mod tests {
     use crate::source::{Clock, Colour, PixelFormat, Quantisation};
     use crate::testing::fixture;
     use crate::testing::random::Random;
+    use nalgebra::{Matrix3, Point3, Vector3};
 
+    /// Of each coordinate.
+    const SD_M: f64 = 5e-5;
     const WINDOW: Window = Window { x0: 11, y0: 9, x1: 21, y1: 19 };
 
     /// Noise in 4:2:0.
@@ -115,19 +192,44 @@ mod tests {
         Timestamp { ns: frame * 16_666_667, clock: Clock::Container }
     }
 
+    /// An estimate of bands that are all here, metres.
+    fn estimate(frame: i64, at: Vector3<f64>) -> Estimate {
+        let mut estimate = Estimate { stamp: stamp(frame), ..fixture::complete(frame as u64, 0) };
+        for position in estimate.markers.iter_mut().filter_map(|marker| marker.position.as_mut().ok()) {
+            position.point = Point3::new(0.0, 0.0, 1.3) + at;
+            position.covariance = Matrix3::identity() * SD_M * SD_M;
+        }
+        estimate
+    }
+
     /// After two pictures between which a band moved so far.
     fn after(moved_m: f64) -> Repeats {
         let mut repeats = Repeats::default();
         for (frame, x) in [(0, 0.0), (1, moved_m)] {
-            let mut estimate = Estimate { stamp: stamp(frame), ..fixture::complete(frame as u64, 0) };
-            let sd_m = 5e-5;
-            for position in estimate.markers.iter_mut().filter_map(|marker| marker.position.as_mut().ok()) {
-                position.point = nalgebra::Point3::new(x, 0.0, 1.3);
-                position.covariance = nalgebra::Matrix3::identity() * sd_m * sd_m;
-            }
-            repeats.remember(&noise(frame as u64), vec![WINDOW], &estimate);
+            repeats.remember(&noise(frame as u64), vec![WINDOW], &estimate(frame, Vector3::x() * x));
         }
         repeats
+    }
+
+    /// Frames whose bands are said to stand still, of a course that is measured with noise.
+    fn standing(course: impl Fn(i64) -> Vector3<f64>) -> Vec<i64> {
+        let (mut repeats, mut random) = (Repeats::default(), Random::new(8));
+        let picture = noise(0);
+        let mut stands = |frame: &i64| {
+            let off = Vector3::from_fn(|_, _| SD_M / 2.0 * random.normal());
+            let estimate = estimate(*frame, course(*frame) + off);
+            let stands = repeats.stands_still(&estimate);
+            if !stands {
+                repeats.remember(&picture, vec![WINDOW], &estimate);
+            }
+            stands
+        };
+        (0..240).filter(&mut stands).collect()
+    }
+
+    /// 2 cm at so many cycles per frame.
+    fn swing(cycles: f64) -> impl Fn(i64) -> Vector3<f64> {
+        move |frame| Vector3::x() * 0.02 * (std::f64::consts::TAU * cycles * frame as f64 + 0.3).sin()
     }
 
     #[test]
@@ -143,6 +245,36 @@ mod tests {
     fn a_coder_repeats_what_has_come_to_rest() {
         let coded = || noise(1).quantised(Some(Quantisation::assumed([32, 24])));
         assert!(after(1e-3).is_repeated(&coded(), stamp(2)) && !after(1e-3).is_repeated(&coded(), stamp(30)));
+    }
+
+    #[test]
+    fn pictures_shown_twice_are_noticed_by_where_the_bands_are() {
+        let at = swing(0.021);
+        let twice = standing(|frame| at(frame - frame % 2));
+        let true_to_time: Vec<_> = twice.iter().filter(|frame| **frame % 2 == 0).collect();
+        assert!(true_to_time.len() < 3, "{true_to_time:?}");
+        // The rest are at the turning points.
+        assert!(twice.len() > 80, "{} of 120", twice.len());
+        let stall = standing(|frame| at(if (45..52).contains(&frame) { 44 } else { frame }));
+        assert_eq!(stall, (45..52).collect::<Vec<_>>());
+    }
+
+    /// Up to 6 Hz at 60 frames per second.
+    #[test]
+    fn swings_and_steps_hardly_ever_stand_still() {
+        let standing_of = |cycles: f64| standing(swing(cycles)).len();
+        let all: usize = (1..=100).map(|k| standing_of(f64::from(k) * 0.001)).sum();
+        assert!(all < 24, "{all} of 24,000");
+        // Critically damped, as a step of the current moves it.
+        let step = |t: f64| 0.03 * (1.0 - (1.0 + t) * (-t).exp());
+        assert_eq!(standing(|frame| Vector3::x() * step(0.3 * (frame - 40).max(0) as f64)), [0; 0]);
+    }
+
+    /// It is not answered for a quarter of a second, but then it is.
+    #[test]
+    fn a_band_that_is_stopped_is_at_rest() {
+        let stopped = standing(|frame| Vector3::x() * 1e-3 * frame.min(100) as f64);
+        assert_eq!(stopped, (101..115).collect::<Vec<_>>());
     }
 
     #[test]

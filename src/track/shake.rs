@@ -37,6 +37,11 @@ impl Shake {
         self.seen
     }
 
+    /// Begins anew.
+    pub(crate) fn forget(&mut self) {
+        self.recent.clear();
+    }
+
     /// Adds a position of the base band, m, with its covariance.
     pub(crate) fn add(&mut self, stamp: Timestamp, position: Vector3<f64>, covariance: &Matrix3<f64>) {
         self.recent.push_back((stamp.ns, position, *covariance));

@@ -7,6 +7,8 @@ use crate::source::{Frame, Picture, Timestamp, Transfer};
 use crate::track::answer;
 use crate::track::coil::deflection;
 use crate::track::find::{Finder, Found};
+use crate::track::fit::TubeFit;
+use crate::track::focus::Focus;
 use crate::track::group_fit::{Fitted, GroupFitting};
 use crate::track::image_model::{ImageModel, ModelError};
 use crate::track::judge::Judge;
@@ -32,6 +34,9 @@ const PAIRED_CHROMA: &str = "every two pixels of these pictures have the same ch
      original";
 const VIEWS_DISAGREE: &str = "the views do not agree on where a band is, by far more than noise explains: they do \
      not show the same moment, or camera, mirror or tank have moved; σ is widened by as much";
+const OUT_OF_FOCUS: &str = "the pictures are clearly sharper or more blurred than those on which the bands were taught: \
+     focus, distance or processing have changed; their blur is measured and used, but the first frames were tracked \
+     without it: teach the bands again";
 const SHAKES: &str = "the base band, which should rest, shakes by more than its σ: camera, mirror, tank or clamp \
      vibrate, or the pictures were processed; σ of all positions is widened by as much";
 
@@ -72,6 +77,7 @@ pub struct Tracker {
     /// For each marker that is the reference of a group: its last fit.
     before: Vec<Option<Last>>,
     motion: Motion,
+    focus: Focus,
     shake: Shake,
     repeats: Repeats,
     pairs: Pairs,
@@ -87,11 +93,12 @@ impl Tracker {
     /// When a marker has no colour model.
     pub fn new(rig: &Rig, options: TrackOptions) -> Result<Self, TrackError> {
         let transfer = Transfer::Bt709;
+        let blur_px = rig.camera.blur_px.unwrap_or(DEFAULT_BLUR_PX);
         Ok(Self {
             finder: Finder::new(rig, options.full_frame)?,
             model: ImageModel {
                 encoding: rig.camera.gamma.map_or_else(|| Encoding::new(transfer), Encoding::power),
-                blur_px: rig.camera.blur_px.unwrap_or(DEFAULT_BLUR_PX),
+                blur_px,
                 chroma_offset_px: rig.camera.chroma_offset_px,
                 error: ModelError::CODED,
             },
@@ -100,6 +107,7 @@ impl Tracker {
             before: vec![None; rig.markers.len()],
             scatter: vec![Scatter::default(); rig.markers.len() + 1],
             motion: Motion::new(rig.markers.len(), rig.catheter.coil),
+            focus: Focus::new(blur_px, rig.camera.exposure_s.is_some()),
             shake: Shake::default(),
             repeats: Repeats::default(),
             pairs: Pairs::default(),
@@ -155,9 +163,13 @@ impl Tracker {
         // 2. the tube around them, fitted to the pictures of all views
         let mut fitted = self.fit(frame, &found, TRACKED_PX);
         self.judge.judge(&self.rig, &self.model.encoding, &found, &mut fitted);
-        self.keep_shapes(frame.stamp, &fitted);
+        self.follow_focus(frame, &found, &fitted);
         // 3. positions, tangent, deflection
         let mut estimate = answer::estimate(&self.rig, &self.model.encoding, frame, &found.assigned, &fitted);
+        if self.repeats.stands_still(&estimate) {
+            return Ok(Estimate::missed(frame, &self.rig, &Miss::Repeated));
+        }
+        self.keep_shapes(frame.stamp, &fitted);
         // 4. implausible motion becomes a miss
         self.motion.check(&mut estimate, fitted.iter().map(|f| f.group.members.as_slice()));
         // Before σ is widened: pictures that repeat scatter.
@@ -180,6 +192,7 @@ impl Tracker {
             (self.pairs.are_alike(), PAIRED_CHROMA),
             (self.judge.views_disagree(), VIEWS_DISAGREE),
             (self.shake.is_seen(), SHAKES),
+            (self.focus.has_changed() && self.rig.camera.blur_px.is_some(), OUT_OF_FOCUS),
         ];
         let new = seen.into_iter().find(|(seen, what)| *seen && !self.warned.contains(what))?.1;
         self.warned.push(new);
@@ -226,6 +239,29 @@ impl Tracker {
     fn fit(&self, frame: &Frame, found: &Found, margin_px: f64) -> Vec<Fitted> {
         let Self { rig, model, judge, before, .. } = self;
         GroupFitting { rig, model, frame, found, last: before, usual: &judge.usual, margin_px }.fit_all()
+    }
+
+    /// Fits some frames with more and with less blur too, and follows it.
+    fn follow_focus(&mut self, frame: &Frame, found: &Found, fitted: &[Fitted]) {
+        let Some(fit) = self.of_coil(fitted) else { return };
+        let Some(tries) = self.focus.tries(frame.stamp, fit) else { return };
+        let [less, more] = tries.map(|blur_px| {
+            self.model.blur_px = blur_px;
+            self.fit(frame, found, TRACKED_PX)
+        });
+        if let (Some(less), Some(more)) = (self.of_coil(&less), self.of_coil(&more))
+            && self.focus.moves(fit, [less, more])
+        {
+            // The base band moves with the model, not with the camera.
+            self.shake.forget();
+        }
+        self.model.blur_px = self.focus.blur_px();
+    }
+
+    /// The fit that shows the coil.
+    fn of_coil<'a>(&self, fitted: &'a [Fitted]) -> Option<&'a TubeFit> {
+        let shows = |fitted: &&Fitted| fitted.group.members.iter().any(|(m, _)| *m == self.rig.catheter.coil);
+        fitted.iter().find(shows)?.result.as_ref().ok()
     }
 
     /// Remembers where the tube is, for later frames.

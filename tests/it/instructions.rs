@@ -9,11 +9,13 @@ use catoptra::track::{TrackOptions, Tracker};
 use std::hint::black_box;
 use std::process::Command;
 
+/// Frames before those that are counted: the first has no predecessor, and some are fitted with other blurs too.
+const SKIPPED: usize = 48;
 /// Frames counted.
 const FRAMES: usize = 8;
 /// What was counted last, as the tests are built, with Rust 1.95 and AVX2: to be lowered after every improvement.
-const STEP: f64 = 24.04e6;
-const SEGMENTATION: f64 = 4.343e6;
+const STEP: f64 = 20.17e6;
+const SEGMENTATION: f64 = 4.384e6;
 /// More than this is a step back; other compilers differ by less.
 const MOST: f64 = 1.10;
 
@@ -36,10 +38,9 @@ fn frames_to_count() {
     let mut segmenter = Segmenter::for_rig(&rig()).unwrap();
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).use_current_thread().build().unwrap();
     pool.install(|| {
-        for k in 0..=FRAMES {
+        for k in 0..SKIPPED + FRAMES {
             let frame = source.next_frame().unwrap().unwrap();
-            // The first has no predecessor.
-            if k == 0 {
+            if k < SKIPPED {
                 tracker.step(&frame).unwrap();
                 continue;
             }
