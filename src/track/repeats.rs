@@ -26,8 +26,9 @@ const MOVED_SD: f64 = 4.0;
 /// another band if by less than the second: its motion blur is taken for that of a band at rest.
 const STILL: f64 = 0.1;
 const HARDLY: f64 = 0.25;
-/// It moved steadily if, with its present acceleration too, it would move by at least this part of that.
-const STEADY: f64 = 0.5;
+/// It moved steadily if, with its present acceleration too, it would move by at least this part of that: by the stamps,
+/// and if all its steps took the same time, as stamps of arrival are uncertain.
+const STEADY: (f64, f64) = (0.5, 0.35);
 
 /// The last picture that was measured.
 #[derive(Debug, Default)]
@@ -96,12 +97,19 @@ impl Band {
         if ![ahead_s, step_s, earlier_s].iter().all(|time_s| (1e-6..AT_REST_S).contains(time_s)) {
             return None;
         }
-        let velocity = (last.at - before.at) / step_s;
-        let acceleration = (velocity - (before.at - earlier.at) / earlier_s) / ((step_s + earlier_s) / 2.0);
-        let steady = velocity * ahead_s;
-        let predicted = steady + acceleration * (ahead_s * (ahead_s + step_s) / 2.0);
-        let moved = steady.norm_squared() > MOVED_SD.powi(2) * (last.variance + before.variance);
-        (moved && predicted.dot(&steady) > STEADY * steady.norm_squared()).then(|| steady.norm())
+        let [way, way_before] = [last.at - before.at, before.at - earlier.at];
+        let is_steady = |[ahead, step, earlier]: [f64; 3], least: f64| {
+            let velocity = way / step;
+            let acceleration = (velocity - way_before / earlier) / ((step + earlier) / 2.0);
+            let steady = velocity * ahead;
+            let predicted = steady + acceleration * (ahead * (ahead + step) / 2.0);
+            predicted.dot(&steady) > least * steady.norm_squared()
+        };
+        // No further than before: the stamps may lie close together by mistake.
+        let expected_m = way.norm() * (ahead_s / step_s).min(1.0);
+        let moved = expected_m.powi(2) > MOVED_SD.powi(2) * (last.variance + before.variance);
+        let steady = is_steady([ahead_s, step_s, earlier_s], STEADY.0) && is_steady([1.0; 3], STEADY.1);
+        (moved && steady).then_some(expected_m)
     }
 }
 
@@ -213,11 +221,17 @@ mod tests {
 
     /// Frames whose bands are said to stand still, of a course that is measured with noise.
     fn standing(course: impl Fn(i64) -> Vector3<f64>) -> Vec<i64> {
+        standing_with(0.0, course)
+    }
+
+    /// The same with stamps that are late by up to this.
+    fn standing_with(jitter_s: f64, course: impl Fn(i64) -> Vector3<f64>) -> Vec<i64> {
         let (mut repeats, mut random) = (Repeats::default(), Random::new(8));
         let picture = noise(0);
         let mut stands = |frame: &i64| {
             let off = Vector3::from_fn(|_, _| SD_M / 2.0 * random.normal());
-            let estimate = estimate(*frame, course(*frame) + off);
+            let mut estimate = estimate(*frame, course(*frame) + off);
+            estimate.stamp.ns += (jitter_s * 1e9 * random.uniform()) as i64;
             let stands = repeats.stands_still(&estimate);
             if !stands {
                 repeats.remember(&picture, vec![WINDOW], &estimate);
@@ -262,9 +276,11 @@ mod tests {
     /// Up to 6 Hz at 60 frames per second.
     #[test]
     fn swings_and_steps_hardly_ever_stand_still() {
-        let standing_of = |cycles: f64| standing(swing(cycles)).len();
-        let all: usize = (1..=100).map(|k| standing_of(f64::from(k) * 0.001)).sum();
-        assert!(all < 24, "{all} of 24,000");
+        for (jitter_s, most) in [(0.0, 24), (0.015, 240)] {
+            let standing_of = |cycles: f64| standing_with(jitter_s, swing(cycles)).len();
+            let all: usize = (1..=100).map(|k| standing_of(f64::from(k) * 0.001)).sum();
+            assert!(all < most, "{all} of 24,000 with {jitter_s} s");
+        }
         // Critically damped, as a step of the current moves it.
         let step = |t: f64| 0.03 * (1.0 - (1.0 + t) * (-t).exp());
         assert_eq!(standing(|frame| Vector3::x() * step(0.3 * (frame - 40).max(0) as f64)), [0; 0]);
