@@ -141,7 +141,7 @@ fn a_full_disk_is_told_and_what_was_written_before_is_read() {
 #[test]
 fn without_room_kept_for_it_the_log_ends_with_the_pictures_and_both_are_read() {
     let place = Place::new();
-    let Some(disk) = Disk::new(&place, 12_000_000) else { return };
+    let Some(disk) = Disk::new(&place, 9_000_000) else { return };
     let out = disk.0.join("out");
     let output = live(&place, &out, "", "--record ffv1 --keep-free 0.000001");
     let printed = ended_with(&output, 1);
