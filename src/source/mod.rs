@@ -93,6 +93,11 @@ impl Timestamp {
     pub fn seconds(self) -> f64 {
         times::seconds(self.ns)
     }
+
+    /// Seconds since an earlier time of the same clock; negative before it.
+    pub(crate) fn seconds_since(self, earlier: Self) -> f64 {
+        self.ns.saturating_sub(earlier.ns) as f64 * 1e-9
+    }
 }
 
 /// One camera frame.

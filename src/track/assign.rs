@@ -76,7 +76,7 @@ impl Assigner {
 
     fn recent(&self, marker: usize, stamp: Timestamp) -> Option<(Point3<f64>, f64)> {
         let (point, seen) = (*self.last.get(marker)?)?;
-        let age = (stamp.ns - seen.ns) as f64 * 1e-9;
+        let age = stamp.seconds_since(seen);
         (0.0..MEMORY_S).contains(&age).then_some((point, age))
     }
 

@@ -1,11 +1,11 @@
-//! Follows the blur of the pictures, where it is no longer that on which the bands were taught: a lens that was touched,
-//! a camera that sharpens. With a wrong blur bands are off by some tenths of a pixel, and no residual tells.
+//! Follows the blur of the pictures, where it is no longer that on which the bands were taught: a lens that was moved, a
+//! camera that sharpens. With a wrong blur bands are off by some tenths of a pixel, and no residual tells.
 //!
 //! Method. Some frames are fitted with more and with less blur too. Three misfits give slope and curvature over the
-//! logarithm of the blur, and over several frames its minimum: the criterion by which the bands are taught. Motion blurs
-//! as well: unless the exposure is known, and its blur modelled, only frames in which the coil hardly moves count.
-//! What the pose of the catheter and a coder do to the minimum stays below a quarter of the blur. If it is further away,
-//! and that is no chance, the blur moves there in steps.
+//! logarithm of the blur, and over several frames its minimum: the criterion by which the bands are taught. Motion
+//! blurs as well: unless the exposure is known, and its blur modelled, only frames in which the coil hardly moves count.
+//! What the pose of the catheter and a coder do to the minimum stays below a quarter of the blur. If it is further
+//! away, and that is no chance, the blur moves there in steps.
 //!
 //! Cannot detect: blur that differs between the views, changes below a quarter, and any while the coil always moves by
 //! several pixels per frame.
@@ -79,15 +79,13 @@ impl Focus {
 
     /// The blurs with which a frame is to be fitted too, less and more, if it is; `fit` is that of its coil.
     pub(crate) fn tries(&mut self, stamp: Timestamp, fit: &TubeFit) -> Option<[f64; 2]> {
-        let here: Vec<_> = fit.views.iter().map(|view| view.image.at_arc(0.0).pixel).collect();
-        let (before, there) = self.last.replace((stamp, here.clone()))?;
-        let seconds_since = |then: Timestamp| stamp.ns.saturating_sub(then.ns) as f64 * 1e-9;
-        let moved_px = there.iter().zip(&here).map(|(then, now)| (now - then).norm()).fold(0.0, f64::max);
-        let is_known = there.len() == here.len() && (0.0..LONGEST_STEP_S).contains(&seconds_since(before));
-        if !is_known
-            || moved_px > self.fastest_px
-            || self.tried.is_some_and(|then| seconds_since(then) < self.spacing_s)
-        {
+        let here = places(fit);
+        let last = self.last.take();
+        let slow = last.is_some_and(|(then, there)| {
+            (0.0..LONGEST_STEP_S).contains(&stamp.seconds_since(then)) && are_within(self.fastest_px, &there, &here)
+        });
+        self.last = Some((stamp, here));
+        if !slow || self.tried.is_some_and(|then| stamp.seconds_since(then) < self.spacing_s) {
             return None;
         }
         self.tried = Some(stamp);
@@ -96,10 +94,8 @@ impl Focus {
 
     /// Adds the fits of that frame with less and with more blur; whether the blur moves.
     pub(crate) fn moves(&mut self, fit: &TubeFit, [less, more]: [&TubeFit; 2]) -> bool {
-        let is_same = |other: &TubeFit| {
-            let place = |fit: &TubeFit, v: usize| fit.views[v].image.at_arc(0.0).pixel;
-            (0..fit.views.len().min(other.views.len())).all(|v| (place(fit, v) - place(other, v)).norm() < SAME_PX)
-        };
+        let here = places(fit);
+        let is_same = |other: &TubeFit| are_within(SAME_PX, &here, &places(other));
         is_same(less) && is_same(more) && self.add_misfits([less, fit, more].map(|fit| fit.misfit))
     }
 
@@ -135,6 +131,16 @@ impl Focus {
         let curvature = sum(&|trial| trial.curvature) / count;
         Some(if curvature > 0.0 { -slope / curvature } else { -slope.signum() * LONGEST_MOVE })
     }
+}
+
+/// Where a fit shows its reference band, in each view.
+fn places(fit: &TubeFit) -> Vec<Point2<f64>> {
+    fit.views.iter().map(|view| view.image.at_arc(0.0).pixel).collect()
+}
+
+/// Whether places in the same views are no further apart.
+fn are_within(px: f64, there: &[Point2<f64>], here: &[Point2<f64>]) -> bool {
+    there.len() == here.len() && there.iter().zip(here).all(|(then, now)| (now - then).norm() <= px)
 }
 
 #[cfg(test)]

@@ -30,7 +30,7 @@ impl Last {
 
     /// How long ago it was, seconds, if recent enough.
     pub(crate) fn age_s(&self, now: Timestamp) -> Option<f64> {
-        let age_s = now.ns.saturating_sub(self.stamp.ns) as f64 * 1e-9;
+        let age_s = now.seconds_since(self.stamp);
         (age_s > 0.0 && age_s < MAX_AGE_S).then_some(age_s)
     }
 

@@ -88,12 +88,12 @@ pub(super) struct Place {
     pub at: Vector3<f64>,
     /// Sum over all coordinates.
     pub variance: f64,
-    ns: i64,
+    stamp: Timestamp,
 }
 
 impl Place {
     fn new(at: Vector3<f64>, variance: f64, stamp: Timestamp) -> Self {
-        Self { at, variance, ns: stamp.ns }
+        Self { at, variance, stamp }
     }
 
     /// That of a band, m.
@@ -107,7 +107,7 @@ impl Place {
     }
 
     pub(super) fn seconds_since(&self, before: &Self) -> f64 {
-        self.ns.saturating_sub(before.ns) as f64 * 1e-9
+        self.stamp.seconds_since(before.stamp)
     }
 }
 
@@ -215,13 +215,17 @@ mod tests {
     const SD_M: f64 = 5e-5;
     const NONE: [usize; 0] = [];
 
+    fn stamp(t_s: f64) -> Timestamp {
+        Timestamp { ns: (t_s * 1e9) as i64, clock: crate::source::Clock::Container }
+    }
+
     /// Indices of the refused among positions at given times, with noise.
     fn refused(places: impl IntoIterator<Item = (f64, Vector3<f64>)>) -> Vec<usize> {
         let mut random = Random::new(4);
         let mut course = QuantityMotion::new(ALWAYS_POSSIBLE.0);
         let judged = places.into_iter().map(|(t_s, at)| {
             let at = at + Vector3::from_fn(|_, _| SD_M * random.normal());
-            course.judge(Place { at, variance: 3.0 * SD_M * SD_M, ns: (t_s * 1e9) as i64 }).is_some()
+            course.judge(Place::new(at, 3.0 * SD_M * SD_M, stamp(t_s))).is_some()
         });
         judged.enumerate().filter(|(_, refused)| *refused).map(|(k, _)| k).collect()
     }
@@ -273,7 +277,7 @@ mod tests {
                         }
                         let at =
                             ["x", "y", "z"].map(|axis| unit * row[&format!("{what}_{axis}")] + sd * random.normal());
-                        let place = Place { at: at.into(), variance: 3.0 * sd * sd, ns: (row["t_s"] * 1e9) as i64 };
+                        let place = Place::new(at.into(), 3.0 * sd * sd, stamp(row["t_s"]));
                         let times = course.judge(place);
                         assert_eq!(times, None, "{name}, {what}, frame {k}, every {every}. from {first} on");
                     }

@@ -117,7 +117,7 @@ impl Repeats {
     /// Whether a picture shows again what the last one showed, and cannot be of its own time.
     pub(crate) fn is_repeated(&self, picture: &Picture, stamp: Timestamp) -> bool {
         let Some(last) = self.last.as_ref().filter(|last| last.moving) else { return false };
-        let since_s = stamp.ns.saturating_sub(last.stamp.ns) as f64 * 1e-9;
+        let since_s = stamp.seconds_since(last.stamp);
         let predicted = picture.quantisation().is_some_and(|quantisation| quantisation.predicted);
         (!predicted || since_s < AT_REST_S) && checksum(picture, &last.windows) == Some(last.checksum)
     }
@@ -125,8 +125,7 @@ impl Repeats {
     /// Whether the bands of a picture are where they were in the last one that was measured, although they moved: it
     /// repeats that one, coded again or with other noise. Asked of every picture, before it is remembered.
     pub(crate) fn stands_still(&mut self, estimate: &Estimate) -> bool {
-        let since_s = |last: &Shown| estimate.stamp.ns.saturating_sub(last.stamp.ns) as f64 * 1e-9;
-        let recent = self.last.as_ref().is_some_and(|last| since_s(last) < AT_REST_S);
+        let recent = self.last.as_ref().is_some_and(|last| estimate.stamp.seconds_since(last.stamp) < AT_REST_S);
         let courses = self.bands.iter().zip(places(estimate)).filter_map(|(band, place)| Some(band.course(&place?)));
         let courses: Vec<Course> = courses.collect();
         let stands = courses.contains(&Course::Stands) || self.standing && courses.contains(&Course::Rests);

@@ -34,9 +34,9 @@ const PAIRED_CHROMA: &str = "every two pixels of these pictures have the same ch
      original";
 const VIEWS_DISAGREE: &str = "the views do not agree on where a band is, by far more than noise explains: they do \
      not show the same moment, or camera, mirror or tank have moved; σ is widened by as much";
-const OUT_OF_FOCUS: &str = "the pictures are clearly sharper or more blurred than those on which the bands were taught: \
-     focus, distance or processing have changed; their blur is measured and used, but the first frames were tracked \
-     without it: teach the bands again";
+const OUT_OF_FOCUS: &str = "the pictures are clearly sharper or more blurred than those on which the bands were \
+     taught: focus, distance or processing have changed; their blur is measured and used, but the first frames were \
+     tracked without it: teach the bands again";
 const SHAKES: &str = "the base band, which should rest, shakes by more than its σ: camera, mirror, tank or clamp \
      vibrate, or the pictures were processed; σ of all positions is widened by as much";
 

@@ -4,6 +4,7 @@ use crate::support::command::{rig, sample};
 use catoptra::estimate::Estimate;
 use catoptra::source::{Frame, FrameSource, Picture, VideoFile, VideoOptions};
 use catoptra::track::{TrackOptions, Tracker};
+use std::ops::Range;
 
 /// Frames of the sample in which the catheter swings.
 const FIRST: usize = 60;
@@ -25,7 +26,7 @@ fn frames(first: usize, count: usize, changed: impl Fn(&Picture) -> Picture) -> 
 }
 
 /// A picture like another, with rows of its own: by channel and number.
-fn with_rows(picture: &Picture, row: impl Fn(usize, usize) -> Vec<u8>) -> Picture {
+fn with_rows(picture: &Picture, mut row: impl FnMut(usize, usize) -> Vec<u8>) -> Picture {
     let plane = |i: usize| (0..picture.plane(i).unwrap().height).flat_map(|j| row(i, j)).collect();
     let planes = (0..picture.format().channels()).map(plane).collect();
     let [width, height] = picture.size_px();
@@ -53,11 +54,10 @@ fn moved(picture: &Picture, by_px: i64) -> Picture {
 
 /// The picture with noise of at most a grey value.
 fn noisy(picture: &Picture, noise: &mut fastrand::Rng) -> Picture {
-    let noise = std::cell::RefCell::new(noise);
     with_rows(picture, |i, j| {
         let plane = picture.plane(i).unwrap();
         let row = &plane.row(j).unwrap()[..plane.width];
-        row.iter().map(|sample| sample.saturating_add_signed(noise.borrow_mut().i8(-1..=1))).collect()
+        row.iter().map(|sample| sample.saturating_add_signed(noise.i8(-1..=1))).collect()
     })
 }
 
@@ -77,6 +77,18 @@ fn tracked(frames: &[Frame]) -> (Vec<Estimate>, bool) {
     let mut tracker = Tracker::new(&rig(), TrackOptions::default()).unwrap();
     let estimates = frames.iter().map(|frame| tracker.step(frame).unwrap()).collect();
     (estimates, tracker.warning().is_some())
+}
+
+/// Mean of the squared differences of some markers' positions over those that σ predicts, and their number.
+fn mean_square(truth: &[Estimate], found: &[Estimate], markers: Range<usize>) -> (f64, usize) {
+    let of = |estimate: &'_ Estimate| estimate.markers[markers.clone()].to_vec();
+    let both = truth.iter().zip(found).flat_map(|(a, b)| of(a).into_iter().zip(of(b)));
+    let squares = both.filter_map(|(a, b)| {
+        let (truth, found) = (a.position.as_ref().ok()?, b.position.as_ref().ok()?);
+        Some(((found.point - truth.point).norm() / found.sd_m()).powi(2) / 3.0)
+    });
+    let squares: Vec<f64> = squares.collect();
+    (squares.iter().sum::<f64>() / squares.len() as f64, squares.len())
 }
 
 fn word(estimate: &Estimate) -> String {
@@ -136,11 +148,8 @@ fn pictures_out_of_focus_are_warned_of_and_tracked_with_their_blur() {
     let (sharp, soft) = (frames(0, 120, |picture| composed(picture, picture, 0)), frames(0, 120, blurred));
     let ((sharp, silent), (soft, warned)) = (tracked(&sharp), tracked(&soft));
     assert!(!silent && warned);
-    let coil = |estimate: &Estimate| estimate.markers[1].position.as_ref().ok().map(|p| (p.point, p.sd_m()));
-    let both = sharp.iter().zip(&soft).skip(80).filter_map(|(a, b)| Some((coil(a)?, coil(b)?)));
-    let squares: Vec<f64> = both.map(|(a, b)| ((b.0 - a.0).norm() / b.1).powi(2) / 3.0).collect();
-    let mean = squares.iter().sum::<f64>() / squares.len() as f64;
-    assert!(squares.len() > 30 && mean < 2.0, "{mean} of {} frames", squares.len());
+    let (mean, count) = mean_square(&sharp[80..], &soft[80..], 1..2);
+    assert!(count > 30 && mean < 2.0, "{mean} of {count} frames");
 }
 
 /// By two pixels either way, four times a second.
@@ -154,16 +163,7 @@ fn a_shaking_camera_widens_sigma_by_as_much_and_is_warned_of() {
         .collect();
     let ((still, silent), (shaken, warned)) = (tracked(&still), tracked(&shaken));
     assert!(!silent && warned);
-    let squares = |skipped: usize| {
-        let both = still.iter().zip(&shaken).skip(skipped).flat_map(|(a, b)| a.markers.iter().zip(&b.markers));
-        let errors = both.filter_map(|(a, b)| {
-            let (truth, found) = (a.position.as_ref().ok()?, b.position.as_ref().ok()?);
-            Some(((found.point - truth.point).norm() / found.sd_m()).powi(2) / 3.0)
-        });
-        let errors: Vec<f64> = errors.collect();
-        (errors.iter().sum::<f64>() / errors.len() as f64, errors.len())
-    };
     // The first move is at the ninth frame.
-    let (mean, count) = squares(12);
+    let (mean, count) = mean_square(&still[12..], &shaken[12..], 0..still[0].markers.len());
     assert!(count > 60 && (0.2..3.0).contains(&mean), "{mean} of {count} positions");
 }

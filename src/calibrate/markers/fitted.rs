@@ -222,7 +222,7 @@ fn exposure_s(rig: &Rig, frames: &[Frame], followers: &[Frame]) -> Result<Option
     let mut moving = Vec::new();
     for pair in all.windows(2) {
         let (frame, next) = (pair[0], pair[1]);
-        let since_s = (next.stamp.ns - frame.stamp.ns) as f64 * 1e-9;
+        let since_s = next.stamp.seconds_since(frame.stamp);
         if !(since_s > 0.0 && since_s < LONGEST_PAIR_S) {
             continue;
         }
