@@ -39,6 +39,9 @@ const TRIED: [(f64, f64); 15] = [
 /// Where the catheter turns by itself in the sample: from its beginning, at rest, to here and back it moves as it can.
 const TURNS_AT: usize = 287;
 
+/// About what a frame takes.
+const WORK: Duration = Duration::from_millis(2);
+
 /// Frames of the first run that are looked at.
 const SLOWEST: usize = 20;
 
@@ -190,6 +193,22 @@ fn of_machine(hz: f64, seconds: f64) -> Vec<f64> {
     received.join().unwrap()
 }
 
+/// How long a thread that pauses between frames waits for the help of a second one, milliseconds; `WORK` where the
+/// second does not come before the first has finished.
+fn second_thread(hz: f64, seconds: f64) -> Vec<f64> {
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().unwrap();
+    let began = Instant::now();
+    pool.install(|| {
+        let late = |i: u32| {
+            wait_until(began + Duration::from_secs_f64(f64::from(i) / hz));
+            let woken = Instant::now();
+            let work = || while woken.elapsed() < WORK {};
+            rayon::join(work, || woken.elapsed().min(WORK)).1.as_secs_f64() * 1e3
+        };
+        (1..=(hz * seconds) as u32).map(late).collect()
+    })
+}
+
 fn p50_p99_max(values: impl Iterator<Item = f64>) -> [f64; 3] {
     let mut sorted: Vec<f64> = values.collect();
     sorted.sort_by(f64::total_cmp);
@@ -240,9 +259,13 @@ fn main() {
         "Hz", "s", "skipped", "lost", "p50", "p99", "max", "cores"
     );
     // Where rates are asked for, they alone are measured.
-    for hz in [60.0, 600.0].into_iter().filter(|_| asked.is_empty()) {
-        let [p50, p99, max] = p50_p99_max(of_machine(hz, 20.0).into_iter());
-        println!("{hz:>6} {:>6} nothing tracked  {p50:>7.2} {p99:>7.2} {max:>7.2}", 20);
+    if asked.is_empty() {
+        let print = |what: &str, hz: f64, late: Vec<f64>| {
+            let [p50, p99, max] = p50_p99_max(late.into_iter());
+            println!("{hz:>6} {:>6} {what:<15} {p50:>8.2} {p99:>7.2} {max:>7.2}", 20);
+        };
+        [60.0, 600.0].into_iter().for_each(|hz| print("nothing tracked", hz, of_machine(hz, 20.0)));
+        print("a second thread", 60.0, second_thread(60.0, 20.0));
     }
     let mut slowest = None;
     for &(hz, seconds) in all {

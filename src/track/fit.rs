@@ -85,11 +85,11 @@ pub(crate) struct Fitting<'a> {
     pub stretch: &'a Stretch,
     pub picture: &'a Picture,
     /// Of each view.
-    pub paths: &'a [&'a OpticalPath],
+    pub paths: Vec<&'a OpticalPath>,
     /// Arc lengths between which each view shows the stretch.
-    pub ranges_m: &'a [(f64, f64)],
+    pub ranges_m: Vec<(f64, f64)>,
     pub model: &'a ImageModel,
-    pub sweep: Option<&'a Sweep>,
+    pub sweep: Option<Sweep>,
     /// Background beside the tube that the second round uses, pixels.
     pub margin_px: f64,
 }
@@ -121,7 +121,7 @@ impl Fitting<'_> {
 
     /// The first round.
     pub(crate) fn settle(&self, start: &TubeShape) -> Result<Settled, NoFit> {
-        let mut guess = Guess::new(self.stretch, self.paths, start.clone(), Vec::new(), self.sweep, &[])?;
+        let mut guess = self.guess(start, Vec::new())?;
         let unknown = vec![None; self.paths.len()];
         let mut round = self.round(
             &guess,
@@ -131,6 +131,17 @@ impl Fitting<'_> {
         guess.colours = round.views.iter().map(|view| view.expected_colours.clone()).collect();
         let guess = round.minimise(guess, COARSE_TOLERANCE)?.end;
         Ok(Settled { guess, expected: round.views.into_iter().map(|view| Some(view.expected_colours)).collect() })
+    }
+
+    /// Fits it once more from where a fit ended, which may have had another blur: only the second round.
+    pub(crate) fn again(&self, fit: &TubeFit) -> Result<TubeFit, NoFit> {
+        let colours: Vec<_> = fit.views.iter().map(|view| view.colours.clone()).collect();
+        let expected = colours.iter().cloned().map(Some).collect();
+        self.measure(Settled { guess: self.guess(&fit.shape, colours)?, expected })
+    }
+
+    fn guess(&self, shape: &TubeShape, colours: Vec<Vec<f64>>) -> Result<Guess, NoFit> {
+        Guess::new(self.stretch, &self.paths, shape.clone(), colours, self.sweep.as_ref(), &[])
     }
 
     /// The second round.
@@ -147,12 +158,12 @@ impl Fitting<'_> {
 
     /// Selects samples around a guess.
     fn round(&self, guess: &Guess, how: Selection, expected: Vec<Option<Vec<f64>>>) -> Result<Round<'_>, NoFit> {
-        let Self { stretch, picture, paths, model, sweep, ranges_m, .. } = *self;
-        let seen = guess.images.par_iter().zip(ranges_m).zip(expected);
+        let Self { stretch, picture, model, .. } = *self;
+        let seen = guess.images.par_iter().zip(&self.ranges_m).zip(expected);
         let views = seen
             .map(|((image, range_m), expected)| View::select(stretch, *range_m, image, picture, model, how, expected));
         let views = views.collect::<Result<Vec<_>, _>>()?;
-        Ok(Round { stretch, paths, picture, model, sweep, views })
+        Ok(Round { stretch, paths: &self.paths, picture, model, sweep: self.sweep.as_ref(), views })
     }
 }
 
@@ -193,11 +204,18 @@ mod tests {
         fit(&stretch(), &start, &tube.picture(sensor, seed), None)
     }
 
-    fn fit(stretch: &Stretch, start: &TubeShape, picture: &Picture, sweep: Option<&Sweep>) -> Result<TubeFit, NoFit> {
-        let (paths, ranges_m, model) = (views(), [stretch.range_m; 2], model());
-        let paths = [&paths[0], &paths[1]];
-        Fitting { stretch, picture, paths: &paths, ranges_m: &ranges_m, model: &model, sweep, margin_px: 4.0 }
-            .fit(start)
+    fn fitting<'a>(
+        stretch: &'a Stretch,
+        paths: &'a [OpticalPath],
+        model: &'a ImageModel,
+        picture: &'a Picture,
+    ) -> Fitting<'a> {
+        let (paths, ranges_m): (Vec<_>, _) = (paths.iter().collect(), vec![stretch.range_m; paths.len()]);
+        Fitting { stretch, picture, paths, ranges_m, model, sweep: None, margin_px: 4.0 }
+    }
+
+    fn fit(stretch: &Stretch, start: &TubeShape, picture: &Picture, sweep: Option<Sweep>) -> Result<TubeFit, NoFit> {
+        Fitting { sweep, ..fitting(stretch, &views(), &model(), picture) }.fit(start)
     }
 
     #[test]
@@ -239,8 +257,8 @@ mod tests {
             share: 0.5,
         };
         let picture = still.moving(way, Sensor::default(), 6);
-        let fitted = |sweep: Option<&Sweep>| fit(&stretch(), &start, &picture, sweep).unwrap();
-        let (known, unknown) = (fitted(Some(&sweep)), fitted(None));
+        let fitted = |sweep: Option<Sweep>| fit(&stretch(), &start, &picture, sweep).unwrap();
+        let (known, unknown) = (fitted(Some(sweep)), fitted(None));
         let error = (known.shape.centre - still.centre).norm();
         assert!(error < 40e-6, "{:.1} µm", error * 1e6);
         let rms = |fit: &TubeFit| fit.views.iter().map(|view| view.rms).fold(0.0, f64::max);
@@ -262,18 +280,9 @@ mod tests {
     fn a_first_round_tells_whether_it_ends_at_a_fit() {
         let tube = Tube::along(Vector3::new(0.1, 1.0, 0.05));
         let moved = Tube { centre: tube.centre + Vector3::x() * 0.5e-3, ..Tube::along(tube.direction) };
-        let (paths, ranges_m, model, stretch) = (views(), [stretch().range_m; 2], model(), stretch());
-        let paths = [&paths[0], &paths[1]];
+        let (paths, model, stretch) = (views(), model(), stretch());
         let pictures = [&tube, &moved].map(|tube| tube.picture(Sensor::default(), 5));
-        let [here, there] = pictures.each_ref().map(|picture| Fitting {
-            stretch: &stretch,
-            picture,
-            paths: &paths,
-            ranges_m: &ranges_m,
-            model: &model,
-            sweep: None,
-            margin_px: 4.0,
-        });
+        let [here, there] = pictures.each_ref().map(|picture| fitting(&stretch, &paths, &model, picture));
         let start = TubeShape::straight(tube.centre + Vector3::x() * 0.2e-3, &tube.direction, 6e-3);
         let fit = here.fit(&start).unwrap();
         assert!(here.settle(&start).unwrap().is_at(&fit, &stretch));

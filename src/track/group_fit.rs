@@ -5,7 +5,6 @@
 //! takes, and the best counts.
 
 use crate::estimate::Miss;
-use crate::optics::OpticalPath;
 use crate::rig::Rig;
 use crate::source::Frame;
 use crate::track::assign::{Assigned, direction_of_axes};
@@ -74,27 +73,12 @@ impl GroupFitting<'_> {
 
     /// Fits a group in the views that show all of it.
     fn fit(&self, group: &Group, views: &[usize]) -> Result<TubeFit, Miss> {
-        let Self { rig, frame, .. } = *self;
         let starts = group.members.iter().map(|&(m, s)| Ok((s, self.assigned(m)?.point)));
         let starts = starts.collect::<Result<Vec<_>, Miss>>()?;
         let reference = self.assigned(group.reference)?.point;
         let direction = self.start_direction(group).ok_or(Miss::NotConverged)?;
-        let paths: Vec<&OpticalPath> = views.iter().map(|&v| &rig.views[v].optics).collect();
-        let ranges: Vec<_> = views.iter().map(|&v| self.seen_range(group, v)).collect();
         let last = self.last[group.reference].as_ref();
-        let before = last.and_then(|last| Some((&last.shape, last.age_s(frame.stamp)?)));
-        let sweep = before
-            .zip(rig.camera.exposure_s)
-            .map(|((before, since_s), exposure_s)| Sweep { before: before.clone(), share: exposure_s / since_s });
-        let fitting = Fitting {
-            stretch: &group.stretch,
-            picture: &frame.picture,
-            paths: &paths,
-            ranges_m: &ranges,
-            model: self.model,
-            sweep: sweep.as_ref(),
-            margin_px: self.margin_px,
-        };
+        let fitting = self.fitting(group, views);
         let accepted = |fit: Result<TubeFit, NoFit>| {
             let fit = fit.map_err(|why| match why {
                 NoFit::OutOfPicture | NoFit::NotConverged => Miss::NotConverged,
@@ -104,7 +88,7 @@ impl GroupFitting<'_> {
             self.accept(group, views, &starts, &fit).map(|()| fit)
         };
         let fit_from = |start: &TubeShape| accepted(fitting.fit(start));
-        let continued = last.and_then(|last| last.continued(frame.stamp, group)).as_ref().map(fit_from);
+        let continued = last.and_then(|last| last.continued(self.frame.stamp, group)).as_ref().map(fit_from);
         match continued {
             Some(Ok(fit)) if self.is_usual(group, views, &fit) => return Ok(fit),
             _ => {}
@@ -124,11 +108,38 @@ impl GroupFitting<'_> {
             Ok(fit) => (is_blurred(fit), unusual(fit)),
             Err(miss) => [matches!(miss, Miss::PoorFit { .. } | Miss::NotConverged); 2].into(),
         };
-        let previous = before.filter(|_| blurred || unusual);
+        let previous = self.before(group).filter(|_| blurred || unusual);
         let previous = previous.map(|(before, _)| TubeShape { centre: reference, ..before.clone() });
         let bent = self.bent_direction(group.reference).filter(|_| unusual).map(straight);
         let others = [previous, bent].into_iter().flatten().map(|start| fit_from(&start));
         continued.into_iter().chain(others).fold(first, better)
+    }
+
+    /// Fits a group that was fitted once more, as with another model.
+    pub(crate) fn again(&self, fitted: &Fitted) -> Option<TubeFit> {
+        self.fitting(&fitted.group, &fitted.views).again(fitted.result.as_ref().ok()?).ok()
+    }
+
+    /// What a group is fitted to.
+    fn fitting<'b>(&'b self, group: &'b Group, views: &[usize]) -> Fitting<'b> {
+        let Self { rig, frame, model, margin_px, .. } = *self;
+        let sweep = self.before(group).zip(rig.camera.exposure_s);
+        Fitting {
+            stretch: &group.stretch,
+            picture: &frame.picture,
+            paths: views.iter().map(|&v| &rig.views[v].optics).collect(),
+            ranges_m: views.iter().map(|&v| self.seen_range(group, v)).collect(),
+            model,
+            sweep: sweep
+                .map(|((before, since_s), exposure_s)| Sweep { before: before.clone(), share: exposure_s / since_s }),
+            margin_px,
+        }
+    }
+
+    /// Its last shape, and how long ago that was, seconds, if recent enough.
+    fn before(&self, group: &Group) -> Option<(&TubeShape, f64)> {
+        let last = self.last[group.reference].as_ref()?;
+        Some((&last.shape, last.age_s(self.frame.stamp)?))
     }
 
     /// Whether the residuals of a fit are as usual, as far as that is known.

@@ -4,7 +4,7 @@ use crate::source::Picture;
 use crate::track::light::Encoding;
 
 /// Parameters of the image model, the same for all views.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(crate) struct ImageModel {
     pub encoding: Encoding,
     /// Lens and sensor blur, σ in pixels.

@@ -50,7 +50,7 @@ pub(crate) fn gauss(z: f32) -> (f32, f32) {
 const FRAC_2_SQRT_TAU: f32 = std::f32::consts::FRAC_2_SQRT_PI * std::f32::consts::FRAC_1_SQRT_2;
 
 /// Linear light (0 black, 1 white) to stored R'G'B' (0..255) and back.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(crate) struct Encoding {
     /// The stored value is `scale · light^exponent − offset`, and `slope · light` below `toe`.
     scale: f32,

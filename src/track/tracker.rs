@@ -7,7 +7,6 @@ use crate::source::{Frame, Picture, Timestamp, Transfer};
 use crate::track::answer;
 use crate::track::coil::deflection;
 use crate::track::find::{Finder, Found};
-use crate::track::fit::TubeFit;
 use crate::track::focus::Focus;
 use crate::track::group_fit::{Fitted, GroupFitting};
 use crate::track::image_model::{ImageModel, ModelError};
@@ -237,31 +236,37 @@ impl Tracker {
     }
 
     fn fit(&self, frame: &Frame, found: &Found, margin_px: f64) -> Vec<Fitted> {
-        let Self { rig, model, judge, before, .. } = self;
-        GroupFitting { rig, model, frame, found, last: before, usual: &judge.usual, margin_px }.fit_all()
+        self.fitting(frame, found, &self.model, margin_px).fit_all()
     }
 
-    /// Fits some frames with more and with less blur too, and follows it.
+    fn fitting<'a>(
+        &'a self,
+        frame: &'a Frame,
+        found: &'a Found,
+        model: &'a ImageModel,
+        margin_px: f64,
+    ) -> GroupFitting<'a> {
+        let Self { rig, judge, before, .. } = self;
+        GroupFitting { rig, model, frame, found, last: before, usual: &judge.usual, margin_px }
+    }
+
+    /// Fits the coil of some frames with more and with less blur too, and follows it.
     fn follow_focus(&mut self, frame: &Frame, found: &Found, fitted: &[Fitted]) {
-        let Some(fit) = self.of_coil(fitted) else { return };
+        let shows_coil = |fitted: &&Fitted| fitted.group.members.iter().any(|(m, _)| *m == self.rig.catheter.coil);
+        let Some(of_coil) = fitted.iter().find(shows_coil) else { return };
+        let Ok(fit) = &of_coil.result else { return };
         let Some(tries) = self.focus.tries(frame.stamp, fit) else { return };
-        let [less, more] = tries.map(|blur_px| {
-            self.model.blur_px = blur_px;
-            self.fit(frame, found, TRACKED_PX)
-        });
-        if let (Some(less), Some(more)) = (self.of_coil(&less), self.of_coil(&more))
-            && self.focus.moves(fit, [less, more])
+        let with = |blur_px| {
+            let model = ImageModel { blur_px, ..self.model.clone() };
+            self.fitting(frame, found, &model, TRACKED_PX).again(of_coil)
+        };
+        if let (Some(less), Some(more)) = rayon::join(|| with(tries[0]), || with(tries[1]))
+            && self.focus.moves(fit, [&less, &more])
         {
+            self.model.blur_px = self.focus.blur_px();
             // The base band moves with the model, not with the camera.
             self.shake.forget();
         }
-        self.model.blur_px = self.focus.blur_px();
-    }
-
-    /// The fit that shows the coil.
-    fn of_coil<'a>(&self, fitted: &'a [Fitted]) -> Option<&'a TubeFit> {
-        let shows = |fitted: &&Fitted| fitted.group.members.iter().any(|(m, _)| *m == self.rig.catheter.coil);
-        fitted.iter().find(shows)?.result.as_ref().ok()
     }
 
     /// Remembers where the tube is, for later frames.
