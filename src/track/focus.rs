@@ -10,17 +10,19 @@
 //! Cannot detect: blur that differs between the views, changes below a quarter, and any while the coil always moves by
 //! several pixels per frame.
 
+use crate::rig::Rig;
 use crate::source::Timestamp;
 use crate::track::fit::TubeFit;
+use crate::track::trials::Trials;
 use nalgebra::Point2;
 
+/// Blur assumed for a rig whose blur has not been measured: a sharp lens and square pixels.
+const DEFAULT_BLUR_PX: f64 = 0.6;
 /// How much more or less blur is tried, and how far it moves at a time: difference of its logarithm.
 const STEP: f64 = 0.2;
 const LONGEST_MOVE: f64 = 0.4;
 /// Frames for a decision: whether the blur is another one, and how far it is, once that is known.
-const TRIALS: (usize, usize) = (12, 5);
-/// How far apart they are, seconds: at first, to be fast, and when the blur was found right.
-const SPACING_S: (f64, f64) = (0.05, 5.0);
+const FRAMES: (usize, usize) = (12, 5);
 /// Distance of the minimum from which the blur follows, difference of the logarithm: at first, and once it has.
 const FOLLOWS: (f64, f64) = (0.22, 0.05);
 /// Standard deviations of the mean slope beyond which it is no chance.
@@ -30,18 +32,8 @@ const LIMITS_PX: (f64, f64) = (0.25, 4.0);
 /// Fastest motion from one frame to the next, pixels: where its blur is modelled, and where not. During the longest
 /// exposure the second adds a sixth to a blur of half a pixel.
 const FASTEST_PX: (f64, f64) = (4.0, 1.0);
-/// Longest time between the two frames, seconds.
-const LONGEST_STEP_S: f64 = 0.25;
 /// Largest difference of two fits that ended in the same minimum, pixels.
 const SAME_PX: f64 = 0.7;
-
-/// A frame that was fitted with more and with less blur.
-#[derive(Debug)]
-struct Trial {
-    /// Slope and curvature of the misfit over the logarithm of the blur.
-    slope: f64,
-    curvature: f64,
-}
 
 /// The blur of the pictures.
 #[derive(Debug)]
@@ -49,22 +41,24 @@ pub(crate) struct Focus {
     blur_px: f64,
     /// The fastest motion of frames that count, pixels per frame.
     fastest_px: f64,
-    trials: Vec<Trial>,
-    /// When the last one was, and how far apart they are.
-    tried: Option<Timestamp>,
-    spacing_s: f64,
-    /// When the coil was last seen, and where in each view.
-    last: Option<(Timestamp, Vec<Point2<f64>>)>,
+    trials: Trials,
+    /// Of these frames since the last decision: slopes of the misfit over the logarithm of the blur, and the sum of its
+    /// curvatures.
+    slopes: Vec<f64>,
+    curvature: f64,
     /// Whether the blur has ever changed.
     followed: bool,
 }
 
 impl Focus {
-    /// Beginning with the blur of the rig, pixels; `knows_motion` says that motion blur is modelled.
-    pub(crate) fn new(blur_px: f64, knows_motion: bool) -> Self {
+    /// Beginning with that of the rig, where motion blur is modelled if the exposure is known.
+    pub(crate) fn of(rig: &Rig) -> Self {
+        Self::new(rig.camera.blur_px.unwrap_or(DEFAULT_BLUR_PX), rig.camera.exposure_s.is_some())
+    }
+
+    fn new(blur_px: f64, knows_motion: bool) -> Self {
         let fastest_px = if knows_motion { FASTEST_PX.0 } else { FASTEST_PX.1 };
-        let (spacing_s, trials) = (SPACING_S.0, Vec::new());
-        Self { blur_px, fastest_px, trials, tried: None, spacing_s, last: None, followed: false }
+        Self { blur_px, fastest_px, trials: Trials::default(), slopes: Vec::new(), curvature: 0.0, followed: false }
     }
 
     /// Of the pictures, pixels.
@@ -77,33 +71,24 @@ impl Focus {
         self.followed
     }
 
-    /// The blurs with which a frame is to be fitted too, less and more, if it is; `fit` is that of its coil.
-    pub(crate) fn tries(&mut self, stamp: Timestamp, fit: &TubeFit) -> Option<[f64; 2]> {
-        let here = places(fit);
-        let last = self.last.take();
-        let slow = last.is_some_and(|(then, there)| {
-            (0.0..LONGEST_STEP_S).contains(&stamp.seconds_since(then)) && are_within(self.fastest_px, &there, &here)
-        });
-        self.last = Some((stamp, here));
-        if !slow || self.tried.is_some_and(|then| stamp.seconds_since(then) < self.spacing_s) {
-            return None;
-        }
-        self.tried = Some(stamp);
-        Some([-STEP, STEP].map(|by| self.blur_px * by.exp()))
+    /// The blurs with which a frame is to be fitted too, less and more, if it is; its coil moved so many pixels.
+    pub(crate) fn tries(&mut self, stamp: Timestamp, moved_px: f64) -> Option<[f64; 2]> {
+        let counts = moved_px <= self.fastest_px && self.trials.are_due(stamp);
+        counts.then(|| [-STEP, STEP].map(|by| self.blur_px * by.exp()))
     }
 
     /// Adds the fits of that frame with less and with more blur; whether the blur moves.
     pub(crate) fn moves(&mut self, fit: &TubeFit, [less, more]: [&TubeFit; 2]) -> bool {
         let here = places(fit);
         let is_same = |other: &TubeFit| are_within(SAME_PX, &here, &places(other));
-        is_same(less) && is_same(more) && self.add_misfits([less, fit, more].map(|fit| fit.misfit))
+        is_same(less) && is_same(more) && self.add([less, fit, more].map(|fit| fit.misfit))
     }
 
-    fn add_misfits(&mut self, [less, own, more]: [f64; 3]) -> bool {
-        let (slope, curvature) = ((more - less) / (2.0 * STEP), (more - 2.0 * own + less) / STEP.powi(2));
-        self.trials.push(Trial { slope, curvature });
-        let (count, least) = if self.followed { (TRIALS.1, FOLLOWS.1) } else { (TRIALS.0, FOLLOWS.0) };
-        if self.trials.len() < count {
+    fn add(&mut self, [less, own, more]: [f64; 3]) -> bool {
+        let (count, least) = if self.followed { (FRAMES.1, FOLLOWS.1) } else { (FRAMES.0, FOLLOWS.0) };
+        self.slopes.push((more - less) / (2.0 * STEP));
+        self.curvature += (more - 2.0 * own + less) / STEP.powi(2);
+        if self.slopes.len() < count {
             return false;
         }
         let off = self.off().filter(|off| off.abs() > least);
@@ -113,22 +98,22 @@ impl Focus {
             self.followed = true;
             tracing::debug!("the pictures' blur is now taken for {:.3} px", self.blur_px);
         }
-        self.spacing_s = if off.is_some() { SPACING_S.0 } else { SPACING_S.1 };
-        self.trials.clear();
+        self.trials.go_on(off.is_some());
+        self.slopes.clear();
+        self.curvature = 0.0;
         off.is_some()
     }
 
     /// How far the best blur is from the present one, as the difference of the logarithm; `None` if that may be chance.
     /// Without a minimum nearby it is far.
     fn off(&self) -> Option<f64> {
-        let count = self.trials.len() as f64;
-        let sum = |of: &dyn Fn(&Trial) -> f64| self.trials.iter().map(of).sum::<f64>();
-        let slope = sum(&|trial| trial.slope) / count;
-        let variance = sum(&|trial| (trial.slope - slope).powi(2)) / (count - 1.0) / count;
+        let count = self.slopes.len() as f64;
+        let slope = self.slopes.iter().sum::<f64>() / count;
+        let variance = self.slopes.iter().map(|one| (one - slope).powi(2)).sum::<f64>() / (count - 1.0) / count;
         if slope.abs() <= SIGNIFICANT_SD * variance.sqrt() {
             return None;
         }
-        let curvature = sum(&|trial| trial.curvature) / count;
+        let curvature = self.curvature / count;
         Some(if curvature > 0.0 { -slope / curvature } else { -slope.signum() * LONGEST_MOVE })
     }
 }
@@ -151,10 +136,10 @@ mod tests {
     /// The blur after some decisions on pictures of another one, with noise of the misfits.
     fn followed(taught_px: f64, true_px: f64, noise: f64) -> f64 {
         let (mut focus, mut random) = (Focus::new(taught_px, false), Random::new(3));
-        for _ in 0..20 * TRIALS.0 {
+        for _ in 0..20 * FRAMES.0 {
             // As of real pictures: flatter far away.
             let misfit = |blur: f64| 0.5 * (0.5 + (blur / true_px).ln().powi(2)).ln() + noise * random.normal();
-            focus.add_misfits([(-STEP).exp(), 1.0, STEP.exp()].map(|by| focus.blur_px * by).map(misfit));
+            focus.add([(-STEP).exp(), 1.0, STEP.exp()].map(|by| focus.blur_px * by).map(misfit));
         }
         focus.blur_px
     }

@@ -78,7 +78,7 @@ impl GroupFitting<'_> {
         let reference = self.assigned(group.reference)?.point;
         let direction = self.start_direction(group).ok_or(Miss::NotConverged)?;
         let last = self.last[group.reference].as_ref();
-        let fitting = self.fitting(group, views);
+        let fitting = self.fitting(group, views, None);
         let accepted = |fit: Result<TubeFit, NoFit>| {
             let fit = fit.map_err(|why| match why {
                 NoFit::OutOfPicture | NoFit::NotConverged => Miss::NotConverged,
@@ -115,23 +115,26 @@ impl GroupFitting<'_> {
         continued.into_iter().chain(others).fold(first, better)
     }
 
-    /// Fits a group that was fitted once more, as with another model.
-    pub(crate) fn again(&self, fitted: &Fitted) -> Option<TubeFit> {
-        self.fitting(&fitted.group, &fitted.views).again(fitted.result.as_ref().ok()?).ok()
+    /// Fits a group that was fitted once more, as with another model, or blurred by another share of the way since the
+    /// last fit.
+    pub(crate) fn again(&self, fitted: &Fitted, share: Option<f64>) -> Option<TubeFit> {
+        self.fitting(&fitted.group, &fitted.views, share).again(fitted.result.as_ref().ok()?).ok()
     }
 
     /// What a group is fitted to.
-    fn fitting<'b>(&'b self, group: &'b Group, views: &[usize]) -> Fitting<'b> {
+    fn fitting<'b>(&'b self, group: &'b Group, views: &[usize], share: Option<f64>) -> Fitting<'b> {
         let Self { rig, frame, model, margin_px, .. } = *self;
-        let sweep = self.before(group).zip(rig.camera.exposure_s);
+        let sweep = self.before(group).and_then(|(before, since_s)| {
+            let share = share.or_else(|| Some(rig.camera.exposure_s? / since_s))?;
+            Some(Sweep { before: before.clone(), share })
+        });
         Fitting {
             stretch: &group.stretch,
             picture: &frame.picture,
             paths: views.iter().map(|&v| &rig.views[v].optics).collect(),
             ranges_m: views.iter().map(|&v| self.seen_range(group, v)).collect(),
             model,
-            sweep: sweep
-                .map(|((before, since_s), exposure_s)| Sweep { before: before.clone(), share: exposure_s / since_s }),
+            sweep,
             margin_px,
         }
     }

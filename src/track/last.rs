@@ -30,8 +30,13 @@ impl Last {
 
     /// How long ago it was, seconds, if recent enough.
     pub(crate) fn age_s(&self, now: Timestamp) -> Option<f64> {
+        self.age_within_s(MAX_AGE_S, now)
+    }
+
+    /// The same with another limit.
+    pub(crate) fn age_within_s(&self, limit_s: f64, now: Timestamp) -> Option<f64> {
         let age_s = now.seconds_since(self.stamp);
-        (age_s > 0.0 && age_s < MAX_AGE_S).then_some(age_s)
+        (age_s > 0.0 && age_s < limit_s).then_some(age_s)
     }
 
     /// Where a group is now if it moves on as it did; `None` when too little is known.

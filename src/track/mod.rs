@@ -5,6 +5,7 @@ mod appearance;
 mod assign;
 #[cfg(test)]
 mod assign_tests;
+mod blending;
 mod chunk;
 mod coil;
 mod compare;
@@ -34,6 +35,7 @@ mod shake;
 mod slip;
 mod stretch;
 mod tracker;
+mod trials;
 mod tube;
 mod tube_image;
 mod usual;

@@ -5,8 +5,10 @@ use crate::rig::Rig;
 use crate::segment::SegmentError;
 use crate::source::{Frame, Picture, Timestamp, Transfer};
 use crate::track::answer;
+use crate::track::blending::Blending;
 use crate::track::coil::deflection;
 use crate::track::find::{Finder, Found};
+use crate::track::fit::TubeFit;
 use crate::track::focus::Focus;
 use crate::track::group_fit::{Fitted, GroupFitting};
 use crate::track::image_model::{ImageModel, ModelError};
@@ -19,9 +21,8 @@ use crate::track::pairs::Pairs;
 use crate::track::repeats::Repeats;
 use crate::track::scatter::Scatter;
 use crate::track::shake::Shake;
-
-/// Blur assumed for a rig whose blur has not been measured: a sharp lens and square pixels.
-const DEFAULT_BLUR_PX: f64 = 0.6;
+use crate::track::trials::LONGEST_STEP_S;
+use crate::track::tube::TubeShape;
 
 /// Background beside the tube that is fitted, pixels: as far as blur and neighbourhoods of chroma show the tube. Where
 /// models are compared, more of it tells what is noise.
@@ -36,6 +37,9 @@ const VIEWS_DISAGREE: &str = "the views do not agree on where a band is, by far 
 const OUT_OF_FOCUS: &str = "the pictures are clearly sharper or more blurred than those on which the bands were \
      taught: focus, distance or processing have changed; their blur is measured and used, but the first frames were \
      tracked without it: teach the bands again";
+const BLENDED: &str = "what moves is blurred by more than any exposure explains: earlier pictures were blended into \
+     these (noise reduction over time, conversion of the frame rate), so bands are measured too late; σ is widened by \
+     as much: record without it";
 const SHAKES: &str = "the base band, which should rest, shakes by more than its σ: camera, mirror, tank or clamp \
      vibrate, or the pictures were processed; σ of all positions is widened by as much";
 
@@ -77,6 +81,7 @@ pub struct Tracker {
     before: Vec<Option<Last>>,
     motion: Motion,
     focus: Focus,
+    blending: Blending,
     shake: Shake,
     repeats: Repeats,
     pairs: Pairs,
@@ -92,12 +97,12 @@ impl Tracker {
     /// When a marker has no colour model.
     pub fn new(rig: &Rig, options: TrackOptions) -> Result<Self, TrackError> {
         let transfer = Transfer::Bt709;
-        let blur_px = rig.camera.blur_px.unwrap_or(DEFAULT_BLUR_PX);
+        let focus = Focus::of(rig);
         Ok(Self {
             finder: Finder::new(rig, options.full_frame)?,
             model: ImageModel {
                 encoding: rig.camera.gamma.map_or_else(|| Encoding::new(transfer), Encoding::power),
-                blur_px,
+                blur_px: focus.blur_px(),
                 chroma_offset_px: rig.camera.chroma_offset_px,
                 error: ModelError::CODED,
             },
@@ -106,7 +111,8 @@ impl Tracker {
             before: vec![None; rig.markers.len()],
             scatter: vec![Scatter::default(); rig.markers.len() + 1],
             motion: Motion::new(rig.markers.len(), rig.catheter.coil),
-            focus: Focus::new(blur_px, rig.camera.exposure_s.is_some()),
+            focus,
+            blending: Blending::new(rig.markers.len()),
             shake: Shake::default(),
             repeats: Repeats::default(),
             pairs: Pairs::default(),
@@ -162,7 +168,7 @@ impl Tracker {
         // 2. the tube around them, fitted to the pictures of all views
         let mut fitted = self.fit(frame, &found, TRACKED_PX);
         self.judge.judge(&self.rig, &self.model.encoding, &found, &mut fitted);
-        self.follow_focus(frame, &found, &fitted);
+        self.follow_blur(frame, &found, &fitted);
         // 3. positions, tangent, deflection
         let mut estimate = answer::estimate(&self.rig, &self.model.encoding, frame, &found.assigned, &fitted);
         if self.repeats.stands_still(&estimate) {
@@ -192,6 +198,7 @@ impl Tracker {
             (self.judge.views_disagree(), VIEWS_DISAGREE),
             (self.shake.is_seen(), SHAKES),
             (self.focus.has_changed() && self.rig.camera.blur_px.is_some(), OUT_OF_FOCUS),
+            (self.blending.is_seen(), BLENDED),
         ];
         let new = seen.into_iter().find(|(seen, what)| *seen && !self.warned.contains(what))?.1;
         self.warned.push(new);
@@ -250,23 +257,52 @@ impl Tracker {
         GroupFitting { rig, model, frame, found, last: before, usual: &judge.usual, margin_px }
     }
 
-    /// Fits the coil of some frames with more and with less blur too, and follows it.
-    fn follow_focus(&mut self, frame: &Frame, found: &Found, fitted: &[Fitted]) {
+    /// Fits the coil of some frames with less and with more blur too, of the lens or of the motion, and follows it.
+    fn follow_blur(&mut self, frame: &Frame, found: &Found, fitted: &[Fitted]) {
         let shows_coil = |fitted: &&Fitted| fitted.group.members.iter().any(|(m, _)| *m == self.rig.catheter.coil);
         let Some(of_coil) = fitted.iter().find(shows_coil) else { return };
         let Ok(fit) = &of_coil.result else { return };
-        let Some(tries) = self.focus.tries(frame.stamp, fit) else { return };
-        let with = |blur_px| {
-            let model = ImageModel { blur_px, ..self.model.clone() };
-            self.fitting(frame, found, &model, TRACKED_PX).again(of_coil)
-        };
-        if let (Some(less), Some(more)) = rayon::join(|| with(tries[0]), || with(tries[1]))
-            && self.focus.moves(fit, [&less, &more])
-        {
-            self.model.blur_px = self.focus.blur_px();
-            // The base band moves with the model, not with the camera.
-            self.shake.forget();
+        let Some(moved_px) = self.moved_px(frame.stamp, of_coil, fit) else { return };
+        // In blended pictures what moves looks out of focus.
+        let blended = self.blending.is_seen();
+        if !blended && let Some(tries) = self.focus.tries(frame.stamp, moved_px) {
+            let with = |blur_px| {
+                let model = ImageModel { blur_px, ..self.model.clone() };
+                self.fitting(frame, found, &model, TRACKED_PX).again(of_coil, None)
+            };
+            if let (Some(less), Some(more)) = rayon::join(|| with(tries[0]), || with(tries[1]))
+                && self.focus.moves(fit, [&less, &more])
+            {
+                self.take_blur();
+            }
+        } else if let Some(ways) = self.blending.tries(frame.stamp, moved_px) {
+            let with = |way| self.fitting(frame, found, &self.model, TRACKED_PX).again(of_coil, Some(way));
+            if let (Some(less), Some(more)) = rayon::join(|| with(ways[0]), || with(ways[1]))
+                && self.blending.add([less.misfit, more.misfit])
+            {
+                self.focus = Focus::of(&self.rig);
+                self.take_blur();
+            }
         }
+    }
+
+    /// How far the coil has moved since it was last seen, pixels, in the view in which that is most; `None` if it is too
+    /// long ago.
+    fn moved_px(&self, stamp: Timestamp, of_coil: &Fitted, fit: &TubeFit) -> Option<f64> {
+        let last = self.before[of_coil.group.reference].as_ref()?;
+        last.age_within_s(LONGEST_STEP_S, stamp)?;
+        let mut moved_px: f64 = 0.0;
+        for view in &of_coil.views {
+            let pixel = |shape: &TubeShape| self.rig.views[*view].optics.project(&shape.centre).ok();
+            moved_px = moved_px.max((pixel(&fit.shape)? - pixel(&last.shape)?).norm());
+        }
+        Some(moved_px)
+    }
+
+    fn take_blur(&mut self) {
+        self.model.blur_px = self.focus.blur_px();
+        // The base band moves with the model, not with the camera.
+        self.shake.forget();
     }
 
     /// Remembers where the tube is, for later frames.
@@ -279,8 +315,9 @@ impl Tracker {
         }
     }
 
-    /// Widens covariances to match the scatter of positions and tangent from frame to frame, and those of positions by
-    /// the shake of the base band. Only a rig with a base frame says that this band, the first, rests.
+    /// Widens covariances to match the scatter of positions and tangent from frame to frame, and how late they are in
+    /// blended pictures; and those of positions by the shake of the base band. Only a rig with a base frame says that
+    /// this band, the first, rests.
     fn widen(&mut self, estimate: &mut Estimate) {
         let (stamp, persisting) = (estimate.stamp, self.model.error.persisting);
         let base = estimate.markers.first().map(|base| &base.position);
@@ -297,5 +334,6 @@ impl Tracker {
         if let (Ok(tangent), Some(scatter)) = (&mut estimate.tangent, self.scatter.last_mut()) {
             tangent.covariance *= scatter.add(stamp, tangent.direction, &tangent.covariance, persisting);
         }
+        self.blending.widen(estimate);
     }
 }

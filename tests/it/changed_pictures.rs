@@ -72,6 +72,15 @@ fn blurred(picture: &Picture) -> Picture {
     })
 }
 
+/// The mean of two pictures.
+fn averaged(picture: &Picture, other: &Picture) -> Picture {
+    with_rows(picture, |i, j| {
+        let [plane, before] = [picture, other].map(|picture| picture.plane(i).unwrap());
+        let both = plane.row(j).unwrap()[..plane.width].iter().zip(before.row(j).unwrap());
+        both.map(|(a, b)| a.midpoint(*b)).collect()
+    })
+}
+
 /// The estimates, and whether there was a warning.
 fn tracked(frames: &[Frame]) -> (Vec<Estimate>, bool) {
     let mut tracker = Tracker::new(&rig(), TrackOptions::default()).unwrap();
@@ -150,6 +159,20 @@ fn pictures_out_of_focus_are_warned_of_and_tracked_with_their_blur() {
     assert!(!silent && warned);
     let (mean, count) = mean_square(&sharp[80..], &soft[80..], 1..2);
     assert!(count > 30 && mean < 2.0, "{mean} of {count} frames");
+}
+
+/// As noise reduction over time does.
+#[test]
+fn pictures_blended_with_the_one_before_are_warned_of_and_sigma_says_how_late_bands_are() {
+    let swing = frames(FIRST, 3 * COUNT, |picture| composed(picture, picture, 0));
+    let blended: Vec<Frame> = swing
+        .windows(2)
+        .map(|pair| Frame { picture: averaged(&pair[1].picture, &pair[0].picture), ..pair[1] })
+        .collect();
+    let ((sound, silent), (late, warned)) = (tracked(&swing[1..]), tracked(&blended));
+    assert!(!silent && warned);
+    let (mean, count) = mean_square(&sound[2 * COUNT..], &late[2 * COUNT..], 1..3);
+    assert!(count > 60 && mean < 3.0, "{mean} of {count} positions");
 }
 
 /// By two pixels either way, four times a second.

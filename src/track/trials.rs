@@ -1,0 +1,35 @@
+//! How often frames are fitted in two other ways too, with less and with more of something.
+
+use crate::source::Timestamp;
+
+/// How far apart they are, seconds: while they are to decide soon, and when all was found right.
+const SPACING_S: (f64, f64) = (0.05, 5.0);
+/// Longest time over which a motion between frames tells something, seconds.
+pub(crate) const LONGEST_STEP_S: f64 = 0.25;
+
+/// When such frames are due.
+#[derive(Debug)]
+pub(crate) struct Trials {
+    last: Option<Timestamp>,
+    spacing_s: f64,
+}
+
+impl Default for Trials {
+    fn default() -> Self {
+        Self { last: None, spacing_s: SPACING_S.0 }
+    }
+}
+
+impl Trials {
+    /// Whether a frame is to be one.
+    pub(crate) fn are_due(&mut self, stamp: Timestamp) -> bool {
+        let due = self.last.is_none_or(|then| stamp.seconds_since(then) >= self.spacing_s);
+        self.last = if due { Some(stamp) } else { self.last };
+        due
+    }
+
+    /// Whether they are to decide soon, from now on.
+    pub(crate) fn go_on(&mut self, soon: bool) {
+        self.spacing_s = if soon { SPACING_S.0 } else { SPACING_S.1 };
+    }
+}
