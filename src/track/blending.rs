@@ -9,7 +9,8 @@
 //! their covariance.
 //!
 //! Cannot detect: blends in which the older picture has less than a fifth, and those that look like a long exposure, as
-//! of pairs of pictures shown at half the rate; any while the coil never moves by one and a half pixels per frame.
+//! of pairs of pictures shown at half the rate; any while the coil never moves by one and a half pixels per frame, or
+//! at less than 17 frames per second, where no motion is kept (last.rs).
 
 use crate::estimate::Estimate;
 use crate::source::Timestamp;
@@ -49,7 +50,8 @@ struct Moved {
     way: Vector3<f64>,
 }
 
-/// How far something has moved to get here: the longer one of its last two ways, as it may be seen where it was.
+/// How far something has moved to get here: the longer one of its last two ways, as the older picture may have been
+/// blended too.
 fn moved(last: &mut Option<Moved>, stamp: Timestamp, to: Vector3<f64>) -> Vector3<f64> {
     let before = *last;
     let recent = before.filter(|before| (0.0..LONGEST_STEP_S).contains(&stamp.seconds_since(before.stamp)));
