@@ -17,8 +17,8 @@ use crate::source::Timestamp;
 use crate::track::trials::{LONGEST_STEP_S, Trials};
 use nalgebra::{Matrix3, Vector3};
 
-/// The way of a blend, in ways since the last frame: between that of the longest exposure, 1, and that of a blend of two
-/// equal pictures, √3. From here on it is one.
+/// The way of a blend, in ways since the last frame: between that of the longest exposure, 1, and that of a blend of
+/// two equal pictures, √3. From here on it is one.
 const LEAST: f64 = 1.316;
 /// Less and more are this factor away, and so far it grows at a time; it shrinks by its square root.
 const STEP: f64 = 1.316;
@@ -106,8 +106,7 @@ impl Blending {
     pub(crate) fn widen(&mut self, estimate: &mut Estimate) {
         let stamp = estimate.stamp;
         let variance = if self.is_seen() { self.way * self.way / 12.0 } else { 0.0 };
-        let mut last = self.last.iter_mut();
-        for (marker, last) in estimate.markers.iter_mut().zip(&mut last) {
+        for (marker, last) in estimate.markers.iter_mut().zip(&mut self.last) {
             if let Ok(position) = &mut marker.position {
                 let way = moved(last, stamp, position.point.coords);
                 position.covariance += way * way.transpose() * variance;

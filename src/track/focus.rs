@@ -1,20 +1,19 @@
-//! Follows the blur of the pictures, where it is no longer that on which the bands were taught: a lens that was moved, a
-//! camera that sharpens. With a wrong blur bands are off by some tenths of a pixel, and no residual tells.
+//! Follows the blur of the pictures, where it is no longer that on which the bands were taught: a lens that was moved,
+//! a camera that sharpens. With a wrong blur bands are off by some tenths of a pixel, and no residual tells.
 //!
 //! Method. Some frames are fitted with more and with less blur too. Three misfits give slope and curvature over the
 //! logarithm of the blur, and over several frames its minimum: the criterion by which the bands are taught. Motion
-//! blurs as well: unless the exposure is known, and its blur modelled, only frames in which the coil hardly moves count.
-//! What the pose of the catheter and a coder do to the minimum stays below a quarter of the blur. If it is further
-//! away, and that is no chance, the blur moves there in steps.
+//! blurs as well: unless the exposure is known, and its blur modelled, only frames in which the coil hardly moves
+//! count. What the pose of the catheter and a coder do to the minimum stays below a quarter of the blur. If it is
+//! further away, and that is no chance, the blur moves there in steps.
 //!
 //! Cannot detect: blur that differs between the views, changes below a quarter, and any while the coil always moves by
 //! several pixels per frame.
 
 use crate::rig::Rig;
 use crate::source::Timestamp;
-use crate::track::fit::TubeFit;
+use crate::track::fit::{TubeFit, ViewFit};
 use crate::track::trials::Trials;
-use nalgebra::Point2;
 
 /// Blur assumed for a rig whose blur has not been measured: a sharp lens and square pixels.
 const DEFAULT_BLUR_PX: f64 = 0.6;
@@ -79,8 +78,10 @@ impl Focus {
 
     /// Adds the fits of that frame with less and with more blur; whether the blur moves.
     pub(crate) fn moves(&mut self, fit: &TubeFit, [less, more]: [&TubeFit; 2]) -> bool {
-        let here = places(fit);
-        let is_same = |other: &TubeFit| are_within(SAME_PX, &here, &places(other));
+        let is_same = |other: &TubeFit| {
+            let place = |view: &ViewFit| view.image.at_arc(0.0).pixel;
+            fit.views.iter().zip(&other.views).all(|(a, b)| (place(a) - place(b)).norm() < SAME_PX)
+        };
         is_same(less) && is_same(more) && self.add([less, fit, more].map(|fit| fit.misfit))
     }
 
@@ -116,16 +117,6 @@ impl Focus {
         let curvature = self.curvature / count;
         Some(if curvature > 0.0 { -slope / curvature } else { -slope.signum() * LONGEST_MOVE })
     }
-}
-
-/// Where a fit shows its reference band, in each view.
-fn places(fit: &TubeFit) -> Vec<Point2<f64>> {
-    fit.views.iter().map(|view| view.image.at_arc(0.0).pixel).collect()
-}
-
-/// Whether places in the same views are no further apart.
-fn are_within(px: f64, there: &[Point2<f64>], here: &[Point2<f64>]) -> bool {
-    there.len() == here.len() && there.iter().zip(here).all(|(then, now)| (now - then).norm() <= px)
 }
 
 #[cfg(test)]

@@ -270,14 +270,14 @@ impl Tracker {
                 let model = ImageModel { blur_px, ..self.model.clone() };
                 self.fitting(frame, found, &model, TRACKED_PX).again(of_coil, None)
             };
-            if let (Some(less), Some(more)) = rayon::join(|| with(tries[0]), || with(tries[1]))
+            if let Some([less, more]) = both(tries, with)
                 && self.focus.moves(fit, [&less, &more])
             {
                 self.take_blur();
             }
         } else if let Some(ways) = self.blending.tries(frame.stamp, moved_px) {
             let with = |way| self.fitting(frame, found, &self.model, TRACKED_PX).again(of_coil, Some(way));
-            if let (Some(less), Some(more)) = rayon::join(|| with(ways[0]), || with(ways[1]))
+            if let Some([less, more]) = both(ways, with)
                 && self.blending.add([less.misfit, more.misfit])
             {
                 self.focus = Focus::of(&self.rig);
@@ -286,8 +286,8 @@ impl Tracker {
         }
     }
 
-    /// How far the coil has moved since it was last seen, pixels, in the view in which that is most; `None` if it is too
-    /// long ago.
+    /// How far the coil has moved since it was last seen, pixels, in the view in which that is most; `None` if it is
+    /// too long ago.
     fn moved_px(&self, stamp: Timestamp, of_coil: &Fitted, fit: &TubeFit) -> Option<f64> {
         let last = self.before[of_coil.group.reference].as_ref()?;
         last.age_within_s(LONGEST_STEP_S, stamp)?;
@@ -336,4 +336,10 @@ impl Tracker {
         }
         self.blending.widen(estimate);
     }
+}
+
+/// Fits with less and with more of something, at the same time.
+fn both([less, more]: [f64; 2], with: impl Fn(f64) -> Option<TubeFit> + Sync) -> Option<[TubeFit; 2]> {
+    let (less, more) = rayon::join(|| with(less), || with(more));
+    Some([less?, more?])
 }
