@@ -213,6 +213,11 @@ impl PixelFormat {
         matches!(self, Self::Yuv { .. } | Self::Nv12)
     }
 
+    /// Whether there are fewer samples of chroma than pixels.
+    pub(crate) fn is_subsampled(self) -> bool {
+        self.chroma_log2() != [0, 0]
+    }
+
     fn chroma_log2(self) -> [u8; 2] {
         match self {
             Self::Yuv { chroma_log2 } => chroma_log2,

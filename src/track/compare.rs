@@ -4,6 +4,7 @@
 //! chunk, where they are summed, and not kept.
 
 use crate::track::chunk::{CHUNK, Chunk, Rows, Scene};
+use crate::track::grain::Differences;
 use crate::track::normal::{Normal, ROW, Row, Seen, Squares, Sums, add_row, influence, shifted};
 use crate::track::padded::{PADDED, Padded, products, unpadded_square};
 use crate::track::patch::{Layer, Patch};
@@ -385,6 +386,23 @@ impl Comparison {
         let coded: f64 = places.iter().zip(&coded).map(of_cell).sum();
         let coded = if said > 0.0 { coded / said } else { 0.0 };
         Scattered { covariance, slips, coded }
+    }
+
+    /// Differences between the residuals of neighbouring pixels in a row of the background, in the first channel.
+    pub(crate) fn differences(&self) -> Differences {
+        let mut differences = Differences::default();
+        let Layer { x, y, .. } = &self.patch.pixels;
+        let residuals = self.memory.channels.first().map_or(&[][..], |compared| &compared.residuals);
+        let points: Vec<_> = x.iter().zip(y).zip(residuals).zip(self.patch.pixels.near()).collect();
+        for pair in points.windows(2) {
+            if let [(((x0, y0), before), false), (((x1, y1), after), false)] = pair
+                && *x1 - *x0 == 1.0
+                && y0 == y1
+            {
+                differences.add(*after - *before);
+            }
+        }
+        differences
     }
 }
 

@@ -3,6 +3,7 @@
 //! Covariance: H⁻¹ M H⁻¹ with M from the residuals themselves, because decoder errors are correlated between neighbours
 //! and stronger near edges; plus errors of the image model that no residual shows.
 
+use crate::source::Picture;
 use crate::track::chunk::Scene;
 use crate::track::equations::Eliminated;
 use crate::track::fit::{TubeFit, ViewFit};
@@ -39,10 +40,12 @@ impl Round<'_> {
                 steps.map_or([0.0; 3], |(steps, predicted)| steps.map(|step| coder_variance(step, predicted)))
             };
             let scene = Scene::new(image, colours, stretch, model);
-            view.comparison.scatter(&scene, &plain, &of_colours, coder_variances)
+            let scattered = view.comparison.scatter(&scene, &plain, &of_colours, coder_variances);
+            (scattered, may_be_coded(picture).then(|| view.comparison.differences()))
         });
+        let (scatter, grain): (Vec<_>, Vec<_>) = scatter.unzip();
         let (mut slip, mut slip_covariance) = (Seen::default(), SMatrix::zeros());
-        for (scattered, view) in scatter.collect::<Vec<_>>().into_iter().zip(&seen) {
+        for (scattered, view) in scatter.into_iter().zip(&seen) {
             covariance += scattered.covariance + plain * (view.shape * scattered.coded) * plain;
             slip.add(&scattered.slips.seen);
             slip_covariance += scattered.slips.covariance;
@@ -58,10 +61,11 @@ impl Round<'_> {
         let own = points.iter().zip(&seen).zip(normals).zip(&step.colours).map(|(((point, view), normal), colours)| {
             own_shift(point, view, &normal.shape_gradient_after(&step.shape, colours))
         });
-        let views = own.zip(normals).zip(images.into_iter().zip(colours)).map(|((own, normal), (image, colours))| {
+        let seen = images.into_iter().zip(colours).zip(grain);
+        let views = own.zip(normals).zip(seen).map(|((own, normal), ((image, colours), grain))| {
             let (residual_px, covariance) = own;
             let residual_covariance_px2 = covariance * inflation;
-            ViewFit { image, colours, residual_px, residual_covariance_px2, rms: rms(&normal.squares) }
+            ViewFit { image, colours, residual_px, residual_covariance_px2, rms: rms(&normal.squares), grain }
         });
         Ok(TubeFit {
             shape,
@@ -73,6 +77,11 @@ impl Round<'_> {
             misfit: misfit(normals),
         })
     }
+}
+
+/// Whether nothing but their noise tells whether a coder changed the pictures.
+fn may_be_coded(picture: &Picture) -> bool {
+    picture.format().is_subsampled() && picture.quantisation().is_none()
 }
 
 fn misfit(normals: &[Normal]) -> f64 {

@@ -12,6 +12,7 @@
 
 use crate::optics::OpticalPath;
 use crate::source::Picture;
+use crate::track::grain::Differences;
 use crate::track::image_model::ImageModel;
 use crate::track::no_fit::NoFit;
 use crate::track::places::Density;
@@ -45,6 +46,8 @@ pub(crate) struct ViewFit {
     pub residual_covariance_px2: Matrix2<f64>,
     /// RMS of the samples' residuals, stored units.
     pub rms: f64,
+    /// Noise of the background, in pictures of which no more is known.
+    pub grain: Option<Differences>,
 }
 
 /// The fitted stretch.

@@ -88,7 +88,7 @@ impl GroupFitting<'_> {
             self.accept(group, views, &starts, &fit).map(|()| fit)
         };
         let fit_from = |start: &TubeShape| accepted(fitting.fit(start));
-        let continued = last.and_then(|last| last.continued(self.frame.stamp, group)).as_ref().map(fit_from);
+        let continued = last.and_then(|last| last.continued(self.frame.stamp)).as_ref().map(fit_from);
         match continued {
             Some(Ok(fit)) if self.is_usual(group, views, &fit) => return Ok(fit),
             _ => {}

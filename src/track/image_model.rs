@@ -41,7 +41,7 @@ pub(crate) struct ModelError {
 const MEASURED_BLUR_PX: f64 = 0.55;
 
 impl ModelError {
-    /// For pictures with full chroma.
+    /// For pictures as the sensor gave them.
     pub(crate) const FULL: Self = Self {
         across_px: 0.015,
         along_px: 0.015,
@@ -69,10 +69,11 @@ impl ModelError {
         persisting: 0.5,
     };
 
-    /// Those of a picture; `converted` tells that it was made from one with subsampled chroma (pairs.rs).
-    pub(crate) fn of(picture: &Picture, converted: bool) -> Self {
-        let subsampled = picture.plane(1).is_some_and(|plane| plane.scale != [1, 1]);
-        match (picture.quantisation(), subsampled || converted) {
+    /// Those of a picture. `converted` tells that it was made from one with subsampled chroma (pairs.rs), `noisy` that it
+    /// still has the noise of its sensor (grain.rs).
+    pub(crate) fn of(picture: &Picture, converted: bool, noisy: bool) -> Self {
+        let coded = converted || (picture.format().is_subsampled() && !noisy);
+        match (picture.quantisation(), coded) {
             (Some(_), _) => Self::QUANTISED,
             (None, true) => Self::CODED,
             (None, false) => Self::FULL,

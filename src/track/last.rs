@@ -1,7 +1,6 @@
 //! Where a stretch of tube was last and how it moved: where the fit of the next frame starts.
 
 use crate::source::Timestamp;
-use crate::track::stretch::Group;
 use crate::track::tube::{ShapeStep, TubeShape};
 
 /// Oldest shape that still tells something of the present one, seconds.
@@ -11,7 +10,6 @@ const MAX_AGE_S: f64 = 0.06;
 #[derive(Debug, Clone)]
 pub(crate) struct Last {
     stamp: Timestamp,
-    group: Group,
     pub shape: TubeShape,
     /// Motion of its centre and tangent per second, if it was fitted shortly before as well.
     rate: Option<ShapeStep>,
@@ -20,12 +18,11 @@ pub(crate) struct Last {
 }
 
 impl Last {
-    /// A shape that was fitted to a group, and the fit before it.
-    pub(crate) fn new(stamp: Timestamp, group: &Group, shape: &TubeShape, before: Option<&Self>) -> Self {
-        let before = before.filter(|before| before.group == *group);
+    /// A fitted shape, and the fit before it, perhaps together with other bands.
+    pub(crate) fn new(stamp: Timestamp, shape: &TubeShape, before: Option<&Self>) -> Self {
         let rate = before.and_then(|before| Some(before.shape.step_to(shape) / before.age_s(stamp)?));
         let kept = rate.zip(before.and_then(|before| before.rate)).map(|(rate, before)| kept(&rate, &before));
-        Self { stamp, group: group.clone(), shape: shape.clone(), rate, kept }
+        Self { stamp, shape: shape.clone(), rate, kept }
     }
 
     /// How long ago it was, seconds, if recent enough.
@@ -39,9 +36,9 @@ impl Last {
         (age_s > 0.0 && age_s < limit_s).then_some(age_s)
     }
 
-    /// Where a group is now if it moves on as it did; `None` when too little is known.
-    pub(crate) fn continued(&self, now: Timestamp, group: &Group) -> Option<TubeShape> {
-        let step = self.kept.filter(|_| self.group == *group)? * self.age_s(now)?;
+    /// Where it is now if it moves on as it did; `None` when too little is known.
+    pub(crate) fn continued(&self, now: Timestamp) -> Option<TubeShape> {
+        let step = self.kept? * self.age_s(now)?;
         Some(self.shape.moved(&step))
     }
 }
@@ -63,20 +60,17 @@ fn kept(rate: &ShapeStep, before: &ShapeStep) -> ShapeStep {
 mod tests {
     use super::*;
     use crate::source::Clock;
-    use crate::testing::fixture;
-    use crate::track::stretch::groups;
     use nalgebra::{Point3, Vector3};
 
-    /// Where a group is expected after being at some places, 60 times per second.
+    /// Where a tube is expected after being at some places, 60 times per second.
     fn expected(x_m: &[f64]) -> Option<TubeShape> {
-        let group = groups(&fixture::rig(), |_, _| true).remove(0);
         let stamp = |i: usize| Timestamp { ns: i as i64 * 16_666_667, clock: Clock::Device };
         let shape = |x: f64| TubeShape::straight(Point3::new(x, 0.0, 1.3), &Vector3::y(), 6e-3);
         let last = x_m
             .iter()
             .enumerate()
-            .fold(None, |before: Option<Last>, (i, x)| Some(Last::new(stamp(i), &group, &shape(*x), before.as_ref())));
-        last?.continued(stamp(x_m.len()), &group)
+            .fold(None, |before: Option<Last>, (i, x)| Some(Last::new(stamp(i), &shape(*x), before.as_ref())));
+        last?.continued(stamp(x_m.len()))
     }
 
     #[test]

@@ -14,6 +14,7 @@ mod equations;
 mod find;
 mod fit;
 mod focus;
+mod grain;
 mod group_fit;
 mod image_model;
 mod judge;

@@ -35,7 +35,7 @@ impl Pairs {
     /// `None` when the picture has no full chroma.
     fn add_window(&mut self, picture: &Picture, bounds: &Window) -> Option<()> {
         let planes = [picture.plane(0)?, picture.plane(1)?, picture.plane(2)?];
-        if planes.iter().any(|plane| plane.scale != [1, 1]) {
+        if picture.format().is_subsampled() {
             return None;
         }
         let [width, height] = picture.size_px();

@@ -10,6 +10,7 @@ use crate::track::coil::deflection;
 use crate::track::find::{Finder, Found};
 use crate::track::fit::TubeFit;
 use crate::track::focus::Focus;
+use crate::track::grain::Grain;
 use crate::track::group_fit::{Fitted, GroupFitting};
 use crate::track::image_model::{ImageModel, ModelError};
 use crate::track::judge::Judge;
@@ -85,6 +86,7 @@ pub struct Tracker {
     shake: Shake,
     repeats: Repeats,
     pairs: Pairs,
+    grain: Grain,
     /// What was warned of.
     warned: Vec<&'static str>,
     lamp: Option<Lamp>,
@@ -116,6 +118,7 @@ impl Tracker {
             shake: Shake::default(),
             repeats: Repeats::default(),
             pairs: Pairs::default(),
+            grain: Grain::default(),
             warned: Vec::new(),
             lamp: options.tick_led.map(Lamp::new),
             rig: rig.clone(),
@@ -164,10 +167,12 @@ impl Tracker {
             found => found?,
         };
         self.pairs.add(picture, &found.blobs);
-        self.model.error = ModelError::of(picture, self.pairs.are_alike()).blurred(self.model.blur_px);
+        self.model.error = self.error(picture).blurred(self.model.blur_px);
         // 2. the tube around them, fitted to the pictures of all views
         let mut fitted = self.fit(frame, &found, TRACKED_PX);
         self.judge.judge(&self.rig, &self.model.encoding, &found, &mut fitted);
+        let views = fitted.iter().flat_map(|fitted| &fitted.result).flat_map(|fit| &fit.views);
+        views.filter_map(|view| view.grain.as_ref()).for_each(|grain| self.grain.add(grain));
         self.follow_blur(frame, &found, &fitted);
         // 3. positions, tangent, deflection
         let mut estimate = answer::estimate(&self.rig, &self.model.encoding, frame, &found.assigned, &fitted);
@@ -207,7 +212,11 @@ impl Tracker {
 
     /// Errors of the image model common to all frames so far, of which `picture` is one.
     pub(crate) fn lasting_error(&self, picture: &Picture) -> ModelError {
-        ModelError::of(picture, self.pairs.are_alike()).lasting().blurred(self.model.blur_px)
+        self.error(picture).lasting().blurred(self.model.blur_px)
+    }
+
+    fn error(&self, picture: &Picture) -> ModelError {
+        ModelError::of(picture, self.pairs.are_alike(), self.grain.is_sensor())
     }
 
     /// The residual that is usual for a band in each view, RMS in grey values; empty while too few frames were measured,
@@ -310,7 +319,7 @@ impl Tracker {
         for Fitted { group, result, .. } in fitted {
             if let Ok(fit) = result {
                 let before = &mut self.before[group.reference];
-                *before = Some(Last::new(stamp, group, &fit.shape, before.as_ref()));
+                *before = Some(Last::new(stamp, &fit.shape, before.as_ref()));
             }
         }
     }
