@@ -22,7 +22,7 @@ use rayon::prelude::*;
 impl Round<'_> {
     /// Covariance of the shape, and the result of each view alone.
     pub(crate) fn conclude(self, minimum: Minimum) -> Result<TubeFit, NoFit> {
-        let Minimum { state, step, end } = minimum;
+        let Minimum { state, step, end, .. } = minimum;
         let normals = &state.equations.views;
         let seen = normals.par_iter().map(|normal| normal.hessian.eliminate(0.0)).collect::<Option<Vec<_>>>();
         let seen = seen.ok_or(NoFit::NotConverged)?;

@@ -60,6 +60,8 @@ pub(crate) struct Minimum {
     pub state: State,
     pub step: Step,
     pub end: Guess,
+    /// How far that is from the start by way of all steps, pixels.
+    pub way_px: f64,
 }
 
 impl Guess {
@@ -108,23 +110,25 @@ impl Round<'_> {
         let mut state = self.evaluate(start, None);
         let mut damping = DAMPING;
         let mut rejected = false;
+        let mut way_px = 0.0;
         let mut known = Vec::new();
         for _ in 0..MAX_EVALUATIONS {
             let step = state.equations.step(damping, &mut known).ok_or(NoFit::NotConverged)?;
             let next = self.moved(&state.guess, &step);
-            let settled = next.as_ref().is_ok_and(|next| next.moved(&state.guess) < SETTLED_PX);
-            if settled || step.predicted_decrease < enough {
+            let moved_px = next.as_ref().map_or(f64::INFINITY, |next| next.moved(&state.guess));
+            if moved_px < SETTLED_PX || step.predicted_decrease < enough {
                 // The comparisons must be those of the state that is returned.
                 if rejected {
                     state = self.evaluate(state.guess, None);
                 }
-                return Ok(Minimum { state, step, end: next? });
+                return Ok(Minimum { state, step, end: next?, way_px: way_px + moved_px });
             }
             // After a rejected step the comparisons' derivatives may be those of its end.
             let before = (!rejected).then_some(&state);
             match next.map(|guess| self.evaluate(guess, before)) {
                 Ok(next) if next.equations.cost <= state.equations.cost => {
                     state = next;
+                    way_px += moved_px;
                     damping = (damping * 0.1).max(MIN_DAMPING);
                     rejected = false;
                 }
