@@ -4,6 +4,7 @@
 //! chunk, where they are summed, and not kept.
 
 use crate::track::chunk::{CHUNK, Chunk, Rows, Scene};
+use crate::track::fields::RowShift;
 use crate::track::grain::Differences;
 use crate::track::normal::{Normal, ROW, Row, Seen, Squares, Sums, add_row, influence, shifted};
 use crate::track::padded::{PADDED, Padded, products, unpadded_square};
@@ -26,6 +27,7 @@ pub(crate) struct Scattered {
     /// Covariance of the shape.
     pub covariance: SMatrix<f64, SHAPE, SHAPE>,
     pub slips: Slips,
+    pub rows: RowShift,
     /// Variance of a coder's errors over that of the noise the samples are weighed by: mean, weighted by each sample's
     /// information about the band's position.
     pub coded: f64,
@@ -163,6 +165,7 @@ struct Scores {
     /// Rows times residuals, summed over each cell.
     cells: Vec<Row>,
     slips: Slips,
+    rows: RowShift,
     /// Information about the band's position, and by cell and channel the same times the weights.
     said: f64,
     coded: Vec<[f32; 3]>,
@@ -172,13 +175,16 @@ impl Scores {
     fn new(patch: &Patch, scene: &Scene<'_>) -> Self {
         let cells = patch.cells.len();
         let slips = Slips::new(scene.layout, patch.spans.len());
-        Self { cells: vec![[0.0; ROW]; cells], slips, said: 0.0, coded: vec![[0.0; 3]; cells] }
+        let rows = RowShift::default();
+        Self { cells: vec![[0.0; ROW]; cells], slips, rows, said: 0.0, coded: vec![[0.0; 3]; cells] }
     }
 
     fn add(&mut self, part: &Part<'_>) {
         self.said += add_to_cells(&mut self.cells, &mut self.coded, part);
         if part.apart {
             add_to_slips(&mut self.slips, part);
+        } else {
+            add_to_rows(&mut self.rows, part);
         }
     }
 }
@@ -194,6 +200,9 @@ struct Part<'a> {
     channel: u8,
     apart: bool,
     cells: &'a [u32],
+    /// Rows of the picture, from that of the patch's centre.
+    y: &'a [f32],
+    middle_y: f32,
     compared: &'a Compared,
     /// Derivatives, padded to whole batches.
     rows: &'a [Row],
@@ -307,7 +316,8 @@ impl Comparison {
         for (layer, bunches) in patch.layers().zip(bunches) {
             let (own, others) = channels.split_at(layer.channels.len());
             channels = others;
-            let (apart, cells) = (!layer.is_whole(), &layer.cells);
+            let (apart, cells, y) = (!layer.is_whole(), &layer.cells, &layer.y);
+            let middle_y = middle.y as f32;
             for bunches in bunches.by_span() {
                 let piece = scene.piece(&spans[bunches[0].span], middle, &layer.spread_px2);
                 for Bunch { span, points, chunk } in bunches {
@@ -316,7 +326,10 @@ impl Comparison {
                         let (points, seen) = (points.clone(), chunk.seen);
                         let (span, ring) = (*span, spans[*span].ring);
                         let channel = channel.number;
-                        take(sums, &Part { span, ring, points, seen, channel, apart, cells, compared, rows });
+                        take(
+                            sums,
+                            &Part { span, ring, points, seen, channel, apart, cells, y, middle_y, compared, rows },
+                        );
                     }
                 }
             }
@@ -365,7 +378,7 @@ impl Comparison {
             self.derive(scene, |_, part| scores.add(part));
             scores
         });
-        let Scores { cells, mut slips, said, coded } = scores;
+        let Scores { cells, mut slips, rows, said, coded } = scores;
         let Patch { spans, cells: places, squares: pixels, .. } = &self.patch;
         let Scene { image, layout, .. } = *scene;
         let mut squares = vec![[0.0; PADDED]; pixels.len()];
@@ -385,7 +398,7 @@ impl Comparison {
         };
         let coded: f64 = places.iter().zip(&coded).map(of_cell).sum();
         let coded = if said > 0.0 { coded / said } else { 0.0 };
-        Scattered { covariance, slips, coded }
+        Scattered { covariance, slips, rows, coded }
     }
 
     /// Differences between the residuals of neighbouring pixels in a row of the background, in the first channel.
@@ -427,6 +440,20 @@ fn add_to_cells(cells: &mut [Row], coded: &mut [[f32; 3]], part: &Part<'_>) -> f
         add_row(&mut cells[cell as usize], row, part.seen, weight * residual);
     }
     said
+}
+
+/// Adds samples of pixels to the shift of even rows against odd ones.
+#[multiversion(targets("x86_64+avx512f+avx512bw+avx512dq+avx512vl", "x86_64+avx2"))]
+fn add_to_rows(rows: &mut RowShift, part: &Part<'_>) {
+    let (mut pull, mut information) = (0.0, 0.0);
+    for ((row, residual, weight, _), y) in part.samples().zip(&part.y[part.points.clone()]) {
+        let [across, _] = shifted(row, part.seen);
+        let is_odd = (y + part.middle_y).round() as i32 & 1;
+        let weighed = weight * across;
+        pull += if is_odd == 0 { weighed * residual } else { -weighed * residual };
+        information += weighed * across;
+    }
+    rows.add(pull, information);
 }
 
 /// Adds samples of chroma to the slips they show.

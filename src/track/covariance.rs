@@ -45,7 +45,7 @@ impl Round<'_> {
         });
         let (scatter, grain): (Vec<_>, Vec<_>) = scatter.unzip();
         let (mut slip, mut slip_covariance) = (Seen::default(), SMatrix::zeros());
-        for (scattered, view) in scatter.into_iter().zip(&seen) {
+        for (scattered, view) in scatter.iter().zip(&seen) {
             covariance += scattered.covariance + plain * (view.shape * scattered.coded) * plain;
             slip.add(&scattered.slips.seen);
             slip_covariance += scattered.slips.covariance;
@@ -61,11 +61,12 @@ impl Round<'_> {
         let own = points.iter().zip(&seen).zip(normals).zip(&step.colours).map(|(((point, view), normal), colours)| {
             own_shift(point, view, &normal.shape_gradient_after(&step.shape, colours))
         });
-        let seen = images.into_iter().zip(colours).zip(grain);
-        let views = own.zip(normals).zip(seen).map(|((own, normal), ((image, colours), grain))| {
+        let rows = scatter.iter().map(|scattered| scattered.rows);
+        let seen = images.into_iter().zip(colours).zip(rows.zip(grain));
+        let views = own.zip(normals).zip(seen).map(|((own, normal), ((image, colours), (rows, grain)))| {
             let (residual_px, covariance) = own;
             let residual_covariance_px2 = covariance * inflation;
-            ViewFit { image, colours, residual_px, residual_covariance_px2, rms: rms(&normal.squares), grain }
+            ViewFit { image, colours, residual_px, residual_covariance_px2, rms: rms(&normal.squares), rows, grain }
         });
         Ok(TubeFit {
             shape,

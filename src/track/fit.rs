@@ -12,6 +12,7 @@
 
 use crate::optics::OpticalPath;
 use crate::source::Picture;
+use crate::track::fields::RowShift;
 use crate::track::grain::Differences;
 use crate::track::image_model::ImageModel;
 use crate::track::no_fit::NoFit;
@@ -52,6 +53,8 @@ pub(crate) struct ViewFit {
     pub residual_covariance_px2: Matrix2<f64>,
     /// RMS of the samples' residuals, stored units.
     pub rms: f64,
+    /// Shift of the even rows against the odd ones.
+    pub rows: RowShift,
     /// Noise of the background, in pictures of which no more is known.
     pub grain: Option<Differences>,
 }

@@ -6,15 +6,16 @@
 //! (Geary 1935, doi:10.1093/biomet/27.3-4.310); where parts have none, it is less. Compared: residuals of neighbouring
 //! pixels of the background beside the bands, whose differences contain hardly anything but noise.
 //!
-//! Cannot detect: noise that was added after coding. Cameras that remove noise themselves look like a coder, and so does
-//! a background with a pattern of its own.
+//! Cannot detect: noise that was added after coding; what a coder leaves that looks like noise (JPEG 2000). Cameras
+//! that remove noise themselves look like a coder, and so does a background with a pattern of its own.
 
-use crate::track::view::MIN_NOISE;
-
+/// Least noise of a sensor, stored units; rounding alone has 0.29.
+const LEAST_NOISE: f64 = 0.5;
 /// Fewest differences that tell: those of a single frame.
 const LEAST: f64 = 300.0;
 /// Least mean of their absolute values, over that of normal ones with the same RMS. Measured: 0.98 to 1 without losses,
-/// 0.97 or more with coders made for editing, 0.85 to 0.9 with H.264 at crf 10 and JPEG of quality 95, 0.75 at crf 14.
+/// 0.96 or more with coders made for editing and H.264 at crf 10, 0.85 to 0.9 with H.264 at crf 14 and JPEG of quality
+/// 95.
 const LEAST_MEAN: f64 = 0.94;
 
 /// Differences in one view of a frame.
@@ -54,7 +55,7 @@ impl Grain {
     /// Whether the noise is a sensor's.
     pub(crate) fn is_sensor(&self) -> bool {
         let Differences { count, absolute, squares } = self.sum;
-        let has_noise = squares >= 2.0 * MIN_NOISE.powi(2) * count;
+        let has_noise = squares >= 2.0 * LEAST_NOISE.powi(2) * count;
         count >= LEAST && has_noise && absolute >= LEAST_MEAN * self.normal
     }
 }

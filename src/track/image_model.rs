@@ -59,7 +59,8 @@ impl ModelError {
         coding_rms: f64::INFINITY,
         persisting: 0.0,
     };
-    /// For pictures with subsampled chroma of unknown origin: a recorder may have quantised them.
+    /// For pictures with subsampled chroma of unknown origin, without the noise of a sensor: a recorder may have
+    /// quantised them.
     pub(crate) const CODED: Self = Self {
         across_px: 0.029,
         along_px: 0.029,
@@ -69,8 +70,8 @@ impl ModelError {
         persisting: 0.5,
     };
 
-    /// Those of a picture. `converted` tells that it was made from one with subsampled chroma (pairs.rs), `noisy` that it
-    /// still has the noise of its sensor (grain.rs).
+    /// Those of a picture. `converted` tells that it was made from one with subsampled chroma (pairs.rs), `noisy` that
+    /// it still has the noise of its sensor (grain.rs).
     pub(crate) fn of(picture: &Picture, converted: bool, noisy: bool) -> Self {
         let coded = converted || (picture.format().is_subsampled() && !noisy);
         match (picture.quantisation(), coded) {

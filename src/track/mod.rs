@@ -11,6 +11,7 @@ mod coil;
 mod compare;
 mod covariance;
 mod equations;
+mod fields;
 mod find;
 mod fit;
 mod focus;

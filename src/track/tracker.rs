@@ -7,6 +7,7 @@ use crate::source::{Frame, Picture, Timestamp, Transfer};
 use crate::track::answer;
 use crate::track::blending::Blending;
 use crate::track::coil::deflection;
+use crate::track::fields::{Fields, across};
 use crate::track::find::{Finder, Found};
 use crate::track::fit::TubeFit;
 use crate::track::focus::Focus;
@@ -24,6 +25,7 @@ use crate::track::scatter::Scatter;
 use crate::track::shake::Shake;
 use crate::track::trials::LONGEST_STEP_S;
 use crate::track::tube::TubeShape;
+use nalgebra::Vector2;
 
 /// Background beside the tube that is fitted, pixels: as far as blur and neighbourhoods of chroma show the tube. Where
 /// models are compared, more of it tells what is noise.
@@ -41,6 +43,9 @@ const OUT_OF_FOCUS: &str = "the pictures are clearly sharper or more blurred tha
 const BLENDED: &str = "what moves is blurred by more than any exposure explains: earlier pictures were blended into \
      these (noise reduction over time, conversion of the frame rate), so bands are measured too late; σ is widened by \
      as much: record without it";
+const WOVEN: &str = "even and odd rows of the pictures show different moments, although they are not marked as \
+     interlaced; such frames are refused from now on, and those before, in which something moves, are not to be \
+     trusted: record progressive frames";
 const SHAKES: &str = "the base band, which should rest, shakes by more than its σ: camera, mirror, tank or clamp \
      vibrate, or the pictures were processed; σ of all positions is widened by as much";
 
@@ -87,6 +92,7 @@ pub struct Tracker {
     repeats: Repeats,
     pairs: Pairs,
     grain: Grain,
+    fields: Fields,
     /// What was warned of.
     warned: Vec<&'static str>,
     lamp: Option<Lamp>,
@@ -119,6 +125,7 @@ impl Tracker {
             repeats: Repeats::default(),
             pairs: Pairs::default(),
             grain: Grain::default(),
+            fields: Fields::default(),
             warned: Vec::new(),
             lamp: options.tick_led.map(Lamp::new),
             rig: rig.clone(),
@@ -167,13 +174,18 @@ impl Tracker {
             found => found?,
         };
         self.pairs.add(picture, &found.blobs);
-        self.model.error = self.error(picture).blurred(self.model.blur_px);
+        let (converted, noisy) = (self.pairs.are_alike(), self.grain.is_sensor());
+        self.model.error = ModelError::of(picture, converted, noisy).blurred(self.model.blur_px);
         // 2. the tube around them, fitted to the pictures of all views
         let mut fitted = self.fit(frame, &found, TRACKED_PX);
         self.judge.judge(&self.rig, &self.model.encoding, &found, &mut fitted);
         let views = fitted.iter().flat_map(|fitted| &fitted.result).flat_map(|fit| &fit.views);
         views.filter_map(|view| view.grain.as_ref()).for_each(|grain| self.grain.add(grain));
-        self.follow_blur(frame, &found, &fitted);
+        self.look_at_motion(frame, &found, &fitted);
+        if self.fields.are_woven() {
+            self.keep_shapes(frame.stamp, &fitted);
+            return Ok(Estimate::missed(frame, &self.rig, &Miss::Interlaced));
+        }
         // 3. positions, tangent, deflection
         let mut estimate = answer::estimate(&self.rig, &self.model.encoding, frame, &found.assigned, &fitted);
         if self.repeats.stands_still(&estimate) {
@@ -204,19 +216,17 @@ impl Tracker {
             (self.shake.is_seen(), SHAKES),
             (self.focus.has_changed() && self.rig.camera.blur_px.is_some(), OUT_OF_FOCUS),
             (self.blending.is_seen(), BLENDED),
+            (self.fields.are_woven(), WOVEN),
         ];
         let new = seen.into_iter().find(|(seen, what)| *seen && !self.warned.contains(what))?.1;
         self.warned.push(new);
         Some(new)
     }
 
-    /// Errors of the image model common to all frames so far, of which `picture` is one.
+    /// Errors of the image model common to all frames so far, of which `picture` is one. Noise tells nothing of what
+    /// stays.
     pub(crate) fn lasting_error(&self, picture: &Picture) -> ModelError {
-        self.error(picture).lasting().blurred(self.model.blur_px)
-    }
-
-    fn error(&self, picture: &Picture) -> ModelError {
-        ModelError::of(picture, self.pairs.are_alike(), self.grain.is_sensor())
+        ModelError::of(picture, self.pairs.are_alike(), false).lasting().blurred(self.model.blur_px)
     }
 
     /// The residual that is usual for a band in each view, RMS in grey values; empty while too few frames were measured,
@@ -266,12 +276,22 @@ impl Tracker {
         GroupFitting { rig, model, frame, found, last: before, usual: &judge.usual, margin_px }
     }
 
-    /// Fits the coil of some frames with less and with more blur too, of the lens or of the motion, and follows it.
-    fn follow_blur(&mut self, frame: &Frame, found: &Found, fitted: &[Fitted]) {
+    /// What the motion of the coil since the last frame tells of the pictures.
+    fn look_at_motion(&mut self, frame: &Frame, found: &Found, fitted: &[Fitted]) {
         let shows_coil = |fitted: &&Fitted| fitted.group.members.iter().any(|(m, _)| *m == self.rig.catheter.coil);
         let Some(of_coil) = fitted.iter().find(shows_coil) else { return };
         let Ok(fit) = &of_coil.result else { return };
-        let Some(moved_px) = self.moved_px(frame.stamp, of_coil, fit) else { return };
+        let Some(ways_px) = self.ways_px(frame.stamp, of_coil, fit) else { return };
+        for (view, way_px) in fit.views.iter().zip(&ways_px) {
+            self.fields.add(&view.rows, across(way_px, &view.image.at_arc(0.0).along));
+        }
+        let moved_px = ways_px.iter().map(Vector2::norm).fold(0.0, f64::max);
+        self.follow_blur(frame, found, of_coil, moved_px);
+    }
+
+    /// Fits the coil of some frames with less and with more blur too, of the lens or of the motion, and follows it.
+    fn follow_blur(&mut self, frame: &Frame, found: &Found, of_coil: &Fitted, moved_px: f64) {
+        let Ok(fit) = &of_coil.result else { return };
         // In blended pictures what moves looks out of focus.
         let blended = self.blending.is_seen();
         if !blended && let Some(tries) = self.focus.tries(frame.stamp, moved_px) {
@@ -295,17 +315,15 @@ impl Tracker {
         }
     }
 
-    /// How far the coil has moved since it was last seen, pixels, in the view in which that is most; `None` if it is
-    /// too long ago.
-    fn moved_px(&self, stamp: Timestamp, of_coil: &Fitted, fit: &TubeFit) -> Option<f64> {
+    /// How far the coil has moved in each view since it was last seen, pixels; `None` if that is too long ago.
+    fn ways_px(&self, stamp: Timestamp, of_coil: &Fitted, fit: &TubeFit) -> Option<Vec<Vector2<f64>>> {
         let last = self.before[of_coil.group.reference].as_ref()?;
         last.age_within_s(LONGEST_STEP_S, stamp)?;
-        let mut moved_px: f64 = 0.0;
-        for view in &of_coil.views {
+        let way_px = |view: &usize| {
             let pixel = |shape: &TubeShape| self.rig.views[*view].optics.project(&shape.centre).ok();
-            moved_px = moved_px.max((pixel(&fit.shape)? - pixel(&last.shape)?).norm());
-        }
-        Some(moved_px)
+            Some(pixel(&fit.shape)? - pixel(&last.shape)?)
+        };
+        of_coil.views.iter().map(way_px).collect()
     }
 
     fn take_blur(&mut self) {

@@ -135,9 +135,9 @@ fn prior(colour: usize) -> (Option<f64>, f64) {
 
 /// By how much chroma is known worse than its noise tells. Errors of a subsampled channel are common to about as many
 /// samples as it has pixels per sample: a codec quantises them in the same small blocks. Measured sums of their
-/// autocorrelation are 4 to 6 for 4:2:0, 1.5 for luma. Chroma of each pixel has so little noise that errors of the image
-/// model exceed it, as by light of several colours: weighted by its noise it turned the tangent by 0.14°, with this by
-/// 0.1°, with all bands as accurate.
+/// autocorrelation are 4 to 6 for 4:2:0, 1.5 for luma. Chroma of each pixel has so little noise that errors of the
+/// image model exceed it: weighted by its noise it turned the tangent by 0.14°, with this by 0.11°, with all bands as
+/// accurate.
 fn correlated(picture: &Picture, channel: usize) -> f64 {
     const CHROMA: f64 = 2.0;
     match picture.plane(channel) {

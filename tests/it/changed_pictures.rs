@@ -175,6 +175,29 @@ fn pictures_blended_with_the_one_before_are_warned_of_and_sigma_says_how_late_ba
     assert!(count > 60 && mean < 3.0, "{mean} of {count} positions");
 }
 
+/// As a grabber of interlaced video writes it.
+#[test]
+fn fields_woven_without_a_mark_are_refused_as_soon_as_they_are_known() {
+    let swing = frames(FIRST, 2 * COUNT, |picture| composed(picture, picture, 0));
+    let woven: Vec<Frame> = swing
+        .windows(2)
+        .map(|pair| {
+            let fields = [&pair[0].picture, &pair[1].picture];
+            let row = |i: usize, j: usize| {
+                let plane = fields[j % 2].plane(i).unwrap();
+                plane.row(j).unwrap()[..plane.width].to_vec()
+            };
+            Frame { picture: with_rows(&pair[1].picture, row), ..pair[1] }
+        })
+        .collect();
+    let ((sound, silent), (woven, warned)) = (tracked(&swing), tracked(&woven));
+    assert!(!silent && warned);
+    assert!(sound.iter().all(|estimate| word(estimate) != "interlaced"));
+    let words: Vec<_> = woven.iter().map(word).collect();
+    let first = words.iter().position(|word| word == "interlaced").unwrap();
+    assert!(first < 30 && words[first..].iter().all(|word| word == "interlaced"), "{words:?}");
+}
+
 /// By two pixels either way, four times a second.
 #[test]
 fn a_shaking_camera_widens_sigma_by_as_much_and_is_warned_of() {

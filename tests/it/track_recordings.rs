@@ -4,7 +4,7 @@ use crate::support::truth::{MARKERS, Truth, file, track, truth_in};
 use catoptra::calibrate::markers::{MarkersOptions, Pick, calibrate_markers};
 use catoptra::estimate::Estimate;
 use catoptra::rig::Rig;
-use catoptra::source::{self, Frame, FrameSource, Picture, SourceError, SourceOptions};
+use catoptra::source::{self, Colour, Frame, FrameSource, Picture, PixelFormat, SourceError, SourceOptions};
 use catoptra::track::TrackOptions;
 use std::collections::VecDeque;
 
@@ -104,11 +104,66 @@ fn in_linear_light() -> Kept {
             (0..plane.height).flat_map(row).collect()
         };
         let ([width, height], planes) = (picture.size_px(), (0..3).map(plane).collect());
-        let format = catoptra::source::PixelFormat::RgbPlanar;
-        let picture = Picture::from_planes(width, height, format, picture.colour(), planes).unwrap();
+        let picture = Picture::from_planes(width, height, PixelFormat::RgbPlanar, picture.colour(), planes).unwrap();
         Frame { picture, ..frame }
     });
     Kept(frames.collect())
+}
+
+/// The recording without losses as Y, U and V, with chroma of each pixel or of four.
+fn as_yuv(chroma_log2: u8) -> Kept {
+    let mut source = source::open(file("tests/data/recordings/air.mkv"), SourceOptions::default()).unwrap();
+    let format = PixelFormat::Yuv { chroma_log2: [chroma_log2; 2] };
+    let frames = std::iter::from_fn(move || source.next_frame().unwrap()).map(|frame| {
+        let picture = &frame.picture;
+        let [width, height] = picture.size_px().map(|side| side as usize);
+        let rgb = [0, 1, 2].map(|channel| {
+            let plane = picture.plane(channel).unwrap();
+            (0..height).flat_map(|j| plane.row(j).unwrap().iter().step_by(plane.step)).copied().collect::<Vec<_>>()
+        });
+        let plane = |channel: usize| {
+            let (weights, constant) = Colour::SRGB.channel_from_rgb(format, channel);
+            let side = if channel == 0 { 1 } else { 1 << chroma_log2 };
+            let at = |x: usize, y: usize| (0..3).map(|c| weights[c] * f64::from(rgb[c][y * width + x])).sum::<f64>();
+            let mean = |x: usize, y: usize| {
+                let block = (0..side * side).map(|i| at(x + i % side, y + i / side));
+                (block.sum::<f64>() / (side * side) as f64 + constant).round().clamp(0.0, 255.0) as u8
+            };
+            (0..height)
+                .step_by(side)
+                .flat_map(|y| (0..width).step_by(side).map(move |x| (x, y)))
+                .map(|(x, y)| mean(x, y))
+                .collect()
+        };
+        let planes = (0..3).map(plane).collect();
+        let picture = Picture::from_planes(width as u32, height as u32, format, Colour::SRGB, planes).unwrap();
+        Frame { picture, ..frame }
+    });
+    Kept(frames.collect())
+}
+
+/// Taken for what a coder left, subsampled chroma made σ twice as large as the errors. Chroma of each pixel weighted by
+/// its noise turned the tangent.
+#[test]
+fn sigma_is_honest_in_video_without_losses_whatever_its_chroma() {
+    let rig = Rig::load(&file("tests/data/recordings/air.toml")).unwrap();
+    let truth = truth_in(&file("tests/data/recordings/air.csv"));
+    for chroma_log2 in [0, 1] {
+        let mut source = as_yuv(chroma_log2);
+        let frames = std::iter::from_fn(|| source.next_frame().unwrap());
+        let found = errors(&track(&rig, TrackOptions::default(), frames), &truth);
+        let squares = found.bands_mm.each_ref().map(|errors| normalised(errors, 3.0));
+        let tangent = normalised(&found.tangent_deg, 2.0);
+        println!(
+            "chroma_log2 {chroma_log2}: bands {squares:.2?}, tangent {tangent:.2}, {:.3}°",
+            rms(&found.tangent_deg)
+        );
+        assert!(
+            squares[1..].iter().chain([&tangent]).all(|squares| (0.4..2.0).contains(squares)),
+            "{squares:?}, {tangent}"
+        );
+        assert!(rms(&found.tangent_deg) < 0.12, "{}°", rms(&found.tangent_deg));
+    }
 }
 
 /// Taken for sRGB, as untagged RGB is, coil and tip are 0.13 and 0.2 mm off.
