@@ -46,8 +46,10 @@ FORMATS = {
     "Motion JPEG 4:2:2 q 2": "-c:v mjpeg -q:v 2 -pix_fmt yuvj422p",
     "H.264 4:2:2 crf 14": f"{TO_709} {TAGS} -c:v libx264 -pix_fmt yuv422p -crf 14",
     "H.264 4:4:4 crf 14": f"{TO_709} {TAGS} -c:v libx264 -pix_fmt yuv444p -crf 14",
-    "ProRes 4:2:2": f"{TO_709} {TAGS} -c:v prores_ks -profile:v 3",
+    "ProRes 4:2:2": f"{TO_709} {TAGS} -c:v prores_ks -profile:v 3 -pix_fmt yuv422p10le",
+    "ProRes 4:4:4": f"{TO_709} {TAGS} -c:v prores_ks -profile:v 4 -pix_fmt yuv444p10le",
     "FFV1 4:2:0": f"{TO_709} {TAGS} -c:v ffv1 -level 3 -pix_fmt yuv420p",
+    "FFV1 4:2:2": f"{TO_709} {TAGS} -c:v ffv1 -level 3 -pix_fmt yuv422p",
     "FFV1 4:4:4, 601, full range": "-vf scale=out_color_matrix=bt601:out_range=pc:flags=accurate_rnd+full_chroma_int -color_range pc"
     " -colorspace smpte170m -c:v ffv1 -level 3 -pix_fmt yuv444p",
     "FFV1 4:4:4, 2020": "-vf scale=out_color_matrix=bt2020:out_range=tv:flags=accurate_rnd+full_chroma_int -color_range tv"
