@@ -111,8 +111,7 @@ impl<'a> Scene<'a> {
         let Self { image, layout, colours, .. } = self;
         let (a, b) = (&image.knots[place.knot], &image.knots[place.knot + 1]);
         let spread = |knot: &Knot| {
-            let unit = knot.along / knot.scale;
-            let [across, along] = [Vector2::new(-unit.y, unit.x), unit].map(|way| way.component_mul(&way));
+            let [across, along] = knot.axes().map(|way| way.component_mul(&way));
             Vector2::new(across.dot(spread_px2), along.dot(spread_px2))
         };
         let linear = |of: &dyn Fn(&Knot) -> f64| [of(a) as f32, (of(b) - of(a)) as f32];
@@ -524,8 +523,7 @@ mod tests {
                 flat
             };
             let (rows, _) = evaluated(&flat, Vector2::zeros());
-            let along = image.knots[span.knot].along / image.knots[span.knot].scale;
-            for (k, way) in [Vector2::new(-along.y, along.x), along].into_iter().enumerate() {
+            for (k, way) in image.knots[span.knot].axes().into_iter().enumerate() {
                 let found: Vec<f32> = rows.iter().map(|(row, seen)| shifted(row, *seen)[k]).collect();
                 compare(["across", "along"][k], &found, of(&flat, way * 0.01), of(&flat, way * -0.01), 0.01);
             }

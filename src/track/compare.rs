@@ -406,13 +406,11 @@ impl Comparison {
         let mut differences = Differences::default();
         let Layer { x, y, .. } = &self.patch.pixels;
         let residuals = self.memory.channels.first().map_or(&[][..], |compared| &compared.residuals);
-        let points: Vec<_> = x.iter().zip(y).zip(residuals).zip(self.patch.pixels.near()).collect();
-        for pair in points.windows(2) {
-            if let [(((x0, y0), before), false), (((x1, y1), after), false)] = pair
-                && *x1 - *x0 == 1.0
-                && y0 == y1
-            {
-                differences.add(*after - *before);
+        let near = self.memory.near.first().map_or(&[][..], |near| near);
+        let pairs = x.windows(2).zip(y.windows(2)).zip(residuals.windows(2)).zip(near.windows(2));
+        for (((x, y), residuals), near) in pairs {
+            if x[1] - x[0] == 1.0 && y[0] == y[1] && near[0] + near[1] == 0.0 {
+                differences.add(residuals[1] - residuals[0]);
             }
         }
         differences

@@ -3,11 +3,10 @@
 //! Covariance: H⁻¹ M H⁻¹ with M from the residuals themselves, because decoder errors are correlated between neighbours
 //! and stronger near edges; plus errors of the image model that no residual shows.
 
-use crate::source::Picture;
 use crate::track::chunk::Scene;
 use crate::track::equations::Eliminated;
 use crate::track::fit::{TubeFit, ViewFit};
-use crate::track::image_model::{ModelError, coder_variance};
+use crate::track::image_model::{ModelError, coder_variance, may_be_coded};
 use crate::track::no_fit::NoFit;
 use crate::track::normal::{Normal, Squares};
 use crate::track::round::{Guess, Minimum, Round, shape_prior};
@@ -80,11 +79,6 @@ impl Round<'_> {
     }
 }
 
-/// Whether nothing but their noise tells whether a coder changed the pictures.
-fn may_be_coded(picture: &Picture) -> bool {
-    picture.format().is_subsampled() && picture.quantisation().is_none()
-}
-
 fn misfit(normals: &[Normal]) -> f64 {
     let classes = normals.iter().flat_map(|n| n.squares.iter().flatten()).filter(|(_, count)| *count > 0);
     let (sum, samples) = classes.fold((0.0, 0.0), |(sum, samples), (squares, count)| {
@@ -128,9 +122,7 @@ fn unmodelled(
     error: &ModelError,
 ) -> SMatrix<f64, SHAPE, 3> {
     let mut modes = SMatrix::<f64, SHAPE, 3>::zeros();
-    let knot = image.at_arc(0.0);
-    let along = knot.along / knot.scale;
-    let across = Vector2::new(-along.y, along.x);
+    let [across, along] = image.at_arc(0.0).axes();
     let along_error_px = if stretch.at_clamp { error.along_at_clamp_px } else { error.along_px };
     modes.fixed_view_mut::<3, 1>(0, 0).copy_from(&(point_from_pixel * along * along_error_px));
     modes.fixed_view_mut::<3, 1>(0, 1).copy_from(&(point_from_pixel * across * error.across_px));

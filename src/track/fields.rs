@@ -9,8 +9,6 @@
 //!
 //! Cannot detect: fields before the votes are in; what hardly moves; pictures that were resized afterwards.
 
-use nalgebra::Vector2;
-
 /// Motion across the tube of frames that vote, pixels: of a shorter one fields are hardly apart, of a longer one the
 /// rows do not show one band any more.
 const MOTION_PX: std::ops::Range<f64> = 1.0..5.0;
@@ -66,11 +64,6 @@ impl Fields {
     }
 }
 
-/// The part of a motion in the picture that is across the tube.
-pub(crate) fn across(way_px: &Vector2<f64>, along: &Vector2<f64>) -> f64 {
-    Vector2::new(-along.y, along.x).normalize().dot(way_px)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -109,12 +102,5 @@ mod tests {
             fields.add(&RowShift { pull: 400.0, information: 1000.0 }, if i / 4 % 2 == 0 { 2.0 } else { -2.0 });
             assert!(!fields.are_woven());
         }
-    }
-
-    #[test]
-    fn only_motion_across_the_tube_tells() {
-        let along = Vector2::new(0.0, 3.0);
-        assert!((across(&Vector2::new(2.0, 7.0), &along) + 2.0).abs() < 1e-12);
-        assert!(across(&Vector2::new(0.0, 7.0), &along).abs() < 1e-12);
     }
 }

@@ -73,11 +73,10 @@ impl ModelError {
     /// Those of a picture. `converted` tells that it was made from one with subsampled chroma (pairs.rs), `noisy` that
     /// it still has the noise of its sensor (grain.rs).
     pub(crate) fn of(picture: &Picture, converted: bool, noisy: bool) -> Self {
-        let coded = converted || (picture.format().is_subsampled() && !noisy);
-        match (picture.quantisation(), coded) {
-            (Some(_), _) => Self::QUANTISED,
-            (None, true) => Self::CODED,
-            (None, false) => Self::FULL,
+        match picture.quantisation() {
+            Some(_) => Self::QUANTISED,
+            None if converted || (may_be_coded(picture) && !noisy) => Self::CODED,
+            None => Self::FULL,
         }
     }
 
@@ -99,6 +98,11 @@ impl ModelError {
     pub(crate) fn growth(&self, rms: f64) -> f64 {
         (rms / self.coding_rms).max(1.0)
     }
+}
+
+/// Whether nothing but its noise tells whether a coder changed a picture.
+pub(crate) fn may_be_coded(picture: &Picture) -> bool {
+    picture.quantisation().is_none() && picture.format().is_subsampled()
 }
 
 /// Variance of the samples equivalent to a coder's quantiser of this step, in squared stored units.

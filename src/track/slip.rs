@@ -128,9 +128,7 @@ impl Slips {
     pub(crate) fn finish(&mut self, image: &TubeImage, layout: &Layout) {
         for (band, rings) in self.bands.iter().zip(layout.rings_m.chunks(2)) {
             let middle = image.at_arc(rings.iter().sum::<f64>() / rings.len() as f64);
-            let along = middle.along / middle.scale;
-            let directions = [Vector2::new(-along.y, along.x), along];
-            for ((slip, moves), direction) in band.iter().zip(&middle.d_local).zip(directions) {
+            for ((slip, moves), direction) in band.iter().zip(&middle.d_local).zip(middle.axes()) {
                 if slip.information <= 0.0 {
                     continue;
                 }

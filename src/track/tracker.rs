@@ -7,7 +7,7 @@ use crate::source::{Frame, Picture, Timestamp, Transfer};
 use crate::track::answer;
 use crate::track::blending::Blending;
 use crate::track::coil::deflection;
-use crate::track::fields::{Fields, across};
+use crate::track::fields::Fields;
 use crate::track::find::{Finder, Found};
 use crate::track::fit::TubeFit;
 use crate::track::focus::Focus;
@@ -283,15 +283,15 @@ impl Tracker {
         let Ok(fit) = &of_coil.result else { return };
         let Some(ways_px) = self.ways_px(frame.stamp, of_coil, fit) else { return };
         for (view, way_px) in fit.views.iter().zip(&ways_px) {
-            self.fields.add(&view.rows, across(way_px, &view.image.at_arc(0.0).along));
+            let [across, _] = view.image.at_arc(0.0).axes();
+            self.fields.add(&view.rows, across.dot(way_px));
         }
         let moved_px = ways_px.iter().map(Vector2::norm).fold(0.0, f64::max);
-        self.follow_blur(frame, found, of_coil, moved_px);
+        self.follow_blur(frame, found, (of_coil, fit), moved_px);
     }
 
     /// Fits the coil of some frames with less and with more blur too, of the lens or of the motion, and follows it.
-    fn follow_blur(&mut self, frame: &Frame, found: &Found, of_coil: &Fitted, moved_px: f64) {
-        let Ok(fit) = &of_coil.result else { return };
+    fn follow_blur(&mut self, frame: &Frame, found: &Found, (of_coil, fit): (&Fitted, &TubeFit), moved_px: f64) {
         // In blended pictures what moves looks out of focus.
         let blended = self.blending.is_seen();
         if !blended && let Some(tries) = self.focus.tries(frame.stamp, moved_px) {

@@ -40,6 +40,14 @@ pub(crate) struct Knot {
     projected: Projection,
 }
 
+impl Knot {
+    /// Unit vectors across the axis and along it, in the picture.
+    pub(crate) fn axes(&self) -> [Vector2<f64>; 2] {
+        let along = self.along / self.scale;
+        [Vector2::new(-along.y, along.x), along]
+    }
+}
+
 /// Over such a short distance a projection is linear to 1e-4 px, for cameras at least half a metre away.
 const LINEAR_M: f64 = 0.2e-3;
 
@@ -218,6 +226,18 @@ impl TubeImage {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn only_motion_across_the_tube_is_across_it() {
+        let [path, _] = crate::testing::two_views::views();
+        let shape = TubeShape::straight(Point3::new(0.001, -0.004, 1.35), &Vector3::new(0.2, 1.0, 0.4), 6e-3);
+        for knot in TubeImage::of(&shape, 6e-3, &path, (-20e-3, 25e-3), 2e-3, None, None).unwrap().knots {
+            let [across, along] = knot.axes();
+            let turned = Vector2::new(-knot.along.y, knot.along.x).normalize();
+            assert!((across.dot(&(along * 7.0 + turned * -2.0)) + 2.0).abs() < 1e-12);
+            assert!(across.dot(&(along * 7.0)).abs() < 1e-12);
+        }
+    }
 
     /// Its own sight of a moved tube would change it too, but by a thousandth of what a turn does.
     #[test]

@@ -92,54 +92,46 @@ impl FrameSource for Kept {
     }
 }
 
-/// The recording without losses as a camera for machine vision gives it: in proportion to light, and tagged as nothing.
-fn in_linear_light() -> Kept {
+/// The recording without losses with other planes, made from its R, G and B; rows have the given width.
+fn with_planes(format: PixelFormat, planes: impl Fn([Vec<u8>; 3], usize) -> Vec<Vec<u8>>) -> Kept {
     let mut source = source::open(file("tests/data/recordings/air.mkv"), SourceOptions::default()).unwrap();
-    let linear = |stored: u8| (255.0 * (f64::from(stored) / 255.0).powf(2.2)).round() as u8;
     let frames = std::iter::from_fn(move || source.next_frame().unwrap()).map(|frame| {
         let picture = &frame.picture;
-        let plane = |channel: usize| {
+        let rgb = [0, 1, 2].map(|channel| {
             let plane = picture.plane(channel).unwrap();
-            let row = |j| plane.row(j).unwrap().iter().step_by(plane.step).copied().map(linear);
-            (0..plane.height).flat_map(row).collect()
-        };
-        let ([width, height], planes) = (picture.size_px(), (0..3).map(plane).collect());
-        let picture = Picture::from_planes(width, height, PixelFormat::RgbPlanar, picture.colour(), planes).unwrap();
+            (0..plane.height).flat_map(|j| plane.row(j).unwrap().iter().step_by(plane.step)).copied().collect()
+        });
+        let [width, height] = picture.size_px();
+        let planes = planes(rgb, width as usize);
+        let picture = Picture::from_planes(width, height, format, picture.colour(), planes).unwrap();
         Frame { picture, ..frame }
     });
     Kept(frames.collect())
 }
 
+/// The recording without losses as a camera for machine vision gives it: in proportion to light, and tagged as nothing.
+fn in_linear_light() -> Kept {
+    let linear = |stored: u8| (255.0 * (f64::from(stored) / 255.0).powf(2.2)).round() as u8;
+    with_planes(PixelFormat::RgbPlanar, |rgb, _| rgb.map(|plane| plane.into_iter().map(linear).collect()).into())
+}
+
 /// The recording without losses as Y, U and V, with chroma of each pixel or of four.
 fn as_yuv(chroma_log2: u8) -> Kept {
-    let mut source = source::open(file("tests/data/recordings/air.mkv"), SourceOptions::default()).unwrap();
     let format = PixelFormat::Yuv { chroma_log2: [chroma_log2; 2] };
-    let frames = std::iter::from_fn(move || source.next_frame().unwrap()).map(|frame| {
-        let picture = &frame.picture;
-        let [width, height] = picture.size_px().map(|side| side as usize);
-        let rgb = [0, 1, 2].map(|channel| {
-            let plane = picture.plane(channel).unwrap();
-            (0..height).flat_map(|j| plane.row(j).unwrap().iter().step_by(plane.step)).copied().collect::<Vec<_>>()
-        });
+    with_planes(format, |rgb, width| {
         let plane = |channel: usize| {
             let (weights, constant) = Colour::SRGB.channel_from_rgb(format, channel);
             let side = if channel == 0 { 1 } else { 1 << chroma_log2 };
             let at = |x: usize, y: usize| (0..3).map(|c| weights[c] * f64::from(rgb[c][y * width + x])).sum::<f64>();
-            let mean = |x: usize, y: usize| {
+            let mean = |(x, y): (usize, usize)| {
                 let block = (0..side * side).map(|i| at(x + i % side, y + i / side));
                 (block.sum::<f64>() / (side * side) as f64 + constant).round().clamp(0.0, 255.0) as u8
             };
-            (0..height)
-                .step_by(side)
-                .flat_map(|y| (0..width).step_by(side).map(move |x| (x, y)))
-                .map(|(x, y)| mean(x, y))
-                .collect()
+            let rows = (0..rgb[0].len() / width).step_by(side);
+            rows.flat_map(|y| (0..width).step_by(side).map(move |x| (x, y))).map(mean).collect()
         };
-        let planes = (0..3).map(plane).collect();
-        let picture = Picture::from_planes(width as u32, height as u32, format, Colour::SRGB, planes).unwrap();
-        Frame { picture, ..frame }
-    });
-    Kept(frames.collect())
+        (0..3).map(plane).collect()
+    })
 }
 
 /// Taken for what a coder left, subsampled chroma made σ twice as large as the errors. Chroma of each pixel weighted by
