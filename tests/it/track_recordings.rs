@@ -103,7 +103,7 @@ fn with_planes(format: PixelFormat, planes: impl Fn([Vec<u8>; 3], usize) -> Vec<
         });
         let [width, height] = picture.size_px();
         let planes = planes(rgb, width as usize);
-        let picture = Picture::from_planes(width, height, format, picture.colour(), planes).unwrap();
+        let picture = Picture::from_planes(width, height, format, Colour::SRGB, planes).unwrap();
         Frame { picture, ..frame }
     });
     Kept(frames.collect())
