@@ -29,14 +29,14 @@ impl Round<'_> {
         let plain = information.cholesky().ok_or(NoFit::NotConverged)?.inverse();
         // The residuals do not contain the priors' information.
         let mut covariance = plain * shape_prior() * plain;
-        let Round { mut views, stretch, picture, model, .. } = self;
+        let Round { mut views, stretch, picture, model, rests, .. } = self;
         let Guess { images, colours, .. } = &state.guess;
         let compared = views.par_iter_mut().zip(images).zip(colours).zip(&seen);
         let scatter = compared.map(|(((view, image), colours), eliminated)| {
             let of_colours = -plain * eliminated.following();
             let coder_variances = |pixel| {
-                let steps = picture.quantisation().and_then(|q| Some((q.steps_at(pixel)?, q.predicted)));
-                steps.map_or([0.0; 3], |(steps, predicted)| steps.map(|step| coder_variance(step, predicted)))
+                let steps = picture.quantisation().and_then(|q| Some((q.steps_at(pixel)?, q.predicted && !rests)));
+                steps.map_or([0.0; 3], |(steps, lags)| steps.map(|step| coder_variance(step, lags)))
             };
             let scene = Scene::new(image, colours, stretch, model);
             let scattered = view.comparison.scatter(&scene, &plain, &of_colours, coder_variances);

@@ -102,6 +102,8 @@ pub(crate) struct Fitting<'a> {
     pub ranges_m: Vec<(f64, f64)>,
     pub model: &'a ImageModel,
     pub sweep: Option<Sweep>,
+    /// Whether the stretch is known not to move.
+    pub rests: bool,
     /// Background beside the tube that the second round uses, pixels.
     pub margin_px: f64,
 }
@@ -176,12 +178,12 @@ impl Fitting<'_> {
 
     /// Selects samples around a guess.
     fn round(&self, guess: &Guess, how: Selection, expected: Vec<Option<Vec<f64>>>) -> Result<Round<'_>, NoFit> {
-        let Self { stretch, picture, model, .. } = *self;
+        let Self { stretch, picture, model, rests, .. } = *self;
         let seen = guess.images.par_iter().zip(&self.ranges_m).zip(expected);
         let views = seen
             .map(|((image, range_m), expected)| View::select(stretch, *range_m, image, picture, model, how, expected));
         let views = views.collect::<Result<Vec<_>, _>>()?;
-        Ok(Round { stretch, paths: &self.paths, picture, model, sweep: self.sweep.as_ref(), views })
+        Ok(Round { stretch, paths: &self.paths, picture, model, sweep: self.sweep.as_ref(), rests, views })
     }
 }
 
@@ -229,7 +231,7 @@ mod tests {
         picture: &'a Picture,
     ) -> Fitting<'a> {
         let (paths, ranges_m): (Vec<_>, _) = (paths.iter().collect(), vec![stretch.range_m; paths.len()]);
-        Fitting { stretch, picture, paths, ranges_m, model, sweep: None, margin_px: 4.0 }
+        Fitting { stretch, picture, paths, ranges_m, model, sweep: None, rests: false, margin_px: 4.0 }
     }
 
     fn fit(stretch: &Stretch, start: &TubeShape, picture: &Picture, sweep: Option<Sweep>) -> Result<TubeFit, NoFit> {

@@ -53,6 +53,8 @@ pub(crate) struct GroupFitting<'a> {
     /// For each marker that is the reference of a group: its last fit.
     pub last: &'a [Option<Last>],
     pub usual: &'a Usual,
+    /// Whether the base band is known not to move.
+    pub base_rests: bool,
     /// Background beside the tube that is fitted, pixels.
     pub margin_px: f64,
 }
@@ -135,6 +137,7 @@ impl GroupFitting<'_> {
             ranges_m: views.iter().map(|&v| self.seen_range(group, v)).collect(),
             model,
             sweep,
+            rests: self.base_rests && matches!(group.members[..], [(0, _)]),
             margin_px,
         }
     }
@@ -298,7 +301,8 @@ mod tests {
             let found = Found { blobs: Vec::new(), assigned: assigned.into() };
             let (last, usual) = (vec![None; rig.markers.len()], Usual::new(&rig));
             let (rig, model, frame, found, last, usual) = (&rig, &model, &frame, &found, &last[..], &usual);
-            GroupFitting { rig, model, frame, found, last, usual, margin_px: 4.0 }.fit(&group, &[0, 1])
+            GroupFitting { rig, model, frame, found, last, usual, base_rests: false, margin_px: 4.0 }
+                .fit(&group, &[0, 1])
         };
         let tip = tube.centre + tube.direction * 22e-3;
         assert!(fit_with_tip_at(tip).is_ok());

@@ -114,9 +114,10 @@ pub(crate) fn may_be_coded(picture: &Picture) -> bool {
 /// g² for gradients g of the block, κ ≈ 0.14 · 8 / 4: that of independent noise of variance κ step². Over recordings
 /// coded from crf 10 to 23 squared errors are mostly 0.6 to 1.7 times what σ predicts (docs/formats.md).
 ///
-/// An intra-coded picture has only the rounding of each coefficient: κ = 1/12.
-pub(crate) const fn coder_variance(step: f64, predicted: bool) -> f64 {
-    let kappa = if predicted { 0.28 } else { 1.0 / 12.0 };
+/// An intra-coded picture, and what rests, where a block left in its place is right, have only the rounding of each
+/// coefficient: κ = 1/12.
+pub(crate) const fn coder_variance(step: f64, lags: bool) -> f64 {
+    let kappa = if lags { 0.28 } else { 1.0 / 12.0 };
     kappa * step * step
 }
 

@@ -37,6 +37,8 @@ pub(crate) struct Round<'a> {
     pub picture: &'a Picture,
     pub model: &'a ImageModel,
     pub sweep: Option<&'a Sweep>,
+    /// Whether the stretch is known not to move.
+    pub rests: bool,
     pub views: Vec<View>,
 }
 

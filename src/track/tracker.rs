@@ -273,7 +273,8 @@ impl Tracker {
         margin_px: f64,
     ) -> GroupFitting<'a> {
         let Self { rig, judge, before, .. } = self;
-        GroupFitting { rig, model, frame, found, last: before, usual: &judge.usual, margin_px }
+        let base_rests = self.shake.is_at_rest();
+        GroupFitting { rig, model, frame, found, last: before, usual: &judge.usual, base_rests, margin_px }
     }
 
     /// What the motion of the coil since the last frame tells of the pictures.
