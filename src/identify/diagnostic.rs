@@ -53,7 +53,7 @@ pub enum Diagnostic {
         /// Mean over standard deviation.
         ratio: f64,
     },
-    /// The best orders are the largest, or smallest, of those searched.
+    /// The best orders are the largest of those searched.
     AtEdge {
         /// `na`, `nb` or `nk`.
         what: &'static str,
@@ -188,13 +188,13 @@ impl fmt::Display for Diagnostic {
             Self::Unexplained { outside: (n, of) } => {
                 write!(
                     f,
-                    "residuals of the full model go with the input ({n} of {of} lags out of the 99 % bound): it leaves something unexplained"
+                    "residuals of the full model are correlated with the input ({n} of {of} lags out of the 99 % bound): it leaves something unexplained"
                 )
             }
             Self::FedBack { outside: (n, of), has_instrument } => {
                 write!(
                     f,
-                    "the input goes with earlier residuals ({n} of {of} lags out of the 99 % bound): noise of the output is \
+                    "the input is correlated with earlier residuals ({n} of {of} lags out of the 99 % bound): noise of the output is \
                      fed back into it, which biases ARX; compare with "
                 )?;
                 // Without an instrument the input would be its own, including the noise.

@@ -6,6 +6,7 @@
 
 use super::data::{Record, Segment};
 use super::plant::Plant;
+use crate::median::upper_median;
 use crate::plural::plural;
 
 /// Largest deviation of an interval from whole periods, in periods.
@@ -166,9 +167,8 @@ pub(super) fn usual_interval(name: &str, time_s: &[f64]) -> Result<f64, GridErro
         let (before_s, after_s) = (time_s[k], time_s[k + 1]);
         return Err(GridError::NotRising { name: name.to_owned(), sample: k + 1, before_s, after_s });
     }
-    let mut intervals: Vec<f64> = time_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
-    intervals.sort_by(f64::total_cmp);
-    let period_s = intervals[intervals.len() / 2];
+    let intervals = time_s.windows(2).map(|pair| pair[1] - pair[0]);
+    let period_s = upper_median(intervals).unwrap_or(f64::NAN);
     // Each place of the grid takes memory, with or without a sample.
     let places = (time_s[time_s.len() - 1] - time_s[0]) / period_s;
     if places > (MAX_PLACES + 10 * time_s.len()) as f64 {

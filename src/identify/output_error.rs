@@ -54,7 +54,9 @@ pub(crate) fn refine(segments: &[Segment], initial: &Polynomials) -> Result<Refi
         return Err(IdentifyError::Unstable { orders, largest_pole: initial.largest_pole() });
     }
     let samples: usize = segments.iter().map(Segment::observed).sum();
-    let parameters = orders.parameters();
+    // Each segment that does not begin at rest has its own initial state.
+    let states: usize = segments.iter().filter_map(|s| free_initial_state(s, initial)).map(|open| open.ncols()).sum();
+    let parameters = orders.parameters() + states;
     if samples <= parameters {
         let longest = segments.iter().map(Segment::len).max().unwrap_or(0);
         return Err(IdentifyError::TooShort { orders, rows: samples, longest });

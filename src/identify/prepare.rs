@@ -83,7 +83,8 @@ impl Trend {
 
 /// Every `factor`-th sample after a low-pass filter (windowed sinc, Hamming, zero phase), the same for all signals, so
 /// that their relation is unchanged. The input, which is held from sample to sample, is averaged over the new, longer
-/// hold. Five samples of the result are lost at both ends of every segment.
+/// hold. Five samples of the result are lost at both ends of every segment. All segments keep to one grid: that of every
+/// `factor`-th place of the record's.
 pub(crate) fn decimate(record: &Record, factor: usize, period_s: f64) -> Record {
     let half = HALF_TAPS * factor;
     let corner = CORNER / factor as f64;
@@ -101,12 +102,15 @@ pub(crate) fn decimate(record: &Record, factor: usize, period_s: f64) -> Record 
         filtered(signal).chunks_exact(factor).map(|hold| hold.iter().sum::<f64>() / factor as f64).collect()
     };
     let thinned = |segment: &Segment| {
-        let input = held(&segment.input);
+        let first = segment.first.div_ceil(factor);
+        let skip = first * factor - segment.first;
+        let on_grid = |signal: &[f64]| signal.get(skip..).unwrap_or_default().to_vec();
+        let input = held(&on_grid(&segment.input));
         Segment {
-            first: segment.first.div_ceil(factor) + HALF_TAPS,
-            start_s: segment.start_s + half as f64 * period_s,
-            output: filtered(&segment.output).into_iter().step_by(factor).take(input.len()).collect(),
-            instrument: segment.instrument.as_deref().map(held),
+            first: first + HALF_TAPS,
+            start_s: segment.start_s + (skip + half) as f64 * period_s,
+            output: filtered(&on_grid(&segment.output)).into_iter().step_by(factor).take(input.len()).collect(),
+            instrument: segment.instrument.as_deref().map(|signal| held(&on_grid(signal))),
             input,
             from_rest: false,
         }
@@ -150,5 +154,21 @@ mod tests {
         assert_eq!((s.len(), s.input.len()), ((400 - 40) / 4, s.output.len()));
         let fast = decimate(&wave(2.0), 4, 0.1);
         assert!(fast.segments[0].output.iter().all(|v| v.abs() < 0.01));
+    }
+
+    /// A hole of any length leaves what follows at its time, counted in whole samples of the result.
+    #[test]
+    fn decimated_segments_stay_on_one_grid() {
+        let wave = segment(|t| (2.0 * PI * 0.3 * t).sin());
+        for hole in 0..4 {
+            let from = 100 + hole;
+            let parts = vec![wave.part(0, 100, 0.1), wave.part(from, 400, 0.1)];
+            let thin = decimate(&Record { name: "w".into(), segments: parts }, 4, 0.1);
+            for s in &thin.segments {
+                assert!((s.start_s - s.first as f64 * 0.4).abs() < 1e-9, "{hole}: {} at {} s", s.first, s.start_s);
+                let at = |k: usize| (2.0 * PI * 0.3 * (s.start_s + k as f64 * 0.4)).sin();
+                assert!(s.output.iter().enumerate().all(|(k, v)| (v - at(k)).abs() < 0.01), "{hole}");
+            }
+        }
     }
 }

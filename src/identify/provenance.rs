@@ -14,7 +14,7 @@ pub(crate) struct RecordSummary {
     pub samples: usize,
     /// Segments of known input.
     pub segments: usize,
-    /// Seconds from the first sample to the last.
+    /// Seconds of all its segments, without holes.
     pub duration_s: f64,
     /// Period before decimation, seconds.
     pub period_s: f64,

@@ -60,17 +60,18 @@ impl Regression {
         let mut coefficients = DMatrix::zeros(self.outputs, used);
         let mut residual_rad = [0.0; 2];
         let free = (self.rows - used) as f64;
-        let mut log_det = 0.0;
         for output in 0..self.outputs {
             let mut columns = self.triangle.columns(0, used + 1).into_owned();
             columns.set_column(used, &self.triangle.column(all + output));
             let solution = solve(columns)?;
             coefficients.set_row(output, &solution.parameters.transpose());
             let variance = solution.residual / free;
-            log_det += variance.max(f64::MIN_POSITIVE).ln();
             *residual_rad.get_mut(output)? = variance.sqrt();
         }
         let rows = self.rows as f64;
+        // What the rows below those of the coefficients say of the outputs is not explained by them.
+        let left = self.triangle.view((used, all), (self.triangle.nrows() - used, self.outputs));
+        let log_det = (left.tr_mul(&left) / free).determinant().max(f64::MIN_POSITIVE).ln();
         Some(Fitted {
             order,
             coefficients: used,

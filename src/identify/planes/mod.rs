@@ -21,6 +21,7 @@ mod write;
 pub(crate) use system::System;
 
 use super::data::Segment;
+use super::hold::Held;
 use super::recorded::{Observed, RecordedError};
 use super::spectrum::spectrum;
 use crate::series::{Current, Recording};
@@ -87,8 +88,8 @@ pub(crate) struct Motion {
 }
 
 impl Motion {
-    /// Of a run and its currents; `names` are those of the coils. Commands act `delay_s` later than they say. Before
-    /// the first command no current flows.
+    /// Of a run and its currents. Commands act `delay_s` later than they say. What precedes a first command other than
+    /// zero is left out: the current then is not known.
     ///
     /// # Errors
     /// [`PlanesError`].
@@ -126,12 +127,16 @@ impl Motion {
                 output[(*place, column)] = value.unwrap_or(f64::NAN);
             }
         }
-        let at = |place: usize| start_s + place as f64 * grid.period_s - delay_s;
-        let input = DMatrix::from_fn(samples, held.len(), |place, coil| {
-            let held = held.get(coil).and_then(|held| held.mean(at(place), at(place + 1)));
-            held.unwrap_or(0.0)
-        });
-        Ok(Self { name, period_s: grid.period_s, start_s, input, output })
+        let at = |place: usize| start_s + place as f64 * grid.period_s;
+        let drive = |place: usize| {
+            let of = |held: &Held| held.mean(at(place) - delay_s, at(place + 1) - delay_s);
+            held.iter().map(of).collect::<Option<Vec<_>>>()
+        };
+        // Once commanded, a coil's current is known.
+        let unknown = (0..samples).take_while(|place| drive(*place).is_none()).count();
+        let input: Vec<f64> = (unknown..samples).filter_map(drive).flatten().collect();
+        let input = DMatrix::from_row_slice(samples - unknown, held.len(), &input);
+        Ok(Self { name, period_s: grid.period_s, start_s: at(unknown), input, output: output.remove_rows(0, unknown) })
     }
 
     /// Less these means.

@@ -6,6 +6,9 @@ use crate::identify::decompositions::{eigenvalues, svd};
 use crate::identify::gramian::{band_factors, factor};
 use nalgebra::{Complex, DMatrix, DVector};
 
+/// Less than this part of the largest is rounding.
+const LEAST: f64 = 1e-12;
+
 /// A, B and C.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct System {
@@ -47,11 +50,12 @@ impl System {
                 }
             }
             seen *= &self.a;
-            if !seen.amax().is_finite() || seen.amax() < 1e-9 {
+            if !seen.amax().is_finite() || seen.amax() < LEAST * self.c.amax() {
                 break;
             }
         }
-        let start = svd(normal)?.solve(&target, 1e-12).ok()?;
+        let normal = svd(normal)?;
+        let start = normal.solve(&target, LEAST * normal.singular_values.max()).ok()?;
         let output = self.run(&start, &record.input);
         output.iter().all(|v| v.is_finite()).then_some(output)
     }
