@@ -62,7 +62,7 @@ pub enum CurrentSource {
     Play {
         /// The file.
         list: PathBuf,
-        /// Its rows as a table with `t_s`, put here by who has read it.
+        /// Its rows as a table with `t_s`, put here by whoever has read it.
         table: String,
     },
     /// A topic of ROS 2.
@@ -155,15 +155,16 @@ impl CurrentSource {
             }
             Self::Serial(device, baud) => {
                 let line = serial(device, *baud)?;
-                thread.spawn(move || parser.lines(line, &stop))?;
+                // Short, because what comes meanwhile is stamped late; not zero, because an unplugged device ends at once.
+                thread.spawn(move || parser.lines(line, POLL_INTERVAL, &stop))?;
             }
             Self::File(table) => {
                 let reader = parser.headed(File::open(table)?)?;
-                thread.spawn(move || parser.lines(reader, &stop))?;
+                thread.spawn(move || parser.lines(reader, STOP_POLL_INTERVAL, &stop))?;
             }
             Self::Play { table, .. } => {
                 let reader = parser.headed(Cursor::new(table.clone()))?;
-                thread.spawn(move || parser.lines(reader, &stop))?;
+                thread.spawn(move || parser.lines(reader, STOP_POLL_INTERVAL, &stop))?;
             }
             Self::Ros2 { topic, domain, everywhere } => {
                 let listener = Listener::open(topic, *domain, *everywhere)?;
@@ -275,8 +276,8 @@ impl Parser {
         }
     }
 
-    /// Reads lines; at the end of what there is it waits for more.
-    fn lines(&mut self, mut from: impl Read, stop: &AtomicBool) {
+    /// Reads lines; at the end of what there is it waits so long, and reads on.
+    fn lines(&mut self, mut from: impl Read, idle: Duration, stop: &AtomicBool) {
         let (mut bytes, mut line) = ([0; 4096], Vec::new());
         while !stop.load(Ordering::Relaxed) {
             match from.read(&mut bytes) {
@@ -287,7 +288,7 @@ impl Parser {
                         line.clear();
                     }
                 }
-                Ok(0) => std::thread::sleep(STOP_POLL_INTERVAL),
+                Ok(0) => std::thread::sleep(idle),
                 Ok(length) => {
                     for &byte in bytes.iter().take(length) {
                         match byte {
@@ -577,7 +578,8 @@ mod tests {
         let (mut parser, samples) = parser(columns("t_s,i1").ok());
         let stop = Arc::new(AtomicBool::new(false));
         let ends = Arc::clone(&stop);
-        let reading = std::thread::spawn(move || parser.lines(Cursor::new("0,0.1\n0.05,0.2"), &stop));
+        let reading =
+            std::thread::spawn(move || parser.lines(Cursor::new("0,0.1\n0.05,0.2"), STOP_POLL_INTERVAL, &stop));
         let next = || samples.recv_timeout(Duration::from_secs(10)).unwrap().current_a;
         assert_eq!((next(), next()), (vec![0.1], vec![0.2]));
         ends.store(true, Ordering::Relaxed);

@@ -1,6 +1,6 @@
-//! What somebody who looks on is shown of a live run: its last rows, and a picture when one is wanted.
+//! What an onlooker is shown of a live run: its last rows, and a picture when one is wanted.
 //!
-//! The tracker never waits for who looks on: it leaves things here when nobody is at them, and goes on otherwise. A
+//! The tracker never waits for onlookers: it leaves things here when nobody is at them, and goes on otherwise. A
 //! picture is kept when one was asked for, and handed out as it is; no copy is made.
 
 use super::priority::{Urgency, run_as};
@@ -17,7 +17,7 @@ const MAX_ROWS: usize = 3600;
 /// Samples of currents that are kept.
 const MAX_CURRENTS: usize = 3600;
 
-/// The slot between a live run and who looks on.
+/// The slot between a live run and its onlookers.
 #[derive(Debug, Default)]
 pub struct Latest {
     wanted: AtomicBool,

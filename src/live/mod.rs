@@ -78,7 +78,7 @@ pub struct Outputs {
     pub currents: Option<Receiver<CurrentSample>>,
     /// Pictures of the frames that are tracked.
     pub pictures: Option<Recording>,
-    /// Where the last rows, and a picture now and then, are left for who looks on.
+    /// Where the last rows, and a picture now and then, are left for onlookers.
     pub latest: Option<Arc<Latest>>,
 }
 

@@ -72,7 +72,7 @@ impl Counters {
         Ok(Self { clock, counts: Mutex::new(counts) })
     }
 
-    /// Counts a frame, when it has been sent to who waits for it; the totals, when they are to be reported.
+    /// Counts a frame, when it has been sent to whoever waits for it; the totals, when they are to be reported.
     pub(super) fn add(&self, estimate: &Arc<Estimate>, tracked: bool) -> Option<Totals> {
         let now_ns = self.clock.now_ns();
         let mut counts = self.lock();
