@@ -9,7 +9,9 @@
 //! needed.
 
 use crate::optics::{Lens, NoRay, OpticalPath, Plane, Surface, Wall};
+use crate::rig::View;
 use nalgebra::{Matrix2x3, Point2, Point3, SMatrix, Unit, UnitQuaternion, Vector2, Vector3};
+use std::collections::BTreeMap;
 
 /// Half a step of a central difference: radians, metres, index. Truncation and rounding errors are both below 1e-9 of a
 /// derivative.
@@ -24,6 +26,19 @@ pub struct Geometry {
     pub surfaces: Vec<(String, Surface)>,
     /// The views: name, and indices of the surfaces that a camera ray meets.
     pub views: Vec<(String, Vec<usize>)>,
+}
+
+impl Geometry {
+    /// That of a rig; `None` when a view's path names a surface that it does not have.
+    pub(crate) fn of(lens: Lens, surfaces: &BTreeMap<String, Surface>, views: &[View]) -> Option<Self> {
+        let index = |name: &String| surfaces.keys().position(|own| own == name);
+        let view = |view: &View| {
+            let path = view.path.iter().map(index).collect::<Option<Vec<_>>>()?;
+            Some((view.name.clone(), path))
+        };
+        let views = views.iter().map(view).collect::<Option<Vec<_>>>()?;
+        Some(Self { lens, surfaces: surfaces.iter().map(|(name, s)| (name.clone(), *s)).collect(), views })
+    }
 }
 
 /// One number that a calibration may change.

@@ -76,7 +76,7 @@ pub struct Simulation {
     chain: Chain,
     state: State,
     load: Load,
-    /// Newton's matrix, the step and the load it was made for.
+    /// The factorised iteration matrix of Newton's method, and the step it was made for.
     matrix: Option<(LU<f64, Dyn, Dyn>, f64)>,
 }
 
@@ -128,7 +128,7 @@ impl Simulation {
         Ok(new)
     }
 
-    /// The same motion from here on with rates by unknown set to zero and the load changed at once.
+    /// The same motion from here on, with the load changed at once.
     ///
     /// # Errors
     /// When the matrix of inertia is singular: a catheter without mass.

@@ -45,9 +45,9 @@ impl Limits {
     /// The first limit that it exceeds, with the time, and for slew the amplitude that would keep it.
     pub(crate) fn check(&self, signal: &Signal) -> Result<(), ExciteError> {
         let beyond = self.current_a * (1.0 + ROUNDING);
-        if let Some(first) = signal.values_a.iter().position(|value| value.abs() > beyond) {
-            let at_s = signal.time_s(first);
-            return Err(ExciteError::Current { at_s, value_a: signal.peak_a(), limit_a: self.current_a });
+        let largest = signal.values_a.iter().map(|value| value.abs()).enumerate().max_by(|a, b| a.1.total_cmp(&b.1));
+        if let Some((at, value_a)) = largest.filter(|(_, value)| *value > beyond) {
+            return Err(ExciteError::Current { at_s: signal.time_s(at), value_a, limit_a: self.current_a });
         }
         let (slew_a_s, at_s) = signal.largest_slew();
         match self.slew_a_s {

@@ -47,7 +47,7 @@ pub fn triangulate(sightings: &[Sighting<'_>]) -> Option<Triangulated> {
         across_sum += across;
         target += across * ray.origin.coords;
     }
-    // Parallel rays leave the direction along them undetermined: 1e-4 is about half a degree between two rays.
+    // Parallel rays leave the direction along them undetermined: of two rays this is 1 − cos α, 1e-4 at 0.8°.
     if across_sum.symmetric_eigenvalues().min() < 1e-4 {
         return None;
     }

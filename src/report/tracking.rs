@@ -8,7 +8,7 @@ use super::html::{Html, escape};
 use super::page::{self, facts_table, figure, signed, table, trouble};
 use crate::plural::plural;
 use crate::sink::plain_words;
-use crate::tally::budget::{Source, together};
+use crate::tally::budget::{Contribution, together};
 use crate::tally::{AlarmInWords, Drifted, MissCount, Tally};
 use std::collections::BTreeSet;
 
@@ -168,12 +168,12 @@ fn accuracy(course: &Course, tally: &Tally) -> String {
 }
 
 /// The contribution of each source of error.
-fn error_budget(sources: &[Source]) -> String {
+fn error_budget(sources: &[Contribution]) -> String {
     let line = |name: &str, (theta_rad, tip_m): (f64, f64)| {
         vec![name.to_owned(), format!("{:.4}", theta_rad.to_degrees()), format!("{:.4}", tip_m * 1e3)]
     };
     let unknown = |name: &str, why: &str| vec![format!("{name}: not known, {}", escape(why)), "–".into(), "–".into()];
-    let row = |source: &Source| match &source.share {
+    let row = |source: &Contribution| match &source.share {
         Ok(share) => line(source.name, *share),
         Err(why) => unknown(source.name, why),
     };

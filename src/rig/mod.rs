@@ -102,10 +102,24 @@ impl Rig {
     /// σ of the base frame's origin along the camera's axes, metres, as `calibrate base` recorded it; `None` when it
     /// did not.
     pub fn origin_sd_m(&self) -> Option<Vector3<f64>> {
-        let recorded = self.provenance.get("base")?.get("origin_sd_mm")?.as_array()?;
-        let sd_mm: Vec<f64> = recorded.iter().filter_map(toml::Value::as_float).collect();
-        let sd_mm = <[f64; 3]>::try_from(sd_mm).ok()?;
-        sd_mm.iter().all(|sd| sd.is_finite() && *sd > 0.0).then(|| Vector3::from(sd_mm) * 1e-3)
+        Some(self.sd_of_base("origin_sd_mm")? * 1e-3)
+    }
+
+    /// σ of the base frame's axes, turned about each of them, radians; `None` when it was not recorded.
+    pub fn axes_sd_rad(&self) -> Option<Vector3<f64>> {
+        Some(self.sd_of_base("axes_sd_deg")?.map(f64::to_radians))
+    }
+
+    fn sd_of_base(&self, key: &str) -> Option<Vector3<f64>> {
+        let recorded = self.provenance.get("base")?.get(key)?.as_array()?;
+        let sd: Vec<f64> = recorded.iter().filter_map(toml::Value::as_float).collect();
+        let sd = <[f64; 3]>::try_from(sd).ok()?;
+        sd.iter().all(|sd| sd.is_finite() && *sd > 0.0).then(|| Vector3::from(sd))
+    }
+
+    /// Index of the marker at the tube's end, or else of the last one.
+    pub fn tip(&self) -> usize {
+        self.catheter.end.unwrap_or(self.markers.len().saturating_sub(1))
     }
 
     /// Index of a marker by its name.
@@ -140,8 +154,8 @@ pub struct Camera {
     pub chroma_offset_px: [f64; 2],
     /// Exposure time of a picture, seconds, once known: motion during it blurs the picture.
     pub exposure_s: Option<f64>,
-    /// Stored values go with light to this power, once measured; where it is not known, the recording's own transfer
-    /// function holds.
+    /// Stored values are proportional to light raised to this power, once measured; where it is not known, the
+    /// recording's own transfer function holds.
     pub gamma: Option<f64>,
 }
 

@@ -69,7 +69,7 @@ impl UdpSink {
             frame,
             frame_from_camera,
             views: rig.views.iter().map(|v| v.name.clone()).collect(),
-            tip: rig.catheter.end.unwrap_or(rig.markers.len().saturating_sub(1)),
+            tip: rig.tip(),
             scratch: Vec::new(),
             unsent: 0,
         })

@@ -23,7 +23,7 @@ const ARRIVAL: &str = "host_arrival";
 
 /// A source of error, and its contribution to θ, radians, and to the tip, metres (root of the trace).
 #[derive(Debug, Clone, PartialEq)]
-pub struct Source {
+pub struct Contribution {
     /// What it is.
     pub name: &'static str,
     /// θ and tip, or why they are unknown.
@@ -34,6 +34,8 @@ pub struct Source {
 #[derive(Debug, Clone, Default)]
 pub(super) struct BudgetData {
     rig: Option<Draft>,
+    /// σ of the base frame: origin, metres; turns about its axes, radians.
+    base_sd: Option<(Vector3<f64>, Vector3<f64>)>,
     coil: usize,
     tip: usize,
     poses: Vec<Pose>,
@@ -50,8 +52,10 @@ pub(super) struct BudgetData {
 impl BudgetData {
     pub(super) fn new(rig: &Rig) -> Self {
         let coil = rig.catheter.coil;
-        let tip = rig.catheter.end.unwrap_or(rig.markers.len().saturating_sub(1));
-        Self { rig: rig.base.is_some().then(|| rig.clone().into()), coil, tip, stride: 1, ..Self::default() }
+        let tip = rig.tip();
+        let base_sd = rig.origin_sd_m().zip(rig.axes_sd_rad());
+        let rig = rig.base.is_some().then(|| rig.clone().into());
+        Self { rig, base_sd, coil, tip, stride: 1, ..Self::default() }
     }
 
     /// Index of the tip's marker.
@@ -95,28 +99,22 @@ impl BudgetData {
 
     /// `noise`: median σ of θ, radians, and of a coordinate of the tip, metres; `clock` of the stamps. `None` without a
     /// base frame or a measured frame.
-    pub(super) fn budget(&self, noise: Option<(f64, f64)>, clock: &str) -> Option<Vec<Source>> {
+    pub(super) fn budget(&self, noise: Option<(f64, f64)>, clock: &str) -> Option<Vec<Contribution>> {
         let rig = self.rig.as_ref()?;
         let (theta_rad, tip_m) = noise?;
         let of_calibration =
             share(rig, &self.poses).map(|own| (own.theta_rad.0, own.tip_m.0)).map_err(|why| why.to_string());
         Some(vec![
-            Source { name: "image noise, one frame", share: Ok((theta_rad, tip_m * 3.0_f64.sqrt())) },
-            Source { name: "calibration", share: of_calibration },
-            Source { name: "base frame", share: self.of_base(rig) },
-            Source { name: "time stamps", share: self.of_stamps(clock) },
+            Contribution { name: "image noise, one frame", share: Ok((theta_rad, tip_m * 3.0_f64.sqrt())) },
+            Contribution { name: "calibration", share: of_calibration },
+            Contribution { name: "base frame", share: self.of_base(rig) },
+            Contribution { name: "time stamps", share: self.of_stamps(clock) },
         ])
     }
 
     fn of_base(&self, rig: &Draft) -> Result<(f64, f64), String> {
-        let recorded = |key: &str| {
-            let list = rig.provenance.get("base")?.get(key)?.as_array()?;
-            let numbers: Vec<f64> = list.iter().filter_map(toml::Value::as_float).collect();
-            Some(Vector3::from(<[f64; 3]>::try_from(numbers).ok()?))
-        };
         let missing = || "the rig file holds no σ of its base frame".to_owned();
-        let origin_m = recorded("origin_sd_mm").ok_or_else(missing)? * 1e-3;
-        let axes_rad = recorded("axes_sd_deg").ok_or_else(missing)?.map(f64::to_radians);
+        let (origin_m, axes_rad) = self.base_sd.ok_or_else(missing)?;
         let base_from_camera = rig.base.as_ref().ok_or_else(missing)?.base_from_camera;
         // A rotation ω moves a point at r by ω × r.
         let of_turn = |pose: &Pose| {
@@ -142,7 +140,7 @@ impl BudgetData {
 }
 
 /// All known contributions combined: θ, radians, and tip, metres.
-pub fn together(sources: &[Source]) -> (f64, f64) {
+pub fn together(sources: &[Contribution]) -> (f64, f64) {
     let squares = sources.iter().filter_map(|source| source.share.as_ref().ok());
     let (theta, tip) = squares.fold((0.0, 0.0), |sum, own| (sum.0 + own.0 * own.0, sum.1 + own.1 * own.1));
     (theta.sqrt(), tip.sqrt())
@@ -166,7 +164,7 @@ mod tests {
 
     #[test]
     fn what_is_known_adds_up_in_squares() {
-        let source = |share| Source { name: "", share };
+        let source = |share| Contribution { name: "", share };
         let all = [source(Ok((3.0, 1.0))), source(Err("why".into())), source(Ok((4.0, 0.0)))];
         assert_eq!(together(&all), (5.0, 1.0));
     }

@@ -271,7 +271,7 @@ impl Tally {
 
     /// The contribution of each source of error to θ and to the tip in the base frame; `None` without a base frame or a
     /// measurement.
-    pub fn budget(&self) -> Option<Vec<budget::Source>> {
+    pub fn budget(&self) -> Option<Vec<budget::Contribution>> {
         let tip = self.markers.get(self.moments.tip()).and_then(MarkerTally::median_sd_mm);
         let noise = self.theta.median_sd_deg().zip(tip).map(|(deg, mm)| (deg.to_radians(), mm * 1e-3));
         self.moments.budget(noise, self.clock)

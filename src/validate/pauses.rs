@@ -7,6 +7,7 @@
 //! gap, and nothing is extrapolated.
 
 use super::spline::{Curve, Interpolation};
+use crate::median::upper_median;
 use nalgebra::Vector3;
 
 /// Frames further apart than this many usual intervals have a gap between them.
@@ -88,10 +89,8 @@ impl Window {
 
 /// The usual time between frames, seconds: the median. `None` for fewer than two.
 pub(super) fn interval_s(stamps_ns: &[i64]) -> Option<f64> {
-    let mut steps: Vec<i64> =
-        stamps_ns.iter().zip(stamps_ns.iter().skip(1)).map(|(a, b)| b.saturating_sub(*a)).collect();
-    steps.sort_unstable();
-    steps.get(steps.len() / 2).map(|ns| *ns as f64 * 1e-9)
+    let steps = stamps_ns.iter().zip(stamps_ns.iter().skip(1)).map(|(a, b)| b.saturating_sub(*a));
+    upper_median(steps.map(|ns| ns as f64 * 1e-9))
 }
 
 #[cfg(test)]

@@ -20,7 +20,7 @@ pub(crate) struct Row {
     pub frequency_hz: f64,
     /// Camera time of the first command, and how it is known.
     pub start_s: f64,
-    /// `given`, `currents` or `search`.
+    /// `given`, `currents`, `ticks` or `search`.
     pub start_from: &'static str,
     /// `averaged` or `interpolated`.
     pub points_are: &'static str,
@@ -221,7 +221,7 @@ impl Validation {
         let or_empty =
             |value: Option<f64>, digits: usize| value.map_or(String::new(), |value| format!("{value:.digits$}"));
         let name = self.name();
-        let mut text = line("Pause time (ms)", &|row| format!("{}", row.pause_ms));
+        let mut text = line("Pause time (ms)", &|row| format!("{}", (row.pause_ms * 1e3).round() / 1e3));
         let _ = writeln!(text, "|---|{}", "---|".repeat(rows.len()));
         text += &line(&format!("{name} RMSE (mm)"), &|row| format!("{:.2}", row.rms_aligned_mm));
         text += &line("not aligned (mm)", &|row| format!("{:.2}", row.rms_unaligned_mm));

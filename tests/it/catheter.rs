@@ -136,6 +136,13 @@ fn a_fit_finds_what_the_run_was_made_with() {
     let message = String::from_utf8_lossy(&refused.stderr).into_owned();
     assert_eq!(refused.status.code(), Some(3), "{message}");
     assert!(message.contains("do not determine the shear modulus G: hold currents of the side coil y"), "{message}");
+    // Nothing is left to fit, or nothing shows at rest.
+    for (parameters, words) in [("shear", "do not determine the shear modulus G"), ("damping", "need the motion too")] {
+        let refused = catheter(folder.path(), &[&ask[..], &[parameters, "-o", "none"]].concat());
+        let message = String::from_utf8_lossy(&refused.stderr).into_owned();
+        assert_eq!(refused.status.code(), Some(3), "{message}");
+        assert!(message.contains(words), "{message}");
+    }
 }
 
 #[test]

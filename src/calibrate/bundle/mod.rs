@@ -22,6 +22,7 @@ use crate::calibrate::bundle::clusters::Clustered;
 use crate::calibrate::bundle::prior::{Equation, Prior};
 use crate::calibrate::geometry::{Geometry, Parameter, Projector};
 use crate::calibrate::least_squares::{End, Equations, Loss, Row, SearchError, Step, minimise};
+use crate::median::upper_median;
 use crate::optics::NoRay;
 use nalgebra::{DMatrix, DVector, Isometry3, Matrix3, Point2, Point3, Vector2, Vector3};
 use pose::{by_pose, turned};
@@ -123,7 +124,7 @@ pub enum NoSolution {
     #[error("the pictures do not determine the solution")]
     Singular,
     /// The search did not converge.
-    #[error("the search did not converge in {} steps", END.max_steps)]
+    #[error("the search did not converge")]
     NotConverged,
 }
 
@@ -245,9 +246,8 @@ impl Bundle {
         let coordinates = (2 * residuals_px.len()) as f64;
         let freedom = (coordinates - unknowns as f64).max(1.0) / coordinates;
         let in_own = |(r, corner): (&Vector2<f64>, &Corner)| r.norm_squared() / corner.relative_sd.powi(2);
-        let mut squares: Vec<f64> = residuals_px.iter().zip(&self.corners).map(in_own).collect();
-        squares.sort_by(f64::total_cmp);
-        let median = squares.get(squares.len() / 2).copied().unwrap_or_default();
+        let squares: Vec<f64> = residuals_px.iter().zip(&self.corners).map(in_own).collect();
+        let median = upper_median(squares.iter().copied()).unwrap_or_default();
         // The median of |r|² of two independent Gaussian coordinates is 2 ln 2 σ².
         let limit = OUTLIER.powi(2) * median / (2.0 * std::f64::consts::LN_2);
         let inliers: Vec<f64> = squares.into_iter().filter(|s| *s <= limit).collect();

@@ -23,7 +23,6 @@ pub use ray_bundle::KnownLength;
 
 use crate::calibrate::frames::spread;
 use crate::calibrate::geometry::{Geometry, Parameter, tilt_axes};
-
 use crate::calibrate::mirror::ray_bundle::{Moment, RayBundle, RayBundleSolution, Sight, disagreement_px};
 use crate::estimate::Estimate;
 use crate::optics::{Mirror, Plane, Surface};
@@ -32,6 +31,7 @@ use crate::segment::{Blob, SegmentError, Segmenter};
 use crate::source::{Frame, FrameSource, SourceError};
 use crate::track::{ModelError, TrackError, TrackOptions, Tracker};
 use nalgebra::{DMatrix, DVector, Matrix2, Vector3};
+use std::collections::BTreeSet;
 
 /// Frames used, spread over the recording: random errors are then far below systematic ones.
 const FRAMES: usize = 60;
@@ -174,7 +174,7 @@ pub fn calibrate_mirror(
     if let Some(view) = rig.views.iter().find(|view| view.region_px.is_empty()) {
         return Err(MirrorError::NoRegion(view.name.clone()));
     }
-    let old = geometry(rig);
+    let old = Geometry::of(rig.camera.lens, &rig.surfaces, &rig.views).ok_or(MirrorError::NoAnswer)?;
     let Some((surface, before)) = old.surfaces.iter().position(|s| s.0 == name).map(|i| (i, old.surfaces[i].1.plane()))
     else {
         return Err(MirrorError::NoMirror { name, known: mirrors(rig) });
@@ -212,7 +212,7 @@ pub fn calibrate_mirror(
                 after: geometry.surfaces[surface].1.plane(),
                 covariance: met.covariance,
                 frames: frames.len(),
-                bands: moments.iter().map(|m| m.sights.len() / 2).sum(),
+                bands: moments.iter().map(|m| m.sights.iter().map(|s| s.marker).collect::<BTreeSet<_>>().len()).sum(),
                 disagreement_px,
                 lengths: lengths.iter().zip(&met.length_errors_m).map(|(l, e)| (*l, l.length_m + e)).collect(),
             };
@@ -280,13 +280,6 @@ fn mirror_name(rig: &Rig, asked: Option<&str>) -> Result<String, MirrorError> {
         (None, [only]) => Ok(only.clone()),
         (None, _) => Err(MirrorError::WhichMirror { known }),
     }
-}
-
-fn geometry(rig: &Rig) -> Geometry {
-    let surfaces: Vec<(String, Surface)> = rig.surfaces.iter().map(|(name, s)| (name.clone(), *s)).collect();
-    let index = |name: &String| surfaces.iter().position(|s| s.0 == *name);
-    let views = rig.views.iter().map(|v| (v.name.clone(), v.path.iter().filter_map(index).collect())).collect();
-    Geometry { lens: rig.camera.lens, surfaces, views }
 }
 
 fn with_mirror(rig: &Rig, name: &str, surface: Surface) -> Rig {
@@ -421,7 +414,7 @@ fn adjust(
         [along, error.across_px]
     });
     RayBundle {
-        geometry: geometry(rig),
+        geometry: Geometry::of(rig.camera.lens, &rig.surfaces, &rig.views).unwrap(),
         free: free.to_vec(),
         prior_sd: None,
         model_sd_px: model_sd_px.collect(),

@@ -97,13 +97,8 @@ pub(crate) fn share(rig: &Draft, poses: &[Pose]) -> Result<Share, NoShare> {
 /// Parameters of the rig's geometry and their covariance, as recorded by `calibrate rig`.
 pub(crate) fn recorded_geometry(rig: &Draft) -> Option<(Geometry, Vec<Parameter>, DMatrix<f64>)> {
     let table = rig.provenance.get("rig")?;
-    let surfaces: Vec<_> = rig.surfaces.iter().map(|(name, surface)| (name.clone(), *surface)).collect();
-    let index = |name: &str| surfaces.iter().position(|(own, _)| own == name);
-    let views = rig.views.iter().map(|view| {
-        let path: Option<Vec<usize>> = view.path.iter().map(|name| index(name)).collect();
-        Some((view.name.clone(), path?))
-    });
-    let views = views.collect::<Option<Vec<_>>>()?;
+    let geometry = Geometry::of(rig.camera.lens, &rig.surfaces, &rig.views)?;
+    let index = |name: &str| geometry.surfaces.iter().position(|(own, _)| own == name);
     let parameter = |name: &str| Parameter::from_name(name, |surface| index(surface));
     let names = table.get("parameters")?.as_array()?;
     let free: Vec<Parameter> = names.iter().map(|name| parameter(name.as_str()?)).collect::<Option<_>>()?;
@@ -112,7 +107,7 @@ pub(crate) fn recorded_geometry(rig: &Draft) -> Option<(Geometry, Vec<Parameter>
         rows.iter().filter_map(toml::Value::as_array).flatten().filter_map(toml::Value::as_float).collect();
     let size = free.len();
     let covariance = (numbers.len() == size * size).then(|| DMatrix::from_row_slice(size, size, &numbers))?;
-    Some((Geometry { lens: rig.camera.lens, surfaces, views }, free, covariance))
+    Some((geometry, free, covariance))
 }
 
 /// The box covered by the boards, as recorded by `calibrate rig`: lowest and highest corner, camera frame, metres.

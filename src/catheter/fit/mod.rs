@@ -148,8 +148,11 @@ pub fn fit(catheter: &Catheter, delay_s: f64, runs: &[Run], options: &FitOptions
     let mut catheter = catheter.clone();
     let mut open = Vec::new();
     let mut wanted: Vec<Parameter> = options.parameters.iter().copied().filter(|p| p.is_static()).collect();
+    if options.only_still && wanted.is_empty() {
+        return Err(wrong("none of the parameters shows in a shape at rest: they need the motion too"));
+    }
     let mut found = None;
-    if !pauses.is_empty() {
+    if !pauses.is_empty() && !wanted.is_empty() {
         let start = catheter.clone();
         let result = determined(&mut wanted, if options.only_still { Some(&mut open) } else { None }, |parameters| {
             let model = Still::new(&start, parameters, &pauses, noise);

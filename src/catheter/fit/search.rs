@@ -124,6 +124,9 @@ pub(super) fn minimise(
 
 /// The parameter that the data tell least of, if they do not determine it.
 pub(super) fn least_determined(parameters: &[Parameter], information: &DMatrix<f64>) -> Option<Open> {
+    if parameters.is_empty() {
+        return None;
+    }
     let eigen = SymmetricEigen::new(information.clone());
     let (least, value) = eigen.eigenvalues.iter().enumerate().min_by(|a, b| a.1.total_cmp(b.1))?;
     if *value >= DETERMINED_INFORMATION {

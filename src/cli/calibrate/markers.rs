@@ -399,7 +399,7 @@ fn describe(done: &Teaching) -> String {
     if let Some(gamma) = camera.gamma {
         let _ = writeln!(
             text,
-            "stored values go with light to the power of {gamma:.2}: that explains the pictures better than the transfer \
+            "stored values are proportional to light raised to {gamma:.2}: that explains the pictures better than the transfer \
              function that the recording declares"
         );
     }

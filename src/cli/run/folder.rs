@@ -10,7 +10,7 @@ use super::super::{Exit, Failure};
 use super::options::Record;
 use crate::archive::{FileRecord, SUMMARY};
 use crate::atomic_file;
-use crate::tally::budget::{Source, together};
+use crate::tally::budget::{Contribution, together};
 use serde::{Deserialize, Serialize};
 use std::ffi::OsStr;
 use std::fs;
@@ -200,7 +200,7 @@ impl Files {
     ///
     /// # Errors
     /// [`Exit::Failed`] when it cannot be written.
-    pub(in crate::cli) fn add_budget(&self, run: &Run, sources: &[Source]) -> Result<(), Failure> {
+    pub(in crate::cli) fn add_budget(&self, run: &Run, sources: &[Contribution]) -> Result<(), Failure> {
         let mut text = format!("# Origin of these results.\n{}", run.to_toml()?);
         text += "\n# What each source of error adds to θ and to the tip in the base frame, 1σ.\n[error_budget]\n";
         let all = sources.iter().filter_map(|source| Some((source.name, *source.share.as_ref().ok()?)));

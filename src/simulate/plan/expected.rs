@@ -42,14 +42,11 @@ pub(super) fn with_covariance(
 
 fn expected(draft: &Draft, rig: &Rig, mount: &Mount, rest: &CentreLine) -> Result<Draft, String> {
     let board: Board = BOARD.parse().map_err(|e: crate::calibrate::board::BoardError| e.to_string())?;
-    let surfaces: Vec<(String, Surface)> = draft.surfaces.iter().map(|(name, s)| (name.clone(), *s)).collect();
-    let index = |name: &String| surfaces.iter().position(|(own, _)| own == name);
-    let mut views: Vec<(String, Vec<usize>)> =
-        rig.views.iter().map(|view| (view.name.clone(), view.path.iter().filter_map(index).collect())).collect();
+    let geometry = Geometry::of(rig.camera.lens, &draft.surfaces, &rig.views);
+    let mut geometry = geometry.ok_or("a view's path has a surface that the rig does not have")?;
     // Pictures in air are another view: nothing is before the camera.
-    let air = views.len();
-    views.push(("air".to_owned(), Vec::new()));
-    let geometry = Geometry { lens: rig.camera.lens, surfaces, views };
+    let air = geometry.views.len();
+    geometry.views.push(("air".to_owned(), Vec::new()));
     let around = rest.at(mount.length_m / 2.0).0;
     let places = board.centred_points();
     let mut random = fastrand::Rng::with_seed(11);
