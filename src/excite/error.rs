@@ -76,7 +76,7 @@ pub(crate) enum ExciteError {
     /// Beyond the limit of current.
     #[error("the current reaches {:.1} mA at {at_s:.3} s, the limit is {:.1} mA", value_a * 1e3, limit_a * 1e3)]
     Current {
-        /// First time beyond the limit, seconds.
+        /// When it is largest, seconds.
         at_s: f64,
         /// The largest current, amperes.
         value_a: f64,

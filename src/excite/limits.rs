@@ -134,7 +134,7 @@ mod tests {
         let limits = Limits { current_a: 0.1, slew_a_s: Some(1.0) };
         assert_eq!(limits.check(&signal(&[0.1, 0.05, -0.05, -0.1])), Ok(()));
         let message = |values: &[f64]| limits.check(&signal(values)).unwrap_err().to_string();
-        assert_eq!(message(&[0.0, 0.11, 0.15]), "the current reaches 150.0 mA at 0.100 s, the limit is 100.0 mA");
+        assert_eq!(message(&[0.0, 0.11, 0.15]), "the current reaches 150.0 mA at 0.200 s, the limit is 100.0 mA");
         assert_eq!(
             message(&[0.1, -0.1]),
             "the current changes by 2.000 A/s at 0.100 s, the limit is 1 A/s: an amplitude of 50.0 mA keeps it"

@@ -4,13 +4,16 @@
 //! output; then everything is estimated again (Künsch, Annals of Statistics 17, 1989, doi:10.1214/aos/1176347265).
 //! Inputs are unchanged: that an input computed by Eq. 6 would also carry the new noise is neglected.
 
+use super::colour::Colour;
 use super::data::Segment;
 use super::model::{Noise, Polynomials, all_pole};
 use super::uncertainty::Covariance;
 use fastrand::Rng;
 
-/// Samples per block.
+/// Samples per block at least, and for each that are correlated; as a part of all at most.
 const BLOCK: usize = 32;
+const BLOCK_PER_CORRELATED: f64 = 4.0;
+const LONGEST_BLOCK: usize = 8;
 /// Least number of repetitions for an interval.
 const MIN_REPETITIONS: usize = 20;
 const SEED: u64 = 0x00CA_7097;
@@ -25,13 +28,15 @@ pub(crate) fn repeat<T: Send>(
 ) -> Vec<T> {
     use rayon::prelude::*;
     let parts: Vec<(Vec<f64>, Vec<f64>)> = segments.iter().map(|s| clean_and_residual(s, model, noise)).collect();
+    let residuals: Vec<Vec<f64>> = parts.iter().map(|(_, left)| left.clone()).collect();
+    let block = (BLOCK_PER_CORRELATED * Colour::of(&residuals).correlated_samples()).ceil() as usize;
     let repetition = |number: usize| {
         // Each has its own random numbers, independent of the thread.
         let mut rng = Rng::with_seed(SEED + number as u64);
         let drawn: Vec<Segment> = segments
             .iter()
             .zip(&parts)
-            .map(|(s, (clean, left))| redrawn(s, clean, left, model, noise, &mut rng))
+            .map(|(s, (clean, left))| redrawn(s, clean, left, block, model, noise, &mut rng))
             .collect();
         of(&drawn)
     };
@@ -70,6 +75,7 @@ fn redrawn(
     segment: &Segment,
     clean: &[f64],
     left: &[f64],
+    block: usize,
     model: &Polynomials,
     noise: Noise,
     rng: &mut Rng,
@@ -78,7 +84,7 @@ fn redrawn(
     let pool = &left[begin..];
     let mut drawn = left[..begin].to_vec();
     while drawn.len() < clean.len() && !pool.is_empty() {
-        let block = BLOCK.min(pool.len());
+        let block = block.min(pool.len() / LONGEST_BLOCK).max(BLOCK).min(pool.len());
         let from = rng.usize(0..=pool.len() - block);
         drawn.extend(&pool[from..from + block]);
     }

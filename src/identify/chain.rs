@@ -74,7 +74,9 @@ pub(crate) fn identify_with_progress(
         models.push(modelled(Role::Reduced, title, &reduced.model, covariance));
         // 4. the same order fitted to the data itself
         progress("fitting the refined model");
-        refined = refine_reduced(&training, estimated, reduced, how, excited).map_err(|e| e.to_string());
+        let how = Reduction { band: how.band.or(Some(excited)), ..how };
+        refined =
+            refine_reduced(&training, estimated, reduced, how, &delays(&settings.choice)).map_err(|e| e.to_string());
     }
     if let Ok(refined) = &refined {
         let Estimated { model, covariance, .. } = &refined.estimated;
@@ -192,31 +194,56 @@ fn reduced_covariance(full: &Estimated, reduced: &Reduced, how: Reduction) -> Op
 }
 
 /// Output error of the reduced model's orders. The reduction for the excited band is often closer to the data than the
-/// requested one.
+/// requested one. The full model's delay need not be that of a model with fewer coefficients: nearby ones are tried as
+/// long as the residual becomes smaller.
 fn refine_reduced(
     training: &[Segment],
     full: &Estimated,
     reduced: &Reduced,
-    how: Reduction,
-    excited: (f64, f64),
+    in_band: Reduction,
+    delays: &[usize],
 ) -> Result<Refined, IdentifyError> {
-    let target = Target::Order(reduced.model.order());
-    let in_band = Reduction { target, band: how.band.or(Some(excited)), ..how };
+    let in_band = Reduction { target: Target::Order(reduced.model.order()), ..in_band };
     let mut initial = vec![reduced.model.clone()];
     initial.extend(reduce(&full.model, in_band).ok().map(|r| r.model));
     initial.extend(initial_models(training, reduced.model.orders()));
-    output_error::refine_from_any(training, &initial)
+    let mut best = output_error::refine_from_any(training, &initial)?;
+    let mut tried = vec![best.estimated.model.nk];
+    loop {
+        let here = &best.estimated.model;
+        let nearby = delays.iter().filter(|nk| nk.abs_diff(here.nk) == 1 && !tried.contains(nk));
+        let nearby: Vec<usize> = nearby.copied().collect();
+        tried.extend(&nearby);
+        let refined = |nk: usize| {
+            let delayed = Polynomials { nk, ..here.clone() };
+            let mut initial = initial_models(training, delayed.orders());
+            initial.push(delayed);
+            output_error::refine_from_any(training, &initial).ok()
+        };
+        let variance = |refined: &Refined| refined.estimated.noise_variance;
+        let found = nearby.into_iter().filter_map(refined).min_by(|a, b| variance(a).total_cmp(&variance(b)));
+        match found.filter(|found| variance(found) < variance(&best)) {
+            Some(found) => best = found,
+            None => return Ok(best),
+        }
+    }
 }
 
-/// The model of the averaged periods of the data fitted, if their input repeats.
-fn fit_periods(data: &Data, settings: &Settings, refined: Option<&Refined>) -> Result<Option<Periodic>, IdentifyError> {
-    let Some(repeats) = settings.repeats else { return Ok(None) };
-    let mut delays: Vec<usize> = match &settings.choice {
+/// The delays that may be chosen, rising.
+fn delays(choice: &Choice) -> Vec<usize> {
+    let mut delays: Vec<usize> = match choice {
         Choice::Fixed(orders) => vec![orders.nk],
         Choice::Search { candidates, .. } => candidates.iter().map(|orders| orders.nk).collect(),
     };
     delays.sort_unstable();
     delays.dedup();
+    delays
+}
+
+/// The model of the averaged periods of the data fitted, if their input repeats.
+fn fit_periods(data: &Data, settings: &Settings, refined: Option<&Refined>) -> Result<Option<Periodic>, IdentifyError> {
+    let Some(repeats) = settings.repeats else { return Ok(None) };
+    let delays = delays(&settings.choice);
     let others: Vec<Polynomials> = refined.iter().map(|r| r.estimated.model.clone()).collect();
     periodic::fit(&data.training, data.period_s, repeats, settings.target, &delays, &others)
         .map(Some)
@@ -227,12 +254,17 @@ fn segments_of(records: &[Record]) -> Vec<Segment> {
     records.iter().flat_map(|r| r.segments.iter().cloned()).collect()
 }
 
-/// Input and output must change.
+/// Input, output and the current behind the input must change: a torque of a constant current is the output's own.
 fn moves(records: &[Record]) -> Result<(), IdentifyError> {
     let name = records.iter().map(|r| r.name.as_str()).collect::<Vec<_>>().join(", ");
     type Signal = fn(&Segment) -> &[f64];
-    let signals: [(&'static str, Signal); 2] = [("input", |s| &s.input), ("output", |s| &s.output)];
-    for (what, signal) in signals {
+    let signals: [(&'static str, Signal); 3] = [
+        ("input", |s| &s.input),
+        ("output", |s| &s.output),
+        ("coil's current", |s| s.instrument.as_deref().unwrap_or_default()),
+    ];
+    let has_current = records.iter().flat_map(|r| &r.segments).any(|s| s.instrument.is_some());
+    for (what, signal) in signals.into_iter().take(if has_current { 3 } else { 2 }) {
         let all = records.iter().flat_map(|r| &r.segments).flat_map(|s| signal(s).iter().copied());
         let mut values = all.filter(|v| !v.is_nan());
         let Some(first) = values.next() else { return Err(IdentifyError::Nothing { name }) };

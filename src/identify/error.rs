@@ -71,12 +71,12 @@ pub enum IdentifyError {
         /// The records.
         name: String,
     },
-    /// Input or output never changes.
+    /// Input, output or current never changes.
     #[error("{name}: the {what} is {value} in all samples: a constant signal cannot be identified")]
     Still {
         /// The records.
         name: String,
-        /// `input` or `output`.
+        /// `input`, `output` or `coil's current`.
         what: &'static str,
         /// Its value.
         value: f64,

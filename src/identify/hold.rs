@@ -1,5 +1,31 @@
 //! Average output of an amplifier that holds its last command, between two times.
 
+/// A hold is long when it lasts this many times the usual one, and this long.
+const LONG_TIMES: f64 = 20.0;
+const LONG_S: f64 = 1.0;
+/// Fewest commands of which a usual hold is known, and the part of the holds that is no longer than it.
+const MIN_COMMANDS: usize = 10;
+const USUAL_PART: f64 = 0.9;
+
+/// A value that is held for long, seconds of the commands' clock.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct LongHold {
+    pub from_s: f64,
+    pub to_s: f64,
+    pub value: f64,
+    pub usual_s: f64,
+}
+
+/// The time between commands that most do not exceed.
+fn usual_s(time_s: &[f64]) -> Option<f64> {
+    let mut holds: Vec<f64> = time_s.iter().zip(time_s.iter().skip(1)).map(|(a, b)| b - a).collect();
+    if time_s.len() < MIN_COMMANDS {
+        return None;
+    }
+    holds.sort_by(f64::total_cmp);
+    holds.get((USUAL_PART * (holds.len() - 1) as f64) as usize).copied()
+}
+
 /// Commands with their times, on any clock; each acts until the next.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(crate) struct Held {
@@ -50,6 +76,17 @@ impl Held {
         self.time_s.first().copied().zip(self.time_s.last().copied())
     }
 
+    /// The longest time, up to `end_s`, for which a value other than zero is held, if commands usually come far more
+    /// often: perhaps some are missing.
+    pub(crate) fn longest_hold(&self, end_s: f64) -> Option<LongHold> {
+        let usual_s = usual_s(&self.time_s)?;
+        let ends = self.time_s.iter().skip(1).copied().chain([end_s]);
+        let holds = self.time_s.iter().zip(ends).zip(&self.value).filter(|(_, value)| **value != 0.0);
+        let holds = holds.map(|((from_s, to_s), value)| LongHold { from_s: *from_s, to_s, value: *value, usual_s });
+        let longest = holds.max_by(|a, b| (a.to_s - a.from_s).total_cmp(&(b.to_s - b.from_s)))?;
+        (longest.to_s - longest.from_s > (LONG_TIMES * usual_s).max(LONG_S)).then_some(longest)
+    }
+
     /// Average from `from_s` to the later `to_s`. `None` before the first command: the output then is unknown.
     pub(crate) fn mean(&self, from_s: f64, to_s: f64) -> Option<f64> {
         Some((self.integral_to(to_s)? - self.integral_to(from_s)?) / (to_s - from_s))
@@ -76,6 +113,23 @@ mod tests {
         assert_eq!(held.mean(-0.5, 0.5), None);
         assert_eq!(held.span_s(), Some((0.0, 2.0)));
         assert_eq!(Held::new(Vec::new()).mean(0.0, 1.0), None);
+    }
+
+    #[test]
+    fn a_value_held_for_long_among_frequent_commands_is_told() {
+        let commands = |hole: std::ops::Range<usize>| {
+            let all = (0..1000).filter(move |k| !hole.contains(k));
+            Held::new(all.map(|k| (k as f64 * 0.005, (k % 7) as f64 - 3.0)).collect())
+        };
+        assert_eq!(commands(0..0).longest_hold(5.5), None);
+        let hold = commands(400..700).longest_hold(5.5).unwrap();
+        assert!((hold.from_s - 1.995).abs() < 1e-9 && (hold.to_s - 3.5).abs() < 1e-9 && hold.value != 0.0);
+        let cut = commands(500..1000).longest_hold(5.0).unwrap();
+        assert!((cut.from_s - 2.495).abs() < 1e-9 && (cut.to_s - 5.0).abs() < 1e-9);
+        // Zero may be held, and so may each of a few steps.
+        let rest = Held::new((0..1000).map(|k| (k as f64 * 0.005, if k == 999 { 0.0 } else { 1.0 })).collect());
+        assert_eq!(rest.longest_hold(60.0), None);
+        assert_eq!(Held::new(vec![(0.0, 0.1), (2.0, -0.1)]).longest_hold(60.0), None);
     }
 
     #[test]

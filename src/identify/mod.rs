@@ -34,6 +34,7 @@ pub(crate) mod model;
 pub(crate) mod regression;
 
 pub(crate) mod arx;
+mod colour;
 pub(crate) mod estimated;
 pub(crate) mod instrumental;
 pub(crate) mod output_error;

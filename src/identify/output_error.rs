@@ -9,6 +9,7 @@
 //! Finds a local minimum. Its covariance holds for white e, and for an input without noise.
 
 use super::IdentifyError;
+use super::colour::Colour;
 use super::data::Segment;
 use super::estimated::{Estimated, Refined};
 use super::model::{Polynomials, all_pole};
@@ -83,9 +84,12 @@ pub(crate) fn refine(segments: &[Segment], initial: &Polynomials) -> Result<Refi
     }
     let solution = solve(triangle).ok_or(IdentifyError::Dependent { orders })?;
     let noise_variance = cost / (samples - parameters) as f64;
+    let parts = segments.iter().map(|segment| derivatives_and_residual(segment, &model));
+    let (derivatives, residuals): (Vec<_>, Vec<_>) = parts.unzip();
+    let factor = Colour::of(&residuals).factor(&derivatives, &solution.inverse);
     let estimated = Estimated {
         model,
-        covariance: Covariance::from_factor(solution.inverse * noise_variance.sqrt()),
+        covariance: Covariance::from_factor(factor * noise_variance.sqrt()),
         noise_variance,
         samples,
         condition: solution.condition,
@@ -141,6 +145,20 @@ fn linearise(segments: &[Segment], model: &Polynomials) -> DMatrix<f64> {
         each_row(segment, model, None, |row| triangle.push(row.iter().copied()));
     }
     triangle.finish()
+}
+
+/// Derivatives of a segment's samples, a row each, and their residuals; zero and NaN where nothing was observed.
+fn derivatives_and_residual(segment: &Segment, model: &Polynomials) -> (DMatrix<f64>, Vec<f64>) {
+    let width = model.na() + model.nb();
+    let (mut derivatives, mut residual) = (DMatrix::zeros(segment.len(), width), vec![f64::NAN; segment.len()]);
+    let mut observed = (0..segment.len()).filter(|t| !segment.output[*t].is_nan());
+    each_row(segment, model, None, |row| {
+        if let Some(t) = observed.next() {
+            derivatives.row_mut(t).iter_mut().zip(row).for_each(|(to, from)| *to = *from);
+            residual[t] = row[width];
+        }
+    });
+    (derivatives, residual)
 }
 
 /// Passes `take` a row for each observed sample: derivatives of the simulated output with respect to

@@ -6,7 +6,7 @@
 use crate::track::chunk::Scene;
 use crate::track::equations::Eliminated;
 use crate::track::fit::{TubeFit, ViewFit};
-use crate::track::image_model::{ModelError, coder_variance, may_be_coded};
+use crate::track::image_model::{AT_REST, ModelError, coder_variance, may_be_coded};
 use crate::track::no_fit::NoFit;
 use crate::track::normal::{Normal, Squares};
 use crate::track::round::{Guess, Minimum, Round, shape_prior};
@@ -15,7 +15,7 @@ use crate::track::stretch::Stretch;
 use crate::track::tube::{SHAPE, ShapeStep};
 use crate::track::tube_image::TubeImage;
 use crate::track::view::MIN_NOISE;
-use nalgebra::{Matrix2, Matrix3x2, SMatrix, Vector2};
+use nalgebra::{Matrix2, Matrix3x2, SMatrix, Vector2, Vector3};
 use rayon::prelude::*;
 
 impl Round<'_> {
@@ -35,8 +35,8 @@ impl Round<'_> {
         let scatter = compared.map(|(((view, image), colours), eliminated)| {
             let of_colours = -plain * eliminated.following();
             let coder_variances = |pixel| {
-                let steps = picture.quantisation().and_then(|q| Some((q.steps_at(pixel)?, q.predicted && !rests)));
-                steps.map_or([0.0; 3], |(steps, lags)| steps.map(|step| coder_variance(step, lags)))
+                let steps = picture.quantisation().and_then(|q| Some((q.steps_at(pixel)?, q.predicted)));
+                steps.map_or([0.0; 3], |(steps, predicted)| steps.map(|step| coder_variance(step, predicted)))
             };
             let scene = Scene::new(image, colours, stretch, model);
             let scattered = view.comparison.scatter(&scene, &plain, &of_colours, coder_variances);
@@ -44,8 +44,11 @@ impl Round<'_> {
         });
         let (scatter, grain): (Vec<_>, Vec<_>) = scatter.unzip();
         let (mut slip, mut slip_covariance) = (Seen::default(), SMatrix::zeros());
+        let predicted = picture.quantisation().is_some_and(|q| q.predicted);
         for (scattered, view) in scatter.iter().zip(&seen) {
-            covariance += scattered.covariance + plain * (view.shape * scattered.coded) * plain;
+            let coded = plain * (view.shape * scattered.coded) * plain;
+            let coded = if rests && predicted { at_rest(&coded, &state.guess.shape.tangent()) } else { coded };
+            covariance += scattered.covariance + coded;
             slip.add(&scattered.slips.seen);
             slip_covariance += scattered.slips.covariance;
         }
@@ -77,6 +80,15 @@ impl Round<'_> {
             misfit: misfit(normals),
         })
     }
+}
+
+/// What remains of a coder's covariance when the stretch rests.
+fn at_rest(coded: &SMatrix<f64, SHAPE, SHAPE>, tangent: &Vector3<f64>) -> SMatrix<f64, SHAPE, SHAPE> {
+    let [across, along] = AT_REST;
+    let mut shift = ShapeStep::zeros();
+    shift.fixed_rows_mut::<3>(0).copy_from(tangent);
+    let along_variance = (shift.transpose() * coded * shift)[0];
+    coded * across + shift * shift.transpose() * (along_variance * (along - across))
 }
 
 fn misfit(normals: &[Normal]) -> f64 {
@@ -138,4 +150,19 @@ fn unmodelled(
         modes.fixed_view_mut::<2, 1>(3, 2).copy_from(&(turns * (turn_px / turns.norm_squared())));
     }
     modes
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn at_rest_less_remains_across_the_tube_than_along_it() {
+        let coded = SMatrix::<f64, SHAPE, SHAPE>::identity() * 4.0;
+        let tangent = Vector3::new(0.0, 0.8, 0.6);
+        let left = at_rest(&coded, &tangent).fixed_view::<3, 3>(0, 0).into_owned();
+        let along = |way: &Vector3<f64>| (way.transpose() * left * way)[0];
+        assert!((along(&tangent) - 4.0 * AT_REST[1]).abs() < 1e-12);
+        assert!((along(&Vector3::x()) - 4.0 * AT_REST[0]).abs() < 1e-12 && AT_REST[0] < AT_REST[1]);
+    }
 }

@@ -190,9 +190,9 @@ mod tests {
     #[test]
     fn rest_is_told_from_pushes_and_vibrations() {
         assert!(at_rest(|_| Vector3::zeros()) > 0.95);
-        // A third of a σ from frame to frame; a vibration of three.
+        // A third of a σ from frame to frame; a vibration of five.
         let pushed = at_rest(|t| Vector3::new(6e-4 * t, 0.0, 0.0));
-        let vibrating = at_rest(|t| Vector3::y() * (9e-5 * (50.0 * t).sin()));
+        let vibrating = at_rest(|t| Vector3::y() * (1.5e-4 * (50.0 * t).sin()));
         assert!(pushed < 0.05 && vibrating < 0.05, "{pushed}, {vibrating}");
     }
 

@@ -46,6 +46,9 @@ const BLENDED: &str = "what moves is blurred by more than any exposure explains:
 const WOVEN: &str = "even and odd rows of the pictures show different moments, although they are not marked as \
      interlaced; such frames are refused from now on, and those before, in which something moves, are not to be \
      trusted: record progressive frames";
+const UNLIKE_TAUGHT: &str = "the pictures around a band differ clearly from those on which it was taught, since the first \
+     frame: something is in front of it, the light is another, or they are coded otherwise; the first frames are \
+     refused, later ones are not, and their σ may be too small: look at the overlay, and teach the bands again";
 const SHAKES: &str = "the base band, which should rest, shakes by more than its σ: camera, mirror, tank or clamp \
      vibrate, or the pictures were processed; σ of all positions is widened by as much";
 
@@ -213,6 +216,7 @@ impl Tracker {
         let seen = [
             (self.pairs.are_alike(), PAIRED_CHROMA),
             (self.judge.views_disagree(), VIEWS_DISAGREE),
+            (self.judge.usual.is_unlike_learned(), UNLIKE_TAUGHT),
             (self.shake.is_seen(), SHAKES),
             (self.focus.has_changed() && self.rig.camera.blur_px.is_some(), OUT_OF_FOCUS),
             (self.blending.is_seen(), BLENDED),

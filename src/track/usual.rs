@@ -88,6 +88,11 @@ impl Usual {
         ((value.ln() - mean) / sd).max(0.0)
     }
 
+    /// Whether some values exceeded what was learned for as long as it counts.
+    pub(crate) fn is_unlike_learned(&self) -> bool {
+        self.levels.iter().flatten().any(|level| level.compared >= COMPARED_FRAMES)
+    }
+
     /// By which factor a value exceeds the usual or learned one; 1 while neither is known.
     pub(crate) fn ratio(&self, marker: usize, view: usize, value: f64) -> f64 {
         let level = self.level(marker, view);
@@ -149,11 +154,12 @@ mod tests {
         assert!((usual.ratio(1, 0, 8.0) - 2.0).abs() < 1e-9 && (usual.ratio(0, 0, 8.0) - 1.0).abs() < 1e-9);
         assert!(usual.beyond(1, 0, 4.0).is_some_and(|sd| sd.abs() < 1e-9) && usual.beyond(0, 0, 8.0).is_none());
         assert!(usual.beyond(1, 0, 4.4).is_some_and(|sd| (1.8..2.0).contains(&sd)));
+        assert!(!usual.is_unlike_learned());
         // What lasts is how this recording is; and what was seen counts more than what was learned.
         for _ in 0..COMPARED_FRAMES {
             usual.above(1, 1, 9.4, common);
         }
-        assert!(usual.above(1, 1, 9.4, common) < 1e-12);
+        assert!(usual.above(1, 1, 9.4, common) < 1e-12 && usual.is_unlike_learned());
         (0..8).for_each(|_| usual.add(1, 0, 8.0));
         assert!(usual.above(1, 0, 8.1, 0.0) < 1.0 && (usual.levels[1][0].mean.exp() - 8.0).abs() < 1e-9);
         assert!(usual.values(1).is_none() && usual.values(0).is_none(), "not known in all views");

@@ -8,7 +8,7 @@ use crate::identify::data::Record;
 use crate::identify::delay::{self, Delay};
 use crate::identify::fit::InitialState;
 use crate::identify::grid::{Grid, Series, cut, resample};
-use crate::identify::hold::Held;
+use crate::identify::hold::{Held, LongHold};
 use crate::identify::plant::Plant;
 use crate::identify::prepare::{Detrend, Trend, decimate};
 use crate::identify::provenance::{Provenance, RecordSummary};
@@ -222,6 +222,13 @@ fn recorded(args: &Args, file: &Path, table: Option<&Path>, plant: Option<Plant>
         }
     };
     let held = observed.commands(&source, &currents, args.coil).map_err(Failure::usage)?;
+    if let Some(LongHold { from_s, to_s, value, usual_s }) = observed.time_s.last().and_then(|t| held.longest_hold(*t))
+    {
+        tracing::warn!(
+            "{source}: {value} A is held from {from_s:.3} s to {to_s:.3} s after the first frame, while commands usually come \
+             every {usual_s:.3} s: is the table complete?"
+        );
+    }
     let apparent = apparent_delay(args, &observed, &held, plant);
     let delay_s = match (args.delay, &apparent) {
         (DelayArg::Given(seconds), _) => seconds,
