@@ -2,15 +2,19 @@
 
 use super::IdentifyError;
 use super::arx::fit;
-use super::data::Segment;
+use super::chain::identify;
+use super::data::{Data, Record, Segment};
 use super::estimated::Estimated;
 use super::fit::InitialState;
 use super::model::{Orders, Polynomials, all_pole};
+use super::reduce::{Removal, Target};
 use super::regression::row;
 use super::search::{Criterion, best};
+use super::settings::{Choice, Estimator, Settings};
 use super::{instrumental, output_error, search};
 use crate::testing::random::Random;
 use nalgebra::DMatrix;
+use std::f64::consts::TAU;
 
 /// White noise of variance 1.
 pub(crate) fn noise(seed: u64, n: usize) -> Vec<f64> {
@@ -66,6 +70,50 @@ fn errors_are_as_large_as_predicted() {
     assert!(oe.iter().all(|s| (0.7..1.35).contains(s)), "output error {oe:?}");
     let iv = scatter(|seed| instrumental::refine(&[oe_data(seed, 500, 1.0)], &start).unwrap().estimated);
     assert!(iv.iter().all(|s| (0.7..1.35).contains(s)), "instrumental {iv:?}");
+}
+
+/// Noise at the output that is similar from sample to sample, as a tracker's or that of a vibration.
+#[test]
+fn errors_of_output_error_are_as_large_as_predicted_in_coloured_noise() {
+    let start = fit(&[oe_data(1, 500, 0.0)], ORDERS).unwrap().model;
+    let coloured = |seed: u64| {
+        let input = noise(seed, 500);
+        let disturbance = all_pole(&[1.0, -0.9], noise(seed + 1000, 500));
+        let output = truth().simulate(&input).iter().zip(disturbance).map(|(y, e)| y + 0.4 * e).collect();
+        Segment { input, output, from_rest: true, ..Segment::default() }
+    };
+    let found = scatter(|seed| output_error::refine(&[coloured(seed)], &start).unwrap().estimated);
+    assert!(found.iter().all(|s| (0.7..1.5).contains(s)), "{found:?}");
+}
+
+/// A slow input tells a full model of many coefficients little about the delay, and the refined one all.
+#[test]
+fn the_refined_model_finds_its_own_delay() {
+    let truth = Polynomials { a: vec![1.0, -1.887, 0.916], b: vec![0.03, 0.028], nk: 1 };
+    let orders = (1..=8).flat_map(|n| (1..=5).map(move |nk| Orders { na: n, nb: n, nk }));
+    let settings = Settings {
+        choice: Choice::Search { candidates: orders.collect(), criterion: None },
+        estimator: Estimator::Arx,
+        initial_state: InitialState::Rest,
+        target: Target::Order(2),
+        removal: Removal::default(),
+        all_frequencies: false,
+        bootstrap: 0,
+        repeats: None,
+    };
+    for seed in 1..=4 {
+        let chirp = |t: f64| (TAU * (0.2 + 0.047 * t) * t).sin();
+        let input: Vec<f64> = (0..1500).map(|k| chirp(f64::from(k) * 0.02)).collect();
+        let output = truth.simulate(&input).iter().zip(noise(seed, 1500)).map(|(y, e)| y + 0.1 * e).collect();
+        let segment = Segment { input, output, from_rest: true, ..Segment::default() };
+        let record = Record { name: "chirp".to_owned(), segments: vec![segment] };
+        let data = Data { training: vec![record], period_s: 0.02, ..Data::default() };
+        let found = identify(&data, &settings).unwrap().refined.unwrap().estimated;
+        assert_eq!(found.model.nk, 1, "{seed}");
+        let error = found.model.parameters() - truth.parameters();
+        let z: Vec<f64> = error.iter().zip(found.standard_errors()).map(|(e, sd)| e / sd).collect();
+        assert!(z.iter().all(|z| z.abs() < 4.0), "{seed}: {z:?}");
+    }
 }
 
 #[test]
