@@ -32,6 +32,15 @@ pub enum Diagnostic {
         /// Fraction of the output's energy that follows the input linearly, from the spectra, if there are any.
         linear: Option<f64>,
     },
+    /// A record to judge by is unlike those that were fitted.
+    StrangeRecord {
+        /// The model.
+        title: String,
+        /// The record.
+        record: String,
+        /// Simulation error, % of the energy.
+        error_percent: f64,
+    },
     /// The regressors are nearly dependent.
     IllConditioned {
         /// Condition number.
@@ -152,6 +161,11 @@ impl fmt::Display for Diagnostic {
                     "{title}: the largest pole is {largest_pole:.6}, nearly 1; gain and phase at low frequencies are hardly known"
                 )
             }
+            Self::StrangeRecord { title, record, error_percent } => write!(
+                f,
+                "{record}: {title} simulates it worse than zero would ({error_percent:.0} % of the energy left), but not the \
+                 data it was fitted to: are units, coil, delay and signs the same? Orders were judged by it too"
+            ),
             Self::Poor { title, error_percent, linear } => {
                 write!(
                     f,

@@ -28,6 +28,8 @@ const ENOUGH_PERIODS: usize = 7;
 
 /// Simulation error beyond which a model is called poor, percent.
 const POOR_FIT_PERCENT: f64 = 50.0;
+/// Simulation error of an output of zero, percent.
+const WORSE_THAN_ZERO_PERCENT: f64 = 100.0;
 
 /// All diagnostics about a result.
 pub(super) fn diagnostics(data: &Data, done: &Identification) -> Vec<Diagnostic> {
@@ -48,6 +50,7 @@ pub(super) fn diagnostics(data: &Data, done: &Identification) -> Vec<Diagnostic>
             diagnostics.push(Diagnostic::Poor { title: model.title.clone(), error_percent, linear });
         }
     }
+    diagnostics.extend(strange_records(done));
     diagnostics.extend(at_edge(done));
     if done.best_orders != done.orders {
         diagnostics.push(Diagnostic::LowerOrders { best: done.best_orders, used: done.orders });
@@ -117,6 +120,25 @@ fn of_periods(done: &Identification) -> Vec<Diagnostic> {
         diagnostics.push(Diagnostic::FewPeriods { periods: fewest });
     }
     diagnostics
+}
+
+/// Records to judge by that a model simulates worse than zero would, although it simulates those it was fitted to.
+fn strange_records(done: &Identification) -> Vec<Diagnostic> {
+    let Some(model) = done.models.iter().rfind(|m| m.is_stable()) else { return Vec::new() };
+    let mut records: Vec<Diagnostic> = Vec::new();
+    let simulated = done.fits.iter().filter(|f| f.role == model.role && matches!(f.kind, Kind::Simulation(_)));
+    let (fitted, judging): (Vec<_>, Vec<_>) = simulated.partition(|f| f.training);
+    if fitted.iter().any(|f| f.error.error_percent > POOR_FIT_PERCENT) {
+        return records;
+    }
+    for fit in judging.into_iter().filter(|f| f.error.error_percent > WORSE_THAN_ZERO_PERCENT) {
+        let known = |d: &Diagnostic| matches!(d, Diagnostic::StrangeRecord { record, .. } if *record == fit.record);
+        if !records.iter().any(known) {
+            let (title, record) = (model.title.clone(), fit.record.clone());
+            records.push(Diagnostic::StrangeRecord { title, record, error_percent: fit.error.error_percent });
+        }
+    }
+    records
 }
 
 /// Orders and delay at a limit of the search that could be extended.

@@ -4,6 +4,7 @@ use super::IdentifyError;
 use super::arx::fit;
 use super::chain::identify;
 use super::data::{Data, Record, Segment};
+use super::diagnostic::Diagnostic;
 use super::estimated::Estimated;
 use super::fit::InitialState;
 use super::model::{Orders, Polynomials, all_pole};
@@ -86,13 +87,9 @@ fn errors_of_output_error_are_as_large_as_predicted_in_coloured_noise() {
     assert!(found.iter().all(|s| (0.7..1.5).contains(s)), "{found:?}");
 }
 
-/// A slow input tells a full model of many coefficients little about the delay, and the refined one all.
-#[test]
-fn the_refined_model_finds_its_own_delay() {
-    let truth = Polynomials { a: vec![1.0, -1.887, 0.916], b: vec![0.03, 0.028], nk: 1 };
-    let orders = (1..=8).flat_map(|n| (1..=5).map(move |nk| Orders { na: n, nb: n, nk }));
-    let settings = Settings {
-        choice: Choice::Search { candidates: orders.collect(), criterion: None },
+fn settings(choice: Choice) -> Settings {
+    Settings {
+        choice,
         estimator: Estimator::Arx,
         initial_state: InitialState::Rest,
         target: Target::Order(2),
@@ -100,14 +97,39 @@ fn the_refined_model_finds_its_own_delay() {
         all_frequencies: false,
         bootstrap: 0,
         repeats: None,
+    }
+}
+
+fn records(segment: Segment) -> Vec<Record> {
+    vec![Record { name: "record".to_owned(), segments: vec![segment] }]
+}
+
+/// As with milliamperes for amperes.
+#[test]
+fn a_record_to_judge_by_in_other_units_is_told() {
+    let told = |factor: f64| {
+        let mut judging = oe_data(2, 500, 0.1);
+        judging.input.iter_mut().for_each(|u| *u *= factor);
+        let training = records(oe_data(1, 500, 0.1));
+        let data = Data { training, validation: records(judging), period_s: 0.02 };
+        let found = identify(&data, &settings(Choice::Fixed(ORDERS))).unwrap();
+        found.diagnostics.iter().any(|d| matches!(d, Diagnostic::StrangeRecord { .. }))
     };
+    assert!(told(1000.0) && told(-1.0) && !told(1.0));
+}
+
+/// A slow input tells a full model of many coefficients little about the delay, and the refined one all.
+#[test]
+fn the_refined_model_finds_its_own_delay() {
+    let truth = Polynomials { a: vec![1.0, -1.887, 0.916], b: vec![0.03, 0.028], nk: 1 };
+    let orders = (1..=8).flat_map(|n| (1..=5).map(move |nk| Orders { na: n, nb: n, nk }));
+    let settings = settings(Choice::Search { candidates: orders.collect(), criterion: None });
     for seed in 1..=4 {
         let chirp = |t: f64| (TAU * (0.2 + 0.047 * t) * t).sin();
         let input: Vec<f64> = (0..1500).map(|k| chirp(f64::from(k) * 0.02)).collect();
         let output = truth.simulate(&input).iter().zip(noise(seed, 1500)).map(|(y, e)| y + 0.1 * e).collect();
         let segment = Segment { input, output, from_rest: true, ..Segment::default() };
-        let record = Record { name: "chirp".to_owned(), segments: vec![segment] };
-        let data = Data { training: vec![record], period_s: 0.02, ..Data::default() };
+        let data = Data { training: records(segment), period_s: 0.02, ..Data::default() };
         let found = identify(&data, &settings).unwrap().refined.unwrap().estimated;
         assert_eq!(found.model.nk, 1, "{seed}");
         let error = found.model.parameters() - truth.parameters();
