@@ -47,8 +47,8 @@ const WOVEN: &str = "even and odd rows of the pictures show different moments, a
      interlaced; such frames are refused from now on, and those before, in which something moves, are not to be \
      trusted: record progressive frames";
 const UNLIKE_TAUGHT: &str = "the pictures around a band differ clearly from those on which it was taught, since the first \
-     frame: something is in front of it, the light is another, or they are coded otherwise; the first frames are \
-     refused, later ones are not, and their σ may be too small: look at the overlay, and teach the bands again";
+     frame: something is in front of it, the light is another, or they are coded otherwise; it is refused, but in a \
+     noisier recording only in the first frames, and later σ may be too small: look at the overlay, and teach the bands again";
 const SHAKES: &str = "the base band, which should rest, shakes by more than its σ: camera, mirror, tank or clamp \
      vibrate, or the pictures were processed; σ of all positions is widened by as much";
 

@@ -15,8 +15,11 @@ use crate::rig::Rig;
 /// Frames before the first comparison, and frames to average over.
 const MIN_FRAMES: f64 = 8.0;
 const AVERAGED_FRAMES: f64 = 60.0;
-/// Frames for which what was learned counts, at most: what lasts longer is how this recording is.
+/// Frames for which what was learned counts, at most, in a recording that has more noise: what lasts longer may be how
+/// it is. Where some band looks as learned, what lasts on another is in front of it.
 const COMPARED_FRAMES: u32 = 30;
+/// ln of the factor by which all values may exceed what was learned in a recording without more noise.
+const SAME_NOISE: f64 = 0.1;
 /// Standard deviation of ln(residual) about what was learned.
 const LEARNED_SD: f64 = 0.12;
 /// Least standard deviation assumed: 5 % or less is chance.
@@ -65,10 +68,11 @@ impl Usual {
         Self { levels: (0..rig.markers.len()).map(levels).collect() }
     }
 
-    /// ln of the factor by which all values of a frame exceed what was learned: that of the smallest. 0 if nothing was.
+    /// ln of the factor by which all values of a frame exceed what was learned: that of the smallest. 0 if nothing was,
+    /// and where one is below it: a coder takes noise out of what rests more than out of what moves.
     pub(crate) fn common(&self, values: impl Iterator<Item = (usize, usize, f64)>) -> f64 {
         let beyond = values.filter_map(|(m, v, value)| Some(value.ln() - self.level(m, v)?.learned?));
-        beyond.min_by(f64::total_cmp).unwrap_or(0.0)
+        beyond.min_by(f64::total_cmp).unwrap_or(0.0).max(0.0)
     }
 
     /// Standard deviations by which a value exceeds the usual one, where all values of the frame exceed what was learned
@@ -78,9 +82,9 @@ impl Usual {
         let (mean, sd) = if let Some(seen) = level.seen() {
             seen
         } else if let Some(learned) = level.learned
-            && level.compared < COMPARED_FRAMES
+            && (level.compared < COMPARED_FRAMES || common < SAME_NOISE)
         {
-            level.compared += 1;
+            level.compared = level.compared.saturating_add(1);
             (learned + common, LEARNED_SD)
         } else {
             return 0.0;
@@ -149,17 +153,21 @@ mod tests {
         // Twice the noise in both views is a noisy recording; in one, something is in front of the band.
         let common = usual.common([(1, 0, 8.0), (1, 1, 10.5), (0, 0, 90.0)].into_iter());
         assert!(usual.above(1, 0, 8.0, common) < 0.1 && usual.above(1, 1, 10.5, common) < 1.0);
+        // A coder took the noise out of one.
+        assert!(usual.common([(1, 0, 1.5), (1, 1, 4.9)].into_iter()) < 1e-12);
         let common = usual.common([(1, 0, 4.2), (1, 1, 9.4)].into_iter());
         assert!(usual.above(1, 1, 9.4, common) > 4.5 && usual.above(1, 0, 4.2, common) < 0.1);
         assert!((usual.ratio(1, 0, 8.0) - 2.0).abs() < 1e-9 && (usual.ratio(0, 0, 8.0) - 1.0).abs() < 1e-9);
         assert!(usual.beyond(1, 0, 4.0).is_some_and(|sd| sd.abs() < 1e-9) && usual.beyond(0, 0, 8.0).is_none());
         assert!(usual.beyond(1, 0, 4.4).is_some_and(|sd| (1.8..2.0).contains(&sd)));
         assert!(!usual.is_unlike_learned());
-        // What lasts is how this recording is; and what was seen counts more than what was learned.
+        // What lasts is in front of the band, or, in a noisier recording, how this one is; and what was seen counts more
+        // than what was learned.
         for _ in 0..COMPARED_FRAMES {
             usual.above(1, 1, 9.4, common);
         }
-        assert!(usual.above(1, 1, 9.4, common) < 1e-12 && usual.is_unlike_learned());
+        assert!(usual.above(1, 1, 9.4, common) > 4.5 && usual.is_unlike_learned());
+        assert!(usual.above(1, 1, 12.0, 0.25) < 1e-12);
         (0..8).for_each(|_| usual.add(1, 0, 8.0));
         assert!(usual.above(1, 0, 8.1, 0.0) < 1.0 && (usual.levels[1][0].mean.exp() - 8.0).abs() < 1e-9);
         assert!(usual.values(1).is_none() && usual.values(0).is_none(), "not known in all views");
