@@ -407,7 +407,8 @@ fn other_unit(observed: &[Point3<f64>], desired: &[Point3<f64>]) -> Option<Strin
     let close = (OTHER_UNIT.recip()..=OTHER_UNIT).contains(&ratio);
     (!close).then(|| {
         format!(
-            "the motion has a size of {:.3} mm, the path one of {:.3} mm, which is hardly the same unit: both must be in mm",
+            "the motion has a size of {:.3} mm, the path one of {:.3} mm, which is hardly the same unit: both must be in mm (or the \
+             marker does not move)",
             observed_m * 1e3,
             desired_m * 1e3
         )
