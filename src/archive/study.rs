@@ -511,7 +511,8 @@ mod tests {
         let lines = |text: &str, range: std::ops::Range<usize>| -> String {
             text.split_inclusive('\n').skip(range.start).take(range.len()).collect()
         };
-        let cases: [(&str, Box<dyn Fn(&str) -> String>); 9] = [
+        type Spoil = Box<dyn Fn(&str) -> String>;
+        let cases: [(&str, Spoil); 9] = [
             ("track.csv:3: the table has 2 rows, summary.json counts 3", Box::new(move |text| lines(text, 0..3))),
             ("track.csv:1: the table has 0 rows, summary.json counts 3", Box::new(move |text| lines(text, 0..1))),
             ("track.csv:1: has no column 1, which should be `seq`", Box::new(|_| String::new())),
