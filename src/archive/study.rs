@@ -1,7 +1,9 @@
 //! All runs of an archive: finds them in their folders and makes tables.
 
 use super::tables::{Cells, Table, TableError};
-use super::{Measured, RunSummary, SummaryError};
+use super::{Measured, Outcome, RunSummary, SummaryError};
+use crate::log::schema::table;
+use crate::plural::plural;
 use crate::vetoes::{VetoError, Vetoes};
 use std::collections::{BTreeMap, BTreeSet};
 use std::io;
@@ -12,6 +14,8 @@ const DEPTH: usize = 4;
 /// Rows in memory at a time.
 const ROWS: usize = 1 << 16;
 const TRACK: &str = "track.csv";
+/// The option, and the column, that tells the frame of reference of positions and directions.
+const FRAME: &str = "frame";
 
 /// A run of the archive.
 #[derive(Debug, Clone)]
@@ -29,8 +33,19 @@ pub(crate) struct Study {
     pub(crate) runs: Vec<Run>,
     /// Folders with results but no summary: of an unfinished run, or of another command.
     pub(crate) unfinished: Vec<PathBuf>,
-    /// Summaries that cannot be read.
-    pub(crate) unread: Vec<SummaryError>,
+    /// Why runs are left out.
+    pub(crate) left_out: Vec<LeftOut>,
+}
+
+/// Why a run is left out of the archive.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum LeftOut {
+    /// Its summary cannot be read.
+    #[error(transparent)]
+    Summary(#[from] SummaryError),
+    /// Its table of frames cannot be read, or is not the one that its summary describes.
+    #[error(transparent)]
+    Table(#[from] StudyError),
 }
 
 /// Why the tables of a study cannot be made.
@@ -49,7 +64,8 @@ pub(crate) enum StudyError {
 }
 
 impl Study {
-    /// All runs in `folders` and below them.
+    /// All runs in `folders` and below them. Their tables are read completely: one that was damaged after tracking, or
+    /// not copied completely, must not pass for a shorter run.
     ///
     /// # Errors
     /// [`StudyError::Io`] when a folder cannot be read.
@@ -57,6 +73,12 @@ impl Study {
         let mut study = Self::default();
         for folder in folders {
             study.look(folder, 0)?;
+        }
+        for run in std::mem::take(&mut study.runs) {
+            match check(&run) {
+                Ok(()) => study.runs.push(run),
+                Err(error) => study.left_out.push(error.into()),
+            }
         }
         let mut seen: BTreeMap<String, u32> = BTreeMap::new();
         study.runs.iter().for_each(|run| *seen.entry(run.name.clone()).or_default() += 1);
@@ -76,7 +98,7 @@ impl Study {
             }
             Ok(None) => {}
             Err(error) => {
-                self.unread.push(error);
+                self.left_out.push(error.into());
                 return Ok(());
             }
         }
@@ -95,6 +117,17 @@ impl Study {
             below.iter().try_for_each(|folder| self.look(folder, depth + 1))?;
         }
         Ok(())
+    }
+
+    /// What to say of positions in different frames of reference, if there are any.
+    pub(crate) fn mixed_frames(&self) -> Option<String> {
+        let mut runs: BTreeMap<String, usize> = BTreeMap::new();
+        self.with_tables().filter_map(Run::frame).for_each(|frame| *runs.entry(frame).or_default() += 1);
+        let of: Vec<String> =
+            runs.iter().map(|(frame, times)| format!("{frame} frame in {}", plural(*times, "run"))).collect();
+        let words = "positions and directions are in different frames of reference";
+        let advice = format!("compare only those with the same value in column `{FRAME}`");
+        (of.len() > 1).then(|| format!("{words} ({}): {advice}", of.join(", ")))
     }
 
     /// Columns of the manifests, of all runs together.
@@ -137,7 +170,7 @@ impl Study {
     pub(crate) fn write_frames(&self, place: &Path, mut after_run: impl FnMut()) -> Result<u64, StudyError> {
         let mut names: Vec<String> = Vec::new();
         for run in self.with_tables() {
-            for name in open(&run.folder)?.1 {
+            for name in open(run)?.1 {
                 if !names.contains(&name) {
                     names.push(name);
                 }
@@ -148,25 +181,7 @@ impl Study {
         let mut table = Table::begin(place, &empty)?;
         let mut count = 0;
         for run in self.with_tables() {
-            let (mut reader, header) = open(&run.folder)?;
-            let places: Vec<Option<usize>> =
-                names.iter().map(|name| header.iter().position(|other| other == name)).collect();
-            let vetoes = Vetoes::read(&run.folder)?;
-            let path = run.folder.join(TRACK);
-            let wrong = |line: u64, reason: String| StudyError::Track { path: path.clone(), line, reason };
-            let mut row = csv::StringRecord::new();
-            loop {
-                let line = reader.position().line();
-                match reader.read_record(&mut row) {
-                    Ok(false) => break,
-                    Ok(true) => frames.add(run, &row, &places, &vetoes).map_err(|reason| wrong(line, reason))?,
-                    Err(error) => return Err(wrong(line, error.to_string())),
-                }
-                count += 1;
-                if frames.rows >= ROWS {
-                    table.add(&frames.take(self))?;
-                }
-            }
+            count += add_all(run, &names, &mut frames, |frames| Ok(table.add(&frames.take(self))?))?;
             after_run();
         }
         if frames.rows > 0 {
@@ -178,19 +193,102 @@ impl Study {
 
     /// Runs with a table of frames in their folder.
     fn with_tables(&self) -> impl Iterator<Item = &Run> {
-        self.runs.iter().filter(|run| run.summary.files.iter().any(|file| file.name == TRACK))
+        self.runs.iter().filter(|run| run.has_table())
     }
 }
 
-/// The table of a run, and its header.
-fn open(folder: &Path) -> Result<(csv::Reader<std::fs::File>, Vec<String>), StudyError> {
-    let path = folder.join(TRACK);
+impl Run {
+    /// Whether it has a table of frames in its folder.
+    fn has_table(&self) -> bool {
+        self.summary.files.iter().any(|file| file.name == TRACK)
+    }
+
+    /// Frame of reference of its positions and directions.
+    fn frame(&self) -> Option<String> {
+        self.summary.options.get(FRAME).cloned()
+    }
+
+    /// The columns that its table begins with; later versions may add more.
+    fn columns(&self) -> Vec<String> {
+        let markers = self.summary.measured.iter().flat_map(|m| &m.markers).map(|marker| marker.name.as_str());
+        match self.summary.measured {
+            Some(_) => table::header(markers, self.summary.options.contains_key("tick_led")),
+            // It failed before its first frame, and its markers are not known.
+            None => table::FIRST.map(str::to_owned).to_vec(),
+        }
+    }
+
+    /// Why this number of rows is not that of its frames, if so.
+    fn wrong_count(&self, rows: u64) -> Option<String> {
+        let frames = self.summary.measured.as_ref()?.frames;
+        // The table of a failed run may end with the frame for which there was no space.
+        let fits = if self.summary.outcome == Outcome::Failed { rows <= frames } else { rows == frames };
+        (!fits).then(|| format!("the table has {}, summary.json counts {frames}", plural(rows, "row")))
+    }
+}
+
+/// Reads the table of a run completely, if it has one.
+fn check(run: &Run) -> Result<(), StudyError> {
+    if !run.has_table() {
+        return Ok(());
+    }
+    let names = open(run)?.1;
+    let forget = |frames: &mut Frames<'_>| {
+        *frames = Frames::new(&names);
+        Ok(())
+    };
+    add_all(run, &names, &mut Frames::new(&names), forget).map(drop)
+}
+
+/// The table of a run, and its header, which has the run's columns.
+fn open(run: &Run) -> Result<(csv::Reader<std::fs::File>, Vec<String>), StudyError> {
+    let path = run.folder.join(TRACK);
+    let wrong = |reason: String| StudyError::Track { path: path.clone(), line: 1, reason };
     let file = std::fs::File::open(&path).map_err(|source| StudyError::Io { path: path.clone(), source })?;
-    let mut reader = csv::ReaderBuilder::new().from_reader(file);
-    let header = reader.headers().map(|header| header.iter().map(str::to_owned).collect());
-    match header {
-        Ok(header) => Ok((reader, header)),
-        Err(error) => Err(StudyError::Track { path, line: 1, reason: error.to_string() }),
+    let mut reader = csv::ReaderBuilder::new().flexible(true).from_reader(file);
+    let header: Vec<String> =
+        reader.headers().map_err(|error| wrong(error.to_string()))?.iter().map(str::to_owned).collect();
+    for (at, name) in run.columns().iter().enumerate() {
+        match header.get(at) {
+            Some(found) if found == name => {}
+            Some(found) => return Err(wrong(format!("column {} is `{found}`, it should be `{name}`", at + 1))),
+            None => return Err(wrong(format!("has no column {}, which should be `{name}`", at + 1))),
+        }
+    }
+    Ok((reader, header))
+}
+
+/// Adds the rows of a run to `frames`, whose columns are `names`, and calls `full` when there are many; returns their
+/// number. The frames' numbers rise, and there are as many as the summary counts.
+fn add_all<'a>(
+    run: &'a Run,
+    names: &[String],
+    frames: &mut Frames<'a>,
+    mut full: impl FnMut(&mut Frames<'a>) -> Result<(), StudyError>,
+) -> Result<u64, StudyError> {
+    let (mut reader, header) = open(run)?;
+    let places: Vec<Option<usize>> = names.iter().map(|name| header.iter().position(|other| other == name)).collect();
+    let vetoes = Vetoes::read(&run.folder)?;
+    let wrong = |line: u64, reason: String| StudyError::Track { path: run.folder.join(TRACK), line, reason };
+    let mut row = csv::StringRecord::new();
+    let (mut count, mut last_seq) = (0, None);
+    loop {
+        // The reader's own count lags behind by one at CRLF.
+        let line = count + 2;
+        if !reader.read_record(&mut row).map_err(|error| wrong(line, error.to_string()))? {
+            return run.wrong_count(count).map_or(Ok(count), |reason| Err(wrong(count + 1, reason)));
+        }
+        if row.len() != header.len() {
+            return Err(wrong(line, format!("has {} of the header's {} cells", row.len(), header.len())));
+        }
+        let seq = frames.add(run, &row, &places, &vetoes).map_err(|reason| wrong(line, reason))?;
+        if let Some(last) = last_seq.replace(seq).filter(|last| *last >= seq) {
+            return Err(wrong(line, format!("frame {seq} comes after frame {last}; their numbers should rise")));
+        }
+        count += 1;
+        if frames.rows >= ROWS {
+            full(frames)?;
+        }
     }
 }
 
@@ -219,20 +317,22 @@ impl<'a> Frames<'a> {
         Self { columns, runs: Vec::new(), rows: 0, vetoes: Vec::new() }
     }
 
+    /// Adds a row of a run's table; returns the number of the frame.
     fn add(
         &mut self,
         run: &'a Run,
         row: &csv::StringRecord,
         places: &[Option<usize>],
         vetoes: &Vetoes,
-    ) -> Result<(), String> {
+    ) -> Result<i64, String> {
         let number = |name: &str| {
-            let at = self.columns.iter().position(|(other, _)| other == name)?;
-            row.get(places.get(at).copied()??)?.parse::<i64>().ok()
+            let at = self.columns.iter().position(|(other, _)| other == name);
+            let cell = at.and_then(|at| row.get(places.get(at).copied()??)).unwrap_or_default();
+            cell.parse::<i64>().map_err(|_| format!("{name} is `{cell}`, it should be a whole number"))
         };
-        let veto = || vetoes.of(u64::try_from(number("seq")?).ok()?, number("stamp_ns")?).map(str::to_owned);
-        let veto = veto();
-        self.vetoes.push(veto);
+        let (seq, stamp_ns, _) = (number(table::SEQ)?, number(table::STAMP_NS)?, number(table::GAP)?);
+        let veto = u64::try_from(seq).ok().and_then(|seq| vetoes.of(seq, stamp_ns));
+        self.vetoes.push(veto.map(str::to_owned));
         for ((name, cells), place) in self.columns.iter_mut().zip(places) {
             let cell = place.and_then(|place| row.get(place)).filter(|cell| !cell.is_empty());
             let wrong = || format!("{name} is {}, which is no number", cell.unwrap_or_default());
@@ -248,17 +348,20 @@ impl<'a> Frames<'a> {
             _ => self.runs.push((run, 1)),
         }
         self.rows += 1;
-        Ok(())
+        Ok(seq)
     }
 
-    /// The rows, with the names of their runs, vetoes, and the manifests' columns.
+    /// The rows, with the names and frames of reference of their runs, vetoes, and the manifests' columns.
     fn take(&mut self, study: &Study) -> Vec<(String, Cells)> {
         let names = self.columns.iter().map(|(name, _)| (name.clone(), kind(name))).collect();
         let own = std::mem::replace(&mut self.columns, names);
         let runs = std::mem::take(&mut self.runs);
         self.rows = 0;
-        let of = |(run, times): &(&Run, usize)| std::iter::repeat_n(Some(run.name.clone()), *times).collect::<Vec<_>>();
-        let mut columns = vec![("run".to_owned(), Cells::Text(runs.iter().flat_map(of).collect()))];
+        let text = |get: fn(&Run) -> Option<String>| {
+            Cells::Text(runs.iter().flat_map(|(run, times)| std::iter::repeat_n(get(run), *times)).collect())
+        };
+        let mut columns =
+            vec![("run".to_owned(), text(|run| Some(run.name.clone()))), (FRAME.to_owned(), text(Run::frame))];
         columns.extend(own);
         columns.push(("veto".to_owned(), Cells::Text(std::mem::take(&mut self.vetoes))));
         let manifest_cells = study.manifest_cells(&columns, &runs);
@@ -300,6 +403,7 @@ fn own_columns(runs: &[Run]) -> Vec<(String, Cells)> {
         text("ends_early", &|run| run.summary.ends_early.clone()),
         text("recording", &|run| Some(run.summary.recording.clone())),
         text("rig", &|run| Some(run.summary.rig.clone())),
+        text(FRAME, &Run::frame),
         text("options", &options),
         text("recording_sha256", &|run| run.summary.sha256.recording.clone()),
         text("rig_sha256", &|run| run.summary.sha256.rig.clone()),
@@ -345,4 +449,127 @@ fn own_columns(runs: &[Run]) -> Vec<(String, Cells)> {
         columns.push(whole(&format!("missed_{what}_{reason}"), &count));
     }
     columns
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use parquet::file::reader::SerializedFileReader;
+    use parquet::record::RowAccessor as _;
+    use std::fmt::Write as _;
+    use std::fs;
+
+    /// The header of a run with a marker, and three rows.
+    fn track(marker: &str) -> String {
+        let header = table::header([marker].into_iter(), false);
+        let mut text = header.join(",") + "\r\n";
+        for seq in 0..3 {
+            let cells = header.iter().map(|name| match name.as_str() {
+                "seq" | "stamp_ns" => seq.to_string(),
+                "gap" => "0".to_owned(),
+                name if name.ends_with("_status") => "ok".to_owned(),
+                _ => format!("{seq}.5"),
+            });
+            let _ = write!(text, "{}\r\n", cells.collect::<Vec<_>>().join(","));
+        }
+        text
+    }
+
+    fn summary(name: &str, marker: &str, frame: &str) -> RunSummary {
+        let mut summary = RunSummary { name: name.to_owned(), ..RunSummary::example() };
+        let measured = summary.measured.as_mut().unwrap();
+        (measured.frames, measured.markers[0].name) = (3, marker.to_owned());
+        summary.options = [(FRAME.to_owned(), frame.to_owned())].into();
+        summary
+    }
+
+    fn save(archive: &Path, summary: &RunSummary, track: &str) {
+        let folder = archive.join(&summary.name);
+        fs::create_dir_all(&folder).unwrap();
+        summary.write(&folder).unwrap();
+        fs::write(folder.join(TRACK), track).unwrap();
+    }
+
+    /// The good run's name and its number of frames in the table, and why the other is left out.
+    fn collected(spoil: impl Fn(&str) -> String) -> (Vec<String>, u64, Vec<String>) {
+        let archive = tempfile::tempdir().unwrap();
+        save(archive.path(), &summary("good", "tip", "base"), &track("tip"));
+        save(archive.path(), &summary("other", "tip", "base"), &spoil(&track("tip")));
+        let study = Study::find(&[archive.path().to_owned()]).unwrap();
+        let frames = study.write_frames(&archive.path().join("frames.parquet"), || {}).unwrap();
+        let names = study.runs.iter().map(|run| run.name.clone()).collect();
+        let why = study.left_out.iter().map(|error| error.to_string().rsplit_once('/').unwrap().1.to_owned());
+        (names, frames, why.collect())
+    }
+
+    #[test]
+    fn a_table_that_is_not_the_one_its_summary_describes_leaves_its_run_out() {
+        assert_eq!(collected(str::to_owned), (vec!["good".to_owned(), "other".to_owned()], 6, Vec::new()));
+        // Line ends, and columns of later versions, are no damage.
+        assert_eq!(collected(|text| text.replace("\r\n", "\n")).1, 6);
+        assert_eq!(collected(|text| text.replace("gap\r", "gap,new\r").replace(",0\r", ",0,7\r")).1, 6);
+        let lines = |text: &str, range: std::ops::Range<usize>| -> String {
+            text.split_inclusive('\n').skip(range.start).take(range.len()).collect()
+        };
+        type Spoil = Box<dyn Fn(&str) -> String>;
+        let cases: [(&str, Spoil); 9] = [
+            ("track.csv:3: the table has 2 rows, summary.json counts 3", Box::new(move |text| lines(text, 0..3))),
+            ("track.csv:1: the table has 0 rows, summary.json counts 3", Box::new(move |text| lines(text, 0..1))),
+            ("track.csv:1: has no column 1, which should be `seq`", Box::new(|_| String::new())),
+            (
+                "track.csv:5: frame 0 comes after frame 2; their numbers should rise",
+                Box::new(move |text| text.to_owned() + &lines(text, 1..4)),
+            ),
+            ("track.csv:4: has 12 of the header's 17 cells", Box::new(|text| text[..text.len() - 20].to_owned())),
+            (
+                "track.csv:1: column 8 is `tip_x_m`, it should be `tip_x_mm`",
+                Box::new(|text| text.replace("tip_x_mm", "tip_x_m")),
+            ),
+            (
+                "track.csv:1: column 4 is `theta_sd_deg`, it should be `theta_deg`",
+                Box::new(|text| text.replacen("theta_deg,", "", 1).replace(".5,ok", ",ok")),
+            ),
+            (
+                "track.csv:3: theta_deg is 1;5, which is no number",
+                Box::new(|text| text.replacen(",1,1.5", ",1,1;5", 1)),
+            ),
+            ("track.csv:4: seq is ``, it should be a whole number", Box::new(|text| text.replace("\n2,", "\n,"))),
+        ];
+        for (reason, spoil) in cases {
+            let (names, frames, why) = collected(spoil);
+            assert_eq!((names.as_slice(), frames), (["good".to_owned()].as_slice(), 3), "{reason}");
+            assert!(why.len() == 1 && why[0].starts_with(reason), "{reason}: {why:?}");
+        }
+    }
+
+    #[test]
+    fn the_table_of_a_run_without_space_may_end_early() {
+        let archive = tempfile::tempdir().unwrap();
+        let mut full = summary("full", "tip", "base");
+        full.measured.as_mut().unwrap().frames = 4;
+        full.outcome = Outcome::Failed;
+        save(archive.path(), &full, &track("tip"));
+        assert_eq!(Study::find(&[archive.path().to_owned()]).unwrap().runs.len(), 1);
+        full.outcome = Outcome::Tracked;
+        save(archive.path(), &full, &track("tip"));
+        assert_eq!(Study::find(&[archive.path().to_owned()]).unwrap().left_out.len(), 1);
+    }
+
+    #[test]
+    fn every_row_tells_its_frame_of_reference_and_rigs_have_their_own_markers() {
+        let archive = tempfile::tempdir().unwrap();
+        save(archive.path(), &summary("a", "tip", "base"), &track("tip"));
+        save(archive.path(), &summary("b", "ring", "base"), &track("ring"));
+        let find = || Study::find(&[archive.path().to_owned()]).unwrap();
+        assert_eq!(find().mixed_frames(), None);
+        save(archive.path(), &summary("c", "tip", "camera"), &track("tip"));
+        let study = find();
+        let said = study.mixed_frames().unwrap();
+        assert!(said.contains("(base frame in 2 runs, camera frame in 1 run)"), "{said}");
+        let table = archive.path().join("frames.parquet");
+        assert_eq!(study.write_frames(&table, || {}).unwrap(), 9);
+        let rows = SerializedFileReader::new(fs::File::open(&table).unwrap()).unwrap();
+        let frames: Vec<String> = rows.into_iter().map(|row| row.unwrap().get_string(1).unwrap().clone()).collect();
+        assert_eq!(frames, ["base", "base", "base", "base", "base", "base", "camera", "camera", "camera"]);
+    }
 }

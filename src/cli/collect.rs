@@ -38,15 +38,19 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
         return Err(Failure::usage(format!("{}: no such folder", missing.display())));
     }
     let study = Study::find(&args.folders).map_err(failure)?;
-    if study.runs.is_empty() {
-        let folders: Vec<String> = args.folders.iter().map(|folder| folder.display().to_string()).collect();
+    let folders = || args.folders.iter().map(|folder| folder.display().to_string()).collect::<Vec<_>>().join(", ");
+    if study.runs.is_empty() && study.left_out.is_empty() {
         let text = "no summary.json in it or below: give folders that `catoptra track` wrote";
-        return Err(Failure::usage(format!("{}: {text}", folders.join(", "))));
+        return Err(Failure::usage(format!("{}: {text}", folders())));
     }
     study.unfinished.iter().for_each(|folder| {
         tracing::warn!("{}: has no summary.json: not finished, or not of `track`; it is left out", folder.display());
     });
-    study.unread.iter().for_each(|error| tracing::warn!("{error}; it is left out"));
+    study.left_out.iter().for_each(|error| tracing::warn!("{error}; the run is left out"));
+    if study.runs.is_empty() {
+        return Err(Failure::usage(format!("{}: no run can be read: nothing is written", folders())));
+    }
+    study.mixed_frames().iter().for_each(|text| tracing::warn!("{text}"));
     // 2. the files
     results.take()?;
     let mut progress = Progress::of(Some(study.runs.len() as u64), "runs", quiet);
@@ -62,9 +66,10 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<(), Failure> {
     if !quiet {
         output::print(&summary(&study, frames, unusual.len(), &args.out))?;
     }
-    match study.unread.len() {
+    match study.left_out.len() {
         0 => Ok(()),
-        unread => Err(Failure::new(Exit::Failed, format!("{unread} summaries cannot be read, and are left out"))),
+        1 => Err(Failure::new(Exit::Failed, "1 run cannot be read, and is left out")),
+        n => Err(Failure::new(Exit::Failed, format!("{n} runs cannot be read, and are left out"))),
     }
 }
 

@@ -115,6 +115,9 @@ fn evaluate(args: &Args, outcome: &Outcome) -> Result<(), Failure> {
         .collect();
     // 2. the evaluation
     let validation = validate(path, &observed, args.options()).map_err(failure)?;
+    if let Some(note) = validation.path.note() {
+        tracing::warn!("{}: {note}", args.desired.display());
+    }
     for run in &validation.runs {
         for note in &run.notes {
             tracing::warn!("{} ms: {note}", run.pause_s * 1e3);

@@ -51,6 +51,7 @@ pub(crate) fn page(
     body += &failures(study, folder);
     body += &unfinished(study);
     body += &unusual_runs(study, unusual, folder);
+    body += &study.mixed_frames().map_or(String::new(), |text| format!("<p class=\"note\">{}</p>\n", escape(&text)));
     body += &groups(study, unusual);
     body += "<h2>Run by run</h2>\n<p>Runs in the order of their folders; the name and the value show where the pointer is.</p>\n";
     body += &figure("plot-sd", &by_run(study, "σ of θ (°)", 4, |m| m.theta.sd_deg), 320, false);
@@ -78,13 +79,13 @@ fn failures(study: &Study, folder: &Path) -> String {
     format!("<h2>Without results</h2>\n<p>{words}</p>\n{}", table(3, &["Run", "Why", "May pass"], &rows))
 }
 
-/// Runs without a readable summary.
+/// Runs that are not in the tables.
 fn unfinished(study: &Study) -> String {
     let begun = study
         .unfinished
         .iter()
         .map(|folder| format!("{}: has no summary.json: not finished, or not of track", folder.display()));
-    let unread = study.unread.iter().map(ToString::to_string);
+    let unread = study.left_out.iter().map(ToString::to_string);
     let rows: Vec<Vec<Html>> = begun.chain(unread).map(|text| vec![Html::wrapped(&text)]).collect();
     match rows.is_empty() {
         true => String::new(),

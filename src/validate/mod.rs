@@ -6,7 +6,8 @@
 //! phase (Eqs. 8 to 10, Fig. 11).
 //!
 //! Method, with one file for each step: one observed point per command (`pauses`), rigid alignment (`align`), plane and
-//! circle (`plane`, `circle`), lag by cross-correlation in space (`lag`), the start of the commands (`start_time`).
+//! circle (`plane`, `circle`), lag by cross-correlation in space (`lag`), the start of the commands (`start_time`),
+//! comparison of the periods with each other (`settling`, `periods`).
 //!
 //! Conventions. Everything is in the base frame, metres. The error of a run is the root mean square distance in space.
 //! A run's alignment maps observed points to desired ones. Phase is negative for a late response: φ = −360° · Δt / T.
@@ -25,6 +26,7 @@ mod lag;
 mod options;
 mod path;
 mod pauses;
+mod periods;
 mod plane;
 mod run;
 mod settling;

@@ -12,6 +12,8 @@ const M_PER_MM: f64 = 1e-3;
 const MAX_COMMANDS: usize = 4_000_000;
 /// Points of one period and the next count as equal if they are closer than this, metres.
 const SAME_M: f64 = 1e-6;
+/// A last point closer to the first than this fraction of the next step repeats it.
+const REPEATED: f64 = 0.01;
 /// A path counts as a circle if it deviates from one by less than this fraction of its radius, and closes without a
 /// larger gap.
 const CIRCLE_TOLERANCE: f64 = 0.05;
@@ -103,6 +105,20 @@ impl DesiredPath {
         })?;
         let circle = circle(&points, &plane);
         Ok(Self { file: file.to_owned(), points, tangents, periods, plane, circle })
+    }
+
+    /// What to say of a path whose last point is its first: the file of a closed curve, which is one command longer than
+    /// its period.
+    pub(crate) fn note(&self) -> Option<String> {
+        let (first, second, last) = (self.points.first()?, self.points.get(1)?, self.points.last()?);
+        let length = self.points.len();
+        ((last - first).norm() <= REPEATED * (second - first).norm()).then(|| {
+            format!(
+                "its last point repeats the first, and both are commanded: a period is {length} commands; if it was {}, leave \
+                 the last row out",
+                length - 1
+            )
+        })
     }
 
     /// Total number of points commanded.

@@ -7,6 +7,7 @@ use super::lag::{Lag, lag};
 use super::options::Options;
 use super::path::DesiredPath;
 use super::pauses::{Mean, Sample, Window, interval_s};
+use super::periods::Periods;
 use super::plane::Plane;
 use super::settling::Settling;
 use super::start_time::{self, StartFrom};
@@ -20,8 +21,14 @@ use std::path::PathBuf;
 
 /// An axis along which the desired path moves by less than this fraction of the largest has no gain.
 const STILL_AXIS: f64 = 0.02;
-/// Below this correlation the observed motion does not have the path's shape.
-const WEAK_CORRELATION: f64 = 0.5;
+/// Below this correlation the path explains less than half of the observed motion (its square): it is another motion. A
+/// catheter that follows a lemniscate far above its corner still reaches 0.87, most reach 0.99; a circle along a
+/// lemniscate 0.63.
+const WEAK_CORRELATION: f64 = 0.7;
+/// Sizes of motion and path that differ by more than this factor are hardly in the same unit.
+const OTHER_UNIT: f64 = 20.0;
+/// More commands than this fraction without a point are noted.
+const MANY_LEFT_OUT: f64 = 0.25;
 /// Frames per period below which amplitudes suffer.
 const FEW_FRAMES: f64 = 8.0;
 
@@ -83,6 +90,8 @@ pub(crate) struct Run {
     pub start_ns: i64,
     /// How that is known.
     pub start_from: StartFrom,
+    /// Correlation with the path at a start that was searched for.
+    pub start_correlation: Option<f64>,
     /// Whether points are interpolated, because the pause is shorter than the frame interval, instead of averaged.
     pub interpolated: bool,
     /// Usual time between camera frames, seconds.
@@ -118,6 +127,8 @@ pub(crate) struct Run {
     pub phase_deg: Option<f64>,
     /// How far the motion still is from a periodic one; `None` with fewer than two periods.
     pub settling: Option<Settling>,
+    /// Whether all periods are alike; `None` with fewer than two periods, or with too few frames.
+    pub periods: Option<Periods>,
     /// Root mean square angle between observed and desired direction of the coil, radians, where the path has
     /// directions.
     pub tangent_rms_rad: Option<f64>,
@@ -142,7 +153,7 @@ pub(super) fn evaluate(path: &DesiredPath, observed: &Observed<'_>, options: &Op
 
     // 1. the frames, and when the commands were given
     let Marked { marker, name, samples } = marked(recording, options)?;
-    let Timing { window, start_from, note, inside, interval_s } = timing(path, observed, &samples)?;
+    let Timing { window, start_from, start_correlation, note, inside, interval_s } = timing(path, observed, &samples)?;
     notes.extend(note);
     if start_from == StartFrom::Search {
         notes.push(
@@ -175,6 +186,8 @@ pub(super) fn evaluate(path: &DesiredPath, observed: &Observed<'_>, options: &Op
             path.points.len()
         )));
     }
+    all_periods_are_there(path, recording, &window)?;
+    notes.extend(many_left_out(left_out, steps.len()));
 
     // 3. errors
     let alignment = Alignment::of(&pairs).ok_or_else(|| {
@@ -203,12 +216,17 @@ pub(super) fn evaluate(path: &DesiredPath, observed: &Observed<'_>, options: &Op
 
     // 5. basis of the numbers
     let period_s = seconds(pause_ns) * path.points.len() as f64;
-    let settling = Settling::of(path, &steps, plane.as_ref(), sd_m(&inside, marker));
-    notes.extend(settling.as_ref().and_then(Settling::note));
-    notes.extend(weak_correlation(lag.as_ref()));
-    notes.extend(few_frames(period_s / interval_s));
-    let has_place = |frame: &&&Frame| frame.places.get(marker).is_some_and(|place| place.point.is_some());
     let sd_m = sd_m(&inside, marker);
+    let settling = Settling::of(path, &steps, plane.as_ref(), sd_m);
+    notes.extend(settling.as_ref().and_then(Settling::note));
+    let counted = means.get(skipped..).unwrap_or_default();
+    let frames_per_period = period_s / interval_s;
+    let periods = Periods::of(path, counted, options.skip, sd_m, frames_per_period);
+    notes.extend(periods.iter().flat_map(|periods| periods.notes(seconds(pause_ns))));
+    notes.extend(weak_correlation(lag.as_ref()));
+    notes.extend(other_unit(&points, &wanted));
+    notes.extend(few_frames(frames_per_period));
+    let has_place = |frame: &&&Frame| frame.places.get(marker).is_some_and(|place| place.point.is_some());
     let from_ns = window.start_ns.saturating_add(pause_ns.saturating_mul(i64::try_from(skipped).unwrap_or(i64::MAX)));
     let seen = inside.iter().filter(has_place).filter(|frame| frame.stamp_ns >= from_ns).count();
     let vetoed = |frame: &&&Frame| frame.places.get(marker).is_some_and(|place| place.status == VETOED);
@@ -219,6 +237,7 @@ pub(super) fn evaluate(path: &DesiredPath, observed: &Observed<'_>, options: &Op
         frequency_hz: 1.0 / period_s,
         start_ns: window.start_ns,
         start_from,
+        start_correlation,
         interpolated,
         interval_s,
         frames: inside.len(),
@@ -235,6 +254,7 @@ pub(super) fn evaluate(path: &DesiredPath, observed: &Observed<'_>, options: &Op
         lag,
         phase_deg,
         settling,
+        periods,
         tangent_rms_rad: tangent_rms_rad(path, recording, skipped, mean),
         scatter_m: scatter_m(means.iter().skip(skipped).flatten()),
         response_sd: response_sd(sd_m, seen, magnitude.as_ref()),
@@ -276,6 +296,8 @@ fn marked(recording: &Recording, options: &Options) -> Result<Marked, ValidateEr
 struct Timing<'a> {
     window: Window,
     start_from: StartFrom,
+    /// Correlation with the path, if it was searched for.
+    start_correlation: Option<f64>,
     /// A note about the start.
     note: Option<String>,
     inside: Vec<&'a Frame>,
@@ -299,7 +321,12 @@ fn timing<'a>(path: &DesiredPath, observed: &Observed<'a>, samples: &[Sample]) -
     let pause_ns = by_ticks.as_ref().map_or(pause_ns, |(_, pause_ns, _)| *pause_ns);
     let ticked = by_ticks.map(|(ns, ..)| (ns, StartFrom::Ticks));
     let logged = || start_time::from_currents(&recording.currents, pause_ns).map(|ns| (ns, StartFrom::Currents));
-    let searched = || start_time::by_search(path, samples, pause_ns).map(|ns| (ns, StartFrom::Search));
+    let mut start_correlation = None;
+    let searched = || {
+        let (ns, correlation) = start_time::by_search(path, samples, pause_ns)?;
+        start_correlation = Some(correlation);
+        Some((ns, StartFrom::Search))
+    };
     let given = observed.start_ns.map(|ns| (ns, StartFrom::Given));
     let (start_ns, start_from) = given.or(ticked).or_else(logged).or_else(searched).ok_or_else(|| {
         let (needs, has) = (path.commands() as f64 * seconds(pause_ns), span_s(samples));
@@ -308,6 +335,13 @@ fn timing<'a>(path: &DesiredPath, observed: &Observed<'a>, samples: &[Sample]) -
              --start, or check --pause and --periods"
         ))
     })?;
+    if let Some(correlation) = start_correlation.filter(|correlation| *correlation < WEAK_CORRELATION) {
+        return Err(wrong(format!(
+            "the start of the commands cannot be found: the motion correlates with the path by {correlation:.2} at best, of \
+             1; {WEAK_CORRELATION} is needed. Does the marker move, along this path, with these axes, --pause and --periods? \
+             If so, give --start"
+        )));
+    }
     let window = Window { start_ns, pause_ns, commands: path.commands() };
     let inside: Vec<&Frame> =
         recording.frames.iter().filter(|f| f.stamp_ns >= window.start_ns && f.stamp_ns < window.end_ns()).collect();
@@ -328,12 +362,57 @@ fn timing<'a>(path: &DesiredPath, observed: &Observed<'a>, samples: &[Sample]) -
         path: recording.path.clone(),
         problem: "has a single frame from the time of the commands".to_owned(),
     })?;
-    Ok(Timing { window, start_from, note, inside, interval_s })
+    Ok(Timing { window, start_from, start_correlation, note, inside, interval_s })
 }
 
 fn weak_correlation(lag: Option<&Lag>) -> Option<String> {
     let weak = lag.filter(|lag| lag.correlation < WEAK_CORRELATION)?;
     Some(format!("the motion hardly correlates with the path ({:.2}): its phase means little", weak.correlation))
+}
+
+/// Rejects a record that ends before the middle of the last period: either there are fewer periods, and what comes after
+/// them is none, or it is not all of the run.
+fn all_periods_are_there(path: &DesiredPath, recording: &Recording, window: &Window) -> Result<(), ValidateError> {
+    let last_ns = recording.frames.last().map_or(window.start_ns, |frame| frame.stamp_ns);
+    let period_ns = window.at_ns(path.points.len()).saturating_sub(window.start_ns);
+    let there = last_ns.saturating_sub(window.start_ns) as f64 / period_ns as f64;
+    if there + 0.5 >= path.periods as f64 {
+        return Ok(());
+    }
+    // The last frame is before the end of its period.
+    let whole = (there + 0.1).floor();
+    Err(ValidateError::Run {
+        path: recording.path.clone(),
+        problem: format!(
+            "the record ends at {:.3} s of the camera's clock, {} periods of commands at {:.3} s: {whole} of them are in it; \
+             give --periods {}, or check --pause and --start",
+            seconds(last_ns),
+            path.periods,
+            seconds(window.end_ns()),
+            whole.max(1.0)
+        ),
+    })
+}
+
+fn many_left_out(left_out: usize, commands: usize) -> Option<String> {
+    (left_out as f64 > MANY_LEFT_OUT * commands as f64).then(|| {
+        format!("{left_out} of {commands} commands have no point: the marker was not seen, or frames were lost, or the record ends")
+    })
+}
+
+/// Sizes that are not those of one unit.
+fn other_unit(observed: &[Point3<f64>], desired: &[Point3<f64>]) -> Option<String> {
+    let (observed_m, desired_m) = (spread(observed).norm(), spread(desired).norm());
+    let ratio = observed_m / desired_m;
+    let close = (OTHER_UNIT.recip()..=OTHER_UNIT).contains(&ratio);
+    (!close).then(|| {
+        format!(
+            "the motion has a size of {:.3} mm, the path one of {:.3} mm, which is hardly the same unit: both must be in mm (or the \
+             marker does not move)",
+            observed_m * 1e3,
+            desired_m * 1e3
+        )
+    })
 }
 
 fn few_frames(per_period: f64) -> Option<String> {

@@ -91,9 +91,9 @@ pub(super) fn from_currents(currents: &[Current], pause_ns: i64) -> Option<i64> 
     first.stamp_ns.filter(is_command).or(Some(change_ns))
 }
 
-/// The start at which the motion correlates best with the path; `None` when the record is shorter than all commands, or
-/// does not move. Accurate to about one point of 200 per period.
-pub(super) fn by_search(path: &DesiredPath, samples: &[Sample], pause_ns: i64) -> Option<i64> {
+/// The start at which the motion correlates best with the path, and that correlation; `None` when the record is shorter
+/// than all commands, or does not move. Accurate to about one point of 200 per period.
+pub(super) fn by_search(path: &DesiredPath, samples: &[Sample], pause_ns: i64) -> Option<(i64, f64)> {
     let (first_ns, last_ns) = (samples.first()?.0, samples.last()?.0);
     let window = Window { start_ns: first_ns, pause_ns, commands: path.commands() };
     let slack_ns = last_ns.checked_sub(window.end_ns()).filter(|slack| *slack >= 0)?;
@@ -107,14 +107,14 @@ pub(super) fn by_search(path: &DesiredPath, samples: &[Sample], pause_ns: i64) -
     let best = |from_ns: i64, to_ns: i64, step_ns: i64| {
         let starts = (0..=(to_ns - from_ns) / step_ns).map(|k| from_ns + k * step_ns);
         let scored = starts.filter_map(|ns| Some((correlation(&curve, &commands, ns as f64 * 1e-9)?, ns)));
-        scored.max_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, ns)| ns)
+        scored.max_by(|a, b| a.0.total_cmp(&b.0))
     };
     // A long record is searched coarsely first.
     let fine_ns = (pause_ns.saturating_mul(path.points.len() as i64) / 200).max(1);
     let coarse_ns = fine_ns.max(slack_ns / MAX_STARTS);
-    let near_ns = best(0, slack_ns, coarse_ns)?;
+    let (_, near_ns) = best(0, slack_ns, coarse_ns)?;
     let (from_ns, to_ns) = ((near_ns - coarse_ns).max(0), (near_ns + coarse_ns).min(slack_ns));
-    best(from_ns, to_ns, fine_ns).map(|ns| first_ns + ns)
+    best(from_ns, to_ns, fine_ns).map(|(correlation, ns)| (first_ns + ns, correlation))
 }
 
 /// Correlation of the motion from `offset_s` on with the commands; `None` without motion.

@@ -80,12 +80,20 @@ pub(crate) struct Row {
     pub phase_deg: Option<f64>,
     /// Its σ by the tracker's own noise.
     pub phase_sd_deg: Option<f64>,
-    /// Correlation at that lag.
+    /// Correlation at that lag, or at the start that was searched for.
     pub correlation: Option<f64>,
     /// Difference of the last period from the one before, relative to its size.
     pub period_change: Option<f64>,
     /// Magnitude of the last period alone, where the path is a circle.
     pub last_period_db: Option<f64>,
+    /// Change of the phase over a period, by a line through all periods.
+    pub phase_drift_deg: Option<f64>,
+    /// Its σ by the tracker's own noise.
+    pub phase_drift_sd_deg: Option<f64>,
+    /// Largest change of the phase from one period to the next.
+    pub phase_step_deg: Option<f64>,
+    /// Largest distance between the middles of the motion in two periods.
+    pub shift_mm: Option<f64>,
     /// Angle between observed and desired direction of the coil.
     pub tangent_rms_deg: Option<f64>,
     /// Distance of frames from the mean of their pause.
@@ -103,6 +111,7 @@ impl Row {
         let pairs: Vec<_> = run.steps.iter().filter_map(|s| Some(s.desired - s.observed?)).collect();
         let offset = pairs.iter().sum::<nalgebra::Vector3<f64>>() / pairs.len().max(1) as f64;
         let mm = |m: f64| m * MM_PER_M;
+        let periods = run.periods.as_ref();
         Self {
             file: run.file.display().to_string(),
             marker: run.marker.clone(),
@@ -139,9 +148,13 @@ impl Row {
             lag_ms: run.lag.map(|lag| lag.points * run.pause_s * 1e3),
             phase_deg: run.phase_deg,
             phase_sd_deg: run.phase_deg.and(run.response_sd).map(f64::to_degrees),
-            correlation: run.lag.map(|lag| lag.correlation),
+            correlation: run.lag.map(|lag| lag.correlation).or(run.start_correlation),
             period_change: run.settling.map(|settling| settling.change_m / settling.size_m),
             last_period_db: run.settling.and_then(|settling| settling.last_db),
+            phase_drift_deg: periods.map(|periods| periods.drift_deg),
+            phase_drift_sd_deg: periods.map(|periods| periods.drift_sd_deg),
+            phase_step_deg: periods.map(|periods| periods.step.by),
+            shift_mm: periods.map(|periods| mm(periods.shift.by)),
             tangent_rms_deg: run.tangent_rms_rad.map(f64::to_degrees),
             scatter_mm: run.scatter_m.map(mm),
             sd_mm: run.sd_m.map(mm),
@@ -165,6 +178,7 @@ struct PathPart {
     points_per_period: usize,
     periods: usize,
     circle_radius_mm: Option<f64>,
+    note: Option<String>,
     plane_normal: [f64; 3],
     plane_rms_mm: f64,
 }
@@ -188,6 +202,7 @@ impl Validation {
                 points_per_period: path.points.len(),
                 periods: path.periods,
                 circle_radius_mm: path.circle.map(|circle| circle.radius_m * MM_PER_M),
+                note: path.note(),
                 plane_normal: path.plane.normal.into(),
                 plane_rms_mm: path.plane.rms_m * MM_PER_M,
             },

@@ -68,7 +68,8 @@ fn all_frames_and_all_runs_are_in_the_tables_with_the_columns_of_the_manifest() 
                 }
             }
             assert_eq!(found["veto"], Field::Null);
-            assert_eq!(found.len(), expected.len() + 4);
+            assert_eq!(text(&found["frame"]), "base");
+            assert_eq!(found.len(), expected.len() + 5);
             at += 1;
         }
     }
@@ -100,4 +101,19 @@ fn all_frames_and_all_runs_are_in_the_tables_with_the_columns_of_the_manifest() 
     assert!(said.contains("has the results of `catoptra track"), "{said}");
     let said = ended_with(&run("collect study -o other"), 2);
     assert!(said.contains("no summary.json in it or below"), "{said}");
+
+    // A table that lost its last row does not stop the others, and does not pass for a shorter run.
+    let table = place.path("archive/runs/circle/track.csv");
+    let whole = fs::read_to_string(&table).unwrap();
+    let kept: Vec<&str> = whole.split_inclusive('\n').collect();
+    fs::write(&table, kept[..kept.len() - 1].concat()).unwrap();
+    let output = run("collect archive -o study");
+    let said = ended_with(&output, 1);
+    assert!(said.contains("circle/track.csv:2: the table has 1 row, summary.json counts 2"), "{said}");
+    assert!(said.contains("1 run cannot be read, and is left out"), "{said}");
+    assert!(stdout(&output).contains("3 runs, 3 frames"), "{}", stdout(&output));
+    let page = fs::read_to_string(place.path("study/report.html")).unwrap();
+    assert!(page.contains("the table has 1 row, summary.json counts 2"));
+    let said = ended_with(&run("collect archive/runs/circle -o none"), 2);
+    assert!(said.contains("no run can be read") && !place.path("none").exists(), "{said}");
 }

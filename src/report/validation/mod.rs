@@ -300,6 +300,7 @@ fn frames(validation: &Validation) -> String {
             let start = match row.start_from {
                 "given" => "given",
                 "currents" => "by currents",
+                "ticks" => "by ticks",
                 _ => "by correlation",
             };
             vec![
@@ -326,11 +327,12 @@ fn frames(validation: &Validation) -> String {
         "Scatter (mm)",
         "σ (mm)",
     ];
-    let notes: String = validation
+    let of_path = validation.path.note().map(|note| format!("<li>path: {}</li>\n", escape(&note)));
+    let of_runs = validation
         .runs
         .iter()
-        .flat_map(|run| run.notes.iter().map(move |note| format!("<li>{}: {}</li>\n", pause(run), escape(note))))
-        .collect();
+        .flat_map(|run| run.notes.iter().map(move |note| format!("<li>{}: {}</li>\n", pause(run), escape(note))));
+    let notes: String = of_path.into_iter().chain(of_runs).collect();
     let notes = if notes.is_empty() { notes } else { format!("<ul class=\"note\">\n{notes}</ul>\n") };
     format!(
         "<h2>Frames</h2>\n<p>Missed: frames without the marker's place; lost: by the camera. Scatter: distance of frames from the mean of \
